@@ -1,0 +1,38 @@
+"""Lambertian reflection: f_s = reflectance / pi (Mitsuba's ``diffuse``)."""
+
+import warp as wp
+
+from warp_psdr.kernels.constants import INV_PI, LOBE_NONE, LOBE_SMOOTH
+from warp_psdr.kernels.sampling import square_to_cosine_hemisphere
+from warp_psdr.kernels.structs import BsdfSample, Material
+
+
+@wp.func
+def diffuse_eval(mat: Material, wi: wp.vec3, wo: wp.vec3) -> wp.vec3:
+    """f_s times the cosine of ``wo``, 1/sr."""
+    if wi[2] <= 0.0 or wo[2] <= 0.0:
+        return wp.vec3(0.0, 0.0, 0.0)
+    return mat.c0 * (INV_PI * wo[2])
+
+
+@wp.func
+def diffuse_pdf(mat: Material, wi: wp.vec3, wo: wp.vec3) -> wp.float32:
+    """Density of ``diffuse_sample``, solid angle."""
+    if wi[2] <= 0.0 or wo[2] <= 0.0:
+        return 0.0
+    return INV_PI * wo[2]
+
+
+@wp.func
+def diffuse_sample(mat: Material, wi: wp.vec3, u: wp.float32, v: wp.vec2) -> BsdfSample:
+    """Sample a direction proportional to its cosine; ``v`` is uniform in the unit square, ``u`` is not used."""
+    s = BsdfSample()
+    s.eta = 1.0
+    s.lobe = LOBE_NONE
+    if wi[2] > 0.0:
+        s.wo = square_to_cosine_hemisphere(v)
+        if s.wo[2] > 0.0:
+            s.pdf = INV_PI * s.wo[2]
+            s.value = mat.c0 * s.pdf
+            s.lobe = LOBE_SMOOTH
+    return s

@@ -1,0 +1,53 @@
+"""Named constants of the device code. Each carries its unit and one line of reason."""
+
+import math
+
+PI = math.pi
+INV_PI = 1.0 / math.pi
+TWO_PI = 2.0 * math.pi
+INV_TWO_PI = 0.5 / math.pi
+INV_FOUR_PI = 0.25 / math.pi
+
+#: Largest float32 below one: keeps a random number inside [0, 1).
+ONE_MINUS_EPSILON = 0.99999994
+#: Distance that stands for infinity (scene units); small enough that its square stays a finite float32.
+FAR = 1.0e18
+
+# Texture kinds (``Texture.kind``).
+TEXTURE_CONSTANT = 0
+TEXTURE_BITMAP = 1
+TEXTURE_VERTEX = 2
+TEXTURE_FACE = 3
+
+# Bitmap filters and wrap modes (``Texture.filter``, ``Texture.wrap``).
+FILTER_BILINEAR = 0
+FILTER_NEAREST = 1
+WRAP_REPEAT = 0
+WRAP_MIRROR = 1
+WRAP_CLAMP = 2
+
+# Scattering models (``Bsdf.model``).
+BSDF_DIFFUSE = 0
+BSDF_CONDUCTOR = 1
+BSDF_DIELECTRIC = 2
+BSDF_ROUGH_CONDUCTOR_GGX = 3
+BSDF_ROUGH_CONDUCTOR_BECKMANN = 4
+
+# Light sources (``Emitter.kind``).
+EMITTER_AREA = 0
+EMITTER_CONSTANT = 1
+EMITTER_ENVMAP = 2
+EMITTER_POINT = 3
+EMITTER_SPOT = 4
+EMITTER_DIRECTIONAL = 5
+
+# Lobes of a scattering event (``BsdfSample.lobe``).
+LOBE_NONE = 0
+LOBE_SMOOTH = 1
+LOBE_DELTA_REFLECTION = 2
+LOBE_DELTA_TRANSMISSION = 3
+
+# Reconstruction filters (``Camera.filter``).
+RFILTER_BOX = 0
+RFILTER_TENT = 1
+RFILTER_GAUSSIAN = 2

@@ -1,0 +1,177 @@
+"""All light sources but area lights behind one set of functions, made of nothing but the kinds that a scene holds."""
+
+import functools
+from collections.abc import Callable
+from typing import NamedTuple
+
+import warp as wp
+
+from warp_psdr.kernels.constants import (
+    EMITTER_CONSTANT,
+    EMITTER_DIRECTIONAL,
+    EMITTER_ENVMAP,
+    EMITTER_POINT,
+    EMITTER_SPOT,
+)
+from warp_psdr.kernels.emitter.constant import make_constant
+from warp_psdr.kernels.emitter.directional import make_directional
+from warp_psdr.kernels.emitter.envmap import make_envmap
+from warp_psdr.kernels.emitter.point import make_point
+from warp_psdr.kernels.emitter.spot import make_spot
+from warp_psdr.kernels.structs import Emitter, LightAdjoint, LightSample, Scene
+
+ENVIRONMENTS = {EMITTER_CONSTANT: make_constant, EMITTER_ENVMAP: make_envmap}
+DELTA_LIGHTS = {EMITTER_POINT: make_point, EMITTER_SPOT: make_spot, EMITTER_DIRECTIONAL: make_directional}
+WANTED = ("radiance", "pose")
+
+
+class LightFunctions(NamedTuple):
+    """Device functions of a set of light sources; None: no source of the set has the function.
+
+    ``sample(scene, e, x, u) -> LightSample``;
+    ``sample_vjp(scene, target, e, x, wi, w, a_wi) -> LightAdjoint`` for point, spot and directional lights;
+    ``environment_eval(scene, direction) -> vec3``, ``environment_pdf(scene, direction) -> float`` [1/sr, without the
+    selection probability] and ``environment_vjp(scene, target, direction, w) -> LightAdjoint`` for the scene's
+    environment, ``direction`` a unit vector away from the scene. The two vjps need a role.
+    """
+
+    sample: wp.Function | None
+    sample_vjp: wp.Function | None
+    environment_eval: wp.Function | None
+    environment_pdf: wp.Function | None
+    environment_vjp: wp.Function | None
+
+
+@functools.cache
+def make_lights(kinds: tuple[int, ...], role: str | None, wanted: tuple[str, ...] | frozenset[str]) -> LightFunctions:
+    """Return the functions for the light sources ``kinds`` (EMITTER_*, area lights excepted).
+
+    Args:
+        kinds: every kind that the scene holds, once each.
+        role: "reverse", "forward", or None for lights that are not differentiated.
+        wanted: which derivatives are scattered to the lights' own parameters: "radiance" (radiance, texels, intensity,
+            irradiance, scale) and "pose" (to_world, position, angles of a spot).
+
+    Raises:
+        ValueError: unknown kind, role or derivative.
+    """
+    makers = ENVIRONMENTS | DELTA_LIGHTS
+    for kind in kinds:
+        if kind not in makers:
+            raise ValueError(f"unknown kind of light {kind!r}; expected any of {sorted(makers)} (area lights: area.py)")
+    if role not in (None, "reverse", "forward"):
+        raise ValueError(f"unknown role {role!r}; expected None, 'reverse' or 'forward'")
+    if not set(wanted) <= set(WANTED):
+        raise ValueError(f"unknown derivatives {sorted(set(wanted) - set(WANTED))}; expected any of {list(WANTED)}")
+    flags = tuple(sorted(wanted))
+    models = {kind: makers[kind](role, flags) for kind in kinds}
+    environments = {kind: model for kind, model in models.items() if kind in ENVIRONMENTS}
+    deltas = {kind: model for kind, model in models.items() if kind in DELTA_LIGHTS}
+    environment_eval, environment_pdf, environment_vjp = None, None, None
+    if environments:
+        environment_eval = _environment_eval(_chain(_either_eval, environments, "eval"))
+        environment_pdf = _environment_pdf(_chain(_either_pdf, environments, "pdf"))
+    if environments and role is not None:
+        environment_vjp = _environment_vjp(_chain(_either_eval_vjp, environments, "eval_vjp"))
+    return LightFunctions(
+        sample=_chain(_either_sample, models, "sample"),
+        sample_vjp=_chain(_either_sample_vjp, deltas, "sample_vjp") if role is not None else None,
+        environment_eval=environment_eval,
+        environment_pdf=environment_pdf,
+        environment_vjp=environment_vjp,
+    )
+
+
+def _chain(either: Callable, models: dict, name: str) -> wp.Function | None:
+    """Nest ``either(kind, f, rest)`` over the models, so that one model needs no test of its kind."""
+    chained = None
+    for kind, model in reversed(models.items()):
+        function = getattr(model, name)
+        chained = function if chained is None else either(kind, function, chained)
+    return chained
+
+
+def _either_sample(kind: int, f: wp.Function, rest: wp.Function) -> wp.Function:
+    @wp.func
+    def sample(scene: Scene, e: Emitter, x: wp.vec3, u: wp.vec2) -> LightSample:
+        if e.kind == kind:
+            return f(scene, e, x, u)
+        return rest(scene, e, x, u)
+
+    return sample
+
+
+def _either_sample_vjp(kind: int, f: wp.Function, rest: wp.Function) -> wp.Function:
+    @wp.func
+    def sample_vjp(
+        scene: Scene,
+        target: wp.array(dtype=wp.float32),
+        e: Emitter,
+        x: wp.vec3,
+        wi: wp.vec3,
+        w: wp.vec3,
+        a_wi: wp.vec3,
+    ) -> LightAdjoint:
+        if e.kind == kind:
+            return f(scene, target, e, x, wi, w, a_wi)
+        return rest(scene, target, e, x, wi, w, a_wi)
+
+    return sample_vjp
+
+
+def _either_eval(kind: int, f: wp.Function, rest: wp.Function) -> wp.Function:
+    @wp.func
+    def radiance(scene: Scene, e: Emitter, direction: wp.vec3) -> wp.vec3:
+        if e.kind == kind:
+            return f(scene, e, direction)
+        return rest(scene, e, direction)
+
+    return radiance
+
+
+def _either_pdf(kind: int, f: wp.Function, rest: wp.Function) -> wp.Function:
+    @wp.func
+    def pdf(scene: Scene, e: Emitter, direction: wp.vec3) -> wp.float32:
+        if e.kind == kind:
+            return f(scene, e, direction)
+        return rest(scene, e, direction)
+
+    return pdf
+
+
+def _either_eval_vjp(kind: int, f: wp.Function, rest: wp.Function) -> wp.Function:
+    @wp.func
+    def eval_vjp(
+        scene: Scene, target: wp.array(dtype=wp.float32), e: Emitter, direction: wp.vec3, w: wp.vec3
+    ) -> LightAdjoint:
+        if e.kind == kind:
+            return f(scene, target, e, direction, w)
+        return rest(scene, target, e, direction, w)
+
+    return eval_vjp
+
+
+def _environment_eval(f: wp.Function) -> wp.Function:
+    @wp.func
+    def environment_eval(scene: Scene, direction: wp.vec3) -> wp.vec3:
+        return f(scene, scene.emitters[scene.environment], direction)
+
+    return environment_eval
+
+
+def _environment_pdf(f: wp.Function) -> wp.Function:
+    @wp.func
+    def environment_pdf(scene: Scene, direction: wp.vec3) -> wp.float32:
+        return f(scene, scene.emitters[scene.environment], direction)
+
+    return environment_pdf
+
+
+def _environment_vjp(f: wp.Function) -> wp.Function:
+    @wp.func
+    def environment_vjp(
+        scene: Scene, target: wp.array(dtype=wp.float32), direction: wp.vec3, w: wp.vec3
+    ) -> LightAdjoint:
+        return f(scene, target, scene.emitters[scene.environment], direction, w)
+
+    return environment_vjp

@@ -1,0 +1,348 @@
+"""Image environment in latitude-longitude form, Mitsuba 3's conventions.
+
+In the light's own frame a direction has the azimuth phi = atan2(x, -z) and the angle theta from +y. Column i of W lies
+at phi = 2 pi (i + 1/2) / W, and columns wrap around; row j of H lies at theta = pi j / (H - 1), so that the first and
+the last row are the poles. The radiance is ``scale`` times the bilinear interpolation of the texels.
+
+Directions are drawn from the *cells* between texel centres, of which there are H - 1 rows of W. A cell has a constant
+share (`build_env_distribution`); within it the density follows the bilinear brightness of the current texels. It is
+nowhere zero, for a black texel may have a derivative.
+"""
+
+import functools
+
+import numpy as np
+import warp as wp
+
+from warp_psdr.kernels.constants import FAR, INV_PI, INV_TWO_PI, ONE_MINUS_EPSILON, PI, TWO_PI
+from warp_psdr.kernels.distribution import LEVELS, cumulative, find_interval
+from warp_psdr.kernels.emitter.constant import EnvironmentFunctions
+from warp_psdr.kernels.rng import UNIT, pcg4d, unit_float
+from warp_psdr.kernels.sink import make_sink
+from warp_psdr.kernels.structs import Emitter, LightAdjoint, LightSample, Scene, Texture
+from warp_psdr.kernels.texture import bilinear_dot, texel
+
+#: Share of all samples that is uniform over the sphere: black regions have derivatives, and light behind corners.
+UNIFORM_SPHERE = 0.05
+#: Share of the samples within a cell that is uniform: bounds the variance of a black texel's derivative.
+UNIFORM_CELL = 0.1
+#: sin^2 of the angle to a pole below which the azimuth has no derivative (it changes by half a turn within 1e-6 rad).
+POLE = 1.0e-12
+
+
+@wp.struct
+class Cell:
+    """The four texels around a direction (flat offsets) and its fractional position between them."""
+
+    row: wp.int32
+    column: wp.int32
+    i00: wp.int32
+    i10: wp.int32
+    i01: wp.int32
+    i11: wp.int32
+    fx: wp.float32
+    fy: wp.float32
+
+
+@wp.struct
+class CellDensity:
+    """Brightness at a cell's corners, with the uniform share mixed in."""
+
+    b00: wp.float32
+    b10: wp.float32
+    b01: wp.float32
+    b11: wp.float32
+
+
+def build_env_distribution(data: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the cumulative arrays from which an environment map is sampled.
+
+    Args:
+        data: texels, shape ``(H, W, C)``, H >= 2. Negative values count as black.
+
+    Returns:
+        ``marginal`` over the rows of cells, shape ``(H,)``, and ``conditional`` over the cells of each row, shape
+        ``(H - 1, W + 1)``; float32. The weight of a cell is the mean of its corners and channels times its solid angle,
+        plus `UNIFORM_SPHERE`.
+
+    Raises:
+        ValueError: wrong shape, or a texel is NaN or infinite.
+    """
+    data = np.asarray(data)
+    if data.ndim != 3 or data.shape[0] < 2 or data.shape[1] < 1 or data.shape[2] < 1:
+        raise ValueError(f"got an environment map of shape {data.shape}; expected (H, W, C) with at least two rows")
+    if not np.all(np.isfinite(data)):
+        raise ValueError("got an environment map with NaN or infinite texels; replace them before rendering")
+    height, width = data.shape[:2]
+    brightness = np.maximum(data.mean(axis=2, dtype=np.float64), 0.0)
+    pairs = brightness + np.roll(brightness, -1, axis=1)
+    corners = pairs[:-1] + pairs[1:]
+    theta = np.linspace(0.0, np.pi, height)
+    # cos a - cos b as a product: exact for the thin rows at the poles.
+    solid_angle = 2.0 * np.sin(0.5 * (theta[1:] + theta[:-1])) * np.sin(0.5 * (theta[1:] - theta[:-1]))
+    uniform = np.broadcast_to(solid_angle[:, None] / (2.0 * width), corners.shape)
+    weights = corners * solid_angle[:, None]
+    total = weights.sum()
+    if total > 0.0:
+        weights = (1.0 - UNIFORM_SPHERE) * weights / total + UNIFORM_SPHERE * uniform
+    else:
+        weights = uniform
+    return cumulative(weights.sum(axis=1)), cumulative(weights)
+
+
+@wp.func
+def load_matrix(values: wp.array(dtype=wp.float32), offset: wp.int32) -> wp.mat33:
+    """Linear part of a 4x4 row-major matrix."""
+    return wp.mat33(
+        values[offset],
+        values[offset + 1],
+        values[offset + 2],
+        values[offset + 4],
+        values[offset + 5],
+        values[offset + 6],
+        values[offset + 8],
+        values[offset + 9],
+        values[offset + 10],
+    )
+
+
+@wp.func
+def cell_at(texture: Texture, row: wp.int32, column: wp.int32) -> Cell:
+    cell = Cell()
+    cell.row = row
+    cell.column = column
+    right = wp.where(column + 1 == texture.width, 0, column + 1)
+    top = texture.offset + row * texture.width * texture.channels
+    bottom = top + texture.width * texture.channels
+    cell.i00 = top + column * texture.channels
+    cell.i10 = top + right * texture.channels
+    cell.i01 = bottom + column * texture.channels
+    cell.i11 = bottom + right * texture.channels
+    return cell
+
+
+@wp.func
+def locate(texture: Texture, v: wp.vec3) -> Cell:
+    """Cell of the direction ``v`` (light's frame, any length)."""
+    rows = texture.height - 1
+    # Both angles by atan2: accurate everywhere, poles included, and independent of the vector's length.
+    x = wp.atan2(v[0], -v[2]) * INV_TWO_PI * wp.float32(texture.width) - 0.5
+    y = wp.atan2(wp.sqrt(v[0] * v[0] + v[2] * v[2]), v[1]) * INV_PI * wp.float32(rows)
+    left = wp.floor(x)
+    column = wp.int32(left)
+    if column < 0:
+        column += texture.width
+    row = wp.clamp(wp.int32(y), 0, rows - 1)
+    cell = cell_at(texture, row, wp.clamp(column, 0, texture.width - 1))
+    cell.fx = x - left
+    cell.fy = wp.clamp(y - wp.float32(row), 0.0, 1.0)
+    return cell
+
+
+@wp.func
+def interpolate(scene: Scene, texture: Texture, cell: Cell) -> wp.vec3:
+    n = texture.channels
+    top = (1.0 - cell.fx) * texel(scene, cell.i00, n) + cell.fx * texel(scene, cell.i10, n)
+    bottom = (1.0 - cell.fx) * texel(scene, cell.i01, n) + cell.fx * texel(scene, cell.i11, n)
+    return (1.0 - cell.fy) * top + cell.fy * bottom
+
+
+@wp.func
+def brightness(scene: Scene, offset: wp.int32, channels: wp.int32) -> wp.float32:
+    t = texel(scene, offset, channels)
+    return wp.max(t[0] + t[1] + t[2], 0.0)
+
+
+@wp.func
+def cell_density(scene: Scene, texture: Texture, cell: Cell) -> CellDensity:
+    """Corner values of the density within a cell, their mean one."""
+    b00 = brightness(scene, cell.i00, texture.channels)
+    b10 = brightness(scene, cell.i10, texture.channels)
+    b01 = brightness(scene, cell.i01, texture.channels)
+    b11 = brightness(scene, cell.i11, texture.channels)
+    density = CellDensity()
+    mean = 0.25 * (b00 + b10 + b01 + b11)
+    uniform = wp.where(mean > 0.0, UNIFORM_CELL, 1.0)
+    factor = wp.where(mean > 0.0, (1.0 - UNIFORM_CELL) / mean, 0.0)
+    density.b00 = uniform + factor * b00
+    density.b10 = uniform + factor * b10
+    density.b01 = uniform + factor * b01
+    density.b11 = uniform + factor * b11
+    return density
+
+
+@wp.func
+def density_at(b: CellDensity, s: wp.float32, t: wp.float32) -> wp.float32:
+    return (1.0 - t) * ((1.0 - s) * b.b00 + s * b.b10) + t * ((1.0 - s) * b.b01 + s * b.b11)
+
+
+@wp.func
+def linear_offset(u: wp.float32, a: wp.float32, b: wp.float32) -> wp.float32:
+    """Position in [0, 1) with density proportional to the line from a to b (both positive)."""
+    return wp.min(u * (a + b) / (a + wp.sqrt((1.0 - u) * a * a + u * b * b)), ONE_MINUS_EPSILON)
+
+
+@wp.func
+def half_sine(row: wp.int32, rows: wp.int32) -> wp.float32:
+    """sin^2(theta / 2) where row ``row`` of texels lies; (1 - cos theta) / 2 without cancellation."""
+    h = wp.sin(0.5 * PI * wp.float32(row) / wp.float32(rows))
+    return h * h
+
+
+@wp.func
+def cell_solid_angle(row: wp.int32, rows: wp.int32, columns: wp.int32) -> wp.float32:
+    """Solid angle of a cell: delta phi (cos theta_0 - cos theta_1), as a product."""
+    half = 0.5 * PI / wp.float32(rows)
+    return TWO_PI / wp.float32(columns) * 2.0 * wp.sin(wp.float32(2 * row + 1) * half) * wp.sin(half)
+
+
+@wp.func
+def cell_share(scene: Scene, row: wp.int32, column: wp.int32, columns: wp.int32) -> wp.float32:
+    """Probability of a cell."""
+    first = row * (columns + 1) + column
+    return (scene.env_marginal[row + 1] - scene.env_marginal[row]) * (
+        scene.env_conditional[first + 1] - scene.env_conditional[first]
+    )
+
+
+@wp.func
+def stretch(u: wp.float32, low: wp.float32, high: wp.float32, jitter: wp.float32) -> wp.float32:
+    """Position of u within [low, high), in [0, 1).
+
+    In a narrow interval u has few bits left. ``jitter`` spreads it over its spacing, which makes the result uniform.
+    """
+    return wp.min((u - low + UNIT * jitter) / (high - low), ONE_MINUS_EPSILON)
+
+
+@functools.cache
+def make_envmap(role: str | None, wanted: tuple[str, ...]) -> EnvironmentFunctions:
+    """Return the functions of the environment map (see `EnvironmentFunctions`).
+
+    Sampled directions are fixed in world space: neither texels nor pose move them. The densities take ``to_world`` to
+    be a rotation, with reflection and uniform scale allowed; its translation has no effect.
+
+    Args:
+        role: "reverse", "forward", or None for a light that is not differentiated.
+        wanted: "radiance" scatters to texels and scale, "pose" to the matrix.
+    """
+    sink = make_sink(role) if role else None
+
+    @wp.func
+    def radiance(scene: Scene, e: Emitter, direction: wp.vec3) -> wp.vec3:
+        texture = scene.textures[e.texture]
+        v = wp.inverse(load_matrix(scene.values, e.to_world)) * direction
+        return scene.values[e.scale] * interpolate(scene, texture, locate(texture, v))
+
+    @wp.func
+    def pdf(scene: Scene, e: Emitter, direction: wp.vec3) -> wp.float32:
+        texture = scene.textures[e.texture]
+        rows = texture.height - 1
+        v = wp.normalize(wp.inverse(load_matrix(scene.values, e.to_world)) * direction)
+        cell = locate(texture, v)
+        # The vertical position within the cell, uniform in solid angle; mirrored to the nearer pole, as in ``sample``.
+        # sin^2(theta / 2) = sin^2(theta) / (2 (1 + cos theta)).
+        q = 0.5 * (v[0] * v[0] + v[2] * v[2]) / (1.0 + wp.abs(v[1]))
+        t = wp.float32(0.0)
+        if 2 * cell.row < rows:
+            q = wp.where(v[1] < 0.0, 1.0 - q, q)
+            low = half_sine(cell.row, rows)
+            t = (q - low) / (half_sine(cell.row + 1, rows) - low)
+        else:
+            q = wp.where(v[1] > 0.0, 1.0 - q, q)
+            low = half_sine(rows - cell.row, rows)
+            t = (q - low) / (half_sine(rows - cell.row - 1, rows) - low)
+        density = density_at(cell_density(scene, texture, cell), cell.fx, wp.clamp(t, 0.0, 1.0))
+        share = cell_share(scene, cell.row, cell.column, texture.width)
+        return share * density / cell_solid_angle(cell.row, rows, texture.width)
+
+    @wp.func
+    def sample(scene: Scene, e: Emitter, x: wp.vec3, u: wp.vec2) -> LightSample:
+        result = LightSample()
+        result.face = -1
+        result.distance = FAR
+        texture = scene.textures[e.texture]
+        rows = texture.height - 1
+        columns = texture.width
+        row = find_interval(scene.env_marginal, 0, rows, u[1])
+        first = row * (columns + 1)
+        column = find_interval(scene.env_conditional, first, columns, u[0])
+        bits = wp.float32(LEVELS) * u
+        jitter = pcg4d(wp.uint32(bits[0]), wp.uint32(bits[1]), wp.uint32(row), wp.uint32(column))
+        u_x = stretch(
+            u[0], scene.env_conditional[first + column], scene.env_conditional[first + column + 1], unit_float(jitter.x)
+        )
+        u_y = stretch(u[1], scene.env_marginal[row], scene.env_marginal[row + 1], unit_float(jitter.y))
+
+        # Within the cell: first the vertical position, from the means of the two rows, then the horizontal one.
+        b = cell_density(scene, texture, cell_at(texture, row, column))
+        t = linear_offset(u_y, b.b00 + b.b10, b.b01 + b.b11)
+        s = linear_offset(u_x, (1.0 - t) * b.b00 + t * b.b01, (1.0 - t) * b.b10 + t * b.b11)
+        upper = 2 * row < rows
+        q0 = half_sine(wp.where(upper, row, rows - row), rows)
+        q1 = half_sine(wp.where(upper, row + 1, rows - row - 1), rows)
+        q = (1.0 - t) * q0 + t * q1
+        phi = TWO_PI * (wp.float32(column) + 0.5 + s) / wp.float32(columns)
+        sin_theta = 2.0 * wp.sqrt(wp.max(q * (1.0 - q), 0.0))
+        cos_theta = wp.where(upper, 1.0 - 2.0 * q, 2.0 * q - 1.0)
+        v = wp.vec3(sin_theta * wp.sin(phi), cos_theta, -sin_theta * wp.cos(phi))
+
+        result.wi = wp.normalize(load_matrix(scene.values, e.to_world) * v)
+        result.radiance = scene.values[e.scale] * interpolate(scene, texture, locate(texture, v))
+        result.pdf = (
+            cell_share(scene, row, column, columns) * density_at(b, s, t) / cell_solid_angle(row, rows, columns)
+        )
+        return result
+
+    if role is None:
+        return EnvironmentFunctions(sample, radiance, pdf, None)
+
+    @wp.func
+    def sink_texel(target: wp.array(dtype=wp.float32), offset: wp.int32, channels: wp.int32, w: wp.vec3) -> wp.float32:
+        if channels == 1:
+            return sink(target, offset, w[0] + w[1] + w[2])
+        return sink(target, offset, w[0]) + sink(target, offset + 1, w[1]) + sink(target, offset + 2, w[2])
+
+    @wp.func
+    def eval_vjp(
+        scene: Scene, target: wp.array(dtype=wp.float32), e: Emitter, direction: wp.vec3, w: wp.vec3
+    ) -> LightAdjoint:
+        result = LightAdjoint()
+        texture = scene.textures[e.texture]
+        n = texture.channels
+        to_local = wp.inverse(load_matrix(scene.values, e.to_world))
+        v = to_local * direction
+        cell = locate(texture, v)
+        scaled = scene.values[e.scale] * w
+        w00, w10, w01, w11, d_fx, d_fy, _w = wp.grad(bilinear_dot)(
+            texel(scene, cell.i00, n),
+            texel(scene, cell.i10, n),
+            texel(scene, cell.i01, n),
+            texel(scene, cell.i11, n),
+            cell.fx,
+            cell.fy,
+            scaled,
+        )
+        # Adjoint of the angles, then of v: phi = atan2(x, -z), theta = atan2(r, y), r^2 = x^2 + z^2.
+        d_phi = d_fx * wp.float32(texture.width) * INV_TWO_PI
+        d_theta = d_fy * wp.float32(texture.height - 1) * INV_PI
+        r2 = v[0] * v[0] + v[2] * v[2]
+        length2 = r2 + v[1] * v[1]
+        d_v = wp.vec3(0.0, 0.0, 0.0)
+        if r2 > POLE * length2:
+            r = wp.sqrt(r2)
+            d_r = d_theta * v[1] / (length2 * r)
+            d_v = wp.vec3(d_r * v[0] - d_phi * v[2] / r2, -d_theta * r / length2, d_r * v[2] + d_phi * v[0] / r2)
+        # v = M^-1 d: dv = M^-1 (dd - dM v).
+        d_direction = wp.transpose(to_local) * d_v
+        result.x = d_direction
+        if wp.static("radiance" in wanted):
+            result.dot += sink(target, e.scale, wp.dot(w, interpolate(scene, texture, cell)))
+            result.dot += sink_texel(target, cell.i00, n, w00) + sink_texel(target, cell.i10, n, w10)
+            result.dot += sink_texel(target, cell.i01, n, w01) + sink_texel(target, cell.i11, n, w11)
+        if wp.static("pose" in wanted):
+            for i in range(wp.static(3)):
+                for j in range(wp.static(3)):
+                    result.dot += sink(target, e.to_world + 4 * i + j, -d_direction[i] * v[j])
+        return result
+
+    return EnvironmentFunctions(sample, radiance, pdf, eval_vjp)

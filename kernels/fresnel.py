@@ -1,0 +1,79 @@
+"""Reflectance of an interface between two media for unpolarised light (Fresnel's equations).
+
+Both are written so that neither value nor derivative cancels, divides by zero or takes the root of zero at normal
+incidence, at grazing angles, at equal indices, and for a perfect mirror (eta = 0, k = 1).
+"""
+
+import warp as wp
+
+from warp_psdr.kernels.math import safe_sqrt
+
+#: Floor of the squared modulus of eta'^2 - sin^2 (conductor). The reflectance has a root singularity where that is 0
+#: (the critical angle of a lossless medium): there the floor puts derivative 0 in place of infinity.
+MIN_SQUARED_MODULUS = 1.0e-24
+#: Floor of the Fresnel denominators; reached only where an index or a cosine vanishes.
+MIN_DENOMINATOR = 1.0e-30
+
+
+@wp.func
+def fresnel_conductor(c: wp.float32, eta: wp.float32, k: wp.float32) -> wp.float32:
+    """Reflectance of a medium with complex index ``eta + i k`` (relative to the incident side) at cosine ``c`` > 0.
+
+    With the complex root a + i b of (eta + i k)^2 - sin^2,
+
+        R_s = ((c - a)^2 + b^2) / ((c + a)^2 + b^2),
+        R_p / R_s = ((a c - sin^2)^2 + b^2 c^2) / ((a c + sin^2)^2 + b^2 c^2).
+
+    The larger of a and b comes from a root, the other from a b = eta k: nothing cancels in a good metal, and eta = 0
+    has a finite derivative.
+    """
+    sin2 = 1.0 - c * c
+    x = (eta - 1.0) * (eta + 1.0) + c * c - k * k
+    half_y = eta * k
+    modulus = wp.sqrt(wp.max(x * x + 4.0 * half_y * half_y, MIN_SQUARED_MODULUS))
+    larger = wp.sqrt(0.5 * (modulus + wp.abs(x)))
+    smaller = half_y / larger
+    a = wp.where(x < 0.0, smaller, larger)
+    b = wp.where(x < 0.0, larger, smaller)
+    r_s = ((c - a) * (c - a) + b * b) / wp.max((c + a) * (c + a) + b * b, MIN_DENOMINATOR)
+    p_minus = a * c - sin2
+    p_plus = a * c + sin2
+    b2c2 = b * b * c * c
+    r_p = r_s * (p_minus * p_minus + b2c2) / wp.max(p_plus * p_plus + b2c2, MIN_DENOMINATOR)
+    return 0.5 * (r_s + r_p)
+
+
+@wp.func
+def fresnel_conductor_rgb(c: wp.float32, eta: wp.vec3, k: wp.vec3) -> wp.vec3:
+    """``fresnel_conductor`` of each colour channel."""
+    return wp.vec3(
+        fresnel_conductor(c, eta[0], k[0]), fresnel_conductor(c, eta[1], k[1]), fresnel_conductor(c, eta[2], k[2])
+    )
+
+
+@wp.func
+def refracted_cosine(c: wp.float32, eta: wp.float32) -> wp.float32:
+    """``eta`` times the cosine of the refracted ray, sqrt(eta^2 - 1 + c^2); 0 under total internal reflection.
+
+    ``c`` is the cosine on the incident side, ``eta`` the index behind the interface over the one on the incident side.
+    """
+    return safe_sqrt((eta - 1.0) * (eta + 1.0) + c * c)
+
+
+@wp.func
+def fresnel_dielectric(c: wp.float32, g: wp.float32, eta: wp.float32) -> wp.float32:
+    """Reflectance of a lossless interface; ``c`` > 0, ``eta`` and ``g`` as in ``refracted_cosine``.
+
+    r_s = (c - g) / (c + g) and r_p = (eta^2 c - g) / (eta^2 c + g), both expanded by their denominators: eta^2 - 1 then
+    stands as a factor, and equal indices give exactly zero.
+    """
+    reflectance = wp.float32(1.0)
+    if g > 0.0:
+        contrast = (eta - 1.0) * (eta + 1.0)
+        eta2 = eta * eta
+        s = c + g
+        p = eta2 * c + g
+        r_s = contrast / (s * s)
+        r_p = contrast * (c * c * (eta2 + 1.0) - 1.0) / (p * p)
+        reflectance = 0.5 * (r_s * r_s + r_p * r_p)
+    return reflectance

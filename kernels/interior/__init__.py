@@ -1,0 +1,1 @@
+"""Estimators of the interior term: one method a file."""

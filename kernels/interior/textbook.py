@@ -1,0 +1,162 @@
+"""Interior term by textbook path replay [VSJ21]: nothing kept, everything divided. For comparison (K = 0).
+
+A first pass computes L of the sample. The second one traces the same path again and subtracts what it meets, so that
+the remaining radiance after vertex n is R_n = A_{n+1} . L_{n+1}; the derivative of beta_n then is R_n dbeta_n / beta_n.
+Where a component of the throughput is 0 the quotient is lost, and with it the derivative of a factor that is exactly
+zero: this is the textbook's bias, which ``kernels/interior/replay.py`` does not have.
+
+The factors are those of record and sweep. The path is seen in forward order, so a vertex's adjoint is not collected
+but scattered in three parts (from the factor before, its own, and the one after), which is exact because everything
+behind the camera is a material point. Chains through smooth mirrors and glass would need the parts summed first; the
+plan refuses them.
+"""
+
+import functools
+
+import warp as wp
+
+from warp_psdr.kernels.camera import load_mat44, make_camera_sink
+from warp_psdr.kernels.interior.replay import Carry, Wanted, make_sweep
+from warp_psdr.kernels.path import PathConfig, PathVertex, make_camera_start, make_path_step
+from warp_psdr.kernels.rng import Sampler
+from warp_psdr.kernels.sink import anchor
+from warp_psdr.kernels.structs import Camera, Scene
+
+
+@wp.func
+def safe_quotient(a: wp.vec3, b: wp.vec3) -> wp.vec3:
+    """Componentwise a / b; 0 where b is 0."""
+    return wp.vec3(
+        wp.where(b[0] != 0.0, a[0] / b[0], 0.0),
+        wp.where(b[1] != 0.0, a[1] / b[1], 0.0),
+        wp.where(b[2] != 0.0, a[2] / b[2], 0.0),
+    )
+
+
+@wp.func
+def at_vertex(vertex: PathVertex) -> Carry:
+    """A carry that names a vertex and holds no adjoint yet."""
+    c = Carry()
+    c.face = vertex.face
+    c.u = vertex.u
+    c.v = vertex.v
+    c.o = vertex.o
+    c.d = vertex.d
+    return c
+
+
+@functools.cache
+def make_textbook_kernel(config: PathConfig, wanted: Wanted, role: str):
+    """Return the kernel of ``interior.Replay(block=0)``; arguments as ``make_replay_kernel``'s."""
+    path_step = make_path_step(config, True)
+    start = make_camera_start(config)
+    sweep, _finish, finish_vertex = make_sweep(config, wanted, role)
+    push_camera = make_camera_sink(role) if wanted.camera else None
+    geometry = wanted.geometry
+    channels = 3 if role == "forward" else 1
+
+    @wp.func
+    def push(
+        scene: Scene,
+        target: wp.array(dtype=wp.float32),
+        camera: Camera,
+        film: wp.vec2,
+        carry: Carry,
+        first: wp.bool,
+    ) -> wp.float32:
+        """Scatter the adjoint of one vertex; the first one hangs on the camera ray."""
+        _anchor = wp.grad(anchor)(0.0)  # see kernels/sink.py
+        c = carry
+        c.dot = wp.float32(0.0)
+        done = finish_vertex(scene, target, c, first)
+        total = done.dot
+        if wp.static(wanted.camera):
+            if first:
+                total += push_camera(scene, target, camera, film, done.a_x, done.a_d)
+        return total
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def textbook(
+        # Scene:
+        scene: Scene,
+        camera: Camera,
+        # In:
+        pixels: wp.array(dtype=wp.int32),
+        first_pixel: wp.int32,
+        first_sample: wp.int32,
+        samples: wp.int32,
+        scale: wp.float32,
+        seed: wp.uint32,
+        max_depth: wp.int32,
+        rr_depth: wp.int32,
+        adjoint: wp.array2d(dtype=wp.vec3),
+        # Out:
+        target: wp.array(dtype=wp.float32),
+        image_out: wp.array2d(dtype=wp.vec3),
+    ):
+        pixel = pixels[first_pixel + wp.tid()]
+        px = pixel % camera.crop_width
+        py = pixel // camera.crop_width
+        delta = wp.vec3(scale, scale, scale)
+        if wp.static(role == "reverse"):
+            delta = scale * adjoint[py, px]
+        derivative = wp.vec3(0.0, 0.0, 0.0)
+        origin = load_mat44(scene.values, camera.to_world)
+        camera_position = wp.vec3(origin[0, 3], origin[1, 3], origin[2, 3])
+        for i in range(samples):
+            sampler = Sampler()
+            sampler.pixel = wp.uint32(pixel)
+            sampler.index = wp.uint32(first_sample + i)
+            sampler.seed = seed
+            total_radiance = wp.vec3(0.0, 0.0, 0.0)
+            state, film = start(scene, camera, px, py, sampler)
+            first_state = state
+            while state.alive == 1:
+                vertex, state = path_step(scene, sampler, state, max_depth, rr_depth)
+                total_radiance += wp.cw_mul(vertex.throughput, vertex.direct)
+            for channel in range(wp.static(channels)):
+                weight = delta
+                if wp.static(role == "forward"):
+                    weight = wp.vec3(0.0, 0.0, 0.0)
+                    weight[channel] = delta[channel]
+                total = wp.float32(0.0)
+                remaining = total_radiance
+                state = first_state
+                current, state = path_step(scene, sampler, state, max_depth, rr_depth)
+                current.o = camera_position
+                before = PathVertex()
+                n = wp.int32(1)
+                more = wp.bool(True)
+                while more:
+                    remaining = remaining - wp.cw_mul(current.throughput, current.direct)
+                    following = PathVertex()
+                    carry = Carry()
+                    carry.face = -2
+                    more = state.alive == 1
+                    if more:
+                        following, state = path_step(scene, sampler, state, max_depth, rr_depth)
+                        carry = at_vertex(following)
+                        carry.radiance = safe_quotient(remaining, following.throughput)
+                    result = sweep(scene, target, current, weight, carry)
+                    total += result.dot
+                    if wp.static(geometry):
+                        own = at_vertex(current)
+                        own.adjoint = result.adjoint
+                        own.a_d = result.a_d
+                        if n == 1:
+                            own.a_x = result.a_x
+                        total += push(scene, target, camera, film, own, n == 1)
+                        if n > 1:
+                            previous = at_vertex(before)
+                            previous.adjoint.x = result.a_x
+                            total += push(scene, target, camera, film, previous, n == 2)
+                    before = current
+                    current = following
+                    n += 1
+                derivative[0] = derivative[0] + wp.where(channel == 0, total, 0.0)
+                derivative[1] = derivative[1] + wp.where(channel == 1, total, 0.0)
+                derivative[2] = derivative[2] + wp.where(channel == 2, total, 0.0)
+        if wp.static(role == "forward"):
+            image_out[py, px] = image_out[py, px] + derivative
+
+    return textbook

@@ -1,0 +1,446 @@
+"""The one path loop: camera ray, emission, next-event estimation, scattering, Russian roulette.
+
+Unidirectional path tracing with multiple importance sampling [Vea97]. A path is a sequence of vertices x_1, x_2, ...
+behind the camera. At every vertex
+
+    L_n = E_n + D_n + beta_n L_{n+1},
+
+E_n the emission that the incoming ray hits (weighted against next-event estimation at the vertex before), D_n the
+next-event estimate, beta_n = f_s / (p q) the scattering value over its pdf p and survival probability q. ``path_step``
+computes one vertex and the state from which the next one follows; the primal pass sums throughput times (E_n + D_n),
+the differential passes keep the vertices and sweep them backwards (``interior/replay.py``). Sampling decisions, pdfs,
+MIS weights and roulette are detached everywhere.
+
+Depth counts as in Mitsuba's ``path``: ``max_depth`` vertices at most (1: emission only; -1: unbounded).
+"""
+
+import functools
+from dataclasses import dataclass
+
+import warp as wp
+
+from warp_psdr.kernels.bsdf.dispatch import make_bsdf
+from warp_psdr.kernels.bvh.wide import make_intersect
+from warp_psdr.kernels.camera import camera_ray
+from warp_psdr.kernels.constants import FAR, LOBE_NONE, LOBE_SMOOTH
+from warp_psdr.kernels.distribution import find_interval
+from warp_psdr.kernels.emitter.area import make_area, pdf_area
+from warp_psdr.kernels.emitter.dispatch import make_lights
+from warp_psdr.kernels.film import make_filter
+from warp_psdr.kernels.rng import Sampler, make_sampler
+from warp_psdr.kernels.sampling import mis_weight
+from warp_psdr.kernels.structs import Bsdf, Camera, LightSample, Material, Scene
+from warp_psdr.kernels.surface import make_surface
+from warp_psdr.kernels.texture import make_texture
+
+#: Sample slots per path vertex: next-event estimation, scattering. Slot 0 is the camera's.
+SLOTS_PER_VERTEX = 2
+#: Largest and smallest survival probability of Russian roulette (Mitsuba's upper one). The lower bound applies to
+#: differential passes only, where a path of zero throughput still carries derivatives.
+ROULETTE_MAX = 0.95
+ROULETTE_MIN = 0.05
+
+
+@dataclass(frozen=True)
+class PathConfig:
+    """What a scene needs compiled; frozen and hashable, one kernel per value."""
+
+    bsdfs: tuple[int, ...]
+    #: Texture kinds in use per material slot c0, c1, c2, s0, s1; empty: the slot is unused.
+    slots: tuple[tuple[int, ...], ...]
+    two_sided: bool
+    smooth: bool
+    flat: bool
+    uv: bool
+    tangent: bool
+    #: Texture kinds of area lights; empty: there are none.
+    area: tuple[int, ...]
+    #: Other light sources.
+    lights: tuple[int, ...]
+    #: False: ``max_depth`` is 1 and only directly visible light is computed.
+    scatter: bool
+    hide_emitters: bool
+    sampler: str
+    filter: int
+    ray_backend: str
+    ray_width: int
+
+
+@wp.struct
+class PathState:
+    """What one vertex hands to the next."""
+
+    alive: wp.int32
+    depth: wp.int32
+    o: wp.vec3
+    d: wp.vec3
+    t_max: wp.float32
+    throughput: wp.vec3
+    pdf: wp.float32  # solid angle, of d; 0: no next-event estimate could have found what d hits
+    eta: wp.float32  # product of relative refractive indices
+
+
+@wp.struct
+class PathVertex:
+    """A path vertex and what was sampled there; enough to recompute every factor without tracing a ray."""
+
+    face: wp.int32  # -1: the ray left the scene
+    u: wp.float32
+    v: wp.float32
+    o: wp.vec3  # where the ray that found the vertex started
+    d: wp.vec3  # and its direction
+    throughput: wp.vec3  # product of the beta before this vertex
+    direct: wp.vec3  # E_n + D_n
+    beta: wp.vec3
+    e_weight: wp.float32  # MIS weight of the emission hit
+    light: wp.int32  # emitter found by next-event estimation, -1: none, or occluded
+    light_face: wp.int32
+    light_u: wp.float32
+    light_v: wp.float32
+    light_wi: wp.vec3
+    light_weight: wp.float32  # MIS weight / pdf
+    lobe: wp.int32
+    wo: wp.vec3
+    inv_pdf: wp.float32  # 1 / (pdf q)
+
+
+@wp.struct
+class Frame:
+    """Shading frame on the side of the incoming ray, and the scattering record of that side."""
+
+    n: wp.vec3
+    s: wp.vec3
+    t: wp.vec3
+    side: wp.float32  # +1, or -1 on the back of a two-sided material
+    bsdf: wp.int32
+
+
+@wp.func
+def to_local(s: wp.vec3, t: wp.vec3, n: wp.vec3, w: wp.vec3) -> wp.vec3:
+    return wp.vec3(wp.dot(s, w), wp.dot(t, w), wp.dot(n, w))
+
+
+@wp.func
+def any_tangent(n: wp.vec3) -> wp.vec3:
+    """A unit vector perpendicular to n (Duff et al. 2017)."""
+    sign = wp.where(n[2] >= 0.0, 1.0, -1.0)
+    a = -1.0 / (sign + n[2])
+    return wp.vec3(1.0 + sign * n[0] * n[0] * a, sign * n[0] * n[1] * a, -sign * n[0])
+
+
+@wp.func
+def film_position(camera: Camera, px: wp.int32, py: wp.int32, offset: wp.vec2) -> wp.vec2:
+    """Film coordinates in [0, 1]^2 of a point near the centre of a pixel of the crop window."""
+    return wp.vec2(
+        (wp.float32(px + camera.crop_x) + 0.5 + offset[0]) / wp.float32(camera.width),
+        (wp.float32(py + camera.crop_y) + 0.5 + offset[1]) / wp.float32(camera.height),
+    )
+
+
+@functools.cache
+def make_frame(two_sided: bool, tangent: bool):
+    """Return ``frame_at(scene, bsdf, n, tangent, wi) -> Frame``."""
+
+    @wp.func
+    def frame_at(scene: Scene, bsdf: wp.int32, n: wp.vec3, dpdu: wp.vec3, wi: wp.vec3) -> Frame:
+        f = Frame()
+        f.side = 1.0
+        f.bsdf = bsdf
+        if wp.static(two_sided):
+            if wp.dot(n, wi) < 0.0 and scene.bsdfs[bsdf].two_sided == 1:
+                f.side = -1.0
+                f.bsdf = scene.bsdfs[bsdf].back
+        f.n = f.side * n
+        f.s = any_tangent(f.n)
+        if wp.static(tangent):
+            p = dpdu - f.n * wp.dot(f.n, dpdu)
+            if wp.dot(p, p) > 0.0:
+                f.s = wp.normalize(p)
+        f.t = wp.cross(f.n, f.s)
+        return f
+
+    return frame_at
+
+
+@functools.cache
+def make_material(slots: tuple[tuple[int, ...], ...]):
+    """Return ``material_at(scene, bsdf, face, u, v, uv) -> Material``; unused slots stay 0 and cost nothing."""
+    c0, c1, c2, s0, s1 = (make_texture(kinds) if kinds else None for kinds in slots)
+    has = tuple(bool(kinds) for kinds in slots)
+
+    @wp.func
+    def material_at(
+        scene: Scene, b: Bsdf, face: wp.int32, u: wp.float32, v: wp.float32, uv: wp.vec2
+    ) -> Material:
+        m = Material()
+        if wp.static(has[0]):
+            m.c0 = c0(scene, b.c0, face, u, v, uv)
+        if wp.static(has[1]):
+            if b.c1 >= 0:
+                m.c1 = c1(scene, b.c1, face, u, v, uv)
+        if wp.static(has[2]):
+            if b.c2 >= 0:
+                m.c2 = c2(scene, b.c2, face, u, v, uv)
+        if wp.static(has[3]):
+            if b.s0 >= 0:
+                m.s0 = s0(scene, b.s0, face, u, v, uv)[0]
+        if wp.static(has[4]):
+            if b.s1 >= 0:
+                m.s1 = s1(scene, b.s1, face, u, v, uv)[0]
+        return m
+
+    return material_at
+
+
+@functools.cache
+def make_light_sampler(config: PathConfig):
+    """Return ``sample_light(scene, x, u4) -> (LightSample, emitter index, selection probability)``."""
+    area = make_area(config.area)[1] if config.area else None
+    other = make_lights(config.lights, None, ()).sample if config.lights else None
+
+    @wp.func
+    def sample_light(scene: Scene, x: wp.vec3, u4: wp.vec4) -> tuple[LightSample, wp.int32, wp.float32]:
+        index = wp.int32(0)
+        select = u4[0]
+        count = scene.emitters.shape[0]
+        if count > 1:
+            index = find_interval(scene.emitter_cdf, 0, count, select)
+            low = scene.emitter_cdf[index]
+            # Reuse the selection number: what is left of it is uniform again.
+            select = wp.clamp((select - low) / (scene.emitter_cdf[index + 1] - low), 0.0, 0.99999994)
+        e = scene.emitters[index]
+        if wp.static(bool(config.area and config.lights)):
+            if e.kind == 0:
+                ls = area(scene, e, x, wp.vec3(select, u4[2], u4[3]))
+            else:
+                ls = other(scene, e, x, wp.vec2(u4[2], u4[3]))
+                ls.face = -1
+            return ls, index, e.probability
+        elif wp.static(bool(config.area)):
+            return area(scene, e, x, wp.vec3(select, u4[2], u4[3])), index, e.probability
+        else:
+            sampled = other(scene, e, x, wp.vec2(u4[2], u4[3]))
+            sampled.face = -1
+            return sampled, index, e.probability
+
+    return sample_light
+
+
+@functools.cache
+def make_path_step(config: PathConfig, differential: bool):
+    """Return ``path_step(scene, sampler, state, max_depth, rr_depth) -> (PathVertex, PathState)``.
+
+    ``differential``: keep going where a factor is exactly zero, since its derivative may not be.
+    """
+    closest_hit, any_hit = make_intersect(config.ray_backend, config.ray_width)
+    surface_at = make_surface(config.smooth, config.flat, config.uv, config.tangent)
+    frame_at = make_frame(config.two_sided, config.tangent)
+    material_at = make_material(config.slots)
+    bsdf = make_bsdf(config.bsdfs)
+    emitted = make_area(config.area)[0] if config.area else None
+    lights = make_lights(config.lights, None, ()) if config.lights else None
+    environment_eval = lights.environment_eval if lights else None
+    environment_pdf = lights.environment_pdf if lights else None
+    environment = environment_eval is not None
+    has_lights = bool(config.area or config.lights)
+    sample_light = make_light_sampler(config) if has_lights else None
+    draw = make_sampler(config.sampler)
+    sample_4d = draw.sample_4d
+
+    @wp.func
+    def path_step(
+        scene: Scene, sampler: Sampler, state: PathState, max_depth: wp.int32, rr_depth: wp.int32
+    ) -> tuple[PathVertex, PathState]:
+        vertex = PathVertex()
+        vertex.face = -1
+        vertex.light = -1
+        vertex.lobe = LOBE_NONE
+        vertex.o = state.o
+        vertex.d = state.d
+        vertex.throughput = state.throughput
+        after = PathState()
+        hit = closest_hit(scene.accel, state.o, state.d, state.t_max)
+        if hit.face < 0:
+            if wp.static(environment):
+                if wp.static(not config.hide_emitters) or state.depth > 0:
+                    weight = wp.float32(1.0)
+                    if state.pdf > 0.0:
+                        pdf_light = environment_pdf(scene, state.d) * scene.emitters[scene.environment].probability
+                        weight = mis_weight(state.pdf, pdf_light)
+                    vertex.e_weight = weight
+                    vertex.direct = weight * environment_eval(scene, state.d)
+            return vertex, after
+
+        vertex.face = hit.face
+        vertex.u = hit.u
+        vertex.v = hit.v
+        surface = surface_at(scene, hit.face, hit.u, hit.v)
+        shape = scene.shapes[surface.shape]
+        if wp.static(bool(config.area)):
+            if shape.emitter >= 0:
+                e = scene.emitters[shape.emitter]
+                weight = wp.float32(1.0)
+                if state.pdf > 0.0:
+                    pdf_light = pdf_area(scene, e, hit.face, state.d, hit.t) * e.probability
+                    weight = mis_weight(state.pdf, pdf_light)
+                vertex.e_weight = weight
+                vertex.direct = weight * emitted(scene, e, hit.face, hit.u, hit.v, state.d)
+        if wp.static(not config.scatter):
+            return vertex, after
+        if max_depth >= 0 and state.depth + 1 >= max_depth:
+            return vertex, after
+
+        frame = frame_at(scene, shape.bsdf, surface.n, surface.tangent, -state.d)
+        b = scene.bsdfs[frame.bsdf]
+        material = material_at(scene, b, hit.face, hit.u, hit.v, surface.uv)
+        wi = to_local(frame.s, frame.t, frame.n, -state.d)
+
+        # Next-event estimation.
+        if wp.static(has_lights):
+            if not bsdf.is_delta(b.model):
+                u4 = sample_4d(sampler, 1 + SLOTS_PER_VERTEX * state.depth)
+                ls, index, probability = sample_light(scene, surface.x, u4)
+                if ls.pdf > 0.0:
+                    wo = to_local(frame.s, frame.t, frame.n, ls.wi)
+                    pdf_bsdf = bsdf.pdf(b.model, material, wi, wo)
+                    if pdf_bsdf > 0.0:
+                        pdf_light = ls.pdf * probability
+                        light_weight = 1.0 / pdf_light
+                        if ls.delta == 0:
+                            light_weight *= mis_weight(pdf_light, pdf_bsdf)
+                        value = light_weight * wp.cw_mul(bsdf.eval(b.model, material, wi, wo), ls.radiance)
+                        if wp.static(differential) or wp.max(value) > 0.0:
+                            turn = wp.where(wp.dot(surface.ng, ls.wi) >= 0.0, scene.ray_epsilon, -scene.ray_epsilon)
+                            o = surface.x + turn * surface.ng
+                            r = ls.wi
+                            t_max = ls.distance
+                            if wp.static(bool(config.area)):
+                                if ls.face >= 0:
+                                    # Aim a little in front of the light's own surface.
+                                    tri = scene.triangles[ls.face]
+                                    y = (1.0 - ls.u - ls.v) * tri.p0 + ls.u * tri.p1 + ls.v * tri.p2
+                                    r = y + scene.ray_epsilon * tri.normal - o
+                                    t_max = wp.length(r)
+                                    r = r / t_max
+                            if not any_hit(scene.accel, o, r, t_max):
+                                vertex.direct += value
+                                vertex.light = index
+                                vertex.light_face = ls.face
+                                vertex.light_u = ls.u
+                                vertex.light_v = ls.v
+                                vertex.light_wi = ls.wi
+                                vertex.light_weight = light_weight
+
+        # Scattering.
+        u4 = sample_4d(sampler, 2 + SLOTS_PER_VERTEX * state.depth)
+        bs = bsdf.sample(b.model, material, wi, u4[0], wp.vec2(u4[2], u4[3]))
+        if bs.pdf <= 0.0:
+            return vertex, after
+        wo_world = bs.wo[0] * frame.s + bs.wo[1] * frame.t + bs.wo[2] * frame.n
+        after.eta = state.eta * bs.eta
+        after.depth = state.depth + 1
+        inv_pdf = 1.0 / bs.pdf
+        throughput = wp.cw_mul(state.throughput, inv_pdf * bs.value)
+        survival = wp.max(throughput)
+        if wp.static(not differential):
+            if survival <= 0.0:
+                return vertex, after
+        if after.depth >= rr_depth:
+            survival = wp.min(survival * after.eta * after.eta, ROULETTE_MAX)
+            if wp.static(differential):
+                survival = wp.max(survival, ROULETTE_MIN)
+            if u4[1] >= survival:
+                return vertex, after
+            inv_pdf /= survival
+            throughput /= survival
+        vertex.lobe = bs.lobe
+        vertex.wo = wo_world
+        vertex.inv_pdf = inv_pdf
+        vertex.beta = inv_pdf * bs.value
+        turn = wp.where(wp.dot(surface.ng, wo_world) >= 0.0, scene.ray_epsilon, -scene.ray_epsilon)
+        after.alive = 1
+        after.o = surface.x + turn * surface.ng
+        after.d = wo_world
+        after.t_max = FAR
+        after.throughput = throughput
+        after.pdf = wp.where(bs.lobe == LOBE_SMOOTH, bs.pdf, 0.0)
+        return vertex, after
+
+    return path_step
+
+
+@functools.cache
+def make_camera_start(config: PathConfig):
+    """Return ``start(scene, camera, px, py, sampler) -> (PathState, film position)``."""
+    closest_hit, _any_hit = make_intersect(config.ray_backend, config.ray_width)
+    draw = make_sampler(config.sampler)
+    sample_4d = draw.sample_4d
+    filter_sample = make_filter(config.filter)
+
+    @wp.func
+    def start(
+        scene: Scene, camera: Camera, px: wp.int32, py: wp.int32, sampler: Sampler
+    ) -> tuple[PathState, wp.vec2]:
+        u4 = sample_4d(sampler, 0)
+        offset = filter_sample(wp.vec2(u4[0], u4[1]), camera.filter_radius, camera.filter_stddev)
+        film = film_position(camera, px, py, offset)
+        ray = camera_ray(scene, camera, film)
+        state = PathState()
+        state.alive = 1
+        state.o = ray.o + ray.t_min * ray.d
+        state.d = ray.d
+        state.t_max = ray.t_max - ray.t_min
+        state.throughput = wp.vec3(1.0, 1.0, 1.0)
+        state.eta = 1.0
+        if wp.static(config.hide_emitters and bool(config.area)):
+            # Area lights are invisible to the camera: go on behind them.
+            hit = closest_hit(scene.accel, state.o, state.d, state.t_max)
+            while hit.face >= 0 and scene.shapes[scene.triangles[wp.max(hit.face, 0)].shape].emitter >= 0:
+                step = hit.t + scene.ray_epsilon
+                state.o += step * state.d
+                state.t_max -= step
+                hit = closest_hit(scene.accel, state.o, state.d, state.t_max)
+        return state, film
+
+    return start
+
+
+@functools.cache
+def make_primal_kernel(config: PathConfig):
+    """Return the primal kernel: one thread a pixel, all its samples in order."""
+    path_step = make_path_step(config, False)
+    start = make_camera_start(config)
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def primal(
+        # Scene:
+        scene: Scene,
+        camera: Camera,
+        # In:
+        pixels: wp.array(dtype=wp.int32),
+        first_pixel: wp.int32,
+        first_sample: wp.int32,
+        samples: wp.int32,
+        scale: wp.float32,
+        seed: wp.uint32,
+        max_depth: wp.int32,
+        rr_depth: wp.int32,
+        # Out:
+        image_out: wp.array2d(dtype=wp.vec3),
+    ):
+        pixel = pixels[first_pixel + wp.tid()]
+        px = pixel % camera.crop_width
+        py = pixel // camera.crop_width
+        total = wp.vec3(0.0, 0.0, 0.0)
+        for i in range(samples):
+            sampler = Sampler()
+            sampler.pixel = wp.uint32(pixel)
+            sampler.index = wp.uint32(first_sample + i)
+            sampler.seed = seed
+            state, _film = start(scene, camera, px, py, sampler)
+            while state.alive == 1:
+                vertex, state = path_step(scene, sampler, state, max_depth, rr_depth)
+                total += wp.cw_mul(vertex.throughput, vertex.direct)
+        image_out[py, px] = image_out[py, px] + scale * total
+
+    return primal

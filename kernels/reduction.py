@@ -1,0 +1,32 @@
+"""Fixed-order sums over the lanes' gradient buffers."""
+
+import warp as wp
+
+
+@wp.kernel(module="unique", enable_backward=False)
+def add_lanes(
+    # In:
+    lanes: wp.array2d(dtype=wp.float32),
+    offset: wp.int32,
+    # Out:
+    total_out: wp.array(dtype=wp.float32),
+):
+    """Sum the lanes' values ``offset`` ... in float64 and always in the same order."""
+    i = offset + wp.tid()
+    total = wp.float64(0.0)
+    for lane in range(lanes.shape[0]):
+        total += wp.float64(lanes[lane, i])
+    total_out[i] = wp.float32(total)
+
+
+@wp.kernel(module="unique", enable_backward=False)
+def add_range(
+    # In:
+    total: wp.array(dtype=wp.float32),
+    offset: wp.int32,
+    # In and out:
+    grad_out: wp.array(dtype=wp.float32),
+):
+    """Add a stretch of the flat gradient to a parameter's own."""
+    i = wp.tid()
+    grad_out[i] = grad_out[i] + total[offset + i]

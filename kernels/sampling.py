@@ -1,0 +1,84 @@
+"""Warps from the unit square to directions and points, their densities, and multiple importance sampling weights."""
+
+import warp as wp
+
+from warp_psdr.kernels.constants import INV_FOUR_PI, INV_PI, PI, TWO_PI
+
+
+@wp.func
+def square_to_disk(u: wp.vec2) -> wp.vec2:
+    """Uniform point on the unit disk; keeps areas and neighbours [Shirley and Chiu 1997]."""
+    x = 2.0 * u[0] - 1.0
+    y = 2.0 * u[1] - 1.0
+    if x == 0.0 and y == 0.0:
+        return wp.vec2(0.0, 0.0)
+    r = wp.float32(x)
+    phi = wp.float32(0.0)
+    if wp.abs(x) > wp.abs(y):
+        phi = 0.25 * PI * (y / x)
+    else:
+        r = y
+        phi = 0.5 * PI - 0.25 * PI * (x / y)
+    return wp.vec2(r * wp.cos(phi), r * wp.sin(phi))
+
+
+@wp.func
+def square_to_cosine_hemisphere(u: wp.vec2) -> wp.vec3:
+    """Direction about +z with density cos(theta) / pi [1/sr]."""
+    p = square_to_disk(u)
+    return wp.vec3(p[0], p[1], wp.sqrt(wp.max(0.0, 1.0 - p[0] * p[0] - p[1] * p[1])))
+
+
+@wp.func
+def cosine_hemisphere_pdf(cos_theta: wp.float32) -> wp.float32:
+    """Density of `square_to_cosine_hemisphere` [1/sr]; 0 below the horizon."""
+    return wp.max(0.0, cos_theta) * INV_PI
+
+
+@wp.func
+def square_to_sphere(u: wp.vec2) -> wp.vec3:
+    """Uniform direction."""
+    z = 1.0 - 2.0 * u[1]
+    # (1 - z)(1 + z) instead of 1 - z^2: no cancellation near the poles.
+    r = 2.0 * wp.sqrt(wp.max(0.0, u[1] * (1.0 - u[1])))
+    phi = TWO_PI * u[0]
+    return wp.vec3(r * wp.cos(phi), r * wp.sin(phi), z)
+
+
+@wp.func
+def sphere_pdf() -> wp.float32:
+    """Density of `square_to_sphere` [1/sr]."""
+    return INV_FOUR_PI
+
+
+@wp.func
+def square_to_triangle(u: wp.vec2) -> wp.vec2:
+    """Barycentrics (b1, b2), uniform in area; no square root, halves keep their neighbours [Heitz 2019]."""
+    if u[0] < u[1]:
+        b = 0.5 * u[0]
+        return wp.vec2(b, u[1] - b)
+    b = 0.5 * u[1]
+    return wp.vec2(u[0] - b, b)
+
+
+@wp.func
+def triangle_pdf(area: wp.float32) -> wp.float32:
+    """Density of `square_to_triangle` [1/area]; 0 for a triangle without area."""
+    if area > 0.0:
+        return 1.0 / area
+    return 0.0
+
+
+@wp.func
+def mis_weight(a: wp.float32, b: wp.float32) -> wp.float32:
+    """Power heuristic a^2 / (a^2 + b^2) of two densities [Veach 1997, eq. 9.13]; the weights of a pair add up to one.
+
+    Works with the ratio, so that neither a tiny nor an infinite density overflows; (0, 0) gives 0.
+    """
+    if a == b:
+        return wp.where(a > 0.0, 0.5, 0.0)
+    if a > b:
+        r = b / a
+        return 1.0 / (1.0 + r * r)
+    r = a / b
+    return r * r / (1.0 + r * r)

@@ -1,0 +1,1 @@
+"""Differentiable shape processing: vertex normals, rigid and affine transforms."""

@@ -1,0 +1,123 @@
+"""Vertices and normals of a shape as a function of its ``to_world`` matrix, and both directions of the derivative.
+
+x = M p + t for positions; n = normalize(M^-T n_local) for normals, with M^-T = cof(M) / det(M) and cof(M) the cross
+products of the rows of M. Both are differentiated in all of the upper twelve entries: translation, rotation, scale and
+shear alike.
+"""
+
+import warp as wp
+
+from warp_psdr.kernels.camera import load_mat44
+from warp_psdr.kernels.shape.normals import add_vec3
+from warp_psdr.kernels.surface import load_vec3
+
+
+@wp.func
+def transform_point(m: wp.mat44, p: wp.vec3) -> wp.vec3:
+    return wp.vec3(
+        m[0, 0] * p[0] + m[0, 1] * p[1] + m[0, 2] * p[2] + m[0, 3],
+        m[1, 0] * p[0] + m[1, 1] * p[1] + m[1, 2] * p[2] + m[1, 3],
+        m[2, 0] * p[0] + m[2, 1] * p[1] + m[2, 2] * p[2] + m[2, 3],
+    )
+
+
+@wp.func
+def transform_normal(m: wp.mat44, n: wp.vec3) -> wp.vec3:
+    r0 = wp.vec3(m[0, 0], m[0, 1], m[0, 2])
+    r1 = wp.vec3(m[1, 0], m[1, 1], m[1, 2])
+    r2 = wp.vec3(m[2, 0], m[2, 1], m[2, 2])
+    c0 = wp.cross(r1, r2)
+    c1 = wp.cross(r2, r0)
+    c2 = wp.cross(r0, r1)
+    return wp.normalize(wp.vec3(wp.dot(c0, n), wp.dot(c1, n), wp.dot(c2, n)) / wp.dot(r0, c0))
+
+
+@wp.func
+def point_dot(m: wp.mat44, p: wp.vec3, a: wp.vec3) -> wp.float32:
+    return wp.dot(a, transform_point(m, p))
+
+
+@wp.func
+def normal_dot(m: wp.mat44, n: wp.vec3, a: wp.vec3) -> wp.float32:
+    return wp.dot(a, transform_normal(m, n))
+
+
+@wp.func
+def store_vec3(array: wp.array(dtype=wp.float32), offset: wp.int32, value: wp.vec3):
+    array[offset] = value[0]
+    array[offset + 1] = value[1]
+    array[offset + 2] = value[2]
+
+
+@wp.kernel(module="unique", enable_backward=False)
+def pose_shape(
+    # In:
+    local_positions: wp.array(dtype=wp.vec3),
+    local_normals: wp.array(dtype=wp.vec3),
+    to_world: wp.int32,
+    position_offset: wp.int32,
+    normal_offset: wp.int32,
+    # Out:
+    values_out: wp.array(dtype=wp.float32),
+):
+    """Write world positions and, where ``normal_offset`` >= 0, world normals."""
+    i = wp.tid()
+    m = load_mat44(values_out, to_world)
+    store_vec3(values_out, position_offset + 3 * i, transform_point(m, local_positions[i]))
+    if normal_offset >= 0:
+        store_vec3(values_out, normal_offset + 3 * i, transform_normal(m, local_normals[i]))
+
+
+@wp.kernel(module="unique", enable_backward=False)
+def pose_shape_vjp(
+    # In:
+    values: wp.array(dtype=wp.float32),
+    local_positions: wp.array(dtype=wp.vec3),
+    local_normals: wp.array(dtype=wp.vec3),
+    to_world: wp.int32,
+    position_offset: wp.int32,
+    normal_offset: wp.int32,
+    # In and out:
+    grad_out: wp.array(dtype=wp.float32),
+):
+    """Add the gradient of ``to_world``, given the gradients of positions and normals in the same flat array."""
+    i = wp.tid()
+    m = load_mat44(values, to_world)
+    g, _p, _a = wp.grad(point_dot)(m, local_positions[i], load_vec3(grad_out, position_offset + 3 * i))
+    if normal_offset >= 0:
+        h, _n, _b = wp.grad(normal_dot)(m, local_normals[i], load_vec3(grad_out, normal_offset + 3 * i))
+        g = g + h
+    for row in range(3):
+        for column in range(4):
+            wp.atomic_add(grad_out, to_world + 4 * row + column, g[row, column])
+
+
+@wp.kernel(module="unique", enable_backward=False)
+def pose_shape_jvp(
+    # In:
+    values: wp.array(dtype=wp.float32),
+    local_positions: wp.array(dtype=wp.vec3),
+    local_normals: wp.array(dtype=wp.vec3),
+    to_world: wp.int32,
+    position_offset: wp.int32,
+    normal_offset: wp.int32,
+    # In and out:
+    tangent_out: wp.array(dtype=wp.float32),
+):
+    """Add the tangents of positions and normals, given the tangent of ``to_world`` in the same flat array."""
+    i = wp.tid()
+    m = load_mat44(values, to_world)
+    dm = load_mat44(tangent_out, to_world)
+    position = wp.vec3(0.0, 0.0, 0.0)
+    normal = wp.vec3(0.0, 0.0, 0.0)
+    for axis in range(3):
+        e = wp.vec3(0.0, 0.0, 0.0)
+        e[axis] = 1.0
+        g, _p, _a = wp.grad(point_dot)(m, local_positions[i], e)
+        position[axis] = wp.ddot(g, dm)
+        if normal_offset >= 0:
+            h, _n, _b = wp.grad(normal_dot)(m, local_normals[i], e)
+            normal[axis] = wp.ddot(h, dm)
+    add_vec3(tangent_out, position_offset + 3 * i, position)
+    if normal_offset >= 0:
+        add_vec3(tangent_out, normal_offset + 3 * i, normal)

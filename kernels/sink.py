@@ -1,0 +1,52 @@
+"""Where partial derivatives go: the only place in which reverse and forward mode differ.
+
+Reverse mode adds ``value`` to the gradient at ``offset``; forward mode returns ``value`` times the tangent there, and
+the caller sums what the sinks return. Both use one flat array, laid out like ``Scene.values``.
+"""
+
+import functools
+
+import warp as wp
+
+
+@wp.func
+def anchor(a: wp.float32) -> wp.float32:
+    """Nothing. Warp 1.19 emits functions that call ``wp.grad`` behind all others.
+
+    So a function that calls such a function must call ``wp.grad`` itself, and one that otherwise would not says
+    ``_anchor = wp.grad(anchor)(0.0)``; the compiler removes it.
+    """
+    return a
+
+
+@functools.cache
+def make_sink(role: str):
+    """Return ``sink(target, offset, value) -> float`` for ``role`` "reverse" or "forward"."""
+    if role == "reverse":
+
+        @wp.func
+        def sink(target: wp.array(dtype=wp.float32), offset: wp.int32, value: wp.float32) -> wp.float32:
+            wp.atomic_add(target, offset, value)
+            return 0.0
+
+    elif role == "forward":
+
+        @wp.func
+        def sink(target: wp.array(dtype=wp.float32), offset: wp.int32, value: wp.float32) -> wp.float32:
+            return target[offset] * value
+
+    else:
+        raise ValueError(f"unknown role {role!r}; expected 'reverse' or 'forward'")
+    return sink
+
+
+@functools.cache
+def make_sink_vec3(role: str):
+    """Return ``sink(target, offset, vec3) -> float``: three consecutive values."""
+    scalar = make_sink(role)
+
+    @wp.func
+    def sink_vec3(target: wp.array(dtype=wp.float32), offset: wp.int32, value: wp.vec3) -> wp.float32:
+        return scalar(target, offset, value[0]) + scalar(target, offset + 1, value[1]) + scalar(target, offset + 2, value[2])
+
+    return sink_vec3

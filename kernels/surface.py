@@ -1,0 +1,332 @@
+"""A point on a triangle, and where its adjoint goes.
+
+A vertex of a light path is ``x = (1 - u - v) p0 + u p1 + v p2``. Its triangle is attached; its barycentrics are
+
+* detached in **material form** (survey eq. 10: the point rides on its triangle), or
+* attached where a ray with an attached origin and direction finds it (the first vertex, seen through a fixed film
+  position, and every vertex behind a smooth mirror or glass surface): there ``(u, v) = barycentrics(o, d, p0, p1, p2)``.
+
+The functions named ``*_dot`` are the local factors of the geometry: each folds its adjoint in and returns a scalar, so
+that ``wp.grad`` of it is a vector-Jacobian product. They hold no loop and mutate nothing (kernels are built with
+``enable_backward=False``; only these functions are differentiated).
+"""
+
+import functools
+
+import warp as wp
+
+from warp_psdr.kernels.sink import make_sink, make_sink_vec3
+from warp_psdr.kernels.structs import Scene, Triangle
+
+
+@wp.struct
+class Surface:
+    """Differential geometry at a point of a triangle."""
+
+    x: wp.vec3
+    n: wp.vec3  # unit shading normal, turned by flip_normals
+    ng: wp.vec3  # unit geometric normal, turned by flip_normals
+    tangent: wp.vec3  # dp/du, only where an anisotropic model needs it
+    uv: wp.vec2
+    shape: wp.int32
+
+
+@wp.struct
+class VertexAdjoint:
+    """Adjoint of a path vertex: position, shading normal, tangent, texture coordinates, attached barycentrics.
+
+    ``p0, p1, p2`` is what its triangle's corners receive directly (through the geometric factor).
+    """
+
+    x: wp.vec3
+    n: wp.vec3
+    tangent: wp.vec3
+    uv: wp.vec2
+    u: wp.float32
+    v: wp.float32
+    p0: wp.vec3
+    p1: wp.vec3
+    p2: wp.vec3
+
+
+@wp.struct
+class RayAdjoint:
+    """Adjoint of a ray's origin and direction, and the forward-mode sum collected on the way."""
+
+    o: wp.vec3
+    d: wp.vec3
+    dot: wp.float32
+
+
+@wp.func
+def load_vec3(values: wp.array(dtype=wp.float32), offset: wp.int32) -> wp.vec3:
+    return wp.vec3(values[offset], values[offset + 1], values[offset + 2])
+
+
+@wp.func
+def load_vec2(values: wp.array(dtype=wp.float32), offset: wp.int32) -> wp.vec2:
+    return wp.vec2(values[offset], values[offset + 1])
+
+
+@wp.func
+def interpolated_normal(n0: wp.vec3, n1: wp.vec3, n2: wp.vec3, u: wp.float32, v: wp.float32, fallback: wp.vec3) -> wp.vec3:
+    """Unit normal between three vertex normals; ``fallback`` where they cancel."""
+    n = (1.0 - u - v) * n0 + u * n1 + v * n2
+    squared = wp.dot(n, n)
+    if squared < 1.0e-20:
+        return fallback
+    return n / wp.sqrt(squared)
+
+
+@wp.func
+def uv_tangent(p0: wp.vec3, p1: wp.vec3, p2: wp.vec3, t0: wp.vec2, t1: wp.vec2, t2: wp.vec2) -> wp.vec3:
+    """dp/du of a triangle with texture coordinates; its first edge where those are degenerate."""
+    d1 = t1 - t0
+    d2 = t2 - t0
+    det = d1[0] * d2[1] - d1[1] * d2[0]
+    if wp.abs(det) < 1.0e-20:
+        return p1 - p0
+    return (d2[1] * (p1 - p0) - d1[1] * (p2 - p0)) / det
+
+
+@wp.func
+def ray_barycentrics(o: wp.vec3, d: wp.vec3, p0: wp.vec3, p1: wp.vec3, p2: wp.vec3) -> wp.vec2:
+    """Barycentrics (u, v) where the line o + t d meets the plane of a triangle (Cramer's rule)."""
+    e1 = p1 - p0
+    e2 = p2 - p0
+    q = wp.cross(d, e2)
+    s = o - p0
+    inv_det = 1.0 / wp.dot(e1, q)
+    r = wp.cross(s, e1)
+    return wp.vec2(wp.dot(s, q) * inv_det, wp.dot(d, r) * inv_det)
+
+
+@wp.func
+def barycentrics_dot(
+    o: wp.vec3, d: wp.vec3, p0: wp.vec3, p1: wp.vec3, p2: wp.vec3, a_u: wp.float32, a_v: wp.float32
+) -> wp.float32:
+    uv = ray_barycentrics(o, d, p0, p1, p2)
+    return a_u * uv[0] + a_v * uv[1]
+
+
+@wp.func
+def smooth_normal_dot(n0: wp.vec3, n1: wp.vec3, n2: wp.vec3, u: wp.float32, v: wp.float32, a: wp.vec3) -> wp.float32:
+    return wp.dot(a, wp.normalize((1.0 - u - v) * n0 + u * n1 + v * n2))
+
+
+@wp.func
+def flat_normal_dot(p0: wp.vec3, p1: wp.vec3, p2: wp.vec3, a: wp.vec3) -> wp.float32:
+    return wp.dot(a, wp.normalize(wp.cross(p1 - p0, p2 - p0)))
+
+
+@wp.func
+def tangent_dot(
+    p0: wp.vec3, p1: wp.vec3, p2: wp.vec3, t0: wp.vec2, t1: wp.vec2, t2: wp.vec2, a: wp.vec3
+) -> wp.float32:
+    return wp.dot(a, uv_tangent(p0, p1, p2, t0, t1, t2))
+
+
+@wp.func
+def direction_dot(x: wp.vec3, y: wp.vec3, a: wp.vec3) -> wp.float32:
+    return wp.dot(a, wp.normalize(y - x))
+
+
+@wp.func
+def geometric_factor(x: wp.vec3, y: wp.vec3, p0: wp.vec3, p1: wp.vec3, p2: wp.vec3) -> wp.float32:
+    """G(x, y) J(y) without the cosine at x, up to a constant: |cos y| area / t^2, the triangle's area being J's.
+
+    The cosine at x belongs to the scattering value. Twice the area times the unit normal is the cross product of two
+    edges, so no normalisation is needed: |N . (y - x)| / |y - x|^3 (survey eq. 9 and 11).
+    """
+    r = y - x
+    squared = wp.dot(r, r)
+    return wp.abs(wp.dot(wp.cross(p1 - p0, p2 - p0), r)) / (squared * wp.sqrt(squared))
+
+
+@wp.func
+def connection_dot(
+    x: wp.vec3, y: wp.vec3, p0: wp.vec3, p1: wp.vec3, p2: wp.vec3, a_wo: wp.vec3, a_g: wp.float32
+) -> wp.float32:
+    """Local factor of a connection x -> y in material form: its direction and its geometric factor."""
+    return wp.dot(a_wo, wp.normalize(y - x)) + a_g * geometric_factor(x, y, p0, p1, p2)
+
+
+@functools.cache
+def make_surface(smooth: bool, flat: bool, uv: bool, tangent: bool):
+    """Return ``surface_at(scene, face, u, v) -> Surface`` for scenes that hold smooth and/or flat shapes.
+
+    Args:
+        smooth: some shape interpolates vertex normals.
+        flat: some shape uses face normals.
+        uv: some texture reads texture coordinates.
+        tangent: some model is anisotropic and needs dp/du.
+    """
+
+    @wp.func
+    def surface_at(scene: Scene, face: wp.int32, u: wp.float32, v: wp.float32) -> Surface:
+        tri = scene.triangles[face]
+        s = Surface()
+        s.x = (1.0 - u - v) * tri.p0 + u * tri.p1 + v * tri.p2
+        s.ng = tri.normal
+        s.n = tri.normal
+        s.shape = tri.shape
+        if wp.static(smooth or uv or tangent):
+            shape = scene.shapes[tri.shape]
+            if wp.static(smooth):
+                is_smooth = shape.smooth == 1
+                if wp.static(not flat):
+                    is_smooth = True
+                if is_smooth:
+                    n0 = load_vec3(scene.values, shape.normal_offset + 3 * tri.i0)
+                    n1 = load_vec3(scene.values, shape.normal_offset + 3 * tri.i1)
+                    n2 = load_vec3(scene.values, shape.normal_offset + 3 * tri.i2)
+                    n = interpolated_normal(n0, n1, n2, u, v, shape.orientation * tri.normal)
+                    s.n = shape.orientation * n
+            if wp.static(uv or tangent):
+                s.uv = wp.vec2(u, v)
+                s.tangent = tri.p1 - tri.p0
+                if shape.has_uv == 1:
+                    t0 = load_vec2(scene.values, shape.uv_offset + 2 * tri.i0)
+                    t1 = load_vec2(scene.values, shape.uv_offset + 2 * tri.i1)
+                    t2 = load_vec2(scene.values, shape.uv_offset + 2 * tri.i2)
+                    s.uv = (1.0 - u - v) * t0 + u * t1 + v * t2
+                    if wp.static(tangent):
+                        s.tangent = uv_tangent(tri.p0, tri.p1, tri.p2, t0, t1, t2)
+        return s
+
+    return surface_at
+
+
+@functools.cache
+def make_vertex_sink(role: str, smooth: bool, flat: bool, uv: bool, tangent: bool, texcoords: bool, rays: bool):
+    """Return ``push_vertex(scene, target, face, u, v, adjoint, by_ray, o, d) -> RayAdjoint``.
+
+    Scatters a vertex's adjoint to the corners of its triangle, their normals and (``texcoords``) their texture
+    coordinates. ``by_ray``: the barycentrics are attached to the ray (o, d), whose adjoint is returned; otherwise they
+    are material constants. ``rays=False`` compiles the second case out.
+    """
+    sink3 = make_sink_vec3(role)
+    sink1 = make_sink(role)
+
+    @wp.func
+    def push_vertex(
+        scene: Scene,
+        target: wp.array(dtype=wp.float32),
+        face: wp.int32,
+        u: wp.float32,
+        v: wp.float32,
+        adjoint: VertexAdjoint,
+        by_ray: wp.bool,
+        o: wp.vec3,
+        d: wp.vec3,
+    ) -> RayAdjoint:
+        tri = scene.triangles[face]
+        shape = scene.shapes[tri.shape]
+        result = RayAdjoint()
+        total = wp.float32(0.0)
+        w = 1.0 - u - v
+        # Position: x = w p0 + u p1 + v p2.
+        a0 = adjoint.p0 + w * adjoint.x
+        a1 = adjoint.p1 + u * adjoint.x
+        a2 = adjoint.p2 + v * adjoint.x
+        a_u = adjoint.u + wp.dot(adjoint.x, tri.p1 - tri.p0)
+        a_v = adjoint.v + wp.dot(adjoint.x, tri.p2 - tri.p0)
+        # Shading normal.
+        is_smooth = wp.static(smooth) and (shape.smooth == 1 or wp.static(not flat))
+        if is_smooth:
+            if wp.static(smooth):
+                n0 = load_vec3(scene.values, shape.normal_offset + 3 * tri.i0)
+                n1 = load_vec3(scene.values, shape.normal_offset + 3 * tri.i1)
+                n2 = load_vec3(scene.values, shape.normal_offset + 3 * tri.i2)
+                n = w * n0 + u * n1 + v * n2
+                if wp.dot(n, n) > 1.0e-20:
+                    b0, b1, b2, bu, bv, _ba = wp.grad(smooth_normal_dot)(n0, n1, n2, u, v, shape.orientation * adjoint.n)
+                    total += sink3(target, shape.normal_offset + 3 * tri.i0, b0)
+                    total += sink3(target, shape.normal_offset + 3 * tri.i1, b1)
+                    total += sink3(target, shape.normal_offset + 3 * tri.i2, b2)
+                    a_u += bu
+                    a_v += bv
+        else:
+            if wp.static(flat):
+                f0, f1, f2, _fa = wp.grad(flat_normal_dot)(tri.p0, tri.p1, tri.p2, shape.orientation * adjoint.n)
+                a0 += f0
+                a1 += f1
+                a2 += f2
+        # Texture coordinates and their tangent.
+        if wp.static(uv):
+            if shape.has_uv == 1:
+                t0 = load_vec2(scene.values, shape.uv_offset + 2 * tri.i0)
+                t1 = load_vec2(scene.values, shape.uv_offset + 2 * tri.i1)
+                t2 = load_vec2(scene.values, shape.uv_offset + 2 * tri.i2)
+                a_u += wp.dot(adjoint.uv, t1 - t0)
+                a_v += wp.dot(adjoint.uv, t2 - t0)
+                c0 = w * adjoint.uv
+                c1 = u * adjoint.uv
+                c2 = v * adjoint.uv
+                if wp.static(tangent):
+                    g0, g1, g2, h0, h1, h2, _ga = wp.grad(tangent_dot)(
+                        tri.p0, tri.p1, tri.p2, t0, t1, t2, adjoint.tangent
+                    )
+                    a0 += g0
+                    a1 += g1
+                    a2 += g2
+                    c0 += h0
+                    c1 += h1
+                    c2 += h2
+                if wp.static(texcoords):
+                    total += sink1(target, shape.uv_offset + 2 * tri.i0, c0[0])
+                    total += sink1(target, shape.uv_offset + 2 * tri.i0 + 1, c0[1])
+                    total += sink1(target, shape.uv_offset + 2 * tri.i1, c1[0])
+                    total += sink1(target, shape.uv_offset + 2 * tri.i1 + 1, c1[1])
+                    total += sink1(target, shape.uv_offset + 2 * tri.i2, c2[0])
+                    total += sink1(target, shape.uv_offset + 2 * tri.i2 + 1, c2[1])
+            else:
+                a_u += adjoint.uv[0]
+                a_v += adjoint.uv[1]
+                if wp.static(tangent):
+                    a0 -= adjoint.tangent
+                    a1 += adjoint.tangent
+        # Barycentrics attached to the ray that found them.
+        if wp.static(rays):
+            if by_ray:
+                b_o, b_d, b_p0, b_p1, b_p2, _bu, _bv = wp.grad(barycentrics_dot)(
+                    o, d, tri.p0, tri.p1, tri.p2, a_u, a_v
+                )
+                result.o = b_o
+                result.d = b_d
+                a0 += b_p0
+                a1 += b_p1
+                a2 += b_p2
+        total += sink3(target, scene.positions + 3 * tri.i0, a0)
+        total += sink3(target, scene.positions + 3 * tri.i1, a1)
+        total += sink3(target, scene.positions + 3 * tri.i2, a2)
+        result.dot = total
+        return result
+
+    return push_vertex
+
+
+@wp.kernel(module="unique", enable_backward=False)
+def update_triangles(
+    # In:
+    values: wp.array(dtype=wp.float32),
+    positions: wp.int32,
+    indices: wp.array(dtype=wp.int32),
+    face_shape: wp.array(dtype=wp.int32),
+    orientation: wp.array(dtype=wp.float32),
+    first: wp.int32,
+    # Out:
+    triangles_out: wp.array(dtype=Triangle),
+):
+    """Precompute the per-triangle records of faces ``first`` ... from the vertex positions."""
+    face = first + wp.tid()
+    tri = Triangle()
+    tri.i0 = indices[3 * face]
+    tri.i1 = indices[3 * face + 1]
+    tri.i2 = indices[3 * face + 2]
+    tri.shape = face_shape[face]
+    tri.p0 = load_vec3(values, positions + 3 * tri.i0)
+    tri.p1 = load_vec3(values, positions + 3 * tri.i1)
+    tri.p2 = load_vec3(values, positions + 3 * tri.i2)
+    tri.normal = orientation[tri.shape] * wp.normalize(wp.cross(tri.p1 - tri.p0, tri.p2 - tri.p0))
+    triangles_out[face] = tri

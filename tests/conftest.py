@@ -1,0 +1,35 @@
+"""What every test shares: where Warp may write, and which devices there are."""
+
+import pytest
+import warp as wp
+
+
+def _has_cuda() -> bool:
+    return wp.get_cuda_device_count() > 0
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    # The tests are a user of the library, so the global configuration is theirs to set: no start-up banner and no
+    # line per compiled module between the results.
+    wp.config.log_level = wp.LOG_WARNING
+    wp.init()
+
+
+def pytest_report_header(config: pytest.Config) -> str:
+    devices = ", ".join(str(device) for device in wp.get_devices())
+    return f"warp {wp.__version__}, devices: {devices}" + ("" if _has_cuda() else "; tests marked gpu are deselected")
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    if _has_cuda():
+        return
+    gpu = [item for item in items if item.get_closest_marker("gpu")]
+    if gpu:
+        config.hook.pytest_deselected(items=gpu)
+        items[:] = [item for item in items if not item.get_closest_marker("gpu")]
+
+
+@pytest.fixture(params=["cpu", pytest.param("cuda:0", marks=pytest.mark.gpu)])
+def device(request: pytest.FixtureRequest) -> str:
+    """Every device that a kernel has to agree on."""
+    return request.param

@@ -1,0 +1,132 @@
+"""Losses against closed forms in double precision, and their derivatives against the same."""
+
+import numpy as np
+import pytest
+import warp as wp
+
+from warp_psdr import losses
+
+#: Float32 rounding of a sum whose terms are rounded once each.
+ROUNDING = 2e-6
+
+HUBER_DELTA = 0.25
+EPSILON = 0.05
+
+
+def huber_value(d, t):
+    return np.where(np.abs(d) <= HUBER_DELTA, d * d / 2, HUBER_DELTA * (np.abs(d) - HUBER_DELTA / 2))
+
+
+#: name: (loss, value of a term, derivative of a term), the latter in NumPy on the difference and the target.
+CASES = {
+    "l2": (losses.l2, lambda d, t: d * d, lambda d, t: 2 * d),
+    "l1": (losses.l1, lambda d, t: np.abs(d), lambda d, t: np.sign(d)),
+    "huber": (
+        lambda a, b: losses.huber(a, b, delta=HUBER_DELTA),
+        huber_value,
+        lambda d, t: np.clip(d, -HUBER_DELTA, HUBER_DELTA),
+    ),
+    "relative_l2": (
+        lambda a, b: losses.relative_l2(a, b, epsilon=EPSILON),
+        lambda d, t: d * d / (t * t + EPSILON),
+        lambda d, t: 2 * d / (t * t + EPSILON),
+    ),
+}
+
+
+def images(shape=(7, 5), seed=1):
+    rng = np.random.default_rng(seed)
+    a, b = rng.random((2, *shape, 3), dtype=np.float32)
+    a[0, 0] = b[0, 0]  # a pixel that agrees exactly, where |x| has no derivative
+    return a, b
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_value_and_derivative(name: str, device: str) -> None:
+    loss, value, derivative = CASES[name]
+    a, b = images()
+    image = wp.array(a, dtype=wp.vec3, requires_grad=True, device=device)
+    with wp.Tape() as tape:
+        result = loss(image, b)
+    tape.backward(result)
+    d, t = a.astype(np.float64) - b, b.astype(np.float64)
+    assert result.shape == (1,)
+    np.testing.assert_allclose(result.numpy()[0], value(d, t).mean(), rtol=ROUNDING)
+    np.testing.assert_allclose(image.grad.numpy(), derivative(d, t) / d.size, rtol=ROUNDING, atol=1e-7 / d.size)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_no_difference_no_loss_and_no_derivative(name: str) -> None:
+    a, _ = images()
+    image = wp.array(a, dtype=wp.vec3, requires_grad=True, device="cpu")
+    with wp.Tape() as tape:
+        result = CASES[name][0](image, a)
+    tape.backward(result)
+    assert result.numpy()[0] == 0.0
+    assert np.all(image.grad.numpy() == 0.0)
+
+
+def test_warp_and_numpy_targets_agree() -> None:
+    a, b = images()
+    image = wp.array(a, dtype=wp.vec3, device="cpu")
+    from_warp = losses.l2(image, wp.array(b, dtype=wp.vec3, device="cpu")).numpy()
+    np.testing.assert_array_equal(from_warp, losses.l2(image, b).numpy())
+    np.testing.assert_array_equal(from_warp, losses.l2(image, b.astype(np.float64)).numpy())
+
+
+def test_sum_of_many_terms_keeps_its_digits() -> None:
+    # A running float32 sum of this many equal terms is off by far more than one rounding.
+    shape, difference = (512, 512), np.float32(0.1)
+    image = wp.array(np.full((*shape, 3), difference), dtype=wp.vec3, device="cpu")
+    result = losses.l2(image, np.zeros((*shape, 3))).numpy()[0]
+    np.testing.assert_allclose(result, float(difference) ** 2, rtol=2e-7)
+
+
+def test_kernels_before_the_loss_chain() -> None:
+    # d/ds mean((s a)^2) = 2 s mean(a^2), through a kernel of the user's own.
+    @wp.kernel(module="unique")
+    def scale(a: wp.array2d(dtype=wp.vec3), s: wp.array(dtype=wp.float32), out: wp.array2d(dtype=wp.vec3)):
+        i, j = wp.tid()
+        out[i, j] = s[0] * a[i, j]
+
+    a, _ = images()
+    source = wp.array(a, dtype=wp.vec3, device="cpu")
+    s = wp.array([1.5], dtype=wp.float32, requires_grad=True, device="cpu")
+    image = wp.empty(a.shape[:2], dtype=wp.vec3, requires_grad=True, device="cpu")
+    with wp.Tape() as tape:
+        wp.launch(scale, dim=a.shape[:2], inputs=[source, s], outputs=[image], device="cpu")
+        result = losses.l2(image, np.zeros_like(a))
+    tape.backward(result)
+    np.testing.assert_allclose(s.grad.numpy()[0], 2 * 1.5 * np.mean(a.astype(np.float64) ** 2), rtol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("image", "target", "error", "message"),
+    [
+        (np.zeros((4, 4, 3)), np.zeros((4, 4, 3)), TypeError, "image: got NumPy array"),
+        ("scalar", np.zeros((4, 4, 3)), TypeError, "image: got wp.array of float32"),
+        ("image", np.zeros((4, 5, 3)), ValueError, r"target: got shape \(4, 5, 3\), expected \(4, 4, 3\)"),
+        ("image", np.zeros((4, 4, 4)), ValueError, "alpha channel"),
+        ("image", "smaller", ValueError, r"target: got shape \(2, 2\)"),
+        ("image", "scalar", TypeError, "target: got wp.array of float32"),
+        ("image", None, TypeError, "target: got NoneType"),
+    ],
+)
+def test_what_is_no_image_is_named(image, target, error: type[Exception], message: str) -> None:
+    made = {
+        "image": lambda: wp.zeros((4, 4), dtype=wp.vec3, device="cpu"),
+        "smaller": lambda: wp.zeros((2, 2), dtype=wp.vec3, device="cpu"),
+        "scalar": lambda: wp.zeros((4, 4), dtype=wp.float32, device="cpu"),
+    }
+    image, target = (made[x]() if isinstance(x, str) else x for x in (image, target))
+    with pytest.raises(error, match=message):
+        losses.l2(image, target)
+
+
+@pytest.mark.parametrize("value", [0.0, -1.0, float("nan"), float("inf")])
+def test_thresholds_are_positive(value: float) -> None:
+    image = wp.zeros((4, 4), dtype=wp.vec3, device="cpu")
+    with pytest.raises(ValueError, match="delta: got"):
+        losses.huber(image, image, delta=value)
+    with pytest.raises(ValueError, match="epsilon: got"):
+        losses.relative_l2(image, image, epsilon=value)

@@ -1,0 +1,76 @@
+"""warp_psdr: physics-based differentiable rendering as NVIDIA Warp kernels."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from warp_psdr import interior, losses, optim
+from warp_psdr.acceleration import set_ray_backend
+from warp_psdr.options import PathIntegrator
+from warp_psdr.parameters import Parameters, traverse
+from warp_psdr.plan import Plan, plan
+from warp_psdr.render import render, render_backward, render_forward
+from warp_psdr.scene.transforms import Transform
+from warp_psdr.workers import set_workers
+
+if TYPE_CHECKING:
+    from warp_psdr.scene.scene import Scene
+
+__version__ = "0.1.0"
+
+__all__ = [
+    "Parameters",
+    "PathIntegrator",
+    "Plan",
+    "Transform",
+    "interior",
+    "load_dict",
+    "load_file",
+    "load_string",
+    "losses",
+    "optim",
+    "plan",
+    "render",
+    "render_backward",
+    "render_forward",
+    "set_ray_backend",
+    "set_workers",
+    "traverse",
+]
+
+
+def load_file(path, *, device: str = "cpu", **defaults) -> Scene:
+    """Load a Mitsuba 3 scene file.
+
+    Args:
+        path: an XML file of version 3.x.
+        device: Warp device, "cpu" or "cuda:0".
+        **defaults: values for the file's ``$parameters``.
+
+    Returns:
+        The scene.
+
+    Raises:
+        FileNotFoundError: the file, or one that it names, does not exist.
+        ValueError: the file is malformed or uses what is not supported; the message names the place and the remedy.
+    """
+    from warp_psdr.scene import describe_file
+    from warp_psdr.scene.scene import Scene
+
+    return Scene(describe_file(path, **defaults), device)
+
+
+def load_string(xml: str, *, device: str = "cpu", **defaults) -> Scene:
+    """Load a Mitsuba 3 scene from XML text; see ``load_file``."""
+    from warp_psdr.scene import describe_string
+    from warp_psdr.scene.scene import Scene
+
+    return Scene(describe_string(xml, **defaults), device)
+
+
+def load_dict(scene: dict, *, device: str = "cpu") -> Scene:
+    """Load a scene from Mitsuba 3's dictionary form (plain Python and NumPy values); see ``load_file``."""
+    from warp_psdr.scene import describe_dict
+    from warp_psdr.scene.scene import Scene
+
+    return Scene(describe_dict(scene), device)

@@ -1,0 +1,121 @@
+"""From sources to derived values and back: poses to vertices, positions to vertex normals.
+
+The rendering kernels know vertex positions and normals only. In reverse mode their gradients are pulled back to what
+they were computed from; in forward mode the tangents of the sources are pushed on before the kernels run.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import warp as wp
+
+from warp_psdr.device import launch
+from warp_psdr.kernels.shape.normals import (
+    normalization_jvp,
+    normalization_vjp,
+    sum_normals_jvp,
+    sum_normals_vjp,
+)
+from warp_psdr.kernels.shape.transform import pose_shape_jvp, pose_shape_vjp
+from warp_psdr.scene.layout import SHAPE_POSE
+
+if TYPE_CHECKING:
+    from warp_psdr.scene.scene import Scene
+
+
+def derived_ranges(scene: Scene, names: list[str]) -> list[tuple[int, int]]:
+    """Flat (offset, size) of the vertices and normals whose gradients ``pull_derived`` reads."""
+    ranges = []
+    for shape in scene.derived_normals(names):
+        record = scene.builder.shapes[shape]
+        ranges.append((record.normal_offset + 3 * record.first_vertex, 3 * record.vertex_count))
+    for shape in _posed(scene, names):
+        _to_world, positions, normals = scene.pose_offsets(shape)
+        size = 3 * scene.builder.shapes[shape].vertex_count
+        ranges.append((positions, size))
+        if normals >= 0:
+            ranges.append((normals, size))
+    return ranges
+
+
+def pull_derived(scene: Scene, names: list[str], grad: wp.array) -> None:
+    """Add the gradients of poses and positions that arrive through derived vertices and normals.
+
+    Args:
+        scene: the scene.
+        names: requested parameters.
+        grad: flat gradients, in place.
+    """
+    device = scene.device
+    for shape in scene.derived_normals(names):
+        record = scene.builder.shapes[shape]
+        sums = scene.normal_sums(shape, write=False)
+        adjoint = wp.zeros_like(sums)
+        launch(
+            normalization_vjp,
+            dim=record.vertex_count,
+            inputs=[sums, grad, record.normal_offset + 3 * record.first_vertex],
+            outputs=[adjoint],
+            device=device,
+        )
+        launch(
+            sum_normals_vjp,
+            dim=record.face_count,
+            inputs=[scene.values, scene.positions, scene.indices, record.first_face, record.first_vertex, adjoint],
+            outputs=[grad],
+            device=device,
+        )
+    for shape in _posed(scene, names):
+        record = scene.builder.shapes[shape]
+        vertices, normals = scene.local_geometry(shape)
+        launch(
+            pose_shape_vjp,
+            dim=record.vertex_count,
+            inputs=[scene.values, vertices, normals, *scene.pose_offsets(shape)],
+            outputs=[grad],
+            device=device,
+        )
+
+
+def push_derived(scene: Scene, names: list[str], tangent: wp.array) -> None:
+    """Add the tangents of vertices and normals that follow the named poses and positions.
+
+    Args:
+        scene: the scene.
+        names: parameters with a tangent.
+        tangent: flat tangents, in place.
+    """
+    device = scene.device
+    for shape in _posed(scene, names):
+        record = scene.builder.shapes[shape]
+        vertices, normals = scene.local_geometry(shape)
+        launch(
+            pose_shape_jvp,
+            dim=record.vertex_count,
+            inputs=[scene.values, vertices, normals, *scene.pose_offsets(shape)],
+            outputs=[tangent],
+            device=device,
+        )
+    for shape in scene.derived_normals(names):
+        record = scene.builder.shapes[shape]
+        sums = scene.normal_sums(shape, write=False)
+        sums_tangent = wp.zeros_like(sums)
+        launch(
+            sum_normals_jvp,
+            dim=record.face_count,
+            inputs=[scene.values, scene.positions, scene.indices, record.first_face, record.first_vertex, tangent],
+            outputs=[sums_tangent],
+            device=device,
+        )
+        launch(
+            normalization_jvp,
+            dim=record.vertex_count,
+            inputs=[sums, sums_tangent, record.normal_offset + 3 * record.first_vertex],
+            outputs=[tangent],
+            device=device,
+        )
+
+
+def _posed(scene: Scene, names: list[str]) -> list[int]:
+    return sorted({scene.parameters[n].owner for n in names if SHAPE_POSE in scene.parameters[n].uses})

@@ -1,0 +1,325 @@
+"""The command line: ``warp-psdr render | gradient | plan | fit | view``.
+
+Everything but argparse is loaded by the command that needs it, so that ``--help`` answers at once. A user's mistake
+ends in one line on standard error and exit status 2.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+__all__ = ["main"]
+
+#: Exit statuses: a user's mistake (as argparse's own), and a run ended by Ctrl-C (128 + SIGINT, as shells report it).
+EXIT_ERROR, EXIT_INTERRUPTED = 2, 130
+#: A render reports fractions; the bar counts in these.
+PROGRESS_UNITS = 100
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run a command and return the exit status.
+
+    Args:
+        argv: Arguments without the program's name; those of the process unless given.
+    """
+    arguments = _parser().parse_args(argv)
+    try:
+        import warp as wp
+
+        with wp.ScopedLogLevel(wp.LOG_WARNING):  # no line per compiled kernel between the results
+            return arguments.run(arguments)
+    except KeyboardInterrupt:
+        print("warp-psdr: interrupted", file=sys.stderr)
+        return EXIT_INTERRUPTED
+    except Exception as error:
+        if arguments.debug:
+            raise
+        # A KeyError's text is its argument's repr; the message is the argument.
+        message = " ".join(str(error.args[0] if isinstance(error, KeyError) and error.args else error).split())
+        expected = isinstance(error, (ValueError, TypeError, KeyError, OSError, RuntimeError))
+        hint = "" if expected else f" ({type(error).__name__}; --debug shows where)"
+        print(f"warp-psdr: error: {message or type(error).__name__}{hint}", file=sys.stderr)
+        return EXIT_ERROR
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="warp-psdr", description="Physics-based differentiable rendering.")
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+
+    def command(name: str, run: Callable[[argparse.Namespace], int], text: str) -> argparse.ArgumentParser:
+        added = commands.add_parser(name, help=text, description=text)
+        added.set_defaults(run=run)
+        added.add_argument("--debug", action="store_true", help="show the whole traceback of an error")
+        return added
+
+    render = command("render", _render, "Render an image of a scene.")
+    _scene_options(render)
+    _sampling_options(render)
+    render.add_argument("-o", "--output", type=Path, required=True, help="image to write, .exr (linear) or .png (sRGB)")
+
+    gradient = command(
+        "gradient",
+        _gradient,
+        "Differentiate: the image with respect to parameters (a derivative image), or, with --target, a loss with "
+        "respect to parameters (its gradient).",
+    )
+    _scene_options(gradient)
+    _sampling_options(gradient)
+    gradient.add_argument("--param", action="append", required=True, metavar="NAME", help="parameter; may be repeated")
+    direction = gradient.add_mutually_exclusive_group()
+    direction.add_argument("--tangent", type=Path, metavar="FILE.npy", help="direction in which one parameter changes")
+    direction.add_argument(
+        "--translate", type=float, nargs=3, metavar=("X", "Y", "Z"), help="move all vertices or positions this way"
+    )
+    direction.add_argument("--target", type=Path, metavar="IMAGE", help="reverse mode: compare with this image")
+    gradient.add_argument("--loss", choices=("l2", "l1", "huber", "relative_l2"), default="l2", help="with --target")
+    gradient.add_argument(
+        "--boundary", choices=("auto", "none"), default="auto", help="none: leave the boundary term out"
+    )
+    gradient.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help="folder to write to")
+
+    plan = command("plan", _plan, "Print what would be compiled and estimated, and why.")
+    _scene_options(plan)
+    plan.add_argument("--param", action="append", default=[], metavar="NAME", help="differentiated; may be repeated")
+
+    fit = command("fit", _fit, "Recover parameters of a scene from target images.")
+    fit.add_argument("config", type=Path, help="TOML or JSON file, see warp_psdr.fit.FitConfig")
+    start = fit.add_mutually_exclusive_group()
+    start.add_argument("--resume", action="store_true", help="continue from the last checkpoint, if there is one")
+    start.add_argument("--overwrite", action="store_true", help="start again although there is a checkpoint")
+    fit.add_argument("--iterations", type=int, help="replaces that of the file")
+    _worker_option(fit)
+
+    view = command("view", _view, "Show a scene in 3D, with gradients on its surfaces.")
+    _scene_options(view)
+    view.add_argument(
+        "--field", action="append", default=[], metavar="NAME=FILE.npy", help="gradient of a parameter; may be repeated"
+    )
+    view.add_argument("--outside", action="store_true", help="look from outside instead of through the sensor")
+    view.add_argument("--screenshot", type=Path, metavar="FILE.png", help="write a picture instead of a window")
+    return parser
+
+
+def _scene_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("scene", type=Path, help="Mitsuba 3 scene file")
+    parser.add_argument(
+        "-D", dest="defaults", action="append", default=[], metavar="NAME=VALUE", help="value of a $parameter"
+    )
+    parser.add_argument("--sensor", type=int, default=0, help="number of the camera (default 0)")
+    parser.add_argument("--max-depth", type=int, help="longest path; -1: no limit (default: the scene's)")
+    parser.add_argument("--device", default="cpu", help="Warp device (default cpu)")
+    _worker_option(parser)
+
+
+def _sampling_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--spp", type=int, help="samples a pixel (default: the scene's)")
+    parser.add_argument("--seed", type=int, default=0, help="equal seeds give equal bits (default 0)")
+
+
+def _worker_option(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--workers", type=int, help="threads (default: all cores)")
+
+
+def _render(arguments: argparse.Namespace) -> int:
+    import warp_psdr as psdr
+    from warp_psdr import image_io
+
+    _require_suffix(arguments.output, ".exr", ".png")
+    scene, integrator = _load(arguments)
+    with _fractions("render") as progress:
+        image = psdr.render(
+            scene,
+            sensor=arguments.sensor,
+            integrator=integrator,
+            spp=arguments.spp,
+            seed=arguments.seed,
+            progress=progress,
+        ).numpy()
+    arguments.output.parent.mkdir(parents=True, exist_ok=True)
+    image_io.write_image(arguments.output, image)
+    print(f"wrote {arguments.output}")
+    return 0
+
+
+def _gradient(arguments: argparse.Namespace) -> int:
+    import warp_psdr as psdr
+
+    scene, integrator = _load(arguments)
+    params = psdr.traverse(scene)
+    for name in arguments.param:
+        params[name]  # an unknown name raises, and suggests others
+    options = {"sensor": arguments.sensor, "integrator": integrator, "spp": arguments.spp, "seed": arguments.seed}
+    arguments.output.mkdir(parents=True, exist_ok=True)
+    written = (_reverse if arguments.target else _forward)(arguments, scene, params, options)
+    for text in written:
+        print(text)
+    return 0
+
+
+def _forward(arguments: argparse.Namespace, scene: Any, params: Any, options: dict[str, Any]) -> list[str]:
+    """Write the derivative of the image along the tangents."""
+    import warp_psdr as psdr
+    from warp_psdr import image_io, plots
+
+    tangents = {name: _tangent(arguments, params[name].numpy().shape) for name in arguments.param}
+    with _fractions("derivative") as progress:
+        image = psdr.render_forward(scene, params, tangents, progress=progress, **options).numpy()
+    exr, png = arguments.output / "derivative.exr", arguments.output / "derivative.png"
+    image_io.write_image(exr, image)
+    plots.derivative_image(png, image, title="derivative of the image: " + ", ".join(arguments.param))
+    return [f"wrote {exr}", f"wrote {png}"]
+
+
+def _reverse(arguments: argparse.Namespace, scene: Any, params: Any, options: dict[str, Any]) -> list[str]:
+    """Write the gradient of a loss against the target."""
+    import warp as wp
+
+    import warp_psdr as psdr
+    from warp_psdr import losses
+    from warp_psdr.fit import read_target
+    from warp_psdr.fit_report import write_gradients
+
+    params.requires_grad(*arguments.param)
+    tape = wp.Tape()
+    with _fractions("image") as progress:
+        image = psdr.render(scene, params, progress=progress, **options)
+    image.requires_grad = True
+    target = read_target(arguments.target, image.shape)
+    with tape:
+        loss = getattr(losses, arguments.loss)(image, target)
+    tape.backward(loss)
+    with _fractions("gradient") as progress:
+        psdr.render_backward(scene, params, image.grad, progress=progress, **options)
+    gradients = {name: params[name].grad.numpy() for name in arguments.param}
+    notes = write_gradients(arguments.output, scene, params, gradients)
+    return [f"{arguments.loss} loss {loss.numpy()[0]:.6g}", *notes, f"wrote gradients to {arguments.output}"]
+
+
+def _plan(arguments: argparse.Namespace) -> int:
+    import warp_psdr as psdr
+
+    scene, integrator = _load(arguments)
+    params = psdr.traverse(scene)
+    params.requires_grad(*arguments.param)
+    print(psdr.plan(scene, params, integrator=integrator, sensor=arguments.sensor))
+    return 0
+
+
+def _fit(arguments: argparse.Namespace) -> int:
+    import warp_psdr as psdr
+    from warp_psdr.fit import FitConfig, fit
+
+    config = FitConfig.from_file(arguments.config)
+    psdr.set_workers(arguments.workers)
+    result = fit(config, resume=arguments.resume, overwrite=arguments.overwrite, iterations=arguments.iterations)
+    if not result.completed:
+        print(f"stopped after step {len(result.losses)}; --resume continues from {result.output}")
+        return EXIT_INTERRUPTED
+    decibels = ", ".join(f"{value:.1f}" for value in result.psnr)
+    print(f"loss {result.losses[-1]:.4g} after {len(result.losses)} steps; PSNR of the views: {decibels} dB")
+    print(f"results in {result.output}")
+    return 0
+
+
+def _view(arguments: argparse.Namespace) -> int:
+    import numpy as np
+
+    import warp_psdr as psdr
+    from warp_psdr.view import view
+
+    fields = {}
+    for text in arguments.field:
+        name, separator, file = text.rpartition("=")
+        if not separator:
+            raise ValueError(f"--field: got {text!r}, expected NAME=FILE.npy")
+        fields[name] = np.load(_existing(Path(file)), allow_pickle=False)
+    if arguments.screenshot is not None:
+        _require_suffix(arguments.screenshot, ".png")
+        arguments.screenshot.parent.mkdir(parents=True, exist_ok=True)
+    scene, _ = _load(arguments)
+    plotter = view(
+        scene,
+        psdr.traverse(scene),
+        fields=fields or None,
+        screenshot=arguments.screenshot,
+        camera=None if arguments.outside else arguments.sensor,
+    )
+    if arguments.screenshot is None:
+        plotter.show()
+    else:
+        print(f"wrote {arguments.screenshot}")
+    plotter.close()
+    return 0
+
+
+def _load(arguments: argparse.Namespace) -> tuple[Any, Any]:
+    """Return the scene and the integrator: the scene file's, changed by the options."""
+    from dataclasses import replace
+
+    import warp_psdr as psdr
+    from warp_psdr.options import from_description
+
+    psdr.set_workers(arguments.workers)
+    defaults = {}
+    for text in arguments.defaults:
+        name, separator, value = text.partition("=")
+        if not separator:
+            raise ValueError(f"-D: got {text!r}, expected NAME=VALUE")
+        defaults[name] = value
+    scene = psdr.load_file(arguments.scene, device=arguments.device, **defaults)
+    for note in scene.description.notes:
+        print(f"note: {note}", file=sys.stderr)
+    changes: dict[str, Any] = {}
+    if arguments.max_depth is not None:
+        changes["max_depth"] = arguments.max_depth
+    if getattr(arguments, "boundary", "auto") == "none":
+        changes["boundary"] = None
+    return scene, replace(from_description(scene.description.integrator), **changes)
+
+
+def _tangent(arguments: argparse.Namespace, shape: tuple[int, ...]) -> Any:
+    """Return the direction in which a parameter of ``shape`` changes: all entries by one unless told otherwise."""
+    import numpy as np
+
+    if arguments.tangent is not None:
+        if len(arguments.param) > 1:
+            raise ValueError(f"--tangent belongs to one parameter, got {len(arguments.param)}; give one --param")
+        return np.load(_existing(arguments.tangent), allow_pickle=False)
+    if arguments.translate is None:
+        return np.ones(shape, dtype=np.float32)
+    if shape == (4, 4):  # a pose: its last column
+        tangent = np.zeros(shape, dtype=np.float32)
+        tangent[:3, 3] = arguments.translate
+        return tangent
+    if shape[-1] != 3:
+        raise ValueError(f"--translate moves positions and poses, got a parameter of shape {shape}; use --tangent")
+    return np.broadcast_to(np.float32(arguments.translate), shape)
+
+
+@contextmanager
+def _fractions(title: str) -> Iterator[Callable[[float], None]]:
+    """Progress of a render, which reports finished fractions."""
+    from warp_psdr.progress import progress
+
+    with progress(title, PROGRESS_UNITS) as report:
+        yield lambda fraction: report(int(fraction * PROGRESS_UNITS), "")
+
+
+def _existing(path: Path) -> Path:
+    if not path.is_file():
+        raise FileNotFoundError(f"{path} does not exist")
+    return path
+
+
+def _require_suffix(path: Path, *suffixes: str) -> None:
+    if path.suffix.lower() not in suffixes:
+        raise ValueError(f"{path}: got suffix {path.suffix!r}, expected {' or '.join(suffixes)}")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,177 @@
+"""Read and write images: EXR, PNG and JPEG as linear float32 arrays."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+_EXR = (".exr",)
+_LOW_RANGE = (".png", ".jpg", ".jpeg")
+_SUPPORTED = (*_EXR, *_LOW_RANGE)
+#: Largest finite value of a half float; larger values are written as this one instead of infinity.
+_HALF_MAX = 65504.0
+
+
+def srgb_to_linear(values: Any) -> np.ndarray:
+    """Decode sRGB values in [0, 1] to linear ones (IEC 61966-2-1), float32, any shape."""
+    v = np.asarray(values, dtype=np.float32)
+    return np.where(v <= 0.04045, v / 12.92, ((np.maximum(v, 0.0) + 0.055) / 1.055) ** 2.4).astype(np.float32)
+
+
+def linear_to_srgb(values: Any) -> np.ndarray:
+    """Encode linear values as sRGB, clipped to [0, 1], NaN as 0, float32, any shape."""
+    v = np.clip(np.nan_to_num(np.asarray(values, dtype=np.float32), nan=0.0, posinf=1.0, neginf=0.0), 0.0, 1.0)
+    return np.where(v <= 0.0031308, 12.92 * v, 1.055 * v ** (1.0 / 2.4) - 0.055).astype(np.float32)
+
+
+def read_image(path: str | os.PathLike[str], *, raw: bool = False) -> np.ndarray:
+    """Read an image, top row first.
+
+    Args:
+        path: An EXR, PNG or JPEG file.
+        raw: Leave 8- and 16-bit values as they are stored (divided by 255 or 65535) instead of decoding sRGB.
+
+    Returns:
+        Linear values, float32, shape (H, W, C): C is 1 (grey), 2 (grey, alpha), 3 or 4 (RGB, RGBA). An alpha channel
+        is never decoded. NaN and infinity in an EXR file are returned as they are.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: If the file is of another kind or cannot be decoded.
+    """
+    file = Path(path)
+    _check_suffix(file)
+    if not file.is_file():
+        raise FileNotFoundError(f"no such image: '{file}'; check the name")
+    return _read_exr(file) if file.suffix.lower() in _EXR else _read_low_range(file, raw)
+
+
+def write_image(path: str | os.PathLike[str], image: Any, *, half: bool = False) -> None:
+    """Write an image; the file appears complete or not at all.
+
+    EXR keeps every value (``half``: 16-bit floats, clipped to their range); PNG and JPEG clip to [0, 1], encode sRGB
+    and write NaN as black.
+
+    Args:
+        path: File whose suffix picks the format; missing folders are made.
+        image: Linear values, shape (H, W), (H, W, 1), (H, W, 3) or (H, W, 4), or an object with ``numpy()``.
+        half: EXR only.
+
+    Raises:
+        ValueError: If the shape or the suffix is not supported.
+    """
+    file = Path(path)
+    _check_suffix(file)
+    array = np.asarray(image.numpy() if hasattr(image, "numpy") else image, dtype=np.float32)
+    if array.ndim == 2:
+        array = array[..., None]
+    if array.ndim != 3 or array.shape[2] not in (1, 3, 4) or 0 in array.shape:
+        raise ValueError(
+            f"cannot write an image of shape {np.shape(array)} to '{file}'; "
+            "expected (H, W), (H, W, 1), (H, W, 3) or (H, W, 4) with H and W of at least 1"
+        )
+    if file.suffix.lower() in _EXR:
+        _atomically(file, lambda temporary: _write_exr(temporary, array, half))
+    else:
+        _atomically(file, lambda temporary: _write_low_range(temporary, array))
+
+
+def _check_suffix(file: Path) -> None:
+    if file.suffix.lower() not in _SUPPORTED:
+        raise ValueError(f"'{file}' has no supported image suffix; use one of {', '.join(_SUPPORTED)}")
+
+
+def _atomically(file: Path, write: Callable[[Path], None]) -> None:
+    """Write to a temporary file in the same folder and move it into place."""
+    file.parent.mkdir(parents=True, exist_ok=True)
+    handle, name = tempfile.mkstemp(prefix=f".{file.stem}-", suffix=file.suffix, dir=file.parent)
+    os.close(handle)
+    temporary = Path(name)
+    try:
+        write(temporary)
+        # mkstemp makes files private; give the usual permissions instead.
+        umask = os.umask(0)
+        os.umask(umask)
+        temporary.chmod(0o666 & ~umask)
+        temporary.replace(file)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _read_exr(file: Path) -> np.ndarray:
+    import OpenEXR  # noqa: PLC0415 - loaded where it is used
+
+    try:
+        with OpenEXR.File(str(file), separate_channels=True) as source:
+            channels = {name: np.asarray(channel.pixels) for name, channel in source.channels().items()}
+    except Exception as problem:  # noqa: BLE001 - the library raises bare RuntimeErrors of many kinds
+        raise ValueError(f"'{file}' is no readable EXR image ({problem}); export it again") from None
+    for names in (("R", "G", "B", "A"), ("R", "G", "B"), ("Y", "A"), ("Y",)):
+        if all(name in channels for name in names):
+            break
+    else:
+        if len(channels) != 1:
+            found = ", ".join(channels) or "none"
+            raise ValueError(f"'{file}' has the channels {found}; expected R, G, B (and A), or Y, or a single one")
+        names = tuple(channels)
+    planes = [channels[name] for name in names]
+    if any(plane.shape != planes[0].shape for plane in planes):
+        raise ValueError(f"the channels of '{file}' differ in size; export it without chroma subsampling")
+    return np.ascontiguousarray(np.stack(planes, axis=-1), dtype=np.float32)
+
+
+def _write_exr(file: Path, array: np.ndarray, half: bool) -> None:
+    import OpenEXR  # noqa: PLC0415
+
+    if half:
+        array = np.clip(array, -_HALF_MAX, _HALF_MAX)
+    names = {1: ("Y",), 3: ("R", "G", "B"), 4: ("R", "G", "B", "A")}[array.shape[2]]
+    dtype = np.float16 if half else np.float32
+    planes = {name: np.ascontiguousarray(array[..., i], dtype=dtype) for i, name in enumerate(names)}
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    with OpenEXR.File(header, planes) as target:
+        target.write(str(file))
+
+
+def _read_low_range(file: Path, raw: bool) -> np.ndarray:
+    from PIL import Image, UnidentifiedImageError  # noqa: PLC0415
+
+    try:
+        with Image.open(file) as source:
+            source.load()
+            values = _pixels(source)
+    except (UnidentifiedImageError, OSError, SyntaxError, ValueError, Image.DecompressionBombError) as problem:
+        raise ValueError(f"'{file}' is no readable PNG or JPEG image ({problem}); export it again") from None
+    if raw:
+        return values
+    color = values.shape[2] - (values.shape[2] in (2, 4))
+    return np.concatenate([srgb_to_linear(values[..., :color]), values[..., color:]], axis=-1)
+
+
+def _pixels(source: Any) -> np.ndarray:
+    """Return a Pillow image's values in [0, 1], shape (H, W, C)."""
+    if source.mode.startswith("I"):
+        return (np.asarray(source, dtype=np.float32) / 65535.0)[..., None]
+    if source.mode == "P":
+        source = source.convert("RGBA" if "transparency" in source.info else "RGB")
+    elif source.mode not in ("L", "LA", "RGB", "RGBA"):
+        source = source.convert("L" if source.mode == "1" else "RGB")
+    values = np.asarray(source, dtype=np.float32) / 255.0
+    return values[..., None] if values.ndim == 2 else values
+
+
+def _write_low_range(file: Path, array: np.ndarray) -> None:
+    from PIL import Image  # noqa: PLC0415
+
+    color = array[..., : 1 if array.shape[2] == 1 else 3]
+    values = linear_to_srgb(color)
+    if array.shape[2] == 4 and file.suffix.lower() == ".png":
+        values = np.concatenate([values, np.clip(np.nan_to_num(array[..., 3:]), 0.0, 1.0)], axis=-1)
+    pixels = np.round(values * 255.0).astype(np.uint8)
+    quality = {} if file.suffix.lower() == ".png" else {"quality": 95}
+    Image.fromarray(pixels[..., 0] if pixels.shape[2] == 1 else pixels).save(file, **quality)

@@ -1,0 +1,186 @@
+"""Optimisers that keep every parameter inside its valid range."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from warp_psdr.kernels import adam as kernels
+
+__all__ = ["Adam"]
+
+
+class Adam:
+    """Adam [KB15] with projection onto the valid range of every parameter.
+
+    Values change in place, on their device. A step reads the gradients, writes the values, tells the scene about them
+    (``params.update``) and sets the gradients back to zero.
+
+    Args:
+        params: Parameters of a scene, from ``psdr.traverse``; those to optimise had ``params.requires_grad(name)``.
+        lr: Learning rate, the same for every parameter that requires a gradient, or one per name. Roughly the largest
+            change of an entry in one step, in the parameter's own unit.
+        betas: Decay rates of the running means of the gradient and of its square, in [0, 1).
+        epsilon: Added to the root of the mean square; in units of the gradient.
+        mask_updates: Leave the entries alone whose gradient is exactly zero in a step, value and running means: for
+            textures and environment maps of which one view sees but a part.
+
+    Raises:
+        ValueError: If a name is unknown or requires no gradient, or a number is out of range.
+    """
+
+    def __init__(
+        self,
+        params: Any,
+        lr: float | Mapping[str, float],
+        *,
+        betas: tuple[float, float] = (0.9, 0.999),
+        epsilon: float = 1e-8,
+        mask_updates: bool = False,
+    ):
+        if isinstance(lr, Mapping):
+            rates = {name: float(rate) for name, rate in lr.items()}
+        else:
+            rates = {name: float(lr) for name in params if params[name].grad is not None}
+        if not rates:
+            raise ValueError("no parameter to optimise; call params.requires_grad(name, ...) or give lr as a dict")
+        for name, rate in rates.items():
+            if name not in params:
+                raise ValueError(f"lr: the scene has no parameter {name!r}; print(params) lists them")
+            if params[name].grad is None:
+                raise ValueError(f"lr: {name!r} requires no gradient; call params.requires_grad({name!r}) first")
+            if not (math.isfinite(rate) and rate > 0.0):
+                raise ValueError(f"lr of {name!r}: got {rate}, expected a positive number")
+        for index, beta in enumerate(betas):
+            if not 0.0 <= beta < 1.0:
+                raise ValueError(f"betas[{index}]: got {beta}, expected a number in [0, 1)")
+        if not (math.isfinite(epsilon) and epsilon > 0.0):
+            raise ValueError(f"epsilon: got {epsilon}, expected a positive number")
+        self.lr = rates
+        self.steps = 0
+        self._params = params
+        self._betas = (float(betas[0]), float(betas[1]))
+        self._epsilon = float(epsilon)
+        self._mask_updates = bool(mask_updates)
+        self._moments: dict[str, tuple[wp.array, wp.array]] = {}
+        for name in rates:
+            values = flat(params[name])
+            self._moments[name] = (wp.zeros_like(values), wp.zeros_like(values))
+
+    def step(self, *, scale: float = 1.0) -> None:
+        """Make one step, project, update the scene and zero the gradients.
+
+        Args:
+            scale: Factor on every learning rate, for schedules.
+
+        Raises:
+            ValueError: If a gradient, or its square, is not finite; then no parameter has changed.
+        """
+        self._require_usable_gradients()
+        self.steps += 1
+        beta_1, beta_2 = self._betas
+        for name, rate in self.lr.items():
+            parameter = self._params[name]
+            low, high = self._params.bounds(name)
+            values, gradient = flat(parameter), flat(parameter.grad)
+            m, v = self._moments[name]
+            wp.launch(
+                kernels.make_adam(self._mask_updates),
+                dim=values.shape,
+                inputs=[
+                    gradient,
+                    rate * scale,
+                    beta_1,
+                    beta_2,
+                    1.0 - beta_1**self.steps,
+                    1.0 - beta_2**self.steps,
+                    self._epsilon,
+                    low,
+                    high,
+                ],
+                outputs=[m, v, values],
+                device=values.device,
+            )
+        self._params.update(*self.lr)
+        self._params.zero_grad()
+
+    def state_dict(self) -> dict[str, np.ndarray]:
+        """Return all that a later ``load_state_dict`` needs to continue with equal bits.
+
+        Returns:
+            ``"steps"``, a whole number of shape ``()``, and per parameter ``"<name>/m"`` and ``"<name>/v"``, its
+            running means, flattened, float32.
+        """
+        state = {"steps": np.array(self.steps, dtype=np.int64)}
+        for name, (m, v) in self._moments.items():
+            state[f"{name}/m"] = m.numpy().copy()
+            state[f"{name}/v"] = v.numpy().copy()
+        return state
+
+    def load_state_dict(self, state: Mapping[str, np.ndarray]) -> None:
+        """Take over what ``state_dict`` returned.
+
+        Raises:
+            ValueError: If the state belongs to other parameters or is not valid; then nothing has changed.
+        """
+        expected = {"steps", *(f"{name}/{moment}" for name in self._moments for moment in "mv")}
+        if set(state) != expected:
+            differing = sorted(set(state) ^ expected)
+            raise ValueError(f"optimiser state: got other parameters than expected; they differ in {differing}")
+        steps = np.asarray(state["steps"])
+        if steps.shape != () or steps.dtype.kind not in "iu" or steps < 0:
+            raise ValueError(f"optimiser state: steps is {steps!r}, expected a whole number >= 0")
+        for name, moments in self._moments.items():
+            for key, moment in zip((f"{name}/m", f"{name}/v"), moments, strict=True):
+                values = np.asarray(state[key])
+                if values.shape != moment.shape or values.dtype != np.float32 or not np.isfinite(values).all():
+                    raise ValueError(
+                        f"optimiser state: {key!r} has shape {values.shape} and dtype {values.dtype}, "
+                        f"expected finite float32 values of shape {moment.shape}"
+                    )
+        for name, moments in self._moments.items():
+            for key, moment in zip((f"{name}/m", f"{name}/v"), moments, strict=True):
+                moment.assign(np.ascontiguousarray(state[key]))
+        self.steps = int(steps)
+
+    def _require_usable_gradients(self) -> None:
+        """Check all gradients before any value changes: one small read-back for all parameters."""
+        device = next(iter(self._moments.values()))[0].device
+        counts = wp.zeros(len(self.lr), dtype=wp.int32, device=device)
+        for index, name in enumerate(self.lr):
+            gradient = flat(self._params[name].grad)
+            wp.launch(
+                kernels.make_count_unusable(),
+                dim=gradient.shape,
+                inputs=[gradient, index],
+                outputs=[counts],
+                device=device,
+            )
+        for name, count in zip(self.lr, counts.numpy(), strict=True):
+            if count:
+                size = flat(self._params[name]).size
+                raise ValueError(
+                    f"gradient of {name!r}: {count} of {size} entries are not finite, or square to infinity, at step "
+                    f"{self.steps + 1}; the parameters are unchanged. A smaller learning rate, or a look at the scene "
+                    "at this step, helps to find out why"
+                )
+
+
+def flat(array: wp.array) -> wp.array:
+    """Return the float32 numbers of a contiguous array of floats, vectors or matrices, shape ``(n,)``, without a copy.
+
+    Raises:
+        TypeError: If the array is not contiguous or holds anything else.
+    """
+    scalar = getattr(array.dtype, "_wp_scalar_type_", array.dtype)  # of a vector or matrix, else the type itself
+    if scalar is not wp.float32 or not array.is_contiguous:
+        raise TypeError(
+            f"got an array of {array.dtype.__name__}, shape {array.shape}; expected contiguous float32 values"
+        )
+    count = array.size * wp.types.type_size_in_bytes(array.dtype) // wp.types.type_size_in_bytes(wp.float32)
+    # The view does not own its memory; ``array`` does, and the caller holds it.
+    return wp.array(ptr=array.ptr, dtype=wp.float32, shape=(count,), device=array.device, copy=False)

@@ -1,0 +1,59 @@
+"""Integrators: what light transport is computed, and which methods differentiate it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+from warp_psdr import interior as interior_methods
+
+
+@dataclass(frozen=True, kw_only=True)
+class PathIntegrator:
+    """Unidirectional path tracing with next-event estimation, MIS and Russian roulette.
+
+    Attributes:
+        max_depth: most vertices of a path behind the camera; 1: emission seen directly, 2: direct light, -1: no limit.
+        rr_depth: depth from which Russian roulette ends paths; very large: never.
+        hide_emitters: lights are invisible to the camera.
+        sampler: "sobol" (Owen-scrambled), "independent", or "auto": what the scene file says, else Sobol.
+        interior: method of the interior term.
+        boundary: method of the boundary term; "auto": chosen by the plan; None: left out on purpose (the gradient
+            then misses moving discontinuities).
+    """
+
+    max_depth: int = -1
+    rr_depth: int = 5
+    hide_emitters: bool = False
+    sampler: Literal["auto", "sobol", "independent"] = "auto"
+    interior: interior_methods.Method = field(default_factory=interior_methods.Replay)
+    boundary: Literal["auto"] | None = "auto"
+
+    def __post_init__(self) -> None:
+        """Validate once.
+
+        Raises:
+            ValueError: a value out of range.
+        """
+        for name in ("max_depth", "rr_depth"):
+            value = getattr(self, name)
+            if isinstance(value, bool) or not isinstance(value, int):
+                raise ValueError(f"{name}: expected an integer, got {value!r}")
+        if self.max_depth == 0 or self.max_depth < -1:
+            raise ValueError(f"max_depth: got {self.max_depth}, expected -1 (no limit) or at least 1")
+        if self.rr_depth < 1:
+            raise ValueError(f"rr_depth: got {self.rr_depth}, expected at least 1")
+        if self.sampler not in ("auto", "sobol", "independent"):
+            raise ValueError(f"sampler: got {self.sampler!r}, expected 'auto', 'sobol' or 'independent'")
+        if not isinstance(self.interior, interior_methods.Method):
+            raise ValueError(
+                f"interior: got {self.interior!r}, expected a method of psdr.interior, for example psdr.interior.Replay()"
+            )
+        if self.boundary not in ("auto", None):
+            raise ValueError(f"boundary: got {self.boundary!r}, expected 'auto' or None")
+
+
+def from_description(integrator: dict) -> PathIntegrator:
+    """Return the integrator that a scene file names, or the default one."""
+    known = {k: integrator[k] for k in ("max_depth", "rr_depth", "hide_emitters") if k in integrator}
+    return PathIntegrator(**known)

@@ -1,0 +1,163 @@
+"""The values of a scene by name: read, written, and asked for derivatives."""
+
+from __future__ import annotations
+
+import difflib
+import fnmatch
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+import warp as wp
+
+if TYPE_CHECKING:
+    from warp_psdr.scene.layout import Parameter
+    from warp_psdr.scene.scene import Scene
+
+
+def traverse(scene: Scene) -> Parameters:
+    """Return the parameters of a scene under Mitsuba 3's names.
+
+    Args:
+        scene: a loaded scene.
+
+    Returns:
+        A mapping from names such as ``"wall.reflectance.value"`` to ``wp.array`` views: colours ``(3,)``, numbers
+        ``(1,)``, matrices ``(4, 4)``, bitmaps ``(H, W, C)``, positions and normals ``(N,)`` of vec3.
+    """
+    return Parameters(scene)
+
+
+class Parameters(Mapping):
+    """Named views onto the values of a scene.
+
+    Reading gives the live array; ``params[name] = values`` copies into it. After any edit, call ``update``.
+    """
+
+    def __init__(self, scene: Scene):
+        self._scene = scene
+        self._views = {name: p.view(scene.values) for name, p in scene.parameters.items()}
+        self._requested: list[str] = []
+        self._dirty: set[str] = set()
+
+    def __getitem__(self, name: str) -> wp.array:
+        self._parameter(name)
+        return self._views[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._views)
+
+    def __len__(self) -> int:
+        return len(self._views)
+
+    def __repr__(self) -> str:
+        width = max((len(n) for n in self._views), default=0)
+        lines = [
+            f"  {n:<{width}}  {p.dtype.__name__:<8} {p.shape!s:<14} {', '.join(sorted(p.uses))}"
+            f"{'  (gradient requested)' if n in self._requested else ''}"
+            for n, p in self._scene.parameters.items()
+        ]
+        return "Parameters[\n" + "\n".join(lines) + "\n]"
+
+    def __setitem__(self, name: str, values) -> None:
+        """Copy new values in; ``update`` makes the scene follow.
+
+        Args:
+            name: a parameter's name.
+            values: array or number of the parameter's size (NumPy, Warp, or a sequence); a number fills it.
+
+        Raises:
+            KeyError: there is no such parameter.
+            ValueError: wrong size, or values that are not finite.
+        """
+        self._views[name].assign(self.check(name, values, "value"))
+        self._dirty.add(name)
+
+    def check(self, name: str, values, what: str) -> np.ndarray:
+        """Return ``values`` as float32 in the parameter's NumPy shape.
+
+        Raises:
+            KeyError: there is no such parameter.
+            ValueError: wrong size, or not finite.
+        """
+        p = self._parameter(name)
+        array = values.numpy() if isinstance(values, wp.array) else values
+        try:
+            array = np.asarray(array, dtype=np.float32)
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"{what} of {name!r}: expected numbers of shape {p.numpy_shape}, got {values!r}") from error
+        if array.ndim == 0:
+            array = np.full(p.numpy_shape, array, np.float32)
+        if array.size != p.size:
+            raise ValueError(
+                f"{what} of {name!r}: got shape {array.shape}, expected {p.numpy_shape} ({p.size} numbers); "
+                "the size of a parameter is fixed when the scene is loaded"
+            )
+        if not np.isfinite(array).all():
+            raise ValueError(f"{what} of {name!r}: {np.count_nonzero(~np.isfinite(array))} numbers are NaN or infinite")
+        return np.ascontiguousarray(array.reshape(p.numpy_shape))
+
+    def update(self, *names: str) -> None:
+        """Make the scene follow edits: normals, triangle records, ray structure, light sampling, as far as needed.
+
+        Args:
+            *names: what was changed. Not needed after ``params[name] = ...``; name the parameters that kernels wrote in
+                place. Without any name and any assignment, what ``requires_grad`` was asked for is refreshed.
+        """
+        for name in names:
+            self._parameter(name)
+        changed = set(names) | self._dirty
+        if not changed:
+            changed = set(self._requested)
+        self._scene.refresh([n for n in self._views if n in changed])
+        self._dirty.clear()
+
+    def requires_grad(self, *patterns: str) -> None:
+        """Say what is differentiated; nothing else is paid for. Replaces what was asked for before.
+
+        Args:
+            *patterns: names, or shell patterns such as ``"*.reflectance.value"``.
+
+        Raises:
+            KeyError: a name or pattern matches nothing.
+        """
+        requested: list[str] = []
+        for pattern in patterns:
+            matches = [pattern] if pattern in self._views else fnmatch.filter(self._views, pattern)
+            if not matches:
+                self._parameter(pattern)
+            requested += [m for m in matches if m not in requested]
+        for name in self._requested:
+            if name not in requested:
+                self._views[name].requires_grad = False
+        for name in requested:
+            if self._views[name].grad is None:
+                self._views[name].requires_grad = True
+        self._requested = requested
+
+    @property
+    def requested(self) -> list[str]:
+        """Names that ``requires_grad`` was asked for."""
+        return list(self._requested)
+
+    def zero_grad(self) -> None:
+        """Set the gradients of the requested parameters to zero."""
+        for name in self._requested:
+            self._views[name].grad.zero_()
+
+    def bounds(self, name: str) -> tuple[float, float]:
+        """Return the valid range of a parameter's values, for example (0, 1) for a reflectance."""
+        return self._parameter(name).bounds
+
+    @property
+    def scene(self) -> Scene:
+        """The scene that these parameters belong to."""
+        return self._scene
+
+    def _parameter(self, name: str) -> Parameter:
+        try:
+            return self._scene.parameters[name]
+        except KeyError:
+            close = difflib.get_close_matches(str(name), self._views, n=3, cutoff=0.4)
+            hint = f"did you mean {', '.join(map(repr, close))}?" if close else "print(params) lists them all"
+            raise KeyError(f"the scene has no parameter {name!r}; {hint}") from None

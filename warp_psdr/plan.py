@@ -1,0 +1,286 @@
+"""The plan: what a scene, the requested parameters and the integrator call for, and nothing else.
+
+Everything here becomes a compile-time constant of the kernels, so that what the plan leaves out costs neither run time
+nor compile time.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from warp_psdr import interior
+from warp_psdr.kernels import constants as c
+from warp_psdr.kernels.interior.replay import Wanted
+from warp_psdr.kernels.path import PathConfig
+from warp_psdr.scene.build import SLOTS
+from warp_psdr.scene.layout import (
+    CAMERA,
+    LIGHT_POSE,
+    LIGHT_RADIANCE,
+    MATERIAL,
+    NORMALS,
+    POSITIONS,
+    RADIANCE,
+    SHAPE_POSE,
+    TEXCOORDS,
+    TO_UV,
+)
+
+if TYPE_CHECKING:
+    from warp_psdr.options import PathIntegrator
+    from warp_psdr.parameters import Parameters
+    from warp_psdr.scene.scene import Scene
+
+MODEL_NAMES = {
+    c.BSDF_DIFFUSE: "diffuse",
+    c.BSDF_CONDUCTOR: "conductor",
+    c.BSDF_DIELECTRIC: "dielectric",
+    c.BSDF_ROUGH_CONDUCTOR_GGX: "roughconductor (GGX)",
+    c.BSDF_ROUGH_CONDUCTOR_BECKMANN: "roughconductor (Beckmann)",
+}
+EMITTER_NAMES = {
+    c.EMITTER_AREA: "area",
+    c.EMITTER_CONSTANT: "constant",
+    c.EMITTER_ENVMAP: "envmap",
+    c.EMITTER_POINT: "point",
+    c.EMITTER_SPOT: "spot",
+    c.EMITTER_DIRECTIONAL: "directional",
+}
+TEXTURE_NAMES = {
+    c.TEXTURE_CONSTANT: "constant",
+    c.TEXTURE_BITMAP: "bitmap",
+    c.TEXTURE_VERTEX: "vertex attribute",
+    c.TEXTURE_FACE: "face attribute",
+}
+DELTA_MODELS = {c.BSDF_CONDUCTOR, c.BSDF_DIELECTRIC}
+#: Blocks of a path without depth limit. With K = 8 it is cut after 512 vertices; since Russian roulette survives with
+#: probability 0.95 at most, fewer than one path in 10^11 is that long.
+UNBOUNDED_BLOCKS = 64
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Decisions and their reasons; ``print(plan)`` shows them.
+
+    Attributes:
+        config: what the path loop compiles.
+        wanted: which derivatives are compiled; None: primal only.
+        max_depth: most vertices of a path, -1: no limit.
+        rr_depth: depth at which Russian roulette starts.
+        block: path vertices kept at a time (0: textbook replay).
+        blocks: most blocks of a path.
+        discontinuities: why the requested parameters move discontinuities; empty: they do not.
+        lines: (item, decision, reason).
+    """
+
+    config: PathConfig
+    wanted: Wanted | None
+    max_depth: int
+    rr_depth: int
+    block: int
+    blocks: int
+    discontinuities: tuple[str, ...]
+    lines: tuple[tuple[str, str, str], ...]
+
+    def __str__(self) -> str:
+        """Return a table."""
+        w0 = max(len(line[0]) for line in self.lines)
+        w1 = max(len(line[1]) for line in self.lines)
+        return "\n".join(f"{a:<{w0}}  {b:<{w1}}  {r}" for a, b, r in self.lines)
+
+
+def plan(
+    scene: Scene,
+    params: Parameters | None = None,
+    *,
+    integrator: PathIntegrator | None = None,
+    sensor: int = 0,
+    names: list[str] | None = None,
+) -> Plan:
+    """Decide what is compiled and estimated, and say why.
+
+    Args:
+        scene: a loaded scene.
+        params: its parameters; those that ``requires_grad`` was asked for are differentiated.
+        integrator: default: the one that the scene file names.
+        sensor: which camera (its filter is compiled in).
+        names: what is differentiated, instead of ``params``' requests.
+
+    Returns:
+        The plan.
+
+    Raises:
+        ValueError: the method named by the integrator cannot differentiate what is requested.
+    """
+    from warp_psdr.options import from_description
+
+    integrator = integrator or from_description(scene.description.integrator)
+    names = names if names is not None else (params.requested if params is not None else [])
+    lines: list[tuple[str, str, str]] = []
+    config = _config(scene, integrator, sensor, lines)
+    wanted = _wanted(scene, config, names, lines) if names else None
+    if not names:
+        lines.append(("derivatives", "none", "no parameter is requested"))
+    method = integrator.interior
+    block, blocks = 0, 1
+    if names and isinstance(method, interior.Replay):
+        block, blocks = _blocks(method.block, integrator.max_depth, lines)
+        if block == 0:
+            _check_textbook(config, wanted)
+    moving = tuple(_discontinuities(scene, config, names))
+    if names:
+        if not moving:
+            lines.append(("boundary term", "not run", "no requested parameter moves a discontinuity"))
+        elif integrator.boundary is None:
+            lines.append(("boundary term", "left out", "boundary=None was said, although " + "; ".join(moving)))
+        else:
+            lines.append(("boundary term", "required", "; ".join(moving)))
+    return Plan(config, wanted, integrator.max_depth, integrator.rr_depth, block, blocks, moving, tuple(lines))
+
+
+def _config(scene: Scene, integrator: PathIntegrator, sensor: int, lines: list) -> PathConfig:
+    b = scene.builder
+    camera = scene.camera(sensor)
+    scatter = integrator.max_depth != 1
+    models = tuple(sorted({r.model for r in b.bsdfs})) if scatter else ()
+    models = models or (c.BSDF_DIFFUSE,)
+    kinds = {e.kind for e in b.emitters}
+    lights = tuple(sorted(kinds - {c.EMITTER_AREA}))
+    slots = tuple(tuple(sorted(b.slot_kinds[s])) if scatter else () for s in SLOTS)
+    area = tuple(sorted(b.radiance_kinds))
+    uv = any(c.TEXTURE_BITMAP in kinds for kinds in (*slots, area))
+    sampler = integrator.sampler
+    if sampler == "auto":
+        sampler = scene.description.sensors[sensor].sampler
+        sampler = "sobol" if sampler == "default" else sampler
+    lines.append(("materials", ", ".join(MODEL_NAMES[m] for m in models), "no dispatch" if len(models) == 1 else "in use"))
+    used = [f"{s}: {' or '.join(TEXTURE_NAMES[k] for k in kinds)}" for s, kinds in zip(SLOTS, slots, strict=True) if kinds]
+    lines.append(("material values", ", ".join(used) or "none", "texture kinds in use"))
+    lines.append(("two-sided", "yes" if b.two_sided else "no", "some material is" if b.two_sided else "no material is"))
+    smooth = any(s.smooth for s in b.shapes)
+    flat = any(not s.smooth for s in b.shapes) or not b.shapes
+    normals = "interpolated and flat" if smooth and flat else "interpolated" if smooth else "flat"
+    lines.append(("normals", normals, f"{len(b.shapes)} shapes, {scene.face_count} triangles"))
+    lines.append(("texture coordinates", "yes" if uv else "no", "a bitmap reads them" if uv else "no bitmap is in use"))
+    lines.append(("anisotropy", "yes" if b.anisotropic else "no", "two roughnesses" if b.anisotropic else "isotropic"))
+    lines.append(("lights", ", ".join(EMITTER_NAMES[k] for k in sorted(kinds)) or "none", f"{len(b.emitters)} in the scene"))
+    depth = integrator.max_depth
+    reason = "no limit" if depth < 0 else "emission only, no scattering code" if depth == 1 else f"at most {depth} vertices"
+    lines.append(("depth", str(depth), reason))
+    lines.append(("sampler", sampler, "Owen-scrambled, padded pairs" if sampler == "sobol" else "hashed counters"))
+    lines.append(("ray queries", scene.accelerator.backend, f"{scene.accelerator.width} lanes"))
+    return PathConfig(
+        bsdfs=models,
+        slots=slots,
+        two_sided=bool(b.two_sided),
+        smooth=smooth,
+        flat=flat,
+        uv=uv,
+        tangent=bool(b.anisotropic) and scatter,
+        area=area,
+        lights=lights,
+        scatter=scatter,
+        hide_emitters=integrator.hide_emitters,
+        sampler=sampler,
+        filter=camera.filter,
+        ray_backend=scene.accelerator.backend,
+        ray_width=scene.accelerator.width,
+    )
+
+
+def _wanted(scene: Scene, config: PathConfig, names: list[str], lines: list) -> Wanted:
+    def has(*uses: str) -> bool:
+        return scene.has_use(names, *uses)
+
+    lights = []
+    if has(LIGHT_RADIANCE):
+        lights.append("radiance")
+    if has(LIGHT_POSE):
+        lights.append("pose")
+    wanted = Wanted(
+        slots=tuple(has(MATERIAL + s) for s in SLOTS),
+        to_uv=has(TO_UV),
+        shapes=has(POSITIONS, NORMALS, SHAPE_POSE),
+        texcoords=has(TEXCOORDS),
+        radiance=has(RADIANCE),
+        lights=tuple(lights),
+        camera=has(CAMERA),
+        bends=bool(_bending(scene, names)),
+    )
+    lines.append(("differentiated", ", ".join(names), "requested"))
+    on = [s for s, w in zip(SLOTS, wanted.slots, strict=True) if w]
+    lines.append(("material derivatives", ", ".join(on) or "none", "slots that hold a requested parameter"))
+    geometry = (
+        "positions, normals and chains through mirrors and glass are differentiated"
+        if wanted.geometry
+        else "no requested parameter moves a path vertex"
+    )
+    lines.append(("moving vertices", "yes" if wanted.geometry else "no", geometry))
+    return wanted
+
+
+def _bending(scene: Scene, names: list[str]) -> list[str]:
+    """Requested indices of refraction: they turn the rays behind a smooth interface."""
+    found = []
+    for shape in scene.description.shapes:
+        if shape.bsdf.model == "dielectric" and "eta" in shape.bsdf.textures:
+            path = shape.bsdf.textures["eta"].path
+            found += [n for n in (f"{path}.value", f"{path}.data") if n in names and n not in found]
+    return found
+
+
+def _blocks(k: int, max_depth: int, lines: list) -> tuple[int, int]:
+    if k == 0:
+        lines.append(("interior", "textbook replay", "K = 0: divides by every factor, loses derivatives of zero factors"))
+        return 0, 1
+    if max_depth < 0:
+        lines.append(("interior", f"record and sweep, K = {k}", f"replayed in at most {UNBOUNDED_BLOCKS} blocks"))
+        return k, UNBOUNDED_BLOCKS
+    block = min(k, max_depth)
+    blocks = -(-max_depth // block)
+    blocks = 1 << (blocks - 1).bit_length()  # few kernel variants
+    reason = "the whole path fits, one trace" if blocks == 1 else f"longer paths are replayed in at most {blocks} blocks"
+    lines.append(("interior", f"record and sweep, K = {block}", reason))
+    return block, blocks
+
+
+def _check_textbook(config: PathConfig, wanted: Wanted) -> None:
+    if wanted.geometry and DELTA_MODELS & set(config.bsdfs):
+        raise ValueError(
+            "interior.Replay(block=0), textbook replay, cannot differentiate moving vertices behind smooth mirrors or "
+            "glass: the adjoint of a ray has to be carried backwards. Use interior.Replay(block=8)"
+        )
+
+
+def _discontinuities(scene: Scene, config: PathConfig, names: list[str]) -> list[str]:
+    """Say which requested parameters move a discontinuity of the integrand, and which one."""
+    reasons = []
+    delta = bool(DELTA_MODELS & set(config.bsdfs))
+    kinds = {e.kind for e in scene.builder.emitters}
+    for name in names:
+        uses = scene.parameters[name].uses
+        if uses & {POSITIONS, SHAPE_POSE}:
+            reasons.append(f"{name} moves silhouettes and shadows")
+        elif CAMERA in uses and scene.face_count:
+            reasons.append(f"{name} moves the silhouettes that the camera sees")
+        elif LIGHT_POSE in uses and kinds & {c.EMITTER_POINT, c.EMITTER_SPOT, c.EMITTER_DIRECTIONAL}:
+            if name.endswith((".position", ".to_world")) and scene.face_count:
+                emitter = next((e for e in scene.description.emitters if name.startswith(e.path + ".")), None)
+                if emitter is not None and emitter.kind in ("point", "directional") or (
+                    emitter is not None and emitter.kind == "spot"
+                ):
+                    reasons.append(f"{name} moves hard shadows")
+        elif NORMALS in uses and delta:
+            reasons.append(f"{name} moves what is seen in smooth mirrors and glass")
+        elif uses & {TO_UV, TEXCOORDS} and _has_steps(scene):
+            reasons.append(f"{name} slides a nearest-neighbour or face-wise texture")
+    reasons += [f"{name} moves what is seen through the interface" for name in _bending(scene, names)]
+    return reasons
+
+
+def _has_steps(scene: Scene) -> bool:
+    return any(
+        t.kind == c.TEXTURE_FACE or (t.kind == c.TEXTURE_BITMAP and t.filter == c.FILTER_NEAREST)
+        for t in scene.builder.textures
+    )

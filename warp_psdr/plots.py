@@ -1,0 +1,361 @@
+"""Plots of a run: derivative images, loss curves, pictures side by side and error against time.
+
+Signed quantities share one look, here and in ``warp_psdr.view``: a diverging map that is white at zero, red above and
+blue below, symmetric about zero. Its range ends at a percentile of the magnitudes, so that a few outliers do not wash
+out the rest, and the picture says where it ends and how much lies beyond. matplotlib is loaded on the first call and
+never through its global ``pyplot`` state. Every file appears under its name only once it is complete.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, BinaryIO, Literal
+
+import numpy as np
+
+from warp_psdr.checkpoint import write_atomic
+from warp_psdr.image_io import linear_to_srgb
+
+#: Rec. 709 luminance of linear RGB.
+LUMINANCE = (0.2126, 0.7152, 0.0722)
+#: What stands for NaN and infinity in a picture: a colour that no other part of the map has.
+NOT_FINITE_COLOR = (1.0, 0.0, 1.0)
+#: ColorBrewer's RdBu from low (blue) to high (red), with a middle that is exactly white instead of 0.97 grey.
+_DIVERGING = (
+    *("#053061", "#2166ac", "#4393c3", "#92c5de", "#d1e5f0"),
+    "#ffffff",
+    *("#fddbc7", "#f4a582", "#d6604d", "#b2182b", "#67001f"),
+)
+#: Odd, so that one entry of the table is the colour of zero.
+_DIVERGING_ENTRIES = 257
+#: Nearest-neighbour enlargement is used until a picture's longer side has about this many pixels.
+_PICTURE_PIXELS = 640
+_DPI = 100
+
+Reduce = Literal["mean", "luminance"]
+
+
+def as_array(values: Any) -> np.ndarray:
+    """Return a Warp array, a tensor or anything array-like as a float64 NumPy array; vectors become a last axis."""
+    return np.asarray(values.numpy() if hasattr(values, "numpy") else values, dtype=np.float64)
+
+
+def to_signed(values: Any, *, reduce: Reduce = "mean") -> np.ndarray:
+    """Reduce the last axis (1 or 3 channels) to one signed value.
+
+    Args:
+        values: (..., 1) or (..., 3).
+        reduce: "mean" of the channels, or Rec. 709 "luminance".
+
+    Returns:
+        (...), float64.
+
+    Raises:
+        ValueError: The last axis has neither 1 nor 3 entries, or ``reduce`` is unknown.
+    """
+    values = as_array(values)
+    if values.ndim == 0 or values.shape[-1] not in (1, 3):
+        raise ValueError(f"got values of shape {values.shape}; expected 1 or 3 channels in the last axis")
+    if reduce not in ("mean", "luminance"):
+        raise ValueError(f"unknown reduce {reduce!r}; expected 'mean' or 'luminance'")
+    if values.shape[-1] == 1:
+        return values[..., 0]
+    return values.mean(axis=-1) if reduce == "mean" else values @ np.array(LUMINANCE)
+
+
+def symmetric_limit(values: np.ndarray, percentile: float = 99.5) -> float:
+    """Return the end of a symmetric colour range: a percentile of the non-zero finite magnitudes.
+
+    Zeros do not count, or a gradient that lives on few pixels would have the limit zero. Without any non-zero value the
+    limit is 1, for which everything is white.
+
+    Raises:
+        ValueError: ``percentile`` lies outside (0, 100].
+    """
+    if not 0.0 < percentile <= 100.0:
+        raise ValueError(f"got percentile {percentile}; expected a number in (0, 100]")
+    magnitude = np.abs(values[np.isfinite(values)])
+    magnitude = magnitude[magnitude > 0.0]
+    return float(np.percentile(magnitude, percentile)) if magnitude.size else 1.0
+
+
+def clip_text(values: np.ndarray, limit: float) -> str:
+    """Say where the colour range ends, which share of the values lies beyond, and how many are not finite."""
+    finite = np.isfinite(values)
+    if not np.any(values[finite]):
+        text = "zero everywhere" if finite.all() else "zero where finite"
+    else:
+        beyond = 100.0 * np.mean(np.abs(values[finite]) > limit * (1.0 + 1e-6))
+        text = f"clip ±{limit:.3g}, {beyond:.2g} % beyond"
+    bad = int(values.size - finite.sum())
+    return f"{text}, {bad} not finite" if bad else text
+
+
+def diverging_colormap() -> Any:
+    """Return the matplotlib colour map of signed values: blue, white at zero, red; magenta where not finite."""
+    from matplotlib.colors import LinearSegmentedColormap
+
+    colormap = LinearSegmentedColormap.from_list("psdr_diverging", _DIVERGING, N=_DIVERGING_ENTRIES)
+    return colormap.with_extremes(bad=NOT_FINITE_COLOR)
+
+
+def tonemap(image: Any, *, exposure: float = 0.0) -> np.ndarray:
+    """Encode linear radiance for display: scale by ``2**exposure``, clamp to [0, 1], apply the sRGB curve.
+
+    Args:
+        image: (H, W), (H, W, 1) or (H, W, 3), linear.
+        exposure: In stops.
+
+    Returns:
+        (H, W, 3) in [0, 1]; pixels that are not finite are magenta.
+    """
+    image = _image(image)
+    finite = np.isfinite(image).all(axis=-1, keepdims=True)
+    encoded = linear_to_srgb(np.where(finite, image, 0.0) * 2.0**exposure)
+    return np.where(finite, np.broadcast_to(encoded, (*image.shape[:2], 3)), NOT_FINITE_COLOR)
+
+
+def write_picture(path: str | os.PathLike, write: Callable[[BinaryIO], object]) -> None:
+    """Let ``write`` fill a file that appears under its name only when it is complete.
+
+    Raises:
+        FileNotFoundError: The folder does not exist.
+    """
+    folder = Path(path).parent
+    if not folder.is_dir():
+        raise FileNotFoundError(f"cannot write {path}: folder {folder} does not exist; create it first")
+    write_atomic(path, write)
+
+
+def derivative_image(
+    path: str | os.PathLike,
+    image: Any,
+    *,
+    percentile: float = 99.5,
+    limit: float | None = None,
+    reduce: Reduce = "mean",
+    title: str = "",
+    unit: str = "",
+) -> float:
+    """Draw a signed image, such as the derivative of a picture or the gradient of a texture, with its colour bar.
+
+    Args:
+        path: File to write; the suffix names the format (.png, .pdf, .svg).
+        image: (H, W), (H, W, 1) or (H, W, 3), NumPy or Warp array.
+        percentile: Of the non-zero magnitudes; the colour range ends there.
+        limit: End of the colour range, instead of the percentile; for pictures that are to be compared.
+        reduce: How RGB becomes one value: the "mean" of the channels or their "luminance".
+        title: Stands above the picture.
+        unit: Of the values; stands at the colour bar.
+
+    Returns:
+        The end of the colour range.
+
+    Raises:
+        ValueError: The image has another shape, or ``limit`` is not positive and finite.
+    """
+    pixels = _image(image)
+    values = to_signed(pixels, reduce=reduce)
+    if limit is None:
+        limit = symmetric_limit(values, percentile)
+    elif not (math.isfinite(limit) and limit > 0.0):
+        raise ValueError(f"got limit {limit}; expected a positive number")
+    height, width = values.shape
+    figure = _figure(*_picture_size(width, height), extra_width=1.4, extra_height=0.7)
+    axes = figure.add_subplot()
+    shown = np.where(np.isfinite(values), values, np.nan)
+    drawn = axes.imshow(shown, cmap=diverging_colormap(), vmin=-limit, vmax=limit, interpolation="nearest")
+    axes.set(xticks=[], yticks=[])
+    axes.set_title(title, fontsize=10, wrap=True)
+    bar = figure.colorbar(drawn, ax=axes, extend="both" if np.any(np.abs(values) > limit * (1.0 + 1e-6)) else "neither")
+    bar.ax.ticklabel_format(style="sci", scilimits=(-2, 3), useMathText=True)
+    channels = f"{reduce} of RGB" if pixels.shape[-1] == 3 else ""
+    quantity = ", ".join(text for text in (unit, channels) if text)
+    bar.set_label("\n".join(text for text in (quantity, clip_text(values, limit)) if text), fontsize=8)
+    _save(figure, path)
+    return limit
+
+
+def loss_curve(
+    path: str | os.PathLike,
+    losses: Any,
+    *,
+    title: str = "",
+    ylabel: str = "loss",
+    first_step: int = 0,
+) -> None:
+    """Draw losses against optimisation steps; logarithmic when all are positive.
+
+    Args:
+        path: File to write; the suffix names the format.
+        losses: (N,) losses, or a mapping from a curve's label to its losses. Steps whose loss is not finite are marked.
+        title: Stands above the plot.
+        ylabel: Name and unit of the loss.
+        first_step: Step of the first loss, for a run that was resumed.
+
+    Raises:
+        ValueError: There are no losses, or they are not one-dimensional.
+    """
+    curves = losses if isinstance(losses, Mapping) else {"": losses}
+    arrays = {label: as_array(values) for label, values in curves.items()}
+    if not arrays:
+        raise ValueError("got no loss curve; expected at least one")
+    figure = _figure(7.0, 4.2)
+    axes = figure.add_subplot()
+    for label, values in arrays.items():
+        if values.ndim != 1 or values.size == 0:
+            raise ValueError(f"losses {label!r} have shape {values.shape}; expected (N,) with N > 0")
+        steps = first_step + np.arange(values.size)
+        finite = np.isfinite(values)
+        marker = "." if values.size < 50 else None
+        (line,) = axes.plot(steps, np.where(finite, values, np.nan), label=label or None, marker=marker, linewidth=1.5)
+        if finite.any():
+            last = int(np.flatnonzero(finite)[-1])
+            axes.annotate(f"{values[last]:.3g}", (steps[last], values[last]), (3, 4), textcoords="offset points",
+                          fontsize=8, color=line.get_color())  # fmt: skip
+        for step in steps[~finite]:
+            axes.axvline(step, color=NOT_FINITE_COLOR, linewidth=1.0)
+    pooled = np.concatenate(list(arrays.values()))
+    pooled_finite = pooled[np.isfinite(pooled)]
+    if pooled_finite.size and np.all(pooled_finite > 0.0):
+        axes.set_yscale("log")
+    bad = pooled.size - pooled_finite.size
+    axes.set_title(f"{title} ({bad} not finite)".strip() if bad else title, fontsize=10)
+    axes.set(xlabel="step", ylabel=ylabel)
+    axes.margins(x=0.08)  # room for the last values
+    axes.grid(True, which="both", alpha=0.25)
+    if any(arrays):
+        axes.legend(fontsize=8)
+    _save(figure, path)
+
+
+def side_by_side(
+    path: str | os.PathLike,
+    images: Sequence[Any],
+    titles: Sequence[str],
+    *,
+    exposure: float = 0.0,
+    columns: int = 4,
+    title: str = "",
+) -> None:
+    """Draw linear images next to each other, all tone-mapped alike (see ``tonemap``).
+
+    Args:
+        path: File to write; the suffix names the format.
+        images: Each (H, W), (H, W, 1) or (H, W, 3), linear; sizes may differ.
+        titles: One an image.
+        exposure: In stops, the same for all.
+        columns: Images in a row.
+        title: Stands above the whole.
+
+    Raises:
+        ValueError: There is no image, or the numbers of images and titles differ.
+    """
+    if not len(images) or len(images) != len(titles):
+        raise ValueError(
+            f"got {len(images)} images and {len(titles)} titles; expected one title an image, at least one"
+        )
+    pictures = [tonemap(image, exposure=exposure) for image in images]
+    columns = min(columns, len(pictures))
+    rows = -(-len(pictures) // columns)
+    width, height = _picture_size(pictures[0].shape[1], pictures[0].shape[0])
+    shrink = min(1.0, 14.0 / (columns * width))  # inches: the whole stays readable on a screen
+    figure = _figure(columns * width * shrink, rows * (height * shrink + 0.35), extra_height=0.35 if title else 0.0)
+    for index, (picture, caption) in enumerate(zip(pictures, titles, strict=True)):
+        axes = figure.add_subplot(rows, columns, index + 1)
+        levels = np.round(255.0 * picture).astype(np.uint8)  # matplotlib itself would round down
+        axes.imshow(levels, interpolation="nearest" if max(picture.shape[:2]) < _PICTURE_PIXELS else "auto")
+        axes.set(xticks=[], yticks=[])
+        axes.set_title(caption, fontsize=9)
+    if title:
+        figure.suptitle(title, fontsize=10)
+    _save(figure, path)
+
+
+def error_against_time(
+    path: str | os.PathLike,
+    series: Mapping[str, tuple[Any, Any]],
+    *,
+    title: str = "",
+    ylabel: str = "relative RMS error",
+) -> None:
+    """Draw each method's error against its time, both logarithmic, over guides of the Monte Carlo slope -1/2.
+
+    Args:
+        path: File to write; the suffix names the format.
+        series: A method's label, and its times in seconds and errors, (N,) each.
+        title: Stands above the plot.
+        ylabel: Name and unit of the error.
+
+    Raises:
+        ValueError: There is no series, lengths differ, or a time or an error is not positive and finite.
+    """
+    if not series:
+        raise ValueError("got no series; expected at least one")
+    points = {label: (as_array(seconds), as_array(errors)) for label, (seconds, errors) in series.items()}
+    figure = _figure(6.6, 5.0)
+    axes = figure.add_subplot()
+    for label, (seconds, errors) in points.items():
+        if seconds.ndim != 1 or seconds.size == 0 or seconds.shape != errors.shape:
+            raise ValueError(
+                f"series {label!r} has times {seconds.shape} and errors {errors.shape}; expected (N,) twice"
+            )
+        if not (np.isfinite([seconds, errors]).all() and min(seconds.min(), errors.min()) > 0.0):
+            raise ValueError(
+                f"series {label!r} has a time or an error that is not positive; a log-log plot cannot show it"
+            )
+        order = np.argsort(seconds)
+        axes.plot(seconds[order], errors[order], marker="o", markersize=4, linewidth=1.5, label=label)
+    axes.set(xscale="log", yscale="log", xlabel="time [s]", ylabel=ylabel)
+    axes.set_title(title, fontsize=10)
+    low, high = axes.get_xlim()
+    limits = axes.get_ylim()
+    for number, (seconds, errors) in enumerate(points.values()):
+        through = errors[np.argmin(seconds)] * math.sqrt(seconds.min())
+        times = np.array([low, high])
+        guide = axes.plot(times, through / np.sqrt(times), color="0.75", linewidth=0.8, linestyle="--", zorder=0)
+        if number == 0:
+            guide[0].set_label("slope −1/2")
+    axes.set(xlim=(low, high), ylim=limits)
+    axes.grid(True, which="both", alpha=0.25)
+    axes.legend(fontsize=8)
+    _save(figure, path)
+
+
+def _image(image: Any) -> np.ndarray:
+    """Return (H, W, 1 or 3) float64."""
+    pixels = as_array(image)
+    if pixels.ndim == 2:
+        pixels = pixels[..., None]
+    if pixels.ndim != 3 or pixels.shape[-1] not in (1, 3) or pixels.size == 0:
+        raise ValueError(f"got an image of shape {pixels.shape}; expected (H, W), (H, W, 1) or (H, W, 3), not empty")
+    return pixels
+
+
+def _picture_size(width: int, height: int) -> tuple[float, float]:
+    """Return inches such that an image pixel is a whole number of picture pixels, up to ``_PICTURE_PIXELS``."""
+    longer = max(width, height)
+    scale = max(_PICTURE_PIXELS // longer, 1) if longer <= 2 * _PICTURE_PIXELS else 2 * _PICTURE_PIXELS / longer
+    return max(width * scale / _DPI, 1.0), max(height * scale / _DPI, 1.0)
+
+
+def _figure(width: float, height: float, *, extra_width: float = 0.0, extra_height: float = 0.0) -> Any:
+    """Return an empty figure with an Agg canvas; sizes in inches."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    size = (max(width + extra_width, 3.0), max(height + extra_height, 2.2))
+    figure = Figure(figsize=size, dpi=_DPI, layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def _save(figure: Any, path: str | os.PathLike) -> None:
+    suffix = Path(path).suffix.lower().lstrip(".")
+    known = figure.canvas.get_supported_filetypes()
+    if suffix not in known:
+        raise ValueError(f"cannot write {path}: unknown format {suffix!r}; expected one of {', '.join(sorted(known))}")
+    write_picture(path, lambda file: figure.savefig(file, format=suffix))

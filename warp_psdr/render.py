@@ -1,0 +1,300 @@
+"""Drivers: primal image, reverse mode, forward mode, and the tape."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import numpy as np
+import warp as wp
+
+from warp_psdr import workers
+from warp_psdr.chain import derived_ranges, pull_derived, push_derived
+from warp_psdr.device import launch
+from warp_psdr.kernels.interior.replay import make_replay_kernel
+from warp_psdr.kernels.interior.textbook import make_textbook_kernel
+from warp_psdr.kernels.path import make_primal_kernel
+from warp_psdr.kernels.reduction import add_lanes, add_range
+from warp_psdr.kernels.rng import mix_seed
+from warp_psdr.options import PathIntegrator, from_description
+from warp_psdr.plan import Plan
+from warp_psdr.plan import plan as make_plan
+
+if TYPE_CHECKING:
+    from warp_psdr.parameters import Parameters
+    from warp_psdr.scene.scene import Scene
+
+#: Random-number streams: the primal image, the interior and the boundary term are independent of each other.
+STREAM_PRIMAL, STREAM_INTERIOR, STREAM_BOUNDARY = 0, 1, 2
+Progress = Callable[[float], None]
+
+
+def render(
+    scene: Scene,
+    params: Parameters | None = None,
+    *,
+    sensor: int = 0,
+    integrator: PathIntegrator | None = None,
+    spp: int | None = None,
+    spp_grad: int | None = None,
+    seed: int = 0,
+    tape: wp.Tape | None = None,
+    progress: Progress | None = None,
+) -> wp.array:
+    """Render an image.
+
+    Args:
+        scene: a loaded scene.
+        params: its parameters; needed with a tape only.
+        sensor: which camera.
+        integrator: default: what the scene file names, else ``PathIntegrator()``.
+        spp: samples a pixel; default: the sensor's sample count.
+        spp_grad: samples a pixel of the backward pass; default: ``spp``.
+        seed: equal seeds give equal bits; the backward pass is decorrelated from the image.
+        tape: a Warp tape to record the rendering on: ``tape.backward(loss)`` then adds to the gradients of the
+            parameters that ``params.requires_grad`` named.
+        progress: called with the finished fraction.
+
+    Returns:
+        ``wp.array2d`` of vec3, shape (H, W) of the crop window: radiance in W/m^2/sr, averaged under the pixel filter.
+
+    Raises:
+        ValueError: an option out of range; with a tape: parameters are missing, or what is requested moves a
+            discontinuity and the boundary term was not left out explicitly.
+    """
+    integrator = integrator or from_description(scene.description.integrator)
+    spp = _samples("spp", spp if spp is not None else scene.description.sensors[sensor].sample_count)
+    plan = make_plan(scene, integrator=integrator, sensor=sensor)
+    if tape is not None:
+        if params is None or not params.requested:
+            raise ValueError("render(tape=...) differentiates what params.requires_grad(...) names; pass such params")
+        _differentiable(make_plan(scene, params, integrator=integrator, sensor=sensor), integrator)
+    camera = scene.camera(sensor)
+    image = wp.zeros(
+        (camera.crop_height, camera.crop_width), dtype=wp.vec3, device=scene.device, requires_grad=tape is not None
+    )
+    kernel = make_primal_kernel(plan.config)
+    _launch(
+        scene,
+        kernel,
+        sensor,
+        lambda data, first, count, pixels, lane: (
+            [data, camera, pixels, first, 0, spp, 1.0 / spp, mix_seed(seed, STREAM_PRIMAL), plan.max_depth, plan.rr_depth],
+            [image],
+        ),
+        lanes=workers.LANES,
+        progress=progress,
+    )
+    if tape is not None:
+        gradient_spp = _samples("spp_grad", spp_grad if spp_grad is not None else spp)
+
+        def backward() -> None:
+            render_backward(
+                scene, params, image.grad, sensor=sensor, integrator=integrator, spp=gradient_spp, seed=seed
+            )
+
+        tape.record_func(backward, [image, *(params[name] for name in params.requested)])
+    return image
+
+
+def render_backward(
+    scene: Scene,
+    params: Parameters,
+    adjoint,
+    *,
+    sensor: int = 0,
+    integrator: PathIntegrator | None = None,
+    spp: int | None = None,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> None:
+    """Add the gradient of ``sum(adjoint * image)`` to ``params[name].grad`` of every requested parameter.
+
+    Args:
+        scene: a loaded scene.
+        params: its parameters, after ``requires_grad``.
+        adjoint: derivative of a loss with respect to the image, NumPy (H, W, 3) or Warp (H, W) of vec3.
+        sensor: which camera.
+        integrator: default: what the scene file names.
+        spp: samples a pixel; default: the sensor's sample count.
+        seed: equal seeds give equal bits.
+        progress: called with the finished fraction.
+
+    Raises:
+        ValueError: nothing is requested, a wrong adjoint, an option out of range, or a moving discontinuity whose
+            boundary term was not left out explicitly.
+    """
+    integrator = integrator or from_description(scene.description.integrator)
+    names = params.requested
+    if not names:
+        raise ValueError("nothing to differentiate: call params.requires_grad(...) with parameter names first")
+    spp = _samples("spp", spp if spp is not None else scene.description.sensors[sensor].sample_count)
+    plan = make_plan(scene, params, integrator=integrator, sensor=sensor)
+    _differentiable(plan, integrator)
+    camera = scene.camera(sensor)
+    adjoint = _adjoint(adjoint, camera, scene.device)
+    size = scene.values.shape[0]
+    lanes = workers.lane_count(size) if scene.device.is_cpu else 1
+    buffers = wp.zeros((lanes, size), dtype=wp.float32, device=scene.device)
+    dummy = wp.zeros((1, 1), dtype=wp.vec3, device=scene.device)
+    _launch(
+        scene,
+        _gradient_kernel(plan, "reverse"),
+        sensor,
+        lambda data, first, count, pixels, lane: (
+            [
+                data, camera, pixels, first, 0, spp, 1.0 / spp, mix_seed(seed, STREAM_INTERIOR),
+                _depth(plan), plan.rr_depth, adjoint,
+            ],
+            [buffers[lane], dummy],
+        ),
+        lanes=lanes,
+        progress=progress,
+    )  # fmt: skip
+    _accumulate(scene, params, names, buffers)
+
+
+def render_forward(
+    scene: Scene,
+    params: Parameters,
+    tangents: dict,
+    *,
+    sensor: int = 0,
+    integrator: PathIntegrator | None = None,
+    spp: int | None = None,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> wp.array:
+    """Render the derivative of the image along a direction of parameter space.
+
+    Args:
+        scene: a loaded scene.
+        params: its parameters; ``requires_grad`` is not needed here.
+        tangents: name -> direction, NumPy or Warp, in the parameter's shape; a number fills it.
+        sensor: which camera.
+        integrator: default: what the scene file names.
+        spp: samples a pixel; default: the sensor's sample count.
+        seed: equal seeds give equal bits, and the random numbers of ``render_backward``.
+        progress: called with the finished fraction.
+
+    Returns:
+        ``wp.array2d`` of vec3, shape (H, W): d image / d t for parameters + t * tangents.
+
+    Raises:
+        ValueError: no or wrong tangents, an option out of range, or a moving discontinuity whose boundary term was not
+            left out explicitly.
+    """
+    integrator = integrator or from_description(scene.description.integrator)
+    if not tangents:
+        raise ValueError("render_forward needs at least one tangent: {'parameter name': direction}")
+    spp = _samples("spp", spp if spp is not None else scene.description.sensors[sensor].sample_count)
+    names = list(tangents)
+    flat = np.zeros(scene.values.shape[0], np.float32)
+    for name, tangent in tangents.items():
+        values = params.check(name, tangent, "tangent")
+        p = scene.parameters[name]
+        flat[p.offset : p.offset + p.size] = values.reshape(-1)
+    plan = make_plan(scene, integrator=integrator, sensor=sensor, names=names)
+    _differentiable(plan, integrator)
+    camera = scene.camera(sensor)
+    target = wp.array(flat, dtype=wp.float32, device=scene.device)
+    push_derived(scene, names, target)
+    image = wp.zeros((camera.crop_height, camera.crop_width), dtype=wp.vec3, device=scene.device)
+    dummy = wp.zeros((1, 1), dtype=wp.vec3, device=scene.device)
+    _launch(
+        scene,
+        _gradient_kernel(plan, "forward"),
+        sensor,
+        lambda data, first, count, pixels, lane: (
+            [
+                data, camera, pixels, first, 0, spp, 1.0 / spp, mix_seed(seed, STREAM_INTERIOR),
+                _depth(plan), plan.rr_depth, dummy,
+            ],
+            [target, image],
+        ),
+        lanes=workers.LANES,
+        progress=progress,
+    )  # fmt: skip
+    return image
+
+
+def _accumulate(scene: Scene, params: Parameters, names: list[str], buffers: wp.array) -> None:
+    """Sum the lanes, pull the sums back to poses and positions, and add them to the users' gradients."""
+    total = wp.zeros(scene.values.shape[0], dtype=wp.float32, device=scene.device)
+    ranges = [(scene.parameters[n].offset, scene.parameters[n].size) for n in names]
+    for offset, size in dict.fromkeys(ranges + derived_ranges(scene, names)):
+        launch(add_lanes, dim=size, inputs=[buffers, offset], outputs=[total], device=scene.device)
+    pull_derived(scene, names, total)
+    for name in names:
+        p = scene.parameters[name]
+        grad = params[name].grad
+        flat = wp.array(ptr=grad.ptr, dtype=wp.float32, shape=(p.size,), device=scene.device, copy=False)
+        launch(add_range, dim=p.size, inputs=[total, p.offset], outputs=[flat], device=scene.device)
+
+
+def _gradient_kernel(plan: Plan, role: str) -> wp.Kernel:
+    if plan.block == 0:
+        return make_textbook_kernel(plan.config, plan.wanted, role)
+    return make_replay_kernel(plan.config, plan.wanted, role, plan.block, plan.blocks)
+
+
+def _depth(plan: Plan) -> int:
+    """Depth limit of a differential pass: its records have to hold the path."""
+    if plan.block == 0 or plan.max_depth > 0:
+        return plan.max_depth
+    return plan.block * plan.blocks
+
+
+def _launch(scene: Scene, kernel: wp.Kernel, sensor: int, arguments, *, lanes: int, progress: Progress | None) -> None:
+    """Run a pixel kernel: in one launch on CUDA, in lanes on the worker threads on the CPU."""
+    camera = scene.camera(sensor)
+    data = scene.data()
+    order = wp.array(workers.pixel_order(camera.crop_width, camera.crop_height), dtype=wp.int32, device=scene.device)
+    count = order.shape[0]
+    wp.load_module(kernel.module, device=scene.device)  # compile once, before the threads start
+    if not scene.device.is_cpu:
+        inputs, outputs = arguments(data, 0, count, order, 0)
+        launch(kernel, dim=count, inputs=inputs, outputs=outputs, device=scene.device)
+        return
+    parts = workers.chunks(count, lanes)
+    done = [0]
+
+    def lane(i: int) -> None:
+        for first, n in parts[i]:
+            inputs, outputs = arguments(data, first, n, order, i)
+            launch(kernel, dim=n, inputs=inputs, outputs=outputs, device=scene.device)
+            if progress is not None:
+                done[0] += n
+                progress(min(done[0] / count, 1.0))
+
+    workers.run_lanes(lane, lanes)
+
+
+def _samples(name: str, value) -> int:
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 1:
+        raise ValueError(f"{name}: got {value!r}, expected a positive integer (samples a pixel)")
+    return int(value)
+
+
+def _adjoint(adjoint, camera, device) -> wp.array:
+    shape = (camera.crop_height, camera.crop_width)
+    if isinstance(adjoint, wp.array) and adjoint.dtype is wp.vec3:
+        if adjoint.shape != shape:
+            raise ValueError(f"adjoint: got shape {adjoint.shape} of vec3, expected the image's {shape}")
+        return adjoint if adjoint.device == device else adjoint.to(device)
+    array = np.asarray(adjoint.numpy() if isinstance(adjoint, wp.array) else adjoint, dtype=np.float32)
+    if array.shape != (*shape, 3):
+        raise ValueError(f"adjoint: got shape {array.shape}, expected the image's {(*shape, 3)}")
+    if not np.isfinite(array).all():
+        raise ValueError("adjoint: holds NaN or infinite numbers; check the loss and the target image")
+    return wp.array(np.ascontiguousarray(array), dtype=wp.vec3, device=device)
+
+
+def _differentiable(plan: Plan, integrator: PathIntegrator) -> None:
+    """Refuse to leave out a boundary term in silence."""
+    if plan.discontinuities and integrator.boundary is not None:
+        raise ValueError(
+            "the requested gradient has a boundary term: "
+            + "; ".join(plan.discontinuities)
+            + ". It is not implemented yet; say PathIntegrator(boundary=None) to get the interior term alone"
+        )

@@ -1,0 +1,122 @@
+"""State of one load: named objects, what has been built, where files are looked up, and the notes for the user."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+from .errors import did_you_mean, error, listing, missing_file
+
+T = TypeVar("T")
+
+
+class Context:
+    """One load in progress.
+
+    Args:
+        source: File name or "dict", for messages.
+        base: Folder that relative file names start from; None: the current folder.
+        allow_outside: Whether a relative name may climb out of ``base`` with "..".
+    """
+
+    def __init__(self, source: str, base: Path | None, allow_outside: bool = False):
+        self.source = source
+        self.base = base
+        self.allow_outside = allow_outside
+        self.search_paths: list[Path] = []
+        self.notes: list[str] = []
+        self.named: dict[str, dict] = {}
+        self._built: dict[Any, tuple[dict, Any]] = {}
+        self._open: list[int] = []
+
+    def note(self, text: str) -> None:
+        """Keep a remark for the user, once."""
+        if text not in self.notes:
+            self.notes.append(text)
+
+    def inside(self, where: str, key: str, value: Any) -> str:
+        """Return the place of a nested dictionary: its line in a file, or its keys."""
+        return getattr(value, "where", "") or f"{where}[{key!r}]"
+
+    def resolve(self, node: dict, where: str) -> tuple[dict, str]:
+        """Follow references to the plugin that they name; returns it with its place."""
+        seen: list[str] = []
+        while node.get("type") == "ref":
+            name = node.get("id")
+            if not isinstance(name, str) or name not in self.named:
+                hint = did_you_mean(str(name), self.named)
+                known = listing(f"'{n}'" for n in self.named) or "none"
+                raise error(where, f"reference to unknown id '{name}'{hint}", f"known ids: {known}")
+            if name in seen:
+                raise error(where, f"circular reference {' -> '.join([*seen, name])}", "break the cycle")
+            seen.append(name)
+            node = self.named[name]
+            where = getattr(node, "where", "") or where
+        return node, where
+
+    def build(self, node: dict, where: str, variant: str, make: Callable[[], T]) -> T:
+        """Return ``make()``, built once for each node and variant, so that references share one object.
+
+        Raises:
+            ValueError: If the node contains itself.
+        """
+        key = (id(node), variant)
+        if key in self._built:
+            return self._built[key][1]
+        if id(node) in self._open:
+            raise error(where, f"circular reference: this '{node.get('type')}' contains itself", "break the cycle")
+        self._open.append(id(node))
+        try:
+            result = make()
+        finally:
+            self._open.pop()
+        # The node is kept with the result: its id() must not be given to another object meanwhile.
+        self._built[key] = (node, result)
+        return result
+
+    def file(self, name: Any, where: str) -> Path:
+        """Return the existing file that a scene names.
+
+        Relative names start from the scene file's folder, then from its ``<path>`` folders. They may not climb out of
+        the scene's folder with "..", unless the load was started with ``allow_outside=True``; absolute names may.
+
+        Raises:
+            ValueError: If the name is no text or leaves the scene's folder.
+            FileNotFoundError: If there is no such file.
+        """
+        if not isinstance(name, (str, Path)) or not str(name):
+            raise error(where, f"got {name!r} for a file name", "give a file name")
+        path = Path(name)
+        if path.is_absolute():
+            candidates = [path]
+        else:
+            folders = [self.base or Path.cwd(), *self.search_paths]
+            if not self.allow_outside and self.base is not None:
+                for folder in folders:
+                    check_inside(folder, path, where)
+            candidates = [folder / path for folder in folders]
+        for candidate in candidates:
+            if candidate.is_file():
+                return candidate
+        if any(candidate.is_dir() for candidate in candidates):
+            raise error(where, f"'{name}' is a folder", "name a file in it")
+        looked = listing(f"'{candidate.parent}'" for candidate in candidates)
+        raise missing_file(where, name, f"looked in {looked}; check the name or add a <path> folder")
+
+
+def check_inside(folder: Path, name: Path, where: str) -> None:
+    """Raise if a relative name climbs out of ``folder``.
+
+    Raises:
+        ValueError: If it does.
+    """
+    depth = 0
+    for part in name.parts:
+        depth += {"..": -1, ".": 0}.get(part, 1)
+        if depth < 0:
+            raise error(
+                where,
+                f"'{name}' leaves the scene's folder '{folder}'",
+                "move the file below it, give an absolute name, or load with allow_outside=True",
+            )

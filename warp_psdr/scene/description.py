@@ -1,0 +1,121 @@
+"""A scene as plain values: what the readers produce and what the device build consumes.
+
+Everything is NumPy, float32, world space and validated; nothing here knows Warp. ``path`` fields hold the name under
+which ``psdr.traverse`` lists a thing's values (Mitsuba 3's names), for example ``"wall.reflectance"``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+
+@dataclass(eq=False)
+class TextureDescription:
+    """A value that may vary over a surface (or over directions, for environment maps)."""
+
+    path: str  #: e.g. "wall.reflectance"; the parameter is path + ".value" | ".data", or the attribute of the shape
+    kind: Literal["constant", "bitmap", "mesh_attribute"]
+    value: np.ndarray  #: constant: (1,) or (3,); bitmap: (H, W, 1 or 3), linear, top row first; mesh_attribute: (0,)
+    filter: Literal["bilinear", "nearest"] = "bilinear"
+    wrap: Literal["repeat", "mirror", "clamp"] = "repeat"
+    to_uv: np.ndarray = field(default_factory=lambda: np.eye(3, dtype=np.float32))  #: (3, 3), bitmaps
+    attribute: str = ""  #: mesh_attribute: "vertex_color", "face_albedo", ...
+
+
+@dataclass(eq=False)
+class BsdfDescription:
+    """One scattering model with its textures; shared by identity between the shapes that reference it."""
+
+    path: str
+    model: Literal["diffuse", "conductor", "roughconductor", "dielectric"]
+    textures: dict[str, TextureDescription]
+    #: diffuse: reflectance; conductor: specular_reflectance, eta, k; roughconductor: the same and alpha_u, alpha_v
+    #: (the same object twice when isotropic); dielectric: specular_reflectance, specular_transmittance, eta (1 value)
+    distribution: Literal["ggx", "beckmann"] = "beckmann"
+    two_sided: bool = False
+    back: BsdfDescription | None = None  #: two_sided with a different model behind
+
+
+@dataclass(eq=False)
+class EmitterDescription:
+    """A light source. For area lights the shape holds it."""
+
+    path: str
+    kind: Literal["area", "constant", "envmap", "point", "spot", "directional"]
+    radiance: TextureDescription  #: area, constant: radiance; envmap: data; point, spot: intensity; directional: irradiance
+    to_world: np.ndarray | None = None  #: (4, 4): envmap, spot, directional
+    position: np.ndarray | None = None  #: (3,): point
+    scale: float = 1.0  #: envmap
+    cutoff_angle: float = 20.0  #: spot, degrees
+    beam_width: float = 15.0  #: spot, degrees
+
+
+@dataclass(eq=False)
+class ShapeDescription:
+    """A triangle mesh, world space."""
+
+    path: str
+    kind: str  #: plugin name
+    vertices: np.ndarray  #: (N, 3)
+    faces: np.ndarray  #: (M, 3) int32
+    bsdf: BsdfDescription
+    normals: np.ndarray | None = None  #: (N, 3) unit, world space; None: flat shading
+    normals_computed: bool = False  #: True: derived from the positions, and follow them when those are edited
+    texcoords: np.ndarray | None = None  #: (N, 2)
+    flip_normals: bool = False
+    attributes: dict[str, np.ndarray] = field(default_factory=dict)  #: "vertex_*": (N, C), "face_*": (M, C)
+    emitter: EmitterDescription | None = None
+    #: Tessellated analytic shapes (rectangle, cube, sphere, disk, cylinder): the object-space source of the above, so
+    #: that ``to_world`` is a parameter: vertices = to_world @ local_vertices, normals by the inverse transpose.
+    to_world: np.ndarray | None = None  #: (4, 4)
+    local_vertices: np.ndarray | None = None  #: (N, 3)
+    local_normals: np.ndarray | None = None  #: (N, 3)
+    repairs: dict[str, int] = field(default_factory=dict)  #: e.g. {"zero-area triangles dropped": 3}
+
+
+@dataclass(eq=False)
+class FilmDescription:
+    """The image raster."""
+
+    width: int = 768
+    height: int = 576
+    crop_offset_x: int = 0
+    crop_offset_y: int = 0
+    crop_width: int = 768
+    crop_height: int = 576
+    filter: Literal["box", "tent", "gaussian"] = "gaussian"
+    filter_radius: float = 2.0  #: pixels
+    filter_stddev: float = 0.5  #: pixels, gaussian
+
+
+@dataclass(eq=False)
+class SensorDescription:
+    """A camera. Space convention as in Mitsuba: looks along +z, +y up, +x to the left of the image."""
+
+    path: str
+    kind: Literal["perspective"]
+    to_world: np.ndarray  #: (4, 4), rigid with optional uniform scale removed
+    x_fov: float  #: degrees, horizontal field of view of the whole film (fov_axis already resolved)
+    principal_point_offset: tuple[float, float] = (0.0, 0.0)
+    near_clip: float = 1e-2
+    far_clip: float = 1e4
+    film: FilmDescription = field(default_factory=FilmDescription)
+    sampler: Literal["default", "independent", "sobol"] = "default"
+    sample_count: int = 4
+
+
+@dataclass(eq=False)
+class SceneDescription:
+    """All of a scene."""
+
+    shapes: list[ShapeDescription]
+    emitters: list[EmitterDescription]  #: every light, area lights included
+    sensors: list[SensorDescription]
+    #: Properties of the integrator that the file names: {"type": "path", "max_depth": 8, "rr_depth": 5,
+    #: "hide_emitters": False}; empty when there is none.
+    integrator: dict = field(default_factory=dict)
+    source: str = ""  #: file name or "dict", for messages
+    notes: list[str] = field(default_factory=list)  #: reported repairs and ignored cosmetic properties

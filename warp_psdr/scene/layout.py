@@ -1,0 +1,120 @@
+"""The flat array of all continuous values of a scene, and the list of its named parameters.
+
+One float32 array holds every vertex, normal, texel, matrix and constant. A parameter is a named stretch of it, seen
+through a Warp array of its natural shape; gradients and tangents are arrays of the same layout.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import warp as wp
+
+#: How a parameter is used; decides what the plan compiles. A parameter can have several uses.
+MATERIAL = "material:"  #: followed by the slot's name, c0 ... s1
+TO_UV = "to_uv"
+POSITIONS = "positions"
+NORMALS = "normals"
+TEXCOORDS = "texcoords"
+SHAPE_POSE = "shape pose"
+RADIANCE = "radiance"
+LIGHT_RADIANCE = "light radiance"
+LIGHT_POSE = "light pose"
+CAMERA = "camera"
+
+
+@dataclass(eq=False)
+class Parameter:
+    """A named stretch of the flat array."""
+
+    name: str
+    offset: int
+    shape: tuple[int, ...]  #: of the Warp array
+    dtype: type  #: wp.float32, wp.vec2 or wp.vec3
+    bounds: tuple[float, float]
+    uses: set[str] = field(default_factory=set)
+    owner: int = -1  #: shape or emitter number, for updates
+
+    @property
+    def size(self) -> int:
+        """Number of floats."""
+        return int(np.prod(self.shape)) * (1 if self.dtype is wp.float32 else self.dtype._length_)
+
+    @property
+    def numpy_shape(self) -> tuple[int, ...]:
+        """Shape of the values as NumPy sees them."""
+        return self.shape if self.dtype is wp.float32 else (*self.shape, self.dtype._length_)
+
+    def view(self, flat: wp.array) -> wp.array:
+        """Return this parameter's stretch of a flat float32 array as an array of its own shape; no copy."""
+        array = wp.array(
+            ptr=flat.ptr + 4 * self.offset, dtype=self.dtype, shape=self.shape, device=flat.device, copy=False
+        )
+        array._flat = flat  # keeps the memory alive
+        return array
+
+
+class Layout:
+    """Collects values while a scene is built."""
+
+    def __init__(self):
+        self.parameters: dict[str, Parameter] = {}
+        self._chunks: list[np.ndarray] = []
+        self._size = 0
+
+    def add_values(self, values: np.ndarray) -> int:
+        """Append unnamed values and return their flat offset."""
+        chunk = np.ascontiguousarray(values, dtype=np.float32).reshape(-1)
+        offset = self._size
+        self._chunks.append(chunk)
+        self._size += chunk.size
+        return offset
+
+    def add(
+        self,
+        name: str,
+        values: np.ndarray,
+        use: str,
+        *,
+        dtype: type = wp.float32,
+        bounds: tuple[float, float] = (-np.inf, np.inf),
+        owner: int = -1,
+    ) -> int:
+        """Append a named parameter and return its flat offset.
+
+        Raises:
+            ValueError: The name is taken.
+        """
+        if name in self.parameters:
+            raise ValueError(f"two values are both named {name!r}; give their objects different ids")
+        values = np.asarray(values, dtype=np.float32)
+        offset = self.add_values(values)
+        self.name(name, offset, values.shape, use, dtype=dtype, bounds=bounds, owner=owner)
+        return offset
+
+    def name(
+        self,
+        name: str,
+        offset: int,
+        numpy_shape: tuple[int, ...],
+        use: str,
+        *,
+        dtype: type = wp.float32,
+        bounds: tuple[float, float] = (-np.inf, np.inf),
+        owner: int = -1,
+    ) -> None:
+        """Name a stretch that was added before."""
+        shape = tuple(numpy_shape) if dtype is wp.float32 else tuple(numpy_shape[:-1])
+        self.parameters[name] = Parameter(name, offset, shape, dtype, bounds, {use}, owner)
+
+    def values(self) -> np.ndarray:
+        """Return the flat array."""
+        return np.concatenate(self._chunks) if self._chunks else np.zeros(1, np.float32)
+
+
+def struct_array(struct, records: list, device) -> wp.array:
+    """Return a Warp array of struct instances; one zeroed record where the list is empty (Warp has no null struct)."""
+    if not records:
+        return wp.zeros(1, dtype=struct, device=device)
+    return wp.array(records, dtype=struct, device=device)

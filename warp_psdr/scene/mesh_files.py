@@ -1,0 +1,267 @@
+"""Read mesh files without merging, splitting or reordering vertices.
+
+PLY, glTF, STL and OFF go through trimesh's format readers. OBJ is read here: trimesh's reader sorts the vertices and
+splits the mesh by material, while scene parameters rely on Mitsuba's order (the first use in the faces).
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .errors import error
+from .meshes import MeshData, vertex_normals
+from .transforms import transform_normals, transform_points
+
+#: Component suffixes that group PLY properties into one attribute.
+_SUFFIXES = ("xyzw", "rgba", "0123", "1234")
+_COLOR_NAMES = {"r": 0, "g": 1, "b": 2, "a": 3, "red": 0, "green": 1, "blue": 2, "alpha": 3}
+_REEXPORT = "export the mesh again"
+
+
+def read_mesh(kind: str, file: Path, where: str, note: Any) -> MeshData:
+    """Read a mesh file; texture coordinates are as the file has them.
+
+    Args:
+        kind: "obj", "ply", "gltf", "glb", "stl" or "off".
+        file: An existing file.
+        where: Place in the scene, for messages.
+        note: Called with remarks for the user.
+
+    Raises:
+        ValueError: If the file cannot be read.
+    """
+    readers = {"obj": _read_obj, "ply": _read_ply, "gltf": _read_gltf, "glb": _read_gltf}
+    place = f"{where}, file '{file}'"
+    if kind in readers:
+        return readers[kind](file, place, note)
+    from trimesh.exchange import off, stl  # noqa: PLC0415 - loaded where it is used
+
+    values = _guarded(off.load_off if kind == "off" else stl.load_stl, file, place)
+    return MeshData(
+        np.asarray(values["vertices"], dtype=np.float64).reshape(-1, 3),
+        np.asarray(values["faces"], dtype=np.int64).reshape(-1, 3),
+    )
+
+
+def _guarded(load: Any, file: Path, place: str, **options: Any) -> Any:
+    """Call one of trimesh's readers and turn whatever it raises into a message."""
+    try:
+        with file.open("rb") as stream:
+            return load(stream, **options)
+    except Exception as problem:  # noqa: BLE001 - malformed files raise errors of any kind in there
+        reason = str(problem) or type(problem).__name__
+        raise error(place, f"the file is damaged or of another format ({reason})", _REEXPORT) from None
+
+
+def _read_obj(file: Path, place: str, note: Any) -> MeshData:
+    """Read positions, texture coordinates, normals, vertex colours and polygons (cut into fans)."""
+    pools: dict[str, list[str]] = {"v": [], "vt": [], "vn": []}
+    polygons: list[list[str]] = []
+    places: list[tuple[int, int, int, int]] = []
+    with file.open(encoding="utf-8", errors="replace") as stream:
+        for number, line in enumerate(stream, start=1):
+            keyword, _, rest = line.strip().partition(" ")
+            if keyword in pools:
+                pools[keyword].append(rest)
+            elif keyword == "f":
+                polygons.append(rest.split())
+                # Negative indices count back from here.
+                places.append((number, *(len(pools[key]) for key in ("v", "vt", "vn"))))
+    positions = _obj_numbers(pools["v"], 3, "v", place)
+    texcoords = _obj_numbers(pools["vt"], 2, "vt", place)
+    normals = _obj_numbers(pools["vn"], 3, "vn", place)
+    corners, counts = _obj_corners(polygons, places, (len(positions), len(texcoords), len(normals)), place)
+    if len(corners) == 0:
+        return MeshData(np.empty((0, 3)), np.empty((0, 3), dtype=np.int64))
+    unique, first, inverse = np.unique(corners, axis=0, return_index=True, return_inverse=True)
+    order = np.argsort(first)
+    rank = np.empty(len(order), dtype=np.int64)
+    rank[order] = np.arange(len(order))
+    vertex = unique[order]
+    data = MeshData(positions[vertex[:, 0], :3], _fans(rank[inverse.reshape(-1)], counts))
+    if (vertex[:, 1] >= 0).any():
+        data.texcoords = np.where(vertex[:, 1:2] >= 0, texcoords[vertex[:, 1], :2], 0.0)
+    if (vertex[:, 2] >= 0).any():
+        data.normals = np.where(vertex[:, 2:3] >= 0, normals[vertex[:, 2]], 0.0)
+    if positions.shape[1] >= 6:
+        data.attributes["vertex_color"] = positions[vertex[:, 0], 3:6].astype(np.float32)
+    return data
+
+
+def _obj_numbers(lines: list[str], columns: int, keyword: str, place: str) -> np.ndarray:
+    """Return the numbers of all lines with a keyword, shape (N, C) with C >= ``columns``."""
+    if not lines:
+        return np.empty((0, columns))
+    rows = [line.split() for line in lines]
+    width = min(len(row) for row in rows)
+    if width < columns:
+        i = next(i for i, row in enumerate(rows) if len(row) < columns)
+        raise error(place, f"'{keyword} {lines[i].strip()}' has {len(rows[i])} numbers", f"write {columns}")
+    try:
+        return np.array([row[:width] for row in rows], dtype=np.float64)
+    except ValueError:
+        raise error(place, f"a '{keyword}' line is not made of numbers", _REEXPORT) from None
+
+
+def _obj_corners(
+    polygons: list[list[str]], places: list[tuple[int, int, int, int]], sizes: tuple[int, int, int], place: str
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return zero-based (v, vt, vn) of every corner, -1 where absent, and the corners of each polygon."""
+    flat: list[tuple[int, int, int]] = []
+    for polygon, (line, *seen) in zip(polygons, places, strict=True):
+        if len(polygon) < 3:
+            raise error(f"{place}, line {line}", f"a face with {len(polygon)} corners", "give at least three")
+        for corner in polygon:
+            parts = corner.split("/")
+            try:
+                raw = [int(part) if part else 0 for part in (*parts, "", "")[:3]]
+            except ValueError:
+                raise error(f"{place}, line {line}", f"cannot read the corner '{corner}'", "write v/vt/vn") from None
+            index = [i - 1 if i >= 0 else count + i for i, count in zip(raw, seen, strict=True)]
+            if not 0 <= index[0] < sizes[0] or any(
+                i != 0 and not 0 <= k < size for i, k, size in zip(raw, index, sizes, strict=True)
+            ):
+                raise error(
+                    f"{place}, line {line}",
+                    f"the corner '{corner}' refers to a missing vertex, texture coordinate or normal",
+                    f"the file has {sizes[0]} v, {sizes[1]} vt and {sizes[2]} vn",
+                )
+            flat.append((index[0], index[1] if raw[1] else -1, index[2] if raw[2] else -1))
+    return np.array(flat, dtype=np.int64).reshape(-1, 3), np.array([len(p) for p in polygons], dtype=np.int64)
+
+
+def _fans(corners: np.ndarray, counts: np.ndarray) -> np.ndarray:
+    """Cut polygons, given as consecutive runs of ``corners``, into triangle fans in order, shape (M, 3)."""
+    triangles = np.maximum(counts - 2, 0)
+    start = np.repeat(np.cumsum(counts) - counts, triangles)
+    step = np.arange(triangles.sum()) - np.repeat(np.cumsum(triangles) - triangles, triangles)
+    return np.stack([corners[start], corners[start + step + 1], corners[start + step + 2]], axis=1)
+
+
+def _read_ply(file: Path, place: str, note: Any) -> MeshData:
+    from trimesh.exchange import ply  # noqa: PLC0415
+
+    raw = _guarded(ply.load_ply, file, place, fix_texture=False, skip_materials=True)["metadata"]["_ply_raw"]
+    for element in ("vertex", "face"):
+        if element not in raw:
+            raise error(place, f"there is no element '{element}'", "only triangle or polygon meshes are supported")
+    vertex, face = _columns(raw["vertex"], "vertex", place), _columns(raw["face"], "face", place)
+    index_name = next((name for name in ("vertex_indices", "vertex_index") if name in face), None)
+    if index_name is None:
+        raise error(place, "the faces have no 'vertex_indices'", _REEXPORT)
+    polygons = face.pop(index_name)
+    counts = np.array([len(polygon) for polygon in polygons], dtype=np.int64)
+    corners = np.concatenate(polygons).astype(np.int64) if len(polygons) else np.empty(0, dtype=np.int64)
+    if any(name not in vertex for name in "xyz"):
+        raise error(place, "the vertices lack x, y or z", _REEXPORT)
+    data = MeshData(_stack([vertex.pop(name) for name in "xyz"], np.float64), _fans(corners, counts))
+    if all(name in vertex for name in ("nx", "ny", "nz")):
+        data.normals = _stack([vertex.pop(name) for name in ("nx", "ny", "nz")], np.float64)
+    for names in (("u", "v"), ("s", "t"), ("texture_u", "texture_v")):
+        if all(name in vertex for name in names):
+            data.texcoords = _stack([vertex.pop(name) for name in names], np.float64)
+            break
+    data.attributes = _ply_attributes(vertex, "vertex_", place, note)
+    for name, values in _ply_attributes(face, "face_", place, note).items():
+        data.attributes[name] = np.repeat(values, np.maximum(counts - 2, 0), axis=0)
+    return data
+
+
+def _columns(element: dict, name: str, place: str) -> dict[str, Any]:
+    """Return the properties of a PLY element; raises if the file ends before all of them."""
+    data = element.get("data")
+    if element["length"] == 0 or data is None:
+        return dict.fromkeys(element["properties"], np.empty(0))
+    names = list(element["properties"])
+    columns = {key: (data[key] if isinstance(data, dict) else data[key]["f1"] if data[key].dtype.names else data[key])
+               for key in names if key in (data if isinstance(data, dict) else data.dtype.names)}
+    short = [key for key in names if key not in columns or len(columns[key]) != element["length"]]
+    if short:
+        raise error(place, f"the file ends early: property '{short[0]}' of {element['length']} {name} items is cut off",
+                    _REEXPORT)
+    return columns
+
+
+def _ply_attributes(columns: dict[str, Any], prefix: str, place: str, note: Any) -> dict[str, np.ndarray]:
+    """Group the remaining properties as Mitsuba does: r, g, b -> "color"; albedo_x, _y, _z -> "albedo"."""
+    groups: dict[str, dict[int, np.ndarray]] = {}
+    for name, values in columns.items():
+        stem, _, suffix = name.rpartition("_")
+        if name in _COLOR_NAMES:
+            stem, position = "color", _COLOR_NAMES[name]
+        elif stem and len(suffix) == 1 and any(suffix in letters for letters in _SUFFIXES):
+            position = next(letters.index(suffix) for letters in _SUFFIXES if suffix in letters)
+            position = position if not suffix.isdigit() or f"{stem}_0" in columns else int(suffix) - 1
+        else:
+            note(f"{place}: property '{name}' is ignored: its name has no component suffix such as _x, _r or _0")
+            continue
+        groups.setdefault(stem, {})[position] = values
+    found = {}
+    for stem, parts in groups.items():
+        # The alpha of a colour is no part of it.
+        keys = [key for key in sorted(parts) if stem != "color" or key < 3]
+        if keys not in ([0], [0, 1, 2]):
+            note(f"{place}: attribute '{prefix}{stem}' is ignored: it has {len(keys)} components, expected 1 or 3")
+            continue
+        values = _stack([parts[key] for key in keys], np.float32)
+        if parts[keys[0]].dtype.kind in "ui" and stem == "color":
+            values /= np.iinfo(parts[keys[0]].dtype).max
+            note(f"{place}: the whole-number colours of '{prefix}{stem}' were scaled to [0, 1]")
+        found[f"{prefix}{stem}"] = values
+    return found
+
+
+def _stack(columns: list[np.ndarray], dtype: Any) -> np.ndarray:
+    return np.stack([np.asarray(column).reshape(-1) for column in columns], axis=1).astype(dtype)
+
+
+def _read_gltf(file: Path, place: str, note: Any) -> MeshData:
+    """Read all meshes of a glTF file, placed by its nodes and joined; materials are left out."""
+    from trimesh.exchange import gltf  # noqa: PLC0415
+    from trimesh.resolvers import FilePathResolver  # noqa: PLC0415
+    from trimesh.scene.transforms import SceneGraph  # noqa: PLC0415
+
+    load = gltf.load_glb if file.suffix.lower() == ".glb" else gltf.load_gltf
+    values = _guarded(load, file, place, resolver=FilePathResolver(str(file)))
+    graph = SceneGraph(base_frame=values.get("base_frame", "world"))
+    for edge in values.get("graph", ()):
+        graph.update(**edge)
+    parts = []
+    for node in graph.nodes_geometry:
+        matrix, name = graph.get(node)
+        part = values["geometry"][name]
+        if len(part.get("faces", ())):
+            parts.append(_gltf_part(part, np.asarray(matrix, dtype=np.float64)))
+    if not parts:
+        return MeshData(np.empty((0, 3)), np.empty((0, 3), dtype=np.int64))
+    note(f"{place}: materials of glTF files are ignored; the shape's bsdf is used")
+    starts = np.cumsum([0, *(len(part.vertices) for part in parts)])
+    data = MeshData(
+        np.concatenate([part.vertices for part in parts]),
+        np.concatenate([part.faces + start for part, start in zip(parts, starts[:-1], strict=True)]),
+    )
+    if any(part.normals is not None for part in parts):
+        data.normals = np.concatenate(
+            [vertex_normals(p.vertices, p.faces) if p.normals is None else p.normals for p in parts]
+        )
+    if any(part.texcoords is not None for part in parts):
+        data.texcoords = np.concatenate(
+            [np.zeros((len(p.vertices), 2)) if p.texcoords is None else p.texcoords for p in parts]
+        )
+    return data
+
+
+def _gltf_part(part: dict, matrix: np.ndarray) -> MeshData:
+    faces = np.asarray(part["faces"], dtype=np.int64)
+    if np.linalg.det(matrix[:3, :3]) < 0.0:
+        # A mirrored node keeps its front side (glTF 2.0, section 3.7.4).
+        faces = faces[:, ::-1]
+    data = MeshData(transform_points(matrix, part["vertices"]), faces)
+    if part.get("vertex_normals") is not None:
+        data.normals = transform_normals(matrix, part["vertex_normals"])
+    uv = getattr(part.get("visual"), "uv", None)
+    data.texcoords = None if uv is None else np.asarray(uv, dtype=np.float64)
+    return data

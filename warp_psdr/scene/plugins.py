@@ -1,0 +1,272 @@
+"""What is supported, and typed access to a plugin's parameters with messages that name the place."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from .errors import SceneError, did_you_mean, error, listing
+from .transforms import as_matrix
+
+if TYPE_CHECKING:
+    from .context import Context
+
+#: Supported plugins by the XML tag (category) that introduces them.
+PLUGINS: dict[str, tuple[str, ...]] = {
+    "scene": ("scene",),
+    "shape": (
+        *("rectangle", "cube", "sphere", "disk", "cylinder"),
+        *("obj", "ply", "gltf", "glb", "stl", "off", "mesh"),
+    ),
+    "bsdf": ("diffuse", "conductor", "roughconductor", "dielectric", "twosided"),
+    "texture": ("bitmap", "mesh_attribute", "rgb", "spectrum", "uniform"),
+    "emitter": ("area", "constant", "envmap", "point", "spot", "directional"),
+    "sensor": ("perspective",),
+    "film": ("hdrfilm",),
+    "rfilter": ("box", "tent", "gaussian"),
+    "sampler": ("independent", "sobol", "multijitter", "stratified", "orthogonal", "ldsampler"),
+    "integrator": (
+        *("path", "direct", "prb", "prb_basic", "prb_projective", "direct_projective"),
+        *("volpath", "volpathmis", "prbvolpath", "aov", "ptracer", "depth", "moment"),
+    ),
+}
+
+#: Keys of a plugin's dictionary that are no parameters.
+RESERVED = ("type", "id")
+
+
+class Node(dict):
+    """A plugin's dictionary that knows where it was written and under which XML tag.
+
+    Args:
+        where: Place in the file, for messages.
+        category: The tag, a key of ``PLUGINS``; empty when unknown.
+    """
+
+    __slots__ = ("category", "where")
+
+    def __init__(self, values: dict | None = None, where: str = "", category: str = ""):
+        super().__init__(values or {})
+        self.where = where
+        self.category = category
+
+
+def plugin_type(node: dict, where: str) -> str:
+    """Return a plugin dictionary's ``type``.
+
+    Raises:
+        ValueError: If there is none.
+    """
+    name = node.get("type")
+    if not isinstance(name, str):
+        raise error(where, f"a plugin's 'type' is {name!r}", "name the plugin, for example {'type': 'diffuse'}")
+    return name
+
+
+def category_of(node: dict, where: str) -> str:
+    """Return the category of a plugin dictionary: "shape", "bsdf", ...
+
+    Raises:
+        ValueError: If the plugin is not supported, or stands under the wrong tag.
+    """
+    name = plugin_type(node, where)
+    wanted = getattr(node, "category", "")
+    found = next((category for category, names in PLUGINS.items() if name in names), "")
+    if wanted and found != wanted and name not in PLUGINS.get(wanted, ()):
+        raise unsupported_plugin(name, where, wanted)
+    if not found:
+        raise unsupported_plugin(name, where)
+    return wanted or found
+
+
+def unsupported_plugin(name: str, where: str, category: str = "") -> SceneError:
+    """Return the exception for a plugin that is not supported (here)."""
+    if category and category not in PLUGINS:
+        return error(where, f"a <{category}> ('{name}') is not supported", f"supported: {listing(PLUGINS)}")
+    if category:
+        names = PLUGINS[category]
+        return error(
+            where,
+            f"unsupported {category} '{name}'{did_you_mean(name, names)}",
+            f"supported {category} plugins: {listing(names)}",
+        )
+    every = [n for names in PLUGINS.values() for n in names]
+    return error(
+        where, f"unsupported plugin '{name}'{did_you_mean(name, every)}", f"supported plugins: {listing(every)}"
+    )
+
+
+class Properties:
+    """A plugin's parameters; each may be taken once, and what is left at the end is an error.
+
+    Args:
+        node: The plugin's dictionary.
+        where: Its place, for messages.
+        path: The name under which ``psdr.traverse`` lists its parameters.
+        context: The load in progress.
+    """
+
+    def __init__(self, node: dict, where: str, path: str, context: Context):
+        self.node = node
+        self.where = where
+        self.path = path
+        self.context = context
+        self.type = plugin_type(node, where)
+        self._left = {key: value for key, value in node.items() if key not in RESERVED}
+        self._asked: list[str] = []
+
+    def place(self, name: str) -> str:
+        """Return the place of a parameter, for messages."""
+        return f"{self.where}, parameter '{name}'"
+
+    def has(self, *names: str) -> bool:
+        """Return whether any of the parameters is given."""
+        return any(name in self.node for name in names)
+
+    def take(self, name: str, default: Any = None) -> Any:
+        """Return a parameter as it was given."""
+        self._asked.append(name)
+        return self._left.pop(name, default)
+
+    def ignore(self, *names: str, reason: str) -> None:
+        """Take parameters that do not matter here, with a note for each that is given."""
+        for name in names:
+            if name in self._left:
+                self.context.note(f"{self.place(name)} is ignored: {reason}")
+            self.take(name)
+
+    def number(
+        self,
+        name: str,
+        default: float | None,
+        *,
+        minimum: float = -np.inf,
+        maximum: float = np.inf,
+        exclusive: bool = False,
+    ) -> float:
+        """Return a finite number inside the range; ``exclusive`` leaves its ends out."""
+        value = self.take(name, default)
+        if isinstance(value, (bool, np.bool_)) or not _is_number(value):
+            raise error(self.place(name), f"got {value!r}", "give one number")
+        number = float(np.asarray(value).reshape(()))
+        inside = minimum < number < maximum if exclusive else minimum <= number <= maximum
+        if not (np.isfinite(number) and inside):
+            raise error(self.place(name), f"got {number:g}", f"give {_range(minimum, maximum, exclusive)}")
+        return number
+
+    def integer(self, name: str, default: int, *, minimum: int | None = None) -> int:
+        """Return a whole number, at least ``minimum``."""
+        number = self.number(name, default)
+        if number != round(number) or (minimum is not None and number < minimum):
+            limit = "" if minimum is None else f" of at least {minimum}"
+            raise error(self.place(name), f"got {number:g}", f"give a whole number{limit}")
+        return round(number)
+
+    def boolean(self, name: str, default: bool) -> bool:
+        """Return a truth value."""
+        value = self.take(name, default)
+        if not isinstance(value, (bool, np.bool_)):
+            raise error(self.place(name), f"got {value!r}", "give true or false")
+        return bool(value)
+
+    def string(self, name: str, default: str, choices: Iterable[str] = ()) -> str:
+        """Return a text, one of ``choices`` if there are any."""
+        value = self.take(name, default)
+        names = tuple(choices)
+        if not isinstance(value, str) or (names and value not in names):
+            hint = did_you_mean(value, names) if isinstance(value, str) else ""
+            remedy = f"give one of: {listing(names)}" if names else "give a text"
+            raise error(self.place(name), f"got {value!r}{hint}", remedy)
+        return value
+
+    def vector(self, name: str, default: Iterable[float]) -> np.ndarray:
+        """Return three finite numbers, float64."""
+        value = self.take(name, default)
+        try:
+            vector = np.array(value, dtype=np.float64)
+        except (TypeError, ValueError):
+            vector = np.empty(0)
+        if vector.shape != (3,) or not np.isfinite(vector).all():
+            raise error(self.place(name), f"got {value!r}", "give three finite numbers")
+        return vector
+
+    def transform(self, name: str) -> np.ndarray:
+        """Return an invertible affine 4x4 matrix, float64; identity when it is not given."""
+        value = self.take(name)
+        if value is None:
+            return np.eye(4)
+        try:
+            matrix = as_matrix(value)
+        except SceneError as problem:
+            raise SceneError(f"{self.place(name)}: {problem}") from None
+        singular = np.linalg.svd(matrix[:3, :3], compute_uv=False)
+        if singular[-1] <= 1e-10 * singular[0] or singular[0] == 0.0:
+            raise error(
+                self.place(name), "the matrix is singular", "give an invertible one (no zero scale, no repeated rows)"
+            )
+        return matrix
+
+    def plugins(self) -> list[tuple[str, dict, str, str]]:
+        """Return the nested plugins, references resolved, as (key, node, where, category)."""
+        found = []
+        for key, value in self._left.items():
+            if isinstance(value, dict):
+                node, where = self.context.resolve(value, self.context.inside(self.where, key, value))
+                found.append((key, node, where, category_of(node, where)))
+        return found
+
+    def children(self, category: str, limit: int = 1) -> list[tuple[str, dict, str]]:
+        """Take the nested plugins of a category, whatever their keys, as (key, node, where).
+
+        Raises:
+            ValueError: If there are more than ``limit``.
+        """
+        found = [(key, node, where) for key, node, where, kind in self.plugins() if kind == category]
+        if len(found) > limit:
+            keys = listing(f"'{key}'" for key, _, _ in found)
+            raise error(self.where, f"{len(found)} {category} plugins ({keys})", f"give at most {limit}")
+        for key, _, _ in found:
+            self.take(key)
+        return found
+
+    def finish(self) -> None:
+        """Raise for parameters that nothing asked for.
+
+        Raises:
+            ValueError: If any parameter is left.
+        """
+        for name, value in self._left.items():
+            known = sorted(set(self._asked))
+            if isinstance(value, dict):
+                node, where = self.context.resolve(value, self.context.inside(self.where, name, value))
+                category = category_of(node, where)
+                raise error(
+                    where,
+                    f"a '{self.type}' takes no {category} plugin here (got '{node.get('type')}' as '{name}')"
+                    f"{did_you_mean(name, known)}",
+                    f"its parameters are: {listing(known) or 'none'}",
+                )
+            raise error(
+                self.where,
+                f"'{self.type}' has no parameter '{name}'{did_you_mean(name, known)}",
+                f"its parameters are: {listing(known) or 'none'}",
+            )
+
+
+def _is_number(value: Any) -> bool:
+    if isinstance(value, (int, float, np.number)):
+        return True
+    return isinstance(value, np.ndarray) and value.size == 1 and value.dtype.kind in "iuf"
+
+
+def _range(minimum: float, maximum: float, exclusive: bool) -> str:
+    if np.isinf(minimum) and np.isinf(maximum):
+        return "a finite number"
+    if np.isinf(maximum):
+        return f"a finite number {'above' if exclusive else 'of at least'} {minimum:g}"
+    if np.isinf(minimum):
+        return f"a finite number {'below' if exclusive else 'of at most'} {maximum:g}"
+    ends = ", ends excluded" if exclusive else ""
+    return f"a number between {minimum:g} and {maximum:g}{ends}"

@@ -1,0 +1,191 @@
+"""Textures: constants, bitmaps and mesh attributes.
+
+Bitmaps keep their rows as stored, top row first; as in Mitsuba the first row lies at v = 0, and loaders of meshes whose
+format counts v from the bottom flip v instead (``flip_tex_coords``).
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Literal, cast
+
+import numpy as np
+
+from ..image_io import read_image, srgb_to_linear
+from .description import TextureDescription
+from .errors import SceneError, error
+from .plugins import Properties, category_of
+from .spectra import COLOR_TYPES, LUMINANCE, check_range, color
+from .transforms import as_matrix
+
+if TYPE_CHECKING:
+    from .context import Context
+
+_FILTERS = ("bilinear", "nearest")
+_WRAPS = ("repeat", "mirror", "clamp")
+
+
+def texture(
+    props: Properties,
+    name: str,
+    default: float | np.ndarray,
+    *,
+    low: float = 0.0,
+    high: float = np.inf,
+    emissive: bool = False,
+    scalar: bool = False,
+) -> TextureDescription:
+    """Take a plugin's parameter that may vary over the surface.
+
+    Args:
+        props: The plugin.
+        name: The parameter.
+        default: Its value when it is not given.
+        low: Smallest admissible value.
+        high: Largest admissible value.
+        emissive: Whether it is emitted light.
+        scalar: Whether it is one number; colour bitmaps are reduced to their luminance.
+
+    Raises:
+        ValueError: If the value is of a wrong form or out of range.
+    """
+    value = props.take(name)
+    place, path = props.place(name), f"{props.path}.{name}"
+    if value is None:
+        result = constant(path, default)
+    elif isinstance(value, dict):
+        node, where = props.context.resolve(value, props.context.inside(props.where, name, value))
+        place = where if node is not value else place
+        variant = f"texture scalar={scalar} emissive={emissive}"
+        result = props.context.build(
+            node, where, variant, lambda: build(node, where, path, props.context, emissive, scalar)
+        )
+    else:
+        result = constant(path, color(value, place, emissive=emissive))
+    if scalar and result.kind == "constant" and result.value.size != 1:
+        raise error(place, f"got the colour {result.value.tolist()}", f"'{name}' is one number")
+    if result.value.size:
+        check_range(result.value, place, low, high, f"'{name}'")
+    return result
+
+
+def constant(path: str, value: Any) -> TextureDescription:
+    """Return a texture of one value."""
+    return TextureDescription(path, "constant", np.atleast_1d(np.asarray(value, dtype=np.float32)))
+
+
+def build(
+    node: dict, where: str, path: str, context: Context, emissive: bool = False, scalar: bool = False
+) -> TextureDescription:
+    """Return the texture that a nested dictionary describes."""
+    if node.get("type") in COLOR_TYPES:
+        return constant(path, color(node, where, emissive=emissive))
+    if category_of(node, where) != "texture":
+        raise error(where, f"a '{node.get('type')}' is no texture", "give a colour, a bitmap or a mesh_attribute")
+    props = Properties(node, where, path, context)
+    return _mesh_attribute(props) if props.type == "mesh_attribute" else _bitmap(props, scalar)
+
+
+def bitmap_values(props: Properties, raw: bool) -> np.ndarray:
+    """Take a plugin's image: ``filename``, or ``bitmap`` or ``data`` in memory; linear, shape (H, W, 1 or 3).
+
+    Integer arrays hold sRGB unless ``raw``; floating-point arrays are linear.
+
+    Raises:
+        ValueError: If there is none, more than one, or its shape is wrong.
+        FileNotFoundError: If the file does not exist.
+    """
+    given = [name for name in ("filename", "bitmap", "data") if props.has(name)]
+    sources = {name: props.take(name) for name in ("filename", "bitmap", "data")}
+    if len(given) != 1:
+        problem = f"got {' and '.join(given)}" if given else "there is no image"
+        raise error(props.where, problem, "give one of 'filename', 'bitmap' and 'data'")
+    place, value = props.place(given[0]), sources[given[0]]
+    if given[0] == "filename":
+        file = props.context.file(value, place)
+        try:
+            image = read_image(file, raw=raw)
+        except ValueError as problem:
+            raise SceneError(f"{place}: {problem}") from None
+    else:
+        try:
+            image = np.array(value.numpy() if hasattr(value, "numpy") else value)
+        except (TypeError, ValueError):
+            image = np.empty(0)
+        if image.dtype.kind == "u":
+            image = image.astype(np.float32) / np.iinfo(image.dtype).max
+            image = image if raw else srgb_to_linear(image)
+        elif image.dtype.kind != "f":
+            raise error(place, f"got an array of type {image.dtype}", "give float (linear) or uint8 (sRGB) values")
+        image = image.astype(np.float32)
+    if image.ndim == 2:
+        image = image[..., None]
+    if image.ndim != 3 or image.shape[2] not in (1, 2, 3, 4) or 0 in image.shape:
+        raise error(place, f"the image has shape {image.shape}", "give (H, W), (H, W, 1), (H, W, 3) or (H, W, 4)")
+    # A second or fourth channel is alpha, which textures do not have.
+    return np.ascontiguousarray(image[..., : 1 if image.shape[2] <= 2 else 3])
+
+
+def _bitmap(props: Properties, scalar: bool) -> TextureDescription:
+    values = bitmap_values(props, props.boolean("raw", False))
+    if scalar and values.shape[2] == 3:
+        values = (values @ LUMINANCE)[..., None]
+    props.ignore("format", "accel", reason="texels are always kept as 32-bit floats")
+    result = TextureDescription(
+        props.path,
+        "bitmap",
+        values,
+        filter=cast(Literal["bilinear", "nearest"], props.string("filter_type", "bilinear", _FILTERS)),
+        wrap=cast(Literal["repeat", "mirror", "clamp"], props.string("wrap_mode", "repeat", _WRAPS)),
+        to_uv=_to_uv(props),
+    )
+    props.finish()
+    return result
+
+
+def _to_uv(props: Properties) -> np.ndarray:
+    """Take the (3, 3) transformation of texture coordinates; of a 4x4 one, z is dropped."""
+    value, place = props.take("to_uv"), props.place("to_uv")
+    if value is None:
+        return np.eye(3, dtype=np.float32)
+    plain = getattr(value, "matrix", value)
+    if np.shape(plain) == (3, 3):
+        matrix = np.array(plain, dtype=np.float64)
+    else:
+        try:
+            matrix = np.delete(np.delete(as_matrix(value), 2, axis=0), 2, axis=1)
+        except SceneError as problem:
+            raise SceneError(f"{place}: {problem}") from None
+    if not np.isfinite(matrix).all() or not np.allclose(matrix[2], [0.0, 0.0, 1.0]):
+        raise error(place, f"got {matrix.tolist()}", "give an affine 3x3 or 4x4 matrix")
+    return matrix.astype(np.float32)
+
+
+def _mesh_attribute(props: Properties) -> TextureDescription:
+    name = props.string("name", "")
+    if not name.startswith(("vertex_", "face_")):
+        raise error(props.place("name"), f"got {name!r}", "name an attribute that starts with 'vertex_' or 'face_'")
+    scale = props.number("scale", 1.0)
+    if scale != 1.0:
+        raise error(props.place("scale"), f"got {scale:g}", "only 1 is supported; scale the attribute's values instead")
+    props.finish()
+    return TextureDescription(props.path, "mesh_attribute", np.zeros(0, dtype=np.float32), attribute=name)
+
+
+def check_attribute(result: TextureDescription, attributes: dict[str, np.ndarray], where: str, low: float, high: float,
+                    scalar: bool) -> None:
+    """Raise if a mesh_attribute texture names an attribute that a shape lacks, or whose values do not fit.
+
+    Raises:
+        ValueError: With the attributes that the shape has.
+    """
+    if result.kind != "mesh_attribute":
+        return
+    if result.attribute not in attributes:
+        known = ", ".join(sorted(attributes)) or "none"
+        raise error(where, f"the shape has no attribute '{result.attribute}'", f"its attributes are: {known}")
+    values = attributes[result.attribute]
+    if values.shape[1] not in ((1,) if scalar else (1, 3)):
+        wanted = "1 channel" if scalar else "1 or 3 channels"
+        raise error(where, f"attribute '{result.attribute}' has {values.shape[1]} channels", f"give {wanted}")
+    check_range(values, where, low, high, f"attribute '{result.attribute}'")
+

@@ -1,0 +1,157 @@
+"""Affine transformations of 3D space."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from .errors import SceneError
+
+
+class _Chained:
+    """Let a constructor be called on the class, or on a transformation that it then extends."""
+
+    def __init__(self, function: Callable[..., np.ndarray]):
+        self.function = function
+        self.__doc__ = function.__doc__
+
+    def __get__(self, instance: Transform | None, owner: type[Transform]) -> Callable[..., Transform]:
+        def call(*args: Any, **kwargs: Any) -> Transform:
+            step = owner(self.function(*args, **kwargs))
+            return step if instance is None else instance @ step
+
+        call.__doc__ = self.__doc__
+        return call
+
+
+class Transform:
+    """An affine transformation, a 4x4 matrix that acts on column vectors.
+
+    The constructors work on the class and in chains: ``Transform.translate(a) @ Transform.scale(b)`` equals
+    ``Transform().translate(a).scale(b)``; both scale first and translate last.
+
+    Args:
+        matrix: Shape (4, 4), or (3, 3) for a linear map; identity by default.
+
+    Raises:
+        ValueError: If the matrix is of another shape, is not finite or is not affine.
+    """
+
+    __slots__ = ("matrix",)
+
+    matrix: np.ndarray
+
+    def __init__(self, matrix: Any = None):
+        self.matrix = np.eye(4) if matrix is None else as_matrix(matrix)
+
+    @_Chained
+    def translate(v: Any) -> np.ndarray:  # noqa: N805 - bound by _Chained, which drops the instance
+        """Return the translation by ``v``, shape (3,)."""
+        matrix = np.eye(4)
+        matrix[:3, 3] = _vector(v, "translate")
+        return matrix
+
+    @_Chained
+    def scale(v: Any) -> np.ndarray:  # noqa: N805
+        """Return the scaling by ``v``, one number or shape (3,)."""
+        factors = np.asarray(v, dtype=np.float64)
+        return np.diag([*(np.full(3, factors) if factors.ndim == 0 else _vector(v, "scale")), 1.0])
+
+    @_Chained
+    def rotate(axis: Any, degrees: float) -> np.ndarray:  # noqa: N805
+        """Return the rotation about ``axis``, shape (3,), by an angle in degrees, counter-clockwise."""
+        x, y, z = _unit(_vector(axis, "rotate"), "the axis of a rotation has no length; give a non-zero axis")
+        angle = math.radians(float(degrees))
+        cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+        matrix = np.eye(4)
+        # Rodrigues' formula.
+        matrix[:3, :3] += math.sin(angle) * cross + (1.0 - math.cos(angle)) * (cross @ cross)
+        return matrix
+
+    @_Chained
+    def look_at(origin: Any, target: Any, up: Any = (0.0, 1.0, 0.0)) -> np.ndarray:  # noqa: N805
+        """Return the frame at ``origin`` whose +z points to ``target``, with +y towards ``up`` and +x to the left."""
+        eye = _vector(origin, "look_at origin")
+        z = _unit(_vector(target, "look_at target") - eye, "origin and target of look_at coincide; move one of them")
+        hint = "up of look_at is zero or parallel to the viewing direction; choose another up vector"
+        x = _unit(np.cross(_unit(_vector(up, "look_at up"), hint), z), hint)
+        matrix = np.eye(4)
+        matrix[:3, :4] = np.stack([x, np.cross(z, x), z, eye], axis=1)
+        return matrix
+
+    def inverse(self) -> Transform:
+        """Return the inverse transformation."""
+        return Transform(np.linalg.inv(self.matrix))
+
+    def __matmul__(self, other: Any) -> Transform:
+        """Compose: the right operand is applied first."""
+        return Transform(self.matrix @ as_matrix(other))
+
+    def __rmatmul__(self, other: Any) -> Transform:
+        """Compose with a matrix on the left."""
+        return Transform(as_matrix(other) @ self.matrix)
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
+        """Return the matrix, shape (4, 4)."""
+        return np.array(self.matrix, dtype=dtype)
+
+    def __repr__(self) -> str:
+        """Return the matrix as text."""
+        return f"Transform({self.matrix.tolist()})"
+
+
+def as_matrix(value: Any) -> np.ndarray:
+    """Return a 4x4 float64 matrix from a ``Transform``, an array, nested lists or another library's transform.
+
+    Raises:
+        ValueError: If the value is no affine transformation of 3D space.
+    """
+    if isinstance(value, Transform):
+        return value.matrix
+    # Transforms of other libraries carry their matrix in an attribute of this name.
+    source = getattr(value, "matrix", value)
+    try:
+        matrix = np.array(source, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise SceneError(f"got {value!r} for a transformation; give a 4x4 matrix or a psdr.Transform") from None
+    if matrix.shape == (3, 3):
+        linear, matrix = matrix, np.eye(4)
+        matrix[:3, :3] = linear
+    if matrix.shape != (4, 4):
+        raise SceneError(f"a transformation has shape {matrix.shape}; give a 4x4 matrix or a psdr.Transform")
+    if not np.isfinite(matrix).all():
+        raise SceneError("a transformation holds NaN or infinity; give finite numbers")
+    if not np.allclose(matrix[3], [0.0, 0.0, 0.0, 1.0], atol=1e-6):
+        raise SceneError(
+            f"the last row of a transformation is {matrix[3].tolist()}; only affine maps are supported, "
+            "so it must be [0, 0, 0, 1]"
+        )
+    return matrix
+
+
+def transform_points(matrix: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Return the transformed points, float64, shape (N, 3)."""
+    return np.asarray(points, dtype=np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
+
+
+def transform_normals(matrix: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """Return the unit normals moved by the inverse transpose, float64, shape (N, 3)."""
+    moved = np.asarray(normals, dtype=np.float64) @ np.linalg.inv(matrix[:3, :3])
+    return moved / np.maximum(np.linalg.norm(moved, axis=-1, keepdims=True), np.finfo(np.float64).tiny)
+
+
+def _vector(value: Any, what: str) -> np.ndarray:
+    vector = np.asarray(value, dtype=np.float64)
+    if vector.shape != (3,) or not np.isfinite(vector).all():
+        raise SceneError(f"{what} got {value!r}; give three finite numbers")
+    return vector
+
+
+def _unit(vector: np.ndarray, problem: str) -> np.ndarray:
+    length = float(np.linalg.norm(vector))
+    if length < 1e-12:
+        raise SceneError(problem)
+    return vector / length

@@ -1,0 +1,88 @@
+"""Worker threads: a launch is split into fixed lanes, and idle workers take the next lane.
+
+Warp's CPU launches run on one thread and release the interpreter lock, so threads scale with the cores. The split
+into lanes does not depend on the number of workers, and every lane accumulates into a gradient buffer of its own, so
+results are the same bit for bit for any number of workers.
+"""
+
+from __future__ import annotations
+
+import functools
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+
+#: Lanes of a launch. More lanes balance better and scale to more cores, fewer need fewer gradient buffers.
+LANES = 16
+#: Gradient buffers together hold at most this many floats (64 MB).
+LANE_FLOATS = 1 << 24
+#: Pixels of one launch: small enough to balance, large enough to hide the launch (10 us).
+MIN_CHUNK, MAX_CHUNK = 64, 4096
+
+_workers = 0
+_pool: ThreadPoolExecutor | None = None
+
+
+def set_workers(n: int | None) -> None:
+    """Set the number of worker threads for CPU rendering.
+
+    Args:
+        n: threads; None: one for every core that this process may use (the default).
+
+    Raises:
+        ValueError: ``n`` is not a positive integer.
+    """
+    global _workers, _pool
+    if n is not None and (isinstance(n, bool) or not isinstance(n, int) or n < 1):
+        raise ValueError(f"workers: got {n!r}, expected a positive integer, or None for all cores")
+    if _pool is not None:
+        _pool.shutdown()
+        _pool = None
+    _workers = n or 0
+
+
+def workers() -> int:
+    """Return the number of worker threads in use."""
+    return _workers or len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else _workers or os.cpu_count() or 1
+
+
+def run_lanes(lane: Callable[[int], None], lanes: int) -> None:
+    """Call ``lane(i)`` for every i below ``lanes`` on the worker threads and wait; the first error is raised."""
+    global _pool
+    n = min(workers(), lanes)
+    if n <= 1:
+        for i in range(lanes):
+            lane(i)
+        return
+    if _pool is None:
+        _pool = ThreadPoolExecutor(workers(), thread_name_prefix="warp_psdr")
+    for future in [_pool.submit(lane, i) for i in range(lanes)]:
+        future.result()
+
+
+def lane_count(floats: int) -> int:
+    """Return how many lanes a launch with gradient buffers of ``floats`` values gets; independent of the workers."""
+    return max(2, min(LANES, LANE_FLOATS // max(floats, 1)))
+
+
+def chunks(pixels: int, lanes: int) -> list[list[tuple[int, int]]]:
+    """Split ``pixels`` into launches (first, count) and deal them out to lanes in turn."""
+    size = min(max(pixels // (4 * lanes), MIN_CHUNK), MAX_CHUNK)
+    result: list[list[tuple[int, int]]] = [[] for _ in range(lanes)]
+    for i, first in enumerate(range(0, pixels, size)):
+        result[i % lanes].append((first, min(size, pixels - first)))
+    return result
+
+
+@functools.lru_cache(maxsize=32)
+def pixel_order(width: int, height: int) -> np.ndarray:
+    """Return all pixel numbers (row * width + column) along a Morton curve: neighbours in time are neighbours in space."""
+    y, x = np.mgrid[0:height, 0:width].astype(np.uint64)
+    code = np.zeros_like(x)
+    for bit in range(16):
+        one = np.uint64(1)
+        code |= ((x >> np.uint64(bit)) & one) << np.uint64(2 * bit)
+        code |= ((y >> np.uint64(bit)) & one) << np.uint64(2 * bit + 1)
+    return np.argsort(code.reshape(-1), kind="stable").astype(np.int32)
