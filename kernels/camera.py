@@ -15,6 +15,7 @@ import functools
 
 import warp as wp
 
+from warp_psdr.kernels.autodiff import differentiable
 from warp_psdr.kernels.sink import make_sink
 from warp_psdr.kernels.structs import Camera, Scene
 
@@ -54,6 +55,7 @@ def camera_direction(
     )
 
 
+@differentiable
 @wp.func
 def camera_dot(
     m: wp.mat44, fov: wp.float32, cx: wp.float32, cy: wp.float32,

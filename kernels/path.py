@@ -201,23 +201,19 @@ def make_light_sampler(config: PathConfig):
     @wp.func
     def sample_light(scene: Scene, x: wp.vec3, u4: wp.vec4) -> tuple[LightSample, wp.int32, wp.float32]:
         index = wp.int32(0)
-        select = u4[0]
         count = scene.emitters.shape[0]
         if count > 1:
-            index = find_interval(scene.emitter_cdf, 0, count, select)
-            low = scene.emitter_cdf[index]
-            # Reuse the selection number: what is left of it is uniform again.
-            select = wp.clamp((select - low) / (scene.emitter_cdf[index + 1] - low), 0.0, 0.99999994)
+            index = find_interval(scene.emitter_cdf, 0, count, u4[0])
         e = scene.emitters[index]
         if wp.static(bool(config.area and config.lights)):
             if e.kind == 0:
-                ls = area(scene, e, x, wp.vec3(select, u4[2], u4[3]))
+                ls = area(scene, e, x, wp.vec3(u4[1], u4[2], u4[3]))
             else:
                 ls = other(scene, e, x, wp.vec2(u4[2], u4[3]))
                 ls.face = -1
             return ls, index, e.probability
         elif wp.static(bool(config.area)):
-            return area(scene, e, x, wp.vec3(select, u4[2], u4[3])), index, e.probability
+            return area(scene, e, x, wp.vec3(u4[1], u4[2], u4[3])), index, e.probability
         else:
             sampled = other(scene, e, x, wp.vec2(u4[2], u4[3]))
             sampled.face = -1
@@ -242,7 +238,8 @@ def make_path_step(config: PathConfig, differential: bool):
     environment_eval = lights.environment_eval if lights else None
     environment_pdf = lights.environment_pdf if lights else None
     environment = environment_eval is not None
-    has_lights = bool(config.area or config.lights)
+    # A delta lobe is never found by next-event estimation.
+    has_lights = bool(config.area or config.lights) and bsdf.eval is not None
     sample_light = make_light_sampler(config) if has_lights else None
     draw = make_sampler(config.sampler)
     sample_4d = draw.sample_4d

@@ -9,16 +9,6 @@ import functools
 import warp as wp
 
 
-@wp.func
-def anchor(a: wp.float32) -> wp.float32:
-    """Nothing. Warp 1.19 emits functions that call ``wp.grad`` behind all others.
-
-    So a function that calls such a function must call ``wp.grad`` itself, and one that otherwise would not says
-    ``_anchor = wp.grad(anchor)(0.0)``; the compiler removes it.
-    """
-    return a
-
-
 @functools.cache
 def make_sink(role: str):
     """Return ``sink(target, offset, value) -> float`` for ``role`` "reverse" or "forward"."""

@@ -45,7 +45,7 @@ class Shape:
 class Texture:
     """A texture's layout; its values start at ``offset`` with ``channels`` (1 or 3) floats a texel, vertex or face.
 
-    Bitmaps are stored row-major, first row at v = 1 (the top, Mitsuba's convention). Vertex and face attributes are
+    Bitmaps are stored row-major, first row at v = 0 (Mitsuba's convention). Vertex and face attributes are
     biased: they take global vertex and face indices.
     """
 
@@ -104,7 +104,6 @@ class Emitter:
     first_face: wp.int32  # area light: its triangles, and where their cumulative areas start in Scene.face_cdf
     face_count: wp.int32
     cdf_offset: wp.int32
-    area: wp.float32
     to_world: wp.int32  # flat offset of a 4x4 row-major matrix (envmap, spot, directional) or of a position (point)
     scale: wp.int32  # flat offset (envmap)
     cutoff: wp.int32  # flat offset of [cutoff_angle, beam_width], degrees (spot)

@@ -15,6 +15,7 @@ import functools
 
 import warp as wp
 
+from warp_psdr.kernels.autodiff import differentiable
 from warp_psdr.kernels.sink import make_sink, make_sink_vec3
 from warp_psdr.kernels.structs import Scene, Triangle
 
@@ -35,7 +36,8 @@ class Surface:
 class VertexAdjoint:
     """Adjoint of a path vertex: position, shading normal, tangent, texture coordinates, attached barycentrics.
 
-    ``p0, p1, p2`` is what its triangle's corners receive directly (through the geometric factor).
+    ``c`` is the adjoint of the cross product (p1 - p0) x (p2 - p0) of its triangle's edges, through which the geometric
+    factor and the face normal depend on the corners.
     """
 
     x: wp.vec3
@@ -44,9 +46,7 @@ class VertexAdjoint:
     uv: wp.vec2
     u: wp.float32
     v: wp.float32
-    p0: wp.vec3
-    p1: wp.vec3
-    p2: wp.vec3
+    c: wp.vec3
 
 
 @wp.struct
@@ -101,6 +101,7 @@ def ray_barycentrics(o: wp.vec3, d: wp.vec3, p0: wp.vec3, p1: wp.vec3, p2: wp.ve
     return wp.vec2(wp.dot(s, q) * inv_det, wp.dot(d, r) * inv_det)
 
 
+@differentiable
 @wp.func
 def barycentrics_dot(
     o: wp.vec3, d: wp.vec3, p0: wp.vec3, p1: wp.vec3, p2: wp.vec3, a_u: wp.float32, a_v: wp.float32
@@ -109,16 +110,13 @@ def barycentrics_dot(
     return a_u * uv[0] + a_v * uv[1]
 
 
+@differentiable
 @wp.func
 def smooth_normal_dot(n0: wp.vec3, n1: wp.vec3, n2: wp.vec3, u: wp.float32, v: wp.float32, a: wp.vec3) -> wp.float32:
     return wp.dot(a, wp.normalize((1.0 - u - v) * n0 + u * n1 + v * n2))
 
 
-@wp.func
-def flat_normal_dot(p0: wp.vec3, p1: wp.vec3, p2: wp.vec3, a: wp.vec3) -> wp.float32:
-    return wp.dot(a, wp.normalize(wp.cross(p1 - p0, p2 - p0)))
-
-
+@differentiable
 @wp.func
 def tangent_dot(
     p0: wp.vec3, p1: wp.vec3, p2: wp.vec3, t0: wp.vec2, t1: wp.vec2, t2: wp.vec2, a: wp.vec3
@@ -127,28 +125,9 @@ def tangent_dot(
 
 
 @wp.func
-def direction_dot(x: wp.vec3, y: wp.vec3, a: wp.vec3) -> wp.float32:
-    return wp.dot(a, wp.normalize(y - x))
-
-
-@wp.func
-def geometric_factor(x: wp.vec3, y: wp.vec3, p0: wp.vec3, p1: wp.vec3, p2: wp.vec3) -> wp.float32:
-    """G(x, y) J(y) without the cosine at x, up to a constant: |cos y| area / t^2, the triangle's area being J's.
-
-    The cosine at x belongs to the scattering value. Twice the area times the unit normal is the cross product of two
-    edges, so no normalisation is needed: |N . (y - x)| / |y - x|^3 (survey eq. 9 and 11).
-    """
-    r = y - x
-    squared = wp.dot(r, r)
-    return wp.abs(wp.dot(wp.cross(p1 - p0, p2 - p0), r)) / (squared * wp.sqrt(squared))
-
-
-@wp.func
-def connection_dot(
-    x: wp.vec3, y: wp.vec3, p0: wp.vec3, p1: wp.vec3, p2: wp.vec3, a_wo: wp.vec3, a_g: wp.float32
-) -> wp.float32:
-    """Local factor of a connection x -> y in material form: its direction and its geometric factor."""
-    return wp.dot(a_wo, wp.normalize(y - x)) + a_g * geometric_factor(x, y, p0, p1, p2)
+def normalize_vjp(unit: wp.vec3, length: wp.float32, a: wp.vec3) -> wp.vec3:
+    """Adjoint of r from the adjoint of r / |r| = unit: (a - unit (unit . a)) / |r|."""
+    return (a - unit * wp.dot(unit, a)) / length
 
 
 @functools.cache
@@ -226,11 +205,14 @@ def make_vertex_sink(role: str, smooth: bool, flat: bool, uv: bool, tangent: boo
         total = wp.float32(0.0)
         w = 1.0 - u - v
         # Position: x = w p0 + u p1 + v p2.
-        a0 = adjoint.p0 + w * adjoint.x
-        a1 = adjoint.p1 + u * adjoint.x
-        a2 = adjoint.p2 + v * adjoint.x
-        a_u = adjoint.u + wp.dot(adjoint.x, tri.p1 - tri.p0)
-        a_v = adjoint.v + wp.dot(adjoint.x, tri.p2 - tri.p0)
+        e1 = tri.p1 - tri.p0
+        e2 = tri.p2 - tri.p0
+        a0 = w * adjoint.x
+        a1 = u * adjoint.x
+        a2 = v * adjoint.x
+        a_u = adjoint.u
+        a_v = adjoint.v
+        a_c = adjoint.c
         # Shading normal.
         is_smooth = wp.static(smooth) and (shape.smooth == 1 or wp.static(not flat))
         if is_smooth:
@@ -248,10 +230,16 @@ def make_vertex_sink(role: str, smooth: bool, flat: bool, uv: bool, tangent: boo
                     a_v += bv
         else:
             if wp.static(flat):
-                f0, f1, f2, _fa = wp.grad(flat_normal_dot)(tri.p0, tri.p1, tri.p2, shape.orientation * adjoint.n)
-                a0 += f0
-                a1 += f1
-                a2 += f2
+                # n = orientation c / |c|
+                length = wp.length(wp.cross(e1, e2))
+                if length > 0.0:
+                    a_c += normalize_vjp(tri.normal, length, shape.orientation * adjoint.n)
+        # c = e1 x e2: the triple product's rule.
+        a_e1 = wp.cross(e2, a_c)
+        a_e2 = wp.cross(a_c, e1)
+        a0 -= a_e1 + a_e2
+        a1 += a_e1
+        a2 += a_e2
         # Texture coordinates and their tangent.
         if wp.static(uv):
             if shape.has_uv == 1:
@@ -289,6 +277,8 @@ def make_vertex_sink(role: str, smooth: bool, flat: bool, uv: bool, tangent: boo
         # Barycentrics attached to the ray that found them.
         if wp.static(rays):
             if by_ray:
+                a_u += wp.dot(adjoint.x, e1)
+                a_v += wp.dot(adjoint.x, e2)
                 b_o, b_d, b_p0, b_p1, b_p2, _bu, _bv = wp.grad(barycentrics_dot)(
                     o, d, tri.p0, tri.p1, tri.p2, a_u, a_v
                 )

@@ -11,6 +11,7 @@ import functools
 
 import warp as wp
 
+from warp_psdr.kernels.autodiff import anchor, differentiable
 from warp_psdr.kernels.constants import (
     FILTER_NEAREST,
     TEXTURE_BITMAP,
@@ -20,7 +21,7 @@ from warp_psdr.kernels.constants import (
     WRAP_CLAMP,
     WRAP_MIRROR,
 )
-from warp_psdr.kernels.sink import anchor, make_sink
+from warp_psdr.kernels.sink import make_sink
 from warp_psdr.kernels.structs import Scene, Texture
 
 
@@ -109,6 +110,7 @@ def texel(scene: Scene, offset: wp.int32, channels: wp.int32) -> wp.vec3:
     return wp.vec3(a, scene.values[offset + 1], scene.values[offset + 2])
 
 
+@differentiable
 @wp.func
 def bilinear_dot(
     t00: wp.vec3, t10: wp.vec3, t01: wp.vec3, t11: wp.vec3, fx: wp.float32, fy: wp.float32, w: wp.vec3
@@ -249,7 +251,7 @@ def make_texture_sink(role: str, kinds: tuple[int, ...], values: bool, to_uv: bo
         uv: wp.vec2,
         w: wp.vec3,
     ) -> TextureAdjoint:
-        _anchor = wp.grad(anchor)(0.0)  # see kernels/sink.py
+        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
         result = TextureAdjoint()
         texture = scene.textures[index]
         if wp.static(TEXTURE_BITMAP in kinds):

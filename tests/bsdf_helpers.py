@@ -190,12 +190,11 @@ class Launcher:
 
 def twin_fresnel_conductor(cos: float, eta: np.ndarray, k: np.ndarray) -> np.ndarray:
     n = eta + 1j * k
-    # -i sqrt(-z) is the root with its cut on the positive axis, so that eta = 0 lies inside its domain.
-    cos_t = -1j * np.sqrt(-(1.0 - (1.0 - cos**2) / n**2) + 0j)
-    cos_t = np.where((n * cos_t).imag < 0.0, -cos_t, cos_t)
-    cos_t = np.where(((n * cos_t).imag == 0.0) & ((n * cos_t).real < 0.0), -cos_t, cos_t)
-    r_s = (cos - n * cos_t) / (cos + n * cos_t)
-    r_p = (n * cos - cos_t) / (n * cos + cos_t)
+    n_cos_t = n * np.sqrt(1.0 - (1.0 - cos**2) / n**2 + 0j)
+    # Of the two roots the one in the first quadrant; its axes are k = 0 and eta = 0, which lie inside the domain here.
+    n_cos_t = np.where(n_cos_t.real + n_cos_t.imag < 0.0, -n_cos_t, n_cos_t)
+    r_s = (cos - n_cos_t) / (cos + n_cos_t)
+    r_p = (n * n * cos - n_cos_t) / (n * n * cos + n_cos_t)
     return 0.5 * (np.abs(r_s) ** 2 + np.abs(r_p) ** 2)
 
 

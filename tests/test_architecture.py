@@ -9,7 +9,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 #: What device code may import besides its own package.
-DEVICE_IMPORTS = {"__future__", "dataclasses", "functools", "math", "typing", "warp"}
+DEVICE_IMPORTS = {"__future__", "collections", "dataclasses", "functools", "math", "typing", "warp"}
 MAX_LINES = 500
 
 DEVICE_FILES = sorted((ROOT / "kernels").rglob("*.py"))

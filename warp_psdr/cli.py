@@ -70,7 +70,13 @@ def _parser() -> argparse.ArgumentParser:
     )
     _scene_options(gradient)
     _sampling_options(gradient)
-    gradient.add_argument("--param", action="append", required=True, metavar="NAME", help="parameter; may be repeated")
+    gradient.add_argument(
+        "--param",
+        action="append",
+        required=True,
+        metavar="NAME",
+        help="its name, or a pattern such as '*.value'; repeatable",
+    )
     direction = gradient.add_mutually_exclusive_group()
     direction.add_argument("--tangent", type=Path, metavar="FILE.npy", help="direction in which one parameter changes")
     direction.add_argument(
@@ -85,7 +91,13 @@ def _parser() -> argparse.ArgumentParser:
 
     plan = command("plan", _plan, "Print what would be compiled and estimated, and why.")
     _scene_options(plan)
-    plan.add_argument("--param", action="append", default=[], metavar="NAME", help="differentiated; may be repeated")
+    plan.add_argument(
+        "--param",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="its name, or a pattern such as '*.value'; repeatable",
+    )
 
     fit = command("fit", _fit, "Recover parameters of a scene from target images.")
     fit.add_argument("config", type=Path, help="TOML or JSON file, see warp_psdr.fit.FitConfig")
@@ -98,7 +110,7 @@ def _parser() -> argparse.ArgumentParser:
     view = command("view", _view, "Show a scene in 3D, with gradients on its surfaces.")
     _scene_options(view)
     view.add_argument(
-        "--field", action="append", default=[], metavar="NAME=FILE.npy", help="gradient of a parameter; may be repeated"
+        "--field", action="append", default=[], metavar="NAME=FILE.npy", help="gradient of a parameter; repeatable"
     )
     view.add_argument("--outside", action="store_true", help="look from outside instead of through the sensor")
     view.add_argument("--screenshot", type=Path, metavar="FILE.png", help="write a picture instead of a window")
@@ -151,8 +163,7 @@ def _gradient(arguments: argparse.Namespace) -> int:
 
     scene, integrator = _load(arguments)
     params = psdr.traverse(scene)
-    for name in arguments.param:
-        params[name]  # an unknown name raises, and suggests others
+    params.requires_grad(*arguments.param)
     options = {"sensor": arguments.sensor, "integrator": integrator, "spp": arguments.spp, "seed": arguments.seed}
     arguments.output.mkdir(parents=True, exist_ok=True)
     written = (_reverse if arguments.target else _forward)(arguments, scene, params, options)
@@ -166,12 +177,14 @@ def _forward(arguments: argparse.Namespace, scene: Any, params: Any, options: di
     import warp_psdr as psdr
     from warp_psdr import image_io, plots
 
-    tangents = {name: _tangent(arguments, params[name].numpy().shape) for name in arguments.param}
+    if arguments.tangent is not None and len(params.requested) > 1:
+        raise ValueError(f"--tangent belongs to one parameter, got {', '.join(params.requested)}; give one --param")
+    tangents = {name: _tangent(arguments, params[name].numpy().shape) for name in params.requested}
     with _fractions("derivative") as progress:
         image = psdr.render_forward(scene, params, tangents, progress=progress, **options).numpy()
     exr, png = arguments.output / "derivative.exr", arguments.output / "derivative.png"
     image_io.write_image(exr, image)
-    plots.derivative_image(png, image, title="derivative of the image: " + ", ".join(arguments.param))
+    plots.derivative_image(png, image, title="derivative of the image: " + ", ".join(params.requested))
     return [f"wrote {exr}", f"wrote {png}"]
 
 
@@ -184,18 +197,17 @@ def _reverse(arguments: argparse.Namespace, scene: Any, params: Any, options: di
     from warp_psdr.fit import read_target
     from warp_psdr.fit_report import write_gradients
 
-    params.requires_grad(*arguments.param)
-    tape = wp.Tape()
+    film = scene.description.sensors[arguments.sensor].film
+    target = read_target(arguments.target, (film.crop_height, film.crop_width))
     with _fractions("image") as progress:
         image = psdr.render(scene, params, progress=progress, **options)
     image.requires_grad = True
-    target = read_target(arguments.target, image.shape)
-    with tape:
+    with wp.Tape() as tape:
         loss = getattr(losses, arguments.loss)(image, target)
     tape.backward(loss)
     with _fractions("gradient") as progress:
         psdr.render_backward(scene, params, image.grad, progress=progress, **options)
-    gradients = {name: params[name].grad.numpy() for name in arguments.param}
+    gradients = {name: params[name].grad.numpy() for name in params.requested}
     notes = write_gradients(arguments.output, scene, params, gradients)
     return [f"{arguments.loss} loss {loss.numpy()[0]:.6g}", *notes, f"wrote gradients to {arguments.output}"]
 
@@ -272,6 +284,7 @@ def _load(arguments: argparse.Namespace) -> tuple[Any, Any]:
             raise ValueError(f"-D: got {text!r}, expected NAME=VALUE")
         defaults[name] = value
     scene = psdr.load_file(arguments.scene, device=arguments.device, **defaults)
+    scene.camera(arguments.sensor)  # an unknown sensor raises
     for note in scene.description.notes:
         print(f"note: {note}", file=sys.stderr)
     changes: dict[str, Any] = {}
@@ -287,8 +300,6 @@ def _tangent(arguments: argparse.Namespace, shape: tuple[int, ...]) -> Any:
     import numpy as np
 
     if arguments.tangent is not None:
-        if len(arguments.param) > 1:
-            raise ValueError(f"--tangent belongs to one parameter, got {len(arguments.param)}; give one --param")
         return np.load(_existing(arguments.tangent), allow_pickle=False)
     if arguments.translate is None:
         return np.ones(shape, dtype=np.float32)

@@ -146,9 +146,10 @@ def fit(
         mask_updates=config.mask_updates,
     )
     config.output.mkdir(parents=True, exist_ok=True)
+    run = _digests(problem)
     history: list[float] = []
     if resume and path.exists():
-        history = _restore(path, problem, adam)
+        history = _restore(path, problem, adam, run)
     if not history:
         write_start(problem)
     with _stop_requests() as stop, progress("fit", config.iterations, start=len(history)) as report:
@@ -157,7 +158,7 @@ def fit(
             history.append(_step(problem, adam, step))
             report(step + 1, f"loss {history[-1]:.4g}")
             if stop.is_set() or (step + 1) % config.checkpoint_every == 0 or step + 1 == config.iterations:
-                _save(path, problem, adam, history)
+                _save(path, problem, adam, run, history)
             if stop.is_set() and step + 1 < config.iterations:
                 return FitResult(
                     parameters=problem.values(), losses=np.array(history), completed=False, output=config.output
@@ -219,7 +220,7 @@ def load_problem(config: FitConfig) -> Problem:
 def _step(problem: Problem, adam: optim.Adam, step: int) -> float:
     """Make one step and return its loss, the mean over the views that it rendered."""
     config = problem.config
-    views = _views_of_step(config, step)
+    views = views_of_step(config, step)
     total = 0.0
     for view in views:
         loss = problem.backward(view, _seed(config, step, view), 1.0 / len(views))
@@ -234,7 +235,7 @@ def _step(problem: Problem, adam: optim.Adam, step: int) -> float:
     return total
 
 
-def _views_of_step(config: FitConfig, step: int) -> list[int]:
+def views_of_step(config: FitConfig, step: int) -> list[int]:
     """Views of a step: slices of one shuffled round through all views after the other."""
     count = len(config.targets)
     if config.views_per_step is None or config.views_per_step == count:
@@ -299,25 +300,30 @@ def _no_parameter(params: Any, name: str) -> str:
 
 
 def _digests(problem: Problem) -> dict[str, Any]:
-    """Return what identifies a run: its configuration, and the contents of the scene file and of the targets."""
+    """Return what identifies a run, before its first step: its configuration, and the contents of what it names."""
+
+    def digest(data: bytes) -> str:
+        return hashlib.sha256(data).hexdigest()
+
     return {
         **problem.config.fingerprint(),
-        "scene": hashlib.sha256(problem.config.scene.read_bytes()).hexdigest(),
-        "targets": [hashlib.sha256(target.tobytes()).hexdigest() for target in problem.targets],
+        "scene": digest(problem.config.scene.read_bytes()),
+        "targets": [digest(target.tobytes()) for target in problem.targets],
+        "initial": {name: digest(value.tobytes()) for name, value in problem.values().items()},
     }
 
 
-def _save(path: Path, problem: Problem, adam: optim.Adam, history: list[float]) -> None:
+def _save(path: Path, problem: Problem, adam: optim.Adam, run: dict[str, Any], history: list[float]) -> None:
     arrays = {f"parameter/{name}": value for name, value in problem.values().items()}
     arrays |= {f"adam/{key}": value for key, value in adam.state_dict().items()}
     arrays["losses"] = np.array(history, dtype=np.float64)
-    checkpoint.save(path, arrays, {"run": _digests(problem)})
+    checkpoint.save(path, arrays, {"run": run})
 
 
-def _restore(path: Path, problem: Problem, adam: optim.Adam) -> list[float]:
+def _restore(path: Path, problem: Problem, adam: optim.Adam, run: dict[str, Any]) -> list[float]:
     """Take over a checkpoint and return the losses of its steps."""
     arrays, values = checkpoint.load(path)
-    expected = json.loads(json.dumps(_digests(problem)))  # as the checkpoint stores it: tuples are lists
+    expected = json.loads(json.dumps(run))  # as the checkpoint stores it: tuples are lists
     found = values.get("run")
     if found != expected:
         found = found if isinstance(found, dict) else {}

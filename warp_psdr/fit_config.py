@@ -199,12 +199,12 @@ class FitConfig:
 
         ``iterations`` is not part of it, so that a finished run can be prolonged; nor are file names.
         """
-        free = {"scene", "targets", "output", "iterations", "final_spp", "checkpoint_every", "parameters", "integrator"}
-        values: dict[str, Any] = {f.name: getattr(self, f.name) for f in dataclasses.fields(self) if f.name not in free}
+        names = ("views_per_step", "spp", "spp_grad", "seed", "loss", "lr_half_life", "mask_updates", "device")
+        values: dict[str, Any] = {name: getattr(self, name) for name in names}
         values["sensors"] = list(self.views)
         values["integrator"] = dict(self.integrator)
         values["defaults"] = dict(self.defaults)
-        values["parameters"] = {name: unknown.lr for name, unknown in self.parameters.items()}
+        values["lr"] = {name: unknown.lr for name, unknown in self.parameters.items()}
         return values
 
     @property

@@ -105,7 +105,7 @@ def write_gradients(
         elif ".vertex_" in name:
             try:
                 view(scene, params, fields={name: gradient}, screenshot=f"{path}.png").close()
-            except RuntimeError as error:  # no OpenGL on this machine: the results are none the worse for it
+            except (RuntimeError, ValueError) as error:  # no OpenGL here, or a field that has no look on a surface
                 notes.append(f"{path.name}.png not drawn: {error}")
     return notes
 

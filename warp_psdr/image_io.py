@@ -104,12 +104,12 @@ def _atomically(file: Path, write: Callable[[Path], None]) -> None:
 
 
 def _read_exr(file: Path) -> np.ndarray:
-    import OpenEXR  # noqa: PLC0415 - loaded where it is used
+    import OpenEXR
 
     try:
         with OpenEXR.File(str(file), separate_channels=True) as source:
             channels = {name: np.asarray(channel.pixels) for name, channel in source.channels().items()}
-    except Exception as problem:  # noqa: BLE001 - the library raises bare RuntimeErrors of many kinds
+    except Exception as problem:
         raise ValueError(f"'{file}' is no readable EXR image ({problem}); export it again") from None
     for names in (("R", "G", "B", "A"), ("R", "G", "B"), ("Y", "A"), ("Y",)):
         if all(name in channels for name in names):
@@ -126,7 +126,7 @@ def _read_exr(file: Path) -> np.ndarray:
 
 
 def _write_exr(file: Path, array: np.ndarray, half: bool) -> None:
-    import OpenEXR  # noqa: PLC0415
+    import OpenEXR
 
     if half:
         array = np.clip(array, -_HALF_MAX, _HALF_MAX)
@@ -139,7 +139,7 @@ def _write_exr(file: Path, array: np.ndarray, half: bool) -> None:
 
 
 def _read_low_range(file: Path, raw: bool) -> np.ndarray:
-    from PIL import Image, UnidentifiedImageError  # noqa: PLC0415
+    from PIL import Image, UnidentifiedImageError
 
     try:
         with Image.open(file) as source:
@@ -166,12 +166,11 @@ def _pixels(source: Any) -> np.ndarray:
 
 
 def _write_low_range(file: Path, array: np.ndarray) -> None:
-    from PIL import Image  # noqa: PLC0415
+    from PIL import Image
 
     color = array[..., : 1 if array.shape[2] == 1 else 3]
     values = linear_to_srgb(color)
     if array.shape[2] == 4 and file.suffix.lower() == ".png":
         values = np.concatenate([values, np.clip(np.nan_to_num(array[..., 3:]), 0.0, 1.0)], axis=-1)
     pixels = np.round(values * 255.0).astype(np.uint8)
-    quality = {} if file.suffix.lower() == ".png" else {"quality": 95}
-    Image.fromarray(pixels[..., 0] if pixels.shape[2] == 1 else pixels).save(file, **quality)
+    Image.fromarray(pixels[..., 0] if pixels.shape[2] == 1 else pixels).save(file, quality=95)

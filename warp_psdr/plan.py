@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from warp_psdr import interior
 from warp_psdr.kernels import constants as c
-from warp_psdr.kernels.interior.replay import Wanted
+from warp_psdr.kernels.interior.wanted import Wanted
 from warp_psdr.kernels.path import PathConfig
 from warp_psdr.scene.build import SLOTS
 from warp_psdr.scene.layout import (

@@ -102,7 +102,7 @@ def view(
         if show_emitters:
             _draw_light_markers(plotter, description, values, center, radius)
         if panel.fields:
-            _draw_fields(plotter, panel, percentile, window_size[0] // columns)
+            _draw_fields(plotter, panel, percentile, window_size[0] // columns, window_size[1] // rows)
         aspect = window_size[0] / columns / (window_size[1] / rows)
         _aim(plotter, panel, sensor, values, center, radius, aspect)
     if screenshot is not None:
@@ -308,7 +308,7 @@ def _draw_shapes(
         plotter.add_mesh(mesh, ambient=0.3, diffuse=0.7, show_scalar_bar=False, **look)
 
 
-def _draw_fields(plotter: Any, panel: _Panel, percentile: float, width: int) -> None:
+def _draw_fields(plotter: Any, panel: _Panel, percentile: float, width: int, height: int) -> None:
     """Draw a panel's fields and arrows on one scale, its colour bar and title."""
     import pyvista
     from vtkmodules.vtkRenderingAnnotation import vtkScalarBarActor
@@ -342,8 +342,9 @@ def _draw_fields(plotter: Any, panel: _Panel, percentile: float, width: int) -> 
                 drawn = arrows(field.vertices, vector, normals=normals, limit=longest, count=share)
                 if len(drawn.starts):
                     _draw_arrows(plotter, drawn)
-        notes.append(f"longest arrow: {longest:.3g}")
-    size = max(7, min(12, width // 75))
+        if any(np.any(v > 0.0) for v in vectors):
+            notes.append(f"longest arrow: {longest:.3g}")
+    size = max(7, min(11, width // 75))
     bar = vtkScalarBarActor()
     bar.SetLookupTable(table)
     bar.SetMaximumNumberOfColors(colormap.N)
@@ -360,8 +361,10 @@ def _draw_fields(plotter: Any, panel: _Panel, percentile: float, width: int) -> 
     bar.GetLabelTextProperty().ShadowOff()
     bar.GetLabelTextProperty().ItalicOff()
     plotter.renderer.AddViewProp(bar)
-    plotter.add_text(panel.title, position="upper_left", font_size=size, color="black")
-    plotter.add_text("\n".join(notes), position="lower_left", font_size=max(6, size - 2), color="black")
+    for text, y in ((panel.title, 1.0 - 2.4 * size / height), ("\n".join(notes), 0.01)):
+        actor = plotter.add_text(text, position=(0.01, y), viewport=True, font_size=size, color="black")
+        actor.prop.background_color = _BACKGROUND  # readable in front of dark red and blue, too
+        actor.prop.background_opacity = 0.8
 
 
 def _draw_arrows(plotter: Any, drawn: Arrows) -> None:

@@ -1,12 +1,12 @@
 """Rays per second of the ray queries: the wide BVH, ``wp.Mesh`` and Embree (through Mitsuba 3, if installed).
 
-    python examples/benchmarks/ray_queries.py [--cases box36 sphere81920 ...] [--rays 1000000] [--threads 2] [--json out.json]
+    python examples/benchmarks/ray_queries.py [--cases box36 sphere81920 ...] [--rays N] [--threads N] [--json out.json]
 
 Every backend gets the same rays in the same order and the same number of threads. Backends take turns within a
 repetition, so that a noisy machine is noisy to all; reported are medians and, for ratios, the median of the
-repetitions' ratios. Ray sets: ``camera`` (scanlines, coherent), ``shadow`` (from the camera's hits to one point, coherent),
-``random`` (uniform origins in the bounding box, uniform directions) and ``bounce`` (cosine-distributed off the surfaces of
-shuffled hits, incoherent).
+repetitions' ratios. Ray sets: ``camera`` (scanlines, coherent), ``shadow`` (from the camera's hits to one point,
+coherent), ``random`` (uniform origins in the bounding box, uniform directions) and ``bounce`` (cosine-distributed off
+the surfaces of shuffled hits, incoherent).
 """
 
 import argparse
@@ -18,7 +18,7 @@ import time
 import numpy as np
 import warp as wp
 
-from warp_psdr.acceleration import Accelerator
+from warp_psdr.acceleration import Accelerator, host_width
 from warp_psdr.kernels.bvh.wide import Accel, RayHit, make_intersect
 
 
@@ -50,7 +50,9 @@ def bumpy_sphere(rows: int, columns: int) -> tuple[np.ndarray, np.ndarray]:
     theta = np.linspace(0.0, np.pi, rows + 1)[:, None]
     phi = np.linspace(0.0, 2.0 * np.pi, columns + 1)[None, :]
     r = 1.0 + 0.1 * np.sin(7.0 * theta) * np.cos(5.0 * phi) + 0.01 * np.sin(61.0 * theta) * np.cos(48.0 * phi)
-    xyz = np.stack([r * np.sin(theta) * np.cos(phi), r * np.sin(theta) * np.sin(phi), r * np.cos(theta) + 0.0 * phi], -1)
+    xyz = np.stack(
+        [r * np.sin(theta) * np.cos(phi), r * np.sin(theta) * np.sin(phi), r * np.cos(theta) + 0.0 * phi], -1
+    )
     i = np.arange(rows)[:, None] * (columns + 1) + np.arange(columns)[None, :]
     faces = np.stack([i, i + columns + 1, i + 1, i + 1, i + columns + 1, i + columns + 2], -1)
     return xyz.reshape(-1, 3).astype(np.float32), faces.reshape(-1, 3).astype(np.int32)
@@ -63,6 +65,12 @@ CASES = {
     "sphere100k": lambda: bumpy_sphere(200, 250),
     "sphere1M": lambda: bumpy_sphere(500, 1000),
 }
+
+
+#: Seconds between two measurements: Dr.Jit's threads spin for a while after their work.
+SETTLE = 0.05
+#: Ray sets for which Embree is told that rays are coherent.
+COHERENT = ("camera", "shadow")
 
 
 def make_rays(name: str, count: int, trace) -> dict[str, tuple[np.ndarray, np.ndarray, float]]:
@@ -82,7 +90,6 @@ def make_rays(name: str, count: int, trace) -> dict[str, tuple[np.ndarray, np.nd
     points = points + 1.0e-3 * facing
     light = np.array([0.3, 0.9, 0.6]) if name == "box36" else np.array([2.0, 2.0, 2.0])
     to_light = light - points
-    distance = np.linalg.norm(to_light, axis=1, keepdims=True)
     order = rng.permutation(len(points))
     sphere = rng.normal(size=(len(points), 3))
     sphere /= np.linalg.norm(sphere, axis=1, keepdims=True)
@@ -92,7 +99,7 @@ def make_rays(name: str, count: int, trace) -> dict[str, tuple[np.ndarray, np.nd
     uniform /= np.linalg.norm(uniform, axis=1, keepdims=True)
     single = [
         ("camera", *camera),
-        ("shadow", points, to_light / distance, float(distance.min())),
+        ("shadow", points, to_light, 0.999),  # as far as the light
         ("bounce", points[order], bounce[order], 1.0e18),
         ("random", rng.uniform(-1.0, 1.0, (count, 3)), uniform, 1.0e18),
     ]
@@ -102,8 +109,19 @@ def make_rays(name: str, count: int, trace) -> dict[str, tuple[np.ndarray, np.nd
 class WarpQueries:
     """Closest and any hit of one backend on a pool of threads; a launch covers one tile of rays."""
 
-    def __init__(self, vertices, faces, backend: str, width: int, threads: int):
-        closest_hit, any_hit = make_intersect(backend, width)
+    def __init__(self, vertices, faces, backend: str, width: int | None, threads: int):
+        self._points = wp.array(vertices, dtype=wp.vec3, device="cpu")
+        self._indices = wp.array(faces.reshape(-1), dtype=wp.int32, device="cpu")
+        start = time.perf_counter()
+        self.accelerator = Accelerator(self._points, self._indices, "cpu", backend, width=width)
+        first = time.perf_counter()
+        self.accelerator.rebuild()
+        self.build_seconds = time.perf_counter() - first
+        self.first_build_seconds = first - start
+        start = time.perf_counter()
+        self.accelerator.update()
+        self.update_seconds = time.perf_counter() - start
+        closest_hit, any_hit = make_intersect(backend, self.accelerator.width)
 
         @wp.kernel(module="unique", enable_backward=False)
         def closest_kernel(
@@ -130,22 +148,12 @@ class WarpQueries:
             hits_out[i] = any_hit(accel, origin[i], direction[i], t_max)
 
         self._kernels = {"closest": (closest_kernel, RayHit), "any": (any_kernel, wp.bool)}
-        self._points = wp.array(vertices, dtype=wp.vec3, device="cpu")
-        self._indices = wp.array(faces.reshape(-1), dtype=wp.int32, device="cpu")
-        start = time.perf_counter()
-        self.accelerator = Accelerator(self._points, self._indices, "cpu", backend, width=width)
-        first = time.perf_counter()
-        self.accelerator.rebuild()
-        self.build_seconds = time.perf_counter() - first
-        self.first_build_seconds = first - start
-        start = time.perf_counter()
-        self.accelerator.update()
-        self.update_seconds = time.perf_counter() - start
         self._threads = threads
+        # Not closed: idle threads, and the process ends with the benchmark.
         self._pool = concurrent.futures.ThreadPoolExecutor(threads)
 
-    def load(self, origins, directions, t_max):
-        """Move a ray set to Warp."""
+    def load(self, origins, directions, t_max, coherent=False):
+        """Move a ray set to Warp; ``coherent`` is a hint for Embree."""
         self._rays = (wp.array(origins, dtype=wp.vec3, device="cpu"), wp.array(directions, dtype=wp.vec3, device="cpu"))
         self._t_max = t_max
         self._out = {k: wp.zeros(len(origins), dtype=dtype, device="cpu") for k, (_, dtype) in self._kernels.items()}
@@ -153,7 +161,7 @@ class WarpQueries:
     def run(self, query: str) -> np.ndarray:
         """Trace the loaded rays."""
         out = self._out[query]
-        tile = -(-out.shape[0] // (8 * self._threads))
+        tile = -(-out.shape[0] // (2 * self._threads))
 
         def launch(first):
             count = min(tile, out.shape[0] - first)
@@ -181,21 +189,21 @@ class EmbreeQueries:
         params.update()
         self._scene = mi.load_dict({"type": "scene", "mesh": mesh})
 
-    def load(self, origins, directions, t_max):
-        """Move a ray set to Dr.Jit."""
+    def load(self, origins, directions, t_max, coherent=False):
+        """Move a ray set to Dr.Jit; ``coherent`` makes Embree trace packets."""
         mi = self._mi
         self._ray = mi.Ray3f(mi.Point3f(origins.T), mi.Vector3f(directions.T))
         self._ray.maxt = mi.Float(t_max if t_max < 1.0e17 else np.inf)
         self._dr.eval(self._ray)
         self._dr.sync_thread()
-        self.coherent = False
+        self._coherent = coherent
 
     def run(self, query: str):
         """Trace the loaded rays."""
         if query == "any":
-            result = self._scene.ray_test(self._ray, self.coherent, True)
+            result = self._scene.ray_test(self._ray, self._coherent, True)
         else:
-            hit = self._scene.ray_intersect_preliminary(self._ray, self.coherent, True)
+            hit = self._scene.ray_intersect_preliminary(self._ray, self._coherent, True)
             result = (hit.t, hit.prim_uv, hit.prim_index)
         self._dr.eval(result)
         self._dr.sync_thread()
@@ -216,19 +224,18 @@ def main() -> None:
     rows = []
     for case in arguments.cases:
         vertices, faces = CASES[case]()
-        from warp_psdr.acceleration import host_width
-
         width = arguments.width or host_width()
         wide = WarpQueries(vertices, faces, "wide", width, arguments.threads)
-        queries = {"wide": wide, "wp.Mesh": WarpQueries(vertices, faces, "warp", 1, arguments.threads)}
+        queries = {"wide": wide, "wp.Mesh": WarpQueries(vertices, faces, "warp", None, arguments.threads)}
         if not arguments.no_embree:
             try:
                 queries["embree"] = EmbreeQueries(vertices, faces, arguments.threads)
             except ImportError:
                 print("mitsuba is not installed: no comparison with Embree")
         print(
-            f"{case}: {len(faces)} triangles, width {width}, build {wide.build_seconds:.3f} s, refit {wide.update_seconds:.4f} s, "
-            f"{wide.accelerator.nbytes / len(faces):.0f} bytes a triangle; wp.Mesh build {queries['wp.Mesh'].build_seconds:.3f} s"
+            f"{case}: {len(faces)} triangles, width {width}, build {wide.build_seconds:.3f} s, "
+            f"refit {wide.update_seconds:.4f} s, {wide.accelerator.nbytes / len(faces):.0f} bytes a triangle; "
+            f"wp.Mesh build {queries['wp.Mesh'].build_seconds:.3f} s"
         )
 
         def trace(o, d, t_max, wide=wide, vertices=vertices, faces=faces):
@@ -241,11 +248,12 @@ def main() -> None:
 
         for rays, (o, d, t_max) in make_rays(case, arguments.rays, trace).items():
             for q in queries.values():
-                q.load(o, d, t_max)
+                q.load(o, d, t_max, rays in COHERENT)
             for query in ("closest", "any"):
                 seconds = {k: [] for k in queries}
                 for repetition in range(arguments.repeat + 1):
                     for k, q in queries.items():
+                        time.sleep(SETTLE)
                         start = time.perf_counter()
                         q.run(query)
                         if repetition:
@@ -253,7 +261,9 @@ def main() -> None:
                 row = {"case": case, "rays": rays, "query": query}
                 row |= {k: len(o) / statistics.median(s) / 1.0e6 for k, s in seconds.items()}
                 for k in list(queries)[1:]:
-                    row[f"wide/{k}"] = statistics.median(a / b for a, b in zip(seconds[k], seconds["wide"], strict=True))
+                    row[f"wide/{k}"] = statistics.median(
+                        a / b for a, b in zip(seconds[k], seconds["wide"], strict=True)
+                    )
                 rows.append(row)
                 hits = float((wide.run("closest")["face"] >= 0).mean())
                 text = "  ".join(f"{k} {v:6.2f}" for k, v in row.items() if isinstance(v, float))

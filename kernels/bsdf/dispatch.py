@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import warp as wp
 
+from warp_psdr.kernels.autodiff import differentiable
 from warp_psdr.kernels.bsdf.conductor import conductor_sample, conductor_scatter
 from warp_psdr.kernels.bsdf.dielectric import dielectric_sample, dielectric_scatter
 from warp_psdr.kernels.bsdf.diffuse import diffuse_eval, diffuse_pdf, diffuse_sample
@@ -168,6 +169,7 @@ def _wrap_sample(this: int, f: wp.Function, rest: wp.Function | None) -> wp.Func
 
 
 def _wrap_eval_vjp(this: int, f: wp.Function, rest: wp.Function | None) -> wp.Function:
+    @differentiable
     @wp.func
     def eval_dot(mat: Material, wi: wp.vec3, wo: wp.vec3, w: wp.vec3) -> wp.float32:
         return wp.dot(w, f(mat, wi, wo))
@@ -199,6 +201,7 @@ def _wrap_scatter(this: int, f: wp.Function, rest: wp.Function | None) -> wp.Fun
 
 
 def _wrap_scatter_vjp(this: int, f: wp.Function, rest: wp.Function | None) -> wp.Function:
+    @differentiable
     @wp.func
     def scatter_dot(mat: Material, wi: wp.vec3, lobe: wp.int32, w: wp.vec3, a_wo: wp.vec3) -> wp.float32:
         s = f(mat, wi, lobe)

@@ -22,7 +22,8 @@ from typing import NamedTuple
 
 import warp as wp
 
-from warp_psdr.kernels.constants import INV_PI, TWO_PI
+from warp_psdr.kernels.constants import INV_PI
+from warp_psdr.kernels.sampling import square_to_disk
 
 #: Smallest roughness: narrower lobes are the business of ``conductor``, and float32 half vectors do not resolve them.
 MIN_ALPHA = 1.0e-4
@@ -84,11 +85,16 @@ def _ggx_projected_area(z: wp.float32, r2: wp.float32) -> wp.float32:
 
 @wp.func
 def _ggx_sample_visible(w: wp.vec3, v: wp.vec2) -> wp.vec3:
-    """Add ``w`` to a uniform point of the sphere's cap that faces it [Dupuy and Benyoub 2023, listing 3]."""
-    z = (1.0 - v[0]) * (1.0 + w[2]) - w[2]
-    r = wp.sqrt(wp.max(1.0 - z * z, 0.0))
-    phi = TWO_PI * v[1]
-    return wp.vec3(r * wp.cos(phi), r * wp.sin(phi), z) + w
+    """Add ``w`` to a uniform point of the sphere's cap that faces it [Dupuy and Benyoub 2023, listing 3].
+
+    With c = 1 + w.z the cap has the heights z = 1 - c d, d uniform in [0, 1): the squared radius of a point uniform on
+    the disk, which is then moved outwards from radius sqrt(d) to sqrt(1 - z^2) = sqrt(d) sqrt(c (2 - c d)).
+    """
+    p = square_to_disk(v)
+    c = 1.0 + w[2]
+    cd = wp.min(c * wp.dot(p, p), 2.0)
+    k = wp.sqrt(c * (2.0 - cd))
+    return wp.vec3(k * p[0], k * p[1], 1.0 - cd) + w
 
 
 @wp.func

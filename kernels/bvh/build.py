@@ -1,16 +1,18 @@
-"""Builds and refits the wide BVH on the CPU.
+"""Builds the wide BVH on the CPU: a binary tree, and its collapse.
 
-**Build.** Top-down with the surface-area heuristic [Wal07]: a range of triangles is split at the best of 16 x 3 bin
-borders (of the centroids' bounds). A node starts with one range and splits the child of largest area until it has W
-children or all of them fit a packet; every range of up to W triangles becomes a leaf of one packet, since a packet costs the
-same however many of its lanes are in use. Costs count packets, ceil(n / W). Below ``SAH_DEPTH`` levels, or if no border separates the
-centroids, a range is halved by count, so that the depth is bounded for any input.
+**Binary tree.** Top-down with the surface-area heuristic [Wal07]: a range of triangles is split at the best of the
+3 x 31 inner borders of 32 bins over the bounds of the centroids. Costs count packets, ceil(n / W), and a range that
+fits one packet is a leaf, because a packet costs the same however many of its lanes are used. Below ``SAH_DEPTH``
+levels, or where no border separates the centroids, a range is halved by count, so that the depth is bounded for any
+input. A scene that is tested without a tree is cut into full packets.
 
-**Refit.** Packets are filled from the moved corners; a node's children have larger numbers than the node, so one pass
-over the nodes from last to first finds the new bounds. The same pass returns the tree's cost
-sum over children of area(child) / area(root), by which the host decides on a rebuild.
+**Collapse.** Which binary nodes become wide ones is decided by dynamic programming [YKL17]: cost[i] is the least cost
+of a subtree that may take i + 1 slots of its parent; it is either shared out between the two halves of the subtree, or,
+in one slot, the subtree is a node of its own and costs its area plus its share of W slots. Leaves are given, so they
+cost nothing here, and the cost of the root is the expected number of node tests times its area.
 
 [Wal07] Wald. On fast Construction of SAH-based Bounding Volume Hierarchies. RT 2007.
+[YKL17] Ylitie, Karras, Laine. Efficient Incoherent Ray Traversal on GPUs Through Compressed Wide BVHs. HPG 2017.
 """
 
 import functools
@@ -19,10 +21,10 @@ import warp as wp
 
 from warp_psdr.kernels.bvh.wide import FLAT_PACKETS, SAH_DEPTH
 
-#: Words of a primitive record: lower bounds, face number, upper bounds, unused.
+#: Words of a primitive record: lower bounds, biased face number, upper bounds, unused.
 PRIMITIVE_WORDS = 8
-#: Cost of testing a packet of triangles, in tests of a node's boxes (measured).
-LEAF_COST = 1.2
+#: Added to face numbers, so that as floats they are normal numbers: arithmetic on the others is slow on some CPUs.
+FACE_BIAS = 0x3F800000
 
 
 def binary_words(width: int) -> int:
@@ -35,13 +37,13 @@ _PRIMITIVES = """
     v4* out = (v4*)primitives;
     const float* p = (const float*)points;
     const int* index = (const int*)indices;
-    for (int f = begin; f < end; ++f) {
+    for (int f = 0; f < count; ++f) {
         const float *a = p + 3ll * index[3 * f], *b = p + 3ll * index[3 * f + 1], *c = p + 3ll * index[3 * f + 2];
         const v4 va = {a[0], a[1], a[2], 0.0f}, vb = {b[0], b[1], b[2], 0.0f}, vc = {c[0], c[1], c[2], 0.0f};
         v4 lower = va < vb ? va : vb, upper = va > vb ? va : vb;
         lower = lower < vc ? lower : vc;
         upper = upper > vc ? upper : vc;
-        lower[3] = __builtin_bit_cast(float, f);
+        lower[3] = __builtin_bit_cast(float, f + $FACE_BIAS);
         out[2 * f] = lower;
         out[2 * f + 1] = upper;
     }
@@ -62,7 +64,7 @@ _BUILD = """
     struct Binary { float area; int begin, end, left; float cost[$W]; unsigned char share[$W]; };
     struct Builder {
         Primitive* primitive;
-        enum { BINS = 16 };
+        enum { BINS = 32 };
 
         // Centroids are kept doubled: lower + upper.
         static i4 bin(const Primitive& p, v4 origin, v4 scale) {
@@ -82,11 +84,12 @@ _BUILD = """
             r.area = r.box.area();
         }
 
-        void split(const Range& r, Range& left, Range& right, bool halve, bool fill) const {
+        // ``at`` > 0: no heuristic, the first part gets this many.
+        void split(const Range& r, Range& left, Range& right, int at) const {
             const v4 extent = r.centroids.upper - r.centroids.lower;
             const v4 scale = extent > 0.0f ? (BINS * 0.9999f) / extent : v4(0.0f);
             int best_axis = -1, best_bin = 0;
-            if (!halve && !fill) {
+            if (at == 0) {
                 Box box[3][BINS];
                 int count[3][BINS];
                 for (int a = 0; a < 3; ++a)
@@ -132,7 +135,7 @@ _BUILD = """
             }
             int i = r.begin, j = r.end;
             if (best_axis < 0) {
-                i = fill ? i + $W : (i + j) / 2;
+                i += at > 0 ? at : (j - i) / 2;
             } else {
                 for (;;) {
                     while (i < j && bin(primitive[i], r.centroids.lower, scale)[best_axis] <= best_bin) ++i;
@@ -152,25 +155,22 @@ _BUILD = """
         }
     };
 
-    // 1. Binary tree. A node's children are neighbours, with larger numbers than the node.
+    // Binary tree. A node's children are neighbours, with larger numbers than the node.
     Builder builder = {(Primitive*)primitives};
-    Binary* binary = (Binary*)work;
+    Binary* tree = (Binary*)binary;
     int binary_count = 1, top = 0, leaf_count = 0;
     Task tasks[64];
-    {
-        Range all;
-        all.begin = 0;
-        all.end = count;
-        builder.bounds(all);
-        tasks[top++] = {all, 0, 0};
-    }
+    Range all;
+    all.begin = 0;
+    all.end = count;
+    builder.bounds(all);
+    tasks[top++] = {all, 0, 0};
     while (top > 0) {
-        Task task = tasks[--top];
+        const Task task = tasks[--top];
         const Range r = task.range;
-        const bool store = task.node < binary_capacity;
         const bool leaf = r.end - r.begin <= $W;
-        if (store) {
-            Binary& node = binary[task.node];
+        if (task.node < capacity) {
+            Binary& node = tree[task.node];
             node.area = r.box.area();
             node.begin = r.begin;
             node.end = r.end;
@@ -181,7 +181,8 @@ _BUILD = """
             continue;
         }
         Task left, right;
-        builder.split(r, left.range, right.range, task.depth >= $SAH_DEPTH, count <= $FLAT * $W);
+        const int half = task.depth >= $SAH_DEPTH ? (r.end - r.begin) / 2 : 0;
+        builder.split(r, left.range, right.range, count <= $FLAT * $W ? $W : half);
         left.depth = right.depth = task.depth + 1;
         left.node = binary_count++;
         right.node = binary_count++;
@@ -193,21 +194,21 @@ _BUILD = """
     int* result = (int*)counts;
     result[0] = binary_count;
     result[1] = leaf_count;
-    if (binary_count > binary_capacity)
+    if (binary_count > capacity)
         return;
 
-    // 2. Collapse: cost[i] is the least cost of the subtree if it may take i + 1 slots of its parent.
+    // Costs of the collapse, leaves first; share[i] is the number of slots of the first half, 0: use a slot less.
     for (int n = binary_count - 1; n >= 0; --n) {
-        Binary& node = binary[n];
+        Binary& node = tree[n];
         if (node.left < 0) {
             for (int i = 0; i < $W; ++i)
-                node.cost[i] = node.area * $LEAF_COST;
+                node.cost[i] = 0.0f;
             continue;
         }
-        const Binary &l = binary[node.left], &r = binary[node.left + 1];
+        const Binary &l = tree[node.left], &r = tree[node.left + 1];
         for (int i = 1; i < $W; ++i) {
             float best = INFINITY;
-            int share = 0;
+            int share = 1;
             for (int k = 0; k < i; ++k) {
                 const float cost = l.cost[k] + r.cost[i - 1 - k];
                 if (cost < best) {
@@ -232,34 +233,34 @@ _BUILD = """
 _EMIT = """
     struct Binary { float area; int begin, end, left; float cost[$W]; unsigned char share[$W]; };
     struct Pending { int binary, wide; };
-    const Binary* binary = (const Binary*)work;
-    // 3. Wide nodes and leaves, depth first. A subtree with one slot is a child of its own.
+    const Binary* tree = (const Binary*)binary;
+    // Wide nodes and packets, depth first. A subtree that is down to one slot is a child.
     int node_count = 1, packet_count = 0;
     Pending pending[$STACK];
     int top = 0;
     pending[top++] = {0, 0};
     while (top > 0) {
-        const Pending work_item = pending[--top];
-        int* child = (int*)children + (long long)work_item.wide * $W;
+        const Pending task = pending[--top];
+        int* child = (int*)children + (long long)task.wide * $W;
         for (int i = 0; i < $W; ++i)
             child[i] = 0;
         int open[$W][2], open_count = 0, used = 0;
-        const Binary& top_node = binary[work_item.binary];
-        if (top_node.left < 0) {
-            open[open_count][0] = work_item.binary;
+        const Binary& root = tree[task.binary];
+        if (root.left < 0) {
+            open[open_count][0] = task.binary;
             open[open_count++][1] = 0;
         } else {
-            const int share = top_node.share[0];
-            open[open_count][0] = top_node.left + 1;
+            const int share = root.share[0];
+            open[open_count][0] = root.left + 1;
             open[open_count++][1] = $W - 1 - share;
-            open[open_count][0] = top_node.left;
+            open[open_count][0] = root.left;
             open[open_count++][1] = share - 1;
         }
         while (open_count > 0) {
             --open_count;
             const int at = open[open_count][0];
             int slots = open[open_count][1];
-            const Binary& node = binary[at];
+            const Binary& node = tree[at];
             while (slots > 0 && (node.left < 0 || node.share[slots] == 0))
                 --slots;
             if (slots > 0) {
@@ -281,179 +282,63 @@ _EMIT = """
     ((int*)counts)[0] = node_count;
 """
 
-_FILL = """
-    const float* p = (const float*)points;
-    const int* index = (const int*)indices;
-    const int* leaf = (const int*)leaves;
-    const float* primitive = (const float*)primitives;
-    for (int k = begin; k < end; ++k) {
-        float* packet = (float*)packets + (long long)k * (10 * $W);
-        int* face = (int*)(packet + 9 * $W);
-        for (int i = 0; i < $W; ++i) {
-            if (primitive) {
-                const int at = leaf[2 * k] + i;
-                face[i] = at < leaf[2 * k + 1] ? ((const int*)primitive)[8ll * at + 3] : -1;
-            }
-            float corner[9];
-            for (int j = 0; j < 9; ++j)
-                corner[j] = NAN;
-            if (face[i] >= 0) {
-                for (int c = 0; c < 3; ++c)
-                    for (int a = 0; a < 3; ++a)
-                        corner[3 * c + a] = p[3ll * index[3 * face[i] + c] + a];
-                double e[6];
-                for (int a = 0; a < 6; ++a)
-                    e[a] = (double)corner[3 + a] - (double)corner[a % 3];
-                if (e[0] * e[4] == e[1] * e[3] && e[1] * e[5] == e[2] * e[4] && e[2] * e[3] == e[0] * e[5])
-                    for (int j = 0; j < 9; ++j)
-                        corner[j] = NAN;
-            }
-            for (int j = 0; j < 9; ++j)
-                packet[j * $W + i] = corner[j];
-        }
-    }
-"""
 
-_REFIT = """
-    typedef float vf __attribute__((ext_vector_type($W)));
-    struct Local {
-        static float area(const float* lower, const float* upper) {
-            const float x = upper[0] - lower[0], y = upper[1] - lower[1], z = upper[2] - lower[2];
-            return x >= 0.0f ? x * y + y * z + z * x : 0.0f;
-        }
-    };
-    float lower[3], upper[3];
-    double cost = 0.0;
-    for (int k = node_count - 1; k >= 0; --k) {
-        float* node = (float*)nodes + (long long)k * (7 * $W);
-        int* child = (int*)(node + 6 * $W);
-        for (int i = 0; i < $W; ++i) {
-            if (children)
-                child[i] = ((const int*)children)[(long long)k * $W + i];
-            for (int a = 0; a < 3; ++a) {
-                lower[a] = INFINITY;
-                upper[a] = -INFINITY;
-            }
-            if (child[i] > 0) {
-                const float* inner = (const float*)nodes + (long long)child[i] * (7 * $W);
-                for (int a = 0; a < 3; ++a) {
-                    lower[a] = __builtin_reduce_min(*(const vf*)(inner + 2 * a * $W));
-                    upper[a] = __builtin_reduce_max(*(const vf*)(inner + (2 * a + 1) * $W));
-                }
-            } else if (child[i] < 0) {
-                const float* packet = (const float*)packets + (long long)~child[i] * (10 * $W);
-                for (int a = 0; a < 3; ++a) {
-                    vf lo = INFINITY, hi = -INFINITY;
-                    for (int c = 0; c < 3; ++c) {
-                        const vf x = *(const vf*)(packet + (3 * c + a) * $W) - center[a];
-                        lo = x < lo ? x : lo;
-                        hi = x > hi ? x : hi;
-                    }
-                    lower[a] = __builtin_reduce_min(lo);
-                    upper[a] = __builtin_reduce_max(hi);
-                }
-            }
-            cost += Local::area(lower, upper);
-            for (int a = 0; a < 3; ++a) {
-                node[2 * a * $W + i] = lower[a];
-                node[(2 * a + 1) * $W + i] = upper[a];
-            }
-        }
-    }
-    for (int a = 0; a < 3; ++a) {
-        lower[a] = __builtin_reduce_min(*(const vf*)((const float*)nodes + 2 * a * $W));
-        upper[a] = __builtin_reduce_max(*(const vf*)((const float*)nodes + (2 * a + 1) * $W));
-    }
-    const float root = Local::area(lower, upper);
-    ((float*)cost_out)[0] = root > 0.0f ? (float)(cost / root) : 0.0f;
-    for (int a = 0; a < 3; ++a) {
-        ((float*)cost_out)[1 + a] = lower[a];
-        ((float*)cost_out)[4 + a] = upper[a];
-    }
-"""
+def make_native(width: int):
+    """Return a decorator that makes a Warp function of C++ text in which ``$W`` and the constants are filled in."""
+    values = {"$STACK": (SAH_DEPTH + 32) * width, "$SAH_DEPTH": SAH_DEPTH}
+    values |= {"$FLAT": FLAT_PACKETS, "$FACE_BIAS": FACE_BIAS, "$W": width}
 
-
-@functools.cache
-def make_build(width: int):
-    """Make the kernels that build and refit a BVH of ``width`` lanes; see ``warp_psdr.acceleration``.
-
-    Returns:
-        Kernels ``build`` (binary tree and collapse costs), ``emit`` (children of wide nodes, triangle ranges of
-        packets), ``fill`` (packets) and ``refit`` (bounds). All take addresses, and run on one thread (``dim=1``).
-    """
-
-    def native(source):
-        values = {"$STACK": (SAH_DEPTH + 32) * width, "$SAH_DEPTH": SAH_DEPTH, "$LEAF_COST": LEAF_COST, "$FLAT": FLAT_PACKETS, "$W": width}
+    def native(source: str):
         for key, value in values.items():
             source = source.replace(key, str(value))
         return wp.func_native(source)
 
+    return native
+
+
+@functools.cache
+def make_build(width: int) -> tuple[wp.Kernel, wp.Kernel]:
+    """Make the kernels that build a BVH of ``width`` lanes.
+
+    Both take addresses, and run once (``dim=1``): ``build`` orders the primitives and makes the binary tree with the
+    costs of its collapse, ``emit`` writes the children of the wide nodes and the ranges of primitives of the packets.
+    ``counts`` receives the numbers of binary nodes and packets from the first, of wide nodes from the second.
+    """
+    native = make_native(width)
+
     @native(_PRIMITIVES)
-    def fill_primitives(
-        points: wp.uint64, indices: wp.uint64, primitives: wp.uint64, begin: wp.int32, end: wp.int32
-    ): ...
+    def fill_primitives(points: wp.uint64, indices: wp.uint64, primitives: wp.uint64, count: wp.int32): ...
 
     @native(_BUILD)
-    def build(
-        primitives: wp.uint64, count: wp.int32, work: wp.uint64, binary_capacity: wp.int32, counts: wp.uint64
-    ): ...
+    def split_all(primitives: wp.uint64, count: wp.int32, binary: wp.uint64, capacity: wp.int32, counts: wp.uint64): ...
 
     @native(_EMIT)
-    def emit(work: wp.uint64, children: wp.uint64, leaves: wp.uint64, counts: wp.uint64): ...
-
-    @native(_FILL)
-    def fill(
-        points: wp.uint64,
-        indices: wp.uint64,
-        primitives: wp.uint64,
-        leaves: wp.uint64,
-        packets: wp.uint64,
-        begin: wp.int32,
-        end: wp.int32,
-    ): ...
-
-    @native(_REFIT)
-    def refit(
-        nodes: wp.uint64,
-        node_count: wp.int32,
-        children: wp.uint64,
-        packets: wp.uint64,
-        center: wp.vec3,
-        cost_out: wp.uint64,
-    ): ...
+    def emit_all(binary: wp.uint64, children: wp.uint64, leaves: wp.uint64, counts: wp.uint64): ...
 
     @wp.kernel(module="unique", enable_backward=False)
-    def build_kernel(
+    def build(
+        # In:
         points: wp.uint64,
         indices: wp.uint64,
-        primitives: wp.uint64,
         count: wp.int32,
-        work: wp.uint64,
-        binary_capacity: wp.int32,
+        capacity: wp.int32,
+        # Out:
+        primitives: wp.uint64,
+        binary: wp.uint64,
         counts: wp.uint64,
     ):
-        fill_primitives(points, indices, primitives, 0, count)
-        build(primitives, count, work, binary_capacity, counts)
+        fill_primitives(points, indices, primitives, count)
+        split_all(primitives, count, binary, capacity, counts)
 
     @wp.kernel(module="unique", enable_backward=False)
-    def emit_kernel(work: wp.uint64, children: wp.uint64, leaves: wp.uint64, counts: wp.uint64):
-        emit(work, children, leaves, counts)
-
-    @wp.kernel(module="unique", enable_backward=False)
-    def refit_kernel(
-        points: wp.uint64,
-        indices: wp.uint64,
-        primitives: wp.uint64,
-        leaves: wp.uint64,
-        packets: wp.uint64,
-        packet_count: wp.int32,
-        nodes: wp.uint64,
-        node_count: wp.int32,
+    def emit(
+        # In:
+        binary: wp.uint64,
+        # Out:
         children: wp.uint64,
-        center: wp.vec3,
-        cost_out: wp.uint64,
+        leaves: wp.uint64,
+        counts: wp.uint64,
     ):
-        fill(points, indices, primitives, leaves, packets, 0, packet_count)
-        refit(nodes, node_count, children, packets, center, cost_out)
+        emit_all(binary, children, leaves, counts)
 
-    return build_kernel, emit_kernel, refit_kernel
+    return build, emit

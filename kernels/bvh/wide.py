@@ -1,28 +1,31 @@
 """Closest-hit and any-hit ray queries: Warp's mesh queries, and a wide BVH traversed with SIMD on the CPU.
 
-**Layout.** W is the SIMD width (4, 8 or 16 lanes). A node is 7 rows of W words: for each axis the lower and the upper
-bounds of its W children, relative to the scene's center, then the children: n >= 0 is node n, c < 0 is packet ~c.
+**Layout.** W is the number of lanes (4, 8 or 16). A node is 7 rows of W words: for each axis the lower and the upper
+bounds of its W children, relative to the scene's center, then the children: n > 0 is node n, c < 0 is packet ~c.
 Unused children have inverted infinite bounds, which no ray meets. A packet is 10 rows: the x, y, z rows of the first,
 second and third corners of up to W triangles, then their face numbers. Unused and zero-area lanes hold NaN corners,
-for which every comparison below is false.
+for which every comparison below is false. Up to ``FLAT_PACKETS`` packets are tested one after the other, without nodes
+and without a branch that depends on the ray.
 
-**Boxes.** Slab test [KK86] on all children at once. The ray's origin relative to the center is moved by +-delta so that
-each slab grows by delta on both sides, delta = 8 eps (|o - c| + extent) in the maximum norm. That covers the rounding
-of the slab distances (3 operations, each 1/2 eps relative to |o - c| + extent), and of the sheared corners below (3
-operations), so a triangle hit as computed is never culled (the reason why [WBW13] pads its boxes). A direction
-component below 1e-16 of the largest is replaced by that value: over the whole scene this moves the ray by less than
-delta, and 1 / d and its products stay finite.
+**Boxes.** Slab test [KK86] on all children at once, with the ray's origin moved by +-delta so that every slab grows by
+delta on both sides; delta = 16 u (|o - c| + extent) in the maximum norm, u = 2^-24 the unit roundoff. In units of
+u (|o - c| + extent) a slab's rounding is at most 6: subtracting the center from bound and origin, adding delta, 1 / d,
+and the two operations of the distance; the rounding of the sheared corners below is at most 5. So the box of a
+triangle that is hit as computed is never missed, which a watertight triangle test needs [WBW13]. A direction component
+below 1e-16 of the largest is replaced by that value: over the whole scene this moves the ray by far less than delta,
+and 1 / d and its products stay finite.
 
 **Triangles.** [WBW13]: corners relative to the origin are sheared so that the ray becomes the z axis; the ray hits if
 the origin of the plane lies inside the projected triangle: the edge functions U = Cx By - Cy Bx, V, W have one sign or
 are 0. A corner's projection depends on that corner alone, so neighbours see the same edge. Both products are rounded
 before they are subtracted (contraction to fma is off). Rounding is monotonic, hence the computed sign is never the
 wrong one, it can only become 0, which counts as inside for both neighbours: no ray passes between them. Where
-U + V + W = 0 after rounding the edge functions are evaluated again in double precision, in which products of floats are
-exact; only if the determinant is 0 then, the triangle is missed.
+U + V + W = 0 after rounding, the edge functions are evaluated again in double precision, in which products of floats
+are exact; only if the determinant is 0 then, the triangle is missed.
 
-**Order.** Hit children are ranked without branches: the entry distances' lowest bits are replaced by the lane number,
-so that all differ, and the rank of a child is the number of hit children before it. They are pushed farthest first.
+**Order.** Hit children are ranked without branches: the lowest bits of their entry distances are replaced by the lane
+number, so that all differ, and a child's rank is the number of hit children before it. They are pushed farthest first.
+Any hit needs no order.
 
 [KK86] Kay, Kajiya. Ray Tracing Complex Scenes. SIGGRAPH 1986.
 [WBW13] Woop, Benthin, Wald. Watertight Ray/Triangle Intersection. JCGT 2(1), 2013.
@@ -31,6 +34,8 @@ so that all differ, and the rank of a child is the number of hit children before
 import functools
 
 import warp as wp
+
+from warp_psdr.kernels.bvh.simd import ARGUMENTS, BOXES, DISTANCE, EDGES, SHEAR, SLABS, TYPES
 
 #: Vector widths (lanes) for which a traversal can be generated.
 WIDTHS = (4, 8, 16)
@@ -70,131 +75,16 @@ def stack_size(width: int) -> int:
     return (SAH_DEPTH + 32) * (width - 1) + width
 
 
-_TYPES = """
-    typedef float vf __attribute__((ext_vector_type($W)));
-    typedef int vi __attribute__((ext_vector_type($W)));
-    typedef float f4 __attribute__((ext_vector_type(4)));
-    typedef int i4 __attribute__((ext_vector_type(4)));
-    typedef unsigned int u32;
-    struct Simd {
-        static inline __attribute__((always_inline)) vf load(const float* p) { return *(const vf*)p; }
-        static inline __attribute__((always_inline)) vf fma(vf a, vf b, vf c) {
-            return __builtin_elementwise_fma(a, b, c);
-        }
-        static inline __attribute__((always_inline)) float max1(float a, float b) { return a > b ? a : b; }
-        static inline __attribute__((always_inline)) vf min(vf a, vf b) { return a < b ? a : b; }
-        static inline __attribute__((always_inline)) vf max(vf a, vf b) { return a > b ? a : b; }
-        static inline __attribute__((always_inline)) u32 mask(vi a) {
-#if $W == 4
-            typedef bool vb __attribute__((ext_vector_type(8)));
-            vi zero = 0;
-            auto wide = __builtin_shufflevector(a, zero, 0, 1, 2, 3, 4, 5, 6, 7);
-            return __builtin_bit_cast(unsigned char, __builtin_convertvector(wide, vb));
-#elif $W == 8
-            typedef bool vb __attribute__((ext_vector_type(8)));
-            return __builtin_bit_cast(unsigned char, __builtin_convertvector(a, vb));
-#else
-            typedef bool vb __attribute__((ext_vector_type(16)));
-            return __builtin_bit_cast(unsigned short, __builtin_convertvector(a, vb));
-#endif
-        }
-    };
-"""
-
-# A query is three pieces of code in one function that is not inlined, so that a kernel with several queries holds it once.
-# Scalars arrive in registers: a vector that is passed by reference costs a store-forwarding stall.
-_ARGUMENTS = """
-        const float* nodes, const float* packets, int flat, const float* center, float extent, float o_x, float o_y,
-        float o_z, float d_x, float d_y, float d_z, float t_max"""
-
-# The largest component of d becomes z [WBW13].
-_SHEAR = """
-    #pragma clang fp contract(off)
-    const f4 d = {d_x, d_y, d_z, 0.0f}, size = __builtin_elementwise_abs(d);
-    const int kz = size.x > size.y ? (size.x > size.z ? 0 : 2) : (size.y > size.z ? 1 : 2);
-    const int kx = kz == 2 ? 0 : kz + 1, ky = kx == 2 ? 0 : kx + 1;
-    const float ray_o[3] = {o_x, o_y, o_z}, ray_d[3] = {d_x, d_y, d_z};
-    const float shear_z = 1.0f / ray_d[kz];
-    const float shear_x = -ray_d[kx] * shear_z, shear_y = -ray_d[ky] * shear_z;
-    const vf px = ray_o[kx], py = ray_o[ky], pz = ray_o[kz], mx = shear_x, my = shear_y;
-    const long long qx = kx * $W, qy = ky * $W, qz = kz * $W;
-"""
-
-# Distance to plane b is b * rcp + near or far; the walk starts at the root.
-_SLABS = """
-    const f4 o = {o_x, o_y, o_z, 0.0f}, c = {center[0], center[1], center[2], 0.0f};
-    const f4 oc = o - c, far = __builtin_elementwise_abs(oc);
-    const f4 tiny = 1.0e-16f * Simd::max1(Simd::max1(size.x, size.y), size.z);
-    const f4 rcp = 1.0f / (size < tiny ? __builtin_elementwise_copysign(tiny, d) : d);
-    const float delta = 9.6e-7f * (Simd::max1(Simd::max1(far.x, far.y), far.z) + extent);  // 16 eps
-    const f4 grow = __builtin_elementwise_copysign(f4(delta), rcp);
-    const f4 near_d = -(oc + grow) * rcp, far_d = -(oc - grow) * rcp;
-    const i4 sign = __builtin_bit_cast(i4, rcp) >> 31;
-    const vf rx = rcp.x, ry = rcp.y, rz = rcp.z;
-    const vf near_x = near_d.x, near_y = near_d.y, near_z = near_d.z;
-    const vf far_x = far_d.x, far_y = far_d.y, far_z = far_d.z;
-    const long long nx = sign.x & $W, ny = 2 * $W + (sign.y & $W), nz = 4 * $W + (sign.z & $W);
-    const long long fx = $W - nx, fy = 5 * $W - ny, fz = 9 * $W - nz;
-    float stack_t[$STACK];
-    int stack[$STACK];
-    long long top = 0;
-    int current = 0;
-"""
-
-_BOXES = """
-            const float* node = nodes + (long long)current * (7 * $W);
-            const vf x0 = Simd::fma(Simd::load(node + nx), rx, near_x), x1 = Simd::fma(Simd::load(node + fx), rx, far_x);
-            const vf y0 = Simd::fma(Simd::load(node + ny), ry, near_y), y1 = Simd::fma(Simd::load(node + fy), ry, far_y);
-            const vf z0 = Simd::fma(Simd::load(node + nz), rz, near_z), z1 = Simd::fma(Simd::load(node + fz), rz, far_z);
-            const vf enter = Simd::max(Simd::max(x0, y0), Simd::max(z0, vf(0.0f)));
-            const vf leave = Simd::min(Simd::min(x1, y1), Simd::min(z1, vf(t_best)));
-            const u32 hit = Simd::mask(enter <= leave);
-            const int* child = (const int*)(node + 6 * $W);
-"""
-
-_EDGES = """
-        const vf a_z = Simd::load(packet + qz) - pz;
-        const vf b_z = Simd::load(packet + 3 * $W + qz) - pz;
-        const vf c_z = Simd::load(packet + 6 * $W + qz) - pz;
-        const vf a_x = Simd::fma(a_z, mx, Simd::load(packet + qx) - px);
-        const vf b_x = Simd::fma(b_z, mx, Simd::load(packet + 3 * $W + qx) - px);
-        const vf c_x = Simd::fma(c_z, mx, Simd::load(packet + 6 * $W + qx) - px);
-        const vf a_y = Simd::fma(a_z, my, Simd::load(packet + qy) - py);
-        const vf b_y = Simd::fma(b_z, my, Simd::load(packet + 3 * $W + qy) - py);
-        const vf c_y = Simd::fma(c_z, my, Simd::load(packet + 6 * $W + qy) - py);
-        const vf edge_u = c_x * b_y - c_y * b_x;
-        const vf edge_v = a_x * c_y - a_y * c_x;
-        const vf edge_w = b_x * a_y - b_y * a_x;
-        const vf lowest = Simd::min(Simd::min(edge_u, edge_v), edge_w);
-        const vf highest = Simd::max(Simd::max(edge_u, edge_v), edge_w);
-        const vi inside = (lowest >= 0.0f) | (highest <= 0.0f);
-"""
-
-_DISTANCE = """
-            const vf det = edge_u + edge_v + edge_w;
-            vf t = (edge_u * a_z + edge_v * b_z + edge_w * c_z) * shear_z / det;
-            u32 thin = Simd::mask(inside & (det == 0.0f));
-            if (__builtin_expect(thin != 0, 0))
-                for (; thin; thin &= thin - 1) {
-                    const int i = __builtin_ctz(thin);
-                    const double ax = a_x[i], ay = a_y[i], bx = b_x[i], by = b_y[i], cx = c_x[i], cy = c_y[i];
-                    const double u = cx * by - cy * bx, v = ax * cy - ay * cx, w = bx * ay - by * ax, s = u + v + w;
-                    const bool out = (u < 0.0 || v < 0.0 || w < 0.0) && (u > 0.0 || v > 0.0 || w > 0.0);
-                    const double z = u * a_z[i] + v * b_z[i] + w * c_z[i];
-                    t[i] = out || s == 0.0 ? -1.0f : (float)(z * shear_z / s);
-                }
-"""
-
 _CLOSEST = (
-    _TYPES
+    TYPES
     + """
     struct Query {
-    static __attribute__((noinline)) int run("""
-    + _ARGUMENTS
+    static __attribute__((noinline, min_vector_width($BITS))) int run("""
+    + ARGUMENTS
     + """, float& t_out, float& u_out, float& v_out)
     {
 """
-    + _SHEAR
+    + SHEAR
     + """
     float t_best = t_max;
     const float* best = nullptr;
@@ -207,8 +97,8 @@ _CLOSEST = (
         for (int i = 0; i < flat; ++i) {
         const float* packet = packets + i * (10 * $W);
 """
-    + _EDGES
-    + _DISTANCE
+    + EDGES
+    + DISTANCE
     + """
             const vi closer = inside & (t > 0.0f) & (t < nearest);
             nearest = closer ? t : nearest;
@@ -225,12 +115,12 @@ _CLOSEST = (
     }
     {
 """
-    + _SLABS
+    + SLABS
     + """
     for (;;) {
         while (current >= 0) {
 """
-    + _BOXES
+    + BOXES
     + """
             if (hit == 0)
                 goto pop;
@@ -247,6 +137,8 @@ _CLOSEST = (
                 const int rank = __builtin_popcount(hit & Simd::mask(key < vf(keys[i])));
                 stack_t[top + n - 1 - rank] = keys[i];
                 stack[top + n - 1 - rank] = child[i];
+                Simd::prefetch(child[i] < 0 ? packets + (long long)~child[i] * (10 * $W)
+                                            : nodes + (long long)child[i] * (7 * $W));
             }
             top += n - 1;
             current = stack[top];
@@ -254,11 +146,11 @@ _CLOSEST = (
         {
         const float* packet = packets + (long long)~current * (10 * $W);
 """
-    + _EDGES
+    + EDGES
     + """
         if (Simd::mask(inside)) {
 """
-    + _DISTANCE
+    + DISTANCE
     + """
             for (u32 m = Simd::mask(inside & (t > 0.0f) & (t < t_best)); m; m &= m - 1) {
                 const int i = __builtin_ctz(m);
@@ -307,15 +199,15 @@ _CLOSEST = (
 )
 
 _ANY = (
-    _TYPES
+    TYPES
     + """
     struct Query {
-    static __attribute__((noinline)) bool run("""
-    + _ARGUMENTS
+    static __attribute__((noinline, min_vector_width($BITS))) bool run("""
+    + ARGUMENTS
     + """)
     {
 """
-    + _SHEAR
+    + SHEAR
     + """
     const float t_best = t_max;
     if (flat) {
@@ -323,35 +215,34 @@ _ANY = (
         for (int i = 0; i < flat; ++i) {
         const float* packet = packets + i * (10 * $W);
 """
-    + _EDGES
-    + _DISTANCE
+    + EDGES
+    + DISTANCE
     + """
             found |= inside & (t > 0.0f) & (t < t_best);
         }
         return Simd::mask(found != 0) != 0;
     }
 """
-    + _SLABS
+    + SLABS
     + """
     for (;;) {
         while (current >= 0) {
 """
-    + _BOXES
+    + BOXES
     + """
             if (hit == 0)
                 goto pop;
-            for (u32 m = hit & (hit - 1); m; m &= m - 1)
-                stack[top++] = child[__builtin_ctz(m)];
             current = child[__builtin_ctz(hit)];
+            top = Simd::push(stack, top, child, hit & (hit - 1));
         }
         {
         const float* packet = packets + (long long)~current * (10 * $W);
 """
-    + _EDGES
+    + EDGES
     + """
         if (Simd::mask(inside)) {
 """
-    + _DISTANCE
+    + DISTANCE
     + """
             if (Simd::mask(inside & (t > 0.0f) & (t < t_best)))
                 return true;
@@ -374,8 +265,9 @@ _ANY = (
 def _native(name: str, source: str, width: int, function) -> wp.Function:
     """Turn a snippet into a Warp function whose name, hence the kernel cache's key, is the same in every process."""
     function.__qualname__ = function.__name__ = f"{name}_wide{width}"
-    snippet = source.replace("$STACK", str(stack_size(width))).replace("$W", str(width))
-    return wp.func_native(snippet)(function)
+    for key, value in {"$STACK": stack_size(width), "$BITS": 32 * width, "$W": width}.items():
+        source = source.replace(key, str(value))
+    return wp.func_native(source)(function)
 
 
 @functools.cache
@@ -383,7 +275,7 @@ def make_intersect(backend: str, width: int) -> tuple[wp.Function, wp.Function]:
     """Make the queries ``closest_hit`` and ``any_hit`` of a backend.
 
     Both take ``(accel: Accel, o: vec3, d: vec3, t_max: float32)`` and look at distances in (0, t_max), from both sides
-    of every triangle; ``closest_hit`` returns a ``RayHit``, ``any_hit`` a bool.
+    of every triangle (``wp.Mesh`` includes 0); ``closest_hit`` returns a ``RayHit``, ``any_hit`` a bool.
 
     Args:
         backend: ``"warp"`` (``wp.Mesh``, any device) or ``"wide"`` (CPU only).

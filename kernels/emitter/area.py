@@ -1,8 +1,9 @@
 """Area lights: triangles that emit from the side their geometric normal points to.
 
-A light point is drawn uniformly by area over the triangles of one shape. In material form it is (triangle, detached
-barycentrics): its position, its radiance texture and the geometric factor towards it are attached, its pdf is not.
-The pdf in solid angle seen from x is t^2 / (area |cos|).
+A light point is drawn by area over the triangles of one shape: a triangle from the cumulative areas ``Scene.face_cdf``,
+then a uniform point on it. In material form it is (triangle, detached barycentrics): its position, its radiance texture
+and the geometric factor towards it are attached, its pdf is not. With the triangle's stored probability P and area A,
+the pdf in solid angle seen from x is P t^2 / (A |cos|).
 """
 
 import functools
@@ -10,6 +11,7 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.distribution import find_interval
+from warp_psdr.kernels.sampling import square_to_triangle
 from warp_psdr.kernels.structs import Emitter, LightSample, Scene
 from warp_psdr.kernels.surface import load_vec2
 from warp_psdr.kernels.texture import make_texture
@@ -29,9 +31,18 @@ def light_uv(scene: Scene, face: wp.int32, u: wp.float32, v: wp.float32) -> wp.v
 
 
 @wp.func
+def area_density(scene: Scene, e: Emitter, face: wp.int32) -> wp.float32:
+    """Density per area with which points of a triangle are drawn."""
+    tri = scene.triangles[face]
+    k = e.cdf_offset + face - e.first_face
+    doubled = wp.length(wp.cross(tri.p1 - tri.p0, tri.p2 - tri.p0))
+    return 2.0 * (scene.face_cdf[k + 1] - scene.face_cdf[k]) / wp.max(doubled, 1.0e-30)
+
+
+@wp.func
 def pdf_area(scene: Scene, e: Emitter, face: wp.int32, d: wp.vec3, t: wp.float32) -> wp.float32:
     """Solid-angle density with which ``sample`` finds the point hit by direction d (unit) after distance t."""
-    return t * t / (e.area * wp.max(wp.abs(wp.dot(scene.triangles[face].normal, d)), 1.0e-12))
+    return area_density(scene, e, face) * t * t / wp.max(wp.abs(wp.dot(scene.triangles[face].normal, d)), 1.0e-12)
 
 
 @functools.cache
@@ -62,12 +73,9 @@ def make_area(radiance_kinds: tuple[int, ...]):
         result = LightSample()
         cell = find_interval(scene.face_cdf, e.cdf_offset, e.face_count, u3[0])
         face = e.first_face + cell
-        # Uniform barycentrics by folding the unit square.
-        u = u3[1]
-        v = u3[2]
-        if u + v > 1.0:
-            u = 1.0 - u
-            v = 1.0 - v
+        barycentrics = square_to_triangle(wp.vec2(u3[1], u3[2]))
+        u = barycentrics[0]
+        v = barycentrics[1]
         tri = scene.triangles[face]
         r = (1.0 - u - v) * tri.p0 + u * tri.p1 + v * tri.p2 - x
         squared = wp.dot(r, r)
@@ -81,7 +89,7 @@ def make_area(radiance_kinds: tuple[int, ...]):
         cosine = -wp.dot(tri.normal, result.wi)
         if cosine <= 0.0:
             return result
-        result.pdf = squared / (e.area * cosine)
+        result.pdf = area_density(scene, e, face) * squared / cosine
         result.radiance = radiance_at(scene, e, face, u, v)
         return result
 

@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import warp as wp
 
+from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.constants import FAR, TEXTURE_CONSTANT
 from warp_psdr.kernels.sampling import sphere_pdf, square_to_sphere
 from warp_psdr.kernels.structs import Emitter, LightAdjoint, LightSample, Scene
@@ -63,6 +64,7 @@ def make_constant(role: str | None, wanted: tuple[str, ...]) -> EnvironmentFunct
         scene: Scene, target: wp.array(dtype=wp.float32), e: Emitter, direction: wp.vec3, w: wp.vec3
     ) -> LightAdjoint:
         result = LightAdjoint()
+        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
         result.dot = push_texture(scene, target, e.texture, 0, 0.0, 0.0, wp.vec2(0.0, 0.0), w).dot
         return result
 

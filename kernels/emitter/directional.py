@@ -4,6 +4,7 @@ import functools
 
 import warp as wp
 
+from warp_psdr.kernels.autodiff import anchor, differentiable
 from warp_psdr.kernels.constants import FAR, TEXTURE_CONSTANT
 from warp_psdr.kernels.emitter.point import DeltaLightFunctions
 from warp_psdr.kernels.emitter.spot import load_column
@@ -13,6 +14,7 @@ from warp_psdr.kernels.structs import Emitter, LightAdjoint, LightSample, Scene
 from warp_psdr.kernels.texture import make_texture, make_texture_sink
 
 
+@differentiable
 @wp.func
 def directional_dot(axis: wp.vec3, a_wi: wp.vec3) -> wp.float32:
     """Local factor: the direction towards the light from the unnormalised axis of its rays."""
@@ -56,6 +58,7 @@ def make_directional(role: str | None, wanted: tuple[str, ...]) -> DeltaLightFun
         a_wi: wp.vec3,
     ) -> LightAdjoint:
         result = LightAdjoint()
+        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
         if wp.static("radiance" in wanted):
             result.dot += push_texture(scene, target, e.texture, 0, 0.0, 0.0, wp.vec2(0.0, 0.0), w).dot
         if wp.static("pose" in wanted):

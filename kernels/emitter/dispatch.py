@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import warp as wp
 
+from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.constants import (
     EMITTER_CONSTANT,
     EMITTER_DIRECTIONAL,
@@ -112,6 +113,7 @@ def _either_sample_vjp(kind: int, f: wp.Function, rest: wp.Function) -> wp.Funct
         w: wp.vec3,
         a_wi: wp.vec3,
     ) -> LightAdjoint:
+        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
         if e.kind == kind:
             return f(scene, target, e, x, wi, w, a_wi)
         return rest(scene, target, e, x, wi, w, a_wi)
@@ -144,6 +146,7 @@ def _either_eval_vjp(kind: int, f: wp.Function, rest: wp.Function) -> wp.Functio
     def eval_vjp(
         scene: Scene, target: wp.array(dtype=wp.float32), e: Emitter, direction: wp.vec3, w: wp.vec3
     ) -> LightAdjoint:
+        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
         if e.kind == kind:
             return f(scene, target, e, direction, w)
         return rest(scene, target, e, direction, w)
@@ -172,6 +175,7 @@ def _environment_vjp(f: wp.Function) -> wp.Function:
     def environment_vjp(
         scene: Scene, target: wp.array(dtype=wp.float32), direction: wp.vec3, w: wp.vec3
     ) -> LightAdjoint:
+        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
         return f(scene, target, scene.emitters[scene.environment], direction, w)
 
     return environment_vjp

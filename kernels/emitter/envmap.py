@@ -274,7 +274,8 @@ def make_envmap(role: str | None, wanted: tuple[str, ...]) -> EnvironmentFunctio
         u_y = stretch(u[1], scene.env_marginal[row], scene.env_marginal[row + 1], unit_float(jitter.y))
 
         # Within the cell: first the vertical position, from the means of the two rows, then the horizontal one.
-        b = cell_density(scene, texture, cell_at(texture, row, column))
+        cell = cell_at(texture, row, column)
+        b = cell_density(scene, texture, cell)
         t = linear_offset(u_y, b.b00 + b.b10, b.b01 + b.b11)
         s = linear_offset(u_x, (1.0 - t) * b.b00 + t * b.b01, (1.0 - t) * b.b10 + t * b.b11)
         upper = 2 * row < rows
@@ -285,9 +286,13 @@ def make_envmap(role: str | None, wanted: tuple[str, ...]) -> EnvironmentFunctio
         sin_theta = 2.0 * wp.sqrt(wp.max(q * (1.0 - q), 0.0))
         cos_theta = wp.where(upper, 1.0 - 2.0 * q, 2.0 * q - 1.0)
         v = wp.vec3(sin_theta * wp.sin(phi), cos_theta, -sin_theta * wp.cos(phi))
+        # Texels are interpolated in theta = 2 asin(sqrt(q)), counted from the nearer pole.
+        y = 2.0 * INV_PI * wp.float32(rows) * wp.asin(wp.sqrt(q))
+        cell.fx = s
+        cell.fy = wp.clamp(wp.where(upper, y - wp.float32(row), wp.float32(rows - row) - y), 0.0, 1.0)
 
         result.wi = wp.normalize(load_matrix(scene.values, e.to_world) * v)
-        result.radiance = scene.values[e.scale] * interpolate(scene, texture, locate(texture, v))
+        result.radiance = scene.values[e.scale] * interpolate(scene, texture, cell)
         result.pdf = (
             cell_share(scene, row, column, columns) * density_at(b, s, t) / cell_solid_angle(row, rows, columns)
         )

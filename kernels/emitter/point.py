@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import warp as wp
 
+from warp_psdr.kernels.autodiff import differentiable
 from warp_psdr.kernels.constants import TEXTURE_CONSTANT
 from warp_psdr.kernels.sink import make_sink_vec3
 from warp_psdr.kernels.structs import Emitter, LightAdjoint, LightSample, Scene
@@ -24,6 +25,7 @@ class DeltaLightFunctions(NamedTuple):
     sample_vjp: wp.Function | None
 
 
+@differentiable
 @wp.func
 def point_dot(x: wp.vec3, position: wp.vec3, intensity: wp.vec3, w: wp.vec3, a_wi: wp.vec3) -> wp.float32:
     """Local factor: inverse square law and direction."""

@@ -8,6 +8,7 @@ import functools
 
 import warp as wp
 
+from warp_psdr.kernels.autodiff import differentiable
 from warp_psdr.kernels.constants import PI, TEXTURE_CONSTANT
 from warp_psdr.kernels.emitter.point import DeltaLightFunctions
 from warp_psdr.kernels.sink import make_sink
@@ -35,6 +36,7 @@ def falloff(axis: wp.vec3, wi: wp.vec3, cutoff: wp.float32, beam: wp.float32) ->
     return wp.clamp((cutoff * RADIANS_PER_DEGREE - angle) / width, 0.0, 1.0)
 
 
+@differentiable
 @wp.func
 def spot_dot(
     x: wp.vec3,

@@ -15,11 +15,12 @@ import functools
 
 import warp as wp
 
+from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.camera import load_mat44, make_camera_sink
-from warp_psdr.kernels.interior.replay import Carry, Wanted, make_sweep
+from warp_psdr.kernels.interior.sweep import Carry, make_sweep
+from warp_psdr.kernels.interior.wanted import Wanted
 from warp_psdr.kernels.path import PathConfig, PathVertex, make_camera_start, make_path_step
 from warp_psdr.kernels.rng import Sampler
-from warp_psdr.kernels.sink import anchor
 from warp_psdr.kernels.structs import Camera, Scene
 
 
@@ -65,7 +66,7 @@ def make_textbook_kernel(config: PathConfig, wanted: Wanted, role: str):
         first: wp.bool,
     ) -> wp.float32:
         """Scatter the adjoint of one vertex; the first one hangs on the camera ray."""
-        _anchor = wp.grad(anchor)(0.0)  # see kernels/sink.py
+        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
         c = carry
         c.dot = wp.float32(0.0)
         done = finish_vertex(scene, target, c, first)

@@ -9,6 +9,7 @@ contributions, then through the normalisation.
 
 import warp as wp
 
+from warp_psdr.kernels.autodiff import differentiable
 from warp_psdr.kernels.surface import load_vec3
 
 
@@ -18,6 +19,7 @@ def corner_angle(a: wp.vec3, b: wp.vec3) -> wp.float32:
     return wp.atan2(wp.length(wp.cross(a, b)), wp.dot(a, b))
 
 
+@differentiable
 @wp.func
 def weighted_normal_dot(p0: wp.vec3, p1: wp.vec3, p2: wp.vec3, a0: wp.vec3, a1: wp.vec3, a2: wp.vec3) -> wp.float32:
     """Local factor of a face: its contributions to the sums at its three corners."""
@@ -28,6 +30,7 @@ def weighted_normal_dot(p0: wp.vec3, p1: wp.vec3, p2: wp.vec3, a0: wp.vec3, a1: 
     return w0 * wp.dot(a0, n) + w1 * wp.dot(a1, n) + w2 * wp.dot(a2, n)
 
 
+@differentiable
 @wp.func
 def normalized_dot(n: wp.vec3, a: wp.vec3) -> wp.float32:
     return wp.dot(a, wp.normalize(n))

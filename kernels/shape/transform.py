@@ -7,6 +7,7 @@ shear alike.
 
 import warp as wp
 
+from warp_psdr.kernels.autodiff import differentiable
 from warp_psdr.kernels.camera import load_mat44
 from warp_psdr.kernels.shape.normals import add_vec3
 from warp_psdr.kernels.surface import load_vec3
@@ -32,11 +33,13 @@ def transform_normal(m: wp.mat44, n: wp.vec3) -> wp.vec3:
     return wp.normalize(wp.vec3(wp.dot(c0, n), wp.dot(c1, n), wp.dot(c2, n)) / wp.dot(r0, c0))
 
 
+@differentiable
 @wp.func
 def point_dot(m: wp.mat44, p: wp.vec3, a: wp.vec3) -> wp.float32:
     return wp.dot(a, transform_point(m, p))
 
 
+@differentiable
 @wp.func
 def normal_dot(m: wp.mat44, n: wp.vec3, a: wp.vec3) -> wp.float32:
     return wp.dot(a, transform_normal(m, n))

@@ -32,14 +32,15 @@ _SCALARS = ("alpha", "alpha_u", "alpha_v")
 ALPHA_MIN = 1e-4
 
 
-def build(node: dict, where: str, path: str, context: Context) -> BsdfDescription:
-    """Return the scattering model of a plugin dictionary, the same object for every reference to it.
+def build(node: dict, where: str, path: str, context: Context, *, shared: bool) -> BsdfDescription:
+    """Return the scattering model of a plugin dictionary.
 
     Args:
         node: The dictionary, references resolved.
         where: Its place, for messages.
         path: The name under which its parameters are listed if this is its first use.
         context: The load in progress.
+        shared: Whether a reference led here; all references to a node give one object.
 
     Raises:
         ValueError: If the plugin or a parameter is not supported or out of range.
@@ -47,12 +48,12 @@ def build(node: dict, where: str, path: str, context: Context) -> BsdfDescriptio
     category = category_of(node, where)
     if category != "bsdf":
         raise unsupported_plugin(node["type"], where, "bsdf")
-    return context.build(node, where, "bsdf", lambda: _build(Properties(node, where, path, context)))
+    return context.build(node, where, "bsdf", lambda: _build(Properties(node, where, path, context)), shared=shared)
 
 
-def default(path: str) -> BsdfDescription:
-    """Return what a shape without a BSDF gets: diffuse, reflectance 0.5."""
-    return BsdfDescription(path, "diffuse", {"reflectance": constant(f"{path}.reflectance", 0.5)})
+def default(path: str, shines: bool) -> BsdfDescription:
+    """Return what a shape without a BSDF gets: diffuse, reflectance 0.5, or 0 for an area light."""
+    return BsdfDescription(path, "diffuse", {"reflectance": constant(f"{path}.reflectance", 0.0 if shines else 0.5)})
 
 
 def check_attributes(bsdf: BsdfDescription, attributes: dict[str, np.ndarray], where: str) -> None:
@@ -165,8 +166,9 @@ def _twosided(props: Properties) -> BsdfDescription:
     if not nested:
         raise error(props.where, "a 'twosided' without a nested bsdf", "nest one, or two for front and back")
     sides = []
-    for i, (_, node, where) in enumerate(nested):
-        side = build(node, where, f"{props.path}.brdf_{i}", props.context)
+    for i, (key, node, where) in enumerate(nested):
+        shared = node is not props.node[key]
+        side = build(node, where, f"{props.path}.brdf_{i}", props.context, shared=shared)
         if side.model == "dielectric" or side.two_sided:
             raise error(where, f"a '{node['type']}' inside 'twosided'", "nest a bsdf that reflects only")
         sides.append(side)

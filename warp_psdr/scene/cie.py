@@ -1,5 +1,7 @@
 """CIE 1931 2-degree colour matching functions and illuminant D65, every 5 nm from 360 nm to 830 nm (CIE 15)."""
 
+# Tables, not code: kept as dense blocks.
+# fmt: off
 WAVELENGTH_MIN = 360.0
 WAVELENGTH_MAX = 830.0
 

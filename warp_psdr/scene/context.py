@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
@@ -9,6 +10,25 @@ from typing import Any, TypeVar
 from .errors import did_you_mean, error, listing, missing_file
 
 T = TypeVar("T")
+
+
+class FileName(str):
+    """A text from a scene file that knows the folder of that file, where a relative file name starts.
+
+    Args:
+        text: The text.
+        folder: The folder; None when the scene is no file.
+    """
+
+    __slots__ = ("folder",)
+
+    folder: Path | None
+
+    def __new__(cls, text: str, folder: Path | None) -> FileName:
+        """Return the text with its folder."""
+        value = super().__new__(cls, text)
+        value.folder = folder
+        return value
 
 
 class Context:
@@ -55,14 +75,22 @@ class Context:
             where = getattr(node, "where", "") or where
         return node, where
 
-    def build(self, node: dict, where: str, variant: str, make: Callable[[], T]) -> T:
-        """Return ``make()``, built once for each node and variant, so that references share one object.
+    def build(self, node: dict, where: str, variant: str, make: Callable[[], T], *, shared: bool) -> T:
+        """Return ``make()`` for a node.
+
+        Args:
+            node: A plugin's dictionary.
+            where: Its place, for messages.
+            variant: What is made of it.
+            make: Makes it.
+            shared: Whether a reference led here: all references to a node give one object, while a Python dictionary
+                that stands in several places gives one object for each.
 
         Raises:
             ValueError: If the node contains itself.
         """
         key = (id(node), variant)
-        if key in self._built:
+        if shared and key in self._built:
             return self._built[key][1]
         if id(node) in self._open:
             raise error(where, f"circular reference: this '{node.get('type')}' contains itself", "break the cycle")
@@ -72,30 +100,21 @@ class Context:
         finally:
             self._open.pop()
         # The node is kept with the result: its id() must not be given to another object meanwhile.
-        self._built[key] = (node, result)
+        self._built.setdefault(key, (node, result))
         return result
 
     def file(self, name: Any, where: str) -> Path:
         """Return the existing file that a scene names.
 
-        Relative names start from the scene file's folder, then from its ``<path>`` folders. They may not climb out of
-        the scene's folder with "..", unless the load was started with ``allow_outside=True``; absolute names may.
+        Relative names start from the folder of the file that they stand in, then from the scene's folder, then from its
+        ``<path>`` folders. They may not climb out of the scene's folder with "..", unless the load was started with
+        ``allow_outside=True``; absolute names may.
 
         Raises:
             ValueError: If the name is no text or leaves the scene's folder.
             FileNotFoundError: If there is no such file.
         """
-        if not isinstance(name, (str, Path)) or not str(name):
-            raise error(where, f"got {name!r} for a file name", "give a file name")
-        path = Path(name)
-        if path.is_absolute():
-            candidates = [path]
-        else:
-            folders = [self.base or Path.cwd(), *self.search_paths]
-            if not self.allow_outside and self.base is not None:
-                for folder in folders:
-                    check_inside(folder, path, where)
-            candidates = [folder / path for folder in folders]
+        candidates = self._candidates(name, where)
         for candidate in candidates:
             if candidate.is_file():
                 return candidate
@@ -104,19 +123,44 @@ class Context:
         looked = listing(f"'{candidate.parent}'" for candidate in candidates)
         raise missing_file(where, name, f"looked in {looked}; check the name or add a <path> folder")
 
+    def folder(self, name: Any, where: str) -> Path:
+        """Return the existing folder that a scene names; see ``file``.
 
-def check_inside(folder: Path, name: Path, where: str) -> None:
-    """Raise if a relative name climbs out of ``folder``.
+        Raises:
+            ValueError: If the name is no text or leaves the scene's folder.
+            FileNotFoundError: If there is no such folder.
+        """
+        for candidate in self._candidates(name, where):
+            if candidate.is_dir():
+                return candidate
+        raise missing_file(where, name, "a <path> names an existing folder; check the name")
 
-    Raises:
-        ValueError: If it does.
-    """
-    depth = 0
-    for part in name.parts:
-        depth += {"..": -1, ".": 0}.get(part, 1)
-        if depth < 0:
+    def _candidates(self, name: Any, where: str) -> list[Path]:
+        """Return where a name may stand, in the order of search."""
+        if not isinstance(name, (str, Path)) or not str(name) or "\0" in str(name):
+            raise error(where, f"got {name!r} for a file name", "give a file name")
+        path = Path(name)
+        if path.is_absolute():
+            return [path]
+        base = self.base or Path.cwd()
+        folders = list(dict.fromkeys([getattr(name, "folder", None) or base, base, *self.search_paths]))
+        candidates = [folder / path for folder in folders]
+        if self.allow_outside or self.base is None:
+            return candidates
+        inside = [
+            candidate
+            for folder, candidate in zip(folders, candidates, strict=True)
+            if _is_inside(candidate, base) or (not _is_inside(folder, base) and _is_inside(candidate, folder))
+        ]
+        if not inside:
             raise error(
                 where,
-                f"'{name}' leaves the scene's folder '{folder}'",
+                f"'{name}' leaves the scene's folder '{base}'",
                 "move the file below it, give an absolute name, or load with allow_outside=True",
             )
+        return inside
+
+
+def _is_inside(path: Path, folder: Path) -> bool:
+    """Return whether a path stays below a folder once ".." is taken out; links are not followed."""
+    return Path(os.path.normpath(path)).is_relative_to(os.path.normpath(folder))

@@ -37,13 +37,11 @@ def read_mesh(kind: str, file: Path, where: str, note: Any) -> MeshData:
     place = f"{where}, file '{file}'"
     if kind in readers:
         return readers[kind](file, place, note)
-    from trimesh.exchange import off, stl  # noqa: PLC0415 - loaded where it is used
+    from trimesh.exchange import off, stl
 
     values = _guarded(off.load_off if kind == "off" else stl.load_stl, file, place)
-    return MeshData(
-        np.asarray(values["vertices"], dtype=np.float64).reshape(-1, 3),
-        np.asarray(values["faces"], dtype=np.int64).reshape(-1, 3),
-    )
+    # A text STL may hold several solids, or none.
+    return _joined([_part(part, np.eye(4)) for part in values.get("geometry", {"": values}).values()])
 
 
 def _guarded(load: Any, file: Path, place: str, **options: Any) -> Any:
@@ -51,7 +49,7 @@ def _guarded(load: Any, file: Path, place: str, **options: Any) -> Any:
     try:
         with file.open("rb") as stream:
             return load(stream, **options)
-    except Exception as problem:  # noqa: BLE001 - malformed files raise errors of any kind in there
+    except Exception as problem:
         reason = str(problem) or type(problem).__name__
         raise error(place, f"the file is damaged or of another format ({reason})", _REEXPORT) from None
 
@@ -69,7 +67,7 @@ def _read_obj(file: Path, place: str, note: Any) -> MeshData:
             elif keyword == "f":
                 polygons.append(rest.split())
                 # Negative indices count back from here.
-                places.append((number, *(len(pools[key]) for key in ("v", "vt", "vn"))))
+                places.append((number, len(pools["v"]), len(pools["vt"]), len(pools["vn"])))
     positions = _obj_numbers(pools["v"], 3, "v", place)
     texcoords = _obj_numbers(pools["vt"], 2, "vt", place)
     normals = _obj_numbers(pools["vn"], 3, "vn", place)
@@ -87,7 +85,7 @@ def _read_obj(file: Path, place: str, note: Any) -> MeshData:
     if (vertex[:, 2] >= 0).any():
         data.normals = np.where(vertex[:, 2:3] >= 0, normals[vertex[:, 2]], 0.0)
     if positions.shape[1] >= 6:
-        data.attributes["vertex_color"] = positions[vertex[:, 0], 3:6].astype(np.float32)
+        data.attributes["vertex_color"] = _stack(list(positions[vertex[:, 0], 3:6].T), np.float32)
     return data
 
 
@@ -142,7 +140,7 @@ def _fans(corners: np.ndarray, counts: np.ndarray) -> np.ndarray:
 
 
 def _read_ply(file: Path, place: str, note: Any) -> MeshData:
-    from trimesh.exchange import ply  # noqa: PLC0415
+    from trimesh.exchange import ply
 
     raw = _guarded(ply.load_ply, file, place, fix_texture=False, skip_materials=True)["metadata"]["_ply_raw"]
     for element in ("vertex", "face"):
@@ -176,17 +174,27 @@ def _columns(element: dict, name: str, place: str) -> dict[str, Any]:
     if element["length"] == 0 or data is None:
         return dict.fromkeys(element["properties"], np.empty(0))
     names = list(element["properties"])
-    columns = {key: (data[key] if isinstance(data, dict) else data[key]["f1"] if data[key].dtype.names else data[key])
-               for key in names if key in (data if isinstance(data, dict) else data.dtype.names)}
+    columns = {
+        key: (data[key] if isinstance(data, dict) else data[key]["f1"] if data[key].dtype.names else data[key])
+        for key in names
+        if key in (data if isinstance(data, dict) else data.dtype.names)
+    }
     short = [key for key in names if key not in columns or len(columns[key]) != element["length"]]
+    lists = [key for key in names if key not in short and np.asarray(columns[key]).dtype.kind == "O"]
+    lists = [key for key in lists if not key.startswith("vertex_ind")]
+    if lists:
+        raise error(place, f"property '{lists[0]}' of the {name} items is a list", "only vertex_indices may be one")
     if short:
-        raise error(place, f"the file ends early: property '{short[0]}' of {element['length']} {name} items is cut off",
-                    _REEXPORT)
+        raise error(
+            place,
+            f"the file ends early: property '{short[0]}' of {element['length']} {name} items is cut off",
+            _REEXPORT,
+        )
     return columns
 
 
 def _ply_attributes(columns: dict[str, Any], prefix: str, place: str, note: Any) -> dict[str, np.ndarray]:
-    """Group the remaining properties as Mitsuba does: r, g, b -> "color"; albedo_x, _y, _z -> "albedo"."""
+    """Group properties as Mitsuba does: r, g, b -> "color"; a_x, a_y, a_z -> "a"; a_r, a_g, a_b -> "a_color"."""
     groups: dict[str, dict[int, np.ndarray]] = {}
     for name, values in columns.items():
         stem, _, suffix = name.rpartition("_")
@@ -195,6 +203,7 @@ def _ply_attributes(columns: dict[str, Any], prefix: str, place: str, note: Any)
         elif stem and len(suffix) == 1 and any(suffix in letters for letters in _SUFFIXES):
             position = next(letters.index(suffix) for letters in _SUFFIXES if suffix in letters)
             position = position if not suffix.isdigit() or f"{stem}_0" in columns else int(suffix) - 1
+            stem += "_color" if suffix in "rgba" else ""
         else:
             note(f"{place}: property '{name}' is ignored: its name has no component suffix such as _x, _r or _0")
             continue
@@ -202,12 +211,13 @@ def _ply_attributes(columns: dict[str, Any], prefix: str, place: str, note: Any)
     found = {}
     for stem, parts in groups.items():
         # The alpha of a colour is no part of it.
-        keys = [key for key in sorted(parts) if stem != "color" or key < 3]
+        color = stem == "color" or stem.endswith("_color")
+        keys = [key for key in sorted(parts) if not color or key < 3]
         if keys not in ([0], [0, 1, 2]):
             note(f"{place}: attribute '{prefix}{stem}' is ignored: it has {len(keys)} components, expected 1 or 3")
             continue
         values = _stack([parts[key] for key in keys], np.float32)
-        if parts[keys[0]].dtype.kind in "ui" and stem == "color":
+        if parts[keys[0]].dtype.kind in "ui" and color:
             values /= np.iinfo(parts[keys[0]].dtype).max
             note(f"{place}: the whole-number colours of '{prefix}{stem}' were scaled to [0, 1]")
         found[f"{prefix}{stem}"] = values
@@ -215,14 +225,15 @@ def _ply_attributes(columns: dict[str, Any], prefix: str, place: str, note: Any)
 
 
 def _stack(columns: list[np.ndarray], dtype: Any) -> np.ndarray:
-    return np.stack([np.asarray(column).reshape(-1) for column in columns], axis=1).astype(dtype)
+    with np.errstate(over="ignore"):  # what overflows becomes infinite, which the checks report
+        return np.stack([np.asarray(column).reshape(-1) for column in columns], axis=1).astype(dtype)
 
 
 def _read_gltf(file: Path, place: str, note: Any) -> MeshData:
     """Read all meshes of a glTF file, placed by its nodes and joined; materials are left out."""
-    from trimesh.exchange import gltf  # noqa: PLC0415
-    from trimesh.resolvers import FilePathResolver  # noqa: PLC0415
-    from trimesh.scene.transforms import SceneGraph  # noqa: PLC0415
+    from trimesh.exchange import gltf
+    from trimesh.resolvers import FilePathResolver
+    from trimesh.scene.transforms import SceneGraph
 
     load = gltf.load_glb if file.suffix.lower() == ".glb" else gltf.load_gltf
     values = _guarded(load, file, place, resolver=FilePathResolver(str(file)))
@@ -234,10 +245,15 @@ def _read_gltf(file: Path, place: str, note: Any) -> MeshData:
         matrix, name = graph.get(node)
         part = values["geometry"][name]
         if len(part.get("faces", ())):
-            parts.append(_gltf_part(part, np.asarray(matrix, dtype=np.float64)))
+            parts.append(_part(part, np.asarray(matrix, dtype=np.float64)))
+    note(f"{place}: materials of glTF files are ignored; the shape's bsdf is used")
+    return _joined(parts)
+
+
+def _joined(parts: list[MeshData]) -> MeshData:
+    """Return one mesh of all parts; where only some have normals or texture coordinates, the others get some."""
     if not parts:
         return MeshData(np.empty((0, 3)), np.empty((0, 3), dtype=np.int64))
-    note(f"{place}: materials of glTF files are ignored; the shape's bsdf is used")
     starts = np.cumsum([0, *(len(part.vertices) for part in parts)])
     data = MeshData(
         np.concatenate([part.vertices for part in parts]),
@@ -254,12 +270,13 @@ def _read_gltf(file: Path, place: str, note: Any) -> MeshData:
     return data
 
 
-def _gltf_part(part: dict, matrix: np.ndarray) -> MeshData:
-    faces = np.asarray(part["faces"], dtype=np.int64)
+def _part(part: dict, matrix: np.ndarray) -> MeshData:
+    """Return a mesh of trimesh's readers, moved by ``matrix``."""
+    faces = np.asarray(part["faces"], dtype=np.int64).reshape(-1, 3)
     if np.linalg.det(matrix[:3, :3]) < 0.0:
         # A mirrored node keeps its front side (glTF 2.0, section 3.7.4).
         faces = faces[:, ::-1]
-    data = MeshData(transform_points(matrix, part["vertices"]), faces)
+    data = MeshData(transform_points(matrix, np.reshape(part["vertices"], (-1, 3))), faces)
     if part.get("vertex_normals") is not None:
         data.normals = transform_normals(matrix, part["vertex_normals"])
     uv = getattr(part.get("visual"), "uv", None)

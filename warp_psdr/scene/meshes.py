@@ -75,11 +75,10 @@ def check(data: MeshData, where: str) -> None:
     for name, array in data.attributes.items():
         if not np.isfinite(array).all():
             raise error(where, f"attribute '{name}' holds NaN or infinity", "give finite values")
-    largest = np.abs(data.vertices).max()
-    if largest > _COORDINATE_MAX:
-        raise error(
-            where, f"a vertex coordinate is {largest:g}", f"scale the scene to coordinates below {_COORDINATE_MAX:g}"
-        )
+    for name, array in (("vertex coordinate", data.vertices), ("texture coordinate", data.texcoords)):
+        largest = 0.0 if array is None else np.abs(array).max()
+        if largest > _COORDINATE_MAX:
+            raise error(where, f"a {name} is {largest:g}", f"scale it to below {_COORDINATE_MAX:g}")
     low, high = int(data.faces.min()), int(data.faces.max())
     if low < 0 or high >= count:
         bad = np.flatnonzero((data.faces < 0).any(axis=1) | (data.faces >= count).any(axis=1))
@@ -147,7 +146,8 @@ def _array(props: Properties, name: str, columns: int | None, rows: int | None =
     fits = value.ndim == 2 and (value.shape[1] == columns if columns is not None else value.shape[1] in (1, 3))
     if not fits or (rows is not None and len(value) != rows):
         raise error(place, f"the array has shape {value.shape}", f"expected {wanted}")
-    return np.ascontiguousarray(value, dtype=np.float32)
+    with np.errstate(over="ignore"):  # what overflows becomes infinite, which the checks report
+        return np.ascontiguousarray(value, dtype=np.float32)
 
 
 def _indices(props: Properties) -> np.ndarray:
@@ -171,5 +171,3 @@ def _plain(props: Properties, name: str) -> np.ndarray:
         raise error(props.place(name), "the rows differ in length", "give a rectangular array") from None
     # An empty list has no type of its own.
     return array.astype(np.int32).reshape(-1, 3) if array.size == 0 else array
-
-

@@ -14,6 +14,7 @@ position, bit for bit; closed shapes therefore are watertight. Texture coordinat
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -49,9 +50,8 @@ def cube(resolution: int = DEFAULT_RESOLUTION) -> Tessellation:
     vertices = np.array([[1.0 if sign == "+" else -1.0 for sign in corner] for corner in corners])
     sides = np.array([[0, -1, 0], [0, 1, 0], [1, 0, 0], [0, 0, 1], [-1, 0, 0], [0, 0, -1]], dtype=np.float64)
     faces = np.concatenate([np.array([[0, 1, 2], [3, 0, 2]]) + 4 * side for side in range(6)])
-    return Tessellation(
-        vertices, _int(faces), np.repeat(sides, 4, axis=0), np.tile([[0.0, 1.0], [1.0, 1.0], [1.0, 0.0], [0.0, 0.0]], (6, 1))
-    )
+    texcoords = np.tile([[0.0, 1.0], [1.0, 1.0], [1.0, 0.0], [0.0, 0.0]], (6, 1))
+    return Tessellation(vertices, _int(faces), np.repeat(sides, 4, axis=0), texcoords)
 
 
 def sphere(resolution: int = DEFAULT_RESOLUTION) -> Tessellation:
@@ -74,10 +74,11 @@ def sphere(resolution: int = DEFAULT_RESOLUTION) -> Tessellation:
         ]
     )
     segment, columns = np.arange(resolution), resolution + 1
-    last = resolution + (bands - 2) * columns
+    starts = resolution + columns * np.arange(bands - 1)
+    last = starts[-1]
     top = np.stack([segment, resolution + segment, resolution + segment + 1], axis=1)
     bottom = np.stack([last + segment, last + columns + segment, last + segment + 1], axis=1)
-    middle = [_band(resolution + band * columns, resolution + (band + 1) * columns, segment) for band in range(bands - 2)]
+    middle = [_band(upper, lower, segment) for upper, lower in itertools.pairwise(starts.tolist())]
     return Tessellation(vertices, _int(np.concatenate([top, *middle, bottom])), vertices.copy(), texcoords)
 
 
@@ -101,7 +102,7 @@ def cylinder(resolution: int = DEFAULT_RESOLUTION) -> Tessellation:
     circle, columns = _circle(resolution), resolution + 1
     normals = np.pad(circle, ((0, 0), (0, 1)))
     turn = np.arange(columns) / resolution
-    vertices = np.concatenate([normals, normals + [0.0, 0.0, 1.0]])
+    vertices = np.concatenate([normals, normals + np.array([0.0, 0.0, 1.0])])
     texcoords = np.concatenate([np.stack([turn, np.full(columns, v)], axis=1) for v in (0.0, 1.0)])
     faces = _band(columns, 0, np.arange(resolution))
     return Tessellation(vertices, _int(faces), np.concatenate([normals, normals]), texcoords)

@@ -248,12 +248,11 @@ class Scene:
                 faces = self.builder.indices[e.first_face : e.first_face + e.face_count]
                 p0, p1, p2 = (points[faces[:, k]].astype(np.float64) for k in range(3))
                 areas = 0.5 * np.linalg.norm(np.cross(p1 - p0, p2 - p0), axis=1)
-                e.area = float(areas.sum())
                 e.cdf_offset = offset
                 cdf = cumulative(areas)
                 cdfs.append(cdf)
                 offset += len(cdf)
-                power.append(np.pi * e.area * max(self.builder.emitter_mean(e, values), 0.0))
+                power.append(np.pi * float(areas.sum()) * max(self.builder.emitter_mean(e, values), 0.0))
             else:
                 power.append(max(self.builder.emitter_power(e, values, self.radius), 0.0))
         if records:

@@ -21,17 +21,18 @@ COLOR_TYPES = ("rgb", "spectrum", "uniform")
 _REMEDY = "give a number, {'type': 'rgb', 'value': [r, g, b]} or {'type': 'spectrum', 'value': number or pairs}"
 
 
-def color(value: Any, where: str, *, emissive: bool = False) -> np.ndarray:
+def color(value: Any, where: str, *, emissive: bool = False, high: float = np.inf) -> np.ndarray:
     """Return a colour as float32: shape (1,) for a grey number, (3,) for RGB.
 
-    A uniform spectrum is grey as a reflectance; as an emission it is the colour of equal energy, which is not grey in
-    sRGB. Wavelength lists are integrated against the CIE 1931 observer: reflectances under daylight (D65), emissions as
-    they are.
+    Emitted numbers become RGB, as in Mitsuba. A uniform spectrum is grey as a reflectance; as an emission it is the
+    colour of equal energy, which is not grey in sRGB. Wavelength lists are integrated against the CIE 1931 observer:
+    reflectances under daylight (D65), emissions as they are.
 
     Args:
         value: A number, three numbers, or a dictionary of type "rgb", "spectrum" or "uniform".
         where: Place in the scene, for messages.
         emissive: Whether the colour is emitted.
+        high: Spectra within this bound stay within it: saturated ones leave the gamut of sRGB and are clipped.
 
     Raises:
         ValueError: If the value is of another form or not finite.
@@ -54,9 +55,9 @@ def color(value: Any, where: str, *, emissive: bool = False) -> np.ndarray:
     if not np.isfinite(numbers).all():
         raise error(where, f"the colour {value!r} is not finite", _REMEDY)
     if kind == "spectrum" and numbers.ndim == 2 and numbers.shape[1] == 2:
-        return _from_wavelengths(numbers, where, emissive)
+        return _from_wavelengths(numbers, where, emissive, high)
     if numbers.ndim == 0 or numbers.shape == (1,):
-        if kind == "rgb":
+        if kind == "rgb" or (emissive and not kind):
             numbers = np.full(3, float(numbers.reshape(())))
         elif kind == "spectrum" and emissive:
             numbers = float(numbers.reshape(())) * (_XYZ_TO_RGB @ np.ones(3))
@@ -108,7 +109,7 @@ def check_range(values: np.ndarray, where: str, low: float, high: float, what: s
         )
 
 
-def _from_wavelengths(pairs: np.ndarray, where: str, emissive: bool) -> np.ndarray:
+def _from_wavelengths(pairs: np.ndarray, where: str, emissive: bool, high: float) -> np.ndarray:
     """Integrate (wavelength in nm, value) pairs, linear between them and zero outside."""
     wavelengths, values = pairs.T
     if len(pairs) < 2 or np.any(np.diff(wavelengths) <= 0.0):
@@ -119,5 +120,5 @@ def _from_wavelengths(pairs: np.ndarray, where: str, emissive: bool) -> np.ndarr
     light = np.ones_like(fine) if emissive else np.interp(fine, grid, D65)
     sampled = np.interp(fine, wavelengths, values, left=0.0, right=0.0)
     xyz = (matching * light * sampled).sum(axis=1) / (matching[1] * light).sum()
-    rgb = np.maximum(_XYZ_TO_RGB @ xyz, 0.0)
+    rgb = np.clip(_XYZ_TO_RGB @ xyz, 0.0, high if values.max() <= high else np.inf)
     return rgb.astype(np.float32)

@@ -6,11 +6,13 @@ format counts v from the bottom flip v instead (``flip_tex_coords``).
 
 from __future__ import annotations
 
+import dataclasses
 from typing import TYPE_CHECKING, Any, Literal, cast
 
 import numpy as np
 
-from ..image_io import read_image, srgb_to_linear
+from warp_psdr.image_io import read_image, srgb_to_linear
+
 from .description import TextureDescription
 from .errors import SceneError, error
 from .plugins import Properties, category_of
@@ -55,12 +57,17 @@ def texture(
     elif isinstance(value, dict):
         node, where = props.context.resolve(value, props.context.inside(props.where, name, value))
         place = where if node is not value else place
-        variant = f"texture scalar={scalar} emissive={emissive}"
         result = props.context.build(
-            node, where, variant, lambda: build(node, where, path, props.context, emissive, scalar)
+            node,
+            where,
+            variant(node, emissive),
+            lambda: build(node, where, path, props.context, emissive, high),
+            shared=node is not value,
         )
+        if scalar and result.kind == "bitmap" and result.value.shape[2] == 3:
+            result = dataclasses.replace(result, path=path, value=(result.value @ LUMINANCE)[..., None])
     else:
-        result = constant(path, color(value, place, emissive=emissive))
+        result = constant(path, color(value, place, emissive=emissive, high=high))
     if scalar and result.kind == "constant" and result.value.size != 1:
         raise error(place, f"got the colour {result.value.tolist()}", f"'{name}' is one number")
     if result.value.size:
@@ -73,16 +80,21 @@ def constant(path: str, value: Any) -> TextureDescription:
     return TextureDescription(path, "constant", np.atleast_1d(np.asarray(value, dtype=np.float32)))
 
 
+def variant(node: dict, emissive: bool) -> str:
+    """Return what a texture is shared as: emission changes the meaning of spectra only."""
+    return "emission" if emissive and node.get("type") in COLOR_TYPES else "texture"
+
+
 def build(
-    node: dict, where: str, path: str, context: Context, emissive: bool = False, scalar: bool = False
+    node: dict, where: str, path: str, context: Context, emissive: bool = False, high: float = np.inf
 ) -> TextureDescription:
     """Return the texture that a nested dictionary describes."""
     if node.get("type") in COLOR_TYPES:
-        return constant(path, color(node, where, emissive=emissive))
+        return constant(path, color(node, where, emissive=emissive, high=high))
     if category_of(node, where) != "texture":
         raise error(where, f"a '{node.get('type')}' is no texture", "give a colour, a bitmap or a mesh_attribute")
     props = Properties(node, where, path, context)
-    return _mesh_attribute(props) if props.type == "mesh_attribute" else _bitmap(props, scalar)
+    return _mesh_attribute(props) if props.type == "mesh_attribute" else _bitmap(props)
 
 
 def bitmap_values(props: Properties, raw: bool) -> np.ndarray:
@@ -125,10 +137,8 @@ def bitmap_values(props: Properties, raw: bool) -> np.ndarray:
     return np.ascontiguousarray(image[..., : 1 if image.shape[2] <= 2 else 3])
 
 
-def _bitmap(props: Properties, scalar: bool) -> TextureDescription:
+def _bitmap(props: Properties) -> TextureDescription:
     values = bitmap_values(props, props.boolean("raw", False))
-    if scalar and values.shape[2] == 3:
-        values = (values @ LUMINANCE)[..., None]
     props.ignore("format", "accel", reason="texels are always kept as 32-bit floats")
     result = TextureDescription(
         props.path,
@@ -171,8 +181,9 @@ def _mesh_attribute(props: Properties) -> TextureDescription:
     return TextureDescription(props.path, "mesh_attribute", np.zeros(0, dtype=np.float32), attribute=name)
 
 
-def check_attribute(result: TextureDescription, attributes: dict[str, np.ndarray], where: str, low: float, high: float,
-                    scalar: bool) -> None:
+def check_attribute(
+    result: TextureDescription, attributes: dict[str, np.ndarray], where: str, low: float, high: float, scalar: bool
+) -> None:
     """Raise if a mesh_attribute texture names an attribute that a shape lacks, or whose values do not fit.
 
     Raises:
@@ -188,4 +199,3 @@ def check_attribute(result: TextureDescription, attributes: dict[str, np.ndarray
         wanted = "1 channel" if scalar else "1 or 3 channels"
         raise error(where, f"attribute '{result.attribute}' has {values.shape[1]} channels", f"give {wanted}")
     check_range(values, where, low, high, f"attribute '{result.attribute}'")
-

@@ -48,20 +48,20 @@ class Transform:
         self.matrix = np.eye(4) if matrix is None else as_matrix(matrix)
 
     @_Chained
-    def translate(v: Any) -> np.ndarray:  # noqa: N805 - bound by _Chained, which drops the instance
+    def translate(v: Any) -> np.ndarray:
         """Return the translation by ``v``, shape (3,)."""
         matrix = np.eye(4)
         matrix[:3, 3] = _vector(v, "translate")
         return matrix
 
     @_Chained
-    def scale(v: Any) -> np.ndarray:  # noqa: N805
+    def scale(v: Any) -> np.ndarray:
         """Return the scaling by ``v``, one number or shape (3,)."""
         factors = np.asarray(v, dtype=np.float64)
         return np.diag([*(np.full(3, factors) if factors.ndim == 0 else _vector(v, "scale")), 1.0])
 
     @_Chained
-    def rotate(axis: Any, degrees: float) -> np.ndarray:  # noqa: N805
+    def rotate(axis: Any, degrees: float) -> np.ndarray:
         """Return the rotation about ``axis``, shape (3,), by an angle in degrees, counter-clockwise."""
         x, y, z = _unit(_vector(axis, "rotate"), "the axis of a rotation has no length; give a non-zero axis")
         angle = math.radians(float(degrees))
@@ -72,7 +72,7 @@ class Transform:
         return matrix
 
     @_Chained
-    def look_at(origin: Any, target: Any, up: Any = (0.0, 1.0, 0.0)) -> np.ndarray:  # noqa: N805
+    def look_at(origin: Any, target: Any, up: Any = (0.0, 1.0, 0.0)) -> np.ndarray:
         """Return the frame at ``origin`` whose +z points to ``target``, with +y towards ``up`` and +x to the left."""
         eye = _vector(origin, "look_at origin")
         z = _unit(_vector(target, "look_at target") - eye, "origin and target of look_at coincide; move one of them")
@@ -134,7 +134,10 @@ def as_matrix(value: Any) -> np.ndarray:
 
 def transform_points(matrix: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Return the transformed points, float64, shape (N, 3)."""
-    return np.asarray(points, dtype=np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
+    x, y, z = np.asarray(points, dtype=np.float64).T
+    # Written out: equal points must give equal bits, which a matrix product does not promise.
+    with np.errstate(invalid="ignore"):  # infinite points become NaN, which the checks of meshes report
+        return np.stack([row[0] * x + row[1] * y + row[2] * z + row[3] for row in matrix[:3]], axis=1)
 
 
 def transform_normals(matrix: np.ndarray, normals: np.ndarray) -> np.ndarray:

@@ -1,0 +1,143 @@
+"""The C++ from which the ray queries of the wide BVH are put together; see ``wide.py`` for the method.
+
+``$W`` stands for the number of lanes, ``$STACK`` for the entries of the stack. GNU vector types and a few portable
+Clang builtins carry the SIMD, so the same text compiles for SSE, AVX2, AVX-512 and NEON. Two traps of Warp's CPU
+compiler: ``float(x)`` is a macro (write ``(float)x``), and a reduction of floats is a chain of scalar operations, one
+of integers a tree.
+"""
+
+TYPES = """
+    typedef float vf __attribute__((ext_vector_type($W)));
+    typedef int vi __attribute__((ext_vector_type($W)));
+    typedef float f4 __attribute__((ext_vector_type(4)));
+    typedef int i4 __attribute__((ext_vector_type(4)));
+    typedef unsigned int u32;
+    struct Simd {
+#define INLINE inline __attribute__((always_inline))
+        static INLINE vf load(const float* p) { return *(const vf*)p; }
+        static INLINE vf fma(vf a, vf b, vf c) {
+            return __builtin_elementwise_fma(a, b, c);
+        }
+        static INLINE float max1(float a, float b) { return a > b ? a : b; }
+        static INLINE vf min(vf a, vf b) { return a < b ? a : b; }
+        static INLINE vf max(vf a, vf b) { return a > b ? a : b; }
+        static INLINE u32 mask(vi a) {
+#if $W == 4
+            typedef bool vb __attribute__((ext_vector_type(8)));
+            vi zero = 0;
+            auto wide = __builtin_shufflevector(a, zero, 0, 1, 2, 3, 4, 5, 6, 7);
+            return __builtin_bit_cast(unsigned char, __builtin_convertvector(wide, vb));
+#elif $W == 8
+            typedef bool vb __attribute__((ext_vector_type(8)));
+            return __builtin_bit_cast(unsigned char, __builtin_convertvector(a, vb));
+#else
+            typedef bool vb __attribute__((ext_vector_type(16)));
+            return __builtin_bit_cast(unsigned short, __builtin_convertvector(a, vb));
+#endif
+        }
+        // Append the children in the mask to the stack; what lies above the new top is overwritten.
+        static INLINE long long push(int* stack, long long top, const int* child, u32 m) {
+#if $W == 16 && defined(__AVX512F__)
+            typedef int unaligned __attribute__((ext_vector_type($W), aligned(4)));
+            *(unaligned*)(stack + top) = __builtin_ia32_compresssi512_mask(*(const vi*)child, vi(0), m);
+            return top + __builtin_popcount(m);
+#else
+            for (; m; m &= m - 1)
+                stack[top++] = child[__builtin_ctz(m)];
+            return top;
+#endif
+        }
+        static INLINE void prefetch(const float* p) {
+            for (int i = 0; i < 9 * $W; i += 16)
+                __builtin_prefetch(p + i);
+        }
+#undef INLINE
+    };
+"""
+
+# A query is one function that is not inlined, so that a kernel with several calls holds it once. Scalars arrive in
+# registers: a vector passed by reference would cost a store-forwarding stall.
+ARGUMENTS = """
+        const float* nodes, const float* packets, int flat, const float* center, float extent, float o_x, float o_y,
+        float o_z, float d_x, float d_y, float d_z, float t_max"""
+
+# The largest component of d becomes z [WBW13].
+SHEAR = """
+    #pragma clang fp contract(off)
+    const f4 d = {d_x, d_y, d_z, 0.0f}, size = __builtin_elementwise_abs(d);
+    const int kz = size.x > size.y ? (size.x > size.z ? 0 : 2) : (size.y > size.z ? 1 : 2);
+    const int kx = kz == 2 ? 0 : kz + 1, ky = kx == 2 ? 0 : kx + 1;
+    const float ray_o[3] = {o_x, o_y, o_z}, ray_d[3] = {d_x, d_y, d_z};
+    const float shear_z = 1.0f / ray_d[kz];
+    const float shear_x = -ray_d[kx] * shear_z, shear_y = -ray_d[ky] * shear_z;
+    const vf px = ray_o[kx], py = ray_o[ky], pz = ray_o[kz], mx = shear_x, my = shear_y;
+    const long long qx = kx * $W, qy = ky * $W, qz = kz * $W;
+"""
+
+# Distance to plane b is b * rcp + near or far; the walk starts at the root.
+SLABS = """
+    const f4 o = {o_x, o_y, o_z, 0.0f}, c = {center[0], center[1], center[2], 0.0f};
+    const f4 oc = o - c, far = __builtin_elementwise_abs(oc);
+    const f4 tiny = 1.0e-16f * Simd::max1(Simd::max1(size.x, size.y), size.z);
+    const f4 rcp = 1.0f / (size < tiny ? __builtin_elementwise_copysign(tiny, d) : d);
+    const float delta = 9.6e-7f * (Simd::max1(Simd::max1(far.x, far.y), far.z) + extent);  // 16 u, see wide.py
+    const f4 grow = __builtin_elementwise_copysign(f4(delta), rcp);
+    const f4 near_d = -(oc + grow) * rcp, far_d = -(oc - grow) * rcp;
+    const i4 sign = __builtin_bit_cast(i4, rcp) >> 31;
+    const vf rx = rcp.x, ry = rcp.y, rz = rcp.z;
+    const vf near_x = near_d.x, near_y = near_d.y, near_z = near_d.z;
+    const vf far_x = far_d.x, far_y = far_d.y, far_z = far_d.z;
+    const long long nx = sign.x & $W, ny = 2 * $W + (sign.y & $W), nz = 4 * $W + (sign.z & $W);
+    const long long fx = $W - nx, fy = 5 * $W - ny, fz = 9 * $W - nz;
+    float stack_t[$STACK];
+    int stack[$STACK];
+    long long top = 0;
+    int current = 0;
+"""
+
+BOXES = """
+            const float* node = nodes + (long long)current * (7 * $W);
+            const vf x0 = Simd::fma(Simd::load(node + nx), rx, near_x);
+            const vf x1 = Simd::fma(Simd::load(node + fx), rx, far_x);
+            const vf y0 = Simd::fma(Simd::load(node + ny), ry, near_y);
+            const vf y1 = Simd::fma(Simd::load(node + fy), ry, far_y);
+            const vf z0 = Simd::fma(Simd::load(node + nz), rz, near_z);
+            const vf z1 = Simd::fma(Simd::load(node + fz), rz, far_z);
+            const vf enter = Simd::max(Simd::max(x0, y0), Simd::max(z0, vf(0.0f)));
+            const vf leave = Simd::min(Simd::min(x1, y1), Simd::min(z1, vf(t_best)));
+            const u32 hit = Simd::mask(enter <= leave);
+            const int* child = (const int*)(node + 6 * $W);
+"""
+
+EDGES = """
+        const vf a_z = Simd::load(packet + qz) - pz;
+        const vf b_z = Simd::load(packet + 3 * $W + qz) - pz;
+        const vf c_z = Simd::load(packet + 6 * $W + qz) - pz;
+        const vf a_x = Simd::fma(a_z, mx, Simd::load(packet + qx) - px);
+        const vf b_x = Simd::fma(b_z, mx, Simd::load(packet + 3 * $W + qx) - px);
+        const vf c_x = Simd::fma(c_z, mx, Simd::load(packet + 6 * $W + qx) - px);
+        const vf a_y = Simd::fma(a_z, my, Simd::load(packet + qy) - py);
+        const vf b_y = Simd::fma(b_z, my, Simd::load(packet + 3 * $W + qy) - py);
+        const vf c_y = Simd::fma(c_z, my, Simd::load(packet + 6 * $W + qy) - py);
+        const vf edge_u = c_x * b_y - c_y * b_x;
+        const vf edge_v = a_x * c_y - a_y * c_x;
+        const vf edge_w = b_x * a_y - b_y * a_x;
+        const vf lowest = Simd::min(Simd::min(edge_u, edge_v), edge_w);
+        const vf highest = Simd::max(Simd::max(edge_u, edge_v), edge_w);
+        const vi inside = (lowest >= 0.0f) | (highest <= 0.0f);
+"""
+
+DISTANCE = """
+            const vf det = edge_u + edge_v + edge_w;
+            vf t = (edge_u * a_z + edge_v * b_z + edge_w * c_z) * shear_z / det;
+            u32 thin = Simd::mask(inside & (det == 0.0f));
+            if (__builtin_expect(thin != 0, 0))
+                for (; thin; thin &= thin - 1) {
+                    const int i = __builtin_ctz(thin);
+                    const double ax = a_x[i], ay = a_y[i], bx = b_x[i], by = b_y[i], cx = c_x[i], cy = c_y[i];
+                    const double u = cx * by - cy * bx, v = ax * cy - ay * cx, w = bx * ay - by * ax, s = u + v + w;
+                    const bool out = (u < 0.0 || v < 0.0 || w < 0.0) && (u > 0.0 || v > 0.0 || w > 0.0);
+                    const double z = u * a_z[i] + v * b_z[i] + w * c_z[i];
+                    t[i] = out || s == 0.0 ? -1.0f : (float)(z * shear_z / s);
+                }
+"""

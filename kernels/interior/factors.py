@@ -1,0 +1,179 @@
+"""Where the adjoints of a vertex's factors go: material values, and the light that next-event estimation found."""
+
+import functools
+
+import warp as wp
+
+from warp_psdr.kernels.autodiff import anchor
+from warp_psdr.kernels.constants import EMITTER_AREA, EMITTER_CONSTANT, EMITTER_ENVMAP
+from warp_psdr.kernels.emitter.area import light_uv, make_area
+from warp_psdr.kernels.emitter.dispatch import make_lights
+from warp_psdr.kernels.interior.pullback import connection_vjp
+from warp_psdr.kernels.interior.wanted import Wanted
+from warp_psdr.kernels.path import PathConfig, PathVertex
+from warp_psdr.kernels.structs import Bsdf, Material, Scene
+from warp_psdr.kernels.surface import VertexAdjoint, make_vertex_sink
+from warp_psdr.kernels.texture import make_texture_sink
+
+
+@wp.func
+def add_material(a: Material, b: Material) -> Material:
+    m = Material()
+    m.c0 = a.c0 + b.c0
+    m.c1 = a.c1 + b.c1
+    m.c2 = a.c2 + b.c2
+    m.s0 = a.s0 + b.s0
+    m.s1 = a.s1 + b.s1
+    return m
+
+
+@functools.cache
+def make_material_sink(config: PathConfig, wanted: Wanted, role: str):
+    """Return ``push_material(scene, target, b, face, u, v, uv, m, adjoint) -> (VertexAdjoint, float)``."""
+    slide = wanted.geometry
+    use = tuple(bool(kinds) and (w or slide or wanted.to_uv) for kinds, w in zip(config.slots, wanted.slots, strict=True))
+    push = tuple(
+        make_texture_sink(role, kinds, w, wanted.to_uv, slide) if needed else None
+        for kinds, w, needed in zip(config.slots, wanted.slots, use, strict=True)
+    )
+    p0, p1, p2, p3, p4 = push
+
+    @wp.func
+    def push_material(
+        scene: Scene,
+        target: wp.array(dtype=wp.float32),
+        b: Bsdf,
+        face: wp.int32,
+        u: wp.float32,
+        v: wp.float32,
+        uv: wp.vec2,
+        m: Material,
+        adjoint: VertexAdjoint,
+    ) -> tuple[VertexAdjoint, wp.float32]:
+        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
+        a = adjoint
+        total = wp.float32(0.0)
+        if wp.static(use[0]):
+            if b.c0 >= 0:
+                t0 = p0(scene, target, b.c0, face, u, v, uv, m.c0)
+                total += t0.dot
+                a.uv += t0.uv
+                a.u += t0.u
+                a.v += t0.v
+        if wp.static(use[1]):
+            if b.c1 >= 0:
+                t1 = p1(scene, target, b.c1, face, u, v, uv, m.c1)
+                total += t1.dot
+                a.uv += t1.uv
+                a.u += t1.u
+                a.v += t1.v
+        if wp.static(use[2]):
+            if b.c2 >= 0:
+                t2 = p2(scene, target, b.c2, face, u, v, uv, m.c2)
+                total += t2.dot
+                a.uv += t2.uv
+                a.u += t2.u
+                a.v += t2.v
+        if wp.static(use[3]):
+            if b.s0 >= 0:
+                t3 = p3(scene, target, b.s0, face, u, v, uv, wp.vec3(m.s0, 0.0, 0.0))
+                total += t3.dot
+                a.uv += t3.uv
+                a.u += t3.u
+                a.v += t3.v
+        if wp.static(use[4]):
+            if b.s1 >= 0:
+                t4 = p4(scene, target, b.s1, face, u, v, uv, wp.vec3(m.s1, 0.0, 0.0))
+                total += t4.dot
+                a.uv += t4.uv
+                a.u += t4.u
+                a.v += t4.v
+        return a, total
+
+    return push_material
+
+
+@functools.cache
+def make_light_sink(config: PathConfig, wanted: Wanted, role: str):
+    """Return ``push_light(scene, target, vertex, x, f, w_f, a_wo, w) -> (adjoint of x, float)`` for the NEE factor.
+
+    ``radiance_of(scene, vertex, x)`` beside it gives the attached radiance of the sampled light.
+    """
+    emitted = make_area(config.area)[0] if config.area else None
+    lights = make_lights(config.lights, role, wanted.lights) if config.lights else None
+    sample = lights.sample if lights else None
+    sample_vjp = lights.sample_vjp if lights else None
+    environment_vjp = lights.environment_vjp if lights else None
+    environment_eval = lights.environment_eval if lights else None
+    has_area = bool(config.area)
+    has_environment = environment_eval is not None
+    has_delta_lights = sample_vjp is not None
+    push_radiance = make_texture_sink(role, config.area, True, wanted.to_uv, False) if has_area else None
+    push_vertex = make_vertex_sink(
+        role, config.smooth, config.flat, config.uv, config.tangent, wanted.texcoords, False
+    )
+
+    @wp.func
+    def radiance_of(scene: Scene, vertex: PathVertex, x: wp.vec3) -> wp.vec3:
+        e = scene.emitters[vertex.light]
+        if wp.static(has_area):
+            if e.kind == EMITTER_AREA:
+                return emitted(scene, e, vertex.light_face, vertex.light_u, vertex.light_v, vertex.light_wi)
+        if wp.static(has_environment):
+            if e.kind == EMITTER_CONSTANT or e.kind == EMITTER_ENVMAP:
+                return environment_eval(scene, vertex.light_wi)
+        if wp.static(has_delta_lights):
+            return sample(scene, e, x, wp.vec2(0.0, 0.0)).radiance
+        return wp.vec3(0.0, 0.0, 0.0)
+
+    @wp.func
+    def push_light(
+        scene: Scene,
+        target: wp.array(dtype=wp.float32),
+        vertex: PathVertex,
+        x: wp.vec3,
+        w_radiance: wp.vec3,
+        value: wp.float32,
+        a_wo: wp.vec3,
+    ) -> tuple[wp.vec3, wp.float32]:
+        """Adjoint of x; ``w_radiance``: adjoint of the radiance, ``value``: A . D_n, ``a_wo``: of the direction."""
+        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
+        total = wp.float32(0.0)
+        a_x = wp.vec3(0.0, 0.0, 0.0)
+        e = scene.emitters[vertex.light]
+        if wp.static(has_area):
+            if e.kind == EMITTER_AREA:
+                face = vertex.light_face
+                uv = light_uv(scene, face, vertex.light_u, vertex.light_v)
+                adjoint = VertexAdjoint()
+                if wp.static(wanted.radiance or wanted.to_uv or wanted.texcoords):
+                    ta = push_radiance(scene, target, e.texture, face, vertex.light_u, vertex.light_v, uv, w_radiance)
+                    total += ta.dot
+                    adjoint.uv = ta.uv
+                if wp.static(wanted.geometry):
+                    tri = scene.triangles[face]
+                    y = (1.0 - vertex.light_u - vertex.light_v) * tri.p0 + vertex.light_u * tri.p1 + vertex.light_v * tri.p2
+                    link = connection_vjp(x, y, wp.cross(tri.p1 - tri.p0, tri.p2 - tri.p0), a_wo, value)
+                    a_x = link.x
+                    if wp.static(wanted.shapes or wanted.texcoords):
+                        adjoint.x = -link.x
+                        adjoint.c = link.c
+                        pushed = push_vertex(
+                            scene, target, face, vertex.light_u, vertex.light_v, adjoint, False, x, a_wo
+                        )
+                        total += pushed.dot
+                return a_x, total
+        if wp.static(has_environment):
+            if e.kind == EMITTER_CONSTANT or e.kind == EMITTER_ENVMAP:
+                if wp.static(len(wanted.lights) > 0):
+                    ea = environment_vjp(scene, target, vertex.light_wi, w_radiance)
+                    total += ea.dot
+                return a_x, total
+        if wp.static(has_delta_lights):
+            if wp.static(len(wanted.lights) > 0 or wanted.geometry):
+                la = sample_vjp(scene, target, e, x, vertex.light_wi, w_radiance, a_wo)
+                total += la.dot
+                a_x = la.x
+        return a_x, total
+
+    return radiance_of, push_light

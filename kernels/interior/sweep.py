@@ -1,0 +1,251 @@
+"""The backward sweep over a path's vertices: one vertex's factors, differentiated (derivation: ``replay.py``)."""
+
+import functools
+
+import warp as wp
+
+from warp_psdr.kernels.autodiff import anchor
+from warp_psdr.kernels.bsdf.dispatch import make_bsdf
+from warp_psdr.kernels.camera import make_camera_sink
+from warp_psdr.kernels.constants import LOBE_NONE, LOBE_SMOOTH
+from warp_psdr.kernels.emitter.dispatch import make_lights
+from warp_psdr.kernels.interior.factors import add_material, make_light_sink, make_material_sink
+from warp_psdr.kernels.interior.pullback import connection_vjp, make_frame_vjp
+from warp_psdr.kernels.interior.wanted import Wanted
+from warp_psdr.kernels.path import PathConfig, PathVertex, make_frame, make_material, to_local
+from warp_psdr.kernels.structs import Camera, Material, Scene
+from warp_psdr.kernels.surface import VertexAdjoint, make_surface, make_vertex_sink, normalize_vjp
+from warp_psdr.kernels.texture import make_texture_sink
+
+
+@wp.struct
+class Carry:
+    """What the sweep hands from a vertex to the one before it."""
+
+    radiance: wp.vec3  # L_{n+1}
+    face: wp.int32  # vertex n + 1; -1: it left the scene, -2: there is none
+    u: wp.float32
+    v: wp.float32
+    o: wp.vec3
+    d: wp.vec3
+    adjoint: VertexAdjoint  # of vertex n + 1, complete but for beta_n
+    a_x: wp.vec3  # adjoint of x_n, seen as the point before vertex n + 1
+    a_d: wp.vec3  # adjoint of the direction of a ray that left the scene
+    dot: wp.float32  # forward mode: what the sinks returned so far
+
+
+@functools.cache
+def make_sweep(config: PathConfig, wanted: Wanted, role: str):
+    """Return ``(sweep, finish, finish_vertex)``.
+
+    ``sweep(scene, target, vertex, delta, carry) -> Carry``: the step from vertex n + 1 to vertex n.
+    ``finish(scene, target, camera, film, carry) -> float``: the last one, from vertex 1 to the camera; in forward mode
+    it returns the derivative of the sample.
+    ``finish_vertex(scene, target, carry, by_ray) -> Carry``: scatter the adjoint of one vertex.
+    """
+    surface_at = make_surface(config.smooth, config.flat, config.uv, config.tangent)
+    frame_at = make_frame(config.two_sided, config.tangent)
+    material_at = make_material(config.slots)
+    bsdf = make_bsdf(config.bsdfs)
+    scatter_vjp = bsdf.scatter_vjp
+    has_delta = scatter_vjp is not None
+    has_smooth = bsdf.eval is not None
+    push_material = make_material_sink(config, wanted, role)
+    frame_vjp = make_frame_vjp(config.tangent)
+    has_lights = bool(config.area or config.lights) and has_smooth
+    radiance_of, push_light = make_light_sink(config, wanted, role) if has_lights else (None, None)
+    push_vertex = make_vertex_sink(
+        role, config.smooth, config.flat, config.uv, config.tangent, wanted.texcoords, True
+    )
+    push_camera = make_camera_sink(role) if wanted.camera else None
+    emission = bool(config.area) and (wanted.radiance or wanted.to_uv or wanted.geometry)
+    push_emission = (
+        make_texture_sink(role, config.area, wanted.radiance, wanted.to_uv, wanted.geometry) if emission else None
+    )
+    lights = make_lights(config.lights, role, wanted.lights) if config.lights else None
+    environment_vjp = lights.environment_vjp if lights else None
+    environment = environment_vjp is not None and (bool(wanted.lights) or wanted.geometry)
+    geometry = wanted.geometry
+    # The direction towards a point, spot or directional light moves with the light.
+    aims = geometry or ("pose" in wanted.lights and lights is not None and lights.sample_vjp is not None)
+    materials = any(wanted.slots) or wanted.to_uv or aims
+    light_terms = materials or wanted.radiance or bool(wanted.lights)
+    area_radiance = bool(config.area) and (wanted.radiance or wanted.to_uv or wanted.texcoords)
+    push_lights = has_lights and (geometry or area_radiance or bool(wanted.lights))
+
+    @wp.func
+    def finish_vertex(
+        scene: Scene, target: wp.array(dtype=wp.float32), carry: Carry, by_ray: wp.bool
+    ) -> Carry:
+        """Scatter the adjoint of vertex n + 1; ``a_x`` and ``a_d`` of the result are those of its ray, if attached."""
+        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
+        c = carry
+        if carry.face >= 0:
+            pushed = push_vertex(
+                scene, target, carry.face, carry.u, carry.v, carry.adjoint, by_ray, carry.o, carry.d
+            )
+            c.dot += pushed.dot
+            c.a_x = carry.a_x + pushed.o
+            c.a_d = pushed.d
+        return c
+
+    @wp.func
+    def sweep(
+        scene: Scene, target: wp.array(dtype=wp.float32), vertex: PathVertex, delta: wp.vec3, carry_in: Carry
+    ) -> Carry:
+        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
+        carry = carry_in
+        result = Carry()
+        a_n = wp.cw_mul(delta, vertex.throughput)
+        result.face = vertex.face
+        result.u = vertex.u
+        result.v = vertex.v
+        result.o = vertex.o
+        result.d = vertex.d
+        result.radiance = vertex.direct + wp.cw_mul(vertex.beta, carry.radiance)
+
+        if vertex.face < 0:
+            if wp.static(environment):
+                if vertex.e_weight > 0.0:
+                    ea = environment_vjp(scene, target, vertex.d, vertex.e_weight * a_n)
+                    result.dot = carry.dot + ea.dot
+                    result.a_d = ea.x
+            return result
+
+        total = carry.dot
+        adjoint = VertexAdjoint()
+        surface = surface_at(scene, vertex.face, vertex.u, vertex.v)
+        shape = scene.shapes[surface.shape]
+
+        # E_n: emission met by the incoming ray.
+        if wp.static(emission):
+            if shape.emitter >= 0 and vertex.e_weight > 0.0 and wp.dot(surface.ng, vertex.d) < 0.0:
+                e = scene.emitters[shape.emitter]
+                ta = push_emission(
+                    scene, target, e.texture, vertex.face, vertex.u, vertex.v, surface.uv, vertex.e_weight * a_n
+                )
+                total += ta.dot
+                adjoint.uv = ta.uv
+                adjoint.u = ta.u
+                adjoint.v = ta.v
+
+        if vertex.lobe == LOBE_NONE and vertex.light < 0:
+            result.dot = total
+            result.adjoint = adjoint
+            return result
+
+        if wp.static(light_terms):
+            wi_world = -vertex.d
+            frame = frame_at(scene, shape.bsdf, surface.n, surface.tangent, wi_world)
+            b = scene.bsdfs[frame.bsdf]
+            material = material_at(scene, b, vertex.face, vertex.u, vertex.v, surface.uv)
+            wi = to_local(frame.s, frame.t, frame.n, wi_world)
+            a_material = Material()
+            a_wi_world = wp.vec3(0.0, 0.0, 0.0)
+            a_frame_n = wp.vec3(0.0, 0.0, 0.0)
+            a_tangent = wp.vec3(0.0, 0.0, 0.0)
+
+            # D_n: next-event estimate.
+            if wp.static(has_lights):
+                if vertex.light >= 0:
+                    wo = to_local(frame.s, frame.t, frame.n, vertex.light_wi)
+                    radiance = radiance_of(scene, vertex, surface.x)
+                    w_f = vertex.light_weight * wp.cw_mul(a_n, radiance)
+                    a_wo_world = wp.vec3(0.0, 0.0, 0.0)
+                    if wp.static(materials):
+                        fa = bsdf.eval_vjp(b.model, material, wi, wo, w_f)
+                        a_material = fa.material
+                        if wp.static(aims):
+                            turned = frame_vjp(frame, surface.tangent, wi_world, vertex.light_wi, fa.wi, fa.wo)
+                            a_frame_n += turned.n
+                            a_tangent += turned.tangent
+                            a_wi_world += turned.wi
+                            a_wo_world = turned.wo
+                    if wp.static(push_lights):
+                        f = bsdf.eval(b.model, material, wi, wo)
+                        a_x, dot = push_light(
+                            scene, target, vertex, surface.x,
+                            vertex.light_weight * wp.cw_mul(a_n, f), wp.dot(w_f, f), a_wo_world,
+                        )  # fmt: skip
+                        adjoint.x += a_x
+                        total += dot
+
+            # beta_n L_{n+1}.
+            if wp.static(materials):
+                if wp.static(has_smooth):
+                    if vertex.lobe == LOBE_SMOOTH:
+                        wo = to_local(frame.s, frame.t, frame.n, vertex.wo)
+                        w_f = vertex.inv_pdf * wp.cw_mul(a_n, carry.radiance)
+                        fa = bsdf.eval_vjp(b.model, material, wi, wo, w_f)
+                        a_material = add_material(a_material, fa.material)
+                        if wp.static(geometry):
+                            turned = frame_vjp(frame, surface.tangent, wi_world, vertex.wo, fa.wi, fa.wo)
+                            a_frame_n += turned.n
+                            a_tangent += turned.tangent
+                            a_wi_world += turned.wi
+                            if carry.face >= 0:
+                                tri = scene.triangles[carry.face]
+                                y = (1.0 - carry.u - carry.v) * tri.p0 + carry.u * tri.p1 + carry.v * tri.p2
+                                value = wp.dot(wp.cw_mul(a_n, vertex.beta), carry.radiance)
+                                link = connection_vjp(
+                                    surface.x, y, wp.cross(tri.p1 - tri.p0, tri.p2 - tri.p0), turned.wo, value
+                                )
+                                adjoint.x += link.x
+                                carry.adjoint.x = carry.adjoint.x - link.x
+                                carry.adjoint.c = carry.adjoint.c + link.c
+                            carry.dot = wp.float32(0.0)
+                            done = finish_vertex(scene, target, carry, False)
+                            adjoint.x += done.a_x
+                            total += done.dot
+                if wp.static(has_delta):
+                    if vertex.lobe > LOBE_SMOOTH:
+                        w = vertex.inv_pdf * wp.cw_mul(a_n, carry.radiance)
+                        wo = to_local(frame.s, frame.t, frame.n, vertex.wo)
+                        a_d = wp.vec3(0.0, 0.0, 0.0)
+                        if wp.static(geometry):
+                            carry.dot = wp.float32(0.0)
+                            done = finish_vertex(scene, target, carry, True)
+                            total += done.dot
+                            adjoint.x += done.a_x
+                            a_d = done.a_d
+                        fa = scatter_vjp(
+                            b.model, material, wi, vertex.lobe, w, to_local(frame.s, frame.t, frame.n, a_d)
+                        )
+                        a_material = add_material(a_material, fa.material)
+                        if wp.static(geometry):
+                            # The local direction leaves the frame: d = F wo, the transpose of entering it.
+                            turned = frame_vjp(frame, surface.tangent, wi_world, a_d, fa.wi, wo)
+                            a_frame_n += turned.n
+                            a_tangent += turned.tangent
+                            a_wi_world += turned.wi
+
+                adjoint, dot = push_material(
+                    scene, target, b, vertex.face, vertex.u, vertex.v, surface.uv, a_material, adjoint
+                )
+                total += dot
+            if wp.static(geometry):
+                adjoint.n = frame.side * a_frame_n
+                if wp.static(config.tangent):
+                    adjoint.tangent = a_tangent
+                # wi = normalize(x_{n-1} - x_n).
+                result.a_x = normalize_vjp(wi_world, wp.length(vertex.o - surface.x), a_wi_world)
+                adjoint.x -= result.a_x
+        result.adjoint = adjoint
+        result.dot = total
+        return result
+
+    @wp.func
+    def finish(
+        scene: Scene, target: wp.array(dtype=wp.float32), camera: Camera, film: wp.vec2, carry: Carry
+    ) -> wp.float32:
+        if wp.static(not geometry):
+            return carry.dot
+        else:
+            _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
+            done = finish_vertex(scene, target, carry, True)
+            total = done.dot
+            if wp.static(wanted.camera):
+                total += push_camera(scene, target, camera, film, done.a_x, done.a_d)
+            return total
+
+    return sweep, finish, finish_vertex

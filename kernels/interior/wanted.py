@@ -1,0 +1,28 @@
+"""Which derivatives a kernel computes."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """Which derivatives are compiled; everything else costs nothing."""
+
+    #: Texture values per material slot c0, c1, c2, s0, s1.
+    slots: tuple[bool, ...] = (False,) * 5
+    #: Texture-coordinate transforms of bitmaps in material slots and of area lights.
+    to_uv: bool = False
+    #: Vertex positions, vertex normals or their sources.
+    shapes: bool = False
+    texcoords: bool = False
+    #: Radiance textures of area lights.
+    radiance: bool = False
+    #: What of the other lights: "radiance", "pose".
+    lights: tuple[str, ...] = ()
+    camera: bool = False
+    #: A delta lobe's direction depends on a requested material value (index of refraction).
+    bends: bool = False
+
+    @property
+    def geometry(self) -> bool:
+        """Whether path vertices move at all."""
+        return self.shapes or self.texcoords or self.camera or self.bends

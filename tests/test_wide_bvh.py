@@ -1,0 +1,411 @@
+"""The wide BVH against ``wp.Mesh``, on random and adversarial rays, for every vector width."""
+
+import functools
+
+import numpy as np
+import pytest
+import warp as wp
+
+from warp_psdr.acceleration import REBUILD_FACTOR, Accelerator, host_width, set_ray_backend
+from warp_psdr.kernels.bvh.wide import FLAT_PACKETS, WIDTHS, Accel, RayHit, make_intersect
+
+#: Uncertainty of where a float32 ray meets a triangle's plane, relative to the coordinates and the distance.
+EDGE_TOLERANCE = 4.0e-6
+#: Relative difference of distances that counts as a tie (float32, a few roundings).
+TIE_TOLERANCE = 2.0e-5
+FAR = 1.0e18
+
+
+@functools.cache
+def make_kernels(backend: str, width: int):
+    closest_hit, any_hit = make_intersect(backend, width)
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def query_kernel(
+        # In:
+        accel: Accel,
+        origins: wp.array(dtype=wp.vec3),
+        directions: wp.array(dtype=wp.vec3),
+        t_max: wp.array(dtype=wp.float32),
+        # Out:
+        hits_out: wp.array(dtype=RayHit),
+        any_out: wp.array(dtype=wp.bool),
+    ):
+        i = wp.tid()
+        hits_out[i] = closest_hit(accel, origins[i], directions[i], t_max[i])
+        any_out[i] = any_hit(accel, origins[i], directions[i], t_max[i])
+
+    return query_kernel
+
+
+class Tracer:
+    """A mesh with one backend's acceleration structure."""
+
+    def __init__(self, vertices, faces, backend="wide", width=None):
+        self.points = wp.array(np.asarray(vertices, np.float32).reshape(-1, 3), dtype=wp.vec3, device="cpu")
+        indices = wp.array(np.asarray(faces, np.int32).reshape(-1), dtype=wp.int32, device="cpu")
+        self.accelerator = Accelerator(self.points, indices, "cpu", backend, width=width)
+        self.kernel = make_kernels(backend, self.accelerator.width)
+
+    def __call__(self, origins, directions, t_max=FAR):
+        n = len(origins)
+        limits = np.broadcast_to(np.asarray(t_max, np.float32), n)
+        rays = [wp.array(np.asarray(a, np.float32), dtype=wp.vec3, device="cpu") for a in (origins, directions)]
+        hits, found = wp.zeros(n, dtype=RayHit, device="cpu"), wp.zeros(n, dtype=wp.bool, device="cpu")
+        inputs = [self.accelerator.data, *rays, wp.array(limits, dtype=wp.float32, device="cpu")]
+        wp.launch(self.kernel, n, inputs, [hits, found], device="cpu")
+        return hits.numpy(), found.numpy()
+
+
+def sphere(rows=40, columns=60, bumps=0.1):
+    """Return a closed, displaced sphere whose vertices on the seam and at the poles are shared."""
+    theta = np.linspace(0.0, np.pi, rows + 1)[1:-1, None]
+    phi = np.linspace(0.0, 2.0 * np.pi, columns, endpoint=False)[None, :]
+    r = 1.0 + bumps * np.sin(7.0 * theta) * np.cos(5.0 * phi)
+    ring = np.stack([r * np.sin(theta) * np.cos(phi), r * np.sin(theta) * np.sin(phi), r * np.cos(theta)], -1)
+    vertices = np.concatenate([ring.reshape(-1, 3), [[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]]])
+    faces, j = [], np.arange(columns)
+    k = (j + 1) % columns
+    for i in range(rows - 2):
+        a, b = i * columns, (i + 1) * columns
+        faces += [np.stack([a + j, b + j, a + k], -1), np.stack([a + k, b + j, b + k], -1)]
+    last = (rows - 2) * columns
+    faces += [np.stack([np.full_like(j, len(vertices) - 2), j, k], -1)]
+    faces += [np.stack([last + j, np.full_like(j, len(vertices) - 1), last + k], -1)]
+    return vertices.astype(np.float32), np.concatenate(faces).astype(np.int32)
+
+
+def cube():
+    """Return a cube of 12 triangles."""
+    vertices = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float32)
+    quads = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
+    return vertices, np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))], np.int32)
+
+
+def soup(count=2000, seed=3):
+    """Return random triangles of many sizes: needles, duplicates and degenerate ones among them."""
+    rng = np.random.default_rng(seed)
+    center = rng.uniform(-1.0, 1.0, (count, 1, 3))
+    size = 10.0 ** rng.uniform(-3.0, 0.0, (count, 1, 1))
+    corners = center + size * rng.normal(size=(count, 3, 3))
+    corners[::10, 2] = corners[::10, 1] + 1.0e-4 * rng.normal(size=(len(corners[::10]), 3))  # needles
+    corners[1::10, 2] = corners[1::10, 1]  # degenerate: an edge
+    corners[2::50, 1:] = corners[2::50, :1]  # degenerate: a point
+    corners[3::10] = corners[4::10]  # duplicates
+    corners[5::10, :, 0] = corners[5::10, :1, 0]  # axis-aligned
+    return corners.reshape(-1, 3).astype(np.float32), np.arange(3 * count, dtype=np.int32).reshape(-1, 3)
+
+
+def box36():
+    """Return a mesh of the size of a Cornell box: three cubes, one seen from inside."""
+    vertices, faces = cube()
+    turn = np.array([[0.8, 0.0, 0.6], [0.0, 1.0, 0.0], [-0.6, 0.0, 0.8]])
+    parts = [vertices, 0.3 * vertices - [0.4, 0.7, 0.2], 0.25 * vertices @ turn]
+    return np.concatenate(parts).astype(np.float32), np.concatenate([faces + 8 * i for i in range(3)]).astype(np.int32)
+
+
+def far_sphere():
+    """Return a sphere of radius 1 at distance 1000 from the origin, where float32 resolves 6e-5."""
+    vertices, faces = sphere()
+    return vertices + np.float32([1000.0, -300.0, 500.0]), faces
+
+
+MESHES = {"box36": box36, "sphere": sphere, "soup": soup, "far_sphere": far_sphere, "cube": cube}
+
+
+def unit(v):
+    return v / np.maximum(np.linalg.norm(v, axis=1, keepdims=True), 1.0e-30)
+
+
+def make_rays(kind, vertices, faces, count, seed=0):
+    """Return origins and directions of one family of rays."""
+    rng = np.random.default_rng(seed)
+    low, high = vertices.min(0).astype(np.float64), vertices.max(0).astype(np.float64)
+    size = (high - low).max()
+    origins = rng.uniform(low - 0.3 * size, high + 0.3 * size, (count, 3))
+    corners = vertices[faces[rng.integers(len(faces), size=count)]].astype(np.float64)
+    weights = rng.dirichlet((1.0, 1.0, 1.0), count)
+    if kind == "random":
+        return origins, unit(rng.normal(size=(count, 3)))
+    if kind == "axis":  # parallel to an axis or to an axis plane: one or two direction components are 0
+        directions = rng.normal(size=(count, 3)) * (rng.permuted(np.tile([1, 0, 0], (count, 1)), axis=1) > 0)
+        plane = rng.random(count) < 0.5
+        directions[plane] = rng.normal(size=(plane.sum(), 3))
+        directions[plane, rng.integers(3, size=plane.sum())] = 0.0
+        through = rng.random(count) < 0.5  # through the origins' planes of vertices: exactly on box borders
+        origins[through] = corners[through, 0] - directions[through] * rng.uniform(0.5, 2.0, (through.sum(), 1)) * size
+        return origins, unit(directions)
+    if kind == "vertex":
+        return origins, unit(corners[:, 0] - origins)
+    if kind == "edge":
+        point = corners[:, 0] + rng.random((count, 1)) * (corners[:, 1] - corners[:, 0])
+        return origins, unit(point - origins)
+    if kind == "grazing":  # in or almost in the plane of a triangle
+        point = (weights[:, :, None] * corners).sum(1)
+        normal = unit(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
+        along = unit(corners[:, 1] - corners[:, 0] + 0.3 * (corners[:, 2] - corners[:, 0]))
+        tilt = np.where(rng.random((count, 1)) < 0.3, 0.0, 10.0 ** rng.uniform(-7.0, -2.0, (count, 1)))
+        directions = unit(along + tilt * normal)
+        return point - size * directions, directions
+    if kind == "distant":
+        point = (weights[:, :, None] * corners).sum(1)
+        origins = point + size * 10.0 ** rng.uniform(1.0, 3.0, (count, 1)) * unit(rng.normal(size=(count, 3)))
+        return origins, unit(point - origins)
+    raise ValueError(kind)
+
+
+KINDS = ("random", "axis", "vertex", "edge", "grazing", "distant")
+
+
+def marginal(vertices, faces, origins, directions, face, gap):
+    """Return True, computed in double precision, where float32 cannot tell that a hit is wrong.
+
+    A float32 ray is uncertain by ``EDGE_TOLERANCE`` of the coordinates' size. Along the ray that is more where the
+    triangle is seen edge-on, and may explain the ``gap`` between two distances; measured in barycentrics it is more for
+    small triangles, too, and the hit may lie on the border. Beyond a tenth of the triangle nothing can be told.
+    """
+    corner = vertices[faces[face]].astype(np.float64)
+    o, d = origins.astype(np.float32).astype(np.float64), directions.astype(np.float32).astype(np.float64)
+    e1, e2, p = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0], o - corner[:, 0]
+    normal, moment = np.cross(e1, e2), np.cross(p, d)
+    det = (d * normal).sum(1)
+    with np.errstate(all="ignore"):
+        u, v = -(moment * e2).sum(1) / det, (moment * e1).sum(1) / det
+        reach = np.abs(corner - o[:, None]).max((1, 2)) + np.abs(corner).max((1, 2))
+        cosine = np.abs(det) / np.maximum(np.linalg.norm(normal, axis=1) * np.linalg.norm(d, axis=1), 1.0e-300)
+        depth = EDGE_TOLERANCE * reach / cosine
+        longest = np.linalg.norm(corner - np.roll(corner, 1, 1), axis=2).max(1)
+        height = np.linalg.norm(normal, axis=1) / np.maximum(longest, 1.0e-300)
+        slack = EDGE_TOLERANCE * reach / np.maximum(height * cosine, 1.0e-300)
+    border = np.minimum(np.minimum(np.abs(u), np.abs(v)), np.abs(1.0 - u - v))
+    return ~(border > slack) | ~(slack < 0.1) | (gap <= depth)
+
+
+def assert_same_hits(vertices, faces, origins, directions, hits, reference):
+    """Check that two sets of closest hits agree up to ties and up to rays within rounding of a border."""
+    assert np.isfinite(hits["t"]).all() and np.isfinite(hits["u"]).all() and np.isfinite(hits["v"]).all()
+    found, expected = hits["face"] >= 0, reference["face"] >= 0
+    scale = np.abs(origins).max(1) + np.abs(vertices).max() + np.minimum(reference["t"], 1.0e6)
+    tie = found & expected & (np.abs(hits["t"] - reference["t"]) <= TIE_TOLERANCE * scale)
+    different = ~(tie | (~found & ~expected))
+    if not different.any():
+        return
+    i = np.nonzero(different)[0]
+    closer = np.where(found[i] & (~expected[i] | (hits["t"][i] < reference["t"][i])), 0, 1)
+    face = np.where(closer == 0, hits["face"][i], reference["face"][i])
+    gap = np.where(found[i] & expected[i], np.abs(hits["t"][i] - reference["t"][i]), np.inf)
+    wrong = ~marginal(vertices, faces, origins[i], directions[i], face, gap)
+    assert not wrong.any(), (
+        f"{wrong.sum()} of {len(hits)} rays differ, e.g. ray {i[wrong][0]}: o={origins[i[wrong][0]]}, "
+        f"d={directions[i[wrong][0]]}: {hits[i[wrong][0]]} instead of {reference[i[wrong][0]]}"
+    )
+
+
+def test_the_comparison_notices_a_wrong_hit():
+    vertices, faces = sphere()
+    origins, directions = make_rays("random", vertices, faces, 1000)
+    hits, _ = Tracer(vertices, faces)(origins, directions)
+    i = np.nonzero(hits["face"] >= 0)[0][0]
+    for change in ({"face": -1}, {"t": hits["t"][i] + 0.01}, {"t": 0.5 * hits["t"][i]}):
+        wrong = hits.copy()
+        for name, value in change.items():
+            wrong[name][i] = value
+        with pytest.raises(AssertionError, match="1 of 1000 rays differ"):
+            assert_same_hits(vertices, faces, origins, directions, wrong, hits)
+
+
+def compare(mesh, width, count, seed):
+    vertices, faces = MESHES[mesh]()
+    wide, warp = Tracer(vertices, faces, "wide", width), Tracer(vertices, faces, "warp")
+    for kind in KINDS:
+        origins, directions = make_rays(kind, vertices, faces, count, seed)
+        hits, found = wide(origins, directions)
+        reference, _ = warp(origins, directions)
+        assert_same_hits(vertices, faces, origins, directions, hits, reference)
+        assert (found == (hits["face"] >= 0)).all(), f"{kind}: any hit and closest hit disagree"
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+@pytest.mark.parametrize("mesh", list(MESHES))
+def test_same_hits_as_warp(mesh, width):
+    compare(mesh, width, 10_000, 0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("mesh", list(MESHES))
+def test_same_hits_as_warp_ten_million_rays(mesh):
+    batches = 10
+    for seed in range(batches):
+        compare(mesh, host_width(), 10_000_000 // (len(MESHES) * len(KINDS) * batches) + 1, 100 + seed)
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+@pytest.mark.parametrize("offset", [0.0, 1000.0])
+@pytest.mark.parametrize("mesh", ["cube", "sphere"])
+def test_nothing_leaks_out_of_a_closed_mesh(mesh, offset, width):
+    vertices, faces = MESHES[mesh]() if mesh == "cube" else sphere(bumps=0.0)
+    vertices = vertices + np.float32(offset)
+    rng = np.random.default_rng(5)
+    trace, count = Tracer(vertices, faces, "wide", width), 30_000
+    origins = (offset + 0.3 * unit(rng.normal(size=(count, 3)))).astype(np.float32)
+    corners = vertices[faces[rng.integers(len(faces), size=count)]]
+    share = rng.choice([0.0, 0.25, 0.5, 1.0], (count, 1)).astype(np.float32)
+    for target in (corners[:, 0], corners[:, 0] + share * (corners[:, 1] - corners[:, 0]), corners.mean(1)):
+        hits, found = trace(origins, target - origins)
+        assert found.all() and (hits["face"] >= 0).all()
+    origins[:] = offset  # from the center along the axes, through vertices, edges and diagonals
+    directions = rng.integers(-1, 2, (count, 3)).astype(np.float32)
+    directions[(directions == 0).all(1)] = 1.0
+    hits, found = trace(origins, directions)
+    assert found.all() and (hits["face"] >= 0).all()
+
+
+@pytest.mark.parametrize("backend", ["wide", "warp"])
+@pytest.mark.parametrize("mesh", ["box36", "sphere"])
+def test_barycentrics_give_the_hit_point(mesh, backend):
+    vertices, faces = MESHES[mesh]()
+    origins, directions = make_rays("random", vertices, faces, 5000)
+    hits, _ = Tracer(vertices, faces, backend)(origins, directions)
+    hits, origins, directions = (a[hits["face"] >= 0] for a in (hits, origins, directions))
+    assert len(hits) > 1000
+    u, v, corner = hits["u"][:, None], hits["v"][:, None], vertices[faces[hits["face"]]]
+    point = (1.0 - u - v) * corner[:, 0] + u * corner[:, 1] + v * corner[:, 2]
+    np.testing.assert_allclose(point, origins + hits["t"][:, None] * directions, atol=2.0e-5)  # float32 at size 3
+    assert (hits["u"] >= -1e-6).all() and (hits["v"] >= -1e-6).all() and (hits["u"] + hits["v"] <= 1 + 1e-6).all()
+
+
+@pytest.mark.parametrize("mesh", ["box36", "sphere"])
+def test_largest_distance_is_respected(mesh):
+    vertices, faces = MESHES[mesh]()
+    trace = Tracer(vertices, faces)
+    origins, directions = make_rays("random", vertices, faces, 5000)
+    hits, _ = trace(origins, directions)
+    keep = hits["face"] >= 0
+    origins, directions, t = origins[keep], directions[keep], hits["t"][keep]
+    for t_max, expected in ((t * 0.999, False), (t * 1.001, True), (t, False)):
+        hits, found = trace(origins, directions, t_max)
+        assert (found == expected).all() and ((hits["face"] >= 0) == expected).all()
+    longer, _ = trace(origins, 2.0 * directions)
+    np.testing.assert_allclose(longer["t"], 0.5 * t, rtol=1e-5)  # distances count in lengths of the direction
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+def test_degenerate_triangles_are_never_hit(width):
+    rng = np.random.default_rng(2)
+    ends = rng.integers(-8, 9, (300, 2, 3)).astype(np.float32)
+    corners = np.stack([ends[:, 0], ends[:, 1], 0.5 * (ends[:, 0] + ends[:, 1])], 1)  # exact in float32
+    corners[::3, 1:] = corners[::3, :1]
+    trace = Tracer(corners, np.arange(900).reshape(-1, 3), "wide", width)
+    origins = rng.integers(-8, 9, (2000, 3)) + 0.25
+    target = corners[rng.integers(300, size=2000), rng.integers(3, size=2000)]
+    for directions in (target - origins, rng.normal(size=(2000, 3))):
+        hits, found = trace(origins, directions)
+        assert not found.any() and (hits["face"] == -1).all() and np.isfinite(hits["t"]).all()
+
+
+@pytest.mark.parametrize("backend", ["wide", "warp"])
+def test_empty_mesh_is_always_missed(backend):
+    trace = Tracer(np.zeros((0, 3)), np.zeros((0, 3)), backend)
+    hits, found = trace(np.zeros((4, 3)), np.eye(4, 3) + 0.1)
+    assert (hits["face"] == -1).all() and not found.any()
+    trace.accelerator.update()
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+def test_sizes_around_packet_borders(width):
+    rng = np.random.default_rng(4)
+    for count in sorted({1, 2, width - 1, width, width + 1, *(FLAT_PACKETS * width + k for k in (-1, 0, 1, 2))}):
+        corners = rng.normal(size=(count, 3, 3)).astype(np.float32)
+        faces = np.arange(3 * count, dtype=np.int32).reshape(-1, 3)
+        wide, warp = Tracer(corners, faces, "wide", width), Tracer(corners, faces, "warp")
+        origins, directions = rng.normal(size=(2000, 3)), unit(rng.normal(size=(2000, 3)))
+        hits = wide(origins, directions)[0]
+        assert_same_hits(corners.reshape(-1, 3), faces, origins, directions, hits, warp(origins, directions)[0])
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+def test_trees_that_no_heuristic_splits(width):
+    """Equal centroids and sizes that fall by powers of two: the depth, hence the stack, stays bounded."""
+    one = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]], np.float32)
+    same = np.tile(one, (3000, 1, 1))
+    scales = 2.0 ** -np.repeat(np.arange(60), 30)
+    shrinking = scales[:, None, None] * (one + np.array([0.0, 0.0, 1.0]))
+    for corners in (same, shrinking):
+        corners = corners.astype(np.float32)
+        trace = Tracer(corners, np.arange(3 * len(corners)), "wide", width)
+        hits, found = trace([[0.1, 0.1, 5.0], [2.0, 2.0, 5.0]], [[0.0, 0.0, -1.0], [0.0, 0.0, -1.0]])
+        assert found.tolist() == [True, False]
+        np.testing.assert_allclose(hits["t"][0], 5.0 - corners[0, 0, 2], rtol=1e-6)
+
+
+@pytest.mark.parametrize("backend", ["wide", "warp"])
+@pytest.mark.parametrize("amplitude", [0.01, 1.0])
+def test_update_follows_moved_vertices(backend, amplitude):
+    vertices, faces = sphere()
+    trace = Tracer(vertices, faces, backend)
+    rng = np.random.default_rng(6)
+    moved = (vertices + amplitude * np.sin(3.0 * vertices[:, ::-1] + 1.0)).astype(np.float32)
+    if amplitude == 1.0:
+        moved = rng.permutation(moved)  # scrambled: a refitted tree would be useless
+    trace.points.assign(moved)
+    trace.accelerator.update()
+    fresh = Tracer(moved, faces, backend)
+    origins, directions = make_rays("random", moved, faces, 5000)
+    assert_same_hits(moved, faces, origins, directions, trace(origins, directions)[0], fresh(origins, directions)[0])
+    if backend == "wide":
+        assert trace.accelerator.cost <= REBUILD_FACTOR * fresh.accelerator.cost
+
+
+def test_update_follows_a_mesh_that_moves_far_away():
+    vertices, faces = sphere()
+    trace = Tracer(vertices, faces)
+    moved = vertices + np.float32([3000.0, 0.0, -100.0])
+    trace.points.assign(moved)
+    trace.accelerator.update()
+    origins, directions = make_rays("random", moved, faces, 5000)
+    fresh = Tracer(moved, faces, "warp")
+    assert_same_hits(moved, faces, origins, directions, trace(origins, directions)[0], fresh(origins, directions)[0])
+    assert trace.accelerator.data.extent < 2.0  # bounds stay relative to the mesh's center
+
+
+def test_degenerate_triangles_come_back_when_they_grow():
+    vertices, faces = cube()
+    trace = Tracer(np.zeros_like(vertices), faces)
+    assert not trace([[0.0, 0.0, 0.0]], [[0.3, 0.2, 1.0]])[1][0]
+    trace.points.assign(vertices)
+    trace.accelerator.update()
+    hits, _ = trace([[0.0, 0.0, 0.0]], [[0.3, 0.2, 1.0]])
+    np.testing.assert_allclose(hits["t"], 1.0, rtol=1e-6)
+
+
+def test_result_does_not_depend_on_the_width():
+    vertices, faces = sphere()
+    origins, directions = make_rays("random", vertices, faces, 20_000)
+    hits = [Tracer(vertices, faces, "wide", width)(origins, directions)[0] for width in WIDTHS]
+    for other in hits[1:]:
+        assert (other == hits[0]).all()
+
+
+def test_memory():
+    vertices, faces = sphere(100, 100)
+    assert Tracer(vertices, faces).accelerator.nbytes <= 120 * len(faces)
+
+
+def test_backend_switch():
+    vertices, faces = cube()
+    points = wp.array(vertices, dtype=wp.vec3, device="cpu")
+    indices = wp.array(faces.reshape(-1), dtype=wp.int32, device="cpu")
+    try:
+        for name, expected in (("warp", "warp"), ("wide", "wide"), ("auto", "wide")):
+            set_ray_backend(name)
+            assert Accelerator(points, indices, "cpu").backend == expected
+        with pytest.raises(ValueError, match="expected one of"):
+            set_ray_backend("embree")
+        with pytest.raises(ValueError, match="expected one of"):
+            Accelerator(points, indices, "cpu", "embree")
+        with pytest.raises(ValueError, match="expected one of"):
+            Accelerator(points, indices, "cpu", "wide", width=5)
+        with pytest.raises(ValueError, match="expected 'warp', or 'wide'"):
+            make_intersect("wide", 5)
+    finally:
+        set_ray_backend("auto")

@@ -1,0 +1,143 @@
+"""Turn a scene dictionary, Mitsuba's ``load_dict`` form, into a validated ``SceneDescription``."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+from . import bsdfs, emitters, sensors, shapes, textures
+from .context import Context
+from .description import SceneDescription
+from .errors import error
+from .plugins import Properties, category_of
+
+#: Integrators whose light transport a path tracer computes as well.
+_SAME_TRANSPORT = ("path", "prb", "prb_basic", "prb_projective")
+
+
+def describe_dict(
+    scene: dict, base: str | os.PathLike[str] | None = None, *, allow_outside: bool = False
+) -> SceneDescription:
+    """Return the description of a scene given as nested dictionaries.
+
+    Args:
+        scene: ``{"type": "scene", name: {"type": plugin, parameter: value, ...}, ...}``.
+        base: Folder that relative file names start from; default: the current folder.
+        allow_outside: Whether relative file names may climb out of ``base`` with "..".
+
+    Raises:
+        TypeError: If ``scene`` is no dictionary.
+        ValueError: If a plugin, a parameter or a value is not supported; the message names its place.
+        FileNotFoundError: If a file that the scene names does not exist.
+    """
+    if not isinstance(scene, dict):
+        raise TypeError(f"a scene is a dict {{'type': 'scene', ...}}; got {type(scene).__name__}")
+    context = Context("dict", None if base is None else Path(base), allow_outside)
+    return describe(scene, "scene", context)
+
+
+def describe(scene: dict, where: str, context: Context) -> SceneDescription:
+    """Return the description of a scene's dictionary; relative files and notes go through ``context``.
+
+    Raises:
+        ValueError: If anything in the scene cannot be used.
+        FileNotFoundError: If a file does not exist.
+    """
+    if scene.get("type") != "scene":
+        raise error(where, f"the outermost type is {scene.get('type')!r}", "wrap the scene in {'type': 'scene', ...}")
+    _register(scene, where, context, [])
+    result = SceneDescription(shapes=[], emitters=[], sensors=[], source=context.source, notes=context.notes)
+    scene_props = Properties(scene, where, "", context)
+    for key, value in scene.items():
+        if key in ("type", "id"):
+            continue
+        if not isinstance(value, dict):
+            raise error(f"{where}[{key!r}]", f"got {value!r}", "a scene holds plugins; give {'type': plugin, ...}")
+        scene_props.take(key)
+        node, place = context.resolve(value, context.inside(where, key, value))
+        # As in Mitsuba an explicit id wins over the dictionary key.
+        name = node.get("id") if isinstance(node.get("id"), str) else key
+        _add(result, node, place, str(name), context)
+    _check(result, where)
+    return result
+
+
+def _add(result: SceneDescription, node: dict, where: str, name: str, context: Context) -> None:
+    """Build one top-level plugin and file it."""
+    category = category_of(node, where)
+    if category == "shape":
+        shape = shapes.build(node, where, name, context)
+        result.shapes.append(shape)
+        if shape.emitter is not None:
+            result.emitters.append(shape.emitter)
+    elif category == "emitter":
+        result.emitters.append(emitters.build(node, where, name, context))
+    elif category == "sensor":
+        result.sensors.append(sensors.build(node, where, name, context))
+    elif category == "integrator":
+        if result.integrator:
+            raise error(where, "a second integrator", "give one")
+        result.integrator = _integrator(node, where, context)
+    elif category == "bsdf":
+        bsdfs.build(node, where, name, context, shared=False)
+    elif category == "texture":
+        kind = textures.variant(node, False)
+        context.build(node, where, kind, lambda: textures.build(node, where, name, context), shared=False)
+    else:
+        raise error(where, f"a '{node['type']}' ({category}) directly in the scene", "nest it in the sensor or film")
+
+
+def _integrator(node: dict, where: str, context: Context) -> dict[str, Any]:
+    """Return ``{"type", "max_depth", "rr_depth", "hide_emitters"}``; max_depth -1 stands for unlimited."""
+    props = Properties(node, where, "integrator", context)
+    nested = props.children("integrator")
+    if props.type in ("aov", "moment") and nested:
+        context.note(f"{where}: the integrator '{props.type}' is ignored; the one nested in it is used")
+        return _integrator(nested[0][1], nested[0][2], context)
+    direct = "direct" in props.type
+    if props.type not in _SAME_TRANSPORT and not direct:
+        context.note(f"{where}: the integrator '{props.type}' is replaced by path tracing")
+    max_depth = 2 if direct else props.integer("max_depth", -1, minimum=-1)
+    result = {
+        "type": props.type,
+        "max_depth": max_depth,
+        "rr_depth": 5 if direct else props.integer("rr_depth", 5, minimum=1),
+        "hide_emitters": props.boolean("hide_emitters", False),
+    }
+    others = [name for name in node if name not in (*result, "id") and not isinstance(node[name], dict)]
+    props.ignore(*others, reason="it is an option of psdr's integrator objects")
+    return result
+
+
+def _register(node: dict, where: str, context: Context, open_nodes: list[int]) -> None:
+    """Collect the names that references can use: keys of the scene, and every ``id``."""
+    if id(node) in open_nodes:
+        raise error(where, f"the dictionary of this '{node.get('type')}' contains itself", "break the cycle")
+    for key, value in node.items():
+        if not isinstance(value, dict):
+            continue
+        place = context.inside(where, key, value)
+        if value.get("type") == "ref":
+            if not open_nodes:
+                context.named.setdefault(str(key), value)
+            continue
+        for name in {*([str(key)] if not open_nodes else []), value.get("id", "")}:
+            if isinstance(name, str) and name and context.named.setdefault(name, value) is not value:
+                other = getattr(context.named[name], "where", "") or "another plugin"
+                raise error(place, f"the id '{name}' is taken by {other}", "give every plugin an id of its own")
+        _register(value, place, context, [*open_nodes, id(node)])
+
+
+def _check(result: SceneDescription, where: str) -> None:
+    """Raise if there is nothing to see or nothing to see it with; note what is merely suspicious."""
+    if not result.sensors:
+        raise error(where, "there is no sensor", "add one: {'type': 'perspective', 'to_world': ..., 'fov': ...}")
+    environments = [light for light in result.emitters if light.kind in ("constant", "envmap")]
+    if len(environments) > 1:
+        names = ", ".join(f"'{light.path}'" for light in environments)
+        raise error(where, f"{len(environments)} environment lights ({names})", "keep one 'constant' or 'envmap'")
+    if not result.shapes and not environments:
+        raise error(where, "there are no shapes and no environment light", "add a shape; nothing is visible")
+    if not result.emitters:
+        result.notes.append(f"{where}: there is no light; images are black")

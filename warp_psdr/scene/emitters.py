@@ -1,0 +1,148 @@
+"""Light sources."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from .description import EmitterDescription, TextureDescription
+from .errors import SceneError, error
+from .plugins import Properties
+from .textures import bitmap_values, texture
+from .transforms import Transform
+
+if TYPE_CHECKING:
+    from .context import Context
+
+
+def build(node: dict, where: str, path: str, context: Context) -> EmitterDescription:
+    """Return the light that a plugin dictionary of the scene describes.
+
+    Raises:
+        ValueError: If a parameter is not supported or out of range, or the light belongs into a shape.
+        FileNotFoundError: If its image does not exist.
+    """
+    builders = {
+        "constant": _constant,
+        "envmap": _envmap,
+        "point": _point,
+        "spot": _spot,
+        "directional": _directional,
+    }
+    props = Properties(node, where, path, context)
+    if props.type not in builders:
+        raise error(where, "an 'area' emitter outside a shape", "nest it in the shape that shines")
+    _ignore_weights(props)
+    result = builders[props.type](props)
+    props.finish()
+    return result
+
+
+def build_area(node: dict, where: str, path: str, context: Context) -> EmitterDescription:
+    """Return the area light of a shape.
+
+    Raises:
+        ValueError: If it is of another kind or a parameter is out of range.
+    """
+    props = Properties(node, where, path, context)
+    if props.type != "area":
+        raise error(where, f"a '{props.type}' emitter inside a shape", "shapes take 'area'; move it to the scene")
+    _ignore_weights(props)
+    result = EmitterDescription(path, "area", texture(props, "radiance", 1.0, emissive=True))
+    props.finish()
+    return result
+
+
+def _ignore_weights(props: Properties) -> None:
+    props.ignore("sampling_weight", reason="lights are selected by their power")
+
+
+def _constant(props: Properties) -> EmitterDescription:
+    radiance = texture(props, "radiance", 1.0, emissive=True)
+    if radiance.kind != "constant":
+        raise error(props.place("radiance"), "a texture", "a constant light has one radiance; use 'envmap' for images")
+    return EmitterDescription(props.path, "constant", radiance)
+
+
+def _envmap(props: Properties) -> EmitterDescription:
+    texels = bitmap_values(props, raw=False)
+    if texels.shape[2] == 1:
+        texels = np.repeat(texels, 3, axis=2)
+    if not np.isfinite(texels).all():
+        count = int((~np.isfinite(texels)).sum())
+        raise error(props.where, f"{count} values of the environment map are NaN or infinite", "repair the image")
+    negative = int((texels < 0.0).sum())
+    if negative:
+        texels = np.maximum(texels, 0.0)
+        props.context.note(f"{props.where}: {negative} negative values of the environment map were set to 0")
+    if texels.shape[0] < 2 or texels.shape[1] < 2:
+        size = f"{texels.shape[1]}x{texels.shape[0]}"
+        raise error(props.where, f"the environment map has {size} texels", "give at least 2x2, or use 'constant'")
+    props.ignore("mis_compensation", reason="the radiance is sampled as it is")
+    return EmitterDescription(
+        props.path,
+        "envmap",
+        TextureDescription(props.path, "bitmap", np.ascontiguousarray(texels)),
+        to_world=_rotation(props),
+        scale=props.number("scale", 1.0, minimum=0.0),
+    )
+
+
+def _point(props: Properties) -> EmitterDescription:
+    if props.has("position", "to_world") and props.has("position") == props.has("to_world"):
+        raise error(props.where, "got both 'position' and 'to_world'", "give one of them")
+    position = props.vector("position", (0.0, 0.0, 0.0))
+    position = props.transform("to_world")[:3, 3] if props.has("to_world") else position
+    props.take("to_world")
+    intensity = _uniform(props, "intensity")
+    return EmitterDescription(props.path, "point", intensity, position=position.astype(np.float32))
+
+
+def _spot(props: Properties) -> EmitterDescription:
+    cutoff = props.number("cutoff_angle", 20.0, minimum=0.0, maximum=90.0)
+    beam = props.number("beam_width", 0.75 * cutoff, minimum=0.0)
+    if beam > cutoff or cutoff == 0.0:
+        angles = f"beam_width is {beam:g} and cutoff_angle {cutoff:g}"
+        raise error(props.where, angles, "give 0 <= beam_width <= cutoff_angle and a positive cutoff_angle")
+    if props.has("texture"):
+        raise error(props.place("texture"), "projected textures are not supported", "remove it")
+    return EmitterDescription(
+        props.path,
+        "spot",
+        _uniform(props, "intensity"),
+        to_world=_rotation(props),
+        cutoff_angle=cutoff,
+        beam_width=beam,
+    )
+
+
+def _directional(props: Properties) -> EmitterDescription:
+    to_world = _rotation(props)
+    if props.has("direction"):
+        if props.has("to_world"):
+            raise error(props.where, "got both 'direction' and 'to_world'", "give one of them")
+        to_world = _frame_along(props)
+    props.take("direction")
+    return EmitterDescription(props.path, "directional", _uniform(props, "irradiance"), to_world=to_world)
+
+
+def _frame_along(props: Properties) -> np.ndarray:
+    """Return a frame whose +z is ``direction``, the way that the light travels."""
+    direction = props.vector("direction", (0.0, 0.0, 1.0))
+    helper = np.eye(3)[int(np.argmin(np.abs(direction)))]
+    try:
+        return Transform.look_at((0.0, 0.0, 0.0), direction, helper).matrix.astype(np.float32)
+    except SceneError:
+        raise error(props.place("direction"), "it has no length", "give a non-zero direction") from None
+
+
+def _uniform(props: Properties, name: str) -> TextureDescription:
+    result = texture(props, name, 1.0, emissive=True)
+    if result.kind != "constant":
+        raise error(props.place(name), "a texture", f"a {props.type} light has one {name}; give a colour")
+    return result
+
+
+def _rotation(props: Properties) -> np.ndarray:
+    return props.transform("to_world").astype(np.float32)

@@ -1,0 +1,171 @@
+"""Cameras, films, reconstruction filters and samplers."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Literal, cast
+
+import numpy as np
+
+from .description import FilmDescription, SensorDescription
+from .errors import error
+from .plugins import Properties, unsupported_plugin
+
+if TYPE_CHECKING:
+    from .context import Context
+
+_FOV_AXES = ("x", "y", "diagonal", "smaller", "larger")
+#: Diagonal of 35 mm film, in mm: what focal lengths refer to.
+_FILM_DIAGONAL = math.hypot(36.0, 24.0)
+#: Largest difference of the axes' lengths, relative, that rounding in a scene file may leave.
+_RIGID = 1e-3
+_FILM_MAX = 65536
+
+
+def build(node: dict, where: str, path: str, context: Context) -> SensorDescription:
+    """Return the camera that a plugin dictionary describes.
+
+    Raises:
+        ValueError: If a parameter is not supported or out of range.
+    """
+    props = Properties(node, where, path, context)
+    if props.type != "perspective":
+        raise unsupported_plugin(props.type, where, "sensor")
+    film = _film(props)
+    sampler, sample_count = _sampler(props)
+    near = props.number("near_clip", 1e-2, minimum=0.0, exclusive=True)
+    far = props.number("far_clip", 1e4, minimum=0.0, exclusive=True)
+    if near >= far:
+        raise error(where, f"near_clip is {near:g} and far_clip {far:g}", "near_clip must be the smaller one")
+    props.ignore("shutter_open", "shutter_close", reason="there is no motion blur")
+    props.ignore("focus_distance", reason="a pinhole camera is sharp everywhere")
+    result = SensorDescription(
+        path=path,
+        kind="perspective",
+        to_world=_pose(props),
+        x_fov=_x_fov(props, film.width / film.height),
+        principal_point_offset=(
+            props.number("principal_point_offset_x", 0.0),
+            props.number("principal_point_offset_y", 0.0),
+        ),
+        near_clip=near,
+        far_clip=far,
+        film=film,
+        sampler=sampler,
+        sample_count=sample_count,
+    )
+    props.finish()
+    return result
+
+
+def _pose(props: Properties) -> np.ndarray:
+    """Return the rigid camera-to-world matrix; a uniform scale is divided out with a note."""
+    matrix = props.transform("to_world")
+    place = props.place("to_world")
+    lengths = np.linalg.svd(matrix[:3, :3], compute_uv=False)
+    if lengths[0] - lengths[-1] > _RIGID * lengths[0]:
+        raise error(
+            place,
+            f"the matrix stretches or shears (singular values {np.round(lengths, 4).tolist()})",
+            "build it from rotations and translations, for example with look_at",
+        )
+    scale = float(np.cbrt(np.abs(np.linalg.det(matrix[:3, :3]))))
+    if abs(scale - 1.0) > _RIGID:
+        props.context.note(f"{place}: the scale {scale:g} of the camera was removed")
+    if np.linalg.det(matrix[:3, :3]) < 0.0:
+        props.context.note(f"{place}: the matrix mirrors the image")
+    matrix[:3, :3] /= scale
+    return matrix.astype(np.float32)
+
+
+def _x_fov(props: Properties, aspect: float) -> float:
+    """Return the horizontal field of view in degrees from ``fov`` and ``fov_axis``, or ``focal_length``."""
+    if props.has("fov") and props.has("focal_length"):
+        raise error(props.where, "got both 'fov' and 'focal_length'", "give one of them")
+    axis = props.string("fov_axis", "x", _FOV_AXES)
+    if props.has("fov"):
+        fov = props.number("fov", None, minimum=0.0, maximum=180.0, exclusive=True)
+        props.take("focal_length")
+    else:
+        props.take("fov")
+        fov, axis = _fov_of_focal_length(props), "diagonal"
+    if axis in ("smaller", "larger"):
+        axis = "x" if (axis == "larger") == (aspect > 1.0) else "y"
+    tangent = math.tan(0.5 * math.radians(fov))
+    if axis == "y":
+        tangent *= aspect
+    elif axis == "diagonal":
+        tangent /= math.sqrt(1.0 + 1.0 / aspect**2)
+    return math.degrees(2.0 * math.atan(tangent))
+
+
+def _fov_of_focal_length(props: Properties) -> float:
+    text = str(props.take("focal_length", "50mm")).strip()
+    try:
+        length = float(text.removesuffix("mm"))
+    except ValueError:
+        length = -1.0
+    if not 0.0 < length < math.inf:
+        raise error(props.place("focal_length"), f"got '{text}'", "give a positive length such as '50mm'")
+    return math.degrees(2.0 * math.atan(0.5 * _FILM_DIAGONAL / length))
+
+
+def _film(sensor: Properties) -> FilmDescription:
+    nested = sensor.children("film")
+    if not nested:
+        return FilmDescription()
+    key, node, where = nested[0]
+    props = Properties(node, where, f"{sensor.path}.{key}", sensor.context)
+    width, height = (props.integer(n, d, minimum=1) for n, d in (("width", 768), ("height", 576)))
+    if max(width, height) > _FILM_MAX:
+        raise error(where, f"the film has {width}x{height} pixels", f"give at most {_FILM_MAX} in each direction")
+    crop_x, crop_y = props.integer("crop_offset_x", 0, minimum=0), props.integer("crop_offset_y", 0, minimum=0)
+    crop_width = props.integer("crop_width", width, minimum=1)
+    crop_height = props.integer("crop_height", height, minimum=1)
+    if crop_x + crop_width > width or crop_y + crop_height > height:
+        raise error(
+            where,
+            f"the crop {crop_width}x{crop_height} at ({crop_x}, {crop_y}) leaves the film {width}x{height}",
+            "offset and size together must not exceed the film",
+        )
+    pixel_format = props.string("pixel_format", "rgb", ("rgb", "rgba", "luminance", "luminance_alpha", "xyz", "xyza"))
+    if pixel_format != "rgb":
+        props.context.note(f"{props.place('pixel_format')}: '{pixel_format}' is ignored; images are RGB")
+    props.ignore("component_format", "file_format", reason="it is chosen when an image is written")
+    props.ignore("sample_border", "high_quality_edges", "compensate", reason="it does not apply to this film")
+    name, radius, stddev = _filter(props)
+    props.finish()
+    return FilmDescription(width, height, crop_x, crop_y, crop_width, crop_height, name, radius, stddev)
+
+
+def _filter(film: Properties) -> tuple[Literal["box", "tent", "gaussian"], float, float]:
+    """Return a reconstruction filter's name, radius and standard deviation, in pixels."""
+    nested = film.children("rfilter")
+    if not nested:
+        return "gaussian", 2.0, 0.5
+    _, node, where = nested[0]
+    props = Properties(node, where, film.path, film.context)
+    stddev = 0.5
+    if props.type == "gaussian":
+        stddev = props.number("stddev", 0.5, minimum=0.0, exclusive=True)
+        radius = props.number("radius", 4.0 * stddev, minimum=0.0, exclusive=True)
+    else:
+        radius = props.number("radius", 0.5 if props.type == "box" else 1.0, minimum=0.0, exclusive=True)
+    props.finish()
+    return cast(Literal["box", "tent", "gaussian"], props.type), radius, stddev
+
+
+def _sampler(sensor: Properties) -> tuple[Literal["default", "independent", "sobol"], int]:
+    nested = sensor.children("sampler")
+    if not nested:
+        return "default", 4
+    _, node, where = nested[0]
+    props = Properties(node, where, sensor.path, sensor.context)
+    count = props.integer("sample_count", 4, minimum=1)
+    props.ignore("seed", reason="the seed is an argument of render()")
+    if props.type != "independent":
+        props.ignore("jitter", reason="the Sobol sampler is scrambled")
+        if props.type != "sobol":
+            props.context.note(f"{where}: the sampler '{props.type}' is replaced by a scrambled Sobol sequence")
+    props.finish()
+    return ("independent" if props.type == "independent" else "sobol"), count

@@ -1,0 +1,171 @@
+"""Shapes: geometry in world space with its scattering model and its light."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from . import bsdfs, emitters
+from .description import ShapeDescription
+from .errors import error
+from .mesh_files import read_mesh
+from .meshes import MeshData, check, drop_flat_triangles, in_place, vertex_normals
+from .plugins import Properties
+from .primitives import CURVED, DEFAULT_RESOLUTION, MIN_RESOLUTION, PRIMITIVES
+from .textures import check_attribute
+from .transforms import Transform, transform_normals, transform_points
+
+if TYPE_CHECKING:
+    from .context import Context
+
+#: Formats whose texture coordinates count v from the bottom (glTF does so after trimesh's reader); the first row of a
+#: bitmap lies at v = 0, so v is flipped unless ``flip_tex_coords`` says otherwise.
+_FLIP_TEX_COORDS = ("obj", "gltf", "glb")
+
+
+def build(node: dict, where: str, path: str, context: Context) -> ShapeDescription:
+    """Return the shape that a plugin dictionary describes.
+
+    Args:
+        node: The dictionary, references resolved.
+        where: Its place, for messages.
+        path: The name under which its parameters are listed.
+        context: The load in progress.
+
+    Raises:
+        ValueError: If a parameter or the geometry cannot be used.
+        FileNotFoundError: If its file does not exist.
+    """
+    props = Properties(node, where, path, context)
+    props.ignore("silhouette_sampling_weight", reason="boundary sampling is set up by the integrator")
+    flip, flat = props.boolean("flip_normals", False), props.boolean("face_normals", False)
+    data, to_world, place = _geometry(props)
+    analytic = props.type in PRIMITIVES
+    check(data, place)
+    if flat:
+        data.normals = None
+    lights = props.children("emitter")
+    bsdf = _bsdf(props, shines=bool(lights))
+    shape = _place(props, data, to_world, bsdf, flat=flat)
+    # A mirrored sphere is inside out in Mitsuba; its other shapes keep their side.
+    mirrored_sphere = props.type == "sphere" and bool(np.linalg.det(to_world[:3, :3]) < 0.0)
+    shape.flip_normals = flip != mirrored_sphere
+    shape.attributes = data.attributes
+    if analytic:
+        shape.to_world = to_world.astype(np.float32)
+        shape.local_vertices = data.vertices.astype(np.float32)
+        shape.local_normals = None if data.normals is None else data.normals.astype(np.float32)
+    for _, light, light_where in lights:
+        shape.emitter = emitters.build_area(light, light_where, f"{path}.emitter", context)
+        check_attribute(shape.emitter.radiance, shape.attributes, light_where, 0.0, np.inf, False)
+    props.finish()
+    bsdfs.check_attributes(bsdf, shape.attributes, where)
+    return shape
+
+
+def _geometry(props: Properties) -> tuple[MeshData, np.ndarray, str]:
+    """Return the object-space mesh, the transformation to world space, and the mesh's place for messages."""
+    to_world = props.transform("to_world")
+    if props.type in PRIMITIVES:
+        resolution = DEFAULT_RESOLUTION
+        if props.type in CURVED:
+            resolution = props.integer("resolution", DEFAULT_RESOLUTION, minimum=MIN_RESOLUTION)
+        source = PRIMITIVES[props.type](resolution)
+        data = MeshData(source.vertices, source.faces, source.normals, source.texcoords)
+        return data, to_world @ _local_frame(props), props.where
+    if props.type == "mesh":
+        return in_place(props), to_world, props.where
+    name = props.take("filename")
+    if name is None:
+        raise error(props.where, f"a '{props.type}' without 'filename'", "name the mesh file")
+    file = props.context.file(name, props.place("filename"))
+    data = read_mesh(props.type, file, props.where, props.context.note)
+    if props.boolean("flip_tex_coords", props.type in _FLIP_TEX_COORDS) and data.texcoords is not None:
+        data.texcoords = np.stack([data.texcoords[:, 0], 1.0 - data.texcoords[:, 1]], axis=1)
+    return data, to_world, f"{props.where}, file '{file}'"
+
+
+def _local_frame(props: Properties) -> np.ndarray:
+    """Return the matrix of a sphere's ``center`` and ``radius`` or a cylinder's ``p0``, ``p1`` and ``radius``."""
+    if props.type == "sphere":
+        center = props.vector("center", (0.0, 0.0, 0.0))
+        radius = props.number("radius", 1.0, minimum=0.0, exclusive=True)
+        return Transform.translate(center).scale(radius).matrix
+    if props.type == "cylinder":
+        p0, p1 = props.vector("p0", (0.0, 0.0, 0.0)), props.vector("p1", (0.0, 0.0, 1.0))
+        radius = props.number("radius", 1.0, minimum=0.0, exclusive=True)
+        length = float(np.linalg.norm(p1 - p0))
+        if length == 0.0:
+            raise error(props.where, f"p0 and p1 are both {p0.tolist()}", "give the two ends of the cylinder's axis")
+        frame = np.eye(4)
+        frame[:3, 0], frame[:3, 1] = _tangents((p1 - p0) / length)
+        frame[:3, 2] = (p1 - p0) / length
+        return Transform.translate(p0).matrix @ frame @ np.diag([radius, radius, length, 1.0])
+    return np.eye(4)
+
+
+def _tangents(n: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return two unit vectors that make a right-handed frame with ``n``, the same ones as in Mitsuba.
+
+    T. Duff et al., "Building an orthonormal basis, revisited", JCGT 6(1), 2017.
+    """
+    sign = np.copysign(1.0, n[2])
+    a = -1.0 / (sign + n[2])
+    b = n[0] * n[1] * a
+    return (
+        np.array([1.0 + sign * n[0] ** 2 * a, sign * b, -sign * n[0]]),
+        np.array([b, sign + n[1] ** 2 * a, -n[1]]),
+    )
+
+
+def _place(
+    props: Properties, data: MeshData, to_world: np.ndarray, bsdf: bsdfs.BsdfDescription, *, flat: bool
+) -> ShapeDescription:
+    """Move the mesh to world space, repair it and give it its normals."""
+    repairs: dict[str, int] = {}
+    normals = data.normals
+    if normals is not None and np.linalg.det(to_world[:3, :3]) < 0.0:
+        # Mirroring turns the triangles over but not the given normals; turn the triangles back to agree with them.
+        data.faces = data.faces[:, ::-1]
+    data.faces = np.ascontiguousarray(data.faces, dtype=np.int32)
+    local = data.vertices
+    data.vertices = transform_points(to_world, local).astype(np.float32)
+    check(data, f"{props.where}, after to_world")
+    dropped = drop_flat_triangles(data, props.where)
+    if dropped:
+        repairs["zero-area triangles dropped"] = dropped
+    computed = normals is None and not flat
+    world_normals = None
+    if computed:
+        world_normals = vertex_normals(data.vertices, data.faces)
+    elif normals is not None:
+        lengths = np.linalg.norm(normals, axis=1)
+        world_normals = transform_normals(to_world, normals)
+        missing = lengths < 1e-12
+        if missing.any():
+            world_normals[missing] = vertex_normals(data.vertices, data.faces)[missing]
+            repairs["vertex normals of length zero replaced"] = int(missing.sum())
+    for what, count in repairs.items():
+        props.context.note(f"{props.where}: {count} {what}")
+    shape = ShapeDescription(
+        path=props.path,
+        kind=props.type,
+        vertices=data.vertices,
+        faces=data.faces,
+        bsdf=bsdf,
+        normals=None if world_normals is None else world_normals.astype(np.float32),
+        normals_computed=computed,
+        texcoords=None if data.texcoords is None else np.ascontiguousarray(data.texcoords, dtype=np.float32),
+        repairs=repairs,
+    )
+    data.vertices = local
+    return shape
+
+
+def _bsdf(props: Properties, *, shines: bool) -> bsdfs.BsdfDescription:
+    nested = props.children("bsdf")
+    if not nested:
+        return bsdfs.default(f"{props.path}.bsdf", shines)
+    key, node, where = nested[0]
+    return bsdfs.build(node, where, f"{props.path}.bsdf", props.context, shared=node is not props.node[key])

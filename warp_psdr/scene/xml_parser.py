@@ -1,0 +1,93 @@
+"""Parse XML into elements that know their line, without entities or other external content."""
+
+from __future__ import annotations
+
+import io
+import xml.sax.handler
+from dataclasses import dataclass, field
+from typing import Any
+from xml.sax import SAXException, SAXParseException
+
+from .errors import SceneError, error
+
+#: Deeper nesting than any scene needs; protects the recursive reading.
+_MAX_DEPTH = 64
+
+
+@dataclass(eq=False)
+class Element:
+    """One XML element."""
+
+    tag: str
+    attributes: dict[str, str]
+    where: str  #: 'scene.xml:12 <shape type="cube">'
+    children: list[Element] = field(default_factory=list)
+
+
+def parse(data: bytes, label: str) -> Element:
+    """Return the root element.
+
+    Args:
+        data: The file's bytes.
+        label: Its name, for messages.
+
+    Raises:
+        ValueError: If the XML is malformed, declares entities or is nested too deeply.
+    """
+    from defusedxml import DefusedXmlException
+    from defusedxml import sax as defused_sax
+
+    handler = _Handler(label)
+    try:
+        defused_sax.parse(io.BytesIO(data), handler, forbid_dtd=False, forbid_entities=True, forbid_external=True)
+    except SceneError:
+        raise
+    except DefusedXmlException:
+        problem_text = "the file declares entities or external content"
+        raise error(f"{label}:{handler.line}", problem_text, "remove them") from None
+    except SAXParseException as problem:
+        place = f"{label}:{problem.getLineNumber()} (column {(problem.getColumnNumber() or 0) + 1})"
+        remedy = "close every element and quote every attribute"
+        raise error(place, f"malformed XML ({problem.getMessage()})", remedy) from None
+    except (SAXException, LookupError, ValueError) as problem:
+        raise error(label, f"malformed XML ({problem})", "save the file as UTF-8 XML") from None
+    if handler.root is None:
+        raise error(label, "the file holds no element", 'write <scene version="3.0.0">...</scene>')
+    return handler.root
+
+
+class _Handler(xml.sax.handler.ContentHandler):
+    """Builds the tree of elements."""
+
+    def __init__(self, label: str):
+        super().__init__()
+        self.label = label
+        self.root: Element | None = None
+        self._open: list[Element] = []
+        self._locator: Any = None
+
+    @property
+    def line(self) -> int:
+        """Line that is being parsed, from 1."""
+        return int(self._locator.getLineNumber()) if self._locator is not None else 1
+
+    def setDocumentLocator(self, locator: Any) -> None:
+        """Keep the parser's position."""
+        self._locator = locator
+
+    def startElement(self, name: str, attrs: Any) -> None:
+        """Open an element."""
+        attributes = dict(attrs.items())
+        shown = "".join(f' {key}="{attributes[key]}"' for key in ("type", "id", "name") if key in attributes)
+        element = Element(name, attributes, f"{self.label}:{self.line} <{name}{shown}>")
+        if len(self._open) >= _MAX_DEPTH:
+            raise error(element.where, f"elements are nested more than {_MAX_DEPTH} deep", "flatten the scene")
+        if self._open:
+            self._open[-1].children.append(element)
+        else:
+            self.root = element
+        self._open.append(element)
+
+    def endElement(self, name: str) -> None:
+        """Close an element."""
+        self._open.pop()
