@@ -1,4 +1,4 @@
-"""Two things that Warp 1.19 needs where ``wp.grad`` is used (both are held by ``tests/test_autodiff.py``).
+"""Two things that Warp 1.19 needs where ``wp.grad`` is used; ``tests/test_autodiff.py`` holds both.
 
 * A function that ``wp.grad`` differentiates may have been built before, for its value alone. Then the adjoints of the
   functions that *it* calls are emitted empty and their derivatives are silently zero. ``differentiable`` marks the whole

@@ -8,8 +8,8 @@ import warp as wp
 
 #: Below it a squared length or a radicand counts as zero; its root, 1e-15, is far below float32's resolution of one.
 TINY = 1.0e-30
-#: Distance of a cosine from +-1 at which ``safe_acos`` stops following the infinite slope of ``acos``: 1/2 ulp of one.
-ACOS_MARGIN = 5.9604645e-8
+#: sin^2 of the angle between a normal and a tangent below which the tangent says nothing.
+PARALLEL = 1.0e-12
 
 
 @wp.func
@@ -19,12 +19,6 @@ def safe_sqrt(x: wp.float32) -> wp.float32:
     if x > TINY:
         root = wp.sqrt(x)
     return root
-
-
-@wp.func
-def safe_acos(x: wp.float32) -> wp.float32:
-    """Arc cosine (radians) of ``x`` clamped to [-1, 1]; derivative 0 at both ends."""
-    return wp.acos(wp.clamp(x, -1.0 + ACOS_MARGIN, 1.0 - ACOS_MARGIN))
 
 
 @wp.func
@@ -38,50 +32,40 @@ def safe_normalize(v: wp.vec3) -> wp.vec3:
 
 
 @wp.func
-def frame_from_normal(n: wp.vec3) -> wp.mat33:
-    """Right-handed orthonormal frame, rows (s, t, n), for a unit ``n``.
+def any_tangent(n: wp.vec3) -> wp.vec3:
+    """Return a unit vector perpendicular to the unit ``n``.
 
-    [Duff et al. 2017, Building an Orthonormal Basis, Revisited.] Its tangents turn by a finite angle across
-    ``n.z = 0``: use it where the model is isotropic.
+    [Duff et al. 2017, Building an Orthonormal Basis, Revisited.] It turns by a finite angle across ``n.z = 0``: use it
+    where the model is isotropic.
     """
-    sign = wp.where(n[2] < 0.0, -1.0, 1.0)
+    sign = wp.where(n[2] >= 0.0, 1.0, -1.0)
     a = -1.0 / (sign + n[2])
-    b = n[0] * n[1] * a
-    return wp.matrix_from_rows(
-        wp.vec3(1.0 + sign * n[0] * n[0] * a, sign * b, -sign * n[0]), wp.vec3(b, sign + n[1] * n[1] * a, -n[1]), n
-    )
+    return wp.vec3(1.0 + sign * n[0] * n[0] * a, sign * n[0] * n[1] * a, -sign * n[0])
 
 
 @wp.func
-def frame_from_tangent(n: wp.vec3, tangent: wp.vec3) -> wp.mat33:
-    """Right-handed orthonormal frame, rows (s, t, n): ``s`` along the part of ``tangent`` normal to the unit ``n``.
+def aligned_tangent(n: wp.vec3, tangent: wp.vec3) -> wp.vec3:
+    """Return the direction of the part of ``tangent`` normal to the unit ``n``, for anisotropic models.
 
-    Falls back on ``frame_from_normal`` where the two are parallel or ``tangent`` is zero. For anisotropic models.
+    Falls back on ``any_tangent`` where the two are parallel or ``tangent`` is zero.
     """
     across = tangent - n * wp.dot(n, tangent)
     squared = wp.dot(across, across)
-    if squared <= 1.0e-12 * wp.dot(tangent, tangent):
-        return frame_from_normal(n)
-    s = across / wp.sqrt(squared)
-    return wp.matrix_from_rows(s, wp.cross(n, s), n)
+    if squared <= PARALLEL * wp.dot(tangent, tangent):
+        return any_tangent(n)
+    return across / wp.sqrt(squared)
 
 
 @wp.func
-def to_local(frame: wp.mat33, v: wp.vec3) -> wp.vec3:
-    """World to local coordinates, for a frame with rows (s, t, n)."""
-    return frame * v
+def to_local(s: wp.vec3, t: wp.vec3, n: wp.vec3, w: wp.vec3) -> wp.vec3:
+    """World to local coordinates of the orthonormal frame (s, t, n)."""
+    return wp.vec3(wp.dot(s, w), wp.dot(t, w), wp.dot(n, w))
 
 
 @wp.func
-def to_world(frame: wp.mat33, v: wp.vec3) -> wp.vec3:
-    """Local to world coordinates, for a frame with rows (s, t, n)."""
-    return wp.transpose(frame) * v
-
-
-@wp.func
-def reflect(w: wp.vec3, n: wp.vec3) -> wp.vec3:
-    """Mirror ``w`` about the unit vector ``n``; both point away from the surface."""
-    return 2.0 * wp.dot(w, n) * n - w
+def to_world(s: wp.vec3, t: wp.vec3, n: wp.vec3, w: wp.vec3) -> wp.vec3:
+    """Local to world coordinates of the orthonormal frame (s, t, n)."""
+    return w[0] * s + w[1] * t + w[2] * n
 
 
 @wp.func

@@ -27,6 +27,7 @@ from warp_psdr.kernels.distribution import find_interval
 from warp_psdr.kernels.emitter.area import make_area, pdf_area
 from warp_psdr.kernels.emitter.dispatch import make_lights
 from warp_psdr.kernels.film import make_filter
+from warp_psdr.kernels.math import aligned_tangent, any_tangent, to_local, to_world
 from warp_psdr.kernels.rng import Sampler, make_sampler
 from warp_psdr.kernels.sampling import mis_weight
 from warp_psdr.kernels.structs import Bsdf, Camera, LightSample, Material, Scene
@@ -116,19 +117,6 @@ class Frame:
 
 
 @wp.func
-def to_local(s: wp.vec3, t: wp.vec3, n: wp.vec3, w: wp.vec3) -> wp.vec3:
-    return wp.vec3(wp.dot(s, w), wp.dot(t, w), wp.dot(n, w))
-
-
-@wp.func
-def any_tangent(n: wp.vec3) -> wp.vec3:
-    """A unit vector perpendicular to n (Duff et al. 2017)."""
-    sign = wp.where(n[2] >= 0.0, 1.0, -1.0)
-    a = -1.0 / (sign + n[2])
-    return wp.vec3(1.0 + sign * n[0] * n[0] * a, sign * n[0] * n[1] * a, -sign * n[0])
-
-
-@wp.func
 def film_position(camera: Camera, px: wp.int32, py: wp.int32, offset: wp.vec2) -> wp.vec2:
     """Film coordinates in [0, 1]^2 of a point near the centre of a pixel of the crop window."""
     return wp.vec2(
@@ -151,11 +139,10 @@ def make_frame(two_sided: bool, tangent: bool):
                 f.side = -1.0
                 f.bsdf = scene.bsdfs[bsdf].back
         f.n = f.side * n
-        f.s = any_tangent(f.n)
         if wp.static(tangent):
-            p = dpdu - f.n * wp.dot(f.n, dpdu)
-            if wp.dot(p, p) > 0.0:
-                f.s = wp.normalize(p)
+            f.s = aligned_tangent(f.n, dpdu)
+        else:
+            f.s = any_tangent(f.n)
         f.t = wp.cross(f.n, f.s)
         return f
 
@@ -169,9 +156,7 @@ def make_material(slots: tuple[tuple[int, ...], ...]):
     has = tuple(bool(kinds) for kinds in slots)
 
     @wp.func
-    def material_at(
-        scene: Scene, b: Bsdf, face: wp.int32, u: wp.float32, v: wp.float32, uv: wp.vec2
-    ) -> Material:
+    def material_at(scene: Scene, b: Bsdf, face: wp.int32, u: wp.float32, v: wp.float32, uv: wp.vec2) -> Material:
         m = Material()
         if wp.static(has[0]):
             m.c0 = c0(scene, b.c0, face, u, v, uv)
@@ -333,7 +318,7 @@ def make_path_step(config: PathConfig, differential: bool):
         bs = bsdf.sample(b.model, material, wi, u4[0], wp.vec2(u4[2], u4[3]))
         if bs.pdf <= 0.0:
             return vertex, after
-        wo_world = bs.wo[0] * frame.s + bs.wo[1] * frame.t + bs.wo[2] * frame.n
+        wo_world = to_world(frame.s, frame.t, frame.n, bs.wo)
         after.eta = state.eta * bs.eta
         after.depth = state.depth + 1
         inv_pdf = 1.0 / bs.pdf
@@ -375,9 +360,7 @@ def make_camera_start(config: PathConfig):
     filter_sample = make_filter(config.filter)
 
     @wp.func
-    def start(
-        scene: Scene, camera: Camera, px: wp.int32, py: wp.int32, sampler: Sampler
-    ) -> tuple[PathState, wp.vec2]:
+    def start(scene: Scene, camera: Camera, px: wp.int32, py: wp.int32, sampler: Sampler) -> tuple[PathState, wp.vec2]:
         u4 = sample_4d(sampler, 0)
         offset = filter_sample(wp.vec2(u4[0], u4[1]), camera.filter_radius, camera.filter_stddev)
         film = film_position(camera, px, py, offset)

@@ -1,4 +1,4 @@
-"""Where partial derivatives go: the only place in which reverse and forward mode differ.
+"""Where the partial derivatives of local factors go, in reverse and in forward mode.
 
 Reverse mode adds ``value`` to the gradient at ``offset``; forward mode returns ``value`` times the tangent there, and
 the caller sums what the sinks return. Both use one flat array, laid out like ``Scene.values``.
@@ -37,6 +37,10 @@ def make_sink_vec3(role: str):
 
     @wp.func
     def sink_vec3(target: wp.array(dtype=wp.float32), offset: wp.int32, value: wp.vec3) -> wp.float32:
-        return scalar(target, offset, value[0]) + scalar(target, offset + 1, value[1]) + scalar(target, offset + 2, value[2])
+        return (
+            scalar(target, offset, value[0])
+            + scalar(target, offset + 1, value[1])
+            + scalar(target, offset + 2, value[2])
+        )
 
     return sink_vec3

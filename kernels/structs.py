@@ -147,8 +147,6 @@ class Scene:
     environment: wp.int32  # index of the constant or envmap emitter, -1: none
     env_marginal: wp.array(dtype=wp.float32)  # cumulative over rows of cells, h + 1
     env_conditional: wp.array(dtype=wp.float32)  # cumulative over the cells of each row, h x (w + 1), flattened
-    center: wp.vec3  # bounding sphere
-    radius: wp.float32
     ray_epsilon: wp.float32  # distance by which a ray's origin is moved off its surface, world units
 
 

@@ -4,7 +4,7 @@ A vertex of a light path is ``x = (1 - u - v) p0 + u p1 + v p2``. Its triangle i
 
 * detached in **material form** (survey eq. 10: the point rides on its triangle), or
 * attached where a ray with an attached origin and direction finds it (the first vertex, seen through a fixed film
-  position, and every vertex behind a smooth mirror or glass surface): there ``(u, v) = barycentrics(o, d, p0, p1, p2)``.
+  position, and every vertex behind a smooth mirror or glass): there ``(u, v) = barycentrics(o, d, p0, p1, p2)``.
 
 The functions named ``*_dot`` are the local factors of the geometry: each folds its adjoint in and returns a scalar, so
 that ``wp.grad`` of it is a vector-Jacobian product. They hold no loop and mutate nothing (kernels are built with
@@ -69,7 +69,9 @@ def load_vec2(values: wp.array(dtype=wp.float32), offset: wp.int32) -> wp.vec2:
 
 
 @wp.func
-def interpolated_normal(n0: wp.vec3, n1: wp.vec3, n2: wp.vec3, u: wp.float32, v: wp.float32, fallback: wp.vec3) -> wp.vec3:
+def interpolated_normal(
+    n0: wp.vec3, n1: wp.vec3, n2: wp.vec3, u: wp.float32, v: wp.float32, fallback: wp.vec3
+) -> wp.vec3:
     """Unit normal between three vertex normals; ``fallback`` where they cancel."""
     n = (1.0 - u - v) * n0 + u * n1 + v * n2
     squared = wp.dot(n, n)
@@ -118,9 +120,7 @@ def smooth_normal_dot(n0: wp.vec3, n1: wp.vec3, n2: wp.vec3, u: wp.float32, v: w
 
 @differentiable
 @wp.func
-def tangent_dot(
-    p0: wp.vec3, p1: wp.vec3, p2: wp.vec3, t0: wp.vec2, t1: wp.vec2, t2: wp.vec2, a: wp.vec3
-) -> wp.float32:
+def tangent_dot(p0: wp.vec3, p1: wp.vec3, p2: wp.vec3, t0: wp.vec2, t1: wp.vec2, t2: wp.vec2, a: wp.vec3) -> wp.float32:
     return wp.dot(a, uv_tangent(p0, p1, p2, t0, t1, t2))
 
 
@@ -222,7 +222,9 @@ def make_vertex_sink(role: str, smooth: bool, flat: bool, uv: bool, tangent: boo
                 n2 = load_vec3(scene.values, shape.normal_offset + 3 * tri.i2)
                 n = w * n0 + u * n1 + v * n2
                 if wp.dot(n, n) > 1.0e-20:
-                    b0, b1, b2, bu, bv, _ba = wp.grad(smooth_normal_dot)(n0, n1, n2, u, v, shape.orientation * adjoint.n)
+                    b0, b1, b2, bu, bv, _ba = wp.grad(smooth_normal_dot)(
+                        n0, n1, n2, u, v, shape.orientation * adjoint.n
+                    )
                     total += sink3(target, shape.normal_offset + 3 * tri.i0, b0)
                     total += sink3(target, shape.normal_offset + 3 * tri.i1, b1)
                     total += sink3(target, shape.normal_offset + 3 * tri.i2, b2)
@@ -241,7 +243,7 @@ def make_vertex_sink(role: str, smooth: bool, flat: bool, uv: bool, tangent: boo
         a1 += a_e1
         a2 += a_e2
         # Texture coordinates and their tangent.
-        if wp.static(uv):
+        if wp.static(uv or tangent):
             if shape.has_uv == 1:
                 t0 = load_vec2(scene.values, shape.uv_offset + 2 * tri.i0)
                 t1 = load_vec2(scene.values, shape.uv_offset + 2 * tri.i1)
@@ -279,9 +281,7 @@ def make_vertex_sink(role: str, smooth: bool, flat: bool, uv: bool, tangent: boo
             if by_ray:
                 a_u += wp.dot(adjoint.x, e1)
                 a_v += wp.dot(adjoint.x, e2)
-                b_o, b_d, b_p0, b_p1, b_p2, _bu, _bv = wp.grad(barycentrics_dot)(
-                    o, d, tri.p0, tri.p1, tri.p2, a_u, a_v
-                )
+                b_o, b_d, b_p0, b_p1, b_p2, _bu, _bv = wp.grad(barycentrics_dot)(o, d, tri.p0, tri.p1, tri.p2, a_u, a_v)
                 result.o = b_o
                 result.d = b_d
                 a0 += b_p0

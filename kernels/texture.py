@@ -144,9 +144,7 @@ def make_texture(kinds: tuple[int, ...]):
     """Return ``texture_at(scene, index, face, u, v, uv) -> vec3`` for the texture kinds that a slot uses."""
 
     @wp.func
-    def texture_at(
-        scene: Scene, index: wp.int32, face: wp.int32, u: wp.float32, v: wp.float32, uv: wp.vec2
-    ) -> wp.vec3:
+    def texture_at(scene: Scene, index: wp.int32, face: wp.int32, u: wp.float32, v: wp.float32, uv: wp.vec2) -> wp.vec3:
         if wp.static(kinds == (TEXTURE_CONSTANT,)):
             return texel(scene, scene.textures[index].offset, scene.textures[index].channels)
         else:
@@ -179,9 +177,7 @@ def make_texture_sink(role: str, kinds: tuple[int, ...], values: bool, to_uv: bo
     sink = make_sink(role)
 
     @wp.func
-    def sink_texel(
-        target: wp.array(dtype=wp.float32), offset: wp.int32, channels: wp.int32, w: wp.vec3
-    ) -> wp.float32:
+    def sink_texel(target: wp.array(dtype=wp.float32), offset: wp.int32, channels: wp.int32, w: wp.vec3) -> wp.float32:
         if channels == 1:
             return sink(target, offset, w[0] + w[1] + w[2])
         return sink(target, offset, w[0]) + sink(target, offset + 1, w[1]) + sink(target, offset + 2, w[2])
@@ -194,7 +190,13 @@ def make_texture_sink(role: str, kinds: tuple[int, ...], values: bool, to_uv: bo
         f = footprint(scene, texture, uv)
         n = texture.channels
         w00, w10, w01, w11, d_fx, d_fy, _w = wp.grad(bilinear_dot)(
-            texel(scene, f.i00, n), texel(scene, f.i10, n), texel(scene, f.i01, n), texel(scene, f.i11, n), f.fx, f.fy, w
+            texel(scene, f.i00, n),
+            texel(scene, f.i10, n),
+            texel(scene, f.i01, n),
+            texel(scene, f.i11, n),
+            f.fx,
+            f.fy,
+            w,
         )
         total = wp.float32(0.0)
         if wp.static(values):

@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.emitter.dispatch import make_lights
-from warp_psdr.kernels.emitter.envmap import build_env_distribution
 from warp_psdr.kernels.structs import Emitter, Scene, Texture
+from warp_psdr.light_sampling import build_env_distribution
 
 ALL_KINDS = (c.EMITTER_CONSTANT, c.EMITTER_ENVMAP, c.EMITTER_POINT, c.EMITTER_SPOT, c.EMITTER_DIRECTIONAL)
 BOTH = ("pose", "radiance")
@@ -76,7 +76,6 @@ class Light:
             marginal, conditional = build_env_distribution(radiance)
         scene.env_marginal = wp.array(marginal, device=device)
         scene.env_conditional = wp.array(conditional.ravel(), device=device)
-        scene.radius = 1.0
         self.scene = scene
 
     def at(self, values=None):

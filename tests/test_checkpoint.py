@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from warp_psdr import checkpoint
+from warp_psdr.files import write_atomic
 
 ARRAYS = {
     "wall.reflectance.value": np.array([0.1, 0.2, 0.3], dtype=np.float32),
@@ -160,7 +161,7 @@ def test_failure_while_writing_leaves_the_last_checkpoint(saved: Path) -> None:
         raise OSError(28, "No space left on device")
 
     with pytest.raises(OSError, match="No space left"):
-        checkpoint.write_atomic(saved, write)
+        write_atomic(saved, write)
     assert saved.read_bytes() == before
     assert [entry.name for entry in saved.parent.iterdir()] == ["checkpoint.npz"]
 
@@ -168,10 +169,10 @@ def test_failure_while_writing_leaves_the_last_checkpoint(saved: Path) -> None:
 def test_killed_while_writing_leaves_the_last_checkpoint(saved: Path) -> None:
     code = (
         "import os, signal, sys\n"
-        "from warp_psdr import checkpoint\n"
+        "from warp_psdr.files import write_atomic\n"
         "def write(file):\n"
         "    file.write(b'x' * 100000); file.flush(); os.kill(os.getpid(), signal.SIGKILL)\n"
-        "checkpoint.write_atomic(sys.argv[1], write)\n"
+        "write_atomic(sys.argv[1], write)\n"
     )
     root = Path(__file__).resolve().parents[1]
     done = subprocess.run([sys.executable, "-c", code, str(saved)], cwd=root, capture_output=True, check=False)

@@ -23,7 +23,7 @@ from tests.emitter_helpers import (
 )
 from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.emitter.dispatch import make_lights
-from warp_psdr.kernels.emitter.envmap import build_env_distribution
+from warp_psdr.light_sampling import build_env_distribution
 
 SIGNIFICANCE = 1e-5
 

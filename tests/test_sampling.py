@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from warp_psdr.kernels import sampling
-from warp_psdr.kernels.distribution import LEVELS, cumulative, find_interval
+from warp_psdr.kernels.distribution import LEVELS, find_interval
+from warp_psdr.light_sampling import cumulative
 
 SIGNIFICANCE = 1e-5
 SAMPLES = 400_000

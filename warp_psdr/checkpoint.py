@@ -11,13 +11,15 @@ import io
 import json
 import os
 import zipfile
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
 
-__all__ = ["load", "save", "write_atomic"]
+from warp_psdr.files import write_atomic
+
+__all__ = ["load", "save"]
 
 FORMAT = "warp_psdr checkpoint"
 VERSION = 1
@@ -101,38 +103,6 @@ def load(path: str | os.PathLike[str]) -> tuple[dict[str, np.ndarray], dict[str,
             f"{path}: got version {version} of the format, expected {VERSION}; use the release that wrote it"
         )
     return stored, values
-
-
-def write_atomic(path: str | os.PathLike[str], write: Callable[[BinaryIO], object]) -> None:
-    """Let ``write`` fill a file that appears under its name only when it is complete and on the disk.
-
-    Raises:
-        OSError: If the file cannot be written; then what was there before is untouched.
-    """
-    path = Path(path)
-    # One fixed name: what a killed process leaves behind is overwritten by the next, so leftovers cannot pile up.
-    temporary = path.with_name(f".{path.name}.tmp")
-    try:
-        with open(temporary, "wb") as file:
-            write(file)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(temporary, path)
-    except BaseException:
-        temporary.unlink(missing_ok=True)
-        raise
-    _sync_folder(path.parent)
-
-
-def _sync_folder(folder: Path) -> None:
-    """Flush a folder's list of names, without which a power cut can undo a rename."""
-    if not hasattr(os, "O_DIRECTORY"):  # Windows neither needs nor offers this
-        return
-    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
 
 
 def _array(data: bytes) -> np.ndarray:

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warp_psdr import image_io, plots
-from warp_psdr.checkpoint import write_atomic
+from warp_psdr.files import write_atomic
 
 if TYPE_CHECKING:
     from warp_psdr.fit import Problem
@@ -92,7 +92,7 @@ def write_gradients(
 
     Textures and environment maps are drawn flat with a symmetric colour map; vertex fields on their meshes.
     """
-    from warp_psdr.view import view
+    from warp_psdr.view import NotDrawableError, view
 
     folder.mkdir(parents=True, exist_ok=True)
     notes = []
@@ -105,7 +105,7 @@ def write_gradients(
         elif ".vertex_" in name:
             try:
                 view(scene, params, fields={name: gradient}, screenshot=f"{path}.png").close()
-            except (RuntimeError, ValueError) as error:  # no OpenGL here, or a field that has no look on a surface
+            except (RuntimeError, NotDrawableError) as error:  # no OpenGL here, or a field without a look on a surface
                 notes.append(f"{path.name}.png not drawn: {error}")
     return notes
 

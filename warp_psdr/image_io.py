@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import os
-import tempfile
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from warp_psdr.files import atomic_path
 
 _EXR = (".exr",)
 _LOW_RANGE = (".png", ".jpg", ".jpeg")
@@ -75,32 +75,17 @@ def write_image(path: str | os.PathLike[str], image: Any, *, half: bool = False)
             f"cannot write an image of shape {np.shape(array)} to '{file}'; "
             "expected (H, W), (H, W, 1), (H, W, 3) or (H, W, 4) with H and W of at least 1"
         )
-    if file.suffix.lower() in _EXR:
-        _atomically(file, lambda temporary: _write_exr(temporary, array, half))
-    else:
-        _atomically(file, lambda temporary: _write_low_range(temporary, array))
+    file.parent.mkdir(parents=True, exist_ok=True)
+    with atomic_path(file) as temporary:
+        if file.suffix.lower() in _EXR:
+            _write_exr(temporary, array, half)
+        else:
+            _write_low_range(temporary, array)
 
 
 def _check_suffix(file: Path) -> None:
     if file.suffix.lower() not in _SUPPORTED:
         raise ValueError(f"'{file}' has no supported image suffix; use one of {', '.join(_SUPPORTED)}")
-
-
-def _atomically(file: Path, write: Callable[[Path], None]) -> None:
-    """Write to a temporary file in the same folder and move it into place."""
-    file.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(prefix=f".{file.stem}-", suffix=file.suffix, dir=file.parent)
-    os.close(handle)
-    temporary = Path(name)
-    try:
-        write(temporary)
-        # mkstemp makes files private; give the usual permissions instead.
-        umask = os.umask(0)
-        os.umask(umask)
-        temporary.chmod(0o666 & ~umask)
-        temporary.replace(file)
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def _read_exr(file: Path) -> np.ndarray:

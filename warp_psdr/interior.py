@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from abc import ABC
 from dataclasses import dataclass
 
 
-class Method(ABC):
-    """A way to estimate the interior term."""
+class Method:
+    """Base of all methods: a way to estimate the interior term."""
 
 
 @dataclass(frozen=True, kw_only=True)

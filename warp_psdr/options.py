@@ -47,7 +47,8 @@ class PathIntegrator:
             raise ValueError(f"sampler: got {self.sampler!r}, expected 'auto', 'sobol' or 'independent'")
         if not isinstance(self.interior, interior_methods.Method):
             raise ValueError(
-                f"interior: got {self.interior!r}, expected a method of psdr.interior, for example psdr.interior.Replay()"
+                f"interior: got {self.interior!r}, expected a method of psdr.interior, "
+                "for example psdr.interior.Replay()"
             )
         if self.boundary not in ("auto", None):
             raise ValueError(f"boundary: got {self.boundary!r}, expected 'auto' or None")

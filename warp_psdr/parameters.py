@@ -85,7 +85,9 @@ class Parameters(Mapping):
         try:
             array = np.asarray(array, dtype=np.float32)
         except (TypeError, ValueError) as error:
-            raise ValueError(f"{what} of {name!r}: expected numbers of shape {p.numpy_shape}, got {values!r}") from error
+            raise ValueError(
+                f"{what} of {name!r}: expected numbers of shape {p.numpy_shape}, got {values!r}"
+            ) from error
         if array.ndim == 0:
             array = np.full(p.numpy_shape, array, np.float32)
         if array.size != p.size:

@@ -6,11 +6,13 @@ nor compile time.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from warp_psdr import interior
 from warp_psdr.kernels import constants as c
+from warp_psdr.kernels.emitter.spot import MIN_FALLOFF
 from warp_psdr.kernels.interior.wanted import Wanted
 from warp_psdr.kernels.path import PathConfig
 from warp_psdr.scene.build import SLOTS
@@ -150,12 +152,17 @@ def _config(scene: Scene, integrator: PathIntegrator, sensor: int, lines: list) 
     slots = tuple(tuple(sorted(b.slot_kinds[s])) if scatter else () for s in SLOTS)
     area = tuple(sorted(b.radiance_kinds))
     uv = any(c.TEXTURE_BITMAP in kinds for kinds in (*slots, area))
-    sampler = integrator.sampler
+    sampler: str = integrator.sampler
     if sampler == "auto":
         sampler = scene.description.sensors[sensor].sampler
-        sampler = "sobol" if sampler == "default" else sampler
-    lines.append(("materials", ", ".join(MODEL_NAMES[m] for m in models), "no dispatch" if len(models) == 1 else "in use"))
-    used = [f"{s}: {' or '.join(TEXTURE_NAMES[k] for k in kinds)}" for s, kinds in zip(SLOTS, slots, strict=True) if kinds]
+    if sampler == "default":
+        sampler = "sobol"
+    lines.append(
+        ("materials", ", ".join(MODEL_NAMES[m] for m in models), "no dispatch" if len(models) == 1 else "in use")
+    )
+    used = [
+        f"{s}: {' or '.join(TEXTURE_NAMES[k] for k in kinds)}" for s, kinds in zip(SLOTS, slots, strict=True) if kinds
+    ]
     lines.append(("material values", ", ".join(used) or "none", "texture kinds in use"))
     lines.append(("two-sided", "yes" if b.two_sided else "no", "some material is" if b.two_sided else "no material is"))
     smooth = any(s.smooth for s in b.shapes)
@@ -164,9 +171,13 @@ def _config(scene: Scene, integrator: PathIntegrator, sensor: int, lines: list) 
     lines.append(("normals", normals, f"{len(b.shapes)} shapes, {scene.face_count} triangles"))
     lines.append(("texture coordinates", "yes" if uv else "no", "a bitmap reads them" if uv else "no bitmap is in use"))
     lines.append(("anisotropy", "yes" if b.anisotropic else "no", "two roughnesses" if b.anisotropic else "isotropic"))
-    lines.append(("lights", ", ".join(EMITTER_NAMES[k] for k in sorted(kinds)) or "none", f"{len(b.emitters)} in the scene"))
+    lines.append(
+        ("lights", ", ".join(EMITTER_NAMES[k] for k in sorted(kinds)) or "none", f"{len(b.emitters)} in the scene")
+    )
     depth = integrator.max_depth
-    reason = "no limit" if depth < 0 else "emission only, no scattering code" if depth == 1 else f"at most {depth} vertices"
+    reason = (
+        "no limit" if depth < 0 else "emission only, no scattering code" if depth == 1 else f"at most {depth} vertices"
+    )
     lines.append(("depth", str(depth), reason))
     lines.append(("sampler", sampler, "Owen-scrambled, padded pairs" if sampler == "sobol" else "hashed counters"))
     lines.append(("ray queries", scene.accelerator.backend, f"{scene.accelerator.width} lanes"))
@@ -225,14 +236,16 @@ def _bending(scene: Scene, names: list[str]) -> list[str]:
     found = []
     for shape in scene.description.shapes:
         if shape.bsdf.model == "dielectric" and "eta" in shape.bsdf.textures:
-            path = shape.bsdf.textures["eta"].path
-            found += [n for n in (f"{path}.value", f"{path}.data") if n in names and n not in found]
+            name = shape.bsdf.textures["eta"].parameter
+            found += [name] if name in names and name not in found else []
     return found
 
 
 def _blocks(k: int, max_depth: int, lines: list) -> tuple[int, int]:
     if k == 0:
-        lines.append(("interior", "textbook replay", "K = 0: divides by every factor, loses derivatives of zero factors"))
+        lines.append(
+            ("interior", "textbook replay", "K = 0: divides by every factor, loses derivatives of zero factors")
+        )
         return 0, 1
     if max_depth < 0:
         lines.append(("interior", f"record and sweep, K = {k}", f"replayed in at most {UNBOUNDED_BLOCKS} blocks"))
@@ -240,7 +253,9 @@ def _blocks(k: int, max_depth: int, lines: list) -> tuple[int, int]:
     block = min(k, max_depth)
     blocks = -(-max_depth // block)
     blocks = 1 << (blocks - 1).bit_length()  # few kernel variants
-    reason = "the whole path fits, one trace" if blocks == 1 else f"longer paths are replayed in at most {blocks} blocks"
+    reason = (
+        "the whole path fits, one trace" if blocks == 1 else f"longer paths are replayed in at most {blocks} blocks"
+    )
     lines.append(("interior", f"record and sweep, K = {block}", reason))
     return block, blocks
 
@@ -257,26 +272,39 @@ def _discontinuities(scene: Scene, config: PathConfig, names: list[str]) -> list
     """Say which requested parameters move a discontinuity of the integrand, and which one."""
     reasons = []
     delta = bool(DELTA_MODELS & set(config.bsdfs))
-    kinds = {e.kind for e in scene.builder.emitters}
+    lights = _moving_lights(scene)
     for name in names:
         uses = scene.parameters[name].uses
         if uses & {POSITIONS, SHAPE_POSE}:
             reasons.append(f"{name} moves silhouettes and shadows")
         elif CAMERA in uses and scene.face_count:
             reasons.append(f"{name} moves the silhouettes that the camera sees")
-        elif LIGHT_POSE in uses and kinds & {c.EMITTER_POINT, c.EMITTER_SPOT, c.EMITTER_DIRECTIONAL}:
-            if name.endswith((".position", ".to_world")) and scene.face_count:
-                emitter = next((e for e in scene.description.emitters if name.startswith(e.path + ".")), None)
-                if emitter is not None and emitter.kind in ("point", "directional") or (
-                    emitter is not None and emitter.kind == "spot"
-                ):
-                    reasons.append(f"{name} moves hard shadows")
+        elif name in lights:
+            reasons.append(f"{name} moves {lights[name]}")
         elif NORMALS in uses and delta:
             reasons.append(f"{name} moves what is seen in smooth mirrors and glass")
         elif uses & {TO_UV, TEXCOORDS} and _has_steps(scene):
             reasons.append(f"{name} slides a nearest-neighbour or face-wise texture")
     reasons += [f"{name} moves what is seen through the interface" for name in _bending(scene, names)]
     return reasons
+
+
+def _moving_lights(scene: Scene) -> dict[str, str]:
+    """Parameters that move the light of a light source, and which discontinuity they move."""
+    found: dict[str, str] = {}
+    if scene.face_count == 0:
+        return found
+    values = scene.values.numpy()
+    for e, record in zip(scene.description.emitters, scene.builder.emitters, strict=True):
+        if e.kind in ("point", "spot", "directional"):
+            found[f"{e.path}.{'to_world' if e.position is None else 'position'}"] = "hard shadows"
+        if e.kind == "spot":
+            cutoff, beam = values[record.cutoff : record.cutoff + 2].tolist()
+            if math.radians(cutoff - beam) <= MIN_FALLOFF:
+                edge = "the hard edge of the cone (beam_width reaches cutoff_angle)"
+                found[f"{e.path}.to_world"] += f" and {edge}"
+                found[f"{e.path}.cutoff_angle"] = found[f"{e.path}.beam_width"] = edge
+    return found
 
 
 def _has_steps(scene: Scene) -> bool:

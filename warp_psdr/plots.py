@@ -16,7 +16,7 @@ from typing import Any, BinaryIO, Literal
 
 import numpy as np
 
-from warp_psdr.checkpoint import write_atomic
+from warp_psdr.files import write_atomic
 from warp_psdr.image_io import linear_to_srgb
 
 #: Rec. 709 luminance of linear RGB.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
@@ -11,6 +12,7 @@ import warp as wp
 from warp_psdr import workers
 from warp_psdr.chain import derived_ranges, pull_derived, push_derived
 from warp_psdr.device import launch
+from warp_psdr.kernels.interior.forward import make_forward_kernel
 from warp_psdr.kernels.interior.replay import make_replay_kernel
 from warp_psdr.kernels.interior.textbook import make_textbook_kernel
 from warp_psdr.kernels.path import make_primal_kernel
@@ -63,8 +65,9 @@ def render(
             discontinuity and the boundary term was not left out explicitly.
     """
     integrator = integrator or from_description(scene.description.integrator)
-    spp = _samples("spp", spp if spp is not None else scene.description.sensors[sensor].sample_count)
+    spp, seed = _sample_count(scene, sensor, spp), _seed(seed)
     plan = make_plan(scene, integrator=integrator, sensor=sensor)
+    gradient_spp = _samples("spp_grad", spp_grad if spp_grad is not None else spp)
     if tape is not None:
         if params is None or not params.requested:
             raise ValueError("render(tape=...) differentiates what params.requires_grad(...) names; pass such params")
@@ -79,22 +82,33 @@ def render(
         kernel,
         sensor,
         lambda data, first, count, pixels, lane: (
-            [data, camera, pixels, first, 0, spp, 1.0 / spp, mix_seed(seed, STREAM_PRIMAL), plan.max_depth, plan.rr_depth],
+            [
+                data,
+                camera,
+                pixels,
+                first,
+                0,
+                spp,
+                1.0 / spp,
+                mix_seed(seed, STREAM_PRIMAL),
+                plan.max_depth,
+                plan.rr_depth,
+            ],
             [image],
         ),
         lanes=workers.LANES,
         progress=progress,
     )
-    if tape is not None:
-        gradient_spp = _samples("spp_grad", spp_grad if spp_grad is not None else spp)
-
-        def backward() -> None:
-            render_backward(
-                scene, params, image.grad, sensor=sensor, integrator=integrator, spp=gradient_spp, seed=seed
-            )
-
-        tape.record_func(backward, [image, *(params[name] for name in params.requested)])
+    if tape is not None and params is not None:
+        _record(tape, image, scene, params, sensor=sensor, integrator=integrator, spp=gradient_spp, seed=seed)
     return image
+
+
+def _record(tape: wp.Tape, image: wp.array, scene: Scene, params: Parameters, **options) -> None:
+    def backward() -> None:
+        render_backward(scene, params, image.grad, **options)
+
+    tape.record_func(backward, [image, *(params[name] for name in params.requested)])
 
 
 def render_backward(
@@ -128,7 +142,7 @@ def render_backward(
     names = params.requested
     if not names:
         raise ValueError("nothing to differentiate: call params.requires_grad(...) with parameter names first")
-    spp = _samples("spp", spp if spp is not None else scene.description.sensors[sensor].sample_count)
+    spp, seed = _sample_count(scene, sensor, spp), _seed(seed)
     plan = make_plan(scene, params, integrator=integrator, sensor=sensor)
     _differentiable(plan, integrator)
     camera = scene.camera(sensor)
@@ -187,7 +201,7 @@ def render_forward(
     integrator = integrator or from_description(scene.description.integrator)
     if not tangents:
         raise ValueError("render_forward needs at least one tangent: {'parameter name': direction}")
-    spp = _samples("spp", spp if spp is not None else scene.description.sensors[sensor].sample_count)
+    spp, seed = _sample_count(scene, sensor, spp), _seed(seed)
     names = list(tangents)
     flat = np.zeros(scene.values.shape[0], np.float32)
     for name, tangent in tangents.items():
@@ -235,7 +249,9 @@ def _accumulate(scene: Scene, params: Parameters, names: list[str], buffers: wp.
 def _gradient_kernel(plan: Plan, role: str) -> wp.Kernel:
     if plan.block == 0:
         return make_textbook_kernel(plan.config, plan.wanted, role)
-    return make_replay_kernel(plan.config, plan.wanted, role, plan.block, plan.blocks)
+    if role == "forward":
+        return make_forward_kernel(plan.config, plan.wanted)
+    return make_replay_kernel(plan.config, plan.wanted, plan.block, plan.blocks)
 
 
 def _depth(plan: Plan) -> int:
@@ -257,17 +273,30 @@ def _launch(scene: Scene, kernel: wp.Kernel, sensor: int, arguments, *, lanes: i
         launch(kernel, dim=count, inputs=inputs, outputs=outputs, device=scene.device)
         return
     parts = workers.chunks(count, lanes)
-    done = [0]
+    done, lock = 0, threading.Lock()
 
     def lane(i: int) -> None:
+        nonlocal done
         for first, n in parts[i]:
             inputs, outputs = arguments(data, first, n, order, i)
             launch(kernel, dim=n, inputs=inputs, outputs=outputs, device=scene.device)
             if progress is not None:
-                done[0] += n
-                progress(min(done[0] / count, 1.0))
+                with lock:
+                    done += n
+                    progress(done / count)
 
     workers.run_lanes(lane, lanes)
+
+
+def _sample_count(scene: Scene, sensor: int, spp: int | None) -> int:
+    scene.camera(sensor)  # says so where there is no such sensor
+    return _samples("spp", scene.description.sensors[sensor].sample_count if spp is None else spp)
+
+
+def _seed(value) -> int:
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 0:
+        raise ValueError(f"seed: got {value!r}, expected a non-negative integer")
+    return int(value)
 
 
 def _samples(name: str, value) -> int:

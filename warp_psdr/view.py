@@ -38,6 +38,10 @@ _GLASS = (0.70, 0.82, 0.90)
 _ENVIRONMENT = 1.8
 
 
+class NotDrawableError(ValueError):
+    """A parameter has no look on a surface."""
+
+
 def view(
     scene: Any,
     params: Mapping[str, Any] | None = None,
@@ -198,7 +202,7 @@ def _panels(
         for texture in dict.fromkeys(_surface_textures(shape)):
             if texture.kind == "mesh_attribute":
                 continue
-            name = f"{texture.path}.{'value' if texture.kind == 'constant' else 'data'}"
+            name = texture.parameter
             drawable.add(name)
             if name in arrays:
                 data = _reshaped(name, arrays[name], texture.value.shape)
@@ -212,7 +216,7 @@ def _panels(
         if emitter.kind not in ("constant", "envmap"):
             continue
         constant = emitter.radiance.kind == "constant"
-        name = f"{emitter.radiance.path}.{'value' if constant else 'data'}"
+        name = emitter.radiance.parameter
         drawable.add(name)
         if name in arrays:
             data = _reshaped(name, arrays[name], emitter.radiance.value.shape)
@@ -227,7 +231,8 @@ def _panels(
             panels[f"{name}, against"] = _Panel(f"{name}, behind the camera", [item], set(), "against")
     unknown = sorted(set(arrays) - drawable)
     if unknown:
-        raise ValueError(f"cannot draw {', '.join(unknown)} on a surface; drawable here: {', '.join(sorted(drawable))}")
+        known = ", ".join(sorted(drawable))
+        raise NotDrawableError(f"cannot draw {', '.join(unknown)} on a surface; drawable here: {known}")
     return list(panels.values()) or [_Panel("", [], set())]
 
 

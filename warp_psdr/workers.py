@@ -10,7 +10,7 @@ from __future__ import annotations
 import functools
 import os
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 
 import numpy as np
 
@@ -45,11 +45,15 @@ def set_workers(n: int | None) -> None:
 
 def workers() -> int:
     """Return the number of worker threads in use."""
-    return _workers or len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else _workers or os.cpu_count() or 1
+    if _workers:
+        return _workers
+    if hasattr(os, "sched_getaffinity"):  # the cores that this process may use; not on every system
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
 
 
 def run_lanes(lane: Callable[[int], None], lanes: int) -> None:
-    """Call ``lane(i)`` for every i below ``lanes`` on the worker threads and wait; the first error is raised."""
+    """Call ``lane(i)`` for every i below ``lanes`` on the worker threads and wait for all; an error is raised."""
     global _pool
     n = min(workers(), lanes)
     if n <= 1:
@@ -58,7 +62,9 @@ def run_lanes(lane: Callable[[int], None], lanes: int) -> None:
         return
     if _pool is None:
         _pool = ThreadPoolExecutor(workers(), thread_name_prefix="warp_psdr")
-    for future in [_pool.submit(lane, i) for i in range(lanes)]:
+    futures = [_pool.submit(lane, i) for i in range(lanes)]
+    wait(futures)  # also after an error: the others write into buffers that the caller holds
+    for future in futures:
         future.result()
 
 
@@ -78,7 +84,10 @@ def chunks(pixels: int, lanes: int) -> list[list[tuple[int, int]]]:
 
 @functools.lru_cache(maxsize=32)
 def pixel_order(width: int, height: int) -> np.ndarray:
-    """Return all pixel numbers (row * width + column) along a Morton curve: neighbours in time are neighbours in space."""
+    """Return all pixel numbers (row * width + column) along a Morton curve.
+
+    Pixels that are rendered one after the other are neighbours, so their rays visit the same nodes.
+    """
     y, x = np.mgrid[0:height, 0:width].astype(np.uint64)
     code = np.zeros_like(x)
     for bit in range(16):

@@ -11,19 +11,16 @@ nowhere zero, for a black texel may have a derivative.
 
 import functools
 
-import numpy as np
 import warp as wp
 
 from warp_psdr.kernels.constants import FAR, INV_PI, INV_TWO_PI, ONE_MINUS_EPSILON, PI, TWO_PI
-from warp_psdr.kernels.distribution import LEVELS, cumulative, find_interval
+from warp_psdr.kernels.distribution import LEVELS, find_interval
 from warp_psdr.kernels.emitter.constant import EnvironmentFunctions
 from warp_psdr.kernels.rng import UNIT, pcg4d, unit_float
 from warp_psdr.kernels.sink import make_sink
 from warp_psdr.kernels.structs import Emitter, LightAdjoint, LightSample, Scene, Texture
 from warp_psdr.kernels.texture import bilinear_dot, texel
 
-#: Share of all samples that is uniform over the sphere: black regions have derivatives, and light behind corners.
-UNIFORM_SPHERE = 0.05
 #: Share of the samples within a cell that is uniform: bounds the variance of a black texel's derivative.
 UNIFORM_CELL = 0.1
 #: sin^2 of the angle to a pole below which the azimuth has no derivative (it changes by half a turn within 1e-6 rad).
@@ -52,42 +49,6 @@ class CellDensity:
     b10: wp.float32
     b01: wp.float32
     b11: wp.float32
-
-
-def build_env_distribution(data: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the cumulative arrays from which an environment map is sampled.
-
-    Args:
-        data: texels, shape ``(H, W, C)``, H >= 2. Negative values count as black.
-
-    Returns:
-        ``marginal`` over the rows of cells, shape ``(H,)``, and ``conditional`` over the cells of each row, shape
-        ``(H - 1, W + 1)``; float32. The weight of a cell is the mean of its corners and channels times its solid angle,
-        plus `UNIFORM_SPHERE`.
-
-    Raises:
-        ValueError: wrong shape, or a texel is NaN or infinite.
-    """
-    data = np.asarray(data)
-    if data.ndim != 3 or data.shape[0] < 2 or data.shape[1] < 1 or data.shape[2] < 1:
-        raise ValueError(f"got an environment map of shape {data.shape}; expected (H, W, C) with at least two rows")
-    if not np.all(np.isfinite(data)):
-        raise ValueError("got an environment map with NaN or infinite texels; replace them before rendering")
-    height, width = data.shape[:2]
-    brightness = np.maximum(data.mean(axis=2, dtype=np.float64), 0.0)
-    pairs = brightness + np.roll(brightness, -1, axis=1)
-    corners = pairs[:-1] + pairs[1:]
-    theta = np.linspace(0.0, np.pi, height)
-    # cos a - cos b as a product: exact for the thin rows at the poles.
-    solid_angle = 2.0 * np.sin(0.5 * (theta[1:] + theta[:-1])) * np.sin(0.5 * (theta[1:] - theta[:-1]))
-    uniform = np.broadcast_to(solid_angle[:, None] / (2.0 * width), corners.shape)
-    weights = corners * solid_angle[:, None]
-    total = weights.sum()
-    if total > 0.0:
-        weights = (1.0 - UNIFORM_SPHERE) * weights / total + UNIFORM_SPHERE * uniform
-    else:
-        weights = uniform
-    return cumulative(weights.sum(axis=1)), cumulative(weights)
 
 
 @wp.func

@@ -31,7 +31,9 @@ def add_material(a: Material, b: Material) -> Material:
 def make_material_sink(config: PathConfig, wanted: Wanted, role: str):
     """Return ``push_material(scene, target, b, face, u, v, uv, m, adjoint) -> (VertexAdjoint, float)``."""
     slide = wanted.geometry
-    use = tuple(bool(kinds) and (w or slide or wanted.to_uv) for kinds, w in zip(config.slots, wanted.slots, strict=True))
+    use = tuple(
+        bool(kinds) and (w or slide or wanted.to_uv) for kinds, w in zip(config.slots, wanted.slots, strict=True)
+    )
     push = tuple(
         make_texture_sink(role, kinds, w, wanted.to_uv, slide) if needed else None
         for kinds, w, needed in zip(config.slots, wanted.slots, use, strict=True)
@@ -109,9 +111,7 @@ def make_light_sink(config: PathConfig, wanted: Wanted, role: str):
     has_environment = environment_eval is not None
     has_delta_lights = sample_vjp is not None
     push_radiance = make_texture_sink(role, config.area, True, wanted.to_uv, False) if has_area else None
-    push_vertex = make_vertex_sink(
-        role, config.smooth, config.flat, config.uv, config.tangent, wanted.texcoords, False
-    )
+    push_vertex = make_vertex_sink(role, config.smooth, config.flat, config.uv, config.tangent, wanted.texcoords, False)
 
     @wp.func
     def radiance_of(scene: Scene, vertex: PathVertex, x: wp.vec3) -> wp.vec3:
@@ -152,7 +152,11 @@ def make_light_sink(config: PathConfig, wanted: Wanted, role: str):
                     adjoint.uv = ta.uv
                 if wp.static(wanted.geometry):
                     tri = scene.triangles[face]
-                    y = (1.0 - vertex.light_u - vertex.light_v) * tri.p0 + vertex.light_u * tri.p1 + vertex.light_v * tri.p2
+                    y = (
+                        (1.0 - vertex.light_u - vertex.light_v) * tri.p0
+                        + vertex.light_u * tri.p1
+                        + vertex.light_v * tri.p2
+                    )
                     link = connection_vjp(x, y, wp.cross(tri.p1 - tri.p0, tri.p2 - tri.p0), a_wo, value)
                     a_x = link.x
                     if wp.static(wanted.shapes or wanted.texcoords):

@@ -5,7 +5,8 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor, differentiable
-from warp_psdr.kernels.path import Frame, to_local
+from warp_psdr.kernels.math import to_local, to_world
+from warp_psdr.kernels.path import Frame
 from warp_psdr.kernels.surface import normalize_vjp
 
 
@@ -50,11 +51,6 @@ def turn_normal(frame: Frame, w: wp.vec3, a: wp.vec3) -> wp.vec3:
     return a_n * w - wp.dot(w, frame.n) * (a - a_n * frame.n)
 
 
-@wp.func
-def to_world(frame: Frame, w: wp.vec3) -> wp.vec3:
-    return w[0] * frame.s + w[1] * frame.t + w[2] * frame.n
-
-
 @functools.cache
 def make_frame_vjp(tangent: bool):
     """Return ``frame_vjp(frame, dpdu, wi, wo, a_wi, a_wo) -> FrameAdjoint``: local adjoints to world ones."""
@@ -70,8 +66,8 @@ def make_frame_vjp(tangent: bool):
             result.wo = g_wo
         else:
             _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
-            result.wi = to_world(frame, a_wi)
-            result.wo = to_world(frame, a_wo)
+            result.wi = to_world(frame.s, frame.t, frame.n, a_wi)
+            result.wo = to_world(frame.s, frame.t, frame.n, a_wo)
             result.n = turn_normal(frame, wi, result.wi) + turn_normal(frame, wo, result.wo)
         return result
 

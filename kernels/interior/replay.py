@@ -22,8 +22,8 @@ Paths of more than K vertices are traced once with the state at every K-th verte
 from the last to the first, each from its own state and the same random numbers: 2 traces at most, so time is linear
 in depth; memory is K records and one state a block, whatever the depth and the number of samples.
 
-Reverse and forward mode are the same kernel with another sink. Forward mode sweeps once for each colour channel,
-since a pixel's derivative has three components.
+This is reverse mode. Forward mode, whose derivative has three components a pixel, would sweep three times; it travels
+with the path instead (``forward.py``), through the same local factors.
 """
 
 import functools
@@ -39,21 +39,18 @@ from warp_psdr.kernels.structs import Camera, Scene
 
 
 @functools.cache
-def make_replay_kernel(config: PathConfig, wanted: Wanted, role: str, block: int, blocks: int):
-    """Return the kernel of ``interior.Replay``.
+def make_replay_kernel(config: PathConfig, wanted: Wanted, block: int, blocks: int):
+    """Return the reverse-mode kernel of ``interior.Replay``.
 
     Args:
         config: what the scene needs.
         wanted: what is differentiated.
-        role: "reverse" (``adjoint`` is read, ``target`` receives the gradient) or "forward" (``target`` holds the
-            tangents, ``image_out`` receives the derivative image).
         block: K, the number of vertices kept at a time.
         blocks: the most blocks that a path can have; 1 compiles the replay out.
     """
     path_step = make_path_step(config, True)
     start = make_camera_start(config)
-    sweep, finish, _finish_vertex = make_sweep(config, wanted, role)
-    channels = 3 if role == "forward" else 1
+    sweep, finish, _finish_vertex = make_sweep(config, wanted, "reverse")
 
     @wp.kernel(module="unique", enable_backward=False)
     def replay(
@@ -77,15 +74,13 @@ def make_replay_kernel(config: PathConfig, wanted: Wanted, role: str, block: int
         pixel = pixels[first_pixel + wp.tid()]
         px = pixel % camera.crop_width
         py = pixel // camera.crop_width
+        delta = scale * adjoint[py, px]
+        if delta[0] == 0.0 and delta[1] == 0.0 and delta[2] == 0.0:
+            return
         record = wp.zeros(shape=(wp.static(block),), dtype=PathVertex)
         states = wp.zeros(shape=(wp.static(blocks),), dtype=PathState)
-        delta = wp.vec3(scale, scale, scale)
-        if wp.static(role == "reverse"):
-            delta = scale * adjoint[py, px]
-            if delta[0] == 0.0 and delta[1] == 0.0 and delta[2] == 0.0:
-                return
-        derivative = wp.vec3(0.0, 0.0, 0.0)
         origin = load_mat44(scene.values, camera.to_world)
+        camera_position = wp.vec3(origin[0, 3], origin[1, 3], origin[2, 3])
         for i in range(samples):
             sampler = Sampler()
             sampler.pixel = wp.uint32(pixel)
@@ -99,35 +94,26 @@ def make_replay_kernel(config: PathConfig, wanted: Wanted, role: str, block: int
                         states[count // wp.static(block)] = state
                 vertex, state = path_step(scene, sampler, state, max_depth, rr_depth)
                 if count == 0:
-                    vertex.o = wp.vec3(origin[0, 3], origin[1, 3], origin[2, 3])
+                    vertex.o = camera_position
                 record[count % wp.static(block)] = vertex
                 count += 1
             loaded = (count - 1) // wp.static(block)
-            for channel in range(wp.static(channels)):
-                weight = delta
-                if wp.static(role == "forward"):
-                    weight = wp.vec3(0.0, 0.0, 0.0)
-                    weight[channel] = delta[channel]
-                carry = Carry()
-                carry.face = -2
-                n = count - 1
-                while n >= 0:
-                    if wp.static(blocks > 1):
-                        if n // wp.static(block) != loaded:
-                            loaded = n // wp.static(block)
-                            again = states[loaded]
-                            for j in range(wp.static(block)):
-                                if again.alive == 1:
-                                    vertex, again = path_step(scene, sampler, again, max_depth, rr_depth)
-                                    if loaded == 0 and j == 0:
-                                        vertex.o = wp.vec3(origin[0, 3], origin[1, 3], origin[2, 3])
-                                    record[j] = vertex
-                    carry = sweep(scene, target, record[n % wp.static(block)], weight, carry)
-                    n -= 1
-                total = finish(scene, target, camera, film, carry)
-                if wp.static(role == "forward"):
-                    derivative[channel] = derivative[channel] + total
-        if wp.static(role == "forward"):
-            image_out[py, px] = image_out[py, px] + derivative
+            carry = Carry()
+            carry.face = -2
+            n = count - 1
+            while n >= 0:
+                if wp.static(blocks > 1):
+                    if n // wp.static(block) != loaded:
+                        loaded = n // wp.static(block)
+                        again = states[loaded]
+                        for j in range(wp.static(block)):
+                            if again.alive == 1:
+                                vertex, again = path_step(scene, sampler, again, max_depth, rr_depth)
+                                if loaded == 0 and j == 0:
+                                    vertex.o = camera_position
+                                record[j] = vertex
+                carry = sweep(scene, target, record[n % wp.static(block)], delta, carry)
+                n -= 1
+            finish(scene, target, camera, film, carry)
 
     return replay

@@ -12,7 +12,8 @@ from warp_psdr.kernels.emitter.dispatch import make_lights
 from warp_psdr.kernels.interior.factors import add_material, make_light_sink, make_material_sink
 from warp_psdr.kernels.interior.pullback import connection_vjp, make_frame_vjp
 from warp_psdr.kernels.interior.wanted import Wanted
-from warp_psdr.kernels.path import PathConfig, PathVertex, make_frame, make_material, to_local
+from warp_psdr.kernels.math import to_local
+from warp_psdr.kernels.path import PathConfig, PathVertex, make_frame, make_material
 from warp_psdr.kernels.structs import Camera, Material, Scene
 from warp_psdr.kernels.surface import VertexAdjoint, make_surface, make_vertex_sink, normalize_vjp
 from warp_psdr.kernels.texture import make_texture_sink
@@ -54,9 +55,7 @@ def make_sweep(config: PathConfig, wanted: Wanted, role: str):
     frame_vjp = make_frame_vjp(config.tangent)
     has_lights = bool(config.area or config.lights) and has_smooth
     radiance_of, push_light = make_light_sink(config, wanted, role) if has_lights else (None, None)
-    push_vertex = make_vertex_sink(
-        role, config.smooth, config.flat, config.uv, config.tangent, wanted.texcoords, True
-    )
+    push_vertex = make_vertex_sink(role, config.smooth, config.flat, config.uv, config.tangent, wanted.texcoords, True)
     push_camera = make_camera_sink(role) if wanted.camera else None
     emission = bool(config.area) and (wanted.radiance or wanted.to_uv or wanted.geometry)
     push_emission = (
@@ -74,16 +73,12 @@ def make_sweep(config: PathConfig, wanted: Wanted, role: str):
     push_lights = has_lights and (geometry or area_radiance or bool(wanted.lights))
 
     @wp.func
-    def finish_vertex(
-        scene: Scene, target: wp.array(dtype=wp.float32), carry: Carry, by_ray: wp.bool
-    ) -> Carry:
+    def finish_vertex(scene: Scene, target: wp.array(dtype=wp.float32), carry: Carry, by_ray: wp.bool) -> Carry:
         """Scatter the adjoint of vertex n + 1; ``a_x`` and ``a_d`` of the result are those of its ray, if attached."""
         _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
         c = carry
         if carry.face >= 0:
-            pushed = push_vertex(
-                scene, target, carry.face, carry.u, carry.v, carry.adjoint, by_ray, carry.o, carry.d
-            )
+            pushed = push_vertex(scene, target, carry.face, carry.u, carry.v, carry.adjoint, by_ray, carry.o, carry.d)
             c.dot += pushed.dot
             c.a_x = carry.a_x + pushed.o
             c.a_d = pushed.d

@@ -143,7 +143,8 @@ def _roughconductor(props: Properties) -> BsdfDescription:
 def _dielectric(props: Properties) -> BsdfDescription:
     inside, outside = _ior(props, "int_ior", "bk7"), _ior(props, "ext_ior", "air")
     textures = {name: _slot(props, name) for name in ("specular_reflectance", "specular_transmittance")}
-    textures["eta"] = constant(f"{props.path}.eta", inside / outside)
+    # Mitsuba keeps the ratio as a number, not as a texture, so its name has no ".value".
+    textures["eta"] = dataclasses.replace(constant(f"{props.path}.eta", inside / outside), plain=True)
     return BsdfDescription(props.path, "dielectric", textures)
 
 

@@ -69,7 +69,8 @@ EMITTERS = {
     "spot": c.EMITTER_SPOT,
     "directional": c.EMITTER_DIRECTIONAL,
 }
-LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)
+#: A texture's record and the flat (offset, size) of its values.
+Placed = tuple[structs.Texture, tuple[int, int]]
 
 
 class Builder:
@@ -88,9 +89,9 @@ class Builder:
         self.slot_kinds: dict[str, set[int]] = {s: set() for s in SLOTS}
         self.radiance_kinds: set[int] = set()
         self.two_sided = self.anisotropic = False
-        self._texture_index: dict[tuple, int] = {}
-        self._bsdf_index: dict[tuple, int] = {}
-        self._identity = -1
+        self._texture_index: dict[tuple[int, int], int] = {}
+        self._absent_index: dict[float, int] = {}
+        self._bsdf_index: dict[tuple[int, int], int] = {}
         self._geometry()
         for number, shape in enumerate(description.shapes):
             self.shapes[number].bsdf = self._bsdf(shape.bsdf, number)
@@ -110,9 +111,7 @@ class Builder:
         # Positions of all shapes first and in one stretch: the ray structure reads them in place.
         self.positions = self.layout.add_values(np.zeros(0))
         for number, s in enumerate(shapes):
-            offset = self.layout.add(
-                f"{s.path}.vertex_positions", s.vertices, POSITIONS, dtype=wp.vec3, owner=number
-            )
+            offset = self.layout.add(f"{s.path}.vertex_positions", s.vertices, POSITIONS, dtype=wp.vec3, owner=number)
             record = structs.Shape()
             record.emitter = -1
             record.orientation = -1.0 if s.flip_normals else 1.0
@@ -144,67 +143,69 @@ class Builder:
 
     # -- textures and materials ------------------------------------------------------------------------------------
 
-    def _texture(
-        self, t: TextureDescription | None, use: str, bounds: tuple[float, float], shape: int = -1, default: float = 1.0
-    ) -> int:
-        """Return the number of a texture's record; shared descriptions share it."""
-        key = (id(t), shape if t is not None and t.kind == "mesh_attribute" else -1, default if t is None else 0.0)
-        if key in self._texture_index:
-            index = self._texture_index[key]
-            self._name_use(t, use, shape)
-            return index
-        record = structs.Texture()
-        if t is None:
+    def _texture(self, t: TextureDescription, use: str, bounds: tuple[float, float], shape: int = -1) -> int:
+        """Return the number of a texture's record; shared descriptions share it.
+
+        Args:
+            t: the texture.
+            use: what the values are used as; see ``layout``.
+            bounds: valid range of the values.
+            shape: the shape whose attributes a mesh attribute reads.
+        """
+        attribute = t.kind == "mesh_attribute"
+        key = (id(t), shape if attribute else -1)
+        if key not in self._texture_index:
+            record, values = self._attribute(t, use, bounds, shape) if attribute else self._image(t, use, bounds)
+            self._texture_index[key] = self._add_texture(record, values)
+        self.layout.parameters[self._attribute_name(t, shape) if attribute else t.parameter].uses.add(use)
+        return self._texture_index[key]
+
+    def _absent(self, value: float) -> int:
+        """Return the number of the unnamed constant texture that stands in for one that is not given."""
+        if value not in self._absent_index:
+            record = structs.Texture()
             record.kind, record.channels = c.TEXTURE_CONSTANT, 1
-            record.offset = self.layout.add_values(np.full(1, default))
-            size = 1
-        elif t.kind == "constant":
-            values = np.asarray(t.value, np.float32).reshape(-1)
-            record.kind, record.channels = c.TEXTURE_CONSTANT, values.size
-            record.offset = self.layout.add(f"{t.path}.value", values, use, bounds=bounds)
-            size = values.size
-        elif t.kind == "bitmap":
+            record.offset = self.layout.add_values(np.full(1, value))
+            self._absent_index[value] = self._add_texture(record, (record.offset, 1))
+        return self._absent_index[value]
+
+    def _add_texture(self, record: structs.Texture, values: tuple[int, int]) -> int:
+        self.textures.append(record)
+        self.texture_ranges.append(values)
+        return len(self.textures) - 1
+
+    def _image(self, t: TextureDescription, use: str, bounds: tuple[float, float]) -> Placed:
+        """Lay out a constant or a bitmap; return its record and the flat (offset, size) of its values."""
+        record = structs.Texture()
+        record.offset = self.layout.add(t.parameter, t.value, use, bounds=bounds)
+        if t.kind == "constant":
+            record.kind, record.channels = c.TEXTURE_CONSTANT, t.value.size
+        else:
             record.kind = c.TEXTURE_BITMAP
             record.height, record.width, record.channels = t.value.shape
             record.filter, record.wrap = FILTERS[t.filter], WRAPS[t.wrap]
-            record.offset = self.layout.add(f"{t.path}.data", t.value, use, bounds=bounds)
-            record.to_uv = self.layout.add(f"{t.path}.to_uv", t.to_uv, TO_UV)
-            size = t.value.size
-        else:
-            size = self._attribute(t, record, use, bounds, shape)
-        self.textures.append(record)
-        self.texture_ranges.append((record.offset if t is None or t.kind != "mesh_attribute" else self._last, size))
-        self._texture_index[key] = len(self.textures) - 1
-        return len(self.textures) - 1
+            if use != LIGHT_RADIANCE:  # an environment map is read by direction
+                record.to_uv = self.layout.add(f"{t.path}.to_uv", t.to_uv, TO_UV)
+        return record, (record.offset, t.value.size)
 
-    def _attribute(self, t: TextureDescription, record, use: str, bounds, shape: int) -> int:
-        s, device_shape = self.description.shapes[shape], self.shapes[shape]
-        if t.attribute not in s.attributes:
-            raise ValueError(
-                f"texture {t.path!r} reads the mesh attribute {t.attribute!r}, which shape {s.path!r} does not have; "
-                f"it has {sorted(s.attributes) or 'none'}"
-            )
-        values = np.asarray(s.attributes[t.attribute], np.float32)
-        name = f"{s.path}.{t.attribute}"
-        if name in self.layout.parameters:
-            offset = self.layout.parameters[name].offset
-            self.layout.parameters[name].uses.add(use)
-        else:
-            offset = self.layout.add(name, values, use, bounds=bounds, owner=shape)
-        record.channels = values.shape[1]
+    def _attribute(self, t: TextureDescription, use: str, bounds: tuple[float, float], shape: int) -> Placed:
+        """Lay out a shape's attribute, unless another texture has; return as ``_image`` does."""
+        s, placed = self.description.shapes[shape], self.shapes[shape]
+        values = s.attributes[t.attribute]
+        name = self._attribute_name(t, shape)
+        if name not in self.layout.parameters:
+            self.layout.add(name, values, use, bounds=bounds, owner=shape)
+        offset = self.layout.parameters[name].offset
         per_vertex = t.attribute.startswith("vertex_")
+        record = structs.Texture()
+        record.channels = values.shape[1]
         record.kind = c.TEXTURE_VERTEX if per_vertex else c.TEXTURE_FACE
-        first = device_shape.first_vertex if per_vertex else device_shape.first_face
-        self._last = offset
-        record.offset = offset - record.channels * first
-        return values.size
+        # Biased, so that it takes global numbers.
+        record.offset = offset - record.channels * (placed.first_vertex if per_vertex else placed.first_face)
+        return record, (offset, values.size)
 
-    def _name_use(self, t: TextureDescription | None, use: str, shape: int) -> None:
-        if t is None:
-            return
-        suffix = {"constant": ".value", "bitmap": ".data"}.get(t.kind)
-        name = t.path + suffix if suffix else f"{self.description.shapes[shape].path}.{t.attribute}"
-        self.layout.parameters[name].uses.add(use)
+    def _attribute_name(self, t: TextureDescription, shape: int) -> str:
+        return f"{self.description.shapes[shape].path}.{t.attribute}"
 
     def _bsdf(self, b: BsdfDescription, shape: int) -> int:
         reads_mesh = any(t.kind == "mesh_attribute" for t in b.textures.values()) or (
@@ -220,7 +221,8 @@ class Builder:
         for slot in SLOTS:
             setattr(record, slot, -1)
         for prop, slot in SLOT_OF[b.model].items():
-            index = self._texture(b.textures.get(prop), MATERIAL + slot, BOUNDS[prop], shape)
+            t = b.textures.get(prop)
+            index = self._absent(1.0) if t is None else self._texture(t, MATERIAL + slot, BOUNDS[prop], shape)
             setattr(record, slot, index)
             self.slot_kinds[slot].add(self.textures[index].kind)
         if b.model == "roughconductor":
@@ -249,7 +251,9 @@ class Builder:
             record.texture = self._texture(e.radiance, LIGHT_RADIANCE, bounds)
         if e.kind in ("constant", "envmap"):
             if self.environment >= 0:
-                raise ValueError(f"emitter {e.path!r}: a scene holds one environment light (constant or envmap), not two")
+                raise ValueError(
+                    f"emitter {e.path!r}: a scene holds one environment light (constant or envmap), not two; remove one"
+                )
             self.environment = number
         if e.kind == "envmap":
             record.scale = self.layout.add(f"{e.path}.scale", np.array([e.scale]), LIGHT_RADIANCE, bounds=bounds)
@@ -258,6 +262,7 @@ class Builder:
         if e.position is not None:
             record.to_world = self.layout.add(f"{e.path}.position", e.position, LIGHT_POSE)
         if e.kind == "spot":
+            # The kernels read both angles from one offset.
             record.cutoff = self.layout.add_values(np.array([e.cutoff_angle, e.beam_width]))
             for i, name in enumerate(("cutoff_angle", "beam_width")):
                 self.layout.name(f"{e.path}.{name}", record.cutoff + i, (1,), LIGHT_POSE, bounds=(0.0, 90.0))
@@ -278,24 +283,3 @@ class Builder:
         for i, axis in enumerate("xy"):
             self.layout.name(f"{s.path}.principal_point_offset_{axis}", record.principal + i, (1,), CAMERA)
         self.cameras.append(record)
-
-    # -- light power -----------------------------------------------------------------------------------------------
-
-    def emitter_mean(self, e, values: np.ndarray) -> float:
-        """Mean luminance of a light's radiance, intensity or irradiance."""
-        offset, size = self.texture_ranges[e.texture]
-        channels = self.textures[e.texture].channels
-        v = values[offset : offset + size].reshape(-1, channels)
-        return float(np.mean(v @ LUMINANCE if channels == 3 else v, dtype=np.float64))
-
-    def emitter_power(self, e, values: np.ndarray, radius: float) -> float:
-        """Power of a light in watts, up to a constant; ``radius`` is the scene's (for lights at infinity and area 0)."""
-        mean = self.emitter_mean(e, values)
-        if e.kind == c.EMITTER_POINT:
-            return 4.0 * np.pi * mean
-        if e.kind == c.EMITTER_SPOT:
-            return 2.0 * np.pi * (1.0 - np.cos(np.radians(float(values[e.cutoff])))) * mean
-        if e.kind == c.EMITTER_DIRECTIONAL:
-            return np.pi * radius**2 * mean
-        scale = float(values[e.scale]) if e.kind == c.EMITTER_ENVMAP else 1.0
-        return np.pi * np.pi * radius**2 * mean * scale

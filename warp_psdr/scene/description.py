@@ -16,13 +16,21 @@ import numpy as np
 class TextureDescription:
     """A value that may vary over a surface (or over directions, for environment maps)."""
 
-    path: str  #: e.g. "wall.reflectance"; the parameter is path + ".value" | ".data", or the attribute of the shape
+    path: str  #: e.g. "wall.reflectance"
     kind: Literal["constant", "bitmap", "mesh_attribute"]
     value: np.ndarray  #: constant: (1,) or (3,); bitmap: (H, W, 1 or 3), linear, top row first; mesh_attribute: (0,)
     filter: Literal["bilinear", "nearest"] = "bilinear"
     wrap: Literal["repeat", "mirror", "clamp"] = "repeat"
     to_uv: np.ndarray = field(default_factory=lambda: np.eye(3, dtype=np.float32))  #: (3, 3), bitmaps
     attribute: str = ""  #: mesh_attribute: "vertex_color", "face_albedo", ...
+    plain: bool = False  #: constant: a bare number of its plugin, listed under ``path`` itself
+
+    @property
+    def parameter(self) -> str:
+        """Name under which the values are listed; those of a mesh attribute belong to the shapes that read it."""
+        if self.kind == "constant":
+            return self.path if self.plain else f"{self.path}.value"
+        return f"{self.path}.data" if self.kind == "bitmap" else ""
 
 
 @dataclass(eq=False)
@@ -45,7 +53,9 @@ class EmitterDescription:
 
     path: str
     kind: Literal["area", "constant", "envmap", "point", "spot", "directional"]
-    radiance: TextureDescription  #: area, constant: radiance; envmap: data; point, spot: intensity; directional: irradiance
+    radiance: (
+        TextureDescription  #: area, constant: radiance; envmap: data; point, spot: intensity; directional: irradiance
+    )
     to_world: np.ndarray | None = None  #: (4, 4): envmap, spot, directional
     position: np.ndarray | None = None  #: (3,): point
     scale: float = 1.0  #: envmap

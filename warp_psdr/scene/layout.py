@@ -39,20 +39,17 @@ class Parameter:
     @property
     def size(self) -> int:
         """Number of floats."""
-        return int(np.prod(self.shape)) * (1 if self.dtype is wp.float32 else self.dtype._length_)
+        return int(np.prod(self.numpy_shape))
 
     @property
     def numpy_shape(self) -> tuple[int, ...]:
         """Shape of the values as NumPy sees them."""
-        return self.shape if self.dtype is wp.float32 else (*self.shape, self.dtype._length_)
+        return self.shape if self.dtype is wp.float32 else (*self.shape, wp.types.type_size(self.dtype))
 
     def view(self, flat: wp.array) -> wp.array:
         """Return this parameter's stretch of a flat float32 array as an array of its own shape; no copy."""
-        array = wp.array(
-            ptr=flat.ptr + 4 * self.offset, dtype=self.dtype, shape=self.shape, device=flat.device, copy=False
-        )
-        array._flat = flat  # keeps the memory alive
-        return array
+        stretch = flat[self.offset : self.offset + self.size]
+        return stretch.reshape(self.numpy_shape).view(self.dtype)
 
 
 class Layout:

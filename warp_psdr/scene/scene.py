@@ -10,9 +10,6 @@ import warp as wp
 from warp_psdr.acceleration import Accelerator
 from warp_psdr.device import launch
 from warp_psdr.kernels import structs
-from warp_psdr.kernels.constants import EMITTER_AREA, EMITTER_ENVMAP
-from warp_psdr.kernels.distribution import cumulative
-from warp_psdr.kernels.emitter.envmap import build_env_distribution
 from warp_psdr.kernels.shape.normals import normalize_sums, sum_normals
 from warp_psdr.kernels.shape.transform import pose_shape
 from warp_psdr.kernels.surface import update_triangles
@@ -27,15 +24,17 @@ from warp_psdr.scene.layout import (
     Parameter,
     struct_array,
 )
+from warp_psdr.scene.lights import Lights
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from warp_psdr.scene.description import SceneDescription
 
 #: A ray's origin leaves its surface by this fraction of the largest coordinate: some 80 float32 steps there.
 RAY_EPSILON = 1.0e-5
-#: Share of the light selection that is uniform, so that a light of zero radiance is still sampled and its derivative
-#: is not lost.
-UNIFORM_SELECTION = 0.1
+#: Least radius and extent of a scene, in world units: one without triangles has neither, and both are divided by.
+LEAST_LENGTH = 1.0e-30
 
 
 class Scene:
@@ -71,10 +70,7 @@ class Scene:
             np.array([s.orientation for s in builder.shapes] or [1.0], np.float32), dtype=wp.float32, device=self.device
         )
         self._local = {
-            i: tuple(
-                wp.array(a if a is not None else np.zeros((1, 3)), dtype=wp.vec3, device=self.device)
-                for a in (s.local_vertices, s.local_normals)
-            )
+            i: (self._vectors(s.local_vertices), self._vectors(s.local_normals))
             for i, s in enumerate(description.shapes)
             if s.to_world is not None
         }
@@ -87,10 +83,17 @@ class Scene:
         self._update_triangles(range(len(description.shapes)))
         self.accelerator = Accelerator(self._points, self.indices, self.device)
         self._update_bounds()
-        self._update_environment()
-        self._update_lights()
+        self.lights = Lights(builder, self.device)
+        flat = self.values.numpy()
+        self.lights.update_areas(self.lights.of_shapes(range(len(description.shapes))), self._points.numpy())
+        self.lights.update_environment(flat)
+        self.lights.update_selection(flat, self.radius)
 
     # -- views and constants ---------------------------------------------------------------------------------------
+
+    def _vectors(self, values: np.ndarray | None) -> wp.array:
+        """Return (N, 3) as an array of vec3; one zero in place of None, for Warp has no null array of structures."""
+        return wp.array(np.zeros((1, 3)) if values is None else values, dtype=wp.vec3, device=self.device)
 
     def _view_points(self) -> wp.array:
         points = Parameter("", self.builder.positions, (self.vertex_count,), wp.vec3, (-np.inf, np.inf))
@@ -108,7 +111,8 @@ class Scene:
             ValueError: There is no such sensor.
         """
         cameras = self.builder.cameras
-        if not isinstance(sensor, (int, np.integer)) or not -len(cameras) <= sensor < len(cameras):
+        integer = isinstance(sensor, (int, np.integer)) and not isinstance(sensor, bool)
+        if not integer or not -len(cameras) <= sensor < len(cameras):
             raise ValueError(f"sensor {sensor!r}: the scene has sensors 0 to {len(cameras) - 1}")
         return cameras[sensor]
 
@@ -122,35 +126,30 @@ class Scene:
         s.shapes = self._shapes
         s.bsdfs = self._bsdfs
         s.textures = self._textures
-        s.emitters = self._emitters
-        s.emitter_cdf = self._emitter_cdf
-        s.face_cdf = self._face_cdf
+        s.emitters = self.lights.emitters
+        s.emitter_cdf = self.lights.emitter_cdf
+        s.face_cdf = self.lights.face_cdf
         s.environment = self.builder.environment
-        s.env_marginal = self._env_marginal
-        s.env_conditional = self._env_conditional
-        s.center = wp.vec3(*self.center.tolist())
-        s.radius = self.radius
+        s.env_marginal = self.lights.env_marginal
+        s.env_conditional = self.lights.env_conditional
         s.ray_epsilon = self.ray_epsilon
         return s
 
     # -- refreshing ------------------------------------------------------------------------------------------------
 
     def refresh(self, names: list[str]) -> None:
-        """Recompute what depends on the named parameters: normals, triangles, ray structure, light sampling."""
-        posed, moved, light = set(), set(), False
-        environment = False
-        for name in names:
-            p = self.parameters[name]
-            if SHAPE_POSE in p.uses:
-                posed.add(p.owner)
-            if POSITIONS in p.uses:
-                moved.add(p.owner)
-            if p.uses & {RADIANCE, LIGHT_RADIANCE, LIGHT_POSE}:
-                light = True
-                environment |= LIGHT_RADIANCE in p.uses
+        """Recompute what depends on the named parameters, and nothing else.
+
+        Poses, normals, triangle records, ray structure, environment map's cells, light selection.
+
+        Raises:
+            ValueError: vertices, or texels of an environment map, are not finite.
+        """
+        changed = [self.parameters[name] for name in names]
+        posed = {p.owner for p in changed if SHAPE_POSE in p.uses}
+        moved = posed | {p.owner for p in changed if POSITIONS in p.uses}
         for shape in sorted(posed):
             self._pose(shape)
-        moved |= posed
         for shape in sorted(moved):
             description = self.description.shapes[shape]
             if description.normals_computed and f"{description.path}.vertex_normals" not in names:
@@ -159,10 +158,16 @@ class Scene:
             self._update_triangles(sorted(moved))
             self.accelerator.update()
             self._update_bounds()
-        if environment:
-            self._update_environment()
-        if light or any(self.description.shapes[s].emitter is not None for s in moved) or (moved and self.builder.environment >= 0):
-            self._update_lights()
+        values = self.values.numpy()
+        first, size = self.lights.environment_data()
+        if any(first <= p.offset < first + size for p in changed):
+            self.lights.update_environment(values)
+        areas = self.lights.of_shapes(sorted(moved))
+        if areas:
+            self.lights.update_areas(areas, self._points.numpy())
+        brighter = any(p.uses & {RADIANCE, LIGHT_RADIANCE, LIGHT_POSE} for p in changed)
+        if brighter or areas or (moved and self.lights.depend_on_size()):
+            self.lights.update_selection(values, self.radius)
 
     def _pose(self, shape: int) -> None:
         record = self.builder.shapes[shape]
@@ -207,7 +212,7 @@ class Scene:
             )
         return sums
 
-    def _update_triangles(self, shapes) -> None:
+    def _update_triangles(self, shapes: Iterable[int]) -> None:
         for shape in shapes:
             record = self.builder.shapes[shape]
             launch(
@@ -226,6 +231,7 @@ class Scene:
             )
 
     def _update_bounds(self) -> None:
+        """Radius of the bounding sphere and length of the step off a surface."""
         points = self._points.numpy() if self.vertex_count else np.zeros((1, 3), np.float32)
         low, high = points.min(axis=0).astype(np.float64), points.max(axis=0).astype(np.float64)
         if not (np.isfinite(low).all() and np.isfinite(high).all()):
@@ -233,53 +239,8 @@ class Scene:
                 "vertex positions hold NaN or infinity after the last edit; restore finite values "
                 "(an optimiser that got here took too long a step: lower its learning rate)"
             )
-        self.center = 0.5 * (low + high)
-        self.radius = float(max(0.5 * np.linalg.norm(high - low), 1e-30))
-        self.ray_epsilon = float(RAY_EPSILON * max(np.abs(low).max(), np.abs(high).max(), 1e-30))
-
-    def _update_lights(self) -> None:
-        """Light selection probabilities by power, and the cumulative triangle areas of area lights."""
-        records, power, cdfs = self.builder.emitters, [], []
-        offset = 0
-        points = self._points.numpy() if self.vertex_count else None
-        values = self.values.numpy()
-        for e in records:
-            if e.kind == EMITTER_AREA:
-                faces = self.builder.indices[e.first_face : e.first_face + e.face_count]
-                p0, p1, p2 = (points[faces[:, k]].astype(np.float64) for k in range(3))
-                areas = 0.5 * np.linalg.norm(np.cross(p1 - p0, p2 - p0), axis=1)
-                e.cdf_offset = offset
-                cdf = cumulative(areas)
-                cdfs.append(cdf)
-                offset += len(cdf)
-                power.append(np.pi * float(areas.sum()) * max(self.builder.emitter_mean(e, values), 0.0))
-            else:
-                power.append(max(self.builder.emitter_power(e, values, self.radius), 0.0))
-        if records:
-            p = np.asarray(power, np.float64)
-            uniform = np.full(len(p), 1.0 / len(p))
-            p = (1.0 - UNIFORM_SELECTION) * p / p.sum() + UNIFORM_SELECTION * uniform if p.sum() > 0.0 else uniform
-            cdf = cumulative(p)
-            for e, probability in zip(records, np.diff(cdf.astype(np.float64)), strict=True):
-                e.probability = float(probability)
-        else:
-            cdf = np.array([0.0, 1.0], np.float32)
-        self._emitters = struct_array(structs.Emitter, records, self.device)
-        self._emitter_cdf = wp.array(cdf, dtype=wp.float32, device=self.device)
-        flat = np.concatenate(cdfs) if cdfs else np.zeros(1, np.float32)
-        self._face_cdf = wp.array(flat, dtype=wp.float32, device=self.device)
-
-    def _update_environment(self) -> None:
-        marginal = conditional = np.zeros(1, np.float32)
-        if self.builder.environment >= 0:
-            e = self.builder.emitters[self.builder.environment]
-            if e.kind == EMITTER_ENVMAP:
-                t = self.builder.textures[e.texture]
-                size = t.height * t.width * t.channels
-                data = self.values.numpy()[t.offset : t.offset + size].reshape(t.height, t.width, t.channels)
-                marginal, conditional = build_env_distribution(data)
-        self._env_marginal = wp.array(marginal, dtype=wp.float32, device=self.device)
-        self._env_conditional = wp.array(conditional.reshape(-1), dtype=wp.float32, device=self.device)
+        self.radius = max(0.5 * float(np.linalg.norm(high - low)), LEAST_LENGTH)
+        self.ray_epsilon = RAY_EPSILON * max(float(np.abs(low).max()), float(np.abs(high).max()), LEAST_LENGTH)
 
     def derived_normals(self, names: list[str]) -> list[int]:
         """Shapes whose normals follow their positions and whose positions, or pose, are among the named parameters."""

@@ -62,7 +62,11 @@ class Transform:
 
     @_Chained
     def rotate(axis: Any, degrees: float) -> np.ndarray:
-        """Return the rotation about ``axis``, shape (3,), by an angle in degrees, counter-clockwise."""
+        """Return the rotation about ``axis``, shape (3,), by an angle in degrees, counter-clockwise.
+
+        The axis may have any length but zero: it is normalised. Mitsuba 3 takes it as it is, so that its matrix is no
+        rotation unless the length is one; a scene file with such an axis looks different there.
+        """
         x, y, z = _unit(_vector(axis, "rotate"), "the axis of a rotation has no length; give a non-zero axis")
         angle = math.radians(float(degrees))
         cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

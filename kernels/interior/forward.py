@@ -1,0 +1,336 @@
+"""Interior term in forward mode: the derivative travels with the path.
+
+Same factors, parametrisation and detached sampling as record and sweep (``replay.py``), in the other order. With the
+throughput A_n = beta_1 ... beta_{n-1} of vertex n and its derivative A_n',
+
+    dI = sum_n  A_n' (E_n + D_n) + A_n (E_n' + D_n'),       A_{n+1}' = A_n' beta_n + A_n beta_n',
+
+componentwise over the colour channels, all three at once. beta_n' needs the velocity of vertex n + 1 (direction and
+geometric factor), so the loop looks one vertex ahead. Nothing is recorded: one trace, memory independent of depth, and
+no division by a factor, so factors that are exactly zero keep their derivative.
+
+Velocities of vertices and frames are closed forms (``tangents.py``). A colour's derivative is found from the local
+factors that reverse mode uses, one vector-Jacobian product for each channel, dotted with the velocities of what the
+factor depends on; so a material or light is written once for both modes.
+"""
+
+import functools
+
+import warp as wp
+
+from warp_psdr.kernels.autodiff import anchor
+from warp_psdr.kernels.bsdf.dispatch import make_bsdf
+from warp_psdr.kernels.camera import load_mat44, make_camera_sink
+from warp_psdr.kernels.constants import EMITTER_AREA, EMITTER_CONSTANT, EMITTER_ENVMAP, LOBE_SMOOTH
+from warp_psdr.kernels.emitter.area import light_uv
+from warp_psdr.kernels.emitter.dispatch import make_lights
+from warp_psdr.kernels.interior.factors import make_light_sink
+from warp_psdr.kernels.interior.tangents import (
+    VertexTangent,
+    local_jvp,
+    log_geometry_jvp,
+    make_frame_jvp,
+    make_vertex_jvp,
+    normalize_jvp,
+)
+from warp_psdr.kernels.interior.velocities import axis_vec3, make_material_jvp, make_texture_jvp, pair
+from warp_psdr.kernels.interior.wanted import Wanted
+from warp_psdr.kernels.path import (
+    PathConfig,
+    PathVertex,
+    make_camera_start,
+    make_frame,
+    make_material,
+    make_path_step,
+    to_local,
+)
+from warp_psdr.kernels.rng import Sampler
+from warp_psdr.kernels.structs import Camera, Scene
+from warp_psdr.kernels.surface import make_surface
+
+
+@wp.struct
+class Moving:
+    """A vertex's velocity and how its ray moves."""
+
+    vertex: VertexTangent
+    o: wp.vec3  # of the ray that found it
+    d: wp.vec3
+    by_ray: wp.bool
+
+
+@functools.cache
+def make_forward_kernel(config: PathConfig, wanted: Wanted):
+    """Return the forward-mode kernel of ``interior.Replay``.
+
+    Arguments as ``make_replay_kernel``'s; ``target`` holds the tangents, ``image_out`` receives the derivative.
+    """
+    path_step = make_path_step(config, True)
+    start = make_camera_start(config)
+    surface_at = make_surface(config.smooth, config.flat, config.uv, config.tangent)
+    frame_at = make_frame(config.two_sided, config.tangent)
+    frame_jvp = make_frame_jvp(config.tangent)
+    vertex_jvp = make_vertex_jvp(config.smooth, config.flat, config.uv, config.tangent)
+    material_at = make_material(config.slots)
+    material_jvp = make_material_jvp(config, wanted)
+    bsdf = make_bsdf(config.bsdfs)
+    smooth_lobes = bsdf.eval is not None
+    delta_lobes = bsdf.scatter_vjp is not None
+    has_lights = bool(config.area or config.lights) and smooth_lobes
+    radiance_of = make_light_sink(config, wanted, "forward")[0] if has_lights else None
+    geometry = wanted.geometry
+    push_camera = make_camera_sink("forward") if wanted.camera else None
+    emission_jvp = (
+        make_texture_jvp(config.area, wanted.radiance, wanted.to_uv, geometry or wanted.texcoords)
+        if config.area
+        else None
+    )
+    emission = emission_jvp is not None and (wanted.radiance or wanted.to_uv or geometry)
+    lights = make_lights(config.lights, "forward", wanted.lights) if config.lights else None
+    environment_vjp = lights.environment_vjp if lights else None
+    light_vjp = lights.sample_vjp if lights else None
+    environment = environment_vjp is not None and (bool(wanted.lights) or geometry)
+    delta_lights = light_vjp is not None and (bool(wanted.lights) or geometry)
+    scatters = any(wanted.slots) or wanted.to_uv or geometry or delta_lights
+
+    @wp.func
+    def environment_jvp(scene: Scene, tangents: wp.array(dtype=wp.float32), d: wp.vec3, d_dot: wp.vec3) -> wp.vec3:
+        result = wp.vec3(0.0, 0.0, 0.0)
+        if wp.static(environment):
+            _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
+            for channel in range(3):
+                a = environment_vjp(scene, tangents, d, axis_vec3(channel))
+                result[channel] = a.dot + wp.dot(a.x, d_dot)
+        return result
+
+    @wp.func
+    def light_jvp(
+        scene: Scene, tangents: wp.array(dtype=wp.float32), vertex: PathVertex, x: wp.vec3, x_dot: wp.vec3
+    ) -> tuple[wp.vec3, wp.vec3, wp.float32]:
+        """Velocity of the sampled light's radiance and direction, and G' / G of the connection."""
+        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
+        radiance = wp.vec3(0.0, 0.0, 0.0)
+        wo = wp.vec3(0.0, 0.0, 0.0)
+        log_g = wp.float32(0.0)
+        e = scene.emitters[vertex.light]
+        if wp.static(bool(config.area)):
+            if e.kind == EMITTER_AREA:
+                face = vertex.light_face
+                u = vertex.light_u
+                v = vertex.light_v
+                zero = wp.vec3(0.0, 0.0, 0.0)
+                moved = VertexTangent()
+                if wp.static(geometry):
+                    moved = vertex_jvp(scene, tangents, face, u, v, False, zero, zero, zero, zero)
+                    tri = scene.triangles[face]
+                    y = (1.0 - u - v) * tri.p0 + u * tri.p1 + v * tri.p2
+                    r = y - x
+                    r_dot = moved.x - x_dot
+                    wo = normalize_jvp(vertex.light_wi, wp.length(r), r_dot)
+                    log_g = log_geometry_jvp(wp.cross(tri.p1 - tri.p0, tri.p2 - tri.p0), r, moved.c, r_dot)
+                if wp.static(emission):
+                    radiance = emission_jvp(scene, tangents, e.texture, face, u, v, light_uv(scene, face, u, v), moved)
+                return radiance, wo, log_g
+        if wp.static(environment):
+            if e.kind == EMITTER_CONSTANT or e.kind == EMITTER_ENVMAP:
+                radiance = environment_jvp(scene, tangents, vertex.light_wi, wp.vec3(0.0, 0.0, 0.0))
+                return radiance, wo, log_g
+        if wp.static(delta_lights):
+            if e.kind != EMITTER_CONSTANT and e.kind != EMITTER_ENVMAP:
+                zero = wp.vec3(0.0, 0.0, 0.0)
+                for channel in range(3):
+                    a = light_vjp(scene, tangents, e, x, vertex.light_wi, axis_vec3(channel), zero)
+                    b = light_vjp(scene, tangents, e, x, vertex.light_wi, zero, axis_vec3(channel))
+                    radiance[channel] = a.dot + wp.dot(a.x, x_dot)
+                    wo[channel] = b.dot + wp.dot(b.x, x_dot)
+        return radiance, wo, log_g
+
+    @wp.func
+    def advance(
+        scene: Scene,
+        tangents: wp.array(dtype=wp.float32),
+        vertex: PathVertex,
+        following: PathVertex,
+        moving: Moving,
+        throughput_dot: wp.vec3,
+    ) -> tuple[wp.vec3, wp.vec3, Moving]:
+        """Derivative of vertex n's terms, A_{n+1}', and how vertex n + 1 moves."""
+        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
+        after = Moving()
+        a_n = vertex.throughput
+        derivative = wp.cw_mul(throughput_dot, vertex.direct)
+        next_dot = wp.cw_mul(throughput_dot, vertex.beta)
+        if vertex.face < 0:
+            if wp.static(environment):
+                if vertex.e_weight > 0.0:
+                    d_dot = wp.vec3(0.0, 0.0, 0.0)
+                    if moving.by_ray:
+                        d_dot = moving.d
+                    l_dot = environment_jvp(scene, tangents, vertex.d, d_dot)
+                    derivative += vertex.e_weight * wp.cw_mul(a_n, l_dot)
+            return derivative, next_dot, after
+        surface = surface_at(scene, vertex.face, vertex.u, vertex.v)
+        shape = scene.shapes[surface.shape]
+        if wp.static(emission):
+            if shape.emitter >= 0 and vertex.e_weight > 0.0 and wp.dot(surface.ng, vertex.d) < 0.0:
+                e = scene.emitters[shape.emitter]
+                e_dot = emission_jvp(
+                    scene, tangents, e.texture, vertex.face, vertex.u, vertex.v, surface.uv, moving.vertex
+                )
+                derivative += vertex.e_weight * wp.cw_mul(a_n, e_dot)
+        if vertex.lobe == 0 and vertex.light < 0:
+            return derivative, next_dot, after
+
+        wi_world = -vertex.d
+        frame = frame_at(scene, shape.bsdf, surface.n, surface.tangent, wi_world)
+        b = scene.bsdfs[frame.bsdf]
+        material = material_at(scene, b, vertex.face, vertex.u, vertex.v, surface.uv)
+        wi = to_local(frame.s, frame.t, frame.n, wi_world)
+        material_dot = material_jvp(scene, tangents, b, vertex.face, vertex.u, vertex.v, surface.uv, moving.vertex)
+        turning = frame_jvp(frame, surface.tangent, moving.vertex)
+        wi_dot = wp.vec3(0.0, 0.0, 0.0)
+        if wp.static(geometry):
+            # wi = normalize(x_{n-1} - x_n).
+            wi_world_dot = normalize_jvp(wi_world, wp.length(vertex.o - surface.x), moving.o - moving.vertex.x)
+            wi_dot = local_jvp(frame, turning, wi_world, wi_world_dot)
+
+        # D_n.
+        if wp.static(has_lights):
+            if vertex.light >= 0:
+                wo = to_local(frame.s, frame.t, frame.n, vertex.light_wi)
+                f = bsdf.eval(b.model, material, wi, wo)
+                radiance = radiance_of(scene, vertex, surface.x)
+                l_dot, wo_world_dot, log_g = light_jvp(scene, tangents, vertex, surface.x, moving.vertex.x)
+                f_dot = wp.vec3(0.0, 0.0, 0.0)
+                if wp.static(scatters):
+                    wo_dot = local_jvp(frame, turning, vertex.light_wi, wo_world_dot)
+                    for channel in range(3):
+                        fa = bsdf.eval_vjp(b.model, material, wi, wo, axis_vec3(channel))
+                        f_dot[channel] = pair(fa, material_dot, wi_dot, wo_dot)
+                d_dot = wp.cw_mul(f_dot + log_g * f, radiance) + wp.cw_mul(f, l_dot)
+                derivative += vertex.light_weight * wp.cw_mul(a_n, d_dot)
+
+        # beta_n and the way to vertex n + 1.
+        beta_dot = wp.vec3(0.0, 0.0, 0.0)
+        zero = wp.vec3(0.0, 0.0, 0.0)
+        if wp.static(smooth_lobes):
+            if vertex.lobe == LOBE_SMOOTH:
+                wo_world_dot = wp.vec3(0.0, 0.0, 0.0)
+                if wp.static(geometry):
+                    if following.face >= 0:
+                        after.vertex = vertex_jvp(
+                            scene, tangents, following.face, following.u, following.v, False, zero, zero, zero, zero
+                        )
+                        tri = scene.triangles[following.face]
+                        y = (1.0 - following.u - following.v) * tri.p0 + following.u * tri.p1 + following.v * tri.p2
+                        r = y - surface.x
+                        r_dot = after.vertex.x - moving.vertex.x
+                        wo_world_dot = normalize_jvp(vertex.wo, wp.length(r), r_dot)
+                        cross = wp.cross(tri.p1 - tri.p0, tri.p2 - tri.p0)
+                        beta_dot = log_geometry_jvp(cross, r, after.vertex.c, r_dot) * vertex.beta
+                if wp.static(scatters):
+                    wo = to_local(frame.s, frame.t, frame.n, vertex.wo)
+                    wo_dot = local_jvp(frame, turning, vertex.wo, wo_world_dot)
+                    f_dot = wp.vec3(0.0, 0.0, 0.0)
+                    for channel in range(3):
+                        fa = bsdf.eval_vjp(b.model, material, wi, wo, axis_vec3(channel))
+                        f_dot[channel] = pair(fa, material_dot, wi_dot, wo_dot)
+                    beta_dot += vertex.inv_pdf * f_dot
+        if wp.static(delta_lobes):
+            if vertex.lobe > LOBE_SMOOTH:
+                wo = to_local(frame.s, frame.t, frame.n, vertex.wo)
+                f_dot = wp.vec3(0.0, 0.0, 0.0)
+                wo_dot = wp.vec3(0.0, 0.0, 0.0)
+                for channel in range(3):
+                    va = bsdf.scatter_vjp(b.model, material, wi, vertex.lobe, axis_vec3(channel), zero)
+                    f_dot[channel] = pair(va, material_dot, wi_dot, zero)
+                    if wp.static(geometry):
+                        da = bsdf.scatter_vjp(b.model, material, wi, vertex.lobe, zero, axis_vec3(channel))
+                        wo_dot[channel] = pair(da, material_dot, wi_dot, zero)
+                beta_dot = vertex.inv_pdf * f_dot
+                if wp.static(geometry):
+                    after.by_ray = True
+                    after.d = (
+                        wo_dot[0] * frame.s + wo_dot[1] * frame.t + wo_dot[2] * frame.n
+                        + wo[0] * turning.s + wo[1] * turning.t + wo[2] * turning.n
+                    )  # fmt: skip
+                    if following.face >= 0:
+                        after.vertex = vertex_jvp(
+                            scene, tangents, following.face, following.u, following.v, True,
+                            following.o, following.d, moving.vertex.x, after.d,
+                        )  # fmt: skip
+        after.o = moving.vertex.x
+        next_dot += wp.cw_mul(a_n, beta_dot)
+        return derivative, next_dot, after
+
+    @wp.func
+    def first_moving(
+        scene: Scene,
+        camera: Camera,
+        tangents: wp.array(dtype=wp.float32),
+        film: wp.vec2,
+        vertex: PathVertex,
+    ) -> Moving:
+        """How the camera ray and the vertex that it finds move."""
+        result = Moving()
+        result.by_ray = True
+        if wp.static(geometry):
+            _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
+            zero = wp.vec3(0.0, 0.0, 0.0)
+            if wp.static(wanted.camera):
+                for axis in range(3):
+                    result.o[axis] = push_camera(scene, tangents, camera, film, axis_vec3(axis), zero)
+                    result.d[axis] = push_camera(scene, tangents, camera, film, zero, axis_vec3(axis))
+            if vertex.face >= 0:
+                result.vertex = vertex_jvp(
+                    scene, tangents, vertex.face, vertex.u, vertex.v, True, vertex.o, vertex.d, result.o, result.d
+                )
+        return result
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def forward(
+        # Scene:
+        scene: Scene,
+        camera: Camera,
+        # In:
+        pixels: wp.array(dtype=wp.int32),
+        first_pixel: wp.int32,
+        first_sample: wp.int32,
+        samples: wp.int32,
+        scale: wp.float32,
+        seed: wp.uint32,
+        max_depth: wp.int32,
+        rr_depth: wp.int32,
+        adjoint: wp.array2d(dtype=wp.vec3),
+        # Out:
+        target: wp.array(dtype=wp.float32),
+        image_out: wp.array2d(dtype=wp.vec3),
+    ):
+        pixel = pixels[first_pixel + wp.tid()]
+        px = pixel % camera.crop_width
+        py = pixel // camera.crop_width
+        origin = load_mat44(scene.values, camera.to_world)
+        total = wp.vec3(0.0, 0.0, 0.0)
+        for i in range(samples):
+            sampler = Sampler()
+            sampler.pixel = wp.uint32(pixel)
+            sampler.index = wp.uint32(first_sample + i)
+            sampler.seed = seed
+            state, film = start(scene, camera, px, py, sampler)
+            vertex, state = path_step(scene, sampler, state, max_depth, rr_depth)
+            vertex.o = wp.vec3(origin[0, 3], origin[1, 3], origin[2, 3])
+            moving = first_moving(scene, camera, target, film, vertex)
+            throughput_dot = wp.vec3(0.0, 0.0, 0.0)
+            more = wp.bool(True)
+            while more:
+                following = PathVertex()
+                following.face = -1
+                more = state.alive == 1
+                if more:
+                    following, state = path_step(scene, sampler, state, max_depth, rr_depth)
+                derivative, throughput_dot, moving = advance(scene, target, vertex, following, moving, throughput_dot)
+                total += derivative
+                vertex = following
+        image_out[py, px] = image_out[py, px] + scale * total
+
+    return forward

@@ -1,0 +1,226 @@
+"""The gradient table as data: scene, parameter, direction, step. Crossed with ``METHODS`` in ``test_table.py``."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+#: Method -> (mode, K of interior.Replay).
+METHODS = {
+    "forward": ("forward", 8),
+    "reverse": ("reverse", 8),
+    "forward in blocks": ("forward", 2),
+    "reverse in blocks": ("reverse", 2),
+    "forward textbook": ("forward", 0),
+    "reverse textbook": ("reverse", 0),
+}
+#: Scenes whose moving vertices textbook replay does not claim: it raises (chains through smooth mirrors and glass).
+TEXTBOOK_REFUSES = ("mirror", "glass")
+#: What is requested together in a scene, so that its cases share kernels.
+TOGETHER = {
+    "plane": ("*",),
+    "dome": ("floor.face_color", "sky.radiance.value"),
+    "gap": ("*",),
+    "rough": ("*",),
+    "brushed": ("*",),
+    "beckmann": ("floor.bsdf.*.value",),
+    "brushed ggx": ("floor.bsdf.*.value",),
+    "mirror": ("*",),
+    "glass": ("*",),
+}
+
+
+@dataclass(frozen=True)
+class Case:
+    """One row.
+
+    Attributes:
+        scene: key of ``scenes.SCENES``.
+        parameter: name of the parameter.
+        tangent: values -> direction, in the shape of the values.
+        step: of the central difference; half of it is tried, and used, too.
+        what: tells rows of one parameter apart.
+        depth: most path vertices.
+        spp: of each of the batches.
+        slow: left out of the fast subset.
+    """
+
+    scene: str
+    parameter: str
+    tangent: Callable[[np.ndarray], np.ndarray]
+    step: float
+    what: str = ""
+    depth: int = 3
+    spp: int = 16
+    slow: bool = False
+
+    def __str__(self) -> str:
+        return "-".join(filter(None, (self.scene, self.parameter, self.what, str(self.depth))))
+
+
+def ones(values):
+    return np.ones(values.shape)
+
+
+def same(values):
+    """Along the values themselves: a change of scale."""
+    return values.astype(np.float64)
+
+
+def mixed(values):
+    """A random direction, the same in every run."""
+    return np.random.default_rng(values.size).uniform(-1.0, 1.0, values.shape)
+
+
+def shift(*v):
+    """Move a pose or vertices by v."""
+
+    def tangent(values):
+        if values.shape == (4, 4):
+            m = np.zeros((4, 4))
+            m[:3, 3] = v
+            return m
+        return np.broadcast_to(np.asarray(v, float)[: values.shape[-1]], values.shape)
+
+    return tangent
+
+
+def cross_matrix(axis):
+    x, y, z = np.asarray(axis, float) / np.linalg.norm(axis)
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+
+
+def turn(*axis):
+    """Rotate a pose, or vertices or normals, about the world's origin; one unit is a radian."""
+
+    def tangent(values):
+        k = cross_matrix(axis)
+        if values.shape == (4, 4):
+            m = np.zeros((4, 4))
+            m[:3] = k @ values[:3]
+            return m
+        return values.astype(np.float64) @ k.T
+
+    return tangent
+
+
+def aim(*axis):
+    """Rotate a pose about its own position."""
+
+    def tangent(values):
+        m = np.zeros((4, 4))
+        m[:3, :3] = cross_matrix(axis) @ values[:3, :3]
+        return m
+
+    return tangent
+
+
+def slide(values):
+    """A translation, and a little of everything else, of a 3 x 3 map of texture coordinates."""
+    return np.array([[0.1, -0.2, 0.5], [0.15, 0.1, 0.3], [0.0, 0.0, 0.0]])
+
+
+def texel_wave(values):
+    h, w, _ = values.shape
+    return np.sin(np.arange(h))[:, None, None] * np.cos(2.0 * np.arange(w))[None, :, None] + 0.3 * np.ones(values.shape)
+
+
+def bend(values):
+    """Move the vertices of a sheet along z, smoothly; convexity survives small steps."""
+    x, y = values[:, 0], values[:, 1]
+    return np.stack([0.1 * y, 0.05 * x, 0.2 * x + 0.1 * y - 0.05 * x * x], axis=1)
+
+
+def ripple(values):
+    """A smooth motion of the vertices of a ball."""
+    return 0.3 * np.sin(values @ np.array([[1.0, 0.5, -0.3], [0.2, -0.8, 0.6], [0.4, 0.3, 0.9]]))
+
+
+PLANE = [
+    Case("plane", "floor.bsdf.reflectance.data", texel_wave, 2e-2),
+    Case("plane", "floor.bsdf.reflectance.to_uv", slide, 4e-3, spp=128),
+    Case("plane", "floor.vertex_texcoords", mixed, 4e-3, spp=128),
+    Case("plane", "env.data", texel_wave, 2e-2),
+    Case("plane", "env.scale", ones, 5e-2),
+    Case("plane", "env.to_world", turn(0.3, 1.0, 0.5), 5e-2, spp=512),
+    Case("plane", "point.intensity.value", mixed, 5e-2),
+    Case("plane", "point.position", mixed, 1e-2),
+    Case("plane", "spot.intensity.value", mixed, 5e-2),
+    Case("plane", "spot.to_world", aim(0.3, 0.8, 0.2), 5e-3, "aim", spp=64),
+    Case("plane", "spot.to_world", shift(0.5, -0.3, 0.4), 5e-3, "shift", spp=64),
+    Case("plane", "spot.cutoff_angle", ones, 0.2, spp=64),
+    Case("plane", "spot.beam_width", ones, 0.2, spp=64),
+    Case("plane", "sun.irradiance.value", mixed, 5e-2),
+    Case("plane", "sun.to_world", turn(0.3, 0.8, 0.2), 1e-2),
+    Case("plane", "sensor.to_world", shift(0.3, -0.5, 0.4), 4e-3, "shift", spp=128),
+    Case("plane", "sensor.to_world", aim(0.3, 0.8, 0.4), 4e-3, "aim", spp=128),
+    Case("plane", "sensor.x_fov", ones, 0.2, spp=128),
+    Case("plane", "sensor.principal_point_offset_x", ones, 4e-3, spp=128),
+    Case("plane", "sensor.principal_point_offset_y", ones, 4e-3, spp=128),
+    Case("plane", "floor.to_world", shift(0.0, 0.0, 1.0), 4e-3, "along the normal", spp=128),
+    Case("plane", "floor.to_world", shift(1.0, 0.5, 0.0), 4e-3, "in plane", spp=128),
+    Case("plane", "floor.to_world", turn(0.5, 0.8, 0.2), 2e-2, "turn", spp=256),
+    Case("plane", "floor.to_world", same, 4e-3, "scale", spp=128),
+    Case("plane", "floor.vertex_positions", shift(0.5, 0.3, 0.8), 4e-3, spp=128),
+]
+DOME = [
+    Case("dome", "floor.face_color", mixed, 5e-2),
+    Case("dome", "sky.radiance.value", mixed, 5e-2),
+]
+GAP = [
+    Case("gap", "floor.vertex_color", mixed, 2e-2, depth=4),
+    Case("gap", "floor.vertex_color", mixed, 2e-2, depth=6, slow=True),
+    Case("gap", "ceiling.bsdf.reflectance.value", mixed, 2e-2, depth=4),
+    Case("gap", "ceiling.emitter.radiance.data", texel_wave, 5e-2, depth=4),
+    Case("gap", "ceiling.emitter.radiance.to_uv", slide, 1e-2, depth=4, spp=128),
+    Case("gap", "ceiling.to_world", shift(0.0, 0.0, 1.0), 4e-2, "along the normal", depth=4, spp=256),
+    Case("gap", "ceiling.to_world", shift(1.0, 0.5, 0.0), 8e-2, "in plane", depth=4, spp=1024, slow=True),
+    Case("gap", "ceiling.to_world", turn(0.5, 0.8, 0.2), 8e-2, "turn", depth=4, spp=1024, slow=True),
+    Case("gap", "ceiling.vertex_positions", mixed, 4e-2, depth=4, spp=512, slow=True),
+    Case("gap", "floor.vertex_positions", shift(0.0, 0.0, 1.0), 4e-2, "along the normal", depth=4, spp=256),
+    Case("gap", "floor.vertex_positions", bend, 8e-2, "bend", depth=4, spp=512),
+    Case("gap", "floor.vertex_positions", bend, 8e-2, "bend", depth=2, spp=512, slow=True),
+    Case("gap", "floor.vertex_positions", bend, 8e-2, "bend", depth=6, spp=1024, slow=True),
+    Case("gap", "sensor.to_world", aim(0.3, 0.8, 0.4), 1e-2, "aim", depth=4, spp=256, slow=True),
+]
+ROUGH = [
+    Case("rough", "floor.bsdf.alpha.value", ones, 1e-2, spp=256),
+    Case("rough", "floor.bsdf.alpha.value", ones, 1e-2, spp=1024, depth=5, slow=True),
+    Case("rough", "floor.bsdf.eta.value", mixed, 2e-2),
+    Case("rough", "floor.bsdf.k.value", mixed, 2e-2),
+    Case("rough", "floor.bsdf.specular_reflectance.value", ones, 2e-2),
+    Case("rough", "floor.vertex_normals", turn(0.5, 0.8, 0.2), 2e-2, spp=512),
+    Case("rough", "floor.vertex_normals", mixed, 2e-2, "mixed", spp=512, slow=True),
+    Case("rough", "floor.vertex_positions", bend, 4e-2, "bend", spp=512),
+    Case("rough", "sensor.to_world", shift(0.3, -0.5, 0.4), 2e-2, "shift", spp=512, slow=True),
+    Case("beckmann", "floor.bsdf.alpha.value", ones, 1e-2, spp=512, slow=True),
+    Case("brushed", "floor.bsdf.alpha_u.value", ones, 2e-2, spp=512),
+    Case("brushed", "floor.bsdf.alpha_v.value", ones, 2e-2, spp=512),
+    Case("brushed", "floor.bsdf.eta.value", mixed, 2e-2, slow=True),
+    Case("brushed", "floor.bsdf.k.value", mixed, 2e-2, slow=True),
+    Case("brushed", "floor.bsdf.specular_reflectance.value", mixed, 2e-2, slow=True),
+    Case("brushed", "floor.vertex_texcoords", mixed, 4e-2, "tangents turn", spp=1024, slow=True),
+    Case("brushed", "floor.vertex_positions", bend, 4e-2, "bend", spp=512, slow=True),
+    Case("brushed ggx", "floor.bsdf.alpha_u.value", ones, 2e-2, spp=512, slow=True),
+    Case("brushed ggx", "floor.bsdf.alpha_v.value", ones, 2e-2, spp=512, slow=True),
+]
+DELTA = [
+    Case("mirror", "room.bsdf.specular_reflectance.value", ones, 1e-2, depth=4),
+    Case("mirror", "room.bsdf.eta.value", mixed, 1e-2, depth=4),
+    Case("mirror", "room.bsdf.k.value", mixed, 1e-2, depth=4),
+    Case("mirror", "room.vertex_radiance", mixed, 5e-2, depth=4),
+    Case("mirror", "room.vertex_positions", ripple, 2e-3, depth=4, spp=64),
+    Case("mirror", "room.vertex_normals", turn(0.5, 0.8, 0.2), 1e-3, depth=4, spp=64),
+    Case("mirror", "sensor.to_world", shift(0.3, -0.5, 0.4), 2e-3, "shift", depth=4, spp=64),
+    Case("mirror", "sensor.to_world", aim(0.3, 0.8, 0.4), 2e-3, "aim", depth=4, spp=64, slow=True),
+    Case("glass", "ball.bsdf.eta", ones, 4e-3, depth=4, spp=128),
+    Case("glass", "ball.bsdf.specular_reflectance.value", mixed, 2e-2, depth=4, spp=64),
+    Case("glass", "ball.bsdf.specular_transmittance.value", mixed, 2e-2, depth=4),
+    Case("glass", "ball.vertex_positions", ripple, 2e-3, depth=4, spp=128),
+    Case("glass", "ball.vertex_positions", shift(0.5, 0.3, 0.8), 2e-3, "shift", depth=4, spp=256, slow=True),
+    Case("glass", "env.to_world", turn(0.3, 1.0, 0.5), 4e-3, depth=4, spp=256, slow=True),
+    Case("glass", "env.data", texel_wave, 2e-2, depth=4),
+    Case("glass", "sensor.to_world", aim(0.3, 0.8, 0.4), 2e-3, "aim", depth=4, spp=64),
+    Case("glass", "sensor.x_fov", ones, 0.1, depth=4, spp=128, slow=True),
+]
+CASES = [*PLANE, *DOME, *GAP, *ROUGH, *DELTA]

@@ -1,0 +1,161 @@
+"""Scenes of the gradient table. In those for geometry nothing that moves has a discontinuity that counts.
+
+* ``plane``, ``dome``: one convex surface that fills the view, under lights that nothing can block;
+* ``gap``, ``rough``, ``brushed``: the dome under a ceiling, light going back and forth. The ceiling's edges are seen
+  against black, which carries no boundary term in material form, and the camera does not see them;
+* ``mirror``, ``glass``: the camera inside a ball of mirrors (which shines smoothly) or of glass (in an envmap).
+"""
+
+import functools
+
+import numpy as np
+import trimesh
+
+import warp_psdr as psdr
+
+SIZE = 12  # pixels
+
+
+def camera(origin, target, fov=40.0, up=(0.0, 1.0, 0.0), rfilter="box", size=SIZE):
+    return {
+        "type": "perspective",
+        "fov": fov,
+        "to_world": psdr.Transform.look_at(origin, target, up),
+        "film": {"type": "hdrfilm", "width": size, "height": size, "rfilter": {"type": rfilter}},
+    }
+
+
+def noise(*shape, low=0.2, high=1.0, seed=0):
+    return np.random.default_rng(seed).uniform(low, high, shape).astype(np.float32)
+
+
+def dome(n=5, half=2.5, rise=0.02):
+    """A convex, slightly bent square sheet about z = 0: vertices, faces (normals towards +z), texture coordinates."""
+    u = np.linspace(0.0, 1.0, n)
+    x, y = (a.reshape(-1) for a in np.meshgrid(half * (2.0 * u - 1.0), half * (2.0 * u - 1.0)))
+    vertices = np.stack([x, y, -rise * (x**2 + 0.5 * y**2)], axis=1)
+    i = (np.arange(n - 1)[:, None] * n + np.arange(n - 1)).reshape(-1)
+    faces = np.concatenate([np.stack([i, i + 1, i + n + 1], axis=1), np.stack([i, i + n + 1, i + n], axis=1)])
+    texcoords = np.stack([x, y], axis=1) / (2.0 * half) + 0.5
+    return vertices.astype(np.float32), faces.astype(np.int32), texcoords.astype(np.float32)
+
+
+def sheet(bsdf, *, rise=0.02, **more):
+    vertices, faces, texcoords = dome(rise=rise)
+    return {"type": "mesh", "vertices": vertices, "faces": faces, "texcoords": texcoords, "bsdf": bsdf, **more}
+
+
+def ball(inside: bool, subdivisions=2, **more):
+    mesh = trimesh.creation.icosphere(subdivisions=subdivisions)
+    vertices, faces = np.asarray(mesh.vertices, np.float32), np.asarray(mesh.faces, np.int32)
+    return {"type": "mesh", "vertices": vertices, "faces": faces[:, ::-1] if inside else faces, **more}
+
+
+def ceiling(**more):
+    """A shining square at z = 1.5 that faces down, larger than what the camera sees below it."""
+    to_world = psdr.Transform.translate([0.2, -0.1, 1.5]) @ psdr.Transform.rotate([1, 0, 0], 180) @ psdr.Transform.scale(2)
+    return {
+        "type": "rectangle",
+        "to_world": to_world,
+        "emitter": {"type": "area", "radiance": {"type": "bitmap", "bitmap": noise(4, 4, 3, high=3.0, seed=3)}},
+        **more,
+    }
+
+
+def rgb(*values):
+    return {"type": "rgb", "value": list(values)}
+
+
+def environment(seed=5):
+    turn = psdr.Transform.rotate([1, 0, 0], 90) @ psdr.Transform.rotate([0, 1, 0], 30)
+    return {"type": "envmap", "bitmap": noise(6, 12, 3, seed=seed), "to_world": turn, "scale": 1.3}
+
+
+def plane_scene():
+    to_uv = np.array([[1.1, 0.2, 0.1], [-0.1, 0.9, 0.3], [0.0, 0.0, 1.0]])
+    texture = {"type": "bitmap", "bitmap": noise(6, 6, 3, seed=1), "to_uv": to_uv}
+    return {
+        "sensor": camera([0.3, -0.6, 2.5], [0.1, 0.0, 0.0], rfilter="tent"),
+        "floor": {
+            "type": "rectangle",
+            "to_world": psdr.Transform.scale(4),
+            "bsdf": {"type": "diffuse", "reflectance": texture},
+        },
+        "env": environment(),
+        "point": {"type": "point", "position": [0.5, 0.4, 1.2], "intensity": rgb(2.0, 1.5, 1.0)},
+        "spot": {
+            "type": "spot",
+            "to_world": psdr.Transform.look_at([-0.8, 0.3, 1.8], [0.1, 0.1, 0.0], [0, 1, 0]),
+            "intensity": rgb(4.0, 6.0, 5.0),
+            "cutoff_angle": 25.0,
+            "beam_width": 10.0,
+        },
+        "sun": {"type": "directional", "direction": [0.3, 0.4, -1.0], "irradiance": rgb(0.5, 0.8, 1.1)},
+    }
+
+
+def dome_scene():
+    _vertices, faces, _texcoords = dome()
+    reflectance = {"type": "mesh_attribute", "name": "face_color"}
+    return {
+        "sensor": camera([0.0, -0.3, 2.0], [0.0, 0.0, 0.0]),
+        "floor": sheet({"type": "diffuse", "reflectance": reflectance}, face_color=noise(len(faces), 3, seed=2)),
+        "sky": {"type": "constant", "radiance": rgb(0.5, 0.8, 1.1)},
+    }
+
+
+def gap_scene(floor=None):
+    vertices, _faces, _texcoords = dome()
+    color = {"type": "diffuse", "reflectance": {"type": "mesh_attribute", "name": "vertex_color"}}
+    return {
+        "sensor": camera([0.0, -0.3, 1.2], [0.0, 0.1, 0.0]),
+        "floor": sheet(floor or color, vertex_color=noise(len(vertices), 3, seed=4)),
+        "ceiling": ceiling(bsdf={"type": "diffuse", "reflectance": rgb(0.6, 0.7, 0.5)}),
+    }
+
+
+def rough_scene(distribution="ggx"):
+    return gap_scene({"type": "roughconductor", "material": "Cu", "distribution": distribution, "alpha": 0.35})
+
+
+def brushed_scene(distribution="beckmann"):
+    metal = {"type": "roughconductor", "material": "Al", "distribution": distribution, "alpha_u": 0.5, "alpha_v": 0.25}
+    return gap_scene({**metal, "specular_reflectance": rgb(0.9, 0.8, 0.7)})
+
+
+def mirror_scene():
+    room = ball(True, bsdf={"type": "conductor", "material": "Au"})
+    room["vertex_radiance"] = (1.0 + 0.6 * np.sin(room["vertices"] @ noise(3, 3, low=-2.0, high=2.0, seed=6))).astype(
+        np.float32
+    )
+    room["emitter"] = {"type": "area", "radiance": {"type": "mesh_attribute", "name": "vertex_radiance"}}
+    return {"sensor": camera([0.15, 0.1, -0.1], [1.0, 0.3, 0.2]), "room": room}
+
+
+def glass_scene():
+    glass = {"type": "dielectric", "int_ior": 1.4, "ext_ior": 1.0}
+    glass |= {"specular_reflectance": rgb(0.9, 0.8, 0.7), "specular_transmittance": rgb(0.7, 0.8, 0.9)}
+    return {
+        "sensor": camera([0.15, 0.1, -0.1], [1.0, 0.3, 0.2]),
+        "ball": ball(False, subdivisions=3, bsdf=glass),
+        "env": environment(),
+    }
+
+
+SCENES = {
+    "plane": plane_scene,
+    "dome": dome_scene,
+    "gap": gap_scene,
+    "rough": rough_scene,
+    "brushed": brushed_scene,
+    "beckmann": lambda: rough_scene("beckmann"),
+    "brushed ggx": lambda: brushed_scene("ggx"),
+    "mirror": mirror_scene,
+    "glass": glass_scene,
+}
+
+@functools.cache
+def load(name: str):
+    """Return a scene and its parameters; every test leaves their values as they were."""
+    scene = psdr.load_dict({"type": "scene", **SCENES[name]()})
+    return scene, psdr.traverse(scene)

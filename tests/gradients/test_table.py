@@ -1,0 +1,88 @@
+"""Every parameter, in every method, against finite differences; what a method refuses is asserted too."""
+
+import numpy as np
+import pytest
+
+import warp_psdr as psdr
+
+from . import measure
+from .configs import CASES, METHODS, TEXTBOOK_REFUSES, TOGETHER
+from .scenes import load
+
+FAST_METHODS = ("forward", "reverse")
+
+
+def rows():
+    for case in CASES:
+        for method in METHODS:
+            fast = method in FAST_METHODS and not case.slow
+            yield pytest.param(case, method, id=f"{case}-{method}", marks=() if fast else pytest.mark.slow)
+
+
+def requested(case):
+    """The parameters of a case's scene that are requested together."""
+    _scene, params = load(case.scene)
+    params.requires_grad(*TOGETHER[case.scene])
+    return params.requested
+
+
+@pytest.mark.parametrize(("case", "method"), rows())
+def test_derivative_equals_finite_differences(case, method):
+    mode, block = METHODS[method]
+    names = requested(case)
+    if block == 0 and case.scene in TEXTBOOK_REFUSES:
+        with pytest.raises(ValueError, match="textbook replay.*block=8"):
+            measure.derivative(case, mode, block, names, 0.0, np.ones((12, 12, 3), np.float32))
+        # What does not move vertices is claimed there too.
+        if measure.is_geometric(case.parameter):
+            return
+        names = [case.parameter]
+    measure.assert_agrees(measure.compare(case, mode, block, names))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("mode", ["forward", "reverse"])
+@pytest.mark.parametrize("case", CASES, ids=str)
+def test_derivative_is_the_same_when_nothing_else_is_requested(case, mode):
+    measure.assert_agrees(measure.compare(case, mode, 8, [case.parameter]))
+
+
+def test_every_parameter_of_every_scene_has_a_row_or_a_reason():
+    # Poses move vertices (gap, plane, room) in the same way everywhere, so not every scene repeats every row.
+    elsewhere = {"vertex_positions", "vertex_normals", "vertex_texcoords", "to_world", "x_fov", "to_uv"}
+    elsewhere |= {"principal_point_offset_x", "principal_point_offset_y", "scale", "data", "value", "beam_width"}
+    covered = {c.parameter.rsplit(".", 1)[-1] for c in CASES}
+    assert elsewhere <= covered
+    for name in {c.scene for c in CASES}:
+        _scene, params = load(name)
+        rest = {p for p in params if p not in {c.parameter for c in CASES if c.scene == name}}
+        assert {p.rsplit(".", 1)[-1] for p in rest} <= covered, rest
+
+
+@pytest.mark.parametrize(
+    ("scene", "parameter", "reason"),
+    [
+        ("gap", "floor.vertex_positions", "silhouettes and shadows"),
+        ("plane", "floor.to_world", "silhouettes and shadows"),
+        ("plane", "sensor.to_world", "silhouettes that the camera sees"),
+        ("plane", "point.position", "hard shadows"),
+        ("plane", "spot.to_world", "hard shadows"),
+        ("plane", "sun.to_world", "hard shadows"),
+        ("dome", "floor.vertex_texcoords", "face-wise texture"),
+        ("mirror", "room.vertex_normals", "smooth mirrors and glass"),
+        ("glass", "ball.bsdf.eta", "through the interface"),
+    ],
+)
+def test_a_moving_discontinuity_is_refused_until_it_is_left_out_explicitly(scene, parameter, reason):
+    loaded, params = load(scene)
+    auto = psdr.PathIntegrator(max_depth=2)
+    ones = np.ones((12, 12, 3), np.float32)
+    params.requires_grad(parameter)
+    for call in (
+        lambda: psdr.render_backward(loaded, params, ones, integrator=auto, spp=1),
+        lambda: psdr.render_forward(loaded, params, {parameter: 1.0}, integrator=auto, spp=1),
+    ):
+        with pytest.raises(ValueError, match=reason) as error:
+            call()
+        assert parameter in str(error.value)
+        assert "boundary=None" in str(error.value)

@@ -1,0 +1,88 @@
+"""Arguments of the drivers: what is out of range is named, in every entry point alike."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+import warp_psdr as psdr
+
+NAME = "card.bsdf.reflectance.value"
+ENTRY_POINTS = ["render", "render_backward", "render_forward"]
+
+
+@pytest.fixture(scope="module")
+def scene():
+    camera = {
+        "type": "perspective",
+        "to_world": psdr.Transform.look_at((0, 0, 4), (0, 0, 0)),
+        "film": {"type": "hdrfilm", "width": 4, "height": 3},
+        "sampler": {"type": "independent", "sample_count": 2},
+    }
+    card = {"type": "rectangle", "bsdf": {"type": "diffuse", "reflectance": 0.5}}
+    return psdr.load_dict({"type": "scene", "camera": camera, "card": card, "sky": {"type": "constant"}})
+
+
+def call(entry_point: str, scene, **options) -> np.ndarray:
+    """Return the image, or the gradient, of the card's reflectance."""
+    params = psdr.traverse(scene)
+    params.requires_grad(NAME)
+    integrator = psdr.PathIntegrator(max_depth=2)
+    if entry_point == "render":
+        return psdr.render(scene, params, integrator=integrator, **options).numpy()
+    if entry_point == "render_forward":
+        return psdr.render_forward(scene, params, {NAME: 1.0}, integrator=integrator, **options).numpy()
+    psdr.render_backward(scene, params, np.ones((3, 4, 3)), integrator=integrator, **options)
+    return params[NAME].grad.numpy()
+
+
+@pytest.mark.parametrize("entry_point", ENTRY_POINTS)
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"sensor": 1}, r"sensor 1: the scene has sensors 0 to 0"),
+        ({"sensor": -2}, r"sensor -2: the scene has"),
+        ({"sensor": "camera"}, r"sensor 'camera'"),
+        ({"sensor": 0.0}, r"sensor 0\.0"),
+        ({"sensor": True}, r"sensor True"),
+        ({"spp": 0}, r"spp: got 0, expected a positive integer"),
+        ({"spp": -4}, r"spp: got -4"),
+        ({"spp": 1.5}, r"spp: got 1\.5"),
+        ({"spp": True}, r"spp: got True"),
+        ({"seed": -1}, r"seed: got -1, expected a non-negative integer"),
+        ({"seed": 0.5}, r"seed: got 0\.5"),
+        ({"seed": None}, r"seed: got None"),
+        ({"seed": True}, r"seed: got True"),
+    ],
+)
+def test_what_is_out_of_range_is_named(scene, entry_point: str, options: dict, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        call(entry_point, scene, **options)
+
+
+def test_spp_of_the_gradient_is_checked_before_anything_is_rendered(scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("warp_psdr.render._launch", lambda *arguments, **options: pytest.fail("it rendered"))
+    with pytest.raises(ValueError, match="spp_grad: got 0"):
+        call("render", scene, spp_grad=0)
+
+
+def test_plan_names_a_sensor_that_is_not_there(scene) -> None:
+    with pytest.raises(ValueError, match="sensor 3: the scene has sensors 0 to 0"):
+        psdr.plan(scene, sensor=3)
+
+
+@pytest.mark.parametrize("entry_point", ENTRY_POINTS)
+def test_numpy_integers_and_negative_sensors_count_as_in_python(scene, entry_point: str) -> None:
+    plain = call(entry_point, scene, sensor=0, spp=2, seed=7)
+    same = call(entry_point, scene, sensor=np.int64(-1), spp=np.int32(2), seed=np.uint32(7))
+    assert np.any(plain != 0.0)
+    np.testing.assert_array_equal(plain, same)
+
+
+@pytest.mark.parametrize("entry_point", ENTRY_POINTS)
+def test_samples_default_to_the_sensors(scene, entry_point: str) -> None:
+    np.testing.assert_array_equal(call(entry_point, scene), call(entry_point, scene, spp=2))
+
+
+def test_wide_seeds_are_used_whole(scene) -> None:
+    assert not np.array_equal(call("render", scene, seed=1), call("render", scene, seed=1 + (1 << 40)))

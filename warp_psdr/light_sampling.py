@@ -1,0 +1,99 @@
+"""Distributions that lights are sampled from, as cumulative arrays for ``kernels/distribution.py``.
+
+Cumulative values are multiples of 2^-24, like the random numbers. So an entry is drawn exactly with the probability
+``cdf[i + 1] - cdf[i]`` that the device reads, and an entry of positive weight, however small, keeps a probability of at
+least 2^-24.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from warp_psdr.kernels.distribution import LEVELS
+
+#: Share of all samples that is uniform over the sphere: black regions have derivatives, and light behind corners.
+UNIFORM_SPHERE = 0.05
+
+
+def cumulative(weights: np.ndarray) -> np.ndarray:
+    """Return the normalised cumulative sums of ``weights`` along the last axis.
+
+    Args:
+        weights: non-negative, finite, shape ``(..., n)`` with n < 2^24. Rows without any weight become uniform.
+
+    Returns:
+        float32, shape ``(..., n + 1)``, from exactly 0 to exactly 1.
+
+    Raises:
+        ValueError: a weight is negative, NaN or infinite, or n is out of range.
+    """
+    weights = np.asarray(weights, dtype=np.float64)
+    count = weights.shape[-1] if weights.ndim else 0
+    if not 0 < count < LEVELS:
+        raise ValueError(
+            f"got weights of shape {weights.shape}; expected 1 to {LEVELS - 1} entries along the last axis"
+        )
+    if not np.all(np.isfinite(weights)) or np.any(weights < 0.0):
+        raise ValueError("got a negative, NaN or infinite weight; weights must be finite and non-negative")
+    # Scaled by the largest first: the sum of large weights cannot overflow.
+    largest = weights.max(axis=-1, keepdims=True)
+    p = np.where(largest > 0.0, weights / np.where(largest > 0.0, largest, 1.0), 1.0)
+    p = p / p.sum(axis=-1, keepdims=True)
+    sums = np.cumsum(_lifted(p), axis=-1)
+    # floor(x + 1/2) grows by at least one level where x does. Divided by the last sum, which rounding keeps off 1.
+    levels = np.minimum(np.floor(sums * (LEVELS / sums[..., -1:]) + 0.5), LEVELS)
+    out = np.zeros((*weights.shape[:-1], count + 1), dtype=np.float32)
+    out[..., 1:] = levels / LEVELS
+    return out
+
+
+def _lifted(p: np.ndarray) -> np.ndarray:
+    """Raise positive probabilities to at least one level and scale the others down to keep the sum at one."""
+    # A hair above one level, so that rounding in the cumulative sum cannot lose it.
+    unit = (1.0 + 1e-6) / LEVELS
+    scale = np.ones((*p.shape[:-1], 1))
+    while True:
+        small = (p > 0.0) & (p * scale < unit)
+        rest = np.where(small, 0.0, p).sum(axis=-1, keepdims=True)
+        left = 1.0 - unit * small.sum(axis=-1, keepdims=True)
+        lower = np.minimum(scale, np.where(rest > 0.0, left / np.where(rest > 0.0, rest, 1.0), 1.0))
+        # The set of small entries only grows, so this ends after as many rounds as it grows; usually one or two.
+        if np.all(lower == scale):
+            return np.where(small, unit, p * scale)
+        scale = lower
+
+
+def build_env_distribution(data: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the cumulative arrays from which an environment map is sampled.
+
+    Args:
+        data: texels, shape ``(H, W, C)``, H >= 2. Negative values count as black.
+
+    Returns:
+        ``marginal`` over the rows of cells, shape ``(H,)``, and ``conditional`` over the cells of each row, shape
+        ``(H - 1, W + 1)``; float32. The weight of a cell is the mean of its corners and channels times its solid angle,
+        plus `UNIFORM_SPHERE`.
+
+    Raises:
+        ValueError: wrong shape, or a texel is NaN or infinite.
+    """
+    data = np.asarray(data)
+    if data.ndim != 3 or data.shape[0] < 2 or data.shape[1] < 1 or data.shape[2] < 1:
+        raise ValueError(f"got an environment map of shape {data.shape}; expected (H, W, C) with at least two rows")
+    if not np.all(np.isfinite(data)):
+        raise ValueError("got an environment map with NaN or infinite texels; replace them before rendering")
+    height, width = data.shape[:2]
+    brightness = np.maximum(data.mean(axis=2, dtype=np.float64), 0.0)
+    pairs = brightness + np.roll(brightness, -1, axis=1)
+    corners = pairs[:-1] + pairs[1:]
+    theta = np.linspace(0.0, np.pi, height)
+    # cos a - cos b as a product: exact for the thin rows at the poles.
+    solid_angle = 2.0 * np.sin(0.5 * (theta[1:] + theta[:-1])) * np.sin(0.5 * (theta[1:] - theta[:-1]))
+    uniform = np.broadcast_to(solid_angle[:, None] / (2.0 * width), corners.shape)
+    weights = corners * solid_angle[:, None]
+    total = weights.sum()
+    if total > 0.0:
+        weights = (1.0 - UNIFORM_SPHERE) * weights / total + UNIFORM_SPHERE * uniform
+    else:
+        weights = uniform
+    return cumulative(weights.sum(axis=1)), cumulative(weights)

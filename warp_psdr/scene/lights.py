@@ -1,0 +1,124 @@
+"""What lights are sampled from: selection by power, cumulative triangle areas, and the environment map's cells."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+import warp as wp
+
+from warp_psdr.kernels import constants as c
+from warp_psdr.kernels import structs
+from warp_psdr.light_sampling import build_env_distribution, cumulative
+from warp_psdr.scene.build import Builder
+from warp_psdr.scene.layout import struct_array
+from warp_psdr.scene.spectra import LUMINANCE
+
+#: Share of the light selection that is uniform, so that a light of zero radiance is still sampled and its derivative
+#: is not lost.
+UNIFORM_SELECTION = 0.1
+
+
+class Lights:
+    """Device arrays that light sampling reads; each ``update_*`` follows one kind of edit.
+
+    Attributes:
+        emitters: ``structs.Emitter`` of every light.
+        emitter_cdf: cumulative selection probabilities.
+        face_cdf: cumulative triangle areas of every area light, one behind the other.
+        env_marginal: see ``build_env_distribution``.
+        env_conditional: see ``build_env_distribution``, flat.
+    """
+
+    def __init__(self, builder: Builder, device: wp.Device):
+        self._builder = builder
+        self._device = device
+        self._areas = np.zeros(len(builder.emitters))
+        self._area_cdfs: dict[int, np.ndarray] = {}
+        self.env_marginal = self.env_conditional = self._array(np.zeros(1))
+
+    @property
+    def environment(self) -> structs.Emitter | None:
+        """The environment light; None: there is none."""
+        number = self._builder.environment
+        return self._builder.emitters[number] if number >= 0 else None
+
+    def environment_data(self) -> tuple[int, int]:
+        """Flat (offset, size) of the environment map's texels; size 0: there is no map."""
+        e = self.environment
+        return self._builder.texture_ranges[e.texture] if e and e.kind == c.EMITTER_ENVMAP else (0, 0)
+
+    def of_shapes(self, shapes: Iterable[int]) -> list[int]:
+        """Numbers of the area lights of the given shapes."""
+        return [e for e in (self._builder.shapes[s].emitter for s in shapes) if e >= 0]
+
+    def depend_on_size(self) -> bool:
+        """Whether the power of any light depends on the size of the scene."""
+        at_infinity = {c.EMITTER_CONSTANT, c.EMITTER_ENVMAP, c.EMITTER_DIRECTIONAL}
+        return any(e.kind in at_infinity for e in self._builder.emitters)
+
+    def update_areas(self, numbers: Iterable[int], points: np.ndarray) -> None:
+        """Follow the geometry of area lights; ``points``: vertex positions of the scene, (N, 3)."""
+        for number in numbers:
+            e = self._builder.emitters[number]
+            faces = self._builder.indices[e.first_face : e.first_face + e.face_count]
+            p0, p1, p2 = (points[faces[:, k]].astype(np.float64) for k in range(3))
+            areas = 0.5 * np.linalg.norm(np.cross(p1 - p0, p2 - p0), axis=1)
+            self._areas[number] = areas.sum()
+            self._area_cdfs[number] = cumulative(areas)
+        offset = 0
+        for number, cdf in self._area_cdfs.items():
+            self._builder.emitters[number].cdf_offset = offset
+            offset += len(cdf)
+        self.face_cdf = self._array(np.concatenate([*self._area_cdfs.values(), np.zeros(1)]))
+
+    def update_environment(self, values: np.ndarray) -> None:
+        """Follow the texels of the environment map; ``values``: the scene's flat values."""
+        e = self.environment
+        if e is None or e.kind != c.EMITTER_ENVMAP:
+            return
+        t = self._builder.textures[e.texture]
+        texels = values[t.offset : t.offset + t.height * t.width * t.channels]
+        marginal, conditional = build_env_distribution(texels.reshape(t.height, t.width, t.channels))
+        self.env_marginal, self.env_conditional = self._array(marginal), self._array(conditional.reshape(-1))
+
+    def update_selection(self, values: np.ndarray, radius: float) -> None:
+        """Select lights by their power, now that radiances, areas or the size of the scene have changed.
+
+        Args:
+            values: the scene's flat values.
+            radius: of the scene's bounding sphere.
+        """
+        emitters = self._builder.emitters
+        cdf = np.array([0.0, 1.0])
+        if emitters:
+            power = np.array([self._power(i, values, radius) for i in range(len(emitters))])
+            p = np.full(len(power), 1.0 / len(power))
+            if power.sum() > 0.0:
+                p = (1.0 - UNIFORM_SELECTION) * power / power.sum() + UNIFORM_SELECTION * p
+            cdf = cumulative(p)
+            for e, probability in zip(emitters, np.diff(cdf.astype(np.float64)), strict=True):
+                e.probability = float(probability)
+        self.emitters = struct_array(structs.Emitter, emitters, self._device)
+        self.emitter_cdf = self._array(cdf)
+
+    def _power(self, number: int, values: np.ndarray, radius: float) -> float:
+        """Power of a light in watts, up to a factor near one; negative values count as zero."""
+        e = self._builder.emitters[number]
+        offset, size = self._builder.texture_ranges[e.texture]
+        channels = self._builder.textures[e.texture].channels
+        v = values[offset : offset + size].reshape(-1, channels)
+        mean = max(float(np.mean(v @ LUMINANCE if channels == 3 else v, dtype=np.float64)), 0.0)
+        if e.kind == c.EMITTER_AREA:
+            return np.pi * self._areas[number] * mean
+        if e.kind == c.EMITTER_POINT:
+            return 4.0 * np.pi * mean
+        if e.kind == c.EMITTER_SPOT:
+            return 2.0 * np.pi * (1.0 - np.cos(np.radians(float(values[e.cutoff])))) * mean
+        if e.kind == c.EMITTER_DIRECTIONAL:
+            return np.pi * radius**2 * mean
+        scale = max(float(values[e.scale]), 0.0) if e.kind == c.EMITTER_ENVMAP else 1.0
+        return np.pi * np.pi * radius**2 * mean * scale
+
+    def _array(self, values: np.ndarray) -> wp.array:
+        return wp.array(values.astype(np.float32), dtype=wp.float32, device=self._device)
