@@ -22,7 +22,7 @@ import warp as wp
 from warp_psdr.kernels.bsdf.dispatch import make_bsdf
 from warp_psdr.kernels.bvh.wide import make_intersect
 from warp_psdr.kernels.camera import camera_ray
-from warp_psdr.kernels.constants import FAR, LOBE_NONE, LOBE_SMOOTH
+from warp_psdr.kernels.constants import FAR, LOBE_NONE, LOBE_SMOOTH, RFILTER_BOX
 from warp_psdr.kernels.distribution import find_interval
 from warp_psdr.kernels.emitter.area import make_area, pdf_area
 from warp_psdr.kernels.emitter.dispatch import make_lights
@@ -352,17 +352,24 @@ def make_path_step(config: PathConfig, differential: bool):
 
 
 @functools.cache
-def make_camera_start(config: PathConfig):
-    """Return ``start(scene, camera, px, py, sampler) -> (PathState, film position)``."""
+def make_camera_start(config: PathConfig, filter_kind: int | None = None):
+    """Return ``start(scene, camera, px, py, sampler) -> (PathState, film position)``.
+
+    ``filter_kind``: RFILTER_BOX draws positions uniformly in the pixel; None draws from the film's own filter.
+    """
     closest_hit, _any_hit = make_intersect(config.ray_backend, config.ray_width)
     draw = make_sampler(config.sampler)
     sample_4d = draw.sample_4d
-    filter_sample = make_filter(config.filter)
+    box = filter_kind == RFILTER_BOX
+    filter_sample = make_filter(RFILTER_BOX if box else config.filter)
 
     @wp.func
     def start(scene: Scene, camera: Camera, px: wp.int32, py: wp.int32, sampler: Sampler) -> tuple[PathState, wp.vec2]:
         u4 = sample_4d(sampler, 0)
-        offset = filter_sample(wp.vec2(u4[0], u4[1]), camera.filter_radius, camera.filter_stddev)
+        radius = camera.filter_radius
+        if wp.static(box):
+            radius = wp.float32(0.5)
+        offset = filter_sample(wp.vec2(u4[0], u4[1]), radius, camera.filter_stddev)
         film = film_position(camera, px, py, offset)
         ray = camera_ray(scene, camera, film)
         state = PathState()

@@ -30,3 +30,18 @@ def add_range(
     """Add a stretch of the flat gradient to a parameter's own."""
     i = wp.tid()
     grad_out[i] = grad_out[i] + total[offset + i]
+
+
+@wp.kernel(module="unique", enable_backward=False)
+def add_images(
+    # In:
+    lanes: wp.array3d(dtype=wp.vec3),
+    # In and out:
+    image_out: wp.array2d(dtype=wp.vec3),
+):
+    """Add the lanes' images to an image, always in the same order."""
+    y, x = wp.tid()
+    total = image_out[y, x]
+    for lane in range(lanes.shape[0]):
+        total += lanes[lane, y, x]
+    image_out[y, x] = total

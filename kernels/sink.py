@@ -44,3 +44,20 @@ def make_sink_vec3(role: str):
         )
 
     return sink_vec3
+
+
+@functools.cache
+def make_sink_texel(role: str):
+    """Return ``sink(target, offset, channels, vec3) -> float``: a colour, or the grey value (one channel) behind it."""
+    scalar = make_sink(role)
+    vec3 = make_sink_vec3(role)
+
+    @wp.func
+    def sink_texel(
+        target: wp.array(dtype=wp.float32), offset: wp.int32, channels: wp.int32, value: wp.vec3
+    ) -> wp.float32:
+        if channels == 1:
+            return scalar(target, offset, value[0] + value[1] + value[2])
+        return vec3(target, offset, value)
+
+    return sink_texel

@@ -21,7 +21,7 @@ from warp_psdr.kernels.constants import (
     WRAP_CLAMP,
     WRAP_MIRROR,
 )
-from warp_psdr.kernels.sink import make_sink
+from warp_psdr.kernels.sink import make_sink, make_sink_texel
 from warp_psdr.kernels.structs import Scene, Texture
 
 
@@ -175,12 +175,7 @@ def make_texture_sink(role: str, kinds: tuple[int, ...], values: bool, to_uv: bo
         slide: return the adjoint of the place where the texture is read.
     """
     sink = make_sink(role)
-
-    @wp.func
-    def sink_texel(target: wp.array(dtype=wp.float32), offset: wp.int32, channels: wp.int32, w: wp.vec3) -> wp.float32:
-        if channels == 1:
-            return sink(target, offset, w[0] + w[1] + w[2])
-        return sink(target, offset, w[0]) + sink(target, offset + 1, w[1]) + sink(target, offset + 2, w[2])
+    sink_texel = make_sink_texel(role)
 
     @wp.func
     def push_bitmap(

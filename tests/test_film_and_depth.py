@@ -1,4 +1,4 @@
-"""What belongs to the sensor and to the counting of path vertices: crop, filters, clip planes, principal point, depth."""
+"""What belongs to the sensor and to the counting of path vertices: crop, filters, clipping, principal point, depth."""
 
 import numpy as np
 import pytest
@@ -68,9 +68,10 @@ def test_hidden_emitters_still_light():
     """Hiding the lights takes away what the camera sees of them and nothing else."""
     scene = room()
     shown, hidden = (batches(scene, spp=16, max_depth=3, hide_emitters=h) for h in (False, True))
-    emission = batches(scene, spp=64, max_depth=1, seed=100).max(axis=(0, -1))
-    sky, surface = np.isclose(shown, [0.3, 0.2, 0.1], rtol=ROUNDING).all(axis=(0, -1)), emission == 0.0
-    assert sky.sum() > 10 and surface.sum() > 60
+    sky = np.isclose(shown, [0.3, 0.2, 0.1], rtol=ROUNDING).all(axis=(0, -1))
+    surface = batches(scene, spp=64, max_depth=1, seed=100).max(axis=(0, -1)) == 0.0
+    surface[:, :8] = False  # the lamp, whose dark back vanishes with it
+    assert sky.sum() > 10 and surface.sum() > 30
     np.testing.assert_array_equal(hidden[:, sky], 0.0)
     means = [images[:, surface].mean(axis=1) for images in (shown, hidden)]
     assert_same_mean(*means, "surfaces under hidden lights", rounding=2e-3)  # pixels that hold a sliver of the sky

@@ -14,8 +14,8 @@ MITSUBA_ROUNDING = 1e-3
 HEAD = """<scene version="3.0.0"><integrator type="path"><integer name="max_depth" value="{depth}"/></integrator>
 <sensor type="perspective"><float name="fov" value="40"/>
     <transform name="to_world"><lookat origin="0, -4, 2.5" target="0, 0, 0.4" up="0, 0, 1"/></transform>
-    <film type="hdrfilm"><integer name="width" value="24"/><integer name="height" value="24"/><rfilter type="box"/></film>
-</sensor>
+    <film type="hdrfilm"><integer name="width" value="24"/><integer name="height" value="24"/><rfilter type="box"/>
+    </film></sensor>
 <shape type="rectangle" id="floor"><transform name="to_world"><scale value="2"/></transform>
     <bsdf type="diffuse"><rgb name="reflectance" value="0.7, 0.5, 0.3"/></bsdf></shape>
 """
@@ -55,6 +55,9 @@ MITSUBA_CASES = {
         up="0, 0, 1"/></transform><rgb name="intensity" value="6, 4, 2"/><float name="cutoff_angle" value="25"/>
         </emitter><emitter type="directional"><vector name="direction" x="0.3" y="0.5" z="-1"/></emitter>""",
     ),
+    "hidden emitters": object_scene("", SKY + LAMP).replace(
+        "</integrator>", '<boolean name="hide_emitters" value="true"/></integrator>'
+    ),
     "two sides": object_scene(
         """<bsdf type="twosided"><bsdf type="diffuse"><rgb name="reflectance" value="0.1, 0.5, 0.9"/></bsdf>
         <bsdf type="diffuse"><rgb name="reflectance" value="0.9, 0.5, 0.1"/></bsdf></bsdf>""",
@@ -76,7 +79,7 @@ def test_equals_mitsuba(name):
 
 
 def test_cornell_box_equals_mitsuba():
-    """The file in ``scenes`` unchanged, with its filter; blocks away from the border, which Mitsuba's film weighs anew."""
+    """The file in ``scenes`` unchanged; without the border, where Mitsuba's filter weights differ."""
     mitsuba = pytest.importorskip("mitsuba")
     mitsuba.set_variant("scalar_rgb")
     ours = batches(psdr.load_file(BOX, resolution=32), spp=16)
@@ -130,7 +133,8 @@ def test_a_thousand_lights():
 def test_light_is_selected_by_power():
     """With one strong light among weak ones, selection by power leaves little noise."""
     lights = "".join(
-        f'<emitter type="point"><point name="position" x="{x}" y="0" z="1"/><float name="intensity" value="{i}"/></emitter>'
+        f'<emitter type="point"><point name="position" x="{x}" y="0" z="1"/>'
+        f'<float name="intensity" value="{i}"/></emitter>'
         for x, i in [(0.0, 100.0), *((0.1 * k, 0.01) for k in range(50))]
     )
     scene = psdr.load_string(HEAD.format(depth=2) + lights + "</scene>")

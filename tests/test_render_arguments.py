@@ -1,7 +1,5 @@
 """Arguments of the drivers: what is out of range is named, in every entry point alike."""
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 
@@ -60,10 +58,11 @@ def test_what_is_out_of_range_is_named(scene, entry_point: str, options: dict, m
         call(entry_point, scene, **options)
 
 
-def test_spp_of_the_gradient_is_checked_before_anything_is_rendered(scene, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("warp_psdr.render._launch", lambda *arguments, **options: pytest.fail("it rendered"))
+def test_spp_of_the_gradient_is_checked_before_anything_is_rendered(scene) -> None:
+    finished: list[float] = []
     with pytest.raises(ValueError, match="spp_grad: got 0"):
-        call("render", scene, spp_grad=0)
+        call("render", scene, spp_grad=0, progress=finished.append)
+    assert finished == []
 
 
 def test_plan_names_a_sensor_that_is_not_there(scene) -> None:

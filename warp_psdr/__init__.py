@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import importlib
+from typing import TYPE_CHECKING, Any
 
-from warp_psdr import interior, losses, optim
+from warp_psdr import boundary, interior, losses, optim
 from warp_psdr.acceleration import set_ray_backend
 from warp_psdr.options import PathIntegrator
 from warp_psdr.parameters import Parameters, traverse
@@ -14,6 +15,7 @@ from warp_psdr.scene.transforms import Transform
 from warp_psdr.workers import set_workers
 
 if TYPE_CHECKING:
+    from warp_psdr import fit, image_io, plots, torch, view
     from warp_psdr.scene.scene import Scene
 
 __version__ = "0.1.0"
@@ -23,6 +25,9 @@ __all__ = [
     "PathIntegrator",
     "Plan",
     "Transform",
+    "boundary",
+    "fit",
+    "image_io",
     "interior",
     "load_dict",
     "load_file",
@@ -30,13 +35,29 @@ __all__ = [
     "losses",
     "optim",
     "plan",
+    "plots",
     "render",
     "render_backward",
     "render_forward",
     "set_ray_backend",
     "set_workers",
+    "torch",
     "traverse",
+    "view",
 ]
+
+#: Modules that need more than Warp and NumPy; each is loaded when it is first used.
+_LAZY_MODULES = ("fit", "image_io", "plots", "torch", "view")
+
+
+def __getattr__(name: str) -> Any:
+    if name in _LAZY_MODULES:
+        return importlib.import_module(f"warp_psdr.{name}")
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_LAZY_MODULES})
 
 
 def load_file(path, *, device: str = "cpu", **defaults) -> Scene:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Literal
 
+from warp_psdr import boundary as boundary_methods
 from warp_psdr import interior as interior_methods
 
 
@@ -27,7 +28,7 @@ class PathIntegrator:
     hide_emitters: bool = False
     sampler: Literal["auto", "sobol", "independent"] = "auto"
     interior: interior_methods.Method = field(default_factory=interior_methods.Replay)
-    boundary: Literal["auto"] | None = "auto"
+    boundary: boundary_methods.Method | Literal["auto"] | None = "auto"
 
     def __post_init__(self) -> None:
         """Validate once.
@@ -50,8 +51,11 @@ class PathIntegrator:
                 f"interior: got {self.interior!r}, expected a method of psdr.interior, "
                 "for example psdr.interior.Replay()"
             )
-        if self.boundary not in ("auto", None):
-            raise ValueError(f"boundary: got {self.boundary!r}, expected 'auto' or None")
+        if not isinstance(self.boundary, boundary_methods.Method) and self.boundary not in ("auto", None):
+            raise ValueError(
+                f"boundary: got {self.boundary!r}, expected a method of psdr.boundary, for example "
+                "psdr.boundary.PathSpace(), 'auto' or None"
+            )
 
 
 def from_description(integrator: dict) -> PathIntegrator:

@@ -10,7 +10,7 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from warp_psdr import interior
+from warp_psdr import boundary_term, interior
 from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.emitter.spot import MIN_FALLOFF
 from warp_psdr.kernels.interior.wanted import Wanted
@@ -30,6 +30,7 @@ from warp_psdr.scene.layout import (
 )
 
 if TYPE_CHECKING:
+    from warp_psdr.boundary import Method
     from warp_psdr.options import PathIntegrator
     from warp_psdr.parameters import Parameters
     from warp_psdr.scene.scene import Scene
@@ -74,6 +75,7 @@ class Plan:
         blocks: most blocks of a path.
         discontinuities: why the requested parameters move discontinuities; empty: they do not.
         lines: (item, decision, reason).
+        boundary: method of the boundary term; None: there is none, or it was left out on purpose.
     """
 
     config: PathConfig
@@ -84,6 +86,7 @@ class Plan:
     blocks: int
     discontinuities: tuple[str, ...]
     lines: tuple[tuple[str, str, str], ...]
+    boundary: Method | None = None
 
     def __str__(self) -> str:
         """Return a table."""
@@ -113,7 +116,7 @@ def plan(
         The plan.
 
     Raises:
-        ValueError: the method named by the integrator cannot differentiate what is requested.
+        ValueError: the methods named by the integrator cannot differentiate what is requested.
     """
     from warp_psdr.options import from_description
 
@@ -131,14 +134,16 @@ def plan(
         if block == 0:
             _check_textbook(config, wanted)
     moving = tuple(_discontinuities(scene, config, names))
+    term = None
     if names:
         if not moving:
             lines.append(("boundary term", "not run", "no requested parameter moves a discontinuity"))
         elif integrator.boundary is None:
             lines.append(("boundary term", "left out", "boundary=None was said, although " + "; ".join(moving)))
         else:
-            lines.append(("boundary term", "required", "; ".join(moving)))
-    return Plan(config, wanted, integrator.max_depth, integrator.rr_depth, block, blocks, moving, tuple(lines))
+            term = boundary_term.choose(scene, config, integrator, names, moving)
+            lines.append(("boundary term", term.label, "; ".join(moving)))
+    return Plan(config, wanted, integrator.max_depth, integrator.rr_depth, block, blocks, moving, tuple(lines), term)
 
 
 def _config(scene: Scene, integrator: PathIntegrator, sensor: int, lines: list) -> PathConfig:

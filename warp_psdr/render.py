@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from collections.abc import Callable
 from typing import TYPE_CHECKING
@@ -9,15 +10,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
-from warp_psdr import workers
+from warp_psdr import boundary_term, workers
 from warp_psdr.chain import derived_ranges, pull_derived, push_derived
 from warp_psdr.device import launch
+from warp_psdr.kernels.constants import RFILTER_BOX
 from warp_psdr.kernels.interior.forward import make_forward_kernel
 from warp_psdr.kernels.interior.replay import make_replay_kernel
 from warp_psdr.kernels.interior.textbook import make_textbook_kernel
 from warp_psdr.kernels.path import make_primal_kernel
 from warp_psdr.kernels.reduction import add_lanes, add_range
 from warp_psdr.kernels.rng import mix_seed
+from warp_psdr.kernels.splat import make_splat_kernel, resolve
 from warp_psdr.options import PathIntegrator, from_description
 from warp_psdr.plan import Plan
 from warp_psdr.plan import plan as make_plan
@@ -62,7 +65,7 @@ def render(
 
     Raises:
         ValueError: an option out of range; with a tape: parameters are missing, or what is requested moves a
-            discontinuity and the boundary term was not left out explicitly.
+            discontinuity that the method of the boundary term does not cover.
     """
     integrator = integrator or from_description(scene.description.integrator)
     spp, seed = _sample_count(scene, sensor, spp), _seed(seed)
@@ -71,34 +74,15 @@ def render(
     if tape is not None:
         if params is None or not params.requested:
             raise ValueError("render(tape=...) differentiates what params.requires_grad(...) names; pass such params")
-        _differentiable(make_plan(scene, params, integrator=integrator, sensor=sensor), integrator)
+        make_plan(
+            scene, params, integrator=integrator, sensor=sensor
+        )  # says what cannot be differentiated, before the work
     camera = scene.camera(sensor)
     image = wp.zeros(
         (camera.crop_height, camera.crop_width), dtype=wp.vec3, device=scene.device, requires_grad=tape is not None
     )
-    kernel = make_primal_kernel(plan.config)
-    _launch(
-        scene,
-        kernel,
-        sensor,
-        lambda data, first, count, pixels, lane: (
-            [
-                data,
-                camera,
-                pixels,
-                first,
-                0,
-                spp,
-                1.0 / spp,
-                mix_seed(seed, STREAM_PRIMAL),
-                plan.max_depth,
-                plan.rr_depth,
-            ],
-            [image],
-        ),
-        lanes=workers.LANES,
-        progress=progress,
-    )
+    draw = _render_splatted if plan.config.filter != RFILTER_BOX else _render_boxed
+    draw(scene, plan, sensor, spp, mix_seed(seed, STREAM_PRIMAL), image, progress)
     if tape is not None and params is not None:
         _record(tape, image, scene, params, sensor=sensor, integrator=integrator, spp=gradient_spp, seed=seed)
     return image
@@ -109,6 +93,42 @@ def _record(tape: wp.Tape, image: wp.array, scene: Scene, params: Parameters, **
         render_backward(scene, params, image.grad, **options)
 
     tape.record_func(backward, [image, *(params[name] for name in params.requested)])
+
+
+def _render_boxed(scene: Scene, plan: Plan, sensor: int, spp: int, seed: int, image: wp.array, progress) -> None:
+    """A sample belongs to the pixel that it falls into."""
+    camera = scene.camera(sensor)
+    _launch(
+        scene,
+        make_primal_kernel(plan.config),
+        (camera.crop_width, camera.crop_height),
+        lambda data, first, count, pixels, lane: (
+            [data, camera, pixels, first, 0, spp, 1.0 / spp, seed, plan.max_depth, plan.rr_depth],
+            [image],
+        ),
+        lanes=workers.LANES,
+        progress=progress,
+    )
+
+
+def _render_splatted(scene: Scene, plan: Plan, sensor: int, spp: int, seed: int, image: wp.array, progress) -> None:
+    """A sample counts for every pixel whose filter reaches it."""
+    camera = scene.camera(sensor)
+    margin = math.ceil(camera.filter_radius - 0.5)
+    lanes = workers.lane_count(4 * image.size) if scene.device.is_cpu else 1
+    films = wp.zeros((lanes, *image.shape), dtype=wp.vec4, device=scene.device)
+    _launch(
+        scene,
+        make_splat_kernel(plan.config),
+        (camera.crop_width + 2 * margin, camera.crop_height + 2 * margin),
+        lambda data, first, count, pixels, lane: (
+            [data, camera, pixels, first, margin, spp, seed, plan.max_depth, plan.rr_depth],
+            [films[lane]],
+        ),
+        lanes=lanes,
+        progress=progress,
+    )
+    launch(resolve, dim=image.shape, inputs=[films], outputs=[image], device=scene.device)
 
 
 def render_backward(
@@ -135,8 +155,8 @@ def render_backward(
         progress: called with the finished fraction.
 
     Raises:
-        ValueError: nothing is requested, a wrong adjoint, an option out of range, or a moving discontinuity whose
-            boundary term was not left out explicitly.
+        ValueError: nothing is requested, a wrong adjoint, an option out of range, or a moving discontinuity that
+            the method of the boundary term does not cover.
     """
     integrator = integrator or from_description(scene.description.integrator)
     names = params.requested
@@ -144,7 +164,6 @@ def render_backward(
         raise ValueError("nothing to differentiate: call params.requires_grad(...) with parameter names first")
     spp, seed = _sample_count(scene, sensor, spp), _seed(seed)
     plan = make_plan(scene, params, integrator=integrator, sensor=sensor)
-    _differentiable(plan, integrator)
     camera = scene.camera(sensor)
     adjoint = _adjoint(adjoint, camera, scene.device)
     size = scene.values.shape[0]
@@ -154,7 +173,7 @@ def render_backward(
     _launch(
         scene,
         _gradient_kernel(plan, "reverse"),
-        sensor,
+        (camera.crop_width, camera.crop_height),
         lambda data, first, count, pixels, lane: (
             [
                 data, camera, pixels, first, 0, spp, 1.0 / spp, mix_seed(seed, STREAM_INTERIOR),
@@ -165,6 +184,9 @@ def render_backward(
         lanes=lanes,
         progress=progress,
     )  # fmt: skip
+    if plan.boundary is not None:
+        seed = mix_seed(seed, STREAM_BOUNDARY)
+        boundary_term.backward(scene, plan, names, adjoint, buffers, sensor=sensor, spp=spp, seed=seed)
     _accumulate(scene, params, names, buffers)
 
 
@@ -195,8 +217,8 @@ def render_forward(
         ``wp.array2d`` of vec3, shape (H, W): d image / d t for parameters + t * tangents.
 
     Raises:
-        ValueError: no or wrong tangents, an option out of range, or a moving discontinuity whose boundary term was not
-            left out explicitly.
+        ValueError: no or wrong tangents, an option out of range, or a moving discontinuity that the method of the
+            boundary term does not cover.
     """
     integrator = integrator or from_description(scene.description.integrator)
     if not tangents:
@@ -209,7 +231,6 @@ def render_forward(
         p = scene.parameters[name]
         flat[p.offset : p.offset + p.size] = values.reshape(-1)
     plan = make_plan(scene, integrator=integrator, sensor=sensor, names=names)
-    _differentiable(plan, integrator)
     camera = scene.camera(sensor)
     target = wp.array(flat, dtype=wp.float32, device=scene.device)
     push_derived(scene, names, target)
@@ -218,7 +239,7 @@ def render_forward(
     _launch(
         scene,
         _gradient_kernel(plan, "forward"),
-        sensor,
+        (camera.crop_width, camera.crop_height),
         lambda data, first, count, pixels, lane: (
             [
                 data, camera, pixels, first, 0, spp, 1.0 / spp, mix_seed(seed, STREAM_INTERIOR),
@@ -229,6 +250,9 @@ def render_forward(
         lanes=workers.LANES,
         progress=progress,
     )  # fmt: skip
+    if plan.boundary is not None:
+        seed = mix_seed(seed, STREAM_BOUNDARY)
+        boundary_term.forward(scene, plan, names, target, image, sensor=sensor, spp=spp, seed=seed)
     return image
 
 
@@ -261,11 +285,12 @@ def _depth(plan: Plan) -> int:
     return plan.block * plan.blocks
 
 
-def _launch(scene: Scene, kernel: wp.Kernel, sensor: int, arguments, *, lanes: int, progress: Progress | None) -> None:
-    """Run a pixel kernel: in one launch on CUDA, in lanes on the worker threads on the CPU."""
-    camera = scene.camera(sensor)
+def _launch(
+    scene: Scene, kernel: wp.Kernel, raster: tuple[int, int], arguments, *, lanes: int, progress: Progress | None
+) -> None:
+    """Run a kernel over a raster (width, height): in one launch on CUDA, in lanes on worker threads on the CPU."""
     data = scene.data()
-    order = wp.array(workers.pixel_order(camera.crop_width, camera.crop_height), dtype=wp.int32, device=scene.device)
+    order = wp.array(workers.pixel_order(*raster), dtype=wp.int32, device=scene.device)
     count = order.shape[0]
     wp.load_module(kernel.module, device=scene.device)  # compile once, before the threads start
     if not scene.device.is_cpu:
@@ -317,13 +342,3 @@ def _adjoint(adjoint, camera, device) -> wp.array:
     if not np.isfinite(array).all():
         raise ValueError("adjoint: holds NaN or infinite numbers; check the loss and the target image")
     return wp.array(np.ascontiguousarray(array), dtype=wp.vec3, device=device)
-
-
-def _differentiable(plan: Plan, integrator: PathIntegrator) -> None:
-    """Refuse to leave out a boundary term in silence."""
-    if plan.discontinuities and integrator.boundary is not None:
-        raise ValueError(
-            "the requested gradient has a boundary term: "
-            + "; ".join(plan.discontinuities)
-            + ". It is not implemented yet; say PathIntegrator(boundary=None) to get the interior term alone"
-        )

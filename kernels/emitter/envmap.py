@@ -17,7 +17,7 @@ from warp_psdr.kernels.constants import FAR, INV_PI, INV_TWO_PI, ONE_MINUS_EPSIL
 from warp_psdr.kernels.distribution import LEVELS, find_interval
 from warp_psdr.kernels.emitter.constant import EnvironmentFunctions
 from warp_psdr.kernels.rng import UNIT, pcg4d, unit_float
-from warp_psdr.kernels.sink import make_sink
+from warp_psdr.kernels.sink import make_sink, make_sink_texel
 from warp_psdr.kernels.structs import Emitter, LightAdjoint, LightSample, Scene, Texture
 from warp_psdr.kernels.texture import bilinear_dot, texel
 
@@ -187,6 +187,7 @@ def make_envmap(role: str | None, wanted: tuple[str, ...]) -> EnvironmentFunctio
         wanted: "radiance" scatters to texels and scale, "pose" to the matrix.
     """
     sink = make_sink(role) if role else None
+    sink_texel = make_sink_texel(role) if role else None
 
     @wp.func
     def radiance(scene: Scene, e: Emitter, direction: wp.vec3) -> wp.vec3:
@@ -261,12 +262,6 @@ def make_envmap(role: str | None, wanted: tuple[str, ...]) -> EnvironmentFunctio
 
     if role is None:
         return EnvironmentFunctions(sample, radiance, pdf, None)
-
-    @wp.func
-    def sink_texel(target: wp.array(dtype=wp.float32), offset: wp.int32, channels: wp.int32, w: wp.vec3) -> wp.float32:
-        if channels == 1:
-            return sink(target, offset, w[0] + w[1] + w[2])
-        return sink(target, offset, w[0]) + sink(target, offset + 1, w[1]) + sink(target, offset + 2, w[2])
 
     @wp.func
     def eval_vjp(

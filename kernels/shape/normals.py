@@ -49,6 +49,32 @@ def degenerate(p0: wp.vec3, p1: wp.vec3, p2: wp.vec3) -> wp.bool:
     return wp.dot(n, n) <= 0.0
 
 
+@wp.struct
+class Face:
+    """A triangle's vertices: global numbers and positions."""
+
+    i0: wp.int32
+    i1: wp.int32
+    i2: wp.int32
+    p0: wp.vec3
+    p1: wp.vec3
+    p2: wp.vec3
+
+
+@wp.func
+def load_face(
+    values: wp.array(dtype=wp.float32), positions: wp.int32, indices: wp.array(dtype=wp.int32), face: wp.int32
+) -> Face:
+    f = Face()
+    f.i0 = indices[3 * face]
+    f.i1 = indices[3 * face + 1]
+    f.i2 = indices[3 * face + 2]
+    f.p0 = load_vec3(values, positions + 3 * f.i0)
+    f.p1 = load_vec3(values, positions + 3 * f.i1)
+    f.p2 = load_vec3(values, positions + 3 * f.i2)
+    return f
+
+
 @wp.kernel(module="unique", enable_backward=False)
 def sum_normals(
     # In:
@@ -61,19 +87,13 @@ def sum_normals(
     sums_out: wp.array(dtype=wp.float32),
 ):
     """Add the weighted normals of a shape's faces to ``sums_out`` (3 floats a vertex, local vertex numbers)."""
-    face = first_face + wp.tid()
-    i0 = indices[3 * face]
-    i1 = indices[3 * face + 1]
-    i2 = indices[3 * face + 2]
-    p0 = load_vec3(values, positions + 3 * i0)
-    p1 = load_vec3(values, positions + 3 * i1)
-    p2 = load_vec3(values, positions + 3 * i2)
-    if degenerate(p0, p1, p2):
+    f = load_face(values, positions, indices, first_face + wp.tid())
+    if degenerate(f.p0, f.p1, f.p2):
         return
-    n = wp.normalize(wp.cross(p1 - p0, p2 - p0))
-    add_vec3(sums_out, 3 * (i0 - first_vertex), corner_angle(p1 - p0, p2 - p0) * n)
-    add_vec3(sums_out, 3 * (i1 - first_vertex), corner_angle(p2 - p1, p0 - p1) * n)
-    add_vec3(sums_out, 3 * (i2 - first_vertex), corner_angle(p0 - p2, p1 - p2) * n)
+    n = wp.normalize(wp.cross(f.p1 - f.p0, f.p2 - f.p0))
+    add_vec3(sums_out, 3 * (f.i0 - first_vertex), corner_angle(f.p1 - f.p0, f.p2 - f.p0) * n)
+    add_vec3(sums_out, 3 * (f.i1 - first_vertex), corner_angle(f.p2 - f.p1, f.p0 - f.p1) * n)
+    add_vec3(sums_out, 3 * (f.i2 - first_vertex), corner_angle(f.p0 - f.p2, f.p1 - f.p2) * n)
 
 
 @wp.kernel(module="unique", enable_backward=False)
@@ -125,26 +145,20 @@ def sum_normals_vjp(
     grad_out: wp.array(dtype=wp.float32),
 ):
     """Add the adjoint of the vertex positions, given the adjoint of the sums."""
-    face = first_face + wp.tid()
-    i0 = indices[3 * face]
-    i1 = indices[3 * face + 1]
-    i2 = indices[3 * face + 2]
-    p0 = load_vec3(values, positions + 3 * i0)
-    p1 = load_vec3(values, positions + 3 * i1)
-    p2 = load_vec3(values, positions + 3 * i2)
-    if degenerate(p0, p1, p2):
+    f = load_face(values, positions, indices, first_face + wp.tid())
+    if degenerate(f.p0, f.p1, f.p2):
         return
     b0, b1, b2, _a0, _a1, _a2 = wp.grad(weighted_normal_dot)(
-        p0,
-        p1,
-        p2,
-        load_vec3(adjoint, 3 * (i0 - first_vertex)),
-        load_vec3(adjoint, 3 * (i1 - first_vertex)),
-        load_vec3(adjoint, 3 * (i2 - first_vertex)),
+        f.p0,
+        f.p1,
+        f.p2,
+        load_vec3(adjoint, 3 * (f.i0 - first_vertex)),
+        load_vec3(adjoint, 3 * (f.i1 - first_vertex)),
+        load_vec3(adjoint, 3 * (f.i2 - first_vertex)),
     )
-    add_vec3(grad_out, positions + 3 * i0, b0)
-    add_vec3(grad_out, positions + 3 * i1, b1)
-    add_vec3(grad_out, positions + 3 * i2, b2)
+    add_vec3(grad_out, positions + 3 * f.i0, b0)
+    add_vec3(grad_out, positions + 3 * f.i1, b1)
+    add_vec3(grad_out, positions + 3 * f.i2, b2)
 
 
 @wp.kernel(module="unique", enable_backward=False)
@@ -160,28 +174,22 @@ def sum_normals_jvp(
     sums_out: wp.array(dtype=wp.float32),
 ):
     """Tangent of the sums: one vector-Jacobian product for each of a face's nine outputs."""
-    face = first_face + wp.tid()
-    i0 = indices[3 * face]
-    i1 = indices[3 * face + 1]
-    i2 = indices[3 * face + 2]
-    p0 = load_vec3(values, positions + 3 * i0)
-    p1 = load_vec3(values, positions + 3 * i1)
-    p2 = load_vec3(values, positions + 3 * i2)
-    if degenerate(p0, p1, p2):
+    f = load_face(values, positions, indices, first_face + wp.tid())
+    if degenerate(f.p0, f.p1, f.p2):
         return
-    d0 = load_vec3(tangent, positions + 3 * i0)
-    d1 = load_vec3(tangent, positions + 3 * i1)
-    d2 = load_vec3(tangent, positions + 3 * i2)
+    d0 = load_vec3(tangent, positions + 3 * f.i0)
+    d1 = load_vec3(tangent, positions + 3 * f.i1)
+    d2 = load_vec3(tangent, positions + 3 * f.i2)
     zero = wp.vec3(0.0, 0.0, 0.0)
     for axis in range(3):
         e = wp.vec3(0.0, 0.0, 0.0)
         e[axis] = 1.0
-        b0, b1, b2, _x0, _x1, _x2 = wp.grad(weighted_normal_dot)(p0, p1, p2, e, zero, zero)
-        c0, c1, c2, _y0, _y1, _y2 = wp.grad(weighted_normal_dot)(p0, p1, p2, zero, e, zero)
-        f0, f1, f2, _z0, _z1, _z2 = wp.grad(weighted_normal_dot)(p0, p1, p2, zero, zero, e)
-        wp.atomic_add(sums_out, 3 * (i0 - first_vertex) + axis, wp.dot(b0, d0) + wp.dot(b1, d1) + wp.dot(b2, d2))
-        wp.atomic_add(sums_out, 3 * (i1 - first_vertex) + axis, wp.dot(c0, d0) + wp.dot(c1, d1) + wp.dot(c2, d2))
-        wp.atomic_add(sums_out, 3 * (i2 - first_vertex) + axis, wp.dot(f0, d0) + wp.dot(f1, d1) + wp.dot(f2, d2))
+        b0, b1, b2, _x0, _x1, _x2 = wp.grad(weighted_normal_dot)(f.p0, f.p1, f.p2, e, zero, zero)
+        c0, c1, c2, _y0, _y1, _y2 = wp.grad(weighted_normal_dot)(f.p0, f.p1, f.p2, zero, e, zero)
+        f0, f1, f2, _z0, _z1, _z2 = wp.grad(weighted_normal_dot)(f.p0, f.p1, f.p2, zero, zero, e)
+        wp.atomic_add(sums_out, 3 * (f.i0 - first_vertex) + axis, wp.dot(b0, d0) + wp.dot(b1, d1) + wp.dot(b2, d2))
+        wp.atomic_add(sums_out, 3 * (f.i1 - first_vertex) + axis, wp.dot(c0, d0) + wp.dot(c1, d1) + wp.dot(c2, d2))
+        wp.atomic_add(sums_out, 3 * (f.i2 - first_vertex) + axis, wp.dot(f0, d0) + wp.dot(f1, d1) + wp.dot(f2, d2))
 
 
 @wp.kernel(module="unique", enable_backward=False)

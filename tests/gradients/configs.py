@@ -128,7 +128,7 @@ def texel_wave(values):
 def bend(values):
     """Move the vertices of a sheet along z, smoothly; convexity survives small steps."""
     x, y = values[:, 0], values[:, 1]
-    return np.stack([0.1 * y, 0.05 * x, 0.2 * x + 0.1 * y - 0.05 * x * x], axis=1)
+    return np.stack([0.03 * y, 0.02 * x, 0.5 + 0.2 * x + 0.1 * y - 0.05 * x * x], axis=1)
 
 
 def ripple(values):
@@ -161,6 +161,7 @@ PLANE = [
     Case("plane", "floor.to_world", shift(1.0, 0.5, 0.0), 4e-3, "in plane", spp=128),
     Case("plane", "floor.to_world", turn(0.5, 0.8, 0.2), 2e-2, "turn", spp=256),
     Case("plane", "floor.to_world", same, 4e-3, "scale", spp=128),
+    Case("plane", "floor.vertex_normals", turn(0.5, 0.8, 0.2), 2e-2, spp=64),
     Case("plane", "floor.vertex_positions", shift(0.5, 0.3, 0.8), 4e-3, spp=128),
 ]
 DOME = [
@@ -174,9 +175,9 @@ GAP = [
     Case("gap", "ceiling.emitter.radiance.data", texel_wave, 5e-2, depth=4),
     Case("gap", "ceiling.emitter.radiance.to_uv", slide, 1e-2, depth=4, spp=128),
     Case("gap", "ceiling.to_world", shift(0.0, 0.0, 1.0), 4e-2, "along the normal", depth=4, spp=256),
-    Case("gap", "ceiling.to_world", shift(1.0, 0.5, 0.0), 8e-2, "in plane", depth=4, spp=1024, slow=True),
+    Case("gap", "ceiling.to_world", shift(1.0, 0.5, 0.0), 8e-2, "in plane", depth=4, spp=2048, slow=True),
     Case("gap", "ceiling.to_world", turn(0.5, 0.8, 0.2), 8e-2, "turn", depth=4, spp=1024, slow=True),
-    Case("gap", "ceiling.vertex_positions", mixed, 4e-2, depth=4, spp=512, slow=True),
+    Case("gap", "ceiling.vertex_positions", mixed, 4e-2, depth=4, spp=2048, slow=True),
     Case("gap", "floor.vertex_positions", shift(0.0, 0.0, 1.0), 4e-2, "along the normal", depth=4, spp=256),
     Case("gap", "floor.vertex_positions", bend, 8e-2, "bend", depth=4, spp=512),
     Case("gap", "floor.vertex_positions", bend, 8e-2, "bend", depth=2, spp=512, slow=True),
@@ -184,25 +185,25 @@ GAP = [
     Case("gap", "sensor.to_world", aim(0.3, 0.8, 0.4), 1e-2, "aim", depth=4, spp=256, slow=True),
 ]
 ROUGH = [
-    Case("rough", "floor.bsdf.alpha.value", ones, 1e-2, spp=256),
-    Case("rough", "floor.bsdf.alpha.value", ones, 1e-2, spp=1024, depth=5, slow=True),
-    Case("rough", "floor.bsdf.eta.value", mixed, 2e-2),
-    Case("rough", "floor.bsdf.k.value", mixed, 2e-2),
-    Case("rough", "floor.bsdf.specular_reflectance.value", ones, 2e-2),
-    Case("rough", "floor.vertex_normals", turn(0.5, 0.8, 0.2), 2e-2, spp=512),
-    Case("rough", "floor.vertex_normals", mixed, 2e-2, "mixed", spp=512, slow=True),
-    Case("rough", "floor.vertex_positions", bend, 4e-2, "bend", spp=512),
-    Case("rough", "sensor.to_world", shift(0.3, -0.5, 0.4), 2e-2, "shift", spp=512, slow=True),
+    Case("rough", "floor.bsdf.alpha.value", ones, 1e-2, depth=2, spp=256),
+    Case("rough", "floor.bsdf.alpha.value", ones, 1e-2, depth=5, spp=1024, slow=True),
+    Case("rough", "floor.bsdf.eta.value", mixed, 2e-2, depth=2),
+    Case("rough", "floor.bsdf.k.value", mixed, 2e-2, depth=2),
+    Case("rough", "floor.bsdf.specular_reflectance.value", ones, 2e-2, depth=2),
+    Case("rough", "floor.vertex_normals", turn(0.5, 0.8, 0.2), 2e-2, depth=2, spp=1536),
+    Case("rough", "floor.vertex_normals", mixed, 2e-2, "mixed", depth=2, spp=4096, slow=True),
+    Case("rough", "floor.vertex_positions", bend, 4e-2, "bend", depth=2, spp=1024),
+    Case("rough", "sensor.to_world", shift(0.3, -0.5, 0.4), 2e-2, "shift", depth=2, spp=4096, slow=True),
     Case("beckmann", "floor.bsdf.alpha.value", ones, 1e-2, spp=512, slow=True),
-    Case("brushed", "floor.bsdf.alpha_u.value", ones, 2e-2, spp=512),
-    Case("brushed", "floor.bsdf.alpha_v.value", ones, 2e-2, spp=512),
-    Case("brushed", "floor.bsdf.eta.value", mixed, 2e-2, slow=True),
-    Case("brushed", "floor.bsdf.k.value", mixed, 2e-2, slow=True),
-    Case("brushed", "floor.bsdf.specular_reflectance.value", mixed, 2e-2, slow=True),
-    Case("brushed", "floor.vertex_texcoords", mixed, 4e-2, "tangents turn", spp=1024, slow=True),
-    Case("brushed", "floor.vertex_positions", bend, 4e-2, "bend", spp=512, slow=True),
-    Case("brushed ggx", "floor.bsdf.alpha_u.value", ones, 2e-2, spp=512, slow=True),
-    Case("brushed ggx", "floor.bsdf.alpha_v.value", ones, 2e-2, spp=512, slow=True),
+    Case("brushed", "floor.bsdf.alpha_u.value", ones, 2e-2, depth=2, spp=512),
+    Case("brushed", "floor.bsdf.alpha_v.value", ones, 2e-2, depth=2, spp=512),
+    Case("brushed", "floor.bsdf.eta.value", mixed, 2e-2, depth=2),
+    Case("brushed", "floor.bsdf.k.value", mixed, 2e-2, depth=2),
+    Case("brushed", "floor.bsdf.specular_reflectance.value", mixed, 2e-2, depth=2),
+    Case("brushed", "floor.vertex_texcoords", mixed, 4e-2, "tangents turn", depth=2, spp=4096, slow=True),
+    Case("brushed", "floor.vertex_positions", bend, 4e-2, "bend", depth=2, spp=2048, slow=True),
+    Case("brushed ggx", "floor.bsdf.alpha_u.value", ones, 2e-2, depth=2, spp=512, slow=True),
+    Case("brushed ggx", "floor.bsdf.alpha_v.value", ones, 2e-2, depth=2, spp=512, slow=True),
 ]
 DELTA = [
     Case("mirror", "room.bsdf.specular_reflectance.value", ones, 1e-2, depth=4),

@@ -62,7 +62,7 @@ def assert_agrees(c: Comparison) -> None:
         AssertionError: also for a derivative, or a difference, of zero.
     """
     scale = abs(float(c.difference.mean()))
-    assert np.isfinite(c.derivative).all() and np.isfinite(c.difference).all()
+    assert np.isfinite(c.derivative).all() and np.isfinite(c.difference).all(), "not finite"
     spread = T_QUANTILE * float(c.difference.std(ddof=1)) / np.sqrt(len(c.difference))
     assert scale > spread, f"the finite difference is lost in noise: {scale:g} +- {spread:g}"
     assert c.error <= SLOPE_TOLERANCE * scale, f"too noisy to tell: {c.error / scale:.2%} of the difference"

@@ -57,7 +57,7 @@ def ceiling(**more):
     return {
         "type": "rectangle",
         "to_world": to_world,
-        "emitter": {"type": "area", "radiance": {"type": "bitmap", "bitmap": noise(4, 4, 3, high=3.0, seed=3)}},
+        "emitter": {"type": "area", "radiance": {"type": "bitmap", "bitmap": noise(4, 4, 3, low=1.5, high=3.0, seed=3)}},
         **more,
     }
 
@@ -68,7 +68,10 @@ def rgb(*values):
 
 def environment(seed=5):
     turn = psdr.Transform.rotate([1, 0, 0], 90) @ psdr.Transform.rotate([0, 1, 0], 30)
-    return {"type": "envmap", "bitmap": noise(6, 12, 3, seed=seed), "to_world": turn, "scale": 1.3}
+    # A wave and a little noise: the derivative along a turn would drown in the slopes of plain noise.
+    wave = np.sin(np.arange(12) * np.pi / 6.0)[None, :, None] * np.sin((np.arange(6) + 0.5) * np.pi / 6.0)[:, None, None]
+    bitmap = (1.0 + 0.6 * wave * noise(3, seed=seed + 1) + 0.3 * noise(6, 12, 3, seed=seed)).astype(np.float32)
+    return {"type": "envmap", "bitmap": bitmap, "to_world": turn, "scale": 1.3}
 
 
 def plane_scene():
@@ -109,7 +112,7 @@ def gap_scene(floor=None):
     color = {"type": "diffuse", "reflectance": {"type": "mesh_attribute", "name": "vertex_color"}}
     return {
         "sensor": camera([0.0, -0.3, 1.2], [0.0, 0.1, 0.0]),
-        "floor": sheet(floor or color, vertex_color=noise(len(vertices), 3, seed=4)),
+        "floor": sheet(floor or color, vertex_color=noise(len(vertices), 3, low=0.5, high=0.8, seed=4)),
         "ceiling": ceiling(bsdf={"type": "diffuse", "reflectance": rgb(0.6, 0.7, 0.5)}),
     }
 

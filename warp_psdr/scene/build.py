@@ -250,10 +250,6 @@ class Builder:
         else:
             record.texture = self._texture(e.radiance, LIGHT_RADIANCE, bounds)
         if e.kind in ("constant", "envmap"):
-            if self.environment >= 0:
-                raise ValueError(
-                    f"emitter {e.path!r}: a scene holds one environment light (constant or envmap), not two; remove one"
-                )
             self.environment = number
         if e.kind == "envmap":
             record.scale = self.layout.add(f"{e.path}.scale", np.array([e.scale]), LIGHT_RADIANCE, bounds=bounds)

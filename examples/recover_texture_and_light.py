@@ -1,0 +1,121 @@
+"""Recovers what is painted on a bunny and the light around it from eight photographs.
+
+    python examples/recover_texture_and_light.py            # about two minutes on two cores
+    python examples/recover_texture_and_light.py --resume   # goes on where a run was stopped
+
+Leaves in ``out/bunny/``: ``result.png`` (photographs, start, recovered, and two views that the fit was not given),
+``recovered.png`` (albedo and environment beside the truth), ``derivative.png``, ``gradients.png`` (the first gradient of
+the loss on the surfaces), ``report.json``, and in ``fit/`` all that ``warp-psdr fit`` writes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+
+import bunny_data
+import numpy as np
+
+import warp_psdr as psdr
+from warp_psdr import image_io, plots
+from warp_psdr.fit import FitConfig, fit
+from warp_psdr.fit_report import psnr
+
+ALBEDO, LIGHT = "bunny.bsdf.reflectance.data", "environment.data"
+#: Samples a pixel of the images that judge the result, and the first of their seeds: of the truth, and of the recovered
+#: scene. They are those of no photograph and of no step of the fit.
+JUDGE_SPP, TRUTH_SEED, RECOVERED_SEED = 128, 2**32 - 2000, 2**32 - 3000
+#: Texels count as seen where the first gradient reaches this share of its median size over all texels that got any.
+SEEN = 0.1
+#: Views that result.png shows: two that were given, and those that were kept.
+SHOWN = (0, 3, *bunny_data.KEPT)
+
+
+def judge(folder, truth, recovered) -> dict:
+    """Compare images of the recovered scene with new images of the truth, and the recovered values with the true ones."""
+    views = {camera: psnr(recovered[camera], truth[camera]) for camera in truth}
+    albedo, light = (np.load(folder / "fit" / "parameters" / f"{name}.npy") for name in (ALBEDO, LIGHT))
+    size = albedo.shape[0]
+    painted = image_io.read_image(folder / "albedo_truth.exr")[..., :3]
+    painted = painted.reshape(size, painted.shape[0] // size, size, -1, 3).mean(axis=(1, 3))
+    gradient = np.abs(np.load(folder / "fit" / "gradients" / f"{ALBEDO}_start.npy")).sum(axis=-1)
+    seen = gradient > SEEN * np.median(gradient[gradient > 0.0])
+    sky = image_io.read_image(folder / "environment_truth.exr")[..., :3]
+    return {
+        "psnr of the given views, dB": [round(views[c], 2) for c in bunny_data.GIVEN],
+        "psnr of the kept views, dB": [round(views[c], 2) for c in bunny_data.KEPT],
+        "albedo, share of texels seen": round(float(seen.mean()), 3),
+        "albedo, median absolute error where seen": round(float(np.median(np.abs(albedo - painted)[seen])), 4),
+        # Albedo and light could trade a factor; the known floor and ball keep both of these at 1.
+        "albedo, recovered / true mean where seen": np.round(albedo[seen].mean(0) / painted[seen].mean(0), 3).tolist(),
+        "light, recovered / true mean above the horizon": np.round(
+            light[: len(light) // 2].mean((0, 1)) / sky[: len(sky) // 2].mean((0, 1)), 3
+        ).tolist(),
+    }
+
+
+def render_recovered(folder) -> tuple[psdr.Parameters, dict[int, np.ndarray]]:
+    """Return the parameters of the scene with the recovered values, and its image for every camera."""
+    scene = psdr.load_file(folder / bunny_data.SCENE)
+    params = psdr.traverse(scene)
+    for name in (ALBEDO, LIGHT):
+        params[name] = np.load(folder / "fit" / "parameters" / f"{name}.npy")
+    params.update()
+    cameras = (*bunny_data.GIVEN, *bunny_data.KEPT)
+    return params, {
+        i: psdr.render(scene, sensor=i, spp=JUDGE_SPP, seed=RECOVERED_SEED + i).numpy() for i in cameras
+    }
+
+
+def draw(folder, params, truth, recovered) -> None:
+    """Write the pictures."""
+    start = {i: psdr.render(psdr.load_file(folder / bunny_data.SCENE), sensor=i, spp=64).numpy() for i in SHOWN}
+    kept = lambda i: f"view {i}" + (", not given" if i in bunny_data.KEPT else "")  # noqa: E731
+    titles = [f"truth, {kept(i)}" for i in SHOWN] + ["start"] * len(SHOWN)
+    titles += [f"recovered, {psnr(recovered[i], truth[i]):.1f} dB" for i in SHOWN]
+    rows = [images[i] for images in (truth, start, recovered) for i in SHOWN]
+    plots.side_by_side(folder / "result.png", rows, titles, columns=len(SHOWN))
+
+    files = ["albedo_truth.exr", "albedo_start.exr", f"fit/parameters/{ALBEDO}.exr"]
+    files += ["environment_truth.exr", "environment_start.exr", f"fit/parameters/{LIGHT}.exr"]
+    titles = [f"{what}, {which}" for what in ("albedo", "light") for which in ("truth", "start", "recovered")]
+    plots.side_by_side(folder / "recovered.png", [image_io.read_image(folder / f) for f in files], titles, columns=3)
+
+    scene, name = params.scene, "floor.bsdf.reflectance.value"
+    derivative = psdr.render_forward(scene, params, {name: 1.0}, spp=JUDGE_SPP).numpy()
+    plots.derivative_image(folder / "derivative.png", derivative, title="derivative of view 0 by the floor's albedo")
+
+    gradients = {name: np.load(folder / "fit" / "gradients" / f"{name}_start.npy") for name in (ALBEDO, LIGHT)}
+    try:
+        psdr.view.view(scene, params, fields=gradients, screenshot=folder / "gradients.png").close()
+    except RuntimeError as problem:  # no OpenGL on this machine: everything else does without
+        print(f"gradients.png was not drawn: {problem}")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--resume", action="store_true", help="continue a run that was stopped")
+    parser.add_argument("--iterations", type=int, help="replaces that of bunny.toml")
+    arguments = parser.parse_args()
+    folder, began = bunny_data.FOLDER, time.perf_counter()
+    if not (arguments.resume and (folder / f"view_{bunny_data.GIVEN[-1]}.exr").exists()):
+        print("taking photographs ...", flush=True)
+        bunny_data.write_data()
+    config = FitConfig.from_file(bunny_data.ROOT / "examples" / "bunny.toml")
+    result = fit(config, resume=arguments.resume, overwrite=not arguments.resume, iterations=arguments.iterations)
+    if not result.completed:
+        raise SystemExit("stopped; --resume goes on from here")
+    print("comparing with new photographs ...", flush=True)
+    truth = bunny_data.photographs(folder, (*bunny_data.GIVEN, *bunny_data.KEPT), JUDGE_SPP, TRUTH_SEED)
+    params, recovered = render_recovered(folder)
+    report = {**judge(folder, truth, recovered), "steps": len(result.losses)}
+    draw(folder, params, truth, recovered)
+    (folder / "report.json").write_text(json.dumps(report, indent=2) + "\n")
+    for name, value in report.items():
+        print(f"{name}: {value}")
+    print(f"{time.perf_counter() - began:.0f} s; pictures in {folder}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,168 @@
+"""The two sub-paths at the ends of a boundary segment: radiance from the source, importance towards the sensor.
+
+The source's side is the ordinary path tracer: a ray that starts at the edge, at the depth that the vertices in front of
+it leave. The sensor's side is a walk *from* x_1 towards the camera that scatters importance: with ``to`` the direction
+in which the vertex before lies (for x_1 the direction of the segment) and f_s the scattering function including the
+cosine of its outgoing direction, as everywhere here,
+
+    W(x, to) = integral W(y, -w) f_s(w, to) |n . w| / |n . to| dsigma(w),      y what the direction w meets,
+
+and at every vertex it is connected to the pinhole: W_camera(x, to) = f_s(w_c, to) / |n . to| . |n . w_c| / r^2 . density
+(``projection.py``). n is the geometric normal; the cosine with the shading normal sits in f_s, as in the interior term.
+The vertices between x_1 and the camera only carry values here, not derivatives.
+"""
+
+import functools
+
+import warp as wp
+
+from warp_psdr.kernels.boundary.projection import FilmPoint, project
+from warp_psdr.kernels.bsdf.dispatch import make_bsdf
+from warp_psdr.kernels.bvh.wide import make_intersect
+from warp_psdr.kernels.constants import LOBE_SMOOTH
+from warp_psdr.kernels.math import to_local, to_world
+from warp_psdr.kernels.path import ROULETTE_MAX, PathConfig, PathState, make_frame, make_material, make_path_step
+from warp_psdr.kernels.rng import Sampler
+from warp_psdr.kernels.structs import Camera, Scene
+from warp_psdr.kernels.surface import make_surface
+
+#: Cosines below it count as zero where one is divided by: such a vertex is seen or lit exactly edge-on.
+MIN_COSINE = 1.0e-6
+
+
+@wp.struct
+class Walk:
+    """A vertex of the walk towards the sensor."""
+
+    alive: wp.int32
+    face: wp.int32
+    u: wp.float32
+    v: wp.float32
+    x: wp.vec3
+    to: wp.vec3  # direction towards the vertex before
+    weight: wp.vec3
+
+
+@wp.struct
+class Connection:
+    """A vertex of the walk as the camera sees it."""
+
+    weight: wp.vec3  # 0: not seen
+    at: FilmPoint
+
+
+@functools.cache
+def make_radiance(config: PathConfig):
+    """Return ``radiance(scene, sampler, o, d, t_max, depth, max_depth, rr_depth) -> vec3``: what arrives against d.
+
+    ``depth`` counts the path vertices in front of what the ray meets.
+    """
+    path_step = make_path_step(config, False)
+
+    @wp.func
+    def radiance(
+        scene: Scene,
+        sampler: Sampler,
+        o: wp.vec3,
+        d: wp.vec3,
+        t_max: wp.float32,
+        depth: wp.int32,
+        max_depth: wp.int32,
+        rr_depth: wp.int32,
+    ) -> wp.vec3:
+        state = PathState()
+        state.alive = 1
+        state.depth = depth
+        state.o = o
+        state.d = d
+        state.t_max = t_max
+        state.throughput = wp.vec3(1.0, 1.0, 1.0)
+        state.eta = 1.0
+        total = wp.vec3(0.0, 0.0, 0.0)
+        while state.alive == 1:
+            vertex, state = path_step(scene, sampler, state, max_depth, rr_depth)
+            total += wp.cw_mul(vertex.throughput, vertex.direct)
+        return total
+
+    return radiance
+
+
+@functools.cache
+def make_walk(config: PathConfig):
+    """Return ``(connect, extend)``.
+
+    ``connect(scene, camera, walk) -> Connection`` and ``extend(scene, walk, u4, roulette) -> Walk``: the next vertex.
+    """
+    closest_hit, any_hit = make_intersect(config.ray_backend, config.ray_width)
+    surface_at = make_surface(config.smooth, config.flat, config.uv, config.tangent)
+    frame_at = make_frame(config.two_sided, config.tangent)
+    material_at = make_material(config.slots)
+    bsdf = make_bsdf(config.bsdfs)
+
+    @wp.func
+    def connect(scene: Scene, camera: Camera, walk: Walk) -> Connection:
+        r = Connection()
+        r.at = project(scene, camera, walk.x)
+        if r.at.valid == 0:
+            return r
+        surface = surface_at(scene, walk.face, walk.u, walk.v)
+        shape = scene.shapes[surface.shape]
+        towards = r.at.origin - walk.x
+        distance = wp.length(towards)
+        w = towards / distance
+        frame = frame_at(scene, shape.bsdf, surface.n, surface.tangent, w)
+        b = scene.bsdfs[frame.bsdf]
+        material = material_at(scene, b, walk.face, walk.u, walk.v, surface.uv)
+        f = bsdf.eval(
+            b.model, material, to_local(frame.s, frame.t, frame.n, w), to_local(frame.s, frame.t, frame.n, walk.to)
+        )
+        cosine = wp.abs(wp.dot(surface.ng, walk.to))
+        if wp.max(f) <= 0.0 or cosine < MIN_COSINE:
+            return r
+        turn = wp.where(wp.dot(surface.ng, w) >= 0.0, scene.ray_epsilon, -scene.ray_epsilon)
+        o = walk.x + turn * surface.ng
+        ray = r.at.origin - o
+        length = wp.length(ray)
+        if any_hit(scene.accel, o, ray / length, length - r.at.near):
+            return r
+        factor = wp.abs(wp.dot(surface.ng, w)) * r.at.density / (distance * distance * cosine)
+        r.weight = factor * wp.cw_mul(walk.weight, f)
+        return r
+
+    @wp.func
+    def extend(scene: Scene, walk: Walk, u4: wp.vec4, t_max: wp.float32, roulette: wp.bool) -> Walk:
+        r = Walk()
+        surface = surface_at(scene, walk.face, walk.u, walk.v)
+        frame = frame_at(scene, scene.shapes[surface.shape].bsdf, surface.n, surface.tangent, walk.to)
+        b = scene.bsdfs[frame.bsdf]
+        material = material_at(scene, b, walk.face, walk.u, walk.v, surface.uv)
+        to = to_local(frame.s, frame.t, frame.n, walk.to)
+        bs = bsdf.sample(b.model, material, to, u4[0], wp.vec2(u4[2], u4[3]))
+        cosine = wp.abs(wp.dot(surface.ng, walk.to))
+        if bs.pdf <= 0.0 or bs.lobe != LOBE_SMOOTH or cosine < MIN_COSINE:
+            return r
+        w = to_world(frame.s, frame.t, frame.n, bs.wo)
+        f = bsdf.eval(b.model, material, bs.wo, to)
+        weight = wp.cw_mul(walk.weight, (wp.abs(wp.dot(surface.ng, w)) / (cosine * bs.pdf)) * f)
+        if wp.max(weight) <= 0.0:
+            return r
+        if roulette:
+            survival = wp.min(wp.max(weight), ROULETTE_MAX)
+            if u4[1] >= survival:
+                return r
+            weight /= survival
+        turn = wp.where(wp.dot(surface.ng, w) >= 0.0, scene.ray_epsilon, -scene.ray_epsilon)
+        hit = closest_hit(scene.accel, walk.x + turn * surface.ng, w, t_max)
+        if hit.face < 0:
+            return r
+        tri = scene.triangles[hit.face]
+        r.alive = 1
+        r.face = hit.face
+        r.u = hit.u
+        r.v = hit.v
+        r.x = (1.0 - hit.u - hit.v) * tri.p0 + hit.u * tri.p1 + hit.v * tri.p2
+        r.to = -w
+        r.weight = weight
+        return r
+
+    return connect, extend

@@ -1,0 +1,149 @@
+"""The local form of the boundary term, shared by all of its estimators.
+
+A boundary segment x_1 -> x_b -> x_2 touches an edge at x_b; x_1 lies on the sensor's side, x_2 on the source's. With
+t_1 = |x_b - x_1|, d = |x_2 - x_1|, tau = t_1 / d, the direction omega of the segment and the edge's tangent t at an
+angle phi, the segments through a piece of edge dl within dsigma(omega) carry the étendue that the moving edge sweeps:
+
+    dI = W_1 . L_2 . n . ( x_b' - (1 - tau) x_1' - tau x_2' ) sin(phi) dl dsigma,
+
+W_1 and L_2 the importance and the radiance along the segment *past* the occluder, n the unit normal of the plane
+through t and omega, turned towards the occluder's interior, and ' the velocities: of x_b the edge's, of x_1 and x_2
+those of the parametrisation that the interior term uses for these vertices (``interior/replay.py``). The bracket is the
+velocity of the edge relative to the line between the end points at x_b. Since sin(phi) n = +- t x omega, the normal and
+the sine come as one vector, the *sweep*. Equivalent to survey eq. 17 with V of [ZMY*20], without a normal at x_1 or x_2.
+
+In material form only the background counts: domains are fixed, and the radiance of the occluder itself does not jump in
+them. In the film's parametrisation (``primary.py``) it is background minus foreground.
+
+Where the line just beside x_b meets a surface at x_b itself (a box standing on a floor), the same jump is met by two
+neighbouring segments of a path. It is counted once: by the segment whose end towards the sensor is the contact.
+"""
+
+import functools
+
+import warp as wp
+
+from warp_psdr.kernels.sink import make_sink_vec3
+from warp_psdr.kernels.structs import Scene
+from warp_psdr.kernels.surface import load_vec3
+
+#: Squared sine of the angle between two faces below which they count as parallel when a seam's velocity is split.
+SEAM_PARALLEL = 1.0e-4
+#: A half-segment starts this many ray epsilons behind the edge point, so that a surface that touches the edge is met.
+START_BEHIND = 20.0
+
+
+@wp.struct
+class Edges:
+    """Candidate edges, of position-welded vertices. ``ends`` and ``twins`` are the vertices of the first two faces.
+
+    On a seam the two sides have vertices of their own at the same positions; elsewhere the pairs are equal.
+    """
+
+    cdf: wp.array(dtype=wp.float32)  # cumulative selection probabilities, n + 1
+    ends: wp.array2d(dtype=wp.int32)  # (n, 2) global vertex indices
+    twins: wp.array2d(dtype=wp.int32)
+    faces: wp.array(dtype=wp.int32)  # adjacent triangles of all edges
+    first: wp.array(dtype=wp.int32)  # where an edge's triangles start, n + 1
+    low: wp.array(dtype=wp.float32)  # stretch of the edge that is sampled, in [0, 1]
+    high: wp.array(dtype=wp.float32)
+
+
+@wp.struct
+class EdgePoint:
+    """A sampled point of an edge."""
+
+    edge: wp.int32
+    s: wp.float32  # fraction of the way from its first to its second end
+    pdf: wp.float32  # density of s
+    p0: wp.vec3
+    p1: wp.vec3
+    x: wp.vec3
+
+
+@wp.func
+def edge_point(scene: Scene, edges: Edges, sample: wp.int32, samples: wp.int32, jitter: wp.float32) -> EdgePoint:
+    """Stratified point on the edges: one number for the edge and for the position along it, in double precision.
+
+    The cumulative probabilities are multiples of 2^-24, so what a single float would lose at 10^5 edges stays exact.
+    """
+    r = EdgePoint()
+    count = edges.cdf.shape[0] - 1
+    u = (wp.float64(sample) + wp.float64(jitter)) / wp.float64(samples)
+    low = wp.int32(0)
+    high = wp.int32(count)
+    while high - low > 1:
+        middle = (low + high) // 2
+        if wp.float64(edges.cdf[middle]) <= u:
+            low = middle
+        else:
+            high = middle
+    r.edge = low
+    probability = edges.cdf[low + 1] - edges.cdf[low]
+    along = wp.clamp(wp.float32((u - wp.float64(edges.cdf[low])) / wp.float64(probability)), 0.0, 1.0)
+    stretch = edges.high[low] - edges.low[low]
+    r.s = edges.low[low] + along * stretch
+    r.pdf = probability / stretch
+    r.p0 = load_vec3(scene.values, scene.positions + 3 * edges.ends[low, 0])
+    r.p1 = load_vec3(scene.values, scene.positions + 3 * edges.ends[low, 1])
+    r.x = (1.0 - r.s) * r.p0 + r.s * r.p1
+    return r
+
+
+@wp.func
+def interior_side(scene: Scene, edges: Edges, point: EdgePoint, m: wp.vec3) -> wp.float32:
+    """Return +1 or -1 if all faces of the edge lie on that side of the plane through the edge with normal m, else 0."""
+    above = wp.int32(0)
+    below = wp.int32(0)
+    for i in range(edges.first[point.edge], edges.first[point.edge + 1]):
+        tri = scene.triangles[edges.faces[i]]
+        height = wp.dot(m, (tri.p0 - point.p0) + (tri.p1 - point.p0) + (tri.p2 - point.p0))
+        if height > 0.0:
+            above += 1
+        else:
+            below += 1
+    if below == 0:
+        return 1.0
+    if above == 0:
+        return -1.0
+    return 0.0
+
+
+@functools.cache
+def make_edge_sink(role: str):
+    """Return ``push_edge(scene, target, edges, point, g) -> float``: scatter the adjoint g of a point on an edge.
+
+    Where two surfaces that are separate objects meet in an edge, it is their intersection: of the velocity v of such a
+    curve only n_A . v = n_A . v_A and n_B . v = n_B . v_B are fixed, so g = a n_A + b n_B is split between them.
+    """
+    sink3 = make_sink_vec3(role)
+
+    @wp.func
+    def push_ends(
+        scene: Scene, target: wp.array(dtype=wp.float32), i: wp.int32, j: wp.int32, s: wp.float32, g: wp.vec3
+    ) -> wp.float32:
+        return sink3(target, scene.positions + 3 * i, (1.0 - s) * g) + sink3(target, scene.positions + 3 * j, s * g)
+
+    @wp.func
+    def push_edge(
+        scene: Scene, target: wp.array(dtype=wp.float32), edges: Edges, point: EdgePoint, g: wp.vec3
+    ) -> wp.float32:
+        e = point.edge
+        i0 = edges.ends[e, 0]
+        i1 = edges.ends[e, 1]
+        j0 = edges.twins[e, 0]
+        j1 = edges.twins[e, 1]
+        if i0 == j0 and i1 == j1:
+            return push_ends(scene, target, i0, i1, point.s, g)
+        n_a = scene.triangles[edges.faces[edges.first[e]]].normal
+        n_b = scene.triangles[edges.faces[edges.first[e] + 1]].normal
+        cosine = wp.dot(n_a, n_b)
+        squared = 1.0 - cosine * cosine
+        g_a = 0.5 * g
+        g_b = 0.5 * g
+        if squared > SEAM_PARALLEL:
+            g_a = ((wp.dot(g, n_a) - cosine * wp.dot(g, n_b)) / squared) * n_a
+            g_b = ((wp.dot(g, n_b) - cosine * wp.dot(g, n_a)) / squared) * n_b
+        return push_ends(scene, target, i0, i1, point.s, g_a) + push_ends(scene, target, j0, j1, point.s, g_b)
+
+    return push_edge

@@ -1,0 +1,112 @@
+"""Primary boundary: discontinuities of the radiance on the film, for a pinhole and the pixel filter h.
+
+    dI_j = integral h(u - u_j) (L_- - L_+) (u' . N) ds,      N perpendicular to du/ds on the film, |N| = |du/ds|,
+
+u = pixel(x_b) the image of an edge point, s its position along the edge, L_+ and L_- the radiance on the side that N
+points to and on the other [LADL18; survey eq. 4 on the film]. It is the local form with the camera as x_1: with g the
+gradient of N . pixel(x), u' . N = g . (x_b' - o' - |x_b - o| d'), the edge's velocity relative to its pixel's ray.
+
+Where the edge is hidden there is no jump. The two radiances are path-traced along rays that pass the edge on either
+side at a distance of a few ray epsilons, with common random numbers. Silhouettes, creases, and borders between
+materials or texture charts are one case: whatever does not jump cancels.
+"""
+
+import functools
+
+import warp as wp
+
+from warp_psdr.kernels.autodiff import anchor
+from warp_psdr.kernels.boundary.detector import make_radiance
+from warp_psdr.kernels.boundary.local_form import START_BEHIND, Edges, edge_point, interior_side, make_edge_sink
+from warp_psdr.kernels.boundary.projection import film_gradient, film_velocity, make_splat, project
+from warp_psdr.kernels.bvh.wide import make_intersect
+from warp_psdr.kernels.camera import make_camera_sink
+from warp_psdr.kernels.path import PathConfig
+from warp_psdr.kernels.rng import Sampler, make_sampler
+from warp_psdr.kernels.structs import Camera, Scene
+
+#: Distance at which the two rays pass the edge, in ray epsilons.
+BESIDE = 2.0
+
+
+@functools.cache
+def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
+    """Return the kernel of the primary boundary term: one thread a sample (arguments as in ``secondary.py``)."""
+    _closest_hit, any_hit = make_intersect(config.ray_backend, config.ray_width)
+    radiance = make_radiance(config)
+    push_edge = make_edge_sink(role)
+    push_camera = make_camera_sink(role) if camera_moves else None
+    splat, gather = make_splat()
+    sample_1d = make_sampler(config.sampler).sample_1d
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def primary(
+        # Scene:
+        scene: Scene,
+        camera: Camera,
+        edges: Edges,
+        # In:
+        first: wp.int32,
+        samples: wp.int32,
+        seed: wp.uint32,
+        max_depth: wp.int32,
+        rr_depth: wp.int32,
+        adjoint: wp.array2d(dtype=wp.vec3),
+        # Out:
+        target: wp.array(dtype=wp.float32),
+        image_out: wp.array2d(dtype=wp.vec3),
+    ):
+        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
+        number = first + wp.tid()
+        sampler = Sampler()
+        sampler.pixel = wp.uint32(number)
+        sampler.seed = seed
+        point = edge_point(scene, edges, number, samples, sample_1d(sampler, 0))
+        at = project(scene, camera, point.x)
+        if at.valid == 0:
+            return
+        distance = wp.length(point.x - at.origin)
+        d = (point.x - at.origin) / distance
+        tangent = wp.normalize(point.p1 - point.p0)
+        m = wp.cross(tangent, d)
+        sine = wp.length(m)
+        if sine <= 0.0:
+            return
+        m = m / sine
+        side = interior_side(scene, edges, point, m)
+        # Is the edge visible? Seen from just outside of a silhouette, or straight on.
+        behind = START_BEHIND * scene.ray_epsilon
+        start = point.x - (scene.ray_epsilon * side) * m - behind * d
+        back = at.origin - start
+        length = wp.length(back)
+        if length > at.near and any_hit(scene.accel, start, back / length, length - at.near):
+            return
+        step = film_velocity(scene, camera, at, point.p1 - point.p0)
+        normal = wp.vec2(step[1], -step[0])
+        g = film_gradient(scene, camera, at, normal)
+        if wp.dot(g, m) < 0.0:
+            g = -g
+        weight = wp.vec3(1.0, 1.0, 1.0)
+        if wp.static(role == "reverse"):
+            weight = gather(camera, at.pixel, adjoint)
+            if weight[0] == 0.0 and weight[1] == 0.0 and weight[2] == 0.0:
+                return
+        sampler.index = wp.uint32(1)
+        beside = (BESIDE * scene.ray_epsilon) * m
+        jump = wp.vec3(0.0, 0.0, 0.0)
+        for i in range(2):
+            sign = 1.0 - 2.0 * wp.float32(i)
+            r = wp.normalize(point.x + sign * beside - at.origin)
+            o = at.origin + at.near * r
+            jump -= sign * radiance(scene, sampler, o, r, at.far - at.near, 0, max_depth, rr_depth)
+        scale = 1.0 / (point.pdf * wp.float32(samples))
+        if wp.static(role == "reverse"):
+            scale *= wp.dot(weight, jump)
+        g = scale * g
+        speed = push_edge(scene, target, edges, point, g)
+        if wp.static(camera_moves):
+            speed += push_camera(scene, target, camera, at.film, -g, -distance * g)
+        if wp.static(role == "forward"):
+            splat(camera, at.pixel, speed * jump, image_out)
+
+    return primary

@@ -1,0 +1,153 @@
+"""Scenes of the boundary term's table: small, coarse, and with discontinuities that count."""
+
+import functools
+
+import numpy as np
+import trimesh
+
+import warp_psdr as psdr
+
+T = psdr.Transform
+SIZE = 16  # pixels
+WHITE = {"type": "rgb", "value": [1.0, 1.0, 1.0]}
+
+
+def camera(origin=(0.0, -3.5, 3.0), target=(0.0, 0.0, 0.3), up=(0.0, 0.0, 1.0), fov=40.0, rfilter="tent"):
+    return {
+        "type": "perspective",
+        "fov": fov,
+        "to_world": T.look_at(list(origin), list(target), list(up)),
+        "film": {"type": "hdrfilm", "width": SIZE, "height": SIZE, "rfilter": {"type": rfilter}},
+    }
+
+
+def diffuse(r, g=None, b=None):
+    return {"type": "diffuse", "reflectance": {"type": "rgb", "value": [r, r if g is None else g, r if b is None else b]}}
+
+
+def mesh(vertices, faces, bsdf, **more):
+    return {
+        "type": "mesh",
+        "vertices": np.asarray(vertices, np.float32),
+        "faces": np.asarray(faces, np.int32),
+        "bsdf": bsdf,
+        **more,
+    }
+
+
+def ball(center, radius, bsdf, subdivisions=1, smooth=False, **more):
+    m = trimesh.creation.icosphere(subdivisions=subdivisions)
+    return mesh(radius * np.asarray(m.vertices) + center, m.faces, bsdf, face_normals=not smooth, **more)
+
+
+def box(center, half, bsdf, turn=0.0, split=False):
+    """A box turned about z by ``turn`` radians; ``split``: every face has vertices of its own."""
+    m = trimesh.creation.box(extents=2.0 * np.asarray(half))
+    rotation = np.array([[np.cos(turn), -np.sin(turn), 0.0], [np.sin(turn), np.cos(turn), 0.0], [0.0, 0.0, 1.0]])
+    vertices, faces = np.asarray(m.vertices) @ rotation.T + center, np.asarray(m.faces)
+    if split:
+        vertices, faces = vertices[faces.reshape(-1)], np.arange(faces.size).reshape(-1, 3)
+    return mesh(vertices, faces, bsdf)
+
+
+def floor(z=0.0, half=3.0, bsdf=None):
+    return {"type": "rectangle", "to_world": T.translate([0, 0, z]) @ T.scale(half), "bsdf": bsdf or diffuse(0.7, 0.6, 0.5)}
+
+
+def panel(center, half, radiance=8.0):
+    """A square light that faces down."""
+    x, y, z = center
+    corners = np.array([[-half, -half, 0], [half, -half, 0], [half, half, 0], [-half, half, 0]], np.float32)
+    return mesh(
+        corners + np.array([x, y, z], np.float32),
+        [[0, 2, 1], [0, 3, 2]],
+        diffuse(0.0),
+        emitter={"type": "area", "radiance": {"type": "rgb", "value": [radiance, 0.9 * radiance, 0.8 * radiance]}},
+    )
+
+
+def sky(radiance=1.0):
+    return {"type": "constant", "radiance": {"type": "rgb", "value": [radiance] * 3}}
+
+
+def occluder():
+    return ball((0.1, 0.1, 0.9), 0.4, diffuse(0.5, 0.4, 0.6))
+
+
+def silhouette(rfilter):
+    return {
+        "sensor": camera((0, -4, 0.5), (0, 0, 0), rfilter=rfilter),
+        "sky": sky(),
+        "shape": ball((0.1, 0, 0.1), 0.8, diffuse(0.3, 0.5, 0.7)),
+    }
+
+
+def under(light, rfilter="tent"):
+    """An occluder above a floor."""
+    return {"sensor": camera(rfilter=rfilter), "floor": floor(), "occluder": occluder(), "light": light}
+
+
+def spot():
+    return {
+        "type": "spot",
+        "to_world": T.look_at([0.6, -0.4, 3.0], [0.1, 0.1, 0.0], [0, 1, 0]),
+        "intensity": {"type": "rgb", "value": [20.0, 18.0, 16.0]},
+        "cutoff_angle": 35.0,
+        "beam_width": 20.0,
+    }
+
+
+def envmap():
+    bitmap = np.full((6, 12, 3), 0.3, np.float32)
+    bitmap[1:3, 4:7] = [4.0, 3.0, 2.0]
+    return {"type": "envmap", "bitmap": bitmap, "to_world": T.rotate([1, 0, 0], 90)}
+
+
+def room(turn=0.3):
+    """Walls of one colour each, a light below the ceiling, and a box that stands on the floor."""
+    c = np.array([[x, y, z] for z in (0.0, 2.0) for y in (-1.0, 1.0) for x in (-1.0, 1.0)], np.float32)
+    sides = {
+        "ground": ([0, 1, 3, 2], (0.7, 0.7, 0.7)),
+        "ceiling": ([4, 6, 7, 5], (0.7, 0.7, 0.7)),
+        "left": ([0, 2, 6, 4], (0.6, 0.1, 0.1)),
+        "right": ([1, 5, 7, 3], (0.1, 0.6, 0.1)),
+        "back": ([2, 3, 7, 6], (0.7, 0.7, 0.7)),
+    }
+    walls = {n: mesh(c[i], [[0, 1, 2], [0, 2, 3]], diffuse(*color)) for n, (i, color) in sides.items()}
+    return {
+        "sensor": camera((0, -4.0, 1.0), (0, 0, 1.0), fov=32.0),
+        **walls,
+        "light": panel((0.0, 0.1, 1.98), 0.4, 6.0),
+        "box": box((0.25, -0.2, 0.3), (0.3, 0.25, 0.3), diffuse(0.6, 0.6, 0.8), turn),
+    }
+
+
+SCENES = {
+    "silhouette box": lambda: silhouette("box"),
+    "silhouette tent": lambda: silhouette("tent"),
+    "silhouette gaussian": lambda: silhouette("gaussian"),
+    "split": lambda: {
+        "sensor": camera((0, -4, 1.5), (0, 0, 0)),
+        "sky": sky(),
+        "shape": box((0.1, 0.0, 0.0), (0.6, 0.5, 0.4), diffuse(0.3, 0.5, 0.7), 0.4, split=True),
+    },
+    "soft": lambda: under(panel((0.5, -0.3, 2.2), 0.35)),
+    "sky": lambda: under(sky()),
+    "envmap": lambda: under(envmap()),
+    "point": lambda: under({"type": "point", "position": [0.6, -0.4, 3.0], "intensity": {"type": "rgb", "value": 20.0}}),
+    "spot": lambda: under(spot()),
+    "sun": lambda: under(
+        {
+            "type": "directional",
+            "to_world": T.look_at([0.6, -0.4, 2.0], [0, 0, 0], [0, 1, 0]),
+            "irradiance": {"type": "rgb", "value": [3.0, 2.5, 2.0]},
+        }
+    ),
+    "room": room,
+}
+
+
+@functools.cache
+def load(name):
+    scene = psdr.load_dict({"type": "scene", **SCENES[name]()})
+    return scene, psdr.traverse(scene)

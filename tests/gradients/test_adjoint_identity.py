@@ -1,0 +1,115 @@
+"""<Jv, w> = <v, J'w>: forward and reverse mode are transposes of each other, for every parameter of rich scenes."""
+
+import functools
+
+import numpy as np
+import pytest
+
+import warp_psdr as psdr
+
+from . import scenes
+
+SIZE, SPP, DEPTH = 16, 16, 5
+#: Both sides are float32 sums of the same terms in another order. Relative to the product of the norms, which bounds
+#: what cancels: sums of some 10^4 terms lose up to 10^2 of float32's 6e-8 each.
+ROUNDING = 2e-5
+
+
+def room(bsdf, *more):
+    """A floor, a textured wall, a ball of the given material, and every kind of light."""
+    t = psdr.Transform
+    checker = {"type": "bitmap", "bitmap": scenes.noise(5, 7, 3, seed=8), "to_uv": t.rotate([0, 0, 1], 20)}
+    turn = t.translate([0, 3, 0]) @ t.rotate([1, 0, 0], 90)
+    glow = {"type": "bitmap", "bitmap": scenes.noise(3, 4, 3, high=5.0, seed=9)}
+    scene = {
+        "type": "scene",
+        "sensor": scenes.camera([0, 1, 5], [0, 0, 0], rfilter="gaussian", size=SIZE),
+        "floor": {
+            "type": "rectangle",
+            "to_world": t.translate([0, -1, 0]) @ t.rotate([1, 0, 0], -90) @ t.scale(4),
+            "bsdf": {"type": "twosided", "nested": {"type": "diffuse", "reflectance": checker}},
+        },
+        "light": {
+            "type": "rectangle",
+            "to_world": turn,
+            "bsdf": {"type": "diffuse", "reflectance": 0.4},
+            "emitter": {"type": "area", "radiance": glow},
+        },
+        "env": scenes.environment(),
+        "point": {"type": "point", "position": [1, 2, 2], "intensity": scenes.rgb(3, 2, 1)},
+        "spot": {
+            "type": "spot",
+            "to_world": t.look_at([-2, 2, 2], [0, 0, 0], [0, 1, 0]),
+            "intensity": scenes.rgb(6, 2, 1),
+        },
+        "sun": {"type": "directional", "direction": [0.3, -1, -0.2], "irradiance": scenes.rgb(0.5, 0.2, 0.1)},
+        "ball": {"type": "sphere", "resolution": 12, "bsdf": bsdf},
+    }
+    for i, shape in enumerate(more):
+        scene[f"more{i}"] = shape
+    return scene
+
+
+def small(type_, x, bsdf, **options):
+    return {
+        "type": type_,
+        "to_world": psdr.Transform.translate([x, 0, 0.3]) @ psdr.Transform.scale(0.35),
+        "bsdf": bsdf,
+        **options,
+    }
+
+
+def ticket():
+    """A mesh with a vertex attribute for its colour, another one for its light, and computed normals."""
+    scene = scenes.ball(False, subdivisions=1, bsdf={"type": "diffuse"})
+    scene["vertices"] = 0.4 * scene["vertices"] + np.array([-1.5, 0.2, 0.0], np.float32)
+    scene["vertex_paint"] = scenes.noise(len(scene["vertices"]), 3, seed=10)
+    scene["vertex_glow"] = scenes.noise(len(scene["vertices"]), 3, seed=11)
+    scene["bsdf"]["reflectance"] = {"type": "mesh_attribute", "name": "vertex_paint"}
+    scene["emitter"] = {"type": "area", "radiance": {"type": "mesh_attribute", "name": "vertex_glow"}}
+    return scene
+
+
+ROOMS = {
+    "glass and mirror": lambda: room(
+        {"type": "dielectric", "int_ior": 1.4}, small("cube", 1.6, {"type": "conductor", "material": "Au"})
+    ),
+    "rough": lambda: room({"type": "roughconductor", "material": "Cu", "alpha": 0.2, "distribution": "ggx"}, ticket()),
+    "anisotropic": lambda: room(
+        {"type": "roughconductor", "material": "Al", "alpha_u": 0.3, "alpha_v": 0.1},
+        small("disk", 1.6, {"type": "diffuse"}, face_normals=True),
+    ),
+}
+SLOW = {"anisotropic"}
+
+
+@functools.cache
+def gradients(name):
+    """Scene, parameters, adjoint, and the gradient of every parameter."""
+    scene = psdr.load_dict(ROOMS[name]())
+    params = psdr.traverse(scene)
+    params.requires_grad("*")
+    w = np.random.default_rng(0).normal(size=(SIZE, SIZE, 3)).astype(np.float32)
+    psdr.render_backward(scene, params, w, integrator=INTEGRATOR, spp=SPP)
+    return scene, params, w, {n: params[n].grad.numpy().astype(np.float64) for n in params}
+
+
+INTEGRATOR = psdr.PathIntegrator(max_depth=DEPTH, boundary=None, rr_depth=3)
+
+
+@pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.slow if n in SLOW else ()) for n in ROOMS])
+def test_forward_and_reverse_mode_are_adjoint(name):
+    scene, params, w, grads = gradients(name)
+    silent = []
+    for n, gradient in grads.items():
+        v = np.random.default_rng(len(n)).normal(size=gradient.shape).astype(np.float32)
+        tangents = dict.fromkeys(params, 0.0) | {n: v}
+        image = psdr.render_forward(scene, params, tangents, integrator=INTEGRATOR, spp=SPP).numpy().astype(np.float64)
+        left, right = (image * w).sum(), (gradient * v).sum()
+        bound = ROUNDING * max(np.linalg.norm(image) * np.linalg.norm(w), np.linalg.norm(gradient) * np.linalg.norm(v))
+        assert np.isfinite(left) and abs(left - right) <= bound, (n, left, right, bound)
+        if not gradient.any():
+            silent.append(n)
+            assert not image.any()
+    # Texture coordinates of shapes without a bitmap do not reach the image; everything else has to.
+    assert not [n for n in silent if not n.endswith("vertex_texcoords")], silent

@@ -1,0 +1,244 @@
+"""Every kernel of the library compiles for CUDA, on a machine without a GPU.
+
+The kernels are discovered: those at module level join by themselves, and a factory (a function that defines a kernel)
+that is not listed here fails ``test_every_factory_is_listed``.
+"""
+
+import ast
+import functools
+import importlib
+import pkgutil
+from pathlib import Path
+
+import pytest
+import warp as wp
+
+import warp_psdr.kernels
+from warp_psdr.kernels import constants as c
+from warp_psdr.kernels.interior.wanted import Wanted
+from warp_psdr.kernels.loss import relative_squared
+from warp_psdr.kernels.path import PathConfig
+
+#: Compute capability 9.0.
+ARCHITECTURE = 90
+#: Factories of kernels that run on the CPU only, and why.
+CPU_ONLY = {
+    "bvh.build.make_build": "the wide BVH is a CPU structure; wp.Mesh traces on CUDA",
+    "bvh.refit.make_refit": "the wide BVH is a CPU structure; wp.Mesh traces on CUDA",
+}
+
+MODELS = (
+    c.BSDF_DIFFUSE,
+    c.BSDF_CONDUCTOR,
+    c.BSDF_DIELECTRIC,
+    c.BSDF_ROUGH_CONDUCTOR_GGX,
+    c.BSDF_ROUGH_CONDUCTOR_BECKMANN,
+)
+TEXTURES = (c.TEXTURE_CONSTANT, c.TEXTURE_BITMAP, c.TEXTURE_VERTEX, c.TEXTURE_FACE)
+LIGHTS = (c.EMITTER_ENVMAP, c.EMITTER_POINT, c.EMITTER_SPOT, c.EMITTER_DIRECTIONAL)
+#: Diffuse walls under an area light.
+SIMPLE = PathConfig(
+    bsdfs=(c.BSDF_DIFFUSE,),
+    slots=((c.TEXTURE_CONSTANT,), (), (), (), ()),
+    two_sided=False,
+    smooth=False,
+    flat=True,
+    uv=False,
+    tangent=False,
+    area=(c.TEXTURE_CONSTANT,),
+    lights=(),
+    scatter=True,
+    hide_emitters=False,
+    sampler="sobol",
+    filter=c.RFILTER_BOX,
+    ray_backend="warp",
+    ray_width=1,
+)
+#: All models, all texture kinds in every slot, all lights, smooth and flat shapes, anisotropy.
+EVERYTHING = PathConfig(
+    bsdfs=MODELS,
+    slots=(TEXTURES,) * 5,
+    two_sided=True,
+    smooth=True,
+    flat=True,
+    uv=True,
+    tangent=True,
+    area=TEXTURES,
+    lights=LIGHTS,
+    scatter=True,
+    hide_emitters=True,
+    sampler="sobol",
+    filter=c.RFILTER_GAUSSIAN,
+    ray_backend="warp",
+    ray_width=1,
+)
+#: What EVERYTHING excludes: the other light at infinity, the other sampler and filter, smooth shapes alone.
+OTHERS = PathConfig(
+    bsdfs=(c.BSDF_ROUGH_CONDUCTOR_BECKMANN,),
+    slots=((c.TEXTURE_CONSTANT,),) * 5,
+    two_sided=False,
+    smooth=True,
+    flat=False,
+    uv=False,
+    tangent=True,
+    area=(),
+    lights=(c.EMITTER_CONSTANT,),
+    scatter=True,
+    hide_emitters=False,
+    sampler="independent",
+    filter=c.RFILTER_TENT,
+    ray_backend="warp",
+    ray_width=1,
+)
+EMISSION = PathConfig(**{**vars(SIMPLE), "scatter": False, "slots": ((),) * 5})
+ALBEDO = Wanted(slots=(True, False, False, False, False))
+GEOMETRY = Wanted(slots=(True, False, False, False, False), shapes=True)
+ALL = Wanted(
+    slots=(True,) * 5,
+    to_uv=True,
+    shapes=True,
+    texcoords=True,
+    radiance=True,
+    lights=("radiance", "pose"),
+    camera=True,
+    bends=True,
+)
+#: Textbook replay takes no moving vertices behind delta lobes.
+ROUGH = PathConfig(
+    **{**vars(EVERYTHING), "bsdfs": tuple(m for m in MODELS if m not in (c.BSDF_CONDUCTOR, c.BSDF_DIELECTRIC))}
+)
+STILL = Wanted(slots=(True,) * 5, radiance=True, lights=("radiance", "pose"))
+FAST, SLOW = (), (pytest.mark.slow,)
+
+#: factory: (label, arguments, marks)
+FACTORIES = {
+    "adam.make_adam": [("masked", (True,), FAST), ("plain", (False,), FAST)],
+    "adam.make_count_unusable": [("", (), FAST)],
+    "loss.make_terms": [("relative", (relative_squared,), FAST)],
+    "loss.make_sums": [("", (), FAST)],
+    "path.make_primal_kernel": [
+        ("simple", (SIMPLE,), FAST),
+        ("emission", (EMISSION,), SLOW),
+        ("others", (OTHERS,), SLOW),
+        ("everything", (EVERYTHING,), SLOW),
+    ],
+    "interior.replay.make_replay_kernel": [
+        ("simple", (SIMPLE, GEOMETRY, 8, 1), FAST),
+        ("blocks", (SIMPLE, ALBEDO, 8, 4), SLOW),
+        ("others", (OTHERS, ALL, 4, 1), SLOW),
+        ("everything", (EVERYTHING, ALL, 8, 2), SLOW),
+    ],
+    "interior.forward.make_forward_kernel": [
+        ("simple", (SIMPLE, GEOMETRY), FAST),
+        ("others", (OTHERS, ALL), SLOW),
+        ("everything", (EVERYTHING, ALL), SLOW),
+    ],
+    "interior.textbook.make_textbook_kernel": [
+        ("reverse, simple", (SIMPLE, ALBEDO, "reverse"), FAST),
+        ("forward, simple", (SIMPLE, ALBEDO, "forward"), SLOW),
+        ("reverse, everything", (EVERYTHING, STILL, "reverse"), SLOW),
+        ("reverse, rough", (ROUGH, ALL, "reverse"), SLOW),
+    ],
+}
+
+
+def device_modules():
+    """Import every module of the device code and return {dotted name within it: module}."""
+    package = warp_psdr.kernels
+    names = [m.name for m in pkgutil.walk_packages(package.__path__, package.__name__ + ".")]
+    assert len(names) > 30, f"only {names} found"
+    return {name.removeprefix(package.__name__ + "."): importlib.import_module(name) for name in names}
+
+
+@functools.cache
+def module_kernels():
+    """Kernels defined at module level: (dotted name, kernel)."""
+    found = {}
+    for name, module in device_modules().items():
+        for key, value in vars(module).items():
+            if isinstance(value, wp.Kernel) and value.func.__module__ == module.__name__:
+                found[f"{name}.{key}"] = value
+    return found
+
+
+def is_kernel(node):
+    """Whether a function is decorated with ``wp.kernel`` (``@wp.kernel`` or ``@wp.kernel(...)``)."""
+    decorators = [d.func if isinstance(d, ast.Call) else d for d in node.decorator_list]
+    return any(ast.unparse(d) in ("wp.kernel", "warp.kernel", "kernel") for d in decorators)
+
+
+def factories():
+    """Top-level functions that define kernels, by dotted name, and the number of kernels at module level."""
+    found, plain = set(), 0
+    for name, module in device_modules().items():
+        for node in ast.parse(Path(module.__file__).read_text(encoding="utf-8")).body:
+            if isinstance(node, ast.FunctionDef):
+                plain += is_kernel(node)
+                if any(isinstance(n, ast.FunctionDef) and n is not node and is_kernel(n) for n in ast.walk(node)):
+                    found.add(f"{name}.{node.name}")
+    return found, plain
+
+
+@pytest.fixture(scope="module")
+def compile_for_cuda(tmp_path_factory):
+    """Return ``compile(kernel)``; skip, saying so, where Warp was built without the CUDA compiler."""
+    folder = tmp_path_factory.mktemp("cuda")
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def probe(values_out: wp.array(dtype=wp.float32)):
+        values_out[wp.tid()] = 1.0
+
+    def compile_kernel(kernel):
+        files = wp.compile_aot_module(kernel.module, arch=ARCHITECTURE, module_dir=folder)
+        outputs = [Path(f) for f in files if Path(f).suffix in (".ptx", ".cubin")]
+        assert outputs and all(f.stat().st_size > 0 for f in outputs), f"no CUDA code among {files}"
+        return outputs
+
+    try:
+        compile_kernel(probe)
+    except RuntimeError as error:
+        pytest.skip(f"this build of Warp cannot compile for CUDA (NVRTC): {error}")
+    return compile_kernel
+
+
+def test_every_factory_is_listed():
+    """A new factory of kernels has to say here with which arguments it is compiled."""
+    found, plain = factories()
+    assert found == set(FACTORIES) | set(CPU_ONLY)
+    assert plain == len(module_kernels()) > 0
+
+
+@pytest.mark.parametrize("name", sorted(module_kernels()))
+def test_kernel_compiles(name, compile_for_cuda):
+    compile_for_cuda(module_kernels()[name])
+
+
+@pytest.mark.parametrize(
+    ("name", "arguments"),
+    [
+        pytest.param(name, arguments, marks=marks, id=f"{name.rpartition('.')[2]}-{label}")
+        for name, variants in FACTORIES.items()
+        for label, arguments, marks in variants
+    ],
+)
+def test_factory_compiles(name, arguments, compile_for_cuda):
+    module, _, factory = name.rpartition(".")
+    made = getattr(importlib.import_module(f"warp_psdr.kernels.{module}"), factory)(*arguments)
+    kernels = [k for k in (made if isinstance(made, tuple) else (made,)) if isinstance(k, wp.Kernel)]
+    assert kernels
+    for kernel in kernels:
+        compile_for_cuda(kernel)
+
+
+def test_device_errors_are_found(compile_for_cuda):
+    """What compiles for the CPU only does fail here."""
+
+    @wp.func_native('return __builtin_cpu_supports("avx2") ? 1.0f : a;')
+    def host_only(a: wp.float32) -> wp.float32: ...
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def bad(values_out: wp.array(dtype=wp.float32)):
+        values_out[wp.tid()] = host_only(values_out[0])
+
+    with pytest.raises(Exception, match=r"(?i)compil|cuda|nvrtc|build"):
+        compile_for_cuda(bad)

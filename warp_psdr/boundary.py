@@ -1,0 +1,43 @@
+"""Methods of the boundary term (survey eq. 12 second term, sections 2.1, 2.2 and 4)."""
+
+from __future__ import annotations
+
+from abc import ABC
+from dataclasses import dataclass
+
+
+class Method(ABC):
+    """A way to estimate the boundary term."""
+
+    @property
+    def label(self) -> str:
+        """What the plan calls it."""
+        return f"boundary.{type(self).__name__}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class PathSpace(Method):
+    """Multi-directional sampling of boundary paths [ZMY*20] (``kernels/boundary/``), unguided.
+
+    Unbiased for triangle meshes with moving shapes, area, environment, point, spot and directional lights, and a moving
+    pinhole camera, at any depth. Not covered, and refused: smooth mirrors and glass, surfaces that run through each
+    other, hidden emitters, and textures with steps.
+
+    Attributes:
+        spp_primary: samples of the edges that the camera sees, a pixel; None: as many as the interior term's.
+        spp_secondary: samples of shadow edges and their like, a pixel; None: as many as the interior term's.
+    """
+
+    spp_primary: int | None = None
+    spp_secondary: int | None = None
+
+    def __post_init__(self) -> None:
+        """Validate once.
+
+        Raises:
+            ValueError: a sample count is not a positive integer.
+        """
+        for name in ("spp_primary", "spp_secondary"):
+            value = getattr(self, name)
+            if value is not None and (isinstance(value, bool) or not isinstance(value, int) or value < 1):
+                raise ValueError(f"{name}: got {value!r}, expected a positive integer (samples a pixel), or None")

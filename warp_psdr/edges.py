@@ -1,0 +1,276 @@
+"""Edges of a scene's meshes: adjacency on position-welded vertices, and the candidate sets of the boundary term."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import warp as wp
+
+from warp_psdr.kernels.boundary.local_form import Edges
+from warp_psdr.kernels.constants import RFILTER_GAUSSIAN, TEXTURE_FACE
+from warp_psdr.light_sampling import cumulative
+from warp_psdr.kernels.film import GAUSSIAN_CUT
+
+if TYPE_CHECKING:
+    from warp_psdr.scene.scene import Scene
+
+#: Vertices closer than this fraction of the scene's extent are one: absorbs float32 rounding of posed vertices.
+WELD = 1.0e-6
+#: Largest angle (radians) between two faces of an edge that counts as flat: float32 noise of the normals of triangles
+#: a thousandth of the scene's size.
+COPLANAR = 1.0e-4
+#: Share of the samples that goes to edges of moving shapes alone; the others are for edges between moving end points.
+MOVING_SHARE = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class Adjacency:
+    """All edges of a scene, E of them.
+
+    Attributes:
+        ends: (E, 2) global vertices of the first face's side of the edge.
+        twins: (E, 2) of the second face's side, at the same positions; equal to ``ends`` where shared or open.
+        faces: adjacent triangles of all edges, flat.
+        first: (E + 1,) where an edge's triangles start.
+        wedge: (E,) angle (radians) of the directions, modulo pi, in which the edge is a silhouette; 0: flat.
+        length: (E,) world units.
+    """
+
+    ends: np.ndarray
+    twins: np.ndarray
+    faces: np.ndarray
+    first: np.ndarray
+    wedge: np.ndarray
+    length: np.ndarray
+
+    @property
+    def count(self) -> np.ndarray:
+        """Number of triangles at each edge."""
+        return np.diff(self.first)
+
+
+def weld(points: np.ndarray, tolerance: float) -> np.ndarray:
+    """Return for every point the number of the group of points that share its position.
+
+    Args:
+        points: (N, 3).
+        tolerance: world units; groups are closed under it.
+    """
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+    from scipy.spatial import cKDTree
+
+    # Exact copies first, which keeps the neighbour search small.
+    unique, group = np.unique(points, axis=0, return_inverse=True)
+    group = group.reshape(-1)
+    pairs = cKDTree(unique).query_pairs(tolerance, output_type="ndarray")
+    if not len(pairs):
+        return group
+    graph = coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(unique), len(unique)))
+    return connected_components(graph, directed=False)[1][group]
+
+
+def adjacency(points: np.ndarray, triangles: np.ndarray) -> Adjacency:
+    """Find the edges of triangles whose vertices are welded by position; triangles without area are left out.
+
+    Args:
+        points: (N, 3) vertex positions.
+        triangles: (M, 3) vertex numbers.
+
+    Returns:
+        Edges with one (open), two, or more (non-manifold) triangles.
+    """
+    points = np.asarray(points, np.float64)
+    extent = float(np.abs(points).max()) if len(points) else 1.0
+    group = weld(points, WELD * extent)
+    corner = group[triangles]
+    cross = np.cross(points[triangles[:, 1]] - points[triangles[:, 0]], points[triangles[:, 2]] - points[triangles[:, 0]])
+    solid = (corner != np.roll(corner, 1, axis=1)).all(axis=1) & (np.linalg.norm(cross, axis=1) > 0.0)
+    numbers = np.flatnonzero(solid)
+    sides = np.stack([triangles[numbers][:, [a, (a + 1) % 3]] for a in range(3)], axis=1).reshape(-1, 2)
+    face = np.repeat(numbers, 3)
+    key = group[sides]
+    swap = key[:, 0] > key[:, 1]
+    sides[swap], key[swap] = sides[swap][:, ::-1], key[swap][:, ::-1]
+    order = np.lexsort((face, key[:, 1], key[:, 0]))
+    sides, face, key = sides[order], face[order], key[order]
+    new = np.ones(len(key), bool)
+    new[1:] = (key[1:] != key[:-1]).any(axis=1)
+    start = np.flatnonzero(new)
+    first = np.append(start, len(key)).astype(np.int32)
+    count = np.diff(first)
+    second = np.where(count == 2, start + 1, start)
+    ends, twins = sides[start], sides[second]
+    along = points[ends[:, 1]] - points[ends[:, 0]]
+    length = np.linalg.norm(along, axis=1)
+    along /= np.maximum(length, 1e-300)[:, None]
+    a = _across(points, triangles, face[start], ends, along)
+    b = _across(points, triangles, face[second], ends, along)
+    angle = np.arctan2(np.linalg.norm(np.cross(a, b), axis=1), (a * b).sum(axis=1))
+    wedge = np.where(count == 2, np.pi - angle, np.pi)
+    wedge[wedge < COPLANAR] = 0.0
+    return Adjacency(ends.astype(np.int32), twins.astype(np.int32), face.astype(np.int32), first, wedge, length)
+
+
+def _across(points, triangles, face, ends, along) -> np.ndarray:
+    """Direction from an edge into a face, perpendicular to the edge."""
+    into = points[triangles[face]].mean(axis=1) - points[ends[:, 0]]
+    return into - (into * along).sum(axis=1)[:, None] * along
+
+
+def scene_adjacency(scene: Scene) -> Adjacency:
+    """Return the edges of a scene; kept until a vertex moves."""
+    points = scene.values.numpy()[scene.positions : scene.positions + 3 * scene.vertex_count].reshape(-1, 3)
+    kept = getattr(scene, "_edges", None)
+    if kept is not None and np.array_equal(kept[0], points):
+        return kept[1]
+    found = adjacency(points, scene.builder.indices)
+    scene._edges = (points, found)  # type: ignore[attr-defined]
+    return found
+
+
+def shape_of_vertex(scene: Scene) -> np.ndarray:
+    """Return the shape number of every vertex."""
+    return np.repeat(np.arange(len(scene.builder.shapes)), [s.vertex_count for s in scene.builder.shapes])
+
+
+def moving_edges(scene: Scene, edges: Adjacency, shapes: set[int]) -> np.ndarray:
+    """Return a mask of the edges of which an end belongs to one of the shapes."""
+    moves = np.isin(shape_of_vertex(scene), sorted(shapes))
+    return moves[edges.ends].any(axis=1) | moves[edges.twins].any(axis=1)
+
+
+def secondary_edges(scene: Scene, shapes: set[int]) -> Edges | None:
+    """Return the edges that can be a silhouette for some path vertex, drawn by length times wedge; None: no edges.
+
+    Args:
+        scene: the scene.
+        shapes: the shapes that move.
+    """
+    edges = scene_adjacency(scene)
+    weight = edges.length * edges.wedge
+    keep = np.flatnonzero(weight > 0.0)
+    if not len(keep):
+        return None
+    p = weight[keep] / weight[keep].sum()
+    of_moving = np.where(moving_edges(scene, edges, shapes)[keep], p, 0.0)
+    if of_moving.sum() > 0.0:
+        p = (1.0 - MOVING_SHARE) * p + MOVING_SHARE * of_moving / of_moving.sum()
+    return _upload(scene, edges, keep, p, np.zeros(len(keep)), np.ones(len(keep)))
+
+
+def primary_edges(scene: Scene, sensor: int, shapes: set[int], *, camera_moves: bool) -> Edges | None:
+    """Return the edges that the film can see, drawn by the clipped length of their image; None: there are none.
+
+    Left out is what provably does not jump or move: flat or smoothly shaded edges inside a shape that are never a
+    silhouette from the camera, and edges that rest before a camera at rest.
+
+    Args:
+        scene: the scene.
+        sensor: which camera.
+        shapes: the shapes that move.
+        camera_moves: a parameter of the camera is differentiated.
+    """
+    edges = scene_adjacency(scene)
+    points = scene.values.numpy()[scene.positions : scene.positions + 3 * scene.vertex_count].reshape(-1, 3)
+    low, high, image_length = _clip(scene, sensor, points[edges.ends].astype(np.float64))
+    use = _jumps(scene, sensor, edges, points.astype(np.float64)) & (image_length > 0.0)
+    if not camera_moves:
+        use &= moving_edges(scene, edges, shapes)
+    keep = np.flatnonzero(use)
+    if not len(keep):
+        return None
+    return _upload(scene, edges, keep, image_length[keep], low[keep], high[keep])
+
+
+def all_edges(scene: Scene) -> tuple[Edges, Adjacency]:
+    """Return every edge, unweighted."""
+    edges = scene_adjacency(scene)
+    n = len(edges.length)
+    return _upload(scene, edges, np.arange(n), np.ones(n), np.zeros(n), np.ones(n)), edges
+
+
+def _jumps(scene: Scene, sensor: int, edges: Adjacency, points: np.ndarray) -> np.ndarray:
+    shapes = scene.builder.shapes
+    shape = scene.builder.face_shape[edges.faces[edges.first[:-1]]]
+    smooth = np.array([s.smooth == 1 for s in shapes])[shape]
+    # A bitmap on a shape without texture coordinates reads barycentrics, a face attribute jumps at every edge.
+    unmapped = np.array([s.has_uv == 0 for s in shapes])[shape]
+    textured = any(t.width > 0 for t in scene.builder.textures)
+    stepped = any(t.kind == TEXTURE_FACE for t in scene.builder.textures) | (unmapped & textured)
+    shared = (edges.count == 2) & (edges.ends == edges.twins).all(axis=1)
+    eye = scene.values.numpy()[scene.camera(sensor).to_world :][[3, 7, 11]].astype(np.float64)
+    second = np.where(edges.count == 2, edges.first[:-1] + 1, edges.first[:-1])
+    sides = []
+    ends = points[edges.ends]
+    plane = np.cross(ends[:, 1] - ends[:, 0], ends[:, 0] - eye)
+    for face in (edges.faces[edges.first[:-1]], edges.faces[second]):
+        corners = points[scene.builder.indices[face]]
+        sides.append(((corners - ends[:, :1]).sum(axis=1) * plane).sum(axis=1))
+    scale = np.linalg.norm(plane, axis=1) * edges.length * COPLANAR
+    silhouette = (sides[0] * sides[1] >= 0.0) | (np.minimum(np.abs(sides[0]), np.abs(sides[1])) <= scale)
+    continuous = shared & ~stepped & ((edges.wedge == 0.0) | (smooth & ~silhouette))
+    return ~continuous
+
+
+def _clip(scene: Scene, sensor: int, ends: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Clip edges (E, 2, 3) to the view of the film, filter margin included; return low, high and length in pixels."""
+    camera = scene.camera(sensor)
+    values = scene.values.numpy().astype(np.float64)
+    m = values[camera.to_world : camera.to_world + 16].reshape(4, 4)
+    p = (ends - m[:3, 3]) @ np.linalg.inv(m[:3, :3]).T
+    k = np.tan(np.radians(values[camera.x_fov]) / 2.0)
+    aspect = camera.width / camera.height
+    c = values[camera.principal : camera.principal + 2]
+    # Homogeneous film coordinates in pixels of the crop window.
+    w = p[..., 2]
+    x = camera.width * (0.5 * (w - p[..., 0] / k) - c[0] * w) - camera.crop_x * w
+    y = camera.height * (0.5 * (w - p[..., 1] * aspect / k) - c[1] * w) - camera.crop_y * w
+    gaussian = camera.filter == RFILTER_GAUSSIAN
+    margin = GAUSSIAN_CUT * camera.filter_stddev if gaussian else camera.filter_radius
+    scale = np.linalg.norm(m[:3, 2])
+    planes = (
+        w - camera.near / scale,
+        camera.far / scale - w,
+        x + margin * w,
+        (camera.crop_width + margin) * w - x,
+        y + margin * w,
+        (camera.crop_height + margin) * w - y,
+    )
+    low, high = np.zeros(len(ends)), np.ones(len(ends))
+    for f in planes:
+        change = f[:, 1] - f[:, 0]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            at = -f[:, 0] / change
+        low = np.where((f[:, 0] < 0.0) & (f[:, 1] >= 0.0), np.maximum(low, at), low)
+        high = np.where((f[:, 0] >= 0.0) & (f[:, 1] < 0.0), np.minimum(high, at), high)
+        high = np.where((f[:, 0] < 0.0) & (f[:, 1] < 0.0), -1.0, high)
+    seen = high > low
+
+    def image(s: np.ndarray) -> np.ndarray:
+        xyw = np.stack([(1.0 - s) * q[:, 0] + s * q[:, 1] for q in (x, y, np.where(np.abs(w) > 1e-30, w, 1e-30))], axis=1)
+        depth = np.where(np.abs(xyw[:, 2:]) > 1e-30, xyw[:, 2:], 1e-30)
+        return xyw[:, :2] / depth
+
+    length = np.where(seen, np.linalg.norm(image(high) - image(low), axis=1), 0.0)
+    return low, high, np.where(np.isfinite(length), length, 0.0)
+
+
+def _upload(scene: Scene, edges: Adjacency, keep: np.ndarray, weight: np.ndarray, low, high) -> Edges:
+    def array(values, dtype=wp.float32) -> wp.array:
+        kind = np.int32 if dtype is wp.int32 else np.float32
+        return wp.array(np.ascontiguousarray(values, dtype=kind), dtype=dtype, device=scene.device)
+
+    count = edges.count[keep]
+    first = np.append(0, np.cumsum(count))
+    faces = np.repeat(edges.first[:-1][keep] - first[:-1], count) + np.arange(first[-1])
+    record = Edges()
+    record.cdf = array(cumulative(weight))
+    record.ends = array(edges.ends[keep], wp.int32)
+    record.twins = array(edges.twins[keep], wp.int32)
+    record.faces = array(edges.faces[faces], wp.int32)
+    record.first = array(first, wp.int32)
+    record.low, record.high = array(low), array(high)
+    return record
