@@ -1,7 +1,7 @@
 """Makes what examples/bunny.toml asks for: a mesh with texture coordinates, photographs, and something to start from.
 
-The mesh is the Stanford bunny (Stanford 3D Scanning Repository) that the warp-lang wheel carries as an example asset; it
-is read from there and unwrapped by xatlas. What was painted on it and the light around it are formulas of this file.
+The mesh is the Stanford bunny (Stanford 3D Scanning Repository) that the warp-lang wheel carries as an example asset;
+it is read from there and unwrapped by xatlas. What is painted on it and the light around it are formulas of this file.
 
 The fit is given ``bunny.ply``, ``view_0.exr`` to ``view_7.exr`` and the flat grey ``*_start.exr``, not the files that
 end in ``_truth``. All of it lies in one folder, since a scene file names only what lies beside or below it.
@@ -107,7 +107,10 @@ def sky(height: int, width: int) -> np.ndarray:
     up = direction[..., 1:2]
     horizon = np.exp(-((up / 0.25) ** 2))
     light = np.where(up > 0.0, [0.16, 0.30, 0.62], [0.10, 0.08, 0.06]) + horizon * np.array([0.55, 0.32, 0.18])
-    for toward, sharpness, color in (((0.6, 0.7, 0.5), 30.0, (9.0, 7.2, 4.6)), ((-0.9, 0.35, -0.3), 18.0, (0.5, 1.4, 2.4))):
+    for toward, sharpness, color in (
+        ((0.6, 0.7, 0.5), 30.0, (9.0, 7.2, 4.6)),
+        ((-0.9, 0.35, -0.3), 18.0, (0.5, 1.4, 2.4)),
+    ):
         cosine = direction @ (np.array(toward) / np.linalg.norm(toward))
         light += np.exp(sharpness * (cosine[..., None] - 1.0)) * np.array(color)
     return light.astype(np.float32)

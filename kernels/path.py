@@ -189,20 +189,20 @@ def make_light_sampler(config: PathConfig):
         count = scene.emitters.shape[0]
         if count > 1:
             index = find_interval(scene.emitter_cdf, 0, count, u4[0])
-        e = scene.emitters[index]
+        emitter = scene.emitters[index]
         if wp.static(bool(config.area and config.lights)):
-            if e.kind == 0:
-                ls = area(scene, e, x, wp.vec3(u4[1], u4[2], u4[3]))
+            if emitter.kind == 0:
+                ls = area(scene, emitter, x, wp.vec3(u4[1], u4[2], u4[3]))
             else:
-                ls = other(scene, e, x, wp.vec2(u4[2], u4[3]))
+                ls = other(scene, emitter, x, wp.vec2(u4[2], u4[3]))
                 ls.face = -1
-            return ls, index, e.probability
+            return ls, index, emitter.probability
         elif wp.static(bool(config.area)):
-            return area(scene, e, x, wp.vec3(u4[1], u4[2], u4[3])), index, e.probability
+            return area(scene, emitter, x, wp.vec3(u4[1], u4[2], u4[3])), index, emitter.probability
         else:
-            sampled = other(scene, e, x, wp.vec2(u4[2], u4[3]))
+            sampled = other(scene, emitter, x, wp.vec2(u4[2], u4[3]))
             sampled.face = -1
-            return sampled, index, e.probability
+            return sampled, index, emitter.probability
 
     return sample_light
 
@@ -260,13 +260,13 @@ def make_path_step(config: PathConfig, differential: bool):
         shape = scene.shapes[surface.shape]
         if wp.static(bool(config.area)):
             if shape.emitter >= 0:
-                e = scene.emitters[shape.emitter]
+                emitter = scene.emitters[shape.emitter]
                 weight = wp.float32(1.0)
                 if state.pdf > 0.0:
-                    pdf_light = pdf_area(scene, e, hit.face, state.d, hit.t) * e.probability
+                    pdf_light = pdf_area(scene, emitter, hit.face, state.d, hit.t) * emitter.probability
                     weight = mis_weight(state.pdf, pdf_light)
                 vertex.e_weight = weight
-                vertex.direct = weight * emitted(scene, e, hit.face, hit.u, hit.v, state.d)
+                vertex.direct = weight * emitted(scene, emitter, hit.face, hit.u, hit.v, state.d)
         if wp.static(not config.scatter):
             return vertex, after
         if max_depth >= 0 and state.depth + 1 >= max_depth:

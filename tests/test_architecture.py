@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+import warp as wp
 
 ROOT = Path(__file__).resolve().parents[1]
 #: What device code may import besides its own package.
@@ -60,6 +61,19 @@ def misplaced_statements(source: str) -> Iterator[str]:
         yield f"line {node.lineno}: {ast.unparse(node).splitlines()[0]}"
 
 
+def shadowed_constants(source: str) -> Iterator[str]:
+    """Attributes of local variables that are named like a number of Warp's, such as ``e``."""
+    for function in ast.walk(ast.parse(source)):
+        if not isinstance(function, ast.FunctionDef):
+            continue
+        nodes = list(ast.walk(function))
+        local = {node.id for node in nodes if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)}
+        for node in nodes:
+            if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id in local:
+                if isinstance(getattr(wp, node.value.id, None), int | float):
+                    yield f"line {node.lineno}: {ast.unparse(node)}"
+
+
 def global_state_changes(source: str) -> Iterator[str]:
     """Statements of a host file that set Warp's configuration or its default device."""
     for node in ast.walk(ast.parse(source)):
@@ -84,6 +98,14 @@ def test_device_code_imports_no_host_code(path: Path) -> None:
 def test_device_files_hold_definitions_only(path: Path) -> None:
     # A module-level number named like a loop index of device code would be hashed into the module and recompile it.
     assert list(misplaced_statements(path.read_text())) == []
+
+
+@pytest.mark.parametrize("path", DEVICE_FILES, ids=names)
+def test_local_records_are_not_named_like_warps_numbers(path: Path) -> None:
+    # Warp 1.19 takes ``e.kind`` for the number ``wp.e`` while a function has not been built, and hashes it. So a kernel
+    # would have one name where the functions it shares were compiled and another where they came from the cache, and
+    # the second start would compile again (``tests/test_kernel_names.py``).
+    assert list(shadowed_constants(path.read_text())) == []
 
 
 @pytest.mark.parametrize("path", HOST_FILES, ids=names)
@@ -113,6 +135,7 @@ def test_there_are_files_to_check() -> None:
         (misplaced_statements, "for N in range(3):\n    pass"),
         (misplaced_statements, "print('loaded')"),
         (misplaced_statements, "class Options:\n    pass"),
+        (shadowed_constants, "def f(scene):\n    e = scene.emitters[0]\n    return e.kind"),
         (global_state_changes, "wp.config.quiet = True"),
         (global_state_changes, "def f():\n    warp.config.mode = 'debug'"),
         (global_state_changes, "wp.set_device('cpu')"),
@@ -128,6 +151,7 @@ def test_each_rule_finds_what_breaks_it(check, source: str) -> None:
     [
         (foreign_imports, "import math\nimport warp as wp\nfrom warp_psdr.kernels.structs import Scene"),
         (misplaced_statements, '"""Doc."""\nPI = 3.14\nA, B = 1, 2\n@wp.struct\nclass S:\n    x: wp.vec3'),
+        (shadowed_constants, "def f(e, n):\n    e.kind = n.kind\n    n = 1\n    return n.kind + math.pi"),
         (global_state_changes, "device = wp.get_device()\nconfig = wp.config.version"),
     ],
 )

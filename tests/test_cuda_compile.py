@@ -91,6 +91,31 @@ OTHERS = PathConfig(
     ray_width=1,
 )
 EMISSION = PathConfig(**{**vars(SIMPLE), "scatter": False, "slots": ((),) * 5})
+SPLAT = PathConfig(**{**vars(SIMPLE), "filter": c.RFILTER_TENT})
+SPLAT_GAUSSIAN = PathConfig(**{**vars(SIMPLE), "filter": c.RFILTER_GAUSSIAN})
+# The compiler needs over ten minutes for the derivatives of EVERYTHING at once; in these thirds, seconds each.
+MATERIALS = PathConfig(
+    **{
+        **vars(SIMPLE),
+        "bsdfs": MODELS,
+        "slots": ((c.TEXTURE_CONSTANT,),) * 5,
+        "two_sided": True,
+        "smooth": True,
+        "tangent": True,
+    }
+)
+TEXTURED = PathConfig(
+    **{
+        **vars(SIMPLE),
+        "slots": (TEXTURES, (), (), (), ()),
+        "area": TEXTURES,
+        "uv": True,
+        "smooth": True,
+        "flat": False,
+        "hide_emitters": True,
+    }
+)
+ALL_LIGHTS = PathConfig(**{**vars(SIMPLE), "lights": LIGHTS, "filter": c.RFILTER_GAUSSIAN})
 ALBEDO = Wanted(slots=(True, False, False, False, False))
 GEOMETRY = Wanted(slots=(True, False, False, False, False), shapes=True)
 ALL = Wanted(
@@ -104,10 +129,9 @@ ALL = Wanted(
     bends=True,
 )
 #: Textbook replay takes no moving vertices behind delta lobes.
-ROUGH = PathConfig(
-    **{**vars(EVERYTHING), "bsdfs": tuple(m for m in MODELS if m not in (c.BSDF_CONDUCTOR, c.BSDF_DIELECTRIC))}
-)
 STILL = Wanted(slots=(True,) * 5, radiance=True, lights=("radiance", "pose"))
+#: Configurations that together hold every model, texture kind, light, sampler and filter.
+THIRDS = {"materials": MATERIALS, "textures": TEXTURED, "lights": ALL_LIGHTS, "others": OTHERS}
 FAST, SLOW = (), (pytest.mark.slow,)
 
 #: factory: (label, arguments, marks)
@@ -122,22 +146,32 @@ FACTORIES = {
         ("others", (OTHERS,), SLOW),
         ("everything", (EVERYTHING,), SLOW),
     ],
+    "splat.make_splat_kernel": [("tent", (SPLAT,), FAST), ("gaussian", (SPLAT_GAUSSIAN,), SLOW)],
     "interior.replay.make_replay_kernel": [
         ("simple", (SIMPLE, GEOMETRY, 8, 1), FAST),
         ("blocks", (SIMPLE, ALBEDO, 8, 4), SLOW),
-        ("others", (OTHERS, ALL, 4, 1), SLOW),
-        ("everything", (EVERYTHING, ALL, 8, 2), SLOW),
+        *[(name, (config, ALL, 4, 1), SLOW) for name, config in THIRDS.items()],
     ],
     "interior.forward.make_forward_kernel": [
-        ("simple", (SIMPLE, GEOMETRY), FAST),
-        ("others", (OTHERS, ALL), SLOW),
-        ("everything", (EVERYTHING, ALL), SLOW),
+        ("simple", (SIMPLE, ALBEDO), FAST),
+        *[(name, (config, ALL), SLOW) for name, config in THIRDS.items()],
     ],
     "interior.textbook.make_textbook_kernel": [
         ("reverse, simple", (SIMPLE, ALBEDO, "reverse"), FAST),
         ("forward, simple", (SIMPLE, ALBEDO, "forward"), SLOW),
-        ("reverse, everything", (EVERYTHING, STILL, "reverse"), SLOW),
-        ("reverse, rough", (ROUGH, ALL, "reverse"), SLOW),
+        ("reverse, materials", (MATERIALS, STILL, "reverse"), SLOW),
+        ("reverse, lights", (ALL_LIGHTS, ALL, "reverse"), SLOW),
+    ],
+    "boundary.pierced.make_pierced_kernel": [("", ("warp", 1), FAST)],
+    "boundary.primary.make_primary_kernel": [
+        ("reverse, simple", (SIMPLE, "reverse", False), FAST),
+        ("forward, materials", (MATERIALS, "forward", True), SLOW),
+        ("reverse, textures", (TEXTURED, "reverse", True), SLOW),
+    ],
+    "boundary.secondary.make_secondary_kernel": [
+        ("reverse, simple", (SIMPLE, "reverse", False, False), SLOW),
+        ("forward, textures", (TEXTURED, "forward", True, False), SLOW),
+        ("reverse, lights", (ALL_LIGHTS, "reverse", True, True), SLOW),
     ],
 }
 

@@ -298,6 +298,14 @@ def test_transforms_compose_on_the_class_and_in_chains():
     np.testing.assert_array_equal(x[0].vertices, x[1].vertices)
 
 
+def test_the_axis_of_a_rotation_may_have_any_length():
+    # Other than in Mitsuba 3, whose matrix is no rotation then.
+    expected = Transform.rotate([0.6, 0.0, 0.8], 30).matrix
+    np.testing.assert_allclose(Transform.rotate([3.0, 0.0, 4.0], 30).matrix, expected, atol=1e-15)
+    with pytest.raises(ValueError, match="non-zero axis"):
+        Transform.rotate([0.0, 0.0, 0.0], 30)
+
+
 # -- the same as Mitsuba -----------------------------------------------------------------------------------------------
 
 

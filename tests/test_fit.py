@@ -311,3 +311,20 @@ def test_pictures_that_cannot_be_drawn_are_noted(tmp_path: Path, monkeypatch: py
         "sky.radiance.value_end.npy",
         "wall.vertex_positions_end.npy",
     ]
+
+
+@pytest.mark.parametrize(
+    ("error", "noted"), [(warp_psdr.view.NotDrawableError("no look"), True), (ValueError("a bug"), False)]
+)
+def test_only_what_has_no_look_is_noted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error, noted: bool) -> None:
+    def fail(*arguments, **options):
+        raise error
+
+    monkeypatch.setattr(warp_psdr.view, "view", fail)
+    params = {"wall.vertex_color": np.zeros((4, 3))}
+    if noted:
+        notes = fit_report.write_gradients(tmp_path, None, params, params)
+        assert notes == ["wall.vertex_color.png not drawn: no look"]
+    else:
+        with pytest.raises(ValueError, match="a bug"):
+            fit_report.write_gradients(tmp_path, None, params, params)

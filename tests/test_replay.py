@@ -61,11 +61,7 @@ FAST_PAIRS = {(1, 8), (2, 1), (5, 1), (5, 2), (16, 3), (16, 8), (64, 8)}
 
 @pytest.mark.parametrize(
     ("depth", "block"),
-    [
-        pytest.param(d, k, marks=() if (d, k) in FAST_PAIRS else pytest.mark.slow)
-        for d in (1, 2, 5, 16, 64)
-        for k in KS
-    ],
+    [pytest.param(d, k, marks=() if (d, k) in FAST_PAIRS else pytest.mark.slow) for d in (1, 2, 5, 16, 64) for k in KS],
 )
 def test_every_block_size_gives_the_textbook_gradient(closed, depth, block):
     scene, params = closed
@@ -191,6 +187,8 @@ ORACLE_SPP, ORACLE_SEED = 16, 5
 def taped():
     """The box, its parameters, and the recorded paths with the random numbers of the gradient pass."""
     scene = psdr.load_dict(box())
+    # The offset of a ray's origin is in the recorded directions and not in the oracle's connections.
+    scene.ray_epsilon *= 0.1
     params = psdr.traverse(scene)
     params.requires_grad("*.vertex_positions", "*.reflectance.value", "*.radiance.value")
     options = integrator(tape_oracle.DEPTH, block=tape_oracle.DEPTH)
@@ -229,14 +227,12 @@ def swept(taped, weights, block=tape_oracle.DEPTH):
     taped.params.zero_grad()
     options = integrator(tape_oracle.DEPTH, block)
     image = weights.reshape(size, size, 3).astype(np.float32)
-    psdr.render_backward(
-        taped.scene, taped.params, image, integrator=options, spp=ORACLE_SPP, seed=ORACLE_SEED
-    )
+    psdr.render_backward(taped.scene, taped.params, image, integrator=options, spp=ORACLE_SPP, seed=ORACLE_SEED)
     return {n: taped.params[n].grad.numpy() for n in taped.params.requested}
 
 
-#: Two float32 evaluations of one formula, and the offset of a ray's origin (1e-5 of the scene) that the recorded
-#: directions hold and the connections of the oracle do not: near a corner it turns a short connection by some 1e-4.
+#: Two float32 evaluations of one formula, and the offset of a ray's origin (1e-6 of the scene), which turns the short
+#: connections near a corner by some 1e-4.
 ORACLE_TOLERANCE = 1e-3
 
 

@@ -20,8 +20,8 @@ class PathSpace(Method):
     """Multi-directional sampling of boundary paths [ZMY*20] (``kernels/boundary/``), unguided.
 
     Unbiased for triangle meshes with moving shapes, area, environment, point, spot and directional lights, and a moving
-    pinhole camera, at any depth. Not covered, and refused: smooth mirrors and glass, surfaces that run through each
-    other, hidden emitters, and textures with steps.
+    pinhole camera, at any depth; with interpolated normals for direct light. Not covered, and refused: smooth mirrors
+    and glass, surfaces that run through each other, hidden emitters, and textures with steps.
 
     Attributes:
         spp_primary: samples of the edges that the camera sees, a pixel; None: as many as the interior term's.

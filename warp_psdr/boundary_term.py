@@ -11,11 +11,12 @@ import warp as wp
 from warp_psdr import workers
 from warp_psdr.boundary import Method, PathSpace
 from warp_psdr.device import launch
-from warp_psdr.edges import all_edges, primary_edges, secondary_edges
+from warp_psdr.edges import all_edges, bent_faces, primary_edges, secondary_edges, terminator_faces
 from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.boundary.pierced import make_pierced_kernel
 from warp_psdr.kernels.boundary.primary import make_primary_kernel
 from warp_psdr.kernels.boundary.secondary import make_secondary_kernel
+from warp_psdr.kernels.boundary.terminator import make_terminator_kernel
 from warp_psdr.kernels.emitter.spot import MIN_FALLOFF
 from warp_psdr.kernels.reduction import add_images
 from warp_psdr.kernels.rng import mix_seed
@@ -30,7 +31,7 @@ if TYPE_CHECKING:
 #: what is not a light contributes nothing.
 WEDGE_SHARE_DIRECT, WEDGE_SHARE = 0.1, 0.5
 #: Sub-streams of the boundary term's random numbers.
-PRIMARY, SECONDARY = 0, 1
+PRIMARY, SECONDARY, TERMINATOR = 0, 1, 2
 #: Images of forward mode's lanes together hold at most this many floats (64 MB).
 LANE_IMAGE_FLOATS = 1 << 24
 REMEDY = "say PathIntegrator(boundary=None) to get the interior term alone"
@@ -75,7 +76,7 @@ def choose(scene: Scene, config: PathConfig, integrator: PathIntegrator, names: 
         ValueError: no method covers the case.
     """
     method = integrator.boundary if isinstance(integrator.boundary, Method) else PathSpace()
-    reason = _uncovered(scene, config, names)
+    reason = _uncovered(scene, config, names, integrator.max_depth)
     if reason:
         raise ValueError(
             f"the requested gradient has a boundary term ({'; '.join(moving)}), which boundary.PathSpace() cannot "
@@ -84,7 +85,7 @@ def choose(scene: Scene, config: PathConfig, integrator: PathIntegrator, names: 
     return method
 
 
-def _uncovered(scene: Scene, config: PathConfig, names: list[str]) -> str:
+def _uncovered(scene: Scene, config: PathConfig, names: list[str], max_depth: int) -> str:
     """Say why the boundary term cannot be estimated; empty: it can."""
     if {c.BSDF_CONDUCTOR, c.BSDF_DIELECTRIC} & set(config.bsdfs):
         return "discontinuities seen through smooth mirrors or glass are not implemented; use a roughconductor instead"
@@ -104,6 +105,11 @@ def _uncovered(scene: Scene, config: PathConfig, names: list[str]) -> str:
             cutoff, beam = values[e.cutoff : e.cutoff + 2].tolist()
             if math.radians(cutoff - beam) <= MIN_FALLOFF:
                 return "a spot light's cone has a hard edge; make beam_width smaller than cutoff_angle"
+    if max_depth != 1 and max_depth != 2 and bent_faces(scene).any():
+        return (
+            "interpolated normals turn away from other surfaces in curves, which are covered for the camera's view only; "
+            "use max_depth=2, or face_normals=True on the meshes"
+        )
     return _intersection(scene, moves)
 
 
@@ -188,6 +194,16 @@ def _terms(scene: Scene, plan, names: list[str], role: str, sensor: int, spp: in
             make_primary_kernel(config, role, moves.camera),
             lambda first, adjoint, edges=edges, n=samples: [
                 data, camera, edges, first, n, mix_seed(seed, PRIMARY), plan.max_depth, plan.rr_depth, adjoint,
+            ],
+            samples,
+        )  # fmt: skip
+    found = terminator_faces(scene, sensor, set(moves.shapes), camera_moves=moves.camera) if config.scatter else None
+    if found is not None:
+        samples = pixels * (method.spp_primary or spp)
+        yield (
+            make_terminator_kernel(config, role, moves.camera),
+            lambda first, adjoint, found=found, n=samples: [
+                data, camera, *found, first, n, mix_seed(seed, TERMINATOR), plan.max_depth, plan.rr_depth, adjoint,
             ],
             samples,
         )  # fmt: skip

@@ -10,8 +10,8 @@ import warp as wp
 
 from warp_psdr.kernels.boundary.local_form import Edges
 from warp_psdr.kernels.constants import RFILTER_GAUSSIAN, TEXTURE_FACE
-from warp_psdr.light_sampling import cumulative
 from warp_psdr.kernels.film import GAUSSIAN_CUT
+from warp_psdr.light_sampling import cumulative
 
 if TYPE_CHECKING:
     from warp_psdr.scene.scene import Scene
@@ -23,6 +23,10 @@ WELD = 1.0e-6
 COPLANAR = 1.0e-4
 #: Share of the samples that goes to edges of moving shapes alone; the others are for edges between moving end points.
 MOVING_SHARE = 0.5
+
+#: Weight of triangles whose corners all face the camera, or all turn away, against those with both: between such
+#: corners an interpolated normal can still turn away and back.
+TERMINATOR_FLOOR = 0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +90,9 @@ def adjacency(points: np.ndarray, triangles: np.ndarray) -> Adjacency:
     extent = float(np.abs(points).max()) if len(points) else 1.0
     group = weld(points, WELD * extent)
     corner = group[triangles]
-    cross = np.cross(points[triangles[:, 1]] - points[triangles[:, 0]], points[triangles[:, 2]] - points[triangles[:, 0]])
+    cross = np.cross(
+        points[triangles[:, 1]] - points[triangles[:, 0]], points[triangles[:, 2]] - points[triangles[:, 0]]
+    )
     solid = (corner != np.roll(corner, 1, axis=1)).all(axis=1) & (np.linalg.norm(cross, axis=1) > 0.0)
     numbers = np.flatnonzero(solid)
     sides = np.stack([triangles[numbers][:, [a, (a + 1) % 3]] for a in range(3)], axis=1).reshape(-1, 2)
@@ -185,6 +191,63 @@ def primary_edges(scene: Scene, sensor: int, shapes: set[int], *, camera_moves: 
     return _upload(scene, edges, keep, image_length[keep], low[keep], high[keep])
 
 
+def bent_faces(scene: Scene) -> np.ndarray:
+    """Return a mask of the triangles whose interpolated normals differ from their face normal."""
+    values = scene.values.numpy().astype(np.float64)
+    points = values[scene.positions : scene.positions + 3 * scene.vertex_count].reshape(-1, 3)
+    bent = np.zeros(scene.face_count, bool)
+    for s in scene.builder.shapes:
+        if s.smooth == 1:
+            rows = slice(s.first_face, s.first_face + s.face_count)
+            faces = scene.builder.indices[rows]
+            p = points[faces]
+            normal = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
+            normal /= np.maximum(np.linalg.norm(normal, axis=1), 1e-300)[:, None]
+            first = s.normal_offset + 3 * s.first_vertex
+            at = values[first : first + 3 * s.vertex_count].reshape(-1, 3)[faces - s.first_vertex]
+            bent[rows] = (np.linalg.norm(np.cross(at, normal[:, None]), axis=2) > COPLANAR).any(axis=1)
+    return bent
+
+
+def terminator_faces(
+    scene: Scene, sensor: int, shapes: set[int], *, camera_moves: bool
+) -> tuple[wp.array, wp.array] | None:
+    """Return cumulative probabilities and numbers of the triangles that a terminator can cross; None: there are none.
+
+    Args:
+        scene: the scene.
+        sensor: which camera.
+        shapes: the shapes that move.
+        camera_moves: a parameter of the camera is differentiated.
+    """
+    values = scene.values.numpy().astype(np.float64)
+    points = values[scene.positions : scene.positions + 3 * scene.vertex_count].reshape(-1, 3)
+    eye = values[scene.camera(sensor).to_world :][[3, 7, 11]]
+    bent = bent_faces(scene)
+    numbers, weights = [], []
+    for i, s in enumerate(scene.builder.shapes):
+        if s.smooth == 0 or not (camera_moves or i in shapes):
+            continue
+        vertices = slice(s.first_vertex, s.first_vertex + s.vertex_count)
+        first = s.normal_offset + 3 * s.first_vertex
+        normals = values[first : first + 3 * s.vertex_count].reshape(-1, 3)
+        facing = (normals * (eye - points[vertices])).sum(axis=1)
+        faces = scene.builder.indices[s.first_face : s.first_face + s.face_count]
+        corners = facing[faces - s.first_vertex]
+        crossed = (corners.min(axis=1) <= 0.0) & (corners.max(axis=1) >= 0.0)
+        p = points[faces]
+        size = np.linalg.norm(p - p[:, [1, 2, 0]], axis=2).max(axis=1) / np.linalg.norm(p.mean(axis=1) - eye, axis=1)
+        numbers.append(s.first_face + np.arange(s.face_count))
+        weights.append(np.where(crossed, size, TERMINATOR_FLOOR * size))
+    faces = np.concatenate([np.zeros(0, np.int32), *numbers]).astype(np.int32)
+    weight = np.concatenate([np.zeros(0), *weights])[bent[faces]]
+    faces = faces[bent[faces]]
+    if not len(faces):
+        return None
+    cdf = wp.array(cumulative(weight), dtype=wp.float32, device=scene.device)
+    return cdf, wp.array(faces, dtype=wp.int32, device=scene.device)
+
+
 def all_edges(scene: Scene) -> tuple[Edges, Adjacency]:
     """Return every edge, unweighted."""
     edges = scene_adjacency(scene)
@@ -250,7 +313,9 @@ def _clip(scene: Scene, sensor: int, ends: np.ndarray) -> tuple[np.ndarray, np.n
     seen = high > low
 
     def image(s: np.ndarray) -> np.ndarray:
-        xyw = np.stack([(1.0 - s) * q[:, 0] + s * q[:, 1] for q in (x, y, np.where(np.abs(w) > 1e-30, w, 1e-30))], axis=1)
+        xyw = np.stack(
+            [(1.0 - s) * q[:, 0] + s * q[:, 1] for q in (x, y, np.where(np.abs(w) > 1e-30, w, 1e-30))], axis=1
+        )
         depth = np.where(np.abs(xyw[:, 2:]) > 1e-30, xyw[:, 2:], 1e-30)
         return xyw[:, :2] / depth
 

@@ -143,6 +143,7 @@ def fit(
     adam = optim.Adam(
         problem.params,
         {name: unknown.lr for name, unknown in config.parameters.items()},
+        betas=config.betas,
         mask_updates=config.mask_updates,
     )
     config.output.mkdir(parents=True, exist_ok=True)

@@ -73,6 +73,8 @@ class FitConfig:
         seed: Seeds of all steps derive from it.
         loss: Name of a function in ``psdr.losses``.
         lr_half_life: Steps after which all learning rates have halved; ``None``: they stay.
+        betas: Adam's decay rates of the running means of the gradient and of its square, see ``psdr.optim.Adam``. A
+            second one below 0.999 forgets the large gradients of the first steps sooner.
         mask_updates: Leave entries of zero gradient alone, see ``psdr.optim.Adam``.
         checkpoint_every: Steps from one checkpoint to the next.
         integrator: Options of ``psdr.PathIntegrator`` that replace those of the scene file: ``max_depth``,
@@ -98,6 +100,7 @@ class FitConfig:
     seed: int = 0
     loss: str = "l2"
     lr_half_life: float | None = None
+    betas: tuple[float, float] = (0.9, 0.999)
     mask_updates: bool = False
     checkpoint_every: int = 25
     integrator: Mapping[str, int | bool | str] = field(default_factory=dict)
@@ -134,6 +137,9 @@ class FitConfig:
             raise ValueError(f"fit config: loss: got {self.loss!r}, expected one of {', '.join(LOSSES)}")
         if self.lr_half_life is not None:
             put("lr_half_life", _positive("lr_half_life", self.lr_half_life))
+        put("betas", tuple(_number(f"betas[{i}]", beta) for i, beta in enumerate(_list("betas", self.betas))))
+        if len(self.betas) != 2 or not all(0.0 <= beta < 1.0 for beta in self.betas):
+            raise ValueError(f"fit config: betas: got {list(self.betas)}, expected two numbers in [0, 1)")
         if not isinstance(self.mask_updates, bool):
             raise TypeError(f"fit config: mask_updates: got {self.mask_updates!r}, expected true or false")
         if not isinstance(self.device, str):
@@ -201,6 +207,7 @@ class FitConfig:
         """
         names = ("views_per_step", "spp", "spp_grad", "seed", "loss", "lr_half_life", "mask_updates", "device")
         values: dict[str, Any] = {name: getattr(self, name) for name in names}
+        values["betas"] = list(self.betas)
         values["sensors"] = list(self.views)
         values["integrator"] = dict(self.integrator)
         values["defaults"] = dict(self.defaults)

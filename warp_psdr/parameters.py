@@ -70,7 +70,8 @@ class Parameters(Mapping):
             KeyError: there is no such parameter.
             ValueError: wrong size, or values that are not finite.
         """
-        self._views[name].assign(self.check(name, values, "value"))
+        checked = self.check(name, values, "value")
+        self._views[name].assign(checked)
         self._dirty.add(name)
 
     def check(self, name: str, values, what: str) -> np.ndarray:

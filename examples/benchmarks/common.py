@@ -46,7 +46,9 @@ def import_mitsuba(threads: int):
         import drjit
         import mitsuba
     except ImportError as error:
-        raise SystemExit(f"{error}: this benchmark compares with Mitsuba 3.9.1; pip install 'warp-psdr[bench]'") from None
+        raise SystemExit(
+            f"{error}: this benchmark compares with Mitsuba 3.9.1; pip install 'warp-psdr[bench]'"
+        ) from None
     try:
         mitsuba.set_variant("llvm_ad_rgb")
     except Exception as error:

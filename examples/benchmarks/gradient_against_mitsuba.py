@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import warp as wp
 from common import Report, arguments, import_mitsuba, in_turns, median, psdr, ratio, z_test
+
 from scenes import CASES, write_data
 
 SCENES = ("Cornell box", "82k triangles")

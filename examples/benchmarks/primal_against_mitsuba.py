@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 from common import Report, arguments, blocks, import_mitsuba, in_turns, median, psdr, ratio, z_test
+
 from scenes import CASES, write_data
 
 #: Blocks a side of the z-test, independent images of each renderer.

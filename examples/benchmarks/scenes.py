@@ -108,9 +108,9 @@ def stage(objects: str, lights: str) -> str:
     """Return a floor with things on it under other lights."""
     head, _, _ = _box().partition('<bsdf type="diffuse" id="white">')
     head = head.replace('origin="0, 0, 3.9"', 'origin="0, 2.2, 5"').replace('target="0, 0, 0"', 'target="0, -0.3, 0"')
-    floor = """<shape type="rectangle" id="floor"><transform name="to_world"><scale value="4"/><rotate x="1" angle="-90"/>
-        <translate y="-1"/></transform><bsdf type="diffuse" id="ground"><rgb name="reflectance" value="0.6, 0.5, 0.4"/></bsdf>
-        </shape>"""
+    floor = """<shape type="rectangle" id="floor"><transform name="to_world"><scale value="4"/>
+        <rotate x="1" angle="-90"/><translate y="-1"/></transform>
+        <bsdf type="diffuse" id="ground"><rgb name="reflectance" value="0.6, 0.5, 0.4"/></bsdf></shape>"""
     return head + floor + objects + lights + "\n</scene>\n"
 
 
@@ -141,17 +141,22 @@ TEXTURED = """<bsdf type="diffuse" id="painted"><texture type="bitmap" name="ref
     <string name="filename" value="texture.png"/></texture></bsdf>"""
 BLUE = '<bsdf type="diffuse" id="blue"><rgb name="reflectance" value="0.2, 0.4, 0.7"/></bsdf>'
 SKY = '<emitter type="envmap" id="sky"><string name="filename" value="sky.exr"/></emitter>'
-DELTA = """<emitter type="point"><point name="position" x="1.2" y="0.8" z="1"/><rgb name="intensity" value="3, 2, 1"/></emitter>
-    <emitter type="spot"><transform name="to_world"><lookat origin="-1.5, 1.5, 1.5" target="0, -0.5, 0" up="0, 1, 0"/>
+DELTA = """<emitter type="point"><point name="position" x="1.2" y="0.8" z="1"/><rgb name="intensity" value="3, 2, 1"/>
+    </emitter>
+    <emitter type="spot"><transform name="to_world">
+    <lookat origin="-1.5, 1.5, 1.5" target="0, -0.5, 0" up="0, 1, 0"/>
     </transform><rgb name="intensity" value="4, 6, 8"/><float name="cutoff_angle" value="30"/></emitter>
-    <emitter type="directional"><vector name="direction" x="0.3" y="-1" z="-0.4"/><rgb name="irradiance" value="1, 1, 1"/>
-    </emitter>"""
+    <emitter type="directional"><vector name="direction" x="0.3" y="-1" z="-0.4"/>
+    <rgb name="irradiance" value="1, 1, 1"/></emitter>"""
 
 CASES = {
     "Cornell box": Case(_box()),
     "glass ball": Case(room(mesh("ball.ply", GLASS, scale=0.45)), 8),
     "glass ball, analytic": Case(
-        room(f'<shape type="sphere"><point name="center" x="0" y="-0.25" z="0"/><float name="radius" value="0.45"/>{GLASS}</shape>'),
+        room(
+            '<shape type="sphere"><point name="center" x="0" y="-0.25" z="0"/><float name="radius" value="0.45"/>'
+            f"{GLASS}</shape>"
+        ),
         8,
         exact=False,
     ),

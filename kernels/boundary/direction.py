@@ -125,8 +125,8 @@ def make_direction(config: PathConfig):
             if wp.static(bool(config.area)):
                 emitter = scene.shapes[scene.triangles[face].shape].emitter
                 if emitter >= 0 and wp.dot(scene.triangles[face].normal, w) < 0.0:
-                    e = scene.emitters[emitter]
-                    pdf = pdf_area(scene, e, face, w, t) * e.probability
+                    record = scene.emitters[emitter]
+                    pdf = pdf_area(scene, record, face, w, t) * record.probability
         return pdf
 
     return sample_direction, pdf_light

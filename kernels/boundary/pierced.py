@@ -9,8 +9,8 @@ from warp_psdr.kernels.bvh.wide import make_intersect
 from warp_psdr.kernels.structs import Scene
 from warp_psdr.kernels.surface import load_vec3
 
-#: Both ends of an edge are left out by this fraction of its length and this many ray epsilons: what merely touches an
-#: end, like a floor below the upright edges of a box, is a contact.
+#: Both ends of an edge are left out by this fraction of its length and this many ray epsilons, and so is the rim of a
+#: triangle in barycentrics: what merely touches there, like a floor and a box that stands on it, is a contact.
 END_FRACTION = 1.0e-3
 END_EPSILONS = 10.0
 #: Sine of the angle between an edge and a triangle below which the edge lies in the triangle's plane.
@@ -50,7 +50,8 @@ def make_pierced_kernel(backend: str, width: int):
             for j in range(edges.first[e], edges.first[e + 1]):
                 if edges.faces[j] == hit.face:
                     own = 1
-            if own == 0 and wp.abs(wp.dot(scene.triangles[hit.face].normal, d)) > PARALLEL:
+            inside = wp.min(wp.min(hit.u, hit.v), 1.0 - hit.u - hit.v) > END_FRACTION
+            if own == 0 and inside and wp.abs(wp.dot(scene.triangles[hit.face].normal, d)) > PARALLEL:
                 face_out[e] = hit.face
                 return
             t += hit.t + scene.ray_epsilon

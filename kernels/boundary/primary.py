@@ -7,7 +7,7 @@ points to and on the other [LADL18; survey eq. 4 on the film]. It is the local f
 gradient of N . pixel(x), u' . N = g . (x_b' - o' - |x_b - o| d'), the edge's velocity relative to its pixel's ray.
 
 Where the edge is hidden there is no jump. The two radiances are path-traced along rays that pass the edge on either
-side at a distance of a few ray epsilons, with common random numbers. Silhouettes, creases, and borders between
+side at a fraction of a ray epsilon, parallel to the line of sight, with common random numbers. Silhouettes, creases, and borders between
 materials or texture charts are one case: whatever does not jump cancels.
 """
 
@@ -25,8 +25,13 @@ from warp_psdr.kernels.path import PathConfig
 from warp_psdr.kernels.rng import Sampler, make_sampler
 from warp_psdr.kernels.structs import Camera, Scene
 
-#: Distance at which the two rays pass the edge, in ray epsilons.
-BESIDE = 2.0
+#: Distance at which the two rays pass the edge, in ray epsilons: some 15 float32 steps of the largest coordinate. A second
+#: discontinuity that is as near (a terminator just inside of a silhouette) is taken for the first, so it has to be small;
+#: the rays start close to the edge, where float32 resolves it.
+BESIDE = 0.2
+#: Distance in front of the edge at which the rays start, in ray epsilons: a triangle that the camera sees edge-on up to
+#: an angle of BESIDE / AHEAD, 10^-4 like the tolerance of flat edges, lies behind the start.
+AHEAD = 2000.0
 
 
 @functools.cache
@@ -93,12 +98,12 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
                 return
         sampler.index = wp.uint32(1)
         beside = (BESIDE * scene.ray_epsilon) * m
+        ahead = wp.min(AHEAD * scene.ray_epsilon, distance - at.near)
         jump = wp.vec3(0.0, 0.0, 0.0)
         for i in range(2):
             sign = 1.0 - 2.0 * wp.float32(i)
-            r = wp.normalize(point.x + sign * beside - at.origin)
-            o = at.origin + at.near * r
-            jump -= sign * radiance(scene, sampler, o, r, at.far - at.near, 0, max_depth, rr_depth)
+            o = point.x + sign * beside - ahead * d
+            jump -= sign * radiance(scene, sampler, o, d, at.far - distance, 0, max_depth, rr_depth)
         scale = 1.0 / (point.pdf * wp.float32(samples))
         if wp.static(role == "reverse"):
             scale *= wp.dot(weight, jump)

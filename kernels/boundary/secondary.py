@@ -70,9 +70,7 @@ def make_segment(config: PathConfig):
     sample_direction, pdf_light = make_direction(config)
 
     @wp.func
-    def segment(
-        scene: Scene, edges: Edges, point: EdgePoint, u4: wp.vec4, v4: wp.vec4, share: wp.float32
-    ) -> Segment:
+    def segment(scene: Scene, edges: Edges, point: EdgePoint, u4: wp.vec4, v4: wp.vec4, share: wp.float32) -> Segment:
         r = Segment()
         r.face2 = -1
         r.light = -1
@@ -146,7 +144,12 @@ def make_segment_sink(role: str, light_pose: bool):
 
     @wp.func
     def push_segment(
-        scene: Scene, target: wp.array(dtype=wp.float32), edges: Edges, point: EdgePoint, segment: Segment, w: wp.float32
+        scene: Scene,
+        target: wp.array(dtype=wp.float32),
+        edges: Edges,
+        point: EdgePoint,
+        segment: Segment,
+        w: wp.float32,
     ) -> wp.float32:
         _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
         g = w * segment.sweep
@@ -160,17 +163,17 @@ def make_segment_sink(role: str, light_pose: bool):
             total += pushed.dot
         if wp.static(light_pose):
             if segment.light >= 0:
-                e = scene.emitters[segment.light]
-                if e.kind == EMITTER_DIRECTIONAL:
-                    axis = load_column(scene.values, e.to_world, 2)
+                record = scene.emitters[segment.light]
+                if record.kind == EMITTER_DIRECTIONAL:
+                    axis = load_column(scene.values, record.to_world, 2)
                     d_axis, _a = wp.grad(directional_dot)(axis, -segment.t1 * g)
                     for i in range(3):
-                        total += sink(target, e.to_world + 4 * i + 2, d_axis[i])
-                elif e.kind == EMITTER_POINT:
-                    total += sink3(target, e.to_world, -segment.tau * g)
+                        total += sink(target, record.to_world + 4 * i + 2, d_axis[i])
+                elif record.kind == EMITTER_POINT:
+                    total += sink3(target, record.to_world, -segment.tau * g)
                 else:
                     for i in range(3):
-                        total += sink(target, e.to_world + 4 * i + 3, -segment.tau * g[i])
+                        total += sink(target, record.to_world + 4 * i + 3, -segment.tau * g[i])
         return total
 
     @wp.func
@@ -237,9 +240,7 @@ def make_secondary_kernel(config: PathConfig, role: str, camera_moves: bool, lig
         sampler.pixel = wp.uint32(number)
         sampler.seed = seed
         point = edge_point(scene, edges, number, samples, sample_1d(sampler, SLOT_EDGE))
-        s = segment_at(
-            scene, edges, point, sample_4d(sampler, SLOT_DIRECTION), sample_4d(sampler, SLOT_LIGHT), share
-        )
+        s = segment_at(scene, edges, point, sample_4d(sampler, SLOT_DIRECTION), sample_4d(sampler, SLOT_LIGHT), share)
         if s.valid == 0:
             return
         tri = scene.triangles[s.face1]
@@ -250,8 +251,8 @@ def make_secondary_kernel(config: PathConfig, role: str, camera_moves: bool, lig
         walk.v = s.v1
         walk.x = (1.0 - s.u1 - s.v1) * tri.p0 + s.u1 * tri.p1 + s.v1 * tri.p2
         walk.to = s.w
+        walk.weight = wp.vec3(1.0, 1.0, 1.0)
         scale = s.scale / wp.float32(samples)
-        walk.weight = wp.vec3(scale, scale, scale)
         # Velocities for a unit weight (forward), or weights of the velocities (reverse).
         moved = wp.float32(0.0)
         known = wp.int32(0)
@@ -270,7 +271,7 @@ def make_secondary_kernel(config: PathConfig, role: str, camera_moves: bool, lig
                         source = radiance(
                             scene, branch, s.x + scene.ray_epsilon * s.w, s.w, FAR, k, max_depth, rr_depth
                         )
-                    value = wp.cw_mul(seen.weight, source)
+                    value = scale * wp.cw_mul(seen.weight, source)
                     if wp.max(value) > 0.0:
                         ray = (walk.x - seen.at.origin) / wp.length(walk.x - seen.at.origin)
                         if wp.static(role == "reverse"):

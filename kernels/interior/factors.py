@@ -115,15 +115,15 @@ def make_light_sink(config: PathConfig, wanted: Wanted, role: str):
 
     @wp.func
     def radiance_of(scene: Scene, vertex: PathVertex, x: wp.vec3) -> wp.vec3:
-        e = scene.emitters[vertex.light]
+        emitter = scene.emitters[vertex.light]
         if wp.static(has_area):
-            if e.kind == EMITTER_AREA:
-                return emitted(scene, e, vertex.light_face, vertex.light_u, vertex.light_v, vertex.light_wi)
+            if emitter.kind == EMITTER_AREA:
+                return emitted(scene, emitter, vertex.light_face, vertex.light_u, vertex.light_v, vertex.light_wi)
         if wp.static(has_environment):
-            if e.kind == EMITTER_CONSTANT or e.kind == EMITTER_ENVMAP:
+            if emitter.kind == EMITTER_CONSTANT or emitter.kind == EMITTER_ENVMAP:
                 return environment_eval(scene, vertex.light_wi)
         if wp.static(has_delta_lights):
-            return sample(scene, e, x, wp.vec2(0.0, 0.0)).radiance
+            return sample(scene, emitter, x, wp.vec2(0.0, 0.0)).radiance
         return wp.vec3(0.0, 0.0, 0.0)
 
     @wp.func
@@ -140,14 +140,16 @@ def make_light_sink(config: PathConfig, wanted: Wanted, role: str):
         _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
         total = wp.float32(0.0)
         a_x = wp.vec3(0.0, 0.0, 0.0)
-        e = scene.emitters[vertex.light]
+        emitter = scene.emitters[vertex.light]
         if wp.static(has_area):
-            if e.kind == EMITTER_AREA:
+            if emitter.kind == EMITTER_AREA:
                 face = vertex.light_face
                 uv = light_uv(scene, face, vertex.light_u, vertex.light_v)
                 adjoint = VertexAdjoint()
                 if wp.static(wanted.radiance or wanted.to_uv or wanted.texcoords):
-                    ta = push_radiance(scene, target, e.texture, face, vertex.light_u, vertex.light_v, uv, w_radiance)
+                    ta = push_radiance(
+                        scene, target, emitter.texture, face, vertex.light_u, vertex.light_v, uv, w_radiance
+                    )
                     total += ta.dot
                     adjoint.uv = ta.uv
                 if wp.static(wanted.geometry):
@@ -168,14 +170,14 @@ def make_light_sink(config: PathConfig, wanted: Wanted, role: str):
                         total += pushed.dot
                 return a_x, total
         if wp.static(has_environment):
-            if e.kind == EMITTER_CONSTANT or e.kind == EMITTER_ENVMAP:
+            if emitter.kind == EMITTER_CONSTANT or emitter.kind == EMITTER_ENVMAP:
                 if wp.static(len(wanted.lights) > 0):
                     ea = environment_vjp(scene, target, vertex.light_wi, w_radiance)
                     total += ea.dot
                 return a_x, total
         if wp.static(has_delta_lights):
             if wp.static(len(wanted.lights) > 0 or wanted.geometry):
-                la = sample_vjp(scene, target, e, x, vertex.light_wi, w_radiance, a_wo)
+                la = sample_vjp(scene, target, emitter, x, vertex.light_wi, w_radiance, a_wo)
                 total += la.dot
                 a_x = la.x
         return a_x, total

@@ -112,9 +112,9 @@ def make_forward_kernel(config: PathConfig, wanted: Wanted):
         radiance = wp.vec3(0.0, 0.0, 0.0)
         wo = wp.vec3(0.0, 0.0, 0.0)
         log_g = wp.float32(0.0)
-        e = scene.emitters[vertex.light]
+        emitter = scene.emitters[vertex.light]
         if wp.static(bool(config.area)):
-            if e.kind == EMITTER_AREA:
+            if emitter.kind == EMITTER_AREA:
                 face = vertex.light_face
                 u = vertex.light_u
                 v = vertex.light_v
@@ -129,18 +129,20 @@ def make_forward_kernel(config: PathConfig, wanted: Wanted):
                     wo = normalize_jvp(vertex.light_wi, wp.length(r), r_dot)
                     log_g = log_geometry_jvp(wp.cross(tri.p1 - tri.p0, tri.p2 - tri.p0), r, moved.c, r_dot)
                 if wp.static(emission):
-                    radiance = emission_jvp(scene, tangents, e.texture, face, u, v, light_uv(scene, face, u, v), moved)
+                    radiance = emission_jvp(
+                        scene, tangents, emitter.texture, face, u, v, light_uv(scene, face, u, v), moved
+                    )
                 return radiance, wo, log_g
         if wp.static(environment):
-            if e.kind == EMITTER_CONSTANT or e.kind == EMITTER_ENVMAP:
+            if emitter.kind == EMITTER_CONSTANT or emitter.kind == EMITTER_ENVMAP:
                 radiance = environment_jvp(scene, tangents, vertex.light_wi, wp.vec3(0.0, 0.0, 0.0))
                 return radiance, wo, log_g
         if wp.static(delta_lights):
-            if e.kind != EMITTER_CONSTANT and e.kind != EMITTER_ENVMAP:
+            if emitter.kind != EMITTER_CONSTANT and emitter.kind != EMITTER_ENVMAP:
                 zero = wp.vec3(0.0, 0.0, 0.0)
                 for channel in range(3):
-                    a = light_vjp(scene, tangents, e, x, vertex.light_wi, axis_vec3(channel), zero)
-                    b = light_vjp(scene, tangents, e, x, vertex.light_wi, zero, axis_vec3(channel))
+                    a = light_vjp(scene, tangents, emitter, x, vertex.light_wi, axis_vec3(channel), zero)
+                    b = light_vjp(scene, tangents, emitter, x, vertex.light_wi, zero, axis_vec3(channel))
                     radiance[channel] = a.dot + wp.dot(a.x, x_dot)
                     wo[channel] = b.dot + wp.dot(b.x, x_dot)
         return radiance, wo, log_g
@@ -173,9 +175,9 @@ def make_forward_kernel(config: PathConfig, wanted: Wanted):
         shape = scene.shapes[surface.shape]
         if wp.static(emission):
             if shape.emitter >= 0 and vertex.e_weight > 0.0 and wp.dot(surface.ng, vertex.d) < 0.0:
-                e = scene.emitters[shape.emitter]
+                emitter = scene.emitters[shape.emitter]
                 e_dot = emission_jvp(
-                    scene, tangents, e.texture, vertex.face, vertex.u, vertex.v, surface.uv, moving.vertex
+                    scene, tangents, emitter.texture, vertex.face, vertex.u, vertex.v, surface.uv, moving.vertex
                 )
                 derivative += vertex.e_weight * wp.cw_mul(a_n, e_dot)
         if vertex.lobe == 0 and vertex.light < 0:

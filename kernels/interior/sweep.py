@@ -115,9 +115,9 @@ def make_sweep(config: PathConfig, wanted: Wanted, role: str):
         # E_n: emission met by the incoming ray.
         if wp.static(emission):
             if shape.emitter >= 0 and vertex.e_weight > 0.0 and wp.dot(surface.ng, vertex.d) < 0.0:
-                e = scene.emitters[shape.emitter]
+                emitter = scene.emitters[shape.emitter]
                 ta = push_emission(
-                    scene, target, e.texture, vertex.face, vertex.u, vertex.v, surface.uv, vertex.e_weight * a_n
+                    scene, target, emitter.texture, vertex.face, vertex.u, vertex.v, surface.uv, vertex.e_weight * a_n
                 )
                 total += ta.dot
                 adjoint.uv = ta.uv

@@ -22,7 +22,10 @@ def camera(origin=(0.0, -3.5, 3.0), target=(0.0, 0.0, 0.3), up=(0.0, 0.0, 1.0), 
 
 
 def diffuse(r, g=None, b=None):
-    return {"type": "diffuse", "reflectance": {"type": "rgb", "value": [r, r if g is None else g, r if b is None else b]}}
+    return {
+        "type": "diffuse",
+        "reflectance": {"type": "rgb", "value": [r, r if g is None else g, r if b is None else b]},
+    }
 
 
 def mesh(vertices, faces, bsdf, **more):
@@ -47,11 +50,15 @@ def box(center, half, bsdf, turn=0.0, split=False):
     vertices, faces = np.asarray(m.vertices) @ rotation.T + center, np.asarray(m.faces)
     if split:
         vertices, faces = vertices[faces.reshape(-1)], np.arange(faces.size).reshape(-1, 3)
-    return mesh(vertices, faces, bsdf)
+    return mesh(vertices, faces, bsdf, face_normals=True)
 
 
 def floor(z=0.0, half=3.0, bsdf=None):
-    return {"type": "rectangle", "to_world": T.translate([0, 0, z]) @ T.scale(half), "bsdf": bsdf or diffuse(0.7, 0.6, 0.5)}
+    return {
+        "type": "rectangle",
+        "to_world": T.translate([0, 0, z]) @ T.scale(half),
+        "bsdf": bsdf or diffuse(0.7, 0.6, 0.5),
+    }
 
 
 def panel(center, half, radiance=8.0):
@@ -74,11 +81,11 @@ def occluder():
     return ball((0.1, 0.1, 0.9), 0.4, diffuse(0.5, 0.4, 0.6))
 
 
-def silhouette(rfilter):
+def silhouette(rfilter, **more):
     return {
         "sensor": camera((0, -4, 0.5), (0, 0, 0), rfilter=rfilter),
         "sky": sky(),
-        "shape": ball((0.1, 0, 0.1), 0.8, diffuse(0.3, 0.5, 0.7)),
+        "shape": ball((0.1, 0, 0.1), 0.8, diffuse(0.3, 0.5, 0.7), **more),
     }
 
 
@@ -103,8 +110,8 @@ def envmap():
     return {"type": "envmap", "bitmap": bitmap, "to_world": T.rotate([1, 0, 0], 90)}
 
 
-def room(turn=0.3):
-    """Walls of one colour each, a light below the ceiling, and a box that stands on the floor."""
+def room(height=0.0, turn=0.3):
+    """Walls of one colour each, a light below the ceiling, and a box on the floor, or above it."""
     c = np.array([[x, y, z] for z in (0.0, 2.0) for y in (-1.0, 1.0) for x in (-1.0, 1.0)], np.float32)
     sides = {
         "ground": ([0, 1, 3, 2], (0.7, 0.7, 0.7)),
@@ -118,7 +125,7 @@ def room(turn=0.3):
         "sensor": camera((0, -4.0, 1.0), (0, 0, 1.0), fov=32.0),
         **walls,
         "light": panel((0.0, 0.1, 1.98), 0.4, 6.0),
-        "box": box((0.25, -0.2, 0.3), (0.3, 0.25, 0.3), diffuse(0.6, 0.6, 0.8), turn),
+        "box": box((0.25, -0.2, 0.3 + height), (0.3, 0.25, 0.3), diffuse(0.6, 0.6, 0.8), turn),
     }
 
 
@@ -126,6 +133,7 @@ SCENES = {
     "silhouette box": lambda: silhouette("box"),
     "silhouette tent": lambda: silhouette("tent"),
     "silhouette gaussian": lambda: silhouette("gaussian"),
+    "smooth": lambda: silhouette("tent", smooth=True),
     "split": lambda: {
         "sensor": camera((0, -4, 1.5), (0, 0, 0)),
         "sky": sky(),
@@ -134,7 +142,9 @@ SCENES = {
     "soft": lambda: under(panel((0.5, -0.3, 2.2), 0.35)),
     "sky": lambda: under(sky()),
     "envmap": lambda: under(envmap()),
-    "point": lambda: under({"type": "point", "position": [0.6, -0.4, 3.0], "intensity": {"type": "rgb", "value": 20.0}}),
+    "point": lambda: under(
+        {"type": "point", "position": [0.6, -0.4, 3.0], "intensity": {"type": "rgb", "value": 20.0}}
+    ),
     "spot": lambda: under(spot()),
     "sun": lambda: under(
         {
@@ -144,6 +154,7 @@ SCENES = {
         }
     ),
     "room": room,
+    "floating": lambda: room(0.1),
 }
 
 

@@ -53,11 +53,16 @@ def ball(inside: bool, subdivisions=2, **more):
 
 def ceiling(**more):
     """A shining square at z = 1.5 that faces down, larger than what the camera sees below it."""
-    to_world = psdr.Transform.translate([0.2, -0.1, 1.5]) @ psdr.Transform.rotate([1, 0, 0], 180) @ psdr.Transform.scale(2)
+    to_world = (
+        psdr.Transform.translate([0.2, -0.1, 1.5]) @ psdr.Transform.rotate([1, 0, 0], 180) @ psdr.Transform.scale(2)
+    )
     return {
         "type": "rectangle",
         "to_world": to_world,
-        "emitter": {"type": "area", "radiance": {"type": "bitmap", "bitmap": noise(4, 4, 3, low=1.5, high=3.0, seed=3)}},
+        "emitter": {
+            "type": "area",
+            "radiance": {"type": "bitmap", "bitmap": noise(4, 4, 3, low=1.5, high=3.0, seed=3)},
+        },
         **more,
     }
 
@@ -69,7 +74,9 @@ def rgb(*values):
 def environment(seed=5):
     turn = psdr.Transform.rotate([1, 0, 0], 90) @ psdr.Transform.rotate([0, 1, 0], 30)
     # A wave and a little noise: the derivative along a turn would drown in the slopes of plain noise.
-    wave = np.sin(np.arange(12) * np.pi / 6.0)[None, :, None] * np.sin((np.arange(6) + 0.5) * np.pi / 6.0)[:, None, None]
+    wave = (
+        np.sin(np.arange(12) * np.pi / 6.0)[None, :, None] * np.sin((np.arange(6) + 0.5) * np.pi / 6.0)[:, None, None]
+    )
     bitmap = (1.0 + 0.6 * wave * noise(3, seed=seed + 1) + 0.3 * noise(6, 12, 3, seed=seed)).astype(np.float32)
     return {"type": "envmap", "bitmap": bitmap, "to_world": turn, "scale": 1.3}
 
@@ -156,6 +163,7 @@ SCENES = {
     "mirror": mirror_scene,
     "glass": glass_scene,
 }
+
 
 @functools.cache
 def load(name: str):

@@ -58,9 +58,7 @@ def record_paths(config, scene, camera, seed, spp, max_depth, rr_depth):
 
 
 @wp.func
-def point_on(
-    positions: wp.array(dtype=wp.vec3), faces: wp.array2d(dtype=wp.int32), f: wp.int32, b: wp.vec2
-) -> wp.vec3:
+def point_on(positions: wp.array(dtype=wp.vec3), faces: wp.array2d(dtype=wp.int32), f: wp.int32, b: wp.vec2) -> wp.vec3:
     p0 = positions[faces[f, 0]]
     p1 = positions[faces[f, 1]]
     p2 = positions[faces[f, 2]]
@@ -181,9 +179,7 @@ def gradients(scene, vertices, camera_position, albedo, radiance, adjoint):
     def fixed(a, dtype):
         return wp.array(np.ascontiguousarray(a), dtype=dtype, device="cpu")
 
-    attached = [
-        wp.array(a, dtype=wp.vec3, device="cpu", requires_grad=True) for a in (positions, albedo, radiance)
-    ]
+    attached = [wp.array(a, dtype=wp.vec3, device="cpu", requires_grad=True) for a in (positions, albedo, radiance)]
     loss = wp.zeros(1, dtype=wp.float32, device="cpu", requires_grad=True)
     tape = wp.Tape()
     with tape:

@@ -1,0 +1,174 @@
+"""The terminator of interpolated normals as the camera sees it: another discontinuity on the film.
+
+Where a shading normal n turns away from the camera while its triangle does not, one-sided materials turn black and
+two-sided ones show their other side: the radiance jumps along phi = n . (o - x) = 0. The finer a mesh, the closer
+that curve moves to the silhouette, but the jump does not shrink with it; without it the silhouette's own term, whose
+foreground is then the far side of the terminator, is wrong by as much. With fixed film position q and H the radiance
+where phi > 0 minus that where phi < 0,
+
+    dI_j = integral h H phi' delta(phi) dq = integral over the curve of h H phi' |det dq/d(u, v)| / |grad phi| dl,
+
+phi' the velocity of phi along the attached pixel ray and l the curve's length in barycentrics (u, v). On a line of
+constant barycentric b_a phi is quadratic: its roots sample the curve. With a one of the three at random the density is
+(|phi_u| + |phi_v| + |phi_u - phi_v|) / (3 |grad phi|), which nowhere vanishes.
+"""
+
+import functools
+
+import warp as wp
+
+from warp_psdr.kernels.autodiff import anchor
+from warp_psdr.kernels.boundary.detector import make_radiance
+from warp_psdr.kernels.boundary.primary import AHEAD, BESIDE
+from warp_psdr.kernels.boundary.projection import film_velocity, make_splat, project
+from warp_psdr.kernels.bvh.wide import make_intersect
+from warp_psdr.kernels.camera import make_camera_sink
+from warp_psdr.kernels.distribution import find_interval
+from warp_psdr.kernels.path import PathConfig
+from warp_psdr.kernels.rng import Sampler, make_sampler
+from warp_psdr.kernels.structs import Camera, Scene
+from warp_psdr.kernels.surface import VertexAdjoint, load_vec3, make_vertex_sink
+
+#: Least cosine of the line of sight with the triangle that the distance of the two rays along it is scaled by.
+MIN_COSINE = 0.02
+
+
+@wp.func
+def corner(face_normals: wp.mat33, i: wp.int32) -> wp.vec3:
+    return wp.vec3(face_normals[i, 0], face_normals[i, 1], face_normals[i, 2])
+
+
+@wp.func
+def phi_at(p: wp.mat33, n: wp.mat33, b: wp.vec3, o: wp.vec3) -> wp.float32:
+    """n . (o - x) at barycentrics b, with the rows of p and n the corners' positions and normals."""
+    return wp.dot(wp.transpose(n) * b, o - wp.transpose(p) * b)
+
+
+@wp.func
+def barycentrics(axis: wp.int32, w: wp.float32, r: wp.float32) -> wp.vec3:
+    b = wp.vec3(0.0, 0.0, 0.0)
+    b[axis] = w
+    b[(axis + 1) % 3] = (1.0 - w) * r
+    b[(axis + 2) % 3] = (1.0 - w) * (1.0 - r)
+    return b
+
+
+@functools.cache
+def make_terminator_kernel(config: PathConfig, role: str, camera_moves: bool):
+    """Return the kernel: one thread a sample (arguments as in ``secondary.py``)."""
+    _closest_hit, any_hit = make_intersect(config.ray_backend, config.ray_width)
+    radiance = make_radiance(config)
+    push_vertex = make_vertex_sink(role, True, config.flat, False, False, False, True)
+    push_camera = make_camera_sink(role) if camera_moves else None
+    splat, gather = make_splat()
+    sample_4d = make_sampler(config.sampler).sample_4d
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def terminator(
+        # Scene:
+        scene: Scene,
+        camera: Camera,
+        face_cdf: wp.array(dtype=wp.float32),
+        faces: wp.array(dtype=wp.int32),
+        # In:
+        first: wp.int32,
+        samples: wp.int32,
+        seed: wp.uint32,
+        max_depth: wp.int32,
+        rr_depth: wp.int32,
+        adjoint: wp.array2d(dtype=wp.vec3),
+        # Out:
+        target: wp.array(dtype=wp.float32),
+        image_out: wp.array2d(dtype=wp.vec3),
+    ):
+        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
+        number = first + wp.tid()
+        sampler = Sampler()
+        sampler.pixel = wp.uint32(number)
+        sampler.seed = seed
+        u4 = sample_4d(sampler, 0)
+        cell = find_interval(face_cdf, 0, faces.shape[0], u4[0])
+        probability = face_cdf[cell + 1] - face_cdf[cell]
+        face = faces[cell]
+        tri = scene.triangles[face]
+        shape = scene.shapes[tri.shape]
+        p = wp.matrix_from_rows(tri.p0, tri.p1, tri.p2)
+        n = wp.matrix_from_rows(
+            load_vec3(scene.values, shape.normal_offset + 3 * tri.i0),
+            load_vec3(scene.values, shape.normal_offset + 3 * tri.i1),
+            load_vec3(scene.values, shape.normal_offset + 3 * tri.i2),
+        )
+        i = camera.to_world
+        o = wp.vec3(scene.values[i + 3], scene.values[i + 7], scene.values[i + 11])
+        axis = wp.min(wp.int32(3.0 * u4[1]), 2)
+        w = u4[2]
+        # phi(r) = a r^2 + b r + c from three of its values.
+        c = phi_at(p, n, barycentrics(axis, w, 0.0), o)
+        middle = phi_at(p, n, barycentrics(axis, w, 0.5), o)
+        end = phi_at(p, n, barycentrics(axis, w, 1.0), o)
+        a = 2.0 * (end + c - 2.0 * middle)
+        b = end - c - a
+        discriminant = b * b - 4.0 * a * c
+        if discriminant <= 0.0:
+            return
+        half = -0.5 * (b + wp.where(b >= 0.0, wp.sqrt(discriminant), -wp.sqrt(discriminant)))
+        e1 = tri.p1 - tri.p0
+        e2 = tri.p2 - tri.p0
+        for k in range(2):
+            r = wp.float32(-1.0)
+            if k == 0 and wp.abs(half) > wp.abs(a) * 1.0e-12:
+                r = c / half
+            if k == 1 and wp.abs(half) < wp.abs(a):
+                r = half / a
+            if r > 0.0 and r < 1.0:
+                at_b = barycentrics(axis, w, r)
+                x = wp.transpose(p) * at_b
+                raw = wp.transpose(n) * at_b
+                size = wp.length(raw)
+                at = project(scene, camera, x)
+                if at.valid == 1 and size > 0.0:
+                    to = o - x
+                    distance = wp.length(to)
+                    view = to / distance
+                    phi_u = wp.dot(corner(n, 1) - corner(n, 0), to) - wp.dot(raw, e1)
+                    phi_v = wp.dot(corner(n, 2) - corner(n, 0), to) - wp.dot(raw, e2)
+                    speed_sum = wp.abs(phi_u) + wp.abs(phi_v) + wp.abs(phi_u - phi_v)
+                    q1 = film_velocity(scene, camera, at, e1)
+                    q2 = film_velocity(scene, camera, at, e2)
+                    area = wp.abs(q1[0] * q2[1] - q1[1] * q2[0])
+                    cosine = wp.dot(tri.normal, view)
+                    start = x + wp.where(cosine >= 0.0, scene.ray_epsilon, -scene.ray_epsilon) * tri.normal
+                    back = o - start
+                    length = wp.length(back)
+                    hidden = any_hit(scene.accel, start, back / length, length - at.near)
+                    weight = wp.vec3(1.0, 1.0, 1.0)
+                    if wp.static(role == "reverse"):
+                        weight = gather(camera, at.pixel, adjoint)
+                    if not hidden and speed_sum > 0.0 and wp.length_sq(weight) > 0.0:
+                        step = phi_u * e1 + phi_v * e2
+                        apart = BESIDE * scene.ray_epsilon / wp.max(wp.abs(cosine), MIN_COSINE)
+                        step = (apart / wp.length(step)) * step
+                        ahead = wp.min(AHEAD * scene.ray_epsilon, distance - at.near)
+                        branch = sampler
+                        branch.index = wp.uint32(1)
+                        jump = wp.vec3(0.0, 0.0, 0.0)
+                        for side in range(2):
+                            sign = 1.0 - 2.0 * wp.float32(side)
+                            near_x = x + sign * step + ahead * view
+                            far = at.far - distance
+                            jump += sign * radiance(scene, branch, near_x, -view, far, 0, max_depth, rr_depth)
+                        g = 3.0 * size * area / (speed_sum * probability * wp.float32(samples))
+                        if wp.static(role == "reverse"):
+                            g *= wp.dot(weight, jump)
+                        unit = raw / size
+                        vertex = VertexAdjoint()
+                        vertex.x = -g * unit
+                        vertex.n = (shape.orientation * g) * to
+                        pushed = push_vertex(scene, target, face, at_b[1], at_b[2], vertex, True, o, -view)
+                        moved = pushed.dot
+                        if wp.static(camera_moves):
+                            moved += push_camera(scene, target, camera, at.film, g * unit + pushed.o, pushed.d)
+                        if wp.static(role == "forward"):
+                            splat(camera, at.pixel, moved * jump, image_out)
+
+    return terminator

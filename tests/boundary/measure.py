@@ -1,0 +1,128 @@
+"""Derivative images, all terms together, against central finite differences.
+
+Both are weighted by a finite difference with other random numbers and summed over the image, batch by batch. So the
+ratio of the sums is the regression of one image on the other, without the bias of noisy weights.
+"""
+
+import functools
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+import warp_psdr as psdr
+
+from .scenes import load
+
+BATCHES = 8
+#: Largest error of a slope, as the project promises. Three standard errors of a comparison have to fit into it.
+SLOPE_TOLERANCE = 0.02
+STANDARD_ERRORS = 3.0
+#: What the remainder of the difference, of second order in the step, may leave: steps are a twentieth of a pixel.
+REMAINDER = 0.01
+SEED, WEIGHT_SEED = 100, 900
+
+
+@dataclass(frozen=True)
+class Case:
+    """One row.
+
+    Attributes:
+        scene: key of ``scenes.SCENES``.
+        parameter: name of the parameter, or several that move together.
+        tangent: values -> direction, in the shape of the values.
+        step: of the difference.
+        what: tells rows of one parameter apart.
+        depth: most path vertices.
+        spp: of a batch of derivatives; differences take ``difference_spp``.
+        slow: left out of the fast subset.
+    """
+
+    scene: str
+    parameter: str | tuple[str, ...]
+    tangent: Callable[[np.ndarray], np.ndarray]
+    step: float
+    what: str
+    depth: int = 2
+    spp: int = 256
+    difference_spp: int = 1024
+    slow: bool = True
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return (self.parameter,) if isinstance(self.parameter, str) else self.parameter
+
+    def __str__(self) -> str:
+        return f"{self.scene}, {self.what}, depth {self.depth}"
+
+
+def move(params, values: dict) -> None:
+    for name, value in values.items():
+        params[name] = value.astype(np.float32)
+    params.update()
+
+
+@functools.cache
+def differences(case: Case) -> tuple[dict, np.ndarray, np.ndarray]:
+    """Return (tangents, weights, weighted differences of the batches)."""
+    scene, params = load(case.scene)
+    base = {n: params[n].numpy().astype(np.float64) for n in case.names}
+    tangents = {n: np.asarray(case.tangent(v), np.float64) for n, v in base.items()}
+
+    def image(sign: float, seed: int) -> np.ndarray:
+        move(params, {n: base[n] + sign * case.step * t for n, t in tangents.items()})
+        integrator = psdr.PathIntegrator(max_depth=case.depth)
+        return psdr.render(scene, integrator=integrator, spp=case.difference_spp, seed=seed).numpy().astype(np.float64)
+
+    def difference(seed: int) -> np.ndarray:
+        return (image(1.0, seed) - image(-1.0, seed)) / (2.0 * case.step)
+
+    try:
+        weights = np.mean([difference(WEIGHT_SEED + b) for b in range(2)], axis=0)
+        sums = np.array([(weights * difference(SEED + b)).sum() for b in range(BATCHES)])
+    finally:
+        move(params, base)
+    scale = np.abs(weights).max()
+    assert scale > 0.0, "the parameter has no influence on the image"
+    return tangents, weights / scale, sums / scale
+
+
+def derivatives(case: Case, mode: str, boundary="auto") -> np.ndarray:
+    """Return the weighted derivative of every batch."""
+    scene, params = load(case.scene)
+    tangents, weights, _sums = differences(case)
+    options = {"integrator": psdr.PathIntegrator(max_depth=case.depth, boundary=boundary), "spp": case.spp}
+    sums = []
+    for batch in range(BATCHES):
+        if mode == "forward":
+            given = {n: t.astype(np.float32) for n, t in tangents.items()}
+            image = psdr.render_forward(scene, params, given, seed=SEED + batch, **options).numpy()
+            sums.append(float((weights * image).sum()))
+        else:
+            params.requires_grad(*case.names)
+            params.zero_grad()
+            psdr.render_backward(scene, params, weights.astype(np.float32), seed=SEED + batch, **options)
+            sums.append(sum(float((params[n].grad.numpy().astype(np.float64) * t).sum()) for n, t in tangents.items()))
+    return np.array(sums)
+
+
+def slope(derivative: np.ndarray, difference: np.ndarray) -> tuple[float, float]:
+    """Return the slope and its standard error."""
+    count = len(derivative)
+    ratio = derivative.mean() / difference.mean()
+    variance = derivative.var(ddof=1) / derivative.mean() ** 2 + difference.var(ddof=1) / difference.mean() ** 2
+    return float(ratio), float(abs(ratio) * np.sqrt(variance / count))
+
+
+def assert_agrees(derivative: np.ndarray, difference: np.ndarray) -> None:
+    """Fail unless the slope is 1 within SLOPE_TOLERANCE and within its own error, and the error is small.
+
+    Raises:
+        AssertionError: also for a derivative, or a difference, of zero.
+    """
+    assert np.isfinite(derivative).all() and np.isfinite(difference).all(), "not finite"
+    assert derivative.mean() != 0.0, "a derivative of zero"
+    value, error = slope(derivative, difference)
+    assert STANDARD_ERRORS * error <= SLOPE_TOLERANCE, f"too noisy to tell: slope {value:.4f} +- {error:.4f}"
+    assert abs(value - 1.0) <= SLOPE_TOLERANCE, f"slope {value:.4f} +- {error:.4f}"
+    assert abs(value - 1.0) <= STANDARD_ERRORS * error + REMAINDER, f"z-test: slope {value:.4f} +- {error:.4f}"
