@@ -110,7 +110,7 @@ def test_without_the_mark_the_derivative_is_silently_lost(tmp_path):
     # repaired it and the mark may go.
     numbers, sources = run_alone(NESTED.format(mark=""), tmp_path / "unmarked")
     assert numbers == [54.0, 0.0]
-    assert any("adj_leaf_0" in adjoints(source)[1] for source in sources)
+    assert any(adjoints(source)[1] for source in sources)
 
 
 def test_the_mark_reaches_the_whole_call_tree():

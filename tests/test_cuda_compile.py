@@ -173,6 +173,7 @@ FACTORIES = {
         ("forward, textures", (TEXTURED, "forward", True, False), SLOW),
         ("reverse, lights", (ALL_LIGHTS, "reverse", True, True), SLOW),
     ],
+    "boundary.terminator.make_terminator_kernel": [("reverse, materials", (MATERIALS, "reverse", True), SLOW)],
 }
 
 

@@ -278,7 +278,7 @@ def test_patterns_name_what_is_differentiated(loaded):
     params.requires_grad("sensor.x_fov")
     assert params.requested == ["sensor.x_fov"]
     assert params[ALBEDO].grad is None
-    assert "x_fov" in [line for line in repr(params).splitlines() if "gradient requested" in line][0]
+    assert "x_fov" in next(line for line in repr(params).splitlines() if "gradient requested" in line)
     with pytest.raises(KeyError):
         params.requires_grad("*.colour")
     params.requires_grad()

@@ -6,7 +6,7 @@ from abc import ABC
 from dataclasses import dataclass
 
 
-class Method(ABC):
+class Method(ABC):  # noqa: B024
     """A way to estimate the boundary term."""
 
     @property

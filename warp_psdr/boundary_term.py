@@ -62,7 +62,7 @@ def motion(scene: Scene, names: list[str]) -> Motion:
     )
 
 
-def choose(scene: Scene, config: PathConfig, integrator: PathIntegrator, names: list[str], moving: tuple) -> PathSpace:
+def choose(scene: Scene, config: PathConfig, integrator: PathIntegrator, names: list[str], moving: tuple) -> Method:
     """Return the method that estimates the boundary term of the named parameters.
 
     Args:
@@ -107,8 +107,8 @@ def _uncovered(scene: Scene, config: PathConfig, names: list[str], max_depth: in
                 return "a spot light's cone has a hard edge; make beam_width smaller than cutoff_angle"
     if max_depth != 1 and max_depth != 2 and bent_faces(scene).any():
         return (
-            "interpolated normals turn away from other surfaces in curves, which are covered for the camera's view only; "
-            "use max_depth=2, or face_normals=True on the meshes"
+            "the curves along which interpolated normals turn away are covered as the camera sees them, not as other "
+            "surfaces do; use max_depth=2, or face_normals=True on the meshes"
         )
     return _intersection(scene, moves)
 

@@ -133,7 +133,7 @@ def scene_adjacency(scene: Scene) -> Adjacency:
     if kept is not None and np.array_equal(kept[0], points):
         return kept[1]
     found = adjacency(points, scene.builder.indices)
-    scene._edges = (points, found)  # type: ignore[attr-defined]
+    scene._edges = (points.copy(), found)  # type: ignore[attr-defined]
     return found
 
 

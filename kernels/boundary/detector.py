@@ -7,8 +7,11 @@ cosine of its outgoing direction, as everywhere here,
 
     W(x, to) = integral W(y, -w) f_s(w, to) |n . w| / |n . to| dsigma(w),      y what the direction w meets,
 
-and at every vertex it is connected to the pinhole: W_camera(x, to) = f_s(w_c, to) / |n . to| . |n . w_c| / r^2 . density
-(``projection.py``). n is the geometric normal; the cosine with the shading normal sits in f_s, as in the interior term.
+and at every vertex it is connected to the pinhole:
+
+    W_camera(x, to) = f_s(w_c, to) / |n . to| . |n . w_c| / r^2 . density               (``projection.py``).
+
+n is the geometric normal; the cosine with the shading normal sits in f_s, as in the interior term.
 The vertices between x_1 and the camera only carry values here, not derivatives.
 """
 

@@ -10,7 +10,8 @@ W_1 and L_2 the importance and the radiance along the segment *past* the occlude
 through t and omega, turned towards the occluder's interior, and ' the velocities: of x_b the edge's, of x_1 and x_2
 those of the parametrisation that the interior term uses for these vertices (``interior/replay.py``). The bracket is the
 velocity of the edge relative to the line between the end points at x_b. Since sin(phi) n = +- t x omega, the normal and
-the sine come as one vector, the *sweep*. Equivalent to survey eq. 17 with V of [ZMY*20], without a normal at x_1 or x_2.
+the sine come as one vector, the *sweep*. Equivalent to survey eq. 17 with V of [ZMY*20], but no normal is needed at
+x_1 or x_2.
 
 In material form only the background counts: domains are fixed, and the radiance of the occluder itself does not jump in
 them. In the film's parametrisation (``primary.py``) it is background minus foreground.

@@ -7,8 +7,8 @@ points to and on the other [LADL18; survey eq. 4 on the film]. It is the local f
 gradient of N . pixel(x), u' . N = g . (x_b' - o' - |x_b - o| d'), the edge's velocity relative to its pixel's ray.
 
 Where the edge is hidden there is no jump. The two radiances are path-traced along rays that pass the edge on either
-side at a fraction of a ray epsilon, parallel to the line of sight, with common random numbers. Silhouettes, creases, and borders between
-materials or texture charts are one case: whatever does not jump cancels.
+side at a fraction of a ray epsilon, parallel to the line of sight, with common random numbers. Silhouettes, creases,
+and borders between materials or texture charts are one case: whatever does not jump cancels.
 """
 
 import functools
@@ -25,9 +25,9 @@ from warp_psdr.kernels.path import PathConfig
 from warp_psdr.kernels.rng import Sampler, make_sampler
 from warp_psdr.kernels.structs import Camera, Scene
 
-#: Distance at which the two rays pass the edge, in ray epsilons: some 15 float32 steps of the largest coordinate. A second
-#: discontinuity that is as near (a terminator just inside of a silhouette) is taken for the first, so it has to be small;
-#: the rays start close to the edge, where float32 resolves it.
+#: Distance at which the two rays pass the edge, in ray epsilons: some 15 float32 steps of the largest coordinate. It is
+#: small because a second discontinuity as near (a terminator just inside of a silhouette) is taken for the first; the
+#: rays start close to the edge, where float32 resolves it.
 BESIDE = 0.2
 #: Distance in front of the edge at which the rays start, in ray epsilons: a triangle that the camera sees edge-on up to
 #: an angle of BESIDE / AHEAD, 10^-4 like the tolerance of flat edges, lies behind the start.

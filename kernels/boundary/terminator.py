@@ -40,7 +40,7 @@ def corner(face_normals: wp.mat33, i: wp.int32) -> wp.vec3:
 
 @wp.func
 def phi_at(p: wp.mat33, n: wp.mat33, b: wp.vec3, o: wp.vec3) -> wp.float32:
-    """n . (o - x) at barycentrics b, with the rows of p and n the corners' positions and normals."""
+    """Return n . (o - x) at barycentrics b, with the rows of p and n the corners' positions and normals."""
     return wp.dot(wp.transpose(n) * b, o - wp.transpose(p) * b)
 
 

@@ -110,8 +110,8 @@ def slope(derivative: np.ndarray, difference: np.ndarray) -> tuple[float, float]
     """Return the slope and its standard error."""
     count = len(derivative)
     ratio = derivative.mean() / difference.mean()
-    variance = derivative.var(ddof=1) / derivative.mean() ** 2 + difference.var(ddof=1) / difference.mean() ** 2
-    return float(ratio), float(abs(ratio) * np.sqrt(variance / count))
+    variance = derivative.var(ddof=1) + ratio**2 * difference.var(ddof=1)
+    return float(ratio), float(np.sqrt(variance / count) / abs(difference.mean()))
 
 
 def assert_agrees(derivative: np.ndarray, difference: np.ndarray) -> None:

@@ -53,8 +53,14 @@ def sun_turns(values):
 
 
 ALONG = moved(1.0, 0.3, 0.4)
-SHAPE, OCCLUDER, FLOOR, LIGHT = "shape.vertex_positions", "occluder.vertex_positions", "floor.to_world", "light.to_world"
+SHAPE, OCCLUDER, FLOOR, LIGHT = (
+    "shape.vertex_positions",
+    "occluder.vertex_positions",
+    "floor.to_world",
+    "light.to_world",
+)
 PANEL, BOX = "light.vertex_positions", "box.vertex_positions"
+RECEIVER = "receiver moves along its normal"
 CASES = [
     # Shapes under constant light: the primary boundary.
     Case("silhouette tent", SHAPE, ALONG, 0.01, "moves", slow=False),
@@ -67,18 +73,27 @@ CASES = [
     Case("split", SHAPE, turned(2), 0.02, "turns", difference_spp=2048),
     # Soft shadows.
     Case("soft", OCCLUDER, ALONG, 0.01, "occluder moves", difference_spp=2048, slow=False),
-    Case("soft", FLOOR, moved(0.2, 0.1, 1.0), 0.01, "receiver moves along its normal", difference_spp=2048, slow=False),
+    Case(
+        "soft",
+        FLOOR,
+        moved(0.2, 0.1, 1.0),
+        0.01,
+        RECEIVER,
+        spp=512,
+        difference_spp=4096,
+        slow=False,
+    ),
     Case("soft", PANEL, ALONG, 0.02, "light moves"),
     Case("soft", PANEL, scaled, 0.04, "light scales"),
     Case("sky", OCCLUDER, ALONG, 0.01, "occluder moves", difference_spp=4096),
     Case("envmap", OCCLUDER, ALONG, 0.01, "occluder moves", spp=512, difference_spp=8192),
     # Hard shadows.
     Case("point", OCCLUDER, ALONG, 0.01, "occluder moves"),
-    Case("point", FLOOR, moved(0.2, 0.1, 1.0), 0.01, "receiver moves along its normal", difference_spp=2048),
+    Case("point", FLOOR, moved(0.2, 0.1, 1.0), 0.01, RECEIVER, difference_spp=2048),
     Case("point", "light.position", ALONG, 0.01, "light moves"),
     Case("spot", LIGHT, ALONG, 0.01, "light moves"),
     Case("sun", OCCLUDER, ALONG, 0.005, "occluder moves", difference_spp=8192),
-    Case("sun", FLOOR, moved(0.2, 0.1, 1.0), 0.01, "receiver moves along its normal", difference_spp=2048),
+    Case("sun", FLOOR, moved(0.2, 0.1, 1.0), 0.01, RECEIVER, difference_spp=2048),
     Case("sun", LIGHT, sun_turns, 0.01, "light turns", difference_spp=8192),
     # The camera, which moves primary and secondary boundaries.
     Case("soft", "sensor.to_world", ALONG, 0.01, "camera moves", difference_spp=2048),

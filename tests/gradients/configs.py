@@ -161,7 +161,7 @@ PLANE = [
     Case("plane", "floor.to_world", shift(1.0, 0.5, 0.0), 4e-3, "in plane", spp=128),
     Case("plane", "floor.to_world", turn(0.5, 0.8, 0.2), 2e-2, "turn", spp=256),
     Case("plane", "floor.to_world", same, 4e-3, "scale", spp=128),
-    Case("plane", "floor.vertex_normals", turn(0.5, 0.8, 0.2), 2e-2, spp=64),
+    Case("plane", "floor.vertex_normals", turn(0.5, 0.8, 0.2), 2e-2, spp=2048, slow=True),
     Case("plane", "floor.vertex_positions", shift(0.5, 0.3, 0.8), 4e-3, spp=128),
 ]
 DOME = [
@@ -175,14 +175,14 @@ GAP = [
     Case("gap", "ceiling.emitter.radiance.data", texel_wave, 5e-2, depth=4),
     Case("gap", "ceiling.emitter.radiance.to_uv", slide, 1e-2, depth=4, spp=128),
     Case("gap", "ceiling.to_world", shift(0.0, 0.0, 1.0), 4e-2, "along the normal", depth=4, spp=256),
-    Case("gap", "ceiling.to_world", shift(1.0, 0.5, 0.0), 8e-2, "in plane", depth=4, spp=2048, slow=True),
+    Case("gap", "ceiling.to_world", same, 4e-2, "scale", depth=4, spp=1024, slow=True),
     Case("gap", "ceiling.to_world", turn(0.5, 0.8, 0.2), 8e-2, "turn", depth=4, spp=1024, slow=True),
     Case("gap", "ceiling.vertex_positions", mixed, 4e-2, depth=4, spp=2048, slow=True),
     Case("gap", "floor.vertex_positions", shift(0.0, 0.0, 1.0), 4e-2, "along the normal", depth=4, spp=256),
     Case("gap", "floor.vertex_positions", bend, 8e-2, "bend", depth=4, spp=512),
     Case("gap", "floor.vertex_positions", bend, 8e-2, "bend", depth=2, spp=512, slow=True),
     Case("gap", "floor.vertex_positions", bend, 8e-2, "bend", depth=6, spp=1024, slow=True),
-    Case("gap", "sensor.to_world", aim(0.3, 0.8, 0.4), 1e-2, "aim", depth=4, spp=256, slow=True),
+    Case("gap", "sensor.to_world", aim(0.3, 0.8, 0.4), 1e-2, "aim", depth=4, spp=2048, slow=True),
 ]
 ROUGH = [
     Case("rough", "floor.bsdf.alpha.value", ones, 1e-2, depth=2, spp=256),

@@ -2,7 +2,8 @@
 
 A difference renders the primal image twice with the random numbers of the gradient pass (its stream is patched) and
 with the light selection of the unmoved scene, which stays a valid estimator. So the noise that both share cancels:
-for parameters that no sampling decision depends on a difference equals the derivative up to rounding.
+for parameters that no sampling decision depends on a difference equals the derivative up to rounding. That takes a box
+filter: under wider ones primal images splat their samples, while gradient passes draw positions from the filter.
 """
 
 import contextlib

@@ -85,7 +85,7 @@ def plane_scene():
     to_uv = np.array([[1.1, 0.2, 0.1], [-0.1, 0.9, 0.3], [0.0, 0.0, 1.0]])
     texture = {"type": "bitmap", "bitmap": noise(6, 6, 3, seed=1), "to_uv": to_uv}
     return {
-        "sensor": camera([0.3, -0.6, 2.5], [0.1, 0.0, 0.0], rfilter="tent"),
+        "sensor": camera([0.3, -0.6, 2.5], [0.1, 0.0, 0.0]),
         "floor": {
             "type": "rectangle",
             "to_world": psdr.Transform.scale(4),

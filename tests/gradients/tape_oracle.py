@@ -1,9 +1,9 @@
 """The oracle: ``wp.Tape`` differentiates an unrolled path. Slow, depth at most DEPTH, diffuse surfaces, area lights.
 
 A recorder runs the path loop of the renderer and writes down every decision: faces, barycentrics, light points, pdfs.
-``contribution`` then recomputes each path from those decisions in plain Warp, in material form (survey eq. 10): vertices
-ride on their triangles, every connection carries G J / (G J)_det, the first vertex is where a fixed camera ray meets its
-attached triangle. It shares no derivative, and no factor, with the renderer.
+``contribution`` then recomputes each path from those decisions in plain Warp, in material form (survey eq. 10):
+vertices ride on their triangles, every connection carries G J / (G J)_det, the first vertex is where a fixed camera ray
+meets its attached triangle. It shares no derivative, and no factor, with the renderer.
 """
 
 import numpy as np

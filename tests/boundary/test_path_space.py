@@ -1,0 +1,170 @@
+"""boundary.PathSpace: its two modes agree, its results are reproducible, and what it does not cover it refuses."""
+
+import numpy as np
+import pytest
+
+import warp_psdr as psdr
+
+from .scenes import T, ball, box, camera, diffuse, floor, load, mesh, panel, sky, under
+
+OCCLUDER = "occluder.vertex_positions"
+
+
+def scene_of(**objects):
+    scene = psdr.load_dict({"type": "scene", "sensor": camera(), **objects})
+    return scene, psdr.traverse(scene)
+
+
+def gradients(scene, params, names, adjoint, **options):
+    params.requires_grad(*names)
+    params.zero_grad()
+    psdr.render_backward(scene, params, adjoint, **options)
+    return {n: params[n].grad.numpy().copy() for n in names}
+
+
+@pytest.mark.parametrize(
+    ("name", "names"),
+    [
+        ("soft", [OCCLUDER, "floor.to_world", "light.vertex_positions", "sensor.to_world", "sensor.x_fov"]),
+        pytest.param("spot", [OCCLUDER, "light.to_world"], marks=pytest.mark.slow),
+        pytest.param("sun", [OCCLUDER, "light.to_world"], marks=pytest.mark.slow),
+        pytest.param("smooth", ["shape.vertex_positions", "sensor.to_world"], marks=pytest.mark.slow),
+    ],
+)
+def test_the_modes_are_transposes_of_each_other(name, names) -> None:
+    scene, params = load(name)
+    random = np.random.default_rng(1)
+    tangents = {n: random.normal(size=params[n].numpy().shape).astype(np.float32) for n in names}
+    for t in tangents.values():
+        if t.shape == (4, 4):
+            t[3] = 0.0
+    adjoint = random.uniform(0.5, 1.5, (16, 16, 3)).astype(np.float32)
+    options = {"integrator": psdr.PathIntegrator(max_depth=2), "spp": 16, "seed": 3}
+    image = psdr.render_forward(scene, params, tangents, **options).numpy().astype(np.float64)
+    found = gradients(scene, params, names, adjoint, **options)
+    total = sum(float((found[n].astype(np.float64) * tangents[n]).sum()) for n in names)
+    scale = float((adjoint * np.abs(image)).sum())
+    assert scale > 1.0
+    # Absorbs float32 sums in another order: equal random numbers otherwise.
+    assert total == pytest.approx(float((adjoint * image).sum()), abs=1e-4 * scale)
+
+
+def test_results_do_not_depend_on_the_number_of_workers() -> None:
+    scene, params = load("soft")
+    options = {"integrator": psdr.PathIntegrator(max_depth=2), "spp": 8, "seed": 5}
+    results = []
+    try:
+        for workers in (1, 3):
+            psdr.set_workers(workers)
+            image = psdr.render_forward(scene, params, {OCCLUDER: 1.0}, **options).numpy()
+            results.append((image, gradients(scene, params, [OCCLUDER], np.ones((16, 16, 3)), **options)[OCCLUDER]))
+    finally:
+        psdr.set_workers(None)
+    np.testing.assert_array_equal(results[0][0], results[1][0])
+    np.testing.assert_array_equal(results[0][1], results[1][1])
+    other = psdr.render_forward(scene, params, {OCCLUDER: 1.0}, **{**options, "seed": 6}).numpy()
+    assert np.abs(other - results[0][0]).max() > 0.0
+
+
+def test_sample_counts_of_its_own() -> None:
+    scene, params = load("soft")
+
+    def noise(**counts):
+        integrator = psdr.PathIntegrator(max_depth=2, boundary=psdr.boundary.PathSpace(**counts))
+        images = [
+            psdr.render_forward(scene, params, {OCCLUDER: 1.0}, integrator=integrator, spp=64, seed=s).numpy()
+            for s in range(4)
+        ]
+        return float(np.std(images, axis=0).mean())
+
+    # Sixteen times the samples: a quarter of the noise of the boundary term, beside which the interior's is small.
+    assert noise(spp_primary=64, spp_secondary=64) < 0.5 * noise(spp_primary=4, spp_secondary=4)
+
+
+@pytest.mark.parametrize("value", [0, -3, 1.5, True])
+def test_wrong_sample_counts_are_refused(value) -> None:
+    for name in ("spp_primary", "spp_secondary"):
+        with pytest.raises(ValueError, match=name):
+            psdr.boundary.PathSpace(**{name: value})
+
+
+def test_the_plan_says_which_method_it_chose() -> None:
+    scene, params = load("soft")
+    params.requires_grad(OCCLUDER)
+    plan = psdr.plan(scene, params, integrator=psdr.PathIntegrator(max_depth=2))
+    assert plan.boundary == psdr.boundary.PathSpace()
+    line = next(line for line in plan.lines if line[0] == "boundary term")
+    assert line[1] == "boundary.PathSpace" and OCCLUDER in line[2]
+    params.requires_grad("floor.bsdf.reflectance.value")
+    assert psdr.plan(scene, params, integrator=psdr.PathIntegrator()).boundary is None
+
+
+NEAREST = {
+    "type": "diffuse",
+    "reflectance": {"type": "bitmap", "bitmap": np.ones((4, 4, 3), np.float32), "filter_type": "nearest"},
+}
+UNCOVERED = {
+    "mirror": (under(sky()) | {"occluder": ball((0, 0, 1), 0.4, {"type": "conductor"})}, 3, "smooth mirrors or glass"),
+    "glass": (under(sky()) | {"occluder": ball((0, 0, 1), 0.4, {"type": "dielectric"})}, 3, "smooth mirrors or glass"),
+    "steps": (under(sky()) | {"floor": floor(bsdf=NEAREST)}, 2, "nearest"),
+    "cone": (
+        under({"type": "spot", "to_world": T.translate([0, 0, 3]), "cutoff_angle": 20.0, "beam_width": 20.0}),
+        2,
+        "hard edge",
+    ),
+    "intersection": (under(sky()) | {"occluder": box((0, 0, 0.2), (0.3, 0.3, 0.5), diffuse(0.5))}, 2, "run through"),
+    "normals": (
+        under(sky()) | {"occluder": ball((0, 0, 1), 0.4, diffuse(0.5), smooth=True)},
+        3,
+        "interpolated normals",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", UNCOVERED)
+def test_what_is_not_covered_is_refused_with_a_remedy(case) -> None:
+    objects, depth, message = UNCOVERED[case]
+    scene, params = scene_of(**{k: v for k, v in objects.items() if k != "sensor"})
+    integrator = psdr.PathIntegrator(max_depth=depth)
+    with pytest.raises(ValueError, match=message) as error:
+        psdr.render_forward(scene, params, {OCCLUDER: 1.0}, integrator=integrator, spp=1)
+    assert "boundary=None" in str(error.value)
+    params.requires_grad(OCCLUDER)
+    with pytest.raises(ValueError, match=message):
+        psdr.render_backward(scene, params, np.ones((16, 16, 3)), integrator=integrator, spp=1)
+
+
+def test_hidden_lights_are_refused() -> None:
+    scene, _params = load("soft")
+    with pytest.raises(ValueError, match="hide_emitters"):
+        psdr.plan(scene, names=[OCCLUDER], integrator=psdr.PathIntegrator(max_depth=2, hide_emitters=True))
+
+
+def test_a_box_on_the_floor_is_a_contact_and_no_intersection() -> None:
+    scene, _params = load("room")
+    plan = psdr.plan(scene, names=["box.vertex_positions"], integrator=psdr.PathIntegrator(max_depth=3))
+    assert plan.boundary is not None
+
+
+def test_a_resting_pair_may_intersect() -> None:
+    objects = under(sky()) | {"post": box((1.2, 0.5, 0.2), (0.2, 0.2, 0.5), diffuse(0.5))}
+    scene, _params = scene_of(**{k: v for k, v in objects.items() if k != "sensor"})
+    integrator = psdr.PathIntegrator(max_depth=2)
+    assert psdr.plan(scene, names=[OCCLUDER], integrator=integrator).boundary is not None
+    with pytest.raises(ValueError, match="run through"):
+        psdr.plan(scene, names=["sensor.to_world"], integrator=integrator)
+
+
+def test_emission_alone_has_a_primary_boundary() -> None:
+    light = panel((0.0, 0.0, 0.5), 0.4, 2.0)
+    light["faces"] = light["faces"][:, ::-1]  # it faces up, towards the camera
+    scene, params = scene_of(light=light, veil=mesh([[9, 9, 9], [9, 10, 9], [10, 9, 9]], [[0, 1, 2]], diffuse(0.5)))
+    integrator = psdr.PathIntegrator(max_depth=1)
+    size = psdr.render_forward(
+        scene, params, {"light.vertex_positions": params["light.vertex_positions"].numpy() - [0, 0, 0.5]},
+        integrator=integrator, spp=256,
+    ).numpy().sum()  # fmt: skip
+    # A flat light of constant radiance seen by a pinhole: its image grows as the square of its size. Absorbs the
+    # perspective of a tilted square and the samples' noise.
+    primal = psdr.render(scene, integrator=integrator, spp=256).numpy().sum()
+    assert size == pytest.approx(2.0 * primal, rel=0.02)
