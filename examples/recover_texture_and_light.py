@@ -90,7 +90,7 @@ def draw(folder, params, truth, recovered) -> None:
 
     gradients = {name: np.load(folder / "fit" / "gradients" / f"{name}_start.npy") for name in (ALBEDO, LIGHT)}
     try:
-        psdr.view.view(scene, params, fields=gradients, screenshot=folder / "gradients.png").close()
+        psdr.view(scene, params, fields=gradients, screenshot=folder / "gradients.png").close()
     except RuntimeError as problem:  # no OpenGL on this machine: everything else does without
         print(f"gradients.png was not drawn: {problem}")
 

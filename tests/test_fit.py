@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import warp_psdr as psdr
-import warp_psdr.view
+import warp_psdr.viewer
 from tests.fit_scenes import SKY, TEXTURE, TRUTH, write_fit
 from warp_psdr import checkpoint, fit_report, image_io, plots
 from warp_psdr.fit import CHECKPOINT, FitConfig, Unknown, fit, views_of_step
@@ -303,7 +303,7 @@ def test_pictures_that_cannot_be_drawn_are_noted(tmp_path: Path, monkeypatch: py
     def no_opengl(*arguments, **options):
         raise RuntimeError("VTK cannot draw on this machine")
 
-    monkeypatch.setattr(warp_psdr.view, "view", no_opengl)
+    monkeypatch.setattr(warp_psdr.viewer, "view", no_opengl)
     params = {"wall.vertex_positions": np.zeros((4, 3)), "sky.radiance.value": np.zeros(3)}
     notes = fit_report.write_gradients(tmp_path, None, params, params, "_end")
     assert notes == ["wall.vertex_positions_end.png not drawn: VTK cannot draw on this machine"]
@@ -314,13 +314,13 @@ def test_pictures_that_cannot_be_drawn_are_noted(tmp_path: Path, monkeypatch: py
 
 
 @pytest.mark.parametrize(
-    ("error", "noted"), [(warp_psdr.view.NotDrawableError("no look"), True), (ValueError("a bug"), False)]
+    ("error", "noted"), [(warp_psdr.viewer.NotDrawableError("no look"), True), (ValueError("a bug"), False)]
 )
 def test_only_what_has_no_look_is_noted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error, noted: bool) -> None:
     def fail(*arguments, **options):
         raise error
 
-    monkeypatch.setattr(warp_psdr.view, "view", fail)
+    monkeypatch.setattr(warp_psdr.viewer, "view", fail)
     params = {"wall.vertex_color": np.zeros((4, 3))}
     if noted:
         notes = fit_report.write_gradients(tmp_path, None, params, params)

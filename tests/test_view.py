@@ -24,7 +24,7 @@ from warp_psdr.scene.description import (
     ShapeDescription,
     TextureDescription,
 )
-from warp_psdr.view import view
+from warp_psdr.viewer import view
 
 SIZE = (400, 300)
 QUAD = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
@@ -358,5 +358,5 @@ def test_the_environment_is_left_as_it_was(draw, monkeypatch: pytest.MonkeyPatch
 
 
 def test_pyvista_loads_late() -> None:
-    code = "import sys, warp_psdr.view; assert not {'pyvista', 'vtkmodules', 'matplotlib', 'PIL'} & set(sys.modules)"
+    code = "import sys, warp_psdr.viewer; assert not {'pyvista', 'vtkmodules', 'matplotlib', 'PIL'} & set(sys.modules)"
     subprocess.run([sys.executable, "-c", code], cwd=Path(__file__).resolve().parents[1], check=True)

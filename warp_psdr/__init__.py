@@ -15,8 +15,9 @@ from warp_psdr.scene.transforms import Transform
 from warp_psdr.workers import set_workers
 
 if TYPE_CHECKING:
-    from warp_psdr import fit, image_io, plots, torch, view
+    from warp_psdr import fit, image_io, plots, torch
     from warp_psdr.scene.scene import Scene
+    from warp_psdr.viewer import view
 
 __version__ = "0.1.0"
 
@@ -47,17 +48,19 @@ __all__ = [
 ]
 
 #: Modules that need more than Warp and NumPy; each is loaded when it is first used.
-_LAZY_MODULES = ("fit", "image_io", "plots", "torch", "view")
+_LAZY_MODULES = ("fit", "image_io", "plots", "torch")
 
 
 def __getattr__(name: str) -> Any:
     if name in _LAZY_MODULES:
         return importlib.import_module(f"warp_psdr.{name}")
+    if name == "view":
+        return importlib.import_module("warp_psdr.viewer").view
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *_LAZY_MODULES})
+    return sorted({*globals(), *_LAZY_MODULES, "view"})
 
 
 def load_file(path, *, device: str = "cpu", **defaults) -> Scene:

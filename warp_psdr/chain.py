@@ -48,6 +48,17 @@ def pull_derived(scene: Scene, names: list[str], grad: wp.array) -> None:
         grad: flat gradients, in place.
     """
     device = scene.device
+    # Poses first: they own their normals, so what positions get through derived normals is not theirs.
+    for shape in _posed(scene, names):
+        record = scene.builder.shapes[shape]
+        vertices, normals = scene.local_geometry(shape)
+        launch(
+            pose_shape_vjp,
+            dim=record.vertex_count,
+            inputs=[scene.values, vertices, normals, *scene.pose_offsets(shape)],
+            outputs=[grad],
+            device=device,
+        )
     for shape in scene.derived_normals(names):
         record = scene.builder.shapes[shape]
         sums = scene.normal_sums(shape, write=False)
@@ -66,16 +77,6 @@ def pull_derived(scene: Scene, names: list[str], grad: wp.array) -> None:
             outputs=[grad],
             device=device,
         )
-    for shape in _posed(scene, names):
-        record = scene.builder.shapes[shape]
-        vertices, normals = scene.local_geometry(shape)
-        launch(
-            pose_shape_vjp,
-            dim=record.vertex_count,
-            inputs=[scene.values, vertices, normals, *scene.pose_offsets(shape)],
-            outputs=[grad],
-            device=device,
-        )
 
 
 def push_derived(scene: Scene, names: list[str], tangent: wp.array) -> None:
@@ -87,16 +88,7 @@ def push_derived(scene: Scene, names: list[str], tangent: wp.array) -> None:
         tangent: flat tangents, in place.
     """
     device = scene.device
-    for shape in _posed(scene, names):
-        record = scene.builder.shapes[shape]
-        vertices, normals = scene.local_geometry(shape)
-        launch(
-            pose_shape_jvp,
-            dim=record.vertex_count,
-            inputs=[scene.values, vertices, normals, *scene.pose_offsets(shape)],
-            outputs=[tangent],
-            device=device,
-        )
+    # Poses last, for the same reason as above.
     for shape in scene.derived_normals(names):
         record = scene.builder.shapes[shape]
         sums = scene.normal_sums(shape, write=False)
@@ -112,6 +104,16 @@ def push_derived(scene: Scene, names: list[str], tangent: wp.array) -> None:
             normalization_jvp,
             dim=record.vertex_count,
             inputs=[sums, sums_tangent, record.normal_offset + 3 * record.first_vertex],
+            outputs=[tangent],
+            device=device,
+        )
+    for shape in _posed(scene, names):
+        record = scene.builder.shapes[shape]
+        vertices, normals = scene.local_geometry(shape)
+        launch(
+            pose_shape_jvp,
+            dim=record.vertex_count,
+            inputs=[scene.values, vertices, normals, *scene.pose_offsets(shape)],
             outputs=[tangent],
             device=device,
         )

@@ -242,7 +242,7 @@ def _view(arguments: argparse.Namespace) -> int:
     import numpy as np
 
     import warp_psdr as psdr
-    from warp_psdr.view import view
+    from warp_psdr.viewer import view
 
     fields = {}
     for text in arguments.field:

@@ -1,4 +1,4 @@
-"""Signed fields on surfaces as plain arrays: what ``warp_psdr.view`` draws, made without a renderer.
+"""Signed fields on surfaces as plain arrays: what ``warp_psdr.viewer`` draws, made without a renderer.
 
 A field is a scalar at vertices, at faces, or at the texels of an image that texture coordinates spread over a mesh (an
 environment map over a sphere). Vector fields become arrows, and a scalar: their component along the vertex normal.

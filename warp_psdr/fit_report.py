@@ -92,7 +92,7 @@ def write_gradients(
 
     Textures and environment maps are drawn flat with a symmetric colour map; vertex fields on their meshes.
     """
-    from warp_psdr.view import NotDrawableError, view
+    from warp_psdr.viewer import NotDrawableError, view
 
     folder.mkdir(parents=True, exist_ok=True)
     notes = []

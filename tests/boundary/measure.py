@@ -20,7 +20,7 @@ SLOPE_TOLERANCE = 0.02
 STANDARD_ERRORS = 3.0
 #: What the remainder of the difference, of second order in the step, may leave: steps are a twentieth of a pixel.
 REMAINDER = 0.01
-SEED, WEIGHT_SEED = 100, 900
+SEED, WEIGHT_SEED = 300, 900
 
 
 @dataclass(frozen=True)

@@ -65,7 +65,7 @@ CASES = [
     # Shapes under constant light: the primary boundary.
     Case("silhouette tent", SHAPE, ALONG, 0.01, "moves", slow=False),
     Case("silhouette tent", SHAPE, scaled, 0.01, "scales"),
-    Case("silhouette tent", SHAPE, stretched, 0.01, "every vertex"),
+    Case("silhouette tent", SHAPE, stretched, 0.005, "every vertex", spp=1024, difference_spp=8192),
     Case("silhouette box", SHAPE, ALONG, 0.01, "moves", difference_spp=2048),
     Case("silhouette gaussian", SHAPE, ALONG, 0.01, "moves"),
     Case("smooth", SHAPE, scaled, 0.01, "scales", spp=2048, difference_spp=4096),
@@ -97,7 +97,7 @@ CASES = [
     Case("sun", LIGHT, sun_turns, 0.01, "light turns", difference_spp=8192),
     # The camera, which moves primary and secondary boundaries.
     Case("soft", "sensor.to_world", ALONG, 0.01, "camera moves", difference_spp=2048),
-    Case("soft", "sensor.to_world", turned(0), 0.003, "camera turns", difference_spp=2048),
+    Case("soft", "sensor.to_world", turned(0), 0.003, "camera turns", difference_spp=4096),
     Case("soft", "sensor.x_fov", np.ones_like, 0.1, "camera zooms", difference_spp=4096),
     Case("soft", "sensor.principal_point_offset_x", np.ones_like, 0.002, "camera shifts", difference_spp=4096),
     # Everything at once.

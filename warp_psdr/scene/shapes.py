@@ -155,7 +155,8 @@ def _place(
         faces=data.faces,
         bsdf=bsdf,
         normals=None if world_normals is None else world_normals.astype(np.float32),
-        normals_computed=computed,
+        # A cube's normals are those of its sides, so they follow when its vertices are moved, as Mitsuba's do.
+        normals_computed=computed or props.type == "cube",
         texcoords=None if data.texcoords is None else np.ascontiguousarray(data.texcoords, dtype=np.float32),
         repairs=repairs,
     )
