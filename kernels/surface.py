@@ -126,7 +126,9 @@ def tangent_dot(p0: wp.vec3, p1: wp.vec3, p2: wp.vec3, t0: wp.vec2, t1: wp.vec2,
 
 @wp.func
 def normalize_vjp(unit: wp.vec3, length: wp.float32, a: wp.vec3) -> wp.vec3:
-    """Adjoint of r from the adjoint of r / |r| = unit: (a - unit (unit . a)) / |r|."""
+    """Adjoint of r from the adjoint of r / |r| = unit: (a - unit (unit . a)) / |r|; 0 where r vanishes."""
+    if length <= 0.0:
+        return wp.vec3(0.0, 0.0, 0.0)
     return (a - unit * wp.dot(unit, a)) / length
 
 

@@ -44,7 +44,9 @@ class FrameTangent:
 
 @wp.func
 def normalize_jvp(unit: wp.vec3, length: wp.float32, dot: wp.vec3) -> wp.vec3:
-    """Velocity of r / |r| = unit from the velocity of r."""
+    """Velocity of r / |r| = unit from the velocity of r; 0 where r vanishes (a ray that leaves a shared corner)."""
+    if length <= 0.0:
+        return wp.vec3(0.0, 0.0, 0.0)
     return (dot - unit * wp.dot(unit, dot)) / length
 
 
