@@ -114,12 +114,6 @@ def barycentrics_dot(
 
 @differentiable
 @wp.func
-def smooth_normal_dot(n0: wp.vec3, n1: wp.vec3, n2: wp.vec3, u: wp.float32, v: wp.float32, a: wp.vec3) -> wp.float32:
-    return wp.dot(a, wp.normalize((1.0 - u - v) * n0 + u * n1 + v * n2))
-
-
-@differentiable
-@wp.func
 def tangent_dot(p0: wp.vec3, p1: wp.vec3, p2: wp.vec3, t0: wp.vec2, t1: wp.vec2, t2: wp.vec2, a: wp.vec3) -> wp.float32:
     return wp.dot(a, uv_tangent(p0, p1, p2, t0, t1, t2))
 
@@ -223,15 +217,15 @@ def make_vertex_sink(role: str, smooth: bool, flat: bool, uv: bool, tangent: boo
                 n1 = load_vec3(scene.values, shape.normal_offset + 3 * tri.i1)
                 n2 = load_vec3(scene.values, shape.normal_offset + 3 * tri.i2)
                 n = w * n0 + u * n1 + v * n2
-                if wp.dot(n, n) > 1.0e-20:
-                    b0, b1, b2, bu, bv, _ba = wp.grad(smooth_normal_dot)(
-                        n0, n1, n2, u, v, shape.orientation * adjoint.n
-                    )
-                    total += sink3(target, shape.normal_offset + 3 * tri.i0, b0)
-                    total += sink3(target, shape.normal_offset + 3 * tri.i1, b1)
-                    total += sink3(target, shape.normal_offset + 3 * tri.i2, b2)
-                    a_u += bu
-                    a_v += bv
+                squared = wp.dot(n, n)
+                if squared > 1.0e-20:
+                    length = wp.sqrt(squared)
+                    b = normalize_vjp(n / length, length, shape.orientation * adjoint.n)
+                    total += sink3(target, shape.normal_offset + 3 * tri.i0, w * b)
+                    total += sink3(target, shape.normal_offset + 3 * tri.i1, u * b)
+                    total += sink3(target, shape.normal_offset + 3 * tri.i2, v * b)
+                    a_u += wp.dot(b, n1 - n0)
+                    a_v += wp.dot(b, n2 - n0)
         else:
             if wp.static(flat):
                 # n = orientation c / |c|

@@ -200,7 +200,7 @@ ROUGH = [
     Case("rough", "floor.vertex_normals", turn(0.5, 0.8, 0.2), 2e-2, depth=2, spp=1536, slow=True),
     Case("rough", "floor.vertex_normals", mixed, 2e-2, "mixed", depth=2, spp=4096, slow=True),
     Case("rough", "floor.vertex_positions", bend, 4e-2, "bend", depth=2, spp=4096, slow=True),
-    Case("rough", "sensor.to_world", shift(0.3, -0.5, 0.4), 2e-2, "shift", depth=2, spp=4096, slow=True),
+    Case("rough", "sensor.to_world", shift(0.0, 1.0, 0.0), 4e-2, "shift", depth=2, spp=8192, slow=True),
     Case("beckmann", "floor.bsdf.alpha.value", ones, 1e-2, spp=512, slow=True),
     Case("brushed", "floor.bsdf.alpha_u.value", ones, 2e-2, depth=2, spp=512),
     Case("brushed", "floor.bsdf.alpha_v.value", ones, 2e-2, depth=2, spp=1536),
@@ -208,7 +208,7 @@ ROUGH = [
     Case("brushed", "floor.bsdf.k.value", mixed, 2e-2, depth=2),
     Case("brushed", "floor.bsdf.specular_reflectance.value", mixed, 2e-2, depth=2),
     Case("brushed", "floor.vertex_texcoords", mixed, 4e-2, "tangents turn", depth=2, spp=4096, slow=True),
-    Case("brushed", "floor.vertex_positions", bend, 4e-2, "bend", depth=2, spp=2048, slow=True),
+    Case("brushed", "floor.vertex_positions", bend, 4e-2, "bend", depth=2, spp=6144, slow=True),
     Case("brushed ggx", "floor.bsdf.alpha_u.value", ones, 2e-2, depth=2, spp=512, slow=True),
     Case("brushed ggx", "floor.bsdf.alpha_v.value", ones, 2e-2, depth=2, spp=512, slow=True),
 ]
