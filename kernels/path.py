@@ -267,85 +267,84 @@ def make_path_step(config: PathConfig, differential: bool):
                     weight = mis_weight(state.pdf, pdf_light)
                 vertex.e_weight = weight
                 vertex.direct = weight * emitted(scene, emitter, hit.face, hit.u, hit.v, state.d)
-        if wp.static(not config.scatter):
-            return vertex, after
-        if max_depth >= 0 and state.depth + 1 >= max_depth:
-            return vertex, after
-
-        frame = frame_at(scene, shape.bsdf, surface.n, surface.tangent, -state.d)
-        b = scene.bsdfs[frame.bsdf]
-        material = material_at(scene, b, hit.face, hit.u, hit.v, surface.uv)
-        wi = to_local(frame.s, frame.t, frame.n, -state.d)
-
-        # Next-event estimation.
-        if wp.static(has_lights):
-            if not bsdf.is_delta(b.model):
-                u4 = sample_4d(sampler, 1 + SLOTS_PER_VERTEX * state.depth)
-                ls, index, probability = sample_light(scene, surface.x, u4)
-                if ls.pdf > 0.0:
-                    wo = to_local(frame.s, frame.t, frame.n, ls.wi)
-                    pdf_bsdf = bsdf.pdf(b.model, material, wi, wo)
-                    if pdf_bsdf > 0.0:
-                        pdf_light = ls.pdf * probability
-                        light_weight = 1.0 / pdf_light
-                        if ls.delta == 0:
-                            light_weight *= mis_weight(pdf_light, pdf_bsdf)
-                        value = light_weight * wp.cw_mul(bsdf.eval(b.model, material, wi, wo), ls.radiance)
-                        if wp.static(differential) or wp.max(value) > 0.0:
-                            turn = wp.where(wp.dot(surface.ng, ls.wi) >= 0.0, scene.ray_epsilon, -scene.ray_epsilon)
-                            o = surface.x + turn * surface.ng
-                            r = ls.wi
-                            t_max = ls.distance
-                            if wp.static(bool(config.area)):
-                                if ls.face >= 0:
-                                    # Aim a little in front of the light's own surface.
-                                    tri = scene.triangles[ls.face]
-                                    y = (1.0 - ls.u - ls.v) * tri.p0 + ls.u * tri.p1 + ls.v * tri.p2
-                                    r = y + scene.ray_epsilon * tri.normal - o
-                                    t_max = wp.length(r)
-                                    r = r / t_max
-                            if not any_hit(scene.accel, o, r, t_max):
-                                vertex.direct += value
-                                vertex.light = index
-                                vertex.light_face = ls.face
-                                vertex.light_u = ls.u
-                                vertex.light_v = ls.v
-                                vertex.light_wi = ls.wi
-                                vertex.light_weight = light_weight
-
-        # Scattering.
-        u4 = sample_4d(sampler, 2 + SLOTS_PER_VERTEX * state.depth)
-        bs = bsdf.sample(b.model, material, wi, u4[0], wp.vec2(u4[2], u4[3]))
-        if bs.pdf <= 0.0:
-            return vertex, after
-        wo_world = to_world(frame.s, frame.t, frame.n, bs.wo)
-        after.eta = state.eta * bs.eta
-        after.depth = state.depth + 1
-        inv_pdf = 1.0 / bs.pdf
-        throughput = wp.cw_mul(state.throughput, inv_pdf * bs.value)
-        survival = wp.max(throughput)
-        if wp.static(not differential):
-            if survival <= 0.0:
+        if wp.static(config.scatter):
+            if max_depth >= 0 and state.depth + 1 >= max_depth:
                 return vertex, after
-        if after.depth >= rr_depth:
-            survival = wp.min(survival * after.eta * after.eta, ROULETTE_MAX)
-            if wp.static(differential):
-                survival = wp.max(survival, ROULETTE_MIN)
-            if u4[1] >= survival:
+
+            frame = frame_at(scene, shape.bsdf, surface.n, surface.tangent, -state.d)
+            b = scene.bsdfs[frame.bsdf]
+            material = material_at(scene, b, hit.face, hit.u, hit.v, surface.uv)
+            wi = to_local(frame.s, frame.t, frame.n, -state.d)
+
+            # Next-event estimation.
+            if wp.static(has_lights):
+                if not bsdf.is_delta(b.model):
+                    u4 = sample_4d(sampler, 1 + SLOTS_PER_VERTEX * state.depth)
+                    ls, index, probability = sample_light(scene, surface.x, u4)
+                    if ls.pdf > 0.0:
+                        wo = to_local(frame.s, frame.t, frame.n, ls.wi)
+                        pdf_bsdf = bsdf.pdf(b.model, material, wi, wo)
+                        if pdf_bsdf > 0.0:
+                            pdf_light = ls.pdf * probability
+                            light_weight = 1.0 / pdf_light
+                            if ls.delta == 0:
+                                light_weight *= mis_weight(pdf_light, pdf_bsdf)
+                            value = light_weight * wp.cw_mul(bsdf.eval(b.model, material, wi, wo), ls.radiance)
+                            if wp.static(differential) or wp.max(value) > 0.0:
+                                turn = wp.where(wp.dot(surface.ng, ls.wi) >= 0.0, scene.ray_epsilon, -scene.ray_epsilon)
+                                o = surface.x + turn * surface.ng
+                                r = ls.wi
+                                t_max = ls.distance
+                                if wp.static(bool(config.area)):
+                                    if ls.face >= 0:
+                                        # Aim a little in front of the light's own surface.
+                                        tri = scene.triangles[ls.face]
+                                        y = (1.0 - ls.u - ls.v) * tri.p0 + ls.u * tri.p1 + ls.v * tri.p2
+                                        r = y + scene.ray_epsilon * tri.normal - o
+                                        t_max = wp.length(r)
+                                        r = r / t_max
+                                if not any_hit(scene.accel, o, r, t_max):
+                                    vertex.direct += value
+                                    vertex.light = index
+                                    vertex.light_face = ls.face
+                                    vertex.light_u = ls.u
+                                    vertex.light_v = ls.v
+                                    vertex.light_wi = ls.wi
+                                    vertex.light_weight = light_weight
+
+            # Scattering.
+            u4 = sample_4d(sampler, 2 + SLOTS_PER_VERTEX * state.depth)
+            bs = bsdf.sample(b.model, material, wi, u4[0], wp.vec2(u4[2], u4[3]))
+            if bs.pdf <= 0.0:
                 return vertex, after
-            inv_pdf /= survival
-            throughput /= survival
-        vertex.lobe = bs.lobe
-        vertex.wo = wo_world
-        vertex.inv_pdf = inv_pdf
-        vertex.beta = inv_pdf * bs.value
-        turn = wp.where(wp.dot(surface.ng, wo_world) >= 0.0, scene.ray_epsilon, -scene.ray_epsilon)
-        after.alive = 1
-        after.o = surface.x + turn * surface.ng
-        after.d = wo_world
-        after.t_max = FAR
-        after.throughput = throughput
-        after.pdf = wp.where(bs.lobe == LOBE_SMOOTH, bs.pdf, 0.0)
+            wo_world = to_world(frame.s, frame.t, frame.n, bs.wo)
+            after.eta = state.eta * bs.eta
+            after.depth = state.depth + 1
+            inv_pdf = 1.0 / bs.pdf
+            throughput = wp.cw_mul(state.throughput, inv_pdf * bs.value)
+            survival = wp.max(throughput)
+            if wp.static(not differential):
+                if survival <= 0.0:
+                    return vertex, after
+            if after.depth >= rr_depth:
+                survival = wp.min(survival * after.eta * after.eta, ROULETTE_MAX)
+                if wp.static(differential):
+                    survival = wp.max(survival, ROULETTE_MIN)
+                if u4[1] >= survival:
+                    return vertex, after
+                inv_pdf /= survival
+                throughput /= survival
+            vertex.lobe = bs.lobe
+            vertex.wo = wo_world
+            vertex.inv_pdf = inv_pdf
+            vertex.beta = inv_pdf * bs.value
+            turn = wp.where(wp.dot(surface.ng, wo_world) >= 0.0, scene.ray_epsilon, -scene.ray_epsilon)
+            after.alive = 1
+            after.o = surface.x + turn * surface.ng
+            after.d = wo_world
+            after.t_max = FAR
+            after.throughput = throughput
+            after.pdf = wp.where(bs.lobe == LOBE_SMOOTH, bs.pdf, 0.0)
         return vertex, after
 
     return path_step

@@ -162,7 +162,6 @@ def test_the_plan_of_a_richer_scene():
     assert table["anisotropy"] == "yes"
 
 
-@pytest.mark.xfail(reason="the plan says so, but what follows a static return is compiled all the same", strict=True)
 def test_depth_one_compiles_no_scattering(diffuse, tmp_path):
     scene, _params = diffuse
     plan = psdr.plan(scene, integrator=psdr.PathIntegrator(max_depth=1))
