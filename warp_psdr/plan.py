@@ -10,7 +10,8 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from warp_psdr import boundary_term, interior
+from warp_psdr import interior
+from warp_psdr.boundary.coverage import choose
 from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.emitter.spot import MIN_FALLOFF
 from warp_psdr.kernels.interior.wanted import Wanted
@@ -141,7 +142,7 @@ def plan(
         elif integrator.boundary is None:
             lines.append(("boundary term", "left out", "boundary=None was said, although " + "; ".join(moving)))
         else:
-            term = boundary_term.choose(scene, config, integrator, names, moving)
+            term = choose(scene, config, integrator, names, moving)
             lines.append(("boundary term", term.label, "; ".join(moving)))
     return Plan(config, wanted, integrator.max_depth, integrator.rr_depth, block, blocks, moving, tuple(lines), term)
 

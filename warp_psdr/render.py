@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
-from warp_psdr import boundary_term, workers
+from warp_psdr import workers
+from warp_psdr.boundary import drivers as boundary_drivers
 from warp_psdr.chain import derived_ranges, pull_derived, push_derived
 from warp_psdr.device import launch
 from warp_psdr.kernels.constants import RFILTER_BOX
@@ -186,7 +187,7 @@ def render_backward(
     )  # fmt: skip
     if plan.boundary is not None:
         seed = mix_seed(seed, STREAM_BOUNDARY)
-        boundary_term.backward(scene, plan, names, adjoint, buffers, sensor=sensor, spp=spp, seed=seed)
+        boundary_drivers.backward(scene, plan, names, adjoint, buffers, sensor=sensor, spp=spp, seed=seed)
     _accumulate(scene, params, names, buffers)
 
 
@@ -252,7 +253,7 @@ def render_forward(
     )  # fmt: skip
     if plan.boundary is not None:
         seed = mix_seed(seed, STREAM_BOUNDARY)
-        boundary_term.forward(scene, plan, names, target, image, sensor=sensor, spp=spp, seed=seed)
+        boundary_drivers.forward(scene, plan, names, target, image, sensor=sensor, spp=spp, seed=seed)
     return image
 
 

@@ -75,6 +75,28 @@ def pdf_wedge(wedge: Wedge) -> wp.float32:
     return INV_FOUR_PI * PI / wp.max(wedge.width, 1.0e-12)
 
 
+@wp.func
+def wedge_direction(wedge: Wedge, u: wp.vec2) -> wp.vec3:
+    """Direction at a point of the unit square, uniform in solid angle over the wedge and its opposite."""
+    cosine = 2.0 * u[0] - 1.0
+    sine = wp.sqrt(wp.max(1.0 - cosine * cosine, 0.0))
+    half = wp.where(u[1] < 0.5, 0.0, 1.0)
+    psi = wedge.start + (2.0 * u[1] - half) * wedge.width + half * PI
+    return cosine * wedge.t + sine * (wp.cos(psi) * wedge.a + wp.sin(psi) * wedge.b)
+
+
+@wp.func
+def wedge_square(wedge: Wedge, w: wp.vec3) -> wp.vec2:
+    """Point of the unit square that ``wedge_direction`` maps to w; a coordinate outside of [0, 1): w is not in it."""
+    psi = wp.atan2(wp.dot(w, wedge.b), wp.dot(w, wedge.a)) - wedge.start
+    psi = wp.where(psi < 0.0, psi + 2.0 * PI, psi)
+    half = wp.where(psi < PI, 0.0, 1.0)
+    inside = psi - half * PI
+    if inside > wedge.width or wedge.width <= 0.0:
+        return wp.vec2(0.5 * (wp.dot(w, wedge.t) + 1.0), 2.0)
+    return wp.vec2(0.5 * (wp.dot(w, wedge.t) + 1.0), 0.5 * (inside / wedge.width + half))
+
+
 @functools.cache
 def make_direction(config: PathConfig):
     """Return ``(sample_direction, pdf_light)``.
@@ -108,10 +130,7 @@ def make_direction(config: PathConfig):
                     else:
                         r.aimed = 1
                 return r
-        cosine = 2.0 * u4[1] - 1.0
-        sine = wp.sqrt(wp.max(1.0 - cosine * cosine, 0.0))
-        psi = wedge.start + u4[2] * wedge.width + wp.where(u4[3] < 0.5, 0.0, PI)
-        r.w = cosine * wedge.t + sine * (wp.cos(psi) * wedge.a + wp.sin(psi) * wedge.b)
+        r.w = wedge_direction(wedge, wp.vec2(u4[1], u4[2]))
         r.valid = 1
         return r
 

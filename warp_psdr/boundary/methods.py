@@ -1,4 +1,4 @@
-"""Methods of the boundary term (survey eq. 12 second term, sections 2.1, 2.2 and 4)."""
+"""Methods of the boundary term: options, one object each. ``terms.py`` says which launches each of them consists of."""
 
 from __future__ import annotations
 
@@ -6,22 +6,9 @@ from abc import ABC
 from dataclasses import dataclass
 
 
-class Method(ABC):  # noqa: B024
-    """A way to estimate the boundary term."""
-
-    @property
-    def label(self) -> str:
-        """What the plan calls it."""
-        return f"boundary.{type(self).__name__}"
-
-
 @dataclass(frozen=True, kw_only=True)
-class PathSpace(Method):
-    """Multi-directional sampling of boundary paths [ZMY*20] (``kernels/boundary/``), unguided.
-
-    Unbiased for triangle meshes with moving shapes, area, environment, point, spot and directional lights, and a moving
-    pinhole camera, at any depth; with interpolated normals for direct light. Not covered, and refused: smooth mirrors
-    and glass, surfaces that run through each other, hidden emitters, and textures with steps.
+class Method(ABC):  # noqa: B024
+    """A way to estimate the boundary term.
 
     Attributes:
         spp_primary: samples of the edges that the camera sees, a pixel; None: as many as the interior term's.
@@ -41,3 +28,18 @@ class PathSpace(Method):
             value = getattr(self, name)
             if value is not None and (isinstance(value, bool) or not isinstance(value, int) or value < 1):
                 raise ValueError(f"{name}: got {value!r}, expected a positive integer (samples a pixel), or None")
+
+    @property
+    def label(self) -> str:
+        """What the plan calls it."""
+        return f"boundary.{type(self).__name__}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class PathSpace(Method):
+    """Multi-directional sampling of boundary paths [ZMY*20] (``kernels/boundary/``), unguided.
+
+    Unbiased for triangle meshes with moving shapes, area, environment, point, spot and directional lights, and a moving
+    pinhole camera, at any depth; with interpolated normals for direct light. Not covered, and refused: smooth mirrors
+    and glass, surfaces that run through each other, hidden emitters, and textures with steps.
+    """

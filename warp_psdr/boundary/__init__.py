@@ -1,0 +1,5 @@
+"""The boundary term (survey eq. 12 second term, sections 2.1, 2.2 and 4): its methods, one object each."""
+
+from warp_psdr.boundary.methods import Method, PathSpace
+
+__all__ = ["Method", "PathSpace"]

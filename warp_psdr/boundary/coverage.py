@@ -1,0 +1,96 @@
+"""Which method estimates the boundary term of a scene, and what none of them covers."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import warp as wp
+
+from warp_psdr.boundary.methods import Method, PathSpace
+from warp_psdr.boundary.motion import Motion, motion
+from warp_psdr.device import launch
+from warp_psdr.edges import all_edges, bent_faces
+from warp_psdr.kernels import constants as c
+from warp_psdr.kernels.boundary.pierced import make_pierced_kernel
+from warp_psdr.kernels.emitter.spot import MIN_FALLOFF
+from warp_psdr.scene.layout import TEXCOORDS, TO_UV
+
+if TYPE_CHECKING:
+    from warp_psdr.kernels.path import PathConfig
+    from warp_psdr.options import PathIntegrator
+    from warp_psdr.scene.scene import Scene
+
+REMEDY = "say PathIntegrator(boundary=None) to get the interior term alone"
+
+
+def choose(scene: Scene, config: PathConfig, integrator: PathIntegrator, names: list[str], moving: tuple) -> Method:
+    """Return the method that estimates the boundary term of the named parameters.
+
+    Args:
+        scene: the scene.
+        config: what its path loop compiles.
+        integrator: names the method, or "auto".
+        names: what is differentiated.
+        moving: which discontinuities move, in words.
+
+    Raises:
+        ValueError: no method covers the case.
+    """
+    method = integrator.boundary if isinstance(integrator.boundary, Method) else PathSpace()
+    reason = _uncovered(scene, config, names, integrator.max_depth)
+    if reason:
+        raise ValueError(
+            f"the requested gradient has a boundary term ({'; '.join(moving)}), which boundary.PathSpace() cannot "
+            f"estimate here: {reason}; {REMEDY}"
+        )
+    return method
+
+
+def _uncovered(scene: Scene, config: PathConfig, names: list[str], max_depth: int) -> str:
+    """Say why the boundary term cannot be estimated; empty: it can."""
+    if {c.BSDF_CONDUCTOR, c.BSDF_DIELECTRIC} & set(config.bsdfs):
+        return "discontinuities seen through smooth mirrors or glass are not implemented; use a roughconductor instead"
+    if config.hide_emitters and config.area:
+        return "hide_emitters makes area lights transparent to the camera, which is not implemented; show them"
+    moves = motion(scene, names)
+    steps = any(t.kind == c.TEXTURE_BITMAP and t.filter == c.FILTER_NEAREST for t in scene.builder.textures)
+    if steps:
+        return "a texture with filter_type 'nearest' jumps inside of triangles; use 'bilinear'"
+    if any(scene.parameters[n].uses & {TO_UV, TEXCOORDS} for n in names) and any(
+        t.kind == c.TEXTURE_FACE for t in scene.builder.textures
+    ):
+        return "a texture with steps slides; use a vertex attribute"
+    values = scene.values.numpy()
+    for e in scene.builder.emitters:
+        if e.kind == c.EMITTER_SPOT:
+            cutoff, beam = values[e.cutoff : e.cutoff + 2].tolist()
+            if math.radians(cutoff - beam) <= MIN_FALLOFF:
+                return "a spot light's cone has a hard edge; make beam_width smaller than cutoff_angle"
+    if max_depth != 1 and max_depth != 2 and bent_faces(scene).any():
+        return (
+            "the curves along which interpolated normals turn away are covered as the camera sees them, not as other "
+            "surfaces do; use max_depth=2, or face_normals=True on the meshes"
+        )
+    return _intersection(scene, moves)
+
+
+def _intersection(scene: Scene, moves: Motion) -> str:
+    """Name two surfaces that run through each other in a curve that moves, or is seen by a moving camera."""
+    if not scene.face_count or not (moves.shapes or moves.camera):
+        return ""
+    edges, found = all_edges(scene)
+    faces = wp.zeros(len(found.length), dtype=wp.int32, device=scene.device)
+    kernel = make_pierced_kernel(scene.accelerator.backend, scene.accelerator.width)
+    launch(kernel, dim=len(found.length), inputs=[scene.data(), edges], outputs=[faces], device=scene.device)
+    shape_of = scene.builder.face_shape
+    for edge, face in enumerate(faces.numpy()):
+        if face >= 0:
+            a, b = int(shape_of[found.faces[found.first[edge]]]), int(shape_of[face])
+            if moves.camera or {a, b} & moves.shapes:
+                paths = [scene.description.shapes[s].path for s in (a, b)]
+                return (
+                    f"shapes {paths[0]!r} and {paths[1]!r} run through each other, and curves of intersection are not "
+                    "implemented; move them apart"
+                )
+    return ""

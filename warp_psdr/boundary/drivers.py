@@ -1,0 +1,78 @@
+"""Drivers of the boundary term: its launches over samples, in reverse and in forward mode."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import warp as wp
+
+from warp_psdr import workers
+from warp_psdr.boundary.terms import Term, terms
+from warp_psdr.device import launch
+from warp_psdr.kernels.reduction import add_images
+
+if TYPE_CHECKING:
+    from warp_psdr.scene.scene import Scene
+
+#: Images of forward mode's lanes together hold at most this many floats (64 MB).
+LANE_IMAGE_FLOATS = 1 << 24
+
+
+def backward(
+    scene: Scene, plan, names: list[str], adjoint: wp.array, buffers: wp.array, *, sensor: int, spp: int, seed: int
+) -> None:
+    """Add the gradient of the boundary term to the lanes' flat buffers.
+
+    Args:
+        scene: the scene.
+        plan: with the method in ``boundary``.
+        names: what is differentiated.
+        adjoint: (H, W) of vec3.
+        buffers: (lanes, values).
+        sensor: which camera.
+        spp: samples a pixel of the interior term.
+        seed: of the boundary term's stream.
+    """
+    dummy = wp.zeros((1, 1), dtype=wp.vec3, device=scene.device)
+    for term in terms(scene, plan, names, "reverse", sensor, spp, seed):
+        _launch(
+            scene,
+            term,
+            lambda first, lane, term=term: (term.inputs(first, adjoint), [buffers[lane], dummy]),
+            lanes=buffers.shape[0],
+        )
+
+
+def forward(
+    scene: Scene, plan, names: list[str], tangents: wp.array, image: wp.array, *, sensor: int, spp: int, seed: int
+) -> None:
+    """Add the derivative of the boundary term along flat tangents to an image (arguments as in ``backward``)."""
+    dummy = wp.zeros((1, 1), dtype=wp.vec3, device=scene.device)
+    height, width = image.shape
+    lanes = max(2, min(workers.LANES, LANE_IMAGE_FLOATS // (3 * height * width))) if scene.device.is_cpu else 1
+    images = wp.zeros((lanes, height, width), dtype=wp.vec3, device=scene.device)
+    for term in terms(scene, plan, names, "forward", sensor, spp, seed):
+        _launch(
+            scene,
+            term,
+            lambda first, lane, term=term: (term.inputs(first, dummy), [tangents, images[lane]]),
+            lanes=lanes,
+        )
+    launch(add_images, dim=(height, width), inputs=[images], outputs=[image], device=scene.device)
+
+
+def _launch(scene: Scene, term: Term, arguments, *, lanes: int) -> None:
+    """Run a term over its samples: in one launch on CUDA, in lanes on the worker threads on the CPU."""
+    wp.load_module(term.kernel.module, device=scene.device)  # compile once, before the threads start
+    if not scene.device.is_cpu:
+        inputs, outputs = arguments(0, 0)
+        launch(term.kernel, dim=term.samples, inputs=inputs, outputs=outputs, device=scene.device)
+        return
+    parts = workers.chunks(term.samples, lanes)
+
+    def lane(i: int) -> None:
+        for first, n in parts[i]:
+            inputs, outputs = arguments(first, i)
+            launch(term.kernel, dim=n, inputs=inputs, outputs=outputs, device=scene.device)
+
+    workers.run_lanes(lane, lanes)

@@ -1,0 +1,36 @@
+"""What moves the discontinuities of an image."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from warp_psdr.scene.layout import CAMERA, LIGHT_POSE, POSITIONS, SHAPE_POSE
+
+if TYPE_CHECKING:
+    from warp_psdr.scene.scene import Scene
+
+
+@dataclass(frozen=True)
+class Motion:
+    """What moves discontinuities.
+
+    Attributes:
+        shapes: numbers of the shapes whose vertices move.
+        camera: the camera moves.
+        light_pose: a point, spot or directional light moves or turns.
+    """
+
+    shapes: frozenset[int]
+    camera: bool
+    light_pose: bool
+
+
+def motion(scene: Scene, names: list[str]) -> Motion:
+    """Return what the named parameters move."""
+    uses = [(scene.parameters[n].uses, scene.parameters[n].owner) for n in names]
+    return Motion(
+        shapes=frozenset(owner for use, owner in uses if use & {POSITIONS, SHAPE_POSE}),
+        camera=any(CAMERA in use for use, _owner in uses),
+        light_pose=any(LIGHT_POSE in use for use, _owner in uses),
+    )

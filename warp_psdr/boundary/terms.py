@@ -1,0 +1,146 @@
+"""The terms of a boundary method: which kernel runs over how many samples, and with what.
+
+Every kind of discontinuity is one function of ``Request`` that returns a ``Term``, or None where it provably does not
+move or does not exist.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import warp as wp
+
+from warp_psdr.boundary.methods import Method, PathSpace
+from warp_psdr.boundary.motion import Motion, motion
+from warp_psdr.edges import primary_edges, secondary_edges, terminator_faces
+from warp_psdr.kernels.boundary.primary import make_primary_kernel
+from warp_psdr.kernels.boundary.secondary import make_secondary_kernel
+from warp_psdr.kernels.boundary.terminator import make_terminator_kernel
+from warp_psdr.kernels.rng import mix_seed
+
+if TYPE_CHECKING:
+    from warp_psdr.kernels.path import PathConfig
+    from warp_psdr.kernels.structs import Camera
+    from warp_psdr.plan import Plan
+    from warp_psdr.scene.scene import Scene
+
+#: Share of the segments whose direction is drawn from the wedge instead of towards a light. With direct light only,
+#: what is not a light contributes nothing.
+WEDGE_SHARE_DIRECT, WEDGE_SHARE = 0.1, 0.5
+#: Sub-streams of the boundary term's random numbers.
+PRIMARY, SECONDARY, TERMINATOR = 0, 1, 2
+
+
+@dataclass(frozen=True)
+class Term:
+    """One launch.
+
+    Attributes:
+        kernel: one thread a sample; its last two parameters are the target and the image.
+        inputs: (number of the first sample, adjoint) -> the arguments in front of them.
+        samples: how many.
+    """
+
+    kernel: wp.Kernel
+    inputs: Callable[[int, wp.array], list]
+    samples: int
+
+
+@dataclass(frozen=True)
+class Request:
+    """What a boundary term is asked for.
+
+    Attributes:
+        scene: the scene.
+        plan: with the method in ``boundary``.
+        moves: what moves.
+        role: "reverse" or "forward".
+        sensor: which camera.
+        spp: samples a pixel of the interior term.
+        seed: of the boundary term's stream.
+    """
+
+    scene: Scene
+    plan: Plan
+    moves: Motion
+    role: str
+    sensor: int
+    spp: int
+    seed: int
+
+    @property
+    def camera(self) -> Camera:
+        """The camera's record."""
+        return self.scene.camera(self.sensor)
+
+    @property
+    def pixels(self) -> int:
+        """Number of pixels of the crop window."""
+        return self.camera.crop_width * self.camera.crop_height
+
+    @property
+    def config(self) -> PathConfig:
+        """The path loop's: the estimators stratify what they sample first; everything else is independent."""
+        return replace(self.plan.config, sampler="independent")
+
+    @property
+    def method(self) -> Method:
+        """The method, with its sample counts."""
+        assert self.plan.boundary is not None
+        return self.plan.boundary
+
+
+def terms(scene: Scene, plan: Plan, names: list[str], role: str, sensor: int, spp: int, seed: int) -> list[Term]:
+    """Return the launches that estimate the boundary term of the named parameters."""
+    request = Request(scene, plan, motion(scene, names), role, sensor, spp, seed)
+    found = (term(request) for term in TERMS[type(request.method)])
+    return [t for t in found if t is not None]
+
+
+def primary(r: Request) -> Term | None:
+    """Return the term of the edges that the camera sees."""
+    edges = primary_edges(r.scene, r.sensor, set(r.moves.shapes), camera_moves=r.moves.camera)
+    if edges is None:
+        return None
+    samples = r.pixels * (r.method.spp_primary or r.spp)
+    head = [r.scene.data(), r.camera, edges]
+    tail = [samples, mix_seed(r.seed, PRIMARY), r.plan.max_depth, r.plan.rr_depth]
+    kernel = make_primary_kernel(r.config, r.role, r.moves.camera)
+    return Term(kernel, lambda first, adjoint: [*head, first, *tail, adjoint], samples)
+
+
+def terminator(r: Request) -> Term | None:
+    """Return the term of the curves where interpolated normals turn away from the camera."""
+    if not r.config.scatter:
+        return None
+    found = terminator_faces(r.scene, r.sensor, set(r.moves.shapes), camera_moves=r.moves.camera)
+    if found is None:
+        return None
+    samples = r.pixels * (r.method.spp_primary or r.spp)
+    head = [r.scene.data(), r.camera, *found]
+    tail = [samples, mix_seed(r.seed, TERMINATOR), r.plan.max_depth, r.plan.rr_depth]
+    kernel = make_terminator_kernel(r.config, r.role, r.moves.camera)
+    return Term(kernel, lambda first, adjoint: [*head, first, *tail, adjoint], samples)
+
+
+def secondary(r: Request) -> Term | None:
+    """Return the term of shadow edges and their like: visibility between two path vertices."""
+    if r.plan.max_depth == 1 or not r.scene.builder.emitters:
+        return None
+    edges = secondary_edges(r.scene, set(r.moves.shapes))
+    if edges is None:
+        return None
+    samples = r.pixels * (r.method.spp_secondary or r.spp)
+    share = WEDGE_SHARE_DIRECT if r.plan.max_depth == 2 else WEDGE_SHARE
+    head = [r.scene.data(), r.camera, edges]
+    tail = [samples, mix_seed(r.seed, SECONDARY), r.plan.max_depth, r.plan.rr_depth, share]
+    kernel = make_secondary_kernel(r.config, r.role, r.moves.camera, r.moves.light_pose)
+    return Term(kernel, lambda first, adjoint: [*head, first, *tail, adjoint], samples)
+
+
+#: What each method consists of.
+TERMS: dict[type[Method], tuple[Callable[[Request], Term | None], ...]] = {
+    PathSpace: (primary, terminator, secondary),
+}
