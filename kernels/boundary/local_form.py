@@ -16,8 +16,10 @@ x_1 or x_2.
 In material form only the background counts: domains are fixed, and the radiance of the occluder itself does not jump in
 them. In the film's parametrisation (``primary.py``) it is background minus foreground.
 
-Where the line just beside x_b meets a surface at x_b itself (a box standing on a floor), the same jump is met by two
-neighbouring segments of a path. It is counted once: by the segment whose end towards the sensor is the contact.
+Where the line just beside x_b meets a surface at x_b itself (a box standing on a floor), a path vertex on that surface
+loses sight of both of its neighbours at once. The jump is counted once, by the segment whose end x_2 is the contact
+(tau = 1), with all of the radiance that leaves it: the interior term converges there only conditionally, in the order
+in which its paths are drawn, the sensor's side first (``interior/contact.py``).
 """
 
 import functools

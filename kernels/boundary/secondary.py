@@ -26,7 +26,7 @@ from warp_psdr.kernels.boundary.local_form import (
     make_edge_sink,
 )
 from warp_psdr.kernels.boundary.projection import make_splat
-from warp_psdr.kernels.bvh.wide import make_intersect
+from warp_psdr.kernels.bvh.wide import RayHit, make_intersect
 from warp_psdr.kernels.camera import make_camera_sink
 from warp_psdr.kernels.constants import EMITTER_DIRECTIONAL, EMITTER_POINT, FAR
 from warp_psdr.kernels.emitter.directional import directional_dot
@@ -48,11 +48,11 @@ class Segment:
     valid: wp.int32
     x: wp.vec3  # x_b, moved off the occluder
     w: wp.vec3  # towards the source
+    source: wp.vec3  # where the ray towards the source starts
     sweep: wp.vec3  # sin(phi) n
     t1: wp.float32
     tau: wp.float32
     scale: wp.float32  # 1 / (pdf_l pdf_sigma)
-    contact: wp.int32  # 1: x_1 is a surface that touches the edge
     face1: wp.int32
     u1: wp.float32
     v1: wp.float32
@@ -87,19 +87,27 @@ def make_segment(config: PathConfig):
         r.sweep = side * m
         r.x = point.x - (scene.ray_epsilon / sine) * r.sweep
         behind = START_BEHIND * scene.ray_epsilon
-        # Towards the sensor; a surface at the edge itself is a contact.
-        hit1 = closest_hit(scene.accel, r.x + behind * r.w, -r.w, FAR)
+        r.source = r.x - behind * r.w
+        # Towards the source, for all but point-like lights. A surface at the edge itself is a contact.
+        hit2 = RayHit()
+        start1 = behind
+        if direction.light < 0:
+            hit2 = closest_hit(scene.accel, r.source, r.w, FAR)
+            if hit2.face >= 0 and hit2.t <= behind + scene.ray_epsilon:
+                start1 = -behind
+        # Towards the sensor: from beyond the edge, but not from beyond a contact, which counts as x_2 only.
+        hit1 = closest_hit(scene.accel, r.x + start1 * r.w, -r.w, FAR)
         if hit1.face < 0:
             return r
-        r.t1 = hit1.t - behind
-        r.contact = wp.where(r.t1 <= scene.ray_epsilon, 1, 0)
-        r.t1 = wp.max(r.t1, 0.0)
+        r.t1 = hit1.t - start1
+        if r.t1 <= scene.ray_epsilon:
+            return r
         r.face1 = hit1.face
         r.u1 = hit1.u
         r.v1 = hit1.v
         pdf = pdf_wedge(wedge)
         if direction.light >= 0:
-            if any_hit(scene.accel, r.x - behind * r.w, r.w, wp.min(direction.distance + behind, FAR)):
+            if any_hit(scene.accel, r.source, r.w, wp.min(direction.distance + behind, FAR)):
                 return r
             r.light = direction.light
             r.radiance = direction.irradiance
@@ -107,10 +115,7 @@ def make_segment(config: PathConfig):
                 r.tau = r.t1 / (r.t1 + direction.distance)
             pdf = 1.0 - share
         else:
-            hit2 = closest_hit(scene.accel, r.x - behind * r.w, r.w, FAR)
-            t2 = hit2.t - behind
-            if hit2.face >= 0 and t2 <= scene.ray_epsilon:
-                return r
+            t2 = wp.max(hit2.t - behind, 0.0)
             if direction.aimed == 1:
                 if direction.distance > 0.5 * FAR:
                     if hit2.face >= 0:
@@ -259,44 +264,41 @@ def make_secondary_kernel(config: PathConfig, role: str, camera_moves: bool, lig
         weight = wp.float32(0.0)
         k = wp.int32(1)
         while walk.alive == 1:
-            if k > 1 or s.contact == 0:
-                seen = connect(scene, camera, walk)
-                if wp.max(seen.weight) > 0.0:
-                    source = s.radiance
-                    if s.light < 0:
-                        branch = Sampler()
-                        branch.pixel = sampler.pixel
-                        branch.index = wp.uint32(k)
-                        branch.seed = seed
-                        source = radiance(
-                            scene, branch, s.x + scene.ray_epsilon * s.w, s.w, FAR, k, max_depth, rr_depth
-                        )
-                    value = scale * wp.cw_mul(seen.weight, source)
-                    if wp.max(value) > 0.0:
-                        ray = (walk.x - seen.at.origin) / wp.length(walk.x - seen.at.origin)
-                        if wp.static(role == "reverse"):
-                            w = wp.dot(gather(camera, seen.at.pixel, adjoint), value)
-                            if k == 1:
-                                a_o, a_d, _d = push_first(scene, target, s, w, True, seen.at.origin, ray)
-                                push_segment(scene, target, edges, point, s, w)
-                                if wp.static(camera_moves):
-                                    push_camera(scene, target, camera, seen.at.film, a_o, a_d)
-                            else:
-                                weight += w
+            seen = connect(scene, camera, walk)
+            if wp.max(seen.weight) > 0.0:
+                source = s.radiance
+                if s.light < 0:
+                    branch = Sampler()
+                    branch.pixel = sampler.pixel
+                    branch.index = wp.uint32(k)
+                    branch.seed = seed
+                    source = radiance(scene, branch, s.source, s.w, FAR, k, max_depth, rr_depth)
+                value = scale * wp.cw_mul(seen.weight, source)
+                if wp.max(value) > 0.0:
+                    ray = (walk.x - seen.at.origin) / wp.length(walk.x - seen.at.origin)
+                    if wp.static(role == "reverse"):
+                        w = wp.dot(gather(camera, seen.at.pixel, adjoint), value)
+                        if k == 1:
+                            a_o, a_d, _d = push_first(scene, target, s, w, True, seen.at.origin, ray)
+                            push_segment(scene, target, edges, point, s, w)
+                            if wp.static(camera_moves):
+                                push_camera(scene, target, camera, seen.at.film, a_o, a_d)
                         else:
-                            speed = wp.float32(0.0)
-                            if k == 1:
-                                a_o, a_d, speed_1 = push_first(scene, target, s, 1.0, True, seen.at.origin, ray)
-                                speed = speed_1 + push_segment(scene, target, edges, point, s, 1.0)
-                                if wp.static(camera_moves):
-                                    speed += push_camera(scene, target, camera, seen.at.film, a_o, a_d)
-                            else:
-                                if known == 0:
-                                    _o, _d, speed_k = push_first(scene, target, s, 1.0, False, s.x, s.w)
-                                    moved = speed_k + push_segment(scene, target, edges, point, s, 1.0)
-                                    known = 1
-                                speed = moved
-                            splat(camera, seen.at.pixel, speed * value, image_out)
+                            weight += w
+                    else:
+                        speed = wp.float32(0.0)
+                        if k == 1:
+                            a_o, a_d, speed_1 = push_first(scene, target, s, 1.0, True, seen.at.origin, ray)
+                            speed = speed_1 + push_segment(scene, target, edges, point, s, 1.0)
+                            if wp.static(camera_moves):
+                                speed += push_camera(scene, target, camera, seen.at.film, a_o, a_d)
+                        else:
+                            if known == 0:
+                                _o, _d, speed_k = push_first(scene, target, s, 1.0, False, s.x, s.w)
+                                moved = speed_k + push_segment(scene, target, edges, point, s, 1.0)
+                                known = 1
+                            speed = moved
+                        splat(camera, seen.at.pixel, speed * value, image_out)
             # x_2 is vertex k + 1 of the path.
             if max_depth >= 0 and k + 2 > max_depth:
                 walk.alive = 0

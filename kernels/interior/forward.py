@@ -24,6 +24,7 @@ from warp_psdr.kernels.camera import load_mat44, make_camera_sink
 from warp_psdr.kernels.constants import EMITTER_AREA, EMITTER_CONSTANT, EMITTER_ENVMAP, LOBE_SMOOTH
 from warp_psdr.kernels.emitter.area import light_uv
 from warp_psdr.kernels.emitter.dispatch import make_lights
+from warp_psdr.kernels.interior.contact import contact_weight
 from warp_psdr.kernels.interior.factors import make_light_sink
 from warp_psdr.kernels.interior.tangents import (
     VertexTangent,
@@ -125,7 +126,8 @@ def make_forward_kernel(config: PathConfig, wanted: Wanted):
                     tri = scene.triangles[face]
                     y = (1.0 - u - v) * tri.p0 + u * tri.p1 + v * tri.p2
                     r = y - x
-                    r_dot = moved.x - x_dot
+                    chi = contact_weight(scene, wp.dot(tri.normal, r))
+                    r_dot = chi * (moved.x - x_dot)
                     wo = normalize_jvp(vertex.light_wi, wp.length(r), r_dot)
                     log_g = log_geometry_jvp(wp.cross(tri.p1 - tri.p0, tri.p2 - tri.p0), r, moved.c, r_dot)
                 if wp.static(emission):
@@ -193,7 +195,9 @@ def make_forward_kernel(config: PathConfig, wanted: Wanted):
         wi_dot = wp.vec3(0.0, 0.0, 0.0)
         if wp.static(geometry):
             # wi = normalize(x_{n-1} - x_n).
-            wi_world_dot = normalize_jvp(wi_world, wp.length(vertex.o - surface.x), moving.o - moving.vertex.x)
+            before = vertex.o - surface.x
+            chi = contact_weight(scene, wp.dot(surface.ng, before))
+            wi_world_dot = normalize_jvp(wi_world, wp.length(before), chi * (moving.o - moving.vertex.x))
             wi_dot = local_jvp(frame, turning, wi_world, wi_world_dot)
 
         # D_n.
@@ -226,7 +230,8 @@ def make_forward_kernel(config: PathConfig, wanted: Wanted):
                         tri = scene.triangles[following.face]
                         y = (1.0 - following.u - following.v) * tri.p0 + following.u * tri.p1 + following.v * tri.p2
                         r = y - surface.x
-                        r_dot = after.vertex.x - moving.vertex.x
+                        chi = contact_weight(scene, wp.dot(tri.normal, r))
+                        r_dot = chi * (after.vertex.x - moving.vertex.x)
                         wo_world_dot = normalize_jvp(vertex.wo, wp.length(r), r_dot)
                         cross = wp.cross(tri.p1 - tri.p0, tri.p2 - tri.p0)
                         beta_dot = log_geometry_jvp(cross, r, after.vertex.c, r_dot) * vertex.beta

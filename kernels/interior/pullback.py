@@ -5,8 +5,10 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor, differentiable
+from warp_psdr.kernels.interior.contact import contact_weight
 from warp_psdr.kernels.math import to_local, to_world
 from warp_psdr.kernels.path import Frame
+from warp_psdr.kernels.structs import Scene
 from warp_psdr.kernels.surface import normalize_vjp
 
 
@@ -75,7 +77,9 @@ def make_frame_vjp(tangent: bool):
 
 
 @wp.func
-def connection_vjp(x: wp.vec3, y: wp.vec3, cross: wp.vec3, a_wo: wp.vec3, value: wp.float32) -> ConnectionAdjoint:
+def connection_vjp(
+    scene: Scene, x: wp.vec3, y: wp.vec3, cross: wp.vec3, a_wo: wp.vec3, value: wp.float32
+) -> ConnectionAdjoint:
     """Pull a connection x -> y in material form back to its ends.
 
     ``a_wo``: adjoint of its direction; ``value``: the weighted contribution that carries the geometric factor G, so
@@ -93,4 +97,5 @@ def connection_vjp(x: wp.vec3, y: wp.vec3, cross: wp.vec3, a_wo: wp.vec3, value:
             a_r = value * (cross / cosine - 3.0 * wo) / length
             result.x -= a_r
             result.c = value / cosine * wo
+        result.x *= contact_weight(scene, wp.dot(cross, r) / wp.max(wp.length(cross), 1.0e-30))
     return result

@@ -9,6 +9,7 @@ from warp_psdr.kernels.bsdf.dispatch import make_bsdf
 from warp_psdr.kernels.camera import make_camera_sink
 from warp_psdr.kernels.constants import LOBE_NONE, LOBE_SMOOTH
 from warp_psdr.kernels.emitter.dispatch import make_lights
+from warp_psdr.kernels.interior.contact import contact_weight
 from warp_psdr.kernels.interior.factors import add_material, make_light_sink, make_material_sink
 from warp_psdr.kernels.interior.pullback import connection_vjp, make_frame_vjp
 from warp_psdr.kernels.interior.wanted import Wanted
@@ -183,7 +184,7 @@ def make_sweep(config: PathConfig, wanted: Wanted, role: str):
                                 y = (1.0 - carry.u - carry.v) * tri.p0 + carry.u * tri.p1 + carry.v * tri.p2
                                 value = wp.dot(wp.cw_mul(a_n, vertex.beta), carry.radiance)
                                 link = connection_vjp(
-                                    surface.x, y, wp.cross(tri.p1 - tri.p0, tri.p2 - tri.p0), turned.wo, value
+                                    scene, surface.x, y, wp.cross(tri.p1 - tri.p0, tri.p2 - tri.p0), turned.wo, value
                                 )
                                 adjoint.x += link.x
                                 carry.adjoint.x = carry.adjoint.x - link.x
@@ -223,7 +224,9 @@ def make_sweep(config: PathConfig, wanted: Wanted, role: str):
                 if wp.static(config.tangent):
                     adjoint.tangent = a_tangent
                 # wi = normalize(x_{n-1} - x_n).
-                result.a_x = normalize_vjp(wi_world, wp.length(vertex.o - surface.x), a_wi_world)
+                before = vertex.o - surface.x
+                chi = contact_weight(scene, wp.dot(surface.ng, before))
+                result.a_x = chi * normalize_vjp(wi_world, wp.length(before), a_wi_world)
                 adjoint.x -= result.a_x
         result.adjoint = adjoint
         result.dot = total

@@ -33,6 +33,9 @@ if TYPE_CHECKING:
 
 #: A ray's origin leaves its surface by this fraction of the largest coordinate: some 80 float32 steps there.
 RAY_EPSILON = 1.0e-5
+#: rho over the radius of the smallest shape (``kernels/interior/contact.py``): its bias is of this order, and only in
+#: light between surfaces that touch.
+CONTACT_RADIUS = 1.0e-2
 #: Least radius and extent of a scene, in world units: one without triangles has neither, and both are divided by.
 LEAST_LENGTH = 1.0e-30
 
@@ -133,6 +136,7 @@ class Scene:
         s.env_marginal = self.lights.env_marginal
         s.env_conditional = self.lights.env_conditional
         s.ray_epsilon = self.ray_epsilon
+        s.contact_radius = self.contact_radius
         return s
 
     # -- refreshing ------------------------------------------------------------------------------------------------
@@ -241,6 +245,9 @@ class Scene:
             )
         self.radius = max(0.5 * float(np.linalg.norm(high - low)), LEAST_LENGTH)
         self.ray_epsilon = RAY_EPSILON * max(float(np.abs(low).max()), float(np.abs(high).max()), LEAST_LENGTH)
+        spans = [(s.first_vertex, s.first_vertex + s.vertex_count) for s in self.builder.shapes if s.vertex_count]
+        sizes = [float(np.linalg.norm(np.ptp(points[first:end].astype(np.float64), axis=0))) for first, end in spans]
+        self.contact_radius = CONTACT_RADIUS * 0.5 * min((s for s in sizes if s > 0.0), default=0.0)
 
     def derived_normals(self, names: list[str]) -> list[int]:
         """Shapes whose normals follow their positions and whose positions, or pose, are among the named parameters."""
