@@ -1,14 +1,24 @@
-"""The pinhole camera: a ray through a film position, and the adjoint of that ray.
+"""Cameras: a ray through a film position, and the adjoint of that ray.
 
-Convention of Mitsuba's ``perspective``: camera space looks along +z, +y is up and +x points to the left of the image;
-a film position (s, t) in [0, 1]^2 counts from the top left. With the horizontal field of view ``fov``,
+Conventions of Mitsuba's ``perspective``, ``thinlens`` and ``orthographic``: camera space looks along +z, +y is up and
++x points to the left of the image; a film position (s, t) in [0, 1]^2 counts from the top left. M is the upper 3x3
+block of ``to_world`` and T its translation.
 
-    d_c = ((1 - 2 (s + c_x)) tan(fov / 2), (1 - 2 (t + c_y)) tan(fov / 2) height / width, 1),
+* Pinhole, with the horizontal field of view ``fov`` and the principal point offset (c_x, c_y): o = T, d ~ M d_c,
 
-(c_x, c_y) the principal point offset; ``d = normalize(M d_c)`` with the upper 3x3 block M of ``to_world``, ``o`` its
-translation. The film position is fixed while pose and field of view move: the first vertex of a path slides over the
-surface (the boundary term for that parametrisation is the primary one). Radiance averaged over the pixel filter needs
-no further weight.
+      d_c = ((1 - 2 (s + c_x)) tan(fov / 2), (1 - 2 (t + c_y)) tan(fov / 2) height / width, 1).
+
+* Thin lens: with a point l of the unit disk, drawn uniformly, the aperture radius a and the focus distance f,
+
+      o = T + M (a l, 0),      d ~ M (d_c - (a l, 0) / f),
+
+  since the ray from the point a l of the lens meets the pinhole's ray on the plane z = f. For every l this is a
+  pinhole at o whose film is sheared. Its importance is that of the pinhole, so the mean over l has weight one.
+* Orthographic: o = T + M ((1 - 2 s), (1 - 2 t) height / width, 0), d ~ M e_z. The film is two units wide, times the
+  scale in ``to_world``, which may stretch. Radiance does not depend on the film's area, so again the weight is one.
+
+Film position and l are fixed while the camera moves: the first vertex of a path slides over the surface (the boundary
+term for that parametrisation is the primary one). Radiance averaged over the pixel filter needs no further weight.
 """
 
 import functools
@@ -16,18 +26,28 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.autodiff import differentiable
+from warp_psdr.kernels.constants import CAMERA_ORTHOGRAPHIC, CAMERA_THINLENS
+from warp_psdr.kernels.sampling import square_to_disk
 from warp_psdr.kernels.sink import make_sink
 from warp_psdr.kernels.structs import Camera, Scene
 
 
 @wp.struct
 class Ray:
-    """A ray; ``o`` is the camera's position, hits closer than ``t_min`` or farther than ``t_max`` are clipped."""
+    """A ray from the plane z = 0 of the camera; hits closer than ``t_min`` or farther than ``t_max`` are clipped."""
 
     o: wp.vec3
     d: wp.vec3
     t_min: wp.float32
     t_max: wp.float32
+
+
+@wp.struct
+class CameraSample:
+    """What names a ray of the camera; both parts are detached."""
+
+    film: wp.vec2  # in [0, 1]^2 of the uncropped film
+    lens: wp.vec2  # point of the unit disk (thin lens), else 0
 
 
 @wp.func
@@ -67,43 +87,168 @@ def camera_dot(
 
 
 @wp.func
-def camera_ray(scene: Scene, camera: Camera, film: wp.vec2) -> Ray:
-    """Ray through a film position in [0, 1]^2 of the uncropped film."""
-    m = load_mat44(scene.values, camera.to_world)
-    aspect = wp.float32(camera.width) / wp.float32(camera.height)
-    d = camera_direction(
-        m, scene.values[camera.x_fov], scene.values[camera.principal], scene.values[camera.principal + 1],
-        film[0], film[1], aspect,
-    )  # fmt: skip
-    length = wp.length(d)
-    ray = Ray()
-    ray.o = wp.vec3(m[0, 3], m[1, 3], m[2, 3])
-    ray.d = d / length
-    # Clip planes are perpendicular to the viewing axis; |d| is 1 / cos of the angle to it (times the scale of M).
-    slant = length / wp.length(wp.vec3(m[0, 2], m[1, 2], m[2, 2]))
-    ray.t_min = camera.near * slant
-    ray.t_max = camera.far * slant
-    return ray
+def lens_direction(
+    m: wp.mat44, fov: wp.float32, cx: wp.float32, cy: wp.float32, radius: wp.float32, focus: wp.float32,
+    film: wp.vec2, lens: wp.vec2, aspect: wp.float32,
+) -> wp.vec3:  # fmt: skip
+    """Unnormalised world direction from the lens point through the film position's point in focus."""
+    d = camera_direction(m, fov, cx, cy, film[0], film[1], aspect)
+    x = radius * lens[0] / focus
+    y = radius * lens[1] / focus
+    return wp.vec3(
+        d[0] - m[0, 0] * x - m[0, 1] * y,
+        d[1] - m[1, 0] * x - m[1, 1] * y,
+        d[2] - m[2, 0] * x - m[2, 1] * y,
+    )
+
+
+@wp.func
+def lens_origin(m: wp.mat44, radius: wp.float32, lens: wp.vec2) -> wp.vec3:
+    x = radius * lens[0]
+    y = radius * lens[1]
+    return wp.vec3(
+        m[0, 0] * x + m[0, 1] * y + m[0, 3],
+        m[1, 0] * x + m[1, 1] * y + m[1, 3],
+        m[2, 0] * x + m[2, 1] * y + m[2, 3],
+    )
+
+
+@wp.func
+def parallel_origin(m: wp.mat44, film: wp.vec2, aspect: wp.float32) -> wp.vec3:
+    x = 1.0 - 2.0 * film[0]
+    y = (1.0 - 2.0 * film[1]) / aspect
+    return wp.vec3(
+        m[0, 0] * x + m[0, 1] * y + m[0, 3],
+        m[1, 0] * x + m[1, 1] * y + m[1, 3],
+        m[2, 0] * x + m[2, 1] * y + m[2, 3],
+    )
+
+
+@differentiable
+@wp.func
+def lens_dot(
+    m: wp.mat44, fov: wp.float32, cx: wp.float32, cy: wp.float32, radius: wp.float32, focus: wp.float32,
+    film: wp.vec2, lens: wp.vec2, aspect: wp.float32, a_o: wp.vec3, a_d: wp.vec3,
+) -> wp.float32:  # fmt: skip
+    """Local factor of the thin lens."""
+    d = wp.normalize(lens_direction(m, fov, cx, cy, radius, focus, film, lens, aspect))
+    return wp.dot(a_o, lens_origin(m, radius, lens)) + wp.dot(a_d, d)
+
+
+@differentiable
+@wp.func
+def parallel_dot(m: wp.mat44, film: wp.vec2, aspect: wp.float32, a_o: wp.vec3, a_d: wp.vec3) -> wp.float32:
+    """Local factor of the orthographic camera."""
+    d = wp.normalize(wp.vec3(m[0, 2], m[1, 2], m[2, 2]))
+    return wp.dot(a_o, parallel_origin(m, film, aspect)) + wp.dot(a_d, d)
 
 
 @functools.cache
-def make_camera_sink(role: str):
-    """Return ``push_camera(scene, target, camera, film, a_o, a_d) -> float``: scatter the adjoint of a camera ray."""
+def make_lens(kind: int):
+    """Return ``lens_point(u: vec2) -> vec2``: the part ``CameraSample.lens``, uniform on the unit disk."""
+
+    @wp.func
+    def lens_point(u: wp.vec2) -> wp.vec2:
+        if wp.static(kind == CAMERA_THINLENS):
+            return square_to_disk(u)
+        else:
+            return wp.vec2(0.0, 0.0)
+
+    return lens_point
+
+
+@functools.cache
+def make_camera_ray(kind: int):
+    """Return ``(camera_ray, camera_origin)``, both of ``(scene, camera, sample)``; ``camera_origin`` is the ray's o."""
+
+    @wp.func
+    def camera_origin(scene: Scene, camera: Camera, sample: CameraSample) -> wp.vec3:
+        m = load_mat44(scene.values, camera.to_world)
+        if wp.static(kind == CAMERA_ORTHOGRAPHIC):
+            return parallel_origin(m, sample.film, wp.float32(camera.width) / wp.float32(camera.height))
+        elif wp.static(kind == CAMERA_THINLENS):
+            return lens_origin(m, scene.values[camera.aperture_radius], sample.lens)
+        else:
+            return wp.vec3(m[0, 3], m[1, 3], m[2, 3])
+
+    @wp.func
+    def camera_ray(scene: Scene, camera: Camera, sample: CameraSample) -> Ray:
+        m = load_mat44(scene.values, camera.to_world)
+        aspect = wp.float32(camera.width) / wp.float32(camera.height)
+        d = wp.vec3(m[0, 2], m[1, 2], m[2, 2])
+        axis = wp.length(d)
+        film = sample.film
+        if wp.static(kind == CAMERA_THINLENS):
+            d = lens_direction(
+                m, scene.values[camera.x_fov], scene.values[camera.principal], scene.values[camera.principal + 1],
+                scene.values[camera.aperture_radius], scene.values[camera.focus_distance], film, sample.lens, aspect,
+            )  # fmt: skip
+        elif wp.static(kind != CAMERA_ORTHOGRAPHIC):
+            d = camera_direction(
+                m, scene.values[camera.x_fov], scene.values[camera.principal], scene.values[camera.principal + 1],
+                film[0], film[1], aspect,
+            )  # fmt: skip
+        length = wp.length(d)
+        ray = Ray()
+        ray.o = camera_origin(scene, camera, sample)
+        ray.d = d / length
+        if wp.static(kind == CAMERA_ORTHOGRAPHIC):
+            # As in Mitsuba the near plane scales with ``to_world`` and the distance between the two does not.
+            ray.t_min = camera.near * axis
+            ray.t_max = ray.t_min + (camera.far - camera.near)
+        else:
+            # Clip planes are perpendicular to the viewing axis; |d| is 1 / cos of the angle to it (times M's scale).
+            slant = length / axis
+            ray.t_min = camera.near * slant
+            ray.t_max = camera.far * slant
+        return ray
+
+    return camera_ray, camera_origin
+
+
+@functools.cache
+def make_camera_sink(role: str, kind: int):
+    """Return ``push_camera(scene, target, camera, sample, a_o, a_d) -> float``: scatter the adjoint of a camera ray."""
     sink = make_sink(role)
 
     @wp.func
     def push_camera(
-        scene: Scene, target: wp.array(dtype=wp.float32), camera: Camera, film: wp.vec2, a_o: wp.vec3, a_d: wp.vec3
+        scene: Scene,
+        target: wp.array(dtype=wp.float32),
+        camera: Camera,
+        sample: CameraSample,
+        a_o: wp.vec3,
+        a_d: wp.vec3,
     ) -> wp.float32:
         m = load_mat44(scene.values, camera.to_world)
         aspect = wp.float32(camera.width) / wp.float32(camera.height)
-        g_m, g_fov, g_cx, g_cy, _s, _t, _aspect, _a_o, _a_d = wp.grad(camera_dot)(
-            m, scene.values[camera.x_fov], scene.values[camera.principal], scene.values[camera.principal + 1],
-            film[0], film[1], aspect, a_o, a_d,
-        )  # fmt: skip
-        total = sink(target, camera.x_fov, g_fov)
-        total += sink(target, camera.principal, g_cx)
-        total += sink(target, camera.principal + 1, g_cy)
+        film = sample.film
+        total = wp.float32(0.0)
+        g_m = wp.mat44()
+        if wp.static(kind == CAMERA_ORTHOGRAPHIC):
+            g_m, _film, _aspect, _a_o, _a_d = wp.grad(parallel_dot)(m, film, aspect, a_o, a_d)
+        else:
+            fov = scene.values[camera.x_fov]
+            cx = scene.values[camera.principal]
+            cy = scene.values[camera.principal + 1]
+            g_fov = wp.float32(0.0)
+            g_cx = wp.float32(0.0)
+            g_cy = wp.float32(0.0)
+            if wp.static(kind == CAMERA_THINLENS):
+                radius = scene.values[camera.aperture_radius]
+                focus = scene.values[camera.focus_distance]
+                g_m, g_fov, g_cx, g_cy, g_radius, g_focus, _film, _lens, _aspect, _a_o, _a_d = wp.grad(lens_dot)(
+                    m, fov, cx, cy, radius, focus, film, sample.lens, aspect, a_o, a_d
+                )
+                total += sink(target, camera.aperture_radius, g_radius)
+                total += sink(target, camera.focus_distance, g_focus)
+            else:
+                g_m, g_fov, g_cx, g_cy, _s, _t, _aspect, _a_o, _a_d = wp.grad(camera_dot)(
+                    m, fov, cx, cy, film[0], film[1], aspect, a_o, a_d
+                )
+            total += sink(target, camera.x_fov, g_fov)
+            total += sink(target, camera.principal, g_cx)
+            total += sink(target, camera.principal + 1, g_cy)
         for row in range(3):
             for column in range(4):
                 total += sink(target, camera.to_world + 4 * row + column, g_m[row, column])

@@ -21,8 +21,8 @@ import warp as wp
 
 from warp_psdr.kernels.bsdf.dispatch import make_bsdf
 from warp_psdr.kernels.bvh.wide import make_intersect
-from warp_psdr.kernels.camera import camera_ray
-from warp_psdr.kernels.constants import FAR, LOBE_NONE, LOBE_SMOOTH, RFILTER_BOX
+from warp_psdr.kernels.camera import CameraSample, make_camera_ray, make_lens
+from warp_psdr.kernels.constants import CAMERA_PERSPECTIVE, FAR, LOBE_NONE, LOBE_SMOOTH, RFILTER_BOX
 from warp_psdr.kernels.distribution import find_interval
 from warp_psdr.kernels.emitter.area import make_area, pdf_area
 from warp_psdr.kernels.emitter.dispatch import make_lights
@@ -65,6 +65,8 @@ class PathConfig:
     filter: int
     ray_backend: str
     ray_width: int
+    #: Kind of the camera.
+    camera: int = CAMERA_PERSPECTIVE
 
 
 @wp.struct
@@ -352,7 +354,7 @@ def make_path_step(config: PathConfig, differential: bool):
 
 @functools.cache
 def make_camera_start(config: PathConfig, filter_kind: int | None = None):
-    """Return ``start(scene, camera, px, py, sampler) -> (PathState, film position)``.
+    """Return ``start(scene, camera, px, py, sampler) -> (PathState, CameraSample)``.
 
     ``filter_kind``: RFILTER_BOX draws positions uniformly in the pixel; None draws from the film's own filter.
     """
@@ -361,16 +363,22 @@ def make_camera_start(config: PathConfig, filter_kind: int | None = None):
     sample_4d = draw.sample_4d
     box = filter_kind == RFILTER_BOX
     filter_sample = make_filter(RFILTER_BOX if box else config.filter)
+    camera_ray, _camera_origin = make_camera_ray(config.camera)
+    lens_point = make_lens(config.camera)
 
     @wp.func
-    def start(scene: Scene, camera: Camera, px: wp.int32, py: wp.int32, sampler: Sampler) -> tuple[PathState, wp.vec2]:
+    def start(
+        scene: Scene, camera: Camera, px: wp.int32, py: wp.int32, sampler: Sampler
+    ) -> tuple[PathState, CameraSample]:
         u4 = sample_4d(sampler, 0)
         radius = camera.filter_radius
         if wp.static(box):
             radius = wp.float32(0.5)
         offset = filter_sample(wp.vec2(u4[0], u4[1]), radius, camera.filter_stddev)
-        film = film_position(camera, px, py, offset)
-        ray = camera_ray(scene, camera, film)
+        sample = CameraSample()
+        sample.film = film_position(camera, px, py, offset)
+        sample.lens = lens_point(wp.vec2(u4[2], u4[3]))
+        ray = camera_ray(scene, camera, sample)
         state = PathState()
         state.alive = 1
         state.o = ray.o + ray.t_min * ray.d
@@ -386,7 +394,7 @@ def make_camera_start(config: PathConfig, filter_kind: int | None = None):
                 state.o += step * state.d
                 state.t_max -= step
                 hit = closest_hit(scene.accel, state.o, state.d, state.t_max)
-        return state, film
+        return state, sample
 
     return start
 
@@ -423,7 +431,7 @@ def make_primal_kernel(config: PathConfig):
             sampler.pixel = wp.uint32(pixel)
             sampler.index = wp.uint32(first_sample + i)
             sampler.seed = seed
-            state, _film = start(scene, camera, px, py, sampler)
+            state, _sample = start(scene, camera, px, py, sampler)
             while state.alive == 1:
                 vertex, state = path_step(scene, sampler, state, max_depth, rr_depth)
                 total += wp.cw_mul(vertex.throughput, vertex.direct)

@@ -67,14 +67,14 @@ def make_splat_kernel(config: PathConfig):
             sampler.pixel = wp.uint32(pixel)
             sampler.index = wp.uint32(i)
             sampler.seed = seed
-            state, film = start(scene, camera, px, py, sampler)
+            state, sample = start(scene, camera, px, py, sampler)
             radiance = wp.vec3(0.0, 0.0, 0.0)
             while state.alive == 1:
                 vertex, state = path_step(scene, sampler, state, max_depth, rr_depth)
                 radiance += wp.cw_mul(vertex.throughput, vertex.direct)
             # Where the sample lies, in pixels of the crop window; pixel j's centre is at j + 1/2.
-            x = film[0] * wp.float32(camera.width) - wp.float32(camera.crop_x) - 0.5
-            y = film[1] * wp.float32(camera.height) - wp.float32(camera.crop_y) - 0.5
+            x = sample.film[0] * wp.float32(camera.width) - wp.float32(camera.crop_x) - 0.5
+            y = sample.film[1] * wp.float32(camera.height) - wp.float32(camera.crop_y) - 0.5
             r = camera.filter_radius
             first_row = wp.max(wp.int32(wp.ceil(y - r)), 0)
             last_row = wp.min(wp.int32(wp.floor(y + r)), camera.crop_height - 1)

@@ -112,11 +112,14 @@ class Emitter:
 
 @wp.struct
 class Camera:
-    """A pinhole camera. The film covers ``crop_*`` of a ``width`` x ``height`` image; pixel (0, 0) is top left."""
+    """A camera. The film covers ``crop_*`` of a ``width`` x ``height`` image; pixel (0, 0) is top left."""
 
+    kind: wp.int32
     to_world: wp.int32  # flat offset, 4x4 row-major, camera looks along +z with +y up, x to the left
-    x_fov: wp.int32  # flat offset, degrees, horizontal field of view of the full film
-    principal: wp.int32  # flat offset of (principal_point_offset_x, _y), relative to the film size
+    x_fov: wp.int32  # flat offset, degrees, horizontal field of view of the full film (not orthographic)
+    principal: wp.int32  # flat offset of (principal_point_offset_x, _y), relative to the film size (not orthographic)
+    aperture_radius: wp.int32  # flat offset, world units (thin lens)
+    focus_distance: wp.int32  # flat offset, world units along the viewing axis (thin lens)
     width: wp.int32
     height: wp.int32
     crop_x: wp.int32

@@ -476,7 +476,5 @@ CASES = [
     Case("unknown fov axis", ("parameter 'fov_axis'", "smaller, larger"), plugins=camera(fov=40.0, fov_axis="z")),
     Case("near behind far", ("scene['sensor']", "near_clip", "smaller"), plugins=camera(near_clip=2.0, far_clip=1.0)),
     Case("unknown filter", ("'lanczos'", "supported"), plugins=film(rfilter={"type": "lanczos"})),
-    Case(
-        "unsupported camera", ("scene['sensor']", "'thinlens'", "supported"), plugins={"sensor": {"type": "thinlens"}}
-    ),
+    Case("unsupported camera", ("scene['sensor']", "'distant'", "supported"), plugins={"sensor": {"type": "distant"}}),
 ]

@@ -116,7 +116,12 @@ TEXTURED = PathConfig(
     }
 )
 ALL_LIGHTS = PathConfig(**{**vars(SIMPLE), "lights": LIGHTS, "filter": c.RFILTER_GAUSSIAN})
+ORTHOGRAPHIC = PathConfig(**{**vars(SIMPLE), "camera": c.CAMERA_ORTHOGRAPHIC})
+THIN_LENS = PathConfig(**{**vars(SIMPLE), "camera": c.CAMERA_THINLENS})
+THIN_LENS_SMOOTH = PathConfig(**{**vars(THIN_LENS), "smooth": True})
+ORTHOGRAPHIC_SMOOTH = PathConfig(**{**vars(ORTHOGRAPHIC), "smooth": True})
 ALBEDO = Wanted(slots=(True, False, False, False, False))
+MOVING_CAMERA = Wanted(slots=(False,) * 5, camera=True)
 GEOMETRY = Wanted(slots=(True, False, False, False, False), shapes=True)
 ALL = Wanted(
     slots=(True,) * 5,
@@ -143,6 +148,8 @@ FACTORIES = {
     "path.make_primal_kernel": [
         ("simple", (SIMPLE,), FAST),
         ("emission", (EMISSION,), SLOW),
+        ("orthographic", (ORTHOGRAPHIC,), SLOW),
+        ("thin lens", (THIN_LENS,), FAST),
         ("others", (OTHERS,), SLOW),
         ("everything", (EVERYTHING,), SLOW),
     ],
@@ -150,10 +157,14 @@ FACTORIES = {
     "interior.replay.make_replay_kernel": [
         ("simple", (SIMPLE, GEOMETRY, 8, 1), FAST),
         ("blocks", (SIMPLE, ALBEDO, 8, 4), SLOW),
+        ("orthographic", (ORTHOGRAPHIC, MOVING_CAMERA, 4, 1), SLOW),
+        ("thin lens", (THIN_LENS, MOVING_CAMERA, 4, 1), SLOW),
         *[(name, (config, ALL, 4, 1), SLOW) for name, config in THIRDS.items()],
     ],
     "interior.forward.make_forward_kernel": [
         ("simple", (SIMPLE, ALBEDO), FAST),
+        ("orthographic", (ORTHOGRAPHIC, MOVING_CAMERA), SLOW),
+        ("thin lens", (THIN_LENS, MOVING_CAMERA), SLOW),
         *[(name, (config, ALL), SLOW) for name, config in THIRDS.items()],
     ],
     "interior.textbook.make_textbook_kernel": [
@@ -167,13 +178,21 @@ FACTORIES = {
         ("reverse, simple", (SIMPLE, "reverse", False), FAST),
         ("forward, materials", (MATERIALS, "forward", True), SLOW),
         ("reverse, textures", (TEXTURED, "reverse", True), SLOW),
+        ("reverse, orthographic", (ORTHOGRAPHIC, "reverse", True), SLOW),
+        ("forward, thin lens", (THIN_LENS, "forward", True), SLOW),
     ],
     "boundary.secondary.make_secondary_kernel": [
         ("reverse, simple", (SIMPLE, "reverse", False, False), SLOW),
         ("forward, textures", (TEXTURED, "forward", True, False), SLOW),
         ("reverse, lights", (ALL_LIGHTS, "reverse", True, True), SLOW),
+        ("forward, orthographic", (ORTHOGRAPHIC, "forward", True, False), SLOW),
+        ("reverse, thin lens", (THIN_LENS, "reverse", True, False), SLOW),
     ],
-    "boundary.terminator.make_terminator_kernel": [("reverse, materials", (MATERIALS, "reverse", True), SLOW)],
+    "boundary.terminator.make_terminator_kernel": [
+        ("reverse, materials", (MATERIALS, "reverse", True), SLOW),
+        ("reverse, orthographic", (ORTHOGRAPHIC_SMOOTH, "reverse", True), SLOW),
+        ("forward, thin lens", (THIN_LENS_SMOOTH, "forward", True), SLOW),
+    ],
 }
 
 

@@ -133,6 +133,26 @@ def test_the_camera_projects_as_in_rendering(draw) -> None:
     assert not yellow(hidden).any()
 
 
+@pytest.mark.parametrize("window", [SIZE, (200, 300)])
+def test_an_orthographic_camera_has_no_perspective(draw, window) -> None:
+    # Two small lamps, one behind the other: half the film's width is the first column's length, at any depth.
+    camera = sensor((0.0, 0.0, 4.0))
+    camera.kind = "orthographic"
+    camera.to_world[:3, :2] *= 2.0
+    lamp = wall(constant("p.reflectance", 0.5), 0.1)
+    lamp.vertices = np.concatenate([lamp.vertices + np.array([1.2, 0.6, z]) for z in (0.5, -2.0)])
+    lamp.faces = np.concatenate([lamp.faces, lamp.faces + 4])
+    lamp.texcoords = np.concatenate([lamp.texcoords, lamp.texcoords])
+    lamp.emitter = EmitterDescription("lamp", "area", constant("lamp.radiance", 5.0))
+    image = draw(scene_of(lamp, emitters=[lamp.emitter], camera=camera), window_size=window)
+    rows, columns = np.nonzero(yellow(image))
+    shape = min(window[0] / window[1], SIZE[0] / SIZE[1])
+    pixels = 0.5 * window[1] * shape / 2.0
+    assert columns.mean() + 0.5 == pytest.approx(0.5 * window[0] + 1.2 * pixels, abs=1.0)
+    assert rows.mean() + 0.5 == pytest.approx(0.5 * window[1] - 0.6 * pixels, abs=1.0)
+    assert np.ptp(rows) + 1 == pytest.approx(0.2 * pixels, abs=2.0)
+
+
 def test_materials_are_shown_in_their_colours(draw) -> None:
     texels = np.zeros((2, 2, 3), np.float32)
     texels[0, 0] = [0.8, 0.0, 0.0]  # first row: v below 1/2; first column: u below 1/2

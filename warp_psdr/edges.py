@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
+from warp_psdr.camera_view import CameraView, camera_view
 from warp_psdr.kernels.boundary.local_form import Edges
-from warp_psdr.kernels.constants import RFILTER_GAUSSIAN, TEXTURE_FACE
-from warp_psdr.kernels.film import GAUSSIAN_CUT
+from warp_psdr.kernels.constants import TEXTURE_FACE
 from warp_psdr.light_sampling import cumulative
 
 if TYPE_CHECKING:
@@ -181,8 +181,9 @@ def primary_edges(scene: Scene, sensor: int, shapes: set[int], *, camera_moves: 
     """
     edges = scene_adjacency(scene)
     points = scene.values.numpy()[scene.positions : scene.positions + 3 * scene.vertex_count].reshape(-1, 3)
-    low, high, image_length = _clip(scene, sensor, points[edges.ends].astype(np.float64))
-    use = _jumps(scene, sensor, edges, points.astype(np.float64)) & (image_length > 0.0)
+    view = camera_view(scene, sensor)
+    low, high, image_length = view.clip(points[edges.ends].astype(np.float64))
+    use = _jumps(scene, view, edges, points.astype(np.float64)) & (image_length > 0.0)
     if not camera_moves:
         use &= moving_edges(scene, edges, shapes)
     keep = np.flatnonzero(use)
@@ -222,7 +223,7 @@ def terminator_faces(
     """
     values = scene.values.numpy().astype(np.float64)
     points = values[scene.positions : scene.positions + 3 * scene.vertex_count].reshape(-1, 3)
-    eye = values[scene.camera(sensor).to_world :][[3, 7, 11]]
+    view = camera_view(scene, sensor)
     bent = bent_faces(scene)
     numbers, weights = [], []
     for i, s in enumerate(scene.builder.shapes):
@@ -231,12 +232,14 @@ def terminator_faces(
         vertices = slice(s.first_vertex, s.first_vertex + s.vertex_count)
         first = s.normal_offset + 3 * s.first_vertex
         normals = values[first : first + 3 * s.vertex_count].reshape(-1, 3)
-        facing = (normals * (eye - points[vertices])).sum(axis=1)
+        facing = (normals * view.towards(points[vertices])).sum(axis=1)
+        spread = view.spread(normals)
         faces = scene.builder.indices[s.first_face : s.first_face + s.face_count]
-        corners = facing[faces - s.first_vertex]
-        crossed = (corners.min(axis=1) <= 0.0) & (corners.max(axis=1) >= 0.0)
+        least, most = (q[faces - s.first_vertex] for q in (facing - spread, facing + spread))
+        crossed = (least.min(axis=1) <= 0.0) & (most.max(axis=1) >= 0.0)
         p = points[faces]
-        size = np.linalg.norm(p - p[:, [1, 2, 0]], axis=2).max(axis=1) / np.linalg.norm(p.mean(axis=1) - eye, axis=1)
+        size = np.linalg.norm(p - p[:, [1, 2, 0]], axis=2).max(axis=1)
+        size /= np.linalg.norm(view.towards(p.mean(axis=1)), axis=1)
         numbers.append(s.first_face + np.arange(s.face_count))
         weights.append(np.where(crossed, size, TERMINATOR_FLOOR * size))
     faces = np.concatenate([np.zeros(0, np.int32), *numbers]).astype(np.int32)
@@ -255,7 +258,7 @@ def all_edges(scene: Scene) -> tuple[Edges, Adjacency]:
     return _upload(scene, edges, np.arange(n), np.ones(n), np.zeros(n), np.ones(n)), edges
 
 
-def _jumps(scene: Scene, sensor: int, edges: Adjacency, points: np.ndarray) -> np.ndarray:
+def _jumps(scene: Scene, view: CameraView, edges: Adjacency, points: np.ndarray) -> np.ndarray:
     shapes = scene.builder.shapes
     shape = scene.builder.face_shape[edges.faces[edges.first[:-1]]]
     smooth = np.array([s.smooth == 1 for s in shapes])[shape]
@@ -264,63 +267,21 @@ def _jumps(scene: Scene, sensor: int, edges: Adjacency, points: np.ndarray) -> n
     textured = any(t.width > 0 for t in scene.builder.textures)
     stepped = any(t.kind == TEXTURE_FACE for t in scene.builder.textures) | (unmapped & textured)
     shared = (edges.count == 2) & (edges.ends == edges.twins).all(axis=1)
-    eye = scene.values.numpy()[scene.camera(sensor).to_world :][[3, 7, 11]].astype(np.float64)
     second = np.where(edges.count == 2, edges.first[:-1] + 1, edges.first[:-1])
-    sides = []
+    sides, spreads = [], []
     ends = points[edges.ends]
-    plane = np.cross(ends[:, 1] - ends[:, 0], ends[:, 0] - eye)
+    along = ends[:, 1] - ends[:, 0]
+    plane = np.cross(along, -view.towards(ends[:, 0]))
     for face in (edges.faces[edges.first[:-1]], edges.faces[second]):
-        corners = points[scene.builder.indices[face]]
-        sides.append(((corners - ends[:, :1]).sum(axis=1) * plane).sum(axis=1))
+        into = (points[scene.builder.indices[face]] - ends[:, :1]).sum(axis=1)
+        sides.append((into * plane).sum(axis=1))
+        # into . (along x eye) = eye . (into x along)
+        spreads.append(view.spread(np.cross(into, along)))
     scale = np.linalg.norm(plane, axis=1) * edges.length * COPLANAR
-    silhouette = (sides[0] * sides[1] >= 0.0) | (np.minimum(np.abs(sides[0]), np.abs(sides[1])) <= scale)
+    near = [np.abs(s) <= scale + r for s, r in zip(sides, spreads, strict=True)]
+    silhouette = (sides[0] * sides[1] >= 0.0) | near[0] | near[1]
     continuous = shared & ~stepped & ((edges.wedge == 0.0) | (smooth & ~silhouette))
     return ~continuous
-
-
-def _clip(scene: Scene, sensor: int, ends: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Clip edges (E, 2, 3) to the view of the film, filter margin included; return low, high and length in pixels."""
-    camera = scene.camera(sensor)
-    values = scene.values.numpy().astype(np.float64)
-    m = values[camera.to_world : camera.to_world + 16].reshape(4, 4)
-    p = (ends - m[:3, 3]) @ np.linalg.inv(m[:3, :3]).T
-    k = np.tan(np.radians(values[camera.x_fov]) / 2.0)
-    aspect = camera.width / camera.height
-    c = values[camera.principal : camera.principal + 2]
-    # Homogeneous film coordinates in pixels of the crop window.
-    w = p[..., 2]
-    x = camera.width * (0.5 * (w - p[..., 0] / k) - c[0] * w) - camera.crop_x * w
-    y = camera.height * (0.5 * (w - p[..., 1] * aspect / k) - c[1] * w) - camera.crop_y * w
-    gaussian = camera.filter == RFILTER_GAUSSIAN
-    margin = GAUSSIAN_CUT * camera.filter_stddev if gaussian else camera.filter_radius
-    scale = np.linalg.norm(m[:3, 2])
-    planes = (
-        w - camera.near / scale,
-        camera.far / scale - w,
-        x + margin * w,
-        (camera.crop_width + margin) * w - x,
-        y + margin * w,
-        (camera.crop_height + margin) * w - y,
-    )
-    low, high = np.zeros(len(ends)), np.ones(len(ends))
-    for f in planes:
-        change = f[:, 1] - f[:, 0]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            at = -f[:, 0] / change
-        low = np.where((f[:, 0] < 0.0) & (f[:, 1] >= 0.0), np.maximum(low, at), low)
-        high = np.where((f[:, 0] >= 0.0) & (f[:, 1] < 0.0), np.minimum(high, at), high)
-        high = np.where((f[:, 0] < 0.0) & (f[:, 1] < 0.0), -1.0, high)
-    seen = high > low
-
-    def image(s: np.ndarray) -> np.ndarray:
-        xyw = np.stack(
-            [(1.0 - s) * q[:, 0] + s * q[:, 1] for q in (x, y, np.where(np.abs(w) > 1e-30, w, 1e-30))], axis=1
-        )
-        depth = np.where(np.abs(xyw[:, 2:]) > 1e-30, xyw[:, 2:], 1e-30)
-        return xyw[:, :2] / depth
-
-    length = np.where(seen, np.linalg.norm(image(high) - image(low), axis=1), 0.0)
-    return low, high, np.where(np.isfinite(length), length, 0.0)
 
 
 def _upload(scene: Scene, edges: Adjacency, keep: np.ndarray, weight: np.ndarray, low, high) -> Edges:

@@ -51,6 +51,11 @@ EMITTER_NAMES = {
     c.EMITTER_SPOT: "spot",
     c.EMITTER_DIRECTIONAL: "directional",
 }
+CAMERA_NAMES = {
+    c.CAMERA_PERSPECTIVE: "perspective",
+    c.CAMERA_ORTHOGRAPHIC: "orthographic",
+    c.CAMERA_THINLENS: "thinlens",
+}
 TEXTURE_NAMES = {
     c.TEXTURE_CONSTANT: "constant",
     c.TEXTURE_BITMAP: "bitmap",
@@ -185,6 +190,8 @@ def _config(scene: Scene, integrator: PathIntegrator, sensor: int, lines: list) 
         "no limit" if depth < 0 else "emission only, no scattering code" if depth == 1 else f"at most {depth} vertices"
     )
     lines.append(("depth", str(depth), reason))
+    kind = CAMERA_NAMES[camera.kind]
+    lines.append(("camera", kind, "two random numbers a sample for the lens" if kind == "thinlens" else "no lens"))
     lines.append(("sampler", sampler, "Owen-scrambled, padded pairs" if sampler == "sobol" else "hashed counters"))
     lines.append(("ray queries", scene.accelerator.backend, f"{scene.accelerator.width} lanes"))
     return PathConfig(
@@ -203,6 +210,7 @@ def _config(scene: Scene, integrator: PathIntegrator, sensor: int, lines: list) 
         filter=camera.filter,
         ray_backend=scene.accelerator.backend,
         ray_width=scene.accelerator.width,
+        camera=camera.kind,
     )
 
 

@@ -419,7 +419,8 @@ def _aim(
     pose, fov = None, 40.0
     if sensor is not None:
         pose = as_array(_value(values, f"{sensor.path}.to_world", sensor.to_world))
-        fov = float(as_array(_value(values, f"{sensor.path}.x_fov", sensor.x_fov)).reshape(-1)[0])
+        if sensor.kind != "orthographic":
+            fov = float(as_array(_value(values, f"{sensor.path}.x_fov", sensor.x_fov)).reshape(-1)[0])
     forward, up = (np.array([-0.6, -0.45, -0.66]), np.array([0.0, 1.0, 0.0])) if pose is None else pose[:3, [2, 1]].T
     forward = forward / np.linalg.norm(forward)
     if sensor is None or pose is None or panel.side != "camera":
@@ -430,8 +431,12 @@ def _aim(
         eye, vertical = center - distance * forward, angle
     else:
         film, half = sensor.film, math.tan(math.radians(0.5 * fov))
-        # VTK takes the vertical angle; the panel shows at least the film.
-        eye, vertical = pose[:3, 3], 2.0 * math.atan(half / min(aspect, film.width / film.height))
+        # VTK takes the vertical angle, or half the height; the panel shows at least the film.
+        shape = min(aspect, film.width / film.height)
+        eye, vertical = pose[:3, 3], 2.0 * math.atan(half / shape)
+        if sensor.kind == "orthographic":
+            plotter.camera.parallel_projection = True
+            plotter.camera.parallel_scale = float(np.linalg.norm(pose[:3, 0])) / shape
     plotter.camera.position = tuple(eye)
     plotter.camera.focal_point = tuple(eye + forward * max(float(np.dot(center - eye, forward)), 0.1 * radius))
     plotter.camera.up = tuple(up)

@@ -7,9 +7,9 @@ cosine of its outgoing direction, as everywhere here,
 
     W(x, to) = integral W(y, -w) f_s(w, to) |n . w| / |n . to| dsigma(w),      y what the direction w meets,
 
-and at every vertex it is connected to the pinhole:
+and at every vertex it is connected to the camera, w_c the direction towards the origin of its ray through y:
 
-    W_camera(x, to) = f_s(w_c, to) / |n . to| . |n . w_c| / r^2 . density               (``projection.py``).
+    W_camera(x, to) = f_s(w_c, to) / |n . to| . |n . w_c| . per_area                    (``projection.py``).
 
 n is the geometric normal; the cosine with the shading normal sits in f_s, as in the interior term.
 The vertices between x_1 and the camera only carry values here, not derivatives.
@@ -19,7 +19,7 @@ import functools
 
 import warp as wp
 
-from warp_psdr.kernels.boundary.projection import FilmPoint, project
+from warp_psdr.kernels.boundary.projection import FilmPoint, make_projection
 from warp_psdr.kernels.bsdf.dispatch import make_bsdf
 from warp_psdr.kernels.bvh.wide import make_intersect
 from warp_psdr.kernels.constants import LOBE_SMOOTH
@@ -94,25 +94,26 @@ def make_radiance(config: PathConfig):
 def make_walk(config: PathConfig):
     """Return ``(connect, extend)``.
 
-    ``connect(scene, camera, walk) -> Connection`` and ``extend(scene, walk, u4, roulette) -> Walk``: the next vertex.
+    ``connect(scene, camera, walk, lens) -> Connection``, with ``lens`` from ``camera.make_lens``;
+    ``extend(scene, walk, u4, roulette) -> Walk``: the next vertex.
     """
     closest_hit, any_hit = make_intersect(config.ray_backend, config.ray_width)
     surface_at = make_surface(config.smooth, config.flat, config.uv, config.tangent)
     frame_at = make_frame(config.two_sided, config.tangent)
     material_at = make_material(config.slots)
     bsdf = make_bsdf(config.bsdfs)
+    project = make_projection(config.camera)[0]
 
     @wp.func
-    def connect(scene: Scene, camera: Camera, walk: Walk) -> Connection:
+    def connect(scene: Scene, camera: Camera, walk: Walk, lens: wp.vec2) -> Connection:
         r = Connection()
-        r.at = project(scene, camera, walk.x)
+        r.at = project(scene, camera, walk.x, lens)
         if r.at.valid == 0:
             return r
         surface = surface_at(scene, walk.face, walk.u, walk.v)
         shape = scene.shapes[surface.shape]
         towards = r.at.origin - walk.x
-        distance = wp.length(towards)
-        w = towards / distance
+        w = wp.normalize(towards)
         frame = frame_at(scene, shape.bsdf, surface.n, surface.tangent, w)
         b = scene.bsdfs[frame.bsdf]
         material = material_at(scene, b, walk.face, walk.u, walk.v, surface.uv)
@@ -128,7 +129,7 @@ def make_walk(config: PathConfig):
         length = wp.length(ray)
         if any_hit(scene.accel, o, ray / length, length - r.at.near):
             return r
-        factor = wp.abs(wp.dot(surface.ng, w)) * r.at.density / (distance * distance * cosine)
+        factor = wp.abs(wp.dot(surface.ng, w)) * r.at.per_area / cosine
         r.weight = factor * wp.cw_mul(walk.weight, f)
         return r
 

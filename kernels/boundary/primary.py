@@ -1,10 +1,11 @@
-"""Primary boundary: discontinuities of the radiance on the film, for a pinhole and the pixel filter h.
+"""Primary boundary: discontinuities of the radiance on the film, for the pixel filter h.
 
     dI_j = integral h(u - u_j) (L_- - L_+) (u' . N) ds,      N perpendicular to du/ds on the film, |N| = |du/ds|,
 
 u = pixel(x_b) the image of an edge point, s its position along the edge, L_+ and L_- the radiance on the side that N
 points to and on the other [LADL18; survey eq. 4 on the film]. It is the local form with the camera as x_1: with g the
 gradient of N . pixel(x), u' . N = g . (x_b' - o' - |x_b - o| d'), the edge's velocity relative to its pixel's ray.
+A thin lens is the mean over its points of such cameras, one point a sample (``projection.py``).
 
 Where the edge is hidden there is no jump. The two radiances are path-traced along rays that pass the edge on either
 side at a fraction of a ray epsilon, parallel to the line of sight, with common random numbers. Silhouettes, creases,
@@ -18,9 +19,9 @@ import warp as wp
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.boundary.detector import make_radiance
 from warp_psdr.kernels.boundary.local_form import START_BEHIND, Edges, edge_point, interior_side, make_edge_sink
-from warp_psdr.kernels.boundary.projection import film_gradient, film_velocity, make_splat, project
+from warp_psdr.kernels.boundary.projection import make_projection, make_splat
 from warp_psdr.kernels.bvh.wide import make_intersect
-from warp_psdr.kernels.camera import make_camera_sink
+from warp_psdr.kernels.camera import make_camera_sink, make_lens
 from warp_psdr.kernels.path import PathConfig
 from warp_psdr.kernels.rng import Sampler, make_sampler
 from warp_psdr.kernels.structs import Camera, Scene
@@ -40,9 +41,13 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
     _closest_hit, any_hit = make_intersect(config.ray_backend, config.ray_width)
     radiance = make_radiance(config)
     push_edge = make_edge_sink(role)
-    push_camera = make_camera_sink(role) if camera_moves else None
+    push_camera = make_camera_sink(role, config.camera) if camera_moves else None
     splat, gather = make_splat()
-    sample_1d = make_sampler(config.sampler).sample_1d
+    project, film_gradient, film_velocity = make_projection(config.camera)
+    lens_point = make_lens(config.camera)
+    draw = make_sampler(config.sampler)
+    sample_1d = draw.sample_1d
+    sample_2d = draw.sample_2d
 
     @wp.kernel(module="unique", enable_backward=False)
     def primary(
@@ -67,7 +72,7 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
         sampler.pixel = wp.uint32(number)
         sampler.seed = seed
         point = edge_point(scene, edges, number, samples, sample_1d(sampler, 0))
-        at = project(scene, camera, point.x)
+        at = project(scene, camera, point.x, lens_point(sample_2d(sampler, 1)))
         if at.valid == 0:
             return
         distance = wp.length(point.x - at.origin)
@@ -110,7 +115,7 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
         g = scale * g
         speed = push_edge(scene, target, edges, point, g)
         if wp.static(camera_moves):
-            speed += push_camera(scene, target, camera, at.film, -g, -distance * g)
+            speed += push_camera(scene, target, camera, at.sample, -g, -distance * g)
         if wp.static(role == "forward"):
             splat(camera, at.pixel, speed * jump, image_out)
 

@@ -27,7 +27,7 @@ from warp_psdr.kernels.boundary.local_form import (
 )
 from warp_psdr.kernels.boundary.projection import make_splat
 from warp_psdr.kernels.bvh.wide import RayHit, make_intersect
-from warp_psdr.kernels.camera import make_camera_sink
+from warp_psdr.kernels.camera import make_camera_sink, make_lens
 from warp_psdr.kernels.constants import EMITTER_DIRECTIONAL, EMITTER_POINT, FAR
 from warp_psdr.kernels.emitter.directional import directional_dot
 from warp_psdr.kernels.emitter.spot import load_column
@@ -37,8 +37,9 @@ from warp_psdr.kernels.sink import make_sink, make_sink_vec3
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.surface import VertexAdjoint, make_vertex_sink
 
-#: Sample slots of a segment (edge, direction, light) and of one vertex of the walk.
-SLOT_EDGE, SLOT_DIRECTION, SLOT_LIGHT, SLOT_WALK = 0, 1, 2, 3
+#: Sample slots of a segment (edge, direction, light), of the point of the lens that sees it, and of the walk, whose
+#: vertices count from one.
+SLOT_EDGE, SLOT_DIRECTION, SLOT_LIGHT, SLOT_LENS, SLOT_WALK = 0, 1, 2, 3, 3
 
 
 @wp.struct
@@ -215,10 +216,12 @@ def make_secondary_kernel(config: PathConfig, role: str, camera_moves: bool, lig
     connect, extend = make_walk(config)
     radiance = make_radiance(config)
     push_segment, push_first = make_segment_sink(role, light_pose)
-    push_camera = make_camera_sink(role) if camera_moves else None
+    push_camera = make_camera_sink(role, config.camera) if camera_moves else None
     splat, gather = make_splat()
+    lens_point = make_lens(config.camera)
     draw = make_sampler(config.sampler)
     sample_1d = draw.sample_1d
+    sample_2d = draw.sample_2d
     sample_4d = draw.sample_4d
 
     @wp.kernel(module="unique", enable_backward=False)
@@ -258,13 +261,14 @@ def make_secondary_kernel(config: PathConfig, role: str, camera_moves: bool, lig
         walk.to = s.w
         walk.weight = wp.vec3(1.0, 1.0, 1.0)
         scale = s.scale / wp.float32(samples)
+        lens = lens_point(sample_2d(sampler, SLOT_LENS))
         # Velocities for a unit weight (forward), or weights of the velocities (reverse).
         moved = wp.float32(0.0)
         known = wp.int32(0)
         weight = wp.float32(0.0)
         k = wp.int32(1)
         while walk.alive == 1:
-            seen = connect(scene, camera, walk)
+            seen = connect(scene, camera, walk, lens)
             if wp.max(seen.weight) > 0.0:
                 source = s.radiance
                 if s.light < 0:
@@ -282,7 +286,7 @@ def make_secondary_kernel(config: PathConfig, role: str, camera_moves: bool, lig
                             a_o, a_d, _d = push_first(scene, target, s, w, True, seen.at.origin, ray)
                             push_segment(scene, target, edges, point, s, w)
                             if wp.static(camera_moves):
-                                push_camera(scene, target, camera, seen.at.film, a_o, a_d)
+                                push_camera(scene, target, camera, seen.at.sample, a_o, a_d)
                         else:
                             weight += w
                     else:
@@ -291,7 +295,7 @@ def make_secondary_kernel(config: PathConfig, role: str, camera_moves: bool, lig
                             a_o, a_d, speed_1 = push_first(scene, target, s, 1.0, True, seen.at.origin, ray)
                             speed = speed_1 + push_segment(scene, target, edges, point, s, 1.0)
                             if wp.static(camera_moves):
-                                speed += push_camera(scene, target, camera, seen.at.film, a_o, a_d)
+                                speed += push_camera(scene, target, camera, seen.at.sample, a_o, a_d)
                         else:
                             if known == 0:
                                 _o, _d, speed_k = push_first(scene, target, s, 1.0, False, s.x, s.w)

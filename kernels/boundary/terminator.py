@@ -11,6 +11,9 @@ where phi > 0 minus that where phi < 0,
 phi' the velocity of phi along the attached pixel ray and l the curve's length in barycentrics (u, v). On a line of
 constant barycentric b_a phi is quadratic: its roots sample the curve. With a one of the three at random the density is
 (|phi_u| + |phi_v| + |phi_u - phi_v|) / (3 |grad phi|), which nowhere vanishes.
+
+o is the pinhole, or a point of a thin lens, one a sample. Seen by an orthographic camera phi is n . (-d), d its fixed
+direction: the same with -d for o and without x (``finite`` = 0), linear in r.
 """
 
 import functools
@@ -20,9 +23,10 @@ import warp as wp
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.boundary.detector import make_radiance
 from warp_psdr.kernels.boundary.primary import AHEAD, BESIDE
-from warp_psdr.kernels.boundary.projection import film_velocity, make_splat, project
+from warp_psdr.kernels.boundary.projection import make_projection, make_splat
 from warp_psdr.kernels.bvh.wide import make_intersect
-from warp_psdr.kernels.camera import make_camera_sink
+from warp_psdr.kernels.camera import lens_origin, load_mat44, make_camera_sink, make_lens
+from warp_psdr.kernels.constants import CAMERA_ORTHOGRAPHIC, CAMERA_THINLENS
 from warp_psdr.kernels.distribution import find_interval
 from warp_psdr.kernels.path import PathConfig
 from warp_psdr.kernels.rng import Sampler, make_sampler
@@ -39,9 +43,9 @@ def corner(face_normals: wp.mat33, i: wp.int32) -> wp.vec3:
 
 
 @wp.func
-def phi_at(p: wp.mat33, n: wp.mat33, b: wp.vec3, o: wp.vec3) -> wp.float32:
-    """Return n . (o - x) at barycentrics b, with the rows of p and n the corners' positions and normals."""
-    return wp.dot(wp.transpose(n) * b, o - wp.transpose(p) * b)
+def phi_at(p: wp.mat33, n: wp.mat33, b: wp.vec3, o: wp.vec3, finite: wp.float32) -> wp.float32:
+    """Return n . (o - finite x) at barycentrics b, with the rows of p and n the corners' positions and normals."""
+    return wp.dot(wp.transpose(n) * b, o - finite * (wp.transpose(p) * b))
 
 
 @wp.func
@@ -59,9 +63,14 @@ def make_terminator_kernel(config: PathConfig, role: str, camera_moves: bool):
     _closest_hit, any_hit = make_intersect(config.ray_backend, config.ray_width)
     radiance = make_radiance(config)
     push_vertex = make_vertex_sink(role, True, config.flat, False, False, False, True)
-    push_camera = make_camera_sink(role) if camera_moves else None
+    push_camera = make_camera_sink(role, config.camera) if camera_moves else None
     splat, gather = make_splat()
-    sample_4d = make_sampler(config.sampler).sample_4d
+    project, _film_gradient, film_velocity = make_projection(config.camera)
+    lens_point = make_lens(config.camera)
+    parallel = config.camera == CAMERA_ORTHOGRAPHIC
+    draw = make_sampler(config.sampler)
+    sample_2d = draw.sample_2d
+    sample_4d = draw.sample_4d
 
     @wp.kernel(module="unique", enable_backward=False)
     def terminator(
@@ -98,14 +107,21 @@ def make_terminator_kernel(config: PathConfig, role: str, camera_moves: bool):
             load_vec3(scene.values, shape.normal_offset + 3 * tri.i1),
             load_vec3(scene.values, shape.normal_offset + 3 * tri.i2),
         )
-        i = camera.to_world
-        o = wp.vec3(scene.values[i + 3], scene.values[i + 7], scene.values[i + 11])
+        m = load_mat44(scene.values, camera.to_world)
+        lens = lens_point(sample_2d(sampler, 1))
+        finite = wp.float32(1.0)
+        eye = wp.vec3(m[0, 3], m[1, 3], m[2, 3])
+        if wp.static(parallel):
+            finite = wp.float32(0.0)
+            eye = -wp.normalize(wp.vec3(m[0, 2], m[1, 2], m[2, 2]))
+        elif wp.static(config.camera == CAMERA_THINLENS):
+            eye = lens_origin(m, scene.values[camera.aperture_radius], lens)
         axis = wp.min(wp.int32(3.0 * u4[1]), 2)
         w = u4[2]
         # phi(r) = a r^2 + b r + c from three of its values.
-        c = phi_at(p, n, barycentrics(axis, w, 0.0), o)
-        middle = phi_at(p, n, barycentrics(axis, w, 0.5), o)
-        end = phi_at(p, n, barycentrics(axis, w, 1.0), o)
+        c = phi_at(p, n, barycentrics(axis, w, 0.0), eye, finite)
+        middle = phi_at(p, n, barycentrics(axis, w, 0.5), eye, finite)
+        end = phi_at(p, n, barycentrics(axis, w, 1.0), eye, finite)
         a = 2.0 * (end + c - 2.0 * middle)
         b = end - c - a
         discriminant = b * b - 4.0 * a * c
@@ -125,20 +141,20 @@ def make_terminator_kernel(config: PathConfig, role: str, camera_moves: bool):
                 x = wp.transpose(p) * at_b
                 raw = wp.transpose(n) * at_b
                 size = wp.length(raw)
-                at = project(scene, camera, x)
+                at = project(scene, camera, x, lens)
                 if at.valid == 1 and size > 0.0:
-                    to = o - x
-                    distance = wp.length(to)
-                    view = to / distance
-                    phi_u = wp.dot(corner(n, 1) - corner(n, 0), to) - wp.dot(raw, e1)
-                    phi_v = wp.dot(corner(n, 2) - corner(n, 0), to) - wp.dot(raw, e2)
+                    to = eye - finite * x
+                    distance = wp.length(at.origin - x)
+                    view = (at.origin - x) / distance
+                    phi_u = wp.dot(corner(n, 1) - corner(n, 0), to) - finite * wp.dot(raw, e1)
+                    phi_v = wp.dot(corner(n, 2) - corner(n, 0), to) - finite * wp.dot(raw, e2)
                     speed_sum = wp.abs(phi_u) + wp.abs(phi_v) + wp.abs(phi_u - phi_v)
                     q1 = film_velocity(scene, camera, at, e1)
                     q2 = film_velocity(scene, camera, at, e2)
                     area = wp.abs(q1[0] * q2[1] - q1[1] * q2[0])
                     cosine = wp.dot(tri.normal, view)
                     start = x + wp.where(cosine >= 0.0, scene.ray_epsilon, -scene.ray_epsilon) * tri.normal
-                    back = o - start
+                    back = at.origin - start
                     length = wp.length(back)
                     hidden = any_hit(scene.accel, start, back / length, length - at.near)
                     weight = wp.vec3(1.0, 1.0, 1.0)
@@ -162,12 +178,14 @@ def make_terminator_kernel(config: PathConfig, role: str, camera_moves: bool):
                             g *= wp.dot(weight, jump)
                         unit = raw / size
                         vertex = VertexAdjoint()
-                        vertex.x = -g * unit
+                        vertex.x = -g * finite * unit
                         vertex.n = (shape.orientation * g) * to
-                        pushed = push_vertex(scene, target, face, at_b[1], at_b[2], vertex, True, o, -view)
+                        pushed = push_vertex(scene, target, face, at_b[1], at_b[2], vertex, True, at.origin, -view)
                         moved = pushed.dot
                         if wp.static(camera_moves):
-                            moved += push_camera(scene, target, camera, at.film, g * unit + pushed.o, pushed.d)
+                            a_o = pushed.o + (g * finite) * unit
+                            a_d = pushed.d - (g * (1.0 - finite)) * unit
+                            moved += push_camera(scene, target, camera, at.sample, a_o, a_d)
                         if wp.static(role == "forward"):
                             splat(camera, at.pixel, moved * jump, image_out)
 

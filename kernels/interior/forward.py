@@ -20,7 +20,7 @@ import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.bsdf.dispatch import make_bsdf
-from warp_psdr.kernels.camera import load_mat44, make_camera_sink
+from warp_psdr.kernels.camera import CameraSample, make_camera_ray, make_camera_sink
 from warp_psdr.kernels.constants import EMITTER_AREA, EMITTER_CONSTANT, EMITTER_ENVMAP, LOBE_SMOOTH
 from warp_psdr.kernels.emitter.area import light_uv
 from warp_psdr.kernels.emitter.dispatch import make_lights
@@ -68,6 +68,7 @@ def make_forward_kernel(config: PathConfig, wanted: Wanted):
     """
     path_step = make_path_step(config, True)
     start = make_camera_start(config)
+    _camera_ray, camera_origin = make_camera_ray(config.camera)
     surface_at = make_surface(config.smooth, config.flat, config.uv, config.tangent)
     frame_at = make_frame(config.two_sided, config.tangent)
     frame_jvp = make_frame_jvp(config.tangent)
@@ -80,7 +81,7 @@ def make_forward_kernel(config: PathConfig, wanted: Wanted):
     has_lights = bool(config.area or config.lights) and smooth_lobes
     radiance_of = make_light_sink(config, wanted, "forward")[0] if has_lights else None
     geometry = wanted.geometry
-    push_camera = make_camera_sink("forward") if wanted.camera else None
+    push_camera = make_camera_sink("forward", config.camera) if wanted.camera else None
     emission_jvp = (
         make_texture_jvp(config.area, wanted.radiance, wanted.to_uv, geometry or wanted.texcoords)
         if config.area
@@ -275,7 +276,7 @@ def make_forward_kernel(config: PathConfig, wanted: Wanted):
         scene: Scene,
         camera: Camera,
         tangents: wp.array(dtype=wp.float32),
-        film: wp.vec2,
+        sample: CameraSample,
         vertex: PathVertex,
     ) -> Moving:
         """How the camera ray and the vertex that it finds move."""
@@ -286,8 +287,8 @@ def make_forward_kernel(config: PathConfig, wanted: Wanted):
             zero = wp.vec3(0.0, 0.0, 0.0)
             if wp.static(wanted.camera):
                 for axis in range(3):
-                    result.o[axis] = push_camera(scene, tangents, camera, film, axis_vec3(axis), zero)
-                    result.d[axis] = push_camera(scene, tangents, camera, film, zero, axis_vec3(axis))
+                    result.o[axis] = push_camera(scene, tangents, camera, sample, axis_vec3(axis), zero)
+                    result.d[axis] = push_camera(scene, tangents, camera, sample, zero, axis_vec3(axis))
             if vertex.face >= 0:
                 result.vertex = vertex_jvp(
                     scene, tangents, vertex.face, vertex.u, vertex.v, True, vertex.o, vertex.d, result.o, result.d
@@ -316,17 +317,16 @@ def make_forward_kernel(config: PathConfig, wanted: Wanted):
         pixel = pixels[first_pixel + wp.tid()]
         px = pixel % camera.crop_width
         py = pixel // camera.crop_width
-        origin = load_mat44(scene.values, camera.to_world)
         total = wp.vec3(0.0, 0.0, 0.0)
         for i in range(samples):
             sampler = Sampler()
             sampler.pixel = wp.uint32(pixel)
             sampler.index = wp.uint32(first_sample + i)
             sampler.seed = seed
-            state, film = start(scene, camera, px, py, sampler)
+            state, sample = start(scene, camera, px, py, sampler)
             vertex, state = path_step(scene, sampler, state, max_depth, rr_depth)
-            vertex.o = wp.vec3(origin[0, 3], origin[1, 3], origin[2, 3])
-            moving = first_moving(scene, camera, target, film, vertex)
+            vertex.o = camera_origin(scene, camera, sample)
+            moving = first_moving(scene, camera, target, sample, vertex)
             throughput_dot = wp.vec3(0.0, 0.0, 0.0)
             more = wp.bool(True)
             while more:

@@ -30,7 +30,7 @@ import functools
 
 import warp as wp
 
-from warp_psdr.kernels.camera import load_mat44
+from warp_psdr.kernels.camera import make_camera_ray
 from warp_psdr.kernels.interior.sweep import Carry, make_sweep
 from warp_psdr.kernels.interior.wanted import Wanted
 from warp_psdr.kernels.path import PathConfig, PathState, PathVertex, make_camera_start, make_path_step
@@ -50,6 +50,7 @@ def make_replay_kernel(config: PathConfig, wanted: Wanted, block: int, blocks: i
     """
     path_step = make_path_step(config, True)
     start = make_camera_start(config)
+    _camera_ray, camera_origin = make_camera_ray(config.camera)
     sweep, finish, _finish_vertex = make_sweep(config, wanted, "reverse")
 
     @wp.kernel(module="unique", enable_backward=False)
@@ -79,14 +80,13 @@ def make_replay_kernel(config: PathConfig, wanted: Wanted, block: int, blocks: i
             return
         record = wp.zeros(shape=(wp.static(block),), dtype=PathVertex)
         states = wp.zeros(shape=(wp.static(blocks),), dtype=PathState)
-        origin = load_mat44(scene.values, camera.to_world)
-        camera_position = wp.vec3(origin[0, 3], origin[1, 3], origin[2, 3])
         for i in range(samples):
             sampler = Sampler()
             sampler.pixel = wp.uint32(pixel)
             sampler.index = wp.uint32(first_sample + i)
             sampler.seed = seed
-            state, film = start(scene, camera, px, py, sampler)
+            state, sample = start(scene, camera, px, py, sampler)
+            origin = camera_origin(scene, camera, sample)
             count = wp.int32(0)
             while state.alive == 1:
                 if wp.static(blocks > 1):
@@ -94,7 +94,7 @@ def make_replay_kernel(config: PathConfig, wanted: Wanted, block: int, blocks: i
                         states[count // wp.static(block)] = state
                 vertex, state = path_step(scene, sampler, state, max_depth, rr_depth)
                 if count == 0:
-                    vertex.o = camera_position
+                    vertex.o = origin
                 record[count % wp.static(block)] = vertex
                 count += 1
             loaded = (count - 1) // wp.static(block)
@@ -110,10 +110,10 @@ def make_replay_kernel(config: PathConfig, wanted: Wanted, block: int, blocks: i
                             if again.alive == 1:
                                 vertex, again = path_step(scene, sampler, again, max_depth, rr_depth)
                                 if loaded == 0 and j == 0:
-                                    vertex.o = camera_position
+                                    vertex.o = origin
                                 record[j] = vertex
                 carry = sweep(scene, target, record[n % wp.static(block)], delta, carry)
                 n -= 1
-            finish(scene, target, camera, film, carry)
+            finish(scene, target, camera, sample, carry)
 
     return replay

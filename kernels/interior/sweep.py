@@ -6,7 +6,7 @@ import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.bsdf.dispatch import make_bsdf
-from warp_psdr.kernels.camera import make_camera_sink
+from warp_psdr.kernels.camera import CameraSample, make_camera_sink
 from warp_psdr.kernels.constants import LOBE_NONE, LOBE_SMOOTH
 from warp_psdr.kernels.emitter.dispatch import make_lights
 from warp_psdr.kernels.interior.contact import contact_weight
@@ -41,8 +41,8 @@ def make_sweep(config: PathConfig, wanted: Wanted, role: str):
     """Return ``(sweep, finish, finish_vertex)``.
 
     ``sweep(scene, target, vertex, delta, carry) -> Carry``: the step from vertex n + 1 to vertex n.
-    ``finish(scene, target, camera, film, carry) -> float``: the last one, from vertex 1 to the camera; in forward mode
-    it returns the derivative of the sample.
+    ``finish(scene, target, camera, sample, carry) -> float``: the last one, from vertex 1 to the camera; in forward
+    mode it returns the derivative of the sample.
     ``finish_vertex(scene, target, carry, by_ray) -> Carry``: scatter the adjoint of one vertex.
     """
     surface_at = make_surface(config.smooth, config.flat, config.uv, config.tangent)
@@ -57,7 +57,7 @@ def make_sweep(config: PathConfig, wanted: Wanted, role: str):
     has_lights = bool(config.area or config.lights) and has_smooth
     radiance_of, push_light = make_light_sink(config, wanted, role) if has_lights else (None, None)
     push_vertex = make_vertex_sink(role, config.smooth, config.flat, config.uv, config.tangent, wanted.texcoords, True)
-    push_camera = make_camera_sink(role) if wanted.camera else None
+    push_camera = make_camera_sink(role, config.camera) if wanted.camera else None
     emission = bool(config.area) and (wanted.radiance or wanted.to_uv or wanted.geometry)
     push_emission = (
         make_texture_sink(role, config.area, wanted.radiance, wanted.to_uv, wanted.geometry) if emission else None
@@ -234,7 +234,7 @@ def make_sweep(config: PathConfig, wanted: Wanted, role: str):
 
     @wp.func
     def finish(
-        scene: Scene, target: wp.array(dtype=wp.float32), camera: Camera, film: wp.vec2, carry: Carry
+        scene: Scene, target: wp.array(dtype=wp.float32), camera: Camera, sample: CameraSample, carry: Carry
     ) -> wp.float32:
         if wp.static(not geometry):
             return carry.dot
@@ -243,7 +243,7 @@ def make_sweep(config: PathConfig, wanted: Wanted, role: str):
             done = finish_vertex(scene, target, carry, True)
             total = done.dot
             if wp.static(wanted.camera):
-                total += push_camera(scene, target, camera, film, done.a_x, done.a_d)
+                total += push_camera(scene, target, camera, sample, done.a_x, done.a_d)
             return total
 
     return sweep, finish, finish_vertex

@@ -16,7 +16,7 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
-from warp_psdr.kernels.camera import load_mat44, make_camera_sink
+from warp_psdr.kernels.camera import CameraSample, make_camera_ray, make_camera_sink
 from warp_psdr.kernels.interior.sweep import Carry, make_sweep
 from warp_psdr.kernels.interior.wanted import Wanted
 from warp_psdr.kernels.path import PathConfig, PathVertex, make_camera_start, make_path_step
@@ -51,8 +51,9 @@ def make_textbook_kernel(config: PathConfig, wanted: Wanted, role: str):
     """Return the kernel of ``interior.Replay(block=0)``; arguments as ``make_replay_kernel``'s."""
     path_step = make_path_step(config, True)
     start = make_camera_start(config)
+    _camera_ray, camera_origin = make_camera_ray(config.camera)
     sweep, _finish, finish_vertex = make_sweep(config, wanted, role)
-    push_camera = make_camera_sink(role) if wanted.camera else None
+    push_camera = make_camera_sink(role, config.camera) if wanted.camera else None
     geometry = wanted.geometry
     channels = 3 if role == "forward" else 1
 
@@ -61,7 +62,7 @@ def make_textbook_kernel(config: PathConfig, wanted: Wanted, role: str):
         scene: Scene,
         target: wp.array(dtype=wp.float32),
         camera: Camera,
-        film: wp.vec2,
+        sample: CameraSample,
         carry: Carry,
         first: wp.bool,
     ) -> wp.float32:
@@ -73,7 +74,7 @@ def make_textbook_kernel(config: PathConfig, wanted: Wanted, role: str):
         total = done.dot
         if wp.static(wanted.camera):
             if first:
-                total += push_camera(scene, target, camera, film, done.a_x, done.a_d)
+                total += push_camera(scene, target, camera, sample, done.a_x, done.a_d)
         return total
 
     @wp.kernel(module="unique", enable_backward=False)
@@ -102,15 +103,14 @@ def make_textbook_kernel(config: PathConfig, wanted: Wanted, role: str):
         if wp.static(role == "reverse"):
             delta = scale * adjoint[py, px]
         derivative = wp.vec3(0.0, 0.0, 0.0)
-        origin = load_mat44(scene.values, camera.to_world)
-        camera_position = wp.vec3(origin[0, 3], origin[1, 3], origin[2, 3])
         for i in range(samples):
             sampler = Sampler()
             sampler.pixel = wp.uint32(pixel)
             sampler.index = wp.uint32(first_sample + i)
             sampler.seed = seed
             total_radiance = wp.vec3(0.0, 0.0, 0.0)
-            state, film = start(scene, camera, px, py, sampler)
+            state, sample = start(scene, camera, px, py, sampler)
+            origin = camera_origin(scene, camera, sample)
             first_state = state
             while state.alive == 1:
                 vertex, state = path_step(scene, sampler, state, max_depth, rr_depth)
@@ -124,7 +124,7 @@ def make_textbook_kernel(config: PathConfig, wanted: Wanted, role: str):
                 remaining = total_radiance
                 state = first_state
                 current, state = path_step(scene, sampler, state, max_depth, rr_depth)
-                current.o = camera_position
+                current.o = origin
                 before = PathVertex()
                 n = wp.int32(1)
                 more = wp.bool(True)
@@ -146,11 +146,11 @@ def make_textbook_kernel(config: PathConfig, wanted: Wanted, role: str):
                         own.a_d = result.a_d
                         if n == 1:
                             own.a_x = result.a_x
-                        total += push(scene, target, camera, film, own, n == 1)
+                        total += push(scene, target, camera, sample, own, n == 1)
                         if n > 1:
                             previous = at_vertex(before)
                             previous.adjoint.x = result.a_x
-                            total += push(scene, target, camera, film, previous, n == 2)
+                            total += push(scene, target, camera, sample, previous, n == 2)
                     before = current
                     current = following
                     n += 1

@@ -19,6 +19,8 @@ TEXTBOOK_REFUSES = ("mirror", "glass")
 #: What is requested together in a scene, so that its cases share kernels.
 TOGETHER = {
     "plane": ("*",),
+    "plane, parallel": ("sensor.*", "floor.to_world"),
+    "plane, lens": ("sensor.*", "floor.to_world"),
     "dome": ("floor.face_color", "sky.radiance.value"),
     "gap": ("*",),
     "rough": ("*",),
@@ -171,6 +173,20 @@ PLANE = [
     Case("plane", "floor.vertex_normals", turn(0.5, 0.8, 0.2), 2e-2, spp=2048, slow=True),
     Case("plane", "floor.vertex_positions", shift(0.5, 0.3, 0.8), 4e-3, spp=128),
 ]
+PARALLEL = [
+    Case("plane, parallel", "sensor.to_world", shift(0.3, -0.5, 0.4), 4e-3, "shift", spp=128),
+    Case("plane, parallel", "sensor.to_world", aim(0.3, 0.8, 0.4), 4e-3, "aim", spp=128),
+    Case("plane, parallel", "sensor.to_world", widen, 4e-3, "widen", spp=128),
+    Case("plane, parallel", "floor.to_world", turn(0.5, 0.8, 0.2), 2e-2, "turn", spp=512, slow=True),
+]
+LENS = [
+    Case("plane, lens", "sensor.to_world", shift(0.3, -0.5, 0.4), 4e-3, "shift", spp=128),
+    Case("plane, lens", "sensor.to_world", aim(0.3, 0.8, 0.4), 4e-3, "aim", spp=128, slow=True),
+    Case("plane, lens", "sensor.x_fov", ones, 0.2, spp=128),
+    Case("plane, lens", "sensor.aperture_radius", ones, 4e-3, spp=512),
+    Case("plane, lens", "sensor.focus_distance", ones, 1e-2, spp=512),
+    Case("plane, lens", "floor.to_world", turn(0.5, 0.8, 0.2), 2e-2, "turn", spp=256, slow=True),
+]
 DOME = [
     Case("dome", "floor.face_color", mixed, 5e-2),
     Case("dome", "sky.radiance.value", mixed, 5e-2),
@@ -231,4 +247,4 @@ DELTA = [
     Case("glass", "sensor.to_world", aim(0.3, 0.8, 0.4), 2e-3, "aim", depth=4, spp=64),
     Case("glass", "sensor.x_fov", ones, 0.1, depth=4, spp=128, slow=True),
 ]
-CASES = [*PLANE, *DOME, *GAP, *ROUGH, *DELTA]
+CASES = [*PLANE, *PARALLEL, *LENS, *DOME, *GAP, *ROUGH, *DELTA]

@@ -104,6 +104,15 @@ def plane_scene():
     }
 
 
+def plane_seen_by(kind, to_world=None, **parameters):
+    """``plane`` seen by another camera."""
+    scene = plane_scene()
+    sensor = scene["sensor"]
+    pose = sensor["to_world"] if to_world is None else sensor["to_world"] @ to_world
+    kept = {k: v for k, v in sensor.items() if kind == "thinlens" or k != "fov"}
+    return {**scene, "sensor": {**kept, "type": kind, "to_world": pose, **parameters}}
+
+
 def dome_scene():
     _vertices, faces, _texcoords = dome()
     reflectance = {"type": "mesh_attribute", "name": "face_color"}
@@ -154,6 +163,8 @@ def glass_scene():
 
 SCENES = {
     "plane": plane_scene,
+    "plane, parallel": lambda: plane_seen_by("orthographic", psdr.Transform.scale([0.9, 1.1, 1.5])),
+    "plane, lens": lambda: plane_seen_by("thinlens", aperture_radius=0.3, focus_distance=1.7),
     "dome": dome_scene,
     "gap": gap_scene,
     "rough": rough_scene,

@@ -40,6 +40,6 @@ class PathSpace(Method):
     """Multi-directional sampling of boundary paths [ZMY*20] (``kernels/boundary/``), unguided.
 
     Unbiased for triangle meshes with moving shapes, area, environment, point, spot and directional lights, and a moving
-    pinhole camera, at any depth; with interpolated normals for direct light. Not covered, and refused: smooth mirrors
+    camera, at any depth; with interpolated normals for direct light. Not covered, and refused: smooth mirrors
     and glass, surfaces that run through each other, hidden emitters, and textures with steps.
     """

@@ -69,6 +69,7 @@ EMITTERS = {
     "spot": c.EMITTER_SPOT,
     "directional": c.EMITTER_DIRECTIONAL,
 }
+CAMERAS = {"perspective": c.CAMERA_PERSPECTIVE, "orthographic": c.CAMERA_ORTHOGRAPHIC, "thinlens": c.CAMERA_THINLENS}
 #: A texture's record and the flat (offset, size) of its values.
 Placed = tuple[structs.Texture, tuple[int, int]]
 
@@ -266,6 +267,7 @@ class Builder:
 
     def _camera(self, s: SensorDescription) -> None:
         record = structs.Camera()
+        record.kind = CAMERAS[s.kind]
         f = s.film
         record.width, record.height = f.width, f.height
         record.crop_x, record.crop_y = f.crop_offset_x, f.crop_offset_y
@@ -274,8 +276,13 @@ class Builder:
         record.filter_radius, record.filter_stddev = f.filter_radius, f.filter_stddev
         record.near, record.far = s.near_clip, s.far_clip
         record.to_world = self.layout.add(f"{s.path}.to_world", s.to_world, CAMERA)
-        record.x_fov = self.layout.add(f"{s.path}.x_fov", np.array([s.x_fov]), CAMERA, bounds=(1e-3, 179.0))
-        record.principal = self.layout.add_values(np.asarray(s.principal_point_offset))
-        for i, axis in enumerate("xy"):
-            self.layout.name(f"{s.path}.principal_point_offset_{axis}", record.principal + i, (1,), CAMERA)
+        if s.kind != "orthographic":
+            record.x_fov = self.layout.add(f"{s.path}.x_fov", np.array([s.x_fov]), CAMERA, bounds=(1e-3, 179.0))
+            record.principal = self.layout.add_values(np.asarray(s.principal_point_offset))
+            for i, axis in enumerate("xy"):
+                self.layout.name(f"{s.path}.principal_point_offset_{axis}", record.principal + i, (1,), CAMERA)
+        if s.kind == "thinlens":
+            for name, low in (("aperture_radius", 0.0), ("focus_distance", 1e-6)):
+                value = np.array([getattr(s, name)])
+                setattr(record, name, self.layout.add(f"{s.path}.{name}", value, CAMERA, bounds=(low, INF)))
         self.cameras.append(record)

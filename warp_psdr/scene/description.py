@@ -106,10 +106,14 @@ class SensorDescription:
     """A camera. Space convention as in Mitsuba: looks along +z, +y up, +x to the left of the image."""
 
     path: str
-    kind: Literal["perspective"]
-    to_world: np.ndarray  #: (4, 4), rigid with optional uniform scale removed
-    x_fov: float  #: degrees, horizontal field of view of the whole film (fov_axis already resolved)
+    kind: Literal["perspective", "orthographic", "thinlens"]
+    #: (4, 4); perspective, thinlens: rigid with optional uniform scale removed; orthographic: any invertible matrix, of
+    #: which the first column is half the film's width and the third the direction of view
+    to_world: np.ndarray
+    x_fov: float = 0.0  #: degrees, horizontal field of view of the whole film (fov_axis already resolved)
     principal_point_offset: tuple[float, float] = (0.0, 0.0)
+    aperture_radius: float = 0.0  #: thinlens, world units
+    focus_distance: float = 1.0  #: thinlens, world units along the viewing axis
     near_clip: float = 1e-2
     far_clip: float = 1e4
     film: FilmDescription = field(default_factory=FilmDescription)

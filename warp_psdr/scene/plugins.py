@@ -23,7 +23,7 @@ PLUGINS: dict[str, tuple[str, ...]] = {
     "bsdf": ("diffuse", "conductor", "roughconductor", "dielectric", "twosided"),
     "texture": ("bitmap", "mesh_attribute", "rgb", "spectrum", "uniform"),
     "emitter": ("area", "constant", "envmap", "point", "spot", "directional"),
-    "sensor": ("perspective",),
+    "sensor": ("perspective", "orthographic", "thinlens"),
     "film": ("hdrfilm",),
     "rfilter": ("box", "tent", "gaussian"),
     "sampler": ("independent", "sobol", "multijitter", "stratified", "orthogonal", "ldsampler"),

@@ -9,7 +9,7 @@ import numpy as np
 
 from .description import FilmDescription, SensorDescription
 from .errors import error
-from .plugins import Properties, unsupported_plugin
+from .plugins import PLUGINS, Properties, unsupported_plugin
 
 if TYPE_CHECKING:
     from .context import Context
@@ -29,8 +29,9 @@ def build(node: dict, where: str, path: str, context: Context) -> SensorDescript
         ValueError: If a parameter is not supported or out of range.
     """
     props = Properties(node, where, path, context)
-    if props.type != "perspective":
+    if props.type not in PLUGINS["sensor"]:
         raise unsupported_plugin(props.type, where, "sensor")
+    kind = cast(Literal["perspective", "orthographic", "thinlens"], props.type)
     film = _film(props)
     sampler, sample_count = _sampler(props)
     near = props.number("near_clip", 1e-2, minimum=0.0, exclusive=True)
@@ -38,22 +39,28 @@ def build(node: dict, where: str, path: str, context: Context) -> SensorDescript
     if near >= far:
         raise error(where, f"near_clip is {near:g} and far_clip {far:g}", "near_clip must be the smaller one")
     props.ignore("shutter_open", "shutter_close", reason="there is no motion blur")
-    props.ignore("focus_distance", reason="a pinhole camera is sharp everywhere")
+    parallel = kind == "orthographic"
     result = SensorDescription(
         path=path,
-        kind="perspective",
-        to_world=_pose(props),
-        x_fov=_x_fov(props, film.width / film.height),
-        principal_point_offset=(
-            props.number("principal_point_offset_x", 0.0),
-            props.number("principal_point_offset_y", 0.0),
-        ),
+        kind=kind,
+        to_world=props.transform("to_world").astype(np.float32) if parallel else _pose(props),
         near_clip=near,
         far_clip=far,
         film=film,
         sampler=sampler,
         sample_count=sample_count,
     )
+    if kind == "thinlens":
+        result.aperture_radius = props.number("aperture_radius", None, minimum=0.0)
+        result.focus_distance = props.number("focus_distance", far, minimum=0.0, exclusive=True)
+    else:
+        props.ignore("focus_distance", reason="without a lens the image is sharp everywhere")
+    if not parallel:
+        result.x_fov = _x_fov(props, film.width / film.height)
+        result.principal_point_offset = (
+            props.number("principal_point_offset_x", 0.0),
+            props.number("principal_point_offset_y", 0.0),
+        )
     props.finish()
     return result
 

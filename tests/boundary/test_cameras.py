@@ -1,0 +1,130 @@
+"""The boundary term seen by an orthographic camera and through a thin lens: the table's rows of these cameras."""
+
+import numpy as np
+import pytest
+
+import warp_psdr as psdr
+
+from .measure import Case, assert_agrees, derivatives, differences, slope
+from .scenes import SCENES, T, ball, camera, diffuse, load, panel, silhouette, sky, under
+from .test_table import ALONG, FLOOR, OCCLUDER, RECEIVER, SHAPE, moved, scaled, turned
+
+POSE, FOCUS, RADIUS = "sensor.to_world", "sensor.focus_distance", "sensor.aperture_radius"
+#: Wider than high and cropped, so that nothing can be mistaken for the other axis.
+FILM = {"width": 20, "height": 16, "crop_width": 15, "crop_height": 14, "crop_offset_x": 3, "crop_offset_y": 1}
+
+
+def parallel(scale=(1.6, 1.3, 2.0), **pose):
+    """An orthographic camera; ``scale`` stretches its film."""
+    sensor = camera(**pose)
+    film = sensor["film"] | FILM
+    return {"type": "orthographic", "to_world": sensor["to_world"] @ T.scale(list(scale)), "film": film}
+
+
+def lens(aperture_radius, focus_distance, **pose):
+    sensor = camera(**pose)
+    more = {"aperture_radius": aperture_radius, "focus_distance": focus_distance, "principal_point_offset_y": 0.03}
+    return {**sensor, **more, "type": "thinlens", "film": sensor["film"] | FILM}
+
+
+SIDE = {"origin": (0, -4, 0.5), "target": (0, 0, 0)}
+LIGHT = (0.5, -0.3, 2.2), 0.35
+SCENES |= {
+    "parallel": lambda: under(panel(*LIGHT)) | {"sensor": parallel()},
+    "parallel silhouette": lambda: silhouette("tent") | {"sensor": parallel((1.2, 1.3, 2.0), **SIDE)},
+    "parallel smooth": lambda: silhouette("tent", smooth=True) | {"sensor": parallel((1.2, 1.3, 2.0), **SIDE)},
+    # The occluder is some 3.6 away, the floor behind it in focus.
+    "lens": lambda: under(panel(*LIGHT)) | {"sensor": lens(0.25, 4.6)},
+    "lens silhouette": lambda: silhouette("tent") | {"sensor": lens(0.4, 2.5, **SIDE)},
+    "lens smooth": lambda: silhouette("tent", smooth=True) | {"sensor": lens(0.4, 2.5, **SIDE)},
+    "lens, two depths": lambda: {
+        "sensor": lens(0.3, 3.6, origin=(0, -4, 0.5), target=(0, 0, 0)),
+        "sky": sky(),
+        "shape": ball((-0.3, 1.0, 0.1), 0.6, diffuse(0.3, 0.5, 0.7)),
+        "near": ball((0.4, -1.2, 0.1), 0.4, diffuse(0.7, 0.2, 0.1)),
+    },
+}
+
+
+def stretched(values):
+    """The pose's axes change their lengths and shear."""
+    t = np.zeros((4, 4))
+    t[:3, :3] = values[:3, :3] @ np.array([[0.3, 0.1, 0.0], [0.0, -0.2, 0.1], [0.1, 0.0, 0.2]])
+    return t
+
+
+CASES = [
+    Case("parallel silhouette", SHAPE, ALONG, 0.01, "moves", slow=False),
+    Case("parallel", OCCLUDER, ALONG, 0.01, "occluder moves", difference_spp=2048),
+    Case("parallel", FLOOR, moved(0.0, 0.0, 1.0), 0.02, RECEIVER, spp=2048, difference_spp=4096),
+    Case("parallel", POSE, ALONG, 0.01, "camera moves", difference_spp=2048),
+    Case("parallel", POSE, turned(0), 0.003, "camera turns", difference_spp=4096),
+    Case("parallel", POSE, stretched, 0.01, "camera stretches", difference_spp=4096),
+    Case("parallel smooth", SHAPE, scaled, 0.01, "scales", spp=2048, difference_spp=4096),
+    Case("parallel smooth", POSE, turned(0), 0.01, "camera turns", spp=2048, difference_spp=4096),
+    Case("lens silhouette", SHAPE, ALONG, 0.01, "moves out of focus", slow=False),
+    Case("lens", OCCLUDER, ALONG, 0.01, "occluder moves out of focus", difference_spp=4096),
+    Case("lens", POSE, ALONG, 0.01, "camera moves", difference_spp=4096),
+    Case("lens", FOCUS, np.ones_like, 0.05, "focus moves", spp=512, difference_spp=8192),
+    Case("lens", RADIUS, np.ones_like, 0.02, "aperture opens", spp=512, difference_spp=8192),
+    Case("lens silhouette", FOCUS, np.ones_like, 0.05, "focus moves", difference_spp=4096),
+    Case("lens silhouette", RADIUS, np.ones_like, 0.02, "aperture opens", difference_spp=4096),
+    Case("lens silhouette", "sensor.x_fov", np.ones_like, 0.2, "camera zooms", difference_spp=4096),
+    Case("lens, two depths", SHAPE, ALONG, 0.01, "moves behind what is out of focus", difference_spp=4096),
+    Case("lens, two depths", POSE, turned(2), 0.005, "camera turns", difference_spp=4096),
+    Case("lens smooth", SHAPE, scaled, 0.01, "scales", spp=2048, difference_spp=8192),
+]
+
+
+@pytest.mark.parametrize("mode", ["forward", "reverse"])
+@pytest.mark.parametrize(
+    "case", [pytest.param(c, id=str(c), marks=[pytest.mark.slow] if c.slow else []) for c in CASES]
+)
+def test_derivatives_equal_finite_differences(case: Case, mode: str) -> None:
+    assert_agrees(derivatives(case, mode), differences(case)[2])
+
+
+@pytest.mark.parametrize("case", [c for c in CASES if not c.slow], ids=str)
+def test_the_rows_can_tell_a_missing_boundary_term(case: Case) -> None:
+    value, error = slope(derivatives(case, "forward", None), differences(case)[2])
+    assert abs(value - 1.0) > 0.05 + 3.0 * error
+
+
+@pytest.mark.parametrize(
+    ("name", "names"),
+    [
+        ("parallel", [OCCLUDER, FLOOR, POSE]),
+        ("lens", [OCCLUDER, FLOOR, POSE, FOCUS, RADIUS, "sensor.x_fov"]),
+        pytest.param("lens smooth", [SHAPE, POSE, FOCUS, RADIUS], marks=pytest.mark.slow),
+    ],
+)
+def test_the_modes_are_transposes_of_each_other(name, names) -> None:
+    scene, params = load(name)
+    random = np.random.default_rng(1)
+    tangents = {n: random.normal(size=params[n].numpy().shape).astype(np.float32) for n in names}
+    for t in tangents.values():
+        if t.shape == (4, 4):
+            t[3] = 0.0
+    adjoint = random.uniform(0.5, 1.5, (14, 15, 3)).astype(np.float32)
+    options = {"integrator": psdr.PathIntegrator(max_depth=2), "spp": 16, "seed": 3}
+    image = psdr.render_forward(scene, params, tangents, **options).numpy().astype(np.float64)
+    params.requires_grad(*names)
+    params.zero_grad()
+    psdr.render_backward(scene, params, adjoint, **options)
+    total = sum(float((params[n].grad.numpy().astype(np.float64) * tangents[n]).sum()) for n in names)
+    scale = float((adjoint * np.abs(image)).sum())
+    assert scale > 1.0
+    # Absorbs float32 sums in another order: equal random numbers otherwise.
+    assert total == pytest.approx(float((adjoint * image).sum()), abs=1e-4 * scale)
+
+
+def test_a_closed_lens_is_a_pinhole() -> None:
+    """With an aperture of radius zero every derivative that a pinhole has is the same, bit for bit or nearly so."""
+    images = []
+    for kind in ("perspective", "thinlens"):
+        sensor = camera() | {"type": kind} | ({"aperture_radius": 0.0} if kind == "thinlens" else {})
+        scene = psdr.load_dict({"type": "scene", **under(panel(*LIGHT)), "sensor": sensor})
+        options = {"integrator": psdr.PathIntegrator(max_depth=2), "spp": 16, "seed": 3}
+        tangents = {OCCLUDER: 1.0, "sensor.x_fov": 1.0}
+        images.append(psdr.render_forward(scene, psdr.traverse(scene), tangents, **options).numpy())
+    np.testing.assert_allclose(images[1], images[0], rtol=1e-3, atol=1e-3 * np.abs(images[0]).max())
