@@ -6,8 +6,8 @@ import pytest
 import warp_psdr as psdr
 
 from .measure import Case, assert_agrees, derivatives, differences, slope
-from .scenes import SCENES, T, ball, camera, diffuse, load, panel, silhouette, sky, under
-from .test_table import ALONG, FLOOR, OCCLUDER, RECEIVER, SHAPE, moved, scaled, turned
+from .scenes import SCENES, T, ball, camera, diffuse, load, panel, room, silhouette, sky, under
+from .test_table import ALONG, BOX, FLOOR, OCCLUDER, RECEIVER, SHAPE, moved, scaled, turned
 
 POSE, FOCUS, RADIUS = "sensor.to_world", "sensor.focus_distance", "sensor.aperture_radius"
 #: Wider than high and cropped, so that nothing can be mistaken for the other axis.
@@ -28,15 +28,19 @@ def lens(aperture_radius, focus_distance, **pose):
 
 
 SIDE = {"origin": (0, -4, 0.5), "target": (0, 0, 0)}
+FRONT = {"origin": (0, -4.0, 1.0), "target": (0, 0, 1.0)}
+ACROSS = moved(1.0, -0.5, 0.0)
 LIGHT = (0.5, -0.3, 2.2), 0.35
 SCENES |= {
     "parallel": lambda: under(panel(*LIGHT)) | {"sensor": parallel()},
     "parallel silhouette": lambda: silhouette("tent") | {"sensor": parallel((1.2, 1.3, 2.0), **SIDE)},
     "parallel smooth": lambda: silhouette("tent", smooth=True) | {"sensor": parallel((1.2, 1.3, 2.0), **SIDE)},
-    # The occluder is some 3.6 away, the floor behind it in focus.
-    "lens": lambda: under(panel(*LIGHT)) | {"sensor": lens(0.25, 4.6)},
+    # The occluder is some 3.6 away and the floor behind it.
+    "lens": lambda: under(panel(*LIGHT)) | {"sensor": lens(0.3, 2.4)},
     "lens silhouette": lambda: silhouette("tent") | {"sensor": lens(0.4, 2.5, **SIDE)},
     "lens smooth": lambda: silhouette("tent", smooth=True) | {"sensor": lens(0.4, 2.5, **SIDE)},
+    "parallel room": lambda: room(0.1) | {"sensor": parallel((1.1, 1.2, 1.0), **FRONT)},
+    "lens room": lambda: room(0.1) | {"sensor": lens(0.2, 2.5, fov=32.0, **FRONT)},
     "lens, two depths": lambda: {
         "sensor": lens(0.3, 3.6, origin=(0, -4, 0.5), target=(0, 0, 0)),
         "sky": sky(),
@@ -59,20 +63,23 @@ CASES = [
     Case("parallel", FLOOR, moved(0.0, 0.0, 1.0), 0.02, RECEIVER, spp=2048, difference_spp=4096),
     Case("parallel", POSE, ALONG, 0.01, "camera moves", difference_spp=2048),
     Case("parallel", POSE, turned(0), 0.003, "camera turns", difference_spp=4096),
-    Case("parallel", POSE, stretched, 0.01, "camera stretches", difference_spp=4096),
+    Case("parallel", POSE, stretched, 0.03, "camera stretches", spp=1024, difference_spp=4096),
     Case("parallel smooth", SHAPE, scaled, 0.01, "scales", spp=2048, difference_spp=4096),
-    Case("parallel smooth", POSE, turned(0), 0.01, "camera turns", spp=2048, difference_spp=4096),
-    Case("lens silhouette", SHAPE, ALONG, 0.01, "moves out of focus", slow=False),
-    Case("lens", OCCLUDER, ALONG, 0.01, "occluder moves out of focus", difference_spp=4096),
+    Case("parallel smooth", POSE, ALONG, 0.01, "camera moves", spp=1024, difference_spp=4096),
+    Case("lens silhouette", SHAPE, ALONG, 0.01, "moves out of focus", spp=512, difference_spp=2048, slow=False),
+    Case("lens", OCCLUDER, ALONG, 0.01, "occluder moves out of focus", spp=512, difference_spp=4096),
     Case("lens", POSE, ALONG, 0.01, "camera moves", difference_spp=4096),
-    Case("lens", FOCUS, np.ones_like, 0.05, "focus moves", spp=512, difference_spp=8192),
-    Case("lens", RADIUS, np.ones_like, 0.02, "aperture opens", spp=512, difference_spp=8192),
-    Case("lens silhouette", FOCUS, np.ones_like, 0.05, "focus moves", difference_spp=4096),
-    Case("lens silhouette", RADIUS, np.ones_like, 0.02, "aperture opens", difference_spp=4096),
+    Case("lens", FOCUS, np.ones_like, 0.1, "focus moves", spp=1024, difference_spp=8192),
+    Case("lens", RADIUS, np.ones_like, 0.03, "aperture opens", spp=1024, difference_spp=8192),
+    Case("lens silhouette", FOCUS, np.ones_like, 0.1, "focus moves", spp=512, difference_spp=4096),
+    Case("lens silhouette", RADIUS, np.ones_like, 0.03, "aperture opens", spp=512, difference_spp=4096),
     Case("lens silhouette", "sensor.x_fov", np.ones_like, 0.2, "camera zooms", difference_spp=4096),
-    Case("lens, two depths", SHAPE, ALONG, 0.01, "moves behind what is out of focus", difference_spp=4096),
-    Case("lens, two depths", POSE, turned(2), 0.005, "camera turns", difference_spp=4096),
+    Case("lens, two depths", SHAPE, ALONG, 0.01, "moves behind what is out of focus", spp=512, difference_spp=8192),
+    Case("lens, two depths", POSE, turned(2), 0.004, "camera turns", spp=1024, difference_spp=16384),
     Case("lens smooth", SHAPE, scaled, 0.01, "scales", spp=2048, difference_spp=8192),
+    Case("lens smooth", FOCUS, np.ones_like, 0.1, "focus moves", spp=2048, difference_spp=8192),
+    Case("parallel room", BOX, ACROSS, 0.005, "a box moves", depth=3, spp=1024, difference_spp=4096),
+    Case("lens room", BOX, ACROSS, 0.005, "a box moves", depth=3, spp=1024, difference_spp=4096),
 ]
 
 
