@@ -1,0 +1,83 @@
+"""Surfaces that touch: light between them gives the interior term a tail (``kernels/interior/contact.py``)."""
+
+import numpy as np
+import pytest
+
+import warp_psdr as psdr
+
+from .measure import Case, assert_agrees, derivatives, differences, move
+from .scenes import load
+
+BOX = "box.vertex_positions"
+ALONG = (1.0, -0.5, 0.0)
+
+
+def along(values):
+    return np.broadcast_to(np.array(ALONG), values.shape)
+
+
+def sums(depth: int, spp: int, batches: int) -> np.ndarray:
+    """Derivative of the sum of the image as the box slides over the floor, one a batch."""
+    scene, params = load("room")
+    tangent = {BOX: along(params[BOX].numpy()).astype(np.float32)}
+    options = {"integrator": psdr.PathIntegrator(max_depth=depth), "spp": spp}
+    return np.array([
+        psdr.render_forward(scene, params, tangent, seed=s, **options).numpy().sum(dtype=np.float64)
+        for s in range(batches)
+    ])  # fmt: skip
+
+
+def differences_of_sums(depth: int, spp: int, batches: int, step: float) -> np.ndarray:
+    scene, params = load("room")
+    base = params[BOX].numpy().astype(np.float64)
+    options = {"integrator": psdr.PathIntegrator(max_depth=depth), "spp": spp}
+    found = []
+    try:
+        for seed in range(batches):
+            ends = []
+            for sign in (1.0, -1.0):
+                move(params, {BOX: base + sign * step * along(base)})
+                ends.append(psdr.render(scene, seed=seed, **options).numpy().sum(dtype=np.float64))
+            found.append((ends[0] - ends[1]) / (2.0 * step))
+    finally:
+        move(params, {BOX: base})
+    return np.array(found)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("mode", ["forward", "reverse"])
+@pytest.mark.parametrize("depth", [3, 4])
+def test_a_box_that_slides_over_the_floor(depth, mode) -> None:
+    case = Case("room", BOX, along, 0.01, "a box on the floor slides", depth=depth, spp=2048, difference_spp=4096)
+    assert_agrees(derivatives(case, mode), differences(case)[2])
+
+
+@pytest.mark.slow
+def test_the_light_between_box_and_floor_is_complete() -> None:
+    """The sum of all pixels, in which the silhouettes nearly cancel and what happens at the contact shows."""
+    derivative, difference = sums(3, 512, 64), differences_of_sums(3, 2048, 64, 0.02)
+    error = np.hypot(derivative.std(ddof=1), difference.std(ddof=1)) / 8.0
+    mean = difference.mean()
+    # Counting the contact at the wrong end of its segment, or twice, changes the sum by 0.3 to 0.4 of it.
+    assert 3.0 * error < 0.2 * abs(mean)
+    assert abs(derivative.mean() - mean) < 3.0 * error
+
+
+def test_samples_at_a_contact_have_no_heavy_tail(monkeypatch) -> None:
+    """Without the weight the samples' largest values grow with their number, and with them the noise of the mean."""
+    scene, _params = load("room")
+    assert scene.contact_radius > 0.0
+    weighted = sums(3, 64, 24)
+    monkeypatch.setattr(scene, "contact_radius", 0.0)
+    plain = sums(3, 64, 24)
+
+    def spread(values: np.ndarray) -> float:
+        return float(np.abs(values - np.median(values)).max())
+
+    assert spread(weighted) < 0.5 * spread(plain)
+
+
+def test_the_weight_is_small_against_every_shape() -> None:
+    scene, params = load("room")
+    box = params[BOX].numpy()
+    assert 0.0 < scene.contact_radius < 0.011 * 0.5 * np.linalg.norm(np.ptp(box, axis=0))
