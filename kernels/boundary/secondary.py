@@ -15,7 +15,6 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
-from warp_psdr.kernels.boundary.detector import Walk, make_radiance, make_walk
 from warp_psdr.kernels.boundary.direction import SAME_POINT, make_direction, pdf_wedge, wedge_at
 from warp_psdr.kernels.boundary.local_form import (
     START_BEHIND,
@@ -25,9 +24,8 @@ from warp_psdr.kernels.boundary.local_form import (
     interior_side,
     make_edge_sink,
 )
-from warp_psdr.kernels.boundary.projection import make_splat
+from warp_psdr.kernels.boundary.transport import Segment, make_source, make_transport
 from warp_psdr.kernels.bvh.wide import RayHit, make_intersect
-from warp_psdr.kernels.camera import make_camera_sink, make_lens
 from warp_psdr.kernels.constants import EMITTER_DIRECTIONAL, EMITTER_POINT, FAR
 from warp_psdr.kernels.emitter.directional import directional_dot
 from warp_psdr.kernels.emitter.spot import load_column
@@ -37,31 +35,8 @@ from warp_psdr.kernels.sink import make_sink, make_sink_vec3
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.surface import VertexAdjoint, make_vertex_sink
 
-#: Sample slots of a segment (edge, direction, light), of the point of the lens that sees it, and of the walk, whose
-#: vertices count from one.
-SLOT_EDGE, SLOT_DIRECTION, SLOT_LIGHT, SLOT_LENS, SLOT_WALK = 0, 1, 2, 3, 3
-
-
-@wp.struct
-class Segment:
-    """A boundary segment and its two ends."""
-
-    valid: wp.int32
-    x: wp.vec3  # x_b, moved off the occluder
-    w: wp.vec3  # towards the source
-    source: wp.vec3  # where the ray towards the source starts
-    sweep: wp.vec3  # sin(phi) n
-    t1: wp.float32
-    tau: wp.float32
-    scale: wp.float32  # 1 / (pdf_l pdf_sigma)
-    face1: wp.int32
-    u1: wp.float32
-    v1: wp.float32
-    face2: wp.int32  # -1: infinity or a point-like light
-    u2: wp.float32
-    v2: wp.float32
-    light: wp.int32  # point-like light, else -1
-    radiance: wp.vec3  # of the point-like light
+#: Sample slots of a segment; those of the walk follow (``transport.py``).
+SLOT_EDGE, SLOT_DIRECTION, SLOT_LIGHT = 0, 1, 2
 
 
 @functools.cache
@@ -111,6 +86,7 @@ def make_segment(config: PathConfig):
             if any_hit(scene.accel, r.source, r.w, wp.min(direction.distance + behind, FAR)):
                 return r
             r.light = direction.light
+            r.known = 1
             r.radiance = direction.irradiance
             if direction.distance < 0.5 * FAR:
                 r.tau = r.t1 / (r.t1 + direction.distance)
@@ -139,10 +115,7 @@ def make_segment(config: PathConfig):
 
 @functools.cache
 def make_segment_sink(role: str, light_pose: bool):
-    """Return ``push_segment(scene, target, edges, point, segment, w) -> float`` for the edge and x_2, weighted by w.
-
-    ``push_first(...)`` beside it is for x_1, on its pixel's ray or as a material point.
-    """
+    """Return ``push_segment(scene, target, edges, point, segment, w) -> float`` for the edge and x_2, weighted by w."""
     push_edge = make_edge_sink(role)
     push_vertex = make_vertex_sink(role, False, False, False, False, False, True)
     sink = make_sink(role)
@@ -182,23 +155,7 @@ def make_segment_sink(role: str, light_pose: bool):
                         total += sink(target, record.to_world + 4 * i + 3, -segment.tau * g[i])
         return total
 
-    @wp.func
-    def push_first(
-        scene: Scene,
-        target: wp.array(dtype=wp.float32),
-        segment: Segment,
-        w: wp.float32,
-        by_ray: wp.bool,
-        o: wp.vec3,
-        d: wp.vec3,
-    ) -> tuple[wp.vec3, wp.vec3, wp.float32]:
-        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
-        adjoint = VertexAdjoint()
-        adjoint.x = ((segment.tau - 1.0) * w) * segment.sweep
-        pushed = push_vertex(scene, target, segment.face1, segment.u1, segment.v1, adjoint, by_ray, o, d)
-        return pushed.o, pushed.d, pushed.dot
-
-    return push_segment, push_first
+    return push_segment
 
 
 @functools.cache
@@ -213,15 +170,10 @@ def make_secondary_kernel(config: PathConfig, role: str, camera_moves: bool, lig
         light_pose: the position or direction of a point, spot or directional light is differentiated.
     """
     segment_at = make_segment(config)
-    connect, extend = make_walk(config)
-    radiance = make_radiance(config)
-    push_segment, push_first = make_segment_sink(role, light_pose)
-    push_camera = make_camera_sink(role, config.camera) if camera_moves else None
-    splat, gather = make_splat()
-    lens_point = make_lens(config.camera)
+    push_segment = make_segment_sink(role, light_pose)
+    transport = make_transport(config, role, camera_moves, make_source(config))
     draw = make_sampler(config.sampler)
     sample_1d = draw.sample_1d
-    sample_2d = draw.sample_2d
     sample_4d = draw.sample_4d
 
     @wp.kernel(module="unique", enable_backward=False)
@@ -251,68 +203,13 @@ def make_secondary_kernel(config: PathConfig, role: str, camera_moves: bool, lig
         s = segment_at(scene, edges, point, sample_4d(sampler, SLOT_DIRECTION), sample_4d(sampler, SLOT_LIGHT), share)
         if s.valid == 0:
             return
-        tri = scene.triangles[s.face1]
-        walk = Walk()
-        walk.alive = 1
-        walk.face = s.face1
-        walk.u = s.u1
-        walk.v = s.v1
-        walk.x = (1.0 - s.u1 - s.v1) * tri.p0 + s.u1 * tri.p1 + s.v1 * tri.p2
-        walk.to = s.w
-        walk.weight = wp.vec3(1.0, 1.0, 1.0)
+        rest = wp.float32(0.0)
+        if wp.static(role == "forward"):
+            rest = push_segment(scene, target, edges, point, s, 1.0)
         scale = s.scale / wp.float32(samples)
-        lens = lens_point(sample_2d(sampler, SLOT_LENS))
-        # Velocities for a unit weight (forward), or weights of the velocities (reverse).
-        moved = wp.float32(0.0)
-        known = wp.int32(0)
-        weight = wp.float32(0.0)
-        k = wp.int32(1)
-        while walk.alive == 1:
-            seen = connect(scene, camera, walk, lens)
-            if wp.max(seen.weight) > 0.0:
-                source = s.radiance
-                if s.light < 0:
-                    branch = Sampler()
-                    branch.pixel = sampler.pixel
-                    branch.index = wp.uint32(k)
-                    branch.seed = seed
-                    source = radiance(scene, branch, s.source, s.w, FAR, k, max_depth, rr_depth)
-                value = scale * wp.cw_mul(seen.weight, source)
-                if wp.max(value) > 0.0:
-                    ray = (walk.x - seen.at.origin) / wp.length(walk.x - seen.at.origin)
-                    if wp.static(role == "reverse"):
-                        w = wp.dot(gather(camera, seen.at.pixel, adjoint), value)
-                        if k == 1:
-                            a_o, a_d, _d = push_first(scene, target, s, w, True, seen.at.origin, ray)
-                            push_segment(scene, target, edges, point, s, w)
-                            if wp.static(camera_moves):
-                                push_camera(scene, target, camera, seen.at.sample, a_o, a_d)
-                        else:
-                            weight += w
-                    else:
-                        speed = wp.float32(0.0)
-                        if k == 1:
-                            a_o, a_d, speed_1 = push_first(scene, target, s, 1.0, True, seen.at.origin, ray)
-                            speed = speed_1 + push_segment(scene, target, edges, point, s, 1.0)
-                            if wp.static(camera_moves):
-                                speed += push_camera(scene, target, camera, seen.at.sample, a_o, a_d)
-                        else:
-                            if known == 0:
-                                _o, _d, speed_k = push_first(scene, target, s, 1.0, False, s.x, s.w)
-                                moved = speed_k + push_segment(scene, target, edges, point, s, 1.0)
-                                known = 1
-                            speed = moved
-                        splat(camera, seen.at.pixel, speed * value, image_out)
-            # x_2 is vertex k + 1 of the path.
-            if max_depth >= 0 and k + 2 > max_depth:
-                walk.alive = 0
-            else:
-                u4 = sample_4d(sampler, SLOT_WALK + k)
-                walk = extend(scene, walk, u4, FAR, k >= rr_depth)
-            k += 1
+        weight = transport(scene, camera, sampler, s, scale, rest, max_depth, rr_depth, adjoint, target, image_out)
         if wp.static(role == "reverse"):
             if weight != 0.0:
-                push_first(scene, target, s, weight, False, s.x, s.w)
                 push_segment(scene, target, edges, point, s, weight)
 
     return secondary

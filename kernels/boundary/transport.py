@@ -1,0 +1,181 @@
+"""Carries what a boundary segment x_1 -> x_2 brings to the sensor: the walk from x_1, its connections, the adjoints.
+
+Shared by the estimators whose discontinuity lies between two path vertices (``secondary.py``, ``curve.py``,
+``bent.py``). They differ in how a segment is found and in what moves its discontinuity; the importance W_1, the split
+into vertices x_1 that slide along a pixel's ray (k = 1) and material ones (k > 1), and the sums are the same.
+"""
+
+import functools
+
+import warp as wp
+
+from warp_psdr.kernels.autodiff import anchor
+from warp_psdr.kernels.boundary.detector import Walk, make_radiance, make_walk
+from warp_psdr.kernels.boundary.projection import make_splat
+from warp_psdr.kernels.camera import make_camera_sink, make_lens
+from warp_psdr.kernels.constants import FAR
+from warp_psdr.kernels.path import PathConfig
+from warp_psdr.kernels.rng import Sampler, make_sampler
+from warp_psdr.kernels.structs import Camera, Scene
+from warp_psdr.kernels.surface import VertexAdjoint, make_vertex_sink
+
+#: Sample slots of the point of the lens that sees the walk, and of the walk, whose vertices count from one. Those in
+#: front belong to the segment.
+SLOT_LENS, SLOT_WALK = 3, 3
+
+
+@wp.struct
+class Segment:
+    """A boundary segment and its two ends."""
+
+    valid: wp.int32
+    x: wp.vec3  # x_b, moved off the occluder
+    w: wp.vec3  # towards the source
+    source: wp.vec3  # where the ray towards the source starts
+    sweep: wp.vec3  # sin(phi) n
+    t1: wp.float32
+    tau: wp.float32
+    scale: wp.float32  # 1 / (pdf_l pdf_sigma)
+    face1: wp.int32
+    u1: wp.float32
+    v1: wp.float32
+    face2: wp.int32  # -1: infinity or a point-like light
+    u2: wp.float32
+    v2: wp.float32
+    light: wp.int32  # point-like light, else -1
+    known: wp.int32  # 1: ``radiance`` is what x_2 sends, and all that counts
+    radiance: wp.vec3
+
+
+@functools.cache
+def make_source(config: PathConfig):
+    """Return ``source(scene, sampler, segment, k, max_depth, rr_depth) -> vec3``: the radiance past the occluder."""
+    radiance = make_radiance(config)
+
+    @wp.func
+    def source(
+        scene: Scene, sampler: Sampler, s: Segment, k: wp.int32, max_depth: wp.int32, rr_depth: wp.int32
+    ) -> wp.vec3:
+        if s.known == 1:
+            return s.radiance
+        return radiance(scene, sampler, s.source, s.w, FAR, k, max_depth, rr_depth)
+
+    return source
+
+
+@functools.cache
+def make_transport(config: PathConfig, role: str, camera_moves: bool, source: wp.Function, least: int = 1):
+    """Return ``transport(scene, camera, sampler, segment, scale, rest, max_depth, ...) -> float``.
+
+    It walks from x_1, and at each vertex that the camera sees adds to the image (forward) or collects the adjoint
+    (reverse). ``rest`` is the velocity of all but x_1 for a unit weight, which forward mode reads; the result is the
+    weight of those velocities, which reverse mode has to push. x_1 itself is done here: adjoint (tau - 1) sweep.
+
+    Args:
+        config: what the scene needs.
+        role: "reverse" or "forward".
+        camera_moves: a parameter of the camera is differentiated.
+        source: ``make_source`` or its like.
+        least: number of path vertices behind x_1 without which ``source`` is zero.
+    """
+    connect, extend = make_walk(config)
+    push_vertex = make_vertex_sink(role, False, False, False, False, False, True)
+    push_camera = make_camera_sink(role, config.camera) if camera_moves else None
+    splat, gather = make_splat()
+    lens_point = make_lens(config.camera)
+    draw = make_sampler(config.sampler)
+    sample_2d = draw.sample_2d
+    sample_4d = draw.sample_4d
+
+    @wp.func
+    def push_first(
+        scene: Scene,
+        target: wp.array(dtype=wp.float32),
+        segment: Segment,
+        w: wp.float32,
+        by_ray: wp.bool,
+        o: wp.vec3,
+        d: wp.vec3,
+    ) -> tuple[wp.vec3, wp.vec3, wp.float32]:
+        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
+        adjoint = VertexAdjoint()
+        adjoint.x = ((segment.tau - 1.0) * w) * segment.sweep
+        pushed = push_vertex(scene, target, segment.face1, segment.u1, segment.v1, adjoint, by_ray, o, d)
+        return pushed.o, pushed.d, pushed.dot
+
+    @wp.func
+    def transport(
+        scene: Scene,
+        camera: Camera,
+        sampler: Sampler,
+        s: Segment,
+        scale: wp.float32,
+        rest: wp.float32,
+        max_depth: wp.int32,
+        rr_depth: wp.int32,
+        adjoint: wp.array2d(dtype=wp.vec3),
+        target: wp.array(dtype=wp.float32),
+        image: wp.array2d(dtype=wp.vec3),
+    ) -> wp.float32:
+        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
+        tri = scene.triangles[s.face1]
+        walk = Walk()
+        walk.alive = 1
+        walk.face = s.face1
+        walk.u = s.u1
+        walk.v = s.v1
+        walk.x = (1.0 - s.u1 - s.v1) * tri.p0 + s.u1 * tri.p1 + s.v1 * tri.p2
+        walk.to = s.w
+        walk.weight = wp.vec3(1.0, 1.0, 1.0)
+        lens = lens_point(sample_2d(sampler, SLOT_LENS))
+        # Velocity of x_1 as a material point for a unit weight (forward), or the sum of its weights (reverse).
+        moved = wp.float32(0.0)
+        known = wp.int32(0)
+        weight = wp.float32(0.0)
+        total = wp.float32(0.0)
+        k = wp.int32(1)
+        while walk.alive == 1:
+            seen = connect(scene, camera, walk, lens)
+            if wp.max(seen.weight) > 0.0:
+                branch = Sampler()
+                branch.pixel = sampler.pixel
+                branch.index = wp.uint32(k)
+                branch.seed = sampler.seed
+                value = scale * wp.cw_mul(seen.weight, source(scene, branch, s, k, max_depth, rr_depth))
+                if wp.max(wp.abs(value)) > 0.0:
+                    ray = (walk.x - seen.at.origin) / wp.length(walk.x - seen.at.origin)
+                    if wp.static(role == "reverse"):
+                        w = wp.dot(gather(camera, seen.at.pixel, adjoint), value)
+                        total += w
+                        if k == 1:
+                            a_o, a_d, _d = push_first(scene, target, s, w, True, seen.at.origin, ray)
+                            if wp.static(camera_moves):
+                                push_camera(scene, target, camera, seen.at.sample, a_o, a_d)
+                        else:
+                            weight += w
+                    else:
+                        speed = wp.float32(0.0)
+                        if k == 1:
+                            a_o, a_d, speed_1 = push_first(scene, target, s, 1.0, True, seen.at.origin, ray)
+                            speed = speed_1
+                            if wp.static(camera_moves):
+                                speed += push_camera(scene, target, camera, seen.at.sample, a_o, a_d)
+                        else:
+                            if known == 0:
+                                _o, _d, moved_1 = push_first(scene, target, s, 1.0, False, s.x, s.w)
+                                moved = moved_1
+                                known = 1
+                            speed = moved
+                        splat(camera, seen.at.pixel, (rest + speed) * value, image)
+            if max_depth >= 0 and k + 1 + wp.static(least) > max_depth:
+                walk.alive = 0
+            else:
+                u4 = sample_4d(sampler, SLOT_WALK + k)
+                walk = extend(scene, walk, u4, FAR, k >= rr_depth)
+            k += 1
+        if wp.static(role == "reverse"):
+            if weight != 0.0:
+                push_first(scene, target, s, weight, False, s.x, s.w)
+        return total
+
+    return transport
