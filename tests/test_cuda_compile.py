@@ -173,7 +173,11 @@ FACTORIES = {
         ("reverse, materials", (MATERIALS, STILL, "reverse"), SLOW),
         ("reverse, lights", (ALL_LIGHTS, ALL, "reverse"), SLOW),
     ],
-    "boundary.pierced.make_pierced_kernel": [("", ("warp", 1), FAST)],
+    "boundary.curve.make_curve_kernel": [
+        ("reverse, simple", (SIMPLE, "reverse", False), SLOW),
+        ("forward, textures", (TEXTURED, "forward", True), SLOW),
+        ("reverse, lights", (ALL_LIGHTS, "reverse", False), SLOW),
+    ],
     "boundary.primary.make_primary_kernel": [
         ("reverse, simple", (SIMPLE, "reverse", False), FAST),
         ("forward, materials", (MATERIALS, "forward", True), SLOW),

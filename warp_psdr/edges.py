@@ -40,6 +40,8 @@ class Adjacency:
         first: (E + 1,) where an edge's triangles start.
         wedge: (E,) angle (radians) of the directions, modulo pi, in which the edge is a silhouette; 0: flat.
         length: (E,) world units.
+        points: (E, 2, 3) where the edges start and end.
+        group: (N,) number of every vertex's position: equal where vertices are welded.
     """
 
     ends: np.ndarray
@@ -48,6 +50,8 @@ class Adjacency:
     first: np.ndarray
     wedge: np.ndarray
     length: np.ndarray
+    points: np.ndarray
+    group: np.ndarray
 
     @property
     def count(self) -> np.ndarray:
@@ -117,7 +121,27 @@ def adjacency(points: np.ndarray, triangles: np.ndarray) -> Adjacency:
     angle = np.arctan2(np.linalg.norm(np.cross(a, b), axis=1), (a * b).sum(axis=1))
     wedge = np.where(count == 2, np.pi - angle, np.pi)
     wedge[wedge < COPLANAR] = 0.0
-    return Adjacency(ends.astype(np.int32), twins.astype(np.int32), face.astype(np.int32), first, wedge, length)
+    return Adjacency(
+        ends.astype(np.int32), twins.astype(np.int32), face.astype(np.int32), first, wedge, length, points[ends], group
+    )
+
+
+def join(a: Adjacency, b: Adjacency) -> Adjacency:
+    """Return the edges of both, with the vertices of the first."""
+    parts = {
+        name: np.concatenate([getattr(a, name), getattr(b, name)])
+        for name in ("ends", "twins", "faces", "wedge", "length", "points")
+    }
+    return Adjacency(first=np.append(a.first, a.first[-1] + b.first[1:]).astype(np.int32), group=a.group, **parts)
+
+
+def select(edges: Adjacency, keep: np.ndarray) -> Adjacency:
+    """Return some of the edges, by number."""
+    count = edges.count[keep]
+    first = np.append(0, np.cumsum(count)).astype(np.int32)
+    faces = edges.faces[np.repeat(edges.first[:-1][keep] - first[:-1], count) + np.arange(first[-1])]
+    parts = {n: getattr(edges, n)[keep] for n in ("ends", "twins", "wedge", "length", "points")}
+    return Adjacency(first=first, faces=faces, group=edges.group, **parts)
 
 
 def _across(points, triangles, face, ends, along) -> np.ndarray:
@@ -167,7 +191,15 @@ def secondary_edges(scene: Scene, shapes: set[int]) -> Edges | None:
     return _upload(scene, edges, keep, p, np.zeros(len(keep)), np.ones(len(keep)))
 
 
-def primary_edges(scene: Scene, sensor: int, shapes: set[int], *, camera_moves: bool) -> Edges | None:
+def curve_edges(scene: Scene, curves: Adjacency) -> Edges | None:
+    """Return curves of intersection, drawn by their length; None: there are none."""
+    n = len(curves.length)
+    return _upload(scene, curves, np.arange(n), curves.length, np.zeros(n), np.ones(n)) if n else None
+
+
+def primary_edges(
+    scene: Scene, sensor: int, shapes: set[int], *, camera_moves: bool, curves: Adjacency | None = None
+) -> Edges | None:
     """Return the edges that the film can see, drawn by the clipped length of their image; None: there are none.
 
     Left out is what provably does not jump or move: flat or smoothly shaded edges inside a shape that are never a
@@ -178,14 +210,19 @@ def primary_edges(scene: Scene, sensor: int, shapes: set[int], *, camera_moves: 
         sensor: which camera.
         shapes: the shapes that move.
         camera_moves: a parameter of the camera is differentiated.
+        curves: further edges, which jump and move: curves of intersection.
     """
     edges = scene_adjacency(scene)
     points = scene.values.numpy()[scene.positions : scene.positions + 3 * scene.vertex_count].reshape(-1, 3)
     view = camera_view(scene, sensor)
-    low, high, image_length = view.clip(points[edges.ends].astype(np.float64))
-    use = _jumps(scene, view, edges, points.astype(np.float64)) & (image_length > 0.0)
+    use = _jumps(scene, view, edges, points.astype(np.float64))
     if not camera_moves:
         use &= moving_edges(scene, edges, shapes)
+    if curves is not None:
+        use = np.append(use, np.ones(len(curves.length), bool))
+        edges = join(edges, curves)
+    low, high, image_length = view.clip(edges.points)
+    use &= image_length > 0.0
     keep = np.flatnonzero(use)
     if not len(keep):
         return None
@@ -251,13 +288,6 @@ def terminator_faces(
     return cdf, wp.array(faces, dtype=wp.int32, device=scene.device)
 
 
-def all_edges(scene: Scene) -> tuple[Edges, Adjacency]:
-    """Return every edge, unweighted."""
-    edges = scene_adjacency(scene)
-    n = len(edges.length)
-    return _upload(scene, edges, np.arange(n), np.ones(n), np.zeros(n), np.ones(n)), edges
-
-
 def _jumps(scene: Scene, view: CameraView, edges: Adjacency, points: np.ndarray) -> np.ndarray:
     shapes = scene.builder.shapes
     shape = scene.builder.face_shape[edges.faces[edges.first[:-1]]]
@@ -289,14 +319,13 @@ def _upload(scene: Scene, edges: Adjacency, keep: np.ndarray, weight: np.ndarray
         kind = np.int32 if dtype is wp.int32 else np.float32
         return wp.array(np.ascontiguousarray(values, dtype=kind), dtype=dtype, device=scene.device)
 
-    count = edges.count[keep]
-    first = np.append(0, np.cumsum(count))
-    faces = np.repeat(edges.first[:-1][keep] - first[:-1], count) + np.arange(first[-1])
+    edges = select(edges, keep)
     record = Edges()
     record.cdf = array(cumulative(weight))
-    record.ends = array(edges.ends[keep], wp.int32)
-    record.twins = array(edges.twins[keep], wp.int32)
-    record.faces = array(edges.faces[faces], wp.int32)
-    record.first = array(first, wp.int32)
+    record.points = wp.array(np.ascontiguousarray(edges.points, np.float32), dtype=wp.vec3, device=scene.device, ndim=2)
+    record.ends = array(edges.ends, wp.int32)
+    record.twins = array(edges.twins, wp.int32)
+    record.faces = array(edges.faces, wp.int32)
+    record.first = array(edges.first, wp.int32)
     record.low, record.high = array(low), array(high)
     return record

@@ -27,8 +27,7 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.sink import make_sink_vec3
-from warp_psdr.kernels.structs import Scene
-from warp_psdr.kernels.surface import load_vec3
+from warp_psdr.kernels.structs import Scene, Triangle
 
 #: Squared sine of the angle between two faces below which they count as parallel when a seam's velocity is split.
 SEAM_PARALLEL = 1.0e-4
@@ -40,10 +39,12 @@ START_BEHIND = 20.0
 class Edges:
     """Candidate edges, of position-welded vertices. ``ends`` and ``twins`` are the vertices of the first two faces.
 
-    On a seam the two sides have vertices of their own at the same positions; elsewhere the pairs are equal.
+    On a seam the two sides have vertices of their own at the same positions; elsewhere the pairs are equal. A curve in
+    which two faces run through each other is an edge without vertices: ``ends`` and ``twins`` are -1.
     """
 
     cdf: wp.array(dtype=wp.float32)  # cumulative selection probabilities, n + 1
+    points: wp.array2d(dtype=wp.vec3)  # (n, 2) where it starts and ends
     ends: wp.array2d(dtype=wp.int32)  # (n, 2) global vertex indices
     twins: wp.array2d(dtype=wp.int32)
     faces: wp.array(dtype=wp.int32)  # adjacent triangles of all edges
@@ -87,15 +88,20 @@ def edge_point(scene: Scene, edges: Edges, sample: wp.int32, samples: wp.int32, 
     stretch = edges.high[low] - edges.low[low]
     r.s = edges.low[low] + along * stretch
     r.pdf = probability / stretch
-    r.p0 = load_vec3(scene.values, scene.positions + 3 * edges.ends[low, 0])
-    r.p1 = load_vec3(scene.values, scene.positions + 3 * edges.ends[low, 1])
+    r.p0 = edges.points[low, 0]
+    r.p1 = edges.points[low, 1]
     r.x = (1.0 - r.s) * r.p0 + r.s * r.p1
     return r
 
 
 @wp.func
 def interior_side(scene: Scene, edges: Edges, point: EdgePoint, m: wp.vec3) -> wp.float32:
-    """Return +1 or -1 if all faces of the edge lie on that side of the plane through the edge with normal m, else 0."""
+    """Return +1 or -1 if all faces of the edge lie on that side of the plane through the edge with normal m, else 0.
+
+    The faces of a curve of intersection lie on both sides of every plane through it.
+    """
+    if edges.ends[point.edge, 0] < 0:
+        return 0.0
     above = wp.int32(0)
     below = wp.int32(0)
     for i in range(edges.first[point.edge], edges.first[point.edge + 1]):
@@ -112,12 +118,24 @@ def interior_side(scene: Scene, edges: Edges, point: EdgePoint, m: wp.vec3) -> w
     return 0.0
 
 
+@wp.func
+def barycentrics_at(tri: Triangle, x: wp.vec3) -> wp.vec2:
+    """Barycentrics (u, v) of a point in the plane of a triangle."""
+    e1 = tri.p1 - tri.p0
+    e2 = tri.p2 - tri.p0
+    n = wp.cross(e1, e2)
+    s = x - tri.p0
+    squared = wp.max(wp.dot(n, n), 1.0e-30)
+    return wp.vec2(wp.dot(n, wp.cross(s, e2)) / squared, wp.dot(n, wp.cross(e1, s)) / squared)
+
+
 @functools.cache
 def make_edge_sink(role: str):
     """Return ``push_edge(scene, target, edges, point, g) -> float``: scatter the adjoint g of a point on an edge.
 
     Where two surfaces that are separate objects meet in an edge, it is their intersection: of the velocity v of such a
-    curve only n_A . v = n_A . v_A and n_B . v = n_B . v_B are fixed, so g = a n_A + b n_B is split between them.
+    curve only n_A . v = n_A . v_A and n_B . v = n_B . v_B are fixed, so g = a n_A + b n_B is split between them. The
+    same holds where they run through each other, with v_A and v_B those of the material points at the curve.
     """
     sink3 = make_sink_vec3(role)
 
@@ -128,6 +146,18 @@ def make_edge_sink(role: str):
         return sink3(target, scene.positions + 3 * i, (1.0 - s) * g) + sink3(target, scene.positions + 3 * j, s * g)
 
     @wp.func
+    def push_face(
+        scene: Scene, target: wp.array(dtype=wp.float32), face: wp.int32, x: wp.vec3, g: wp.vec3
+    ) -> wp.float32:
+        tri = scene.triangles[face]
+        uv = barycentrics_at(tri, x)
+        return (
+            sink3(target, scene.positions + 3 * tri.i0, (1.0 - uv[0] - uv[1]) * g)
+            + sink3(target, scene.positions + 3 * tri.i1, uv[0] * g)
+            + sink3(target, scene.positions + 3 * tri.i2, uv[1] * g)
+        )
+
+    @wp.func
     def push_edge(
         scene: Scene, target: wp.array(dtype=wp.float32), edges: Edges, point: EdgePoint, g: wp.vec3
     ) -> wp.float32:
@@ -136,12 +166,20 @@ def make_edge_sink(role: str):
         i1 = edges.ends[e, 1]
         j0 = edges.twins[e, 0]
         j1 = edges.twins[e, 1]
-        if i0 == j0 and i1 == j1:
+        if i0 >= 0 and i0 == j0 and i1 == j1:
             return push_ends(scene, target, i0, i1, point.s, g)
         n_a = scene.triangles[edges.faces[edges.first[e]]].normal
         n_b = scene.triangles[edges.faces[edges.first[e] + 1]].normal
         cosine = wp.dot(n_a, n_b)
-        squared = 1.0 - cosine * cosine
+        # Of the sine: 1 - cosine^2 would lose it where the faces are nearly parallel.
+        squared = wp.length_sq(wp.cross(n_a, n_b))
+        if i0 < 0:
+            scaled = g / wp.max(squared, 1.0e-20)
+            g_1 = (wp.dot(scaled, n_a) - cosine * wp.dot(scaled, n_b)) * n_a
+            g_2 = (wp.dot(scaled, n_b) - cosine * wp.dot(scaled, n_a)) * n_b
+            return push_face(scene, target, edges.faces[edges.first[e]], point.x, g_1) + push_face(
+                scene, target, edges.faces[edges.first[e] + 1], point.x, g_2
+            )
         g_a = 0.5 * g
         g_b = 0.5 * g
         if squared > SEAM_PARALLEL:

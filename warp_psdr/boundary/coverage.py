@@ -5,14 +5,9 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-import warp as wp
-
 from warp_psdr.boundary.methods import Method, PathSpace
-from warp_psdr.boundary.motion import Motion, motion
-from warp_psdr.device import launch
-from warp_psdr.edges import all_edges, bent_faces
+from warp_psdr.edges import bent_faces
 from warp_psdr.kernels import constants as c
-from warp_psdr.kernels.boundary.pierced import make_pierced_kernel
 from warp_psdr.kernels.emitter.spot import MIN_FALLOFF
 from warp_psdr.scene.layout import TEXCOORDS, TO_UV
 
@@ -53,7 +48,6 @@ def _uncovered(scene: Scene, config: PathConfig, names: list[str], max_depth: in
         return "discontinuities seen through smooth mirrors or glass are not implemented; use a roughconductor instead"
     if config.hide_emitters and config.area:
         return "hide_emitters makes area lights transparent to the camera, which is not implemented; show them"
-    moves = motion(scene, names)
     steps = any(t.kind == c.TEXTURE_BITMAP and t.filter == c.FILTER_NEAREST for t in scene.builder.textures)
     if steps:
         return "a texture with filter_type 'nearest' jumps inside of triangles; use 'bilinear'"
@@ -72,25 +66,4 @@ def _uncovered(scene: Scene, config: PathConfig, names: list[str], max_depth: in
             "the curves along which interpolated normals turn away are covered as the camera sees them, not as other "
             "surfaces do; use max_depth=2, or face_normals=True on the meshes"
         )
-    return _intersection(scene, moves)
-
-
-def _intersection(scene: Scene, moves: Motion) -> str:
-    """Name two surfaces that run through each other in a curve that moves, or is seen by a moving camera."""
-    if not scene.face_count or not (moves.shapes or moves.camera):
-        return ""
-    edges, found = all_edges(scene)
-    faces = wp.zeros(len(found.length), dtype=wp.int32, device=scene.device)
-    kernel = make_pierced_kernel(scene.accelerator.backend, scene.accelerator.width)
-    launch(kernel, dim=len(found.length), inputs=[scene.data(), edges], outputs=[faces], device=scene.device)
-    shape_of = scene.builder.face_shape
-    for edge, face in enumerate(faces.numpy()):
-        if face >= 0:
-            a, b = int(shape_of[found.faces[found.first[edge]]]), int(shape_of[face])
-            if moves.camera or {a, b} & moves.shapes:
-                paths = [scene.description.shapes[s].path for s in (a, b)]
-                return (
-                    f"shapes {paths[0]!r} and {paths[1]!r} run through each other, and curves of intersection are not "
-                    "implemented; move them apart"
-                )
     return ""

@@ -10,17 +10,21 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+import numpy as np
 import warp as wp
 
 from warp_psdr.boundary.methods import Method, PathSpace
 from warp_psdr.boundary.motion import Motion, motion
-from warp_psdr.edges import primary_edges, secondary_edges, terminator_faces
+from warp_psdr.curves import moving_curves, scene_curves
+from warp_psdr.edges import curve_edges, primary_edges, secondary_edges, select, terminator_faces
+from warp_psdr.kernels.boundary.curve import make_curve_kernel
 from warp_psdr.kernels.boundary.primary import make_primary_kernel
 from warp_psdr.kernels.boundary.secondary import make_secondary_kernel
 from warp_psdr.kernels.boundary.terminator import make_terminator_kernel
 from warp_psdr.kernels.rng import mix_seed
 
 if TYPE_CHECKING:
+    from warp_psdr.edges import Adjacency
     from warp_psdr.kernels.path import PathConfig
     from warp_psdr.kernels.structs import Camera
     from warp_psdr.plan import Plan
@@ -30,7 +34,7 @@ if TYPE_CHECKING:
 #: what is not a light contributes nothing.
 WEDGE_SHARE_DIRECT, WEDGE_SHARE = 0.1, 0.5
 #: Sub-streams of the boundary term's random numbers.
-PRIMARY, SECONDARY, TERMINATOR = 0, 1, 2
+PRIMARY, SECONDARY, TERMINATOR, CURVE = 0, 1, 2, 3
 
 
 @dataclass(frozen=True)
@@ -101,7 +105,8 @@ def terms(scene: Scene, plan: Plan, names: list[str], role: str, sensor: int, sp
 
 def primary(r: Request) -> Term | None:
     """Return the term of the edges that the camera sees."""
-    edges = primary_edges(r.scene, r.sensor, set(r.moves.shapes), camera_moves=r.moves.camera)
+    curves = _curves(r, camera_moves=r.moves.camera)
+    edges = primary_edges(r.scene, r.sensor, set(r.moves.shapes), camera_moves=r.moves.camera, curves=curves)
     if edges is None:
         return None
     samples = r.pixels * (r.method.spp_primary or r.spp)
@@ -140,7 +145,31 @@ def secondary(r: Request) -> Term | None:
     return Term(kernel, lambda first, adjoint: [*head, first, *tail, adjoint], samples)
 
 
+def _curves(r: Request, *, camera_moves: bool) -> Adjacency:
+    """Return the curves of intersection that move."""
+    curves = scene_curves(r.scene)
+    return (
+        curves if camera_moves else select(curves, np.flatnonzero(moving_curves(r.scene, curves, set(r.moves.shapes))))
+    )
+
+
+def curve(r: Request) -> Term | None:
+    """Return the term of path vertices on curves of intersection."""
+    if r.plan.max_depth == 1 or not r.scene.builder.emitters:
+        return None
+    if r.plan.max_depth == 2 and not r.config.area:
+        return None
+    edges = curve_edges(r.scene, _curves(r, camera_moves=False))
+    if edges is None:
+        return None
+    samples = r.pixels * (r.method.spp_secondary or r.spp)
+    head = [r.scene.data(), r.camera, edges]
+    tail = [samples, mix_seed(r.seed, CURVE), r.plan.max_depth, r.plan.rr_depth, WEDGE_SHARE]
+    kernel = make_curve_kernel(r.config, r.role, r.moves.camera)
+    return Term(kernel, lambda first, adjoint: [*head, first, *tail, adjoint], samples)
+
+
 #: What each method consists of.
 TERMS: dict[type[Method], tuple[Callable[[Request], Term | None], ...]] = {
-    PathSpace: (primary, terminator, secondary),
+    PathSpace: (primary, terminator, secondary, curve),
 }
