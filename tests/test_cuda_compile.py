@@ -173,6 +173,10 @@ FACTORIES = {
         ("reverse, materials", (MATERIALS, STILL, "reverse"), SLOW),
         ("reverse, lights", (ALL_LIGHTS, ALL, "reverse"), SLOW),
     ],
+    "boundary.bent.make_bent_kernel": [
+        ("reverse, materials", (MATERIALS, "reverse", True), SLOW),
+        ("forward, textures", (TEXTURED, "forward", False), SLOW),
+    ],
     "boundary.curve.make_curve_kernel": [
         ("reverse, simple", (SIMPLE, "reverse", False), SLOW),
         ("forward, textures", (TEXTURED, "forward", True), SLOW),

@@ -229,11 +229,11 @@ def primary_edges(
     return _upload(scene, edges, keep, image_length[keep], low[keep], high[keep])
 
 
-def bent_faces(scene: Scene) -> np.ndarray:
-    """Return a mask of the triangles whose interpolated normals differ from their face normal."""
+def bend(scene: Scene) -> np.ndarray:
+    """Return for every triangle the largest sine between its normal and the interpolated ones at its corners."""
     values = scene.values.numpy().astype(np.float64)
     points = values[scene.positions : scene.positions + 3 * scene.vertex_count].reshape(-1, 3)
-    bent = np.zeros(scene.face_count, bool)
+    sines = np.zeros(scene.face_count)
     for s in scene.builder.shapes:
         if s.smooth == 1:
             rows = slice(s.first_face, s.first_face + s.face_count)
@@ -243,8 +243,26 @@ def bent_faces(scene: Scene) -> np.ndarray:
             normal /= np.maximum(np.linalg.norm(normal, axis=1), 1e-300)[:, None]
             first = s.normal_offset + 3 * s.first_vertex
             at = values[first : first + 3 * s.vertex_count].reshape(-1, 3)[faces - s.first_vertex]
-            bent[rows] = (np.linalg.norm(np.cross(at, normal[:, None]), axis=2) > COPLANAR).any(axis=1)
-    return bent
+            sines[rows] = np.linalg.norm(np.cross(at, normal[:, None]), axis=2).max(axis=1)
+    return sines
+
+
+def bent_faces(scene: Scene) -> np.ndarray:
+    """Return a mask of the triangles whose interpolated normals differ from their face normal."""
+    return bend(scene) > COPLANAR
+
+
+def bent_choice(scene: Scene) -> tuple[wp.array, wp.array] | None:
+    """Return cumulative probabilities and numbers of the bent triangles, by area and bend; None: there are none."""
+    sines = bend(scene)
+    faces = np.flatnonzero(sines > COPLANAR)
+    if not len(faces):
+        return None
+    points = scene.values.numpy()[scene.positions : scene.positions + 3 * scene.vertex_count].reshape(-1, 3)
+    p = points[scene.builder.indices[faces]].astype(np.float64)
+    area = np.linalg.norm(np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]), axis=1)
+    cdf = wp.array(cumulative(area * sines[faces]), dtype=wp.float32, device=scene.device)
+    return cdf, wp.array(faces.astype(np.int32), dtype=wp.int32, device=scene.device)
 
 
 def terminator_faces(

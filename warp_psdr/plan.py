@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from warp_psdr import interior
 from warp_psdr.boundary.coverage import choose
+from warp_psdr.edges import bent_faces
 from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.emitter.spot import MIN_FALLOFF
 from warp_psdr.kernels.interior.wanted import Wanted
@@ -297,10 +298,17 @@ def _discontinuities(scene: Scene, config: PathConfig, names: list[str]) -> list
             reasons.append(f"{name} moves {lights[name]}")
         elif NORMALS in uses and delta:
             reasons.append(f"{name} moves what is seen in smooth mirrors and glass")
+        elif NORMALS in uses and config.scatter and _bent(scene, scene.parameters[name].owner):
+            reasons.append(f"{name} moves the curves where interpolated normals turn away")
         elif uses & {TO_UV, TEXCOORDS} and _has_steps(scene):
             reasons.append(f"{name} slides a nearest-neighbour or face-wise texture")
     reasons += [f"{name} moves what is seen through the interface" for name in _bending(scene, names)]
     return reasons
+
+
+def _bent(scene: Scene, shape: int) -> bool:
+    """Whether the interpolated normals of a shape differ from those of its triangles."""
+    return bool(bent_faces(scene)[scene.builder.face_shape == shape].any())
 
 
 def _moving_lights(scene: Scene) -> dict[str, str]:

@@ -1,7 +1,8 @@
 """Pairs of triangles that may run through each other: candidates of the curves of intersection.
 
-A pair counts if each triangle has corners below the plane of the other and corners that are not below it, *below* by
-more than a tolerance; pairs that share an edge do not. Which of them do intersect, and where, the host decides.
+A pair counts if each triangle has corners on both sides of the plane of the other, by more than a tolerance, or a
+corner below it and an edge in it; pairs that share an edge do not. Which of them do intersect, and where, the host
+decides.
 """
 
 import warp as wp
@@ -19,15 +20,19 @@ def height(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d, x: wp.vec3) -> wp.float64:
 
 @wp.func
 def straddles(points: wp.array(dtype=wp.vec3), p: wp.vec3i, q: wp.vec3i, tolerance: wp.float64) -> wp.bool:
-    """Whether triangle q has corners below the plane of p and others."""
+    """Whether triangle q has corners on both sides of the plane of p, or one below and two in it."""
     a = wp.vec3d(points[p[0]])
     b = wp.vec3d(points[p[1]])
     c = wp.vec3d(points[p[2]])
     below = wp.int32(0)
+    above = wp.int32(0)
     for k in range(3):
-        if height(a, b, c, points[q[k]]) < -tolerance:
+        h = height(a, b, c, points[q[k]])
+        if h < -tolerance:
             below += 1
-    return below == 1 or below == 2
+        if h > tolerance:
+            above += 1
+    return below > 0 and (above > 0 or below == 1)
 
 
 @wp.kernel(module="unique", enable_backward=False)

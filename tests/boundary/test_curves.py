@@ -4,10 +4,12 @@ import numpy as np
 import pytest
 
 import warp_psdr as psdr
-from warp_psdr.curves import scene_curves
+from warp_psdr.boundary import terms
+from warp_psdr.boundary.motion import motion
+from warp_psdr.curves import crossing_shapes, scene_curves
 
 from .measure import Case, assert_agrees, derivatives, differences, slope
-from .scenes import SCENES, ball, box, camera, diffuse, floor, mesh, panel, sky
+from .scenes import SCENES, T, ball, box, camera, diffuse, floor, load, mesh, panel, sky
 from .test_table import moved, scaled
 
 
@@ -34,8 +36,8 @@ def behind():
         "sensor": camera((0.0, -0.5, 1.6), (0.0, 1.5, 1.6), fov=25.0),
         "wall": wall,
         "floor": floor(bsdf=diffuse(0.8, 0.7, 0.3), half=1.5),
-        "shape": box((0.1, 1.0, 0.0), (0.4, 0.25, 0.4), diffuse(0.2, 0.5, 0.8), 0.4),
-        "light": panel((0.5, 0.3, 2.4), 0.4, 20.0),
+        "shape": box((0.1, 0.9, -0.1), (0.5, 0.35, 0.3), diffuse(0.02, 0.05, 0.1), 0.4),
+        "light": {"type": "point", "position": [0.3, 0.6, 2.0], "intensity": {"type": "rgb", "value": 10.0}},
     }
 
 
@@ -66,3 +68,130 @@ SCENES |= {
     "lamp": lamp,
     "sunk sky": lambda: sunk(light=sky()),
 }
+
+SHAPE, FLOOR, CAMERA = "shape.vertex_positions", "floor.to_world", "sensor.to_world"
+
+
+def stretched(values):
+    return values * [0.3, 0.2, 1.0]
+
+
+CASES = [
+    # As the camera sees them.
+    Case("post", SHAPE, moved(1.0, -0.5, 0.0), 0.01, "a box moves along the floor", difference_spp=2048, slow=False),
+    Case("post", SHAPE, moved(0.2, 0.0, 1.0), 0.01, "a box is lifted", difference_spp=2048),
+    Case("sunk", SHAPE, moved(0.0, 0.0, 1.0), 0.005, "a ball sinks", difference_spp=4096),
+    Case("sunk", SHAPE, scaled, 0.01, "a ball grows", difference_spp=2048),
+    Case("sunk", FLOOR, moved(0.2, 0.1, 1.0), 0.01, "the floor rises", spp=1024, difference_spp=4096),
+    Case("sunk", CAMERA, moved(1.0, 0.3, 0.4), 0.01, "the camera moves", difference_spp=2048),
+    Case("sunk smooth", SHAPE, moved(0.3, 0.2, 1.0), 0.01, "a ball moves", spp=512, difference_spp=4096),
+    Case("sunk sky", SHAPE, moved(1.0, 0.2, 0.5), 0.01, "a ball moves", spp=512, difference_spp=4096),
+    Case("knot", SHAPE, stretched, 0.01, "a mesh through itself", difference_spp=4096),
+    # As other path vertices do.
+    Case("lamp", SHAPE, moved(0.0, 0.0, 1.0), 0.01, "a light rises", spp=512, difference_spp=2048, slow=False),
+    Case("lamp", SHAPE, moved(1.0, -0.5, 0.0), 0.01, "a light moves", spp=512, difference_spp=4096),
+    Case("behind", SHAPE, moved(0.2, 0.1, 1.0), 0.01, "a box rises", 3, 1024, 4096),
+    Case("behind", SHAPE, moved(1.0, -0.5, 0.0), 0.01, "a box moves", 3, 2048, 8192),
+    Case("behind", FLOOR, moved(0.0, 0.0, 1.0), 0.01, "the floor rises", 3, 2048, 8192),
+]
+
+
+@pytest.mark.parametrize("mode", ["forward", "reverse"])
+@pytest.mark.parametrize(
+    "case", [pytest.param(c, id=str(c), marks=[pytest.mark.slow] if c.slow else []) for c in CASES]
+)
+def test_derivatives_equal_finite_differences(case: Case, mode: str) -> None:
+    assert_agrees(derivatives(case, mode), differences(case)[2])
+
+
+@pytest.mark.parametrize("case", [c for c in CASES if c.scene == "lamp" and not c.slow], ids=str)
+def test_the_table_can_tell_missing_curves(case: Case, monkeypatch) -> None:
+    rest = tuple(t for t in terms.TERMS[psdr.boundary.PathSpace] if t is not terms.curve)
+    monkeypatch.setitem(terms.TERMS, psdr.boundary.PathSpace, rest)
+    value, error = slope(derivatives(case, "forward"), differences(case)[2])
+    assert abs(value - 1.0) > 0.05 + 3.0 * error
+
+
+def curves_of(**shapes):
+    """Curves of a scene, and their length."""
+    found = scene_curves(psdr.load_dict({"type": "scene", "sensor": camera(), **shapes}))
+    np.testing.assert_allclose(found.length, np.linalg.norm(found.points[:, 1] - found.points[:, 0], axis=1))
+    return found, float(found.length.sum())
+
+
+def crossed(angle: float, size: float = 0.5):
+    """An upright card through the floor, turned about z."""
+    x, y = size * np.cos(angle), size * np.sin(angle)
+    corners = [[-x, -y, -size], [x, y, -size], [x, y, size], [-x, -y, size]]
+    return mesh(corners, [[0, 1, 2], [0, 2, 3]], diffuse(0.5))
+
+
+def test_the_curve_of_a_box_is_its_outline() -> None:
+    found, length = curves_of(floor=floor(), box=box((0.1, 0.0, 0.15), (0.4, 0.3, 0.5), diffuse(0.5), 0.4))
+    # Absorbs the rounding of float32 vertices.
+    assert length == pytest.approx(4 * (0.4 + 0.3), rel=1e-6)
+    np.testing.assert_allclose(found.points[..., 2], 0.0, atol=1e-6)
+    assert (found.ends == -1).all() and (found.count == 2).all()
+
+
+def test_curves_of_balls_are_circles() -> None:
+    _found, length = curves_of(
+        floor=floor(), a=ball((0, 0, 0.2), 0.7, diffuse(0.5), 4), b=ball((0.5, 0.1, 0.4), 0.6, diffuse(0.5), 4)
+    )
+    d = np.linalg.norm([0.5, 0.1, 0.2])
+    across = (d**2 + 0.7**2 - 0.6**2) / (2.0 * d)
+    radii = [np.sqrt(0.7**2 - 0.2**2), np.sqrt(0.6**2 - 0.4**2), np.sqrt(0.7**2 - across**2)]
+    # Absorbs the tessellation.
+    assert length == pytest.approx(2.0 * np.pi * sum(radii), rel=2e-3)
+
+
+def test_a_mesh_may_run_through_itself() -> None:
+    scene = psdr.load_dict({"type": "scene", **knot()})
+    found = scene_curves(scene)
+    # A closed curve: every end is the start of another segment.
+    ends = np.round(found.points.reshape(-1, 3), 5)
+    assert len(found.length) > 10 and (np.unique(ends, axis=0, return_counts=True)[1] == 2).all()
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.3, np.pi / 4, -np.pi / 4, np.pi / 2])
+def test_a_curve_along_an_edge_counts_once(angle: float) -> None:
+    # The floor's diagonal lies in the card's plane at one of the angles, a grid line of the card in the floor's at all.
+    assert curves_of(floor=floor(), card=crossed(angle))[1] == pytest.approx(1.0, rel=1e-5)
+
+
+def test_the_equator_of_a_ball_in_a_plane() -> None:
+    vertices = [[1, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]]
+    faces = [[i, (i + 1) % 4, 4] for i in range(4)] + [[(i + 1) % 4, i, 5] for i in range(4)]
+    _found, length = curves_of(floor=floor(), shape=mesh(vertices, faces, diffuse(0.5)))
+    assert length == pytest.approx(4.0 * np.sqrt(2.0), rel=1e-5)
+    flipped = floor()
+    flipped["to_world"] = flipped["to_world"] @ T.rotate([1, 0, 0], 180)
+    assert curves_of(floor=flipped, shape=mesh(vertices, faces, diffuse(0.5)))[1] == pytest.approx(length, rel=1e-5)
+
+
+@pytest.mark.parametrize("z", [0.3, 0.31, 0.3 - 1e-4])
+def test_what_touches_is_a_contact(z: float) -> None:
+    # The last is three ray epsilons deep.
+    assert curves_of(floor=floor(), box=box((0.1, 0, z), (0.4, 0.3, 0.3), diffuse(0.5), 0.4))[1] == 0.0
+
+
+def test_triangles_that_share_a_corner_may_intersect() -> None:
+    vertices = [[0, 0, 0], [1, -1, 0], [1, 1, 0], [1, 0, -1], [1, 0, 1]]
+    assert curves_of(shape=mesh(vertices, [[0, 1, 2], [0, 3, 4]], diffuse(0.5)))[1] == pytest.approx(1.0, rel=1e-5)
+    assert curves_of(shape=ball((0, 0, 0), 1.0, diffuse(0.5), 2))[1] == 0.0
+
+
+def test_curves_follow_the_vertices() -> None:
+    scene, params = load("post")
+    before = scene_curves(scene)
+    assert scene_curves(scene) is before
+    values = params[SHAPE].numpy().copy()
+    try:
+        params[SHAPE] = values + np.float32([0.0, 0.0, 5.0])
+        params.update()
+        assert len(scene_curves(scene).length) == 0
+    finally:
+        params[SHAPE] = values
+        params.update()
+    assert crossing_shapes(scene, motion(scene, [SHAPE])) == ("floor", "shape")
+    assert crossing_shapes(scene, motion(scene, ["light.vertex_positions"])) is None

@@ -5,7 +5,7 @@ import pytest
 
 import warp_psdr as psdr
 
-from .scenes import T, ball, box, camera, diffuse, floor, load, mesh, panel, sky, under
+from .scenes import T, ball, camera, diffuse, floor, load, mesh, panel, sky, under
 
 OCCLUDER = "occluder.vertex_positions"
 
@@ -112,12 +112,6 @@ UNCOVERED = {
         2,
         "hard edge",
     ),
-    "intersection": (under(sky()) | {"occluder": box((0, 0, 0.2), (0.3, 0.3, 0.5), diffuse(0.5))}, 2, "run through"),
-    "normals": (
-        under(sky()) | {"occluder": ball((0, 0, 1), 0.4, diffuse(0.5), smooth=True)},
-        3,
-        "interpolated normals",
-    ),
 }
 
 
@@ -138,21 +132,6 @@ def test_hidden_lights_are_refused() -> None:
     scene, _params = load("soft")
     with pytest.raises(ValueError, match="hide_emitters"):
         psdr.plan(scene, names=[OCCLUDER], integrator=psdr.PathIntegrator(max_depth=2, hide_emitters=True))
-
-
-def test_a_box_on_the_floor_is_a_contact_and_no_intersection() -> None:
-    scene, _params = load("room")
-    plan = psdr.plan(scene, names=["box.vertex_positions"], integrator=psdr.PathIntegrator(max_depth=3))
-    assert plan.boundary is not None
-
-
-def test_a_resting_pair_may_intersect() -> None:
-    objects = under(sky()) | {"post": box((1.2, 0.5, 0.2), (0.2, 0.2, 0.5), diffuse(0.5))}
-    scene, _params = scene_of(**{k: v for k, v in objects.items() if k != "sensor"})
-    integrator = psdr.PathIntegrator(max_depth=2)
-    assert psdr.plan(scene, names=[OCCLUDER], integrator=integrator).boundary is not None
-    with pytest.raises(ValueError, match="run through"):
-        psdr.plan(scene, names=["sensor.to_world"], integrator=integrator)
 
 
 def test_emission_alone_has_a_primary_boundary() -> None:

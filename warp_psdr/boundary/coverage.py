@@ -6,7 +6,6 @@ import math
 from typing import TYPE_CHECKING
 
 from warp_psdr.boundary.methods import Method, PathSpace
-from warp_psdr.edges import bent_faces
 from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.emitter.spot import MIN_FALLOFF
 from warp_psdr.scene.layout import TEXCOORDS, TO_UV
@@ -61,9 +60,4 @@ def _uncovered(scene: Scene, config: PathConfig, names: list[str], max_depth: in
             cutoff, beam = values[e.cutoff : e.cutoff + 2].tolist()
             if math.radians(cutoff - beam) <= MIN_FALLOFF:
                 return "a spot light's cone has a hard edge; make beam_width smaller than cutoff_angle"
-    if max_depth != 1 and max_depth != 2 and bent_faces(scene).any():
-        return (
-            "the curves along which interpolated normals turn away are covered as the camera sees them, not as other "
-            "surfaces do; use max_depth=2, or face_normals=True on the meshes"
-        )
     return ""

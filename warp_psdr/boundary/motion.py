@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from warp_psdr.scene.layout import CAMERA, LIGHT_POSE, POSITIONS, SHAPE_POSE
+from warp_psdr.scene.layout import CAMERA, LIGHT_POSE, NORMALS, POSITIONS, SHAPE_POSE
 
 if TYPE_CHECKING:
     from warp_psdr.scene.scene import Scene
@@ -19,11 +19,18 @@ class Motion:
         shapes: numbers of the shapes whose vertices move.
         camera: the camera moves.
         light_pose: a point, spot or directional light moves or turns.
+        normals: numbers of the shapes whose vertex normals turn by themselves.
     """
 
     shapes: frozenset[int]
     camera: bool
     light_pose: bool
+    normals: frozenset[int] = frozenset()
+
+    @property
+    def edges(self) -> bool:
+        """Whether edges move against the path vertices beside them, or lights against both."""
+        return bool(self.shapes or self.camera or self.light_pose)
 
 
 def motion(scene: Scene, names: list[str]) -> Motion:
@@ -33,4 +40,5 @@ def motion(scene: Scene, names: list[str]) -> Motion:
         shapes=frozenset(owner for use, owner in uses if use & {POSITIONS, SHAPE_POSE}),
         camera=any(CAMERA in use for use, _owner in uses),
         light_pose=any(LIGHT_POSE in use for use, _owner in uses),
+        normals=frozenset(owner for use, owner in uses if NORMALS in use),
     )

@@ -16,7 +16,8 @@ import warp as wp
 from warp_psdr.boundary.methods import Method, PathSpace
 from warp_psdr.boundary.motion import Motion, motion
 from warp_psdr.curves import moving_curves, scene_curves
-from warp_psdr.edges import curve_edges, primary_edges, secondary_edges, select, terminator_faces
+from warp_psdr.edges import bent_choice, curve_edges, primary_edges, secondary_edges, select, terminator_faces
+from warp_psdr.kernels.boundary.bent import make_bent_kernel
 from warp_psdr.kernels.boundary.curve import make_curve_kernel
 from warp_psdr.kernels.boundary.primary import make_primary_kernel
 from warp_psdr.kernels.boundary.secondary import make_secondary_kernel
@@ -34,7 +35,7 @@ if TYPE_CHECKING:
 #: what is not a light contributes nothing.
 WEDGE_SHARE_DIRECT, WEDGE_SHARE = 0.1, 0.5
 #: Sub-streams of the boundary term's random numbers.
-PRIMARY, SECONDARY, TERMINATOR, CURVE = 0, 1, 2, 3
+PRIMARY, SECONDARY, TERMINATOR, CURVE, BENT = 0, 1, 2, 3, 4
 
 
 @dataclass(frozen=True)
@@ -120,7 +121,8 @@ def terminator(r: Request) -> Term | None:
     """Return the term of the curves where interpolated normals turn away from the camera."""
     if not r.config.scatter:
         return None
-    found = terminator_faces(r.scene, r.sensor, set(r.moves.shapes), camera_moves=r.moves.camera)
+    shapes = set(r.moves.shapes | r.moves.normals)
+    found = terminator_faces(r.scene, r.sensor, shapes, camera_moves=r.moves.camera)
     if found is None:
         return None
     samples = r.pixels * (r.method.spp_primary or r.spp)
@@ -132,7 +134,7 @@ def terminator(r: Request) -> Term | None:
 
 def secondary(r: Request) -> Term | None:
     """Return the term of shadow edges and their like: visibility between two path vertices."""
-    if r.plan.max_depth == 1 or not r.scene.builder.emitters:
+    if r.plan.max_depth == 1 or not r.scene.builder.emitters or not r.moves.edges:
         return None
     edges = secondary_edges(r.scene, set(r.moves.shapes))
     if edges is None:
@@ -169,7 +171,21 @@ def curve(r: Request) -> Term | None:
     return Term(kernel, lambda first, adjoint: [*head, first, *tail, adjoint], samples)
 
 
+def bent(r: Request) -> Term | None:
+    """Return the term of the curves where interpolated normals turn away from other path vertices."""
+    if 0 <= r.plan.max_depth <= 2 or not r.scene.builder.emitters:
+        return None
+    found = bent_choice(r.scene)
+    if found is None:
+        return None
+    samples = r.pixels * (r.method.spp_secondary or r.spp)
+    head = [r.scene.data(), r.camera, *found]
+    tail = [samples, mix_seed(r.seed, BENT), r.plan.max_depth, r.plan.rr_depth]
+    kernel = make_bent_kernel(r.config, r.role, r.moves.camera)
+    return Term(kernel, lambda first, adjoint: [*head, first, *tail, adjoint], samples)
+
+
 #: What each method consists of.
 TERMS: dict[type[Method], tuple[Callable[[Request], Term | None], ...]] = {
-    PathSpace: (primary, terminator, secondary, curve),
+    PathSpace: (primary, terminator, secondary, curve, bent),
 }

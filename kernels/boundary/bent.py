@@ -1,0 +1,159 @@
+"""Where interpolated normals turn away from other path vertices: the terminator beyond the camera.
+
+A one-sided material is black, and a two-sided one shows its other side, where the vertex y before it lies below the
+horizon of the shading normal n(x), although the triangle faces y. So what x = x_{k+1} scatters towards y = x_k jumps
+where phi = n(x) . (y - x) = 0. (It does not where the *next* vertex sinks below that horizon: all models vanish there,
+which is why only the side towards the sensor counts.) The camera's own terminator is ``terminator.py``'s. With F the
+integrand apart from the jump, in material form
+
+    dI = integral over A(y), A(x) of  F G(y, x) [L(x -> y)] delta(phi) phi',      G = |n_y . w| |n_g . w| / d^2,
+
+w the direction from x to y, d their distance, n_g the triangle's normal and [L] the radiance for phi > 0 minus that for
+phi < 0. For a fixed x, dA(y) = d^2 dsigma(w) / |n_y . w|, and phi = d n . w leaves the angle theta of w in the plane
+perpendicular to n, with dsigma = dtheta d(n . w):
+
+    dI = integral over A(x), theta of  W(y, w) [L(x -> y)] |n_g . w| phi' / d.
+
+phi' is that of y in its own parametrisation (``transport.py``) and of the material point x with its normal:
+
+    phi' / d = n . (y' - x') / d + n' . w.
+
+With alpha the angle between n and n_g, |n_g . w| = sin(alpha) |cos(theta)|: theta is drawn in proportion to
+|cos(theta)|, and triangles by area times the largest sin(alpha) of their corners.
+"""
+
+import functools
+
+import warp as wp
+
+from warp_psdr.kernels.autodiff import anchor
+from warp_psdr.kernels.boundary.detector import make_radiance
+from warp_psdr.kernels.boundary.transport import Segment, make_transport
+from warp_psdr.kernels.bvh.wide import make_intersect
+from warp_psdr.kernels.constants import FAR
+from warp_psdr.kernels.distribution import find_interval
+from warp_psdr.kernels.path import PathConfig
+from warp_psdr.kernels.rng import Sampler, make_sampler
+from warp_psdr.kernels.sampling import square_to_triangle
+from warp_psdr.kernels.structs import Camera, Scene
+from warp_psdr.kernels.surface import VertexAdjoint, make_surface, make_vertex_sink
+
+#: Sine of the angle by which the two directions of the jump lie above and below the horizon of n.
+TILT = 1.0e-4
+#: Distance from x at which the rays of the jump start, in ray epsilons: far enough for float32 to find x again, near
+#: enough for nothing to be in between.
+AHEAD = 50.0
+#: sin(alpha) below which a point counts as flat.
+FLAT = 1.0e-5
+
+
+@functools.cache
+def make_jump(config: PathConfig):
+    """Return ``jump(scene, sampler, segment, k, max_depth, rr_depth) -> vec3``: [L] with common random numbers."""
+    radiance = make_radiance(config)
+
+    @wp.func
+    def jump(
+        scene: Scene, sampler: Sampler, s: Segment, k: wp.int32, max_depth: wp.int32, rr_depth: wp.int32
+    ) -> wp.vec3:
+        n = -s.t1 * s.sweep
+        ahead = wp.min(AHEAD * scene.ray_epsilon, 0.5 * s.t1)
+        total = wp.vec3(0.0, 0.0, 0.0)
+        for i in range(2):
+            sign = 1.0 - 2.0 * wp.float32(i)
+            d = wp.normalize(s.w - (sign * TILT) * n)
+            total += sign * radiance(scene, sampler, s.x - ahead * d, d, FAR, k, max_depth, rr_depth)
+        return total
+
+    return jump
+
+
+@functools.cache
+def make_bent_kernel(config: PathConfig, role: str, camera_moves: bool):
+    """Return the kernel: one thread a sample (arguments as in ``secondary.py``).
+
+    ``faces`` are the triangles whose normals bend, ``face_cdf`` their cumulative probabilities.
+    """
+    closest_hit, _any_hit = make_intersect(config.ray_backend, config.ray_width)
+    surface_at = make_surface(True, config.flat, False, False)
+    push_vertex = make_vertex_sink(role, True, config.flat, False, False, False, True)
+    transport = make_transport(config, role, camera_moves, make_jump(config), 2)
+    sample_4d = make_sampler(config.sampler).sample_4d
+
+    @wp.func
+    def push_bent(scene: Scene, target: wp.array(dtype=wp.float32), s: Segment, w: wp.float32) -> wp.float32:
+        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
+        vertex = VertexAdjoint()
+        vertex.x = w * s.sweep
+        vertex.n = -w * s.w
+        pushed = push_vertex(scene, target, s.face2, s.u2, s.v2, vertex, False, s.x, s.w)
+        return pushed.dot
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def bent(
+        # Scene:
+        scene: Scene,
+        camera: Camera,
+        face_cdf: wp.array(dtype=wp.float32),
+        faces: wp.array(dtype=wp.int32),
+        # In:
+        first: wp.int32,
+        samples: wp.int32,
+        seed: wp.uint32,
+        max_depth: wp.int32,
+        rr_depth: wp.int32,
+        adjoint: wp.array2d(dtype=wp.vec3),
+        # Out:
+        target: wp.array(dtype=wp.float32),
+        image_out: wp.array2d(dtype=wp.vec3),
+    ):
+        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
+        number = first + wp.tid()
+        sampler = Sampler()
+        sampler.pixel = wp.uint32(number)
+        sampler.seed = seed
+        u4 = sample_4d(sampler, 0)
+        stratum = wp.float32((wp.float64(number) + wp.float64(u4[0])) / wp.float64(samples))
+        cell = find_interval(face_cdf, 0, faces.shape[0], stratum)
+        probability = face_cdf[cell + 1] - face_cdf[cell]
+        s = Segment()
+        s.light = -1
+        s.face2 = faces[cell]
+        uv = square_to_triangle(wp.vec2(u4[1], u4[2]))
+        s.u2 = uv[0]
+        s.v2 = uv[1]
+        surface = surface_at(scene, s.face2, s.u2, s.v2)
+        across = surface.ng - wp.dot(surface.ng, surface.n) * surface.n
+        sine = wp.length(across)
+        if sine < FLAT or probability <= 0.0:
+            return
+        across = across / sine
+        # theta: its sine is uniform, its cosine has either sign.
+        half = wp.where(u4[3] < 0.5, 0.0, 1.0)
+        b = 4.0 * u4[3] - 2.0 * half - 1.0
+        a = (1.0 - 2.0 * half) * wp.sqrt(wp.max(1.0 - b * b, 0.0))
+        out = a * across + b * wp.cross(surface.n, across)
+        s.x = surface.x
+        s.w = -out
+        turn = (1.0 - 2.0 * half) * scene.ray_epsilon
+        hit = closest_hit(scene.accel, s.x + turn * surface.ng, out, FAR)
+        if hit.face < 0 or hit.t <= scene.ray_epsilon:
+            return
+        s.t1 = hit.t
+        s.sweep = (-1.0 / s.t1) * surface.n
+        s.face1 = hit.face
+        s.u1 = hit.u
+        s.v1 = hit.v
+        rest = wp.float32(0.0)
+        if wp.static(role == "forward"):
+            rest = push_bent(scene, target, s, 1.0)
+        tri = scene.triangles[s.face2]
+        area = 0.5 * wp.length(wp.cross(tri.p1 - tri.p0, tri.p2 - tri.p0))
+        # |n_g . w| / pdf_theta = 4 sin(alpha)
+        scale = 4.0 * sine * area / (probability * wp.float32(samples))
+        weight = transport(scene, camera, sampler, s, scale, rest, max_depth, rr_depth, adjoint, target, image_out)
+        if wp.static(role == "reverse"):
+            if weight != 0.0:
+                push_bent(scene, target, s, weight)
+
+    return bent
