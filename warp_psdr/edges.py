@@ -172,6 +172,22 @@ def moving_edges(scene: Scene, edges: Adjacency, shapes: set[int]) -> np.ndarray
     return moves[edges.ends].any(axis=1) | moves[edges.twins].any(axis=1)
 
 
+def shared_by_many(scene: Scene, shapes: set[int]) -> tuple[int, int] | None:
+    """Return two shapes, one of which moves, that meet in an edge of more than two triangles; None: there are none.
+
+    Which of their velocities such an edge has depends on the direction in which it is seen.
+    """
+    edges = scene_adjacency(scene)
+    if not len(edges.length):
+        return None
+    of = scene.builder.face_shape[edges.faces]
+    start = edges.first[:-1]
+    moves = np.logical_or.reduceat(np.isin(of, sorted(shapes)), start)
+    low, high = np.minimum.reduceat(of, start), np.maximum.reduceat(of, start)
+    found = np.flatnonzero((edges.count > 2) & (low != high) & moves)
+    return (int(low[found[0]]), int(high[found[0]])) if len(found) else None
+
+
 def secondary_edges(scene: Scene, shapes: set[int]) -> Edges | None:
     """Return the edges that can be a silhouette for some path vertex, drawn by length times wedge; None: no edges.
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from .scenes import SCENES, ball, camera, diffuse, floor, mesh, panel
+from .scenes import SCENES, ball, camera, diffuse, floor, mesh, panel, sky
 
 
 def glow():
@@ -42,7 +42,7 @@ def waves(two_sided=False, **bsdf):
     material = {"type": "twosided", "bsdf": material} if two_sided else material
     return hidden() | {
         "shape": mesh(vertices, faces, material, normals=normals.astype(np.float32)),
-        "light": panel((0.3, 0.4, 1.2), 0.3, 30.0),
+        "light": sky() if two_sided else panel((0.3, 0.4, 1.2), 0.3, 30.0),
     }
 
 

@@ -103,9 +103,15 @@ NEAREST = {
     "type": "diffuse",
     "reflectance": {"type": "bitmap", "bitmap": np.ones((4, 4, 3), np.float32), "filter_type": "nearest"},
 }
+FLUSH = ([[0, 0, 1], [1, 0, 1], [0, 1, 1], [0, 0, 2]], [[0, 1, 2], [0, 3, 1]])
 UNCOVERED = {
     "mirror": (under(sky()) | {"occluder": ball((0, 0, 1), 0.4, {"type": "conductor"})}, 3, "smooth mirrors or glass"),
     "glass": (under(sky()) | {"occluder": ball((0, 0, 1), 0.4, {"type": "dielectric"})}, 3, "smooth mirrors or glass"),
+    "shared edge": (
+        under(sky()) | {"occluder": mesh(*FLUSH, diffuse(0.5)), "base": mesh(*FLUSH, diffuse(0.5))},
+        2,
+        "more than two triangles",
+    ),
     "steps": (under(sky()) | {"floor": floor(bsdf=NEAREST)}, 2, "nearest"),
     "cone": (
         under({"type": "spot", "to_world": T.translate([0, 0, 3]), "cutoff_angle": 20.0, "beam_width": 20.0}),

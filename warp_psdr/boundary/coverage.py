@@ -6,6 +6,8 @@ import math
 from typing import TYPE_CHECKING
 
 from warp_psdr.boundary.methods import Method, PathSpace
+from warp_psdr.boundary.motion import motion
+from warp_psdr.edges import shared_by_many
 from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.emitter.spot import MIN_FALLOFF
 from warp_psdr.scene.layout import TEXCOORDS, TO_UV
@@ -60,4 +62,8 @@ def _uncovered(scene: Scene, config: PathConfig, names: list[str], max_depth: in
             cutoff, beam = values[e.cutoff : e.cutoff + 2].tolist()
             if math.radians(cutoff - beam) <= MIN_FALLOFF:
                 return "a spot light's cone has a hard edge; make beam_width smaller than cutoff_angle"
+    pair = shared_by_many(scene, set(motion(scene, names).shapes))
+    if pair is not None:
+        a, b = (scene.description.shapes[i].path for i in pair)
+        return f"shapes {a!r} and {b!r} meet in an edge of more than two triangles; move them apart, by a little"
     return ""

@@ -39,7 +39,8 @@ class Method(ABC):  # noqa: B024
 class PathSpace(Method):
     """Multi-directional sampling of boundary paths [ZMY*20] (``kernels/boundary/``), unguided.
 
-    Unbiased for triangle meshes with moving shapes, area, environment, point, spot and directional lights, and a moving
-    camera, at any depth; with interpolated normals for direct light. Not covered, and refused: smooth mirrors
-    and glass, surfaces that run through each other, hidden emitters, and textures with steps.
+    Unbiased for triangle meshes with moving shapes, which may run through each other and interpolate normals, area,
+    environment, point, spot and directional lights, and a moving camera, at any depth. Not covered, and
+    refused: smooth mirrors and glass, hidden emitters, and textures with steps. Surfaces that merely touch are in
+    contact: what changes when they move apart, or into each other, has no derivative and is left out.
     """
