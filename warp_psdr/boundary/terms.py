@@ -166,7 +166,7 @@ def curve(r: Request) -> Term | None:
         return None
     samples = r.pixels * (r.method.spp_secondary or r.spp)
     head = [r.scene.data(), r.camera, edges]
-    tail = [samples, mix_seed(r.seed, CURVE), r.plan.max_depth, r.plan.rr_depth, WEDGE_SHARE]
+    tail = [samples, mix_seed(r.seed, CURVE), r.plan.max_depth, r.plan.rr_depth]
     kernel = make_curve_kernel(r.config, r.role, r.moves.camera)
     return Term(kernel, lambda first, adjoint: [*head, first, *tail, adjoint], samples)
 
