@@ -33,7 +33,7 @@ def behind(albedo=0.05):
     """A wall lit by a floor and a box in it, which the camera does not see: nothing but deeper vertices counts."""
     wall = mesh([[-1, 1.5, 0], [1, 1.5, 0], [1, 1.5, 2], [-1, 1.5, 2]], [[0, 1, 2], [0, 2, 3]], diffuse(0.8))
     return {
-        "sensor": camera((0.0, -0.5, 1.6), (0.0, 1.5, 1.6), fov=25.0),
+        "sensor": camera((0.0, 0.3, 1.2), (0.0, 1.5, 1.2), fov=70.0),
         "wall": wall,
         "floor": floor(bsdf=diffuse(0.8, 0.7, 0.3), half=1.5),
         "shape": box((0.1, 0.9, -0.1), (0.5, 0.35, 0.3), diffuse(albedo), 0.4),
@@ -91,10 +91,9 @@ CASES = [
     # As other path vertices do.
     Case("lamp", SHAPE, moved(0.0, 0.0, 1.0), 0.01, "a light rises", spp=512, difference_spp=2048, slow=False),
     Case("lamp", SHAPE, moved(1.0, -0.5, 0.0), 0.01, "a light moves", spp=512, difference_spp=4096),
-    Case("behind", SHAPE, moved(0.2, 0.1, 1.0), 0.01, "a box rises", 3, 1024, 4096),
-    Case("behind", SHAPE, moved(1.0, -0.5, 0.0), 0.01, "a box moves", 3, 2048, 8192),
-    Case("behind bright", SHAPE, moved(0.2, 0.1, 1.0), 0.01, "a box rises", 4, 4096, 8192),
+    Case("behind", SHAPE, moved(0.2, 0.1, 1.0), 0.01, "a box rises", 3, 2048, 8192),
     Case("behind", FLOOR, moved(0.0, 0.0, 1.0), 0.01, "the floor rises", 3, 2048, 8192),
+    Case("behind bright", SHAPE, moved(0.2, 0.1, 1.0), 0.01, "a box rises", 4, 4096, 8192),
 ]
 
 
