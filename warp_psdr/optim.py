@@ -4,14 +4,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
 
 from warp_psdr.kernels import adam as kernels
+from warp_psdr.scene.layout import POSITIONS
 
-__all__ = ["Adam"]
+if TYPE_CHECKING:
+    from warp_psdr.laplacian import Smoother
+
+__all__ = ["Adam", "LargeSteps"]
+
+#: Weight of the Laplacian where none is given: that of [NJJ21], alpha = 0.95.
+LAMBDA = 19.0
 
 
 class Adam:
@@ -82,31 +89,35 @@ class Adam:
         """
         self._require_usable_gradients()
         self.steps += 1
-        beta_1, beta_2 = self._betas
         for name, rate in self.lr.items():
-            parameter = self._params[name]
-            low, high = self._params.bounds(name)
-            values, gradient = flat(parameter), flat(parameter.grad)
-            m, v = self._moments[name]
-            wp.launch(
-                kernels.make_adam(self._mask_updates),
-                dim=values.shape,
-                inputs=[
-                    gradient,
-                    rate * scale,
-                    beta_1,
-                    beta_2,
-                    1.0 - beta_1**self.steps,
-                    1.0 - beta_2**self.steps,
-                    self._epsilon,
-                    low,
-                    high,
-                ],
-                outputs=[m, v, values],
-                device=values.device,
-            )
+            self._advance(name, rate * scale)
         self._params.update(*self.lr)
         self._params.zero_grad()
+
+    def _advance(self, name: str, rate: float) -> None:
+        """Move one parameter; ``steps`` already counts this step."""
+        parameter = self._params[name]
+        low, high = self._params.bounds(name)
+        values, gradient = flat(parameter), flat(parameter.grad)
+        m, v = self._moments[name]
+        beta_1, beta_2 = self._betas
+        wp.launch(
+            kernels.make_adam(self._mask_updates),
+            dim=values.shape,
+            inputs=[
+                gradient,
+                rate,
+                beta_1,
+                beta_2,
+                1.0 - beta_1**self.steps,
+                1.0 - beta_2**self.steps,
+                self._epsilon,
+                low,
+                high,
+            ],
+            outputs=[m, v, values],
+            device=values.device,
+        )
 
     def state_dict(self) -> dict[str, np.ndarray]:
         """Return all that a later ``load_state_dict`` needs to continue with equal bits.
@@ -168,6 +179,111 @@ class Adam:
                     f"{self.steps + 1}; the parameters are unchanged. A smaller learning rate, or a look at the scene "
                     "at this step, helps to find out why"
                 )
+
+
+class LargeSteps(Adam):
+    """Vertex positions in the preconditioned space of [NJJ21], with AdamUniform; all other parameters with Adam.
+
+    Positions v are written as v = (I + lambda L)^-1 u, L the combinatorial Laplacian of the mesh on position-welded
+    vertices (``warp_psdr/laplacian.py``), and u is optimised: its gradient is (I + lambda L)^-1 dv, v's smoothed, and a
+    step of u moves v by the smoothed step. So a gradient that lives on a silhouette moves the surface around it too,
+    and triangles keep their shape. AdamUniform divides by one number a mesh, the largest root mean square of an entry,
+    so that a direction is not bent. Since v is linear in u, u is never stored: v moves by (I + lambda L)^-1 du, and
+    what else edits v between two steps is kept.
+
+    The matrix is factorised once, in double precision, from the positions that the scene was loaded with.
+
+    Args:
+        params: Parameters of a scene, from ``psdr.traverse``; those to optimise had ``params.requires_grad(name)``.
+        lr: Learning rate, the same for every parameter that requires a gradient, or one per name. For positions roughly
+            the largest move of a vertex in one step, in world units, where neighbours move alike.
+        lambda_: Weight of the Laplacian, > 0; larger is smoother: the step spreads over some sqrt(lambda) edges.
+            Default 19.
+        alpha: The same in (0, 1): lambda = alpha / (1 - alpha). Give one of the two.
+        fixed: Vertices that do not move, for names of vertex positions: a mask of shape (N,).
+        betas: Decay rates of the running means of the gradient and of its square, in [0, 1).
+        epsilon: Added to the root of the mean square; in units of the gradient.
+        mask_updates: As in ``Adam``, for the other parameters; positions of a mesh move together.
+
+    Raises:
+        ValueError: If a name is unknown or requires no gradient, no vertex positions are among the names, a number is
+            out of range, or ``fixed`` does not fit.
+    """
+
+    def __init__(
+        self,
+        params: Any,
+        lr: float | Mapping[str, float],
+        *,
+        lambda_: float | None = None,
+        alpha: float | None = None,
+        fixed: Mapping[str, np.ndarray] | None = None,
+        betas: tuple[float, float] = (0.9, 0.999),
+        epsilon: float = 1e-8,
+        mask_updates: bool = False,
+    ):
+        from warp_psdr.laplacian import Smoother
+
+        super().__init__(params, lr, betas=betas, epsilon=epsilon, mask_updates=mask_updates)
+        self.lambda_ = _laplacian_weight(lambda_, alpha)
+        scene = params.scene
+        owners = {n: scene.parameters[n].owner for n in self.lr if POSITIONS in scene.parameters[n].uses}
+        if not owners:
+            raise ValueError(
+                f"LargeSteps: none of {list(self.lr)} are vertex positions, which it is for; use psdr.optim.Adam"
+            )
+        fixed = dict(fixed or {})
+        for name in fixed:
+            if name not in owners:
+                raise ValueError(f"fixed: {name!r} is none of the optimised vertex positions {list(owners)}")
+        self._smoothers: dict[str, Smoother] = {}
+        for name, owner in owners.items():
+            # What was loaded, not what is there now: an optimiser that resumes must weld the same vertices.
+            shape = scene.description.shapes[owner]
+            mask = fixed.get(name)
+            if mask is not None:
+                mask = np.asarray(mask)
+                if mask.dtype != bool or mask.shape != (len(shape.vertices),):
+                    raise ValueError(
+                        f"fixed: got {mask.dtype} values of shape {mask.shape} for {name!r}; expected a mask (bool) of "
+                        f"shape ({len(shape.vertices)},)"
+                    )
+            try:
+                self._smoothers[name] = Smoother(shape.vertices, shape.faces, self.lambda_, mask)
+            except ValueError as error:
+                raise ValueError(f"LargeSteps: {name!r}: {error}") from None
+
+    def _advance(self, name: str, rate: float) -> None:
+        if name not in self._smoothers:
+            super()._advance(name, rate)
+            return
+        smoother, parameter = self._smoothers[name], self._params[name]
+        beta_1, beta_2 = self._betas
+        gradient = smoother.scatter(smoother.solve(smoother.gather(parameter.grad.numpy())))
+        # The moments are rounded to float32 as they are stored, so that a resumed run has equal bits.
+        m, v = (moment.numpy().reshape(gradient.shape) for moment in self._moments[name])
+        m = (beta_1 * m + (1.0 - beta_1) * gradient).astype(np.float32)
+        v = (beta_2 * v + (1.0 - beta_2) * gradient**2).astype(np.float32)
+        for moment, values in zip(self._moments[name], (m, v), strict=True):
+            moment.assign(values.reshape(-1))
+        largest = float(v.max()) / (1.0 - beta_2**self.steps)
+        size = rate / (1.0 - beta_1**self.steps) / (math.sqrt(largest) + self._epsilon)
+        nodes = smoother.gather(m.astype(np.float64)) / smoother.copies[:, None]
+        move = smoother.scatter(smoother.solve(size * nodes))
+        parameter.assign((parameter.numpy() - move).astype(np.float32))
+
+
+def _laplacian_weight(lambda_: float | None, alpha: float | None) -> float:
+    if lambda_ is not None and alpha is not None:
+        raise ValueError(f"got lambda_={lambda_} and alpha={alpha}, which say the same; give one of them")
+    if alpha is not None:
+        if not 0.0 < alpha < 1.0:
+            raise ValueError(f"alpha: got {alpha}, expected a number in (0, 1)")
+        return alpha / (1.0 - alpha)
+    weight = LAMBDA if lambda_ is None else float(lambda_)
+    if not (math.isfinite(weight) and weight > 0.0):
+        raise ValueError(f"lambda_: got {lambda_}, expected a positive number; psdr.optim.Adam has no smoothing")
+    return weight
 
 
 def flat(array: wp.array) -> wp.array:
