@@ -1,7 +1,8 @@
 """Where the partial derivatives of local factors go, in reverse and in forward mode.
 
 Reverse mode adds ``value`` to the gradient at ``offset``; forward mode returns ``value`` times the tangent there, and
-the caller sums what the sinks return. Both use one flat array, laid out like ``Scene.values``.
+the caller sums what the sinks return. Both use one flat array, laid out like ``Scene.values``. Where the boundary term
+records its samples, what pulls at edge points is kept (``boundary/local_form.py``) and all else is dropped.
 """
 
 import functools
@@ -11,7 +12,7 @@ import warp as wp
 
 @functools.cache
 def make_sink(role: str):
-    """Return ``sink(target, offset, value) -> float`` for ``role`` "reverse" or "forward"."""
+    """Return ``sink(target, offset, value) -> float`` for ``role`` "reverse", "forward" or "samples"."""
     if role == "reverse":
 
         @wp.func
@@ -25,8 +26,14 @@ def make_sink(role: str):
         def sink(target: wp.array(dtype=wp.float32), offset: wp.int32, value: wp.float32) -> wp.float32:
             return target[offset] * value
 
+    elif role == "samples":
+
+        @wp.func
+        def sink(target: wp.array(dtype=wp.float32), offset: wp.int32, value: wp.float32) -> wp.float32:
+            return 0.0
+
     else:
-        raise ValueError(f"unknown role {role!r}; expected 'reverse' or 'forward'")
+        raise ValueError(f"unknown role {role!r}; expected 'reverse', 'forward' or 'samples'")
     return sink
 
 

@@ -188,6 +188,7 @@ FACTORIES = {
         ("reverse, textures", (TEXTURED, "reverse", True), SLOW),
         ("reverse, orthographic", (ORTHOGRAPHIC, "reverse", True), SLOW),
         ("forward, thin lens", (THIN_LENS, "forward", True), SLOW),
+        ("samples, simple", (SIMPLE, "samples", False), SLOW),
     ],
     "boundary.secondary.make_secondary_kernel": [
         ("reverse, simple", (SIMPLE, "reverse", False, False), SLOW),
@@ -195,6 +196,7 @@ FACTORIES = {
         ("reverse, lights", (ALL_LIGHTS, "reverse", True, True), SLOW),
         ("forward, orthographic", (ORTHOGRAPHIC, "forward", True, False), SLOW),
         ("reverse, thin lens", (THIN_LENS, "reverse", True, False), SLOW),
+        ("samples, simple", (SIMPLE, "samples", False, False), SLOW),
     ],
     "boundary.terminator.make_terminator_kernel": [
         ("reverse, materials", (MATERIALS, "reverse", True), SLOW),

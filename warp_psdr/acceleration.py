@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import warp as wp
 
+from warp_psdr.device import launch
 from warp_psdr.kernels.bvh.build import PRIMITIVE_WORDS, binary_words, make_build
 from warp_psdr.kernels.bvh.refit import make_refit
 from warp_psdr.kernels.bvh.wide import FLAT_PACKETS, NODE_ROWS, PACKET_ROWS, WIDTHS, Accel
@@ -109,13 +110,13 @@ class Accelerator:
         capacity = 4 * n // w + 64
         while True:  # a second round where packets stay half empty
             binary = _Buffer(capacity * binary_words(w))
-            wp.launch(build, 1, [*mesh, capacity], [primitives.address, binary.address, counts.address], device="cpu")
+            launch(build, 1, [*mesh, capacity], [primitives.address, binary.address, counts.address], device="cpu")
             binary_count, self._packet_count = counts.numpy(np.int32).tolist()
             if binary_count <= capacity:
                 break
             capacity = binary_count
         children, leaves = _Buffer(self._packet_count * w), _Buffer(self._packet_count * 2)
-        wp.launch(emit, 1, [binary.address], [children.address, leaves.address, counts.address], device="cpu")
+        launch(emit, 1, [binary.address], [children.address, leaves.address, counts.address], device="cpu")
         self._node_count = int(counts.numpy(np.int32)[0])
         self._nodes = _Buffer(self._node_count * NODE_ROWS * w)
         self._packets = _Buffer(self._packet_count * PACKET_ROWS * w)
@@ -142,11 +143,11 @@ class Accelerator:
         fill, bound = make_refit(self.width)
         mesh = [self._points.ptr, self._indices.ptr]
         packets, nodes, summary = self._packets.address, self._nodes.address, _Buffer(7)
-        wp.launch(fill, 1, [*mesh, primitives, leaves, 0, self._packet_count], [packets], device="cpu")
+        launch(fill, 1, [*mesh, primitives, leaves, 0, self._packet_count], [packets], device="cpu")
         center = np.array(self.data.center, dtype=np.float64)
         for _ in range(2):  # a second round where the mesh has moved away from the center
             inputs = [packets, children, self._node_count, wp.vec3(*center.tolist())]
-            wp.launch(bound, 1, inputs, [nodes, summary.address], device="cpu")
+            launch(bound, 1, inputs, [nodes, summary.address], device="cpu")
             cost, *bounds = summary.numpy(np.float32).tolist()
             lower, upper = np.array(bounds[:3]), np.array(bounds[3:])
             if not np.isfinite(bounds).all():  # nothing but degenerate triangles

@@ -33,6 +33,8 @@ from warp_psdr.kernels.structs import Scene, Triangle
 SEAM_PARALLEL = 1.0e-4
 #: A half-segment starts this many ray epsilons behind the edge point, so that a surface that touches the edge is met.
 START_BEHIND = 20.0
+#: Numbers a sample that role "samples" records: x_b, the edge from its first to its second end, and the adjoint of x_b.
+SAMPLE_RECORD = 9
 
 
 @wp.struct
@@ -57,6 +59,7 @@ class Edges:
 class EdgePoint:
     """A sampled point of an edge."""
 
+    sample: wp.int32  # its number
     edge: wp.int32
     s: wp.float32  # fraction of the way from its first to its second end
     pdf: wp.float32  # density of s
@@ -72,6 +75,7 @@ def edge_point(scene: Scene, edges: Edges, sample: wp.int32, samples: wp.int32, 
     The cumulative probabilities are multiples of 2^-24, so what a single float would lose at 10^5 edges stays exact.
     """
     r = EdgePoint()
+    r.sample = sample
     count = edges.cdf.shape[0] - 1
     u = (wp.float64(sample) + wp.float64(jitter)) / wp.float64(samples)
     low = wp.int32(0)
@@ -136,7 +140,23 @@ def make_edge_sink(role: str):
     Where two surfaces that are separate objects meet in an edge, it is their intersection: of the velocity v of such a
     curve only n_A . v = n_A . v_A and n_B . v = n_B . v_B are fixed, so g = a n_A + b n_B is split between them. The
     same holds where they run through each other, with v_A and v_B those of the material points at the curve.
+
+    Role "samples": ``target`` holds SAMPLE_RECORD numbers a sample instead; g is added up over a sample's pushes.
     """
+    if role == "samples":
+
+        @wp.func
+        def record(
+            scene: Scene, target: wp.array(dtype=wp.float32), edges: Edges, point: EdgePoint, g: wp.vec3
+        ) -> wp.float32:
+            first = SAMPLE_RECORD * point.sample
+            for i in range(3):
+                target[first + i] = point.x[i]
+                target[first + 3 + i] = point.p1[i] - point.p0[i]
+                target[first + 6 + i] += g[i]
+            return 0.0
+
+        return record
     sink3 = make_sink_vec3(role)
 
     @wp.func

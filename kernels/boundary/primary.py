@@ -97,7 +97,7 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
         if wp.dot(g, m) < 0.0:
             g = -g
         weight = wp.vec3(1.0, 1.0, 1.0)
-        if wp.static(role == "reverse"):
+        if wp.static(role != "forward"):
             weight = gather(camera, at.pixel, adjoint)
             if weight[0] == 0.0 and weight[1] == 0.0 and weight[2] == 0.0:
                 return
@@ -110,7 +110,7 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
             o = point.x + sign * beside - ahead * d
             jump -= sign * radiance(scene, sampler, o, d, at.far - distance, 0, max_depth, rr_depth)
         scale = 1.0 / (point.pdf * wp.float32(samples))
-        if wp.static(role == "reverse"):
+        if wp.static(role != "forward"):
             scale *= wp.dot(weight, jump)
         g = scale * g
         speed = push_edge(scene, target, edges, point, g)

@@ -165,7 +165,8 @@ def make_secondary_kernel(config: PathConfig, role: str, camera_moves: bool, lig
     Args:
         config: what the scene needs.
         role: "reverse" (``adjoint`` is read, ``target`` receives the gradient) or "forward" (``target`` holds the
-            tangents, ``image_out`` receives the derivative image).
+            tangents, ``image_out`` receives the derivative image), or "samples" (as "reverse", but ``target`` receives
+            what every sample is, see ``make_edge_sink``).
         camera_moves: a parameter of the camera is differentiated.
         light_pose: the position or direction of a point, spot or directional light is differentiated.
     """
@@ -208,7 +209,7 @@ def make_secondary_kernel(config: PathConfig, role: str, camera_moves: bool, lig
             rest = push_segment(scene, target, edges, point, s, 1.0)
         scale = s.scale / wp.float32(samples)
         weight = transport(scene, camera, sampler, s, scale, rest, max_depth, rr_depth, adjoint, target, image_out)
-        if wp.static(role == "reverse"):
+        if wp.static(role != "forward"):
             if weight != 0.0:
                 push_segment(scene, target, edges, point, s, weight)
 

@@ -73,7 +73,7 @@ def make_transport(config: PathConfig, role: str, camera_moves: bool, source: wp
 
     Args:
         config: what the scene needs.
-        role: "reverse" or "forward".
+        role: "reverse", "forward" or "samples" (``secondary.py``).
         camera_moves: a parameter of the camera is differentiated.
         source: ``make_source`` or its like.
         least: number of path vertices behind x_1 without which ``source`` is zero.
@@ -144,7 +144,7 @@ def make_transport(config: PathConfig, role: str, camera_moves: bool, source: wp
                 value = scale * wp.cw_mul(seen.weight, source(scene, branch, s, k, max_depth, rr_depth))
                 if wp.max(wp.abs(value)) > 0.0:
                     ray = (walk.x - seen.at.origin) / wp.length(walk.x - seen.at.origin)
-                    if wp.static(role == "reverse"):
+                    if wp.static(role != "forward"):
                         w = wp.dot(gather(camera, seen.at.pixel, adjoint), value)
                         total += w
                         if k == 1:
@@ -173,7 +173,7 @@ def make_transport(config: PathConfig, role: str, camera_moves: bool, source: wp
                 u4 = sample_4d(sampler, SLOT_WALK + k)
                 walk = extend(scene, walk, u4, FAR, k >= rr_depth)
             k += 1
-        if wp.static(role == "reverse"):
+        if wp.static(role != "forward"):
             if weight != 0.0:
                 push_first(scene, target, s, weight, False, s.x, s.w)
         return total

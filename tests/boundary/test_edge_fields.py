@@ -1,0 +1,90 @@
+"""Samples of the boundary term against the gradient that they add up to, and the density that edges are drawn with."""
+
+import numpy as np
+import pytest
+import trimesh
+
+import warp_psdr as psdr
+from warp_psdr import edge_fields
+
+from .scenes import load
+
+NAME = "occluder.vertex_positions"
+DIRECT = psdr.PathIntegrator(max_depth=2)
+#: Float32 sums of some thousand samples, in another order, relative to the largest of the sums.
+SUMMATION = 1e-4
+
+
+@pytest.fixture(scope="module")
+def under_a_light():
+    scene, params = load("soft")
+    params.requires_grad(NAME)
+    return scene, params
+
+
+def gradient(scene, params, adjoint, boundary, spp: int = 8) -> np.ndarray:
+    params.requires_grad(NAME)
+    params.zero_grad()
+    integrator = psdr.PathIntegrator(max_depth=2, boundary=boundary)
+    psdr.render_backward(scene, params, adjoint, integrator=integrator, spp=spp, seed=5)
+    return params[NAME].grad.numpy().astype(np.float64)
+
+
+def adjoint_of(scene) -> np.ndarray:
+    camera = scene.camera(0)
+    return np.random.default_rng(1).normal(size=(camera.crop_height, camera.crop_width, 3)).astype(np.float32)
+
+
+def test_samples_add_up_to_the_boundary_gradient(under_a_light) -> None:
+    # The occluder is convex: it casts no shadow on itself, so that only its edges are pulled at.
+    scene, params = under_a_light
+    adjoint = adjoint_of(scene)
+    expected = (gradient(scene, params, adjoint, "auto") - gradient(scene, params, adjoint, None)).sum(axis=0)
+    samples = edge_fields.boundary_samples(scene, params, adjoint, integrator=DIRECT, spp=8, seed=5)
+    assert set(samples.kinds) == {"primary", "secondary"}
+    pulls = samples.pulls.astype(np.float64)
+    moving = np.linalg.norm(samples.points - [0.1, 0.1, 0.9], axis=1) < 0.41  # not those of floor and light
+    np.testing.assert_allclose(pulls[moving].sum(axis=0), expected, atol=SUMMATION * np.abs(pulls).sum())
+    assert np.abs(expected).max() > 10 * SUMMATION * np.abs(pulls).sum()
+
+
+def test_points_lie_on_edges_and_pulls_across_them(under_a_light) -> None:
+    scene, params = under_a_light
+    samples = edge_fields.boundary_samples(scene, params, adjoint_of(scene), integrator=DIRECT, spp=4)
+    shape = next(s for s in scene.description.shapes if s.path == "occluder")
+    ball = trimesh.Trimesh(shape.vertices, shape.faces, process=False)
+    ends = np.asarray(ball.vertices)[ball.edges_unique]
+    moving = np.linalg.norm(samples.points - [0.1, 0.1, 0.9], axis=1) < 0.41
+    for point, edge, pull in zip(samples.points[moving][::50], samples.edges[moving][::50], samples.pulls[moving][::50],
+                                 strict=True):  # fmt: skip
+        along = ends[:, 1] - ends[:, 0]
+        fraction = np.clip(((point - ends[:, 0]) * along).sum(axis=1) / (along**2).sum(axis=1), 0.0, 1.0)
+        distance = np.linalg.norm(ends[:, 0] + fraction[:, None] * along - point, axis=1)
+        assert distance.min() < 1e-5
+        nearest = along[distance.argmin()]
+        assert np.linalg.norm(np.cross(nearest, edge)) < 1e-4 * np.linalg.norm(edge)
+        assert abs(pull @ edge) < 1e-3 * np.linalg.norm(pull) * np.linalg.norm(edge)
+    np.testing.assert_allclose(samples.magnitude, np.linalg.norm(samples.pulls, axis=1))
+
+
+def test_density_integrates_to_one(under_a_light) -> None:
+    scene, params = under_a_light
+    density = edge_fields.edge_density(scene, params)
+    length = np.linalg.norm(density.segments[:, 1] - density.segments[:, 0], axis=1)
+    assert (density.density * length).sum() == pytest.approx(1.0, abs=1e-5)
+    middle = density.segments.mean(axis=1)
+    moving = np.linalg.norm(middle - [0.1, 0.1, 0.9], axis=1) < 0.41
+    assert (density.density * length)[moving].sum() > 0.5  # half of the samples, and a share of the rest
+
+
+def test_what_has_no_boundary_term_is_refused(under_a_light) -> None:
+    scene, params = under_a_light
+    adjoint = adjoint_of(scene)
+    params.requires_grad("floor.bsdf.reflectance.value")
+    with pytest.raises(ValueError, match="have no boundary term here"):
+        edge_fields.boundary_samples(scene, params, adjoint, integrator=DIRECT)
+    params.requires_grad(NAME)
+    with pytest.raises(ValueError, match="left it out"):
+        edge_fields.boundary_samples(scene, params, adjoint, integrator=psdr.PathIntegrator(max_depth=2, boundary=None))
+    with pytest.raises(ValueError, match=r"adjoint: got shape \(3, 3, 3\)"):
+        edge_fields.boundary_samples(scene, params, np.zeros((3, 3, 3)), integrator=DIRECT)

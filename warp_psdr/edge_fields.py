@@ -1,0 +1,196 @@
+"""What the boundary term does on edges, as plain arrays: its samples, and how densely edges are sampled.
+
+For pictures, and to see what an estimator spends its samples on; ``draw_samples`` and ``draw_density`` draw them with
+pyvista.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import warp as wp
+
+from warp_psdr.boundary.motion import motion
+from warp_psdr.boundary.terms import Request, primary, secondary
+from warp_psdr.device import launch
+from warp_psdr.edges import secondary_edges
+from warp_psdr.kernels.boundary.local_form import SAMPLE_RECORD
+from warp_psdr.kernels.rng import mix_seed
+from warp_psdr.options import PathIntegrator, from_description
+from warp_psdr.plan import plan as make_plan
+from warp_psdr.plots import as_array
+from warp_psdr.render import STREAM_BOUNDARY
+
+if TYPE_CHECKING:
+    from warp_psdr.parameters import Parameters
+
+__all__ = ["EdgeDensity", "EdgeSamples", "boundary_samples", "draw_density", "draw_samples", "edge_density"]
+
+
+@dataclass(frozen=True, eq=False)
+class EdgeSamples:
+    """Samples of the boundary term that contribute, K of them.
+
+    Attributes:
+        points: (K, 3) x_b, world units.
+        edges: (K, 3) the edge that x_b lies on, from its first to its second end.
+        pulls: (K, 3) derivative of ``sum(adjoint * image)`` by x_b that the sample stands for; its share of the pass's
+            estimate, so that sums over samples are gradients.
+        kinds: (K,) "primary": an edge that the camera sees; "secondary": a shadow's edge or its like.
+    """
+
+    points: np.ndarray
+    edges: np.ndarray
+    pulls: np.ndarray
+    kinds: np.ndarray
+
+    @property
+    def magnitude(self) -> np.ndarray:
+        """(K,) length of the pulls."""
+        return np.linalg.norm(self.pulls, axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class EdgeDensity:
+    """How densely shadow edges are sampled, E of them.
+
+    Attributes:
+        segments: (E, 2, 3) ends of the edges, world units.
+        density: (E,) samples per world unit of length, normalised: its integral over all edges is 1.
+    """
+
+    segments: np.ndarray
+    density: np.ndarray
+
+
+def boundary_samples(
+    scene: Any,
+    params: Parameters,
+    adjoint: Any,
+    *,
+    sensor: int = 0,
+    integrator: PathIntegrator | None = None,
+    spp: int = 4,
+    seed: int = 0,
+) -> EdgeSamples:
+    """Return the samples with which ``psdr.render_backward`` estimates the boundary term of equal arguments.
+
+    Of a sample only its pull at the edge point is kept; those at the two ends of its segment are not.
+
+    Args:
+        scene: a loaded scene.
+        params: its parameters, after ``requires_grad``.
+        adjoint: derivative of a loss with respect to the image, NumPy (H, W, 3) or Warp (H, W) of vec3.
+        sensor: which camera.
+        integrator: default: what the scene file names.
+        spp: samples a pixel, of each kind.
+        seed: equal seeds give equal samples.
+
+    Raises:
+        ValueError: what is requested has no boundary term, or one that is not covered; a wrong adjoint.
+    """
+    integrator = integrator or from_description(scene.description.integrator)
+    names = params.requested
+    plan = make_plan(scene, params, integrator=integrator, sensor=sensor)
+    if plan.boundary is None:
+        raise ValueError(
+            f"{names} have no boundary term here: no discontinuity moves, or PathIntegrator(boundary=None) left it out"
+        )
+    camera = scene.camera(sensor)
+    values = np.ascontiguousarray(as_array(adjoint), np.float32)
+    if values.shape != (camera.crop_height, camera.crop_width, 3):
+        raise ValueError(
+            f"adjoint: got shape {values.shape}, expected the image's {(camera.crop_height, camera.crop_width, 3)}"
+        )
+    weights = wp.array(values, dtype=wp.vec3, device=scene.device)
+    dummy = wp.zeros((1, 1), dtype=wp.vec3, device=scene.device)
+    stream = mix_seed(seed, STREAM_BOUNDARY)
+    request = Request(scene, plan, motion(scene, names), "samples", sensor, spp, stream)
+    records, kinds = [np.zeros((0, SAMPLE_RECORD), np.float32)], []
+    for kind, make in (("primary", primary), ("secondary", secondary)):
+        term = make(request)
+        if term is None:
+            continue
+        target = wp.zeros(SAMPLE_RECORD * term.samples, dtype=wp.float32, device=scene.device)
+        inputs = term.inputs(0, weights)
+        launch(term.kernel, dim=term.samples, inputs=inputs, outputs=[target, dummy], device=scene.device)
+        found = target.numpy().reshape(-1, SAMPLE_RECORD)
+        found = found[(found[:, 6:] != 0.0).any(axis=1)]
+        records.append(found)
+        kinds += [kind] * len(found)
+    rows = np.concatenate(records)
+    return EdgeSamples(rows[:, :3], rows[:, 3:6], rows[:, 6:], np.array(kinds, dtype="<U9"))
+
+
+def edge_density(scene: Any, params: Parameters) -> EdgeDensity:
+    """Return how densely shadow edges are sampled for the requested parameters.
+
+    Raises:
+        ValueError: there is no edge that could be a silhouette.
+    """
+    edges = secondary_edges(scene, set(motion(scene, params.requested).shapes))
+    if edges is None:
+        raise ValueError("the scene has no edge that could be a silhouette; nothing is sampled")
+    points = scene.values.numpy()[scene.positions : scene.positions + 3 * scene.vertex_count].reshape(-1, 3)
+    segments = points[edges.ends.numpy()]
+    probability = np.diff(edges.cdf.numpy().astype(np.float64))
+    length = np.linalg.norm(segments[:, 1].astype(np.float64) - segments[:, 0], axis=1)
+    return EdgeDensity(segments, probability / length)
+
+
+def draw_samples(plotter: Any, samples: EdgeSamples, *, reach: float = 1.0, size: float = 7.0) -> None:
+    """Add samples to a ``pyvista.Plotter``: points coloured by the size of their pull, on the edges that they sit on.
+
+    Args:
+        plotter: where to draw.
+        samples: from ``boundary_samples``.
+        reach: share of its edge that is drawn to either side of a point.
+        size: of a point, in pixels.
+    """
+    import pyvista
+
+    size_of_pull = samples.magnitude
+    if not len(size_of_pull):
+        return
+    order = np.argsort(size_of_pull)  # the strongest last, over the others
+    limits = np.percentile(size_of_pull, [2.0, 99.5])
+    points, half = samples.points[order], 0.5 * reach * samples.edges[order]
+    lines = pyvista.line_segments_from_points(np.stack([points - half, points + half], axis=1).reshape(-1, 3))
+    plotter.add_mesh(lines, color="black", line_width=1.0, lighting=False)
+    plotter.add_mesh(
+        pyvista.PolyData(points),
+        scalars=size_of_pull[order],
+        clim=limits,
+        log_scale=True,
+        cmap="plasma",
+        point_size=size,
+        lighting=False,
+        render_points_as_spheres=True,
+        scalar_bar_args={"title": "pull of a sample", "color": "black", "fmt": "%.1e"},
+    )
+
+
+def draw_density(plotter: Any, density: EdgeDensity, *, line_width: float = 1.5) -> None:
+    """Add edges to a ``pyvista.Plotter``, coloured by how densely they are sampled.
+
+    Args:
+        plotter: where to draw.
+        density: from ``edge_density``.
+        line_width: in pixels.
+    """
+    import pyvista
+
+    lines = pyvista.line_segments_from_points(density.segments.reshape(-1, 3))
+    lines.cell_data["density"] = density.density
+    plotter.add_mesh(
+        lines,
+        scalars="density",
+        clim=np.percentile(density.density, [1.0, 99.0]),
+        log_scale=True,
+        cmap="viridis",
+        line_width=line_width,
+        lighting=False,
+        scalar_bar_args={"title": "samples per unit of length", "color": "black", "fmt": "%.1e"},
+    )
