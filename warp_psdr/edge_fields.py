@@ -140,7 +140,7 @@ def edge_density(scene: Any, params: Parameters) -> EdgeDensity:
     return EdgeDensity(segments, probability / length)
 
 
-def draw_samples(plotter: Any, samples: EdgeSamples, *, reach: float = 1.0, size: float = 7.0) -> None:
+def draw_samples(plotter: Any, samples: EdgeSamples, *, reach: float = 1.0, size: float = 6.0) -> None:
     """Add samples to a ``pyvista.Plotter``: points coloured by the size of their pull, on the edges that they sit on.
 
     Args:
@@ -155,7 +155,7 @@ def draw_samples(plotter: Any, samples: EdgeSamples, *, reach: float = 1.0, size
     if not len(size_of_pull):
         return
     order = np.argsort(size_of_pull)  # the strongest last, over the others
-    limits = np.percentile(size_of_pull, [2.0, 99.5])
+    limits = np.percentile(size_of_pull, [25.0, 99.5])
     points, half = samples.points[order], 0.5 * reach * samples.edges[order]
     lines = pyvista.line_segments_from_points(np.stack([points - half, points + half], axis=1).reshape(-1, 3))
     plotter.add_mesh(lines, color="black", line_width=1.0, lighting=False)
@@ -172,7 +172,7 @@ def draw_samples(plotter: Any, samples: EdgeSamples, *, reach: float = 1.0, size
     )
 
 
-def draw_density(plotter: Any, density: EdgeDensity, *, line_width: float = 1.5) -> None:
+def draw_density(plotter: Any, density: EdgeDensity, *, line_width: float = 2.5) -> None:
     """Add edges to a ``pyvista.Plotter``, coloured by how densely they are sampled.
 
     Args:
@@ -191,6 +191,7 @@ def draw_density(plotter: Any, density: EdgeDensity, *, line_width: float = 1.5)
         log_scale=True,
         cmap="viridis",
         line_width=line_width,
+        render_lines_as_tubes=True,
         lighting=False,
         scalar_bar_args={"title": "samples per unit of length", "color": "black", "fmt": "%.1e"},
     )
