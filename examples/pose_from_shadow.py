@@ -63,8 +63,8 @@ def load(vertices: np.ndarray, faces: np.ndarray, width: int) -> psdr.Parameters
     """Return the parameters of a scene with a floor, two lamps, and a mesh that hangs above the camera's view."""
     t = psdr.Transform
 
-    def camera(origin, target, fov: float, height: int) -> dict:
-        film = {"type": "hdrfilm", "width": width, "height": height, "rfilter": {"type": "box"}}
+    def camera(origin, target, fov: float, width: int) -> dict:
+        film = {"type": "hdrfilm", "width": width, "height": 2 * width // 3, "rfilter": {"type": "box"}}
         return {"type": "perspective", "fov": fov, "to_world": t.look_at(origin, target, [0, 1, 0]), "film": film}
 
     def lamp(x: float, color: list[float]) -> dict:
@@ -77,8 +77,8 @@ def load(vertices: np.ndarray, faces: np.ndarray, width: int) -> psdr.Parameters
 
     scene = {
         "type": "scene",
-        "given": camera([0, 2.2, 2.4], [0, 0, 0.1], 66.0, 2 * width // 3),
-        "overview": camera([0, 2.4, 5.6], [0, 1.0, 0], 46.0, 2 * width // 3),
+        "given": camera([0, 2.2, 2.4], [0, 0, 0.1], 66.0, width),
+        "overview": camera([0, 2.4, 5.6], [0, 1.15, 0], 36.0, 3 * width),
         "floor": {"type": "rectangle", "to_world": t.rotate([1, 0, 0], -90) @ t.scale(12), "bsdf": paint(0.7)},
         "warm": lamp(1.1, [180.0, 110.0, 55.0]),
         "cool": lamp(-1.1, [55.0, 100.0, 180.0]),
@@ -125,8 +125,8 @@ def main(folder: Path = ROOT / "out" / "shadow", *, width: int = 96, steps: int 
         move()
 
     def pictures(seed: int) -> list[np.ndarray]:
-        options = {"integrator": integrator, "spp": 16 * spp, "seed": seed}
-        return [psdr.render(scene, sensor=i, **options).numpy() for i in (GIVEN, OVERVIEW)]
+        counts = {GIVEN: 16 * spp, OVERVIEW: 4 * spp}
+        return [psdr.render(scene, sensor=i, integrator=integrator, spp=counts[i], seed=seed).numpy() for i in counts]
 
     pose(TRUTH)
     photograph, overview = pictures(PHOTO_SEED)
