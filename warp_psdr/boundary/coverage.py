@@ -37,7 +37,7 @@ def choose(scene: Scene, config: PathConfig, integrator: PathIntegrator, names: 
     reason = _uncovered(scene, config, names, integrator.max_depth)
     if reason:
         raise ValueError(
-            f"the requested gradient has a boundary term ({'; '.join(moving)}), which boundary.PathSpace() cannot "
+            f"the requested gradient has a boundary term ({'; '.join(moving)}), which {method.label}() cannot "
             f"estimate here: {reason}; {REMEDY}"
         )
     return method

@@ -5,6 +5,11 @@ from __future__ import annotations
 from abc import ABC
 from dataclasses import dataclass
 
+from warp_psdr.kernels.boundary.edge_tree import MAX_SPLIT
+
+#: Candidates without the hierarchies: [LADL18] take 64; more than 1024 cost more than they tell.
+DEFAULT_CANDIDATES, MAX_CANDIDATES = 64, 1024
+
 
 @dataclass(frozen=True, kw_only=True)
 class Method(ABC):  # noqa: B024
@@ -44,3 +49,34 @@ class PathSpace(Method):
     refused: smooth mirrors and glass, hidden emitters, and textures with steps. Surfaces that merely touch are in
     contact: what changes when they move apart, or into each other, has no derivative and is left out.
     """
+
+
+@dataclass(frozen=True, kw_only=True)
+class EdgeSampling(Method):
+    """Unidirectional edge sampling [LADL18]: silhouette edges as every vertex of a camera path sees them.
+
+    Unbiased, for what ``PathSpace`` covers. Edges are resampled by the line integral of the scattering lobe, half of
+    the samples towards a light (``kernels/boundary/edge_sampling.py``). Shadow edges of point, spot and directional
+    lights, which a path vertex cannot meet, are sampled from the edge, as ``PathSpace`` does.
+
+    Attributes:
+        tree: choose edges by hierarchies over position and face planes; otherwise by length and angle alone.
+        candidates: edges that are resampled for each sample; None: 16 with the hierarchies, else 64.
+    """
+
+    tree: bool = True
+    candidates: int | None = None
+
+    def __post_init__(self) -> None:
+        """Validate once.
+
+        Raises:
+            ValueError: an option out of range.
+        """
+        super().__post_init__()
+        if not isinstance(self.tree, bool):
+            raise ValueError(f"tree: got {self.tree!r}, expected True or False")
+        most = MAX_SPLIT if self.tree else MAX_CANDIDATES
+        value = self.candidates
+        if value is not None and (isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= most):
+            raise ValueError(f"candidates: got {value!r}, expected an integer from 1 to {most}, or None")

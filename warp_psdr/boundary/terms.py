@@ -13,16 +13,22 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
-from warp_psdr.boundary.methods import Method, PathSpace
+from warp_psdr.boundary.methods import DEFAULT_CANDIDATES, EdgeSampling, Method, PathSpace
 from warp_psdr.boundary.motion import Motion, motion
 from warp_psdr.curves import moving_curves, scene_curves
+from warp_psdr.edge_trees import edge_trees
 from warp_psdr.edges import bent_choice, curve_edges, primary_edges, secondary_edges, select, terminator_faces
+from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.boundary.bent import make_bent_kernel
 from warp_psdr.kernels.boundary.curve import make_curve_kernel
+from warp_psdr.kernels.boundary.edge_sampling import make_edge_sampling_kernel
+from warp_psdr.kernels.boundary.edge_tree import MAX_SPLIT
 from warp_psdr.kernels.boundary.primary import make_primary_kernel
 from warp_psdr.kernels.boundary.secondary import make_secondary_kernel
 from warp_psdr.kernels.boundary.terminator import make_terminator_kernel
 from warp_psdr.kernels.rng import mix_seed
+from warp_psdr.kernels.structs import Emitter
+from warp_psdr.light_sampling import cumulative
 
 if TYPE_CHECKING:
     from warp_psdr.edges import Adjacency
@@ -35,7 +41,9 @@ if TYPE_CHECKING:
 #: what is not a light contributes nothing.
 WEDGE_SHARE_DIRECT, WEDGE_SHARE = 0.1, 0.5
 #: Sub-streams of the boundary term's random numbers.
-PRIMARY, SECONDARY, TERMINATOR, CURVE, BENT = 0, 1, 2, 3, 4
+PRIMARY, SECONDARY, TERMINATOR, CURVE, BENT, EDGE_SAMPLING = 0, 1, 2, 3, 4, 5
+#: Lights that only a direction of their own reaches.
+DELTA_LIGHTS = (c.EMITTER_POINT, c.EMITTER_SPOT, c.EMITTER_DIRECTIONAL)
 
 
 @dataclass(frozen=True)
@@ -185,7 +193,48 @@ def bent(r: Request) -> Term | None:
     return Term(kernel, lambda first, adjoint: [*head, first, *tail, adjoint], samples)
 
 
+def edge_sampling(r: Request) -> Term | None:
+    """Return the term of shadow edges and their like as the vertices of a camera path see them [LADL18]."""
+    assert isinstance(r.method, EdgeSampling)
+    kinds = {e.kind for e in r.scene.builder.emitters}
+    # With one scattering event only a light can be what the edge hides.
+    if r.plan.max_depth == 1 or not (kinds if r.plan.max_depth != 2 else kinds - set(DELTA_LIGHTS)):
+        return None
+    edges = secondary_edges(r.scene, set(r.moves.shapes))
+    if edges is None:
+        return None
+    spp = r.method.spp_secondary or r.spp
+    walk = replace(r.plan.config, area=(), lights=())
+    candidates = r.method.candidates or (MAX_SPLIT if r.method.tree else DEFAULT_CANDIDATES)
+    kernel = make_edge_sampling_kernel(r.config, walk, r.role, r.moves.camera, r.method.tree, candidates)
+    head = [r.scene.data(), r.camera, edges, edge_trees(r.scene, edges)]
+    tail = [spp, mix_seed(r.seed, EDGE_SAMPLING), r.plan.max_depth, r.plan.rr_depth]
+    return Term(kernel, lambda first, adjoint: [*head, first, *tail, adjoint], r.pixels * spp)
+
+
+def hard_shadows(r: Request) -> Term | None:
+    """Return the term of the shadow edges of point, spot and directional lights alone."""
+    if r.plan.max_depth == 1 or not {e.kind for e in r.scene.builder.emitters} & set(DELTA_LIGHTS):
+        return None
+    edges = secondary_edges(r.scene, set(r.moves.shapes))
+    if edges is None:
+        return None
+    samples = r.pixels * (r.method.spp_secondary or r.spp)
+    data = r.scene.data()
+    records = data.emitters.numpy()
+    cdf = cumulative(np.where(np.isin(records["kind"], DELTA_LIGHTS), records["probability"], 0.0))
+    records["probability"] = np.diff(cdf)
+    data.emitters = wp.array(records, dtype=Emitter, device=r.scene.device)
+    data.emitter_cdf = wp.array(cdf, dtype=wp.float32, device=r.scene.device)
+    kernel = make_secondary_kernel(r.config, r.role, r.moves.camera, r.moves.light_pose, contacts=False)
+    head = [data, r.camera, edges]
+    # No share of the wedge: every sample goes to a light.
+    tail = [samples, mix_seed(r.seed, SECONDARY), r.plan.max_depth, r.plan.rr_depth, 0.0]
+    return Term(kernel, lambda first, adjoint: [*head, first, *tail, adjoint], samples)
+
+
 #: What each method consists of.
 TERMS: dict[type[Method], tuple[Callable[[Request], Term | None], ...]] = {
     PathSpace: (primary, terminator, secondary, curve, bent),
+    EdgeSampling: (primary, terminator, edge_sampling, hard_shadows, curve, bent),
 }

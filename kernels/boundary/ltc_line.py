@@ -1,0 +1,275 @@
+"""Integrals of lobes over edges: linearly transformed cosines along a line [HH17], as [LADL18] weigh edges with.
+
+Seen from the origin, a piece dl of an edge at a distance t and an angle phi to the line of sight carries a density D of
+directions with the weight
+
+    q(l) dl = D(omega) sin(phi) / t^2 dl,                  the measure of ``edge_sampling.py``.
+
+D is a clamped cosine in transformed directions: with axes x, y, z and scales s_x, s_y
+
+    p' = M^-1 p = (p . x / s_x, p . y / s_y, p . z),      D(omega) = z' / (pi |p'|) |det M^-1| / |M^-1 omega|^3.
+
+s = 1 is the cosine about z; a small s a lobe of slopes with the density 1 / (pi s_x s_y (1 + |slope / s|^2)^2), which
+is the GGX distribution's. M maps lines to lines. Along one, p = a + s e, the triple product of p, dp and the normal
+of the plane through the origin scales with det M: sin(phi) / t^2 dl = |a x e| ds / t^3, so
+
+    q ds = J / pi . (z' / t') sin(phi') / t'^2 dl',        J = |a x e| / (s_x s_y |a' x e'|).
+
+With d' the distance of the transformed line, u its foot's direction, w its own and l' = d' tan(psi),
+
+    integral (z' / t') sin(phi') / t'^2 dl' = 1 / d' integral (u_z cos(psi) + w_z sin(psi)) cos(psi) dpsi
+        = 1 / (2 d') ( u_z (x + cos(2 psi_1 + x) sin(x)) + w_z sin(2 psi_1 + x) sin(x) ),  x = psi_2 - psi_1,
+
+which has no difference of large terms but where the line is seen end-on; there the arc is short, and Gauss' rule exact
+to rounding. What lies behind the lobe's plane, z' < 0, is clipped. [HH17] Heitz, Hill: Linear-Light Shading with
+Linearly Transformed Cosines, GPU Zen.
+"""
+
+import functools
+
+import warp as wp
+
+from warp_psdr.kernels.constants import BSDF_ROUGH_CONDUCTOR_BECKMANN, BSDF_ROUGH_CONDUCTOR_GGX, INV_PI
+from warp_psdr.kernels.math import any_tangent, reflect_local, to_world
+from warp_psdr.kernels.path import Frame
+from warp_psdr.kernels.structs import Material
+
+#: Arcs (radians) below it are integrated with Gauss' rule of three nodes: a relative error below 1e-7.
+SHORT_ARC = 0.3
+#: Nodes and weights of that rule on [-1, 1].
+GAUSS_NODE, GAUSS_OUTER, GAUSS_INNER = 0.7745966692414834, 5.0 / 9.0, 8.0 / 9.0
+#: Newton steps of an inversion, guarded by bisection; [LADL18] take as many.
+INVERSION_STEPS = 20
+#: Relative step at which the inversion stops: float32's resolution.
+INVERSION_TOLERANCE = 1.0e-6
+#: Sine of the angle between an edge and a line of sight below which the edge is a point.
+END_ON = 1.0e-7
+#: Share of the cosine lobe at a rough conductor: covers what the transformed lobe clips or underrates.
+COSINE_SHARE = 0.25
+#: Narrowest lobe (slope); float32 resolves its peak.
+MIN_SCALE = 1.0e-3
+#: Least cosine of incidence that narrows a glossy lobe across the plane of incidence.
+MIN_NARROWING = 0.2
+
+
+@wp.struct
+class Lobe:
+    """A density of directions that integrates to one. ``share``: its part of a mixture; 0: absent."""
+
+    x: wp.vec3
+    y: wp.vec3
+    z: wp.vec3
+    sx: wp.float32
+    sy: wp.float32
+    share: wp.float32
+
+
+@wp.struct
+class Lobes:
+    """A mixture: the cosine about the shading normal, a glossy lobe, and one around a light."""
+
+    cosine: Lobe
+    glossy: Lobe
+    light: Lobe
+
+
+@wp.struct
+class Line:
+    """The part of an edge in front of a lobe, and the integral of q over it [1 / length]."""
+
+    integral: wp.float32
+    low: wp.float32  # fractions of the edge between which it lies
+    high: wp.float32
+    psi: wp.float32  # angle of its start
+    arc: wp.float32
+    u_z: wp.float32
+    w_z: wp.float32
+    reach: wp.float32  # d' over the transformed edge's length
+
+
+@wp.func
+def make_lobe(z: wp.vec3, x: wp.vec3, sx: wp.float32, sy: wp.float32, share: wp.float32) -> Lobe:
+    """Return a lobe about the unit vector z whose first axis is the unit x, perpendicular to it."""
+    r = Lobe()
+    r.x = x
+    r.y = wp.cross(z, x)
+    r.z = z
+    r.sx = sx
+    r.sy = sy
+    r.share = share
+    return r
+
+
+@wp.func
+def lobe_density(lobe: Lobe, w: wp.vec3) -> wp.float32:
+    """Density of the unit direction w, solid angle."""
+    c = wp.dot(w, lobe.z)
+    if c <= 0.0:
+        return 0.0
+    a = wp.dot(w, lobe.x) / lobe.sx
+    b = wp.dot(w, lobe.y) / lobe.sy
+    r2 = a * a + b * b + c * c
+    return INV_PI * c / (lobe.sx * lobe.sy * r2 * r2)
+
+
+@wp.func
+def arc_integral(psi: wp.float32, x: wp.float32, u_z: wp.float32, w_z: wp.float32) -> wp.float32:
+    """Twice the integral of (u_z cos + w_z sin) cos over [psi, psi + x]."""
+    if x < SHORT_ARC:
+        half = 0.5 * x
+        total = wp.float32(0.0)
+        for i in range(3):
+            at = psi + half * (1.0 + (wp.float32(i) - 1.0) * GAUSS_NODE)
+            c = wp.cos(at)
+            total += wp.where(i == 1, GAUSS_INNER, GAUSS_OUTER) * (u_z * c + w_z * wp.sin(at)) * c
+        return x * total
+    s = wp.sin(x)
+    return u_z * (x + wp.cos(2.0 * psi + x) * s) + w_z * wp.sin(2.0 * psi + x) * s
+
+
+@wp.func
+def line_integral(lobe: Lobe, a: wp.vec3, along: wp.vec3) -> Line:
+    """Integrate q over the edge from a to a + along, both relative to the point that sees it."""
+    r = Line()
+    a_t = wp.vec3(wp.dot(a, lobe.x) / lobe.sx, wp.dot(a, lobe.y) / lobe.sy, wp.dot(a, lobe.z))
+    e_t = wp.vec3(wp.dot(along, lobe.x) / lobe.sx, wp.dot(along, lobe.y) / lobe.sy, wp.dot(along, lobe.z))
+    z0 = a_t[2]
+    z1 = a_t[2] + e_t[2]
+    if z0 <= 0.0 and z1 <= 0.0:
+        return r
+    r.high = 1.0
+    if z0 < 0.0:
+        r.low = z0 / (z0 - z1)
+    if z1 < 0.0:
+        r.high = z0 / (z0 - z1)
+    length = wp.length(e_t)
+    double_area = wp.length(wp.cross(a_t, e_t))
+    if double_area <= END_ON * length * wp.length(a_t):
+        return r
+    d = double_area / length
+    w = e_t / length
+    l = wp.dot(a_t, w)
+    foot = a_t - l * w
+    l1 = l + r.low * length
+    l2 = l + r.high * length
+    r.psi = wp.atan2(l1, d)
+    r.arc = wp.atan2(d * (l2 - l1), d * d + l1 * l2)
+    r.u_z = foot[2] / d
+    r.w_z = w[2]
+    r.reach = d / length
+    scale = wp.length(wp.cross(a, along)) / (lobe.sx * lobe.sy * double_area)
+    r.integral = wp.max(INV_PI * scale * arc_integral(r.psi, r.arc, r.u_z, r.w_z) / (2.0 * d), 0.0)
+    return r
+
+
+@wp.func
+def sample_line(line: Line, u: wp.float32) -> wp.float32:
+    """Return the fraction of the edge up to which a part u of the integral lies."""
+    target = u * arc_integral(line.psi, line.arc, line.u_z, line.w_z)
+    low = wp.float32(0.0)
+    high = wp.float32(line.arc)
+    x = u * line.arc
+    for _ in range(INVERSION_STEPS):
+        error = arc_integral(line.psi, x, line.u_z, line.w_z) - target
+        if error > 0.0:
+            high = x
+        else:
+            low = x
+        c = wp.cos(line.psi + x)
+        slope = 2.0 * (line.u_z * c + line.w_z * wp.sin(line.psi + x)) * c
+        following = 0.5 * (low + high)
+        if slope > 0.0:
+            newton = x - error / slope
+            if newton > low and newton < high:
+                following = newton
+        step = wp.abs(following - x)
+        x = following
+        if step <= INVERSION_TOLERANCE * line.arc:
+            break
+    # tan(psi + x) - tan(psi), without the difference.
+    along = line.reach * wp.sin(x) / (wp.cos(line.psi) * wp.cos(line.psi + x))
+    return wp.clamp(line.low + along, line.low, line.high)
+
+
+@wp.func
+def mixture_integral(lobes: Lobes, a: wp.vec3, along: wp.vec3) -> wp.float32:
+    """Integrate q of a mixture over an edge (arguments as ``line_integral``'s)."""
+    total = wp.float32(0.0)
+    if lobes.cosine.share > 0.0:
+        line = line_integral(lobes.cosine, a, along)
+        total += lobes.cosine.share * line.integral
+    if lobes.glossy.share > 0.0:
+        line = line_integral(lobes.glossy, a, along)
+        total += lobes.glossy.share * line.integral
+    if lobes.light.share > 0.0:
+        line = line_integral(lobes.light, a, along)
+        total += lobes.light.share * line.integral
+    return total
+
+
+@wp.func
+def mixture_density(lobes: Lobes, w: wp.vec3) -> wp.float32:
+    """Density of the unit direction w, solid angle."""
+    total = wp.float32(0.0)
+    if lobes.cosine.share > 0.0:
+        total += lobes.cosine.share * lobe_density(lobes.cosine, w)
+    if lobes.glossy.share > 0.0:
+        total += lobes.glossy.share * lobe_density(lobes.glossy, w)
+    if lobes.light.share > 0.0:
+        total += lobes.light.share * lobe_density(lobes.light, w)
+    return total
+
+
+@wp.func
+def sample_mixture(lobes: Lobes, a: wp.vec3, along: wp.vec3, u: wp.vec2) -> wp.float32:
+    """Draw a fraction of the edge with the density q of the mixture over its integral."""
+    cosine = Line()
+    glossy = Line()
+    light = Line()
+    if lobes.cosine.share > 0.0:
+        cosine = line_integral(lobes.cosine, a, along)
+    if lobes.glossy.share > 0.0:
+        glossy = line_integral(lobes.glossy, a, along)
+    if lobes.light.share > 0.0:
+        light = line_integral(lobes.light, a, along)
+    first = lobes.cosine.share * cosine.integral
+    second = lobes.glossy.share * glossy.integral
+    at = u[0] * (first + second + lobes.light.share * light.integral)
+    if at < first:
+        return sample_line(cosine, u[1])
+    if at < first + second or light.integral <= 0.0:
+        return sample_line(glossy, u[1])
+    return sample_line(light, u[1])
+
+
+@functools.cache
+def make_scattering_lobes(models: tuple[int, ...]):
+    """Return ``scattering_lobes(model, material, frame, wi) -> Lobes`` for scattering models (``BSDF_*`` ids).
+
+    The cosine lobe is positive wherever a model is that scatters on its own side only. A rough conductor's lobe lies
+    about the mirror direction: a microfacet's slope alpha turns the reflection by 2 alpha in the plane of incidence, and
+    by 2 alpha cos(theta_i) across it.
+    """
+    glossy = bool({BSDF_ROUGH_CONDUCTOR_GGX, BSDF_ROUGH_CONDUCTOR_BECKMANN} & set(models))
+
+    @wp.func
+    def scattering_lobes(model: wp.int32, material: Material, frame: Frame, wi: wp.vec3) -> Lobes:
+        r = Lobes()
+        r.cosine = make_lobe(frame.n, frame.s, 1.0, 1.0, 1.0)
+        if wp.static(glossy):
+            if model == BSDF_ROUGH_CONDUCTOR_GGX or model == BSDF_ROUGH_CONDUCTOR_BECKMANN:
+                z = to_world(frame.s, frame.t, frame.n, reflect_local(wi))
+                x = frame.n - wp.dot(frame.n, z) * z
+                squared = wp.dot(x, x)
+                if squared > 1.0e-8:
+                    x = x / wp.sqrt(squared)
+                else:
+                    x = any_tangent(z)
+                width = 2.0 * wp.sqrt(material.s0 * material.s1)
+                sx = wp.clamp(width, MIN_SCALE, 1.0)
+                sy = wp.clamp(width * wp.max(wi[2], MIN_NARROWING), MIN_SCALE, 1.0)
+                r.cosine.share = COSINE_SHARE
+                r.glossy = make_lobe(z, x, sx, sy, 1.0 - COSINE_SHARE)
+        return r
+
+    return scattering_lobes
