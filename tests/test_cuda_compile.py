@@ -120,6 +120,9 @@ ORTHOGRAPHIC = PathConfig(**{**vars(SIMPLE), "camera": c.CAMERA_ORTHOGRAPHIC})
 THIN_LENS = PathConfig(**{**vars(SIMPLE), "camera": c.CAMERA_THINLENS})
 THIN_LENS_SMOOTH = PathConfig(**{**vars(THIN_LENS), "smooth": True})
 ORTHOGRAPHIC_SMOOTH = PathConfig(**{**vars(ORTHOGRAPHIC), "smooth": True})
+GLOSSY = PathConfig(
+    **{**vars(MATERIALS), "bsdfs": (c.BSDF_DIFFUSE, c.BSDF_ROUGH_CONDUCTOR_GGX, c.BSDF_ROUGH_CONDUCTOR_BECKMANN)}
+)
 ALBEDO = Wanted(slots=(True, False, False, False, False))
 MOVING_CAMERA = Wanted(slots=(False,) * 5, camera=True)
 GEOMETRY = Wanted(slots=(True, False, False, False, False), shapes=True)
@@ -138,6 +141,12 @@ STILL = Wanted(slots=(True,) * 5, radiance=True, lights=("radiance", "pose"))
 #: Configurations that together hold every model, texture kind, light, sampler and filter.
 THIRDS = {"materials": MATERIALS, "textures": TEXTURED, "lights": ALL_LIGHTS, "others": OTHERS}
 FAST, SLOW = (), (pytest.mark.slow,)
+
+
+def unlit(config):
+    """The camera paths of edge sampling look for no light."""
+    return PathConfig(**{**vars(config), "area": (), "lights": ()})
+
 
 #: factory: (label, arguments, marks)
 FACTORIES = {
@@ -197,11 +206,19 @@ FACTORIES = {
         ("forward, orthographic", (ORTHOGRAPHIC, "forward", True, False), SLOW),
         ("reverse, thin lens", (THIN_LENS, "reverse", True, False), SLOW),
         ("samples, simple", (SIMPLE, "samples", False, False), SLOW),
+        ("reverse, without contacts", (SIMPLE, "reverse", False, False, False), SLOW),
     ],
     "boundary.terminator.make_terminator_kernel": [
         ("reverse, materials", (MATERIALS, "reverse", True), SLOW),
         ("reverse, orthographic", (ORTHOGRAPHIC_SMOOTH, "reverse", True), SLOW),
         ("forward, thin lens", (THIN_LENS_SMOOTH, "forward", True), SLOW),
+    ],
+    "boundary.edge_sampling.make_edge_sampling_kernel": [
+        ("reverse, simple", (SIMPLE, unlit(SIMPLE), "reverse", False, True, 16), FAST),
+        ("forward, flat", (SIMPLE, unlit(SIMPLE), "forward", True, False, 64), SLOW),
+        ("forward, materials", (GLOSSY, unlit(GLOSSY), "forward", True, True, 16), SLOW),
+        ("reverse, textures", (TEXTURED, unlit(TEXTURED), "reverse", True, True, 16), SLOW),
+        ("reverse, lights", (ALL_LIGHTS, unlit(ALL_LIGHTS), "reverse", False, True, 16), SLOW),
     ],
 }
 

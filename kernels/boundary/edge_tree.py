@@ -1,9 +1,9 @@
 """Choice of a silhouette edge as seen from a point: two hierarchies, split samples and resampling [LADL18, section 5].
 
-The trees (``warp_psdr/edge_trees.py``) hold edges of one or more than two faces by position (3-D), and edges between two
-faces by position and the planes of these faces (6-D), under one root. An edge between faces with the unit normals n_A
-and n_B, turned the same way around it, is a silhouette from x where n . (x - p) has another sign for A than for B. A
-node bounds n and d = n . (p - c), c its centre: points of a dual (Hough) space [OZ06]. Where n . (x - c) - d has one
+The trees (``warp_psdr/edge_trees.py``) hold edges of one or more than two faces by position (3-D), and edges between
+two faces by position and the planes of these faces (6-D), under one root. An edge between faces with the unit normals
+n_A and n_B, turned the same way around it, is a silhouette from x where n . (x - p) has another sign for A than for B.
+A node bounds n and d = n . (p - c), c its centre: points of a dual (Hough) space [OZ06]. Where n . (x - c) - d has one
 sign over the bounds no edge of the node is a silhouette, and the node is left out; so is one below the horizon of x.
 The test never leaves out a silhouette.
 

@@ -148,10 +148,10 @@ def line_integral(lobe: Lobe, a: wp.vec3, along: wp.vec3) -> Line:
         return r
     d = double_area / length
     w = e_t / length
-    l = wp.dot(a_t, w)
-    foot = a_t - l * w
-    l1 = l + r.low * length
-    l2 = l + r.high * length
+    start = wp.dot(a_t, w)
+    foot = a_t - start * w
+    l1 = start + r.low * length
+    l2 = start + r.high * length
     r.psi = wp.atan2(l1, d)
     r.arc = wp.atan2(d * (l2 - l1), d * d + l1 * l2)
     r.u_z = foot[2] / d
@@ -247,8 +247,8 @@ def make_scattering_lobes(models: tuple[int, ...]):
     """Return ``scattering_lobes(model, material, frame, wi) -> Lobes`` for scattering models (``BSDF_*`` ids).
 
     The cosine lobe is positive wherever a model is that scatters on its own side only. A rough conductor's lobe lies
-    about the mirror direction: a microfacet's slope alpha turns the reflection by 2 alpha in the plane of incidence, and
-    by 2 alpha cos(theta_i) across it.
+    about the mirror direction: a microfacet's slope alpha turns the reflection by 2 alpha in the plane of incidence,
+    and by 2 alpha cos(theta_i) across it.
     """
     glossy = bool({BSDF_ROUGH_CONDUCTOR_GGX, BSDF_ROUGH_CONDUCTOR_BECKMANN} & set(models))
 

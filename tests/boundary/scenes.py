@@ -104,14 +104,19 @@ def spot():
     }
 
 
+def rough(alpha):
+    """A rough mirror of no particular metal."""
+    return {"type": "roughconductor", "alpha": alpha, "eta": {"type": "rgb", "value": 0.5}, "k": 3.0}
+
+
 def envmap():
     bitmap = np.full((6, 12, 3), 0.3, np.float32)
     bitmap[1:3, 4:7] = [4.0, 3.0, 2.0]
     return {"type": "envmap", "bitmap": bitmap, "to_world": T.rotate([1, 0, 0], 90)}
 
 
-def room(height=0.0, turn=0.3):
-    """Walls of one colour each, a light below the ceiling, and a box on the floor, or above it."""
+def room(height=0.0, turn=0.3, lamp=False):
+    """Walls of one colour each, a light (``lamp``: a point) below the ceiling, and a box on the floor, or above it."""
     c = np.array([[x, y, z] for z in (0.0, 2.0) for y in (-1.0, 1.0) for x in (-1.0, 1.0)], np.float32)
     sides = {
         "ground": ([0, 1, 3, 2], (0.7, 0.7, 0.7)),
@@ -124,7 +129,9 @@ def room(height=0.0, turn=0.3):
     return {
         "sensor": camera((0, -4.0, 1.0), (0, 0, 1.0), fov=32.0),
         **walls,
-        "light": panel((0.0, 0.1, 1.98), 0.4, 6.0),
+        "light": {"type": "point", "position": [0.0, 0.1, 1.7], "intensity": {"type": "rgb", "value": 3.0}}
+        if lamp
+        else panel((0.0, 0.1, 1.98), 0.4, 6.0),
         "box": box((0.25, -0.2, 0.3 + height), (0.3, 0.25, 0.3), diffuse(0.6, 0.6, 0.8), turn),
     }
 
@@ -155,6 +162,9 @@ SCENES = {
     ),
     "room": room,
     "floating": lambda: room(0.1),
+    "rough": lambda: under(panel((0.5, -0.3, 2.2), 0.35)) | {"floor": floor(bsdf=rough(0.2))},
+    "rough sky": lambda: under(sky()) | {"floor": floor(bsdf=rough(0.3))},
+    "lamp": lambda: room(lamp=True),
 }
 
 
