@@ -206,7 +206,6 @@ FACTORIES = {
         ("forward, orthographic", (ORTHOGRAPHIC, "forward", True, False), SLOW),
         ("reverse, thin lens", (THIN_LENS, "reverse", True, False), SLOW),
         ("samples, simple", (SIMPLE, "samples", False, False), SLOW),
-        ("reverse, without contacts", (SIMPLE, "reverse", False, False, False), SLOW),
     ],
     "boundary.terminator.make_terminator_kernel": [
         ("reverse, materials", (MATERIALS, "reverse", True), SLOW),

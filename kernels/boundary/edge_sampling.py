@@ -21,9 +21,9 @@ light's solid angle about z weighs edges by how close they pass to the segment x
 every z the mixture is positive wherever f_s is, so the estimate is unbiased for each z. Very glossy surfaces do
 without, as in the paper.
 
-Where a surface touches the edge (a box standing on a floor) the contact is the background: t_2 = 0, tau = 1. Segments
-that start in the contact have measure zero here, so each jump is counted once. A point, spot or directional light is
-met by a direction of measure zero from a fixed x_1; ``secondary.py`` samples those, without contacts.
+Where a surface touches the edge (a box standing on a floor) the contact is the background: t_2 = 0, tau = 1, and counts
+once: segments that start in it have measure zero. A point, spot or directional light is met from a fixed x_1 by
+edges of measure zero; ``secondary.py`` samples those from the edge.
 """
 
 import functools
@@ -160,14 +160,15 @@ def make_edge_sample(config: PathConfig, tree: bool, candidates: int):
             return r
         s = Segment()
         s.light = -1
-        s.x = x - behind * w
+        s.x = x
+        s.source = x - behind * w
         s.w = w
         s.sweep = side * m
         s.t1 = t1
         s.face1 = face
         s.u1 = u
         s.v1 = v
-        hit = closest_hit(scene.accel, s.x, w, FAR)
+        hit = closest_hit(scene.accel, s.source, w, FAR)
         s.face2 = hit.face
         if hit.face >= 0:
             s.tau = t1 / (t1 + wp.max(hit.t - behind, 0.0))
@@ -259,7 +260,7 @@ def make_edge_sampling_kernel(
                 s = drawn.segment
                 if s.valid == 1:
                     branch.seed = words.y
-                    source = radiance(scene, branch, s.x, s.w, FAR, k, max_depth, rr_depth)
+                    source = radiance(scene, branch, s.source, s.w, FAR, k, max_depth, rr_depth)
                     value = (1.0 / wp.float32(spp)) * wp.cw_mul(wp.cw_mul(vertex.throughput, drawn.value), source)
                     if wp.max(value) > 0.0:
                         w = wp.float32(1.0)

@@ -226,7 +226,7 @@ def hard_shadows(r: Request) -> Term | None:
     records["probability"] = np.diff(cdf)
     data.emitters = wp.array(records, dtype=Emitter, device=r.scene.device)
     data.emitter_cdf = wp.array(cdf, dtype=wp.float32, device=r.scene.device)
-    kernel = make_secondary_kernel(r.config, r.role, r.moves.camera, r.moves.light_pose, contacts=False)
+    kernel = make_secondary_kernel(r.config, r.role, r.moves.camera, r.moves.light_pose)
     head = [data, r.camera, edges]
     # No share of the wedge: every sample goes to a light.
     tail = [samples, mix_seed(r.seed, SECONDARY), r.plan.max_depth, r.plan.rr_depth, 0.0]
