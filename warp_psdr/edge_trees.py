@@ -114,6 +114,9 @@ def _tree(
     count = len(items)
     nodes = np.zeros(2 * count - 1, EdgeNode.numpy_dtype())
     middle = ends.mean(axis=1)
+    box_low, box_high = ends.min(axis=1), ends.max(axis=1)
+    n_low, n_high = normals.min(axis=1), normals.max(axis=1)
+    heights = np.einsum("ifk,ik->if", normals, middle)
     features = middle / max(float(np.ptp(middle[items], axis=0).max()), 1e-300)
     if planes:
         features = np.concatenate([features, normals.mean(axis=1) / NORMAL_EXTENT], axis=1)
@@ -122,9 +125,8 @@ def _tree(
     while len(order):
         start = np.append(0, np.cumsum(sizes)[:-1])
         segment = np.repeat(np.arange(len(sizes)), sizes)
-        p, n = ends[order], normals[order]
-        low = np.minimum.reduceat(p.min(axis=1), start)
-        high = np.maximum.reduceat(p.max(axis=1), start)
+        low = np.minimum.reduceat(box_low[order], start)
+        high = np.maximum.reduceat(box_high[order], start)
         center = (0.5 * (low + high)).astype(np.float32).astype(np.float64)
         nodes["center"][numbers] = center
         # Rounded outwards.
@@ -132,13 +134,13 @@ def _tree(
         nodes["half"][numbers] = half
         nodes["weight"][numbers] = np.add.reduceat(weight[order], start)
         if planes:
-            n_low = np.minimum.reduceat(n.min(axis=1), start)
-            n_high = np.maximum.reduceat(n.max(axis=1), start)
-            nodes["n_center"][numbers] = 0.5 * (n_low + n_high)
-            nodes["n_half"][numbers] = 0.5 * (n_high - n_low) + 1e-6
-            d = np.einsum("ifk,ijk->ifj", n, p - center[segment][:, None]).reshape(len(order), -1)
-            nodes["d_low"][numbers] = np.minimum.reduceat(d.min(axis=1), start)
-            nodes["d_high"][numbers] = np.maximum.reduceat(d.max(axis=1), start)
+            low = np.minimum.reduceat(n_low[order], start)
+            high = np.maximum.reduceat(n_high[order], start)
+            nodes["n_center"][numbers] = 0.5 * (low + high)
+            nodes["n_half"][numbers] = 0.5 * (high - low) + 1e-6
+            d = heights[order] - np.einsum("ifk,ik->if", normals[order], center[segment])
+            nodes["d_low"][numbers] = np.minimum.reduceat(np.minimum(d[:, 0], d[:, 1]), start)
+            nodes["d_high"][numbers] = np.maximum.reduceat(np.maximum(d[:, 0], d[:, 1]), start)
         else:
             nodes["n_half"][numbers] = 1.0
         leaf = sizes == 1

@@ -12,17 +12,17 @@ from .test_table import ALONG, BOX, FLOOR, OCCLUDER, PANEL, RECEIVER, apart, mov
 
 METHOD = psdr.boundary.EdgeSampling()
 CASES = [
-    Case("soft", OCCLUDER, ALONG, 0.01, "occluder moves", spp=512, difference_spp=2048, slow=False),
+    Case("soft", OCCLUDER, ALONG, 0.01, "occluder moves", difference_spp=2048, slow=False),
     Case("soft", FLOOR, moved(0.0, 0.0, 1.0), 0.02, RECEIVER, spp=1024, difference_spp=4096),
     Case("soft", PANEL, ALONG, 0.02, "light moves", spp=512),
     Case("soft", PANEL, scaled, 0.04, "light scales", spp=512),
     Case("soft", (OCCLUDER, PANEL, FLOOR), apart, 0.01, "all move", spp=512, difference_spp=2048),
-    Case("sky", OCCLUDER, ALONG, 0.01, "occluder moves", spp=256, difference_spp=4096),
+    Case("sky", OCCLUDER, ALONG, 0.01, "occluder moves", spp=512, difference_spp=8192),
     Case("envmap", OCCLUDER, ALONG, 0.01, "occluder moves", spp=512, difference_spp=8192),
     # A rough mirror below the occluder, roughness 0.2 and 0.3.
     Case("rough", OCCLUDER, ALONG, 0.01, "occluder moves", spp=1024, difference_spp=4096),
     Case("rough", FLOOR, moved(0.2, 0.1, 1.0), 0.01, RECEIVER, spp=1024, difference_spp=4096),
-    Case("rough sky", OCCLUDER, ALONG, 0.01, "occluder moves", spp=512, difference_spp=4096),
+    Case("rough sky", OCCLUDER, ALONG, 0.01, "occluder moves", spp=512, difference_spp=8192),
     # The camera.
     Case("soft", "sensor.to_world", ALONG, 0.01, "camera moves", difference_spp=2048),
     Case("soft", "sensor.to_world", turned(0), 0.003, "camera turns", difference_spp=4096),
@@ -30,9 +30,9 @@ CASES = [
     Case("point", OCCLUDER, ALONG, 0.01, "occluder moves"),
     Case("point", "light.position", ALONG, 0.01, "light moves"),
     # Interreflection, without and with a contact, which a point light meets too.
-    Case("floating", BOX, moved(1.0, -0.5, 0.0), 0.005, "a box moves", depth=3, spp=2048, difference_spp=4096),
-    Case("room", BOX, moved(1.0, -0.5, 0.0), 0.005, "a box on the floor moves", depth=3, spp=2048, difference_spp=4096),
-    Case("lamp", BOX, moved(1.0, -0.5, 0.0), 0.005, "a box on the floor moves", depth=3, spp=1024, difference_spp=8192),
+    Case("floating", BOX, moved(1.0, -0.5, 0.0), 0.01, "a box moves", depth=3, spp=1024, difference_spp=8192),
+    Case("room", BOX, moved(1.0, -0.5, 0.0), 0.01, "a box on the floor moves", depth=3, spp=2048, difference_spp=8192),
+    Case("lamp", BOX, moved(1.0, -0.5, 0.0), 0.015, "a box on the floor moves", depth=3, spp=512, difference_spp=8192),
 ]
 
 

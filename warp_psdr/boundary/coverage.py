@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from warp_psdr.boundary.methods import Method, PathSpace
+from warp_psdr.boundary.methods import EdgeSampling, Method, PathSpace
 from warp_psdr.boundary.motion import motion
 from warp_psdr.edges import shared_by_many
 from warp_psdr.kernels import constants as c
@@ -34,13 +34,20 @@ def choose(scene: Scene, config: PathConfig, integrator: PathIntegrator, names: 
         ValueError: no method covers the case.
     """
     method = integrator.boundary if isinstance(integrator.boundary, Method) else PathSpace()
-    reason = _uncovered(scene, config, names, integrator.max_depth)
+    reason = _beyond(method, config) or _uncovered(scene, config, names, integrator.max_depth)
     if reason:
         raise ValueError(
             f"the requested gradient has a boundary term ({'; '.join(moving)}), which {method.label}() cannot "
             f"estimate here: {reason}; {REMEDY}"
         )
     return method
+
+
+def _beyond(method: Method, config: PathConfig) -> str:
+    """Say what this method leaves to others; empty: nothing."""
+    if isinstance(method, EdgeSampling) and {c.BSDF_CONDUCTOR, c.BSDF_DIELECTRIC} & set(config.bsdfs):
+        return "it does not follow edges through smooth mirrors or glass; use a roughconductor instead"
+    return ""
 
 
 def _uncovered(scene: Scene, config: PathConfig, names: list[str], max_depth: int) -> str:
