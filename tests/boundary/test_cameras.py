@@ -79,7 +79,7 @@ CASES = [
     Case("lens smooth", SHAPE, scaled, 0.01, "scales", spp=2048, difference_spp=8192),
     Case("lens smooth", FOCUS, np.ones_like, 0.1, "focus moves", spp=2048, difference_spp=8192),
     Case("parallel room", BOX, ACROSS, 0.005, "a box moves", depth=3, spp=1024, difference_spp=4096),
-    Case("lens room", BOX, ACROSS, 0.005, "a box moves", depth=3, spp=1024, difference_spp=4096),
+    Case("lens room", BOX, ACROSS, 0.005, "a box moves", depth=3, spp=2048, difference_spp=4096),
 ]
 
 
