@@ -36,9 +36,10 @@ from warp_psdr.kernels.boundary.edge_tree import EdgeTrees, edge_at, make_choose
 from warp_psdr.kernels.boundary.local_form import START_BEHIND, EdgePoint, Edges, interior_side
 from warp_psdr.kernels.boundary.ltc_line import Lobes, make_lobe, make_scattering_lobes, mixture_density, sample_mixture
 from warp_psdr.kernels.boundary.secondary import Segment, make_segment_sink
+from warp_psdr.kernels.boundary.transport import make_first_sink
 from warp_psdr.kernels.bsdf.dispatch import make_bsdf
 from warp_psdr.kernels.bvh.wide import make_intersect
-from warp_psdr.kernels.camera import load_mat44, make_camera_sink
+from warp_psdr.kernels.camera import make_camera_ray, make_camera_sink
 from warp_psdr.kernels.constants import BSDF_ROUGH_CONDUCTOR_BECKMANN, BSDF_ROUGH_CONDUCTOR_GGX, FAR, PI
 from warp_psdr.kernels.math import any_tangent, to_local
 from warp_psdr.kernels.path import (
@@ -205,11 +206,13 @@ def make_edge_sampling_kernel(
         candidates: edges that are resampled.
     """
     start = make_camera_start(walk)
+    _camera_ray, camera_origin = make_camera_ray(config.camera)
     path_step = make_path_step(walk, False)
     edge_sample = make_edge_sample(config, tree, candidates)
     radiance = make_radiance(config)
-    push_segment, push_first = make_segment_sink(role, False)
-    push_camera = make_camera_sink(role) if camera_moves else None
+    push_segment = make_segment_sink(role, False)
+    push_first = make_first_sink(role)
+    push_camera = make_camera_sink(role, config.camera) if camera_moves else None
 
     @wp.kernel(module="unique", enable_backward=False)
     def edge_sampling(
@@ -243,9 +246,8 @@ def make_edge_sampling_kernel(
         sampler.pixel = wp.uint32(pixel)
         sampler.index = wp.uint32(number % spp)
         sampler.seed = seed
-        pose = load_mat44(scene.values, camera.to_world)
-        origin = wp.vec3(pose[0, 3], pose[1, 3], pose[2, 3])
-        state, film = start(scene, camera, px, py, sampler)
+        state, ray = start(scene, camera, px, py, sampler)
+        origin = camera_origin(scene, camera, ray)
         total = wp.vec3(0.0, 0.0, 0.0)
         k = wp.int32(1)
         while state.alive == 1:
@@ -270,7 +272,7 @@ def make_edge_sampling_kernel(
                         speed += push_segment(scene, target, edges, drawn.point, s, w)
                         if wp.static(camera_moves):
                             if k == 1:
-                                speed += push_camera(scene, target, camera, film, a_o, a_d)
+                                speed += push_camera(scene, target, camera, ray, a_o, a_d)
                         total += speed * value
             k += 1
         if wp.static(role == "forward"):

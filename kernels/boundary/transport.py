@@ -64,28 +64,12 @@ def make_source(config: PathConfig):
 
 
 @functools.cache
-def make_transport(config: PathConfig, role: str, camera_moves: bool, source: wp.Function, least: int = 1):
-    """Return ``transport(scene, camera, sampler, segment, scale, rest, max_depth, ...) -> float``.
+def make_first_sink(role: str):
+    """Return ``push_first(scene, target, segment, w, by_ray, o, d)``: scatter the adjoint (tau - 1) w sweep of x_1.
 
-    It walks from x_1, and at each vertex that the camera sees adds to the image (forward) or collects the adjoint
-    (reverse). ``rest`` is the velocity of all but x_1 for a unit weight, which forward mode reads; the result is the
-    weight of those velocities, which reverse mode has to push. x_1 itself is done here: adjoint (tau - 1) sweep.
-
-    Args:
-        config: what the scene needs.
-        role: "reverse", "forward" or "samples" (``secondary.py``).
-        camera_moves: a parameter of the camera is differentiated.
-        source: ``make_source`` or its like.
-        least: number of path vertices behind x_1 without which ``source`` is zero.
+    ``by_ray``: x_1 is where the ray (o, d) meets its triangle, whose adjoint is returned, as (o, d, dot).
     """
-    connect, extend = make_walk(config)
     push_vertex = make_vertex_sink(role, False, False, False, False, False, True)
-    push_camera = make_camera_sink(role, config.camera) if camera_moves else None
-    splat, gather = make_splat()
-    lens_point = make_lens(config.camera)
-    draw = make_sampler(config.sampler)
-    sample_2d = draw.sample_2d
-    sample_4d = draw.sample_4d
 
     @wp.func
     def push_first(
@@ -102,6 +86,33 @@ def make_transport(config: PathConfig, role: str, camera_moves: bool, source: wp
         adjoint.x = ((segment.tau - 1.0) * w) * segment.sweep
         pushed = push_vertex(scene, target, segment.face1, segment.u1, segment.v1, adjoint, by_ray, o, d)
         return pushed.o, pushed.d, pushed.dot
+
+    return push_first
+
+
+@functools.cache
+def make_transport(config: PathConfig, role: str, camera_moves: bool, source: wp.Function, least: int = 1):
+    """Return ``transport(scene, camera, sampler, segment, scale, rest, max_depth, ...) -> float``.
+
+    It walks from x_1, and at each vertex that the camera sees adds to the image (forward) or collects the adjoint
+    (reverse). ``rest`` is the velocity of all but x_1 for a unit weight, which forward mode reads; the result is the
+    weight of those velocities, which reverse mode has to push. x_1 itself is done here: adjoint (tau - 1) sweep.
+
+    Args:
+        config: what the scene needs.
+        role: "reverse", "forward" or "samples" (``secondary.py``).
+        camera_moves: a parameter of the camera is differentiated.
+        source: ``make_source`` or its like.
+        least: number of path vertices behind x_1 without which ``source`` is zero.
+    """
+    connect, extend = make_walk(config)
+    push_first = make_first_sink(role)
+    push_camera = make_camera_sink(role, config.camera) if camera_moves else None
+    splat, gather = make_splat()
+    lens_point = make_lens(config.camera)
+    draw = make_sampler(config.sampler)
+    sample_2d = draw.sample_2d
+    sample_4d = draw.sample_4d
 
     @wp.func
     def transport(

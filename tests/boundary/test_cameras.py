@@ -91,6 +91,14 @@ def test_derivatives_equal_finite_differences(case: Case, mode: str) -> None:
     assert_agrees(derivatives(case, mode), differences(case)[2])
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("mode", ["forward", "reverse"])
+@pytest.mark.parametrize("name", ["parallel", "lens"])
+def test_edge_sampling_takes_these_cameras(name: str, mode: str) -> None:
+    case = next(c for c in CASES if str(c).startswith(f"{name}, camera moves"))
+    assert_agrees(derivatives(case, mode, psdr.boundary.EdgeSampling(tree=False)), differences(case)[2])
+
+
 @pytest.mark.parametrize("case", [c for c in CASES if not c.slow], ids=str)
 def test_the_rows_can_tell_a_missing_boundary_term(case: Case) -> None:
     value, error = slope(derivatives(case, "forward", None), differences(case)[2])
