@@ -1,36 +1,29 @@
 """Interpolated normals at any depth: the terminator that other surfaces see."""
 
 import numpy as np
+import pytest
 
-from .scenes import SCENES, ball, camera, diffuse, floor, mesh, panel, sky
+import warp_psdr as psdr
+from warp_psdr.boundary import terms
+
+from .measure import Case, assert_agrees, derivatives, differences, slope
+from .scenes import SCENES, ball, camera, diffuse, floor, mesh, panel
+from .test_table import moved
 
 
 def glow():
-    """A smooth ball above a floor: the floor is lit by the ball."""
+    """A smooth ball that lights the floor below it."""
     return {
         "sensor": camera((0.0, -2.5, 3.0), (0.0, 0.0, 0.0), fov=35.0),
-        "floor": floor(bsdf=diffuse(0.7, 0.6, 0.5)),
+        "floor": floor(),
         "shape": ball((0.2, 0.1, 0.75), 0.5, diffuse(0.9, 0.8, 0.7), 1, smooth=True),
         "light": panel((1.2, -0.4, 1.6), 0.3, 20.0),
     }
 
 
-def hidden(subdivisions=1, two_sided=False, **bsdf):
-    """A wall that sees a smooth ball which the camera does not see."""
-    material = bsdf or diffuse(0.9, 0.8, 0.7)
-    if two_sided:
-        material = {"type": "twosided", "bsdf": material}
+def waves(**bsdf):
+    """A flat sheet with the normals of waves, seen by a wall, which alone the camera sees."""
     wall = mesh([[-1, 1.5, 0], [1, 1.5, 0], [1, 1.5, 2], [-1, 1.5, 2]], [[0, 1, 2], [0, 2, 3]], diffuse(0.8))
-    return {
-        "sensor": camera((0.0, 0.4, 1.0), (0.0, 1.5, 1.0), fov=70.0),
-        "wall": wall,
-        "shape": ball((0.1, 0.8, 0.2), 0.4, material, subdivisions, smooth=True),
-        "light": panel((1.1, 0.9, 1.6), 0.3, 30.0),
-    }
-
-
-def waves(two_sided=False, **bsdf):
-    """A flat sheet with the normals of waves, seen by a wall alone."""
     x, y = np.meshgrid(np.linspace(-0.9, 0.9, 4), np.linspace(0.2, 1.3, 4))
     vertices = np.stack([x, y, 0.1 + 0.0 * x], axis=-1).reshape(-1, 3)
     tilt = 1.5 * np.cos(3.0 * np.arange(4))[:, None] * np.ones(4)
@@ -38,20 +31,67 @@ def waves(two_sided=False, **bsdf):
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     i = np.array([4 * r + c for r in range(3) for c in range(3)])[:, None]
     faces = np.concatenate([i + np.array([0, 1, 5]), i + np.array([0, 5, 4])])
-    material = bsdf or diffuse(0.9, 0.8, 0.7)
-    material = {"type": "twosided", "bsdf": material} if two_sided else material
-    return hidden() | {
-        "shape": mesh(vertices, faces, material, normals=normals.astype(np.float32)),
-        "light": sky() if two_sided else panel((0.3, 0.4, 1.2), 0.3, 30.0),
+    return {
+        "sensor": camera((0.0, 0.4, 1.0), (0.0, 1.5, 1.0), fov=70.0),
+        "wall": wall,
+        "shape": mesh(vertices, faces, bsdf or diffuse(0.9, 0.8, 0.7), normals=normals.astype(np.float32)),
+        "light": panel((0.3, 0.4, 1.2), 0.3, 30.0),
     }
 
 
 SCENES |= {
-    "waves": waves,
-    "waves two-sided": lambda: waves(two_sided=True),
-    "waves metal": lambda: waves(type="roughconductor", alpha=0.5),
     "glow": glow,
-    "hidden": hidden,
-    "hidden two-sided": lambda: hidden(two_sided=True),
-    "hidden metal": lambda: hidden(type="roughconductor", alpha=0.4),
+    "waves": waves,
+    "waves metal": lambda: waves(type="roughconductor", alpha=0.5),
 }
+
+SHAPE, WALL, NORMALS = "shape.vertex_positions", "wall.vertex_positions", "shape.vertex_normals"
+NEARER = moved(0.0, 1.0, 0.0)
+
+
+def tilted(values):
+    """All normals towards +y."""
+    return np.array([0.0, 1.0, 0.0]) - values * values[:, 1:2]
+
+
+def bent_plate():
+    """The sheet of waves before the camera."""
+    return {k: v for k, v in waves().items() if k != "wall"} | {"sensor": camera((0.0, -1.5, 0.7), (0.0, 0.7, 0.1))}
+
+
+SCENES |= {"bent plate": bent_plate}
+
+CASES = [
+    # The wall is the vertex that sees the terminator.
+    Case("waves", WALL, NEARER, 0.01, "a wall moves", 3, 512, 1024, slow=False),
+    Case("waves metal", WALL, NEARER, 0.01, "a wall moves", 3, 1024, 2048),
+    Case("waves", WALL, NEARER, 0.01, "a wall moves", 4, 1024, 2048),
+    Case("glow", SHAPE, moved(0.3, 0.2, 1.0), 0.01, "a ball moves", 3, 1024, 2048),
+    # Vertex normals alone: the camera's terminator, and that of others.
+    Case("bent plate", NORMALS, tilted, 0.01, "normals turn", spp=2048, difference_spp=2048),
+]
+
+
+@pytest.mark.parametrize("mode", ["forward", "reverse"])
+@pytest.mark.parametrize(
+    "case", [pytest.param(c, id=str(c), marks=[pytest.mark.slow] if c.slow else []) for c in CASES]
+)
+def test_derivatives_equal_finite_differences(case: Case, mode: str) -> None:
+    assert_agrees(derivatives(case, mode), differences(case)[2])
+
+
+@pytest.mark.parametrize("case", [c for c in CASES if not c.slow], ids=str)
+def test_the_table_can_tell_missing_terminators(case: Case, monkeypatch) -> None:
+    left_out = (terms.bent, terms.terminator)
+    rest = tuple(t for t in terms.TERMS[psdr.boundary.PathSpace] if t not in left_out)
+    monkeypatch.setitem(terms.TERMS, psdr.boundary.PathSpace, rest)
+    value, error = slope(derivatives(case, "forward"), differences(case)[2])
+    assert abs(value - 1.0) > 0.05 + 3.0 * error
+
+
+def test_vertex_normals_alone_have_a_boundary_term() -> None:
+    scene = psdr.load_dict({"type": "scene", **bent_plate()})
+    plan = psdr.plan(scene, names=[NORMALS], integrator=psdr.PathIntegrator(max_depth=2))
+    assert plan.boundary is not None and "interpolated normals turn away" in plan.discontinuities[0]
+    emission = psdr.PathIntegrator(max_depth=1)
+    assert psdr.plan(scene, names=[NORMALS], integrator=emission).boundary is None
