@@ -68,7 +68,7 @@ CASES = [
     Case("waves", WALL, NEARER, 0.01, "a wall moves", 4, 1024, 2048),
     Case("glow", SHAPE, moved(0.3, 0.2, 1.0), 0.01, "a ball moves", 3, 1024, 2048),
     # Vertex normals alone: the camera's terminator, and that of others.
-    Case("bent plate", NORMALS, tilted, 0.01, "normals turn", spp=2048, difference_spp=2048),
+    Case("bent plate", NORMALS, tilted, 0.03, "normals turn", spp=1024, difference_spp=4096),
 ]
 
 
