@@ -1,4 +1,4 @@
-"""Edges of lights, seams of materials and textures, contacts with lights: rows of the table for single cases."""
+"""Edges of lights, seams of materials and textures: rows of the table for single cases."""
 
 import numpy as np
 import pytest
@@ -60,24 +60,11 @@ def uv_seam():
     return {"sensor": camera(), "sky": sky(), "shape": shape}
 
 
-def standing():
-    """A black box on a glowing floor, seen by the light that the floor casts on a wall."""
-    glow = {"type": "area", "radiance": {"type": "rgb", "value": [4.0, 3.0, 2.0]}}
-    wall = mesh([[-1, 1.5, 0.2], [1, 1.5, 0.2], [1, 1.5, 2], [-1, 1.5, 2]], QUAD, diffuse(0.8))
-    return {
-        "sensor": camera((0.0, 0.3, 1.1), (0.0, 1.5, 1.1), fov=75.0),
-        "wall": wall,
-        "floor": {**floor(bsdf=diffuse(0.0), half=1.2), "emitter": glow},
-        "shape": box((0.1, 0.8, 0.2), (0.4, 0.25, 0.2), diffuse(0.0), 0.4),
-    }
-
-
 SCENES |= {
     "textured light": textured_light,
     "one-sided light": one_sided,
     "seams": seams,
     "uv seam": uv_seam,
-    "standing": standing,
 }
 LIGHT, SHAPE = "light.vertex_positions", "shape.vertex_positions"
 ALONG = moved(1.0, 0.3, 0.4)
@@ -87,7 +74,6 @@ CASES = [
     Case("one-sided light", LIGHT, ALONG, 0.01, "moves", difference_spp=2048),
     Case("seams", SHAPE, ALONG, 0.01, "moves", difference_spp=2048),
     Case("uv seam", SHAPE, ALONG, 0.01, "moves", difference_spp=2048, slow=False),
-    Case("standing", SHAPE, moved(1.0, -0.5, 0.0), 0.01, "moves on a light", 3, 8192, 4096),
 ]
 
 
