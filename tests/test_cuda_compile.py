@@ -213,10 +213,12 @@ FACTORIES = {
         ("forward, thin lens", (THIN_LENS_SMOOTH, "forward", True), SLOW),
     ],
     "boundary.edge_sampling.make_edge_sampling_kernel": [
-        ("reverse, simple", (SIMPLE, unlit(SIMPLE), "reverse", False, True, 16), FAST),
+        ("reverse, simple", (SIMPLE, unlit(SIMPLE), "reverse", False, True, 16), SLOW),
         ("forward, flat", (SIMPLE, unlit(SIMPLE), "forward", True, False, 64), SLOW),
         ("forward, materials", (GLOSSY, unlit(GLOSSY), "forward", True, True, 16), SLOW),
         ("reverse, textures", (TEXTURED, unlit(TEXTURED), "reverse", True, True, 16), SLOW),
+        ("forward, orthographic", (ORTHOGRAPHIC, unlit(ORTHOGRAPHIC), "forward", True, True, 16), SLOW),
+        ("reverse, thin lens", (THIN_LENS, unlit(THIN_LENS), "reverse", True, True, 16), SLOW),
         ("reverse, lights", (ALL_LIGHTS, unlit(ALL_LIGHTS), "reverse", False, True, 16), SLOW),
     ],
 }

@@ -6,7 +6,8 @@ import pytest
 import warp_psdr as psdr
 
 from .measure import Case, assert_agrees, derivatives, differences, slope
-from .scenes import T, ball, box, diffuse, load, under
+from .scenes import T, ball, load, under
+from .test_cameras import parallel as _orthographic_scenes  # noqa: F401  registers the cameras' scenes
 from .test_path_space import gradients, scene_of
 from .test_table import ALONG, BOX, FLOOR, OCCLUDER, PANEL, RECEIVER, apart, moved, scaled, turned
 
@@ -26,6 +27,9 @@ CASES = [
     # The camera.
     Case("soft", "sensor.to_world", ALONG, 0.01, "camera moves", difference_spp=2048),
     Case("soft", "sensor.to_world", turned(0), 0.003, "camera turns", difference_spp=4096),
+    Case("parallel", "sensor.to_world", ALONG, 0.01, "camera moves", difference_spp=4096),
+    Case("lens", "sensor.to_world", ALONG, 0.01, "camera moves", difference_spp=4096),
+    Case("lens", OCCLUDER, ALONG, 0.01, "occluder moves out of focus", spp=512, difference_spp=4096),
     # Hard shadows, sampled from the edge.
     Case("point", OCCLUDER, ALONG, 0.01, "occluder moves"),
     Case("point", "light.position", ALONG, 0.01, "light moves"),
@@ -132,8 +136,6 @@ def test_the_plan_names_it() -> None:
     [
         ({"occluder": ball((0, 0, 1), 0.4, {"type": "conductor"})}, "smooth mirrors or glass"),
         ({"occluder": ball((0, 0, 1), 0.4, {"type": "dielectric"})}, "smooth mirrors or glass"),
-        ({"occluder": box((0, 0, 0.2), (0.3, 0.3, 0.5), diffuse(0.5))}, "run through"),
-        ({"occluder": ball((0, 0, 1), 0.4, diffuse(0.5), smooth=True)}, "interpolated normals"),
         (
             {"light": {"type": "spot", "to_world": T.translate([0, 0, 3]), "cutoff_angle": 20.0, "beam_width": 20.0}},
             "hard edge",
