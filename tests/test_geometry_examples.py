@@ -57,6 +57,15 @@ def contrast(path: Path) -> float:
     return float(image_io.read_image(path, raw=True).std())
 
 
+def test_shape_gets_closer(example, tmp_path: Path) -> None:
+    module = example("recover_shape")
+    module.PHOTO_SPP, module.shape_pictures.PICTURE, module.shape_pictures.FRAME = 32, 16, 16
+    stages = (module.Stage(10, 0.04, 1.0, 0.2), module.Stage(6, 0.02, 2.0, 0.15))
+    report = module.main(tmp_path, stages=stages, width=20, spp=4)
+    assert report["ratio"] > 2.0
+
+
+@pytest.mark.slow
 def test_shape_is_recovered(example, tmp_path: Path) -> None:
     module = example("recover_shape")
     module.PHOTO_SPP, module.shape_pictures.PICTURE, module.shape_pictures.FRAME = 64, 32, 32
