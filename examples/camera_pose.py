@@ -77,9 +77,6 @@ def main(folder: Path = ROOT / "out" / "camera", *, resolution: int = 64, steps:
     folder.mkdir(parents=True, exist_ok=True)
     scene = psdr.load_file(ROOT / "scenes" / "cornell_box.xml", resolution=resolution)
     params = psdr.traverse(scene)
-    # One box of the file reaches a hundredth below the floor: let it stand on it.
-    params["large-box.to_world"] = psdr.Transform.translate([0, 0.01, 0]).matrix @ params["large-box.to_world"].numpy()
-    params.update()
     truth = params[POSE].numpy().astype(np.float64)
 
     def picture(seed: int) -> np.ndarray:

@@ -139,21 +139,13 @@ def main(
     for number, stage in enumerate(stages):
         if number:
             mesh = remesh.remesh(*mesh, stage.spacing)
-        params, optimiser = _begin(mesh, stage, width)
+        params = load(*mesh, width)
+        optimiser = psdr.optim.LargeSteps(params, {POSITIONS: stage.lr}, lambda_=stage.weight, betas=BETAS)
         for i in range(stage.steps):
             step = len(losses)
             if i == 0 and number < 2:
                 shape_pictures.draw_boundary(folder, params, photos, INTEGRATOR, POSITIONS, first=number == 0)
-            try:
-                loss = backward(params, targets, spp, step * len(targets))
-            except ValueError as refusal:
-                if "run through each other" not in str(refusal):
-                    raise
-                # The mesh ran into itself: go on with its outer hull.
-                print(f"step {step}: remeshing", flush=True)
-                mesh = remesh.remesh(params[POSITIONS].numpy().astype(np.float64), mesh[1], stage.spacing)
-                params, optimiser = _begin(mesh, stage, width)
-                loss = backward(params, targets, spp, step * len(targets))
+            loss = backward(params, targets, spp, step * len(targets))
             falling = max(i / stage.steps - CONSTANT, 0.0) / (1.0 - CONSTANT)
             optimiser.step(scale=FALL**falling)
             losses.append(loss)
@@ -183,11 +175,6 @@ def main(
     }
     (folder / "report.json").write_text(json.dumps(report, indent=2) + "\n")
     return report
-
-
-def _begin(mesh: tuple, stage: Stage, width: int) -> tuple[psdr.Parameters, psdr.optim.LargeSteps]:
-    params = load(*mesh, width)
-    return params, psdr.optim.LargeSteps(params, {POSITIONS: stage.lr}, lambda_=stage.weight, betas=BETAS)
 
 
 if __name__ == "__main__":

@@ -77,7 +77,9 @@ def boundary_samples(
 ) -> EdgeSamples:
     """Return the samples with which ``psdr.render_backward`` estimates the boundary term of equal arguments.
 
-    Of a sample only its pull at the edge point is kept; those at the two ends of its segment are not.
+    Of a sample only its pull at the edge point is kept; those at the two ends of its segment are not. Curves along
+    which surfaces run through each other count where the camera sees them; their shadows' samples are left out, and so
+    are those of interpolated normals, which lie on no edge.
 
     Args:
         scene: a loaded scene.
