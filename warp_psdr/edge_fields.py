@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
+from warp_psdr.boundary.methods import PathSpace
 from warp_psdr.boundary.motion import motion
 from warp_psdr.boundary.terms import Request, primary, secondary
 from warp_psdr.device import launch
@@ -91,7 +92,7 @@ def boundary_samples(
         seed: equal seeds give equal samples.
 
     Raises:
-        ValueError: what is requested has no boundary term, or one that is not covered; a wrong adjoint.
+        ValueError: what is requested has no boundary term, or one that is not covered or not recorded; a wrong adjoint.
     """
     integrator = integrator or from_description(scene.description.integrator)
     names = params.requested
@@ -99,6 +100,10 @@ def boundary_samples(
     if plan.boundary is None:
         raise ValueError(
             f"{names} have no boundary term here: no discontinuity moves, or PathIntegrator(boundary=None) left it out"
+        )
+    if not isinstance(plan.boundary, PathSpace):
+        raise ValueError(
+            f"the samples of {plan.boundary.label} are not recorded, only those of boundary.PathSpace(); name that"
         )
     camera = scene.camera(sensor)
     values = np.ascontiguousarray(as_array(adjoint), np.float32)
