@@ -123,6 +123,17 @@ ORTHOGRAPHIC_SMOOTH = PathConfig(**{**vars(ORTHOGRAPHIC), "smooth": True})
 GLOSSY = PathConfig(
     **{**vars(MATERIALS), "bsdfs": (c.BSDF_DIFFUSE, c.BSDF_ROUGH_CONDUCTOR_GGX, c.BSDF_ROUGH_CONDUCTOR_BECKMANN)}
 )
+MIRROR_LIGHTS = PathConfig(
+    **{
+        **vars(SIMPLE),
+        "bsdfs": (c.BSDF_DIFFUSE, c.BSDF_CONDUCTOR),
+        "slots": ((c.TEXTURE_CONSTANT,),) * 3 + ((), ()),
+        "lights": LIGHTS,
+    }
+)
+MIRRORS = PathConfig(
+    **{**vars(SIMPLE), "bsdfs": (c.BSDF_CONDUCTOR, c.BSDF_DIELECTRIC), "slots": ((c.TEXTURE_CONSTANT,),) * 4 + ((),)}
+)
 ALBEDO = Wanted(slots=(True, False, False, False, False))
 MOVING_CAMERA = Wanted(slots=(False,) * 5, camera=True)
 GEOMETRY = Wanted(slots=(True, False, False, False, False), shapes=True)
@@ -136,6 +147,7 @@ ALL = Wanted(
     camera=True,
     bends=True,
 )
+MOVING = Wanted(slots=(False, False, False, True, False), shapes=True, camera=True, bends=True)
 #: Textbook replay takes no moving vertices behind delta lobes.
 STILL = Wanted(slots=(True,) * 5, radiance=True, lights=("radiance", "pose"))
 #: Configurations that together hold every model, texture kind, light, sampler and filter.
@@ -190,6 +202,11 @@ FACTORIES = {
         ("reverse, simple", (SIMPLE, "reverse", False), SLOW),
         ("forward, textures", (TEXTURED, "forward", True), SLOW),
         ("reverse, lights", (ALL_LIGHTS, "reverse", False), SLOW),
+    ],
+    "boundary.line_search.make_line_search_kernel": [
+        ("reverse, materials", (MATERIALS, MOVING, "reverse", False), SLOW),
+        ("forward, mirror under lights", (MIRROR_LIGHTS, MOVING, "forward", True), SLOW),
+        ("reverse, mirrors alone", (MIRRORS, MOVING, "reverse", False), SLOW),
     ],
     "boundary.primary.make_primary_kernel": [
         ("reverse, simple", (SIMPLE, "reverse", False), FAST),

@@ -213,6 +213,12 @@ def curve_edges(scene: Scene, curves: Adjacency) -> Edges | None:
     return _upload(scene, curves, np.arange(n), curves.length, np.zeros(n), np.ones(n)) if n else None
 
 
+def every_edge(scene: Scene, edges: Adjacency) -> Edges:
+    """Return all edges in their order, unweighted."""
+    n = len(edges.length)
+    return _upload(scene, edges, np.arange(n), np.ones(n), np.zeros(n), np.ones(n))
+
+
 def primary_edges(
     scene: Scene, sensor: int, shapes: set[int], *, camera_moves: bool, curves: Adjacency | None = None
 ) -> Edges | None:

@@ -150,6 +150,14 @@ def plan(
         else:
             term = choose(scene, config, integrator, names, moving)
             lines.append(("boundary term", term.label, "; ".join(moving)))
+            if DELTA_MODELS & set(config.bsdfs):
+                lines.append(
+                    (
+                        "boundary term",
+                        "through mirrors and glass: line search",
+                        "no edge can be connected to the camera",
+                    )
+                )
     return Plan(config, wanted, integrator.max_depth, integrator.rr_depth, block, blocks, moving, tuple(lines), term)
 
 

@@ -7,8 +7,11 @@ from typing import TYPE_CHECKING
 
 from warp_psdr.boundary.methods import EdgeSampling, Method, PathSpace
 from warp_psdr.boundary.motion import motion
+from warp_psdr.boundary.terms import DELTA_MODELS
+from warp_psdr.curves import scene_curves
 from warp_psdr.edges import shared_by_many
 from warp_psdr.kernels import constants as c
+from warp_psdr.kernels.boundary.line_search import MAX_DEPTH
 from warp_psdr.kernels.emitter.spot import MIN_FALLOFF
 from warp_psdr.scene.layout import TEXCOORDS, TO_UV
 
@@ -52,8 +55,13 @@ def _beyond(method: Method, config: PathConfig) -> str:
 
 def _uncovered(scene: Scene, config: PathConfig, names: list[str], max_depth: int) -> str:
     """Say why the boundary term cannot be estimated; empty: it can."""
-    if {c.BSDF_CONDUCTOR, c.BSDF_DIELECTRIC} & set(config.bsdfs):
-        return "discontinuities seen through smooth mirrors or glass are not implemented; use a roughconductor instead"
+    if DELTA_MODELS & set(config.bsdfs):
+        if not 0 < max_depth <= MAX_DEPTH:
+            return f"discontinuities are searched through mirrors to some depth; set max_depth to {MAX_DEPTH} or less"
+        if config.camera != c.CAMERA_PERSPECTIVE:
+            return "lines through mirrors and glass are searched for a perspective camera only; use that one"
+        if scene.face_count and len(scene_curves(scene).length):
+            return "surfaces run through each other, and mirrors or glass may show the curve; move them apart"
     if config.hide_emitters and config.area:
         return "hide_emitters makes area lights transparent to the camera, which is not implemented; show them"
     steps = any(t.kind == c.TEXTURE_BITMAP and t.filter == c.FILTER_NEAREST for t in scene.builder.textures)

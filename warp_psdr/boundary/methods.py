@@ -18,10 +18,13 @@ class Method(ABC):  # noqa: B024
     Attributes:
         spp_primary: samples of the edges that the camera sees, a pixel; None: as many as the interior term's.
         spp_secondary: samples of shadow edges and their like, a pixel; None: as many as the interior term's.
+        spp_mirrors: paths along which what is seen through smooth mirrors and glass is searched, a pixel; None: as many
+            as the interior term's.
     """
 
     spp_primary: int | None = None
     spp_secondary: int | None = None
+    spp_mirrors: int | None = None
 
     def __post_init__(self) -> None:
         """Validate once.
@@ -29,7 +32,7 @@ class Method(ABC):  # noqa: B024
         Raises:
             ValueError: a sample count is not a positive integer.
         """
-        for name in ("spp_primary", "spp_secondary"):
+        for name in ("spp_primary", "spp_secondary", "spp_mirrors"):
             value = getattr(self, name)
             if value is not None and (isinstance(value, bool) or not isinstance(value, int) or value < 1):
                 raise ValueError(f"{name}: got {value!r}, expected a positive integer (samples a pixel), or None")

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
+from warp_psdr.boundary.faces import face_tables
 from warp_psdr.boundary.methods import DEFAULT_CANDIDATES, EdgeSampling, Method, PathSpace
 from warp_psdr.boundary.motion import Motion, motion
 from warp_psdr.curves import moving_curves, scene_curves
@@ -23,6 +24,7 @@ from warp_psdr.kernels.boundary.bent import make_bent_kernel
 from warp_psdr.kernels.boundary.curve import make_curve_kernel
 from warp_psdr.kernels.boundary.edge_sampling import make_edge_sampling_kernel
 from warp_psdr.kernels.boundary.edge_tree import MAX_SPLIT
+from warp_psdr.kernels.boundary.line_search import make_line_search_kernel
 from warp_psdr.kernels.boundary.primary import make_primary_kernel
 from warp_psdr.kernels.boundary.secondary import make_secondary_kernel
 from warp_psdr.kernels.boundary.terminator import make_terminator_kernel
@@ -44,6 +46,9 @@ WEDGE_SHARE_DIRECT, WEDGE_SHARE = 0.1, 0.5
 PRIMARY, SECONDARY, TERMINATOR, CURVE, BENT, EDGE_SAMPLING = 0, 1, 2, 3, 4, 5
 #: Lights that only a direction of their own reaches.
 DELTA_LIGHTS = (c.EMITTER_POINT, c.EMITTER_SPOT, c.EMITTER_DIRECTIONAL)
+THROUGH_MIRRORS = 100
+#: Models that scatter in delta lobes only.
+DELTA_MODELS = frozenset({c.BSDF_CONDUCTOR, c.BSDF_DIELECTRIC})
 
 
 @dataclass(frozen=True)
@@ -99,6 +104,11 @@ class Request:
         return replace(self.plan.config, sampler="independent")
 
     @property
+    def scatters_smoothly(self) -> bool:
+        """Whether any surface is more than a mirror or glass: only then can a path vertex be connected to another."""
+        return not DELTA_MODELS.issuperset(self.config.bsdfs)
+
+    @property
     def method(self) -> Method:
         """The method, with its sample counts."""
         assert self.plan.boundary is not None
@@ -144,6 +154,8 @@ def secondary(r: Request) -> Term | None:
     """Return the term of shadow edges and their like: visibility between two path vertices."""
     if r.plan.max_depth == 1 or not r.scene.builder.emitters or not r.moves.edges:
         return None
+    if not r.scatters_smoothly:
+        return None
     edges = secondary_edges(r.scene, set(r.moves.shapes))
     if edges is None:
         return None
@@ -167,7 +179,7 @@ def curve(r: Request) -> Term | None:
     """Return the term of path vertices on curves of intersection."""
     if r.plan.max_depth == 1 or not r.scene.builder.emitters:
         return None
-    if r.plan.max_depth == 2 and not r.config.area:
+    if (r.plan.max_depth == 2 and not r.config.area) or not r.scatters_smoothly:
         return None
     edges = curve_edges(r.scene, _curves(r, camera_moves=False))
     if edges is None:
@@ -181,7 +193,7 @@ def curve(r: Request) -> Term | None:
 
 def bent(r: Request) -> Term | None:
     """Return the term of the curves where interpolated normals turn away from other path vertices."""
-    if 0 <= r.plan.max_depth <= 2 or not r.scene.builder.emitters:
+    if 0 <= r.plan.max_depth <= 2 or not r.scene.builder.emitters or not r.scatters_smoothly:
         return None
     found = bent_choice(r.scene)
     if found is None:
@@ -233,8 +245,21 @@ def hard_shadows(r: Request) -> Term | None:
     return Term(kernel, lambda first, adjoint: [*head, first, *tail, adjoint], samples)
 
 
+def through_mirrors(r: Request) -> Term | None:
+    """Return the term of what is seen through smooth mirrors and glass."""
+    if not r.config.scatter or DELTA_MODELS.isdisjoint(r.config.bsdfs) or not r.scene.face_count:
+        return None
+    assert r.plan.wanted is not None
+    edges, tables = face_tables(r.scene)
+    samples = r.pixels * (r.method.spp_mirrors or r.spp)
+    head = [r.scene.data(), r.camera, edges, tables]
+    tail = [samples, mix_seed(r.seed, THROUGH_MIRRORS), r.plan.max_depth, r.plan.rr_depth]
+    kernel = make_line_search_kernel(r.config, r.plan.wanted, r.role, r.moves.light_pose)
+    return Term(kernel, lambda first, adjoint: [*head, first, *tail, adjoint], samples)
+
+
 #: What each method consists of.
 TERMS: dict[type[Method], tuple[Callable[[Request], Term | None], ...]] = {
-    PathSpace: (primary, terminator, secondary, curve, bent),
+    PathSpace: (primary, terminator, secondary, curve, bent, through_mirrors),
     EdgeSampling: (primary, terminator, edge_sampling, hard_shadows, curve, bent),
 }

@@ -1,0 +1,376 @@
+"""What a line crosses where the identity of the chain changes, and the implicit equation phi = 0 of that curve.
+
+Two rays on either side of the crossing are followed in step until they differ at the i-th vertex x of the chain:
+
+* an edge: phi = m . (x_b - o - t d), m = tangent x d, for the ray (o, d) that passes the edge at x_b. In a block that
+  starts at a smooth vertex y the first vertex behind it is a material point c (or at infinity), and on the first
+  segment only the background counts:  phi = m . (x_b - (1 - tau) y - tau c), the local form;
+* a shadow's edge: the same for the segment from x to a point, spot or directional light;
+* the terminator of interpolated normals, where the ray arrives edge-on: phi = n . (o - x);
+* the horizon of a mirror or glass with such normals, where its lobe leaves along the surface: phi = n_g . d.
+
+Each is a linear form in the velocities of the edge, the vertex, the ray and the light, so phi' is that form pulled back
+along the path, and its gradient in q that form applied to the ray differentials.
+"""
+
+import functools
+
+import warp as wp
+
+from warp_psdr.kernels.boundary.chain import (
+    MEETS_DELTA,
+    MEETS_SMOOTH,
+    Block,
+    Link,
+    is_delta_light,
+    make_lit,
+    make_meet,
+    make_start,
+    transmits,
+)
+from warp_psdr.kernels.boundary.chain_pullback import Visit
+from warp_psdr.kernels.boundary.local_form import EdgePoint, Edges
+from warp_psdr.kernels.boundary.ray_differential import (
+    RayDifferential,
+    make_point_differential,
+    scattered_differential,
+)
+from warp_psdr.kernels.boundary.transport import Segment
+from warp_psdr.kernels.bvh.wide import make_intersect
+from warp_psdr.kernels.constants import FAR, LOBE_NONE
+from warp_psdr.kernels.emitter.dispatch import DELTA_LIGHTS, make_lights
+from warp_psdr.kernels.path import PathConfig
+from warp_psdr.kernels.structs import Camera, Scene
+from warp_psdr.kernels.surface import VertexAdjoint, load_vec3, normalize_vjp
+
+#: A hit counts as on the rim of its triangle within this fraction of the height above it, or this many ray epsilons.
+RIM_FRACTION = 2.0e-3
+RIM_EPSILONS = 50.0
+#: Two hits count as equally far within this fraction of their distance.
+TIE = 1.0e-4
+
+
+@wp.struct
+class Tables:
+    """What is known of the faces. An edge is smooth where neither radiance nor normal jumps across it."""
+
+    group: wp.array(dtype=wp.int32)  # coplanar neighbours are one
+    bent: wp.array(dtype=wp.int32)  # 1: interpolated normals differ from the face's
+    face_edges: wp.array(dtype=wp.int32)  # (3 n) edge opposite of each corner; -1: none
+    smooth_edge: wp.array(dtype=wp.int32)
+
+
+@wp.struct
+class Crossing:
+    """A curve in the domain of q, as the adjoint of phi."""
+
+    valid: wp.int32
+    side: wp.int32  # 0: the integrand jumps; +1, -1: it counts on that side of the line only
+    phi_a: wp.float32  # derivatives of phi along the line and across it
+    phi_b: wp.float32
+    edge: wp.int32  # 1: ``point`` and ``segment`` hold the edge
+    point: EdgePoint
+    segment: Segment
+    last: wp.int32  # where the pull-back starts (``chain_pullback.py``)
+    start: VertexAdjoint
+    o_before: wp.vec3
+    a_o: wp.vec3
+    a_d: wp.vec3
+
+
+@wp.struct
+class Rim:
+    """The edge of a triangle that is nearest to a point of it."""
+
+    edge: wp.int32
+    near: wp.float32  # distance over what counts as on the rim
+
+
+@wp.func
+def rim_of(scene: Scene, tables: Tables, face: wp.int32, u: wp.float32, v: wp.float32) -> Rim:
+    r = Rim()
+    r.edge = -1
+    r.near = FAR
+    tri = scene.triangles[face]
+    area = wp.length(wp.cross(tri.p1 - tri.p0, tri.p2 - tri.p0))
+    best = wp.float32(FAR)
+    for k in range(3):
+        b = wp.where(k == 0, 1.0 - u - v, wp.where(k == 1, u, v))
+        side = wp.where(k == 0, tri.p2 - tri.p1, wp.where(k == 1, tri.p0 - tri.p2, tri.p1 - tri.p0))
+        height = area / wp.length(side)
+        distance = wp.abs(b) * height
+        if distance < best:
+            best = distance
+            r.edge = tables.face_edges[3 * face + k]
+            r.near = distance / wp.max(RIM_FRACTION * height, RIM_EPSILONS * scene.ray_epsilon)
+    return r
+
+
+@wp.func
+def point_on_edge(scene: Scene, edges: Edges, edge: wp.int32, x: wp.vec3) -> EdgePoint:
+    r = EdgePoint()
+    r.edge = edge
+    r.pdf = 1.0
+    r.p0 = load_vec3(scene.values, scene.positions + 3 * edges.ends[edge, 0])
+    r.p1 = load_vec3(scene.values, scene.positions + 3 * edges.ends[edge, 1])
+    along = r.p1 - r.p0
+    r.s = wp.clamp(wp.dot(x - r.p0, along) / wp.dot(along, along), 0.0, 1.0)
+    r.x = (1.0 - r.s) * r.p0 + r.s * r.p1
+    return r
+
+
+@wp.func
+def of_edge(edges: Edges, edge: wp.int32, face: wp.int32) -> wp.bool:
+    found = wp.bool(False)
+    for i in range(edges.first[edge], edges.first[edge + 1]):
+        if edges.faces[i] == face:
+            found = True
+    return found
+
+
+@wp.func
+def smooth_between(edges: Edges, tables: Tables, a: wp.int32, b: wp.int32) -> wp.int32:
+    """Return the smooth edge between two faces, -1: there is none."""
+    found = wp.int32(-1)
+    for k in range(3):
+        edge = tables.face_edges[3 * a + k]
+        if edge >= 0:
+            if tables.smooth_edge[edge] == 1 and of_edge(edges, edge, b):
+                found = edge
+    return found
+
+
+@wp.func
+def joined(scene: Scene, edges: Edges, tables: Tables, a: Link, b: Link) -> wp.bool:
+    """Whether two neighbouring rays meet one surface."""
+    if tables.group[a.face] == tables.group[b.face]:
+        return True
+    if smooth_between(edges, tables, a.face, b.face) < 0:
+        return False
+    tri = scene.triangles[a.face]
+    return wp.length(a.x - b.x) <= 0.01 * wp.length(tri.p1 - tri.p0) + RIM_EPSILONS * scene.ray_epsilon
+
+
+@functools.cache
+def make_crossing(config: PathConfig):
+    """Return ``crossing(scene, camera, edges, tables, block, low, high, a, b, visits, count, max_depth) -> Crossing``.
+
+    ``a`` and ``b`` are the differentials of the first ray along the line and across it; ``visits[:count]`` is the path
+    up to the block, to which the chain's vertices are added.
+    """
+    start_at = make_start(config.camera)
+    meet = make_meet(config)
+    lit = make_lit(config)
+    point_differential = make_point_differential(config.smooth, config.flat)
+    closest_hit, _any_hit = make_intersect(config.ray_backend, config.ray_width)
+    kinds = tuple(k for k in config.lights if k in DELTA_LIGHTS)
+    sample_light = make_lights(kinds, None, ()).sample if kinds else None
+
+    @wp.func
+    def edge_crossing(
+        scene: Scene,
+        edges: Edges,
+        tables: Tables,
+        block: Block,
+        low: Link,
+        high: Link,
+        x: wp.vec3,
+        a: RayDifferential,
+        b: RayDifferential,
+        i: wp.int32,
+        count: wp.int32,
+    ) -> Crossing:
+        r = Crossing()
+        t_low = wp.float32(FAR)
+        t_high = wp.float32(FAR)
+        rim_low = Rim()
+        rim_low.near = FAR
+        rim_high = Rim()
+        rim_high.near = FAR
+        if low.face >= 0:
+            t_low = wp.length(low.x - x)
+            rim_low = rim_of(scene, tables, low.face, low.u, low.v)
+        if high.face >= 0:
+            t_high = wp.length(high.x - x)
+            rim_high = rim_of(scene, tables, high.face, high.u, high.v)
+        tie = wp.abs(t_low - t_high) <= TIE * wp.min(t_low, t_high) + RIM_EPSILONS * scene.ray_epsilon
+        own_low = wp.where(tie, rim_low.near <= rim_high.near, t_low <= t_high)
+        own = wp.where(own_low, rim_low.edge, rim_high.edge)
+        near = wp.where(own_low, rim_low.near, rim_high.near)
+        if near > 1.0 or own < 0:
+            return r
+        hit = wp.where(own_low, low.x, high.x)
+        r.edge = 1
+        r.point = point_on_edge(scene, edges, own, hit)
+        t1 = wp.length(r.point.x - x)
+        d = (r.point.x - x) / t1
+        m = wp.cross(r.point.p1 - r.point.p0, d)
+        r.segment.x = r.point.x
+        r.segment.w = d
+        r.segment.sweep = m
+        r.segment.t1 = t1
+        r.segment.face2 = -1
+        r.segment.light = -1
+        r.last = count + i - 1
+        tau = wp.float32(0.0)
+        if block.film == 0 and i == 0:
+            # The local form: the background is a material point.
+            face = wp.where(own_low, high.face, low.face)
+            t2 = wp.where(own_low, t_high, t_low)
+            r.side = wp.where(own_low, 1, -1)
+            if block.first == 0:
+                return r
+            if face >= 0:
+                shared = edges.ends[own, 0] == edges.twins[own, 0] and edges.ends[own, 1] == edges.twins[own, 1]
+                if shared and of_edge(edges, own, face):
+                    return r
+                tau = wp.min(t1 / t2, 1.0)
+                r.segment.face2 = face
+                r.segment.u2 = wp.where(own_low, high.u, low.u)
+                r.segment.v2 = wp.where(own_low, high.v, low.v)
+                r.segment.tau = tau
+            r.a_o = -(1.0 - tau) * m
+        else:
+            r.a_o = -m
+            r.a_d = -t1 * m
+        r.phi_a = -wp.dot(m, a.o + t1 * a.d)
+        r.phi_b = -wp.dot(m, b.o + t1 * b.d)
+        r.valid = 1
+        return r
+
+    @wp.func
+    def crossing(
+        scene: Scene,
+        camera: Camera,
+        edges: Edges,
+        tables: Tables,
+        block: Block,
+        low: wp.float32,
+        high: wp.float32,
+        first_a: RayDifferential,
+        first_b: RayDifferential,
+        visits: wp.array(dtype=Visit),
+        count: wp.int32,
+        max_depth: wp.int32,
+    ) -> Crossing:
+        r = Crossing()
+        ray = start_at(scene, camera, block, low)
+        other = start_at(scene, camera, block, high)
+        x = ray.x
+        o = ray.o
+        d = ray.d
+        o_high = other.o
+        d_high = other.d
+        t_max = ray.t_max
+        a = first_a
+        b = first_b
+        i = wp.int32(0)
+        more = wp.bool(True)
+        while more:
+            depth = block.depth + i
+            transmit = transmits(block, i)
+            p = meet(scene, o, d, t_max, depth, transmit, max_depth)
+            q = meet(scene, o_high, d_high, t_max, depth, transmit, max_depth)
+            more = False
+            if p.face < 0 and q.face < 0:
+                return r
+            same = p.face >= 0 and q.face >= 0
+            if same:
+                same = joined(scene, edges, tables, p, q)
+            if not same:
+                if block.film == 1 and i == 0:
+                    return r
+                return edge_crossing(scene, edges, tables, block, p, q, x, a, b, i, count)
+            visit = Visit()
+            visit.face = p.face
+            visit.u = p.u
+            visit.v = p.v
+            visit.o = x
+            visit.d = d
+            visit.lobe = wp.where(p.kind == MEETS_DELTA, p.lobe, LOBE_NONE)
+            visit.attached = wp.where(i > 0 or block.film == 1, 1, 0)
+            visits[count + i] = visit
+            a_x = point_differential(scene, p, x, d, a)
+            b_x = point_differential(scene, p, x, d, b)
+            is_bent = tables.bent[p.face] == 1 and tables.bent[q.face] == 1
+            if is_bent and p.facing != q.facing:
+                if i == 0 and block.first == 0:
+                    return r
+                to = x - p.x
+                r.last = count + i
+                r.start.x = -p.n
+                r.start.n = to
+                r.o_before = p.n
+                r.phi_a = wp.dot(p.n, a.o - a_x.x) + wp.dot(a_x.n, to)
+                r.phi_b = wp.dot(p.n, b.o - b_x.x) + wp.dot(b_x.n, to)
+                r.valid = 1
+                return r
+            if p.kind == MEETS_SMOOTH and q.kind == MEETS_SMOOTH:
+                if wp.static(lit is not None):
+                    if (i > 0 or block.first == 1) and depth + 1 < max_depth:
+                        shared = smooth_between(edges, tables, p.face, q.face)
+                        for k in range(scene.emitters.shape[0]):
+                            if r.valid == 0 and is_delta_light(scene.emitters[k].kind):
+                                lit_low = lit(scene, p.x, p.ng, k)
+                                lit_high = lit(scene, q.x, q.ng, k)
+                                if lit_low != lit_high:
+                                    if p.face != q.face and shared >= 0:
+                                        # The light meets the back of one of two faces: it jumps at their edge.
+                                        if i > 0:
+                                            return edge_crossing(scene, edges, tables, block, p, q, x, a, b, i, count)
+                                    else:
+                                        dark_x = wp.where(lit_low, q.x, p.x)
+                                        dark_ng = wp.where(lit_low, q.ng, p.ng)
+                                        ls = sample_light(scene, scene.emitters[k], dark_x, wp.vec2(0.5, 0.5))
+                                        turn = wp.where(
+                                            wp.dot(dark_ng, ls.wi) >= 0.0, scene.ray_epsilon, -scene.ray_epsilon
+                                        )
+                                        hit = closest_hit(scene.accel, dark_x + turn * dark_ng, ls.wi, ls.distance)
+                                        if hit.face >= 0:
+                                            rim = rim_of(scene, tables, hit.face, hit.u, hit.v)
+                                            if rim.near <= 1.0 and rim.edge >= 0:
+                                                tri = scene.triangles[hit.face]
+                                                met = (1.0 - hit.u - hit.v) * tri.p0 + hit.u * tri.p1 + hit.v * tri.p2
+                                                r.edge = 1
+                                                r.point = point_on_edge(scene, edges, rim.edge, met)
+                                                t1 = wp.length(r.point.x - p.x)
+                                                w = (r.point.x - p.x) / t1
+                                                m = wp.cross(r.point.p1 - r.point.p0, w)
+                                                r.segment.x = r.point.x
+                                                r.segment.w = w
+                                                r.segment.sweep = m
+                                                r.segment.t1 = t1
+                                                r.segment.face2 = -1
+                                                r.segment.light = k
+                                                if ls.distance < 0.5 * FAR:
+                                                    r.segment.tau = wp.min(t1 / ls.distance, 1.0)
+                                                r.last = count + i
+                                                r.start.x = -(1.0 - r.segment.tau) * m
+                                                r.phi_a = wp.dot(r.start.x, a_x.x)
+                                                r.phi_b = wp.dot(r.start.x, b_x.x)
+                                                r.valid = 1
+                return r
+            if p.kind == MEETS_DELTA and q.kind == MEETS_DELTA:
+                a = scattered_differential(p, d, a, a_x)
+                b = scattered_differential(p, d, b, b_x)
+                if is_bent and p.leaving != q.leaving:
+                    tri = scene.triangles[p.face]
+                    area = wp.length(wp.cross(tri.p1 - tri.p0, tri.p2 - tri.p0))
+                    r.last = count + i
+                    r.start.c = normalize_vjp(p.ng, area, scene.shapes[tri.shape].orientation * p.d)
+                    r.a_d = p.ng
+                    r.phi_a = wp.dot(p.ng, a.d)
+                    r.phi_b = wp.dot(p.ng, b.d)
+                    r.valid = 1
+                    return r
+                x = p.x
+                o = p.o
+                d = p.d
+                o_high = q.o
+                d_high = q.d
+                t_max = FAR
+                i += 1
+                more = True
+        return r
+
+    return crossing

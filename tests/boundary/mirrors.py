@@ -1,0 +1,131 @@
+"""Scenes whose discontinuities are seen through smooth mirrors and glass, and the rows of their table."""
+
+import numpy as np
+
+from .measure import Case
+from .scenes import SCENES, ball, box, camera, diffuse, floor, mesh, panel, sky
+from .test_table import moved, scaled, turned
+
+MIRROR = {"type": "conductor", "material": "none"}
+GLASS = {"type": "dielectric", "int_ior": 1.5, "ext_ior": 1.0}
+
+
+def lamp(center, radius, radiance=1.0):
+    emitter = {"type": "area", "radiance": {"type": "rgb", "value": [radiance, 0.8 * radiance, 0.6 * radiance]}}
+    return ball(center, radius, diffuse(0.0), emitter=emitter)
+
+
+def wall(z=0.8, y=1.2, half=1.6):
+    """A square mirror that faces -y."""
+    corners = [[-half, y, z - half], [half, y, z - half], [half, y, z + half], [-half, y, z + half]]
+    return mesh(corners, [[0, 1, 2], [0, 2, 3]], MIRROR)
+
+
+def behind(rfilter="tent"):
+    """A lamp and a thin post behind the camera, which sees them in a mirror only."""
+    post = box((0.7, -3.0, 0.6), (0.04, 0.04, 0.9), diffuse(0.0), 0.3)
+    post["emitter"] = {"type": "area", "radiance": {"type": "rgb", "value": [0.5, 1.0, 0.7]}}
+    return {
+        "sensor": camera((0.3, -2.0, 0.6), (0.0, 1.2, 0.6), rfilter=rfilter),
+        "mirror": wall(),
+        "lamp": lamp((-0.6, -3.2, 0.9), 0.5),
+        "post": post,
+    }
+
+
+def shadow(light):
+    """A shadow on the floor, seen also in a mirror."""
+    return {
+        "sensor": camera((0.3, -2.6, 1.2), (0.0, 1.2, 0.6), fov=45.0),
+        "mirror": wall(1.7),
+        "floor": floor(),
+        "occluder": ball((-0.2, -0.4, 0.9), 0.35, diffuse(0.3, 0.5, 0.7)),
+        "light": light,
+    }
+
+
+def glass(shape):
+    """Two lamps behind glass."""
+    return {
+        "sensor": camera((0.0, -4.0, 0.4), (0.0, 0.0, 0.0), fov=30.0),
+        "glass": shape,
+        "lamp": lamp((0.4, 2.0, 0.5), 0.5),
+        "other": lamp((-0.8, 2.5, -0.6), 0.7, 0.5),
+    }
+
+
+def caustic():
+    """A light that turns its back on the floor reaches it by way of a mirror alone."""
+    light = {"type": "area", "radiance": {"type": "rgb", "value": [8.0, 7.0, 6.0]}}
+    corners = [[-1.5, -1.9, 0.5], [1.5, -1.9, 0.5], [1.5, -1.9, 2.5], [-1.5, -1.9, 2.5]]
+    return {
+        "sensor": camera((0.0, -5.5, 2.5), (0.0, -3.0, 0.0), fov=30.0),
+        "floor": mesh([[-2, -4, 0], [2, -4, 0], [2, -2.1, 0], [-2, -2.1, 0]], [[0, 1, 2], [0, 2, 3]], diffuse(0.7)),
+        "mirror": wall(1.7, 0.0, 2.5),
+        "lamp": mesh(corners, [[0, 2, 1], [0, 3, 2]], diffuse(0.0), emitter=light),
+        "occluder": box((0.3, -0.8, 0.6), (0.3, 0.1, 0.3), diffuse(0.0), 0.4),
+    }
+
+
+def point(intensity=20.0):
+    return {"type": "point", "position": [0.6, -0.9, 3.0], "intensity": {"type": "rgb", "value": intensity}}
+
+
+SCENES.update(
+    {
+        "behind": behind,
+        "behind box": lambda: behind("box"),
+        "point in a mirror": lambda: shadow(point()),
+        "soft in a mirror": lambda: shadow(panel((0.5, -0.8, 2.2), 0.5)),
+        "slab": lambda: glass(box((0.0, 0.0, 0.0), (1.0, 0.3, 0.8), GLASS, 0.5)),
+        "faceted glass": lambda: glass(ball((0.0, 0.0, 0.0), 0.7, GLASS)),
+        "glass ball": lambda: glass(ball((0.0, 0.0, 0.0), 0.7, GLASS, subdivisions=2, smooth=True)),
+        "mirror ball": lambda: {
+            **behind(),
+            "mirror": ball((0.0, 1.5, 0.6), 1.0, MIRROR, subdivisions=2, smooth=True),
+            "lamp": lamp((-1.6, -2.6, 1.9), 0.9),
+        },
+        "caustic": caustic,
+        "mirror and sky": lambda: {**behind(), "sky": sky(0.3)},
+    }
+)
+
+ALONG = moved(1.0, 0.3, 0.4)
+LAMP, WALL, GLASSES, ETA = (
+    "lamp.vertex_positions",
+    "mirror.vertex_positions",
+    "glass.vertex_positions",
+    "glass.bsdf.eta",
+)
+CAMERA, OCCLUDER, POST = "sensor.to_world", "occluder.vertex_positions", "post.vertex_positions"
+MANY = {"spp": 2048, "difference_spp": 8192}
+CASES = [
+    # Objects in a flat mirror.
+    Case("behind", LAMP, ALONG, 0.01, "lamp moves", **MANY),
+    Case("behind box", LAMP, scaled, 0.01, "lamp scales", **MANY),
+    Case("behind", POST, ALONG, 0.005, "thin post moves", **MANY),
+    Case("behind", WALL, turned(2), 0.002, "mirror turns", **MANY),
+    Case("behind", CAMERA, ALONG, 0.01, "camera moves", **MANY),
+    # In a curved one.
+    Case("mirror ball", WALL, ALONG, 0.002, "mirror moves", **MANY),
+    Case("mirror ball", LAMP, ALONG, 0.01, "lamp moves", **MANY),
+    # Through glass.
+    Case("slab", LAMP, ALONG, 0.01, "lamp moves", depth=4, spp=512, difference_spp=2048, slow=False),
+    Case("slab", GLASSES, turned(2), 0.01, "slab turns", depth=4, **MANY),
+    Case("slab", ETA, np.ones_like, 0.01, "index changes", depth=4, **MANY),
+    Case("faceted glass", GLASSES, ALONG, 0.005, "glass moves", depth=4, spp=256, difference_spp=2048, slow=False),
+    Case("faceted glass", ETA, np.ones_like, 0.005, "index changes", depth=4, **MANY),
+    Case("glass ball", LAMP, ALONG, 0.01, "lamp moves", depth=4, spp=1024, difference_spp=4096),
+    Case("glass ball", GLASSES, ALONG, 0.002, "glass moves", depth=4, **MANY),
+    Case("glass ball", ETA, np.ones_like, 0.005, "index changes", depth=4, **MANY),
+    # Light that mirrors throw on a floor.
+    Case("caustic", LAMP, scaled, 0.05, "lamp scales", depth=3, **MANY),
+    Case("caustic", WALL, moved(0.0, 1.0, 0.3), 0.05, "mirror moves", depth=3, **MANY),
+    Case("caustic", OCCLUDER, scaled, 0.05, "occluder scales", depth=3, **MANY),
+    # Shadows in a mirror.
+    Case("point in a mirror", OCCLUDER, ALONG, 0.01, "occluder moves", depth=3, spp=512, difference_spp=2048),
+    Case("point in a mirror", "light.position", ALONG, 0.02, "light moves", depth=3, **MANY),
+    Case("point in a mirror", WALL, turned(2), 0.005, "mirror turns", depth=3, **MANY),
+    Case("soft in a mirror", OCCLUDER, ALONG, 0.02, "occluder moves", depth=3, spp=1024, difference_spp=4096),
+    Case("soft in a mirror", "light.vertex_positions", ALONG, 0.02, "light moves", depth=3, **MANY),
+]

@@ -1,0 +1,71 @@
+"""Discontinuities seen through chains of smooth mirrors and glass: slopes on finite differences, modes, refusals."""
+
+import numpy as np
+import pytest
+
+import warp_psdr as psdr
+
+from .measure import Case, assert_agrees, derivatives, differences, slope
+from .mirrors import CASES, ETA, GLASSES, LAMP, WALL
+from .scenes import load
+
+
+@pytest.mark.parametrize("mode", ["forward", "reverse"])
+@pytest.mark.parametrize(
+    "case", [pytest.param(c, id=str(c), marks=[pytest.mark.slow] if c.slow else []) for c in CASES]
+)
+def test_derivatives_equal_finite_differences(case: Case, mode: str) -> None:
+    assert_agrees(derivatives(case, mode), differences(case)[2])
+
+
+@pytest.mark.parametrize("case", [c for c in CASES if not c.slow], ids=str)
+def test_the_table_can_tell_a_missing_boundary_term(case: Case) -> None:
+    value, error = slope(derivatives(case, "forward", None), differences(case)[2])
+    assert abs(value - 1.0) > 0.05 + 3.0 * error
+
+
+@pytest.mark.parametrize(
+    ("name", "names", "depth"),
+    [
+        ("glass ball", [GLASSES, ETA, LAMP, "sensor.to_world"], 4),
+        pytest.param("caustic", [WALL, LAMP, "occluder.vertex_positions", "floor.to_world"], 3, marks=pytest.mark.slow),
+        pytest.param("point in a mirror", ["light.position", WALL, "floor.to_world"], 3, marks=pytest.mark.slow),
+    ],
+)
+def test_the_modes_are_transposes_of_each_other(name, names, depth) -> None:
+    scene, params = load(name)
+    random = np.random.default_rng(1)
+    tangents = {n: random.normal(size=params[n].numpy().shape).astype(np.float32) for n in names}
+    for t in tangents.values():
+        if t.shape == (4, 4):
+            t[3] = 0.0
+    adjoint = random.uniform(0.5, 1.5, (16, 16, 3)).astype(np.float32)
+    options = {"integrator": psdr.PathIntegrator(max_depth=depth), "spp": 16, "seed": 3}
+    image = psdr.render_forward(scene, params, tangents, **options).numpy().astype(np.float64)
+    params.requires_grad(*names)
+    params.zero_grad()
+    psdr.render_backward(scene, params, adjoint, **options)
+    total = sum(float((params[n].grad.numpy().astype(np.float64) * tangents[n]).sum()) for n in names)
+    scale = float((adjoint * np.abs(image)).sum())
+    assert scale > 1.0
+    # Absorbs float32 sums in another order: equal random numbers otherwise.
+    assert total == pytest.approx(float((adjoint * image).sum()), abs=1e-4 * scale)
+
+
+def test_a_path_without_end_is_refused() -> None:
+    scene, _params = load("slab")
+    for depth in (-1, 17):
+        with pytest.raises(ValueError, match="set max_depth to 16"):
+            psdr.plan(scene, names=[LAMP], integrator=psdr.PathIntegrator(max_depth=depth))
+    assert psdr.plan(scene, names=[LAMP], integrator=psdr.PathIntegrator(max_depth=16)).boundary is not None
+
+
+def test_the_plan_names_the_search() -> None:
+    scene, _params = load("slab")
+    assert "through mirrors and glass: line search" in str(
+        psdr.plan(scene, names=[LAMP], integrator=psdr.PathIntegrator(max_depth=4))
+    )
+    plain, _params = load("soft")
+    assert "line search" not in str(
+        psdr.plan(plain, names=["occluder.vertex_positions"], integrator=psdr.PathIntegrator(max_depth=2))
+    )

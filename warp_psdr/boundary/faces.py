@@ -1,0 +1,68 @@
+"""What the line search knows of the faces: which of them are one surface, and which edges they have."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import warp as wp
+
+from warp_psdr.edges import bent_faces, every_edge, scene_adjacency
+from warp_psdr.kernels.boundary.discontinuity import Tables
+from warp_psdr.kernels.boundary.local_form import Edges
+from warp_psdr.kernels.constants import TEXTURE_FACE
+
+if TYPE_CHECKING:
+    from warp_psdr.edges import Adjacency
+    from warp_psdr.scene.scene import Scene
+
+
+def face_tables(scene: Scene) -> tuple[Edges, Tables]:
+    """Return every edge of a scene and, of every face, its edges, its group of coplanar neighbours, and its normals."""
+    found = scene_adjacency(scene)
+    edges = every_edge(scene, found)
+    smooth = smooth_edges(scene, found)
+    tables = Tables()
+    for name, values in (
+        ("group", _groups(scene.face_count, found, smooth & (found.wedge == 0.0))),
+        ("bent", bent_faces(scene)),
+        ("face_edges", _face_edges(scene, found).reshape(-1)),
+        ("smooth_edge", smooth),
+    ):
+        setattr(tables, name, wp.array(values.astype(np.int32), dtype=wp.int32, device=scene.device))
+    return edges, tables
+
+
+def smooth_edges(scene: Scene, edges: Adjacency) -> np.ndarray:
+    """Return a mask of the edges inside of one shape across which neither normal nor texture jumps."""
+    shapes = scene.builder.shapes
+    shape = scene.builder.face_shape[edges.faces[edges.first[:-1]]]
+    interpolated = np.array([s.smooth == 1 for s in shapes])[shape]
+    # A bitmap on a shape without texture coordinates reads barycentrics, a face attribute jumps at every edge.
+    unmapped = np.array([s.has_uv == 0 for s in shapes])[shape]
+    textured = any(t.width > 0 for t in scene.builder.textures)
+    stepped = any(t.kind == TEXTURE_FACE for t in scene.builder.textures) | (unmapped & textured)
+    shared = (edges.count == 2) & (edges.ends == edges.twins).all(axis=1)
+    return shared & ~stepped & (interpolated | (edges.wedge == 0.0))
+
+
+def _groups(faces: int, edges: Adjacency, joins: np.ndarray) -> np.ndarray:
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    start = edges.first[:-1][joins]
+    pairs = edges.faces[start], edges.faces[start + 1]
+    return connected_components(coo_matrix((np.ones(len(start)), pairs), shape=(faces, faces)), directed=False)[1]
+
+
+def _face_edges(scene: Scene, edges: Adjacency) -> np.ndarray:
+    """Return (faces, 3): the edge opposite of each corner, which is farthest from it; -1: a face of no area."""
+    points = scene.values.numpy()[scene.positions : scene.positions + 3 * scene.vertex_count].reshape(-1, 3)
+    edge = np.repeat(np.arange(len(edges.length)), edges.count)
+    corners = points[scene.builder.indices[edges.faces]].astype(np.float64)
+    ends = points[edges.ends[edge]].astype(np.float64)
+    along = ends[:, 1] - ends[:, 0]
+    opposite = np.linalg.norm(np.cross(corners - ends[:, :1], along[:, None]), axis=2).argmax(axis=1)
+    found = np.full((scene.face_count, 3), -1, np.int32)
+    found[edges.faces, opposite] = edge
+    return found
