@@ -48,8 +48,10 @@ class PathSpace(Method):
     """Multi-directional sampling of boundary paths [ZMY*20] (``kernels/boundary/``), unguided.
 
     Unbiased for triangle meshes with moving shapes, which may run through each other and interpolate normals, area,
-    environment, point, spot and directional lights, and a moving camera, at any depth. Not covered, and
-    refused: smooth mirrors and glass, hidden emitters, and textures with steps. Surfaces that merely touch are in
+    environment, point, spot and directional lights, and a moving camera, at any depth. Through smooth mirrors and
+    glass it searches along lines (``kernels/boundary/line_search.py``): a perspective camera, 16 path vertices at most,
+    and surfaces that do not run through each other. Not covered, and refused: hidden emitters, and textures with steps.
+    Surfaces that merely touch are in
     contact: what changes when they move apart, or into each other, has no derivative and is left out.
     """
 
