@@ -51,8 +51,8 @@ class PathSpace(Method):
     environment, point, spot and directional lights, and a moving camera, at any depth. Through smooth mirrors and
     glass it searches along lines (``kernels/boundary/line_search.py``): a perspective camera, 16 path vertices at most,
     and surfaces that do not run through each other. Not covered, and refused: hidden emitters, and textures with steps.
-    Surfaces that merely touch are in
-    contact: what changes when they move apart, or into each other, has no derivative and is left out.
+    Surfaces that merely touch are in contact: what changes when they move apart, or into each other, has no derivative
+    and is left out.
     """
 
 
@@ -60,9 +60,9 @@ class PathSpace(Method):
 class EdgeSampling(Method):
     """Unidirectional edge sampling [LADL18]: silhouette edges as every vertex of a camera path sees them.
 
-    Unbiased, for what ``PathSpace`` covers. Edges are resampled by the line integral of the scattering lobe, half of
-    the samples towards a light (``kernels/boundary/edge_sampling.py``). Shadow edges of point, spot and directional
-    lights, which a path vertex cannot meet, are sampled from the edge, as ``PathSpace`` does.
+    Unbiased, for what ``PathSpace`` covers without mirrors and glass. Edges are resampled by the line integral of the
+    scattering lobe, half of the samples towards a light (``kernels/boundary/edge_sampling.py``). Shadow edges of point,
+    spot and directional lights, which a path vertex cannot meet, are sampled from the edge, as ``PathSpace`` does.
 
     Attributes:
         tree: choose edges by hierarchies over position and face planes; otherwise by length and angle alone.
