@@ -28,3 +28,18 @@ def find_interval(cdf: wp.array(dtype=wp.float32), first: wp.int32, count: wp.in
         else:
             high = middle
     return low
+
+
+@wp.func
+def find_interval_64(cdf: wp.array(dtype=wp.float32), first: wp.int32, count: wp.int32, u: wp.float64) -> wp.int32:
+    """``find_interval`` for a number in double precision, whose position within the entry is needed."""
+    v = wp.clamp(u, wp.float64(0.0), wp.float64(0.9999999999999999))
+    low = wp.int32(0)
+    high = wp.int32(count)
+    while high - low > 1:
+        middle = (low + high) // 2
+        if wp.float64(cdf[first + middle]) <= v:
+            low = middle
+        else:
+            high = middle
+    return low

@@ -220,10 +220,13 @@ FACTORIES = {
         ("reverse, simple", (SIMPLE, "reverse", False, False), SLOW),
         ("forward, textures", (TEXTURED, "forward", True, False), SLOW),
         ("reverse, lights", (ALL_LIGHTS, "reverse", True, True), SLOW),
+        ("reverse, guided, lights", (ALL_LIGHTS, "reverse", False, False, True), SLOW),
+        ("target, textures", (TEXTURED, "target", False, False), SLOW),
         ("forward, orthographic", (ORTHOGRAPHIC, "forward", True, False), SLOW),
         ("reverse, thin lens", (THIN_LENS, "reverse", True, False), SLOW),
         ("samples, simple", (SIMPLE, "samples", False, False), SLOW),
     ],
+    "guiding.facing.make_facing_kernel": [("simple", (SIMPLE,), FAST), ("lights", (ALL_LIGHTS,), SLOW)],
     "boundary.terminator.make_terminator_kernel": [
         ("reverse, materials", (MATERIALS, "reverse", True), SLOW),
         ("reverse, orthographic", (ORTHOGRAPHIC_SMOOTH, "reverse", True), SLOW),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from warp_psdr import boundary, interior, losses, optim
+from warp_psdr import boundary, guiding, interior, losses, optim
 from warp_psdr.acceleration import set_ray_backend
 from warp_psdr.options import PathIntegrator
 from warp_psdr.parameters import Parameters, traverse
@@ -28,6 +28,7 @@ __all__ = [
     "Transform",
     "boundary",
     "fit",
+    "guiding",
     "image_io",
     "interior",
     "load_dict",

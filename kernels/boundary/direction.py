@@ -1,4 +1,4 @@
-"""Directions of boundary segments at an edge point, unguided [ZMY*20, section 6.2].
+"""Directions of boundary segments at an edge point [ZMY*20, section 6.2].
 
 One-sample MIS (balance heuristic) of two techniques, in solid angle at x_b:
 
@@ -6,7 +6,8 @@ One-sample MIS (balance heuristic) of two techniques, in solid angle at x_b:
   b = t x a, a direction cos(phi) t + sin(phi) (cos(psi) a + sin(psi) b) sees both faces on one side of its plane with t
   unless psi, modulo pi, falls between the faces. cos(phi) and the remaining psi are uniform. At an open edge, or one
   of more than two faces, psi is uniform in the whole turn (and the segment is then tested);
-* a point of a light, by the light sampling of the path tracer, if it is the first thing that the segment meets.
+* a point of a light for which the edge is a silhouette, if it is the first thing that the segment meets
+  (``kernels/guiding/light_square.py``).
 
 A point, spot or directional light is reached from x_b in one direction only, which the second technique yields; the
 first cannot. There the integral of L_2 over dsigma is the irradiance that the light gives at x_b.
@@ -20,7 +21,7 @@ from warp_psdr.kernels.boundary.local_form import EdgePoint, Edges
 from warp_psdr.kernels.constants import INV_FOUR_PI, PI
 from warp_psdr.kernels.emitter.area import pdf_area
 from warp_psdr.kernels.emitter.dispatch import make_lights
-from warp_psdr.kernels.path import PathConfig, make_light_sampler
+from warp_psdr.kernels.path import PathConfig
 from warp_psdr.kernels.structs import Scene
 
 #: A light point counts as met if the segment's first hit lies within this fraction of its distance.
@@ -48,6 +49,10 @@ class Direction:
     irradiance: wp.vec3  # of that light at x_b, over its selection probability
     aimed: wp.int32  # 1: at a light point, which has to be the first hit
     distance: wp.float32
+    face: wp.int32  # of that point and its barycentrics; -1: the environment's
+    u: wp.float32
+    v: wp.float32
+    share: wp.float32  # of the light's triangle from which the point was drawn
 
 
 @wp.func
@@ -98,41 +103,14 @@ def wedge_square(wedge: Wedge, w: wp.vec3) -> wp.vec2:
 
 
 @functools.cache
-def make_direction(config: PathConfig):
-    """Return ``(sample_direction, pdf_light)``.
+def make_pdf_light(config: PathConfig):
+    """Return ``pdf_light(scene, face, w, t) -> float``: the solid-angle density of light sampling.
 
-    ``sample_direction(scene, wedge, x, share, u4, v4) -> Direction``: the wedge with probability ``share``.
-    ``pdf_light(scene, face, w, t) -> float``: solid-angle density of light sampling for a direction whose first hit is
-    ``face`` (-1: none) at distance t.
+    For a direction whose first hit is ``face`` (-1: none) at distance t.
     """
-    has_lights = bool(config.area or config.lights)
-    sample_light = make_light_sampler(config) if has_lights else None
     lights = make_lights(config.lights, None, ()) if config.lights else None
     environment_pdf = lights.environment_pdf if lights else None
     has_environment = environment_pdf is not None
-
-    @wp.func
-    def sample_direction(
-        scene: Scene, wedge: Wedge, x: wp.vec3, share: wp.float32, u4: wp.vec4, v4: wp.vec4
-    ) -> Direction:
-        r = Direction()
-        r.light = -1
-        if wp.static(has_lights):
-            if u4[0] >= share:
-                ls, index, probability = sample_light(scene, x, v4)
-                if ls.pdf > 0.0:
-                    r.w = ls.wi
-                    r.valid = 1
-                    r.distance = ls.distance
-                    if ls.delta == 1:
-                        r.light = index
-                        r.irradiance = ls.radiance / (ls.pdf * probability)
-                    else:
-                        r.aimed = 1
-                return r
-        r.w = wedge_direction(wedge, wp.vec2(u4[1], u4[2]))
-        r.valid = 1
-        return r
 
     @wp.func
     def pdf_light(scene: Scene, face: wp.int32, w: wp.vec3, t: wp.float32) -> wp.float32:
@@ -148,4 +126,4 @@ def make_direction(config: PathConfig):
                     pdf = pdf_area(scene, record, face, w, t) * record.probability
         return pdf
 
-    return sample_direction, pdf_light
+    return pdf_light

@@ -26,6 +26,7 @@ import functools
 
 import warp as wp
 
+from warp_psdr.kernels.distribution import find_interval_64
 from warp_psdr.kernels.sink import make_sink_vec3
 from warp_psdr.kernels.structs import Scene, Triangle
 
@@ -70,22 +71,21 @@ class EdgePoint:
 
 @wp.func
 def edge_point(scene: Scene, edges: Edges, sample: wp.int32, samples: wp.int32, jitter: wp.float32) -> EdgePoint:
-    """Stratified point on the edges: one number for the edge and for the position along it, in double precision.
+    """Stratified point on the edges."""
+    r = edge_at(scene, edges, (wp.float64(sample) + wp.float64(jitter)) / wp.float64(samples))
+    r.sample = sample
+    return r
 
-    The cumulative probabilities are multiples of 2^-24, so what a single float would lose at 10^5 edges stays exact.
+
+@wp.func
+def edge_at(scene: Scene, edges: Edges, u: wp.float64) -> EdgePoint:
+    """Point on the edges at a coordinate u in [0, 1) of their cumulative distribution.
+
+    One number for the edge and for the position along it, in double precision: the cumulative probabilities are
+    multiples of 2^-24, so what a single float would lose at 10^5 edges stays exact.
     """
     r = EdgePoint()
-    r.sample = sample
-    count = edges.cdf.shape[0] - 1
-    u = (wp.float64(sample) + wp.float64(jitter)) / wp.float64(samples)
-    low = wp.int32(0)
-    high = wp.int32(count)
-    while high - low > 1:
-        middle = (low + high) // 2
-        if wp.float64(edges.cdf[middle]) <= u:
-            low = middle
-        else:
-            high = middle
+    low = find_interval_64(edges.cdf, 0, edges.cdf.shape[0] - 1, u)
     r.edge = low
     probability = edges.cdf[low + 1] - edges.cdf[low]
     along = wp.clamp(wp.float32((u - wp.float64(edges.cdf[low])) / wp.float64(probability)), 0.0, 1.0)

@@ -8,6 +8,13 @@ point, the light itself, or at infinity, where tau = 0:
 
 * environment: a fixed world direction;
 * directional light: omega turns with the light, which moves the line at x_b by t_1 omega'.
+
+Samples are stratified over the edges (unguided), or drawn from cells (``kernels/guiding/``). The cells follow the
+integrand of their technique's coordinates, with the balance heuristic of equal shares folded in:
+
+    sum_k |W_k L_2| sin(phi) dl / du_0 / ( J_wedge / 2 + J_light / 2 ),                     (role "target")
+
+whatever the velocities are; 0 where nothing moves. So one structure serves every adjoint and every tangent.
 """
 
 import functools
@@ -15,20 +22,16 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
-from warp_psdr.kernels.boundary.direction import SAME_POINT, make_direction, pdf_wedge, wedge_at
-from warp_psdr.kernels.boundary.local_form import (
-    START_BEHIND,
-    EdgePoint,
-    Edges,
-    edge_point,
-    interior_side,
-    make_edge_sink,
-)
+from warp_psdr.kernels.boundary.direction import SAME_POINT, Direction, wedge_at
+from warp_psdr.kernels.boundary.local_form import START_BEHIND, EdgePoint, Edges, interior_side, make_edge_sink
 from warp_psdr.kernels.boundary.transport import Segment, make_source, make_transport
-from warp_psdr.kernels.bvh.wide import RayHit, make_intersect
+from warp_psdr.kernels.bvh.wide import make_intersect
 from warp_psdr.kernels.constants import EMITTER_DIRECTIONAL, EMITTER_POINT, FAR
+from warp_psdr.kernels.emitter.area import make_area
 from warp_psdr.kernels.emitter.directional import directional_dot
+from warp_psdr.kernels.emitter.dispatch import make_lights
 from warp_psdr.kernels.emitter.spot import load_column
+from warp_psdr.kernels.guiding.techniques import Guide, make_techniques, octant_point
 from warp_psdr.kernels.path import PathConfig
 from warp_psdr.kernels.rng import Sampler, make_sampler
 from warp_psdr.kernels.sink import make_sink, make_sink_vec3
@@ -36,26 +39,41 @@ from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.surface import VertexAdjoint, make_vertex_sink
 
 #: Sample slots of a segment; those of the walk follow (``transport.py``).
-SLOT_EDGE, SLOT_DIRECTION, SLOT_LIGHT = 0, 1, 2
+SLOT_EDGE, SLOT_DIRECTION = 0, 1
+
+
+@wp.func
+def moves(scene: Scene, moving: wp.array(dtype=wp.int32), face: wp.int32) -> wp.int32:
+    return moving[scene.triangles[face].shape]
 
 
 @functools.cache
 def make_segment(config: PathConfig):
-    """Return ``segment(scene, edges, point, u4, v4, share) -> Segment``."""
+    """Return ``segment(scene, edges, moving, point, direction, direct) -> Segment``, all but its scale.
+
+    What is cheap is tested first: most edges are no silhouette for most directions, and a segment between resting
+    things contributes nothing. ``direct``: only what x_2 itself emits counts.
+    """
     closest_hit, any_hit = make_intersect(config.ray_backend, config.ray_width)
-    sample_direction, pdf_light = make_direction(config)
+    emitted = make_area(config.area)[0] if config.area else None
+    lights = make_lights(config.lights, None, ()) if config.lights else None
+    environment_eval = lights.environment_eval if lights else None
+    has_environment = environment_eval is not None
 
     @wp.func
-    def segment(scene: Scene, edges: Edges, point: EdgePoint, u4: wp.vec4, v4: wp.vec4, share: wp.float32) -> Segment:
+    def segment(
+        scene: Scene,
+        edges: Edges,
+        moving: wp.array(dtype=wp.int32),
+        point: EdgePoint,
+        direction: Direction,
+        direct: wp.bool,
+    ) -> Segment:
         r = Segment()
         r.face2 = -1
         r.light = -1
-        wedge = wedge_at(scene, edges, point)
-        direction = sample_direction(scene, wedge, point.x, share, u4, v4)
-        if direction.valid == 0:
-            return r
         r.w = direction.w
-        m = wp.cross(wedge.t, r.w)
+        m = wp.cross(wp.normalize(point.p1 - point.p0), r.w)
         side = interior_side(scene, edges, point, m)
         sine = wp.length(m)
         if side == 0.0 or sine <= 0.0:
@@ -63,17 +81,53 @@ def make_segment(config: PathConfig):
         r.sweep = side * m
         r.x = point.x - (scene.ray_epsilon / sine) * r.sweep
         behind = START_BEHIND * scene.ray_epsilon
+        any_moves = wp.int32(0)
+        for i in range(edges.first[point.edge], edges.first[point.edge + 1]):
+            any_moves += moves(scene, moving, edges.faces[i])
         r.source = r.x - behind * r.w
-        # Towards the source, for all but point-like lights. A surface at the edge itself is a contact.
-        hit2 = RayHit()
         start1 = behind
-        if direction.light < 0:
+        # Towards the source. A surface at the edge itself hides what was aimed at, otherwise it is a contact.
+        if direction.light >= 0:
+            if any_hit(scene.accel, r.source, r.w, wp.min(direction.distance + behind, FAR)):
+                return r
+            r.light = direction.light
+            r.known = 1
+            r.radiance = direction.irradiance
+        elif direction.aimed == 1:
+            reach = wp.float32(FAR)
+            if direction.distance < 0.5 * FAR:
+                reach = (1.0 - SAME_POINT) * direction.distance + behind
+            if any_hit(scene.accel, r.source, r.w, reach):
+                return r
+            r.face2 = direction.face
+            r.u2 = direction.u
+            r.v2 = direction.v
+            r.t2 = direction.distance
+        else:
             hit2 = closest_hit(scene.accel, r.source, r.w, FAR)
+            r.face2 = hit2.face
+            r.u2 = hit2.u
+            r.v2 = hit2.v
+            r.t2 = wp.max(hit2.t - behind, 0.0)
             if hit2.face >= 0 and hit2.t <= behind + scene.ray_epsilon:
                 start1 = -behind
+        if r.light < 0:
+            if r.face2 >= 0:
+                any_moves += moves(scene, moving, r.face2)
+                if wp.static(bool(config.area)):
+                    emitter = scene.shapes[scene.triangles[r.face2].shape].emitter
+                    if emitter >= 0:
+                        r.radiance = emitted(scene, scene.emitters[emitter], r.face2, r.u2, r.v2, r.w)
+            else:
+                if wp.static(has_environment):
+                    r.radiance = environment_eval(scene, r.w)
+            if direct and wp.max(r.radiance) <= 0.0:
+                return r
         # Towards the sensor: from beyond the edge, but not from beyond a contact, which counts as x_2 only.
         hit1 = closest_hit(scene.accel, r.x + start1 * r.w, -r.w, FAR)
         if hit1.face < 0:
+            return r
+        if any_moves + moves(scene, moving, hit1.face) == 0:
             return r
         r.t1 = hit1.t - start1
         if r.t1 <= scene.ray_epsilon:
@@ -81,32 +135,11 @@ def make_segment(config: PathConfig):
         r.face1 = hit1.face
         r.u1 = hit1.u
         r.v1 = hit1.v
-        pdf = pdf_wedge(wedge)
-        if direction.light >= 0:
-            if any_hit(scene.accel, r.source, r.w, wp.min(direction.distance + behind, FAR)):
-                return r
-            r.light = direction.light
-            r.known = 1
-            r.radiance = direction.irradiance
+        if r.light >= 0:
             if direction.distance < 0.5 * FAR:
                 r.tau = r.t1 / (r.t1 + direction.distance)
-            pdf = 1.0 - share
-        else:
-            t2 = wp.max(hit2.t - behind, 0.0)
-            if direction.aimed == 1:
-                if direction.distance > 0.5 * FAR:
-                    if hit2.face >= 0:
-                        return r
-                elif wp.abs(t2 - direction.distance) > SAME_POINT * direction.distance or hit2.face < 0:
-                    return r
-            pdf = share * pdf + (1.0 - share) * pdf_light(scene, hit2.face, r.w, t2)
-            if hit2.face >= 0:
-                r.tau = r.t1 / (r.t1 + t2)
-                r.face2 = hit2.face
-                r.u2 = hit2.u
-                r.v2 = hit2.v
-        # pdf_l is a density of the fraction s; dl = |p1 - p0| ds.
-        r.scale = wp.length(point.p1 - point.p0) / (point.pdf * pdf)
+        elif r.face2 >= 0:
+            r.tau = r.t1 / (r.t1 + r.t2)
         r.valid = 1
         return r
 
@@ -159,20 +192,24 @@ def make_segment_sink(role: str, light_pose: bool):
 
 
 @functools.cache
-def make_secondary_kernel(config: PathConfig, role: str, camera_moves: bool, light_pose: bool):
+def make_secondary_kernel(config: PathConfig, role: str, camera_moves: bool, light_pose: bool, guided: bool = False):
     """Return the kernel of the secondary boundary term: one thread a sample.
 
     Args:
         config: what the scene needs.
-        role: "reverse" (``adjoint`` is read, ``target`` receives the gradient) or "forward" (``target`` holds the
-            tangents, ``image_out`` receives the derivative image), or "samples" (as "reverse", but ``target`` receives
-            what every sample is, see ``make_edge_sink``).
+        role: "reverse" (``adjoint`` is read, ``target`` receives the gradient), "forward" (``target`` holds the
+            tangents, ``image_out`` receives the derivative image), "samples" (as "reverse", but ``target`` receives
+            what every sample is, see ``make_edge_sink``), or "target" (``target`` receives the integrand that guiding
+            follows, at points of the cube that ``guide`` gives, see ``techniques.py``).
         camera_moves: a parameter of the camera is differentiated.
         light_pose: the position or direction of a point, spot or directional light is differentiated.
+        guided: segments are drawn from the cells in ``guide``.
     """
+    evaluates = role == "target"
     segment_at = make_segment(config)
-    push_segment = make_segment_sink(role, light_pose)
-    transport = make_transport(config, role, camera_moves, make_source(config))
+    push_segment = None if evaluates else make_segment_sink(role, light_pose)
+    transport = make_transport(config, role, camera_moves, make_source(config, True))
+    sample_aim, density, place = make_techniques(config, guided)
     draw = make_sampler(config.sampler)
     sample_1d = draw.sample_1d
     sample_4d = draw.sample_4d
@@ -183,13 +220,14 @@ def make_secondary_kernel(config: PathConfig, role: str, camera_moves: bool, lig
         scene: Scene,
         camera: Camera,
         edges: Edges,
+        moving: wp.array(dtype=wp.int32),
+        guide: Guide,
         # In:
         first: wp.int32,
         samples: wp.int32,
         seed: wp.uint32,
         max_depth: wp.int32,
         rr_depth: wp.int32,
-        share: wp.float32,
         adjoint: wp.array2d(dtype=wp.vec3),
         # Out:
         target: wp.array(dtype=wp.float32),
@@ -200,16 +238,44 @@ def make_secondary_kernel(config: PathConfig, role: str, camera_moves: bool, lig
         sampler = Sampler()
         sampler.pixel = wp.uint32(number)
         sampler.seed = seed
-        point = edge_point(scene, edges, number, samples, sample_1d(sampler, SLOT_EDGE))
-        s = segment_at(scene, edges, point, sample_4d(sampler, SLOT_DIRECTION), sample_4d(sampler, SLOT_LIGHT), share)
+        direct = max_depth == 2
+        u4 = sample_4d(sampler, SLOT_DIRECTION)
+        if wp.static(evaluates):
+            if guide.points.shape[0] > 0:
+                aim = place(scene, edges, guide.points[number], guide.technique)
+            else:
+                box = number // samples
+                u = octant_point(guide.low[box], guide.high[box], (number - box * samples) % 8, u4)
+                aim = place(scene, edges, u, guide.technique)
+        else:
+            jitter = u4[0]
+            if wp.static(not guided):
+                jitter = sample_1d(sampler, SLOT_EDGE)
+            aim = sample_aim(scene, edges, guide, (wp.float64(number) + wp.float64(jitter)) / wp.float64(samples), u4)
+        point = aim.point
+        point.sample = number
+        direction = aim.direction
+        if direction.valid == 0:
+            return
+        s = segment_at(scene, edges, moving, point, direction, direct)
         if s.valid == 0:
             return
+        wedge = wedge_at(scene, edges, point)
+        pdf = density(scene, edges, guide, wedge, aim, s.face2, s.u2, s.v2, s.t2)
+        # pdf_l is a density of the fraction s; dl = |p1 - p0| ds.
+        s.scale = wp.length(point.p1 - point.p0) / (point.pdf * pdf)
         rest = wp.float32(0.0)
+        scale = s.scale
         if wp.static(role == "forward"):
             rest = push_segment(scene, target, edges, point, s, 1.0)
-        scale = s.scale / wp.float32(samples)
+        if wp.static(evaluates):
+            scale *= wp.length(s.sweep)
+        else:
+            scale /= wp.float32(samples)
         weight = transport(scene, camera, sampler, s, scale, rest, max_depth, rr_depth, adjoint, target, image_out)
-        if wp.static(role != "forward"):
+        if wp.static(evaluates):
+            target[number] = weight
+        elif wp.static(role != "forward"):
             if weight != 0.0:
                 push_segment(scene, target, edges, point, s, weight)
 

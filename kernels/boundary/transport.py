@@ -34,6 +34,7 @@ class Segment:
     source: wp.vec3  # where the ray towards the source starts
     sweep: wp.vec3  # sin(phi) n
     t1: wp.float32
+    t2: wp.float32  # |x_2 - x_b|; not set for point-like lights
     tau: wp.float32
     scale: wp.float32  # 1 / (pdf_l pdf_sigma)
     face1: wp.int32
@@ -48,8 +49,11 @@ class Segment:
 
 
 @functools.cache
-def make_source(config: PathConfig):
-    """Return ``source(scene, sampler, segment, k, max_depth, rr_depth) -> vec3``: the radiance past the occluder."""
+def make_source(config: PathConfig, emission: bool = False):
+    """Return ``source(scene, sampler, segment, k, max_depth, rr_depth) -> vec3``: the radiance past the occluder.
+
+    ``emission``: ``segment.radiance`` is what x_2 emits, and all that counts where the path must end there.
+    """
     radiance = make_radiance(config)
 
     @wp.func
@@ -58,6 +62,9 @@ def make_source(config: PathConfig):
     ) -> wp.vec3:
         if s.known == 1:
             return s.radiance
+        if wp.static(emission):
+            if max_depth >= 0 and k + 1 >= max_depth:
+                return s.radiance
         return radiance(scene, sampler, s.source, s.w, FAR, k, max_depth, rr_depth)
 
     return source
@@ -100,14 +107,16 @@ def make_transport(config: PathConfig, role: str, camera_moves: bool, source: wp
 
     Args:
         config: what the scene needs.
-        role: "reverse", "forward" or "samples" (``secondary.py``).
+        role: "reverse", "forward", "samples" or "target" (``secondary.py``); the last adds up what counts, unweighted,
+            and neither reads nor writes derivatives.
         camera_moves: a parameter of the camera is differentiated.
         source: ``make_source`` or its like.
         least: number of path vertices behind x_1 without which ``source`` is zero.
     """
     connect, extend = make_walk(config)
-    push_first = make_first_sink(role)
-    push_camera = make_camera_sink(role, config.camera) if camera_moves else None
+    evaluates = role == "target"
+    push_first = None if evaluates else make_first_sink(role)
+    push_camera = make_camera_sink(role, config.camera) if camera_moves and not evaluates else None
     splat, gather = make_splat()
     lens_point = make_lens(config.camera)
     draw = make_sampler(config.sampler)
@@ -155,7 +164,9 @@ def make_transport(config: PathConfig, role: str, camera_moves: bool, source: wp
                 value = scale * wp.cw_mul(seen.weight, source(scene, branch, s, k, max_depth, rr_depth))
                 if wp.max(wp.abs(value)) > 0.0:
                     ray = (walk.x - seen.at.origin) / wp.length(walk.x - seen.at.origin)
-                    if wp.static(role != "forward"):
+                    if wp.static(evaluates):
+                        total += value[0] + value[1] + value[2]
+                    elif wp.static(role != "forward"):
                         w = wp.dot(gather(camera, seen.at.pixel, adjoint), value)
                         total += w
                         if k == 1:
@@ -184,7 +195,7 @@ def make_transport(config: PathConfig, role: str, camera_moves: bool, source: wp
                 u4 = sample_4d(sampler, SLOT_WALK + k)
                 walk = extend(scene, walk, u4, FAR, k >= rr_depth)
             k += 1
-        if wp.static(role != "forward"):
+        if wp.static(role != "forward" and not evaluates):
             if weight != 0.0:
                 push_first(scene, target, s, weight, False, s.x, s.w)
         return total

@@ -158,6 +158,23 @@ def cell_solid_angle(row: wp.int32, rows: wp.int32, columns: wp.int32) -> wp.flo
 
 
 @wp.func
+def cell_height(cell: Cell, v: wp.vec3, rows: wp.int32) -> wp.float32:
+    """Vertical position of the unit vector v within its cell, uniform in solid angle; counted from the nearer pole."""
+    # sin^2(theta / 2) = sin^2(theta) / (2 (1 + cos theta)).
+    q = 0.5 * (v[0] * v[0] + v[2] * v[2]) / (1.0 + wp.abs(v[1]))
+    t = wp.float32(0.0)
+    if 2 * cell.row < rows:
+        q = wp.where(v[1] < 0.0, 1.0 - q, q)
+        low = half_sine(cell.row, rows)
+        t = (q - low) / (half_sine(cell.row + 1, rows) - low)
+    else:
+        q = wp.where(v[1] > 0.0, 1.0 - q, q)
+        low = half_sine(rows - cell.row, rows)
+        t = (q - low) / (half_sine(rows - cell.row - 1, rows) - low)
+    return wp.clamp(t, 0.0, 1.0)
+
+
+@wp.func
 def cell_share(scene: Scene, row: wp.int32, column: wp.int32, columns: wp.int32) -> wp.float32:
     """Probability of a cell."""
     first = row * (columns + 1) + column
@@ -201,19 +218,8 @@ def make_envmap(role: str | None, wanted: tuple[str, ...]) -> EnvironmentFunctio
         rows = texture.height - 1
         v = wp.normalize(wp.inverse(load_matrix(scene.values, e.to_world)) * direction)
         cell = locate(texture, v)
-        # The vertical position within the cell, uniform in solid angle; mirrored to the nearer pole, as in ``sample``.
-        # sin^2(theta / 2) = sin^2(theta) / (2 (1 + cos theta)).
-        q = 0.5 * (v[0] * v[0] + v[2] * v[2]) / (1.0 + wp.abs(v[1]))
-        t = wp.float32(0.0)
-        if 2 * cell.row < rows:
-            q = wp.where(v[1] < 0.0, 1.0 - q, q)
-            low = half_sine(cell.row, rows)
-            t = (q - low) / (half_sine(cell.row + 1, rows) - low)
-        else:
-            q = wp.where(v[1] > 0.0, 1.0 - q, q)
-            low = half_sine(rows - cell.row, rows)
-            t = (q - low) / (half_sine(rows - cell.row - 1, rows) - low)
-        density = density_at(cell_density(scene, texture, cell), cell.fx, wp.clamp(t, 0.0, 1.0))
+        t = cell_height(cell, v, rows)
+        density = density_at(cell_density(scene, texture, cell), cell.fx, t)
         share = cell_share(scene, cell.row, cell.column, texture.width)
         return share * density / cell_solid_angle(cell.row, rows, texture.width)
 

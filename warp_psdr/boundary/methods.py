@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC
 from dataclasses import dataclass
 
+from warp_psdr import guiding as guiding_methods
 from warp_psdr.kernels.boundary.edge_tree import MAX_SPLIT
 
 #: Candidates without the hierarchies: [LADL18] take 64; more than 1024 cost more than they tell.
@@ -45,7 +46,7 @@ class Method(ABC):  # noqa: B024
 
 @dataclass(frozen=True, kw_only=True)
 class PathSpace(Method):
-    """Multi-directional sampling of boundary paths [ZMY*20] (``kernels/boundary/``), unguided.
+    """Multi-directional sampling of boundary paths [ZMY*20] (``kernels/boundary/``).
 
     Unbiased for triangle meshes with moving shapes, which may run through each other and interpolate normals, area,
     environment, point, spot and directional lights, and a moving camera, at any depth. Through smooth mirrors and
@@ -53,7 +54,26 @@ class PathSpace(Method):
     and surfaces that do not run through each other. Not covered, and refused: hidden emitters, and textures with steps.
     Surfaces that merely touch are in contact: what changes when they move apart, or into each other, has no derivative
     and is left out.
+
+    Attributes:
+        guiding: a method of ``psdr.guiding`` that learns where shadow edges and their like carry light, for example
+            ``psdr.guiding.KdTree()``; None: edges by length, directions by the wedge or the lights.
     """
+
+    guiding: guiding_methods.Method | None = None
+
+    def __post_init__(self) -> None:
+        """Validate once.
+
+        Raises:
+            ValueError: an option out of range.
+        """
+        super().__post_init__()
+        if self.guiding is not None and not isinstance(self.guiding, guiding_methods.Method):
+            raise ValueError(
+                f"guiding: got {self.guiding!r}, expected a method of psdr.guiding, for example "
+                "psdr.guiding.KdTree(), or None"
+            )
 
 
 @dataclass(frozen=True, kw_only=True)

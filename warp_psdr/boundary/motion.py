@@ -5,6 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import numpy as np
+import warp as wp
+
 from warp_psdr.scene.layout import CAMERA, LIGHT_POSE, NORMALS, POSITIONS, SHAPE_POSE
 
 if TYPE_CHECKING:
@@ -42,3 +45,12 @@ def motion(scene: Scene, names: list[str]) -> Motion:
         light_pose=any(LIGHT_POSE in use for use, _owner in uses),
         normals=frozenset(owner for use, owner in uses if NORMALS in use),
     )
+
+
+def moving_shapes(scene: Scene, moves: Motion) -> wp.array:
+    """Return 1 for every shape that moves; a moving camera or light moves all of them, relative to itself."""
+    mask = np.zeros(max(len(scene.builder.shapes), 1), np.int32)
+    mask[sorted(moves.shapes)] = 1
+    if moves.camera or moves.light_pose:
+        mask[:] = 1
+    return wp.array(mask, dtype=wp.int32, device=scene.device)

@@ -15,10 +15,11 @@ import warp as wp
 
 from warp_psdr.boundary.faces import face_tables
 from warp_psdr.boundary.methods import DEFAULT_CANDIDATES, EdgeSampling, Method, PathSpace
-from warp_psdr.boundary.motion import Motion, motion
+from warp_psdr.boundary.motion import Motion, motion, moving_shapes
 from warp_psdr.curves import moving_curves, scene_curves
 from warp_psdr.edge_trees import edge_trees
 from warp_psdr.edges import bent_choice, curve_edges, primary_edges, secondary_edges, select, terminator_faces
+from warp_psdr.guiding import store
 from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.boundary.bent import make_bent_kernel
 from warp_psdr.kernels.boundary.curve import make_curve_kernel
@@ -28,6 +29,7 @@ from warp_psdr.kernels.boundary.line_search import make_line_search_kernel
 from warp_psdr.kernels.boundary.primary import make_primary_kernel
 from warp_psdr.kernels.boundary.secondary import make_secondary_kernel
 from warp_psdr.kernels.boundary.terminator import make_terminator_kernel
+from warp_psdr.kernels.guiding.techniques import Guide
 from warp_psdr.kernels.rng import mix_seed
 from warp_psdr.kernels.structs import Emitter
 from warp_psdr.light_sampling import cumulative
@@ -39,8 +41,8 @@ if TYPE_CHECKING:
     from warp_psdr.plan import Plan
     from warp_psdr.scene.scene import Scene
 
-#: Share of the segments whose direction is drawn from the wedge instead of towards a light. With direct light only,
-#: what is not a light contributes nothing.
+#: Share of the segments whose direction is drawn from the wedge instead of towards a light. With direct light of lights
+#: that are not at infinity, what is not a light contributes nothing.
 WEDGE_SHARE_DIRECT, WEDGE_SHARE = 0.1, 0.5
 #: Sub-streams of the boundary term's random numbers.
 PRIMARY, SECONDARY, TERMINATOR, CURVE, BENT, EDGE_SAMPLING = 0, 1, 2, 3, 4, 5
@@ -156,14 +158,19 @@ def secondary(r: Request) -> Term | None:
         return None
     if not r.scatters_smoothly:
         return None
-    edges = secondary_edges(r.scene, set(r.moves.shapes))
+    guiding = getattr(r.method, "guiding", None)
+    if guiding is None:
+        edges, guide = secondary_edges(r.scene, set(r.moves.shapes)), Guide()
+        aimed = r.plan.max_depth == 2 and r.scene.builder.environment < 0
+        guide.share = WEDGE_SHARE_DIRECT if aimed else WEDGE_SHARE
+    else:
+        edges, guide = store.guide(r, guiding)
     if edges is None:
         return None
     samples = r.pixels * (r.method.spp_secondary or r.spp)
-    share = WEDGE_SHARE_DIRECT if r.plan.max_depth == 2 else WEDGE_SHARE
-    head = [r.scene.data(), r.camera, edges]
-    tail = [samples, mix_seed(r.seed, SECONDARY), r.plan.max_depth, r.plan.rr_depth, share]
-    kernel = make_secondary_kernel(r.config, r.role, r.moves.camera, r.moves.light_pose)
+    head = [r.scene.data(), r.camera, edges, moving_shapes(r.scene, r.moves), guide]
+    tail = [samples, mix_seed(r.seed, SECONDARY), r.plan.max_depth, r.plan.rr_depth]
+    kernel = make_secondary_kernel(r.config, r.role, r.moves.camera, r.moves.light_pose, guiding is not None)
     return Term(kernel, lambda first, adjoint: [*head, first, *tail, adjoint], samples)
 
 
@@ -239,9 +246,9 @@ def hard_shadows(r: Request) -> Term | None:
     data.emitters = wp.array(records, dtype=Emitter, device=r.scene.device)
     data.emitter_cdf = wp.array(cdf, dtype=wp.float32, device=r.scene.device)
     kernel = make_secondary_kernel(r.config, r.role, r.moves.camera, r.moves.light_pose)
-    head = [data, r.camera, edges]
     # No share of the wedge: every sample goes to a light.
-    tail = [samples, mix_seed(r.seed, SECONDARY), r.plan.max_depth, r.plan.rr_depth, 0.0]
+    head = [data, r.camera, edges, moving_shapes(r.scene, r.moves), Guide()]
+    tail = [samples, mix_seed(r.seed, SECONDARY), r.plan.max_depth, r.plan.rr_depth]
     return Term(kernel, lambda first, adjoint: [*head, first, *tail, adjoint], samples)
 
 
