@@ -15,6 +15,7 @@ import warp as wp
 
 import warp_psdr.kernels
 from warp_psdr.kernels import constants as c
+from warp_psdr.kernels.boundary.projective import BLOCKED_LIGHT, SCATTERED
 from warp_psdr.kernels.interior.wanted import Wanted
 from warp_psdr.kernels.loss import relative_squared
 from warp_psdr.kernels.path import PathConfig
@@ -226,7 +227,15 @@ FACTORIES = {
         ("reverse, thin lens", (THIN_LENS, "reverse", True, False), SLOW),
         ("samples, simple", (SIMPLE, "samples", False, False), SLOW),
     ],
+    "boundary.projective.make_seeds_kernel": [
+        ("blocked, simple", (SIMPLE, BLOCKED_LIGHT), FAST),
+        ("blocked, lights", (ALL_LIGHTS, BLOCKED_LIGHT), SLOW),
+        ("scattered, materials", (MATERIALS, SCATTERED), SLOW),
+    ],
+    "guiding.ends.make_ends_kernel": [("simple", (SIMPLE,), FAST), ("lights", (ALL_LIGHTS,), SLOW)],
     "guiding.facing.make_facing_kernel": [("simple", (SIMPLE,), FAST), ("lights", (ALL_LIGHTS,), SLOW)],
+    "guiding.photons.make_importons_kernel": [("simple", (SIMPLE,), FAST), ("materials", (MATERIALS,), SLOW)],
+    "guiding.photons.make_photons_kernel": [("simple", (SIMPLE,), FAST), ("lights", (ALL_LIGHTS,), SLOW)],
     "boundary.terminator.make_terminator_kernel": [
         ("reverse, materials", (MATERIALS, "reverse", True), SLOW),
         ("reverse, orthographic", (ORTHOGRAPHIC_SMOOTH, "reverse", True), SLOW),

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from warp_psdr import guiding, interior
 from warp_psdr.boundary.coverage import choose
-from warp_psdr.boundary.methods import PathSpace
+from warp_psdr.boundary.methods import PathSpace, Projective
 from warp_psdr.edges import bent_faces
 from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.emitter.spot import MIN_FALLOFF
@@ -151,7 +151,7 @@ def plan(
         else:
             term = choose(scene, config, integrator, names, moving)
             lines.append(("boundary term", term.label, "; ".join(moving)))
-            if isinstance(term, PathSpace) and term.guiding is not None:
+            if isinstance(term, PathSpace | Projective) and term.guiding is not None:
                 lines.append(("guiding", term.guiding.label, guiding.describe(scene, term.guiding)))
             if DELTA_MODELS & set(config.bsdfs):
                 lines.append(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from warp_psdr import guiding as guiding_methods
 from warp_psdr.kernels.boundary.edge_tree import MAX_SPLIT
@@ -105,3 +105,37 @@ class EdgeSampling(Method):
         value = self.candidates
         if value is not None and (isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= most):
             raise ValueError(f"candidates: got {value!r}, expected an integer from 1 to {most}, or None")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Projective(Method):
+    """Projective sampling [ZRJ23]: where boundary segments carry light is learnt from ordinary paths.
+
+    Segments of camera paths that a surface stops are projected to the nearest silhouette of that surface, by a walk
+    over its mesh (``kernels/boundary/projective.py``); guiding puts its cells where these seeds lie. The estimator is
+    that of ``PathSpace`` otherwise, unbiased whatever the projection finds, with the same coverage.
+
+    Attributes:
+        guiding: a method of ``psdr.guiding``; ``KdTree`` and ``Octree`` are finest where seeds lie. None: uniform
+            sampling of edges by length and of directions by the wedge, the paper's reference; what a point,
+            spot or directional light sends is aimed at by half of the samples then.
+        paths: camera paths whose segments are projected, for each kind of them.
+    """
+
+    guiding: guiding_methods.Method | None = field(default_factory=guiding_methods.Octree)
+    paths: int = 1 << 16
+
+    def __post_init__(self) -> None:
+        """Validate once.
+
+        Raises:
+            ValueError: an option out of range.
+        """
+        super().__post_init__()
+        if self.guiding is not None and not isinstance(self.guiding, guiding_methods.Method):
+            raise ValueError(
+                f"guiding: got {self.guiding!r}, expected a method of psdr.guiding, for example "
+                "psdr.guiding.KdTree(), or None"
+            )
+        if isinstance(self.paths, bool) or not isinstance(self.paths, int) or self.paths < 1:
+            raise ValueError(f"paths: got {self.paths!r}, expected a positive integer")

@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
+from warp_psdr.boundary import projective
 from warp_psdr.boundary.faces import face_tables
-from warp_psdr.boundary.methods import DEFAULT_CANDIDATES, EdgeSampling, Method, PathSpace
+from warp_psdr.boundary.methods import DEFAULT_CANDIDATES, EdgeSampling, Method, PathSpace, Projective
 from warp_psdr.boundary.motion import Motion, motion, moving_shapes
 from warp_psdr.curves import moving_curves, scene_curves
 from warp_psdr.edge_trees import edge_trees
@@ -163,8 +164,11 @@ def secondary(r: Request) -> Term | None:
         edges, guide = secondary_edges(r.scene, set(r.moves.shapes)), Guide()
         aimed = r.plan.max_depth == 2 and r.scene.builder.environment < 0
         guide.share = WEDGE_SHARE_DIRECT if aimed else WEDGE_SHARE
+        if isinstance(r.method, Projective):
+            guide.share = projective.uniform_share(r)
     else:
-        edges, guide = store.guide(r, guiding)
+        seeds = projective.asker(r) if isinstance(r.method, Projective) else None
+        edges, guide = store.guide(r, guiding, seeds)
     if edges is None:
         return None
     samples = r.pixels * (r.method.spp_secondary or r.spp)
@@ -268,5 +272,6 @@ def through_mirrors(r: Request) -> Term | None:
 #: What each method consists of.
 TERMS: dict[type[Method], tuple[Callable[[Request], Term | None], ...]] = {
     PathSpace: (primary, terminator, secondary, curve, bent, through_mirrors),
+    Projective: (primary, terminator, secondary, curve, bent, through_mirrors),
     EdgeSampling: (primary, terminator, edge_sampling, hard_shadows, curve, bent),
 }

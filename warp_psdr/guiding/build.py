@@ -13,13 +13,17 @@ split, by ``PRIOR`` samples; of a leaf that met nothing something remains.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 import warp as wp
 
 from warp_psdr.kernels.guiding.cells import Cells, Node
 from warp_psdr.light_sampling import cumulative
+
+if TYPE_CHECKING:
+    from warp_psdr.boundary.terms import Request
+    from warp_psdr.kernels.boundary.local_form import Edges
 
 #: Weight, in samples, of what is known from the leaf that was split.
 PRIOR = 2.0
@@ -30,6 +34,8 @@ EXPECTED, NEIGHBOURS, FAR_SHARE = 0.5, 8, 0.02
 MAX_SLOPE = 0.8
 #: Samples with a value from which a slope is believed by half.
 SLOPE_SAMPLES = 8.0
+#: Share of the mass that seeds ask for, where there are any.
+SEED_SHARE = 0.1
 #: Coordinates are multiples of it, as the cumulative probabilities are: exact in float32.
 QUANTUM = 2.0**-24
 NODE = np.dtype([("axis", "<i4"), ("split", "<f4"), ("child", "<i4")])
@@ -59,6 +65,8 @@ class Target:
         facing: (E,) root mean square of the share of the lights for which an edge is a silhouette; None for the wedge.
         seeds: (N, 3) points near which the integrand is large; None: not known.
         random: generator for points of one's own.
+        request: the boundary term.
+        edges: the device's record, in the order of the first coordinate.
     """
 
     technique: str
@@ -67,6 +75,8 @@ class Target:
     facing: np.ndarray | None
     seeds: np.ndarray | None
     random: np.random.Generator
+    request: Request
+    edges: Edges
 
 
 @dataclass(eq=False)
@@ -96,6 +106,28 @@ class Leaves:
     def memory(self) -> int:
         """Bytes on the device."""
         return self.nodes.nbytes + self.low.nbytes + self.high.nbytes + self.slope.nbytes + 4 * (len(self.low) + 1)
+
+    def find(self, points: np.ndarray) -> np.ndarray:
+        """Return the numbers of the leaves that hold points (N, 3) of the cube."""
+        node = np.zeros(len(points), np.int64)
+        while True:
+            tree = self.nodes[node]
+            inner = np.flatnonzero(tree["axis"] >= 0)
+            if not len(inner):
+                return tree["child"].astype(np.int64)
+            at = tree[inner]
+            node[inner] = at["child"] + (points[inner, at["axis"]] >= at["split"])
+
+    def add_seeds(self, seeds: np.ndarray) -> None:
+        """Let no leaf have less than its part, by the seeds (N, 3) that it holds, of ``SEED_SHARE`` of all mass.
+
+        Where the integrand is thin, as on fine meshes, a few evaluations of a leaf meet nothing although there is
+        something; that would be left to the uniform floor.
+        """
+        if len(seeds):
+            held = np.bincount(self.find(seeds), minlength=len(self.low))
+            mass = np.maximum(self.mass, SEED_SHARE * self.mass.sum() * held / len(seeds))
+            self.square = (mass / volume(self.low, self.high)) ** 2
 
     def upload(self, floor: float, device: wp.Device) -> Cells:
         """Return the device's record; without any mass all of it is uniform."""

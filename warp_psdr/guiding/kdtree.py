@@ -8,9 +8,12 @@ import numpy as np
 
 from warp_psdr.guiding.build import Growth, Leaves, Target, edge_slabs
 from warp_psdr.guiding.methods import Method
+from warp_psdr.guiding.seeds import follow
 
 #: Share of the leaves that the cube is cut into along the edges before anything is known of the integrand.
 INITIAL = 0.25
+#: Share of the leaves that seeds may ask for.
+SEEDED = 0.5
 #: Leaves are split in rounds, so that each is one launch: the best of them, until a round has grown the tree this much.
 GROWTH = 1.5
 #: Weight of a leaf's mass beside the gain of its best split: few samples of a leaf do not tell all of the gain.
@@ -32,6 +35,9 @@ class KdTree(Method):
         """Return leaves that follow the target."""
         growth = Growth(target)
         fresh = growth.slabs(edge_slabs(target, max(int(INITIAL * self.max_leaves), 1)))
+        if target.seeds is not None:
+            follow(growth, target.seeds, int(SEEDED * self.max_leaves))
+            fresh = growth.leaves()
         growth.measure(fresh, 2 * self.samples)
         growth.suppose(fresh)
         while True:

@@ -8,7 +8,7 @@ are refreshed; beyond that, or where another set of edges can be a silhouette, i
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -36,7 +36,7 @@ FACING = 32
 #: Stream of the random numbers with which structures are built, and what an evaluation adds to it.
 BUILD = 3
 TECHNIQUES = ("wedge", "light")
-Seeds = Callable[[str], np.ndarray]
+Seeds = Callable[[str, Edges], np.ndarray]
 
 
 @dataclass(eq=False)
@@ -107,13 +107,14 @@ def guide(r: Request, method: Method, seeds: Seeds | None = None) -> tuple[Edges
     Args:
         r: the boundary term.
         method: how to guide it.
-        seeds: technique -> (N, 3) points of the cube near which the integrand is large; asked for at a build only.
+        seeds: technique, edges -> (N, 3) points of the cube near which the integrand is large; asked at a build only.
     """
     from warp_psdr.edges import moved_points, ordered_edges, secondary_candidates
 
     scene = r.scene
     values = scene.values.numpy()
-    key = (method, r.moves, r.sensor, r.plan.max_depth)
+    counted = replace(r.method, spp_primary=None, spp_secondary=None)
+    key = (method, r.moves, r.sensor, r.plan.max_depth, counted)
     old = _kept(scene).get(key)
     if old is not None and np.array_equal(old.seen, values, equal_nan=True):
         return old.edges, old.guide
@@ -152,13 +153,29 @@ def _build(r: Request, method: Method, found: Guiding, facing: np.ndarray, seeds
             integrand=_Evaluator(r, found, technique),
             edge_cdf=found.edges.cdf.numpy().astype(np.float64),
             facing=facing if technique == "light" else None,
-            seeds=None if seeds is None else seeds(technique),
+            seeds=None,
             random=random,
+            request=r,
+            edges=found.edges,
         )
         # Light that is not at infinity is found by aiming at it: with that alone the wedge keeps its least share.
         aimed = r.plan.max_depth == 2 and r.scene.builder.environment < 0
-        found.leaves[technique] = whole() if technique == "wedge" and aimed else method.build(target)
+        if technique == "wedge" and aimed:
+            found.leaves[technique] = whole()
+        else:
+            found.leaves[technique] = method.build(_seeded(target, seeds))
+            if target.seeds is not None and found.leaves[technique].square.any():
+                found.leaves[technique].add_seeds(target.seeds)
     _finish(r, method, found)
+
+
+def _seeded(target: Target, seeds: Seeds | None) -> Target:
+    """Ask for seeds, and keep those at which the integrand is not zero."""
+    if seeds is not None:
+        target.seeds = seeds(target.technique, target.edges)
+        if len(target.seeds):
+            target.seeds = target.seeds[target.integrand.at(target.seeds) > 0.0]
+    return target
 
 
 def whole() -> Leaves:

@@ -1,0 +1,185 @@
+"""Photons and importons: where light and importance arrive, as points on surfaces [ZMY*20, section 6.3; Jen96].
+
+A photon is a vertex of a light path with the flux [W] that it scatters on, summed over the colours; an importon is a
+vertex of a camera path with its throughput after scattering. Over pi times the area of the disk that holds the k
+nearest ones, their sum is the radiance, or the importance, that leaves a diffuse surface there. Other materials get the
+same estimate: it only guides.
+
+Light leaves, with the cumulative probability P of the source and its sample density p,
+
+* an area light at a point, by area, with the cosine's density: flux pi L / (p P);
+* a point or spot light in a uniform direction: 4 pi I / P, I the irradiance at unit distance;
+* a light at infinity through a disk of the scene's radius R, perpendicular to the direction: pi R^2 L / (p P).
+"""
+
+import functools
+
+import warp as wp
+
+from warp_psdr.kernels.bsdf.dispatch import make_bsdf
+from warp_psdr.kernels.bvh.wide import make_intersect
+from warp_psdr.kernels.constants import EMITTER_POINT, FAR, LOBE_SMOOTH, PI
+from warp_psdr.kernels.emitter.spot import load_column
+from warp_psdr.kernels.math import any_tangent, to_local, to_world
+from warp_psdr.kernels.path import (
+    PathConfig,
+    make_camera_start,
+    make_frame,
+    make_light_sampler,
+    make_material,
+    make_path_step,
+)
+from warp_psdr.kernels.rng import Sampler, make_sampler
+from warp_psdr.kernels.sampling import square_to_cosine_hemisphere, square_to_disk, square_to_sphere
+from warp_psdr.kernels.structs import Camera, Scene
+from warp_psdr.kernels.surface import load_vec3, make_surface
+
+#: Sample slots of a light path: source, position or direction, then one per vertex.
+SLOT_SOURCE, SLOT_START, SLOT_VERTEX = 0, 1, 2
+
+
+@wp.struct
+class Emission:
+    """A ray that light leaves a source along, and the flux that it carries."""
+
+    o: wp.vec3
+    d: wp.vec3
+    flux: wp.vec3
+
+
+@functools.cache
+def make_emission(config: PathConfig):
+    """Return ``emit(scene, center, radius, u4, u2) -> Emission``; the sphere holds the scene."""
+    sample_light = make_light_sampler(config)
+
+    @wp.func
+    def emit(scene: Scene, center: wp.vec3, radius: wp.float32, u4: wp.vec4, u2: wp.vec2) -> Emission:
+        r = Emission()
+        ls, index, probability = sample_light(scene, center, u4)
+        record = scene.emitters[index]
+        if ls.face >= 0:
+            tri = scene.triangles[ls.face]
+            y = (1.0 - ls.u - ls.v) * tri.p0 + ls.u * tri.p1 + ls.v * tri.p2
+            # The same point seen from straight above at unit distance: its pdf is the density per area.
+            above, _i, _p = sample_light(scene, y + tri.normal, u4)
+            if above.pdf > 0.0:
+                s = any_tangent(tri.normal)
+                local = square_to_cosine_hemisphere(u2)
+                r.d = to_world(s, wp.cross(tri.normal, s), tri.normal, local)
+                r.o = y + scene.ray_epsilon * tri.normal
+                r.flux = (PI / (above.pdf * probability)) * above.radiance
+        elif ls.distance < 0.5 * FAR:
+            position = load_column(scene.values, record.to_world, 3)
+            if record.kind == EMITTER_POINT:
+                position = load_vec3(scene.values, record.to_world)
+            r.o = position
+            r.d = square_to_sphere(u2)
+            seen, _i, _p = sample_light(scene, position + r.d, u4)
+            r.flux = (4.0 * PI / probability) * seen.radiance
+        elif ls.pdf > 0.0:
+            s = any_tangent(ls.wi)
+            disk = square_to_disk(u2)
+            r.o = center + radius * (ls.wi + disk[0] * s + disk[1] * wp.cross(ls.wi, s))
+            r.d = -ls.wi
+            r.flux = (PI * radius * radius / (ls.pdf * probability)) * ls.radiance
+        return r
+
+    return emit
+
+
+@functools.cache
+def make_photons_kernel(config: PathConfig):
+    """Return the kernel: one thread a light path; it writes up to ``x_out.shape[1]`` photons, the others stay 0."""
+    closest_hit, _any_hit = make_intersect(config.ray_backend, config.ray_width)
+    emit = make_emission(config)
+    surface_at = make_surface(config.smooth, config.flat, config.uv, config.tangent)
+    frame_at = make_frame(config.two_sided, config.tangent)
+    material_at = make_material(config.slots)
+    bsdf = make_bsdf(config.bsdfs)
+    draw = make_sampler(config.sampler)
+    sample_2d = draw.sample_2d
+    sample_4d = draw.sample_4d
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def photons(
+        # Scene:
+        scene: Scene,
+        # In:
+        center: wp.vec3,
+        radius: wp.float32,
+        seed: wp.uint32,
+        # Out:
+        x_out: wp.array2d(dtype=wp.vec3),
+        weight_out: wp.array2d(dtype=wp.float32),
+    ):
+        number = wp.tid()
+        sampler = Sampler()
+        sampler.pixel = wp.uint32(number)
+        sampler.seed = seed
+        ray = emit(scene, center, radius, sample_4d(sampler, SLOT_SOURCE), sample_2d(sampler, SLOT_START))
+        o = ray.o
+        d = ray.d
+        flux = ray.flux
+        vertex = wp.int32(0)
+        while vertex < x_out.shape[1] and wp.max(flux) > 0.0:
+            hit = closest_hit(scene.accel, o, d, FAR)
+            if hit.face < 0:
+                return
+            surface = surface_at(scene, hit.face, hit.u, hit.v)
+            frame = frame_at(scene, scene.shapes[surface.shape].bsdf, surface.n, surface.tangent, -d)
+            b = scene.bsdfs[frame.bsdf]
+            material = material_at(scene, b, hit.face, hit.u, hit.v, surface.uv)
+            u4 = sample_4d(sampler, SLOT_VERTEX + vertex)
+            bs = bsdf.sample(b.model, material, to_local(frame.s, frame.t, frame.n, -d), u4[0], wp.vec2(u4[2], u4[3]))
+            if bs.pdf <= 0.0:
+                return
+            flux = wp.cw_mul(flux, bs.value / bs.pdf)
+            if bs.lobe == LOBE_SMOOTH:
+                x_out[number, vertex] = surface.x
+                weight_out[number, vertex] = flux[0] + flux[1] + flux[2]
+            d = to_world(frame.s, frame.t, frame.n, bs.wo)
+            turn = wp.where(wp.dot(surface.ng, d) >= 0.0, scene.ray_epsilon, -scene.ray_epsilon)
+            o = surface.x + turn * surface.ng
+            vertex += 1
+
+    return photons
+
+
+@functools.cache
+def make_importons_kernel(config: PathConfig):
+    """Return the kernel: one thread a camera path, its pixel at random; outputs as those of the photons."""
+    path_step = make_path_step(config, False)
+    start = make_camera_start(config)
+    sample_2d = make_sampler(config.sampler).sample_2d
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def importons(
+        # Scene:
+        scene: Scene,
+        camera: Camera,
+        # In:
+        seed: wp.uint32,
+        # Out:
+        x_out: wp.array2d(dtype=wp.vec3),
+        weight_out: wp.array2d(dtype=wp.float32),
+    ):
+        number = wp.tid()
+        sampler = Sampler()
+        sampler.index = wp.uint32(number)
+        sampler.seed = seed
+        count = x_out.shape[1]
+        # The pixel's numbers lie behind those of the path.
+        u = sample_2d(sampler, wp.static(1 << 20))
+        px = wp.min(wp.int32(u[0] * wp.float32(camera.crop_width)), camera.crop_width - 1)
+        py = wp.min(wp.int32(u[1] * wp.float32(camera.crop_height)), camera.crop_height - 1)
+        state, _film = start(scene, camera, px, py, sampler)
+        vertex = wp.int32(0)
+        while state.alive == 1 and vertex < count:
+            # One vertex more than is kept: path_step does not scatter at the last.
+            here, state = path_step(scene, sampler, state, count + 1, count + 1)
+            if state.alive == 1 and here.lobe == LOBE_SMOOTH:
+                x_out[number, vertex] = state.o
+                weight_out[number, vertex] = wp.max(state.throughput)
+            vertex += 1
+
+    return importons
