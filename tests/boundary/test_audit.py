@@ -73,7 +73,7 @@ CASES = [
     Case("textured light", LIGHT, scaled, 0.01, "scales", spp=512, difference_spp=4096),
     Case("one-sided light", LIGHT, ALONG, 0.01, "moves", difference_spp=2048),
     Case("seams", SHAPE, ALONG, 0.01, "moves", difference_spp=2048),
-    Case("uv seam", SHAPE, ALONG, 0.01, "moves", difference_spp=2048, slow=False),
+    Case("uv seam", SHAPE, ALONG, 0.01, "moves", difference_spp=2048),
 ]
 
 

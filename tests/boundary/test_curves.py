@@ -88,7 +88,7 @@ CASES = [
     Case("sunk sky", SHAPE, moved(1.0, 0.2, 0.5), 0.01, "a ball moves", spp=512, difference_spp=4096),
     Case("knot", SHAPE, stretched, 0.01, "a mesh through itself", difference_spp=4096),
     # As other path vertices do.
-    Case("lamp", SHAPE, moved(0.0, 0.0, 1.0), 0.01, "a light rises", spp=512, difference_spp=2048, slow=False),
+    Case("lamp", SHAPE, moved(0.0, 0.0, 1.0), 0.01, "a light rises", spp=1024, difference_spp=4096, slow=False),
     Case("lamp", SHAPE, moved(1.0, -0.5, 0.0), 0.01, "a light moves", spp=512, difference_spp=4096),
     Case("behind", SHAPE, moved(0.2, 0.1, 1.0), 0.01, "a box rises", 3, 4096, 16384),
     Case("behind", FLOOR, moved(0.0, 0.0, 1.0), 0.01, "the floor rises", 3, 4096, 16384),
