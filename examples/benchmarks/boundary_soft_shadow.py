@@ -10,12 +10,11 @@ given error follows from error^2 ~ 1 / time. A guided first call includes the bu
 the same or a nearby scene, use it again. Mitsuba builds its own in every call.
 """
 
-import statistics
 import tempfile
-import time
 from pathlib import Path
 
 import numpy as np
+from boundary_renderers import Ours, Theirs, long_image, measure
 from common import Report, arguments, import_mitsuba, psdr
 
 from scenes import write_ply
@@ -24,8 +23,6 @@ from scenes import write_ply
 RINGS = 128
 DIRECTION = (1.0, 0.2, 0.3)
 SPHERE = "sphere.vertex_positions"
-#: Relative error at which times are compared.
-AIM = 0.1
 XML = """<scene version="3.0.0">
     <default name="resolution" value="128"/>
     <sensor type="perspective"><float name="fov" value="40"/><transform name="to_world">
@@ -65,82 +62,6 @@ def write_scene(folder: Path) -> Path:
     return file
 
 
-class Ours:
-    """Derivative images of this renderer."""
-
-    def __init__(self, file: Path, resolution: int, guiding):
-        self.scene = psdr.load_file(file, resolution=resolution)
-        self._params = psdr.traverse(self.scene)
-        self._guiding = guiding
-        self._tangent = np.broadcast_to(np.float32(DIRECTION), self._params[SPHERE].numpy().shape).copy()
-
-    def image(self, spp: int, seed: int) -> np.ndarray:
-        """Return the derivative image; the interior term, which is zero here, takes one sample a pixel."""
-        method = psdr.boundary.PathSpace(spp_primary=1, spp_secondary=spp, guiding=self._guiding)
-        integrator = psdr.PathIntegrator(max_depth=2, boundary=method)
-        return psdr.render_forward(
-            self.scene, self._params, {SPHERE: self._tangent}, integrator=integrator, spp=1, seed=seed
-        ).numpy()
-
-    def forget(self) -> None:
-        """Forget the structure."""
-        psdr.guiding.reset(self.scene)
-
-    @property
-    def memory(self) -> float:
-        """Megabytes of the structure."""
-        return sum(s.memory for s in psdr.guiding.structures(self.scene)) / 1e6
-
-
-class Theirs:
-    """Derivative images of Mitsuba."""
-
-    def __init__(self, mi, dr, file: Path, resolution: int, guiding: str):
-        self._mi, self._dr, self._guiding = mi, dr, guiding
-        self._scene = mi.load_file(str(file), resolution=resolution)
-        self._base = mi.Float(mi.traverse(self._scene)[SPHERE])
-
-    def image(self, spp: int, seed: int) -> np.ndarray:
-        """Return the derivative image: indirect boundary samples only."""
-        mi, dr = self._mi, self._dr
-        options = {"sppc": 0, "sppp": 0, "sppi": spp, "guiding": self._guiding}
-        integrator = mi.load_dict({"type": "direct_projective", **options})
-        params = mi.traverse(self._scene)
-        theta = mi.Float(0.0)
-        dr.enable_grad(theta)
-        moved = dr.unravel(mi.Point3f, self._base) + mi.Vector3f(*DIRECTION) * theta
-        params[SPHERE] = dr.ravel(moved)
-        params.update()
-        dr.forward(theta, dr.ADFlag.ClearEdges)
-        image = integrator.render_forward(self._scene, params=theta, seed=seed, spp=spp)
-        dr.eval(image)
-        dr.sync_thread()
-        return np.array(image)
-
-    def forget(self) -> None:
-        """There is nothing to forget."""
-
-    memory = 0.0
-
-
-def measure(renderer, spp: int, repeat: int, reference: np.ndarray, first: bool) -> dict:
-    """Return the median time and the relative squared error of images with independent seeds."""
-    renderer.image(1, 0)  # compile
-    renderer.forget()
-    times, errors = [], []
-    for seed in range(1, repeat + 2):
-        if first:
-            renderer.forget()
-        start = time.perf_counter()
-        image = renderer.image(spp, seed)
-        times.append(time.perf_counter() - start)
-        errors.append(float(((image - reference) ** 2).mean() / (reference**2).mean()))
-    # The first call builds what later ones use.
-    seconds, squared = statistics.median(times[1:]), statistics.mean(errors[1:])
-    row = {"spp": spp, "seconds": seconds, "relative error": squared**0.5, "error^2 x time": squared * seconds}
-    return row | {f"seconds to {AIM}": squared * seconds / AIM**2, "MB": renderer.memory}
-
-
 def main() -> None:
     """Run and print the tables."""
     parser = arguments(__doc__)
@@ -154,8 +75,17 @@ def main() -> None:
     rows = []
     with tempfile.TemporaryDirectory() as name:
         file = write_scene(Path(name))
-        reference = _long(Ours(file, resolution, psdr.guiding.KdTree()), long)
-        plain = _long(Ours(file, resolution, None), long)
+
+        def ours(guiding):
+            return Ours(file, resolution, SPHERE, DIRECTION, guiding, depth=2, all_terms=False)
+
+        def theirs_of(guiding):
+            # Indirect boundary samples only.
+            options = {"type": "direct_projective", "sppc": 0, "sppp": 0, "sppi": None, "guiding": guiding}
+            return Theirs(mi, dr, file, resolution, SPHERE, DIRECTION, options)
+
+        reference = long_image(ours(psdr.guiding.KdTree()), long)
+        plain = long_image(ours(None), long)
         slopes = {"ours, unguided": float((plain * reference).sum() / (reference * reference).sum())}
         variants = {
             "unguided": (None, 64, False),
@@ -165,13 +95,13 @@ def main() -> None:
             "Octree, first call": (psdr.guiding.Octree(), 16, True),
         }
         for label, (guiding, spp, first) in variants.items():
-            row = measure(Ours(file, resolution, guiding), spp, repeat, reference, first)
+            row = measure(ours(guiding), spp, repeat, reference, first=first)
             rows.append({"method": label} | row)
         if mi is not None:
-            theirs = _long(Theirs(mi, dr, file, resolution, "none"), long)
+            theirs = long_image(theirs_of("none"), long)
             slopes["Mitsuba"] = float((theirs * reference).sum() / (reference * reference).sum())
             for guiding, spp in (("none", 64), ("octree", 16)):
-                row = measure(Theirs(mi, dr, file, resolution, guiding), spp, repeat, theirs, True)
+                row = measure(theirs_of(guiding), spp, repeat, theirs, first=True)
                 rows.append({"method": f"Mitsuba, {guiding}"} | row)
     report.table("long images: slope on ours, guided", [slopes])
     times = {row["method"]: row["error^2 x time"] for row in rows}
@@ -180,11 +110,6 @@ def main() -> None:
         row["gain"] = base / row["error^2 x time"]
     settings = f"{resolution}^2 pixels, medians of {repeat}, {options.threads} threads"
     report.table(f"derivative images, {settings}; gain over {'Mitsuba, none' if mi else 'unguided'}", rows)
-
-
-def _long(renderer, spp: int) -> np.ndarray:
-    """Mean of sixteen images with seeds of their own."""
-    return np.mean([renderer.image(max(spp // 16, 1), 1000 + i).astype(np.float64) for i in range(16)], axis=0)
 
 
 if __name__ == "__main__":

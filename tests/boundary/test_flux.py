@@ -124,7 +124,7 @@ def test_the_flux_past_an_occluder(scene, what) -> None:
     }
     tangents = {name: t for name, t in tangents.items() if np.any(t)}
     # No edge is in view; the interior term is nearly free of noise.
-    method = psdr.boundary.PathSpace(spp_primary=1, spp_secondary=32768)
+    method = psdr.boundary.PathSpace(spp_primary=1, spp_secondary=4096, guiding=psdr.guiding.KdTree())
     options = {"integrator": psdr.PathIntegrator(max_depth=2, boundary=method), "spp": 512}
     sums = [
         psdr.render_forward(found, params, tangents, seed=s, **options).numpy()[..., 0].sum(dtype=np.float64)
