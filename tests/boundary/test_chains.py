@@ -27,7 +27,8 @@ def test_the_table_can_tell_a_missing_boundary_term(case: Case) -> None:
 @pytest.mark.parametrize(
     ("name", "names", "depth"),
     [
-        ("glass ball", [GLASSES, ETA, LAMP, "sensor.to_world"], 4),
+        ("slab", [GLASSES, ETA, LAMP, "sensor.to_world"], 4),
+        pytest.param("glass ball", [GLASSES, ETA, LAMP, "sensor.to_world"], 4, marks=pytest.mark.slow),
         pytest.param("caustic", [WALL, LAMP, "occluder.vertex_positions", "floor.to_world"], 3, marks=pytest.mark.slow),
         pytest.param("point in a mirror", ["light.position", WALL, "floor.to_world"], 3, marks=pytest.mark.slow),
     ],
