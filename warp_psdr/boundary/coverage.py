@@ -49,7 +49,7 @@ def choose(scene: Scene, config: PathConfig, integrator: PathIntegrator, names: 
 def _beyond(method: Method, config: PathConfig) -> str:
     """Say what this method leaves to others; empty: nothing."""
     if isinstance(method, EdgeSampling) and {c.BSDF_CONDUCTOR, c.BSDF_DIELECTRIC} & set(config.bsdfs):
-        return "it does not follow edges through smooth mirrors or glass; use a roughconductor instead"
+        return "it does not follow edges through smooth mirrors or glass; use boundary.PathSpace()"
     return ""
 
 
