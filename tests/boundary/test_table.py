@@ -70,7 +70,7 @@ CASES = [
     Case("soft", FLOOR, moved(0.0, 0.0, 1.0), 0.02, RECEIVER, spp=2048, difference_spp=4096, slow=False),
     Case("soft", PANEL, ALONG, 0.02, "light moves"),
     Case("soft", PANEL, scaled, 0.04, "light scales"),
-    Case("sky", OCCLUDER, ALONG, 0.01, "occluder moves", difference_spp=4096),
+    Case("sky", OCCLUDER, ALONG, 0.01, "occluder moves", difference_spp=8192),
     Case("envmap", OCCLUDER, ALONG, 0.01, "occluder moves", spp=512, difference_spp=8192),
     # Hard shadows.
     Case("point", OCCLUDER, ALONG, 0.01, "occluder moves"),
