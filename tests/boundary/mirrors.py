@@ -3,7 +3,7 @@
 import numpy as np
 
 from .measure import Case
-from .scenes import SCENES, ball, box, camera, diffuse, floor, mesh, panel, sky
+from .scenes import ball, box, camera, diffuse, floor, mesh, panel, register, sky
 from .test_table import moved, scaled, turned
 
 MIRROR = {"type": "conductor", "material": "none"}
@@ -71,7 +71,7 @@ def point(intensity=20.0):
     return {"type": "point", "position": [0.6, -0.9, 3.0], "intensity": {"type": "rgb", "value": intensity}}
 
 
-SCENES.update(
+register(
     {
         "behind": behind,
         "behind box": lambda: behind("box"),

@@ -168,6 +168,18 @@ SCENES = {
 }
 
 
+def register(scenes) -> None:
+    """Add a file's scenes; names are unique, whatever files are imported.
+
+    Raises:
+        KeyError: a name is taken.
+    """
+    taken = sorted(set(scenes) & set(SCENES))
+    if taken:
+        raise KeyError(f"scenes {taken} exist already; choose other names")
+    SCENES.update(scenes)
+
+
 @functools.cache
 def load(name):
     scene = psdr.load_dict({"type": "scene", **SCENES[name]()})

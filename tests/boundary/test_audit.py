@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from .measure import Case, assert_agrees, derivatives, differences
-from .scenes import SCENES, box, camera, diffuse, floor, mesh, panel, sky
+from .scenes import box, camera, diffuse, floor, mesh, panel, register, sky
 from .test_table import moved, scaled
 
 QUAD = [[0, 1, 2], [0, 2, 3]]
@@ -60,12 +60,14 @@ def uv_seam():
     return {"sensor": camera(), "sky": sky(), "shape": shape}
 
 
-SCENES |= {
-    "textured light": textured_light,
-    "one-sided light": one_sided,
-    "seams": seams,
-    "uv seam": uv_seam,
-}
+register(
+    {
+        "textured light": textured_light,
+        "one-sided light": one_sided,
+        "seams": seams,
+        "uv seam": uv_seam,
+    }
+)
 LIGHT, SHAPE = "light.vertex_positions", "shape.vertex_positions"
 ALONG = moved(1.0, 0.3, 0.4)
 CASES = [

@@ -7,7 +7,7 @@ import warp_psdr as psdr
 from warp_psdr.boundary import terms
 
 from .measure import Case, assert_agrees, derivatives, differences, slope
-from .scenes import SCENES, ball, camera, diffuse, floor, mesh, panel
+from .scenes import ball, camera, diffuse, floor, mesh, panel, register
 from .test_table import moved
 
 
@@ -39,11 +39,13 @@ def waves(**bsdf):
     }
 
 
-SCENES |= {
-    "glow": glow,
-    "waves": waves,
-    "waves metal": lambda: waves(type="roughconductor", alpha=0.5),
-}
+register(
+    {
+        "glow": glow,
+        "waves": waves,
+        "waves metal": lambda: waves(type="roughconductor", alpha=0.5),
+    }
+)
 
 SHAPE, WALL, NORMALS = "shape.vertex_positions", "wall.vertex_positions", "shape.vertex_normals"
 NEARER = moved(0.0, 1.0, 0.0)
@@ -59,7 +61,7 @@ def bent_plate():
     return {k: v for k, v in waves().items() if k != "wall"} | {"sensor": camera((0.0, -1.5, 0.7), (0.0, 0.7, 0.1))}
 
 
-SCENES |= {"bent plate": bent_plate}
+register({"bent plate": bent_plate})
 
 CASES = [
     # The wall is the vertex that sees the terminator.

@@ -6,7 +6,7 @@ import pytest
 import warp_psdr as psdr
 
 from .measure import Case, assert_agrees, derivatives, differences, slope
-from .scenes import SCENES, T, ball, camera, diffuse, load, panel, room, silhouette, sky, under
+from .scenes import T, ball, camera, diffuse, load, panel, register, room, silhouette, sky, under
 from .test_table import ALONG, BOX, FLOOR, OCCLUDER, RECEIVER, SHAPE, moved, scaled, turned
 
 POSE, FOCUS, RADIUS = "sensor.to_world", "sensor.focus_distance", "sensor.aperture_radius"
@@ -31,23 +31,25 @@ SIDE = {"origin": (0, -4, 0.5), "target": (0, 0, 0)}
 FRONT = {"origin": (0, -4.0, 1.0), "target": (0, 0, 1.0)}
 ACROSS = moved(1.0, -0.5, 0.0)
 LIGHT = (0.5, -0.3, 2.2), 0.35
-SCENES |= {
-    "parallel": lambda: under(panel(*LIGHT)) | {"sensor": parallel()},
-    "parallel silhouette": lambda: silhouette("tent") | {"sensor": parallel((1.2, 1.3, 2.0), **SIDE)},
-    "parallel smooth": lambda: silhouette("tent", smooth=True) | {"sensor": parallel((1.2, 1.3, 2.0), **SIDE)},
-    # The occluder is some 3.6 away and the floor behind it.
-    "lens": lambda: under(panel(*LIGHT)) | {"sensor": lens(0.3, 2.4)},
-    "lens silhouette": lambda: silhouette("tent") | {"sensor": lens(0.4, 2.5, **SIDE)},
-    "lens smooth": lambda: silhouette("tent", smooth=True) | {"sensor": lens(0.4, 2.5, **SIDE)},
-    "parallel room": lambda: room(0.1) | {"sensor": parallel((1.1, 1.2, 1.0), **FRONT)},
-    "lens room": lambda: room(0.1) | {"sensor": lens(0.2, 2.5, fov=32.0, **FRONT)},
-    "lens, two depths": lambda: {
-        "sensor": lens(0.3, 3.6, origin=(0, -4, 0.5), target=(0, 0, 0)),
-        "sky": sky(),
-        "shape": ball((-0.3, 1.0, 0.1), 0.6, diffuse(0.3, 0.5, 0.7)),
-        "near": ball((0.4, -1.2, 0.1), 0.4, diffuse(0.7, 0.2, 0.1)),
-    },
-}
+register(
+    {
+        "parallel": lambda: under(panel(*LIGHT)) | {"sensor": parallel()},
+        "parallel silhouette": lambda: silhouette("tent") | {"sensor": parallel((1.2, 1.3, 2.0), **SIDE)},
+        "parallel smooth": lambda: silhouette("tent", smooth=True) | {"sensor": parallel((1.2, 1.3, 2.0), **SIDE)},
+        # The occluder is some 3.6 away and the floor behind it.
+        "lens": lambda: under(panel(*LIGHT)) | {"sensor": lens(0.3, 2.4)},
+        "lens silhouette": lambda: silhouette("tent") | {"sensor": lens(0.4, 2.5, **SIDE)},
+        "lens smooth": lambda: silhouette("tent", smooth=True) | {"sensor": lens(0.4, 2.5, **SIDE)},
+        "parallel room": lambda: room(0.1) | {"sensor": parallel((1.1, 1.2, 1.0), **FRONT)},
+        "lens room": lambda: room(0.1) | {"sensor": lens(0.2, 2.5, fov=32.0, **FRONT)},
+        "lens, two depths": lambda: {
+            "sensor": lens(0.3, 3.6, origin=(0, -4, 0.5), target=(0, 0, 0)),
+            "sky": sky(),
+            "shape": ball((-0.3, 1.0, 0.1), 0.6, diffuse(0.3, 0.5, 0.7)),
+            "near": ball((0.4, -1.2, 0.1), 0.4, diffuse(0.7, 0.2, 0.1)),
+        },
+    }
+)
 
 
 def stretched(values):
