@@ -87,11 +87,11 @@ CASES = [
     Case("sunk", FLOOR, moved(0.2, 0.1, 1.0), 0.01, "the floor rises", spp=1024, difference_spp=4096),
     Case("sunk", CAMERA, moved(1.0, 0.3, 0.4), 0.01, "the camera moves", difference_spp=2048),
     Case("sunk smooth", SHAPE, moved(0.3, 0.2, 1.0), 0.01, "a ball moves", spp=512, difference_spp=4096),
-    Case("sunk sky", SHAPE, moved(1.0, 0.2, 0.5), 0.01, "a ball moves", spp=512, difference_spp=4096),
+    Case("sunk sky", SHAPE, moved(1.0, 0.2, 0.5), 0.005, "a ball moves", spp=512, difference_spp=8192),
     Case("knot", SHAPE, stretched, 0.01, "a mesh through itself", difference_spp=4096),
     # As other path vertices do.
     Case("glowing box", SHAPE, moved(0.0, 0.0, 1.0), 0.01, "a light rises", spp=1024, difference_spp=4096, slow=False),
-    Case("glowing box", SHAPE, moved(1.0, -0.5, 0.0), 0.01, "a light moves", spp=512, difference_spp=4096),
+    Case("glowing box", SHAPE, moved(1.0, -0.5, 0.0), 0.01, "a light moves", spp=1024, difference_spp=8192),
     Case("hidden", SHAPE, moved(0.2, 0.1, 1.0), 0.01, "a box rises", 3, 4096, 16384),
     Case("hidden", FLOOR, moved(0.0, 0.0, 1.0), 0.01, "the floor rises", 3, 4096, 16384),
 ]
