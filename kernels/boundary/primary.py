@@ -30,9 +30,9 @@ from warp_psdr.kernels.structs import Camera, Scene
 #: small because a second discontinuity as near (a terminator just inside of a silhouette) is taken for the first; the
 #: rays start close to the edge, where float32 resolves it.
 BESIDE = 0.2
-#: The same where both sides of the edge are seen, as at creases and curves of intersection. It is larger because a ray
-#: that leaves one of two surfaces at an acute angle starts one ray epsilon off it, which may not be behind the other.
-BESIDE_CREASE = 10.0
+#: The same at curves of intersection. It is larger because a ray that leaves one of the two surfaces at an acute angle
+#: starts one ray epsilon off it, which may not be behind the other.
+BESIDE_CURVE = 10.0
 #: Distance in front of the edge at which the rays start, in ray epsilons: a triangle that the camera sees edge-on up to
 #: an angle of BESIDE / AHEAD, 10^-4 like the tolerance of flat edges, lies behind the start.
 AHEAD = 2000.0
@@ -105,7 +105,8 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
             if weight[0] == 0.0 and weight[1] == 0.0 and weight[2] == 0.0:
                 return
         sampler.index = wp.uint32(1)
-        beside = (wp.where(side == 0.0, BESIDE_CREASE, BESIDE) * scene.ray_epsilon) * m
+        apart = wp.where(edges.ends[point.edge, 0] < 0, BESIDE_CURVE, BESIDE)
+        beside = (apart * scene.ray_epsilon) * m
         ahead = wp.min(AHEAD * scene.ray_epsilon, distance - at.near)
         jump = wp.vec3(0.0, 0.0, 0.0)
         for i in range(2):
