@@ -32,6 +32,8 @@ BSDF_CONDUCTOR = 1
 BSDF_DIELECTRIC = 2
 BSDF_ROUGH_CONDUCTOR_GGX = 3
 BSDF_ROUGH_CONDUCTOR_BECKMANN = 4
+#: Models that scatter in delta lobes only: smooth mirrors and glass.
+DELTA_MODELS = frozenset({BSDF_CONDUCTOR, BSDF_DIELECTRIC})
 
 # Light sources (``Emitter.kind``).
 EMITTER_AREA = 0
@@ -40,6 +42,8 @@ EMITTER_ENVMAP = 2
 EMITTER_POINT = 3
 EMITTER_SPOT = 4
 EMITTER_DIRECTIONAL = 5
+#: Lights that only a direction of their own reaches.
+DELTA_LIGHTS = frozenset({EMITTER_POINT, EMITTER_SPOT, EMITTER_DIRECTIONAL})
 
 # Lobes of a scattering event (``BsdfSample.lobe``).
 LOBE_NONE = 0

@@ -2,9 +2,39 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import warp as wp
+
+from warp_psdr import workers
 
 
 def launch(kernel: wp.Kernel, dim, inputs: list, outputs: list, device) -> None:
     """Launch a kernel without recording it on the tape that may be active."""
     wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=device, record_tape=False)
+
+
+def launch_lanes(
+    kernel: wp.Kernel, count: int, arguments: Callable[[int, int, int], tuple[list, list]], *, lanes: int, device
+) -> None:
+    """Run a kernel over items: in one launch on CUDA, in lanes on the worker threads on the CPU.
+
+    Args:
+        kernel: one thread an item.
+        count: number of items.
+        arguments: (first item, number of items, lane) -> inputs and outputs. Launches of different lanes run side by
+            side, so they must not write to the same place.
+        lanes: on the CPU; independent of the number of workers.
+        device: Warp device.
+    """
+    wp.load_module(kernel.module, device=device)  # compile once, before the threads start
+    if not device.is_cpu:
+        launch(kernel, count, *arguments(0, count, 0), device)
+        return
+    parts = workers.chunks(count, lanes)
+
+    def lane(i: int) -> None:
+        for first, n in parts[i]:
+            launch(kernel, n, *arguments(first, n, i), device)
+
+    workers.run_lanes(lane, lanes)

@@ -373,15 +373,20 @@ def terminator_faces(
     return cdf, wp.array(faces, dtype=wp.int32, device=scene.device)
 
 
-def _jumps(scene: Scene, view: CameraView, edges: Adjacency, points: np.ndarray) -> np.ndarray:
+def smooth_edges(scene: Scene, edges: Adjacency) -> np.ndarray:
+    """Return a mask of the edges inside of one shape across which neither normal nor texture jumps."""
     shapes = scene.builder.shapes
     shape = scene.builder.face_shape[edges.faces[edges.first[:-1]]]
-    smooth = np.array([s.smooth == 1 for s in shapes])[shape]
+    interpolated = np.array([s.smooth == 1 for s in shapes])[shape]
     # A bitmap on a shape without texture coordinates reads barycentrics, a face attribute jumps at every edge.
     unmapped = np.array([s.has_uv == 0 for s in shapes])[shape]
     textured = any(t.width > 0 for t in scene.builder.textures)
     stepped = any(t.kind == TEXTURE_FACE for t in scene.builder.textures) | (unmapped & textured)
     shared = (edges.count == 2) & (edges.ends == edges.twins).all(axis=1)
+    return shared & ~stepped & (interpolated | (edges.wedge == 0.0))
+
+
+def _jumps(scene: Scene, view: CameraView, edges: Adjacency, points: np.ndarray) -> np.ndarray:
     second = np.where(edges.count == 2, edges.first[:-1] + 1, edges.first[:-1])
     sides, spreads = [], []
     ends = points[edges.ends]
@@ -395,8 +400,7 @@ def _jumps(scene: Scene, view: CameraView, edges: Adjacency, points: np.ndarray)
     scale = np.linalg.norm(plane, axis=1) * edges.length * COPLANAR
     near = [np.abs(s) <= scale + r for s, r in zip(sides, spreads, strict=True)]
     silhouette = (sides[0] * sides[1] >= 0.0) | near[0] | near[1]
-    continuous = shared & ~stepped & ((edges.wedge == 0.0) | (smooth & ~silhouette))
-    return ~continuous
+    return ~(smooth_edges(scene, edges) & ((edges.wedge == 0.0) | ~silhouette))
 
 
 def _upload(scene: Scene, edges: Adjacency, keep: np.ndarray, weight: np.ndarray, low, high) -> Edges:

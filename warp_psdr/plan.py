@@ -64,7 +64,6 @@ TEXTURE_NAMES = {
     c.TEXTURE_VERTEX: "vertex attribute",
     c.TEXTURE_FACE: "face attribute",
 }
-DELTA_MODELS = {c.BSDF_CONDUCTOR, c.BSDF_DIELECTRIC}
 #: Blocks of a path without depth limit. With K = 8 it is cut after 512 vertices; since Russian roulette survives with
 #: probability 0.95 at most, fewer than one path in 10^11 is that long.
 UNBOUNDED_BLOCKS = 64
@@ -153,7 +152,7 @@ def plan(
             lines.append(("boundary term", term.label, "; ".join(moving)))
             if isinstance(term, PathSpace | Projective) and term.guiding is not None:
                 lines.append(("guiding", term.guiding.label, guiding.describe(scene, term.guiding)))
-            if DELTA_MODELS & set(config.bsdfs):
+            if c.DELTA_MODELS & set(config.bsdfs):
                 lines.append(
                     (
                         "boundary term",
@@ -287,7 +286,7 @@ def _blocks(k: int, max_depth: int, lines: list) -> tuple[int, int]:
 
 
 def _check_textbook(config: PathConfig, wanted: Wanted) -> None:
-    if wanted.geometry and DELTA_MODELS & set(config.bsdfs):
+    if wanted.geometry and c.DELTA_MODELS & set(config.bsdfs):
         raise ValueError(
             "interior.Replay(block=0), textbook replay, cannot differentiate moving vertices behind smooth mirrors or "
             "glass: the adjoint of a ray has to be carried backwards. Use interior.Replay(block=8)"
@@ -297,7 +296,7 @@ def _check_textbook(config: PathConfig, wanted: Wanted) -> None:
 def _discontinuities(scene: Scene, config: PathConfig, names: list[str]) -> list[str]:
     """Say which requested parameters move a discontinuity of the integrand, and which one."""
     reasons = []
-    delta = bool(DELTA_MODELS & set(config.bsdfs))
+    delta = bool(c.DELTA_MODELS & set(config.bsdfs))
     lights = _moving_lights(scene)
     for name in names:
         uses = scene.parameters[name].uses

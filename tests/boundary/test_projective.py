@@ -67,7 +67,7 @@ def traced(scene, name, kind, paths, depth=2):
     """Return (edges, weight, wedge seeds, light seeds)."""
     r = request(scene, name, Projective(), depth)
     edges = secondary_edges(scene, set(r.moves.shapes))
-    return (edges, *projective._trace(r, edges, kind, paths))
+    return (edges, *projective._trace(r, edges, neighbours(scene, edges), kind, paths))
 
 
 @pytest.mark.parametrize(("subdivisions", "kind"), [(1, BLOCKED_LIGHT), (1, SCATTERED), (5, BLOCKED_LIGHT)])

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 from warp_psdr.boundary.methods import EdgeSampling, Method, PathSpace
 from warp_psdr.boundary.motion import motion
-from warp_psdr.boundary.terms import DELTA_MODELS
 from warp_psdr.curves import scene_curves
 from warp_psdr.edges import shared_by_many
 from warp_psdr.kernels import constants as c
@@ -48,14 +47,14 @@ def choose(scene: Scene, config: PathConfig, integrator: PathIntegrator, names: 
 
 def _beyond(method: Method, config: PathConfig) -> str:
     """Say what this method leaves to others; empty: nothing."""
-    if isinstance(method, EdgeSampling) and {c.BSDF_CONDUCTOR, c.BSDF_DIELECTRIC} & set(config.bsdfs):
+    if isinstance(method, EdgeSampling) and c.DELTA_MODELS & set(config.bsdfs):
         return "it does not follow edges through smooth mirrors or glass; use boundary.PathSpace()"
     return ""
 
 
 def _uncovered(scene: Scene, config: PathConfig, names: list[str], max_depth: int) -> str:
     """Say why the boundary term cannot be estimated; empty: it can."""
-    if DELTA_MODELS & set(config.bsdfs):
+    if c.DELTA_MODELS & set(config.bsdfs):
         if not 0 < max_depth <= MAX_DEPTH:
             return f"discontinuities are searched through mirrors to some depth; set max_depth to {MAX_DEPTH} or less"
         if config.camera != c.CAMERA_PERSPECTIVE:

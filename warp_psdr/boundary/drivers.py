@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING
 
 import warp as wp
 
 from warp_psdr import workers
 from warp_psdr.boundary.terms import Term, terms
-from warp_psdr.device import launch
+from warp_psdr.device import launch, launch_lanes
 from warp_psdr.kernels.reduction import add_images
 
 if TYPE_CHECKING:
@@ -34,13 +35,12 @@ def backward(
         seed: of the boundary term's stream.
     """
     dummy = wp.zeros((1, 1), dtype=wp.vec3, device=scene.device)
+
+    def arguments(term: Term, first: int, _count: int, lane: int) -> tuple[list, list]:
+        return term.inputs(first, adjoint), [buffers[lane], dummy]
+
     for term in terms(scene, plan, names, "reverse", sensor, spp, seed):
-        _launch(
-            scene,
-            term,
-            lambda first, lane, term=term: (term.inputs(first, adjoint), [buffers[lane], dummy]),
-            lanes=buffers.shape[0],
-        )
+        launch_lanes(term.kernel, term.samples, partial(arguments, term), lanes=buffers.shape[0], device=scene.device)
 
 
 def forward(
@@ -51,28 +51,10 @@ def forward(
     height, width = image.shape
     lanes = max(2, min(workers.LANES, LANE_IMAGE_FLOATS // (3 * height * width))) if scene.device.is_cpu else 1
     images = wp.zeros((lanes, height, width), dtype=wp.vec3, device=scene.device)
+
+    def arguments(term: Term, first: int, _count: int, lane: int) -> tuple[list, list]:
+        return term.inputs(first, dummy), [tangents, images[lane]]
+
     for term in terms(scene, plan, names, "forward", sensor, spp, seed):
-        _launch(
-            scene,
-            term,
-            lambda first, lane, term=term: (term.inputs(first, dummy), [tangents, images[lane]]),
-            lanes=lanes,
-        )
+        launch_lanes(term.kernel, term.samples, partial(arguments, term), lanes=lanes, device=scene.device)
     launch(add_images, dim=(height, width), inputs=[images], outputs=[image], device=scene.device)
-
-
-def _launch(scene: Scene, term: Term, arguments, *, lanes: int) -> None:
-    """Run a term over its samples: in one launch on CUDA, in lanes on the worker threads on the CPU."""
-    wp.load_module(term.kernel.module, device=scene.device)  # compile once, before the threads start
-    if not scene.device.is_cpu:
-        inputs, outputs = arguments(0, 0)
-        launch(term.kernel, dim=term.samples, inputs=inputs, outputs=outputs, device=scene.device)
-        return
-    parts = workers.chunks(term.samples, lanes)
-
-    def lane(i: int) -> None:
-        for first, n in parts[i]:
-            inputs, outputs = arguments(first, i)
-            launch(term.kernel, dim=n, inputs=inputs, outputs=outputs, device=scene.device)
-
-    workers.run_lanes(lane, lanes)

@@ -7,10 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
-from warp_psdr.edges import bent_faces, every_edge, scene_adjacency
+from warp_psdr.edges import bent_faces, every_edge, scene_adjacency, smooth_edges
 from warp_psdr.kernels.boundary.discontinuity import Tables
 from warp_psdr.kernels.boundary.local_form import Edges
-from warp_psdr.kernels.constants import TEXTURE_FACE
 
 if TYPE_CHECKING:
     from warp_psdr.edges import Adjacency
@@ -31,19 +30,6 @@ def face_tables(scene: Scene) -> tuple[Edges, Tables]:
     ):
         setattr(tables, name, wp.array(values.astype(np.int32), dtype=wp.int32, device=scene.device))
     return edges, tables
-
-
-def smooth_edges(scene: Scene, edges: Adjacency) -> np.ndarray:
-    """Return a mask of the edges inside of one shape across which neither normal nor texture jumps."""
-    shapes = scene.builder.shapes
-    shape = scene.builder.face_shape[edges.faces[edges.first[:-1]]]
-    interpolated = np.array([s.smooth == 1 for s in shapes])[shape]
-    # A bitmap on a shape without texture coordinates reads barycentrics, a face attribute jumps at every edge.
-    unmapped = np.array([s.has_uv == 0 for s in shapes])[shape]
-    textured = any(t.width > 0 for t in scene.builder.textures)
-    stepped = any(t.kind == TEXTURE_FACE for t in scene.builder.textures) | (unmapped & textured)
-    shared = (edges.count == 2) & (edges.ends == edges.twins).all(axis=1)
-    return shared & ~stepped & (interpolated | (edges.wedge == 0.0))
 
 
 def _groups(faces: int, edges: Adjacency, joins: np.ndarray) -> np.ndarray:

@@ -12,15 +12,15 @@ from warp_psdr.boundary.methods import Projective
 from warp_psdr.boundary.neighbours import neighbours
 from warp_psdr.device import launch
 from warp_psdr.kernels.boundary.projective import BLOCKED_LIGHT, SCATTERED, make_seeds_kernel
-from warp_psdr.kernels.constants import EMITTER_DIRECTIONAL, EMITTER_POINT, EMITTER_SPOT
+from warp_psdr.kernels.constants import DELTA_LIGHTS
 from warp_psdr.kernels.rng import mix_seed
 
 if TYPE_CHECKING:
     from warp_psdr.boundary.terms import Request
     from warp_psdr.kernels.boundary.local_form import Edges
+    from warp_psdr.kernels.boundary.projective import Neighbours
 
-POINT_LIKE = {EMITTER_POINT, EMITTER_SPOT, EMITTER_DIRECTIONAL}
-#: Share of the uniform wedge beside such lights.
+#: Share of the uniform wedge beside point, spot and directional lights.
 POINT_LIKE_SHARE = 0.5
 #: Sub-stream of the seeds' random numbers, beside those of the terms.
 SEEDS = 4
@@ -30,7 +30,7 @@ MOST_COPIES = 0.01
 
 def uniform_share(r: Request) -> float:
     """Share of the samples whose direction is uniform in the wedge, unguided: all but what only aiming can reach."""
-    return POINT_LIKE_SHARE if set(r.config.lights) & POINT_LIKE else 1.0
+    return POINT_LIKE_SHARE if set(r.config.lights) & DELTA_LIGHTS else 1.0
 
 
 def asker(r: Request) -> Callable[[str, Edges], np.ndarray]:
@@ -58,16 +58,19 @@ def seeds(r: Request, edges: Edges, paths: int) -> dict[str, np.ndarray]:
         technique -> (N, 3) points of its cube, repeated in proportion to the weight of their paths.
     """
     random = np.random.default_rng((r.seed, SEEDS))
-    blocked = _trace(r, edges, BLOCKED_LIGHT, paths)
+    around = neighbours(r.scene, edges)
+    blocked = _trace(r, edges, around, BLOCKED_LIGHT, paths)
     wedge = [_resampled(blocked[0], blocked[1], random)]
     # Aiming at lights finds all direct light but what comes from infinity.
     if r.plan.max_depth != 2 or r.scene.builder.environment >= 0:
-        scattered = _trace(r, edges, SCATTERED, paths)
+        scattered = _trace(r, edges, around, SCATTERED, paths)
         wedge.append(_resampled(scattered[0], scattered[1], random))
     return {"wedge": np.concatenate(wedge), "light": _resampled(blocked[0], blocked[2], random)}
 
 
-def _trace(r: Request, edges: Edges, kind: int, paths: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _trace(
+    r: Request, edges: Edges, around: Neighbours, kind: int, paths: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     device = r.scene.device
     weight = wp.zeros(paths, dtype=wp.float32, device=device)
     wedge, light = (wp.zeros(paths, dtype=wp.vec3d, device=device) for _ in range(2))
@@ -75,7 +78,7 @@ def _trace(r: Request, edges: Edges, kind: int, paths: int) -> tuple[np.ndarray,
         make_seeds_kernel(r.config, kind),
         dim=paths,
         inputs=[
-            r.scene.data(), r.camera, edges, neighbours(r.scene, edges), r.scene.radius,
+            r.scene.data(), r.camera, edges, around, r.scene.radius,
             mix_seed(r.seed, SEEDS + kind), r.plan.max_depth, r.plan.rr_depth,
         ],
         outputs=[weight, wedge, light],

@@ -47,11 +47,7 @@ if TYPE_CHECKING:
 WEDGE_SHARE_DIRECT, WEDGE_SHARE = 0.1, 0.5
 #: Sub-streams of the boundary term's random numbers.
 PRIMARY, SECONDARY, TERMINATOR, CURVE, BENT, EDGE_SAMPLING = 0, 1, 2, 3, 4, 5
-#: Lights that only a direction of their own reaches.
-DELTA_LIGHTS = (c.EMITTER_POINT, c.EMITTER_SPOT, c.EMITTER_DIRECTIONAL)
 THROUGH_MIRRORS = 100
-#: Models that scatter in delta lobes only.
-DELTA_MODELS = frozenset({c.BSDF_CONDUCTOR, c.BSDF_DIELECTRIC})
 
 
 @dataclass(frozen=True)
@@ -109,7 +105,7 @@ class Request:
     @property
     def scatters_smoothly(self) -> bool:
         """Whether any surface is more than a mirror or glass: only then can a path vertex be connected to another."""
-        return not DELTA_MODELS.issuperset(self.config.bsdfs)
+        return not c.DELTA_MODELS.issuperset(self.config.bsdfs)
 
     @property
     def method(self) -> Method:
@@ -125,6 +121,21 @@ def terms(scene: Scene, plan: Plan, names: list[str], role: str, sensor: int, sp
     return [t for t in found if t is not None]
 
 
+def _term(r: Request, stream: int, kernel: wp.Kernel, head: list, samples: int, *, count: int | None = None) -> Term:
+    """Return the launch of a kernel: what it reads of the scene, and what all of them take.
+
+    Args:
+        r: the boundary term.
+        stream: sub-stream of its random numbers.
+        kernel: one thread a sample.
+        head: the arguments in front of the first sample's number.
+        samples: how many.
+        count: what the kernel is told of their number; None: ``samples``.
+    """
+    tail = [count or samples, mix_seed(r.seed, stream), r.plan.max_depth, r.plan.rr_depth]
+    return Term(kernel, lambda first, adjoint: [*head, first, *tail, adjoint], samples)
+
+
 def primary(r: Request) -> Term | None:
     """Return the term of the edges that the camera sees."""
     curves = _curves(r, camera_moves=r.moves.camera)
@@ -132,10 +143,8 @@ def primary(r: Request) -> Term | None:
     if edges is None:
         return None
     samples = r.pixels * (r.method.spp_primary or r.spp)
-    head = [r.scene.data(), r.camera, edges]
-    tail = [samples, mix_seed(r.seed, PRIMARY), r.plan.max_depth, r.plan.rr_depth]
     kernel = make_primary_kernel(r.config, r.role, r.moves.camera)
-    return Term(kernel, lambda first, adjoint: [*head, first, *tail, adjoint], samples)
+    return _term(r, PRIMARY, kernel, [r.scene.data(), r.camera, edges], samples)
 
 
 def terminator(r: Request) -> Term | None:
@@ -147,10 +156,8 @@ def terminator(r: Request) -> Term | None:
     if found is None:
         return None
     samples = r.pixels * (r.method.spp_primary or r.spp)
-    head = [r.scene.data(), r.camera, *found]
-    tail = [samples, mix_seed(r.seed, TERMINATOR), r.plan.max_depth, r.plan.rr_depth]
     kernel = make_terminator_kernel(r.config, r.role, r.moves.camera)
-    return Term(kernel, lambda first, adjoint: [*head, first, *tail, adjoint], samples)
+    return _term(r, TERMINATOR, kernel, [r.scene.data(), r.camera, *found], samples)
 
 
 def secondary(r: Request) -> Term | None:
@@ -172,10 +179,10 @@ def secondary(r: Request) -> Term | None:
     if edges is None:
         return None
     samples = r.pixels * (r.method.spp_secondary or r.spp)
-    head = [r.scene.data(), r.camera, edges, moving_shapes(r.scene, r.moves), guide]
-    tail = [samples, mix_seed(r.seed, SECONDARY), r.plan.max_depth, r.plan.rr_depth]
     kernel = make_secondary_kernel(r.config, r.role, r.moves.camera, r.moves.light_pose, guiding is not None)
-    return Term(kernel, lambda first, adjoint: [*head, first, *tail, adjoint], samples)
+    return _term(
+        r, SECONDARY, kernel, [r.scene.data(), r.camera, edges, moving_shapes(r.scene, r.moves), guide], samples
+    )
 
 
 def _curves(r: Request, *, camera_moves: bool) -> Adjacency:
@@ -196,10 +203,8 @@ def curve(r: Request) -> Term | None:
     if edges is None:
         return None
     samples = r.pixels * (r.method.spp_secondary or r.spp)
-    head = [r.scene.data(), r.camera, edges]
-    tail = [samples, mix_seed(r.seed, CURVE), r.plan.max_depth, r.plan.rr_depth]
     kernel = make_curve_kernel(r.config, r.role, r.moves.camera)
-    return Term(kernel, lambda first, adjoint: [*head, first, *tail, adjoint], samples)
+    return _term(r, CURVE, kernel, [r.scene.data(), r.camera, edges], samples)
 
 
 def bent(r: Request) -> Term | None:
@@ -210,10 +215,8 @@ def bent(r: Request) -> Term | None:
     if found is None:
         return None
     samples = r.pixels * (r.method.spp_secondary or r.spp)
-    head = [r.scene.data(), r.camera, *found]
-    tail = [samples, mix_seed(r.seed, BENT), r.plan.max_depth, r.plan.rr_depth]
     kernel = make_bent_kernel(r.config, r.role, r.moves.camera)
-    return Term(kernel, lambda first, adjoint: [*head, first, *tail, adjoint], samples)
+    return _term(r, BENT, kernel, [r.scene.data(), r.camera, *found], samples)
 
 
 def edge_sampling(r: Request) -> Term | None:
@@ -221,7 +224,7 @@ def edge_sampling(r: Request) -> Term | None:
     assert isinstance(r.method, EdgeSampling)
     kinds = {e.kind for e in r.scene.builder.emitters}
     # With one scattering event only a light can be what the edge hides.
-    if r.plan.max_depth == 1 or not (kinds if r.plan.max_depth != 2 else kinds - set(DELTA_LIGHTS)):
+    if r.plan.max_depth == 1 or not (kinds if r.plan.max_depth != 2 else kinds - c.DELTA_LIGHTS):
         return None
     edges = secondary_edges(r.scene, set(r.moves.shapes))
     if edges is None:
@@ -231,13 +234,12 @@ def edge_sampling(r: Request) -> Term | None:
     candidates = r.method.candidates or (MAX_SPLIT if r.method.tree else DEFAULT_CANDIDATES)
     kernel = make_edge_sampling_kernel(r.config, walk, r.role, r.moves.camera, r.method.tree, candidates)
     head = [r.scene.data(), r.camera, edges, edge_trees(r.scene, edges)]
-    tail = [spp, mix_seed(r.seed, EDGE_SAMPLING), r.plan.max_depth, r.plan.rr_depth]
-    return Term(kernel, lambda first, adjoint: [*head, first, *tail, adjoint], r.pixels * spp)
+    return _term(r, EDGE_SAMPLING, kernel, head, r.pixels * spp, count=spp)
 
 
 def hard_shadows(r: Request) -> Term | None:
     """Return the term of the shadow edges of point, spot and directional lights alone."""
-    if r.plan.max_depth == 1 or not {e.kind for e in r.scene.builder.emitters} & set(DELTA_LIGHTS):
+    if r.plan.max_depth == 1 or not {e.kind for e in r.scene.builder.emitters} & c.DELTA_LIGHTS:
         return None
     edges = secondary_edges(r.scene, set(r.moves.shapes))
     if edges is None:
@@ -245,28 +247,25 @@ def hard_shadows(r: Request) -> Term | None:
     samples = r.pixels * (r.method.spp_secondary or r.spp)
     data = r.scene.data()
     records = data.emitters.numpy()
-    cdf = cumulative(np.where(np.isin(records["kind"], DELTA_LIGHTS), records["probability"], 0.0))
+    cdf = cumulative(np.where(np.isin(records["kind"], list(c.DELTA_LIGHTS)), records["probability"], 0.0))
     records["probability"] = np.diff(cdf)
     data.emitters = wp.array(records, dtype=Emitter, device=r.scene.device)
     data.emitter_cdf = wp.array(cdf, dtype=wp.float32, device=r.scene.device)
     kernel = make_secondary_kernel(r.config, r.role, r.moves.camera, r.moves.light_pose)
     # No share of the wedge: every sample goes to a light.
     head = [data, r.camera, edges, moving_shapes(r.scene, r.moves), Guide()]
-    tail = [samples, mix_seed(r.seed, SECONDARY), r.plan.max_depth, r.plan.rr_depth]
-    return Term(kernel, lambda first, adjoint: [*head, first, *tail, adjoint], samples)
+    return _term(r, SECONDARY, kernel, head, samples)
 
 
 def through_mirrors(r: Request) -> Term | None:
     """Return the term of what is seen through smooth mirrors and glass."""
-    if not r.config.scatter or DELTA_MODELS.isdisjoint(r.config.bsdfs) or not r.scene.face_count:
+    if not r.config.scatter or c.DELTA_MODELS.isdisjoint(r.config.bsdfs) or not r.scene.face_count:
         return None
     assert r.plan.wanted is not None
     edges, tables = face_tables(r.scene)
     samples = r.pixels * (r.method.spp_mirrors or r.spp)
-    head = [r.scene.data(), r.camera, edges, tables]
-    tail = [samples, mix_seed(r.seed, THROUGH_MIRRORS), r.plan.max_depth, r.plan.rr_depth]
     kernel = make_line_search_kernel(r.config, r.plan.wanted, r.role, r.moves.light_pose)
-    return Term(kernel, lambda first, adjoint: [*head, first, *tail, adjoint], samples)
+    return _term(r, THROUGH_MIRRORS, kernel, [r.scene.data(), r.camera, edges, tables], samples)
 
 
 #: What each method consists of.

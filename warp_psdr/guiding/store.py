@@ -16,7 +16,7 @@ import warp as wp
 
 from warp_psdr import workers
 from warp_psdr.boundary.motion import moving_shapes
-from warp_psdr.device import launch
+from warp_psdr.device import launch_lanes
 from warp_psdr.guiding.build import NODE, Leaves, Target
 from warp_psdr.guiding.methods import Method
 from warp_psdr.kernels.boundary.local_form import Edges
@@ -259,13 +259,6 @@ def _facing(r: Request, edges: Edges) -> np.ndarray:
 
 def _run(r: Request, kernel: wp.Kernel, count: int, inputs: Callable[[int], list], outputs: list) -> None:
     """Launch one thread an item; every one has an output of its own, so chunks may run side by side."""
-    device = r.scene.device
-    wp.load_module(kernel.module, device=device)
-    lanes = workers.LANES if device.is_cpu else 1
-    parts = workers.chunks(count, lanes) if device.is_cpu else [[(0, count)]]
-
-    def lane(i: int) -> None:
-        for first, n in parts[i]:
-            launch(kernel, dim=n, inputs=inputs(first), outputs=outputs, device=device)
-
-    workers.run_lanes(lane, lanes)
+    launch_lanes(
+        kernel, count, lambda first, _n, _lane: (inputs(first), outputs), lanes=workers.LANES, device=r.scene.device
+    )
