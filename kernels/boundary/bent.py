@@ -27,7 +27,7 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
-from warp_psdr.kernels.boundary.detector import make_radiance
+from warp_psdr.kernels.boundary.detector import Incident, make_incident
 from warp_psdr.kernels.boundary.transport import Segment, make_transport
 from warp_psdr.kernels.bvh.wide import make_intersect
 from warp_psdr.kernels.constants import FAR
@@ -49,20 +49,20 @@ FLAT = 1.0e-5
 
 @functools.cache
 def make_jump(config: PathConfig):
-    """Return ``jump(scene, sampler, segment, k, max_depth, rr_depth) -> vec3``: [L] with common random numbers."""
-    radiance = make_radiance(config)
+    """Return ``jump(scene, sampler, segment, k, max_depth, rr_depth) -> Incident``: [L] with common random numbers."""
+    incident = make_incident(config)
 
     @wp.func
     def jump(
         scene: Scene, sampler: Sampler, s: Segment, k: wp.int32, max_depth: wp.int32, rr_depth: wp.int32
-    ) -> wp.vec3:
+    ) -> Incident:
         n = -s.t1 * s.sweep
         ahead = wp.min(AHEAD * scene.ray_epsilon, 0.5 * s.t1)
-        total = wp.vec3(0.0, 0.0, 0.0)
-        for i in range(2):
-            sign = 1.0 - 2.0 * wp.float32(i)
-            d = wp.normalize(s.w - (sign * TILT) * n)
-            total += sign * radiance(scene, sampler, s.x - ahead * d, d, FAR, k, max_depth, rr_depth)
+        d = wp.normalize(s.w - TILT * n)
+        total = incident(scene, sampler, s.x - ahead * d, d, FAR, k, max_depth, rr_depth)
+        d = wp.normalize(s.w + TILT * n)
+        other = incident(scene, sampler, s.x - ahead * d, d, FAR, k, max_depth, rr_depth)
+        total.rows = total.rows - other.rows
         return total
 
     return jump

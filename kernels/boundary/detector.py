@@ -23,6 +23,7 @@ from warp_psdr.kernels.boundary.projection import FilmPoint, make_projection
 from warp_psdr.kernels.bsdf.dispatch import make_bsdf
 from warp_psdr.kernels.bvh.wide import make_intersect
 from warp_psdr.kernels.constants import LOBE_SMOOTH
+from warp_psdr.kernels.emitter.area import make_area
 from warp_psdr.kernels.math import to_local, to_world
 from warp_psdr.kernels.path import ROULETTE_MAX, PathConfig, PathState, make_frame, make_material, make_path_step
 from warp_psdr.kernels.rng import Sampler
@@ -31,6 +32,10 @@ from warp_psdr.kernels.surface import make_surface
 
 #: Cosines below it count as zero where one is divided by: such a vertex is seen or lit exactly edge-on.
 MIN_COSINE = 1.0e-6
+
+#: Lengths of the sensor's sub-path that one path from the source's side serves; longer ones take another.
+ROW_COUNT = 8
+ROWS = wp.types.matrix(shape=(ROW_COUNT, 3), dtype=wp.float32)
 
 
 @wp.struct
@@ -44,6 +49,45 @@ class Walk:
     x: wp.vec3
     to: wp.vec3  # direction towards the vertex before
     weight: wp.vec3
+
+
+@wp.struct
+class Incident:
+    """Radiance that arrives at the end of a sensor's sub-path, for every length of it: row i behind first + i vertices.
+
+    One path from the source's side serves all lengths: it ends where the longest sub-path leaves it no more vertices,
+    and what a shorter one leaves is a longer piece of it. Of a path of unlimited depth all rows are equal.
+    """
+
+    first: wp.int32  # number of vertices of row 0
+    same: wp.int32  # 1: all rows, and those that would follow, are equal
+    rows: ROWS
+
+
+@wp.func
+def arriving(incident: Incident, k: wp.int32) -> wp.vec3:
+    """Radiance behind k vertices."""
+    i = wp.where(incident.same == 1, 0, k - incident.first)
+    return wp.vec3(incident.rows[i, 0], incident.rows[i, 1], incident.rows[i, 2])
+
+
+@wp.func
+def covers(incident: Incident, k: wp.int32) -> wp.bool:
+    """Whether a record has a row for k vertices; a fresh one (``first`` = 0) has none."""
+    return incident.first > 0 and (incident.same == 1 or k - incident.first < wp.static(ROW_COUNT))
+
+
+@wp.func
+def alike(radiance: wp.vec3, k: wp.int32) -> Incident:
+    """The same radiance behind k vertices and behind more."""
+    r = Incident()
+    r.first = k
+    r.same = 1
+    rows = ROWS()
+    for c in range(3):
+        rows[0, c] = radiance[c]
+    r.rows = rows
+    return r
 
 
 @wp.struct
@@ -88,6 +132,65 @@ def make_radiance(config: PathConfig):
         return total
 
     return radiance
+
+
+@functools.cache
+def make_incident(config: PathConfig):
+    """Return ``incident(scene, sampler, o, d, t_max, depth, max_depth, rr_depth) -> Incident``, from ``depth`` on.
+
+    The path is that of ``make_radiance``. With at most N = max_depth vertices, vertex j of it contributes its emission
+    E_j behind i vertices if i + j < N, and D_j, what it scatters of light that next-event estimation finds, if
+    i + j + 1 < N.
+    """
+    path_step = make_path_step(config, False)
+    emitted = make_area(config.area)[0] if config.area else None
+
+    @wp.func
+    def incident(
+        scene: Scene,
+        sampler: Sampler,
+        o: wp.vec3,
+        d: wp.vec3,
+        t_max: wp.float32,
+        depth: wp.int32,
+        max_depth: wp.int32,
+        rr_depth: wp.int32,
+    ) -> Incident:
+        r = Incident()
+        r.first = depth
+        r.same = wp.where(max_depth < 0, 1, 0)
+        rows = ROWS()
+        state = PathState()
+        state.alive = 1
+        state.depth = depth
+        state.o = o
+        state.d = d
+        state.t_max = t_max
+        state.throughput = wp.vec3(1.0, 1.0, 1.0)
+        state.eta = 1.0
+        while state.alive == 1:
+            scattered = wp.int32(ROW_COUNT)
+            if max_depth >= 0:
+                scattered = wp.min(max_depth - 1 - state.depth, ROW_COUNT)
+            vertex, state = path_step(scene, sampler, state, max_depth, rr_depth)
+            value = wp.cw_mul(vertex.throughput, vertex.direct)
+            for i in range(scattered):
+                for c in range(3):
+                    rows[i, c] = rows[i, c] + value[c]
+            if scattered < ROW_COUNT:
+                if vertex.face >= 0:
+                    value = wp.vec3(0.0, 0.0, 0.0)
+                    if wp.static(bool(config.area)):
+                        light = scene.shapes[scene.triangles[vertex.face].shape].emitter
+                        if light >= 0:
+                            own = emitted(scene, scene.emitters[light], vertex.face, vertex.u, vertex.v, vertex.d)
+                            value = vertex.e_weight * wp.cw_mul(vertex.throughput, own)
+                for c in range(3):
+                    rows[scattered, c] = rows[scattered, c] + value[c]
+        r.rows = rows
+        return r
+
+    return incident
 
 
 @functools.cache

@@ -10,7 +10,15 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
-from warp_psdr.kernels.boundary.detector import Walk, make_radiance, make_walk
+from warp_psdr.kernels.boundary.detector import (
+    Incident,
+    Walk,
+    alike,
+    arriving,
+    covers,
+    make_incident,
+    make_walk,
+)
 from warp_psdr.kernels.boundary.projection import make_splat
 from warp_psdr.kernels.camera import make_camera_sink, make_lens
 from warp_psdr.kernels.constants import FAR
@@ -50,22 +58,22 @@ class Segment:
 
 @functools.cache
 def make_source(config: PathConfig, emission: bool = False):
-    """Return ``source(scene, sampler, segment, k, max_depth, rr_depth) -> vec3``: the radiance past the occluder.
+    """Return ``source(scene, sampler, segment, k, max_depth, rr_depth) -> Incident``: the radiance past the occluder.
 
     ``emission``: ``segment.radiance`` is what x_2 emits, and all that counts where the path must end there.
     """
-    radiance = make_radiance(config)
+    incident = make_incident(config)
 
     @wp.func
     def source(
         scene: Scene, sampler: Sampler, s: Segment, k: wp.int32, max_depth: wp.int32, rr_depth: wp.int32
-    ) -> wp.vec3:
+    ) -> Incident:
         if s.known == 1:
-            return s.radiance
+            return alike(s.radiance, k)
         if wp.static(emission):
             if max_depth >= 0 and k + 1 >= max_depth:
-                return s.radiance
-        return radiance(scene, sampler, s.source, s.w, FAR, k, max_depth, rr_depth)
+                return alike(s.radiance, k)
+        return incident(scene, sampler, s.source, s.w, FAR, k, max_depth, rr_depth)
 
     return source
 
@@ -153,15 +161,18 @@ def make_transport(config: PathConfig, role: str, camera_moves: bool, source: wp
         known = wp.int32(0)
         weight = wp.float32(0.0)
         total = wp.float32(0.0)
+        incident = Incident()
         k = wp.int32(1)
         while walk.alive == 1:
             seen = connect(scene, camera, walk, lens)
             if wp.max(seen.weight) > 0.0:
-                branch = Sampler()
-                branch.pixel = sampler.pixel
-                branch.index = wp.uint32(k)
-                branch.seed = sampler.seed
-                value = scale * wp.cw_mul(seen.weight, source(scene, branch, s, k, max_depth, rr_depth))
+                if not covers(incident, k):
+                    branch = Sampler()
+                    branch.pixel = sampler.pixel
+                    branch.index = wp.uint32(k)
+                    branch.seed = sampler.seed
+                    incident = source(scene, branch, s, k, max_depth, rr_depth)
+                value = scale * wp.cw_mul(seen.weight, arriving(incident, k))
                 if wp.max(wp.abs(value)) > 0.0:
                     ray = (walk.x - seen.at.origin) / wp.length(walk.x - seen.at.origin)
                     if wp.static(evaluates):
