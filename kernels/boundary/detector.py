@@ -35,6 +35,8 @@ MIN_COSINE = 1.0e-6
 
 #: Lengths of the sensor's sub-path that one path from the source's side serves; longer ones take another.
 ROW_COUNT = 8
+#: A number of vertices that no path has.
+NEVER = 1 << 30
 ROWS = wp.types.matrix(shape=(ROW_COUNT, 3), dtype=wp.float32)
 
 
@@ -53,28 +55,16 @@ class Walk:
 
 @wp.struct
 class Incident:
-    """Radiance that arrives at the end of a sensor's sub-path, for every length of it: row i behind first + i vertices.
+    """Radiance that arrives at the end of a sensor's sub-path, whatever its length.
 
-    One path from the source's side serves all lengths: it ends where the longest sub-path leaves it no more vertices,
-    and what a shorter one leaves is a longer piece of it. Of a path of unlimited depth all rows are equal.
+    One path from the source's side serves all lengths: behind more vertices it ends earlier. ``total`` is its radiance
+    behind up to ``first + cut - 1`` vertices; from there on row i is that behind ``first + i``.
     """
 
-    first: wp.int32  # number of vertices of row 0
-    same: wp.int32  # 1: all rows, and those that would follow, are equal
+    first: wp.int32  # vertices of the shortest sub-path; 0: nothing has been traced
+    cut: wp.int32
+    total: wp.vec3
     rows: ROWS
-
-
-@wp.func
-def arriving(incident: Incident, k: wp.int32) -> wp.vec3:
-    """Radiance behind k vertices."""
-    i = wp.where(incident.same == 1, 0, k - incident.first)
-    return wp.vec3(incident.rows[i, 0], incident.rows[i, 1], incident.rows[i, 2])
-
-
-@wp.func
-def covers(incident: Incident, k: wp.int32) -> wp.bool:
-    """Whether a record has a row for k vertices; a fresh one (``first`` = 0) has none."""
-    return incident.first > 0 and (incident.same == 1 or k - incident.first < wp.static(ROW_COUNT))
 
 
 @wp.func
@@ -82,12 +72,35 @@ def alike(radiance: wp.vec3, k: wp.int32) -> Incident:
     """The same radiance behind k vertices and behind more."""
     r = Incident()
     r.first = k
-    r.same = 1
-    rows = ROWS()
-    for c in range(3):
-        rows[0, c] = radiance[c]
-    r.rows = rows
+    r.cut = NEVER
+    r.total = radiance
     return r
+
+
+@wp.func
+def arriving(incident: Incident, k: wp.int32) -> wp.vec3:
+    """Radiance behind k vertices."""
+    i = k - incident.first
+    if i < incident.cut:
+        return incident.total
+    return wp.vec3(incident.rows[i, 0], incident.rows[i, 1], incident.rows[i, 2])
+
+
+@wp.func
+def amplified(incident: Incident, known: wp.vec3, factor: wp.float32) -> Incident:
+    """``known`` plus ``factor`` times what there is beyond it."""
+    r = incident
+    r.total = known + factor * (incident.total - known)
+    for i in range(ROW_COUNT):
+        for c in range(3):
+            r.rows[i, c] = known[c] + factor * (incident.rows[i, c] - known[c])
+    return r
+
+
+@wp.func
+def covers(incident: Incident, k: wp.int32) -> wp.bool:
+    """Whether ``arriving`` is known for k vertices."""
+    return incident.first > 0 and k - incident.first < wp.max(incident.cut, ROW_COUNT)
 
 
 @wp.struct
@@ -158,7 +171,7 @@ def make_incident(config: PathConfig):
     ) -> Incident:
         r = Incident()
         r.first = depth
-        r.same = wp.where(max_depth < 0, 1, 0)
+        r.cut = NEVER
         rows = ROWS()
         state = PathState()
         state.alive = 1
@@ -169,24 +182,24 @@ def make_incident(config: PathConfig):
         state.throughput = wp.vec3(1.0, 1.0, 1.0)
         state.eta = 1.0
         while state.alive == 1:
-            scattered = wp.int32(ROW_COUNT)
+            # Behind first + cut vertices the path ends here.
             if max_depth >= 0:
-                scattered = wp.min(max_depth - 1 - state.depth, ROW_COUNT)
+                r.cut = max_depth - 1 - state.depth
             vertex, state = path_step(scene, sampler, state, max_depth, rr_depth)
             value = wp.cw_mul(vertex.throughput, vertex.direct)
-            for i in range(scattered):
-                for c in range(3):
-                    rows[i, c] = rows[i, c] + value[c]
-            if scattered < ROW_COUNT:
-                if vertex.face >= 0:
-                    value = wp.vec3(0.0, 0.0, 0.0)
+            if max_depth >= 0 and r.cut < ROW_COUNT:
+                last = r.total
+                if vertex.face < 0:
+                    last += value
+                else:
                     if wp.static(bool(config.area)):
                         light = scene.shapes[scene.triangles[vertex.face].shape].emitter
                         if light >= 0:
                             own = emitted(scene, scene.emitters[light], vertex.face, vertex.u, vertex.v, vertex.d)
-                            value = vertex.e_weight * wp.cw_mul(vertex.throughput, own)
+                            last += vertex.e_weight * wp.cw_mul(vertex.throughput, own)
                 for c in range(3):
-                    rows[scattered, c] = rows[scattered, c] + value[c]
+                    rows[r.cut, c] = last[c]
+            r.total += value
         r.rows = rows
         return r
 

@@ -34,6 +34,9 @@ from warp_psdr.kernels.constants import (
 from warp_psdr.kernels.film import GAUSSIAN_CUT
 from warp_psdr.kernels.structs import Camera, Scene
 
+#: Pixels beside each other for which the filter is evaluated once and not for every row: all under most filters.
+TAP_COUNT = 5
+TAPS = wp.types.vector(length=TAP_COUNT, dtype=wp.float32)
 #: sqrt(2 pi) erf(4 / sqrt 2) - 8 exp(-8): the integral of the lowered Gaussian, over its standard deviation.
 GAUSSIAN_INTEGRAL = 2.50378587
 GAUSSIAN_FLOOR = 3.3546263e-4
@@ -173,6 +176,15 @@ def make_projection(kind: int):
     return project, film_gradient, film_velocity
 
 
+@wp.func
+def filter_taps(camera: Camera, at: wp.float32, first: wp.int32) -> TAPS:
+    """Densities of the pixel filter at the pixels ``first``, ``first`` + 1, ... of an axis, for a point ``at``."""
+    r = TAPS()
+    for i in range(wp.static(TAP_COUNT)):
+        r[i] = filter_1d(camera, at - wp.float32(first + i) - 0.5)
+    return r
+
+
 @functools.cache
 def make_splat():
     """Return ``(splat, gather)``.
@@ -188,10 +200,15 @@ def make_splat():
         y0 = wp.max(wp.int32(wp.ceil(at[1] - 0.5 - r)), 0)
         x1 = wp.min(wp.int32(wp.floor(at[0] - 0.5 + r)), camera.crop_width - 1)
         y1 = wp.min(wp.int32(wp.floor(at[1] - 0.5 + r)), camera.crop_height - 1)
+        taps = filter_taps(camera, at[0], x0)
         for y in range(y0, y1 + 1):
             h_y = filter_1d(camera, at[1] - wp.float32(y) - 0.5)
             for x in range(x0, x1 + 1):
-                wp.atomic_add(image, y, x, (h_y * filter_1d(camera, at[0] - wp.float32(x) - 0.5)) * value)
+                if x - x0 < wp.static(TAP_COUNT):
+                    h = h_y * taps[x - x0]
+                else:
+                    h = h_y * filter_1d(camera, at[0] - wp.float32(x) - 0.5)
+                wp.atomic_add(image, y, x, h * value)
 
     @wp.func
     def gather(camera: Camera, at: wp.vec2, adjoint: wp.array2d(dtype=wp.vec3)) -> wp.vec3:
@@ -200,11 +217,16 @@ def make_splat():
         y0 = wp.max(wp.int32(wp.ceil(at[1] - 0.5 - r)), 0)
         x1 = wp.min(wp.int32(wp.floor(at[0] - 0.5 + r)), camera.crop_width - 1)
         y1 = wp.min(wp.int32(wp.floor(at[1] - 0.5 + r)), camera.crop_height - 1)
+        taps = filter_taps(camera, at[0], x0)
         total = wp.vec3(0.0, 0.0, 0.0)
         for y in range(y0, y1 + 1):
             h_y = filter_1d(camera, at[1] - wp.float32(y) - 0.5)
             for x in range(x0, x1 + 1):
-                total += (h_y * filter_1d(camera, at[0] - wp.float32(x) - 0.5)) * adjoint[y, x]
+                if x - x0 < wp.static(TAP_COUNT):
+                    h = h_y * taps[x - x0]
+                else:
+                    h = h_y * filter_1d(camera, at[0] - wp.float32(x) - 0.5)
+                total += h * adjoint[y, x]
         return total
 
     return splat, gather

@@ -121,7 +121,7 @@ def make_segment(config: PathConfig):
             else:
                 if wp.static(has_environment):
                     r.radiance = environment_eval(scene, r.w)
-            if direct and wp.max(r.radiance) <= 0.0:
+            if (direct or r.face2 < 0) and wp.max(r.radiance) <= 0.0:
                 return r
         # Towards the sensor: from beyond the edge, but not from beyond a contact, which counts as x_2 only.
         hit1 = closest_hit(scene.accel, r.x + start1 * r.w, -r.w, FAR)

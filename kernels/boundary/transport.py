@@ -3,6 +3,12 @@
 Shared by the estimators whose discontinuity lies between two path vertices (``secondary.py``, ``curve.py``,
 ``bent.py``). They differ in how a segment is found and in what moves its discontinuity; the importance W_1, the split
 into vertices x_1 that slide along a pixel's ray (k = 1) and material ones (k > 1), and the sums are the same.
+
+A segment contributes sum over k of W_k L_k, W_k by the connection of the walk's k-th vertex, L_k the radiance past the
+occluder behind k vertices, of which max_depth bounds the number. Walk and source are independent given the segment, so
+E[W_k L_k] = E[W_k] E[L_k] also if all L_k come from one path, cut at different lengths (``detector.Incident``): one
+path instead of max_depth - 1 of them. Where x_2 lies on a light, L_k = E_2 + R_k; E_2 is known without a ray, and R_k,
+what the light's surface scatters, is replaced by R_k / p with probability p and by 0 otherwise.
 """
 
 import functools
@@ -14,6 +20,7 @@ from warp_psdr.kernels.boundary.detector import (
     Incident,
     Walk,
     alike,
+    amplified,
     arriving,
     covers,
     make_incident,
@@ -30,6 +37,10 @@ from warp_psdr.kernels.surface import VertexAdjoint, make_vertex_sink
 #: Sample slots of the point of the lens that sees the walk, and of the walk, whose vertices count from one. Those in
 #: front belong to the segment.
 SLOT_LENS, SLOT_WALK = 3, 3
+#: p: what lights scatter is little beside what they emit; where both are equal, the second moment doubles at most.
+#: Its slot is the camera's in the numbers of the path towards the source.
+BEHIND_LIGHT = 0.2
+SLOT_BEHIND_LIGHT = 0
 
 
 @wp.struct
@@ -63,6 +74,7 @@ def make_source(config: PathConfig, emission: bool = False):
     ``emission``: ``segment.radiance`` is what x_2 emits, and all that counts where the path must end there.
     """
     incident = make_incident(config)
+    sample_1d = make_sampler(config.sampler).sample_1d
 
     @wp.func
     def source(
@@ -71,8 +83,14 @@ def make_source(config: PathConfig, emission: bool = False):
         if s.known == 1:
             return alike(s.radiance, k)
         if wp.static(emission):
-            if max_depth >= 0 and k + 1 >= max_depth:
+            if s.face2 < 0 or (max_depth >= 0 and k + 1 >= max_depth):
                 return alike(s.radiance, k)
+            if wp.max(s.radiance) > 0.0 and k >= rr_depth:
+                # L_2 = E_2 + (L_2 - E_2): the second part by roulette.
+                if sample_1d(sampler, SLOT_BEHIND_LIGHT) >= BEHIND_LIGHT:
+                    return alike(s.radiance, k)
+                r = incident(scene, sampler, s.source, s.w, FAR, k, max_depth, rr_depth)
+                return amplified(r, s.radiance, wp.static(1.0 / BEHIND_LIGHT))
         return incident(scene, sampler, s.source, s.w, FAR, k, max_depth, rr_depth)
 
     return source
@@ -165,7 +183,30 @@ def make_transport(config: PathConfig, role: str, camera_moves: bool, source: wp
         k = wp.int32(1)
         while walk.alive == 1:
             seen = connect(scene, camera, walk, lens)
-            if wp.max(seen.weight) > 0.0:
+            counts = wp.max(seen.weight) > 0.0
+            asked = wp.vec3(0.0, 0.0, 0.0)
+            speed = wp.float32(0.0)
+            if counts:
+                # What nobody asks for, or what does not move, needs no light.
+                if wp.static(role == "reverse" or role == "samples"):
+                    asked = gather(camera, seen.at.pixel, adjoint)
+                    counts = wp.max(wp.abs(asked)) > 0.0
+                if wp.static(role == "forward"):
+                    if k == 1:
+                        ray = wp.normalize(walk.x - seen.at.origin)
+                        a_o, a_d, speed_1 = push_first(scene, target, s, 1.0, True, seen.at.origin, ray)
+                        speed = speed_1
+                        if wp.static(camera_moves):
+                            speed += push_camera(scene, target, camera, seen.at.sample, a_o, a_d)
+                    else:
+                        if known == 0:
+                            _o, _d, moved_1 = push_first(scene, target, s, 1.0, False, s.x, s.w)
+                            moved = moved_1
+                            known = 1
+                        speed = moved
+                    speed += rest
+                    counts = speed != 0.0
+            if counts:
                 if not covers(incident, k):
                     branch = Sampler()
                     branch.pixel = sampler.pixel
@@ -173,33 +214,20 @@ def make_transport(config: PathConfig, role: str, camera_moves: bool, source: wp
                     branch.seed = sampler.seed
                     incident = source(scene, branch, s, k, max_depth, rr_depth)
                 value = scale * wp.cw_mul(seen.weight, arriving(incident, k))
-                if wp.max(wp.abs(value)) > 0.0:
-                    ray = (walk.x - seen.at.origin) / wp.length(walk.x - seen.at.origin)
-                    if wp.static(evaluates):
-                        total += value[0] + value[1] + value[2]
-                    elif wp.static(role != "forward"):
-                        w = wp.dot(gather(camera, seen.at.pixel, adjoint), value)
-                        total += w
-                        if k == 1:
-                            a_o, a_d, _d = push_first(scene, target, s, w, True, seen.at.origin, ray)
-                            if wp.static(camera_moves):
-                                push_camera(scene, target, camera, seen.at.sample, a_o, a_d)
-                        else:
-                            weight += w
+                if wp.static(evaluates):
+                    total += value[0] + value[1] + value[2]
+                elif wp.static(role == "forward"):
+                    splat(camera, seen.at.pixel, speed * value, image)
+                else:
+                    w = wp.dot(asked, value)
+                    total += w
+                    if k == 1 and w != 0.0:
+                        ray = wp.normalize(walk.x - seen.at.origin)
+                        a_o, a_d, _d = push_first(scene, target, s, w, True, seen.at.origin, ray)
+                        if wp.static(camera_moves):
+                            push_camera(scene, target, camera, seen.at.sample, a_o, a_d)
                     else:
-                        speed = wp.float32(0.0)
-                        if k == 1:
-                            a_o, a_d, speed_1 = push_first(scene, target, s, 1.0, True, seen.at.origin, ray)
-                            speed = speed_1
-                            if wp.static(camera_moves):
-                                speed += push_camera(scene, target, camera, seen.at.sample, a_o, a_d)
-                        else:
-                            if known == 0:
-                                _o, _d, moved_1 = push_first(scene, target, s, 1.0, False, s.x, s.w)
-                                moved = moved_1
-                                known = 1
-                            speed = moved
-                        splat(camera, seen.at.pixel, (rest + speed) * value, image)
+                        weight += w
             if max_depth >= 0 and k + 1 + wp.static(least) > max_depth:
                 walk.alive = 0
             else:

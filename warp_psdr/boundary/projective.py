@@ -79,7 +79,7 @@ def _trace(
         dim=paths,
         inputs=[
             r.scene.data(), r.camera, edges, around, r.scene.radius,
-            mix_seed(r.seed, SEEDS + kind), r.plan.max_depth, r.plan.rr_depth,
+            mix_seed(r.seed, SEEDS + kind), r.plan.max_depth, r.rr_depth,
         ],
         outputs=[weight, wedge, light],
         device=device,

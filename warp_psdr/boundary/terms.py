@@ -48,6 +48,9 @@ WEDGE_SHARE_DIRECT, WEDGE_SHARE = 0.1, 0.5
 #: Sub-streams of the boundary term's random numbers.
 PRIMARY, SECONDARY, TERMINATOR, CURVE, BENT, EDGE_SAMPLING = 0, 1, 2, 3, 4, 5
 THROUGH_MIRRORS = 100
+#: Roulette ends paths behind a discontinuity so many vertices earlier than those of the image: their first vertices are
+#: what makes boundary samples differ. By default, from the first one on.
+ROULETTE_EARLIER = 4
 
 
 @dataclass(frozen=True)
@@ -93,6 +96,11 @@ class Request:
         return self.scene.camera(self.sensor)
 
     @property
+    def rr_depth(self) -> int:
+        """From which vertex on roulette ends the paths behind a discontinuity."""
+        return max(self.plan.rr_depth - ROULETTE_EARLIER, 1)
+
+    @property
     def pixels(self) -> int:
         """Number of pixels of the crop window."""
         return self.camera.crop_width * self.camera.crop_height
@@ -132,7 +140,7 @@ def _term(r: Request, stream: int, kernel: wp.Kernel, head: list, samples: int, 
         samples: how many.
         count: what the kernel is told of their number; None: ``samples``.
     """
-    tail = [count or samples, mix_seed(r.seed, stream), r.plan.max_depth, r.plan.rr_depth]
+    tail = [count or samples, mix_seed(r.seed, stream), r.plan.max_depth, r.rr_depth]
     return Term(kernel, lambda first, adjoint: [*head, first, *tail, adjoint], samples)
 
 

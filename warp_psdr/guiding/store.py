@@ -238,7 +238,7 @@ class _Evaluator:
         out = wp.zeros(total, dtype=wp.float32, device=device)
         none = wp.zeros((1, 1), dtype=wp.vec3, device=device)
         seed = mix_seed(mix_seed(r.seed, BUILD), self._found.evaluations)
-        tail = [count, seed, r.plan.max_depth, r.plan.rr_depth, none]
+        tail = [count, seed, r.plan.max_depth, r.rr_depth, none]
         self._found.evaluations += total
         _run(r, self._kernel, total, lambda first: [*self._head, record, first, *tail], [out, none])
         values = out.numpy().astype(np.float64)
