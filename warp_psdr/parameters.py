@@ -36,7 +36,7 @@ class Parameters(Mapping):
 
     def __init__(self, scene: Scene):
         self._scene = scene
-        self._views = {name: p.view(scene.values) for name, p in scene.parameters.items()}
+        self._views = {name: scene.view(name) for name in scene.parameters}
         self._requested: list[str] = []
         self._dirty: set[str] = set()
 
@@ -70,12 +70,13 @@ class Parameters(Mapping):
             KeyError: there is no such parameter.
             ValueError: wrong size, or values that are not finite.
         """
-        checked = self.check(name, values, "value")
-        self._views[name].assign(checked)
+        # What is single precision already is compared with what is there in single precision, and kept where equal.
+        single = isinstance(values, wp.array) or getattr(values, "dtype", None) == np.float32
+        self._scene.place(name, self.check(name, values, "value", np.float32 if single else np.float64))
         self._dirty.add(name)
 
-    def check(self, name: str, values, what: str) -> np.ndarray:
-        """Return ``values`` as float32 in the parameter's NumPy shape.
+    def check(self, name: str, values, what: str, dtype: type = np.float32) -> np.ndarray:
+        """Return ``values`` as float32 (or ``dtype``) in the parameter's NumPy shape.
 
         Raises:
             KeyError: there is no such parameter.
@@ -84,20 +85,22 @@ class Parameters(Mapping):
         p = self._parameter(name)
         array = values.numpy() if isinstance(values, wp.array) else values
         try:
-            array = np.asarray(array, dtype=np.float32)
+            array = np.asarray(array, dtype=dtype)
         except (TypeError, ValueError) as error:
             raise ValueError(
                 f"{what} of {name!r}: expected numbers of shape {p.numpy_shape}, got {values!r}"
             ) from error
         if array.ndim == 0:
-            array = np.full(p.numpy_shape, array, np.float32)
+            array = np.full(p.numpy_shape, array, dtype)
         if array.size != p.size:
             raise ValueError(
                 f"{what} of {name!r}: got shape {array.shape}, expected {p.numpy_shape} ({p.size} numbers); "
                 "the size of a parameter is fixed when the scene is loaded"
             )
-        if not np.isfinite(array).all():
-            raise ValueError(f"{what} of {name!r}: {np.count_nonzero(~np.isfinite(array))} numbers are NaN or infinite")
+        with np.errstate(over="ignore"):  # what overflows becomes infinite
+            finite = np.isfinite(array.astype(np.float32))
+        if not finite.all():
+            raise ValueError(f"{what} of {name!r}: {np.count_nonzero(~finite)} numbers are NaN or infinite")
         return np.ascontiguousarray(array.reshape(p.numpy_shape))
 
     def update(self, *names: str) -> None:

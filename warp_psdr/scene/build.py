@@ -112,7 +112,9 @@ class Builder:
         # Positions of all shapes first and in one stretch: the ray structure reads them in place.
         self.positions = self.layout.add_values(np.zeros(0))
         for number, s in enumerate(shapes):
-            offset = self.layout.add(f"{s.path}.vertex_positions", s.vertices, POSITIONS, dtype=wp.vec3, owner=number)
+            offset = self.layout.add(
+                f"{s.path}.vertex_positions", s.vertices, POSITIONS, dtype=wp.vec3, owner=number, placed=True
+            )
             record = structs.Shape()
             record.emitter = -1
             record.orientation = -1.0 if s.flip_normals else 1.0
@@ -140,7 +142,7 @@ class Builder:
             record.has_uv = 1
             record.uv_offset = offset - 2 * record.first_vertex
         if s.to_world is not None:
-            self.layout.add(f"{s.path}.to_world", s.to_world, SHAPE_POSE, owner=number)
+            self.layout.add(f"{s.path}.to_world", s.to_world, SHAPE_POSE, owner=number, placed=True)
 
     # -- textures and materials ------------------------------------------------------------------------------------
 
@@ -255,9 +257,11 @@ class Builder:
         if e.kind == "envmap":
             record.scale = self.layout.add(f"{e.path}.scale", np.array([e.scale]), LIGHT_RADIANCE, bounds=bounds)
         if e.to_world is not None:
-            record.to_world = self.layout.add(f"{e.path}.to_world", e.to_world, LIGHT_POSE)
+            # Of the others only the directions count.
+            placed = e.kind == "spot"
+            record.to_world = self.layout.add(f"{e.path}.to_world", e.to_world, LIGHT_POSE, placed=placed)
         if e.position is not None:
-            record.to_world = self.layout.add(f"{e.path}.position", e.position, LIGHT_POSE)
+            record.to_world = self.layout.add(f"{e.path}.position", e.position, LIGHT_POSE, placed=True)
         if e.kind == "spot":
             # The kernels read both angles from one offset.
             record.cutoff = self.layout.add_values(np.array([e.cutoff_angle, e.beam_width]))
@@ -275,7 +279,7 @@ class Builder:
         record.filter = RFILTERS[f.filter]
         record.filter_radius, record.filter_stddev = f.filter_radius, f.filter_stddev
         record.near, record.far = s.near_clip, s.far_clip
-        record.to_world = self.layout.add(f"{s.path}.to_world", s.to_world, CAMERA)
+        record.to_world = self.layout.add(f"{s.path}.to_world", s.to_world, CAMERA, placed=True)
         if s.kind != "orthographic":
             record.x_fov = self.layout.add(f"{s.path}.x_fov", np.array([s.x_fov]), CAMERA, bounds=(1e-3, 179.0))
             record.principal = self.layout.add_values(np.asarray(s.principal_point_offset))

@@ -7,6 +7,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
 
+import numpy as np
+
 from .errors import did_you_mean, error, listing, missing_file
 
 T = TypeVar("T")
@@ -47,8 +49,17 @@ class Context:
         self.search_paths: list[Path] = []
         self.notes: list[str] = []
         self.named: dict[str, dict] = {}
+        #: What is subtracted from all positions; see ``origin``.
+        self.origin = np.zeros(3)
         self._built: dict[Any, tuple[dict, Any]] = {}
         self._open: list[int] = []
+
+    def fresh(self) -> Context:
+        """Return the same load as it is now, to build everything in it once more."""
+        copy = Context(self.source, self.base, self.allow_outside)
+        copy.search_paths = list(self.search_paths)
+        copy.notes, copy.named = list(self.notes), dict(self.named)
+        return copy
 
     def note(self, text: str) -> None:
         """Keep a remark for the user, once."""

@@ -132,4 +132,6 @@ class SceneDescription:
     #: "hide_emitters": False}; empty when there is none.
     integrator: dict = field(default_factory=dict)
     source: str = ""  #: file name or "dict", for messages
+    #: (3,) float64: what was subtracted from all positions, those of matrices included; see ``origin``.
+    origin: np.ndarray = field(default_factory=lambda: np.zeros(3))
     notes: list[str] = field(default_factory=list)  #: reported repairs and ignored cosmetic properties

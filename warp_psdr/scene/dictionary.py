@@ -10,6 +10,7 @@ from . import bsdfs, emitters, sensors, shapes, textures
 from .context import Context
 from .description import SceneDescription
 from .errors import error
+from .origin import find_origin
 from .plugins import Properties, category_of
 
 #: Integrators whose light transport a path tracer computes as well.
@@ -46,8 +47,21 @@ def describe(scene: dict, where: str, context: Context) -> SceneDescription:
     """
     if scene.get("type") != "scene":
         raise error(where, f"the outermost type is {scene.get('type')!r}", "wrap the scene in {'type': 'scene', ...}")
+    again = context.fresh()
+    result = _build(scene, where, context)
+    origin = find_origin(result.shapes)
+    if not origin.any():
+        return result
+    again.origin = origin
+    again.note(f"{where}: the scene is far from the origin of the world; the device's coordinates start at {origin}")
+    return _build(scene, where, again)
+
+
+def _build(scene: dict, where: str, context: Context) -> SceneDescription:
+    """Build every plugin, with all positions relative to the context's origin."""
     _register(scene, where, context, [])
     result = SceneDescription(shapes=[], emitters=[], sensors=[], source=context.source, notes=context.notes)
+    result.origin = context.origin
     scene_props = Properties(scene, where, "", context)
     for key, value in scene.items():
         if key in ("type", "id"):

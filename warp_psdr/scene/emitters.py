@@ -8,6 +8,7 @@ import numpy as np
 
 from .description import EmitterDescription, TextureDescription
 from .errors import SceneError, error
+from .origin import moved
 from .plugins import Properties
 from .textures import bitmap_values, texture
 from .transforms import Transform
@@ -95,8 +96,8 @@ def _point(props: Properties) -> EmitterDescription:
     position = props.vector("position", (0.0, 0.0, 0.0))
     position = props.transform("to_world")[:3, 3] if props.has("to_world") else position
     props.take("to_world")
-    intensity = _uniform(props, "intensity")
-    return EmitterDescription(props.path, "point", intensity, position=position.astype(np.float32))
+    position = (position - props.context.origin).astype(np.float32)
+    return EmitterDescription(props.path, "point", _uniform(props, "intensity"), position=position)
 
 
 def _spot(props: Properties) -> EmitterDescription:
@@ -111,7 +112,7 @@ def _spot(props: Properties) -> EmitterDescription:
         props.path,
         "spot",
         _uniform(props, "intensity"),
-        to_world=_rotation(props),
+        to_world=moved(props.transform("to_world"), props.context.origin).astype(np.float32),
         cutoff_angle=cutoff,
         beam_width=beam,
     )

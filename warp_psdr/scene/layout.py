@@ -35,6 +35,7 @@ class Parameter:
     bounds: tuple[float, float]
     uses: set[str] = field(default_factory=set)
     owner: int = -1  #: shape or emitter number, for updates
+    placed: bool = False  #: a position or a pose: relative to the scene's origin on the device (``origin``)
 
     @property
     def size(self) -> int:
@@ -77,6 +78,7 @@ class Layout:
         dtype: type = wp.float32,
         bounds: tuple[float, float] = (-np.inf, np.inf),
         owner: int = -1,
+        placed: bool = False,
     ) -> int:
         """Append a named parameter and return its flat offset.
 
@@ -88,6 +90,7 @@ class Layout:
         values = np.asarray(values, dtype=np.float32)
         offset = self.add_values(values)
         self.name(name, offset, values.shape, use, dtype=dtype, bounds=bounds, owner=owner)
+        self.parameters[name].placed = placed
         return offset
 
     def name(

@@ -38,7 +38,8 @@ def in_place(props: Properties) -> MeshData:
     for name in ("vertices", "faces"):
         if not props.has(name):
             raise error(props.where, f"a 'mesh' without '{name}'", f"give '{name}' of shape (N, 3)")
-    data = MeshData(_array(props, "vertices", 3), _indices(props))
+    # Positions stay in double precision until the scene's place is known (``origin``).
+    data = MeshData(_array(props, "vertices", 3, dtype=np.float64), _indices(props))
     count = len(data.vertices)
     if props.has("normals"):
         data.normals = _array(props, "normals", 3, count)
@@ -133,7 +134,9 @@ def _unit(vectors: np.ndarray) -> np.ndarray:
     return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), np.finfo(np.float64).tiny)
 
 
-def _array(props: Properties, name: str, columns: int | None, rows: int | None = None) -> np.ndarray:
+def _array(
+    props: Properties, name: str, columns: int | None, rows: int | None = None, dtype: type = np.float32
+) -> np.ndarray:
     """Take a float array of shape (rows, columns); a flat one is folded."""
     value, place = _plain(props, name), props.place(name)
     wanted = f"({'N' if rows is None else rows}, {'1 or 3' if columns is None else columns})"
@@ -147,7 +150,7 @@ def _array(props: Properties, name: str, columns: int | None, rows: int | None =
     if not fits or (rows is not None and len(value) != rows):
         raise error(place, f"the array has shape {value.shape}", f"expected {wanted}")
     with np.errstate(over="ignore"):  # what overflows becomes infinite, which the checks report
-        return np.ascontiguousarray(value, dtype=np.float32)
+        return np.ascontiguousarray(value, dtype=dtype)
 
 
 def _indices(props: Properties) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -25,6 +26,8 @@ from warp_psdr.scene.layout import (
     struct_array,
 )
 from warp_psdr.scene.lights import Lights
+from warp_psdr.scene.origin import COLLAPSING
+from warp_psdr.scene.world import World
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -46,7 +49,9 @@ class Scene:
     Attributes:
         description: The validated values it was built from.
         device: Warp device.
-        values: Flat float32 array of every continuous value.
+        values: Flat float32 array of every continuous value, as the kernels read it.
+        origin: (3,) float64, world units: positions in ``values`` are relative to it (``warp_psdr.scene.origin``).
+            Parameters are not.
         parameters: Named stretches of ``values``.
         indices: Flat int32 vertex numbers, three a triangle, over all shapes.
     """
@@ -64,6 +69,9 @@ class Scene:
         self.builder = builder
         self.parameters: dict[str, Parameter] = builder.layout.parameters
         self.values = wp.array(builder.layout.values(), dtype=wp.float32, device=self.device)
+        self.origin = description.origin
+        self._world = World(self.values, self.origin)
+        self._left = False
         self.indices = wp.array(builder.indices.reshape(-1), dtype=wp.int32, device=self.device)
         self.face_count = len(builder.indices)
         self.vertex_count = builder.vertex_count
@@ -86,6 +94,7 @@ class Scene:
         self._update_triangles(range(len(description.shapes)))
         self.accelerator = Accelerator(self._points, self.indices, self.device)
         self._update_bounds()
+        self._world.show(self.parameters.values())
         self.lights = Lights(builder, self.device)
         flat = self.values.numpy()
         self.lights.update_areas(self.lights.of_shapes(range(len(description.shapes))), self._points.numpy())
@@ -101,6 +110,14 @@ class Scene:
     def _view_points(self) -> wp.array:
         points = Parameter("", self.builder.positions, (self.vertex_count,), wp.vec3, (-np.inf, np.inf))
         return points.view(self.values)
+
+    def view(self, name: str) -> wp.array:
+        """Return the array of a parameter that users read and edit."""
+        return self._world.view(self.parameters[name])
+
+    def place(self, name: str, values: np.ndarray) -> None:
+        """Take new values of a parameter, world coordinates, float32 or float64."""
+        self._world.place(self.parameters[name], values)
 
     @property
     def positions(self) -> int:
@@ -150,10 +167,13 @@ class Scene:
             ValueError: vertices, or texels of an environment map, are not finite.
         """
         changed = [self.parameters[name] for name in names]
+        for p in changed:
+            self._world.take_over(p, self.radius)
         posed = {p.owner for p in changed if SHAPE_POSE in p.uses}
         moved = posed | {p.owner for p in changed if POSITIONS in p.uses}
         for shape in sorted(posed):
             self._pose(shape)
+        self._world.show(self.parameters[f"{self.description.shapes[i].path}.vertex_positions"] for i in sorted(posed))
         for shape in sorted(moved):
             description = self.description.shapes[shape]
             if description.normals_computed and f"{description.path}.vertex_normals" not in names:
@@ -245,6 +265,14 @@ class Scene:
             )
         self.radius = max(0.5 * float(np.linalg.norm(high - low)), LEAST_LENGTH)
         self.ray_epsilon = RAY_EPSILON * max(float(np.abs(low).max()), float(np.abs(high).max()), LEAST_LENGTH)
+        if float(np.abs(low + high).max()) > 2.0 * COLLAPSING * self.radius and not self._left:
+            self._left = True
+            warnings.warn(
+                f"the vertices have moved {0.5 * np.abs(low + high).max() / self.radius:.1g} times the scene's size "
+                f"away from scene.origin, {self.origin.tolist()}, and float32 loses digits there; load the scene again",
+                RuntimeWarning,
+                stacklevel=4,
+            )
         spans = [(s.first_vertex, s.first_vertex + s.vertex_count) for s in self.builder.shapes if s.vertex_count]
         sizes = [float(np.linalg.norm(np.ptp(points[first:end].astype(np.float64), axis=0))) for first, end in spans]
         self.contact_radius = CONTACT_RADIUS * 0.5 * min((s for s in sizes if s > 0.0), default=0.0)

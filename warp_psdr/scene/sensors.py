@@ -9,6 +9,7 @@ import numpy as np
 
 from .description import FilmDescription, SensorDescription
 from .errors import error
+from .origin import moved
 from .plugins import PLUGINS, Properties, unsupported_plugin
 
 if TYPE_CHECKING:
@@ -43,7 +44,7 @@ def build(node: dict, where: str, path: str, context: Context) -> SensorDescript
     result = SensorDescription(
         path=path,
         kind=kind,
-        to_world=props.transform("to_world").astype(np.float32) if parallel else _pose(props),
+        to_world=moved(props.transform("to_world") if parallel else _pose(props), context.origin).astype(np.float32),
         near_clip=near,
         far_clip=far,
         film=film,
@@ -82,7 +83,7 @@ def _pose(props: Properties) -> np.ndarray:
     if np.linalg.det(matrix[:3, :3]) < 0.0:
         props.context.note(f"{place}: the matrix mirrors the image")
     matrix[:3, :3] /= scale
-    return matrix.astype(np.float32)
+    return matrix
 
 
 def _x_fov(props: Properties, aspect: float) -> float:

@@ -11,6 +11,7 @@ from .description import ShapeDescription
 from .errors import error
 from .mesh_files import read_mesh
 from .meshes import MeshData, check, drop_flat_triangles, in_place, vertex_normals
+from .origin import collapses, moved
 from .plugins import Properties
 from .primitives import CURVED, DEFAULT_RESOLUTION, MIN_RESOLUTION, PRIMITIVES
 from .textures import check_attribute
@@ -41,6 +42,7 @@ def build(node: dict, where: str, path: str, context: Context) -> ShapeDescripti
     props.ignore("silhouette_sampling_weight", reason="boundary sampling is set up by the integrator")
     flip, flat = props.boolean("flip_normals", False), props.boolean("face_normals", False)
     data, to_world, place = _geometry(props)
+    to_world = moved(to_world, context.origin)
     analytic = props.type in PRIMITIVES
     check(data, place)
     if flat:
@@ -130,7 +132,9 @@ def _place(
         data.faces = data.faces[:, ::-1]
     data.faces = np.ascontiguousarray(data.faces, dtype=np.int32)
     local = data.vertices
-    data.vertices = transform_points(to_world, local).astype(np.float32)
+    world = transform_points(to_world, local)
+    # Far away float32 collapses triangles; that is put right once the scene's place is known (``origin``).
+    data.vertices = world if collapses(world) else world.astype(np.float32)
     check(data, f"{props.where}, after to_world")
     dropped = drop_flat_triangles(data, props.where)
     if dropped:
@@ -151,7 +155,7 @@ def _place(
     shape = ShapeDescription(
         path=props.path,
         kind=props.type,
-        vertices=data.vertices,
+        vertices=world.astype(np.float32),
         faces=data.faces,
         bsdf=bsdf,
         normals=None if world_normals is None else world_normals.astype(np.float32),
