@@ -175,8 +175,8 @@ def test_vertices_that_leave_the_origin_warn() -> None:
     mesh = {"type": "mesh", "vertices": TRIANGLE, "faces": np.array([[0, 1, 2]])}
     loaded = psdr.load_dict({"type": "scene", "camera": {"type": "perspective"}, "mesh": mesh, "sky": sky})
     params = psdr.traverse(loaded)
-    params["mesh.vertex_positions"] = TRIANGLE + (2e3, 0.0, 0.0)
+    params["mesh.vertex_positions"] = TRIANGLE + np.array([2e3, 0.0, 0.0])
     with pytest.warns(RuntimeWarning, match=r"scene\.origin"):
         params.update()
-    params["mesh.vertex_positions"] = TRIANGLE + (10.0, 0.0, 0.0)
+    params["mesh.vertex_positions"] = TRIANGLE + np.array([10.0, 0.0, 0.0])
     params.update()
