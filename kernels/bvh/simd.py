@@ -130,10 +130,10 @@ EDGES = """
 DISTANCE = """
             const vf det = edge_u + edge_v + edge_w;
             vf t = (edge_u * a_z + edge_v * b_z + edge_w * c_z) * shear_z / det;
-            u32 thin = Simd::mask(inside & (det == 0.0f));
-            if (__builtin_expect(thin != 0, 0))
-                for (; thin; thin &= thin - 1) {
-                    const int i = __builtin_ctz(thin);
+            u32 unsure = Simd::mask(inside & (lowest <= 0.0f) & (highest >= 0.0f));  // some edge function is 0
+            if (__builtin_expect(unsure != 0, 0))
+                for (; unsure; unsure &= unsure - 1) {
+                    const int i = __builtin_ctz(unsure);
                     const double ax = a_x[i], ay = a_y[i], bx = b_x[i], by = b_y[i], cx = c_x[i], cy = c_y[i];
                     const double u = cx * by - cy * bx, v = ax * cy - ay * cx, w = bx * ay - by * ax, s = u + v + w;
                     const bool out = (u < 0.0 || v < 0.0 || w < 0.0) && (u > 0.0 || v > 0.0 || w > 0.0);
