@@ -147,6 +147,18 @@ def blocks(images: np.ndarray, count: int) -> np.ndarray:
     return images.reshape(n, count, h // count, count, w // count, c).mean(axis=(2, 4)).reshape(n, -1, c)
 
 
+def markdown(title: str, rows: list[dict]) -> None:
+    """Print rows of equal keys as a Markdown table; floats in three digits."""
+    if not rows:
+        return
+    names = list(rows[0])
+    print(f"### {title}\n")
+    print("| " + " | ".join(names) + " |\n|" + "---|" * len(names))
+    for row in rows:
+        print("| " + " | ".join(_text(row[k]) for k in names) + " |")
+    print(flush=True)
+
+
 class Report:
     """Prints Markdown tables and appends JSON lines."""
 
@@ -161,13 +173,7 @@ class Report:
         """Print rows of equal keys; floats in four digits."""
         if not rows:
             return
-        names = list(rows[0])
-        cells = [[_text(row[k]) for k in names] for row in rows]
-        print(f"### {title}\n")
-        print("| " + " | ".join(names) + " |\n|" + "---|" * len(names))
-        for row in cells:
-            print("| " + " | ".join(row) + " |")
-        print(flush=True)
+        markdown(title, rows)
         if self._output is not None:
             with open(self._output, "a", encoding="utf-8") as file:
                 for row in rows:

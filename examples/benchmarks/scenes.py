@@ -73,6 +73,7 @@ def write_data(folder: Path) -> None:
     checks = np.where((x // 8 + y // 8) % 2 == 0, 0.8, 0.2)
     texture = np.stack([checks, 0.5 + 0.4 * np.sin(x / 10.0), 0.5 + 0.4 * np.cos(y / 5.0)], -1)
     image_io.write_image(folder / "texture.png", texture.astype(np.float32))
+    image_io.write_image(folder / "paint.exr", texture.astype(np.float32))
     y, x = np.mgrid[0:32, 0:64]
     sky = np.stack([0.3 + 0.2 * y / 32, 0.4 + 0.1 * y / 32, 0.9 - 0.6 * y / 32], -1)
     sky[6:9, 20:23] = [60.0, 50.0, 30.0]
