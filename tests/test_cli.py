@@ -11,6 +11,7 @@ import warp_psdr as psdr
 from tests.fit_scenes import SKY, TEXTURE, write_fit, write_scene
 from warp_psdr import image_io
 from warp_psdr.cli import main
+from warp_psdr.work_precision import Report
 
 ROOT = Path(__file__).resolve().parents[1]
 POSITIONS = "wall.vertex_positions"
@@ -84,6 +85,25 @@ def test_reverse_gradient_agrees_with_differences(scene: str, capsys) -> None:
     assert np.load(f"g/{TEXTURE}.npy").shape == (4, 4, 3)
     assert Path(f"g/{TEXTURE}.png").exists()
     assert capsys.readouterr().out.startswith("l2 loss ")
+
+
+def test_accuracy_is_printed_drawn_and_written(scene: str, capsys) -> None:
+    image_io.write_image("target.exr", np.zeros((10, 12, 3), np.float32))
+    arguments = ["accuracy", scene, "--param", SKY, "--param", TEXTURE, "--target", "target.exr", "--seconds", "0.2"]
+    assert main([*arguments, "--target-error", "0.1", "--plot", "new/a.png", "--json", "new/a.json"]) == 0
+    printed = capsys.readouterr().out
+    assert "Accuracy of the gradient" in printed and SKY in printed and "relative error 0.1: " in printed
+    assert Path("new/a.png").stat().st_size > 1000
+    assert list(Report.load("new/a.json").norm2) == [SKY, TEXTURE]
+
+
+def test_accuracy_of_the_image_and_of_its_derivative(scene: str, capsys) -> None:
+    assert main(["accuracy", scene, "--seconds", "0.1"]) == 0
+    assert main(["accuracy", scene, "--param", SKY, "--seconds", "0.1", "--clock", "cpu"]) == 0
+    printed = capsys.readouterr().out
+    assert "Accuracy of the image" in printed and "Accuracy of the derivative image" in printed
+    assert main(["accuracy", scene, "--target", "target.exr"]) == 2
+    assert "give a --param" in capsys.readouterr().err
 
 
 def test_plan_is_printed(scene: str, capsys) -> None:

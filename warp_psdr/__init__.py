@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from warp_psdr import fit, image_io, plots, torch
     from warp_psdr.scene.scene import Scene
     from warp_psdr.viewer import view
+    from warp_psdr.work_precision.pilot import accuracy
 
 __version__ = "0.1.0"
 
@@ -26,6 +27,7 @@ __all__ = [
     "PathIntegrator",
     "Plan",
     "Transform",
+    "accuracy",
     "boundary",
     "fit",
     "guiding",
@@ -50,18 +52,19 @@ __all__ = [
 
 #: Modules that need more than Warp and NumPy; each is loaded when it is first used.
 _LAZY_MODULES = ("fit", "image_io", "plots", "torch")
+_LAZY_FUNCTIONS = {"accuracy": "warp_psdr.work_precision.pilot", "view": "warp_psdr.viewer"}
 
 
 def __getattr__(name: str) -> Any:
     if name in _LAZY_MODULES:
         return importlib.import_module(f"warp_psdr.{name}")
-    if name == "view":
-        return importlib.import_module("warp_psdr.viewer").view
+    if name in _LAZY_FUNCTIONS:
+        return getattr(importlib.import_module(_LAZY_FUNCTIONS[name]), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *_LAZY_MODULES, "view"})
+    return sorted({*globals(), *_LAZY_MODULES, *_LAZY_FUNCTIONS})
 
 
 def load_file(path, *, device: str = "cpu", **defaults) -> Scene:

@@ -1,4 +1,4 @@
-"""The command line: ``warp-psdr render | gradient | plan | fit | view``.
+"""The command line: ``warp-psdr render | gradient | accuracy | plan | fit | view``.
 
 Everything but argparse is loaded by the command that needs it, so that ``--help`` answers at once. A user's mistake
 ends in one line on standard error and exit status 2.
@@ -19,6 +19,7 @@ __all__ = ["main"]
 EXIT_ERROR, EXIT_INTERRUPTED = 2, 130
 #: A render reports fractions; the bar counts in these.
 PROGRESS_UNITS = 100
+LOSSES = ("l2", "l1", "huber", "relative_l2")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -83,11 +84,35 @@ def _parser() -> argparse.ArgumentParser:
         "--translate", type=float, nargs=3, metavar=("X", "Y", "Z"), help="move all vertices or positions this way"
     )
     direction.add_argument("--target", type=Path, metavar="IMAGE", help="reverse mode: compare with this image")
-    gradient.add_argument("--loss", choices=("l2", "l1", "huber", "relative_l2"), default="l2", help="with --target")
+    gradient.add_argument("--loss", choices=LOSSES, default="l2", help="with --target")
     gradient.add_argument(
         "--boundary", choices=("auto", "none"), default="auto", help="none: leave the boundary term out"
     )
     gradient.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help="folder to write to")
+
+    accuracy = command(
+        "accuracy",
+        _accuracy,
+        "Say what accuracy costs: of the image; with --param of a derivative image, with --target of a gradient.",
+    )
+    _scene_options(accuracy)
+    accuracy.add_argument(
+        "--param", action="append", default=[], metavar="NAME", help="as for gradient; none: accuracy of the image"
+    )
+    direction = accuracy.add_mutually_exclusive_group()
+    direction.add_argument("--tangent", type=Path, metavar="FILE.npy", help="direction in which one parameter changes")
+    direction.add_argument(
+        "--translate", type=float, nargs=3, metavar=("X", "Y", "Z"), help="move all vertices or positions this way"
+    )
+    direction.add_argument("--target", type=Path, metavar="IMAGE", help="gradient of the loss against this image")
+    accuracy.add_argument("--loss", choices=LOSSES, default="l2", help="with --target")
+    accuracy.add_argument("--boundary", choices=("auto", "none"), default="auto", help="none: leave the term out")
+    accuracy.add_argument("--seconds", type=float, default=4.0, help="what the pilot may take (default 4)")
+    accuracy.add_argument("--clock", choices=("wall", "cpu"), default="wall", help="cpu: processor time of all threads")
+    accuracy.add_argument("--target-error", type=float, metavar="ERROR", help="say what this relative error costs")
+    accuracy.add_argument("--seed", type=int, default=0, help="of the pilot (default 0)")
+    accuracy.add_argument("--plot", type=Path, metavar="FILE.png", help="draw the error against the time")
+    accuracy.add_argument("--json", type=Path, metavar="FILE.json", help="write the report")
 
     plan = command("plan", _plan, "Print what would be compiled and estimated, and why.")
     _scene_options(plan)
@@ -177,9 +202,7 @@ def _forward(arguments: argparse.Namespace, scene: Any, params: Any, options: di
     import warp_psdr as psdr
     from warp_psdr import image_io, plots
 
-    if arguments.tangent is not None and len(params.requested) > 1:
-        raise ValueError(f"--tangent belongs to one parameter, got {', '.join(params.requested)}; give one --param")
-    tangents = {name: _tangent(arguments, params[name].numpy().shape) for name in params.requested}
+    tangents = _tangents(arguments, params)
     with _fractions("derivative") as progress:
         image = psdr.render_forward(scene, params, tangents, progress=progress, **options).numpy()
     exr, png = arguments.output / "derivative.exr", arguments.output / "derivative.png"
@@ -190,12 +213,24 @@ def _forward(arguments: argparse.Namespace, scene: Any, params: Any, options: di
 
 def _reverse(arguments: argparse.Namespace, scene: Any, params: Any, options: dict[str, Any]) -> list[str]:
     """Write the gradient of a loss against the target."""
+    import warp_psdr as psdr
+    from warp_psdr.fit_report import write_gradients
+
+    loss, adjoint = _loss(arguments, scene, params, options)
+    with _fractions("gradient") as progress:
+        psdr.render_backward(scene, params, adjoint, progress=progress, **options)
+    gradients = {name: params[name].grad.numpy() for name in params.requested}
+    notes = write_gradients(arguments.output, scene, params, gradients)
+    return [f"{arguments.loss} loss {loss:.6g}", *notes, f"wrote gradients to {arguments.output}"]
+
+
+def _loss(arguments: argparse.Namespace, scene: Any, params: Any, options: dict[str, Any]) -> tuple[float, Any]:
+    """Return the loss against the target, and its derivative with respect to the image."""
     import warp as wp
 
     import warp_psdr as psdr
     from warp_psdr import losses
     from warp_psdr.fit import read_target
-    from warp_psdr.fit_report import write_gradients
 
     film = scene.description.sensors[arguments.sensor].film
     target = read_target(arguments.target, (film.crop_height, film.crop_width))
@@ -205,11 +240,43 @@ def _reverse(arguments: argparse.Namespace, scene: Any, params: Any, options: di
     with wp.Tape() as tape:
         loss = getattr(losses, arguments.loss)(image, target)
     tape.backward(loss)
-    with _fractions("gradient") as progress:
-        psdr.render_backward(scene, params, image.grad, progress=progress, **options)
-    gradients = {name: params[name].grad.numpy() for name in params.requested}
-    notes = write_gradients(arguments.output, scene, params, gradients)
-    return [f"{arguments.loss} loss {loss.numpy()[0]:.6g}", *notes, f"wrote gradients to {arguments.output}"]
+    return float(loss.numpy()[0]), image.grad
+
+
+def _accuracy(arguments: argparse.Namespace) -> int:
+    import warp_psdr as psdr
+
+    for path, suffix in ((arguments.plot, ".png"), (arguments.json, ".json")):
+        if path is not None:
+            _require_suffix(path, suffix)
+            path.parent.mkdir(parents=True, exist_ok=True)
+    scene, integrator = _load(arguments)
+    params = psdr.traverse(scene)
+    options: dict[str, Any] = {"sensor": arguments.sensor, "integrator": integrator, "seed": arguments.seed}
+    adjoint = tangents = None
+    if not arguments.param and (arguments.target or arguments.tangent or arguments.translate):
+        raise ValueError("--target, --tangent and --translate say how --param is differentiated; give a --param")
+    if arguments.param:
+        params.requires_grad(*arguments.param)
+        if arguments.target is not None:
+            _value, adjoint = _loss(arguments, scene, params, options)
+        else:
+            tangents = _tangents(arguments, params)
+    options |= {"seconds": arguments.seconds, "clock": arguments.clock}
+    with _fractions("accuracy") as progress:
+        report = psdr.accuracy(scene, params, adjoint, tangents=tangents, progress=progress, **options)
+    print(report)
+    if arguments.target_error is not None:
+        low, high = report.seconds_interval(arguments.target_error)
+        seconds = report.seconds_to(arguments.target_error)
+        print(f"relative error {arguments.target_error:g}: {seconds:.3g} s (95 %: {low:.3g} to {high:.3g} s)")
+    if arguments.plot is not None:
+        report.plot(arguments.plot)
+        print(f"wrote {arguments.plot}")
+    if arguments.json is not None:
+        report.save(arguments.json)
+        print(f"wrote {arguments.json}")
+    return 0
 
 
 def _plan(arguments: argparse.Namespace) -> int:
@@ -293,6 +360,13 @@ def _load(arguments: argparse.Namespace) -> tuple[Any, Any]:
     if getattr(arguments, "boundary", "auto") == "none":
         changes["boundary"] = None
     return scene, replace(from_description(scene.description.integrator), **changes)
+
+
+def _tangents(arguments: argparse.Namespace, params: Any) -> dict[str, Any]:
+    """Return the directions in which the requested parameters change."""
+    if arguments.tangent is not None and len(params.requested) > 1:
+        raise ValueError(f"--tangent belongs to one parameter, got {', '.join(params.requested)}; give one --param")
+    return {name: _tangent(arguments, params[name].numpy().shape) for name in params.requested}
 
 
 def _tangent(arguments: argparse.Namespace, shape: tuple[int, ...]) -> Any:

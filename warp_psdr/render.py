@@ -11,8 +11,9 @@ import numpy as np
 import warp as wp
 
 from warp_psdr import workers
+from warp_psdr.arguments import adjoint_array, checked_seed, flat_tangents, sample_count, samples
 from warp_psdr.boundary import drivers as boundary_drivers
-from warp_psdr.chain import derived_ranges, pull_derived, push_derived
+from warp_psdr.chain import derived_ranges, pull_derived
 from warp_psdr.device import launch
 from warp_psdr.kernels.constants import RFILTER_BOX
 from warp_psdr.kernels.interior.forward import make_forward_kernel
@@ -29,6 +30,9 @@ from warp_psdr.plan import plan as make_plan
 if TYPE_CHECKING:
     from warp_psdr.parameters import Parameters
     from warp_psdr.scene.scene import Scene
+    from warp_psdr.work_precision.budget import Reached, Wanted
+    from warp_psdr.work_precision.quantity import Quantity
+    from warp_psdr.work_precision.report import Report
 
 #: Random-number streams: the primal image, the interior and the boundary term are independent of each other.
 STREAM_PRIMAL, STREAM_INTERIOR, STREAM_BOUNDARY = 0, 1, 2
@@ -46,6 +50,10 @@ def render(
     seed: int = 0,
     tape: wp.Tape | None = None,
     progress: Progress | None = None,
+    target_error: float | None = None,
+    time_budget: float | None = None,
+    report: Report | None = None,
+    reached: Callable[[Reached], None] | None = None,
 ) -> wp.array:
     """Render an image.
 
@@ -60,18 +68,34 @@ def render(
         tape: a Warp tape to record the rendering on: ``tape.backward(loss)`` then adds to the gradients of the
             parameters that ``params.requires_grad`` named.
         progress: called with the finished fraction.
+        target_error: instead of ``spp``: the relative error (of the whole image, in the mean square) to be reached.
+        time_budget: instead of ``spp``: seconds to be spent, after compiling.
+        report: of ``psdr.accuracy`` for this call; a budget without one runs a pilot of its own.
+        reached: called with what a budget bought (``work_precision.Reached``), for example ``print``.
 
     Returns:
         ``wp.array2d`` of vec3, shape (H, W) of the crop window: radiance in W/m^2/sr, averaged under the pixel filter.
 
     Raises:
-        ValueError: an option out of range; with a tape: parameters are missing, or what is requested moves a
-            discontinuity that the method of the boundary term does not cover.
+        ValueError: an option out of range, or two that exclude each other; with a tape: parameters are missing, or
+            what is requested moves a discontinuity that the method of the boundary term does not cover.
     """
+    from warp_psdr.work_precision import budget, quantity
+
+    if budget.check(spp, target_error, time_budget, report):
+        if tape is not None:
+            raise ValueError(
+                "tape: a recorded image takes spp; render with the budget, then call "
+                "render_backward(..., target_error=...) with the loss's adjoint"
+            )
+        scene.camera(sensor)
+        what = quantity.image(scene, integrator=integrator, sensor=sensor)
+        wanted = budget.Wanted(target_error, time_budget, report)
+        return _budgeted(what, wanted, seed, progress, reached)
     integrator = integrator or from_description(scene.description.integrator)
-    spp, seed = _sample_count(scene, sensor, spp), _seed(seed)
+    spp, seed = sample_count(scene, sensor, spp), checked_seed(seed)
     plan = make_plan(scene, integrator=integrator, sensor=sensor)
-    gradient_spp = _samples("spp_grad", spp_grad if spp_grad is not None else spp)
+    gradient_spp = samples("spp_grad", spp_grad if spp_grad is not None else spp)
     if tape is not None:
         if params is None or not params.requested:
             raise ValueError("render(tape=...) differentiates what params.requires_grad(...) names; pass such params")
@@ -82,11 +106,23 @@ def render(
     image = wp.zeros(
         (camera.crop_height, camera.crop_width), dtype=wp.vec3, device=scene.device, requires_grad=tape is not None
     )
-    draw = _render_splatted if plan.config.filter != RFILTER_BOX else _render_boxed
+    draw = _render_splatted if plan.config.filter != RFILTER_BOX else boxed
     draw(scene, plan, sensor, spp, mix_seed(seed, STREAM_PRIMAL), image, progress)
     if tape is not None and params is not None:
         _record(tape, image, scene, params, sensor=sensor, integrator=integrator, spp=gradient_spp, seed=seed)
     return image
+
+
+def _budgeted(what: Quantity, wanted: Wanted, seed: int, progress, reached) -> wp.array:
+    """Return an image that was estimated within a budget."""
+    from warp_psdr.work_precision.budget import spend
+
+    values, bought = spend(what, wanted, seed=seed, progress=progress)
+    if reached is not None:
+        reached(bought)
+    camera = what.scene.camera(what.sensor)
+    pixels = values.reshape(camera.crop_height, camera.crop_width, 3).astype(np.float32)
+    return wp.array(pixels, dtype=wp.vec3, device=what.scene.device)
 
 
 def _record(tape: wp.Tape, image: wp.array, scene: Scene, params: Parameters, **options) -> None:
@@ -96,8 +132,17 @@ def _record(tape: wp.Tape, image: wp.array, scene: Scene, params: Parameters, **
     tape.record_func(backward, [image, *(params[name] for name in params.requested)])
 
 
-def _render_boxed(scene: Scene, plan: Plan, sensor: int, spp: int, seed: int, image: wp.array, progress) -> None:
-    """A sample belongs to the pixel that it falls into."""
+def boxed(
+    scene: Scene,
+    plan: Plan,
+    sensor: int,
+    spp: int,
+    seed: int,
+    image: wp.array,
+    progress: Progress | None = None,
+    pixels: wp.array | None = None,
+) -> None:
+    """Add the mean of ``spp`` samples to every pixel, or to those listed; a sample counts in its own pixel."""
     camera = scene.camera(sensor)
     _launch(
         scene,
@@ -109,15 +154,34 @@ def _render_boxed(scene: Scene, plan: Plan, sensor: int, spp: int, seed: int, im
         ),
         lanes=workers.LANES,
         progress=progress,
+        listed=pixels,
     )
 
 
 def _render_splatted(scene: Scene, plan: Plan, sensor: int, spp: int, seed: int, image: wp.array, progress) -> None:
     """A sample counts for every pixel whose filter reaches it."""
+    films = splatted(scene, plan, sensor, spp, seed, progress)
+    launch(resolve, dim=image.shape, inputs=[films], outputs=[image], device=scene.device)
+
+
+def splatted(
+    scene: Scene,
+    plan: Plan,
+    sensor: int,
+    spp: int,
+    seed: int,
+    progress: Progress | None = None,
+    pixels: wp.array | None = None,
+) -> wp.array:
+    """Return the lanes' films, (lanes, H, W) of vec4: sums of weighted radiance and of weights (``kernels/splat.py``).
+
+    ``pixels`` lists pixels of the raster that is extended by the filter's reach, ``filter_margin``.
+    """
     camera = scene.camera(sensor)
-    margin = math.ceil(camera.filter_radius - 0.5)
-    lanes = workers.lane_count(4 * image.size) if scene.device.is_cpu else 1
-    films = wp.zeros((lanes, *image.shape), dtype=wp.vec4, device=scene.device)
+    margin = filter_margin(camera)
+    size = camera.crop_height * camera.crop_width
+    lanes = workers.lane_count(4 * size) if scene.device.is_cpu else 1
+    films = wp.zeros((lanes, camera.crop_height, camera.crop_width), dtype=wp.vec4, device=scene.device)
     _launch(
         scene,
         make_splat_kernel(plan.config),
@@ -128,8 +192,14 @@ def _render_splatted(scene: Scene, plan: Plan, sensor: int, spp: int, seed: int,
         ),
         lanes=lanes,
         progress=progress,
+        listed=pixels,
     )
-    launch(resolve, dim=image.shape, inputs=[films], outputs=[image], device=scene.device)
+    return films
+
+
+def filter_margin(camera) -> int:
+    """Return how many pixels beyond the film's border a sample can lie that counts for it."""
+    return math.ceil(camera.filter_radius - 0.5)
 
 
 def render_backward(
@@ -142,7 +212,10 @@ def render_backward(
     spp: int | None = None,
     seed: int = 0,
     progress: Progress | None = None,
-) -> None:
+    target_error: float | None = None,
+    time_budget: float | None = None,
+    report: Report | None = None,
+) -> Reached | None:
     """Add the gradient of ``sum(adjoint * image)`` to ``params[name].grad`` of every requested parameter.
 
     Args:
@@ -152,24 +225,68 @@ def render_backward(
         sensor: which camera.
         integrator: default: what the scene file names.
         spp: samples a pixel; default: the sensor's sample count.
-        seed: equal seeds give equal bits.
+        seed: equal seeds give equal bits; with a budget if a report is given and no time.
         progress: called with the finished fraction.
+        target_error: instead of ``spp``: the relative error of the gradient to be reached, the root mean square over
+            the parameters. Samples are split over the terms, and over the image, by what they gain for their time.
+        time_budget: instead of ``spp``: seconds to be spent, after compiling.
+        report: of ``psdr.accuracy`` for this call, or one like it; a budget without one runs a pilot of its own.
+
+    Returns:
+        What a budget bought; None without one.
 
     Raises:
-        ValueError: nothing is requested, a wrong adjoint, an option out of range, or a moving discontinuity that
-            the method of the boundary term does not cover.
+        ValueError: nothing is requested, options that exclude each other, a wrong adjoint, an option out of range,
+            or a moving discontinuity that the method of the boundary term does not cover.
     """
+    from warp_psdr.work_precision import budget, quantity
+
+    if budget.check(spp, target_error, time_budget, report):
+        what = quantity.gradient(scene, params, adjoint, integrator=integrator, sensor=sensor)
+        wanted = budget.Wanted(target_error, time_budget, report)
+        values, bought = budget.spend(what, wanted, seed=seed, progress=progress)
+        for name, block in what.blocks.items():
+            total = wp.array(values[block].astype(np.float32), dtype=wp.float32, device=scene.device)
+            _add(scene, params, name, total, 0)
+        return bought
     integrator = integrator or from_description(scene.description.integrator)
     names = params.requested
     if not names:
         raise ValueError("nothing to differentiate: call params.requires_grad(...) with parameter names first")
-    spp, seed = _sample_count(scene, sensor, spp), _seed(seed)
+    spp, seed = sample_count(scene, sensor, spp), checked_seed(seed)
     plan = make_plan(scene, params, integrator=integrator, sensor=sensor)
+    adjoint = adjoint_array(adjoint, scene.camera(sensor), scene.device)
+    buffers = gradient_buffers(scene)
+    interior_backward(scene, plan, sensor, spp, seed, adjoint, buffers, progress)
+    if plan.boundary is not None:
+        seed = mix_seed(seed, STREAM_BOUNDARY)
+        boundary_drivers.backward(scene, plan, names, adjoint, buffers, sensor=sensor, spp=spp, seed=seed)
+    total = gradient(scene, names, buffers)
+    for name in names:
+        _add(scene, params, name, total, scene.parameters[name].offset)
+    return None
+
+
+def _add(scene: Scene, params: Parameters, name: str, total: wp.array, offset: int) -> None:
+    """Add a stretch of a flat gradient to a parameter's own."""
+    size, grad = scene.parameters[name].size, params[name].grad
+    flat = wp.array(ptr=grad.ptr, dtype=wp.float32, shape=(size,), device=scene.device, copy=False)
+    launch(add_range, dim=size, inputs=[total, offset], outputs=[flat], device=scene.device)
+
+
+def interior_backward(
+    scene: Scene,
+    plan: Plan,
+    sensor: int,
+    spp: int,
+    seed: int,
+    adjoint: wp.array,
+    buffers: wp.array,
+    progress: Progress | None = None,
+    pixels: wp.array | None = None,
+) -> None:
+    """Add the gradient of the interior term, of all pixels or of those listed, to the lanes' flat buffers."""
     camera = scene.camera(sensor)
-    adjoint = _adjoint(adjoint, camera, scene.device)
-    size = scene.values.shape[0]
-    lanes = workers.lane_count(size) if scene.device.is_cpu else 1
-    buffers = wp.zeros((lanes, size), dtype=wp.float32, device=scene.device)
     dummy = wp.zeros((1, 1), dtype=wp.vec3, device=scene.device)
     _launch(
         scene,
@@ -182,13 +299,17 @@ def render_backward(
             ],
             [buffers[lane], dummy],
         ),
-        lanes=lanes,
+        lanes=buffers.shape[0],
         progress=progress,
+        listed=pixels,
     )  # fmt: skip
-    if plan.boundary is not None:
-        seed = mix_seed(seed, STREAM_BOUNDARY)
-        boundary_drivers.backward(scene, plan, names, adjoint, buffers, sensor=sensor, spp=spp, seed=seed)
-    _accumulate(scene, params, names, buffers)
+
+
+def gradient_buffers(scene: Scene) -> wp.array:
+    """Return zeros, (lanes, values): a flat gradient for every lane of a launch."""
+    size = scene.values.shape[0]
+    lanes = workers.lane_count(size) if scene.device.is_cpu else 1
+    return wp.zeros((lanes, size), dtype=wp.float32, device=scene.device)
 
 
 def render_forward(
@@ -201,6 +322,10 @@ def render_forward(
     spp: int | None = None,
     seed: int = 0,
     progress: Progress | None = None,
+    target_error: float | None = None,
+    time_budget: float | None = None,
+    report: Report | None = None,
+    reached: Callable[[Reached], None] | None = None,
 ) -> wp.array:
     """Render the derivative of the image along a direction of parameter space.
 
@@ -213,29 +338,53 @@ def render_forward(
         spp: samples a pixel; default: the sensor's sample count.
         seed: equal seeds give equal bits, and the random numbers of ``render_backward``.
         progress: called with the finished fraction.
+        target_error: instead of ``spp``: the relative error of the derivative image to be reached.
+        time_budget: instead of ``spp``: seconds to be spent, after compiling.
+        report: of ``psdr.accuracy`` for this call; a budget without one runs a pilot of its own.
+        reached: called with what a budget bought (``work_precision.Reached``), for example ``print``.
 
     Returns:
         ``wp.array2d`` of vec3, shape (H, W): d image / d t for parameters + t * tangents.
 
     Raises:
-        ValueError: no or wrong tangents, an option out of range, or a moving discontinuity that the method of the
-            boundary term does not cover.
+        ValueError: no or wrong tangents, an option out of range or two that exclude each other, or a moving
+            discontinuity that the method of the boundary term does not cover.
     """
+    from warp_psdr.work_precision import budget, quantity
+
+    if budget.check(spp, target_error, time_budget, report):
+        what = quantity.derivative(scene, params, tangents, integrator=integrator, sensor=sensor)
+        wanted = budget.Wanted(target_error, time_budget, report)
+        return _budgeted(what, wanted, seed, progress, reached)
     integrator = integrator or from_description(scene.description.integrator)
     if not tangents:
         raise ValueError("render_forward needs at least one tangent: {'parameter name': direction}")
-    spp, seed = _sample_count(scene, sensor, spp), _seed(seed)
+    spp, seed = sample_count(scene, sensor, spp), checked_seed(seed)
     names = list(tangents)
-    flat = np.zeros(scene.values.shape[0], np.float32)
-    for name, tangent in tangents.items():
-        values = params.check(name, tangent, "tangent")
-        p = scene.parameters[name]
-        flat[p.offset : p.offset + p.size] = values.reshape(-1)
+    target = flat_tangents(scene, params, tangents)
     plan = make_plan(scene, integrator=integrator, sensor=sensor, names=names)
     camera = scene.camera(sensor)
-    target = wp.array(flat, dtype=wp.float32, device=scene.device)
-    push_derived(scene, names, target)
     image = wp.zeros((camera.crop_height, camera.crop_width), dtype=wp.vec3, device=scene.device)
+    interior_forward(scene, plan, sensor, spp, seed, target, image, progress)
+    if plan.boundary is not None:
+        seed = mix_seed(seed, STREAM_BOUNDARY)
+        boundary_drivers.forward(scene, plan, names, target, image, sensor=sensor, spp=spp, seed=seed)
+    return image
+
+
+def interior_forward(
+    scene: Scene,
+    plan: Plan,
+    sensor: int,
+    spp: int,
+    seed: int,
+    target: wp.array,
+    image: wp.array,
+    progress: Progress | None = None,
+    pixels: wp.array | None = None,
+) -> None:
+    """Add the derivative of the interior term along flat tangents to all pixels, or to those listed."""
+    camera = scene.camera(sensor)
     dummy = wp.zeros((1, 1), dtype=wp.vec3, device=scene.device)
     _launch(
         scene,
@@ -250,25 +399,18 @@ def render_forward(
         ),
         lanes=workers.LANES,
         progress=progress,
+        listed=pixels,
     )  # fmt: skip
-    if plan.boundary is not None:
-        seed = mix_seed(seed, STREAM_BOUNDARY)
-        boundary_drivers.forward(scene, plan, names, target, image, sensor=sensor, spp=spp, seed=seed)
-    return image
 
 
-def _accumulate(scene: Scene, params: Parameters, names: list[str], buffers: wp.array) -> None:
-    """Sum the lanes, pull the sums back to poses and positions, and add them to the users' gradients."""
+def gradient(scene: Scene, names: list[str], buffers: wp.array) -> wp.array:
+    """Sum the lanes and pull the sums back to poses and positions: the flat gradient of the named parameters."""
     total = wp.zeros(scene.values.shape[0], dtype=wp.float32, device=scene.device)
     ranges = [(scene.parameters[n].offset, scene.parameters[n].size) for n in names]
     for offset, size in dict.fromkeys(ranges + derived_ranges(scene, names)):
         launch(add_lanes, dim=size, inputs=[buffers, offset], outputs=[total], device=scene.device)
     pull_derived(scene, names, total)
-    for name in names:
-        p = scene.parameters[name]
-        grad = params[name].grad
-        flat = wp.array(ptr=grad.ptr, dtype=wp.float32, shape=(p.size,), device=scene.device, copy=False)
-        launch(add_range, dim=p.size, inputs=[total, p.offset], outputs=[flat], device=scene.device)
+    return total
 
 
 def _gradient_kernel(plan: Plan, role: str) -> wp.Kernel:
@@ -287,11 +429,23 @@ def _depth(plan: Plan) -> int:
 
 
 def _launch(
-    scene: Scene, kernel: wp.Kernel, raster: tuple[int, int], arguments, *, lanes: int, progress: Progress | None
+    scene: Scene,
+    kernel: wp.Kernel,
+    raster: tuple[int, int],
+    arguments,
+    *,
+    lanes: int,
+    progress: Progress | None,
+    listed: wp.array | None = None,
 ) -> None:
-    """Run a kernel over a raster (width, height): in one launch on CUDA, in lanes on worker threads on the CPU."""
+    """Run a kernel over a raster (width, height): in one launch on CUDA, in lanes on worker threads on the CPU.
+
+    ``listed``: numbers of its pixels, instead of all of them.
+    """
     data = scene.data()
-    order = wp.array(workers.pixel_order(*raster), dtype=wp.int32, device=scene.device)
+    order = listed
+    if order is None:
+        order = wp.array(workers.pixel_order(*raster), dtype=wp.int32, device=scene.device)
     count = order.shape[0]
     wp.load_module(kernel.module, device=scene.device)  # compile once, before the threads start
     if not scene.device.is_cpu:
@@ -312,34 +466,3 @@ def _launch(
                     progress(done / count)
 
     workers.run_lanes(lane, lanes)
-
-
-def _sample_count(scene: Scene, sensor: int, spp: int | None) -> int:
-    scene.camera(sensor)  # says so where there is no such sensor
-    return _samples("spp", scene.description.sensors[sensor].sample_count if spp is None else spp)
-
-
-def _seed(value) -> int:
-    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 0:
-        raise ValueError(f"seed: got {value!r}, expected a non-negative integer")
-    return int(value)
-
-
-def _samples(name: str, value) -> int:
-    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 1:
-        raise ValueError(f"{name}: got {value!r}, expected a positive integer (samples a pixel)")
-    return int(value)
-
-
-def _adjoint(adjoint, camera, device) -> wp.array:
-    shape = (camera.crop_height, camera.crop_width)
-    if isinstance(adjoint, wp.array) and adjoint.dtype is wp.vec3:
-        if adjoint.shape != shape:
-            raise ValueError(f"adjoint: got shape {adjoint.shape} of vec3, expected the image's {shape}")
-        return adjoint if adjoint.device == device else adjoint.to(device)
-    array = np.asarray(adjoint.numpy() if isinstance(adjoint, wp.array) else adjoint, dtype=np.float32)
-    if array.shape != (*shape, 3):
-        raise ValueError(f"adjoint: got shape {array.shape}, expected the image's {(*shape, 3)}")
-    if not np.isfinite(array).all():
-        raise ValueError("adjoint: holds NaN or infinite numbers; check the loss and the target image")
-    return wp.array(np.ascontiguousarray(array), dtype=wp.vec3, device=device)

@@ -1,0 +1,312 @@
+"""The pilot and its report: variances, predictions, batches that add up to what the drivers return."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import warp_psdr as psdr
+from tests.boundary import scenes
+from warp_psdr.work_precision import Report, pilot, quantity, tiles
+from warp_psdr.work_precision.allocation import batches_for_error, batches_for_time, efficiency
+from warp_psdr.work_precision.statistics import Running, jackknife, moments
+
+POSITIONS, ALBEDO = "occluder.vertex_positions", "floor.bsdf.reflectance.value"
+INTEGRATOR = psdr.PathIntegrator(max_depth=2)
+#: Largest deviate of a z-test whose seed is fixed: one value in 15,000.
+Z = 4.0
+
+
+def adjoint():
+    w = np.random.default_rng(1).normal(1.0, 1.0, (scenes.SIZE, scenes.SIZE, 3)).astype(np.float32)
+    w[:6] = 0.0
+    return w
+
+
+@pytest.fixture(scope="module")
+def soft():
+    scene, params = scenes.load("soft")
+    params.requires_grad(POSITIONS, ALBEDO)
+    return scene, params
+
+
+@pytest.fixture(scope="module")
+def report(soft):
+    return psdr.accuracy(*soft, adjoint(), integrator=INTEGRATOR, clock="cpu", seed=3)
+
+
+def tangents(params):
+    return {POSITIONS: np.broadcast_to(np.float32([1.0, 0.5, 0.3]), params[POSITIONS].numpy().shape)}
+
+
+# -- statistics -----------------------------------------------------------------------------------------------------
+
+
+def draws(repeat, batches=6):
+    """Two terms of three components in two blocks, with known means and variances; skewed."""
+    rng = np.random.default_rng(5)
+    scale = np.array([[1.0, 0.5, 2.0], [0.3, 1.5, 0.1]])
+    mean = np.array([[0.4, -0.2, 1.0], [0.1, 0.3, -0.5]])
+    x = mean[:, None] + scale[:, None] * (rng.exponential(size=(repeat, 2, batches, 3)) - 1.0)
+    return x, [slice(0, 2), slice(2, 3)], scale**2, mean.sum(axis=0)
+
+
+def test_variances_and_norms_are_unbiased():
+    x, blocks, variance, mean = draws(4000)
+    found = [moments([list(term) for term in run], blocks) for run in x]
+    expected = np.stack([variance[:, b].sum(axis=1) for b in blocks], axis=1)
+    norms = np.array([mean[b] @ mean[b] for b in blocks])
+    for values, truth in (
+        (np.array([m.variance for m in found]), expected),
+        (np.array([m.norm2 for m in found]), norms),
+    ):
+        error = values.std(axis=0, ddof=1) / math.sqrt(len(values))
+        assert (np.abs(values.mean(axis=0) - truth) < Z * error).all()
+
+
+def test_leaving_out_is_what_it_says():
+    x, blocks, _variance, _mean = draws(1)
+    whole = moments([list(term) for term in x[0]], blocks)
+    for b in range(x.shape[2]):
+        rest = moments([list(np.delete(term, b, axis=0)) for term in x[0]], blocks)
+        np.testing.assert_allclose(whole.variance_without[b], rest.variance, rtol=1e-9)
+        np.testing.assert_allclose(whole.norm2_without[b], rest.norm2, rtol=1e-9, atol=1e-12)
+
+
+def test_jackknife_finds_the_spread_of_a_variance():
+    x, blocks, _variance, _mean = draws(1000, batches=40)
+    found = [moments([list(term) for term in run], blocks) for run in x]
+    true = np.std([m.variance for m in found], axis=0, ddof=1)
+    guess = np.sqrt(np.mean([m.variance_error**2 for m in found], axis=0))
+    np.testing.assert_allclose(guess, true, rtol=0.15)
+    assert jackknife(np.ones((5, 2))).tolist() == [0.0, 0.0]
+
+
+def test_running_sums_agree_with_kept_batches():
+    x, blocks, _variance, _mean = draws(1)
+    sums, more = Running(blocks), Running(blocks)
+    for i, batch in enumerate(x[0, 0]):
+        (sums if i < 2 else more).add(batch, batch)
+    sums.merge(more)
+    np.testing.assert_allclose(sums.variance(), moments([list(x[0, 0])], blocks).variance[0], rtol=1e-9)
+    np.testing.assert_allclose(sums.total / sums.count, x[0, 0].mean(axis=0))
+
+
+# -- allocation -----------------------------------------------------------------------------------------------------
+
+COST, VARIANCE = np.array([1.0, 0.2, 3.0]), np.array([0.5, 4.0, 0.01])
+
+
+def test_no_split_is_better():
+    best = float(efficiency(COST, VARIANCE))
+    n = batches_for_time(COST, VARIANCE, 500.0)
+    np.testing.assert_allclose([n @ COST, (VARIANCE / n).sum() * 500.0], [500.0, best], rtol=1e-9)
+    for split in np.random.default_rng(2).uniform(0.5, 2.0, (100, 3)) * n:
+        assert (VARIANCE / split).sum() * (split @ COST) >= best
+
+
+def test_error_and_time_are_inverse_also_where_terms_keep_their_least():
+    for error in (2.0, 1.0, 0.3, 0.05):
+        n = batches_for_error(COST, VARIANCE, error)
+        assert (n >= 2.0).all()
+        if (n > 2.0).any():
+            np.testing.assert_allclose((VARIANCE / n).sum(), error**2, rtol=1e-9)
+            np.testing.assert_allclose(batches_for_time(COST, VARIANCE, float(n @ COST)), n, rtol=1e-6)
+
+
+def test_a_term_without_variance_gets_the_least():
+    n = batches_for_error(COST, np.array([0.5, 0.0, 0.01]), 0.01)
+    assert n[1] == 2.0 and n[0] > 100.0
+
+
+# -- batches --------------------------------------------------------------------------------------------------------
+
+
+def test_terms_add_up_to_the_gradient(soft):
+    scene, params = soft
+    what = quantity.gradient(scene, params, adjoint(), integrator=INTEGRATOR, sensor=0)
+    assert [p.name for p in what.parts] == ["interior", "primary edges", "shadow edges"]
+    params.zero_grad()
+    psdr.render_backward(scene, params, adjoint(), integrator=INTEGRATOR, spp=8, seed=4)
+    total = sum(part.run(8, 4) for part in what.parts)
+    for name, block in what.blocks.items():
+        expected = params[name].grad.numpy().reshape(-1)
+        np.testing.assert_allclose(total[block], expected, rtol=1e-4, atol=1e-5 * np.abs(expected).max())
+
+
+def test_terms_add_up_to_the_derivative_image(soft):
+    scene, params = soft
+    what = quantity.derivative(scene, params, tangents(params), integrator=INTEGRATOR, sensor=0)
+    image = psdr.render_forward(scene, params, tangents(params), integrator=INTEGRATOR, spp=8, seed=4).numpy()
+    total = sum(part.run(8, 4) for part in what.parts)
+    np.testing.assert_allclose(total.reshape(image.shape), image, rtol=1e-4, atol=1e-5 * np.abs(image).max())
+
+
+@pytest.mark.parametrize("name", ["silhouette box", "silhouette tent"])
+def test_an_image_is_one_term(name):
+    scene, _params = scenes.load(name)
+    what = quantity.image(scene, integrator=INTEGRATOR, sensor=0)
+    image = psdr.render(scene, integrator=INTEGRATOR, spp=8, seed=4).numpy()
+    total = what.finished(what.parts[0].run(8, 4)).reshape(image.shape)
+    np.testing.assert_allclose(total, image, rtol=1e-5, atol=1e-6)
+
+
+def checkered(what):
+    """Tiles of 5 pixels with all counts in turn, border tiles included."""
+    width, height, _margin = what.raster
+    count = -(-width // 5) * -(-height // 5)
+    return tiles.from_exponents(what, 5, [i % 5 - 2 for i in range(count)])
+
+
+def means_agree(a, b):
+    """z-test of the means of two sets of batches: of every component, and of their squared deviates."""
+    a, b = np.array(a), np.array(b)
+    noise = a.var(axis=0, ddof=1) / len(a) + b.var(axis=0, ddof=1) / len(b)
+    used = noise > 1e-3 * noise.max()  # less is a rare event in a filter's tail, and no normal deviate
+    z = (a.mean(axis=0) - b.mean(axis=0))[used] / np.sqrt(noise[used])
+    assert used.any()
+    assert np.abs(z).max() < Z + 1.5  # Student's t of two dozen batches, hundreds of components
+    total = (a.sum(axis=1).mean() - b.sum(axis=1).mean()) / math.sqrt(
+        a.sum(axis=1).var(ddof=1) / len(a) + b.sum(axis=1).var(ddof=1) / len(b)
+    )
+    assert abs(total) < Z
+
+
+def test_tiles_leave_gradients_unbiased(soft):
+    scene, params = soft
+    what = quantity.gradient(scene, params, adjoint(), integrator=INTEGRATOR, sensor=0)
+    tiled = what.tiled(checkered(what))
+    batches = [[q.parts[0].run(8, 100 * i + b) for b in range(24)] for i, q in enumerate((what, tiled))]
+    means_agree(*batches)
+
+
+@pytest.mark.parametrize("name", ["silhouette box", "silhouette gaussian"])
+def test_tiles_leave_images_unbiased(name):
+    # Under the Gaussian neighbouring tiles share samples.
+    scene, _params = scenes.load(name)
+    what = quantity.image(scene, integrator=INTEGRATOR, sensor=0)
+    tiled = what.tiled(checkered(what))
+    batches = [[q.finished(q.parts[0].run(64, 100 * i + b)) for b in range(24)] for i, q in enumerate((what, tiled))]
+    means_agree(*batches)
+
+
+def test_pixels_without_an_adjoint_are_not_run(soft):
+    scene, params = soft
+    what = quantity.gradient(scene, params, adjoint(), integrator=INTEGRATOR, sensor=0)
+    even = tiles.uniform(what)
+    assert even.samples(4) == 4 * (scenes.SIZE - 6) * scenes.SIZE
+    pixels = np.concatenate([pixels.numpy() for pixels, _count in even.launches(4, "cpu")])
+    assert sorted(pixels) == list(range(6 * scenes.SIZE, scenes.SIZE**2))
+    nothing = quantity.gradient(scene, params, np.zeros_like(adjoint()), integrator=INTEGRATOR, sensor=0)
+    assert tiles.uniform(nothing).launches(4, "cpu") == []
+
+
+def test_tiles_follow_the_adjoint(soft):
+    # All of the adjoint in one corner: samples go there, the rest keeps a few.
+    scene, params = soft
+    w = np.full_like(adjoint(), 0.01)
+    w[8:, 8:] = 1.0
+    what = quantity.gradient(scene, params, w, integrator=INTEGRATOR, sensor=0)
+    found = tiles.measured(replace(what, blocks={ALBEDO: what.blocks[ALBEDO]}), 16, range(6))
+    assert found is not None and found.side == 8
+    assert found.exponents[3] > max(found.exponents[:3])
+    assert min(found.exponents) >= -tiles.REACH
+
+
+# -- the report -----------------------------------------------------------------------------------------------------
+
+
+def test_report_predicts_the_scatter_of_gradients(soft):
+    # The scatter of gradients of the batches' sizes, drawn otherwise and with other seeds, is the predicted variance.
+    scene, params = soft
+    report = psdr.accuracy(scene, params, adjoint(), integrator=INTEGRATOR, clock="cpu", tiles=False, spp=16, seed=8)
+    runs = []
+    for seed in range(64):
+        params.zero_grad()
+        psdr.render_backward(scene, params, adjoint(), integrator=INTEGRATOR, spp=16, seed=900 + seed)
+        runs.append({name: params[name].grad.numpy().reshape(-1).astype(float) for name in (POSITIONS, ALBEDO)})
+    for name in (POSITIONS, ALBEDO):
+        x = np.array([run[name] for run in runs])
+        squares = ((x - x.mean(axis=0)) ** 2).sum(axis=1)
+        error = math.hypot(squares.std(ddof=1) / 8.0, sum(t.variance_error[name] for t in report.terms))
+        assert abs(squares.sum() / 63.0 - sum(t.variance[name] for t in report.terms)) < Z * error
+        assert error < 0.4 * squares.mean()
+        norm2 = x.mean(axis=0) @ x.mean(axis=0) - squares.sum() / 63.0 / 64.0
+        assert abs(norm2 - report.norm2[name]) < Z * math.hypot(report.norm2_error[name], 0.01 * norm2)
+
+
+def test_times_and_errors_are_inverse(report):
+    for error in (0.02, 0.005):
+        assert report.error_in(report.seconds_to(error)) == pytest.approx(error)
+        low, high = report.seconds_interval(error)
+        assert low < report.seconds_to(error) < high
+    assert report.error_in(1e-9) == math.inf
+    split = report.allocation(seconds=100.0)
+    assert split.seconds <= 100.0 + 1e-6
+    assert split.spp == {t.name: t.spp * split.batches[t.name] for t in report.terms}
+    assert report.seconds_to(0.001) == pytest.approx(100.0 * report.seconds_to(0.01), rel=0.05)
+
+
+def test_report_is_written_and_read(report, tmp_path):
+    report.save(tmp_path / "a.json")
+    again = Report.load(tmp_path / "a.json")
+    assert str(again) == str(report)
+    assert again.seconds_to(0.01) == report.seconds_to(0.01)
+    (tmp_path / "b.json").write_text("{}")
+    with pytest.raises(ValueError, match=r"b\.json: expected what Report\.save wrote"):
+        Report.load(tmp_path / "b.json")
+
+
+def test_report_is_drawn(report, tmp_path):
+    report.plot(tmp_path / "a.png")
+    assert (tmp_path / "a.png").stat().st_size > 5000
+    assert report.measured and all(error > 0.0 for _seconds, error in report.measured)
+    text = str(report)
+    for word in ("interior", "shadow edges", POSITIONS, "where shapes touch", "processor time"):
+        assert word in text
+
+
+def test_image_and_derivative_have_reports(soft):
+    scene, params = soft
+    image = psdr.accuracy(scene, integrator=INTEGRATOR, seconds=0.3)
+    assert [t.name for t in image.terms] == ["image"] and image.bias  # the tent filter's quotient
+    options = {"tangents": tangents(params), "integrator": INTEGRATOR, "seconds": 0.3, "spp": 4, "tiles": False}
+    derivative = psdr.accuracy(scene, params, **options)
+    assert [t.spp for t in derivative.terms] == [4, 4, 4]
+    assert derivative.tile == 0
+
+
+def test_textbook_replay_and_a_missing_term_are_named(soft):
+    scene, params = soft
+    integrator = psdr.PathIntegrator(max_depth=2, interior=psdr.interior.Replay(block=0), boundary=None)
+    found = pilot.biases(quantity.gradient(scene, params, adjoint(), integrator=integrator, sensor=0))
+    assert [text.partition(":")[0] for text in found[:2]] == ["textbook replay", "boundary=None"]
+
+
+def test_a_gradient_of_zero_is_refused(soft):
+    scene, params = soft
+    with pytest.raises(ValueError, match="does not stand out of the noise"):
+        psdr.accuracy(scene, params, np.zeros_like(adjoint()), integrator=INTEGRATOR, seconds=0.1)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"clock": "sun"}, "clock: got 'sun'"),
+        ({"adjoint": 0, "tangents": {ALBEDO: 1.0}}, "not both"),
+        ({"tangents": {}}, "tangents: got none"),
+        ({"seconds": 0.0}, "seconds: got 0.0, expected a positive number"),
+        ({"seed": -1}, "seed: got -1"),
+        ({"spp": 0}, "spp: got 0"),
+        ({"sensor": 4}, "sensor 4"),
+    ],
+)
+def test_what_is_out_of_range_is_named(soft, options, message):
+    with pytest.raises(ValueError, match=message):
+        psdr.accuracy(*soft, **options)
+
+
+def test_parameters_are_needed_for_gradients(soft):
+    with pytest.raises(ValueError, match="params: needed"):
+        psdr.accuracy(soft[0], adjoint=adjoint())

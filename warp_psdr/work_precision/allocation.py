@@ -1,0 +1,77 @@
+"""How a budget is split over terms.
+
+Term k costs C_k seconds a batch and has the relative variance U_k a batch; n_k batches of each term have the squared
+error sum_k U_k / n_k and take sum_k n_k C_k seconds. At a given time the error is least for n_k ~ sqrt(U_k / C_k)
+(Lagrange), and then error^2 * time = (sum_k sqrt(U_k C_k))^2. Every term gets at least a batch for each of the two
+halves of a run (``budget.py``), so where that binds, the others share what is left.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+#: Least batches of a term: one for each half.
+LEAST = 2.0
+
+
+@dataclass(frozen=True)
+class Allocation:
+    """A split.
+
+    Attributes:
+        batches: term -> number of batches.
+        spp: term -> samples a pixel in all.
+        seconds: what it takes.
+        error: the relative error that it reaches.
+    """
+
+    batches: dict[str, int]
+    spp: dict[str, int]
+    seconds: float
+    error: float
+
+
+def efficiency(cost: np.ndarray, variance: np.ndarray) -> np.ndarray:
+    """Return error^2 * time of the best split, for costs and relative variances (..., terms)."""
+    return np.sqrt(cost * variance).sum(axis=-1) ** 2
+
+
+def batches_for_time(cost: np.ndarray, variance: np.ndarray, seconds: float, least: float = LEAST) -> np.ndarray:
+    """Return the best (terms,) numbers of batches, not rounded, for a time; ``least`` each where it is too short."""
+
+    def scale(free: np.ndarray, fixed: np.ndarray) -> float:
+        return (seconds - least * cost[fixed].sum()) / _need(cost, free, variance)
+
+    return _split(cost, variance, scale, least)
+
+
+def batches_for_error(cost: np.ndarray, variance: np.ndarray, error: float, least: float = LEAST) -> np.ndarray:
+    """Return the cheapest (terms,) numbers of batches, not rounded, for a relative error."""
+
+    def scale(free: np.ndarray, fixed: np.ndarray) -> float:
+        # The numbers s sqrt(U / C) of the free terms leave sum U / n = sum sqrt(U C) / s.
+        rest = error**2 - variance[fixed].sum() / least
+        return _need(cost, free, variance) / rest if rest > 0.0 else np.inf
+
+    return _split(cost, variance, scale, least)
+
+
+def _need(cost: np.ndarray, free: np.ndarray, variance: np.ndarray) -> float:
+    return max(float(np.sqrt(cost[free] * variance[free]).sum()), 1e-300)
+
+
+def _split(cost: np.ndarray, variance: np.ndarray, scale, least: float) -> np.ndarray:
+    """Give the free terms s sqrt(U / C); terms that would fall below ``least`` are fixed there, and s found again."""
+    ideal = np.sqrt(variance / cost)
+    free = ideal > 0.0
+    while True:
+        batches = np.full(len(cost), least)
+        if not free.any():
+            return batches
+        batches[free] = scale(free, ~free) * ideal[free]
+        short = free & (batches < least)
+        if not short.any():
+            return batches
+        free &= ~short

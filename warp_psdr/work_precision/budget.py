@@ -1,0 +1,304 @@
+"""Budgets: spend samples until a relative error is reached, or for a time, without bias.
+
+A pilot (``pilot.py``) fixes the batches, how they are spread over the image, and their proportions over the terms;
+it is then thrown away, so that given the pilot every batch that counts is an independent and unbiased estimate. What
+is left to watch is *when* one stops, since a rule that looks at the estimates it stops can prefer some outcomes.
+
+**Target error.** Two halves, A and B, run the same schedule: round r brings every term to N_k(r) batches, fixed by the
+pilot. After each round the error is estimated from the variances and the norm in one half (and in the pilot). What is
+estimated in B decides the round at which A's mean is taken, and what is estimated in A that of B's:
+
+    estimate = (mean of A's first N(tau_B) batches + mean of B's first N(tau_A) batches) / 2.
+
+tau_B is independent of A, so E[mean of A's first N(tau_B)] = E[E[... | tau_B]] = g exactly, for any rule; likewise
+B's. The price is that a half whose own mean is settled may go on until it has decided about the other.
+
+**Time.** Rounds of a fixed number of batches of each term are independent and equally distributed, pairs (estimate x_i,
+time t_i). At most M rounds run, which the pilot expects to fill the time; the run also ends when the time is over,
+and a round that was not finished then is left out, unless it is the first. So N = max(1, min(M, number of rounds
+with t_1 + ... + t_n <= T)), and the mean of x_1 ... x_N is unbiased even where samples of large value take longer:
+the event N = n does not change when the first n rounds change places, so E[x_i; N = n] is the same for all i <= n, and
+E[mean] = sum_n E[x_1; N = n] = E[x_1] [Glynn and Heidelberger 1990, "Bias properties of budget constrained
+simulations"].
+
+An image under a filter that reaches beyond its pixel is the quotient of two such means: its bias is of the order of one
+over all samples, as without a budget.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from warp_psdr.arguments import checked_seed
+from warp_psdr.kernels.rng import mix_seed
+from warp_psdr.work_precision import pilot
+from warp_psdr.work_precision.allocation import batches_for_error, batches_for_time
+from warp_psdr.work_precision.quantity import Quantity
+from warp_psdr.work_precision.report import Report, positive
+from warp_psdr.work_precision.statistics import Running
+from warp_psdr.work_precision.tiles import from_exponents
+
+#: Seed stream of what is spent, and those of its halves.
+STREAM_BUDGET, STREAM_A, STREAM_B = 0x73706E64, 0, 1
+#: Share of the predicted batches after which the error is looked at first, and by how much more are run after each
+#: look.
+FIRST_LOOK, NEXT_LOOK = 0.9, 1.15
+#: Most rounds of a time budget, and the share of the efficiency that rounding to them may cost.
+MOST_ROUNDS, ROUNDING = 16, 0.03
+#: Share of a time budget, and of the predicted time to an error, that its own pilot may take; and the least, seconds.
+PILOT_SHARE, LEAST_PILOT = 0.2, 0.1
+#: Seconds of the pilot of a target error, whose time is not known before.
+ERROR_PILOT = 2.0
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """A budget.
+
+    Attributes:
+        error: relative error to be reached; None: there is a time instead.
+        seconds: to be spent; None: there is an error instead.
+        report: of a pilot; None: one is run.
+    """
+
+    error: float | None
+    seconds: float | None
+    report: Report | None
+
+
+@dataclass(frozen=True)
+class Reached:
+    """What a budget bought.
+
+    Attributes:
+        error: estimated relative error (of the gradient: root mean square over the parameters).
+        seconds: spent, without the pilot and without compiling.
+        pilot_seconds: of the pilot; 0 where a report was given.
+        spp: term -> samples a pixel.
+        batches: term -> batches.
+        report: what the pilot found; pass it to the next call at a similar scene, which then needs none.
+    """
+
+    error: float
+    seconds: float
+    pilot_seconds: float
+    spp: dict[str, int]
+    batches: dict[str, int]
+    report: Report
+
+
+def check(spp: Any, target_error: Any, time_budget: Any, report: Any) -> bool:
+    """Whether a budget is given.
+
+    Raises:
+        ValueError: arguments that exclude each other, or are none.
+    """
+    if target_error is None and time_budget is None:
+        if report is not None:
+            raise ValueError("report: needed with target_error or time_budget only; give one of these or leave it out")
+        return False
+    if target_error is not None and time_budget is not None:
+        raise ValueError("target_error and time_budget exclude each other; give one")
+    if spp is not None:
+        name = "target_error" if target_error is not None else "time_budget"
+        raise ValueError(f"spp and {name} exclude each other: the budget says how many samples are taken")
+    if report is not None and not isinstance(report, Report):
+        raise ValueError(f"report: got {type(report).__name__}, expected what psdr.accuracy returned")
+    positive("target_error" if time_budget is None else "time_budget", target_error or time_budget)
+    return True
+
+
+def spend(
+    what: Quantity, wanted: Wanted, *, seed: int, progress: Callable[[float], None] | None
+) -> tuple[np.ndarray, Reached]:
+    """Estimate a quantity within a budget.
+
+    Returns:
+        Its components, and what was reached.
+
+    Raises:
+        ValueError: the report is of something else, or the gradient does not stand out of the pilot's noise.
+    """
+    seed = checked_seed(seed)
+    pilot_seconds = 0.0
+    report = wanted.report
+    if report is None:
+        seconds = ERROR_PILOT if wanted.seconds is None else max(PILOT_SHARE * wanted.seconds, LEAST_PILOT)
+        report = pilot.run(what, spp=None, seed=seed, seconds=seconds, tiles=True, clock="wall")
+        pilot_seconds = report.pilot_seconds
+    _check_report(what, report)
+    if report.tile:
+        what = what.tiled(from_exponents(what, report.tile, report.exponents))
+    seed = mix_seed(seed, STREAM_BUDGET)
+    if wanted.error is not None:
+        raw, counts, error, spent = _to_error(what, report, float(wanted.error), seed, progress)
+    else:
+        assert wanted.seconds is not None
+        raw, counts, error, spent = _in_time(what, report, wanted.seconds - pilot_seconds, seed, progress)
+    if progress is not None:
+        progress(1.0)
+    names = [part.name for part in what.parts]
+    batches = dict(zip(names, counts, strict=True))
+    spp = {t.name: t.spp * batches[t.name] for t in report.terms}
+    return what.finished(raw), Reached(error, spent, pilot_seconds, spp, batches, report)
+
+
+def _check_report(what: Quantity, report: Report) -> None:
+    """Refuse the report of something else."""
+    pairs = {
+        "role": (report.role, what.role),
+        "terms": ([t.name for t in report.terms], [p.name for p in what.parts]),
+        "parameters": (list(report.norm2), list(what.blocks)),
+    }
+    for name, (got, expected) in pairs.items():
+        if got != expected:
+            raise ValueError(f"report: its {name} are {got}, expected {expected}; run psdr.accuracy for this call")
+    width, height, _margin = what.raster
+    if report.tile:
+        tiles = -(-width // report.tile) * -(-height // report.tile)
+        if len(report.exponents) != tiles:
+            raise ValueError(
+                f"report: it has {len(report.exponents)} tiles, this image {tiles}; run psdr.accuracy for this call"
+            )
+
+
+class _Half:
+    """Batches of all terms with seeds of their own, and what they say of the error."""
+
+    def __init__(self, what: Quantity, report: Report, seed: int):
+        self._what, self._report, self._seed = what, report, seed
+        self._blocks = list(what.blocks.values())
+        self.terms = [Running(self._blocks) for _ in what.parts]
+
+    def run(self, counts: np.ndarray) -> None:
+        """Bring every term to its number of batches."""
+        for k, (part, sums) in enumerate(zip(self._what.parts, self.terms, strict=True)):
+            stream = mix_seed(self._seed, k)
+            while sums.count < counts[k]:
+                raw = part.run(self._report.terms[k].spp, mix_seed(stream, sums.count))
+                sums.add(raw, self._what.finished(raw))
+
+    def mean(self) -> np.ndarray:
+        """Return the sum of the terms' means, raw."""
+        total = sum(sums.total / sums.count for sums in self.terms)
+        return np.asarray(total)
+
+    def variances(self) -> np.ndarray:
+        """Return (terms, blocks): of a batch, from this half and the pilot, by their degrees of freedom."""
+        prior = np.array([[t.variance[b] for b in self._what.blocks] for t in self._report.terms])
+        known = self._report.batches - 1
+        own = np.array([sums.variance() for sums in self.terms])
+        degrees = np.array([[sums.count - 1] for sums in self.terms])
+        return (known * prior + degrees * own) / (known + degrees)
+
+    def norm2(self, variances: np.ndarray) -> np.ndarray:
+        """Return (blocks,): squared norms, from this half and the pilot, by how certain their means are."""
+        counts = np.array([sums.count for sums in self.terms])
+        components = np.sum([np.asarray(sums.sums) / sums.count for sums in self.terms], axis=0)
+        squared = np.array([components[block] @ components[block] for block in self._blocks])
+        noise = (variances / counts[:, None]).sum(axis=0)
+        prior = np.array([self._report.norm2[b] for b in self._what.blocks])
+        prior_noise = variances.sum(axis=0) / self._report.batches
+        # Inverse variances of the two means; what has no noise at all is as good as certain.
+        weight, prior_weight = 1.0 / np.maximum(noise, 1e-300), 1.0 / np.maximum(prior_noise, 1e-300)
+        return (weight * (squared - noise) + prior_weight * prior) / (weight + prior_weight)
+
+    def error(self, counts: np.ndarray) -> float:
+        """Return the relative error of means of (terms,) batches; infinite where nothing stands out of the noise."""
+        variances = self.variances()
+        norm2 = self.norm2(variances)
+        seen = np.array([name in self._report.seen for name in self._what.blocks])
+        if (norm2[seen] <= 0.0).any():
+            return math.inf
+        return math.sqrt(float(((variances / counts[:, None]).sum(axis=0)[seen] / norm2[seen]).mean()))
+
+
+def _to_error(what: Quantity, report: Report, target: float, seed: int, progress):
+    """Run both halves until each has decided about the other."""
+    now = pilot.CLOCKS[report.clock]
+    start = now()
+    wanted = batches_for_error(report.cost, report.relative_variance, target) / 2.0
+    halves = [_Half(what, report, mix_seed(seed, stream)) for stream in (STREAM_A, STREAM_B)]
+    means: list[np.ndarray | None] = [None, None]
+    used: list[np.ndarray] = [np.zeros(0), np.zeros(0)]
+    share = FIRST_LOOK
+    before = np.zeros(len(wanted))
+    while means[0] is None or means[1] is None:
+        counts = np.maximum(np.round(share * wanted), 1.0)
+        share *= NEXT_LOOK
+        if np.array_equal(counts, before):
+            continue
+        before = counts
+        for half in halves:
+            half.run(counts)
+        for a, b in ((0, 1), (1, 0)):
+            if means[a] is None and halves[b].error(2.0 * counts) <= target:
+                means[a], used[a] = halves[a].mean(), counts
+        if progress is not None:
+            progress(min(0.99, float((counts / np.maximum(wanted, 1.0)).mean()) / NEXT_LOOK))
+    # The mean of two means of n and m batches has the variance V (1/n + 1/m) / 4: that of 4 / (1/n + 1/m) batches.
+    effective = 4.0 / (1.0 / used[0] + 1.0 / used[1])
+    both = _together(halves, what, report)
+    assert means[0] is not None and means[1] is not None
+    return 0.5 * (means[0] + means[1]), (used[0] + used[1]).astype(int).tolist(), both.error(effective), now() - start
+
+
+def _in_time(what: Quantity, report: Report, seconds: float, seed: int, progress):
+    """Run rounds until they are done or the time is over."""
+    now = pilot.CLOCKS[report.clock]
+    start = now()
+    each, most = _rounds(report, max(seconds, 1e-9))
+    whole, done = _Half(what, report, seed), 0
+    mean: np.ndarray | float = 0.0
+    names = range(len(what.parts))
+    blocks = list(what.blocks.values())
+    while done < most:
+        this = [Running(blocks) for _ in names]
+        for k, part in enumerate(what.parts):
+            stream = mix_seed(seed, k)
+            for i in range(int(each[k])):
+                raw = part.run(report.terms[k].spp, mix_seed(stream, done * int(each[k]) + i))
+                this[k].add(raw, what.finished(raw))
+        if done and now() - start > seconds:
+            break
+        for sums, more in zip(whole.terms, this, strict=True):
+            sums.merge(more)
+        done += 1
+        mean = whole.mean()
+        spent = now() - start
+        if progress is not None:
+            progress(min(0.99, max(done / most, spent / seconds)))
+        if spent > seconds:  # the next round could not count
+            break
+    counts = done * each
+    return np.asarray(mean), counts.astype(int).tolist(), whole.error(counts), now() - start
+
+
+def _rounds(report: Report, seconds: float) -> tuple[np.ndarray, int]:
+    """Return the batches of each term in a round, and the number of rounds that fill a time."""
+    cost, variance = report.cost, report.relative_variance
+    ideal = batches_for_time(cost, variance, seconds, least=1.0)
+    best: tuple[float, np.ndarray, int] | None = None
+    for rounds in range(1, MOST_ROUNDS + 1):
+        each = np.maximum(np.floor(ideal / rounds), 1.0)
+        # What flooring leaves over goes to more rounds.
+        count = max(int(seconds / float(each @ cost)), 1)
+        squared = float((variance / (count * each)).sum())
+        if best is None or squared <= best[0] * (1.0 + ROUNDING):
+            best = (min(squared, best[0] if best else squared), each, count)
+    assert best is not None
+    return best[1], best[2]
+
+
+def _together(halves: list[_Half], what: Quantity, report: Report) -> _Half:
+    """Return both halves' batches as one; only the error that is reported is estimated from it."""
+    whole = _Half(what, report, 0)
+    for half in halves:
+        for sums, more in zip(whole.terms, half.terms, strict=True):
+            sums.merge(more)
+    return whole

@@ -1,0 +1,381 @@
+"""The pilot: a short run that measures what a batch of every term costs and how uncertain it is.
+
+1. Every term runs once, untimed: kernels are compiled and guiding structures built.
+2. Two timings at two sample counts give each term's fixed and marginal cost, and from these the batch: large enough
+   that the fixed cost is a tenth of it, small enough that the pilot has time for many.
+3. A few batches of the term over pixels say whether samples are better spread unevenly over the image (``tiles.py``).
+4. Rounds of one batch of every term, each with a seed of its own, until the prediction is as certain as
+   ``CERTAIN`` or the pilot's time is over; every third round also runs a batch of another size, whose time and
+   variance give the marginal cost and the exponent.
+
+How long the pilot runs, and so what it finds, depends on the machine's speed: it is no function of the seed alone.
+"""
+
+from __future__ import annotations
+
+import math
+import statistics
+import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from warp_psdr.arguments import checked_seed, samples
+from warp_psdr.kernels.constants import RFILTER_BOX
+from warp_psdr.kernels.rng import mix_seed
+from warp_psdr.options import PathIntegrator
+from warp_psdr.work_precision import quantity as quantities
+from warp_psdr.work_precision.allocation import efficiency
+from warp_psdr.work_precision.quantity import Quantity
+from warp_psdr.work_precision.report import Report, TermReport, positive
+from warp_psdr.work_precision.statistics import Moments, jackknife, moments, relative_variance
+from warp_psdr.work_precision.tiles import BATCHES as TILE_BATCHES
+from warp_psdr.work_precision.tiles import Tiling, measured, uniform
+
+if TYPE_CHECKING:
+    from warp_psdr.parameters import Parameters
+    from warp_psdr.scene.scene import Scene
+
+CLOCKS: dict[str, Callable[[], float]] = {"wall": time.perf_counter, "cpu": time.process_time}
+#: Seed streams: of the pilot's tilings, batches and batches of the other size, and of its first runs.
+STREAM_PILOT, STREAM_TILES, STREAM_BATCHES, STREAM_OTHER, STREAM_WARM = 0x70696C6F, 0, 1, 2, 3
+#: Share of a batch's time that is the fixed cost's.
+FIXED_SHARE = 0.1
+#: Samples a pixel of a batch, at most; of an image, whose samples are stratified within a pixel, at first and at least;
+#: and the two counts of the first timings.
+MOST_SPP, FIRST_IMAGE_SPP, LEAST_IMAGE_SPP, FIRST_COUNTS = 256, 16, 4, (1, 4)
+#: Rounds: the least, the most, and how many the pilot's time should be enough for.
+LEAST_ROUNDS, MOST_ROUNDS, AIM_ROUNDS = 4, 256, 24
+#: Standard error of the logarithm of a predicted time at which the pilot ends, and the least rounds before it may.
+CERTAIN, CERTAIN_ROUNDS = 0.12, 16
+#: Share of the pilot's time that tilings may take.
+TILE_SHARE = 0.25
+#: Batches of the other size: smaller by the first factor or, where that is not possible, larger by the second; and the
+#: rounds from one to the next.
+SMALLER, LARGER, OTHER_EVERY = 4, 2, 3
+#: Batches of a term that are kept hold at most this many numbers (256 MB).
+KEPT = 1 << 25
+
+
+def accuracy(
+    scene: Scene,
+    params: Parameters | None = None,
+    adjoint=None,
+    *,
+    tangents: dict | None = None,
+    integrator: PathIntegrator | None = None,
+    sensor: int = 0,
+    spp: int | None = None,
+    seed: int = 0,
+    seconds: float = 4.0,
+    tiles: bool = True,
+    clock: str = "wall",
+    progress: Callable[[float], None] | None = None,
+) -> Report:
+    """Measure what accuracy costs: of a gradient, of a derivative image, or of the image itself.
+
+    Args:
+        scene: a loaded scene.
+        params: its parameters; with an adjoint after ``requires_grad``.
+        adjoint: derivative of a loss with respect to the image, as ``render_backward`` takes it: accuracy of the
+            gradient.
+        tangents: as ``render_forward`` takes them: accuracy of the derivative image. Neither: accuracy of the image.
+        integrator: default: what the scene file names. Sample counts of its boundary method are not used.
+        sensor: which camera.
+        spp: samples a pixel of a batch, of every term; default: chosen by the costs.
+        seed: of the pilot.
+        seconds: what the pilot may take; it takes what four batches a term need, if that is more.
+        tiles: spread samples over the image by its variance where that pays.
+        clock: "wall", or "cpu" for the processor time of all threads, which other work on the machine changes less.
+        progress: called with the finished fraction.
+
+    Returns:
+        The report; ``print`` it, ask it for ``seconds_to(error)``, or pass it to ``render(..., report=report)``.
+
+    Raises:
+        ValueError: wrong arguments; what the methods do not cover; or the gradient does not stand out of the noise.
+    """
+    if clock not in CLOCKS:
+        raise ValueError(f"clock: got {clock!r}, expected 'wall' or 'cpu'")
+    if adjoint is not None and tangents is not None:
+        raise ValueError("accuracy takes an adjoint (of a gradient) or tangents (of a derivative image), not both")
+    what = select(scene, params, adjoint, tangents, integrator=integrator, sensor=sensor)
+    seed, seconds = checked_seed(seed), positive("seconds", seconds)
+    spp = None if spp is None else samples("spp", spp)
+    return run(what, spp=spp, seed=seed, seconds=seconds, tiles=tiles, clock=clock, progress=progress)
+
+
+def select(scene: Scene, params, adjoint, tangents, *, integrator, sensor: int) -> Quantity:
+    """Return what is to be estimated.
+
+    Raises:
+        ValueError: parameters are missing.
+    """
+    if adjoint is None and tangents is None:
+        return quantities.image(scene, integrator=integrator, sensor=sensor)
+    if params is None:
+        raise ValueError("params: needed with an adjoint or tangents; params = psdr.traverse(scene)")
+    if tangents is not None:
+        return quantities.derivative(scene, params, tangents, integrator=integrator, sensor=sensor)
+    return quantities.gradient(scene, params, adjoint, integrator=integrator, sensor=sensor)
+
+
+def run(
+    what: Quantity,
+    *,
+    spp: int | None,
+    seed: int,
+    seconds: float,
+    tiles: bool,
+    clock: str,
+    progress: Callable[[float], None] | None = None,
+) -> Report:
+    """Run the pilot of a quantity (arguments as ``accuracy``'s).
+
+    Raises:
+        ValueError: the gradient does not stand out of the noise.
+    """
+    now, seed = CLOCKS[clock], mix_seed(seed, STREAM_PILOT)
+    warm = mix_seed(seed, STREAM_WARM)
+    for part in what.parts:
+        part.run(1, warm)
+    start = now()
+    sizes, setup = _sizes(what, spp, seconds, now, warm)
+    tiling = _tiling(what, sizes[0], seed, seconds, start, now) if tiles else None
+    if tiling is not None:
+        what = what.tiled(tiling)
+    kept, times, others, other_times, found = _rounds(what, sizes, seed, seconds, start, now, progress)
+    if not found.seen.any():
+        raise ValueError(
+            f"the {'gradient' if what.role == 'reverse' else 'image'} does not stand out of the noise of "
+            f"{found.batches} batches: it is zero, or needs a longer pilot (seconds=...), or a method that samples it "
+            "better"
+        )
+    names = list(what.blocks)
+    second = moments(others, list(what.blocks.values())) if len(others[0]) > 2 else None
+    terms = tuple(
+        _term(what, k, sizes[k], setup[k], times[k], other_times[k], names, found, second, tiling)
+        for k in range(len(what.parts))
+    )
+    cost = np.array([t.seconds for t in terms])
+    report = Report(
+        role=what.role,
+        clock=clock,
+        batches=found.batches,
+        pilot_seconds=now() - start,
+        terms=terms,
+        norm2=dict(zip(names, found.norm2.tolist(), strict=True)),
+        norm2_error=dict(zip(names, found.norm2_error.tolist(), strict=True)),
+        seen=tuple(name for name, seen in zip(names, found.seen, strict=True) if seen),
+        spread=_spread(found, cost, np.array([t.seconds_error for t in terms])),
+        bias=biases(what),
+        measured=_measured(kept, list(what.blocks.values()), found, cost),
+        tile=tiling.side if tiling is not None else 0,
+        exponents=tiling.exponents if tiling is not None else (),
+    )
+    if progress is not None:
+        progress(1.0)
+    return report
+
+
+def _sizes(
+    what: Quantity, spp: int | None, seconds: float, now: Callable[[], float], seed: int
+) -> tuple[list[int], list[float]]:
+    """Return samples a pixel of the batches of each term, and the seconds of what is built once."""
+    sizes, setup, fixed, marginal = [], [], [], []
+    first, least = (FIRST_IMAGE_SPP, LEAST_IMAGE_SPP) if what.role == "primal" else (1, 1)
+    for part in what.parts:
+        begun = now()
+        if part.prepare is not None:
+            part.prepare()
+        setup.append(now() - begun if part.prepare is not None else 0.0)
+        few, many = (min(_timed(part.run, count, seed, now) for _ in range(2)) for count in FIRST_COUNTS)
+        marginal.append(max((many - few) / (FIRST_COUNTS[1] - FIRST_COUNTS[0]), 1e-7))
+        fixed.append(max(few - marginal[-1], 0.0))
+        wanted = fixed[-1] / (FIXED_SHARE * marginal[-1])
+        sizes.append(min(max(1 << max(math.ceil(math.log2(max(wanted, 1.0))), 0), first), MOST_SPP))
+    if spp is not None:
+        return [spp] * len(what.parts), setup
+
+    def of_round() -> float:
+        return sum(a + b * n for a, b, n in zip(fixed, marginal, sizes, strict=True))
+
+    while of_round() * AIM_ROUNDS > seconds:
+        # Halving what is mostly fixed cost would save the pilot little and cost what follows much.
+        costs = [
+            b * n if n > least and b * n > 2.0 * a else 0.0 for a, b, n in zip(fixed, marginal, sizes, strict=True)
+        ]
+        if max(costs) == 0.0:
+            break
+        sizes[int(np.argmax(costs))] //= 2
+    return sizes, setup
+
+
+def _timed(function: Callable[[int, int], object], spp: int, seed: int, now: Callable[[], float]) -> float:
+    begun = now()
+    function(spp, seed)
+    return now() - begun
+
+
+def _tiling(
+    what: Quantity, spp: int, seed: int, seconds: float, start: float, now: Callable[[], float]
+) -> Tiling | None:
+    """Return how samples are spread over the image; None: evenly, or there is no time to find out."""
+    stream = mix_seed(seed, STREAM_TILES)
+    once = _timed(what.parts[0].run, spp, stream, now)
+    while spp > 1 and once * TILE_BATCHES > TILE_SHARE * seconds:
+        spp, once = spp // 2, once / 2
+    if once * TILE_BATCHES > TILE_SHARE * seconds:
+        return None
+    return measured(what, spp, [mix_seed(stream, 1 + b) for b in range(TILE_BATCHES)])
+
+
+def _rounds(what: Quantity, sizes: list[int], seed: int, seconds: float, start: float, now, progress):
+    """Run batches of all terms until enough is known."""
+    parts, blocks = what.parts, list(what.blocks.values())
+    size = max(block.stop for block in blocks) * len(parts)
+    most = max(min(MOST_ROUNDS, KEPT // size), 4)
+    kept: list[list] = [[] for _ in parts]
+    others: list[list] = [[] for _ in parts]
+    times: list[list[float]] = [[] for _ in parts]
+    other_times: list[list[float]] = [[] for _ in parts]
+    streams = [mix_seed(seed, STREAM_BATCHES), mix_seed(seed, STREAM_OTHER)]
+    while True:
+        number = len(kept[0])
+        for k, part in enumerate(parts):
+            begun = now()
+            batch = what.finished(part.run(sizes[k], mix_seed(streams[0], number)))
+            times[k].append(now() - begun)
+            kept[k].append(batch.astype(np.float32))
+            if number % OTHER_EVERY == 1:
+                begun = now()
+                batch = what.finished(part.run(other_size(sizes[k]), mix_seed(streams[1], number)))
+                other_times[k].append(now() - begun)
+                if number < most // 2:
+                    others[k].append(batch.astype(np.float32))
+        number += 1
+        spent = now() - start
+        if progress is not None:
+            progress(min(max(spent / seconds, number / MOST_ROUNDS), 0.99))
+        if number >= most or (number >= LEAST_ROUNDS and spent >= seconds):
+            return kept, times, others, other_times, moments(kept, blocks)
+        # Powers of the square root of two: how much is known is looked at rarely.
+        if number >= CERTAIN_ROUNDS and number in (16, 23, 32, 45, 64, 91, 128, 181):
+            found = moments(kept, blocks)
+            cost = np.array([statistics.median(t) for t in times])
+            if found.seen.all() and _spread(found, cost, np.zeros(len(parts))) <= CERTAIN:
+                return kept, times, others, other_times, found
+
+
+def other_size(spp: int) -> int:
+    """Return the samples a pixel of the batches that tell the marginal cost and the exponent."""
+    return spp // SMALLER if spp >= SMALLER else spp * LARGER
+
+
+def _term(
+    what: Quantity,
+    k: int,
+    spp: int,
+    setup: float,
+    times: list[float],
+    other_times: list[float],
+    names: list[str],
+    found: Moments,
+    second: Moments | None,
+    tiling: Tiling | None,
+) -> TermReport:
+    camera = what.scene.camera(what.sensor)
+    pixels = camera.crop_width * camera.crop_height
+    counts = [n * pixels for n in (spp, other_size(spp))]
+    if k == 0:
+        spread_over = tiling if tiling is not None else uniform(what)
+        counts = [spread_over.samples(n) for n in (spp, other_size(spp))]
+    seconds, other = statistics.median(times), statistics.median(other_times)
+    marginal = max((seconds - other) / (counts[0] - counts[1]), 0.0) if counts[0] != counts[1] else 0.0
+    if marginal == 0.0 or marginal * counts[0] > seconds:
+        marginal = seconds / max(counts[0], 1)
+    exponent = error = math.nan
+    if second is not None:
+        exponent, error = _exponent(found, second, k, math.log(spp / other_size(spp)))
+    return TermReport(
+        name=what.parts[k].name,
+        spp=spp,
+        samples=counts[0],
+        seconds=seconds,
+        seconds_error=_median_error(times),
+        fixed_seconds=max(seconds - marginal * counts[0], 0.0),
+        sample_seconds=marginal,
+        setup_seconds=setup,
+        variance=dict(zip(names, found.variance[k].tolist(), strict=True)),
+        variance_error=dict(zip(names, found.variance_error[k].tolist(), strict=True)),
+        exponent=exponent,
+        exponent_error=error,
+    )
+
+
+def _exponent(found: Moments, second: Moments, k: int, log_ratio: float) -> tuple[float, float]:
+    """Return the exponent of the variance's fall and its standard error (delta method on the two logarithms)."""
+    values, errors = [], []
+    for m in (found, second):
+        u = relative_variance(m.variance, found.norm2, found.seen)[k]
+        without = relative_variance(m.variance_without, found.norm2, found.seen)[:, k]
+        if u <= 0.0:
+            return math.nan, math.nan
+        values.append(math.log(u))
+        errors.append(float(jackknife(without)) / u)
+    return (values[1] - values[0]) / log_ratio, math.hypot(*errors) / abs(log_ratio)
+
+
+def _median_error(times: list[float]) -> float:
+    """Return the standard error of a median, from the quartiles of normally distributed times."""
+    low, high = np.percentile(times, (25, 75))
+    return float(1.2533 * (high - low) / 1.349 / math.sqrt(len(times)))
+
+
+def _spread(found: Moments, cost: np.ndarray, cost_error: np.ndarray) -> float:
+    """Return the standard error of the logarithm of error^2 * time."""
+    seen = found.seen
+    if not seen.any():
+        return math.inf
+    u = relative_variance(found.variance, found.norm2, seen)
+    without = relative_variance(found.variance_without, found.norm2_without, seen)
+    best = float(efficiency(cost, u))
+    if best <= 0.0:
+        return 0.0
+    statistical = float(jackknife(np.log(np.maximum(efficiency(cost, without), 1e-300))))
+    # d log (sum sqrt(U C))^2 / dC_k = sqrt(U_k / C_k) / sum sqrt(U C).
+    timing = np.sqrt(u / np.maximum(cost, 1e-300)) * cost_error / math.sqrt(best)
+    return math.hypot(statistical, float(np.linalg.norm(timing)))
+
+
+def _measured(kept: list[list], blocks: list[slice], found: Moments, cost: np.ndarray) -> tuple:
+    """Return (seconds, relative error) of means of 1, 2, 4, ... batches a term, from the scatter of such means."""
+    points, size = [], 1
+    while len(kept[0]) // size >= 4:
+        groups = len(kept[0]) // size
+        means = [[np.mean(x[i * size : (i + 1) * size], axis=0) for i in range(groups)] for x in kept]
+        u = relative_variance(moments(means, blocks).variance, found.norm2, found.seen).sum()
+        points.append((float(size * cost.sum()), math.sqrt(u)))
+        size *= 2
+    return tuple(point for point in points if point[1] > 0.0)
+
+
+def biases(what: Quantity) -> tuple[str, ...]:
+    """Say what the methods leave out by design."""
+    scene, plan = what.scene, what.plan
+    found = []
+    if what.role == "primal":
+        if plan.config.filter != RFILTER_BOX:
+            found.append("the filtered image is a quotient of two sums: of the order of 1 / all samples of a pixel")
+        return tuple(found)
+    if plan.block == 0:
+        found.append("textbook replay: derivatives of factors that are exactly zero are lost")
+    if plan.boundary is None and plan.discontinuities:
+        found.append("boundary=None: all of the boundary term is left out, although " + "; ".join(plan.discontinuities))
+    if plan.wanted is not None and plan.wanted.geometry and scene.contact_radius > 0.0:
+        found.append(
+            f"where shapes touch: of the order of {scene.contact_radius:.2g} (scene units) over the size of the "
+            "touching surfaces, in the light between them; none elsewhere (kernels/interior/contact.py)"
+        )
+    return tuple(found)

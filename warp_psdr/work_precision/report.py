@@ -1,0 +1,276 @@
+"""What a pilot found, and what follows from it: the time to an error, the error in a time, the best split.
+
+Everything rests on batches (``quantity.py``): runs of the size that the pilot chose and that a budget spends. Errors
+are
+relative: the root mean square over the requested parameters of |error of the gradient| / |gradient|; of an image or a
+derivative image, the error's norm over that of the image. A prediction is for the mean of independent batches, whose
+squared error falls exactly as one over their number. ``TermReport.exponent`` says whether more samples in one batch
+would do better than more batches (stratified samples: above 1).
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from dataclasses import asdict, dataclass, field, fields
+from typing import Any
+
+import numpy as np
+
+from warp_psdr.files import write_atomic
+from warp_psdr.work_precision.allocation import Allocation, batches_for_error, batches_for_time
+
+FORMAT, VERSION = "warp_psdr accuracy", 1
+#: Errors of the printed predictions.
+PRINTED_ERRORS = (0.5, 0.2, 0.1, 0.05, 0.02, 0.01)
+#: Parameters that are printed one by one; the rest is in the object.
+PRINTED_BLOCKS = 8
+#: Normal deviate of the two ends of 95 % intervals.
+DEVIATE = 1.96
+
+
+@dataclass(frozen=True, kw_only=True)
+class TermReport:
+    """A term.
+
+    Attributes:
+        name: what it is called.
+        spp: samples a pixel of a batch.
+        samples: samples of a batch.
+        seconds: of a batch.
+        seconds_error: standard error of it.
+        fixed_seconds: part of it that does not grow with the samples.
+        sample_seconds: the rest, a sample.
+        setup_seconds: once, for what many batches share (guiding); compiling is not in it.
+        variance: block -> variance of a batch, the sum over the block's components.
+        variance_error: standard errors of it.
+        exponent: a, for a variance that falls as samples^-a; NaN: not measured.
+        exponent_error: standard error of it.
+    """
+
+    name: str
+    spp: int
+    samples: int
+    seconds: float
+    seconds_error: float
+    fixed_seconds: float
+    sample_seconds: float
+    setup_seconds: float
+    variance: dict[str, float]
+    variance_error: dict[str, float]
+    exponent: float
+    exponent_error: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Report:
+    """What accuracy costs.
+
+    Attributes:
+        role: "primal", "forward" or "reverse".
+        clock: "wall", or "cpu": processor time of all threads.
+        batches: of each term, from which variances were estimated.
+        pilot_seconds: what the pilot took, without compiling.
+        terms: the terms.
+        norm2: block -> estimate of the squared norm of the gradient (or the image), without the noise's share.
+        norm2_error: standard errors of it.
+        seen: blocks whose gradient stands out of the pilot's noise; errors are relative to these.
+        spread: standard error of the logarithm of a predicted time.
+        bias: what the estimators leave out by design, in words; empty: nothing.
+        measured: (seconds, relative error) of means of ever more of the pilot's batches.
+        tile: side of the tiles, pixels; 0: samples are spread evenly.
+        exponents: of the tiles (``tiles.Tiling``).
+    """
+
+    role: str
+    clock: str
+    batches: int
+    pilot_seconds: float
+    terms: tuple[TermReport, ...]
+    norm2: dict[str, float]
+    norm2_error: dict[str, float]
+    seen: tuple[str, ...]
+    spread: float
+    bias: tuple[str, ...] = ()
+    measured: tuple[tuple[float, float], ...] = ()
+    tile: int = 0
+    exponents: tuple[int, ...] = field(default=(), repr=False)
+
+    @property
+    def cost(self) -> np.ndarray:
+        """(terms,): seconds of a batch."""
+        return np.array([t.seconds for t in self.terms])
+
+    @property
+    def relative_variance(self) -> np.ndarray:
+        """(terms,): squared relative error that a batch of each contributes."""
+        return np.array([np.mean([t.variance[b] / self.norm2[b] for b in self.seen]) for t in self.terms])
+
+    def allocation(self, *, error: float | None = None, seconds: float | None = None) -> Allocation:
+        """Return the best split for a relative error or for a time.
+
+        Raises:
+            ValueError: both or neither are given, or they are not positive.
+        """
+        if (error is None) == (seconds is None):
+            raise ValueError("allocation takes one of error=... and seconds=...")
+        cost, variance = self.cost, self.relative_variance
+        if error is not None:
+            found = batches_for_error(cost, variance, positive("error", error))
+            numbers = np.ceil(found)
+        else:
+            found = batches_for_time(cost, variance, positive("seconds", seconds))
+            numbers = np.floor(found)
+        names = [t.name for t in self.terms]
+        counts = {name: int(n) for name, n in zip(names, numbers, strict=True)}
+        spp = {t.name: t.spp * counts[t.name] for t in self.terms}
+        return Allocation(counts, spp, float(found @ cost), math.sqrt(float((variance / found).sum())))
+
+    def seconds_to(self, error: float) -> float:
+        """Return the predicted time to a relative error, seconds; setup and pilot are not in it."""
+        return self.allocation(error=error).seconds
+
+    def error_in(self, seconds: float) -> float:
+        """Return the predicted relative error after a time; infinite where it is too short for the least batches."""
+        found = self.allocation(seconds=seconds)
+        return found.error if found.seconds <= seconds * (1.0 + 1e-9) else math.inf
+
+    def seconds_interval(self, error: float) -> tuple[float, float]:
+        """Return the ends of a 95 % interval of ``seconds_to``."""
+        seconds, factor = self.seconds_to(error), math.exp(DEVIATE * self.spread)
+        return seconds / factor, seconds * factor
+
+    def __str__(self) -> str:
+        """Return the tables."""
+        what = {"primal": "image", "forward": "derivative image", "reverse": "gradient"}[self.role]
+        lines = [
+            f"Accuracy of the {what}: {self.batches} batches a term in {self.pilot_seconds:.2f} s "
+            f"({'processor' if self.clock == 'cpu' else 'wall'} time)"
+        ]
+        total = float(np.sqrt(self.cost * self.relative_variance).sum()) or 1.0
+        rows: list[tuple[str, ...]] = [
+            ("term", "spp", "s fixed", "s/sample", "s setup", "error of a batch", "falls as", "share of time")
+        ]
+        for term, u, c in zip(self.terms, self.relative_variance, self.cost, strict=True):
+            falls = "-" if math.isnan(term.exponent) else f"n^-{term.exponent:.2f} ± {term.exponent_error:.2f}"
+            row: tuple[str, ...] = (term.name, str(term.spp), f"{term.fixed_seconds:.2g}", f"{term.sample_seconds:.2g}")
+            row += (f"{term.setup_seconds:.2g}" if term.setup_seconds else "-", f"{math.sqrt(u):.3g}", falls)
+            rows.append((*row, f"{100.0 * math.sqrt(u * c) / total:.0f} %"))
+        lines += ["", *_table(rows)]
+        rows = [("parameter", "norm", *(t.name for t in self.terms))]
+        for block in list(self.norm2)[:PRINTED_BLOCKS]:
+            norm2 = self.norm2[block]
+            if block not in self.seen:
+                rows.append((block, "lost in noise", *("-" for _ in self.terms)))
+                continue
+            half = DEVIATE * self.norm2_error[block] / (2.0 * math.sqrt(norm2))
+            rows.append((block, f"{math.sqrt(norm2):.3g} ± {half:.1g}", *(_error(t, block, norm2) for t in self.terms)))
+        lines += ["", "Relative error of a batch, a parameter and a term (95 % intervals):", *_table(rows)]
+        if len(self.norm2) > PRINTED_BLOCKS:
+            lines.append(f"... and {len(self.norm2) - PRINTED_BLOCKS} more parameters")
+        rows = [("relative error", "seconds", "95 % interval", *(f"spp, {t.name}" for t in self.terms))]
+        for error in PRINTED_ERRORS:
+            found = self.allocation(error=error)
+            low, high = self.seconds_interval(error)
+            cells = (f"{error:g}", f"{found.seconds:.3g}", f"{low:.3g} .. {high:.3g}")
+            rows.append((*cells, *(str(n) for n in found.spp.values())))
+        lines += ["", "Predicted:", *_table(rows)]
+        if self.tile:
+            lines.append(f"Samples are spread over tiles of {self.tile} x {self.tile} pixels by their variance.")
+        lines += ["", *(f"Bias: {text}" for text in self.bias or ("none by design",))]
+        return "\n".join(lines)
+
+    def plot(self, path: str | os.PathLike | None = None) -> Any:
+        """Draw the error against the time: the prediction with its 95 % interval, and the pilot's measured points.
+
+        Args:
+            path: file to write; its suffix names the format. None: the figure is only returned.
+
+        Returns:
+            The ``matplotlib.figure.Figure``.
+        """
+        from matplotlib.figure import Figure
+
+        figure = Figure(figsize=(6.6, 5.0), layout="constrained")
+        axes = figure.add_subplot()
+        least = float(2.0 * self.cost.sum())
+        times = np.geomspace(least, 1e3 * least, 60)
+        errors = np.array([self.error_in(float(t)) for t in times])
+        factor = math.exp(0.5 * DEVIATE * self.spread)  # error ~ time^-1/2
+        axes.plot(times, errors, label="predicted, best split")
+        axes.fill_between(times, errors / factor, errors * factor, alpha=0.2, linewidth=0.0)
+        if self.measured:
+            points = np.array(self.measured)
+            axes.plot(points[:, 0], points[:, 1], "o", markersize=4, label="pilot, equal numbers of batches")
+        axes.set(xscale="log", yscale="log", xlabel=f"{self.clock} time [s]", ylabel="relative error")
+        axes.grid(True, which="both", alpha=0.25)
+        axes.legend(fontsize=8)
+        if path is not None:
+            figure.savefig(path, dpi=100)
+        return figure
+
+    def save(self, path: str | os.PathLike) -> None:
+        """Write the report as JSON."""
+        text = json.dumps({"format": FORMAT, "version": VERSION, **_plain(asdict(self))}, indent=1)
+        write_atomic(path, lambda file: file.write(text.encode()))
+
+    @classmethod
+    def load(cls, path: str | os.PathLike) -> Report:
+        """Read what ``save`` wrote.
+
+        Raises:
+            ValueError: the file is none of these.
+        """
+        with open(path, encoding="utf-8") as file:
+            data = json.load(file)
+        if not isinstance(data, dict) or data.get("format") != FORMAT or data.get("version") != VERSION:
+            raise ValueError(f"{path}: expected what Report.save wrote in this version of warp_psdr")
+        terms = tuple(TermReport(**_restored(term)) for term in data["terms"])
+        known = {f.name for f in fields(cls)} - {"terms", "measured", "seen", "bias", "exponents"}
+        return cls(
+            terms=terms,
+            measured=tuple((a, b) for a, b in data["measured"]),
+            seen=tuple(data["seen"]),
+            bias=tuple(data["bias"]),
+            exponents=tuple(data["exponents"]),
+            **{name: data[name] for name in known},
+        )
+
+
+def positive(name: str, value: Any) -> float:
+    """Return a positive finite number.
+
+    Raises:
+        ValueError: it is none.
+    """
+    number = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
+    if not number or not math.isfinite(value) or value <= 0.0:
+        raise ValueError(f"{name}: got {value!r}, expected a positive number")
+    return float(value)
+
+
+def _error(term: TermReport, block: str, norm2: float) -> str:
+    error = math.sqrt(term.variance[block] / norm2)
+    if error == 0.0:
+        return "0"
+    half = 0.5 * DEVIATE * term.variance_error[block] / math.sqrt(term.variance[block] * norm2)
+    return f"{error:.3g} ± {half:.1g}"
+
+
+def _plain(value: Any) -> Any:
+    """Return what JSON can express: no NaN."""
+    if isinstance(value, dict):
+        return {k: _plain(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(v) for v in value]
+    return None if isinstance(value, float) and math.isnan(value) else value
+
+
+def _restored(term: dict[str, Any]) -> dict[str, Any]:
+    return {name: math.nan if value is None else value for name, value in term.items()}
+
+
+def _table(rows: list[tuple[str, ...]]) -> list[str]:
+    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
+    return ["  ".join(f"{cell:<{w}}" for cell, w in zip(row, widths, strict=True)).rstrip() for row in rows]

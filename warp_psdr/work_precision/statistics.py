@@ -1,0 +1,144 @@
+"""Variances of batches, and what is known of them.
+
+For the batches x_1 ... x_B of a term (independent, equally distributed, vectors of D components), m their mean:
+
+* V = sum_b |x_b - m|^2 / (B - 1) is the unbiased estimate of the sum of the components' variances; the mean of n
+  batches has the squared error V / n in expectation.
+* A gradient g is the sum of its terms' means; |m|^2 - sum_k V_k / B is the unbiased estimate of |g|^2 (|m|^2 alone
+  counts the noise as signal).
+* With parameters p of different units, the squared relative error of the gradient is the mean over the parameters of
+  theirs: error^2 = (1/P) sum_p sum_k V_kp / (n_k |g_p|^2), a sum over terms with weights w_p = 1 / (P |g_p|^2).
+
+Spreads of what is computed from these are jackknife estimates: the batch of number b is left out of all terms at once.
+With S_b the statistic without it, var(S) ~ (B - 1)/B sum_b (S_b - mean S)^2 [Efron and Stein 1981, "The jackknife
+estimate of variance"]. Batches of stratified samples need no other treatment: randomised quasi-Monte Carlo is judged
+by independent randomisations [Owen 1997, "Monte Carlo variance of scrambled net quadrature"].
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+#: A squared norm counts as seen when it exceeds its standard error by this factor.
+SEEN = 2.0
+
+
+@dataclass(frozen=True)
+class Moments:
+    """Variances and squared norms, of all batches and with each of them left out.
+
+    Attributes:
+        batches: B.
+        variance: (terms, blocks), V of one batch.
+        variance_without: (B, terms, blocks).
+        norm2: (blocks,), |g|^2 without the noise's share; may be negative where there is nothing but noise.
+        norm2_without: (B, blocks).
+    """
+
+    batches: int
+    variance: np.ndarray
+    variance_without: np.ndarray
+    norm2: np.ndarray
+    norm2_without: np.ndarray
+
+    @property
+    def variance_error(self) -> np.ndarray:
+        """Standard errors of ``variance``."""
+        return jackknife(self.variance_without)
+
+    @property
+    def norm2_error(self) -> np.ndarray:
+        """Standard errors of ``norm2``."""
+        return jackknife(self.norm2_without)
+
+    @property
+    def seen(self) -> np.ndarray:
+        """Blocks whose gradient stands out of its noise."""
+        return self.norm2 > SEEN * self.norm2_error
+
+
+def moments(batches: list[list[np.ndarray]], blocks: list[slice]) -> Moments:
+    """Return the moments of batches.
+
+    Args:
+        batches: for every term its B batches, (D,) each.
+        blocks: components that belong together.
+    """
+    terms, count = len(batches), len(batches[0])
+    variance = np.zeros((terms, len(blocks)))
+    variance_without = np.zeros((count, terms, len(blocks)))
+    norm2, norm2_without = np.zeros(len(blocks)), np.zeros((count, len(blocks)))
+    for p, block in enumerate(blocks):
+        total = np.zeros((count, block.stop - block.start))
+        for k, of_term in enumerate(batches):
+            x = np.array([batch[block] for batch in of_term], np.float64)
+            total += x
+            squares = ((x - x.mean(axis=0)) ** 2).sum(axis=1)
+            variance[k, p] = squares.sum() / (count - 1)
+            # Without batch b the sum of squares about the mean falls by B/(B-1) |x_b - m|^2.
+            without = squares.sum() - count / (count - 1) * squares
+            variance_without[:, k, p] = np.maximum(without, 0.0) / max(count - 2, 1)
+        mean = total.mean(axis=0)
+        norm2[p] = mean @ mean - variance[:, p].sum() / count
+        rest = (count * (count * (mean @ mean) - 2.0 * (total @ mean)) + (total**2).sum(axis=1)) / (count - 1) ** 2
+        norm2_without[:, p] = rest - variance_without[:, :, p].sum(axis=1) / (count - 1)
+    return Moments(count, variance, variance_without, norm2, norm2_without)
+
+
+def jackknife(without: np.ndarray) -> np.ndarray:
+    """Return the standard error of a statistic from its values with each batch left out, (B, ...)."""
+    count = len(without)
+    return np.sqrt((count - 1) / count * ((without - without.mean(axis=0)) ** 2).sum(axis=0))
+
+
+def relative_variance(variance: np.ndarray, norm2: np.ndarray, seen: np.ndarray) -> np.ndarray:
+    """Return (..., terms): the mean over the blocks that are seen of variance over squared norm.
+
+    Args:
+        variance: (..., terms, blocks).
+        norm2: (..., blocks).
+        seen: (blocks,).
+    """
+    return (variance[..., seen] / np.maximum(norm2[..., None, seen], 1e-300)).mean(axis=-1)
+
+
+class Running:
+    """Sums over batches of one term that are not kept.
+
+    Attributes:
+        count: batches so far.
+        total: of the raw batches.
+        sums: of the components.
+        squares: (blocks,), sums of squared components.
+    """
+
+    def __init__(self, blocks: list[slice]):
+        self._blocks = blocks
+        self.count = 0
+        self.total: np.ndarray | float = 0.0
+        self.sums: np.ndarray | float = 0.0
+        self.squares = np.zeros(len(blocks))
+
+    def add(self, raw: np.ndarray, components: np.ndarray) -> None:
+        """Add a batch: as it came, and its components (``Quantity.finish``)."""
+        self.count += 1
+        self.total = self.total + raw
+        self.sums = self.sums + components
+        self.squares += [components[block] @ components[block] for block in self._blocks]
+
+    def merge(self, more: Running) -> None:
+        """Add the batches of another one."""
+        self.count += more.count
+        self.total = self.total + more.total
+        self.sums = self.sums + more.sums
+        self.squares = self.squares + more.squares
+
+    def variance(self) -> np.ndarray:
+        """Return (blocks,): V of one batch; zeros of fewer than two."""
+        if self.count < 2:
+            return np.zeros(len(self._blocks))
+        sums = np.asarray(self.sums)
+        about = np.array([sums[block] @ sums[block] for block in self._blocks]) / self.count
+        return np.maximum(self.squares - about, 0.0) / (self.count - 1)
