@@ -119,8 +119,8 @@ HEADER = '{"format": "warp_psdr checkpoint", "version": 1, "values": {}}'
         (npz({"__header__.npy": header(HEADER.replace("{}", "3"))}), "no checkpoint"),
         (npz({"__header__.npy": header(HEADER)}, zipfile.ZIP_DEFLATED), "it is compressed"),
         (npz({"__header__.npy": header(HEADER), "a.npy": b"short"}), "no checkpoint"),
-        (npz({"__header__.npy": header(HEADER), "a.npy": HUGE}), "cannot reshape|allocate|EOF"),
-        (npz({"__header__.npy": header(HEADER), "a.npy": npy(np.zeros(3)) + b"more"}), "longer than its array"),
+        (npz({"__header__.npy": header(HEADER), "a.npy": HUGE}), "longer or shorter"),
+        (npz({"__header__.npy": header(HEADER), "a.npy": npy(np.zeros(3)) + b"more"}), "longer or shorter"),
         (npz({"__header__.npy": header(HEADER), "a.npy": npy(np.array([Bomb()]), True)}), "no checkpoint"),
     ],
 )

@@ -273,7 +273,11 @@ def test_relative_names_start_from_the_scene(tmp_path):
     with pytest.raises(ValueError, match="allow_outside=True"):
         describe_string(xml.format("", "../meshes/a.obj"), base=tmp_path / "scenes")
     assert describe_string(xml.format("", "../meshes/a.obj"), base=tmp_path / "scenes", allow_outside=True).shapes
-    assert describe_string(xml.format("", tmp_path / "meshes" / "a.obj"), base=tmp_path / "nowhere").shapes
+    absolute = xml.format("", tmp_path / "meshes" / "a.obj")
+    assert describe_string(absolute, base=tmp_path).shapes
+    with pytest.raises(ValueError, match="leaves the scene's folder"):
+        describe_string(absolute, base=tmp_path / "scenes")
+    assert describe_string(absolute, base=tmp_path / "scenes", allow_outside=tmp_path).shapes
 
 
 @pytest.mark.parametrize("text", [FOLDED, NORMALS])

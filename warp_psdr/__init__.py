@@ -67,12 +67,15 @@ def __dir__() -> list[str]:
     return sorted({*globals(), *_LAZY_MODULES, *_LAZY_FUNCTIONS})
 
 
-def load_file(path, *, device: str = "cpu", **defaults) -> Scene:
+def load_file(path, *, device: str = "cpu", allow_outside=False, **defaults) -> Scene:
     """Load a Mitsuba 3 scene file.
 
     Args:
         path: an XML file of version 3.x.
         device: Warp device, "cpu" or "cuda:0".
+        allow_outside: where the files that the scene names may lie beside the scene's own folder and those below it: a
+            folder (and below), several, or True: anywhere, for scenes that you trust. Wherever a name leads to, by
+            "..", as an absolute name or by a symbolic link, other files are refused.
         **defaults: values for the file's ``$parameters``.
 
     Returns:
@@ -85,19 +88,26 @@ def load_file(path, *, device: str = "cpu", **defaults) -> Scene:
     from warp_psdr.scene import describe_file
     from warp_psdr.scene.scene import Scene
 
-    return Scene(describe_file(path, **defaults), device)
+    return Scene(describe_file(path, allow_outside=allow_outside, **defaults), device)
 
 
-def load_string(xml: str, *, device: str = "cpu", **defaults) -> Scene:
-    """Load a Mitsuba 3 scene from XML text; see ``load_file``."""
+def load_string(xml: str, *, device: str = "cpu", base=None, allow_outside=False, **defaults) -> Scene:
+    """Load a Mitsuba 3 scene from XML text; ``base`` stands for the scene's folder, else the current one.
+
+    See ``load_file``.
+    """
     from warp_psdr.scene import describe_string
     from warp_psdr.scene.scene import Scene
 
-    return Scene(describe_string(xml, **defaults), device)
+    return Scene(describe_string(xml, base=base, allow_outside=allow_outside, **defaults), device)
 
 
 def load_dict(scene: dict, *, device: str = "cpu") -> Scene:
-    """Load a scene from Mitsuba 3's dictionary form (plain Python and NumPy values); see ``load_file``."""
+    """Load a scene from Mitsuba 3's dictionary form (plain Python and NumPy values).
+
+    Relative file names start from the current folder; the names are the program's own, so any file may be named. See
+    ``load_file``.
+    """
     from warp_psdr.scene import describe_dict
     from warp_psdr.scene.scene import Scene
 

@@ -7,7 +7,6 @@ one.
 
 from __future__ import annotations
 
-import io
 import json
 import os
 import zipfile
@@ -17,6 +16,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
+from warp_psdr.arrays import parse_array
 from warp_psdr.files import write_atomic
 
 __all__ = ["load", "save"]
@@ -74,30 +74,22 @@ def load(path: str | os.PathLike[str]) -> tuple[dict[str, np.ndarray], dict[str,
     path = Path(path)
     if not path.is_file():
         raise FileNotFoundError(f"checkpoint {path} does not exist")
-    try:
-        with zipfile.ZipFile(path) as archive:
-            if any(info.compress_type != zipfile.ZIP_STORED for info in archive.infolist()):
-                raise ValueError("it is compressed, which no checkpoint is")
-            # Reading an entry verifies its checksum, and stored entries are no larger than the file.
-            stored = {info.filename.removesuffix(".npy"): _array(archive.read(info)) for info in archive.infolist()}
-        header = json.loads(stored.pop(HEADER).tobytes())
-        if header["format"] != FORMAT:
-            raise ValueError(f"its format is {header['format']!r}")
-        version, values = header["version"], dict(header["values"])
-    except KeyError as error:
-        raise ValueError(f"{path} is not a checkpoint of warp_psdr: it lacks {error}; choose another file") from error
-    except (
-        zipfile.BadZipFile,
-        NotImplementedError,
-        RuntimeError,
-        EOFError,
-        MemoryError,
-        TypeError,
-        ValueError,
-    ) as error:
-        raise ValueError(
-            f"{path} is no checkpoint of warp_psdr, or a truncated or damaged one ({error}); remove it to start again"
-        ) from error
+    with path.open("rb") as file:
+        try:
+            stored = _entries(file)
+            header = json.loads(stored.pop(HEADER).tobytes())
+            if header["format"] != FORMAT:
+                raise ValueError(f"its format is {header['format']!r}")
+            version, values = header["version"], dict(header["values"])
+        except KeyError as error:
+            raise ValueError(
+                f"{path} is not a checkpoint of warp_psdr: it lacks {error}; choose another file"
+            ) from error
+        except Exception as error:  # a damaged archive fails in many ways
+            raise ValueError(
+                f"{path} is no checkpoint of warp_psdr, or a truncated or damaged one ({error}); remove it to start "
+                "again"
+            ) from error
     if version != VERSION:
         raise ValueError(
             f"{path}: got version {version} of the format, expected {VERSION}; use the release that wrote it"
@@ -105,9 +97,14 @@ def load(path: str | os.PathLike[str]) -> tuple[dict[str, np.ndarray], dict[str,
     return stored, values
 
 
-def _array(data: bytes) -> np.ndarray:
-    stream = io.BytesIO(data)
-    array = np.lib.format.read_array(stream, allow_pickle=False)
-    if stream.read(1):
-        raise ValueError("an entry is longer than its array")
-    return array
+def _entries(file: BinaryIO) -> dict[str, np.ndarray]:
+    """Return the arrays of an archive by name; together they are no larger than the file."""
+    with zipfile.ZipFile(file) as archive:
+        entries = archive.infolist()
+        if any(entry.compress_type != zipfile.ZIP_STORED for entry in entries):
+            raise ValueError("it is compressed, which no checkpoint is")
+        # Entries of a crafted archive may all lie in the same place.
+        if sum(entry.file_size for entry in entries) > os.fstat(file.fileno()).st_size:
+            raise ValueError("its entries overlap")
+        # Reading an entry verifies its checksum.
+        return {entry.filename.removesuffix(".npy"): parse_array(archive.read(entry)) for entry in entries}

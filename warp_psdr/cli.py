@@ -147,6 +147,14 @@ def _scene_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "-D", dest="defaults", action="append", default=[], metavar="NAME=VALUE", help="value of a $parameter"
     )
+    parser.add_argument(
+        "--allow-outside",
+        type=Path,
+        action="append",
+        default=[],
+        metavar="FOLDER",
+        help="the scene may read files in or below it, beside its own folder; repeatable",
+    )
     parser.add_argument("--sensor", type=int, default=0, help="number of the camera (default 0)")
     parser.add_argument("--max-depth", type=int, help="longest path; -1: no limit (default: the scene's)")
     parser.add_argument("--device", default="cpu", help="Warp device (default cpu)")
@@ -306,9 +314,8 @@ def _fit(arguments: argparse.Namespace) -> int:
 
 
 def _view(arguments: argparse.Namespace) -> int:
-    import numpy as np
-
     import warp_psdr as psdr
+    from warp_psdr.arrays import read_array
     from warp_psdr.viewer import view
 
     fields = {}
@@ -316,7 +323,7 @@ def _view(arguments: argparse.Namespace) -> int:
         name, separator, file = text.rpartition("=")
         if not separator:
             raise ValueError(f"--field: got {text!r}, expected NAME=FILE.npy")
-        fields[name] = np.load(_existing(Path(file)), allow_pickle=False)
+        fields[name] = read_array(file)
     if arguments.screenshot is not None:
         _require_suffix(arguments.screenshot, ".png")
         arguments.screenshot.parent.mkdir(parents=True, exist_ok=True)
@@ -350,7 +357,8 @@ def _load(arguments: argparse.Namespace) -> tuple[Any, Any]:
         if not separator:
             raise ValueError(f"-D: got {text!r}, expected NAME=VALUE")
         defaults[name] = value
-    scene = psdr.load_file(arguments.scene, device=arguments.device, **defaults)
+    outside = arguments.allow_outside
+    scene = psdr.load_file(arguments.scene, device=arguments.device, allow_outside=outside, **defaults)
     scene.camera(arguments.sensor)  # an unknown sensor raises
     for note in scene.description.notes:
         print(f"note: {note}", file=sys.stderr)
@@ -373,8 +381,10 @@ def _tangent(arguments: argparse.Namespace, shape: tuple[int, ...]) -> Any:
     """Return the direction in which a parameter of ``shape`` changes: all entries by one unless told otherwise."""
     import numpy as np
 
+    from warp_psdr.arrays import read_array
+
     if arguments.tangent is not None:
-        return np.load(_existing(arguments.tangent), allow_pickle=False)
+        return read_array(arguments.tangent)
     if arguments.translate is None:
         return np.ones(shape, dtype=np.float32)
     if shape == (4, 4):  # a pose: its last column
@@ -393,12 +403,6 @@ def _fractions(title: str) -> Iterator[Callable[[float], None]]:
 
     with progress(title, PROGRESS_UNITS) as report:
         yield lambda fraction: report(int(fraction * PROGRESS_UNITS), "")
-
-
-def _existing(path: Path) -> Path:
-    if not path.is_file():
-        raise FileNotFoundError(f"{path} does not exist")
-    return path
 
 
 def _require_suffix(path: Path, *suffixes: str) -> None:

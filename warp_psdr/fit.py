@@ -23,6 +23,7 @@ import warp as wp
 
 import warp_psdr as psdr
 from warp_psdr import checkpoint, image_io, losses, optim
+from warp_psdr.arrays import read_array
 from warp_psdr.fit_config import FitConfig, Unknown, integrator_options
 from warp_psdr.options import from_description
 from warp_psdr.progress import progress
@@ -180,7 +181,7 @@ def load_problem(config: FitConfig) -> Problem:
     for name, file in (("scene", config.scene), *((f"targets[{i}]", file) for i, file in enumerate(config.targets))):
         if not file.is_file():
             raise FileNotFoundError(f"fit config: {name}: {file} does not exist")
-    scene = psdr.load_file(config.scene, device=config.device, **config.defaults)
+    scene = psdr.load_file(config.scene, device=config.device, allow_outside=config.allow_outside, **config.defaults)
     sensors = scene.description.sensors
     targets = []
     for sensor, file in zip(config.views, config.targets, strict=True):
@@ -279,13 +280,10 @@ def _initial(name: str, initial: float | tuple[float, ...] | Path, current: np.n
             raise ValueError(f"{where}: got {np.size(initial)} numbers, expected one or {current.shape[-1]}") from None
     if not initial.is_file():
         raise FileNotFoundError(f"{where}: {initial} does not exist")
-    if initial.suffix.lower() == ".npy":
-        try:
-            value = np.load(initial, allow_pickle=False)
-        except (ValueError, EOFError, OSError) as error:
-            raise ValueError(f"{where}: {initial} is no array of numbers ({error})") from error
-    else:
-        value = np.asarray(image_io.read_image(initial))
+    try:
+        value = read_array(initial) if initial.suffix.lower() == ".npy" else image_io.read_image(initial)
+    except ValueError as error:
+        raise ValueError(f"{where}: {error}") from error
     if value.shape != current.shape:
         raise ValueError(f"{where}: {initial} has shape {value.shape}, expected {current.shape}")
     return value

@@ -39,6 +39,10 @@ LOSSES = ("l2", "l1", "huber", "relative_l2")
 INTEGRATOR_FIELDS = ("max_depth", "rr_depth", "hide_emitters", "sampler", "boundary")
 #: Seeds are 32-bit on the device.
 MAX_SEED = 2**32 - 1
+#: Counts are 32-bit on the device.
+MAX_COUNT = 2**31 - 1
+#: Size of a configuration's file: a thousand targets take a hundredth. Readers of TOML take quadratic time.
+MAX_BYTES = 1 << 20
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,6 +84,8 @@ class FitConfig:
         integrator: Options of ``psdr.PathIntegrator`` that replace those of the scene file: ``max_depth``,
             ``rr_depth``, ``hide_emitters``, ``sampler``, and ``boundary`` ("none" leaves the boundary term out).
         defaults: Values for the ``$parameters`` of the scene file.
+        allow_outside: Folders in or below which the scene may read files beside its own, see ``psdr.load_file``. What
+            the configuration itself names may lie anywhere: it is to be trusted like a command.
         device: Warp device.
 
     Raises:
@@ -105,6 +111,7 @@ class FitConfig:
     checkpoint_every: int = 25
     integrator: Mapping[str, int | bool | str] = field(default_factory=dict)
     defaults: Mapping[str, str | int | float] = field(default_factory=dict)
+    allow_outside: tuple[Path, ...] = ()
     device: str = "cpu"
 
     def __post_init__(self):
@@ -123,10 +130,9 @@ class FitConfig:
                     f"fit config: sensors: got {len(self.sensors)} for {len(self.targets)} targets; give one a target"
                 )
         put("parameters", _unknowns(self.parameters))
-        for name, low in (("iterations", 1), ("spp", 1), ("final_spp", 1), ("checkpoint_every", 1), ("seed", 0)):
-            _whole(name, getattr(self, name), low)
-        if self.seed > MAX_SEED:
-            raise ValueError(f"fit config: seed: got {self.seed}, expected at most {MAX_SEED}")
+        for name in ("iterations", "spp", "final_spp", "checkpoint_every"):
+            _whole(name, getattr(self, name), 1)
+        _whole("seed", self.seed, 0, MAX_SEED)
         if self.spp_grad is not None:
             _whole("spp_grad", self.spp_grad, 1)
         if self.views_per_step is not None and _whole("views_per_step", self.views_per_step, 1) > len(self.targets):
@@ -146,6 +152,8 @@ class FitConfig:
             raise TypeError(f"fit config: device: got {self.device!r}, expected a name such as 'cpu' or 'cuda:0'")
         put("integrator", _integrator(self.integrator))
         put("defaults", _defaults(self.defaults))
+        folders = _list("allow_outside", self.allow_outside)
+        put("allow_outside", tuple(_path(f"allow_outside[{i}]", folder) for i, folder in enumerate(folders)))
 
     @classmethod
     def from_file(cls, path: str | os.PathLike[str]) -> FitConfig:
@@ -161,10 +169,13 @@ class FitConfig:
             raise FileNotFoundError(f"fit config {path} does not exist")
         if path.suffix.lower() not in (".toml", ".json"):
             raise ValueError(f"fit config {path}: got suffix {path.suffix!r}, expected .toml or .json")
+        size = path.stat().st_size
+        if size > MAX_BYTES:
+            raise ValueError(f"fit config {path}: got {size} bytes, expected at most {MAX_BYTES}; is it another file?")
         try:
             text = path.read_text(encoding="utf-8")
             values = tomllib.loads(text) if path.suffix.lower() == ".toml" else json.loads(text)
-        except (tomllib.TOMLDecodeError, json.JSONDecodeError, UnicodeDecodeError, RecursionError) as error:
+        except (ValueError, RecursionError) as error:  # numbers of thousands of digits and broken UTF-8 included
             raise ValueError(f"fit config {path} is malformed: {error}") from error
         return cls.from_mapping(values, folder=path.parent)
 
@@ -197,6 +208,7 @@ class FitConfig:
             scene=folder / config.scene,
             output=folder / config.output,
             targets=tuple(folder / target for target in config.targets),
+            allow_outside=tuple(folder / outside for outside in config.allow_outside),
             parameters=unknowns,
         )
 
@@ -291,20 +303,28 @@ def _list(where: str, value: Any) -> Sequence[Any]:
     return value
 
 
-def _whole(where: str, value: Any, low: int) -> int:
+def _whole(where: str, value: Any, low: int, high: int = MAX_COUNT) -> int:
     if isinstance(value, bool) or not isinstance(value, int):
         raise TypeError(f"fit config: {where}: got {value!r}, expected a whole number")
     if value < low:
         raise ValueError(f"fit config: {where}: got {value}, expected at least {low}")
+    if value > high:
+        raise ValueError(
+            f"fit config: {where}: got {value if value < 2**64 else float('inf')}, expected at most {high}"
+        )
     return value
 
 
 def _number(where: str, value: Any) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise TypeError(f"fit config: {where}: got {value!r}, expected a number")
-    if not math.isfinite(value):
-        raise ValueError(f"fit config: {where}: got {value}, expected a finite number")
-    return float(value)
+    try:
+        number = float(value)
+    except OverflowError:
+        number = math.inf
+    if not math.isfinite(number):
+        raise ValueError(f"fit config: {where}: got {number}, expected a finite number")
+    return number
 
 
 def _positive(where: str, value: Any) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,8 @@ _LOW_RANGE = (".png", ".jpg", ".jpeg")
 _SUPPORTED = (*_EXR, *_LOW_RANGE)
 #: Largest finite value of a half float; larger values are written as this one instead of infinity.
 _HALF_MAX = 65504.0
+#: Values of an image (pixels times channels): 2 GB as float32, 16 times those of an 8k environment map in colour.
+_VALUES_MAX = 1 << 29
 
 
 def srgb_to_linear(values: Any) -> np.ndarray:
@@ -42,7 +45,7 @@ def read_image(path: str | os.PathLike[str], *, raw: bool = False) -> np.ndarray
 
     Raises:
         FileNotFoundError: If there is no such file.
-        ValueError: If the file is of another kind or cannot be decoded.
+        ValueError: If the file is of another kind, cannot be decoded, or has more than 2^29 values.
     """
     file = Path(path)
     _check_suffix(file)
@@ -91,7 +94,10 @@ def _check_suffix(file: Path) -> None:
 def _read_exr(file: Path) -> np.ndarray:
     import OpenEXR
 
+    from warp_psdr.exr_header import declared_values
+
     try:
+        _check_size(declared_values(file))
         with OpenEXR.File(str(file), separate_channels=True) as source:
             channels = {name: np.asarray(channel.pixels) for name, channel in source.channels().items()}
     except Exception as problem:
@@ -124,29 +130,41 @@ def _write_exr(file: Path, array: np.ndarray, half: bool) -> None:
 
 
 def _read_low_range(file: Path, raw: bool) -> np.ndarray:
-    from PIL import Image, UnidentifiedImageError
+    from PIL import Image
 
     try:
-        with Image.open(file) as source:
-            source.load()
-            values = _pixels(source)
-    except (UnidentifiedImageError, OSError, SyntaxError, ValueError, Image.DecompressionBombError) as problem:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # the size is checked here
+            # Files of other formats, which have readers of their own, are not what their suffix says.
+            with Image.open(file, formats=("PNG", "JPEG")) as source:
+                _check_size(source.width * source.height * len(source.getbands()))
+                source.load()
+                values = _pixels(source)
+    except Exception as problem:  # damaged files fail in many ways
         raise ValueError(f"'{file}' is no readable PNG or JPEG image ({problem}); export it again") from None
-    if raw:
-        return values
-    color = values.shape[2] - (values.shape[2] in (2, 4))
-    return np.concatenate([srgb_to_linear(values[..., :color]), values[..., color:]], axis=-1)
+    if not raw:
+        # In place: large images have room for no second copy.
+        color = values.shape[2] - (values.shape[2] in (2, 4))
+        for row in values:
+            row[..., :color] = srgb_to_linear(row[..., :color])
+    return values
+
+
+def _check_size(values: int) -> None:
+    if values > _VALUES_MAX:
+        raise ValueError(f"it has {values} values, and at most {_VALUES_MAX} are read: make it smaller")
 
 
 def _pixels(source: Any) -> np.ndarray:
     """Return a Pillow image's values in [0, 1], shape (H, W, C)."""
     if source.mode.startswith("I"):
-        return (np.asarray(source, dtype=np.float32) / 65535.0)[..., None]
+        return (np.asarray(source, dtype=np.float32) / np.float32(65535.0))[..., None]
     if source.mode == "P":
         source = source.convert("RGBA" if "transparency" in source.info else "RGB")
     elif source.mode not in ("L", "LA", "RGB", "RGBA"):
         source = source.convert("L" if source.mode == "1" else "RGB")
-    values = np.asarray(source, dtype=np.float32) / 255.0
+    values = np.array(source, dtype=np.float32)
+    values /= 255.0
     return values[..., None] if values.ndim == 2 else values
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -12,6 +12,10 @@ import numpy as np
 from .errors import did_you_mean, error, listing, missing_file
 
 T = TypeVar("T")
+#: Where a scene may read files beside its own folder: nowhere, below these folders, or anywhere.
+Outside = bool | str | os.PathLike[str] | Iterable[str | os.PathLike[str]]
+#: Numbers of all images and meshes of a scene: the device counts them with 32 bits.
+_NUMBERS_MAX = 2**31 - 1
 
 
 class FileName(str):
@@ -38,14 +42,19 @@ class Context:
 
     Args:
         source: File name or "dict", for messages.
-        base: Folder that relative file names start from; None: the current folder.
-        allow_outside: Whether a relative name may climb out of ``base`` with "..".
+        base: Folder that relative file names start from.
+        allow_outside: Where files may lie that are not below ``base``: True: anywhere, False: nowhere, or below these
+            folders.
+
+    Raises:
+        TypeError: If ``allow_outside`` is none of these.
     """
 
-    def __init__(self, source: str, base: Path | None, allow_outside: bool = False):
+    def __init__(self, source: str, base: Path, allow_outside: Outside = False):
         self.source = source
         self.base = base
-        self.allow_outside = allow_outside
+        self.roots = _roots(base, allow_outside)
+        self._numbers = 0
         self.search_paths: list[Path] = []
         self.notes: list[str] = []
         self.named: dict[str, dict] = {}
@@ -118,18 +127,18 @@ class Context:
         """Return the existing file that a scene names.
 
         Relative names start from the folder of the file that they stand in, then from the scene's folder, then from its
-        ``<path>`` folders. They may not climb out of the scene's folder with "..", unless the load was started with
-        ``allow_outside=True``; absolute names may.
+        ``<path>`` folders. Wherever that leads, by "..", an absolute name or a symbolic link, the file has to lie in
+        the scene's folder or below it, or where ``allow_outside`` says.
 
         Raises:
-            ValueError: If the name is no text or leaves the scene's folder.
+            ValueError: If the name is no text or leads out of the scene's folder.
             FileNotFoundError: If there is no such file.
         """
         candidates = self._candidates(name, where)
         for candidate in candidates:
-            if candidate.is_file():
+            if os.path.isfile(candidate):
                 return candidate
-        if any(candidate.is_dir() for candidate in candidates):
+        if any(os.path.isdir(candidate) for candidate in candidates):
             raise error(where, f"'{name}' is a folder", "name a file in it")
         looked = listing(f"'{candidate.parent}'" for candidate in candidates)
         raise missing_file(where, name, f"looked in {looked}; check the name or add a <path> folder")
@@ -142,7 +151,7 @@ class Context:
             FileNotFoundError: If there is no such folder.
         """
         for candidate in self._candidates(name, where):
-            if candidate.is_dir():
+            if os.path.isdir(candidate):
                 return candidate
         raise missing_file(where, name, "a <path> names an existing folder; check the name")
 
@@ -150,28 +159,54 @@ class Context:
         """Return where a name may stand, in the order of search."""
         if not isinstance(name, (str, Path)) or not str(name) or "\0" in str(name):
             raise error(where, f"got {name!r} for a file name", "give a file name")
-        path = Path(name)
-        if path.is_absolute():
-            return [path]
-        base = self.base or Path.cwd()
-        folders = list(dict.fromkeys([getattr(name, "folder", None) or base, base, *self.search_paths]))
-        candidates = [folder / path for folder in folders]
-        if self.allow_outside or self.base is None:
+        folders = [getattr(name, "folder", None) or self.base, self.base, *self.search_paths]
+        # An absolute name stays what it is.
+        candidates = list(dict.fromkeys(folder / Path(name) for folder in folders))
+        if self.roots is None:
             return candidates
-        inside = [
-            candidate
-            for folder, candidate in zip(folders, candidates, strict=True)
-            if _is_inside(candidate, base) or (not _is_inside(folder, base) and _is_inside(candidate, folder))
-        ]
+        inside = [candidate for candidate in candidates if _is_inside(candidate, self.roots)]
         if not inside:
             raise error(
                 where,
-                f"'{name}' leaves the scene's folder '{base}'",
-                "move the file below it, give an absolute name, or load with allow_outside=True",
+                f"'{name}' leaves the scene's folder '{self.base}'",
+                "move the file below it, or name its folder, or a folder of both, when loading: "
+                "allow_outside=folder, or allow_outside=True for scenes that you trust",
             )
         return inside
 
+    def count(self, numbers: int, where: str) -> None:
+        """Count the values of an image or a mesh.
 
-def _is_inside(path: Path, folder: Path) -> bool:
-    """Return whether a path stays below a folder once ".." is taken out; links are not followed."""
-    return Path(os.path.normpath(path)).is_relative_to(os.path.normpath(folder))
+        Raises:
+            ValueError: If the scene has more than the device can count.
+        """
+        self._numbers += numbers
+        if self._numbers > _NUMBERS_MAX:
+            raise error(
+                where, f"the scene holds more than {_NUMBERS_MAX} values by here", "use smaller images or meshes"
+            )
+
+
+def _roots(base: Path, outside: Outside) -> list[Path] | None:
+    """Return the folders below which files may lie, links followed; None: anywhere."""
+    if outside is True:
+        return None
+    if outside is False:
+        outside = ()
+    names = [outside] if isinstance(outside, str | os.PathLike) else outside
+    try:
+        return [Path(folder).resolve() for folder in (base, *names)]
+    except TypeError:
+        raise TypeError(f"allow_outside: got {outside!r}, expected True, False, a folder or folders") from None
+
+
+def _is_inside(path: Path, roots: list[Path]) -> bool:
+    """Return whether a path, its links followed, lies below one of the folders.
+
+    What is read later is what is there then: this is no protection from somebody who can write to the folder meanwhile.
+    """
+    try:
+        real = path.resolve()
+    except (OSError, RuntimeError, ValueError):  # circles, and names that no file can have
+        return False
+    return any(real.is_relative_to(root) for root in roots)

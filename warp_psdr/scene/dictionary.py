@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from . import bsdfs, emitters, sensors, shapes, textures
-from .context import Context
+from .context import Context, Outside
 from .description import SceneDescription
 from .errors import error
 from .origin import find_origin
@@ -18,14 +18,15 @@ _SAME_TRANSPORT = ("path", "prb", "prb_basic", "prb_projective")
 
 
 def describe_dict(
-    scene: dict, base: str | os.PathLike[str] | None = None, *, allow_outside: bool = False
+    scene: dict, base: str | os.PathLike[str] | None = None, *, allow_outside: Outside = False
 ) -> SceneDescription:
     """Return the description of a scene given as nested dictionaries.
 
     Args:
         scene: ``{"type": "scene", name: {"type": plugin, parameter: value, ...}, ...}``.
-        base: Folder that relative file names start from; default: the current folder.
-        allow_outside: Whether relative file names may climb out of ``base`` with "..".
+        base: Folder that relative file names start from, and in or below which files have to lie. Default: the current
+            folder, and anywhere: the names in a dictionary are the program's own.
+        allow_outside: With ``base``, where else files may lie; see ``describe_file``.
 
     Raises:
         TypeError: If ``scene`` is no dictionary.
@@ -34,7 +35,7 @@ def describe_dict(
     """
     if not isinstance(scene, dict):
         raise TypeError(f"a scene is a dict {{'type': 'scene', ...}}; got {type(scene).__name__}")
-    context = Context("dict", None if base is None else Path(base), allow_outside)
+    context = Context("dict", Path.cwd(), True) if base is None else Context("dict", Path(base), allow_outside)
     return describe(scene, "scene", context)
 
 

@@ -6,8 +6,9 @@ splits the mesh by material, while scene parameters rely on Mitsuba's order (the
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO, TypeVar
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from .errors import error
 from .meshes import MeshData, vertex_normals
 from .transforms import transform_normals, transform_points
 
+T = TypeVar("T")
 #: Component suffixes that group PLY properties into one attribute.
 _SUFFIXES = ("xyzw", "rgba", "0123", "1234")
 _COLOR_NAMES = {"r": 0, "g": 1, "b": 2, "a": 3, "red": 0, "green": 1, "blue": 2, "alpha": 3}
@@ -39,16 +41,20 @@ def read_mesh(kind: str, file: Path, where: str, note: Any) -> MeshData:
         return readers[kind](file, place, note)
     from trimesh.exchange import off, stl
 
-    values = _guarded(off.load_off if kind == "off" else stl.load_stl, file, place)
-    # A text STL may hold several solids, or none.
-    return _joined([_part(part, np.eye(4)) for part in values.get("geometry", {"": values}).values()])
+    def load(stream: BinaryIO) -> MeshData:
+        values = off.load_off(stream) if kind == "off" else stl.load_stl(stream)
+        # A text STL may hold several solids, or none.
+        return _joined([_part(part, np.eye(4)) for part in values.get("geometry", {"": values}).values()])
+
+    return _guarded(load, file, place)
 
 
-def _guarded(load: Any, file: Path, place: str, **options: Any) -> Any:
-    """Call one of trimesh's readers and turn whatever it raises into a message."""
+def _guarded(load: Callable[[BinaryIO], T], file: Path, place: str) -> T:
+    """Read a file with one of trimesh's readers, and turn whatever it raises into a message."""
     try:
-        with file.open("rb") as stream:
-            return load(stream, **options)
+        # NaN among whole numbers is an error; too large numbers become infinite, which the checks report.
+        with file.open("rb") as stream, np.errstate(over="ignore", invalid="raise"):
+            return load(stream)
     except Exception as problem:
         reason = str(problem) or type(problem).__name__
         raise error(place, f"the file is damaged or of another format ({reason})", _REEXPORT) from None
@@ -83,7 +89,7 @@ def _read_obj(file: Path, place: str, note: Any) -> MeshData:
     if (vertex[:, 1] >= 0).any():
         data.texcoords = np.where(vertex[:, 1:2] >= 0, texcoords[vertex[:, 1], :2], 0.0)
     if (vertex[:, 2] >= 0).any():
-        data.normals = np.where(vertex[:, 2:3] >= 0, normals[vertex[:, 2]], 0.0)
+        data.normals = np.where(vertex[:, 2:3] >= 0, normals[vertex[:, 2], :3], 0.0)
     if positions.shape[1] >= 6:
         data.attributes["vertex_color"] = _stack(list(positions[vertex[:, 0], 3:6].T), np.float32)
     return data
@@ -142,7 +148,10 @@ def _fans(corners: np.ndarray, counts: np.ndarray) -> np.ndarray:
 def _read_ply(file: Path, place: str, note: Any) -> MeshData:
     from trimesh.exchange import ply
 
-    raw = _guarded(ply.load_ply, file, place, fix_texture=False, skip_materials=True)["metadata"]["_ply_raw"]
+    def load(stream: BinaryIO) -> dict[str, Any]:
+        return ply.load_ply(stream, fix_texture=False, skip_materials=True)["metadata"]["_ply_raw"]
+
+    raw = _guarded(load, file, place)
     for element in ("vertex", "face"):
         if element not in raw:
             raise error(place, f"there is no element '{element}'", "only triangle or polygon meshes are supported")
@@ -225,7 +234,8 @@ def _ply_attributes(columns: dict[str, Any], prefix: str, place: str, note: Any)
 
 
 def _stack(columns: list[np.ndarray], dtype: Any) -> np.ndarray:
-    with np.errstate(over="ignore"):  # what overflows becomes infinite, which the checks report
+    # What overflows becomes infinite, which the checks report; signalling NaN stays NaN.
+    with np.errstate(over="ignore", invalid="ignore"):
         return np.stack([np.asarray(column).reshape(-1) for column in columns], axis=1).astype(dtype)
 
 
@@ -235,19 +245,21 @@ def _read_gltf(file: Path, place: str, note: Any) -> MeshData:
     from trimesh.resolvers import FilePathResolver
     from trimesh.scene.transforms import SceneGraph
 
-    load = gltf.load_glb if file.suffix.lower() == ".glb" else gltf.load_gltf
-    values = _guarded(load, file, place, resolver=FilePathResolver(str(file)))
-    graph = SceneGraph(base_frame=values.get("base_frame", "world"))
-    for edge in values.get("graph", ()):
-        graph.update(**edge)
-    parts = []
-    for node in graph.nodes_geometry:
-        matrix, name = graph.get(node)
-        part = values["geometry"][name]
-        if len(part.get("faces", ())):
-            parts.append(_part(part, np.asarray(matrix, dtype=np.float64)))
+    from .gltf_files import geometry_only
+
+    def load(stream: BinaryIO) -> MeshData:
+        read = gltf.load_glb if file.suffix.lower() == ".glb" else gltf.load_gltf
+        values = read(geometry_only(file), resolver=FilePathResolver(str(file)))
+        graph = SceneGraph(base_frame=values.get("base_frame", "world"))
+        for edge in values.get("graph", ()):
+            graph.update(**edge)
+        placed = [graph.get(node) for node in graph.nodes_geometry]
+        parts = [(values["geometry"][name], np.asarray(matrix, dtype=np.float64)) for matrix, name in placed]
+        return _joined([_part(part, matrix) for part, matrix in parts if len(part.get("faces", ()))])
+
+    data = _guarded(load, file, place)
     note(f"{place}: materials of glTF files are ignored; the shape's bsdf is used")
-    return _joined(parts)
+    return data
 
 
 def _joined(parts: list[MeshData]) -> MeshData:

@@ -76,7 +76,11 @@ def check(data: MeshData, where: str) -> None:
     for name, array in data.attributes.items():
         if not np.isfinite(array).all():
             raise error(where, f"attribute '{name}' holds NaN or infinity", "give finite values")
-    for name, array in (("vertex coordinate", data.vertices), ("texture coordinate", data.texcoords)):
+    for name, array in (
+        ("vertex coordinate", data.vertices),
+        ("texture coordinate", data.texcoords),
+        ("coordinate of a normal", data.normals),
+    ):
         largest = 0.0 if array is None else np.abs(array).max()
         if largest > _COORDINATE_MAX:
             raise error(where, f"a {name} is {largest:g}", f"scale it to below {_COORDINATE_MAX:g}")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .errors import SceneError, did_you_mean, error, listing
-from .transforms import as_matrix
+from .transforms import FLOAT_MAX, as_matrix
 
 if TYPE_CHECKING:
     from .context import Context
@@ -33,6 +33,8 @@ PLUGINS: dict[str, tuple[str, ...]] = {
     ),
 }
 
+#: Whole numbers are 32-bit on the device.
+INTEGER_MAX = 2**31 - 1
 #: Keys of a plugin's dictionary that are no parameters.
 RESERVED = ("type", "id")
 
@@ -150,18 +152,23 @@ class Properties:
         value = self.take(name, default)
         if isinstance(value, (bool, np.bool_)) or not _is_number(value):
             raise error(self.place(name), f"got {value!r}", "give one number")
-        number = float(np.asarray(value).reshape(()))
+        try:
+            number = float(np.asarray(value).reshape(()))
+        except OverflowError:  # a whole number of hundreds of digits
+            number = np.inf
         inside = minimum < number < maximum if exclusive else minimum <= number <= maximum
-        if not (np.isfinite(number) and inside):
+        if not (abs(number) <= FLOAT_MAX and inside):
             raise error(self.place(name), f"got {number:g}", f"give {_range(minimum, maximum, exclusive)}")
         return number
 
-    def integer(self, name: str, default: int, *, minimum: int | None = None) -> int:
-        """Return a whole number, at least ``minimum``."""
+    def integer(self, name: str, default: int, *, minimum: int | None = None, maximum: int = INTEGER_MAX) -> int:
+        """Return a whole number, at least ``minimum`` and at most ``maximum``."""
         number = self.number(name, default)
         if number != round(number) or (minimum is not None and number < minimum):
             limit = "" if minimum is None else f" of at least {minimum}"
             raise error(self.place(name), f"got {number:g}", f"give a whole number{limit}")
+        if abs(number) > maximum:
+            raise error(self.place(name), f"got {number:g}", f"give at most {maximum}")
         return round(number)
 
     def boolean(self, name: str, default: bool) -> bool:
@@ -186,9 +193,9 @@ class Properties:
         value = self.take(name, default)
         try:
             vector = np.array(value, dtype=np.float64)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             vector = np.empty(0)
-        if vector.shape != (3,) or not np.isfinite(vector).all():
+        if vector.shape != (3,) or not (np.abs(vector) <= FLOAT_MAX).all():
             raise error(self.place(name), f"got {value!r}", "give three finite numbers")
         return vector
 
@@ -201,6 +208,8 @@ class Properties:
             matrix = as_matrix(value)
         except SceneError as problem:
             raise SceneError(f"{self.place(name)}: {problem}") from None
+        if np.abs(matrix).max() > FLOAT_MAX:
+            raise error(self.place(name), "the matrix holds numbers beyond 32-bit floats", "scale the scene down")
         singular = np.linalg.svd(matrix[:3, :3], compute_uv=False)
         if singular[-1] <= 1e-10 * singular[0] or singular[0] == 0.0:
             raise error(

@@ -23,6 +23,8 @@ import numpy as np
 #: Segments of a full turn.
 DEFAULT_RESOLUTION = 64
 MIN_RESOLUTION = 3
+#: A sphere of so many has 4 million triangles, and its error is below that of float32.
+MAX_RESOLUTION = 2048
 
 
 @dataclass(eq=False)

@@ -21,6 +21,10 @@ _FILM_DIAGONAL = math.hypot(36.0, 24.0)
 #: Largest difference of the axes' lengths, relative, that rounding in a scene file may leave.
 _RIGID = 1e-3
 _FILM_MAX = 65536
+#: Pixels of a film, 3 GB: images and their gradients are kept as a whole.
+_PIXELS_MAX = 1 << 28
+#: Radius of a reconstruction filter, pixels: the film grows by it on every side.
+_RADIUS_MAX = 64.0
 
 
 def build(node: dict, where: str, path: str, context: Context) -> SensorDescription:
@@ -127,6 +131,8 @@ def _film(sensor: Properties) -> FilmDescription:
     width, height = (props.integer(n, d, minimum=1) for n, d in (("width", 768), ("height", 576)))
     if max(width, height) > _FILM_MAX:
         raise error(where, f"the film has {width}x{height} pixels", f"give at most {_FILM_MAX} in each direction")
+    if width * height > _PIXELS_MAX:
+        raise error(where, f"the film has {width}x{height} pixels", f"give at most {_PIXELS_MAX} altogether")
     crop_x, crop_y = props.integer("crop_offset_x", 0, minimum=0), props.integer("crop_offset_y", 0, minimum=0)
     crop_width = props.integer("crop_width", width, minimum=1)
     crop_height = props.integer("crop_height", height, minimum=1)
@@ -156,9 +162,11 @@ def _filter(film: Properties) -> tuple[Literal["box", "tent", "gaussian"], float
     stddev = 0.5
     if props.type == "gaussian":
         stddev = props.number("stddev", 0.5, minimum=0.0, exclusive=True)
-        radius = props.number("radius", 4.0 * stddev, minimum=0.0, exclusive=True)
+        radius = props.number("radius", min(4.0 * stddev, _RADIUS_MAX), minimum=0.0, exclusive=True)
     else:
         radius = props.number("radius", 0.5 if props.type == "box" else 1.0, minimum=0.0, exclusive=True)
+    if radius > _RADIUS_MAX:
+        raise error(props.place("radius"), f"got {radius:g}", f"give at most {_RADIUS_MAX:g} pixels")
     props.finish()
     return cast(Literal["box", "tent", "gaussian"], props.type), radius, stddev
 

@@ -13,7 +13,7 @@ from .mesh_files import read_mesh
 from .meshes import MeshData, check, drop_flat_triangles, in_place, vertex_normals
 from .origin import collapses, moved
 from .plugins import Properties
-from .primitives import CURVED, DEFAULT_RESOLUTION, MIN_RESOLUTION, PRIMITIVES
+from .primitives import CURVED, DEFAULT_RESOLUTION, MAX_RESOLUTION, MIN_RESOLUTION, PRIMITIVES
 from .textures import check_attribute
 from .transforms import Transform, transform_normals, transform_points
 
@@ -72,7 +72,7 @@ def _geometry(props: Properties) -> tuple[MeshData, np.ndarray, str]:
     if props.type in PRIMITIVES:
         resolution = DEFAULT_RESOLUTION
         if props.type in CURVED:
-            resolution = props.integer("resolution", DEFAULT_RESOLUTION, minimum=MIN_RESOLUTION)
+            resolution = props.integer("resolution", DEFAULT_RESOLUTION, minimum=MIN_RESOLUTION, maximum=MAX_RESOLUTION)
         source = PRIMITIVES[props.type](resolution)
         data = MeshData(source.vertices, source.faces, source.normals, source.texcoords)
         return data, to_world @ _local_frame(props), props.where
@@ -83,6 +83,7 @@ def _geometry(props: Properties) -> tuple[MeshData, np.ndarray, str]:
         raise error(props.where, f"a '{props.type}' without 'filename'", "name the mesh file")
     file = props.context.file(name, props.place("filename"))
     data = read_mesh(props.type, file, props.where, props.context.note)
+    props.context.count(data.vertices.size + data.faces.size, props.where)
     if props.boolean("flip_tex_coords", props.type in _FLIP_TEX_COORDS) and data.texcoords is not None:
         data.texcoords = np.stack([data.texcoords[:, 0], 1.0 - data.texcoords[:, 1]], axis=1)
     return data, to_world, f"{props.where}, file '{file}'"
@@ -134,7 +135,8 @@ def _place(
     local = data.vertices
     world = transform_points(to_world, local)
     # Far away float32 collapses triangles; that is put right once the scene's place is known (``origin``).
-    data.vertices = world if collapses(world) else world.astype(np.float32)
+    with np.errstate(over="ignore"):  # what overflows becomes infinite, which the check reports
+        data.vertices = world if collapses(world) else world.astype(np.float32)
     check(data, f"{props.where}, after to_world")
     dropped = drop_flat_triangles(data, props.where)
     if dropped:

@@ -9,6 +9,7 @@ import numpy as np
 
 from .cie import D65, WAVELENGTH_MAX, WAVELENGTH_MIN, X_BAR, Y_BAR, Z_BAR
 from .errors import SceneError, error
+from .transforms import FLOAT_MAX
 
 #: CIE XYZ to linear sRGB (IEC 61966-2-1).
 _XYZ_TO_RGB = np.array(
@@ -50,10 +51,10 @@ def color(value: Any, where: str, *, emissive: bool = False, high: float = np.in
         value = parse_color(value, kind, where)
     try:
         numbers = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise error(where, f"got {value!r} for a colour", _REMEDY) from None
-    if not np.isfinite(numbers).all():
-        raise error(where, f"the colour {value!r} is not finite", _REMEDY)
+    if not (np.abs(numbers) <= FLOAT_MAX).all():
+        raise error(where, f"the colour {value!r} is not finite, as 32-bit floats", _REMEDY)
     if kind == "spectrum" and numbers.ndim == 2 and numbers.shape[1] == 2:
         return _from_wavelengths(numbers, where, emissive, high)
     if numbers.ndim == 0 or numbers.shape == (1,):

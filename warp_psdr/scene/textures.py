@@ -118,6 +118,7 @@ def bitmap_values(props: Properties, raw: bool) -> np.ndarray:
             image = read_image(file, raw=raw)
         except ValueError as problem:
             raise SceneError(f"{place}: {problem}") from None
+        props.context.count(image.size, place)
     else:
         try:
             image = np.array(value.numpy() if hasattr(value, "numpy") else value)

@@ -10,6 +10,9 @@ import numpy as np
 
 from .errors import SceneError
 
+#: Numbers are 32-bit on the device.
+FLOAT_MAX = float(np.finfo(np.float32).max)
+
 
 class _Chained:
     """Let a constructor be called on the class, or on a transformation that it then extends."""
@@ -119,7 +122,7 @@ def as_matrix(value: Any) -> np.ndarray:
     source = getattr(value, "matrix", value)
     try:
         matrix = np.array(source, dtype=np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise SceneError(f"got {value!r} for a transformation; give a 4x4 matrix or a psdr.Transform") from None
     if matrix.shape == (3, 3):
         linear, matrix = matrix, np.eye(4)
@@ -152,7 +155,7 @@ def transform_normals(matrix: np.ndarray, normals: np.ndarray) -> np.ndarray:
 
 def _vector(value: Any, what: str) -> np.ndarray:
     vector = np.asarray(value, dtype=np.float64)
-    if vector.shape != (3,) or not np.isfinite(vector).all():
+    if vector.shape != (3,) or not (np.abs(vector) <= FLOAT_MAX).all():
         raise SceneError(f"{what} got {value!r}; give three finite numbers")
     return vector
 

@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 from typing import Any
 
-from .context import Context, FileName
+from .context import Context, FileName, Outside
 from .description import SceneDescription
 from .dictionary import describe
 from .errors import SceneError, did_you_mean, error, listing, missing_file
@@ -16,21 +16,29 @@ from .xml_values import PROPERTY_TAGS, attributes, read_property, read_transform
 
 #: Files that include each other without end differ in name at most this often.
 _INCLUDE_DEPTH = 15
+#: Elements of a scene, counted each time that a file is included: each takes about a kilobyte of memory.
+_ELEMENTS_MAX = 1_000_000
+#: Letters of an attribute once its parameters are filled in: parameters made of parameters grow without bound.
+_LETTERS_MAX = 1 << 16
+#: Parameters of a scene: each is looked for in every attribute with a dollar sign.
+_PARAMETERS_MAX = 1000
 #: Tags of Mitsuba whose plugins are not supported.
 _UNSUPPORTED_TAGS = ("medium", "phase", "volume")
 _OTHER_TAGS = ("transform", "ref", "include", "alias", "default", "path")
 _VERSIONS = ("2", "3")
 
 
-def describe_file(path: str | os.PathLike[str], *, allow_outside: bool = False, **defaults: Any) -> SceneDescription:
+def describe_file(path: str | os.PathLike[str], *, allow_outside: Outside = False, **defaults: Any) -> SceneDescription:
     """Return the description of a Mitsuba 3 scene file.
 
     Relative file names start from the file that names them, then from the scene file's folder, then from its ``<path>``
-    folders.
+    folders. Whatever they are, relative, absolute or symbolic links, the files have to lie in the scene file's folder
+    or below it, so that a scene from somebody else reads nothing but what came with it.
 
     Args:
         path: An XML file of version 3.x (or 2.x, which has the same form).
-        allow_outside: Whether relative file names may climb out of the scene file's folder with "..".
+        allow_outside: Further folders in or below which files may lie (one, or several), for example the folder that
+            holds both ``scenes/`` and ``textures/``; True: anywhere, for scenes that you trust.
         **defaults: Values for the file's ``$parameters``; they take precedence over ``<default>``.
 
     Raises:
@@ -46,9 +54,15 @@ def describe_file(path: str | os.PathLike[str], *, allow_outside: bool = False, 
 
 
 def describe_string(
-    xml: str, *, base: str | os.PathLike[str] | None = None, allow_outside: bool = False, **defaults: Any
+    xml: str, *, base: str | os.PathLike[str] | None = None, allow_outside: Outside = False, **defaults: Any
 ) -> SceneDescription:
-    """Return the description of a Mitsuba 3 scene given as XML text; relative file names start from ``base``.
+    """Return the description of a Mitsuba 3 scene given as XML text; see ``describe_file``.
+
+    Args:
+        xml: The text.
+        base: Stands for the scene file's folder; default: the current one.
+        allow_outside: Further folders, or True.
+        **defaults: Values for the text's ``$parameters``.
 
     Raises:
         TypeError: If ``xml`` is no text.
@@ -57,13 +71,13 @@ def describe_string(
     """
     if not isinstance(xml, str):
         raise TypeError(f"a scene's text is a str; got {type(xml).__name__}")
-    context = Context("string", None if base is None else Path(base), allow_outside)
+    context = Context("string", Path.cwd() if base is None else Path(base), allow_outside)
     return _describe(xml.encode("utf-8"), "string", None, context, defaults)
 
 
 def _describe(data: bytes, label: str, file: Path | None, context: Context, defaults: dict) -> SceneDescription:
     reader = _Reader(context, defaults)
-    root = parse(data, label)
+    root = reader.parse(data, label)
     _check_version(root)
     if root.tag != "scene":
         raise error(root.where, "the outermost element is no <scene>", 'write <scene version="3.0.0">')
@@ -100,8 +114,20 @@ class _Reader:
         self.used: set[str] = set()
         self.ids: dict[str, str] = {}
         self.aliases: list[tuple[str, str, str]] = []
-        self._unnamed: dict[str, int] = {}
+        self._unnamed: dict[str | int, int] = {}
         self._including: list[Path] = []
+        self._elements_left = _ELEMENTS_MAX
+        self._longest_first: list[str] = []
+
+    def parse(self, data: bytes, label: str) -> Element:
+        """Return the root element of a file.
+
+        Raises:
+            ValueError: If the XML is malformed, or all files together have too many elements.
+        """
+        root, count = parse(data, label, self._elements_left)
+        self._elements_left -= count
+        return root
 
     def fill(self, node: Node, element: Element, file: Path | None, *, top: bool) -> None:
         """Add an element's children to its dictionary; ``file`` is where the element stands."""
@@ -115,6 +141,8 @@ class _Reader:
         if child.tag == "default":
             name, value = attributes(child, "name", "value").values()
             self.parameters.setdefault(name, value)
+            if len(self.parameters) > _PARAMETERS_MAX:
+                raise error(child.where, f"more than {_PARAMETERS_MAX} parameters", "write values instead")
         elif child.tag == "alias":
             source, target = attributes(child, "id", "as").values()
             self._claim(target, child.where)
@@ -164,9 +192,10 @@ class _Reader:
                 name = f"{child.tag}_{number}"
                 name = "" if name in node or name in self.ids else name
         elif not name:
-            number = 0
+            number = self._unnamed.get(id(node), 0)
             while f"_arg_{number}" in node:
                 number += 1
+            self._unnamed[id(node)] = number + 1
             name = f"_arg_{number}"
         self._assign(node, name, value, child.where)
 
@@ -182,15 +211,20 @@ class _Reader:
 
     def _substitute(self, element: Element) -> None:
         """Replace ``$name`` in an element's attributes, longest names first; a backslash keeps the dollar sign."""
+        if len(self._longest_first) != len(self.parameters):
+            self._longest_first = sorted(self.parameters, key=len, reverse=True)
         for key, text in element.attributes.items():
             if "$" not in text:
                 continue
             # A private-use character stands for an escaped dollar sign meanwhile.
             text = text.replace("\\$", "\ue000")
-            for name in sorted(self.parameters, key=len, reverse=True):
+            for name in self._longest_first:
                 if f"${name}" in text:
                     text = text.replace(f"${name}", self.parameters[name])
                     self.used.add(name)
+                if len(text) > _LETTERS_MAX:
+                    problem = f"the attribute '{key}' has more than {_LETTERS_MAX} letters with its parameters"
+                    raise error(element.where, problem, "write it shorter")
             if "$" in text:
                 unknown = "".join(c if c.isalnum() or c == "_" else " " for c in text.split("$", 1)[1]).split(" ")[0]
                 known = listing(f"${name}" for name in self.parameters) or "none"
@@ -214,7 +248,7 @@ class _Reader:
         if found in self._including or len(self._including) > _INCLUDE_DEPTH:
             chain = " -> ".join(path.name for path in (*self._including, found))
             raise error(child.where, f"circular <include>: {chain}", "remove one of the includes")
-        root = parse(found.read_bytes(), found.name)
+        root = self.parse(found.read_bytes(), found.name)
         self._including.append(found)
         self._substitute(root)
         if root.tag == "scene":

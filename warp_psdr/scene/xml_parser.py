@@ -24,20 +24,21 @@ class Element:
     children: list[Element] = field(default_factory=list)
 
 
-def parse(data: bytes, label: str) -> Element:
-    """Return the root element.
+def parse(data: bytes, label: str, most: int) -> tuple[Element, int]:
+    """Return the root element, and how many elements there are.
 
     Args:
         data: The file's bytes.
         label: Its name, for messages.
+        most: How many there may be.
 
     Raises:
-        ValueError: If the XML is malformed, declares entities or is nested too deeply.
+        ValueError: If the XML is malformed, declares entities, is nested too deeply or has too many elements.
     """
     from defusedxml import DefusedXmlException
     from defusedxml import sax as defused_sax
 
-    handler = _Handler(label)
+    handler = _Handler(label, most)
     try:
         defused_sax.parse(io.BytesIO(data), handler, forbid_dtd=False, forbid_entities=True, forbid_external=True)
     except SceneError:
@@ -53,15 +54,17 @@ def parse(data: bytes, label: str) -> Element:
         raise error(label, f"malformed XML ({problem})", "save the file as UTF-8 XML") from None
     if handler.root is None:
         raise error(label, "the file holds no element", 'write <scene version="3.0.0">...</scene>')
-    return handler.root
+    return handler.root, handler.count
 
 
 class _Handler(xml.sax.handler.ContentHandler):
     """Builds the tree of elements."""
 
-    def __init__(self, label: str):
+    def __init__(self, label: str, most: int):
         super().__init__()
         self.label = label
+        self.most = most
+        self.count = 0
         self.root: Element | None = None
         self._open: list[Element] = []
         self._locator: Any = None
@@ -82,6 +85,9 @@ class _Handler(xml.sax.handler.ContentHandler):
         element = Element(name, attributes, f"{self.label}:{self.line} <{name}{shown}>")
         if len(self._open) >= _MAX_DEPTH:
             raise error(element.where, f"elements are nested more than {_MAX_DEPTH} deep", "flatten the scene")
+        self.count += 1
+        if self.count > self.most:
+            raise error(element.where, "the scene has too many elements", "put geometry into meshes")
         if self._open:
             self._open[-1].children.append(element)
         else:

@@ -1,0 +1,60 @@
+"""NumPy's array files (``.npy``) from anywhere: numbers only, never pickles, and no larger than the file says.
+
+NumPy's own reader allocates what a header declares before it looks at how much follows, and takes archives and pickles
+where it is asked for an array.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+import os
+from pathlib import Path
+
+import numpy as np
+
+__all__ = ["parse_array", "read_array"]
+
+#: Largest text of a header, bytes: one of numbers takes some 80.
+_HEADER_MAX = 4096
+
+
+def parse_array(data: bytes) -> np.ndarray:
+    """Return the array that the bytes of a ``.npy`` file hold.
+
+    Raises:
+        ValueError: If they are damaged, hold anything but numbers, or are more or fewer than the header says.
+    """
+    stream = io.BytesIO(data)
+    try:
+        version = np.lib.format.read_magic(stream)
+        if version not in ((1, 0), (2, 0)):
+            raise ValueError(f"version {version} of the format is not for numbers")
+        read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+        shape, fortran, dtype = read(stream, max_header_size=_HEADER_MAX)
+        if dtype.kind not in "biuf":
+            raise ValueError(f"an array of {dtype} holds no numbers")
+        start = stream.tell()
+        if any(size < 0 for size in shape) or math.prod(shape) * dtype.itemsize != len(data) - start:
+            raise ValueError(f"an array of shape {shape} is longer or shorter than the {len(data) - start} bytes of it")
+        values = np.frombuffer(data, dtype=dtype, offset=start)
+        # A copy, since the bytes cannot be written to.
+        return values.reshape(shape, order="F" if fortran else "C").copy()
+    except Exception as problem:  # the header is read as Python's literals, which fail in many ways
+        raise ValueError(str(problem) or type(problem).__name__) from None
+
+
+def read_array(path: str | os.PathLike[str]) -> np.ndarray:
+    """Read a ``.npy`` file.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: If it is no array of numbers, or damaged.
+    """
+    file = Path(path)
+    if not file.is_file():
+        raise FileNotFoundError(f"{file} does not exist")
+    try:
+        return parse_array(file.read_bytes())
+    except ValueError as problem:
+        raise ValueError(f"{file} is no array of numbers ({problem}); save it with numpy.save") from None

@@ -1,0 +1,67 @@
+"""glTF files without what is not read, their sizes checked, for trimesh's reader.
+
+That reader makes every array that an accessor declares, whether data follow or not, places a mesh as often as nodes
+name it, and decodes pictures of materials. glTF 2.0, sections 3.6.2 (accessors) and 4.4 (binary files).
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import struct
+from pathlib import Path
+from typing import Any
+
+#: Numbers of all accessors, and of all placed meshes: 2 GB as float32.
+_NUMBERS_MAX = 1 << 29
+#: Components of an accessor's items.
+_COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
+_MAGIC, _JSON = b"glTF", b"JSON"
+#: Bytes in front of the JSON of a binary file: magic, version, length; length and kind of the chunk.
+_HEAD = struct.Struct("<4sIII4s")
+
+
+def geometry_only(file: Path) -> io.BytesIO:
+    """Return a ``.gltf`` or ``.glb`` file without pictures.
+
+    Raises:
+        ValueError: If the file is malformed, or asks for more memory than geometry can take.
+    """
+    data = file.read_bytes()
+    if file.suffix.lower() != ".glb":
+        return io.BytesIO(json.dumps(_geometry(json.loads(data))).encode())
+    magic, version, _, length, kind = _HEAD.unpack_from(data)
+    if magic != _MAGIC or kind != _JSON:
+        raise ValueError("it does not start as binary glTF does")
+    rest = data[_HEAD.size + length :]
+    text = json.dumps(_geometry(json.loads(data[_HEAD.size : _HEAD.size + length]))).encode()
+    text += b" " * (-len(text) % 4)
+    total = _HEAD.size + len(text) + len(rest)
+    return io.BytesIO(_HEAD.pack(magic, version, total, len(text), kind) + text + rest)
+
+
+def _geometry(tree: Any) -> dict:
+    """Return the tree without pictures, materials reduced to their number."""
+    if not isinstance(tree, dict):
+        raise ValueError("it is no glTF tree")
+    sizes = [_size(accessor) for accessor in tree.get("accessors", [])]
+    meshes = [_mesh_size(mesh, sizes) for mesh in tree.get("meshes", [])]
+    placed = sum(meshes[node["mesh"]] for node in tree.get("nodes", []) if "mesh" in node)
+    if max(sum(sizes), sum(meshes), placed) > _NUMBERS_MAX:
+        raise ValueError(f"it holds more than {_NUMBERS_MAX} numbers, repetitions included; make it smaller")
+    kept = {name: value for name, value in tree.items() if name not in ("images", "textures", "samplers")}
+    return kept | {"materials": [{} for _ in tree.get("materials", [])]}
+
+
+def _size(accessor: dict) -> int:
+    if "bufferView" not in accessor:
+        raise ValueError("an accessor has no buffer view; compressed and sparse meshes are not supported")
+    count = accessor["count"]
+    if not isinstance(count, int) or count < 0:
+        raise ValueError(f"an accessor has {count!r} items")
+    return count * _COMPONENTS[accessor["type"]]
+
+
+def _mesh_size(mesh: dict, sizes: list[int]) -> int:
+    used = [i for part in mesh["primitives"] for i in (*part["attributes"].values(), part.get("indices", 0))]
+    return sum(sizes[i] for i in used)
