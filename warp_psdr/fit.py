@@ -24,6 +24,7 @@ import warp as wp
 import warp_psdr as psdr
 from warp_psdr import checkpoint, image_io, losses, optim
 from warp_psdr.arrays import read_array
+from warp_psdr.files import held
 from warp_psdr.fit_config import FitConfig, Unknown, integrator_options
 from warp_psdr.options import from_description
 from warp_psdr.progress import progress
@@ -131,10 +132,11 @@ def fit(
     Raises:
         FileNotFoundError: If a file does not exist.
         ValueError: If the configuration does not fit the scene, the checkpoint belongs to another configuration, or a
-            loss or gradient is not finite; then the last checkpoint is whole.
+            loss or gradient is not finite, or another run writes to the output folder; then the last checkpoint is
+            whole.
+        OSError: If the output folder cannot be written to, or the disk is full; then the last checkpoint is whole, and
+            the run can be resumed from it.
     """
-    from warp_psdr.fit_report import write_report, write_start
-
     if iterations is not None:
         config = replace(config, iterations=iterations)
     path = config.output / CHECKPOINT
@@ -148,6 +150,15 @@ def fit(
         mask_updates=config.mask_updates,
     )
     config.output.mkdir(parents=True, exist_ok=True)
+    with held(config.output):
+        return _fit(problem, adam, path, resume=resume)
+
+
+def _fit(problem: Problem, adam: optim.Adam, path: Path, *, resume: bool) -> FitResult:
+    """Make the steps that a checkpoint at ``path`` has not made, and write the results."""
+    from warp_psdr.fit_report import write_report, write_start
+
+    config = problem.config
     run = _digests(problem)
     history: list[float] = []
     if resume and path.exists():
@@ -332,12 +343,17 @@ def _restore(path: Path, problem: Problem, adam: optim.Adam, run: dict[str, Any]
             f"with, or start again (--overwrite)"
         )
     try:
-        history = arrays["losses"].tolist()
+        losses = arrays["losses"]
+        if losses.ndim != 1 or not np.isfinite(losses).all():
+            raise ValueError(f"the losses have shape {losses.shape}, or are not finite")
+        history = losses.tolist()
         for name in problem.config.parameters:
             problem.params[name] = arrays[f"parameter/{name}"]
         adam.load_state_dict({key.removeprefix("adam/"): v for key, v in arrays.items() if key.startswith("adam/")})
     except KeyError as error:
         raise ValueError(f"{path} lacks {error}; start again (--overwrite)") from error
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}; start again (--overwrite)") from error
     if adam.steps != len(history) or len(history) > problem.config.iterations:
         raise ValueError(
             f"{path} holds {len(history)} losses of {adam.steps} steps, expected as many, and at most "

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import io
 import os
 import warnings
 from pathlib import Path
@@ -67,6 +69,7 @@ def write_image(path: str | os.PathLike[str], image: Any, *, half: bool = False)
 
     Raises:
         ValueError: If the shape or the suffix is not supported.
+        OSError: If the file cannot be written; then what was there before is untouched.
     """
     file = Path(path)
     _check_suffix(file)
@@ -125,8 +128,11 @@ def _write_exr(file: Path, array: np.ndarray, half: bool) -> None:
     dtype = np.float16 if half else np.float32
     planes = {name: np.ascontiguousarray(array[..., i], dtype=dtype) for i, name in enumerate(names)}
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    with OpenEXR.File(header, planes) as target:
-        target.write(str(file))
+    try:
+        with OpenEXR.File(header, planes) as target:
+            target.write(str(file))
+    except RuntimeError as problem:
+        raise OSError(errno.EIO, str(problem)) from problem
 
 
 def _read_low_range(file: Path, raw: bool) -> np.ndarray:
@@ -176,4 +182,8 @@ def _write_low_range(file: Path, array: np.ndarray) -> None:
     if array.shape[2] == 4 and file.suffix.lower() == ".png":
         values = np.concatenate([values, np.clip(np.nan_to_num(array[..., 3:]), 0.0, 1.0)], axis=-1)
     pixels = np.round(values * 255.0).astype(np.uint8)
-    Image.fromarray(pixels[..., 0] if pixels.shape[2] == 1 else pixels).save(file, quality=95)
+    kind = "PNG" if file.suffix.lower() == ".png" else "JPEG"
+    stream = io.BytesIO()
+    Image.fromarray(pixels[..., 0] if pixels.shape[2] == 1 else pixels).save(stream, kind, quality=95)
+    # Not by Pillow, whose JPEG encoder does not notice when a disk is full.
+    file.write_bytes(stream.getvalue())

@@ -1,8 +1,8 @@
 """A fuzzer of bytes: damages whole files, lets the library read them, and reports what came of it.
 
-Run as a program, in a process of its own: ``python -m tests.stability.fuzz SUFFIX FOLDER FIRST COUNT``. The input that
-is being read lies in the folder, so a process that died names what killed it. Inputs follow from the suffix and their
-number alone. The report is one line of JSON.
+Run as a program, in a process of its own: ``python -m tests.stability.fuzz FOLDER FIRST COUNT SUFFIX...``. The input
+that is being read lies in the folder, so a process that died leaves what killed it. Inputs follow from the suffix and
+their number alone. The report is a line of JSON behind every suffix.
 """
 
 from __future__ import annotations
@@ -168,4 +168,6 @@ def run(suffix: str, folder: Path, first: int, count: int) -> dict[str, Any]:
 
 
 if __name__ == "__main__":
-    print(json.dumps(run(sys.argv[1], Path(sys.argv[2]), int(sys.argv[3]), int(sys.argv[4]))))
+    for kind in sys.argv[4:]:
+        result = run(kind, Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3]))
+        print(f"{kind} {json.dumps(result)}", flush=True)
