@@ -27,7 +27,7 @@ from work_precision_renderers import Ours, Theirs
 from work_precision_report import CLOSED, DIFFERENCES, bias_rows, draw, floor_rows, work_rows
 
 #: Pixels of a side, samples a pixel, and images of a reference, each of the most samples of a run.
-PIXELS, COUNTS = (32, 64), ((4, 16), (4, 16, 64, 256))
+PIXELS, COUNTS = (32, 64), ((16, 64), (4, 16, 64, 256))
 LONG_IMAGES = (8, 16)
 #: Finite differences need more: relative to the most of a run.
 DIFFERENCE_FACTOR = 16

@@ -93,6 +93,16 @@ def wrong_ones(rows: list[dict]) -> dict[tuple[str, str], str]:
     return {(r["case"], r["reference"]): r[VERDICT].replace("*", "") for r in rows if "wrong" in r[VERDICT]}
 
 
+def _decade(axis, name: str, values: list[float]) -> None:
+    """Set logarithmic limits around values: at least a decade, so that one of its ends is labelled."""
+    from matplotlib.ticker import NullFormatter
+
+    logs = [math.log10(v) for v in values]
+    middle, half = (min(logs) + max(logs)) / 2.0, max(0.58 * (max(logs) - min(logs)), 0.55)
+    axis.set(**{f"{name}scale": "log", f"{name}lim": (10.0 ** (middle - half), 10.0 ** (middle + half))})
+    getattr(axis, f"{name}axis").set_minor_formatter(NullFormatter())
+
+
 def draw(path: Path, rows: list[dict], cases: list[str], floors: list[dict], judged: list[dict], title: str) -> None:
     """Draw one panel a case: error against seconds, both logarithmic.
 
@@ -126,15 +136,19 @@ def draw(path: Path, rows: list[dict], cases: list[str], floors: list[dict], jud
                 linewidth=1.2,
                 **style,
             )
+        remains = []
         for row in floors:
             if row["case"] == case and not row[FLOOR].startswith("<"):
-                axis.axhline(float(row[FLOOR]), color=colors.get(row["method"]), linewidth=2.0, alpha=0.4)
+                remains.append(float(row[FLOOR]))
+                axis.axhline(remains[-1], color=colors.get(row["method"]), linewidth=2.0, alpha=0.4)
         notes = [f"{name}: {text}" for (c, name), text in wrong.items() if c == case]
         notes += [f"{r['method']}: raises" for r in rows if r["kind"] == "refused" and r["case"] == case]
         if notes:
-            axis.text(0.03, 0.03, "\n".join(notes), transform=axis.transAxes, fontsize=7, color="firebrick")
+            text = "\n".join(notes).replace(" (", "\n(")
+            axis.text(0.03, 0.03, text, transform=axis.transAxes, fontsize=6.5, color="firebrick")
         if of_case:
-            axis.set(xscale="log", yscale="log")
+            _decade(axis, "x", [r["seconds"] for r in of_case])
+            _decade(axis, "y", [r["error"] for r in of_case] + remains)
         axis.set_title(case, fontsize=9)
         axis.grid(True, which="both", alpha=0.2)
         axis.tick_params(labelsize=7, which="both")
