@@ -18,6 +18,7 @@ TYPES = """
         static INLINE vf fma(vf a, vf b, vf c) {
             return __builtin_elementwise_fma(a, b, c);
         }
+        static INLINE vf abs(vf a) { return __builtin_elementwise_abs(a); }
         static INLINE float max1(float a, float b) { return a > b ? a : b; }
         static INLINE vf min(vf a, vf b) { return a < b ? a : b; }
         static INLINE vf max(vf a, vf b) { return a > b ? a : b; }
@@ -130,7 +131,10 @@ EDGES = """
 DISTANCE = """
             const vf det = edge_u + edge_v + edge_w;
             vf t = (edge_u * a_z + edge_v * b_z + edge_w * c_z) * shear_z / det;
-            u32 unsure = Simd::mask(inside & (lowest <= 0.0f) & (highest >= 0.0f));  // some edge function is 0
+            const vf wide = Simd::abs(a_x) + Simd::abs(b_x) + Simd::abs(c_x);
+            const vf high = Simd::abs(a_y) + Simd::abs(b_y) + Simd::abs(c_y);
+            // 1 / 64: the edge functions keep 18 bits
+            u32 unsure = Simd::mask(inside & (Simd::abs(det) < wide * high * 0.015625f));
             if (__builtin_expect(unsure != 0, 0))
                 for (; unsure; unsure &= unsure - 1) {
                     const int i = __builtin_ctz(unsure);

@@ -19,10 +19,11 @@ and 1 / d and its products stay finite.
 the origin of the plane lies inside the projected triangle: the edge functions U = Cx By - Cy Bx, V, W have one sign or
 are 0. A corner's projection depends on that corner alone, so neighbours see the same edge. Both products are rounded
 before they are subtracted (contraction to fma is off). Rounding is monotonic, hence the computed sign is never the
-wrong one, it can only become 0. Where one of them is 0 they are evaluated again in double precision, in which products
-of floats and their signs are exact; 0 then counts as inside for both neighbours, so no ray passes between them. Without
-this second look triangles smaller than u times their distance from the origin would be hit far beside them, where two
-edge functions vanish by rounding.
+wrong one, it can only become 0, which counts as inside for both neighbours: no ray passes between them. Where the
+determinant U + V + W is small against the products, on needles and on triangles that are small for their distance from
+the ray, the edge functions are evaluated again in double precision, in which products of floats and the signs of their
+differences are exact. Without this second look the small ones would be hit far beside them, where edge functions vanish
+by rounding, and the distance t, an average of the corners' with weights U, V, W, would be anywhere along a needle.
 
 **Order.** Hit children are ranked without branches: the lowest bits of their entry distances are replaced by the lane
 number, so that all differ, and a child's rank is the number of hit children before it. They are pushed farthest first.
