@@ -65,8 +65,8 @@ class Context:
 
     def fresh(self) -> Context:
         """Return the same load as it is now, to build everything in it once more."""
-        copy = Context(self.source, self.base, self.allow_outside)
-        copy.search_paths = list(self.search_paths)
+        copy = Context(self.source, self.base)
+        copy.roots, copy.search_paths = self.roots, list(self.search_paths)
         copy.notes, copy.named = list(self.notes), dict(self.named)
         return copy
 
