@@ -238,7 +238,8 @@ def test_report_predicts_the_scatter_of_gradients(soft):
 
 def test_times_and_errors_are_inverse(report):
     for error in (0.02, 0.005):
-        assert report.error_in(report.seconds_to(error)) == pytest.approx(error)
+        # Small batches are whole numbers of samples.
+        assert report.error_in(report.seconds_to(error)) == pytest.approx(error, rel=0.02)
         low, high = report.seconds_interval(error)
         assert low < report.seconds_to(error) < high
     assert report.error_in(1e-9) == math.inf

@@ -54,6 +54,8 @@ MOST_ROUNDS, ROUNDING = 16, 0.03
 PILOT_SHARE, LEAST_PILOT = 0.2, 0.1
 #: Seconds of the pilot of a target error, whose time is not known before.
 ERROR_PILOT = 2.0
+#: What is spent, seconds, where the pilot took all of a time budget.
+LEAST_SECONDS = 1e-3
 
 
 @dataclass(frozen=True)
@@ -109,7 +111,10 @@ def check(spp: Any, target_error: Any, time_budget: Any, report: Any) -> bool:
         raise ValueError(f"spp and {name} exclude each other: the budget says how many samples are taken")
     if report is not None and not isinstance(report, Report):
         raise ValueError(f"report: got {type(report).__name__}, expected what psdr.accuracy returned")
-    positive("target_error" if time_budget is None else "time_budget", target_error or time_budget)
+    if time_budget is None:
+        positive("target_error", target_error)
+    else:
+        positive("time_budget", time_budget)
     return True
 
 
@@ -135,17 +140,20 @@ def spend(
     if report.tile:
         what = what.tiled(from_exponents(what, report.tile, report.exponents))
     seed = mix_seed(seed, STREAM_BUDGET)
+    found, left = report, (wanted.seconds or 0.0) - pilot_seconds
     if wanted.error is not None:
+        report = found.fitted(error=wanted.error)
         raw, counts, error, spent = _to_error(what, report, float(wanted.error), seed, progress)
     else:
-        assert wanted.seconds is not None
-        raw, counts, error, spent = _in_time(what, report, wanted.seconds - pilot_seconds, seed, progress)
+        left = max(left, LEAST_SECONDS)
+        report = found.fitted(seconds=left, least=1.0)
+        raw, counts, error, spent = _in_time(what, report, left, seed, progress)
     if progress is not None:
         progress(1.0)
     names = [part.name for part in what.parts]
     batches = dict(zip(names, counts, strict=True))
     spp = {t.name: t.spp * batches[t.name] for t in report.terms}
-    return what.finished(raw), Reached(error, spent, pilot_seconds, spp, batches, report)
+    return what.finished(raw), Reached(error, spent, pilot_seconds, spp, batches, found)
 
 
 def _check_report(what: Quantity, report: Report) -> None:
@@ -252,7 +260,7 @@ def _in_time(what: Quantity, report: Report, seconds: float, seed: int, progress
     """Run rounds until they are done or the time is over."""
     now = pilot.CLOCKS[report.clock]
     start = now()
-    each, most = _rounds(report, max(seconds, 1e-9))
+    each, most = _rounds(report, seconds)
     whole, done = _Half(what, report, seed), 0
     mean: np.ndarray | float = 0.0
     names = range(len(what.parts))

@@ -13,19 +13,21 @@ from __future__ import annotations
 import json
 import math
 import os
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
 
 from warp_psdr.files import write_atomic
-from warp_psdr.work_precision.allocation import Allocation, batches_for_error, batches_for_time
+from warp_psdr.work_precision.allocation import LEAST, Allocation, batches_for_error, batches_for_time
 
 FORMAT, VERSION = "warp_psdr accuracy", 1
 #: Errors of the printed predictions.
 PRINTED_ERRORS = (0.5, 0.2, 0.1, 0.05, 0.02, 0.01)
 #: Parameters that are printed one by one; the rest is in the object.
 PRINTED_BLOCKS = 8
+#: Exponents are measured with noise; those of stratified samples lie between these.
+LEAST_EXPONENT, MOST_EXPONENT = 0.9, 1.5
 #: Normal deviate of the two ends of 95 % intervals.
 DEVIATE = 1.96
 
@@ -107,6 +109,18 @@ class Report:
         """(terms,): squared relative error that a batch of each contributes."""
         return np.array([np.mean([t.variance[b] / self.norm2[b] for b in self.seen]) for t in self.terms])
 
+    def fitted(self, *, error: float | None = None, seconds: float | None = None, least: float = LEAST) -> Report:
+        """Return a report of smaller batches where ``least`` of a term are more than an error or a time asks for.
+
+        The variance of a batch that the pilot did not run follows from the exponent.
+        """
+        root = np.sqrt(self.cost * self.relative_variance)
+        scale = root.sum() / error**2 if error is not None else (seconds or 0.0) / max(float(root.sum()), 1e-300)
+        shrink = np.minimum(scale * np.sqrt(self.relative_variance / self.cost) / least, 1.0)
+        if (shrink == 1.0).all():
+            return self
+        return replace(self, terms=tuple(_shrunk(t, float(s)) for t, s in zip(self.terms, shrink, strict=True)))
+
     def allocation(self, *, error: float | None = None, seconds: float | None = None) -> Allocation:
         """Return the best split for a relative error or for a time.
 
@@ -115,17 +129,18 @@ class Report:
         """
         if (error is None) == (seconds is None):
             raise ValueError("allocation takes one of error=... and seconds=...")
-        cost, variance = self.cost, self.relative_variance
         if error is not None:
-            found = batches_for_error(cost, variance, positive("error", error))
+            fitted = self.fitted(error=positive("error", error))
+            found = batches_for_error(fitted.cost, fitted.relative_variance, error)
             numbers = np.ceil(found)
         else:
-            found = batches_for_time(cost, variance, positive("seconds", seconds))
+            fitted = self.fitted(seconds=positive("seconds", seconds))
+            found = batches_for_time(fitted.cost, fitted.relative_variance, positive("seconds", seconds))
             numbers = np.floor(found)
-        names = [t.name for t in self.terms]
-        counts = {name: int(n) for name, n in zip(names, numbers, strict=True)}
-        spp = {t.name: t.spp * counts[t.name] for t in self.terms}
-        return Allocation(counts, spp, float(found @ cost), math.sqrt(float((variance / found).sum())))
+        counts = {t.name: int(n) for t, n in zip(self.terms, numbers, strict=True)}
+        spp = {t.name: t.spp * counts[t.name] for t in fitted.terms}
+        reached = math.sqrt(float((fitted.relative_variance / found).sum()))
+        return Allocation(counts, spp, float(found @ fitted.cost), reached)
 
     def seconds_to(self, error: float) -> float:
         """Return the predicted time to a relative error, seconds; setup and pilot are not in it."""
@@ -248,6 +263,21 @@ def positive(name: str, value: Any) -> float:
     if not number or not math.isfinite(value) or value <= 0.0:
         raise ValueError(f"{name}: got {value!r}, expected a positive number")
     return float(value)
+
+
+def _shrunk(term: TermReport, share: float) -> TermReport:
+    """Return a term with a share of its samples a batch, at least one a pixel."""
+    spp = max(round(share * term.spp), 1)
+    ratio = spp / term.spp
+    exponent = 1.0 if math.isnan(term.exponent) else min(max(term.exponent, LEAST_EXPONENT), MOST_EXPONENT)
+    samples = round(ratio * term.samples)
+    return replace(
+        term,
+        spp=spp,
+        samples=samples,
+        seconds=term.fixed_seconds + samples * term.sample_seconds,
+        variance={name: value / ratio**exponent for name, value in term.variance.items()},
+    )
 
 
 def _error(term: TermReport, block: str, norm2: float) -> str:
