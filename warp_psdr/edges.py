@@ -296,6 +296,34 @@ def primary_edges(
     return _upload(scene, edges, keep, image_length[keep], low[keep], high[keep])
 
 
+def crease_edges(scene: Scene, sensor: int, shapes: set[int], *, camera_moves: bool) -> tuple[Edges, float] | None:
+    """Return the edges inside of interpolated normals that ``primary_edges`` leaves out; None: there are none.
+
+    No silhouettes. The scattering function is continuous there, but light may reach one of the two triangles only, the
+    other having turned away from it (``kernels/boundary/horizon.py``). They are drawn by the clipped length of their
+    image times the sine between their triangles, to which the jump is proportional; its mean is the second result.
+
+    Args:
+        scene: the scene.
+        sensor: which camera.
+        shapes: the shapes that move.
+        camera_moves: a parameter of the camera is differentiated.
+    """
+    edges = scene_adjacency(scene)
+    points = scene.values.numpy()[scene.positions : scene.positions + 3 * scene.vertex_count].reshape(-1, 3)
+    view = camera_view(scene, sensor)
+    use = ~_jumps(scene, view, edges, points.astype(np.float64)) & (edges.wedge > 0.0)
+    if not camera_moves:
+        use &= moving_edges(scene, edges, shapes)
+    low, high, image_length = view.clip(edges.points)
+    keep = np.flatnonzero(use & (image_length > 0.0))
+    if not len(keep):
+        return None
+    weight = image_length[keep] * np.sin(np.minimum(edges.wedge[keep], 0.5 * np.pi))
+    mean = float(weight.sum() / image_length[keep].sum())
+    return _upload(scene, edges, keep, weight, low[keep], high[keep]), mean
+
+
 def bend(scene: Scene) -> np.ndarray:
     """Return for every triangle the largest sine between its normal and the interpolated ones at its corners."""
     values = scene.values.numpy().astype(np.float64)

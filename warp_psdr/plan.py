@@ -11,8 +11,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from warp_psdr import guiding, interior
+from warp_psdr.boundary import contacts
 from warp_psdr.boundary.coverage import choose
 from warp_psdr.boundary.methods import PathSpace, Projective
+from warp_psdr.boundary.motion import motion
 from warp_psdr.edges import bent_faces
 from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.emitter.spot import MIN_FALLOFF
@@ -152,6 +154,10 @@ def plan(
             lines.append(("boundary term", term.label, "; ".join(moving)))
             if isinstance(term, PathSpace | Projective) and term.guiding is not None:
                 lines.append(("guiding", term.guiding.label, guiding.describe(scene, term.guiding)))
+            touching = contacts.describe(scene, motion(scene, names).shapes)
+            if touching:
+                reason = f"{touching} touch; moving them apart or into each other has one-sided derivatives only"
+                lines.append(("contacts", "derivatives along them", reason))
             if c.DELTA_MODELS & set(config.bsdfs):
                 lines.append(
                     (

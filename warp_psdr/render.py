@@ -12,6 +12,7 @@ import warp as wp
 
 from warp_psdr import workers
 from warp_psdr.arguments import adjoint_array, checked_seed, flat_tangents, sample_count, samples
+from warp_psdr.boundary import contacts
 from warp_psdr.boundary import drivers as boundary_drivers
 from warp_psdr.chain import derived_ranges, pull_derived
 from warp_psdr.device import launch
@@ -347,8 +348,9 @@ def render_forward(
         ``wp.array2d`` of vec3, shape (H, W): d image / d t for parameters + t * tangents.
 
     Raises:
-        ValueError: no or wrong tangents, an option out of range or two that exclude each other, or a moving
-            discontinuity that the method of the boundary term does not cover.
+        ValueError: no or wrong tangents, an option out of range or two that exclude each other, a moving discontinuity
+            that the method of the boundary term does not cover, or surfaces that touch and are moved apart or into
+            each other.
     """
     from warp_psdr.work_precision import budget, quantity
 
@@ -364,6 +366,8 @@ def render_forward(
     target = flat_tangents(scene, params, tangents)
     plan = make_plan(scene, integrator=integrator, sensor=sensor, names=names)
     camera = scene.camera(sensor)
+    if plan.boundary is not None:
+        contacts.check(scene, target.numpy())
     image = wp.zeros((camera.crop_height, camera.crop_width), dtype=wp.vec3, device=scene.device)
     interior_forward(scene, plan, sensor, spp, seed, target, image, progress)
     if plan.boundary is not None:

@@ -25,7 +25,7 @@ def face_tables(scene: Scene) -> tuple[Edges, Tables]:
     for name, values in (
         ("group", _groups(scene.face_count, found, smooth & (found.wedge == 0.0))),
         ("bent", bent_faces(scene)),
-        ("face_edges", _face_edges(scene, found).reshape(-1)),
+        ("face_edges", face_edges(scene, found).reshape(-1)),
         ("smooth_edge", smooth),
     ):
         setattr(tables, name, wp.array(values.astype(np.int32), dtype=wp.int32, device=scene.device))
@@ -41,7 +41,7 @@ def _groups(faces: int, edges: Adjacency, joins: np.ndarray) -> np.ndarray:
     return connected_components(coo_matrix((np.ones(len(start)), pairs), shape=(faces, faces)), directed=False)[1]
 
 
-def _face_edges(scene: Scene, edges: Adjacency) -> np.ndarray:
+def face_edges(scene: Scene, edges: Adjacency) -> np.ndarray:
     """Return (faces, 3): the edge opposite of each corner, which is farthest from it; -1: a face of no area."""
     points = scene.values.numpy()[scene.positions : scene.positions + 3 * scene.vertex_count].reshape(-1, 3)
     edge = np.repeat(np.arange(len(edges.length)), edges.count)

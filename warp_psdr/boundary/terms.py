@@ -6,6 +6,7 @@ move or does not exist.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
@@ -19,13 +20,22 @@ from warp_psdr.boundary.methods import DEFAULT_CANDIDATES, EdgeSampling, Method,
 from warp_psdr.boundary.motion import Motion, motion, moving_shapes
 from warp_psdr.curves import moving_curves, scene_curves
 from warp_psdr.edge_trees import edge_trees
-from warp_psdr.edges import bent_choice, curve_edges, primary_edges, secondary_edges, select, terminator_faces
+from warp_psdr.edges import (
+    bent_choice,
+    crease_edges,
+    curve_edges,
+    primary_edges,
+    secondary_edges,
+    select,
+    terminator_faces,
+)
 from warp_psdr.guiding import store
 from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.boundary.bent import make_bent_kernel
 from warp_psdr.kernels.boundary.curve import make_curve_kernel
 from warp_psdr.kernels.boundary.edge_sampling import make_edge_sampling_kernel
 from warp_psdr.kernels.boundary.edge_tree import MAX_SPLIT
+from warp_psdr.kernels.boundary.horizon import make_horizon_kernel
 from warp_psdr.kernels.boundary.line_search import make_line_search_kernel
 from warp_psdr.kernels.boundary.primary import make_primary_kernel
 from warp_psdr.kernels.boundary.secondary import make_secondary_kernel
@@ -46,7 +56,7 @@ if TYPE_CHECKING:
 #: that are not at infinity, what is not a light contributes nothing.
 WEDGE_SHARE_DIRECT, WEDGE_SHARE = 0.1, 0.5
 #: Sub-streams of the boundary term's random numbers.
-PRIMARY, SECONDARY, TERMINATOR, CURVE, BENT, EDGE_SAMPLING = 0, 1, 2, 3, 4, 5
+PRIMARY, SECONDARY, TERMINATOR, CURVE, BENT, EDGE_SAMPLING, HORIZON, CREASES = 0, 1, 2, 3, 4, 5, 6, 7
 THROUGH_MIRRORS = 100
 #: Roulette ends paths behind a discontinuity so many vertices earlier than those of the image: their first vertices are
 #: what makes boundary samples differ. By default, from the first one on.
@@ -155,6 +165,20 @@ def primary(r: Request) -> Term | None:
     return _term(r, PRIMARY, kernel, [r.scene.data(), r.camera, edges], samples)
 
 
+def creases(r: Request) -> Term | None:
+    """Return the term of edges inside of interpolated normals that the camera sees: light may reach one side only."""
+    if not r.config.smooth or not r.config.scatter or not r.scene.builder.emitters or not r.scatters_smoothly:
+        return None
+    found = crease_edges(r.scene, r.sensor, set(r.moves.shapes), camera_moves=r.moves.camera)
+    if found is None:
+        return None
+    edges, sine = found
+    # The variance is in proportion to the sine: jumps are, on a band of edges as wide; there are the more edges.
+    samples = math.ceil(r.pixels * (r.method.spp_primary or r.spp) * math.sqrt(sine))
+    kernel = make_primary_kernel(r.config, r.role, r.moves.camera)
+    return _term(r, CREASES, kernel, [r.scene.data(), r.camera, edges], samples)
+
+
 def terminator(r: Request) -> Term | None:
     """Return the term of the curves where interpolated normals turn away from the camera."""
     if not r.config.scatter:
@@ -227,6 +251,22 @@ def bent(r: Request) -> Term | None:
     return _term(r, BENT, kernel, [r.scene.data(), r.camera, *found], samples)
 
 
+def horizon(r: Request) -> Term | None:
+    """Return the term of path vertices with interpolated normals whose own triangle turns away from light."""
+    if r.plan.max_depth == 1 or not r.moves.shapes or not r.scatters_smoothly:
+        return None
+    # Light of no area is never met by a direction.
+    kinds = {e.kind for e in r.scene.builder.emitters}
+    if not (kinds if r.plan.max_depth != 2 else kinds - c.DELTA_LIGHTS):
+        return None
+    found = bent_choice(r.scene)
+    if found is None:
+        return None
+    samples = r.pixels * (r.method.spp_secondary or r.spp)
+    kernel = make_horizon_kernel(r.config, r.role, r.moves.camera)
+    return _term(r, HORIZON, kernel, [r.scene.data(), r.camera, *found], samples)
+
+
 def edge_sampling(r: Request) -> Term | None:
     """Return the term of shadow edges and their like as the vertices of a camera path see them [LADL18]."""
     assert isinstance(r.method, EdgeSampling)
@@ -278,7 +318,7 @@ def through_mirrors(r: Request) -> Term | None:
 
 #: What each method consists of.
 TERMS: dict[type[Method], tuple[Callable[[Request], Term | None], ...]] = {
-    PathSpace: (primary, terminator, secondary, curve, bent, through_mirrors),
-    Projective: (primary, terminator, secondary, curve, bent, through_mirrors),
-    EdgeSampling: (primary, terminator, edge_sampling, hard_shadows, curve, bent),
+    PathSpace: (primary, creases, terminator, secondary, curve, bent, horizon, through_mirrors),
+    Projective: (primary, creases, terminator, secondary, curve, bent, horizon, through_mirrors),
+    EdgeSampling: (primary, creases, terminator, edge_sampling, hard_shadows, curve, bent, horizon),
 }

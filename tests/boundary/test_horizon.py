@@ -1,0 +1,75 @@
+"""Interpolated normals on coarse meshes: a vertex's own triangle hides light that its normal would let in."""
+
+import numpy as np
+import pytest
+
+import warp_psdr as psdr
+from warp_psdr.boundary import terms
+
+from .measure import Case, assert_agrees, derivatives, differences, slope
+from .scenes import ball, camera, diffuse, floor, mesh, register
+from .test_table import moved, turned
+
+PAINT = diffuse(0.9, 0.8, 0.7)
+
+
+def beside(subdivisions, half, bsdf=None, **more):
+    """A coarse smooth ball, lit from the side by a square that stands beyond the horizon of many triangles."""
+    corners = half * np.array([[0, -1, -1], [0, 1, -1], [0, 1, 1], [0, -1, 1]], float) + [2.0, 0.5, 0.2]
+    light = mesh(
+        corners,
+        [[0, 2, 1], [0, 3, 2]],
+        diffuse(0.0),
+        emitter={"type": "area", "radiance": {"type": "rgb", "value": [10.0, 9.0, 8.0]}},
+    )
+    return {
+        "sensor": camera((0.0, -4.0, 0.5), (0.0, 0.0, 0.0), fov=25.0),
+        "shape": ball((0.0, 0.0, 0.0), 0.7, bsdf or PAINT, subdivisions, smooth=True),
+        "light": light,
+        **more,
+    }
+
+
+register(
+    {
+        "icosahedron": lambda: beside(0, 0.5),
+        "coarse ball": lambda: beside(1, 1.0),
+        "coarse metal": lambda: beside(1, 1.0, {"type": "roughconductor", "alpha": 0.4}),
+        "two-sided ball": lambda: beside(1, 1.0, {"type": "twosided", "bsdf": PAINT}),
+        "ball and floor": lambda: beside(1, 1.0, floor=floor(-0.7)),
+    }
+)
+
+SHAPE, LIGHT = "shape.vertex_positions", "light.vertex_positions"
+ALONG_Y = moved(0.0, 1.0, 0.0)
+MANY = {"spp": 1024, "difference_spp": 4096}
+CASES = [
+    # The light alone moves: horizons do, creases rest.
+    Case("coarse ball", LIGHT, ALONG_Y, 0.01, "light moves", spp=1024, difference_spp=2048, slow=False),
+    Case("coarse metal", LIGHT, ALONG_Y, 0.01, "light moves", **MANY),
+    Case("two-sided ball", LIGHT, ALONG_Y, 0.01, "light moves", **MANY),
+    Case("ball and floor", LIGHT, ALONG_Y, 0.01, "light moves", depth=3, **MANY),
+    # Creases move over the film.
+    Case("icosahedron", SHAPE, turned(2), 0.003, "turns", spp=512, difference_spp=2048, slow=False),
+    Case("icosahedron", "sensor.to_world", moved(1.0, 0.3, 0.2), 0.01, "camera moves", **MANY),
+]
+
+
+@pytest.mark.parametrize("mode", ["forward", "reverse"])
+@pytest.mark.parametrize(
+    "case", [pytest.param(c, id=str(c), marks=[pytest.mark.slow] if c.slow else []) for c in CASES]
+)
+def test_derivatives_equal_finite_differences(case: Case, mode: str) -> None:
+    assert_agrees(derivatives(case, mode), differences(case)[2])
+
+
+@pytest.mark.parametrize(
+    ("case", "left_out"),
+    [(CASES[0], terms.horizon), (CASES[4], terms.creases)],
+    ids=["horizon", "creases"],
+)
+def test_the_table_can_tell_a_missing_term(case: Case, left_out, monkeypatch) -> None:
+    rest = tuple(t for t in terms.TERMS[psdr.boundary.PathSpace] if t is not left_out)
+    monkeypatch.setitem(terms.TERMS, psdr.boundary.PathSpace, rest)
+    value, error = slope(derivatives(case, "forward"), differences(case)[2])
+    assert abs(value - 1.0) > 0.04 + 3.0 * error
