@@ -12,12 +12,14 @@ has a kink in its motion: its derivative is that towards this triangle.)
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 import warp as wp
 
-from warp_psdr.device import launch
+from warp_psdr import workers
+from warp_psdr.device import launch_lanes
 from warp_psdr.edges import WELD, Adjacency, scene_adjacency
 from warp_psdr.kernels.boundary.crossing import crossing_pairs
 
@@ -30,8 +32,8 @@ if TYPE_CHECKING:
 CONTACT_EPSILONS = 20.0
 #: Height above a plane, as a fraction of the scene's extent, that still lies in it: rounding of float32 vertices.
 IN_PLANE = 2.0 * WELD
-#: Room for candidates at first, a triangle.
-PAIRS_A_FACE = 2
+#: Room for candidates at first, a lane; beyond it all of them are looked for again.
+ROOM = 8192
 
 
 def scene_curves(scene: Scene) -> Adjacency:
@@ -44,7 +46,7 @@ def scene_curves(scene: Scene) -> Adjacency:
     if kept is not None and kept[0] is edges:
         return kept[1]
     points = scene.values.numpy()[scene.positions : scene.positions + 3 * scene.vertex_count].reshape(-1, 3)
-    pairs = _candidates(points, scene.builder.indices, edges.group, str(scene.device))
+    pairs = _candidates(scene, points, scene.builder.indices, edges.group)
     found = _segments(points.astype(np.float64), scene.builder.indices, edges, pairs)
     found = _deep(scene, *found)
     scene._curves = (edges, found)  # type: ignore[attr-defined]
@@ -72,15 +74,40 @@ def crossing_shapes(scene: Scene, moves: Motion) -> tuple[str, str] | None:
     return scene.description.shapes[a].path, scene.description.shapes[b].path
 
 
-def _candidates(points: np.ndarray, triangles: np.ndarray, group: np.ndarray, device: str) -> np.ndarray:
+class _Boxes:
+    """A hierarchy over the boxes of triangles, refitted when they move."""
+
+    def __init__(self, corners: np.ndarray, device: str):
+        self._low, self._high = (wp.array(x, dtype=wp.vec3, device=device) for x in _bounds(corners))
+        self.bvh = wp.Bvh(self._low, self._high)
+
+    def refit(self, corners: np.ndarray) -> None:
+        for array, bound in zip((self._low, self._high), _bounds(corners), strict=True):
+            array.assign(bound)
+        self.bvh.refit()
+
+
+def _bounds(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+    return np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
+
+
+def _boxes(scene: Scene, corners: np.ndarray) -> _Boxes:
+    """Return the hierarchy over the triangles of a scene, whose number never changes."""
+    kept = getattr(scene, "_curve_boxes", None)
+    if kept is None:
+        kept = scene._curve_boxes = _Boxes(corners, str(scene.device))  # type: ignore[attr-defined]
+    else:
+        kept.refit(corners)
+    return kept
+
+
+def _candidates(scene: Scene, points: np.ndarray, triangles: np.ndarray, group: np.ndarray) -> np.ndarray:
     """Return pairs of triangles (P, 2) that may intersect, in ascending order."""
     if not len(triangles):
         return np.zeros((0, 2), np.int64)
-    corners = points[triangles]
-    bvh = wp.Bvh(
-        wp.array(corners.min(axis=1), dtype=wp.vec3, device=device),
-        wp.array(corners.max(axis=1), dtype=wp.vec3, device=device),
-    )
+    device = str(scene.device)
+    bvh = _boxes(scene, points[triangles]).bvh
     inputs = [
         bvh.id,
         wp.array(points, dtype=wp.vec3, device=device),
@@ -88,17 +115,28 @@ def _candidates(points: np.ndarray, triangles: np.ndarray, group: np.ndarray, de
         wp.array(group[triangles].astype(np.int32), dtype=wp.vec3i, device=device),
         IN_PLANE * float(np.abs(points).max()),
     ]
-    room = 1024 + PAIRS_A_FACE * len(triangles)
+    lanes = workers.LANES if wp.get_device(device).is_cpu else 1
+    room = ROOM
     while True:
-        count = wp.zeros(1, dtype=wp.int32, device=device)
-        pairs = wp.zeros(room, dtype=wp.vec2i, device=device)
-        launch(crossing_pairs, dim=len(triangles), inputs=inputs, outputs=[count, pairs], device=device)
-        n = int(count.numpy()[0])
-        if n <= room:
+        count = wp.zeros(lanes, dtype=wp.int32, device=device)
+        pairs = wp.zeros((lanes, room), dtype=wp.vec2i, device=device)
+        launch_lanes(
+            crossing_pairs,
+            len(triangles),
+            partial(_arguments, inputs, [count, pairs]),
+            lanes=lanes,
+            device=wp.get_device(device),
+        )
+        n = count.numpy()
+        if n.max() <= room:
             break
-        room = n
-    found = pairs.numpy()[:n].astype(np.int64)
+        room = int(n.max())
+    found = np.concatenate([row[:k] for row, k in zip(pairs.numpy(), n, strict=True)]).astype(np.int64)
     return found[np.lexsort((found[:, 1], found[:, 0]))]
+
+
+def _arguments(inputs: list, outputs: list, first: int, _count: int, lane: int) -> tuple[list, list]:
+    return [*inputs, first, lane], outputs
 
 
 def _heights(points: np.ndarray, triangles: np.ndarray, plane: np.ndarray, of: np.ndarray) -> np.ndarray:

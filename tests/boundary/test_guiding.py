@@ -389,3 +389,22 @@ def test_a_moving_camera_or_light_moves_everything() -> None:
         Motion(frozenset(), camera=False, light_pose=True),
     ):
         assert moving_shapes(scene, moves).numpy().all()
+
+
+def test_a_kept_structure_has_the_edges_where_they_are() -> None:
+    """A mesh whose vertices swap places in every order by coordinates, as the equal ones of a sphere do."""
+    scene, params = load("soft")
+    before = params[OCCLUDER].numpy().copy()
+    psdr.guiding.reset(scene)
+    try:
+        image(scene, params, guided(max_leaves=64), spp=1)
+        params[OCCLUDER] = before + 1e-3 * np.random.default_rng(2).normal(size=before.shape).astype(np.float32)
+        params.update()
+        image(scene, params, guided(max_leaves=64), spp=1)
+        (kept,) = psdr.guiding.structures(scene)
+        assert kept.builds == 1
+        points = scene.values.numpy()[scene.positions : scene.positions + 3 * scene.vertex_count].reshape(-1, 3)
+        np.testing.assert_array_equal(kept.edges.points.numpy(), points[kept.edges.ends.numpy()])
+    finally:
+        params[OCCLUDER] = before
+        params.update()

@@ -48,6 +48,7 @@ class Guiding:
         keep: their numbers in the scene's adjacency, sorted.
         order: these numbers in that order.
         turned: which of them are turned around.
+        numbering: the adjacency's own array of triangles; another one may number the edges otherwise.
         leaves: technique -> its leaves.
         built: values of the scene when it was built.
         seen: values for which its masses were measured last.
@@ -60,6 +61,7 @@ class Guiding:
     keep: np.ndarray
     order: np.ndarray
     turned: np.ndarray
+    numbering: np.ndarray
     leaves: dict[str, Leaves]
     built: np.ndarray
     seen: np.ndarray
@@ -109,7 +111,7 @@ def guide(r: Request, method: Method, seeds: Seeds | None = None) -> tuple[Edges
         method: how to guide it.
         seeds: technique, edges -> (N, 3) points of the cube near which the integrand is large; asked at a build only.
     """
-    from warp_psdr.edges import moved_points, ordered_edges, secondary_candidates
+    from warp_psdr.edges import moved_points, ordered_edges, scene_adjacency, secondary_candidates
 
     scene = r.scene
     values = scene.values.numpy()
@@ -121,14 +123,25 @@ def guide(r: Request, method: Method, seeds: Seeds | None = None) -> tuple[Edges
     keep, p = secondary_candidates(scene, set(r.moves.shapes))
     if not len(keep):
         return None, Guide()
-    if old is not None and np.array_equal(old.keep, keep) and _drift(r, old.built, values) <= method.drift:
+    numbering = scene_adjacency(scene).faces
+    same = old is not None and old.numbering is numbering and np.array_equal(old.keep, keep)
+    if old is not None and same and _drift(r, old.built, values) <= method.drift:
         old.edges.points = moved_points(scene, old.order, old.turned)
         _refresh(r, method, old)
         old.seen = values.copy()
     else:
         edges, facing, order, turned = ordered_edges(scene, keep, p, lambda edges: _facing(r, edges))
         found = Guiding(
-            edges, keep, order, turned, {}, values.copy(), values.copy(), Guide(), 1 + (old.builds if old else 0)
+            edges,
+            keep,
+            order,
+            turned,
+            numbering,
+            {},
+            values.copy(),
+            values.copy(),
+            Guide(),
+            1 + (old.builds if old else 0),
         )
         _build(r, method, found, facing, seeds)
         _kept(scene)[key] = old = found
