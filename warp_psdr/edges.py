@@ -14,16 +14,22 @@ from warp_psdr.guiding.chains import chain_order
 from warp_psdr.kernels.boundary.local_form import Edges
 from warp_psdr.kernels.constants import TEXTURE_FACE
 from warp_psdr.light_sampling import cumulative
+from warp_psdr.t_junctions import cut_sides
 from warp_psdr.welding import still_welded, weld
 
 if TYPE_CHECKING:
     from warp_psdr.scene.scene import Scene
 
-#: Vertices closer than this fraction of the scene's extent are one: absorbs float32 rounding of posed vertices.
+#: Vertices closer than this fraction of the scene's extent are one: absorbs float32 rounding of posed vertices. Less
+#: than the distance at which the estimators look past an edge, or they would miss it.
 WELD = 1.0e-6
 #: Largest angle (radians) between two faces of an edge that counts as flat: float32 noise of the normals of triangles
 #: a thousandth of the scene's size.
 COPLANAR = 1.0e-4
+#: A triangle whose height over an edge is below this fraction of the edge is a needle: rounding tilts it.
+NEEDLE = 1.0e-2
+#: Tilt of a needle times its height, in the scene's extent: a few roundings of its corners.
+TILT = 2.5e-7
 #: Share of the samples that goes to edges of moving shapes alone; the others are for edges between moving end points.
 MOVING_SHARE = 0.5
 
@@ -69,6 +75,7 @@ class Topology:
     Attributes:
         ends, twins, faces, first, group: as in ``Adjacency``.
         solid: (M,) the triangles with an area.
+        cut: whether sides are cut at T-junctions, which a motion may open.
     """
 
     ends: np.ndarray
@@ -77,24 +84,27 @@ class Topology:
     first: np.ndarray
     group: np.ndarray
     solid: np.ndarray
+    cut: bool
 
 
-def adjacency(points: np.ndarray, triangles: np.ndarray) -> Adjacency:
+def adjacency(points: np.ndarray, triangles: np.ndarray, shape: np.ndarray | None = None) -> Adjacency:
     """Find the edges of triangles whose vertices are welded by position; triangles without area are left out.
 
     Args:
         points: (N, 3) vertex positions.
         triangles: (M, 3) vertex numbers.
+        shape: (N,) shape of every vertex, whose T-junctions are closed (``t_junctions``); None: one shape.
 
     Returns:
         Edges with one (open), two, or more (non-manifold) triangles.
     """
     points = np.asarray(points, np.float64)
-    return _measured(points, triangles, _topology(points, triangles))
+    shape = np.zeros(len(points), int) if shape is None else shape
+    return _measured(points, triangles, _topology(points, triangles, shape))
 
 
-def _tolerance(points: np.ndarray) -> float:
-    return WELD * (float(np.abs(points).max()) if len(points) else 1.0)
+def _extent(points: np.ndarray) -> float:
+    return float(np.abs(points).max()) if len(points) else 1.0
 
 
 def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -110,12 +120,16 @@ def _solid(points: np.ndarray, triangles: np.ndarray, group: np.ndarray) -> np.n
     return (corner != corner[:, [1, 2, 0]]).all(axis=1) & (np.abs(cross).max(axis=1, initial=0.0) > 0.0)
 
 
-def _topology(points: np.ndarray, triangles: np.ndarray) -> Topology:
-    group = weld(points, _tolerance(points))
+def _topology(points: np.ndarray, triangles: np.ndarray, shape: np.ndarray) -> Topology:
+    tolerance = WELD * _extent(points)
+    group = weld(points, tolerance)
     solid = _solid(points, triangles, group)
     numbers = np.flatnonzero(solid)
     sides = np.stack([triangles[numbers][:, [a, (a + 1) % 3]] for a in range(3)], axis=1).reshape(-1, 2)
     face = np.repeat(numbers, 3)
+    whole = len(sides)
+    sides, face = cut_sides(points, group, shape, sides, face, tolerance)
+    cut = len(sides) > whole
     key = group[sides]
     swap = key[:, 0] > key[:, 1]
     sides[swap], key[swap] = sides[swap][:, ::-1], key[swap][:, ::-1]
@@ -126,9 +140,8 @@ def _topology(points: np.ndarray, triangles: np.ndarray) -> Topology:
     start = np.flatnonzero(new)
     first = np.append(start, len(key)).astype(np.int32)
     second = np.where(np.diff(first) == 2, start + 1, start)
-    return Topology(
-        sides[start].astype(np.int32), sides[second].astype(np.int32), face.astype(np.int32), first, group, solid
-    )
+    ends, twins = sides[start].astype(np.int32), sides[second].astype(np.int32)
+    return Topology(ends, twins, face.astype(np.int32), first, group, solid, cut)
 
 
 def _measured(points: np.ndarray, triangles: np.ndarray, t: Topology) -> Adjacency:
@@ -138,6 +151,9 @@ def _measured(points: np.ndarray, triangles: np.ndarray, t: Topology) -> Adjacen
     along = ends[:, 1] - ends[:, 0]
     length = np.sqrt((along * along).sum(axis=1))
     along /= np.maximum(length, 1e-300)[:, None]
+    p = points[triangles]
+    doubled = _cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
+    doubled = np.sqrt((doubled * doubled).sum(axis=1))  # twice the triangles' areas
     middle = points[triangles[:, 0]] + points[triangles[:, 1]] + points[triangles[:, 2]]
     middle /= 3.0
 
@@ -146,11 +162,14 @@ def _measured(points: np.ndarray, triangles: np.ndarray, t: Topology) -> Adjacen
         into = middle[face] - ends[:, 0]
         return into - (into * along).sum(axis=1)[:, None] * along
 
-    a, b = across(t.faces[start]), across(t.faces[np.where(count == 2, start + 1, start)])
+    second = np.where(count == 2, start + 1, start)
+    a, b = across(t.faces[start]), across(t.faces[second])
     sine = _cross(a, b)
     angle = np.arctan2(np.sqrt((sine * sine).sum(axis=1)), (a * b).sum(axis=1))
     wedge = np.where(count == 2, np.pi - angle, np.pi)
-    wedge[wedge < COPLANAR] = 0.0
+    tall = np.minimum(*(doubled[t.faces[i]] for i in (start, second))) / np.maximum(length, 1e-300)
+    tilt = np.where(tall < NEEDLE * length, TILT * _extent(points) / np.maximum(tall, 1e-300), 0.0)
+    wedge[wedge < np.maximum(COPLANAR, tilt)] = 0.0
     return Adjacency(t.ends, t.twins, t.faces, t.first, wedge, length, ends, t.group)
 
 
@@ -185,10 +204,11 @@ def scene_adjacency(scene: Scene) -> Adjacency:
     exact = points.astype(np.float64)
     topology = kept[2] if kept is not None else None
     if topology is None or not (
-        still_welded(exact, topology.group, _tolerance(exact))
+        not topology.cut
+        and still_welded(exact, topology.group, WELD * _extent(exact))
         and np.array_equal(_solid(exact, triangles, topology.group), topology.solid)
     ):
-        topology = _topology(exact, triangles)
+        topology = _topology(exact, triangles, shape_of_vertex(scene))
     found = _measured(exact, triangles, topology)
     scene._edges = (points.copy(), found, topology)  # type: ignore[attr-defined]
     return found
@@ -342,9 +362,10 @@ def crease_edges(scene: Scene, sensor: int, shapes: set[int], *, camera_moves: b
     edges = scene_adjacency(scene)
     points = scene.values.numpy()[scene.positions : scene.positions + 3 * scene.vertex_count].reshape(-1, 3)
     view = camera_view(scene, sensor)
-    use = ~_jumps(scene, view, edges, points.astype(np.float64)) & (edges.wedge > 0.0)
+    use = edges.wedge > 0.0
     if not camera_moves:
         use &= moving_edges(scene, edges, shapes)
+    use &= ~_jumps(scene, view, edges, points, use)
     low, high, image_length = view.clip(edges.points)
     keep = np.flatnonzero(use & (image_length > 0.0))
     if not len(keep):
