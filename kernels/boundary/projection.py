@@ -76,7 +76,9 @@ def filter_1d(camera: Camera, x: wp.float32) -> wp.float32:
     """Density of the pixel filter along one axis [1 / pixel]; what ``film.py`` samples."""
     a = wp.abs(x)
     if camera.filter == RFILTER_BOX:
-        return wp.where(a < camera.filter_radius, 0.5 / camera.filter_radius, 0.0)
+        # Half-open: a point on the border between two pixels counts for one of them.
+        inside = x >= -camera.filter_radius and x < camera.filter_radius
+        return wp.where(inside, 0.5 / camera.filter_radius, 0.0)
     if camera.filter == RFILTER_TENT:
         return wp.max(1.0 - a / camera.filter_radius, 0.0) / camera.filter_radius
     z = a / camera.filter_stddev

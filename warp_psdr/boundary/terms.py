@@ -18,6 +18,7 @@ from warp_psdr.boundary import projective
 from warp_psdr.boundary.faces import face_tables
 from warp_psdr.boundary.methods import DEFAULT_CANDIDATES, EdgeSampling, Method, PathSpace, Projective
 from warp_psdr.boundary.motion import Motion, motion, moving_shapes
+from warp_psdr.clip_planes import require_uncut
 from warp_psdr.curves import moving_curves, scene_curves
 from warp_psdr.edge_trees import edge_trees
 from warp_psdr.edges import (
@@ -156,6 +157,7 @@ def _term(r: Request, stream: int, kernel: wp.Kernel, head: list, samples: int, 
 
 def primary(r: Request) -> Term | None:
     """Return the term of the edges that the camera sees."""
+    require_uncut(r.scene, r.sensor, set(r.moves.shapes), camera_moves=r.moves.camera)
     curves = _curves(r, camera_moves=r.moves.camera)
     edges = primary_edges(r.scene, r.sensor, set(r.moves.shapes), camera_moves=r.moves.camera, curves=curves)
     if edges is None:

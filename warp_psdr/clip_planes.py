@@ -1,0 +1,67 @@
+"""Surfaces that a camera's clip planes cut in sight of the film: borders that move, and that no edge stands for."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from warp_psdr.camera_view import camera_view
+
+if TYPE_CHECKING:
+    from warp_psdr.camera_view import CameraView
+    from warp_psdr.scene.scene import Scene
+
+#: The cut is looked at from this fraction of the plane's distance inside of it, where rounding does not clip it away.
+INSIDE = 1.0e-6
+
+
+def require_uncut(scene: Scene, sensor: int, shapes: set[int], *, camera_moves: bool) -> None:
+    """Raise if a clip plane cuts what moves in sight of the film.
+
+    Args:
+        scene: the scene.
+        sensor: which camera.
+        shapes: the shapes that move.
+        camera_moves: a parameter of the camera is differentiated: everything moves.
+
+    Raises:
+        ValueError: the derivative of that border is in no term.
+    """
+    of = scene.builder.face_shape
+    faces = np.flatnonzero(np.isin(of, sorted(shapes)) | camera_moves)
+    points = scene.values.numpy()[scene.positions : scene.positions + 3 * scene.vertex_count].reshape(-1, 3)
+    cut = visible_cuts(camera_view(scene, sensor), points[scene.builder.indices[faces]].astype(np.float64))
+    if cut.any():
+        path = scene.description.shapes[of[faces[cut.argmax()]]].path
+        raise ValueError(
+            f"a clip plane of sensor {sensor} cuts {path!r} where the film shows it, and the derivative of that border "
+            "is not estimated; change near_clip or far_clip, move the camera, or say PathIntegrator(boundary=None) to "
+            "get the interior term alone"
+        )
+
+
+def visible_cuts(view: CameraView, corners: np.ndarray) -> np.ndarray:
+    """Return a mask of the triangles that the near or the far plane cuts along a line that the film can see.
+
+    Args:
+        view: the camera.
+        corners: (M, 3, 3) corners of triangles, in the coordinates of ``view``.
+    """
+    depth = (corners - view.pose[:3, 3]) @ np.linalg.inv(view.pose[:3, :3])[2]
+    size = float(np.linalg.norm(view.pose[:3, 2]))
+    near, far = view.camera.near, view.camera.far
+    # Along the axis of an orthographic camera; see ``kernels/camera.py``.
+    planes = (near / size, far / size) if view.finite else (near, near + (far - near) / size)
+    found = np.zeros(len(corners), bool)
+    for plane in (planes[0] * (1.0 + INSIDE), planes[1] * (1.0 - INSIDE)):
+        front = depth > plane
+        rows = np.flatnonzero(front.any(axis=1) & ~front.all(axis=1))
+        # The corner that is alone on its side comes first: both sides from it cross the plane.
+        alone = np.where(front[rows].sum(axis=1) == 1, front[rows].argmax(axis=1), front[rows].argmin(axis=1))
+        order = (alone[:, None] + np.arange(3)) % 3
+        p, z = (np.take_along_axis(a[rows], o, 1) for a, o in ((corners, order[:, :, None]), (depth, order)))
+        share = (plane - z[:, :1]) / (z[:, 1:] - z[:, :1])
+        ends = p[:, :1] + share[:, :, None] * (p[:, 1:] - p[:, :1])
+        found[rows] |= view.clip(ends)[2] > 0.0
+    return found
