@@ -1,5 +1,6 @@
 """Scenes that are rendered and differentiated at every step of a sweep, and how far two results are apart."""
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
@@ -66,19 +67,26 @@ def room(scale: float = 1.0, offset=(0.0, 0.0, 0.0), *, film: int = FILM, extra:
 
 
 def passes(
-    scene, velocity: np.ndarray, *, name: str = "box.vertex_positions", depth: int = 3, spp: int = SPP
+    scene,
+    velocity: np.ndarray,
+    *,
+    name: str = "box.vertex_positions",
+    depth: int = 3,
+    spp: int = SPP,
+    boundary: bool = True,
 ) -> Result:
     """Return image and derivatives of a loaded scene as one shape moves with a velocity, world units a unit of time."""
     params = psdr.traverse(scene)
     tangents = {name: np.broadcast_to(velocity, params[name].numpy().shape).astype(np.float32)}
 
-    def derivative(boundary):
-        integrator = psdr.PathIntegrator(max_depth=depth, boundary=boundary)
+    def derivative(method):
+        integrator = psdr.PathIntegrator(max_depth=depth, boundary=method)
         image = psdr.render_forward(scene, params, tangents, integrator=integrator, spp=spp, seed=SEED)
         return image.numpy().astype(np.float64)
 
     image = psdr.render(scene, integrator=psdr.PathIntegrator(max_depth=depth), spp=spp, seed=SEED).numpy()
-    return Result(image.astype(np.float64), derivative(None), derivative("auto"))
+    interior = derivative(None)
+    return Result(image.astype(np.float64), interior, derivative("auto") if boundary else interior)
 
 
 def apart(a: np.ndarray, b: np.ndarray) -> float:
@@ -91,3 +99,31 @@ def apart(a: np.ndarray, b: np.ndarray) -> float:
 def worst(a: Result, b: Result) -> float:
     """Return the largest relative difference of image, interior derivative and whole derivative."""
     return max(apart(a.image, b.image), apart(a.interior, b.interior), apart(a.full, b.full))
+
+
+#: Batches of a statistical comparison, the reference's, and samples a pixel of each.
+BATCHES, REFERENCE_BATCHES, BATCH_SPP = 8, 16, 256
+
+
+def derivatives(description: dict, batches: int = BATCHES, first_seed: int = 0) -> np.ndarray:
+    """Return derivative images of ``room``'s box as it moves, one a batch, all terms together."""
+    scene = psdr.load_dict(description)
+    params = psdr.traverse(scene)
+    name = "box.vertex_positions"
+    tangents = {name: np.broadcast_to(VELOCITY, params[name].numpy().shape).astype(np.float32)}
+    options = {"integrator": psdr.PathIntegrator(max_depth=3), "spp": BATCH_SPP}
+    images = (psdr.render_forward(scene, params, tangents, seed=first_seed + b, **options) for b in range(batches))
+    return np.array([image.numpy().astype(np.float64) for image in images])
+
+
+@functools.cache
+def reference() -> tuple[Result, np.ndarray]:
+    """Return what the passes give for ``room``, and the mean of its derivatives over independent batches."""
+    return passes(psdr.load_dict(room()), VELOCITY), derivatives(room(), REFERENCE_BATCHES, 100).mean(axis=0)
+
+
+def slope_error(found: np.ndarray, expected: np.ndarray) -> float:
+    """Return how far the regression of batches of images on the expected one is from 1; infinite if not finite."""
+    if not np.isfinite(found).all():
+        return np.inf
+    return float(abs((found.mean(axis=0) * expected).sum() / (expected * expected).sum() - 1.0))

@@ -36,6 +36,9 @@ if TYPE_CHECKING:
 
 #: A ray's origin leaves its surface by this fraction of the largest coordinate: some 80 float32 steps there.
 RAY_EPSILON = 1.0e-5
+#: Shapes below this many ray epsilons are noted: derivatives of silhouettes are off by 5 % at 35 of them, by 0.1 % at
+#: 350 (``tests/stability/test_scale.py``).
+SPECK = 100.0
 #: rho over the radius of the smallest shape (``kernels/interior/contact.py``): its bias is of this order, and only in
 #: light between surfaces that touch.
 CONTACT_RADIUS = 1.0e-2
@@ -95,6 +98,7 @@ class Scene:
         self.accelerator = Accelerator(self._points, self.indices, self.device)
         self._update_bounds()
         self._world.show(self.parameters.values())
+        self._note_specks()
         self.lights = Lights(builder, self.device)
         flat = self.values.numpy()
         self.lights.update_areas(self.lights.of_shapes(range(len(description.shapes))), self._points.numpy())
@@ -276,6 +280,18 @@ class Scene:
         spans = [(s.first_vertex, s.first_vertex + s.vertex_count) for s in self.builder.shapes if s.vertex_count]
         sizes = [float(np.linalg.norm(np.ptp(points[first:end].astype(np.float64), axis=0))) for first, end in spans]
         self.contact_radius = CONTACT_RADIUS * 0.5 * min((s for s in sizes if s > 0.0), default=0.0)
+
+    def _note_specks(self) -> None:
+        """Tell of shapes that are small for the steps by which rays leave surfaces."""
+        points = self._points.numpy()
+        for shape, s in zip(self.description.shapes, self.builder.shapes, strict=True):
+            size = float(np.linalg.norm(np.ptp(points[s.first_vertex : s.first_vertex + s.vertex_count], axis=0)))
+            if size < SPECK * self.ray_epsilon:
+                self.description.notes.append(
+                    f"'{shape.path}' is too small for its world: rays leave surfaces by {self.ray_epsilon / size:.1g} "
+                    "of its size, and its shadows and the derivatives of its silhouettes are wrong by as much or more; "
+                    "render it in a scene without what is far away or vast"
+                )
 
     def derived_normals(self, names: list[str]) -> list[int]:
         """Shapes whose normals follow their positions and whose positions, or pose, are among the named parameters."""
