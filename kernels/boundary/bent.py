@@ -27,7 +27,7 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
-from warp_psdr.kernels.boundary.detector import Incident, make_incident
+from warp_psdr.kernels.boundary.detector import Incident, difference, make_incident
 from warp_psdr.kernels.boundary.transport import Segment, make_transport
 from warp_psdr.kernels.bvh.wide import make_intersect
 from warp_psdr.kernels.constants import FAR
@@ -59,11 +59,10 @@ def make_jump(config: PathConfig):
         n = -s.t1 * s.sweep
         ahead = wp.min(AHEAD * scene.ray_epsilon, 0.5 * s.t1)
         d = wp.normalize(s.w - TILT * n)
-        total = incident(scene, sampler, s.x - ahead * d, d, FAR, k, max_depth, rr_depth)
+        here = incident(scene, sampler, s.x - ahead * d, d, FAR, k, max_depth, rr_depth)
         d = wp.normalize(s.w + TILT * n)
-        other = incident(scene, sampler, s.x - ahead * d, d, FAR, k, max_depth, rr_depth)
-        total.rows = total.rows - other.rows
-        return total
+        there = incident(scene, sampler, s.x - ahead * d, d, FAR, k, max_depth, rr_depth)
+        return difference(here, there)
 
     return jump
 

@@ -98,6 +98,20 @@ def amplified(incident: Incident, known: wp.vec3, factor: wp.float32) -> Inciden
 
 
 @wp.func
+def difference(a: Incident, b: Incident) -> Incident:
+    """What arrives by one path less what arrives by another, both behind the same numbers of vertices."""
+    r = Incident()
+    r.first = a.first
+    r.cut = wp.min(a.cut, b.cut)
+    r.total = a.total - b.total
+    for i in range(ROW_COUNT):
+        apart = arriving(a, a.first + i) - arriving(b, b.first + i)
+        for c in range(3):
+            r.rows[i, c] = apart[c]
+    return r
+
+
+@wp.func
 def covers(incident: Incident, k: wp.int32) -> wp.bool:
     """Whether ``arriving`` is known for k vertices."""
     return incident.first > 0 and k - incident.first < wp.max(incident.cut, ROW_COUNT)

@@ -31,7 +31,7 @@ import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.boundary.bent import FLAT, TILT
-from warp_psdr.kernels.boundary.detector import make_radiance
+from warp_psdr.kernels.boundary.detector import Incident, amplified, make_incident
 from warp_psdr.kernels.boundary.transport import Segment, make_transport
 from warp_psdr.kernels.bvh.wide import make_intersect
 from warp_psdr.kernels.constants import FAR
@@ -48,14 +48,15 @@ SLOT_POINT, SLOT_SIDE = 0, 1
 
 @functools.cache
 def make_side(config: PathConfig):
-    """Return ``side(scene, sampler, segment, k, max_depth, rr_depth) -> vec3``: L, negative below the triangle."""
-    radiance = make_radiance(config)
+    """Return ``side(scene, sampler, segment, k, max_depth, rr_depth) -> Incident``: L, negative below the triangle."""
+    incident = make_incident(config)
 
     @wp.func
     def side(
         scene: Scene, sampler: Sampler, s: Segment, k: wp.int32, max_depth: wp.int32, rr_depth: wp.int32
-    ) -> wp.vec3:
-        return s.radiance[0] * radiance(scene, sampler, s.source, s.w, FAR, k, max_depth, rr_depth)
+    ) -> Incident:
+        arriving = incident(scene, sampler, s.source, s.w, FAR, k, max_depth, rr_depth)
+        return amplified(arriving, wp.vec3(0.0, 0.0, 0.0), s.radiance[0])
 
     return side
 
