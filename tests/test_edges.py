@@ -5,7 +5,8 @@ import pytest
 import trimesh
 
 import warp_psdr as psdr
-from warp_psdr.edges import COPLANAR, adjacency, bent_faces, primary_edges, scene_adjacency, secondary_edges, weld
+from warp_psdr.bent import bent_faces
+from warp_psdr.edges import COPLANAR, adjacency, primary_edges, scene_adjacency, secondary_edges, weld
 
 
 def cube(split: bool = False):

@@ -33,10 +33,6 @@ TILT = 2.5e-7
 #: Share of the samples that goes to edges of moving shapes alone; the others are for edges between moving end points.
 MOVING_SHARE = 0.5
 
-#: Weight of triangles whose corners all face the camera, or all turn away, against those with both: between such
-#: corners an interpolated normal can still turn away and back.
-TERMINATOR_FLOOR = 0.01
-
 
 @dataclass(frozen=True, eq=False)
 class Adjacency:
@@ -373,83 +369,6 @@ def crease_edges(scene: Scene, sensor: int, shapes: set[int], *, camera_moves: b
     weight = image_length[keep] * np.sin(np.minimum(edges.wedge[keep], 0.5 * np.pi))
     mean = float(weight.sum() / image_length[keep].sum())
     return _upload(scene, edges, keep, weight, low[keep], high[keep]), mean
-
-
-def bend(scene: Scene) -> np.ndarray:
-    """Return for every triangle the largest sine between its normal and the interpolated ones at its corners."""
-    values = scene.values.numpy().astype(np.float64)
-    points = values[scene.positions : scene.positions + 3 * scene.vertex_count].reshape(-1, 3)
-    sines = np.zeros(scene.face_count)
-    for s in scene.builder.shapes:
-        if s.smooth == 1:
-            rows = slice(s.first_face, s.first_face + s.face_count)
-            faces = scene.builder.indices[rows]
-            p = points[faces]
-            normal = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
-            normal /= np.maximum(np.linalg.norm(normal, axis=1), 1e-300)[:, None]
-            first = s.normal_offset + 3 * s.first_vertex
-            at = values[first : first + 3 * s.vertex_count].reshape(-1, 3)[faces - s.first_vertex]
-            sines[rows] = np.linalg.norm(np.cross(at, normal[:, None]), axis=2).max(axis=1)
-    return sines
-
-
-def bent_faces(scene: Scene) -> np.ndarray:
-    """Return a mask of the triangles whose interpolated normals differ from their face normal."""
-    return bend(scene) > COPLANAR
-
-
-def bent_choice(scene: Scene) -> tuple[wp.array, wp.array] | None:
-    """Return cumulative probabilities and numbers of the bent triangles, by area and bend; None: there are none."""
-    sines = bend(scene)
-    faces = np.flatnonzero(sines > COPLANAR)
-    if not len(faces):
-        return None
-    points = scene.values.numpy()[scene.positions : scene.positions + 3 * scene.vertex_count].reshape(-1, 3)
-    p = points[scene.builder.indices[faces]].astype(np.float64)
-    area = np.linalg.norm(np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]), axis=1)
-    cdf = wp.array(cumulative(area * sines[faces]), dtype=wp.float32, device=scene.device)
-    return cdf, wp.array(faces.astype(np.int32), dtype=wp.int32, device=scene.device)
-
-
-def terminator_faces(
-    scene: Scene, sensor: int, shapes: set[int], *, camera_moves: bool
-) -> tuple[wp.array, wp.array] | None:
-    """Return cumulative probabilities and numbers of the triangles that a terminator can cross; None: there are none.
-
-    Args:
-        scene: the scene.
-        sensor: which camera.
-        shapes: the shapes that move.
-        camera_moves: a parameter of the camera is differentiated.
-    """
-    values = scene.values.numpy().astype(np.float64)
-    points = values[scene.positions : scene.positions + 3 * scene.vertex_count].reshape(-1, 3)
-    view = camera_view(scene, sensor)
-    bent = bent_faces(scene)
-    numbers, weights = [], []
-    for i, s in enumerate(scene.builder.shapes):
-        if s.smooth == 0 or not (camera_moves or i in shapes):
-            continue
-        vertices = slice(s.first_vertex, s.first_vertex + s.vertex_count)
-        first = s.normal_offset + 3 * s.first_vertex
-        normals = values[first : first + 3 * s.vertex_count].reshape(-1, 3)
-        facing = (normals * view.towards(points[vertices])).sum(axis=1)
-        spread = view.spread(normals)
-        faces = scene.builder.indices[s.first_face : s.first_face + s.face_count]
-        least, most = (q[faces - s.first_vertex] for q in (facing - spread, facing + spread))
-        crossed = (least.min(axis=1) <= 0.0) & (most.max(axis=1) >= 0.0)
-        p = points[faces]
-        size = np.linalg.norm(p - p[:, [1, 2, 0]], axis=2).max(axis=1)
-        size /= np.linalg.norm(view.towards(p.mean(axis=1)), axis=1)
-        numbers.append(s.first_face + np.arange(s.face_count))
-        weights.append(np.where(crossed, size, TERMINATOR_FLOOR * size))
-    faces = np.concatenate([np.zeros(0, np.int32), *numbers]).astype(np.int32)
-    weight = np.concatenate([np.zeros(0), *weights])[bent[faces]]
-    faces = faces[bent[faces]]
-    if not len(faces):
-        return None
-    cdf = wp.array(cumulative(weight), dtype=wp.float32, device=scene.device)
-    return cdf, wp.array(faces, dtype=wp.int32, device=scene.device)
 
 
 def smooth_edges(scene: Scene, edges: Adjacency) -> np.ndarray:

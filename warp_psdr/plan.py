@@ -11,11 +11,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from warp_psdr import guiding, interior
+from warp_psdr.bent import bent_faces
 from warp_psdr.boundary import contacts
 from warp_psdr.boundary.coverage import choose
 from warp_psdr.boundary.methods import PathSpace, Projective
 from warp_psdr.boundary.motion import motion
-from warp_psdr.edges import bent_faces
 from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.emitter.spot import MIN_FALLOFF
 from warp_psdr.kernels.interior.wanted import Wanted

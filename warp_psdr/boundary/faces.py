@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
-from warp_psdr.edges import bent_faces, every_edge, scene_adjacency, smooth_edges
+from warp_psdr.bent import bent_faces
+from warp_psdr.edges import every_edge, scene_adjacency, smooth_edges
 from warp_psdr.kernels.boundary.discontinuity import Tables
 from warp_psdr.kernels.boundary.local_form import Edges
 

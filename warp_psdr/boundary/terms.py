@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
+from warp_psdr.bent import bent_choice, terminator_faces
 from warp_psdr.boundary import projective
 from warp_psdr.boundary.faces import face_tables
 from warp_psdr.boundary.methods import DEFAULT_CANDIDATES, EdgeSampling, Method, PathSpace, Projective
@@ -22,13 +23,11 @@ from warp_psdr.clip_planes import require_uncut
 from warp_psdr.curves import moving_curves, scene_curves
 from warp_psdr.edge_trees import edge_trees
 from warp_psdr.edges import (
-    bent_choice,
     crease_edges,
     curve_edges,
     primary_edges,
     secondary_edges,
     select,
-    terminator_faces,
 )
 from warp_psdr.guiding import store
 from warp_psdr.kernels import constants as c
