@@ -27,6 +27,7 @@ from warp_psdr.kernels.distribution import find_interval
 from warp_psdr.kernels.emitter.area import make_area, pdf_area
 from warp_psdr.kernels.emitter.dispatch import make_lights
 from warp_psdr.kernels.film import make_filter
+from warp_psdr.kernels.invalid import count_invalid, finite, inverse_pdf, vanishes
 from warp_psdr.kernels.math import aligned_tangent, any_tangent, to_local, to_world
 from warp_psdr.kernels.rng import Sampler, make_sampler
 from warp_psdr.kernels.sampling import mis_weight
@@ -283,16 +284,16 @@ def make_path_step(config: PathConfig, differential: bool):
                 if not bsdf.is_delta(b.model):
                     u4 = sample_4d(sampler, 1 + SLOTS_PER_VERTEX * state.depth)
                     ls, index, probability = sample_light(scene, surface.x, u4)
-                    if ls.pdf > 0.0:
+                    if not ls.pdf <= 0.0:
                         wo = to_local(frame.s, frame.t, frame.n, ls.wi)
                         pdf_bsdf = bsdf.pdf(b.model, material, wi, wo)
-                        if pdf_bsdf > 0.0:
+                        if not pdf_bsdf <= 0.0:
                             pdf_light = ls.pdf * probability
-                            light_weight = 1.0 / pdf_light
+                            light_weight = inverse_pdf(pdf_light)
                             if ls.delta == 0:
                                 light_weight *= mis_weight(pdf_light, pdf_bsdf)
                             value = light_weight * wp.cw_mul(bsdf.eval(b.model, material, wi, wo), ls.radiance)
-                            if wp.static(differential) or wp.max(value) > 0.0:
+                            if wp.static(differential) or not vanishes(value):
                                 turn = wp.where(wp.dot(surface.ng, ls.wi) >= 0.0, scene.ray_epsilon, -scene.ray_epsilon)
                                 o = surface.x + turn * surface.ng
                                 r = ls.wi
@@ -324,6 +325,11 @@ def make_path_step(config: PathConfig, differential: bool):
             after.depth = state.depth + 1
             inv_pdf = 1.0 / bs.pdf
             throughput = wp.cw_mul(state.throughput, inv_pdf * bs.value)
+            if not finite(throughput + bs.pdf * wo_world):
+                # Said here, for nothing behind would tell: rays without a direction meet nothing.
+                vertex.beta = inv_pdf * bs.value
+                vertex.direct = wp.vec3(wp.NAN, wp.NAN, wp.NAN)
+                return vertex, after
             survival = wp.max(throughput)
             if wp.static(not differential):
                 if survival <= 0.0:
@@ -425,16 +431,22 @@ def make_primal_kernel(config: PathConfig):
         pixel = pixels[first_pixel + wp.tid()]
         px = pixel % camera.crop_width
         py = pixel // camera.crop_width
-        total = wp.vec3(0.0, 0.0, 0.0)
+        # In double precision: a float32 sum stands still after 2^24 equal terms.
+        total = wp.vec3d()
         for i in range(samples):
             sampler = Sampler()
             sampler.pixel = wp.uint32(pixel)
             sampler.index = wp.uint32(first_sample + i)
             sampler.seed = seed
+            radiance = wp.vec3(0.0, 0.0, 0.0)
             state, _sample = start(scene, camera, px, py, sampler)
             while state.alive == 1:
                 vertex, state = path_step(scene, sampler, state, max_depth, rr_depth)
-                total += wp.cw_mul(vertex.throughput, vertex.direct)
-        image_out[py, px] = image_out[py, px] + scale * total
+                radiance += wp.cw_mul(vertex.throughput, vertex.direct)
+            if finite(radiance):
+                total += wp.vec3d(radiance)
+            else:
+                count_invalid(scene, sampler)
+        image_out[py, px] = image_out[py, px] + wp.vec3(wp.float64(scale) * total)
 
     return primal

@@ -1,8 +1,10 @@
 """Where the partial derivatives of local factors go, in reverse and in forward mode.
 
 Reverse mode adds ``value`` to the gradient at ``offset``; forward mode returns ``value`` times the tangent there, and
-the caller sums what the sinks return. Both use one flat array, laid out like ``Scene.values``. Where the boundary term
-records its samples, what pulls at edge points is kept (``boundary/local_form.py``) and all else is dropped.
+the caller sums what the sinks return. A value that is not finite is dropped in reverse mode, which returns 1 for it and
+0 otherwise: so the sum is the number of values that a sample lost, while in forward mode it is not finite. Both use one
+flat array, laid out like ``Scene.values``. Where the boundary term records its samples, what pulls at edge points is
+kept (``boundary/local_form.py``) and all else is dropped.
 """
 
 import functools
@@ -17,6 +19,8 @@ def make_sink(role: str):
 
         @wp.func
         def sink(target: wp.array(dtype=wp.float32), offset: wp.int32, value: wp.float32) -> wp.float32:
+            if not wp.isfinite(value):
+                return 1.0
             wp.atomic_add(target, offset, value)
             return 0.0
 

@@ -7,7 +7,8 @@ variance of a Gaussian of half a pixel falls by 3. The raster is extended by the
 see the whole of their filter and both estimate the same quantity.
 
 Neighbouring threads would add to the same pixels, so on the CPU every lane of a launch has a film of its own: vec4,
-the weighted radiance and the weight; ``resolve`` adds the lanes in fixed order.
+the weighted radiance and the weight. ``collect`` adds the lanes in fixed order to a film in double precision; the host
+calls it every so many samples, since a float32 sum of very many terms loses digits, and after 2^24 stands still.
 """
 
 import functools
@@ -15,6 +16,7 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.constants import RFILTER_BOX, RFILTER_TENT
+from warp_psdr.kernels.invalid import count_invalid, finite
 from warp_psdr.kernels.path import PathConfig, make_camera_start, make_path_step
 from warp_psdr.kernels.rng import Sampler
 from warp_psdr.kernels.structs import Camera, Scene
@@ -51,6 +53,7 @@ def make_splat_kernel(config: PathConfig):
         pixels: wp.array(dtype=wp.int32),
         first_pixel: wp.int32,
         margin: wp.int32,
+        first_sample: wp.int32,
         samples: wp.int32,
         seed: wp.uint32,
         max_depth: wp.int32,
@@ -65,13 +68,16 @@ def make_splat_kernel(config: PathConfig):
         for i in range(samples):
             sampler = Sampler()
             sampler.pixel = wp.uint32(pixel)
-            sampler.index = wp.uint32(i)
+            sampler.index = wp.uint32(first_sample + i)
             sampler.seed = seed
             state, sample = start(scene, camera, px, py, sampler)
             radiance = wp.vec3(0.0, 0.0, 0.0)
             while state.alive == 1:
                 vertex, state = path_step(scene, sampler, state, max_depth, rr_depth)
                 radiance += wp.cw_mul(vertex.throughput, vertex.direct)
+            if not finite(radiance):
+                count_invalid(scene, sampler)
+                continue
             # Where the sample lies, in pixels of the crop window; pixel j's centre is at j + 1/2.
             x = sample.film[0] * wp.float32(camera.width) - wp.float32(camera.crop_x) - 0.5
             y = sample.film[1] * wp.float32(camera.height) - wp.float32(camera.crop_y) - 0.5
@@ -90,16 +96,30 @@ def make_splat_kernel(config: PathConfig):
 
 
 @wp.kernel(module="unique", enable_backward=False)
+def collect(
+    # In and out:
+    films: wp.array3d(dtype=wp.vec4),
+    # Out:
+    film_out: wp.array2d(dtype=wp.vec4d),
+):
+    """Add the lanes' films in fixed order to one in double precision, and clear them."""
+    row, column = wp.tid()
+    total = film_out[row, column]
+    for lane in range(films.shape[0]):
+        total += wp.vec4d(films[lane, row, column])
+        films[lane, row, column] = wp.vec4()
+    film_out[row, column] = total
+
+
+@wp.kernel(module="unique", enable_backward=False)
 def resolve(
     # In:
-    films: wp.array3d(dtype=wp.vec4),
+    film: wp.array2d(dtype=wp.vec4d),
     # Out:
     image_out: wp.array2d(dtype=wp.vec3),
 ):
-    """Add the lanes' films in fixed order and divide by the weights."""
+    """Divide by the weights."""
     row, column = wp.tid()
-    total = wp.vec4(0.0, 0.0, 0.0, 0.0)
-    for lane in range(films.shape[0]):
-        total += films[lane, row, column]
-    if total[3] > 0.0:
-        image_out[row, column] = wp.vec3(total[0], total[1], total[2]) / total[3]
+    total = film[row, column]
+    if total[3] > wp.float64(0.0):
+        image_out[row, column] = wp.vec3(wp.vec3d(total[0], total[1], total[2]) / total[3])

@@ -152,6 +152,7 @@ class Scene:
     env_conditional: wp.array(dtype=wp.float32)  # cumulative over the cells of each row, h x (w + 1), flattened
     ray_epsilon: wp.float32  # distance by which a ray's origin is moved off its surface, world units
     contact_radius: wp.float32  # connections shorter than it: see ``interior/contact.py``, world units
+    invalid: wp.array(dtype=wp.int64)  # counter of this launch and lane, see ``invalid.py``
 
 
 @wp.struct

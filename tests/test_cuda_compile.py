@@ -167,6 +167,10 @@ FACTORIES = {
     "adam.make_count_unusable": [("", (), FAST)],
     "loss.make_terms": [("relative", (relative_squared,), FAST)],
     "loss.make_sums": [("", (), FAST)],
+    "trace.make_trace_kernel": [
+        ("image", (SIMPLE, False, c.RFILTER_BOX), FAST),
+        ("interior", (SIMPLE, True, None), SLOW),
+    ],
     "path.make_primal_kernel": [
         ("simple", (SIMPLE,), FAST),
         ("emission", (EMISSION,), SLOW),

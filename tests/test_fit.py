@@ -74,6 +74,7 @@ def test_leaves_results(recovered) -> None:
     assert files == RESULTS
     summary = json.loads((recovered.output / "summary.json").read_text())
     assert summary["iterations"] == 80
+    assert set(summary["invalid_samples"].values()) == {0} and summary["invalid_samples"] == recovered.invalid
     assert summary["loss"]["last"] == recovered.losses[-1]
     np.testing.assert_allclose(summary["psnr"], recovered.psnr, atol=1e-3)
     stored = np.load(recovered.output / "parameters" / "wall.bsdf.reflectance.data.npy")

@@ -7,11 +7,13 @@ from typing import TYPE_CHECKING, Any
 
 from warp_psdr import boundary, guiding, interior, losses, optim
 from warp_psdr.acceleration import set_ray_backend
+from warp_psdr.invalid import invalid_samples
 from warp_psdr.options import PathIntegrator
 from warp_psdr.parameters import Parameters, traverse
 from warp_psdr.plan import Plan, plan
 from warp_psdr.render import render, render_backward, render_forward
 from warp_psdr.scene.transforms import Transform
+from warp_psdr.trace import Trace, trace_sample
 from warp_psdr.workers import set_workers
 
 if TYPE_CHECKING:
@@ -26,6 +28,7 @@ __all__ = [
     "Parameters",
     "PathIntegrator",
     "Plan",
+    "Trace",
     "Transform",
     "accuracy",
     "boundary",
@@ -33,6 +36,7 @@ __all__ = [
     "guiding",
     "image_io",
     "interior",
+    "invalid_samples",
     "load_dict",
     "load_file",
     "load_string",
@@ -46,6 +50,7 @@ __all__ = [
     "set_ray_backend",
     "set_workers",
     "torch",
+    "trace_sample",
     "traverse",
     "view",
 ]

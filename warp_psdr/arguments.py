@@ -14,6 +14,10 @@ if TYPE_CHECKING:
     from warp_psdr.scene.scene import Scene
 
 
+#: Sample numbers are 32-bit integers with a sign.
+MOST_SAMPLES = (1 << 31) - 1
+
+
 def sample_count(scene: Scene, sensor: int, spp: int | None) -> int:
     """Return the samples a pixel: those given, else the sensor's."""
     scene.camera(sensor)  # says so where there is no such sensor
@@ -31,6 +35,8 @@ def samples(name: str, value) -> int:
     """Return a number of samples a pixel as an int."""
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 1:
         raise ValueError(f"{name}: got {value!r}, expected a positive integer (samples a pixel)")
+    if value > MOST_SAMPLES:
+        raise ValueError(f"{name}: got {value}, expected at most {MOST_SAMPLES}; average renderings of several seeds")
     return int(value)
 
 
@@ -40,13 +46,18 @@ def adjoint_array(adjoint, camera, device) -> wp.array:
     if isinstance(adjoint, wp.array) and adjoint.dtype is wp.vec3:
         if adjoint.shape != shape:
             raise ValueError(f"adjoint: got shape {adjoint.shape} of vec3, expected the image's {shape}")
+        _check_finite(adjoint.numpy())
         return adjoint if adjoint.device == device else adjoint.to(device)
     array = np.asarray(adjoint.numpy() if isinstance(adjoint, wp.array) else adjoint, dtype=np.float32)
     if array.shape != (*shape, 3):
         raise ValueError(f"adjoint: got shape {array.shape}, expected the image's {(*shape, 3)}")
-    if not np.isfinite(array).all():
-        raise ValueError("adjoint: holds NaN or infinite numbers; check the loss and the target image")
+    _check_finite(array)
     return wp.array(np.ascontiguousarray(array), dtype=wp.vec3, device=device)
+
+
+def _check_finite(adjoint: np.ndarray) -> None:
+    if not np.isfinite(adjoint).all():
+        raise ValueError("adjoint: holds NaN or infinite numbers; check the loss and the target image")
 
 
 def flat_tangents(scene: Scene, params: Parameters, tangents: dict) -> wp.array:

@@ -20,9 +20,9 @@ from warp_psdr.edges import secondary_edges
 from warp_psdr.kernels.boundary.local_form import SAMPLE_RECORD
 from warp_psdr.kernels.rng import mix_seed
 from warp_psdr.options import PathIntegrator, from_description
+from warp_psdr.passes import STREAM_BOUNDARY
 from warp_psdr.plan import plan as make_plan
 from warp_psdr.plots import as_array
-from warp_psdr.render import STREAM_BOUNDARY
 
 if TYPE_CHECKING:
     from warp_psdr.parameters import Parameters

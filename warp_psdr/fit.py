@@ -47,6 +47,7 @@ class FitResult:
             checkpoint to resume from.
         output: Folder of the results.
         psnr: Decibels of every view at the end, of the sRGB images in [0, 1].
+        invalid: Samples that were not finite, and dropped, by kind; see ``psdr.invalid_samples``.
     """
 
     parameters: Mapping[str, np.ndarray]
@@ -54,6 +55,7 @@ class FitResult:
     completed: bool
     output: Path
     psnr: tuple[float, ...] = ()
+    invalid: Mapping[str, int] = field(default_factory=dict)
 
 
 @dataclass(eq=False, kw_only=True)
@@ -83,8 +85,10 @@ class Problem:
                 tape=tape,
             )
             loss = getattr(losses, config.loss)(image, self.device_targets[view])
-        tape.backward(grads={loss: wp.full(1, weight, dtype=wp.float32, device=loss.device)})
-        return float(loss.numpy()[0])
+        value = float(loss.numpy()[0])
+        if math.isfinite(value):  # else there is no gradient, and the caller says so
+            tape.backward(grads={loss: wp.full(1, weight, dtype=wp.float32, device=loss.device)})
+        return value
 
     def render(self, view: int, seed: int) -> np.ndarray:
         """Return a picture of a view as it is now, ``(H, W, 3)``, at the final sample count."""
@@ -174,11 +178,20 @@ def _fit(problem: Problem, adam: optim.Adam, path: Path, *, resume: bool) -> Fit
                 _save(path, problem, adam, run, history)
             if stop.is_set() and step + 1 < config.iterations:
                 return FitResult(
-                    parameters=problem.values(), losses=np.array(history), completed=False, output=config.output
+                    parameters=problem.values(),
+                    losses=np.array(history),
+                    completed=False,
+                    output=config.output,
+                    invalid=psdr.invalid_samples(problem.scene),
                 )
     psnr = write_report(problem, np.array(history))
     return FitResult(
-        parameters=problem.values(), losses=np.array(history), completed=True, output=config.output, psnr=psnr
+        parameters=problem.values(),
+        losses=np.array(history),
+        completed=True,
+        output=config.output,
+        psnr=psnr,
+        invalid=psdr.invalid_samples(problem.scene),
     )
 
 

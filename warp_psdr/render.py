@@ -2,29 +2,32 @@
 
 from __future__ import annotations
 
-import math
-import threading
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
 import warp as wp
 
-from warp_psdr import workers
 from warp_psdr.arguments import adjoint_array, checked_seed, flat_tangents, sample_count, samples
 from warp_psdr.boundary import contacts
 from warp_psdr.boundary import drivers as boundary_drivers
-from warp_psdr.chain import derived_ranges, pull_derived
 from warp_psdr.device import launch
+from warp_psdr.gradient_sums import GradientSums
+from warp_psdr.invalid import warns
 from warp_psdr.kernels.constants import RFILTER_BOX
-from warp_psdr.kernels.interior.forward import make_forward_kernel
-from warp_psdr.kernels.interior.replay import make_replay_kernel
-from warp_psdr.kernels.interior.textbook import make_textbook_kernel
-from warp_psdr.kernels.path import make_primal_kernel
-from warp_psdr.kernels.reduction import add_lanes, add_range
+from warp_psdr.kernels.reduction import add_range
 from warp_psdr.kernels.rng import mix_seed
-from warp_psdr.kernels.splat import make_splat_kernel, resolve
+from warp_psdr.kernels.splat import resolve
 from warp_psdr.options import PathIntegrator, from_description
+from warp_psdr.passes import (
+    STREAM_BOUNDARY,
+    STREAM_PRIMAL,
+    Progress,
+    boxed,
+    interior_backward,
+    interior_forward,
+    splatted,
+)
 from warp_psdr.plan import Plan
 from warp_psdr.plan import plan as make_plan
 
@@ -35,11 +38,8 @@ if TYPE_CHECKING:
     from warp_psdr.work_precision.quantity import Quantity
     from warp_psdr.work_precision.report import Report
 
-#: Random-number streams: the primal image, the interior and the boundary term are independent of each other.
-STREAM_PRIMAL, STREAM_INTERIOR, STREAM_BOUNDARY = 0, 1, 2
-Progress = Callable[[float], None]
 
-
+@warns
 def render(
     scene: Scene,
     params: Parameters | None = None,
@@ -133,76 +133,13 @@ def _record(tape: wp.Tape, image: wp.array, scene: Scene, params: Parameters, **
     tape.record_func(backward, [image, *(params[name] for name in params.requested)])
 
 
-def boxed(
-    scene: Scene,
-    plan: Plan,
-    sensor: int,
-    spp: int,
-    seed: int,
-    image: wp.array,
-    progress: Progress | None = None,
-    pixels: wp.array | None = None,
-) -> None:
-    """Add the mean of ``spp`` samples to every pixel, or to those listed; a sample counts in its own pixel."""
-    camera = scene.camera(sensor)
-    _launch(
-        scene,
-        make_primal_kernel(plan.config),
-        (camera.crop_width, camera.crop_height),
-        lambda data, first, count, pixels, lane: (
-            [data, camera, pixels, first, 0, spp, 1.0 / spp, seed, plan.max_depth, plan.rr_depth],
-            [image],
-        ),
-        lanes=workers.LANES,
-        progress=progress,
-        listed=pixels,
-    )
-
-
 def _render_splatted(scene: Scene, plan: Plan, sensor: int, spp: int, seed: int, image: wp.array, progress) -> None:
     """A sample counts for every pixel whose filter reaches it."""
-    films = splatted(scene, plan, sensor, spp, seed, progress)
-    launch(resolve, dim=image.shape, inputs=[films], outputs=[image], device=scene.device)
+    film = splatted(scene, plan, sensor, spp, seed, progress)
+    launch(resolve, dim=image.shape, inputs=[film], outputs=[image], device=scene.device)
 
 
-def splatted(
-    scene: Scene,
-    plan: Plan,
-    sensor: int,
-    spp: int,
-    seed: int,
-    progress: Progress | None = None,
-    pixels: wp.array | None = None,
-) -> wp.array:
-    """Return the lanes' films, (lanes, H, W) of vec4: sums of weighted radiance and of weights (``kernels/splat.py``).
-
-    ``pixels`` lists pixels of the raster that is extended by the filter's reach, ``filter_margin``.
-    """
-    camera = scene.camera(sensor)
-    margin = filter_margin(camera)
-    size = camera.crop_height * camera.crop_width
-    lanes = workers.lane_count(4 * size) if scene.device.is_cpu else 1
-    films = wp.zeros((lanes, camera.crop_height, camera.crop_width), dtype=wp.vec4, device=scene.device)
-    _launch(
-        scene,
-        make_splat_kernel(plan.config),
-        (camera.crop_width + 2 * margin, camera.crop_height + 2 * margin),
-        lambda data, first, count, pixels, lane: (
-            [data, camera, pixels, first, margin, spp, seed, plan.max_depth, plan.rr_depth],
-            [films[lane]],
-        ),
-        lanes=lanes,
-        progress=progress,
-        listed=pixels,
-    )
-    return films
-
-
-def filter_margin(camera) -> int:
-    """Return how many pixels beyond the film's border a sample can lie that counts for it."""
-    return math.ceil(camera.filter_radius - 0.5)
-
-
+@warns
 def render_backward(
     scene: Scene,
     params: Parameters,
@@ -257,12 +194,12 @@ def render_backward(
     spp, seed = sample_count(scene, sensor, spp), checked_seed(seed)
     plan = make_plan(scene, params, integrator=integrator, sensor=sensor)
     adjoint = adjoint_array(adjoint, scene.camera(sensor), scene.device)
-    buffers = gradient_buffers(scene)
-    interior_backward(scene, plan, sensor, spp, seed, adjoint, buffers, progress)
+    sums = GradientSums(scene, names)
+    interior_backward(scene, plan, sensor, spp, seed, adjoint, sums, progress)
     if plan.boundary is not None:
         seed = mix_seed(seed, STREAM_BOUNDARY)
-        boundary_drivers.backward(scene, plan, names, adjoint, buffers, sensor=sensor, spp=spp, seed=seed)
-    total = gradient(scene, names, buffers)
+        boundary_drivers.backward(scene, plan, names, adjoint, sums, sensor=sensor, spp=spp, seed=seed)
+    total = sums.result()
     for name in names:
         _add(scene, params, name, total, scene.parameters[name].offset)
     return None
@@ -275,44 +212,7 @@ def _add(scene: Scene, params: Parameters, name: str, total: wp.array, offset: i
     launch(add_range, dim=size, inputs=[total, offset], outputs=[flat], device=scene.device)
 
 
-def interior_backward(
-    scene: Scene,
-    plan: Plan,
-    sensor: int,
-    spp: int,
-    seed: int,
-    adjoint: wp.array,
-    buffers: wp.array,
-    progress: Progress | None = None,
-    pixels: wp.array | None = None,
-) -> None:
-    """Add the gradient of the interior term, of all pixels or of those listed, to the lanes' flat buffers."""
-    camera = scene.camera(sensor)
-    dummy = wp.zeros((1, 1), dtype=wp.vec3, device=scene.device)
-    _launch(
-        scene,
-        _gradient_kernel(plan, "reverse"),
-        (camera.crop_width, camera.crop_height),
-        lambda data, first, count, pixels, lane: (
-            [
-                data, camera, pixels, first, 0, spp, 1.0 / spp, mix_seed(seed, STREAM_INTERIOR),
-                _depth(plan), plan.rr_depth, adjoint,
-            ],
-            [buffers[lane], dummy],
-        ),
-        lanes=buffers.shape[0],
-        progress=progress,
-        listed=pixels,
-    )  # fmt: skip
-
-
-def gradient_buffers(scene: Scene) -> wp.array:
-    """Return zeros, (lanes, values): a flat gradient for every lane of a launch."""
-    size = scene.values.shape[0]
-    lanes = workers.lane_count(size) if scene.device.is_cpu else 1
-    return wp.zeros((lanes, size), dtype=wp.float32, device=scene.device)
-
-
+@warns
 def render_forward(
     scene: Scene,
     params: Parameters,
@@ -374,99 +274,3 @@ def render_forward(
         seed = mix_seed(seed, STREAM_BOUNDARY)
         boundary_drivers.forward(scene, plan, names, target, image, sensor=sensor, spp=spp, seed=seed)
     return image
-
-
-def interior_forward(
-    scene: Scene,
-    plan: Plan,
-    sensor: int,
-    spp: int,
-    seed: int,
-    target: wp.array,
-    image: wp.array,
-    progress: Progress | None = None,
-    pixels: wp.array | None = None,
-) -> None:
-    """Add the derivative of the interior term along flat tangents to all pixels, or to those listed."""
-    camera = scene.camera(sensor)
-    dummy = wp.zeros((1, 1), dtype=wp.vec3, device=scene.device)
-    _launch(
-        scene,
-        _gradient_kernel(plan, "forward"),
-        (camera.crop_width, camera.crop_height),
-        lambda data, first, count, pixels, lane: (
-            [
-                data, camera, pixels, first, 0, spp, 1.0 / spp, mix_seed(seed, STREAM_INTERIOR),
-                _depth(plan), plan.rr_depth, dummy,
-            ],
-            [target, image],
-        ),
-        lanes=workers.LANES,
-        progress=progress,
-        listed=pixels,
-    )  # fmt: skip
-
-
-def gradient(scene: Scene, names: list[str], buffers: wp.array) -> wp.array:
-    """Sum the lanes and pull the sums back to poses and positions: the flat gradient of the named parameters."""
-    total = wp.zeros(scene.values.shape[0], dtype=wp.float32, device=scene.device)
-    ranges = [(scene.parameters[n].offset, scene.parameters[n].size) for n in names]
-    for offset, size in dict.fromkeys(ranges + derived_ranges(scene, names)):
-        launch(add_lanes, dim=size, inputs=[buffers, offset], outputs=[total], device=scene.device)
-    pull_derived(scene, names, total)
-    return total
-
-
-def _gradient_kernel(plan: Plan, role: str) -> wp.Kernel:
-    if plan.block == 0:
-        return make_textbook_kernel(plan.config, plan.wanted, role)
-    if role == "forward":
-        return make_forward_kernel(plan.config, plan.wanted)
-    return make_replay_kernel(plan.config, plan.wanted, plan.block, plan.blocks)
-
-
-def _depth(plan: Plan) -> int:
-    """Depth limit of a differential pass: its records have to hold the path."""
-    if plan.block == 0 or plan.max_depth > 0:
-        return plan.max_depth
-    return plan.block * plan.blocks
-
-
-def _launch(
-    scene: Scene,
-    kernel: wp.Kernel,
-    raster: tuple[int, int],
-    arguments,
-    *,
-    lanes: int,
-    progress: Progress | None,
-    listed: wp.array | None = None,
-) -> None:
-    """Run a kernel over a raster (width, height): in one launch on CUDA, in lanes on worker threads on the CPU.
-
-    ``listed``: numbers of its pixels, instead of all of them.
-    """
-    data = scene.data()
-    order = listed
-    if order is None:
-        order = wp.array(workers.pixel_order(*raster), dtype=wp.int32, device=scene.device)
-    count = order.shape[0]
-    wp.load_module(kernel.module, device=scene.device)  # compile once, before the threads start
-    if not scene.device.is_cpu:
-        inputs, outputs = arguments(data, 0, count, order, 0)
-        launch(kernel, dim=count, inputs=inputs, outputs=outputs, device=scene.device)
-        return
-    parts = workers.chunks(count, lanes)
-    done, lock = 0, threading.Lock()
-
-    def lane(i: int) -> None:
-        nonlocal done
-        for first, n in parts[i]:
-            inputs, outputs = arguments(data, first, n, order, i)
-            launch(kernel, dim=n, inputs=inputs, outputs=outputs, device=scene.device)
-            if progress is not None:
-                with lock:
-                    done += n
-                    progress(done / count)
-
-    workers.run_lanes(lane, lanes)

@@ -32,6 +32,7 @@ from warp_psdr.kernels.boundary.transport import Segment, make_transport
 from warp_psdr.kernels.bvh.wide import make_intersect
 from warp_psdr.kernels.constants import FAR
 from warp_psdr.kernels.distribution import find_interval
+from warp_psdr.kernels.invalid import count_invalid
 from warp_psdr.kernels.path import PathConfig
 from warp_psdr.kernels.rng import Sampler, make_sampler
 from warp_psdr.kernels.sampling import square_to_triangle
@@ -153,6 +154,7 @@ def make_bent_kernel(config: PathConfig, role: str, camera_moves: bool):
         weight = transport(scene, camera, sampler, s, scale, rest, max_depth, rr_depth, adjoint, target, image_out)
         if wp.static(role == "reverse"):
             if weight != 0.0:
-                push_bent(scene, target, s, weight)
+                if push_bent(scene, target, s, weight) != 0.0:
+                    count_invalid(scene, sampler)
 
     return bent

@@ -28,6 +28,7 @@ from warp_psdr.kernels.boundary.secondary import make_segment_sink
 from warp_psdr.kernels.boundary.transport import Segment, make_source, make_transport
 from warp_psdr.kernels.bvh.wide import make_intersect
 from warp_psdr.kernels.constants import FAR, TWO_PI
+from warp_psdr.kernels.invalid import count_invalid
 from warp_psdr.kernels.math import any_tangent, to_world
 from warp_psdr.kernels.path import PathConfig
 from warp_psdr.kernels.rng import Sampler, make_sampler
@@ -133,6 +134,7 @@ def make_curve_kernel(config: PathConfig, role: str, camera_moves: bool):
         weight = transport(scene, camera, sampler, s, scale, rest, max_depth, rr_depth, adjoint, target, image_out)
         if wp.static(role == "reverse"):
             if weight != 0.0:
-                push_segment(scene, target, edges, point, s, weight)
+                if push_segment(scene, target, edges, point, s, weight) != 0.0:
+                    count_invalid(scene, sampler)
 
     return curve

@@ -24,6 +24,7 @@ from warp_psdr.kernels.bsdf.dispatch import make_bsdf
 from warp_psdr.kernels.bvh.wide import make_intersect
 from warp_psdr.kernels.constants import LOBE_SMOOTH
 from warp_psdr.kernels.emitter.area import make_area
+from warp_psdr.kernels.invalid import vanishes
 from warp_psdr.kernels.math import to_local, to_world
 from warp_psdr.kernels.path import ROULETTE_MAX, PathConfig, PathState, make_frame, make_material, make_path_step
 from warp_psdr.kernels.rng import Sampler
@@ -251,7 +252,7 @@ def make_walk(config: PathConfig):
             b.model, material, to_local(frame.s, frame.t, frame.n, w), to_local(frame.s, frame.t, frame.n, walk.to)
         )
         cosine = wp.abs(wp.dot(surface.ng, walk.to))
-        if wp.max(f) <= 0.0 or cosine < MIN_COSINE:
+        if vanishes(f) or cosine < MIN_COSINE:
             return r
         turn = wp.where(wp.dot(surface.ng, w) >= 0.0, scene.ray_epsilon, -scene.ray_epsilon)
         o = walk.x + turn * surface.ng
@@ -278,7 +279,7 @@ def make_walk(config: PathConfig):
         w = to_world(frame.s, frame.t, frame.n, bs.wo)
         f = bsdf.eval(b.model, material, bs.wo, to)
         weight = wp.cw_mul(walk.weight, (wp.abs(wp.dot(surface.ng, w)) / (cosine * bs.pdf)) * f)
-        if wp.max(weight) <= 0.0:
+        if vanishes(weight):
             return r
         if roulette:
             survival = wp.min(wp.max(weight), ROULETTE_MAX)

@@ -41,6 +41,7 @@ from warp_psdr.kernels.bsdf.dispatch import make_bsdf
 from warp_psdr.kernels.bvh.wide import make_intersect
 from warp_psdr.kernels.camera import make_camera_ray, make_camera_sink
 from warp_psdr.kernels.constants import BSDF_ROUGH_CONDUCTOR_BECKMANN, BSDF_ROUGH_CONDUCTOR_GGX, FAR, PI
+from warp_psdr.kernels.invalid import count_invalid, finite, vanishes
 from warp_psdr.kernels.math import any_tangent, to_local
 from warp_psdr.kernels.path import (
     PathConfig,
@@ -249,6 +250,7 @@ def make_edge_sampling_kernel(
         state, ray = start(scene, camera, px, py, sampler)
         origin = camera_origin(scene, camera, ray)
         total = wp.vec3(0.0, 0.0, 0.0)
+        dropped = wp.float32(0.0)
         k = wp.int32(1)
         while state.alive == 1:
             vertex, state = path_step(scene, sampler, state, max_depth, rr_depth)
@@ -264,7 +266,7 @@ def make_edge_sampling_kernel(
                     branch.seed = words.y
                     source = radiance(scene, branch, s.source, s.w, FAR, k, max_depth, rr_depth)
                     value = (1.0 / wp.float32(spp)) * wp.cw_mul(wp.cw_mul(vertex.throughput, drawn.value), source)
-                    if wp.max(value) > 0.0:
+                    if not vanishes(value):
                         w = wp.float32(1.0)
                         if wp.static(role == "reverse"):
                             w = wp.dot(delta, value)
@@ -274,8 +276,12 @@ def make_edge_sampling_kernel(
                             if k == 1:
                                 speed += push_camera(scene, target, camera, ray, a_o, a_d)
                         total += speed * value
+                        if wp.static(role == "reverse"):
+                            dropped += speed
             k += 1
-        if wp.static(role == "forward"):
+        if dropped != 0.0 or not finite(total):
+            count_invalid(scene, sampler)
+        elif wp.static(role == "forward"):
             wp.atomic_add(image_out, py, px, total)
 
     return edge_sampling

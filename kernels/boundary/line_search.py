@@ -55,6 +55,7 @@ from warp_psdr.kernels.bsdf.dispatch import make_bsdf
 from warp_psdr.kernels.camera import CameraSample, camera_direction, load_mat44, make_camera_ray
 from warp_psdr.kernels.constants import INV_FOUR_PI, LOBE_SMOOTH, TWO_PI
 from warp_psdr.kernels.interior.wanted import Wanted
+from warp_psdr.kernels.invalid import count_invalid, vanishes
 from warp_psdr.kernels.math import any_tangent, to_local, to_world
 from warp_psdr.kernels.path import PathConfig, PathState, make_path_step
 from warp_psdr.kernels.rng import Sampler, make_sampler
@@ -237,7 +238,7 @@ def make_line_search_kernel(config: PathConfig, wanted: Wanted, role: str, light
                         w = wp.float32(1.0)
                         if wp.static(role == "reverse"):
                             w = wp.dot(gather(camera, at_q, adjoint), value)
-                        if wp.max(wp.abs(value[0]), wp.max(wp.abs(value[1]), wp.abs(value[2]))) > 0.0 and w != 0.0:
+                        if not vanishes(value) and w != 0.0:
                             start = VertexAdjoint()
                             start.x = w * r.start.x
                             start.n = w * r.start.n
@@ -249,7 +250,10 @@ def make_line_search_kernel(config: PathConfig, wanted: Wanted, role: str, light
                             if r.edge == 1:
                                 speed += push_segment(scene, target, edges, r.point, r.segment, w)
                             if wp.static(role == "forward"):
-                                splat(camera, at_q, speed * value, image_out)
+                                splat(scene, sampler, camera, at_q, speed * value, image_out)
+                            elif wp.static(role == "reverse"):
+                                if speed != 0.0:
+                                    count_invalid(scene, sampler)
             # One cell further down.
             active = level < LEVELS
             if active:

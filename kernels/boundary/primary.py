@@ -22,6 +22,7 @@ from warp_psdr.kernels.boundary.local_form import START_BEHIND, Edges, edge_poin
 from warp_psdr.kernels.boundary.projection import make_projection, make_splat
 from warp_psdr.kernels.bvh.wide import make_intersect
 from warp_psdr.kernels.camera import make_camera_sink, make_lens
+from warp_psdr.kernels.invalid import count_invalid
 from warp_psdr.kernels.path import PathConfig
 from warp_psdr.kernels.rng import Sampler, make_sampler
 from warp_psdr.kernels.structs import Camera, Scene
@@ -121,6 +122,9 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
         if wp.static(camera_moves):
             speed += push_camera(scene, target, camera, at.sample, -g, -distance * g)
         if wp.static(role == "forward"):
-            splat(camera, at.pixel, speed * jump, image_out)
+            splat(scene, sampler, camera, at.pixel, speed * jump, image_out)
+        elif wp.static(role == "reverse"):
+            if speed != 0.0:
+                count_invalid(scene, sampler)
 
     return primary

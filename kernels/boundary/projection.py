@@ -32,6 +32,8 @@ from warp_psdr.kernels.constants import (
     RFILTER_TENT,
 )
 from warp_psdr.kernels.film import GAUSSIAN_CUT
+from warp_psdr.kernels.invalid import count_invalid, finite
+from warp_psdr.kernels.rng import Sampler
 from warp_psdr.kernels.structs import Camera, Scene
 
 #: Pixels beside each other for which the filter is evaluated once and not for every row: all under most filters.
@@ -191,12 +193,22 @@ def filter_taps(camera: Camera, at: wp.float32, first: wp.int32) -> TAPS:
 def make_splat():
     """Return ``(splat, gather)``.
 
-    ``splat(camera, at, value, image)`` adds a contribution to all pixels under the filter;
+    ``splat(scene, sampler, camera, at, value, image)`` adds a contribution to all pixels under the filter;
     ``gather(camera, at, adjoint) -> vec3`` is its transpose.
     """
 
     @wp.func
-    def splat(camera: Camera, at: wp.vec2, value: wp.vec3, image: wp.array2d(dtype=wp.vec3)):
+    def splat(
+        scene: Scene,
+        sampler: Sampler,
+        camera: Camera,
+        at: wp.vec2,
+        value: wp.vec3,
+        image: wp.array2d(dtype=wp.vec3),
+    ):
+        if not finite(value):
+            count_invalid(scene, sampler)
+            return
         r = filter_extent(camera)
         x0 = wp.max(wp.int32(wp.ceil(at[0] - 0.5 - r)), 0)
         y0 = wp.max(wp.int32(wp.ceil(at[1] - 0.5 - r)), 0)

@@ -32,6 +32,7 @@ from warp_psdr.kernels.emitter.directional import directional_dot
 from warp_psdr.kernels.emitter.dispatch import make_lights
 from warp_psdr.kernels.emitter.spot import load_column
 from warp_psdr.kernels.guiding.techniques import Guide, make_techniques, octant_point
+from warp_psdr.kernels.invalid import count_invalid
 from warp_psdr.kernels.path import PathConfig
 from warp_psdr.kernels.rng import Sampler, make_sampler
 from warp_psdr.kernels.sink import make_sink, make_sink_vec3
@@ -277,6 +278,7 @@ def make_secondary_kernel(config: PathConfig, role: str, camera_moves: bool, lig
             target[number] = weight
         elif wp.static(role != "forward"):
             if weight != 0.0:
-                push_segment(scene, target, edges, point, s, weight)
+                if push_segment(scene, target, edges, point, s, weight) != 0.0:
+                    count_invalid(scene, sampler)
 
     return secondary

@@ -28,6 +28,7 @@ from warp_psdr.kernels.bvh.wide import make_intersect
 from warp_psdr.kernels.camera import lens_origin, load_mat44, make_camera_sink, make_lens
 from warp_psdr.kernels.constants import CAMERA_ORTHOGRAPHIC, CAMERA_THINLENS
 from warp_psdr.kernels.distribution import find_interval
+from warp_psdr.kernels.invalid import count_invalid
 from warp_psdr.kernels.path import PathConfig
 from warp_psdr.kernels.rng import Sampler, make_sampler
 from warp_psdr.kernels.structs import Camera, Scene
@@ -187,6 +188,9 @@ def make_terminator_kernel(config: PathConfig, role: str, camera_moves: bool):
                             a_d = pushed.d - (g * (1.0 - finite)) * unit
                             moved += push_camera(scene, target, camera, at.sample, a_o, a_d)
                         if wp.static(role == "forward"):
-                            splat(camera, at.pixel, moved * jump, image_out)
+                            splat(scene, sampler, camera, at.pixel, moved * jump, image_out)
+                        elif wp.static(role == "reverse"):
+                            if moved != 0.0:
+                                count_invalid(scene, sampler)
 
     return terminator

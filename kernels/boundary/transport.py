@@ -29,6 +29,7 @@ from warp_psdr.kernels.boundary.detector import (
 from warp_psdr.kernels.boundary.projection import make_splat
 from warp_psdr.kernels.camera import make_camera_sink, make_lens
 from warp_psdr.kernels.constants import FAR
+from warp_psdr.kernels.invalid import count_invalid, vanishes
 from warp_psdr.kernels.path import PathConfig
 from warp_psdr.kernels.rng import Sampler, make_sampler
 from warp_psdr.kernels.structs import Camera, Scene
@@ -183,7 +184,7 @@ def make_transport(config: PathConfig, role: str, camera_moves: bool, source: wp
         k = wp.int32(1)
         while walk.alive == 1:
             seen = connect(scene, camera, walk, lens)
-            counts = wp.max(seen.weight) > 0.0
+            counts = not vanishes(seen.weight)
             asked = wp.vec3(0.0, 0.0, 0.0)
             speed = wp.float32(0.0)
             if counts:
@@ -217,15 +218,17 @@ def make_transport(config: PathConfig, role: str, camera_moves: bool, source: wp
                 if wp.static(evaluates):
                     total += value[0] + value[1] + value[2]
                 elif wp.static(role == "forward"):
-                    splat(camera, seen.at.pixel, speed * value, image)
+                    splat(scene, sampler, camera, seen.at.pixel, speed * value, image)
                 else:
                     w = wp.dot(asked, value)
                     total += w
                     if k == 1 and w != 0.0:
                         ray = wp.normalize(walk.x - seen.at.origin)
-                        a_o, a_d, _d = push_first(scene, target, s, w, True, seen.at.origin, ray)
+                        a_o, a_d, dropped = push_first(scene, target, s, w, True, seen.at.origin, ray)
                         if wp.static(camera_moves):
-                            push_camera(scene, target, camera, seen.at.sample, a_o, a_d)
+                            dropped += push_camera(scene, target, camera, seen.at.sample, a_o, a_d)
+                        if dropped != 0.0:
+                            count_invalid(scene, sampler)
                     else:
                         weight += w
             if max_depth >= 0 and k + 1 + wp.static(least) > max_depth:
@@ -236,7 +239,9 @@ def make_transport(config: PathConfig, role: str, camera_moves: bool, source: wp
             k += 1
         if wp.static(role != "forward" and not evaluates):
             if weight != 0.0:
-                push_first(scene, target, s, weight, False, s.x, s.w)
+                _a_o, _a_d, lost = push_first(scene, target, s, weight, False, s.x, s.w)
+                if lost != 0.0:
+                    count_invalid(scene, sampler)
         return total
 
     return transport

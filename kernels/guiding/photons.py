@@ -20,6 +20,7 @@ from warp_psdr.kernels.bsdf.dispatch import make_bsdf
 from warp_psdr.kernels.bvh.wide import make_intersect
 from warp_psdr.kernels.constants import EMITTER_POINT, FAR, LOBE_SMOOTH, PI
 from warp_psdr.kernels.emitter.spot import load_column
+from warp_psdr.kernels.invalid import vanishes
 from warp_psdr.kernels.math import any_tangent, to_local, to_world
 from warp_psdr.kernels.path import (
     PathConfig,
@@ -121,7 +122,7 @@ def make_photons_kernel(config: PathConfig):
         d = ray.d
         flux = ray.flux
         vertex = wp.int32(0)
-        while vertex < x_out.shape[1] and wp.max(flux) > 0.0:
+        while vertex < x_out.shape[1] and not vanishes(flux):
             hit = closest_hit(scene.accel, o, d, FAR)
             if hit.face < 0:
                 return

@@ -36,6 +36,7 @@ from warp_psdr.kernels.interior.tangents import (
 )
 from warp_psdr.kernels.interior.velocities import axis_vec3, make_material_jvp, make_texture_jvp, pair
 from warp_psdr.kernels.interior.wanted import Wanted
+from warp_psdr.kernels.invalid import count_invalid, finite
 from warp_psdr.kernels.path import (
     PathConfig,
     PathVertex,
@@ -317,7 +318,7 @@ def make_forward_kernel(config: PathConfig, wanted: Wanted):
         pixel = pixels[first_pixel + wp.tid()]
         px = pixel % camera.crop_width
         py = pixel // camera.crop_width
-        total = wp.vec3(0.0, 0.0, 0.0)
+        total = wp.vec3d()  # in double precision, as the image
         for i in range(samples):
             sampler = Sampler()
             sampler.pixel = wp.uint32(pixel)
@@ -327,6 +328,7 @@ def make_forward_kernel(config: PathConfig, wanted: Wanted):
             vertex, state = path_step(scene, sampler, state, max_depth, rr_depth)
             vertex.o = camera_origin(scene, camera, sample)
             moving = first_moving(scene, camera, target, sample, vertex)
+            sum_dot = wp.vec3(0.0, 0.0, 0.0)
             throughput_dot = wp.vec3(0.0, 0.0, 0.0)
             more = wp.bool(True)
             while more:
@@ -336,8 +338,12 @@ def make_forward_kernel(config: PathConfig, wanted: Wanted):
                 if more:
                     following, state = path_step(scene, sampler, state, max_depth, rr_depth)
                 derivative, throughput_dot, moving = advance(scene, target, vertex, following, moving, throughput_dot)
-                total += derivative
+                sum_dot += derivative
                 vertex = following
-        image_out[py, px] = image_out[py, px] + scale * total
+            if finite(sum_dot):
+                total += wp.vec3d(sum_dot)
+            else:
+                count_invalid(scene, sampler)
+        image_out[py, px] = image_out[py, px] + wp.vec3(wp.float64(scale) * total)
 
     return forward

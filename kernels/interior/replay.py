@@ -33,6 +33,7 @@ import warp as wp
 from warp_psdr.kernels.camera import make_camera_ray
 from warp_psdr.kernels.interior.sweep import Carry, make_sweep
 from warp_psdr.kernels.interior.wanted import Wanted
+from warp_psdr.kernels.invalid import count_invalid, finite
 from warp_psdr.kernels.path import PathConfig, PathState, PathVertex, make_camera_start, make_path_step
 from warp_psdr.kernels.rng import Sampler
 from warp_psdr.kernels.structs import Camera, Scene
@@ -114,6 +115,8 @@ def make_replay_kernel(config: PathConfig, wanted: Wanted, block: int, blocks: i
                                 record[j] = vertex
                 carry = sweep(scene, target, record[n % wp.static(block)], delta, carry)
                 n -= 1
-            finish(scene, target, camera, sample, carry)
+            radiance = carry.radiance
+            if finish(scene, target, camera, sample, carry) != 0.0 or not finite(radiance):
+                count_invalid(scene, sampler)
 
     return replay

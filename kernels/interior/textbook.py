@@ -19,6 +19,7 @@ from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.camera import CameraSample, make_camera_ray, make_camera_sink
 from warp_psdr.kernels.interior.sweep import Carry, make_sweep
 from warp_psdr.kernels.interior.wanted import Wanted
+from warp_psdr.kernels.invalid import count_invalid, finite, vanishes
 from warp_psdr.kernels.path import PathConfig, PathVertex, make_camera_start, make_path_step
 from warp_psdr.kernels.rng import Sampler
 from warp_psdr.kernels.structs import Camera, Scene
@@ -102,8 +103,9 @@ def make_textbook_kernel(config: PathConfig, wanted: Wanted, role: str):
         delta = wp.vec3(scale, scale, scale)
         if wp.static(role == "reverse"):
             delta = scale * adjoint[py, px]
-        derivative = wp.vec3(0.0, 0.0, 0.0)
+        derivative = wp.vec3d()  # in double precision, as the image
         for i in range(samples):
+            of_sample = wp.vec3(0.0, 0.0, 0.0)
             sampler = Sampler()
             sampler.pixel = wp.uint32(pixel)
             sampler.index = wp.uint32(first_sample + i)
@@ -154,10 +156,18 @@ def make_textbook_kernel(config: PathConfig, wanted: Wanted, role: str):
                     before = current
                     current = following
                     n += 1
-                derivative[0] = derivative[0] + wp.where(channel == 0, total, 0.0)
-                derivative[1] = derivative[1] + wp.where(channel == 1, total, 0.0)
-                derivative[2] = derivative[2] + wp.where(channel == 2, total, 0.0)
+                of_sample[0] = of_sample[0] + wp.where(channel == 0, total, 0.0)
+                of_sample[1] = of_sample[1] + wp.where(channel == 1, total, 0.0)
+                of_sample[2] = of_sample[2] + wp.where(channel == 2, total, 0.0)
+            # In reverse mode it is the number of derivatives dropped.
+            valid = finite(total_radiance) and finite(of_sample)
+            if wp.static(role == "reverse"):
+                valid = valid and vanishes(of_sample)
+            if not valid:
+                count_invalid(scene, sampler)
+            elif wp.static(role == "forward"):
+                derivative += wp.vec3d(of_sample)
         if wp.static(role == "forward"):
-            image_out[py, px] = image_out[py, px] + derivative
+            image_out[py, px] = image_out[py, px] + wp.vec3(derivative)
 
     return textbook

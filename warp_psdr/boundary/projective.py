@@ -84,7 +84,7 @@ def _trace(
         outputs=[weight, wedge, light],
         device=device,
     )  # fmt: skip
-    return weight.numpy().astype(np.float64), wedge.numpy(), light.numpy()
+    return r.scene.invalid.drop("guiding", weight.numpy().astype(np.float64)), wedge.numpy(), light.numpy()
 
 
 def _resampled(weight: np.ndarray, points: np.ndarray, random: np.random.Generator) -> np.ndarray:

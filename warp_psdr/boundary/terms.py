@@ -69,13 +69,15 @@ class Term:
 
     Attributes:
         kernel: one thread a sample; its last two parameters are the target and the image.
-        inputs: (number of the first sample, adjoint) -> the arguments in front of them.
+        inputs: (number of the first sample, adjoint) -> the arguments in front of them, the scene's record first.
         samples: how many.
+        kind: the term's name.
     """
 
     kernel: wp.Kernel
     inputs: Callable[[int, wp.array], list]
     samples: int
+    kind: str = ""
 
 
 @dataclass(frozen=True)
@@ -135,8 +137,8 @@ class Request:
 def terms(scene: Scene, plan: Plan, names: list[str], role: str, sensor: int, spp: int, seed: int) -> list[Term]:
     """Return the launches that estimate the boundary term of the named parameters."""
     request = Request(scene, plan, motion(scene, names), role, sensor, spp, seed)
-    found = (term(request) for term in TERMS[type(request.method)])
-    return [t for t in found if t is not None]
+    found = ((term.__name__, term(request)) for term in TERMS[type(request.method)])
+    return [replace(t, kind=name) for name, t in found if t is not None]
 
 
 def _term(r: Request, stream: int, kernel: wp.Kernel, head: list, samples: int, *, count: int | None = None) -> Term:

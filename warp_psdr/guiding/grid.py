@@ -121,12 +121,12 @@ class _Ends:
             outputs=[x1, x2, emitted, scatters, scale],
             device=device,
         )
-        self.scale = scale.numpy().astype(np.float64)
+        self.scale = r.scene.invalid.drop("guiding", scale.numpy().astype(np.float64))
         self.x1, self.x2 = x1.numpy().astype(np.float64), x2.numpy().astype(np.float64)
         self.emitted, self.scatters = emitted.numpy().astype(np.float64), scatters.numpy() == 1
 
     def integrand(self, importons: PhotonMap, photons: PhotonMap, neighbours: int) -> np.ndarray:
-        used = np.isfinite(self.scale) & (self.scale > 0.0)
+        used = self.scale > 0.0
         radiance = self.emitted.copy()
         far = used & self.scatters
         radiance[far] += photons.leaving(self.x2[far], neighbours)

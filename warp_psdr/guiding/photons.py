@@ -86,6 +86,6 @@ def _collect(scene: Scene, kernel: wp.Kernel, inputs: list, count: int, vertices
     x = wp.zeros((count, vertices), dtype=wp.vec3, device=scene.device)
     weight = wp.zeros((count, vertices), dtype=wp.float32, device=scene.device)
     launch(kernel, dim=count, inputs=inputs, outputs=[x, weight], device=scene.device)
-    flat = weight.numpy().reshape(-1).astype(np.float64)
+    flat = scene.invalid.drop("guiding", weight.numpy().reshape(-1).astype(np.float64))
     keep = flat > 0.0
     return PhotonMap(x.numpy().reshape(-1, 3)[keep].astype(np.float64), scale * flat[keep])

@@ -255,7 +255,7 @@ class _Evaluator:
         self._found.evaluations += total
         _run(r, self._kernel, total, lambda first: [*self._head, record, first, *tail], [out, none])
         values = out.numpy().astype(np.float64)
-        return np.where(np.isfinite(values), values, 0.0)
+        return r.scene.invalid.drop("guiding", values)
 
 
 def _facing(r: Request, edges: Edges) -> np.ndarray:

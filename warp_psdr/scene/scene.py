@@ -10,7 +10,9 @@ import warp as wp
 
 from warp_psdr.acceleration import Accelerator
 from warp_psdr.device import launch
+from warp_psdr.invalid import Ledger
 from warp_psdr.kernels import structs
+from warp_psdr.kernels.invalid import COUNTER_SIZE
 from warp_psdr.kernels.shape.normals import normalize_sums, sum_normals
 from warp_psdr.kernels.shape.transform import pose_shape
 from warp_psdr.kernels.surface import update_triangles
@@ -70,6 +72,8 @@ class Scene:
         self.device = wp.get_device(device)
         builder = Builder(description)
         self.builder = builder
+        self.invalid = Ledger()
+        self._uncounted = wp.zeros(COUNTER_SIZE, dtype=wp.int64, device=self.device)
         self.parameters: dict[str, Parameter] = builder.layout.parameters
         self.values = wp.array(builder.layout.values(), dtype=wp.float32, device=self.device)
         self.origin = description.origin
@@ -158,6 +162,7 @@ class Scene:
         s.env_conditional = self.lights.env_conditional
         s.ray_epsilon = self.ray_epsilon
         s.contact_radius = self.contact_radius
+        s.invalid = self._uncounted  # for launches outside of ``invalid.counting``
         return s
 
     # -- refreshing ------------------------------------------------------------------------------------------------

@@ -17,23 +17,22 @@ from warp_psdr.arguments import adjoint_array, flat_tangents
 from warp_psdr.boundary.drivers import launch_backward, launch_forward
 from warp_psdr.boundary.motion import motion
 from warp_psdr.boundary.terms import TERMS, Request
+from warp_psdr.gradient_sums import GradientSums
 from warp_psdr.guiding import store
 from warp_psdr.kernels.constants import RFILTER_BOX
 from warp_psdr.kernels.rng import mix_seed
 from warp_psdr.options import PathIntegrator, from_description
-from warp_psdr.plan import Plan
-from warp_psdr.plan import plan as make_plan
-from warp_psdr.render import (
+from warp_psdr.passes import (
     STREAM_BOUNDARY,
     STREAM_PRIMAL,
     boxed,
     filter_margin,
-    gradient_buffers,
     interior_backward,
     interior_forward,
     splatted,
 )
-from warp_psdr.render import gradient as flat_gradient
+from warp_psdr.plan import Plan
+from warp_psdr.plan import plan as make_plan
 from warp_psdr.work_precision.tiles import Tiling, uniform
 
 if TYPE_CHECKING:
@@ -132,9 +131,9 @@ def image(scene: Scene, *, integrator: PathIntegrator | None, sensor: int) -> Qu
     def splat_batch(spp: int, seed: int, tiling: Tiling) -> np.ndarray:
         total = np.zeros((*shape, 4))
         for pixels, count in tiling.launches(spp, scene.device):
-            films = splatted(scene, plan, sensor, count, mix_seed(seed, STREAM_PRIMAL), pixels=pixels)
+            film = splatted(scene, plan, sensor, count, mix_seed(seed, STREAM_PRIMAL), pixels=pixels)
             # Weighted by area: where tiles differ in their samples, a filter that reaches into both stays itself.
-            total += films.numpy().sum(axis=0, dtype=np.float64) / count
+            total += film.numpy() / count
         return total.reshape(-1)
 
     def quotient(raw: np.ndarray) -> np.ndarray:
@@ -198,20 +197,20 @@ def gradient(scene: Scene, params: Parameters, adjoint, *, integrator: PathInteg
     ends = np.cumsum([0, *(p.size for p in records)]).tolist()
     blocks = {name: slice(a, b) for name, a, b in zip(names, ends[:-1], ends[1:], strict=True)}
 
-    def collected(buffers: wp.array) -> np.ndarray:
-        flat = flat_gradient(scene, names, buffers).numpy().astype(np.float64)
+    def collected(sums: GradientSums) -> np.ndarray:
+        flat = sums.result().numpy().astype(np.float64)
         return np.concatenate([flat[p.offset : p.offset + p.size] for p in records])
 
     def over_pixels(spp: int, seed: int, tiling: Tiling) -> np.ndarray:
-        buffers = gradient_buffers(scene)
+        sums = GradientSums(scene, names)
         for pixels, count in tiling.launches(spp, scene.device):
-            interior_backward(scene, plan, sensor, count, seed, array, buffers, pixels=pixels)
-        return collected(buffers)
+            interior_backward(scene, plan, sensor, count, seed, array, sums, pixels=pixels)
+        return collected(sums)
 
     def boundary(request: Callable[[int, int], list], spp: int, seed: int) -> np.ndarray:
-        buffers = gradient_buffers(scene)
-        launch_backward(scene, request(spp, seed), array, buffers)
-        return collected(buffers)
+        sums = GradientSums(scene, names)
+        launch_backward(scene, request(spp, seed), array, sums)
+        return collected(sums)
 
     found = Quantity(scene, plan, "reverse", sensor, (), blocks, over_pixels, adjoint=array.numpy())
     return _with(found, "interior", _boundary_parts(found, names, boundary))
@@ -236,7 +235,7 @@ def _boundary_parts(quantity: Quantity, names: list[str], run: Callable[..., np.
     def request(term: Callable, spp: int, seed: int) -> list:
         seed = mix_seed(seed, STREAM_BOUNDARY)
         found = term(Request(scene, plan, moves, quantity.role, quantity.sensor, spp, seed))
-        return [] if found is None else [found]
+        return [] if found is None else [replace(found, kind=term.__name__)]
 
     parts = []
     for term in TERMS[type(method)]:

@@ -1,0 +1,44 @@
+"""Samples that are not finite: dropped and counted, never added up and never masked in silence.
+
+Every kernel that adds samples to an image or a gradient tests what it adds. What counts is the *sample*: a kernel calls
+``count_invalid`` once for a contribution that it drops. A test before that must let NaN pass: ``x > 0`` is false for
+it, and ``max`` of a vector skips it, so that an error would look like a legitimate zero; ``vanishes`` does not. An
+infinite density makes a zero of a contribution, hence ``inverse_pdf``.
+
+The counter belongs to one launch and one lane (``Scene.invalid``): atomic additions on the CPU are not atomic between
+threads. Which kind of sample a launch draws is the host's to know (``warp_psdr/invalid.py``).
+"""
+
+import warp as wp
+
+from warp_psdr.kernels.rng import Sampler
+from warp_psdr.kernels.structs import Scene
+
+#: What a lane's counter holds: the number of samples dropped, and the pixel and the index of the first of them.
+COUNTER_SIZE = 3
+
+
+@wp.func
+def finite(v: wp.vec3) -> wp.bool:
+    """Whether all components are finite; three of 1e38 and more, whose sum overflows, count as not."""
+    return wp.isfinite(v[0] + v[1] + v[2])
+
+
+@wp.func
+def vanishes(v: wp.vec3) -> wp.bool:
+    """Whether all components are exactly zero; NaN does not vanish."""
+    return v[0] == 0.0 and v[1] == 0.0 and v[2] == 0.0
+
+
+@wp.func
+def inverse_pdf(pdf: wp.float32) -> wp.float32:
+    """1 / pdf, and NaN for an infinite density, which would drop the sample's contribution without a word."""
+    return wp.where(wp.isfinite(pdf), 1.0 / pdf, wp.NAN)
+
+
+@wp.func
+def count_invalid(scene: Scene, sampler: Sampler):
+    """Count a dropped contribution of a sample, and remember the first."""
+    if wp.atomic_add(scene.invalid, 0, wp.int64(1)) == wp.int64(0):
+        scene.invalid[1] = wp.int64(sampler.pixel)
+        scene.invalid[2] = wp.int64(sampler.index)

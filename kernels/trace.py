@@ -1,0 +1,54 @@
+"""Draws the path of one sample again and writes its vertices: what made a sample that is not finite."""
+
+import functools
+
+import warp as wp
+
+from warp_psdr.kernels.path import PathConfig, PathVertex, make_camera_start, make_path_step
+from warp_psdr.kernels.rng import Sampler
+from warp_psdr.kernels.structs import Camera, Scene
+
+
+@functools.cache
+def make_trace_kernel(config: PathConfig, differential: bool, filter_kind: int | None):
+    """Return the kernel: one thread. It writes at most ``vertices_out.shape[0]`` vertices and their number.
+
+    Args:
+        config: what the scene needs.
+        differential: as ``make_path_step``'s.
+        filter_kind: as ``make_camera_start``'s.
+    """
+    path_step = make_path_step(config, differential)
+    start = make_camera_start(config, filter_kind)
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def trace(
+        # Scene:
+        scene: Scene,
+        camera: Camera,
+        # In:
+        px: wp.int32,
+        py: wp.int32,
+        pixel: wp.int32,
+        sample: wp.int32,
+        seed: wp.uint32,
+        max_depth: wp.int32,
+        rr_depth: wp.int32,
+        # Out:
+        vertices_out: wp.array(dtype=PathVertex),
+        count_out: wp.array(dtype=wp.int32),
+    ):
+        sampler = Sampler()
+        sampler.pixel = wp.uint32(pixel)
+        sampler.index = wp.uint32(sample)
+        sampler.seed = seed
+        state, _sample = start(scene, camera, px, py, sampler)
+        count = wp.int32(0)
+        while state.alive == 1:
+            vertex, state = path_step(scene, sampler, state, max_depth, rr_depth)
+            if count < vertices_out.shape[0]:
+                vertices_out[count] = vertex
+            count += 1
+        count_out[0] = count
+
+    return trace

@@ -1,0 +1,193 @@
+"""Samples that were dropped because they were not finite: counted by kind, reported once a call, never silent.
+
+Kernels count what they drop (``kernels/invalid.py``). A launch draws samples of one kind, and each of its lanes has a
+counter of its own. The counts stay with the scene. A right scene has none, so a call that met some warns: it says how
+many of how many, and which was the first, whose path ``psdr.trace_sample`` prints.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import inspect
+import warnings
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ParamSpec, TypeVar
+
+import numpy as np
+import warp as wp
+
+from warp_psdr.kernels.invalid import COUNTER_SIZE
+
+if TYPE_CHECKING:
+    from warp_psdr.kernels import structs
+    from warp_psdr.scene.scene import Scene
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+#: Kinds of samples: light paths of the image and of the interior term, the terms of the boundary term by the names of
+#: their functions in ``boundary/terms.py``, and evaluations of the integrand that guiding follows.
+KINDS = (
+    "image",
+    "interior",
+    "primary",
+    "creases",
+    "terminator",
+    "secondary",
+    "curve",
+    "bent",
+    "horizon",
+    "edge_sampling",
+    "hard_shadows",
+    "through_mirrors",
+    "guiding",
+)
+#: Kinds whose samples belong to a pixel, so that ``trace_sample`` can draw them again.
+TRACED = ("image", "interior")
+
+
+@dataclass
+class Count:
+    """Samples of one kind.
+
+    Attributes:
+        samples: how many were drawn.
+        invalid: how many contributions were dropped.
+        first: the first of the last launch that dropped any: (x, y, index) of a pixel's, (number, index) of another.
+    """
+
+    samples: int = 0
+    invalid: int = 0
+    first: tuple[int, ...] = ()
+
+
+class Ledger:
+    """What a scene's launches counted; ``Scene.invalid``."""
+
+    def __init__(self) -> None:
+        self.counts = {kind: Count() for kind in KINDS}
+
+    def add(self, kind: str, samples: int, invalid: int, first: tuple[int, ...] = ()) -> None:
+        """Add a launch."""
+        count = self.counts[kind]
+        count.samples += samples
+        count.invalid += invalid
+        if invalid:
+            count.first = first
+
+    def drop(self, kind: str, values: np.ndarray) -> np.ndarray:
+        """Return host values with 0 in place of those that are not finite, which are counted."""
+        valid = np.isfinite(values)
+        self.add(kind, values.size, int(values.size - valid.sum()))
+        return np.where(valid, values, 0.0)
+
+    def snapshot(self) -> dict[str, tuple[int, int]]:
+        """Return (samples, invalid) of every kind."""
+        return {kind: (c.samples, c.invalid) for kind, c in self.counts.items()}
+
+
+def invalid_samples(scene: Scene, *, reset: bool = False) -> dict[str, int]:
+    """Return how many samples were not finite, and therefore dropped, by kind.
+
+    A sample of the interior term counts if any of its derivatives was dropped; one of a boundary term counts for each
+    of its contributions that was.
+
+    Args:
+        scene: a loaded scene.
+        reset: start counting anew.
+
+    Returns:
+        Kind -> number since the scene was loaded, or since the last reset, over all renderings and gradients of it:
+        "image", "interior", the boundary's "primary", "creases", "terminator", "secondary", "curve", "bent",
+        "horizon", "edge_sampling", "hard_shadows" and "through_mirrors", and "guiding" (evaluations of its integrand).
+        All are 0 for a scene within the range of float32.
+    """
+    counts = {kind: c.invalid for kind, c in scene.invalid.counts.items()}
+    if reset:
+        scene.invalid = Ledger()
+    return counts
+
+
+@contextlib.contextmanager
+def counting(
+    scene: Scene, kind: str, samples: int, lanes: int, raster: tuple[int, int] | None = None
+) -> Iterator[Callable[[structs.Scene, int], structs.Scene]]:
+    """Count the samples that the launches inside drop.
+
+    Args:
+        scene: the scene.
+        kind: one of ``KINDS``.
+        samples: how many are drawn.
+        lanes: launches that may run side by side.
+        raster: (width, margin) of the raster whose pixels name the samples; None: they have plain numbers.
+
+    Yields:
+        (record of the scene, lane) -> the record that this lane has to pass to its kernels.
+    """
+    counters = wp.zeros((lanes, COUNTER_SIZE), dtype=wp.int64, device=scene.device)
+    records: list[structs.Scene | None] = [None] * lanes
+
+    def of_lane(data: structs.Scene, lane: int) -> structs.Scene:
+        record = records[lane]
+        if record is None:
+            record = data.to(scene.device)  # a copy that shares the arrays
+            record.invalid = counters[lane]
+            records[lane] = record
+        return record
+
+    yield of_lane
+    found = counters.numpy()
+    first: tuple[int, ...] = ()
+    hit = found[found[:, 0] > 0]
+    if len(hit):
+        pixel, index = (int(n) for n in hit[0, 1:])
+        first = (pixel, index)
+        if raster is not None:
+            width, margin = raster
+            first = (pixel % width - margin, pixel // width - margin, index)
+    scene.invalid.add(kind, samples, int(found[:, 0].sum()), first)
+
+
+def warns(function: Callable[P, R]) -> Callable[P, R]:
+    """Let a function that renders a scene warn about the samples that it dropped; its first parameter is the scene."""
+    signature = inspect.signature(function)
+
+    @functools.wraps(function)
+    def wrapped(*args: P.args, **kwargs: P.kwargs) -> R:
+        bound = signature.bind(*args, **kwargs)
+        scene: Scene = bound.arguments["scene"]
+        ledger = getattr(scene, "invalid", None)
+        before = ledger.snapshot() if ledger is not None else {}
+        result = function(*args, **kwargs)
+        if ledger is not None:
+            _warn(ledger, before, bound.arguments.get("seed", 0))
+        return result
+
+    return wrapped
+
+
+def _warn(ledger: Ledger, before: dict[str, tuple[int, int]], seed: int) -> None:
+    found = []
+    for kind, count in ledger.counts.items():
+        samples, invalid = count.samples - before[kind][0], count.invalid - before[kind][1]
+        if invalid:
+            share = invalid / max(samples, 1)
+            found.append(f"{kind}: {invalid} of {samples} ({share:.2g}){_name(kind, count, seed)}")
+    if found:
+        message = (
+            f"samples that were not finite were dropped, which biases the result: {'; '.join(found)}. Look for values "
+            "beyond the range of float32 (huge or tiny sizes, radiances, indices) and for degenerate triangles there"
+        )
+        warnings.warn(message, RuntimeWarning, stacklevel=4)
+
+
+def _name(kind: str, count: Count, seed: int) -> str:
+    if kind in TRACED:
+        x, y, index = count.first
+        return (
+            f", the first: pixel ({x}, {y}), sample {index}; print(psdr.trace_sample(scene, pixel=({x}, {y}), "
+            f"sample={index}, seed={seed}, kind={kind!r}, ...)) shows its path"
+        )
+    return f", the first: number {count.first[0]}" if count.first else ""

@@ -1,0 +1,244 @@
+"""The passes over pixels: the image, and the interior term in reverse and in forward mode.
+
+Each runs over a raster, or over some of its pixels, and adds to what it is given.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+import threading
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING
+
+import warp as wp
+
+from warp_psdr import workers
+from warp_psdr.device import launch
+from warp_psdr.invalid import counting
+from warp_psdr.kernels.interior.forward import make_forward_kernel
+from warp_psdr.kernels.interior.replay import make_replay_kernel
+from warp_psdr.kernels.interior.textbook import make_textbook_kernel
+from warp_psdr.kernels.path import make_primal_kernel
+from warp_psdr.kernels.rng import mix_seed
+from warp_psdr.kernels.splat import collect, make_splat_kernel
+
+if TYPE_CHECKING:
+    from warp_psdr.gradient_sums import GradientSums
+    from warp_psdr.plan import Plan
+    from warp_psdr.scene.scene import Scene
+
+#: Random-number streams: the primal image, the interior and the boundary term are independent of each other.
+STREAM_PRIMAL, STREAM_INTERIOR, STREAM_BOUNDARY = 0, 1, 2
+#: Samples of a pixel that are summed on a film in float32: relative rounding errors of some 1e-5 at most.
+FILM_SAMPLES = 1 << 10
+Progress = Callable[[float], None]
+
+
+def boxed(
+    scene: Scene,
+    plan: Plan,
+    sensor: int,
+    spp: int,
+    seed: int,
+    image: wp.array,
+    progress: Progress | None = None,
+    pixels: wp.array | None = None,
+) -> None:
+    """Add the mean of ``spp`` samples to every pixel, or to those listed; a sample counts in its own pixel."""
+    camera = scene.camera(sensor)
+    _launch(
+        scene,
+        make_primal_kernel(plan.config),
+        (camera.crop_width, camera.crop_height),
+        lambda data, first, count, pixels, lane: (
+            [data, camera, pixels, first, 0, spp, 1.0 / spp, seed, plan.max_depth, plan.rr_depth],
+            [image],
+        ),
+        lanes=workers.LANES,
+        kind="image",
+        spp=spp,
+        progress=progress,
+        listed=pixels,
+    )
+
+
+def splatted(
+    scene: Scene,
+    plan: Plan,
+    sensor: int,
+    spp: int,
+    seed: int,
+    progress: Progress | None = None,
+    pixels: wp.array | None = None,
+) -> wp.array:
+    """Return a film, (H, W) of vec4d: sums of weighted radiance and of weights (``kernels/splat.py``).
+
+    ``pixels`` lists pixels of the raster that is extended by the filter's reach, ``filter_margin``.
+    """
+    camera = scene.camera(sensor)
+    margin = filter_margin(camera)
+    shape = (camera.crop_height, camera.crop_width)
+    lanes = workers.lane_count(4 * shape[0] * shape[1]) if scene.device.is_cpu else 1
+    films = wp.zeros((lanes, *shape), dtype=wp.vec4, device=scene.device)
+    total = wp.zeros(shape, dtype=wp.vec4d, device=scene.device)
+    for first_sample, samples, reported in _blocks(spp, FILM_SAMPLES, progress):
+        block = [margin, first_sample, samples, seed, plan.max_depth, plan.rr_depth]
+        _launch(
+            scene,
+            make_splat_kernel(plan.config),
+            (camera.crop_width + 2 * margin, camera.crop_height + 2 * margin),
+            lambda data, first, count, pixels, lane, block=block: (
+                [data, camera, pixels, first, *block],
+                [films[lane]],
+            ),
+            lanes=lanes,
+            kind="image",
+            spp=samples,
+            margin=margin,
+            progress=reported,
+            listed=pixels,
+        )
+        launch(collect, dim=shape, inputs=[films], outputs=[total], device=scene.device)
+    return total
+
+
+def filter_margin(camera) -> int:
+    """Return how many pixels beyond the film's border a sample can lie that counts for it."""
+    return math.ceil(camera.filter_radius - 0.5)
+
+
+def interior_backward(
+    scene: Scene,
+    plan: Plan,
+    sensor: int,
+    spp: int,
+    seed: int,
+    adjoint: wp.array,
+    sums: GradientSums,
+    progress: Progress | None = None,
+    pixels: wp.array | None = None,
+) -> None:
+    """Add the gradient of the interior term, of all pixels or of those listed."""
+    camera = scene.camera(sensor)
+    dummy = wp.zeros((1, 1), dtype=wp.vec3, device=scene.device)
+    tail = [1.0 / spp, mix_seed(seed, STREAM_INTERIOR), _depth(plan), plan.rr_depth, adjoint]
+    count = camera.crop_width * camera.crop_height if pixels is None else pixels.shape[0]
+    for first_sample, samples, reported in _blocks(spp, max(sums.most // max(count, 1), 1), progress):
+        block = [first_sample, samples, *tail]
+        _launch(
+            scene,
+            _gradient_kernel(plan, "reverse"),
+            (camera.crop_width, camera.crop_height),
+            lambda data, first, count, pixels, lane, block=block: (
+                [data, camera, pixels, first, *block],
+                [sums.buffers[lane], dummy],
+            ),
+            lanes=sums.buffers.shape[0],
+            kind="interior",
+            spp=samples,
+            progress=reported,
+            listed=pixels,
+        )
+        sums.collect()
+
+
+def interior_forward(
+    scene: Scene,
+    plan: Plan,
+    sensor: int,
+    spp: int,
+    seed: int,
+    target: wp.array,
+    image: wp.array,
+    progress: Progress | None = None,
+    pixels: wp.array | None = None,
+) -> None:
+    """Add the derivative of the interior term along flat tangents to all pixels, or to those listed."""
+    camera = scene.camera(sensor)
+    dummy = wp.zeros((1, 1), dtype=wp.vec3, device=scene.device)
+    tail = [0, spp, 1.0 / spp, mix_seed(seed, STREAM_INTERIOR), _depth(plan), plan.rr_depth, dummy]
+    _launch(
+        scene,
+        _gradient_kernel(plan, "forward"),
+        (camera.crop_width, camera.crop_height),
+        lambda data, first, count, pixels, lane: ([data, camera, pixels, first, *tail], [target, image]),
+        lanes=workers.LANES,
+        kind="interior",
+        spp=spp,
+        progress=progress,
+        listed=pixels,
+    )
+
+
+def _gradient_kernel(plan: Plan, role: str) -> wp.Kernel:
+    if plan.block == 0:
+        return make_textbook_kernel(plan.config, plan.wanted, role)
+    if role == "forward":
+        return make_forward_kernel(plan.config, plan.wanted)
+    return make_replay_kernel(plan.config, plan.wanted, plan.block, plan.blocks)
+
+
+def _depth(plan: Plan) -> int:
+    """Depth limit of a differential pass: its records have to hold the path."""
+    if plan.block == 0 or plan.max_depth > 0:
+        return plan.max_depth
+    return plan.block * plan.blocks
+
+
+def _blocks(spp: int, most: int, progress: Progress | None) -> Iterator[tuple[int, int, Progress | None]]:
+    """Split a pixel's samples: yield (first, count, progress of these), ``most`` of them at a time."""
+    for first in range(0, spp, most):
+        count = min(most, spp - first)
+        yield first, count, None if progress is None else functools.partial(_part, progress, first / spp, count / spp)
+
+
+def _part(progress: Progress, start: float, share: float, done: float) -> None:
+    """Report the finished fraction of a part as that of the whole."""
+    progress(start + share * done)
+
+
+def _launch(
+    scene: Scene,
+    kernel: wp.Kernel,
+    raster: tuple[int, int],
+    arguments,
+    *,
+    lanes: int,
+    kind: str,
+    spp: int,
+    margin: int = 0,
+    progress: Progress | None = None,
+    listed: wp.array | None = None,
+) -> None:
+    """Run a kernel over a raster (width, height): in one launch on CUDA, in lanes on worker threads on the CPU.
+
+    ``kind``, ``spp`` and ``margin``: what its samples are, a pixel, and by how much the raster exceeds the image.
+    ``listed``: numbers of its pixels, instead of all of them.
+    """
+    data = scene.data()
+    order = listed
+    if order is None:
+        order = wp.array(workers.pixel_order(*raster), dtype=wp.int32, device=scene.device)
+    count = order.shape[0]
+    wp.load_module(kernel.module, device=scene.device)  # compile once, before the threads start
+    if not scene.device.is_cpu:
+        with counting(scene, kind, count * spp, 1, (raster[0], margin)) as of_lane:
+            inputs, outputs = arguments(of_lane(data, 0), 0, count, order, 0)
+            launch(kernel, dim=count, inputs=inputs, outputs=outputs, device=scene.device)
+        return
+    parts = workers.chunks(count, lanes)
+    done, lock = 0, threading.Lock()
+
+    def lane(i: int) -> None:
+        nonlocal done
+        for first, n in parts[i]:
+            inputs, outputs = arguments(of_lane(data, i), first, n, order, i)
+            launch(kernel, dim=n, inputs=inputs, outputs=outputs, device=scene.device)
+            if progress is not None:
+                with lock:
+                    done += n
+                    progress(done / count)
+
+    with counting(scene, kind, count * spp, lanes, (raster[0], margin)) as of_lane:
+        workers.run_lanes(lane, lanes)
