@@ -5,6 +5,9 @@ Two rays on either side of the crossing are followed in step until they differ a
 * an edge: phi = m . (x_b - o - t d), m = tangent x d, for the ray (o, d) that passes the edge at x_b. In a block that
   starts at a smooth vertex y the first vertex behind it is a material point c (or at infinity), and on the first
   segment only the background counts:  phi = m . (x_b - (1 - tau) y - tau c), the local form;
+* a crease of interpolated normals: an edge beside which light may reach one of the two triangles only;
+* the horizon of a vertex y with such normals (``horizon.py``): phi = n_g . (c - y) / |c - y|, once for either side,
+  where c is another point;
 * a shadow's edge: the same for the segment from x to a point, spot or directional light;
 * the terminator of interpolated normals, where the ray arrives edge-on: phi = n . (o - x);
 * the horizon of a mirror or glass with such normals, where its lobe leaves along the surface: phi = n_g . d.
@@ -68,7 +71,8 @@ class Crossing:
     side: wp.int32  # 0: the integrand jumps; +1, -1: it counts on that side of the line only
     phi_a: wp.float32  # derivatives of phi along the line and across it
     phi_b: wp.float32
-    edge: wp.int32  # 1: ``point`` and ``segment`` hold the edge
+    both: wp.int32  # 1: the other side of the line is a crossing of its own
+    edge: wp.int32  # 1: ``point`` and ``segment`` hold the edge, 2: ``segment`` holds the background
     point: EdgePoint
     segment: Segment
     last: wp.int32  # where the pull-back starts (``chain_pullback.py``)
@@ -153,10 +157,11 @@ def joined(scene: Scene, edges: Edges, tables: Tables, a: Link, b: Link) -> wp.b
 
 @functools.cache
 def make_crossing(config: PathConfig):
-    """Return ``crossing(scene, camera, edges, tables, block, low, high, a, b, visits, count, max_depth) -> Crossing``.
+    """Return ``crossing(scene, camera, edges, tables, block, low, high, which, a, b, visits, ...) -> Crossing``.
 
     ``a`` and ``b`` are the differentials of the first ray along the line and across it; ``visits[:count]`` is the path
-    up to the block, to which the chain's vertices are added.
+    up to the block, to which the chain's vertices are added. ``which``: where the two sides are crossings of their own
+    (``both``), 0 for the lower and 1 for the upper one.
     """
     start_at = make_start(config.camera)
     meet = make_meet(config)
@@ -239,6 +244,39 @@ def make_crossing(config: PathConfig):
         return r
 
     @wp.func
+    def own_horizon(
+        scene: Scene,
+        block: Block,
+        face: wp.int32,
+        hit: Link,
+        d: wp.vec3,
+        a: RayDifferential,
+        b: RayDifferential,
+        last: wp.int32,
+        side: wp.int32,
+    ) -> Crossing:
+        r = Crossing()
+        r.both = 1
+        r.side = side
+        r.last = last
+        tri = scene.triangles[face]
+        area = wp.length(wp.cross(tri.p1 - tri.p0, tri.p2 - tri.p0))
+        r.start.c = normalize_vjp(block.n, area, scene.shapes[tri.shape].orientation * d)
+        r.phi_a = wp.dot(block.n, a.d)
+        r.phi_b = wp.dot(block.n, b.d)
+        r.segment.x = block.x
+        r.segment.w = d
+        if hit.face >= 0:
+            r.edge = 2
+            r.segment.face2 = hit.face
+            r.segment.u2 = hit.u
+            r.segment.v2 = hit.v
+            r.segment.sweep = block.n / wp.length(hit.x - block.x)
+            r.a_o = -r.segment.sweep
+        r.valid = 1
+        return r
+
+    @wp.func
     def crossing(
         scene: Scene,
         camera: Camera,
@@ -247,6 +285,7 @@ def make_crossing(config: PathConfig):
         block: Block,
         low: wp.float32,
         high: wp.float32,
+        which: wp.int32,
         first_a: RayDifferential,
         first_b: RayDifferential,
         visits: wp.array(dtype=Visit),
@@ -272,6 +311,12 @@ def make_crossing(config: PathConfig):
             p = meet(scene, o, d, t_max, depth, transmit, max_depth)
             q = meet(scene, o_high, d_high, t_max, depth, transmit, max_depth)
             more = False
+            if block.film == 0 and i == 0 and block.first == 1:
+                face = visits[count - 1].face
+                if tables.bent[face] == 1 and (wp.dot(block.n, d) >= 0.0) != (wp.dot(block.n, d_high) >= 0.0):
+                    if which == 0:
+                        return own_horizon(scene, block, face, p, d, a, b, count - 1, -1)
+                    return own_horizon(scene, block, face, q, d, a, b, count - 1, 1)
             if p.face < 0 and q.face < 0:
                 return r
             same = p.face >= 0 and q.face >= 0
@@ -305,7 +350,12 @@ def make_crossing(config: PathConfig):
                 r.phi_b = wp.dot(p.n, b.o - b_x.x) + wp.dot(b_x.n, to)
                 r.valid = 1
                 return r
+            crease = is_bent and p.face != q.face
+            if crease:
+                crease = smooth_between(edges, tables, p.face, q.face) >= 0
             if p.kind == MEETS_SMOOTH and q.kind == MEETS_SMOOTH:
+                if crease and i > 0:
+                    return edge_crossing(scene, edges, tables, block, p, q, x, a, b, i, count)
                 if wp.static(lit is not None):
                     if (i > 0 or block.first == 1) and depth + 1 < max_depth:
                         shared = smooth_between(edges, tables, p.face, q.face)
@@ -314,11 +364,8 @@ def make_crossing(config: PathConfig):
                                 lit_low = lit(scene, p.x, p.ng, k)
                                 lit_high = lit(scene, q.x, q.ng, k)
                                 if lit_low != lit_high:
-                                    if p.face != q.face and shared >= 0:
-                                        # The light meets the back of one of two faces: it jumps at their edge.
-                                        if i > 0:
-                                            return edge_crossing(scene, edges, tables, block, p, q, x, a, b, i, count)
-                                    else:
+                                    # Where light meets the back of one of two faces: at a crease, see above.
+                                    if p.face == q.face or shared < 0:
                                         dark_x = wp.where(lit_low, q.x, p.x)
                                         dark_ng = wp.where(lit_low, q.ng, p.ng)
                                         ls = sample_light(scene, scene.emitters[k], dark_x, wp.vec2(0.5, 0.5))
@@ -354,6 +401,10 @@ def make_crossing(config: PathConfig):
                 a = scattered_differential(p, d, a, a_x)
                 b = scattered_differential(p, d, b, b_x)
                 if is_bent and p.leaving != q.leaving:
+                    if crease:
+                        if i == 0 and block.film == 0:
+                            return r
+                        return edge_crossing(scene, edges, tables, block, p, q, x, a, b, i, count)
                     tri = scene.triangles[p.face]
                     area = wp.length(wp.cross(tri.p1 - tri.p0, tri.p2 - tri.p0))
                     r.last = count + i

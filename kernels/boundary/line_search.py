@@ -26,8 +26,8 @@ resolutions.
 **Blocks.** A path from the camera is sampled as usual. One block starts at the film, with F the radiance, and one at
 each smooth vertex y, with F = f_s L and q the direction. A discontinuity counts here if a mirror or glass lies between
 the camera and the segment that touches it; all others are the primary (``primary.py``) and the secondary boundary
-(``secondary.py``, ``bent.py``), but for the horizons of mirrors and glass with interpolated normals, which all count
-here. Cameras are perspective; surfaces that run through each other are not found.
+(``secondary.py``, ``bent.py``, ``horizon.py``), but for the horizons of mirrors and glass with interpolated normals,
+which all count here. Cameras are perspective; surfaces that run through each other are not found.
 """
 
 import functools
@@ -61,7 +61,7 @@ from warp_psdr.kernels.path import PathConfig, PathState, make_path_step
 from warp_psdr.kernels.rng import Sampler, make_sampler
 from warp_psdr.kernels.sampling import square_to_sphere
 from warp_psdr.kernels.structs import Camera, Scene
-from warp_psdr.kernels.surface import VertexAdjoint
+from warp_psdr.kernels.surface import VertexAdjoint, make_vertex_sink
 
 #: Lengths of a line: pixels on the film, radians at a vertex.
 FILM_LENGTH, ARC_LENGTH = 2.0, 1.0
@@ -106,6 +106,7 @@ def make_line_search_kernel(config: PathConfig, wanted: Wanted, role: str, light
     shading_at = make_shading(config)
     pull = make_chain_pullback(config, wanted, role)
     push_segment = make_segment_sink(role, light_pose)
+    push_vertex = make_vertex_sink(role, False, False, False, False, False, True)
     path_step = make_path_step(config, False)
     bsdf = make_bsdf(config.bsdfs)
     has_smooth = bsdf.eval is not None
@@ -205,55 +206,70 @@ def make_line_search_kernel(config: PathConfig, wanted: Wanted, role: str, light
                         angle = low * block.ell
                         a.d = wp.cos(angle) * block.w1 - wp.sin(angle) * block.w0
                         b.d = wp.cross(block.w0, block.w1)
-                    r = crossing_at(scene, camera, edges, tables, block, low, high, a, b, visits, count, max_depth)
-                    squared = r.phi_a * r.phi_a + r.phi_b * r.phi_b
-                    if r.valid == 1 and squared > 0.0:
-                        jump = wp.vec3(0.0, 0.0, 0.0)
-                        branch = Sampler()
-                        branch.pixel = sampler.pixel
-                        branch.index = wp.uint32(1 + slot)
-                        branch.seed = sampler.seed
-                        for k in range(2):
-                            sign = 2.0 * wp.float32(k) - 1.0
-                            s = wp.where(k == 0, low, high)
-                            if r.side == 0 or wp.float32(r.side) == sign:
-                                f = follow(scene, camera, block, s, branch, max_depth, rr_depth)
-                                if wp.static(has_smooth):
-                                    if block.film == 0:
-                                        y = visits[count - 1]
-                                        g = shading_at(scene, y.face, y.u, y.v, y.d)
-                                        ray = start_at(scene, camera, block, s)
-                                        f = wp.cw_mul(
-                                            f,
-                                            bsdf.eval(g.model, g.material, g.wi, to_local(g.s, g.t, g.n, ray.d)),
-                                        )
-                                jump += sign * f
-                        scale = 2.0 * weight * r.phi_a / (squared * block.ell)
-                        value = scale * wp.cw_mul(throughput, jump)
-                        at_q = q
-                        at_film = film
-                        if block.film == 1:
-                            at_q = film_at(block, low)
-                            at_film = film_point(camera, at_q)
-                        w = wp.float32(1.0)
-                        if wp.static(role == "reverse"):
-                            w = wp.dot(gather(camera, at_q, adjoint), value)
-                        if not vanishes(value) and w != 0.0:
-                            start = VertexAdjoint()
-                            start.x = w * r.start.x
-                            start.n = w * r.start.n
-                            start.c = w * r.start.c
-                            speed = pull(
-                                scene, target, camera, at_film, visits, r.last, start,
-                                w * r.o_before, w * r.a_o, w * r.a_d,
-                            )  # fmt: skip
-                            if r.edge == 1:
-                                speed += push_segment(scene, target, edges, r.point, r.segment, w)
-                            if wp.static(role == "forward"):
-                                splat(scene, sampler, camera, at_q, speed * value, image_out)
-                            elif wp.static(role == "reverse"):
-                                if speed != 0.0:
-                                    count_invalid(scene, sampler)
+                    which = wp.int32(0)
+                    sides = wp.int32(1)
+                    while which < sides:
+                        r = crossing_at(
+                            scene, camera, edges, tables, block, low, high, which, a, b, visits, count, max_depth
+                        )
+                        sides = 1 + r.both
+                        which += 1
+                        squared = r.phi_a * r.phi_a + r.phi_b * r.phi_b
+                        if r.valid == 1 and squared > 0.0:
+                            jump = wp.vec3(0.0, 0.0, 0.0)
+                            branch = Sampler()
+                            branch.pixel = sampler.pixel
+                            branch.index = wp.uint32(1 + slot)
+                            branch.seed = sampler.seed
+                            for k in range(2):
+                                sign = 2.0 * wp.float32(k) - 1.0
+                                s = wp.where(k == 0, low, high)
+                                if r.side == 0 or wp.float32(r.side) == sign:
+                                    f = follow(scene, camera, block, s, branch, max_depth, rr_depth)
+                                    if wp.static(has_smooth):
+                                        if block.film == 0:
+                                            y = visits[count - 1]
+                                            g = shading_at(scene, y.face, y.u, y.v, y.d)
+                                            ray = start_at(scene, camera, block, s)
+                                            f = wp.cw_mul(
+                                                f,
+                                                bsdf.eval(g.model, g.material, g.wi, to_local(g.s, g.t, g.n, ray.d)),
+                                            )
+                                    jump += sign * f
+                            scale = 2.0 * weight * r.phi_a / (squared * block.ell)
+                            value = scale * wp.cw_mul(throughput, jump)
+                            at_q = q
+                            at_film = film
+                            if block.film == 1:
+                                at_q = film_at(block, low)
+                                at_film = film_point(camera, at_q)
+                            w = wp.float32(1.0)
+                            if wp.static(role == "reverse"):
+                                w = wp.dot(gather(camera, at_q, adjoint), value)
+                            if not vanishes(value) and w != 0.0:
+                                start = VertexAdjoint()
+                                start.x = w * r.start.x
+                                start.n = w * r.start.n
+                                start.c = w * r.start.c
+                                speed = pull(
+                                    scene, target, camera, at_film, visits, r.last, start,
+                                    w * r.o_before, w * r.a_o, w * r.a_d,
+                                )  # fmt: skip
+                                if r.edge == 2:
+                                    met = VertexAdjoint()
+                                    met.x = w * r.segment.sweep
+                                    pushed = push_vertex(
+                                        scene, target, r.segment.face2, r.segment.u2, r.segment.v2, met, False,
+                                        r.segment.x, r.segment.w,
+                                    )  # fmt: skip
+                                    speed += pushed.dot
+                                if r.edge == 1:
+                                    speed += push_segment(scene, target, edges, r.point, r.segment, w)
+                                if wp.static(role == "forward"):
+                                    splat(scene, sampler, camera, at_q, speed * value, image_out)
+                                elif wp.static(role == "reverse"):
+                                    if speed != 0.0:
+                                        count_invalid(scene, sampler)
             # One cell further down.
             active = level < LEVELS
             if active:

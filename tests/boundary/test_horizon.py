@@ -13,9 +13,9 @@ from .test_table import moved, turned
 PAINT = diffuse(0.9, 0.8, 0.7)
 
 
-def beside(subdivisions, half, bsdf=None, **more):
+def beside(subdivisions, half, bsdf=None, center=(2.0, 0.5, 0.2), **more):
     """A coarse smooth ball, lit from the side by a square that stands beyond the horizon of many triangles."""
-    corners = half * np.array([[0, -1, -1], [0, 1, -1], [0, 1, 1], [0, -1, 1]], float) + [2.0, 0.5, 0.2]
+    corners = half * np.array([[0, -1, -1], [0, 1, -1], [0, 1, 1], [0, -1, 1]], float) + center
     light = mesh(
         corners,
         [[0, 2, 1], [0, 3, 2]],
@@ -32,7 +32,7 @@ def beside(subdivisions, half, bsdf=None, **more):
 
 register(
     {
-        "icosahedron": lambda: beside(0, 0.5),
+        "icosahedron": lambda: beside(0, 0.5, center=(2.5, 0.3, 0.2)),
         "coarse ball": lambda: beside(1, 1.0),
         "coarse metal": lambda: beside(1, 1.0, {"type": "roughconductor", "alpha": 0.4}),
         "two-sided ball": lambda: beside(1, 1.0, {"type": "twosided", "bsdf": PAINT}),
@@ -46,11 +46,11 @@ MANY = {"spp": 1024, "difference_spp": 4096}
 CASES = [
     # The light alone moves: horizons do, creases rest.
     Case("coarse ball", LIGHT, ALONG_Y, 0.01, "light moves", spp=1024, difference_spp=2048, slow=False),
-    Case("coarse metal", LIGHT, ALONG_Y, 0.01, "light moves", **MANY),
+    Case("coarse metal", LIGHT, ALONG_Y, 0.01, "light moves", spp=2048, difference_spp=8192),
     Case("two-sided ball", LIGHT, ALONG_Y, 0.01, "light moves", **MANY),
     Case("ball and floor", LIGHT, ALONG_Y, 0.01, "light moves", depth=3, **MANY),
     # Creases move over the film.
-    Case("icosahedron", SHAPE, turned(2), 0.003, "turns", spp=512, difference_spp=2048, slow=False),
+    Case("icosahedron", SHAPE, turned(2), 0.006, "turns", spp=512, difference_spp=3072, slow=False),
     Case("icosahedron", "sensor.to_world", moved(1.0, 0.3, 0.2), 0.01, "camera moves", **MANY),
 ]
 
