@@ -92,7 +92,7 @@ def _draw_edges(folder: Path, params, photos: list, integrator, name: str) -> No
 
     adjoint = _adjoint(params, photos, integrator, 0)
     samples = edge_fields.boundary_samples(params.scene, params, adjoint, integrator=integrator, spp=DRAWN_SPP)
-    density = edge_fields.edge_density(params.scene, params)
+    density = edge_fields.edge_density(params.scene, params, integrator=integrator)
     vertices = params[name].numpy()
     shape = next(s for s in params.scene.description.shapes if f"{s.path}.vertex_positions" == name)
     surface = pyvista.PolyData.from_regular_faces(vertices, shape.faces)

@@ -12,11 +12,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
+from warp_psdr.boundary import projective
 from warp_psdr.boundary.methods import PathSpace
 from warp_psdr.boundary.motion import motion
 from warp_psdr.boundary.terms import Request, primary, secondary
 from warp_psdr.device import launch
 from warp_psdr.edges import secondary_edges
+from warp_psdr.guiding import store
 from warp_psdr.kernels.boundary.local_form import SAMPLE_RECORD
 from warp_psdr.kernels.rng import mix_seed
 from warp_psdr.options import PathIntegrator, from_description
@@ -25,6 +27,7 @@ from warp_psdr.plan import plan as make_plan
 from warp_psdr.plots import as_array
 
 if TYPE_CHECKING:
+    from warp_psdr.kernels.guiding.cells import Cells
     from warp_psdr.parameters import Parameters
 
 __all__ = ["EdgeDensity", "EdgeSamples", "boundary_samples", "draw_density", "draw_samples", "edge_density"]
@@ -55,11 +58,11 @@ class EdgeSamples:
 
 @dataclass(frozen=True, eq=False)
 class EdgeDensity:
-    """How densely shadow edges are sampled, E of them.
+    """How densely shadow edges are sampled, E edges or pieces of them.
 
     Attributes:
-        segments: (E, 2, 3) ends of the edges, world units.
-        density: (E,) samples per world unit of length, normalised: its integral over all edges is 1.
+        segments: (E, 2, 3) ends, world units.
+        density: (E,) mean of the samples per world unit of length, normalised: its integral over all edges is 1.
     """
 
     segments: np.ndarray
@@ -131,20 +134,78 @@ def boundary_samples(
     return EdgeSamples(rows[:, :3], rows[:, 3:6], rows[:, 6:], np.array(kinds, dtype="<U9"))
 
 
-def edge_density(scene: Any, params: Parameters) -> EdgeDensity:
-    """Return how densely shadow edges are sampled for the requested parameters.
+def edge_density(
+    scene: Any,
+    params: Parameters,
+    *,
+    sensor: int = 0,
+    integrator: PathIntegrator | None = None,
+    seed: int = 0,
+    pieces: int = 1,
+) -> EdgeDensity:
+    """Return how densely shadow edges are sampled for the requested parameters: guided, if the integrator says so.
+
+    A guided density varies along an edge; ``pieces`` resolves that. What is shown is its marginal over directions.
+
+    Args:
+        scene: a loaded scene.
+        params: its parameters, after ``requires_grad``.
+        sensor: which camera.
+        integrator: default: what the scene file names.
+        seed: that of the gradient whose structure is shown.
+        pieces: into how many segments an edge is cut; ``EdgeDensity`` holds each of them.
 
     Raises:
-        ValueError: there is no edge that could be a silhouette.
+        ValueError: there is no edge that could be a silhouette, or ``pieces`` is no positive integer.
     """
-    edges = secondary_edges(scene, set(motion(scene, params.requested).shapes))
+    if isinstance(pieces, bool) or not isinstance(pieces, int) or pieces < 1:
+        raise ValueError(f"pieces: got {pieces!r}, expected a positive integer")
+    integrator = integrator or from_description(scene.description.integrator)
+    names = params.requested
+    plan = make_plan(scene, params, integrator=integrator, sensor=sensor)
+    method = getattr(plan.boundary, "guiding", None)
+    guide = None
+    if method is None:
+        edges = secondary_edges(scene, set(motion(scene, names).shapes))
+    else:
+        request = Request(scene, plan, motion(scene, names), "reverse", sensor, 1, mix_seed(seed, STREAM_BOUNDARY))
+        asker = projective.asker(request) if isinstance(plan.boundary, projective.Projective) else None
+        edges, guide = store.guide(request, method, asker)
     if edges is None:
         raise ValueError("the scene has no edge that could be a silhouette; nothing is sampled")
-    points = scene.values.numpy()[scene.positions : scene.positions + 3 * scene.vertex_count].reshape(-1, 3)
-    segments = points[edges.ends.numpy()]
-    probability = np.diff(edges.cdf.numpy().astype(np.float64))
-    length = np.linalg.norm(segments[:, 1].astype(np.float64) - segments[:, 0], axis=1)
-    return EdgeDensity(segments, probability / length)
+    corners = edges.points.numpy().astype(np.float64)
+    cut = np.linspace(0.0, 1.0, pieces + 1)
+    points = (1.0 - cut)[:, None] * corners[:, None, 0] + cut[:, None] * corners[:, None, 1]
+    segments = np.stack([points[:, :-1], points[:, 1:]], axis=2).reshape(-1, 2, 3)
+    cdf = edges.cdf.numpy().astype(np.float64)
+    u = np.append((cdf[:-1, None] + np.diff(cdf)[:, None] * cut[:-1]).reshape(-1), 1.0)
+    share = u
+    if guide is not None:
+        part = float(guide.share)
+        share = part * _marginal(guide.wedge, u) + (1.0 - part) * _marginal(guide.light, u)
+    length = np.linalg.norm(segments[:, 1] - segments[:, 0], axis=1)
+    return EdgeDensity(segments.astype(np.float32), np.diff(share) / length)
+
+
+def _marginal(cells: Cells, u: np.ndarray) -> np.ndarray:
+    """Return the cumulative probability of the first coordinate of cells at ascending points u.
+
+    Within a leaf (low, high) of probability P and slope s it grows by P (t + s (t^2 - t)), with
+    t = (u - low) / (high - low): a quadratic function, whose three coefficients are added up over the leaves that are open at u. Thin leaves have
+    large ones, which cancel where they close: hence the long sums.
+    """
+    low, high, slope = (x.numpy()[:, 0].astype(np.longdouble) for x in (cells.low, cells.high, cells.slope))
+    p = np.diff(cells.cdf.numpy().astype(np.longdouble))
+    size = high - low
+    a, b = p * slope / size**2, p * (1.0 - slope) / size
+    open_ = np.stack([a * low**2 - b * low, b - 2.0 * a * low, a], axis=1)
+    close = np.concatenate([p[:, None] - open_[:, :1], -open_[:, 1:]], axis=1)
+    at = np.concatenate([low, high])
+    order = np.argsort(at, kind="stable")
+    sums = np.concatenate([np.zeros((1, 3), np.longdouble), np.cumsum(np.concatenate([open_, close])[order], axis=0)])
+    c = sums[np.searchsorted(at[order], u, side="right")]
+    inside = (c[:, 0] + c[:, 1] * u + c[:, 2] * u**2).astype(np.float64)
+    return cells.floor * u + (1.0 - cells.floor) * inside
 
 
 def draw_samples(plotter: Any, samples: EdgeSamples, *, reach: float = 1.0, size: float = 6.0) -> None:

@@ -3,11 +3,13 @@
 import numpy as np
 import pytest
 import trimesh
+import warp as wp
 
 import warp_psdr as psdr
 from warp_psdr import edge_fields
 
 from .scenes import load
+from .test_guiding import draw
 
 NAME = "occluder.vertex_positions"
 DIRECT = psdr.PathIntegrator(max_depth=2)
@@ -75,6 +77,59 @@ def test_density_integrates_to_one(under_a_light) -> None:
     middle = density.segments.mean(axis=1)
     moving = np.linalg.norm(middle - [0.1, 0.1, 0.9], axis=1) < 0.41
     assert (density.density * length)[moving].sum() > 0.5  # half of the samples, and a share of the rest
+
+
+def test_the_density_of_guided_sampling_is_that_of_its_cells(under_a_light) -> None:
+    scene, params = under_a_light
+    params.requires_grad(NAME)
+    tree = psdr.guiding.KdTree()
+    integrator = psdr.PathIntegrator(max_depth=2, boundary=psdr.boundary.PathSpace(guiding=tree))
+    psdr.guiding.reset(scene)
+    pieces, count = 4, 1 << 16
+    density = edge_fields.edge_density(scene, params, integrator=integrator, seed=5, pieces=pieces)
+    length = np.linalg.norm(density.segments[:, 1] - density.segments[:, 0], axis=1)
+    expected = density.density * length
+    assert expected.sum() == pytest.approx(1.0, abs=1e-5) and (expected > 0.0).all()
+    # The structure is the one that gradients use: the samples of its cells, counted.
+    (built,) = psdr.guiding.structures(scene)
+    cdf = built.edges.cdf.numpy().astype(np.float64)
+    border = np.append((cdf[:-1, None] + np.diff(cdf)[:, None] * np.arange(pieces) / pieces).reshape(-1), 1.0)
+    random, counted = np.random.default_rng(2), 0.0
+    for share, cells in ((built.guide.share, built.guide.wedge), (1.0 - built.guide.share, built.guide.light)):
+        u = wp.empty(count, dtype=wp.vec3d, device="cpu")
+        given = [wp.array(random.random(count), dtype=wp.float64, device="cpu")]
+        given.append(wp.array(random.random((count, 3)).astype(np.float32), dtype=wp.vec3, device="cpu"))
+        pdf = wp.empty(count, dtype=wp.float32, device="cpu")
+        wp.launch(draw, dim=count, inputs=[cells, *given], outputs=[u, pdf], device="cpu")
+        counted = counted + share * np.histogram(u.numpy()[:, 0], border)[0] / count
+    # Largest of some hundred deviations in standard deviations of a count; 5 is reached once in some thousand tests.
+    deviation = np.abs(counted - expected) / np.sqrt((expected + 1.0 / count) / count)
+    assert deviation.max() < 5.0
+    unguided = edge_fields.edge_density(scene, params, pieces=pieces)
+    assert len(unguided.density) == len(density.density)
+    assert np.abs(counted - np.diff(border)).sum() > 0.2  # far from the unguided one
+
+
+def test_guided_samples_add_up_to_the_boundary_gradient(under_a_light) -> None:
+    scene, params = under_a_light
+    adjoint = adjoint_of(scene)
+    boundary = psdr.boundary.PathSpace(guiding=psdr.guiding.KdTree())
+    psdr.guiding.reset(scene)
+    expected = (gradient(scene, params, adjoint, boundary) - gradient(scene, params, adjoint, None)).sum(axis=0)
+    integrator = psdr.PathIntegrator(max_depth=2, boundary=boundary)
+    samples = edge_fields.boundary_samples(scene, params, adjoint, integrator=integrator, spp=8, seed=5)
+    pulls = samples.pulls.astype(np.float64)
+    moving = np.linalg.norm(samples.points - [0.1, 0.1, 0.9], axis=1) < 0.41
+    np.testing.assert_allclose(pulls[moving].sum(axis=0), expected, atol=SUMMATION * np.abs(pulls).sum())
+    assert np.abs(expected).max() > 10 * SUMMATION * np.abs(pulls).sum()
+
+
+def test_wrong_pieces_are_refused(under_a_light) -> None:
+    scene, params = under_a_light
+    params.requires_grad(NAME)
+    for pieces in (0, 1.5, True):
+        with pytest.raises(ValueError, match="pieces: got"):
+            edge_fields.edge_density(scene, params, pieces=pieces)
 
 
 def test_what_has_no_boundary_term_is_refused(under_a_light) -> None:
