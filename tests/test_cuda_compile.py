@@ -208,6 +208,10 @@ FACTORIES = {
         ("forward, textures", (TEXTURED, "forward", True), SLOW),
         ("reverse, lights", (ALL_LIGHTS, "reverse", False), SLOW),
     ],
+    "boundary.horizon.make_horizon_kernel": [
+        ("reverse, materials", (MATERIALS, "reverse", True), SLOW),
+        ("forward, textures", (TEXTURED, "forward", False), SLOW),
+    ],
     "boundary.line_search.make_line_search_kernel": [
         ("reverse, materials", (MATERIALS, MOVING, "reverse", False), SLOW),
         ("forward, mirror under lights", (MIRROR_LIGHTS, MOVING, "forward", True), SLOW),

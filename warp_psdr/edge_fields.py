@@ -191,8 +191,8 @@ def _marginal(cells: Cells, u: np.ndarray) -> np.ndarray:
     """Return the cumulative probability of the first coordinate of cells at ascending points u.
 
     Within a leaf (low, high) of probability P and slope s it grows by P (t + s (t^2 - t)), with
-    t = (u - low) / (high - low): a quadratic function, whose three coefficients are added up over the leaves that are open at u. Thin leaves have
-    large ones, which cancel where they close: hence the long sums.
+    t = (u - low) / (high - low): a quadratic function, whose three coefficients are added up over the leaves that are
+    open at u. Thin leaves have large ones, which cancel where they close: hence the long sums.
     """
     low, high, slope = (x.numpy()[:, 0].astype(np.longdouble) for x in (cells.low, cells.high, cells.slope))
     p = np.diff(cells.cdf.numpy().astype(np.longdouble))

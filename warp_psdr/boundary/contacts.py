@@ -206,7 +206,10 @@ def _on_rim(scene: Scene, corners: np.ndarray, faces: np.ndarray, x: np.ndarray)
     """Whether pieces (K, 2, 3) of triangles' planes lie on an edge of the triangle where its surface ends or turns."""
     adjacency = scene_adjacency(scene)
     edges = face_edges(scene, adjacency)[faces]
-    turns = (edges >= 0) & (adjacency.wedge[edges] > 0.0)
+    of = scene.builder.face_shape[adjacency.faces]
+    other = np.minimum(adjacency.first[:-1] + 1, len(of) - 1)
+    ends = (adjacency.wedge > 0.0) | ((adjacency.count == 2) & (of[adjacency.first[:-1]] != of[other]))
+    turns = (edges >= 0) & ends[edges]
     tolerance = 2.0 * CONTACT_EPSILONS * scene.ray_epsilon
     result = np.zeros(len(faces), bool)
     for k in range(3):
