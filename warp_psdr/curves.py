@@ -24,7 +24,6 @@ from warp_psdr.edges import WELD, Adjacency, scene_adjacency
 from warp_psdr.kernels.boundary.crossing import crossing_pairs
 
 if TYPE_CHECKING:
-    from warp_psdr.boundary.motion import Motion
     from warp_psdr.scene.scene import Scene
 
 #: Depth in ray epsilons up to which surfaces that enter each other are in contact: the rays of the boundary term take
@@ -57,21 +56,6 @@ def moving_curves(scene: Scene, curves: Adjacency, shapes: set[int]) -> np.ndarr
     """Return a mask of the curves on a shape that moves."""
     moves = np.isin(scene.builder.face_shape, sorted(shapes))
     return moves[curves.faces.reshape(-1, 2)].any(axis=1)
-
-
-def crossing_shapes(scene: Scene, moves: Motion) -> tuple[str, str] | None:
-    """Return the paths of two shapes that run through each other in a curve that moves, or that the camera moves over.
-
-    For methods that do not cover such curves.
-    """
-    if not scene.face_count or not (moves.shapes or moves.camera):
-        return None
-    curves = scene_curves(scene)
-    use = moving_curves(scene, curves, set(moves.shapes)) | moves.camera
-    if not use.any():
-        return None
-    a, b = scene.builder.face_shape[curves.faces.reshape(-1, 2)[np.flatnonzero(use)[0]]]
-    return scene.description.shapes[a].path, scene.description.shapes[b].path
 
 
 class _Boxes:

@@ -21,6 +21,8 @@ STANDARD_ERRORS = 3.0
 #: What the remainder of the difference, of second order in the step, may leave: steps are a twentieth of a pixel.
 REMAINDER = 0.01
 SEED, WEIGHT_SEED = 300, 900
+#: Float32 sums in another order, relative to the sum of magnitudes.
+SUMMATION = 1.0e-4
 
 
 @dataclass(frozen=True)
@@ -126,3 +128,34 @@ def assert_agrees(derivative: np.ndarray, difference: np.ndarray) -> None:
     assert STANDARD_ERRORS * error <= SLOPE_TOLERANCE, f"too noisy to tell: slope {value:.4f} +- {error:.4f}"
     assert abs(value - 1.0) <= SLOPE_TOLERANCE, f"slope {value:.4f} +- {error:.4f}"
     assert abs(value - 1.0) <= STANDARD_ERRORS * error + REMAINDER, f"z-test: slope {value:.4f} +- {error:.4f}"
+
+
+def assert_transposes(scene, params, names, options: dict) -> None:
+    """Fail unless forward and reverse mode, with equal random numbers, are transposes of each other.
+
+    Random tangents and a random adjoint: <J v, w> = <v, J^T w>.
+
+    Args:
+        scene: the scene.
+        params: its parameters.
+        names: what is differentiated.
+        options: of ``psdr.render_forward`` and ``psdr.render_backward``.
+
+    Raises:
+        AssertionError: also where the derivative is about zero.
+    """
+    random = np.random.default_rng(1)
+    tangents = {n: random.normal(size=params[n].numpy().shape).astype(np.float32) for n in names}
+    for t in tangents.values():
+        if t.shape == (4, 4):
+            t[3] = 0.0
+    camera = scene.camera(0)
+    adjoint = random.uniform(0.5, 1.5, (camera.crop_height, camera.crop_width, 3)).astype(np.float32)
+    image = psdr.render_forward(scene, params, tangents, **options).numpy().astype(np.float64)
+    params.requires_grad(*names)
+    params.zero_grad()
+    psdr.render_backward(scene, params, adjoint, **options)
+    total = sum(float((params[n].grad.numpy().astype(np.float64) * tangents[n]).sum()) for n in names)
+    scale = float((adjoint * np.abs(image)).sum())
+    assert scale > 1.0, "hardly a derivative"
+    assert abs(total - float((adjoint * image).sum())) <= SUMMATION * scale

@@ -5,8 +5,7 @@ import pytest
 
 import warp_psdr as psdr
 from warp_psdr.boundary import terms
-from warp_psdr.boundary.motion import motion
-from warp_psdr.curves import crossing_shapes, scene_curves
+from warp_psdr.curves import scene_curves
 
 from .measure import Case, assert_agrees, derivatives, differences, slope
 from .scenes import T, ball, box, camera, diffuse, floor, load, mesh, panel, register, sky
@@ -194,5 +193,3 @@ def test_curves_follow_the_vertices() -> None:
     finally:
         params[SHAPE] = values
         params.update()
-    assert crossing_shapes(scene, motion(scene, [SHAPE])) == ("floor", "shape")
-    assert crossing_shapes(scene, motion(scene, ["light.vertex_positions"])) is None

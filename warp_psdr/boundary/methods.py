@@ -52,8 +52,10 @@ class PathSpace(Method):
     environment, point, spot and directional lights, and a moving camera, at any depth. Through smooth mirrors and
     glass it searches along lines (``kernels/boundary/line_search.py``): a perspective camera, 16 path vertices at most,
     and surfaces that do not run through each other. Not covered, and refused: hidden emitters, and textures with steps.
-    Surfaces that merely touch are in contact: what changes when they move apart, or into each other, has no derivative
-    and is left out.
+    Surfaces that merely touch are in contact: as they move apart, or into each other, the image has two one-sided
+    derivatives, which are not estimated. Forward mode refuses such tangents; in reverse mode the gradient holds for
+    motions along contacts and for those that keep what touches together, and the plan names the shapes
+    (``warp_psdr/boundary/contacts.py``).
 
     Attributes:
         guiding: a method of ``psdr.guiding`` that learns where shadow edges and their like carry light, for example
