@@ -53,16 +53,16 @@ register(
     {
         "halves": halves,
         "halves apart": lambda: halves(0.004),
-        "sunk": lambda: room(-0.01),
-        "above": lambda: room(0.01),
+        "room sunk": lambda: room(-0.01),
+        "room above": lambda: room(0.01),
         "coarse ball on floor": lambda: standing(ball_on_floor(1)),
         "fine ball on floor": lambda: standing(ball_on_floor(4)),
-        "prism": lambda: standing(prism()),
-        "pile": lambda: standing(
+        "prism on its edge": lambda: standing(prism()),
+        "two boxes": lambda: standing(
             box((0.0, 0.0, 0.2), (0.3, 0.3, 0.2), diffuse(0.5)),
             top=box((0.0, 0.0, 0.6), (0.3, 0.2, 0.2), diffuse(0.6)),
         ),
-        "torn": lambda: standing(box((0.0, 0.0, 0.6), (0.3, 0.3, 0.2), diffuse(0.5), 0.4, split=True)),
+        "split box": lambda: standing(box((0.0, 0.0, 0.6), (0.3, 0.3, 0.2), diffuse(0.5), 0.4, split=True)),
     }
 )
 
@@ -81,10 +81,10 @@ ACROSS = [
     ("room", {BOX: lambda v: ASIDE(v) + 0.01 * UP(v)}, ("ground", "box")),
     ("room", {GROUND: UP}, ("ground", "left")),
     ("room", {LEFT: IN}, ("ground", "left")),
-    ("prism", {SHAPE: UP}, ("floor", "shape")),
-    ("pile", {"top.vertex_positions": UP}, ("shape", "top")),
+    ("prism on its edge", {SHAPE: UP}, ("floor", "shape")),
+    ("two boxes", {"top.vertex_positions": UP}, ("shape", "top")),
     # Two pairs of their edges lie on each other, which one slides past.
-    ("pile", {"top.vertex_positions": IN}, ("shape", "top")),
+    ("two boxes", {"top.vertex_positions": IN}, ("shape", "top")),
     ("halves", {"first.vertex_positions": UP}, ("first", "second")),
     ("halves", {"first.vertex_positions": IN}, ("first", "second")),
 ]
@@ -93,15 +93,15 @@ ALONG = [
     ("room", {BOX: turned(2)}),
     ("room", {LIGHT: UP}),
     ("room", {f"{n}.vertex_positions": moved(0.3, 0.2, 1.0) for n in room() if n != "sensor"}),
-    ("above", {BOX: UP}),
-    ("sunk", {BOX: UP}),
+    ("room above", {BOX: UP}),
+    ("room sunk", {BOX: UP}),
     ("coarse ball on floor", {SHAPE: UP}),
     ("fine ball on floor", {SHAPE: UP}),
-    ("pile", {"top.vertex_positions": UP, SHAPE: UP, "floor.to_world": UP}),
-    ("pile", {"top.vertex_positions": moved(0.0, 1.0, 0.0)}),
+    ("two boxes", {"top.vertex_positions": UP, SHAPE: UP, "floor.to_world": UP}),
+    ("two boxes", {"top.vertex_positions": moved(0.0, 1.0, 0.0)}),
     ("halves", {"first.vertex_positions": moved(0.0, 1.0, 0.0)}),
     ("halves apart", {"first.vertex_positions": UP}),
-    ("torn", {SHAPE: UP}),
+    ("split box", {SHAPE: UP}),
 ]
 
 
@@ -126,7 +126,7 @@ def test_motions_along_contacts_are_not(name, directions) -> None:
 
 def test_a_mesh_is_not_torn_apart() -> None:
     with pytest.raises(ValueError, match="tears the mesh 'shape' apart"):
-        forward("torn", {SHAPE: tip})
+        forward("split box", {SHAPE: tip})
 
 
 def test_the_interior_term_alone_takes_every_motion() -> None:
@@ -146,7 +146,7 @@ def test_reverse_mode_takes_touching_shapes_and_the_plan_says_what_holds() -> No
     assert "'ground' and 'box'" in line[2] and "one-sided" in line[2]
     params.requires_grad(LIGHT)
     assert "contacts" not in str(psdr.plan(scene, params, integrator=DIRECT))
-    above, _params = load("above")
+    above, _params = load("room above")
     assert "contacts" not in str(psdr.plan(above, names=[BOX], integrator=DIRECT))
 
 
