@@ -16,7 +16,9 @@ from .xml_values import PROPERTY_TAGS, attributes, read_property, read_transform
 
 #: Files that include each other without end differ in name at most this often.
 _INCLUDE_DEPTH = 15
-#: Elements of a scene, counted each time that a file is included: each takes about a kilobyte of memory.
+#: Inclusions of files altogether, and ``<path>`` folders, in each of which every file is looked for.
+_INCLUDES_MAX, _PATHS_MAX = 1000, 100
+#: Elements of a scene, counted each time that a file is included: each takes some 300 bytes and its texts.
 _ELEMENTS_MAX = 1_000_000
 #: Letters of an attribute once its parameters are filled in: parameters made of parameters grow without bound.
 _LETTERS_MAX = 1 << 16
@@ -116,6 +118,7 @@ class _Reader:
         self.aliases: list[tuple[str, str, str]] = []
         self._unnamed: dict[str | int, int] = {}
         self._including: list[Path] = []
+        self._includes = 0
         self._elements_left = _ELEMENTS_MAX
         self._longest_first: list[str] = []
 
@@ -241,6 +244,8 @@ class _Reader:
         if not top:
             raise error(child.where, "a <path> inside a plugin", "move it directly into <scene>")
         self.context.search_paths.insert(0, self.context.folder(FileName(name, _folder(file)), child.where))
+        if len(self.context.search_paths) > _PATHS_MAX:
+            raise error(child.where, f"more than {_PATHS_MAX} <path> folders", "keep those that are needed")
 
     def _include(self, node: Node, child: Element, file: Path | None, *, top: bool) -> None:
         values = attributes(child, "filename", optional=("name",))
@@ -248,6 +253,9 @@ class _Reader:
         if found in self._including or len(self._including) > _INCLUDE_DEPTH:
             chain = " -> ".join(path.name for path in (*self._including, found))
             raise error(child.where, f"circular <include>: {chain}", "remove one of the includes")
+        self._includes += 1
+        if self._includes > _INCLUDES_MAX:
+            raise error(child.where, f"more than {_INCLUDES_MAX} files are included", "put them into one")
         root = self.parse(found.read_bytes(), found.name)
         self._including.append(found)
         self._substitute(root)
