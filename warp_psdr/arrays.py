@@ -52,7 +52,7 @@ def read_array(path: str | os.PathLike[str]) -> np.ndarray:
         ValueError: If it is no array of numbers, or damaged.
     """
     file = Path(path)
-    if not file.is_file():
+    if not os.path.isfile(file):
         raise FileNotFoundError(f"{file} does not exist")
     try:
         return parse_array(file.read_bytes())

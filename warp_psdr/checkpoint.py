@@ -72,7 +72,7 @@ def load(path: str | os.PathLike[str]) -> tuple[dict[str, np.ndarray], dict[str,
         ValueError: If the file is truncated, damaged, of a newer version, or no checkpoint at all.
     """
     path = Path(path)
-    if not path.is_file():
+    if not os.path.isfile(path):
         raise FileNotFoundError(f"checkpoint {path} does not exist")
     with path.open("rb") as file:
         try:

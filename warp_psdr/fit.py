@@ -11,6 +11,7 @@ import contextlib
 import hashlib
 import json
 import math
+import os
 import signal
 import threading
 from collections.abc import Iterator, Mapping
@@ -203,7 +204,7 @@ def load_problem(config: FitConfig) -> Problem:
         ValueError: If the configuration does not fit the scene.
     """
     for name, file in (("scene", config.scene), *((f"targets[{i}]", file) for i, file in enumerate(config.targets))):
-        if not file.is_file():
+        if not os.path.isfile(file):
             raise FileNotFoundError(f"fit config: {name}: {file} does not exist")
     scene = psdr.load_file(config.scene, device=config.device, allow_outside=config.allow_outside, **config.defaults)
     sensors = scene.description.sensors
@@ -299,10 +300,11 @@ def _initial(name: str, initial: float | tuple[float, ...] | Path, current: np.n
     where = f"fit config: parameters.{name!r}.initial"
     if not isinstance(initial, Path):
         try:
-            return np.broadcast_to(np.asarray(initial, dtype=np.float32), current.shape)
+            with np.errstate(over="ignore"):  # what overflows becomes infinite, which is refused
+                return np.broadcast_to(np.asarray(initial, dtype=np.float32), current.shape)
         except ValueError:
             raise ValueError(f"{where}: got {np.size(initial)} numbers, expected one or {current.shape[-1]}") from None
-    if not initial.is_file():
+    if not os.path.isfile(initial):
         raise FileNotFoundError(f"{where}: {initial} does not exist")
     try:
         value = read_array(initial) if initial.suffix.lower() == ".npy" else image_io.read_image(initial)

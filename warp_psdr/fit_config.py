@@ -165,7 +165,7 @@ class FitConfig:
             ValueError: If the file is malformed, or a field is unknown, missing or out of range.
         """
         path = Path(path)
-        if not path.is_file():
+        if not os.path.isfile(path):
             raise FileNotFoundError(f"fit config {path} does not exist")
         if path.suffix.lower() not in (".toml", ".json"):
             raise ValueError(f"fit config {path}: got suffix {path.suffix!r}, expected .toml or .json")

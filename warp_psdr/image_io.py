@@ -51,7 +51,7 @@ def read_image(path: str | os.PathLike[str], *, raw: bool = False) -> np.ndarray
     """
     file = Path(path)
     _check_suffix(file)
-    if not file.is_file():
+    if not os.path.isfile(file):
         raise FileNotFoundError(f"no such image: '{file}'; check the name")
     return _read_exr(file) if file.suffix.lower() in _EXR else _read_low_range(file, raw)
 

@@ -11,7 +11,8 @@ import numpy as np
 import OpenEXR
 from PIL import Image
 
-from warp_psdr import checkpoint
+from tests import fit_scenes
+from warp_psdr import checkpoint, image_io
 
 ROOT = Path(__file__).resolve().parents[2]
 CORNERS = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], np.float32)
@@ -92,7 +93,7 @@ SCENE = """<?xml version="1.0" encoding="utf-8"?>
 """
 PART = '<scene version="3.0.0"><shape type="disk" id="disk"><ref id="gold"/></shape></scene>'
 TOML = """scene = "scene.xml"
-targets = ["a.exr", "b.exr"]
+targets = ["target.exr", "target.exr"]
 output = "out"
 sensors = [0, 1]
 iterations = 10
@@ -100,6 +101,7 @@ views_per_step = 1
 spp = 4
 seed = 3
 lr_half_life = 20.5
+device = "cpu"
 betas = [0.9, 0.99]
 mask_updates = true
 [parameters."wall.bsdf.reflectance.data"]
@@ -111,17 +113,15 @@ initial = [1, 2, 3]
 [integrator]
 max_depth = 4
 boundary = "none"
-[defaults]
-size = 8
 """
 JSON = json.dumps(
     {
         "scene": "scene.xml",
-        "targets": ["a.exr"],
+        "targets": ["target.exr"],
         "output": "out",
         "iterations": 3,
         "lr_half_life": 2.5,
-        "parameters": {"a.value": {"lr": 0.1, "initial": [0.5, 1, 2]}},
+        "parameters": {"sky.radiance.value": {"lr": 0.1, "initial": [0.5, 1, 2]}},
         "integrator": {"max_depth": 3},
     }
 )
@@ -249,4 +249,6 @@ def write_beside(folder: Path, whole: dict[str, list[bytes]]) -> None:
     for suffix in ("ply", "obj", "exr", "png"):
         (folder / f"a.{suffix}").write_bytes(whole[suffix][0])
     (folder / "part.xml").write_text(PART)
+    fit_scenes.write_scene(folder)
+    image_io.write_image(folder / "target.exr", np.zeros((10, 12, 3)))
     (folder / "square.bin").write_bytes(CORNERS.tobytes() + FACES.astype(np.uint16).tobytes())

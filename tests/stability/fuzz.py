@@ -36,14 +36,15 @@ NUMBERS = (b"0", b"-1", b"1", b"nan", b"inf", b"-inf", b"1e38", b"1e39", b"1e308
 WORDS: dict[str, tuple[bytes, ...]] = {
     "xml": (b"<shape", b"type=\"sphere\"", b"</bsdf>", b"<bsdf type=\"diffuse\"/>", b"<ref id=\"paint\"/>", b"$size",
             b"$", b"&lt;", b"&#0;", b"<!ENTITY x \"y\">", b"../", b"/etc/passwd", b"\0", b"<![CDATA[", b"-->", b"<!--",
-            b"resolution", b"to_world", b"type", b"value=\"1e30\"", b"id=\"cam\"", b"mesh", b"envmap"),
+            b"resolution", b"to_world", b"type", b"value=\"1e30\"", b"id=\"cam\"", b"mesh", b"envmap", b"a" * 300),
     "ply": (b"element vertex ", b"element face ", b"property list uchar int x\n", b"property double ", b"list", b"int",
             b"end_header\n", b"ascii", b"\n", b"element a 1\n", b"property list int int vertex_index\n", b"uint64"),
     "obj": (b"v ", b"vt ", b"vn ", b"f ", b"/", b"//", b"-", b"\n", b"\\\n", b"#", b"\r", b"l 1 2\n"),
     "gltf": (b"\"uri\":\"../../../../etc/passwd\",", b"\"children\":[0],", b"\"byteStride\":1,", b"null", b"[", b"{",
              b"\"sparse\":{},", b"\"matrix\":[0],", b"data:,", b"true", b"\"count\":"),
     "exr": (b"dataWindow\0box2i\0\x10\0\0\0", b"channels\0chlist\0", b"compression\0", b"tiles\0", b"\xff\xff\xff\x7f"),
-    "toml": (b"[", b"]", b"[[", b"=", b"\"", b"'''", b".", b"{", b"}", b"a.", b"1979-05-27", b"nan", b"true", b"\0"),
+    "toml": (b"[", b"]", b"[[", b"=", b"\"", b"'''", b".", b"{", b"}", b"a.", b"1979-05-27", b"nan", b"true", b"\0",
+             b"a" * 300, b"initial = \"texture.exr\"", b"allow_outside = [\"..\"]", b"cuda:7"),
     "npz": (b"PK\x01\x02", b"PK\x03\x04", b"PK\x05\x06",
             b"\x93NUMPY", b"'descr': '|O'", b"(10000000000,)", b"<f4", b"("),
 }  # fmt: skip
@@ -100,19 +101,21 @@ def _replace_number(data: bytearray, at: int, text: bytes) -> None:
 
 def reader(suffix: str) -> Callable[[Path], Any]:
     """Return what reads files of a kind."""
+    import warp_psdr as psdr
     from warp_psdr import checkpoint, image_io
     from warp_psdr.arrays import read_array
+    from warp_psdr.fit import load_problem
     from warp_psdr.fit_config import FitConfig
-    from warp_psdr.scene import describe_dict, describe_file
+    from warp_psdr.scene import describe_dict
 
     def shape(file: Path) -> Any:
         plugin = {"type": suffix, "filename": file.name}
         return describe_dict({"type": "scene", "a": plugin, "cam": {"type": "perspective"}}, base=file.parent)
 
     return {
-        "xml": describe_file,
-        "toml": FitConfig.from_file,
-        "json": FitConfig.from_file,
+        "xml": psdr.load_file,
+        "toml": lambda file: load_problem(FitConfig.from_file(file)),
+        "json": lambda file: load_problem(FitConfig.from_file(file)),
         "npz": checkpoint.load,
         "npy": read_array,
         **dict.fromkeys(("exr", "png", "jpg"), image_io.read_image),

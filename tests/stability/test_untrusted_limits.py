@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 from tests.stability import corpus
-from warp_psdr import image_io
+from warp_psdr import checkpoint, image_io
 from warp_psdr.arrays import read_array
 from warp_psdr.fit_config import FitConfig
 from warp_psdr.scene import describe_dict, describe_file, describe_string
@@ -276,6 +276,22 @@ def test_counts_beyond_the_device_are_refused(field: str) -> None:
         FitConfig.from_mapping(values | {field: 2**32})
     with pytest.raises(ValueError, match="expected a finite number"):
         FitConfig.from_mapping(values | {"lr_half_life": 10**400})
+
+
+@pytest.mark.parametrize(
+    ("read", "suffix"),
+    [
+        (read_array, ".npy"),
+        (image_io.read_image, ".exr"),
+        (checkpoint.load, ".npz"),
+        (FitConfig.from_file, ".toml"),
+        (describe_file, ".xml"),
+    ],
+)
+def test_names_that_no_file_can_have_are_those_of_none(read, suffix: str) -> None:
+    for name in ("a" * 300, "a/" * 3000 + "b", "\0"):
+        with pytest.raises(FileNotFoundError):
+            read(name + suffix)
 
 
 # -- names of files ------------------------------------------------------------------------------------------------

@@ -48,8 +48,8 @@ def describe_file(path: str | os.PathLike[str], *, allow_outside: Outside = Fals
         ValueError: If the file is malformed or uses what is not supported; the message names the file and the line.
     """
     file = Path(path)
-    if not file.is_file():
-        what = "it is a folder" if file.is_dir() else "check the name"
+    if not os.path.isfile(file):
+        what = "it is a folder" if os.path.isdir(file) else "check the name"
         raise missing_file("load_file", file, f"{what}; expected a Mitsuba scene (.xml)")
     context = Context(str(file), file.resolve().parent, allow_outside)
     return _describe(file.read_bytes(), file.name, file.resolve(), context, defaults)
