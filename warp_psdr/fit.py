@@ -27,6 +27,7 @@ from warp_psdr import checkpoint, image_io, losses, optim
 from warp_psdr.arrays import read_array
 from warp_psdr.files import held
 from warp_psdr.fit_config import FitConfig, Unknown, integrator_options
+from warp_psdr.mesh_checks import MeshWatch
 from warp_psdr.options import from_description
 from warp_psdr.progress import progress
 
@@ -137,8 +138,8 @@ def fit(
     Raises:
         FileNotFoundError: If a file does not exist.
         ValueError: If the configuration does not fit the scene, the checkpoint belongs to another configuration, or a
-            loss or gradient is not finite, or another run writes to the output folder; then the last checkpoint is
-            whole.
+            loss or gradient is not finite, or a step ruins a parameter (``mesh_checks``), or another run writes to the
+            output folder; then the last checkpoint is whole.
         OSError: If the output folder cannot be written to, or the disk is full; then the last checkpoint is whole, and
             the run can be resumed from it.
     """
@@ -170,10 +171,12 @@ def _fit(problem: Problem, adam: optim.Adam, path: Path, *, resume: bool) -> Fit
         history = _restore(path, problem, adam, run)
     if not history:
         write_start(problem)
+    watch = MeshWatch(problem.params)
     with _stop_requests() as stop, progress("fit", config.iterations, start=len(history)) as report:
         while len(history) < config.iterations:
             step = len(history)
-            history.append(_step(problem, adam, step))
+            with watch.step(step + 1):
+                history.append(_step(problem, adam, step))
             report(step + 1, f"loss {history[-1]:.4g}")
             if stop.is_set() or (step + 1) % config.checkpoint_every == 0 or step + 1 == config.iterations:
                 _save(path, problem, adam, run, history)
