@@ -322,6 +322,7 @@ def make_seeds_kernel(config: PathConfig, kind: int):
         neighbours: Neighbours,
         # In:
         radius: wp.float32,
+        first: wp.int32,
         seed: wp.uint32,
         max_depth: wp.int32,
         rr_depth: wp.int32,
@@ -330,7 +331,7 @@ def make_seeds_kernel(config: PathConfig, kind: int):
         wedge_out: wp.array(dtype=wp.vec3d),
         light_out: wp.array(dtype=wp.vec3d),
     ):
-        number = wp.tid()
+        number = first + wp.tid()
         outside = wp.vec3d(wp.float64(-1.0), wp.float64(-1.0), wp.float64(-1.0))
         weight_out[number] = 0.0
         wedge_out[number] = outside

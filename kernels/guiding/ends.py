@@ -33,6 +33,7 @@ def make_ends_kernel(config: PathConfig):
         moving: wp.array(dtype=wp.int32),
         guide: Guide,
         # In:
+        first: wp.int32,
         technique: wp.int32,
         direct: wp.bool,
         # Out:
@@ -42,7 +43,7 @@ def make_ends_kernel(config: PathConfig):
         scatters_out: wp.array(dtype=wp.int32),
         scale_out: wp.array(dtype=wp.float32),
     ):
-        number = wp.tid()
+        number = first + wp.tid()
         scale_out[number] = 0.0
         scatters_out[number] = 0
         aim = place(scene, edges, guide.points[number], technique)

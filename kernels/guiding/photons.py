@@ -109,11 +109,12 @@ def make_photons_kernel(config: PathConfig):
         center: wp.vec3,
         radius: wp.float32,
         seed: wp.uint32,
+        first: wp.int32,
         # Out:
         x_out: wp.array2d(dtype=wp.vec3),
         weight_out: wp.array2d(dtype=wp.float32),
     ):
-        number = wp.tid()
+        number = first + wp.tid()
         sampler = Sampler()
         sampler.pixel = wp.uint32(number)
         sampler.seed = seed
@@ -160,11 +161,12 @@ def make_importons_kernel(config: PathConfig):
         camera: Camera,
         # In:
         seed: wp.uint32,
+        first: wp.int32,
         # Out:
         x_out: wp.array2d(dtype=wp.vec3),
         weight_out: wp.array2d(dtype=wp.float32),
     ):
-        number = wp.tid()
+        number = first + wp.tid()
         sampler = Sampler()
         sampler.index = wp.uint32(number)
         sampler.seed = seed

@@ -319,10 +319,13 @@ def test_results_do_not_depend_on_the_number_of_workers() -> None:
     np.testing.assert_array_equal(*results)
 
 
+DRIFT = 0.005
+
+
 def test_structures_are_kept_refreshed_and_forgotten() -> None:
     scene, params = load("soft")
     psdr.guiding.reset(scene)
-    boundary = guided(drift=0.05)
+    boundary = guided(drift=DRIFT)
     base = params[OCCLUDER].numpy().copy()
     lines = dict(line[::2] for line in plan_lines(scene, boundary))
     assert "first gradient" in lines["guiding"]
@@ -334,15 +337,20 @@ def test_structures_are_kept_refreshed_and_forgotten() -> None:
         np.testing.assert_array_equal(image(scene, params, boundary), first)
         assert kept.evaluations == evaluations
         assert str(kept.leaf_count) in dict(line[::2] for line in plan_lines(scene, boundary))["guiding"]
-        for step, builds in ((0.01, 1), (0.5, 2)):
-            params[OCCLUDER] = base + np.float32(step)
+        # Ways in units of the drift. Beyond one a build waits until its evaluations are few beside the samples.
+        for way, spp, builds in ((0.4, 8, 1), (3.0, 8, 1), (3.0, 512, 1), (4.0, 8, 2), (4.5, 8, 2), (30.0, 8, 3)):
+            evaluations = kept.evaluations
+            params[OCCLUDER] = base + np.float32(way * DRIFT * scene.radius)
             params.update()
-            image(scene, params, boundary)
+            image(scene, params, boundary, spp=spp)
             (now,) = psdr.guiding.structures(scene)
             assert now.builds == builds
-            assert (now is kept) == (builds == 1)
-            # A refresh costs a fraction of the evaluations of a build.
-            assert builds > 1 or 0 < now.evaluations - evaluations < 0.2 * evaluations
+            if spp > 8:
+                assert now.evaluations == evaluations
+            elif way < 4.0:
+                # A refresh costs a fraction of the samples that it guides.
+                assert 0 < now.evaluations - evaluations <= 0.1 * 16 * 16 * spp + 2
+            kept = now
     finally:
         params[OCCLUDER] = base
         params.update()

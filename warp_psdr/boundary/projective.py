@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
+from warp_psdr import workers
 from warp_psdr.boundary.methods import Projective
 from warp_psdr.boundary.neighbours import neighbours
-from warp_psdr.device import launch
+from warp_psdr.device import launch_lanes
 from warp_psdr.kernels.boundary.projective import BLOCKED_LIGHT, SCATTERED, make_seeds_kernel
 from warp_psdr.kernels.constants import DELTA_LIGHTS
 from warp_psdr.kernels.rng import mix_seed
@@ -74,16 +75,15 @@ def _trace(
     device = r.scene.device
     weight = wp.zeros(paths, dtype=wp.float32, device=device)
     wedge, light = (wp.zeros(paths, dtype=wp.vec3d, device=device) for _ in range(2))
-    launch(
+    head = [r.scene.data(), r.camera, edges, around, r.scene.radius]
+    tail = [mix_seed(r.seed, SEEDS + kind), r.plan.max_depth, r.rr_depth]
+    launch_lanes(
         make_seeds_kernel(r.config, kind),
-        dim=paths,
-        inputs=[
-            r.scene.data(), r.camera, edges, around, r.scene.radius,
-            mix_seed(r.seed, SEEDS + kind), r.plan.max_depth, r.rr_depth,
-        ],
-        outputs=[weight, wedge, light],
+        paths,
+        lambda first, _n, _lane: ([*head, first, *tail], [weight, wedge, light]),
+        lanes=workers.LANES,
         device=device,
-    )  # fmt: skip
+    )
     return r.scene.invalid.drop("guiding", weight.numpy().astype(np.float64)), wedge.numpy(), light.numpy()
 
 

@@ -12,7 +12,7 @@ split, by ``PRIOR`` samples; of a leaf that met nothing something remains.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
@@ -67,6 +67,7 @@ class Target:
         random: generator for points of one's own.
         request: the boundary term.
         edges: the device's record, in the order of the first coordinate.
+        shared: what a method keeps from one technique of a build to the next.
     """
 
     technique: str
@@ -77,6 +78,7 @@ class Target:
     random: np.random.Generator
     request: Request
     edges: Edges
+    shared: dict = field(default_factory=dict)
 
 
 @dataclass(eq=False)

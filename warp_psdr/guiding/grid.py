@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
+from warp_psdr import workers
 from warp_psdr.boundary.motion import moving_shapes
-from warp_psdr.device import launch
+from warp_psdr.device import launch_lanes
 from warp_psdr.guiding.build import QUANTUM, Growth, Leaves, Target
 from warp_psdr.guiding.methods import MAX_LEAVES, Method
 from warp_psdr.guiding.photons import PhotonMap, importon_map, photon_map
@@ -77,9 +78,12 @@ class Grid(Method):
         r = target.request
         depth = r.plan.max_depth
         bounces = UNBOUNDED_VERTICES if depth < 0 else depth - 1
-        importons = importon_map(r.scene, r.camera, r.config, self.importons, bounces, mix_seed(r.seed, IMPORTONS))
-        # x_2 is at least the second vertex, and light that it scatters takes another.
-        photons = photon_map(r.scene, r.config, self.photons, bounces - 1, mix_seed(r.seed, PHOTONS))
+        if not target.shared:
+            seeds = [mix_seed(r.seed, stream) for stream in (IMPORTONS, PHOTONS)]
+            target.shared["importons"] = importon_map(r.scene, r.camera, r.config, self.importons, bounces, seeds[0])
+            # x_2 is at least the second vertex, and light that it scatters takes another.
+            target.shared["photons"] = photon_map(r.scene, r.config, self.photons, bounces - 1, seeds[1])
+        importons, photons = target.shared["importons"], target.shared["photons"]
         return _Ends(target, points).integrand(importons, photons, self.neighbours)
 
 
@@ -114,11 +118,13 @@ class _Ends:
         scatters = wp.zeros(count, dtype=wp.int32, device=device)
         moving = moving_shapes(r.scene, r.moves)
         technique = 1 if target.technique == "wedge" else 0
-        launch(
+        head = [r.scene.data(), target.edges, moving, guide]
+        outputs = [x1, x2, emitted, scatters, scale]
+        launch_lanes(
             make_ends_kernel(r.config),
-            dim=count,
-            inputs=[r.scene.data(), target.edges, moving, guide, technique, r.plan.max_depth == 2],
-            outputs=[x1, x2, emitted, scatters, scale],
+            count,
+            lambda first, _n, _lane: ([*head, first, technique, r.plan.max_depth == 2], outputs),
+            lanes=workers.LANES,
             device=device,
         )
         self.scale = r.scene.invalid.drop("guiding", scale.numpy().astype(np.float64))

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
-from warp_psdr.device import launch
+from warp_psdr import workers
+from warp_psdr.device import launch_lanes
 from warp_psdr.kernels.guiding.photons import make_importons_kernel, make_photons_kernel
 
 if TYPE_CHECKING:
@@ -85,7 +86,13 @@ def importon_map(scene: Scene, camera: Camera, config: PathConfig, count: int, v
 def _collect(scene: Scene, kernel: wp.Kernel, inputs: list, count: int, vertices: int, scale: float) -> PhotonMap:
     x = wp.zeros((count, vertices), dtype=wp.vec3, device=scene.device)
     weight = wp.zeros((count, vertices), dtype=wp.float32, device=scene.device)
-    launch(kernel, dim=count, inputs=inputs, outputs=[x, weight], device=scene.device)
+    launch_lanes(
+        kernel,
+        count,
+        lambda first, _n, _lane: ([*inputs, first], [x, weight]),
+        lanes=workers.LANES,
+        device=scene.device,
+    )
     flat = scene.invalid.drop("guiding", weight.numpy().reshape(-1).astype(np.float64))
     keep = flat > 0.0
     return PhotonMap(x.numpy().reshape(-1, 3)[keep].astype(np.float64), scale * flat[keep])

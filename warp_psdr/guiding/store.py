@@ -2,11 +2,14 @@
 
 A structure belongs to a method, to what moves, to a camera and a depth. At the same values of the scene it is used as
 it is. While vertices and camera have moved by less than ``drift`` since it was built, its cells stay and their masses
-are refreshed; beyond that, or where another set of edges can be a silhouette, it is built anew.
+are refreshed, those of some of them at each change. Beyond that it is built anew, as soon as the samples that it has
+guided since are so many that the evaluations of a build are few beside them; at once where an edge can be a silhouette
+that is not in it. So a step of an optimisation spends little on guiding, however fine the structure is.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
@@ -36,6 +39,14 @@ FACING = 32
 #: Stream of the random numbers with which structures are built, and what an evaluation adds to it.
 BUILD = 3
 TECHNIQUES = ("wedge", "light")
+#: Largest share of a term's samples that evaluations may be: of those that refresh masses, and of those of a rebuild
+#: among the samples since the build before. An evaluation costs about what a sample does.
+REFRESH_SHARE, REBUILD_SHARE = 0.1, 0.2
+#: Angle of an edge, over ``edges.COPLANAR``, up to which it is still as good as flat if it was so at the build:
+#: rounding moves edges across that bound whenever they move.
+STILL_FLAT = 4.0
+#: How many times the drift an order of the edges serves, and a structure at most, whatever a build costs.
+MOST_DRIFTS = 10.0
 Seeds = Callable[[str, Edges], np.ndarray]
 
 
@@ -50,11 +61,16 @@ class Guiding:
         turned: which of them are turned around.
         numbering: the adjacency's own array of triangles; another one may number the edges otherwise.
         leaves: technique -> its leaves.
+        facing: for which share of the lights each edge is a silhouette.
+        ordered: values of the scene when the edges were put in order.
         built: values of the scene when it was built.
         seen: values for which its masses were measured last.
         guide: the device's record.
         builds: how often it was built.
         evaluations: of the integrand, so far.
+        build_evaluations: those of the last build.
+        guided: samples since.
+        turn: number of the refresh.
     """
 
     edges: Edges
@@ -63,11 +79,16 @@ class Guiding:
     turned: np.ndarray
     numbering: np.ndarray
     leaves: dict[str, Leaves]
+    facing: np.ndarray
+    ordered: np.ndarray
     built: np.ndarray
     seen: np.ndarray
     guide: Guide
-    builds: int = 1
+    builds: int = 0
     evaluations: int = 0
+    build_evaluations: int = 0
+    guided: int = 0
+    turn: int = 0
 
     @property
     def memory(self) -> int:
@@ -111,41 +132,58 @@ def guide(r: Request, method: Method, seeds: Seeds | None = None) -> tuple[Edges
         method: how to guide it.
         seeds: technique, edges -> (N, 3) points of the cube near which the integrand is large; asked at a build only.
     """
-    from warp_psdr.edges import moved_points, ordered_edges, scene_adjacency, secondary_candidates
+    from warp_psdr.edges import moved_points, secondary_candidates
 
     scene = r.scene
     values = scene.values.numpy()
     counted = replace(r.method, spp_primary=None, spp_secondary=None)
     key = (method, r.moves, r.sensor, r.plan.max_depth, counted)
     old = _kept(scene).get(key)
+    samples = r.pixels * (r.method.spp_secondary or r.spp)
     if old is not None and np.array_equal(old.seen, values, equal_nan=True):
+        old.guided += samples
         return old.edges, old.guide
     keep, p = secondary_candidates(scene, set(r.moves.shapes))
     if not len(keep):
         return None, Guide()
-    numbering = scene_adjacency(scene).faces
-    same = old is not None and old.numbering is numbering and np.array_equal(old.keep, keep)
-    if old is not None and same and _drift(r, old.built, values) <= method.drift:
+    if old is not None and _covers(scene, old, keep) and _drift(r, old.ordered, values) <= MOST_DRIFTS * method.drift:
         old.edges.points = moved_points(scene, old.order, old.turned)
-        _refresh(r, method, old)
-        old.seen = values.copy()
+        if _drift(r, old.built, values) <= method.drift or old.build_evaluations > REBUILD_SHARE * old.guided:
+            _refresh(r, method, old, samples)
+        else:
+            _build(r, method, old, seeds)
     else:
-        edges, facing, order, turned = ordered_edges(scene, keep, p, lambda edges: _facing(r, edges))
-        found = Guiding(
-            edges,
-            keep,
-            order,
-            turned,
-            numbering,
-            {},
-            values.copy(),
-            values.copy(),
-            Guide(),
-            1 + (old.builds if old else 0),
-        )
-        _build(r, method, found, facing, seeds)
-        _kept(scene)[key] = old = found
+        old = _ordered(r, keep, p, old)
+        _build(r, method, old, seeds)
+    _kept(scene)[key] = old
+    old.seen = values.copy()
+    old.guided += samples
     return old.edges, old.guide
+
+
+def _covers(scene: Scene, found: Guiding, keep: np.ndarray) -> bool:
+    """Return whether all of these edges are in a structure, but for those that are as good as flat."""
+    from warp_psdr.edges import COPLANAR, scene_adjacency
+
+    edges = scene_adjacency(scene)
+    if found.numbering is not edges.faces:
+        return False
+    outside = np.ones(len(edges.length), bool)
+    outside[found.keep] = False
+    return not (edges.wedge[keep[outside[keep]]] > STILL_FLAT * COPLANAR).any()
+
+
+def _ordered(r: Request, keep: np.ndarray, p: np.ndarray, old: Guiding | None) -> Guiding:
+    """Return a structure that has its edges and nothing else."""
+    from warp_psdr.edges import ordered_edges, scene_adjacency
+
+    edges, facing, order, turned = ordered_edges(r.scene, keep, p, lambda edges: _facing(r, edges))
+    values = r.scene.values.numpy().copy()
+    numbering = scene_adjacency(r.scene).faces
+    builds, evaluations = (old.builds, old.evaluations) if old else (0, 0)
+    return Guiding(
+        edges, keep, order, turned, numbering, {}, facing, values, values, values, Guide(), builds, evaluations
+    )
 
 
 def _drift(r: Request, a: np.ndarray, b: np.ndarray) -> float:
@@ -158,18 +196,21 @@ def _drift(r: Request, a: np.ndarray, b: np.ndarray) -> float:
     return max(way, float(np.abs(pose[:, 3]).max()) / scene.radius, float(np.abs(pose[:, :3]).max()) / size)
 
 
-def _build(r: Request, method: Method, found: Guiding, facing: np.ndarray, seeds: Seeds | None) -> None:
+def _build(r: Request, method: Method, found: Guiding, seeds: Seeds | None) -> None:
+    before = found.evaluations
+    shared: dict = {}
     for number, technique in enumerate(TECHNIQUES):
         random = np.random.default_rng((r.seed, number))
         target = Target(
             technique=technique,
             integrand=_Evaluator(r, found, technique),
             edge_cdf=found.edges.cdf.numpy().astype(np.float64),
-            facing=facing if technique == "light" else None,
+            facing=found.facing if technique == "light" else None,
             seeds=None,
             random=random,
             request=r,
             edges=found.edges,
+            shared=shared,
         )
         # Light that is not at infinity is found by aiming at it: with that alone the wedge keeps its least share.
         aimed = r.plan.max_depth == 2 and r.scene.builder.environment < 0
@@ -179,6 +220,11 @@ def _build(r: Request, method: Method, found: Guiding, facing: np.ndarray, seeds
             found.leaves[technique] = method.build(_seeded(target, seeds))
             if target.seeds is not None and found.leaves[technique].square.any():
                 found.leaves[technique].add_seeds(target.seeds)
+    found.built = r.scene.values.numpy().copy()
+    found.builds += 1
+    # A grid evaluates by maps: the points that it asks for count instead.
+    found.build_evaluations = max(found.evaluations - before, found.leaf_count * method.samples)
+    found.guided = 0
     _finish(r, method, found)
 
 
@@ -198,15 +244,22 @@ def whole() -> Leaves:
     return Leaves(nodes, low, high, np.zeros(1), np.zeros((1, 3), np.float32))
 
 
-def _refresh(r: Request, method: Method, found: Guiding) -> None:
-    """Measure the leaves again with few samples, which count as much as so many of the first ones."""
+def _refresh(r: Request, method: Method, found: Guiding, samples: int) -> None:
+    """Measure leaves again with few samples, which count as much as so many of the first ones.
+
+    Every n-th leaf, in turns, with n such that the evaluations are few beside the samples that they guide.
+    """
     count = method.refresh
-    for technique, leaves in found.leaves.items():
-        if not leaves.square.any():
-            continue
-        values = _Evaluator(r, found, technique).within(leaves.low, leaves.high, count)
-        weight = count / (count + method.samples)
-        leaves.square = (1.0 - weight) * leaves.square + weight * (values**2).mean(axis=1)
+    measured = {technique: leaves for technique, leaves in found.leaves.items() if leaves.square.any()}
+    total = count * sum(len(leaves.low) for leaves in measured.values())
+    stride = max(math.ceil(total / (REFRESH_SHARE * samples)), 1)
+    weight = count / (count + method.samples)
+    for technique, leaves in measured.items():
+        which = np.arange(found.turn % stride, len(leaves.low), stride)
+        if len(which):
+            values = _Evaluator(r, found, technique).within(leaves.low[which], leaves.high[which], count)
+            leaves.square[which] = (1.0 - weight) * leaves.square[which] + weight * (values**2).mean(axis=1)
+    found.turn += 1
     _finish(r, method, found)
 
 
