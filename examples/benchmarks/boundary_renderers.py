@@ -5,10 +5,15 @@ import time
 from pathlib import Path
 
 import numpy as np
+import warp as wp
 from common import psdr
+
+from warp_psdr.boundary import drivers, terms
 
 #: Relative error at which times are compared.
 AIM = 0.1
+#: World units of a small step of an optimisation.
+STEP = 1e-3
 
 
 class Ours:
@@ -36,6 +41,56 @@ class Ours:
     def memory(self) -> float:
         """Megabytes of the structure."""
         return sum(s.memory for s in psdr.guiding.structures(self.scene)) / 1e6
+
+
+class Secondary:
+    """Derivative images of this renderer by the secondary boundary term alone, as a mesh moves along a direction."""
+
+    def __init__(self, file: Path, resolution: int, vertices: str, direction: tuple, method, depth: int):
+        self._scene = psdr.load_file(file, resolution=resolution)
+        self._params = psdr.traverse(self._scene)
+        self._vertices, self._start = vertices, self._params[vertices].numpy().copy()
+        self._direction = np.float32(direction)
+        self._integrator = psdr.PathIntegrator(max_depth=depth, boundary=method)
+        flat = np.zeros(self._scene.values.shape[0], np.float32)
+        p = self._scene.parameters[vertices]
+        flat[p.offset : p.offset + p.size] = np.broadcast_to(self._direction, self._start.shape).reshape(-1)
+        self._tangent = wp.array(flat, dtype=wp.float32, device=self._scene.device)
+
+    def image(self, spp: int, seed: int) -> np.ndarray:
+        """Return the derivative image; its structure, if there is none, is built on the way."""
+        scene, names = self._scene, [self._vertices]
+        plan = psdr.plan(scene, names=names, integrator=self._integrator)
+        camera = scene.camera(0)
+        image = wp.zeros((camera.crop_height, camera.crop_width), dtype=wp.vec3, device=scene.device)
+        options = {"sensor": 0, "spp": spp, "seed": seed}
+        every = terms.TERMS
+        terms.TERMS = dict.fromkeys(every, (terms.secondary,))
+        try:
+            drivers.forward(scene, plan, names, self._tangent, image, **options)
+        finally:
+            terms.TERMS = every
+        return image.numpy().astype(np.float64)
+
+    def gradient(self, spp: int, seed: int) -> np.ndarray:
+        """Return the derivative image by all terms."""
+        tangents = {self._vertices: np.broadcast_to(self._direction, self._start.shape)}
+        options = {"integrator": self._integrator, "spp": spp, "seed": seed}
+        return psdr.render_forward(self._scene, self._params, tangents, **options).numpy()
+
+    def move(self, step: int) -> None:
+        """Move the mesh by a small step."""
+        self._params[self._vertices] = self._start + np.float32(STEP * step) * self._direction
+        self._params.update()
+
+    def forget(self) -> None:
+        """Forget the structure."""
+        psdr.guiding.reset(self._scene)
+
+    @property
+    def memory(self) -> float:
+        """Megabytes of the structure."""
+        return sum(s.memory for s in psdr.guiding.structures(self._scene)) / 1e6
 
 
 class Theirs:
