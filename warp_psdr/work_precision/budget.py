@@ -47,7 +47,7 @@ from warp_psdr.work_precision.tiles import from_exponents
 STREAM_BUDGET, STREAM_A, STREAM_B = 0x73706E64, 0, 1
 #: Share of the predicted batches after which the error is looked at first, and by how much more are run after each
 #: look.
-FIRST_LOOK, NEXT_LOOK = 0.9, 1.15
+FIRST_LOOK, NEXT_LOOK = 0.8, 1.1
 #: Most rounds of a time budget, and the share of the efficiency that rounding to them may cost.
 MOST_ROUNDS, ROUNDING = 16, 0.03
 #: Share of a time budget, and of the predicted time to an error, that its own pilot may take; and the least, seconds.
