@@ -278,6 +278,21 @@ def test_image_and_derivative_have_reports(soft):
     assert derivative.tile == 0
 
 
+def test_building_is_timed_and_keeps_what_was_built():
+    # A structure that a gradient has built stays; else what building takes is told apart.
+    scene = psdr.load_dict({"type": "scene", **scenes.SCENES["soft"]()})
+    params = psdr.traverse(scene)
+    params.requires_grad(POSITIONS, ALBEDO)
+    method = psdr.boundary.PathSpace(guiding=psdr.guiding.KdTree(max_leaves=64))
+    options = {"integrator": psdr.PathIntegrator(max_depth=2, boundary=method), "seconds": 0.1, "tiles": False}
+    first = psdr.accuracy(scene, params, adjoint(), **options)
+    assert [t.setup_seconds > 0.0 for t in first.terms] == [False, False, True]
+    kept = psdr.guiding.structures(scene)
+    second = psdr.accuracy(scene, params, adjoint(), **options)
+    assert [t.setup_seconds for t in second.terms] == [0.0, 0.0, 0.0]
+    assert psdr.guiding.structures(scene)[0] is kept[0]
+
+
 def test_textbook_replay_and_a_missing_term_are_named(soft):
     scene, params = soft
     integrator = psdr.PathIntegrator(max_depth=2, interior=psdr.interior.Replay(block=0), boundary=None)

@@ -27,7 +27,7 @@ from warp_psdr.kernels.rng import mix_seed
 from warp_psdr.options import PathIntegrator
 from warp_psdr.work_precision import quantity as quantities
 from warp_psdr.work_precision.allocation import efficiency
-from warp_psdr.work_precision.quantity import Quantity
+from warp_psdr.work_precision.quantity import Part, Quantity
 from warp_psdr.work_precision.report import Report, TermReport, positive
 from warp_psdr.work_precision.statistics import Moments, Running, jackknife, moments, relative_variance
 from warp_psdr.work_precision.tiles import BATCHES as TILE_BATCHES
@@ -103,7 +103,7 @@ def accuracy(
     what = select(scene, params, adjoint, tangents, integrator=integrator, sensor=sensor)
     seed, seconds = checked_seed(seed), positive("seconds", seconds)
     spp = None if spp is None else samples("spp", spp)
-    return run(what, spp=spp, seed=seed, seconds=seconds, tiles=tiles, clock=clock, progress=progress)
+    return run(what, spp=spp, seed=seed, seconds=seconds, tiles=tiles, clock=clock, setup=True, progress=progress)
 
 
 def select(scene: Scene, params, adjoint, tangents, *, integrator, sensor: int) -> Quantity:
@@ -129,9 +129,10 @@ def run(
     seconds: float,
     tiles: bool,
     clock: str,
+    setup: bool = False,
     progress: Callable[[float], None] | None = None,
 ) -> Report:
-    """Run the pilot of a quantity (arguments as ``accuracy``'s).
+    """Run the pilot of a quantity (arguments as ``accuracy``'s; ``setup``: also time what is built once).
 
     Raises:
         ValueError: the gradient does not stand out of the noise.
@@ -141,7 +142,8 @@ def run(
     for part in what.parts:
         part.run(1, warm)
     start = now()
-    sizes, setup = _sizes(what, spp, seconds, now, warm)
+    building = [_building(part, now) if setup else 0.0 for part in what.parts]
+    sizes = _sizes(what, spp, seconds, now, warm)
     tiling = _tiling(what, sizes[0], seed, seconds, start, now) if tiles else None
     if tiling is not None:
         what = what.tiled(tiling)
@@ -155,7 +157,7 @@ def run(
     names = list(what.blocks)
     second = moments(others, list(what.blocks.values())) if len(others[0]) > 2 else None
     terms = tuple(
-        _term(what, k, sizes[k], setup[k], times[k], other_times[k], names, found, second, tiling)
+        _term(what, k, sizes[k], building[k], times[k], other_times[k], names, found, second, tiling)
         for k in range(len(what.parts))
     )
     cost = np.array([t.seconds for t in terms])
@@ -179,24 +181,27 @@ def run(
     return report
 
 
-def _sizes(
-    what: Quantity, spp: int | None, seconds: float, now: Callable[[], float], seed: int
-) -> tuple[list[int], list[float]]:
-    """Return samples a pixel of the batches of each term, and the seconds of what is built once."""
-    sizes, setup, fixed, marginal = [], [], [], []
+def _building(part: Part, now: Callable[[], float]) -> float:
+    """Return the seconds of what is built once for many batches of a term."""
+    begun = now()
+    if part.prepare is None:
+        return 0.0
+    part.prepare()
+    return now() - begun
+
+
+def _sizes(what: Quantity, spp: int | None, seconds: float, now: Callable[[], float], seed: int) -> list[int]:
+    """Return samples a pixel of the batches of each term."""
+    if spp is not None:
+        return [spp] * len(what.parts)
+    sizes, fixed, marginal = [], [], []
     first, least = (FIRST_IMAGE_SPP, LEAST_IMAGE_SPP) if what.role == "primal" else (1, 1)
     for part in what.parts:
-        begun = now()
-        if part.prepare is not None:
-            part.prepare()
-        setup.append(now() - begun if part.prepare is not None else 0.0)
         few, many = (min(_timed(part.run, count, seed, now) for _ in range(2)) for count in FIRST_COUNTS)
         marginal.append(max((many - few) / (FIRST_COUNTS[1] - FIRST_COUNTS[0]), 1e-7))
         fixed.append(max(few - marginal[-1], 0.0))
         wanted = fixed[-1] / (FIXED_SHARE * marginal[-1])
         sizes.append(min(max(1 << max(math.ceil(math.log2(max(wanted, 1.0))), 0), first), MOST_SPP))
-    if spp is not None:
-        return [spp] * len(what.parts), setup
 
     def of_round() -> float:
         return sum(a + b * n for a, b, n in zip(fixed, marginal, sizes, strict=True))
@@ -209,7 +214,7 @@ def _sizes(
         if max(costs) == 0.0:
             break
         sizes[int(np.argmax(costs))] //= 2
-    return sizes, setup
+    return sizes
 
 
 def _timed(function: Callable[[int, int], object], spp: int, seed: int, now: Callable[[], float]) -> float:

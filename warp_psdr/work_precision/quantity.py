@@ -62,7 +62,7 @@ class Part:
         name: what it is called.
         run: (samples a pixel, seed) -> one batch, in the layout of ``Quantity.blocks`` or what ``Quantity.finish``
             takes.
-        prepare: builds anew what is built once for many batches; None: there is nothing of the kind.
+        prepare: builds anew what is built once for many batches; None: there is none, or it had been built before.
     """
 
     name: str
@@ -231,6 +231,7 @@ def _boundary_parts(quantity: Quantity, names: list[str], run: Callable[..., np.
     # Without counts of its own the method takes the request's.
     plan = replace(quantity.plan, boundary=replace(method, spp_primary=None, spp_secondary=None, spp_mirrors=None))
     moves = motion(scene, names)
+    fresh = not store.structures(scene)  # what was built before is kept, for whoever built it
 
     def request(term: Callable, spp: int, seed: int) -> list:
         seed = mix_seed(seed, STREAM_BOUNDARY)
@@ -249,7 +250,7 @@ def _boundary_parts(quantity: Quantity, names: list[str], run: Callable[..., np.
             store.reset(scene)
             request(term, 1, 0)
 
-        guided = term.__name__ == "secondary" and getattr(method, "guiding", None) is not None
+        guided = fresh and term.__name__ == "secondary" and getattr(method, "guiding", None) is not None
         title = TITLES.get(term.__name__, term.__name__.replace("_", " "))
         parts.append(Part(title, one, prepare if guided else None))
     return tuple(parts)

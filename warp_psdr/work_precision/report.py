@@ -44,7 +44,7 @@ class TermReport:
         seconds_error: standard error of it.
         fixed_seconds: part of it that does not grow with the samples.
         sample_seconds: the rest, a sample.
-        setup_seconds: once, for what many batches share (guiding); compiling is not in it.
+        setup_seconds: once, for what many batches share (guiding), unless it had been built; compiling is not in it.
         variance: block -> variance of a batch, the sum over the block's components.
         variance_error: standard errors of it.
         exponent: a, for a variance that falls as samples^-a; NaN: not measured.
