@@ -74,6 +74,16 @@ def test_leaving_out_is_what_it_says():
         np.testing.assert_allclose(whole.norm2_without[b], rest.norm2, rtol=1e-9, atol=1e-12)
 
 
+def test_a_batch_that_stands_out_is_seen(report):
+    x = np.random.default_rng(6).normal(size=(1, 20, 50))
+    even = moments([list(x[0])], [slice(0, 50)]).largest[0]
+    x[0, 7] += 10.0
+    assert even < 0.15 < 0.8 < moments([list(x[0])], [slice(0, 50)]).largest[0] < 1.0
+    assert "Rare large samples" not in str(report)
+    terms = (replace(report.terms[0], largest=0.6), *report.terms[1:])
+    assert "carries 60 % of the variance of 'interior'" in str(replace(report, terms=terms))
+
+
 def test_jackknife_finds_the_spread_of_a_variance():
     x, blocks, _variance, _mean = draws(1000, batches=40)
     found = [moments([list(term) for term in run], blocks) for run in x]

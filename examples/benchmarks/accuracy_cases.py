@@ -9,9 +9,13 @@ import boundary_soft_shadow
 import numpy as np
 from common import psdr
 
-from scenes import CASES, CORNELL, write_data
+from scenes import BLUE, CASES, CORNELL, DELTA, SKY, Case, stage, write_data
 
 KDTREE = psdr.boundary.PathSpace(guiding=psdr.guiding.KdTree())
+
+CUBE = f"""<shape type="cube" id="object"><transform name="to_world"><scale value="0.4"/><rotate x="1" z="1"
+angle="30"/>
+    </transform>{BLUE}</shape>"""
 
 
 @dataclass(frozen=True)
@@ -40,6 +44,14 @@ def _case(name: str) -> Callable[[Path], Path]:
     return lambda folder: CASES[name].write(folder, name)
 
 
+def _cube(folder: Path) -> Path:
+    return Case(stage(CUBE, DELTA)).write(folder, "cube")
+
+
+def _cube_under_sky(folder: Path) -> Path:
+    return Case(stage(CUBE, SKY)).write(folder, "cube_sky")
+
+
 def _sliding(folder: Path) -> Path:
     return next(iter(boundary_global.write_scenes(folder).values()))
 
@@ -50,12 +62,12 @@ PAIRS = (
     Pair("rough gold under a sky", _case("rough gold under a sky"), ("object.bsdf.alpha.value",), 4),
     Pair("textured mesh", _case("textured mesh"), ("object.bsdf.reflectance.data",), 4),
     Pair("100 lights", _case("100 lights"), ("floor.bsdf.reflectance.value",), 3),
-    Pair("point, spot and sun", _case("point, spot and sun"), ("object.vertex_positions",), 2),
+    Pair("a cube under point, spot and sun", _cube, ("object.vertex_positions",), 2),
     Pair("Cornell box, a box slides", _sliding, ("small-box.vertex_positions",), 4),
     Pair("soft shadow of a mesh", boundary_soft_shadow.write_scene, ("sphere.vertex_positions",), 2),
     Pair("soft shadow, guided", boundary_soft_shadow.write_scene, ("sphere.vertex_positions",), 2, KDTREE),
     Pair("Cornell box, the camera moves", _case("Cornell box"), ("sensor.to_world",), 3),
-    Pair("rough gold, the field of view", _case("rough gold under a sky"), ("sensor.x_fov",), 3),
+    Pair("a cube under a sky", _cube_under_sky, ("object.vertex_positions",), 2),
 )
 
 

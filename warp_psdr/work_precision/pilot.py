@@ -49,6 +49,8 @@ MOST_SPP, FIRST_IMAGE_SPP, LEAST_IMAGE_SPP, FIRST_COUNTS = 256, 16, 4, (1, 4)
 LEAST_ROUNDS, MOST_ROUNDS, AIM_ROUNDS = 4, 256, 24
 #: Standard error of the logarithm of a predicted time at which the pilot ends, and the least rounds before it may.
 CERTAIN, CERTAIN_ROUNDS = 0.12, 16
+#: A pilot in which nothing stands out of the noise goes on for so many times its time.
+PATIENCE = 4.0
 #: Share of the pilot's time that tilings may take.
 TILE_SHARE = 0.25
 #: Batches of the other size: smaller by the first factor or, where that is not possible, larger by the second; and the
@@ -85,7 +87,8 @@ def accuracy(
         sensor: which camera.
         spp: samples a pixel of a batch, of every term; default: chosen by the costs.
         seed: of the pilot.
-        seconds: what the pilot may take; it takes what four batches a term need, if that is more.
+        seconds: what the pilot may take; more where four batches a term need it, or nothing stands out of the noise
+            yet.
         tiles: spread samples over the image by its variance where that pays.
         clock: "wall", or "cpu" for the processor time of all threads, which other work on the machine changes less.
         progress: called with the finished fraction.
@@ -269,7 +272,9 @@ def _rounds(what: Quantity, sizes: list[int], seed: int, seconds: float, start: 
         if progress is not None:
             progress(min(max(spent / seconds, number / MOST_ROUNDS), 0.99))
         if number >= most or (number >= LEAST_ROUNDS and spent >= seconds):
-            return kept, times, others, other_times, moments(kept, blocks)
+            found = moments(kept, blocks)
+            if found.seen.any() or number >= most or spent > PATIENCE * seconds:
+                return kept, times, others, other_times, found
         # Powers of the square root of two: how much is known is looked at rarely.
         if number >= CERTAIN_ROUNDS and number in (16, 23, 32, 45, 64, 91, 128, 181):
             found = moments(kept, blocks)
@@ -321,6 +326,7 @@ def _term(
         variance_error=dict(zip(names, found.variance_error[k].tolist(), strict=True)),
         exponent=exponent,
         exponent_error=error,
+        largest=float(found.largest[k]),
     )
 
 

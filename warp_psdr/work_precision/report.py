@@ -28,6 +28,8 @@ PRINTED_ERRORS = (0.5, 0.2, 0.1, 0.05, 0.02, 0.01)
 PRINTED_BLOCKS = 8
 #: Exponents are measured with noise; those of stratified samples lie between these.
 LEAST_EXPONENT, MOST_EXPONENT = 0.9, 1.5
+#: Share of the variance from which one batch stands out, and the least number of batches among which it can.
+STANDS_OUT, LEAST_STANDING = 0.35, 12
 #: Normal deviate of the two ends of 95 % intervals.
 DEVIATE = 1.96
 
@@ -49,6 +51,7 @@ class TermReport:
         variance_error: standard errors of it.
         exponent: a, for a variance that falls as samples^-a; NaN: not measured.
         exponent_error: standard error of it.
+        largest: share of one batch in the variance, see ``statistics.Moments``.
     """
 
     name: str
@@ -63,6 +66,7 @@ class TermReport:
     variance_error: dict[str, float]
     exponent: float
     exponent_error: float
+    largest: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -193,6 +197,12 @@ class Report:
         lines += ["", "Predicted:", *_table(rows)]
         if self.tile:
             lines.append(f"Samples are spread over tiles of {self.tile} x {self.tile} pixels by their variance.")
+        for term in self.terms:
+            if term.largest > STANDS_OUT and self.batches >= LEAST_STANDING:
+                text = (
+                    f"one batch in {self.batches} carries {100.0 * term.largest:.0f} % of the variance of {term.name!r}"
+                )
+                lines.append(f"Rare large samples: {text}; predictions are uncertain, a longer pilot may help.")
         lines += ["", *(f"Bias: {text}" for text in self.bias or ("none by design",))]
         return "\n".join(lines)
 

@@ -35,6 +35,8 @@ class Moments:
         variance_without: (B, terms, blocks).
         norm2: (blocks,), |g|^2 without the noise's share; may be negative where there is nothing but noise.
         norm2_without: (B, blocks).
+        largest: (terms,), the largest share that one batch has in the sum of squares about the mean, of any block; some
+            1 / B where no batch stands out.
     """
 
     batches: int
@@ -42,6 +44,7 @@ class Moments:
     variance_without: np.ndarray
     norm2: np.ndarray
     norm2_without: np.ndarray
+    largest: np.ndarray
 
     @property
     def variance_error(self) -> np.ndarray:
@@ -67,7 +70,7 @@ def moments(batches: list[list[np.ndarray]], blocks: list[slice]) -> Moments:
         blocks: components that belong together.
     """
     terms, count = len(batches), len(batches[0])
-    variance = np.zeros((terms, len(blocks)))
+    variance, largest = np.zeros((terms, len(blocks))), np.zeros(terms)
     variance_without = np.zeros((count, terms, len(blocks)))
     norm2, norm2_without = np.zeros(len(blocks)), np.zeros((count, len(blocks)))
     for p, block in enumerate(blocks):
@@ -77,6 +80,7 @@ def moments(batches: list[list[np.ndarray]], blocks: list[slice]) -> Moments:
             total += x
             squares = ((x - x.mean(axis=0)) ** 2).sum(axis=1)
             variance[k, p] = squares.sum() / (count - 1)
+            largest[k] = max(largest[k], squares.max() / max(squares.sum(), 1e-300))
             # Without batch b the sum of squares about the mean falls by B/(B-1) |x_b - m|^2.
             without = squares.sum() - count / (count - 1) * squares
             variance_without[:, k, p] = np.maximum(without, 0.0) / max(count - 2, 1)
@@ -86,7 +90,7 @@ def moments(batches: list[list[np.ndarray]], blocks: list[slice]) -> Moments:
         rest = count * (count * length2 - 2.0 * (total * mean).sum(axis=1)) + (total**2).sum(axis=1)
         rest /= (count - 1) ** 2
         norm2_without[:, p] = rest - variance_without[:, :, p].sum(axis=1) / (count - 1)
-    return Moments(count, variance, variance_without, norm2, norm2_without)
+    return Moments(count, variance, variance_without, norm2, norm2_without, largest)
 
 
 def squared(x: np.ndarray) -> float:
