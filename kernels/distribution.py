@@ -18,15 +18,14 @@ def find_interval(cdf: wp.array(dtype=wp.float32), first: wp.int32, count: wp.in
 
     Never an entry of probability zero. ``u`` lies in [0, 1) and is clamped to it.
     """
+    # No branch depends on the data: mispredicted ones would take most of the time.
     v = wp.clamp(u, 0.0, ONE_MINUS_EPSILON)
     low = wp.int32(0)
-    high = wp.int32(count)
-    while high - low > 1:
-        middle = (low + high) // 2
-        if cdf[first + middle] <= v:
-            low = middle
-        else:
-            high = middle
+    length = wp.int32(count)
+    while length > 1:
+        half = length // 2
+        low = wp.where(cdf[first + low + half] <= v, low + half, low)
+        length -= half
     return low
 
 

@@ -224,7 +224,7 @@ def make_path_step(config: PathConfig, differential: bool):
     emitted = make_area(config.area)[0] if config.area else None
     lights = make_lights(config.lights, None, ()) if config.lights else None
     environment_eval = lights.environment_eval if lights else None
-    environment_pdf = lights.environment_pdf if lights else None
+    environment_eval_pdf = lights.environment_eval_pdf if lights else None
     environment = environment_eval is not None
     # A delta lobe is never found by next-event estimation.
     has_lights = bool(config.area or config.lights) and bsdf.eval is not None
@@ -250,10 +250,12 @@ def make_path_step(config: PathConfig, differential: bool):
                 if wp.static(not config.hide_emitters) or state.depth > 0:
                     weight = wp.float32(1.0)
                     if state.pdf > 0.0:
-                        pdf_light = environment_pdf(scene, state.d) * scene.emitters[scene.environment].probability
-                        weight = mis_weight(state.pdf, pdf_light)
+                        found, density = environment_eval_pdf(scene, state.d)
+                        weight = mis_weight(state.pdf, density * scene.emitters[scene.environment].probability)
+                        vertex.direct = weight * found
+                    else:
+                        vertex.direct = environment_eval(scene, state.d)
                     vertex.e_weight = weight
-                    vertex.direct = weight * environment_eval(scene, state.d)
             return vertex, after
 
         vertex.face = hit.face

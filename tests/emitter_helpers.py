@@ -16,6 +16,8 @@ ALL_KINDS = (c.EMITTER_CONSTANT, c.EMITTER_ENVMAP, c.EMITTER_POINT, c.EMITTER_SP
 BOTH = ("pose", "radiance")
 ROTATION = Rotation.from_rotvec([0.4, -1.1, 0.7]).as_matrix()
 ENVIRONMENTS = (c.EMITTER_CONSTANT, c.EMITTER_ENVMAP)
+#: Normalising the direction first moves the weights of texels by some float32 roundings, relative to the brightest one.
+SAME_LOOKUP = 1e-5
 
 
 def pose(rotation=ROTATION, translation=(0.0, 0.0, 0.0)):
@@ -97,13 +99,17 @@ class Light:
         return SimpleNamespace(**{name: array.numpy() for name, array in out.items()})
 
     def evaluate(self, direction, values=None, kinds=None):
-        """Radiance (N, 3) and density (N,) of the environment."""
+        """Radiance (N, 3) and density (N,) of the environment, the same from one look-up as from two."""
         n = len(direction)
-        radiance = wp.zeros(n, dtype=wp.vec3, device=self.device)
-        pdf = wp.zeros(n, dtype=wp.float32, device=self.device)
+        radiance, both_radiance = (wp.zeros(n, dtype=wp.vec3, device=self.device) for _ in range(2))
+        pdf, both_pdf = (wp.zeros(n, dtype=wp.float32, device=self.device) for _ in range(2))
         inputs = [self.at(values), to_vec(direction, 3, self.device)]
         kernel = eval_kernel(kinds or (self.kind,))
-        wp.launch(kernel, dim=n, inputs=inputs, outputs=[radiance, pdf], device=self.device)
+        outputs = [radiance, pdf, both_radiance, both_pdf]
+        wp.launch(kernel, dim=n, inputs=inputs, outputs=outputs, device=self.device)
+        np.testing.assert_array_equal(both_pdf.numpy(), pdf.numpy())
+        one, two = radiance.numpy(), both_radiance.numpy()
+        np.testing.assert_allclose(two, one, rtol=SAME_LOOKUP, atol=SAME_LOOKUP * np.abs(one).max())
         return radiance.numpy(), pdf.numpy()
 
     def vjp(self, role, target, x, w, a_wi, wanted=BOTH, kinds=None):
@@ -152,6 +158,7 @@ def sample_kernel(kinds):
 def eval_kernel(kinds):
     lights = make_lights(kinds, None, ())
     environment_eval, environment_pdf = lights.environment_eval, lights.environment_pdf
+    environment_eval_pdf = lights.environment_eval_pdf
 
     @wp.kernel(module="unique", enable_backward=False)
     def kernel(
@@ -159,10 +166,15 @@ def eval_kernel(kinds):
         direction: wp.array(dtype=wp.vec3),
         radiance_out: wp.array(dtype=wp.vec3),
         pdf_out: wp.array(dtype=wp.float32),
+        both_radiance_out: wp.array(dtype=wp.vec3),
+        both_pdf_out: wp.array(dtype=wp.float32),
     ):
         i = wp.tid()
         radiance_out[i] = environment_eval(scene, direction[i])
         pdf_out[i] = environment_pdf(scene, direction[i])
+        radiance, pdf = environment_eval_pdf(scene, direction[i])
+        both_radiance_out[i] = radiance
+        both_pdf_out[i] = pdf
 
     return kernel
 

@@ -203,10 +203,11 @@ def test_functions_that_no_light_has_are_none():
     point = make_lights((c.EMITTER_POINT,), "reverse", BOTH)
     assert point.environment_eval is None
     assert point.environment_pdf is None
+    assert point.environment_eval_pdf is None
     assert point.environment_vjp is None
     constant = make_lights((c.EMITTER_CONSTANT,), "reverse", BOTH)
     assert constant.sample_vjp is None
-    assert make_lights((), "reverse", BOTH) == (None,) * 5
+    assert make_lights((), "reverse", BOTH) == (None,) * 6
     primal = make_lights(ALL_KINDS, None, ())
     assert primal.sample_vjp is None
     assert primal.environment_vjp is None

@@ -16,14 +16,15 @@ class EnvironmentFunctions(NamedTuple):
     """Device functions of a light at infinity that surrounds the scene.
 
     ``sample(scene, e, x, u) -> LightSample``; ``eval(scene, e, direction) -> vec3`` and ``pdf(scene, e, direction) ->
-    float`` [1/sr] for a unit direction away from the scene; ``eval_vjp(scene, target, e, direction, w) ->
-    LightAdjoint``: the gradient of dot(w, eval), scattered to the light's parameters and returned (``x``) for the
-    direction. ``eval_vjp`` is None without a role.
+    float`` [1/sr] for a unit direction away from the scene, ``eval_pdf`` both in one look-up; ``eval_vjp(scene, target,
+    e, direction, w) -> LightAdjoint``: the gradient of dot(w, eval), scattered to the light's parameters and returned
+    (``x``) for the direction. ``eval_vjp`` is None without a role.
     """
 
     sample: wp.Function
     eval: wp.Function
     pdf: wp.Function
+    eval_pdf: wp.Function
     eval_vjp: wp.Function | None
 
 
@@ -47,6 +48,10 @@ def make_constant(role: str | None, wanted: tuple[str, ...]) -> EnvironmentFunct
         return sphere_pdf()
 
     @wp.func
+    def eval_pdf(scene: Scene, e: Emitter, direction: wp.vec3) -> tuple[wp.vec3, wp.float32]:
+        return radiance(scene, e, direction), sphere_pdf()
+
+    @wp.func
     def sample(scene: Scene, e: Emitter, x: wp.vec3, u: wp.vec2) -> LightSample:
         result = LightSample()
         result.face = -1
@@ -57,7 +62,7 @@ def make_constant(role: str | None, wanted: tuple[str, ...]) -> EnvironmentFunct
         return result
 
     if role is None:
-        return EnvironmentFunctions(sample, radiance, pdf, None)
+        return EnvironmentFunctions(sample, radiance, pdf, eval_pdf, None)
 
     @wp.func
     def eval_vjp(
@@ -68,4 +73,4 @@ def make_constant(role: str | None, wanted: tuple[str, ...]) -> EnvironmentFunct
         result.dot = push_texture(scene, target, e.texture, 0, 0.0, 0.0, wp.vec2(0.0, 0.0), w).dot
         return result
 
-    return EnvironmentFunctions(sample, radiance, pdf, eval_vjp)
+    return EnvironmentFunctions(sample, radiance, pdf, eval_pdf, eval_vjp)

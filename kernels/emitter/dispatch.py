@@ -32,14 +32,16 @@ class LightFunctions(NamedTuple):
     ``sample(scene, e, x, u) -> LightSample``;
     ``sample_vjp(scene, target, e, x, wi, w, a_wi) -> LightAdjoint`` for point, spot and directional lights;
     ``environment_eval(scene, direction) -> vec3``, ``environment_pdf(scene, direction) -> float`` [1/sr, without the
-    selection probability] and ``environment_vjp(scene, target, direction, w) -> LightAdjoint`` for the scene's
-    environment, ``direction`` a unit vector away from the scene. The two vjps need a role.
+    selection probability], ``environment_eval_pdf``, both in one look-up, and ``environment_vjp(scene, target,
+    direction, w) -> LightAdjoint`` for the scene's environment, ``direction`` a unit vector away from the scene. The
+    two vjps need a role.
     """
 
     sample: wp.Function | None
     sample_vjp: wp.Function | None
     environment_eval: wp.Function | None
     environment_pdf: wp.Function | None
+    environment_eval_pdf: wp.Function | None
     environment_vjp: wp.Function | None
 
 
@@ -68,10 +70,11 @@ def make_lights(kinds: tuple[int, ...], role: str | None, wanted: tuple[str, ...
     models = {kind: makers[kind](role, flags) for kind in kinds}
     environments = {kind: model for kind, model in models.items() if kind in ENVIRONMENTS}
     deltas = {kind: model for kind, model in models.items() if kind in DELTA_LIGHTS}
-    environment_eval, environment_pdf, environment_vjp = None, None, None
+    environment_eval, environment_pdf, environment_eval_pdf, environment_vjp = None, None, None, None
     if environments:
         environment_eval = _environment_eval(_chain(_either_eval, environments, "eval"))
         environment_pdf = _environment_pdf(_chain(_either_pdf, environments, "pdf"))
+        environment_eval_pdf = _environment_eval_pdf(_chain(_either_eval_pdf, environments, "eval_pdf"))
     if environments and role is not None:
         environment_vjp = _environment_vjp(_chain(_either_eval_vjp, environments, "eval_vjp"))
     return LightFunctions(
@@ -79,6 +82,7 @@ def make_lights(kinds: tuple[int, ...], role: str | None, wanted: tuple[str, ...
         sample_vjp=_chain(_either_sample_vjp, deltas, "sample_vjp") if role is not None else None,
         environment_eval=environment_eval,
         environment_pdf=environment_pdf,
+        environment_eval_pdf=environment_eval_pdf,
         environment_vjp=environment_vjp,
     )
 
@@ -141,6 +145,18 @@ def _either_pdf(kind: int, f: wp.Function, rest: wp.Function) -> wp.Function:
     return pdf
 
 
+def _either_eval_pdf(kind: int, f: wp.Function, rest: wp.Function) -> wp.Function:
+    @wp.func
+    def eval_pdf(scene: Scene, e: Emitter, direction: wp.vec3) -> tuple[wp.vec3, wp.float32]:
+        if e.kind == kind:
+            found, density = f(scene, e, direction)
+            return found, density
+        other, other_density = rest(scene, e, direction)
+        return other, other_density
+
+    return eval_pdf
+
+
 def _either_eval_vjp(kind: int, f: wp.Function, rest: wp.Function) -> wp.Function:
     @wp.func
     def eval_vjp(
@@ -168,6 +184,15 @@ def _environment_pdf(f: wp.Function) -> wp.Function:
         return f(scene, scene.emitters[scene.environment], direction)
 
     return environment_pdf
+
+
+def _environment_eval_pdf(f: wp.Function) -> wp.Function:
+    @wp.func
+    def environment_eval_pdf(scene: Scene, direction: wp.vec3) -> tuple[wp.vec3, wp.float32]:
+        found, density = f(scene, scene.emitters[scene.environment], direction)
+        return found, density
+
+    return environment_eval_pdf
 
 
 def _environment_vjp(f: wp.Function) -> wp.Function:

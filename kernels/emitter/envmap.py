@@ -13,7 +13,8 @@ import functools
 
 import warp as wp
 
-from warp_psdr.kernels.constants import FAR, INV_PI, INV_TWO_PI, ONE_MINUS_EPSILON, PI, TWO_PI
+from warp_psdr.kernels.angles import arctan2, circle, sin_quarter
+from warp_psdr.kernels.constants import FAR, INV_PI, INV_TWO_PI, ONE_MINUS_EPSILON, TWO_PI
 from warp_psdr.kernels.distribution import LEVELS, find_interval
 from warp_psdr.kernels.emitter.constant import EnvironmentFunctions
 from warp_psdr.kernels.rng import UNIT, pcg4d, unit_float
@@ -39,6 +40,16 @@ class Cell:
     i11: wp.int32
     fx: wp.float32
     fy: wp.float32
+
+
+@wp.struct
+class Corners:
+    """The texels at a cell's corners: read once, for the radiance and for the density."""
+
+    t00: wp.vec3
+    t10: wp.vec3
+    t01: wp.vec3
+    t11: wp.vec3
 
 
 @wp.struct
@@ -86,9 +97,9 @@ def cell_at(texture: Texture, row: wp.int32, column: wp.int32) -> Cell:
 def locate(texture: Texture, v: wp.vec3) -> Cell:
     """Cell of the direction ``v`` (light's frame, any length)."""
     rows = texture.height - 1
-    # Both angles by atan2: accurate everywhere, poles included, and independent of the vector's length.
-    x = wp.atan2(v[0], -v[2]) * INV_TWO_PI * wp.float32(texture.width) - 0.5
-    y = wp.atan2(wp.sqrt(v[0] * v[0] + v[2] * v[2]), v[1]) * INV_PI * wp.float32(rows)
+    # Both angles by the arctangent of two: accurate everywhere, poles included, and independent of the vector's length.
+    x = arctan2(v[0], -v[2]) * INV_TWO_PI * wp.float32(texture.width) - 0.5
+    y = arctan2(wp.sqrt(v[0] * v[0] + v[2] * v[2]), v[1]) * INV_PI * wp.float32(rows)
     left = wp.floor(x)
     column = wp.int32(left)
     if column < 0:
@@ -101,26 +112,35 @@ def locate(texture: Texture, v: wp.vec3) -> Cell:
 
 
 @wp.func
-def interpolate(scene: Scene, texture: Texture, cell: Cell) -> wp.vec3:
+def corners_of(scene: Scene, texture: Texture, cell: Cell) -> Corners:
     n = texture.channels
-    top = (1.0 - cell.fx) * texel(scene, cell.i00, n) + cell.fx * texel(scene, cell.i10, n)
-    bottom = (1.0 - cell.fx) * texel(scene, cell.i01, n) + cell.fx * texel(scene, cell.i11, n)
+    corners = Corners()
+    corners.t00 = texel(scene, cell.i00, n)
+    corners.t10 = texel(scene, cell.i10, n)
+    corners.t01 = texel(scene, cell.i01, n)
+    corners.t11 = texel(scene, cell.i11, n)
+    return corners
+
+
+@wp.func
+def interpolate(c: Corners, cell: Cell) -> wp.vec3:
+    top = (1.0 - cell.fx) * c.t00 + cell.fx * c.t10
+    bottom = (1.0 - cell.fx) * c.t01 + cell.fx * c.t11
     return (1.0 - cell.fy) * top + cell.fy * bottom
 
 
 @wp.func
-def brightness(scene: Scene, offset: wp.int32, channels: wp.int32) -> wp.float32:
-    t = texel(scene, offset, channels)
+def brightness(t: wp.vec3) -> wp.float32:
     return wp.max(t[0] + t[1] + t[2], 0.0)
 
 
 @wp.func
-def cell_density(scene: Scene, texture: Texture, cell: Cell) -> CellDensity:
+def corner_density(c: Corners) -> CellDensity:
     """Corner values of the density within a cell, their mean one."""
-    b00 = brightness(scene, cell.i00, texture.channels)
-    b10 = brightness(scene, cell.i10, texture.channels)
-    b01 = brightness(scene, cell.i01, texture.channels)
-    b11 = brightness(scene, cell.i11, texture.channels)
+    b00 = brightness(c.t00)
+    b10 = brightness(c.t10)
+    b01 = brightness(c.t01)
+    b11 = brightness(c.t11)
     density = CellDensity()
     mean = 0.25 * (b00 + b10 + b01 + b11)
     uniform = wp.where(mean > 0.0, UNIFORM_CELL, 1.0)
@@ -130,6 +150,12 @@ def cell_density(scene: Scene, texture: Texture, cell: Cell) -> CellDensity:
     density.b01 = uniform + factor * b01
     density.b11 = uniform + factor * b11
     return density
+
+
+@wp.func
+def cell_density(scene: Scene, texture: Texture, cell: Cell) -> CellDensity:
+    """``corner_density`` of a cell."""
+    return corner_density(corners_of(scene, texture, cell))
 
 
 @wp.func
@@ -146,15 +172,17 @@ def linear_offset(u: wp.float32, a: wp.float32, b: wp.float32) -> wp.float32:
 @wp.func
 def half_sine(row: wp.int32, rows: wp.int32) -> wp.float32:
     """sin^2(theta / 2) where row ``row`` of texels lies; (1 - cos theta) / 2 without cancellation."""
-    h = wp.sin(0.5 * PI * wp.float32(row) / wp.float32(rows))
+    h = sin_quarter(wp.float32(row) / wp.float32(rows))
     return h * h
 
 
 @wp.func
 def cell_solid_angle(row: wp.int32, rows: wp.int32, columns: wp.int32) -> wp.float32:
     """Solid angle of a cell: delta phi (cos theta_0 - cos theta_1), as a product."""
-    half = 0.5 * PI / wp.float32(rows)
-    return TWO_PI / wp.float32(columns) * 2.0 * wp.sin(wp.float32(2 * row + 1) * half) * wp.sin(half)
+    # Counted from the nearer pole, where the sine is small.
+    nearer = wp.float32(2 * wp.min(row, rows - 1 - row) + 1)
+    half = 1.0 / wp.float32(rows)
+    return TWO_PI / wp.float32(columns) * 2.0 * sin_quarter(nearer * half) * sin_quarter(half)
 
 
 @wp.func
@@ -210,18 +238,26 @@ def make_envmap(role: str | None, wanted: tuple[str, ...]) -> EnvironmentFunctio
     def radiance(scene: Scene, e: Emitter, direction: wp.vec3) -> wp.vec3:
         texture = scene.textures[e.texture]
         v = wp.inverse(load_matrix(scene.values, e.to_world)) * direction
-        return scene.values[e.scale] * interpolate(scene, texture, locate(texture, v))
+        cell = locate(texture, v)
+        return scene.values[e.scale] * interpolate(corners_of(scene, texture, cell), cell)
 
     @wp.func
-    def pdf(scene: Scene, e: Emitter, direction: wp.vec3) -> wp.float32:
+    def eval_pdf(scene: Scene, e: Emitter, direction: wp.vec3) -> tuple[wp.vec3, wp.float32]:
         texture = scene.textures[e.texture]
         rows = texture.height - 1
         v = wp.normalize(wp.inverse(load_matrix(scene.values, e.to_world)) * direction)
         cell = locate(texture, v)
+        corners = corners_of(scene, texture, cell)
         t = cell_height(cell, v, rows)
-        density = density_at(cell_density(scene, texture, cell), cell.fx, t)
+        density = density_at(corner_density(corners), cell.fx, t)
         share = cell_share(scene, cell.row, cell.column, texture.width)
-        return share * density / cell_solid_angle(cell.row, rows, texture.width)
+        found = scene.values[e.scale] * interpolate(corners, cell)
+        return found, share * density / cell_solid_angle(cell.row, rows, texture.width)
+
+    @wp.func
+    def pdf(scene: Scene, e: Emitter, direction: wp.vec3) -> wp.float32:
+        _radiance, density = eval_pdf(scene, e, direction)
+        return density
 
     @wp.func
     def sample(scene: Scene, e: Emitter, x: wp.vec3, u: wp.vec2) -> LightSample:
@@ -243,31 +279,34 @@ def make_envmap(role: str | None, wanted: tuple[str, ...]) -> EnvironmentFunctio
 
         # Within the cell: first the vertical position, from the means of the two rows, then the horizontal one.
         cell = cell_at(texture, row, column)
-        b = cell_density(scene, texture, cell)
+        corners = corners_of(scene, texture, cell)
+        b = corner_density(corners)
         t = linear_offset(u_y, b.b00 + b.b10, b.b01 + b.b11)
         s = linear_offset(u_x, (1.0 - t) * b.b00 + t * b.b01, (1.0 - t) * b.b10 + t * b.b11)
         upper = 2 * row < rows
         q0 = half_sine(wp.where(upper, row, rows - row), rows)
         q1 = half_sine(wp.where(upper, row + 1, rows - row - 1), rows)
         q = (1.0 - t) * q0 + t * q1
-        phi = TWO_PI * (wp.float32(column) + 0.5 + s) / wp.float32(columns)
-        sin_theta = 2.0 * wp.sqrt(wp.max(q * (1.0 - q), 0.0))
+        azimuth = circle((wp.float32(column) + 0.5 + s) / wp.float32(columns))
+        root = wp.sqrt(q)
+        other = wp.sqrt(wp.max(1.0 - q, 0.0))
+        sin_theta = 2.0 * root * other
         cos_theta = wp.where(upper, 1.0 - 2.0 * q, 2.0 * q - 1.0)
-        v = wp.vec3(sin_theta * wp.sin(phi), cos_theta, -sin_theta * wp.cos(phi))
-        # Texels are interpolated in theta = 2 asin(sqrt(q)), counted from the nearer pole.
-        y = 2.0 * INV_PI * wp.float32(rows) * wp.asin(wp.sqrt(q))
+        v = wp.vec3(sin_theta * azimuth[1], cos_theta, -sin_theta * azimuth[0])
+        # Texels are interpolated in theta, counted from the nearer pole; root = sin(theta / 2).
+        y = 2.0 * INV_PI * wp.float32(rows) * arctan2(root, other)
         cell.fx = s
         cell.fy = wp.clamp(wp.where(upper, y - wp.float32(row), wp.float32(rows - row) - y), 0.0, 1.0)
 
         result.wi = wp.normalize(load_matrix(scene.values, e.to_world) * v)
-        result.radiance = scene.values[e.scale] * interpolate(scene, texture, cell)
+        result.radiance = scene.values[e.scale] * interpolate(corners, cell)
         result.pdf = (
             cell_share(scene, row, column, columns) * density_at(b, s, t) / cell_solid_angle(row, rows, columns)
         )
         return result
 
     if role is None:
-        return EnvironmentFunctions(sample, radiance, pdf, None)
+        return EnvironmentFunctions(sample, radiance, pdf, eval_pdf, None)
 
     @wp.func
     def eval_vjp(
@@ -279,12 +318,13 @@ def make_envmap(role: str | None, wanted: tuple[str, ...]) -> EnvironmentFunctio
         to_local = wp.inverse(load_matrix(scene.values, e.to_world))
         v = to_local * direction
         cell = locate(texture, v)
+        corners = corners_of(scene, texture, cell)
         scaled = scene.values[e.scale] * w
         w00, w10, w01, w11, d_fx, d_fy, _w = wp.grad(bilinear_dot)(
-            texel(scene, cell.i00, n),
-            texel(scene, cell.i10, n),
-            texel(scene, cell.i01, n),
-            texel(scene, cell.i11, n),
+            corners.t00,
+            corners.t10,
+            corners.t01,
+            corners.t11,
             cell.fx,
             cell.fy,
             scaled,
@@ -303,7 +343,7 @@ def make_envmap(role: str | None, wanted: tuple[str, ...]) -> EnvironmentFunctio
         d_direction = wp.transpose(to_local) * d_v
         result.x = d_direction
         if wp.static("radiance" in wanted):
-            result.dot += sink(target, e.scale, wp.dot(w, interpolate(scene, texture, cell)))
+            result.dot += sink(target, e.scale, wp.dot(w, interpolate(corners, cell)))
             result.dot += sink_texel(target, cell.i00, n, w00) + sink_texel(target, cell.i10, n, w10)
             result.dot += sink_texel(target, cell.i01, n, w01) + sink_texel(target, cell.i11, n, w11)
         if wp.static("pose" in wanted):
@@ -312,4 +352,4 @@ def make_envmap(role: str | None, wanted: tuple[str, ...]) -> EnvironmentFunctio
                     result.dot += sink(target, e.to_world + 4 * i + j, -d_direction[i] * v[j])
         return result
 
-    return EnvironmentFunctions(sample, radiance, pdf, eval_vjp)
+    return EnvironmentFunctions(sample, radiance, pdf, eval_pdf, eval_vjp)
