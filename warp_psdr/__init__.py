@@ -96,14 +96,18 @@ def load_file(path, *, device: str = "cpu", allow_outside=False, **defaults) -> 
     return Scene(describe_file(path, allow_outside=allow_outside, **defaults), device)
 
 
-def load_string(xml: str, *, device: str = "cpu", base=None, allow_outside=False, **defaults) -> Scene:
-    """Load a Mitsuba 3 scene from XML text; ``base`` stands for the scene's folder, else the current one.
+def load_string(xml: str, *, device: str = "cpu", base=None, allow_outside=None, **defaults) -> Scene:
+    """Load a Mitsuba 3 scene from XML text; see ``load_file``.
 
-    See ``load_file``.
+    Without ``base``, file names start from the current folder and, the text being the program's own, may lead anywhere.
+    ``base`` stands for the scene's folder, which the names may then not leave. For text of strangers give ``base``, or
+    ``allow_outside=False``.
     """
     from warp_psdr.scene import describe_string
     from warp_psdr.scene.scene import Scene
 
+    if allow_outside is None:
+        allow_outside = base is None
     return Scene(describe_string(xml, base=base, allow_outside=allow_outside, **defaults), device)
 
 

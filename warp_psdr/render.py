@@ -248,9 +248,8 @@ def render_forward(
         ``wp.array2d`` of vec3, shape (H, W): d image / d t for parameters + t * tangents.
 
     Raises:
-        ValueError: no or wrong tangents, an option out of range or two that exclude each other, a moving discontinuity
-            that the method of the boundary term does not cover, or surfaces that touch and are moved apart or into
-            each other.
+        ValueError: no or wrong tangents, an option out of range or two that exclude each other, or a moving
+            discontinuity that the method of the boundary term does not cover.
     """
     from warp_psdr.work_precision import budget, quantity
 
@@ -267,7 +266,7 @@ def render_forward(
     plan = make_plan(scene, integrator=integrator, sensor=sensor, names=names)
     camera = scene.camera(sensor)
     if plan.boundary is not None:
-        contacts.check(scene, target.numpy())
+        contacts.warn(scene, target.numpy())
     image = wp.zeros((camera.crop_height, camera.crop_width), dtype=wp.vec3, device=scene.device)
     interior_forward(scene, plan, sensor, spp, seed, target, image, progress)
     if plan.boundary is not None:

@@ -1,4 +1,6 @@
-"""Surfaces that touch: motions along contacts are differentiated, motions across them refused."""
+"""Surfaces that touch: motions along contacts are differentiated, of motions across them forward mode warns."""
+
+import warnings
 
 import numpy as np
 import pytest
@@ -113,19 +115,21 @@ def forward(name, directions):
 
 
 @pytest.mark.parametrize(("name", "directions", "pair"), ACROSS)
-def test_motions_across_contacts_are_refused(name, directions, pair) -> None:
-    with pytest.raises(ValueError, match="one-sided") as error:
+def test_motions_across_contacts_are_warned_of(name, directions, pair) -> None:
+    with pytest.warns(RuntimeWarning, match="one-sided") as found:
         forward(name, directions)
-    assert all(repr(shape) in str(error.value) for shape in pair) and "boundary=None" in str(error.value)
+    assert all(repr(shape) in str(found[0].message) for shape in pair)
 
 
 @pytest.mark.parametrize(("name", "directions"), ALONG)
 def test_motions_along_contacts_are_not(name, directions) -> None:
-    assert np.isfinite(forward(name, directions)).all()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", RuntimeWarning)
+        assert np.isfinite(forward(name, directions)).all()
 
 
-def test_a_mesh_is_not_torn_apart() -> None:
-    with pytest.raises(ValueError, match="tears the mesh 'shape' apart"):
+def test_tearing_a_mesh_apart_is_warned_of() -> None:
+    with pytest.warns(RuntimeWarning, match="tears the mesh 'shape' apart"):
         forward("split box", {SHAPE: tip})
 
 
@@ -133,7 +137,10 @@ def test_the_interior_term_alone_takes_every_motion() -> None:
     scene, params = load("room")
     integrator = psdr.PathIntegrator(max_depth=2, boundary=None)
     tangent = UP(params[BOX].numpy()).astype(np.float32)
-    assert np.isfinite(psdr.render_forward(scene, params, {BOX: tangent}, integrator=integrator, spp=1).numpy()).all()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", RuntimeWarning)
+        image = psdr.render_forward(scene, params, {BOX: tangent}, integrator=integrator, spp=1).numpy()
+    assert np.isfinite(image).all()
 
 
 def test_reverse_mode_takes_touching_shapes_and_the_plan_says_what_holds() -> None:
@@ -155,14 +162,16 @@ def test_contacts_follow_edits() -> None:
     base = params[BOX].numpy().copy()
     try:
         move(params, {BOX: base + 0.05 * UP(base)})
-        assert np.isfinite(forward("room", {BOX: UP})).all()
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", RuntimeWarning)
+            assert np.isfinite(forward("room", {BOX: UP})).all()
     finally:
         move(params, {BOX: base})
-    with pytest.raises(ValueError, match="one-sided"):
+    with pytest.warns(RuntimeWarning, match="one-sided"):
         forward("room", {BOX: UP})
 
 
-def test_what_is_refused_has_two_derivatives() -> None:
+def test_what_is_warned_of_has_two_derivatives() -> None:
     """The sum of the image as a wall of a room is moved in, over the floor's end, and out, which opens a gap."""
     scene, params = load("room")
     base, step, seeds = params[LEFT].numpy().copy(), 0.02, range(8)

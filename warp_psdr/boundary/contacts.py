@@ -13,13 +13,14 @@ What has a derivative is motion along the contact: with v the relative velocity 
     n . v = 0           where an edge lies inside of a face with the normal n,
     v parallel to t     where an edge lies on another edge, with the tangent t, at which neither surface goes on.
 
-The conditions are linear on a piece of contact, so they are tested at its ends. Forward mode knows v and refuses the
-rest. Reverse mode returns derivatives by all vertices; they hold for motions along contacts and of all that touches
-together, and the plan says so.
+The conditions are linear on a piece of contact, so they are tested at its ends. Both modes estimate the derivative that
+holds for motions along contacts and of all that touches together: of the others they leave out what opens or closes.
+Forward mode knows v and warns; in reverse mode the plan says so.
 """
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -88,35 +89,37 @@ def describe(scene: Scene, shapes: frozenset[int]) -> str:
     return _names(scene, found) if len(found) else ""
 
 
-def check(scene: Scene, tangents: np.ndarray) -> None:
-    """Refuse motions across contacts.
+def warn(scene: Scene, tangents: np.ndarray) -> None:
+    """Warn (RuntimeWarning) about motions across contacts.
+
+    No error, since reverse mode returns the same numbers without knowing the motion, and a set of vertices often moves
+    both along and across.
 
     Args:
         scene: the scene.
         tangents: flat, laid out like the scene's values: velocities of all vertices.
-
-    Raises:
-        ValueError: surfaces that touch move apart or into each other.
     """
     velocity = tangents[scene.positions : scene.positions + 3 * scene.vertex_count].reshape(-1, 3).astype(np.float64)
     rest = RESTING * float(np.linalg.norm(velocity, axis=1).max(initial=0.0))
     if rest == 0.0:
         return
     pairs = _crossed(scene, velocity, rest)
-    remedy = "say PathIntegrator(boundary=None) to get the interior term alone"
+    left_out = "the derivative of the image is one-sided there, and what opens or closes is left out of it"
     if len(pairs):
         gap = CONTACT_EPSILONS * scene.ray_epsilon
-        raise ValueError(
-            f"{_names(scene, pairs)} touch, and the tangent moves them apart or into each other: the derivative of the "
-            "image is one-sided there and not estimated. Move them together or along the contact, or leave a gap, or "
-            f"let one reach into the other, by more than {gap:.2g}; {remedy}"
+        warnings.warn(
+            f"{_names(scene, pairs)} touch, and the tangent moves them apart or into each other: {left_out}. Move them "
+            f"together or along the contact, or leave a gap, or let one reach into the other, by more than {gap:.2g}",
+            RuntimeWarning,
+            stacklevel=4,
         )
     torn = _torn(scene, velocity, rest)
     if torn >= 0:
-        raise ValueError(
-            f"the tangent tears the mesh {scene.description.shapes[torn].path!r} apart at vertices of one position, "
-            "where the derivative of the image is one-sided and not estimated: give them the same velocity, or merge "
-            f"them; {remedy}"
+        warnings.warn(
+            f"the tangent tears the mesh {scene.description.shapes[torn].path!r} apart at vertices of one position: "
+            f"{left_out}. Give them the same velocity, or merge them",
+            RuntimeWarning,
+            stacklevel=4,
         )
 
 

@@ -14,6 +14,7 @@ import numpy as np
 import warp as wp
 
 from warp_psdr.arguments import adjoint_array, flat_tangents
+from warp_psdr.boundary import contacts
 from warp_psdr.boundary.drivers import launch_backward, launch_forward
 from warp_psdr.boundary.motion import motion
 from warp_psdr.boundary.terms import TERMS, Request
@@ -162,6 +163,8 @@ def derivative(
     integrator = integrator or from_description(scene.description.integrator)
     target = flat_tangents(scene, params, tangents)
     plan = make_plan(scene, integrator=integrator, sensor=sensor, names=list(tangents))
+    if plan.boundary is not None:
+        contacts.warn(scene, target.numpy())
     camera = scene.camera(sensor)
     shape = (camera.crop_height, camera.crop_width)
 
