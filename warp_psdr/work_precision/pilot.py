@@ -14,7 +14,6 @@ How long the pilot runs, and so what it finds, depends on the machine's speed: i
 from __future__ import annotations
 
 import math
-import statistics
 import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING
@@ -56,6 +55,8 @@ TILE_SHARE = 0.25
 #: Batches of the other size: smaller by the first factor or, where that is not possible, larger by the second; and the
 #: rounds from one to the next.
 SMALLER, LARGER, OTHER_EVERY = 4, 2, 3
+#: Share of the times of a batch that count, from the fastest on.
+KEPT_TIMES = 0.9
 #: Batches of a term that are kept hold at most this many numbers (256 MB).
 KEPT = 1 << 25
 
@@ -278,7 +279,7 @@ def _rounds(what: Quantity, sizes: list[int], seed: int, seconds: float, start: 
         # Powers of the square root of two: how much is known is looked at rarely.
         if number >= CERTAIN_ROUNDS and number in (16, 23, 32, 45, 64, 91, 128, 181):
             found = moments(kept, blocks)
-            cost = np.array([statistics.median(t) for t in times])
+            cost = np.array([_typical(t)[0] for t in times])
             if found.seen.all() and _spread(found, cost, np.zeros(len(parts))) <= CERTAIN:
                 return kept, times, others, other_times, found
 
@@ -306,7 +307,7 @@ def _term(
     if k == 0:
         spread_over = tiling if tiling is not None else uniform(what)
         counts = [spread_over.samples(n) for n in (spp, other_size(spp))]
-    seconds, other = statistics.median(times), statistics.median(other_times)
+    (seconds, seconds_error), (other, _error) = _typical(times), _typical(other_times)
     marginal = max((seconds - other) / (counts[0] - counts[1]), 0.0) if counts[0] != counts[1] else 0.0
     if marginal == 0.0 or marginal * counts[0] > seconds:
         marginal = seconds / max(counts[0], 1)
@@ -318,7 +319,7 @@ def _term(
         spp=spp,
         samples=counts[0],
         seconds=seconds,
-        seconds_error=_median_error(times),
+        seconds_error=seconds_error,
         fixed_seconds=max(seconds - marginal * counts[0], 0.0),
         sample_seconds=marginal,
         setup_seconds=setup,
@@ -343,10 +344,10 @@ def _exponent(found: Moments, second: Moments, k: int, log_ratio: float) -> tupl
     return (values[1] - values[0]) / log_ratio, math.hypot(*errors) / abs(log_ratio)
 
 
-def _median_error(times: list[float]) -> float:
-    """Return the standard error of a median, from the quartiles of normally distributed times."""
-    low, high = np.percentile(times, (25, 75))
-    return float(1.2533 * (high - low) / 1.349 / math.sqrt(len(times)))
+def _typical(times: list[float]) -> tuple[float, float]:
+    """Return the mean of times without the slowest tenth, which other work on the machine makes, and its error."""
+    kept = np.sort(times)[: max(math.ceil(KEPT_TIMES * len(times)), 1)]
+    return float(kept.mean()), float(kept.std() / math.sqrt(len(kept)))
 
 
 def _spread(found: Moments, cost: np.ndarray, cost_error: np.ndarray) -> float:
