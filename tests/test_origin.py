@@ -135,7 +135,8 @@ def test_gradients_need_no_conversion(pair) -> None:
     for loaded in pair:
         params = psdr.traverse(loaded)
         params.requires_grad(*PLACED[:6])
-        psdr.render_backward(loaded, params, np.ones((12, 12, 3)), spp=4, integrator=psdr.PathIntegrator(max_depth=2))
+        integrator = psdr.PathIntegrator(max_depth=2, boundary=None)
+        psdr.render_backward(loaded, params, np.ones((12, 12, 3)), spp=4, integrator=integrator)
         gradients.append({name: params[name].grad.numpy() for name in params.requested})
     near, far = gradients
     for name, gradient in near.items():
