@@ -25,10 +25,11 @@ def fresnel_conductor(c: wp.float32, eta: wp.float32, k: wp.float32) -> wp.float
         R_p / R_s = ((a c - sin^2)^2 + b^2 c^2) / ((a c + sin^2)^2 + b^2 c^2).
 
     The larger of a and b comes from a root, the other from a b = eta k: nothing cancels in a good metal, and eta = 0
-    has a finite derivative.
+    has a finite derivative. eta^2 - sin^2 is written so that it keeps its digits both for eta near 0 (at normal
+    incidence) and near 1 (at grazing angles).
     """
-    sin2 = 1.0 - c * c
-    x = (eta - 1.0) * (eta + 1.0) + c * c - k * k
+    sin2 = (1.0 - c) * (1.0 + c)
+    x = wp.where(eta < 0.5, eta * eta - sin2, (eta - 1.0) * (eta + 1.0) + c * c) - k * k
     half_y = eta * k
     modulus = wp.sqrt(wp.max(x * x + 4.0 * half_y * half_y, MIN_SQUARED_MODULUS))
     larger = wp.sqrt(0.5 * (modulus + wp.abs(x)))

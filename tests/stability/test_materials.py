@@ -1,0 +1,303 @@
+"""Materials: every scattering model at the ends of its parameters' ranges, value and derivatives, against float64.
+
+A model joins the sweeps by a row of ``SMOOTH`` or ``DELTA``.
+"""
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from tests.bsdf_helpers import (
+    GOLD,
+    MATERIAL,
+    MIRROR,
+    Launcher,
+    direction,
+    material,
+    rough,
+    twin_eval,
+    twin_fresnel_conductor,
+)
+from warp_psdr.kernels.constants import (
+    BSDF_CONDUCTOR,
+    BSDF_DIELECTRIC,
+    BSDF_DIFFUSE,
+    BSDF_ROUGH_CONDUCTOR_BECKMANN,
+    BSDF_ROUGH_CONDUCTOR_GGX,
+    LOBE_DELTA_REFLECTION,
+    LOBE_DELTA_TRANSMISSION,
+)
+
+from .record import Case, parameters
+
+WEIGHT = np.array([0.7, -0.4, 1.1])
+#: Metals: gold, a perfect mirror, a lossless medium.
+METALS = (GOLD, MIRROR, ((1.5, 1.3, 2.0), (0.0, 0.0, 0.0)))
+ALPHAS = (1e-4, 1e-3, 1e-2, 1e-1, 0.3, 1.0)
+ANGLES = (0.0, 40.0, 80.0, 89.0, 89.9)
+
+
+def rounded(x) -> np.ndarray:
+    """What the device sees of a float64 value."""
+    return np.asarray(x, np.float32).astype(np.float64)
+
+
+def as_seen(mat: np.void) -> np.void:
+    return np.array(tuple(rounded(mat[name]) for name in MATERIAL.names), dtype=MATERIAL)[()]
+
+
+def rough_pairs(alpha: float) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Directions whose half vectors have slopes up to 2 alpha, as the device sees them."""
+    for angle in ANGLES:
+        wi = rounded(direction(angle))
+        for slope in ((0.0, 0.0), (0.5, 0.3), (-1.5, 1.0)):
+            h = np.array([slope[0] * alpha, slope[1] * alpha, 1.0])
+            wo = 2.0 * np.dot(wi, h) / np.dot(h, h) * h - wi
+            if wo[2] > 1e-3:
+                yield wi, rounded(wo)
+
+
+def diffuse_pairs(_alpha: float) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    for angle in ANGLES:
+        yield rounded(direction(angle)), rounded(direction(89.9 - angle, 200.0))
+
+
+#: name, model, materials by a roughness, pairs of directions.
+SMOOTH = [
+    ("diffuse", BSDF_DIFFUSE, lambda a: [material((0.0, 1.0, a))], diffuse_pairs),
+    ("ggx", BSDF_ROUGH_CONDUCTOR_GGX, lambda a: [rough(a, metal=m) for m in METALS], rough_pairs),
+    ("beckmann", BSDF_ROUGH_CONDUCTOR_BECKMANN, lambda a: [rough(a, metal=m) for m in METALS], rough_pairs),
+    ("ggx, brushed", BSDF_ROUGH_CONDUCTOR_GGX, lambda a: [rough(a, min(10.0 * a, 1.0))], rough_pairs),
+]
+
+
+def smooth_rows() -> Iterator[tuple[int, float, np.void, np.ndarray, np.ndarray]]:
+    for _name, model, materials, pairs in SMOOTH:
+        for alpha in ALPHAS:
+            for mat in materials(alpha):
+                for wi, wo in pairs(alpha):
+                    yield model, alpha, as_seen(mat), wi, wo
+
+
+def smooth_values() -> float:
+    """Worst error of f_s cos, relative; infinite where something is not finite."""
+    launcher, worst = Launcher("cpu"), 0.0
+    for model, _alpha, mat, wi, wo in smooth_rows():
+        value, pdf = launcher.eval_pdf(model, mat, wi, wo)
+        expected = twin_eval(model, mat, wi, wo)
+        if not (np.isfinite(value).all() and np.isfinite(pdf).all() and pdf[0] > 0.0):
+            return math.inf
+        worst = max(worst, float(np.abs(value[0] - expected).max() / np.abs(expected).max()))
+    return worst
+
+
+def smooth_derivatives() -> float:
+    """Worst error of the derivatives by reflectance and roughness, relative to value over parameter."""
+    launcher, worst = Launcher("cpu"), 0.0
+    for model, _alpha, mat, wi, wo in smooth_rows():
+        adjoint = launcher.eval_vjp(model, mat, wi, wo, WEIGHT)[0]
+        if not all(np.isfinite(adjoint["material"][n]).all() for n in MATERIAL.names) or not (
+            np.isfinite(adjoint["wi"]).all() and np.isfinite(adjoint["wo"]).all()
+        ):
+            return math.inf
+        value = np.abs(WEIGHT) @ np.abs(twin_eval(model, mat, wi, wo)) + 1e-30
+        # By the reflectance: linear, so exact also where it is 0.
+        for c in range(3):
+            one = np.array(mat, dtype=MATERIAL)
+            one["c0"] = np.eye(3)[c]
+            expected = WEIGHT[c] * twin_eval(model, one[()], wi, wo)[c]
+            worst = max(worst, float(abs(adjoint["material"]["c0"][c] - expected)) / max(abs(expected), 1e-30))
+        # By the roughness: one-sided at 1e-4, where the range ends, and at 1.
+        for slot in ("s0", "s1"):
+            alpha = float(mat[slot])
+            if alpha > 0.0:
+                h = 1e-5 * alpha
+                f = []
+                for k in (0, 1, 2):
+                    moved = np.array(mat, dtype=MATERIAL)
+                    moved[slot] = alpha + (k if alpha < 2e-4 else k - 1) * h
+                    f.append(WEIGHT @ twin_eval(model, moved[()], wi, wo))
+                forward = (-1.5 * f[0] + 2.0 * f[1] - 0.5 * f[2]) / h
+                expected = forward if alpha < 2e-4 else (f[2] - f[0]) / (2.0 * h)
+                if alpha != np.float32(1e-4):  # there the clamp has either one-sided derivative
+                    worst = max(worst, abs(float(adjoint["material"][slot]) - expected) * alpha / value)
+    return worst
+
+
+def below_the_range() -> float:
+    """Roughness below 1e-4 is that of 1e-4: largest difference of values, and of derivatives from 0."""
+    launcher, worst = Launcher("cpu"), 0.0
+    for model in (BSDF_ROUGH_CONDUCTOR_GGX, BSDF_ROUGH_CONDUCTOR_BECKMANN):
+        for wi, wo in rough_pairs(1e-4):
+            at = launcher.eval_pdf(model, rough(1e-4), wi, wo)
+            for alpha in (1e-5, 1e-7, 0.0):
+                below = launcher.eval_pdf(model, rough(alpha), wi, wo)
+                worst = max(worst, *(float(np.abs(a - b).max()) for a, b in zip(at, below, strict=True)))
+                adjoint = launcher.eval_vjp(model, rough(alpha), wi, wo, WEIGHT)[0]["material"]
+                worst = max(worst, abs(float(adjoint["s0"])), abs(float(adjoint["s1"])))
+    return worst
+
+
+# --- smooth interfaces ---
+
+
+def interface(eta: float, c: float) -> tuple[float, float, float]:
+    """Reflectance of a lossless interface in float64, and its derivatives by eta and by the cosine."""
+
+    def reflectance(eta: np.longdouble, c: np.longdouble) -> np.longdouble:
+        root = (eta - 1) * (eta + 1) + c * c
+        if root <= 0:
+            return np.longdouble(1.0)
+        g = np.sqrt(root)
+        contrast = (eta - 1) * (eta + 1)
+        r_s = contrast / (c + g) ** 2
+        r_p = contrast * (c * c * (eta * eta + 1) - 1) / (eta * eta * c + g) ** 2
+        return 0.5 * (r_s**2 + r_p**2)
+
+    e, x = np.longdouble(eta), np.longdouble(c)
+    # Steps follow the distance to where the function has a kink or a root.
+    distance = abs((e - 1) * (e + 1) + x * x)
+    h = np.longdouble(1e-5) * min(distance, abs(e - 1) if e != 1 else distance)
+    by_eta = (reflectance(e + h, x) - reflectance(e - h, x)) / (2 * h)
+    by_c = (reflectance(e, x + h) - reflectance(e, x - h)) / (2 * h)
+    return float(reflectance(e, x)), float(by_eta), float(by_c)
+
+
+def dielectric_error(eta: float, c: float) -> float:
+    """Worst error of reflectance and its derivative by eta, relative to themselves."""
+    launcher = Launcher("cpu")
+    wi = rounded([math.sqrt(max(1.0 - c * c, 0.0)), 0.0, c])
+    mat = as_seen(material(c1=(1.0, 1.0, 1.0), s0=eta))
+    value = launcher.scatter(BSDF_DIELECTRIC, mat, wi, LOBE_DELTA_REFLECTION)[0]["value"]
+    w, none = np.array([1.0, 0.0, 0.0]), np.zeros(3)
+    adjoint = launcher.scatter_vjp(BSDF_DIELECTRIC, mat, wi, LOBE_DELTA_REFLECTION, w, none)[0]
+    through = launcher.scatter_vjp(BSDF_DIELECTRIC, mat, wi, LOBE_DELTA_TRANSMISSION, w, np.ones(3))[0]
+    found = [value[0], adjoint["material"]["s0"], *adjoint["wi"], through["material"]["s0"], *through["wi"]]
+    if not np.isfinite(found).all():
+        return math.inf
+    expected, by_eta, _by_c = interface(float(mat["s0"]), float(wi[2]))
+    if eta == 1.0:
+        return max(abs(float(value[0])), abs(float(adjoint["material"]["s0"])))
+    return max(
+        abs(float(value[0]) / expected - 1.0),
+        abs(float(adjoint["material"]["s0"]) - by_eta) / max(abs(by_eta), 1e-30) if abs(by_eta) > 0.0 else 0.0,
+    )
+
+
+def equal_indices() -> float:
+    etas = [1.0, *(1.0 + s * 10.0**-k for k in range(1, 7) for s in (1.0, -1.0))]
+    # Towards the thinner side only where there is no total reflection.
+    rows = [(e, c) for e in etas for c in (1.0, 0.7, 0.05) if (e - 1.0) * (e + 1.0) + c * c > 0.25 * c * c]
+    return max(dielectric_error(e, c) for e, c in rows)
+
+
+def critical_angle() -> float:
+    """From 1e-1 to 1e-6 beyond the critical cosine of glass, seen from inside."""
+    eta = float(np.float32(1.0 / 1.5))
+    edge = math.sqrt(1.0 - eta * eta)
+    return max(dielectric_error(eta, edge * (1.0 + 10.0**-k)) for k in range(1, 7))
+
+
+def total_reflection() -> float:
+    """At and behind the critical angle: the reflectance is 1 and everything is finite."""
+    eta = float(np.float32(1.0 / 1.5))
+    edge = math.sqrt(1.0 - eta * eta)
+    return max(dielectric_error_inside(eta, edge * (1.0 - d)) for d in (1e-6, 1e-4, 1e-2, 0.5, 0.999))
+
+
+def dielectric_error_inside(eta: float, c: float) -> float:
+    launcher = Launcher("cpu")
+    wi = rounded([math.sqrt(1.0 - c * c), 0.0, c])
+    mat = as_seen(material(c1=(1.0, 1.0, 1.0), s0=eta))
+    value = launcher.scatter(BSDF_DIELECTRIC, mat, wi, LOBE_DELTA_REFLECTION)[0]["value"]
+    adjoint = launcher.scatter_vjp(BSDF_DIELECTRIC, mat, wi, LOBE_DELTA_REFLECTION, WEIGHT, np.ones(3))[0]
+    found = [*value, adjoint["material"]["s0"], *adjoint["wi"]]
+    return abs(float(value[0]) - 1.0) if np.isfinite(found).all() else math.inf
+
+
+def metals() -> float:
+    """Reflectance of metals from eta = 0 and k = 0 to 1e3, at all angles: worst absolute error."""
+    launcher, worst = Launcher("cpu"), 0.0
+    for eta in (0.0, 1e-3, 0.2, 1.0, 3.0, 1e3):
+        for k in (0.0, 1e-3, 1.0, 10.0, 1e3):
+            if eta == k == 0.0:
+                continue
+            for angle in ANGLES:
+                wi = rounded(direction(angle))
+                mat = as_seen(material(c1=(eta,) * 3, c2=(k,) * 3))
+                value = launcher.scatter(BSDF_CONDUCTOR, mat, wi, LOBE_DELTA_REFLECTION)[0]["value"]
+                adjoint = launcher.scatter_vjp(BSDF_CONDUCTOR, mat, wi, LOBE_DELTA_REFLECTION, WEIGHT, np.ones(3))[0]
+                found = [*value, *adjoint["material"]["c1"], *adjoint["material"]["c2"], *adjoint["wi"]]
+                if not np.isfinite(found).all():
+                    return math.inf
+                if eta > 0.0:  # without it the twin's roots are ambiguous
+                    expected = twin_fresnel_conductor(wi[2], mat["c1"] + 0j, mat["c2"])
+                    worst = max(worst, float(np.abs(value - expected).max()))
+    return worst
+
+
+CASES = [
+    Case(
+        family="materials",
+        name="values, alpha 1e-4 to 1, up to 89.9 degrees",
+        hard="lobes of 1e8 per steradian, half vectors that cancel to 1e-4, grazing angles",
+        naive="normalised half vectors and 1 - cos^2 lose all digits of the slope at alpha 1e-3",
+        bound=4e-5,
+        measure=smooth_values,
+    ),
+    Case(
+        family="materials",
+        name="derivatives, alpha 1e-4 to 1, albedo 0 and 1",
+        hard="as above; the derivative by a reflectance of 0",
+        naive="value / reflectance is 0 / 0 at a black surface",
+        bound=5e-5,
+        measure=smooth_derivatives,
+    ),
+    Case(
+        family="materials",
+        name="alpha 1e-5 and 0",
+        hard="a lobe that float32 directions do not resolve",
+        naive="overflow of D, 0 * inf",
+        bound=0.0,
+        measure=below_the_range,
+    ),
+    Case(
+        family="materials",
+        name="equal indices: |eta - 1| from 1e-1 to 1e-6, and 0",
+        hard="a reflectance of (eta - 1)^2, and its derivative",
+        naive="(c - g) / (c + g) cancels: all digits lost at 1e-4",
+        bound=6e-7,
+        measure=equal_indices,
+    ),
+    Case(
+        family="materials",
+        name="before total reflection, 1e-1 to 1e-6",
+        hard="the derivative grows without bound towards the critical angle",
+        naive="sqrt(1 - sin^2) cancels; its derivative at 0 is infinite",
+        bound=4e-3,
+        measure=critical_angle,
+    ),
+    Case(
+        family="materials",
+        name="total reflection, 1e-6 to 1",
+        hard="the transmitted direction does not exist",
+        naive="the root of a negative number",
+        bound=0.0,
+        measure=total_reflection,
+    ),
+    Case(
+        family="materials",
+        name="metals, eta and k from 0 to 1e3",
+        hard="complex roots near the axes",
+        naive="0 / 0 for the perfect mirror; cancellation in good metals",
+        bound=3e-7,
+        measure=metals,
+    ),
+]
+
+
+@pytest.mark.parametrize("case", parameters(CASES))
+def test_materials(case, check) -> None:
+    check(case)
