@@ -11,6 +11,7 @@ import pytest
 import warp as wp
 
 import warp_psdr as psdr
+from warp_psdr.kernels.invalid import finite, inverse_pdf, vanishes
 
 SIZE, SPP = 12, 8
 FLOOR = "floor.bsdf.reflectance.data"
@@ -197,3 +198,40 @@ def test_an_adjoint_that_is_not_finite_is_refused_and_not_dropped() -> None:
     for value in (adjoint, wp.array(adjoint, dtype=wp.vec3)):
         with pytest.raises(ValueError, match="adjoint: holds NaN"):
             psdr.render_backward(scene, params, value, integrator=integrator(), spp=1)
+
+
+def test_a_light_without_a_brightness_is_counted_although_nothing_else_sees_it() -> None:
+    # All channels are NaN: `max(value) > 0` is false for it, as for a light that is off.
+    lamp = {"type": "point", "position": [0.0, 0.0, 1.5], "intensity": 1.0}
+    dictionary = {**scene_dict(), "lamp": lamp}
+    path = integrator()
+    lit = (psdr.render(psdr.load_dict(dictionary), integrator=path, spp=1).numpy() > 0.0).all(axis=2)
+    scene = psdr.load_dict(dictionary)
+    values = scene.values.numpy()
+    first = scene.parameters["lamp.intensity.value"].offset
+    values[first : first + 3] = np.nan
+    scene.values.assign(values)
+    with pytest.warns(RuntimeWarning, match="image: "):
+        image = psdr.render(scene, integrator=path, spp=1).numpy()
+    assert 0 < lit.sum() < SIZE**2 and not image.any()
+    assert psdr.invalid_samples(scene)["image"] == lit.sum()
+
+
+@wp.kernel(module="unique", enable_backward=False)
+def try_values(x: wp.array(dtype=wp.float32), out: wp.array2d(dtype=wp.float32)):
+    i = wp.tid()
+    v = wp.vec3(0.0, x[i], 0.0)
+    out[i, 0] = wp.where(finite(v), 1.0, 0.0)
+    out[i, 1] = wp.where(vanishes(v), 1.0, 0.0)
+    out[i, 2] = inverse_pdf(x[i])
+
+
+def test_what_counts_as_finite_and_as_nothing() -> None:
+    x = np.array([0.0, 2.0, -1.0, 1e-37, np.inf, np.nan], np.float32)
+    out = wp.empty((len(x), 3), dtype=wp.float32, device="cpu")
+    wp.launch(try_values, len(x), [wp.array(x, device="cpu")], [out], device="cpu")
+    is_finite, is_nothing, inverse = out.numpy().T
+    np.testing.assert_array_equal(is_finite, [1, 1, 1, 1, 0, 0])
+    np.testing.assert_array_equal(is_nothing, [1, 0, 0, 0, 0, 0])
+    np.testing.assert_allclose(inverse[1:4], [0.5, -1.0, 1e37], rtol=1e-6)
+    assert np.isnan(inverse[4:]).all()
