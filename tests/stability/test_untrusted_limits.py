@@ -14,6 +14,7 @@ from PIL import Image
 from tests.stability import corpus
 from warp_psdr import checkpoint, image_io
 from warp_psdr.arrays import read_array
+from warp_psdr.cli import main
 from warp_psdr.fit_config import FitConfig
 from warp_psdr.scene import describe_dict, describe_file, describe_string
 
@@ -69,6 +70,20 @@ def test_many_children_take_linear_time() -> None:
     """Each once looked for the first free name among all before it, in quadratic time."""
     with pytest.raises(ValueError, match="20000 bsdf plugins"):
         scene('<shape type="cube">' + '<bsdf type="diffuse"/>' * 20000 + "</shape>")
+
+
+def test_chains_of_references_end() -> None:
+    """Each of N references would follow up to N others."""
+    aliases = "".join(f'<alias id="a{i}" as="a{i + 1}"/>' for i in range(100))
+    with pytest.raises(ValueError, match="more than 64 references in a chain"):
+        scene(f'<bsdf type="diffuse" id="a0"/>{aliases}<shape type="cube"><ref id="a100"/></shape>')
+
+
+def test_remarks_are_counted() -> None:
+    """Each is compared with all before it."""
+    shape = '<shape type="cube"><float name="silhouette_sampling_weight" value="1"/></shape>\n'
+    notes = scene(shape * 1100).notes
+    assert len(notes) <= 1002 and "further remarks are left out" in notes
 
 
 def test_names_of_a_megabyte_are_not_compared_nor_repeated() -> None:
@@ -364,6 +379,20 @@ def test_a_scene_reached_by_a_link_reads_what_lies_beside_it(tree: Path) -> None
     load(tree, SHAPE.format("meshes/b.obj"))
     (tree / "link.xml").symlink_to(tree / "ours" / "scene.xml")
     assert describe_file(tree / "link.xml").shapes
+
+
+def test_the_command_line_allows_folders(tree: Path, capsys: pytest.CaptureFixture) -> None:
+    file = tree / "ours" / "scene.xml"
+    file.write_text(f"{HEAD}{SHAPE.format('../theirs/a.obj')}</scene>")
+    assert main(["plan", str(file)]) == 2
+    assert "--allow-outside" in capsys.readouterr().err
+    assert main(["plan", str(file), "--allow-outside", str(tree / "theirs")]) == 0
+
+
+def test_configurations_allow_folders_from_their_own(tree: Path) -> None:
+    values = {"scene": "a.xml", "targets": ["a.exr"], "output": "o", "parameters": {"a": {"lr": 1}}}
+    config = FitConfig.from_mapping(values | {"allow_outside": ["../theirs"]}, folder=tree / "ours")
+    assert load(tree, SHAPE.format("../theirs/a.obj"), allow_outside=config.allow_outside).shapes
 
 
 def test_dictionaries_are_the_programs_own(tree: Path) -> None:

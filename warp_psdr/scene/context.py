@@ -16,6 +16,8 @@ T = TypeVar("T")
 Outside = bool | str | os.PathLike[str] | Iterable[str | os.PathLike[str]]
 #: Numbers of all images and meshes of a scene: the device counts them with 32 bits.
 _NUMBERS_MAX = 2**31 - 1
+#: References that lead to each other, and remarks: more than anybody follows, or reads.
+_CHAIN_MAX, _NOTES_MAX = 64, 1000
 
 
 class FileName(str):
@@ -71,9 +73,11 @@ class Context:
         return copy
 
     def note(self, text: str) -> None:
-        """Keep a remark for the user, once."""
-        if text not in self.notes:
+        """Keep a remark for the user, once; the first thousand of them."""
+        if len(self.notes) < _NOTES_MAX and text not in self.notes:
             self.notes.append(text)
+            if len(self.notes) == _NOTES_MAX:
+                self.notes.append("further remarks are left out")
 
     def inside(self, where: str, key: str, value: Any) -> str:
         """Return the place of a nested dictionary: its line in a file, or its keys."""
@@ -91,6 +95,8 @@ class Context:
             if name in seen:
                 raise error(where, f"circular reference {' -> '.join([*seen, name])}", "break the cycle")
             seen.append(name)
+            if len(seen) > _CHAIN_MAX:
+                raise error(where, f"more than {_CHAIN_MAX} references in a chain", "refer to the plugin itself")
             node = self.named[name]
             where = getattr(node, "where", "") or where
         return node, where
@@ -170,7 +176,7 @@ class Context:
                 where,
                 f"'{name}' leaves the scene's folder '{self.base}'",
                 "move the file below it, or name its folder, or a folder of both, when loading: "
-                "allow_outside=folder, or allow_outside=True for scenes that you trust",
+                "allow_outside=folder (--allow-outside FOLDER), or allow_outside=True for scenes that you trust",
             )
         return inside
 
