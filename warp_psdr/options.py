@@ -15,7 +15,8 @@ class PathIntegrator:
 
     Attributes:
         max_depth: most vertices of a path behind the camera; 1: emission seen directly, 2: direct light, -1: no limit.
-        rr_depth: depth from which Russian roulette ends paths; very large: never.
+        rr_depth: depth from which Russian roulette ends paths, those behind a discontinuity four vertices earlier; very
+            large: never.
         hide_emitters: lights are invisible to the camera.
         sampler: "sobol" (Owen-scrambled), "independent", or "auto": what the scene file says, else Sobol.
         interior: method of the interior term.
