@@ -199,6 +199,11 @@ def test_tables_and_page(modules, tmp_path: Path) -> None:
     judged = report.bias_rows(list(names), names, find)
     assert [r["reference"] for r in judged] == ["ours", "Mitsuba a"]
     assert "wrong" not in judged[0][report.VERDICT] and "wrong" in judged[1][report.VERDICT]
+    best = report.best_rows([*given, refused], list(names), judged)
+    assert [(r["best of ours"], r["Mitsuba's best"], r["ratio of times"]) for r in best] == [
+        ("ours", "Mitsuba b", "4")
+    ] * 2
+    assert "Mitsuba a wrong (slope" in best[0]["notes"] and best[1]["notes"] == "Mitsuba c raises"
     floors = report.floor_rows(list(names), names, find)
     assert [r[report.FLOOR] for r in floors] == ["0.1"]
     page = tmp_path / "page.png"

@@ -24,7 +24,7 @@ from common import arguments, import_mitsuba, machine, markdown, psdr
 from work_precision_cases import ALL, Case, Method
 from work_precision_data import Records, Reference, squared_error
 from work_precision_renderers import Ours, Theirs
-from work_precision_report import CLOSED, DIFFERENCES, bias_rows, draw, floor_rows, work_rows
+from work_precision_report import CLOSED, DIFFERENCES, best_rows, bias_rows, draw, floor_rows, work_rows
 
 #: Pixels of a side, samples a pixel, and images of a reference, each of the most samples of a run.
 PIXELS, COUNTS = (32, 64), ((16, 64), (4, 16, 64, 256))
@@ -186,15 +186,16 @@ def report(records: Records, folder: Path, names: list[str], pixels: dict[str, i
     load = max(r["machine"]["load"] for r in rows)
     line = f"{where}; " + ", ".join(f"{k} {v}" for k, v in versions.items() if v)
     print(f"## Work and precision\n\n{line}; load of the machine at the start {load:.1f}\n")
-    markdown("time at equal error, each method at its largest sample count; medians", work_rows(rows, shown))
-    bias = bias_rows(shown, longs, find)
-    markdown("what is computed: references against each other and against finite differences", bias)
+    judged = bias_rows(shown, longs, find)
+    markdown("ratio of times at equal error: above one, ours is faster", best_rows(rows, shown, judged))
+    markdown("each method at its largest sample count; medians", work_rows(rows, shown))
+    markdown("what is computed: references against each other and against finite differences", judged)
     floors = floor_rows(shown, longs, find)
     markdown(
         "what float32 costs: error against closed forms in float64 that remains with any number of samples", floors
     )
     if picture is not None:
-        draw(picture, rows, shown, floors, bias, line)
+        draw(picture, rows, shown, floors, judged, line)
         print(f"{picture}")
 
 

@@ -47,6 +47,24 @@ def work_rows(rows: list[dict], cases: list[str]) -> list[dict]:
     return result
 
 
+def best_rows(rows: list[dict], cases: list[str], judged: list[dict]) -> list[dict]:
+    """Return one row a case: our best method, Mitsuba's, and the ratio of their times at equal error."""
+    sums, wrong, result = summary(rows), wrong_ones(judged), []
+    for case in cases:
+        found = [r for r in gains(sums, case, theirs) if r["work"] > 0.0]
+        own = min((r for r in found if not theirs(r["method"])), key=lambda r: r["work"], default=None)
+        other = min((r for r in found if theirs(r["method"])), key=lambda r: r["work"], default=None)
+        if own is None:
+            continue
+        row = {"case": case, "best of ours": own["method"], "Mitsuba's best": "–", "ratio of times": "–"}
+        if other is not None:
+            row |= {"Mitsuba's best": other["method"], "ratio of times": f"{other['work'] / own['work']:.2g}"}
+        notes = [f"{name} {text}" for (c, name), text in wrong.items() if c == case]
+        notes += [f"{r['method']} raises" for r in rows if r["kind"] == "refused" and r["case"] == case]
+        result.append(row | {"notes": "; ".join(notes)})
+    return result
+
+
 def bias_rows(cases: list[str], names: dict[str, list[str]], references: References) -> list[dict]:
     """Return how far references are from each other, and from finite differences.
 
