@@ -29,8 +29,8 @@ from work_precision_report import CLOSED, DIFFERENCES, best_rows, bias_rows, dra
 #: Pixels of a side, samples a pixel, and images of a reference, each of the most samples of a run.
 PIXELS, COUNTS = (32, 64), ((16, 64), (4, 16, 64, 256))
 LONG_IMAGES = (8, 16)
-#: Finite differences need more: relative to the most of a run.
-DIFFERENCE_FACTOR = 16
+#: Samples a pixel of the images that finite differences are made of.
+DIFFERENCE_SAMPLES = (256, 1024)
 #: Seconds of a run after which a method gets no more samples.
 LIMIT = (3.0, 30.0)
 #: Seeds: those of references and differences are no run's.
@@ -119,7 +119,7 @@ class Benchmark:
             result[CLOSED] = Reference(case.closed(pixels)[None])
             self._save(name, CLOSED, pixels, result[CLOSED].images)
         if case.step:
-            run, samples = renderers[next(iter(case.ours))].difference, DIFFERENCE_FACTOR * most
+            run, samples = renderers[next(iter(case.ours))].difference, self.pick(DIFFERENCE_SAMPLES)
             result[DIFFERENCES] = self._long(
                 name, DIFFERENCES, lambda i: run(samples, DIFFERENCE_SEED + i), count, samples, pixels
             )
