@@ -262,6 +262,10 @@ def test_a_run_is_resumed_and_reported(modules, tmp_path: Path, capsys, monkeypa
     assert all(abs(r["squared_error"]) < 0.02 for r in measured if r["kind"] == "run")
 
     lines = output.read_text().splitlines(keepends=True)
+    with monkeypatch.context() as patched:
+        patched.setattr(benchmark, "Ours", None)  # nothing is missing, so nothing is loaded
+        benchmark.main()
+    assert output.read_text().splitlines(keepends=True) == lines
     output.write_text("".join(lines[:-1]))
     benchmark.main()  # one is missing
     assert len(output.read_text().splitlines()) == len(lines)

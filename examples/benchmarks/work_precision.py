@@ -58,8 +58,10 @@ class Benchmark:
 
     def measure(self, name: str, case: Case, scenes: Path) -> None:
         """Measure what is missing of a case."""
-        file = case.write(scenes)
         pixels, counts = self.pick(case.pixels or PIXELS), self.pick(case.counts or COUNTS)
+        if self._finished(name, case, pixels, counts):
+            return
+        file = case.write(scenes)
         renderers = {}
         for method, options in self.methods(case).items():
             renderer = self._start(name, method, options, case, file, pixels, min(counts))
@@ -75,6 +77,16 @@ class Benchmark:
                         continue
                     values, seconds = renderer.run(spp, 1 + 1000 * spp + repeat)
                     self._add(row, seconds=seconds, squared_error=squared_error(values, reference))
+
+    def _finished(self, name: str, case: Case, pixels: int, counts: tuple[int, ...]) -> bool:
+        """Whether nothing is missing: not even the scene is loaded then."""
+        for method in self.methods(case):
+            if key("refused", name, method, min(counts), 0, pixels) in self._records:
+                continue
+            runs = (key("run", name, method, spp, i, pixels) for spp in counts for i in range(self._repeat))
+            if not self._slow(name, method, pixels) and any(row not in self._records for row in runs):
+                return False
+        return True
 
     def _slow(self, name: str, method: str, pixels: int) -> bool:
         """Whether a run took so long that no other follows."""
