@@ -26,6 +26,8 @@ from work_precision_data import Records, Reference, squared_error
 from work_precision_renderers import Ours, Theirs
 from work_precision_report import CLOSED, DIFFERENCES, best_rows, bias_rows, draw, floor_rows, work_rows
 
+from scenes import write_data
+
 #: Pixels of a side, samples a pixel, and images of a reference, each of the most samples of a run.
 PIXELS, COUNTS = (32, 64), ((16, 64), (4, 16, 64, 256))
 LONG_IMAGES = (8, 16)
@@ -34,7 +36,7 @@ DIFFERENCE_SAMPLES = (256, 1024)
 #: Seconds of a run after which a method gets no more samples.
 LIMIT = (3.0, 30.0)
 #: Seeds: those of references and differences are no run's.
-LONG_SEED, DIFFERENCE_SEED = 1_000_000, 2_000_000
+LONG_SEED, DIFFERENCE_SEED = 10_000_000, 20_000_000
 
 
 class Benchmark:
@@ -229,24 +231,15 @@ def main() -> None:
         if not options.without_mitsuba:
             try:
                 mitsuba = import_mitsuba(options.threads)
-                if not any("double" in v for v in mitsuba[0].variants()):
-                    print(f"Mitsuba {mitsuba[0].__version__} is installed without a double-precision variant")
             except SystemExit as error:
                 print(f"Mitsuba's methods are left out: {error}")
         benchmark = Benchmark(records, folder, options.quick, options.repeat or (3 if options.quick else 5), mitsuba)
         with tempfile.TemporaryDirectory() as scenes:
-            write_all(Path(scenes))
+            write_data(Path(scenes))
             for name in names:
                 print(f"{name} ...", flush=True)
                 benchmark.measure(name, ALL[name], Path(scenes))
     report(records, folder, names, dict(zip(names, pair, strict=True)), options.picture)
-
-
-def write_all(folder: Path) -> None:
-    """Write the data that several scenes name."""
-    from scenes import write_data
-
-    write_data(folder)
 
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ import numpy as np
 import work_precision_exact as exact
 from common import psdr
 
-from scenes import BLUE, CASES, DELTA, GOLD, SKY, TEXTURED, mesh, stage, write_ply
+from scenes import BLUE, CASES, SKY, TEXTURED, mesh, stage, write_ply
 
 #: No path is ended at random.
 NEVER = 1_000_000
@@ -183,24 +183,24 @@ MATERIALS = {
 SHAPES = {
     "soft shadow of a sphere": Case(
         boundary_soft_shadow.write_scene, 2, parameter="sphere.vertex_positions",
-        direction=boundary_soft_shadow.DIRECTION, step=0.004, **_SHAPES,
+        direction=boundary_soft_shadow.DIRECTION, step=0.008, **_SHAPES,
     ),
     "Cornell box: a box slides": Case(
         lambda folder: boundary_global.write_scenes(folder)["Cornell box, a box slides"], 4,
-        parameter="small-box.vertex_positions", direction=(1.0, 0.0, 0.4), step=0.004,
+        parameter="small-box.vertex_positions", direction=(1.0, 0.0, 0.4), step=0.008,
         **_SHAPES | {"counts": ((16,), _SHAPE_COUNTS[1])},
     ),
     "a box under a constant sky": Case(
         lambda folder: _floating_box(folder, "sky_box", _CONSTANT), 2, parameter="box.vertex_positions",
-        direction=UP, step=0.004, **_SHAPES,
+        direction=UP, step=0.008, **_SHAPES,
     ),
     "hard shadow of a point light": Case(
         lambda folder: _floating_box(folder, "lamp_box", _LAMP), 2, "forward", PLAIN, UNGUIDED,
-        parameter="box.vertex_positions", direction=UP, step=0.004, counts=_SHAPE_COUNTS,
+        parameter="box.vertex_positions", direction=UP, step=0.008, counts=_SHAPE_COUNTS,
     ),
     "the camera moves": Case(
         lambda folder: _floating_box(folder, "camera_box", _CONSTANT), 2, "forward", PLAIN, UNGUIDED,
-        parameter="sensor.to_world", direction=_SIDEWAYS, step=0.004, counts=_SHAPE_COUNTS, quick=False,
+        parameter="sensor.to_world", direction=_SIDEWAYS, step=0.008, counts=_SHAPE_COUNTS, quick=False,
     ),
 }  # fmt: skip
 
@@ -234,4 +234,3 @@ def _exact_cases() -> dict[str, Case]:
 
 EXACT = _exact_cases()
 ALL = IMAGES | MATERIALS | SHAPES | EXACT
-__all__ = ["ALL", "DELTA", "EXACT", "GOLD", "IMAGES", "MATERIALS", "SHAPES", "Case", "Method"]

@@ -11,7 +11,7 @@ the last bounce counts nearly as much as the first, so rounding adds up over all
 with r the horizontal distance and d^2 = r^2 + h^2. Both integrals and the average over the pixel are smooth, so
 products of Gauss-Legendre rules reach float64. The light's corners are those of the file, that is float32; the scene
 far away has corners that float32 holds exactly. So only what a renderer computes is measured, not how its input was
-rounded.
+rounded. (Mitsuba's wheels have no variant in double precision that could serve as reference.)
 """
 
 from dataclasses import dataclass
@@ -28,7 +28,7 @@ SIZE = 2.0
 LIGHT_HEIGHT, LIGHT_CENTER = 1.0, (0.25, -0.125)
 #: Power of the light over its radius squared: an irradiance near one for every radius.
 POWER = 1.0
-#: Of the camera, which looks at the origin from the side of the light's shadowless plane.
+#: Of the camera, which looks at the origin from the side; it does not see the light.
 ORIGIN, FIELD_OF_VIEW = (0.0, -2.0, 0.5), 8.0
 REFLECTANCE = 0.5
 HEIGHT = (0.0, 0.0, 1.0)
