@@ -7,6 +7,7 @@ import warp_psdr as psdr
 from warp_psdr.boundary import terms
 
 from .measure import Case, assert_agrees, derivatives, differences, slope
+from .mirrors import wall
 from .scenes import ball, camera, diffuse, floor, mesh, register
 from .test_table import moved, turned
 
@@ -30,8 +31,17 @@ def beside(subdivisions, half, bsdf=None, center=(2.0, 0.5, 0.2), **more):
     }
 
 
+def mirrored(subdivisions, half, center):
+    """The same, before a camera that looks into a mirror."""
+    found = beside(subdivisions, half, center=center)
+    found["shape"] = ball((-1.0, -0.6, -0.2), 0.8, PAINT, subdivisions, smooth=True)
+    return {**found, "mirror": wall(0.0, 2.0, 1.5), "sensor": camera((0.6, 0.9, 0.3), (-0.2, 2.0, 0.0), fov=45.0)}
+
+
 register(
     {
+        "coarse ball in a mirror": lambda: mirrored(1, 1.0, (0.9, 0.0, 0.2)),
+        "icosahedron in a mirror": lambda: mirrored(0, 0.5, (1.0, 0.0, 0.2)),
         "icosahedron": lambda: beside(0, 0.5, center=(2.5, 0.3, 0.2)),
         "coarse ball": lambda: beside(1, 1.0),
         "coarse metal": lambda: beside(1, 1.0, {"type": "roughconductor", "alpha": 0.4}),
@@ -52,6 +62,9 @@ CASES = [
     # Creases move over the film.
     Case("icosahedron", SHAPE, turned(2), 0.006, "turns", spp=512, difference_spp=3072, slow=False),
     Case("icosahedron", "sensor.to_world", moved(1.0, 0.3, 0.2), 0.01, "camera moves", **MANY),
+    # Both as a mirror shows them.
+    Case("coarse ball in a mirror", LIGHT, ALONG_Y, 0.01, "light moves", 3, 1024, 2048),
+    Case("icosahedron in a mirror", SHAPE, turned(2), 0.006, "turns", 3, 6144, 12288),
 ]
 
 
