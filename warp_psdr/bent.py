@@ -42,8 +42,11 @@ def bent_faces(scene: Scene) -> np.ndarray:
     return bend(scene) > COPLANAR
 
 
-def bent_choice(scene: Scene) -> tuple[wp.array, wp.array] | None:
-    """Return cumulative probabilities and numbers of the bent triangles, by area and bend; None: there are none."""
+def bent_choice(scene: Scene) -> tuple[wp.array, wp.array, float] | None:
+    """Return cumulative probabilities and numbers of the bent triangles, by area and bend; None: there are none.
+
+    The third result is the mean of their bend (a sine).
+    """
     sines = bend(scene)
     faces = np.flatnonzero(sines > COPLANAR)
     if not len(faces):
@@ -52,7 +55,8 @@ def bent_choice(scene: Scene) -> tuple[wp.array, wp.array] | None:
     p = points[scene.builder.indices[faces]].astype(np.float64)
     area = np.linalg.norm(np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]), axis=1)
     cdf = wp.array(cumulative(area * sines[faces]), dtype=wp.float32, device=scene.device)
-    return cdf, wp.array(faces.astype(np.int32), dtype=wp.int32, device=scene.device)
+    mean = float((area * sines[faces]).sum() / area.sum())
+    return cdf, wp.array(faces.astype(np.int32), dtype=wp.int32, device=scene.device), mean
 
 
 def terminator_faces(

@@ -251,7 +251,7 @@ def bent(r: Request) -> Term | None:
         return None
     samples = r.pixels * (r.method.spp_secondary or r.spp)
     kernel = make_bent_kernel(r.config, r.role, r.moves.camera)
-    return _term(r, BENT, kernel, [r.scene.data(), r.camera, *found], samples)
+    return _term(r, BENT, kernel, [r.scene.data(), r.camera, *found[:2]], samples)
 
 
 def horizon(r: Request) -> Term | None:
@@ -265,9 +265,11 @@ def horizon(r: Request) -> Term | None:
     found = bent_choice(r.scene)
     if found is None:
         return None
-    samples = r.pixels * (r.method.spp_secondary or r.spp)
+    cdf, faces, sine = found
+    # What a sample is worth is in proportion to the sine; lights of small extent need more samples than that says.
+    samples = math.ceil(r.pixels * (r.method.spp_secondary or r.spp) * math.sqrt(sine))
     kernel = make_horizon_kernel(r.config, r.role, r.moves.camera)
-    return _term(r, HORIZON, kernel, [r.scene.data(), r.camera, *found], samples)
+    return _term(r, HORIZON, kernel, [r.scene.data(), r.camera, cdf, faces], samples)
 
 
 def edge_sampling(r: Request) -> Term | None:
