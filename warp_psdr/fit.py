@@ -70,6 +70,8 @@ class Problem:
     integrator: Any
     targets: list[np.ndarray]
     device_targets: list[wp.array] = field(default_factory=list)
+    #: Samples that were dropped before the run was resumed, by kind.
+    dropped: dict[str, int] = field(default_factory=dict)
 
     def backward(self, view: int, seed: int, weight: float) -> float:
         """Render a view, add the gradient of ``weight`` times its loss to the parameters' and return the loss."""
@@ -116,6 +118,16 @@ class Problem:
     def values(self) -> dict[str, np.ndarray]:
         """Return the unknowns as they are now."""
         return {name: self.params[name].numpy().copy() for name in self.config.parameters}
+
+    def invalid(self) -> dict[str, int]:
+        """Return the samples that were dropped since the run's start, by kind; see ``psdr.invalid_samples``."""
+        counts = psdr.invalid_samples(self.scene)
+        return {kind: count + self.dropped.get(kind, 0) for kind, count in counts.items()}
+
+    def stored(self, name: str) -> wp.array:
+        """Return the device's own numbers of an unknown, flat: near the scene's origin they are finer than float32."""
+        p = self.scene.parameters[name]
+        return self.scene.values[p.offset : p.offset + p.size]
 
 
 def fit(
@@ -186,7 +198,7 @@ def _fit(problem: Problem, adam: optim.Adam, path: Path, *, resume: bool) -> Fit
                     losses=np.array(history),
                     completed=False,
                     output=config.output,
-                    invalid=psdr.invalid_samples(problem.scene),
+                    invalid=problem.invalid(),
                 )
     psnr = write_report(problem, np.array(history))
     return FitResult(
@@ -195,7 +207,7 @@ def _fit(problem: Problem, adam: optim.Adam, path: Path, *, resume: bool) -> Fit
         completed=True,
         output=config.output,
         psnr=psnr,
-        invalid=psdr.invalid_samples(problem.scene),
+        invalid=problem.invalid(),
     )
 
 
@@ -344,8 +356,10 @@ def _digests(problem: Problem) -> dict[str, Any]:
 def _save(path: Path, problem: Problem, adam: optim.Adam, run: dict[str, Any], history: list[float]) -> None:
     arrays = {f"parameter/{name}": value for name, value in problem.values().items()}
     arrays |= {f"adam/{key}": value for key, value in adam.state_dict().items()}
+    if problem.scene.origin.any():
+        arrays |= {f"stored/{name}": problem.stored(name).numpy() for name in problem.config.parameters}
     arrays["losses"] = np.array(history, dtype=np.float64)
-    checkpoint.save(path, arrays, {"run": run})
+    checkpoint.save(path, arrays, {"run": run, "invalid": problem.invalid()})
 
 
 def _restore(path: Path, problem: Problem, adam: optim.Adam, run: dict[str, Any]) -> list[float]:
@@ -366,11 +380,17 @@ def _restore(path: Path, problem: Problem, adam: optim.Adam, run: dict[str, Any]
             raise ValueError(f"the losses have shape {losses.shape}, or are not finite")
         history = losses.tolist()
         for name in problem.config.parameters:
-            problem.params[name] = arrays[f"parameter/{name}"]
+            problem.params[name] = arrays[f"parameter/{name}"].astype(np.float32)
+            if problem.scene.origin.any():
+                stored = arrays[f"stored/{name}"]
+                if stored.shape != problem.stored(name).shape or not np.isfinite(stored).all():
+                    raise ValueError(f"'stored/{name}' has shape {stored.shape}, or is not finite")
+                problem.stored(name).assign(stored.astype(np.float32))
+        problem.dropped = {str(kind): int(count) for kind, count in dict(values.get("invalid", {})).items()}
         adam.load_state_dict({key.removeprefix("adam/"): v for key, v in arrays.items() if key.startswith("adam/")})
     except KeyError as error:
         raise ValueError(f"{path} lacks {error}; start again (--overwrite)") from error
-    except ValueError as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise ValueError(f"{path}: {error}; start again (--overwrite)") from error
     if adam.steps != len(history) or len(history) > problem.config.iterations:
         raise ValueError(

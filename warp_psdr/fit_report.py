@@ -18,7 +18,6 @@ import numpy as np
 
 from warp_psdr import image_io, plots
 from warp_psdr.files import write_atomic
-from warp_psdr.invalid import invalid_samples
 
 if TYPE_CHECKING:
     from warp_psdr.fit import Problem
@@ -59,7 +58,7 @@ def write_report(problem: Problem, losses: np.ndarray) -> tuple[float, ...]:
         "iterations": len(losses),
         "loss": {"name": problem.config.loss, "first": losses[0], "last": losses[-1], "least": losses.min()},
         "psnr": [round(score, 3) for score in scores],
-        "invalid_samples": invalid_samples(problem.scene),
+        "invalid_samples": problem.invalid(),
         "psnr_meaning": "decibels; sRGB-encoded, clipped to [0, 1]",
         "mean_squared_error": [
             float(np.mean((image - target) ** 2)) for image, target in zip(images, problem.targets, strict=True)

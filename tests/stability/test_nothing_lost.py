@@ -16,6 +16,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import warp_psdr as psdr
+import warp_psdr.fit as fit_module
 from tests.fit_scenes import TEXTURE, write_fit
 from warp_psdr import checkpoint, image_io, plots
 from warp_psdr.files import held
@@ -57,6 +59,57 @@ def write_shape_fit(folder: Path) -> Path:
     scene = folder / "scene.xml"
     scene.write_text(scene.read_text().replace('value="36"', 'value="60"'))
     return file
+
+
+def write_far_fit(folder: Path) -> Path:
+    """Write a fit of vertices far away from the world's origin, that moves them by single steps of float32 there."""
+    file = write_shape_fit(folder)
+    scene = folder / "scene.xml"
+    text = scene.read_text().replace("0.0, 0, 3", "3000, 5000, 3").replace("0.4, 0, 3", "3000.4, 5000, 3")
+    text = text.replace('target="0, 0, 0"', 'target="3000, 5000, 0"')
+    move = '<transform name="to_world"><rotate z="1" angle="10"/><translate x="3000" y="5000"/></transform>'
+    scene.write_text(text.replace('id="wall">', f'id="wall">{move}'))
+    file.write_text(file.read_text().replace("lr = 0.01", "lr = 0.0003"))
+    return file
+
+
+def test_checkpoints_hold_the_devices_positions(tmp_path: Path) -> None:
+    """A vertex that moved away and came back is where float32 puts it, not where it was loaded."""
+    config = FitConfig.from_file(write_far_fit(tmp_path))
+    name = "wall.vertex_positions"
+    problem, resumed = fit_module.load_problem(config), fit_module.load_problem(config)
+    start = problem.params[name].numpy().copy()
+    for values in (np.nextafter(start, np.float32(np.inf)), start):
+        problem.params[name] = values
+        problem.params.update()
+    np.testing.assert_array_equal(problem.params[name].numpy(), resumed.params[name].numpy())
+    moved = problem.stored(name).numpy()
+    assert not np.array_equal(moved, resumed.stored(name).numpy())
+    fit_module._save(tmp_path / "c.npz", problem, psdr.optim.Adam(problem.params, 1.0), {}, [])
+    fit_module._restore(tmp_path / "c.npz", resumed, psdr.optim.Adam(resumed.params, 1.0), {})
+    np.testing.assert_array_equal(resumed.stored(name).numpy(), moved)
+    np.testing.assert_array_equal(resumed.params[name].numpy(), start)
+
+
+@pytest.mark.slow
+def test_far_from_the_origin_a_resumed_run_has_the_same_bits(tmp_path: Path) -> None:
+    config = FitConfig.from_file(write_far_fit(tmp_path))
+    for steps in (2, 3, 5):
+        fit(config, iterations=steps, resume=True)
+    same_results(config)
+
+
+def test_samples_that_were_dropped_are_counted_over_all_parts_of_a_run(config: FitConfig, monkeypatch) -> None:
+    step = fit_module._step
+
+    def dropping(problem, adam, number: int) -> float:
+        problem.scene.invalid.add("interior", 10, 1)
+        return step(problem, adam, number)
+
+    monkeypatch.setattr(fit_module, "_step", dropping)
+    fit(config, iterations=3)
+    same_results(config)
+    assert fit(config, resume=True).invalid["interior"] == 8
 
 
 def contents(folder: Path) -> dict[str, bytes]:
