@@ -11,6 +11,7 @@ import warp_psdr as psdr
 from tests.gradients import scenes, tape_oracle
 from tests.gradients.measure import NO_ROULETTE, integrator
 from warp_psdr.kernels.rng import mix_seed
+from warp_psdr.passes import STREAM_INTERIOR
 
 #: The same terms, recomputed from the same random numbers: float32 rounding of sums in another order.
 ROUNDING = 1e-5
@@ -195,7 +196,7 @@ def taped():
     params.requires_grad("*.vertex_positions", "*.reflectance.value", "*.radiance.value")
     options = integrator(tape_oracle.DEPTH, block=tape_oracle.DEPTH)
     config = psdr.plan(scene, integrator=options).config
-    seed = mix_seed(ORACLE_SEED, RENDER.STREAM_INTERIOR)
+    seed = mix_seed(ORACLE_SEED, STREAM_INTERIOR)
     camera = scene.camera(0)
     vertices = tape_oracle.record_paths(config, scene, camera, seed, ORACLE_SPP, tape_oracle.DEPTH, NO_ROULETTE)
     shapes = ("floor", "back", "light")

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 import warp_psdr as psdr
+from warp_psdr.passes import STREAM_INTERIOR
 from warp_psdr.scene.lights import Lights
 
 from .scenes import load
@@ -85,7 +86,7 @@ def shared_random_numbers():
     """Let primal images use the random numbers of gradient passes, and edits keep the light selection."""
     render = sys.modules["warp_psdr.render"]
     stream, updates = render.STREAM_PRIMAL, {n: getattr(Lights, n) for n in LIGHT_UPDATES}
-    render.STREAM_PRIMAL = render.STREAM_INTERIOR
+    render.STREAM_PRIMAL = STREAM_INTERIOR
     for name in updates:
         setattr(Lights, name, lambda self, *args: None)
     try:
