@@ -106,6 +106,18 @@ def contact() -> float:
     return max(float(resting(gap).std(ddof=1)) for gap in apart_by) / float(resting(0.1).std(ddof=1))
 
 
+def pushed_in() -> float:
+    """Return the noise of the derivative of a tilted box 1e-2 .. 1e-6 inside of the floor over that of one 0.1 inside."""
+    vertices, faces = box((0.2, 0.1, 0.0), 0.5)
+    vertices[:, 2] -= vertices[:, 2].min()
+
+    def noise(depth: float) -> float:
+        images = derivatives(with_mesh("box", vertices - [0.0, 0.0, depth], faces))
+        return float(images.std(axis=0).mean()) if np.isfinite(images).all() else np.inf
+
+    return max(noise(depth) for depth in (1e-2, 1e-4, 1e-6)) / noise(0.1)
+
+
 def lids(thicknesses) -> float:
     """Return the largest error of the slope of derivatives of hovering slabs on those of a sheet at their top."""
     vertices, faces = box((0.0, 0.0, 0.0), 1.0, 0.0)
@@ -195,6 +207,11 @@ CASES = (
         family="geometry", name="contact: noise at gaps of 1e-2 .. 0 .. -1e-2", bound=2.5, slow=True, measure=contact,
         hard="the geometric factor changes at the rate v / r, and r gets as small as the gap",
         naive="6.2 times the noise of a gap of 0.1, and more with more samples",
+    ),
+    Case(
+        family="geometry", name="pushed into the floor by 1e-2 .. 1e-6: noise", bound=1.3, slow=True, measure=pushed_in,
+        hard="the curve of intersection shrinks to a point, next to which the surfaces touch",
+        naive="without the curve the derivative lacks its motion; without the contact's weight it has no variance",
     ),
     Case(
         family="geometry", name="slabs of 1e-3, 1e-4 and 1e-6, derivative", bound=2.5e-3, slow=True,
