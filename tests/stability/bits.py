@@ -13,7 +13,7 @@ import numpy as np
 import warp as wp
 
 import warp_psdr as psdr
-from tests.stability.descent import SIZE, box_over_floor
+from tests.stability.descent import NAMES, SIZE, box_over_floor
 
 LEAVES = {"max_leaves": 256, "samples": 4}
 #: Ways to estimate the boundary term; all but the first two keep a structure on the scene.
@@ -26,7 +26,6 @@ METHODS = {
     "projective": lambda: psdr.boundary.Projective(paths=1024, guiding=psdr.guiding.Octree(**LEAVES)),
 }
 GUIDED = ("kdtree", "octree", "grid", "projective")
-NAMES = ("box.vertex_positions", "floor.bsdf.reflectance.value", "light.to_world", "cam.to_world")
 #: Moves of the box between gradients: none (a kept structure is used as it is), a little (it is refreshed), and far
 #: (it is built anew).
 MOVES = (0.0, 0.0, 0.003, 0.5)

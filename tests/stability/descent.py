@@ -27,6 +27,8 @@ from warp_psdr.guiding.store import structures
 #: Steps between two looks at the memory.
 EVERY = 10
 SIZE = 12  # pixels
+#: What is differentiated: the vertices that move, a colour, and what moves a light and the camera.
+NAMES = ("box.vertex_positions", "floor.bsdf.reflectance.value", "light.to_world", "cam.to_world")
 PAGE = resource.getpagesize() / 2**20
 
 
@@ -53,12 +55,12 @@ def descend(steps: int) -> dict:
     """Make the steps."""
     scene = box_over_floor()
     params = psdr.traverse(scene)
-    params.requires_grad("box.vertex_positions")
+    params.requires_grad(*NAMES)
     boundary = psdr.boundary.PathSpace(guiding=psdr.guiding.KdTree(max_leaves=256))
     integrator = psdr.PathIntegrator(max_depth=3, boundary=boundary)
     target = wp.zeros((SIZE, SIZE), dtype=wp.vec3, device=scene.device)
-    adam = psdr.optim.Adam(params, lr=2e-3)
-    start = params["box.vertex_positions"].numpy().copy()
+    adam = psdr.optim.Adam(params, lr={NAMES[0]: 2e-3})
+    start = params[NAMES[0]].numpy().copy()
     memory, builds, moved = [], 0, 0.0
     for step in range(steps):
         tape = wp.Tape()
@@ -69,10 +71,10 @@ def descend(steps: int) -> dict:
         adam.step()
         if step % EVERY == EVERY - 1:
             memory.append(resident())
-            moved = max(moved, float(np.abs(params["box.vertex_positions"].numpy() - start).max()))
+            moved = max(moved, float(np.abs(params[NAMES[0]].numpy() - start).max()))
             builds = max(builds, *(found.builds for found in structures(scene)))
         if step % 50 == 49:  # the box stays in view, and the structure is refreshed and built anew at times
-            params["box.vertex_positions"] = start
+            params[NAMES[0]] = start
             params.update()
     return {"memory": memory, "builds": builds, "moved": moved, "loss": float(loss.numpy()[0])}
 

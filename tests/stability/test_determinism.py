@@ -45,9 +45,8 @@ def equal_for_any_number_of_workers(method: str, numbers: tuple[int, ...]) -> li
     return expected
 
 
-@pytest.mark.parametrize("method", ["unguided", "kdtree"])
-def test_equal_bits_for_any_number_of_workers(method: str) -> None:
-    equal_for_any_number_of_workers(method, (1, 3))
+def test_equal_bits_for_any_number_of_workers() -> None:
+    equal_for_any_number_of_workers("kdtree", (1, 3))
 
 
 @pytest.mark.slow
@@ -80,16 +79,12 @@ def independent_of_history(method: str) -> None:
     assert [digest(*bench.gradients(0)), digest(bench.derivative(0))] == fresh
 
 
-def test_without_guiding_nothing_depends_on_what_came_before() -> None:
-    independent_of_history("unguided")
-
-
 def test_kept_structures_are_history_and_can_be_forgotten() -> None:
     independent_of_history("kdtree")
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("method", [method for method in METHODS if method not in ("unguided", "kdtree")])
+@pytest.mark.parametrize("method", [method for method in METHODS if method != "kdtree"])
 def test_history_with_the_other_methods(method: str) -> None:
     independent_of_history(method)
 
