@@ -47,7 +47,7 @@ def test_memory_over_a_few_steps() -> None:
 @pytest.mark.slow
 def test_memory_over_a_thousand_steps_with_boundary_and_guiding() -> None:
     report = measured(1000)
-    assert report["moved"] > 0.0 and report["builds"] > 50
+    assert report["moved"] > 0.0 and report["builds"] > 3
     assert growth(report["memory"][50:]) < GROWTH
 
 
