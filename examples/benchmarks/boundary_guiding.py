@@ -10,9 +10,10 @@ at the stripe of a light in which the edge is a silhouette.
 Times are processor seconds of all threads. ``equal samples`` and ``equal time`` are the variance of uniform sampling,
 the mean over the pixels of that between images of independent seeds, over the row's; for equal time, times the ratio of
 the seconds of the term, whose structure is there. ``slope`` is that of the row's images on those of the k-d tree, the
-noise of the latter taken out. ``gradient`` are the seconds of all terms together at the same sample count; ``build``
-and ``refresh`` are what a first gradient, and one after a small step of the vertices, take longer, over these; what a
-step costs without guiding as well is left out of ``refresh``. MB is the size of the structure.
+noise of the latter taken out of the slope and made part of its standard error. ``gradient`` are the seconds of all
+terms together at the same sample count; ``build`` and ``refresh`` are what a first gradient, and one after a small step
+of the vertices, take longer, over these; what a step costs without guiding as well is left out of ``refresh``. MB is
+the size of the structure.
 """
 
 import statistics
@@ -128,21 +129,25 @@ def compare(rows: list[dict], results: dict[str, np.ndarray]) -> list[dict]:
     """Relate rows to the first one and to what a step costs unguided, and images to those of the k-d tree."""
     reference, unguided = rows[:2]
     tree = results["KdTree"]
-    half = len(tree) // 2
-    mean = tree.mean(axis=0)
+    first, second = tree[: len(tree) // 2], tree[len(tree) // 2 :]
     # Independent halves: the square of a mean would have its noise in it.
-    square = (tree[:half].mean(axis=0) * tree[half:].mean(axis=0)).sum()
+    square = (first.mean(axis=0) * second.mean(axis=0)).sum()
+
+    def slopes_of(images: np.ndarray, reference: np.ndarray) -> np.ndarray:
+        return (images * reference.mean(axis=0)).sum(axis=(1, 2, 3)) / square
+
+    own = np.concatenate([slopes_of(first, second), slopes_of(second, first)])
     compared = []
     for row in rows:
         samples = reference["variance"] / max(row["variance"], 1e-300)
-        slopes = (results[row["method"]] * mean).sum(axis=(1, 2, 3)) / square
+        slopes = own if row["method"] == "KdTree" else slopes_of(results[row["method"]], tree)
         compared.append(
             {
                 "method": row["method"],
                 "equal samples": samples,
                 "equal time": samples * reference["seconds"] / row["seconds"],
                 "slope": float(slopes.mean()),
-                "its error": float(slopes.std(ddof=1) / len(slopes) ** 0.5),
+                "its error": float(np.hypot(slopes.std(ddof=1), own.std(ddof=1)) / len(slopes) ** 0.5),
                 "seconds": row["seconds"],
                 "gradient": row["gradient"],
                 "build": max(row["build"], 0.0) / row["gradient"],
