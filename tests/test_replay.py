@@ -1,7 +1,6 @@
 """Record and sweep: equal to textbook replay and to the taped oracle, for any K and depth, in constant memory."""
 
 import resource
-import sys
 from types import SimpleNamespace
 
 import numpy as np
@@ -17,7 +16,6 @@ from warp_psdr.passes import STREAM_INTERIOR
 ROUNDING = 1e-5
 #: Textbook replay subtracts and divides: what its remaining radiance loses to cancellation.
 CANCELLATION = 2e-3
-RENDER = sys.modules["warp_psdr.render"]
 
 
 def backward(scene, params, depth, block, *, spp=4, seed=7, **options):
