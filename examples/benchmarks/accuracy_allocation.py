@@ -31,35 +31,37 @@ EXPONENTS = range(-6, 7)
 LEAST = 1e-3
 
 
-def truth(loaded: Loaded, report, batches: int, clock) -> tuple[np.ndarray, np.ndarray]:
-    """Return (terms,): seconds and relative variance of a batch."""
+def truth(loaded: Loaded, reports: list, batches: int, clock) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Return for each report (terms,): seconds and relative variance of its batches, which run in turns."""
     what = quantity.gradient(loaded.scene, loaded.params, loaded.adjoint, integrator=loaded.integrator, sensor=0)
-    if report.tile:
-        what = what.tiled(from_exponents(what, report.tile, report.exponents))
-    kept = [[] for _ in what.parts]
-    times = [[] for _ in what.parts]
+    tiled = [what.tiled(from_exponents(what, r.tile, r.exponents)) if r.tile else what for r in reports]
+    kept = [[[] for _ in what.parts] for _ in reports]
+    times = [[[] for _ in what.parts] for _ in reports]
     for number in range(batches):
-        for k, (part, term) in enumerate(zip(what.parts, report.terms, strict=True)):
-            begun = clock()
-            kept[k].append(part.run(term.spp, 50_000 + number))
-            times[k].append(clock() - begun)
-    found = moments(kept, list(what.blocks.values()))
-    seen = np.array([name in report.seen for name in what.blocks])
-    return np.median(times, axis=1), relative_variance(found.variance, found.norm2, seen)
+        for i, (report, quantities) in enumerate(zip(reports, tiled, strict=True)):
+            for k, (part, term) in enumerate(zip(quantities.parts, report.terms, strict=True)):
+                begun = clock()
+                kept[i][k].append(part.run(term.spp, 50_000 + number))
+                times[i][k].append(clock() - begun)
+    found = [moments(k, list(what.blocks.values())) for k in kept]
+    seen = np.array([name in reports[0].seen for name in what.blocks])
+    return [
+        (np.median(t, axis=1), relative_variance(m.variance, m.norm2, seen)) for t, m in zip(times, found, strict=True)
+    ]
 
 
 def row_of(loaded: Loaded, *, pilot: float, batches: int, runs: int, seconds: float, clock: str) -> dict:
     """Return a row of the table."""
     report = loaded.accuracy(seconds=pilot, clock=clock, seed=1, tiles=False)
-    cost, variance = truth(loaded, report, batches, CLOCKS[clock])
+    tiled = loaded.accuracy(seconds=pilot, clock=clock, seed=2)
+    (cost, variance), true_with_tiles = truth(loaded, [report, tiled], batches, CLOCKS[clock])
     spp = np.array([t.spp for t in report.terms], float)
 
     automatic = _split(report)
     ratios = [(0, *rest) for rest in itertools.product(EXPONENTS, repeat=len(spp) - 1)]
     best = min(_error(cost, variance, 2.0 ** np.array(r, float) / spp) for r in ratios)
     even, found = _error(cost, variance, 1.0 / spp), _error(cost, variance, automatic)
-    tiled = loaded.accuracy(seconds=pilot, clock=clock, seed=2)
-    with_tiles = _error(*truth(loaded, tiled, batches, CLOCKS[clock]), _split(tiled))
+    with_tiles = _error(*true_with_tiles, _split(tiled))
     shares = automatic * spp / (automatic * spp)[0]
     row = {
         "terms": ", ".join(t.name for t in report.terms),
