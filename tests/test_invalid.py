@@ -11,6 +11,8 @@ import pytest
 import warp as wp
 
 import warp_psdr as psdr
+from warp_psdr.boundary.terms import TERMS
+from warp_psdr.invalid import KINDS
 from warp_psdr.kernels.invalid import finite, inverse_pdf, vanishes
 
 SIZE, SPP = 12, 8
@@ -215,6 +217,11 @@ def test_a_light_without_a_brightness_is_counted_although_nothing_else_sees_it()
         image = psdr.render(scene, integrator=path, spp=1).numpy()
     assert 0 < lit.sum() < SIZE**2 and not image.any()
     assert psdr.invalid_samples(scene)["image"] == lit.sum()
+    params = psdr.traverse(scene)
+    params.requires_grad(FLOOR)
+    with pytest.warns(RuntimeWarning, match="interior: "):
+        psdr.render_backward(scene, params, np.ones((SIZE, SIZE, 3)), integrator=path, spp=1)
+    assert np.isfinite(params[FLOOR].grad.numpy()).all()
 
 
 @wp.kernel(module="unique", enable_backward=False)
@@ -235,3 +242,8 @@ def test_what_counts_as_finite_and_as_nothing() -> None:
     np.testing.assert_array_equal(is_nothing, [1, 0, 0, 0, 0, 0])
     np.testing.assert_allclose(inverse[1:4], [0.5, -1.0, 1e37], rtol=1e-6)
     assert np.isnan(inverse[4:]).all()
+
+
+def test_every_boundary_term_has_a_kind_and_counts() -> None:
+    names = {term.__name__ for method in TERMS.values() for term in method}
+    assert names | {"image", "interior", "guiding"} == set(KINDS)

@@ -91,8 +91,9 @@ class Ledger:
 def invalid_samples(scene: Scene, *, reset: bool = False) -> dict[str, int]:
     """Return how many samples were not finite, and therefore dropped, by kind.
 
-    A sample of the interior term counts if any of its derivatives was dropped; one of a boundary term counts for each
-    of its contributions that was.
+    A sample of the interior term counts if its radiance, or any of its derivatives, is not finite; in reverse mode it
+    loses those derivatives, in forward mode all of it is dropped. One of a boundary term counts for each of its
+    contributions that is dropped.
 
     Args:
         scene: a loaded scene.
@@ -100,9 +101,8 @@ def invalid_samples(scene: Scene, *, reset: bool = False) -> dict[str, int]:
 
     Returns:
         Kind -> number since the scene was loaded, or since the last reset, over all renderings and gradients of it:
-        "image", "interior", the boundary's "primary", "creases", "terminator", "secondary", "curve", "bent",
-        "horizon", "edge_sampling", "hard_shadows" and "through_mirrors", and "guiding" (evaluations of its integrand).
-        All are 0 for a scene within the range of float32.
+        "image", "interior", the terms of the boundary ("primary", "secondary", ...) and "guiding" (evaluations of its
+        integrand). All are 0 for a scene within the range of float32.
     """
     counts = {kind: c.invalid for kind, c in scene.invalid.counts.items()}
     if reset:

@@ -143,6 +143,6 @@ def _vertex(scene: Scene, record: np.void) -> TracedVertex:
         return TracedVertex("", "", face, np.full(3, np.nan, np.float32), *rest)
     tri = scene.triangles.numpy()[face]
     u, v = record["u"], record["v"]
-    position = (1.0 - u - v) * tri["p0"] + u * tri["p1"] + v * tri["p2"]
+    position = (1.0 - u - v) * tri["p0"] + u * tri["p1"] + v * tri["p2"] + scene.origin
     shape = scene.description.shapes[int(tri["shape"])]
     return TracedVertex(shape.path, shape.bsdf.model, face, position, *rest)

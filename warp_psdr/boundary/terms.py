@@ -137,8 +137,13 @@ class Request:
 def terms(scene: Scene, plan: Plan, names: list[str], role: str, sensor: int, spp: int, seed: int) -> list[Term]:
     """Return the launches that estimate the boundary term of the named parameters."""
     request = Request(scene, plan, motion(scene, names), role, sensor, spp, seed)
-    found = ((term.__name__, term(request)) for term in TERMS[type(request.method)])
-    return [replace(t, kind=name) for name, t in found if t is not None]
+    return [t for term in TERMS[type(request.method)] for t in launches(term, request)]
+
+
+def launches(term: Callable[[Request], Term | None], request: Request) -> list[Term]:
+    """Return the launches of one of a method's terms, under its name."""
+    found = term(request)
+    return [] if found is None else [replace(found, kind=term.__name__)]
 
 
 def _term(r: Request, stream: int, kernel: wp.Kernel, head: list, samples: int, *, count: int | None = None) -> Term:

@@ -17,7 +17,7 @@ from warp_psdr.arguments import adjoint_array, flat_tangents
 from warp_psdr.boundary import contacts
 from warp_psdr.boundary.drivers import launch_backward, launch_forward
 from warp_psdr.boundary.motion import motion
-from warp_psdr.boundary.terms import TERMS, Request
+from warp_psdr.boundary.terms import TERMS, Request, launches
 from warp_psdr.gradient_sums import GradientSums
 from warp_psdr.guiding import store
 from warp_psdr.kernels.constants import RFILTER_BOX
@@ -238,8 +238,7 @@ def _boundary_parts(quantity: Quantity, names: list[str], run: Callable[..., np.
 
     def request(term: Callable, spp: int, seed: int) -> list:
         seed = mix_seed(seed, STREAM_BOUNDARY)
-        found = term(Request(scene, plan, moves, quantity.role, quantity.sensor, spp, seed))
-        return [] if found is None else [replace(found, kind=term.__name__)]
+        return launches(term, Request(scene, plan, moves, quantity.role, quantity.sensor, spp, seed))
 
     parts = []
     for term in TERMS[type(method)]:
