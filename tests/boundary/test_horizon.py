@@ -64,7 +64,7 @@ CASES = [
     Case("icosahedron", "sensor.to_world", moved(1.0, 0.3, 0.2), 0.01, "camera moves", **MANY),
     # Both as a mirror shows them.
     Case("coarse ball in a mirror", LIGHT, ALONG_Y, 0.01, "light moves", 3, 1024, 2048),
-    Case("icosahedron in a mirror", SHAPE, turned(2), 0.006, "turns", 3, 6144, 12288),
+    Case("icosahedron in a mirror", SHAPE, turned(2), 0.012, "turns", 3, 8192, 12288),
 ]
 
 
