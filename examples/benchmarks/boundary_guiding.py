@@ -28,6 +28,8 @@ from boundary_renderers import Secondary
 from boundary_soft_shadow import DIRECTION, SPHERE, write_scene
 from common import Report, arguments, psdr
 
+#: Seeds of a method: with equal ones the noise of two methods would be correlated, and slopes wrong.
+SEEDS = 1000
 FLOOR = """<shape type="rectangle" id="floor"><transform name="to_world"><scale value="4"/></transform>
         <bsdf type="diffuse"><rgb name="reflectance" value="0.7"/></bsdf></shape>"""
 #: The light of the soft shadow is replaced by these.
@@ -76,19 +78,19 @@ def methods() -> dict:
     }
 
 
-def run(renderer: Secondary, spp: int, images: int, reuse: int) -> tuple[dict, np.ndarray]:
-    """Measure one method on one scene; return its row and its images."""
+def run(renderer: Secondary, spp: int, images: int, reuse: int, seed: int) -> tuple[dict, np.ndarray]:
+    """Measure one method on one scene with seeds from ``seed`` on; return its row and its images."""
     renderer.image(1, 0)  # compile
     renderer.gradient(1, 0)
     renderer.forget()
-    first = _timed(renderer.gradient, spp, 1)[0]
-    gradient = statistics.median(_timed(renderer.gradient, spp, 2 + i)[0] for i in range(reuse))
-    timed = [_timed(renderer.image, spp, 100 + i) for i in range(images)]
+    first = _timed(renderer.gradient, spp, seed)[0]
+    gradient = statistics.median(_timed(renderer.gradient, spp, seed + 1 + i)[0] for i in range(reuse))
+    timed = [_timed(renderer.image, spp, seed + 100 + i) for i in range(images)]
     memory = renderer.memory
     moved = []
     for step in range(1, reuse + 1):
         renderer.move(step)
-        moved.append(_timed(renderer.gradient, spp, 200 + step)[0])
+        moved.append(_timed(renderer.gradient, spp, seed + 200 + step)[0])
     found = np.stack([image for _seconds, image in timed])
     row = {
         "variance": float(found.var(axis=0, ddof=1).mean()),
@@ -117,9 +119,9 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as name:
         for scene, (file, vertices, direction, depth) in write_all(Path(name)).items():
             rows, results = [], {}
-            for label, method in methods().items():
+            for number, (label, method) in enumerate(methods().items()):
                 renderer = Secondary(file, resolution, vertices, direction, method, depth)
-                row, results[label] = run(renderer, spp, images, reuse)
+                row, results[label] = run(renderer, spp, images, reuse, SEEDS * number)
                 rows.append({"method": label} | row)
             rows = compare(rows, results)
             report.table(f"{scene}: {resolution}^2 pixels, {spp} spp, {images} images", rows)
