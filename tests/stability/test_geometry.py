@@ -107,7 +107,7 @@ def contact() -> float:
 
 
 def pushed_in() -> float:
-    """Return the noise of the derivative of a tilted box 1e-2 .. 1e-6 inside of the floor over that of one 0.1 inside."""
+    """Return the noise of the derivative of a box tilted 1e-2 .. 1e-6 into the floor over that of one 0.1 inside."""
     vertices, faces = box((0.2, 0.1, 0.0), 0.5)
     vertices[:, 2] -= vertices[:, 2].min()
 
