@@ -76,7 +76,7 @@ def test_code_runs(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixtur
 
 def test_commands_exist() -> None:
     lines = [line for _, text in fences(section("On the command line")) for line in text.splitlines() if line]
-    assert {shlex.split(line)[1] for line in lines} == {"render", "gradient", "plan", "fit", "view"}
+    assert {shlex.split(line)[1] for line in lines} == {"render", "gradient", "plan", "accuracy", "fit", "view"}
     for line in lines:
         program, *arguments = shlex.split(line)
         assert program == "warp-psdr"
