@@ -65,8 +65,8 @@ def hard_scenes() -> list[tuple[str, dict, dict, contextlib.AbstractContextManag
         return geometry.with_mesh("box", *mesh)
 
     slab = box((0.0, 0.0, 0.0), 1.0, 0.0)
-    slab = (slab[0] * [1.0, 1.0, 0.5e-5] + [0.2, 0.1, 0.5], slab[1])
-    sheet = rectangle((0.2, 0.1, 0.5 + 0.5e-5), 1.0, np.eye(4))
+    slab = (slab[0] * [1.0, 1.0, 2e-6] + [0.2, 0.1, 0.5], slab[1])
+    sheet = rectangle((0.2, 0.1, 0.5 + 2e-6), 1.0, np.eye(4))
     whole = mock.patch.object(edges, "cut_sides", lambda points, group, shape, sides, face, tolerance: (sides, face))
     return [
         (
@@ -82,7 +82,7 @@ def hard_scenes() -> list[tuple[str, dict, dict, contextlib.AbstractContextManag
             room(),
             mock.patch.object(edges, "TILT", 0.0),
         ),
-        ("a slab of $10^{-5}$: not resolved", lid(slab), lid(sheet), contextlib.nullcontext()),
+        ("a slab of $4 \\cdot 10^{-6}$: not resolved", lid(slab), lid(sheet), contextlib.nullcontext()),
     ]
 
 

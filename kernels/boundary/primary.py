@@ -27,10 +27,10 @@ from warp_psdr.kernels.path import PathConfig
 from warp_psdr.kernels.rng import Sampler, make_sampler
 from warp_psdr.kernels.structs import Camera, Scene
 
-#: Distance at which the two rays pass the edge, in ray epsilons: some 15 float32 steps of the largest coordinate. It is
+#: Distance at which the two rays pass the edge, in ray epsilons: some 8 float32 steps of the largest coordinate. It is
 #: small because a second discontinuity as near (a terminator just inside of a silhouette) is taken for the first; the
 #: rays start close to the edge, where float32 resolves it.
-BESIDE = 0.2
+BESIDE = 0.1
 #: The same at curves of intersection. It is larger because a ray that leaves one of the two surfaces at an acute angle
 #: starts one ray epsilon off it, which may not be behind the other.
 BESIDE_CURVE = 10.0
