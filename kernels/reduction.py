@@ -1,7 +1,8 @@
 """Fixed-order sums over the lanes' gradient buffers.
 
-A buffer is float32, and its sum of n terms of one sign has a relative error of some 2^-25 sqrt(n); after 2^24 equal
-terms it stands still. So the host adds the lanes to a total in double precision every so many samples.
+A buffer is float32, and its sum of n terms of one sign has a relative error of some 2^-25 sqrt(n), or n 2^-25 if all
+terms are equal and are rounded in the same direction; after 2^24 of them it stands still. So the host adds the lanes to
+a total in double precision every so many samples.
 """
 
 import warp as wp

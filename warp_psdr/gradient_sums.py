@@ -18,8 +18,9 @@ from warp_psdr.kernels.reduction import add_lanes, round_range
 if TYPE_CHECKING:
     from warp_psdr.scene.scene import Scene
 
-#: Samples of a lane whose gradients are summed in float32: relative rounding errors of some 1e-5 at most.
-BUFFER_SAMPLES = 1 << 18
+#: Samples of a lane whose gradients are summed in float32: relative rounding errors of some 1e-6 (see
+#: ``kernels/reduction.py``), and of 1e-3 where all terms are equal, which is free of noise. Fewer would cost time.
+BUFFER_SAMPLES = 1 << 16
 
 
 class GradientSums:

@@ -124,7 +124,10 @@ def interior_backward(
     dummy = wp.zeros((1, 1), dtype=wp.vec3, device=scene.device)
     tail = [1.0 / spp, mix_seed(seed, STREAM_INTERIOR), _depth(plan), plan.rr_depth, adjoint]
     count = camera.crop_width * camera.crop_height if pixels is None else pixels.shape[0]
-    for first_sample, samples, reported in _blocks(spp, max(sums.most // max(count, 1), 1), progress):
+    lanes = sums.buffers.shape[0]
+    share = workers.lane_share(count, lanes)  # few pixels do not spread over all lanes
+    most = max(sums.most // lanes // max(share, 1), 1)
+    for first_sample, samples, reported in _blocks(spp, most, progress):
         block = [first_sample, samples, *tail]
         _launch(
             scene,
@@ -134,7 +137,7 @@ def interior_backward(
                 [data, camera, pixels, first, *block],
                 [sums.buffers[lane], dummy],
             ),
-            lanes=sums.buffers.shape[0],
+            lanes=lanes,
             kind="interior",
             spp=samples,
             progress=reported,

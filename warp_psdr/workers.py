@@ -82,6 +82,11 @@ def chunks(pixels: int, lanes: int) -> list[list[tuple[int, int]]]:
     return result
 
 
+def lane_share(pixels: int, lanes: int) -> int:
+    """Return how many pixels the busiest of the ``lanes`` gets."""
+    return max((sum(n for _first, n in part) for part in chunks(pixels, lanes)), default=0)
+
+
 @functools.lru_cache(maxsize=32)
 def pixel_order(width: int, height: int) -> np.ndarray:
     """Return all pixel numbers (row * width + column) along a Morton curve.

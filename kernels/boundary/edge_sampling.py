@@ -149,7 +149,7 @@ def make_edge_sample(config: PathConfig, tree: bool, candidates: int):
         side = interior_side(scene, edges, point, m)
         density = trees.boost[chosen.edge] * mixture_density(lobes, w)
         f = bsdf.eval(b.model, material, wi, to_local(frame.s, frame.t, frame.n, w))
-        if side == 0.0 or sine <= 0.0 or density <= 0.0 or wp.max(f) <= 0.0:
+        if side == 0.0 or sine <= 0.0 or density <= 0.0 or vanishes(f):
             return r
         # The line passes the occluder on its outside.
         x = point.x - (scene.ray_epsilon * side / sine) * m

@@ -32,7 +32,7 @@ from warp_psdr.kernels.emitter.directional import directional_dot
 from warp_psdr.kernels.emitter.dispatch import make_lights
 from warp_psdr.kernels.emitter.spot import load_column
 from warp_psdr.kernels.guiding.techniques import Guide, make_techniques, octant_point
-from warp_psdr.kernels.invalid import count_invalid
+from warp_psdr.kernels.invalid import count_invalid, vanishes
 from warp_psdr.kernels.path import PathConfig
 from warp_psdr.kernels.rng import Sampler, make_sampler
 from warp_psdr.kernels.sink import make_sink, make_sink_vec3
@@ -122,7 +122,7 @@ def make_segment(config: PathConfig):
             else:
                 if wp.static(has_environment):
                     r.radiance = environment_eval(scene, r.w)
-            if (direct or r.face2 < 0) and wp.max(r.radiance) <= 0.0:
+            if (direct or r.face2 < 0) and vanishes(r.radiance):
                 return r
         # Towards the sensor: from beyond the edge, but not from beyond a contact, which counts as x_2 only.
         hit1 = closest_hit(scene.accel, r.x + start1 * r.w, -r.w, FAR)
