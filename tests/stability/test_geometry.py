@@ -220,7 +220,8 @@ CASES = (
         naive="each is found to have the jump of both",
     ),
     Case(
-        family="geometry", name="slabs of 1e-5 and 4e-6, derivative", bound=0.6, slow=True, measure=lambda: lids((1e-5, 4e-6)),
+        family="geometry", name="slabs of 1e-5 and 4e-6, derivative", bound=0.6, slow=True,
+        measure=lambda: lids((1e-5, 4e-6)),
         hard="as before: too thick for its vertices to be welded, too thin to look between its edges",
         naive="the same: what is 1e-6 to 3e-6 of the scene's extent thick is not resolved",
     ),
