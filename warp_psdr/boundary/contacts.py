@@ -14,8 +14,8 @@ What has a derivative is motion along the contact: with v the relative velocity 
     v parallel to t     where an edge lies on another edge, with the tangent t, at which neither surface goes on.
 
 The conditions are linear on a piece of contact, so they are tested at its ends. Both modes estimate the derivative that
-holds for motions along contacts and of all that touches together: of the others they leave out what opens or closes.
-Forward mode knows v and warns; in reverse mode the plan says so.
+holds for motions along contacts and of all that touches together; of others it is neither one at the contact. Forward
+mode knows v and warns; in reverse mode the plan says so.
 """
 
 from __future__ import annotations
@@ -104,11 +104,11 @@ def warn(scene: Scene, tangents: np.ndarray) -> None:
     if rest == 0.0:
         return
     pairs = _crossed(scene, velocity, rest)
-    left_out = "the derivative of the image is one-sided there, and what opens or closes is left out of it"
+    neither = "the image has two one-sided derivatives there, and what is returned at the contact is neither of them"
     if len(pairs):
         gap = CONTACT_EPSILONS * scene.ray_epsilon
         warnings.warn(
-            f"{_names(scene, pairs)} touch, and the tangent moves them apart or into each other: {left_out}. Move them "
+            f"{_names(scene, pairs)} touch, and the tangent moves them apart or into each other: {neither}. Move them "
             f"together or along the contact, or leave a gap, or let one reach into the other, by more than {gap:.2g}",
             RuntimeWarning,
             stacklevel=4,
@@ -117,7 +117,7 @@ def warn(scene: Scene, tangents: np.ndarray) -> None:
     if torn >= 0:
         warnings.warn(
             f"the tangent tears the mesh {scene.description.shapes[torn].path!r} apart at vertices of one position: "
-            f"{left_out}. Give them the same velocity, or merge them",
+            f"{neither}. Give them the same velocity, or merge them",
             RuntimeWarning,
             stacklevel=4,
         )

@@ -53,9 +53,9 @@ class PathSpace(Method):
     glass it searches along lines (``kernels/boundary/line_search.py``): a perspective camera, 16 path vertices at most,
     and surfaces that do not run through each other. Not covered, and refused: hidden emitters, and textures with steps.
     Surfaces that merely touch are in contact: as they move apart, or into each other, the image has two one-sided
-    derivatives, and what opens or closes is left out. Forward mode warns of such tangents; in reverse mode the gradient
-    holds for motions along contacts and for those that keep what touches together, and the plan names the shapes
-    (``warp_psdr/boundary/contacts.py``).
+    derivatives, and what is returned at the contact is neither. Forward mode warns of such tangents; the gradient of
+    reverse mode holds for motions along contacts and for those that keep what touches together, and the plan names the
+    shapes (``warp_psdr/boundary/contacts.py``).
 
     Attributes:
         guiding: a method of ``psdr.guiding`` that learns where shadow edges and their like carry light, for example
