@@ -10,11 +10,11 @@ import warp as wp
 
 import warp_psdr as psdr
 from tests.gradients import scenes
+from warp_psdr import passes
 from warp_psdr.kernels import path as path_module
 from warp_psdr.kernels.bsdf import dispatch
 from warp_psdr.kernels.path import make_primal_kernel
 
-RENDER = sys.modules["warp_psdr.render"]
 INTEGRATOR = psdr.PathIntegrator(max_depth=4, boundary=None)
 #: Words of models that a scene of diffuse surfaces and one area light has no use for.
 FOREIGN = ("microfacet", "ggx", "beckmann", "roughness", "alpha_u", "fresnel", "dielectric", "conductor", "refract")
@@ -57,7 +57,7 @@ def functions_of(source):
 def test_a_diffuse_scene_holds_no_code_of_other_models(diffuse, kind, tmp_path):
     scene, _params = diffuse
     plan = psdr.plan(scene, names=["floor.bsdf.reflectance.value"], integrator=INTEGRATOR)
-    kernel = make_primal_kernel(plan.config) if kind == "primal" else RENDER._gradient_kernel(plan, "reverse")
+    kernel = make_primal_kernel(plan.config) if kind == "primal" else passes._gradient_kernel(plan, "reverse")
     source = functions_of(source_of(kernel, tmp_path))
     assert "diffuse" in source  # the search looks at the right text
     found = {}
@@ -82,7 +82,7 @@ def module_hash(scene, names):
                 if hasattr(value, "cache_clear"):
                     value.cache_clear()
     plan = psdr.plan(scene, names=names, integrator=INTEGRATOR)
-    kernels = make_primal_kernel(plan.config), RENDER._gradient_kernel(plan, "reverse")
+    kernels = make_primal_kernel(plan.config), passes._gradient_kernel(plan, "reverse")
     return [k.module.get_module_hash() for k in kernels]
 
 
@@ -119,7 +119,7 @@ def test_one_albedo_compiles_no_geometry(diffuse, tmp_path):
     assert albedo.wanted.slots == (True, False, False, False, False)
     words = ("barycentrics_dot", "connection_vjp", "normalize_vjp", "push_vertex", "camera_vjp")
     small, large = (
-        functions_of(source_of(RENDER._gradient_kernel(plan, "reverse"), tmp_path / str(i)))
+        functions_of(source_of(passes._gradient_kernel(plan, "reverse"), tmp_path / str(i)))
         for i, plan in enumerate((albedo, everything))
     )
     # A function's own definition is emitted as "static ... name_0("; closures of what is not called are not.
