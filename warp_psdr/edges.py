@@ -362,13 +362,15 @@ def crease_edges(scene: Scene, sensor: int, shapes: set[int], *, camera_moves: b
     if not camera_moves:
         use &= moving_edges(scene, edges, shapes)
     use &= ~_jumps(scene, view, edges, points, use)
-    low, high, image_length = view.clip(edges.points)
-    keep = np.flatnonzero(use & (image_length > 0.0))
-    if not len(keep):
+    keep = np.flatnonzero(use)
+    low, high, image_length = view.clip(edges.points[keep])
+    seen = image_length > 0.0
+    if not seen.any():
         return None
-    weight = image_length[keep] * np.sin(np.minimum(edges.wedge[keep], 0.5 * np.pi))
-    mean = float(weight.sum() / image_length[keep].sum())
-    return _upload(scene, edges, keep, weight, low[keep], high[keep]), mean
+    keep, low, high, image_length = keep[seen], low[seen], high[seen], image_length[seen]
+    weight = image_length * np.sin(np.minimum(edges.wedge[keep], 0.5 * np.pi))
+    mean = float(weight.sum() / image_length.sum())
+    return _upload(scene, edges, keep, weight, low, high), mean
 
 
 def smooth_edges(scene: Scene, edges: Adjacency) -> np.ndarray:

@@ -201,7 +201,10 @@ def _crossed(scene: Scene, velocity: np.ndarray, rest: float) -> np.ndarray:
         v = v - (weight / square[:, None])[..., None] * of_face[:, None, k]
     across = np.abs((v * normal[:, None]).sum(axis=2)) / np.sqrt(square)[:, None]
     sideways = np.linalg.norm(v - (v * tangent[:, None]).sum(axis=2)[..., None] * tangent[:, None], axis=2)
-    moved = np.where(_on_rim(scene, corners, found.faces, x), sideways.max(axis=1), across.max(axis=1))
+    across, sideways = across.max(axis=1), sideways.max(axis=1)
+    if max(across.max(), sideways.max()) <= rest:  # nothing that touches moves
+        return found.shapes[:0]
+    moved = np.where(_on_rim(scene, corners, found.faces, x), sideways, across)
     return np.unique(np.sort(found.shapes[moved > rest], axis=1), axis=0)
 
 
@@ -226,9 +229,10 @@ def _on_rim(scene: Scene, corners: np.ndarray, faces: np.ndarray, x: np.ndarray)
 def _torn(scene: Scene, velocity: np.ndarray, rest: float) -> int:
     """Return a shape whose vertices of one position move apart at an edge, -1: there is none."""
     edges = scene_adjacency(scene)
-    apart = velocity[edges.ends] - velocity[edges.twins]
-    tangent = edges.points[:, 1] - edges.points[:, 0]
-    tangent = tangent / np.maximum(edges.length, 1e-300)[:, None]
+    split = np.flatnonzero((edges.ends != edges.twins).any(axis=1))
+    apart = velocity[edges.ends[split]] - velocity[edges.twins[split]]
+    tangent = edges.points[split, 1] - edges.points[split, 0]
+    tangent = tangent / np.maximum(edges.length[split], 1e-300)[:, None]
     sideways = np.linalg.norm(apart - (apart * tangent[:, None]).sum(axis=2)[..., None] * tangent[:, None], axis=2)
-    torn = np.flatnonzero(sideways.max(axis=1, initial=0.0) > rest)
+    torn = split[sideways.max(axis=1, initial=0.0) > rest]
     return int(scene.builder.face_shape[edges.faces[edges.first[torn[0]]]]) if len(torn) else -1
