@@ -30,6 +30,20 @@ def find_interval(cdf: wp.array(dtype=wp.float32), first: wp.int32, count: wp.in
 
 
 @wp.func
+def stratified_entry(
+    cdf: wp.array(dtype=wp.float32),
+    entries: wp.array(dtype=wp.int32),
+    sample: wp.int32,
+    samples: wp.int32,
+    jitter: wp.float32,
+) -> tuple[wp.int32, wp.float32]:
+    """Draw one of the entries, stratified over the samples; return it and its probability."""
+    u = wp.float32((wp.float64(sample) + wp.float64(jitter)) / wp.float64(samples))
+    i = find_interval(cdf, 0, entries.shape[0], u)
+    return entries[i], cdf[i + 1] - cdf[i]
+
+
+@wp.func
 def find_interval_64(cdf: wp.array(dtype=wp.float32), first: wp.int32, count: wp.int32, u: wp.float64) -> wp.int32:
     """``find_interval`` for a number in double precision, whose position within the entry is needed."""
     v = wp.clamp(u, wp.float64(0.0), wp.float64(0.9999999999999999))

@@ -29,7 +29,7 @@ from warp_psdr.kernels.emitter.dispatch import make_lights
 from warp_psdr.kernels.film import make_filter
 from warp_psdr.kernels.invalid import count_invalid, finite, inverse_pdf, vanishes
 from warp_psdr.kernels.math import aligned_tangent, any_tangent, to_local, to_world
-from warp_psdr.kernels.rng import Sampler, make_sampler
+from warp_psdr.kernels.rng import Sampler, make_sampler, sampler_at
 from warp_psdr.kernels.sampling import mis_weight
 from warp_psdr.kernels.structs import Bsdf, Camera, LightSample, Material, Scene
 from warp_psdr.kernels.surface import make_surface
@@ -82,6 +82,20 @@ class PathState:
     throughput: wp.vec3
     pdf: wp.float32  # solid angle, of d; 0: no next-event estimate could have found what d hits
     eta: wp.float32  # product of relative refractive indices
+
+
+@wp.func
+def path_from(o: wp.vec3, d: wp.vec3, t_max: wp.float32, depth: wp.int32) -> PathState:
+    """A path that starts with a ray, behind ``depth`` vertices."""
+    state = PathState()
+    state.alive = 1
+    state.depth = depth
+    state.o = o
+    state.d = d
+    state.t_max = t_max
+    state.throughput = wp.vec3(1.0, 1.0, 1.0)
+    state.eta = 1.0
+    return state
 
 
 @wp.struct
@@ -387,13 +401,7 @@ def make_camera_start(config: PathConfig, filter_kind: int | None = None):
         sample.film = film_position(camera, px, py, offset)
         sample.lens = lens_point(wp.vec2(u4[2], u4[3]))
         ray = camera_ray(scene, camera, sample)
-        state = PathState()
-        state.alive = 1
-        state.o = ray.o + ray.t_min * ray.d
-        state.d = ray.d
-        state.t_max = ray.t_max - ray.t_min
-        state.throughput = wp.vec3(1.0, 1.0, 1.0)
-        state.eta = 1.0
+        state = path_from(ray.o + ray.t_min * ray.d, ray.d, ray.t_max - ray.t_min, 0)
         if wp.static(config.hide_emitters and bool(config.area)):
             # Area lights are invisible to the camera: go on behind them.
             hit = closest_hit(scene.accel, state.o, state.d, state.t_max)
@@ -436,10 +444,7 @@ def make_primal_kernel(config: PathConfig):
         # In double precision: a float32 sum stands still after 2^24 equal terms.
         total = wp.vec3d()
         for i in range(samples):
-            sampler = Sampler()
-            sampler.pixel = wp.uint32(pixel)
-            sampler.index = wp.uint32(first_sample + i)
-            sampler.seed = seed
+            sampler = sampler_at(pixel, first_sample + i, seed)
             radiance = wp.vec3(0.0, 0.0, 0.0)
             state, _sample = start(scene, camera, px, py, sampler)
             while state.alive == 1:

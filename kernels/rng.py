@@ -35,6 +35,26 @@ class Sampler:
     seed: wp.uint32
 
 
+@wp.func
+def sampler_at(pixel: wp.int32, index: wp.int32, seed: wp.uint32) -> Sampler:
+    """The numbers of a sample of a pixel, or of whatever else ``pixel`` numbers."""
+    s = Sampler()
+    s.pixel = wp.uint32(pixel)
+    s.index = wp.uint32(index)
+    s.seed = seed
+    return s
+
+
+@wp.func
+def branch_of(sampler: Sampler, index: wp.int32) -> Sampler:
+    """Numbers of another path of the same pixel and seed."""
+    s = Sampler()
+    s.pixel = sampler.pixel
+    s.index = wp.uint32(index)
+    s.seed = sampler.seed
+    return s
+
+
 class SamplerFunctions(NamedTuple):
     """Device functions ``f(sampler, slot)`` that return 1, 2 or 4 numbers in [0, 1)."""
 

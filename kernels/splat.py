@@ -18,7 +18,7 @@ import warp as wp
 from warp_psdr.kernels.constants import RFILTER_BOX, RFILTER_TENT
 from warp_psdr.kernels.invalid import count_invalid, finite
 from warp_psdr.kernels.path import PathConfig, make_camera_start, make_path_step
-from warp_psdr.kernels.rng import Sampler
+from warp_psdr.kernels.rng import sampler_at
 from warp_psdr.kernels.structs import Camera, Scene
 
 
@@ -66,10 +66,7 @@ def make_splat_kernel(config: PathConfig):
         px = pixel % width - margin
         py = pixel // width - margin
         for i in range(samples):
-            sampler = Sampler()
-            sampler.pixel = wp.uint32(pixel)
-            sampler.index = wp.uint32(first_sample + i)
-            sampler.seed = seed
+            sampler = sampler_at(pixel, first_sample + i, seed)
             state, sample = start(scene, camera, px, py, sampler)
             radiance = wp.vec3(0.0, 0.0, 0.0)
             while state.alive == 1:

@@ -5,7 +5,7 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.path import PathConfig, PathVertex, make_camera_start, make_path_step
-from warp_psdr.kernels.rng import Sampler
+from warp_psdr.kernels.rng import sampler_at
 from warp_psdr.kernels.structs import Camera, Scene
 
 
@@ -38,10 +38,7 @@ def make_trace_kernel(config: PathConfig, differential: bool, filter_kind: int |
         vertices_out: wp.array(dtype=PathVertex),
         count_out: wp.array(dtype=wp.int32),
     ):
-        sampler = Sampler()
-        sampler.pixel = wp.uint32(pixel)
-        sampler.index = wp.uint32(sample)
-        sampler.seed = seed
+        sampler = sampler_at(pixel, sample, seed)
         state, _sample = start(scene, camera, px, py, sampler)
         count = wp.int32(0)
         while state.alive == 1:

@@ -84,7 +84,7 @@ def test_clipped_stretches_hold_what_is_seen(kind):
 def test_every_silhouette_of_a_smooth_shape_is_kept(kind):
     scene = load(kind, shape=ball((0.1, 0.0, -0.5), 0.5, diffuse(0.5), subdivisions=2, smooth=True))
     edges, view = scene_adjacency(scene), camera_view(scene, 0)
-    points = scene.values.numpy()[scene.positions : scene.positions + 3 * scene.vertex_count].reshape(-1, 3)
+    points = scene.points
     corners = points[scene.builder.indices].astype(np.float64)
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     first = edges.faces[edges.first[:-1]]

@@ -22,7 +22,7 @@ TERMINATOR_FLOOR = 0.01
 def bend(scene: Scene) -> np.ndarray:
     """Return for every triangle the largest sine between its normal and the interpolated ones at its corners."""
     values = scene.values.numpy().astype(np.float64)
-    points = values[scene.positions : scene.positions + 3 * scene.vertex_count].reshape(-1, 3)
+    points = scene.points.astype(np.float64)
     sines = np.zeros(scene.face_count)
     for s in scene.builder.shapes:
         if s.smooth == 1:
@@ -51,7 +51,7 @@ def bent_choice(scene: Scene) -> tuple[wp.array, wp.array, float] | None:
     faces = np.flatnonzero(sines > COPLANAR)
     if not len(faces):
         return None
-    points = scene.values.numpy()[scene.positions : scene.positions + 3 * scene.vertex_count].reshape(-1, 3)
+    points = scene.points
     p = points[scene.builder.indices[faces]].astype(np.float64)
     area = np.linalg.norm(np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]), axis=1)
     cdf = wp.array(cumulative(area * sines[faces]), dtype=wp.float32, device=scene.device)
@@ -71,7 +71,7 @@ def terminator_faces(
         camera_moves: a parameter of the camera is differentiated.
     """
     values = scene.values.numpy().astype(np.float64)
-    points = values[scene.positions : scene.positions + 3 * scene.vertex_count].reshape(-1, 3)
+    points = scene.points.astype(np.float64)
     view = camera_view(scene, sensor)
     bent = bent_faces(scene)
     numbers, weights = [], []

@@ -30,7 +30,7 @@ def require_uncut(scene: Scene, sensor: int, shapes: set[int], *, camera_moves: 
     """
     of = scene.builder.face_shape
     faces = np.flatnonzero(np.isin(of, sorted(shapes)) | camera_moves)
-    points = scene.values.numpy()[scene.positions : scene.positions + 3 * scene.vertex_count].reshape(-1, 3)
+    points = scene.points
     cut = visible_cuts(camera_view(scene, sensor), points[scene.builder.indices[faces]].astype(np.float64))
     if cut.any():
         path = scene.description.shapes[of[faces[cut.argmax()]]].path

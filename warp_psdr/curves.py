@@ -44,7 +44,7 @@ def scene_curves(scene: Scene) -> Adjacency:
     kept = getattr(scene, "_curves", None)
     if kept is not None and kept[0] is edges:
         return kept[1]
-    points = scene.values.numpy()[scene.positions : scene.positions + 3 * scene.vertex_count].reshape(-1, 3)
+    points = scene.points
     pairs = _candidates(scene, points, scene.builder.indices, edges.group)
     found = _segments(points.astype(np.float64), scene.builder.indices, edges, pairs)
     found = _deep(scene, *found)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 
 import warp as wp
@@ -15,7 +16,13 @@ def launch(kernel: wp.Kernel, dim, inputs: list, outputs: list, device) -> None:
 
 
 def launch_lanes(
-    kernel: wp.Kernel, count: int, arguments: Callable[[int, int, int], tuple[list, list]], *, lanes: int, device
+    kernel: wp.Kernel,
+    count: int,
+    arguments: Callable[[int, int, int], tuple[list, list]],
+    *,
+    lanes: int,
+    device,
+    progress: Callable[[float], None] | None = None,
 ) -> None:
     """Run a kernel over items: in one launch on CUDA, in lanes on the worker threads on the CPU.
 
@@ -26,15 +33,22 @@ def launch_lanes(
             side, so they must not write to the same place.
         lanes: on the CPU; independent of the number of workers.
         device: Warp device.
+        progress: called with the finished fraction, by one worker at a time; not on CUDA.
     """
     wp.load_module(kernel.module, device=device)  # compile once, before the threads start
     if not device.is_cpu:
         launch(kernel, count, *arguments(0, count, 0), device)
         return
     parts = workers.chunks(count, lanes)
+    done, lock = 0, threading.Lock()
 
     def lane(i: int) -> None:
+        nonlocal done
         for first, n in parts[i]:
             launch(kernel, n, *arguments(first, n, i), device)
+            if progress is not None:
+                with lock:
+                    done += n
+                    progress(done / count)
 
     workers.run_lanes(lane, lanes)

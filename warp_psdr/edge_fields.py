@@ -23,7 +23,7 @@ from warp_psdr.kernels.boundary.local_form import SAMPLE_RECORD
 from warp_psdr.kernels.rng import mix_seed
 from warp_psdr.options import PathIntegrator, from_description
 from warp_psdr.passes import STREAM_BOUNDARY
-from warp_psdr.plan import plan as make_plan
+from warp_psdr.plan import decide
 from warp_psdr.plots import as_array
 
 if TYPE_CHECKING:
@@ -99,7 +99,7 @@ def boundary_samples(
     """
     integrator = integrator or from_description(scene.description.integrator)
     names = params.requested
-    plan = make_plan(scene, params, integrator=integrator, sensor=sensor)
+    plan = decide(scene, params, integrator=integrator, sensor=sensor)
     if plan.boundary is None:
         raise ValueError(
             f"{names} have no boundary term here: no discontinuity moves, or PathIntegrator(boundary=None) left it out"
@@ -162,7 +162,7 @@ def edge_density(
         raise ValueError(f"pieces: got {pieces!r}, expected a positive integer")
     integrator = integrator or from_description(scene.description.integrator)
     names = params.requested
-    plan = make_plan(scene, params, integrator=integrator, sensor=sensor)
+    plan = decide(scene, params, integrator=integrator, sensor=sensor)
     method = getattr(plan.boundary, "guiding", None)
     guide = None
     if method is None:

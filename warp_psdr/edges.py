@@ -192,7 +192,7 @@ def scene_adjacency(scene: Scene) -> Adjacency:
 
     What is welded, and hence which edges there are, is kept as long as the same vertices coincide.
     """
-    points = scene.values.numpy()[scene.positions : scene.positions + 3 * scene.vertex_count].reshape(-1, 3)
+    points = scene.points
     triangles = scene.builder.indices
     kept = getattr(scene, "_edges", None)
     if kept is not None and np.array_equal(kept[0], points):
@@ -279,7 +279,7 @@ def ordered_edges(
         facing: edges -> (E,) measure that is 0 where an edge is a silhouette for no light.
     """
     edges = scene_adjacency(scene)
-    points = scene.values.numpy()[scene.positions : scene.positions + 3 * scene.vertex_count].reshape(-1, 3)
+    points = scene.points
     order, turned = chain_order(points, edges.ends[keep])
     ends, twins, corners = edges.ends.copy(), edges.twins.copy(), edges.points.copy()
     for array in (ends, twins, corners):
@@ -327,7 +327,7 @@ def primary_edges(
         curves: further edges, which jump and move: curves of intersection.
     """
     edges = scene_adjacency(scene)
-    points = scene.values.numpy()[scene.positions : scene.positions + 3 * scene.vertex_count].reshape(-1, 3)
+    points = scene.points
     view = camera_view(scene, sensor)
     use = np.ones(len(edges.length), bool) if camera_moves else moving_edges(scene, edges, shapes)
     use &= _jumps(scene, view, edges, points, use)
@@ -356,7 +356,7 @@ def crease_edges(scene: Scene, sensor: int, shapes: set[int], *, camera_moves: b
         camera_moves: a parameter of the camera is differentiated.
     """
     edges = scene_adjacency(scene)
-    points = scene.values.numpy()[scene.positions : scene.positions + 3 * scene.vertex_count].reshape(-1, 3)
+    points = scene.points
     view = camera_view(scene, sensor)
     use = edges.wedge > 0.0
     if not camera_moves:

@@ -7,14 +7,13 @@ from __future__ import annotations
 
 import functools
 import math
-import threading
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
 
 import warp as wp
 
 from warp_psdr import workers
-from warp_psdr.device import launch
+from warp_psdr.device import launch, launch_lanes
 from warp_psdr.invalid import counting
 from warp_psdr.kernels.interior.forward import make_forward_kernel
 from warp_psdr.kernels.interior.replay import make_replay_kernel
@@ -224,24 +223,13 @@ def _launch(
     if order is None:
         order = wp.array(workers.pixel_order(*raster), dtype=wp.int32, device=scene.device)
     count = order.shape[0]
-    wp.load_module(kernel.module, device=scene.device)  # compile once, before the threads start
-    if not scene.device.is_cpu:
-        with counting(scene, kind, count * spp, 1, (raster[0], margin)) as of_lane:
-            inputs, outputs = arguments(of_lane(data, 0), 0, count, order, 0)
-            launch(kernel, dim=count, inputs=inputs, outputs=outputs, device=scene.device)
-        return
-    parts = workers.chunks(count, lanes)
-    done, lock = 0, threading.Lock()
-
-    def lane(i: int) -> None:
-        nonlocal done
-        for first, n in parts[i]:
-            inputs, outputs = arguments(of_lane(data, i), first, n, order, i)
-            launch(kernel, dim=n, inputs=inputs, outputs=outputs, device=scene.device)
-            if progress is not None:
-                with lock:
-                    done += n
-                    progress(done / count)
-
+    lanes = lanes if scene.device.is_cpu else 1
     with counting(scene, kind, count * spp, lanes, (raster[0], margin)) as of_lane:
-        workers.run_lanes(lane, lanes)
+        launch_lanes(
+            kernel,
+            count,
+            lambda first, n, lane: arguments(of_lane(data, lane), first, n, order, lane),
+            lanes=lanes,
+            device=scene.device,
+            progress=progress,
+        )

@@ -7,7 +7,7 @@ nor compile time.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from warp_psdr import guiding, interior
@@ -127,10 +127,27 @@ def plan(
     Raises:
         ValueError: the methods named by the integrator cannot differentiate what is requested.
     """
+    decided = decide(scene, params, integrator=integrator, sensor=sensor, names=names)
+    touching = contacts.describe(scene, motion(scene, _named(params, names)).shapes) if decided.boundary else ""
+    if not touching:
+        return decided
+    reason = f"{touching} touch; moving them apart or into each other has one-sided derivatives only"
+    return replace(decided, lines=(*decided.lines, ("contacts", "derivatives along them", reason)))
+
+
+def decide(
+    scene: Scene,
+    params: Parameters | None = None,
+    *,
+    integrator: PathIntegrator | None = None,
+    sensor: int = 0,
+    names: list[str] | None = None,
+) -> Plan:
+    """Return the ``plan`` without what is only told, the shapes in contact: a search over the scene's triangles."""
     from warp_psdr.options import from_description
 
     integrator = integrator or from_description(scene.description.integrator)
-    names = names if names is not None else (params.requested if params is not None else [])
+    names = _named(params, names)
     lines: list[tuple[str, str, str]] = []
     config = _config(scene, integrator, sensor, lines)
     wanted = _wanted(scene, config, names, lines) if names else None
@@ -154,10 +171,6 @@ def plan(
             lines.append(("boundary term", term.label, "; ".join(moving)))
             if isinstance(term, PathSpace | Projective) and term.guiding is not None:
                 lines.append(("guiding", term.guiding.label, guiding.describe(scene, term.guiding)))
-            touching = contacts.describe(scene, motion(scene, names).shapes)
-            if touching:
-                reason = f"{touching} touch; moving them apart or into each other has one-sided derivatives only"
-                lines.append(("contacts", "derivatives along them", reason))
             if c.DELTA_MODELS & set(config.bsdfs):
                 lines.append(
                     (
@@ -167,6 +180,12 @@ def plan(
                     )
                 )
     return Plan(config, wanted, integrator.max_depth, integrator.rr_depth, block, blocks, moving, tuple(lines), term)
+
+
+def _named(params: Parameters | None, names: list[str] | None) -> list[str]:
+    if names is not None:
+        return names
+    return params.requested if params is not None else []
 
 
 def _config(scene: Scene, integrator: PathIntegrator, sensor: int, lines: list) -> PathConfig:

@@ -28,8 +28,7 @@ from warp_psdr.passes import (
     interior_forward,
     splatted,
 )
-from warp_psdr.plan import Plan
-from warp_psdr.plan import plan as make_plan
+from warp_psdr.plan import Plan, decide
 
 if TYPE_CHECKING:
     from warp_psdr.parameters import Parameters
@@ -95,12 +94,12 @@ def render(
         return _budgeted(what, wanted, seed, progress, reached)
     integrator = integrator or from_description(scene.description.integrator)
     spp, seed = sample_count(scene, sensor, spp), checked_seed(seed)
-    plan = make_plan(scene, integrator=integrator, sensor=sensor)
+    plan = decide(scene, integrator=integrator, sensor=sensor)
     gradient_spp = samples("spp_grad", spp_grad if spp_grad is not None else spp)
     if tape is not None:
         if params is None or not params.requested:
             raise ValueError("render(tape=...) differentiates what params.requires_grad(...) names; pass such params")
-        make_plan(
+        decide(
             scene, params, integrator=integrator, sensor=sensor
         )  # says what cannot be differentiated, before the work
     camera = scene.camera(sensor)
@@ -192,7 +191,7 @@ def render_backward(
     if not names:
         raise ValueError("nothing to differentiate: call params.requires_grad(...) with parameter names first")
     spp, seed = sample_count(scene, sensor, spp), checked_seed(seed)
-    plan = make_plan(scene, params, integrator=integrator, sensor=sensor)
+    plan = decide(scene, params, integrator=integrator, sensor=sensor)
     adjoint = adjoint_array(adjoint, scene.camera(sensor), scene.device)
     sums = GradientSums(scene, names)
     interior_backward(scene, plan, sensor, spp, seed, adjoint, sums, progress)
@@ -263,7 +262,7 @@ def render_forward(
     spp, seed = sample_count(scene, sensor, spp), checked_seed(seed)
     names = list(tangents)
     target = flat_tangents(scene, params, tangents)
-    plan = make_plan(scene, integrator=integrator, sensor=sensor, names=names)
+    plan = decide(scene, integrator=integrator, sensor=sensor, names=names)
     camera = scene.camera(sensor)
     if plan.boundary is not None:
         contacts.warn(scene, target.numpy())

@@ -17,7 +17,7 @@ from warp_psdr.kernels.rng import mix_seed
 from warp_psdr.kernels.trace import make_trace_kernel
 from warp_psdr.options import PathIntegrator, from_description
 from warp_psdr.passes import STREAM_INTERIOR, STREAM_PRIMAL
-from warp_psdr.plan import plan as make_plan
+from warp_psdr.plan import decide
 
 if TYPE_CHECKING:
     from warp_psdr.scene.scene import Scene
@@ -107,7 +107,7 @@ def trace_sample(
     if kind not in TRACED:
         raise ValueError(f"kind: got {kind!r}, expected one of {TRACED}; other samples have no path of their own")
     integrator = integrator or from_description(scene.description.integrator)
-    plan = make_plan(scene, integrator=integrator, sensor=sensor)
+    plan = decide(scene, integrator=integrator, sensor=sensor)
     camera = scene.camera(sensor)
     splatted = kind == "image" and plan.config.filter != RFILTER_BOX
     margin = math.ceil(camera.filter_radius - 0.5) if splatted else 0

@@ -31,7 +31,7 @@ from warp_psdr.kernels.constants import FAR, TWO_PI
 from warp_psdr.kernels.invalid import count_invalid
 from warp_psdr.kernels.math import any_tangent, to_world
 from warp_psdr.kernels.path import PathConfig
-from warp_psdr.kernels.rng import Sampler, make_sampler
+from warp_psdr.kernels.rng import make_sampler, sampler_at
 from warp_psdr.kernels.sampling import square_to_cosine_hemisphere
 from warp_psdr.kernels.structs import Camera, Scene
 
@@ -119,9 +119,7 @@ def make_curve_kernel(config: PathConfig, role: str, camera_moves: bool):
     ):
         _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
         number = first + wp.tid()
-        sampler = Sampler()
-        sampler.pixel = wp.uint32(number)
-        sampler.seed = seed
+        sampler = sampler_at(number, 0, seed)
         u4 = sample_4d(sampler, SLOT_POINT)
         point = edge_point(scene, edges, number, samples, u4[0])
         s = segment_at(scene, edges, point, wp.where(u4[1] < 0.5, 0, 1), sample_4d(sampler, SLOT_DIRECTION))

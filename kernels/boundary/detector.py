@@ -26,7 +26,7 @@ from warp_psdr.kernels.constants import LOBE_SMOOTH
 from warp_psdr.kernels.emitter.area import make_area
 from warp_psdr.kernels.invalid import vanishes
 from warp_psdr.kernels.math import to_local, to_world
-from warp_psdr.kernels.path import ROULETTE_MAX, PathConfig, PathState, make_frame, make_material, make_path_step
+from warp_psdr.kernels.path import ROULETTE_MAX, PathConfig, make_frame, make_material, make_path_step, path_from
 from warp_psdr.kernels.rng import Sampler
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.surface import make_surface
@@ -145,14 +145,7 @@ def make_radiance(config: PathConfig):
         max_depth: wp.int32,
         rr_depth: wp.int32,
     ) -> wp.vec3:
-        state = PathState()
-        state.alive = 1
-        state.depth = depth
-        state.o = o
-        state.d = d
-        state.t_max = t_max
-        state.throughput = wp.vec3(1.0, 1.0, 1.0)
-        state.eta = 1.0
+        state = path_from(o, d, t_max, depth)
         total = wp.vec3(0.0, 0.0, 0.0)
         while state.alive == 1:
             vertex, state = path_step(scene, sampler, state, max_depth, rr_depth)
@@ -188,14 +181,7 @@ def make_incident(config: PathConfig):
         r.first = depth
         r.cut = NEVER
         rows = ROWS()
-        state = PathState()
-        state.alive = 1
-        state.depth = depth
-        state.o = o
-        state.d = d
-        state.t_max = t_max
-        state.throughput = wp.vec3(1.0, 1.0, 1.0)
-        state.eta = 1.0
+        state = path_from(o, d, t_max, depth)
         while state.alive == 1:
             # Behind first + cut vertices the path ends here.
             if max_depth >= 0:

@@ -51,7 +51,7 @@ from warp_psdr.kernels.path import (
     make_material,
     make_path_step,
 )
-from warp_psdr.kernels.rng import SALT_X, SALT_Y, Sampler, independent_2d, independent_4d, pcg4d
+from warp_psdr.kernels.rng import SALT_X, SALT_Y, Sampler, independent_2d, independent_4d, pcg4d, sampler_at
 from warp_psdr.kernels.structs import Bsdf, Camera, Material, Scene
 from warp_psdr.kernels.surface import make_surface
 
@@ -243,10 +243,7 @@ def make_edge_sampling_kernel(
             delta = adjoint[py, px]
             if delta[0] == 0.0 and delta[1] == 0.0 and delta[2] == 0.0:
                 return
-        sampler = Sampler()
-        sampler.pixel = wp.uint32(pixel)
-        sampler.index = wp.uint32(number % spp)
-        sampler.seed = seed
+        sampler = sampler_at(pixel, number % spp, seed)
         state, ray = start(scene, camera, px, py, sampler)
         origin = camera_origin(scene, camera, ray)
         total = wp.vec3(0.0, 0.0, 0.0)

@@ -35,10 +35,10 @@ from warp_psdr.kernels.boundary.detector import Incident, amplified, make_incide
 from warp_psdr.kernels.boundary.transport import Segment, make_transport
 from warp_psdr.kernels.bvh.wide import make_intersect
 from warp_psdr.kernels.constants import FAR
-from warp_psdr.kernels.distribution import find_interval
+from warp_psdr.kernels.distribution import stratified_entry
 from warp_psdr.kernels.invalid import count_invalid
 from warp_psdr.kernels.path import PathConfig
-from warp_psdr.kernels.rng import Sampler, make_sampler
+from warp_psdr.kernels.rng import Sampler, make_sampler, sampler_at
 from warp_psdr.kernels.sampling import square_to_triangle
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.surface import VertexAdjoint, make_surface, make_vertex_sink, normalize_vjp
@@ -109,16 +109,12 @@ def make_horizon_kernel(config: PathConfig, role: str, camera_moves: bool):
     ):
         _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
         number = first + wp.tid()
-        sampler = Sampler()
-        sampler.pixel = wp.uint32(number)
-        sampler.seed = seed
+        sampler = sampler_at(number, 0, seed)
         u4 = sample_4d(sampler, SLOT_POINT)
-        stratum = wp.float32((wp.float64(number) + wp.float64(u4[0])) / wp.float64(samples))
-        cell = find_interval(face_cdf, 0, faces.shape[0], stratum)
-        probability = face_cdf[cell + 1] - face_cdf[cell]
+        face, probability = stratified_entry(face_cdf, faces, number, samples, u4[0])
         s = Segment()
         s.light = -1
-        s.face1 = faces[cell]
+        s.face1 = face
         uv = square_to_triangle(wp.vec2(u4[1], u4[2]))
         s.u1 = uv[0]
         s.v1 = uv[1]

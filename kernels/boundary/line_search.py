@@ -57,8 +57,8 @@ from warp_psdr.kernels.constants import INV_FOUR_PI, LOBE_SMOOTH, TWO_PI
 from warp_psdr.kernels.interior.wanted import Wanted
 from warp_psdr.kernels.invalid import count_invalid, vanishes
 from warp_psdr.kernels.math import any_tangent, to_local, to_world
-from warp_psdr.kernels.path import PathConfig, PathState, make_path_step
-from warp_psdr.kernels.rng import Sampler, make_sampler
+from warp_psdr.kernels.path import PathConfig, make_path_step, path_from
+from warp_psdr.kernels.rng import Sampler, branch_of, make_sampler, sampler_at
 from warp_psdr.kernels.sampling import square_to_sphere
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.surface import VertexAdjoint, make_vertex_sink
@@ -217,10 +217,7 @@ def make_line_search_kernel(config: PathConfig, wanted: Wanted, role: str, light
                         squared = r.phi_a * r.phi_a + r.phi_b * r.phi_b
                         if r.valid == 1 and squared > 0.0:
                             jump = wp.vec3(0.0, 0.0, 0.0)
-                            branch = Sampler()
-                            branch.pixel = sampler.pixel
-                            branch.index = wp.uint32(1 + slot)
-                            branch.seed = sampler.seed
+                            branch = branch_of(sampler, 1 + slot)
                             for k in range(2):
                                 sign = 2.0 * wp.float32(k) - 1.0
                                 s = wp.where(k == 0, low, high)
@@ -317,9 +314,7 @@ def make_line_search_kernel(config: PathConfig, wanted: Wanted, role: str, light
     ):
         _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
         number = first + wp.tid()
-        sampler = Sampler()
-        sampler.pixel = wp.uint32(number)
-        sampler.seed = seed
+        sampler = sampler_at(number, 0, seed)
         visits = wp.zeros(shape=(MAX_VISITS,), dtype=Visit)
         # A point of the film, and of its surroundings as far as lines and filter reach; stratified over the pixels.
         u4 = sample_4d(sampler, 0)
@@ -361,13 +356,7 @@ def make_line_search_kernel(config: PathConfig, wanted: Wanted, role: str, light
             sample = CameraSample()
             sample.film = film
             ray = camera_ray(scene, camera, sample)
-            state = PathState()
-            state.alive = 1
-            state.o = ray.o + ray.t_min * ray.d
-            state.d = ray.d
-            state.t_max = ray.t_max - ray.t_min
-            state.throughput = wp.vec3(1.0, 1.0, 1.0)
-            state.eta = 1.0
+            state = path_from(ray.o + ray.t_min * ray.d, ray.d, ray.t_max - ray.t_min, 0)
             count = wp.int32(0)
             through = wp.int32(0)  # 1: a mirror or glass came before
             attached = wp.int32(1)

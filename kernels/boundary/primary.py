@@ -24,7 +24,7 @@ from warp_psdr.kernels.bvh.wide import make_intersect
 from warp_psdr.kernels.camera import make_camera_sink, make_lens
 from warp_psdr.kernels.invalid import count_invalid
 from warp_psdr.kernels.path import PathConfig
-from warp_psdr.kernels.rng import Sampler, make_sampler
+from warp_psdr.kernels.rng import make_sampler, sampler_at
 from warp_psdr.kernels.structs import Camera, Scene
 
 #: Distance at which the two rays pass the edge, in ray epsilons: some 8 float32 steps of the largest coordinate. It is
@@ -72,9 +72,7 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
     ):
         _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
         number = first + wp.tid()
-        sampler = Sampler()
-        sampler.pixel = wp.uint32(number)
-        sampler.seed = seed
+        sampler = sampler_at(number, 0, seed)
         point = edge_point(scene, edges, number, samples, sample_1d(sampler, 0))
         at = project(scene, camera, point.x, lens_point(sample_2d(sampler, 1)))
         if at.valid == 0:

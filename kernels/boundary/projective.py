@@ -37,7 +37,7 @@ from warp_psdr.kernels.path import (
     make_material,
     make_path_step,
 )
-from warp_psdr.kernels.rng import Sampler, make_sampler
+from warp_psdr.kernels.rng import make_sampler, sampler_at
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.surface import load_vec3, make_surface
 
@@ -337,10 +337,7 @@ def make_seeds_kernel(config: PathConfig, kind: int):
         wedge_out[number] = outside
         light_out[number] = outside
         pixel = number % (camera.crop_width * camera.crop_height)
-        sampler = Sampler()
-        sampler.pixel = wp.uint32(pixel)
-        sampler.index = wp.uint32(number // (camera.crop_width * camera.crop_height))
-        sampler.seed = seed
+        sampler = sampler_at(pixel, number // (camera.crop_width * camera.crop_height), seed)
         state, _film = start(scene, camera, pixel % camera.crop_width, pixel // camera.crop_width, sampler)
         total = wp.float32(0.0)
         kept = Candidate()

@@ -34,7 +34,7 @@ from warp_psdr.kernels.emitter.spot import load_column
 from warp_psdr.kernels.guiding.techniques import Guide, make_techniques, octant_point
 from warp_psdr.kernels.invalid import count_invalid, vanishes
 from warp_psdr.kernels.path import PathConfig
-from warp_psdr.kernels.rng import Sampler, make_sampler
+from warp_psdr.kernels.rng import make_sampler, sampler_at
 from warp_psdr.kernels.sink import make_sink, make_sink_vec3
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.surface import VertexAdjoint, make_vertex_sink
@@ -236,9 +236,7 @@ def make_secondary_kernel(config: PathConfig, role: str, camera_moves: bool, lig
     ):
         _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
         number = first + wp.tid()
-        sampler = Sampler()
-        sampler.pixel = wp.uint32(number)
-        sampler.seed = seed
+        sampler = sampler_at(number, 0, seed)
         direct = max_depth == 2
         u4 = sample_4d(sampler, SLOT_DIRECTION)
         if wp.static(evaluates):

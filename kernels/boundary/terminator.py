@@ -30,7 +30,7 @@ from warp_psdr.kernels.constants import CAMERA_ORTHOGRAPHIC, CAMERA_THINLENS
 from warp_psdr.kernels.distribution import find_interval
 from warp_psdr.kernels.invalid import count_invalid
 from warp_psdr.kernels.path import PathConfig
-from warp_psdr.kernels.rng import Sampler, make_sampler
+from warp_psdr.kernels.rng import make_sampler, sampler_at
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.surface import VertexAdjoint, load_vec3, make_vertex_sink
 
@@ -93,9 +93,7 @@ def make_terminator_kernel(config: PathConfig, role: str, camera_moves: bool):
     ):
         _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
         number = first + wp.tid()
-        sampler = Sampler()
-        sampler.pixel = wp.uint32(number)
-        sampler.seed = seed
+        sampler = sampler_at(number, 0, seed)
         u4 = sample_4d(sampler, 0)
         cell = find_interval(face_cdf, 0, faces.shape[0], u4[0])
         probability = face_cdf[cell + 1] - face_cdf[cell]

@@ -31,7 +31,7 @@ from warp_psdr.kernels.camera import make_camera_sink, make_lens
 from warp_psdr.kernels.constants import FAR
 from warp_psdr.kernels.invalid import count_invalid, vanishes
 from warp_psdr.kernels.path import PathConfig
-from warp_psdr.kernels.rng import Sampler, make_sampler
+from warp_psdr.kernels.rng import Sampler, branch_of, make_sampler
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.surface import VertexAdjoint, make_vertex_sink
 
@@ -209,10 +209,7 @@ def make_transport(config: PathConfig, role: str, camera_moves: bool, source: wp
                     counts = speed != 0.0
             if counts:
                 if not covers(incident, k):
-                    branch = Sampler()
-                    branch.pixel = sampler.pixel
-                    branch.index = wp.uint32(k)
-                    branch.seed = sampler.seed
+                    branch = branch_of(sampler, k)
                     incident = source(scene, branch, s, k, max_depth, rr_depth)
                 value = scale * wp.cw_mul(seen.weight, arriving(incident, k))
                 if wp.static(evaluates):

@@ -30,7 +30,7 @@ from warp_psdr.kernels.path import (
     make_material,
     make_path_step,
 )
-from warp_psdr.kernels.rng import Sampler, make_sampler
+from warp_psdr.kernels.rng import make_sampler, sampler_at
 from warp_psdr.kernels.sampling import square_to_cosine_hemisphere, square_to_disk, square_to_sphere
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.surface import load_vec3, make_surface
@@ -115,9 +115,7 @@ def make_photons_kernel(config: PathConfig):
         weight_out: wp.array2d(dtype=wp.float32),
     ):
         number = first + wp.tid()
-        sampler = Sampler()
-        sampler.pixel = wp.uint32(number)
-        sampler.seed = seed
+        sampler = sampler_at(number, 0, seed)
         ray = emit(scene, center, radius, sample_4d(sampler, SLOT_SOURCE), sample_2d(sampler, SLOT_START))
         o = ray.o
         d = ray.d
@@ -167,9 +165,7 @@ def make_importons_kernel(config: PathConfig):
         weight_out: wp.array2d(dtype=wp.float32),
     ):
         number = first + wp.tid()
-        sampler = Sampler()
-        sampler.index = wp.uint32(number)
-        sampler.seed = seed
+        sampler = sampler_at(0, number, seed)
         count = x_out.shape[1]
         # The pixel's numbers lie behind those of the path.
         u = sample_2d(sampler, wp.static(1 << 20))

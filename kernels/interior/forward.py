@@ -46,7 +46,7 @@ from warp_psdr.kernels.path import (
     make_path_step,
     to_local,
 )
-from warp_psdr.kernels.rng import Sampler
+from warp_psdr.kernels.rng import sampler_at
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.surface import make_surface
 
@@ -320,10 +320,7 @@ def make_forward_kernel(config: PathConfig, wanted: Wanted):
         py = pixel // camera.crop_width
         total = wp.vec3d()  # in double precision, as the image
         for i in range(samples):
-            sampler = Sampler()
-            sampler.pixel = wp.uint32(pixel)
-            sampler.index = wp.uint32(first_sample + i)
-            sampler.seed = seed
+            sampler = sampler_at(pixel, first_sample + i, seed)
             state, sample = start(scene, camera, px, py, sampler)
             vertex, state = path_step(scene, sampler, state, max_depth, rr_depth)
             vertex.o = camera_origin(scene, camera, sample)

@@ -35,7 +35,7 @@ from warp_psdr.kernels.interior.sweep import Carry, make_sweep
 from warp_psdr.kernels.interior.wanted import Wanted
 from warp_psdr.kernels.invalid import count_invalid, finite
 from warp_psdr.kernels.path import PathConfig, PathState, PathVertex, make_camera_start, make_path_step
-from warp_psdr.kernels.rng import Sampler
+from warp_psdr.kernels.rng import sampler_at
 from warp_psdr.kernels.structs import Camera, Scene
 
 
@@ -82,10 +82,7 @@ def make_replay_kernel(config: PathConfig, wanted: Wanted, block: int, blocks: i
         record = wp.zeros(shape=(wp.static(block),), dtype=PathVertex)
         states = wp.zeros(shape=(wp.static(blocks),), dtype=PathState)
         for i in range(samples):
-            sampler = Sampler()
-            sampler.pixel = wp.uint32(pixel)
-            sampler.index = wp.uint32(first_sample + i)
-            sampler.seed = seed
+            sampler = sampler_at(pixel, first_sample + i, seed)
             state, sample = start(scene, camera, px, py, sampler)
             origin = camera_origin(scene, camera, sample)
             count = wp.int32(0)

@@ -21,7 +21,7 @@ from warp_psdr.kernels.interior.sweep import Carry, make_sweep
 from warp_psdr.kernels.interior.wanted import Wanted
 from warp_psdr.kernels.invalid import count_invalid, finite, vanishes
 from warp_psdr.kernels.path import PathConfig, PathVertex, make_camera_start, make_path_step
-from warp_psdr.kernels.rng import Sampler
+from warp_psdr.kernels.rng import sampler_at
 from warp_psdr.kernels.structs import Camera, Scene
 
 
@@ -106,10 +106,7 @@ def make_textbook_kernel(config: PathConfig, wanted: Wanted, role: str):
         derivative = wp.vec3d()  # in double precision, as the image
         for i in range(samples):
             of_sample = wp.vec3(0.0, 0.0, 0.0)
-            sampler = Sampler()
-            sampler.pixel = wp.uint32(pixel)
-            sampler.index = wp.uint32(first_sample + i)
-            sampler.seed = seed
+            sampler = sampler_at(pixel, first_sample + i, seed)
             total_radiance = wp.vec3(0.0, 0.0, 0.0)
             state, sample = start(scene, camera, px, py, sampler)
             origin = camera_origin(scene, camera, sample)

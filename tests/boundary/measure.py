@@ -5,10 +5,11 @@ ratio of the sums is the regression of one image on the other, without the bias 
 """
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
+import pytest
 
 import warp_psdr as psdr
 
@@ -56,6 +57,11 @@ class Case:
 
     def __str__(self) -> str:
         return f"{self.scene}, {self.what}, depth {self.depth}"
+
+
+def rows(cases: Iterable[Case]) -> list:
+    """Return the cases as parameters of a test, the slow ones marked."""
+    return [pytest.param(c, id=str(c), marks=[pytest.mark.slow] if c.slow else []) for c in cases]
 
 
 def move(params, values: dict) -> None:

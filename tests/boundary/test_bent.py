@@ -6,7 +6,7 @@ import pytest
 import warp_psdr as psdr
 from warp_psdr.boundary import terms
 
-from .measure import Case, assert_agrees, derivatives, differences, slope
+from .measure import Case, assert_agrees, derivatives, differences, rows, slope
 from .scenes import ball, camera, diffuse, floor, mesh, panel, register
 from .test_table import moved
 
@@ -75,9 +75,7 @@ CASES = [
 
 
 @pytest.mark.parametrize("mode", ["forward", "reverse"])
-@pytest.mark.parametrize(
-    "case", [pytest.param(c, id=str(c), marks=[pytest.mark.slow] if c.slow else []) for c in CASES]
-)
+@pytest.mark.parametrize("case", rows(CASES))
 def test_derivatives_equal_finite_differences(case: Case, mode: str) -> None:
     assert_agrees(derivatives(case, mode), differences(case)[2])
 

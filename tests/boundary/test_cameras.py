@@ -5,7 +5,7 @@ import pytest
 
 import warp_psdr as psdr
 
-from .measure import Case, assert_agrees, assert_transposes, derivatives, differences, slope
+from .measure import Case, assert_agrees, assert_transposes, derivatives, differences, rows, slope
 from .scenes import T, ball, camera, diffuse, load, panel, register, room, silhouette, sky, under
 from .test_table import ALONG, BOX, FLOOR, OCCLUDER, RECEIVER, SHAPE, moved, scaled, turned
 
@@ -86,9 +86,7 @@ CASES = [
 
 
 @pytest.mark.parametrize("mode", ["forward", "reverse"])
-@pytest.mark.parametrize(
-    "case", [pytest.param(c, id=str(c), marks=[pytest.mark.slow] if c.slow else []) for c in CASES]
-)
+@pytest.mark.parametrize("case", rows(CASES))
 def test_derivatives_equal_finite_differences(case: Case, mode: str) -> None:
     assert_agrees(derivatives(case, mode), differences(case)[2])
 

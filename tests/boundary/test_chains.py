@@ -4,15 +4,13 @@ import pytest
 
 import warp_psdr as psdr
 
-from .measure import Case, assert_agrees, assert_transposes, derivatives, differences, slope
+from .measure import Case, assert_agrees, assert_transposes, derivatives, differences, rows, slope
 from .mirrors import CASES, ETA, GLASSES, LAMP, WALL
 from .scenes import load
 
 
 @pytest.mark.parametrize("mode", ["forward", "reverse"])
-@pytest.mark.parametrize(
-    "case", [pytest.param(c, id=str(c), marks=[pytest.mark.slow] if c.slow else []) for c in CASES]
-)
+@pytest.mark.parametrize("case", rows(CASES))
 def test_derivatives_equal_finite_differences(case: Case, mode: str) -> None:
     assert_agrees(derivatives(case, mode), differences(case)[2])
 

@@ -5,7 +5,7 @@ import pytest
 
 import warp_psdr as psdr
 
-from .measure import Case, assert_agrees, assert_transposes, derivatives, differences, slope
+from .measure import Case, assert_agrees, assert_transposes, derivatives, differences, rows, slope
 from .scenes import T, ball, load, under
 from .test_cameras import parallel as _orthographic_scenes  # noqa: F401  registers the cameras' scenes
 from .test_path_space import gradients, scene_of
@@ -41,9 +41,7 @@ CASES = [
 
 
 @pytest.mark.parametrize("mode", ["forward", "reverse"])
-@pytest.mark.parametrize(
-    "case", [pytest.param(c, id=str(c), marks=[pytest.mark.slow] if c.slow else []) for c in CASES]
-)
+@pytest.mark.parametrize("case", rows(CASES))
 def test_derivatives_equal_finite_differences(case: Case, mode: str) -> None:
     assert_agrees(derivatives(case, mode, METHOD), differences(case)[2])
 

@@ -19,7 +19,7 @@ from warp_psdr.kernels.guiding.cells import Cells, pdf_cells, sample_cells
 from warp_psdr.kernels.guiding.light_square import make_light_square
 from warp_psdr.kernels.structs import Scene
 
-from .measure import Case, assert_agrees, assert_transposes, derivatives, differences
+from .measure import Case, assert_agrees, assert_transposes, derivatives, differences, rows
 from .scenes import ball, camera, diffuse, envmap, floor, load, panel, sky
 from .test_table import ALONG, BOX, FLOOR, OCCLUDER, moved
 
@@ -246,7 +246,7 @@ ROWS = [
 
 @pytest.mark.parametrize("name", METHODS)
 @pytest.mark.parametrize("mode", ["forward", "reverse"])
-@pytest.mark.parametrize("case", [pytest.param(c, id=str(c), marks=[pytest.mark.slow] if c.slow else []) for c in ROWS])
+@pytest.mark.parametrize("case", rows(ROWS))
 def test_guided_derivatives_equal_finite_differences(case, mode, name) -> None:
     assert_agrees(derivatives(case, mode, guided(name)), differences(case)[2])
 
@@ -406,7 +406,7 @@ def test_a_kept_structure_has_the_edges_where_they_are() -> None:
         image(scene, params, guided(max_leaves=64), spp=1)
         (kept,) = psdr.guiding.structures(scene)
         assert kept.builds == 1
-        points = scene.values.numpy()[scene.positions : scene.positions + 3 * scene.vertex_count].reshape(-1, 3)
+        points = scene.points
         np.testing.assert_array_equal(kept.edges.points.numpy(), points[kept.edges.ends.numpy()])
     finally:
         params[OCCLUDER] = before

@@ -16,7 +16,7 @@ from warp_psdr.edges import scene_adjacency, secondary_edges
 from warp_psdr.guiding import store
 from warp_psdr.kernels.boundary.projective import BLOCKED_LIGHT, SCATTERED
 
-from .measure import Case, assert_agrees, assert_transposes, derivatives, differences
+from .measure import Case, assert_agrees, assert_transposes, derivatives, differences, rows
 from .scenes import SCENES, ball, diffuse, load, panel, under
 from .test_table import ALONG, BOX, FLOOR, OCCLUDER, RECEIVER, moved
 
@@ -166,9 +166,7 @@ CASES = [
 
 
 @pytest.mark.parametrize("mode", ["forward", "reverse"])
-@pytest.mark.parametrize(
-    "case", [pytest.param(c, id=str(c), marks=[pytest.mark.slow] if c.slow else []) for c in CASES]
-)
+@pytest.mark.parametrize("case", rows(CASES))
 def test_derivatives_equal_finite_differences(case: Case, mode: str) -> None:
     guiding.reset(load(case.scene)[0])
     assert_agrees(derivatives(case, mode, Projective(guiding=SMALL, paths=8192)), differences(case)[2])

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from .measure import BATCHES, Case, assert_agrees, derivatives, differences, slope
+from .measure import BATCHES, Case, assert_agrees, derivatives, differences, rows, slope
 
 
 def moved(*d):
@@ -95,9 +95,7 @@ CASES = [
 
 
 @pytest.mark.parametrize("mode", ["forward", "reverse"])
-@pytest.mark.parametrize(
-    "case", [pytest.param(c, id=str(c), marks=[pytest.mark.slow] if c.slow else []) for c in CASES]
-)
+@pytest.mark.parametrize("case", rows(CASES))
 def test_derivatives_equal_finite_differences(case: Case, mode: str) -> None:
     assert_agrees(derivatives(case, mode), differences(case)[2])
 

@@ -248,8 +248,12 @@ def test_second_interrupt_within_a_checkpoint_leaves_the_last_one(config: FitCon
             save(path, arrays, values)
 
     monkeypatch.setattr(checkpoint, "save", interrupted)
-    with pytest.raises(KeyboardInterrupt):
-        fit(config)
+    inherited = signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs ignore it
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            fit(config)
+    finally:
+        signal.signal(signal.SIGINT, inherited)
     assert len(checkpoint.load(config.output / CHECKPOINT)[0]["losses"]) == 3
     assert not list(config.output.rglob(".*"))
     monkeypatch.setattr(checkpoint, "save", save)

@@ -69,7 +69,7 @@ def contacts(scene: Scene) -> Contacts:
     kept = getattr(scene, "_contacts", None)
     if kept is not None and kept[0] is adjacency:
         return kept[1]
-    points = scene.values.numpy()[scene.positions : scene.positions + 3 * scene.vertex_count].reshape(-1, 3)
+    points = scene.points
     triangles = scene.builder.indices
     tolerance = CONTACT_EPSILONS * scene.ray_epsilon
     numbers = _near_others(points[triangles], scene.builder.face_shape, tolerance)
@@ -184,7 +184,7 @@ def _crossed(scene: Scene, velocity: np.ndarray, rest: float) -> np.ndarray:
     found = contacts(scene)
     if not len(found.faces):
         return found.shapes
-    points = scene.values.numpy()[scene.positions : scene.positions + 3 * scene.vertex_count].reshape(-1, 3)
+    points = scene.points
     points = points.astype(np.float64)
     corners = points[scene.builder.indices[found.faces]]
     of_face = velocity[scene.builder.indices[found.faces]]

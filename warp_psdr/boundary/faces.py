@@ -44,7 +44,7 @@ def _groups(faces: int, edges: Adjacency, joins: np.ndarray) -> np.ndarray:
 
 def face_edges(scene: Scene, edges: Adjacency) -> np.ndarray:
     """Return (faces, 3): the edge opposite of each corner, which is farthest from it; -1: a face of no area."""
-    points = scene.values.numpy()[scene.positions : scene.positions + 3 * scene.vertex_count].reshape(-1, 3)
+    points = scene.points
     edge = np.repeat(np.arange(len(edges.length)), edges.count)
     corners = points[scene.builder.indices[edges.faces]].astype(np.float64)
     ends = points[edges.ends[edge]].astype(np.float64)

@@ -44,6 +44,13 @@ class Method(ABC):  # noqa: B024
         return f"boundary.{type(self).__name__}"
 
 
+def _check_guiding(guiding: object) -> None:
+    if guiding is not None and not isinstance(guiding, guiding_methods.Method):
+        raise ValueError(
+            f"guiding: got {guiding!r}, expected a method of psdr.guiding, for example psdr.guiding.KdTree(), or None"
+        )
+
+
 @dataclass(frozen=True, kw_only=True)
 class PathSpace(Method):
     """Multi-directional sampling of boundary paths [ZMY*20] (``kernels/boundary/``).
@@ -71,11 +78,7 @@ class PathSpace(Method):
             ValueError: an option out of range.
         """
         super().__post_init__()
-        if self.guiding is not None and not isinstance(self.guiding, guiding_methods.Method):
-            raise ValueError(
-                f"guiding: got {self.guiding!r}, expected a method of psdr.guiding, for example "
-                "psdr.guiding.KdTree(), or None"
-            )
+        _check_guiding(self.guiding)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -134,10 +137,6 @@ class Projective(Method):
             ValueError: an option out of range.
         """
         super().__post_init__()
-        if self.guiding is not None and not isinstance(self.guiding, guiding_methods.Method):
-            raise ValueError(
-                f"guiding: got {self.guiding!r}, expected a method of psdr.guiding, for example "
-                "psdr.guiding.KdTree(), or None"
-            )
+        _check_guiding(self.guiding)
         if isinstance(self.paths, bool) or not isinstance(self.paths, int) or self.paths < 1:
             raise ValueError(f"paths: got {self.paths!r}, expected a positive integer")

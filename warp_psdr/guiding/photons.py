@@ -69,7 +69,7 @@ def photon_map(scene: Scene, config: PathConfig, count: int, vertices: int, seed
     """
     if vertices < 1:
         return PhotonMap(np.zeros((0, 3)), np.zeros(0))
-    points = scene.values.numpy()[scene.positions : scene.positions + 3 * scene.vertex_count].reshape(-1, 3)
+    points = scene.points
     low, high = points.min(axis=0), points.max(axis=0)
     center, radius = wp.vec3(*(0.5 * (low + high)).tolist()), 0.5 * float(np.linalg.norm(high - low))
     kernel = make_photons_kernel(config)

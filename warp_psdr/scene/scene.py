@@ -105,7 +105,7 @@ class Scene:
         self._note_specks()
         self.lights = Lights(builder, self.device)
         flat = self.values.numpy()
-        self.lights.update_areas(self.lights.of_shapes(range(len(description.shapes))), self._points.numpy())
+        self.lights.update_areas(self.lights.of_shapes(range(len(description.shapes))), self.points)
         self.lights.update_environment(flat)
         self.lights.update_selection(flat, self.radius)
 
@@ -114,6 +114,11 @@ class Scene:
     def _vectors(self, values: np.ndarray | None) -> wp.array:
         """Return (N, 3) as an array of vec3; one zero in place of None, for Warp has no null array of structures."""
         return wp.array(np.zeros((1, 3)) if values is None else values, dtype=wp.vec3, device=self.device)
+
+    @property
+    def points(self) -> np.ndarray:
+        """Positions of all vertices, (V, 3) float32, as the kernels read them; on the CPU a view."""
+        return self._points.numpy()
 
     def _view_points(self) -> wp.array:
         points = Parameter("", self.builder.positions, (self.vertex_count,), wp.vec3, (-np.inf, np.inf))
@@ -197,7 +202,7 @@ class Scene:
             self.lights.update_environment(values)
         areas = self.lights.of_shapes(sorted(moved))
         if areas:
-            self.lights.update_areas(areas, self._points.numpy())
+            self.lights.update_areas(areas, self.points)
         brighter = any(p.uses & {RADIANCE, LIGHT_RADIANCE, LIGHT_POSE} for p in changed)
         if brighter or areas or (moved and self.lights.depend_on_size()):
             self.lights.update_selection(values, self.radius)
@@ -265,7 +270,7 @@ class Scene:
 
     def _update_bounds(self) -> None:
         """Radius of the bounding sphere and length of the step off a surface."""
-        points = self._points.numpy() if self.vertex_count else np.zeros((1, 3), np.float32)
+        points = self.points if self.vertex_count else np.zeros((1, 3), np.float32)
         low, high = points.min(axis=0).astype(np.float64), points.max(axis=0).astype(np.float64)
         if not (np.isfinite(low).all() and np.isfinite(high).all()):
             raise ValueError(
@@ -288,7 +293,7 @@ class Scene:
 
     def _note_specks(self) -> None:
         """Tell of shapes that are small for the steps by which rays leave surfaces."""
-        points = self._points.numpy()
+        points = self.points
         for shape, s in zip(self.description.shapes, self.builder.shapes, strict=True):
             size = float(np.linalg.norm(np.ptp(points[s.first_vertex : s.first_vertex + s.vertex_count], axis=0)))
             if size < SPECK * self.ray_epsilon:

@@ -32,8 +32,7 @@ from warp_psdr.passes import (
     interior_forward,
     splatted,
 )
-from warp_psdr.plan import Plan
-from warp_psdr.plan import plan as make_plan
+from warp_psdr.plan import Plan, decide
 from warp_psdr.work_precision.tiles import Tiling, uniform
 
 if TYPE_CHECKING:
@@ -120,7 +119,7 @@ def image(scene: Scene, *, integrator: PathIntegrator | None, sensor: int) -> Qu
     """Return the image as a quantity."""
     integrator = integrator or from_description(scene.description.integrator)
     camera = scene.camera(sensor)
-    plan = make_plan(scene, integrator=integrator, sensor=sensor)
+    plan = decide(scene, integrator=integrator, sensor=sensor)
     shape = (camera.crop_height, camera.crop_width)
 
     def box_batch(spp: int, seed: int, tiling: Tiling) -> np.ndarray:
@@ -162,7 +161,7 @@ def derivative(
         raise ValueError("tangents: got none; expected at least one, {'parameter name': direction}")
     integrator = integrator or from_description(scene.description.integrator)
     target = flat_tangents(scene, params, tangents)
-    plan = make_plan(scene, integrator=integrator, sensor=sensor, names=list(tangents))
+    plan = decide(scene, integrator=integrator, sensor=sensor, names=list(tangents))
     if plan.boundary is not None:
         contacts.warn(scene, target.numpy())
     camera = scene.camera(sensor)
@@ -194,7 +193,7 @@ def gradient(scene: Scene, params: Parameters, adjoint, *, integrator: PathInteg
     if not names:
         raise ValueError("nothing to differentiate: call params.requires_grad(...) with parameter names first")
     integrator = integrator or from_description(scene.description.integrator)
-    plan = make_plan(scene, params, integrator=integrator, sensor=sensor)
+    plan = decide(scene, params, integrator=integrator, sensor=sensor)
     array = adjoint_array(adjoint, scene.camera(sensor), scene.device)
     records = [scene.parameters[name] for name in names]
     ends = np.cumsum([0, *(p.size for p in records)]).tolist()
