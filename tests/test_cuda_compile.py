@@ -135,6 +135,8 @@ MIRROR_LIGHTS = PathConfig(
 MIRRORS = PathConfig(
     **{**vars(SIMPLE), "bsdfs": (c.BSDF_CONDUCTOR, c.BSDF_DIELECTRIC), "slots": ((c.TEXTURE_CONSTANT,),) * 4 + ((),)}
 )
+MIRRORS_PARALLEL = PathConfig(**{**vars(MIRRORS), "camera": c.CAMERA_ORTHOGRAPHIC})
+MIRRORS_LENS = PathConfig(**{**vars(MIRRORS), "camera": c.CAMERA_THINLENS})
 ALBEDO = Wanted(slots=(True, False, False, False, False))
 MOVING_CAMERA = Wanted(slots=(False,) * 5, camera=True)
 GEOMETRY = Wanted(slots=(True, False, False, False, False), shapes=True)
@@ -216,6 +218,8 @@ FACTORIES = {
         ("reverse, materials", (MATERIALS, MOVING, "reverse", False), SLOW),
         ("forward, mirror under lights", (MIRROR_LIGHTS, MOVING, "forward", True), SLOW),
         ("reverse, mirrors alone", (MIRRORS, MOVING, "reverse", False), SLOW),
+        ("reverse, mirrors, orthographic", (MIRRORS_PARALLEL, MOVING_CAMERA, "reverse", False), SLOW),
+        ("forward, mirrors, thin lens", (MIRRORS_LENS, MOVING_CAMERA, "forward", False), SLOW),
     ],
     "boundary.primary.make_primary_kernel": [
         ("reverse, simple", (SIMPLE, "reverse", False), FAST),

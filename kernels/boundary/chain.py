@@ -51,6 +51,7 @@ class Block:
     film: wp.int32  # 1: starts at the camera
     q0: wp.vec2  # pixels of the crop window
     e: wp.vec2
+    lens: wp.vec2  # ``CameraSample.lens``
     x: wp.vec3  # y
     n: wp.vec3  # geometric normal at y
     w0: wp.vec3
@@ -117,6 +118,7 @@ def make_start(camera_kind: int):
         if block.film == 1:
             sample = CameraSample()
             sample.film = film_point(camera, film_at(block, s))
+            sample.lens = block.lens
             ray = camera_ray(scene, camera, sample)
             r.x = ray.o
             r.d = ray.d

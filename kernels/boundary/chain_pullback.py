@@ -37,7 +37,7 @@ class Visit:
 
 @functools.cache
 def make_chain_pullback(config: PathConfig, wanted: Wanted, role: str):
-    """Return ``pull(scene, target, camera, film, visits, last, start, o_before, a_o, a_d) -> float``.
+    """Return ``pull(scene, target, camera, sample, visits, last, start, o_before, a_o, a_d) -> float``.
 
     ``visits[:last + 1]`` is the path, (a_o, a_d) the adjoint of the ray that leaves its last vertex, ``start`` further
     adjoints of that vertex, and ``o_before`` one of the position before it. -1: the ray leaves the camera. The result
@@ -58,7 +58,7 @@ def make_chain_pullback(config: PathConfig, wanted: Wanted, role: str):
         scene: Scene,
         target: wp.array(dtype=wp.float32),
         camera: Camera,
-        film: wp.vec2,
+        sample: CameraSample,
         visits: wp.array(dtype=Visit),
         last: wp.int32,
         start: VertexAdjoint,
@@ -112,8 +112,6 @@ def make_chain_pullback(config: PathConfig, wanted: Wanted, role: str):
             j -= 1
         if wp.static(wanted.camera):
             if more:
-                sample = CameraSample()
-                sample.film = film
                 total += push_camera(scene, target, camera, sample, a_o, a_d)
         return total
 

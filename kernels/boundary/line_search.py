@@ -1,6 +1,6 @@
 """Discontinuities seen through mirrors and glass, by searching along lines.
 
-A pinhole cannot be met by a ray that comes out of a mirror, so edges seen through one cannot be sampled. They are
+A camera cannot be met by a ray that comes out of a mirror, so edges seen through one cannot be sampled. They are
 looked for instead. For a two-dimensional domain q with integrand F, the derivative of its integral has the boundary
 term
 
@@ -27,7 +27,8 @@ resolutions.
 each smooth vertex y, with F = f_s L and q the direction. A discontinuity counts here if a mirror or glass lies between
 the camera and the segment that touches it; all others are the primary (``primary.py``) and the secondary boundary
 (``secondary.py``, ``bent.py``, ``horizon.py``), but for the horizons of mirrors and glass with interpolated normals,
-which all count here. Cameras are perspective; surfaces that run through each other are not found.
+which all count here. The point of a thin lens is drawn once a path: for each the camera is a pinhole. Surfaces that run
+through each other are not found.
 """
 
 import functools
@@ -49,10 +50,10 @@ from warp_psdr.kernels.boundary.chain_pullback import Visit, make_chain_pullback
 from warp_psdr.kernels.boundary.discontinuity import Tables, make_crossing
 from warp_psdr.kernels.boundary.local_form import Edges
 from warp_psdr.kernels.boundary.projection import filter_extent, make_splat
-from warp_psdr.kernels.boundary.ray_differential import RayDifferential
+from warp_psdr.kernels.boundary.ray_differential import RayDifferential, make_film_differential
 from warp_psdr.kernels.boundary.secondary import make_segment_sink
 from warp_psdr.kernels.bsdf.dispatch import make_bsdf
-from warp_psdr.kernels.camera import CameraSample, camera_direction, load_mat44, make_camera_ray
+from warp_psdr.kernels.camera import CameraSample, make_camera_ray, make_lens
 from warp_psdr.kernels.constants import INV_FOUR_PI, LOBE_SMOOTH, TWO_PI
 from warp_psdr.kernels.interior.wanted import Wanted
 from warp_psdr.kernels.invalid import count_invalid, vanishes
@@ -80,8 +81,9 @@ STACK = 40
 UNIFORM_SHARE = 0.25
 #: Sample slots of a search, behind those of a path of any length that is allowed here.
 SLOT_SEARCH = 1000
-#: Slots of one search.
+#: Slots of one search; the last of the first one's is the lens's.
 SLOTS_PER_SEARCH = 64
+SLOT_LENS = SLOT_SEARCH + SLOTS_PER_SEARCH - 1
 #: Most vertices of a path, and of a path with its chain.
 MAX_DEPTH = 16
 MAX_VISITS = 17
@@ -100,6 +102,8 @@ def make_line_search_kernel(config: PathConfig, wanted: Wanted, role: str, light
     """Return the kernel of the boundary term through mirrors and glass: one thread a path (``secondary.py``)."""
     start_at = make_start(config.camera)
     camera_ray, _camera_origin = make_camera_ray(config.camera)
+    lens_point = make_lens(config.camera)
+    film_differential = make_film_differential(config.camera)
     identity = make_identity(config)
     follow = make_follow(config)
     crossing_at = make_crossing(config)
@@ -113,6 +117,7 @@ def make_line_search_kernel(config: PathConfig, wanted: Wanted, role: str, light
     splat, gather = make_splat()
     draw = make_sampler(config.sampler)
     sample_1d = draw.sample_1d
+    sample_2d = draw.sample_2d
     sample_4d = draw.sample_4d
 
     @wp.func
@@ -124,7 +129,7 @@ def make_line_search_kernel(config: PathConfig, wanted: Wanted, role: str, light
         block: Block,
         cells: wp.int32,
         throughput: wp.vec3,  # over the density of the line
-        film: wp.vec2,
+        start_sample: CameraSample,  # of the path
         q: wp.vec2,
         visits: wp.array(dtype=Visit),
         count: wp.int32,
@@ -187,21 +192,8 @@ def make_line_search_kernel(config: PathConfig, wanted: Wanted, role: str, light
                     b = RayDifferential()
                     if block.film == 1:
                         at = film_at(block, low)
-                        pose = load_mat44(scene.values, camera.to_world)
-                        aspect = wp.float32(camera.width) / wp.float32(camera.height)
-                        fov = scene.values[camera.x_fov]
-                        cx = scene.values[camera.principal]
-                        cy = scene.values[camera.principal + 1]
-                        p0 = film_point(camera, at)
-                        pa = film_point(camera, at + block.e)
-                        pb = film_point(camera, at + wp.vec2(-block.e[1], block.e[0]))
-                        d0 = camera_direction(pose, fov, cx, cy, p0[0], p0[1], aspect)
-                        da = camera_direction(pose, fov, cx, cy, pa[0], pa[1], aspect) - d0
-                        db = camera_direction(pose, fov, cx, cy, pb[0], pb[1], aspect) - d0
-                        length = wp.length(d0)
-                        d0 = d0 / length
-                        a.d = (da - d0 * wp.dot(d0, da)) / length
-                        b.d = (db - d0 * wp.dot(d0, db)) / length
+                        a = film_differential(scene, camera, at, block.lens, block.e)
+                        b = film_differential(scene, camera, at, block.lens, wp.vec2(-block.e[1], block.e[0]))
                     else:
                         angle = low * block.ell
                         a.d = wp.cos(angle) * block.w1 - wp.sin(angle) * block.w0
@@ -236,10 +228,12 @@ def make_line_search_kernel(config: PathConfig, wanted: Wanted, role: str, light
                             scale = 2.0 * weight * r.phi_a / (squared * block.ell)
                             value = scale * wp.cw_mul(throughput, jump)
                             at_q = q
-                            at_film = film
+                            seen = start_sample
                             if block.film == 1:
                                 at_q = film_at(block, low)
-                                at_film = film_point(camera, at_q)
+                                seen = CameraSample()
+                                seen.film = film_point(camera, at_q)
+                                seen.lens = block.lens
                             w = wp.float32(1.0)
                             if wp.static(role == "reverse"):
                                 w = wp.dot(gather(camera, at_q, adjoint), value)
@@ -249,7 +243,7 @@ def make_line_search_kernel(config: PathConfig, wanted: Wanted, role: str, light
                                 start.n = w * r.start.n
                                 start.c = w * r.start.c
                                 speed = pull(
-                                    scene, target, camera, at_film, visits, r.last, start,
+                                    scene, target, camera, seen, visits, r.last, start,
                                     w * r.o_before, w * r.a_o, w * r.a_d,
                                 )  # fmt: skip
                                 if r.edge == 2:
@@ -332,7 +326,9 @@ def make_line_search_kernel(config: PathConfig, wanted: Wanted, role: str, light
             column * width / wp.float32(camera.crop_width) - margin,
             row * height / wp.float32(camera.crop_height) - margin,
         )
-        film = film_point(camera, q)
+        sample = CameraSample()
+        sample.film = film_point(camera, q)
+        sample.lens = lens_point(sample_2d(sampler, SLOT_LENS))
         scale = width * height / wp.float32(samples)
         pattern = wp.uint32(0)
         for k in range(4):
@@ -344,17 +340,16 @@ def make_line_search_kernel(config: PathConfig, wanted: Wanted, role: str, light
         block.film = 1
         block.q0 = q
         block.e = wp.vec2(wp.cos(TWO_PI * u4[2]), wp.sin(TWO_PI * u4[2]))
+        block.lens = sample.lens
         block.ell = FILM_LENGTH
         block.pattern = pattern
         one = wp.vec3(scale, scale, scale)
         slot = wp.int32(SLOT_SEARCH + 4)
         search(
-            scene, camera, edges, tables, block, FILM_CELLS, one, film, q, visits, 0, sampler, slot,
+            scene, camera, edges, tables, block, FILM_CELLS, one, sample, q, visits, 0, sampler, slot,
             max_depth, rr_depth, adjoint, target, image_out,
         )  # fmt: skip
         if wp.static(has_smooth):
-            sample = CameraSample()
-            sample.film = film
             ray = camera_ray(scene, camera, sample)
             state = path_from(ray.o + ray.t_min * ray.d, ray.d, ray.t_max - ray.t_min, 0)
             count = wp.int32(0)
@@ -402,7 +397,7 @@ def make_line_search_kernel(config: PathConfig, wanted: Wanted, role: str, light
                             from_y.first = through
                             search(
                                 scene, camera, edges, tables, from_y, ARC_CELLS, (scale / pdf) * vertex.throughput,
-                                film, q, visits, count, sampler, slot + 1, max_depth, rr_depth,
+                                sample, q, visits, count, sampler, slot + 1, max_depth, rr_depth,
                                 adjoint, target, image_out,
                             )  # fmt: skip
                     attached = wp.where(vertex.lobe > LOBE_SMOOTH, 1, 0)

@@ -9,6 +9,9 @@ n_q follows from the barycentrics of x_q, and the lobe's direction from its clos
     reflected    d - 2 c n,
     refracted    (d - c n + sign(c) g n) / eta,   g = sqrt(eta^2 - 1 + c^2),  g_q = c c_q / g.
 
+On the film, with the point of the lens held, the camera's direction before it is normalized and its origin are affine
+in q (``camera.py``): their derivatives are differences.
+
 Homan Igehy, "Tracing Ray Differentials", SIGGRAPH 1999.
 """
 
@@ -16,11 +19,12 @@ import functools
 
 import warp as wp
 
-from warp_psdr.kernels.boundary.chain import Link
-from warp_psdr.kernels.constants import LOBE_DELTA_TRANSMISSION
+from warp_psdr.kernels.boundary.chain import Link, film_point
+from warp_psdr.kernels.camera import camera_direction, lens_direction, load_mat44, parallel_origin
+from warp_psdr.kernels.constants import CAMERA_ORTHOGRAPHIC, CAMERA_THINLENS, LOBE_DELTA_TRANSMISSION
 from warp_psdr.kernels.fresnel import refracted_cosine
 from warp_psdr.kernels.interior.tangents import normalize_jvp
-from warp_psdr.kernels.structs import Scene
+from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.surface import load_vec3
 
 
@@ -38,6 +42,36 @@ class PointDifferential:
 
     x: wp.vec3
     n: wp.vec3
+
+
+@functools.cache
+def make_film_differential(kind: int):
+    """Return ``film_differential(scene, camera, q, lens, step) -> RayDifferential`` by q [pixels] along ``step``."""
+
+    @wp.func
+    def film_differential(scene: Scene, camera: Camera, q: wp.vec2, lens: wp.vec2, step: wp.vec2) -> RayDifferential:
+        r = RayDifferential()
+        m = load_mat44(scene.values, camera.to_world)
+        aspect = wp.float32(camera.width) / wp.float32(camera.height)
+        here = film_point(camera, q)
+        there = film_point(camera, q + step)
+        if wp.static(kind == CAMERA_ORTHOGRAPHIC):
+            r.o = parallel_origin(m, there, aspect) - parallel_origin(m, here, aspect)
+        else:
+            fov = scene.values[camera.x_fov]
+            cx = scene.values[camera.principal]
+            cy = scene.values[camera.principal + 1]
+            d = camera_direction(m, fov, cx, cy, here[0], here[1], aspect)
+            d_q = camera_direction(m, fov, cx, cy, there[0], there[1], aspect) - d
+            if wp.static(kind == CAMERA_THINLENS):
+                radius = scene.values[camera.aperture_radius]
+                d = lens_direction(m, fov, cx, cy, radius, scene.values[camera.focus_distance], here, lens, aspect)
+            length = wp.length(d)
+            d = d / length
+            r.d = (d_q - d * wp.dot(d, d_q)) / length
+        return r
+
+    return film_differential
 
 
 @functools.cache

@@ -54,6 +54,10 @@ def glass(shape):
     }
 
 
+def slab():
+    return box((0.0, 0.0, 0.0), (1.0, 0.3, 0.8), GLASS, 0.5)
+
+
 def caustic():
     """A light that turns its back on the floor reaches it by way of a mirror alone."""
     light = {"type": "area", "radiance": {"type": "rgb", "value": [8.0, 7.0, 6.0]}}
@@ -77,7 +81,7 @@ register(
         "behind box": lambda: behind("box"),
         "point in a mirror": lambda: shadow(point()),
         "soft in a mirror": lambda: shadow(panel((0.5, -0.8, 2.2), 0.5)),
-        "slab": lambda: glass(box((0.0, 0.0, 0.0), (1.0, 0.3, 0.8), GLASS, 0.5)),
+        "slab": lambda: glass(slab()),
         "faceted glass": lambda: glass(ball((0.0, 0.0, 0.0), 0.7, GLASS)),
         "glass ball": lambda: glass(ball((0.0, 0.0, 0.0), 0.7, GLASS, subdivisions=2, smooth=True)),
         "mirror ball": lambda: {

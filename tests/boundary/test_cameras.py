@@ -6,6 +6,7 @@ import pytest
 import warp_psdr as psdr
 
 from .measure import Case, assert_agrees, assert_transposes, derivatives, differences, rows, slope
+from .mirrors import ETA, GLASSES, LAMP, WALL, behind, glass, slab
 from .scenes import T, ball, camera, diffuse, load, panel, register, room, silhouette, sky, under
 from .test_table import ALONG, BOX, FLOOR, OCCLUDER, RECEIVER, SHAPE, moved, scaled, turned
 
@@ -31,6 +32,8 @@ SIDE = {"origin": (0, -4, 0.5), "target": (0, 0, 0)}
 FRONT = {"origin": (0, -4.0, 1.0), "target": (0, 0, 1.0)}
 ACROSS = moved(1.0, -0.5, 0.0)
 LIGHT = (0.5, -0.3, 2.2), 0.35
+MIRRORED = {"origin": (0.3, -2.0, 0.6), "target": (0.0, 1.2, 0.6)}
+THROUGH = {"origin": (0.0, -4.0, 0.4), "target": (0.0, 0.0, 0.0)}
 register(
     {
         "parallel": lambda: under(panel(*LIGHT)) | {"sensor": parallel()},
@@ -42,6 +45,11 @@ register(
         "lens smooth": lambda: silhouette("tent", smooth=True) | {"sensor": lens(0.4, 2.5, **SIDE)},
         "parallel room": lambda: room(0.1) | {"sensor": parallel((1.1, 1.2, 1.0), **FRONT)},
         "lens room": lambda: room(0.1) | {"sensor": lens(0.2, 2.5, fov=32.0, **FRONT)},
+        # What mirrors and glass show.
+        "parallel mirror": lambda: behind() | {"sensor": parallel((1.1, 1.2, 1.0), **MIRRORED)},
+        "lens mirror": lambda: behind() | {"sensor": lens(0.2, 5.0, **MIRRORED)},
+        "parallel glass": lambda: glass(slab()) | {"sensor": parallel((1.0, 1.1, 1.0), **THROUGH)},
+        "lens glass": lambda: glass(slab()) | {"sensor": lens(0.3, 3.0, fov=30.0, **THROUGH)},
         "lens, two depths": lambda: {
             "sensor": lens(0.3, 3.6, origin=(0, -4, 0.5), target=(0, 0, 0)),
             "sky": sky(),
@@ -80,6 +88,16 @@ CASES = [
     Case("lens, two depths", POSE, turned(2), 0.004, "camera turns", spp=1024, difference_spp=16384),
     Case("lens smooth", SHAPE, scaled, 0.01, "scales", spp=2048, difference_spp=8192),
     Case("lens smooth", FOCUS, np.ones_like, 0.1, "focus moves", spp=2048, difference_spp=8192),
+    Case("parallel mirror", LAMP, ALONG, 0.01, "lamp moves", spp=512, difference_spp=2048),
+    Case("parallel mirror", WALL, turned(2), 0.001, "mirror turns", spp=512, difference_spp=2048),
+    Case("parallel mirror", POSE, turned(2), 0.001, "camera turns", spp=512, difference_spp=2048),
+    Case("lens mirror", LAMP, ALONG, 0.02, "lamp moves", spp=1024, difference_spp=8192),
+    Case("lens mirror", WALL, turned(2), 0.002, "mirror turns", spp=1024, difference_spp=8192),
+    Case("lens mirror", POSE, turned(2), 0.003, "camera turns", spp=1024, difference_spp=8192),
+    Case("lens mirror", FOCUS, np.ones_like, 0.2, "focus moves", spp=4096, difference_spp=32768),
+    Case("parallel glass", GLASSES, turned(2), 0.004, "slab turns", depth=4, spp=1024, difference_spp=8192),
+    Case("lens glass", GLASSES, turned(2), 0.01, "slab turns", depth=4, spp=1024, difference_spp=8192),
+    Case("lens glass", ETA, np.ones_like, 0.02, "index changes", depth=4, spp=1024, difference_spp=8192),
     Case("parallel room", BOX, ACROSS, 0.005, "a box moves", depth=3, spp=1024, difference_spp=4096),
     Case("lens room", BOX, ACROSS, 0.005, "a box moves", depth=3, spp=2048, difference_spp=4096),
 ]
@@ -110,6 +128,8 @@ def test_the_rows_can_tell_a_missing_boundary_term(case: Case) -> None:
     [
         ("parallel", [OCCLUDER, FLOOR, POSE]),
         ("lens", [OCCLUDER, FLOOR, POSE, FOCUS, RADIUS, "sensor.x_fov"]),
+        ("parallel mirror", [LAMP, WALL, POSE]),
+        pytest.param("lens mirror", [LAMP, WALL, POSE, FOCUS, RADIUS, "sensor.x_fov"], marks=pytest.mark.slow),
         pytest.param("lens smooth", [SHAPE, POSE, FOCUS, RADIUS], marks=pytest.mark.slow),
     ],
 )

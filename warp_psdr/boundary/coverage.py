@@ -57,8 +57,6 @@ def _uncovered(scene: Scene, config: PathConfig, names: list[str], max_depth: in
     if c.DELTA_MODELS & set(config.bsdfs):
         if not 0 < max_depth <= MAX_DEPTH:
             return f"discontinuities are searched through mirrors to some depth; set max_depth to {MAX_DEPTH} or less"
-        if config.camera != c.CAMERA_PERSPECTIVE:
-            return "lines through mirrors and glass are searched for a perspective camera only; use that one"
         if scene.face_count and len(scene_curves(scene).length):
             return "surfaces run through each other, and mirrors or glass may show the curve; move them apart"
     if config.hide_emitters and config.area:
