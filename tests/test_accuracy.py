@@ -136,7 +136,7 @@ def test_a_term_without_variance_gets_the_least():
 def test_terms_add_up_to_the_gradient(soft):
     scene, params = soft
     what = quantity.gradient(scene, params, adjoint(), integrator=INTEGRATOR, sensor=0)
-    assert [p.name for p in what.parts] == ["interior", "primary edges", "shadow edges"]
+    assert [p.name for p in what.parts] == ["interior", "primary boundary", "direct boundary"]
     params.zero_grad()
     psdr.render_backward(scene, params, adjoint(), integrator=INTEGRATOR, spp=8, seed=4)
     total = sum(part.run(8, 4) for part in what.parts)
@@ -274,7 +274,7 @@ def test_report_is_drawn(report, tmp_path):
     assert (tmp_path / "a.png").stat().st_size > 5000
     assert report.measured and all(error > 0.0 for _seconds, error in report.measured)
     text = str(report)
-    for word in ("interior", "shadow edges", POSITIONS, "where shapes touch", "processor time"):
+    for word in ("interior", "direct boundary", POSITIONS, "where shapes touch", "processor time"):
         assert word in text
 
 
@@ -288,19 +288,21 @@ def test_image_and_derivative_have_reports(soft):
     assert derivative.tile == 0
 
 
-def test_building_is_timed_and_keeps_what_was_built():
+@pytest.mark.parametrize(("depth", "built"), [(2, 1), pytest.param(3, 2, marks=pytest.mark.slow)])
+def test_building_is_timed_and_keeps_what_was_built(depth, built):
     # A structure that a gradient has built stays; else what building takes is told apart.
     scene = psdr.load_dict({"type": "scene", **scenes.SCENES["soft"]()})
     params = psdr.traverse(scene)
     params.requires_grad(POSITIONS, ALBEDO)
     method = psdr.boundary.PathSpace(guiding=psdr.guiding.KdTree(max_leaves=64))
-    options = {"integrator": psdr.PathIntegrator(max_depth=2, boundary=method), "seconds": 0.1, "tiles": False}
+    options = {"integrator": psdr.PathIntegrator(max_depth=depth, boundary=method), "seconds": 0.1, "tiles": False}
     first = psdr.accuracy(scene, params, adjoint(), **options)
-    assert [t.setup_seconds > 0.0 for t in first.terms] == [False, False, True]
+    assert [t.setup_seconds > 0.0 for t in first.terms] == [False, False] + [True] * built
     kept = psdr.guiding.structures(scene)
     second = psdr.accuracy(scene, params, adjoint(), **options)
-    assert [t.setup_seconds for t in second.terms] == [0.0, 0.0, 0.0]
-    assert psdr.guiding.structures(scene)[0] is kept[0]
+    assert [t.setup_seconds for t in second.terms] == [0.0] * (2 + built)
+    assert len(kept) == built
+    assert all(a is b for a, b in zip(psdr.guiding.structures(scene), kept, strict=True))
 
 
 def test_textbook_replay_and_a_missing_term_are_named(soft):

@@ -186,7 +186,7 @@ def test_a_time_runs_its_own_pilot(soft, reference):
     reached, found = gradient(soft, time_budget=1.0, seed=2)
     assert reached.pilot_seconds > 0.0
     assert relative_error(found, reference) < 5.0 * reached.error
-    assert set(reached.spp) == {"interior", "primary edges", "shadow edges"}
+    assert set(reached.spp) == {"interior", "primary boundary", "direct boundary"}
 
 
 def test_without_a_budget_nothing_is_returned(soft):

@@ -209,10 +209,12 @@ FACTORIES = {
         ("reverse, simple", (SIMPLE, "reverse", False), SLOW),
         ("forward, textures", (TEXTURED, "forward", True), SLOW),
         ("reverse, lights", (ALL_LIGHTS, "reverse", False), SLOW),
+        ("indirect, lights", (ALL_LIGHTS, "reverse", False, True), SLOW),
     ],
     "boundary.horizon.make_horizon_kernel": [
         ("reverse, materials", (MATERIALS, "reverse", True), SLOW),
         ("forward, textures", (TEXTURED, "forward", False), SLOW),
+        ("indirect, materials", (MATERIALS, "reverse", False, True), SLOW),
     ],
     "boundary.line_search.make_line_search_kernel": [
         ("reverse, materials", (MATERIALS, MOVING, "reverse", False), SLOW),
@@ -238,6 +240,9 @@ FACTORIES = {
         ("forward, orthographic", (ORTHOGRAPHIC, "forward", True, False), SLOW),
         ("reverse, thin lens", (THIN_LENS, "reverse", True, False), SLOW),
         ("samples, simple", (SIMPLE, "samples", False, False), SLOW),
+        ("indirect, simple", (SIMPLE, "reverse", False, False, False, True), FAST),
+        ("indirect, guided, lights", (ALL_LIGHTS, "forward", True, True, True, True), SLOW),
+        ("indirect target, textures", (TEXTURED, "target", False, False, False, True), SLOW),
     ],
     "boundary.projective.make_seeds_kernel": [
         ("blocked, simple", (SIMPLE, BLOCKED_LIGHT), FAST),
@@ -261,6 +266,7 @@ FACTORIES = {
         ("forward, orthographic", (ORTHOGRAPHIC, unlit(ORTHOGRAPHIC), "forward", True, True, 16), SLOW),
         ("reverse, thin lens", (THIN_LENS, unlit(THIN_LENS), "reverse", True, True, 16), SLOW),
         ("reverse, lights", (ALL_LIGHTS, unlit(ALL_LIGHTS), "reverse", False, True, 16), SLOW),
+        ("indirect, lights", (ALL_LIGHTS, unlit(ALL_LIGHTS), "reverse", False, True, 16, True), SLOW),
     ],
 }
 

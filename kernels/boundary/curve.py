@@ -23,6 +23,7 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
+from warp_psdr.kernels.boundary.depth import make_indirect
 from warp_psdr.kernels.boundary.local_form import START_BEHIND, EdgePoint, Edges, barycentrics_at, edge_point
 from warp_psdr.kernels.boundary.secondary import make_segment_sink
 from warp_psdr.kernels.boundary.transport import Segment, make_source, make_transport
@@ -93,11 +94,13 @@ def make_curve_segment(config: PathConfig):
 
 
 @functools.cache
-def make_curve_kernel(config: PathConfig, role: str, camera_moves: bool):
+def make_curve_kernel(config: PathConfig, role: str, camera_moves: bool, indirect: bool = False):
     """Return the kernel: one thread a sample (arguments as in ``secondary.py``)."""
     segment_at = make_curve_segment(config)
     push_segment = make_segment_sink(role, False)
-    transport = make_transport(config, role, camera_moves, make_source(config))
+    source = make_source(config)
+    source = make_indirect(source) if indirect else source
+    transport = make_transport(config, role, camera_moves, source)
     sample_4d = make_sampler(config.sampler).sample_4d
 
     @wp.kernel(module="unique", enable_backward=False)

@@ -31,6 +31,7 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
+from warp_psdr.kernels.boundary.depth import DIRECT
 from warp_psdr.kernels.boundary.detector import make_radiance
 from warp_psdr.kernels.boundary.edge_tree import EdgeTrees, edge_at, make_choose
 from warp_psdr.kernels.boundary.local_form import START_BEHIND, EdgePoint, Edges, interior_side
@@ -194,6 +195,7 @@ def make_edge_sampling_kernel(
     camera_moves: bool,
     tree: bool,
     candidates: int,
+    indirect: bool = False,
 ):
     """Return the kernel: one thread a sample of a pixel.
 
@@ -205,6 +207,7 @@ def make_edge_sampling_kernel(
         camera_moves: a parameter of the camera is differentiated.
         tree: choose edges with the hierarchies.
         candidates: edges that are resampled.
+        indirect: paths of two vertices are left out (``depth.py``).
     """
     start = make_camera_start(walk)
     _camera_ray, camera_origin = make_camera_ray(config.camera)
@@ -262,6 +265,9 @@ def make_edge_sampling_kernel(
                 if s.valid == 1:
                     branch.seed = words.y
                     source = radiance(scene, branch, s.source, s.w, FAR, k, max_depth, rr_depth)
+                    if wp.static(indirect):
+                        if k == 1:
+                            source -= radiance(scene, branch, s.source, s.w, FAR, k, DIRECT, rr_depth)
                     value = (1.0 / wp.float32(spp)) * wp.cw_mul(wp.cw_mul(vertex.throughput, drawn.value), source)
                     if not vanishes(value):
                         w = wp.float32(1.0)

@@ -31,6 +31,7 @@ import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.boundary.bent import FLAT, TILT
+from warp_psdr.kernels.boundary.depth import make_indirect
 from warp_psdr.kernels.boundary.detector import Incident, amplified, make_incident
 from warp_psdr.kernels.boundary.transport import Segment, make_transport
 from warp_psdr.kernels.bvh.wide import make_intersect
@@ -63,12 +64,13 @@ def make_side(config: PathConfig):
 
 
 @functools.cache
-def make_horizon_kernel(config: PathConfig, role: str, camera_moves: bool):
-    """Return the kernel: one thread a sample (arguments as in ``bent.py``)."""
+def make_horizon_kernel(config: PathConfig, role: str, camera_moves: bool, indirect: bool = False):
+    """Return the kernel: one thread a sample (arguments as in ``bent.py``; ``indirect`` as in ``secondary.py``)."""
     closest_hit, _any_hit = make_intersect(config.ray_backend, config.ray_width)
     surface_at = make_surface(True, config.flat, False, False)
     push_vertex = make_vertex_sink(role, False, False, False, False, False, True)
-    transport = make_transport(config, role, camera_moves, make_side(config))
+    source = make_indirect(make_side(config)) if indirect else make_side(config)
+    transport = make_transport(config, role, camera_moves, source)
     draw = make_sampler(config.sampler)
     sample_1d = draw.sample_1d
     sample_4d = draw.sample_4d

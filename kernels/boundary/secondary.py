@@ -22,6 +22,7 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
+from warp_psdr.kernels.boundary.depth import make_indirect
 from warp_psdr.kernels.boundary.direction import SAME_POINT, Direction, wedge_at
 from warp_psdr.kernels.boundary.local_form import START_BEHIND, EdgePoint, Edges, interior_side, make_edge_sink
 from warp_psdr.kernels.boundary.transport import Segment, make_source, make_transport
@@ -193,7 +194,14 @@ def make_segment_sink(role: str, light_pose: bool):
 
 
 @functools.cache
-def make_secondary_kernel(config: PathConfig, role: str, camera_moves: bool, light_pose: bool, guided: bool = False):
+def make_secondary_kernel(
+    config: PathConfig,
+    role: str,
+    camera_moves: bool,
+    light_pose: bool,
+    guided: bool = False,
+    indirect: bool = False,
+):
     """Return the kernel of the secondary boundary term: one thread a sample.
 
     Args:
@@ -205,11 +213,14 @@ def make_secondary_kernel(config: PathConfig, role: str, camera_moves: bool, lig
         camera_moves: a parameter of the camera is differentiated.
         light_pose: the position or direction of a point, spot or directional light is differentiated.
         guided: segments are drawn from the cells in ``guide``.
+        indirect: paths of two vertices are left out (``depth.py``).
     """
     evaluates = role == "target"
     segment_at = make_segment(config)
     push_segment = None if evaluates else make_segment_sink(role, light_pose)
-    transport = make_transport(config, role, camera_moves, make_source(config, True))
+    source = make_source(config, True)
+    source = make_indirect(source) if indirect else source
+    transport = make_transport(config, role, camera_moves, source)
     sample_aim, density, place = make_techniques(config, guided)
     draw = make_sampler(config.sampler)
     sample_1d = draw.sample_1d

@@ -92,6 +92,7 @@ class Request:
         sensor: which camera.
         spp: samples a pixel of the interior term.
         seed: of the boundary term's stream.
+        indirect: paths of two vertices are left out, of the terms in ``SPLIT``.
     """
 
     scene: Scene
@@ -101,6 +102,7 @@ class Request:
     sensor: int
     spp: int
     seed: int
+    indirect: bool = False
 
     @property
     def camera(self) -> Camera:
@@ -219,7 +221,9 @@ def secondary(r: Request) -> Term | None:
     if edges is None:
         return None
     samples = r.pixels * (r.method.spp_secondary or r.spp)
-    kernel = make_secondary_kernel(r.config, r.role, r.moves.camera, r.moves.light_pose, guiding is not None)
+    kernel = make_secondary_kernel(
+        r.config, r.role, r.moves.camera, r.moves.light_pose, guiding is not None, r.indirect
+    )
     return _term(
         r, SECONDARY, kernel, [r.scene.data(), r.camera, edges, moving_shapes(r.scene, r.moves), guide], samples
     )
@@ -243,7 +247,7 @@ def curve(r: Request) -> Term | None:
     if edges is None:
         return None
     samples = r.pixels * (r.method.spp_secondary or r.spp)
-    kernel = make_curve_kernel(r.config, r.role, r.moves.camera)
+    kernel = make_curve_kernel(r.config, r.role, r.moves.camera, r.indirect)
     return _term(r, CURVE, kernel, [r.scene.data(), r.camera, edges], samples)
 
 
@@ -273,7 +277,7 @@ def horizon(r: Request) -> Term | None:
     cdf, faces, sine = found
     # What a sample is worth is in proportion to the sine; lights of small extent need more samples than that says.
     samples = math.ceil(r.pixels * (r.method.spp_secondary or r.spp) * math.sqrt(sine))
-    kernel = make_horizon_kernel(r.config, r.role, r.moves.camera)
+    kernel = make_horizon_kernel(r.config, r.role, r.moves.camera, r.indirect)
     return _term(r, HORIZON, kernel, [r.scene.data(), r.camera, cdf, faces], samples)
 
 
@@ -290,7 +294,7 @@ def edge_sampling(r: Request) -> Term | None:
     spp = r.method.spp_secondary or r.spp
     walk = replace(r.plan.config, area=(), lights=())
     candidates = r.method.candidates or (MAX_SPLIT if r.method.tree else DEFAULT_CANDIDATES)
-    kernel = make_edge_sampling_kernel(r.config, walk, r.role, r.moves.camera, r.method.tree, candidates)
+    kernel = make_edge_sampling_kernel(r.config, walk, r.role, r.moves.camera, r.method.tree, candidates, r.indirect)
     head = [r.scene.data(), r.camera, edges, edge_trees(r.scene, edges)]
     return _term(r, EDGE_SAMPLING, kernel, head, r.pixels * spp, count=spp)
 
@@ -309,7 +313,7 @@ def hard_shadows(r: Request) -> Term | None:
     records["probability"] = np.diff(cdf)
     data.emitters = wp.array(records, dtype=Emitter, device=r.scene.device)
     data.emitter_cdf = wp.array(cdf, dtype=wp.float32, device=r.scene.device)
-    kernel = make_secondary_kernel(r.config, r.role, r.moves.camera, r.moves.light_pose)
+    kernel = make_secondary_kernel(r.config, r.role, r.moves.camera, r.moves.light_pose, False, r.indirect)
     # No share of the wedge: every sample goes to a light.
     head = [data, r.camera, edges, moving_shapes(r.scene, r.moves), Guide()]
     return _term(r, SECONDARY, kernel, head, samples)
@@ -326,6 +330,8 @@ def through_mirrors(r: Request) -> Term | None:
     return _term(r, THROUGH_MIRRORS, kernel, [r.scene.data(), r.camera, edges, tables], samples)
 
 
+#: Terms in which paths of two vertices behind the camera can be told from longer ones (``kernels/boundary/depth.py``).
+SPLIT = (secondary, edge_sampling, hard_shadows, curve, horizon)
 #: What each method consists of.
 TERMS: dict[type[Method], tuple[Callable[[Request], Term | None], ...]] = {
     PathSpace: (primary, creases, terminator, secondary, curve, bent, horizon, through_mirrors),

@@ -120,6 +120,21 @@ def describe(scene: Scene, method: Method) -> str:
     return f"{leaves} leaves, {memory / 1e6:.1f} MB; guiding.reset(scene) forgets them"
 
 
+def built(r: Request, method: Method) -> bool:
+    """Whether there is a structure for a boundary term."""
+    return _key(r, method) in _kept(r.scene)
+
+
+def forget(r: Request, method: Method) -> None:
+    """Forget what guiding has built for one boundary term."""
+    _kept(r.scene).pop(_key(r, method), None)
+
+
+def _key(r: Request, method: Method) -> tuple:
+    counted = replace(r.method, spp_primary=None, spp_secondary=None)
+    return method, r.moves, r.sensor, r.plan.max_depth, counted, r.indirect
+
+
 def _kept(scene: Scene) -> dict:
     return scene.__dict__.setdefault("_guiding", {})
 
@@ -136,8 +151,7 @@ def guide(r: Request, method: Method, seeds: Seeds | None = None) -> tuple[Edges
 
     scene = r.scene
     values = scene.values.numpy()
-    counted = replace(r.method, spp_primary=None, spp_secondary=None)
-    key = (method, r.moves, r.sensor, r.plan.max_depth, counted)
+    key = _key(r, method)
     old = _kept(scene).get(key)
     samples = r.pixels * (r.method.spp_secondary or r.spp)
     if old is not None and np.array_equal(old.seen, values, equal_nan=True):
@@ -278,7 +292,7 @@ class _Evaluator:
 
     def __init__(self, r: Request, found: Guiding, technique: str):
         self._r, self._found, self._technique = r, found, technique
-        self._kernel = make_secondary_kernel(r.config, "target", False, False)
+        self._kernel = make_secondary_kernel(r.config, "target", False, False, indirect=r.indirect)
         self._head = [r.scene.data(), r.camera, found.edges, moving_shapes(r.scene, r.moves)]
 
     def at(self, points: np.ndarray) -> np.ndarray:

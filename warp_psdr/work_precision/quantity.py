@@ -17,7 +17,7 @@ from warp_psdr.arguments import adjoint_array, flat_tangents
 from warp_psdr.boundary import contacts
 from warp_psdr.boundary.drivers import launch_backward, launch_forward
 from warp_psdr.boundary.motion import motion
-from warp_psdr.boundary.terms import TERMS, Request, launches
+from warp_psdr.boundary.terms import SPLIT, TERMS, Request, launches
 from warp_psdr.gradient_sums import GradientSums
 from warp_psdr.guiding import store
 from warp_psdr.kernels.constants import RFILTER_BOX
@@ -39,17 +39,21 @@ if TYPE_CHECKING:
     from warp_psdr.parameters import Parameters
     from warp_psdr.scene.scene import Scene
 
-#: What users call the functions of ``boundary/terms.py``; others keep their function's name.
+#: What users call the functions of ``boundary/terms.py``; others keep their function's name. ``{}``: whether only paths
+#: of two vertices are in it (direct), or only longer ones.
 TITLES = {
-    "primary": "primary edges",
+    "primary": "primary boundary",
     "terminator": "terminators",
-    "secondary": "shadow edges",
-    "curve": "curves of intersection",
+    "secondary": "{} boundary",
+    "curve": "{} curves of intersection",
     "bent": "bent normals",
-    "edge_sampling": "shadow edges",
-    "hard_shadows": "hard shadows",
+    "horizon": "{} horizons",
+    "edge_sampling": "{} boundary",
+    "hard_shadows": "{} hard shadows",
     "through_mirrors": "through mirrors",
 }
+#: Stream of the indirect boundary, beside those of the terms (``boundary/terms.py``).
+STREAM_INDIRECT = 0x696E6469
 #: Name of the components of an image.
 IMAGE = "image"
 
@@ -226,32 +230,49 @@ def _with(quantity: Quantity, title: str, more: tuple[Part, ...]) -> Quantity:
 
 
 def _boundary_parts(quantity: Quantity, names: list[str], run: Callable[..., np.ndarray]) -> tuple[Part, ...]:
-    """Return the terms of the boundary's method, each with a sample count of its own."""
+    """Return the terms of the boundary's method, each with a sample count of its own.
+
+    Where paths of two vertices can be told from longer ones, they are a term of their own
+    (``kernels/boundary/depth.py``): light that a shadow hides and light that comes by way of other surfaces differ in
+    what a sample costs and in how it varies.
+    """
     scene, method = quantity.scene, quantity.plan.boundary
     if method is None:
         return ()
     # Without counts of its own the method takes the request's.
     plan = replace(quantity.plan, boundary=replace(method, spp_primary=None, spp_secondary=None, spp_mirrors=None))
-    moves = motion(scene, names)
-    fresh = not store.structures(scene)  # what was built before is kept, for whoever built it
+    moves, guiding = motion(scene, names), getattr(method, "guiding", None)
 
-    def request(term: Callable, spp: int, seed: int) -> list:
-        seed = mix_seed(seed, STREAM_BOUNDARY)
-        return launches(term, Request(scene, plan, moves, quantity.role, quantity.sensor, spp, seed))
+    def part(term: Callable, kind: str) -> Part | None:
+        depths = replace(plan, max_depth=2) if kind == "direct" else plan
 
-    parts = []
-    for term in TERMS[type(method)]:
-        if not request(term, 1, 0):
-            continue
+        def request(spp: int, seed: int) -> Request:
+            seed = mix_seed(seed, STREAM_BOUNDARY)
+            if kind == "indirect":  # independent of the direct part at equal seeds
+                seed = mix_seed(seed, STREAM_INDIRECT)
+            return Request(scene, depths, moves, quantity.role, quantity.sensor, spp, seed, kind == "indirect")
 
-        def one(spp: int, seed: int, term=term) -> np.ndarray:
-            return run(lambda n, s: request(term, n, s), spp, seed)
+        def one(spp: int, seed: int) -> np.ndarray:
+            return run(lambda n, s: launches(term, request(n, s)), spp, seed)
 
-        def prepare(term=term) -> None:
-            store.reset(scene)
-            request(term, 1, 0)
+        def prepare() -> None:
+            assert guiding is not None
+            store.forget(request(1, 0), guiding)
+            launches(term, request(1, 0))
 
-        guided = fresh and term.__name__ == "secondary" and getattr(method, "guiding", None) is not None
-        title = TITLES.get(term.__name__, term.__name__.replace("_", " "))
-        parts.append(Part(title, one, prepare if guided else None))
-    return tuple(parts)
+        # What was built before is kept, for whoever built it.
+        fresh = guiding is not None and term.__name__ == "secondary" and not store.built(request(1, 0), guiding)
+        if not launches(term, request(1, 0)):
+            return None
+        title = TITLES.get(term.__name__, term.__name__.replace("_", " ")).format(kind)
+        return Part(title, one, prepare if fresh else None)
+
+    found = [part(term, kind) for term in TERMS[type(method)] for kind in _kinds(term, plan.max_depth)]
+    return tuple(p for p in found if p is not None)
+
+
+def _kinds(term: Callable, max_depth: int) -> tuple[str, ...]:
+    """Return the parts of a term that are told apart."""
+    if term not in SPLIT or 0 <= max_depth < 2:
+        return ("",)
+    return ("direct",) if max_depth == 2 else ("direct", "indirect")
