@@ -175,6 +175,45 @@ def test_gains_are_ratios_of_times_at_equal_error(modules) -> None:
     assert [r["gain"] for r in alone] == [None] * 3
 
 
+def runs_of(seconds: tuple[float, float], error: float, cores: float | None):
+    """Summaries of a method: 4 and 16 samples."""
+    rows = [{"spp": n, "seconds": t, "error": error * (16 / n) ** 0.5} for n, t in zip((4, 16), seconds, strict=True)]
+    return rows if cores is None else [r | {"cores": cores} for r in rows]
+
+
+@pytest.mark.parametrize(
+    ("own", "other", "text"),
+    [
+        # Twice the time for the same error, and a third of that does not grow with the samples.
+        (
+            ((1.0, 2.0), 0.1, 1.9), ((0.25, 1.0), 0.1, 2.0),
+            "fewer samples a second (0.5×) [fixed cost 33% of our time, 0% of its; 1.9 cores busy in both], "
+            "as much noise in a sample (1×)",
+        ),
+        (
+            ((0.5, 2.0), 0.1, 1.0), ((0.25, 1.0), 0.2, 2.0),
+            "fewer samples a second (0.5×) [1.0 cores busy, its 2.0], less noise in a sample (4×)",
+        ),
+        (
+            ((0.25, 1.0), 0.2, None), ((0.25, 1.0), 0.1, None),
+            "more noise in a sample (0.25×), as many samples a second (1×)",
+        ),
+    ],
+)  # fmt: skip
+def test_reasons_are_the_factors_of_the_ratio(modules, own, other, text) -> None:
+    reasons = modules("work_precision_reasons")
+    assert reasons.why(runs_of(*own), runs_of(*other)) == text
+
+
+def test_fixed_costs_are_found(modules) -> None:
+    share = modules("work_precision_reasons").fixed_share
+    assert share(runs_of((1.0, 1.0), 0.1, None)) == 1.0
+    assert share(runs_of((0.25, 1.0), 0.1, None)) == 0.0
+    assert share(runs_of((0.1, 1.0), 0.1, None)) == 0.0  # noise of the clock
+    assert share(runs_of((0.4, 1.0), 0.1, None)) == pytest.approx(0.2)
+    assert share([{"spp": 4, "seconds": 1.0}]) == 0.0
+
+
 def test_tables_and_page(modules, tmp_path: Path) -> None:
     data, report, rng = modules("work_precision_data"), modules("work_precision_report"), np.random.default_rng(5)
     truth = rng.normal(size=VALUES)
@@ -199,10 +238,13 @@ def test_tables_and_page(modules, tmp_path: Path) -> None:
     judged = report.bias_rows(list(names), names, find)
     assert [r["reference"] for r in judged] == ["ours", "Mitsuba a"]
     assert "wrong" not in judged[0][report.VERDICT] and "wrong" in judged[1][report.VERDICT]
-    best = report.best_rows([*given, refused], list(names), judged)
-    assert [(r["best of ours"], r["Mitsuba's best"], r["ratio of times"]) for r in best] == [
-        ("ours", "Mitsuba b", "4")
-    ] * 2
+    best = report.best_rows([*given, refused], judged, {"box": 3.0, "furnace": 5.0})
+    assert [(r["best of ours"], r["Mitsuba's best"], r["ratio of times"], r["wanted"]) for r in best] == [
+        ("ours", "Mitsuba b", "4", "≥ 3"),
+        ("ours", "Mitsuba b", "4", "≥ 5"),
+    ]
+    assert best[0]["why it is lower"] == ""
+    assert best[1]["why it is lower"] == "more noise in a sample (0.5×), more samples a second (8×)"
     assert "Mitsuba a wrong (slope" in best[0]["notes"] and best[1]["notes"] == "Mitsuba c raises"
     floors = report.floor_rows(list(names), names, find)
     assert [r[report.FLOOR] for r in floors] == ["0.1"]

@@ -171,7 +171,8 @@ def summary(rows: list[dict]) -> list[dict]:
     """Return one row a (case, method, sample count), in the order of measurement.
 
     Returns:
-        ``seconds``, ``error`` (signed root of the median squared error) and ``work`` (seconds x error^2): medians.
+        ``seconds``, ``error`` (signed root of the median squared error), ``work`` (seconds x error^2) and, where all
+        runs have it, ``cores`` (busy ones): medians.
     """
     groups = defaultdict(list)
     for row in rows:
@@ -192,6 +193,8 @@ def summary(rows: list[dict]) -> list[dict]:
                 "work": statistics.median(r["seconds"] * r["squared_error"] for r in runs),
             }
         )
+        if all(r.get("cores") is not None for r in runs):
+            result[-1]["cores"] = statistics.median(r["cores"] for r in runs)
     return result
 
 

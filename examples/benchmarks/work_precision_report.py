@@ -5,6 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from work_precision_data import Reference, bias, gains, jackknife, root_text, squared_difference, summary, verdict
+from work_precision_reasons import why
 
 #: Panels a row of the page, and inches of one.
 COLUMNS, PANEL = 4, (3.3, 2.7)
@@ -47,18 +48,29 @@ def work_rows(rows: list[dict], cases: list[str]) -> list[dict]:
     return result
 
 
-def best_rows(rows: list[dict], cases: list[str], judged: list[dict]) -> list[dict]:
-    """Return one row a case: our best method, Mitsuba's, and the ratio of their times at equal error."""
+def best_rows(rows: list[dict], judged: list[dict], wanted: dict[str, float]) -> list[dict]:
+    """Return one row a case: our best method, Mitsuba's, the ratio of their times at equal error, and why it is low.
+
+    Args:
+        rows: the measurements.
+        judged: of ``bias_rows``.
+        wanted: case -> ratio from which on none is asked why.
+    """
     sums, wrong, result = summary(rows), wrong_ones(judged), []
-    for case in cases:
+    for case, least in wanted.items():
         found = [r for r in gains(sums, case, theirs) if r["work"] > 0.0]
         own = min((r for r in found if not theirs(r["method"])), key=lambda r: r["work"], default=None)
         other = min((r for r in found if theirs(r["method"])), key=lambda r: r["work"], default=None)
         if own is None:
             continue
         row = {"case": case, "best of ours": own["method"], "Mitsuba's best": "–", "ratio of times": "–"}
+        row |= {"wanted": f"≥ {least:g}", "why it is lower": ""}
         if other is not None:
-            row |= {"Mitsuba's best": other["method"], "ratio of times": f"{other['work'] / own['work']:.2g}"}
+            ratio = other["work"] / own["work"]
+            row |= {"Mitsuba's best": other["method"], "ratio of times": f"{ratio:.2g}"}
+            if ratio < least:
+                pair = ([r for r in sums if (r["case"], r["method"]) == (case, m["method"])] for m in (own, other))
+                row["why it is lower"] = why(*pair)
         notes = [f"{name} {text}" for (c, name), text in wrong.items() if c == case]
         notes += [f"{r['method']} raises" for r in rows if r["kind"] == "refused" and r["case"] == case]
         result.append(row | {"notes": "; ".join(notes)})
