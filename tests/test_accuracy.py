@@ -76,12 +76,29 @@ def test_leaving_out_is_what_it_says():
 
 def test_a_batch_that_stands_out_is_seen(report):
     x = np.random.default_rng(6).normal(size=(1, 20, 50))
-    even = moments([list(x[0])], [slice(0, 50)]).largest[0]
+    even = moments([list(x[0])], [slice(0, 50)])
     x[0, 7] += 10.0
-    assert even < 0.15 < 0.8 < moments([list(x[0])], [slice(0, 50)]).largest[0] < 1.0
-    assert "Rare large samples" not in str(report)
-    terms = (replace(report.terms[0], largest=0.6), *report.terms[1:])
-    assert "carries 60 % of the variance of 'interior'" in str(replace(report, terms=terms))
+    odd = moments([list(x[0])], [slice(0, 50)])
+    assert even.largest[0] < 0.15 < 0.8 < odd.largest[0] < 1.0
+    assert even.kurtosis[0] < 1.2 and odd.kurtosis[0] > 10.0
+    # What this pilot met is chance: start from none.
+    report = replace(report, batches=24, terms=tuple(replace(t, largest=0.1, kurtosis=2.0) for t in report.terms))
+    assert "Rare large samples" not in str(report) and report.heavy_tailed == ()
+    for change in ({"largest": 0.6}, {"kurtosis": 6.0}):
+        changed = replace(report, terms=(replace(report.terms[0], **change), *report.terms[1:]))
+        assert changed.heavy_tailed == ("interior",)
+        assert "% of the variance of 'interior'" in str(changed) and "unreliable" in str(changed)
+        assert replace(changed, batches=8).heavy_tailed == (() if "largest" in change else ("interior",))
+    share = report.time_share
+    assert share.sum() == pytest.approx(1.0) and share[0] > 0.05
+
+
+def test_kurtosis_is_that_of_the_distribution():
+    rng = np.random.default_rng(7)
+    for values, truth in ((rng.normal(size=40_000), 3.0), (rng.laplace(size=40_000), 6.0)):
+        assert moments([list(values[:, None])], [slice(0, 1)]).kurtosis[0] == pytest.approx(truth, rel=0.1)
+    vectors = rng.normal(size=(20_000, 4))
+    assert moments([list(vectors)], [slice(0, 4)]).kurtosis[0] == pytest.approx(1.0 + 2.0 / 4.0, rel=0.05)
 
 
 def test_jackknife_finds_the_spread_of_a_variance():

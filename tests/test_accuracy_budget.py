@@ -45,7 +45,7 @@ def made_up(monkeypatch) -> tuple[SimpleNamespace, Report]:
         TermReport(
             name=part.name, spp=1, samples=1, seconds=s, seconds_error=0.0, fixed_seconds=0.0, sample_seconds=s,
             setup_seconds=0.0, variance={"x": m * m}, variance_error={"x": 0.0}, exponent=1.0, exponent_error=0.0,
-            largest=0.1,
+            largest=0.1, kurtosis=2.0,
         )
         for part, m, s in zip(parts, MEANS, SECONDS, strict=True)
     )  # fmt: skip

@@ -5,7 +5,8 @@
 For every pair of a scene and a parameter a pilot predicts the error that ``seconds`` buy. That error is then asked for
 by ``render_backward(..., target_error=...)`` with the pilot's report, again and again with seeds of their own. Measured
 are the median time, and the error as the scatter of the runs: each is unbiased (``tests/test_accuracy_budget.py``). The
-clock "cpu" counts the processor time of all threads, for machines that do other work.
+clock "cpu" counts the processor time of all threads, for machines that do other work. "Heavy tails" names the terms of
+which the pilot says that rare large samples carry their variance, and that its prediction is therefore unreliable.
 """
 
 import statistics
@@ -42,6 +43,7 @@ def measured(loaded: Loaded, *, seconds: float, pilot: float, runs: int, clock: 
         "reached error": reached,
         "reached / asked": reached / error,
         "said / asked": statistics.median(r.error for r, _found in bought) / error,
+        "heavy tails": ", ".join(report.heavy_tailed),
         "time within": abs(took / predicted - 1.0) <= TIME_WITHIN,
         "error within": abs(reached / error - 1.0) <= ERROR_WITHIN,
     }

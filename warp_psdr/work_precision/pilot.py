@@ -328,6 +328,7 @@ def _term(
         exponent=exponent,
         exponent_error=error,
         largest=float(found.largest[k]),
+        kurtosis=float(found.kurtosis[k]),
     )
 
 

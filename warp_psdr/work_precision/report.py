@@ -21,15 +21,17 @@ import numpy as np
 from warp_psdr.files import write_atomic
 from warp_psdr.work_precision.allocation import LEAST, Allocation, batches_for_error, batches_for_time
 
-FORMAT, VERSION = "warp_psdr accuracy", 1
+FORMAT, VERSION = "warp_psdr accuracy", 2
 #: Errors of the printed predictions.
 PRINTED_ERRORS = (0.5, 0.2, 0.1, 0.05, 0.02, 0.01)
 #: Parameters that are printed one by one; the rest is in the object.
 PRINTED_BLOCKS = 8
 #: Exponents are measured with noise; those of stratified samples lie between these.
 LEAST_EXPONENT, MOST_EXPONENT = 0.9, 1.5
-#: Share of the variance from which one batch stands out, and the least number of batches among which it can.
-STANDS_OUT, LEAST_STANDING = 0.35, 12
+#: Kurtosis from which tails are heavy: that of one normal component is 3, and estimates of it exceed 5 in some 15 of
+#: 1000 pilots. Share of the variance from which one batch stands out, and among how many: 4 in 100 pilots, of one
+#: normal component. The least share of the time of a term of which either is said.
+HEAVY, STANDS_OUT, LEAST_STANDING, WORTH_SAYING = 5.0, 0.35, 24, 0.05
 #: Normal deviate of the two ends of 95 % intervals.
 DEVIATE = 1.96
 
@@ -52,6 +54,7 @@ class TermReport:
         exponent: a, for a variance that falls as samples^-a; NaN: not measured.
         exponent_error: standard error of it.
         largest: share of one batch in the variance, see ``statistics.Moments``.
+        kurtosis: of the batches, see there.
     """
 
     name: str
@@ -67,6 +70,7 @@ class TermReport:
     exponent: float
     exponent_error: float
     largest: float
+    kurtosis: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -112,6 +116,25 @@ class Report:
     def relative_variance(self) -> np.ndarray:
         """(terms,): squared relative error that a batch of each contributes."""
         return np.array([np.mean([t.variance[b] / self.norm2[b] for b in self.seen]) for t in self.terms])
+
+    @property
+    def time_share(self) -> np.ndarray:
+        """(terms,): shares of the time of the best split."""
+        root = np.sqrt(self.cost * self.relative_variance)
+        return root / max(float(root.sum()), 1e-300)
+
+    @property
+    def heavy_tailed(self) -> tuple[str, ...]:
+        """Terms that matter and whose variance is that of rare large samples, as far as the pilot has met any.
+
+        Predictions of these are uncertain beyond their intervals, since another pilot may meet more, or none.
+        """
+        return tuple(
+            t.name
+            for t, share in zip(self.terms, self.time_share, strict=True)
+            if share >= WORTH_SAYING
+            and (t.kurtosis > HEAVY or (t.largest > STANDS_OUT and self.batches >= LEAST_STANDING))
+        )
 
     def fitted(self, *, error: float | None = None, seconds: float | None = None, least: float = LEAST) -> Report:
         """Return a report of smaller batches where ``least`` of a term are more than an error or a time asks for.
@@ -167,15 +190,24 @@ class Report:
             f"Accuracy of the {what}: {self.batches} batches a term in {self.pilot_seconds:.2f} s "
             f"({'processor' if self.clock == 'cpu' else 'wall'} time)"
         ]
-        total = float(np.sqrt(self.cost * self.relative_variance).sum()) or 1.0
         rows: list[tuple[str, ...]] = [
-            ("term", "spp", "s fixed", "s/sample", "s setup", "error of a batch", "falls as", "share of time")
+            (
+                "term",
+                "spp",
+                "s fixed",
+                "s/sample",
+                "s setup",
+                "error of a batch",
+                "falls as",
+                "kurtosis",
+                "share of time",
+            )
         ]
-        for term, u, c in zip(self.terms, self.relative_variance, self.cost, strict=True):
+        for term, u, share in zip(self.terms, self.relative_variance, self.time_share, strict=True):
             falls = "-" if math.isnan(term.exponent) else f"n^-{term.exponent:.2f} ± {term.exponent_error:.2f}"
             row: tuple[str, ...] = (term.name, str(term.spp), f"{term.fixed_seconds:.2g}", f"{term.sample_seconds:.2g}")
             row += (f"{term.setup_seconds:.2g}" if term.setup_seconds else "-", f"{math.sqrt(u):.3g}", falls)
-            rows.append((*row, f"{100.0 * math.sqrt(u * c) / total:.0f} %"))
+            rows.append((*row, f"{term.kurtosis:.1f}" if u > 0.0 else "-", f"{100.0 * share:.0f} %"))
         lines += ["", *_table(rows)]
         rows = [("parameter", "norm", *(t.name for t in self.terms))]
         for block in list(self.norm2)[:PRINTED_BLOCKS]:
@@ -197,12 +229,13 @@ class Report:
         lines += ["", "Predicted:", *_table(rows)]
         if self.tile:
             lines.append(f"Samples are spread over tiles of {self.tile} x {self.tile} pixels by their variance.")
-        for term in self.terms:
-            if term.largest > STANDS_OUT and self.batches >= LEAST_STANDING:
-                text = (
-                    f"one batch in {self.batches} carries {100.0 * term.largest:.0f} % of the variance of {term.name!r}"
-                )
-                lines.append(f"Rare large samples: {text}; predictions are uncertain, a longer pilot may help.")
+        heavy = self.heavy_tailed
+        for term in (t for t in self.terms if t.name in heavy):
+            text = f"one batch in {self.batches} carries {100.0 * term.largest:.0f} % of the variance of {term.name!r}"
+            lines.append(
+                f"Rare large samples: {text}, kurtosis {term.kurtosis:.1f} (3: normal); predictions are unreliable, a "
+                "longer pilot may help."
+            )
         lines += ["", *(f"Bias: {text}" for text in self.bias or ("none by design",))]
         return "\n".join(lines)
 

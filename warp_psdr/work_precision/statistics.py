@@ -37,6 +37,8 @@ class Moments:
         norm2_without: (B, blocks).
         largest: (terms,), the largest share that one batch has in the sum of squares about the mean, of any block; some
             1 / B where no batch stands out.
+        kurtosis: (terms,), mean |x_b - m|^4 over the square of mean |x_b - m|^2, of the block where it is largest: some
+            3 for one normal component, less for several; large where rare samples carry the variance.
     """
 
     batches: int
@@ -45,6 +47,7 @@ class Moments:
     norm2: np.ndarray
     norm2_without: np.ndarray
     largest: np.ndarray
+    kurtosis: np.ndarray
 
     @property
     def variance_error(self) -> np.ndarray:
@@ -70,7 +73,7 @@ def moments(batches: list[list[np.ndarray]], blocks: list[slice]) -> Moments:
         blocks: components that belong together.
     """
     terms, count = len(batches), len(batches[0])
-    variance, largest = np.zeros((terms, len(blocks))), np.zeros(terms)
+    variance, largest, kurtosis = np.zeros((terms, len(blocks))), np.zeros(terms), np.zeros(terms)
     variance_without = np.zeros((count, terms, len(blocks)))
     norm2, norm2_without = np.zeros(len(blocks)), np.zeros((count, len(blocks)))
     for p, block in enumerate(blocks):
@@ -80,7 +83,9 @@ def moments(batches: list[list[np.ndarray]], blocks: list[slice]) -> Moments:
             total += x
             squares = ((x - x.mean(axis=0)) ** 2).sum(axis=1)
             variance[k, p] = squares.sum() / (count - 1)
-            largest[k] = max(largest[k], squares.max() / max(squares.sum(), 1e-300))
+            shares = squares / max(squares.sum(), 1e-300)
+            largest[k] = max(largest[k], shares.max())
+            kurtosis[k] = max(kurtosis[k], count * (shares**2).sum())
             # Without batch b the sum of squares about the mean falls by B/(B-1) |x_b - m|^2.
             without = squares.sum() - count / (count - 1) * squares
             variance_without[:, k, p] = np.maximum(without, 0.0) / max(count - 2, 1)
@@ -90,7 +95,7 @@ def moments(batches: list[list[np.ndarray]], blocks: list[slice]) -> Moments:
         rest = count * (count * length2 - 2.0 * (total * mean).sum(axis=1)) + (total**2).sum(axis=1)
         rest /= (count - 1) ** 2
         norm2_without[:, p] = rest - variance_without[:, :, p].sum(axis=1) / (count - 1)
-    return Moments(count, variance, variance_without, norm2, norm2_without, largest)
+    return Moments(count, variance, variance_without, norm2, norm2_without, largest, kurtosis)
 
 
 def squared(x: np.ndarray) -> float:
