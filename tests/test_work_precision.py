@@ -187,12 +187,13 @@ def runs_of(seconds: tuple[float, float], error: float, cores: float | None):
         # Twice the time for the same error, and a third of that does not grow with the samples.
         (
             ((1.0, 2.0), 0.1, 1.9), ((0.25, 1.0), 0.1, 2.0),
-            "fewer samples a second (0.5×) [fixed cost 33% of our time, 0% of its; 1.9 cores busy in both], "
+            "fewer samples a second (0.5×) [1.9× its processor time a sample; fixed cost 33% of our time, 0% of its], "
             "as much noise in a sample (1×)",
         ),
         (
             ((0.5, 2.0), 0.1, 1.0), ((0.25, 1.0), 0.2, 2.0),
-            "fewer samples a second (0.5×) [1.0 cores busy, its 2.0], less noise in a sample (4×)",
+            "fewer samples a second (0.5×) [1× its processor time a sample; 1.0 cores busy, its 2.0], "
+            "less noise in a sample (4×)",
         ),
         (
             ((0.25, 1.0), 0.2, None), ((0.25, 1.0), 0.1, None),

@@ -5,9 +5,9 @@ e^2), and the ratio of two methods' times is a product of two factors:
 
     ratio = (r of ours / r of theirs) (v of theirs / v of ours):    samples a second, and noise of a sample.
 
-The first has two causes that are measured as well: a fixed cost (seconds = a + b n through the least and the largest
-sample count; a is the part that more samples do not change), and cores that wait (processor time of all threads over
-wall time). What then is left is the work that one sample takes on a busy core.
+The first has causes that are measured as well: the processor time of a sample, all threads together; cores that wait
+(processor time over wall time); and a fixed cost (seconds = a + b n through the least and the largest sample count; a
+is the part that more samples do not change).
 """
 
 from collections.abc import Sequence
@@ -48,10 +48,12 @@ def _causes(own: Sequence[dict], other: Sequence[dict]) -> str:
     shares = [fixed_share(rows) for rows in (own, other)]
     if max(shares) > FIXED_SHARE:
         found.append("fixed cost {:.0%} of our time, {:.0%} of its".format(*shares))
-    busy = [max(rows, key=lambda r: r["spp"]).get("cores") for rows in (own, other)]
-    if None not in busy:
-        waits = abs(busy[0] - busy[1]) > CORES
-        found.append("{:.1f} cores busy, its {:.1f}".format(*busy) if waits else f"{busy[0]:.1f} cores busy in both")
+    last = [max(rows, key=lambda r: r["spp"]) for rows in (own, other)]
+    if all("cores" in r for r in last):
+        a, b = (r["cores"] * r["seconds"] / r["spp"] for r in last)
+        found.insert(0, f"{a / b:.2g}× its processor time a sample")
+        if abs(last[0]["cores"] - last[1]["cores"]) > CORES:
+            found.append("{:.1f} cores busy, its {:.1f}".format(*(r["cores"] for r in last)))
     return f" [{'; '.join(found)}]" if found else ""
 
 
