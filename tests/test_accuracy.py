@@ -8,7 +8,7 @@ import pytest
 
 import warp_psdr as psdr
 from tests.boundary import scenes
-from warp_psdr.work_precision import Report, pilot, quantity, tiles
+from warp_psdr.work_precision import Report, quantity, tiles
 from warp_psdr.work_precision.allocation import batches_for_error, batches_for_time, efficiency
 from warp_psdr.work_precision.statistics import Running, jackknife, moments
 
@@ -320,13 +320,6 @@ def test_building_is_timed_and_keeps_what_was_built(depth, built):
     assert [t.setup_seconds for t in second.terms] == [0.0] * (2 + built)
     assert len(kept) == built
     assert all(a is b for a, b in zip(psdr.guiding.structures(scene), kept, strict=True))
-
-
-def test_textbook_replay_and_a_missing_term_are_named(soft):
-    scene, params = soft
-    integrator = psdr.PathIntegrator(max_depth=2, interior=psdr.interior.Replay(block=0), boundary=None)
-    found = pilot.biases(quantity.gradient(scene, params, adjoint(), integrator=integrator, sensor=0))
-    assert [text.partition(":")[0] for text in found[:2]] == ["textbook replay", "boundary=None"]
 
 
 def test_a_gradient_of_zero_is_refused(soft):

@@ -8,8 +8,9 @@ then say what a batch of every term really costs, C_k, and how it varies, U_k. T
 n_k batches has error^2 * time = (sum U_k / n_k) (sum n_k C_k), and the root of that is its error at equal time. *Fixed
 splits* are all ratios of samples by powers of two from 1/64 to 64, without tiles. The *equal split* is
 ``render_backward(spp=n)``: as many samples a pixel of all terms, run and timed as it is. "Without tiles" tells what the
-split over terms alone does. The last columns spend the same time both ways: the scatter of runs of the equal split and
-of ``render_backward(..., time_budget=...)``.
+split over terms alone does. Adjoints are smooth over the whole image ("waves"), and those with which a fit starts
+("loss": the difference to an image of the scene with what moves a twentieth of its radius away). The last columns spend
+the same time both ways: the scatter of runs of the equal split and of ``render_backward(..., time_budget=...)``.
 """
 
 import itertools
@@ -120,6 +121,9 @@ def main() -> None:
     parser = arguments(__doc__)
     parser.add_argument("--clock", choices=("wall", "cpu"), default="wall", help="cpu: processor time of all threads")
     parser.add_argument("--only", help="pairs whose name holds this text")
+    parser.add_argument(
+        "--adjoints", nargs="+", choices=("waves", "loss"), default=["waves", "loss"], help="default: both"
+    )
     options = parser.parse_args()
     resolution, pilot, batches = (32, 1.0, 64) if options.quick else (64, 3.0, 256)
     runs = options.repeat or (0 if options.quick else 16)
@@ -129,19 +133,22 @@ def main() -> None:
     for pair in PAIRS:
         if options.only and options.only not in str(pair):
             continue
-        with tempfile.TemporaryDirectory() as name:
-            loaded = Loaded(pair, Path(name), resolution)
-            if not loaded.moves:
-                continue
-            row = row_of(loaded, pilot=pilot, batches=batches, runs=runs, seconds=0.5, clock=options.clock)
-        rows.append({"pair": str(pair)} | row)
-        print(f"  {pair}: {row[WORST]:.3f}, {row[GAIN]:.2f}", flush=True)
+        for adjoint in options.adjoints:
+            with tempfile.TemporaryDirectory() as name:
+                loaded = Loaded(pair, Path(name), resolution, adjoint)
+                if not loaded.moves:
+                    break
+                row = row_of(loaded, pilot=pilot, batches=batches, runs=runs, seconds=0.5, clock=options.clock)
+            rows.append({"pair": str(pair), "adjoint": adjoint} | row)
+            print(f"  {pair}, {adjoint}: {row[WORST]:.3f}, {row[GAIN]:.2f}", flush=True)
     report.table(f"errors at equal time, {resolution}^2 pixels, {options.clock} time", rows)
     verdicts = []
-    for what in ("", ", without tiles"):
-        worst = max(row[WORST + what] for row in rows)
-        better = float(np.mean([row[GAIN + what] >= BETTER for row in rows]))
-        name, on = f"automatic{what or ', tiles included'}", f"on {better * len(rows):.0f} of {len(rows)}"
+    for adjoint, what in itertools.product(options.adjoints, ("", ", without tiles")):
+        judged = [row for row in rows if row["adjoint"] == adjoint]
+        worst = max(row[WORST + what] for row in judged)
+        better = float(np.mean([row[GAIN + what] >= BETTER for row in judged]))
+        name = f"{adjoint}, automatic{what or ', tiles included'}"
+        on = f"on {better * len(judged):.0f} of {len(judged)}"
         asked = f"{name}: never more than 5 % worse than the best fixed split"
         verdicts.append({"asked": asked, "measured": f"{worst:.3f} at worst", "holds": worst <= WORSE})
         asked = f"{name}: ≥ {BETTER}× better than equal split on at least half of the scenes"

@@ -11,6 +11,8 @@ from common import psdr
 
 from scenes import BLUE, CASES, CORNELL, DELTA, SKY, Case, stage, write_data
 
+#: How far what moves lies from where it is sought, over the scene's radius, and samples a pixel of the two images.
+SHIFT, RESIDUAL_SPP = 0.05, 256
 KDTREE = psdr.boundary.PathSpace(guiding=psdr.guiding.KdTree())
 
 CUBE = f"""<shape type="cube" id="object"><transform name="to_world"><scale value="0.4"/><rotate x="1" z="1"
@@ -72,9 +74,17 @@ PAIRS = (
 
 
 class Loaded:
-    """A pair's scene, and the arguments of its accuracy and its gradient."""
+    """A pair's scene, and the arguments of its accuracy and its gradient.
 
-    def __init__(self, pair: Pair, folder: Path, resolution: int):
+    Args:
+        pair: what is loaded.
+        folder: where its files are written.
+        resolution: pixels of a side.
+        adjoint: "waves": smooth and of both signs, in the place of a loss's; "loss": of the mean squared difference to
+            an image of the scene with what moves moved by ``SHIFT``, as a fit starts with.
+    """
+
+    def __init__(self, pair: Pair, folder: Path, resolution: int, adjoint: str = "waves"):
         write_data(folder)
         self.scene = psdr.load_file(pair.file(folder), resolution=resolution)
         self.params = psdr.traverse(self.scene)
@@ -84,10 +94,29 @@ class Loaded:
             return
         self.params.requires_grad(*pair.parameters)
         film = self.scene.description.sensors[0].film
+        if adjoint == "loss":
+            self.adjoint = self._residual(pair.parameters[0])
+            return
         y, x = np.mgrid[0 : film.crop_height, 0 : film.crop_width] / film.crop_height
-        # A smooth adjoint of both signs, in the place of a loss's.
         waves = [0.5 + np.sin(3.0 * x + 5.0 * y + k) for k in range(3)]
         self.adjoint = np.stack(waves, axis=-1).astype(np.float32) / (film.crop_height * film.crop_width)
+
+    def _residual(self, name: str) -> np.ndarray:
+        base = self.params[name].numpy().copy()
+        images = []
+        for shift in (0.0, SHIFT * self.scene.radius):
+            moved = base.copy()
+            if moved.shape == (4, 4):
+                moved[0, 3] += shift
+            else:
+                moved[:, 0] += shift
+            self.params[name] = moved
+            self.params.update()
+            image = psdr.render(self.scene, integrator=self.integrator, spp=RESIDUAL_SPP, seed=7)
+            images.append(image.numpy())
+        self.params[name] = base
+        self.params.update()
+        return (2.0 / images[0].size) * (images[0] - images[1])
 
     def accuracy(self, **options):
         """Run the pilot."""

@@ -21,9 +21,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warp_psdr.arguments import checked_seed, samples
-from warp_psdr.kernels.constants import RFILTER_BOX
 from warp_psdr.kernels.rng import mix_seed
-from warp_psdr.options import PathIntegrator
+from warp_psdr.options import PathIntegrator, from_description
+from warp_psdr.work_precision import bias
 from warp_psdr.work_precision import quantity as quantities
 from warp_psdr.work_precision.allocation import efficiency
 from warp_psdr.work_precision.quantity import Part, Quantity
@@ -37,8 +37,8 @@ if TYPE_CHECKING:
     from warp_psdr.scene.scene import Scene
 
 CLOCKS: dict[str, Callable[[], float]] = {"wall": time.perf_counter, "cpu": time.process_time}
-#: Seed streams: of the pilot's tilings, batches and batches of the other size, and of its first runs.
-STREAM_PILOT, STREAM_TILES, STREAM_BATCHES, STREAM_OTHER, STREAM_WARM = 0x70696C6F, 0, 1, 2, 3
+#: Seed streams: of the pilot's tilings, batches, batches of the other size, first runs, and of the bias.
+STREAM_PILOT, STREAM_TILES, STREAM_BATCHES, STREAM_OTHER, STREAM_WARM, STREAM_BIAS = 0x70696C6F, 0, 1, 2, 3, 4
 #: Share of a batch's time that is the fixed cost's.
 FIXED_SHARE = 0.1
 #: Samples a pixel of a batch, at most; of an image, whose samples are stratified within a pixel, at first and at least;
@@ -105,9 +105,13 @@ def accuracy(
     if adjoint is not None and tangents is not None:
         raise ValueError("accuracy takes an adjoint (of a gradient) or tangents (of a derivative image), not both")
     what = select(scene, params, adjoint, tangents, integrator=integrator, sensor=sensor)
+    other = bias.unbiased(integrator or from_description(scene.description.integrator), what)
+    twin = None if other is None else select(scene, params, adjoint, tangents, integrator=other, sensor=sensor)
     seed, seconds = checked_seed(seed), positive("seconds", seconds)
     spp = None if spp is None else samples("spp", spp)
-    return run(what, spp=spp, seed=seed, seconds=seconds, tiles=tiles, clock=clock, setup=True, progress=progress)
+    return run(
+        what, spp=spp, seed=seed, seconds=seconds, tiles=tiles, clock=clock, setup=True, twin=twin, progress=progress
+    )
 
 
 def select(scene: Scene, params, adjoint, tangents, *, integrator, sensor: int) -> Quantity:
@@ -134,15 +138,19 @@ def run(
     tiles: bool,
     clock: str,
     setup: bool = False,
+    twin: Quantity | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Report:
-    """Run the pilot of a quantity (arguments as ``accuracy``'s; ``setup``: also time what is built once).
+    """Run the pilot of a quantity.
+
+    Arguments as ``accuracy``'s; ``setup``: also time what is built once; ``twin``: the same by an unbiased method, from
+    which the bias is measured.
 
     Raises:
         ValueError: the gradient does not stand out of the noise.
     """
     now, seed = CLOCKS[clock], mix_seed(seed, STREAM_PILOT)
-    warm = mix_seed(seed, STREAM_WARM)
+    warm, even = mix_seed(seed, STREAM_WARM), what
     for part in what.parts:
         part.run(1, warm)
     start = now()
@@ -165,6 +173,9 @@ def run(
         for k in range(len(what.parts))
     )
     cost = np.array([t.seconds for t in terms])
+    squared = None
+    if twin is not None:
+        squared = bias.measured(even, twin, found, sizes[0], mix_seed(seed, STREAM_BIAS), seconds, now)
     report = Report(
         role=what.role,
         clock=clock,
@@ -175,7 +186,8 @@ def run(
         norm2_error=dict(zip(names, found.norm2_error.tolist(), strict=True)),
         seen=tuple(name for name, seen in zip(names, found.seen, strict=True) if seen),
         spread=_spread(found, cost, np.array([t.seconds_error for t in terms])),
-        bias=biases(what),
+        bias=bias.named(what),
+        bias_squared=squared,
         measured=_measured(kept, list(what.blocks.values()), found, cost),
         tile=tiling.side if tiling is not None else 0,
         exponents=tiling.exponents if tiling is not None else (),
@@ -377,23 +389,3 @@ def _measured(kept: list[list], blocks: list[slice], found: Moments, cost: np.nd
         points.append((float(size * cost.sum()), math.sqrt(u)))
         size *= 2
     return tuple(point for point in points if point[1] > 0.0)
-
-
-def biases(what: Quantity) -> tuple[str, ...]:
-    """Say what the methods leave out by design."""
-    scene, plan = what.scene, what.plan
-    found = []
-    if what.role == "primal":
-        if plan.config.filter != RFILTER_BOX:
-            found.append("the filtered image is a quotient of two sums: of the order of 1 / all samples of a pixel")
-        return tuple(found)
-    if plan.block == 0:
-        found.append("textbook replay: derivatives of factors that are exactly zero are lost")
-    if plan.boundary is None and plan.discontinuities:
-        found.append("boundary=None: all of the boundary term is left out, although " + "; ".join(plan.discontinuities))
-    if plan.wanted is not None and plan.wanted.geometry and scene.contact_radius > 0.0:
-        found.append(
-            f"where shapes touch: of the order of {scene.contact_radius:.2g} (scene units) over the size of the "
-            "touching surfaces, in the light between them; none elsewhere (kernels/interior/contact.py)"
-        )
-    return tuple(found)

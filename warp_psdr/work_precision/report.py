@@ -88,6 +88,8 @@ class Report:
         seen: blocks whose gradient stands out of the pilot's noise; errors are relative to these.
         spread: standard error of the logarithm of a predicted time.
         bias: what the estimators leave out by design, in words; empty: nothing.
+        bias_squared: squared relative bias and its standard error, where it could be measured (``bias.py``). Predicted
+            errors are those about what the method converges to; this comes on top.
         measured: (seconds, relative error) of means of ever more of the pilot's batches.
         tile: side of the tiles, pixels; 0: samples are spread evenly.
         exponents: of the tiles (``tiles.Tiling``).
@@ -103,6 +105,7 @@ class Report:
     seen: tuple[str, ...]
     spread: float
     bias: tuple[str, ...] = ()
+    bias_squared: tuple[float, float] | None = None
     measured: tuple[tuple[float, float], ...] = ()
     tile: int = 0
     exponents: tuple[int, ...] = field(default=(), repr=False)
@@ -237,6 +240,8 @@ class Report:
                 "longer pilot may help."
             )
         lines += ["", *(f"Bias: {text}" for text in self.bias or ("none by design",))]
+        if self.bias_squared is not None:
+            lines.append(f"Bias, measured: {_bias(*self.bias_squared)}; predicted errors do not hold it")
         return "\n".join(lines)
 
     def plot(self, path: str | os.PathLike | None = None) -> Any:
@@ -258,6 +263,10 @@ class Report:
         factor = math.exp(0.5 * DEVIATE * self.spread)  # error ~ time^-1/2
         axes.plot(times, errors, label="predicted, best split")
         axes.fill_between(times, errors / factor, errors * factor, alpha=0.2, linewidth=0.0)
+        if self.bias_squared is not None and self.bias_squared[0] > DEVIATE * self.bias_squared[1]:
+            floor = math.sqrt(self.bias_squared[0])
+            axes.axhline(floor, color="firebrick", linewidth=1.0, linestyle="--", label="bias, measured")
+            axes.plot(times, np.hypot(errors, floor), color="firebrick", linewidth=1.0, label="with the bias")
         if self.measured:
             points = np.array(self.measured)
             axes.plot(points[:, 0], points[:, 1], "o", markersize=4, label="pilot, equal numbers of batches")
@@ -285,12 +294,13 @@ class Report:
         if not isinstance(data, dict) or data.get("format") != FORMAT or data.get("version") != VERSION:
             raise ValueError(f"{path}: expected what Report.save wrote in this version of warp_psdr")
         terms = tuple(TermReport(**_restored(term)) for term in data["terms"])
-        known = {f.name for f in fields(cls)} - {"terms", "measured", "seen", "bias", "exponents"}
+        known = {f.name for f in fields(cls)} - {"terms", "measured", "seen", "bias", "bias_squared", "exponents"}
         return cls(
             terms=terms,
             measured=tuple((a, b) for a, b in data["measured"]),
             seen=tuple(data["seen"]),
             bias=tuple(data["bias"]),
+            bias_squared=None if data["bias_squared"] is None else tuple(data["bias_squared"]),
             exponents=tuple(data["exponents"]),
             **{name: data[name] for name in known},
         )
@@ -329,6 +339,14 @@ def _error(term: TermReport, block: str, norm2: float) -> str:
         return "0"
     half = 0.5 * DEVIATE * term.variance_error[block] / math.sqrt(term.variance[block] * norm2)
     return f"{error:.3g} ± {half:.1g}"
+
+
+def _bias(squared: float, error: float) -> str:
+    """Return a relative bias, or what it is below of with two standard errors."""
+    if squared > DEVIATE * error:
+        root = math.sqrt(squared)
+        return f"{root:.2g} ± {DEVIATE * error / (2.0 * root):.1g} of the norm"
+    return f"below {math.sqrt(max(squared, 0.0) + DEVIATE * error):.1g} of the norm"
 
 
 def _plain(value: Any) -> Any:
