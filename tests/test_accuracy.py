@@ -276,6 +276,16 @@ def test_times_and_errors_are_inverse(report):
     assert report.seconds_to(0.001) == pytest.approx(100.0 * report.seconds_to(0.01), rel=0.05)
 
 
+def test_less_accuracy_never_costs_more(report):
+    # Also where batches shrink: with a high fixed cost, and where stratified samples gain from large batches.
+    terms = tuple(replace(t, fixed_seconds=0.5 * t.seconds, exponent=1.5) for t in report.terms)
+    for what in (report, replace(report, terms=terms)):
+        seconds = [what.seconds_to(error) for error in np.geomspace(3.0, 0.003, 40)]
+        assert (np.diff(seconds) >= -0.05 * np.array(seconds[1:])).all()
+        errors = np.array([what.error_in(float(t)) for t in np.geomspace(1.1 * seconds[0], seconds[-1], 40)])
+        assert np.isfinite(errors).all() and (np.diff(errors) <= 0.05 * errors[:-1]).all()
+
+
 def test_report_is_written_and_read(report, tmp_path):
     report.save(tmp_path / "a.json")
     again = Report.load(tmp_path / "a.json")

@@ -28,6 +28,9 @@ PRINTED_ERRORS = (0.5, 0.2, 0.1, 0.05, 0.02, 0.01)
 PRINTED_BLOCKS = 8
 #: Exponents are measured with noise; those of stratified samples lie between these.
 LEAST_EXPONENT, MOST_EXPONENT = 0.9, 1.5
+#: Sizes of batches that are tried, over those of which ``least`` would be asked for without fixed costs; and what a
+#: time may be short by from rounding.
+SIZES, ROUNDING = (math.inf, *(2.0 ** (0.5 * k) for k in range(8, -9, -1))), 1e-9
 #: Kurtosis from which tails are heavy: that of one normal component is 3, and estimates of it exceed 5 in some 15 of
 #: 1000 pilots. Share of the variance from which one batch stands out, and among how many: 4 in 100 pilots, of one
 #: normal component. The least share of the time of a term of which either is said.
@@ -142,14 +145,25 @@ class Report:
     def fitted(self, *, error: float | None = None, seconds: float | None = None, least: float = LEAST) -> Report:
         """Return a report of smaller batches where ``least`` of a term are more than an error or a time asks for.
 
-        The variance of a batch that the pilot did not run follows from the exponent.
+        The variance of a batch that the pilot did not run follows from the exponent. Small batches waste what is fixed
+        in their cost, and stratified ones are worse than their size says: how far they shrink is what is best.
         """
         root = np.sqrt(self.cost * self.relative_variance)
         scale = root.sum() / error**2 if error is not None else (seconds or 0.0) / max(float(root.sum()), 1e-300)
-        shrink = np.minimum(scale * np.sqrt(self.relative_variance / self.cost) / least, 1.0)
-        if (shrink == 1.0).all():
+        shrink = np.maximum(scale * np.sqrt(self.relative_variance / self.cost) / least, 1e-300)
+        if (shrink >= 1.0).all():
             return self
-        return replace(self, terms=tuple(_shrunk(t, float(s)) for t, s in zip(self.terms, shrink, strict=True)))
+        sizes = (np.minimum(factor * shrink, 1.0).tolist() for factor in SIZES)
+        reports = [replace(self, terms=tuple(map(_shrunk, self.terms, size))) for size in sizes]
+        return min(reports, key=lambda report: report._price(error, seconds, least))
+
+    def _price(self, error: float | None, seconds: float | None, least: float) -> tuple[float, float]:
+        """Return what is to be small: the time to an error, or what a time is too short by and the error in it."""
+        if error is not None:
+            return float(batches_for_error(self.cost, self.relative_variance, error, least) @ self.cost), 0.0
+        batches = batches_for_time(self.cost, self.relative_variance, seconds or 0.0, least)
+        missing = max(float(batches @ self.cost) / max(seconds or 0.0, 1e-300) - 1.0, 0.0)
+        return (missing if missing > ROUNDING else 0.0), float((self.relative_variance / batches).sum())
 
     def allocation(self, *, error: float | None = None, seconds: float | None = None) -> Allocation:
         """Return the best split for a relative error or for a time.
