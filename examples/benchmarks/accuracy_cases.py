@@ -80,8 +80,8 @@ class Loaded:
         pair: what is loaded.
         folder: where its files are written.
         resolution: pixels of a side.
-        adjoint: "waves": smooth and of both signs, in the place of a loss's; "loss": of the mean squared difference to
-            an image of the scene with what moves moved by ``SHIFT``, as a fit starts with.
+        adjoint: "waves": smooth and of both signs, in the place of a loss's; "loss", where something moves: of the mean
+            squared difference to an image of the scene with that moved by ``SHIFT``, as a fit starts with.
     """
 
     def __init__(self, pair: Pair, folder: Path, resolution: int, adjoint: str = "waves"):
@@ -94,7 +94,7 @@ class Loaded:
             return
         self.params.requires_grad(*pair.parameters)
         film = self.scene.description.sensors[0].film
-        if adjoint == "loss":
+        if adjoint == "loss" and self.moves:
             self.adjoint = self._residual(pair.parameters[0])
             return
         y, x = np.mgrid[0 : film.crop_height, 0 : film.crop_width] / film.crop_height
