@@ -20,6 +20,11 @@ if TYPE_CHECKING:
     from warp_psdr.scene.scene import Scene
 
 
+#: Edges that are clipped at a time: intermediate values of more leave the processor's cache and are fetched from, and
+#: given back to, the system with every operation, which takes some times longer than the arithmetic.
+CHUNK = 4096
+
+
 @dataclass(frozen=True, eq=False)
 class CameraView:
     """Where a camera stands and how it projects.
@@ -65,13 +70,19 @@ class CameraView:
             (E,) the stretches' ends, low and high in [0, 1], and the root mean square over the lens of the length of
             their images in pixels: 0 where nothing is seen.
         """
+        parts = [self._clip(ends[i : i + CHUNK]) for i in range(0, max(len(ends), 1), CHUNK)]
+        low, high, length = (np.concatenate(part) for part in zip(*parts, strict=True))
+        return low, high, length
+
+    def _clip(self, ends: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         camera = self.camera
-        p = (ends - self.pose[:3, 3]) @ np.linalg.inv(self.pose[:3, :3]).T
-        z = p[..., 2]
+        p = (ends - self.pose[:3, 3]).reshape(-1, 3) @ np.linalg.inv(self.pose[:3, :3]).T
+        # First ends in the first row, second ends in the second.
+        a, b, z = (np.ascontiguousarray(p[:, k].reshape(-1, 2).T) for k in range(3))
         w = self.finite * z + (1.0 - self.finite)
         # Homogeneous film coordinates in pixels of the crop window.
-        x = (self.center[0] - camera.crop_x) * w - self.scale[0] * p[..., 0]
-        y = (self.center[1] - camera.crop_y) * w - self.scale[1] * p[..., 1]
+        x = (self.center[0] - camera.crop_x) * w - self.scale[0] * a
+        y = (self.center[1] - camera.crop_y) * w - self.scale[1] * b
         gaussian = camera.filter == RFILTER_GAUSSIAN
         margin = (GAUSSIAN_CUT * camera.filter_stddev if gaussian else camera.filter_radius) * w
         across, down = (margin + self.radius * s * np.abs(z / self.focus - 1.0) for s in self.scale)
@@ -87,22 +98,24 @@ class CameraView:
         )
         low, high = np.zeros(len(ends)), np.ones(len(ends))
         for f in planes:
-            change = f[:, 1] - f[:, 0]
+            outside = f < 0.0
+            if not outside.any():
+                continue
+            inside = f >= 0.0
             with np.errstate(divide="ignore", invalid="ignore"):
-                at = -f[:, 0] / change
-            low = np.where((f[:, 0] < 0.0) & (f[:, 1] >= 0.0), np.maximum(low, at), low)
-            high = np.where((f[:, 0] >= 0.0) & (f[:, 1] < 0.0), np.minimum(high, at), high)
-            high = np.where((f[:, 0] < 0.0) & (f[:, 1] < 0.0), -1.0, high)
+                at = -f[0] / (f[1] - f[0])
+            low = np.where(outside[0] & inside[1], np.maximum(low, at), low)
+            high = np.where(inside[0] & outside[1], np.minimum(high, at), high)
+            high = np.where(outside[0] & outside[1], -1.0, high)
 
         def image(s: np.ndarray) -> np.ndarray:
-            xyw = np.stack([(1.0 - s) * q[:, 0] + s * q[:, 1] for q in (x, y, w, np.ones_like(w))], axis=1)
-            return xyw[:, [0, 1, 3]] / np.where(np.abs(xyw[:, 2:3]) > 1e-30, xyw[:, 2:3], 1e-30)
+            xyw = [(1.0 - s) * q[0] + s * q[1] for q in (x, y, w, np.ones_like(w))]
+            return np.stack([xyw[0], xyw[1], xyw[3]]) / np.where(np.abs(xyw[2]) > 1e-30, xyw[2], 1e-30)
 
         # The last component is 1 / z: what a lens point shifts the image by, but for the common shift a l / f.
         step = image(high) - image(low)
-        squared = (step[:, :2] ** 2).sum(axis=1)
         # E |l_x|^2 = E |l_y|^2 = 1/4 on the unit disk.
-        squared += 0.25 * (self.radius * step[:, 2]) ** 2 * (self.scale**2).sum()
+        squared = step[0] ** 2 + step[1] ** 2 + 0.25 * (self.radius * step[2]) ** 2 * (self.scale**2).sum()
         length = np.where(high > low, np.sqrt(squared), 0.0)
         return low, high, np.where(np.isfinite(length), length, 0.0)
 

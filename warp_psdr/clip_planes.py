@@ -28,10 +28,15 @@ def require_uncut(scene: Scene, sensor: int, shapes: set[int], *, camera_moves: 
     Raises:
         ValueError: the derivative of that border is in no term.
     """
+    points, view = scene.points, camera_view(scene, sensor)
+    moving = [s for i, s in enumerate(scene.builder.shapes) if camera_moves or i in shapes]
+    depths = [_depth(view, points[s.first_vertex : s.first_vertex + s.vertex_count]) for s in moving]
+    near, far = _planes(view)
+    if all(near < depth.min(initial=far) and depth.max(initial=near) < far for depth in depths):
+        return  # as nearly always, and quickly found
     of = scene.builder.face_shape
     faces = np.flatnonzero(np.isin(of, sorted(shapes)) | camera_moves)
-    points = scene.points
-    cut = visible_cuts(camera_view(scene, sensor), points[scene.builder.indices[faces]].astype(np.float64))
+    cut = visible_cuts(view, points[scene.builder.indices[faces]].astype(np.float64))
     if cut.any():
         path = scene.description.shapes[of[faces[cut.argmax()]]].path
         raise ValueError(
@@ -48,13 +53,9 @@ def visible_cuts(view: CameraView, corners: np.ndarray) -> np.ndarray:
         view: the camera.
         corners: (M, 3, 3) corners of triangles, in the coordinates of ``view``.
     """
-    depth = (corners - view.pose[:3, 3]) @ np.linalg.inv(view.pose[:3, :3])[2]
-    size = float(np.linalg.norm(view.pose[:3, 2]))
-    near, far = view.camera.near, view.camera.far
-    # Along the axis of an orthographic camera; see ``kernels/camera.py``.
-    planes = (near / size, far / size) if view.finite else (near, near + (far - near) / size)
+    depth = _depth(view, corners)
     found = np.zeros(len(corners), bool)
-    for plane in (planes[0] * (1.0 + INSIDE), planes[1] * (1.0 - INSIDE)):
+    for plane in _planes(view):
         front = depth > plane
         rows = np.flatnonzero(front.any(axis=1) & ~front.all(axis=1))
         # The corner that is alone on its side comes first: both sides from it cross the plane.
@@ -65,3 +66,17 @@ def visible_cuts(view: CameraView, corners: np.ndarray) -> np.ndarray:
         ends = p[:, :1] + share[:, :, None] * (p[:, 1:] - p[:, :1])
         found[rows] |= view.clip(ends)[2] > 0.0
     return found
+
+
+def _depth(view: CameraView, points: np.ndarray) -> np.ndarray:
+    """Return how far points (..., 3) lie in front of a camera."""
+    return (points - view.pose[:3, 3]) @ np.linalg.inv(view.pose[:3, :3])[2]
+
+
+def _planes(view: CameraView) -> tuple[float, float]:
+    """Return the depths at which cuts are looked for."""
+    size = float(np.linalg.norm(view.pose[:3, 2]))
+    near, far = view.camera.near, view.camera.far
+    # Along the axis of an orthographic camera; see ``kernels/camera.py``.
+    near, far = (near / size, far / size) if view.finite else (near, near + (far - near) / size)
+    return near * (1.0 + INSIDE), far * (1.0 - INSIDE)

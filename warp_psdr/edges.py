@@ -218,7 +218,8 @@ def shape_of_vertex(scene: Scene) -> np.ndarray:
 def moving_edges(scene: Scene, edges: Adjacency, shapes: set[int]) -> np.ndarray:
     """Return a mask of the edges of which an end belongs to one of the shapes."""
     moves = np.isin(shape_of_vertex(scene), sorted(shapes))
-    return moves[edges.ends].any(axis=1) | moves[edges.twins].any(axis=1)
+    (a, b), (c, d) = edges.ends.T, edges.twins.T
+    return moves[a] | moves[b] | moves[c] | moves[d]
 
 
 def shared_by_many(scene: Scene, shapes: set[int]) -> tuple[int, int] | None:
