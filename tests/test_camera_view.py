@@ -101,3 +101,15 @@ def test_every_silhouette_of_a_smooth_shape_is_kept(kind):
     assert 0 < len(numbers) < (0.6 if kind == "thinlens" else 0.15) * len(edges.length)
     if kind != "thinlens":
         assert silhouettes == numbers
+
+
+def test_edges_are_clipped_one_by_one():
+    # In pieces, that is: whatever their number, and also of none.
+    view = camera_view(load("thinlens"), 0)
+    ends = np.random.default_rng(4).uniform([-3, -3, -6], [3, 3, 4], (10_000, 2, 3))
+    whole = view.clip(ends)
+    assert (whole[2] > 0.0).any() and not (whole[2] > 0.0).all()
+    some = [0, 4095, 4096, 8191, 8192, 9999]
+    for found, expected in zip(view.clip(ends[some]), whole, strict=True):
+        np.testing.assert_allclose(found, expected[some], rtol=1e-12)
+    assert [len(part) for part in view.clip(ends[:0])] == [0, 0, 0]

@@ -78,7 +78,8 @@ class Reached:
     """What a budget bought.
 
     Attributes:
-        error: estimated relative error (of the gradient: root mean square over the parameters).
+        error: estimated relative error (of the gradient: root mean square over the parameters), about what the method
+            converges to: the bias of a method that has one is not in it.
         seconds: spent, without the pilot and without compiling.
         pilot_seconds: of the pilot; 0 where a report was given.
         spp: term -> samples a pixel.

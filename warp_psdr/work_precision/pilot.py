@@ -7,6 +7,7 @@
 4. Rounds of one batch of every term, each with a seed of its own, until the prediction is as certain as
    ``CERTAIN`` or the pilot's time is over; every third round also runs a batch of another size, whose time and
    variance give the marginal cost and the exponent.
+5. Where the method is biased by choice, batches of an unbiased one tell by how much (``bias.py``).
 
 How long the pilot runs, and so what it finds, depends on the machine's speed: it is no function of the seed alone.
 """
@@ -77,6 +78,9 @@ def accuracy(
     progress: Callable[[float], None] | None = None,
 ) -> Report:
     """Measure what accuracy costs: of a gradient, of a derivative image, or of the image itself.
+
+    Every term has a row: the interior, what of the boundary the camera sees, its direct part (a light or the sky seen
+    past an edge from what the camera sees) and its indirect one (``kernels/boundary/depth.py``), and rarer ones.
 
     Args:
         scene: a loaded scene.
