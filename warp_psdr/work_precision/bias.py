@@ -99,4 +99,8 @@ def measured(
     def relative(norm2: np.ndarray) -> np.ndarray:
         return (norm2[..., found.seen] / found.norm2[found.seen]).mean(axis=-1)
 
-    return float(relative(of_bias.norm2)), float(jackknife(relative(of_bias.norm2_without)))
+    # The gradient's own norm is uncertain too, of each parameter by itself.
+    ratios = of_bias.norm2[found.seen] / found.norm2[found.seen]
+    of_norm = ratios * found.norm2_error[found.seen] / found.norm2[found.seen] / len(ratios)
+    error = np.hypot(jackknife(relative(of_bias.norm2_without)), np.linalg.norm(of_norm))
+    return float(relative(of_bias.norm2)), float(error)
