@@ -29,6 +29,7 @@ from warp_psdr.kernels.emitter.dispatch import make_lights
 from warp_psdr.kernels.film import make_filter
 from warp_psdr.kernels.invalid import count_invalid, finite, inverse_pdf, vanishes
 from warp_psdr.kernels.math import aligned_tangent, any_tangent, to_local, to_world
+from warp_psdr.kernels.notes import NOTE_VERTEX, note
 from warp_psdr.kernels.rng import Sampler, make_sampler, sampler_at
 from warp_psdr.kernels.sampling import mis_weight
 from warp_psdr.kernels.structs import Bsdf, Camera, LightSample, Material, Scene
@@ -68,6 +69,8 @@ class PathConfig:
     ray_width: int
     #: Kind of the camera.
     camera: int = CAMERA_PERSPECTIVE
+    #: True: what a sample meets is written down (``notes.py``).
+    noted: bool = False
 
 
 @wp.struct
@@ -371,7 +374,18 @@ def make_path_step(config: PathConfig, differential: bool):
             after.pdf = wp.where(bs.lobe == LOBE_SMOOTH, bs.pdf, 0.0)
         return vertex, after
 
-    return path_step
+    if not config.noted:
+        return path_step
+
+    @wp.func
+    def noted_step(
+        scene: Scene, sampler: Sampler, state: PathState, max_depth: wp.int32, rr_depth: wp.int32
+    ) -> tuple[PathVertex, PathState]:
+        r, after = path_step(scene, sampler, state, max_depth, rr_depth)
+        note(scene, NOTE_VERTEX, r.face, r.u, r.v, r.o, r.d, r.throughput, r.direct, r.beta)
+        return r, after
+
+    return noted_step
 
 
 @functools.cache

@@ -137,6 +137,9 @@ MIRRORS = PathConfig(
 )
 MIRRORS_PARALLEL = PathConfig(**{**vars(MIRRORS), "camera": c.CAMERA_ORTHOGRAPHIC})
 MIRRORS_LENS = PathConfig(**{**vars(MIRRORS), "camera": c.CAMERA_THINLENS})
+#: What is traced again for ``psdr.trace_sample``.
+NOTED = PathConfig(**{**vars(SIMPLE), "noted": True})
+NOTED_MATERIALS = PathConfig(**{**vars(MATERIALS), "noted": True})
 ALBEDO = Wanted(slots=(True, False, False, False, False))
 MOVING_CAMERA = Wanted(slots=(False,) * 5, camera=True)
 GEOMETRY = Wanted(slots=(True, False, False, False, False), shapes=True)
@@ -210,6 +213,7 @@ FACTORIES = {
         ("forward, textures", (TEXTURED, "forward", True), SLOW),
         ("reverse, lights", (ALL_LIGHTS, "reverse", False), SLOW),
         ("indirect, lights", (ALL_LIGHTS, "reverse", False, True), SLOW),
+        ("noted, simple", (NOTED, "forward", False), SLOW),
     ],
     "boundary.horizon.make_horizon_kernel": [
         ("reverse, materials", (MATERIALS, "reverse", True), SLOW),
@@ -222,6 +226,7 @@ FACTORIES = {
         ("reverse, mirrors alone", (MIRRORS, MOVING, "reverse", False), SLOW),
         ("reverse, mirrors, orthographic", (MIRRORS_PARALLEL, MOVING_CAMERA, "reverse", False), SLOW),
         ("forward, mirrors, thin lens", (MIRRORS_LENS, MOVING_CAMERA, "forward", False), SLOW),
+        ("noted, materials", (NOTED_MATERIALS, MOVING, "reverse", False), SLOW),
     ],
     "boundary.primary.make_primary_kernel": [
         ("reverse, simple", (SIMPLE, "reverse", False), FAST),
@@ -230,6 +235,7 @@ FACTORIES = {
         ("reverse, orthographic", (ORTHOGRAPHIC, "reverse", True), SLOW),
         ("forward, thin lens", (THIN_LENS, "forward", True), SLOW),
         ("samples, simple", (SIMPLE, "samples", False), SLOW),
+        ("noted, simple", (NOTED, "reverse", False), FAST),
     ],
     "boundary.secondary.make_secondary_kernel": [
         ("reverse, simple", (SIMPLE, "reverse", False, False), SLOW),
@@ -243,6 +249,7 @@ FACTORIES = {
         ("indirect, simple", (SIMPLE, "reverse", False, False, False, True), FAST),
         ("indirect, guided, lights", (ALL_LIGHTS, "forward", True, True, True, True), SLOW),
         ("indirect target, textures", (TEXTURED, "target", False, False, False, True), SLOW),
+        ("noted, simple", (NOTED, "reverse", False, False), SLOW),
     ],
     "boundary.projective.make_seeds_kernel": [
         ("blocked, simple", (SIMPLE, BLOCKED_LIGHT), FAST),
@@ -257,6 +264,7 @@ FACTORIES = {
         ("reverse, materials", (MATERIALS, "reverse", True), SLOW),
         ("reverse, orthographic", (ORTHOGRAPHIC_SMOOTH, "reverse", True), SLOW),
         ("forward, thin lens", (THIN_LENS_SMOOTH, "forward", True), SLOW),
+        ("noted, materials", (NOTED_MATERIALS, "reverse", False), SLOW),
     ],
     "boundary.edge_sampling.make_edge_sampling_kernel": [
         ("reverse, simple", (SIMPLE, unlit(SIMPLE), "reverse", False, True, 16), SLOW),
@@ -267,6 +275,7 @@ FACTORIES = {
         ("reverse, thin lens", (THIN_LENS, unlit(THIN_LENS), "reverse", True, True, 16), SLOW),
         ("reverse, lights", (ALL_LIGHTS, unlit(ALL_LIGHTS), "reverse", False, True, 16), SLOW),
         ("indirect, lights", (ALL_LIGHTS, unlit(ALL_LIGHTS), "reverse", False, True, 16, True), SLOW),
+        ("noted, simple", (NOTED, unlit(NOTED), "reverse", False, True, 16), SLOW),
     ],
 }
 

@@ -186,7 +186,7 @@ def test_a_trace_adds_up_to_its_pixel() -> None:
 def test_traces_that_do_not_exist_are_refused() -> None:
     scene = psdr.load_dict(scene_dict())
     with pytest.raises(ValueError, match="kind"):
-        psdr.trace_sample(scene, pixel=(0, 0), sample=0, kind="secondary")
+        psdr.trace_sample(scene, pixel=(0, 0), sample=0, kind="tertiary")
     with pytest.raises(ValueError, match="pixel"):
         psdr.trace_sample(scene, pixel=(SIZE, 0), sample=0)
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from warp_psdr import boundary, guiding, interior, losses, optim
 from warp_psdr.acceleration import set_ray_backend
+from warp_psdr.boundary.trace import BoundaryTrace
 from warp_psdr.invalid import invalid_samples
 from warp_psdr.options import PathIntegrator
 from warp_psdr.parameters import Parameters, traverse
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 __all__ = [
+    "BoundaryTrace",
     "Parameters",
     "PathIntegrator",
     "Plan",

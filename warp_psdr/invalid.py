@@ -44,7 +44,7 @@ KINDS = (
     "through_mirrors",
     "guiding",
 )
-#: Kinds whose samples belong to a pixel, so that ``trace_sample`` can draw them again.
+#: Kinds whose samples belong to a pixel.
 TRACED = ("image", "interior")
 
 
@@ -190,4 +190,12 @@ def _name(kind: str, count: Count, seed: int) -> str:
             f", the first: pixel ({x}, {y}), sample {index}; print(psdr.trace_sample(scene, pixel=({x}, {y}), "
             f"sample={index}, seed={seed}, kind={kind!r}, ...)) shows its path"
         )
-    return f", the first: number {count.first[0]}" if count.first else ""
+    if not count.first:
+        return ""
+    number = count.first[0]
+    if kind == "guiding":
+        return f", the first: number {number}"
+    return (
+        f", the first: number {number}; print(psdr.trace_sample(scene, sample={number}, seed={seed}, kind={kind!r}, "
+        "params=params, ...)) shows its edge and paths"
+    )

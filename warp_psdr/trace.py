@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
+from warp_psdr.arguments import sample_count
+from warp_psdr.boundary.trace import BoundaryTrace, numbers, trace_boundary
 from warp_psdr.device import launch
-from warp_psdr.invalid import TRACED
+from warp_psdr.invalid import KINDS, TRACED
 from warp_psdr.kernels.constants import RFILTER_BOX
 from warp_psdr.kernels.path import PathVertex
 from warp_psdr.kernels.rng import mix_seed
@@ -20,6 +22,7 @@ from warp_psdr.passes import STREAM_INTERIOR, STREAM_PRIMAL
 from warp_psdr.plan import decide
 
 if TYPE_CHECKING:
+    from warp_psdr.parameters import Parameters
     from warp_psdr.scene.scene import Scene
 
 #: Vertices that are kept of a path: far more than any that is not endless.
@@ -64,49 +67,67 @@ class Trace:
     radiance: np.ndarray
 
     def __str__(self) -> str:
-        lines = [f"radiance {_numbers(self.radiance)}"]
+        lines = [f"radiance {numbers(self.radiance)}"]
         for i, v in enumerate(self.vertices):
             where = f"{v.shape} ({v.bsdf}), triangle {v.face}" if v.shape else "leaves the scene"
-            lines.append(f"{i + 1}. {where}: position {_numbers(v.position)}, ray {_numbers(v.direction)}")
-            lines.append(
-                f"   throughput {_numbers(v.throughput)}, direct {_numbers(v.direct)}, beta {_numbers(v.beta)}"
-            )
+            lines.append(f"{i + 1}. {where}: position {numbers(v.position)}, ray {numbers(v.direction)}")
+            lines.append(f"   throughput {numbers(v.throughput)}, direct {numbers(v.direct)}, beta {numbers(v.beta)}")
         return "\n".join(lines)
-
-
-def _numbers(v: np.ndarray) -> str:
-    return "(" + ", ".join(f"{x:.6g}" for x in v) + ")"
 
 
 def trace_sample(
     scene: Scene,
     *,
-    pixel: tuple[int, int],
     sample: int,
+    pixel: tuple[int, int] | None = None,
     seed: int = 0,
     sensor: int = 0,
     integrator: PathIntegrator | None = None,
     kind: str = "image",
-) -> Trace:
-    """Draw the path of one sample of a pixel again, and return its vertices.
+    spp: int | None = None,
+    params: Parameters | None = None,
+    adjoint=None,
+    tangents: dict | None = None,
+) -> Trace | BoundaryTrace:
+    """Draw the path of one sample again, and return its vertices.
 
     With the arguments of the rendering that it belongs to, whose warning about samples that are not finite names them.
 
     Args:
         scene: a loaded scene, unchanged since.
-        pixel: (x, y) in the crop window; under a filter that is wider than a pixel also next to it.
-        sample: its number within the pixel.
+        sample: its number, within the pixel or within the boundary term.
+        pixel: (x, y) in the crop window; under a filter that is wider than a pixel also next to it. Samples of a
+            boundary term belong to none.
         seed: of the rendering.
         sensor: of the rendering.
         integrator: of the rendering.
-        kind: "image", or "interior" for the path of a gradient.
+        kind: "image", "interior" for the path of a gradient, or the name of a boundary term, "secondary" for example.
+        spp: of the rendering; default: the sensor's. This and what follows is read for boundary terms only.
+        params: of the rendering, after the same ``requires_grad``.
+        adjoint: of ``render_backward``; default: ones. What nobody asks for is not traced.
+        tangents: of ``render_forward``, in place of requests and adjoint.
+
+    Returns:
+        A ``Trace``; of a boundary term a ``BoundaryTrace``: its edge or point, the direction through it, and the
+        vertices of the paths to either side.
 
     Raises:
-        ValueError: another kind, or a pixel that is not sampled.
+        ValueError: another kind, a pixel that is not sampled, or arguments that its kind needs or does not take.
     """
-    if kind not in TRACED:
-        raise ValueError(f"kind: got {kind!r}, expected one of {TRACED}; other samples have no path of their own")
+    if kind not in KINDS or kind == "guiding":
+        expected = tuple(k for k in KINDS if k != "guiding")
+        raise ValueError(f"kind: got {kind!r}, expected one of {expected}; what guiding evaluates is no path")
     integrator = integrator or from_description(scene.description.integrator)
+    if kind not in TRACED:
+        if params is None or pixel is not None:
+            raise ValueError(f"kind {kind!r} takes the params of the gradient (or of its tangents) and no pixel")
+        names = None if tangents is None else list(tangents)
+        return trace_boundary(
+            scene, decide(scene, params, integrator=integrator, sensor=sensor, names=names), params, kind, sample,
+            adjoint=adjoint, tangents=tangents, sensor=sensor, spp=sample_count(scene, sensor, spp), seed=seed,
+        )  # fmt: skip
+    if pixel is None:
+        raise ValueError(f"kind {kind!r} takes the pixel of the sample, (x, y)")
     plan = decide(scene, integrator=integrator, sensor=sensor)
     camera = scene.camera(sensor)
     splatted = kind == "image" and plan.config.filter != RFILTER_BOX

@@ -31,6 +31,7 @@ from warp_psdr.kernels.bvh.wide import make_intersect
 from warp_psdr.kernels.constants import FAR, TWO_PI
 from warp_psdr.kernels.invalid import count_invalid
 from warp_psdr.kernels.math import any_tangent, to_world
+from warp_psdr.kernels.notes import NOTE_EDGE, make_note
 from warp_psdr.kernels.path import PathConfig
 from warp_psdr.kernels.rng import make_sampler, sampler_at
 from warp_psdr.kernels.sampling import square_to_cosine_hemisphere
@@ -102,6 +103,7 @@ def make_curve_kernel(config: PathConfig, role: str, camera_moves: bool, indirec
     source = make_indirect(source) if indirect else source
     transport = make_transport(config, role, camera_moves, source)
     sample_4d = make_sampler(config.sampler).sample_4d
+    note_place = make_note(config.noted)
 
     @wp.kernel(module="unique", enable_backward=False)
     def curve(
@@ -128,6 +130,7 @@ def make_curve_kernel(config: PathConfig, role: str, camera_moves: bool, indirec
         s = segment_at(scene, edges, point, wp.where(u4[1] < 0.5, 0, 1), sample_4d(sampler, SLOT_DIRECTION))
         if s.valid == 0:
             return
+        note_place(scene, NOTE_EDGE, point.edge, point.s, 0.0, point.x, s.w, wp.vec3(s.scale))
         rest = wp.float32(0.0)
         if wp.static(role == "forward"):
             rest = push_segment(scene, target, edges, point, s, 1.0)

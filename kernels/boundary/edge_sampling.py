@@ -44,6 +44,7 @@ from warp_psdr.kernels.camera import make_camera_ray, make_camera_sink
 from warp_psdr.kernels.constants import BSDF_ROUGH_CONDUCTOR_BECKMANN, BSDF_ROUGH_CONDUCTOR_GGX, FAR, PI
 from warp_psdr.kernels.invalid import count_invalid, finite, vanishes
 from warp_psdr.kernels.math import any_tangent, to_local
+from warp_psdr.kernels.notes import NOTE_EDGE, make_note
 from warp_psdr.kernels.path import (
     PathConfig,
     make_camera_start,
@@ -217,6 +218,7 @@ def make_edge_sampling_kernel(
     push_segment = make_segment_sink(role, False)
     push_first = make_first_sink(role)
     push_camera = make_camera_sink(role, config.camera) if camera_moves else None
+    note_place = make_note(config.noted)
 
     @wp.kernel(module="unique", enable_backward=False)
     def edge_sampling(
@@ -263,6 +265,8 @@ def make_edge_sampling_kernel(
                 )
                 s = drawn.segment
                 if s.valid == 1:
+                    at = drawn.point
+                    note_place(scene, NOTE_EDGE, at.edge, at.s, 0.0, at.x, s.w, drawn.value)
                     branch.seed = words.y
                     source = radiance(scene, branch, s.source, s.w, FAR, k, max_depth, rr_depth)
                     if wp.static(indirect):

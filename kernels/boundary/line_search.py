@@ -58,6 +58,7 @@ from warp_psdr.kernels.constants import INV_FOUR_PI, LOBE_SMOOTH, TWO_PI
 from warp_psdr.kernels.interior.wanted import Wanted
 from warp_psdr.kernels.invalid import count_invalid, vanishes
 from warp_psdr.kernels.math import any_tangent, to_local, to_world
+from warp_psdr.kernels.notes import NOTE_EDGE, make_note
 from warp_psdr.kernels.path import PathConfig, make_path_step, path_from
 from warp_psdr.kernels.rng import Sampler, branch_of, make_sampler, sampler_at
 from warp_psdr.kernels.sampling import square_to_sphere
@@ -119,6 +120,7 @@ def make_line_search_kernel(config: PathConfig, wanted: Wanted, role: str, light
     sample_1d = draw.sample_1d
     sample_2d = draw.sample_2d
     sample_4d = draw.sample_4d
+    note_place = make_note(config.noted)
 
     @wp.func
     def search(
@@ -208,6 +210,11 @@ def make_line_search_kernel(config: PathConfig, wanted: Wanted, role: str, light
                         which += 1
                         squared = r.phi_a * r.phi_a + r.phi_b * r.phi_b
                         if r.valid == 1 and squared > 0.0:
+                            if r.edge == 1:
+                                place = r.point.x
+                                note_place(
+                                    scene, NOTE_EDGE, r.point.edge, r.point.s, 0.0, place, r.segment.w, throughput
+                                )
                             jump = wp.vec3(0.0, 0.0, 0.0)
                             branch = branch_of(sampler, 1 + slot)
                             for k in range(2):

@@ -23,6 +23,7 @@ from warp_psdr.kernels.boundary.projection import make_projection, make_splat
 from warp_psdr.kernels.bvh.wide import make_intersect
 from warp_psdr.kernels.camera import make_camera_sink, make_lens
 from warp_psdr.kernels.invalid import count_invalid
+from warp_psdr.kernels.notes import NOTE_EDGE, make_note
 from warp_psdr.kernels.path import PathConfig
 from warp_psdr.kernels.rng import make_sampler, sampler_at
 from warp_psdr.kernels.structs import Camera, Scene
@@ -52,6 +53,7 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
     draw = make_sampler(config.sampler)
     sample_1d = draw.sample_1d
     sample_2d = draw.sample_2d
+    note_place = make_note(config.noted)
 
     @wp.kernel(module="unique", enable_backward=False)
     def primary(
@@ -103,6 +105,7 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
             weight = gather(camera, at.pixel, adjoint)
             if weight[0] == 0.0 and weight[1] == 0.0 and weight[2] == 0.0:
                 return
+        note_place(scene, NOTE_EDGE, point.edge, point.s, 0.0, point.x, d, weight)
         sampler.index = wp.uint32(1)
         apart = wp.where(edges.ends[point.edge, 0] < 0, BESIDE_CURVE, BESIDE)
         beside = (apart * scene.ray_epsilon) * m

@@ -34,6 +34,7 @@ from warp_psdr.kernels.emitter.dispatch import make_lights
 from warp_psdr.kernels.emitter.spot import load_column
 from warp_psdr.kernels.guiding.techniques import Guide, make_techniques, octant_point
 from warp_psdr.kernels.invalid import count_invalid, vanishes
+from warp_psdr.kernels.notes import NOTE_EDGE, make_note
 from warp_psdr.kernels.path import PathConfig
 from warp_psdr.kernels.rng import make_sampler, sampler_at
 from warp_psdr.kernels.sink import make_sink, make_sink_vec3
@@ -225,6 +226,7 @@ def make_secondary_kernel(
     draw = make_sampler(config.sampler)
     sample_1d = draw.sample_1d
     sample_4d = draw.sample_4d
+    note_place = make_note(config.noted)
 
     @wp.kernel(module="unique", enable_backward=False)
     def secondary(
@@ -270,6 +272,7 @@ def make_secondary_kernel(
         s = segment_at(scene, edges, moving, point, direction, direct)
         if s.valid == 0:
             return
+        note_place(scene, NOTE_EDGE, point.edge, point.s, 0.0, point.x, direction.w, s.radiance)
         wedge = wedge_at(scene, edges, point)
         pdf = density(scene, edges, guide, wedge, aim, s.face2, s.u2, s.v2, s.t2)
         # pdf_l is a density of the fraction s; dl = |p1 - p0| ds.

@@ -29,6 +29,7 @@ from warp_psdr.kernels.camera import lens_origin, load_mat44, make_camera_sink, 
 from warp_psdr.kernels.constants import CAMERA_ORTHOGRAPHIC, CAMERA_THINLENS
 from warp_psdr.kernels.distribution import find_interval
 from warp_psdr.kernels.invalid import count_invalid
+from warp_psdr.kernels.notes import NOTE_POINT, make_note
 from warp_psdr.kernels.path import PathConfig
 from warp_psdr.kernels.rng import make_sampler, sampler_at
 from warp_psdr.kernels.structs import Camera, Scene
@@ -72,6 +73,7 @@ def make_terminator_kernel(config: PathConfig, role: str, camera_moves: bool):
     draw = make_sampler(config.sampler)
     sample_2d = draw.sample_2d
     sample_4d = draw.sample_4d
+    note_place = make_note(config.noted)
 
     @wp.kernel(module="unique", enable_backward=False)
     def terminator(
@@ -160,6 +162,7 @@ def make_terminator_kernel(config: PathConfig, role: str, camera_moves: bool):
                     if wp.static(role == "reverse"):
                         weight = gather(camera, at.pixel, adjoint)
                     if not hidden and speed_sum > 0.0 and wp.length_sq(weight) > 0.0:
+                        note_place(scene, NOTE_POINT, face, at_b[1], at_b[2], x, -view, weight)
                         step = phi_u * e1 + phi_v * e2
                         apart = BESIDE * scene.ray_epsilon / wp.max(wp.abs(cosine), MIN_COSINE)
                         step = (apart / wp.length(step)) * step

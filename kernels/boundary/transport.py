@@ -30,6 +30,7 @@ from warp_psdr.kernels.boundary.projection import make_splat
 from warp_psdr.kernels.camera import make_camera_sink, make_lens
 from warp_psdr.kernels.constants import FAR
 from warp_psdr.kernels.invalid import count_invalid, vanishes
+from warp_psdr.kernels.notes import NOTE_SENSOR, NOTE_SOURCE, NOTE_WALK, make_note
 from warp_psdr.kernels.path import PathConfig
 from warp_psdr.kernels.rng import Sampler, branch_of, make_sampler
 from warp_psdr.kernels.structs import Camera, Scene
@@ -149,6 +150,7 @@ def make_transport(config: PathConfig, role: str, camera_moves: bool, source: wp
     draw = make_sampler(config.sampler)
     sample_2d = draw.sample_2d
     sample_4d = draw.sample_4d
+    note_place = make_note(config.noted)
 
     @wp.func
     def transport(
@@ -181,6 +183,8 @@ def make_transport(config: PathConfig, role: str, camera_moves: bool, source: wp
         weight = wp.float32(0.0)
         total = wp.float32(0.0)
         incident = Incident()
+        note_place(scene, NOTE_SENSOR, s.face1, s.u1, s.v1, s.x, s.w, wp.vec3(scale))
+        note_place(scene, NOTE_SOURCE, s.face2, s.u2, s.v2, s.x, s.w, s.radiance)
         k = wp.int32(1)
         while walk.alive == 1:
             seen = connect(scene, camera, walk, lens)
@@ -233,6 +237,8 @@ def make_transport(config: PathConfig, role: str, camera_moves: bool, source: wp
             else:
                 u4 = sample_4d(sampler, SLOT_WALK + k)
                 walk = extend(scene, walk, u4, FAR, k >= rr_depth)
+                if walk.alive == 1:
+                    note_place(scene, NOTE_WALK, walk.face, walk.u, walk.v, walk.x, -walk.to, walk.weight)
             k += 1
         if wp.static(role != "forward" and not evaluates):
             if weight != 0.0:
