@@ -32,6 +32,7 @@ from warp_psdr.kernels.math import aligned_tangent, any_tangent, to_local, to_wo
 from warp_psdr.kernels.notes import NOTE_VERTEX, note
 from warp_psdr.kernels.rng import Sampler, make_sampler, sampler_at
 from warp_psdr.kernels.sampling import mis_weight
+from warp_psdr.kernels.step import leaving_step
 from warp_psdr.kernels.structs import Bsdf, Camera, LightSample, Material, Scene
 from warp_psdr.kernels.surface import make_surface
 from warp_psdr.kernels.texture import make_texture
@@ -297,6 +298,7 @@ def make_path_step(config: PathConfig, differential: bool):
             b = scene.bsdfs[frame.bsdf]
             material = material_at(scene, b, hit.face, hit.u, hit.v, surface.uv)
             wi = to_local(frame.s, frame.t, frame.n, -state.d)
+            away = leaving_step(scene, hit.face)
 
             # Next-event estimation.
             if wp.static(has_lights):
@@ -313,7 +315,7 @@ def make_path_step(config: PathConfig, differential: bool):
                                 light_weight *= mis_weight(pdf_light, pdf_bsdf)
                             value = light_weight * wp.cw_mul(bsdf.eval(b.model, material, wi, wo), ls.radiance)
                             if wp.static(differential) or not vanishes(value):
-                                turn = wp.where(wp.dot(surface.ng, ls.wi) >= 0.0, scene.ray_epsilon, -scene.ray_epsilon)
+                                turn = wp.where(wp.dot(surface.ng, ls.wi) >= 0.0, away, -away)
                                 o = surface.x + turn * surface.ng
                                 r = ls.wi
                                 t_max = ls.distance
@@ -322,7 +324,7 @@ def make_path_step(config: PathConfig, differential: bool):
                                         # Aim a little in front of the light's own surface.
                                         tri = scene.triangles[ls.face]
                                         y = (1.0 - ls.u - ls.v) * tri.p0 + ls.u * tri.p1 + ls.v * tri.p2
-                                        r = y + scene.ray_epsilon * tri.normal - o
+                                        r = y + leaving_step(scene, ls.face) * tri.normal - o
                                         t_max = wp.length(r)
                                         r = r / t_max
                                 if not any_hit(scene.accel, o, r, t_max):
@@ -365,7 +367,7 @@ def make_path_step(config: PathConfig, differential: bool):
             vertex.wo = wo_world
             vertex.inv_pdf = inv_pdf
             vertex.beta = inv_pdf * bs.value
-            turn = wp.where(wp.dot(surface.ng, wo_world) >= 0.0, scene.ray_epsilon, -scene.ray_epsilon)
+            turn = wp.where(wp.dot(surface.ng, wo_world) >= 0.0, away, -away)
             after.alive = 1
             after.o = surface.x + turn * surface.ng
             after.d = wo_world
@@ -420,7 +422,7 @@ def make_camera_start(config: PathConfig, filter_kind: int | None = None):
             # Area lights are invisible to the camera: go on behind them.
             hit = closest_hit(scene.accel, state.o, state.d, state.t_max)
             while hit.face >= 0 and scene.shapes[scene.triangles[wp.max(hit.face, 0)].shape].emitter >= 0:
-                step = hit.t + scene.ray_epsilon
+                step = hit.t + leaving_step(scene, hit.face)
                 state.o += step * state.d
                 state.t_max -= step
                 hit = closest_hit(scene.accel, state.o, state.d, state.t_max)

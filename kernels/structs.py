@@ -39,6 +39,7 @@ class Shape:
     face_count: wp.int32
     first_vertex: wp.int32
     vertex_count: wp.int32
+    edge_step: wp.float32  # at its edges where scales are mixed, world units; see ``step.py``
 
 
 @wp.struct
@@ -151,6 +152,7 @@ class Scene:
     env_marginal: wp.array(dtype=wp.float32)  # cumulative over rows of cells, h + 1
     env_conditional: wp.array(dtype=wp.float32)  # cumulative over the cells of each row, h x (w + 1), flattened
     ray_epsilon: wp.float32  # distance by which a ray's origin is moved off its surface, world units
+    least_step: wp.float32  # the least at edges, see ``step.py``; 0: ``ray_epsilon`` serves all surfaces and edges
     contact_radius: wp.float32  # connections shorter than it: see ``interior/contact.py``, world units
     invalid: wp.array(dtype=wp.int64)  # counter of this launch and lane, see ``invalid.py``
 

@@ -22,13 +22,11 @@ from warp_psdr import workers
 from warp_psdr.device import launch_lanes
 from warp_psdr.edges import WELD, Adjacency, scene_adjacency
 from warp_psdr.kernels.boundary.crossing import crossing_pairs
+from warp_psdr.kernels.step import TOUCH
 
 if TYPE_CHECKING:
     from warp_psdr.scene.scene import Scene
 
-#: Depth in ray epsilons up to which surfaces that enter each other are in contact: the rays of the boundary term take
-#: an edge that is so little hidden for a visible one.
-CONTACT_EPSILONS = 20.0
 #: Height above a plane, as a fraction of the scene's extent, that still lies in it: rounding of float32 vertices.
 IN_PLANE = 2.0 * WELD
 #: Room for candidates at first, a lane; beyond it all of them are looked for again.
@@ -46,7 +44,9 @@ def scene_curves(scene: Scene) -> Adjacency:
         return kept[1]
     points = scene.points
     pairs = _candidates(scene, points, scene.builder.indices, edges.group)
-    found = _segments(points.astype(np.float64), scene.builder.indices, edges, pairs)
+    far = scene.steps.far[scene.builder.face_shape[pairs]]
+    tolerance = np.maximum(IN_PLANE * far.min(axis=1, initial=np.inf), TOUCH * far.max(axis=1, initial=0.0))
+    found = _segments(points.astype(np.float64), scene.builder.indices, edges, pairs, tolerance)
     found = _deep(scene, *found)
     scene._curves = (edges, found)  # type: ignore[attr-defined]
     return found
@@ -97,7 +97,7 @@ def _candidates(scene: Scene, points: np.ndarray, triangles: np.ndarray, group: 
         wp.array(points, dtype=wp.vec3, device=device),
         wp.array(triangles.astype(np.int32), dtype=wp.vec3i, device=device),
         wp.array(group[triangles].astype(np.int32), dtype=wp.vec3i, device=device),
-        IN_PLANE * float(np.abs(points).max()),
+        IN_PLANE * float(scene.steps.far[np.unique(scene.builder.face_shape)].min()),
     ]
     lanes = workers.LANES if wp.get_device(device).is_cpu else 1
     room = ROOM
@@ -147,15 +147,14 @@ def _interval(points, triangles, face, heights, origin, along) -> tuple[np.ndarr
     return np.minimum(*ends), np.maximum(*ends)
 
 
-def _segments(points: np.ndarray, triangles: np.ndarray, edges: Adjacency, pairs: np.ndarray):
+def _segments(points: np.ndarray, triangles: np.ndarray, edges: Adjacency, pairs: np.ndarray, tolerance: np.ndarray):
     """Return (segments (N, 2, 3), pairs of faces (N, 2), depths (N,)) of what truly intersects."""
-    tolerance = IN_PLANE * float(np.abs(points).max()) if len(points) else 0.0
     a, b = pairs[:, 0], pairs[:, 1]
     use = np.ones(len(pairs), bool)
     heights, depth = [], np.full(len(pairs), np.inf)
     for plane, of in ((b, a), (a, b)):
         h = _heights(points, triangles, plane, of)
-        h[np.abs(h) <= tolerance] = 0.0
+        h[np.abs(h) <= tolerance[:, None]] = 0.0
         above = h.max(axis=1)
         grazing = (above == 0.0) & ((h == 0.0).sum(axis=1) == 2)
         above[grazing] = _beyond(points, triangles, edges, plane[grazing], of[grazing], h[grazing])
@@ -177,7 +176,7 @@ def _segments(points: np.ndarray, triangles: np.ndarray, edges: Adjacency, pairs
     low_a, high_a = _interval(points, triangles, a, h_a, origin, along)
     low_b, high_b = _interval(points, triangles, b, h_b, origin, along)
     low, high = np.maximum(low_a, low_b), np.minimum(high_a, high_b)
-    hit = high - low > tolerance
+    hit = high - low > tolerance[use]
     ends = origin[:, None] + np.stack([low, high], axis=1)[..., None] * along[:, None]
     return ends[hit], np.stack([a, b], axis=1)[hit], depth[hit]
 
@@ -212,7 +211,8 @@ def _deep(scene: Scene, ends: np.ndarray, pairs: np.ndarray, depth: np.ndarray) 
     number = number.reshape(-1)
     deepest = np.zeros(len(_pairs))
     np.maximum.at(deepest, number, depth)
-    keep = deepest[number] > CONTACT_EPSILONS * scene.ray_epsilon
+    touch = scene.steps.behind[_pairs].max(axis=1, initial=0.0)
+    keep = deepest[number] > touch[number]
     ends, pairs = ends[keep], pairs[keep]
     n = len(pairs)
     none = np.full((n, 2), -1, np.int32)

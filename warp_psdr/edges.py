@@ -15,7 +15,7 @@ from warp_psdr.kernels.boundary.local_form import Edges
 from warp_psdr.kernels.constants import TEXTURE_FACE
 from warp_psdr.light_sampling import cumulative
 from warp_psdr.t_junctions import cut_sides
-from warp_psdr.welding import still_welded, weld
+from warp_psdr.welding import still_welded, weld, weld_shapes
 
 if TYPE_CHECKING:
     from warp_psdr.scene.scene import Scene
@@ -96,7 +96,8 @@ def adjacency(points: np.ndarray, triangles: np.ndarray, shape: np.ndarray | Non
     """
     points = np.asarray(points, np.float64)
     shape = np.zeros(len(points), int) if shape is None else shape
-    return _measured(points, triangles, _topology(points, triangles, shape))
+    far = np.full(len(points), _extent(points))
+    return _measured(points, triangles, _topology(points, triangles, shape, far), far)
 
 
 def _extent(points: np.ndarray) -> float:
@@ -116,15 +117,20 @@ def _solid(points: np.ndarray, triangles: np.ndarray, group: np.ndarray) -> np.n
     return (corner != corner[:, [1, 2, 0]]).all(axis=1) & (np.abs(cross).max(axis=1, initial=0.0) > 0.0)
 
 
-def _topology(points: np.ndarray, triangles: np.ndarray, shape: np.ndarray) -> Topology:
-    tolerance = WELD * _extent(points)
-    group = weld(points, tolerance)
+def _topology(points: np.ndarray, triangles: np.ndarray, shape: np.ndarray, far: np.ndarray) -> Topology:
+    """Return what is welded; ``far``: (N,) the largest coordinate by which a vertex may have been rounded."""
+    if len(far) and far.min() < far.max():
+        of_shape = np.zeros(int(shape.max()) + 1)
+        of_shape[shape] = far
+        group = weld_shapes(points, shape, WELD * of_shape)
+    else:
+        group = weld(points, WELD * _extent(points))
     solid = _solid(points, triangles, group)
     numbers = np.flatnonzero(solid)
     sides = np.stack([triangles[numbers][:, [a, (a + 1) % 3]] for a in range(3)], axis=1).reshape(-1, 2)
     face = np.repeat(numbers, 3)
     whole = len(sides)
-    sides, face = cut_sides(points, group, shape, sides, face, tolerance)
+    sides, face = cut_sides(points, group, shape, sides, face, WELD * far[sides[:, 0]])
     cut = len(sides) > whole
     key = group[sides]
     swap = key[:, 0] > key[:, 1]
@@ -140,7 +146,7 @@ def _topology(points: np.ndarray, triangles: np.ndarray, shape: np.ndarray) -> T
     return Topology(ends, twins, face.astype(np.int32), first, group, solid, cut)
 
 
-def _measured(points: np.ndarray, triangles: np.ndarray, t: Topology) -> Adjacency:
+def _measured(points: np.ndarray, triangles: np.ndarray, t: Topology, far: np.ndarray) -> Adjacency:
     """Return the edges with what depends on where the vertices are."""
     start, count = t.first[:-1], np.diff(t.first)
     ends = points[t.ends]
@@ -164,7 +170,7 @@ def _measured(points: np.ndarray, triangles: np.ndarray, t: Topology) -> Adjacen
     angle = np.arctan2(np.sqrt((sine * sine).sum(axis=1)), (a * b).sum(axis=1))
     wedge = np.where(count == 2, np.pi - angle, np.pi)
     tall = np.minimum(*(doubled[t.faces[i]] for i in (start, second))) / np.maximum(length, 1e-300)
-    tilt = np.where(tall < NEEDLE * length, TILT * _extent(points) / np.maximum(tall, 1e-300), 0.0)
+    tilt = np.where(tall < NEEDLE * length, TILT * far[t.ends[:, 0]] / np.maximum(tall, 1e-300), 0.0)
     wedge[wedge < np.maximum(COPLANAR, tilt)] = 0.0
     return Adjacency(t.ends, t.twins, t.faces, t.first, wedge, length, ends, t.group)
 
@@ -199,13 +205,15 @@ def scene_adjacency(scene: Scene) -> Adjacency:
         return kept[1]
     exact = points.astype(np.float64)
     topology = kept[2] if kept is not None else None
+    far = scene.steps.far[shape_of_vertex(scene)]
     if topology is None or not (
         not topology.cut
+        and not scene.steps.scene
         and still_welded(exact, topology.group, WELD * _extent(exact))
         and np.array_equal(_solid(exact, triangles, topology.group), topology.solid)
     ):
-        topology = _topology(exact, triangles, shape_of_vertex(scene))
-    found = _measured(exact, triangles, topology)
+        topology = _topology(exact, triangles, shape_of_vertex(scene), far)
+    found = _measured(exact, triangles, topology, far)
     scene._edges = (points.copy(), found, topology)  # type: ignore[attr-defined]
     return found
 

@@ -14,7 +14,12 @@ import numpy as np
 
 
 def cut_sides(
-    points: np.ndarray, group: np.ndarray, shape: np.ndarray, sides: np.ndarray, face: np.ndarray, tolerance: float
+    points: np.ndarray,
+    group: np.ndarray,
+    shape: np.ndarray,
+    sides: np.ndarray,
+    face: np.ndarray,
+    tolerances: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the sides of all triangles, those with a vertex in their middle in pieces, and the triangles of each.
 
@@ -24,7 +29,7 @@ def cut_sides(
         shape: (N,) shape of every vertex.
         sides: (S, 2) vertices where sides start and end.
         face: (S,) their triangles.
-        tolerance: Largest distance of a vertex from a side that it lies on, world units.
+        tolerances: (S,) largest distance of a vertex from a side that it lies on, world units.
     """
     from scipy.spatial import cKDTree
 
@@ -36,6 +41,7 @@ def cut_sides(
     vertices = np.unique(sides[open_sides])
     start, end = (points[sides[open_sides, i]] for i in (0, 1))
     length = np.linalg.norm(end - start, axis=1)
+    tolerance = tolerances[open_sides]
     # The ball around a side's middle that just excludes its own ends.
     radius = np.maximum(0.5 * length - tolerance, 0.0)
     tree = cKDTree(points[vertices])
@@ -49,8 +55,12 @@ def cut_sides(
     along = (end - start)[row] / length[row, None]
     offset = points[vertex] - start[row]
     at = (offset * along).sum(axis=1)
-    on = np.linalg.norm(offset - at[:, None] * along, axis=1) <= tolerance
-    on &= (at > tolerance) & (at < length[row] - tolerance) & (shape[vertex] == shape[sides[open_sides[row], 0]])
+    on = np.linalg.norm(offset - at[:, None] * along, axis=1) <= tolerance[row]
+    on &= (
+        (at > tolerance[row])
+        & (at < length[row] - tolerance[row])
+        & (shape[vertex] == shape[sides[open_sides[row], 0]])
+    )
     row, vertex, at = row[on], vertex[on], at[on]
     order = np.lexsort((vertex, at, row))
     row, vertex = row[order], vertex[order]

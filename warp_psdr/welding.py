@@ -31,6 +31,35 @@ def weld(points: np.ndarray, tolerance: float) -> np.ndarray:
     return connected_components(graph, directed=False)[1][group]
 
 
+def weld_shapes(points: np.ndarray, shape: np.ndarray, tolerances: np.ndarray) -> np.ndarray:
+    """Weld the vertices of every shape by a tolerance of its own, and those of different shapes by the least of them.
+
+    Args:
+        points: (N, 3).
+        shape: (N,) shape of every point.
+        tolerances: (S,) world units.
+
+    Returns:
+        (N,) number of every point's group.
+    """
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    groups = np.empty(len(points), np.int64)
+    used = 0
+    for i in np.unique(shape):
+        own = np.flatnonzero(shape == i)
+        groups[own] = used + weld(points[own], float(tolerances[i]))
+        used = int(groups[own].max()) + 1
+    across = weld(points, float(tolerances[np.unique(shape)].min(initial=np.inf)))
+    # A group of either kind joins its points.
+    n = len(points)
+    row = np.concatenate([np.arange(n), np.arange(n)])
+    column = np.concatenate([n + groups, n + used + across])
+    size = n + used + (int(across.max()) + 1 if n else 0)
+    return connected_components(coo_matrix((np.ones(2 * n), (row, column)), shape=(size, size)), directed=False)[1][:n]
+
+
 def still_welded(points: np.ndarray, group: np.ndarray, tolerance: float) -> bool:
     """Return whether welding points anew would certainly give the same groups.
 

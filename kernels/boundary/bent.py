@@ -36,6 +36,7 @@ from warp_psdr.kernels.invalid import count_invalid
 from warp_psdr.kernels.path import PathConfig
 from warp_psdr.kernels.rng import Sampler, make_sampler, sampler_at
 from warp_psdr.kernels.sampling import square_to_triangle
+from warp_psdr.kernels.step import leaving_step, passing_step
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.surface import VertexAdjoint, make_surface, make_vertex_sink
 
@@ -58,7 +59,7 @@ def make_jump(config: PathConfig):
         scene: Scene, sampler: Sampler, s: Segment, k: wp.int32, max_depth: wp.int32, rr_depth: wp.int32
     ) -> Incident:
         n = -s.t1 * s.sweep
-        ahead = wp.min(AHEAD * scene.ray_epsilon, 0.5 * s.t1)
+        ahead = wp.min(AHEAD * passing_step(scene, s.face2), 0.5 * s.t1)
         d = wp.normalize(s.w - TILT * n)
         here = incident(scene, sampler, s.x - ahead * d, d, FAR, k, max_depth, rr_depth)
         d = wp.normalize(s.w + TILT * n)
@@ -131,9 +132,10 @@ def make_bent_kernel(config: PathConfig, role: str, camera_moves: bool):
         out = a * across + b * wp.cross(surface.n, across)
         s.x = surface.x
         s.w = -out
-        turn = (1.0 - 2.0 * half) * scene.ray_epsilon
+        away = leaving_step(scene, s.face2)
+        turn = (1.0 - 2.0 * half) * away
         hit = closest_hit(scene.accel, s.x + turn * surface.ng, out, FAR)
-        if hit.face < 0 or hit.t <= scene.ray_epsilon:
+        if hit.face < 0 or hit.t <= away:
             return
         s.t1 = hit.t
         s.sweep = (-1.0 / s.t1) * surface.n

@@ -24,7 +24,14 @@ import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.boundary.depth import make_indirect
-from warp_psdr.kernels.boundary.local_form import START_BEHIND, EdgePoint, Edges, barycentrics_at, edge_point
+from warp_psdr.kernels.boundary.local_form import (
+    EdgePoint,
+    Edges,
+    barycentrics_at,
+    edge_behind,
+    edge_point,
+    edge_step,
+)
 from warp_psdr.kernels.boundary.secondary import make_segment_sink
 from warp_psdr.kernels.boundary.transport import Segment, make_source, make_transport
 from warp_psdr.kernels.bvh.wide import make_intersect
@@ -76,9 +83,10 @@ def make_curve_segment(config: PathConfig):
             out = -out
         m = wp.cross(t, r.w)
         r.sweep = wp.where(wp.dot(m, out) > 0.0, -m, m)
-        x = point.x + (scene.ray_epsilon * wp.min(OFF / wp.max(wp.dot(out, other), 1.0e-6), MAX_SHIFT)) * out
+        step = edge_step(scene, edges, point.edge)
+        x = point.x + (step * wp.min(OFF / wp.max(wp.dot(out, other), 1.0e-6), MAX_SHIFT)) * out
         r.x = x
-        r.source = x + (START_BEHIND * scene.ray_epsilon) * back
+        r.source = x + edge_behind(scene, step) * back
         hit = closest_hit(scene.accel, r.source, back, FAR)
         if hit.face < 0:
             return r

@@ -28,6 +28,7 @@ from warp_psdr.kernels.invalid import vanishes
 from warp_psdr.kernels.math import to_local, to_world
 from warp_psdr.kernels.path import ROULETTE_MAX, PathConfig, make_frame, make_material, make_path_step, path_from
 from warp_psdr.kernels.rng import Sampler
+from warp_psdr.kernels.step import leaving_step
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.surface import make_surface
 
@@ -240,7 +241,8 @@ def make_walk(config: PathConfig):
         cosine = wp.abs(wp.dot(surface.ng, walk.to))
         if vanishes(f) or cosine < MIN_COSINE:
             return r
-        turn = wp.where(wp.dot(surface.ng, w) >= 0.0, scene.ray_epsilon, -scene.ray_epsilon)
+        away = leaving_step(scene, walk.face)
+        turn = wp.where(wp.dot(surface.ng, w) >= 0.0, away, -away)
         o = walk.x + turn * surface.ng
         ray = r.at.origin - o
         length = wp.length(ray)
@@ -272,7 +274,8 @@ def make_walk(config: PathConfig):
             if u4[1] >= survival:
                 return r
             weight /= survival
-        turn = wp.where(wp.dot(surface.ng, w) >= 0.0, scene.ray_epsilon, -scene.ray_epsilon)
+        away = leaving_step(scene, walk.face)
+        turn = wp.where(wp.dot(surface.ng, w) >= 0.0, away, -away)
         hit = closest_hit(scene.accel, walk.x + turn * surface.ng, w, t_max)
         if hit.face < 0:
             return r

@@ -34,7 +34,7 @@ from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.boundary.depth import DIRECT
 from warp_psdr.kernels.boundary.detector import make_radiance
 from warp_psdr.kernels.boundary.edge_tree import EdgeTrees, edge_at, make_choose
-from warp_psdr.kernels.boundary.local_form import START_BEHIND, EdgePoint, Edges, interior_side
+from warp_psdr.kernels.boundary.local_form import EdgePoint, Edges, edge_behind, edge_step, interior_side
 from warp_psdr.kernels.boundary.ltc_line import Lobes, make_lobe, make_scattering_lobes, mixture_density, sample_mixture
 from warp_psdr.kernels.boundary.secondary import Segment, make_segment_sink
 from warp_psdr.kernels.boundary.transport import make_first_sink
@@ -54,6 +54,7 @@ from warp_psdr.kernels.path import (
     make_path_step,
 )
 from warp_psdr.kernels.rng import SALT_X, SALT_Y, Sampler, independent_2d, independent_4d, pcg4d, sampler_at
+from warp_psdr.kernels.step import leaving_step
 from warp_psdr.kernels.structs import Bsdf, Camera, Material, Scene
 from warp_psdr.kernels.surface import make_surface
 
@@ -154,9 +155,11 @@ def make_edge_sample(config: PathConfig, tree: bool, candidates: int):
         if side == 0.0 or sine <= 0.0 or density <= 0.0 or vanishes(f):
             return r
         # The line passes the occluder on its outside.
-        x = point.x - (scene.ray_epsilon * side / sine) * m
-        behind = wp.min(START_BEHIND * scene.ray_epsilon, 0.5 * t1)
-        turn = wp.where(wp.dot(surface.ng, w) >= 0.0, scene.ray_epsilon, -scene.ray_epsilon)
+        step = edge_step(scene, edges, point.edge)
+        x = point.x - (step * side / sine) * m
+        behind = wp.min(edge_behind(scene, step), 0.5 * t1)
+        away = leaving_step(scene, face)
+        turn = wp.where(wp.dot(surface.ng, w) >= 0.0, away, -away)
         o = x1 + turn * surface.ng
         ray = x - o
         distance = wp.length(ray)

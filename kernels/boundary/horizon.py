@@ -41,6 +41,7 @@ from warp_psdr.kernels.invalid import count_invalid
 from warp_psdr.kernels.path import PathConfig
 from warp_psdr.kernels.rng import Sampler, make_sampler, sampler_at
 from warp_psdr.kernels.sampling import square_to_triangle
+from warp_psdr.kernels.step import leaving_step
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.surface import VertexAdjoint, make_surface, make_vertex_sink, normalize_vjp
 
@@ -142,11 +143,12 @@ def make_horizon_kernel(config: PathConfig, role: str, camera_moves: bool, indir
         s.radiance = wp.vec3(sign, 0.0, 0.0)
         s.w = wp.normalize(flat + (sign * TILT) * surface.ng)
         s.x = surface.x
-        s.source = s.x + (sign * scene.ray_epsilon) * surface.ng
+        away = leaving_step(scene, s.face1)
+        s.source = s.x + (sign * away) * surface.ng
         hit = closest_hit(scene.accel, s.source, s.w, FAR)
         s.face2 = hit.face
         if hit.face >= 0:
-            if hit.t <= scene.ray_epsilon:
+            if hit.t <= away:
                 return
             s.u2 = hit.u
             s.v2 = hit.v

@@ -28,12 +28,15 @@ import warp as wp
 
 from warp_psdr.kernels.distribution import find_interval_64
 from warp_psdr.kernels.sink import make_sink_vec3
+from warp_psdr.kernels.step import passing_step
 from warp_psdr.kernels.structs import Scene, Triangle
 
 #: Squared sine of the angle between two faces below which they count as parallel when a seam's velocity is split.
 SEAM_PARALLEL = 1.0e-4
 #: A half-segment starts this many ray epsilons behind the edge point, so that a surface that touches the edge is met.
 START_BEHIND = 20.0
+#: The same where the ray epsilon is the least step (``kernels/step.py``), which is precious: roundings of what touches.
+START_BEHIND_LEAST = 4.0
 #: Numbers a sample that role "samples" records: x_b, the edge from its first to its second end, and the adjoint of x_b.
 SAMPLE_RECORD = 9
 
@@ -96,6 +99,25 @@ def edge_at(scene: Scene, edges: Edges, u: wp.float64) -> EdgePoint:
     r.p1 = edges.points[low, 1]
     r.x = (1.0 - r.s) * r.p0 + r.s * r.p1
     return r
+
+
+@wp.func
+def edge_step(scene: Scene, edges: Edges, edge: wp.int32) -> wp.float32:
+    """The ray epsilon at an edge, world units (``kernels/step.py``)."""
+    if scene.least_step <= 0.0:
+        return scene.ray_epsilon
+    r = wp.float32(0.0)
+    for i in range(edges.first[edge], edges.first[edge + 1]):
+        r = wp.max(r, passing_step(scene, edges.faces[i]))
+    return r
+
+
+@wp.func
+def edge_behind(scene: Scene, step: wp.float32) -> wp.float32:
+    """How far behind an edge point, where the ray epsilon is ``step``, half-segments start."""
+    if scene.least_step <= 0.0:
+        return START_BEHIND * step
+    return wp.max(START_BEHIND * (step - scene.least_step), START_BEHIND_LEAST * step)
 
 
 @wp.func

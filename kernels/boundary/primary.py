@@ -18,7 +18,14 @@ import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.boundary.detector import make_radiance
-from warp_psdr.kernels.boundary.local_form import START_BEHIND, Edges, edge_point, interior_side, make_edge_sink
+from warp_psdr.kernels.boundary.local_form import (
+    Edges,
+    edge_behind,
+    edge_point,
+    edge_step,
+    interior_side,
+    make_edge_sink,
+)
 from warp_psdr.kernels.boundary.projection import make_projection, make_splat
 from warp_psdr.kernels.bvh.wide import make_intersect
 from warp_psdr.kernels.camera import make_camera_sink, make_lens
@@ -89,8 +96,9 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
         m = m / sine
         side = interior_side(scene, edges, point, m)
         # Is the edge visible? Seen from just outside of a silhouette, or straight on.
-        behind = START_BEHIND * scene.ray_epsilon
-        start = point.x - (scene.ray_epsilon * side) * m - behind * d
+        local = edge_step(scene, edges, point.edge)
+        behind = edge_behind(scene, local)
+        start = point.x - (local * side) * m - behind * d
         back = at.origin - start
         length = wp.length(back)
         if length > at.near and any_hit(scene.accel, start, back / length, length - at.near):
@@ -108,8 +116,8 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
         note_place(scene, NOTE_EDGE, point.edge, point.s, 0.0, point.x, d, weight)
         sampler.index = wp.uint32(1)
         apart = wp.where(edges.ends[point.edge, 0] < 0, BESIDE_CURVE, BESIDE)
-        beside = (apart * scene.ray_epsilon) * m
-        ahead = wp.min(AHEAD * scene.ray_epsilon, distance - at.near)
+        beside = (apart * local) * m
+        ahead = wp.min(AHEAD * local, distance - at.near)
         jump = wp.vec3(0.0, 0.0, 0.0)
         for i in range(2):
             sign = 1.0 - 2.0 * wp.float32(i)

@@ -38,6 +38,7 @@ from warp_psdr.kernels.path import (
     make_path_step,
 )
 from warp_psdr.kernels.rng import make_sampler, sampler_at
+from warp_psdr.kernels.step import leaving_step
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.surface import load_vec3, make_surface
 
@@ -251,7 +252,8 @@ def make_blocked_light(config: PathConfig):
         value = wp.max(wp.cw_mul(vertex.throughput, wp.cw_mul(f, ls.radiance)))
         if value <= 0.0:
             return r
-        turn = wp.where(wp.dot(surface.ng, ls.wi) >= 0.0, scene.ray_epsilon, -scene.ray_epsilon)
+        away = leaving_step(scene, vertex.face)
+        turn = wp.where(wp.dot(surface.ng, ls.wi) >= 0.0, away, -away)
         r.o = surface.x + turn * surface.ng
         r.d = ls.wi
         hit = closest_hit(scene.accel, r.o, r.d, wp.min(BLOCKED * ls.distance, FAR))

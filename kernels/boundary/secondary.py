@@ -24,7 +24,14 @@ import warp as wp
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.boundary.depth import make_indirect
 from warp_psdr.kernels.boundary.direction import SAME_POINT, Direction, wedge_at
-from warp_psdr.kernels.boundary.local_form import START_BEHIND, EdgePoint, Edges, interior_side, make_edge_sink
+from warp_psdr.kernels.boundary.local_form import (
+    EdgePoint,
+    Edges,
+    edge_behind,
+    edge_step,
+    interior_side,
+    make_edge_sink,
+)
 from warp_psdr.kernels.boundary.transport import Segment, make_source, make_transport
 from warp_psdr.kernels.bvh.wide import make_intersect
 from warp_psdr.kernels.constants import EMITTER_DIRECTIONAL, EMITTER_POINT, FAR
@@ -82,8 +89,9 @@ def make_segment(config: PathConfig):
         if side == 0.0 or sine <= 0.0:
             return r
         r.sweep = side * m
-        r.x = point.x - (scene.ray_epsilon / sine) * r.sweep
-        behind = START_BEHIND * scene.ray_epsilon
+        step = edge_step(scene, edges, point.edge)
+        r.x = point.x - (step / sine) * r.sweep
+        behind = edge_behind(scene, step)
         any_moves = wp.int32(0)
         for i in range(edges.first[point.edge], edges.first[point.edge + 1]):
             any_moves += moves(scene, moving, edges.faces[i])
@@ -112,7 +120,7 @@ def make_segment(config: PathConfig):
             r.u2 = hit2.u
             r.v2 = hit2.v
             r.t2 = wp.max(hit2.t - behind, 0.0)
-            if hit2.face >= 0 and hit2.t <= behind + scene.ray_epsilon:
+            if hit2.face >= 0 and hit2.t <= behind + step:
                 start1 = -behind
         if r.light < 0:
             if r.face2 >= 0:
@@ -133,7 +141,7 @@ def make_segment(config: PathConfig):
         if any_moves + moves(scene, moving, hit1.face) == 0:
             return r
         r.t1 = hit1.t - start1
-        if r.t1 <= scene.ray_epsilon:
+        if r.t1 <= step:
             return r
         r.face1 = hit1.face
         r.u1 = hit1.u

@@ -32,6 +32,7 @@ from warp_psdr.kernels.invalid import count_invalid
 from warp_psdr.kernels.notes import NOTE_POINT, make_note
 from warp_psdr.kernels.path import PathConfig
 from warp_psdr.kernels.rng import make_sampler, sampler_at
+from warp_psdr.kernels.step import leaving_step, passing_step
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.surface import VertexAdjoint, load_vec3, make_vertex_sink
 
@@ -154,7 +155,8 @@ def make_terminator_kernel(config: PathConfig, role: str, camera_moves: bool):
                     q2 = film_velocity(scene, camera, at, e2)
                     area = wp.abs(q1[0] * q2[1] - q1[1] * q2[0])
                     cosine = wp.dot(tri.normal, view)
-                    start = x + wp.where(cosine >= 0.0, scene.ray_epsilon, -scene.ray_epsilon) * tri.normal
+                    away = leaving_step(scene, face)
+                    start = x + wp.where(cosine >= 0.0, away, -away) * tri.normal
                     back = at.origin - start
                     length = wp.length(back)
                     hidden = any_hit(scene.accel, start, back / length, length - at.near)
@@ -163,10 +165,11 @@ def make_terminator_kernel(config: PathConfig, role: str, camera_moves: bool):
                         weight = gather(camera, at.pixel, adjoint)
                     if not hidden and speed_sum > 0.0 and wp.length_sq(weight) > 0.0:
                         note_place(scene, NOTE_POINT, face, at_b[1], at_b[2], x, -view, weight)
+                        local = passing_step(scene, face)
                         step = phi_u * e1 + phi_v * e2
-                        apart = BESIDE * scene.ray_epsilon / wp.max(wp.abs(cosine), MIN_COSINE)
+                        apart = BESIDE * local / wp.max(wp.abs(cosine), MIN_COSINE)
                         step = (apart / wp.length(step)) * step
-                        ahead = wp.min(AHEAD * scene.ray_epsilon, distance - at.near)
+                        ahead = wp.min(AHEAD * local, distance - at.near)
                         branch = sampler
                         branch.index = wp.uint32(1)
                         jump = wp.vec3(0.0, 0.0, 0.0)

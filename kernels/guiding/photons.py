@@ -32,6 +32,7 @@ from warp_psdr.kernels.path import (
 )
 from warp_psdr.kernels.rng import make_sampler, sampler_at
 from warp_psdr.kernels.sampling import square_to_cosine_hemisphere, square_to_disk, square_to_sphere
+from warp_psdr.kernels.step import leaving_step
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.surface import load_vec3, make_surface
 
@@ -67,7 +68,7 @@ def make_emission(config: PathConfig):
                 s = any_tangent(tri.normal)
                 local = square_to_cosine_hemisphere(u2)
                 r.d = to_world(s, wp.cross(tri.normal, s), tri.normal, local)
-                r.o = y + scene.ray_epsilon * tri.normal
+                r.o = y + leaving_step(scene, ls.face) * tri.normal
                 r.flux = (PI / (above.pdf * probability)) * above.radiance
         elif ls.distance < 0.5 * FAR:
             position = load_column(scene.values, record.to_world, 3)
@@ -138,7 +139,8 @@ def make_photons_kernel(config: PathConfig):
                 x_out[number, vertex] = surface.x
                 weight_out[number, vertex] = flux[0] + flux[1] + flux[2]
             d = to_world(frame.s, frame.t, frame.n, bs.wo)
-            turn = wp.where(wp.dot(surface.ng, d) >= 0.0, scene.ray_epsilon, -scene.ray_epsilon)
+            away = leaving_step(scene, hit.face)
+            turn = wp.where(wp.dot(surface.ng, d) >= 0.0, away, -away)
             o = surface.x + turn * surface.ng
             vertex += 1
 

@@ -96,7 +96,7 @@ TERMS = [
     ("curve", ball(), psdr.boundary.PathSpace(), "edge", {"x_1", "x_2"}),
     ("bent", ball(), psdr.boundary.PathSpace(), "x_1", {"x_2", "path"}),
     ("horizon", ball(), psdr.boundary.PathSpace(), "x_1", {"x_2"}),
-    ("through_mirrors", ball(center=[0.3, 0.1, 0.4], bsdf=MIRROR), psdr.boundary.PathSpace(), "path", set()),
+    ("through_mirrors", ball(center=[0.3, 0.1, 0.4], bsdf=MIRROR), psdr.boundary.PathSpace(), "edge", {"path"}),
     ("edge_sampling", ball(), EDGES, "path", {"edge"}),
     ("hard_shadows", scene_dict(lookup="bilinear") | POINT, EDGES, "edge", {"x_1", "x_2"}),
 ]
@@ -109,7 +109,9 @@ def test_every_term_names_its_places(kind: str, scene: dict, method, first: str,
     params = psdr.traverse(loaded)
     params.requires_grad(NAME)
     how = options(method, 3)
-    numbers = range(0, 285, 3) if kind == "horizon" else range(0, 1100, 11)  # fewer samples than others have
+    numbers = (
+        range(0, 285, 3) if kind in ("horizon", "creases") else range(0, 1100, 11)
+    )  # fewer samples than others have
     found = [psdr.trace_sample(loaded, sample=i, kind=kind, params=params, **how) for i in numbers]
     met = [t.places for t in found if t.places]
     assert met and all(places[0].what in {first, "path"} for places in met)

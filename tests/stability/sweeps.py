@@ -105,12 +105,19 @@ def worst(a: Result, b: Result) -> float:
 BATCHES, REFERENCE_BATCHES, BATCH_SPP = 8, 16, 256
 
 
-def derivatives(description: dict, batches: int = BATCHES, first_seed: int = 0, spp: int = BATCH_SPP) -> np.ndarray:
+def derivatives(
+    description: dict,
+    batches: int = BATCHES,
+    first_seed: int = 0,
+    spp: int = BATCH_SPP,
+    *,
+    velocity: np.ndarray = VELOCITY,
+) -> np.ndarray:
     """Return derivative images of ``room``'s box as it moves, one a batch, all terms together."""
     scene = psdr.load_dict(description)
     params = psdr.traverse(scene)
     name = "box.vertex_positions"
-    tangents = {name: np.broadcast_to(VELOCITY, params[name].numpy().shape).astype(np.float32)}
+    tangents = {name: np.broadcast_to(velocity, params[name].numpy().shape).astype(np.float32)}
     options = {"integrator": psdr.PathIntegrator(max_depth=3), "spp": spp}
     images = (psdr.render_forward(scene, params, tangents, seed=first_seed + b, **options) for b in range(batches))
     return np.array([image.numpy().astype(np.float64) for image in images])

@@ -269,7 +269,7 @@ def test_sides_are_cut_where_vertices_lie_on_them() -> None:
     group = np.array([0, 1, 2, 3, 3, 5, 6])
     shape = np.array([0, 0, 0, 0, 0, 0, 1])
     sides = np.array([[0, 1], [2, 3], [4, 5], [5, 6], [6, 2]])
-    cut, face = t_junctions.cut_sides(points, group, shape, sides, np.arange(5), 1e-6)
+    cut, face = t_junctions.cut_sides(points, group, shape, sides, np.arange(5), np.full(5, 1e-6))
     found = [tuple(group[s].tolist()) for s, f in zip(cut, face, strict=True) if f == 0]
     # In order, once a position, neither vertices off the side nor those of another shape.
     assert found == [(0, 2), (2, 3), (3, 1)]

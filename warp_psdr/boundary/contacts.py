@@ -28,7 +28,6 @@ import numpy as np
 import warp as wp
 
 from warp_psdr.boundary.faces import face_edges
-from warp_psdr.curves import CONTACT_EPSILONS
 from warp_psdr.device import launch
 from warp_psdr.edges import scene_adjacency
 from warp_psdr.kernels.boundary.touching import touching_pairs
@@ -71,7 +70,7 @@ def contacts(scene: Scene) -> Contacts:
         return kept[1]
     points = scene.points
     triangles = scene.builder.indices
-    tolerance = CONTACT_EPSILONS * scene.ray_epsilon
+    tolerance = _gap(scene)
     numbers = _near_others(points[triangles], scene.builder.face_shape, tolerance)
     pairs, spans = _touching(scene, points[triangles[numbers]], scene.builder.face_shape[numbers], tolerance)
     face, corner, other = numbers[pairs[:, 0]], pairs[:, 1], numbers[pairs[:, 2]]
@@ -80,6 +79,11 @@ def contacts(scene: Scene) -> Contacts:
     found = Contacts(edges, other, spans, shapes)
     scene._contacts = (adjacency, found)  # type: ignore[attr-defined]
     return found
+
+
+def _gap(scene: Scene) -> float:
+    """Distance, world units, up to which shapes touch: where scales are mixed, of the smallest of them."""
+    return float(scene.steps.behind.min(initial=np.inf))
 
 
 def describe(scene: Scene, shapes: frozenset[int]) -> str:
@@ -106,7 +110,7 @@ def warn(scene: Scene, tangents: np.ndarray) -> None:
     pairs = _crossed(scene, velocity, rest)
     neither = "the image has two one-sided derivatives there, and what is returned at the contact is neither of them"
     if len(pairs):
-        gap = CONTACT_EPSILONS * scene.ray_epsilon
+        gap = _gap(scene)
         warnings.warn(
             f"{_names(scene, pairs)} touch, and the tangent moves them apart or into each other: {neither}. Move them "
             f"together or along the contact, or leave a gap, or let one reach into the other, by more than {gap:.2g}",
@@ -161,7 +165,7 @@ def _touching(scene: Scene, corners: np.ndarray, shape: np.ndarray, tolerance: f
         wp.array(np.ascontiguousarray(corners), dtype=wp.vec3, device=device, ndim=2),
         wp.array(shape.astype(np.int32), dtype=wp.int32, device=device),
         tolerance,
-        ROUNDING_EPSILONS * scene.ray_epsilon,
+        scene.steps.scene or ROUNDING_EPSILONS * scene.ray_epsilon,
         STEEPEST,
     ]
     room = 1024
@@ -216,7 +220,7 @@ def _on_rim(scene: Scene, corners: np.ndarray, faces: np.ndarray, x: np.ndarray)
     other = np.minimum(adjacency.first[:-1] + 1, len(of) - 1)
     ends = (adjacency.wedge > 0.0) | ((adjacency.count == 2) & (of[adjacency.first[:-1]] != of[other]))
     turns = (edges >= 0) & ends[edges]
-    tolerance = 2.0 * CONTACT_EPSILONS * scene.ray_epsilon
+    tolerance = 2.0 * _gap(scene)
     result = np.zeros(len(faces), bool)
     for k in range(3):
         a, b = corners[:, (k + 1) % 3], corners[:, (k + 2) % 3]

@@ -15,6 +15,7 @@ from warp_psdr.kernels import structs
 from warp_psdr.kernels.invalid import COUNTER_SIZE
 from warp_psdr.kernels.shape.normals import normalize_sums, sum_normals
 from warp_psdr.kernels.shape.transform import pose_shape
+from warp_psdr.kernels.step import RAY_EPSILON
 from warp_psdr.kernels.surface import update_triangles
 from warp_psdr.scene.build import Builder
 from warp_psdr.scene.layout import (
@@ -29,6 +30,7 @@ from warp_psdr.scene.layout import (
 )
 from warp_psdr.scene.lights import Lights
 from warp_psdr.scene.origin import COLLAPSING
+from warp_psdr.scene.steps import Steps, find_steps
 from warp_psdr.scene.world import World
 
 if TYPE_CHECKING:
@@ -36,8 +38,6 @@ if TYPE_CHECKING:
 
     from warp_psdr.scene.description import SceneDescription
 
-#: A ray's origin leaves its surface by this fraction of the largest coordinate: some 80 float32 steps there.
-RAY_EPSILON = 1.0e-5
 #: Shapes below this many ray epsilons are noted: derivatives of silhouettes are off by 5 % at 35 of them, by 0.1 % at
 #: 350 (``tests/stability/test_scale.py``).
 SPECK = 100.0
@@ -79,6 +79,7 @@ class Scene:
         self.origin = description.origin
         self._world = World(self.values, self.origin)
         self._left = False
+        self.steps: Steps
         self.indices = wp.array(builder.indices.reshape(-1), dtype=wp.int32, device=self.device)
         self.face_count = len(builder.indices)
         self.vertex_count = builder.vertex_count
@@ -166,6 +167,7 @@ class Scene:
         s.env_marginal = self.lights.env_marginal
         s.env_conditional = self.lights.env_conditional
         s.ray_epsilon = self.ray_epsilon
+        s.least_step = self.steps.scene
         s.contact_radius = self.contact_radius
         s.invalid = self._uncounted  # for launches outside of ``invalid.counting``
         return s
@@ -290,17 +292,28 @@ class Scene:
         spans = [(s.first_vertex, s.first_vertex + s.vertex_count) for s in self.builder.shapes if s.vertex_count]
         sizes = [float(np.linalg.norm(np.ptp(points[first:end].astype(np.float64), axis=0))) for first, end in spans]
         self.contact_radius = CONTACT_RADIUS * 0.5 * min((s for s in sizes if s > 0.0), default=0.0)
+        self._update_steps(points)
+
+    def _update_steps(self, points: np.ndarray) -> None:
+        spans = [(s.first_vertex, s.vertex_count, s.first_face) for s in self.builder.shapes]
+        self.steps = find_steps(points, self.builder.indices, spans, self.ray_epsilon)
+        steps = [float(step) for step in self.steps.shapes.astype(np.float32)]
+        if steps != [s.edge_step for s in self.builder.shapes]:
+            for record, step in zip(self.builder.shapes, steps, strict=True):
+                record.edge_step = step
+            self._shapes = struct_array(structs.Shape, self.builder.shapes, self.device)
 
     def _note_specks(self) -> None:
         """Tell of shapes that are small for the steps by which rays leave surfaces."""
         points = self.points
-        for shape, s in zip(self.description.shapes, self.builder.shapes, strict=True):
+        for number, (shape, s) in enumerate(zip(self.description.shapes, self.builder.shapes, strict=True)):
             size = float(np.linalg.norm(np.ptp(points[s.first_vertex : s.first_vertex + s.vertex_count], axis=0)))
-            if size < SPECK * self.ray_epsilon:
+            if self.steps.scene and size < SPECK * self.steps.behind[number]:
                 self.description.notes.append(
-                    f"'{shape.path}' is too small for its world: rays leave surfaces by {self.ray_epsilon / size:.1g} "
-                    "of its size, and its shadows and the derivatives of its silhouettes are wrong by as much or more; "
-                    "render it in a scene without what is far away or vast"
+                    f"'{shape.path}' is too small for what it touches, or for its place: rays pass its edges at "
+                    f"{self.steps.behind[number] / size:.1g} of its size, and the derivatives of its silhouettes and "
+                    "shadows are wrong by as much or more; cut what is vast into small triangles near it, or render it "
+                    "in a scene without what is far away"
                 )
 
     def derived_normals(self, names: list[str]) -> list[int]:
