@@ -64,7 +64,7 @@ class Incident:
     """
 
     first: wp.int32  # vertices of the shortest sub-path; 0: nothing has been traced
-    cut: wp.int32
+    cut: wp.int32  # NEVER: at no length, whatever path had been drawn
     total: wp.vec3
     rows: ROWS
 
@@ -115,8 +115,12 @@ def difference(a: Incident, b: Incident) -> Incident:
 
 @wp.func
 def covers(incident: Incident, k: wp.int32) -> wp.bool:
-    """Whether ``arriving`` is known for k vertices."""
-    return incident.first > 0 and k - incident.first < wp.max(incident.cut, ROW_COUNT)
+    """Whether ``arriving`` is known for k vertices, and may be used.
+
+    How many lengths a path serves must not depend on how it ended: if dark ones served more, what is left for new paths
+    would not make up for it. So all serve ``ROW_COUNT``, or all that there are.
+    """
+    return incident.first > 0 and (incident.cut == NEVER or k - incident.first < ROW_COUNT)
 
 
 @wp.struct

@@ -17,6 +17,7 @@ import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.boundary.detector import (
+    ROW_COUNT,
     Incident,
     Walk,
     alike,
@@ -26,6 +27,7 @@ from warp_psdr.kernels.boundary.detector import (
     make_incident,
     make_walk,
 )
+from warp_psdr.kernels.boundary.direction import SAME_POINT
 from warp_psdr.kernels.boundary.projection import make_splat
 from warp_psdr.kernels.camera import make_camera_sink, make_lens
 from warp_psdr.kernels.constants import FAR
@@ -90,8 +92,13 @@ def make_source(config: PathConfig, emission: bool = False):
             if wp.max(s.radiance) > 0.0 and k >= rr_depth:
                 # L_2 = E_2 + (L_2 - E_2): the second part by roulette.
                 if sample_1d(sampler, SLOT_BEHIND_LIGHT) >= BEHIND_LIGHT:
-                    return alike(s.radiance, k)
-                r = incident(scene, sampler, s.source, s.w, FAR, k, max_depth, rr_depth)
+                    ended = alike(s.radiance, k)
+                    ended.cut = ROW_COUNT
+                    return ended
+                # From just in front of x_2: a ray from x_b, which is moved off the edge, misses a small light.
+                tri = scene.triangles[s.face2]
+                x_2 = (1.0 - s.u2 - s.v2) * tri.p0 + s.u2 * tri.p1 + s.v2 * tri.p2
+                r = incident(scene, sampler, x_2 - (SAME_POINT * s.t2) * s.w, s.w, FAR, k, max_depth, rr_depth)
                 return amplified(r, s.radiance, wp.static(1.0 / BEHIND_LIGHT))
         return incident(scene, sampler, s.source, s.w, FAR, k, max_depth, rr_depth)
 
