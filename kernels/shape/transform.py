@@ -30,7 +30,9 @@ def transform_normal(m: wp.mat44, n: wp.vec3) -> wp.vec3:
     c0 = wp.cross(r1, r2)
     c1 = wp.cross(r2, r0)
     c2 = wp.cross(r0, r1)
-    return wp.normalize(wp.vec3(wp.dot(c0, n), wp.dot(c1, n), wp.dot(c2, n)) / wp.dot(r0, c0))
+    # Of the determinant only the sign counts: dividing by it fails where a pose has no volume.
+    turn = wp.where(wp.dot(r0, c0) < 0.0, -1.0, 1.0)
+    return turn * wp.normalize(wp.vec3(wp.dot(c0, n), wp.dot(c1, n), wp.dot(c2, n)))
 
 
 @differentiable
