@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import pytest
 
-from .record import Case, Row, details, measured, require, summary
+from .record import Case, Row, details, loose, measured, require, summary
 
 #: Under which name a test's report carries its row; reports travel from the workers of a parallel run.
 PROPERTY = "stability"
@@ -31,3 +31,5 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
         terminalreporter.section("stability")
         for line in (details if verbose else summary)(rows):
             terminalreporter.write_line(line)
+        for name in loose(rows):
+            terminalreporter.write_line(f"holds with half of its bound too: {name}")

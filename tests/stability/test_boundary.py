@@ -197,13 +197,14 @@ def corridor(bounces: int) -> dict:
 
 
 #: Roughness of the floor, and the noise allowed: below 1e-2 that of the interior term, of the order of 1 / alpha.
-ALPHAS = ((1e-4, math.inf), (1e-3, math.inf), (1e-2, 0.2), (1e-1, 0.08), (1.0, 0.05))
+ALPHAS = ((1e-4, math.inf), (1e-3, math.inf), (1e-2, 0.25), (1e-1, 0.1), (1.0, 0.06))
 UP = np.array([0.0, 0.0, 1.0])
 SHARE = " (|z| over its limit)"
 
 
 def case(name: str, measure: Callable[[], float], hard: str, naive: str, *, slow: bool = True) -> Case:
-    return Case(family="boundary", name=name + SHARE, bound=1.0, measure=measure, hard=hard, naive=naive, slow=slow)
+    options = {"measure": measure, "hard": hard, "naive": naive, "slow": slow}
+    return Case(family="boundary", name=name + SHARE, bound=1.0, quantile=True, **options)
 
 
 CASES = [
@@ -236,7 +237,7 @@ CASES = [
     ),
     case(
         "roughness 1e-4 .. 1 of the floor",
-        lambda: over(ALPHAS, lambda row: compared(floor(metal(row[0])), spp=128, noise=row[1])),
+        lambda: over(ALPHAS, lambda row: compared(floor(metal(row[0])), spp=256, noise=row[1])),
         hard="shadow edges are seen through a lobe as narrow as alpha", naive="not finite, or not there",
     ),
     case(

@@ -154,10 +154,32 @@ CASES = (
         naive="the same",
     ),
     Case(
+        family="coverage", name="needles of width 3e-5", bound=2.5e-2, measure=off([needle(3e-5)]),
+        hard="as before", naive="the same",
+    ),
+    Case(
+        family="coverage", name="needles of width 1e-5", bound=0.2, measure=off([needle(1e-5)]),
+        hard="as before", naive="the same",
+    ),
+    Case(
+        family="coverage", name="needles of width 3e-6 and 1e-6: not seen", bound=1.0,
+        measure=off([needle(3e-6), needle(1e-6)]),
+        hard="as before; their images are 1e-6 of the film", naive="the same",
+    ),
+    Case(
         family="coverage", name="silhouettes at grazing angles, 4e-2 .. 4e-4", bound=6e-5,
         measure=off([grazing(a) for a in (1e-1, 1e-2, 1e-3)]),
         hard="the surface behind an edge leaves the line of sight slowly; below 1e-4 it is taken for edge-on",
         naive="the same",
+    ),
+    Case(
+        family="coverage", name="silhouettes at an angle of 1e-4", bound=6e-4, measure=off([grazing(2.5e-4)]),
+        hard="as before", naive="the same",
+    ),
+    Case(
+        family="coverage", name="silhouettes at angles of 4e-5 .. 4e-7: taken for edge-on", bound=1.0,
+        measure=off([grazing(a) for a in (1e-4, 1e-5, 1e-6)]),
+        hard="as before; their images are 1e-5 of the film, and less", naive="the same",
     ),
     Case(
         family="coverage", name="an edge end-on, 1e-1 .. 1e-2 aside", bound=1.2e-4,

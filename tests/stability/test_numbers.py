@@ -248,6 +248,7 @@ CASES = [
         hard="long paths ask for more dimensions than there are, and indices reach 2^32",
         naive="dimensions repeat, so that numbers of one path are correlated",
         bound=1.0,
+        quantile=True,
         measure=beyond_the_dimensions,
     ),
     Case(
