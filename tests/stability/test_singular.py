@@ -16,6 +16,7 @@ from warp_psdr.kernels.camera import camera_dot, lens_dot, parallel_dot
 from warp_psdr.kernels.emitter.directional import directional_dot
 from warp_psdr.kernels.emitter.point import point_dot
 from warp_psdr.kernels.emitter.spot import spot_dot
+from warp_psdr.kernels.fresnel import fresnel_conductor
 from warp_psdr.kernels.interior.pullback import tangent_frame_dot
 from warp_psdr.kernels.shape.normals import normalized_dot, weighted_normal_dot
 from warp_psdr.kernels.shape.transform import normal_dot
@@ -132,6 +133,13 @@ def launched(kernel: wp.Kernel, *columns: np.ndarray) -> np.ndarray:
     return out.numpy()
 
 
+@wp.kernel(module="unique", enable_backward=False)
+def metals(at: wp.array(dtype=wp.vec3), out: wp.array(dtype=wp.float32)):
+    i = wp.tid()
+    by_cosine, by_eta, by_k = wp.grad(fresnel_conductor)(at[i][0], at[i][1], at[i][2])
+    out[i] = fresnel_conductor(at[i][0], at[i][1], at[i][2]) + wp.abs(by_cosine) + wp.abs(by_eta) + wp.abs(by_k)
+
+
 #: Triangles without an area: a point, a side, corners in line; and such that are nearly so.
 FLAT = [
     [[0, 0, 0], [0, 0, 0], [0, 0, 0]], [[0, 0, 0], [1, 0, 0], [1, 0, 0]], [[0, 0, 0], [0, 0, 0], [1, 0, 0]],
@@ -142,6 +150,8 @@ SINGULAR = [np.zeros((4, 4)), np.diag([1.0, 1.0, 0.0, 1.0]), np.diag([1.0, 0.0, 
 #: Axes of a light above, towards what is lit, away from it, and none; cutoff and beam, degrees.
 AXES = [[0, 0, -1], [0, 0, 1], [0, 0, 0], [0, 0, -1], [1, 0, 0], [0, 0, -1e-6]]
 ANGLES = [[20, 10], [20, 10], [20, 10], [20, 20], [90, 90], [1e-6, 0]]
+#: Cosine, and complex index eta + i k.
+INDICES = [[1, 0, 0], [1, 1e-20, 0], [1, 0, 1e-20], [1e-20, 1, 0], [0.8, 0.6, 0], [0.6, 0.8, 0], [1, 1, 0]]
 #: Surface tangents along the normal (0, 0.6, 0.8), nearly so, and none.
 ALONG = [[0, 0, 0], [0, 0.6, 0.8], [0, -3.0, -4.0], [1e-9, 0.6, 0.8]]
 
@@ -162,6 +172,8 @@ CASES = [
          "the inverse of a singular matrix; determinants beyond float32", "0 / 0; normals are NaN already"),
     case("lights seen along their axis", lambda: finite(lights, np.array(AXES), np.array(ANGLES)),
          "the angle to the axis has a kink at 0, falloff none of a width", "acos of 1: an infinite derivative"),
+    case("metals without indices, or at the critical angle", lambda: finite(metals, np.array(INDICES)),
+         "the root of a complex number that is 0", "a root's derivative at 0; 0 / 0"),
     case("tangents along the normal", lambda: finite(frames, np.array(ALONG)),
          "no part of the tangent lies in the surface", "0 / 0"),
 ]  # fmt: skip
