@@ -8,9 +8,10 @@ then say what a batch of every term really costs, C_k, and how it varies, U_k. T
 n_k batches has error^2 * time = (sum U_k / n_k) (sum n_k C_k), and the root of that is its error at equal time. *Fixed
 splits* are all ratios of samples by powers of two from 1/64 to 64, without tiles. The *equal split* is
 ``render_backward(spp=n)``: as many samples a pixel of all terms, run and timed as it is. "Without tiles" tells what the
-split over terms alone does. Adjoints are smooth over the whole image ("waves"), and those with which a fit starts
-("loss": the difference to an image of the scene with what moves a twentieth of its radius away). The last columns spend
-the same time both ways: the scatter of runs of the equal split and of ``render_backward(..., time_budget=...)``.
+split over terms alone does, "equal split / best fixed split" what any could. Adjoints are smooth over the whole image
+("waves"), and those with which a fit starts ("loss": the difference to an image of the scene with what moves a
+twentieth of its radius away). The last columns spend the same time both ways: the scatter of runs of the equal split
+and of ``render_backward(..., time_budget=...)``.
 """
 
 import itertools
@@ -29,7 +30,7 @@ from warp_psdr.work_precision.tiles import from_exponents
 #: What the project asks: "equal-time error of the automatic split is never more than 5 % worse than the best fixed
 #: split in a sweep, and at least 1.5 times better than equal split on at least half of the scenes".
 WORSE, BETTER, SHARE = 1.05, 1.5, 0.5
-WORST, GAIN = "automatic / best fixed split", "equal split / automatic"
+WORST, GAIN, LIMIT = "automatic / best fixed split", "equal split / automatic", "equal split / best fixed split"
 CLOCKS = {"wall": time.perf_counter, "cpu": time.process_time}
 EXPONENTS = range(-6, 7)
 #: A term without variance gets this fraction of what another one gets.
@@ -93,6 +94,7 @@ def row_of(loaded: Loaded, *, pilot: float, batches: int, runs: int, seconds: fl
         f"{WORST}, without tiles": found / best,
         GAIN: equal / automatic,
         f"{GAIN}, without tiles": equal / found,
+        LIMIT: equal / best,
     }
     return row | (_spent(loaded, tiled, float(whole[0][0]) / each, runs, seconds) if runs else {})
 
@@ -152,7 +154,8 @@ def main() -> None:
         asked = f"{name}: never more than 5 % worse than the best fixed split"
         verdicts.append({"asked": asked, "measured": f"{worst:.3f} at worst", "holds": worst <= WORSE})
         asked = f"{name}: ≥ {BETTER}× better than equal split on at least half of the scenes"
-        verdicts.append({"asked": asked, "measured": on, "holds": better >= SHARE})
+        most = sum(row[LIMIT] >= BETTER for row in judged)
+        verdicts.append({"asked": asked, "measured": f"{on}; the best fixed split: {most}", "holds": better >= SHARE})
     report.table("equal-time error", verdicts)
 
 
