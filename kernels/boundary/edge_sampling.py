@@ -290,7 +290,7 @@ def make_edge_sampling_kernel(
                             dropped += speed
             k += 1
         if dropped != 0.0 or not finite(total):
-            count_invalid(scene, sampler)
+            count_invalid(scene, sampler_at(number, 0, seed))  # its number in the term
         elif wp.static(role == "forward"):
             wp.atomic_add(image_out, py, px, total)
 
