@@ -14,12 +14,11 @@ error over the steps) and ``report.json``.
 
 from __future__ import annotations
 
-import argparse
-import json
 import time
 from pathlib import Path
 
 import numpy as np
+import recovery
 import warp as wp
 
 import warp_psdr as psdr
@@ -117,24 +116,8 @@ def main(folder: Path = ROOT / "out" / "camera", *, resolution: int = 64, steps:
     images = [photograph, start, found, np.abs(start - photograph), np.abs(found - photograph)]
     titles = ["photograph", "start", "found", "start, difference", "found, difference"]
     plots.side_by_side(folder / "result.png", images, titles, columns=5)
-    angles, distances = np.array(history).T
-    curves = {"rotation, degrees": angles, "translation, hundredths of a unit": 100.0 * distances}
-    plots.loss_curve(folder / "error.png", curves, title="error of the pose", ylabel="degrees, or units / 100")
-    report = {
-        "rotation error, degrees: start, found": [round(float(angles[i]), 4) for i in (0, -1)],
-        "translation error, units: start, found": [round(float(distances[i]), 5) for i in (0, -1)],
-        "steps": steps,
-        "seconds": round(time.perf_counter() - began),
-    }
-    (folder / "report.json").write_text(json.dumps(report, indent=2) + "\n")
-    return report
+    return recovery.pose_report(folder, history, began)
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="fewer pixels, samples and steps")
-    quick = {"resolution": 32, "steps": 80} if parser.parse_args().quick else {}
-    with wp.ScopedLogLevel(wp.LOG_WARNING):  # no line per compiled kernel
-        for name, value in main(**quick).items():
-            print(f"{name}: {value}")
-    print(f"pictures in {ROOT / 'out' / 'camera'}")
+    recovery.run(main, __doc__, {"resolution": 32, "steps": 80}, "fewer pixels and steps")

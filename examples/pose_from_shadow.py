@@ -13,13 +13,12 @@ found), ``error.png`` (the pose's error over the steps) and ``report.json``.
 
 from __future__ import annotations
 
-import argparse
-import json
 import time
 from pathlib import Path
 
 import bunny_data
 import numpy as np
+import recovery
 import warp as wp
 from warp.optim import Adam
 
@@ -158,24 +157,8 @@ def main(folder: Path = ROOT / "out" / "shadow", *, width: int = 96, steps: int 
     captions = ("photograph", "start", "found")
     titles = [*captions, *(f"{caption}, from further back (not given)" for caption in captions)]
     plots.side_by_side(folder / "result.png", images, titles, columns=3)
-    angles, distances = np.array(history).T
-    curves = {"rotation, degrees": angles, "translation, hundredths of a unit": 100.0 * distances}
-    plots.loss_curve(folder / "error.png", curves, title="error of the pose", ylabel="degrees, or units / 100")
-    report = {
-        "rotation error, degrees: start, found": [round(float(angles[i]), 3) for i in (0, -1)],
-        "translation error, units: start, found": [round(float(distances[i]), 5) for i in (0, -1)],
-        "steps": steps,
-        "seconds": round(time.perf_counter() - began),
-    }
-    (folder / "report.json").write_text(json.dumps(report, indent=2) + "\n")
-    return report
+    return recovery.pose_report(folder, history, began)
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="fewer pixels, samples and steps")
-    quick = {"width": 48, "steps": 100, "spp": 8} if parser.parse_args().quick else {}
-    with wp.ScopedLogLevel(wp.LOG_WARNING):  # no line per compiled kernel
-        for name, value in main(**quick).items():
-            print(f"{name}: {value}")
-    print(f"pictures in {ROOT / 'out' / 'shadow'}")
+    recovery.run(main, __doc__, {"width": 48, "steps": 100, "spp": 8}, "fewer pixels, samples and steps")

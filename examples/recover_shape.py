@@ -15,7 +15,6 @@ edges, coloured by how hard they pull), ``density.png`` (how densely edges are s
 
 from __future__ import annotations
 
-import argparse
 import json
 import time
 from dataclasses import dataclass
@@ -23,6 +22,7 @@ from pathlib import Path
 
 import bunny_data
 import numpy as np
+import recovery
 import remesh
 import shape_pictures
 import trimesh
@@ -178,10 +178,4 @@ def main(
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="a rough shape, in less time")
-    quick = {"stages": QUICK, "width": 32} if parser.parse_args().quick else {}
-    with wp.ScopedLogLevel(wp.LOG_WARNING):  # no line per compiled kernel
-        for name, value in main(**quick).items():
-            print(f"{name}: {value}")
-    print(f"pictures in {ROOT / 'out' / 'shape'}")
+    recovery.run(main, __doc__, {"stages": QUICK, "width": 32}, "a rough shape, in less time")

@@ -1,0 +1,58 @@
+"""What the examples that recover a shape or a pose share: their command line and the report they leave."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import warp as wp
+
+from warp_psdr import plots
+
+
+def run(
+    main: Callable[..., dict], description: str, quick: dict, what: str = "fewer pixels, samples and steps"
+) -> None:
+    """Run an example from the command line and print its report.
+
+    Args:
+        main: the example; (folder, options) -> report.
+        description: the docstring of its file.
+        quick: its options under ``--quick``.
+        what: what these do, in words.
+    """
+    parser = argparse.ArgumentParser(description=description.splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help=what)
+    options = quick if parser.parse_args().quick else {}
+    with wp.ScopedLogLevel(wp.LOG_WARNING):  # no line per compiled kernel
+        for name, value in main(**options).items():
+            print(f"{name}: {value}")
+    print(f"pictures in {main.__defaults__[0]}")
+
+
+def pose_report(folder: Path, history: list[tuple[float, float]], began: float) -> dict:
+    """Draw the errors of a pose over the steps and write the report.
+
+    Args:
+        folder: gets ``error.png`` and ``report.json``.
+        history: (angle in degrees, distance in world units), at the start and after each step.
+        began: ``time.perf_counter()`` of the beginning.
+
+    Returns:
+        The report.
+    """
+    angles, distances = np.array(history).T
+    curves = {"rotation, degrees": angles, "translation, hundredths of a unit": 100.0 * distances}
+    plots.loss_curve(folder / "error.png", curves, title="error of the pose", ylabel="degrees, or units / 100")
+    report = {
+        "rotation error, degrees: start, found": [round(float(angles[i]), 4) for i in (0, -1)],
+        "translation error, units: start, found": [round(float(distances[i]), 5) for i in (0, -1)],
+        "steps": len(history) - 1,
+        "seconds": round(time.perf_counter() - began),
+    }
+    (folder / "report.json").write_text(json.dumps(report, indent=2) + "\n")
+    return report
