@@ -86,6 +86,7 @@ class PathState:
     throughput: wp.vec3
     pdf: wp.float32  # solid angle, of d; 0: no next-event estimate could have found what d hits
     eta: wp.float32  # product of relative refractive indices
+    met: wp.int32  # more than 0: the path has met a shape that matters
 
 
 @wp.func
@@ -229,10 +230,11 @@ def make_light_sampler(config: PathConfig):
 
 
 @functools.cache
-def make_path_step(config: PathConfig, differential: bool):
+def make_path_step(config: PathConfig, differential: bool, sparse: bool = False):
     """Return ``path_step(scene, sampler, state, max_depth, rr_depth) -> (PathVertex, PathState)``.
 
-    ``differential``: keep going where a factor is exactly zero, since its derivative may not be.
+    ``differential``: keep going where a factor is exactly zero, since its derivative may not be. ``sparse``: leave out
+    next-event estimates before the path meets a shape that matters (``interior/replay.py``).
     """
     closest_hit, any_hit = make_intersect(config.ray_backend, config.ray_width)
     surface_at = make_surface(config.smooth, config.flat, config.uv, config.tangent)
@@ -301,8 +303,12 @@ def make_path_step(config: PathConfig, differential: bool):
             away = leaving_step(scene, hit.face)
 
             # Next-event estimation.
+            wanted = wp.bool(True)
+            if wp.static(sparse):
+                after.met = state.met + scene.matters[surface.shape]
+                wanted = after.met > 0
             if wp.static(has_lights):
-                if not bsdf.is_delta(b.model):
+                if wanted and not bsdf.is_delta(b.model):
                     u4 = sample_4d(sampler, 1 + SLOTS_PER_VERTEX * state.depth)
                     ls, index, probability = sample_light(scene, surface.x, u4)
                     if not ls.pdf <= 0.0:

@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
 
+import numpy as np
 import warp as wp
 
 from warp_psdr import workers
@@ -141,6 +142,7 @@ def interior_backward(
             spp=samples,
             progress=reported,
             listed=pixels,
+            matters=_mask(scene, plan.shapes),
         )
         sums.collect()
 
@@ -181,6 +183,15 @@ def _gradient_kernel(plan: Plan, role: str) -> wp.Kernel:
     return make_replay_kernel(plan.config, plan.wanted, plan.block, plan.blocks)
 
 
+def _mask(scene: Scene, shapes: frozenset[int] | None) -> wp.array:
+    """Return 1 for these shapes (None: for all), 0 for the others."""
+    mask = np.ones(max(len(scene.builder.shapes), 1), np.int32)
+    if shapes is not None:
+        mask[:] = 0
+        mask[sorted(shapes)] = 1
+    return wp.array(mask, dtype=wp.int32, device=scene.device)
+
+
 def _depth(plan: Plan) -> int:
     """Depth limit of a differential pass: its records have to hold the path."""
     if plan.block == 0 or plan.max_depth > 0:
@@ -212,13 +223,16 @@ def _launch(
     margin: int = 0,
     progress: Progress | None = None,
     listed: wp.array | None = None,
+    matters: wp.array | None = None,
 ) -> None:
     """Run a kernel over a raster (width, height): in one launch on CUDA, in lanes on worker threads on the CPU.
 
     ``kind``, ``spp`` and ``margin``: what its samples are, a pixel, and by how much the raster exceeds the image.
-    ``listed``: numbers of its pixels, instead of all of them.
+    ``listed``: numbers of its pixels, instead of all of them. ``matters``: a mask of shapes.
     """
     data = scene.data()
+    if matters is not None:
+        data.matters = matters
     order = listed
     if order is None:
         order = wp.array(workers.pixel_order(*raster), dtype=wp.int32, device=scene.device)

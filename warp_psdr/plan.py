@@ -66,6 +66,8 @@ TEXTURE_NAMES = {
     c.TEXTURE_VERTEX: "vertex attribute",
     c.TEXTURE_FACE: "face attribute",
 }
+#: Shapes that a line of the plan names.
+NAMED = 3
 #: Blocks of a path without depth limit. With K = 8 it is cut after 512 vertices; since Russian roulette survives with
 #: probability 0.95 at most, fewer than one path in 10^11 is that long.
 UNBOUNDED_BLOCKS = 64
@@ -85,6 +87,7 @@ class Plan:
         discontinuities: why the requested parameters move discontinuities; empty: they do not.
         lines: (item, decision, reason).
         boundary: method of the boundary term; None: there is none, or it was left out on purpose.
+        shapes: numbers of the shapes that all that is requested belongs to; None: to lights too, or to the camera.
     """
 
     config: PathConfig
@@ -96,6 +99,7 @@ class Plan:
     discontinuities: tuple[str, ...]
     lines: tuple[tuple[str, str, str], ...]
     boundary: Method | None = None
+    shapes: frozenset[int] | None = None
 
     def __str__(self) -> str:
         """Return a table."""
@@ -179,7 +183,14 @@ def decide(
                         "no edge can be connected to the camera",
                     )
                 )
-    return Plan(config, wanted, integrator.max_depth, integrator.rr_depth, block, blocks, moving, tuple(lines), term)
+    shapes = _shapes(scene, names)
+    if block and shapes is not None:
+        met = ", ".join(scene.description.shapes[i].path for i in sorted(shapes)[:NAMED])
+        met += f" and {len(shapes) - NAMED} more" if len(shapes) > NAMED else ""
+        lines.append(("swept", "paths that meet what is requested", met))
+    return Plan(
+        config, wanted, integrator.max_depth, integrator.rr_depth, block, blocks, moving, tuple(lines), term, shapes
+    )
 
 
 def _named(params: Parameters | None, names: list[str] | None) -> list[str]:
@@ -279,6 +290,29 @@ def _wanted(scene: Scene, config: PathConfig, names: list[str], lines: list) -> 
     )
     lines.append(("moving vertices", "yes" if wanted.geometry else "no", geometry))
     return wanted
+
+
+def _shapes(scene: Scene, names: list[str]) -> frozenset[int] | None:
+    """Return the shapes, none of them a light, on which alone the named parameters act; None: on more than that."""
+    found: set[int] = set()
+    for name in names:
+        parameter = scene.parameters[name]
+        if parameter.uses <= {POSITIONS, NORMALS, TEXCOORDS, SHAPE_POSE}:
+            found.add(parameter.owner)
+        elif parameter.uses <= {MATERIAL + s for s in SLOTS}:
+            users = [
+                i
+                for i, shape in enumerate(scene.description.shapes)
+                for bsdf in (shape.bsdf, shape.bsdf.back)
+                if bsdf is not None and any(t.parameter == name for t in bsdf.textures.values())
+            ]
+            if not users:  # an attribute of a mesh
+                return None
+            found.update(users)
+        else:
+            return None
+    lights = any(scene.description.shapes[i].emitter is not None for i in found)
+    return frozenset(found) if names and not lights else None
 
 
 def _bending(scene: Scene, names: list[str]) -> list[str]:

@@ -22,6 +22,11 @@ Paths of more than K vertices are traced once with the state at every K-th verte
 from the last to the first, each from its own state and the same random numbers: 2 traces at most, so time is linear
 in depth; memory is K records and one state a block, whatever the depth and the number of samples.
 
+Where all that is differentiated belongs to some shapes, none of them a light, a path that meets none of them has no
+derivative, since every factor depends on its own vertices alone: it is not swept. A path that does is traced without
+next-event estimates up to there: D_n is differentiated, or scaled by a differentiated beta_m, m <= n, only from the
+first such vertex on.
+
 This is reverse mode. Forward mode, whose derivative has three components a pixel, would sweep three times; it travels
 with the path instead (``forward.py``), through the same local factors.
 """
@@ -49,7 +54,7 @@ def make_replay_kernel(config: PathConfig, wanted: Wanted, block: int, blocks: i
         block: K, the number of vertices kept at a time.
         blocks: the most blocks that a path can have; 1 compiles the replay out.
     """
-    path_step = make_path_step(config, True)
+    path_step = make_path_step(config, True, True)
     start = make_camera_start(config)
     _camera_ray, camera_origin = make_camera_ray(config.camera)
     sweep, finish, _finish_vertex = make_sweep(config, wanted, "reverse")
@@ -86,6 +91,8 @@ def make_replay_kernel(config: PathConfig, wanted: Wanted, block: int, blocks: i
             state, sample = start(scene, camera, px, py, sampler)
             origin = camera_origin(scene, camera, sample)
             count = wp.int32(0)
+            met = wp.int32(0)
+            radiance = wp.vec3(0.0, 0.0, 0.0)
             while state.alive == 1:
                 if wp.static(blocks > 1):
                     if count % wp.static(block) == 0:
@@ -95,6 +102,13 @@ def make_replay_kernel(config: PathConfig, wanted: Wanted, block: int, blocks: i
                     vertex.o = origin
                 record[count % wp.static(block)] = vertex
                 count += 1
+                radiance += wp.cw_mul(vertex.throughput, vertex.direct)
+                if vertex.face >= 0:
+                    met += scene.matters[scene.triangles[vertex.face].shape]
+            if met == 0:
+                if not finite(radiance):
+                    count_invalid(scene, sampler)
+                continue
             loaded = (count - 1) // wp.static(block)
             carry = Carry()
             carry.face = -2
@@ -112,8 +126,7 @@ def make_replay_kernel(config: PathConfig, wanted: Wanted, block: int, blocks: i
                                 record[j] = vertex
                 carry = sweep(scene, target, record[n % wp.static(block)], delta, carry)
                 n -= 1
-            radiance = carry.radiance
-            if finish(scene, target, camera, sample, carry) != 0.0 or not finite(radiance):
+            if finish(scene, target, camera, sample, carry) != 0.0 or not finite(carry.radiance):
                 count_invalid(scene, sampler)
 
     return replay

@@ -74,6 +74,7 @@ class Scene:
         self.builder = builder
         self.invalid = Ledger()
         self._uncounted = wp.zeros(COUNTER_SIZE, dtype=wp.int64, device=self.device)
+        self._unmarked = wp.zeros(1, dtype=wp.int32, device=self.device)
         self.parameters: dict[str, Parameter] = builder.layout.parameters
         self.values = wp.array(builder.layout.values(), dtype=wp.float32, device=self.device)
         self.origin = description.origin
@@ -169,6 +170,7 @@ class Scene:
         s.ray_epsilon = self.ray_epsilon
         s.least_step = self.steps.scene
         s.contact_radius = self.contact_radius
+        s.matters = self._unmarked  # the interior term marks shapes
         s.invalid = self._uncounted  # for launches outside of ``invalid.counting``
         return s
 
