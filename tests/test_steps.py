@@ -41,6 +41,16 @@ def test_steps_follow_an_edit() -> None:
     assert scene.steps.scene == 0.0 and scene.data().least_step == 0.0
 
 
+def test_mirrors_take_one_step_for_all_and_say_so() -> None:
+    def notes(material: dict) -> list[str]:
+        scene = world(1e5)
+        scene["floor"] |= {"bsdf": material}
+        return [note for note in psdr.load_dict(scene).description.notes if "mirrors" in note]
+
+    assert any("'box'" in note for note in notes({"type": "conductor", "material": "none"}))
+    assert not notes({"type": "diffuse"})
+
+
 @pytest.mark.parametrize("backend", ["wide", "warp"])
 def test_rays_that_leave_a_triangle_do_not_meet_it_again(backend: str) -> None:
     rng = np.random.default_rng(0)

@@ -12,6 +12,7 @@ from warp_psdr.acceleration import Accelerator
 from warp_psdr.device import launch
 from warp_psdr.invalid import Ledger
 from warp_psdr.kernels import structs
+from warp_psdr.kernels.constants import DELTA_MODELS
 from warp_psdr.kernels.invalid import COUNTER_SIZE
 from warp_psdr.kernels.shape.normals import normalize_sums, sum_normals
 from warp_psdr.kernels.shape.transform import pose_shape
@@ -308,6 +309,7 @@ class Scene:
     def _note_specks(self) -> None:
         """Tell of shapes that are small for the steps by which rays leave surfaces."""
         points = self.points
+        mirrors = any(record.model in DELTA_MODELS for record in self.builder.bsdfs)
         for number, (shape, s) in enumerate(zip(self.description.shapes, self.builder.shapes, strict=True)):
             size = float(np.linalg.norm(np.ptp(points[s.first_vertex : s.first_vertex + s.vertex_count], axis=0)))
             if self.steps.scene and size < SPECK * self.steps.behind[number]:
@@ -316,6 +318,12 @@ class Scene:
                     f"{self.steps.behind[number] / size:.1g} of its size, and the derivatives of its silhouettes and "
                     "shadows are wrong by as much or more; cut what is vast into small triangles near it, or render it "
                     "in a scene without what is far away"
+                )
+            elif mirrors and self.steps.scene and size < SPECK * self.ray_epsilon:
+                self.description.notes.append(
+                    f"'{shape.path}' is small for its world, and one step serves all that is seen through mirrors and "
+                    f"glass: boundary gradients pass its edges at {self.ray_epsilon / size:.1g} of its size there; "
+                    "render it in a scene without what is far away or vast"
                 )
 
     def derived_normals(self, names: list[str]) -> list[int]:
