@@ -154,9 +154,8 @@ class Scene:
     ray_epsilon: wp.float32  # distance by which a ray's origin is moved off its surface, world units
     least_step: wp.float32  # the least at edges, see ``step.py``; 0: ``ray_epsilon`` serves all surfaces and edges
     contact_radius: wp.float32  # connections shorter than it: see ``interior/contact.py``, world units
-    matters: wp.array(
-        dtype=wp.int32
-    )  # 1 for the shapes that what is differentiated belongs to (``interior/replay.py``)
+    #: 1: what is differentiated belongs to this shape; the last one: to something else too (``interior/replay.py``).
+    matters: wp.array(dtype=wp.int32)
     invalid: wp.array(dtype=wp.int64)  # counter of this launch and lane, see ``invalid.py``
 
 

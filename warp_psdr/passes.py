@@ -184,11 +184,9 @@ def _gradient_kernel(plan: Plan, role: str) -> wp.Kernel:
 
 
 def _mask(scene: Scene, shapes: frozenset[int] | None) -> wp.array:
-    """Return 1 for these shapes (None: for all), 0 for the others."""
-    mask = np.ones(max(len(scene.builder.shapes), 1), np.int32)
-    if shapes is not None:
-        mask[:] = 0
-        mask[sorted(shapes)] = 1
+    """Return ``structs.Scene.matters``: 1 for these shapes, 0 for the others and behind them; None: 1 for all."""
+    mask = np.full(len(scene.builder.shapes) + 1, shapes is None, np.int32)
+    mask[sorted(shapes or ())] = 1
     return wp.array(mask, dtype=wp.int32, device=scene.device)
 
 

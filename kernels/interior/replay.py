@@ -91,7 +91,8 @@ def make_replay_kernel(config: PathConfig, wanted: Wanted, block: int, blocks: i
             state, sample = start(scene, camera, px, py, sampler)
             origin = camera_origin(scene, camera, sample)
             count = wp.int32(0)
-            met = wp.int32(0)
+            met = scene.matters[scene.matters.shape[0] - 1]
+            state.met = met
             radiance = wp.vec3(0.0, 0.0, 0.0)
             while state.alive == 1:
                 if wp.static(blocks > 1):

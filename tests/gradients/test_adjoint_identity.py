@@ -113,3 +113,20 @@ def test_forward_and_reverse_mode_are_adjoint(name):
             assert not image.any()
     # Texture coordinates of shapes without a bitmap do not reach the image; everything else has to.
     assert not [n for n in silent if not n.endswith("vertex_texcoords")], silent
+
+
+@pytest.mark.parametrize("parameter", ["vertex_positions", "reflectance.data"])
+@pytest.mark.parametrize("name", [n for n in ROOMS if n not in SLOW])
+def test_what_is_not_traced_for_one_shape_does_not_matter(name, parameter):
+    """A gradient that one shape alone needs leaves out light that the shape cannot turn: it equals the whole one's."""
+    _scene, _params, w, grads = gradients(name)
+    scene = psdr.load_dict(ROOMS[name]())
+    params = psdr.traverse(scene)
+    one = next(n for n in params if n.endswith(parameter) and not n.startswith("light"))
+    params.requires_grad(one)
+    plan = psdr.plan(scene, params, integrator=INTEGRATOR)
+    assert plan.shapes is not None and len(plan.shapes) == 1
+    psdr.render_backward(scene, params, w, integrator=INTEGRATOR, spp=SPP)
+    gradient = params[one].grad.numpy()
+    assert gradient.any()
+    assert np.linalg.norm(gradient - grads[one]) <= ROUNDING * np.linalg.norm(grads[one])
