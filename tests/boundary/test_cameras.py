@@ -96,7 +96,7 @@ CASES = [
     Case("lens mirror", POSE, turned(2), 0.003, "camera turns", spp=1024, difference_spp=8192),
     Case("lens mirror", FOCUS, np.ones_like, 0.2, "focus moves", spp=4096, difference_spp=32768),
     Case("parallel glass", GLASSES, turned(2), 0.004, "slab turns", depth=4, spp=1024, difference_spp=8192),
-    Case("lens glass", GLASSES, turned(2), 0.01, "slab turns", depth=4, spp=1024, difference_spp=8192),
+    Case("lens glass", GLASSES, turned(2), 0.01, "slab turns", depth=4, spp=4096, difference_spp=32768),
     Case("lens glass", ETA, np.ones_like, 0.02, "index changes", depth=4, spp=1024, difference_spp=8192),
     Case("parallel room", BOX, ACROSS, 0.005, "a box moves", depth=3, spp=1024, difference_spp=4096),
     Case("lens room", BOX, ACROSS, 0.005, "a box moves", depth=3, spp=2048, difference_spp=4096),

@@ -223,7 +223,7 @@ ROUGH = [
     Case("brushed", "floor.bsdf.eta.value", mixed, 2e-2, depth=2),
     Case("brushed", "floor.bsdf.k.value", mixed, 2e-2, depth=2),
     Case("brushed", "floor.bsdf.specular_reflectance.value", mixed, 2e-2, depth=2),
-    Case("brushed", "floor.vertex_texcoords", mixed, 4e-2, "tangents turn", depth=2, spp=4096, slow=True),
+    Case("brushed", "floor.vertex_texcoords", mixed, 2e-2, "tangents turn", depth=2, spp=16384, slow=True),
     Case("brushed", "floor.vertex_positions", bend, 4e-2, "bend", depth=2, spp=6144, slow=True),
     Case("brushed ggx", "floor.bsdf.alpha_u.value", ones, 2e-2, depth=2, spp=512, slow=True),
     Case("brushed ggx", "floor.bsdf.alpha_v.value", ones, 2e-2, depth=2, spp=512, slow=True),
