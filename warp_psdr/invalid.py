@@ -91,9 +91,9 @@ class Ledger:
 def invalid_samples(scene: Scene, *, reset: bool = False) -> dict[str, int]:
     """Return how many samples were not finite, and therefore dropped, by kind.
 
-    A sample of the interior term counts if its radiance, or any of its derivatives, is not finite; in reverse mode it
-    loses those derivatives, in forward mode all of it is dropped. One of a boundary term counts for each of its
-    contributions that is dropped.
+    A sample of the interior term counts if the radiance that it needs (``kernels/interior/replay.py``), or any of its
+    derivatives, is not finite; in reverse mode it loses those derivatives, in forward mode all of it is dropped. One of
+    a boundary term counts for each of its contributions that is dropped.
 
     Args:
         scene: a loaded scene.

@@ -127,6 +127,7 @@ def interior_backward(
     lanes = sums.buffers.shape[0]
     share = workers.lane_share(count, lanes)  # few pixels do not spread over all lanes
     most = max(sums.most // lanes // max(share, 1), 1)
+    matters = _mask(scene, plan.shapes)
     for first_sample, samples, reported in _blocks(spp, most, progress):
         block = [first_sample, samples, *tail]
         _launch(
@@ -142,7 +143,7 @@ def interior_backward(
             spp=samples,
             progress=reported,
             listed=pixels,
-            matters=_mask(scene, plan.shapes),
+            matters=matters,
         )
         sums.collect()
 

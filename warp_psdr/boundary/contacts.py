@@ -188,8 +188,7 @@ def _crossed(scene: Scene, velocity: np.ndarray, rest: float) -> np.ndarray:
     found = contacts(scene)
     if not len(found.faces):
         return found.shapes
-    points = scene.points
-    points = points.astype(np.float64)
+    points = scene.points.astype(np.float64)
     corners = points[scene.builder.indices[found.faces]]
     of_face = velocity[scene.builder.indices[found.faces]]
     ends, of_edge = points[found.edges], velocity[found.edges]

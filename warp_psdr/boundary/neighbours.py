@@ -69,8 +69,7 @@ def _sides(scene: Scene, adjacency, edge: np.ndarray) -> np.ndarray:
     A triangle's corner opposite to the edge is the one that is farthest from the edge's line; welded triangles share
     positions, not vertex numbers.
     """
-    points = scene.points
-    points = points.astype(np.float64)
+    points = scene.points.astype(np.float64)
     ends = points[adjacency.ends[edge]]
     along = (ends[:, 1] - ends[:, 0]) / np.maximum(adjacency.length[edge], 1e-300)[:, None]
     corners = points[scene.builder.indices[adjacency.faces]] - ends[:, :1]
