@@ -131,13 +131,54 @@ class Connection:
     at: FilmPoint
 
 
+@wp.struct
+class Arrival:
+    """What arrives against a ray, and the surface that sends it."""
+
+    radiance: wp.vec3
+    face: wp.int32  # -1: none
+    x: wp.vec3
+
+
 @functools.cache
-def make_radiance(config: PathConfig):
-    """Return ``radiance(scene, sampler, o, d, t_max, depth, max_depth, rr_depth) -> vec3``: what arrives against d.
+def make_arrival(config: PathConfig):
+    """Return ``arrival(scene, sampler, o, d, t_max, depth, max_depth, rr_depth) -> Arrival``.
 
     ``depth`` counts the path vertices in front of what the ray meets.
     """
     path_step = make_path_step(config, False)
+
+    @wp.func
+    def arrival(
+        scene: Scene,
+        sampler: Sampler,
+        o: wp.vec3,
+        d: wp.vec3,
+        t_max: wp.float32,
+        depth: wp.int32,
+        max_depth: wp.int32,
+        rr_depth: wp.int32,
+    ) -> Arrival:
+        r = Arrival()
+        state = path_from(o, d, t_max, depth)
+        vertex, state = path_step(scene, sampler, state, max_depth, rr_depth)
+        r.radiance = wp.cw_mul(vertex.throughput, vertex.direct)
+        r.face = vertex.face
+        if vertex.face >= 0:
+            tri = scene.triangles[vertex.face]
+            r.x = (1.0 - vertex.u - vertex.v) * tri.p0 + vertex.u * tri.p1 + vertex.v * tri.p2
+        while state.alive == 1:
+            vertex, state = path_step(scene, sampler, state, max_depth, rr_depth)
+            r.radiance += wp.cw_mul(vertex.throughput, vertex.direct)
+        return r
+
+    return arrival
+
+
+@functools.cache
+def make_radiance(config: PathConfig):
+    """Return ``radiance(scene, sampler, o, d, t_max, depth, max_depth, rr_depth) -> vec3``, as ``make_arrival``."""
+    arrival = make_arrival(config)
 
     @wp.func
     def radiance(
@@ -150,12 +191,7 @@ def make_radiance(config: PathConfig):
         max_depth: wp.int32,
         rr_depth: wp.int32,
     ) -> wp.vec3:
-        state = path_from(o, d, t_max, depth)
-        total = wp.vec3(0.0, 0.0, 0.0)
-        while state.alive == 1:
-            vertex, state = path_step(scene, sampler, state, max_depth, rr_depth)
-            total += wp.cw_mul(vertex.throughput, vertex.direct)
-        return total
+        return arrival(scene, sampler, o, d, t_max, depth, max_depth, rr_depth).radiance
 
     return radiance
 

@@ -145,6 +145,22 @@ def interior_side(scene: Scene, edges: Edges, point: EdgePoint, m: wp.vec3) -> w
 
 
 @wp.func
+def on_planes(
+    scene: Scene, edges: Edges, point: EdgePoint, face: wp.int32, x: wp.vec3, tolerance: wp.float32
+) -> wp.bool:
+    """Whether x, a point of ``face`` (-1: none), lies within a distance of the plane of one of the edge's faces.
+
+    True of curves of intersection, which rays pass so far away that they may leave both triangles.
+    """
+    found = edges.ends[point.edge, 0] < 0
+    if face >= 0:
+        for i in range(edges.first[point.edge], edges.first[point.edge + 1]):
+            height = wp.dot(scene.triangles[edges.faces[i]].normal, x - point.x)
+            found = found or wp.abs(height) <= tolerance
+    return found
+
+
+@wp.func
 def barycentrics_at(tri: Triangle, x: wp.vec3) -> wp.vec2:
     """Barycentrics (u, v) of a point in the plane of a triangle."""
     e1 = tri.p1 - tri.p0

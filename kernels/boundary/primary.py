@@ -10,6 +10,11 @@ A thin lens is the mean over its points of such cameras, one point a sample (``p
 Where the edge is hidden there is no jump. The two radiances are path-traced along rays that pass the edge on either
 side at a fraction of a ray epsilon, parallel to the line of sight, with common random numbers. Silhouettes, creases,
 and borders between materials or texture charts are one case: whatever does not jump cancels.
+
+Where a fine mesh bends away from the camera, creases run within that distance of its silhouette, in front of it and
+behind. One of their two rays passes the silhouette instead, whose jump the silhouette's own samples have counted, so at
+an edge that is not a silhouette both rays have to meet one of its faces' planes beside it. (Otherwise a ball of 5,120
+triangles, and of a twentieth of the scene's size, had 15 % too large a derivative.)
 """
 
 import functools
@@ -17,7 +22,7 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
-from warp_psdr.kernels.boundary.detector import make_radiance
+from warp_psdr.kernels.boundary.detector import make_arrival
 from warp_psdr.kernels.boundary.local_form import (
     Edges,
     edge_behind,
@@ -25,6 +30,7 @@ from warp_psdr.kernels.boundary.local_form import (
     edge_step,
     interior_side,
     make_edge_sink,
+    on_planes,
 )
 from warp_psdr.kernels.boundary.projection import make_projection, make_splat
 from warp_psdr.kernels.bvh.wide import make_intersect
@@ -42,6 +48,8 @@ BESIDE = 0.1
 #: The same at curves of intersection. It is larger because a ray that leaves one of the two surfaces at an acute angle
 #: starts one ray epsilon off it, which may not be behind the other.
 BESIDE_CURVE = 10.0
+#: Distance from the plane of a face, in ray epsilons, within which what a ray meets beside a crease is that face.
+ON_PLANE = 0.5
 #: Distance in front of the edge at which the rays start, in ray epsilons: a triangle that the camera sees edge-on up to
 #: an angle of BESIDE / AHEAD, 10^-4 like the tolerance of flat edges, lies behind the start.
 AHEAD = 2000.0
@@ -51,7 +59,7 @@ AHEAD = 2000.0
 def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
     """Return the kernel of the primary boundary term: one thread a sample (arguments as in ``secondary.py``)."""
     _closest_hit, any_hit = make_intersect(config.ray_backend, config.ray_width)
-    radiance = make_radiance(config)
+    arrival = make_arrival(config)
     push_edge = make_edge_sink(role)
     push_camera = make_camera_sink(role, config.camera) if camera_moves else None
     splat, gather = make_splat()
@@ -122,7 +130,10 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
         for i in range(2):
             sign = 1.0 - 2.0 * wp.float32(i)
             o = point.x + sign * beside - ahead * d
-            jump -= sign * radiance(scene, sampler, o, d, at.far - distance, 0, max_depth, rr_depth)
+            seen = arrival(scene, sampler, o, d, at.far - distance, 0, max_depth, rr_depth)
+            jump -= sign * seen.radiance
+            if side == 0.0 and not on_planes(scene, edges, point, seen.face, seen.x, ON_PLANE * local):
+                return
         scale = 1.0 / (point.pdf * wp.float32(samples))
         if wp.static(role != "forward"):
             scale *= wp.dot(weight, jump)

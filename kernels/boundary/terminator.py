@@ -12,6 +12,9 @@ phi' the velocity of phi along the attached pixel ray and l the curve's length i
 constant barycentric b_a phi is quadratic: its roots sample the curve. With a one of the three at random the density is
 (|phi_u| + |phi_v| + |phi_u - phi_v|) / (3 |grad phi|), which nowhere vanishes.
 
+Where the curve is so close to the silhouette that one of the two rays passes that instead, the silhouette's own rays
+pass both, and only they count.
+
 o is the pinhole, or a point of a thin lens, one a sample. Seen by an orthographic camera phi is n . (-d), d its fixed
 direction: the same with -d for o and without x (``finite`` = 0), linear in r.
 """
@@ -21,8 +24,8 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
-from warp_psdr.kernels.boundary.detector import make_radiance
-from warp_psdr.kernels.boundary.primary import AHEAD, BESIDE
+from warp_psdr.kernels.boundary.detector import make_arrival
+from warp_psdr.kernels.boundary.primary import AHEAD, BESIDE, ON_PLANE
 from warp_psdr.kernels.boundary.projection import make_projection, make_splat
 from warp_psdr.kernels.bvh.wide import make_intersect
 from warp_psdr.kernels.camera import lens_origin, load_mat44, make_camera_sink, make_lens
@@ -64,7 +67,7 @@ def barycentrics(axis: wp.int32, w: wp.float32, r: wp.float32) -> wp.vec3:
 def make_terminator_kernel(config: PathConfig, role: str, camera_moves: bool):
     """Return the kernel: one thread a sample (arguments as in ``secondary.py``)."""
     _closest_hit, any_hit = make_intersect(config.ray_backend, config.ray_width)
-    radiance = make_radiance(config)
+    arrival = make_arrival(config)
     push_vertex = make_vertex_sink(role, True, config.flat, False, False, False, True)
     push_camera = make_camera_sink(role, config.camera) if camera_moves else None
     splat, gather = make_splat()
@@ -173,11 +176,17 @@ def make_terminator_kernel(config: PathConfig, role: str, camera_moves: bool):
                         branch = sampler
                         branch.index = wp.uint32(1)
                         jump = wp.vec3(0.0, 0.0, 0.0)
+                        own = wp.bool(True)
                         for side in range(2):
                             sign = 1.0 - 2.0 * wp.float32(side)
                             near_x = x + sign * step + ahead * view
                             far = at.far - distance
-                            jump += sign * radiance(scene, branch, near_x, -view, far, 0, max_depth, rr_depth)
+                            seen = arrival(scene, branch, near_x, -view, far, 0, max_depth, rr_depth)
+                            jump += sign * seen.radiance
+                            height = wp.abs(wp.dot(tri.normal, seen.x - x))
+                            own = own and seen.face >= 0 and height <= ON_PLANE * local
+                        if not own:
+                            continue
                         g = 3.0 * size * area / (speed_sum * probability * wp.float32(samples))
                         if wp.static(role == "reverse"):
                             g *= wp.dot(weight, jump)

@@ -241,9 +241,9 @@ DELTA = [
     Case("glass", "ball.bsdf.specular_reflectance.value", mixed, 2e-2, depth=4, spp=64),
     Case("glass", "ball.bsdf.specular_transmittance.value", mixed, 2e-2, depth=4),
     Case("glass", "ball.vertex_positions", ripple, 2e-3, depth=4, spp=128),
-    # Near normal incidence, differences see the slope of the reflectance by rare changes of the lobe alone: the step and
-    # the samples are such that there are some tens of them in a batch. (With equal odds for the lobes, and so without
-    # such changes, the slope is 1.0000 at steps of 2e-3 and 5e-4.)
+    # Near normal incidence, differences see the slope of the reflectance by rare changes of the lobe alone: the step
+    # and the samples are such that there are some tens of them in a batch. (With equal odds for the lobes, and so
+    # without such changes, the slope is 1.0000 at steps of 2e-3 and 5e-4.)
     Case("glass", "ball.vertex_positions", shift(0.5, 0.3, 0.8), 4e-2, "shift", depth=4, spp=4096, slow=True),
     Case("glass", "env.to_world", turn(0.3, 1.0, 0.5), 4e-3, depth=4, spp=256, slow=True),
     Case("glass", "env.data", texel_wave, 2e-2, depth=4),
