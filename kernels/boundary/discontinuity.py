@@ -5,6 +5,9 @@ Two rays on either side of the crossing are followed in step until they differ a
 * an edge: phi = m . (x_b - o - t d), m = tangent x d, for the ray (o, d) that passes the edge at x_b. In a block that
   starts at a smooth vertex y the first vertex behind it is a material point c (or at infinity), and on the first
   segment only the background counts:  phi = m . (x_b - (1 - tau) y - tau c), the local form;
+* a curve along which two surfaces run through each other: an edge whose velocity follows from those of both planes,
+  m . x_b' = a n_A . v_A + b n_B . v_B with m = a n_A + b n_B. On the first segment behind a smooth vertex, where
+  ``curve.py`` says what jumps, once for the material point c of either surface:  phi = m . (x_b - c);
 * a crease of interpolated normals: an edge beside which light may reach one of the two triangles only;
 * the horizon of a vertex y with such normals (``horizon.py``): phi = n_g . (c - y) / |c - y|, once for either side,
   where c is another point;
@@ -38,29 +41,30 @@ from warp_psdr.kernels.boundary.ray_differential import (
     make_point_differential,
     scattered_differential,
 )
+from warp_psdr.kernels.boundary.rims import (
+    RIM_EPSILONS,
+    Rim,
+    Tables,
+    joined,
+    of_edge,
+    point_on_edge,
+    rim_of,
+    smooth_between,
+)
 from warp_psdr.kernels.boundary.transport import Segment
 from warp_psdr.kernels.bvh.wide import make_intersect
 from warp_psdr.kernels.constants import FAR, LOBE_NONE
 from warp_psdr.kernels.emitter.dispatch import DELTA_LIGHTS, make_lights
 from warp_psdr.kernels.path import PathConfig
 from warp_psdr.kernels.structs import Camera, Scene
-from warp_psdr.kernels.surface import VertexAdjoint, load_vec3, normalize_vjp
+from warp_psdr.kernels.surface import VertexAdjoint, normalize_vjp
 
-#: A hit counts as on the rim of its triangle within this fraction of the height above it, or this many ray epsilons.
-RIM_FRACTION = 2.0e-3
-RIM_EPSILONS = 50.0
 #: Two hits count as equally far within this fraction of their distance.
 TIE = 1.0e-4
-
-
-@wp.struct
-class Tables:
-    """What is known of the faces. An edge is smooth where neither radiance nor normal jumps across it."""
-
-    group: wp.array(dtype=wp.int32)  # coplanar neighbours are one
-    bent: wp.array(dtype=wp.int32)  # 1: interpolated normals differ from the face's
-    face_edges: wp.array(dtype=wp.int32)  # (3 n) edge opposite of each corner; -1: none
-    smooth_edge: wp.array(dtype=wp.int32)
+#: Where two surfaces meet, an edge within this many ray epsilons is what is crossed: they touch there.
+TOUCHING = 2.0
+#: Squared sine of the angle between two planes below which they have no line in common.
+PARALLEL = 1.0e-10
 
 
 @wp.struct
@@ -72,9 +76,10 @@ class Crossing:
     phi_a: wp.float32  # derivatives of phi along the line and across it
     phi_b: wp.float32
     both: wp.int32  # 1: the other side of the line is a crossing of its own
-    edge: wp.int32  # 1: ``point`` and ``segment`` hold the edge, 2: ``segment`` holds the background
+    edge: wp.int32  # 1: ``point`` and ``segment`` hold the edge, 2: ``segment`` holds material points
     point: EdgePoint
-    segment: Segment
+    segment: Segment  # of the points, face1 (-1: none) is moved along ``sweep1``, face2 along ``sweep``
+    sweep1: wp.vec3
     last: wp.int32  # where the pull-back starts (``chain_pullback.py``)
     start: VertexAdjoint
     o_before: wp.vec3
@@ -82,77 +87,62 @@ class Crossing:
     a_d: wp.vec3
 
 
-@wp.struct
-class Rim:
-    """The edge of a triangle that is nearest to a point of it."""
-
-    edge: wp.int32
-    near: wp.float32  # distance over what counts as on the rim
-
-
 @wp.func
-def rim_of(scene: Scene, tables: Tables, face: wp.int32, u: wp.float32, v: wp.float32) -> Rim:
-    r = Rim()
-    r.edge = -1
-    r.near = FAR
-    tri = scene.triangles[face]
-    area = wp.length(wp.cross(tri.p1 - tri.p0, tri.p2 - tri.p0))
-    best = wp.float32(FAR)
-    for k in range(3):
-        b = wp.where(k == 0, 1.0 - u - v, wp.where(k == 1, u, v))
-        side = wp.where(k == 0, tri.p2 - tri.p1, wp.where(k == 1, tri.p0 - tri.p2, tri.p1 - tri.p0))
-        height = area / wp.length(side)
-        distance = wp.abs(b) * height
-        if distance < best:
-            best = distance
-            r.edge = tables.face_edges[3 * face + k]
-            r.near = distance / wp.max(RIM_FRACTION * height, RIM_EPSILONS * scene.ray_epsilon)
+def curve_crossing(
+    scene: Scene,
+    block: Block,
+    low: Link,
+    high: Link,
+    x: wp.vec3,
+    a: RayDifferential,
+    b: RayDifferential,
+    i: wp.int32,
+    count: wp.int32,
+    which: wp.int32,
+) -> Crossing:
+    """Where the triangles that two neighbouring rays meet run through each other."""
+    r = Crossing()
+    n_low = scene.triangles[low.face].normal
+    n_high = scene.triangles[high.face].normal
+    along = wp.cross(n_low, n_high)
+    squared = wp.length_sq(along)
+    first = block.film == 0 and i == 0
+    if squared < PARALLEL or (first and block.first == 0):
+        return r
+    x_b = 0.5 * (low.x + high.x)
+    t1 = wp.length(x_b - x)
+    d = (x_b - x) / t1
+    m = wp.cross(along / wp.sqrt(squared), d)
+    cosine = wp.dot(n_low, n_high)
+    by_low = ((wp.dot(m, n_low) - cosine * wp.dot(m, n_high)) / squared) * n_low
+    by_high = ((wp.dot(m, n_high) - cosine * wp.dot(m, n_low)) / squared) * n_high
+    r.edge = 2
+    r.segment.x = x_b
+    r.segment.w = d
+    r.segment.face1 = low.face
+    r.segment.u1 = low.u
+    r.segment.v1 = low.v
+    r.segment.face2 = high.face
+    r.segment.u2 = high.u
+    r.segment.v2 = high.v
+    r.sweep1 = by_low
+    r.segment.sweep = by_high
+    r.last = count + i - 1
+    if first:
+        # c on the lower side's surface, and then on the upper one's.
+        r.both = 1
+        r.side = 2 * which - 1
+        if which == 0:
+            r.sweep1 = -by_high
+        else:
+            r.segment.sweep = -by_low
+    else:
+        r.a_o = -m
+        r.a_d = -t1 * m
+    r.phi_a = -wp.dot(m, a.o + t1 * a.d)
+    r.phi_b = -wp.dot(m, b.o + t1 * b.d)
+    r.valid = 1
     return r
-
-
-@wp.func
-def point_on_edge(scene: Scene, edges: Edges, edge: wp.int32, x: wp.vec3) -> EdgePoint:
-    r = EdgePoint()
-    r.edge = edge
-    r.pdf = 1.0
-    r.p0 = load_vec3(scene.values, scene.positions + 3 * edges.ends[edge, 0])
-    r.p1 = load_vec3(scene.values, scene.positions + 3 * edges.ends[edge, 1])
-    along = r.p1 - r.p0
-    r.s = wp.clamp(wp.dot(x - r.p0, along) / wp.dot(along, along), 0.0, 1.0)
-    r.x = (1.0 - r.s) * r.p0 + r.s * r.p1
-    return r
-
-
-@wp.func
-def of_edge(edges: Edges, edge: wp.int32, face: wp.int32) -> wp.bool:
-    found = wp.bool(False)
-    for i in range(edges.first[edge], edges.first[edge + 1]):
-        if edges.faces[i] == face:
-            found = True
-    return found
-
-
-@wp.func
-def smooth_between(edges: Edges, tables: Tables, a: wp.int32, b: wp.int32) -> wp.int32:
-    """Return the smooth edge between two faces, -1: there is none."""
-    found = wp.int32(-1)
-    for k in range(3):
-        edge = tables.face_edges[3 * a + k]
-        if edge >= 0:
-            if tables.smooth_edge[edge] == 1 and of_edge(edges, edge, b):
-                found = edge
-    return found
-
-
-@wp.func
-def joined(scene: Scene, edges: Edges, tables: Tables, a: Link, b: Link) -> wp.bool:
-    """Whether two neighbouring rays meet one surface."""
-    if tables.group[a.face] == tables.group[b.face]:
-        return True
-    if smooth_between(edges, tables, a.face, b.face) < 0:
-        return False
-    tri = scene.triangles[a.face]
-    return wp.length(a.x - b.x) <= 0.01 * wp.length(tri.p1 - tri.p0) + RIM_EPSILONS * scene.ray_epsilon
 
 
 @functools.cache
@@ -184,6 +174,7 @@ def make_crossing(config: PathConfig):
         b: RayDifferential,
         i: wp.int32,
         count: wp.int32,
+        which: wp.int32,
     ) -> Crossing:
         r = Crossing()
         t_low = wp.float32(FAR)
@@ -198,7 +189,13 @@ def make_crossing(config: PathConfig):
         if high.face >= 0:
             t_high = wp.length(high.x - x)
             rim_high = rim_of(scene, tables, high.face, high.u, high.v)
-        tie = wp.abs(t_low - t_high) <= TIE * wp.min(t_low, t_high) + RIM_EPSILONS * scene.ray_epsilon
+        room = TIE * wp.min(t_low, t_high) + RIM_EPSILONS * scene.ray_epsilon
+        tie = wp.abs(t_low - t_high) <= room
+        if low.face >= 0 and high.face >= 0:
+            apart = wp.min(rim_low.distance, rim_high.distance) > TOUCHING * scene.ray_epsilon
+            neighbours = rim_low.edge >= 0 and of_edge(edges, rim_low.edge, high.face)
+            if apart and not neighbours and wp.length(low.x - high.x) <= room:
+                return curve_crossing(scene, block, low, high, x, a, b, i, count, which)
         own_low = wp.where(tie, rim_low.near <= rim_high.near, t_low <= t_high)
         own = wp.where(own_low, rim_low.edge, rim_high.edge)
         near = wp.where(own_low, rim_low.near, rim_high.near)
@@ -266,6 +263,7 @@ def make_crossing(config: PathConfig):
         r.phi_b = wp.dot(block.n, b.d)
         r.segment.x = block.x
         r.segment.w = d
+        r.segment.face1 = -1
         if hit.face >= 0:
             r.edge = 2
             r.segment.face2 = hit.face
@@ -325,7 +323,7 @@ def make_crossing(config: PathConfig):
             if not same:
                 if block.film == 1 and i == 0:
                     return r
-                return edge_crossing(scene, edges, tables, block, p, q, x, a, b, i, count)
+                return edge_crossing(scene, edges, tables, block, p, q, x, a, b, i, count, which)
             visit = Visit()
             visit.face = p.face
             visit.u = p.u
@@ -355,7 +353,7 @@ def make_crossing(config: PathConfig):
                 crease = smooth_between(edges, tables, p.face, q.face) >= 0
             if p.kind == MEETS_SMOOTH and q.kind == MEETS_SMOOTH:
                 if crease and i > 0:
-                    return edge_crossing(scene, edges, tables, block, p, q, x, a, b, i, count)
+                    return edge_crossing(scene, edges, tables, block, p, q, x, a, b, i, count, which)
                 if wp.static(lit is not None):
                     if (i > 0 or block.first == 1) and depth + 1 < max_depth:
                         shared = smooth_between(edges, tables, p.face, q.face)
@@ -404,7 +402,7 @@ def make_crossing(config: PathConfig):
                     if crease:
                         if i == 0 and block.film == 0:
                             return r
-                        return edge_crossing(scene, edges, tables, block, p, q, x, a, b, i, count)
+                        return edge_crossing(scene, edges, tables, block, p, q, x, a, b, i, count, which)
                     tri = scene.triangles[p.face]
                     area = wp.length(wp.cross(tri.p1 - tri.p0, tri.p2 - tri.p0))
                     r.last = count + i

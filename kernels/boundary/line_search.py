@@ -27,8 +27,7 @@ resolutions.
 each smooth vertex y, with F = f_s L and q the direction. A discontinuity counts here if a mirror or glass lies between
 the camera and the segment that touches it; all others are the primary (``primary.py``) and the secondary boundary
 (``secondary.py``, ``bent.py``, ``horizon.py``), but for the horizons of mirrors and glass with interpolated normals,
-which all count here. The point of a thin lens is drawn once a path: for each the camera is a pinhole. Surfaces that run
-through each other are not found.
+which all count here. The point of a thin lens is drawn once a path: for each the camera is a pinhole.
 """
 
 import functools
@@ -47,10 +46,11 @@ from warp_psdr.kernels.boundary.chain import (
     make_start,
 )
 from warp_psdr.kernels.boundary.chain_pullback import Visit, make_chain_pullback
-from warp_psdr.kernels.boundary.discontinuity import Tables, make_crossing
+from warp_psdr.kernels.boundary.discontinuity import make_crossing
 from warp_psdr.kernels.boundary.local_form import Edges
 from warp_psdr.kernels.boundary.projection import filter_extent, make_splat
 from warp_psdr.kernels.boundary.ray_differential import RayDifferential, make_film_differential
+from warp_psdr.kernels.boundary.rims import Tables
 from warp_psdr.kernels.boundary.secondary import make_segment_sink
 from warp_psdr.kernels.bsdf.dispatch import make_bsdf
 from warp_psdr.kernels.camera import CameraSample, make_camera_ray, make_lens
@@ -261,6 +261,13 @@ def make_line_search_kernel(config: PathConfig, wanted: Wanted, role: str, light
                                         r.segment.x, r.segment.w,
                                     )  # fmt: skip
                                     speed += pushed.dot
+                                    if r.segment.face1 >= 0:
+                                        met.x = w * r.sweep1
+                                        pushed = push_vertex(
+                                            scene, target, r.segment.face1, r.segment.u1, r.segment.v1, met, False,
+                                            r.segment.x, r.segment.w,
+                                        )  # fmt: skip
+                                        speed += pushed.dot
                                 if r.edge == 1:
                                     speed += push_segment(scene, target, edges, r.point, r.segment, w)
                                 if wp.static(role == "forward"):

@@ -33,6 +33,30 @@ def behind(rfilter="tent"):
     }
 
 
+def shining(shape, r, g, b):
+    return {**shape, "emitter": {"type": "area", "radiance": {"type": "rgb", "value": [r, g, b]}}}
+
+
+def pierced():
+    """A lamp behind the camera and a dim box that runs through it; and one through the mirror."""
+    return {
+        **behind(),
+        "post": shining(box((-0.3, -3.0, 0.9), (0.45, 0.3, 0.2), diffuse(0.0), 0.5), 0.02, 0.05, 0.01),
+        "stick": shining(box((0.6, 1.2, 0.7), (0.15, 0.2, 0.4), diffuse(0.0), 0.3), 0.2, 0.3, 0.8),
+    }
+
+
+def pierced_above():
+    """The same above a floor, which the camera sees in a mirror only."""
+    return {
+        "sensor": camera((0.3, -1.0, 1.2), (0.0, 1.2, 0.7), fov=45.0),
+        "mirror": wall(0.8, 1.2, 1.2),
+        "floor": mesh([[-2, -3.5, 0], [2, -3.5, 0], [2, -1.1, 0], [-2, -1.1, 0]], [[0, 1, 2], [0, 2, 3]], diffuse(0.7)),
+        "lamp": lamp((-0.3, -2.4, 1.2), 0.6, 4.0),
+        "post": shining(box((0.1, -2.3, 1.1), (0.45, 0.25, 0.3), diffuse(0.0), 0.5), 0.5, 2.0, 6.0),
+    }
+
+
 def shadow(light):
     """A shadow on the floor, seen also in a mirror."""
     return {
@@ -89,6 +113,9 @@ register(
             "mirror": ball((0.0, 1.5, 0.6), 1.0, MIRROR, subdivisions=2, smooth=True),
             "lamp": lamp((-1.6, -2.6, 1.9), 0.9),
         },
+        "pierced": pierced,
+        "pierced above": pierced_above,
+        "pierced glass": lambda: {**glass(slab()), "other": lamp((0.0, 2.2, 0.1), 0.6, 0.5)},
         "caustic": caustic,
         "mirror and sky": lambda: {**behind(), "sky": sky(0.3)},
     }
@@ -102,6 +129,7 @@ LAMP, WALL, GLASSES, ETA = (
     "glass.bsdf.eta",
 )
 CAMERA, OCCLUDER, POST = "sensor.to_world", "occluder.vertex_positions", "post.vertex_positions"
+STICK = "stick.vertex_positions"
 MANY = {"spp": 2048, "difference_spp": 8192}
 CASES = [
     # Objects in a flat mirror.
@@ -122,6 +150,22 @@ CASES = [
     Case("glass ball", LAMP, ALONG, 0.01, "lamp moves", depth=4, spp=1024, difference_spp=4096),
     Case("glass ball", GLASSES, ALONG, 0.002, "glass moves", depth=4, **MANY),
     Case("glass ball", ETA, np.ones_like, 0.005, "index changes", depth=4, **MANY),
+    # Surfaces that run through each other.
+    Case("pierced", LAMP, scaled, 0.01, "lamp scales", **MANY),
+    Case(
+        "pierced",
+        "stick.vertex_positions",
+        moved(0.3, 1.0, 0.4),
+        0.01,
+        "stick moves",
+        spp=64,
+        difference_spp=512,
+        slow=False,
+    ),
+    Case("pierced", WALL, turned(2), 0.002, "mirror turns", **MANY),
+    Case("pierced above", POST, ALONG, 0.02, "box moves", depth=3, **MANY),
+    Case("pierced above", LAMP, scaled, 0.02, "lamp scales", depth=3, **MANY),
+    Case("pierced glass", LAMP, ALONG, 0.01, "lamp moves", depth=4, spp=1024, difference_spp=4096),
     # Light that mirrors throw on a floor.
     # The lamp's lower edge cuts off its own image: with a step of 0.05 a difference is 5 % less than its limit.
     Case("caustic", LAMP, scaled, 0.02, "lamp scales", depth=3, spp=24576, difference_spp=32768),

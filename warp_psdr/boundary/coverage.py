@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 from warp_psdr.boundary.methods import EdgeSampling, Method, PathSpace
 from warp_psdr.boundary.motion import motion
-from warp_psdr.curves import scene_curves
 from warp_psdr.edges import shared_by_many
 from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.boundary.line_search import MAX_DEPTH
@@ -57,8 +56,6 @@ def _uncovered(scene: Scene, config: PathConfig, names: list[str], max_depth: in
     if c.DELTA_MODELS & set(config.bsdfs):
         if not 0 < max_depth <= MAX_DEPTH:
             return f"discontinuities are searched through mirrors to some depth; set max_depth to {MAX_DEPTH} or less"
-        if scene.face_count and len(scene_curves(scene).length):
-            return "surfaces run through each other, and mirrors or glass may show the curve; move them apart"
     if config.hide_emitters and config.area:
         return "hide_emitters makes area lights transparent to the camera, which is not implemented; show them"
     steps = any(t.kind == c.TEXTURE_BITMAP and t.filter == c.FILTER_NEAREST for t in scene.builder.textures)

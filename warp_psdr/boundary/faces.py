@@ -9,8 +9,8 @@ import warp as wp
 
 from warp_psdr.bent import bent_faces
 from warp_psdr.edges import every_edge, scene_adjacency, smooth_edges
-from warp_psdr.kernels.boundary.discontinuity import Tables
 from warp_psdr.kernels.boundary.local_form import Edges
+from warp_psdr.kernels.boundary.rims import Tables
 
 if TYPE_CHECKING:
     from warp_psdr.edges import Adjacency
