@@ -37,6 +37,9 @@ SEAM_PARALLEL = 1.0e-4
 START_BEHIND = 20.0
 #: The same where the ray epsilon is the least step (``kernels/step.py``), which is precious: roundings of what touches.
 START_BEHIND_LEAST = 4.0
+#: A surface counts as that of a point within this many ray epsilons of its plane, if it is met this near: what lies
+#: far behind a plane seen edge-on is in it, too.
+ON_PLANE, NEAR = 0.5, 2000.0
 #: Numbers a sample that role "samples" records: x_b, the edge from its first to its second end, and the adjoint of x_b.
 SAMPLE_RECORD = 9
 
@@ -145,18 +148,21 @@ def interior_side(scene: Scene, edges: Edges, point: EdgePoint, m: wp.vec3) -> w
 
 
 @wp.func
-def on_planes(
-    scene: Scene, edges: Edges, point: EdgePoint, face: wp.int32, x: wp.vec3, tolerance: wp.float32
-) -> wp.bool:
-    """Whether x, a point of ``face`` (-1: none), lies within a distance of the plane of one of the edge's faces.
+def on_plane(normal: wp.vec3, r: wp.vec3, step: wp.float32) -> wp.bool:
+    """Whether what a ray meets at r from a point of a plane is that plane, for the ray epsilon ``step`` there."""
+    return wp.abs(wp.dot(normal, r)) <= ON_PLANE * step and wp.length(r) <= NEAR * step
+
+
+@wp.func
+def on_planes(scene: Scene, edges: Edges, point: EdgePoint, face: wp.int32, x: wp.vec3, step: wp.float32) -> wp.bool:
+    """Whether x, a point of ``face`` (-1: none), lies beside the point on the plane of one of the edge's faces.
 
     True of curves of intersection, which rays pass so far away that they may leave both triangles.
     """
     found = edges.ends[point.edge, 0] < 0
     if face >= 0:
         for i in range(edges.first[point.edge], edges.first[point.edge + 1]):
-            height = wp.dot(scene.triangles[edges.faces[i]].normal, x - point.x)
-            found = found or wp.abs(height) <= tolerance
+            found = found or on_plane(scene.triangles[edges.faces[i]].normal, x - point.x, step)
     return found
 
 

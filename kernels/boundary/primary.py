@@ -48,8 +48,6 @@ BESIDE = 0.1
 #: The same at curves of intersection. It is larger because a ray that leaves one of the two surfaces at an acute angle
 #: starts one ray epsilon off it, which may not be behind the other.
 BESIDE_CURVE = 10.0
-#: Distance from the plane of a face, in ray epsilons, within which what a ray meets beside a crease is that face.
-ON_PLANE = 0.5
 #: Distance in front of the edge at which the rays start, in ray epsilons: a triangle that the camera sees edge-on up to
 #: an angle of BESIDE / AHEAD, 10^-4 like the tolerance of flat edges, lies behind the start.
 AHEAD = 2000.0
@@ -132,7 +130,7 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
             o = point.x + sign * beside - ahead * d
             seen = arrival(scene, sampler, o, d, at.far - distance, 0, max_depth, rr_depth)
             jump -= sign * seen.radiance
-            if side == 0.0 and not on_planes(scene, edges, point, seen.face, seen.x, ON_PLANE * local):
+            if side == 0.0 and not on_planes(scene, edges, point, seen.face, seen.x, local):
                 return
         scale = 1.0 / (point.pdf * wp.float32(samples))
         if wp.static(role != "forward"):

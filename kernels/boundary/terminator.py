@@ -25,7 +25,8 @@ import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.boundary.detector import make_arrival
-from warp_psdr.kernels.boundary.primary import AHEAD, BESIDE, ON_PLANE
+from warp_psdr.kernels.boundary.local_form import on_plane
+from warp_psdr.kernels.boundary.primary import AHEAD, BESIDE
 from warp_psdr.kernels.boundary.projection import make_projection, make_splat
 from warp_psdr.kernels.bvh.wide import make_intersect
 from warp_psdr.kernels.camera import lens_origin, load_mat44, make_camera_sink, make_lens
@@ -183,8 +184,7 @@ def make_terminator_kernel(config: PathConfig, role: str, camera_moves: bool):
                             far = at.far - distance
                             seen = arrival(scene, branch, near_x, -view, far, 0, max_depth, rr_depth)
                             jump += sign * seen.radiance
-                            height = wp.abs(wp.dot(tri.normal, seen.x - x))
-                            own = own and seen.face >= 0 and height <= ON_PLANE * local
+                            own = own and seen.face >= 0 and on_plane(tri.normal, seen.x - x, local)
                         if not own:
                             continue
                         g = 3.0 * size * area / (speed_sum * probability * wp.float32(samples))
