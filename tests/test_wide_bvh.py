@@ -13,6 +13,8 @@ from warp_psdr.kernels.bvh.wide import FLAT_PACKETS, WIDTHS, Accel, RayHit, make
 EDGE_TOLERANCE = 4.0e-6
 #: Relative difference of distances that counts as a tie (float32, a few roundings).
 TIE_TOLERANCE = 2.0e-5
+#: Roundings of a distance or a barycentric coordinate between two ways of dividing, relative.
+ROUNDING = 5.0e-7
 FAR = 1.0e18
 
 
@@ -282,7 +284,7 @@ def test_largest_distance_is_respected(mesh):
     hits, _ = trace(origins, directions)
     keep = hits["face"] >= 0
     origins, directions, t = origins[keep], directions[keep], hits["t"][keep]
-    for t_max, expected in ((t * 0.999, False), (t * 1.001, True), (t, False)):
+    for t_max, expected in ((t * (1.0 - ROUNDING), False), (t * (1.0 + ROUNDING), True)):
         hits, found = trace(origins, directions, t_max)
         assert (found == expected).all() and ((hits["face"] >= 0) == expected).all()
     longer, _ = trace(origins, 2.0 * directions)
@@ -382,8 +384,10 @@ def test_result_does_not_depend_on_the_width():
     vertices, faces = sphere()
     origins, directions = make_rays("random", vertices, faces, 20_000)
     hits = [Tracer(vertices, faces, "wide", width)(origins, directions)[0] for width in WIDTHS]
-    for other in hits[1:]:
-        assert (other == hits[0]).all()
+    for other in hits[1:]:  # the widest divides by way of an approximate reciprocal
+        assert (other["face"] == hits[0]["face"]).all()
+        for name in ("t", "u", "v"):
+            np.testing.assert_allclose(other[name], hits[0][name], rtol=ROUNDING)
 
 
 def test_memory():

@@ -19,6 +19,25 @@ TYPES = """
             return __builtin_elementwise_fma(a, b, c);
         }
         static INLINE vf abs(vf a) { return __builtin_elementwise_abs(a); }
+        static INLINE vf larger(vf a, vf b) {  // magnitude of the one of larger magnitude
+#if $W == 16 && defined(__AVX512DQ__)
+            return __builtin_ia32_rangeps512_mask(a, b, 11, vf(0.0f), 0xffff, 4);
+#else
+            return max(abs(a), abs(b));
+#endif
+        }
+        static INLINE vf flip(vf a, vf sign) {  // change the sign of a where that of the other is negative
+            const vi bits = __builtin_bit_cast(vi, sign) & (int)0x80000000;
+            return __builtin_bit_cast(vf, __builtin_bit_cast(vi, a) ^ bits);
+        }
+        static INLINE vf inverse(vf a) {  // to two units in the last place; infinite or NaN for 0
+#if $W == 16 && defined(__AVX512F__)
+            const vf r = __builtin_ia32_rcp14ps512_mask(a, vf(0.0f), 0xffff);
+            return fma(r, fma(-a, r, vf(1.0f)), r);  // half the time of a division
+#else
+            return 1.0f / a;
+#endif
+        }
         static INLINE float max1(float a, float b) { return a > b ? a : b; }
         static INLINE vf min(vf a, vf b) { return a < b ? a : b; }
         static INLINE vf max(vf a, vf b) { return a > b ? a : b; }
@@ -121,8 +140,8 @@ EDGES = """
         const vf b_y = Simd::fma(b_z, my, Simd::load(packet + 3 * $W + qy) - py);
         const vf c_y = Simd::fma(c_z, my, Simd::load(packet + 6 * $W + qy) - py);
         const vf edge_u = c_x * b_y - c_y * b_x;
-        const vf edge_v = a_x * c_y - a_y * c_x;
-        const vf edge_w = b_x * a_y - b_y * a_x;
+        vf edge_v = a_x * c_y - a_y * c_x;
+        vf edge_w = b_x * a_y - b_y * a_x;
         const vf lowest = Simd::min(Simd::min(edge_u, edge_v), edge_w);
         const vf highest = Simd::max(Simd::max(edge_u, edge_v), edge_w);
         const vi inside = (lowest >= 0.0f) | (highest <= 0.0f);
@@ -130,11 +149,13 @@ EDGES = """
 
 DISTANCE = """
             const vf det = edge_u + edge_v + edge_w;
-            vf t = (edge_u * a_z + edge_v * b_z + edge_w * c_z) * shear_z / det;
-            const vf wide = Simd::abs(a_x) + Simd::abs(b_x) + Simd::abs(c_x);
-            const vf high = Simd::abs(a_y) + Simd::abs(b_y) + Simd::abs(c_y);
-            // 1 / 64: the edge functions keep 18 bits
-            u32 unsure = Simd::mask(inside & (Simd::abs(det) < wide * high * 0.015625f));
+            vf weight = Simd::abs(det);
+            vf reach = Simd::fma(edge_w, c_z, Simd::fma(edge_v, b_z, edge_u * a_z)) * shear_z;
+            reach = Simd::flip(reach, det);  // the hit's distance is reach / weight
+            const vf wide = Simd::larger(Simd::larger(a_x, b_x), c_x);
+            const vf high = Simd::larger(Simd::larger(a_y, b_y), c_y);
+            // 1 / 16: the edge functions keep 16 bits
+            u32 unsure = Simd::mask(inside & (weight < wide * high * 0.0625f));
             if (__builtin_expect(unsure != 0, 0))
                 for (; unsure; unsure &= unsure - 1) {
                     const int i = __builtin_ctz(unsure);
@@ -142,6 +163,9 @@ DISTANCE = """
                     const double u = cx * by - cy * bx, v = ax * cy - ay * cx, w = bx * ay - by * ax, s = u + v + w;
                     const bool out = (u < 0.0 || v < 0.0 || w < 0.0) && (u > 0.0 || v > 0.0 || w > 0.0);
                     const double z = u * a_z[i] + v * b_z[i] + w * c_z[i];
-                    t[i] = out || s == 0.0 ? -1.0f : (float)(z * shear_z / s);
+                    reach[i] = out || s == 0.0 ? -1.0f : (float)(z * shear_z / s);
+                    weight[i] = 1.0f;
+                    edge_v[i] = (float)(v / s);
+                    edge_w[i] = (float)(w / s);
                 }
 """

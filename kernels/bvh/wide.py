@@ -24,6 +24,10 @@ determinant U + V + W is small against the products, on needles and on triangles
 the ray, the edge functions are evaluated again in double precision, in which products of floats and the signs of their
 differences are exact. Without this second look the small ones would be hit far beside them, where edge functions vanish
 by rounding, and the distance t, an average of the corners' with weights U, V, W, would be anywhere along a needle.
+What is left to float keeps 16 bits of U, V, W or more, hence of the barycentrics V and W over U + V + W: they are taken
+from the lanes as they are: to evaluate them again, exactly, took a third of a small scene's query. The reciprocal of
+U + V + W is approximate and refined by one Newton step; any hit compares products instead of dividing. So t_max is met
+to within two roundings.
 
 **Order.** Hit children are ranked without branches: the lowest bits of their entry distances are replaced by the lane
 number, so that all differ, and a child's rank is the number of hit children before it. They are pushed farthest first.
@@ -88,13 +92,13 @@ _CLOSEST = (
 """
     + SHEAR
     + """
-    float t_best = t_max;
+    float t_best = t_max, u_best = 0.0f, v_best = 0.0f;
     const float* best = nullptr;
     vi lanes;
     for (int i = 0; i < $W; ++i)
         lanes[i] = i;
     if (flat) {
-        vf nearest = t_max;
+        vf nearest = t_max, near_v = 0.0f, near_w = 0.0f, near_inverse = 0.0f;
         vi which = -1;
         for (int i = 0; i < flat; ++i) {
         const float* packet = packets + i * (10 * $W);
@@ -102,15 +106,22 @@ _CLOSEST = (
     + EDGES
     + DISTANCE
     + """
+            const vf inverse = Simd::inverse(weight), t = reach * inverse;
             const vi closer = inside & (t > 0.0f) & (t < nearest);
             nearest = closer ? t : nearest;
+            near_v = closer ? edge_v : near_v;
+            near_w = closer ? edge_w : near_w;
+            near_inverse = closer ? inverse : near_inverse;
             which = closer ? vi(i) : which;
         }
+        const vf u = Simd::abs(near_v) * near_inverse, v = Simd::abs(near_w) * near_inverse;
         const u32 found = Simd::mask(which >= 0);
         if (found) {
             // Positive floats are ordered as their bits are; the integer reduction is a tree, that of floats a chain.
             t_best = __builtin_bit_cast(float, __builtin_reduce_min(__builtin_bit_cast(vi, nearest)));
             const int lane = __builtin_ctz(found & Simd::mask(nearest == t_best));
+            u_best = u[lane];
+            v_best = v[lane];
             best = packets + which[lane] * (10 * $W) + lane;
         }
         goto done;
@@ -154,10 +165,15 @@ _CLOSEST = (
 """
     + DISTANCE
     + """
+            const vf inverse = Simd::inverse(weight), t = reach * inverse;
+            const vf u = Simd::abs(edge_v) * inverse, v = Simd::abs(edge_w) * inverse;
             for (u32 m = Simd::mask(inside & (t > 0.0f) & (t < t_best)); m; m &= m - 1) {
                 const int i = __builtin_ctz(m);
-                best = t[i] < t_best ? packet + i : best;
-                t_best = t[i] < t_best ? t[i] : t_best;
+                const bool closer = t[i] < t_best;
+                best = closer ? packet + i : best;
+                u_best = closer ? u[i] : u_best;
+                v_best = closer ? v[i] : v_best;
+                t_best = closer ? t[i] : t_best;
             }
         }
         }
@@ -173,21 +189,9 @@ _CLOSEST = (
     done:
     if (!best)
         return -1;
-    // Barycentrics of the hit: edge functions from exact products, those of the wrong sign count as 0.
-    const float a_z = best[qz] - ray_o[kz], b_z = best[3 * $W + qz] - ray_o[kz], c_z = best[6 * $W + qz] - ray_o[kz];
-    const double ax = __builtin_fmaf(a_z, shear_x, best[qx] - ray_o[kx]);
-    const double ay = __builtin_fmaf(a_z, shear_y, best[qy] - ray_o[ky]);
-    const double bx = __builtin_fmaf(b_z, shear_x, best[3 * $W + qx] - ray_o[kx]);
-    const double by = __builtin_fmaf(b_z, shear_y, best[3 * $W + qy] - ray_o[ky]);
-    const double cx = __builtin_fmaf(c_z, shear_x, best[6 * $W + qx] - ray_o[kx]);
-    const double cy = __builtin_fmaf(c_z, shear_y, best[6 * $W + qy] - ray_o[ky]);
-    const double u = cx * by - cy * bx, v = ax * cy - ay * cx, w = bx * ay - by * ax;
-    const double side = u + v + w < 0.0 ? -1.0 : 1.0;
-    const double u1 = u * side > 0.0 ? u * side : 0.0, v1 = v * side > 0.0 ? v * side : 0.0;
-    const double w1 = w * side > 0.0 ? w * side : 0.0, scale = 1.0 / (u1 + v1 + w1);
     t_out = t_best;
-    u_out = (float)(v1 * scale);
-    v_out = (float)(w1 * scale);
+    u_out = u_best;
+    v_out = v_best;
     return ((const int*)best)[9 * $W];
     }
     };
@@ -220,7 +224,7 @@ _ANY = (
     + EDGES
     + DISTANCE
     + """
-            found |= inside & (t > 0.0f) & (t < t_best);
+            found |= inside & (reach > 0.0f) & (reach < weight * t_best);
         }
         return Simd::mask(found != 0) != 0;
     }
@@ -246,7 +250,7 @@ _ANY = (
 """
     + DISTANCE
     + """
-            if (Simd::mask(inside & (t > 0.0f) & (t < t_best)))
+            if (Simd::mask(inside & (reach > 0.0f) & (reach < weight * t_best)))
                 return true;
         }
         }
