@@ -302,6 +302,12 @@ def make_path_step(config: PathConfig, differential: bool, sparse: bool = False)
             wi = to_local(frame.s, frame.t, frame.n, -state.d)
             away = leaving_step(scene, hit.face)
 
+            # The new direction is drawn before the shadow ray is traced: the two overlap on a CPU that executes out of
+            # order, and what depends on the light's visibility, which is guessed badly, is short.
+            r4 = sample_4d(sampler, 2 + SLOTS_PER_VERTEX * state.depth)
+            bs = bsdf.sample(b.model, material, wi, r4[0], wp.vec2(r4[2], r4[3]))
+            wo_world = to_world(frame.s, frame.t, frame.n, bs.wo)
+
             # Next-event estimation.
             wanted = wp.bool(True)
             if wp.static(sparse):
@@ -343,11 +349,8 @@ def make_path_step(config: PathConfig, differential: bool, sparse: bool = False)
                                     vertex.light_weight = light_weight
 
             # Scattering.
-            u4 = sample_4d(sampler, 2 + SLOTS_PER_VERTEX * state.depth)
-            bs = bsdf.sample(b.model, material, wi, u4[0], wp.vec2(u4[2], u4[3]))
             if bs.pdf <= 0.0:
                 return vertex, after
-            wo_world = to_world(frame.s, frame.t, frame.n, bs.wo)
             after.eta = state.eta * bs.eta
             after.depth = state.depth + 1
             inv_pdf = 1.0 / bs.pdf
@@ -365,7 +368,7 @@ def make_path_step(config: PathConfig, differential: bool, sparse: bool = False)
                 survival = wp.min(survival * after.eta * after.eta, ROULETTE_MAX)
                 if wp.static(differential):
                     survival = wp.max(survival, ROULETTE_MIN)
-                if u4[1] >= survival:
+                if r4[1] >= survival:
                     return vertex, after
                 inv_pdf /= survival
                 throughput /= survival
