@@ -16,12 +16,14 @@ from warp_psdr.kernels.structs import Scene
 
 #: What a lane's counter holds: the number of samples dropped, and the pixel and the index of the first of them.
 COUNTER_SIZE = 3
+#: The largest finite float32. Comparing with it costs nothing; ``wp.isfinite`` is a function call on the CPU.
+LARGEST = wp.constant(3.4028234663852886e38)
 
 
 @wp.func
 def finite(v: wp.vec3) -> wp.bool:
     """Whether all components are finite; three of 1e38 and more, whose sum overflows, count as not."""
-    return wp.isfinite(v[0] + v[1] + v[2])
+    return wp.abs(v[0] + v[1] + v[2]) <= LARGEST
 
 
 @wp.func
@@ -33,7 +35,7 @@ def vanishes(v: wp.vec3) -> wp.bool:
 @wp.func
 def inverse_pdf(pdf: wp.float32) -> wp.float32:
     """1 / pdf, and NaN for an infinite density, which would drop the sample's contribution without a word."""
-    return wp.where(wp.isfinite(pdf), 1.0 / pdf, wp.NAN)
+    return wp.where(wp.abs(pdf) <= LARGEST, 1.0 / pdf, wp.NAN)
 
 
 @wp.func
