@@ -264,6 +264,11 @@ def make_path_step(config: PathConfig, differential: bool, sparse: bool = False)
         vertex.d = state.d
         vertex.throughput = state.throughput
         after = PathState()
+        # Drawn before the ray is traced: a CPU that executes out of order does both at once.
+        if wp.static(config.scatter):
+            if wp.static(has_lights):
+                u4 = sample_4d(sampler, 1 + SLOTS_PER_VERTEX * state.depth)
+            r4 = sample_4d(sampler, 2 + SLOTS_PER_VERTEX * state.depth)
         hit = closest_hit(scene.accel, state.o, state.d, state.t_max)
         if hit.face < 0:
             if wp.static(environment):
@@ -302,9 +307,8 @@ def make_path_step(config: PathConfig, differential: bool, sparse: bool = False)
             wi = to_local(frame.s, frame.t, frame.n, -state.d)
             away = leaving_step(scene, hit.face)
 
-            # The new direction is drawn before the shadow ray is traced: the two overlap on a CPU that executes out of
-            # order, and what depends on the light's visibility, which is guessed badly, is short.
-            r4 = sample_4d(sampler, 2 + SLOTS_PER_VERTEX * state.depth)
+            # The new direction is drawn before the shadow ray is traced: again the two overlap, and what depends on the
+            # light's visibility, which is guessed badly, is short.
             bs = bsdf.sample(b.model, material, wi, r4[0], wp.vec2(r4[2], r4[3]))
             wo_world = to_world(frame.s, frame.t, frame.n, bs.wo)
 
@@ -315,7 +319,6 @@ def make_path_step(config: PathConfig, differential: bool, sparse: bool = False)
                 wanted = after.met > 0
             if wp.static(has_lights):
                 if wanted and not bsdf.is_delta(b.model):
-                    u4 = sample_4d(sampler, 1 + SLOTS_PER_VERTEX * state.depth)
                     ls, index, probability = sample_light(scene, surface.x, u4)
                     if not ls.pdf <= 0.0:
                         wo = to_local(frame.s, frame.t, frame.n, ls.wi)
