@@ -58,14 +58,15 @@ class RayAdjoint:
     dot: wp.float32
 
 
-@wp.func
+# Warp checks an index for its sign and multiplies it with a stride, for every component anew: 3 % of an image.
+@wp.func_native("return *(const wp::vec3*)(values.data + offset);")
 def load_vec3(values: wp.array(dtype=wp.float32), offset: wp.int32) -> wp.vec3:
-    return wp.vec3(values[offset], values[offset + 1], values[offset + 2])
+    return wp.vec3()  # Warp takes the type from here; the snippet is what runs
 
 
-@wp.func
+@wp.func_native("return *(const wp::vec2*)(values.data + offset);")
 def load_vec2(values: wp.array(dtype=wp.float32), offset: wp.int32) -> wp.vec2:
-    return wp.vec2(values[offset], values[offset + 1])
+    return wp.vec2()
 
 
 @wp.func
