@@ -9,6 +9,7 @@ from scipy import special, stats
 
 from warp_psdr.kernels.constants import RFILTER_BOX, RFILTER_GAUSSIAN, RFILTER_TENT
 from warp_psdr.kernels.film import make_filter
+from warp_psdr.kernels.splat import make_filter_steps
 
 SIGNIFICANCE = 1e-5
 
@@ -119,3 +120,36 @@ def test_filters_are_mitsubas(name, plugin):
 def test_unknown_filter_is_named():
     with pytest.raises(ValueError, match="unknown pixel filter 7"):
         make_filter(7)
+
+
+@pytest.mark.parametrize(
+    ("kind", "radius", "stddev"),
+    [
+        (RFILTER_GAUSSIAN, 2.0, 0.5),
+        (RFILTER_GAUSSIAN, 6.0, 1.5),
+        (RFILTER_GAUSSIAN, 0.8, 0.2),
+        (RFILTER_TENT, 3.0, 0.0),
+    ],
+)
+def test_filter_steps_are_the_filter(kind, radius, stddev):
+    first, following = make_filter_steps(kind)
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def walk(start: wp.array(dtype=wp.float32), weights_out: wp.array2d(dtype=wp.float32)):
+        i = wp.tid()
+        step = first(start[i], radius, stddev)
+        for j in range(weights_out.shape[1]):
+            weights_out[i, j] = step.weight
+            step = following(step)
+
+    # From the last pixel within reach on one side to the first on the other.
+    start = np.linspace(radius - min(1.0, radius), radius, 33, dtype=np.float32)
+    weights = wp.zeros((len(start), int(2.0 * radius) + 1), dtype=wp.float32, device="cpu")
+    wp.launch(walk, len(start), [wp.array(start, device="cpu")], [weights], device="cpu")
+    x = start[:, None].astype(np.float64) - np.arange(weights.shape[1])
+    if kind == RFILTER_TENT:
+        expected = np.maximum(1.0 - np.abs(x) / radius, 0.0)
+    else:
+        expected = np.maximum(np.exp(-0.5 * (x / stddev) ** 2) - np.exp(-0.5 * (radius / stddev) ** 2), 0.0)
+    assert expected.max() > 0.5
+    np.testing.assert_allclose(weights.numpy(), expected, atol=2.0e-6)  # float32, 12 products of numbers up to 1
