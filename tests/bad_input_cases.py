@@ -244,10 +244,10 @@ CASES = [
     ),
     Case(
         "negative alpha",
-        ("parameter 'alpha'", "-0.1", "at least 0.0001"),
+        ("parameter 'alpha'", "-0.1", "at least 1e-05"),
         plugins=model(type="roughconductor", alpha=-0.1),
     ),
-    Case("zero alpha", ("parameter 'alpha'", "at least 0.0001"), plugins=model(type="roughconductor", alpha=0.0)),
+    Case("zero alpha", ("parameter 'alpha'", "at least 1e-05"), plugins=model(type="roughconductor", alpha=0.0)),
     Case(
         "coloured alpha",
         ("parameter 'alpha'", "one number"),

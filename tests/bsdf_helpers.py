@@ -10,6 +10,7 @@ import numpy as np
 import warp as wp
 
 from warp_psdr.kernels.bsdf.dispatch import make_bsdf
+from warp_psdr.kernels.bsdf.microfacet import MIN_ALPHA
 from warp_psdr.kernels.constants import (
     BSDF_CONDUCTOR,
     BSDF_DIELECTRIC,
@@ -48,6 +49,10 @@ def direction(degrees: float, azimuth: float = 30.0) -> np.ndarray:
     """Unit vector at an angle from the normal; the azimuth, degrees, keeps it off the axes."""
     t, p = np.radians(degrees), np.radians(azimuth)
     return np.array([np.sin(t) * np.cos(p), np.sin(t) * np.sin(p), np.cos(t)])
+
+
+def unit(w: np.ndarray) -> np.ndarray:
+    return w / np.linalg.norm(w, axis=-1, keepdims=True)
 
 
 def random_directions(rng: np.random.Generator, n: int, both_sides: bool = False) -> np.ndarray:
@@ -205,7 +210,7 @@ def twin_eval(model: int, mat: np.void, wi: np.ndarray, wo: np.ndarray) -> np.nd
         return mat["c0"] / np.pi * wo[2]
     if model not in ROUGH:
         return np.zeros(3)
-    au, av = max(mat["s0"], 1e-4), max(mat["s1"], 1e-4)
+    au, av = (max(mat[name], float(np.float32(MIN_ALPHA))) for name in ("s0", "s1"))
     h = (wi + wo) / np.linalg.norm(wi + wo)
     theta, phi = np.arctan2(np.hypot(h[0], h[1]), h[2]), np.arctan2(h[1], h[0])
     t = np.tan(theta) ** 2 * ((np.cos(phi) / au) ** 2 + (np.sin(phi) / av) ** 2)

@@ -19,7 +19,9 @@ from tests.bsdf_helpers import (
     rough,
     twin_eval,
     twin_scatter,
+    unit,
 )
+from warp_psdr.kernels.bsdf.microfacet import MIN_ALPHA
 from warp_psdr.kernels.constants import (
     BSDF_CONDUCTOR,
     BSDF_DIELECTRIC,
@@ -121,6 +123,7 @@ for _model, _name in zip(ROUGH, ("ggx", "beckmann"), strict=True):
             ("masked", (0.9, 0.7), GOLD, direction(75.0), direction(80.0, 100.0)),
             ("alpha=1e-2", (1e-2, 1e-2), GOLD, _oblique, near_mirror(_oblique, 1e-2)),
             ("alpha=2e-4", (2e-4, 3e-4), GOLD, _oblique, near_mirror(_oblique, 2e-4)),
+            ("alpha=2e-5", (2e-5, 3e-5), GOLD, _oblique, near_mirror(_oblique, 2e-5)),
             ("normal", (0.3, 0.2), GOLD, NORMAL, NORMAL),
             ("normal-in", (0.3, 0.2), GOLD, NORMAL, direction(30.0)),
             ("normal-in-smooth", (1e-2, 1e-2), GOLD, NORMAL, near_mirror(NORMAL, 1e-2)),
@@ -141,7 +144,7 @@ def test_eval_vjp(bsdf: Launcher, model: int, mat: np.void, wi: np.ndarray, wo: 
     scale = min(wi[2], wo[2], 1.0 if model == BSDF_DIFFUSE else mat["s0"])
 
     def f(mat, wi, wo):
-        return np.dot(w, twin_eval(model, mat, wi, wo))
+        return np.dot(w, twin_eval(model, mat, unit(wi), unit(wo)))
 
     assert mat["c0"].max() == 0.0 or abs(f(mat, wi, wo)) > 0.0
     check(f, mat, wi, wo, bsdf.eval_vjp(model, mat, wi, wo, w)[0], scale)
@@ -158,11 +161,11 @@ def test_a_black_surface_has_the_reflectance_derivative_of_a_white_one(bsdf: Lau
 @pytest.mark.parametrize("model", ROUGH)
 def test_the_floor_of_the_roughness_has_no_derivative(bsdf: Launcher, model: int) -> None:
     wi = direction(40.0)
-    wo = rounded(near_mirror(wi, 1e-4))
+    wo = rounded(near_mirror(wi, MIN_ALPHA))
     below = bsdf.eval_vjp(model, rough(1e-6), wi, wo, WEIGHT)[0]["material"]
     assert below["s0"] == below["s1"] == 0.0
     value, _ = bsdf.eval_pdf(model, rough(1e-6), wi, wo)
-    at_floor, _ = bsdf.eval_pdf(model, rough(1e-4), wi, wo)
+    at_floor, _ = bsdf.eval_pdf(model, rough(MIN_ALPHA), wi, wo)
     assert np.all(value > 0.0)
     np.testing.assert_array_equal(value, at_floor)
 
@@ -239,8 +242,8 @@ def all_finite(adjoint: np.ndarray) -> bool:
 
 
 EXTREMES = [
-    rough(1e-4),
-    rough(1e-4, 1.0),
+    rough(MIN_ALPHA),
+    rough(MIN_ALPHA, 1.0),
     rough(1.0, metal=MIRROR),
     rough(0.3, metal=((0.0, 1.0, 1e-4), (0.0, 0.0, 1e-4))),
     rough(0.1, metal=((20.0, 0.0, 1.0), (0.0, 50.0, 0.0)), reflectance=BLACK),
@@ -251,6 +254,8 @@ def edge_directions() -> np.ndarray:
     rng = np.random.default_rng(0)
     angles = [0.0, 1e-6, 1e-3, 1.0, 45.0, 89.0, 89.99, 89.9999, 89.999999, 90.0]
     rows = [direction(t, p) for t in angles for p in (0.0, 90.0, 180.0, 217.0)]
+    # Cosines on both sides of the least one that scatters, down to float32's smallest.
+    rows += [(np.cos(p), np.sin(p), c) for c in (5e-7, 1.5e-7, 9e-8, 1e-12, 1e-20, 1e-30, 1e-38) for p in (0.0, 2.0)]
     return np.concatenate([rows, random_directions(rng, 40)])
 
 

@@ -25,9 +25,9 @@ import warp as wp
 from warp_psdr.kernels.constants import INV_PI
 from warp_psdr.kernels.sampling import square_to_disk
 
-#: Smallest roughness: narrower lobes are the business of ``conductor``, and float32 half vectors do not resolve them.
-MIN_ALPHA = 1.0e-4
-#: Squared slope over the roughness beyond which exp(-t), even over alpha^2, is below float32's range.
+#: Smallest roughness: narrower lobes are the business of ``conductor``, and float32 directions do not resolve them.
+MIN_ALPHA = 1.0e-5
+#: Squared slope over the roughness beyond which exp(-t) counts as zero: it is 4e-44, the edge of float32's range.
 BECKMANN_CUTOFF = 100.0
 #: The fit of Beckmann's G_1 holds below this cotangent over the roughness and is 1 above it.
 BECKMANN_UNMASKED = 1.6
@@ -44,7 +44,7 @@ class Microfacet(NamedTuple):
     """Warp functions of one distribution; the first three are differentiable.
 
     Attributes:
-        ndf: ``(t) -> float32``, P(t) above.
+        ndf: ``(t, r) -> float32``, P(t) r^2 with r = 1 / h_z^2, in factors that all stay within float32's range.
         smith_over_cos: ``(z, r2) -> float32`` of a stretched vector with cosine ``z`` and ``r2 = r^2``.
         projected_area: ``(z, r2) -> float32`` likewise.
         sample_visible: ``(w, v) -> vec3``: the stretched, unnormalised microfacet normal visible from the stretched
@@ -68,9 +68,10 @@ def make_microfacet(distribution: str) -> Microfacet:
 
 
 @wp.func
-def _ggx_ndf(t: wp.float32) -> wp.float32:
-    d = 1.0 + t
-    return INV_PI / (d * d)
+def _ggx_ndf(t: wp.float32, inv_cos2: wp.float32) -> wp.float32:
+    # The ratio lies between the squared roughness and 1; the squares of its parts, and their adjoints, overflow.
+    ratio = inv_cos2 / (1.0 + t)
+    return INV_PI * ratio * ratio
 
 
 @wp.func
@@ -98,10 +99,10 @@ def _ggx_sample_visible(w: wp.vec3, v: wp.vec2) -> wp.vec3:
 
 
 @wp.func
-def _beckmann_ndf(t: wp.float32) -> wp.float32:
+def _beckmann_ndf(t: wp.float32, inv_cos2: wp.float32) -> wp.float32:
     p = wp.float32(0.0)
     if t < BECKMANN_CUTOFF:
-        p = INV_PI * wp.exp(-t)
+        p = INV_PI * wp.exp(-t) * inv_cos2 * inv_cos2
     return p
 
 
@@ -146,7 +147,7 @@ def _beckmann_sample_visible(w: wp.vec3, v: wp.vec2) -> wp.vec3:
     total = 0.5 * (z * wp.erfc(-high) + INV_SQRT_PI * r * wp.exp(-high * high))
     target = (1.0 - v[0]) * total
     # Exact at normal incidence, and a sound start elsewhere.
-    x = wp.clamp(wp.erfinv(wp.clamp(1.0 - 2.0 * v[0], -0.9999999, 0.9999999)), low, high)
+    x = wp.clamp(wp.erfinv(1.0 - 2.0 * v[0]), low, high)
     for _ in range(BECKMANN_STEPS):
         gauss = INV_SQRT_PI * wp.exp(-x * x)
         c = 0.5 * (z * wp.erfc(-x) + r * gauss)

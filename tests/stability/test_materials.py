@@ -19,7 +19,9 @@ from tests.bsdf_helpers import (
     rough,
     twin_eval,
     twin_fresnel_conductor,
+    unit,
 )
+from warp_psdr.kernels.bsdf.microfacet import MIN_ALPHA
 from warp_psdr.kernels.constants import (
     BSDF_CONDUCTOR,
     BSDF_DIELECTRIC,
@@ -35,13 +37,18 @@ from .record import Case, parameters
 WEIGHT = np.array([0.7, -0.4, 1.1])
 #: Metals: gold, a perfect mirror, a lossless medium.
 METALS = (GOLD, MIRROR, ((1.5, 1.3, 2.0), (0.0, 0.0, 0.0)))
-ALPHAS = (1e-4, 1e-3, 1e-2, 1e-1, 0.3, 1.0)
+ALPHAS = (MIN_ALPHA, 1e-4, 1e-3, 1e-2, 1e-1, 0.3, 1.0)
 ANGLES = (0.0, 40.0, 80.0, 89.0, 89.9)
 
 
 def rounded(x) -> np.ndarray:
     """What the device sees of a float64 value."""
     return np.asarray(x, np.float32).astype(np.float64)
+
+
+def twin(model: int, mat: np.void, wi: np.ndarray, wo: np.ndarray) -> np.ndarray:
+    """f_s cos in float64 of directions as the device sees them but for their lengths, which are rounded too."""
+    return twin_eval(model, mat, unit(wi), unit(wo))
 
 
 def as_seen(mat: np.void) -> np.void:
@@ -86,7 +93,7 @@ def smooth_values() -> float:
     launcher, worst = Launcher("cpu"), 0.0
     for model, _alpha, mat, wi, wo in smooth_rows():
         value, pdf = launcher.eval_pdf(model, mat, wi, wo)
-        expected = twin_eval(model, mat, wi, wo)
+        expected = twin(model, mat, wi, wo)
         if not (np.isfinite(value).all() and np.isfinite(pdf).all() and pdf[0] > 0.0):
             return math.inf
         worst = max(worst, float(np.abs(value[0] - expected).max() / np.abs(expected).max()))
@@ -102,37 +109,37 @@ def smooth_derivatives() -> float:
             np.isfinite(adjoint["wi"]).all() and np.isfinite(adjoint["wo"]).all()
         ):
             return math.inf
-        value = np.abs(WEIGHT) @ np.abs(twin_eval(model, mat, wi, wo)) + 1e-30
+        value = np.abs(WEIGHT) @ np.abs(twin(model, mat, wi, wo)) + 1e-30
         # By the reflectance: linear, so exact also where it is 0.
         for c in range(3):
             one = np.array(mat, dtype=MATERIAL)
             one["c0"] = np.eye(3)[c]
-            expected = WEIGHT[c] * twin_eval(model, one[()], wi, wo)[c]
+            expected = WEIGHT[c] * twin(model, one[()], wi, wo)[c]
             worst = max(worst, float(abs(adjoint["material"]["c0"][c] - expected)) / max(abs(expected), 1e-30))
-        # By the roughness: one-sided at 1e-4, where the range ends, and at 1.
+        # By the roughness: one-sided where the range begins.
         for slot in ("s0", "s1"):
             alpha = float(mat[slot])
             if alpha > 0.0:
                 h = 1e-5 * alpha
+                first = 0 if alpha < 1.5 * MIN_ALPHA else -1
                 f = []
-                for k in (0, 1, 2):
+                for k in (first, first + 1, first + 2):
                     moved = np.array(mat, dtype=MATERIAL)
-                    moved[slot] = alpha + (k if alpha < 2e-4 else k - 1) * h
-                    f.append(WEIGHT @ twin_eval(model, moved[()], wi, wo))
+                    moved[slot] = alpha + k * h
+                    f.append(WEIGHT @ twin(model, moved[()], wi, wo))
                 forward = (-1.5 * f[0] + 2.0 * f[1] - 0.5 * f[2]) / h
-                expected = forward if alpha < 2e-4 else (f[2] - f[0]) / (2.0 * h)
-                if alpha != np.float32(1e-4):  # there the clamp has either one-sided derivative
-                    worst = max(worst, abs(float(adjoint["material"][slot]) - expected) * alpha / value)
+                expected = forward if first == 0 else (f[2] - f[0]) / (2.0 * h)
+                worst = max(worst, abs(float(adjoint["material"][slot]) - expected) * alpha / value)
     return worst
 
 
 def below_the_range() -> float:
-    """Roughness below 1e-4 is that of 1e-4: largest difference of values, and of derivatives from 0."""
+    """Roughness below 1e-5 is that of 1e-5: largest difference of values, and of derivatives from 0."""
     launcher, worst = Launcher("cpu"), 0.0
     for model in (BSDF_ROUGH_CONDUCTOR_GGX, BSDF_ROUGH_CONDUCTOR_BECKMANN):
-        for wi, wo in rough_pairs(1e-4):
-            at = launcher.eval_pdf(model, rough(1e-4), wi, wo)
-            for alpha in (1e-5, 1e-7, 0.0):
+        for wi, wo in rough_pairs(MIN_ALPHA):
+            at = launcher.eval_pdf(model, rough(MIN_ALPHA), wi, wo)
+            for alpha in (9e-6, 1e-7, 0.0):
                 below = launcher.eval_pdf(model, rough(alpha), wi, wo)
                 worst = max(worst, *(float(np.abs(a - b).max()) for a, b in zip(at, below, strict=True)))
                 adjoint = launcher.eval_vjp(model, rough(alpha), wi, wo, WEIGHT)[0]["material"]
@@ -241,23 +248,23 @@ def metals() -> float:
 CASES = [
     Case(
         family="materials",
-        name="values, alpha 1e-4 to 1, up to 89.9 degrees",
-        hard="lobes of 1e8 per steradian, half vectors that cancel to 1e-4, grazing angles",
-        naive="normalised half vectors and 1 - cos^2 lose all digits of the slope at alpha 1e-3",
-        bound=4e-5,
+        name="values, alpha 1e-5 to 1, up to 89.9 degrees",
+        hard="lobes of 1e10 per steradian, half vectors that cancel to 1e-5, grazing angles",
+        naive="slopes of wi + wo alone: off by 0.8 at alpha 1e-5 and 89.9 degrees",
+        bound=1.5e-6,
         measure=smooth_values,
     ),
     Case(
         family="materials",
-        name="derivatives, alpha 1e-4 to 1, albedo 0 and 1",
+        name="derivatives, alpha 1e-5 to 1, albedo 0 and 1",
         hard="as above; the derivative by a reflectance of 0",
         naive="value / reflectance is 0 / 0 at a black surface",
-        bound=5e-5,
+        bound=2.5e-6,
         measure=smooth_derivatives,
     ),
     Case(
         family="materials",
-        name="alpha 1e-5 and 0",
+        name="alpha below 1e-5",
         hard="a lobe that float32 directions do not resolve",
         naive="overflow of D, 0 * inf",
         bound=0.0,

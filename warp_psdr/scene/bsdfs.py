@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any, Literal, cast
 
 import numpy as np
 
+from warp_psdr.kernels.bsdf.microfacet import MIN_ALPHA
+
 from .description import BsdfDescription, TextureDescription
 from .errors import did_you_mean, error, listing
 from .materials import CONDUCTORS
@@ -28,8 +30,6 @@ IORS = {
 #: Admissible range of each texture slot; eta and k only have to be non-negative.
 RANGES = {"reflectance": 1.0, "specular_reflectance": 1.0, "specular_transmittance": 1.0}
 _SCALARS = ("alpha", "alpha_u", "alpha_v")
-#: Smallest roughness; smaller ones overflow the microfacet terms in float32, and a smooth conductor is what is meant.
-ALPHA_MIN = 1e-4
 
 
 def build(node: dict, where: str, path: str, context: Context, *, shared: bool) -> BsdfDescription:
@@ -63,7 +63,7 @@ def check_attributes(bsdf: BsdfDescription, attributes: dict[str, np.ndarray], w
         ValueError: With the attributes that the shape has.
     """
     for slot, value in bsdf.textures.items():
-        low = ALPHA_MIN if slot in _SCALARS else 0.0
+        low = MIN_ALPHA if slot in _SCALARS else 0.0
         check_attribute(value, attributes, where, low, RANGES.get(slot, np.inf), slot in _SCALARS)
     if bsdf.back is not None:
         check_attributes(bsdf.back, attributes, where)
@@ -128,7 +128,7 @@ def _roughconductor(props: Properties) -> BsdfDescription:
     if anisotropic and not (props.has("alpha_u") and props.has("alpha_v")):
         raise error(props.where, "got only one of 'alpha_u' and 'alpha_v'", "give both, or 'alpha'")
     for slot, name in (("alpha_u", "alpha_u"), ("alpha_v", "alpha_v")) if anisotropic else (("alpha_u", "alpha"),):
-        textures[slot] = texture(props, name, 0.1, low=ALPHA_MIN, scalar=True)
+        textures[slot] = texture(props, name, 0.1, low=MIN_ALPHA, scalar=True)
     textures.setdefault("alpha_v", textures["alpha_u"])
     for name in _SCALARS:
         props.take(name)

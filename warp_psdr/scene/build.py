@@ -9,6 +9,7 @@ import warp as wp
 
 from warp_psdr.kernels import constants as c
 from warp_psdr.kernels import structs
+from warp_psdr.kernels.bsdf.microfacet import MIN_ALPHA
 from warp_psdr.scene.layout import (
     CAMERA,
     LIGHT_POSE,
@@ -46,8 +47,8 @@ BOUNDS = {
     "reflectance": (0.0, 1.0),
     "specular_reflectance": (0.0, 1.0),
     "specular_transmittance": (0.0, 1.0),
-    "alpha_u": (1e-3, 1.0),
-    "alpha_v": (1e-3, 1.0),
+    "alpha_u": (MIN_ALPHA, 1.0),
+    "alpha_v": (MIN_ALPHA, 1.0),
     "eta": (0.0, INF),
     "k": (0.0, INF),
 }
