@@ -31,7 +31,7 @@ from warp_psdr.scene.layout import (
 )
 from warp_psdr.scene.lights import Lights
 from warp_psdr.scene.origin import COLLAPSING
-from warp_psdr.scene.steps import Steps, find_steps
+from warp_psdr.scene.steps import Boxes, Steps, find_steps, measure, second_width
 from warp_psdr.scene.world import World
 
 if TYPE_CHECKING:
@@ -42,6 +42,8 @@ if TYPE_CHECKING:
 #: Shapes below this many ray epsilons are noted: derivatives of silhouettes are off by 5 % at 35 of them, by 0.1 % at
 #: 350 (``tests/stability/test_scale.py``).
 SPECK = 100.0
+#: Shapes narrower than this many steps past edges are noted: derivatives lack 4 % at 0.15 of them, and all at 0.1.
+HAIR = 0.2
 #: rho over the radius of the smallest shape (``kernels/interior/contact.py``): its bias is of this order, and only in
 #: light between surfaces that touch.
 CONTACT_RADIUS = 1.0e-2
@@ -82,6 +84,7 @@ class Scene:
         self._world = World(self.values, self.origin)
         self._left = False
         self.steps: Steps
+        self._boxes: Boxes
         self.indices = wp.array(builder.indices.reshape(-1), dtype=wp.int32, device=self.device)
         self.face_count = len(builder.indices)
         self.vertex_count = builder.vertex_count
@@ -275,8 +278,11 @@ class Scene:
 
     def _update_bounds(self) -> None:
         """Radius of the bounding sphere and length of the step off a surface."""
-        points = self.points if self.vertex_count else np.zeros((1, 3), np.float32)
-        low, high = points.min(axis=0).astype(np.float64), points.max(axis=0).astype(np.float64)
+        points = self.points
+        self._boxes = measure(points, [(s.first_vertex, s.vertex_count) for s in self.builder.shapes])
+        low, high = np.zeros(3), np.zeros(3)
+        if self.vertex_count:
+            low, high = self._boxes.low.min(axis=0), self._boxes.high.max(axis=0)
         if not (np.isfinite(low).all() and np.isfinite(high).all()):
             raise ValueError(
                 "vertex positions hold NaN or infinity after the last edit; restore finite values "
@@ -292,14 +298,13 @@ class Scene:
                 RuntimeWarning,
                 stacklevel=4,
             )
-        spans = [(s.first_vertex, s.first_vertex + s.vertex_count) for s in self.builder.shapes if s.vertex_count]
-        sizes = [float(np.linalg.norm(np.ptp(points[first:end].astype(np.float64), axis=0))) for first, end in spans]
-        self.contact_radius = CONTACT_RADIUS * 0.5 * min((s for s in sizes if s > 0.0), default=0.0)
+        sizes = self._boxes.size
+        self.contact_radius = CONTACT_RADIUS * 0.5 * float(sizes[sizes > 0.0].min()) if sizes.any() else 0.0
         self._update_steps(points)
 
     def _update_steps(self, points: np.ndarray) -> None:
-        spans = [(s.first_vertex, s.vertex_count, s.first_face) for s in self.builder.shapes]
-        self.steps = find_steps(points, self.builder.indices, spans, self.ray_epsilon)
+        first_face = [s.first_face for s in self.builder.shapes]
+        self.steps = find_steps(points, self.builder.indices, first_face, self._boxes, self.ray_epsilon)
         steps = [float(step) for step in self.steps.shapes.astype(np.float32)]
         if steps != [s.edge_step for s in self.builder.shapes]:
             for record, step in zip(self.builder.shapes, steps, strict=True):
@@ -308,10 +313,8 @@ class Scene:
 
     def _note_specks(self) -> None:
         """Tell of shapes that are small for the steps by which rays leave surfaces."""
-        points = self.points
         mirrors = any(record.model in DELTA_MODELS for record in self.builder.bsdfs)
-        for number, (shape, s) in enumerate(zip(self.description.shapes, self.builder.shapes, strict=True)):
-            size = float(np.linalg.norm(np.ptp(points[s.first_vertex : s.first_vertex + s.vertex_count], axis=0)))
+        for number, (shape, size) in enumerate(zip(self.description.shapes, self._boxes.size.tolist(), strict=True)):
             if self.steps.scene and size < SPECK * self.steps.behind[number]:
                 self.description.notes.append(
                     f"'{shape.path}' is too small for what it touches, or for its place: rays pass its edges at "
@@ -324,6 +327,13 @@ class Scene:
                     f"'{shape.path}' is small for its world, and one step serves all that is seen through mirrors and "
                     f"glass: boundary gradients pass its edges at {self.ray_epsilon / size:.1g} of its size there; "
                     "render it in a scene without what is far away or vast"
+                )
+            s = self.builder.shapes[number]
+            width = second_width(self.points[s.first_vertex : s.first_vertex + s.vertex_count]) if size > 0.0 else 0.0
+            if 0.0 < width < HAIR * (float(self.steps.shapes[number]) or self.ray_epsilon):
+                self.description.notes.append(
+                    f"'{shape.path}' is a hair, {width / size:.1g} times as wide as long, which is too narrow for its "
+                    "scene: the derivatives of its silhouettes are incomplete; make it wider, or the scene smaller"
                 )
 
     def derived_normals(self, names: list[str]) -> list[int]:
