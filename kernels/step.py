@@ -9,9 +9,9 @@ generous 160 u of the largest coordinate of all. Where shapes are small for that
   turned squares, seen from anywhere and at angles down to 10^-4: at 1.6 u a share of 10^-3 meets its own square or the
   triangle beside, at 3.2 u none, for both ray backends.
 * An edge is passed at ``RAY_EPSILON`` times the size of its shape, but at no less than ``RESOLVED`` (40 u) of the
-  shape's largest coordinate (``primary.py`` looks past edges at a tenth of that), and no less than ``TOUCH`` (4 u) of
-  the largest coordinate of whatever may touch the shape: so far a vast triangle that touches the edge may lie off its
-  place. The host knows these (``scene/steps.py``): ``Shape.edge_step``.
+  shape's largest coordinate (``primary.py`` and ``edge_sampling.py`` look past edges at a tenth of that), and no less
+  than ``TOUCH`` (4 u) of the largest coordinate of whatever may touch the shape: so far a vast triangle that touches
+  the edge may lie off its place. The host knows these (``scene/steps.py``): ``Shape.edge_step``.
 
 So a small thing is as exact as a large one unless it touches something vast; at 10^-5 of what it touches, steps are
 some percent of its size: float32 coordinates of vast triangles allow little more. Where the vast surface is cut into

@@ -26,6 +26,7 @@ import functools
 
 import warp as wp
 
+from warp_psdr.kernels.constants import FAR
 from warp_psdr.kernels.distribution import find_interval_64
 from warp_psdr.kernels.sink import make_sink_vec3
 from warp_psdr.kernels.step import passing_step
@@ -40,6 +41,8 @@ START_BEHIND_LEAST = 4.0
 #: A surface counts as that of a point within this many ray epsilons of its plane, if it is met this near: what lies
 #: far behind a plane seen edge-on is in it, too.
 ON_PLANE, NEAR = 0.5, 2000.0
+#: Cosine between the normals of two triangles above which one continues the other in its plane.
+IN_PLANE = 0.9999
 #: Numbers a sample that role "samples" records: x_b, the edge from its first to its second end, and the adjoint of x_b.
 SAMPLE_RECORD = 9
 
@@ -175,6 +178,47 @@ def barycentrics_at(tri: Triangle, x: wp.vec3) -> wp.vec2:
     s = x - tri.p0
     squared = wp.max(wp.dot(n, n), 1.0e-30)
     return wp.vec2(wp.dot(n, wp.cross(s, e2)) / squared, wp.dot(n, wp.cross(e1, s)) / squared)
+
+
+@wp.func
+def narrowest_face(
+    scene: Scene, edges: Edges, point: EdgePoint, m: wp.vec3, d: wp.vec3
+) -> tuple[wp.float32, wp.float32]:
+    """Least width of the edge's faces at the point as seen along d, along the normal m to both; least sine to a face.
+
+    In an image with the first axis along the edge, from 0 to 1, and the second along m, a triangle's third corner lies
+    at (c, h), and over the point s it is h s / c wide if c > s, h (1 - s) / (1 - c) if not.
+    """
+    width = wp.float32(FAR)
+    sine = wp.float32(1.0)
+    along = point.p1 - point.p0
+    along = along - wp.dot(along, d) * d
+    along = along / wp.dot(along, along)
+    for i in range(edges.first[point.edge], edges.first[point.edge + 1]):
+        tri = scene.triangles[edges.faces[i]]
+        # Two of the corners lie on the edge, at 0 and 1.
+        third = (tri.p0 - point.p0) + (tri.p1 - point.p0) + (tri.p2 - point.p0)
+        c = wp.dot(along, third) - 1.0
+        share = wp.float32(1.0)
+        if c > point.s:
+            share = point.s / c
+        elif c < point.s:
+            share = (1.0 - point.s) / (1.0 - c)
+        width = wp.min(width, wp.abs(wp.dot(m, third)) * share)
+        sine = wp.min(sine, wp.abs(wp.dot(tri.normal, d)))
+    return width, sine
+
+
+@wp.func
+def own_face(scene: Scene, edges: Edges, edge: wp.int32, face: wp.int32) -> wp.bool:
+    """Whether a face (-1: none) is one of an edge's, or continues one in its plane."""
+    if face < 0:
+        return False
+    for i in range(edges.first[edge], edges.first[edge + 1]):
+        own = edges.faces[i]
+        if face == own or wp.dot(scene.triangles[face].normal, scene.triangles[own].normal) > IN_PLANE:
+            return True
+    return False
 
 
 @functools.cache

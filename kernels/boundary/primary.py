@@ -15,6 +15,15 @@ Where a fine mesh bends away from the camera, creases run within that distance o
 behind. One of their two rays passes the silhouette instead, whose jump the silhouette's own samples have counted, so at
 an edge that is not a silhouette both rays have to meet one of its faces' planes beside it. (Otherwise a ball of 5,120
 triangles, and of a twentieth of the scene's size, had 15 % too large a derivative.)
+
+Such a face F is often narrow as it is seen: the rim of a thin slab, the top of a table at the height of the eye. The
+rays pass its edges at half of its width, in order to meet it, down to some roundings of coordinates, and start in front
+of all of it. Narrower faces, 10^-6 of the scene, are looked past from both of their edges, E_1 of A | F and E_2 of
+F | B, B hidden, which is a crease and which a silhouette is up to roundings, and all lies in the plane of F. There the
+jump is the edge's beside which one of its own faces is seen, or what continues one in its plane: on the occluder's side
+of a silhouette, on either side of a crease; at E_1, that is. So motions of F as a whole are right at any width; what
+changes the width of such a narrow one is not, and sheets that narrow are lost. (Shapes with interpolated normals do
+without: next to silhouettes of their fine meshes many faces are as narrow, and their creases are no candidates.)
 """
 
 import functools
@@ -30,7 +39,9 @@ from warp_psdr.kernels.boundary.local_form import (
     edge_step,
     interior_side,
     make_edge_sink,
+    narrowest_face,
     on_planes,
+    own_face,
 )
 from warp_psdr.kernels.boundary.projection import make_projection, make_splat
 from warp_psdr.kernels.bvh.wide import make_intersect
@@ -41,16 +52,19 @@ from warp_psdr.kernels.path import PathConfig
 from warp_psdr.kernels.rng import make_sampler, sampler_at
 from warp_psdr.kernels.structs import Camera, Scene
 
-#: Distance at which the two rays pass the edge, in ray epsilons: some 8 float32 steps of the largest coordinate. It is
-#: small because a second discontinuity as near (a terminator just inside of a silhouette) is taken for the first; the
-#: rays start close to the edge, where float32 resolves it.
+#: Distance at which the two rays pass the edge, in ray epsilons: some 8 float32 steps of the largest coordinate, and 2
+#: beside narrow faces. It is small because a second discontinuity as near (a terminator just inside of a silhouette) is
+#: taken for the first; the rays start close to the edge, where float32 resolves it.
 BESIDE = 0.1
+BESIDE_LEAST = 0.025
 #: The same at curves of intersection. It is larger because a ray that leaves one of the two surfaces at an acute angle
 #: starts one ray epsilon off it, which may not be behind the other.
 BESIDE_CURVE = 10.0
-#: Distance in front of the edge at which the rays start, in ray epsilons: a triangle that the camera sees edge-on up to
-#: an angle of BESIDE / AHEAD, 10^-4 like the tolerance of flat edges, lies behind the start.
+#: Least distance in front of the edge at which the rays start, in ray epsilons. It is longer where a face is seen more
+#: edge-on than BESIDE / AHEAD, 10^-4: the ray beside the edge must start in front of that face.
 AHEAD = 2000.0
+#: Share by which it is longer than needed, and by which a face is wider than the rays' distance if they meet it.
+MARGIN = 2.0
 
 
 @functools.cache
@@ -121,17 +135,36 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
                 return
         note_place(scene, NOTE_EDGE, point.edge, point.s, 0.0, point.x, d, weight)
         sampler.index = wp.uint32(1)
-        apart = wp.where(edges.ends[point.edge, 0] < 0, BESIDE_CURVE, BESIDE)
-        beside = (apart * local) * m
-        ahead = wp.min(AHEAD * local, distance - at.near)
+        apart = BESIDE_CURVE * local
+        ahead = AHEAD * local
+        narrow = wp.bool(False)
+        if edges.ends[point.edge, 0] >= 0:
+            width, slant = narrowest_face(scene, edges, point, m, d)
+            # Where scales are mixed, steps are some roundings already.
+            least = wp.where(scene.least_step > 0.0, BESIDE, BESIDE_LEAST)
+            apart = wp.clamp(width / MARGIN, least * local, BESIDE * local)
+            ahead = wp.max(ahead, MARGIN * apart / slant)
+            flat = scene.shapes[scene.triangles[edges.faces[edges.first[point.edge]]].shape].smooth == 0
+            narrow = flat and width < MARGIN * apart
+        # Of a face that is seen exactly edge-on, the near plane.
+        ahead = wp.min(ahead, distance - at.near)
+        beside = apart * m
+        t_max = at.far - distance + ahead
+        own = wp.bool(False)
         jump = wp.vec3(0.0, 0.0, 0.0)
         for i in range(2):
             sign = 1.0 - 2.0 * wp.float32(i)
             o = point.x + sign * beside - ahead * d
-            seen = arrival(scene, sampler, o, d, at.far - distance, 0, max_depth, rr_depth)
+            seen = arrival(scene, sampler, o, d, t_max, 0, max_depth, rr_depth)
             jump -= sign * seen.radiance
-            if side == 0.0 and not on_planes(scene, edges, point, seen.face, seen.x, local):
+            # A face that is seen nearly edge-on is met far away.
+            its = own_face(scene, edges, point.edge, seen.face)
+            if narrow:
+                own = own or (side * sign >= 0.0 and its)
+            elif side == 0.0 and not (its or on_planes(scene, edges, point, seen.face, seen.x, local)):
                 return
+        if narrow and not own:
+            return
         scale = 1.0 / (point.pdf * wp.float32(samples))
         if wp.static(role != "forward"):
             scale *= wp.dot(weight, jump)

@@ -214,26 +214,13 @@ CASES = (
         naive="without the curve the derivative lacks its motion; without the contact's weight it has no variance",
     ),
     Case(
-        family="geometry", name="slabs of 1e-3 .. 2e-5 and 3e-6 .. 1e-6, derivative", bound=2.5e-3, slow=True,
-        measure=lambda: lids((1e-3, 1e-4, 2e-5, 3e-6, 1e-6)),
+        family="geometry", name="slabs of 1e-3 .. 1e-6, derivative", bound=2.5e-3, slow=True,
+        measure=lambda: lids((1e-3, 1e-4, 2e-5, 1e-5, 7e-6, 5e-6, 4e-6, 3e-6, 1e-6)),
         hard="the edges around the upper and around the lower face have nearly one image",
-        naive="each is found to have the jump of both",
+        naive="each is found to have the jump of both: 0.39 at 4e-6",
     ),
     Case(
-        family="geometry", name="slabs of 1e-5, derivative", bound=6e-2, slow=True, measure=lambda: lids((1e-5,)),
-        hard="as before: too thick for its vertices to be welded, nearly too thin to look between its edges",
-        naive="the same: what is 1e-6 to 3e-6 of the scene's extent thick is not resolved",
-    ),
-    Case(
-        family="geometry", name="slabs of 7e-6 and 5e-6, derivative", bound=0.2, slow=True,
-        measure=lambda: lids((7e-6, 5e-6)), hard="as before", naive="the same",
-    ),
-    Case(
-        family="geometry", name="slabs of 4e-6, derivative", bound=0.6, slow=True, measure=lambda: lids((4e-6,)),
-        hard="as before", naive="the same",
-    ),
-    Case(
-        family="geometry", name="10^6 triangles, memory [GB]", bound=2.5, slow=True, measure=vast_mesh,
+        family="geometry", name="10^6 triangles, memory [GB]", bound=2.0, slow=True, measure=vast_mesh,
         hard="edges, their adjacency and the tree of a million triangles at once",
         naive="a dense table of edge pairs does not fit any machine",
     ),
@@ -252,7 +239,7 @@ def test_without_the_cut_t_junctions_count_twice(monkeypatch) -> None:
 
 def test_without_the_tilt_needles_count_twice(monkeypatch) -> None:
     monkeypatch.setattr(edges, "TILT", 0.0)
-    assert slope([with_mesh("box", *cut_everywhere(BOX, 4e-6))]) > 0.2
+    assert slope([with_mesh("box", *cut_everywhere(BOX, 4e-6))]) > 0.1
 
 
 @pytest.mark.slow
