@@ -36,6 +36,7 @@ from warp_psdr.kernels.boundary.detector import make_radiance
 from warp_psdr.kernels.boundary.edge_tree import EdgeTrees, edge_at, make_choose
 from warp_psdr.kernels.boundary.local_form import EdgePoint, Edges, edge_behind, edge_step, interior_side
 from warp_psdr.kernels.boundary.ltc_line import Lobes, make_lobe, make_scattering_lobes, mixture_density, sample_mixture
+from warp_psdr.kernels.boundary.primary import BESIDE
 from warp_psdr.kernels.boundary.secondary import Segment, make_segment_sink
 from warp_psdr.kernels.boundary.transport import make_first_sink
 from warp_psdr.kernels.bsdf.dispatch import make_bsdf
@@ -168,7 +169,8 @@ def make_edge_sample(config: PathConfig, tree: bool, candidates: int):
         s = Segment()
         s.light = -1
         s.x = x
-        s.source = x - behind * w
+        # Past the edge so closely that small lights behind it are met.
+        s.source = point.x - (BESIDE * step * side / sine) * m - behind * w
         s.w = w
         s.sweep = side * m
         s.t1 = t1
