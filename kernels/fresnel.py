@@ -9,10 +9,9 @@ import warp as wp
 from warp_psdr.kernels.math import safe_sqrt
 
 #: Floor of the squared modulus of eta'^2 - sin^2 (conductor). The reflectance has a root singularity where that is 0
-#: (the critical angle of a lossless medium): there the floor puts derivative 0 in place of infinity.
+#: (the critical angle of a lossless medium): there the floor puts derivative 0 in place of infinity, and keeps a or b,
+#: and with it both denominators, from 0.
 MIN_SQUARED_MODULUS = 1.0e-24
-#: Floor of the Fresnel denominators; reached only where an index or a cosine vanishes.
-MIN_DENOMINATOR = 1.0e-30
 
 
 @wp.func
@@ -36,11 +35,11 @@ def fresnel_conductor(c: wp.float32, eta: wp.float32, k: wp.float32) -> wp.float
     smaller = half_y / larger
     a = wp.where(x < 0.0, smaller, larger)
     b = wp.where(x < 0.0, larger, smaller)
-    r_s = ((c - a) * (c - a) + b * b) / wp.max((c + a) * (c + a) + b * b, MIN_DENOMINATOR)
+    r_s = ((c - a) * (c - a) + b * b) / ((c + a) * (c + a) + b * b)
     p_minus = a * c - sin2
     p_plus = a * c + sin2
     b2c2 = b * b * c * c
-    r_p = r_s * (p_minus * p_minus + b2c2) / wp.max(p_plus * p_plus + b2c2, MIN_DENOMINATOR)
+    r_p = r_s * (p_minus * p_minus + b2c2) / (p_plus * p_plus + b2c2)
     return 0.5 * (r_s + r_p)
 
 

@@ -231,8 +231,7 @@ def make_vertex_sink(role: str, smooth: bool, flat: bool, uv: bool, tangent: boo
             if wp.static(flat):
                 # n = orientation c / |c|
                 length = wp.length(wp.cross(e1, e2))
-                if length > 0.0:
-                    a_c += normalize_vjp(tri.normal, length, shape.orientation * adjoint.n)
+                a_c += normalize_vjp(tri.normal, length, shape.orientation * adjoint.n)
         # c = e1 x e2: the triple product's rule.
         a_e1 = wp.cross(e2, a_c)
         a_e2 = wp.cross(a_c, e1)

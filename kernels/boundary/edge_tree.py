@@ -122,7 +122,7 @@ def node_importance(node: EdgeNode, lobes: Lobes, x: wp.vec3) -> wp.float32:
     value = lobe_estimate(lobes.cosine, w, cosine, sine)
     value += lobe_estimate(lobes.glossy, w, cosine, sine)
     value += lobe_estimate(lobes.light, w, cosine, sine)
-    return node.weight * value / wp.max(squared, wp.max(radius2, 1.0e-30))
+    return node.weight * value / wp.max(squared, radius2)
 
 
 @wp.func

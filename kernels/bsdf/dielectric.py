@@ -6,13 +6,10 @@ from the one with n2 is scaled by (n1 / n2)^2, since its solid angle changes [Ve
 
 import warp as wp
 
-from warp_psdr.kernels.constants import LOBE_DELTA_REFLECTION, LOBE_DELTA_TRANSMISSION, LOBE_NONE
+from warp_psdr.kernels.constants import LOBE_DELTA_REFLECTION, LOBE_DELTA_TRANSMISSION
 from warp_psdr.kernels.fresnel import fresnel_dielectric, refracted_cosine
 from warp_psdr.kernels.math import reflect_local, refract_local
 from warp_psdr.kernels.structs import BsdfSample, Material, Scattered
-
-#: Below it a cosine counts as zero: the interface seen edge-on scatters nothing, and no denominator vanishes.
-MIN_COSINE = 1.0e-8
 
 
 @wp.func
@@ -34,14 +31,11 @@ def dielectric_scatter(mat: Material, wi: wp.vec3, lobe: wp.int32) -> Scattered:
     c = wp.abs(wi[2])
     g = refracted_cosine(c, eta)
     wo = reflect_local(wi)
-    value = wp.vec3(0.0, 0.0, 0.0)
-    if c > MIN_COSINE:
-        reflectance = fresnel_dielectric(c, g, eta)
-        if lobe == LOBE_DELTA_TRANSMISSION:
-            wo = refract_local(wi, g, eta)
-            value = mat.c1 * ((1.0 - reflectance) / (eta * eta))
-        else:
-            value = mat.c0 * reflectance
+    reflectance = fresnel_dielectric(c, g, eta)
+    value = mat.c0 * reflectance
+    if lobe == LOBE_DELTA_TRANSMISSION:
+        wo = refract_local(wi, g, eta)
+        value = mat.c1 * ((1.0 - reflectance) / (eta * eta))
     return Scattered(wo, value)
 
 
@@ -49,22 +43,20 @@ def dielectric_scatter(mat: Material, wi: wp.vec3, lobe: wp.int32) -> Scattered:
 def dielectric_sample(mat: Material, wi: wp.vec3, u: wp.float32, v: wp.vec2) -> BsdfSample:
     """Reflect with the Fresnel reflectance as probability, else refract; ``v`` is not used."""
     s = BsdfSample()
-    s.eta = 1.0
-    s.lobe = LOBE_NONE
+    eta = relative_eta(mat, wi)
     c = wp.abs(wi[2])
-    if c > MIN_COSINE:
-        eta = relative_eta(mat, wi)
-        g = refracted_cosine(c, eta)
-        reflectance = fresnel_dielectric(c, g, eta)
-        if u < reflectance:
-            s.wo = reflect_local(wi)
-            s.value = mat.c0 * reflectance
-            s.pdf = reflectance
-            s.lobe = LOBE_DELTA_REFLECTION
-        else:
-            s.wo = refract_local(wi, g, eta)
-            s.value = mat.c1 * ((1.0 - reflectance) / (eta * eta))
-            s.pdf = 1.0 - reflectance
-            s.eta = eta
-            s.lobe = LOBE_DELTA_TRANSMISSION
+    g = refracted_cosine(c, eta)
+    reflectance = fresnel_dielectric(c, g, eta)
+    if u < reflectance:
+        s.eta = 1.0
+        s.wo = reflect_local(wi)
+        s.value = mat.c0 * reflectance
+        s.pdf = reflectance
+        s.lobe = LOBE_DELTA_REFLECTION
+    else:
+        s.eta = eta
+        s.wo = refract_local(wi, g, eta)
+        s.value = mat.c1 * ((1.0 - reflectance) / (eta * eta))
+        s.pdf = 1.0 - reflectance
+        s.lobe = LOBE_DELTA_TRANSMISSION
     return s

@@ -137,7 +137,7 @@ def stripe_point(stripe: Stripe, u1: wp.float64, u2: wp.float64) -> wp.vec2:
         rest -= area
         i += 1
         area = fan_area(polygon, i)
-    b = square_to_triangle(wp.vec2(wp.clamp(rest / wp.max(area, 1.0e-30), 0.0, 1.0), wp.float32(u2)))
+    b = square_to_triangle(wp.vec2(wp.clamp(rest / area, 0.0, 1.0), wp.float32(u2)))
     c = corner(polygon, 0)
     return c + b[0] * (corner(polygon, i + 1) - c) + b[1] * (corner(polygon, i + 2) - c)
 

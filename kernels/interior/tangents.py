@@ -159,8 +159,7 @@ def make_vertex_jvp(smooth: bool, flat: bool, uv: bool, tangent: bool):
         else:
             if wp.static(flat):
                 length = wp.length(wp.cross(e1, e2))
-                if length > 0.0:
-                    result.n = normalize_jvp(tri.normal, length, shape.orientation * result.c)
+                result.n = normalize_jvp(tri.normal, length, shape.orientation * result.c)
         if wp.static(uv or tangent):
             result.uv = wp.vec2(result.u, result.v)
             result.tangent = p1 - p0

@@ -1,0 +1,208 @@
+"""Guards of device functions, called where each is needed: without it, what comes out is not finite, or wrong.
+
+Guards of what is differentiated stand in ``test_singular.py``, those of scattering models in ``tests/test_bsdf*.py``,
+those of samples that are not finite in ``tests/test_invalid.py``.
+"""
+
+import numpy as np
+import pytest
+import warp as wp
+
+import warp_psdr as psdr
+from warp_psdr.kernels.boundary.direction import Wedge, pdf_wedge, wedge_direction
+from warp_psdr.kernels.boundary.edge_tree import EdgeNode, node_importance
+from warp_psdr.kernels.boundary.local_form import barycentrics_at
+from warp_psdr.kernels.boundary.ltc_line import Lobes, line_integral, make_lobe, make_scattering_lobes
+from warp_psdr.kernels.boundary.projective import nearest_fraction
+from warp_psdr.kernels.boundary.ray_differential import Link, PointDifferential, RayDifferential, scattered_differential
+from warp_psdr.kernels.bsdf.microfacet import make_microfacet
+from warp_psdr.kernels.constants import BSDF_ROUGH_CONDUCTOR_GGX, LOBE_DELTA_TRANSMISSION, TEXTURE_CONSTANT
+from warp_psdr.kernels.emitter.area import area_density, make_area, pdf_area
+from warp_psdr.kernels.emitter.spot import falloff
+from warp_psdr.kernels.guiding.stripe import Stripe, stripe_point, stripe_square
+from warp_psdr.kernels.interior.pullback import connection_vjp
+from warp_psdr.kernels.interior.tangents import log_geometry_jvp, normalize_jvp
+from warp_psdr.kernels.path import Frame
+from warp_psdr.kernels.sampling import square_to_cosine_hemisphere
+from warp_psdr.kernels.structs import Material, Scene, Triangle
+from warp_psdr.kernels.surface import interpolated_normal, normalize_vjp
+
+from .sweeps import room
+
+SAMPLE_VISIBLE = make_microfacet("ggx").sample_visible
+AREA_SAMPLE = make_area((TEXTURE_CONSTANT,))[1]
+SCATTERING_LOBES = make_scattering_lobes((BSDF_ROUGH_CONDUCTOR_GGX,))
+
+
+@wp.func
+def size(v: wp.vec3) -> wp.float32:
+    """Sum of absolute values; NaN and infinity stay."""
+    return wp.abs(v[0]) + wp.abs(v[1]) + wp.abs(v[2])
+
+
+@wp.kernel(module="unique", enable_backward=False)
+def guards(scene: Scene, zero: wp.vec3, out: wp.array(dtype=wp.float32)):
+    """One number a guard; ``zero`` is not known to the compiler."""
+    nil = zero[0]
+    x = wp.vec3(1.0, nil, nil)
+    y = wp.vec3(nil, 1.0, nil)
+    z = wp.vec3(nil, nil, 1.0)
+    # Vertex normals that cancel: the fallback.
+    out[0] = size(interpolated_normal(x, -x, nil * x, 0.5, 0.0, z) - z)
+    # A connection of no length has no direction that could turn.
+    out[1] = size(normalize_vjp(zero, nil, x))
+    out[2] = size(normalize_jvp(zero, nil, x))
+    out[3] = wp.abs(log_geometry_jvp(z, x, x, y))  # in the plane of its light
+    link = connection_vjp(scene, zero, zero, z, x, 1.0)
+    out[4] = size(link.x) + size(link.c)
+    link = connection_vjp(scene, zero, x, z, nil * x, 1.0)
+    out[5] = size(link.x) + size(link.c)
+    link = connection_vjp(scene, zero, x, zero, nil * x, 1.0)
+    out[6] = size(link.x) + size(link.c)
+    # A triangle without an area.
+    flat = Triangle()
+    flat.p1 = x
+    flat.p2 = x
+    out[7] = wp.length(barycentrics_at(flat, x))
+    # A wedge without a width, and its ends.
+    wedge = Wedge()
+    wedge.t = x
+    wedge.a = y
+    wedge.b = z
+    out[8] = 0.0 * pdf_wedge(wedge)
+    out[9] = wp.abs(size(wedge_direction(wedge, wp.vec2(1.0 + 1.2e-7, nil))) - 1.0)
+    # A spot light's falloff of no width: a step.
+    out[10] = wp.abs(falloff(-z, z, 20.0, 20.0 + nil) - 1.0) + falloff(-z, wp.normalize(x + z), 20.0, 20.0 + nil)
+    # A segment that runs along the line it is nearest to.
+    out[11] = wp.abs(nearest_fraction(x, 3.0 * x, y, x) - 0.5)
+    # A light that is met in its plane, at once; a face of it without an area.
+    out[12] = 0.0 * pdf_area(scene, scene.emitters[0], scene.emitters[0].first_face, x, nil)
+    out[17] = area_density(scene, scene.emitters[0], scene.emitters[0].first_face + 1)
+    corner = scene.triangles[scene.emitters[0].first_face].p0
+    out[18] = AREA_SAMPLE(scene, scene.emitters[0], corner, zero).pdf
+    # An edge that points at the one who sees it, behind a lobe and in it.
+    lobe = make_lobe(z, x, 1.0, 1.0, 1.0)
+    end_on = line_integral(lobe, z, z)
+    out[13] = end_on.integral + 0.0 * (end_on.psi + end_on.u_z + end_on.w_z + end_on.reach)
+    # A mirror direction along the normal: the lobe has any axes.
+    material = Material()
+    material.s0 = 0.1
+    material.s1 = 0.1
+    frame = Frame()
+    frame.n = z
+    frame.s = x
+    frame.t = y
+    lobes = SCATTERING_LOBES(BSDF_ROUGH_CONDUCTOR_GGX, material, frame, z)
+    out[14] = wp.abs(wp.length(lobes.glossy.x) - 1.0)
+    # An edge around the one who sees it: a node that is no farther away than it is large.
+    node = EdgeNode()
+    node.center = 1.0e-20 * z
+    node.half = z
+    node.n_half = wp.vec3(1.0, 1.0, 1.0)
+    node.d_low = -2.0
+    node.d_high = 2.0
+    node.weight = 1.0
+    both = Lobes()
+    both.cosine = lobe
+    out[15] = 0.0 * node_importance(node, both, zero)
+    # A ray at the critical angle.
+    glass = Link()
+    glass.lobe = LOBE_DELTA_TRANSMISSION
+    glass.n = z
+    glass.eta = 1.0
+    ray = RayDifferential()
+    out[16] = size(scattered_differential(glass, x, ray, PointDifferential()).d)
+    # The stripe of an edge that is a silhouette for no point of a light.
+    stripe = Stripe()
+    stripe.above.count = 3
+    stripe.below.count = 3
+    at = stripe_point(stripe, wp.float64(nil), wp.float64(0.5))
+    out[19] = wp.abs(at[0]) + wp.abs(at[1])
+    at = stripe_square(stripe, nil, nil)
+    out[20] = wp.abs(at[0]) + 0.0 * at[1]
+
+
+@wp.kernel(module="unique", enable_backward=False)
+def rims(u: wp.array(dtype=wp.float32), out: wp.array(dtype=wp.float32)):
+    """Sums over warps of points of the unit square's sides."""
+    i = wp.tid()
+    for k in range(4):
+        end = wp.where(k % 2 == 0, 0.0, 0.99999994)
+        v = wp.vec2(u[i], end)
+        if k > 1:
+            v = wp.vec2(end, u[i])
+        out[i] = out[i] + size(square_to_cosine_hemisphere(v)) + size(SAMPLE_VISIBLE(wp.vec3(0.0, 0.0, 1.0), v))
+
+
+NAMES = (
+    "normals that cancel", "normalize_vjp", "normalize_jvp", "light in its plane, forward", "no connection",
+    "light in its plane, reverse", "light without an area", "flat triangle", "wedge without a width",
+    "wedge beyond its end", "falloff without a width", "segment along the line", "light met in its plane",
+    "edge end-on", "mirror along the normal", "node around the eye", "critical angle",
+    "face of a light without an area", "light sampled from its own corner",
+    "point of a stripe without an area", "place in a stripe without an area",
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def values() -> np.ndarray:
+    scene = psdr.load_dict(room())
+    params = psdr.traverse(scene)
+    corners = params["lamp.vertex_positions"].numpy().copy()
+    corners[3] = corners[2]  # its second triangle has collapsed
+    params["lamp.vertex_positions"] = corners
+    params.update()
+    out = wp.full(len(NAMES), np.nan, dtype=wp.float32, device="cpu")
+    wp.launch(guards, 1, [scene.data(), wp.vec3(0.0, 0.0, 0.0)], [out], device="cpu")
+    return out.numpy()
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_guard(name: str, values: np.ndarray) -> None:
+    assert abs(values[NAMES.index(name)]) < 1e-3
+
+
+def test_points_of_the_rim_are_finite() -> None:
+    u = np.linspace(0.0, 0.99999994, 1 << 16, dtype=np.float32)
+    out = wp.zeros(len(u), dtype=wp.float32, device="cpu")
+    wp.launch(rims, len(u), [wp.array(u, device="cpu")], [out], device="cpu")
+    assert np.isfinite(out.numpy()).all()
+
+
+def test_a_mesh_without_usable_normals_is_flat() -> None:
+    """Vertex normals of nearly no length: the triangles' own are used, and the others have no derivative."""
+    found = {}
+    for kind in ("none", "zero"):
+        scene = room()
+        if kind == "zero":
+            scene["box"] |= {"face_normals": False, "normals": np.ones_like(scene["box"]["vertices"])}
+        loaded = psdr.load_dict(scene)
+        params = psdr.traverse(loaded)
+        if kind == "zero":
+            params["box.vertex_normals"] = 1e-12 * scene["box"]["vertices"]
+            params.update()
+        names = ["box.vertex_positions", "box.vertex_normals"][: 1 + (kind == "zero")]
+        params.requires_grad(*names)
+        options = {"integrator": psdr.PathIntegrator(max_depth=3, boundary=None), "spp": 4}
+        image = psdr.render(loaded, **options).numpy()
+        psdr.render_backward(loaded, params, np.ones_like(image), **options)
+        velocity = {name: np.ones_like(params[name].numpy()) for name in names[-1:]}
+        forward = psdr.render_forward(loaded, params, velocity, **options).numpy()
+        assert not any(psdr.invalid_samples(loaded).values())
+        found[kind] = (image, params["box.vertex_positions"].grad.numpy().copy(), forward)
+        assert kind == "none" or not (params["box.vertex_normals"].grad.numpy().any() or forward.any())
+    np.testing.assert_allclose(found["zero"][0], found["none"][0], rtol=1e-5)
+    assert all(np.isfinite(value).all() for value in found["zero"])
+
+
+def test_computed_normals_that_cancel_do_not_turn() -> None:
+    """Both sides of a sheet share its vertices: the normals' sums are zero, and have no direction to differentiate."""
+    scene = room()
+    del scene["box"]["face_normals"]
+    scene["box"] |= {"vertices": scene["box"]["vertices"][:3], "faces": np.array([[0, 1, 2], [0, 2, 1]])}
+    loaded = psdr.load_dict(scene)
+    params = psdr.traverse(loaded)
+    velocity = {"box.vertex_positions": np.float32([[0.3, 0.0, 0.1], [0.0, 0.2, 0.0], [0.1, 0.0, -0.4]])}
+    options = {"integrator": psdr.PathIntegrator(max_depth=3, boundary=None), "spp": 16}
+    image = psdr.render_forward(loaded, params, velocity, **options).numpy()
+    assert np.isfinite(image).all() and image.any() and not any(psdr.invalid_samples(loaded).values())
