@@ -173,7 +173,7 @@ CASES = (
         naive="each is found to have the jump of the true edge: a quarter of the image is wrong at 1e-5",
     ),
     Case(
-        family="geometry", name="needles, 11 widths between, derivative", bound=2.5e-3, slow=True,
+        family="geometry", name="needles, 11 widths between, derivative", bound=2e-3, slow=True,
         measure=lambda: slope(
             [with_mesh("box", *cut_everywhere(BOX, w)) for w in
              (1e-3, 3e-4, 1e-4, 5e-5, 3e-5, 2e-5, 1.5e-5, 7e-6, 4e-6, 2e-6, 1e-6)]),
