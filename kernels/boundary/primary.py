@@ -51,6 +51,7 @@ from warp_psdr.kernels.notes import NOTE_EDGE, make_note
 from warp_psdr.kernels.path import PathConfig
 from warp_psdr.kernels.rng import make_sampler, sampler_at
 from warp_psdr.kernels.structs import Camera, Scene
+from warp_psdr.kernels.surface import make_surface
 
 #: Distance at which the two rays pass the edge, in ray epsilons: some 8 float32 steps of the largest coordinate, and 2
 #: beside narrow faces. It is small because a second discontinuity as near (a terminator just inside of a silhouette) is
@@ -58,7 +59,8 @@ from warp_psdr.kernels.structs import Camera, Scene
 BESIDE = 0.1
 BESIDE_LEAST = 0.025
 #: The same at curves of intersection. It is larger because a ray that leaves one of the two surfaces at an acute angle
-#: starts one ray epsilon off it, which may not be behind the other.
+#: starts one ray epsilon off it, which may not be behind the other. Where something else is seen there than close to
+#: the curve, the ray passes close to it: a silhouette that turns into a curve and its terminator are tangent to it.
 BESIDE_CURVE = 10.0
 #: Least distance in front of the edge at which the rays start, in ray epsilons. It is longer where a face is seen more
 #: edge-on than BESIDE / AHEAD, 10^-4: the ray beside the edge must start in front of that face.
@@ -70,7 +72,8 @@ MARGIN = 2.0
 @functools.cache
 def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
     """Return the kernel of the primary boundary term: one thread a sample (arguments as in ``secondary.py``)."""
-    _closest_hit, any_hit = make_intersect(config.ray_backend, config.ray_width)
+    closest_hit, any_hit = make_intersect(config.ray_backend, config.ray_width)
+    surface_at = make_surface(config.smooth, config.flat, False, False)
     arrival = make_arrival(config)
     push_edge = make_edge_sink(role)
     push_camera = make_camera_sink(role, config.camera) if camera_moves else None
@@ -81,6 +84,15 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
     sample_1d = draw.sample_1d
     sample_2d = draw.sample_2d
     note_place = make_note(config.noted)
+
+    @wp.func
+    def seen_from(scene: Scene, o: wp.vec3, d: wp.vec3, t_max: wp.float32) -> wp.int32:
+        """Number of the shape that a ray meets, from one, negative on the back of its normals; 0: none."""
+        hit = closest_hit(scene.accel, o, d, t_max)
+        if hit.face < 0:
+            return 0
+        surface = surface_at(scene, hit.face, hit.u, hit.v)
+        return wp.where(wp.dot(surface.n, d) > 0.0, -1, 1) * (1 + surface.shape)
 
     @wp.kernel(module="unique", enable_backward=False)
     def primary(
@@ -138,7 +150,8 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
         apart = BESIDE_CURVE * local
         ahead = AHEAD * local
         narrow = wp.bool(False)
-        if edges.ends[point.edge, 0] >= 0:
+        curve = edges.ends[point.edge, 0] < 0
+        if not curve:
             width, slant = narrowest_face(scene, edges, point, m, d)
             # Where scales are mixed, steps are some roundings already.
             least = wp.where(scene.least_step > 0.0, BESIDE, BESIDE_LEAST)
@@ -155,6 +168,10 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
         for i in range(2):
             sign = 1.0 - 2.0 * wp.float32(i)
             o = point.x + sign * beside - ahead * d
+            if curve:
+                close = point.x + (sign * BESIDE * local) * m - ahead * d
+                if seen_from(scene, close, d, t_max) != seen_from(scene, o, d, t_max):
+                    o = close
             seen = arrival(scene, sampler, o, d, t_max, 0, max_depth, rr_depth)
             jump -= sign * seen.radiance
             # A face that is seen nearly edge-on is met far away.

@@ -30,7 +30,7 @@ def post():
 
 def behind():
     """A wall lit by a floor and a box in it, which the camera does not see: nothing but deeper vertices counts."""
-    wall = mesh([[-1, 1.5, 0], [1, 1.5, 0], [1, 1.5, 2], [-1, 1.5, 2]], [[0, 1, 2], [0, 2, 3]], diffuse(0.8))
+    wall = mesh([[-1, 1.5, -0.3], [1, 1.5, -0.3], [1, 1.5, 2], [-1, 1.5, 2]], [[0, 1, 2], [0, 2, 3]], diffuse(0.8))
     return {
         "sensor": camera((0.0, 0.3, 1.2), (0.0, 1.5, 1.2), fov=70.0),
         "wall": wall,
@@ -58,8 +58,29 @@ def lamp():
     }
 
 
+def emerging():
+    """A fine ball out of a pipe: where its outline turns into the curve both are tangent, and so is its terminator."""
+    ball_pose = [[0.43, 0.08, 0.27, -0.548], [0.236, 0.167, -0.426, 0.027], [-0.154, 0.48, 0.103, 0.202]]
+    pipe_pose = [[0.052, -0.179, 0.366, -0.352], [-0.072, -0.367, -0.169, 0.694], [0.401, -0.042, -0.078, 0.319]]
+    view = camera((-0.0993, -1.5137, 1.5821), (-0.005, -0.7745, 0.9153))
+    view["film"] |= {"width": 192, "height": 192, "crop_width": 24, "crop_height": 24}
+    view["film"] |= {"crop_offset_x": 50, "crop_offset_y": 44}
+    return {
+        "sensor": view,
+        "floor": floor(),
+        "shape": {"type": "sphere", "to_world": T([*ball_pose, [0, 0, 0, 1]]), "bsdf": diffuse(0.3, 0.2, 0.8)},
+        "pipe": {
+            "type": "cylinder",
+            "to_world": T([*pipe_pose, [0, 0, 0, 1]]),
+            "bsdf": {"type": "twosided", "bsdf": diffuse(0.8)},
+        },
+        "sky": sky(),
+    }
+
+
 register(
     {
+        "emerging": emerging,
         "sunk": sunk,
         "sunk smooth": lambda: sunk(True),
         "post": post,
@@ -87,6 +108,7 @@ CASES = [
     Case("sunk", CAMERA, moved(1.0, 0.3, 0.4), 0.01, "the camera moves", difference_spp=2048),
     Case("sunk smooth", SHAPE, moved(0.3, 0.2, 1.0), 0.01, "a ball moves", spp=512, difference_spp=4096),
     Case("sunk sky", SHAPE, moved(1.0, 0.2, 0.5), 0.005, "a ball moves", spp=512, difference_spp=8192),
+    Case("emerging", SHAPE, moved(-1.0, 0.2, 0.0), 0.001, "a ball moves", spp=2048, difference_spp=16384),
     Case("knot", SHAPE, stretched, 0.01, "a mesh through itself", difference_spp=4096),
     # As other path vertices do.
     Case("glowing box", SHAPE, moved(0.0, 0.0, 1.0), 0.01, "a light rises", spp=1024, difference_spp=4096, slow=False),
