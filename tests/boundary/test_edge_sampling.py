@@ -18,7 +18,7 @@ CASES = [
     Case("soft", PANEL, ALONG, 0.02, "light moves", spp=512),
     Case("soft", PANEL, scaled, 0.04, "light scales", spp=512),
     Case("soft", (OCCLUDER, PANEL, FLOOR), apart, 0.01, "all move", spp=512, difference_spp=2048),
-    Case("sky", OCCLUDER, ALONG, 0.01, "occluder moves", spp=512, difference_spp=8192),
+    Case("sky", OCCLUDER, ALONG, 0.01, "occluder moves", spp=1024, difference_spp=8192),
     Case("envmap", OCCLUDER, ALONG, 0.01, "occluder moves", spp=512, difference_spp=8192),
     # A rough mirror below the occluder, roughness 0.2 and 0.3.
     Case("rough", OCCLUDER, ALONG, 0.01, "occluder moves", spp=1024, difference_spp=4096),
