@@ -15,7 +15,7 @@ import functools
 
 import warp as wp
 
-from warp_psdr.kernels.boundary.detector import make_radiance
+from warp_psdr.kernels.boundary.detector import make_arrival
 from warp_psdr.kernels.bsdf.dispatch import make_bsdf
 from warp_psdr.kernels.bvh.wide import make_intersect
 from warp_psdr.kernels.camera import CameraSample, make_camera_ray
@@ -303,7 +303,7 @@ def make_follow(config: PathConfig):
     """Return ``follow(scene, camera, block, s, sampler, max_depth, rr_depth) -> vec3``: F(q) without f_s."""
     start_at = make_start(config.camera)
     meet = make_meet(config)
-    radiance = make_radiance(config)
+    arrival = make_arrival(config)
 
     @wp.func
     def follow(
@@ -337,9 +337,8 @@ def make_follow(config: PathConfig):
                 if link.kind == MEETS_DEAD:
                     total += wp.cw_mul(weight, link.emitted)
                 else:
-                    total += wp.cw_mul(
-                        weight, radiance(scene, sampler, o, d, t_max, block.depth + i, max_depth, rr_depth)
-                    )
+                    seen = arrival(scene, sampler, o, d, t_max, block.depth + i, max_depth, rr_depth)
+                    total += wp.cw_mul(weight, seen.radiance)
         return total
 
     return follow

@@ -176,31 +176,10 @@ def make_arrival(config: PathConfig):
 
 
 @functools.cache
-def make_radiance(config: PathConfig):
-    """Return ``radiance(scene, sampler, o, d, t_max, depth, max_depth, rr_depth) -> vec3``, as ``make_arrival``."""
-    arrival = make_arrival(config)
-
-    @wp.func
-    def radiance(
-        scene: Scene,
-        sampler: Sampler,
-        o: wp.vec3,
-        d: wp.vec3,
-        t_max: wp.float32,
-        depth: wp.int32,
-        max_depth: wp.int32,
-        rr_depth: wp.int32,
-    ) -> wp.vec3:
-        return arrival(scene, sampler, o, d, t_max, depth, max_depth, rr_depth).radiance
-
-    return radiance
-
-
-@functools.cache
 def make_incident(config: PathConfig):
     """Return ``incident(scene, sampler, o, d, t_max, depth, max_depth, rr_depth) -> Incident``, from ``depth`` on.
 
-    The path is that of ``make_radiance``. With at most N = max_depth vertices, vertex j of it contributes its emission
+    The path is that of ``make_arrival``. With at most N = max_depth vertices, vertex j of it contributes its emission
     E_j behind i vertices if i + j < N, and D_j, what it scatters of light that next-event estimation finds, if
     i + j + 1 < N.
     """

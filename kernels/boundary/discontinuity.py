@@ -35,7 +35,7 @@ from warp_psdr.kernels.boundary.chain import (
     transmits,
 )
 from warp_psdr.kernels.boundary.chain_pullback import Visit
-from warp_psdr.kernels.boundary.local_form import EdgePoint, Edges
+from warp_psdr.kernels.boundary.local_form import EdgePoint, Edges, split_between
 from warp_psdr.kernels.boundary.ray_differential import (
     RayDifferential,
     make_point_differential,
@@ -113,9 +113,7 @@ def curve_crossing(
     t1 = wp.length(x_b - x)
     d = (x_b - x) / t1
     m = wp.cross(along / wp.sqrt(squared), d)
-    cosine = wp.dot(n_low, n_high)
-    by_low = ((wp.dot(m, n_low) - cosine * wp.dot(m, n_high)) / squared) * n_low
-    by_high = ((wp.dot(m, n_high) - cosine * wp.dot(m, n_low)) / squared) * n_high
+    by_low, by_high = split_between(m, n_low, n_high, squared)
     r.edge = 2
     r.segment.x = x_b
     r.segment.w = d

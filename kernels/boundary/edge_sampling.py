@@ -32,7 +32,7 @@ import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.boundary.depth import DIRECT
-from warp_psdr.kernels.boundary.detector import make_radiance
+from warp_psdr.kernels.boundary.detector import make_arrival
 from warp_psdr.kernels.boundary.edge_tree import EdgeTrees, edge_at, make_choose
 from warp_psdr.kernels.boundary.local_form import EdgePoint, Edges, edge_behind, edge_step, interior_side
 from warp_psdr.kernels.boundary.ltc_line import Lobes, make_lobe, make_scattering_lobes, mixture_density, sample_mixture
@@ -219,7 +219,7 @@ def make_edge_sampling_kernel(
     _camera_ray, camera_origin = make_camera_ray(config.camera)
     path_step = make_path_step(walk, False)
     edge_sample = make_edge_sample(config, tree, candidates)
-    radiance = make_radiance(config)
+    arrival = make_arrival(config)
     push_segment = make_segment_sink(role, False)
     push_first = make_first_sink(role)
     push_camera = make_camera_sink(role, config.camera) if camera_moves else None
@@ -273,10 +273,10 @@ def make_edge_sampling_kernel(
                     at = drawn.point
                     note_place(scene, NOTE_EDGE, at.edge, at.s, 0.0, at.x, s.w, drawn.value)
                     branch.seed = words.y
-                    source = radiance(scene, branch, s.source, s.w, FAR, k, max_depth, rr_depth)
+                    source = arrival(scene, branch, s.source, s.w, FAR, k, max_depth, rr_depth).radiance
                     if wp.static(indirect):
                         if k == 1:
-                            source -= radiance(scene, branch, s.source, s.w, FAR, k, DIRECT, rr_depth)
+                            source -= arrival(scene, branch, s.source, s.w, FAR, k, DIRECT, rr_depth).radiance
                     value = (1.0 / wp.float32(spp)) * wp.cw_mul(wp.cw_mul(vertex.throughput, drawn.value), source)
                     if not vanishes(value):
                         w = wp.float32(1.0)

@@ -52,6 +52,7 @@ from warp_psdr.kernels.boundary.projection import filter_extent, make_splat
 from warp_psdr.kernels.boundary.ray_differential import RayDifferential, make_film_differential
 from warp_psdr.kernels.boundary.rims import Tables
 from warp_psdr.kernels.boundary.secondary import make_segment_sink
+from warp_psdr.kernels.boundary.transport import Segment
 from warp_psdr.kernels.bsdf.dispatch import make_bsdf
 from warp_psdr.kernels.camera import CameraSample, make_camera_ray, make_lens
 from warp_psdr.kernels.constants import INV_FOUR_PI, LOBE_SMOOTH, TWO_PI
@@ -121,6 +122,23 @@ def make_line_search_kernel(config: PathConfig, wanted: Wanted, role: str, light
     sample_2d = draw.sample_2d
     sample_4d = draw.sample_4d
     note_place = make_note(config.noted)
+
+    @wp.func
+    def push_point(
+        scene: Scene,
+        target: wp.array(dtype=wp.float32),
+        s: Segment,
+        face: wp.int32,
+        u: wp.float32,
+        v: wp.float32,
+        g: wp.vec3,
+    ) -> wp.float32:
+        """Scatter the adjoint g of a material point."""
+        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
+        adjoint = VertexAdjoint()
+        adjoint.x = g
+        pushed = push_vertex(scene, target, face, u, v, adjoint, False, s.x, s.w)
+        return pushed.dot
 
     @wp.func
     def search(
@@ -254,20 +272,10 @@ def make_line_search_kernel(config: PathConfig, wanted: Wanted, role: str, light
                                     w * r.o_before, w * r.a_o, w * r.a_d,
                                 )  # fmt: skip
                                 if r.edge == 2:
-                                    met = VertexAdjoint()
-                                    met.x = w * r.segment.sweep
-                                    pushed = push_vertex(
-                                        scene, target, r.segment.face2, r.segment.u2, r.segment.v2, met, False,
-                                        r.segment.x, r.segment.w,
-                                    )  # fmt: skip
-                                    speed += pushed.dot
-                                    if r.segment.face1 >= 0:
-                                        met.x = w * r.sweep1
-                                        pushed = push_vertex(
-                                            scene, target, r.segment.face1, r.segment.u1, r.segment.v1, met, False,
-                                            r.segment.x, r.segment.w,
-                                        )  # fmt: skip
-                                        speed += pushed.dot
+                                    met = r.segment
+                                    speed += push_point(scene, target, met, met.face2, met.u2, met.v2, w * met.sweep)
+                                    if met.face1 >= 0:
+                                        speed += push_point(scene, target, met, met.face1, met.u1, met.v1, w * r.sweep1)
                                 if r.edge == 1:
                                     speed += push_segment(scene, target, edges, r.point, r.segment, w)
                                 if wp.static(role == "forward"):

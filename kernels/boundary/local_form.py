@@ -221,6 +221,15 @@ def own_face(scene: Scene, edges: Edges, edge: wp.int32, face: wp.int32) -> wp.b
     return False
 
 
+@wp.func
+def split_between(g: wp.vec3, n_a: wp.vec3, n_b: wp.vec3, squared: wp.float32) -> tuple[wp.vec3, wp.vec3]:
+    """Return (a n_A, b n_B), whose sum is g, for g in the plane of both; ``squared`` is |n_A x n_B|^2."""
+    cosine = wp.dot(n_a, n_b)
+    along_a = wp.dot(g, n_a)
+    along_b = wp.dot(g, n_b)
+    return ((along_a - cosine * along_b) / squared) * n_a, ((along_b - cosine * along_a) / squared) * n_b
+
+
 @functools.cache
 def make_edge_sink(role: str):
     """Return ``push_edge(scene, target, edges, point, g) -> float``: scatter the adjoint g of a point on an edge.
@@ -278,21 +287,17 @@ def make_edge_sink(role: str):
             return push_ends(scene, target, i0, i1, point.s, g)
         n_a = scene.triangles[edges.faces[edges.first[e]]].normal
         n_b = scene.triangles[edges.faces[edges.first[e] + 1]].normal
-        cosine = wp.dot(n_a, n_b)
         # Of the sine: 1 - cosine^2 would lose it where the faces are nearly parallel.
         squared = wp.length_sq(wp.cross(n_a, n_b))
         if i0 < 0:
-            scaled = g / wp.max(squared, 1.0e-20)
-            g_1 = (wp.dot(scaled, n_a) - cosine * wp.dot(scaled, n_b)) * n_a
-            g_2 = (wp.dot(scaled, n_b) - cosine * wp.dot(scaled, n_a)) * n_b
+            g_1, g_2 = split_between(g, n_a, n_b, wp.max(squared, 1.0e-20))
             return push_face(scene, target, edges.faces[edges.first[e]], point.x, g_1) + push_face(
                 scene, target, edges.faces[edges.first[e] + 1], point.x, g_2
             )
         g_a = 0.5 * g
         g_b = 0.5 * g
         if squared > SEAM_PARALLEL:
-            g_a = ((wp.dot(g, n_a) - cosine * wp.dot(g, n_b)) / squared) * n_a
-            g_b = ((wp.dot(g, n_b) - cosine * wp.dot(g, n_a)) / squared) * n_b
+            g_a, g_b = split_between(g, n_a, n_b, squared)
         return push_ends(scene, target, i0, i1, point.s, g_a) + push_ends(scene, target, j0, j1, point.s, g_b)
 
     return push_edge

@@ -10,9 +10,13 @@ MIRROR = {"type": "conductor", "material": "none"}
 GLASS = {"type": "dielectric", "int_ior": 1.5, "ext_ior": 1.0}
 
 
+def shining(shape, r, g, b):
+    """The shape with light of its own."""
+    return {**shape, "emitter": {"type": "area", "radiance": {"type": "rgb", "value": [r, g, b]}}}
+
+
 def lamp(center, radius, radiance=1.0):
-    emitter = {"type": "area", "radiance": {"type": "rgb", "value": [radiance, 0.8 * radiance, 0.6 * radiance]}}
-    return ball(center, radius, diffuse(0.0), emitter=emitter)
+    return shining(ball(center, radius, diffuse(0.0)), radiance, 0.8 * radiance, 0.6 * radiance)
 
 
 def wall(z=0.8, y=1.2, half=1.6):
@@ -23,18 +27,12 @@ def wall(z=0.8, y=1.2, half=1.6):
 
 def behind(rfilter="tent"):
     """A lamp and a thin post behind the camera, which sees them in a mirror only."""
-    post = box((0.7, -3.0, 0.6), (0.04, 0.04, 0.9), diffuse(0.0), 0.3)
-    post["emitter"] = {"type": "area", "radiance": {"type": "rgb", "value": [0.5, 1.0, 0.7]}}
     return {
         "sensor": camera((0.3, -2.0, 0.6), (0.0, 1.2, 0.6), rfilter=rfilter),
         "mirror": wall(),
         "lamp": lamp((-0.6, -3.2, 0.9), 0.5),
-        "post": post,
+        "post": shining(box((0.7, -3.0, 0.6), (0.04, 0.04, 0.9), diffuse(0.0), 0.3), 0.5, 1.0, 0.7),
     }
-
-
-def shining(shape, r, g, b):
-    return {**shape, "emitter": {"type": "area", "radiance": {"type": "rgb", "value": [r, g, b]}}}
 
 
 def pierced():
