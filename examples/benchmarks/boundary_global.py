@@ -7,20 +7,23 @@ triangles that moves (depth 4). Meshes are welded, which Mitsuba needs. All samp
 Errors are those of the derivative image, relative to its root mean square, against a long image of the *same* renderer:
 Mitsuba's is wrong where the box touches the floor, so that only its noise is compared. Its default, the octree, is left
 out: it takes minutes a gradient here. MB of ours is the peak of the whole process before Mitsuba is imported.
+"seconds a step": of an image and the gradient of its sum, that is reverse mode, timed in turns.
 """
 
 import resource
 import tempfile
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import trimesh
 from boundary_renderers import Ours, Theirs, long_image, measure
-from common import ROOT, Report, arguments, import_mitsuba, psdr
+from common import ROOT, Report, arguments, import_mitsuba, in_turns, median, psdr
 
 from scenes import bumpy_sphere, write_ply
 
 SPP = 16
+MITSUBA = "Mitsuba, none"
 BOX, BALL = "small-box.vertex_positions", "ball.vertex_positions"
 #: Rows and columns of the ball: some 2 * 224 * 224 triangles.
 ROWS = 224
@@ -67,14 +70,15 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as name:
         files = write_scenes(Path(name))
         rows = {scene: [] for scene in SCENES}
+        ours = {}
         for scene, (vertices, direction, depth) in SCENES.items():
             methods = {"unguided": None, "KdTree": psdr.guiding.KdTree(), "Octree": psdr.guiding.Octree()}
-            renderers = {
+            ours[scene] = {
                 label: Ours(files[scene], resolution, vertices, direction, guiding, depth=depth, all_terms=True)
                 for label, guiding in methods.items()
             }
-            reference = long_image(renderers["KdTree"], long)
-            for label, renderer in renderers.items():
+            reference = long_image(ours[scene]["KdTree"], long)
+            for label, renderer in ours[scene].items():
                 row = measure(renderer, SPP, repeat, reference, first=False)
                 row["MB"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
                 rows[scene].append({"method": label} | row)
@@ -84,8 +88,11 @@ def main() -> None:
             settings = {"type": "prb_projective", "max_depth": depth, **counts}
             renderer = Theirs(mi, dr, files[scene], resolution, vertices, direction, settings)
             row = measure(renderer, SPP, repeat, long_image(renderer, long, images=4), first=True)
-            rows[scene].append({"method": "Mitsuba, none"} | row)
+            rows[scene].append({"method": MITSUBA} | row)
+            steps = {name: partial(r.step, SPP) for name, r in (ours[scene] | {MITSUBA: renderer}).items()}
+            times = in_turns(steps, repeat)
             for row in rows[scene]:
+                row["seconds a step"] = median(times, row["method"])
                 row["gain"] = rows[scene][-1]["error^2 x time"] / row["error^2 x time"]
             report.table(f"{scene}: {resolution}^2 pixels, depth {depth}, medians of {repeat}", rows[scene])
 

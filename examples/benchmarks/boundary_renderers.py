@@ -22,6 +22,7 @@ class Ours:
     def __init__(self, file: Path, resolution: int, vertices: str, direction: tuple, guiding, *, depth: int, all_terms):
         self.scene = psdr.load_file(file, resolution=resolution)
         self._params = psdr.traverse(self.scene)
+        self._params.requires_grad(vertices)
         self._guiding, self._depth, self._all_terms = guiding, depth, all_terms
         self._tangent = {vertices: np.broadcast_to(np.float32(direction), self._params[vertices].numpy().shape).copy()}
 
@@ -32,6 +33,13 @@ class Ours:
         integrator = psdr.PathIntegrator(max_depth=self._depth, boundary=method)
         options = {"integrator": integrator, "spp": rest, "seed": seed}
         return psdr.render_forward(self.scene, self._params, self._tangent, **options).numpy()
+
+    def step(self, spp: int, seed: int) -> None:
+        """Render the image, and the gradient of its sum, by all terms."""
+        method = psdr.boundary.PathSpace(guiding=self._guiding)
+        options = {"integrator": psdr.PathIntegrator(max_depth=self._depth, boundary=method), "spp": spp}
+        image = psdr.render(self.scene, self._params, seed=seed, **options).numpy()
+        psdr.render_backward(self.scene, self._params, np.ones_like(image), seed=seed + 1, **options)
 
     def forget(self) -> None:
         """Forget the structure."""
@@ -104,7 +112,7 @@ class Theirs:
     def image(self, spp: int, seed: int) -> np.ndarray:
         """Return the derivative image; an ``spp...`` of the options that is None takes ``spp``."""
         mi, dr = self._mi, self._dr
-        integrator = mi.load_dict({name: spp if value is None else value for name, value in self._options.items()})
+        integrator = self._integrator(spp)
         params = mi.traverse(self._scene)
         theta = mi.Float(0.0)
         dr.enable_grad(theta)
@@ -116,6 +124,23 @@ class Theirs:
         dr.eval(image)
         dr.sync_thread()
         return np.array(image)
+
+    def step(self, spp: int, seed: int) -> None:
+        """Render the image and the gradient of its sum."""
+        mi, dr = self._mi, self._dr
+        params = mi.traverse(self._scene)
+        vertices = mi.Float(self._base)
+        dr.enable_grad(vertices)
+        params[self._vertices] = vertices
+        params.update()
+        image = mi.render(self._scene, params, integrator=self._integrator(spp), spp=spp, seed=seed)
+        dr.backward(dr.sum(image, axis=None))
+        dr.eval(dr.grad(vertices))
+        dr.sync_thread()
+
+    def _integrator(self, spp: int):
+        options = {name: spp if value is None else value for name, value in self._options.items()}
+        return self._mi.load_dict(options)
 
     def forget(self) -> None:
         """There is nothing to forget."""
