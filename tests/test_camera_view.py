@@ -5,7 +5,8 @@ import pytest
 
 import warp_psdr as psdr
 from warp_psdr.camera_view import camera_view
-from warp_psdr.edges import primary_edges, scene_adjacency
+from warp_psdr.edges import scene_adjacency
+from warp_psdr.film_edges import film_edges, primary_edges
 
 from .boundary.scenes import ball, diffuse
 
@@ -89,7 +90,7 @@ def test_every_silhouette_of_a_smooth_shape_is_kept(kind):
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     first = edges.faces[edges.first[:-1]]
     second = edges.faces[edges.first[:-1] + 1]
-    kept = primary_edges(scene, 0, {0}, camera_moves=False)
+    kept = primary_edges(scene, film_edges(scene, 0, {0}, camera_moves=False))
     numbers = {tuple(sorted(e)) for e in kept.ends.numpy().tolist()}
     silhouettes = set()
     for angle in np.linspace(0.0, 2.0 * np.pi, 16, endpoint=False):

@@ -237,6 +237,16 @@ FACTORIES = {
         ("samples, simple", (SIMPLE, "samples", False), SLOW),
         ("noted, simple", (NOTED, "reverse", False), FAST),
     ],
+    "boundary.facets.make_facets_kernel": [
+        ("reverse, simple", (SIMPLE, "reverse", False), FAST),
+        ("forward, materials", (GLOSSY, "forward", True), SLOW),
+        ("reverse, textures", (TEXTURED, "reverse", True), SLOW),
+        ("reverse, lights", (ALL_LIGHTS, "reverse", False), SLOW),
+        ("reverse, orthographic", (ORTHOGRAPHIC, "reverse", True), SLOW),
+        ("forward, thin lens", (THIN_LENS, "forward", True), SLOW),
+        ("samples, simple", (SIMPLE, "samples", False), SLOW),
+        ("noted, simple", (NOTED, "reverse", False), SLOW),
+    ],
     "boundary.secondary.make_secondary_kernel": [
         ("reverse, simple", (SIMPLE, "reverse", False, False), SLOW),
         ("forward, textures", (TEXTURED, "forward", True, False), SLOW),

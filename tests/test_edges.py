@@ -6,7 +6,8 @@ import trimesh
 
 import warp_psdr as psdr
 from warp_psdr.bent import bent_faces
-from warp_psdr.edges import COPLANAR, adjacency, primary_edges, scene_adjacency, secondary_edges, weld
+from warp_psdr.edges import COPLANAR, adjacency, scene_adjacency, secondary_edges, weld
+from warp_psdr.film_edges import facet_edges, film_edges, primary_edges
 
 
 def cube(split: bool = False):
@@ -104,27 +105,35 @@ def test_the_sampling_covers_all_edges_by_length_and_wedge() -> None:
 def test_edges_that_cannot_jump_or_move_are_not_sampled_on_the_film() -> None:
     ball = trimesh.creation.icosphere(subdivisions=2)
     scene = scene_with(box=mesh(*cube(), face_normals=True), ball=mesh(0.5 * ball.vertices + [1.5, 0, 2], ball.faces))
-    options = {"camera_moves": False}
-    assert primary_edges(scene, 0, set(), **options) is None
-    of_box = primary_edges(scene, 0, {0}, **options)
-    assert len(of_box.cdf) - 1 == 12
-    of_ball = primary_edges(scene, 0, {1}, **options)
-    everything = len(ball.edges_unique)
+
+    def seen(shapes: set[int], *, camera_moves: bool = False) -> tuple[int, int]:
+        found = film_edges(scene, 0, shapes, camera_moves=camera_moves)
+        edges = primary_edges(scene, found), facet_edges(scene, found)
+        assert (found.share > 0.0) == (edges[1] is not None)
+        return tuple(0 if e is None else len(e.cdf) - 1 for e in edges)
+
+    assert seen(set()) == (0, 0)
+    assert seen({0}) == (12, 0)
+    others, facets = seen({1})
     # Smooth: silhouettes only, the outline of a ball.
-    assert 10 < len(of_ball.cdf) - 1 < everything // 4
-    assert len(primary_edges(scene, 0, set(), camera_moves=True).cdf) == len(of_box.cdf) + len(of_ball.cdf) - 1
+    assert 10 < others < len(ball.edges_unique) // 4 and facets == 0
+    assert seen(set(), camera_moves=True) == (12 + others, 0)
     assert bent_faces(scene)[:12].sum() == 0 and bent_faces(scene)[12:].all()
+
+
+def on_film(scene):
+    return primary_edges(scene, film_edges(scene, 0, {0}, camera_moves=False))
 
 
 def test_edges_are_clipped_to_the_film_and_the_near_plane() -> None:
     half = 6.0 * np.tan(np.radians(22.5)) * (1.0 + 1.0 / 16)  # of the view at z = 0, with half a pixel on either side
     triangle = np.array([[-100, 0, 0], [100, 0, 0], [0, 50, 0]])
-    edges = primary_edges(scene_with(a=mesh(triangle, [[0, 1, 2]])), 0, {0}, camera_moves=False)
+    edges = on_film(scene_with(a=mesh(triangle, [[0, 1, 2]])))
     low, high = edges.low.numpy(), edges.high.numpy()
     assert len(low) == 1
     np.testing.assert_allclose(200.0 * np.array([low[0], high[0]]) - 100.0, [-half, half], rtol=1e-4)
     through = np.array([[0, 0, -2], [0, 0.5, 10], [50, 50, -2]])
-    edges = primary_edges(scene_with(a=mesh(through, [[0, 1, 2]])), 0, {0}, camera_moves=False)
+    edges = on_film(scene_with(a=mesh(through, [[0, 1, 2]])))
     row = np.flatnonzero((edges.ends.numpy() <= 1).all(axis=1))[0]
     z = -2.0 + 12.0 * np.array([edges.low.numpy()[row], edges.high.numpy()[row]])
     assert z.min() >= -2.0 and z.max() < 6.0

@@ -49,6 +49,14 @@ class CameraView:
     scale: np.ndarray
     center: np.ndarray
 
+    def numbers(self) -> tuple:
+        """Return all that the view depends on, to compare it by."""
+        c = self.camera
+        window = (c.kind, c.width, c.height, c.crop_x, c.crop_y, c.crop_width, c.crop_height, c.near, c.far)
+        film = (c.filter, c.filter_radius, c.filter_stddev)
+        arrays = tuple(a.tobytes() for a in (self.pose, self.eye, self.scale, self.center))
+        return (*window, *film, *arrays, self.finite, self.radius, self.focus)
+
     def towards(self, points: np.ndarray) -> np.ndarray:
         """Return vectors (..., 3) from points to the eye; unscaled, and the same everywhere, if it is at infinity."""
         return self.eye - self.finite * points

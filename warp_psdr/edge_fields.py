@@ -15,7 +15,7 @@ import warp as wp
 from warp_psdr.boundary import projective
 from warp_psdr.boundary.methods import PathSpace
 from warp_psdr.boundary.motion import motion
-from warp_psdr.boundary.terms import Request, primary, secondary
+from warp_psdr.boundary.terms import Request, facets, primary, secondary
 from warp_psdr.device import launch
 from warp_psdr.edges import secondary_edges
 from warp_psdr.guiding import store
@@ -119,7 +119,7 @@ def boundary_samples(
     stream = mix_seed(seed, STREAM_BOUNDARY)
     request = Request(scene, plan, motion(scene, names), "samples", sensor, spp, stream)
     records, kinds = [np.zeros((0, SAMPLE_RECORD), np.float32)], []
-    for kind, make in (("primary", primary), ("secondary", secondary)):
+    for kind, make in (("primary", primary), ("primary", facets), ("secondary", secondary)):
         term = make(request)
         if term is None:
             continue

@@ -9,10 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
-from warp_psdr.camera_view import CameraView, camera_view
 from warp_psdr.guiding.chains import chain_order
 from warp_psdr.kernels.boundary.local_form import Edges
-from warp_psdr.kernels.constants import TEXTURE_FACE
 from warp_psdr.light_sampling import cumulative
 from warp_psdr.t_junctions import cut_sides
 from warp_psdr.welding import still_welded, weld, weld_shapes
@@ -104,7 +102,7 @@ def _extent(points: np.ndarray) -> float:
     return float(np.abs(points).max()) if len(points) else 1.0
 
 
-def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """The cross product of (N, 3) vectors, in a third of the time of ``numpy.cross``."""
     return np.stack([a[:, i] * b[:, j] - a[:, j] * b[:, i] for i, j in ((1, 2), (2, 0), (0, 1))], axis=1)
 
@@ -113,8 +111,8 @@ def _solid(points: np.ndarray, triangles: np.ndarray, group: np.ndarray) -> np.n
     """Return a mask of the triangles with three positions and an area."""
     corner = group[triangles]
     p = points[triangles]
-    cross = _cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
-    return (corner != corner[:, [1, 2, 0]]).all(axis=1) & (np.abs(cross).max(axis=1, initial=0.0) > 0.0)
+    doubled = cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
+    return (corner != corner[:, [1, 2, 0]]).all(axis=1) & (np.abs(doubled).max(axis=1, initial=0.0) > 0.0)
 
 
 def _topology(points: np.ndarray, triangles: np.ndarray, shape: np.ndarray, far: np.ndarray) -> Topology:
@@ -154,7 +152,7 @@ def _measured(points: np.ndarray, triangles: np.ndarray, t: Topology, far: np.nd
     length = np.sqrt((along * along).sum(axis=1))
     along /= np.maximum(length, 1e-300)[:, None]
     p = points[triangles]
-    doubled = _cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
+    doubled = cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
     doubled = np.sqrt((doubled * doubled).sum(axis=1))  # twice the triangles' areas
     middle = points[triangles[:, 0]] + points[triangles[:, 1]] + points[triangles[:, 2]]
     middle /= 3.0
@@ -166,7 +164,7 @@ def _measured(points: np.ndarray, triangles: np.ndarray, t: Topology, far: np.nd
 
     second = np.where(count == 2, start + 1, start)
     a, b = across(t.faces[start]), across(t.faces[second])
-    sine = _cross(a, b)
+    sine = cross(a, b)
     angle = np.arctan2(np.sqrt((sine * sine).sum(axis=1)), (a * b).sum(axis=1))
     wedge = np.where(count == 2, np.pi - angle, np.pi)
     tall = np.minimum(*(doubled[t.faces[i]] for i in (start, second))) / np.maximum(length, 1e-300)
@@ -256,7 +254,7 @@ def secondary_edges(scene: Scene, shapes: set[int]) -> Edges | None:
     keep, p = secondary_candidates(scene, shapes)
     if not len(keep):
         return None
-    return _upload(scene, scene_adjacency(scene), keep, p, np.zeros(len(keep)), np.ones(len(keep)))
+    return upload(scene, scene_adjacency(scene), keep, p, np.zeros(len(keep)), np.ones(len(keep)))
 
 
 def secondary_candidates(scene: Scene, shapes: set[int]) -> tuple[np.ndarray, np.ndarray]:
@@ -295,10 +293,10 @@ def ordered_edges(
         array[keep[order[turned]]] = array[keep[order[turned]], ::-1]
     edges = replace(edges, ends=ends, twins=twins, points=corners)
     low, high = np.zeros(len(keep)), np.ones(len(keep))
-    share = facing(_upload(scene, edges, keep[order], p[order], low, high))
+    share = facing(upload(scene, edges, keep[order], p[order], low, high))
     apart = np.argsort(share > 0.0, kind="stable")
     order, turned = order[apart], turned[apart]
-    return _upload(scene, edges, keep[order], p[order], low, high), share[apart], keep[order], turned
+    return upload(scene, edges, keep[order], p[order], low, high), share[apart], keep[order], turned
 
 
 def moved_points(scene: Scene, numbers: np.ndarray, turned: np.ndarray) -> wp.array:
@@ -311,112 +309,18 @@ def moved_points(scene: Scene, numbers: np.ndarray, turned: np.ndarray) -> wp.ar
 def curve_edges(scene: Scene, curves: Adjacency) -> Edges | None:
     """Return curves of intersection, drawn by their length; None: there are none."""
     n = len(curves.length)
-    return _upload(scene, curves, np.arange(n), curves.length, np.zeros(n), np.ones(n)) if n else None
+    return upload(scene, curves, np.arange(n), curves.length, np.zeros(n), np.ones(n)) if n else None
 
 
 def every_edge(scene: Scene, edges: Adjacency) -> Edges:
     """Return all edges in their order, unweighted."""
     n = len(edges.length)
-    return _upload(scene, edges, np.arange(n), np.ones(n), np.zeros(n), np.ones(n))
+    return upload(scene, edges, np.arange(n), np.ones(n), np.zeros(n), np.ones(n))
 
 
-def primary_edges(
-    scene: Scene, sensor: int, shapes: set[int], *, camera_moves: bool, curves: Adjacency | None = None
-) -> Edges | None:
-    """Return the edges that the film can see, drawn by the clipped length of their image; None: there are none.
+def upload(scene: Scene, edges: Adjacency, keep: np.ndarray, weight: np.ndarray, low, high) -> Edges:
+    """Return some of the edges, by number, with their weights and the stretches that are sampled, on the device."""
 
-    Left out is what provably does not jump or move: flat or smoothly shaded edges inside a shape that are never a
-    silhouette from the camera, and edges that rest before a camera at rest.
-
-    Args:
-        scene: the scene.
-        sensor: which camera.
-        shapes: the shapes that move.
-        camera_moves: a parameter of the camera is differentiated.
-        curves: further edges, which jump and move: curves of intersection.
-    """
-    edges = scene_adjacency(scene)
-    points = scene.points
-    view = camera_view(scene, sensor)
-    use = np.ones(len(edges.length), bool) if camera_moves else moving_edges(scene, edges, shapes)
-    use &= _jumps(scene, view, edges, points, use)
-    if curves is not None:
-        use = np.append(use, np.ones(len(curves.length), bool))
-        edges = join(edges, curves)
-    keep = np.flatnonzero(use)
-    low, high, image_length = view.clip(edges.points[keep])
-    seen = image_length > 0.0
-    if not seen.any():
-        return None
-    return _upload(scene, edges, keep[seen], image_length[seen], low[seen], high[seen])
-
-
-def crease_edges(scene: Scene, sensor: int, shapes: set[int], *, camera_moves: bool) -> tuple[Edges, float] | None:
-    """Return the edges inside of interpolated normals that ``primary_edges`` leaves out; None: there are none.
-
-    No silhouettes. The scattering function is continuous there, but light may reach one of the two triangles only, the
-    other having turned away from it (``kernels/boundary/horizon.py``). They are drawn by the clipped length of their
-    image times the sine between their triangles, to which the jump is proportional; its mean is the second result.
-
-    Args:
-        scene: the scene.
-        sensor: which camera.
-        shapes: the shapes that move.
-        camera_moves: a parameter of the camera is differentiated.
-    """
-    edges = scene_adjacency(scene)
-    points = scene.points
-    view = camera_view(scene, sensor)
-    use = edges.wedge > 0.0
-    if not camera_moves:
-        use &= moving_edges(scene, edges, shapes)
-    use &= ~_jumps(scene, view, edges, points, use)
-    keep = np.flatnonzero(use)
-    low, high, image_length = view.clip(edges.points[keep])
-    seen = image_length > 0.0
-    if not seen.any():
-        return None
-    keep, low, high, image_length = keep[seen], low[seen], high[seen], image_length[seen]
-    weight = image_length * np.sin(np.minimum(edges.wedge[keep], 0.5 * np.pi))
-    mean = float(weight.sum() / image_length.sum())
-    return _upload(scene, edges, keep, weight, low, high), mean
-
-
-def smooth_edges(scene: Scene, edges: Adjacency) -> np.ndarray:
-    """Return a mask of the edges inside of one shape across which neither normal nor texture jumps."""
-    shapes = scene.builder.shapes
-    shape = scene.builder.face_shape[edges.faces[edges.first[:-1]]]
-    interpolated = np.array([s.smooth == 1 for s in shapes])[shape]
-    # A bitmap on a shape without texture coordinates reads barycentrics, a face attribute jumps at every edge.
-    unmapped = np.array([s.has_uv == 0 for s in shapes])[shape]
-    textured = any(t.width > 0 for t in scene.builder.textures)
-    stepped = any(t.kind == TEXTURE_FACE for t in scene.builder.textures) | (unmapped & textured)
-    shared = (edges.count == 2) & (edges.ends == edges.twins).all(axis=1)
-    return shared & ~stepped & (interpolated | (edges.wedge == 0.0))
-
-
-def _jumps(scene: Scene, view: CameraView, edges: Adjacency, points: np.ndarray, asked: np.ndarray) -> np.ndarray:
-    """Return a mask of the edges at which the radiance may jump as the camera sees them; true where nobody asks."""
-    jumps = ~(asked & smooth_edges(scene, edges))
-    # Where neither normal nor texture jumps, only a silhouette does.
-    rest = np.flatnonzero(~jumps & (edges.wedge > 0.0))
-    start = edges.first[:-1][rest]
-    ends = edges.points[rest]
-    along = ends[:, 1] - ends[:, 0]
-    plane = _cross(along, -view.towards(ends[:, 0]))
-    sides, spreads = [], []
-    for face in (edges.faces[start], edges.faces[np.where(edges.count[rest] == 2, start + 1, start)]):
-        into = (points[scene.builder.indices[face]].astype(np.float64) - ends[:, :1]).sum(axis=1)
-        sides.append((into * plane).sum(axis=1))
-        # into . (along x eye) = eye . (into x along)
-        spreads.append(view.spread(_cross(into, along)))
-    scale = np.linalg.norm(plane, axis=1) * edges.length[rest] * COPLANAR
-    near = [np.abs(s) <= scale + r for s, r in zip(sides, spreads, strict=True)]
-    jumps[rest] = (sides[0] * sides[1] >= 0.0) | near[0] | near[1]
-    return jumps
-
-
-def _upload(scene: Scene, edges: Adjacency, keep: np.ndarray, weight: np.ndarray, low, high) -> Edges:
     def array(values, dtype=wp.float32) -> wp.array:
         kind = np.int32 if dtype is wp.int32 else np.float32
         return wp.array(np.ascontiguousarray(values, dtype=kind), dtype=dtype, device=scene.device)

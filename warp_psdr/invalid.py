@@ -33,6 +33,7 @@ KINDS = (
     "image",
     "interior",
     "primary",
+    "facets",
     "creases",
     "terminator",
     "secondary",

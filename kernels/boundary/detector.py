@@ -26,7 +26,15 @@ from warp_psdr.kernels.constants import LOBE_SMOOTH
 from warp_psdr.kernels.emitter.area import make_area
 from warp_psdr.kernels.invalid import vanishes
 from warp_psdr.kernels.math import to_local, to_world
-from warp_psdr.kernels.path import ROULETTE_MAX, PathConfig, make_frame, make_material, make_path_step, path_from
+from warp_psdr.kernels.path import (
+    ROULETTE_MAX,
+    PathConfig,
+    PathState,
+    make_frame,
+    make_material,
+    make_path_step,
+    path_from,
+)
 from warp_psdr.kernels.rng import Sampler
 from warp_psdr.kernels.step import leaving_step
 from warp_psdr.kernels.structs import Camera, Scene
@@ -141,12 +149,34 @@ class Arrival:
 
 
 @functools.cache
+def make_following(config: PathConfig):
+    """Return ``following(scene, sampler, start, max_depth, rr_depth) -> Arrival``: what a path collects and meets."""
+    path_step = make_path_step(config, False)
+
+    @wp.func
+    def following(scene: Scene, sampler: Sampler, start: PathState, max_depth: wp.int32, rr_depth: wp.int32) -> Arrival:
+        r = Arrival()
+        vertex, state = path_step(scene, sampler, start, max_depth, rr_depth)
+        r.radiance = wp.cw_mul(vertex.throughput, vertex.direct)
+        r.face = vertex.face
+        if vertex.face >= 0:
+            tri = scene.triangles[vertex.face]
+            r.x = (1.0 - vertex.u - vertex.v) * tri.p0 + vertex.u * tri.p1 + vertex.v * tri.p2
+        while state.alive == 1:
+            vertex, state = path_step(scene, sampler, state, max_depth, rr_depth)
+            r.radiance += wp.cw_mul(vertex.throughput, vertex.direct)
+        return r
+
+    return following
+
+
+@functools.cache
 def make_arrival(config: PathConfig):
     """Return ``arrival(scene, sampler, o, d, t_max, depth, max_depth, rr_depth) -> Arrival``.
 
     ``depth`` counts the path vertices in front of what the ray meets.
     """
-    path_step = make_path_step(config, False)
+    following = make_following(config)
 
     @wp.func
     def arrival(
@@ -159,18 +189,7 @@ def make_arrival(config: PathConfig):
         max_depth: wp.int32,
         rr_depth: wp.int32,
     ) -> Arrival:
-        r = Arrival()
-        state = path_from(o, d, t_max, depth)
-        vertex, state = path_step(scene, sampler, state, max_depth, rr_depth)
-        r.radiance = wp.cw_mul(vertex.throughput, vertex.direct)
-        r.face = vertex.face
-        if vertex.face >= 0:
-            tri = scene.triangles[vertex.face]
-            r.x = (1.0 - vertex.u - vertex.v) * tri.p0 + vertex.u * tri.p1 + vertex.v * tri.p2
-        while state.alive == 1:
-            vertex, state = path_step(scene, sampler, state, max_depth, rr_depth)
-            r.radiance += wp.cw_mul(vertex.throughput, vertex.direct)
-        return r
+        return following(scene, sampler, path_from(o, d, t_max, depth), max_depth, rr_depth)
 
     return arrival
 

@@ -34,9 +34,9 @@ from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.boundary.depth import DIRECT
 from warp_psdr.kernels.boundary.detector import make_arrival
 from warp_psdr.kernels.boundary.edge_tree import EdgeTrees, edge_at, make_choose
+from warp_psdr.kernels.boundary.film_edge import BESIDE
 from warp_psdr.kernels.boundary.local_form import EdgePoint, Edges, edge_behind, edge_step, interior_side
 from warp_psdr.kernels.boundary.ltc_line import Lobes, make_lobe, make_scattering_lobes, mixture_density, sample_mixture
-from warp_psdr.kernels.boundary.primary import BESIDE
 from warp_psdr.kernels.boundary.secondary import Segment, make_segment_sink
 from warp_psdr.kernels.boundary.transport import make_first_sink
 from warp_psdr.kernels.bsdf.dispatch import make_bsdf

@@ -9,7 +9,8 @@ A thin lens is the mean over its points of such cameras, one point a sample (``p
 
 Where the edge is hidden there is no jump. The two radiances are path-traced along rays that pass the edge on either
 side at a fraction of a ray epsilon, parallel to the line of sight, with common random numbers. Silhouettes, creases,
-and borders between materials or texture charts are one case: whatever does not jump cancels.
+and borders between materials or texture charts are one case: whatever does not jump cancels. (Creases of small angles
+have an estimator of their own, ``facets.py``.)
 
 Where a fine mesh bends away from the camera, creases run within that distance of its silhouette, in front of it and
 behind. One of their two rays passes the silhouette instead, whose jump the silhouette's own samples have counted, so at
@@ -30,60 +31,31 @@ import functools
 
 import warp as wp
 
-from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.boundary.detector import make_arrival
-from warp_psdr.kernels.boundary.local_form import (
-    Edges,
-    edge_behind,
-    edge_point,
-    edge_step,
-    interior_side,
-    make_edge_sink,
-    narrowest_face,
-    on_planes,
-    own_face,
-)
-from warp_psdr.kernels.boundary.projection import make_projection, make_splat
+from warp_psdr.kernels.boundary.film_edge import AHEAD, BESIDE, MARGIN, make_film_edge
+from warp_psdr.kernels.boundary.local_form import Edges, narrowest_face, on_planes, own_face
 from warp_psdr.kernels.bvh.wide import make_intersect
-from warp_psdr.kernels.camera import make_camera_sink, make_lens
-from warp_psdr.kernels.invalid import count_invalid
-from warp_psdr.kernels.notes import NOTE_EDGE, make_note
 from warp_psdr.kernels.path import PathConfig
-from warp_psdr.kernels.rng import make_sampler, sampler_at
+from warp_psdr.kernels.rng import sampler_at
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.surface import make_surface
 
-#: Distance at which the two rays pass the edge, in ray epsilons: some 8 float32 steps of the largest coordinate, and 2
-#: beside narrow faces. It is small because a second discontinuity as near (a terminator just inside of a silhouette) is
-#: taken for the first; the rays start close to the edge, where float32 resolves it.
-BESIDE = 0.1
+#: Distance at which the two rays pass the edge beside narrow faces, in ray epsilons: 2 float32 steps of the largest
+#: coordinate.
 BESIDE_LEAST = 0.025
-#: The same at curves of intersection. It is larger because a ray that leaves one of the two surfaces at an acute angle
+#: The same at curves of intersection, larger because a ray that leaves one of the two surfaces at an acute angle
 #: starts one ray epsilon off it, which may not be behind the other. Where something else is seen there than close to
 #: the curve, the ray passes close to it: a silhouette that turns into a curve and its terminator are tangent to it.
 BESIDE_CURVE = 10.0
-#: Least distance in front of the edge at which the rays start, in ray epsilons. It is longer where a face is seen more
-#: edge-on than BESIDE / AHEAD, 10^-4: the ray beside the edge must start in front of that face.
-AHEAD = 2000.0
-#: Share by which it is longer than needed, and by which a face is wider than the rays' distance if they meet it.
-MARGIN = 2.0
 
 
 @functools.cache
 def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
     """Return the kernel of the primary boundary term: one thread a sample (arguments as in ``secondary.py``)."""
-    closest_hit, any_hit = make_intersect(config.ray_backend, config.ray_width)
+    closest_hit, _any_hit = make_intersect(config.ray_backend, config.ray_width)
     surface_at = make_surface(config.smooth, config.flat, False, False)
     arrival = make_arrival(config)
-    push_edge = make_edge_sink(role)
-    push_camera = make_camera_sink(role, config.camera) if camera_moves else None
-    splat, gather = make_splat()
-    project, film_gradient, film_velocity = make_projection(config.camera)
-    lens_point = make_lens(config.camera)
-    draw = make_sampler(config.sampler)
-    sample_1d = draw.sample_1d
-    sample_2d = draw.sample_2d
-    note_place = make_note(config.noted)
+    find, push = make_film_edge(config, role, camera_moves)
 
     @wp.func
     def seen_from(scene: Scene, o: wp.vec3, d: wp.vec3, t_max: wp.float32) -> wp.int32:
@@ -111,41 +83,18 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
         target: wp.array(dtype=wp.float32),
         image_out: wp.array2d(dtype=wp.vec3),
     ):
-        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
         number = first + wp.tid()
         sampler = sampler_at(number, 0, seed)
-        point = edge_point(scene, edges, number, samples, sample_1d(sampler, 0))
-        at = project(scene, camera, point.x, lens_point(sample_2d(sampler, 1)))
-        if at.valid == 0:
+        f = find(scene, camera, edges, number, samples, sampler, adjoint)
+        if f.valid == 0:
             return
-        distance = wp.length(point.x - at.origin)
-        d = (point.x - at.origin) / distance
-        tangent = wp.normalize(point.p1 - point.p0)
-        m = wp.cross(tangent, d)
-        sine = wp.length(m)
-        if sine <= 0.0:
-            return
-        m = m / sine
-        side = interior_side(scene, edges, point, m)
-        # Is the edge visible? Seen from just outside of a silhouette, or straight on.
-        local = edge_step(scene, edges, point.edge)
-        behind = edge_behind(scene, local)
-        start = point.x - (local * side) * m - behind * d
-        back = at.origin - start
-        length = wp.length(back)
-        if length > at.near and any_hit(scene.accel, start, back / length, length - at.near):
-            return
-        step = film_velocity(scene, camera, at, point.p1 - point.p0)
-        normal = wp.vec2(step[1], -step[0])
-        g = film_gradient(scene, camera, at, normal)
-        if wp.dot(g, m) < 0.0:
-            g = -g
-        weight = wp.vec3(1.0, 1.0, 1.0)
-        if wp.static(role != "forward"):
-            weight = gather(camera, at.pixel, adjoint)
-            if weight[0] == 0.0 and weight[1] == 0.0 and weight[2] == 0.0:
-                return
-        note_place(scene, NOTE_EDGE, point.edge, point.s, 0.0, point.x, d, weight)
+        point = f.point
+        at = f.at
+        d = f.d
+        m = f.m
+        side = f.side
+        local = f.step
+        distance = f.distance
         sampler.index = wp.uint32(1)
         apart = BESIDE_CURVE * local
         ahead = AHEAD * local
@@ -182,17 +131,6 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
                 return
         if narrow and not own:
             return
-        scale = 1.0 / (point.pdf * wp.float32(samples))
-        if wp.static(role != "forward"):
-            scale *= wp.dot(weight, jump)
-        g = scale * g
-        speed = push_edge(scene, target, edges, point, g)
-        if wp.static(camera_moves):
-            speed += push_camera(scene, target, camera, at.sample, -g, -distance * g)
-        if wp.static(role == "forward"):
-            splat(scene, sampler, camera, at.pixel, speed * jump, image_out)
-        elif wp.static(role == "reverse"):
-            if speed != 0.0:
-                count_invalid(scene, sampler)
+        push(scene, camera, edges, sampler, samples, f, jump, target, image_out)
 
     return primary

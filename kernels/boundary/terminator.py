@@ -25,8 +25,8 @@ import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.boundary.detector import make_arrival
+from warp_psdr.kernels.boundary.film_edge import AHEAD, BESIDE
 from warp_psdr.kernels.boundary.local_form import on_plane
-from warp_psdr.kernels.boundary.primary import AHEAD, BESIDE
 from warp_psdr.kernels.boundary.projection import make_projection, make_splat
 from warp_psdr.kernels.bvh.wide import make_intersect
 from warp_psdr.kernels.camera import lens_origin, load_mat44, make_camera_sink, make_lens

@@ -95,6 +95,7 @@ EDGES = psdr.boundary.EdgeSampling()
 #: term, scene, method, what its first place is, which places others of it have.
 TERMS = [
     ("primary", ball(), psdr.boundary.PathSpace(), "edge", {"path"}),
+    ("facets", ball(face_normals=True), psdr.boundary.PathSpace(), "edge", {"path"}),
     ("creases", ball(), psdr.boundary.PathSpace(), "edge", {"path"}),
     ("terminator", ball(), psdr.boundary.PathSpace(), "point", {"path"}),
     ("curve", ball(), psdr.boundary.PathSpace(), "edge", {"x_1", "x_2"}),
@@ -114,7 +115,7 @@ def test_every_term_names_its_places(kind: str, scene: dict, method, first: str,
     params.requires_grad(NAME)
     how = options(method, 3)
     numbers = (
-        range(0, 285, 3) if kind in ("horizon", "creases") else range(0, 1100, 11)
+        range(0, 285, 3) if kind in ("horizon", "creases", "facets") else range(0, 1100, 11)
     )  # fewer samples than others have
     found = [psdr.trace_sample(loaded, sample=i, kind=kind, params=params, **how) for i in numbers]
     met = [t.places for t in found if t.places]

@@ -8,7 +8,8 @@ import numpy as np
 import warp as wp
 
 from warp_psdr.bent import bent_faces
-from warp_psdr.edges import every_edge, scene_adjacency, smooth_edges
+from warp_psdr.edges import every_edge, scene_adjacency
+from warp_psdr.film_edges import smooth_edges
 from warp_psdr.kernels.boundary.local_form import Edges
 from warp_psdr.kernels.boundary.rims import Tables
 

@@ -22,19 +22,15 @@ from warp_psdr.boundary.motion import Motion, motion, moving_shapes
 from warp_psdr.clip_planes import require_uncut
 from warp_psdr.curves import moving_curves, scene_curves
 from warp_psdr.edge_trees import edge_trees
-from warp_psdr.edges import (
-    crease_edges,
-    curve_edges,
-    primary_edges,
-    secondary_edges,
-    select,
-)
+from warp_psdr.edges import curve_edges, secondary_edges, select
+from warp_psdr.film_edges import FilmEdges, crease_edges, facet_edges, film_edges, primary_edges
 from warp_psdr.guiding import store
 from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.boundary.bent import make_bent_kernel
 from warp_psdr.kernels.boundary.curve import make_curve_kernel
 from warp_psdr.kernels.boundary.edge_sampling import make_edge_sampling_kernel
 from warp_psdr.kernels.boundary.edge_tree import MAX_SPLIT
+from warp_psdr.kernels.boundary.facets import make_facets_kernel
 from warp_psdr.kernels.boundary.horizon import make_horizon_kernel
 from warp_psdr.kernels.boundary.line_search import make_line_search_kernel
 from warp_psdr.kernels.boundary.primary import make_primary_kernel
@@ -56,7 +52,7 @@ if TYPE_CHECKING:
 #: that are not at infinity, what is not a light contributes nothing.
 WEDGE_SHARE_DIRECT, WEDGE_SHARE = 0.1, 0.5
 #: Sub-streams of the boundary term's random numbers.
-PRIMARY, SECONDARY, TERMINATOR, CURVE, BENT, EDGE_SAMPLING, HORIZON, CREASES = 0, 1, 2, 3, 4, 5, 6, 7
+PRIMARY, SECONDARY, TERMINATOR, CURVE, BENT, EDGE_SAMPLING, HORIZON, CREASES, FACETS = range(9)
 THROUGH_MIRRORS = 100
 #: Roulette ends paths behind a discontinuity so many vertices earlier than those of the image: their first vertices are
 #: what makes boundary samples differ. By default, from the first one on.
@@ -166,13 +162,30 @@ def _term(r: Request, stream: int, kernel: wp.Kernel, head: list, samples: int, 
 def primary(r: Request) -> Term | None:
     """Return the term of the edges that the camera sees."""
     require_uncut(r.scene, r.sensor, set(r.moves.shapes), camera_moves=r.moves.camera)
-    curves = _curves(r, camera_moves=r.moves.camera)
-    edges = primary_edges(r.scene, r.sensor, set(r.moves.shapes), camera_moves=r.moves.camera, curves=curves)
+    found = _film_edges(r)
+    edges = primary_edges(r.scene, found, _curves(r, camera_moves=r.moves.camera))
     if edges is None:
         return None
-    samples = r.pixels * (r.method.spp_primary or r.spp)
+    samples = math.ceil(r.pixels * (r.method.spp_primary or r.spp) * (1.0 - found.share))
     kernel = make_primary_kernel(r.config, r.role, r.moves.camera)
     return _term(r, PRIMARY, kernel, [r.scene.data(), r.camera, edges], samples)
+
+
+def facets(r: Request) -> Term | None:
+    """Return the term of creases between flat faces that the camera sees side by side."""
+    if not r.config.scatter or not r.scene.builder.emitters or not r.scatters_smoothly:
+        return None
+    found = _film_edges(r)
+    edges = facet_edges(r.scene, found)
+    if edges is None:
+        return None
+    samples = math.ceil(r.pixels * (r.method.spp_primary or r.spp) * found.share)
+    kernel = make_facets_kernel(r.config, r.role, r.moves.camera)
+    return _term(r, FACETS, kernel, [r.scene.data(), r.camera, edges], samples)
+
+
+def _film_edges(r: Request) -> FilmEdges:
+    return film_edges(r.scene, r.sensor, set(r.moves.shapes), camera_moves=r.moves.camera)
 
 
 def creases(r: Request) -> Term | None:
@@ -334,7 +347,7 @@ def through_mirrors(r: Request) -> Term | None:
 SPLIT = (secondary, edge_sampling, hard_shadows, curve, horizon)
 #: What each method consists of.
 TERMS: dict[type[Method], tuple[Callable[[Request], Term | None], ...]] = {
-    PathSpace: (primary, creases, terminator, secondary, curve, bent, horizon, through_mirrors),
-    Projective: (primary, creases, terminator, secondary, curve, bent, horizon, through_mirrors),
-    EdgeSampling: (primary, creases, terminator, edge_sampling, hard_shadows, curve, bent, horizon),
+    PathSpace: (primary, facets, creases, terminator, secondary, curve, bent, horizon, through_mirrors),
+    Projective: (primary, facets, creases, terminator, secondary, curve, bent, horizon, through_mirrors),
+    EdgeSampling: (primary, facets, creases, terminator, edge_sampling, hard_shadows, curve, bent, horizon),
 }

@@ -43,6 +43,8 @@ if TYPE_CHECKING:
 #: of two vertices are in it (direct), or only longer ones.
 TITLES = {
     "primary": "primary boundary",
+    "facets": "flat creases",
+    "creases": "smooth creases",
     "terminator": "terminators",
     "secondary": "{} boundary",
     "curve": "{} curves of intersection",

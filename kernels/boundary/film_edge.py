@@ -1,0 +1,147 @@
+"""A point of an edge as the camera sees it: its image, whether it is hidden, and where its adjoint goes.
+
+What the estimators of jumps across edges on the film share (``primary.py``, ``facets.py``). They differ in how the jump
+is found.
+"""
+
+import functools
+
+import warp as wp
+
+from warp_psdr.kernels.autodiff import anchor
+from warp_psdr.kernels.boundary.local_form import (
+    EdgePoint,
+    Edges,
+    edge_behind,
+    edge_point,
+    edge_step,
+    interior_side,
+    make_edge_sink,
+)
+from warp_psdr.kernels.boundary.projection import FilmPoint, make_projection, make_splat
+from warp_psdr.kernels.bvh.wide import make_intersect
+from warp_psdr.kernels.camera import make_camera_sink, make_lens
+from warp_psdr.kernels.invalid import count_invalid
+from warp_psdr.kernels.notes import NOTE_EDGE, make_note
+from warp_psdr.kernels.path import PathConfig
+from warp_psdr.kernels.rng import Sampler, make_sampler
+from warp_psdr.kernels.structs import Camera, Scene
+
+#: Distance at which the two rays pass the edge, in ray epsilons: some 8 float32 steps of the largest coordinate. It is
+#: small because a second discontinuity as near (a terminator just inside of a silhouette) is taken for the first; the
+#: rays start close to the edge, where float32 resolves it.
+BESIDE = 0.1
+#: Least distance in front of the edge at which the rays start, in ray epsilons. It is longer where a face is seen more
+#: edge-on than BESIDE / AHEAD, 10^-4: the ray beside the edge must start in front of that face.
+AHEAD = 2000.0
+#: Share by which it is longer than needed, and by which a face is wider than the rays' distance if they meet it.
+MARGIN = 2.0
+
+
+@wp.struct
+class FilmEdge:
+    """A sampled point of an edge on the film."""
+
+    valid: wp.int32  # 0: not seen, or nothing asks for it
+    point: EdgePoint
+    at: FilmPoint
+    distance: wp.float32  # from the origin of its pixel's ray
+    d: wp.vec3  # direction of that ray
+    m: wp.vec3  # unit normal of the plane through the edge and the ray
+    side: wp.float32  # +1 or -1: all faces lie on that side of the plane; 0: they do not
+    step: wp.float32  # ray epsilon at the edge
+    g: wp.vec3  # gradient of N . pixel(x), along m
+    weight: wp.vec3  # adjoint of the pixels; 1 in forward mode
+
+
+@functools.cache
+def make_film_edge(config: PathConfig, role: str, camera_moves: bool):
+    """Return ``(find, push)`` (arguments as in ``secondary.py``).
+
+    ``find(scene, camera, edges, number, samples, sampler, adjoint) -> FilmEdge`` takes the sampler's slots 0 and 1;
+    ``push(scene, camera, edges, sampler, samples, film_edge, jump, target, image)`` takes L_- - L_+, the radiance on
+    the side that m points away from less that on the other.
+    """
+    _closest_hit, any_hit = make_intersect(config.ray_backend, config.ray_width)
+    push_edge = make_edge_sink(role)
+    push_camera = make_camera_sink(role, config.camera) if camera_moves else None
+    splat, gather = make_splat()
+    project, film_gradient, film_velocity = make_projection(config.camera)
+    lens_point = make_lens(config.camera)
+    draw = make_sampler(config.sampler)
+    sample_1d = draw.sample_1d
+    sample_2d = draw.sample_2d
+    note_place = make_note(config.noted)
+
+    @wp.func
+    def find(
+        scene: Scene,
+        camera: Camera,
+        edges: Edges,
+        number: wp.int32,
+        samples: wp.int32,
+        sampler: Sampler,
+        adjoint: wp.array2d(dtype=wp.vec3),
+    ) -> FilmEdge:
+        r = FilmEdge()
+        point = edge_point(scene, edges, number, samples, sample_1d(sampler, 0))
+        at = project(scene, camera, point.x, lens_point(sample_2d(sampler, 1)))
+        r.point = point
+        r.at = at
+        if at.valid == 0:
+            return r
+        r.distance = wp.length(point.x - at.origin)
+        r.d = (point.x - at.origin) / r.distance
+        m = wp.cross(wp.normalize(point.p1 - point.p0), r.d)
+        sine = wp.length(m)
+        if sine <= 0.0:
+            return r
+        r.m = m / sine
+        r.side = interior_side(scene, edges, point, r.m)
+        r.step = edge_step(scene, edges, point.edge)
+        # Is the edge visible? Seen from just outside of a silhouette, or straight on.
+        start = point.x - (r.step * r.side) * r.m - edge_behind(scene, r.step) * r.d
+        back = at.origin - start
+        length = wp.length(back)
+        if length > at.near and any_hit(scene.accel, start, back / length, length - at.near):
+            return r
+        step = film_velocity(scene, camera, at, point.p1 - point.p0)
+        r.g = film_gradient(scene, camera, at, wp.vec2(step[1], -step[0]))
+        if wp.dot(r.g, r.m) < 0.0:
+            r.g = -r.g
+        r.weight = wp.vec3(1.0, 1.0, 1.0)
+        if wp.static(role != "forward"):
+            r.weight = gather(camera, at.pixel, adjoint)
+            if r.weight[0] == 0.0 and r.weight[1] == 0.0 and r.weight[2] == 0.0:
+                return r
+        note_place(scene, NOTE_EDGE, point.edge, point.s, 0.0, point.x, r.d, r.weight)
+        r.valid = 1
+        return r
+
+    @wp.func
+    def push(
+        scene: Scene,
+        camera: Camera,
+        edges: Edges,
+        sampler: Sampler,
+        samples: wp.int32,
+        f: FilmEdge,
+        jump: wp.vec3,
+        target: wp.array(dtype=wp.float32),
+        image: wp.array2d(dtype=wp.vec3),
+    ):
+        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
+        scale = 1.0 / (f.point.pdf * wp.float32(samples))
+        if wp.static(role != "forward"):
+            scale *= wp.dot(f.weight, jump)
+        g = scale * f.g
+        speed = push_edge(scene, target, edges, f.point, g)
+        if wp.static(camera_moves):
+            speed += push_camera(scene, target, camera, f.at.sample, -g, -f.distance * g)
+        if wp.static(role == "forward"):
+            splat(scene, sampler, camera, f.at.pixel, speed * jump, image)
+        elif wp.static(role == "reverse"):
+            if speed != 0.0:
+                count_invalid(scene, sampler)
+
+    return find, push

@@ -1,0 +1,237 @@
+"""Which edges the film can see, and which of them jump: the candidate sets of the primary boundary."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warp_psdr.camera_view import CameraView, camera_view
+from warp_psdr.edges import COPLANAR, Adjacency, cross, join, moving_edges, scene_adjacency, upload
+from warp_psdr.kernels.constants import DELTA_MODELS, TEXTURE_FACE
+
+if TYPE_CHECKING:
+    from warp_psdr.kernels.boundary.local_form import Edges
+    from warp_psdr.scene.scene import Scene
+
+#: Largest angle (radians) between the normals of a crease for which one path serves both faces. Measured (diffuse
+#: balls over a floor, sky and panel, depth 2 and 4): below, its variance is lower than that of two paths, in the end
+#: in proportion to the angle; above, two paths whose directions turn with the normals tell less of even light.
+SHALLOW = 0.15
+#: Least width in which its faces are seen, in ray epsilons: twenty times the distance at which rays pass beside it.
+WIDE = 2.0
+#: Share of its weight that a crease keeps if a closed shape hides it.
+HIDDEN = 0.05
+#: Least share of the samples that creases between flat faces get, and that is left for all others.
+LEAST_SHARE = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """Edges that the film can see.
+
+    Attributes:
+        keep: (K,) their numbers.
+        low, high: (K,) the stretch of each that is seen, in [0, 1].
+        length: (K,) of its image, pixels.
+    """
+
+    keep: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    length: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class FilmEdges:
+    """The edges of a scene that jump on the film.
+
+    Attributes:
+        key: what they depend on.
+        edges: all edges.
+        others: those drawn by the length of their image.
+        facets: the creases between flat faces that the camera sees side by side.
+        weight: (K,) of the facets: length times the sine between the two faces, to which the jump is proportional;
+            less where a closed shape turns its back to the camera.
+        share: of the samples that the facets get, in proportion to the sum of the weights.
+    """
+
+    key: tuple
+    edges: Adjacency
+    others: Seen
+    facets: Seen
+    weight: np.ndarray
+    share: float
+
+
+def film_edges(scene: Scene, sensor: int, shapes: set[int], *, camera_moves: bool) -> FilmEdges:
+    """Return the edges that jump on the film and move; kept until the scene or the camera moves.
+
+    Left out is what provably does not jump or move: flat or smoothly shaded edges inside a shape that are never a
+    silhouette from the camera, and edges that rest before a camera at rest.
+
+    Args:
+        scene: the scene.
+        sensor: which camera.
+        shapes: the shapes that move.
+        camera_moves: a parameter of the camera is differentiated.
+    """
+    edges = scene_adjacency(scene)
+    view = camera_view(scene, sensor)
+    key = (sensor, frozenset(shapes), camera_moves, *view.numbers())
+    kept: FilmEdges | None = getattr(scene, "_film_edges", None)
+    if kept is not None and kept.edges is edges and kept.key == key:
+        return kept
+    asked = np.ones(len(edges.length), bool) if camera_moves else moving_edges(scene, edges, shapes)
+    jumps = asked & _jumps(scene, view, edges, asked)
+    lit = _facets(scene, view, edges, jumps)
+    others, facets = _seen(view, edges, jumps & ~lit), _seen(view, edges, lit)
+    weight = facets.length * _sine(edges, facets.keep)
+    weight = np.where(_hidden(scene, view, edges, facets.keep), HIDDEN * weight, weight)
+    share = 0.0
+    if len(weight):
+        share = float(np.clip(weight.sum() / (weight.sum() + others.length.sum()), LEAST_SHARE, 1.0 - LEAST_SHARE))
+    found = FilmEdges(key, edges, others, facets, weight, share)
+    scene._film_edges = found  # type: ignore[attr-defined]
+    return found
+
+
+def primary_edges(scene: Scene, found: FilmEdges, curves: Adjacency | None = None) -> Edges | None:
+    """Return the edges drawn by the clipped length of their image, ``curves`` of intersection with them; None: none."""
+    seen, edges = found.others, found.edges
+    if curves is not None:
+        view = camera_view(scene, found.key[0])
+        more = _seen(view, curves, np.ones(len(curves.length), bool))
+        parts = {n: np.append(getattr(seen, n), getattr(more, n)) for n in ("low", "high", "length")}
+        seen = Seen(np.append(seen.keep, more.keep + len(edges.length)), **parts)
+        edges = join(edges, curves)
+    if not len(seen.keep):
+        return None
+    return upload(scene, edges, seen.keep, seen.length, seen.low, seen.high)
+
+
+def facet_edges(scene: Scene, found: FilmEdges) -> Edges | None:
+    """Return the creases between flat faces (``kernels/boundary/facets.py``), drawn by their weight; None: none."""
+    seen = found.facets
+    return upload(scene, found.edges, seen.keep, found.weight, seen.low, seen.high) if len(seen.keep) else None
+
+
+def crease_edges(scene: Scene, sensor: int, shapes: set[int], *, camera_moves: bool) -> tuple[Edges, float] | None:
+    """Return the edges inside of interpolated normals that ``film_edges`` leaves out; None: there are none.
+
+    No silhouettes. The scattering function is continuous there, but light may reach one of the two triangles only, the
+    other having turned away from it (``kernels/boundary/horizon.py``). They are drawn by the clipped length of their
+    image times the sine between their triangles, to which the jump is proportional; its mean is the second result.
+    Arguments as of ``film_edges``.
+    """
+    edges = scene_adjacency(scene)
+    view = camera_view(scene, sensor)
+    use = edges.wedge > 0.0
+    if not camera_moves:
+        use &= moving_edges(scene, edges, shapes)
+    use &= ~_jumps(scene, view, edges, use)
+    seen = _seen(view, edges, use)
+    if not len(seen.keep):
+        return None
+    weight = seen.length * _sine(edges, seen.keep)
+    return upload(scene, edges, seen.keep, weight, seen.low, seen.high), float(weight.sum() / seen.length.sum())
+
+
+def smooth_edges(scene: Scene, edges: Adjacency) -> np.ndarray:
+    """Return a mask of the edges inside of one shape across which neither normal nor texture jumps."""
+    interpolated = np.array([s.smooth == 1 for s in scene.builder.shapes])
+    return _within(scene, edges) & (interpolated[_shape(scene, edges)] | (edges.wedge == 0.0))
+
+
+def _shape(scene: Scene, edges: Adjacency) -> np.ndarray:
+    return scene.builder.face_shape[edges.faces[edges.first[:-1]]]
+
+
+def _within(scene: Scene, edges: Adjacency) -> np.ndarray:
+    """Return a mask of the edges between two triangles of one shape across which no texture jumps."""
+    stepped = np.array([_stepped(scene, s) for s in scene.builder.shapes])
+    return (edges.count == 2) & (edges.ends == edges.twins).all(axis=1) & ~stepped[_shape(scene, edges)]
+
+
+def _stepped(scene: Scene, shape: Any) -> bool:
+    """Return whether a texture of a shape may jump at its edges."""
+    b = scene.builder
+    record = b.bsdfs[shape.bsdf]
+    numbers = {n for r in (record, b.bsdfs[record.back]) for n in (r.c0, r.c1, r.c2, r.s0, r.s1) if n >= 0}
+    if shape.emitter >= 0:
+        numbers.add(b.emitters[shape.emitter].texture)
+    found = [b.textures[n] for n in numbers]
+    # A face attribute jumps at every edge; a bitmap on a shape without texture coordinates reads barycentrics.
+    return any(t.kind == TEXTURE_FACE or (t.width > 0 and shape.has_uv == 0) for t in found)
+
+
+def _jumps(scene: Scene, view: CameraView, edges: Adjacency, asked: np.ndarray) -> np.ndarray:
+    """Return a mask of the edges at which the radiance may jump as the camera sees them; true where nobody asks."""
+    jumps = ~(asked & smooth_edges(scene, edges))
+    # Where neither normal nor texture jumps, only a silhouette does.
+    rest = np.flatnonzero(~jumps & (edges.wedge > 0.0))
+    jumps[rest] = ~_apart(scene, view, edges, rest, np.zeros(len(rest)))
+    return jumps
+
+
+def _facets(scene: Scene, view: CameraView, edges: Adjacency, asked: np.ndarray) -> np.ndarray:
+    """Return a mask of the asked edges across which only a flat normal jumps, and that are never a silhouette.
+
+    Their faces scatter smoothly, and are wide enough for rays beside the edge.
+    """
+    shapes, bsdfs = scene.builder.shapes, scene.builder.bsdfs
+    delta = [b.model in DELTA_MODELS for b in bsdfs]
+    usable = np.array([s.smooth == 0 and not delta[s.bsdf] and not delta[bsdfs[s.bsdf].back] for s in shapes])
+    shape = _shape(scene, edges)
+    facets = asked & _within(scene, edges) & usable[shape] & (edges.wedge > 0.0) & (edges.wedge < SHALLOW)
+    some = np.flatnonzero(facets)
+    steps = scene.steps.shapes if scene.steps.scene > 0.0 else np.full(len(shapes), scene.ray_epsilon)
+    facets[some] = _apart(scene, view, edges, some, WIDE * steps[shape[some]])
+    return facets
+
+
+def _apart(scene: Scene, view: CameraView, edges: Adjacency, some: np.ndarray, width: np.ndarray) -> np.ndarray:
+    """Return which of some edges have a face on either side, as the camera sees them, at least ``width`` wide."""
+    points, triangles = scene.points, scene.builder.indices
+    start = edges.first[:-1][some]
+    ends = edges.points[some]
+    along = ends[:, 1] - ends[:, 0]
+    plane = cross(along, -view.towards(ends[:, 0]))
+    sides, spreads = [], []
+    for face in (edges.faces[start], edges.faces[np.where(edges.count[some] == 2, start + 1, start)]):
+        into = (points[triangles[face]].astype(np.float64) - ends[:, :1]).sum(axis=1)
+        sides.append((into * plane).sum(axis=1))
+        # into . (along x eye) = eye . (into x along)
+        spreads.append(view.spread(cross(into, along)))
+    scale = np.linalg.norm(plane, axis=1) * (edges.length[some] * COPLANAR + width)
+    wide = [np.abs(s) > scale + r for s, r in zip(sides, spreads, strict=True)]
+    return (sides[0] * sides[1] < 0.0) & wide[0] & wide[1]
+
+
+def _hidden(scene: Scene, view: CameraView, edges: Adjacency, some: np.ndarray) -> np.ndarray:
+    """Return which of some edges belong to a face of a closed shape that turns its back to the camera."""
+    shapes, points, triangles = scene.builder.shapes, scene.points.astype(np.float64), scene.builder.indices
+    shape = _shape(scene, edges)
+    closed = np.bincount(shape, edges.count != 2, len(shapes)) == 0
+    outside = np.zeros(len(shapes))
+    for i in np.unique(shape[some]):
+        p = points[triangles[scene.builder.face_shape == i]]
+        p -= p[0, 0]
+        # Six times the volume: positive if the triangles' normals point out of the shape.
+        outside[i] = closed[i] * np.sign((p[:, 0] * cross(p[:, 1], p[:, 2])).sum())
+    p = points[triangles[edges.faces[edges.first[:-1][some]]]]
+    facing = (cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]) * view.towards(p[:, 0])).sum(axis=1)
+    return outside[shape[some]] * facing < 0.0
+
+
+def _seen(view: CameraView, edges: Adjacency, use: np.ndarray) -> Seen:
+    """Return what the film can see of some edges, a mask."""
+    keep = np.flatnonzero(use)
+    low, high, length = view.clip(edges.points[keep])
+    seen = length > 0.0
+    return Seen(keep[seen], low[seen], high[seen], length[seen])
+
+
+def _sine(edges: Adjacency, keep: np.ndarray) -> np.ndarray:
+    return np.sin(np.minimum(edges.wedge[keep], 0.5 * np.pi))
