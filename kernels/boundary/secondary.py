@@ -107,7 +107,11 @@ def make_segment(config: PathConfig):
         elif direction.aimed == 1:
             reach = wp.float32(FAR)
             if direction.distance < 0.5 * FAR:
-                reach = (1.0 - SAME_POINT) * direction.distance + behind
+                # The ray runs a step beside the line to the light point and meets the light's plane earlier or later:
+                # of lights nearer than some hundred steps, half the points would seem hidden by the light itself.
+                normal = scene.triangles[direction.face].normal
+                shift = wp.dot(normal, point.x - r.x) / wp.dot(normal, r.w)
+                reach = (1.0 - SAME_POINT) * wp.max(direction.distance + shift, 0.0) + behind
             if any_hit(scene.accel, r.source, r.w, reach):
                 return r
             r.face2 = direction.face

@@ -136,6 +136,16 @@ def room(height=0.0, turn=0.3, lamp=False):
     }
 
 
+def close():
+    """A plate that a luminous ball almost touches: 0.008 below its lowest corner."""
+    shine = {"type": "area", "radiance": {"type": "rgb", "value": [9.0, 8.0, 7.0]}}
+    light = ball((0.2, 0.1, 2.35), 0.25, diffuse(0.0), emitter=shine)
+    lowest = light["vertices"][light["vertices"][:, 2].argmin()]
+    corners = [lowest + np.array([0.05 + x, 0.02 + y, -0.008]) for x in (-0.4, 0.0) for y in (-0.4, 0.0)]
+    plate = mesh(corners, [[0, 2, 1], [1, 2, 3]], {"type": "twosided", "bsdf": diffuse(0.3)})
+    return {"sensor": camera(), "floor": floor(), "occluder": plate, "light": light}
+
+
 SCENES = {
     "silhouette box": lambda: silhouette("box"),
     "silhouette tent": lambda: silhouette("tent"),
@@ -165,6 +175,7 @@ SCENES = {
     "rough": lambda: under(panel((0.5, -0.3, 2.2), 0.35)) | {"floor": floor(bsdf=rough(0.2))},
     "rough sky": lambda: under(sky()) | {"floor": floor(bsdf=rough(0.3))},
     "lamp": lambda: room(lamp=True),
+    "close": close,
 }
 
 
