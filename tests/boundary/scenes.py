@@ -137,12 +137,11 @@ def room(height=0.0, turn=0.3, lamp=False):
 
 
 def close():
-    """A plate that a luminous ball almost touches: 0.008 below its lowest corner."""
+    """A plate that a luminous ball almost touches: their distance is 0.01."""
     shine = {"type": "area", "radiance": {"type": "rgb", "value": [9.0, 8.0, 7.0]}}
-    light = ball((0.2, 0.1, 2.35), 0.25, diffuse(0.0), emitter=shine)
-    lowest = light["vertices"][light["vertices"][:, 2].argmin()]
-    corners = [lowest + np.array([0.05 + x, 0.02 + y, -0.008]) for x in (-0.4, 0.0) for y in (-0.4, 0.0)]
-    plate = mesh(corners, [[0, 2, 1], [1, 2, 3]], {"type": "twosided", "bsdf": diffuse(0.3)})
+    light = ball((0.19, 0.07, 2.35), 0.25, diffuse(0.0), emitter=shine)
+    corners = [[0.47, -0.62, 2.20], [0.04, -0.59, 2.25], [0.085, -0.17, 2.32], [0.51, -0.20, 2.28]]
+    plate = mesh(corners, [[0, 1, 2], [0, 2, 3]], {"type": "twosided", "bsdf": diffuse(0.3)})
     return {"sensor": camera(), "floor": floor(), "occluder": plate, "light": light}
 
 

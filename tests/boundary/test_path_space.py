@@ -38,15 +38,16 @@ def test_the_modes_are_transposes_of_each_other(name, names) -> None:
 
 
 def test_edges_close_to_a_light() -> None:
-    # Half of the points of a light nearer than a hundredth of the scene seemed hidden by the light itself: 0.8 of it.
+    # Half of the points of a light nearer than a hundredth of the scene seemed hidden by the light itself: a slope of 0.7.
     scene, params = load("close")
     found = []
     for method in (psdr.boundary.PathSpace(spp_secondary=4096), psdr.boundary.EdgeSampling(spp_secondary=256)):
         options = {"integrator": psdr.PathIntegrator(max_depth=2, boundary=method), "spp": 16}
-        images = [psdr.render_forward(scene, params, {OCCLUDER: 1.0}, seed=s, **options).numpy() for s in range(12)]
+        along = {OCCLUDER: np.tile(np.float32([0.0, -1.0, 0.0]), (4, 1))}
+        images = [psdr.render_forward(scene, params, along, seed=s, **options).numpy() for s in range(8)]
         found.append(np.array(images, np.float64).sum(axis=(1, 2, 3)))
-    mean, error = np.mean(found, axis=1), np.std(found, axis=1, ddof=1) / np.sqrt(12)
-    assert (error < 0.02 * abs(mean)).all()
+    mean, error = np.mean(found, axis=1), np.std(found, axis=1, ddof=1) / np.sqrt(8)
+    assert (error < 0.03 * abs(mean)).all()
     assert abs(mean[0] - mean[1]) < 4.0 * np.hypot(*error)
 
 
