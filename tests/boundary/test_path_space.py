@@ -38,7 +38,7 @@ def test_the_modes_are_transposes_of_each_other(name, names) -> None:
 
 
 def test_edges_close_to_a_light() -> None:
-    # Half of the points of a light nearer than a hundredth of the scene seemed hidden by the light itself: a slope of 0.7.
+    # Half of the points of lights nearer than a hundredth of the scene seemed hidden by the light itself: slope 0.7.
     scene, params = load("close")
     found = []
     for method in (psdr.boundary.PathSpace(spp_secondary=4096), psdr.boundary.EdgeSampling(spp_secondary=256)):
