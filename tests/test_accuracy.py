@@ -9,7 +9,7 @@ import pytest
 import warp_psdr as psdr
 from tests.boundary import scenes
 from warp_psdr.work_precision import Report, quantity, tiles
-from warp_psdr.work_precision.allocation import batches_for_error, batches_for_time, efficiency
+from warp_psdr.work_precision.allocation import FLOOR, batches_for_error, batches_for_time, efficiency
 from warp_psdr.work_precision.statistics import Running, jackknife, moments
 
 POSITIONS, ALBEDO = "occluder.vertex_positions", "floor.bsdf.reflectance.value"
@@ -144,7 +144,12 @@ def test_error_and_time_are_inverse_also_where_terms_keep_their_least():
 
 def test_a_term_without_variance_gets_the_least():
     n = batches_for_error(COST, np.array([0.5, 0.0, 0.01]), 0.01)
-    assert n[1] == 2.0 and n[0] > 100.0
+    assert n[0] > 100.0
+    # What the pilot has not met is not known to be nothing: a hundredth of the time.
+    assert n[1] * COST[1] == pytest.approx(FLOOR * (n[0] * COST[0] + n[2] * COST[2]), rel=0.02)
+    np.testing.assert_allclose([0.5 / n[0] + 0.01 / n[2]], 1e-4, rtol=1e-9)
+    few = batches_for_error(COST, np.array([0.5, 0.0, 0.01]), 0.3)
+    assert few[1] == 2.0
 
 
 # -- batches --------------------------------------------------------------------------------------------------------
@@ -223,10 +228,10 @@ def test_pixels_without_an_adjoint_are_not_run(soft):
     what = quantity.gradient(scene, params, adjoint(), integrator=INTEGRATOR, sensor=0)
     even = tiles.uniform(what)
     assert even.samples(4) == 4 * (scenes.SIZE - 6) * scenes.SIZE
-    pixels = np.concatenate([pixels.numpy() for pixels, _count in even.launches(4, "cpu")])
+    pixels = np.concatenate([pixels.numpy() for pixels, _count, _weight in even.launches(4, 0, "cpu")])
     assert sorted(pixels) == list(range(6 * scenes.SIZE, scenes.SIZE**2))
     nothing = quantity.gradient(scene, params, np.zeros_like(adjoint()), integrator=INTEGRATOR, sensor=0)
-    assert tiles.uniform(nothing).launches(4, "cpu") == []
+    assert tiles.uniform(nothing).launches(4, 0, "cpu") == []
 
 
 def test_tiles_follow_the_adjoint(soft):
@@ -236,9 +241,52 @@ def test_tiles_follow_the_adjoint(soft):
     w[8:, 8:] = 1.0
     what = quantity.gradient(scene, params, w, integrator=INTEGRATOR, sensor=0)
     found = tiles.measured(replace(what, blocks={ALBEDO: what.blocks[ALBEDO]}), 16, range(6))
-    assert found is not None and found.side == 8
-    assert found.exponents[3] > max(found.exponents[:3])
-    assert min(found.exponents) >= -tiles.REACH
+    assert found is not None and found[0] == 8
+    exponents = tiles.spread(what, *found).exponents.reshape(w.shape[:2])
+    assert exponents[8:, 8:].min() > exponents[:8].max()
+    assert exponents.min() >= math.log2(tiles.EVEN) - 0.5
+
+
+def test_pixels_follow_the_adjoint_within_a_tile(soft):
+    scene, params = soft
+    w = np.full_like(adjoint(), 0.01)
+    w[5, 3] = 1.0
+    what = quantity.gradient(scene, params, w, integrator=INTEGRATOR, sensor=0)
+    exponents = tiles.spread(what, 8, np.ones(tiles.tile_count(what, 8))).exponents.reshape(w.shape[:2])
+    rest = np.delete(exponents.reshape(-1), 5 * scenes.SIZE + 3)
+    assert (rest == rest[0]).all() and exponents[5, 3] >= rest[0] + 4
+
+
+def test_every_pixel_is_met_as_often_as_its_weight_says(soft):
+    # Less than a sample a pixel: of the pixels of a power, every (n/k)-th from a random start on.
+    scene, params = soft
+    what = quantity.gradient(scene, params, np.ones_like(adjoint()), integrator=INTEGRATOR, sensor=0)
+    count = tiles.tile_count(what, 5)
+    thinned = tiles.from_exponents(what, 5, [-(i % 4) for i in range(count)])
+    met, runs = np.zeros(scenes.SIZE**2), 4000
+    for seed in range(runs):
+        for pixels, samples, weight in thinned.launches(2, 7919 * seed, "cpu"):
+            np.add.at(met, pixels.numpy(), samples * weight / runs)
+    wanted = np.maximum(2.0 * 2.0**thinned.exponents, 1.0)
+    assert wanted.min() == 1.0 and wanted.max() == 2.0
+    # A pixel that is met with the probability 1 / weight, at least 1 / 4: standard error of what it adds up to.
+    assert np.abs(met - wanted).max() < (Z + 0.5) * math.sqrt(3.0 / runs)
+    assert thinned.samples(2) < 0.6 * 2 * scenes.SIZE**2
+
+
+@pytest.mark.parametrize("role", ["reverse", "forward"])
+def test_thinned_batches_are_unbiased(soft, role):
+    scene, params = soft
+    if role == "reverse":
+        what = quantity.gradient(scene, params, adjoint(), integrator=INTEGRATOR, sensor=0)
+    else:
+        what = quantity.derivative(scene, params, tangents(params), integrator=INTEGRATOR, sensor=0)
+    thinned = what.tiled(tiles.from_exponents(what, 5, [-(i % 4) for i in range(tiles.tile_count(what, 5))]))
+    batches = [[q.parts[0].run(1, 1000 * i + b) for b in range(150)] for i, q in enumerate((what, thinned))]
+    a, b = (np.array(x).sum(axis=1) for x in batches) if role == "forward" else (np.array(x) for x in batches)
+    noise = np.sqrt(a.var(axis=0, ddof=1) / len(a) + b.var(axis=0, ddof=1) / len(b))
+    used = noise > 1e-3 * noise.max()
+    assert (np.abs(a.mean(axis=0) - b.mean(axis=0))[used] < Z * noise[used]).all()
 
 
 # -- the report -----------------------------------------------------------------------------------------------------
@@ -265,15 +313,16 @@ def test_report_predicts_the_scatter_of_gradients(soft):
 
 def test_times_and_errors_are_inverse(report):
     for error in (0.02, 0.005):
-        # Small batches are whole numbers of samples.
-        assert report.error_in(report.seconds_to(error)) == pytest.approx(error, rel=0.02)
+        # A time is spent in larger batches.
+        assert 0.5 * error < report.error_in(report.seconds_to(error)) < 1.05 * error
         low, high = report.seconds_interval(error)
         assert low < report.seconds_to(error) < high
     assert report.error_in(1e-9) == math.inf
     split = report.allocation(seconds=100.0)
     assert split.seconds <= 100.0 + 1e-6
-    assert split.spp == {t.name: t.spp * split.batches[t.name] for t in report.terms}
-    assert report.seconds_to(0.001) == pytest.approx(100.0 * report.seconds_to(0.01), rel=0.05)
+    assert split.spp == {t.name: t.spp * split.batches[t.name] for t in report.fitted(seconds=100.0).terms}
+    # Error^2 ~ 1 / time, or better: what is fixed is saved, and stratified samples gain.
+    assert 20.0 < report.seconds_to(0.001) / report.seconds_to(0.01) < 105.0
 
 
 def test_less_accuracy_never_costs_more(report):
@@ -284,6 +333,22 @@ def test_less_accuracy_never_costs_more(report):
         assert (np.diff(seconds) >= -0.05 * np.array(seconds[1:])).all()
         errors = np.array([what.error_in(float(t)) for t in np.geomspace(1.1 * seconds[0], seconds[-1], 40)])
         assert np.isfinite(errors).all() and (np.diff(errors) <= 0.05 * errors[:-1]).all()
+
+
+def test_a_long_time_buys_larger_batches(report):
+    # What is fixed in their cost is saved, and stratified samples are better together; both as far as they are known.
+    term = replace(report.terms[0], spp=4, samples=400, seconds=1.0, fixed_seconds=0.5, sample_seconds=0.5 / 400)
+    term = replace(term, variance={name: report.norm2[name] for name in report.norm2}, exponent=1.3)
+    for error, exponent in ((0.3 * math.sqrt(0.3), 1.21), (1.0, 1.0)):
+        lone = replace(report, terms=(replace(term, exponent_error=error),))
+        (larger,) = lone.fitted(seconds=8.0).terms
+        assert larger.spp == 16  # 8 batches in that time, 2 of them are enough
+        assert larger.seconds == pytest.approx(0.5 + 4 * 0.5)
+        assert larger.variance[ALBEDO] == pytest.approx(term.variance[ALBEDO] / 4.0**exponent)
+        (largest,) = lone.fitted(seconds=1e6).terms
+        assert largest.spp == 16 * 4
+        assert lone.fitted(seconds=2.0) is lone
+        assert lone.fitted(error=0.3) is lone  # some 11 batches, all of which tell when to stop
 
 
 def test_report_is_written_and_read(report, tmp_path):

@@ -10,6 +10,7 @@ import warp_psdr as psdr
 from tests.boundary import scenes
 from tests.test_accuracy import ALBEDO, INTEGRATOR, POSITIONS, Z, adjoint, tangents
 from warp_psdr.work_precision import Reached, Report, TermReport, budget, pilot
+from warp_psdr.work_precision import report as budget_report
 
 #: Two terms of the made-up quantity: mean of a batch, seconds of a batch.
 MEANS, SECONDS = (1.0, 0.3), (1.0, 0.5)
@@ -23,11 +24,11 @@ class Clock:
 
 
 def term_of_size(mean: float, seconds: float, clock: Clock):
-    """Batches with the exponential distribution, skewed, that take the longer the larger they are."""
+    """Means of samples with the exponential distribution, skewed, that take the longer the larger they are."""
 
-    def run(_spp: int, seed: int) -> np.ndarray:
-        x = -mean * math.log((seed + 0.5) / 2.0**32)  # seeds are hashed words
-        clock.now += seconds * x / mean
+    def run(spp: int, seed: int) -> np.ndarray:
+        x = mean * np.random.default_rng(seed).gamma(spp) / spp
+        clock.now += seconds * spp * x / mean
         return np.array([x])
 
     return SimpleNamespace(name=f"term {mean}", run=run)
@@ -70,7 +71,7 @@ def test_stopping_at_an_error_does_not_choose(monkeypatch):
         values, reached = budget.spend(what, budget.Wanted(0.3, None, report), seed=seed, progress=None)
         found.append(values[0])
         rounds.add(tuple(reached.batches.values()))
-        half = budget._Half(what, report, seed)
+        half = budget._Half(what, report, report, seed)
         counts = np.ones(2)
         half.run(counts)
         while half.error(counts) > 0.5:
@@ -82,15 +83,17 @@ def test_stopping_at_an_error_does_not_choose(monkeypatch):
     assert deviate(naive, sum(MEANS)) > 1.25 * Z  # and this test would see it
 
 
-def test_stopping_at_a_time_does_not_choose(monkeypatch):
+@pytest.mark.parametrize(("enough", "outcomes"), [(math.inf, 3), (budget_report.ENOUGH_FOR_TIME, 2)])
+def test_stopping_at_a_time_does_not_choose(monkeypatch, enough, outcomes):
     # Large values take long here: whoever counts a round that ends late, or starts none that might, prefers some.
     what, report = made_up(monkeypatch)
+    monkeypatch.setattr(budget_report, "ENOUGH_FOR_TIME", enough)
     found, rounds = [], set()
     for seed in range(RUNS):
         values, reached = budget.spend(what, budget.Wanted(None, 6.0, report), seed=seed, progress=None)
         found.append(values[0])
         rounds.add(tuple(reached.batches.values()))
-    assert len(rounds) > 2
+    assert len(rounds) >= outcomes
     assert abs(deviate(found, sum(MEANS))) < Z
 
 
@@ -108,8 +111,9 @@ def test_reported_error_is_that_of_the_estimates(monkeypatch):
 def test_halves_are_weighed_as_they_are_counted(monkeypatch):
     what, report = made_up(monkeypatch)
     values, reached = budget.spend(what, budget.Wanted(0.02, None, report), seed=1, progress=None)
-    n = np.array(list(reached.batches.values()))
+    n = np.array(list(reached.spp.values()))
     np.testing.assert_allclose(n @ SECONDS, report.seconds_to(0.02), rtol=0.35)
+    assert max(reached.batches.values()) < 0.2 * n.max()  # larger batches than the pilot's
     assert abs(values[0] - sum(MEANS)) < 5.0 * 0.02 * sum(MEANS)
 
 

@@ -118,11 +118,12 @@ def interior_backward(
     sums: GradientSums,
     progress: Progress | None = None,
     pixels: wp.array | None = None,
+    weight: float = 1.0,
 ) -> None:
-    """Add the gradient of the interior term, of all pixels or of those listed."""
+    """Add the gradient of the interior term, of all pixels or of those listed, times a weight."""
     camera = scene.camera(sensor)
     dummy = wp.zeros((1, 1), dtype=wp.vec3, device=scene.device)
-    tail = [1.0 / spp, mix_seed(seed, STREAM_INTERIOR), _depth(plan), plan.rr_depth, adjoint]
+    tail = [weight / spp, mix_seed(seed, STREAM_INTERIOR), _depth(plan), plan.rr_depth, adjoint]
     count = camera.crop_width * camera.crop_height if pixels is None else pixels.shape[0]
     lanes = sums.buffers.shape[0]
     share = workers.lane_share(count, lanes)  # few pixels do not spread over all lanes
@@ -158,11 +159,12 @@ def interior_forward(
     image: wp.array,
     progress: Progress | None = None,
     pixels: wp.array | None = None,
+    weight: float = 1.0,
 ) -> None:
-    """Add the derivative of the interior term along flat tangents to all pixels, or to those listed."""
+    """Add the derivative of the interior term along flat tangents, times a weight, to all pixels or those listed."""
     camera = scene.camera(sensor)
     dummy = wp.zeros((1, 1), dtype=wp.vec3, device=scene.device)
-    tail = [0, spp, 1.0 / spp, mix_seed(seed, STREAM_INTERIOR), _depth(plan), plan.rr_depth, dummy]
+    tail = [0, spp, weight / spp, mix_seed(seed, STREAM_INTERIOR), _depth(plan), plan.rr_depth, dummy]
     _launch(
         scene,
         _gradient_kernel(plan, "forward"),

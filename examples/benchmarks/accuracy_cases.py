@@ -8,16 +8,21 @@ import boundary_global
 import boundary_soft_shadow
 import numpy as np
 from common import psdr
+from work_precision_data import Records
 
-from scenes import BLUE, CASES, CORNELL, DELTA, SKY, Case, stage, write_data
+from scenes import BLUE, CASES, CORNELL, DELTA, SKY, Case, mesh, stage, write_data
 
-#: How far what moves lies from where it is sought, over the scene's radius, and samples a pixel of the two images.
-SHIFT, RESIDUAL_SPP = 0.05, 256
+#: How far what moves lies from where it is sought, over the scene's radius; what is sought of other values, in times of
+#: what they are and plus; and samples a pixel of the image and of the target that a loss compares.
+SHIFT, FACTOR, OFFSET, IMAGE_SPP, TARGET_SPP = 0.05, 0.7, 0.1, 32, 256
 KDTREE = psdr.boundary.PathSpace(guiding=psdr.guiding.KdTree())
 
 CUBE = f"""<shape type="cube" id="object"><transform name="to_world"><scale value="0.4"/><rotate x="1" z="1"
 angle="30"/>
     </transform>{BLUE}</shape>"""
+MIRROR = """<shape type="rectangle" id="mirror"><transform name="to_world"><scale value="1.5"/>
+    <translate y="0.3" z="-1.2"/></transform><bsdf type="conductor"><string name="material" value="none"/></bsdf>
+    </shape>"""
 
 
 @dataclass(frozen=True)
@@ -54,6 +59,14 @@ def _cube_under_sky(folder: Path) -> Path:
     return Case(stage(CUBE, SKY)).write(folder, "cube_sky")
 
 
+def _small(folder: Path) -> Path:
+    return Case(stage(mesh("ball.ply", BLUE, scale=0.12, y=-0.85), SKY)).write(folder, "small")
+
+
+def _mirrored(folder: Path) -> Path:
+    return Case(stage(CUBE + MIRROR, SKY)).write(folder, "mirrored")
+
+
 def _sliding(folder: Path) -> Path:
     return next(iter(boundary_global.write_scenes(folder).values()))
 
@@ -70,6 +83,8 @@ PAIRS = (
     Pair("soft shadow, guided", boundary_soft_shadow.write_scene, ("sphere.vertex_positions",), 2, KDTREE),
     Pair("Cornell box, the camera moves", _case("Cornell box"), ("sensor.to_world",), 3),
     Pair("a cube under a sky", _cube_under_sky, ("object.vertex_positions",), 2),
+    Pair("a small ball under a sky", _small, ("object.vertex_positions",), 3),
+    Pair("a cube before a mirror", _mirrored, ("object.vertex_positions",), 3),
 )
 
 
@@ -80,11 +95,12 @@ class Loaded:
         pair: what is loaded.
         folder: where its files are written.
         resolution: pixels of a side.
-        adjoint: "waves": smooth and of both signs, in the place of a loss's; "loss", where something moves: of the mean
-            squared difference to an image of the scene with that moved by ``SHIFT``, as a fit starts with.
+        adjoint: "loss": of the mean squared difference between an image and a target, as a fit has them: noisy, and the
+            target of a scene whose geometry lies ``SHIFT`` away, whose other values are ``FACTOR`` times as large plus
+            ``OFFSET``. "waves": smooth over the whole image and of both signs, which no residual is.
     """
 
-    def __init__(self, pair: Pair, folder: Path, resolution: int, adjoint: str = "waves"):
+    def __init__(self, pair: Pair, folder: Path, resolution: int, adjoint: str = "loss"):
         write_data(folder)
         self.scene = psdr.load_file(pair.file(folder), resolution=resolution)
         self.params = psdr.traverse(self.scene)
@@ -94,29 +110,34 @@ class Loaded:
             return
         self.params.requires_grad(*pair.parameters)
         film = self.scene.description.sensors[0].film
-        if adjoint == "loss" and self.moves:
-            self.adjoint = self._residual(pair.parameters[0])
+        if adjoint == "loss":
+            self.adjoint = self._residual()
             return
         y, x = np.mgrid[0 : film.crop_height, 0 : film.crop_width] / film.crop_height
         waves = [0.5 + np.sin(3.0 * x + 5.0 * y + k) for k in range(3)]
         self.adjoint = np.stack(waves, axis=-1).astype(np.float32) / (film.crop_height * film.crop_width)
 
-    def _residual(self, name: str) -> np.ndarray:
-        base = self.params[name].numpy().copy()
-        images = []
-        for shift in (0.0, SHIFT * self.scene.radius):
-            moved = base.copy()
-            if moved.shape == (4, 4):
-                moved[0, 3] += shift
-            else:
-                moved[:, 0] += shift
-            self.params[name] = moved
-            self.params.update()
-            image = psdr.render(self.scene, integrator=self.integrator, spp=RESIDUAL_SPP, seed=7)
-            images.append(image.numpy())
-        self.params[name] = base
+    def _residual(self) -> np.ndarray:
+        image = psdr.render(self.scene, integrator=self.integrator, spp=IMAGE_SPP, seed=8).numpy()
+        base = {name: self.params[name].numpy().copy() for name in self.params.requested}
+        for name, values in base.items():
+            self.params[name] = self._sought(name, values)
         self.params.update()
-        return (2.0 / images[0].size) * (images[0] - images[1])
+        target = psdr.render(self.scene, integrator=self.integrator, spp=TARGET_SPP, seed=7).numpy()
+        for name, values in base.items():
+            self.params[name] = values
+        self.params.update()
+        return (2.0 / image.size) * (image - target)
+
+    def _sought(self, name: str, values: np.ndarray) -> np.ndarray:
+        shift = SHIFT * self.scene.radius
+        if values.shape == (4, 4):
+            moved = values.copy()
+            moved[0, 3] += shift
+            return moved
+        if name.endswith("vertex_positions"):
+            return values + np.array([shift, 0.0, 0.0], values.dtype)
+        return FACTOR * values + OFFSET
 
     def accuracy(self, **options):
         """Run the pilot."""
@@ -148,6 +169,18 @@ class Loaded:
 
     def _blocks(self) -> list[np.ndarray]:
         return [self.params[n].grad.numpy().reshape(-1).astype(np.float64) for n in self.params.requested]
+
+
+def kept(file: Path | None, key: dict[str, str | int], measure: Callable[[], dict]) -> dict:
+    """Return what is measured, or what an earlier run with the same file and key has measured."""
+    if file is None:
+        return measure()
+    records = Records(file)
+    for row in records.rows:
+        if key.items() <= row.items():
+            return row["found"]
+    records.append(key | {"found": measure()})
+    return records.rows[-1]["found"]
 
 
 def scatter(runs: list[list[np.ndarray]]) -> float:

@@ -1,6 +1,6 @@
 """What accuracy costs: predicted by ``psdr.accuracy``, then spent and measured.
 
-    python examples/benchmarks/accuracy_predictions.py [--quick] [--clock cpu] [--output results.jsonl]
+    python examples/benchmarks/accuracy_predictions.py [--quick] [--clock cpu] [--resume rows.jsonl] [--output ...]
 
 For every pair of a scene and a parameter a pilot predicts the error that ``seconds`` buy. That error is then asked for
 by ``render_backward(..., target_error=...)`` with the pilot's report, again and again with seeds of their own. Measured
@@ -9,11 +9,12 @@ clock "cpu" counts the processor time of all threads, for machines that do other
 which the pilot says that rare large samples carry their variance, and that its prediction is therefore unreliable.
 """
 
+import functools
 import statistics
 import tempfile
 from pathlib import Path
 
-from accuracy_cases import PAIRS, Loaded, scatter
+from accuracy_cases import PAIRS, Loaded, Pair, kept, scatter
 from common import Report, arguments, psdr
 
 #: What the project asks of predictions: time within 25 %, error within 20 %, in 80 % of the pairs.
@@ -54,18 +55,26 @@ def main() -> None:
     parser = arguments(__doc__)
     parser.add_argument("--clock", choices=("wall", "cpu"), default="wall", help="cpu: processor time of all threads")
     parser.add_argument("--only", help="pairs whose name holds this text")
+    parser.add_argument("--adjoint", choices=("loss", "waves"), default="loss", help="of a loss, or smooth")
+    parser.add_argument("--resume", type=Path, help="keep finished rows in this file, and do not measure them again")
     options = parser.parse_args()
     runs = options.repeat or (12 if options.quick else 32)
     resolution, seconds, pilot = (32, 0.3, 1.5) if options.quick else (64, 1.0, 4.0)
     psdr.set_workers(options.threads)
     report = Report("accuracy, predicted and spent", options.output)
     rows = []
+
+    def measure(pair: Pair) -> dict:
+        with tempfile.TemporaryDirectory() as name:
+            loaded = Loaded(pair, Path(name), resolution, options.adjoint)
+            return measured(loaded, seconds=seconds, pilot=pilot, runs=runs, clock=options.clock)
+
     for pair in PAIRS:
         if options.only and options.only not in str(pair):
             continue
-        with tempfile.TemporaryDirectory() as name:
-            loaded = Loaded(pair, Path(name), resolution)
-            row = measured(loaded, seconds=seconds, pilot=pilot, runs=runs, clock=options.clock)
+        method = f"{options.adjoint}, {options.clock}"
+        key = {"kind": "prediction", "case": str(pair), "method": method, "pixels": resolution}
+        row = kept(options.resume, key, functools.partial(measure, pair))
         rows.append({"pair": str(pair)} | row)
         print(f"  {pair}: time {row['measured / predicted']:.2f}, error {row['reached / asked']:.2f}", flush=True)
     report.table(f"{resolution}^2 pixels, {runs} runs each, {options.clock} time", rows)

@@ -3,7 +3,9 @@
 Term k costs C_k seconds a batch and has the relative variance U_k a batch; n_k batches of each term have the squared
 error sum_k U_k / n_k and take sum_k n_k C_k seconds. At a given time the error is least for n_k ~ sqrt(U_k / C_k)
 (Lagrange), and then error^2 * time = (sum_k sqrt(U_k C_k))^2. Every term gets at least a batch for each of the two
-halves of a run (``budget.py``), so where that binds, the others share what is left.
+halves of a run (``budget.py``), so where that binds, the others share what is left. A term that the pilot's batches
+have hardly met is not known to be small, so each gets ``FLOOR`` of what the best split takes, too; K terms lose at most
+the share K * FLOOR of the time by it.
 """
 
 from __future__ import annotations
@@ -14,6 +16,9 @@ import numpy as np
 
 #: Least batches of a term: one for each half.
 LEAST = 2.0
+#: Least time of a term, as a share of that of the best split: a hundredth costs little, and bounds what is lost where
+#: rare samples of a term carry its variance and the pilot has met none.
+FLOOR = 0.01
 
 
 @dataclass(frozen=True)
@@ -38,11 +43,17 @@ def efficiency(cost: np.ndarray, variance: np.ndarray) -> np.ndarray:
     return np.sqrt(cost * variance).sum(axis=-1) ** 2
 
 
+def ideal(cost: np.ndarray, variance: np.ndarray) -> np.ndarray:
+    """Return (terms,): the best numbers of batches up to a factor, none of them below its floor."""
+    best = np.sqrt(variance / cost)
+    return np.maximum(best, FLOOR * float(best @ cost) / cost)
+
+
 def batches_for_time(cost: np.ndarray, variance: np.ndarray, seconds: float, least: float = LEAST) -> np.ndarray:
     """Return the best (terms,) numbers of batches, not rounded, for a time; ``least`` each where it is too short."""
 
-    def scale(free: np.ndarray, fixed: np.ndarray) -> float:
-        return (seconds - least * cost[fixed].sum()) / _need(cost, free, variance)
+    def scale(free: np.ndarray, numbers: np.ndarray) -> float:
+        return (seconds - least * cost[~free].sum()) / float(numbers[free] @ cost[free])
 
     return _split(cost, variance, scale, least)
 
@@ -50,27 +61,25 @@ def batches_for_time(cost: np.ndarray, variance: np.ndarray, seconds: float, lea
 def batches_for_error(cost: np.ndarray, variance: np.ndarray, error: float, least: float = LEAST) -> np.ndarray:
     """Return the cheapest (terms,) numbers of batches, not rounded, for a relative error."""
 
-    def scale(free: np.ndarray, fixed: np.ndarray) -> float:
-        # The numbers s sqrt(U / C) of the free terms leave sum U / n = sum sqrt(U C) / s.
-        rest = error**2 - variance[fixed].sum() / least
-        return _need(cost, free, variance) / rest if rest > 0.0 else np.inf
+    def scale(free: np.ndarray, numbers: np.ndarray) -> float:
+        rest = error**2 - variance[~free].sum() / least
+        return float((variance[free] / numbers[free]).sum()) / rest if rest > 0.0 else np.inf
 
     return _split(cost, variance, scale, least)
 
 
-def _need(cost: np.ndarray, free: np.ndarray, variance: np.ndarray) -> float:
-    return max(float(np.sqrt(cost[free] * variance[free]).sum()), 1e-300)
-
-
 def _split(cost: np.ndarray, variance: np.ndarray, scale, least: float) -> np.ndarray:
-    """Give the free terms s sqrt(U / C); terms that would fall below ``least`` are fixed there, and s found again."""
-    ideal = np.sqrt(variance / cost)
-    free = ideal > 0.0
+    """Scale the free terms' numbers; terms that would fall below ``least`` are fixed there, and the scale found again.
+
+    ``scale``: (which are free, their numbers up to a factor) -> the factor.
+    """
+    numbers = ideal(cost, variance)
+    free = numbers > 0.0
     while True:
         batches = np.full(len(cost), least)
         if not free.any():
             return batches
-        batches[free] = scale(free, ~free) * ideal[free]
+        batches[free] = scale(free, numbers) * numbers[free]
         short = free & (batches < least)
         if not short.any():
             return batches

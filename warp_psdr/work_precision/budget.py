@@ -14,12 +14,13 @@ tau_B is independent of A, so E[mean of A's first N(tau_B)] = E[E[... | tau_B]] 
 B's. The price is that a half whose own mean is settled may go on until it has decided about the other.
 
 **Time.** Rounds of a fixed number of batches of each term are independent and equally distributed, pairs (estimate x_i,
-time t_i). At most M rounds run, which the pilot expects to fill the time; the run also ends when the time is over,
-and a round that was not finished then is left out, unless it is the first. So N = max(1, min(M, number of rounds
+time t_i). At most M rounds run, which the pilot expects to fill the time; the run also ends at T, the time and a little
+slack, and a round that was not finished then is left out, unless it is the first. So N = max(1, min(M, number of rounds
 with t_1 + ... + t_n <= T)), and the mean of x_1 ... x_N is unbiased even where samples of large value take longer:
 the event N = n does not change when the first n rounds change places, so E[x_i; N = n] is the same for all i <= n, and
 E[mean] = sum_n E[x_1; N = n] = E[x_1] [Glynn and Heidelberger 1990, "Bias properties of budget constrained
-simulations"].
+simulations"]. (The slack lets the last round count that takes a little longer than was predicted. A round that begins
+within it and ends behind it is paid for nothing; not to begin it would depend on the order of the others.)
 
 An image under a filter that reaches beyond its pixel is the quotient of two such means: its bias is of the order of one
 over all samples, as without a budget.
@@ -41,7 +42,7 @@ from warp_psdr.work_precision.allocation import batches_for_error, batches_for_t
 from warp_psdr.work_precision.quantity import Quantity
 from warp_psdr.work_precision.report import Report, positive
 from warp_psdr.work_precision.statistics import Running, squared
-from warp_psdr.work_precision.tiles import from_exponents
+from warp_psdr.work_precision.tiles import spread, tile_count
 
 #: Seed stream of what is spent, and those of its halves.
 STREAM_BUDGET, STREAM_A, STREAM_B = 0x73706E64, 0, 1
@@ -50,9 +51,11 @@ STREAM_BUDGET, STREAM_A, STREAM_B = 0x73706E64, 0, 1
 FIRST_LOOK, NEXT_LOOK = 0.8, 1.1
 #: Most rounds of a time budget, and the share of the efficiency that rounding to them may cost.
 MOST_ROUNDS, ROUNDING = 16, 0.03
-#: Share of a time budget, and of the predicted time to an error, that its own pilot may take; and the least, seconds.
-PILOT_SHARE, LEAST_PILOT = 0.2, 0.1
-#: Seconds of the pilot of a target error, whose time is not known before.
+#: Rounds count that end within so many times the budget.
+SLACK = 1.1
+#: Seconds of the pilot of a time budget, at least; and how many times its share it may take where it is uncertain.
+LEAST_PILOT, PATIENCE = 0.1, 1.5
+#: Seconds of the pilot of a target error, whose time is not known before; more where it is uncertain (``pilot.SHARE``).
 ERROR_PILOT = 2.0
 #: What is spent, seconds, where the pilot took all of a time budget.
 LEAST_SECONDS = 1e-3
@@ -134,21 +137,22 @@ def spend(
     pilot_seconds = 0.0
     report = wanted.report
     if report is None:
-        seconds = ERROR_PILOT if wanted.seconds is None else max(PILOT_SHARE * wanted.seconds, LEAST_PILOT)
-        report = pilot.run(what, spp=None, seed=seed, seconds=seconds, tiles=True, clock="wall")
+        seconds = ERROR_PILOT if wanted.seconds is None else max(pilot.SHARE * wanted.seconds, LEAST_PILOT)
+        options: dict[str, Any] = {"seconds": seconds, "error": wanted.error, "patience": PATIENCE}
+        report = pilot.run(what, spp=None, seed=seed, tiles=True, clock="wall", **options)
         pilot_seconds = report.pilot_seconds
     _check_report(what, report)
     if report.tile:
-        what = what.tiled(from_exponents(what, report.tile, report.exponents))
+        what = what.tiled(spread(what, report.tile, report.deviations))
     seed = mix_seed(seed, STREAM_BUDGET)
     found, left = report, (wanted.seconds or 0.0) - pilot_seconds
     if wanted.error is not None:
         report = found.fitted(error=wanted.error)
-        raw, counts, error, spent = _to_error(what, report, float(wanted.error), seed, progress)
+        raw, counts, error, spent = _to_error(what, report, found, float(wanted.error), seed, progress)
     else:
         left = max(left, LEAST_SECONDS)
         report = found.fitted(seconds=left, least=1.0)
-        raw, counts, error, spent = _in_time(what, report, left, seed, progress)
+        raw, counts, error, spent = _in_time(what, report, found, left, seed, progress)
     if progress is not None:
         progress(1.0)
     names = [part.name for part in what.parts]
@@ -167,20 +171,31 @@ def _check_report(what: Quantity, report: Report) -> None:
     for name, (got, expected) in pairs.items():
         if got != expected:
             raise ValueError(f"report: its {name} are {got}, expected {expected}; run psdr.accuracy for this call")
-    width, height, _margin = what.raster
     if report.tile:
-        tiles = -(-width // report.tile) * -(-height // report.tile)
-        if len(report.exponents) != tiles:
+        tiles = tile_count(what, report.tile)
+        if len(report.deviations) != tiles:
             raise ValueError(
-                f"report: it has {len(report.exponents)} tiles, this image {tiles}; run psdr.accuracy for this call"
+                f"report: it has {len(report.deviations)} tiles, this image {tiles}; run psdr.accuracy for this call"
             )
 
 
 class _Half:
-    """Batches of all terms with seeds of their own, and what they say of the error."""
+    """Batches of all terms with seeds of their own, and what they say of the error.
 
-    def __init__(self, what: Quantity, report: Report, seed: int):
+    Args:
+        what: what is estimated.
+        report: the pilot's, for batches of the sizes that are run.
+        found: the pilot's, for batches of its own sizes.
+        seed: of the batches.
+    """
+
+    def __init__(self, what: Quantity, report: Report, found: Report, seed: int):
         self._what, self._report, self._seed = what, report, seed
+        # The logarithm of a variance has the variance 2 / (degrees of freedom), of one that was told from another size
+        # also that of the exponent.
+        sizes = np.array([a.spp / b.spp for a, b in zip(report.terms, found.terms, strict=True)])
+        errors = np.nan_to_num([t.exponent_error for t in found.terms])
+        self._known = 2.0 / (2.0 / (found.batches - 1) + (errors * np.log(sizes)) ** 2)[:, None]
         self._blocks = list(what.blocks.values())
         self.terms = [Running(self._blocks) for _ in what.parts]
 
@@ -200,7 +215,7 @@ class _Half:
     def variances(self) -> np.ndarray:
         """Return (terms, blocks): of a batch, from this half and the pilot, by their degrees of freedom."""
         prior = np.array([[t.variance[b] for b in self._what.blocks] for t in self._report.terms])
-        known = self._report.batches - 1
+        known = self._known
         own = np.array([sums.variance() for sums in self.terms])
         degrees = np.array([[sums.count - 1] for sums in self.terms])
         return (known * prior + degrees * own) / (known + degrees)
@@ -227,12 +242,12 @@ class _Half:
         return math.sqrt(float(((variances / counts[:, None]).sum(axis=0)[seen] / norm2[seen]).mean()))
 
 
-def _to_error(what: Quantity, report: Report, target: float, seed: int, progress):
+def _to_error(what: Quantity, report: Report, found: Report, target: float, seed: int, progress):
     """Run both halves until each has decided about the other."""
     now = pilot.CLOCKS[report.clock]
     start = now()
     wanted = batches_for_error(report.cost, report.relative_variance, target) / 2.0
-    halves = [_Half(what, report, mix_seed(seed, stream)) for stream in (STREAM_A, STREAM_B)]
+    halves = [_Half(what, report, found, mix_seed(seed, stream)) for stream in (STREAM_A, STREAM_B)]
     means: list[np.ndarray | None] = [None, None]
     used: list[np.ndarray] = [np.zeros(0), np.zeros(0)]
     share = FIRST_LOOK
@@ -252,17 +267,17 @@ def _to_error(what: Quantity, report: Report, target: float, seed: int, progress
             progress(min(0.99, float((counts / np.maximum(wanted, 1.0)).mean()) / NEXT_LOOK))
     # The mean of two means of n and m batches has the variance V (1/n + 1/m) / 4: that of 4 / (1/n + 1/m) batches.
     effective = 4.0 / (1.0 / used[0] + 1.0 / used[1])
-    both = _together(halves, what, report)
+    both = _together(halves, what, report, found)
     assert means[0] is not None and means[1] is not None
     return 0.5 * (means[0] + means[1]), (used[0] + used[1]).astype(int).tolist(), both.error(effective), now() - start
 
 
-def _in_time(what: Quantity, report: Report, seconds: float, seed: int, progress):
+def _in_time(what: Quantity, report: Report, found: Report, seconds: float, seed: int, progress):
     """Run rounds until they are done or the time is over."""
     now = pilot.CLOCKS[report.clock]
     start = now()
     each, most = _rounds(report, seconds)
-    whole, done = _Half(what, report, seed), 0
+    whole, done = _Half(what, report, found, seed), 0
     mean: np.ndarray | float = 0.0
     names = range(len(what.parts))
     blocks = list(what.blocks.values())
@@ -273,7 +288,7 @@ def _in_time(what: Quantity, report: Report, seconds: float, seed: int, progress
             for i in range(int(each[k])):
                 raw = part.run(report.terms[k].spp, mix_seed(stream, done * int(each[k]) + i))
                 this[k].add(raw, what.finished(raw))
-        if done and now() - start > seconds:
+        if done and now() - start > SLACK * seconds:
             break
         for sums, more in zip(whole.terms, this, strict=True):
             sums.merge(more)
@@ -282,7 +297,7 @@ def _in_time(what: Quantity, report: Report, seconds: float, seed: int, progress
         spent = now() - start
         if progress is not None:
             progress(min(0.99, max(done / most, spent / seconds)))
-        if spent > seconds:  # the next round could not count
+        if spent > SLACK * seconds:  # the next round could not count
             break
     counts = done * each
     return np.asarray(mean), counts.astype(int).tolist(), whole.error(counts), now() - start
@@ -304,9 +319,9 @@ def _rounds(report: Report, seconds: float) -> tuple[np.ndarray, int]:
     return best[1], best[2]
 
 
-def _together(halves: list[_Half], what: Quantity, report: Report) -> _Half:
+def _together(halves: list[_Half], what: Quantity, report: Report, found: Report) -> _Half:
     """Return both halves' batches as one; only the error that is reported is estimated from it."""
-    whole = _Half(what, report, 0)
+    whole = _Half(what, report, found, 0)
     for half in halves:
         for sums, more in zip(whole.terms, half.terms, strict=True):
             sums.merge(more)

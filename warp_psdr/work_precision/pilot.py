@@ -6,7 +6,9 @@
 3. A few batches of the term over pixels say whether samples are better spread unevenly over the image (``tiles.py``).
 4. Rounds of one batch of every term, each with a seed of its own, until the prediction is as certain as
    ``CERTAIN`` or the pilot's time is over; every third round also runs a batch of another size, whose time and
-   variance give the marginal cost and the exponent.
+   variance give the marginal cost and the exponent. Where rare samples carry the variance, that time may not be enough:
+   the pilot goes on while the prediction is less certain than ``UNCERTAIN``, or, before an error is asked for, until it
+   has taken ``SHARE`` of what that is predicted to take.
 5. Where the method is biased by choice, batches of an unbiased one tell by how much (``bias.py``).
 
 How long the pilot runs, and so what it finds, depends on the machine's speed: it is no function of the seed alone.
@@ -31,7 +33,7 @@ from warp_psdr.work_precision.quantity import Part, Quantity
 from warp_psdr.work_precision.report import Report, TermReport, positive
 from warp_psdr.work_precision.statistics import Moments, Running, jackknife, moments, relative_variance
 from warp_psdr.work_precision.tiles import BATCHES as TILE_BATCHES
-from warp_psdr.work_precision.tiles import Tiling, measured, uniform
+from warp_psdr.work_precision.tiles import Tiling, measured, spread, uniform
 
 if TYPE_CHECKING:
     from warp_psdr.parameters import Parameters
@@ -47,10 +49,15 @@ FIXED_SHARE = 0.1
 MOST_SPP, FIRST_IMAGE_SPP, LEAST_IMAGE_SPP, FIRST_COUNTS = 256, 16, 4, (1, 4)
 #: Rounds: the least, the most, and how many the pilot's time should be enough for.
 LEAST_ROUNDS, MOST_ROUNDS, AIM_ROUNDS = 4, 256, 24
-#: Standard error of the logarithm of a predicted time at which the pilot ends, and the least rounds before it may.
-CERTAIN, CERTAIN_ROUNDS = 0.12, 16
-#: A pilot in which nothing stands out of the noise goes on for so many times its time.
-PATIENCE = 4.0
+#: Standard error of the logarithm of a predicted time at which the pilot ends.
+CERTAIN = 0.12
+#: Rounds after which what is known is looked at; after the pilot's time, when it has grown by a factor.
+LOOKS, LATER = (16, 23, 32, 45, 64, 91, 128, 181), 1.2
+#: Standard error at which it goes on for so many times its time, as it does where nothing stands out of the noise. (A
+#: budget's own pilot has less patience with what is only uncertain.)
+UNCERTAIN, PATIENCE = 0.3, 4.0
+#: Share of a time budget, and of the predicted time to an error, that its own pilot may take.
+SHARE = 0.2
 #: Share of the pilot's time that tilings may take.
 TILE_SHARE = 0.25
 #: Batches of the other size: smaller by the first factor or, where that is not possible, larger by the second; and the
@@ -92,8 +99,8 @@ def accuracy(
         sensor: which camera.
         spp: samples a pixel of a batch, of every term; default: chosen by the costs.
         seed: of the pilot.
-        seconds: what the pilot may take; more where four batches a term need it, or nothing stands out of the noise
-            yet.
+        seconds: what the pilot may take; more where four batches a term need it, and up to four times as much where
+            nothing stands out of the noise yet, or the standard error of a predicted time is above 30 %.
         tiles: spread samples over the image by its variance where that pays.
         clock: "wall", or "cpu" for the processor time of all threads, which other work on the machine changes less.
         progress: called with the finished fraction.
@@ -143,12 +150,15 @@ def run(
     clock: str,
     setup: bool = False,
     twin: Quantity | None = None,
+    error: float | None = None,
+    patience: float = PATIENCE,
     progress: Callable[[float], None] | None = None,
 ) -> Report:
     """Run the pilot of a quantity.
 
     Arguments as ``accuracy``'s; ``setup``: also time what is built once; ``twin``: the same by an unbiased method, from
-    which the bias is measured.
+    which the bias is measured; ``error``: what will be asked for; ``patience``: how many times its time a pilot may
+    take that is ``UNCERTAIN``.
 
     Raises:
         ValueError: the gradient does not stand out of the noise.
@@ -160,10 +170,20 @@ def run(
     start = now()
     building = [_building(part, now) if setup else 0.0 for part in what.parts]
     sizes = _sizes(what, spp, seconds, now, warm)
-    tiling = _tiling(what, sizes[0], seed, seconds, start, now) if tiles else None
-    if tiling is not None:
-        what = what.tiled(tiling)
-    kept, times, others, other_times, found = _rounds(what, sizes, seed, seconds, start, now, progress)
+    found_tiles = _tiles(what, sizes[0], seed, seconds, now) if tiles else None
+    side, deviations = found_tiles or (0, ())
+    tiling = spread(what, side, deviations) if side else uniform(what)
+    what = what.tiled(tiling)
+
+    def allowed(found: Moments, cost: np.ndarray) -> float:
+        if not found.seen.any():
+            return PATIENCE * seconds
+        if error is not None:
+            relative = relative_variance(found.variance, found.norm2, found.seen)
+            return max(seconds, SHARE * float(efficiency(cost, relative)) / error**2)
+        return seconds if _spread(found, cost, np.zeros(len(cost))) <= UNCERTAIN else patience * seconds
+
+    kept, times, others, other_times, found = _rounds(what, sizes, seed, seconds, allowed, start, now, progress)
     if not found.seen.any():
         raise ValueError(
             f"the {'gradient' if what.role == 'reverse' else 'image'} does not stand out of the noise of "
@@ -193,8 +213,8 @@ def run(
         bias=bias.named(what),
         bias_squared=squared,
         measured=_measured(kept, list(what.blocks.values()), found, cost),
-        tile=tiling.side if tiling is not None else 0,
-        exponents=tiling.exponents if tiling is not None else (),
+        tile=side,
+        deviations=deviations,
     )
     if progress is not None:
         progress(1.0)
@@ -243,10 +263,10 @@ def _timed(function: Callable[[int, int], object], spp: int, seed: int, now: Cal
     return now() - begun
 
 
-def _tiling(
-    what: Quantity, spp: int, seed: int, seconds: float, start: float, now: Callable[[], float]
-) -> Tiling | None:
-    """Return how samples are spread over the image; None: evenly, or there is no time to find out."""
+def _tiles(
+    what: Quantity, spp: int, seed: int, seconds: float, now: Callable[[], float]
+) -> tuple[int, tuple[float, ...]] | None:
+    """Return the side of the tiles and their deviations; None: an even spread will do, or there is no time for it."""
     stream = mix_seed(seed, STREAM_TILES)
     once = _timed(what.parts[0].run, spp, stream, now)
     while spp > 1 and once * TILE_BATCHES > TILE_SHARE * seconds:
@@ -256,8 +276,17 @@ def _tiling(
     return measured(what, spp, [mix_seed(stream, 1 + b) for b in range(TILE_BATCHES)])
 
 
-def _rounds(what: Quantity, sizes: list[int], seed: int, seconds: float, start: float, now, progress):
-    """Run batches of all terms until enough is known."""
+def _rounds(
+    what: Quantity,
+    sizes: list[int],
+    seed: int,
+    seconds: float,
+    allowed: Callable[[Moments, np.ndarray], float],
+    start: float,
+    now: Callable[[], float],
+    progress: Callable[[float], None] | None,
+):
+    """Run batches of all terms until enough is known, or the time that is allowed for it is over."""
     parts, blocks = what.parts, list(what.blocks.values())
     size = max(block.stop for block in blocks) * len(parts)
     most = max(min(MOST_ROUNDS, KEPT // size), 4)
@@ -267,6 +296,7 @@ def _rounds(what: Quantity, sizes: list[int], seed: int, seconds: float, start: 
     other_times: list[list[float]] = [[] for _ in parts]
     sums = [Running(blocks) for _ in parts]  # their additions are part of what a batch costs
     streams = [mix_seed(seed, STREAM_BATCHES), mix_seed(seed, STREAM_OTHER)]
+    next_look = 0.0
     while True:
         number = len(kept[0])
         for k, part in enumerate(parts):
@@ -288,16 +318,16 @@ def _rounds(what: Quantity, sizes: list[int], seed: int, seconds: float, start: 
         spent = now() - start
         if progress is not None:
             progress(min(max(spent / seconds, number / MOST_ROUNDS), 0.99))
-        if number >= most or (number >= LEAST_ROUNDS and spent >= seconds):
-            found = moments(kept, blocks)
-            if found.seen.any() or number >= most or spent > PATIENCE * seconds:
-                return kept, times, others, other_times, found
-        # Powers of the square root of two: how much is known is looked at rarely.
-        if number >= CERTAIN_ROUNDS and number in (16, 23, 32, 45, 64, 91, 128, 181):
-            found = moments(kept, blocks)
-            cost = np.array([_typical(t)[0] for t in times])
-            if found.seen.all() and _spread(found, cost, np.zeros(len(parts))) <= CERTAIN:
-                return kept, times, others, other_times, found
+        over = number >= LEAST_ROUNDS and spent >= seconds
+        # How much is known is looked at rarely: after powers of the square root of two, and after the time a while.
+        if number < most and number not in LOOKS and not (over and spent >= next_look):
+            continue
+        next_look = LATER * spent
+        found = moments(kept, blocks)
+        cost = np.array([_typical(t)[0] for t in times])
+        known = number in LOOKS and found.seen.all() and _spread(found, cost, np.zeros(len(parts))) <= CERTAIN
+        if number >= most or known or (over and spent >= allowed(found, cost)):
+            return kept, times, others, other_times, found
 
 
 def other_size(spp: int) -> int:
@@ -315,14 +345,13 @@ def _term(
     names: list[str],
     found: Moments,
     second: Moments | None,
-    tiling: Tiling | None,
+    tiling: Tiling,
 ) -> TermReport:
     camera = what.scene.camera(what.sensor)
     pixels = camera.crop_width * camera.crop_height
     counts = [n * pixels for n in (spp, other_size(spp))]
     if k == 0:
-        spread_over = tiling if tiling is not None else uniform(what)
-        counts = [spread_over.samples(n) for n in (spp, other_size(spp))]
+        counts = [tiling.samples(n) for n in (spp, other_size(spp))]
     (seconds, seconds_error), (other, _error) = _typical(times), _typical(other_times)
     marginal = max((seconds - other) / (counts[0] - counts[1]), 0.0) if counts[0] != counts[1] else 0.0
     if marginal == 0.0 or marginal * counts[0] > seconds:

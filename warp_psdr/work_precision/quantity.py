@@ -130,13 +130,13 @@ def image(scene: Scene, *, integrator: PathIntegrator | None, sensor: int) -> Qu
 
     def box_batch(spp: int, seed: int, tiling: Tiling) -> np.ndarray:
         out = wp.zeros(shape, dtype=wp.vec3, device=scene.device)
-        for pixels, count in tiling.launches(spp, scene.device):
+        for pixels, count, _weight in tiling.launches(spp, seed, scene.device):
             boxed(scene, plan, sensor, count, mix_seed(seed, STREAM_PRIMAL), out, pixels=pixels)
         return out.numpy().astype(np.float64).reshape(-1)
 
     def splat_batch(spp: int, seed: int, tiling: Tiling) -> np.ndarray:
         total = np.zeros((*shape, 4))
-        for pixels, count in tiling.launches(spp, scene.device):
+        for pixels, count, _weight in tiling.launches(spp, seed, scene.device):
             film = splatted(scene, plan, sensor, count, mix_seed(seed, STREAM_PRIMAL), pixels=pixels)
             # Weighted by area: where tiles differ in their samples, a filter that reaches into both stays itself.
             total += film.numpy() / count
@@ -175,8 +175,8 @@ def derivative(
 
     def over_pixels(spp: int, seed: int, tiling: Tiling) -> np.ndarray:
         out = wp.zeros(shape, dtype=wp.vec3, device=scene.device)
-        for pixels, count in tiling.launches(spp, scene.device):
-            interior_forward(scene, plan, sensor, count, seed, target, out, pixels=pixels)
+        for pixels, count, weight in tiling.launches(spp, seed, scene.device):
+            interior_forward(scene, plan, sensor, count, seed, target, out, pixels=pixels, weight=weight)
         return out.numpy().astype(np.float64).reshape(-1)
 
     def boundary(request: Callable[[int, int], list], spp: int, seed: int) -> np.ndarray:
@@ -211,8 +211,8 @@ def gradient(scene: Scene, params: Parameters, adjoint, *, integrator: PathInteg
 
     def over_pixels(spp: int, seed: int, tiling: Tiling) -> np.ndarray:
         sums = GradientSums(scene, names)
-        for pixels, count in tiling.launches(spp, scene.device):
-            interior_backward(scene, plan, sensor, count, seed, array, sums, pixels=pixels)
+        for pixels, count, weight in tiling.launches(spp, seed, scene.device):
+            interior_backward(scene, plan, sensor, count, seed, array, sums, pixels=pixels, weight=weight)
         return collected(sums)
 
     def boundary(request: Callable[[int, int], list], spp: int, seed: int) -> np.ndarray:

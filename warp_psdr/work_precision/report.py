@@ -19,15 +19,20 @@ from typing import Any
 import numpy as np
 
 from warp_psdr.files import write_atomic
-from warp_psdr.work_precision.allocation import LEAST, Allocation, batches_for_error, batches_for_time
+from warp_psdr.work_precision.allocation import LEAST, Allocation, batches_for_error, batches_for_time, ideal
 
-FORMAT, VERSION = "warp_psdr accuracy", 2
+FORMAT, VERSION = "warp_psdr accuracy", 3
 #: Errors of the printed predictions.
 PRINTED_ERRORS = (0.5, 0.2, 0.1, 0.05, 0.02, 0.01)
 #: Parameters that are printed one by one; the rest is in the object.
 PRINTED_BLOCKS = 8
 #: Exponents are measured with noise; those of stratified samples lie between these.
 LEAST_EXPONENT, MOST_EXPONENT = 0.9, 1.5
+#: Where more batches of a term than these would be run, they are made larger: their fixed cost is saved, and stratified
+#: samples are better together. For an error, so many tell when to stop, and the time stays what the pilot predicts; for
+#: a time, where neither is needed, two let a run that is slower than predicted end early. How many times larger than
+#: the pilot's they become at most: further off, its exponents and fixed costs say little.
+ENOUGH_FOR_ERROR, ENOUGH_FOR_TIME, LARGEST = 16.0, 2.0, 16.0
 #: Sizes of batches that are tried, over those of which ``least`` would be asked for without fixed costs; and what a
 #: time may be short by from rounding.
 SIZES, ROUNDING = (math.inf, *(2.0 ** (0.5 * k) for k in range(8, -9, -1))), 1e-9
@@ -95,7 +100,7 @@ class Report:
             errors are those about what the method converges to; this comes on top.
         measured: (seconds, relative error) of means of ever more of the pilot's batches.
         tile: side of the tiles, pixels; 0: samples are spread evenly.
-        exponents: of the tiles (``tiles.Tiling``).
+        deviations: of the tiles, up to a common factor (``tiles.py``).
     """
 
     role: str
@@ -111,7 +116,7 @@ class Report:
     bias_squared: tuple[float, float] | None = None
     measured: tuple[tuple[float, float], ...] = ()
     tile: int = 0
-    exponents: tuple[int, ...] = field(default=(), repr=False)
+    deviations: tuple[float, ...] = field(default=(), repr=False)
 
     @property
     def cost(self) -> np.ndarray:
@@ -143,18 +148,25 @@ class Report:
         )
 
     def fitted(self, *, error: float | None = None, seconds: float | None = None, least: float = LEAST) -> Report:
-        """Return a report of smaller batches where ``least`` of a term are more than an error or a time asks for.
+        """Return a report of batches of the sizes that suit an error or a time.
 
-        The variance of a batch that the pilot did not run follows from the exponent. Small batches waste what is fixed
-        in their cost, and stratified ones are worse than their size says: how far they shrink is what is best.
+        They are smaller where ``least`` of a term are more than is asked for, and larger where it is more than
+        enough. The variance of a batch that the pilot did not run follows from the exponent. Small batches waste
+        what is fixed in their cost, and stratified ones are worse than their size says: how far they shrink is what is
+        best.
         """
-        root = np.sqrt(self.cost * self.relative_variance)
-        scale = root.sum() / error**2 if error is not None else (seconds or 0.0) / max(float(root.sum()), 1e-300)
-        shrink = np.maximum(scale * np.sqrt(self.relative_variance / self.cost) / least, 1e-300)
-        if (shrink >= 1.0).all():
+        numbers = ideal(self.cost, self.relative_variance)
+        if error is not None:
+            wanted = numbers * float((self.relative_variance / np.maximum(numbers, 1e-300)).sum()) / error**2
+            enough = ENOUGH_FOR_ERROR
+        else:
+            wanted = numbers * (seconds or 0.0) / max(float(numbers @ self.cost), 1e-300)
+            enough = ENOUGH_FOR_TIME
+        shrink, most = np.maximum(wanted / least, 1e-300), np.clip(wanted / enough, 1.0, LARGEST)
+        if (shrink >= 1.0).all() and (most <= 1.0).all():
             return self
-        sizes = (np.minimum(factor * shrink, 1.0).tolist() for factor in SIZES)
-        reports = [replace(self, terms=tuple(map(_shrunk, self.terms, size))) for size in sizes]
+        sizes = (np.minimum(factor * shrink, most).tolist() for factor in SIZES)
+        reports = [replace(self, terms=tuple(map(_resized, self.terms, size))) for size in sizes]
         return min(reports, key=lambda report: report._price(error, seconds, least))
 
     def _price(self, error: float | None, seconds: float | None, least: float) -> tuple[float, float]:
@@ -191,7 +203,10 @@ class Report:
         return self.allocation(error=error).seconds
 
     def error_in(self, seconds: float) -> float:
-        """Return the predicted relative error after a time; infinite where it is too short for the least batches."""
+        """Return the predicted relative error after a time; infinite where it is too short for the least batches.
+
+        That can be less than the error whose ``seconds_to`` this is, by what larger batches save (``fitted``).
+        """
         found = self.allocation(seconds=seconds)
         return found.error if found.seconds <= seconds * (1.0 + 1e-9) else math.inf
 
@@ -308,14 +323,14 @@ class Report:
         if not isinstance(data, dict) or data.get("format") != FORMAT or data.get("version") != VERSION:
             raise ValueError(f"{path}: expected what Report.save wrote in this version of warp_psdr")
         terms = tuple(TermReport(**_restored(term)) for term in data["terms"])
-        known = {f.name for f in fields(cls)} - {"terms", "measured", "seen", "bias", "bias_squared", "exponents"}
+        known = {f.name for f in fields(cls)} - {"terms", "measured", "seen", "bias", "bias_squared", "deviations"}
         return cls(
             terms=terms,
             measured=tuple((a, b) for a, b in data["measured"]),
             seen=tuple(data["seen"]),
             bias=tuple(data["bias"]),
             bias_squared=None if data["bias_squared"] is None else tuple(data["bias_squared"]),
-            exponents=tuple(data["exponents"]),
+            deviations=tuple(data["deviations"]),
             **{name: data[name] for name in known},
         )
 
@@ -332,11 +347,14 @@ def positive(name: str, value: Any) -> float:
     return float(value)
 
 
-def _shrunk(term: TermReport, share: float) -> TermReport:
-    """Return a term with a share of its samples a batch, at least one a pixel."""
+def _resized(term: TermReport, share: float) -> TermReport:
+    """Return a term with a multiple of its samples a batch, at least one a pixel."""
     spp = max(round(share * term.spp), 1)
     ratio = spp / term.spp
     exponent = 1.0 if math.isnan(term.exponent) else min(max(term.exponent, LEAST_EXPONENT), MOST_EXPONENT)
+    if ratio > 1.0 and exponent != 1.0:
+        # Beyond what was run, an exponent counts by how certain it is: the positive part of Stein's estimate.
+        exponent = 1.0 + (exponent - 1.0) * max(1.0 - (term.exponent_error / (exponent - 1.0)) ** 2, 0.0)
     samples = round(ratio * term.samples)
     return replace(
         term,

@@ -1,16 +1,30 @@
-"""Where on the image samples are spent: tiles with sample counts of their own, for the term that runs over pixels.
+"""Where on the image samples are spent, by the term that runs over pixels.
 
-With the variance v_t of one sample a pixel of tile t, and samples of equal cost, the variance sum_t v_t / n_t at a
-given number of samples is least at n_t ~ sqrt(v_t) (Neyman allocation). The counts of a tiling are the batch's times
-powers of two from 1/4 to 4. They come from runs of their own, which are thrown away, so that what they are used for
-is unbiased whatever they are; and no tile goes without samples, unless its adjoint is zero and it therefore has no
-gradient.
+A pixel p with n_p samples adds v_p / n_p to the variance, so at a given number of samples, which cost alike, the sum is
+least at n_p ~ sqrt(v_p) (Neyman allocation). In reverse mode a pixel's samples are multiplied by its adjoint w_p, which
+is known, so v_p = |w_p|^2 s_p^2, where s_p is the deviation of a sample with an adjoint of length one. The latter is
+measured by tiles t, of which each is run by itself with even counts:
+
+    n_p ~ |w_p| s_t,    s_t^2 = (variance of tile t's batch, a sample a pixel) / sum_{p in t} |w_p|^2.
+
+So counts follow a residual that is concentrated in a few pixels, whatever the size of the tiles. Images and derivative
+images have no adjoint, w_p = 1. A share of the samples is spread evenly, which bounds what a deviation that was
+measured too low can cost: with a share E the variance is at most 1 / E times that of the even spread.
+
+Counts are the batch's times powers of two, one launch a power. Counts below one sample are expected numbers: of the
+pixels of that power, in the order of a Morton curve, every (n/k)-th is run from a random start on, k of n, with the
+weight n / k. Each is met with the probability k / n (systematic sampling), so that the batch is unbiased. An image
+would have holes where a narrow filter met no sample: there, counts below one are one.
+
+Deviations come from runs of their own, which are thrown away, and adjoints are given: what they are used for is
+unbiased whatever they are. No pixel goes without samples, unless its adjoint is zero and it has no gradient.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -29,59 +43,64 @@ SMALLEST_TILE = 8
 MOST_TILES_IMAGE, MOST_TILES_GRADIENT = 4096, 64
 #: Batches from which a tile's variance is estimated.
 BATCHES = 6
-#: Largest power of two between a tile's samples and the batch's.
-REACH = 2
 #: Share of the even spread that is kept, since variances of few batches are themselves uncertain.
-EVEN = 0.2
+EVEN = 0.1
+#: Largest power of two between a pixel's samples and the batch's.
+REACH = 8
 #: A tiling is used where it is expected to lower the variance at equal time by this factor.
 WORTH = 1.15
 #: Exponent that stands for "no samples".
 NEVER = -128
+#: Seed stream of which pixels are run where there are fewer samples than pixels.
+STREAM_THINNED = 0x7468696E
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Tiling:
-    """Sample counts of tiles.
+    """Sample counts of pixels.
 
     Attributes:
         width: of the raster, pixels.
         height: of the raster, pixels.
-        side: of a tile, pixels.
-        exponents: for every tile, row by row, log2 of its samples over the batch's; ``NEVER``: none.
-        skip: pixels, row by row, that are left out although their tile is not; None: there are none.
+        exponents: (height * width,) for every pixel, row by row, log2 of its samples over the batch's; ``NEVER``: none.
+        thins: whether counts below one are reached by leaving out pixels.
     """
 
     width: int
     height: int
-    side: int
-    exponents: tuple[int, ...]
-    skip: np.ndarray | None = field(default=None, compare=False, repr=False)
-
-    def exponent_of_pixels(self) -> np.ndarray:
-        """Return (height * width,): every pixel's exponent."""
-        columns = -(-self.width // self.side)
-        y, x = np.divmod(np.arange(self.width * self.height), self.width)
-        exponents = np.asarray(self.exponents, np.int64)[(y // self.side) * columns + x // self.side]
-        return exponents if self.skip is None else np.where(self.skip, NEVER, exponents)
+    exponents: np.ndarray
+    thins: bool
 
     @cached_property
     def groups(self) -> list[tuple[np.ndarray, int]]:
         """(numbers of pixels along a Morton curve, exponent) of the pixels that get samples."""
         order = workers.pixel_order(self.width, self.height)
-        exponents = self.exponent_of_pixels()[order]
+        exponents = self.exponents[order]
         return [(order[exponents == e], int(e)) for e in np.unique(exponents) if e != NEVER]
 
-    def launches(self, spp: int, device) -> list[tuple[wp.array, int]]:
-        """Return (numbers of pixels, samples of each) of the launches that make a batch of ``spp`` samples a pixel."""
-        return [(wp.array(pixels, dtype=wp.int32, device=device), _samples(spp, e)) for pixels, e in self.groups]
+    def launches(self, spp: int, seed: int, device) -> list[tuple[wp.array, int, float]]:
+        """Return (numbers of pixels, samples of each, their weight) of a batch of ``spp`` samples a pixel."""
+        found = []
+        for pixels, exponent in self.groups:
+            count, run = self._counts(len(pixels), spp, exponent)
+            weight = len(pixels) / run
+            if run < len(pixels):
+                start = mix_seed(mix_seed(seed, STREAM_THINNED), exponent - NEVER) / 2.0**32
+                chosen = ((start + np.arange(run)) * weight).astype(np.int64)
+                pixels = pixels[np.minimum(chosen, len(pixels) - 1)]
+            found.append((wp.array(pixels, dtype=wp.int32, device=device), count, weight))
+        return found
 
     def samples(self, spp: int) -> int:
         """Return the number of samples of a batch."""
-        return sum(len(pixels) * _samples(spp, e) for pixels, e in self.groups)
+        return sum(int(np.prod(self._counts(len(pixels), spp, e))) for pixels, e in self.groups)
 
-
-def _samples(spp: int, exponent: int) -> int:
-    return max(1, round(spp * 2.0**exponent))
+    def _counts(self, pixels: int, spp: int, exponent: int) -> tuple[int, int]:
+        """Return how many samples a pixel of a power gets, and how many of its pixels do."""
+        wanted = spp * 2.0**exponent
+        if wanted >= 1.0 or not self.thins:
+            return max(round(wanted), 1), pixels
+        return 1, max(round(wanted * pixels), 1)
 
 
 def uniform(quantity: Quantity) -> Tiling:
@@ -90,67 +109,93 @@ def uniform(quantity: Quantity) -> Tiling:
 
 
 def from_exponents(quantity: Quantity, side: int, exponents: Sequence[int]) -> Tiling:
-    """Return a tiling of a quantity's raster."""
+    """Return the spread of which every tile has the exponent that is given, row by row."""
     width, height, _margin = quantity.raster
-    return Tiling(width, height, side, tuple(exponents), _unused(quantity))
+    of_pixels = np.asarray(exponents, np.int64)[_tile_of_pixels(quantity, side)]
+    of_pixels = np.where(_strength(quantity) > 0.0, of_pixels, NEVER)
+    return Tiling(width, height, of_pixels, quantity.role != "primal")
 
 
-def measured(quantity: Quantity, spp: int, seeds: Sequence[int]) -> Tiling | None:
-    """Return the tiling that the variances of a few batches ask for; None: an even spread is about as good.
+def spread(quantity: Quantity, side: int, deviations: Sequence[float]) -> Tiling:
+    """Return the spread for a quantity whose tiles have these deviations, up to a factor of all."""
+    width, height, _margin = quantity.raster
+    wanted = density(quantity, side, deviations)
+    used = _strength(quantity) > 0.0
+    mean = float(wanted[used].mean()) if used.any() else 0.0
+    if mean <= 0.0:
+        return uniform(quantity)
+    share = (1.0 - EVEN) * wanted / mean + EVEN
+    exponents = np.clip(np.round(np.log2(share)), -REACH, REACH).astype(np.int64)
+    return Tiling(width, height, np.where(used, exponents, NEVER), quantity.role != "primal")
+
+
+def density(quantity: Quantity, side: int, deviations: Sequence[float]) -> np.ndarray:
+    """Return (height * width,): the best counts of pixels up to a factor, |w_p| s_t."""
+    return _strength(quantity) * np.asarray(deviations, np.float64)[_tile_of_pixels(quantity, side)]
+
+
+def tile_count(quantity: Quantity, side: int) -> int:
+    """Return the number of tiles of a quantity's raster."""
+    width, height, _margin = quantity.raster
+    return -(-width // side) * -(-height // side)
+
+
+def measured(
+    quantity: Quantity, spp: int, seeds: Sequence[int], side: int | None = None
+) -> tuple[int, tuple[float, ...]] | None:
+    """Return the side of tiles and their deviations from a few batches; None: an even spread is about as good.
 
     Args:
         quantity: what is estimated.
         spp: samples a pixel of the batches that are run.
         seeds: one a batch.
+        side: of the tiles; None: as small as their number allows.
     """
-    width, height, margin = quantity.raster
-    most = MOST_TILES_GRADIENT if quantity.role == "reverse" else MOST_TILES_IMAGE
-    side = SMALLEST_TILE
-    while -(-width // side) * -(-height // side) > most:
-        side *= 2
-    columns, rows = -(-width // side), -(-height // side)
-    y, x = np.mgrid[0:height, 0:width]
-    tile = ((y // side) * columns + x // side).reshape(-1)
-    unused = _unused(quantity)
-    used = np.bincount(tile[~unused] if unused is not None else tile, minlength=columns * rows)
-    if np.count_nonzero(used) < 2:
+    if side is None:
+        side, most = SMALLEST_TILE, MOST_TILES_GRADIENT if quantity.role == "reverse" else MOST_TILES_IMAGE
+        while tile_count(quantity, side) > most:
+            side *= 2
+    tile, strength, tiles = _tile_of_pixels(quantity, side), _strength(quantity), tile_count(quantity, side)
+    weight = np.bincount(tile, strength**2, minlength=tiles)
+    if np.count_nonzero(strength) < 2:
         return None
     if quantity.role == "reverse":
-        variance = _of_gradients(quantity, spp, seeds, side, used)
+        variance = _of_gradients(quantity, spp, seeds, side, weight > 0.0)
     else:
-        variance = _of_pixels(quantity, spp, seeds)
-        inner_y, inner_x = (
-            np.clip(y - margin, 0, height - 2 * margin - 1),
-            np.clip(x - margin, 0, width - 2 * margin - 1),
-        )
-        variance = np.bincount(tile, variance[inner_y, inner_x].reshape(-1), minlength=columns * rows)
-    # n samples each of its used[t] pixels: a tile's variance is that of one pixel's samples, v_t used[t] / n.
-    density = np.sqrt(variance / np.maximum(used, 1))
-    mean = float((density * used).sum() / used.sum())
-    if mean <= 0.0:
+        variance = np.bincount(tile, _of_pixels(quantity, spp, seeds), minlength=tiles)
+    if not variance.any():
         return None
-    factor = np.clip((1.0 - EVEN) * density / mean + EVEN, 2.0**-REACH, 2.0**REACH)
-    exponents = np.round(np.log2(factor)).astype(int)
-    counts = 2.0**exponents
-    gain = variance.sum() * used.sum() / ((variance / counts).sum() * (counts * used).sum())
-    if gain < WORTH:
-        return None
-    return from_exponents(quantity, side, np.where(used > 0, exponents, NEVER).tolist())
+    of_one = variance / np.where(weight > 0.0, weight, 1.0)
+    largest = float(of_one.max())
+    deviations = tuple(np.sqrt(of_one / largest).tolist())
+    # A pixel with n samples has the variance |w|^2 s^2 / n; all samples cost alike.
+    used = strength > 0.0
+    counts = 2.0 ** spread(quantity, side, deviations).exponents[used]
+    variances = (strength**2 * of_one[tile])[used]
+    gain = variances.mean() / ((variances / counts).mean() * counts.mean())
+    return (side, deviations) if gain >= WORTH else None
 
 
-def _unused(quantity: Quantity) -> np.ndarray | None:
-    """Return the pixels that contribute nothing: whose adjoint is zero."""
+def _tile_of_pixels(quantity: Quantity, side: int) -> np.ndarray:
+    """Return (height * width,), the number of every pixel's tile."""
+    width, height, _margin = quantity.raster
+    y, x = np.divmod(np.arange(width * height), width)
+    return (y // side) * -(-width // side) + x // side
+
+
+def _strength(quantity: Quantity) -> np.ndarray:
+    """Return (height * width,), the length of every pixel's adjoint; ones without one."""
     if quantity.adjoint is None:
-        return None
-    unused = np.asarray(~quantity.adjoint.reshape(-1, 3).any(axis=1))
-    return unused if unused.any() else None
+        return np.ones(math.prod(quantity.raster[:2]))
+    return np.linalg.norm(quantity.adjoint.reshape(-1, 3).astype(np.float64), axis=1)
 
 
 def _of_pixels(quantity: Quantity, spp: int, seeds: Sequence[int]) -> np.ndarray:
-    """Return (H, W), the variances of the pixels of an image, summed over its channels."""
+    """Return (height * width,), the variances of an image's pixels, summed over channels; the margin's repeat them."""
     width, height, margin = quantity.raster
     batches = np.array([quantity.finished(quantity.parts[0].run(spp, seed)) for seed in seeds])
-    return batches.var(axis=0, ddof=1).reshape(height - 2 * margin, width - 2 * margin, 3).sum(axis=-1)
+    inner = batches.var(axis=0, ddof=1).reshape(height - 2 * margin, width - 2 * margin, 3).sum(axis=-1)
+    return np.pad(inner, margin, mode="edge").reshape(-1)
 
 
 def _of_gradients(quantity: Quantity, spp: int, seeds: Sequence[int], side: int, used: np.ndarray) -> np.ndarray:
@@ -158,12 +203,9 @@ def _of_gradients(quantity: Quantity, spp: int, seeds: Sequence[int], side: int,
 
     Those of several parameters are added relative to the squared norms of their whole gradients, all terms together.
     """
-    rows = np.empty((len(used), len(quantity.blocks)))
+    rows = np.zeros((len(used), len(quantity.blocks)))
     total = np.zeros(max(block.stop for block in quantity.blocks.values()))
-    for t in range(len(used)):
-        if not used[t]:
-            rows[t] = 0.0
-            continue
+    for t in np.flatnonzero(used).tolist():
         exponents = np.full(len(used), NEVER)
         exponents[t] = 0
         tiling = from_exponents(quantity, side, exponents.tolist())
