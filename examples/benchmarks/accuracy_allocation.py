@@ -28,7 +28,8 @@ from accuracy_cases import PAIRS, Loaded, Pair, kept, scatter
 from common import Report, arguments, psdr
 
 from warp_psdr.work_precision import quantity
-from warp_psdr.work_precision.allocation import batches_for_time, efficiency
+from warp_psdr.work_precision.allocation import efficiency
+from warp_psdr.work_precision.budget import rounds
 from warp_psdr.work_precision.statistics import moments, relative_variance
 from warp_psdr.work_precision.tiles import density, measured, spread
 
@@ -124,8 +125,9 @@ def _gain_of_tiles(loaded: Loaded, side: int) -> float:
 
 
 def _split(report, seconds: float) -> np.ndarray:
-    """Return (terms,): the batches that a report asks for in a time, not rounded."""
-    return batches_for_time(report.cost, report.relative_variance, seconds, least=1.0)
+    """Return (terms,): the batches that a budget runs."""
+    each, most = rounds(report, seconds)
+    return most * each
 
 
 def _error(cost: np.ndarray, variance: np.ndarray, split: np.ndarray) -> float:
@@ -158,7 +160,7 @@ def main() -> None:
     parser.add_argument("--adjoints", nargs="+", choices=("loss", "waves"), default=["loss"], help="default: loss")
     parser.add_argument("--resume", type=Path, help="keep finished rows in this file, and do not measure them again")
     options = parser.parse_args()
-    resolution, pilot, batches, evenly, seconds = (32, 1.0, 24, 24, 0.15) if options.quick else (64, 3.0, 128, 64, 0.5)
+    resolution, pilot, batches, evenly, seconds = (32, 1.0, 16, 16, 0.3) if options.quick else (64, 3.0, 32, 32, 0.5)
     runs = options.repeat or (0 if options.quick else 16)
     psdr.set_workers(options.threads)
     report = Report("accuracy, split over terms and pixels", options.output)

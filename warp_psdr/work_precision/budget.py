@@ -57,6 +57,8 @@ SLACK = 1.1
 LEAST_PILOT, PATIENCE = 0.1, 1.5
 #: Seconds of the pilot of a target error, whose time is not known before; more where it is uncertain (``pilot.SHARE``).
 ERROR_PILOT = 2.0
+#: How uncertain the exponent is of sizes other than those that told it, beside its own error: stratification sets in.
+DRIFT = 0.2
 #: What is spent, seconds, where the pilot took all of a time budget.
 LEAST_SECONDS = 1e-3
 
@@ -194,7 +196,7 @@ class _Half:
         # The logarithm of a variance has the variance 2 / (degrees of freedom), of one that was told from another size
         # also that of the exponent.
         sizes = np.array([a.spp / b.spp for a, b in zip(report.terms, found.terms, strict=True)])
-        errors = np.nan_to_num([t.exponent_error for t in found.terms])
+        errors = np.hypot(np.nan_to_num([t.exponent_error for t in found.terms]), DRIFT)
         self._known = 2.0 / (2.0 / (found.batches - 1) + (errors * np.log(sizes)) ** 2)[:, None]
         self._blocks = list(what.blocks.values())
         self.terms = [Running(self._blocks) for _ in what.parts]
@@ -276,7 +278,7 @@ def _in_time(what: Quantity, report: Report, found: Report, seconds: float, seed
     """Run rounds until they are done or the time is over."""
     now = pilot.CLOCKS[report.clock]
     start = now()
-    each, most = _rounds(report, seconds)
+    each, most = rounds(report, seconds)
     whole, done = _Half(what, report, found, seed), 0
     mean: np.ndarray | float = 0.0
     names = range(len(what.parts))
@@ -303,13 +305,13 @@ def _in_time(what: Quantity, report: Report, found: Report, seconds: float, seed
     return np.asarray(mean), counts.astype(int).tolist(), whole.error(counts), now() - start
 
 
-def _rounds(report: Report, seconds: float) -> tuple[np.ndarray, int]:
+def rounds(report: Report, seconds: float) -> tuple[np.ndarray, int]:
     """Return the batches of each term in a round, and the number of rounds that fill a time."""
     cost, variance = report.cost, report.relative_variance
     ideal = batches_for_time(cost, variance, seconds, least=1.0)
     best: tuple[float, np.ndarray, int] | None = None
-    for rounds in range(1, MOST_ROUNDS + 1):
-        each = np.maximum(np.floor(ideal / rounds), 1.0)
+    for number in range(1, MOST_ROUNDS + 1):
+        each = np.maximum(np.floor(ideal / number), 1.0)
         # What flooring leaves over goes to more rounds.
         count = max(int(seconds / float(each @ cost)), 1)
         error2 = float((variance / (count * each)).sum())
