@@ -1,5 +1,6 @@
 """The pilot and its report: variances, predictions, batches that add up to what the drivers return."""
 
+import itertools
 import math
 from dataclasses import replace
 
@@ -8,7 +9,7 @@ import pytest
 
 import warp_psdr as psdr
 from tests.boundary import scenes
-from warp_psdr.work_precision import Report, quantity, tiles
+from warp_psdr.work_precision import Report, pilot, quantity, tiles
 from warp_psdr.work_precision.allocation import FLOOR, batches_for_error, batches_for_time, efficiency
 from warp_psdr.work_precision.statistics import Running, jackknife, moments
 
@@ -378,6 +379,34 @@ def test_image_and_derivative_have_reports(soft):
     derivative = psdr.accuracy(scene, params, **options)
     assert [t.spp for t in derivative.terms] == [4, 4, 4]
     assert derivative.tile == 0
+
+
+def rounds_of_a_pilot(soft, monkeypatch, *, uncertain=0.0, error=None):
+    """Rounds of a pilot on a clock that goes by a millisecond whenever it is read."""
+    scene, params = soft
+    ticks = itertools.count()
+    monkeypatch.setitem(pilot.CLOCKS, "cpu", lambda: 1e-3 * next(ticks))
+    monkeypatch.setattr(pilot, "CERTAIN", -1.0)
+    monkeypatch.setattr(pilot, "UNCERTAIN", uncertain)
+    monkeypatch.setattr(pilot, "MOST_ROUNDS", 40)
+    what = quantity.gradient(scene, params, adjoint(), integrator=INTEGRATOR, sensor=0)
+    found = pilot.run(what, spp=2, seed=5, seconds=0.06, tiles=False, clock="cpu", error=error)
+    return found.batches, found
+
+
+def test_an_uncertain_pilot_goes_on(soft, monkeypatch):
+    enough, report = rounds_of_a_pilot(soft, monkeypatch, uncertain=math.inf)
+    assert 4 <= enough < 12
+    # Up to four times as long, where its prediction is less certain than wanted.
+    more, _report = rounds_of_a_pilot(soft, monkeypatch, uncertain=0.0)
+    assert 3 * enough <= more < 6 * enough
+    # Before an error is asked for: a share of what that will take, and no less than the time.
+    best = float(efficiency(report.cost, report.relative_variance))
+    error = math.sqrt(pilot.SHARE * best / 0.12)
+    share, _report = rounds_of_a_pilot(soft, monkeypatch, error=error)
+    assert 1.4 * enough <= share <= 3 * enough
+    assert rounds_of_a_pilot(soft, monkeypatch, error=10.0 * error)[0] == enough
+    assert rounds_of_a_pilot(soft, monkeypatch, error=1e-6)[0] == 40
 
 
 @pytest.mark.parametrize(("depth", "built"), [(2, 1), pytest.param(3, 2, marks=pytest.mark.slow)])

@@ -1,6 +1,7 @@
 """Budgets: what they reach, and that stopping does not choose among outcomes."""
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -115,6 +116,17 @@ def test_halves_are_weighed_as_they_are_counted(monkeypatch):
     np.testing.assert_allclose(n @ SECONDS, report.seconds_to(0.02), rtol=0.35)
     assert max(reached.batches.values()) < 0.2 * n.max()  # larger batches than the pilot's
     assert abs(values[0] - sum(MEANS)) < 5.0 * 0.02 * sum(MEANS)
+
+
+def test_the_pilot_counts_less_of_other_sizes(monkeypatch):
+    what, report = made_up(monkeypatch)
+    resized = replace(report, terms=tuple(replace(t, spp=4 * t.spp) for t in report.terms))
+    for now, known in ((report, 3.0), (resized, 2.0 / (2.0 / 3.0 + (budget.DRIFT * math.log(4.0)) ** 2))):
+        half = budget._Half(what, now, report, 1)
+        half.run(np.array([5.0, 5.0]))
+        own = np.array([sums.variance() for sums in half.terms])
+        prior = np.array([[m * m] for m in MEANS])
+        np.testing.assert_allclose(half.variances(), (known * prior + 4.0 * own) / (known + 4.0))
 
 
 def test_a_short_time_buys_one_round_and_fills_a_long_one(monkeypatch):

@@ -260,7 +260,9 @@ class Report:
             rows.append((*cells, *(str(n) for n in found.spp.values())))
         lines += ["", "Predicted:", *_table(rows)]
         if self.tile:
-            lines.append(f"Samples are spread over tiles of {self.tile} x {self.tile} pixels by their variance.")
+            by = "the adjoint and, in" if self.role == "reverse" else "their variance in"
+            of = ", their variance" if self.role == "reverse" else ""
+            lines.append(f"Samples are spread over pixels by {by} tiles of {self.tile} x {self.tile} pixels{of}.")
         heavy = self.heavy_tailed
         for term in (t for t in self.terms if t.name in heavy):
             text = f"one batch in {self.batches} carries {100.0 * term.largest:.0f} % of the variance of {term.name!r}"
