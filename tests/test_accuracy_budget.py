@@ -84,7 +84,7 @@ def test_stopping_at_an_error_does_not_choose(monkeypatch):
     assert deviate(naive, sum(MEANS)) > 1.25 * Z  # and this test would see it
 
 
-@pytest.mark.parametrize(("enough", "outcomes"), [(math.inf, 3), (budget_report.ENOUGH_FOR_TIME, 2)])
+@pytest.mark.parametrize(("enough", "outcomes"), [(math.inf, 3), (2.0, 2)])
 def test_stopping_at_a_time_does_not_choose(monkeypatch, enough, outcomes):
     # Large values take long here: whoever counts a round that ends late, or starts none that might, prefers some.
     what, report = made_up(monkeypatch)

@@ -87,7 +87,7 @@ def truth(
 def row_of(loaded: Loaded, *, pilot: float, batches: int, evenly: int, seconds: float, clock: str) -> dict:
     """Return a row of the table; ``evenly``: runs of the equal split."""
     found = [loaded.accuracy(seconds=pilot, clock=clock, seed=1, tiles=tiles) for tiles in (False, True)]
-    report, spread_over = (r.fitted(seconds=seconds, least=1.0) for r in found)
+    report, spread_over = (r.fitted(seconds=seconds) for r in found)
     spp = np.array([t.spp for t in report.terms], float)
     each = max(round(seconds / float((report.cost / spp).sum())), 1)
     (cost, variance), with_tiles, whole = truth(loaded, [report, spread_over], each, batches, evenly, CLOCKS[clock])

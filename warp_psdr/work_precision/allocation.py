@@ -14,8 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-#: Least batches of a term: one for each half.
-LEAST = 2.0
+#: Least batches of a term: one for each half of a run to an error, and one of a run for a time.
+LEAST, LEAST_IN_TIME = 2.0, 1.0
 #: Least time of a term, as a share of that of the best split: a hundredth costs little, and bounds what is lost where
 #: rare samples of a term carry its variance and the pilot has met none.
 FLOOR = 0.01

@@ -38,7 +38,7 @@ import numpy as np
 from warp_psdr.arguments import checked_seed
 from warp_psdr.kernels.rng import mix_seed
 from warp_psdr.work_precision import pilot
-from warp_psdr.work_precision.allocation import batches_for_error, batches_for_time
+from warp_psdr.work_precision.allocation import LEAST_IN_TIME, batches_for_error, batches_for_time
 from warp_psdr.work_precision.quantity import Quantity
 from warp_psdr.work_precision.report import Report, positive
 from warp_psdr.work_precision.statistics import Running, squared
@@ -153,7 +153,7 @@ def spend(
         raw, counts, error, spent = _to_error(what, report, found, float(wanted.error), seed, progress)
     else:
         left = max(left, LEAST_SECONDS)
-        report = found.fitted(seconds=left, least=1.0)
+        report = found.fitted(seconds=left)
         raw, counts, error, spent = _in_time(what, report, found, left, seed, progress)
     if progress is not None:
         progress(1.0)
@@ -308,7 +308,7 @@ def _in_time(what: Quantity, report: Report, found: Report, seconds: float, seed
 def rounds(report: Report, seconds: float) -> tuple[np.ndarray, int]:
     """Return the batches of each term in a round, and the number of rounds that fill a time."""
     cost, variance = report.cost, report.relative_variance
-    ideal = batches_for_time(cost, variance, seconds, least=1.0)
+    ideal = batches_for_time(cost, variance, seconds, LEAST_IN_TIME)
     best: tuple[float, np.ndarray, int] | None = None
     for number in range(1, MOST_ROUNDS + 1):
         each = np.maximum(np.floor(ideal / number), 1.0)

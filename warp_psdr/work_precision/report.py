@@ -19,7 +19,14 @@ from typing import Any
 import numpy as np
 
 from warp_psdr.files import write_atomic
-from warp_psdr.work_precision.allocation import LEAST, Allocation, batches_for_error, batches_for_time, ideal
+from warp_psdr.work_precision.allocation import (
+    LEAST,
+    LEAST_IN_TIME,
+    Allocation,
+    batches_for_error,
+    batches_for_time,
+    ideal,
+)
 
 FORMAT, VERSION = "warp_psdr accuracy", 3
 #: Errors of the printed predictions.
@@ -29,10 +36,10 @@ PRINTED_BLOCKS = 8
 #: Exponents are measured with noise; those of stratified samples lie between these.
 LEAST_EXPONENT, MOST_EXPONENT = 0.9, 1.5
 #: Where more batches of a term than these would be run, they are made larger: their fixed cost is saved, and stratified
-#: samples are better together. For an error, so many tell when to stop, and the time stays what the pilot predicts; for
-#: a time, where neither is needed, two let a run that is slower than predicted end early. How many times larger than
-#: the pilot's they become at most: further off, its exponents and fixed costs say little.
-ENOUGH_FOR_ERROR, ENOUGH_FOR_TIME, LARGEST = 16.0, 2.0, 16.0
+#: samples are better together. For an error, so many tell when to stop; for a time, none has to. How many times larger
+#: than the pilot's they become at most: further off, its exponents and fixed costs say little. What is saved buys
+#: larger batches again, a few times.
+ENOUGH_FOR_ERROR, ENOUGH_FOR_TIME, LARGEST, REFITS = 16.0, 1.0, 16.0, 4
 #: Sizes of batches that are tried, over those of which ``least`` would be asked for without fixed costs; and what a
 #: time may be short by from rounding.
 SIZES, ROUNDING = (math.inf, *(2.0 ** (0.5 * k) for k in range(8, -9, -1))), 1e-9
@@ -147,14 +154,22 @@ class Report:
             and (t.kurtosis > HEAVY or (t.largest > STANDS_OUT and self.batches >= LEAST_STANDING))
         )
 
-    def fitted(self, *, error: float | None = None, seconds: float | None = None, least: float = LEAST) -> Report:
+    def fitted(self, *, error: float | None = None, seconds: float | None = None) -> Report:
         """Return a report of batches of the sizes that suit an error or a time.
 
-        They are smaller where ``least`` of a term are more than is asked for, and larger where it is more than
+        They are smaller where the least number of a term is more than is asked for, and larger where that is more than
         enough. The variance of a batch that the pilot did not run follows from the exponent. Small batches waste
         what is fixed in their cost, and stratified ones are worse than their size says: how far they shrink is what is
         best.
         """
+        report, least = self, LEAST if error is not None else LEAST_IN_TIME
+        for _ in range(REFITS):
+            most = np.array([LARGEST * a.spp / b.spp for a, b in zip(self.terms, report.terms, strict=True)])
+            report = report._resized(most, error, seconds, least)
+        return report
+
+    def _resized(self, largest: np.ndarray, error: float | None, seconds: float | None, least: float) -> Report:
+        """Return a report of batches of other sizes, at most so many times larger."""
         numbers = ideal(self.cost, self.relative_variance)
         if error is not None:
             wanted = numbers * float((self.relative_variance / np.maximum(numbers, 1e-300)).sum()) / error**2
@@ -162,7 +177,7 @@ class Report:
         else:
             wanted = numbers * (seconds or 0.0) / max(float(numbers @ self.cost), 1e-300)
             enough = ENOUGH_FOR_TIME
-        shrink, most = np.maximum(wanted / least, 1e-300), np.clip(wanted / enough, 1.0, LARGEST)
+        shrink, most = np.maximum(wanted / least, 1e-300), np.clip(wanted / enough, 1.0, np.maximum(largest, 1.0))
         if (shrink >= 1.0).all() and (most <= 1.0).all():
             return self
         sizes = (np.minimum(factor * shrink, most).tolist() for factor in SIZES)
@@ -191,7 +206,7 @@ class Report:
             numbers = np.ceil(found)
         else:
             fitted = self.fitted(seconds=positive("seconds", seconds))
-            found = batches_for_time(fitted.cost, fitted.relative_variance, positive("seconds", seconds))
+            found = batches_for_time(fitted.cost, fitted.relative_variance, float(seconds or 0.0), LEAST_IN_TIME)
             numbers = np.floor(found)
         counts = {t.name: int(n) for t, n in zip(self.terms, numbers, strict=True)}
         spp = {t.name: t.spp * counts[t.name] for t in fitted.terms}
