@@ -95,8 +95,8 @@ def row_of(loaded: Loaded, *, pilot: float, batches: int, evenly: int, seconds: 
     each = max(round(seconds / float((plain.cost / of_plain).sum())), 1)
     (cost, variance), with_tiles, whole = truth(loaded, [even, tiled], each, batches, evenly, CLOCKS[clock])
 
-    ratios = [(0, *rest) for rest in itertools.product(EXPONENTS, repeat=len(spp) - 1)]
-    best = min(_error(cost, variance, 2.0 ** np.array(r, float) / spp) for r in ratios)
+    fixed = np.array([t.fixed_seconds / t.seconds for t in even.terms])
+    best = _best_fixed(cost, variance, fixed, spp, seconds)
     equal, split = _error(*whole, np.ones(1)), _error(cost, variance, _split(plain, seconds) * of_plain / spp)
     automatic = _error(*with_tiles, _split(tiled, seconds))
     shares = _split(tiled, seconds) * [t.spp for t in tiled.terms]
@@ -131,6 +131,22 @@ def _split(report, seconds: float) -> np.ndarray:
     """Return (terms,): the batches that a budget runs."""
     each, most = rounds(report, seconds)
     return most * each
+
+
+def _best_fixed(cost: np.ndarray, variance: np.ndarray, fixed: np.ndarray, spp: np.ndarray, seconds: float) -> float:
+    """Return the error at the time of one second of the best split of a sweep; ``fixed``: share of a batch's cost.
+
+    A share of a batch saves its share of the samples, not what is fixed.
+    """
+    ratios = [(0, *rest) for rest in itertools.product(EXPONENTS, repeat=len(spp) - 1)]
+    shape = 2.0 ** np.array(ratios, float) / spp
+    low, high = np.full(len(shape), 1e-9), np.full(len(shape), 1e9)
+    for _ in range(80):  # the scale at which a split takes the time
+        scale = np.sqrt(low * high)
+        n = scale[:, None] * shape
+        over = (fixed * np.maximum(n, 1.0) + (1.0 - fixed) * n) @ cost > seconds
+        low, high = np.where(over, low, scale), np.where(over, scale, high)
+    return float(np.sqrt((variance / (low[:, None] * shape)).sum(axis=1) * seconds).min())
 
 
 def _error(cost: np.ndarray, variance: np.ndarray, split: np.ndarray) -> float:

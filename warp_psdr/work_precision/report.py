@@ -165,7 +165,9 @@ class Report:
         report, least = self, LEAST if error is not None else LEAST_IN_TIME
         for _ in range(REFITS):
             most = np.array([LARGEST * a.spp / b.spp for a, b in zip(self.terms, report.terms, strict=True)])
-            report = report._resized(most, error, seconds, least)
+            before, report = report, report._resized(most, error, seconds, least)
+            if [t.spp for t in report.terms] == [t.spp for t in before.terms]:
+                break
         return report
 
     def _resized(self, largest: np.ndarray, error: float | None, seconds: float | None, least: float) -> Report:
