@@ -101,7 +101,7 @@ def accuracy(
         seed: of the pilot.
         seconds: what the pilot may take; more where four batches a term need it, and up to four times as much where
             nothing stands out of the noise yet, or the standard error of a predicted time is above 30 %.
-        tiles: spread samples over the image by its variance where that pays.
+        tiles: spread samples over the image by its variance, and by the adjoint of every pixel, where that pays.
         clock: "wall", or "cpu" for the processor time of all threads, which other work on the machine changes less.
         progress: called with the finished fraction.
 
