@@ -114,7 +114,7 @@ def test_halves_are_weighed_as_they_are_counted(monkeypatch):
     values, reached = budget.spend(what, budget.Wanted(0.02, None, report), seed=1, progress=None)
     n = np.array(list(reached.spp.values()))
     np.testing.assert_allclose(n @ SECONDS, report.seconds_to(0.02), rtol=0.35)
-    assert max(reached.batches.values()) < 0.2 * n.max()  # larger batches than the pilot's
+    assert max(reached.batches.values()) < 0.3 * n.max()  # larger batches than the pilot's
     assert abs(values[0] - sum(MEANS)) < 5.0 * 0.02 * sum(MEANS)
 
 

@@ -40,7 +40,9 @@ WORSE, BETTER, SHARE = 1.05, 1.5, 0.5
 WORST, GAIN, LIMIT = "automatic / best fixed split", "equal split / automatic", "equal split / best fixed split"
 BOUND = "equal split / best split and tiles"
 CLOCKS = {"wall": time.perf_counter, "cpu": time.process_time}
+#: Powers of two of the sweep; with many terms, every so manieth of them.
 EXPONENTS = range(-6, 7)
+STEPS = {1: 1, 2: 1, 3: 1, 4: 1, 5: 2, 6: 2}
 #: Side of the tiles, pixels, whose best counts say what there is to gain, and what their deviations come from.
 FINE, FINE_SPP, FINE_BATCHES = 2, 64, 8
 
@@ -138,7 +140,8 @@ def _best_fixed(cost: np.ndarray, variance: np.ndarray, fixed: np.ndarray, spp: 
 
     A share of a batch saves its share of the samples, not what is fixed.
     """
-    ratios = [(0, *rest) for rest in itertools.product(EXPONENTS, repeat=len(spp) - 1)]
+    steps = EXPONENTS[:: STEPS.get(len(spp), 3)]
+    ratios = [(0, *rest) for rest in itertools.product(steps, repeat=len(spp) - 1)]
     shape = 2.0 ** np.array(ratios, float) / spp
     low, high = np.full(len(shape), 1e-9), np.full(len(shape), 1e9)
     for _ in range(80):  # the scale at which a split takes the time

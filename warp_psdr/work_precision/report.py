@@ -36,10 +36,12 @@ PRINTED_BLOCKS = 8
 #: Exponents are measured with noise; those of stratified samples lie between these.
 LEAST_EXPONENT, MOST_EXPONENT = 0.9, 1.5
 #: Where more batches of a term than these would be run, they are made larger: their fixed cost is saved, and stratified
-#: samples are better together. For an error, so many tell when to stop; for a time, none has to. How many times larger
-#: than the pilot's they become at most: further off, its exponents and fixed costs say little. What is saved buys
+#: samples are better together. For an error, so many tell when to stop; for a time, none has to. What is saved buys
 #: larger batches again, a few times.
-ENOUGH_FOR_ERROR, ENOUGH_FOR_TIME, LARGEST, REFITS = 16.0, 1.0, 16.0, 4
+ENOUGH_FOR_ERROR, ENOUGH_FOR_TIME, REFITS = 16.0, 1.0, 4
+#: How many times larger than the pilot's they become at most. Further off, its exponents and fixed costs say little,
+#: and a predicted time rests on them: off by 0.2, an exponent makes it wrong by a third at four times the size.
+LARGEST_FOR_ERROR, LARGEST_FOR_TIME = 4.0, 16.0
 #: Sizes of batches that are tried, over those of which ``least`` would be asked for without fixed costs; and what a
 #: time may be short by from rounding.
 SIZES, ROUNDING = (math.inf, *(2.0 ** (0.5 * k) for k in range(8, -9, -1))), 1e-9
@@ -162,9 +164,10 @@ class Report:
         what is fixed in their cost, and stratified ones are worse than their size says: how far they shrink is what is
         best.
         """
-        report, least = self, LEAST if error is not None else LEAST_IN_TIME
+        least, largest = (LEAST, LARGEST_FOR_ERROR) if error is not None else (LEAST_IN_TIME, LARGEST_FOR_TIME)
+        report = self
         for _ in range(REFITS):
-            most = np.array([LARGEST * a.spp / b.spp for a, b in zip(self.terms, report.terms, strict=True)])
+            most = np.array([largest * a.spp / b.spp for a, b in zip(self.terms, report.terms, strict=True)])
             before, report = report, report._resized(most, error, seconds, least)
             if [t.spp for t in report.terms] == [t.spp for t in before.terms]:
                 break
