@@ -84,7 +84,7 @@ def make_curve_segment(config: PathConfig):
         m = wp.cross(t, r.w)
         r.sweep = wp.where(wp.dot(m, out) > 0.0, -m, m)
         step = edge_step(scene, edges, point.edge)
-        x = point.x + (step * wp.min(OFF / wp.max(wp.dot(out, other), 1.0e-6), MAX_SHIFT)) * out
+        x = point.x + (step * wp.min(OFF / wp.dot(out, other), MAX_SHIFT)) * out
         r.x = x
         r.source = x + edge_behind(scene, step) * back
         hit = closest_hit(scene.accel, r.source, back, FAR)

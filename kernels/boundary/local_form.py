@@ -290,7 +290,7 @@ def make_edge_sink(role: str):
         # Of the sine: 1 - cosine^2 would lose it where the faces are nearly parallel.
         squared = wp.length_sq(wp.cross(n_a, n_b))
         if i0 < 0:
-            g_1, g_2 = split_between(g, n_a, n_b, wp.max(squared, 1.0e-20))
+            g_1, g_2 = split_between(g, n_a, n_b, squared)
             return push_face(scene, target, edges.faces[edges.first[e]], point.x, g_1) + push_face(
                 scene, target, edges.faces[edges.first[e] + 1], point.x, g_2
             )

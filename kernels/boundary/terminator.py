@@ -133,12 +133,13 @@ def make_terminator_kernel(config: PathConfig, role: str, camera_moves: bool):
         discriminant = b * b - 4.0 * a * c
         if discriminant <= 0.0:
             return
+        # At least half of the discriminant's root, so never 0.
         half = -0.5 * (b + wp.where(b >= 0.0, wp.sqrt(discriminant), -wp.sqrt(discriminant)))
         e1 = tri.p1 - tri.p0
         e2 = tri.p2 - tri.p0
         for k in range(2):
             r = wp.float32(-1.0)
-            if k == 0 and wp.abs(half) > wp.abs(a) * 1.0e-12:
+            if k == 0:
                 r = c / half
             if k == 1 and wp.abs(half) < wp.abs(a):
                 r = half / a

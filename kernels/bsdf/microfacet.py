@@ -120,6 +120,7 @@ def _beckmann_smith_over_cos(z: wp.float32, r2: wp.float32) -> wp.float32:
 @wp.func
 def _beckmann_projected_area(z: wp.float32, r2: wp.float32) -> wp.float32:
     area = z
+    # For speed: erf and exp have these limits there.
     if z * z < BECKMANN_CUTOFF * r2:
         r = wp.sqrt(r2)
         a = z / r

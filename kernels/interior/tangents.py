@@ -88,7 +88,7 @@ def make_frame_jvp(tangent: bool):
                 - result.n * wp.dot(frame.n, dpdu)
                 - frame.n * (wp.dot(result.n, dpdu) + wp.dot(frame.n, vertex.tangent))
             )
-            result.s = normalize_jvp(frame.s, wp.max(wp.length(p), 1.0e-20), p_dot)
+            result.s = normalize_jvp(frame.s, wp.length(p), p_dot)
             result.t = wp.cross(result.n, frame.s) + wp.cross(frame.n, result.s)
         else:
             result.s = -wp.dot(frame.s, result.n) * frame.n

@@ -9,8 +9,8 @@ import pytest
 import warp as wp
 
 import warp_psdr as psdr
-from warp_psdr.kernels.boundary.direction import Wedge, pdf_wedge, wedge_direction
-from warp_psdr.kernels.boundary.edge_tree import EdgeNode, node_importance
+from warp_psdr.kernels.boundary.direction import Wedge, pdf_wedge, wedge_direction, wedge_square
+from warp_psdr.kernels.boundary.edge_tree import EdgeNode, lobe_estimate, node_importance
 from warp_psdr.kernels.boundary.local_form import barycentrics_at
 from warp_psdr.kernels.boundary.ltc_line import Lobes, line_integral, make_lobe, make_scattering_lobes
 from warp_psdr.kernels.boundary.projective import nearest_fraction
@@ -19,9 +19,9 @@ from warp_psdr.kernels.bsdf.microfacet import make_microfacet
 from warp_psdr.kernels.constants import BSDF_ROUGH_CONDUCTOR_GGX, LOBE_DELTA_TRANSMISSION, TEXTURE_CONSTANT
 from warp_psdr.kernels.emitter.area import area_density, make_area, pdf_area
 from warp_psdr.kernels.emitter.spot import falloff
-from warp_psdr.kernels.guiding.stripe import Stripe, stripe_point, stripe_square
+from warp_psdr.kernels.guiding.stripe import CORNERS, Polygon, Stripe, cut, stripe_point, stripe_square
 from warp_psdr.kernels.interior.pullback import connection_vjp
-from warp_psdr.kernels.interior.tangents import log_geometry_jvp, normalize_jvp
+from warp_psdr.kernels.interior.tangents import VertexTangent, log_geometry_jvp, make_frame_jvp, normalize_jvp
 from warp_psdr.kernels.path import Frame
 from warp_psdr.kernels.sampling import square_to_cosine_hemisphere
 from warp_psdr.kernels.structs import Material, Scene, Triangle
@@ -32,6 +32,7 @@ from .sweeps import room
 SAMPLE_VISIBLE = make_microfacet("ggx").sample_visible
 AREA_SAMPLE = make_area((TEXTURE_CONSTANT,))[1]
 SCATTERING_LOBES = make_scattering_lobes((BSDF_ROUGH_CONDUCTOR_GGX,))
+FRAME_JVP = make_frame_jvp(True)
 
 
 @wp.func
@@ -120,6 +121,44 @@ def guards(scene: Scene, zero: wp.vec3, out: wp.array(dtype=wp.float32)):
     out[19] = wp.abs(at[0]) + wp.abs(at[1])
     at = stripe_square(stripe, nil, nil)
     out[20] = wp.abs(at[0]) + 0.0 * at[1]
+    # A stripe whose fan begins with a triangle without an area: the place of a point in its second one.
+    m = CORNERS()
+    m[2, 1] = 1.0
+    m[3, 0] = 1.0
+    stripe.above.count = 4
+    stripe.above.corners = m
+    stripe.above.area = 1.0
+    stripe.below.count = 0
+    stripe.share = 1.0
+    at = stripe_square(stripe, 0.2, 0.3)
+    at = stripe_point(stripe, wp.float64(at[0]), wp.float64(at[1]))
+    out[21] = wp.abs(at[0] - 0.2) + wp.abs(at[1] - 0.3)
+    # Corners that rounding puts on alternate sides of a line: no more than there is room for.
+    crossed = Polygon()
+    crossed.count = 5
+    m[0, 0] = 1.0
+    m[1, 0] = -1.0
+    m[2, 0] = 1.0
+    m[3, 0] = -1.0
+    m[4, 0] = 1.0
+    crossed.corners = m
+    out[22] = wp.float32(wp.max(cut(crossed, x, 1.0).count - 5, 0))
+    crossed = cut(crossed, y, 1.0)
+    out[22] += wp.float32(wp.max(crossed.count - 5, 0))
+    # A tangent along the normal does not turn: what reverse mode makes of it.
+    vertex = VertexTangent()
+    vertex.n = x
+    vertex.tangent = y
+    out[23] = size(FRAME_JVP(frame, 2.0 * z, vertex).s)
+    # A lobe of a mirror's width: all of an edge across it is in it.
+    material.s0 = nil
+    material.s1 = nil
+    lobes = SCATTERING_LOBES(BSDF_ROUGH_CONDUCTOR_GGX, material, frame, z)
+    out[24] = wp.where(line_integral(lobes.glossy, z - x, 2.0 * x).integral > 1.0, 0.0, 1.0)
+    # A direction in the plane of a wedge without a width is not in it.
+    out[25] = wp.abs(wedge_square(wedge, y)[1] - 2.0)
+    # A cone straight behind a lobe, by a rounding more than that.
+    out[26] = lobe_estimate(lobe, -1.0000001 * z, 0.6, 0.8)
 
 
 @wp.kernel(module="unique", enable_backward=False)
@@ -141,6 +180,8 @@ NAMES = (
     "edge end-on", "mirror along the normal", "node around the eye", "critical angle",
     "face of a light without an area", "light sampled from its own corner",
     "point of a stripe without an area", "place in a stripe without an area",
+    "place in a stripe beside what has no area", "corners on alternate sides", "tangent along the normal, forward",
+    "lobe without a width", "direction in a wedge without a width", "cone straight behind a lobe",
 )  # fmt: skip
 
 
