@@ -2,8 +2,9 @@
 
 A segment is what two triangles A and B have in common: on the line of their planes each of them covers an interval, and
 the segment is where the intervals overlap. What merely touches is left out, it is a contact and handled with the edges:
-a corner counts as below a plane only if it is so by more than the rounding of the vertices, and two shapes that nowhere
-reach deeper into each other than the boundary term's rays start off an edge are in contact everywhere.
+a corner counts as below a plane only if it is so by more than the rounding of the vertices, and two shapes that touch
+(``boundary/contacts.py``) and nowhere reach deeper into each other than the boundary term's rays start off an edge are
+in contact everywhere. So is a mesh that reaches no deeper into itself.
 
 An edge of A may lie in the plane of B, as the equator of a ball that is half sunk into a floor. Then the triangle below
 that plane stands for the crossing, if the one on the other side of the edge lies above. (If A turns there, the curve
@@ -19,6 +20,7 @@ import numpy as np
 import warp as wp
 
 from warp_psdr import workers
+from warp_psdr.boundary.contacts import contacts
 from warp_psdr.device import launch_lanes
 from warp_psdr.edges import WELD, Adjacency, scene_adjacency
 from warp_psdr.kernels.boundary.crossing import crossing_pairs
@@ -212,7 +214,12 @@ def _deep(scene: Scene, ends: np.ndarray, pairs: np.ndarray, depth: np.ndarray) 
     deepest = np.zeros(len(_pairs))
     np.maximum.at(deepest, number, depth)
     touch = scene.steps.behind[_pairs].max(axis=1, initial=0.0)
-    keep = deepest[number] > touch[number]
+    shallow = deepest <= touch
+    if shallow.any():
+        # Large ones at a small angle need not be: their curve is as long as others.
+        in_contact = {tuple(pair) for pair in np.sort(contacts(scene).shapes, axis=1).tolist()}
+        shallow &= np.array([a == b or (a, b) in in_contact for a, b in _pairs.tolist()])
+    keep = ~shallow[number]
     ends, pairs = ends[keep], pairs[keep]
     n = len(pairs)
     none = np.full((n, 2), -1, np.int32)

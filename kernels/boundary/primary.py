@@ -47,6 +47,9 @@ BESIDE_LEAST = 0.025
 #: starts one ray epsilon off it, which may not be behind the other. Where something else is seen there than close to
 #: the curve, the ray passes close to it: a silhouette that turns into a curve and its terminator are tangent to it.
 BESIDE_CURVE = 10.0
+#: Sine of the angle of two surfaces from which on "close to the curve" is ``BESIDE``. At smaller angles it is where
+#: they are as far apart as there, up to ``BESIDE_CURVE``: nearer, roundings decide which of the two is in front.
+ACUTE = 0.01
 
 
 @functools.cache
@@ -100,7 +103,14 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
         ahead = AHEAD * local
         narrow = wp.bool(False)
         curve = edges.ends[point.edge, 0] < 0
-        if not curve:
+        close = wp.float32(0.0)
+        if curve:
+            first_face = edges.first[point.edge]
+            normal_a = scene.triangles[edges.faces[first_face]].normal
+            normal_b = scene.triangles[edges.faces[first_face + 1]].normal
+            acute = wp.length(wp.cross(normal_a, normal_b))
+            close = wp.clamp(BESIDE * ACUTE / acute, BESIDE, BESIDE_CURVE) * local
+        else:
             width, slant = narrowest_face(scene, edges, point, m, d)
             # Where scales are mixed, steps are some roundings already.
             least = wp.where(scene.least_step > 0.0, BESIDE, BESIDE_LEAST)
@@ -118,9 +128,9 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
             sign = 1.0 - 2.0 * wp.float32(i)
             o = point.x + sign * beside - ahead * d
             if curve:
-                close = point.x + (sign * BESIDE * local) * m - ahead * d
-                if seen_from(scene, close, d, t_max) != seen_from(scene, o, d, t_max):
-                    o = close
+                near_o = point.x + (sign * close) * m - ahead * d
+                if seen_from(scene, near_o, d, t_max) != seen_from(scene, o, d, t_max):
+                    o = near_o
             seen = arrival(scene, sampler, o, d, t_max, 0, max_depth, rr_depth)
             jump -= sign * seen.radiance
             # A face that is seen nearly edge-on is met far away.
