@@ -35,7 +35,7 @@ def square_to_sphere(u: wp.vec2) -> wp.vec3:
     """Uniform direction."""
     z = 1.0 - 2.0 * u[1]
     # (1 - z)(1 + z) instead of 1 - z^2: no cancellation near the poles.
-    r = 2.0 * wp.sqrt(wp.max(0.0, u[1] * (1.0 - u[1])))
+    r = 2.0 * wp.sqrt(u[1] * (1.0 - u[1]))
     phi = TWO_PI * u[0]
     return wp.vec3(r * wp.cos(phi), r * wp.sin(phi), z)
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from warp_psdr.kernels import sampling
-from warp_psdr.kernels.distribution import LEVELS, find_interval
+from warp_psdr.kernels.distribution import LEVELS, find_interval, find_interval_64
 from warp_psdr.light_sampling import cumulative
 
 SIGNIFICANCE = 1e-5
@@ -119,13 +119,25 @@ def interval_kernel(
     out[i] = find_interval(cdf, first, count, u[i])
 
 
-def intervals(cdf, u, device="cpu"):
+@wp.kernel(enable_backward=False)
+def interval_64_kernel(
+    cdf: wp.array(dtype=wp.float32),
+    first: wp.int32,
+    count: wp.int32,
+    u: wp.array(dtype=wp.float64),
+    out: wp.array(dtype=wp.int32),
+):
+    i = wp.tid()
+    out[i] = find_interval_64(cdf, first, count, u[i])
+
+
+def intervals(cdf, u, device="cpu", kernel=interval_kernel, dtype=np.float32):
     # Other distributions around it, as in the scene's arrays.
     padded = np.concatenate([[0.3, 0.7], cdf, [0.0, 0.1]]).astype(np.float32)
-    u = np.asarray(u, np.float32)
+    u = np.asarray(u, dtype)
     out = wp.zeros(len(u), dtype=wp.int32, device=device)
     inputs = [wp.array(padded, device=device), 2, len(cdf) - 1, wp.array(u, device=device)]
-    wp.launch(interval_kernel, dim=len(u), inputs=inputs, outputs=[out], device=device)
+    wp.launch(kernel, dim=len(u), inputs=inputs, outputs=[out], device=device)
     return out.numpy()
 
 
@@ -140,6 +152,9 @@ def test_no_entry_of_probability_zero_is_found(weights, device):
     assert np.all(probability[found] > 0.0)
     # Every entry of positive weight has its share.
     assert set(found) == set(np.flatnonzero(probability))
+    fine = np.concatenate([u, [np.nextafter(1.0, 0.0)]])
+    found = intervals(cdf, np.clip(fine, 0.0, 1.0), device, interval_64_kernel, np.float64)
+    assert np.all(probability[found] > 0.0)
 
 
 def test_every_entry_is_drawn_with_exactly_the_probability_that_the_array_states():

@@ -122,13 +122,13 @@ def make_bent_kernel(config: PathConfig, role: str, camera_moves: bool):
         surface = surface_at(scene, s.face2, s.u2, s.v2)
         across = surface.ng - wp.dot(surface.ng, surface.n) * surface.n
         sine = wp.length(across)
-        if sine < FLAT or probability <= 0.0:
+        if sine < FLAT:
             return
         across = across / sine
         # theta: its sine is uniform, its cosine has either sign.
         half = wp.where(u4[3] < 0.5, 0.0, 1.0)
         b = 4.0 * u4[3] - 2.0 * half - 1.0
-        a = (1.0 - 2.0 * half) * wp.sqrt(wp.max(1.0 - b * b, 0.0))
+        a = (1.0 - 2.0 * half) * wp.sqrt(1.0 - b * b)
         out = a * across + b * wp.cross(surface.n, across)
         s.x = surface.x
         s.w = -out

@@ -115,7 +115,7 @@ def node_importance(node: EdgeNode, lobes: Lobes, x: wp.vec3) -> wp.float32:
     w = n
     cosine = wp.float32(-1.0)
     sine = wp.float32(0.0)
-    if squared > radius2 * 1.000001:
+    if squared > radius2:
         w = to / wp.sqrt(squared)
         sine = wp.sqrt(radius2 / squared)
         cosine = wp.sqrt(1.0 - radius2 / squared)
@@ -213,9 +213,11 @@ def make_choose(tree: bool, candidates: int):
                         m = wp.int32(0)
                     else:
                         p_left = a / (a + b)
-                        if a > 0.0 and b > 0.0:
-                            p_left = wp.clamp(p_left, MIN_PROBABILITY, 1.0 - MIN_PROBABILITY)
-                        m_left = wp.min(wp.int32(wp.float32(m) * p_left + u), m)
+                        m_left = wp.int32(m)
+                        if b > 0.0:
+                            if a > 0.0:
+                                p_left = wp.clamp(p_left, MIN_PROBABILITY, 1.0 - MIN_PROBABILITY)
+                            m_left = wp.int32(wp.float32(m) * p_left + u)
                         m_right = m - m_left
                         if m_left > 0 and m_right > 0:
                             pending[top] = right

@@ -124,7 +124,7 @@ def make_horizon_kernel(config: PathConfig, role: str, camera_moves: bool, indir
         surface = surface_at(scene, s.face1, s.u1, s.v1)
         across = surface.n - wp.dot(surface.n, surface.ng) * surface.ng
         sine = wp.length(across)
-        if sine < FLAT or probability <= 0.0:
+        if sine < FLAT:
             return
         across = across / sine
         # theta: its sine is uniform. Where n . w < 0, only two-sided materials scatter.
@@ -135,7 +135,7 @@ def make_horizon_kernel(config: PathConfig, role: str, camera_moves: bool, indir
             half = wp.where(u4[3] < 0.5, 0.0, 1.0)
             b = 4.0 * u4[3] - 2.0 * half - 1.0
             chance = wp.float32(0.5)
-        cosine = wp.sqrt(wp.max(1.0 - b * b, 0.0))
+        cosine = wp.sqrt(1.0 - b * b)
         if cosine <= 0.0:
             return
         flat = (1.0 - 2.0 * half) * cosine * across + b * wp.cross(surface.ng, across)

@@ -124,9 +124,8 @@ def normalization_vjp(
     """Adjoint of the sums from the adjoint of the unit normals."""
     i = wp.tid()
     n = load_vec3(sums, 3 * i)
-    a = wp.vec3(0.0, 0.0, 0.0)
-    if wp.dot(n, n) > 0.0:
-        a, _w = wp.grad(normalized_dot)(n, load_vec3(grad, offset + 3 * i))
+    # 0 where n is.
+    a, _w = wp.grad(normalized_dot)(n, load_vec3(grad, offset + 3 * i))
     adjoint_out[3 * i] = a[0]
     adjoint_out[3 * i + 1] = a[1]
     adjoint_out[3 * i + 2] = a[2]

@@ -12,7 +12,13 @@ import warp_psdr as psdr
 from warp_psdr.kernels.boundary.direction import Wedge, pdf_wedge, wedge_direction, wedge_square
 from warp_psdr.kernels.boundary.edge_tree import EdgeNode, lobe_estimate, node_importance
 from warp_psdr.kernels.boundary.local_form import barycentrics_at
-from warp_psdr.kernels.boundary.ltc_line import Lobes, line_integral, make_lobe, make_scattering_lobes
+from warp_psdr.kernels.boundary.ltc_line import (
+    Lobes,
+    line_integral,
+    make_lobe,
+    make_scattering_lobes,
+    sample_line,
+)
 from warp_psdr.kernels.boundary.projective import nearest_fraction
 from warp_psdr.kernels.boundary.ray_differential import Link, PointDifferential, RayDifferential, scattered_differential
 from warp_psdr.kernels.bsdf.microfacet import make_microfacet
@@ -22,6 +28,7 @@ from warp_psdr.kernels.emitter.spot import falloff
 from warp_psdr.kernels.guiding.stripe import CORNERS, Polygon, Stripe, cut, stripe_point, stripe_square
 from warp_psdr.kernels.interior.pullback import connection_vjp
 from warp_psdr.kernels.interior.tangents import VertexTangent, log_geometry_jvp, make_frame_jvp, normalize_jvp
+from warp_psdr.kernels.math import any_tangent
 from warp_psdr.kernels.path import Frame
 from warp_psdr.kernels.sampling import square_to_cosine_hemisphere
 from warp_psdr.kernels.structs import Material, Scene, Triangle
@@ -162,6 +169,27 @@ def guards(scene: Scene, zero: wp.vec3, out: wp.array(dtype=wp.float32)):
 
 
 @wp.kernel(module="unique", enable_backward=False)
+def lines(
+    z: wp.array(dtype=wp.vec3),
+    scale: wp.array(dtype=wp.float32),
+    a: wp.array(dtype=wp.vec3),
+    along: wp.array(dtype=wp.vec3),
+    u: wp.array(dtype=wp.float32),
+    out: wp.array(dtype=wp.vec3),
+):
+    """A lobe's integral over an edge, a fraction of the edge drawn by it, and the part of the integral up to there."""
+    i = wp.tid()
+    lobe = make_lobe(z[i], any_tangent(z[i]), scale[i], scale[i], 1.0)
+    line = line_integral(lobe, a[i], along[i])
+    s = wp.float32(0.0)
+    part = wp.float32(0.0)
+    if line.integral > 0.0:
+        s = sample_line(line, u[i])
+        part = line_integral(lobe, a[i], s * along[i]).integral / line.integral
+    out[i] = wp.vec3(line.integral, s, part)
+
+
+@wp.kernel(module="unique", enable_backward=False)
 def rims(u: wp.array(dtype=wp.float32), out: wp.array(dtype=wp.float32)):
     """Sums over warps of points of the unit square's sides."""
     i = wp.tid()
@@ -208,6 +236,27 @@ def test_points_of_the_rim_are_finite() -> None:
     out = wp.zeros(len(u), dtype=wp.float32, device="cpu")
     wp.launch(rims, len(u), [wp.array(u, device="cpu")], [out], device="cpu")
     assert np.isfinite(out.numpy()).all()
+
+
+@pytest.mark.parametrize("grazing", [False, True])
+def test_edges_are_drawn_within_their_ends(grazing: bool) -> None:
+    """Edges of all lengths, seen by lobes of all widths; ``grazing``: one end is in the plane that ends a lobe."""
+    random, count = np.random.default_rng(1), 20000
+    z, a, along = random.normal(size=(3, count, 3))
+    z /= np.linalg.norm(z, axis=1)[:, None]
+    along *= 10.0 ** random.uniform(-4.0, 4.0, (count, 1))
+    if grazing:
+        a -= (1.0 - 10.0 ** random.uniform(-9.0, -3.0, count))[:, None] * (a * z).sum(axis=1)[:, None] * z
+    scale = 10.0 ** random.uniform(-3.0, 0.0, count)
+    u = random.choice([0.0, 0.1, 0.5, 0.9, 0.99999994], count)
+    inputs = [wp.array(np.float32(v), dtype=wp.vec3, device="cpu") for v in (z, a, along)]
+    inputs[1:1] = [wp.array(np.float32(scale), device="cpu")]
+    out = wp.zeros(count, dtype=wp.vec3, device="cpu")
+    wp.launch(lines, count, [*inputs, wp.array(np.float32(u), device="cpu")], [out], device="cpu")
+    integral, fraction, part = out.numpy().T
+    assert (integral >= 0.0).all() and (fraction >= 0.0).all() and (fraction <= 1.0).all()
+    told = (integral > 0.0) & (scale > 0.1) & ~grazing
+    assert np.abs(part - u)[told].max(initial=0.0) < 1e-3
 
 
 def test_a_mesh_without_usable_normals_is_flat() -> None:
