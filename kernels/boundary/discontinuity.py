@@ -35,7 +35,7 @@ from warp_psdr.kernels.boundary.chain import (
     transmits,
 )
 from warp_psdr.kernels.boundary.chain_pullback import Visit
-from warp_psdr.kernels.boundary.local_form import EdgePoint, Edges, split_between
+from warp_psdr.kernels.boundary.local_form import EdgePoint, Edges, barycentrics_at, split_between
 from warp_psdr.kernels.boundary.ray_differential import (
     RayDifferential,
     make_point_differential,
@@ -56,7 +56,7 @@ from warp_psdr.kernels.bvh.wide import make_intersect
 from warp_psdr.kernels.constants import FAR, LOBE_NONE
 from warp_psdr.kernels.emitter.dispatch import DELTA_LIGHTS, make_lights
 from warp_psdr.kernels.path import PathConfig
-from warp_psdr.kernels.structs import Camera, Scene
+from warp_psdr.kernels.structs import Camera, Scene, Triangle
 from warp_psdr.kernels.surface import VertexAdjoint, normalize_vjp
 
 #: Two hits count as equally far within this fraction of their distance.
@@ -65,6 +65,8 @@ TIE = 1.0e-4
 TOUCHING = 2.0
 #: Squared sine of the angle between two planes below which they have no line in common.
 PARALLEL = 1.0e-10
+#: Distance of two such planes, in ray epsilons, within which they are one.
+ONE_PLANE = 0.5
 
 
 @wp.struct
@@ -85,6 +87,24 @@ class Crossing:
     o_before: wp.vec3
     a_o: wp.vec3
     a_d: wp.vec3
+
+
+@wp.func
+def inside(tri: Triangle, x: wp.vec3) -> wp.bool:
+    uv = barycentrics_at(tri, x)
+    return uv[0] > 0.0 and uv[1] > 0.0 and uv[0] + uv[1] < 1.0
+
+
+@wp.func
+def laid_over(scene: Scene, low: Link, high: Link) -> wp.bool:
+    """Whether two faces lie over one another in one plane at both hits: which is met there is up to rounding."""
+    tri_low = scene.triangles[low.face]
+    tri_high = scene.triangles[high.face]
+    if wp.length_sq(wp.cross(tri_low.normal, tri_high.normal)) >= PARALLEL:
+        return False
+    if wp.abs(wp.dot(tri_low.normal, high.x - low.x)) > ONE_PLANE * scene.ray_epsilon:
+        return False
+    return inside(tri_low, high.x) and inside(tri_high, low.x)
 
 
 @wp.func
@@ -190,6 +210,8 @@ def make_crossing(config: PathConfig):
         room = TIE * wp.min(t_low, t_high) + RIM_EPSILONS * scene.ray_epsilon
         tie = wp.abs(t_low - t_high) <= room
         if low.face >= 0 and high.face >= 0:
+            if laid_over(scene, low, high):
+                return r
             apart = wp.min(rim_low.distance, rim_high.distance) > TOUCHING * scene.ray_epsilon
             neighbours = rim_low.edge >= 0 and of_edge(edges, rim_low.edge, high.face)
             if apart and not neighbours and wp.length(low.x - high.x) <= room:
