@@ -43,12 +43,6 @@ def add_vec3(array: wp.array(dtype=wp.float32), offset: wp.int32, value: wp.vec3
     wp.atomic_add(array, offset + 2, value[2])
 
 
-@wp.func
-def degenerate(p0: wp.vec3, p1: wp.vec3, p2: wp.vec3) -> wp.bool:
-    n = wp.cross(p1 - p0, p2 - p0)
-    return wp.dot(n, n) <= 0.0
-
-
 @wp.struct
 class Face:
     """A triangle's vertices: global numbers and positions."""
@@ -88,8 +82,6 @@ def sum_normals(
 ):
     """Add the weighted normals of a shape's faces to ``sums_out`` (3 floats a vertex, local vertex numbers)."""
     f = load_face(values, positions, indices, first_face + wp.tid())
-    if degenerate(f.p0, f.p1, f.p2):
-        return
     n = wp.normalize(wp.cross(f.p1 - f.p0, f.p2 - f.p0))
     add_vec3(sums_out, 3 * (f.i0 - first_vertex), corner_angle(f.p1 - f.p0, f.p2 - f.p0) * n)
     add_vec3(sums_out, 3 * (f.i1 - first_vertex), corner_angle(f.p2 - f.p1, f.p0 - f.p1) * n)
@@ -145,8 +137,6 @@ def sum_normals_vjp(
 ):
     """Add the adjoint of the vertex positions, given the adjoint of the sums."""
     f = load_face(values, positions, indices, first_face + wp.tid())
-    if degenerate(f.p0, f.p1, f.p2):
-        return
     b0, b1, b2, _a0, _a1, _a2 = wp.grad(weighted_normal_dot)(
         f.p0,
         f.p1,
@@ -174,8 +164,6 @@ def sum_normals_jvp(
 ):
     """Tangent of the sums: one vector-Jacobian product for each of a face's nine outputs."""
     f = load_face(values, positions, indices, first_face + wp.tid())
-    if degenerate(f.p0, f.p1, f.p2):
-        return
     d0 = load_vec3(tangent, positions + 3 * f.i0)
     d1 = load_vec3(tangent, positions + 3 * f.i1)
     d2 = load_vec3(tangent, positions + 3 * f.i2)

@@ -9,7 +9,10 @@ import pytest
 import warp as wp
 
 import warp_psdr as psdr
+from warp_psdr.kernels.boundary.chain import Block, Link
+from warp_psdr.kernels.boundary.detector import Walk, make_walk
 from warp_psdr.kernels.boundary.direction import Wedge, pdf_wedge, wedge_direction, wedge_square
+from warp_psdr.kernels.boundary.discontinuity import curve_crossing
 from warp_psdr.kernels.boundary.edge_tree import EdgeNode, lobe_estimate, node_importance
 from warp_psdr.kernels.boundary.local_form import barycentrics_at
 from warp_psdr.kernels.boundary.ltc_line import (
@@ -20,7 +23,7 @@ from warp_psdr.kernels.boundary.ltc_line import (
     sample_line,
 )
 from warp_psdr.kernels.boundary.projective import nearest_fraction
-from warp_psdr.kernels.boundary.ray_differential import Link, PointDifferential, RayDifferential, scattered_differential
+from warp_psdr.kernels.boundary.ray_differential import PointDifferential, RayDifferential, scattered_differential
 from warp_psdr.kernels.bsdf.microfacet import make_microfacet
 from warp_psdr.kernels.constants import BSDF_ROUGH_CONDUCTOR_GGX, LOBE_DELTA_TRANSMISSION, TEXTURE_CONSTANT
 from warp_psdr.kernels.emitter.area import area_density, make_area, pdf_area
@@ -31,7 +34,7 @@ from warp_psdr.kernels.interior.tangents import VertexTangent, log_geometry_jvp,
 from warp_psdr.kernels.math import any_tangent
 from warp_psdr.kernels.path import Frame
 from warp_psdr.kernels.sampling import square_to_cosine_hemisphere
-from warp_psdr.kernels.structs import Material, Scene, Triangle
+from warp_psdr.kernels.structs import Camera, Material, Scene, Triangle
 from warp_psdr.kernels.surface import interpolated_normal, normalize_vjp
 
 from .sweeps import room
@@ -166,6 +169,16 @@ def guards(scene: Scene, zero: wp.vec3, out: wp.array(dtype=wp.float32)):
     out[25] = wp.abs(wedge_square(wedge, y)[1] - 2.0)
     # A cone straight behind a lobe, by a rounding more than that.
     out[26] = lobe_estimate(lobe, -1.0000001 * z, 0.6, 0.8)
+    # Two triangles in one plane do not meet in a curve.
+    block = Block()
+    block.film = 1
+    one = Link()
+    one.face = scene.emitters[0].first_face
+    one.x = z
+    other = Link()
+    other.face = one.face
+    other.x = z
+    out[27] = wp.float32(curve_crossing(scene, block, one, other, x, ray, ray, 0, 1, 0).valid)
 
 
 @wp.kernel(module="unique", enable_backward=False)
@@ -210,6 +223,7 @@ NAMES = (
     "point of a stripe without an area", "place in a stripe without an area",
     "place in a stripe beside what has no area", "corners on alternate sides", "tangent along the normal, forward",
     "lobe without a width", "direction in a wedge without a width", "cone straight behind a lobe",
+    "curve of parallel planes",
 )  # fmt: skip
 
 
@@ -257,6 +271,34 @@ def test_edges_are_drawn_within_their_ends(grazing: bool) -> None:
     assert (integral >= 0.0).all() and (fraction >= 0.0).all() and (fraction <= 1.0).all()
     told = (integral > 0.0) & (scale > 0.1) & ~grazing
     assert np.abs(part - u)[told].max(initial=0.0) < 1e-3
+
+
+def test_a_vertex_met_along_its_surface_is_dropped() -> None:
+    """Its interpolated normal scatters light that arrives in the plane of the triangle: over a cosine of zero."""
+    description = room()
+    del description["floor"]["face_normals"]
+    description["floor"]["normals"] = np.tile([0.0, 0.2, 0.98], (4, 1))
+    scene = psdr.load_dict(description)
+    connect, extend = make_walk(psdr.plan(scene, integrator=psdr.PathIntegrator(max_depth=3)).config)
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def met(scene: Scene, camera: Camera, height: wp.array(dtype=wp.float32), out: wp.array2d(dtype=wp.float32)):
+        i = wp.tid()
+        tri = scene.triangles[0]
+        walk = Walk()
+        walk.u = 0.3
+        walk.v = 0.3
+        walk.x = 0.4 * tri.p0 + 0.3 * tri.p1 + 0.3 * tri.p2
+        walk.to = wp.vec3(0.0, 1.0, height[i])
+        walk.weight = wp.vec3(1.0, 1.0, 1.0)
+        out[i, 0] = connect(scene, camera, walk, wp.vec2(0.0, 0.0)).weight[0]
+        out[i, 1] = extend(scene, walk, wp.vec4(0.5, 0.5, 0.3, 0.7), 1.0e3, False).weight[0]
+
+    out = wp.zeros((2, 2), dtype=wp.float32, device="cpu")
+    height = wp.array([0.0, 0.1], dtype=wp.float32, device="cpu")
+    wp.launch(met, 2, [scene.data(), scene.camera(0), height], [out], device="cpu")
+    along, above = out.numpy()
+    assert not along.any() and above[0] > 0.0
 
 
 def test_a_mesh_without_usable_normals_is_flat() -> None:
