@@ -271,6 +271,14 @@ def test_the_exact_area_is_that_of_the_image() -> None:
     assert image[..., 0].sum() == pytest.approx(area(p.vertices[p.faces]), rel=1e-3)
 
 
+def test_an_edge_exactly_end_on_has_no_image() -> None:
+    scene = load(plate([[0.0, 0.0, 1.0], [0.0, 0.0, 3.0], [0.5, -0.4, 2.0]]))
+    tangents = {"plate.vertex_positions": np.float32([[0.3, 0.2, 0.1], [0.3, 0.2, 0.1], [0.1, 0.4, 0.2]])}
+    integrator = psdr.PathIntegrator(max_depth=1)
+    image = psdr.render_forward(scene, psdr.traverse(scene), tangents, integrator=integrator, spp=SPP).numpy()
+    assert np.isfinite(image).all() and not any(psdr.invalid_samples(scene).values())
+
+
 @pytest.mark.parametrize("depth", [0.5 * NEAR, NEAR])
 def test_what_the_near_plane_cuts_in_sight_is_refused(depth: float) -> None:
     with pytest.raises(ValueError, match="clip plane of sensor 0 cuts 'plate'"):
