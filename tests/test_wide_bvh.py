@@ -305,6 +305,19 @@ def test_degenerate_triangles_are_never_hit(width):
         assert not found.any() and (hits["face"] == -1).all() and np.isfinite(hits["t"]).all()
 
 
+@pytest.mark.parametrize("width", WIDTHS)
+@pytest.mark.parametrize("count", [3, 300])
+def test_rays_that_are_no_rays_meet_nothing(width, count):
+    """Without a direction, or not finite: such rays walked into the empty lanes of nodes, and the process died."""
+    corners = np.random.default_rng(1).normal(size=(count, 3, 3)).astype(np.float32)
+    trace = Tracer(corners, np.arange(3 * count).reshape(-1, 3), "wide", width)
+    sound, broken = [0.0, 0.1, -0.2], [[np.nan] * 3, [0.0, np.nan, 0.0], [np.inf, 0.0, 0.0], [0.0, 0.0, -np.inf]]
+    origins = np.array([*broken, *([sound] * 5)], np.float32)
+    directions = np.array([*([sound] * 4), *broken, [0.0, 0.0, 0.0]], np.float32)
+    hits, found = trace(origins, directions)
+    assert not found.any() and (hits["face"] == -1).all()
+
+
 @pytest.mark.parametrize("backend", ["wide", "warp"])
 def test_empty_mesh_is_always_missed(backend):
     trace = Tracer(np.zeros((0, 3)), np.zeros((0, 3)), backend)

@@ -82,6 +82,12 @@ def stack_size(width: int) -> int:
     return (SAH_DEPTH + 32) * (width - 1) + width
 
 
+# NaN passes every slab test, those of a node's empty lanes too, whose children are nowhere.
+TRACEABLE = """
+    const bool traceable = 0.0f * (o[0] + o[1] + o[2] + d[0] + d[1] + d[2]) == 0.0f
+        && (d[0] != 0.0f || d[1] != 0.0f || d[2] != 0.0f);
+"""
+
 _CLOSEST = (
     TYPES
     + """
@@ -217,7 +223,10 @@ _CLOSEST = (
     };
     float t = t_max, u = 0.0f, v = 0.0f;
     int face = -1;
-    if (accel.packets)
+"""
+    + TRACEABLE
+    + """
+    if (accel.packets && traceable)
         face = Query::run((const float*)accel.nodes, (const float*)accel.packets, accel.flat, accel.center.c,
                           accel.extent, o[0], o[1], o[2], d[0], d[1], d[2], t_max, t, u, v);
     return {t, u, v, face};
@@ -281,7 +290,10 @@ _ANY = (
     }
     }
     };
-    return accel.packets != 0
+"""
+    + TRACEABLE
+    + """
+    return accel.packets != 0 && traceable
         && Query::run((const float*)accel.nodes, (const float*)accel.packets, accel.flat, accel.center.c,
                       accel.extent, o[0], o[1], o[2], d[0], d[1], d[2], t_max);
 """
