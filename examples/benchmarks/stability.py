@@ -52,7 +52,7 @@ def table(cases: list) -> None:
         row = measured(case)
         rows.append(row)
         print(
-            f"| {row.family} | {row.name} | {row.error:.2g} | {row.bound:.2g} | {case.hard} | {case.naive} |",
+            f"| {row.family} | {row.cell} | {row.error:.2g} | {row.bound:.2g} | {case.hard} | {case.naive} |",
             flush=True,
         )
     print("\n" + "\n".join(summary(rows)))

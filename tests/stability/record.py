@@ -53,6 +53,11 @@ class Row(NamedTuple):
     quantile: bool = False
 
     @property
+    def cell(self) -> str:
+        """The name as a cell of a Markdown table: |z| would be three."""
+        return self.name.replace("|", "\\|")
+
+    @property
     def share(self) -> float:
         """Error over bound: above 1 the case fails, below 1/2 its bound is loose."""
         if self.bound == 0.0:
@@ -83,7 +88,7 @@ def summary(rows: Iterable[Row]) -> list[str]:
     lines = ["| family | cases | worst case | error | bound |", "|---|---|---|---|---|"]
     for family, found in sorted(families.items()):
         worst = max(found, key=lambda row: row.share)
-        lines.append(f"| {family} | {len(found)} | {worst.name} | {worst.error:.2g} | {worst.bound:.2g} |")
+        lines.append(f"| {family} | {len(found)} | {worst.cell} | {worst.error:.2g} | {worst.bound:.2g} |")
     return lines
 
 
@@ -95,4 +100,4 @@ def loose(rows: Iterable[Row]) -> list[str]:
 def details(rows: Iterable[Row]) -> list[str]:
     """Return the lines of the long table: a row a case."""
     lines = ["| family | case | error | bound |", "|---|---|---|---|"]
-    return lines + [f"| {r.family} | {r.name} | {r.error:.2g} | {r.bound:.2g} |" for r in sorted(rows)]
+    return lines + [f"| {r.family} | {r.cell} | {r.error:.2g} | {r.bound:.2g} |" for r in sorted(rows)]

@@ -2,7 +2,7 @@
 
 import pytest
 
-from .record import Case, Row, loose, measured, require, summary
+from .record import Case, Row, details, loose, measured, require, summary
 
 
 def case(error: float, bound: float) -> Case:
@@ -26,6 +26,7 @@ def test_a_case_within_its_bound_passes() -> None:
 def test_the_table_names_the_case_closest_to_its_bound() -> None:
     lines = summary([Row("a", "near", 0.9, 1.0), Row("a", "far", 5.0, 100.0), Row("b", "exact", 0.0, 0.0)])
     assert lines[2:] == ["| a | 2 | near | 0.9 | 1 |", "| b | 1 | exact | 0 | 0 |"]
+    assert details([Row("a", "largest |z|", 0.9, 1.0)])[2:] == ["| a | largest \\|z\\| | 0.9 | 1 |"]
 
 
 def test_loose_bounds_are_named() -> None:
