@@ -116,7 +116,7 @@ CASES = (
     ),
     Case(
         family="crossing", name="lights that cross at 0.1 .. 3e-3, seen by what they light (|z| over its limit)",
-        bound=1.0, quantile=True, measure=lambda: max(lit(angle) for angle in (0.1, 1e-2, 3e-3)),
+        bound=1.0, quantile=True, slow=True, measure=lambda: max(lit(angle) for angle in (0.1, 1e-2, 3e-3)),
         hard="they nowhere reach as deep into each other as rays start off edges",
         naive="taken for a contact, all of the derivative is lost at 3e-3",
     ),
