@@ -24,9 +24,6 @@ from warp_psdr.kernels.emitter.dispatch import make_lights
 from warp_psdr.kernels.path import PathConfig
 from warp_psdr.kernels.structs import Scene
 
-#: A light point counts as met if the segment's first hit lies within this fraction of its distance.
-SAME_POINT = 1.0e-3
-
 
 @wp.struct
 class Wedge:

@@ -23,7 +23,7 @@ import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.boundary.depth import make_indirect
-from warp_psdr.kernels.boundary.direction import SAME_POINT, Direction, wedge_at
+from warp_psdr.kernels.boundary.direction import Direction, wedge_at
 from warp_psdr.kernels.boundary.local_form import (
     EdgePoint,
     Edges,
@@ -45,6 +45,7 @@ from warp_psdr.kernels.notes import NOTE_EDGE, make_note
 from warp_psdr.kernels.path import PathConfig
 from warp_psdr.kernels.rng import make_sampler, sampler_at
 from warp_psdr.kernels.sink import make_sink, make_sink_vec3
+from warp_psdr.kernels.step import leaving_step
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.surface import VertexAdjoint, make_vertex_sink
 
@@ -108,10 +109,11 @@ def make_segment(config: PathConfig):
             reach = wp.float32(FAR)
             if direction.distance < 0.5 * FAR:
                 # The ray runs a step beside the line to the light point and meets the light's plane earlier or later:
-                # of lights nearer than some hundred steps, half the points would seem hidden by the light itself.
-                normal = scene.triangles[direction.face].normal
-                shift = wp.dot(normal, point.x - r.x) / wp.dot(normal, r.w)
-                reach = (1.0 - SAME_POINT) * wp.max(direction.distance + shift, 0.0) + behind
+                # it stops a little in front of that plane, so that neither the light nor its roundings hide it.
+                plane = scene.triangles[direction.face].normal
+                shift = wp.dot(plane, point.x - r.x) / wp.dot(plane, r.w)
+                margin = (step + leaving_step(scene, direction.face)) / wp.abs(wp.dot(plane, r.w))
+                reach = wp.max(direction.distance + shift - margin, 0.0) + behind
             if any_hit(scene.accel, r.source, r.w, reach):
                 return r
             r.face2 = direction.face

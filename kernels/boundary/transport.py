@@ -27,7 +27,6 @@ from warp_psdr.kernels.boundary.detector import (
     make_incident,
     make_walk,
 )
-from warp_psdr.kernels.boundary.direction import SAME_POINT
 from warp_psdr.kernels.boundary.projection import make_splat
 from warp_psdr.kernels.camera import make_camera_sink, make_lens
 from warp_psdr.kernels.constants import FAR
@@ -38,6 +37,8 @@ from warp_psdr.kernels.rng import Sampler, branch_of, make_sampler
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.surface import VertexAdjoint, make_vertex_sink
 
+#: A path goes on from this fraction of a segment's length in front of the light that the segment met.
+BEFORE_LIGHT = 1.0e-3
 #: Sample slots of the point of the lens that sees the walk, and of the walk, whose vertices count from one. Those in
 #: front belong to the segment.
 SLOT_LENS, SLOT_WALK = 3, 3
@@ -98,7 +99,7 @@ def make_source(config: PathConfig, emission: bool = False):
                 # From just in front of x_2: a ray from x_b, which is moved off the edge, misses a small light.
                 tri = scene.triangles[s.face2]
                 x_2 = (1.0 - s.u2 - s.v2) * tri.p0 + s.u2 * tri.p1 + s.v2 * tri.p2
-                r = incident(scene, sampler, x_2 - (SAME_POINT * s.t2) * s.w, s.w, FAR, k, max_depth, rr_depth)
+                r = incident(scene, sampler, x_2 - (BEFORE_LIGHT * s.t2) * s.w, s.w, FAR, k, max_depth, rr_depth)
                 return amplified(r, s.radiance, wp.static(1.0 / BEHIND_LIGHT))
         return incident(scene, sampler, s.source, s.w, FAR, k, max_depth, rr_depth)
 
