@@ -187,8 +187,19 @@ def _facets(scene: Scene, view: CameraView, edges: Adjacency, asked: np.ndarray)
     facets = asked & _within(scene, edges) & usable[shape] & (edges.wedge > 0.0) & (edges.wedge < SHALLOW)
     some = np.flatnonzero(facets)
     steps = scene.steps.shapes if scene.steps.scene > 0.0 else np.full(len(shapes), scene.ray_epsilon)
-    facets[some] = _apart(scene, view, edges, some, WIDE * steps[shape[some]])
+    facets[some] = _apart(scene, view, edges, some, WIDE * steps[shape[some]]) & _alike(scene, edges, some)
     return facets
+
+
+def _alike(scene: Scene, edges: Adjacency, some: np.ndarray) -> np.ndarray:
+    """Return which of some edges have faces that turn the same side to the camera: they run along them either way."""
+    start, ends = edges.first[:-1][some], edges.ends[some]
+
+    def forward(face: np.ndarray) -> np.ndarray:
+        corners = scene.builder.indices[face]
+        return ((corners == ends[:, :1]) & (corners[:, [1, 2, 0]] == ends[:, 1:])).any(axis=1)
+
+    return forward(edges.faces[start]) != forward(edges.faces[start + 1])
 
 
 def _apart(scene: Scene, view: CameraView, edges: Adjacency, some: np.ndarray, width: np.ndarray) -> np.ndarray:

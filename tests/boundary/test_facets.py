@@ -136,6 +136,14 @@ def test_samples_are_shared_by_what_they_are_worth() -> None:
     assert np.ptp(shares) < 0.05 and 0.3 < shares[0] < 0.9
 
 
+def test_faces_that_turn_different_sides_are_left_to_two_paths() -> None:
+    # One of them may be black, or shine.
+    for faces, count in ((RIDGE_FACES, 1), ([*RIDGE_FACES[:2], [0, 1, 4], [4, 1, 5]], 0)):
+        shape = mesh(RIDGE + np.array([0.1, 0.2, 0.4]), faces, diffuse(0.5), face_normals=True)
+        scene = psdr.load_dict({"type": "scene", **scene_of(shape, sky())})
+        assert len(film_edges(scene, 0, {1}, camera_moves=False).facets.keep) == count
+
+
 def test_a_kept_choice_follows_the_camera_and_the_vertices() -> None:
     scene = psdr.load_dict({"type": "scene", **scene_of(fine(diffuse(0.7)), sky())})
     params = psdr.traverse(scene)
