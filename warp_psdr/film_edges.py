@@ -55,6 +55,7 @@ class FilmEdges:
         weight: (K,) of the facets: length times the sine between the two faces, to which the jump is proportional;
             less where a closed shape turns its back to the camera.
         share: of the samples that the facets get, in proportion to the sum of the weights.
+        creases: the edges inside of interpolated normals that are no silhouettes.
     """
 
     key: tuple
@@ -63,13 +64,14 @@ class FilmEdges:
     facets: Seen
     weight: np.ndarray
     share: float
+    creases: Seen
 
 
 def film_edges(scene: Scene, sensor: int, shapes: set[int], *, camera_moves: bool) -> FilmEdges:
     """Return the edges that jump on the film and move; kept until the scene or the camera moves.
 
-    Left out is what provably does not jump or move: flat or smoothly shaded edges inside a shape that are never a
-    silhouette from the camera, and edges that rest before a camera at rest.
+    Left out, but for the creases, is what provably does not jump or move: flat or smoothly shaded edges inside a shape
+    that are never a silhouette from the camera, and edges that rest before a camera at rest.
 
     Args:
         scene: the scene.
@@ -84,7 +86,8 @@ def film_edges(scene: Scene, sensor: int, shapes: set[int], *, camera_moves: boo
     if kept is not None and kept.edges is edges and kept.key == key:
         return kept
     asked = np.ones(len(edges.length), bool) if camera_moves else moving_edges(scene, edges, shapes)
-    jumps = asked & _jumps(scene, view, edges, asked)
+    jumps = _jumps(scene, view, edges, asked)
+    creases = _seen(view, edges, asked & ~jumps & (edges.wedge > 0.0))
     lit = _facets(scene, view, edges, jumps)
     others, facets = _seen(view, edges, jumps & ~lit), _seen(view, edges, lit)
     weight = facets.length * _sine(edges, facets.keep)
@@ -92,7 +95,7 @@ def film_edges(scene: Scene, sensor: int, shapes: set[int], *, camera_moves: boo
     share = 0.0
     if len(weight):
         share = float(np.clip(weight.sum() / (weight.sum() + others.length.sum()), LEAST_SHARE, 1.0 - LEAST_SHARE))
-    found = FilmEdges(key, edges, others, facets, weight, share)
+    found = FilmEdges(key, edges, others, facets, weight, share, creases)
     scene._film_edges = found  # type: ignore[attr-defined]
     return found
 
@@ -117,25 +120,18 @@ def facet_edges(scene: Scene, found: FilmEdges) -> Edges | None:
     return upload(scene, found.edges, seen.keep, found.weight, seen.low, seen.high) if len(seen.keep) else None
 
 
-def crease_edges(scene: Scene, sensor: int, shapes: set[int], *, camera_moves: bool) -> tuple[Edges, float] | None:
-    """Return the edges inside of interpolated normals that ``film_edges`` leaves out; None: there are none.
+def crease_edges(scene: Scene, found: FilmEdges) -> tuple[Edges, float] | None:
+    """Return the creases inside of interpolated normals; None: there are none.
 
-    No silhouettes. The scattering function is continuous there, but light may reach one of the two triangles only, the
-    other having turned away from it (``kernels/boundary/horizon.py``). They are drawn by the clipped length of their
-    image times the sine between their triangles, to which the jump is proportional; its mean is the second result.
-    Arguments as of ``film_edges``.
+    The scattering function is continuous there, but light may reach one of the two triangles only, the other having
+    turned away from it (``kernels/boundary/horizon.py``). They are drawn by the clipped length of their image times the
+    sine between their triangles, to which the jump is proportional; its mean is the second result.
     """
-    edges = scene_adjacency(scene)
-    view = camera_view(scene, sensor)
-    use = edges.wedge > 0.0
-    if not camera_moves:
-        use &= moving_edges(scene, edges, shapes)
-    use &= ~_jumps(scene, view, edges, use)
-    seen = _seen(view, edges, use)
+    seen = found.creases
     if not len(seen.keep):
         return None
-    weight = seen.length * _sine(edges, seen.keep)
-    return upload(scene, edges, seen.keep, weight, seen.low, seen.high), float(weight.sum() / seen.length.sum())
+    weight = seen.length * _sine(found.edges, seen.keep)
+    return upload(scene, found.edges, seen.keep, weight, seen.low, seen.high), float(weight.sum() / seen.length.sum())
 
 
 def smooth_edges(scene: Scene, edges: Adjacency) -> np.ndarray:
@@ -167,10 +163,11 @@ def _stepped(scene: Scene, shape: Any) -> bool:
 
 
 def _jumps(scene: Scene, view: CameraView, edges: Adjacency, asked: np.ndarray) -> np.ndarray:
-    """Return a mask of the edges at which the radiance may jump as the camera sees them; true where nobody asks."""
-    jumps = ~(asked & smooth_edges(scene, edges))
+    """Return a mask of the asked edges at which the radiance may jump as the camera sees them."""
+    smooth = asked & smooth_edges(scene, edges)
+    jumps = asked & ~smooth
     # Where neither normal nor texture jumps, only a silhouette does.
-    rest = np.flatnonzero(~jumps & (edges.wedge > 0.0))
+    rest = np.flatnonzero(smooth & (edges.wedge > 0.0))
     jumps[rest] = ~_apart(scene, view, edges, rest, np.zeros(len(rest)))
     return jumps
 

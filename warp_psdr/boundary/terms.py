@@ -192,7 +192,7 @@ def creases(r: Request) -> Term | None:
     """Return the term of edges inside of interpolated normals that the camera sees: light may reach one side only."""
     if not r.config.smooth or not r.config.scatter or not r.scene.builder.emitters or not r.scatters_smoothly:
         return None
-    found = crease_edges(r.scene, r.sensor, set(r.moves.shapes), camera_moves=r.moves.camera)
+    found = crease_edges(r.scene, _film_edges(r))
     if found is None:
         return None
     edges, sine = found
