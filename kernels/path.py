@@ -229,6 +229,20 @@ def make_light_sampler(config: PathConfig):
     return sample_light
 
 
+@wp.func
+def shadow_ray(scene: Scene, o: wp.vec3, ls: LightSample) -> tuple[wp.vec3, wp.float32]:
+    """Direction and length of the ray from o to a light point, or to a little in front of an area light's surface."""
+    r = ls.wi
+    t_max = ls.distance
+    if ls.face >= 0:
+        tri = scene.triangles[ls.face]
+        y = (1.0 - ls.u - ls.v) * tri.p0 + ls.u * tri.p1 + ls.v * tri.p2
+        r = y + leaving_step(scene, ls.face) * tri.normal - o
+        t_max = wp.length(r)
+        r = r / t_max
+    return r, t_max
+
+
 @functools.cache
 def make_path_step(config: PathConfig, differential: bool, sparse: bool = False):
     """Return ``path_step(scene, sampler, state, max_depth, rr_depth) -> (PathVertex, PathState)``.
@@ -332,16 +346,7 @@ def make_path_step(config: PathConfig, differential: bool, sparse: bool = False)
                             if wp.static(differential) or not vanishes(value):
                                 turn = wp.where(wp.dot(surface.ng, ls.wi) >= 0.0, away, -away)
                                 o = surface.x + turn * surface.ng
-                                r = ls.wi
-                                t_max = ls.distance
-                                if wp.static(bool(config.area)):
-                                    if ls.face >= 0:
-                                        # Aim a little in front of the light's own surface.
-                                        tri = scene.triangles[ls.face]
-                                        y = (1.0 - ls.u - ls.v) * tri.p0 + ls.u * tri.p1 + ls.v * tri.p2
-                                        r = y + leaving_step(scene, ls.face) * tri.normal - o
-                                        t_max = wp.length(r)
-                                        r = r / t_max
+                                r, t_max = shadow_ray(scene, o, ls)
                                 if not any_hit(scene.accel, o, r, t_max):
                                     vertex.direct += value
                                     vertex.light = index

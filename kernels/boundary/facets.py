@@ -31,7 +31,7 @@ from warp_psdr.kernels.bvh.wide import make_intersect
 from warp_psdr.kernels.constants import FAR
 from warp_psdr.kernels.invalid import inverse_pdf
 from warp_psdr.kernels.math import to_local, to_world
-from warp_psdr.kernels.path import PathConfig, make_light_sampler, path_from
+from warp_psdr.kernels.path import PathConfig, make_light_sampler, path_from, shadow_ray
 from warp_psdr.kernels.rng import make_sampler, sampler_at
 from warp_psdr.kernels.sampling import mis_weight
 from warp_psdr.kernels.step import leaving_step
@@ -170,15 +170,7 @@ def make_facets_kernel(config: PathConfig, role: str, camera_moves: bool):
                     weight = inverse_pdf(pdf_light)
                     if ls.delta == 0:
                         weight *= mis_weight(pdf_light, to_light.pdf)
-                    r = ls.wi
-                    t_max = ls.distance
-                    if ls.face >= 0:
-                        # Aim a little in front of the light's own surface.
-                        tri = scene.triangles[ls.face]
-                        y = (1.0 - ls.u - ls.v) * tri.p0 + ls.u * tri.p1 + ls.v * tri.p2
-                        r = y + leaving_step(scene, ls.face) * tri.normal - to_light.o
-                        t_max = wp.length(r)
-                        r = r / t_max
+                    r, t_max = shadow_ray(scene, to_light.o, ls)
                     if not any_hit(scene.accel, to_light.o, r, t_max):
                         jump += weight * wp.cw_mul(to_light.value, ls.radiance)
         r4 = sample_4d(sampler, SLOT_DIRECTION)
