@@ -79,6 +79,26 @@ def test_the_modes_are_transposes_of_each_other() -> None:
     assert_transposes(scene, params, names, {"integrator": integrator, "spp": 16, "seed": 3})
 
 
+def test_lights_of_all_kinds_at_once_and_the_scene_stays_as_it_was() -> None:
+    # Shadow edges of the sun are drawn with probabilities of their own.
+    sun = {"type": "directional", "direction": [0.3, 0.2, -1.0], "irradiance": {"type": "rgb", "value": [2.0] * 3}}
+    light = {"type": "constant", "radiance": {"type": "rgb", "value": [0.5] * 3}}
+    scene, params = scene_of(**{k: v for k, v in (under(light) | {"sun": sun}).items() if k != "sensor"})
+    image = psdr.render(scene, spp=16, seed=1).numpy()
+
+    def gradient(method, spp: int, seed: int) -> float:
+        integrator = psdr.PathIntegrator(max_depth=2, boundary=method)
+        found = psdr.render_forward(scene, params, {OCCLUDER: 1.0}, integrator=integrator, spp=spp, seed=seed)
+        return float(found.numpy()[:8].sum())
+
+    ours = np.array([gradient(METHOD, 512, seed) for seed in range(8)])
+    np.testing.assert_array_equal(psdr.render(scene, spp=16, seed=1).numpy(), image)
+    theirs = np.array([gradient(psdr.boundary.PathSpace(), 512, seed) for seed in range(8)])
+    error = np.sqrt((ours.var(ddof=1) + theirs.var(ddof=1)) / 8)
+    assert error < 0.03 * abs(theirs.mean())
+    assert abs(ours.mean() - theirs.mean()) < 3.5 * error
+
+
 def test_results_do_not_depend_on_the_number_of_workers() -> None:
     scene, params = load("soft")
     options = {"integrator": psdr.PathIntegrator(max_depth=2, boundary=METHOD), "spp": 8, "seed": 5}

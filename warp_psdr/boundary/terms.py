@@ -321,7 +321,7 @@ def hard_shadows(r: Request) -> Term | None:
         return None
     samples = r.pixels * (r.method.spp_secondary or r.spp)
     data = r.scene.data()
-    records = data.emitters.numpy()
+    records = data.emitters.numpy().copy()  # on the CPU ``numpy`` is a view of the scene's own records
     cdf = cumulative(np.where(np.isin(records["kind"], list(c.DELTA_LIGHTS)), records["probability"], 0.0))
     records["probability"] = np.diff(cdf)
     data.emitters = wp.array(records, dtype=Emitter, device=r.scene.device)
