@@ -32,6 +32,7 @@ from warp_psdr.kernels.math import aligned_tangent, any_tangent, to_local, to_wo
 from warp_psdr.kernels.notes import NOTE_VERTEX, note
 from warp_psdr.kernels.rng import Sampler, make_sampler, sampler_at
 from warp_psdr.kernels.sampling import mis_weight
+from warp_psdr.kernels.sight import make_sight
 from warp_psdr.kernels.step import leaving_step
 from warp_psdr.kernels.structs import Bsdf, Camera, LightSample, Material, Scene
 from warp_psdr.kernels.surface import make_surface
@@ -72,6 +73,11 @@ class PathConfig:
     camera: int = CAMERA_PERSPECTIVE
     #: True: what a sample meets is written down (``notes.py``).
     noted: bool = False
+
+    @property
+    def hidden(self) -> bool:
+        """Whether the camera sees through area lights."""
+        return self.hide_emitters and bool(self.area)
 
 
 @wp.struct
@@ -413,7 +419,7 @@ def make_camera_start(config: PathConfig, filter_kind: int | None = None):
 
     ``filter_kind``: RFILTER_BOX draws positions uniformly in the pixel; None draws from the film's own filter.
     """
-    closest_hit, _any_hit = make_intersect(config.ray_backend, config.ray_width)
+    past, _blocked = make_sight(config.ray_backend, config.ray_width, config.hidden)
     draw = make_sampler(config.sampler)
     sample_4d = draw.sample_4d
     box = filter_kind == RFILTER_BOX
@@ -435,14 +441,9 @@ def make_camera_start(config: PathConfig, filter_kind: int | None = None):
         sample.lens = lens_point(wp.vec2(u4[2], u4[3]))
         ray = camera_ray(scene, camera, sample)
         state = path_from(ray.o + ray.t_min * ray.d, ray.d, ray.t_max - ray.t_min, 0)
-        if wp.static(config.hide_emitters and bool(config.area)):
-            # Area lights are invisible to the camera: go on behind them.
-            hit = closest_hit(scene.accel, state.o, state.d, state.t_max)
-            while hit.face >= 0 and scene.shapes[scene.triangles[wp.max(hit.face, 0)].shape].emitter >= 0:
-                step = hit.t + leaving_step(scene, hit.face)
-                state.o += step * state.d
-                state.t_max -= step
-                hit = closest_hit(scene.accel, state.o, state.d, state.t_max)
+        behind = past(scene, state.o, state.d, state.t_max)
+        state.o += behind * state.d
+        state.t_max -= behind
         return state, sample
 
     return start

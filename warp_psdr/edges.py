@@ -191,6 +191,23 @@ def select(edges: Adjacency, keep: np.ndarray) -> Adjacency:
     return Adjacency(first=first, faces=faces, group=edges.group, **parts)
 
 
+def without(edges: Adjacency, gone: np.ndarray) -> Adjacency:
+    """Return the edges that are left without some of the triangles, a mask; where one is left, the edge is open."""
+    left = ~gone[edges.faces]
+    count = np.add.reduceat(left, edges.first[:-1], dtype=np.int32)
+    side = np.where(left[edges.first[:-1]][:, None], edges.ends, edges.twins)
+    opened = (count == 1) & (edges.count > 1)
+    rest = replace(
+        edges,
+        ends=np.where(opened[:, None], side, edges.ends),
+        twins=np.where(opened[:, None], side, edges.twins),
+        wedge=np.where(opened, np.pi, edges.wedge),
+        faces=edges.faces[left],
+        first=np.append(0, np.cumsum(count)).astype(np.int32),
+    )
+    return select(rest, np.flatnonzero(count > 0))
+
+
 def scene_adjacency(scene: Scene) -> Adjacency:
     """Return the edges of a scene; kept until a vertex moves.
 

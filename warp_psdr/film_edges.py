@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warp_psdr.camera_view import CameraView, camera_view
-from warp_psdr.edges import COPLANAR, Adjacency, cross, join, moving_edges, scene_adjacency, upload
+from warp_psdr.edges import COPLANAR, Adjacency, cross, join, moving_edges, scene_adjacency, upload, without
 from warp_psdr.kernels.constants import DELTA_MODELS, TEXTURE_FACE
 
 if TYPE_CHECKING:
@@ -49,7 +49,8 @@ class FilmEdges:
 
     Attributes:
         key: what they depend on.
-        edges: all edges.
+        every: all edges.
+        edges: those of shapes that the camera sees.
         others: those drawn by the length of their image.
         facets: the creases between flat faces that the camera sees side by side.
         weight: (K,) of the facets: length times the sine between the two faces, to which the jump is proportional;
@@ -59,6 +60,7 @@ class FilmEdges:
     """
 
     key: tuple
+    every: Adjacency
     edges: Adjacency
     others: Seen
     facets: Seen
@@ -67,7 +69,9 @@ class FilmEdges:
     creases: Seen
 
 
-def film_edges(scene: Scene, sensor: int, shapes: set[int], *, camera_moves: bool) -> FilmEdges:
+def film_edges(
+    scene: Scene, sensor: int, shapes: set[int], *, camera_moves: bool, hide_emitters: bool = False
+) -> FilmEdges:
     """Return the edges that jump on the film and move; kept until the scene or the camera moves.
 
     Left out, but for the creases, is what provably does not jump or move: flat or smoothly shaded edges inside a shape
@@ -78,13 +82,17 @@ def film_edges(scene: Scene, sensor: int, shapes: set[int], *, camera_moves: boo
         sensor: which camera.
         shapes: the shapes that move.
         camera_moves: a parameter of the camera is differentiated.
+        hide_emitters: the camera sees through area lights.
     """
-    edges = scene_adjacency(scene)
+    every = scene_adjacency(scene)
     view = camera_view(scene, sensor)
-    key = (sensor, frozenset(shapes), camera_moves, *view.numbers())
+    key = (sensor, frozenset(shapes), camera_moves, hide_emitters, *view.numbers())
     kept: FilmEdges | None = getattr(scene, "_film_edges", None)
-    if kept is not None and kept.edges is edges and kept.key == key:
+    if kept is not None and kept.every is every and kept.key == key:
         return kept
+    edges = every
+    if hide_emitters:
+        edges = without(every, np.array([s.emitter >= 0 for s in scene.builder.shapes])[scene.builder.face_shape])
     asked = np.ones(len(edges.length), bool) if camera_moves else moving_edges(scene, edges, shapes)
     jumps = _jumps(scene, view, edges, asked)
     creases = _seen(view, edges, asked & ~jumps & (edges.wedge > 0.0))
@@ -95,7 +103,7 @@ def film_edges(scene: Scene, sensor: int, shapes: set[int], *, camera_moves: boo
     share = 0.0
     if len(weight):
         share = float(np.clip(weight.sum() / (weight.sum() + others.length.sum()), LEAST_SHARE, 1.0 - LEAST_SHARE))
-    found = FilmEdges(key, edges, others, facets, weight, share, creases)
+    found = FilmEdges(key, every, edges, others, facets, weight, share, creases)
     scene._film_edges = found  # type: ignore[attr-defined]
     return found
 

@@ -36,6 +36,7 @@ from warp_psdr.kernels.path import (
     path_from,
 )
 from warp_psdr.kernels.rng import Sampler
+from warp_psdr.kernels.sight import make_sight
 from warp_psdr.kernels.step import leaving_step
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.surface import make_surface
@@ -177,6 +178,7 @@ def make_arrival(config: PathConfig):
     ``depth`` counts the path vertices in front of what the ray meets.
     """
     following = make_following(config)
+    past, _blocked = make_sight(config.ray_backend, config.ray_width, config.hidden)
 
     @wp.func
     def arrival(
@@ -189,7 +191,10 @@ def make_arrival(config: PathConfig):
         max_depth: wp.int32,
         rr_depth: wp.int32,
     ) -> Arrival:
-        return following(scene, sampler, path_from(o, d, t_max, depth), max_depth, rr_depth)
+        behind = wp.float32(0.0)
+        if depth == 0:
+            behind = past(scene, o, d, t_max)
+        return following(scene, sampler, path_from(o + behind * d, d, t_max - behind, depth), max_depth, rr_depth)
 
     return arrival
 
@@ -253,7 +258,8 @@ def make_walk(config: PathConfig):
     ``connect(scene, camera, walk, lens) -> Connection``, with ``lens`` from ``camera.make_lens``;
     ``extend(scene, walk, u4, roulette) -> Walk``: the next vertex.
     """
-    closest_hit, any_hit = make_intersect(config.ray_backend, config.ray_width)
+    closest_hit, _any_hit = make_intersect(config.ray_backend, config.ray_width)
+    _past, blocked = make_sight(config.ray_backend, config.ray_width, config.hidden)
     surface_at = make_surface(config.smooth, config.flat, config.uv, config.tangent)
     frame_at = make_frame(config.two_sided, config.tangent)
     material_at = make_material(config.slots)
@@ -268,6 +274,9 @@ def make_walk(config: PathConfig):
             return r
         surface = surface_at(scene, walk.face, walk.u, walk.v)
         shape = scene.shapes[surface.shape]
+        if wp.static(config.hidden):
+            if shape.emitter >= 0:
+                return r
         towards = r.at.origin - walk.x
         w = wp.normalize(towards)
         frame = frame_at(scene, shape.bsdf, surface.n, surface.tangent, w)
@@ -284,7 +293,7 @@ def make_walk(config: PathConfig):
         o = walk.x + turn * surface.ng
         ray = r.at.origin - o
         length = wp.length(ray)
-        if any_hit(scene.accel, o, ray / length, length - r.at.near):
+        if blocked(scene, o, ray / length, length - r.at.near):
             return r
         factor = wp.abs(wp.dot(surface.ng, w)) * r.at.per_area / cosine
         r.weight = factor * wp.cw_mul(walk.weight, f)

@@ -37,6 +37,7 @@ from warp_psdr.kernels.boundary.local_form import Edges, narrowest_face, on_plan
 from warp_psdr.kernels.bvh.wide import make_intersect
 from warp_psdr.kernels.path import PathConfig
 from warp_psdr.kernels.rng import sampler_at
+from warp_psdr.kernels.sight import make_sight
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.surface import make_surface
 
@@ -56,6 +57,7 @@ ACUTE = 0.01
 def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
     """Return the kernel of the primary boundary term: one thread a sample (arguments as in ``secondary.py``)."""
     closest_hit, _any_hit = make_intersect(config.ray_backend, config.ray_width)
+    past, _blocked = make_sight(config.ray_backend, config.ray_width, config.hidden)
     surface_at = make_surface(config.smooth, config.flat, False, False)
     arrival = make_arrival(config)
     find, push = make_film_edge(config, role, camera_moves)
@@ -63,7 +65,8 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
     @wp.func
     def seen_from(scene: Scene, o: wp.vec3, d: wp.vec3, t_max: wp.float32) -> wp.int32:
         """Number of the shape that a ray meets, from one, negative on the back of its normals; 0: none."""
-        hit = closest_hit(scene.accel, o, d, t_max)
+        behind = past(scene, o, d, t_max)
+        hit = closest_hit(scene.accel, o + behind * d, d, t_max - behind)
         if hit.face < 0:
             return 0
         surface = surface_at(scene, hit.face, hit.u, hit.v)

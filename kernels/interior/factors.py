@@ -159,7 +159,8 @@ def make_light_sink(config: PathConfig, wanted: Wanted, role: str):
                         + vertex.light_u * tri.p1
                         + vertex.light_v * tri.p2
                     )
-                    link = connection_vjp(scene, x, y, wp.cross(tri.p1 - tri.p0, tri.p2 - tri.p0), a_wo, value)
+                    cross = wp.cross(tri.p1 - tri.p0, tri.p2 - tri.p0)
+                    link = connection_vjp(scene, x, y, cross, vertex.light_wi, a_wo, value)
                     a_x = link.x
                     if wp.static(wanted.shapes or wanted.texcoords):
                         adjoint.x = -link.x

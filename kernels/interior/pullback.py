@@ -78,24 +78,26 @@ def make_frame_vjp(tangent: bool):
 
 @wp.func
 def connection_vjp(
-    scene: Scene, x: wp.vec3, y: wp.vec3, cross: wp.vec3, a_wo: wp.vec3, value: wp.float32
+    scene: Scene, x: wp.vec3, y: wp.vec3, cross: wp.vec3, wo: wp.vec3, a_wo: wp.vec3, value: wp.float32
 ) -> ConnectionAdjoint:
     """Pull a connection x -> y in material form back to its ends.
 
-    ``a_wo``: adjoint of its direction; ``value``: the weighted contribution that carries the geometric factor G, so
-    that G's own adjoint is value / G.
+    ``a_wo``: adjoint of its direction wo, in which the path left x; ``value``: the weighted contribution that carries
+    the geometric factor G, so that G's own adjoint is value / G. The ray to y started a step off x: wo and y - x differ
+    by that step over their distance, and at grazing angles the part of a_wo along the normal must not leak from one
+    to the other.
     """
     result = ConnectionAdjoint()
     r = y - x
     length = wp.length(r)
     if length > 0.0:
-        wo = r / length
-        cosine = wp.dot(cross, wo)
         result.x = -normalize_vjp(wo, length, a_wo)
+        direction = r / length
+        cosine = wp.dot(cross, direction)
         if cosine != 0.0:
             # log G = log |c . r| - 3 log |r|.
-            a_r = value * (cross / cosine - 3.0 * wo) / length
+            a_r = value * (cross / cosine - 3.0 * direction) / length
             result.x -= a_r
-            result.c = value / cosine * wo
+            result.c = value / cosine * direction
         result.x *= contact_weight(scene, wp.dot(cross, r) / wp.max(wp.length(cross), 1.0e-30))
     return result

@@ -183,9 +183,8 @@ def make_sweep(config: PathConfig, wanted: Wanted, role: str):
                                 tri = scene.triangles[carry.face]
                                 y = (1.0 - carry.u - carry.v) * tri.p0 + carry.u * tri.p1 + carry.v * tri.p2
                                 value = wp.dot(wp.cw_mul(a_n, vertex.beta), carry.radiance)
-                                link = connection_vjp(
-                                    scene, surface.x, y, wp.cross(tri.p1 - tri.p0, tri.p2 - tri.p0), turned.wo, value
-                                )
+                                cross = wp.cross(tri.p1 - tri.p0, tri.p2 - tri.p0)
+                                link = connection_vjp(scene, surface.x, y, cross, vertex.wo, turned.wo, value)
                                 adjoint.x += link.x
                                 carry.adjoint.x = carry.adjoint.x - link.x
                                 carry.adjoint.c = carry.adjoint.c + link.c

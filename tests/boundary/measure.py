@@ -39,6 +39,7 @@ class Case:
         depth: most path vertices.
         spp: of a batch of derivatives; differences take ``difference_spp``.
         slow: left out of the fast subset.
+        hidden: the camera does not see the lights.
     """
 
     scene: str
@@ -50,6 +51,10 @@ class Case:
     spp: int = 256
     difference_spp: int = 1024
     slow: bool = True
+    hidden: bool = False
+
+    def integrator(self, boundary="auto") -> psdr.PathIntegrator:
+        return psdr.PathIntegrator(max_depth=self.depth, boundary=boundary, hide_emitters=self.hidden)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -79,8 +84,11 @@ def differences(case: Case) -> tuple[dict, np.ndarray, np.ndarray]:
 
     def image(sign: float, seed: int) -> np.ndarray:
         move(params, {n: base[n] + sign * case.step * t for n, t in tangents.items()})
-        integrator = psdr.PathIntegrator(max_depth=case.depth)
-        return psdr.render(scene, integrator=integrator, spp=case.difference_spp, seed=seed).numpy().astype(np.float64)
+        return (
+            psdr.render(scene, integrator=case.integrator(), spp=case.difference_spp, seed=seed)
+            .numpy()
+            .astype(np.float64)
+        )
 
     def difference(seed: int) -> np.ndarray:
         return (image(1.0, seed) - image(-1.0, seed)) / (2.0 * case.step)
@@ -99,7 +107,7 @@ def derivatives(case: Case, mode: str, boundary="auto") -> np.ndarray:
     """Return the weighted derivative of every batch."""
     scene, params = load(case.scene)
     tangents, weights, _sums = differences(case)
-    options = {"integrator": psdr.PathIntegrator(max_depth=case.depth, boundary=boundary), "spp": case.spp}
+    options = {"integrator": case.integrator(boundary), "spp": case.spp}
     sums = []
     for batch in range(BATCHES):
         if mode == "forward":

@@ -152,12 +152,6 @@ def test_what_is_not_covered_is_refused_with_a_remedy(case) -> None:
         psdr.render_backward(scene, params, np.ones((16, 16, 3)), integrator=integrator, spp=1)
 
 
-def test_hidden_lights_are_refused() -> None:
-    scene, _params = load("soft")
-    with pytest.raises(ValueError, match="hide_emitters"):
-        psdr.plan(scene, names=[OCCLUDER], integrator=psdr.PathIntegrator(max_depth=2, hide_emitters=True))
-
-
 def test_emission_alone_has_a_primary_boundary() -> None:
     light = panel((0.0, 0.0, 0.5), 0.4, 2.0)
     light["faces"] = light["faces"][:, ::-1]  # it faces up, towards the camera

@@ -185,7 +185,8 @@ def facets(r: Request) -> Term | None:
 
 
 def _film_edges(r: Request) -> FilmEdges:
-    return film_edges(r.scene, r.sensor, set(r.moves.shapes), camera_moves=r.moves.camera)
+    shapes = set(r.moves.shapes)
+    return film_edges(r.scene, r.sensor, shapes, camera_moves=r.moves.camera, hide_emitters=r.config.hidden)
 
 
 def creases(r: Request) -> Term | None:
