@@ -35,7 +35,7 @@ def hidden(rfilter="tent"):
 register({"hidden": hidden, "hidden box": lambda: hidden("box")})
 
 CASES = [
-    Case("hidden", OCCLUDER, ALONG, 0.01, "occluder moves", spp=1024, difference_spp=16384, hidden=True, slow=False),
+    Case("hidden", OCCLUDER, ALONG, 0.02, "occluder moves", spp=512, difference_spp=6144, hidden=True, slow=False),
     Case("hidden box", SHEET, moved(0.6, 0.3, 0.2), 0.01, "sheet moves", spp=512, difference_spp=8192, hidden=True),
     Case("hidden", LAMP, scaled, 0.02, "lamp grows", spp=1024, difference_spp=16384, hidden=True),
     Case("hidden", LAMP, moved(0.5, -0.5, 0.3), 0.01, "lamp moves", spp=1024, difference_spp=16384, hidden=True),
