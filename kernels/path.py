@@ -32,7 +32,6 @@ from warp_psdr.kernels.math import aligned_tangent, any_tangent, to_local, to_wo
 from warp_psdr.kernels.notes import NOTE_VERTEX, note
 from warp_psdr.kernels.rng import Sampler, make_sampler, sampler_at
 from warp_psdr.kernels.sampling import mis_weight
-from warp_psdr.kernels.sight import make_sight
 from warp_psdr.kernels.step import leaving_step
 from warp_psdr.kernels.structs import Bsdf, Camera, LightSample, Material, Scene
 from warp_psdr.kernels.surface import make_surface
@@ -73,11 +72,8 @@ class PathConfig:
     camera: int = CAMERA_PERSPECTIVE
     #: True: what a sample meets is written down (``notes.py``).
     noted: bool = False
-
-    @property
-    def hidden(self) -> bool:
-        """Whether the camera sees through area lights."""
-        return self.hide_emitters and bool(self.area)
+    #: True: there are area lights, which the camera does not see (``sight.py``).
+    hidden: bool = False
 
 
 @wp.struct
@@ -289,7 +285,11 @@ def make_path_step(config: PathConfig, differential: bool, sparse: bool = False)
             if wp.static(has_lights):
                 u4 = sample_4d(sampler, 1 + SLOTS_PER_VERTEX * state.depth)
             r4 = sample_4d(sampler, 2 + SLOTS_PER_VERTEX * state.depth)
-        hit = closest_hit(scene.accel, state.o, state.d, state.t_max)
+        accel = scene.accel
+        if wp.static(config.hidden):
+            if state.depth == 0:
+                accel = scene.sight
+        hit = closest_hit(accel, state.o, state.d, state.t_max)
         if hit.face < 0:
             if wp.static(environment):
                 if wp.static(not config.hide_emitters) or state.depth > 0:
@@ -419,7 +419,6 @@ def make_camera_start(config: PathConfig, filter_kind: int | None = None):
 
     ``filter_kind``: RFILTER_BOX draws positions uniformly in the pixel; None draws from the film's own filter.
     """
-    past, _blocked = make_sight(config.ray_backend, config.ray_width, config.hidden)
     draw = make_sampler(config.sampler)
     sample_4d = draw.sample_4d
     box = filter_kind == RFILTER_BOX
@@ -441,9 +440,6 @@ def make_camera_start(config: PathConfig, filter_kind: int | None = None):
         sample.lens = lens_point(wp.vec2(u4[2], u4[3]))
         ray = camera_ray(scene, camera, sample)
         state = path_from(ray.o + ray.t_min * ray.d, ray.d, ray.t_max - ray.t_min, 0)
-        behind = past(scene, state.o, state.d, state.t_max)
-        state.o += behind * state.d
-        state.t_max -= behind
         return state, sample
 
     return start

@@ -139,6 +139,7 @@ class Scene:
     """The whole scene, one kernel argument."""
 
     accel: Accel
+    sight: Accel  # what the camera sees where lights are hidden
     values: wp.array(dtype=wp.float32)
     positions: wp.int32  # flat offset of the vertex positions: vertex i at positions + 3 i
     triangles: wp.array(dtype=Triangle)

@@ -68,6 +68,7 @@ EVERYTHING = PathConfig(
     lights=LIGHTS,
     scatter=True,
     hide_emitters=True,
+    hidden=True,
     sampler="sobol",
     filter=c.RFILTER_GAUSSIAN,
     ray_backend="warp",
@@ -114,6 +115,7 @@ TEXTURED = PathConfig(
         "smooth": True,
         "flat": False,
         "hide_emitters": True,
+        "hidden": True,
     }
 )
 ALL_LIGHTS = PathConfig(**{**vars(SIMPLE), "lights": LIGHTS, "filter": c.RFILTER_GAUSSIAN})

@@ -154,6 +154,8 @@ def decide(
     names = _named(params, names)
     lines: list[tuple[str, str, str]] = []
     config = _config(scene, integrator, sensor, lines)
+    if config.hidden:
+        scene.hide_lights()
     wanted = _wanted(scene, config, names, lines) if names else None
     if not names:
         lines.append(("derivatives", "none", "no parameter is requested"))
@@ -253,6 +255,7 @@ def _config(scene: Scene, integrator: PathIntegrator, sensor: int, lines: list) 
         lights=lights,
         scatter=scatter,
         hide_emitters=integrator.hide_emitters,
+        hidden=integrator.hide_emitters and bool(area),
         sampler=sampler,
         filter=camera.filter,
         ray_backend=scene.accelerator.backend,

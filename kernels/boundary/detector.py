@@ -178,7 +178,6 @@ def make_arrival(config: PathConfig):
     ``depth`` counts the path vertices in front of what the ray meets.
     """
     following = make_following(config)
-    past, _blocked = make_sight(config.ray_backend, config.ray_width, config.hidden)
 
     @wp.func
     def arrival(
@@ -191,10 +190,7 @@ def make_arrival(config: PathConfig):
         max_depth: wp.int32,
         rr_depth: wp.int32,
     ) -> Arrival:
-        behind = wp.float32(0.0)
-        if depth == 0:
-            behind = past(scene, o, d, t_max)
-        return following(scene, sampler, path_from(o + behind * d, d, t_max - behind, depth), max_depth, rr_depth)
+        return following(scene, sampler, path_from(o, d, t_max, depth), max_depth, rr_depth)
 
     return arrival
 
@@ -258,8 +254,8 @@ def make_walk(config: PathConfig):
     ``connect(scene, camera, walk, lens) -> Connection``, with ``lens`` from ``camera.make_lens``;
     ``extend(scene, walk, u4, roulette) -> Walk``: the next vertex.
     """
-    closest_hit, _any_hit = make_intersect(config.ray_backend, config.ray_width)
-    _past, blocked = make_sight(config.ray_backend, config.ray_width, config.hidden)
+    closest_hit, any_hit = make_intersect(config.ray_backend, config.ray_width)
+    sight = make_sight(config.hidden)
     surface_at = make_surface(config.smooth, config.flat, config.uv, config.tangent)
     frame_at = make_frame(config.two_sided, config.tangent)
     material_at = make_material(config.slots)
@@ -293,7 +289,7 @@ def make_walk(config: PathConfig):
         o = walk.x + turn * surface.ng
         ray = r.at.origin - o
         length = wp.length(ray)
-        if blocked(scene, o, ray / length, length - r.at.near):
+        if any_hit(sight(scene), o, ray / length, length - r.at.near):
             return r
         factor = wp.abs(wp.dot(surface.ng, w)) * r.at.per_area / cosine
         r.weight = factor * wp.cw_mul(walk.weight, f)

@@ -27,7 +27,6 @@ edges of measure zero; ``secondary.py`` samples those from the edge.
 """
 
 import functools
-from dataclasses import replace
 
 import warp as wp
 
@@ -216,7 +215,7 @@ def make_edge_sampling_kernel(
         candidates: edges that are resampled.
         indirect: paths of two vertices are left out (``depth.py``).
     """
-    start = make_camera_start(replace(walk, area=config.area))
+    start = make_camera_start(walk)
     _camera_ray, camera_origin = make_camera_ray(config.camera)
     path_step = make_path_step(walk, False)
     edge_sample = make_edge_sample(config, tree, candidates)

@@ -68,7 +68,7 @@ class Difference:
 def make_facets_kernel(config: PathConfig, role: str, camera_moves: bool):
     """Return the kernel: one thread a sample (arguments as in ``secondary.py``)."""
     closest_hit, any_hit = make_intersect(config.ray_backend, config.ray_width)
-    past, _blocked = make_sight(config.ray_backend, config.ray_width, config.hidden)
+    sight = make_sight(config.hidden)
     shading_at = make_shading(config)
     bsdf = make_bsdf(config.bsdfs)
     lit = bool(config.area or config.lights)
@@ -130,9 +130,7 @@ def make_facets_kernel(config: PathConfig, role: str, camera_moves: bool):
         ahead = wp.min(wp.max(AHEAD * f.step, MARGIN * apart / slant), f.distance - f.at.near)
         for i in range(2):
             o = f.point.x + (apart - 2.0 * apart * wp.float32(i)) * f.m - ahead * f.d
-            behind = past(scene, o, f.d, 2.0 * ahead)
-            o += behind * f.d
-            hit = closest_hit(scene.accel, o, f.d, 2.0 * ahead - behind)
+            hit = closest_hit(sight(scene), o, f.d, 2.0 * ahead)
             seen = o + hit.t * f.d
             if hit.face < 0:
                 return

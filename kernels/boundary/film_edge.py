@@ -19,6 +19,7 @@ from warp_psdr.kernels.boundary.local_form import (
     make_edge_sink,
 )
 from warp_psdr.kernels.boundary.projection import FilmPoint, make_projection, make_splat
+from warp_psdr.kernels.bvh.wide import make_intersect
 from warp_psdr.kernels.camera import make_camera_sink, make_lens
 from warp_psdr.kernels.invalid import count_invalid
 from warp_psdr.kernels.notes import NOTE_EDGE, make_note
@@ -62,7 +63,8 @@ def make_film_edge(config: PathConfig, role: str, camera_moves: bool):
     ``push(scene, camera, edges, sampler, samples, film_edge, jump, target, image)`` takes L_- - L_+, the radiance on
     the side that m points away from less that on the other.
     """
-    _past, blocked = make_sight(config.ray_backend, config.ray_width, config.hidden)
+    _closest_hit, any_hit = make_intersect(config.ray_backend, config.ray_width)
+    sight = make_sight(config.hidden)
     push_edge = make_edge_sink(role)
     push_camera = make_camera_sink(role, config.camera) if camera_moves else None
     splat, gather = make_splat()
@@ -103,7 +105,7 @@ def make_film_edge(config: PathConfig, role: str, camera_moves: bool):
         start = point.x - (r.step * r.side) * r.m - edge_behind(scene, r.step) * r.d
         back = at.origin - start
         length = wp.length(back)
-        if length > at.near and blocked(scene, start, back / length, length - at.near):
+        if length > at.near and any_hit(sight(scene), start, back / length, length - at.near):
             return r
         step = film_velocity(scene, camera, at, point.p1 - point.p0)
         r.g = film_gradient(scene, camera, at, wp.vec2(step[1], -step[0]))

@@ -57,7 +57,7 @@ ACUTE = 0.01
 def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
     """Return the kernel of the primary boundary term: one thread a sample (arguments as in ``secondary.py``)."""
     closest_hit, _any_hit = make_intersect(config.ray_backend, config.ray_width)
-    past, _blocked = make_sight(config.ray_backend, config.ray_width, config.hidden)
+    sight = make_sight(config.hidden)
     surface_at = make_surface(config.smooth, config.flat, False, False)
     arrival = make_arrival(config)
     find, push = make_film_edge(config, role, camera_moves)
@@ -65,8 +65,7 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
     @wp.func
     def seen_from(scene: Scene, o: wp.vec3, d: wp.vec3, t_max: wp.float32) -> wp.int32:
         """Number of the shape that a ray meets, from one, negative on the back of its normals; 0: none."""
-        behind = past(scene, o, d, t_max)
-        hit = closest_hit(scene.accel, o + behind * d, d, t_max - behind)
+        hit = closest_hit(sight(scene), o, d, t_max)
         if hit.face < 0:
             return 0
         surface = surface_at(scene, hit.face, hit.u, hit.v)

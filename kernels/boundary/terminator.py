@@ -28,6 +28,7 @@ from warp_psdr.kernels.boundary.detector import make_arrival
 from warp_psdr.kernels.boundary.film_edge import AHEAD, BESIDE
 from warp_psdr.kernels.boundary.local_form import on_plane
 from warp_psdr.kernels.boundary.projection import make_projection, make_splat
+from warp_psdr.kernels.bvh.wide import make_intersect
 from warp_psdr.kernels.camera import lens_origin, load_mat44, make_camera_sink, make_lens
 from warp_psdr.kernels.constants import CAMERA_ORTHOGRAPHIC, CAMERA_THINLENS
 from warp_psdr.kernels.distribution import find_interval
@@ -67,7 +68,8 @@ def barycentrics(axis: wp.int32, w: wp.float32, r: wp.float32) -> wp.vec3:
 @functools.cache
 def make_terminator_kernel(config: PathConfig, role: str, camera_moves: bool):
     """Return the kernel: one thread a sample (arguments as in ``secondary.py``)."""
-    _past, blocked = make_sight(config.ray_backend, config.ray_width, config.hidden)
+    _closest_hit, any_hit = make_intersect(config.ray_backend, config.ray_width)
+    sight = make_sight(config.hidden)
     arrival = make_arrival(config)
     push_vertex = make_vertex_sink(role, True, config.flat, False, False, False, True)
     push_camera = make_camera_sink(role, config.camera) if camera_moves else None
@@ -164,7 +166,7 @@ def make_terminator_kernel(config: PathConfig, role: str, camera_moves: bool):
                     start = x + wp.where(cosine >= 0.0, away, -away) * tri.normal
                     back = at.origin - start
                     length = wp.length(back)
-                    hidden = blocked(scene, start, back / length, length - at.near)
+                    hidden = any_hit(sight(scene), start, back / length, length - at.near)
                     weight = wp.vec3(1.0, 1.0, 1.0)
                     if wp.static(role == "reverse"):
                         weight = gather(camera, at.pixel, adjoint)

@@ -7,7 +7,7 @@ import warp_psdr as psdr
 
 from .measure import Case, assert_agrees, assert_transposes, derivatives, differences, rows
 from .scenes import ball, camera, diffuse, floor, load, mesh, occluder, panel, register
-from .test_table import ALONG, OCCLUDER, PANEL, moved, scaled
+from .test_table import ALONG, FLOOR, OCCLUDER, PANEL, moved
 
 LAMP = "lamp.vertex_positions"
 #: A sheet, and the light that shares an edge with it.
@@ -37,8 +37,8 @@ register({"hidden": hidden, "hidden box": lambda: hidden("box")})
 CASES = [
     Case("hidden", OCCLUDER, ALONG, 0.02, "occluder moves", spp=512, difference_spp=6144, hidden=True, slow=False),
     Case("hidden box", SHEET, moved(0.6, 0.3, 0.2), 0.01, "sheet moves", spp=512, difference_spp=8192, hidden=True),
-    Case("hidden", LAMP, scaled, 0.02, "lamp grows", spp=1024, difference_spp=16384, hidden=True),
-    Case("hidden", LAMP, moved(0.5, -0.5, 0.3), 0.01, "lamp moves", spp=1024, difference_spp=16384, hidden=True),
+    # The floor is lit beside the lamp and dark inside of it. It moves along, or the contact would be all that is noisy.
+    Case("hidden", (LAMP, FLOOR), moved(0.5, -0.5, 0.0), 0.01, "lamp moves", spp=512, difference_spp=8192, hidden=True),
     Case("hidden", PANEL, moved(0.5, 0.5, 0.3), 0.02, "light moves", spp=512, difference_spp=8192, hidden=True),
     Case("hidden", "sensor.to_world", ALONG, 0.01, "camera moves", spp=512, difference_spp=8192, hidden=True),
     Case("hidden", OCCLUDER, ALONG, 0.01, "occluder moves", 3, spp=1024, difference_spp=16384, hidden=True),

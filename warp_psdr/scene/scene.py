@@ -106,6 +106,7 @@ class Scene:
             self._pose(shape)
         self._update_triangles(range(len(description.shapes)))
         self.accelerator = Accelerator(self._points, self.indices, self.device)
+        self._sight: Accelerator | None = None
         self._update_bounds()
         self._world.show(self.parameters.values())
         self._note_specks()
@@ -155,10 +156,20 @@ class Scene:
             raise ValueError(f"sensor {sensor!r}: the scene has sensors 0 to {len(cameras) - 1}")
         return cameras[sensor]
 
+    def hide_lights(self) -> None:
+        """Build what the camera's rays meet where area lights are hidden: their triangles become points."""
+        if self._sight is None:
+            shines = np.array([s.emitter >= 0 for s in self.builder.shapes])[self.builder.face_shape]
+            shown = np.where(shines[:, None], 0, self.builder.indices).astype(np.int32)
+            indices = wp.array(shown.reshape(-1), dtype=wp.int32, device=self.device)
+            self._sight = Accelerator(self._points, indices, self.device, self.accelerator.backend)
+
     def data(self) -> structs.Scene:
         """Return the kernel argument."""
         s = structs.Scene()
         s.accel = self.accelerator.data
+        if self._sight is not None:
+            s.sight = self._sight.data
         s.values = self.values
         s.positions = self.positions
         s.triangles = self.triangles
@@ -203,6 +214,8 @@ class Scene:
         if moved:
             self._update_triangles(sorted(moved))
             self.accelerator.update()
+            if self._sight is not None:
+                self._sight.update()
             self._update_bounds()
         values = self.values.numpy()
         first, size = self.lights.environment_data()
