@@ -4,14 +4,19 @@ A pilot (``pilot.py``) fixes the batches, how they are spread over the image, an
 it is then thrown away, so that given the pilot every batch that counts is an independent and unbiased estimate. What
 is left to watch is *when* one stops, since a rule that looks at the estimates it stops can prefer some outcomes.
 
-**Target error.** Two halves, A and B, run the same schedule: round r brings every term to N_k(r) batches, fixed by the
-pilot. After each round the error is estimated from the variances and the norm in one half (and in the pilot). What is
-estimated in B decides the round at which A's mean is taken, and what is estimated in A that of B's:
+**Target error.** Two halves, A and B. Both run some batches of each term, fixed by the pilot: fewer than it predicts.
+From the variances and the norm in one half (and in the pilot) follows the number of batches that reaches the error.
+What B says is run in A, and what A says in B:
 
-    estimate = (mean of A's first N(tau_B) batches + mean of B's first N(tau_A) batches) / 2.
+    estimate = (mean of A's first N(B) batches + mean of B's first N(A) batches) / 2.
 
-tau_B is independent of A, so E[mean of A's first N(tau_B)] = E[E[... | tau_B]] = g exactly, for any rule; likewise
-B's. The price is that a half whose own mean is settled may go on until it has decided about the other.
+N(B) is independent of A, so E[mean of A's first N(B)] = E[E[... | N(B)]] = g exactly, for any rule; likewise B's. A
+half that asks for more than ``NEXT_LOOK`` times what it has seen does not decide, but looks again at that many.
+
+Squared errors are U / n with U = sum_k U_k, and U' is an estimate of it, unbiased and with the relative variance r^2.
+With n = U' / error^2 batches the squared error is error^2 E[U / U'] ~ error^2 (1 + r^2) (Jensen; with d degrees of
+freedom E[U / U'] = d / (d - 2), and r^2 = 2 / d). So n is taken (1 + r^2) times as large. The variance of a batch is
+told by n of them with r^2 = (kurtosis - 1) / n, where the kurtosis is that of ``statistics.py``.
 
 **Time.** Rounds of a fixed number of batches of each term are independent and equally distributed, pairs (estimate x_i,
 time t_i). At most M rounds run, which the pilot expects to fill the time; the run also ends at T, the time and a little
@@ -46,9 +51,13 @@ from warp_psdr.work_precision.tiles import spread, tile_count
 
 #: Seed stream of what is spent, and those of its halves.
 STREAM_BUDGET, STREAM_A, STREAM_B = 0x73706E64, 0, 1
-#: Share of the predicted batches after which the error is looked at first, and by how much more are run after each
-#: look.
-FIRST_LOOK, NEXT_LOOK = 0.8, 1.1
+#: Share of the predicted batches that tell how many are run, and how many times as many as have told can be: the pilot
+#: is off by more than 30 % in few cases, and what is run beyond what was needed is wasted.
+FIRST_LOOK, NEXT_LOOK = 0.7, 2.0
+#: Steps in which the number that reaches the error is searched: fine beside one batch.
+STEP = 1.01
+#: Least kurtosis less one: nothing is known as exactly as a pilot of many components may say.
+LEAST_EXCESS = 0.02
 #: Most rounds of a time budget, and the share of the efficiency that rounding to them may cost.
 MOST_ROUNDS, ROUNDING = 16, 0.03
 #: Rounds count that end within so many times the budget.
@@ -193,11 +202,12 @@ class _Half:
 
     def __init__(self, what: Quantity, report: Report, found: Report, seed: int):
         self._what, self._report, self._seed = what, report, seed
-        # The logarithm of a variance has the variance 2 / (degrees of freedom), of one that was told from another size
-        # also that of the exponent.
+        # The logarithm of a variance has the variance (kurtosis - 1) / (number of batches), of one that was told from
+        # another size also that of the exponent.
         sizes = np.array([a.spp / b.spp for a, b in zip(report.terms, found.terms, strict=True)])
         errors = np.hypot(np.nan_to_num([t.exponent_error for t in found.terms]), DRIFT)
-        self._known = 2.0 / (2.0 / (found.batches - 1) + (errors * np.log(sizes)) ** 2)[:, None]
+        self._excess = np.maximum([t.kurtosis - 1.0 for t in found.terms], LEAST_EXCESS)[:, None]
+        self._known = self._excess / (self._excess / (found.batches - 1) + (errors * np.log(sizes))[:, None] ** 2)
         self._blocks = list(what.blocks.values())
         self.terms = [Running(self._blocks) for _ in what.parts]
 
@@ -234,14 +244,40 @@ class _Half:
         weight, prior_weight = 1.0 / np.maximum(noise, 1e-300), 1.0 / np.maximum(prior_noise, 1e-300)
         return (weight * (lengths2 - noise) + prior_weight * prior) / (weight + prior_weight)
 
-    def error(self, counts: np.ndarray) -> float:
-        """Return the relative error of means of (terms,) batches; infinite where nothing stands out of the noise."""
+    def relative_variance(self) -> np.ndarray:
+        """Return (terms,): squared relative error of a batch; infinite where nothing stands out of the noise."""
         variances = self.variances()
         norm2 = self.norm2(variances)
         seen = np.array([name in self._report.seen for name in self._what.blocks])
         if (norm2[seen] <= 0.0).any():
-            return math.inf
-        return math.sqrt(float(((variances / counts[:, None]).sum(axis=0)[seen] / norm2[seen]).mean()))
+            return np.full(len(variances), math.inf)
+        return np.asarray((variances[:, seen] / norm2[seen]).mean(axis=1))
+
+    def error(self, counts: np.ndarray) -> float:
+        """Return the relative error of means of (terms,) batches; infinite where nothing stands out of the noise."""
+        return math.sqrt(float((self.relative_variance() / counts).sum()))
+
+    def needed(self, wanted: np.ndarray, start: float, target: float) -> float:
+        """Return the factor, ``start`` or up to ``NEXT_LOOK`` times that, of (terms,) batches a half for this error.
+
+        Infinite: they are more.
+        """
+        variance = self.relative_variance()
+        own = np.array([max(sums.count - 1, 0) for sums in self.terms])
+        uncertain = self._excess[:, 0] / (self._known[:, 0] + own)
+        share = start
+        while share <= NEXT_LOOK * start and np.isfinite(variance).all():
+            squares = variance / (2.0 * np.maximum(share * wanted, 1.0))
+            total = max(float(squares.sum()), 1e-300)
+            if total * (1.0 + float((squares / total) ** 2 @ uncertain)) <= target**2:
+                return share
+            share *= STEP
+        return math.inf
+
+
+def _whole(share: float, wanted: np.ndarray, half: int) -> np.ndarray:
+    """Return whole numbers of batches of a half; those of both add up to the nearest of the sum."""
+    return np.maximum(np.floor(share * wanted + (0.25, 0.75)[half]), 1.0)
 
 
 def _to_error(what: Quantity, report: Report, found: Report, target: float, seed: int, progress):
@@ -252,21 +288,20 @@ def _to_error(what: Quantity, report: Report, found: Report, target: float, seed
     halves = [_Half(what, report, found, mix_seed(seed, stream)) for stream in (STREAM_A, STREAM_B)]
     means: list[np.ndarray | None] = [None, None]
     used: list[np.ndarray] = [np.zeros(0), np.zeros(0)]
-    share = FIRST_LOOK
-    before = np.zeros(len(wanted))
+    look = FIRST_LOOK
     while means[0] is None or means[1] is None:
-        counts = np.maximum(np.round(share * wanted), 1.0)
-        share *= NEXT_LOOK
-        if np.array_equal(counts, before):
-            continue
-        before = counts
-        for half in halves:
-            half.run(counts)
+        for i, half in enumerate(halves):
+            half.run(_whole(look, wanted, i))
+        # Both decide before either runs on: a half never knows how much the other has seen.
+        shares = [half.needed(wanted, look, target) for half in halves]
         for a, b in ((0, 1), (1, 0)):
-            if means[a] is None and halves[b].error(2.0 * counts) <= target:
-                means[a], used[a] = halves[a].mean(), counts
+            if means[a] is None and math.isfinite(shares[b]):
+                used[a] = _whole(shares[b], wanted, a)
+                halves[a].run(used[a])
+                means[a] = halves[a].mean()
+        look *= NEXT_LOOK
         if progress is not None:
-            progress(min(0.99, float((counts / np.maximum(wanted, 1.0)).mean()) / NEXT_LOOK))
+            progress(min(0.99, 0.5 * look))
     # The mean of two means of n and m batches has the variance V (1/n + 1/m) / 4: that of 4 / (1/n + 1/m) batches.
     effective = 4.0 / (1.0 / used[0] + 1.0 / used[1])
     both = _together(halves, what, report, found)

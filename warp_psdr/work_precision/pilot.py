@@ -5,7 +5,7 @@
    that the fixed cost is a tenth of it, small enough that the pilot has time for many.
 3. A few batches of the term over pixels say whether samples are better spread unevenly over the image (``tiles.py``).
 4. Rounds of one batch of every term, each with a seed of its own, until the prediction is as certain as
-   ``CERTAIN`` or the pilot's time is over; every third round also runs a batch of another size, whose time and
+   ``CERTAIN`` or the pilot's time is over; every fifth round also runs a batch of another size, whose time and
    variance give the marginal cost and the exponent. Where rare samples carry the variance, that time may not be enough:
    the pilot goes on while the prediction is less certain than ``UNCERTAIN``, or, before an error is asked for, until it
    has taken ``SHARE`` of what that is predicted to take.
@@ -48,21 +48,21 @@ FIXED_SHARE = 0.1
 #: and the two counts of the first timings.
 MOST_SPP, FIRST_IMAGE_SPP, LEAST_IMAGE_SPP, FIRST_COUNTS = 256, 16, 4, (1, 4)
 #: Rounds: the least, the most, and how many the pilot's time should be enough for.
-LEAST_ROUNDS, MOST_ROUNDS, AIM_ROUNDS = 4, 256, 24
+LEAST_ROUNDS, MOST_ROUNDS, AIM_ROUNDS = 4, 256, 64
 #: Standard error of the logarithm of a predicted time at which the pilot ends.
 CERTAIN = 0.12
 #: Rounds after which what is known is looked at; after the pilot's time, when it has grown by a factor.
 LOOKS, LATER = (16, 23, 32, 45, 64, 91, 128, 181), 1.2
 #: Standard error at which it goes on for so many times its time, as it does where nothing stands out of the noise. (A
 #: budget's own pilot has less patience with what is only uncertain.)
-UNCERTAIN, PATIENCE = 0.3, 4.0
+UNCERTAIN, PATIENCE = 0.2, 4.0
 #: Share of a time budget, and of the predicted time to an error, that its own pilot may take.
 SHARE = 0.2
 #: Share of the pilot's time that tilings may take.
 TILE_SHARE = 0.25
-#: Batches of the other size: smaller by the first factor or, where that is not possible, larger by the second; and the
-#: rounds from one to the next.
-SMALLER, LARGER, OTHER_EVERY = 4, 2, 3
+#: Batches of the other size: larger by this factor, as those that are spent are at most (``report.py``), so that their
+#: costs and variances lie between two that were measured; and the rounds from one to the next.
+LARGER, OTHER_EVERY = 4, 5
 #: Share of the times of a batch that count, from the fastest on.
 KEPT_TIMES = 0.9
 #: Batches of a term that are kept hold at most this many numbers (256 MB).
@@ -100,7 +100,7 @@ def accuracy(
         spp: samples a pixel of a batch, of every term; default: chosen by the costs.
         seed: of the pilot.
         seconds: what the pilot may take; more where four batches a term need it, and up to four times as much where
-            nothing stands out of the noise yet, or the standard error of a predicted time is above 30 %.
+            nothing stands out of the noise yet, or the standard error of a predicted time is above 20 %.
         tiles: spread samples over the image by its variance, and by the adjoint of every pixel, where that pays.
         clock: "wall", or "cpu" for the processor time of all threads, which other work on the machine changes less.
         progress: called with the finished fraction.
@@ -248,9 +248,7 @@ def _sizes(what: Quantity, spp: int | None, seconds: float, now: Callable[[], fl
 
     while of_round() * AIM_ROUNDS > seconds:
         # Halving what is mostly fixed cost would save the pilot little and cost what follows much.
-        costs = [
-            b * n if n > least and b * n > 2.0 * a else 0.0 for a, b, n in zip(fixed, marginal, sizes, strict=True)
-        ]
+        costs = [b * n if n > least and b * n > a else 0.0 for a, b, n in zip(fixed, marginal, sizes, strict=True)]
         if max(costs) == 0.0:
             break
         sizes[int(np.argmax(costs))] //= 2
@@ -332,7 +330,7 @@ def _rounds(
 
 def other_size(spp: int) -> int:
     """Return the samples a pixel of the batches that tell the marginal cost and the exponent."""
-    return spp // SMALLER if spp >= SMALLER else spp * LARGER
+    return LARGER * spp
 
 
 def _term(
@@ -378,15 +376,19 @@ def _term(
 
 
 def _exponent(found: Moments, second: Moments, k: int, log_ratio: float) -> tuple[float, float]:
-    """Return the exponent of the variance's fall and its standard error (delta method on the two logarithms)."""
+    """Return the exponent of the variance's fall and its standard error (delta method on the two logarithms).
+
+    Few batches of the other size say little of how uncertain they are: no less than the kurtosis of the many says.
+    """
     values, errors = [], []
+    excess = max(float(found.kurtosis[k]) - 1.0, 0.0)
     for m in (found, second):
         u = relative_variance(m.variance, found.norm2, found.seen)[k]
         without = relative_variance(m.variance_without, found.norm2, found.seen)[:, k]
         if u <= 0.0:
             return math.nan, math.nan
         values.append(math.log(u))
-        errors.append(float(jackknife(without)) / u)
+        errors.append(max(float(jackknife(without)) / u, math.sqrt(excess / m.batches)))
     return (values[1] - values[0]) / log_ratio, math.hypot(*errors) / abs(log_ratio)
 
 

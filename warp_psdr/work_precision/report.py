@@ -35,10 +35,10 @@ PRINTED_ERRORS = (0.5, 0.2, 0.1, 0.05, 0.02, 0.01)
 PRINTED_BLOCKS = 8
 #: Exponents are measured with noise; those of stratified samples lie between these.
 LEAST_EXPONENT, MOST_EXPONENT = 0.9, 1.5
-#: Where more batches of a term than these would be run, they are made larger: their fixed cost is saved, and stratified
-#: samples are better together. For an error, so many tell when to stop; for a time, none has to. What is saved buys
-#: larger batches again, a few times.
-ENOUGH_FOR_ERROR, ENOUGH_FOR_TIME, REFITS = 16.0, 1.0, 4
+#: Where more batches of a term than enough would be run, they are made larger: their fixed cost is saved, and
+#: stratified samples are better together. For an error, enough tell their variance within this relative error, and are
+#: between these numbers; for a time, none has to. What is saved buys larger batches again, a few times.
+TOLD_WITHIN, FEWEST_FOR_ERROR, MOST_FOR_ERROR, ENOUGH_FOR_TIME, REFITS = 0.2, 12.0, 64.0, 1.0, 4
 #: How many times larger than the pilot's they become at most. Further off, its exponents and fixed costs say little,
 #: and a predicted time rests on them: off by 0.2, an exponent makes it wrong by a third at four times the size.
 LARGEST_FOR_ERROR, LARGEST_FOR_TIME = 4.0, 16.0
@@ -88,6 +88,14 @@ class TermReport:
     exponent_error: float
     largest: float
     kurtosis: float
+
+    @property
+    def telling(self) -> float:
+        """Batches that tell their variance well enough to stop by: n of them with the squared error (kurtosis - 1) / n.
+
+        One component needs many, many components few, rare large samples more than either.
+        """
+        return min(max((self.kurtosis - 1.0) / TOLD_WITHIN**2, FEWEST_FOR_ERROR), MOST_FOR_ERROR)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -178,10 +186,10 @@ class Report:
         numbers = ideal(self.cost, self.relative_variance)
         if error is not None:
             wanted = numbers * float((self.relative_variance / np.maximum(numbers, 1e-300)).sum()) / error**2
-            enough = ENOUGH_FOR_ERROR
+            enough = np.array([t.telling for t in self.terms])
         else:
             wanted = numbers * (seconds or 0.0) / max(float(numbers @ self.cost), 1e-300)
-            enough = ENOUGH_FOR_TIME
+            enough = np.full(len(numbers), ENOUGH_FOR_TIME)
         shrink, most = np.maximum(wanted / least, 1e-300), np.clip(wanted / enough, 1.0, np.maximum(largest, 1.0))
         if (shrink >= 1.0).all() and (most <= 1.0).all():
             return self
@@ -206,8 +214,10 @@ class Report:
         if (error is None) == (seconds is None):
             raise ValueError("allocation takes one of error=... and seconds=...")
         if error is not None:
-            fitted = self.fitted(error=positive("error", error))
-            found = batches_for_error(fitted.cost, fitted.relative_variance, error)
+            # As long as a run is, that stops by variances which are as uncertain as the pilot's (``budget.py``).
+            safe = positive("error", error) / math.sqrt(1.0 + self.spread**2)
+            fitted = self.fitted(error=safe)
+            found = batches_for_error(fitted.cost, fitted.relative_variance, safe)
             numbers = np.ceil(found)
         else:
             fitted = self.fitted(seconds=positive("seconds", seconds))
