@@ -11,6 +11,7 @@ from common import psdr
 from work_precision_data import Records
 
 from scenes import BLUE, CASES, CORNELL, DELTA, SKY, Case, mesh, stage, write_data
+from warp_psdr.work_precision import quantity as quantities
 
 #: How far what moves lies from where it is sought, over the scene's radius; what is sought of other values, in times of
 #: what they are and plus; and samples a pixel of the image and of the target that a loss compares.
@@ -85,6 +86,13 @@ PAIRS = (
     Pair("a cube under a sky", _cube_under_sky, ("object.vertex_positions",), 2),
     Pair("a small ball under a sky", _small, ("object.vertex_positions",), 3),
     Pair("a cube before a mirror", _mirrored, ("object.vertex_positions",), 3),
+)
+#: Pairs that nothing of the pilot or of budgets was chosen by: predictions are judged by them, too.
+FRESH = (
+    Pair("Cornell box, the light moves", _case("Cornell box"), ("light.to_world",), 3),
+    Pair("rough gold under a sky", _case("rough gold under a sky"), ("object.bsdf.eta.value",), 4),
+    Pair("a ball under point, spot and sun", _case("point, spot and sun"), ("emitter_0.position",), 2),
+    Pair("textured mesh, the camera zooms", _case("textured mesh"), ("sensor.x_fov",), 2),
 )
 
 
@@ -161,6 +169,12 @@ class Loaded:
         self.params.zero_grad()
         psdr.render_backward(self.scene, self.params, self.adjoint, integrator=self.integrator, **options)
         return self._blocks()
+
+    def quantity(self) -> quantities.Quantity:
+        """Return what is estimated, term by term."""
+        if self.image:
+            return quantities.image(self.scene, integrator=self.integrator, sensor=0)
+        return quantities.gradient(self.scene, self.params, self.adjoint, integrator=self.integrator, sensor=0)
 
     @property
     def moves(self) -> bool:

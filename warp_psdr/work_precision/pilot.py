@@ -52,7 +52,7 @@ LEAST_ROUNDS, MOST_ROUNDS, AIM_ROUNDS = 4, 256, 64
 #: Standard error of the logarithm of a predicted time at which the pilot ends.
 CERTAIN = 0.12
 #: Rounds after which what is known is looked at; after the pilot's time, when it has grown by a factor.
-LOOKS, LATER = (16, 23, 32, 45, 64, 91, 128, 181), 1.2
+LOOKS, LATER = (32, 45, 64, 91, 128, 181), 1.2
 #: Standard error at which it goes on for so many times its time, as it does where nothing stands out of the noise. (A
 #: budget's own pilot has less patience with what is only uncertain.)
 UNCERTAIN, PATIENCE = 0.2, 4.0
