@@ -196,7 +196,7 @@ def test_gradients_reach_the_error(soft, report, reference):
         found = [gradient(soft, target_error=target, report=report, seed=s) for s in range(6)]
         errors = math.sqrt(np.mean([relative_error(g, reference) ** 2 for _r, g in found]))
         assert 0.6 * target < errors < 1.4 * target  # six runs
-        assert all(r.error <= 1.15 * target for r, _g in found)
+        assert all(r.error <= 1.25 * target for r, _g in found)  # a pilot's, of the sizes that are run
 
 
 def test_a_report_makes_the_gradient_a_function_of_the_seed(soft, report):
@@ -234,14 +234,14 @@ def test_images_reach_the_error(soft):
     bought: list[Reached] = []
     image = psdr.render(scene, integrator=INTEGRATOR, target_error=0.01, reached=bought.append, seed=1).numpy()
     error = np.linalg.norm(image - long) / np.linalg.norm(long)
-    assert bought[0].error <= 0.0115 and 0.005 < error < 0.015
+    assert bought[0].error <= 0.0125 and 0.005 < error < 0.015
     options = {"integrator": INTEGRATOR, "seed": 1}
     long = psdr.render_forward(scene, params, tangents(params), spp=1024, **options).numpy()
     image = psdr.render_forward(
         scene, params, tangents(params), target_error=0.1, reached=bought.append, **options
     ).numpy()
     assert 0.04 < np.linalg.norm(image - long) / np.linalg.norm(long) < 0.15
-    assert bought[1].error <= 0.115
+    assert bought[1].error <= 0.125
 
 
 @pytest.mark.parametrize(

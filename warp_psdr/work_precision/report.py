@@ -33,9 +33,10 @@ FORMAT, VERSION = "warp_psdr accuracy", 3
 PRINTED_ERRORS = (0.5, 0.2, 0.1, 0.05, 0.02, 0.01)
 #: Parameters that are printed one by one; the rest is in the object.
 PRINTED_BLOCKS = 8
-#: Exponents are measured with noise. Those of stratified samples lie between these (3: smooth functions of one variable
-#: are integrated, as along an edge), most of them within this of one.
-LEAST_EXPONENT, MOST_EXPONENT, USUAL = 0.9, 3.0, 0.25
+#: Exponents are measured with noise; those of stratified samples lie between these (3: smooth functions of one variable
+#: are integrated, as along an edge). Sizes of batches are chosen by them, which prefers those that are too large by
+#: chance: their errors count so many times.
+LEAST_EXPONENT, MOST_EXPONENT, CHOSEN = 0.9, 3.0, 1.5
 #: Where more batches of a term than enough would be run, they are made larger: their fixed cost is saved, and
 #: stratified samples are better together. For an error, enough tell their variance within this relative error, and are
 #: between these numbers; for a time, none has to. What is saved buys larger batches again, a few times.
@@ -385,9 +386,9 @@ def _resized(term: TermReport, share: float) -> TermReport:
     spp = max(round(share * term.spp), 1)
     ratio = spp / term.spp
     exponent = 1.0 if math.isnan(term.exponent) else min(max(term.exponent, LEAST_EXPONENT), MOST_EXPONENT)
-    if not math.isnan(term.exponent_error):
-        # Sizes are chosen by exponents, which prefers those that are too large by chance: the mean given what is usual.
-        exponent = 1.0 + (exponent - 1.0) / (1.0 + (term.exponent_error / USUAL) ** 2)
+    if exponent != 1.0:
+        # It counts by how certain it is: the positive part of Stein's estimate.
+        exponent = 1.0 + (exponent - 1.0) * max(1.0 - (CHOSEN * term.exponent_error / (exponent - 1.0)) ** 2, 0.0)
     samples = round(ratio * term.samples)
     return replace(
         term,
