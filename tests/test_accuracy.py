@@ -346,10 +346,10 @@ def test_a_long_time_buys_larger_batches(report):
         (larger,) = lone.fitted(seconds=8.0).terms
         assert larger.spp >= 58  # 0.5 + 0.5 spp / 4 seconds: one of 60 takes all of the time
         assert larger.seconds == pytest.approx(0.5 + larger.spp / 4 * 0.5) and larger.seconds <= 8.0
-        gain = (larger.spp / 4) ** exponent
+        gain = 4.0**exponent * larger.spp / 16  # as measured up to four times the size, then as independent samples
         assert larger.variance[ALBEDO] == pytest.approx(term.variance[ALBEDO] / gain)
         (largest,) = lone.fitted(seconds=1e6).terms
-        assert largest.spp == 16 * 4
+        assert largest.spp == 64 * 4
         assert lone.fitted(seconds=1.0) is lone
         assert lone.fitted(error=0.3) is lone  # some 11 batches, all of which tell when to stop
 
@@ -438,10 +438,10 @@ def test_larger_batches_cost_and_vary_as_predicted(monkeypatch, exponent):
     found = pilot.run(what, spp=4, seed=2, seconds=40.0, tiles=False, clock="cpu")
     (term,) = found.terms
     assert abs(term.exponent - exponent) < Z * term.exponent_error < 0.5
-    (larger,) = found.fitted(seconds=0.26 + 1e-6).terms
-    assert larger.spp == 16 and larger.seconds == pytest.approx(0.26)
+    (larger,) = found.fitted(seconds=0.26).terms
+    assert 14 <= larger.spp <= 16 and larger.seconds == pytest.approx(0.1 + 0.01 * larger.spp)
     log_error = Z * math.hypot(term.exponent_error * math.log(4.0), term.variance_error["x"] / term.variance["x"])
-    assert abs(math.log(larger.variance["x"] / (64 * 0.04 * 16.0**-exponent))) < log_error
+    assert abs(math.log(larger.variance["x"] / (64 * 0.04 * larger.spp**-exponent))) < log_error < 0.5
 
 
 @pytest.mark.parametrize(("depth", "built"), [(2, 1), pytest.param(3, 2, marks=pytest.mark.slow)])

@@ -30,7 +30,7 @@ from warp_psdr.work_precision import bias
 from warp_psdr.work_precision import quantity as quantities
 from warp_psdr.work_precision.allocation import efficiency
 from warp_psdr.work_precision.quantity import Part, Quantity
-from warp_psdr.work_precision.report import Report, TermReport, positive
+from warp_psdr.work_precision.report import LARGEST_FOR_ERROR, Report, TermReport, positive
 from warp_psdr.work_precision.statistics import Moments, Running, jackknife, moments, relative_variance
 from warp_psdr.work_precision.tiles import BATCHES as TILE_BATCHES
 from warp_psdr.work_precision.tiles import Tiling, measured, spread, uniform
@@ -60,9 +60,9 @@ UNCERTAIN, PATIENCE = 0.2, 4.0
 SHARE = 0.2
 #: Share of the pilot's time that tilings may take.
 TILE_SHARE = 0.25
-#: Batches of the other size: larger by this factor, as those that are spent are at most (``report.py``), so that their
-#: costs and variances lie between two that were measured; and the rounds from one to the next.
-LARGER, OTHER_EVERY = 4, 5
+#: Batches of the other size: larger by this factor, as those for an error are at most, so that what they cost and how
+#: they vary lies between two that were measured; and the rounds from one to the next.
+LARGER, OTHER_EVERY = int(LARGEST_FOR_ERROR), 5
 #: Share of the times of a batch that count, from the fastest on.
 KEPT_TIMES = 0.9
 #: Batches of a term that are kept hold at most this many numbers (256 MB).
