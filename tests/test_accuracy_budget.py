@@ -84,17 +84,17 @@ def test_stopping_at_an_error_does_not_choose(monkeypatch):
     assert deviate(naive, sum(MEANS)) > 1.25 * Z  # and this test would see it
 
 
-@pytest.mark.parametrize(("enough", "outcomes"), [(math.inf, 3), (2.0, 2)])
-def test_stopping_at_a_time_does_not_choose(monkeypatch, enough, outcomes):
+@pytest.mark.parametrize("enough", [math.inf, 2.0])
+def test_stopping_at_a_time_does_not_choose(monkeypatch, enough):
     # Large values take long here: whoever counts a round that ends late, or starts none that might, prefers some.
     what, report = made_up(monkeypatch)
     monkeypatch.setattr(budget_report, "ENOUGH_FOR_TIME", enough)
     found, rounds = [], set()
     for seed in range(RUNS if enough == math.inf else RUNS // 3):
-        values, reached = budget.spend(what, budget.Wanted(None, 6.0, report), seed=seed, progress=None)
+        values, reached = budget.spend(what, budget.Wanted(None, 7.5, report), seed=seed, progress=None)
         found.append(values[0])
         rounds.add(tuple(reached.batches.values()))
-    assert len(rounds) >= outcomes
+    assert len(rounds) >= 3
     assert abs(deviate(found, sum(MEANS))) < Z
 
 

@@ -56,12 +56,13 @@ STREAM_BUDGET, STREAM_A, STREAM_B = 0x73706E64, 0, 1
 FIRST_LOOK, NEXT_LOOK = 0.7, 2.0
 #: Steps in which the number that reaches the error is searched: fine beside one batch.
 STEP = 1.01
-#: Least kurtosis less one: nothing is known as exactly as a pilot of many components may say.
-LEAST_EXCESS = 0.02
+#: Least kurtosis less one: nothing is known as exactly as a pilot of many components may say; and the largest r^2: the
+#: expansion says nothing of larger ones.
+LEAST_EXCESS, MOST_UNCERTAIN = 0.02, 0.25
 #: Most rounds of a time budget, and the share of the efficiency that rounding to them may cost.
 MOST_ROUNDS, ROUNDING = 16, 0.03
-#: Rounds count that end within so many times the budget.
-SLACK = 1.1
+#: Rounds count that end within so many times the budget; they are planned to, where samples were rounded.
+SLACK, FULL = 1.1, 1.02
 #: Seconds of the pilot of a time budget, at least; and how many times its share it may take where it is uncertain.
 LEAST_PILOT, PATIENCE = 0.1, 1.5
 #: Seconds of the pilot of a target error, whose time is not known before; more where it is uncertain (``pilot.SHARE``).
@@ -269,7 +270,7 @@ class _Half:
         while share <= NEXT_LOOK * start and np.isfinite(variance).all():
             squares = variance / (2.0 * np.maximum(share * wanted, 1.0))
             total = max(float(squares.sum()), 1e-300)
-            if total * (1.0 + float((squares / total) ** 2 @ uncertain)) <= target**2:
+            if total * (1.0 + min(float((squares / total) ** 2 @ uncertain), MOST_UNCERTAIN)) <= target**2:
                 return share
             share *= STEP
         return math.inf
@@ -346,9 +347,9 @@ def rounds(report: Report, seconds: float) -> tuple[np.ndarray, int]:
     ideal = batches_for_time(cost, variance, seconds, LEAST_IN_TIME)
     best: tuple[float, np.ndarray, int] | None = None
     for number in range(1, MOST_ROUNDS + 1):
-        each = np.maximum(np.floor(ideal / number), 1.0)
+        each = np.maximum(np.floor(FULL * ideal / number), 1.0)
         # What flooring leaves over goes to more rounds.
-        count = max(int(seconds / float(each @ cost)), 1)
+        count = max(int(FULL * seconds / float(each @ cost)), 1)
         error2 = float((variance / (count * each)).sum())
         if best is None or error2 <= best[0] * (1.0 + ROUNDING):
             best = (min(error2, best[0] if best else error2), each, count)
