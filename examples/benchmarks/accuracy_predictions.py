@@ -27,7 +27,6 @@ from accuracy_cases import FRESH, PAIRS, Loaded, Pair, kept, scatter
 from common import Report, arguments, psdr
 
 from warp_psdr.work_precision import budget, quantity
-from warp_psdr.work_precision.statistics import moments
 from warp_psdr.work_precision.tiles import spread
 
 #: What the project asks of predictions: time within 25 %, error within 20 %, in 80 % of the pairs.
@@ -67,16 +66,20 @@ def reached(
         blocks: components that belong together.
         seen: (blocks,), which errors are relative to.
     """
-    found = [moments([x], blocks) for x in batches]
-    variance = np.array([m.variance[0] for m in found])
-    total = np.sum([np.mean(x, axis=0, dtype=np.float64) for x in batches], axis=0)
-    noise = (variance / np.array([[len(x)] for x in batches])).sum(axis=0)
-    norm2 = np.array([total[block] @ total[block] for block in blocks]) - noise
+    means = [np.mean(x, axis=0, dtype=np.float64) for x in batches]
+    # (batches, blocks) of each term: squared distances from the mean, whose mean is the variance of a batch.
+    squares = [
+        np.array([[float(np.square(x[block] - mean[block]).sum()) for block in blocks] for x in of_term])
+        * (len(of_term) / (len(of_term) - 1))
+        for of_term, mean in zip(batches, means, strict=True)
+    ]
+    total = np.sum(means, axis=0)
+    norm2 = np.array([float(np.square(total[block]).sum()) for block in blocks])
+    norm2 -= np.sum([x.mean(axis=0) / len(x) for x in squares], axis=0)
     # E[1/n]: of the squared error in the mean.
-    per_batch = (1.0 / counts).mean(axis=0)
-    error = math.sqrt(float((variance * per_batch[:, None] / norm2)[:, seen].mean(axis=1).sum()))
-    of_variance = np.array([m.variance_error[0] for m in found]) * per_batch[:, None] / norm2
-    squared_error = float(np.linalg.norm(of_variance[:, seen].mean(axis=1)))
+    shares = [n * (x / norm2)[:, seen].mean(axis=1) for n, x in zip((1.0 / counts).mean(axis=0), squares, strict=True)]
+    error = math.sqrt(sum(float(x.mean()) for x in shares))
+    squared_error = math.sqrt(sum(float(x.var(ddof=1)) / len(x) for x in shares))
     return error, squared_error / (2.0 * error)
 
 
