@@ -346,7 +346,7 @@ def test_a_long_time_buys_larger_batches(report):
         (larger,) = lone.fitted(seconds=8.0).terms
         assert larger.spp >= 58  # 0.5 + 0.5 spp / 4 seconds: one of 60 takes all of the time
         assert larger.seconds == pytest.approx(0.5 + larger.spp / 4 * 0.5) and larger.seconds <= 8.0
-        gain = 4.0**exponent * larger.spp / 16  # as measured up to four times the size, then as independent samples
+        gain = (larger.spp / 4) ** exponent
         assert larger.variance[ALBEDO] == pytest.approx(term.variance[ALBEDO] / gain)
         (largest,) = lone.fitted(seconds=1e6).terms
         assert largest.spp == 64 * 4

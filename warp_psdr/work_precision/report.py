@@ -42,8 +42,7 @@ LEAST_EXPONENT, MOST_EXPONENT, CHOSEN = 0.9, 3.0, 1.5
 #: between these numbers; for a time, none has to. What is saved buys larger batches again, a few times.
 TOLD_WITHIN, FEWEST_FOR_ERROR, MOST_FOR_ERROR, ENOUGH_FOR_TIME, REFITS = 0.2, 12.0, 64.0, 1.0, 4
 #: How many times larger than the pilot's they become at most. For an error, as far as the pilot has measured, since a
-#: predicted time rests on it; for a time, which is spent whatever is predicted, more. Beyond the first, variances are
-#: taken to fall as those of independent samples: stratification may have given what it has.
+#: predicted time rests on it; for a time, which is spent whatever is predicted, more.
 LARGEST_FOR_ERROR, LARGEST_FOR_TIME = 4.0, 64.0
 #: Sizes of batches that are tried, over those of which ``least`` would be asked for without fixed costs; and what a
 #: time may be short by from rounding.
@@ -395,14 +394,12 @@ def _resized(term: TermReport, share: float) -> TermReport:
         # It counts by how certain it is: the positive part of Stein's estimate.
         exponent = 1.0 + (exponent - 1.0) * max(1.0 - (CHOSEN * term.exponent_error / (exponent - 1.0)) ** 2, 0.0)
     samples = round(ratio * term.samples)
-    known = min(ratio, LARGEST_FOR_ERROR)
     return replace(
         term,
         spp=spp,
-        exponent=1.0 if ratio > known else term.exponent,
         samples=samples,
         seconds=term.fixed_seconds + samples * term.sample_seconds,
-        variance={name: value / (known**exponent * (ratio / known)) for name, value in term.variance.items()},
+        variance={name: value / ratio**exponent for name, value in term.variance.items()},
     )
 
 
