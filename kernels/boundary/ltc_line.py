@@ -178,10 +178,10 @@ def sample_line(line: Line, u: wp.float32) -> wp.float32:
         c = wp.cos(line.psi + x)
         slope = 2.0 * (line.u_z * c + line.w_z * wp.sin(line.psi + x)) * c
         following = 0.5 * (low + high)
-        if slope > 0.0:
-            newton = x - error / slope
-            if newton > low and newton < high:
-                following = newton
+        # Without a slope it is infinite or not a number, and a slope that rounding turns around leads out.
+        newton = x - error / slope
+        if newton > low and newton < high:
+            following = newton
         step = wp.abs(following - x)
         x = following
         if step <= INVERSION_TOLERANCE * line.arc:

@@ -161,10 +161,10 @@ def _beckmann_sample_visible(w: wp.vec3, v: wp.vec2) -> wp.vec3:
             high = x
         slope = (z - x * r) * gauss
         following = 0.5 * (low + high)
-        if slope > 0.0:
-            newton = x - wp.log(ratio) * c / slope
-            if newton > low and newton < high:
-                following = newton
+        # Without a slope it is infinite or not a number, and a slope that rounding turns around leads out.
+        newton = x - wp.log(ratio) * c / slope
+        if newton > low and newton < high:
+            following = newton
         x = following
     y = wp.erfinv(wp.clamp(2.0 * v[1] - 1.0, -0.9999999, 0.9999999))
     # From the plane of incidence back to the frame of w; normal (-slope, 1).

@@ -108,6 +108,7 @@ def make_rough_conductor(distribution: str) -> RoughConductor:
         s = BsdfSample()
         s.eta = 1.0
         s.lobe = LOBE_NONE
+        # This and the next are for speed: without a density there is no sample.
         if wi[2] > MIN_COSINE:
             alpha_u = at_least_min(mat.s0)
             alpha_v = at_least_min(mat.s1)
