@@ -262,15 +262,16 @@ def test_edges_are_drawn_within_their_ends(grazing: bool) -> None:
     if grazing:
         a -= (1.0 - 10.0 ** random.uniform(-9.0, -3.0, count))[:, None] * (a * z).sum(axis=1)[:, None] * z
     scale = 10.0 ** random.uniform(-3.0, 0.0, count)
-    u = random.choice([0.0, 0.1, 0.5, 0.9, 0.99999994], count)
+    u = random.choice([0.0, 0.1, 0.5, 0.9, 0.999, 0.99999994], count)
     inputs = [wp.array(np.float32(v), dtype=wp.vec3, device="cpu") for v in (z, a, along)]
     inputs[1:1] = [wp.array(np.float32(scale), device="cpu")]
     out = wp.zeros(count, dtype=wp.vec3, device="cpu")
     wp.launch(lines, count, [*inputs, wp.array(np.float32(u), device="cpu")], [out], device="cpu")
     integral, fraction, part = out.numpy().T
     assert (integral >= 0.0).all() and (fraction >= 0.0).all() and (fraction <= 1.0).all()
-    told = (integral > 0.0) & (scale > 0.1) & ~grazing
-    assert np.abs(part - u)[told].max(initial=0.0) < 1e-3
+    # Float32 fractions of an edge that is much longer than the lobe is wide.
+    error = np.abs(part - u)[(integral > 0.0) & (not grazing)]
+    assert error.max(initial=0.0) < 2e-2 and (error > 1e-3).sum() < 10
 
 
 def test_a_vertex_met_along_its_surface_is_dropped() -> None:
