@@ -137,6 +137,7 @@ def _tree(
             low = np.minimum.reduceat(n_low[order], start)
             high = np.maximum.reduceat(n_high[order], start)
             nodes["n_center"][numbers] = 0.5 * (low + high)
+            # Rounded outwards, which is all that lets the test of planes err on the side of keeping a node.
             nodes["n_half"][numbers] = 0.5 * (high - low) + 1e-6
             d = heights[order] - np.einsum("ifk,ik->if", normals[order], center[segment])
             nodes["d_low"][numbers] = np.minimum.reduceat(np.minimum(d[:, 0], d[:, 1]), start)

@@ -34,8 +34,6 @@ from warp_psdr.kernels.surface import load_vec3
 
 #: Most samples that travel through the trees together: [LADL18] split 16 ways. Also the length of the stack.
 MAX_SPLIT = 16
-#: Relative rounding error of a plane test: nodes this close to the plane are kept.
-PLANE_TOLERANCE = 1.0e-5
 #: Least probability of a child that may hold silhouettes: the estimates of nodes are rough.
 MIN_PROBABILITY = 0.01
 
@@ -93,12 +91,11 @@ def lobe_estimate(lobe: Lobe, w: wp.vec3, cosine: wp.float32, sine: wp.float32) 
 
 @wp.func
 def may_hold_silhouette(node: EdgeNode, x: wp.vec3) -> wp.bool:
-    """Whether the bounds allow an edge whose faces x lies on different sides of."""
+    """Whether the bounds allow an edge whose faces x lies on different sides of; n_half has room for roundings."""
     y = x - node.center
     middle = wp.dot(node.n_center, y)
     spread = wp.dot(node.n_half, wp.abs(y))
-    margin = PLANE_TOLERANCE * (wp.length(y) + wp.length(node.half))
-    return middle - spread - node.d_high <= margin and middle + spread - node.d_low >= -margin
+    return middle - spread <= node.d_high and middle + spread >= node.d_low
 
 
 @wp.func

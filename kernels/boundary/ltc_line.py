@@ -237,7 +237,7 @@ def sample_mixture(lobes: Lobes, a: wp.vec3, along: wp.vec3, u: wp.vec2) -> wp.f
     at = u[0] * (first + second + lobes.light.share * light.integral)
     if at < first:
         return sample_line(cosine, u[1])
-    if at < first + second or light.integral <= 0.0:
+    if at < first + second:
         return sample_line(glossy, u[1])
     return sample_line(light, u[1])
 

@@ -260,6 +260,10 @@ def test_no_silhouette_is_left_out_and_much_else_is() -> None:
     # Also points on the surfaces, where planes pass through the point.
     triangles = scene.triangles.numpy()
     x = np.concatenate([x, (triangles["p0"] + triangles["p1"] + triangles["p2"])[::7] / 3.0])
+    # And far away in these planes, where rounding decides.
+    e1, e2 = triangles["p1"] - triangles["p0"], triangles["p2"] - triangles["p0"]
+    far = random.uniform(-50.0, 50.0, (2, len(triangles), 1))
+    x = np.concatenate([x, triangles["p0"] + far[0] * e1 + far[1] * e2])
     importance = wp.zeros((len(x), count), dtype=wp.float32)
     held = wp.zeros((len(x), len(nodes)), dtype=wp.int32)
     lobes = Lobes()
