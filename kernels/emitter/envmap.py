@@ -104,10 +104,10 @@ def locate(texture: Texture, v: wp.vec3) -> Cell:
     column = wp.int32(left)
     if column < 0:
         column += texture.width
-    row = wp.clamp(wp.int32(y), 0, rows - 1)
-    cell = cell_at(texture, row, wp.clamp(column, 0, texture.width - 1))
+    row = wp.min(wp.int32(y), rows - 1)
+    cell = cell_at(texture, row, column)
     cell.fx = x - left
-    cell.fy = wp.clamp(y - wp.float32(row), 0.0, 1.0)
+    cell.fy = y - wp.float32(row)
     return cell
 
 
@@ -166,6 +166,7 @@ def density_at(b: CellDensity, s: wp.float32, t: wp.float32) -> wp.float32:
 @wp.func
 def linear_offset(u: wp.float32, a: wp.float32, b: wp.float32) -> wp.float32:
     """Position in [0, 1) with density proportional to the line from a to b (both positive)."""
+    # Roundings reach beyond 1, behind a pole.
     return wp.min(u * (a + b) / (a + wp.sqrt((1.0 - u) * a * a + u * b * b)), ONE_MINUS_EPSILON)
 
 
@@ -187,7 +188,10 @@ def cell_solid_angle(row: wp.int32, rows: wp.int32, columns: wp.int32) -> wp.flo
 
 @wp.func
 def cell_height(cell: Cell, v: wp.vec3, rows: wp.int32) -> wp.float32:
-    """Vertical position of the unit vector v within its cell, uniform in solid angle; counted from the nearer pole."""
+    """Vertical position of the unit vector v within its cell, uniform in solid angle; counted from the nearer pole.
+
+    In [0, 1] up to roundings, which do not matter to a density whose least value is a fortieth of its largest.
+    """
     # sin^2(theta / 2) = sin^2(theta) / (2 (1 + cos theta)).
     q = 0.5 * (v[0] * v[0] + v[2] * v[2]) / (1.0 + wp.abs(v[1]))
     t = wp.float32(0.0)
@@ -199,7 +203,7 @@ def cell_height(cell: Cell, v: wp.vec3, rows: wp.int32) -> wp.float32:
         q = wp.where(v[1] > 0.0, 1.0 - q, q)
         low = half_sine(rows - cell.row, rows)
         t = (q - low) / (half_sine(rows - cell.row - 1, rows) - low)
-    return wp.clamp(t, 0.0, 1.0)
+    return t
 
 
 @wp.func
@@ -213,11 +217,11 @@ def cell_share(scene: Scene, row: wp.int32, column: wp.int32, columns: wp.int32)
 
 @wp.func
 def stretch(u: wp.float32, low: wp.float32, high: wp.float32, jitter: wp.float32) -> wp.float32:
-    """Position of u within [low, high), in [0, 1).
+    """Position of u within [low, high), in [0, 1].
 
     In a narrow interval u has few bits left. ``jitter`` spreads it over its spacing, which makes the result uniform.
     """
-    return wp.min((u - low + UNIT * jitter) / (high - low), ONE_MINUS_EPSILON)
+    return (u - low + UNIT * jitter) / (high - low)
 
 
 @functools.cache
@@ -289,7 +293,7 @@ def make_envmap(role: str | None, wanted: tuple[str, ...]) -> EnvironmentFunctio
         q = (1.0 - t) * q0 + t * q1
         azimuth = circle((wp.float32(column) + 0.5 + s) / wp.float32(columns))
         root = wp.sqrt(q)
-        other = wp.sqrt(wp.max(1.0 - q, 0.0))
+        other = wp.sqrt(1.0 - q)
         sin_theta = 2.0 * root * other
         cos_theta = wp.where(upper, 1.0 - 2.0 * q, 2.0 * q - 1.0)
         v = wp.vec3(sin_theta * azimuth[1], cos_theta, -sin_theta * azimuth[0])

@@ -1,9 +1,11 @@
 """Guards of samplers at the ends of their ranges: without one a sample is not finite, or drawn with another density."""
 
 import numpy as np
+import pytest
 import warp as wp
 from scipy.special import erfc
 
+from tests.emitter_helpers import envmap, random_map
 from warp_psdr.kernels.bsdf.microfacet import BECKMANN_MAX_SLOPE, make_microfacet
 
 #: Of cumulative probabilities.
@@ -59,3 +61,61 @@ def test_a_surface_masks_no_more_than_itself() -> None:
     shown = out.numpy()
     # Absorbs roundings.
     assert shown.max() < 1.0 + 1e-6 and (np.diff(shown) > -1e-6).all()
+
+
+def stripes(height: int) -> np.ndarray:
+    """Return a map of which every other row is black, the poles among them, and the others are suns."""
+    data = np.zeros((height, 3, 3), np.float32)
+    data[1:-1:2] = 4e4
+    return data
+
+
+@pytest.mark.parametrize("height", [3, 5, 101, 513, 2049])
+def test_a_map_has_no_negative_radiance(height: int) -> None:
+    """At the borders of its cells, where positions within them are off by a rounding of the row's number."""
+    light = envmap(stripes(height), rotation=np.eye(3))
+    marginal = light.scene.env_marginal.numpy()
+    starts = np.concatenate([marginal[:-1], marginal[1:] - np.float32(2.0**-24)])
+    u = np.stack([np.tile(np.float32([0.0, 0.3, 0.99999994]), len(starts)), np.repeat(starts, 3)], axis=1)
+    drawn = light.sample(np.zeros((len(u), 3)), u)
+    assert (drawn.radiance >= 0.0).all() and (drawn.pdf > 0.0).all()
+    poles, pdf = light.evaluate([[0.0, 1.0, 0.0], [0.0, -1.0, 0.0]])
+    # Absorbs half a turn less its rounding.
+    assert (poles >= 0.0).all() and (poles < 1e-6 * height * 4e4).all() and (pdf > 0.0).all()
+
+
+def test_a_map_is_the_same_on_all_sides_of_a_pole() -> None:
+    data = random_map()
+    data[[0, -1]] = data[[0, -1], :1]
+    light = envmap(data, rotation=np.eye(3))
+    turns = 2.0 * np.pi * np.arange(64) / 64.0
+    around = np.stack([np.cos(turns), 0.0 * turns, np.sin(turns)], axis=1)
+    for y, row in ((1.0, 0), (-1.0, -1)):
+        seen, pdf = light.evaluate(np.float32([[0.0, y, 0.0], *(1e-5 * around + [0.0, y, 0.0])]))
+        np.testing.assert_allclose(seen, np.broadcast_to(1.5 * data[row, 0], seen.shape), rtol=1e-3)
+        # Each cell has a share of its own.
+        assert np.abs(pdf[1:] / pdf[0] - 1.0).min() < 1e-3
+
+
+def test_the_last_numbers_draw_a_direction_of_a_map() -> None:
+    """The largest random number, which rounds up to the end of the last row of cells: the lower pole."""
+    light = envmap(random_map(6, 1024), rotation=np.eye(3))
+    u = np.stack([np.linspace(0.0, 0.99999994, 1 << 16), np.full(1 << 16, 0.99999994)], axis=1)
+    drawn = light.sample(np.zeros((len(u), 3)), u)
+    assert np.isfinite(drawn.wi).all() and np.abs(np.linalg.norm(drawn.wi, axis=1) - 1.0).max() < 1e-6
+
+
+def test_texels_below_zero_have_no_density() -> None:
+    """As steps of an optimisation leave them: the sphere's area from its samples, none of which is out of place."""
+    data = random_map()
+    light = envmap(data, rotation=np.eye(3))
+    values = light.values.copy()
+    part = values[light.where["radiance"]]
+    part[np.random.default_rng(3).random(len(part)) < 0.5] *= -3.0
+    u = (np.random.default_rng(4).permutation(1 << 16)[:, None] + 0.5) / (1 << 16)
+    drawn = light.sample(
+        np.zeros((1 << 16, 3)), np.concatenate([u, np.random.default_rng(5).random((1 << 16, 1))], 1), values
+    )
+    assert np.isfinite(drawn.wi).all() and (drawn.pdf > 0.0).all()
+    area = (1.0 / drawn.pdf).astype(np.float64)
+    assert abs(area.mean() - 4.0 * np.pi) < 4.5 * area.std() / 256.0
