@@ -153,7 +153,8 @@ def make_edge_sample(config: PathConfig, tree: bool, candidates: int):
         side = interior_side(scene, edges, point, m)
         density = trees.boost[chosen.edge] * mixture_density(lobes, w)
         f = bsdf.eval(b.model, material, wi, to_local(frame.s, frame.t, frame.n, w))
-        if side == 0.0 or sine <= 0.0 or density <= 0.0 or vanishes(f):
+        # Where the density is 0 so is f: both are of the same cosine. A point that is drawn is not seen end-on.
+        if side == 0.0 or vanishes(f):
             return r
         # The line passes the occluder on its outside.
         step = edge_step(scene, edges, point.edge)

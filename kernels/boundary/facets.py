@@ -132,8 +132,6 @@ def make_facets_kernel(config: PathConfig, role: str, camera_moves: bool):
             o = f.point.x + (apart - 2.0 * apart * wp.float32(i)) * f.m - ahead * f.d
             hit = closest_hit(sight(scene), o, f.d, 2.0 * ahead)
             seen = o + hit.t * f.d
-            if hit.face < 0:
-                return
             if not (
                 own_face(scene, edges, f.point.edge, hit.face)
                 or on_planes(scene, edges, f.point, hit.face, seen, f.step)

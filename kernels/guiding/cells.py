@@ -50,12 +50,11 @@ class CellSample:
 
 @wp.func
 def ramp_offset(r: wp.float64, slope: wp.float32) -> wp.float64:
-    """Position in [0, 1) with the density 1 + slope (2 t - 1)."""
+    """Position in [0, 1] with the density 1 + slope (2 t - 1), up to roundings of double precision."""
     s = wp.float64(slope)
     a = wp.float64(1.0) - s
     b = wp.float64(1.0) + s
-    t = wp.float64(2.0) * r / (a + wp.sqrt((wp.float64(1.0) - r) * a * a + r * b * b))
-    return wp.min(t, wp.float64(0.9999999999999999))
+    return wp.float64(2.0) * r / (a + wp.sqrt((wp.float64(1.0) - r) * a * a + r * b * b))
 
 
 @wp.func
@@ -111,7 +110,7 @@ def sample_cells(cells: Cells, v: wp.float64, jitter: wp.vec3) -> CellSample:
         slope = cells.slope[r.leaf]
         along = (w - below) / (wp.float64(cells.cdf[r.leaf + 1]) - below)
         t = wp.vec3d(
-            ramp_offset(wp.clamp(along, wp.float64(0.0), wp.float64(1.0)), slope[0]),
+            ramp_offset(along, slope[0]),
             ramp_offset(fine, slope[1]),
             ramp_offset(wp.float64(jitter[1]), slope[2]),
         )

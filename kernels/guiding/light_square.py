@@ -25,9 +25,9 @@ from warp_psdr.kernels.structs import Emitter, Scene
 
 @wp.func
 def within(cdf: wp.array(dtype=wp.float32), i: wp.int32, u: wp.float64) -> wp.float64:
-    """Position of u in the interval i of cumulative probabilities, in [0, 1)."""
+    """Position of u in the interval i of cumulative probabilities, in [0, 1]."""
     low = wp.float64(cdf[i])
-    return wp.clamp((u - low) / (wp.float64(cdf[i + 1]) - low), wp.float64(0.0), wp.float64(0.9999999999999999))
+    return (u - low) / (wp.float64(cdf[i + 1]) - low)
 
 
 @wp.func
@@ -102,8 +102,9 @@ def make_light_square(config: PathConfig):
                 tri = scene.triangles[emitter.first_face + k]
                 y = (1.0 - b[0] - b[1]) * tri.p0 + b[0] * tri.p1 + b[1] * tri.p2 - point.x
                 r.distance = wp.length(y)
-                if stripe.share > 0.0 and r.distance > 0.0:
+                if stripe.share > 0.0:
                     r.w = y / r.distance
+                    # Of no distance it is not a number, and not below 0.
                     if wp.dot(tri.normal, r.w) < 0.0:
                         r.valid = 1
                         r.aimed = 1

@@ -100,6 +100,8 @@ def test_cells_are_sampled_with_their_density(name, floor_share) -> None:
     # Absorbs points whose rounded coordinates lie in the next leaf.
     assert np.mean(np.abs(densities(cells, u) - pdf) > 1e-4 * pdf) < 1e-4
     assert pdf.min() >= floor_share * (1.0 - 1e-6)
+    # What another technique draws may be in no place of the cube.
+    assert not densities(cells, [[-1.0, 0.5, 0.5], [0.5, 2.0, 0.5], [0.5, 0.5, 1.0]]).any()
     # Expected counts in a grid, by stratified quadrature; its error is far below the counts' own.
     grid = np.stack(np.meshgrid(*[np.arange(128)] * 3, indexing="ij"), -1).reshape(-1, 3)
     grid = (grid + np.random.default_rng(6).random(grid.shape)) / 128

@@ -4,12 +4,16 @@ import numpy as np
 import warp as wp
 
 import warp_psdr as psdr
+from tests.boundary.scenes import SCENES
 from warp_psdr.curves import scene_curves
-from warp_psdr.edges import curve_edges
+from warp_psdr.edges import curve_edges, secondary_edges
 from warp_psdr.kernels.boundary.curve import MAX_SHIFT, make_curve_segment
 from warp_psdr.kernels.boundary.local_form import Edges, edge_point, edge_step
+from warp_psdr.kernels.guiding.light_square import make_light_square
+from warp_psdr.kernels.guiding.stripe import stripe_at
 from warp_psdr.kernels.structs import Scene
 
+from .sweeps import room
 from .test_crossing import camera, plates
 
 
@@ -46,3 +50,51 @@ def test_a_path_vertex_on_a_curve_is_near_it_and_has_a_density() -> None:
     wp.launch(drawn, len(u4), [scene.data(), edges, wp.array(u4, dtype=wp.vec4)], [scale, steps])
     assert np.isfinite(scale.numpy()).all() and scale.numpy().any()
     assert 0.9 * MAX_SHIFT < steps.numpy().max() < 1.01 * MAX_SHIFT
+
+
+def test_lights_that_an_edge_is_not_aimed_at_have_no_coordinates() -> None:
+    """Other shapes, lights seen from behind, and those that nothing beside the edge hides."""
+    scene = psdr.load_dict(room())
+    _aim, coordinates = make_light_square(psdr.plan(scene, integrator=psdr.PathIntegrator(max_depth=3)).config)
+    edges = secondary_edges(scene, {1})
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def asked(
+        scene: Scene, edges: Edges, point_out: wp.array2d(dtype=wp.float64), share_out: wp.array2d(dtype=wp.float32)
+    ):
+        i, k = wp.tid()
+        point = edge_point(scene, edges, i, point_out.shape[0], 0.5)
+        face = scene.emitters[0].first_face
+        w = scene.triangles[face].normal
+        if k == 0:
+            point_out[i, k] = coordinates(scene, edges, point, face, 0.3, 0.3, -w)[0]
+        elif k == 1:
+            point_out[i, k] = coordinates(scene, edges, point, face, 0.3, 0.3, w)[0]
+        else:
+            point_out[i, k] = coordinates(scene, edges, point, 0, 0.3, 0.3, -scene.triangles[0].normal)[0]
+        share_out[i, k] = stripe_at(scene, edges, point, face).share
+
+    found = wp.zeros((256, 3), dtype=wp.float64), wp.zeros((256, 3), dtype=wp.float32)
+    wp.launch(asked, (256, 3), [scene.data(), edges], list(found))
+    (front, back, other), share = found[0].numpy().T, found[1].numpy()[:, 0]
+    assert 0.5 < (share > 0.0).mean() < 0.99
+    np.testing.assert_array_equal(front >= 0.0, share > 0.0)
+    assert (back < 0.0).all() and (other < 0.0).all()
+
+
+def test_the_last_coordinates_are_a_direction_of_a_map() -> None:
+    """They are of double precision, and the largest of them no float32 below one."""
+    scene = psdr.load_dict({"type": "scene", **SCENES["envmap"]()})
+    aim, _coordinates = make_light_square(psdr.plan(scene, integrator=psdr.PathIntegrator(max_depth=2)).config)
+    edges = secondary_edges(scene, {1})
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def aimed(scene: Scene, edges: Edges, u: wp.array(dtype=wp.float64), w_out: wp.array2d(dtype=wp.vec3)):
+        i, k = wp.tid()
+        point = edge_point(scene, edges, 0, 1, 0.5)
+        w_out[i, k] = aim(scene, edges, point, u[i], u[k]).w
+
+    u = np.concatenate([1.0 - 10.0 ** np.linspace(-16.0, -6.0, 64), np.linspace(0.0, 1.0, 64)])
+    w = wp.zeros((len(u), len(u)), dtype=wp.vec3)
+    wp.launch(aimed, w.shape, [scene.data(), edges, wp.array(u)], [w])
+    np.testing.assert_allclose(np.linalg.norm(w.numpy(), axis=2), 1.0, atol=1e-6)
