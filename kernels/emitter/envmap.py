@@ -166,7 +166,7 @@ def density_at(b: CellDensity, s: wp.float32, t: wp.float32) -> wp.float32:
 @wp.func
 def linear_offset(u: wp.float32, a: wp.float32, b: wp.float32) -> wp.float32:
     """Position in [0, 1) with density proportional to the line from a to b (both positive)."""
-    # Roundings reach beyond 1, behind a pole.
+    # Roundings of the root and of u reach beyond 1, behind a pole.
     return wp.min(u * (a + b) / (a + wp.sqrt((1.0 - u) * a * a + u * b * b)), ONE_MINUS_EPSILON)
 
 

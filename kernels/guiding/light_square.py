@@ -14,7 +14,7 @@ import warp as wp
 
 from warp_psdr.kernels.boundary.direction import Direction
 from warp_psdr.kernels.boundary.local_form import EdgePoint, Edges
-from warp_psdr.kernels.constants import EMITTER_CONSTANT, EMITTER_ENVMAP, FAR, INV_TWO_PI, ONE_MINUS_EPSILON
+from warp_psdr.kernels.constants import EMITTER_CONSTANT, EMITTER_ENVMAP, FAR, INV_TWO_PI
 from warp_psdr.kernels.distribution import find_interval_64
 from warp_psdr.kernels.emitter.dispatch import make_lights
 from warp_psdr.kernels.emitter.envmap import cell_density, cell_height, load_matrix, locate
@@ -113,8 +113,7 @@ def make_light_square(config: PathConfig):
                         r.v = b[1]
         if wp.static(has_other):
             if emitter.kind != 0:
-                at = wp.vec2(wp.min(wp.float32(rest), ONE_MINUS_EPSILON), wp.min(wp.float32(u2), ONE_MINUS_EPSILON))
-                ls = other(scene, emitter, point.x, at)
+                ls = other(scene, emitter, point.x, wp.vec2(wp.float32(rest), wp.float32(u2)))
                 if ls.pdf > 0.0:
                     r.valid = 1
                     r.w = ls.wi
