@@ -122,8 +122,7 @@ def make_facets_kernel(config: PathConfig, role: str, camera_moves: bool):
         number = first + wp.tid()
         sampler = sampler_at(number, 0, seed)
         f = find(scene, camera, edges, number, samples, sampler, adjoint)
-        # A silhouette only up to roundings.
-        if f.valid == 0 or f.side != 0.0:
+        if f.valid == 0:
             return
         apart = BESIDE * f.step
         _width, slant = narrowest_face(scene, edges, f.point, f.m, f.d)

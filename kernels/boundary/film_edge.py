@@ -96,6 +96,7 @@ def make_film_edge(config: PathConfig, role: str, camera_moves: bool):
         r.d = (point.x - at.origin) / r.distance
         m = wp.cross(wp.normalize(point.p1 - point.p0), r.d)
         sine = wp.length(m)
+        # For speed: an edge seen end-on has no image to move, and rays that are not finite meet nothing on either side.
         if sine <= 0.0:
             return r
         r.m = m / sine

@@ -48,7 +48,8 @@ END_ON = 1.0e-7
 COSINE_SHARE = 0.25
 #: Narrowest lobe (slope); float32 resolves its peak.
 MIN_SCALE = 1.0e-3
-#: Least cosine of incidence that narrows a glossy lobe across the plane of incidence.
+#: Least cosine of incidence that narrows a glossy lobe across the plane of incidence: for less noise alone, since what
+#: a lobe draws is divided by its density.
 MIN_NARROWING = 0.2
 
 

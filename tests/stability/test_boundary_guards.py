@@ -4,6 +4,9 @@ import numpy as np
 import warp as wp
 
 import warp_psdr as psdr
+from tests.boundary.test_facets import gradient
+from warp_psdr.boundary import terms
+from warp_psdr.boundary.motion import motion
 from warp_psdr.curves import scene_curves
 from warp_psdr.edges import curve_edges, secondary_edges
 from warp_psdr.kernels.boundary.curve import MAX_SHIFT, make_curve_segment
@@ -11,6 +14,7 @@ from warp_psdr.kernels.boundary.local_form import Edges, edge_point, edge_step
 from warp_psdr.kernels.guiding.light_square import make_light_square
 from warp_psdr.kernels.guiding.stripe import stripe_at
 from warp_psdr.kernels.structs import Scene
+from warp_psdr.plan import decide
 
 from .sweeps import room
 from .test_crossing import camera, plates
@@ -100,3 +104,53 @@ def test_the_last_coordinates_are_a_direction_of_a_map() -> None:
     w = wp.zeros((len(u), len(u)), dtype=wp.vec3)
     wp.launch(aimed, w.shape, [scene.data(), edges, wp.array(u)], [w])
     np.testing.assert_allclose(np.linalg.norm(w.numpy(), axis=2), 1.0, atol=1e-6)
+
+
+# --- creases of small angles, which one path for both faces estimates ---
+
+RIDGE, LIFT = "ridge.vertex_positions", np.tile([0.0, 0.0, 1.0], 6)
+
+
+def crease(slant: float, half: float = 0.6, eye: float = -3.0, near: float = 0.01, **more) -> float:
+    """Return by how much images change as a ridge rises; all of it shines back, and one face is seen at an angle."""
+    y, z = [0, 0, 1, 1, -1, -1], [0, 0, 0.1, 0.1, -slant, -slant]
+    vertices = np.stack([np.tile([-half, half], 3), y, z], axis=1)
+    faces = np.array([[0, 1, 3], [0, 3, 2], [4, 5, 1], [4, 1, 0]])
+    view = psdr.Transform.look_at((0.0, eye, 0.0), (0.0, 0.0, 0.0), (0, 0, 1))
+    scene = psdr.load_dict(
+        {
+            "type": "scene",
+            "camera": camera(to_world=view, near_clip=near),
+            "ridge": {"type": "mesh", "vertices": vertices, "faces": faces, "face_normals": True},
+            "light": {"type": "point", "position": [0.0, 0.5, 1.2]},
+        }
+        | more
+    )
+    plan = decide(scene, psdr.traverse(scene), integrator=psdr.PathIntegrator(max_depth=2), names=[RIDGE])
+    request = terms.Request(scene, plan, motion(scene, [RIDGE]), "reverse", 0, 64, 0)
+    (term,) = terms.launches(terms.facets, request)
+    return float(gradient(request, RIDGE, term) @ LIFT)
+
+
+def test_creases_beside_a_face_seen_nearly_edge_on() -> None:
+    """At 4.8e-5 radians: rays beside the crease must start in front of the face, farther away than usual."""
+    assert abs(crease(4.8e-5, 0.1) / crease(1e-3, 0.1) - 1.0) < 0.05
+
+
+def test_creases_close_to_the_camera() -> None:
+    """What is behind the camera, nearer than rays otherwise start, is not met."""
+    wall = {
+        "type": "rectangle",
+        "to_world": psdr.Transform.translate([0, -0.0155, 0]) @ psdr.Transform.rotate([1, 0, 0], 90),
+    }
+    close = {"slant": 0.02, "eye": -0.015, "near": 1e-3}
+    assert crease(**close, wall=wall) == crease(**close) != 0.0
+
+
+def test_creases_behind_what_is_nearly_there() -> None:
+    """A plate that covers the ridge nearer than rays towards the camera start has its image, and the ridge none."""
+    plate = {
+        "type": "rectangle",
+        "to_world": psdr.Transform.translate([0, -1e-4, 0]) @ psdr.Transform.rotate([1, 0, 0], 90),
+    }
+    assert crease(0.2, plate=plate) == 0.0 != crease(0.2)
