@@ -4,6 +4,7 @@ import numpy as np
 import warp as wp
 
 import warp_psdr as psdr
+from tests.boundary.scenes import ball
 from tests.boundary.test_facets import gradient
 from warp_psdr.boundary import terms
 from warp_psdr.boundary.motion import motion
@@ -154,3 +155,38 @@ def test_creases_behind_what_is_nearly_there() -> None:
         "to_world": psdr.Transform.translate([0, -1e-4, 0]) @ psdr.Transform.rotate([1, 0, 0], 90),
     }
     assert crease(0.2, plate=plate) == 0.0 != crease(0.2)
+
+
+# --- terminators of interpolated normals ---
+
+
+def terminator(shape: dict, parameter: str, seed: int = 0, **more) -> tuple[np.ndarray, int]:
+    """Return the gradient of the term of the terminators, and how many of its samples were not finite."""
+    view = camera(to_world=psdr.Transform.look_at((0.3, -3.0, 2.0), (0.0, 0.0, 0.0), (0, 0, 1)))
+    scene = psdr.load_dict({"type": "scene", "camera": view, "shape": shape, "sky": {"type": "constant"}} | more)
+    plan = decide(scene, psdr.traverse(scene), integrator=psdr.PathIntegrator(max_depth=2), names=[parameter])
+    request = terms.Request(scene, plan, motion(scene, [parameter]), "reverse", 0, 64, seed)
+    (term,) = terms.launches(terms.terminator, request)
+    return gradient(request, parameter, term), psdr.invalid_samples(scene)["terminator"]
+
+
+def test_terminators_of_fine_meshes_are_as_strong() -> None:
+    """Of a ball of 81,920 triangles they are seen at 0.01 radians: rays that are far apart along them leave them."""
+    found = []
+    below = psdr.Transform.translate([0.0, 0.0, -1.2]) @ psdr.Transform.scale(3.0)
+    floor = {"type": "rectangle", "to_world": below}
+    for subdivisions in (5, 6):
+        shape = ball((0.0, 0.0, 0.0), 1.0, {"type": "diffuse"}, subdivisions=subdivisions, smooth=True)
+        outwards = np.asarray(shape["vertices"], np.float64).reshape(-1)
+        found.append(
+            np.mean([terminator(shape, "shape.vertex_positions", k, floor=floor)[0] @ outwards for k in range(4)])
+        )
+    assert abs(found[1] / found[0] - 1.0) < 0.1
+
+
+def test_where_normals_cancel_is_no_terminator() -> None:
+    """Along a line of the triangle its interpolated normal is 0, and so is its product with the line of sight."""
+    n = np.array([0.0, 0.6, 0.8])
+    shape = {"type": "mesh", "vertices": [[-1, -1, 0], [1, -1, 0], [0, 1, 0]], "faces": [[0, 1, 2]]}
+    found, dropped = terminator(shape | {"normals": np.array([n, n, -n])}, "shape.vertex_positions")
+    assert dropped == 0 and np.isfinite(found).all()
