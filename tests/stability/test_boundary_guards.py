@@ -1,5 +1,7 @@
 """Guards of the boundary term's estimators: what comes out without one is not finite, or belongs to another place."""
 
+import math
+
 import numpy as np
 import warp as wp
 
@@ -190,3 +192,26 @@ def test_where_normals_cancel_is_no_terminator() -> None:
     shape = {"type": "mesh", "vertices": [[-1, -1, 0], [1, -1, 0], [0, 1, 0]], "faces": [[0, 1, 2]]}
     found, dropped = terminator(shape | {"normals": np.array([n, n, -n])}, "shape.vertex_positions")
     assert dropped == 0 and np.isfinite(found).all()
+
+
+# --- two surfaces that continue each other ---
+
+
+def test_a_border_between_plates_in_one_plane_moves_with_both() -> None:
+    """Their normals are the same but for roundings, by whose difference the border's velocity must not be split."""
+    tilt, at = 0.3, 0.2
+    plates = {}
+    for name, x, shine in (("a", (-3.0, -1.0, at), 1.0), ("b", (at, 1.1, 3.1), 5.0)):
+        corners = np.array([[u, v, 3.0 + tilt * u] for u in x for v in (-3.0, 3.0)])
+        faces = np.array([[0, 1, 3], [0, 3, 2], [2, 3, 5], [2, 5, 4]])
+        plates[name] = {
+            "type": "mesh", "vertices": corners, "faces": faces, "face_normals": True,
+            "bsdf": {"type": "diffuse", "reflectance": 0.0}, "emitter": {"type": "area", "radiance": shine},
+        }  # fmt: skip
+    scene = psdr.load_dict({"type": "scene", "camera": camera()} | plates)
+    params = psdr.traverse(scene)
+    tangents = {f"{name}.vertex_positions": np.tile(np.float32([1.0, 0.0, tilt]), (6, 1)) for name in plates}
+    found = psdr.render_forward(scene, params, tangents, integrator=psdr.PathIntegrator(max_depth=1), spp=256).numpy()
+    z = 3.0 + tilt * at
+    speed = (1.0 / z - tilt * at / z**2) / math.tan(math.radians(20.0))
+    assert abs(float(found.mean(dtype=np.float64)) / (0.5 * speed * (1.0 - 5.0)) - 1.0) < 1e-3
