@@ -14,12 +14,14 @@ from warp_psdr.curves import scene_curves
 from warp_psdr.edges import curve_edges, secondary_edges
 from warp_psdr.kernels.boundary.curve import MAX_SHIFT, make_curve_segment
 from warp_psdr.kernels.boundary.local_form import Edges, edge_point, edge_step
+from warp_psdr.kernels.boundary.secondary import make_segment
 from warp_psdr.kernels.guiding.light_square import make_light_square
 from warp_psdr.kernels.guiding.stripe import stripe_at
+from warp_psdr.kernels.guiding.techniques import make_techniques
 from warp_psdr.kernels.structs import Scene
 from warp_psdr.plan import decide
 
-from .sweeps import room
+from .sweeps import box, room
 from .test_crossing import camera, plates
 
 
@@ -215,3 +217,32 @@ def test_a_border_between_plates_in_one_plane_moves_with_both() -> None:
     z = 3.0 + tilt * at
     speed = (1.0 / z - tilt * at / z**2) / math.tan(math.radians(20.0))
     assert abs(float(found.mean(dtype=np.float64)) / (0.5 * speed * (1.0 - 5.0)) - 1.0) < 1e-3
+
+
+def test_where_a_box_sinks_into_the_floor_segments_end_at_its_edge() -> None:
+    """Rays towards the floor start in front of the edge, where a sunk edge is below it: tau is 1 there, not more."""
+    description = room()
+    vertices, faces = box((0.2, 0.1, 0.4998), 0.5, 0.0)
+    scene = psdr.load_dict(description | {"box": description["box"] | {"vertices": vertices, "faces": faces}})
+    config = psdr.plan(scene, integrator=psdr.PathIntegrator(max_depth=3)).config
+    segment, place = make_segment(config), make_techniques(config, False)[2]
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def drawn(
+        scene: Scene,
+        edges: Edges,
+        moving: wp.array(dtype=wp.int32),
+        u: wp.array(dtype=wp.vec3d),
+        tau_out: wp.array(dtype=wp.float32),
+    ):
+        i = wp.tid()
+        aim = place(scene, edges, u[i], 1)
+        s = segment(scene, edges, moving, aim.point, aim.direction, False)
+        if s.valid == 1:
+            tau_out[i] = s.tau
+
+    u = np.random.default_rng(1).random((1 << 16, 3))
+    moving = wp.array([0, 1, 0], dtype=wp.int32)
+    tau = wp.zeros(len(u), dtype=wp.float32)
+    wp.launch(drawn, len(u), [scene.data(), secondary_edges(scene, {1}), moving, wp.array(u, dtype=wp.vec3d)], [tau])
+    assert tau.numpy().min() >= 0.0 and tau.numpy().max() == 1.0
