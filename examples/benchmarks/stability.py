@@ -27,7 +27,7 @@ from warp_psdr.scene import dictionary
 FILM, BATCHES, SPP, REFERENCE_SPP = 64, 4, 64, 512
 #: Where seeds of the references start.
 REFERENCE_SEED = 1000
-FAR = 1.0e4 * np.array([1.0, 0.7, -0.4])
+FAR = 1.0e5 * np.array([1.0, 0.7, -0.4])
 
 
 def families(names: list[str] | None) -> list:
@@ -83,7 +83,7 @@ def hard_scenes() -> list[tuple[str, dict, dict, contextlib.AbstractContextManag
     whole = mock.patch.object(edges, "cut_sides", lambda points, group, shape, sides, face, tolerances: (sides, face))
     return [
         (
-            "$10^4$ sizes from the origin",
+            "$10^5$ sizes from the origin",
             room(1.0, FAR),
             room(),
             mock.patch.object(dictionary, "find_origin", lambda shapes: np.zeros(3)),
