@@ -11,13 +11,17 @@ from tests.boundary.test_facets import gradient
 from warp_psdr.boundary import terms
 from warp_psdr.boundary.motion import motion
 from warp_psdr.curves import scene_curves
+from warp_psdr.edge_trees import edge_trees
 from warp_psdr.edges import curve_edges, secondary_edges
 from warp_psdr.kernels.boundary.curve import MAX_SHIFT, make_curve_segment
+from warp_psdr.kernels.boundary.edge_sampling import make_edge_sample
+from warp_psdr.kernels.boundary.edge_tree import EdgeTrees
 from warp_psdr.kernels.boundary.local_form import Edges, edge_point, edge_step
 from warp_psdr.kernels.boundary.secondary import make_segment
 from warp_psdr.kernels.guiding.light_square import make_light_square
 from warp_psdr.kernels.guiding.stripe import stripe_at
 from warp_psdr.kernels.guiding.techniques import make_techniques
+from warp_psdr.kernels.rng import sampler_at
 from warp_psdr.kernels.structs import Scene
 from warp_psdr.plan import decide
 
@@ -219,11 +223,17 @@ def test_a_border_between_plates_in_one_plane_moves_with_both() -> None:
     assert abs(float(found.mean(dtype=np.float64)) / (0.5 * speed * (1.0 - 5.0)) - 1.0) < 1e-3
 
 
+def sunk():
+    """Return a room whose box reaches into floor and wall less deep than rays start off edges; it ends at x = 0.7."""
+    wall = [[-2.0, 0.5998, 0.0], [2.0, 0.5998, 0.0], [2.0, 0.5998, 2.0], [-2.0, 0.5998, 2.0]]
+    description = room(extra={"wall": {"type": "mesh", "vertices": wall, "faces": [[0, 1, 2], [0, 2, 3]]}})
+    vertices, faces = box((0.2, 0.1, 0.4998), 0.5, 0.0)
+    return psdr.load_dict(description | {"box": description["box"] | {"vertices": vertices, "faces": faces}})
+
+
 def test_where_a_box_sinks_into_the_floor_segments_end_at_its_edge() -> None:
     """Rays towards the floor start in front of the edge, where a sunk edge is below it: tau is 1 there, not more."""
-    description = room()
-    vertices, faces = box((0.2, 0.1, 0.4998), 0.5, 0.0)
-    scene = psdr.load_dict(description | {"box": description["box"] | {"vertices": vertices, "faces": faces}})
+    scene = sunk()
     config = psdr.plan(scene, integrator=psdr.PathIntegrator(max_depth=3)).config
     segment, place = make_segment(config), make_techniques(config, False)[2]
 
@@ -242,7 +252,42 @@ def test_where_a_box_sinks_into_the_floor_segments_end_at_its_edge() -> None:
             tau_out[i] = s.tau
 
     u = np.random.default_rng(1).random((1 << 16, 3))
-    moving = wp.array([0, 1, 0], dtype=wp.int32)
+    moving = wp.array([0, 1, 0, 0], dtype=wp.int32)
     tau = wp.zeros(len(u), dtype=wp.float32)
     wp.launch(drawn, len(u), [scene.data(), secondary_edges(scene, {1}), moving, wp.array(u, dtype=wp.vec3d)], [tau])
     assert tau.numpy().min() >= 0.0 and tau.numpy().max() == 1.0
+
+
+def test_points_close_to_an_edge_see_it_from_where_they_are() -> None:
+    """As near as rays start off edges, which else started behind the point; of an edge in a wall tau is 1."""
+    scene = sunk()
+    config = psdr.plan(scene, integrator=psdr.PathIntegrator(max_depth=3)).config
+    edge_sample = make_edge_sample(config, False, 16)
+    edges = secondary_edges(scene, {1})
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def drawn(
+        scene: Scene,
+        edges: Edges,
+        trees: EdgeTrees,
+        off: wp.array(dtype=wp.float32),
+        tau_out: wp.array(dtype=wp.float32),
+        ahead_out: wp.array(dtype=wp.float32),
+    ):
+        i = wp.tid()
+        v = (3.5998 - 0.5 * off[i]) / 6.0
+        u = (3.7 + off[i]) / 6.0 - v
+        tri = scene.triangles[0]
+        x = (1.0 - u - v) * tri.p0 + u * tri.p1 + v * tri.p2
+        ahead_out[i] = 1.0
+        d = wp.normalize(wp.vec3(-1.0, 0.2, -1.0))
+        s = edge_sample(scene, edges, trees, 0, u, v, d, sampler_at(i, 0, wp.uint32(1)), False).segment
+        if s.valid == 1:
+            tau_out[i] = s.tau
+            ahead_out[i] = wp.dot(s.source - x, s.w) / s.t1
+
+    off = np.float32(10.0 ** np.random.default_rng(1).uniform(-5.0, -1.0, 1 << 14))
+    tau, ahead = (wp.zeros(len(off), dtype=wp.float32) for _ in range(2))
+    wp.launch(drawn, len(off), [scene.data(), edges, edge_trees(scene, edges), wp.array(off)], [tau, ahead])
+    assert tau.numpy().min() >= 0.0 and tau.numpy().max() == 1.0
+    assert ahead.numpy().min() > 0.0
