@@ -13,11 +13,13 @@ from warp_psdr.boundary.motion import motion
 from warp_psdr.curves import scene_curves
 from warp_psdr.edge_trees import edge_trees
 from warp_psdr.edges import curve_edges, secondary_edges
+from warp_psdr.kernels.boundary.bent import make_jump
 from warp_psdr.kernels.boundary.curve import MAX_SHIFT, make_curve_segment
 from warp_psdr.kernels.boundary.edge_sampling import make_edge_sample
 from warp_psdr.kernels.boundary.edge_tree import EdgeTrees
 from warp_psdr.kernels.boundary.local_form import Edges, edge_point, edge_step
 from warp_psdr.kernels.boundary.secondary import make_segment
+from warp_psdr.kernels.boundary.transport import Segment
 from warp_psdr.kernels.guiding.light_square import make_light_square
 from warp_psdr.kernels.guiding.stripe import stripe_at
 from warp_psdr.kernels.guiding.techniques import make_techniques
@@ -291,3 +293,29 @@ def test_points_close_to_an_edge_see_it_from_where_they_are() -> None:
     wp.launch(drawn, len(off), [scene.data(), edges, edge_trees(scene, edges), wp.array(off)], [tau, ahead])
     assert tau.numpy().min() >= 0.0 and tau.numpy().max() == 1.0
     assert ahead.numpy().min() > 0.0
+
+
+def test_the_jump_of_a_bent_surface_is_seen_from_in_front_of_what_is_close_to_it() -> None:
+    """Half as far away as a plate, which shines on its other side: rays from behind that saw the plate twice."""
+    n, out = np.array([0.0, 0.2, 0.98]) / np.hypot(0.2, 0.98), np.array([0.0, -0.98, 0.2]) / np.hypot(0.2, 0.98)
+    across = np.array([1.0, 0.0, 0.0])
+    up = np.cross(out, across)
+    corners = 3e-4 * out + 1e-4 * np.array([a * across + b * up for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
+    bent = {"type": "mesh", "vertices": [[-1, -1, 0], [1, -1, 0], [0, 2, 0]], "faces": [[0, 1, 2]]}
+    plate = {"type": "mesh", "vertices": corners, "faces": [[0, 1, 2], [0, 2, 3]], "face_normals": True}
+    shape = {"bent": bent | {"normals": np.tile(n, (3, 1))}, "sky": {"type": "constant"}}
+    shape["plate"] = plate | {"emitter": {"type": "area", "radiance": 100.0}}
+    scene = psdr.load_dict({"type": "scene", "camera": camera()} | shape)
+    jump = make_jump(psdr.plan(scene, integrator=psdr.PathIntegrator(max_depth=4)).config)
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def seen(scene: Scene, n: wp.vec3, out: wp.vec3, radiance_out: wp.array(dtype=wp.vec3)):
+        s = Segment()
+        s.t1 = 3.0e-4
+        s.w = -out
+        s.sweep = (-1.0 / s.t1) * n
+        radiance_out[wp.tid()] = jump(scene, sampler_at(wp.tid(), 0, wp.uint32(1)), s, 1, 4, 100).total
+
+    found = wp.zeros(256, dtype=wp.vec3)
+    wp.launch(seen, 256, [scene.data(), wp.vec3(n), wp.vec3(out)], [found])
+    assert 0.1 < found.numpy().mean() < 1.0
