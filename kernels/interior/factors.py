@@ -110,7 +110,7 @@ def make_light_sink(config: PathConfig, wanted: Wanted, role: str):
     has_area = bool(config.area)
     has_environment = environment_eval is not None
     has_delta_lights = sample_vjp is not None
-    push_radiance = make_texture_sink(role, config.area, True, wanted.to_uv, False) if has_area else None
+    push_radiance = make_texture_sink(role, config.area, True, wanted.to_uv, wanted.texcoords) if has_area else None
     push_vertex = make_vertex_sink(role, config.smooth, config.flat, config.uv, config.tangent, wanted.texcoords, False)
 
     @wp.func

@@ -130,3 +130,31 @@ def test_what_is_not_traced_for_one_shape_does_not_matter(name, parameter):
     gradient = params[one].grad.numpy()
     assert gradient.any()
     assert np.linalg.norm(gradient - grads[one]) <= ROUNDING * np.linalg.norm(grads[one])
+
+
+def assert_alone(name, parameter):
+    """By kernels that compile nothing else, the gradient of a parameter is what it is among all."""
+    together = gradients(name)[3][parameter]
+    scene = psdr.load_dict(ROOMS[name]())
+    params = psdr.traverse(scene)
+    params.requires_grad(parameter)
+    psdr.render_backward(scene, params, gradients(name)[2], integrator=INTEGRATOR, spp=SPP)
+    found = params[parameter].grad.numpy()
+    assert np.linalg.norm(found - together) <= ROUNDING * np.linalg.norm(together), parameter
+
+
+def test_texture_coordinates_of_a_light_alone():
+    assert gradients("rough")[3]["light.vertex_texcoords"].any()
+    assert_alone("rough", "light.vertex_texcoords")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ROOMS)
+def test_every_parameter_alone(name):
+    """One of every kind, and all that move or bend something."""
+    seen = set()
+    for parameter in gradients(name)[3]:
+        kind = parameter.split(".")[-1]
+        if kind not in seen or kind.startswith(("vertex", "to_")):
+            seen.add(kind)
+            assert_alone(name, parameter)
