@@ -44,10 +44,14 @@ from warp_psdr.kernels.surface import make_surface
 #: Distance at which the two rays pass the edge beside narrow faces, in ray epsilons: 2 float32 steps of the largest
 #: coordinate.
 BESIDE_LEAST = 0.025
-#: The same at curves of intersection, larger because a ray that leaves one of the two surfaces at an acute angle
-#: starts one ray epsilon off it, which may not be behind the other. Where something else is seen there than close to
-#: the curve, the ray passes close to it: a silhouette that turns into a curve and its terminator are tangent to it.
+#: The same at curves of intersection, at most. A ray that leaves one of the two surfaces starts one ray epsilon off it,
+#: which in a notch must not be behind the other: at its opening angle, a distance of 1 / tan(angle) is enough. Farther
+#: away than needed it would miss what is close, the sliver of a shadow beside a wall along which the light shines.
+#: Where something else is seen there than close to the curve, the ray passes close to it: a silhouette that turns into
+#: a curve and its terminator are tangent to it.
 BESIDE_CURVE = 10.0
+#: Times by which it is larger than that.
+ROOM = 2.0
 #: Sine of the angle of two surfaces from which on "close to the curve" is ``BESIDE``. At smaller angles it is where
 #: they are as far apart as there, up to ``BESIDE_CURVE``: nearer, roundings decide which of the two is in front.
 ACUTE = 0.01
@@ -112,6 +116,10 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
             normal_b = scene.triangles[edges.faces[first_face + 1]].normal
             acute = wp.length(wp.cross(normal_a, normal_b))
             close = wp.clamp(BESIDE * ACUTE / acute, BESIDE, BESIDE_CURVE) * local
+            notch = -wp.dot(normal_a, normal_b)
+            if wp.dot(normal_a, d) * wp.dot(normal_b, d) < 0.0:
+                notch = -notch
+            apart = wp.clamp(wp.max(ROOM * notch, BESIDE) / acute, BESIDE, BESIDE_CURVE) * local
         else:
             width, slant = narrowest_face(scene, edges, point, m, d)
             # Where scales are mixed, steps are some roundings already.

@@ -78,9 +78,19 @@ def emerging():
     }
 
 
+def raking():
+    """A ball, sunk below its middle, along one of whose faces the light shines: its shadow is a sliver beside it."""
+    light = {"type": "point", "position": [0.5, -0.3, 2.2], "intensity": {"type": "rgb", "value": 5.0}}
+    low = ball((0.75, -0.25, -0.05), 0.3, diffuse(0.0))
+    view = camera(target=(0.72, -0.45, 0.05), fov=9.0)
+    view["film"] |= {"crop_offset_x": 1, "crop_offset_y": 7, "crop_width": 5, "crop_height": 3}
+    return sunk(light=light) | {"sensor": view, "shape": low}
+
+
 register(
     {
         "emerging": emerging,
+        "raking": raking,
         "sunk": sunk,
         "sunk smooth": lambda: sunk(True),
         "post": post,
@@ -102,6 +112,7 @@ CASES = [
     # As the camera sees them.
     Case("post", SHAPE, moved(1.0, -0.5, 0.0), 0.01, "a box moves along the floor", difference_spp=2048, slow=False),
     Case("post", SHAPE, moved(0.2, 0.0, 1.0), 0.01, "a box is lifted", difference_spp=2048),
+    Case("raking", SHAPE, moved(0.5, -0.5, 0.0), 0.004, "a ball moves", spp=4096, difference_spp=16384, slow=False),
     Case("sunk", SHAPE, moved(0.0, 0.0, 1.0), 0.005, "a ball sinks", difference_spp=4096),
     Case("sunk", SHAPE, scaled, 0.01, "a ball grows", difference_spp=2048),
     Case("sunk", FLOOR, moved(0.2, 0.1, 1.0), 0.01, "the floor rises", spp=1024, difference_spp=4096),

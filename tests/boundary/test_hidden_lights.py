@@ -38,16 +38,16 @@ def hidden(rfilter="tent", lamp=0.01):
     }
 
 
-register({"hidden": hidden, "hidden box": lambda: hidden("box"), "hidden bright": lambda: hidden(lamp=1.0)})
+register({"unseen": hidden, "unseen box": lambda: hidden("box"), "unseen bright": lambda: hidden(lamp=1.0)})
 
 CASES = [
-    Case("hidden", OCCLUDER, ALONG, 0.02, "occluder moves", spp=512, difference_spp=6144, hidden=True, slow=False),
-    Case("hidden box", SHEET, moved(0.6, 0.3, 0.2), 0.01, "sheet moves", spp=512, difference_spp=8192, hidden=True),
+    Case("unseen", OCCLUDER, ALONG, 0.02, "occluder moves", spp=512, difference_spp=6144, hidden=True, slow=False),
+    Case("unseen box", SHEET, moved(0.6, 0.3, 0.2), 0.01, "sheet moves", spp=512, difference_spp=8192, hidden=True),
     # The floor is dark inside of the lamp.
-    Case("hidden", LAMP, moved(0.5, -0.5, 0.3), 0.01, "lamp moves", spp=512, difference_spp=8192, hidden=True),
-    Case("hidden", PANEL, moved(0.5, 0.5, 0.3), 0.02, "light moves", spp=512, difference_spp=8192, hidden=True),
-    Case("hidden", "sensor.to_world", ALONG, 0.01, "camera moves", spp=512, difference_spp=8192, hidden=True),
-    Case("hidden", OCCLUDER, ALONG, 0.01, "occluder moves", 3, spp=1024, difference_spp=16384, hidden=True),
+    Case("unseen", LAMP, moved(0.5, -0.5, 0.3), 0.01, "lamp moves", spp=512, difference_spp=8192, hidden=True),
+    Case("unseen", PANEL, moved(0.5, 0.5, 0.3), 0.02, "light moves", spp=512, difference_spp=8192, hidden=True),
+    Case("unseen", "sensor.to_world", ALONG, 0.01, "camera moves", spp=512, difference_spp=8192, hidden=True),
+    Case("unseen", OCCLUDER, ALONG, 0.01, "occluder moves", 3, spp=1024, difference_spp=16384, hidden=True),
 ]
 
 
@@ -66,7 +66,7 @@ def test_other_methods(method: str) -> None:
 
 def test_the_modes_are_transposes_of_each_other() -> None:
     """Also where the contact of a light with the floor is seen, through the light."""
-    scene, params = load("hidden bright")
+    scene, params = load("unseen bright")
     names = [OCCLUDER, LAMP]
     options = {"integrator": CASES[0].integrator(), "spp": 16, "seed": 3}
     assert_transposes(scene, params, names, options)
