@@ -119,6 +119,9 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
             notch = -wp.dot(normal_a, normal_b)
             if wp.dot(normal_a, d) * wp.dot(normal_b, d) < 0.0:
                 notch = -notch
+            if wp.static(config.hidden):
+                # Behind a hidden light the notch on its other side is seen, too.
+                notch = wp.abs(notch)
             apart = wp.clamp(wp.max(ROOM * notch, BESIDE) / acute, BESIDE, BESIDE_CURVE) * local
         else:
             width, slant = narrowest_face(scene, edges, point, m, d)
