@@ -226,8 +226,9 @@ def test_wrong_options_are_refused(options, message) -> None:
 
 
 def test_what_it_does_not_cover_names_it() -> None:
-    scene, _params = load("soft")
-    integrator = psdr.PathIntegrator(max_depth=2, hide_emitters=True, boundary=Projective())
+    mirror = ball((0.1, 0.1, 0.9), 0.4, {"type": "conductor"})
+    scene = psdr.load_dict({"type": "scene", **SCENES["soft"](), "occluder": mirror})
+    integrator = psdr.PathIntegrator(max_depth=17, boundary=Projective())
     with pytest.raises(ValueError, match=r"boundary\.Projective\(\) cannot"):
         psdr.plan(scene, names=[OCCLUDER], integrator=integrator)
 
