@@ -44,7 +44,7 @@ CASES = [
     Case("unseen", OCCLUDER, ALONG, 0.02, "occluder moves", spp=512, difference_spp=6144, hidden=True, slow=False),
     Case("unseen box", SHEET, moved(0.6, 0.3, 0.2), 0.03, "sheet moves", spp=512, difference_spp=65536, hidden=True),
     # The floor is dark inside of the lamp.
-    Case("unseen", LAMP, moved(0.5, -0.5, 0.3), 0.01, "lamp moves", spp=512, difference_spp=8192, hidden=True),
+    Case("unseen", LAMP, moved(0.5, -0.5, 0.3), 0.01, "lamp moves", spp=2048, difference_spp=49152, hidden=True),
     Case("unseen", PANEL, moved(0.5, 0.5, 0.3), 0.02, "light moves", spp=512, difference_spp=8192, hidden=True),
     Case("unseen", "sensor.to_world", ALONG, 0.01, "camera moves", spp=512, difference_spp=8192, hidden=True),
     Case("unseen", OCCLUDER, ALONG, 0.01, "occluder moves", 3, spp=1024, difference_spp=16384, hidden=True),
