@@ -140,7 +140,7 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
         for i in range(2):
             sign = 1.0 - 2.0 * wp.float32(i)
             o = point.x + sign * beside - ahead * d
-            if curve:
+            if curve and close < apart:
                 near_o = point.x + (sign * close) * m - ahead * d
                 if seen_from(scene, near_o, d, t_max) != seen_from(scene, o, d, t_max):
                     o = near_o
