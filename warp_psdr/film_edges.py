@@ -90,9 +90,7 @@ def film_edges(
     kept: FilmEdges | None = getattr(scene, "_film_edges", None)
     if kept is not None and kept.every is every and kept.key == key:
         return kept
-    edges = every
-    if hide_emitters:
-        edges = without(every, np.array([s.emitter >= 0 for s in scene.builder.shapes])[scene.builder.face_shape])
+    edges = without(every, scene.luminous) if hide_emitters else every
     asked = np.ones(len(edges.length), bool) if camera_moves else moving_edges(scene, edges, shapes)
     jumps = _jumps(scene, view, edges, asked)
     creases = _seen(view, edges, asked & ~jumps & (edges.wedge > 0.0))

@@ -156,11 +156,15 @@ class Scene:
             raise ValueError(f"sensor {sensor!r}: the scene has sensors 0 to {len(cameras) - 1}")
         return cameras[sensor]
 
+    @property
+    def luminous(self) -> np.ndarray:
+        """Mask of the triangles of area lights."""
+        return np.array([s.emitter >= 0 for s in self.builder.shapes], bool)[self.builder.face_shape]
+
     def hide_lights(self) -> None:
         """Build what the camera's rays meet where area lights are hidden: their triangles become points."""
         if self._sight is None:
-            shines = np.array([s.emitter >= 0 for s in self.builder.shapes])[self.builder.face_shape]
-            shown = np.where(shines[:, None], 0, self.builder.indices).astype(np.int32)
+            shown = np.where(self.luminous[:, None], 0, self.builder.indices).astype(np.int32)
             indices = wp.array(shown.reshape(-1), dtype=wp.int32, device=self.device)
             self._sight = Accelerator(self._points, indices, self.device, self.accelerator.backend)
 
