@@ -115,37 +115,31 @@ def test_forward_and_reverse_mode_are_adjoint(name):
     assert not [n for n in silent if not n.endswith("vertex_texcoords")], silent
 
 
+def gradient_alone(name, parameter):
+    """Return the gradient of a parameter by kernels that compile nothing else, which is what it is among all."""
+    _scene, _params, w, grads = gradients(name)
+    scene = psdr.load_dict(ROOMS[name]())
+    params = psdr.traverse(scene)
+    params.requires_grad(parameter)
+    psdr.render_backward(scene, params, w, integrator=INTEGRATOR, spp=SPP)
+    gradient = params[parameter].grad.numpy()
+    assert np.linalg.norm(gradient - grads[parameter]) <= ROUNDING * np.linalg.norm(grads[parameter]), parameter
+    return gradient
+
+
 @pytest.mark.parametrize("parameter", ["vertex_positions", "reflectance.data"])
 @pytest.mark.parametrize("name", [n for n in ROOMS if n not in SLOW])
 def test_what_is_not_traced_for_one_shape_does_not_matter(name, parameter):
     """A gradient that one shape alone needs leaves out light that the shape cannot turn: it equals the whole one's."""
-    _scene, _params, w, grads = gradients(name)
-    scene = psdr.load_dict(ROOMS[name]())
-    params = psdr.traverse(scene)
+    scene, params, _w, _grads = gradients(name)
     one = next(n for n in params if n.endswith(parameter) and not n.startswith("light"))
-    params.requires_grad(one)
-    plan = psdr.plan(scene, params, integrator=INTEGRATOR)
+    plan = psdr.plan(scene, names=[one], integrator=INTEGRATOR)
     assert plan.shapes is not None and len(plan.shapes) == 1
-    psdr.render_backward(scene, params, w, integrator=INTEGRATOR, spp=SPP)
-    gradient = params[one].grad.numpy()
-    assert gradient.any()
-    assert np.linalg.norm(gradient - grads[one]) <= ROUNDING * np.linalg.norm(grads[one])
-
-
-def assert_alone(name, parameter):
-    """By kernels that compile nothing else, the gradient of a parameter is what it is among all."""
-    together = gradients(name)[3][parameter]
-    scene = psdr.load_dict(ROOMS[name]())
-    params = psdr.traverse(scene)
-    params.requires_grad(parameter)
-    psdr.render_backward(scene, params, gradients(name)[2], integrator=INTEGRATOR, spp=SPP)
-    found = params[parameter].grad.numpy()
-    assert np.linalg.norm(found - together) <= ROUNDING * np.linalg.norm(together), parameter
+    assert gradient_alone(name, one).any()
 
 
 def test_texture_coordinates_of_a_light_alone():
-    assert gradients("rough")[3]["light.vertex_texcoords"].any()
-    assert_alone("rough", "light.vertex_texcoords")
+    assert gradient_alone("rough", "light.vertex_texcoords").any()
 
 
 @pytest.mark.slow
@@ -157,4 +151,4 @@ def test_every_parameter_alone(name):
         kind = parameter.split(".")[-1]
         if kind not in seen or kind.startswith(("vertex", "to_")):
             seen.add(kind)
-            assert_alone(name, parameter)
+            gradient_alone(name, parameter)
