@@ -34,7 +34,7 @@ from warp_psdr.kernels.rng import Sampler, make_sampler, sampler_at
 from warp_psdr.kernels.sampling import mis_weight
 from warp_psdr.kernels.step import leaving_step
 from warp_psdr.kernels.structs import Bsdf, Camera, LightSample, Material, Scene
-from warp_psdr.kernels.surface import make_surface
+from warp_psdr.kernels.surface import make_surface, point_on
 from warp_psdr.kernels.texture import make_texture
 
 #: Sample slots per path vertex: next-event estimation, scattering. Slot 0 is the camera's.
@@ -238,7 +238,7 @@ def shadow_ray(scene: Scene, o: wp.vec3, ls: LightSample) -> tuple[wp.vec3, wp.f
     t_max = ls.distance
     if ls.face >= 0:
         tri = scene.triangles[ls.face]
-        y = (1.0 - ls.u - ls.v) * tri.p0 + ls.u * tri.p1 + ls.v * tri.p2
+        y = point_on(tri, ls.u, ls.v)
         r = y + leaving_step(scene, ls.face) * tri.normal - o
         t_max = wp.length(r)
         r = r / t_max

@@ -20,6 +20,12 @@ from warp_psdr.kernels.sink import make_sink, make_sink_vec3
 from warp_psdr.kernels.structs import Scene, Triangle
 
 
+@wp.func
+def point_on(tri: Triangle, u: wp.float32, v: wp.float32) -> wp.vec3:
+    """Point of a triangle with the barycentrics (u, v)."""
+    return (1.0 - u - v) * tri.p0 + u * tri.p1 + v * tri.p2
+
+
 @wp.struct
 class Surface:
     """Differential geometry at a point of a triangle."""
@@ -142,7 +148,7 @@ def make_surface(smooth: bool, flat: bool, uv: bool, tangent: bool):
     def surface_at(scene: Scene, face: wp.int32, u: wp.float32, v: wp.float32) -> Surface:
         tri = scene.triangles[face]
         s = Surface()
-        s.x = (1.0 - u - v) * tri.p0 + u * tri.p1 + v * tri.p2
+        s.x = point_on(tri, u, v)
         s.ng = tri.normal
         s.n = tri.normal
         s.shape = tri.shape

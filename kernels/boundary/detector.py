@@ -39,7 +39,7 @@ from warp_psdr.kernels.rng import Sampler
 from warp_psdr.kernels.sight import make_sight
 from warp_psdr.kernels.step import leaving_step
 from warp_psdr.kernels.structs import Camera, Scene
-from warp_psdr.kernels.surface import make_surface
+from warp_psdr.kernels.surface import make_surface, point_on
 
 #: Cosines below it count as zero where one is divided by: such a vertex is seen or lit exactly edge-on.
 MIN_COSINE = 1.0e-6
@@ -162,7 +162,7 @@ def make_following(config: PathConfig):
         r.face = vertex.face
         if vertex.face >= 0:
             tri = scene.triangles[vertex.face]
-            r.x = (1.0 - vertex.u - vertex.v) * tri.p0 + vertex.u * tri.p1 + vertex.v * tri.p2
+            r.x = point_on(tri, vertex.u, vertex.v)
         while state.alive == 1:
             vertex, state = path_step(scene, sampler, state, max_depth, rr_depth)
             r.radiance += wp.cw_mul(vertex.throughput, vertex.direct)
@@ -327,7 +327,7 @@ def make_walk(config: PathConfig):
         r.face = hit.face
         r.u = hit.u
         r.v = hit.v
-        r.x = (1.0 - hit.u - hit.v) * tri.p0 + hit.u * tri.p1 + hit.v * tri.p2
+        r.x = point_on(tri, hit.u, hit.v)
         r.to = -w
         r.weight = weight
         return r

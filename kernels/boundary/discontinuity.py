@@ -57,7 +57,7 @@ from warp_psdr.kernels.constants import FAR, LOBE_NONE
 from warp_psdr.kernels.emitter.dispatch import DELTA_LIGHTS, make_lights
 from warp_psdr.kernels.path import PathConfig
 from warp_psdr.kernels.structs import Camera, Scene, Triangle
-from warp_psdr.kernels.surface import VertexAdjoint, normalize_vjp
+from warp_psdr.kernels.surface import VertexAdjoint, normalize_vjp, point_on
 
 #: Two hits count as equally far within this fraction of their distance.
 TIE = 1.0e-4
@@ -395,7 +395,7 @@ def make_crossing(config: PathConfig):
                                             rim = rim_of(scene, tables, hit.face, hit.u, hit.v)
                                             if rim.near <= 1.0 and rim.edge >= 0:
                                                 tri = scene.triangles[hit.face]
-                                                met = (1.0 - hit.u - hit.v) * tri.p0 + hit.u * tri.p1 + hit.v * tri.p2
+                                                met = point_on(tri, hit.u, hit.v)
                                                 r.edge = 1
                                                 r.point = point_on_edge(scene, edges, rim.edge, met)
                                                 t1 = wp.length(r.point.x - p.x)

@@ -35,7 +35,7 @@ from warp_psdr.kernels.notes import NOTE_SENSOR, NOTE_SOURCE, NOTE_WALK, make_no
 from warp_psdr.kernels.path import PathConfig
 from warp_psdr.kernels.rng import Sampler, branch_of, make_sampler
 from warp_psdr.kernels.structs import Camera, Scene
-from warp_psdr.kernels.surface import VertexAdjoint, make_vertex_sink
+from warp_psdr.kernels.surface import VertexAdjoint, make_vertex_sink, point_on
 
 #: A path goes on from this fraction of a segment's length in front of the light that the segment met.
 BEFORE_LIGHT = 1.0e-3
@@ -98,7 +98,7 @@ def make_source(config: PathConfig, emission: bool = False):
                     return ended
                 # From just in front of x_2: a ray from x_b, which is moved off the edge, misses a small light.
                 tri = scene.triangles[s.face2]
-                x_2 = (1.0 - s.u2 - s.v2) * tri.p0 + s.u2 * tri.p1 + s.v2 * tri.p2
+                x_2 = point_on(tri, s.u2, s.v2)
                 r = incident(scene, sampler, x_2 - (BEFORE_LIGHT * s.t2) * s.w, s.w, FAR, k, max_depth, rr_depth)
                 return amplified(r, s.radiance, wp.static(1.0 / BEHIND_LIGHT))
         return incident(scene, sampler, s.source, s.w, FAR, k, max_depth, rr_depth)
@@ -181,7 +181,7 @@ def make_transport(config: PathConfig, role: str, camera_moves: bool, source: wp
         walk.face = s.face1
         walk.u = s.u1
         walk.v = s.v1
-        walk.x = (1.0 - s.u1 - s.v1) * tri.p0 + s.u1 * tri.p1 + s.v1 * tri.p2
+        walk.x = point_on(tri, s.u1, s.v1)
         walk.to = s.w
         walk.weight = wp.vec3(1.0, 1.0, 1.0)
         lens = lens_point(sample_2d(sampler, SLOT_LENS))

@@ -13,7 +13,7 @@ import warp as wp
 from warp_psdr.kernels.distribution import find_interval
 from warp_psdr.kernels.sampling import square_to_triangle
 from warp_psdr.kernels.structs import Emitter, LightSample, Scene
-from warp_psdr.kernels.surface import load_vec2
+from warp_psdr.kernels.surface import load_vec2, point_on
 from warp_psdr.kernels.texture import make_texture
 
 
@@ -77,7 +77,7 @@ def make_area(radiance_kinds: tuple[int, ...]):
         u = barycentrics[0]
         v = barycentrics[1]
         tri = scene.triangles[face]
-        r = (1.0 - u - v) * tri.p0 + u * tri.p1 + v * tri.p2 - x
+        r = point_on(tri, u, v) - x
         squared = wp.dot(r, r)
         result.face = face
         result.u = u

@@ -21,6 +21,7 @@ from warp_psdr.kernels.emitter.envmap import cell_density, cell_height, load_mat
 from warp_psdr.kernels.guiding.stripe import stripe_at, stripe_point, stripe_square
 from warp_psdr.kernels.path import PathConfig
 from warp_psdr.kernels.structs import Emitter, Scene
+from warp_psdr.kernels.surface import point_on
 
 
 @wp.func
@@ -100,7 +101,7 @@ def make_light_square(config: PathConfig):
                 r.share = stripe.share
                 b = stripe_point(stripe, rest, u2)
                 tri = scene.triangles[emitter.first_face + k]
-                y = (1.0 - b[0] - b[1]) * tri.p0 + b[0] * tri.p1 + b[1] * tri.p2 - point.x
+                y = point_on(tri, b[0], b[1]) - point.x
                 r.distance = wp.length(y)
                 if stripe.share > 0.0:
                     r.w = y / r.distance

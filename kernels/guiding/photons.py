@@ -34,7 +34,7 @@ from warp_psdr.kernels.rng import make_sampler, sampler_at
 from warp_psdr.kernels.sampling import square_to_cosine_hemisphere, square_to_disk, square_to_sphere
 from warp_psdr.kernels.step import leaving_step
 from warp_psdr.kernels.structs import Camera, Scene
-from warp_psdr.kernels.surface import load_vec3, make_surface
+from warp_psdr.kernels.surface import load_vec3, make_surface, point_on
 
 #: Sample slots of a light path: source, position or direction, then one per vertex.
 SLOT_SOURCE, SLOT_START, SLOT_VERTEX = 0, 1, 2
@@ -61,7 +61,7 @@ def make_emission(config: PathConfig):
         record = scene.emitters[index]
         if ls.face >= 0:
             tri = scene.triangles[ls.face]
-            y = (1.0 - ls.u - ls.v) * tri.p0 + ls.u * tri.p1 + ls.v * tri.p2
+            y = point_on(tri, ls.u, ls.v)
             # The same point seen from straight above at unit distance: its pdf is the density per area.
             above, _i, _p = sample_light(scene, y + tri.normal, u4)
             if above.pdf > 0.0:

@@ -12,7 +12,7 @@ from warp_psdr.kernels.interior.pullback import connection_vjp
 from warp_psdr.kernels.interior.wanted import Wanted
 from warp_psdr.kernels.path import PathConfig, PathVertex
 from warp_psdr.kernels.structs import Bsdf, Material, Scene
-from warp_psdr.kernels.surface import VertexAdjoint, make_vertex_sink
+from warp_psdr.kernels.surface import VertexAdjoint, make_vertex_sink, point_on
 from warp_psdr.kernels.texture import make_texture_sink
 
 
@@ -154,11 +154,7 @@ def make_light_sink(config: PathConfig, wanted: Wanted, role: str):
                     adjoint.uv = ta.uv
                 if wp.static(wanted.geometry):
                     tri = scene.triangles[face]
-                    y = (
-                        (1.0 - vertex.light_u - vertex.light_v) * tri.p0
-                        + vertex.light_u * tri.p1
-                        + vertex.light_v * tri.p2
-                    )
+                    y = point_on(tri, vertex.light_u, vertex.light_v)
                     cross = wp.cross(tri.p1 - tri.p0, tri.p2 - tri.p0)
                     link = connection_vjp(scene, x, y, cross, vertex.light_wi, a_wo, value)
                     a_x = link.x

@@ -48,7 +48,7 @@ from warp_psdr.kernels.path import (
 )
 from warp_psdr.kernels.rng import sampler_at
 from warp_psdr.kernels.structs import Camera, Scene
-from warp_psdr.kernels.surface import make_surface
+from warp_psdr.kernels.surface import make_surface, point_on
 
 
 @wp.struct
@@ -126,7 +126,7 @@ def make_forward_kernel(config: PathConfig, wanted: Wanted):
                 if wp.static(geometry):
                     moved = vertex_jvp(scene, tangents, face, u, v, False, zero, zero, zero, zero)
                     tri = scene.triangles[face]
-                    y = (1.0 - u - v) * tri.p0 + u * tri.p1 + v * tri.p2
+                    y = point_on(tri, u, v)
                     r = y - x
                     chi = contact_weight(scene, wp.dot(tri.normal, r))
                     r_dot = chi * (moved.x - x_dot)
@@ -230,7 +230,7 @@ def make_forward_kernel(config: PathConfig, wanted: Wanted):
                             scene, tangents, following.face, following.u, following.v, False, zero, zero, zero, zero
                         )
                         tri = scene.triangles[following.face]
-                        y = (1.0 - following.u - following.v) * tri.p0 + following.u * tri.p1 + following.v * tri.p2
+                        y = point_on(tri, following.u, following.v)
                         r = y - surface.x
                         chi = contact_weight(scene, wp.dot(tri.normal, r))
                         r_dot = chi * (after.vertex.x - moving.vertex.x)

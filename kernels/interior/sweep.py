@@ -16,7 +16,7 @@ from warp_psdr.kernels.interior.wanted import Wanted
 from warp_psdr.kernels.math import to_local
 from warp_psdr.kernels.path import PathConfig, PathVertex, make_frame, make_material
 from warp_psdr.kernels.structs import Camera, Material, Scene
-from warp_psdr.kernels.surface import VertexAdjoint, make_surface, make_vertex_sink, normalize_vjp
+from warp_psdr.kernels.surface import VertexAdjoint, make_surface, make_vertex_sink, normalize_vjp, point_on
 from warp_psdr.kernels.texture import make_texture_sink
 
 
@@ -181,7 +181,7 @@ def make_sweep(config: PathConfig, wanted: Wanted, role: str):
                             a_wi_world += turned.wi
                             if carry.face >= 0:
                                 tri = scene.triangles[carry.face]
-                                y = (1.0 - carry.u - carry.v) * tri.p0 + carry.u * tri.p1 + carry.v * tri.p2
+                                y = point_on(tri, carry.u, carry.v)
                                 value = wp.dot(wp.cw_mul(a_n, vertex.beta), carry.radiance)
                                 cross = wp.cross(tri.p1 - tri.p0, tri.p2 - tri.p0)
                                 link = connection_vjp(scene, surface.x, y, cross, vertex.wo, turned.wo, value)
