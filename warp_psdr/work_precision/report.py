@@ -113,7 +113,7 @@ class Report:
         norm2: block -> estimate of the squared norm of the gradient (or the image), without the noise's share.
         norm2_error: standard errors of it.
         seen: blocks whose gradient stands out of the pilot's noise; errors are relative to these.
-        spread: standard error of the logarithm of a predicted time.
+        spread: standard error of the logarithm of a predicted time, of batches as large as the pilot's.
         bias: what the estimators leave out by design, in words; empty: nothing.
         bias_squared: squared relative bias and its standard error, where it could be measured (``bias.py``). Predicted
             errors are those about what the method converges to; this comes on top.
@@ -220,8 +220,7 @@ class Report:
         if (error is None) == (seconds is None):
             raise ValueError("allocation takes one of error=... and seconds=...")
         if error is not None:
-            # As long as a run is, that stops by variances which are as uncertain as the pilot's (``budget.py``).
-            safe = positive("error", error) / math.sqrt(1.0 + self.spread**2)
+            safe = self._safe(error)
             fitted = self.fitted(error=safe)
             found = batches_for_error(fitted.cost, fitted.relative_variance, safe)
             numbers = np.ceil(found)
@@ -233,6 +232,10 @@ class Report:
         spp = {t.name: t.spp * counts[t.name] for t in fitted.terms}
         reached = math.sqrt(float((fitted.relative_variance / found).sum()))
         return Allocation(counts, spp, float(found @ fitted.cost), reached)
+
+    def _safe(self, error: float) -> float:
+        """Return the error that a run aims at which stops by variances as uncertain as the pilot's (``budget.py``)."""
+        return positive("error", error) / math.sqrt(1.0 + self.spread**2)
 
     def seconds_to(self, error: float) -> float:
         """Return the predicted time to a relative error, seconds; setup and pilot are not in it."""
@@ -248,7 +251,11 @@ class Report:
 
     def seconds_interval(self, error: float) -> tuple[float, float]:
         """Return the ends of a 95 % interval of ``seconds_to``."""
-        seconds, factor = self.seconds_to(error), math.exp(DEVIATE * self.spread)
+        fitted = self.fitted(error=self._safe(error))
+        ratios = np.array([a.spp / b.spp for a, b in zip(fitted.terms, self.terms, strict=True)])
+        exponents = np.array([counted_exponent(t.exponent, t.exponent_error)[1] for t in self.terms])
+        drift = float(np.linalg.norm(fitted.time_share * exponents * np.log(ratios)))
+        seconds, factor = self.seconds_to(error), math.exp(DEVIATE * math.hypot(self.spread, drift))
         return seconds / factor, seconds * factor
 
     def __str__(self) -> str:
@@ -385,14 +392,20 @@ def positive(name: str, value: Any) -> float:
     return float(value)
 
 
+def counted_exponent(exponent: float, error: float) -> tuple[float, float]:
+    """Return the exponent that counts, by how certain the measured one is, and its error: positive part of Stein's."""
+    exponent = 1.0 if math.isnan(exponent) else min(max(exponent, LEAST_EXPONENT), MOST_EXPONENT)
+    if exponent == 1.0:
+        return 1.0, 0.0
+    share = max(1.0 - (CHOSEN * error / (exponent - 1.0)) ** 2, 0.0)
+    return 1.0 + (exponent - 1.0) * share, error * share
+
+
 def _resized(term: TermReport, share: float) -> TermReport:
     """Return a term with a multiple of its samples a batch, at least one a pixel."""
     spp = max(round(share * term.spp), 1)
     ratio = spp / term.spp
-    exponent = 1.0 if math.isnan(term.exponent) else min(max(term.exponent, LEAST_EXPONENT), MOST_EXPONENT)
-    if exponent != 1.0:
-        # It counts by how certain it is: the positive part of Stein's estimate.
-        exponent = 1.0 + (exponent - 1.0) * max(1.0 - (CHOSEN * term.exponent_error / (exponent - 1.0)) ** 2, 0.0)
+    exponent, _error = counted_exponent(term.exponent, term.exponent_error)
     samples = round(ratio * term.samples)
     return replace(
         term,

@@ -17,7 +17,8 @@ by independent randomisations [Owen 1997, "Monte Carlo variance of scrambled net
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -33,6 +34,8 @@ class Moments:
         batches: B.
         variance: (terms, blocks), V of one batch.
         variance_without: (B, terms, blocks).
+        squares: (terms, blocks), the sum of the squared variances of the components: normal components, were they
+            independent, would tell V with the relative variance 2 squares / (B V^2); those that are not tell it worse.
         norm2: (blocks,), |g|^2 without the noise's share; may be negative where there is nothing but noise.
         norm2_without: (B, blocks).
         largest: (terms,), the largest share that one batch has in the sum of squares about the mean, of any block; some
@@ -44,6 +47,7 @@ class Moments:
     batches: int
     variance: np.ndarray
     variance_without: np.ndarray
+    squares: np.ndarray
     norm2: np.ndarray
     norm2_without: np.ndarray
     largest: np.ndarray
@@ -74,15 +78,17 @@ def moments(batches: list[list[np.ndarray]], blocks: list[slice]) -> Moments:
     """
     terms, count = len(batches), len(batches[0])
     variance, largest, kurtosis = np.zeros((terms, len(blocks))), np.zeros(terms), np.zeros(terms)
-    variance_without = np.zeros((count, terms, len(blocks)))
+    variance_without, of_components = np.zeros((count, terms, len(blocks))), np.zeros((terms, len(blocks)))
     norm2, norm2_without = np.zeros(len(blocks)), np.zeros((count, len(blocks)))
     for p, block in enumerate(blocks):
         total = np.zeros((count, block.stop - block.start))
         for k, of_term in enumerate(batches):
             x = np.array([batch[block] for batch in of_term], np.float64)
             total += x
-            squares = ((x - x.mean(axis=0)) ** 2).sum(axis=1)
+            deviations2 = (x - x.mean(axis=0)) ** 2
+            squares = deviations2.sum(axis=1)
             variance[k, p] = squares.sum() / (count - 1)
+            of_components[k, p] = squared(deviations2.sum(axis=0) / (count - 1))
             shares = squares / max(squares.sum(), 1e-300)
             largest[k] = max(largest[k], shares.max())
             kurtosis[k] = max(kurtosis[k], count * (shares**2).sum())
@@ -95,7 +101,30 @@ def moments(batches: list[list[np.ndarray]], blocks: list[slice]) -> Moments:
         rest = count * (count * length2 - 2.0 * (total * mean).sum(axis=1)) + (total**2).sum(axis=1)
         rest /= (count - 1) ** 2
         norm2_without[:, p] = rest - variance_without[:, :, p].sum(axis=1) / (count - 1)
-    return Moments(count, variance, variance_without, norm2, norm2_without, largest, kurtosis)
+    return Moments(count, variance, variance_without, of_components, norm2, norm2_without, largest, kurtosis)
+
+
+def pooled(found: Moments, second: list[Moments | None], scale: np.ndarray, weight: float) -> Moments:
+    """Return the moments of batches whose variance batches of another size tell, too.
+
+    Where rare samples carry the variance, as many samples tell as much in few batches as in many; where batches are
+    normal, as many batches do. A weight in between loses little of either. Standard errors are those of normal batches.
+
+    Args:
+        found: of the batches.
+        second: of those of the other size, a term each; None: there are none.
+        scale: (terms,), by which the variance of a batch exceeds that of the other size.
+        weight: of a batch of the other size, in batches.
+    """
+    variance, without = found.variance.copy(), found.variance_without.copy()
+    for k, other in enumerate(second):
+        if other is not None:
+            own = found.batches / (found.batches + weight * other.batches)
+            variance[k] = own * found.variance[k] + (1.0 - own) * scale[k] * other.variance[0]
+            change = found.variance_without[:, k] - found.variance[k]
+            less = math.sqrt(own**2 + (1.0 - own) ** 2 * found.batches / other.batches)
+            without[:, k] = np.maximum(variance[k] + less * change, 0.0)
+    return replace(found, variance=variance, variance_without=without)
 
 
 def squared(x: np.ndarray) -> float:
