@@ -116,15 +116,17 @@ def pooled(found: Moments, second: list[Moments | None], scale: np.ndarray, weig
         scale: (terms,), by which the variance of a batch exceeds that of the other size.
         weight: of a batch of the other size, in batches.
     """
-    variance, without = found.variance.copy(), found.variance_without.copy()
+    variance, without, squares = found.variance.copy(), found.variance_without.copy(), found.squares.copy()
     for k, other in enumerate(second):
         if other is not None:
             own = found.batches / (found.batches + weight * other.batches)
             variance[k] = own * found.variance[k] + (1.0 - own) * scale[k] * other.variance[0]
+            met = found.variance[k] > 0.0
+            squares[k, met] *= (variance[k, met] / found.variance[k, met]) ** 2
             change = found.variance_without[:, k] - found.variance[k]
             less = math.sqrt(own**2 + (1.0 - own) ** 2 * found.batches / other.batches)
             without[:, k] = np.maximum(variance[k] + less * change, 0.0)
-    return replace(found, variance=variance, variance_without=without)
+    return replace(found, variance=variance, variance_without=without, squares=squares)
 
 
 def squared(x: np.ndarray) -> float:
