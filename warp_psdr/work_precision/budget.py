@@ -64,7 +64,7 @@ MOST_ROUNDS, ROUNDING = 16, 0.03
 #: Rounds count that end within so many times the budget; they are planned to, where samples were rounded.
 SLACK, FULL = 1.1, 1.02
 #: Seconds of the pilot of a time budget, at least; and how many times its share it may take where it is uncertain.
-LEAST_PILOT, PATIENCE = 0.1, 1.5
+LEAST_PILOT, PATIENCE = 0.1, 1.25
 #: Seconds of the pilot of a target error, whose time is not known before; more where it is uncertain (``pilot.SHARE``).
 ERROR_PILOT = 2.0
 #: How uncertain the exponent is of sizes other than those that told it, beside its own error: stratification sets in.

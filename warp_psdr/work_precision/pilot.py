@@ -51,6 +51,8 @@ FIXED_SHARE = 0.1
 #: Samples a pixel of a batch, at most; of an image, whose samples are stratified within a pixel, at first and at least;
 #: and of a term that matters, as far as the time allows it: fewer could only become more by leaps.
 MOST_SPP, FIRST_IMAGE_SPP, LEAST_IMAGE_SPP, LEAST_SPP = 256, 16, 4, 4
+#: Share of the pilot's time up to which a first timing is repeated, or followed by one of more samples.
+AGAIN = 0.02
 #: Rounds that say which terms matter, the share of the pilot's time that they may take, and the least time of a term as
 #: a share of a round: what has not been met yet is not known to be small.
 FIRST_ROUNDS, FIRST_SHARE, LEAST_SHARE = 6, 0.25, 0.03
@@ -231,7 +233,7 @@ def _sizes(what: Quantity, seconds: float, now: Callable[[], float], seed: int) 
     sizes, fixed, marginal = [], [], []
     first, least = (FIRST_IMAGE_SPP, LEAST_IMAGE_SPP) if what.role == "primal" else (1, 1)
     for part in what.parts:
-        (count, few), (larger, many) = _first_timings(part, seed, now)
+        (count, few), (larger, many) = _first_timings(part, seed, seconds, now)
         marginal.append(max((many - few) / (larger - count), 1e-7))
         fixed.append(max(few - marginal[-1], 0.0))
         wanted = fixed[-1] / (FIXED_SHARE * marginal[-1])
@@ -249,16 +251,19 @@ def _sizes(what: Quantity, seconds: float, now: Callable[[], float], seed: int) 
     return sizes, [max(math.ceil(a / b), LEAST_SPP) for a, b in zip(fixed, marginal, strict=True)]
 
 
-def _first_timings(part: Part, seed: int, now: Callable[[], float]) -> list[tuple[int, float]]:
-    """Return two sample counts and their times, which differ by enough that noise matters little."""
+def _first_timings(
+    part: Part, seed: int, seconds: float, now: Callable[[], float]
+) -> tuple[tuple[int, float], tuple[int, float]]:
+    """Return two sample counts and their times, which differ by enough that noise matters little, if that is cheap."""
 
     def timed(spp: int) -> tuple[int, float]:
-        return spp, min(_timed(part.run, spp, seed, now) for _ in range(2))
+        once = _timed(part.run, spp, seed, now)
+        return spp, once if once > AGAIN * seconds else min(once, _timed(part.run, spp, seed, now))
 
-    first = second = timed(1)
-    while second[0] < MOST_SPP and (second[0] == 1 or second[1] < 1.5 * first[1]):
+    first, second = timed(1), timed(4)
+    while second[0] < MOST_SPP and second[1] < min(1.5 * first[1], AGAIN * seconds):
         second = timed(4 * second[0])
-    return [first, second]
+    return first, second
 
 
 def _balanced(
@@ -272,7 +277,10 @@ def _balanced(
     batches: list[list] = [[] for _ in sizes]
     start = now()
     for number in range(FIRST_ROUNDS):
-        if number >= 2 and now() - start > FIRST_SHARE * seconds:
+        share = (now() - start) / (FIRST_SHARE * seconds)
+        if number == 1 and share > 0.5:
+            return sizes
+        if number >= 2 and share > 1.0:
             break
         for k, part in enumerate(what.parts):
             begun = now()

@@ -25,15 +25,15 @@ from warp_psdr.work_precision.report import LARGEST_FOR_ERROR, counted_exponent
 from warp_psdr.work_precision.statistics import Moments, Running, jackknife, moments, pooled, relative_variance
 
 #: Rounds: the least, the most, and how many the pilot's time should be enough for.
-LEAST_ROUNDS, MOST_ROUNDS, AIM_ROUNDS = 6, 256, 64
+LEAST_ROUNDS, MOST_ROUNDS, AIM_ROUNDS = 4, 256, 64
 #: Standard error of the logarithm of a predicted time at which the pilot ends.
 CERTAIN = 0.12
 #: Rounds after which it may; those after which exponents are looked at; after the pilot's time, when it has grown by a
 #: factor.
 LOOKS, EXPONENT_LOOKS, LATER = (32, 45, 64, 91, 128, 181), (12, 22), 1.2
 #: Batches of the other size: larger by this factor, as those for an error are at most, so that what they cost and how
-#: they vary lies between two that were measured; the first rounds that have one, the rounds from one to the next, and
-#: the least batches that tell a variance.
+#: they vary lies between two that were measured; the first rounds that have one (the second and third if time is left),
+#: the rounds from one to the next, and the least batches that tell a variance.
 LARGER, OTHER_FIRST, OTHER_EVERY, LEAST_OTHERS = int(LARGEST_FOR_ERROR), (1, 3, 5), 5, 3
 #: Share of the times of a batch that count, from the fastest on.
 KEPT_TIMES = 0.9
@@ -101,11 +101,12 @@ class Rounds:
 
     def run(self, seconds: float, allowed: Callable[[Known], float], start: float, progress) -> Known:
         """Run rounds until enough is known, or the time that is allowed for it is over."""
-        next_look, number = 0.0, 0
+        next_look, number, spent = 0.0, 0, 0.0
         while True:
+            early = OTHER_FIRST if spent < seconds else OTHER_FIRST[:1]
             for k, every in enumerate(self._every):
                 self._batch(k, 0, number)
-                if number in OTHER_FIRST or number % every == 1 % every:
+                if number in early or number % every == 1 % every:
                     self._batch(k, 1, number)
             number += 1
             spent = self._now() - start
