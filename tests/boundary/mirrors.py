@@ -166,7 +166,7 @@ CASES = [
     Case("pierced glass", LAMP, ALONG, 0.01, "lamp moves", depth=4, spp=1024, difference_spp=4096),
     # Light that mirrors throw on a floor.
     # The lamp's lower edge cuts off its own image: with a step of 0.05 a difference is 5 % less than its limit.
-    Case("caustic", LAMP, scaled, 0.02, "lamp scales", depth=3, spp=24576, difference_spp=32768),
+    Case("caustic", LAMP, scaled, 0.02, "lamp scales", depth=3, spp=49152, difference_spp=65536),
     Case("caustic", WALL, moved(0.0, 1.0, 0.3), 0.05, "mirror moves", depth=3, spp=32768, difference_spp=65536),
     Case("caustic", OCCLUDER, scaled, 0.05, "occluder scales", depth=3, spp=16384, difference_spp=16384),
     # Shadows in a mirror.
