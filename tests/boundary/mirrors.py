@@ -168,11 +168,11 @@ CASES = [
     # The lamp's lower edge cuts off its own image: with a step of 0.05 a difference is 5 % less than its limit.
     Case("caustic", LAMP, scaled, 0.02, "lamp scales", depth=3, spp=49152, difference_spp=65536),
     Case("caustic", WALL, moved(0.0, 1.0, 0.3), 0.05, "mirror moves", depth=3, spp=32768, difference_spp=65536),
-    Case("caustic", OCCLUDER, scaled, 0.05, "occluder scales", depth=3, spp=16384, difference_spp=16384),
+    Case("caustic", OCCLUDER, scaled, 0.05, "occluder scales", depth=3, spp=32768, difference_spp=32768),
     # Shadows in a mirror.
     Case("point in a mirror", OCCLUDER, ALONG, 0.01, "occluder moves", depth=3, spp=512, difference_spp=2048),
     Case("point in a mirror", "light.position", ALONG, 0.02, "light moves", depth=3, **MANY),
     Case("point in a mirror", WALL, turned(2), 0.005, "mirror turns", depth=3, **MANY),
     Case("soft in a mirror", OCCLUDER, ALONG, 0.02, "occluder moves", depth=3, spp=1024, difference_spp=4096),
-    Case("soft in a mirror", "light.vertex_positions", ALONG, 0.02, "light moves", depth=3, **MANY),
+    Case("soft in a mirror", "light.vertex_positions", ALONG, 0.02, "light moves", 3, spp=10240, difference_spp=8192),
 ]
