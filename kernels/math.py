@@ -23,10 +23,10 @@ def safe_sqrt(x: wp.float32) -> wp.float32:
 
 @wp.func
 def safe_normalize(v: wp.vec3) -> wp.vec3:
-    """``v`` over its length; 0 with derivative 0 for a vector of length zero."""
+    """``v`` over its length; 0 with derivative 0 for a vector of length zero, NaN for one that holds NaN."""
     squared = wp.dot(v, v)
     unit = wp.vec3(0.0, 0.0, 0.0)
-    if squared > TINY:
+    if not squared <= TINY:
         unit = v / wp.sqrt(squared)
     return unit
 

@@ -291,6 +291,10 @@ def make_path_step(config: PathConfig, differential: bool, sparse: bool = False)
                 accel = scene.sight
         hit = closest_hit(accel, state.o, state.d, state.t_max)
         if hit.face < 0:
+            if not finite(state.o + state.d):
+                # A ray of a camera without a pose, which meets nothing: not black, nor what an environment holds there.
+                vertex.direct = wp.vec3(wp.NAN, wp.NAN, wp.NAN)
+                return vertex, after
             if wp.static(environment):
                 if wp.static(not config.hide_emitters) or state.depth > 0:
                     weight = wp.float32(1.0)

@@ -17,6 +17,7 @@ from warp_psdr.kernels.angles import arctan2, circle, sin_quarter
 from warp_psdr.kernels.constants import FAR, INV_PI, INV_TWO_PI, ONE_MINUS_EPSILON, TWO_PI
 from warp_psdr.kernels.distribution import LEVELS, find_interval
 from warp_psdr.kernels.emitter.constant import EnvironmentFunctions
+from warp_psdr.kernels.invalid import LARGEST
 from warp_psdr.kernels.rng import UNIT, pcg4d, unit_float
 from warp_psdr.kernels.sink import make_sink, make_sink_texel
 from warp_psdr.kernels.structs import Emitter, LightAdjoint, LightSample, Scene, Texture
@@ -95,18 +96,25 @@ def cell_at(texture: Texture, row: wp.int32, column: wp.int32) -> Cell:
 
 @wp.func
 def locate(texture: Texture, v: wp.vec3) -> Cell:
-    """Cell of the direction ``v`` (light's frame, any length)."""
+    """Cell of the direction ``v`` (light's frame, any length).
+
+    What is no direction (not finite, or zero) lies nowhere: its position within the cell is NaN, and so are radiance,
+    density and derivative. The arctangent would make an angle of it, and the integer of NaN no index.
+    """
     rows = texture.height - 1
+    length = wp.abs(v[0]) + wp.abs(v[1]) + wp.abs(v[2])
+    somewhere = length > 0.0 and length <= LARGEST
+    d = wp.where(somewhere, v, wp.vec3(0.0, 1.0, 0.0))
     # Both angles by the arctangent of two: accurate everywhere, poles included, and independent of the vector's length.
-    x = arctan2(v[0], -v[2]) * INV_TWO_PI * wp.float32(texture.width) - 0.5
-    y = arctan2(wp.sqrt(v[0] * v[0] + v[2] * v[2]), v[1]) * INV_PI * wp.float32(rows)
+    x = arctan2(d[0], -d[2]) * INV_TWO_PI * wp.float32(texture.width) - 0.5
+    y = arctan2(wp.sqrt(d[0] * d[0] + d[2] * d[2]), d[1]) * INV_PI * wp.float32(rows)
     left = wp.floor(x)
     column = wp.int32(left)
     if column < 0:
         column += texture.width
     row = wp.min(wp.int32(y), rows - 1)
     cell = cell_at(texture, row, column)
-    cell.fx = x - left
+    cell.fx = wp.where(somewhere, x - left, wp.NAN)
     cell.fy = y - wp.float32(row)
     return cell
 
@@ -302,7 +310,9 @@ def make_envmap(role: str | None, wanted: tuple[str, ...]) -> EnvironmentFunctio
         cell.fx = s
         cell.fy = wp.clamp(wp.where(upper, y - wp.float32(row), wp.float32(rows - row) - y), 0.0, 1.0)
 
-        result.wi = wp.normalize(load_matrix(scene.values, e.to_world) * v)
+        # Not ``wp.normalize``, which makes zero of NaN: a direction that no surface scatters to.
+        wi = load_matrix(scene.values, e.to_world) * v
+        result.wi = wi / wp.length(wi)
         result.radiance = scene.values[e.scale] * interpolate(corners, cell)
         result.pdf = (
             cell_share(scene, row, column, columns) * density_at(b, s, t) / cell_solid_angle(row, rows, columns)

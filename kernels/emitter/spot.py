@@ -33,7 +33,9 @@ def falloff(axis: wp.vec3, wi: wp.vec3, cutoff: wp.float32, beam: wp.float32) ->
     # atan2 keeps its accuracy near the axis, where acos of a cosine close to one loses half of its digits.
     angle = wp.atan2(wp.length(wp.cross(axis, wi)), -wp.dot(axis, wi))
     width = wp.max((cutoff - beam) * RADIANS_PER_DEGREE, MIN_FALLOFF)
-    return wp.clamp((cutoff * RADIANS_PER_DEGREE - angle) / width, 0.0, 1.0)
+    share = (cutoff * RADIANS_PER_DEGREE - angle) / width
+    # Not ``wp.clamp``, which makes a number of NaN.
+    return wp.where(share < 0.0, 0.0, wp.where(share > 1.0, 1.0, share))
 
 
 @differentiable
@@ -75,7 +77,7 @@ def make_spot(role: str | None, wanted: tuple[str, ...]) -> DeltaLightFunctions:
         result.delta = 1
         r = load_column(scene.values, e.to_world, 3) - x
         squared = wp.dot(r, r)
-        if squared > 0.0:
+        if not squared <= 0.0:
             result.distance = wp.sqrt(squared)
             result.wi = r / result.distance
             axis = load_column(scene.values, e.to_world, 2)
