@@ -246,6 +246,7 @@ def make_crossing(config: PathConfig):
                 shared = edges.ends[own, 0] == edges.twins[own, 0] and edges.ends[own, 1] == edges.twins[own, 1]
                 if shared and of_edge(edges, own, face):
                     return r
+                # An edge inside of what it touches lies behind the background.
                 tau = wp.min(t1 / t2, 1.0)
                 r.segment.face2 = face
                 r.segment.u2 = wp.where(own_low, high.u, low.u)
@@ -408,7 +409,7 @@ def make_crossing(config: PathConfig):
                                                 r.segment.face2 = -1
                                                 r.segment.light = k
                                                 if ls.distance < 0.5 * FAR:
-                                                    r.segment.tau = wp.min(t1 / ls.distance, 1.0)
+                                                    r.segment.tau = t1 / ls.distance
                                                 r.last = count + i
                                                 r.start.x = -(1.0 - r.segment.tau) * m
                                                 r.phi_a = wp.dot(r.start.x, a_x.x)
