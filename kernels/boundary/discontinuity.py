@@ -216,7 +216,7 @@ def make_crossing(config: PathConfig):
             neighbours = rim_low.edge >= 0 and of_edge(edges, rim_low.edge, high.face)
             if apart and not neighbours and wp.length(low.x - high.x) <= room:
                 return curve_crossing(scene, block, low, high, x, a, b, i, count, which)
-        own_low = wp.where(tie, rim_low.near <= rim_high.near, t_low <= t_high)
+        own_low = wp.where(tie, rim_low.distance <= rim_high.distance, t_low <= t_high)
         own = wp.where(own_low, rim_low.edge, rim_high.edge)
         near = wp.where(own_low, rim_low.near, rim_high.near)
         if near > 1.0 or own < 0:

@@ -9,7 +9,9 @@ from warp_psdr.kernels.structs import Scene
 from warp_psdr.kernels.surface import load_vec3
 
 #: A hit counts as on the rim of its triangle within this fraction of the height above it, or this many ray epsilons.
-RIM_FRACTION = 2.0e-3
+#: Neighbouring rays are that far apart on what they see edge-on; of what lies farther inside, no edge is crossed. Of a
+#: lamp seen in the limb of a glass ball a fraction of 0.002 lost 0.1 % of the crossings, which made a bias as large.
+RIM_FRACTION = 0.1
 RIM_EPSILONS = 50.0
 
 

@@ -1,6 +1,9 @@
 """Guards of the search for discontinuities through mirrors and glass (``kernels/boundary/discontinuity.py``)."""
 
+import functools
+
 import numpy as np
+import pytest
 import warp as wp
 
 import warp_psdr as psdr
@@ -8,14 +11,18 @@ from warp_psdr.boundary.faces import face_tables
 from warp_psdr.kernels.boundary.chain import Block
 from warp_psdr.kernels.boundary.chain_pullback import Visit
 from warp_psdr.kernels.boundary.discontinuity import make_crossing
-from warp_psdr.kernels.boundary.line_search import MAX_VISITS
+from warp_psdr.kernels.boundary.line_search import ARC_LENGTH, MAX_VISITS, RESOLUTION
 from warp_psdr.kernels.boundary.local_form import Edges
 from warp_psdr.kernels.boundary.ray_differential import RayDifferential
 from warp_psdr.kernels.boundary.rims import Tables
+from warp_psdr.kernels.path import PathConfig
 from warp_psdr.kernels.structs import Camera, Scene
 
 from .sweeps import box, room
 
+#: Radians between the two sides of a crossing on an arc.
+CELL = ARC_LENGTH / RESOLUTION
+CURVE, EDGE = 2, 1
 #: Somewhere, so that there is a search.
 MIRROR = {
     "type": "rectangle",
@@ -24,19 +31,9 @@ MIRROR = {
 }
 
 
-def test_seen_from_close_by_a_sunk_edge_is_its_own_background() -> None:
-    """An edge inside of a wall, where the two touch, is behind the wall: tau is 1 there, not more.
-
-    Points of the floor as near as five times that depth. What touches there is met at the same distance.
-    """
-    sunk, at = 5e-5, 0.6
-    corners = [[-2.0, at - sunk, 0.0], [2.0, at - sunk, 0.0], [2.0, at - sunk, 2.0], [-2.0, at - sunk, 2.0]]
-    extra = {"wall": {"type": "mesh", "vertices": corners, "faces": [[0, 1, 2], [0, 2, 3]]}, "mirror": MIRROR}
-    description = room(extra=extra)
-    vertices, faces = box((0.2, 0.1, 0.5), 0.5, 0.0)
-    scene = psdr.load_dict(description | {"box": description["box"] | {"vertices": vertices, "faces": faces}})
-    edges, tables = face_tables(scene)
-    crossing = make_crossing(psdr.plan(scene, integrator=psdr.PathIntegrator(max_depth=4)).config)
+@functools.cache
+def crossing_kernel(config: PathConfig):
+    crossing = make_crossing(config)
 
     @wp.kernel(module="unique", enable_backward=False)
     def crossed(
@@ -45,15 +42,19 @@ def test_seen_from_close_by_a_sunk_edge_is_its_own_background() -> None:
         edges: Edges,
         tables: Tables,
         x: wp.array(dtype=wp.vec3),
-        toward: wp.vec3,
-        out: wp.array2d(dtype=wp.float32),
+        toward: wp.array(dtype=wp.vec3),
+        aside: wp.vec3,
+        half: wp.float32,
+        found_out: wp.array(dtype=wp.int32),
+        tau_out: wp.array(dtype=wp.float32),
+        point_out: wp.array(dtype=wp.vec3),
     ):
         i = wp.tid()
         block = Block()
         block.x = x[i]
         block.n = wp.vec3(0.0, 0.0, 1.0)
-        block.w0 = toward
-        block.w1 = wp.normalize(wp.cross(wp.vec3(0.0, 0.0, 1.0), toward))
+        block.w0 = toward[i]
+        block.w1 = wp.normalize(aside - wp.dot(aside, toward[i]) * toward[i])
         block.ell = 1.0
         block.depth = 2
         block.first = 1
@@ -62,17 +63,67 @@ def test_seen_from_close_by_a_sunk_edge_is_its_own_background() -> None:
         b = RayDifferential()
         b.d = wp.cross(block.w0, block.w1)
         visits = wp.zeros(shape=(wp.static(MAX_VISITS),), dtype=Visit)
-        r = crossing(scene, camera, edges, tables, block, -1.0e-3, 1.0e-3, 0, a, b, visits, 1, 4)
-        out[i, 0] = wp.float32(r.valid)
-        out[i, 1] = wp.float32(r.edge)
-        out[i, 2] = r.segment.tau
+        r = crossing(scene, camera, edges, tables, block, -half, half, 0, a, b, visits, 1, 4)
+        found_out[i] = r.valid * r.edge
+        tau_out[i] = r.segment.tau
+        point_out[i] = r.segment.x
 
-    toward = np.array([-1.0, 1.0, 1.0]) / np.sqrt(3.0)
-    near = np.geomspace(5.0 * sunk, 1e-2, 64)[:, None]
-    x = np.array([0.7, at - sunk, 0.0]) + near * (toward * [-1.0, -1.0, 0.0])
-    out = wp.zeros((64, 3), dtype=wp.float32)
-    arguments = [scene.data(), scene.camera(0), edges, tables, wp.array(x, dtype=wp.vec3), wp.vec3(*toward)]
-    wp.launch(crossed, 64, arguments, [out])
-    valid, edge, tau = out.numpy().T
-    assert (valid == 1.0).all() and (edge == 1.0).all()
-    assert tau.min() > 0.99 and tau.max() == 1.0
+    return crossed
+
+
+def crossings(bottom: float, sunk: float, x, at, aside, half: float, width: float = 1.0) -> tuple[np.ndarray, ...]:
+    """Return what lines cross that go from x (n, 3) through ``at`` (n, 3), ``half`` radians to either side of it.
+
+    In a room with a box on its floor, from (0.7 - width, -0.4, 0) to (0.7, 0.6, 1), which reaches ``sunk`` deep into a
+    wall; the wall begins at the height ``bottom``.
+
+    Returns:
+        EDGE, CURVE or 0 (n,), tau (n,), the points (n, 3).
+    """
+    y = 0.6 - sunk
+    corners = [[-2.0, y, bottom], [2.0, y, bottom], [2.0, y, 2.0], [-2.0, y, 2.0]]
+    wall = {"type": "mesh", "vertices": corners, "faces": [[0, 1, 2], [0, 2, 3]]}
+    description = room(extra={"wall": wall, "mirror": MIRROR})
+    vertices, faces = box((0.7 - 0.5 * width, 0.1, 0.5), np.array([0.5 * width, 0.5, 0.5]), 0.0)
+    scene = psdr.load_dict(description | {"box": description["box"] | {"vertices": vertices, "faces": faces}})
+    kernel = crossing_kernel(psdr.plan(scene, integrator=psdr.PathIntegrator(max_depth=4)).config)
+    # Rays start a step off the surface, whose normal is +z.
+    toward = at - x
+    toward = toward - scene.ray_epsilon * np.sign(toward[:, 2:]) * [0.0, 0.0, 1.0]
+    toward = toward / np.linalg.norm(toward, axis=1, keepdims=True)
+    arrays = [wp.array(np.float32(v), dtype=wp.vec3, device="cpu") for v in (x, toward)]
+    out = [wp.zeros(len(x), dtype=t, device="cpu") for t in (wp.int32, wp.float32, wp.vec3)]
+    inputs = [scene.data(), scene.camera(0), *face_tables(scene), *arrays, wp.vec3(*aside), half]
+    wp.launch(kernel, len(x), inputs, out, device="cpu")
+    return tuple(v.numpy() for v in out)
+
+
+def test_seen_from_close_by_a_sunk_edge_is_its_own_background() -> None:
+    """An edge inside of a wall, where the two touch, is behind the wall: tau is 1 there, not more.
+
+    Points of the floor as near as five times that depth. What touches there is met at the same distance.
+    """
+    sunk = 5e-5
+    near = np.geomspace(5.0 * sunk, 5e-3, 64)[:, None]
+    at = np.array([0.7, 0.6 - sunk, 0.0]) + near * [0.0, 0.0, 1.0]
+    found, tau, _point = crossings(0.0, sunk, at + near * [1.0, -1.0, -1.0], at, (-1.0, -1.0, 0.0), 1e-3)
+    assert (found == EDGE).all() and tau.min() > 0.99 and tau.max() == 1.0
+
+
+def test_what_no_edge_is_near_is_not_taken_for_the_nearest() -> None:
+    """A wall and a floor that run through each other, from places that are far apart: their curve is not there."""
+    x = np.array([[-1.5, -1.0, 0.5]])
+    for half, expected in ((CELL, CURVE), (2e-2, 0)):
+        found, _tau, _point = crossings(-1.0, 0.0, x, np.array([[-1.5, 0.6, 0.0]]), (0.0, 0.0, 1.0), half)
+        assert found[0] == expected
+
+
+@pytest.mark.parametrize(("width", "least"), [(1.0, 2e-4), (2e-3, 1e-3)])
+def test_an_edge_of_a_face_seen_nearly_edge_on_is_not_lost(width: float, least: float) -> None:
+    """The top of a box, or of a thin plate: its points in the finest cell are far from its edge."""
+    angle = np.geomspace(least, 0.1, 64)[:, None]
+    at = np.array([[0.7, 0.1, 1.0]])
+    x = at + np.concatenate([-np.ones_like(angle), 0.0 * angle, angle], axis=1)
+    found, _tau, point = crossings(0.0, -0.1, x, at, (0.0, 0.0, 1.0), CELL, width)
+    assert (found == EDGE).all()
+    np.testing.assert_allclose(point, np.broadcast_to(at, point.shape), atol=1e-3)
