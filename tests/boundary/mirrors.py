@@ -147,7 +147,7 @@ CASES = [
     Case("faceted glass", ETA, np.ones_like, 0.005, "index changes", depth=4, **MANY),
     Case("glass ball", LAMP, ALONG, 0.01, "lamp moves", depth=4, spp=1024, difference_spp=4096),
     Case("glass ball", GLASSES, ALONG, 0.002, "glass moves", depth=4, **MANY),
-    Case("glass ball", ETA, np.ones_like, 0.005, "index changes", depth=4, spp=3072, difference_spp=12288),
+    Case("glass ball", ETA, np.ones_like, 0.005, "index changes", depth=4, spp=6144, difference_spp=24576),
     # Surfaces that run through each other.
     Case("pierced", LAMP, scaled, 0.01, "lamp scales", **MANY),
     Case(
