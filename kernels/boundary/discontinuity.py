@@ -59,8 +59,6 @@ from warp_psdr.kernels.path import PathConfig
 from warp_psdr.kernels.structs import Camera, Scene, Triangle
 from warp_psdr.kernels.surface import VertexAdjoint, normalize_vjp, point_on
 
-#: Two hits count as equally far within this fraction of their distance.
-TIE = 1.0e-4
 #: Where two surfaces meet, an edge within this many ray epsilons is what is crossed: they touch there.
 TOUCHING = 2.0
 #: Squared sine of the angle between two planes below which they have no line in common.
@@ -207,7 +205,7 @@ def make_crossing(config: PathConfig):
         if high.face >= 0:
             t_high = wp.length(high.x - x)
             rim_high = rim_of(scene, tables, high.face, high.u, high.v)
-        room = TIE * wp.min(t_low, t_high) + RIM_EPSILONS * scene.ray_epsilon
+        room = RIM_EPSILONS * scene.ray_epsilon
         tie = wp.abs(t_low - t_high) <= room
         if low.face >= 0 and high.face >= 0:
             if laid_over(scene, low, high):
