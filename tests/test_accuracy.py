@@ -3,7 +3,6 @@
 import itertools
 import math
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -411,39 +410,6 @@ def test_an_uncertain_pilot_goes_on(soft, monkeypatch):
     assert 1.4 * enough <= share <= 3 * enough
     assert rounds_of_a_pilot(soft, monkeypatch, error=10.0 * error)[0] == enough
     assert rounds_of_a_pilot(soft, monkeypatch, error=1e-6)[0] == 40
-
-
-def stratified(monkeypatch, exponent: float):
-    """A quantity of 64 components without a scene: variance 0.04 spp^-exponent each, 0.1 + 0.01 spp seconds."""
-    now = [0.0]
-    monkeypatch.setitem(pilot.CLOCKS, "cpu", lambda: now[0])
-
-    def run(spp: int, seed: int) -> np.ndarray:
-        now[0] += 0.1 + 0.01 * spp
-        return 1.0 + 0.2 * spp ** (-0.5 * exponent) * np.random.default_rng(seed).normal(size=64)
-
-    part = SimpleNamespace(name="interior", run=run, prepare=None)
-    camera = SimpleNamespace(crop_width=1, crop_height=1)
-    what = SimpleNamespace(
-        role="reverse", parts=(part,), blocks={"x": slice(0, 64)}, raster=(1, 1, 0), finished=lambda x: x, adjoint=None,
-        sensor=0, scene=SimpleNamespace(camera=lambda _sensor: camera),
-        plan=SimpleNamespace(block=4, boundary=None, discontinuities=(), wanted=None),
-    )  # fmt: skip
-    what.tiled = lambda _tiling: what
-    return what
-
-
-@pytest.mark.parametrize("exponent", [1.0, 2.0])
-def test_larger_batches_cost_and_vary_as_predicted(monkeypatch, exponent):
-    # Samples along an edge are better together than other samples; what larger batches are worth is measured.
-    what = stratified(monkeypatch, exponent)
-    found = pilot.run(what, spp=4, seed=2, seconds=40.0, tiles=False, clock="cpu")
-    (term,) = found.terms
-    assert abs(term.exponent - exponent) < Z * term.exponent_error < 0.5
-    (larger,) = found.fitted(seconds=0.26).terms
-    assert 14 <= larger.spp <= 16 and larger.seconds == pytest.approx(0.1 + 0.01 * larger.spp)
-    log_error = Z * math.hypot(term.exponent_error * math.log(4.0), term.variance_error["x"] / term.variance["x"])
-    assert abs(math.log(larger.variance["x"] / (64 * 0.04 * larger.spp**-exponent))) < log_error < 0.5
 
 
 @pytest.mark.parametrize(("depth", "built"), [(2, 1), pytest.param(3, 2, marks=pytest.mark.slow)])

@@ -15,14 +15,21 @@ from warp_psdr.work_precision.statistics import moments
 Z = 4.0
 
 
-def made_up(monkeypatch, *terms: tuple[float, float], exponent: float = 1.0, heavy: bool = False, components: int = 1):
-    """A quantity without a scene: terms of (standard deviation of a sample, fixed seconds), 1e-3 seconds a sample."""
+def made_up(
+    monkeypatch,
+    *terms: tuple[float, float],
+    exponent: float = 1.0,
+    heavy: bool = False,
+    components: int = 1,
+    sample_seconds: float = 1e-3,
+):
+    """A quantity without a scene: terms of (standard deviation of a sample's component, fixed seconds)."""
     now = [0.0]
     monkeypatch.setitem(pilot.CLOCKS, "cpu", lambda: now[0])
 
     def part(number: int, deviation: float, fixed: float) -> SimpleNamespace:
         def run(spp: int, seed: int) -> np.ndarray:
-            now[0] += fixed + 1e-3 * spp
+            now[0] += fixed + sample_seconds * spp
             rng = np.random.default_rng((number, seed))
             if heavy:  # a sample in twenty carries all of the variance
                 x = (
@@ -110,6 +117,19 @@ def test_stratified_terms_have_larger_batches_in_every_round(monkeypatch):
         found = rounds(exponent)
         small, large = (len(batches[0]) for batches in found.kept)
         assert (large < share * small) if exponent == 1.0 else (share * small < large <= small)
+
+
+@pytest.mark.parametrize("exponent", [1.0, 2.0])
+def test_larger_batches_cost_and_vary_as_predicted(monkeypatch, exponent):
+    # Samples along an edge are better together than other samples; what larger batches are worth is measured.
+    what = made_up(monkeypatch, (0.2, 0.1), exponent=exponent, components=64, sample_seconds=0.01)
+    found = piloted(what, spp=4, seed=2, seconds=40.0)
+    (term,) = found.terms
+    assert abs(term.exponent - exponent) < Z * term.exponent_error < 0.5
+    (larger,) = found.fitted(seconds=0.26).terms
+    assert 14 <= larger.spp <= 16 and larger.seconds == pytest.approx(0.1 + 0.01 * larger.spp)
+    log_error = Z * math.hypot(term.exponent_error * math.log(4.0), term.variance_error["x"] / term.variance["x"])
+    assert abs(math.log(larger.variance["x"] / (64 * 0.04 * larger.spp**-exponent))) < log_error < 0.5
 
 
 def test_intervals_hold_the_error_of_the_exponent():

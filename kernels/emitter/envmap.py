@@ -17,7 +17,7 @@ from warp_psdr.kernels.angles import arctan2, circle, sin_quarter
 from warp_psdr.kernels.constants import FAR, INV_PI, INV_TWO_PI, ONE_MINUS_EPSILON, TWO_PI
 from warp_psdr.kernels.distribution import LEVELS, find_interval
 from warp_psdr.kernels.emitter.constant import EnvironmentFunctions
-from warp_psdr.kernels.invalid import LARGEST
+from warp_psdr.kernels.invalid import finite, vanishes
 from warp_psdr.kernels.rng import UNIT, pcg4d, unit_float
 from warp_psdr.kernels.sink import make_sink, make_sink_texel
 from warp_psdr.kernels.structs import Emitter, LightAdjoint, LightSample, Scene, Texture
@@ -102,8 +102,7 @@ def locate(texture: Texture, v: wp.vec3) -> Cell:
     density and derivative. The arctangent would make an angle of it, and the integer of NaN no index.
     """
     rows = texture.height - 1
-    length = wp.abs(v[0]) + wp.abs(v[1]) + wp.abs(v[2])
-    somewhere = length > 0.0 and length <= LARGEST
+    somewhere = finite(v) and not vanishes(v)
     d = wp.where(somewhere, v, wp.vec3(0.0, 1.0, 0.0))
     # Both angles by the arctangent of two: accurate everywhere, poles included, and independent of the vector's length.
     x = arctan2(d[0], -d[2]) * INV_TWO_PI * wp.float32(texture.width) - 0.5

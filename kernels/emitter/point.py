@@ -53,7 +53,7 @@ def make_point(role: str | None, wanted: tuple[str, ...]) -> DeltaLightFunctions
         result.delta = 1
         r = load_vec3(scene.values, e.to_world) - x
         squared = wp.dot(r, r)
-        if not squared <= 0.0:
+        if not squared <= 0.0:  # NaN passes, and makes the sample invalid
             result.distance = wp.sqrt(squared)
             result.wi = r / result.distance
             result.radiance = texture_at(scene, e.texture, 0, 0.0, 0.0, wp.vec2(0.0, 0.0)) / squared

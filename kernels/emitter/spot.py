@@ -77,7 +77,7 @@ def make_spot(role: str | None, wanted: tuple[str, ...]) -> DeltaLightFunctions:
         result.delta = 1
         r = load_column(scene.values, e.to_world, 3) - x
         squared = wp.dot(r, r)
-        if not squared <= 0.0:
+        if not squared <= 0.0:  # NaN passes, and makes the sample invalid
             result.distance = wp.sqrt(squared)
             result.wi = r / result.distance
             axis = load_column(scene.values, e.to_world, 2)

@@ -6,11 +6,11 @@
 3. A few batches of the term over pixels say whether samples are better spread unevenly over the image (``tiles.py``).
 4. A few rounds of one batch of every term say which terms matter; the batches of the others become smaller, down to the
    share of the time that the best split would give them.
-5. Rounds, each with a seed of its own, until the prediction is as certain as ``CERTAIN`` or the pilot's time is over;
-   every fifth round also runs a batch of another size, whose time and variance give the marginal cost and the exponent.
-   As far as that is not known to differ from one, both sizes tell the variance. Where rare samples carry it, that time
-   may not be enough: the pilot goes on while the prediction is less certain than ``UNCERTAIN``, or, before an error is
-   asked for, until it has taken ``SHARE`` of what that is predicted to take.
+5. Rounds, each with a seed of its own, until the prediction is as certain as ``CERTAIN`` or the pilot's time is over.
+   Some also run a batch of another size, whose time and variance give the marginal cost and the exponent; as far as
+   that is not known to differ from one, both sizes tell the variance (``rounds.py``). Where rare samples carry it, the
+   time may not be enough: the pilot goes on while the prediction is less certain than ``UNCERTAIN``, or, before an
+   error is asked for, until it has taken ``SHARE`` of what that is predicted to take.
 6. Where the method is biased by choice, batches of an unbiased one tell by how much (``bias.py``).
 
 How long the pilot runs, and so what it finds, depends on the machine's speed: it is no function of the seed alone.

@@ -220,9 +220,7 @@ class Report:
         if (error is None) == (seconds is None):
             raise ValueError("allocation takes one of error=... and seconds=...")
         if error is not None:
-            safe = self._safe(error)
-            fitted = self.fitted(error=safe)
-            found = batches_for_error(fitted.cost, fitted.relative_variance, safe)
+            fitted, found = self._split(error)
             numbers = np.ceil(found)
         else:
             fitted = self.fitted(seconds=positive("seconds", seconds))
@@ -233,9 +231,14 @@ class Report:
         reached = math.sqrt(float((fitted.relative_variance / found).sum()))
         return Allocation(counts, spp, float(found @ fitted.cost), reached)
 
-    def _safe(self, error: float) -> float:
-        """Return the error that a run aims at which stops by variances as uncertain as the pilot's (``budget.py``)."""
-        return positive("error", error) / math.sqrt(1.0 + self.spread**2)
+    def _split(self, error: float) -> tuple[Report, np.ndarray]:
+        """Return a report of the batches that suit an error, and their numbers, not rounded.
+
+        The run is as long as one is that stops by variances which are as uncertain as the pilot's (``budget.py``).
+        """
+        safe = positive("error", error) / math.sqrt(1.0 + self.spread**2)
+        fitted = self.fitted(error=safe)
+        return fitted, batches_for_error(fitted.cost, fitted.relative_variance, safe)
 
     def seconds_to(self, error: float) -> float:
         """Return the predicted time to a relative error, seconds; setup and pilot are not in it."""
@@ -251,11 +254,11 @@ class Report:
 
     def seconds_interval(self, error: float) -> tuple[float, float]:
         """Return the ends of a 95 % interval of ``seconds_to``."""
-        fitted = self.fitted(error=self._safe(error))
+        fitted, batches = self._split(error)
         ratios = np.array([a.spp / b.spp for a, b in zip(fitted.terms, self.terms, strict=True)])
         exponents = np.array([counted_exponent(t.exponent, t.exponent_error)[1] for t in self.terms])
         drift = float(np.linalg.norm(fitted.time_share * exponents * np.log(ratios)))
-        seconds, factor = self.seconds_to(error), math.exp(DEVIATE * math.hypot(self.spread, drift))
+        seconds, factor = float(batches @ fitted.cost), math.exp(DEVIATE * math.hypot(self.spread, drift))
         return seconds / factor, seconds * factor
 
     def __str__(self) -> str:

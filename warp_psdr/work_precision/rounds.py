@@ -93,7 +93,7 @@ class Rounds:
         self._sizes = (sizes, [LARGER * n for n in sizes])
         self._blocks = list(what.blocks.values())
         size = max(block.stop for block in self._blocks) * len(sizes)
-        self.most = max(min(MOST_ROUNDS, KEPT // size), 4)
+        self.most = max(min(MOST_ROUNDS, KEPT // size), LEAST_ROUNDS)
         self.kept: tuple[list[list], list[list]] = ([[] for _ in sizes], [[] for _ in sizes])
         self.times: tuple[list[list[float]], list[list[float]]] = ([[] for _ in sizes], [[] for _ in sizes])
         self._sums = [Running(self._blocks) for _ in sizes]  # their additions are part of what a batch costs
