@@ -72,20 +72,25 @@ def crossing_kernel(config: PathConfig):
 
 
 def crossings(bottom: float, sunk: float, x, at, aside, half: float, width: float = 1.0) -> tuple[np.ndarray, ...]:
-    """Return what lines cross that go from x (n, 3) through ``at`` (n, 3), ``half`` radians to either side of it.
+    """``crossings_in`` a room with a box on its floor, from (0.7 - width, -0.4, 0) to (0.7, 0.6, 1).
 
-    In a room with a box on its floor, from (0.7 - width, -0.4, 0) to (0.7, 0.6, 1), which reaches ``sunk`` deep into a
-    wall; the wall begins at the height ``bottom``.
-
-    Returns:
-        EDGE, CURVE or 0 (n,), tau (n,), the points (n, 3).
+    The box reaches ``sunk`` deep into a wall, which begins at the height ``bottom``.
     """
     y = 0.6 - sunk
     corners = [[-2.0, y, bottom], [2.0, y, bottom], [2.0, y, 2.0], [-2.0, y, 2.0]]
     wall = {"type": "mesh", "vertices": corners, "faces": [[0, 1, 2], [0, 2, 3]]}
     description = room(extra={"wall": wall, "mirror": MIRROR})
     vertices, faces = box((0.7 - 0.5 * width, 0.1, 0.5), np.array([0.5 * width, 0.5, 0.5]), 0.0)
-    scene = psdr.load_dict(description | {"box": description["box"] | {"vertices": vertices, "faces": faces}})
+    description["box"] |= {"vertices": vertices, "faces": faces}
+    return crossings_in(psdr.load_dict(description), x, at, aside, half)
+
+
+def crossings_in(scene, x, at, aside, half: float) -> tuple[np.ndarray, ...]:
+    """Return what lines cross that go from x (n, 3) through ``at`` (n, 3), ``half`` radians to either side of it.
+
+    Returns:
+        EDGE, CURVE or 0 (n,), tau (n,), the points (n, 3).
+    """
     kernel = crossing_kernel(psdr.plan(scene, integrator=psdr.PathIntegrator(max_depth=4)).config)
     # Rays start a step off the surface, whose normal is +z.
     toward = at - x
@@ -127,3 +132,21 @@ def test_an_edge_of_a_face_seen_nearly_edge_on_is_not_lost(width: float, least: 
     found, _tau, point = crossings(0.0, -0.1, x, at, (0.0, 0.0, 1.0), CELL, width)
     assert (found == EDGE).all()
     np.testing.assert_allclose(point, np.broadcast_to(at, point.shape), atol=1e-3)
+
+
+def test_beyond_the_rim_of_a_smooth_cup_its_next_side_is_another_surface() -> None:
+    """The two sides share an edge across which normals are interpolated, and are far apart where the rim is seen.
+
+    Three sides; from above, the foot of the next one is seen across the rim of the first, near their common corner.
+    """
+    angle = 2.0 * np.pi / 3.0 * np.arange(3)
+    foot = np.stack([0.5 * np.cos(angle), 0.5 * np.sin(angle), 0.5 + 0.0 * angle], 1)
+    top = foot + np.array([0.0, 0.0, 0.2])
+    faces = [face for i, j in ((0, 1), (1, 2), (2, 0)) for face in ([i, j, j + 3], [i, j + 3, i + 3])]
+    cup = {"type": "mesh", "vertices": np.concatenate([foot, top]), "faces": faces, "face_normals": False}
+    scene = psdr.load_dict(room(extra={"box": cup, "mirror": MIRROR}))
+    at = top[0] + np.linspace(0.02, 0.1, 32)[:, None] * (top[1] - top[0])
+    x = at + np.array([0.5, np.sqrt(0.75), 1.0])
+    found, _tau, point = crossings_in(scene, x, at, (0.0, 0.0, 1.0), CELL)
+    assert (found == EDGE).all()
+    np.testing.assert_allclose(point, at, atol=1e-3)
