@@ -144,7 +144,10 @@ def fold(h: wp.uint32, value: wp.int32) -> wp.uint32:
 
 @functools.cache
 def make_meet(config: PathConfig):
-    """Return ``meet(scene, o, d, t_max, depth, transmit, max_depth) -> Link``: what a ray meets at ``depth``."""
+    """Return ``meet(scene, o, d, t_max, depth, transmit, max_depth) -> Link``: what a ray meets at ``depth``.
+
+    The camera's own rays, at depth 0, go through area lights that it does not see.
+    """
     closest_hit, _any_hit = make_intersect(config.ray_backend, config.ray_width)
     surface_at = make_surface(config.smooth, config.flat, config.uv, config.tangent)
     frame_at = make_frame(config.two_sided, config.tangent)
@@ -163,7 +166,11 @@ def make_meet(config: PathConfig):
         max_depth: wp.int32,
     ) -> Link:
         r = Link()
-        hit = closest_hit(scene.accel, o, d, t_max)
+        accel = scene.accel
+        if wp.static(config.hidden):
+            if depth == 0:
+                accel = scene.sight
+        hit = closest_hit(accel, o, d, t_max)
         r.face = hit.face
         if hit.face < 0:
             return r

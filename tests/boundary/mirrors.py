@@ -35,6 +35,11 @@ def behind(rfilter="tent"):
     }
 
 
+def unseen(y=-0.5):
+    """A lamp that the camera looks through, at the mirror, which shows it; at y = 1.15 it runs through the mirror."""
+    return {**behind(), "near": lamp((0.1, y, 0.7), 0.3, 0.7)}
+
+
 def pierced():
     """A lamp behind the camera and a dim box that runs through it; and one through the mirror."""
     return {
@@ -115,6 +120,9 @@ register(
         "pierced above": pierced_above,
         "pierced glass": lambda: {**glass(slab()), "other": lamp((0.0, 2.2, 0.1), 0.6, 0.5)},
         "caustic": caustic,
+        "unseen in a mirror": unseen,
+        "unseen in its mirror": lambda: unseen(1.15),
+        "unseen before glass": lambda: {**glass(slab()), "near": lamp((0.2, -1.2, 0.1), 0.25, 0.6)},
         "mirror and sky": lambda: {**behind(), "sky": sky(0.3)},
     }
 )
@@ -127,7 +135,7 @@ LAMP, WALL, GLASSES, ETA = (
     "glass.bsdf.eta",
 )
 CAMERA, OCCLUDER, POST = "sensor.to_world", "occluder.vertex_positions", "post.vertex_positions"
-STICK = "stick.vertex_positions"
+STICK, NEAR = "stick.vertex_positions", "near.vertex_positions"
 MANY = {"spp": 2048, "difference_spp": 8192}
 CASES = [
     # Objects in a flat mirror.
@@ -175,4 +183,11 @@ CASES = [
     Case("point in a mirror", WALL, turned(2), 0.005, "mirror turns", depth=3, **MANY),
     Case("soft in a mirror", OCCLUDER, ALONG, 0.02, "occluder moves", depth=3, spp=1024, difference_spp=4096),
     Case("soft in a mirror", "light.vertex_positions", ALONG, 0.02, "light moves", 3, spp=10240, difference_spp=8192),
+    # Through lights that the camera does not see.
+    Case("unseen in a mirror", NEAR, ALONG, 0.01, "light moves", hidden=True, **MANY),
+    Case("unseen in a mirror", WALL, turned(2), 0.002, "mirror turns", hidden=True, **MANY),
+    Case("unseen in a mirror", CAMERA, ALONG, 0.01, "camera moves", hidden=True, **MANY),
+    Case("unseen in its mirror", NEAR, moved(0.7, 0.3, 0.4), 0.01, "light moves", hidden=True, **MANY),
+    Case("unseen in its mirror", NEAR, moved(0.0, 0.0, 1.0), 0.01, "light rises", hidden=True, **MANY),
+    Case("unseen before glass", GLASSES, turned(2), 0.01, "slab turns", depth=4, hidden=True, **MANY),
 ]

@@ -5,8 +5,9 @@ import pytest
 import warp_psdr as psdr
 
 from .measure import Case, assert_agrees, assert_transposes, derivatives, differences, rows, slope
-from .mirrors import CASES, ETA, GLASSES, LAMP, WALL
+from .mirrors import CASES, ETA, GLASSES, LAMP, NEAR, WALL
 from .scenes import load
+from .test_table import moved
 
 
 @pytest.mark.parametrize("mode", ["forward", "reverse"])
@@ -19,6 +20,14 @@ def test_derivatives_equal_finite_differences(case: Case, mode: str) -> None:
 def test_the_table_can_tell_a_missing_boundary_term(case: Case) -> None:
     value, error = slope(derivatives(case, "forward", None), differences(case)[2])
     assert abs(value - 1.0) > 0.05 + 3.0 * error
+
+
+@pytest.mark.parametrize("scene", ["unseen in a mirror", "unseen in its mirror"])
+def test_the_camera_looks_through_hidden_lights(scene: str) -> None:
+    case = Case(scene, NEAR, moved(0.0, 0.0, 1.0), 0.01, "light rises", spp=128, difference_spp=512, hidden=True)
+    value, error = slope(derivatives(case, "reverse"), differences(case)[2])
+    assert error < 0.03
+    assert abs(value - 1.0) < 3.0 * error
 
 
 @pytest.mark.parametrize(

@@ -82,10 +82,3 @@ def test_they_have_no_silhouettes() -> None:
         integrator = psdr.PathIntegrator(max_depth=2, hide_emitters=not shown)
         image = psdr.render_forward(scene, params, {PANEL: 1.0}, integrator=integrator, spp=16).numpy()
         assert np.any(image) == shown
-
-
-def test_mirrors_are_refused() -> None:
-    objects = hidden() | {"occluder": ball((0, 0, 1), 0.4, {"type": "conductor"})}
-    scene = psdr.load_dict({"type": "scene", **objects})
-    with pytest.raises(ValueError, match="leave out hide_emitters"):
-        psdr.plan(scene, names=[OCCLUDER], integrator=CASES[0].integrator())

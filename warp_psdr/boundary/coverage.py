@@ -56,8 +56,6 @@ def _uncovered(scene: Scene, config: PathConfig, names: list[str], max_depth: in
     if c.DELTA_MODELS & set(config.bsdfs):
         if not 0 < max_depth <= MAX_DEPTH:
             return f"discontinuities are searched through mirrors to some depth; set max_depth to {MAX_DEPTH} or less"
-        if config.hidden:
-            return "the search through mirrors sees area lights; leave out hide_emitters"
     steps = any(t.kind == c.TEXTURE_BITMAP and t.filter == c.FILTER_NEAREST for t in scene.builder.textures)
     if steps:
         return "a texture with filter_type 'nearest' jumps inside of triangles; use 'bilinear'"

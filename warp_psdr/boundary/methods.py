@@ -58,7 +58,7 @@ class PathSpace(Method):
     Unbiased for triangle meshes with moving shapes, which may run through each other and interpolate normals, area,
     environment, point, spot and directional lights, and a moving camera, at any depth. Through smooth mirrors and
     glass it searches along lines (``kernels/boundary/line_search.py``): 16 path vertices at most. Not covered, and
-    refused: hidden emitters, and textures with steps.
+    refused: textures with steps, and spot lights whose cone ends abruptly.
     Surfaces that merely touch are in contact: as they move apart, or into each other, the image has two one-sided
     derivatives, and what is returned at the contact is neither. Forward mode warns of such tangents; the gradient of
     reverse mode holds for motions along contacts and for those that keep what touches together, and the plan names the
