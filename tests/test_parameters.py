@@ -248,21 +248,43 @@ def test_poses_move_vertices_and_normals(loaded):
     np.testing.assert_allclose(params["ceiling.vertex_positions"].numpy(), corners @ turn[:3, :3].T, atol=1e-6)
 
 
-def test_values_that_kernels_wrote_are_refreshed_by_name(loaded):
+@pytest.mark.parametrize("named", [True, False])
+@pytest.mark.parametrize("name", ["floor.vertex_positions", "ceiling.to_world", RADIANCE])
+def test_values_that_kernels_wrote_are_refreshed(loaded, name, named):
+    """Also beside others that were assigned, and asked for derivatives."""
     scene, params = loaded
+    params.requires_grad(ALBEDO)
     before = image(scene)
-    moved = params["floor.vertex_positions"].numpy() + np.array([0.0, 0.0, 0.3], np.float32)
-    params["floor.vertex_positions"].assign(moved)
-    np.testing.assert_array_equal(image(scene), before)
-    params.update("floor.vertex_positions")
-    assert np.abs(image(scene) - before).max() > 1e-2
+    written = params[name].numpy() * np.float32(1.5)
+    params[name] = written
+    params[ALBEDO] = params[ALBEDO].numpy()
+    params.update()
+    expected = image(scene)
+    assert np.abs(expected - before).max() > 1e-2
+    scene, params = fresh()
+    params.requires_grad(ALBEDO)
+    params[name].assign(written)
+    params[ALBEDO] = params[ALBEDO].numpy()
+    params.update(*([name] if named else []))
+    np.testing.assert_array_equal(image(scene), expected)
 
 
-def test_positions_that_are_not_finite_are_caught(loaded):
+def test_what_has_been_refreshed_is_not_refreshed_again(loaded, counted):
+    _scene, params = loaded
+    params["ceiling.to_world"].assign(params["ceiling.to_world"].numpy() * np.float32(1.1))
+    params["floor.vertex_positions"].assign(params["floor.vertex_positions"].numpy() * np.float32(1.1))
+    for expected in (1, 1):
+        params.update()
+        assert counted["rays"] == expected
+
+
+@pytest.mark.parametrize("names", [["floor.vertex_positions"], []])
+def test_positions_that_are_not_finite_are_caught(loaded, names):
     _scene, params = loaded
     params["floor.vertex_positions"].fill_(np.nan)
-    with pytest.raises(ValueError, match="lower its learning rate"):
-        params.update("floor.vertex_positions")
+    for _attempt in range(2):
+        with pytest.raises(ValueError, match="lower its learning rate"):
+            params.update(*names)
 
 
 # -- gradients ---------------------------------------------------------------------------------------------------------

@@ -107,14 +107,12 @@ class Parameters(Mapping):
         """Make the scene follow edits: normals, triangle records, ray structure, light sampling, as far as needed.
 
         Args:
-            *names: what was changed. Not needed after ``params[name] = ...``; name the parameters that kernels wrote in
-                place. Without any name and any assignment, what ``requires_grad`` was asked for is refreshed.
+            *names: what was changed. Without names: what was assigned, and what differs from what the scene followed
+                last, since kernels or ``assign`` wrote it in place (a checksum of positions, poses and lights tells).
         """
         for name in names:
             self._parameter(name)
-        changed = set(names) | self._dirty
-        if not changed:
-            changed = set(self._requested)
+        changed = self._dirty.union(names or self._scene.edited())
         self._scene.refresh([n for n in self._views if n in changed])
         self._dirty.clear()
 

@@ -19,6 +19,7 @@ from warp_psdr.kernels.shape.transform import pose_shape
 from warp_psdr.kernels.step import RAY_EPSILON
 from warp_psdr.kernels.surface import update_triangles
 from warp_psdr.scene.build import Builder
+from warp_psdr.scene.edits import Edits, has_results
 from warp_psdr.scene.layout import (
     LIGHT_POSE,
     LIGHT_RADIANCE,
@@ -115,6 +116,7 @@ class Scene:
         self.lights.update_areas(self.lights.of_shapes(range(len(description.shapes))), self.points)
         self.lights.update_environment(flat)
         self.lights.update_selection(flat, self.radius)
+        self._edits = Edits({n: self.view(n) for n, p in self.parameters.items() if has_results(p)})
 
     # -- views and constants ---------------------------------------------------------------------------------------
 
@@ -195,6 +197,10 @@ class Scene:
 
     # -- refreshing ------------------------------------------------------------------------------------------------
 
+    def edited(self) -> list[str]:
+        """Return the names of the parameters that were edited in place and have to be refreshed."""
+        return self._edits.found()
+
     def refresh(self, names: list[str]) -> None:
         """Recompute what depends on the named parameters, and nothing else.
 
@@ -231,6 +237,8 @@ class Scene:
         brighter = any(p.uses & {RADIANCE, LIGHT_RADIANCE, LIGHT_POSE} for p in changed)
         if brighter or areas or (moved and self.lights.depend_on_size()):
             self.lights.update_selection(values, self.radius)
+        self._edits.follow(names)
+        self._edits.follow(f"{self.description.shapes[i].path}.vertex_positions" for i in posed)
 
     def _pose(self, shape: int) -> None:
         record = self.builder.shapes[shape]

@@ -1,0 +1,44 @@
+"""Which parameters were edited in place, by a kernel or by ``assign``: those whose checksums have changed."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Iterable, Mapping
+
+import warp as wp
+
+from warp_psdr.scene.layout import LIGHT_POSE, LIGHT_RADIANCE, POSITIONS, RADIANCE, SHAPE_POSE, Parameter
+
+#: Uses from which the scene keeps results: triangles, ray structures, light selection. All else is read as it is.
+KEPT = {POSITIONS, SHAPE_POSE, RADIANCE, LIGHT_RADIANCE, LIGHT_POSE}
+
+
+def has_results(p: Parameter) -> bool:
+    """Return whether anything has to be refreshed when the parameter changes."""
+    return p.placed or bool(p.uses & KEPT)
+
+
+class Edits:
+    """Checksums (CRC-32) of arrays as the scene followed them last.
+
+    Args:
+        arrays: By name.
+    """
+
+    def __init__(self, arrays: Mapping[str, wp.array]):
+        self._arrays = arrays
+        self._sums = {name: _sum(array) for name, array in arrays.items()}
+
+    def found(self) -> list[str]:
+        """Return the names of the arrays that differ from what was followed last."""
+        return [name for name, array in self._arrays.items() if _sum(array) != self._sums[name]]
+
+    def follow(self, names: Iterable[str]) -> None:
+        """Take the arrays as they are now."""
+        for name in names:
+            if name in self._arrays:
+                self._sums[name] = _sum(self._arrays[name])
+
+
+def _sum(array: wp.array) -> int:
+    return zlib.crc32(array.numpy())
