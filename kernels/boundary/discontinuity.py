@@ -360,7 +360,7 @@ def make_crossing(config: PathConfig):
             visit.face = p.face
             visit.u = p.u
             visit.v = p.v
-            visit.o = x
+            visit.o = wp.where(i == 0 and block.film == 1, x, o)
             visit.d = d
             visit.lobe = wp.where(p.kind == MEETS_DELTA, p.lobe, LOBE_NONE)
             visit.attached = wp.where(i > 0 or block.film == 1, 1, 0)

@@ -85,3 +85,49 @@ def test_creases_beside_a_silhouette_do_not_count_it_again(smooth: bool, depth: 
     exact = (inside[:-1] - inside[1:]).T[::-1, ::-1]
     assert np.linalg.norm(exact) > 1.0
     assert np.linalg.norm(image - exact) < 0.01 * np.linalg.norm(exact)
+
+
+def test_horizons_of_mirrors_seen_in_grazing_reflections_move_as_they_should() -> None:
+    """A parallel camera that moves aside shifts its image: rows gain what enters at one end less what leaves.
+
+    A mirror of facets with interpolated normals, one seen at 2e-4 radians: rays that enter through the horizon of the
+    one before go along it, so far that it matters how far off the surface they started.
+    """
+    sides, off = 16, 2e-4
+    angle = 2.0 * np.pi / sides * np.arange(sides)
+    ring = np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], 1)
+    following = (np.arange(sides) + 1) % sides
+    low, high = np.arange(sides), following
+    faces = np.concatenate([np.stack([low, high, high + sides], 1), np.stack([low, high + sides, low + sides], 1)])
+    look = np.pi / sides + 0.5 * np.pi - off
+    d = np.array([np.cos(look), np.sin(look), 0.0])
+    edge = np.array([1.0, 0.0, 0.0])
+    width, half = 32, 2.5e-4
+    pose = psdr.Transform.look_at(list(edge - d), list(edge), [0, 0, 1]) @ psdr.Transform.scale([half, half, 1.0])
+    scene = psdr.load_dict(
+        {
+            "type": "scene",
+            "sensor": {
+                "type": "orthographic",
+                "to_world": pose,
+                "film": {"type": "hdrfilm", "width": width, "height": 4, "rfilter": {"type": "box"}},
+            },
+            "shape": {
+                "type": "mesh",
+                "vertices": np.concatenate([ring - np.eye(3)[2], ring + np.eye(3)[2]]),
+                "faces": faces,
+                "face_normals": False,
+                "bsdf": {"type": "twosided", "bsdf": {"type": "conductor", "material": "Ag"}},
+            },
+            "sky": {"type": "constant", "radiance": 1.0},
+        }
+    )
+    params = psdr.traverse(scene)
+    tangent = np.zeros((4, 4))
+    tangent[:3, 3] = pose.matrix[:3, 0] / half
+    integrator = psdr.PathIntegrator(max_depth=3)
+    image = psdr.render(scene, integrator=integrator, spp=64).numpy().astype(np.float64)[..., 0]
+    moved = psdr.render_forward(scene, params, {"sensor.to_world": tangent}, integrator=integrator, spp=8192).numpy()
+    assert image.min() < 0.5  # a pixel in which paths end between the two horizons
+    gain = moved.astype(np.float64)[..., 0].mean(axis=0).sum() * 2.0 * half / width
+    assert gain == pytest.approx((image[:, 0] - image[:, -1]).mean(), abs=0.03)
