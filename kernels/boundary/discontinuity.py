@@ -107,11 +107,8 @@ def laid_over(scene: Scene, low: Link, high: Link) -> wp.bool:
 
 @wp.func
 def at_once(scene: Scene, hit: Link, o: wp.vec3) -> wp.bool:
-    """Whether a ray meets a light where it starts."""
-    if hit.face < 0:
-        return False
-    luminous = scene.shapes[scene.triangles[hit.face].shape].emitter >= 0
-    return luminous and wp.length(hit.x - o) <= scene.ray_epsilon
+    """Whether a ray meets something where it starts."""
+    return hit.face >= 0 and wp.length(hit.x - o) <= scene.ray_epsilon
 
 
 @wp.func
@@ -351,10 +348,9 @@ def make_crossing(config: PathConfig):
             if not same:
                 if block.film == 1 and i == 0:
                     return r
-                if wp.static(config.hidden):
-                    # Where such a light runs through a mirror, the camera sees the curve itself: a primary boundary.
-                    if block.film == 1 and i == 1 and (at_once(scene, p, o) or at_once(scene, q, o_high)):
-                        return r
+                # Where something runs through a mirror, the curve is a discontinuity of the segment before.
+                if i > 0 and (at_once(scene, p, o) or at_once(scene, q, o_high)):
+                    return r
                 return edge_crossing(scene, edges, tables, block, p, q, x, a, b, i, count, which)
             visit = Visit()
             visit.face = p.face

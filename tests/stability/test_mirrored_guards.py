@@ -150,3 +150,23 @@ def test_beyond_the_rim_of_a_smooth_cup_its_next_side_is_another_surface() -> No
     found, _tau, point = crossings_in(scene, x, at, (0.0, 0.0, 1.0), CELL)
     assert (found == EDGE).all()
     np.testing.assert_allclose(point, at, atol=1e-3)
+
+
+def test_where_a_wall_runs_through_a_mirror_no_edge_is_near() -> None:
+    """It leans over the mirror, so that next to their curve reflected rays start behind it, close to its diagonal."""
+    lean = np.radians(30.0)
+    up = np.array([np.cos(lean), 0.0, np.sin(lean)])
+    side = np.array([0.0, 1.0, 0.0])
+    wall = {
+        "type": "mesh",
+        "vertices": [-up - side, -up + side, up + side, up - side],
+        "faces": [[0, 1, 2], [0, 2, 3]],
+    }
+    floor = {"type": "rectangle", "to_world": psdr.Transform.scale(3.0), "bsdf": {"type": "conductor"}}
+    scene = psdr.load_dict(room(extra={"floor": floor, "wall": wall}))
+    # Half of the width of that strip, from afar.
+    strip = scene.ray_epsilon / np.tan(lean)
+    at = np.stack([np.full(32, strip), np.linspace(-0.05, 0.05, 32), np.zeros(32)], 1)
+    x = at + np.array([2.0, 0.0, 0.3])
+    found, _tau, _point = crossings_in(scene, x, at, (0.0, 0.0, 1.0), 0.5 * strip * 0.3 / 4.0)
+    assert (found == 0).all()
