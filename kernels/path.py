@@ -32,6 +32,7 @@ from warp_psdr.kernels.math import aligned_tangent, any_tangent, to_local, to_wo
 from warp_psdr.kernels.notes import NOTE_VERTEX, note
 from warp_psdr.kernels.rng import Sampler, make_sampler, sampler_at
 from warp_psdr.kernels.sampling import mis_weight
+from warp_psdr.kernels.sight import make_accel_at
 from warp_psdr.kernels.step import leaving_step
 from warp_psdr.kernels.structs import Bsdf, Camera, LightSample, Material, Scene
 from warp_psdr.kernels.surface import make_surface, point_on
@@ -253,6 +254,7 @@ def make_path_step(config: PathConfig, differential: bool, sparse: bool = False)
     next-event estimates before the path meets a shape that matters (``interior/replay.py``).
     """
     closest_hit, any_hit = make_intersect(config.ray_backend, config.ray_width)
+    accel_at = make_accel_at(config.hidden)
     surface_at = make_surface(config.smooth, config.flat, config.uv, config.tangent)
     frame_at = make_frame(config.two_sided, config.tangent)
     material_at = make_material(config.slots)
@@ -285,11 +287,7 @@ def make_path_step(config: PathConfig, differential: bool, sparse: bool = False)
             if wp.static(has_lights):
                 u4 = sample_4d(sampler, 1 + SLOTS_PER_VERTEX * state.depth)
             r4 = sample_4d(sampler, 2 + SLOTS_PER_VERTEX * state.depth)
-        accel = scene.accel
-        if wp.static(config.hidden):
-            if state.depth == 0:
-                accel = scene.sight
-        hit = closest_hit(accel, state.o, state.d, state.t_max)
+        hit = closest_hit(accel_at(scene, state.depth), state.o, state.d, state.t_max)
         if hit.face < 0:
             if not finite(state.o + state.d):
                 # A ray of a camera without a pose, which meets nothing: not black, nor what an environment holds there.

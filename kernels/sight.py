@@ -23,3 +23,18 @@ def make_sight(hidden: bool):
         return scene.accel
 
     return sight
+
+
+@functools.cache
+def make_accel_at(hidden: bool):
+    """Return ``accel_at(scene, depth) -> Accel`` for rays behind ``depth`` path vertices: the camera's own at 0."""
+    sight = make_sight(hidden)
+
+    @wp.func
+    def accel_at(scene: Scene, depth: wp.int32) -> Accel:
+        if wp.static(hidden):
+            if depth == 0:
+                return sight(scene)
+        return scene.accel
+
+    return accel_at

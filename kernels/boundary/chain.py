@@ -33,6 +33,7 @@ from warp_psdr.kernels.emitter.dispatch import DELTA_LIGHTS, make_lights
 from warp_psdr.kernels.math import to_local, to_world
 from warp_psdr.kernels.path import PathConfig, make_frame, make_material
 from warp_psdr.kernels.rng import Sampler
+from warp_psdr.kernels.sight import make_accel_at
 from warp_psdr.kernels.structs import Camera, Material, Scene
 from warp_psdr.kernels.surface import make_surface
 
@@ -144,11 +145,9 @@ def fold(h: wp.uint32, value: wp.int32) -> wp.uint32:
 
 @functools.cache
 def make_meet(config: PathConfig):
-    """Return ``meet(scene, o, d, t_max, depth, transmit, max_depth) -> Link``: what a ray meets at ``depth``.
-
-    The camera's own rays, at depth 0, go through area lights that it does not see.
-    """
+    """Return ``meet(scene, o, d, t_max, depth, transmit, max_depth) -> Link``: what a ray meets at ``depth``."""
     closest_hit, _any_hit = make_intersect(config.ray_backend, config.ray_width)
+    accel_at = make_accel_at(config.hidden)
     surface_at = make_surface(config.smooth, config.flat, config.uv, config.tangent)
     frame_at = make_frame(config.two_sided, config.tangent)
     material_at = make_material(config.slots)
@@ -166,11 +165,7 @@ def make_meet(config: PathConfig):
         max_depth: wp.int32,
     ) -> Link:
         r = Link()
-        accel = scene.accel
-        if wp.static(config.hidden):
-            if depth == 0:
-                accel = scene.sight
-        hit = closest_hit(accel, o, d, t_max)
+        hit = closest_hit(accel_at(scene, depth), o, d, t_max)
         r.face = hit.face
         if hit.face < 0:
             return r

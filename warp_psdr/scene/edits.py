@@ -7,15 +7,12 @@ from collections.abc import Iterable, Mapping
 
 import warp as wp
 
-from warp_psdr.scene.layout import LIGHT_POSE, LIGHT_RADIANCE, POSITIONS, RADIANCE, SHAPE_POSE, Parameter
-
-#: Uses from which the scene keeps results: triangles, ray structures, light selection. All else is read as it is.
-KEPT = {POSITIONS, SHAPE_POSE, RADIANCE, LIGHT_RADIANCE, LIGHT_POSE}
+from warp_psdr.scene.layout import BRIGHTNESS, Parameter
 
 
 def has_results(p: Parameter) -> bool:
-    """Return whether anything has to be refreshed when the parameter changes."""
-    return p.placed or bool(p.uses & KEPT)
+    """Return whether the scene keeps anything that follows from a parameter: triangles, places, lights' power."""
+    return p.placed or bool(p.uses & BRIGHTNESS)
 
 
 class Edits:

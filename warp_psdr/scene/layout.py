@@ -22,6 +22,8 @@ RADIANCE = "radiance"
 LIGHT_RADIANCE = "light radiance"
 LIGHT_POSE = "light pose"
 CAMERA = "camera"
+#: Uses that change how bright lights are.
+BRIGHTNESS = {RADIANCE, LIGHT_RADIANCE, LIGHT_POSE}
 
 
 @dataclass(eq=False)

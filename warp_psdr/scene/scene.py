@@ -21,11 +21,9 @@ from warp_psdr.kernels.surface import update_triangles
 from warp_psdr.scene.build import Builder
 from warp_psdr.scene.edits import Edits, has_results
 from warp_psdr.scene.layout import (
-    LIGHT_POSE,
-    LIGHT_RADIANCE,
+    BRIGHTNESS,
     NORMALS,
     POSITIONS,
-    RADIANCE,
     SHAPE_POSE,
     Parameter,
     struct_array,
@@ -216,7 +214,8 @@ class Scene:
         moved = posed | {p.owner for p in changed if POSITIONS in p.uses}
         for shape in sorted(posed):
             self._pose(shape)
-        self._world.show(self.parameters[f"{self.description.shapes[i].path}.vertex_positions"] for i in sorted(posed))
+        followed = [f"{self.description.shapes[i].path}.vertex_positions" for i in sorted(posed)]
+        self._world.show(self.parameters[name] for name in followed)
         for shape in sorted(moved):
             description = self.description.shapes[shape]
             if description.normals_computed and f"{description.path}.vertex_normals" not in names:
@@ -234,11 +233,10 @@ class Scene:
         areas = self.lights.of_shapes(sorted(moved))
         if areas:
             self.lights.update_areas(areas, self.points)
-        brighter = any(p.uses & {RADIANCE, LIGHT_RADIANCE, LIGHT_POSE} for p in changed)
+        brighter = any(p.uses & BRIGHTNESS for p in changed)
         if brighter or areas or (moved and self.lights.depend_on_size()):
             self.lights.update_selection(values, self.radius)
-        self._edits.follow(names)
-        self._edits.follow(f"{self.description.shapes[i].path}.vertex_positions" for i in posed)
+        self._edits.follow({*names, *followed})
 
     def _pose(self, shape: int) -> None:
         record = self.builder.shapes[shape]
