@@ -241,10 +241,11 @@ def is_delta_light(kind: wp.int32) -> wp.bool:
 
 @functools.cache
 def make_identity(config: PathConfig):
-    """Return ``identity(scene, camera, group, bent, block, s, max_depth) -> uint32``.
+    """Return ``identity(scene, camera, group, bent, block, s, max_depth, links) -> uint32``.
 
     ``group`` numbers the faces such that coplanar neighbours are one; ``bent`` marks faces with interpolated normals.
-    Where the first segment belongs to others, what ends there is not told apart.
+    Where the first segment belongs to others, what ends there is not told apart. ``links``: how many of the first
+    vertices count, without what lights them; 0: all, with it.
     """
     start_at = make_start(config.camera)
     meet = make_meet(config)
@@ -259,6 +260,7 @@ def make_identity(config: PathConfig):
         block: Block,
         s: wp.float32,
         max_depth: wp.int32,
+        links: wp.int32,
     ) -> wp.uint32:
         ray = start_at(scene, camera, block, s)
         o = ray.o
@@ -281,20 +283,20 @@ def make_identity(config: PathConfig):
                 if bent[link.face] == 1 and link.kind == MEETS_DELTA:
                     h = fold(h, link.leaving)
                 if wp.static(lit is not None):
-                    if mine and link.kind == MEETS_SMOOTH and block.depth + i + 1 < max_depth:
+                    if links == 0 and mine and link.kind == MEETS_SMOOTH and block.depth + i + 1 < max_depth:
                         for k in range(scene.emitters.shape[0]):
                             if is_delta_light(scene.emitters[k].kind):
                                 if lit(scene, link.x, link.ng, k):
                                     h = fold(h, k)
                                 else:
                                     h = fold(h, -1)
-            if ends:
+            i += 1
+            if ends or i == links:
                 more = False
             else:
                 o = link.o
                 d = link.d
                 t_max = FAR
-                i += 1
         return h
 
     return identity

@@ -36,6 +36,7 @@ from warp_psdr.kernels.boundary.chain import (
 )
 from warp_psdr.kernels.boundary.chain_pullback import Visit
 from warp_psdr.kernels.boundary.local_form import EdgePoint, Edges, barycentrics_at, split_between
+from warp_psdr.kernels.boundary.notch import facing, notch
 from warp_psdr.kernels.boundary.ray_differential import (
     RayDifferential,
     make_point_differential,
@@ -61,8 +62,12 @@ from warp_psdr.kernels.surface import VertexAdjoint, normalize_vjp, point_on
 
 #: Where two surfaces meet, an edge within this many ray epsilons is what is crossed: they touch there.
 TOUCHING = 2.0
+#: The part of a line at which its two sides are looked at at most, in a notch.
+ASIDE_MOST = 0.01
 #: Squared sine of the angle between two planes below which they have no line in common.
 PARALLEL = 1.0e-10
+#: What numbers that are divided by are at least.
+TINY = 1.0e-20
 #: Distance of two such planes, in ray epsilons, within which they are one.
 ONE_PLANE = 0.5
 
@@ -75,6 +80,7 @@ class Crossing:
     side: wp.int32  # 0: the integrand jumps; +1, -1: it counts on that side of the line only
     phi_a: wp.float32  # derivatives of phi along the line and across it
     phi_b: wp.float32
+    aside: wp.float32  # part of the line at which its two sides are looked at (``notch.py``)
     both: wp.int32  # 1: the other side of the line is a crossing of its own
     edge: wp.int32  # 1: ``point`` and ``segment`` hold the edge, 2: ``segment`` holds material points
     point: EdgePoint
@@ -109,6 +115,14 @@ def laid_over(scene: Scene, low: Link, high: Link) -> wp.bool:
 def at_once(scene: Scene, hit: Link, o: wp.vec3) -> wp.bool:
     """Whether a ray meets something where it starts."""
     return hit.face >= 0 and wp.length(hit.x - o) <= scene.ray_epsilon
+
+
+@wp.func
+def aside(scene: Scene, block: Block, m: wp.vec3, d: wp.vec3, low: Link, high: Link, phi_a: wp.float32) -> wp.float32:
+    """``Crossing.aside`` of an edge in which two surfaces meet; phi is m times a distance in the plane across d."""
+    n_low = facing(scene.triangles[low.face].normal, d)
+    room = notch(n_low, facing(scene.triangles[high.face].normal, d), True) * scene.ray_epsilon
+    return wp.min(room * wp.length(m) / wp.max(wp.abs(phi_a) * block.ell, TINY), ASIDE_MOST)
 
 
 @wp.func
@@ -163,6 +177,7 @@ def curve_crossing(
         r.a_d = -t1 * m
     r.phi_a = -wp.dot(m, a.o + t1 * a.d)
     r.phi_b = -wp.dot(m, b.o + t1 * b.d)
+    r.aside = aside(scene, block, m, d, low, high, r.phi_a)
     r.valid = 1
     return r
 
@@ -262,6 +277,8 @@ def make_crossing(config: PathConfig):
             r.a_d = -t1 * m
         r.phi_a = -wp.dot(m, a.o + t1 * a.d)
         r.phi_b = -wp.dot(m, b.o + t1 * b.d)
+        if wp.length(low.x - high.x) <= room and low.face >= 0 and high.face >= 0:
+            r.aside = aside(scene, block, m, d, low, high, r.phi_a)
         r.valid = 1
         return r
 
@@ -399,7 +416,8 @@ def make_crossing(config: PathConfig):
                                             wp.dot(dark_ng, ls.wi) >= 0.0, scene.ray_epsilon, -scene.ray_epsilon
                                         )
                                         hit = closest_hit(scene.accel, dark_x + turn * dark_ng, ls.wi, ls.distance)
-                                        if hit.face >= 0:
+                                        # What is met at once is what the surface runs through.
+                                        if hit.face >= 0 and hit.t > scene.ray_epsilon:
                                             rim = rim_of(scene, tables, hit.face, hit.u, hit.v)
                                             if rim.near <= 1.0 and rim.edge >= 0:
                                                 tri = scene.triangles[hit.face]

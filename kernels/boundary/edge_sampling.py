@@ -184,6 +184,9 @@ def make_edge_sample(config: PathConfig, tree: bool, candidates: int):
             s.tau = t1 / (t1 + wp.max(hit.t - behind, 0.0))
             s.u2 = hit.u
             s.v2 = hit.v
+            if hit.t <= behind + step:
+                # A contact may be a notch (``notch.py``).
+                s.source = x - behind * w
         s.valid = 1
         # pdf_l = q boost / scale, q = density sin(phi) / t_1^2; t_1^2 cancels against the measure.
         r.value = (chosen.scale / (density * sine)) * f

@@ -170,11 +170,11 @@ def make_line_search_kernel(config: PathConfig, wanted: Wanted, role: str, light
         for k in range(cells):
             ends[top] = (RESOLUTION // cells) * (cells - k)
             names[top] = identity(
-                scene, camera, tables.group, tables.bent, block, unit * wp.float32(ends[top]), max_depth
+                scene, camera, tables.group, tables.bent, block, unit * wp.float32(ends[top]), max_depth, 0
             )
             top += 1
         left = wp.int32(0)
-        left_name = identity(scene, camera, tables.group, tables.bent, block, 0.0, max_depth)
+        left_name = identity(scene, camera, tables.group, tables.bent, block, 0.0, max_depth, 0)
         # The path down the tree: its cell starts as a random root.
         cell = wp.int32(sample_1d(sampler, slot) * wp.float32(cells))
         lower = cell * (RESOLUTION // cells)
@@ -199,7 +199,7 @@ def make_line_search_kernel(config: PathConfig, wanted: Wanted, role: str, light
                     middle = (left + end) // 2
                     ends[top] = middle
                     names[top] = identity(
-                        scene, camera, tables.group, tables.bent, block, unit * wp.float32(middle), max_depth
+                        scene, camera, tables.group, tables.bent, block, unit * wp.float32(middle), max_depth, 0
                     )
                     top += 1
                 else:
@@ -239,6 +239,17 @@ def make_line_search_kernel(config: PathConfig, wanted: Wanted, role: str, light
                                 sign = 2.0 * wp.float32(k) - 1.0
                                 s = wp.where(k == 0, low, high)
                                 if r.side == 0 or wp.float32(r.side) == sign:
+                                    if r.aside > 0.0:
+                                        # Unless something else is met there.
+                                        away = s + sign * r.aside
+                                        links = r.last - count + 2
+                                        name = identity(
+                                            scene, camera, tables.group, tables.bent, block, s, max_depth, links
+                                        )
+                                        if name == identity(
+                                            scene, camera, tables.group, tables.bent, block, away, max_depth, links
+                                        ):
+                                            s = away
                                     f = follow(scene, camera, block, s, branch, max_depth, rr_depth)
                                     if wp.static(has_smooth):
                                         if block.film == 0:
@@ -289,7 +300,7 @@ def make_line_search_kernel(config: PathConfig, wanted: Wanted, role: str, light
                 u = sample_1d(sampler, slot + 1 + level)
                 half = size // 2
                 name = identity(
-                    scene, camera, tables.group, tables.bent, block, unit * wp.float32(lower + half), max_depth
+                    scene, camera, tables.group, tables.bent, block, unit * wp.float32(lower + half), max_depth, 0
                 )
                 if lower_name == upper_name and name != lower_name:
                     left = lower

@@ -8,7 +8,9 @@ gradient of N . pixel(x), u' . N = g . (x_b' - o' - |x_b - o| d'), the edge's ve
 A thin lens is the mean over its points of such cameras, one point a sample (``projection.py``).
 
 Where the edge is hidden there is no jump. The two radiances are path-traced along rays that pass the edge on either
-side at a fraction of a ray epsilon, parallel to the line of sight, with common random numbers. Silhouettes, creases,
+side at a fraction of a ray epsilon, parallel to the line of sight, with common random numbers. Where what they meet
+forms a notch, they are traced again farther away (``notch.py``), unless something else is seen there: a silhouette that
+turns into a curve of intersection, and its terminator, are tangent to it. Silhouettes, creases,
 and borders between materials or texture charts are one case: whatever does not jump cancels. (Creases of small angles
 have an estimator of their own, ``facets.py``.)
 
@@ -31,49 +33,57 @@ import functools
 
 import warp as wp
 
-from warp_psdr.kernels.boundary.detector import make_arrival
+from warp_psdr.kernels.boundary.detector import Arrival, make_arrival
 from warp_psdr.kernels.boundary.film_edge import AHEAD, BESIDE, MARGIN, make_film_edge
-from warp_psdr.kernels.boundary.local_form import Edges, narrowest_face, on_planes, own_face
-from warp_psdr.kernels.bvh.wide import make_intersect
+from warp_psdr.kernels.boundary.local_form import (
+    EdgePoint,
+    Edges,
+    barycentrics_at,
+    narrowest_face,
+    on_plane,
+    on_planes,
+    own_face,
+)
+from warp_psdr.kernels.boundary.notch import facing, notch
+from warp_psdr.kernels.constants import BSDF_DIELECTRIC
 from warp_psdr.kernels.path import PathConfig
 from warp_psdr.kernels.rng import sampler_at
-from warp_psdr.kernels.sight import make_sight
+from warp_psdr.kernels.step import leaving_step
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.surface import make_surface
 
 #: Distance at which the two rays pass the edge beside narrow faces, in ray epsilons: 2 float32 steps of the largest
 #: coordinate.
 BESIDE_LEAST = 0.025
-#: The same at curves of intersection, at most. A ray that leaves one of the two surfaces starts one ray epsilon off it,
-#: which in a notch must not be behind the other: at its opening angle, a distance of 1 / tan(angle) is enough. Farther
-#: away than needed it would miss what is close, the sliver of a shadow beside a wall along which the light shines.
-#: Where something else is seen there than close to the curve, the ray passes close to it: a silhouette that turns into
-#: a curve and its terminator are tangent to it.
-BESIDE_CURVE = 10.0
-#: Times by which it is larger than that.
-ROOM = 2.0
-#: Sine of the angle of two surfaces from which on "close to the curve" is ``BESIDE``. At smaller angles it is where
-#: they are as far apart as there, up to ``BESIDE_CURVE``: nearer, roundings decide which of the two is in front.
-ACUTE = 0.01
+#: Sine of the angle at a curve of intersection from which on rays pass it as close as an edge. At smaller angles they
+#: do where the surfaces are as far apart as there, up to so many ray epsilons: nearer, roundings decide which is in
+#: front.
+ACUTE, BESIDE_CURVE = 0.01, 10.0
 
 
 @functools.cache
 def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
     """Return the kernel of the primary boundary term: one thread a sample (arguments as in ``secondary.py``)."""
-    closest_hit, _any_hit = make_intersect(config.ray_backend, config.ray_width)
-    sight = make_sight(config.hidden)
     surface_at = make_surface(config.smooth, config.flat, False, False)
     arrival = make_arrival(config)
     find, push = make_film_edge(config, role, camera_moves)
+    through = config.hidden or BSDF_DIELECTRIC in config.bsdfs
 
     @wp.func
-    def seen_from(scene: Scene, o: wp.vec3, d: wp.vec3, t_max: wp.float32) -> wp.int32:
+    def seen_as(scene: Scene, seen: Arrival, d: wp.vec3) -> wp.int32:
         """Number of the shape that a ray meets, from one, negative on the back of its normals; 0: none."""
-        hit = closest_hit(sight(scene), o, d, t_max)
-        if hit.face < 0:
+        if seen.face < 0:
             return 0
-        surface = surface_at(scene, hit.face, hit.u, hit.v)
+        uv = barycentrics_at(scene.triangles[seen.face], seen.x)
+        surface = surface_at(scene, seen.face, uv[0], uv[1])
         return wp.where(wp.dot(surface.n, d) > 0.0, -1, 1) * (1 + surface.shape)
+
+    @wp.func
+    def touches(scene: Scene, point: EdgePoint, seen: Arrival, step: wp.float32) -> wp.bool:
+        """Whether what a ray meets beside a point of an edge goes on to that point."""
+        if seen.face < 0:
+            return False
+        return on_plane(scene.triangles[seen.face].normal, seen.x - point.x, step)
 
     @wp.kernel(module="unique", enable_backward=False)
     def primary(
@@ -105,55 +115,66 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
         local = f.step
         distance = f.distance
         sampler.index = wp.uint32(1)
-        apart = BESIDE_CURVE * local
         ahead = AHEAD * local
         narrow = wp.bool(False)
         curve = edges.ends[point.edge, 0] < 0
-        close = wp.float32(0.0)
+        first_face = edges.first[point.edge]
         if curve:
-            first_face = edges.first[point.edge]
             normal_a = scene.triangles[edges.faces[first_face]].normal
             normal_b = scene.triangles[edges.faces[first_face + 1]].normal
             acute = wp.length(wp.cross(normal_a, normal_b))
-            close = wp.clamp(BESIDE * ACUTE / acute, BESIDE, BESIDE_CURVE) * local
-            notch = -wp.dot(normal_a, normal_b)
-            if wp.dot(normal_a, d) * wp.dot(normal_b, d) < 0.0:
-                notch = -notch
-            if wp.static(config.hidden):
-                # Behind a hidden light the notch on its other side is seen, too.
-                notch = wp.abs(notch)
-            apart = wp.clamp(wp.max(ROOM * notch, BESIDE) / acute, BESIDE, BESIDE_CURVE) * local
+            apart = wp.clamp(BESIDE * ACUTE / acute, BESIDE, BESIDE_CURVE) * local
         else:
             width, slant = narrowest_face(scene, edges, point, m, d)
             # Where scales are mixed, steps are some roundings already.
             least = wp.where(scene.least_step > 0.0, BESIDE, BESIDE_LEAST)
             apart = wp.clamp(width / MARGIN, least * local, BESIDE * local)
             ahead = wp.max(ahead, MARGIN * apart / slant)
-            flat = scene.shapes[scene.triangles[edges.faces[edges.first[point.edge]]].shape].smooth == 0
+            flat = scene.shapes[scene.triangles[edges.faces[first_face]].shape].smooth == 0
             narrow = flat and width < MARGIN * apart
         # Of a face that is seen exactly edge-on, the near plane.
         ahead = wp.min(ahead, distance - at.near)
-        beside = apart * m
         t_max = at.far - distance + ahead
         own = wp.bool(False)
-        jump = wp.vec3(0.0, 0.0, 0.0)
-        for i in range(2):
-            sign = 1.0 - 2.0 * wp.float32(i)
-            o = point.x + sign * beside - ahead * d
-            if curve and close < apart:
-                near_o = point.x + (sign * close) * m - ahead * d
-                if seen_from(scene, near_o, d, t_max) != seen_from(scene, o, d, t_max):
-                    o = near_o
+        a = Arrival()
+        b = Arrival()
+        to_a = apart * m
+        to_b = -apart * m
+        k = wp.int32(0)
+        looks = wp.int32(2)
+        while k < looks:
+            o = point.x + wp.where(k % 2 == 0, to_a, to_b) - ahead * d
             seen = arrival(scene, sampler, o, d, t_max, 0, max_depth, rr_depth)
-            jump -= sign * seen.radiance
-            # A face that is seen nearly edge-on is met far away.
-            its = own_face(scene, edges, point.edge, seen.face)
-            if narrow:
-                own = own or (side * sign >= 0.0 and its)
-            elif side == 0.0 and not (its or on_planes(scene, edges, point, seen.face, seen.x, local)):
-                return
+            if k < 2:
+                # A face that is seen nearly edge-on is met far away.
+                its = own_face(scene, edges, point.edge, seen.face)
+                if narrow:
+                    sign = 1.0 - 2.0 * wp.float32(k)
+                    own = own or (side * sign >= 0.0 and its)
+                elif side == 0.0 and not (its or on_planes(scene, edges, point, seen.face, seen.x, local)):
+                    return
+            if k == 0 or (k == 2 and seen_as(scene, seen, d) == seen_as(scene, a, d)):
+                a = seen
+            if k == 1 or (k == 3 and seen_as(scene, seen, d) == seen_as(scene, b, d)):
+                b = seen
+            k += 1
+            if k == 2 and (curve or (touches(scene, point, a, local) and touches(scene, point, b, local))):
+                face_a = a.face
+                face_b = b.face
+                if curve:
+                    # What a hidden light is pierced by is seen on both sides.
+                    face_a = edges.faces[first_face]
+                    face_b = edges.faces[first_face + 1]
+                n_a = facing(scene.triangles[face_a].normal, d)
+                n_b = facing(scene.triangles[face_b].normal, d)
+                away = wp.max(leaving_step(scene, face_a), leaving_step(scene, face_b))
+                room = notch(n_a, n_b, through) * wp.max(local, away)
+                if room > apart:
+                    to_a = room * m
+                    to_b = -room * m
+                    looks = 4
         if narrow and not own:
             return
-        push(scene, camera, edges, sampler, samples, f, jump, target, image_out)
+        push(scene, camera, edges, sampler, samples, f, b.radiance - a.radiance, target, image_out)
 
     return primary
