@@ -36,7 +36,7 @@ from warp_psdr.kernels.boundary.chain import (
 )
 from warp_psdr.kernels.boundary.chain_pullback import Visit
 from warp_psdr.kernels.boundary.local_form import EdgePoint, Edges, barycentrics_at, split_between
-from warp_psdr.kernels.boundary.notch import facing, notch
+from warp_psdr.kernels.boundary.notch import facing, notch, sharp_glass
 from warp_psdr.kernels.boundary.ray_differential import (
     RayDifferential,
     make_point_differential,
@@ -118,11 +118,16 @@ def at_once(scene: Scene, hit: Link, o: wp.vec3) -> wp.bool:
 
 
 @wp.func
-def aside(scene: Scene, block: Block, m: wp.vec3, d: wp.vec3, low: Link, high: Link, phi_a: wp.float32) -> wp.float32:
-    """``Crossing.aside`` of an edge in which two surfaces meet; phi is m times a distance in the plane across d."""
+def notch_between(scene: Scene, low: Link, high: Link, d: wp.vec3) -> wp.float32:
     n_low = facing(scene.triangles[low.face].normal, d)
-    room = notch(n_low, facing(scene.triangles[high.face].normal, d), True) * scene.ray_epsilon
-    return wp.min(room * wp.length(m) / wp.max(wp.abs(phi_a) * block.ell, TINY), ASIDE_MOST)
+    return notch(n_low, facing(scene.triangles[high.face].normal, d), True)
+
+
+@wp.func
+def aside(scene: Scene, block: Block, m: wp.vec3, room: wp.float32, phi_a: wp.float32) -> wp.float32:
+    """``Crossing.aside`` for a room in steps; phi is m times a distance in the plane across the ray."""
+    along = wp.max(wp.abs(phi_a) * block.ell, TINY)
+    return wp.min(room * scene.ray_epsilon * wp.length(m) / along, ASIDE_MOST)
 
 
 @wp.func
@@ -177,7 +182,7 @@ def curve_crossing(
         r.a_d = -t1 * m
     r.phi_a = -wp.dot(m, a.o + t1 * a.d)
     r.phi_b = -wp.dot(m, b.o + t1 * b.d)
-    r.aside = aside(scene, block, m, d, low, high, r.phi_a)
+    r.aside = aside(scene, block, m, notch_between(scene, low, high, d), r.phi_a)
     r.valid = 1
     return r
 
@@ -277,8 +282,10 @@ def make_crossing(config: PathConfig):
             r.a_d = -t1 * m
         r.phi_a = -wp.dot(m, a.o + t1 * a.d)
         r.phi_b = -wp.dot(m, b.o + t1 * b.d)
+        apart_by = sharp_glass(scene, edges, own)
         if wp.length(low.x - high.x) <= room and low.face >= 0 and high.face >= 0:
-            r.aside = aside(scene, block, m, d, low, high, r.phi_a)
+            apart_by = wp.max(apart_by, notch_between(scene, low, high, d))
+        r.aside = aside(scene, block, m, apart_by, r.phi_a)
         r.valid = 1
         return r
 

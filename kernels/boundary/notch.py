@@ -9,10 +9,15 @@ at r > 1 / tan(theta) steps from the edge.
 
 Who looks into the notch does so at an angle g < theta with the surface. A ray that passes the edge at one step meets
 the surface at 1 / sin(g) > 1 / tan(theta): ``INTO`` steps are enough at any angle. On the other side of the surface,
-where glass sends the ray and where a hidden light lets it pass, the angle is 180 - theta, and no such bound holds.
+where glass sends the ray and where a hidden light lets it pass, the angle is 180 - theta, and no such bound holds. Nor
+does it inside of glass that ends in a sharp edge, which rays that enter beside it would leave at once.
 """
 
 import warp as wp
+
+from warp_psdr.kernels.boundary.local_form import Edges
+from warp_psdr.kernels.constants import BSDF_DIELECTRIC
+from warp_psdr.kernels.structs import Scene
 
 #: Distance in steps at which rays pass the edge of a notch that they look into.
 INTO = 1.5
@@ -29,6 +34,11 @@ def facing(n: wp.vec3, d: wp.vec3) -> wp.vec3:
 
 
 @wp.func
+def behind(n_a: wp.vec3, n_b: wp.vec3) -> wp.float32:
+    return wp.min(BEHIND * wp.abs(wp.dot(n_a, n_b)) / wp.length(wp.cross(n_a, n_b)), MOST)
+
+
+@wp.func
 def notch(n_a: wp.vec3, n_b: wp.vec3, through: wp.bool) -> wp.float32:
     """Distance in steps at which rays pass the edge between two surfaces with normals that face them; 0: at any.
 
@@ -37,5 +47,18 @@ def notch(n_a: wp.vec3, n_b: wp.vec3, through: wp.bool) -> wp.float32:
     cosine = wp.dot(n_a, n_b)
     r = wp.where(cosine < -RIGHT, INTO, 0.0)
     if through:
-        r = wp.max(r, wp.min(BEHIND * wp.abs(cosine) / wp.length(wp.cross(n_a, n_b)), MOST))
+        r = wp.max(r, behind(n_a, n_b))
     return r
+
+
+@wp.func
+def sharp_glass(scene: Scene, edges: Edges, edge: wp.int32) -> wp.float32:
+    """The same for a ray that enters glass beside an edge of it; 0: at any distance, or it is none."""
+    first = edges.first[edge]
+    if edges.first[edge + 1] - first != 2:
+        return 0.0
+    a = scene.triangles[edges.faces[first]]
+    b = scene.triangles[edges.faces[first + 1]]
+    if scene.bsdfs[scene.shapes[a.shape].bsdf].model != BSDF_DIELECTRIC or wp.dot(a.normal, b.normal) >= 0.0:
+        return 0.0
+    return behind(a.normal, b.normal)

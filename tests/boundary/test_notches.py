@@ -6,7 +6,7 @@ import pytest
 import warp_psdr as psdr
 
 from .measure import Case, assert_agrees, derivatives, differences, rows, slope
-from .mirrors import ALONG, ETA, GLASSES, MIRROR, lamp, slab
+from .mirrors import ALONG, ETA, GLASS, GLASSES, LAMP, MIRROR, lamp, slab
 from .scenes import ball, camera, diffuse, floor, mesh, register
 from .test_table import moved
 
@@ -78,8 +78,24 @@ def stuck(shape, direction):
     }
 
 
+def prism():
+    """Two lamps behind glass with an edge of 40 degrees."""
+    a, length = np.radians(20.0), 0.9
+    foot = 0.55 - length * np.cos(a)
+    profile = [[0.0, 0.55], [-length * np.sin(a), foot], [length * np.sin(a), foot]]
+    vertices = [[x, y, z] for x in (-0.7, 0.7) for y, z in profile]
+    faces = [[0, 2, 1], [3, 4, 5], [0, 1, 4], [0, 4, 3], [1, 2, 5], [1, 5, 4], [2, 0, 3], [2, 3, 5]]
+    return {
+        "sensor": camera((0.4, -4.0, 0.4), (0.0, 0.0, 0.1), fov=24.0),
+        "glass": mesh(vertices, faces, GLASS, face_normals=True),
+        "lamp": lamp((0.3, 2.0, 0.9), 0.7),
+        "other": lamp((-0.8, 2.5, -0.3), 0.6, 0.5),
+    }
+
+
 register(
     {
+        "prism": prism,
         "wedge": lambda: wedge(30.0),
         "screened wedge": screened,
         "book": lambda: book(60.0),
@@ -97,7 +113,7 @@ def fold(values):
     return tangent
 
 
-SLIDES = moved(0.2, 1.0, 0.0)
+SLIDES, RISES = moved(0.2, 1.0, 0.0), moved(0.1, 0.2, 1.0)
 CASES = [
     Case("wedge", SHAPE, SLIDES, 0.005, "slides", spp=1024, difference_spp=4096, slow=False),
     Case("book", SHAPE, fold, 0.005, "back moves", spp=4096, difference_spp=16384),
@@ -106,6 +122,9 @@ CASES = [
     Case("stuck in glass", ETA, np.ones_like, 0.005, "index changes", depth=4, spp=4096, difference_spp=32768),
     Case("lamp in glass", BALL, ALONG, 0.005, "lamp moves", depth=4, spp=1024, difference_spp=4096),
     Case("lamp in glass", GLASSES, ALONG, 0.005, "glass moves", depth=4, spp=1024, difference_spp=4096),
+    Case("prism", GLASSES, RISES, 0.005, "prism moves", depth=4, spp=512, difference_spp=2048, slow=False),
+    Case("prism", LAMP, ALONG, 0.005, "lamp moves", depth=4, spp=1024, difference_spp=4096),
+    Case("prism", ETA, np.ones_like, 0.005, "index changes", depth=4, spp=2048, difference_spp=8192),
 ]
 
 
