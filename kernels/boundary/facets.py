@@ -26,6 +26,7 @@ from warp_psdr.kernels.boundary.chain import Shading, make_shading
 from warp_psdr.kernels.boundary.detector import make_following
 from warp_psdr.kernels.boundary.film_edge import AHEAD, BESIDE, MARGIN, make_film_edge
 from warp_psdr.kernels.boundary.local_form import Edges, barycentrics_at, narrowest_face, on_planes, own_face
+from warp_psdr.kernels.boundary.notch import facing
 from warp_psdr.kernels.bsdf.dispatch import make_bsdf
 from warp_psdr.kernels.bvh.wide import make_intersect
 from warp_psdr.kernels.constants import FAR
@@ -151,8 +152,8 @@ def make_facets_kernel(config: PathConfig, role: str, camera_moves: bool):
         c = Crease()
         c.a = shading_at(scene, face_a, uv_a[0], uv_a[1], f.d)
         c.b = shading_at(scene, face_b, uv_b[0], uv_b[1], f.d)
-        c.n_a = wp.where(wp.dot(c.a.ng, f.d) <= 0.0, c.a.ng, -c.a.ng)
-        c.n_b = wp.where(wp.dot(c.b.ng, f.d) <= 0.0, c.b.ng, -c.b.ng)
+        c.n_a = facing(c.a.ng, f.d)
+        c.n_b = facing(c.b.ng, f.d)
         away = wp.max(leaving_step(scene, face_a), leaving_step(scene, face_b))
         c.x_a = f.point.x - apart * f.m + away * c.n_a
         c.x_b = f.point.x + apart * f.m + away * c.n_b

@@ -55,7 +55,8 @@ def notch(n_a: wp.vec3, n_b: wp.vec3, through: wp.bool) -> wp.float32:
 def sharp_glass(scene: Scene, edges: Edges, edge: wp.int32) -> wp.float32:
     """The same for a ray that enters glass beside an edge of it; 0: at any distance, or it is none."""
     first = edges.first[edge]
-    if edges.first[edge + 1] - first != 2:
+    # A curve of intersection is no edge of the shapes that it has its faces from.
+    if edges.ends[edge, 0] < 0 or edges.first[edge + 1] - first != 2:
         return 0.0
     a = scene.triangles[edges.faces[first]]
     b = scene.triangles[edges.faces[first + 1]]

@@ -67,8 +67,7 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
     surface_at = make_surface(config.smooth, config.flat, False, False)
     arrival = make_arrival(config)
     find, push = make_film_edge(config, role, camera_moves)
-    glass = BSDF_DIELECTRIC in config.bsdfs
-    through = config.hidden or glass
+    through = config.hidden or BSDF_DIELECTRIC in config.bsdfs
 
     @wp.func
     def seen_as(scene: Scene, seen: Arrival, d: wp.vec3) -> wp.int32:
@@ -160,10 +159,7 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
                 b = seen
             k += 1
             if k == 2:
-                room = wp.float32(0.0)
-                if wp.static(glass):
-                    if not curve:
-                        room = sharp_glass(scene, edges, point.edge) * local
+                room = sharp_glass(scene, edges, point.edge) * local
                 if curve or (touches(scene, point, a, local) and touches(scene, point, b, local)):
                     face_a = a.face
                     face_b = b.face
