@@ -141,6 +141,28 @@ def make_line_search_kernel(config: PathConfig, wanted: Wanted, role: str, light
         return pushed.dot
 
     @wp.func
+    def settled(
+        scene: Scene,
+        camera: Camera,
+        tables: Tables,
+        block: Block,
+        s: wp.float32,
+        step: wp.float32,
+        max_depth: wp.int32,
+        links: wp.int32,
+    ) -> wp.float32:
+        """A step away from s, in either direction, where the first ``links`` vertices are those at s; else s itself.
+
+        On the curve itself what is met wavers by roundings: the line may cross it an odd number of times there.
+        """
+        name = identity(scene, camera, tables.group, tables.bent, block, s, max_depth, links)
+        for k in range(2):
+            away = s + (1.0 - 2.0 * wp.float32(k)) * step
+            if name == identity(scene, camera, tables.group, tables.bent, block, away, max_depth, links):
+                return away
+        return s
+
+    @wp.func
     def search(
         scene: Scene,
         camera: Camera,
@@ -240,16 +262,8 @@ def make_line_search_kernel(config: PathConfig, wanted: Wanted, role: str, light
                                 s = wp.where(k == 0, low, high)
                                 if r.side == 0 or wp.float32(r.side) == sign:
                                     if r.aside > 0.0:
-                                        # Unless something else is met there.
-                                        away = s + sign * r.aside
                                         links = r.last - count + 2
-                                        name = identity(
-                                            scene, camera, tables.group, tables.bent, block, s, max_depth, links
-                                        )
-                                        if name == identity(
-                                            scene, camera, tables.group, tables.bent, block, away, max_depth, links
-                                        ):
-                                            s = away
+                                        s = settled(scene, camera, tables, block, s, sign * r.aside, max_depth, links)
                                     f = follow(scene, camera, block, s, branch, max_depth, rr_depth)
                                     if wp.static(has_smooth):
                                         if block.film == 0:

@@ -123,10 +123,10 @@ def derivatives(case: Case, mode: str, boundary="auto") -> np.ndarray:
 
 
 def slope(derivative: np.ndarray, difference: np.ndarray) -> tuple[float, float]:
-    """Return the slope and its standard error."""
+    """Return the slope and its standard error, which for slopes below 1 is the one that it would have at 1."""
     count = len(derivative)
     ratio = derivative.mean() / difference.mean()
-    variance = derivative.var(ddof=1) + ratio**2 * difference.var(ddof=1)
+    variance = derivative.var(ddof=1) + max(1.0, ratio**2) * difference.var(ddof=1)
     return float(ratio), float(np.sqrt(variance / count) / abs(difference.mean()))
 
 

@@ -58,12 +58,17 @@ def book(angle):
     }
 
 
-def mirrored(angle):
+def mirror():
+    """A mirror in front of the shapes, which faces them."""
     corners = [[-2, -3, -2], [2, -3, -2], [2, -3, 2], [-2, -3, 2]]
+    return mesh(corners, [[0, 2, 1], [0, 3, 2]], MIRROR)
+
+
+def mirrored(angle):
     return {
         **book(angle),
         "sensor": camera((1.3, 0.5, 0.4), (0.0, -5.7, 0.0), fov=16.0),
-        "mirror": mesh(corners, [[0, 2, 1], [0, 3, 2]], MIRROR),
+        "mirror": mirror(),
         "sun": {"type": "point", "position": [-0.1, -1.6, 0.9], "intensity": {"type": "rgb", "value": [9.0, 8.0, 7.0]}},
     }
 
@@ -96,6 +101,11 @@ def prism():
 register(
     {
         "prism": prism,
+        "prism in a mirror": lambda: {
+            **prism(),
+            "sensor": camera((1.5, 0.3, 0.5), (0, -6, 0.1), fov=14.0),
+            "mirror": mirror(),
+        },
         "wedge": lambda: wedge(30.0),
         "screened wedge": screened,
         "book": lambda: book(60.0),
@@ -123,6 +133,7 @@ CASES = [
     Case("lamp in glass", BALL, ALONG, 0.005, "lamp moves", depth=4, spp=1024, difference_spp=4096),
     Case("lamp in glass", GLASSES, ALONG, 0.005, "glass moves", depth=4, spp=1024, difference_spp=4096),
     Case("prism", GLASSES, RISES, 0.005, "prism moves", depth=4, spp=512, difference_spp=2048, slow=False),
+    Case("prism in a mirror", GLASSES, RISES, 0.005, "prism moves", depth=4, spp=2048, difference_spp=8192),
     Case("prism", LAMP, ALONG, 0.005, "lamp moves", depth=4, spp=1024, difference_spp=4096),
     Case("prism", ETA, np.ones_like, 0.005, "index changes", depth=4, spp=2048, difference_spp=8192),
 ]
