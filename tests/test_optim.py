@@ -170,6 +170,13 @@ def test_options_are_checked(options: dict, message: str) -> None:
         optim.Adam(Parameters({"x": np.zeros(2)}), **options)
 
 
+def test_a_pose_beside_the_vertices_that_it_moves_is_refused() -> None:
+    params = Parameters({"ball.to_world": np.eye(4), "ball.vertex_positions": np.zeros((3, 3))})
+    with pytest.raises(ValueError, match=r"'ball\.to_world' moves 'ball\.vertex_positions'.*leave one of them out"):
+        optim.Adam(params, 0.1)
+    optim.Adam(params, {"ball.to_world": 0.1})
+
+
 def test_parameter_without_gradient_is_refused() -> None:
     params = Parameters({"x": np.zeros(2)})
     params["x"].requires_grad = False

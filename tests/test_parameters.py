@@ -248,6 +248,56 @@ def test_poses_move_vertices_and_normals(loaded):
     np.testing.assert_allclose(params["ceiling.vertex_positions"].numpy(), corners @ turn[:3, :3].T, atol=1e-6)
 
 
+@pytest.mark.parametrize("together", [True, False])
+def test_poses_move_what_was_edited(loaded, together):
+    """Whether vertices are edited before a pose, or with it: then they are kept, and move from there."""
+    scene, params = loaded
+    first, turn = psdr.Transform.scale([1.0, 2.0, 3.0]).matrix, psdr.Transform.rotate([0, 1, 0], 30).matrix
+    pose = params["ceiling.to_world"].numpy().copy()
+    edited = params["ceiling.vertex_positions"].numpy() + np.float32([[0.1, 0.2, 0.3], [0, 0, 0], [0, 0, 0], [0, 0, 0]])
+    params["ceiling.vertex_positions"] = edited
+    if together:
+        pose = first @ pose
+        params["ceiling.to_world"] = pose
+    params.update()
+    np.testing.assert_array_equal(params["ceiling.vertex_positions"].numpy(), edited)
+    np.testing.assert_allclose(params["ceiling.to_world"].numpy(), pose, atol=1e-6)
+    # The pose's gradient is that of the vertices, carried by where they are now.
+    params.requires_grad("ceiling.vertex_positions", "ceiling.to_world")
+    adjoint = np.random.default_rng(2).normal(size=image(scene).shape)
+    psdr.render_backward(scene, params, adjoint, integrator=psdr.PathIntegrator(max_depth=2), spp=64)
+    local = np.linalg.solve(pose[:3, :3], (edited - pose[:3, 3]).T)
+    found = params["ceiling.to_world"].grad.numpy()[:3]
+    expected = params["ceiling.vertex_positions"].grad.numpy().T @ np.vstack([local, np.ones(local.shape[1])]).T
+    assert np.abs(expected).max() > 0.0
+    np.testing.assert_allclose(found, expected, atol=1e-4 * np.abs(expected).max())
+    params["ceiling.to_world"] = turn @ pose
+    params.update()
+    np.testing.assert_allclose(params["ceiling.vertex_positions"].numpy(), edited @ turn[:3, :3].T, atol=1e-6)
+
+
+def test_poses_keep_normals_that_are_edited_with_them():
+    ball = {"type": "sphere", "radius": 0.5, "bsdf": {"type": "diffuse"}}
+    _scene, params = fresh(ball=ball)
+    turn = psdr.Transform.rotate([0, 1, 0], 30).matrix
+    normals = np.roll(params["ball.vertex_normals"].numpy(), 1, axis=0)
+    params["ball.to_world"], params["ball.vertex_normals"] = turn @ params["ball.to_world"].numpy(), normals
+    params.update()
+    np.testing.assert_array_equal(params["ball.vertex_normals"].numpy(), normals)
+    params["ball.to_world"] = turn @ params["ball.to_world"].numpy()
+    params.update()
+    np.testing.assert_allclose(params["ball.vertex_normals"].numpy(), normals @ turn[:3, :3].T, atol=1e-5)
+
+
+def test_vertices_under_a_pose_without_inverse_are_refused(loaded):
+    _scene, params = loaded
+    params["ceiling.to_world"] = np.diag([1.0, 0.0, 1.0, 1.0])
+    params.update()
+    params["ceiling.vertex_positions"] = params["ceiling.vertex_positions"].numpy() + np.float32(0.1)
+    with pytest.raises(ValueError, match=r"ceiling\.to_world has no inverse.*set a pose"):
+        params.update()
+
+
 @pytest.mark.parametrize("named", [True, False])
 @pytest.mark.parametrize("name", ["floor.vertex_positions", "ceiling.to_world", RADIANCE])
 def test_values_that_kernels_wrote_are_refreshed(loaded, name, named):

@@ -85,3 +85,5 @@ def test_mistakes_are_named(scene) -> None:
         psdr.torch.render(scene, {WALL: torch.zeros(2)}, **OPTIONS)
     with pytest.raises(KeyError, match="no parameter 'wall'"):
         psdr.torch.render(scene, {"wall": torch.zeros(3)}, **OPTIONS)
+    with pytest.raises(ValueError, match="leave one of them out"):
+        psdr.torch.render(scene, {"a.to_world": torch.eye(4), "a.vertex_positions": torch.zeros(3, 3)}, **OPTIONS)

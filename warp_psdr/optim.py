@@ -10,6 +10,7 @@ import numpy as np
 import warp as wp
 
 from warp_psdr.kernels import adam as kernels
+from warp_psdr.parameters import check_independent
 from warp_psdr.scene.layout import POSITIONS
 
 if TYPE_CHECKING:
@@ -37,7 +38,8 @@ class Adam:
             textures and environment maps of which one view sees but a part.
 
     Raises:
-        ValueError: If a name is unknown or requires no gradient, or a number is out of range.
+        ValueError: If a name is unknown or requires no gradient, a number is out of range, or both a pose and the
+            vertices that it moves are given.
     """
 
     def __init__(
@@ -62,6 +64,7 @@ class Adam:
                 raise ValueError(f"lr: {name!r} requires no gradient; call params.requires_grad({name!r}) first")
             if not (math.isfinite(rate) and rate > 0.0):
                 raise ValueError(f"lr of {name!r}: got {rate}, expected a positive number")
+        check_independent(rates)
         for index, beta in enumerate(betas):
             if not 0.0 <= beta < 1.0:
                 raise ValueError(f"betas[{index}]: got {beta}, expected a number in [0, 1)")

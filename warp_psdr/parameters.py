@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import fnmatch
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -26,6 +26,21 @@ def traverse(scene: Scene) -> Parameters:
         ``(1,)``, matrices ``(4, 4)``, bitmaps ``(H, W, C)``, positions and normals ``(N,)`` of vec3.
     """
     return Parameters(scene)
+
+
+def check_independent(names: Iterable[str]) -> None:
+    """Refuse names that hold both a pose and the vertices that it moves.
+
+    Each has a derivative with the other at rest; set together, vertices stay where they are put, whatever the pose.
+
+    Raises:
+        ValueError: they do.
+    """
+    given = set(names)
+    for pose in sorted(n for n in given if n.endswith(".to_world")):
+        vertices = pose.removesuffix("to_world") + "vertex_positions"
+        if vertices in given:
+            raise ValueError(f"{pose!r} moves {vertices!r}: the two cannot change together; leave one of them out")
 
 
 class Parameters(Mapping):
@@ -105,6 +120,9 @@ class Parameters(Mapping):
 
     def update(self, *names: str) -> None:
         """Make the scene follow edits: normals, triangle records, ray structure, light sampling, as far as needed.
+
+        A pose moves the vertices of its shape, also those that were edited before. What is edited together with it
+        stays as it is.
 
         Args:
             *names: what was changed. Without names: what was assigned, and what differs from what the scene followed

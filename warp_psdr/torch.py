@@ -17,7 +17,7 @@ import numpy as np
 import warp as wp
 
 from warp_psdr.options import PathIntegrator
-from warp_psdr.parameters import traverse
+from warp_psdr.parameters import check_independent, traverse
 from warp_psdr.render import render as render_image
 from warp_psdr.render import render_backward
 
@@ -63,12 +63,13 @@ def render(
     Raises:
         KeyError: There is no such parameter.
         TypeError: A value is no floating-point tensor.
-        ValueError: A wrong shape, numbers that are not finite, an option out of range, or a moving discontinuity whose
-            boundary term was not left out explicitly.
+        ValueError: A wrong shape, numbers that are not finite, an option out of range, a pose beside the vertices that
+            it moves, or a moving discontinuity whose boundary term was not left out explicitly.
     """
     for name, tensor in parameters.items():
         if not isinstance(tensor, torch.Tensor) or not tensor.is_floating_point():
             raise TypeError(f"{name!r}: got {type(tensor).__name__}, expected a floating-point tensor")
+    check_independent(parameters)
     call = _Call(scene, tuple(parameters), sensor, integrator, spp, spp_grad, seed)
     return _Render.apply(call, *parameters.values())
 

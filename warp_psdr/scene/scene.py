@@ -202,24 +202,30 @@ class Scene:
     def refresh(self, names: list[str]) -> None:
         """Recompute what depends on the named parameters, and nothing else.
 
-        Poses, normals, triangle records, ray structure, environment map's cells, light selection.
+        Poses, normals, triangle records, ray structure, environment map's cells, light selection. A pose moves the
+        vertices and normals of its shape, but for what is named itself: that is kept, and moved by later poses.
 
         Raises:
-            ValueError: vertices, or texels of an environment map, are not finite.
+            ValueError: vertices, or texels of an environment map, are not finite, or vertices were edited under a pose
+                without an inverse.
         """
         changed = [self.parameters[name] for name in names]
         for p in changed:
             self._world.take_over(p, self.radius)
-        posed = {p.owner for p in changed if SHAPE_POSE in p.uses}
-        moved = posed | {p.owner for p in changed if POSITIONS in p.uses}
+        placed = {p.owner for p in changed if POSITIONS in p.uses}
+        shaded = {p.owner for p in changed if NORMALS in p.uses}
+        posed = {p.owner for p in changed if SHAPE_POSE in p.uses} - placed
+        moved = posed | placed
         for shape in sorted(posed):
-            self._pose(shape)
+            self._pose(shape, shape not in shaded)
         followed = [f"{self.description.shapes[i].path}.vertex_positions" for i in sorted(posed)]
         self._world.show(self.parameters[name] for name in followed)
         for shape in sorted(moved):
             description = self.description.shapes[shape]
-            if description.normals_computed and f"{description.path}.vertex_normals" not in names:
+            if description.normals_computed and shape not in shaded:
                 self.normal_sums(shape, write=True)
+        for shape in sorted((placed | shaded) & self._local.keys()):
+            self._take_local(shape)
         if moved:
             self._update_triangles(sorted(moved))
             self.accelerator.update()
@@ -238,16 +244,38 @@ class Scene:
             self.lights.update_selection(values, self.radius)
         self._edits.follow({*names, *followed})
 
-    def _pose(self, shape: int) -> None:
+    def _pose(self, shape: int, with_normals: bool = True) -> None:
         record = self.builder.shapes[shape]
-        vertices, normals = self._local[shape]
+        to_world, positions, normals = self.pose_offsets(shape)
         launch(
             pose_shape,
             dim=record.vertex_count,
-            inputs=[vertices, normals, *self.pose_offsets(shape)],
+            inputs=[*self._local[shape], to_world, positions, normals if with_normals else -1],
             outputs=[self.values],
             device=self.device,
         )
+
+    def _take_local(self, shape: int) -> None:
+        """Let the object-space geometry of a posed shape follow its vertices and normals in the world."""
+        to_world, positions, normals = self.pose_offsets(shape)
+        matrix = self._stretch(to_world, 16).reshape(4, 4)
+        linear, size = matrix[:3, :3], 3 * self.builder.shapes[shape].vertex_count
+        try:
+            inverse = np.linalg.inv(linear)
+        except np.linalg.LinAlgError:
+            path = self.description.shapes[shape].path
+            raise ValueError(
+                f"{path}.to_world has no inverse, so what it moves cannot be edited; set a pose that has one first"
+            ) from None
+        local_positions = (self._stretch(positions, size).reshape(-1, 3) - matrix[:3, 3]) @ inverse.T
+        local_normals = None
+        if normals >= 0:
+            local_normals = self._stretch(normals, size).reshape(-1, 3) @ linear
+            local_normals /= np.maximum(np.linalg.norm(local_normals, axis=1, keepdims=True), np.finfo(float).tiny)
+        self._local[shape] = (self._vectors(local_positions), self._vectors(local_normals))
+
+    def _stretch(self, offset: int, size: int) -> np.ndarray:
+        return self.values[offset : offset + size].numpy().astype(np.float64)
 
     def pose_offsets(self, shape: int) -> tuple[int, int, int]:
         """Flat offsets of a posed shape's matrix, of its first position and of its first normal (-1: flat)."""
