@@ -114,7 +114,7 @@ CASES = (
         hard="any length that does not scale with the scene shows", naive="a ray epsilon of 1e-4 is the whole scene",
     ),
     Case(
-        family="kinds", name="every kind, 1e2 .. 1e6 sizes away", bound=2e-5, slow=True,
+        family="kinds", name="every kind, 1e2 .. 1e6 sizes away", bound=1.3e-5, slow=True,
         measure=lambda: places((2, 4, 6)),
         hard="positions of lights and shapes are rounded before they are subtracted", naive="black at 1e6",
     ),
