@@ -36,7 +36,7 @@ from warp_psdr.kernels.boundary.chain import (
 )
 from warp_psdr.kernels.boundary.chain_pullback import Visit
 from warp_psdr.kernels.boundary.local_form import EdgePoint, Edges, barycentrics_at, split_between
-from warp_psdr.kernels.boundary.notch import facing, notch, sharp_glass
+from warp_psdr.kernels.boundary.notch import facing, is_ridge, lets_through, notch, sharp_glass
 from warp_psdr.kernels.boundary.ray_differential import (
     RayDifferential,
     make_point_differential,
@@ -118,12 +118,6 @@ def at_once(scene: Scene, hit: Link, o: wp.vec3) -> wp.bool:
 
 
 @wp.func
-def notch_between(scene: Scene, low: Link, high: Link, d: wp.vec3) -> wp.float32:
-    n_low = facing(scene.triangles[low.face].normal, d)
-    return notch(n_low, facing(scene.triangles[high.face].normal, d), True)
-
-
-@wp.func
 def aside(scene: Scene, block: Block, m: wp.vec3, room: wp.float32, phi_a: wp.float32) -> wp.float32:
     """``Crossing.aside`` for a room in steps; phi is m times a distance in the plane across the ray."""
     along = wp.max(wp.abs(phi_a) * block.ell, TINY)
@@ -142,6 +136,7 @@ def curve_crossing(
     i: wp.int32,
     count: wp.int32,
     which: wp.int32,
+    hidden: wp.bool,
 ) -> Crossing:
     """Where the triangles that two neighbouring rays meet run through each other."""
     r = Crossing()
@@ -182,7 +177,8 @@ def curve_crossing(
         r.a_d = -t1 * m
     r.phi_a = -wp.dot(m, a.o + t1 * a.d)
     r.phi_b = -wp.dot(m, b.o + t1 * b.d)
-    r.aside = aside(scene, block, m, notch_between(scene, low, high, d), r.phi_a)
+    through = lets_through(scene, low.face, hidden) or lets_through(scene, high.face, hidden)
+    r.aside = aside(scene, block, m, notch(facing(n_low, d), facing(n_high, d), through), r.phi_a)
     r.valid = 1
     return r
 
@@ -239,7 +235,7 @@ def make_crossing(config: PathConfig):
             apart = wp.min(rim_low.distance, rim_high.distance) > TOUCHING * scene.ray_epsilon
             neighbours = rim_low.edge >= 0 and of_edge(edges, rim_low.edge, high.face)
             if apart and not neighbours and wp.length(low.x - high.x) <= room:
-                return curve_crossing(scene, block, low, high, x, a, b, i, count, which)
+                return curve_crossing(scene, block, low, high, x, a, b, i, count, which, wp.static(config.hidden))
         own_low = wp.where(tie, rim_low.distance <= rim_high.distance, t_low <= t_high)
         own = wp.where(own_low, rim_low.edge, rim_high.edge)
         near = wp.where(own_low, rim_low.near, rim_high.near)
@@ -284,7 +280,10 @@ def make_crossing(config: PathConfig):
         r.phi_b = -wp.dot(m, b.o + t1 * b.d)
         apart_by = sharp_glass(scene, edges, own)
         if wp.length(low.x - high.x) <= room and low.face >= 0 and high.face >= 0:
-            apart_by = wp.max(apart_by, notch_between(scene, low, high, d))
+            n_low = facing(scene.triangles[low.face].normal, d)
+            n_high = facing(scene.triangles[high.face].normal, d)
+            if not is_ridge(n_low, n_high, wp.sign(r.phi_a) * m, d):
+                apart_by = wp.max(apart_by, notch(n_low, n_high, False))
         r.aside = aside(scene, block, m, apart_by, r.phi_a)
         r.valid = 1
         return r

@@ -8,9 +8,12 @@ its derivative. At a distance r from the edge the other surface is r tan(theta) 
 at r > 1 / tan(theta) steps from the edge.
 
 Who looks into the notch does so at an angle g < theta with the surface. A ray that passes the edge at one step meets
-the surface at 1 / sin(g) > 1 / tan(theta): ``INTO`` steps are enough at any angle. On the other side of the surface,
-where glass sends the ray and where a hidden light lets it pass, the angle is 180 - theta, and no such bound holds. Nor
-does it inside of glass that ends in a sharp edge, which rays that enter beside it would leave at once.
+the surface at 1 / sin(g) > 1 / tan(theta): ``INTO`` steps are enough at any angle. Who looks at a sharp edge from
+outside sees no notch: what starts in front of either surface is in front of both.
+
+Surfaces that run through each other also meet behind what is seen, at 180 - theta, and light from there arrives through
+glass and hidden lights: no such bound holds. Nor does it inside of glass that ends in a sharp edge, which rays that
+enter beside it would leave at once.
 """
 
 import warp as wp
@@ -39,16 +42,31 @@ def behind(n_a: wp.vec3, n_b: wp.vec3) -> wp.float32:
 
 
 @wp.func
-def notch(n_a: wp.vec3, n_b: wp.vec3, through: wp.bool) -> wp.float32:
-    """Distance in steps at which rays pass the edge between two surfaces with normals that face them; 0: at any.
+def lets_through(scene: Scene, face: wp.int32, hidden: wp.bool) -> wp.bool:
+    """Whether light that arrives behind a face is seen in front of it; ``hidden``: lights are."""
+    shape = scene.shapes[scene.triangles[face].shape]
+    return scene.bsdfs[shape.bsdf].model == BSDF_DIELECTRIC or (hidden and shape.emitter >= 0)
 
-    ``through``: what is behind the surfaces counts, too.
+
+@wp.func
+def notch(n_a: wp.vec3, n_b: wp.vec3, through: wp.bool) -> wp.float32:
+    """Distance in steps at which rays pass the line at which two surfaces meet in front of them; 0: at any.
+
+    The normals face the rays. ``through``: the surfaces go on, and light from behind counts.
     """
-    cosine = wp.dot(n_a, n_b)
-    r = wp.where(cosine < -RIGHT, INTO, 0.0)
+    r = wp.where(wp.dot(n_a, n_b) < -RIGHT, INTO, 0.0)
     if through:
         r = wp.max(r, behind(n_a, n_b))
     return r
+
+
+@wp.func
+def is_ridge(n_a: wp.vec3, n_b: wp.vec3, m: wp.vec3, d: wp.vec3) -> wp.bool:
+    """Whether a ray along d looks at an edge between surfaces from outside of their angle; m: towards the first one.
+
+    The second one leaves the edge along t = -m + d (n_b . m) / (n_b . d), which is behind the first one: n_a . t < 0.
+    """
+    return wp.dot(wp.cross(n_a, n_b), wp.cross(m, d)) < 0.0
 
 
 @wp.func

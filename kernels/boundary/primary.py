@@ -44,8 +44,7 @@ from warp_psdr.kernels.boundary.local_form import (
     on_planes,
     own_face,
 )
-from warp_psdr.kernels.boundary.notch import facing, notch, sharp_glass
-from warp_psdr.kernels.constants import BSDF_DIELECTRIC
+from warp_psdr.kernels.boundary.notch import facing, is_ridge, lets_through, notch, sharp_glass
 from warp_psdr.kernels.path import PathConfig
 from warp_psdr.kernels.rng import sampler_at
 from warp_psdr.kernels.step import leaving_step
@@ -67,7 +66,6 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
     surface_at = make_surface(config.smooth, config.flat, False, False)
     arrival = make_arrival(config)
     find, push = make_film_edge(config, role, camera_moves)
-    through = config.hidden or BSDF_DIELECTRIC in config.bsdfs
 
     @wp.func
     def seen_as(scene: Scene, seen: Arrival, d: wp.vec3) -> wp.int32:
@@ -160,17 +158,21 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
             k += 1
             if k == 2:
                 room = sharp_glass(scene, edges, point.edge) * local
+                hidden = wp.bool(wp.static(config.hidden))
                 if curve or (touches(scene, point, a, local) and touches(scene, point, b, local)):
                     face_a = a.face
                     face_b = b.face
+                    through = hidden and lets_through(scene, edges.faces[first_face], hidden)
                     if curve:
                         # What a hidden light is pierced by is seen on both sides.
                         face_a = edges.faces[first_face]
                         face_b = edges.faces[first_face + 1]
+                        through = lets_through(scene, face_a, hidden) or lets_through(scene, face_b, hidden)
                     n_a = facing(scene.triangles[face_a].normal, d)
                     n_b = facing(scene.triangles[face_b].normal, d)
                     away = wp.max(leaving_step(scene, face_a), leaving_step(scene, face_b))
-                    room = wp.max(room, notch(n_a, n_b, through) * wp.max(local, away))
+                    if curve or not is_ridge(n_a, n_b, m, d):
+                        room = wp.max(room, notch(n_a, n_b, through) * wp.max(local, away))
                 if room > apart:
                     to_a = room * m
                     to_b = -room * m
