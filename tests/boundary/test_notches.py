@@ -157,3 +157,29 @@ def test_glass_shows_what_runs_through_it() -> None:
     value, error = slope(derivatives(case, "reverse"), differences(case)[2])
     assert error < 0.05
     assert abs(value - 1.0) < 3.0 * error
+
+
+def test_glass_elsewhere_changes_nothing() -> None:
+    """Behind glass notches need more room, but not at every crease of a scene that has glass."""
+
+    def derivative(inside) -> np.ndarray:
+        faceted = {"type": "sphere", "radius": 0.6, "resolution": 16, "face_normals": True, "bsdf": diffuse(0.7)}
+        scene = psdr.load_dict(
+            {
+                "type": "scene",
+                "sensor": camera((0.15, -4.0, 0.5), (0.0, 0.0, 0.1), fov=30.0),
+                "ball": faceted,
+                "unseen": ball((0.0, 0.0, 0.0), 0.2, inside),
+                "floor": floor(-0.8, bsdf=diffuse(0.3)),
+                "lamp": {"type": "point", "position": [1.0, -2.0, 3.0], "intensity": 10.0},
+            }
+        )
+        params = psdr.traverse(scene)
+        tangents = {BALL: np.tile(np.float32([0.3, 0.2, 0.1]), (params[BALL].shape[0], 1))}
+        return psdr.render_forward(
+            scene, params, tangents, integrator=psdr.PathIntegrator(max_depth=2), spp=16, seed=1
+        ).numpy()
+
+    without = derivative(diffuse(0.5))
+    assert np.abs(without).max() > 0.1
+    np.testing.assert_array_equal(derivative(GLASS), without)
