@@ -1,0 +1,66 @@
+"""Boundary terms look past edges at some steps (``kernels/step.py``), whose length must not change derivatives.
+
+The same random numbers are used with steps of half and of twice the length, so that no noise hides what is lost where
+steps are too short for float32, or too long for what is seen.
+"""
+
+import numpy as np
+import pytest
+
+import warp_psdr as psdr
+from warp_psdr.scene import scene as scenes
+
+from . import test_cameras, test_curves, test_notches, test_table
+from .measure import Case
+from .scenes import SCENES
+
+#: Of the derivative, times the factor of the step: its error is of first order, some 1e-5 in most scenes.
+BOUND = 1.0e-4
+FACTORS = (0.5, 2.0)
+#: (rows of a file, the row's name, whether it is slow)
+ROWS = (
+    (test_table, "smooth, scales, depth 2", False),
+    (test_notches, "wedge, slides, depth 2", False),
+    (test_table, "soft, all move, depth 2", True),
+    (test_table, "room, a box on the floor moves, depth 2", True),
+    (test_table, "floating, a box moves, depth 3", True),
+    (test_curves, "sunk, the camera moves, depth 2", True),
+    (test_curves, "knot, a mesh through itself, depth 2", True),
+    (test_cameras, "lens smooth, focus moves, depth 2", True),
+    (test_cameras, "parallel smooth, camera moves, depth 2", True),
+    (test_cameras, "lens mirror, focus moves, depth 2", True),
+    (test_notches, "prism in a mirror, prism moves, depth 4", True),
+    (test_notches, "prism, index changes, depth 4", True),
+)
+
+
+def row(module, name: str) -> Case:
+    (found,) = (case for case in module.CASES if str(case) == name)
+    return found
+
+
+def derivative(case: Case, factor: float, monkeypatch) -> np.ndarray:
+    """Return the mean of four batches of a row's derivatives where the ray epsilon is ``factor`` times as long."""
+    with monkeypatch.context() as changed:
+        changed.setattr(scenes, "RAY_EPSILON", factor * scenes.RAY_EPSILON)
+        loaded = psdr.load_dict({"type": "scene", **SCENES[case.scene]()})
+    params = psdr.traverse(loaded)
+    tangents = {name: np.float32(case.tangent(params[name].numpy().copy())) for name in case.names}
+    images = [
+        psdr.render_forward(loaded, params, tangents, integrator=case.integrator(), spp=64, seed=seed).numpy()
+        for seed in range(4)
+    ]
+    return np.mean(images, axis=0, dtype=np.float64)
+
+
+@pytest.mark.parametrize(
+    ("module", "name"), [pytest.param(m, n, id=n, marks=[pytest.mark.slow] if slow else []) for m, n, slow in ROWS]
+)
+def test_derivatives_do_not_depend_on_the_step(module, name: str, monkeypatch) -> None:
+    case = row(module, name)
+    expected = derivative(case, 1.0, monkeypatch)
+    square = float((expected * expected).sum())
+    assert square > 0.0
+    for factor in FACTORS:
+        change = float(((derivative(case, factor, monkeypatch) - expected) * expected).sum()) / square
+        assert abs(change) < BOUND * max(factor, 1.0), f"{factor} times the step: {change:.1e}"
