@@ -12,6 +12,13 @@ phi' the velocity of phi along the attached pixel ray and l the curve's length i
 constant barycentric b_a phi is quadratic: its roots sample the curve. With a one of the three at random the density is
 (|phi_u| + |phi_v| + |phi_u - phi_v|) / (3 |grad phi|), which nowhere vanishes.
 
+The two rays of H pass the curve at a fraction of a ray epsilon, as they pass edges (``primary.py``), along the gradient
+of phi in the plane across the line of sight v: there grad phi . e_1 = phi_u and grad phi . e_2 = phi_v are solved by
+
+    grad phi = (phi_u e_2 x v - phi_v e_1 x v) / ((e_1 x e_2) . v),    the divisor's sign that of n_t . v.
+
+Steps along the triangle instead look longer the more they go across v, and would leave what is seen nearly edge-on.
+
 Where the curve is so close to the silhouette that one of the two rays passes that instead, the silhouette's own rays
 pass both, and only they count.
 
@@ -40,11 +47,6 @@ from warp_psdr.kernels.sight import make_sight
 from warp_psdr.kernels.step import leaving_step, passing_step
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.surface import VertexAdjoint, load_vec3, make_vertex_sink
-
-#: Least cosine of the line of sight with the triangle that the distance of the two rays along it is scaled by: at less,
-#: they would not start in front of the triangle (``film_edge.AHEAD``). With 0.02 they were too close on the film for
-#: float32 to tell them apart where a triangle was seen at 0.003: at half of its ray epsilon, a ball lost 0.5 %.
-MIN_COSINE = 1.0e-4
 
 
 @wp.func
@@ -175,9 +177,9 @@ def make_terminator_kernel(config: PathConfig, role: str, camera_moves: bool):
                     if not hidden and speed_sum > 0.0 and wp.length_sq(weight) > 0.0:
                         note_place(scene, NOTE_POINT, face, at_b[1], at_b[2], x, -view, weight)
                         local = passing_step(scene, face)
-                        step = phi_u * e1 + phi_v * e2
-                        apart = BESIDE * local / wp.max(wp.abs(cosine), MIN_COSINE)
-                        step = (apart / wp.length(step)) * step
+                        # Up phi across the line of sight, where e1 and e2 look as long as they are wide.
+                        step = phi_u * wp.cross(e2, view) - phi_v * wp.cross(e1, view)
+                        step = wp.where(cosine >= 0.0, BESIDE, -BESIDE) * local * wp.normalize(step)
                         ahead = wp.min(AHEAD * local, distance - at.near)
                         branch = sampler
                         branch.index = wp.uint32(1)

@@ -178,7 +178,7 @@ def guards(scene: Scene, zero: wp.vec3, out: wp.array(dtype=wp.float32)):
     other = Link()
     other.face = one.face
     other.x = z
-    out[27] = wp.float32(curve_crossing(scene, block, one, other, x, ray, ray, 0, 1, 0).valid)
+    out[27] = wp.float32(curve_crossing(scene, block, one, other, x, ray, ray, 0, 1, 0, False).valid)
 
 
 @wp.kernel(module="unique", enable_backward=False)
