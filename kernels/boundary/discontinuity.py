@@ -36,7 +36,7 @@ from warp_psdr.kernels.boundary.chain import (
 )
 from warp_psdr.kernels.boundary.chain_pullback import Visit
 from warp_psdr.kernels.boundary.local_form import EdgePoint, Edges, barycentrics_at, split_between
-from warp_psdr.kernels.boundary.notch import facing, is_ridge, lets_through, notch, sharp_glass
+from warp_psdr.kernels.boundary.notch import facing, is_ridge, let_through, notch, sharp_glass
 from warp_psdr.kernels.boundary.ray_differential import (
     RayDifferential,
     make_point_differential,
@@ -177,7 +177,7 @@ def curve_crossing(
         r.a_d = -t1 * m
     r.phi_a = -wp.dot(m, a.o + t1 * a.d)
     r.phi_b = -wp.dot(m, b.o + t1 * b.d)
-    through = lets_through(scene, low.face, hidden) or lets_through(scene, high.face, hidden)
+    through = let_through(scene, low.face, high.face, hidden)
     r.aside = aside(scene, block, m, notch(facing(n_low, d), facing(n_high, d), through), r.phi_a)
     r.valid = 1
     return r

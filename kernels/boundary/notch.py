@@ -42,10 +42,20 @@ def behind(n_a: wp.vec3, n_b: wp.vec3) -> wp.float32:
 
 
 @wp.func
-def lets_through(scene: Scene, face: wp.int32, hidden: wp.bool) -> wp.bool:
-    """Whether light that arrives behind a face is seen in front of it; ``hidden``: lights are."""
-    shape = scene.shapes[scene.triangles[face].shape]
-    return scene.bsdfs[shape.bsdf].model == BSDF_DIELECTRIC or (hidden and shape.emitter >= 0)
+def shines(scene: Scene, face: wp.int32) -> wp.bool:
+    return scene.shapes[scene.triangles[face].shape].emitter >= 0
+
+
+@wp.func
+def refracts(scene: Scene, face: wp.int32) -> wp.bool:
+    return scene.bsdfs[scene.shapes[scene.triangles[face].shape].bsdf].model == BSDF_DIELECTRIC
+
+
+@wp.func
+def let_through(scene: Scene, face_a: wp.int32, face_b: wp.int32, hidden: wp.bool) -> wp.bool:
+    """Whether light from behind one of two surfaces that cross is seen in front of it; ``hidden``: lights are."""
+    lights = hidden and (shines(scene, face_a) or shines(scene, face_b))
+    return lights or refracts(scene, face_a) or refracts(scene, face_b)
 
 
 @wp.func

@@ -44,7 +44,7 @@ from warp_psdr.kernels.boundary.local_form import (
     on_planes,
     own_face,
 )
-from warp_psdr.kernels.boundary.notch import facing, is_ridge, lets_through, notch, sharp_glass
+from warp_psdr.kernels.boundary.notch import facing, is_ridge, let_through, notch, sharp_glass, shines
 from warp_psdr.kernels.path import PathConfig
 from warp_psdr.kernels.rng import sampler_at
 from warp_psdr.kernels.step import leaving_step
@@ -162,12 +162,12 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
                 if curve or (touches(scene, point, a, local) and touches(scene, point, b, local)):
                     face_a = a.face
                     face_b = b.face
-                    through = hidden and lets_through(scene, edges.faces[first_face], hidden)
+                    through = hidden and shines(scene, edges.faces[first_face])
                     if curve:
                         # What a hidden light is pierced by is seen on both sides.
                         face_a = edges.faces[first_face]
                         face_b = edges.faces[first_face + 1]
-                        through = lets_through(scene, face_a, hidden) or lets_through(scene, face_b, hidden)
+                        through = let_through(scene, face_a, face_b, hidden)
                     n_a = facing(scene.triangles[face_a].normal, d)
                     n_b = facing(scene.triangles[face_b].normal, d)
                     away = wp.max(leaving_step(scene, face_a), leaving_step(scene, face_b))

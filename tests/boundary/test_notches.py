@@ -5,7 +5,7 @@ import pytest
 
 import warp_psdr as psdr
 
-from .measure import Case, assert_agrees, derivatives, differences, rows, slope
+from .measure import Case, assert_agrees, derivatives, differences, pushed, rows, slope
 from .mirrors import ALONG, ETA, GLASS, GLASSES, LAMP, MIRROR, lamp, slab
 from .scenes import ball, camera, diffuse, floor, mesh, register
 from .test_table import moved
@@ -98,6 +98,16 @@ def prism():
     }
 
 
+def folded(count=33, depth=0.0022):
+    """A pane of glass whose front is folded, by five degrees."""
+    x = np.linspace(-0.8, 0.8, count)
+    front = -0.3 + depth * (np.arange(count) % 2)
+    vertices = [[a, b, z] for y in (front, np.full(count, 0.3)) for z in (-0.8, 0.8) for a, b in zip(x, y, strict=True)]
+    i = np.arange(count - 1)
+    sheet = np.concatenate([[i, i + 1, i + count + 1], [i, i + count + 1, i + count]], 1).T
+    return mesh(vertices, np.concatenate([sheet, sheet[:, ::-1] + 2 * count]), GLASS, face_normals=True)
+
+
 register(
     {
         "prism": prism,
@@ -174,12 +184,30 @@ def test_glass_elsewhere_changes_nothing() -> None:
                 "lamp": {"type": "point", "position": [1.0, -2.0, 3.0], "intensity": 10.0},
             }
         )
-        params = psdr.traverse(scene)
-        tangents = {BALL: np.tile(np.float32([0.3, 0.2, 0.1]), (params[BALL].shape[0], 1))}
-        return psdr.render_forward(
-            scene, params, tangents, integrator=psdr.PathIntegrator(max_depth=2), spp=16, seed=1
-        ).numpy()
+        return pushed(scene, {BALL: moved(0.3, 0.2, 0.1)}, psdr.PathIntegrator(max_depth=2), 16, 1)
 
     without = derivative(diffuse(0.5))
     assert np.abs(without).max() > 0.1
     np.testing.assert_array_equal(derivative(GLASS), without)
+
+
+def test_hiding_unseen_lights_changes_nothing() -> None:
+    """Hidden lights are looked through, but the creases of glass as without them."""
+    scene = psdr.load_dict(
+        {
+            "type": "scene",
+            "sensor": camera((0.3, -4.0, 0.4), (0.0, 0.0, 0.0), fov=30.0),
+            "glass": folded(),
+            "wall": mesh([[-3, 2, -3], [3, 2, -3], [3, 2, 3], [-3, 2, 3]], [[0, 1, 2], [0, 2, 3]], diffuse(0.7)),
+            "sun": {"type": "point", "position": [-1.0, 0.8, 2.5], "intensity": 8.0},
+            "behind the camera": lamp((0.4, -6.0, 2.5), 0.5, 9.0),
+        }
+    )
+
+    def derivative(hidden: bool) -> np.ndarray:
+        integrator = psdr.PathIntegrator(max_depth=4, hide_emitters=hidden)
+        return pushed(scene, {GLASSES: moved(0.3, 0.2, 0.1)}, integrator, 16, 1)
+
+    shown = derivative(False)
+    assert np.abs(shown).max() > 0.1
+    np.testing.assert_array_equal(derivative(True), shown)
