@@ -154,7 +154,8 @@ class Scene:
     env_conditional: wp.array(dtype=wp.float32)  # cumulative over the cells of each row, h x (w + 1), flattened
     ray_epsilon: wp.float32  # distance by which a ray's origin is moved off its surface, world units
     least_step: wp.float32  # the least at edges, see ``step.py``; 0: ``ray_epsilon`` serves all surfaces and edges
-    contact_radius: wp.float32  # connections shorter than it: see ``interior/contact.py``, world units
+    radii: wp.array(dtype=wp.float32)  # half diagonals of the shapes' boxes, world units
+    contact_ratio: wp.float32  # connections shorter than this part of a radius: see ``interior/contact.py``
     #: 1: what is differentiated belongs to this shape; the last one: to something else too (``interior/replay.py``).
     matters: wp.array(dtype=wp.int32)
     invalid: wp.array(dtype=wp.int64)  # counter of this launch and lane, see ``invalid.py``

@@ -189,7 +189,7 @@ def taped():
     # The offset of a ray's origin is in the recorded directions and not in the oracle's connections.
     scene.ray_epsilon *= 0.1
     # Nor does the oracle know contacts (kernels/interior/contact.py).
-    scene.contact_radius = 0.0
+    scene.contact_ratio = 0.0
     params = psdr.traverse(scene)
     params.requires_grad("*.vertex_positions", "*.reflectance.value", "*.radiance.value")
     options = integrator(tape_oracle.DEPTH, block=tape_oracle.DEPTH)

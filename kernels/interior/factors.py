@@ -8,6 +8,7 @@ from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.constants import EMITTER_AREA, EMITTER_CONSTANT, EMITTER_ENVMAP
 from warp_psdr.kernels.emitter.area import light_uv, make_area
 from warp_psdr.kernels.emitter.dispatch import make_lights
+from warp_psdr.kernels.interior.contact import contact_weight
 from warp_psdr.kernels.interior.pullback import connection_vjp
 from warp_psdr.kernels.interior.wanted import Wanted
 from warp_psdr.kernels.path import PathConfig, PathVertex
@@ -156,7 +157,8 @@ def make_light_sink(config: PathConfig, wanted: Wanted, role: str):
                     tri = scene.triangles[face]
                     y = point_on(tri, vertex.light_u, vertex.light_v)
                     cross = wp.cross(tri.p1 - tri.p0, tri.p2 - tri.p0)
-                    link = connection_vjp(scene, x, y, cross, vertex.light_wi, a_wo, value)
+                    chi = contact_weight(scene, vertex.face, face, y - x)
+                    link = connection_vjp(x, y, cross, vertex.light_wi, a_wo, value, chi)
                     a_x = link.x
                     if wp.static(wanted.shapes or wanted.texcoords):
                         adjoint.x = -link.x

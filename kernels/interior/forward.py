@@ -59,6 +59,7 @@ class Moving:
     o: wp.vec3  # of the ray that found it
     d: wp.vec3
     by_ray: wp.bool
+    before: wp.int32  # face of the vertex before it; of the camera, none
 
 
 @functools.cache
@@ -128,8 +129,7 @@ def make_forward_kernel(config: PathConfig, wanted: Wanted):
                     tri = scene.triangles[face]
                     y = point_on(tri, u, v)
                     r = y - x
-                    chi = contact_weight(scene, wp.dot(tri.normal, r))
-                    r_dot = chi * (moved.x - x_dot)
+                    r_dot = contact_weight(scene, vertex.face, face, r) * (moved.x - x_dot)
                     wo = normalize_jvp(vertex.light_wi, wp.length(r), r_dot)
                     log_g = log_geometry_jvp(wp.cross(tri.p1 - tri.p0, tri.p2 - tri.p0), r, moved.c, r_dot)
                 if wp.static(emission):
@@ -198,8 +198,10 @@ def make_forward_kernel(config: PathConfig, wanted: Wanted):
         if wp.static(geometry):
             # wi = normalize(x_{n-1} - x_n).
             before = vertex.o - surface.x
-            chi = contact_weight(scene, wp.dot(surface.ng, before))
-            wi_world_dot = normalize_jvp(wi_world, wp.length(before), chi * (moving.o - moving.vertex.x))
+            apart_dot = moving.o - moving.vertex.x
+            if not moving.by_ray:
+                apart_dot *= contact_weight(scene, moving.before, vertex.face, before)
+            wi_world_dot = normalize_jvp(wi_world, wp.length(before), apart_dot)
             wi_dot = local_jvp(frame, turning, wi_world, wi_world_dot)
 
         # D_n.
@@ -232,7 +234,7 @@ def make_forward_kernel(config: PathConfig, wanted: Wanted):
                         tri = scene.triangles[following.face]
                         y = point_on(tri, following.u, following.v)
                         r = y - surface.x
-                        chi = contact_weight(scene, wp.dot(tri.normal, r))
+                        chi = contact_weight(scene, vertex.face, following.face, r)
                         r_dot = chi * (after.vertex.x - moving.vertex.x)
                         wo_world_dot = normalize_jvp(vertex.wo, wp.length(r), r_dot)
                         cross = wp.cross(tri.p1 - tri.p0, tri.p2 - tri.p0)
@@ -269,6 +271,7 @@ def make_forward_kernel(config: PathConfig, wanted: Wanted):
                             following.o, following.d, moving.vertex.x, after.d,
                         )  # fmt: skip
         after.o = moving.vertex.x
+        after.before = vertex.face
         next_dot += wp.cw_mul(a_n, beta_dot)
         return derivative, next_dot, after
 

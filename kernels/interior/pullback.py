@@ -5,10 +5,8 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor, differentiable
-from warp_psdr.kernels.interior.contact import contact_weight
 from warp_psdr.kernels.math import to_local, to_world
 from warp_psdr.kernels.path import Frame
-from warp_psdr.kernels.structs import Scene
 from warp_psdr.kernels.surface import normalize_vjp
 
 
@@ -78,14 +76,14 @@ def make_frame_vjp(tangent: bool):
 
 @wp.func
 def connection_vjp(
-    scene: Scene, x: wp.vec3, y: wp.vec3, cross: wp.vec3, wo: wp.vec3, a_wo: wp.vec3, value: wp.float32
+    x: wp.vec3, y: wp.vec3, cross: wp.vec3, wo: wp.vec3, a_wo: wp.vec3, value: wp.float32, chi: wp.float32
 ) -> ConnectionAdjoint:
     """Pull a connection x -> y in material form back to its ends.
 
     ``a_wo``: adjoint of its direction wo, in which the path left x; ``value``: the weighted contribution that carries
-    the geometric factor G, so that G's own adjoint is value / G. The ray to y started a step off x: wo and y - x differ
-    by that step over their distance, and at grazing angles the part of a_wo along the normal must not leak from one
-    to the other.
+    the geometric factor G, so that G's own adjoint is value / G; ``chi``: ``contact.py``. The ray to y started a step
+    off x: wo and y - x differ by that step over their distance, and at grazing angles the part of a_wo along the normal
+    must not leak from one to the other.
     """
     result = ConnectionAdjoint()
     r = y - x
@@ -99,5 +97,5 @@ def connection_vjp(
             a_r = value * (cross / cosine - 3.0 * direction) / length
             result.x -= a_r
             result.c = value / cosine * direction
-        result.x *= contact_weight(scene, wp.dot(cross, r) / wp.max(wp.length(cross), 1.0e-30))
+        result.x *= chi
     return result

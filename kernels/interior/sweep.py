@@ -31,7 +31,7 @@ class Carry:
     o: wp.vec3
     d: wp.vec3
     adjoint: VertexAdjoint  # of vertex n + 1, complete but for beta_n
-    a_x: wp.vec3  # adjoint of x_n, seen as the point before vertex n + 1
+    a_x: wp.vec3  # adjoint of x_n, seen as the point before vertex n + 1, and of minus x_{n+1}
     a_d: wp.vec3  # adjoint of the direction of a ray that left the scene
     dot: wp.float32  # forward mode: what the sinks returned so far
 
@@ -79,7 +79,8 @@ def make_sweep(config: PathConfig, wanted: Wanted, role: str):
         _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
         c = carry
         if carry.face >= 0:
-            pushed = push_vertex(scene, target, carry.face, carry.u, carry.v, carry.adjoint, by_ray, carry.o, carry.d)
+            c.adjoint.x = carry.adjoint.x - carry.a_x
+            pushed = push_vertex(scene, target, carry.face, carry.u, carry.v, c.adjoint, by_ray, carry.o, carry.d)
             c.dot += pushed.dot
             c.a_x = carry.a_x + pushed.o
             c.a_d = pushed.d
@@ -184,10 +185,12 @@ def make_sweep(config: PathConfig, wanted: Wanted, role: str):
                                 y = point_on(tri, carry.u, carry.v)
                                 value = wp.dot(wp.cw_mul(a_n, vertex.beta), carry.radiance)
                                 cross = wp.cross(tri.p1 - tri.p0, tri.p2 - tri.p0)
-                                link = connection_vjp(scene, surface.x, y, cross, vertex.wo, turned.wo, value)
+                                chi = contact_weight(scene, vertex.face, carry.face, y - surface.x)
+                                link = connection_vjp(surface.x, y, cross, vertex.wo, turned.wo, value, chi)
                                 adjoint.x += link.x
                                 carry.adjoint.x = carry.adjoint.x - link.x
                                 carry.adjoint.c = carry.adjoint.c + link.c
+                                carry.a_x *= chi
                             carry.dot = wp.float32(0.0)
                             done = finish_vertex(scene, target, carry, False)
                             adjoint.x += done.a_x
@@ -223,10 +226,7 @@ def make_sweep(config: PathConfig, wanted: Wanted, role: str):
                 if wp.static(config.tangent):
                     adjoint.tangent = a_tangent
                 # wi = normalize(x_{n-1} - x_n).
-                before = vertex.o - surface.x
-                chi = contact_weight(scene, wp.dot(surface.ng, before))
-                result.a_x = chi * normalize_vjp(wi_world, wp.length(before), a_wi_world)
-                adjoint.x -= result.a_x
+                result.a_x = normalize_vjp(wi_world, wp.length(vertex.o - surface.x), a_wi_world)
         result.adjoint = adjoint
         result.dot = total
         return result

@@ -88,15 +88,15 @@ def slope(scenes) -> float:
     return max(slope_error(derivatives(scene), expected) for scene in scenes)
 
 
-def resting(gap: float, radius: float | None = None) -> np.ndarray:
+def resting(gap: float, ratio: float | None = None) -> np.ndarray:
     """Return sums of interior derivatives, one a batch, of an upright box a gap above the floor."""
     scene = psdr.load_dict(with_mesh("box", *box((0.2, 0.1, 0.5 + gap), 0.5, 0.0)))
-    if radius is not None:
-        scene.contact_radius = radius
+    if ratio is not None:
+        scene.contact_ratio = ratio
     params = psdr.traverse(scene)
     tangents = {"box.vertex_positions": np.broadcast_to(VELOCITY, (8, 3)).astype(np.float32)}
     options = {"integrator": psdr.PathIntegrator(max_depth=3, boundary=None), "spp": 64}
-    images = (psdr.render_forward(scene, params, tangents, seed=seed, **options).numpy() for seed in range(16))
+    images = (psdr.render_forward(scene, params, tangents, seed=seed, **options).numpy() for seed in range(64))
     return np.array([image.sum(dtype=np.float64) for image in images])
 
 
@@ -204,9 +204,9 @@ CASES = (
         naive="unshared vertices make every edge a silhouette: METHODS' 4.0 for split vertices",
     ),
     Case(
-        family="geometry", name="contact: noise at gaps of 1e-2 .. 0 .. -1e-2", bound=2.5, slow=True, measure=contact,
+        family="geometry", name="contact: noise at gaps of 1e-2 .. 0 .. -1e-2", bound=4.0, slow=True, measure=contact,
         hard="the geometric factor changes at the rate v / r, and r gets as small as the gap",
-        naive="6.2 times the noise of a gap of 0.1, and more with more samples",
+        naive="10 times the noise of a gap of 0.1, and more with more samples (6.2 with a quarter of them)",
     ),
     Case(
         family="geometry", name="pushed into the floor by 1e-2 .. 1e-6: noise", bound=1.3, slow=True, measure=pushed_in,
@@ -244,7 +244,7 @@ def test_without_the_tilt_needles_count_twice(monkeypatch) -> None:
 
 @pytest.mark.slow
 def test_without_its_weight_a_contact_is_noisy() -> None:
-    assert resting(1e-4, 0.0).std(ddof=1) > 4.0 * resting(0.1).std(ddof=1)
+    assert resting(1e-4, 0.0).std(ddof=1) > 8.0 * resting(0.1).std(ddof=1)
 
 
 def test_coincident_faces_of_two_materials_show_either() -> None:

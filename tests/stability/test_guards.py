@@ -64,11 +64,11 @@ def guards(scene: Scene, zero: wp.vec3, out: wp.array(dtype=wp.float32)):
     out[1] = size(normalize_vjp(zero, nil, x))
     out[2] = size(normalize_jvp(zero, nil, x))
     out[3] = wp.abs(log_geometry_jvp(z, x, x, y))  # in the plane of its light
-    link = connection_vjp(scene, zero, zero, z, x, x, 1.0)
+    link = connection_vjp(zero, zero, z, x, x, 1.0, 1.0)
     out[4] = size(link.x) + size(link.c)
-    link = connection_vjp(scene, zero, x, z, x, nil * x, 1.0)
+    link = connection_vjp(zero, x, z, x, nil * x, 1.0, 1.0)
     out[5] = size(link.x) + size(link.c)
-    link = connection_vjp(scene, zero, x, zero, x, nil * x, 1.0)
+    link = connection_vjp(zero, x, zero, x, nil * x, 1.0, 1.0)
     out[6] = size(link.x) + size(link.c)
     # A triangle without an area.
     flat = Triangle()

@@ -43,9 +43,8 @@ if TYPE_CHECKING:
 SPECK = 100.0
 #: Shapes narrower than this many steps past edges are noted: derivatives lack 4 % at 0.15 of them, and all at 0.1.
 HAIR = 0.2
-#: rho over the radius of the smallest shape (``kernels/interior/contact.py``): its bias is of this order, and only in
-#: light between surfaces that touch.
-CONTACT_RADIUS = 1.0e-2
+#: rho over the radius of the smaller of two shapes that touch (``kernels/interior/contact.py``).
+CONTACT_RATIO = 3.0e-2
 #: Least radius and extent of a scene, in world units: one without triangles has neither, and both are divided by.
 LEAST_LENGTH = 1.0e-30
 
@@ -106,6 +105,7 @@ class Scene:
         self._update_triangles(range(len(description.shapes)))
         self.accelerator = Accelerator(self._points, self.indices, self.device)
         self._sight: Accelerator | None = None
+        self.contact_ratio = CONTACT_RATIO
         self._update_bounds()
         self._world.show(self.parameters.values())
         self._note_specks()
@@ -188,7 +188,8 @@ class Scene:
         s.env_conditional = self.lights.env_conditional
         s.ray_epsilon = self.ray_epsilon
         s.least_step = self.steps.scene
-        s.contact_radius = self.contact_radius
+        s.radii = self._radii
+        s.contact_ratio = self.contact_ratio
         s.matters = self._unmarked  # the interior term marks shapes
         s.invalid = self._uncounted  # for launches outside of ``invalid.counting``
         return s
@@ -349,8 +350,7 @@ class Scene:
                 RuntimeWarning,
                 stacklevel=4,
             )
-        sizes = self._boxes.size
-        self.contact_radius = CONTACT_RADIUS * 0.5 * float(sizes[sizes > 0.0].min()) if sizes.any() else 0.0
+        self._radii = wp.array((0.5 * self._boxes.size).astype(np.float32), dtype=wp.float32, device=self.device)
         self._update_steps(points)
 
     def _update_steps(self, points: np.ndarray) -> None:

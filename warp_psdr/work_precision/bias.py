@@ -42,10 +42,10 @@ def named(what: Quantity) -> tuple[str, ...]:
         found.append("textbook replay: derivatives of factors that are exactly zero are lost")
     if _without_boundary(plan):
         found.append("boundary=None: all of the boundary term is left out, although " + "; ".join(plan.discontinuities))
-    if plan.wanted is not None and plan.wanted.geometry and scene.contact_radius > 0.0:
+    if plan.wanted is not None and plan.wanted.geometry and scene.contact_ratio > 0.0:
         found.append(
-            f"where shapes touch: of the order of {scene.contact_radius:.2g} (scene units) over the size of the "
-            "touching surfaces, in the light between them; none elsewhere (kernels/interior/contact.py)"
+            f"where shapes touch: of the order of {scene.contact_ratio:.2g}, squared, in the light between them, and "
+            "of its first power in what was scattered close by before (kernels/interior/contact.py)"
         )
     return tuple(found)
 
