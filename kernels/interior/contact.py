@@ -22,8 +22,10 @@ that does not vanish with rho. The mean of chi over s < rho is 1, so what is los
 of the surfaces that touch, 1/4 (rho / L)^2 of L d^2F/da^2. (Among the weights with that mean this one has the least
 integral of (chi / s)^2, hence the least noise.) Where light was scattered nearby just before, s is not spread evenly
 but with a logarithm, ln(L / s), of which a first order is left: 1/3 rho / L of that part. No sample is larger than
-v / rho, but for a factor. In gaps narrower than LEAST_SINE rho, and next to what is curved on scales of rho, light has
-derivatives of this order only in size.
+v / rho, but for a factor.
+
+Where F varies within rho, that part of its derivative is lost: beside a wall that ends a gap g < rho above the floor, F
+changes within a ~ g, and in folds narrower than rho everything does. Hence the small ratio.
 
 rho is a fraction of the radius of the smaller of the two shapes, ``Scene.contact_ratio``: a speck in the scene must not
 make the corners of its rooms noisy. Cameras, mirrors and glass need no weight: what they meet has no density G.
@@ -33,7 +35,7 @@ import warp as wp
 
 from warp_psdr.kernels.structs import Scene
 
-#: Of the angle between two surfaces: gaps narrower than so many rho are noisy otherwise.
+#: Of the angle between two surfaces. Gaps between parallel ones are weighted where they are narrower than so many rho.
 LEAST_SINE = 0.1
 
 
