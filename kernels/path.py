@@ -89,6 +89,7 @@ class PathState:
     throughput: wp.vec3
     pdf: wp.float32  # solid angle, of d; 0: no next-event estimate could have found what d hits
     eta: wp.float32  # product of relative refractive indices
+    left: wp.int32  # face that d left by a smooth lobe, from one; 0: none
     met: wp.int32  # more than 0: the path has met a shape that matters
 
 
@@ -113,7 +114,8 @@ class PathVertex:
     face: wp.int32  # -1: the ray left the scene
     u: wp.float32
     v: wp.float32
-    o: wp.vec3  # where the ray that found the vertex started
+    before: wp.int32  # face that the ray which found it left by a smooth lobe, -1: none
+    o: wp.vec3  # where that ray started
     d: wp.vec3  # and its direction
     throughput: wp.vec3  # product of the beta before this vertex
     direct: wp.vec3  # E_n + D_n
@@ -278,6 +280,7 @@ def make_path_step(config: PathConfig, differential: bool, sparse: bool = False)
         vertex.face = -1
         vertex.light = -1
         vertex.lobe = LOBE_NONE
+        vertex.before = state.left - 1
         vertex.o = state.o
         vertex.d = state.d
         vertex.throughput = state.throughput
@@ -394,6 +397,7 @@ def make_path_step(config: PathConfig, differential: bool, sparse: bool = False)
             vertex.beta = inv_pdf * bs.value
             turn = wp.where(wp.dot(surface.ng, wo_world) >= 0.0, away, -away)
             after.alive = 1
+            after.left = wp.where(bs.lobe == LOBE_SMOOTH, hit.face + 1, 0)
             after.o = surface.x + turn * surface.ng
             after.d = wo_world
             after.t_max = FAR

@@ -8,32 +8,37 @@ order in which a path is drawn, p first: with b the distance of q from the surfa
 integral over q of dG/da at a fixed a is dF/da, F(a) the form factor of q's surface, which is smooth down to a = 0.
 (The jump F(0+) itself is the boundary term's: the segment p -> q whose end q is the contact, ``boundary/local_form``.)
 
-So the relative velocity of a connection is multiplied by
+So what changes because the two move against each other is multiplied by
 
     chi = 3 (s / rho)^2 where s < rho, 1 elsewhere,    s = a / sin(theta),
 
 a the distance of p from the tangent plane of q, theta the angle between the two surfaces: s is how far p is from the
-line where they meet, and infinite in a gap between parallel ones, where r has a bound, the gap's width. (Narrow gaps
-are noisy, and hold little light: sin(theta) counts as at least ``LEAST_SINE``.)
+line where they meet, and infinite in a gap between parallel ones, where r has a bound, the gap's width. (There
+sin(theta) counts as ``LEAST_SINE``, and chi is at most 1.) It is dG/G but for the rate of the area around q, and the
+turn of the direction in the frames of p and of q. Each is complete with the turn of the surfaces themselves: where all
+turn together they are 0, and chi changes nothing.
 
 Where q's surface is flat over lengths rho, chi is constant for a given p, and what is lost is the integral of
 (1 - chi) dF/da over s < rho. That holds for a weight which depends on a alone; a cut at a fixed r would leave an error
 that does not vanish with rho. The mean of chi over s < rho is 1, so what is lost is of second order: with L the size
-of the surfaces that touch, 1/4 (rho / L)^2 of L d^2F/da^2. (Among the weights with that mean this one has the least
-integral of (chi / s)^2, hence the least noise.) Where light was scattered nearby just before, s is not spread evenly
-but with a logarithm, ln(L / s), of which a first order is left: 1/3 rho / L of that part. No sample is larger than
-v / rho, but for a factor.
+of the surfaces, 1/4 (rho / L)^2 of L d^2F/da^2. (Among the weights with that mean this one has the least integral of
+(chi / s)^2, hence the least noise.) Where light was scattered nearby just before, s is not spread evenly but with a
+logarithm, ln(L / s), of which a first order is left: 2/3 rho / L of that part. This is the mean over the strip s < rho;
+pixels that resolve it see chi. The part v / a of a sample is at most some v / rho; that of directions which graze p, as
+q lifts off its plane, has a logarithmic tail of its own.
 
-Where F varies within rho, that part of its derivative is lost: beside a wall that ends a gap g < rho above the floor, F
-changes within a ~ g, and in folds narrower than rho everything does. Hence the small ratio.
-
-rho is a fraction of the radius of the smaller of the two shapes, ``Scene.contact_ratio``: a speck in the scene must not
-make the corners of its rooms noisy. Cameras, mirrors and glass need no weight: what they meet has no density G.
+Where F varies within rho, that part of its derivative is wrong: beside a wall that ends a gap g < rho above the floor,
+F changes within a ~ g, and in folds narrower than rho everything does. Hence the small ratio: rho is
+``Scene.contact_ratio`` times the radius of the smaller of the two shapes, for a speck in the scene must not make the
+corners of its rooms noisy. Cameras, mirrors and glass need no weight: what they meet has no density G.
 """
 
 import warp as wp
 
+from warp_psdr.kernels.constants import EMITTER_AREA
+from warp_psdr.kernels.path import PathVertex
 from warp_psdr.kernels.structs import Scene
+from warp_psdr.kernels.surface import point_on
 
 #: Of the angle between two surfaces. Gaps between parallel ones are weighted where they are narrower than so many rho.
 LEAST_SINE = 0.1
@@ -41,13 +46,31 @@ LEAST_SINE = 0.1
 
 @wp.func
 def contact_weight(scene: Scene, p_face: wp.int32, q_face: wp.int32, r: wp.vec3) -> wp.float32:
-    """chi, the weight of the relative velocity of two connected vertices; r = q - p or its opposite."""
+    """Weight chi of the connection of two vertices; r = q - p or its opposite."""
     p = scene.triangles[p_face]
     q = scene.triangles[q_face]
     rho = scene.contact_ratio * wp.min(scene.radii[p.shape], scene.radii[q.shape])
-    sine = wp.max(wp.length(wp.cross(p.normal, q.normal)), LEAST_SINE)
-    t = wp.abs(wp.dot(q.normal, r)) / sine
+    sine = wp.length(wp.cross(p.normal, q.normal))
+    t = wp.abs(wp.dot(q.normal, r)) / wp.max(sine, LEAST_SINE)
     if t >= rho:
         return 1.0
     t /= rho
-    return 3.0 * t * t
+    return wp.min(3.0 * t * t, wp.where(sine < LEAST_SINE, 1.0, 3.0))
+
+
+@wp.func
+def weight_before(scene: Scene, vertex: PathVertex) -> wp.float32:
+    """Weight chi of the connection by which a vertex was found."""
+    if vertex.face < 0 or vertex.before < 0:
+        return 1.0
+    x = point_on(scene.triangles[vertex.face], vertex.u, vertex.v)
+    return contact_weight(scene, vertex.before, vertex.face, x - vertex.o)
+
+
+@wp.func
+def weight_of_light(scene: Scene, vertex: PathVertex, x: wp.vec3) -> wp.float32:
+    """Weight chi of the connection of a vertex, at x, with the light found by next-event estimation."""
+    if scene.emitters[vertex.light].kind != EMITTER_AREA:
+        return 1.0
+    y = point_on(scene.triangles[vertex.light_face], vertex.light_u, vertex.light_v)
+    return contact_weight(scene, vertex.face, vertex.light_face, y - x)

@@ -8,7 +8,6 @@ from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.constants import EMITTER_AREA, EMITTER_CONSTANT, EMITTER_ENVMAP
 from warp_psdr.kernels.emitter.area import light_uv, make_area
 from warp_psdr.kernels.emitter.dispatch import make_lights
-from warp_psdr.kernels.interior.contact import contact_weight
 from warp_psdr.kernels.interior.pullback import connection_vjp
 from warp_psdr.kernels.interior.wanted import Wanted
 from warp_psdr.kernels.path import PathConfig, PathVertex
@@ -136,8 +135,12 @@ def make_light_sink(config: PathConfig, wanted: Wanted, role: str):
         w_radiance: wp.vec3,
         value: wp.float32,
         a_wo: wp.vec3,
+        chi: wp.float32,
     ) -> tuple[wp.vec3, wp.float32]:
-        """Adjoint of x; ``w_radiance``: adjoint of the radiance, ``value``: A . D_n, ``a_wo``: of the direction."""
+        """Adjoint of x; ``w_radiance``: adjoint of the radiance, ``value``: A . D_n, ``a_wo``: of the direction.
+
+        ``chi``: ``weight_of_light``, which ``a_wo`` has already.
+        """
         _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
         total = wp.float32(0.0)
         a_x = wp.vec3(0.0, 0.0, 0.0)
@@ -157,7 +160,6 @@ def make_light_sink(config: PathConfig, wanted: Wanted, role: str):
                     tri = scene.triangles[face]
                     y = point_on(tri, vertex.light_u, vertex.light_v)
                     cross = wp.cross(tri.p1 - tri.p0, tri.p2 - tri.p0)
-                    chi = contact_weight(scene, vertex.face, face, y - x)
                     link = connection_vjp(x, y, cross, vertex.light_wi, a_wo, value, chi)
                     a_x = link.x
                     if wp.static(wanted.shapes or wanted.texcoords):

@@ -24,7 +24,7 @@ from warp_psdr.kernels.camera import CameraSample, make_camera_ray, make_camera_
 from warp_psdr.kernels.constants import EMITTER_AREA, EMITTER_CONSTANT, EMITTER_ENVMAP, LOBE_SMOOTH
 from warp_psdr.kernels.emitter.area import light_uv
 from warp_psdr.kernels.emitter.dispatch import make_lights
-from warp_psdr.kernels.interior.contact import contact_weight
+from warp_psdr.kernels.interior.contact import weight_before, weight_of_light
 from warp_psdr.kernels.interior.factors import make_light_sink
 from warp_psdr.kernels.interior.tangents import (
     VertexTangent,
@@ -59,7 +59,7 @@ class Moving:
     o: wp.vec3  # of the ray that found it
     d: wp.vec3
     by_ray: wp.bool
-    before: wp.int32  # face of the vertex before it; of the camera, none
+    chi: wp.float32  # weight of its connection with the vertex before
 
 
 @functools.cache
@@ -109,9 +109,14 @@ def make_forward_kernel(config: PathConfig, wanted: Wanted):
 
     @wp.func
     def light_jvp(
-        scene: Scene, tangents: wp.array(dtype=wp.float32), vertex: PathVertex, x: wp.vec3, x_dot: wp.vec3
+        scene: Scene,
+        tangents: wp.array(dtype=wp.float32),
+        vertex: PathVertex,
+        x: wp.vec3,
+        x_dot: wp.vec3,
+        chi: wp.float32,
     ) -> tuple[wp.vec3, wp.vec3, wp.float32]:
-        """Velocity of the sampled light's radiance and direction, and G' / G of the connection."""
+        """Velocity of the sampled light's radiance and direction, and G' / G of the connection, weighted with chi."""
         _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
         radiance = wp.vec3(0.0, 0.0, 0.0)
         wo = wp.vec3(0.0, 0.0, 0.0)
@@ -129,9 +134,9 @@ def make_forward_kernel(config: PathConfig, wanted: Wanted):
                     tri = scene.triangles[face]
                     y = point_on(tri, u, v)
                     r = y - x
-                    r_dot = contact_weight(scene, vertex.face, face, r) * (moved.x - x_dot)
+                    r_dot = moved.x - x_dot
                     wo = normalize_jvp(vertex.light_wi, wp.length(r), r_dot)
-                    log_g = log_geometry_jvp(wp.cross(tri.p1 - tri.p0, tri.p2 - tri.p0), r, moved.c, r_dot)
+                    log_g = log_geometry_jvp(wp.cross(tri.p1 - tri.p0, tri.p2 - tri.p0), r, moved.c, r_dot, chi)
                 if wp.static(emission):
                     radiance = emission_jvp(
                         scene, tangents, emitter.texture, face, u, v, light_uv(scene, face, u, v), moved
@@ -163,6 +168,8 @@ def make_forward_kernel(config: PathConfig, wanted: Wanted):
         """Derivative of vertex n's terms, A_{n+1}', and how vertex n + 1 moves."""
         _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
         after = Moving()
+        if wp.static(geometry):
+            after.chi = weight_before(scene, following)
         a_n = vertex.throughput
         derivative = wp.cw_mul(throughput_dot, vertex.direct)
         next_dot = wp.cw_mul(throughput_dot, vertex.beta)
@@ -197,12 +204,8 @@ def make_forward_kernel(config: PathConfig, wanted: Wanted):
         wi_dot = wp.vec3(0.0, 0.0, 0.0)
         if wp.static(geometry):
             # wi = normalize(x_{n-1} - x_n).
-            before = vertex.o - surface.x
-            apart_dot = moving.o - moving.vertex.x
-            if not moving.by_ray:
-                apart_dot *= contact_weight(scene, moving.before, vertex.face, before)
-            wi_world_dot = normalize_jvp(wi_world, wp.length(before), apart_dot)
-            wi_dot = local_jvp(frame, turning, wi_world, wi_world_dot)
+            wi_world_dot = normalize_jvp(wi_world, wp.length(vertex.o - surface.x), moving.o - moving.vertex.x)
+            wi_dot = moving.chi * local_jvp(frame, turning, wi_world, wi_world_dot)
 
         # D_n.
         if wp.static(has_lights):
@@ -210,10 +213,13 @@ def make_forward_kernel(config: PathConfig, wanted: Wanted):
                 wo = to_local(frame.s, frame.t, frame.n, vertex.light_wi)
                 f = bsdf.eval(b.model, material, wi, wo)
                 radiance = radiance_of(scene, vertex, surface.x)
-                l_dot, wo_world_dot, log_g = light_jvp(scene, tangents, vertex, surface.x, moving.vertex.x)
+                chi = wp.float32(1.0)
+                if wp.static(geometry):
+                    chi = weight_of_light(scene, vertex, surface.x)
+                l_dot, wo_world_dot, log_g = light_jvp(scene, tangents, vertex, surface.x, moving.vertex.x, chi)
                 f_dot = wp.vec3(0.0, 0.0, 0.0)
                 if wp.static(scatters):
-                    wo_dot = local_jvp(frame, turning, vertex.light_wi, wo_world_dot)
+                    wo_dot = chi * local_jvp(frame, turning, vertex.light_wi, wo_world_dot)
                     for channel in range(3):
                         fa = bsdf.eval_vjp(b.model, material, wi, wo, axis_vec3(channel))
                         f_dot[channel] = pair(fa, material_dot, wi_dot, wo_dot)
@@ -234,14 +240,15 @@ def make_forward_kernel(config: PathConfig, wanted: Wanted):
                         tri = scene.triangles[following.face]
                         y = point_on(tri, following.u, following.v)
                         r = y - surface.x
-                        chi = contact_weight(scene, vertex.face, following.face, r)
-                        r_dot = chi * (after.vertex.x - moving.vertex.x)
+                        r_dot = after.vertex.x - moving.vertex.x
                         wo_world_dot = normalize_jvp(vertex.wo, wp.length(r), r_dot)
                         cross = wp.cross(tri.p1 - tri.p0, tri.p2 - tri.p0)
-                        beta_dot = log_geometry_jvp(cross, r, after.vertex.c, r_dot) * vertex.beta
+                        beta_dot = log_geometry_jvp(cross, r, after.vertex.c, r_dot, after.chi) * vertex.beta
                 if wp.static(scatters):
                     wo = to_local(frame.s, frame.t, frame.n, vertex.wo)
                     wo_dot = local_jvp(frame, turning, vertex.wo, wo_world_dot)
+                    if wp.static(geometry):
+                        wo_dot *= after.chi
                     f_dot = wp.vec3(0.0, 0.0, 0.0)
                     for channel in range(3):
                         fa = bsdf.eval_vjp(b.model, material, wi, wo, axis_vec3(channel))
@@ -271,7 +278,6 @@ def make_forward_kernel(config: PathConfig, wanted: Wanted):
                             following.o, following.d, moving.vertex.x, after.d,
                         )  # fmt: skip
         after.o = moving.vertex.x
-        after.before = vertex.face
         next_dot += wp.cw_mul(a_n, beta_dot)
         return derivative, next_dot, after
 
@@ -286,6 +292,7 @@ def make_forward_kernel(config: PathConfig, wanted: Wanted):
         """How the camera ray and the vertex that it finds move."""
         result = Moving()
         result.by_ray = True
+        result.chi = 1.0
         if wp.static(geometry):
             _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
             zero = wp.vec3(0.0, 0.0, 0.0)

@@ -81,9 +81,9 @@ def connection_vjp(
     """Pull a connection x -> y in material form back to its ends.
 
     ``a_wo``: adjoint of its direction wo, in which the path left x; ``value``: the weighted contribution that carries
-    the geometric factor G, so that G's own adjoint is value / G; ``chi``: ``contact.py``. The ray to y started a step
-    off x: wo and y - x differ by that step over their distance, and at grazing angles the part of a_wo along the normal
-    must not leak from one to the other.
+    the geometric factor G, so that G's own adjoint is value / G; ``chi``: weight of G (``contact.py``), which a_wo
+    has already. The ray to y started a step off x: wo and y - x differ by that step over their distance, and at grazing
+    angles the part of a_wo along the normal must not leak from one to the other.
     """
     result = ConnectionAdjoint()
     r = y - x
@@ -93,9 +93,8 @@ def connection_vjp(
         direction = r / length
         cosine = wp.dot(cross, direction)
         if cosine != 0.0:
-            # log G = log |c . r| - 3 log |r|.
-            a_r = value * (cross / cosine - 3.0 * direction) / length
-            result.x -= a_r
-            result.c = value / cosine * direction
-        result.x *= chi
+            # log G = log |c . r| - 3 log |r|, of which chi leaves log |c|.
+            weighted = chi * value
+            result.x -= weighted * (cross / cosine - 3.0 * direction) / length
+            result.c = weighted / cosine * direction + (value - weighted) / wp.dot(cross, cross) * cross
     return result

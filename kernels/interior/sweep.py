@@ -9,7 +9,7 @@ from warp_psdr.kernels.bsdf.dispatch import make_bsdf
 from warp_psdr.kernels.camera import CameraSample, make_camera_sink
 from warp_psdr.kernels.constants import LOBE_NONE, LOBE_SMOOTH
 from warp_psdr.kernels.emitter.dispatch import make_lights
-from warp_psdr.kernels.interior.contact import contact_weight
+from warp_psdr.kernels.interior.contact import weight_before, weight_of_light
 from warp_psdr.kernels.interior.factors import add_material, make_light_sink, make_material_sink
 from warp_psdr.kernels.interior.pullback import connection_vjp, make_frame_vjp
 from warp_psdr.kernels.interior.wanted import Wanted
@@ -31,8 +31,9 @@ class Carry:
     o: wp.vec3
     d: wp.vec3
     adjoint: VertexAdjoint  # of vertex n + 1, complete but for beta_n
-    a_x: wp.vec3  # adjoint of x_n, seen as the point before vertex n + 1, and of minus x_{n+1}
+    a_x: wp.vec3  # adjoint of x_n, seen as the point before vertex n + 1
     a_d: wp.vec3  # adjoint of the direction of a ray that left the scene
+    chi: wp.float32  # weight of the connection of the two
     dot: wp.float32  # forward mode: what the sinks returned so far
 
 
@@ -79,8 +80,7 @@ def make_sweep(config: PathConfig, wanted: Wanted, role: str):
         _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
         c = carry
         if carry.face >= 0:
-            c.adjoint.x = carry.adjoint.x - carry.a_x
-            pushed = push_vertex(scene, target, carry.face, carry.u, carry.v, c.adjoint, by_ray, carry.o, carry.d)
+            pushed = push_vertex(scene, target, carry.face, carry.u, carry.v, carry.adjoint, by_ray, carry.o, carry.d)
             c.dot += pushed.dot
             c.a_x = carry.a_x + pushed.o
             c.a_d = pushed.d
@@ -99,6 +99,8 @@ def make_sweep(config: PathConfig, wanted: Wanted, role: str):
         result.v = vertex.v
         result.o = vertex.o
         result.d = vertex.d
+        if wp.static(geometry):
+            result.chi = weight_before(scene, vertex)
         result.radiance = vertex.direct + wp.cw_mul(vertex.beta, carry.radiance)
 
         if vertex.face < 0:
@@ -149,9 +151,14 @@ def make_sweep(config: PathConfig, wanted: Wanted, role: str):
                     radiance = radiance_of(scene, vertex, surface.x)
                     w_f = vertex.light_weight * wp.cw_mul(a_n, radiance)
                     a_wo_world = wp.vec3(0.0, 0.0, 0.0)
+                    chi = wp.float32(1.0)
                     if wp.static(materials):
                         fa = bsdf.eval_vjp(b.model, material, wi, wo, w_f)
                         a_material = fa.material
+                        if wp.static(geometry):
+                            chi = weight_of_light(scene, vertex, surface.x)
+                            fa.wi *= result.chi
+                            fa.wo *= chi
                         if wp.static(aims):
                             turned = frame_vjp(frame, surface.tangent, wi_world, vertex.light_wi, fa.wi, fa.wo)
                             a_frame_n += turned.n
@@ -162,7 +169,7 @@ def make_sweep(config: PathConfig, wanted: Wanted, role: str):
                         f = bsdf.eval(b.model, material, wi, wo)
                         a_x, dot = push_light(
                             scene, target, vertex, surface.x,
-                            vertex.light_weight * wp.cw_mul(a_n, f), wp.dot(w_f, f), a_wo_world,
+                            vertex.light_weight * wp.cw_mul(a_n, f), wp.dot(w_f, f), a_wo_world, chi,
                         )  # fmt: skip
                         adjoint.x += a_x
                         total += dot
@@ -176,7 +183,9 @@ def make_sweep(config: PathConfig, wanted: Wanted, role: str):
                         fa = bsdf.eval_vjp(b.model, material, wi, wo, w_f)
                         a_material = add_material(a_material, fa.material)
                         if wp.static(geometry):
-                            turned = frame_vjp(frame, surface.tangent, wi_world, vertex.wo, fa.wi, fa.wo)
+                            turned = frame_vjp(
+                                frame, surface.tangent, wi_world, vertex.wo, result.chi * fa.wi, carry.chi * fa.wo
+                            )
                             a_frame_n += turned.n
                             a_tangent += turned.tangent
                             a_wi_world += turned.wi
@@ -185,12 +194,10 @@ def make_sweep(config: PathConfig, wanted: Wanted, role: str):
                                 y = point_on(tri, carry.u, carry.v)
                                 value = wp.dot(wp.cw_mul(a_n, vertex.beta), carry.radiance)
                                 cross = wp.cross(tri.p1 - tri.p0, tri.p2 - tri.p0)
-                                chi = contact_weight(scene, vertex.face, carry.face, y - surface.x)
-                                link = connection_vjp(surface.x, y, cross, vertex.wo, turned.wo, value, chi)
+                                link = connection_vjp(surface.x, y, cross, vertex.wo, turned.wo, value, carry.chi)
                                 adjoint.x += link.x
                                 carry.adjoint.x = carry.adjoint.x - link.x
                                 carry.adjoint.c = carry.adjoint.c + link.c
-                                carry.a_x *= chi
                             carry.dot = wp.float32(0.0)
                             done = finish_vertex(scene, target, carry, False)
                             adjoint.x += done.a_x
@@ -212,7 +219,7 @@ def make_sweep(config: PathConfig, wanted: Wanted, role: str):
                         a_material = add_material(a_material, fa.material)
                         if wp.static(geometry):
                             # The local direction leaves the frame: d = F wo, the transpose of entering it.
-                            turned = frame_vjp(frame, surface.tangent, wi_world, a_d, fa.wi, wo)
+                            turned = frame_vjp(frame, surface.tangent, wi_world, a_d, result.chi * fa.wi, wo)
                             a_frame_n += turned.n
                             a_tangent += turned.tangent
                             a_wi_world += turned.wi
@@ -227,6 +234,7 @@ def make_sweep(config: PathConfig, wanted: Wanted, role: str):
                     adjoint.tangent = a_tangent
                 # wi = normalize(x_{n-1} - x_n).
                 result.a_x = normalize_vjp(wi_world, wp.length(vertex.o - surface.x), a_wi_world)
+                adjoint.x -= result.a_x
         result.adjoint = adjoint
         result.dot = total
         return result

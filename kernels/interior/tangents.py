@@ -61,12 +61,13 @@ def local_jvp(frame: Frame, moving: FrameTangent, w: wp.vec3, w_dot: wp.vec3) ->
 
 
 @wp.func
-def log_geometry_jvp(cross: wp.vec3, r: wp.vec3, cross_dot: wp.vec3, r_dot: wp.vec3) -> wp.float32:
-    """G' / G for G = |c . r| / |r|^3 (``pullback.connection_vjp``)."""
+def log_geometry_jvp(cross: wp.vec3, r: wp.vec3, cross_dot: wp.vec3, r_dot: wp.vec3, chi: wp.float32) -> wp.float32:
+    """G' / G for G = |c . r| / |r|^3 (``pullback.connection_vjp``); chi weights all but |c|' / |c| (``contact.py``)."""
     projected = wp.dot(cross, r)
     if projected == 0.0:
         return 0.0
-    return (wp.dot(cross_dot, r) + wp.dot(cross, r_dot)) / projected - 3.0 * wp.dot(r, r_dot) / wp.dot(r, r)
+    rate = (wp.dot(cross_dot, r) + wp.dot(cross, r_dot)) / projected - 3.0 * wp.dot(r, r_dot) / wp.dot(r, r)
+    return chi * rate + (1.0 - chi) * wp.dot(cross, cross_dot) / wp.dot(cross, cross)
 
 
 @functools.cache

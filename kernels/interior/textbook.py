@@ -17,14 +17,13 @@ import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.camera import CameraSample, make_camera_ray, make_camera_sink
-from warp_psdr.kernels.interior.contact import contact_weight
+from warp_psdr.kernels.interior.contact import weight_before
 from warp_psdr.kernels.interior.sweep import Carry, make_sweep
 from warp_psdr.kernels.interior.wanted import Wanted
 from warp_psdr.kernels.invalid import count_invalid, finite, vanishes
 from warp_psdr.kernels.path import PathConfig, PathVertex, make_camera_start, make_path_step
 from warp_psdr.kernels.rng import sampler_at
 from warp_psdr.kernels.structs import Camera, Scene
-from warp_psdr.kernels.surface import point_on
 
 
 @wp.func
@@ -47,12 +46,6 @@ def at_vertex(vertex: PathVertex) -> Carry:
     c.o = vertex.o
     c.d = vertex.d
     return c
-
-
-@wp.func
-def between(scene: Scene, a: PathVertex, b: PathVertex) -> wp.vec3:
-    """The way from one vertex to another."""
-    return point_on(scene.triangles[b.face], b.u, b.v) - point_on(scene.triangles[a.face], a.u, a.v)
 
 
 @functools.cache
@@ -144,6 +137,8 @@ def make_textbook_kernel(config: PathConfig, wanted: Wanted, role: str):
                     if more:
                         following, state = path_step(scene, sampler, state, max_depth, rr_depth)
                         carry = at_vertex(following)
+                        if wp.static(geometry):
+                            carry.chi = weight_before(scene, following)
                         carry.radiance = safe_quotient(remaining, following.throughput)
                     result = sweep(scene, target, current, weight, carry)
                     total += result.dot
@@ -151,13 +146,12 @@ def make_textbook_kernel(config: PathConfig, wanted: Wanted, role: str):
                         own = at_vertex(current)
                         own.adjoint = result.adjoint
                         own.a_d = result.a_d
-                        own.a_x = result.a_x
-                        if n > 1 and current.face >= 0:
-                            own.a_x *= contact_weight(scene, before.face, current.face, between(scene, before, current))
+                        if n == 1:
+                            own.a_x = result.a_x
                         total += push(scene, target, camera, sample, own, n == 1)
                         if n > 1:
                             previous = at_vertex(before)
-                            previous.adjoint.x = own.a_x
+                            previous.adjoint.x = result.a_x
                             total += push(scene, target, camera, sample, previous, n == 2)
                     before = current
                     current = following

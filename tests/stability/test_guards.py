@@ -63,7 +63,7 @@ def guards(scene: Scene, zero: wp.vec3, out: wp.array(dtype=wp.float32)):
     # A connection of no length has no direction that could turn.
     out[1] = size(normalize_vjp(zero, nil, x))
     out[2] = size(normalize_jvp(zero, nil, x))
-    out[3] = wp.abs(log_geometry_jvp(z, x, x, y))  # in the plane of its light
+    out[3] = wp.abs(log_geometry_jvp(z, x, x, y, 1.0))  # in the plane of its light
     link = connection_vjp(zero, zero, z, x, x, 1.0, 1.0)
     out[4] = size(link.x) + size(link.c)
     link = connection_vjp(zero, x, z, x, nil * x, 1.0, 1.0)

@@ -43,8 +43,8 @@ if TYPE_CHECKING:
 SPECK = 100.0
 #: Shapes narrower than this many steps past edges are noted: derivatives lack 4 % at 0.15 of them, and all at 0.1.
 HAIR = 0.2
-#: rho over the radius of the smaller of two shapes that touch (``kernels/interior/contact.py``).
-CONTACT_RATIO = 3.0e-2
+#: rho over the radius of the smaller of two shapes (``kernels/interior/contact.py``).
+CONTACT_RATIO = 2.0e-2
 #: Least radius and extent of a scene, in world units: one without triangles has neither, and both are divided by.
 LEAST_LENGTH = 1.0e-30
 
@@ -58,6 +58,9 @@ class Scene:
         values: Flat float32 array of every continuous value, as the kernels read it.
         origin: (3,) float64, world units: positions in ``values`` are relative to it (``warp_psdr.scene.origin``).
             Parameters are not.
+        contact_ratio: Width of the strips on which the interior term is weighted where surfaces meet, over the radius
+            of the smaller of two shapes (``kernels/interior/contact.py``). A narrower one has less bias and more noise,
+            of its inverse square root.
         parameters: Named stretches of ``values``.
         indices: Flat int32 vertex numbers, three a triangle, over all shapes.
     """
