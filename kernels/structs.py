@@ -155,7 +155,7 @@ class Scene:
     ray_epsilon: wp.float32  # distance by which a ray's origin is moved off its surface, world units
     least_step: wp.float32  # the least at edges, see ``step.py``; 0: ``ray_epsilon`` serves all surfaces and edges
     radii: wp.array(dtype=wp.float32)  # half diagonals of the shapes' boxes, world units
-    contact_ratio: wp.float32  # connections shorter than this part of a radius: see ``interior/contact.py``
+    contact_ratio: wp.float32  # width of strips at contacts over the radius, ``interior/contact.py``
     #: 1: what is differentiated belongs to this shape; the last one: to something else too (``interior/replay.py``).
     matters: wp.array(dtype=wp.int32)
     invalid: wp.array(dtype=wp.int64)  # counter of this launch and lane, see ``invalid.py``

@@ -118,6 +118,15 @@ def test_unbounded_paths_end_by_roulette_only(closed):
     assert primal.mean() == pytest.approx(FURNACE_RADIANCE / (1.0 - FURNACE_ALBEDO), rel=0.02)
 
 
+def test_unbounded_paths_are_as_long_in_small_blocks(closed):
+    scene, params = closed
+    params.requires_grad("room.bsdf.reflectance.value")
+    long = {k: backward(scene, params, -1, k, spp=4, rr_depth=150) for k in (2, 64)}
+    assert_same(long[2], long[64], 0.0)
+    with pytest.raises(ValueError, match=r"rr_depth: paths without a depth limit .* give max_depth"):
+        backward(scene, params, -1, 8, spp=4, rr_depth=100_000)
+
+
 @pytest.mark.parametrize(
     ("name", "block"),
     [

@@ -83,7 +83,7 @@ def boundary_samples(
 
     Of a sample only its pull at the edge point is kept; those at the two ends of its segment are not. Curves along
     which surfaces run through each other count where the camera sees them; their shadows' samples are left out, and so
-    are those of interpolated normals, which lie on no edge.
+    are those seen through mirrors and glass and those of interpolated normals.
 
     Args:
         scene: a loaded scene.

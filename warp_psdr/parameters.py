@@ -22,8 +22,8 @@ def traverse(scene: Scene) -> Parameters:
         scene: a loaded scene.
 
     Returns:
-        A mapping from names such as ``"wall.reflectance.value"`` to ``wp.array`` views: colours ``(3,)``, numbers
-        ``(1,)``, matrices ``(4, 4)``, bitmaps ``(H, W, C)``, positions and normals ``(N,)`` of vec3.
+        A mapping from names such as ``"wall.reflectance.value"`` to ``wp.array`` views: colours ``(3,)``, greys and
+        numbers ``(1,)``, poses ``(4, 4)``, bitmaps ``(H, W, C)``, positions and normals ``(N,)`` of vec3.
     """
     return Parameters(scene)
 

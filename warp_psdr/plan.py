@@ -68,9 +68,11 @@ TEXTURE_NAMES = {
 }
 #: Shapes that a line of the plan names.
 NAMED = 3
-#: Blocks of a path without depth limit. With K = 8 it is cut after 512 vertices; since Russian roulette survives with
-#: probability 0.95 at most, fewer than one path in 10^11 is that long.
-UNBOUNDED_BLOCKS = 64
+#: Vertices after which a path without depth limit is cut, counted from where Russian roulette begins: it survives with
+#: probability 0.95 at most, so fewer than one path in 10^11 is that long.
+UNBOUNDED_VERTICES = 507
+#: Most vertices of a path that is differentiated without a depth limit.
+MOST_VERTICES = 4096
 
 
 @dataclass(frozen=True)
@@ -162,7 +164,7 @@ def decide(
     method = integrator.interior
     block, blocks = 0, 1
     if names and isinstance(method, interior.Replay):
-        block, blocks = _blocks(method.block, integrator.max_depth, lines)
+        block, blocks = _blocks(method.block, integrator.max_depth, integrator.rr_depth, lines)
         if block == 0:
             _check_textbook(config, wanted)
     moving = tuple(_discontinuities(scene, config, names))
@@ -328,15 +330,20 @@ def _bending(scene: Scene, names: list[str]) -> list[str]:
     return found
 
 
-def _blocks(k: int, max_depth: int, lines: list) -> tuple[int, int]:
+def _blocks(k: int, max_depth: int, rr_depth: int, lines: list) -> tuple[int, int]:
     if k == 0:
         lines.append(
             ("interior", "textbook replay", "K = 0: divides by every factor, loses derivatives of zero factors")
         )
         return 0, 1
     if max_depth < 0:
-        lines.append(("interior", f"record and sweep, K = {k}", f"replayed in at most {UNBOUNDED_BLOCKS} blocks"))
-        return k, UNBOUNDED_BLOCKS
+        max_depth = rr_depth + UNBOUNDED_VERTICES
+        if max_depth > MOST_VERTICES:
+            raise ValueError(
+                f"rr_depth: paths without a depth limit that Russian roulette ends from vertex {rr_depth} on are too "
+                "long to be differentiated; give max_depth, or an rr_depth of at most "
+                f"{MOST_VERTICES - UNBOUNDED_VERTICES}"
+            )
     block = min(k, max_depth)
     blocks = -(-max_depth // block)
     blocks = 1 << (blocks - 1).bit_length()  # few kernel variants

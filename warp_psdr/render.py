@@ -64,7 +64,8 @@ def render(
         integrator: default: what the scene file names, else ``PathIntegrator()``.
         spp: samples a pixel; default: the sensor's sample count.
         spp_grad: samples a pixel of the backward pass; default: ``spp``.
-        seed: equal seeds give equal bits; the backward pass is decorrelated from the image.
+        seed: equal seeds give equal bits, with a budget only where a report is given and no time; the backward pass is
+            decorrelated from the image.
         tape: a Warp tape to record the rendering on: ``tape.backward(loss)`` then adds to the gradients of the
             parameters that ``params.requires_grad`` named.
         progress: called with the finished fraction.
@@ -236,7 +237,8 @@ def render_forward(
         sensor: which camera.
         integrator: default: what the scene file names.
         spp: samples a pixel; default: the sensor's sample count.
-        seed: equal seeds give equal bits, and the random numbers of ``render_backward``.
+        seed: equal seeds give equal bits, with a budget only where a report is given and no time, and the random
+            numbers of ``render_backward``.
         progress: called with the finished fraction.
         target_error: instead of ``spp``: the relative error of the derivative image to be reached.
         time_budget: instead of ``spp``: seconds to be spent, after compiling.

@@ -64,7 +64,7 @@ def render(
         KeyError: There is no such parameter.
         TypeError: A value is no floating-point tensor.
         ValueError: A wrong shape, numbers that are not finite, an option out of range, a pose beside the vertices that
-            it moves, or a moving discontinuity whose boundary term was not left out explicitly.
+            it moves, or a moving discontinuity that the method of the boundary term does not cover.
     """
     for name, tensor in parameters.items():
         if not isinstance(tensor, torch.Tensor) or not tensor.is_floating_point():

@@ -92,6 +92,7 @@ def trace_sample(
     """Draw the path of one sample again, and return its vertices.
 
     With the arguments of the rendering that it belongs to, whose warning about samples that are not finite names them.
+    (Not of a budget's batches, which have seeds of their own.)
 
     Args:
         scene: a loaded scene, unchanged since.

@@ -58,7 +58,8 @@ class PathSpace(Method):
     Unbiased for triangle meshes with moving shapes, which may run through each other and interpolate normals, area,
     environment, point, spot and directional lights, and a moving camera, at any depth. Through smooth mirrors and
     glass it searches along lines (``kernels/boundary/line_search.py``): 16 path vertices at most. Not covered, and
-    refused: textures with steps, and spot lights whose cone ends abruptly.
+    refused: textures with steps (bitmaps that take the nearest texel; faces' attributes where texture coordinates
+    move), spot lights whose cone ends abruptly, what a clip plane cuts in sight, and shapes that share an edge.
     Surfaces that merely touch are in contact: as they move apart, or into each other, the image has two one-sided
     derivatives, and what is returned at the contact is neither. Forward mode warns of such tangents; the gradient of
     reverse mode holds for motions along contacts and for those that keep what touches together, and the plan names the
@@ -66,7 +67,7 @@ class PathSpace(Method):
 
     Attributes:
         guiding: a method of ``psdr.guiding`` that learns where shadow edges and their like carry light, for example
-            ``psdr.guiding.KdTree()``; None: edges by length, directions by the wedge or the lights.
+            ``psdr.guiding.KdTree()``; None: edges by length and angle, directions by the wedge or the lights.
     """
 
     guiding: guiding_methods.Method | None = None
@@ -122,7 +123,7 @@ class Projective(Method):
 
     Attributes:
         guiding: a method of ``psdr.guiding``; ``KdTree`` and ``Octree`` are finest where seeds lie. None: uniform
-            sampling of edges by length and of directions by the wedge, the paper's reference; what a point,
+            sampling of edges by length and angle and of directions by the wedge, the paper's reference; what a point,
             spot or directional light sends is aimed at by half of the samples then.
         paths: camera paths whose segments are projected, for each kind of them.
     """

@@ -26,6 +26,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warp_psdr.arguments import checked_seed, samples
+from warp_psdr.invalid import warns
 from warp_psdr.kernels.rng import mix_seed
 from warp_psdr.options import PathIntegrator, from_description
 from warp_psdr.work_precision import bias
@@ -65,6 +66,7 @@ SHARE = 0.2
 TILE_SHARE, FIRST_MOST = 0.25, 0.5
 
 
+@warns
 def accuracy(
     scene: Scene,
     params: Parameters | None = None,
