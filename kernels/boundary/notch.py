@@ -88,6 +88,6 @@ def sharp_glass(scene: Scene, edges: Edges, edge: wp.int32) -> wp.float32:
         return 0.0
     a = scene.triangles[edges.faces[first]]
     b = scene.triangles[edges.faces[first + 1]]
-    if scene.bsdfs[scene.shapes[a.shape].bsdf].model != BSDF_DIELECTRIC or wp.dot(a.normal, b.normal) >= 0.0:
+    if not refracts(scene, edges.faces[first]) or wp.dot(a.normal, b.normal) >= 0.0:
         return 0.0
     return behind(a.normal, b.normal)
