@@ -154,8 +154,8 @@ class Scene:
     env_conditional: wp.array(dtype=wp.float32)  # cumulative over the cells of each row, h x (w + 1), flattened
     ray_epsilon: wp.float32  # distance by which a ray's origin is moved off its surface, world units
     least_step: wp.float32  # the least at edges, see ``step.py``; 0: ``ray_epsilon`` serves all surfaces and edges
-    radii: wp.array(dtype=wp.float32)  # half diagonals of the shapes' boxes, world units
     contact_ratio: wp.float32  # width of strips at contacts over the radius, ``interior/contact.py``
+    radii: wp.array(dtype=wp.float32)  # of the triangles' patches, ``warp_psdr.patches``; one 0 unless geometry moves
     #: 1: what is differentiated belongs to this shape; the last one: to something else too (``interior/replay.py``).
     matters: wp.array(dtype=wp.int32)
     invalid: wp.array(dtype=wp.int64)  # counter of this launch and lane, see ``invalid.py``

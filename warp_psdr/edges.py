@@ -233,6 +233,22 @@ def scene_adjacency(scene: Scene) -> Adjacency:
     return found
 
 
+def joined_faces(faces: int, edges: Adjacency, joins: np.ndarray) -> np.ndarray:
+    """Return the number of every triangle's group, (faces,): equal where edges of two triangles join them.
+
+    Args:
+        faces: number of triangles.
+        edges: of the scene.
+        joins: (E,) mask of edges, each of two triangles.
+    """
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    start = edges.first[:-1][joins]
+    pairs = edges.faces[start], edges.faces[start + 1]
+    return connected_components(coo_matrix((np.ones(len(start)), pairs), shape=(faces, faces)), directed=False)[1]
+
+
 def shape_of_vertex(scene: Scene) -> np.ndarray:
     """Return the shape number of every vertex."""
     return np.repeat(np.arange(len(scene.builder.shapes)), [s.vertex_count for s in scene.builder.shapes])

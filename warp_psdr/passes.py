@@ -22,6 +22,7 @@ from warp_psdr.kernels.interior.textbook import make_textbook_kernel
 from warp_psdr.kernels.path import make_primal_kernel
 from warp_psdr.kernels.rng import mix_seed
 from warp_psdr.kernels.splat import collect, make_splat_kernel
+from warp_psdr.patches import patch_radii
 
 if TYPE_CHECKING:
     from warp_psdr.gradient_sums import GradientSums
@@ -128,7 +129,7 @@ def interior_backward(
     lanes = sums.buffers.shape[0]
     share = workers.lane_share(count, lanes)  # few pixels do not spread over all lanes
     most = max(sums.most // lanes // max(share, 1), 1)
-    matters = _mask(scene, plan.shapes)
+    fields = _patches(scene, plan) | {"matters": _mask(scene, plan.shapes)}
     for first_sample, samples, reported in _blocks(spp, most, progress):
         block = [first_sample, samples, *tail]
         _launch(
@@ -144,7 +145,7 @@ def interior_backward(
             spp=samples,
             progress=reported,
             listed=pixels,
-            matters=matters,
+            fields=fields,
         )
         sums.collect()
 
@@ -175,7 +176,13 @@ def interior_forward(
         spp=spp,
         progress=progress,
         listed=pixels,
+        fields=_patches(scene, plan),
     )
+
+
+def _patches(scene: Scene, plan: Plan) -> dict[str, wp.array]:
+    """Return ``structs.Scene.radii``, if geometry is differentiated."""
+    return {"radii": patch_radii(scene)} if plan.wanted is not None and plan.wanted.geometry else {}
 
 
 def _gradient_kernel(plan: Plan, role: str) -> wp.Kernel:
@@ -224,16 +231,16 @@ def _launch(
     margin: int = 0,
     progress: Progress | None = None,
     listed: wp.array | None = None,
-    matters: wp.array | None = None,
+    fields: dict[str, wp.array] | None = None,
 ) -> None:
     """Run a kernel over a raster (width, height): in one launch on CUDA, in lanes on worker threads on the CPU.
 
     ``kind``, ``spp`` and ``margin``: what its samples are, a pixel, and by how much the raster exceeds the image.
-    ``listed``: numbers of its pixels, instead of all of them. ``matters``: a mask of shapes.
+    ``listed``: numbers of its pixels, instead of all of them. ``fields``: of ``structs.Scene``, those of this pass.
     """
     data = scene.data()
-    if matters is not None:
-        data.matters = matters
+    for name, values in (fields or {}).items():
+        setattr(data, name, values)
     order = listed
     if order is None:
         order = wp.array(workers.pixel_order(*raster), dtype=wp.int32, device=scene.device)

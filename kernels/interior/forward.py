@@ -24,7 +24,7 @@ from warp_psdr.kernels.camera import CameraSample, make_camera_ray, make_camera_
 from warp_psdr.kernels.constants import EMITTER_AREA, EMITTER_CONSTANT, EMITTER_ENVMAP, LOBE_SMOOTH
 from warp_psdr.kernels.emitter.area import light_uv
 from warp_psdr.kernels.emitter.dispatch import make_lights
-from warp_psdr.kernels.interior.contact import weight_before, weight_of_light
+from warp_psdr.kernels.interior.contact import make_contact_weights
 from warp_psdr.kernels.interior.factors import make_light_sink
 from warp_psdr.kernels.interior.tangents import (
     VertexTangent,
@@ -83,6 +83,7 @@ def make_forward_kernel(config: PathConfig, wanted: Wanted):
     has_lights = bool(config.area or config.lights) and smooth_lobes
     radiance_of = make_light_sink(config, wanted, "forward")[0] if has_lights else None
     geometry = wanted.geometry
+    weight_before, weight_of_light = make_contact_weights(config.ray_backend, config.ray_width)
     push_camera = make_camera_sink("forward", config.camera) if wanted.camera else None
     emission_jvp = (
         make_texture_jvp(config.area, wanted.radiance, wanted.to_uv, geometry or wanted.texcoords)
@@ -239,7 +240,7 @@ def make_forward_kernel(config: PathConfig, wanted: Wanted):
                         )
                         tri = scene.triangles[following.face]
                         y = point_on(tri, following.u, following.v)
-                        r = y - surface.x
+                        r = y - following.o
                         r_dot = after.vertex.x - moving.vertex.x
                         wo_world_dot = normalize_jvp(vertex.wo, wp.length(r), r_dot)
                         cross = wp.cross(tri.p1 - tri.p0, tri.p2 - tri.p0)

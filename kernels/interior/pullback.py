@@ -80,10 +80,11 @@ def connection_vjp(
 ) -> ConnectionAdjoint:
     """Pull a connection x -> y in material form back to its ends.
 
+    ``x``: where the ray to y started, a step off the surface. From the surface itself, G would change at another rate
+    than that of what was traced, by the step over r: next to contacts the difference does not cancel, and adds up.
     ``a_wo``: adjoint of its direction wo, in which the path left x; ``value``: the weighted contribution that carries
     the geometric factor G, so that G's own adjoint is value / G; ``chi``: weight of G (``contact.py``), which a_wo
-    has already. The ray to y started a step off x: wo and y - x differ by that step over their distance, and at grazing
-    angles the part of a_wo along the normal must not leak from one to the other.
+    has already. y is rounded: at grazing angles the part of a_wo along the normal must not leak into the length.
     """
     result = ConnectionAdjoint()
     r = y - x

@@ -9,7 +9,7 @@ from warp_psdr.kernels.bsdf.dispatch import make_bsdf
 from warp_psdr.kernels.camera import CameraSample, make_camera_sink
 from warp_psdr.kernels.constants import LOBE_NONE, LOBE_SMOOTH
 from warp_psdr.kernels.emitter.dispatch import make_lights
-from warp_psdr.kernels.interior.contact import weight_before, weight_of_light
+from warp_psdr.kernels.interior.contact import make_contact_weights
 from warp_psdr.kernels.interior.factors import add_material, make_light_sink, make_material_sink
 from warp_psdr.kernels.interior.pullback import connection_vjp, make_frame_vjp
 from warp_psdr.kernels.interior.wanted import Wanted
@@ -67,6 +67,7 @@ def make_sweep(config: PathConfig, wanted: Wanted, role: str):
     environment_vjp = lights.environment_vjp if lights else None
     environment = environment_vjp is not None and (bool(wanted.lights) or wanted.geometry)
     geometry = wanted.geometry
+    weight_before, weight_of_light = make_contact_weights(config.ray_backend, config.ray_width)
     # The direction towards a point, spot or directional light moves with the light.
     aims = geometry or ("pose" in wanted.lights and lights is not None and lights.sample_vjp is not None)
     materials = any(wanted.slots) or wanted.to_uv or aims
@@ -194,7 +195,7 @@ def make_sweep(config: PathConfig, wanted: Wanted, role: str):
                                 y = point_on(tri, carry.u, carry.v)
                                 value = wp.dot(wp.cw_mul(a_n, vertex.beta), carry.radiance)
                                 cross = wp.cross(tri.p1 - tri.p0, tri.p2 - tri.p0)
-                                link = connection_vjp(surface.x, y, cross, vertex.wo, turned.wo, value, carry.chi)
+                                link = connection_vjp(carry.o, y, cross, vertex.wo, turned.wo, value, carry.chi)
                                 adjoint.x += link.x
                                 carry.adjoint.x = carry.adjoint.x - link.x
                                 carry.adjoint.c = carry.adjoint.c + link.c

@@ -17,7 +17,7 @@ import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.camera import CameraSample, make_camera_ray, make_camera_sink
-from warp_psdr.kernels.interior.contact import weight_before
+from warp_psdr.kernels.interior.contact import make_contact_weights
 from warp_psdr.kernels.interior.sweep import Carry, make_sweep
 from warp_psdr.kernels.interior.wanted import Wanted
 from warp_psdr.kernels.invalid import count_invalid, finite, vanishes
@@ -57,6 +57,7 @@ def make_textbook_kernel(config: PathConfig, wanted: Wanted, role: str):
     sweep, _finish, finish_vertex = make_sweep(config, wanted, role)
     push_camera = make_camera_sink(role, config.camera) if wanted.camera else None
     geometry = wanted.geometry
+    weight_before, _weight_of_light = make_contact_weights(config.ray_backend, config.ray_width)
     channels = 3 if role == "forward" else 1
 
     @wp.func

@@ -6,7 +6,7 @@ import pytest
 import warp_psdr as psdr
 
 from .measure import Case, assert_agrees, derivatives, differences, move
-from .scenes import ball, diffuse, load, room
+from .scenes import SIZE, T, ball, diffuse, floor, load, mesh, room
 
 BOX = "box.vertex_positions"
 ALONG = (1.0, -0.5, 0.0)
@@ -103,6 +103,67 @@ def test_what_turns_as_one_looks_the_same() -> None:
     alone = psdr.render_forward(scene, params, camera, **options).numpy()
     # Were the rate at which a corner opens left out of what is weighted: 5e-3.
     assert np.abs(image).max() < 1.0e-5 * np.abs(alone).max()
+
+
+def wall(low: float, high: float, glows: bool):
+    """A wall above a floor seen from straight above, up to VIEW in front of it; its radiance is 1."""
+    corners = [[0, -WIDE, low], [0, WIDE, low], [0, WIDE, high], [0, -WIDE, high]]
+    half = 0.5 * VIEW
+    film = {"type": "hdrfilm", "width": SIZE, "height": SIZE, "rfilter": {"type": "box"}}
+    pose = T.look_at([half, 0, 2], [half, 0, 0], [0, 1, 0]) @ T.scale([half, half, 1])
+    scene = {"sensor": {"type": "orthographic", "to_world": pose, "film": film}, "floor": floor(bsdf=diffuse(ALBEDO))}
+    if glows:
+        light = {"type": "area", "radiance": {"type": "rgb", "value": 1.0}}
+        return scene | {"wall": mesh(corners, [[0, 1, 2], [0, 2, 3]], diffuse(0.0), emitter=light)}
+    lit = {"type": "directional", "direction": [-1, 0, 0], "irradiance": {"type": "rgb", "value": 2.0 * np.pi}}
+    return scene | {"wall": mesh(corners, [[0, 1, 2], [0, 2, 3]], diffuse(0.5)), "sun": lit}
+
+
+ALBEDO, VIEW, WIDE = 0.8, 0.1, 3.0
+
+
+def seen_from_floor(distance: float, height: float) -> float:
+    """Form factor from a point of the floor to a wall that stands on it."""
+    if height == 0.0:
+        return 0.0
+    if distance == 0.0:
+        return 0.5
+    slant = np.hypot(distance, height)
+    return (np.arctan(WIDE / distance) - distance / slant * np.arctan(WIDE / slant)) / np.pi
+
+
+@pytest.mark.parametrize("glows", [True, False], ids=["light", "reflected"])
+@pytest.mark.parametrize("mode", ["forward", "reverse"])
+@pytest.mark.parametrize(
+    ("low", "high"), [(0.0, 0.6), (0.005, 0.6), (0.0, 0.02)], ids=["on the floor", "above a gap", "the rim of a sheet"]
+)
+def test_light_next_to_a_wall_that_moves(low, high, mode, glows) -> None:
+    """The interior term of all that the floor receives, in closed form: it falls off ahead, from F(0+)."""
+    scene = psdr.load_dict({"type": "scene", **wall(low, high, glows)})
+    params = psdr.traverse(scene)
+    name = "wall.vertex_positions"
+    tangent = np.broadcast_to(np.float32([1.0, 0.0, 0.0]), (4, 3)).copy()
+    options = {"integrator": psdr.PathIntegrator(max_depth=2 if glows else 3, boundary=None), "spp": 4096}
+    sums = []
+    for seed in range(8):
+        if mode == "forward":
+            image = psdr.render_forward(scene, params, {name: tangent}, seed=seed, **options).numpy()
+            sums.append(image[..., 0].sum(dtype=np.float64))
+        else:
+            params.requires_grad(name)
+            params.zero_grad()
+            red = np.zeros((SIZE, SIZE, 3), np.float32)
+            red[..., 0] = 1.0
+            psdr.render_backward(scene, params, red, seed=seed, **options)
+            sums.append((params[name].grad.numpy().astype(np.float64) * tangent).sum())
+
+    def received(x: float) -> float:
+        return ALBEDO * (seen_from_floor(x, high) - seen_from_floor(x, low))
+
+    expected = SIZE * SIZE / VIEW * (received(0.0) - received(VIEW))
+    error = np.std(sums, ddof=1) / np.sqrt(len(sums))
+    assert error < 0.03 * abs(expected)
+    assert abs(np.mean(sums) - expected) < 3.5 * error + 0.005 * abs(expected)
 
 
 def test_a_speck_makes_no_corner_noisy() -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import warp as wp
 
 from warp_psdr.bent import bent_faces
-from warp_psdr.edges import every_edge, scene_adjacency
+from warp_psdr.edges import every_edge, joined_faces, scene_adjacency
 from warp_psdr.film_edges import smooth_edges
 from warp_psdr.kernels.boundary.local_form import Edges
 from warp_psdr.kernels.boundary.rims import Tables
@@ -25,22 +25,13 @@ def face_tables(scene: Scene) -> tuple[Edges, Tables]:
     smooth = smooth_edges(scene, found)
     tables = Tables()
     for name, values in (
-        ("group", _groups(scene.face_count, found, smooth & (found.wedge == 0.0))),
+        ("group", joined_faces(scene.face_count, found, smooth & (found.wedge == 0.0))),
         ("bent", bent_faces(scene)),
         ("face_edges", face_edges(scene, found).reshape(-1)),
         ("smooth_edge", smooth),
     ):
         setattr(tables, name, wp.array(values.astype(np.int32), dtype=wp.int32, device=scene.device))
     return edges, tables
-
-
-def _groups(faces: int, edges: Adjacency, joins: np.ndarray) -> np.ndarray:
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
-
-    start = edges.first[:-1][joins]
-    pairs = edges.faces[start], edges.faces[start + 1]
-    return connected_components(coo_matrix((np.ones(len(start)), pairs), shape=(faces, faces)), directed=False)[1]
 
 
 def face_edges(scene: Scene, edges: Adjacency) -> np.ndarray:

@@ -58,9 +58,9 @@ class Scene:
         values: Flat float32 array of every continuous value, as the kernels read it.
         origin: (3,) float64, world units: positions in ``values`` are relative to it (``warp_psdr.scene.origin``).
             Parameters are not.
-        contact_ratio: Width of the strips on which the interior term is weighted where surfaces meet, over the radius
-            of the smaller of two shapes (``kernels/interior/contact.py``). A narrower one has less bias and more noise,
-            of its inverse square root.
+        contact_ratio: Width of the strips on which the interior term is weighted where surfaces meet, over the smaller
+            of their radii (``warp_psdr.patches``, ``kernels/interior/contact.py``). A narrower one has less bias and
+            more noise, of its inverse square root.
         parameters: Named stretches of ``values``.
         indices: Flat int32 vertex numbers, three a triangle, over all shapes.
     """
@@ -78,6 +78,7 @@ class Scene:
         self.builder = builder
         self.invalid = Ledger()
         self._uncounted = wp.zeros(COUNTER_SIZE, dtype=wp.int64, device=self.device)
+        self._unmeasured = wp.zeros(1, dtype=wp.float32, device=self.device)
         self._unmarked = wp.zeros(1, dtype=wp.int32, device=self.device)
         self.parameters: dict[str, Parameter] = builder.layout.parameters
         self.values = wp.array(builder.layout.values(), dtype=wp.float32, device=self.device)
@@ -191,8 +192,8 @@ class Scene:
         s.env_conditional = self.lights.env_conditional
         s.ray_epsilon = self.ray_epsilon
         s.least_step = self.steps.scene
-        s.radii = self._radii
         s.contact_ratio = self.contact_ratio
+        s.radii = self._unmeasured  # the interior term asks for them
         s.matters = self._unmarked  # the interior term marks shapes
         s.invalid = self._uncounted  # for launches outside of ``invalid.counting``
         return s
@@ -353,7 +354,6 @@ class Scene:
                 RuntimeWarning,
                 stacklevel=4,
             )
-        self._radii = wp.array((0.5 * self._boxes.size).astype(np.float32), dtype=wp.float32, device=self.device)
         self._update_steps(points)
 
     def _update_steps(self, points: np.ndarray) -> None:

@@ -44,9 +44,8 @@ def named(what: Quantity) -> tuple[str, ...]:
         found.append("boundary=None: all of the boundary term is left out, although " + "; ".join(plan.discontinuities))
     if plan.wanted is not None and plan.wanted.geometry and scene.contact_ratio > 0.0:
         found.append(
-            f"where shapes touch, or are as close for their size: of the order of {scene.contact_ratio:.2g}, "
-            "squared, in the light between them, and of its first power in what was scattered close by before "
-            "(kernels/interior/contact.py)"
+            f"where shapes touch: of the order of {scene.contact_ratio:.2g}, squared, in the light between them, and "
+            "of its first power in what was scattered close by before (kernels/interior/contact.py)"
         )
     return tuple(found)
 
