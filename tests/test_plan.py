@@ -189,6 +189,11 @@ def test_blocks(diffuse, block, depth, expected):
     assert block == 0 or depth < 0 or plan.block * plan.blocks >= depth
 
 
+def test_a_name_that_is_none_is_refused_with_one_that_is(diffuse):
+    with pytest.raises(KeyError, match=r"no parameter 'floor.bsdf.reflectance'; did you mean 'floor"):
+        psdr.plan(diffuse[0], names=["floor.bsdf.reflectance"])
+
+
 def test_moving_discontinuities_are_named_and_never_left_out_in_silence(diffuse):
     scene, params = diffuse
     name = "ceiling.vertex_positions"

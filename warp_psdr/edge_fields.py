@@ -13,7 +13,7 @@ import numpy as np
 import warp as wp
 
 from warp_psdr.boundary import projective
-from warp_psdr.boundary.methods import PathSpace
+from warp_psdr.boundary.methods import EdgeSampling, PathSpace
 from warp_psdr.boundary.motion import motion
 from warp_psdr.boundary.terms import Request, facets, primary, secondary
 from warp_psdr.device import launch
@@ -156,13 +156,19 @@ def edge_density(
         pieces: into how many segments an edge is cut; ``EdgeDensity`` holds each of them.
 
     Raises:
-        ValueError: there is no edge that could be a silhouette, or ``pieces`` is no positive integer.
+        ValueError: there is no edge that could be a silhouette, ``boundary.EdgeSampling`` draws edges for every path
+            vertex anew, or ``pieces`` is no positive integer.
     """
     if isinstance(pieces, bool) or not isinstance(pieces, int) or pieces < 1:
         raise ValueError(f"pieces: got {pieces!r}, expected a positive integer")
     integrator = integrator or from_description(scene.description.integrator)
     names = params.requested
     plan = decide(scene, params, integrator=integrator, sensor=sensor)
+    if isinstance(plan.boundary, EdgeSampling):
+        raise ValueError(
+            f"{plan.boundary.label} draws edges by each path vertex, not by one density of the scene; name PathSpace() "
+            "or Projective()"
+        )
     method = getattr(plan.boundary, "guiding", None)
     guide = None
     if method is None:

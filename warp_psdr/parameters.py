@@ -15,6 +15,20 @@ if TYPE_CHECKING:
     from warp_psdr.scene.scene import Scene
 
 
+def parameter_of(scene: Scene, name: str) -> Parameter:
+    """Return where a parameter is held.
+
+    Raises:
+        KeyError: there is no such parameter; the message names those that are close.
+    """
+    try:
+        return scene.parameters[name]
+    except KeyError:
+        close = difflib.get_close_matches(str(name), scene.parameters, n=3, cutoff=0.4)
+        hint = f"did you mean {', '.join(map(repr, close))}?" if close else "print(params) lists them all"
+        raise KeyError(f"the scene has no parameter {name!r}; {hint}") from None
+
+
 def traverse(scene: Scene) -> Parameters:
     """Return the parameters of a scene under Mitsuba 3's names.
 
@@ -177,9 +191,4 @@ class Parameters(Mapping):
         return self._scene
 
     def _parameter(self, name: str) -> Parameter:
-        try:
-            return self._scene.parameters[name]
-        except KeyError:
-            close = difflib.get_close_matches(str(name), self._views, n=3, cutoff=0.4)
-            hint = f"did you mean {', '.join(map(repr, close))}?" if close else "print(params) lists them all"
-            raise KeyError(f"the scene has no parameter {name!r}; {hint}") from None
+        return parameter_of(self._scene, name)

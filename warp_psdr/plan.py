@@ -20,6 +20,7 @@ from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.emitter.spot import MIN_FALLOFF
 from warp_psdr.kernels.interior.wanted import Wanted
 from warp_psdr.kernels.path import PathConfig
+from warp_psdr.parameters import parameter_of
 from warp_psdr.scene.build import SLOTS
 from warp_psdr.scene.layout import (
     CAMERA,
@@ -131,10 +132,11 @@ def plan(
         The plan.
 
     Raises:
+        KeyError: the scene has no parameter of such a name.
         ValueError: the methods named by the integrator cannot differentiate what is requested.
     """
     decided = decide(scene, params, integrator=integrator, sensor=sensor, names=names)
-    touching = contacts.describe(scene, motion(scene, _named(params, names)).shapes) if decided.boundary else ""
+    touching = contacts.describe(scene, motion(scene, _named(scene, params, names)).shapes) if decided.boundary else ""
     if not touching:
         return decided
     reason = f"{touching} touch; moving them apart or into each other has one-sided derivatives only"
@@ -153,7 +155,7 @@ def decide(
     from warp_psdr.options import from_description
 
     integrator = integrator or from_description(scene.description.integrator)
-    names = _named(params, names)
+    names = _named(scene, params, names)
     lines: list[tuple[str, str, str]] = []
     config = _config(scene, integrator, sensor, lines)
     if config.hidden:
@@ -197,8 +199,10 @@ def decide(
     )
 
 
-def _named(params: Parameters | None, names: list[str] | None) -> list[str]:
+def _named(scene: Scene, params: Parameters | None, names: list[str] | None) -> list[str]:
     if names is not None:
+        for name in names:
+            parameter_of(scene, name)
         return names
     return params.requested if params is not None else []
 

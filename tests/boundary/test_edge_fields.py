@@ -142,6 +142,8 @@ def test_what_has_no_boundary_term_is_refused(under_a_light) -> None:
     with pytest.raises(ValueError, match=r"only those of boundary.PathSpace\(\)"):
         other = psdr.PathIntegrator(max_depth=2, boundary=psdr.boundary.EdgeSampling())
         edge_fields.boundary_samples(scene, params, adjoint, integrator=other)
+    with pytest.raises(ValueError, match="draws edges by each path vertex"):
+        edge_fields.edge_density(scene, params, integrator=other)
     with pytest.raises(ValueError, match="left it out"):
         edge_fields.boundary_samples(scene, params, adjoint, integrator=psdr.PathIntegrator(max_depth=2, boundary=None))
     with pytest.raises(ValueError, match=r"adjoint: got shape \(3, 3, 3\)"):
