@@ -5,7 +5,9 @@ import pytest
 import trimesh
 
 import warp_psdr as psdr
-from warp_psdr.patches import patch_radii, spreads
+from warp_psdr.patches import patch_radii
+
+SIDE = np.sqrt(3.0)  # of a square of side 2
 
 
 def radii(*meshes: trimesh.Trimesh) -> list[np.ndarray]:
@@ -20,6 +22,23 @@ def radii(*meshes: trimesh.Trimesh) -> list[np.ndarray]:
 
 def box(*extents: float) -> trimesh.Trimesh:
     return trimesh.creation.box(extents=extents)
+
+
+def prism(profile, half: float) -> trimesh.Trimesh:
+    """A polygon in the plane y = 0, drawn out to y = -half and half, without caps."""
+    n = len(profile)
+    vertices = [[x, y, z] for x, z in profile for y in (-half, half)]
+    faces = [t for k in range(n) for a, b in [(2 * k, 2 * ((k + 1) % n))] for t in ([a, a + 1, b + 1], [a, b + 1, b])]
+    return trimesh.Trimesh(vertices, faces, process=False)
+
+
+def grid(n: int, height=lambda x, y: 0.0 * x) -> trimesh.Trimesh:
+    """A height field over a square of side 2."""
+    x, y = np.meshgrid(*2 * [np.linspace(-1.0, 1.0, n + 1)])
+    number = np.arange((n + 1) ** 2).reshape(n + 1, n + 1)
+    a, b, c, d = (number[i : n + i, j : n + j].reshape(-1) for i, j in ((0, 0), (0, 1), (1, 1), (1, 0)))
+    faces = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
+    return trimesh.Trimesh(np.stack([x, y, height(x, y)], axis=2).reshape(-1, 3), faces, process=False)
 
 
 def turned(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
@@ -37,29 +56,52 @@ def split(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
 
 
 @pytest.mark.parametrize("change", [lambda m: m, turned, split], ids=["as it is", "turned", "split"])
-def test_closed_forms(change) -> None:
-    ball, cube, slab = radii(
-        *(change(m) for m in (trimesh.creation.icosphere(subdivisions=3, radius=2.0), box(2, 2, 2), box(2, 2, 0.02)))
+def test_flat_faces(change) -> None:
+    cube, slab, fine = radii(*(change(m) for m in (box(2, 2, 2), box(2, 2, 0.02), grid(8))))
+    assert cube == pytest.approx(SIDE, rel=1e-5)
+    assert fine == pytest.approx(SIDE, rel=1e-5)
+    # The two squares of the slab, and its rim: 2 * area / circumference.
+    assert sorted(slab) == pytest.approx([SIDE * 2 * 2 * 0.02 / 4.04] * 8 + [SIDE] * 4, rel=1e-4)
+
+
+def test_curvature() -> None:
+    ball, fine, tube = radii(
+        trimesh.creation.icosphere(subdivisions=2, radius=2.0),
+        trimesh.creation.icosphere(subdivisions=4, radius=2.0),
+        trimesh.creation.cylinder(radius=0.5, height=20.0, sections=24, cap=False),
     )
-    assert ball == pytest.approx(2.0 * np.sqrt(3.0), rel=0.01)
-    assert cube == pytest.approx(np.sqrt(3.0), rel=1e-5)
-    # The two squares of the slab, and its rim.
-    assert sorted(slab) == pytest.approx([0.01 * np.sqrt(3.0)] * 8 + [np.sqrt(3.0)] * 4, rel=1e-4)
+    for found in (ball, fine):
+        assert 0.6 * 2.0 * SIDE < found.min() and found.max() < 1.6 * 2.0 * SIDE
+    assert tube[len(tube) // 2] > 0.3
 
 
-def test_what_is_thin_counts_as_thin_with_rounded_edges_too() -> None:
-    pill = trimesh.creation.icosphere(subdivisions=4)
-    flat, whole = radii(trimesh.Trimesh(pill.vertices * [1.0, 1.0, 0.05], pill.faces), pill)
-    assert flat.max() < 0.1 * whole.min()
+def test_a_frame_is_as_wide_as_its_bars() -> None:
+    corners = [[s * a, t * a, 0] for a in (1.0, 0.98) for s, t in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+    faces = [t for k in range(4) for t in ([k, (k + 1) % 4, 4 + (k + 1) % 4], [k, 4 + (k + 1) % 4, 4 + k])]
+    assert radii(trimesh.Trimesh(corners, faces, process=False))[0] == pytest.approx(0.02 * SIDE, rel=1e-4)
 
 
-def test_a_waved_sheet_counts_as_a_sheet() -> None:
-    x, y = np.meshgrid(*2 * [np.linspace(-1.0, 1.0, 33)])
-    number = np.arange(33 * 33).reshape(33, 33)
-    a, b, c, d = (number[i : 32 + i, j : 32 + j].reshape(-1) for i, j in ((0, 0), (0, 1), (1, 1), (1, 0)))
-    faces = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
-    points = np.stack([x, y, 0.02 * np.sin(6.0 * x) * np.cos(5.0 * y)], axis=2).reshape(-1, 3)
-    assert radii(trimesh.Trimesh(points, faces, process=False))[0] == pytest.approx(np.sqrt(3.0), rel=0.02)
+@pytest.mark.parametrize("steps", [1, 4, 32], ids=["bevelled", "rounded", "finely rounded"])
+def test_rounded_edges_count_by_their_radius_and_faces_by_their_width(steps) -> None:
+    radius = 0.01
+    turns = np.linspace(0.0, 0.5 * np.pi, steps + 1)
+    centers = ((1, 0.2), (-1, 0.2), (-1, -0.2), (1, -0.2))
+    profile = [
+        (x + radius * np.cos(k * 0.5 * np.pi + t), z + radius * np.sin(k * 0.5 * np.pi + t))
+        for k, (x, z) in enumerate(centers)
+        for t in turns
+    ]
+    (found,) = radii(prism(profile, 4.0))
+    edge = found.reshape(4, steps + 1, 2)
+    assert edge[:, :steps].max() < 8.0 * radius and edge[:, :steps].min() > radius
+    # The faces between them, of widths 0.4 and 2, and 8 long.
+    expected = [SIDE * 2 * 8 * w / (16 + 2 * w) for w in (2.0, 0.4)]
+    assert edge[:2, steps] == pytest.approx(np.repeat(expected, 2).reshape(2, 2), rel=1e-3)
+
+
+def test_a_sheet_with_flat_waves_counts_as_wide() -> None:
+    (found,) = radii(grid(32, lambda x, y: 0.002 * np.sin(6.0 * x) * np.cos(5.0 * y)))
+    assert found.min() > 0.5 * SIDE
 
 
 def test_two_shapes_in_one_mesh_count_as_two_and_winding_does_not_matter() -> None:
@@ -74,13 +116,8 @@ def test_moved_vertices_count() -> None:
     square = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], np.float32)
     mesh = {"type": "mesh", "vertices": square, "faces": np.int32([[0, 1, 2], [0, 2, 3]])}
     scene = psdr.load_dict({"type": "scene", "sensor": {"type": "perspective"}, "a": mesh})
-    assert patch_radii(scene).numpy() == pytest.approx(2 * [np.sqrt(3.0)], rel=1e-5)
+    assert patch_radii(scene).numpy() == pytest.approx(2 * [SIDE], rel=1e-5)
     params = psdr.traverse(scene)
     params["a.vertex_positions"] = 0.5 * square
     params.update()
-    assert patch_radii(scene).numpy() == pytest.approx(2 * [0.5 * np.sqrt(3.0)], rel=1e-5)
-
-
-def test_a_patch_without_area_has_no_radius() -> None:
-    points = np.array([[0, 0, 0], [1, 0, 0], [2, 0, 0]], np.float32)
-    assert spreads(points, np.array([[0, 1, 2], [1, 1, 1]]), np.array([0, 1])) == pytest.approx([0.0, 0.0])
+    assert patch_radii(scene).numpy() == pytest.approx(2 * [0.5 * SIDE], rel=1e-5)

@@ -1,4 +1,4 @@
-"""Smooth patches of a scene's surfaces and how far each spreads: the lengths over which light between them varies."""
+"""The lengths over which light between surfaces varies: how wide their smooth patches are, and how much they bend."""
 
 from __future__ import annotations
 
@@ -10,62 +10,66 @@ import warp as wp
 from warp_psdr.edges import cross, joined_faces, scene_adjacency
 
 if TYPE_CHECKING:
+    from warp_psdr.edges import Adjacency
     from warp_psdr.scene.scene import Scene
 
 #: Angle (radians) between two triangles from which their edge ends a patch. Coarse spheres and cylinders have less.
 CREASE = 0.8
-#: Cosine between a patch's plane and its triangles down to which it is a sheet over that plane, and not wrapped around.
-SHEET = 0.5
+#: Width of a polygon over that of its neighbour below which it is part of a rounded edge of that.
+ROUNDED = 0.25
+#: Of the scene's radius: a sphere or a square that is all of a scene has less.
+MOST = 4.0
+#: Radius of a patch over its width, and half of what a surface of radius 1 has: half the diagonal of a cube of side 2.
+RADIUS = np.sqrt(3.0)
 
 
 def patch_radii(scene: Scene) -> wp.array:
-    """Return the radius of the patch of every triangle, (F,) float32 world units; kept until a vertex moves."""
+    """Return the radius at every triangle, (F,) float32 world units; kept until a vertex moves."""
     edges = scene_adjacency(scene)
     kept = getattr(scene, "_patch_radii", None)
     if kept is None or kept[0] is not edges:
-        joins = (edges.count == 2) & (edges.wedge < CREASE)
-        patch = joined_faces(scene.face_count, edges, joins)
-        radii = spreads(scene.points, scene.builder.indices, patch)[patch]
-        kept = (edges, wp.array(radii, dtype=wp.float32, device=scene.device))
+        found = np.minimum(radii(scene.points, scene.builder.indices, edges), MOST * scene.radius)
+        kept = (edges, wp.array(found, dtype=wp.float32, device=scene.device))
         scene._patch_radii = kept  # type: ignore[attr-defined]
     return kept[1]
 
 
-def spreads(points: np.ndarray, triangles: np.ndarray, patch: np.ndarray) -> np.ndarray:
-    """Return three standard deviations of the points of every patch, along the narrowest of its principal axes.
+def radii(points: np.ndarray, triangles: np.ndarray, edges: Adjacency) -> np.ndarray:
+    """Return the radius at every triangle: of its patch, or of the surface's curvature if that is less.
 
-    A sheet has no thickness to go by and counts along the narrower of the other two. What is wrapped around has: what
-    is thin, even with rounded edges, is as narrow as it is thin. So a sphere of radius r has sqrt(3) r, a square of
-    side 2 a has sqrt(3) a, and the rim of a disk of height 2 h has sqrt(3) h.
+    A patch is as wide as twice its area over its circumference: a square of side 2 a is a wide, a strip or a frame as
+    wide as its bars. Its radius is sqrt(3) times that. Curvature is the angle at an edge within the patch over the
+    width of the flat polygon beside it: about sqrt(3) r on spheres and cylinders of radius r. Where a polygon borders
+    on much smaller ones, that is a rounded or bevelled edge, and ends it as a crease does.
 
     Args:
         points: (N, 3) vertex positions, world units.
         triangles: (F, 3) vertex numbers.
-        patch: (F,) patch of every triangle, from 0.
+        edges: of these triangles.
 
     Returns:
-        (P,) float64, world units; 0: a patch without area.
+        (F,) float64, world units; 0: without area, infinity: without bounds.
     """
-    if not len(patch):
-        return np.zeros(0)
-    count = int(patch.max()) + 1
     p = points[triangles].astype(np.float64)
-    normal = 0.5 * cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
-    area = np.sqrt((normal * normal).sum(axis=1))
+    normal = cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
+    area = 0.5 * np.sqrt((normal * normal).sum(axis=1))
+    sides = np.repeat(np.arange(len(edges.length)), edges.count)  # the edge of every entry of ``edges.faces``
 
-    def total(values: np.ndarray) -> np.ndarray:
-        return np.bincount(patch, values, count)
+    def widths(joins: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the groups that edges join the triangles to, and 2 area / circumference of each."""
+        group = joined_faces(len(triangles), edges, joins)
+        ends = ~joins[sides]
+        around = np.bincount(group[edges.faces[ends]], edges.length[sides[ends]], group.max(initial=-1) + 1)
+        whole = np.bincount(group, area)
+        return group, np.where(whole > 0.0, 2.0 * whole / np.maximum(around, 1e-300), 0.0)
 
-    whole = np.maximum(total(area), 1e-300)
-    mean = np.stack([total(area * p[:, :, i].mean(axis=1)) for i in range(3)], axis=1) / whole[:, None]
-    p -= mean[patch][:, None]
-    middle = p.sum(axis=1)
-    moments = np.empty((count, 3, 3))
-    for i, j in ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)):
-        # Of a triangle with corners v, the integral of x_i x_j is its area / 12 (sum of v_i v_j + (sum v)_i (sum v)_j).
-        of_triangle = area / 12.0 * ((p[:, :, i] * p[:, :, j]).sum(axis=1) + middle[:, i] * middle[:, j])
-        moments[:, i, j] = moments[:, j, i] = total(of_triangle) / whole
-    variances, axes = np.linalg.eigh(moments)  # ascending
-    along = np.abs((normal * axes[patch, :, 0]).sum(axis=1))
-    steep = total((along < SHEET * area).astype(np.float64)) > 0.0
-    return 3.0 * np.sqrt(np.maximum(np.where(steep, variances[:, 0], variances[:, 1]), 0.0))
+    two = edges.count == 2
+    patch, wide = widths(two & (edges.wedge < CREASE))
+    polygon, narrow = widths(two & (edges.wedge == 0.0))
+    curved = np.flatnonzero(two & (edges.wedge > 0.0) & (edges.wedge < CREASE))
+    first, second = (polygon[edges.faces[edges.first[curved] + i]] for i in (0, 1))
+    bend = np.full(len(narrow), np.inf)
+    for own, other in ((first, second), (second, first)):
+        rounded = narrow[other] < ROUNDED * narrow[own]
+        np.minimum.at(bend, own, narrow[own] * np.where(rounded, 1.0, 2.0 / edges.wedge[curved]))
+    return RADIUS * np.minimum(wide[patch], bend[polygon])

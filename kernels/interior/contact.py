@@ -28,17 +28,21 @@ pixels that resolve it see chi. The part v / a of a sample is at most some v / r
 q lifts off its plane, has a logarithmic tail of its own.
 
 Where F varies within rho, that part of its derivative is wrong, and what is lost may be all: next to a sheet of paper
-that slides over a table, F rises from 0 to F(0+) within the height of the paper's rim, and of the two terms that nearly
+that slides over a table, F falls from F(0+) to 0 within the height of the paper's rim, and of the two terms that nearly
 cancel in the mean only the boundary's would be left. So rho goes by the surfaces themselves: it is
-``Scene.contact_ratio`` times the smaller radius of the two smooth patches that p and q lie on (``warp_psdr.patches``),
-whatever shapes they belong to, and a speck in the scene does not make the corners of its rooms noisy.
+``Scene.contact_ratio`` times the smaller radius at p and at q (``warp_psdr.patches``), whatever shapes they belong to;
+and a speck in the scene does not make the corners of its rooms noisy.
 
 For the same reason chi is 1 where the surfaces do not meet: next to a wall that ends g above the floor, F(0+) is 0 and
-F rises within a ~ g. A ray from p along its own surface, lifted by ``CLEAR`` a, has to find the plane of q where
-that of p does. Under a gap it passes as long as a < g / ``CLEAR``, by when F has risen. The mean of chi is not 1 then,
-but at most 1.39 (where g is 0.58 ``CLEAR`` rho), in front of a derivative that is smooth at this distance: of first
-order in rho / L, at most. The samples are as large as v / g, and are many. Cameras, mirrors and glass need no weight:
-what they meet has no density G.
+F rises within a ~ g. Two rays, ``CLEAR`` a above the one surface and the other, have to find that they meet: one along
+the surface of p, next to q's foot on the line that the planes have in common, and one along the surface of q, next to
+p's foot. So chi depends on a and on where contacts end along the line, not on which side of such an end p is: as F
+falls on the one side and rises on the other, what is lost cancels. Above a gap, chi is 1 as long as a < g / ``CLEAR``,
+and above an edge that is rounded with radius g as long as a < 6 g: by when F has risen. Its mean is not 1 then, but at
+most 1.39 (where that ends at 0.58 rho), in front of a derivative that is smooth at this distance: 0.39 rho / L of it.
+The samples are as large as v / g, and are many.
+
+Cameras, mirrors and glass need no weight: what they meet has no density G.
 """
 
 import functools
@@ -56,10 +60,10 @@ from warp_psdr.kernels.surface import point_on
 LEAST_SINE = 0.1
 #: Of the angle between two planes: below it they have no line in common that float32 could find.
 PARALLEL = 1.0e-3
-#: Height at which a ray looks for the contact, in distances of p from the plane of q.
-CLEAR = 0.05
-#: Distance from the plane of q, in the same unit, within which what the ray finds counts as the contact.
-NEAR = 0.25
+#: Height above a surface at which a ray looks for the contact, in distances of p from the plane of q.
+CLEAR = 0.1
+#: Distance from the other surface's plane, in the same unit, within which what the ray finds counts as the contact.
+NEAR = 0.02
 #: The same in steps by which rays leave surfaces: what float32 adds.
 WAVER = 0.1
 
@@ -74,26 +78,44 @@ def make_contact_weights(backend: str, width: int) -> tuple[wp.Function, wp.Func
     closest_hit, _any_hit = make_intersect(backend, width)
 
     @wp.func
-    def contact_weight(scene: Scene, p_face: wp.int32, q_face: wp.int32, p: wp.vec3, r: wp.vec3) -> wp.float32:
-        """Weight chi of the connection of p with q = p + r."""
+    def finds(scene: Scene, o: wp.vec3, d: wp.vec3, left: wp.float32, sine: wp.float32, step: wp.float32) -> wp.bool:
+        """Whether a ray meets what it looks for, a surface in a plane that is ``left`` away and ``sine`` steep."""
+        hit = closest_hit(scene.accel, o, d, 2.0 * left / sine + step)
+        return hit.face >= 0 and wp.abs(left - hit.t * sine) <= NEAR * left + WAVER * step
+
+    @wp.func
+    def contact_weight(scene: Scene, p_face: wp.int32, q_face: wp.int32, o: wp.vec3, q: wp.vec3) -> wp.float32:
+        """Weight chi of a connection with q that starts at o, on p's triangle or a step off it."""
         rho = scene.contact_ratio * wp.min(scene.radii[p_face], scene.radii[q_face])
         n = scene.triangles[p_face].normal
         m = scene.triangles[q_face].normal
+        p = o + wp.dot(n, scene.triangles[p_face].p0 - o) * n
+        r = q - p
+        if wp.dot(n, r) < 0.0:
+            n = -n
+        if wp.dot(m, r) > 0.0:
+            m = -m
+        # Both face the wedge between the surfaces. Along each of them, across the line where they meet:
         cosine = wp.dot(n, m)
-        along = m - cosine * n  # in the plane of p, straight towards that of q or away from it
-        sine = wp.length(along)
-        height = wp.dot(m, r)
-        a = wp.abs(height)
+        sine = wp.length(wp.cross(n, m))
+        a = -wp.dot(m, r)
         t = a / wp.max(sine, LEAST_SINE)
         if t >= rho or sine < PARALLEL:
             return 1.0
-        side = wp.sign(height)
+        to_q = (cosine * n - m) / sine
+        from_p = (n - cosine * m) / sine
+        s = a / sine
+        foot = p + s * to_q
+        line = wp.cross(n, to_q)
+        aside = wp.dot(r, line) * line
         step = leaving_step(scene, p_face)
-        lift = wp.where(wp.dot(n, r) >= 0.0, 1.0, -1.0) * wp.max(CLEAR * a, step)
-        left = a - side * lift * cosine  # from the start of the ray to the plane of q
+        lift = wp.max(CLEAR * a, step)
+        left = a + lift * cosine
         if left > 0.0:
-            hit = closest_hit(scene.accel, p + lift * n, side / sine * along, 2.0 * left / sine + step)
-            if hit.face < 0 or wp.abs(left - hit.t * sine) > NEAR * a + WAVER * step:
+            # Next to p's foot, and next to q's.
+            if not finds(scene, p + aside + lift * n, to_q, left, sine, step):
+                return 1.0
+            if not finds(scene, foot + s * from_p + lift * m, -from_p, left, sine, step):
                 return 1.0
         t /= rho
         return wp.min(3.0 * t * t, wp.where(sine < LEAST_SINE, 1.0, 3.0))
@@ -103,13 +125,13 @@ def make_contact_weights(backend: str, width: int) -> tuple[wp.Function, wp.Func
         if vertex.face < 0 or vertex.before < 0:
             return 1.0
         x = point_on(scene.triangles[vertex.face], vertex.u, vertex.v)
-        return contact_weight(scene, vertex.before, vertex.face, vertex.o, x - vertex.o)
+        return contact_weight(scene, vertex.before, vertex.face, vertex.o, x)
 
     @wp.func
     def weight_of_light(scene: Scene, vertex: PathVertex, x: wp.vec3) -> wp.float32:
         if scene.emitters[vertex.light].kind != EMITTER_AREA:
             return 1.0
         y = point_on(scene.triangles[vertex.light_face], vertex.light_u, vertex.light_v)
-        return contact_weight(scene, vertex.face, vertex.light_face, x, y - x)
+        return contact_weight(scene, vertex.face, vertex.light_face, x, y)
 
     return weight_before, weight_of_light

@@ -105,44 +105,62 @@ def test_what_turns_as_one_looks_the_same() -> None:
     assert np.abs(image).max() < 1.0e-5 * np.abs(alone).max()
 
 
-def wall(low: float, high: float, glows: bool):
-    """A wall above a floor seen from straight above, up to VIEW in front of it; its radiance is 1."""
-    corners = [[0, -WIDE, low], [0, WIDE, low], [0, WIDE, high], [0, -WIDE, high]]
+ALBEDO, VIEW, WIDE = 0.8, 0.1, 3.0
+
+
+def wall(profile, end: float, glows: bool):
+    """A wall of radiance 1 above a floor that is seen from straight above, up to VIEW in front of it.
+
+    ``profile``: (x, z) from below to above, up to x = 0; ``end``: in y, where it ends.
+    """
+    corners = [[x, y, z] for x, z in profile for y in (-WIDE, end)]
+    faces = [t for k in range(0, len(corners) - 2, 2) for t in ([k, k + 1, k + 3], [k, k + 3, k + 2])]
     half = 0.5 * VIEW
     film = {"type": "hdrfilm", "width": SIZE, "height": SIZE, "rfilter": {"type": "box"}}
     pose = T.look_at([half, 0, 2], [half, 0, 0], [0, 1, 0]) @ T.scale([half, half, 1])
     scene = {"sensor": {"type": "orthographic", "to_world": pose, "film": film}, "floor": floor(bsdf=diffuse(ALBEDO))}
     if glows:
         light = {"type": "area", "radiance": {"type": "rgb", "value": 1.0}}
-        return scene | {"wall": mesh(corners, [[0, 1, 2], [0, 2, 3]], diffuse(0.0), emitter=light)}
-    lit = {"type": "directional", "direction": [-1, 0, 0], "irradiance": {"type": "rgb", "value": 2.0 * np.pi}}
-    return scene | {"wall": mesh(corners, [[0, 1, 2], [0, 2, 3]], diffuse(0.5)), "sun": lit}
+        return scene | {"wall": mesh(corners, faces, diffuse(0.0), emitter=light)}
+    sun = {"type": "directional", "direction": [-1, 0, 0], "irradiance": {"type": "rgb", "value": 2.0 * np.pi}}
+    return scene | {"wall": mesh(corners, faces, diffuse(0.5)), "sun": sun}
 
 
-ALBEDO, VIEW, WIDE = 0.8, 0.1, 3.0
-
-
-def seen_from_floor(distance: float, height: float) -> float:
-    """Form factor from a point of the floor to a wall that stands on it."""
+def seen_from_floor(distance: float, height: float, end: float) -> float:
+    """Form factor from the floor in view, so far away from a wall that stands on it, to the wall."""
     if height == 0.0:
         return 0.0
+    y = (np.arange(4096) + 0.5) / 4096 * VIEW - 0.5 * VIEW
     if distance == 0.0:
-        return 0.5
+        return 0.5 * np.mean(y < end)
     slant = np.hypot(distance, height)
-    return (np.arctan(WIDE / distance) - distance / slant * np.arctan(WIDE / slant)) / np.pi
+    sides = [np.arctan(w / distance) - distance / slant * np.arctan(w / slant) for w in (end - y, y + WIDE)]
+    return np.mean(sides[0] + sides[1]) / (2.0 * np.pi)
 
 
-@pytest.mark.parametrize("glows", [True, False], ids=["light", "reflected"])
+UPRIGHT, BEVEL = [(0.0, 0.0), (0.0, 0.6)], 0.003
+
+
 @pytest.mark.parametrize("mode", ["forward", "reverse"])
 @pytest.mark.parametrize(
-    ("low", "high"), [(0.0, 0.6), (0.005, 0.6), (0.0, 0.02)], ids=["on the floor", "above a gap", "the rim of a sheet"]
+    ("profile", "end", "ratio", "glows"),
+    [
+        pytest.param(UPRIGHT, WIDE, 0.004, True, id="on the floor"),
+        pytest.param(UPRIGHT, WIDE, 0.004, False, id="on the floor, lit"),
+        pytest.param(UPRIGHT, 0.0, 0.06, True, id="that ends"),
+        pytest.param([(0.0, 0.005), (0.0, 0.6)], WIDE, 0.02, True, id="above a gap"),
+        pytest.param([(0.0, 0.005), (0.0, 0.6)], WIDE, 0.02, False, id="above a gap, lit"),
+        pytest.param([(0.0, 0.0), (0.0, 0.02)], WIDE, 0.02, True, id="of little height"),
+        pytest.param([(-BEVEL, 0.0), (0.0, BEVEL), (0.0, 0.6)], WIDE, 0.02, True, id="with a bevelled edge"),
+    ],
 )
-def test_light_next_to_a_wall_that_moves(low, high, mode, glows) -> None:
+def test_light_next_to_a_wall_that_moves(profile, end, ratio, glows, mode) -> None:
     """The interior term of all that the floor receives, in closed form: it falls off ahead, from F(0+)."""
-    scene = psdr.load_dict({"type": "scene", **wall(low, high, glows)})
+    scene = psdr.load_dict({"type": "scene", **wall(profile, end, glows)})
+    scene.contact_ratio = ratio
     params = psdr.traverse(scene)
     name = "wall.vertex_positions"
-    tangent = np.broadcast_to(np.float32([1.0, 0.0, 0.0]), (4, 3)).copy()
+    tangent = np.broadcast_to(np.float32([1.0, 0.0, 0.0]), params[name].numpy().shape).copy()
     options = {"integrator": psdr.PathIntegrator(max_depth=2 if glows else 3, boundary=None), "spp": 4096}
     sums = []
     for seed in range(8):
@@ -156,18 +174,21 @@ def test_light_next_to_a_wall_that_moves(low, high, mode, glows) -> None:
             red[..., 0] = 1.0
             psdr.render_backward(scene, params, red, seed=seed, **options)
             sums.append((params[name].grad.numpy().astype(np.float64) * tangent).sum())
+    low = profile[0][1]
+    top = profile[-1][1]
 
     def received(x: float) -> float:
-        return ALBEDO * (seen_from_floor(x, high) - seen_from_floor(x, low))
+        return seen_from_floor(x, top, end) - seen_from_floor(x, low, end)
 
-    expected = SIZE * SIZE / VIEW * (received(0.0) - received(VIEW))
+    unit = ALBEDO * SIZE * SIZE / VIEW
+    expected = unit * (received(0.0) - received(VIEW))
     error = np.std(sums, ddof=1) / np.sqrt(len(sums))
-    assert error < 0.03 * abs(expected)
-    assert abs(np.mean(sums) - expected) < 3.5 * error + 0.005 * abs(expected)
+    assert error < 0.01 * unit
+    assert abs(np.mean(sums) - expected) < 4.0 * error + 0.002 * unit
 
 
 def test_a_speck_makes_no_corner_noisy() -> None:
-    """The weight follows from the two shapes that meet, whatever else there is."""
+    """The weight follows from the two surfaces that meet, whatever else there is."""
     speck = ball((0.5, 0.5, 1.5), 0.02, diffuse(0.5))
     images = [slid(psdr.load_dict({"type": "scene", **room(), **more}), 16, 1) for more in ({}, {"speck": speck})]
     beside = np.abs(images[0] - images[1]).max(axis=(0, 3)) > 0.0
