@@ -15,8 +15,8 @@ if TYPE_CHECKING:
 
 #: Angle (radians) between two triangles from which their edge ends a patch. Coarse spheres and cylinders have less.
 CREASE = 0.8
-#: Width of a polygon over that of its neighbour below which it is part of a rounded edge of that.
-ROUNDED = 0.25
+#: Radius of curvature over area / (length of the edge * angle) of the triangles or quadrilaterals of spheres.
+BEND = 1.2
 #: Of the scene's radius: a sphere or a square that is all of a scene has less.
 MOST = 4.0
 #: Radius of a patch over its width, and half of what a surface of radius 1 has: half the diagonal of a cube of side 2.
@@ -37,10 +37,11 @@ def patch_radii(scene: Scene) -> wp.array:
 def radii(points: np.ndarray, triangles: np.ndarray, edges: Adjacency) -> np.ndarray:
     """Return the radius at every triangle: of its patch, or of the surface's curvature if that is less.
 
-    A patch is as wide as twice its area over its circumference: a square of side 2 a is a wide, a strip or a frame as
-    wide as its bars. Its radius is sqrt(3) times that. Curvature is the angle at an edge within the patch over the
-    width of the flat polygon beside it: about sqrt(3) r on spheres and cylinders of radius r. Where a polygon borders
-    on much smaller ones, that is a rounded or bevelled edge, and ends it as a crease does.
+    A patch is as wide as twice its area over its circumference, and half the root of its area at most: a square of
+    side 2 a is a wide, a strip or a frame as wide as its bars. Its radius is sqrt(3) times that. Curvature is the angle
+    at an edge within the patch over the distance across it of the smaller of the two flat polygons: spheres and
+    cylinders of radius r have 1.5 to 2.1 r. But a flat polygon has no less than by its own width: its rounded or
+    bevelled edges count for themselves.
 
     Args:
         points: (N, 3) vertex positions, world units.
@@ -56,20 +57,21 @@ def radii(points: np.ndarray, triangles: np.ndarray, edges: Adjacency) -> np.nda
     sides = np.repeat(np.arange(len(edges.length)), edges.count)  # the edge of every entry of ``edges.faces``
 
     def widths(joins: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the groups that edges join the triangles to, and 2 area / circumference of each."""
+        """Return the groups that edges join the triangles to, and how wide each is."""
         group = joined_faces(len(triangles), edges, joins)
         ends = ~joins[sides]
         around = np.bincount(group[edges.faces[ends]], edges.length[sides[ends]], group.max(initial=-1) + 1)
         whole = np.bincount(group, area)
-        return group, np.where(whole > 0.0, 2.0 * whole / np.maximum(around, 1e-300), 0.0)
+        half = 0.5 * np.sqrt(whole)
+        return group, np.minimum(half, 2.0 * whole / np.maximum(around, np.maximum(half, 1e-300)))
 
     two = edges.count == 2
     patch, wide = widths(two & (edges.wedge < CREASE))
     polygon, narrow = widths(two & (edges.wedge == 0.0))
     curved = np.flatnonzero(two & (edges.wedge > 0.0) & (edges.wedge < CREASE))
     first, second = (polygon[edges.faces[edges.first[curved] + i]] for i in (0, 1))
+    across = np.bincount(polygon, area)[np.stack([first, second])].min(axis=0) / edges.length[curved]
     bend = np.full(len(narrow), np.inf)
-    for own, other in ((first, second), (second, first)):
-        rounded = narrow[other] < ROUNDED * narrow[own]
-        np.minimum.at(bend, own, narrow[own] * np.where(rounded, 1.0, 2.0 / edges.wedge[curved]))
+    for own in (first, second):
+        np.minimum.at(bend, own, np.maximum(BEND * across / edges.wedge[curved], narrow[own]))
     return RADIUS * np.minimum(wide[patch], bend[polygon])

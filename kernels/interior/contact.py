@@ -30,17 +30,20 @@ q lifts off its plane, has a logarithmic tail of its own.
 Where F varies within rho, that part of its derivative is wrong, and what is lost may be all: next to a sheet of paper
 that slides over a table, F falls from F(0+) to 0 within the height of the paper's rim, and of the two terms that nearly
 cancel in the mean only the boundary's would be left. So rho goes by the surfaces themselves: it is
-``Scene.contact_ratio`` times the smaller radius at p and at q (``warp_psdr.patches``), whatever shapes they belong to;
+``Scene.contact_ratio`` times the smaller radius at p and where they meet (``warp_psdr.patches``), whatever shapes they belong to;
 and a speck in the scene does not make the corners of its rooms noisy.
 
 For the same reason chi is 1 where the surfaces do not meet: next to a wall that ends g above the floor, F(0+) is 0 and
-F rises within a ~ g. Two rays, ``CLEAR`` a above the one surface and the other, have to find that they meet: one along
-the surface of p, next to q's foot on the line that the planes have in common, and one along the surface of q, next to
-p's foot. So chi depends on a and on where contacts end along the line, not on which side of such an end p is: as F
-falls on the one side and rises on the other, what is lost cancels. Above a gap, chi is 1 as long as a < g / ``CLEAR``,
-and above an edge that is rounded with radius g as long as a < 6 g: by when F has risen. Its mean is not 1 then, but at
-most 1.39 (where that ends at 0.58 rho), in front of a derivative that is smooth at this distance: 0.39 rho / L of it.
-The samples are as large as v / g, and are many.
+F rises within a ~ g. Whether they do must not depend on where on its surface q is: of the changes v / r at a given p
+only the sum over q is small. So two rays ask for it, each along one of the planes but for a rise of ``SLOPE``: one from
+p, or rather next to q, as far along the line of both planes (past the end of a contact chi is then what it is before,
+and as F falls on the one side and rises on the other, what is lost cancels), and one from the plane of q, as far from
+the line as p. Each has to find the shape of the other, and the radii are those of what they find. Next to a gap they
+pass below for a < g / ``SLOPE``; next to an edge that is rounded with radius g they find that, with a rho much smaller
+than g: chi is 1 until F has risen. The mean of chi is not 1 then, but at most 1.39 (where that ends at 0.58 rho), in
+front of a derivative that is smooth at this distance: 0.39 rho / L of it. The samples are as large as v / g, and are
+many. On surfaces that bend away from the contact, F falls with the root of a, and the s of their triangles grow from
+the contact on; 1 % of F(0+) is lost at rho = R / 25.
 
 Cameras, mirrors and glass need no weight: what they meet has no density G.
 """
@@ -60,12 +63,14 @@ from warp_psdr.kernels.surface import point_on
 LEAST_SINE = 0.1
 #: Of the angle between two planes: below it they have no line in common that float32 could find.
 PARALLEL = 1.0e-3
-#: Height above a surface at which a ray looks for the contact, in distances of p from the plane of q.
-CLEAR = 0.1
-#: Distance from the other surface's plane, in the same unit, within which what the ray finds counts as the contact.
-NEAR = 0.02
-#: The same in steps by which rays leave surfaces: what float32 adds.
+#: Rise over run of the ray that looks for the contact.
+SLOPE = 0.1
+#: Length of the ray over the distance to where the planes meet, below which what it found is not what is there.
+LEAST_SHARE = 0.4
+#: What float32 adds, in steps by which rays leave surfaces.
 WAVER = 0.1
+#: In q's own widths: how far from its plane contacts are looked for, where its facet may be narrower than theirs.
+REACH = 4.0
 
 
 @functools.cache
@@ -78,15 +83,23 @@ def make_contact_weights(backend: str, width: int) -> tuple[wp.Function, wp.Func
     closest_hit, _any_hit = make_intersect(backend, width)
 
     @wp.func
-    def finds(scene: Scene, o: wp.vec3, d: wp.vec3, left: wp.float32, sine: wp.float32, step: wp.float32) -> wp.bool:
-        """Whether a ray meets what it looks for, a surface in a plane that is ``left`` away and ``sine`` steep."""
-        hit = closest_hit(scene.accel, o, d, 2.0 * left / sine + step)
-        return hit.face >= 0 and wp.abs(left - hit.t * sine) <= NEAR * left + WAVER * step
+    def found_ahead(
+        scene: Scene, p: wp.vec3, n: wp.vec3, ahead: wp.vec3, reach: wp.float32, step: wp.float32, shape: wp.int32
+    ) -> wp.int32:
+        """Triangle of a shape that a ray finds which leaves a plane flatly, and which meets the plane; -1: none."""
+        hit = closest_hit(scene.accel, p + step * n, wp.normalize(ahead + SLOPE * n), reach)
+        if hit.face < 0:
+            return -1
+        found = scene.triangles[hit.face]
+        sine = wp.length(wp.cross(n, found.normal))
+        a = wp.abs(wp.dot(found.normal, found.p0 - p))
+        if found.shape != shape or sine < PARALLEL or hit.t * sine < LEAST_SHARE * a - WAVER * step:
+            return -1
+        return hit.face
 
     @wp.func
     def contact_weight(scene: Scene, p_face: wp.int32, q_face: wp.int32, o: wp.vec3, q: wp.vec3) -> wp.float32:
         """Weight chi of a connection with q that starts at o, on p's triangle or a step off it."""
-        rho = scene.contact_ratio * wp.min(scene.radii[p_face], scene.radii[q_face])
         n = scene.triangles[p_face].normal
         m = scene.triangles[q_face].normal
         p = o + wp.dot(n, scene.triangles[p_face].p0 - o) * n
@@ -95,27 +108,31 @@ def make_contact_weights(backend: str, width: int) -> tuple[wp.Function, wp.Func
             n = -n
         if wp.dot(m, r) > 0.0:
             m = -m
-        # Both face the wedge between the surfaces. Along each of them, across the line where they meet:
+        # Both face the wedge between the two planes. In that of p, across their line:
         cosine = wp.dot(n, m)
         sine = wp.length(wp.cross(n, m))
         a = -wp.dot(m, r)
         t = a / wp.max(sine, LEAST_SINE)
-        if t >= rho or sine < PARALLEL:
+        rho = scene.contact_ratio * scene.radii[p_face]
+        if t >= rho or t >= REACH * scene.contact_ratio * scene.radii[q_face] or sine < PARALLEL:
             return 1.0
-        to_q = (cosine * n - m) / sine
-        from_p = (n - cosine * m) / sine
-        s = a / sine
-        foot = p + s * to_q
-        line = wp.cross(n, to_q)
-        aside = wp.dot(r, line) * line
-        step = leaving_step(scene, p_face)
-        lift = wp.max(CLEAR * a, step)
-        left = a + lift * cosine
-        if left > 0.0:
-            # Next to p's foot, and next to q's.
-            if not finds(scene, p + aside + lift * n, to_q, left, sine, step):
+        step = wp.max(leaving_step(scene, p_face), leaving_step(scene, q_face))
+        if a + step * cosine > 0.0:
+            ahead = (cosine * n - m) / sine
+            back = (n - cosine * m) / sine
+            line = wp.cross(n, ahead)
+            s = a / sine
+            reach = 2.0 * (s + rho)
+            other = scene.triangles[q_face].shape
+            met = found_ahead(scene, p + wp.dot(r, line) * line, n, ahead, reach, step, other)
+            if met < 0:
                 return 1.0
-            if not finds(scene, foot + s * from_p + lift * m, -from_p, left, sine, step):
+            own = scene.triangles[p_face].shape
+            left = found_ahead(scene, p + s * (ahead + back), m, -back, reach, step, own)
+            if left < 0:
+                return 1.0
+            rho = wp.min(rho, scene.contact_ratio * wp.min(scene.radii[met], scene.radii[left]))
+            if t >= rho:
                 return 1.0
         t /= rho
         return wp.min(3.0 * t * t, wp.where(sine < LEAST_SINE, 1.0, 3.0))

@@ -138,24 +138,8 @@ def seen_from_floor(distance: float, height: float, end: float) -> float:
     return np.mean(sides[0] + sides[1]) / (2.0 * np.pi)
 
 
-UPRIGHT, BEVEL = [(0.0, 0.0), (0.0, 0.6)], 0.003
-
-
-@pytest.mark.parametrize("mode", ["forward", "reverse"])
-@pytest.mark.parametrize(
-    ("profile", "end", "ratio", "glows"),
-    [
-        pytest.param(UPRIGHT, WIDE, 0.004, True, id="on the floor"),
-        pytest.param(UPRIGHT, WIDE, 0.004, False, id="on the floor, lit"),
-        pytest.param(UPRIGHT, 0.0, 0.06, True, id="that ends"),
-        pytest.param([(0.0, 0.005), (0.0, 0.6)], WIDE, 0.02, True, id="above a gap"),
-        pytest.param([(0.0, 0.005), (0.0, 0.6)], WIDE, 0.02, False, id="above a gap, lit"),
-        pytest.param([(0.0, 0.0), (0.0, 0.02)], WIDE, 0.02, True, id="of little height"),
-        pytest.param([(-BEVEL, 0.0), (0.0, BEVEL), (0.0, 0.6)], WIDE, 0.02, True, id="with a bevelled edge"),
-    ],
-)
-def test_light_next_to_a_wall_that_moves(profile, end, ratio, glows, mode) -> None:
-    """The interior term of all that the floor receives, in closed form: it falls off ahead, from F(0+)."""
+def of_floor(profile, end: float, ratio: float, glows: bool, mode: str) -> list[float]:
+    """Interior derivatives of the sum of the image as a wall moves towards the floor in view, one a batch."""
     scene = psdr.load_dict({"type": "scene", **wall(profile, end, glows)})
     scene.contact_ratio = ratio
     params = psdr.traverse(scene)
@@ -174,6 +158,28 @@ def test_light_next_to_a_wall_that_moves(profile, end, ratio, glows, mode) -> No
             red[..., 0] = 1.0
             psdr.render_backward(scene, params, red, seed=seed, **options)
             sums.append((params[name].grad.numpy().astype(np.float64) * tangent).sum())
+    return sums
+
+
+UPRIGHT, BEVEL = [(0.0, 0.0), (0.0, 0.6)], 0.003
+
+
+@pytest.mark.parametrize("mode", ["forward", "reverse"])
+@pytest.mark.parametrize(
+    ("profile", "end", "ratio", "glows"),
+    [
+        pytest.param(UPRIGHT, WIDE, 0.004, True, id="on the floor"),
+        pytest.param(UPRIGHT, WIDE, 0.004, False, id="on the floor, lit"),
+        pytest.param(UPRIGHT, 0.0, 0.06, True, id="that ends"),
+        pytest.param([(0.0, 0.005), (0.0, 0.6)], WIDE, 0.02, True, id="above a gap"),
+        pytest.param([(0.0, 0.005), (0.0, 0.6)], WIDE, 0.02, False, id="above a gap, lit"),
+        pytest.param([(0.0, 0.0), (0.0, 0.02)], WIDE, 0.02, True, id="of little height"),
+        pytest.param([(-BEVEL, 0.0), (0.0, BEVEL), (0.0, 0.6)], WIDE, 0.02, True, id="with a bevelled edge"),
+    ],
+)
+def test_light_next_to_a_wall_that_moves(profile, end, ratio, glows, mode) -> None:
+    """The interior term of all that the floor receives, in closed form: it falls off ahead, from F(0+)."""
+    sums = of_floor(profile, end, ratio, glows, mode)
     low = profile[0][1]
     top = profile[-1][1]
 
@@ -185,6 +191,21 @@ def test_light_next_to_a_wall_that_moves(profile, end, ratio, glows, mode) -> No
     error = np.std(sums, ddof=1) / np.sqrt(len(sums))
     assert error < 0.01 * unit
     assert abs(np.mean(sums) - expected) < 4.0 * error + 0.002 * unit
+
+
+def test_light_next_to_a_round_wall_that_moves() -> None:
+    """A quarter of a cylinder: what the floor receives falls with the root of the distance, of which some is lost."""
+    radius = 0.6
+    turn = np.linspace(0.0, 0.5 * np.pi, 65)
+    sums = of_floor(
+        list(zip(radius * (np.cos(turn) - 1.0), radius * np.sin(turn), strict=True)), WIDE, 0.02, True, "forward"
+    )
+    unit = ALBEDO * SIZE * SIZE / VIEW
+    expected = unit * 0.5 * np.sqrt(1.0 - (radius / (radius + VIEW)) ** 2)
+    error = np.std(sums, ddof=1) / np.sqrt(len(sums))
+    assert error < 0.01 * unit
+    # A weight that goes by the distance of p alone loses 0.06.
+    assert abs(np.mean(sums) - expected) < 4.0 * error + 0.01 * unit
 
 
 def test_a_speck_makes_no_corner_noisy() -> None:
