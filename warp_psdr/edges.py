@@ -107,11 +107,16 @@ def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.stack([a[:, i] * b[:, j] - a[:, j] * b[:, i] for i, j in ((1, 2), (2, 0), (0, 1))], axis=1)
 
 
+def area_normals(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """Return (M, 3): the normals of triangles, as long as twice their areas."""
+    p = points[triangles]
+    return cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
+
+
 def _solid(points: np.ndarray, triangles: np.ndarray, group: np.ndarray) -> np.ndarray:
     """Return a mask of the triangles with three positions and an area."""
     corner = group[triangles]
-    p = points[triangles]
-    doubled = cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
+    doubled = area_normals(points, triangles)
     return (corner != corner[:, [1, 2, 0]]).all(axis=1) & (np.abs(doubled).max(axis=1, initial=0.0) > 0.0)
 
 
@@ -151,8 +156,7 @@ def _measured(points: np.ndarray, triangles: np.ndarray, t: Topology, far: np.nd
     along = ends[:, 1] - ends[:, 0]
     length = np.sqrt((along * along).sum(axis=1))
     along /= np.maximum(length, 1e-300)[:, None]
-    p = points[triangles]
-    doubled = cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
+    doubled = area_normals(points, triangles)
     doubled = np.sqrt((doubled * doubled).sum(axis=1))  # twice the triangles' areas
     middle = points[triangles[:, 0]] + points[triangles[:, 1]] + points[triangles[:, 2]]
     middle /= 3.0

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
-from warp_psdr.edges import cross, joined_faces, scene_adjacency
+from warp_psdr.edges import area_normals, joined_faces, scene_adjacency
 
 if TYPE_CHECKING:
     from warp_psdr.edges import Adjacency
@@ -17,9 +17,7 @@ if TYPE_CHECKING:
 CREASE = 0.8
 #: Radius of curvature over area / (length of the edge * angle) of the triangles or quadrilaterals of spheres.
 BEND = 1.2
-#: Of the scene's radius: a sphere or a square that is all of a scene has less.
-MOST = 4.0
-#: Radius of a patch over its width, and half of what a surface of radius 1 has: half the diagonal of a cube of side 2.
+#: Radius of a patch over its width: half the diagonal of a cube of side 2.
 RADIUS = np.sqrt(3.0)
 
 
@@ -28,7 +26,7 @@ def patch_radii(scene: Scene) -> wp.array:
     edges = scene_adjacency(scene)
     kept = getattr(scene, "_patch_radii", None)
     if kept is None or kept[0] is not edges:
-        found = np.minimum(radii(scene.points, scene.builder.indices, edges), MOST * scene.radius)
+        found = radii(scene.points, scene.builder.indices, edges)
         kept = (edges, wp.array(found, dtype=wp.float32, device=scene.device))
         scene._patch_radii = kept  # type: ignore[attr-defined]
     return kept[1]
@@ -49,10 +47,9 @@ def radii(points: np.ndarray, triangles: np.ndarray, edges: Adjacency) -> np.nda
         edges: of these triangles.
 
     Returns:
-        (F,) float64, world units; 0: without area, infinity: without bounds.
+        (F,) float64, world units; 0: without area.
     """
-    p = points[triangles].astype(np.float64)
-    normal = cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
+    normal = area_normals(points.astype(np.float64), triangles)
     area = 0.5 * np.sqrt((normal * normal).sum(axis=1))
     sides = np.repeat(np.arange(len(edges.length)), edges.count)  # the edge of every entry of ``edges.faces``
 

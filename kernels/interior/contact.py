@@ -13,10 +13,10 @@ So what changes because the two move against each other is multiplied by
     chi = 3 (s / rho)^2 where s < rho, 1 elsewhere,    s = a / sin(theta),
 
 a the distance of p from the tangent plane of q, theta the angle between the two surfaces: s is how far p is from the
-line where they meet, and infinite in a gap between parallel ones, where r has a bound, the gap's width. (There
-sin(theta) counts as ``LEAST_SINE``, and chi is at most 1.) It is dG/G but for the rate of the area around q, and the
-turn of the direction in the frames of p and of q. Each is complete with the turn of the surfaces themselves: where all
-turn together they are 0, and chi changes nothing.
+line where they meet, and infinite in a gap between parallel ones, where r has a bound, the gap's width. (Near
+those sin(theta) counts as ``LEAST_SINE``, and chi is at most 1.) It is dG/G but for the rate of the area around q, and
+the turn of the direction in the frames of p and of q. Each is complete with the turn of the surfaces themselves: where
+all turn together they are 0, and chi changes nothing.
 
 Where q's surface is flat over lengths rho, chi is constant for a given p, and what is lost is the integral of
 (1 - chi) dF/da over s < rho. That holds for a weight which depends on a alone; a cut at a fixed r would leave an error
