@@ -1,4 +1,4 @@
-"""Draws how every pixel of the Cornell box changes with one wall's albedo, with the light, and with a material's look.
+"""Draws how every pixel of the Cornell box changes with one wall's albedo, with the light, and with both at once.
 
 Forward mode: one render per derivative, the same cost whatever the number of pixels. Red pixels grow brighter, blue
 ones darker; the pictures say where their colours end.

@@ -13,12 +13,13 @@ import numpy as np
 import warp as wp
 
 from warp_psdr.boundary import projective
+from warp_psdr.boundary.drivers import launch_samples
 from warp_psdr.boundary.methods import EdgeSampling, PathSpace
 from warp_psdr.boundary.motion import motion
-from warp_psdr.boundary.terms import Request, facets, primary, secondary
-from warp_psdr.device import launch
+from warp_psdr.boundary.terms import Request, facets, launches, primary, secondary
 from warp_psdr.edges import secondary_edges
 from warp_psdr.guiding import store
+from warp_psdr.invalid import warns
 from warp_psdr.kernels.boundary.local_form import SAMPLE_RECORD
 from warp_psdr.kernels.rng import mix_seed
 from warp_psdr.options import PathIntegrator, from_description
@@ -69,6 +70,7 @@ class EdgeDensity:
     density: np.ndarray
 
 
+@warns
 def boundary_samples(
     scene: Any,
     params: Parameters,
@@ -96,6 +98,9 @@ def boundary_samples(
 
     Raises:
         ValueError: what is requested has no boundary term, or one that is not covered or not recorded; a wrong adjoint.
+
+    Warns:
+        RuntimeWarning: samples that were not finite were left out (``psdr.invalid_samples``).
     """
     integrator = integrator or from_description(scene.description.integrator)
     names = params.requested
@@ -115,25 +120,22 @@ def boundary_samples(
             f"adjoint: got shape {values.shape}, expected the image's {(camera.crop_height, camera.crop_width, 3)}"
         )
     weights = wp.array(values, dtype=wp.vec3, device=scene.device)
-    dummy = wp.zeros((1, 1), dtype=wp.vec3, device=scene.device)
     stream = mix_seed(seed, STREAM_BOUNDARY)
     request = Request(scene, plan, motion(scene, names), "samples", sensor, spp, stream)
     records, kinds = [np.zeros((0, SAMPLE_RECORD), np.float32)], []
     for kind, make in (("primary", primary), ("primary", facets), ("secondary", secondary)):
-        term = make(request)
-        if term is None:
-            continue
-        target = wp.zeros(SAMPLE_RECORD * term.samples, dtype=wp.float32, device=scene.device)
-        inputs = term.inputs(0, weights)
-        launch(term.kernel, dim=term.samples, inputs=inputs, outputs=[target, dummy], device=scene.device)
-        found = target.numpy().reshape(-1, SAMPLE_RECORD)
-        found = found[(found[:, 6:] != 0.0).any(axis=1)]
-        records.append(found)
-        kinds += [kind] * len(found)
+        for term in launches(make, request):
+            target = wp.zeros(SAMPLE_RECORD * term.samples, dtype=wp.float32, device=scene.device)
+            launch_samples(scene, term, weights, target)
+            found = target.numpy().reshape(-1, SAMPLE_RECORD)
+            found = found[(found[:, 6:] != 0.0).any(axis=1)]
+            records.append(found)
+            kinds += [kind] * len(found)
     rows = np.concatenate(records)
     return EdgeSamples(rows[:, :3], rows[:, 3:6], rows[:, 6:], np.array(kinds, dtype="<U9"))
 
 
+@warns
 def edge_density(
     scene: Any,
     params: Parameters,

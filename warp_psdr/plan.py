@@ -14,7 +14,7 @@ from warp_psdr import guiding, interior
 from warp_psdr.bent import bent_faces
 from warp_psdr.boundary import contacts
 from warp_psdr.boundary.coverage import choose
-from warp_psdr.boundary.methods import PathSpace, Projective
+from warp_psdr.boundary.methods import Connecting
 from warp_psdr.boundary.motion import motion
 from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.emitter.spot import MIN_FALLOFF
@@ -179,7 +179,7 @@ def decide(
         else:
             term = choose(scene, config, integrator, names, moving)
             lines.append(("boundary term", term.label, "; ".join(moving)))
-            if isinstance(term, PathSpace | Projective) and term.guiding is not None:
+            if isinstance(term, Connecting) and term.guiding is not None:
                 lines.append(("guiding", term.guiding.label, guiding.describe(scene, term.guiding)))
             if c.DELTA_MODELS & set(config.bsdfs):
                 lines.append(

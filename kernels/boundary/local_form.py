@@ -28,6 +28,7 @@ import warp as wp
 
 from warp_psdr.kernels.constants import FAR
 from warp_psdr.kernels.distribution import find_interval_64
+from warp_psdr.kernels.invalid import finite
 from warp_psdr.kernels.sink import make_sink_vec3
 from warp_psdr.kernels.step import passing_step
 from warp_psdr.kernels.structs import Scene, Triangle
@@ -239,6 +240,7 @@ def make_edge_sink(role: str):
     same holds where they run through each other, with v_A and v_B those of the material points at the curve.
 
     Role "samples": ``target`` holds SAMPLE_RECORD numbers a sample instead; g is added up over a sample's pushes.
+    What is returned is not 0 if g was dropped because it is not finite.
     """
     if role == "samples":
 
@@ -246,12 +248,14 @@ def make_edge_sink(role: str):
         def record(
             scene: Scene, target: wp.array(dtype=wp.float32), edges: Edges, point: EdgePoint, g: wp.vec3
         ) -> wp.float32:
+            if not finite(g):
+                return wp.float32(1.0)
             first = SAMPLE_RECORD * point.sample
             for i in range(3):
                 target[first + i] = point.x[i]
                 target[first + 3 + i] = point.p1[i] - point.p0[i]
                 target[first + 6 + i] += g[i]
-            return 0.0
+            return wp.float32(0.0)
 
         return record
     sink3 = make_sink_vec3(role)

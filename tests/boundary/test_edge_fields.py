@@ -6,6 +6,7 @@ import trimesh
 import warp as wp
 
 import warp_psdr as psdr
+from tests.test_invalid import SIZE, SPP, broken
 from warp_psdr import edge_fields
 
 from .scenes import load
@@ -122,6 +123,15 @@ def test_guided_samples_add_up_to_the_boundary_gradient(under_a_light) -> None:
     moving = np.linalg.norm(samples.points - [0.1, 0.1, 0.9], axis=1) < 0.41
     np.testing.assert_allclose(pulls[moving].sum(axis=0), expected, atol=SUMMATION * np.abs(pulls).sum())
     assert np.abs(expected).max() > 10 * SUMMATION * np.abs(pulls).sum()
+
+
+def test_samples_that_are_not_finite_are_counted() -> None:
+    scene = broken(lookup="bilinear")
+    params = psdr.traverse(scene)
+    params.requires_grad("blocker.to_world")
+    with pytest.warns(RuntimeWarning, match="secondary: [1-9]"):
+        samples = edge_fields.boundary_samples(scene, params, np.ones((SIZE, SIZE, 3)), integrator=DIRECT, spp=SPP)
+    assert len(samples.pulls) and np.isfinite(samples.pulls).all()
 
 
 def test_wrong_pieces_are_refused(under_a_light) -> None:

@@ -69,6 +69,12 @@ def launch_forward(scene: Scene, found: list[Term], tangents: wp.array, image: w
     launch(add_images, dim=(height, width), inputs=[images], outputs=[image], device=scene.device)
 
 
+def launch_samples(scene: Scene, term: Term, adjoint: wp.array, records: wp.array) -> None:
+    """Write the record of every sample of a term of role "samples"."""
+    dummy = wp.zeros((1, 1), dtype=wp.vec3, device=scene.device)
+    _run(scene, term, 0, _checked(term).samples, adjoint, lambda _lane: [records, dummy], 1)
+
+
 def _checked(term: Term) -> Term:
     if term.samples > MOST_SAMPLES:
         raise ValueError(

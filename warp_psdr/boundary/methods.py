@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from abc import ABC
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
+from typing import Self
 
 from warp_psdr import guiding as guiding_methods
 from warp_psdr.kernels.boundary.edge_tree import MAX_SPLIT
@@ -19,13 +20,10 @@ class Method(ABC):  # noqa: B024
     Attributes:
         spp_primary: samples of the edges that the camera sees, a pixel; None: as many as the interior term's.
         spp_secondary: samples of shadow edges and their like, a pixel; None: as many as the interior term's.
-        spp_mirrors: paths along which what is seen through smooth mirrors and glass is searched, a pixel; None: as many
-            as the interior term's.
     """
 
     spp_primary: int | None = None
     spp_secondary: int | None = None
-    spp_mirrors: int | None = None
 
     def __post_init__(self) -> None:
         """Validate once.
@@ -33,7 +31,7 @@ class Method(ABC):  # noqa: B024
         Raises:
             ValueError: a sample count is not a positive integer.
         """
-        for name in ("spp_primary", "spp_secondary", "spp_mirrors"):
+        for name in self._counts():
             value = getattr(self, name)
             if value is not None and (isinstance(value, bool) or not isinstance(value, int) or value < 1):
                 raise ValueError(f"{name}: got {value!r}, expected a positive integer (samples a pixel), or None")
@@ -43,16 +41,43 @@ class Method(ABC):  # noqa: B024
         """What the plan calls it."""
         return f"boundary.{type(self).__name__}"
 
+    def without_counts(self) -> Self:
+        """Return the method with as many samples of everything as the interior term has."""
+        return replace(self, **dict.fromkeys(self._counts()))
 
-def _check_guiding(guiding: object) -> None:
-    if guiding is not None and not isinstance(guiding, guiding_methods.Method):
-        raise ValueError(
-            f"guiding: got {guiding!r}, expected a method of psdr.guiding, for example psdr.guiding.KdTree(), or None"
-        )
+    def _counts(self) -> list[str]:
+        return [f.name for f in fields(self) if f.name.startswith("spp_")]
 
 
 @dataclass(frozen=True, kw_only=True)
-class PathSpace(Method):
+class Connecting(Method):
+    """What methods have in common that connect an edge to the camera on one side and to a light on the other.
+
+    Attributes:
+        spp_mirrors: paths along which what is seen through smooth mirrors and glass is searched, a pixel; None: as many
+            as the interior term's.
+        guiding: a method of ``psdr.guiding``; None: none.
+    """
+
+    spp_mirrors: int | None = None
+    guiding: guiding_methods.Method | None = None
+
+    def __post_init__(self) -> None:
+        """Validate once.
+
+        Raises:
+            ValueError: an option out of range.
+        """
+        super().__post_init__()
+        if self.guiding is not None and not isinstance(self.guiding, guiding_methods.Method):
+            raise ValueError(
+                f"guiding: got {self.guiding!r}, expected a method of psdr.guiding, for example psdr.guiding.KdTree(), "
+                "or None"
+            )
+
+
+@dataclass(frozen=True, kw_only=True)
+class PathSpace(Connecting):
     """Multi-directional sampling of boundary paths [ZMY*20] (``kernels/boundary/``).
 
     Unbiased for triangle meshes with moving shapes, which may run through each other and interpolate normals, area,
@@ -68,18 +93,9 @@ class PathSpace(Method):
     Attributes:
         guiding: a method of ``psdr.guiding`` that learns where shadow edges and their like carry light, for example
             ``psdr.guiding.KdTree()``; None: edges by length and angle, directions by the wedge or the lights.
+        spp_mirrors: paths along which what is seen through smooth mirrors and glass is searched, a pixel; None: as many
+            as the interior term's.
     """
-
-    guiding: guiding_methods.Method | None = None
-
-    def __post_init__(self) -> None:
-        """Validate once.
-
-        Raises:
-            ValueError: an option out of range.
-        """
-        super().__post_init__()
-        _check_guiding(self.guiding)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,7 +130,7 @@ class EdgeSampling(Method):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Projective(Method):
+class Projective(Connecting):
     """Projective sampling [ZRJ23]: where boundary segments carry light is learnt from ordinary paths.
 
     Segments of camera paths that a surface stops are projected to the nearest silhouette of that surface, by a walk
@@ -126,6 +142,7 @@ class Projective(Method):
             sampling of edges by length and angle and of directions by the wedge, the paper's reference; what a point,
             spot or directional light sends is aimed at by half of the samples then.
         paths: camera paths whose segments are projected, for each kind of them.
+        spp_mirrors: as of ``PathSpace``.
     """
 
     guiding: guiding_methods.Method | None = field(default_factory=guiding_methods.Octree)
@@ -138,6 +155,5 @@ class Projective(Method):
             ValueError: an option out of range.
         """
         super().__post_init__()
-        _check_guiding(self.guiding)
         if isinstance(self.paths, bool) or not isinstance(self.paths, int) or self.paths < 1:
             raise ValueError(f"paths: got {self.paths!r}, expected a positive integer")

@@ -17,7 +17,7 @@ import warp as wp
 from warp_psdr.bent import bent_choice, terminator_faces
 from warp_psdr.boundary import projective
 from warp_psdr.boundary.faces import face_tables
-from warp_psdr.boundary.methods import DEFAULT_CANDIDATES, EdgeSampling, Method, PathSpace, Projective
+from warp_psdr.boundary.methods import DEFAULT_CANDIDATES, Connecting, EdgeSampling, Method, PathSpace, Projective
 from warp_psdr.boundary.motion import Motion, motion, moving_shapes
 from warp_psdr.clip_planes import require_uncut
 from warp_psdr.curves import moving_curves, scene_curves
@@ -339,6 +339,7 @@ def through_mirrors(r: Request) -> Term | None:
         return None
     assert r.plan.wanted is not None
     edges, tables = face_tables(r.scene)
+    assert isinstance(r.method, Connecting)
     samples = r.pixels * (r.method.spp_mirrors or r.spp)
     kernel = make_line_search_kernel(r.config, r.plan.wanted, r.role, r.moves.light_pose)
     return _term(r, THROUGH_MIRRORS, kernel, [r.scene.data(), r.camera, edges, tables], samples)
@@ -346,9 +347,10 @@ def through_mirrors(r: Request) -> Term | None:
 
 #: Terms in which paths of two vertices behind the camera can be told from longer ones (``kernels/boundary/depth.py``).
 SPLIT = (secondary, edge_sampling, hard_shadows, curve, horizon)
+_CONNECTING = (primary, facets, creases, terminator, secondary, curve, bent, horizon, through_mirrors)
 #: What each method consists of.
 TERMS: dict[type[Method], tuple[Callable[[Request], Term | None], ...]] = {
-    PathSpace: (primary, facets, creases, terminator, secondary, curve, bent, horizon, through_mirrors),
-    Projective: (primary, facets, creases, terminator, secondary, curve, bent, horizon, through_mirrors),
+    PathSpace: _CONNECTING,
+    Projective: _CONNECTING,
     EdgeSampling: (primary, facets, creases, terminator, edge_sampling, hard_shadows, curve, bent, horizon),
 }

@@ -242,7 +242,7 @@ def _boundary_parts(quantity: Quantity, names: list[str], run: Callable[..., np.
     if method is None:
         return ()
     # Without counts of its own the method takes the request's.
-    plan = replace(quantity.plan, boundary=replace(method, spp_primary=None, spp_secondary=None, spp_mirrors=None))
+    plan = replace(quantity.plan, boundary=method.without_counts())
     moves, guiding = motion(scene, names), getattr(method, "guiding", None)
 
     def part(term: Callable, kind: str) -> Part | None:
