@@ -18,7 +18,8 @@ from warp_psdr.trace import Trace, trace_sample
 from warp_psdr.workers import set_workers
 
 if TYPE_CHECKING:
-    from warp_psdr import fit, image_io, plots, torch
+    from warp_psdr import fit, image_io, plots
+    from warp_psdr import torch as torch
     from warp_psdr.scene.scene import Scene
     from warp_psdr.viewer import view
     from warp_psdr.work_precision.pilot import accuracy
@@ -51,7 +52,6 @@ __all__ = [
     "render_forward",
     "set_ray_backend",
     "set_workers",
-    "torch",
     "trace_sample",
     "traverse",
     "view",

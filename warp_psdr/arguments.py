@@ -8,6 +8,7 @@ import numpy as np
 import warp as wp
 
 from warp_psdr.chain import push_derived
+from warp_psdr.parameters import check_independent, check_owner
 
 if TYPE_CHECKING:
     from warp_psdr.parameters import Parameters
@@ -40,6 +41,14 @@ def samples(name: str, value) -> int:
     return int(value)
 
 
+def requested(scene: Scene, params: Parameters) -> list[str]:
+    """Return the names of what is to be differentiated."""
+    check_owner(scene, params)
+    if not params.requested:
+        raise ValueError("nothing to differentiate: call params.requires_grad(...) with parameter names first")
+    return params.requested
+
+
 def adjoint_array(adjoint, camera, device) -> wp.array:
     """Return the adjoint of an image as an array of vec3, checked."""
     shape = (camera.crop_height, camera.crop_width)
@@ -62,6 +71,8 @@ def _check_finite(adjoint: np.ndarray) -> None:
 
 def flat_tangents(scene: Scene, params: Parameters, tangents: dict) -> wp.array:
     """Return the flat tangents of all values, those that follow from poses and positions included."""
+    check_owner(scene, params)
+    check_independent(tangents)
     flat = np.zeros(scene.values.shape[0], np.float32)
     for name, tangent in tangents.items():
         values = params.check(name, tangent, "tangent")

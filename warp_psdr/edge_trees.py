@@ -26,7 +26,7 @@ def edge_trees(scene: Scene, edges: Edges) -> EdgeTrees:
         scene: the scene.
         edges: as of ``edges.secondary_edges``.
     """
-    points = scene.points
+    points = scene.points.copy()  # on the CPU it is a view of what moves
     cdf, ends, faces, first = (a.numpy() for a in (edges.cdf, edges.ends, edges.faces, edges.first))
     kept = getattr(scene, "_edge_trees", None)
     key = (points, cdf, ends)

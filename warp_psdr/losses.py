@@ -11,6 +11,7 @@ gradient independently of those of the image.
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -120,7 +121,7 @@ def _mean(term: wp.Function, image: wp.array, target: wp.array | np.ndarray, par
 
 
 def _as_image(target: wp.array | np.ndarray, image: wp.array) -> wp.array:
-    """Return ``target`` as a Warp image on the device of ``image`` and of its shape."""
+    """Return ``target`` as a Warp image on the device of ``image`` and of its shape, which has no gradient."""
     shape = (*image.shape, CHANNELS)
     if isinstance(target, wp.array):
         if target.dtype != wp.vec3 or target.ndim != 2:
@@ -129,7 +130,8 @@ def _as_image(target: wp.array | np.ndarray, image: wp.array) -> wp.array:
             raise ValueError(
                 f"target: got shape {target.shape}, expected the image's {image.shape}; resize one of them"
             )
-        return target.to(image.device)
+        there: Any = target.to(image.device)
+        return wp.array(there, dtype=wp.vec3, copy=False, requires_grad=False) if there.requires_grad else there
     values = np.asarray(target)
     if values.dtype.kind not in "fiu":
         raise TypeError(f"target: got {_describe(target)}, expected wp.array2d[vec3] or a NumPy array {shape}")

@@ -85,11 +85,14 @@ class Adam:
         """Make one step, project, update the scene and zero the gradients.
 
         Args:
-            scale: Factor on every learning rate, for schedules.
+            scale: Factor on every learning rate, for schedules; not negative.
 
         Raises:
-            ValueError: If a gradient, or its square, is not finite; then no parameter has changed.
+            ValueError: If a gradient, or its square, is not finite, or ``scale`` is out of range; then no parameter has
+                changed.
         """
+        if not 0.0 <= scale < math.inf:
+            raise ValueError(f"scale: got {scale!r}, expected a finite number that is not negative")
         self._require_usable_gradients()
         self.steps += 1
         for name, rate in self.lr.items():

@@ -8,6 +8,9 @@ from typing import Literal
 from warp_psdr import boundary as boundary_methods
 from warp_psdr import interior as interior_methods
 
+#: Numbers of vertices are 32-bit integers with a sign; room for what is added to them.
+MOST_DEPTH = (1 << 30) - 1
+
 
 @dataclass(frozen=True, kw_only=True)
 class PathIntegrator:
@@ -41,6 +44,8 @@ class PathIntegrator:
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, int):
                 raise ValueError(f"{name}: expected an integer, got {value!r}")
+            if value > MOST_DEPTH:
+                raise ValueError(f"{name}: got {value}, expected at most {MOST_DEPTH}")
         if self.max_depth == 0 or self.max_depth < -1:
             raise ValueError(f"max_depth: got {self.max_depth}, expected -1 (no limit) or at least 1")
         if self.rr_depth < 1:

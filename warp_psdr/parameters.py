@@ -29,6 +29,11 @@ def parameter_of(scene: Scene, name: str) -> Parameter:
         raise KeyError(f"the scene has no parameter {name!r}; {hint}") from None
 
 
+def _long(shape: tuple[int, ...]) -> tuple[int, ...]:
+    """Return a shape without its axes of length one."""
+    return tuple(n for n in shape if n != 1)
+
+
 def traverse(scene: Scene) -> Parameters:
     """Return the parameters of a scene under Mitsuba 3's names.
 
@@ -40,6 +45,19 @@ def traverse(scene: Scene) -> Parameters:
         numbers ``(1,)``, poses ``(4, 4)``, bitmaps ``(H, W, C)``, positions and normals ``(N,)`` of vec3.
     """
     return Parameters(scene)
+
+
+def check_owner(scene: Scene, params: Parameters) -> None:
+    """Refuse parameters of another scene, whose gradients and values lie elsewhere.
+
+    Raises:
+        TypeError: these are no parameters.
+        ValueError: they belong to another scene.
+    """
+    if not isinstance(params, Parameters):
+        raise TypeError(f"params: got {type(params).__name__}, expected what psdr.traverse(scene) returns")
+    if params.scene is not scene:
+        raise ValueError("params: they belong to another scene; pass those of psdr.traverse(scene) for this one")
 
 
 def check_independent(names: Iterable[str]) -> None:
@@ -93,11 +111,11 @@ class Parameters(Mapping):
 
         Args:
             name: a parameter's name.
-            values: array or number of the parameter's size (NumPy, Warp, or a sequence); a number fills it.
+            values: in the parameter's shape, or its numbers in one row (NumPy, Warp, or a sequence); one fills it.
 
         Raises:
             KeyError: there is no such parameter.
-            ValueError: wrong size, or values that are not finite.
+            ValueError: a wrong shape, or values that are not finite.
         """
         # What is single precision already is compared with what is there in single precision, and kept where equal.
         single = isinstance(values, wp.array) or getattr(values, "dtype", None) == np.float32
@@ -109,7 +127,7 @@ class Parameters(Mapping):
 
         Raises:
             KeyError: there is no such parameter.
-            ValueError: wrong size, or not finite.
+            ValueError: a wrong shape, or not finite.
         """
         p = self._parameter(name)
         array = values.numpy() if isinstance(values, wp.array) else values
@@ -121,7 +139,7 @@ class Parameters(Mapping):
             ) from error
         if array.ndim == 0:
             array = np.full(p.numpy_shape, array, dtype)
-        if array.size != p.size:
+        if array.shape != (p.size,) and _long(array.shape) != _long(p.numpy_shape):
             raise ValueError(
                 f"{what} of {name!r}: got shape {array.shape}, expected {p.numpy_shape} ({p.size} numbers); "
                 "the size of a parameter is fixed when the scene is loaded"

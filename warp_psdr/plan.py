@@ -20,7 +20,7 @@ from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.emitter.spot import MIN_FALLOFF
 from warp_psdr.kernels.interior.wanted import Wanted
 from warp_psdr.kernels.path import PathConfig
-from warp_psdr.parameters import parameter_of
+from warp_psdr.parameters import check_owner, parameter_of
 from warp_psdr.scene.build import SLOTS
 from warp_psdr.scene.layout import (
     CAMERA,
@@ -200,6 +200,8 @@ def decide(
 
 
 def _named(scene: Scene, params: Parameters | None, names: list[str] | None) -> list[str]:
+    if params is not None:
+        check_owner(scene, params)
     if names is not None:
         for name in names:
             parameter_of(scene, name)
@@ -348,6 +350,11 @@ def _blocks(k: int, max_depth: int, rr_depth: int, lines: list) -> tuple[int, in
                 "long to be differentiated; give max_depth, or an rr_depth of at most "
                 f"{MOST_VERTICES - UNBOUNDED_VERTICES}"
             )
+    if max_depth > MOST_VERTICES:
+        raise ValueError(
+            f"max_depth: got {max_depth}, expected at most {MOST_VERTICES} for derivatives; -1 leaves the end of paths "
+            "to Russian roulette"
+        )
     block = min(k, max_depth)
     blocks = -(-max_depth // block)
     blocks = 1 << (blocks - 1).bit_length()  # few kernel variants

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
-from warp_psdr.arguments import adjoint_array, checked_seed, flat_tangents, sample_count, samples
+from warp_psdr.arguments import adjoint_array, checked_seed, flat_tangents, requested, sample_count, samples
 from warp_psdr.boundary import contacts
 from warp_psdr.boundary import drivers as boundary_drivers
 from warp_psdr.device import launch
@@ -127,10 +127,18 @@ def _budgeted(what: Quantity, wanted: Wanted, seed: int, progress, reached) -> w
 
 
 def _record(tape: wp.Tape, image: wp.array, scene: Scene, params: Parameters, **options) -> None:
+    names, version = params.requested, scene.version
+
     def backward() -> None:
+        if scene.version != version or params.requested != names:
+            raise RuntimeError(
+                "tape.backward: the scene, or what requires_grad named, has changed since render(tape=...); call "
+                "tape.backward before params.update and requires_grad, and record each rendering of another scene on a "
+                "tape of its own"
+            )
         render_backward(scene, params, image.grad, **options)
 
-    tape.record_func(backward, [image, *(params[name] for name in params.requested)])
+    tape.record_func(backward, [image, *(params[name] for name in names)])
 
 
 def _render_splatted(scene: Scene, plan: Plan, sensor: int, spp: int, seed: int, image: wp.array, progress) -> None:
@@ -188,9 +196,7 @@ def render_backward(
             _add(scene, params, name, total, 0)
         return bought
     integrator = integrator or from_description(scene.description.integrator)
-    names = params.requested
-    if not names:
-        raise ValueError("nothing to differentiate: call params.requires_grad(...) with parameter names first")
+    names = requested(scene, params)
     spp, seed = sample_count(scene, sensor, spp), checked_seed(seed)
     plan = decide(scene, params, integrator=integrator, sensor=sensor)
     adjoint = adjoint_array(adjoint, scene.camera(sensor), scene.device)

@@ -90,10 +90,15 @@ class _Call:
     def options(self) -> dict[str, Any]:
         return {"sensor": self.sensor, "integrator": self.integrator, "seed": self.seed}
 
-    def assign(self, values: list[np.ndarray]) -> Any:
+    @staticmethod
+    def state(params: Any) -> dict[str, np.ndarray]:
+        """Return a copy of all values of the scene."""
+        return {name: view.numpy().copy() for name, view in params.items()}
+
+    def assign(self, values: Mapping[str, np.ndarray]) -> Any:
         """Make the scene hold the values and return its parameters."""
         params = traverse(self.scene)
-        for name, value in zip(self.names, values, strict=True):
+        for name, value in values.items():
             value = params.check(name, value, "value")
             if not np.array_equal(value, params[name].numpy()):
                 params[name] = value
@@ -106,13 +111,14 @@ class _Render(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, call: _Call, *tensors: torch.Tensor) -> torch.Tensor:
-        params = call.assign([_numpy(tensor) for tensor in tensors])
+        params = call.assign({name: _numpy(tensor) for name, tensor in zip(call.names, tensors, strict=True)})
         wanted = [name for name, needed in zip(call.names, ctx.needs_input_grad[1:], strict=True) if needed]
         params.requires_grad(*wanted)
         # With a tape, what cannot be differentiated is refused here, and not only by backward().
         tape = wp.Tape() if wanted else None
         image = render_image(call.scene, params, spp=call.spp, spp_grad=call.spp_grad, tape=tape, **call.options)
         ctx.call = call
+        ctx.state = call.state(params)
         ctx.save_for_backward(*tensors)
         return torch.from_numpy(image.numpy().copy()).to(tensors[0].device if tensors else "cpu")
 
@@ -122,9 +128,8 @@ class _Render(torch.autograd.Function):
         call: _Call = ctx.call
         tensors = ctx.saved_tensors
         # Another render may have changed the scene since; it gets these values for now, and its own ones back.
-        current = traverse(call.scene)
-        later = [current[name].numpy().copy() for name in call.names]
-        params = call.assign([_numpy(tensor) for tensor in tensors])
+        later = call.state(traverse(call.scene))
+        params = call.assign(ctx.state)
         needed = ctx.needs_input_grad[1:]
         params.requires_grad(*(name for name, wanted in zip(call.names, needed, strict=True) if wanted))
         spp = call.spp_grad if call.spp_grad is not None else call.spp

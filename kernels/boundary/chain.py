@@ -30,6 +30,7 @@ from warp_psdr.kernels.constants import (
 )
 from warp_psdr.kernels.emitter.area import make_area
 from warp_psdr.kernels.emitter.dispatch import DELTA_LIGHTS, make_lights
+from warp_psdr.kernels.invalid import vanishes
 from warp_psdr.kernels.math import to_local, to_world
 from warp_psdr.kernels.path import PathConfig, make_frame, make_material
 from warp_psdr.kernels.rng import Sampler
@@ -198,7 +199,7 @@ def make_meet(config: PathConfig):
                 r.lobe = LOBE_DELTA_TRANSMISSION
         scattered = bsdf.scatter(b.model, material, wi, r.lobe)
         r.weight = scattered.value / probability
-        r.kind = wp.where(wp.max(scattered.value) > 0.0, MEETS_DELTA, MEETS_DEAD)
+        r.kind = wp.where(vanishes(scattered.value), MEETS_DEAD, MEETS_DELTA)
         r.d = to_world(frame.s, frame.t, frame.n, scattered.wo)
         r.leaving = wp.where(wp.dot(surface.ng, r.d) >= 0.0, 1, 0)
         turn = wp.where(r.leaving == 1, scene.ray_epsilon, -scene.ray_epsilon)

@@ -30,7 +30,7 @@ from warp_psdr.kernels.boundary.notch import facing
 from warp_psdr.kernels.bsdf.dispatch import make_bsdf
 from warp_psdr.kernels.bvh.wide import make_intersect
 from warp_psdr.kernels.constants import FAR
-from warp_psdr.kernels.invalid import inverse_pdf
+from warp_psdr.kernels.invalid import inverse_pdf, vanishes
 from warp_psdr.kernels.math import to_local, to_world
 from warp_psdr.kernels.path import PathConfig, make_light_sampler, path_from, shadow_ray
 from warp_psdr.kernels.rng import make_sampler, sampler_at
@@ -163,9 +163,9 @@ def make_facets_kernel(config: PathConfig, role: str, camera_moves: bool):
         jump = wp.vec3(0.0, 0.0, 0.0)
         if wp.static(lit):
             ls, _index, probability = sample_light(scene, f.point.x, sample_4d(sampler, SLOT_LIGHT))
-            if ls.pdf > 0.0:
+            if not (ls.pdf <= 0.0):
                 to_light = difference(c, ls.wi)
-                if wp.length_sq(to_light.value) > 0.0:
+                if not vanishes(to_light.value):
                     pdf_light = ls.pdf * probability
                     weight = inverse_pdf(pdf_light)
                     if ls.delta == 0:
@@ -178,10 +178,10 @@ def make_facets_kernel(config: PathConfig, role: str, camera_moves: bool):
         if r4[1] >= 0.5:
             own = c.b
         bs = bsdf.sample(own.model, own.material, own.wi, r4[0], wp.vec2(r4[2], r4[3]))
-        if bs.pdf > 0.0:
+        if not (bs.pdf <= 0.0):
             w = to_world(own.s, own.t, own.n, bs.wo)
             along = difference(c, w)
-            if along.pdf > 0.0 and wp.length_sq(along.value) > 0.0:
+            if not (along.pdf <= 0.0) and not vanishes(along.value):
                 state = path_from(along.o, w, FAR, 1)
                 state.pdf = along.pdf
                 arriving = following(scene, sampler, state, max_depth, rr_depth)

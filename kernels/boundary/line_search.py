@@ -249,7 +249,7 @@ def make_line_search_kernel(config: PathConfig, wanted: Wanted, role: str, light
                         sides = 1 + r.both
                         which += 1
                         squared = r.phi_a * r.phi_a + r.phi_b * r.phi_b
-                        if r.valid == 1 and squared > 0.0:
+                        if r.valid == 1 and not (squared <= 0.0):
                             if r.edge == 1:
                                 place = r.point.x
                                 note_place(
@@ -426,7 +426,7 @@ def make_line_search_kernel(config: PathConfig, wanted: Wanted, role: str, light
                             again = (v4[0] - UNIFORM_SHARE) / (1.0 - UNIFORM_SHARE)
                             bs = bsdf.sample(g.model, g.material, g.wi, again, wp.vec2(v4[1], v4[2]))
                             w0 = to_world(g.s, g.t, g.n, bs.wo)
-                            found = bs.pdf > 0.0
+                            found = not (bs.pdf <= 0.0)
                         pdf = UNIFORM_SHARE * INV_FOUR_PI + (1.0 - UNIFORM_SHARE) * bsdf.pdf(
                             g.model, g.material, g.wi, to_local(g.s, g.t, g.n, w0)
                         )

@@ -152,6 +152,32 @@ def interior_side(scene: Scene, edges: Edges, point: EdgePoint, m: wp.vec3) -> w
 
 
 @wp.func
+def facing_side(scene: Scene, edges: Edges, point: EdgePoint, along: wp.vec3, w: wp.vec3) -> wp.float32:
+    """Return ``interior_side`` for m = along x w, the same for all edges of a face that is parallel to w.
+
+    With n its normal and r the way to its third corner, m . r = (n . w) (along x n) . r. A face whose n . w is 0, or a
+    rounding, is lit or not as a whole: of the sides of a box under a vertical sun, which are neither, one edge each is
+    a silhouette, and a sheet that casts no shadow has two whose shadows cancel.
+    """
+    if edges.ends[point.edge, 0] < 0:
+        return 0.0
+    above = wp.int32(0)
+    below = wp.int32(0)
+    for i in range(edges.first[point.edge], edges.first[point.edge + 1]):
+        tri = scene.triangles[edges.faces[i]]
+        r = (tri.p0 - point.p0) + (tri.p1 - point.p0) + (tri.p2 - point.p0)
+        if (wp.dot(wp.cross(along, tri.normal), r) > 0.0) == (wp.dot(tri.normal, w) >= 0.0):
+            above += 1
+        else:
+            below += 1
+    if below == 0:
+        return 1.0
+    if above == 0:
+        return -1.0
+    return 0.0
+
+
+@wp.func
 def on_plane(normal: wp.vec3, r: wp.vec3, step: wp.float32) -> wp.bool:
     """Whether what a ray meets at r from a point of a plane is that plane, for the ray epsilon ``step`` there."""
     return wp.abs(wp.dot(normal, r)) <= ON_PLANE * step and wp.length(r) <= NEAR * step

@@ -29,7 +29,7 @@ from warp_psdr.kernels.boundary.local_form import (
     Edges,
     edge_behind,
     edge_step,
-    interior_side,
+    facing_side,
     make_edge_sink,
 )
 from warp_psdr.kernels.boundary.transport import Segment, make_source, make_transport
@@ -84,8 +84,9 @@ def make_segment(config: PathConfig):
         r.face2 = -1
         r.light = -1
         r.w = direction.w
-        m = wp.cross(wp.normalize(point.p1 - point.p0), r.w)
-        side = interior_side(scene, edges, point, m)
+        along = wp.normalize(point.p1 - point.p0)
+        m = wp.cross(along, r.w)
+        side = facing_side(scene, edges, point, along, r.w)
         sine = wp.length(m)
         if side == 0.0 or sine <= 0.0:
             return r

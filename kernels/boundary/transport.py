@@ -34,10 +34,11 @@ from warp_psdr.kernels.invalid import count_invalid, vanishes
 from warp_psdr.kernels.notes import NOTE_SENSOR, NOTE_SOURCE, NOTE_WALK, make_note
 from warp_psdr.kernels.path import PathConfig
 from warp_psdr.kernels.rng import Sampler, branch_of, make_sampler
+from warp_psdr.kernels.step import leaving_step
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.surface import VertexAdjoint, make_vertex_sink, point_on
 
-#: A path goes on from this fraction of a segment's length in front of the light that the segment met.
+#: A path goes on from this fraction of a segment's length in front of the light that the segment met, at least.
 BEFORE_LIGHT = 1.0e-3
 #: Sample slots of the point of the lens that sees the walk, and of the walk, whose vertices count from one. Those in
 #: front belong to the segment.
@@ -94,12 +95,17 @@ def make_source(config: PathConfig, emission: bool = False):
                 # L_2 = E_2 + (L_2 - E_2): the second part by roulette.
                 if sample_1d(sampler, SLOT_BEHIND_LIGHT) >= BEHIND_LIGHT:
                     ended = alike(s.radiance, k)
-                    ended.cut = ROW_COUNT
+                    if max_depth >= 0:
+                        ended.cut = ROW_COUNT  # it serves as many lengths as one that goes on
                     return ended
-                # From just in front of x_2: a ray from x_b, which is moved off the edge, misses a small light.
+                # From just in front of x_2: a ray from x_b, which is moved off the edge, misses a small light. But at
+                # a contact x_b is as near, and moved off the light, too.
                 tri = scene.triangles[s.face2]
-                x_2 = point_on(tri, s.u2, s.v2)
-                r = incident(scene, sampler, x_2 - (BEFORE_LIGHT * s.t2) * s.w, s.w, FAR, k, max_depth, rr_depth)
+                before = wp.max(BEFORE_LIGHT * s.t2, leaving_step(scene, s.face2) / wp.abs(wp.dot(tri.normal, s.w)))
+                o = s.source
+                if before < s.t2:
+                    o = point_on(tri, s.u2, s.v2) - before * s.w
+                r = incident(scene, sampler, o, s.w, FAR, k, max_depth, rr_depth)
                 return amplified(r, s.radiance, wp.static(1.0 / BEHIND_LIGHT))
         return incident(scene, sampler, s.source, s.w, FAR, k, max_depth, rr_depth)
 

@@ -24,9 +24,9 @@ class Method(ABC):
         floor: share of uniform samples, in (0, 1].
         refresh: evaluations a leaf where a kept structure meets a scene that has changed; of a part of the leaves where
             they would be more than a tenth of the samples.
-        drift: how far vertices or the camera may have moved since the structure was built, relative to the scene's
-            radius, before it is built anew: as soon as that is cheap beside the samples, and at ten times as far at
-            the latest.
+        drift: how far vertices, lights or the camera may have moved since the structure was built, relative to the
+            scene's radius, before it is built anew: as soon as that is cheap beside the samples, and at ten times as
+            far at the latest.
     """
 
     max_leaves: int = 16384

@@ -1,10 +1,10 @@
 """Built structures, kept on the scene from one gradient to the next.
 
 A structure belongs to a method, to what moves, to a camera and a depth. At the same values of the scene it is used as
-it is. While vertices and camera have moved by less than ``drift`` since it was built, its cells stay and their masses
-are refreshed, those of some of them at each change. Beyond that it is built anew, as soon as the samples that it has
-guided since are so many that the evaluations of a build are few beside them; at once where an edge can be a silhouette
-that is not in it. So a step of an optimisation spends little on guiding, however fine the structure is.
+it is. While vertices, lights and cameras have moved by less than ``drift`` since it was built, its cells stay and their
+masses are refreshed, those of some of them at each change. Beyond that it is built anew, as soon as the samples that it
+has guided since are so many that the evaluations of a build are few beside them; at once where an edge can be a
+silhouette that is not in it. So a step of an optimisation spends little on guiding, however fine the structure is.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ from warp_psdr.kernels.boundary.secondary import make_secondary_kernel
 from warp_psdr.kernels.guiding.facing import make_facing_kernel
 from warp_psdr.kernels.guiding.techniques import Guide
 from warp_psdr.kernels.rng import mix_seed
+from warp_psdr.scene.layout import CAMERA, LIGHT_POSE
 
 if TYPE_CHECKING:
     from warp_psdr.boundary.terms import Request
@@ -47,6 +48,8 @@ REFRESH_SHARE, REBUILD_SHARE = 0.1, 0.2
 STILL_FLAT = 4.0
 #: How many times the drift an order of the edges serves, and a structure at most, whatever a build costs.
 MOST_DRIFTS = 10.0
+#: Least size of a camera's number that its changes are compared with: principal points are offsets about 0.
+LEAST_SIZE = 1.0
 Seeds = Callable[[str, Edges], np.ndarray]
 
 
@@ -201,13 +204,23 @@ def _ordered(r: Request, keep: np.ndarray, p: np.ndarray, old: Guiding | None) -
 
 
 def _drift(r: Request, a: np.ndarray, b: np.ndarray) -> float:
-    """Largest way of a vertex or of the camera, relative to the scene's radius; turns in radians."""
-    scene, camera = r.scene, r.camera
+    """Largest way of a vertex, light or camera, in scene radii; turns in radians, what else a camera has as shares."""
+    scene = r.scene
     rows = slice(scene.positions, scene.positions + 3 * scene.vertex_count)
-    way = float(np.abs(b[rows] - a[rows]).max(initial=0.0)) / scene.radius
-    pose = (b - a)[camera.to_world : camera.to_world + 12].reshape(3, 4).astype(np.float64)
-    size = float(np.linalg.norm(b[camera.to_world : camera.to_world + 3])) or 1.0
-    return max(way, float(np.abs(pose[:, 3]).max()) / scene.radius, float(np.abs(pose[:, :3]).max()) / size)
+    drift = float(np.abs(b[rows] - a[rows]).max(initial=0.0)) / scene.radius
+    for p in scene.parameters.values():
+        if not p.uses & {LIGHT_POSE, CAMERA}:
+            continue
+        old, new = (x[p.offset : p.offset + p.size].astype(np.float64) for x in (a, b))
+        if p.shape == (4, 4):
+            way, turn = (new - old).reshape(4, 4)[:3, 3], (new - old).reshape(4, 4)[:3, :3]
+            size = np.linalg.norm(new.reshape(4, 4)[:3, 0]) or 1.0
+            drift = max(drift, np.abs(way).max() / scene.radius, np.abs(turn).max() / size)
+        elif p.placed:
+            drift = max(drift, np.abs(new - old).max() / scene.radius)
+        else:
+            drift = max(drift, np.abs(new - old).max() / max(np.abs(old).max(), LEAST_SIZE))
+    return float(drift)
 
 
 def _build(r: Request, method: Method, found: Guiding, seeds: Seeds | None) -> None:

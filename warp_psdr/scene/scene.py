@@ -77,6 +77,8 @@ class Scene:
         builder = Builder(description)
         self.builder = builder
         self.invalid = Ledger()
+        self.version = 0
+        self._unfinished: list[str] = []
         self._uncounted = wp.zeros(COUNTER_SIZE, dtype=wp.int64, device=self.device)
         self._unmeasured = wp.zeros(1, dtype=wp.float32, device=self.device)
         self._unmarked = wp.zeros(1, dtype=wp.int32, device=self.device)
@@ -173,7 +175,16 @@ class Scene:
             self._sight = Accelerator(self._points, indices, self.device, self.accelerator.backend)
 
     def data(self) -> structs.Scene:
-        """Return the kernel argument."""
+        """Return the kernel argument.
+
+        Raises:
+            ValueError: the last update failed, and the scene has not followed its parameters since.
+        """
+        if self._unfinished:
+            raise ValueError(
+                f"the scene could not follow {', '.join(map(repr, self._unfinished))}: the last params.update() raised "
+                "an error; write valid values, then call it again"
+            )
         s = structs.Scene()
         s.accel = self.accelerator.data
         if self._sight is not None:
@@ -205,7 +216,7 @@ class Scene:
         return self._edits.found()
 
     def refresh(self, names: list[str]) -> None:
-        """Recompute what depends on the named parameters, and nothing else.
+        """Recompute what depends on the named parameters, and on those of a call before that failed.
 
         Poses, normals, triangle records, ray structure, environment map's cells, light selection. A pose moves the
         vertices and normals of its shape, but for what is named itself: that is kept, and moved by later poses.
@@ -214,6 +225,14 @@ class Scene:
             ValueError: vertices, or texels of an environment map, are not finite, or vertices were edited under a pose
                 without an inverse.
         """
+        if not names and not self._unfinished:
+            return
+        self.version += 1
+        self._unfinished = [*self._unfinished, *(n for n in names if n not in self._unfinished)]
+        self._follow(self._unfinished)
+        self._unfinished = []
+
+    def _follow(self, names: list[str]) -> None:
         changed = [self.parameters[name] for name in names]
         for p in changed:
             self._world.take_over(p, self.radius)
@@ -391,13 +410,16 @@ class Scene:
                 )
 
     def derived_normals(self, names: list[str]) -> list[int]:
-        """Shapes whose normals follow their positions and whose positions, or pose, are among the named parameters."""
-        shapes = set()
-        for name in names:
-            p = self.parameters[name]
-            if POSITIONS in p.uses and self.description.shapes[p.owner].normals_computed:
-                shapes.add(p.owner)
-        return sorted(shapes)
+        """Return the shapes whose normals follow their positions, and whose positions are among the named parameters.
+
+        Normals that are named beside them do not follow: ``refresh`` leaves them where they are put.
+        """
+        shapes = {self.parameters[n].owner for n in names if POSITIONS in self.parameters[n].uses}
+        return sorted(s for s in shapes - self.own_normals(names) if self.description.shapes[s].normals_computed)
+
+    def own_normals(self, names: list[str]) -> set[int]:
+        """Return the shapes whose vertex normals are among the named parameters."""
+        return {self.parameters[n].owner for n in names if NORMALS in self.parameters[n].uses}
 
     def has_use(self, names: list[str], *uses: str) -> bool:
         """Whether any of the named parameters has one of the uses."""

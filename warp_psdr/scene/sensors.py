@@ -161,12 +161,14 @@ def _filter(film: Properties) -> tuple[Literal["box", "tent", "gaussian"], float
     props = Properties(node, where, film.path, film.context)
     stddev = 0.5
     if props.type == "gaussian":
+        # It is cut at four standard deviations, as in Mitsuba, wherever it is sampled or evaluated.
         stddev = props.number("stddev", 0.5, minimum=0.0, exclusive=True)
-        radius = props.number("radius", min(4.0 * stddev, _RADIUS_MAX), minimum=0.0, exclusive=True)
+        radius = 4.0 * stddev
     else:
         radius = props.number("radius", 0.5 if props.type == "box" else 1.0, minimum=0.0, exclusive=True)
     if radius > _RADIUS_MAX:
-        raise error(props.place("radius"), f"got {radius:g}", f"give at most {_RADIUS_MAX:g} pixels")
+        name, share = ("stddev", 0.25) if props.type == "gaussian" else ("radius", 1.0)
+        raise error(props.place(name), f"got {share * radius:g}", f"give at most {share * _RADIUS_MAX:g} pixels")
     props.finish()
     return cast(Literal["box", "tent", "gaussian"], props.type), radius, stddev
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
-from warp_psdr.arguments import adjoint_array, flat_tangents
+from warp_psdr.arguments import adjoint_array, flat_tangents, requested
 from warp_psdr.boundary import contacts
 from warp_psdr.boundary.drivers import launch_backward, launch_forward
 from warp_psdr.boundary.motion import motion
@@ -195,9 +195,7 @@ def gradient(scene: Scene, params: Parameters, adjoint, *, integrator: PathInteg
     Raises:
         ValueError: nothing is requested, a wrong adjoint, or what the methods do not cover.
     """
-    names = params.requested
-    if not names:
-        raise ValueError("nothing to differentiate: call params.requires_grad(...) with parameter names first")
+    names = requested(scene, params)
     integrator = integrator or from_description(scene.description.integrator)
     plan = decide(scene, params, integrator=integrator, sensor=sensor)
     array = adjoint_array(adjoint, scene.camera(sensor), scene.device)
