@@ -74,6 +74,15 @@ def test_warp_and_numpy_targets_agree() -> None:
     np.testing.assert_array_equal(from_warp, losses.l2(image, b.astype(np.float64)).numpy())
 
 
+def test_the_target_is_a_constant() -> None:
+    a, b = (wp.array(x, dtype=wp.vec3, requires_grad=True, device="cpu") for x in images())
+    with wp.Tape() as tape:
+        result = losses.l2(a, b)
+    tape.backward(result)
+    assert np.abs(a.grad.numpy()).max() > 0.0
+    assert not b.grad.numpy().any()
+
+
 def test_sum_of_many_terms_keeps_its_digits() -> None:
     # A running float32 sum of this many equal terms is off by far more than one rounding.
     shape, difference = (512, 512), np.float32(0.1)

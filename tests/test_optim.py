@@ -107,6 +107,16 @@ def test_only_named_parameters_change() -> None:
     assert params["b"].numpy()[0] == 0.0
 
 
+@pytest.mark.parametrize("scale", [np.nan, np.inf, -1.0])
+def test_a_step_of_no_length_is_refused(scale: float) -> None:
+    params = Parameters({"a": np.ones(1)})
+    adam = optim.Adam(params, 0.1)
+    params.set_gradient("a", [1.0])
+    with pytest.raises(ValueError, match="scale: got"):
+        adam.step(scale=scale)
+    assert params["a"].numpy()[0] == 1.0 and adam.steps == 0
+
+
 def test_minimises_a_quadratic_inside_a_box() -> None:
     target = np.array([0.3, 2.0], dtype=np.float32)
     params = Parameters({"x": np.array([0.9, 0.1])}, {"x": (0.0, 1.0)})

@@ -95,6 +95,7 @@ def test_values_read_back_whatever_they_were_written_from(loaded):
     [
         (ALBEDO, [0.1, 0.2], r"got shape \(2,\), expected \(3,\)"),
         ("floor.vertex_positions", np.zeros((24, 3)), r"got shape \(24, 3\), expected \(25, 3\)"),
+        ("floor.vertex_positions", np.zeros((3, 25)), r"got shape \(3, 25\), expected \(25, 3\)"),
         (ALBEDO, [0.1, np.nan, 0.3], "1 numbers are NaN or infinite"),
         (ALBEDO, np.inf, "3 numbers are NaN or infinite"),
         (ALBEDO, "red", "expected numbers of shape"),
@@ -337,6 +338,23 @@ def test_positions_that_are_not_finite_are_caught(loaded, names):
             params.update(*names)
 
 
+def test_a_scene_that_could_not_follow_is_not_rendered(loaded):
+    scene, params = loaded
+    good = params["floor.vertex_positions"].numpy().copy()
+    params.update("floor.vertex_positions")  # computes normals, as the updates below do
+    expected = image(scene)
+    params["floor.vertex_positions"].fill_(np.nan)
+    with pytest.raises(ValueError, match="lower its learning rate"):
+        params.update("floor.vertex_positions")
+    with pytest.raises(ValueError, match=r"could not follow 'floor\.vertex_positions'"):
+        image(scene)
+    with pytest.raises(ValueError, match="lower its learning rate"):  # what failed is not forgotten
+        params.update(ALBEDO)
+    params["floor.vertex_positions"] = good
+    params.update()
+    np.testing.assert_array_equal(image(scene), expected)
+
+
 # -- gradients ---------------------------------------------------------------------------------------------------------
 
 
@@ -411,6 +429,26 @@ def test_bad_tangents_are_refused(loaded, tangents, error, message):
         psdr.render_forward(scene, params, tangents, integrator=INTEGRATOR, spp=1)
 
 
+def test_parameters_of_another_scene_are_refused(loaded):
+    _scene, params = loaded
+    params.requires_grad(ALBEDO)
+    other, _own = fresh()
+    ones = np.ones((SIZE, SIZE, 3), np.float32)
+    calls = [
+        lambda p: psdr.render_backward(other, p, ones, integrator=INTEGRATOR, spp=1),
+        lambda p: psdr.render_backward(other, p, ones, integrator=INTEGRATOR, time_budget=0.1),
+        lambda p: psdr.render_forward(other, p, {ALBEDO: 1.0}, integrator=INTEGRATOR, spp=1),
+        lambda p: psdr.render(other, p, integrator=INTEGRATOR, spp=1, tape=wp.Tape()),
+        lambda p: psdr.plan(other, p, integrator=INTEGRATOR),
+    ]
+    for call in calls:
+        with pytest.raises(ValueError, match="another scene"):
+            call(params)
+    for call in calls[:3]:
+        with pytest.raises(TypeError, match=r"psdr\.traverse"):
+            call(None)
+
+
 def test_nothing_requested_is_an_error(loaded):
     scene, params = loaded
     with pytest.raises(ValueError, match="nothing to differentiate"):
@@ -469,6 +507,23 @@ def test_the_tape_chains_a_users_model_and_loss(loaded):
     # The remainder of the difference, h^2 / 6 times a third derivative of order 10, and float32.
     assert gradient == pytest.approx(difference, rel=5e-3)
     assert np.isfinite(params[ALBEDO].grad.numpy()).all()
+
+
+@pytest.mark.parametrize("edit", ["values", "request"])
+def test_the_tape_refuses_a_scene_that_has_changed(loaded, edit):
+    scene, params = loaded
+    params.requires_grad(ALBEDO)
+    tape = wp.Tape()
+    rendered = psdr.render(scene, params, integrator=INTEGRATOR, spp=1, tape=tape)
+    params.update()  # nothing has changed
+    if edit == "values":
+        params[RADIANCE] = 5.0
+        params.update()
+    else:
+        params.requires_grad(RADIANCE)
+    rendered.grad.fill_(wp.vec3(1.0, 1.0, 1.0))
+    with pytest.raises(RuntimeError, match="has changed since"):
+        tape.backward()
 
 
 def test_the_tape_uses_its_own_sample_count_and_seed(loaded, monkeypatch):

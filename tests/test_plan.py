@@ -211,6 +211,8 @@ def test_moving_discontinuities_are_named_and_never_left_out_in_silence(diffuse)
     [
         ({"max_depth": 0}, "max_depth: got 0"),
         ({"max_depth": -2}, "max_depth: got -2"),
+        ({"max_depth": 1 << 32}, "max_depth: got 4294967296, expected at most"),
+        ({"rr_depth": 1 << 31}, "rr_depth: got 2147483648, expected at most"),
         ({"max_depth": 2.0}, "max_depth: expected an integer"),
         ({"max_depth": True}, "max_depth: expected an integer"),
         ({"rr_depth": 0}, "rr_depth: got 0"),

@@ -87,3 +87,22 @@ def test_edges_of_moved_shapes_are_those_of_a_fresh_search(split: bool) -> None:
         torn = start.copy()
         torn[faces[0]] += [0.0, 0.0, 0.5]
         assert not check(torn)
+
+
+def test_edges_come_in_one_order_whatever_the_scene_was_before() -> None:
+    """So samples on them are the same: of a scene that followed a motion, and of one that was put there at once."""
+    scenes = [scene_with(box=mesh(*cube())) for _ in range(2)]
+    name = next(n for n in psdr.traverse(scenes[0]) if n.endswith("vertex_positions"))
+    params = [psdr.traverse(s) for s in scenes]
+    first = scene_adjacency(scenes[0])
+    base = params[0][name].numpy().copy()
+    turned = base @ np.float32([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    for p in params:
+        p[name] = turned
+        p.update()
+    kept, fresh = (scene_adjacency(s) for s in scenes)
+    for field in ("ends", "twins", "faces", "first"):
+        np.testing.assert_array_equal(getattr(kept, field), getattr(fresh, field))
+    np.testing.assert_array_equal(kept.ends, first.ends)
+    # In the order of the coordinates that the vertices were loaded with.
+    assert (np.diff(base[kept.ends].min(axis=1)[:, 0]) > -1.0e-6).mean() > 0.8

@@ -8,7 +8,7 @@ import numpy as np
 import warp as wp
 
 from warp_psdr.chain import push_derived
-from warp_psdr.parameters import check_independent, check_owner
+from warp_psdr.parameters import check_owner
 
 if TYPE_CHECKING:
     from warp_psdr.parameters import Parameters
@@ -72,7 +72,6 @@ def _check_finite(adjoint: np.ndarray) -> None:
 def flat_tangents(scene: Scene, params: Parameters, tangents: dict) -> wp.array:
     """Return the flat tangents of all values, those that follow from poses and positions included."""
     check_owner(scene, params)
-    check_independent(tangents)
     flat = np.zeros(scene.values.shape[0], np.float32)
     for name, tangent in tangents.items():
         values = params.check(name, tangent, "tangent")

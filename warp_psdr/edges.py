@@ -95,7 +95,7 @@ def adjacency(points: np.ndarray, triangles: np.ndarray, shape: np.ndarray | Non
     points = np.asarray(points, np.float64)
     shape = np.zeros(len(points), int) if shape is None else shape
     far = np.full(len(points), _extent(points))
-    return _measured(points, triangles, _topology(points, triangles, shape, far), far)
+    return _measured(points, triangles, _topology(points, triangles, shape, far, _ranks(points)), far)
 
 
 def _extent(points: np.ndarray) -> float:
@@ -120,14 +120,51 @@ def _solid(points: np.ndarray, triangles: np.ndarray, group: np.ndarray) -> np.n
     return (corner != corner[:, [1, 2, 0]]).all(axis=1) & (np.abs(doubled).max(axis=1, initial=0.0) > 0.0)
 
 
-def _topology(points: np.ndarray, triangles: np.ndarray, shape: np.ndarray, far: np.ndarray) -> Topology:
-    """Return what is welded; ``far``: (N,) the largest coordinate by which a vertex may have been rounded."""
+def _ranks(points: np.ndarray) -> np.ndarray:
+    """Return the place of every point in the order of their coordinates."""
+    ranks = np.empty(len(points), np.int64)
+    ranks[np.lexsort(points.T[::-1])] = np.arange(len(points))
+    return ranks
+
+
+def _scene_ranks(scene: Scene) -> np.ndarray:
+    """Return the places of a scene's vertices in the order in which they lay when it was loaded.
+
+    Edges come in that order. Samples are stratified over them, so neighbours should be near each other; and it must not
+    depend on how the vertices got where they are: equal scenes draw equal samples.
+    """
+    kept = getattr(scene, "_vertex_ranks", None)
+    if kept is None:
+        kept = _ranks(np.concatenate([np.zeros((0, 3)), *(s.vertices for s in scene.description.shapes)]))
+        scene._vertex_ranks = kept  # type: ignore[attr-defined]
+    return kept
+
+
+def _numbered(group: np.ndarray, ranks: np.ndarray) -> np.ndarray:
+    """Return groups of points numbered in the order of their first ones."""
+    _numbers, first = np.unique(group[np.argsort(ranks)], return_index=True)
+    return np.argsort(np.argsort(first))[group]
+
+
+def _topology(
+    points: np.ndarray, triangles: np.ndarray, shape: np.ndarray, far: np.ndarray, ranks: np.ndarray
+) -> Topology:
+    """Return what is welded.
+
+    Args:
+        points: as of ``adjacency``.
+        triangles: as of ``adjacency``.
+        shape: as of ``adjacency``.
+        far: (N,) the largest coordinate by which a vertex may have been rounded.
+        ranks: (N,) places of the vertices in the order in which edges come.
+    """
     if len(far) and far.min() < far.max():
         of_shape = np.zeros(int(shape.max()) + 1)
         of_shape[shape] = far
         group = weld_shapes(points, shape, WELD * of_shape)
     else:
         group = weld(points, WELD * _extent(points))
+    group = _numbered(group, ranks)
     solid = _solid(points, triangles, group)
     numbers = np.flatnonzero(solid)
     sides = np.stack([triangles[numbers][:, [a, (a + 1) % 3]] for a in range(3)], axis=1).reshape(-1, 2)
@@ -231,7 +268,7 @@ def scene_adjacency(scene: Scene) -> Adjacency:
         and still_welded(exact, topology.group, WELD * _extent(exact))
         and np.array_equal(_solid(exact, triangles, topology.group), topology.solid)
     ):
-        topology = _topology(exact, triangles, shape_of_vertex(scene), far)
+        topology = _topology(exact, triangles, shape_of_vertex(scene), far, _scene_ranks(scene))
     found = _measured(exact, triangles, topology, far)
     scene._edges = (points.copy(), found, topology)  # type: ignore[attr-defined]
     return found

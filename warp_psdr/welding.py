@@ -13,9 +13,6 @@ PAIRS_A_VERTEX = 16
 def weld(points: np.ndarray, tolerance: float) -> np.ndarray:
     """Return for every point the number of the group of points that share its position.
 
-    Groups are numbered in the order of their first points, wherever these are: the edges of what moves, and with them
-    the samples that are drawn on them, come in the same order whether they are found anew or kept.
-
     Args:
         points: (N, 3).
         tolerance: world units; groups are closed under it.
@@ -28,11 +25,10 @@ def weld(points: np.ndarray, tolerance: float) -> np.ndarray:
     unique, group = np.unique(points, axis=0, return_inverse=True)
     group = group.reshape(-1)
     pairs = cKDTree(unique).query_pairs(tolerance, output_type="ndarray")
-    if len(pairs):
-        graph = coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(unique), len(unique)))
-        group = connected_components(graph, directed=False)[1][group]
-    _numbers, first, group = np.unique(group, return_index=True, return_inverse=True)
-    return np.argsort(np.argsort(first))[group.reshape(-1)]
+    if not len(pairs):
+        return group
+    graph = coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(unique), len(unique)))
+    return connected_components(graph, directed=False)[1][group]
 
 
 def weld_shapes(points: np.ndarray, shape: np.ndarray, tolerances: np.ndarray) -> np.ndarray:

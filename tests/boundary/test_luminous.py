@@ -51,7 +51,7 @@ def growing(values):
 SLIDES = Case("luminous table", BOX, moved(1.0, 0.4, 0.0), 0.02, "a box on it slides", 3, 4096, 16384)
 CASES = [
     SLIDES,
-    replace(SLIDES, depth=-1),
+    replace(SLIDES, depth=-1, spp=8192),
     Case("furnace", BOX, growing, 0.02, "a black box grows", -1, 1024, 4096),
 ]
 METHODS = {

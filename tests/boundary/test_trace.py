@@ -6,6 +6,8 @@ import pytest
 import warp_psdr as psdr
 from tests.test_invalid import FLOOR, SIZE, SPP, broken, integrator, scene_dict
 
+from . import scenes
+
 NAME = "blocker.to_world"
 SLIDE = np.zeros((4, 4), np.float32)
 SLIDE[0, 3] = 1.0
@@ -13,6 +15,26 @@ SLIDE[0, 3] = 1.0
 
 def options(boundary, depth: int = 2) -> dict:
     return {"integrator": integrator(boundary=boundary, max_depth=depth), "spp": SPP, "seed": 5}
+
+
+@pytest.mark.parametrize("kind", ["facets", "through_mirrors"])
+def test_invalid_samples_of_every_kind_are_counted(kind) -> None:
+    """A reflectance that is not finite: of a flat-shaded ball, or of a mirror in which one is seen."""
+    mirror = {"type": "conductor", "specular_reflectance": {"type": "rgb", "value": [0.9, 0.9, 0.9]}}
+    shape = scenes.ball((0.0, 0.0, 0.8), 0.5, scenes.diffuse(0.5), subdivisions=3)
+    nodes = {"sensor": scenes.camera(), "sky": scenes.sky(), "ball": shape}
+    if kind == "through_mirrors":
+        nodes["floor"] = scenes.floor(bsdf=mirror)
+    scene = psdr.load_dict({"type": "scene", **nodes})
+    params = psdr.traverse(scene)
+    name = "ball.bsdf.reflectance.value" if kind == "facets" else "floor.bsdf.specular_reflectance.value"
+    first = scene.parameters[name].offset
+    scene.values.numpy()[first : first + 3] = np.nan
+    slide = np.zeros(params["ball.vertex_positions"].numpy().shape, np.float32)
+    slide[:, 0] = 1.0
+    how = {"integrator": psdr.PathIntegrator(max_depth=3), "spp": SPP, "seed": 1}
+    with pytest.warns(RuntimeWarning, match=f"{kind}: [1-9]"):
+        psdr.render_forward(scene, params, {"ball.vertex_positions": slide}, **how)
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,54 @@
+"""Faces that are parallel to light: neither lit nor dark, they hide it as a whole or not at all."""
+
+import numpy as np
+import pytest
+
+from .measure import Case, assert_agrees, derivatives, differences, rows
+from .scenes import box, camera, diffuse, floor, mesh, register
+from .test_table import moved
+
+OCCLUDER, LIGHT = "occluder.vertex_positions", "light.position"
+SUN = {"type": "directional", "direction": [0, 0, -1], "irradiance": {"type": "rgb", "value": [3.0, 3.0, 3.0]}}
+
+
+def under_sun(occluder, **options):
+    return {"sensor": camera(**options), "floor": floor(), "occluder": occluder, "light": SUN}
+
+
+def sheet():
+    """Upright: it casts no shadow."""
+    corners = np.array([[-0.4, 0, 0.3], [0.4, 0, 0.3], [0.4, 0, 0.9], [-0.4, 0, 0.9]])
+    material = {"type": "twosided", "bsdf": diffuse(0.3)}
+    occluder = mesh(corners, [[0, 1, 2], [0, 2, 3]], material, face_normals=True)
+    return under_sun(occluder, origin=(0.0, -1.0, 4.0), target=(0.0, 0.0, 0.0))
+
+
+def beside_lamp():
+    """A lamp in the plane of a side of a box."""
+    lamp = {"type": "point", "position": [0.5, 0.1, 3.0], "intensity": {"type": "rgb", "value": [20.0, 20.0, 20.0]}}
+    return under_sun(box((0.1, 0.1, 0.9), (0.4, 0.3, 0.2), diffuse(0.3))) | {"light": lamp}
+
+
+register({
+    "box under the sun": lambda: under_sun(box((0.1, 0.1, 0.9), (0.4, 0.3, 0.2), diffuse(0.3))),
+    "turned box under the sun": lambda: under_sun(box((0.1, 0.1, 0.9), (0.4, 0.3, 0.2), diffuse(0.3), 0.4)),
+    "box on the floor under the sun": lambda: under_sun(box((0.1, 0.1, 0.2), (0.4, 0.3, 0.2), diffuse(0.3))),
+    "sheet under the sun": sheet,
+    "box beside a lamp": beside_lamp,
+})  # fmt: skip
+ALONG = moved(0.0, 1.0, 0.0)
+CASES = [
+    Case("box under the sun", OCCLUDER, ALONG, 0.02, "along y", slow=False),
+    Case("box under the sun", OCCLUDER, moved(1.0, 0.0, 0.0), 0.02, "along x"),
+    Case("turned box under the sun", OCCLUDER, moved(1.0, 0.4, 0.0), 0.02, "slides"),
+    Case("box on the floor under the sun", OCCLUDER, moved(1.0, 0.4, 0.0), 0.005, "slides", difference_spp=4096),
+    Case("sheet under the sun", OCCLUDER, ALONG, 0.005, "slides", difference_spp=4096, slow=False),
+    Case("box beside a lamp", OCCLUDER, moved(0.0, 0.0, 1.0), 0.01, "rises"),
+    Case("box beside a lamp", (OCCLUDER, LIGHT), moved(1.0, 0.0, 0.0), 0.02, "both slide"),
+]
+
+
+@pytest.mark.parametrize("mode", ["forward", "reverse"])
+@pytest.mark.parametrize("case", rows(CASES))
+def test_derivatives_agree_with_differences(case, mode) -> None:
+    assert_agrees(derivatives(case, mode), differences(case)[2])
