@@ -23,6 +23,8 @@ SHALLOW = 0.15
 WIDE = 2.0
 #: Share of its weight that a crease keeps if a closed shape hides it.
 HIDDEN = 0.05
+#: Largest turn of dp/du (radians) across an edge that counts as none.
+TURN = 1.0e-3
 #: Least share of the samples that creases between flat faces get, and that is left for all others.
 LEAST_SHARE = 0.1
 
@@ -86,7 +88,7 @@ def film_edges(
     """
     every = scene_adjacency(scene)
     view = camera_view(scene, sensor)
-    key = (sensor, frozenset(shapes), camera_moves, hide_emitters, *view.numbers())
+    key = (sensor, frozenset(shapes), camera_moves, hide_emitters, *_brushed_texcoords(scene), *view.numbers())
     kept: FilmEdges | None = getattr(scene, "_film_edges", None)
     if kept is not None and kept.every is every and kept.key == key:
         return kept
@@ -141,7 +143,7 @@ def crease_edges(scene: Scene, found: FilmEdges) -> tuple[Edges, float] | None:
 
 
 def smooth_edges(scene: Scene, edges: Adjacency) -> np.ndarray:
-    """Return a mask of the edges inside of one shape across which neither normal nor texture jumps."""
+    """Return a mask of the edges inside of one shape across which neither normal nor texture nor dp/du jumps."""
     interpolated = np.array([s.smooth == 1 for s in scene.builder.shapes])
     return _within(scene, edges) & (interpolated[_shape(scene, edges)] | (edges.wedge == 0.0))
 
@@ -151,9 +153,13 @@ def _shape(scene: Scene, edges: Adjacency) -> np.ndarray:
 
 
 def _within(scene: Scene, edges: Adjacency) -> np.ndarray:
-    """Return a mask of the edges between two triangles of one shape across which no texture jumps."""
+    """Return a mask of the edges between two triangles of one shape across which no texture, nor dp/du, jumps."""
     stepped = np.array([_stepped(scene, s) for s in scene.builder.shapes])
-    return (edges.count == 2) & (edges.ends == edges.twins).all(axis=1) & ~stepped[_shape(scene, edges)]
+    within = (edges.count == 2) & (edges.ends == edges.twins).all(axis=1) & ~stepped[_shape(scene, edges)]
+    brushed = np.array([_brushed(scene, s) for s in scene.builder.shapes])
+    some = np.flatnonzero(within & brushed[_shape(scene, edges)])
+    within[some] = ~_turned(scene, edges, some)
+    return within
 
 
 def _stepped(scene: Scene, shape: Any) -> bool:
@@ -166,6 +172,50 @@ def _stepped(scene: Scene, shape: Any) -> bool:
     found = [b.textures[n] for n in numbers]
     # A face attribute jumps at every edge; a bitmap on a shape without texture coordinates reads barycentrics.
     return any(t.kind == TEXTURE_FACE or (t.width > 0 and shape.has_uv == 0) for t in found)
+
+
+def _brushed(scene: Scene, shape: Any) -> bool:
+    """Return whether a side of a shape is anisotropic, so that its look depends on dp/du."""
+    b = scene.builder
+    return not b.anisotropic.isdisjoint({shape.bsdf, b.bsdfs[shape.bsdf].back})
+
+
+def _brushed_texcoords(scene: Scene) -> list[bytes]:
+    """Return what dp/du depends on beside positions."""
+    flat = scene.values.numpy()
+    found = [s for s in scene.builder.shapes if s.has_uv == 1 and _brushed(scene, s)]
+    first = [s.uv_offset + 2 * s.first_vertex for s in found]
+    return [flat[a : a + 2 * s.vertex_count].tobytes() for a, s in zip(first, found, strict=True)]
+
+
+def _turned(scene: Scene, edges: Adjacency, some: np.ndarray) -> np.ndarray:
+    """Return across which of some edges of two faces dp/du turns, either way up (``kernels/surface.uv_tangent``)."""
+    start = edges.first[:-1][some]
+    along = edges.points[some, 1] - edges.points[some, 0]
+    found = []
+    for face in (edges.faces[start], edges.faces[start + 1]):
+        p = scene.points[scene.builder.indices[face]].astype(np.float64)
+        d1, d2 = p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]
+        t1, t2 = _texture_edges(scene, face)
+        determinant = t1[:, 0] * t2[:, 1] - t1[:, 1] * t2[:, 0]
+        turned = np.sign(determinant)[:, None] * (t2[:, 1:] * d1 - t1[:, 1:] * d2)
+        tangent = np.where(np.abs(determinant)[:, None] < 1.0e-20, d1, turned)
+        beside = cross(cross(d1, d2), along)
+        beside *= (np.linalg.norm(along, axis=1) / np.maximum(np.linalg.norm(beside, axis=1), 1e-300))[:, None]
+        found.append(np.stack([(tangent * along).sum(axis=1), (tangent * beside).sum(axis=1)], axis=1))
+    a, b = (x / np.maximum(np.linalg.norm(x, axis=1, keepdims=True), 1e-300) for x in found)
+    return np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]) > TURN
+
+
+def _texture_edges(scene: Scene, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return how texture coordinates change along two sides of triangles, 0 without any."""
+    flat, shapes = scene.values.numpy(), scene.builder.shapes
+    shape = scene.builder.face_shape[faces]
+    offset = np.array([s.uv_offset if s.has_uv == 1 else -1 for s in shapes])[shape]
+    at = np.maximum(offset, 0)[:, None] + 2 * scene.builder.indices[faces]
+    t = np.stack([flat[at], flat[at + 1]], axis=2).astype(np.float64)
+    t[offset < 0] = 0.0
+    return t[:, 1] - t[:, 0], t[:, 2] - t[:, 0]
 
 
 def _jumps(scene: Scene, view: CameraView, edges: Adjacency, asked: np.ndarray) -> np.ndarray:

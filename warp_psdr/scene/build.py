@@ -90,7 +90,8 @@ class Builder:
         self.environment = -1
         self.slot_kinds: dict[str, set[int]] = {s: set() for s in SLOTS}
         self.radiance_kinds: set[int] = set()
-        self.two_sided = self.anisotropic = False
+        self.two_sided = False
+        self.anisotropic: set[int] = set()
         self._texture_index: dict[tuple[int, int], int] = {}
         self._absent_index: dict[float, int] = {}
         self._bsdf_index: dict[tuple[int, int], int] = {}
@@ -229,9 +230,9 @@ class Builder:
             index = self._absent(1.0) if t is None else self._texture(t, MATERIAL + slot, BOUNDS[prop], shape)
             setattr(record, slot, index)
             self.slot_kinds[slot].add(self.textures[index].kind)
-        if b.model == "roughconductor":
-            self.anisotropic |= record.s0 != record.s1
         number = len(self.bsdfs)
+        if b.model == "roughconductor" and record.s0 != record.s1:
+            self.anisotropic.add(number)
         self.bsdfs.append(record)
         self._bsdf_index[key] = number
         record.back = number if b.back is None else self._bsdf(b.back, shape)
