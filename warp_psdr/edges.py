@@ -408,4 +408,5 @@ def upload(scene: Scene, edges: Adjacency, keep: np.ndarray, weight: np.ndarray,
     record.faces = array(edges.faces, wp.int32)
     record.first = array(edges.first, wp.int32)
     record.low, record.high = array(low), array(high)
+    record.sides = array([0], wp.int32)
     return record

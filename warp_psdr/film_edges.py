@@ -6,9 +6,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import warp as wp
 
 from warp_psdr.camera_view import CameraView, camera_view
-from warp_psdr.edges import COPLANAR, Adjacency, cross, join, moving_edges, scene_adjacency, upload, without
+from warp_psdr.edges import COPLANAR, Adjacency, cross, join, moving_edges, scene_adjacency, select, upload, without
 from warp_psdr.kernels.constants import DELTA_MODELS, TEXTURE_FACE
 
 if TYPE_CHECKING:
@@ -111,6 +112,7 @@ def film_edges(
 def primary_edges(scene: Scene, found: FilmEdges, curves: Adjacency | None = None) -> Edges | None:
     """Return the edges drawn by the clipped length of their image, ``curves`` of intersection with them; None: none."""
     seen, edges = found.others, found.edges
+    sides = _sides(scene, select(edges, seen.keep)) if len(scene.builder.shapes) > 1 else None
     if curves is not None:
         view = camera_view(scene, found.key[0])
         more = _seen(view, curves, np.ones(len(curves.length), bool))
@@ -119,7 +121,22 @@ def primary_edges(scene: Scene, found: FilmEdges, curves: Adjacency | None = Non
         edges = join(edges, curves)
     if not len(seen.keep):
         return None
-    return upload(scene, edges, seen.keep, seen.length, seen.low, seen.high)
+    record = upload(scene, edges, seen.keep, seen.length, seen.low, seen.high)
+    if sides is not None:
+        record.sides = wp.array(sides, dtype=wp.int32, device=scene.device)
+    return record
+
+
+def _sides(scene: Scene, edges: Adjacency) -> np.ndarray:
+    """Return ``Edges.sides``; of triangles with a side that only a piece of an edge lies on, all three."""
+    corners = edges.group[scene.builder.indices[edges.faces]]
+    ends = np.sort(edges.group[edges.ends], axis=1)[np.repeat(np.arange(len(edges.length)), edges.count)]
+    bits = np.zeros(len(corners), np.int32)
+    for k in range(3):
+        bits[(np.sort(corners[:, [k, (k + 1) % 3]], axis=1) == ends).all(axis=1)] = 1 << k
+    found = np.zeros(scene.face_count, np.int32)
+    np.bitwise_or.at(found, edges.faces, np.where(bits == 0, 7, bits))
+    return found
 
 
 def facet_edges(scene: Scene, found: FilmEdges) -> Edges | None:

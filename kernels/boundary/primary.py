@@ -19,6 +19,9 @@ behind. One of their two rays passes the silhouette instead, whose jump the silh
 an edge that is not a silhouette both rays have to meet one of its faces' planes beside it. (Otherwise a ball of 5,120
 triangles, and of a twentieth of the scene's size, had 15 % too large a derivative.)
 
+Where shapes abut without sharing their vertices, floor tiles of unequal size or a wall on a part of a floor's border,
+an edge of each runs along the same line. All n see the same jump, so each counts its n-th part, and moves its own shape.
+
 Such a face F is often narrow as it is seen: the rim of a thin slab, the top of a table at the height of the eye. The
 rays pass its edges at half of its width, in order to meet it, down to some roundings of coordinates, and start in front
 of all of it. Narrower faces, 10^-6 of the scene, are looked past from both of their edges, E_1 of A | F and E_2 of
@@ -82,6 +85,34 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
         if seen.face < 0:
             return False
         return on_plane(scene.triangles[seen.face].normal, seen.x - point.x, step)
+
+    @wp.func
+    def shares(scene: Scene, edges: Edges, point: EdgePoint, d: wp.vec3, apart: wp.float32, face: wp.int32) -> wp.int32:
+        """1 if an edge of the face that is met beside a point, of another shape, runs through it as seen along d."""
+        if face < 0:
+            return 0
+        sides = edges.sides[face]
+        tri = scene.triangles[face]
+        for i in range(edges.first[point.edge], edges.first[point.edge + 1]):
+            if scene.triangles[edges.faces[i]].shape == tri.shape:
+                return 0
+        p = tri.p0
+        q = tri.p1
+        for k in range(3):
+            if k == 1:
+                p = tri.p1
+                q = tri.p2
+            if k == 2:
+                p = tri.p2
+                q = tri.p0
+            if ((sides >> k) & 1) == 1:
+                n = wp.cross(q - p, d)
+                squared = wp.dot(n, n)
+                t = wp.dot(wp.cross(point.x - p, d), n)
+                away = wp.dot(n, point.x - p)
+                if t >= 0.0 and t <= squared and away * away <= apart * apart * squared:
+                    return 1
+        return 0
 
     @wp.kernel(module="unique", enable_backward=False)
     def primary(
@@ -179,6 +210,15 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
                     looks = 4
         if narrow and not own:
             return
-        push(scene, camera, edges, sampler, samples, f, b.radiance - a.radiance, target, image_out)
+        # Edges of other shapes along this one count the same jump.
+        counts = wp.int32(1)
+        if edges.sides.shape[0] > 1 and not curve:
+            by_a = shares(scene, edges, point, d, apart, a.face)
+            by_b = shares(scene, edges, point, d, apart, b.face)
+            counts += wp.max(by_a, by_b)
+            if by_a + by_b == 2 and scene.triangles[a.face].shape != scene.triangles[b.face].shape:
+                counts += 1
+        jump = (b.radiance - a.radiance) / wp.float32(counts)
+        push(scene, camera, edges, sampler, samples, f, jump, target, image_out)
 
     return primary

@@ -1,0 +1,51 @@
+"""Shapes that abut without sharing vertices: an edge of each runs along the same line, which is seen once."""
+
+import pytest
+
+from .measure import Case, assert_agrees, derivatives, differences, rows
+from .scenes import box, camera, diffuse, floor, mesh, panel, register, sky
+from .test_brushed import pans
+from .test_table import moved
+
+FACES = [[0, 1, 2], [0, 2, 3]]
+RED, BLUE = diffuse(0.8, 0.3, 0.2), diffuse(0.2, 0.4, 0.8)
+VIEW = camera((0.3, -3.0, 2.5), (0.0, 0.2, 0.2))
+
+
+def tiles():
+    """Two tiles of a floor, one of them longer."""
+    first = mesh([[-2, -1, 0], [0, -1, 0], [0, 1, 0], [-2, 1, 0]], FACES, RED)
+    second = mesh([[0, -1.5, 0], [2, -1.5, 0], [2, 1.5, 0], [0, 1.5, 0]], FACES, BLUE)
+    return {"sensor": VIEW, "first": first, "second": second, "sky": sky()}
+
+
+def corner():
+    """A wall on a part of the border of a floor."""
+    first = mesh([[-2, -2, 0], [2, -2, 0], [2, 1, 0], [-2, 1, 0]], FACES, RED)
+    second = mesh([[-1, 1, 0], [1, 1, 0], [1, 1, 1.5], [-1, 1, 1.5]], FACES, BLUE)
+    return {"sensor": VIEW, "first": first, "second": second, "light": panel((0.8, -0.6, 2.5), 0.5)}
+
+
+def flush():
+    """A small box on a big one, one side of either in the same plane."""
+    first, second = box((0.0, 0.0, 0.4), (0.6, 0.5, 0.4), RED), box((0.3, -0.2, 1.05), (0.3, 0.3, 0.25), BLUE)
+    return {"sensor": VIEW, "floor": floor(), "first": first, "second": second, "light": panel((0.8, -0.6, 2.5), 0.5)}
+
+
+register({"tiles": tiles, "wall on a border": corner, "flush boxes": flush})
+BOTH = ("first.vertex_positions", "second.vertex_positions")
+CASES = [
+    Case("tiles", "sensor.to_world", pans, 0.02, "seen in passing", slow=False),
+    Case("tiles", BOTH, moved(1.0, 0.2, 0.0), 0.02, "both slide"),
+    Case("wall on a border", "sensor.to_world", pans, 0.02, "seen in passing", 2, 512, 2048),
+    Case("wall on a border", BOTH, moved(1.0, 0.2, 0.3), 0.02, "both move", 2, 1024, 4096),
+    Case("flush boxes", "sensor.to_world", pans, 0.01, "seen in passing", 2, 512, 2048),
+    Case("flush boxes", BOTH, moved(1.0, 0.2, 0.0), 0.01, "both slide", 2, 1024, 4096),
+]
+
+
+@pytest.mark.parametrize("mode", ["forward", "reverse"])
+@pytest.mark.parametrize("case", rows(CASES))
+def test_derivatives_agree_with_differences(case, mode) -> None:
+    assert_agrees(derivatives(case, mode), differences(case)[2])
+
