@@ -19,8 +19,8 @@ behind. One of their two rays passes the silhouette instead, whose jump the silh
 an edge that is not a silhouette both rays have to meet one of its faces' planes beside it. (Otherwise a ball of 5,120
 triangles, and of a twentieth of the scene's size, had 15 % too large a derivative.)
 
-Where shapes abut without sharing their vertices, floor tiles of unequal size or a wall on a part of a floor's border,
-an edge of each runs along the same line. All n see the same jump, so each counts its n-th part, and moves its own shape.
+Where shapes abut without sharing vertices, tiles of unequal size or a wall on a part of a floor's border, an edge of
+each runs along the same line. All n see the same jump, so each counts its n-th part, and moves its own shape.
 
 Such a face F is often narrow as it is seen: the rim of a thin slab, the top of a table at the height of the eye. The
 rays pass its edges at half of its width, in order to meet it, down to some roundings of coordinates, and start in front
