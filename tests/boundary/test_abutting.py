@@ -48,4 +48,3 @@ CASES = [
 @pytest.mark.parametrize("case", rows(CASES))
 def test_derivatives_agree_with_differences(case, mode) -> None:
     assert_agrees(derivatives(case, mode), differences(case)[2])
-
