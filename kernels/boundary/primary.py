@@ -20,7 +20,8 @@ an edge that is not a silhouette both rays have to meet one of its faces' planes
 triangles, and of a twentieth of the scene's size, had 15 % too large a derivative.)
 
 Where shapes abut without sharing vertices, tiles of unequal size or a wall on a part of a floor's border, an edge of
-each runs along the same line. All n see the same jump, so each counts its n-th part, and moves its own shape.
+either runs along the same line. Both see the jump between the two, so each counts half of it, and moves its own shape.
+An edge beside which its own shape is not seen, but another that ends there, is hidden: the floor's behind such a wall.
 
 Such a face F is often narrow as it is seen: the rim of a thin slab, the top of a table at the height of the eye. The
 rays pass its edges at half of its width, in order to meet it, down to some roundings of coordinates, and start in front
@@ -61,6 +62,8 @@ BESIDE_LEAST = 0.025
 #: do where the surfaces are as far apart as there, up to so many ray epsilons: nearer, roundings decide which is in
 #: front.
 ACUTE, BESIDE_CURVE = 0.01, 10.0
+#: Whose surface a ray meets beside an edge, 0: neither the edge's own shape nor one with an edge along it.
+OWN, NEXT = wp.constant(1), wp.constant(2)
 
 
 @functools.cache
@@ -87,15 +90,15 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
         return on_plane(scene.triangles[seen.face].normal, seen.x - point.x, step)
 
     @wp.func
-    def shares(scene: Scene, edges: Edges, point: EdgePoint, d: wp.vec3, apart: wp.float32, face: wp.int32) -> wp.int32:
-        """1 if an edge of the face that is met beside a point, of another shape, runs through it as seen along d."""
+    def whose(scene: Scene, edges: Edges, point: EdgePoint, d: wp.vec3, apart: wp.float32, face: wp.int32) -> wp.int32:
+        """OWN, NEXT or 0: whether what is met beside an edge belongs to its shapes, or ends along it with an edge."""
         if face < 0:
             return 0
-        sides = edges.sides[face]
         tri = scene.triangles[face]
         for i in range(edges.first[point.edge], edges.first[point.edge + 1]):
             if scene.triangles[edges.faces[i]].shape == tri.shape:
-                return 0
+                return OWN
+        sides = edges.sides[face]
         p = tri.p0
         q = tri.p1
         for k in range(3):
@@ -111,7 +114,7 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
                 t = wp.dot(wp.cross(point.x - p, d), n)
                 away = wp.dot(n, point.x - p)
                 if t >= 0.0 and t <= squared and away * away <= apart * apart * squared:
-                    return 1
+                    return NEXT
         return 0
 
     @wp.kernel(module="unique", enable_backward=False)
@@ -210,15 +213,15 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
                     looks = 4
         if narrow and not own:
             return
-        # Edges of other shapes along this one count the same jump.
-        counts = wp.int32(1)
+        jump = b.radiance - a.radiance
         if edges.sides.shape[0] > 1 and not curve:
-            by_a = shares(scene, edges, point, d, apart, a.face)
-            by_b = shares(scene, edges, point, d, apart, b.face)
-            counts += wp.max(by_a, by_b)
-            if by_a + by_b == 2 and scene.triangles[a.face].shape != scene.triangles[b.face].shape:
-                counts += 1
-        jump = (b.radiance - a.radiance) / wp.float32(counts)
+            by_a = whose(scene, edges, point, d, apart, a.face)
+            by_b = whose(scene, edges, point, d, apart, b.face)
+            if by_a == NEXT or by_b == NEXT:
+                # Another edge counts this jump, too, or alone.
+                if by_a != OWN and by_b != OWN:
+                    return
+                jump *= 0.5
         push(scene, camera, edges, sampler, samples, f, jump, target, image_out)
 
     return primary

@@ -26,19 +26,27 @@ def corner():
     return {"sensor": VIEW, "first": first, "second": second, "light": panel((0.8, -0.6, 2.5), 0.5)}
 
 
+def behind():
+    """A wall on a part of the border of a floor, in front of it."""
+    first = mesh([[-2, 0, 0], [2, 0, 0], [2, 2, 0], [-2, 2, 0]], FACES, RED)
+    second = mesh([[-1, 0, 0], [1, 0, 0], [1, 0, 1.5], [-1, 0, 1.5]], FACES, {"type": "twosided", "bsdf": BLUE})
+    return {"sensor": VIEW, "first": first, "second": second, "sky": sky()}
+
+
 def flush():
     """A small box on a big one, one side of either in the same plane."""
     first, second = box((0.0, 0.0, 0.4), (0.6, 0.5, 0.4), RED), box((0.3, -0.2, 1.05), (0.3, 0.3, 0.25), BLUE)
     return {"sensor": VIEW, "floor": floor(), "first": first, "second": second, "light": panel((0.8, -0.6, 2.5), 0.5)}
 
 
-register({"tiles": tiles, "wall on a border": corner, "flush boxes": flush})
+register({"tiles": tiles, "wall on a border": corner, "wall before a floor": behind, "flush boxes": flush})
 BOTH = ("first.vertex_positions", "second.vertex_positions")
 CASES = [
     Case("tiles", "sensor.to_world", pans, 0.02, "seen in passing", slow=False),
     Case("tiles", BOTH, moved(1.0, 0.2, 0.0), 0.02, "both slide"),
     Case("wall on a border", "sensor.to_world", pans, 0.02, "seen in passing", 2, 512, 2048),
     Case("wall on a border", BOTH, moved(1.0, 0.2, 0.3), 0.02, "both move", 2, 1024, 4096),
+    Case("wall before a floor", "sensor.to_world", pans, 0.02, "seen in passing", 2, 512, 2048),
     Case("flush boxes", "sensor.to_world", pans, 0.01, "seen in passing", 2, 512, 2048),
     Case("flush boxes", BOTH, moved(1.0, 0.2, 0.0), 0.01, "both slide", 2, 1024, 4096),
 ]
