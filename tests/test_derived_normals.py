@@ -38,38 +38,6 @@ def test_turned_cube_turns_its_normals():
     np.testing.assert_allclose(params["box.vertex_normals"].numpy(), before @ turn.T, atol=1e-5)
 
 
-@pytest.mark.parametrize("moved", ["box.vertex_positions", "box.to_world"])
-def test_normals_that_are_named_do_not_follow(moved):
-    """As ``update`` leaves them where they are put: beside them, what moves vertices turns no normals."""
-    s = scene()
-    params = psdr.traverse(s)
-    normals = "box.vertex_normals"
-    rng = np.random.default_rng(2)
-    tangent = rng.normal(size=params[moved].numpy().shape).astype(np.float32)
-    if moved == "box.to_world":
-        tangent[3] = 0.0
-    integrator = psdr.PathIntegrator(max_depth=2, boundary=None)
-    at_rest = np.zeros(params[normals].numpy().shape, np.float32)
-    alone = psdr.render_forward(s, params, {moved: tangent}, integrator=integrator, spp=16).numpy()
-    beside = psdr.render_forward(s, params, {moved: tangent, normals: at_rest}, integrator=integrator, spp=16).numpy()
-    # Light that falls on the cube changes with its normals.
-    assert np.abs(beside - alone).max() > 0.01 * np.abs(alone).max()
-    base, step = params[moved].numpy().copy(), 1.0e-3
-    kept = params[normals].numpy().copy()
-    ends = []
-    for sign in (1.0, -1.0):
-        params[moved] = base + sign * step * tangent
-        params[normals] = kept
-        params.update()
-        ends.append(psdr.render(s, integrator=integrator, spp=4096).numpy().astype(np.float64))
-    difference = (ends[0] - ends[1]) / (2.0 * step)
-    # Inside of the cube, where no silhouette moves.
-    inside = np.zeros((16, 16), bool)
-    inside[7:9, 7:9] = True
-    assert np.abs(difference[inside]).max() > 0.0
-    np.testing.assert_allclose(beside[inside].mean(), difference[inside].mean(), rtol=0.05)
-
-
 @pytest.mark.parametrize(
     "names", [("box.vertex_positions",), ("box.to_world",), ("box.vertex_positions", "box.to_world")]
 )

@@ -31,7 +31,7 @@ def derived_ranges(scene: Scene, names: list[str]) -> list[tuple[int, int]]:
         record = scene.builder.shapes[shape]
         ranges.append((record.normal_offset + 3 * record.first_vertex, 3 * record.vertex_count))
     for shape in _posed(scene, names):
-        _to_world, positions, normals = _offsets(scene, shape, names)
+        _to_world, positions, normals = scene.pose_offsets(shape)
         size = 3 * scene.builder.shapes[shape].vertex_count
         ranges.append((positions, size))
         if normals >= 0:
@@ -55,7 +55,7 @@ def pull_derived(scene: Scene, names: list[str], grad: wp.array) -> None:
         launch(
             pose_shape_vjp,
             dim=record.vertex_count,
-            inputs=[scene.values, vertices, normals, *_offsets(scene, shape, names)],
+            inputs=[scene.values, vertices, normals, *scene.pose_offsets(shape)],
             outputs=[grad],
             device=device,
         )
@@ -113,16 +113,10 @@ def push_derived(scene: Scene, names: list[str], tangent: wp.array) -> None:
         launch(
             pose_shape_jvp,
             dim=record.vertex_count,
-            inputs=[scene.values, vertices, normals, *_offsets(scene, shape, names)],
+            inputs=[scene.values, vertices, normals, *scene.pose_offsets(shape)],
             outputs=[tangent],
             device=device,
         )
-
-
-def _offsets(scene: Scene, shape: int, names: list[str]) -> tuple[int, int, int]:
-    """Return where a shape's pose is, and the vertices and normals that it moves; -1: normals that are named."""
-    to_world, positions, normals = scene.pose_offsets(shape)
-    return to_world, positions, -1 if shape in scene.own_normals(names) else normals
 
 
 def _posed(scene: Scene, names: list[str]) -> list[int]:

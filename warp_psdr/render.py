@@ -240,7 +240,8 @@ def render_forward(
         scene: a loaded scene.
         params: its parameters; ``requires_grad`` is not needed here.
         tangents: name -> direction, NumPy or Warp, in the parameter's shape; a number fills it. What a pose and the
-            vertices that it moves bring add up, each with the other at rest.
+            vertices that it moves bring add up, each with the other at rest, and so does what positions bring, whose
+            computed normals follow, and what these normals bring themselves.
         sensor: which camera.
         integrator: default: what the scene file names.
         spp: samples a pixel; default: the sensor's sample count.

@@ -410,16 +410,9 @@ class Scene:
                 )
 
     def derived_normals(self, names: list[str]) -> list[int]:
-        """Return the shapes whose normals follow their positions, and whose positions are among the named parameters.
-
-        Normals that are named beside them do not follow: ``refresh`` leaves them where they are put.
-        """
+        """Return the shapes whose normals follow their positions, and whose positions are among the named parameters."""
         shapes = {self.parameters[n].owner for n in names if POSITIONS in self.parameters[n].uses}
-        return sorted(s for s in shapes - self.own_normals(names) if self.description.shapes[s].normals_computed)
-
-    def own_normals(self, names: list[str]) -> set[int]:
-        """Return the shapes whose vertex normals are among the named parameters."""
-        return {self.parameters[n].owner for n in names if NORMALS in self.parameters[n].uses}
+        return sorted(s for s in shapes if self.description.shapes[s].normals_computed)
 
     def has_use(self, names: list[str], *uses: str) -> bool:
         """Whether any of the named parameters has one of the uses."""
