@@ -8,8 +8,8 @@ from typing import Literal
 from warp_psdr import boundary as boundary_methods
 from warp_psdr import interior as interior_methods
 
-#: Numbers of vertices are 32-bit integers with a sign; room for what is added to them.
-MOST_DEPTH = (1 << 30) - 1
+#: Numbers of vertices are 32-bit integers with a sign.
+MOST_DEPTH = (1 << 31) - 1
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -86,7 +86,7 @@ CASES = (
     Case(
         family="scale", name="1e2 .. 1e6 sizes away, float64", bound=4.5e-6, measure=lambda: moved(range(2, 7)),
         hard="float32 world coordinates have steps of a sixteenth of the scene at the far end",
-        naive="image and derivative are wrong by 8e-6 and 3e-4 at 1e2, 5e-3 and 0.3 at 1e4, and black at 1e6",
+        naive="image and derivative are wrong by 8e-6 and 3e-4 at 1e2, 5e-3 and 0.06 at 1e4, and black at 1e6",
     ),
     Case(
         family="scale", name="1e2 .. 1e6 sizes away, float32", bound=5e-6,
@@ -116,7 +116,7 @@ def test_scale(case, check) -> None:
 
 def test_without_an_origin_of_its_own_a_far_scene_is_lost(monkeypatch) -> None:
     monkeypatch.setattr(dictionary, "find_origin", lambda shapes: np.zeros(3))
-    assert moved([3]) > 0.1
+    assert moved([5]) > 0.1
 
 
 def test_shapes_too_small_for_their_world_are_noted() -> None:

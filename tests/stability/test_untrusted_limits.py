@@ -110,7 +110,7 @@ INTEGER = '<integer name="{}" value="{}"/>'
         (FILM.format(INTEGER.format("width", 65536) + INTEGER.format("height", 65536)), "at most 268435456 altogether"),
         (FILM.format(INTEGER.format("width", "9" * 400)), "got inf"),
         (FILM.format('<rfilter type="box"><float name="radius" value="1e9"/></rfilter>'), "at most 64 pixels"),
-        (FILM.format('<rfilter type="gaussian"><float name="stddev" value="1e9"/></rfilter>'), "no light|no shapes"),
+        (FILM.format('<rfilter type="gaussian"><float name="stddev" value="1e9"/></rfilter>'), "at most 16 pixels"),
         ('<shape type="sphere"><integer name="resolution" value="1000000000"/></shape>', "at most 2048"),
         ('<shape type="sphere"><float name="radius" value="1e300"/></shape>', "got 1e\\+300"),
         ('<shape type="sphere"><point name="center" value="1e39 0 0"/></shape>', "three finite numbers"),

@@ -410,9 +410,13 @@ class Scene:
                 )
 
     def derived_normals(self, names: list[str]) -> list[int]:
-        """Return the shapes whose normals follow their positions, and whose positions are among the named parameters."""
-        shapes = {self.parameters[n].owner for n in names if POSITIONS in self.parameters[n].uses}
-        return sorted(s for s in shapes if self.description.shapes[s].normals_computed)
+        """Shapes whose normals follow their positions and whose positions, or pose, are among the named parameters."""
+        shapes = set()
+        for name in names:
+            p = self.parameters[name]
+            if POSITIONS in p.uses and self.description.shapes[p.owner].normals_computed:
+                shapes.add(p.owner)
+        return sorted(shapes)
 
     def has_use(self, names: list[str], *uses: str) -> bool:
         """Whether any of the named parameters has one of the uses."""
