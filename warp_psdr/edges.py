@@ -274,6 +274,20 @@ def scene_adjacency(scene: Scene) -> Adjacency:
     return found
 
 
+def sides_of(scene: Scene, edges: Adjacency, edge: np.ndarray) -> np.ndarray:
+    """Return which side of its triangle every (edge, triangle) pair is: from corner a to a + 1.
+
+    A triangle's corner opposite to the edge is the one that is farthest from the edge's line; welded triangles share
+    positions, not vertex numbers.
+    """
+    points = scene.points.astype(np.float64)
+    ends = points[edges.ends[edge]]
+    along = (ends[:, 1] - ends[:, 0]) / np.maximum(edges.length[edge], 1e-300)[:, None]
+    corners = points[scene.builder.indices[edges.faces]] - ends[:, :1]
+    across = corners - (corners * along[:, None]).sum(axis=2, keepdims=True) * along[:, None]
+    return (np.argmax(np.linalg.norm(across, axis=2), axis=1) + 1) % 3
+
+
 def joined_faces(faces: int, edges: Adjacency, joins: np.ndarray) -> np.ndarray:
     """Return the number of every triangle's group, (faces,): equal where edges of two triangles join them.
 

@@ -9,7 +9,18 @@ import numpy as np
 import warp as wp
 
 from warp_psdr.camera_view import CameraView, camera_view
-from warp_psdr.edges import COPLANAR, Adjacency, cross, join, moving_edges, scene_adjacency, select, upload, without
+from warp_psdr.edges import (
+    COPLANAR,
+    Adjacency,
+    cross,
+    join,
+    moving_edges,
+    scene_adjacency,
+    select,
+    sides_of,
+    upload,
+    without,
+)
 from warp_psdr.kernels.constants import DELTA_MODELS, TEXTURE_FACE
 
 if TYPE_CHECKING:
@@ -128,14 +139,10 @@ def primary_edges(scene: Scene, found: FilmEdges, curves: Adjacency | None = Non
 
 
 def _sides(scene: Scene, edges: Adjacency) -> np.ndarray:
-    """Return ``Edges.sides``; of triangles with a side that only a piece of an edge lies on, all three."""
-    corners = edges.group[scene.builder.indices[edges.faces]]
-    ends = np.sort(edges.group[edges.ends], axis=1)[np.repeat(np.arange(len(edges.length)), edges.count)]
-    bits = np.zeros(len(corners), np.int32)
-    for k in range(3):
-        bits[(np.sort(corners[:, [k, (k + 1) % 3]], axis=1) == ends).all(axis=1)] = 1 << k
+    """Return ``Edges.sides``."""
     found = np.zeros(scene.face_count, np.int32)
-    np.bitwise_or.at(found, edges.faces, np.where(bits == 0, 7, bits))
+    sides = sides_of(scene, edges, np.repeat(np.arange(len(edges.length)), edges.count))
+    np.bitwise_or.at(found, edges.faces, np.left_shift(1, sides).astype(np.int32))
     return found
 
 
@@ -217,8 +224,11 @@ def _turned(scene: Scene, edges: Adjacency, some: np.ndarray) -> np.ndarray:
         determinant = t1[:, 0] * t2[:, 1] - t1[:, 1] * t2[:, 0]
         turned = np.sign(determinant)[:, None] * (t2[:, 1:] * d1 - t1[:, 1:] * d2)
         tangent = np.where(np.abs(determinant)[:, None] < 1.0e-20, d1, turned)
+        # Across the edge, out of the first face and into the second, however the two are wound.
         beside = cross(cross(d1, d2), along)
         beside *= (np.linalg.norm(along, axis=1) / np.maximum(np.linalg.norm(beside, axis=1), 1e-300))[:, None]
+        inward = ((p.mean(axis=1) - edges.points[some, 0]) * beside).sum(axis=1) > 0.0
+        beside[inward == (len(found) == 0)] *= -1.0
         found.append(np.stack([(tangent * along).sum(axis=1), (tangent * beside).sum(axis=1)], axis=1))
     a, b = (x / np.maximum(np.linalg.norm(x, axis=1, keepdims=True), 1e-300) for x in found)
     return np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]) > TURN

@@ -130,7 +130,7 @@ def _record(tape: wp.Tape, image: wp.array, scene: Scene, params: Parameters, **
     names, version = params.requested, scene.version
 
     def backward() -> None:
-        if scene.version != version or params.requested != names:
+        if scene.version != version or set(params.requested) != set(names):
             raise RuntimeError(
                 "tape.backward: the scene, or what requires_grad named, has changed since render(tape=...); call "
                 "tape.backward before params.update and requires_grad, and record each rendering of another scene on a "

@@ -90,10 +90,11 @@ class _Call:
     def options(self) -> dict[str, Any]:
         return {"sensor": self.sensor, "integrator": self.integrator, "seed": self.seed}
 
-    @staticmethod
-    def state(params: Any) -> dict[str, np.ndarray]:
-        """Return a copy of all values of the scene."""
-        return {name: view.numpy().copy() for name, view in params.items()}
+    def state(self, params: Any) -> dict[str, np.ndarray]:
+        """Return a copy of all values of the scene, but for those that follow from a pose."""
+        posed = [name.removesuffix("to_world") for name in params if name.endswith(".to_world")]
+        follow = {pose + name for pose in posed for name in ("vertex_positions", "vertex_normals")}
+        return {name: params[name].numpy().copy() for name in params if name not in follow.difference(self.names)}
 
     def assign(self, values: Mapping[str, np.ndarray]) -> Any:
         """Make the scene hold the values and return its parameters."""

@@ -143,7 +143,7 @@ def make_film_edge(config: PathConfig, role: str, camera_moves: bool):
             speed += push_camera(scene, target, camera, f.at.sample, -g, -f.distance * g)
         if wp.static(role == "forward"):
             splat(scene, sampler, camera, f.at.pixel, speed * jump, image)
-        elif wp.static(role == "reverse"):
+        else:
             if speed != 0.0:
                 count_invalid(scene, sampler)
 

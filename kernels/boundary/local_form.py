@@ -48,6 +48,10 @@ IN_PLANE = 0.9999
 SAMPLE_RECORD = 9
 
 
+#: Sine of the angle between a face and light up to which they are parallel: some roundings of normals.
+PARALLEL = 1.0e-5
+
+
 @wp.struct
 class Edges:
     """Candidate edges, of position-welded vertices. ``ends`` and ``twins`` are the vertices of the first two faces.
@@ -158,8 +162,8 @@ def facing_side(scene: Scene, edges: Edges, point: EdgePoint, along: wp.vec3, w:
     """Return ``interior_side`` for m = along x w, the same for all edges of a face that is parallel to w.
 
     With n its normal and r the way to its third corner, m . r = (n . w) (along x n) . r. A face whose n . w is 0, or a
-    rounding, is lit or not as a whole: of the sides of a box under a vertical sun, which are neither, one edge each is
-    a silhouette, and a sheet that casts no shadow has two whose shadows cancel.
+    rounding, is lit as a whole, with all triangles in its plane: of the sides of a box under a vertical sun, which are
+    neither lit nor dark, one edge each is a silhouette, and a sheet that casts no shadow has two whose shadows cancel.
     """
     if edges.ends[point.edge, 0] < 0:
         return 0.0
@@ -168,7 +172,7 @@ def facing_side(scene: Scene, edges: Edges, point: EdgePoint, along: wp.vec3, w:
     for i in range(edges.first[point.edge], edges.first[point.edge + 1]):
         tri = scene.triangles[edges.faces[i]]
         r = (tri.p0 - point.p0) + (tri.p1 - point.p0) + (tri.p2 - point.p0)
-        if (wp.dot(wp.cross(along, tri.normal), r) > 0.0) == (wp.dot(tri.normal, w) >= 0.0):
+        if (wp.dot(wp.cross(along, tri.normal), r) > 0.0) == (wp.dot(tri.normal, w) >= -PARALLEL):
             above += 1
         else:
             below += 1

@@ -64,6 +64,9 @@ BESIDE_LEAST = 0.025
 ACUTE, BESIDE_CURVE = 0.01, 10.0
 #: Whose surface a ray meets beside an edge, 0: neither the edge's own shape nor one with an edge along it.
 OWN, NEXT = wp.constant(1), wp.constant(2)
+#: Up to what distance another shape's edge runs along this one: as seen, in roundings of coordinates, if that is more
+#: than the rays' distance; in space, over that. (One far behind it is hidden, and does not count the jump.)
+ROUNDING, ALONG = 2.0e-7, 10.0
 
 
 @functools.cache
@@ -109,11 +112,14 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
                 p = tri.p2
                 q = tri.p0
             if ((sides >> k) & 1) == 1:
+                r = point.x - p
                 n = wp.cross(q - p, d)
                 squared = wp.dot(n, n)
-                t = wp.dot(wp.cross(point.x - p, d), n)
-                away = wp.dot(n, point.x - p)
-                if t >= 0.0 and t <= squared and away * away <= apart * apart * squared:
+                t = wp.dot(wp.cross(r, d), n)
+                side = wp.abs(wp.dot(n, r))
+                off = wp.length(wp.cross(r, wp.normalize(q - p)))
+                near = wp.max(apart, ROUNDING * (wp.length(p) + wp.length(q)))
+                if t >= 0.0 and t <= squared and side <= near * wp.sqrt(squared) and off <= ALONG * near:
                     return NEXT
         return 0
 

@@ -4,7 +4,7 @@ import functools
 
 import warp as wp
 
-from warp_psdr.kernels.boundary.local_form import Edges, edge_at, interior_side
+from warp_psdr.kernels.boundary.local_form import Edges, edge_at, facing_side
 from warp_psdr.kernels.guiding.light_square import make_light_square
 from warp_psdr.kernels.path import PathConfig
 from warp_psdr.kernels.structs import Scene
@@ -39,7 +39,7 @@ def make_facing_kernel(config: PathConfig):
             if direction.valid == 1:
                 if direction.face >= 0:
                     found += direction.share * direction.share
-                elif interior_side(scene, edges, point, wp.cross(point.p1 - point.p0, direction.w)) != 0.0:
+                elif facing_side(scene, edges, point, wp.normalize(point.p1 - point.p0), direction.w) != 0.0:
                     found += 1.0
         share_out[number] = wp.sqrt(found / wp.float32(points.shape[0]))
 

@@ -3,7 +3,7 @@
 import pytest
 
 from .measure import Case, assert_agrees, derivatives, differences, rows
-from .scenes import box, camera, diffuse, floor, mesh, panel, register, sky
+from .scenes import SIZE, T, box, camera, diffuse, floor, mesh, panel, register, sky
 from .test_brushed import pans
 from .test_table import moved
 
@@ -33,13 +33,27 @@ def behind():
     return {"sensor": VIEW, "first": first, "second": second, "sky": sky()}
 
 
+def stairs():
+    """Two boxes side by side, one higher: edges that coincide from straight above alone."""
+    film = {"type": "hdrfilm", "width": SIZE, "height": SIZE}
+    pose = T.look_at([0, 0, 4], [0, 0, 0], [0, 1, 0]) @ T.scale([1.5, 1.5, 1])
+    return {
+        "sensor": {"type": "orthographic", "to_world": pose, "film": film},
+        "first": box((-0.5, 0.0, 1.0), (0.5, 0.6, 1.0), RED),
+        "second": box((0.4, 0.1, 0.5), (0.4, 0.7, 0.5), BLUE),
+        "light": panel((0.8, -0.6, 3.5), 0.5),
+    }
+
+
 def flush():
     """A small box on a big one, one side of either in the same plane."""
     first, second = box((0.0, 0.0, 0.4), (0.6, 0.5, 0.4), RED), box((0.3, -0.2, 1.05), (0.3, 0.3, 0.25), BLUE)
     return {"sensor": VIEW, "floor": floor(), "first": first, "second": second, "light": panel((0.8, -0.6, 2.5), 0.5)}
 
 
-register({"tiles": tiles, "wall on a border": corner, "wall before a floor": behind, "flush boxes": flush})
+register(
+    {"tiles": tiles, "wall on a border": corner, "wall before a floor": behind, "stairs": stairs, "flush boxes": flush}
+)
 BOTH = ("first.vertex_positions", "second.vertex_positions")
 CASES = [
     Case("tiles", "sensor.to_world", pans, 0.02, "seen in passing", slow=False),
@@ -47,6 +61,7 @@ CASES = [
     Case("wall on a border", "sensor.to_world", pans, 0.02, "seen in passing", 2, 512, 2048),
     Case("wall on a border", BOTH, moved(1.0, 0.2, 0.3), 0.02, "both move", 2, 1024, 4096),
     Case("wall before a floor", "sensor.to_world", pans, 0.02, "seen in passing", 2, 512, 2048),
+    Case("stairs", BOTH, moved(1.0, 0.2, 0.0), 0.02, "both slide", spp=1024, difference_spp=2048, slow=False),
     Case("flush boxes", "sensor.to_world", pans, 0.01, "seen in passing", 2, 512, 2048),
     Case("flush boxes", BOTH, moved(1.0, 0.2, 0.0), 0.01, "both slide", 2, 1024, 4096),
 ]

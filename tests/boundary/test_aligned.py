@@ -37,10 +37,26 @@ register({
     "box beside a lamp": beside_lamp,
 })  # fmt: skip
 ALONG = moved(0.0, 1.0, 0.0)
+
+
+def turned_sun():
+    """A box and the sun along its sides, turned together: what is parallel is so up to roundings."""
+    axis = np.array([0.3, -0.7, 0.64])
+    axis /= np.linalg.norm(axis)
+    k = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
+    turn = np.eye(3) + np.sin(0.5) * k + (1.0 - np.cos(0.5)) * k @ k
+    center = np.array([0.1, 0.1, 0.9])
+    occluder = box((0.0, 0.0, 0.0), (0.4, 0.3, 0.2), diffuse(0.3))
+    occluder["vertices"] = np.float32(np.float64(occluder["vertices"]) @ turn.T + center)
+    return under_sun(occluder) | {"light": SUN | {"direction": (turn @ [0.0, 0.0, -1.0]).tolist()}}
+
+
+register({"box and sun, turned": turned_sun})
 CASES = [
     Case("box under the sun", OCCLUDER, ALONG, 0.02, "along y", slow=False),
     Case("box under the sun", OCCLUDER, moved(1.0, 0.0, 0.0), 0.02, "along x"),
     Case("turned box under the sun", OCCLUDER, moved(1.0, 0.4, 0.0), 0.02, "slides"),
+    Case("box and sun, turned", OCCLUDER, moved(1.0, 0.4, 0.0), 0.02, "slides", slow=False),
     Case("box on the floor under the sun", OCCLUDER, moved(1.0, 0.4, 0.0), 0.005, "slides", difference_spp=4096),
     Case("sheet under the sun", OCCLUDER, ALONG, 0.005, "slides", difference_spp=4096, slow=False),
     Case("box beside a lamp", OCCLUDER, moved(0.0, 0.0, 1.0), 0.01, "rises"),

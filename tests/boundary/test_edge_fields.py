@@ -125,11 +125,12 @@ def test_guided_samples_add_up_to_the_boundary_gradient(under_a_light) -> None:
     assert np.abs(expected).max() > 10 * SUMMATION * np.abs(pulls).sum()
 
 
-def test_samples_that_are_not_finite_are_counted() -> None:
+@pytest.mark.parametrize("kind", ["primary", "secondary"])
+def test_samples_that_are_not_finite_are_counted(kind) -> None:
     scene = broken(lookup="bilinear")
     params = psdr.traverse(scene)
     params.requires_grad("blocker.to_world")
-    with pytest.warns(RuntimeWarning, match="secondary: [1-9]"):
+    with pytest.warns(RuntimeWarning, match=f"{kind}: [1-9]"):
         samples = edge_fields.boundary_samples(scene, params, np.ones((SIZE, SIZE, 3)), integrator=DIRECT, spp=SPP)
     assert len(samples.pulls) and np.isfinite(samples.pulls).all()
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
-from warp_psdr.edges import scene_adjacency
+from warp_psdr.edges import scene_adjacency, sides_of
 from warp_psdr.kernels.boundary.projective import Neighbours
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ def neighbour_tables(scene: Scene, ends: np.ndarray) -> tuple[np.ndarray, np.nda
     slot = np.arange(len(edge))
     other = np.where(slot == adjacency.first[edge], slot + 1, adjacency.first[edge])
     opposite = np.where(count == 2, adjacency.faces[np.where(count == 2, other, slot)], -1)
-    side = _sides(scene, adjacency, edge)
+    side = sides_of(scene, adjacency, edge)
     faces = np.full((scene.face_count, 3), -1, np.int32)
     numbers = np.full((scene.face_count, 3), -1, np.int32)
     faces[adjacency.faces, side] = opposite
@@ -61,17 +61,3 @@ def _rows(all_ends: np.ndarray, ends: np.ndarray, vertices: int) -> np.ndarray:
     sorted_keys = key(ends)[order]
     at = np.minimum(np.searchsorted(sorted_keys, key(all_ends)), len(order) - 1)
     return np.where(sorted_keys[at] == key(all_ends), order[at], -1).astype(np.int32)
-
-
-def _sides(scene: Scene, adjacency, edge: np.ndarray) -> np.ndarray:
-    """Return which side of its triangle every (edge, triangle) pair of the adjacency is: from corner a to a + 1.
-
-    A triangle's corner opposite to the edge is the one that is farthest from the edge's line; welded triangles share
-    positions, not vertex numbers.
-    """
-    points = scene.points.astype(np.float64)
-    ends = points[adjacency.ends[edge]]
-    along = (ends[:, 1] - ends[:, 0]) / np.maximum(adjacency.length[edge], 1e-300)[:, None]
-    corners = points[scene.builder.indices[adjacency.faces]] - ends[:, :1]
-    across = corners - (corners * along[:, None]).sum(axis=2, keepdims=True) * along[:, None]
-    return (np.argmax(np.linalg.norm(across, axis=2), axis=1) + 1) % 3
