@@ -84,7 +84,7 @@ class Request:
         scene: the scene.
         plan: with the method in ``boundary``.
         moves: what moves.
-        role: "reverse" or "forward".
+        role: "reverse" or "forward"; "samples" for ``edge_fields``.
         sensor: which camera.
         spp: samples a pixel of the interior term.
         seed: of the boundary term's stream.
