@@ -274,13 +274,14 @@ def scene_adjacency(scene: Scene) -> Adjacency:
     return found
 
 
-def sides_of(scene: Scene, edges: Adjacency, edge: np.ndarray) -> np.ndarray:
-    """Return which side of its triangle every (edge, triangle) pair is: from corner a to a + 1.
+def sides_of(scene: Scene, edges: Adjacency) -> np.ndarray:
+    """Return which side of its triangle, ``edges.faces``, an edge is: from corner a to a + 1.
 
     A triangle's corner opposite to the edge is the one that is farthest from the edge's line; welded triangles share
     positions, not vertex numbers.
     """
     points = scene.points.astype(np.float64)
+    edge = np.repeat(np.arange(len(edges.length)), edges.count)
     ends = points[edges.ends[edge]]
     along = (ends[:, 1] - ends[:, 0]) / np.maximum(edges.length[edge], 1e-300)[:, None]
     corners = points[scene.builder.indices[edges.faces]] - ends[:, :1]

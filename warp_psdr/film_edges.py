@@ -123,7 +123,6 @@ def film_edges(
 def primary_edges(scene: Scene, found: FilmEdges, curves: Adjacency | None = None) -> Edges | None:
     """Return the edges drawn by the clipped length of their image, ``curves`` of intersection with them; None: none."""
     seen, edges = found.others, found.edges
-    sides = _sides(scene, select(edges, seen.keep)) if len(scene.builder.shapes) > 1 else None
     if curves is not None:
         view = camera_view(scene, found.key[0])
         more = _seen(view, curves, np.ones(len(curves.length), bool))
@@ -133,7 +132,8 @@ def primary_edges(scene: Scene, found: FilmEdges, curves: Adjacency | None = Non
     if not len(seen.keep):
         return None
     record = upload(scene, edges, seen.keep, seen.length, seen.low, seen.high)
-    if sides is not None:
+    if len(scene.builder.shapes) > 1:
+        sides = _sides(scene, select(found.edges, found.others.keep))
         record.sides = wp.array(sides, dtype=wp.int32, device=scene.device)
     return record
 
@@ -141,8 +141,7 @@ def primary_edges(scene: Scene, found: FilmEdges, curves: Adjacency | None = Non
 def _sides(scene: Scene, edges: Adjacency) -> np.ndarray:
     """Return ``Edges.sides``."""
     found = np.zeros(scene.face_count, np.int32)
-    sides = sides_of(scene, edges, np.repeat(np.arange(len(edges.length)), edges.count))
-    np.bitwise_or.at(found, edges.faces, np.left_shift(1, sides).astype(np.int32))
+    np.bitwise_or.at(found, edges.faces, (1 << sides_of(scene, edges)).astype(np.int32))
     return found
 
 
@@ -180,6 +179,8 @@ def _within(scene: Scene, edges: Adjacency) -> np.ndarray:
     """Return a mask of the edges between two triangles of one shape across which no texture, nor dp/du, jumps."""
     stepped = np.array([_stepped(scene, s) for s in scene.builder.shapes])
     within = (edges.count == 2) & (edges.ends == edges.twins).all(axis=1) & ~stepped[_shape(scene, edges)]
+    if not scene.builder.anisotropic:
+        return within
     brushed = np.array([_brushed(scene, s) for s in scene.builder.shapes])
     some = np.flatnonzero(within & brushed[_shape(scene, edges)])
     within[some] = ~_turned(scene, edges, some)
@@ -206,6 +207,8 @@ def _brushed(scene: Scene, shape: Any) -> bool:
 
 def _brushed_texcoords(scene: Scene) -> list[bytes]:
     """Return what dp/du depends on beside positions."""
+    if not scene.builder.anisotropic:
+        return []
     flat = scene.values.numpy()
     found = [s for s in scene.builder.shapes if s.has_uv == 1 and _brushed(scene, s)]
     first = [s.uv_offset + 2 * s.first_vertex for s in found]

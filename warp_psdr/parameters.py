@@ -29,7 +29,7 @@ def parameter_of(scene: Scene, name: str) -> Parameter:
         raise KeyError(f"the scene has no parameter {name!r}; {hint}") from None
 
 
-def _long(shape: tuple[int, ...]) -> tuple[int, ...]:
+def _squeezed(shape: tuple[int, ...]) -> tuple[int, ...]:
     """Return a shape without its axes of length one."""
     return tuple(n for n in shape if n != 1)
 
@@ -139,7 +139,7 @@ class Parameters(Mapping):
             ) from error
         if array.ndim == 0:
             array = np.full(p.numpy_shape, array, dtype)
-        if array.shape != (p.size,) and _long(array.shape) != _long(p.numpy_shape):
+        if array.shape != (p.size,) and _squeezed(array.shape) != _squeezed(p.numpy_shape):
             raise ValueError(
                 f"{what} of {name!r}: got shape {array.shape}, expected {p.numpy_shape} ({p.size} numbers); "
                 "the size of a parameter is fixed when the scene is loaded"

@@ -46,8 +46,6 @@ ON_PLANE, NEAR = 0.5, 2000.0
 IN_PLANE = 0.9999
 #: Numbers a sample that role "samples" records: x_b, the edge from its first to its second end, and the adjoint of x_b.
 SAMPLE_RECORD = 9
-
-
 #: Sine of the angle between a face and light up to which they are parallel: some roundings of normals.
 PARALLEL = 1.0e-5
 
@@ -134,6 +132,22 @@ def edge_behind(scene: Scene, step: wp.float32) -> wp.float32:
 
 
 @wp.func
+def to_third(tri: Triangle, point: EdgePoint) -> wp.vec3:
+    """Way from the first end of an edge of a triangle to its third corner, plus the edge."""
+    return (tri.p0 - point.p0) + (tri.p1 - point.p0) + (tri.p2 - point.p0)
+
+
+@wp.func
+def one_side(above: wp.int32, below: wp.int32) -> wp.float32:
+    """The side on which all faces lie of which so many lie above and below, else 0."""
+    if below == 0:
+        return 1.0
+    if above == 0:
+        return -1.0
+    return 0.0
+
+
+@wp.func
 def interior_side(scene: Scene, edges: Edges, point: EdgePoint, m: wp.vec3) -> wp.float32:
     """Return +1 or -1 if all faces of the edge lie on that side of the plane through the edge with normal m, else 0.
 
@@ -145,16 +159,11 @@ def interior_side(scene: Scene, edges: Edges, point: EdgePoint, m: wp.vec3) -> w
     below = wp.int32(0)
     for i in range(edges.first[point.edge], edges.first[point.edge + 1]):
         tri = scene.triangles[edges.faces[i]]
-        height = wp.dot(m, (tri.p0 - point.p0) + (tri.p1 - point.p0) + (tri.p2 - point.p0))
-        if height > 0.0:
+        if wp.dot(m, to_third(tri, point)) > 0.0:
             above += 1
         else:
             below += 1
-    if below == 0:
-        return 1.0
-    if above == 0:
-        return -1.0
-    return 0.0
+    return one_side(above, below)
 
 
 @wp.func
@@ -171,16 +180,12 @@ def facing_side(scene: Scene, edges: Edges, point: EdgePoint, along: wp.vec3, w:
     below = wp.int32(0)
     for i in range(edges.first[point.edge], edges.first[point.edge + 1]):
         tri = scene.triangles[edges.faces[i]]
-        r = (tri.p0 - point.p0) + (tri.p1 - point.p0) + (tri.p2 - point.p0)
+        r = to_third(tri, point)
         if (wp.dot(wp.cross(along, tri.normal), r) > 0.0) == (wp.dot(tri.normal, w) >= -PARALLEL):
             above += 1
         else:
             below += 1
-    if below == 0:
-        return 1.0
-    if above == 0:
-        return -1.0
-    return 0.0
+    return one_side(above, below)
 
 
 @wp.func
@@ -230,7 +235,7 @@ def narrowest_face(
     for i in range(edges.first[point.edge], edges.first[point.edge + 1]):
         tri = scene.triangles[edges.faces[i]]
         # Two of the corners lie on the edge, at 0 and 1.
-        third = (tri.p0 - point.p0) + (tri.p1 - point.p0) + (tri.p2 - point.p0)
+        third = to_third(tri, point)
         c = wp.dot(along, third) - 1.0
         share = wp.float32(1.0)
         if c > point.s:

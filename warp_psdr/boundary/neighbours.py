@@ -43,7 +43,7 @@ def neighbour_tables(scene: Scene, ends: np.ndarray) -> tuple[np.ndarray, np.nda
     slot = np.arange(len(edge))
     other = np.where(slot == adjacency.first[edge], slot + 1, adjacency.first[edge])
     opposite = np.where(count == 2, adjacency.faces[np.where(count == 2, other, slot)], -1)
-    side = sides_of(scene, adjacency, edge)
+    side = sides_of(scene, adjacency)
     faces = np.full((scene.face_count, 3), -1, np.int32)
     numbers = np.full((scene.face_count, 3), -1, np.int32)
     faces[adjacency.faces, side] = opposite

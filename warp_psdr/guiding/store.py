@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -134,8 +134,7 @@ def forget(r: Request, method: Method) -> None:
 
 
 def _key(r: Request, method: Method) -> tuple:
-    counted = replace(r.method, spp_primary=None, spp_secondary=None)
-    return method, r.moves, r.sensor, r.plan.max_depth, counted, r.indirect
+    return method, r.moves, r.sensor, r.plan.max_depth, r.method.without_counts(), r.indirect
 
 
 def _kept(scene: Scene) -> dict:

@@ -228,7 +228,7 @@ class Scene:
         if not names and not self._unfinished:
             return
         self.version += 1
-        self._unfinished = [*self._unfinished, *(n for n in names if n not in self._unfinished)]
+        self._unfinished = list(dict.fromkeys([*self._unfinished, *names]))
         self._follow(self._unfinished)
         self._unfinished = []
 
