@@ -6,8 +6,9 @@ import trimesh
 
 import warp_psdr as psdr
 from warp_psdr.bent import bent_faces
-from warp_psdr.edges import COPLANAR, adjacency, scene_adjacency, secondary_edges, weld
+from warp_psdr.edges import COPLANAR, adjacency, scene_adjacency, weld
 from warp_psdr.film_edges import facet_edges, film_edges, primary_edges
+from warp_psdr.secondary_edges import secondary_edges
 
 
 def cube(split: bool = False):

@@ -17,7 +17,6 @@ from warp_psdr.boundary.drivers import launch_samples
 from warp_psdr.boundary.methods import EdgeSampling, PathSpace
 from warp_psdr.boundary.motion import motion
 from warp_psdr.boundary.terms import Request, facets, launches, primary, secondary
-from warp_psdr.edges import secondary_edges
 from warp_psdr.guiding import store
 from warp_psdr.invalid import warns
 from warp_psdr.kernels.boundary.local_form import SAMPLE_RECORD
@@ -26,6 +25,7 @@ from warp_psdr.options import PathIntegrator, from_description
 from warp_psdr.passes import STREAM_BOUNDARY
 from warp_psdr.plan import decide
 from warp_psdr.plots import as_array
+from warp_psdr.secondary_edges import secondary_edges
 
 if TYPE_CHECKING:
     from warp_psdr.kernels.guiding.cells import Cells

@@ -24,7 +24,7 @@ def edge_trees(scene: Scene, edges: Edges) -> EdgeTrees:
 
     Args:
         scene: the scene.
-        edges: as of ``edges.secondary_edges``.
+        edges: as of ``secondary_edges.secondary_edges``.
     """
     points = scene.points.copy()  # on the CPU it is a view of what moves
     cdf, ends, faces, first = (a.numpy() for a in (edges.cdf, edges.ends, edges.faces, edges.first))

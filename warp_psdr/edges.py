@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 import warp as wp
 
-from warp_psdr.guiding.chains import chain_order
 from warp_psdr.kernels.boundary.local_form import Edges
 from warp_psdr.light_sampling import cumulative
 from warp_psdr.t_junctions import cut_sides
@@ -28,8 +26,6 @@ COPLANAR = 1.0e-4
 NEEDLE = 1.0e-2
 #: Tilt of a needle times its height, in the scene's extent: a few roundings of its corners.
 TILT = 2.5e-7
-#: Share of the samples that goes to edges of moving shapes alone; the others are for edges between moving end points.
-MOVING_SHARE = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -333,68 +329,6 @@ def shared_by_many(scene: Scene, shapes: set[int]) -> tuple[int, int] | None:
     return (int(low[found[0]]), int(high[found[0]])) if len(found) else None
 
 
-def secondary_edges(scene: Scene, shapes: set[int]) -> Edges | None:
-    """Return the edges that can be a silhouette for some path vertex, drawn by length times wedge; None: no edges.
-
-    Args:
-        scene: the scene.
-        shapes: the shapes that move.
-    """
-    keep, p = secondary_candidates(scene, shapes)
-    if not len(keep):
-        return None
-    return upload(scene, scene_adjacency(scene), keep, p, np.zeros(len(keep)), np.ones(len(keep)))
-
-
-def secondary_candidates(scene: Scene, shapes: set[int]) -> tuple[np.ndarray, np.ndarray]:
-    """Return the numbers of the edges that can be a silhouette, and their probabilities."""
-    edges = scene_adjacency(scene)
-    weight = edges.length * edges.wedge
-    keep = np.flatnonzero(weight > 0.0)
-    if not len(keep):
-        return keep, np.zeros(0)
-    p = weight[keep] / weight[keep].sum()
-    of_moving = np.where(moving_edges(scene, edges, shapes)[keep], p, 0.0)
-    if of_moving.sum() > 0.0:
-        p = (1.0 - MOVING_SHARE) * p + MOVING_SHARE * of_moving / of_moving.sum()
-    return keep, p
-
-
-def ordered_edges(
-    scene: Scene, keep: np.ndarray, p: np.ndarray, facing: Callable[[Edges], np.ndarray]
-) -> tuple[Edges, np.ndarray, np.ndarray, np.ndarray]:
-    """Return edges in the order of guided sampling, how far they face the lights, their numbers, and which are turned.
-
-    In chains (``guiding/chains.py``), but those that are a silhouette for no light apart from the others: next to them
-    the others would be hard to find. Edges that run against their chain are turned around.
-
-    Args:
-        scene: the scene.
-        keep: numbers of edges.
-        p: their probabilities.
-        facing: edges -> (E,) measure that is 0 where an edge is a silhouette for no light.
-    """
-    edges = scene_adjacency(scene)
-    points = scene.points
-    order, turned = chain_order(points, edges.ends[keep])
-    ends, twins, corners = edges.ends.copy(), edges.twins.copy(), edges.points.copy()
-    for array in (ends, twins, corners):
-        array[keep[order[turned]]] = array[keep[order[turned]], ::-1]
-    edges = replace(edges, ends=ends, twins=twins, points=corners)
-    low, high = np.zeros(len(keep)), np.ones(len(keep))
-    share = facing(upload(scene, edges, keep[order], p[order], low, high))
-    apart = np.argsort(share > 0.0, kind="stable")
-    order, turned = order[apart], turned[apart]
-    return upload(scene, edges, keep[order], p[order], low, high), share[apart], keep[order], turned
-
-
-def moved_points(scene: Scene, numbers: np.ndarray, turned: np.ndarray) -> wp.array:
-    """Return where ordered edges start and end now, for ``Edges.points``."""
-    points = scene_adjacency(scene).points[numbers]
-    points[turned] = points[turned, ::-1]
-    return wp.array(np.ascontiguousarray(points, dtype=np.float32), dtype=wp.vec3, device=scene.device)
-
-
 def curve_edges(scene: Scene, curves: Adjacency) -> Edges | None:
     """Return curves of intersection, drawn by their length; None: there are none."""
     n = len(curves.length)
@@ -423,5 +357,5 @@ def upload(scene: Scene, edges: Adjacency, keep: np.ndarray, weight: np.ndarray,
     record.faces = array(edges.faces, wp.int32)
     record.first = array(edges.first, wp.int32)
     record.low, record.high = array(low), array(high)
-    record.sides = array([0], wp.int32)
+    record.sides, record.beside, record.beside_first = (array([0], wp.int32) for _ in range(3))
     return record

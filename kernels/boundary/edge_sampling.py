@@ -31,6 +31,7 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
+from warp_psdr.kernels.boundary.abutting import edge_share
 from warp_psdr.kernels.boundary.depth import DIRECT
 from warp_psdr.kernels.boundary.detector import make_arrival
 from warp_psdr.kernels.boundary.edge_tree import EdgeTrees, edge_at, make_choose
@@ -148,7 +149,8 @@ def make_edge_sample(config: PathConfig, tree: bool, candidates: int):
         length = wp.length(along)
         t1 = wp.length(point.x - x1)
         w = (point.x - x1) / t1
-        m = wp.cross(along / length, w)
+        tangent = along / length
+        m = wp.cross(tangent, w)
         sine = wp.length(m)
         side = interior_side(scene, edges, point, m)
         density = trees.boost[chosen.edge] * mixture_density(lobes, w)
@@ -189,7 +191,8 @@ def make_edge_sample(config: PathConfig, tree: bool, candidates: int):
                 s.source = x - behind * w
         s.valid = 1
         # pdf_l = q boost / scale, q = density sin(phi) / t_1^2; t_1^2 cancels against the measure.
-        r.value = (chosen.scale / (density * sine)) * f
+        share = edge_share(scene, edges, point, tangent, w, side)
+        r.value = (share * chosen.scale / (density * sine)) * f
         r.segment = s
         r.point = point
         return r

@@ -68,6 +68,9 @@ class Edges:
     high: wp.array(dtype=wp.float32)
     # Of every triangle, bit k: its side from corner k on is among the edges. One zero where nobody asks.
     sides: wp.array(dtype=wp.int32)
+    # Edges of other shapes that run along an edge, and where its own start, n + 1. One zero where nobody asks.
+    beside: wp.array(dtype=wp.int32)
+    beside_first: wp.array(dtype=wp.int32)
 
 
 @wp.struct

@@ -22,6 +22,7 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
+from warp_psdr.kernels.boundary.abutting import edge_share
 from warp_psdr.kernels.boundary.depth import make_indirect
 from warp_psdr.kernels.boundary.direction import Direction, wedge_at
 from warp_psdr.kernels.boundary.local_form import (
@@ -60,7 +61,7 @@ def moves(scene: Scene, moving: wp.array(dtype=wp.int32), face: wp.int32) -> wp.
 
 @functools.cache
 def make_segment(config: PathConfig):
-    """Return ``segment(scene, edges, moving, point, direction, direct) -> Segment``, all but its scale.
+    """Return ``segment(scene, edges, moving, point, direction, direct) -> Segment``, its scale without densities.
 
     What is cheap is tested first: most edges are no silhouette for most directions, and a segment between resting
     things contributes nothing. ``direct``: only what x_2 itself emits counts.
@@ -158,6 +159,7 @@ def make_segment(config: PathConfig):
                 r.tau = r.t1 / (r.t1 + direction.distance)
         elif r.face2 >= 0:
             r.tau = r.t1 / (r.t1 + r.t2)
+        r.scale = edge_share(scene, edges, point, along, r.w, side)
         r.valid = 1
         return r
 
@@ -291,7 +293,7 @@ def make_secondary_kernel(
         wedge = wedge_at(scene, edges, point)
         pdf = density(scene, edges, guide, wedge, aim, s.face2, s.u2, s.v2, s.t2)
         # pdf_l is a density of the fraction s; dl = |p1 - p0| ds.
-        s.scale = wp.length(point.p1 - point.p0) / (point.pdf * pdf)
+        s.scale *= wp.length(point.p1 - point.p0) / (point.pdf * pdf)
         rest = wp.float32(0.0)
         scale = s.scale
         if wp.static(role == "forward"):

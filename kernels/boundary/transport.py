@@ -61,7 +61,7 @@ class Segment:
     t1: wp.float32
     t2: wp.float32  # |x_2 - x_b|; not set for point-like lights
     tau: wp.float32
-    scale: wp.float32  # 1 / (pdf_l pdf_sigma)
+    scale: wp.float32  # share of the jump / (pdf_l pdf_sigma)
     face1: wp.int32
     u1: wp.float32
     v1: wp.float32

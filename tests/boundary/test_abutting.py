@@ -1,6 +1,8 @@
-"""Shapes that abut without sharing vertices: an edge of each runs along the same line, which is seen once."""
+"""Shapes that abut without sharing vertices: an edge of each runs along one line, seen once, with one shadow."""
 
 import pytest
+
+import warp_psdr as psdr
 
 from .measure import Case, assert_agrees, derivatives, differences, rows
 from .scenes import SIZE, T, box, camera, diffuse, floor, mesh, panel, register, sky
@@ -51,8 +53,25 @@ def flush():
     return {"sensor": VIEW, "floor": floor(), "first": first, "second": second, "light": panel((0.8, -0.6, 2.5), 0.5)}
 
 
+def shelf(light):
+    """A wall on a part of the rear border of a plate above a floor, both on one side of the light from behind."""
+    first = mesh([[-0.8, -0.4, 0.8], [0.8, -0.4, 0.8], [0.8, 0.4, 0.8], [-0.8, 0.4, 0.8]], FACES, RED)
+    second = mesh([[-0.5, 0.4, 0.8], [0.4, 0.4, 0.8], [0.4, 0.4, 1.3], [-0.5, 0.4, 1.3]], FACES, BLUE)
+    return {
+        "sensor": camera((0.3, -3.0, 2.0), (0.0, -0.2, 0.2)),
+        "floor": floor(),
+        "first": first,
+        "second": second,
+    } | {"light": light}
+
+
+def sun():
+    return {"type": "directional", "direction": [0.1, -0.5, -1.0], "irradiance": {"type": "rgb", "value": [3.0] * 3}}
+
+
 register(
     {"tiles": tiles, "wall on a border": corner, "wall before a floor": behind, "stairs": stairs, "flush boxes": flush}
+    | {"shelf": lambda: shelf(panel((0.2, 1.6, 2.8), 0.2)), "shelf in the sun": lambda: shelf(sun())}
 )
 BOTH = ("first.vertex_positions", "second.vertex_positions")
 CASES = [
@@ -65,9 +84,26 @@ CASES = [
     Case("flush boxes", "sensor.to_world", pans, 0.01, "seen in passing", 2, 512, 2048),
     Case("flush boxes", BOTH, moved(1.0, 0.2, 0.0), 0.01, "both slide", 2, 1024, 4096),
 ]
+SHADOWS = [
+    Case("shelf", BOTH, moved(0.2, 1.0, 0.1), 0.02, "both move", 2, 512, 2048, slow=False),
+    Case("shelf", BOTH, moved(0.2, 1.0, 0.1), 0.02, "both move", 4, 1024, 4096),
+    Case("shelf", "light.vertex_positions", moved(0.3, 1.0, 0.0), 0.02, "its light moves", 2, 1024, 2048),
+    Case("shelf in the sun", BOTH, moved(0.2, 1.0, 0.1), 0.01, "both move", 2, 512, 2048),
+]
+METHODS = {
+    "unguided": psdr.boundary.PathSpace(guiding=None),
+    "guided": psdr.boundary.PathSpace(guiding=psdr.guiding.KdTree()),
+    "edge sampling": psdr.boundary.EdgeSampling(),
+}
 
 
 @pytest.mark.parametrize("mode", ["forward", "reverse"])
 @pytest.mark.parametrize("case", rows(CASES))
 def test_derivatives_agree_with_differences(case, mode) -> None:
     assert_agrees(derivatives(case, mode), differences(case)[2])
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("case", rows(SHADOWS))
+def test_shadows_agree_with_differences(case, method) -> None:
+    assert_agrees(derivatives(case, "reverse", METHODS[method]), differences(case)[2])

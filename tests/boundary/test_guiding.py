@@ -9,7 +9,6 @@ from scipy import stats
 
 import warp_psdr as psdr
 from warp_psdr.boundary.motion import Motion
-from warp_psdr.edges import secondary_edges
 from warp_psdr.guiding import chains
 from warp_psdr.guiding.build import Growth, Target, volume
 from warp_psdr.guiding.store import whole
@@ -18,6 +17,7 @@ from warp_psdr.kernels.boundary.local_form import Edges, edge_at
 from warp_psdr.kernels.guiding.cells import Cells, pdf_cells, sample_cells
 from warp_psdr.kernels.guiding.light_square import make_light_square
 from warp_psdr.kernels.structs import Scene
+from warp_psdr.secondary_edges import secondary_edges
 
 from .measure import Case, assert_agrees, assert_transposes, derivatives, differences, rows
 from .scenes import ball, camera, diffuse, envmap, floor, load, panel, sky

@@ -12,7 +12,7 @@ from warp_psdr.boundary import terms
 from warp_psdr.boundary.motion import motion
 from warp_psdr.curves import scene_curves
 from warp_psdr.edge_trees import edge_trees
-from warp_psdr.edges import curve_edges, secondary_edges
+from warp_psdr.edges import curve_edges
 from warp_psdr.kernels.boundary.bent import make_jump
 from warp_psdr.kernels.boundary.curve import MAX_SHIFT, make_curve_segment
 from warp_psdr.kernels.boundary.edge_sampling import make_edge_sample
@@ -26,6 +26,7 @@ from warp_psdr.kernels.guiding.techniques import make_techniques
 from warp_psdr.kernels.rng import sampler_at
 from warp_psdr.kernels.structs import Scene
 from warp_psdr.plan import decide
+from warp_psdr.secondary_edges import secondary_edges
 
 from .sweeps import box, room
 from .test_crossing import camera, plates

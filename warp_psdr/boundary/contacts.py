@@ -50,13 +50,13 @@ class Contacts:
     """Pieces of edges that lie on triangles of other shapes, K of them.
 
     Attributes:
-        edges: (K, 2) global vertices of the edge.
+        sides: (K, 2) the triangle and the corner where its side, the edge, starts.
         faces: (K,) the triangle that it lies on.
         spans: (K, 2) the part of the edge, as fractions of the way along it.
         shapes: (K, 2) numbers of the shapes of edge and triangle.
     """
 
-    edges: np.ndarray
+    sides: np.ndarray
     faces: np.ndarray
     spans: np.ndarray
     shapes: np.ndarray
@@ -74,9 +74,8 @@ def contacts(scene: Scene) -> Contacts:
     numbers = _near_others(points[triangles], scene.builder.face_shape, tolerance)
     pairs, spans = _touching(scene, points[triangles[numbers]], scene.builder.face_shape[numbers], tolerance)
     face, corner, other = numbers[pairs[:, 0]], pairs[:, 1], numbers[pairs[:, 2]]
-    edges = np.stack([triangles[face, corner], triangles[face, (corner + 1) % 3]], axis=1)
     shapes = np.stack([scene.builder.face_shape[face], scene.builder.face_shape[other]], axis=1)
-    found = Contacts(edges, other, spans, shapes)
+    found = Contacts(np.stack([face, corner], axis=1), other, spans, shapes)
     scene._contacts = (adjacency, found)  # type: ignore[attr-defined]
     return found
 
@@ -188,15 +187,13 @@ def _crossed(scene: Scene, velocity: np.ndarray, rest: float) -> np.ndarray:
     found = contacts(scene)
     if not len(found.faces):
         return found.shapes
-    points = scene.points.astype(np.float64)
-    corners = points[scene.builder.indices[found.faces]]
+    corners, x = _pieces(scene, found)
     of_face = velocity[scene.builder.indices[found.faces]]
-    ends, of_edge = points[found.edges], velocity[found.edges]
+    ends, of_edge = (a[_ends(scene, found)] for a in (scene.points.astype(np.float64), velocity))
     tangent = ends[:, 1] - ends[:, 0]
     tangent /= np.linalg.norm(tangent, axis=1)[:, None]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     square = (normal**2).sum(axis=1)
-    x = (1.0 - found.spans)[..., None] * ends[:, :1] + found.spans[..., None] * ends[:, 1:]
     v = (1.0 - found.spans)[..., None] * of_edge[:, :1] + found.spans[..., None] * of_edge[:, 1:]
     for k in range(3):
         a, b = corners[:, (k + 1) % 3], corners[:, (k + 2) % 3]
@@ -211,6 +208,41 @@ def _crossed(scene: Scene, velocity: np.ndarray, rest: float) -> np.ndarray:
     return np.unique(np.sort(found.shapes[moved > rest], axis=1), axis=0)
 
 
+def along_sides(scene: Scene) -> np.ndarray:
+    """Return pairs (P, 2) of sides of triangles of different shapes that run along each other: 3 triangle + corner."""
+    found = contacts(scene)
+    if not len(found.faces):
+        return np.zeros((0, 2), np.int64)
+    piece, opposite = np.nonzero(_along(scene, *_pieces(scene, found)))
+    own = 3 * found.sides[piece, 0] + found.sides[piece, 1]
+    return np.stack([own, 3 * found.faces[piece] + (opposite + 1) % 3], axis=1)
+
+
+def _ends(scene: Scene, found: Contacts) -> np.ndarray:
+    """Return the global vertices of contacts' edges, (K, 2)."""
+    face, corner = found.sides.T
+    return np.stack([scene.builder.indices[face, corner], scene.builder.indices[face, (corner + 1) % 3]], axis=1)
+
+
+def _pieces(scene: Scene, found: Contacts) -> tuple[np.ndarray, np.ndarray]:
+    """Return the corners of contacts' triangles, (K, 3, 3), and where the pieces on them start and end, (K, 2, 3)."""
+    points = scene.points.astype(np.float64)
+    ends = points[_ends(scene, found)]
+    x = (1.0 - found.spans)[..., None] * ends[:, :1] + found.spans[..., None] * ends[:, 1:]
+    return points[scene.builder.indices[found.faces]], x
+
+
+def _along(scene: Scene, corners: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """Whether pieces of triangles' planes lie on the triangle's side opposite of each corner, (K, 3)."""
+    result = np.zeros((len(x), 3), bool)
+    for k in range(3):
+        a, b = corners[:, (k + 1) % 3], corners[:, (k + 2) % 3]
+        along = (b - a) / np.maximum(np.linalg.norm(b - a, axis=1), 1e-300)[:, None]
+        distance = np.linalg.norm(np.cross(x - a[:, None], along[:, None]), axis=2).max(axis=1)
+        result[:, k] = distance <= 2.0 * _gap(scene)
+    return result
+
+
 def _on_rim(scene: Scene, corners: np.ndarray, faces: np.ndarray, x: np.ndarray) -> np.ndarray:
     """Whether pieces (K, 2, 3) of triangles' planes lie on an edge of the triangle where its surface ends or turns."""
     adjacency = scene_adjacency(scene)
@@ -219,14 +251,7 @@ def _on_rim(scene: Scene, corners: np.ndarray, faces: np.ndarray, x: np.ndarray)
     other = np.minimum(adjacency.first[:-1] + 1, len(of) - 1)
     ends = (adjacency.wedge > 0.0) | ((adjacency.count == 2) & (of[adjacency.first[:-1]] != of[other]))
     turns = (edges >= 0) & ends[edges]
-    tolerance = 2.0 * _gap(scene)
-    result = np.zeros(len(faces), bool)
-    for k in range(3):
-        a, b = corners[:, (k + 1) % 3], corners[:, (k + 2) % 3]
-        along = (b - a) / np.maximum(np.linalg.norm(b - a, axis=1), 1e-300)[:, None]
-        distance = np.linalg.norm(np.cross(x - a[:, None], along[:, None]), axis=2).max(axis=1)
-        result |= turns[:, k] & (distance <= tolerance)
-    return result
+    return (turns & _along(scene, corners, x)).any(axis=1)
 
 
 def _torn(scene: Scene, velocity: np.ndarray, rest: float) -> int:

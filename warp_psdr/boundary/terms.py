@@ -22,7 +22,7 @@ from warp_psdr.boundary.motion import Motion, motion, moving_shapes
 from warp_psdr.clip_planes import require_uncut
 from warp_psdr.curves import moving_curves, scene_curves
 from warp_psdr.edge_trees import edge_trees
-from warp_psdr.edges import curve_edges, secondary_edges, select
+from warp_psdr.edges import curve_edges, select
 from warp_psdr.film_edges import FilmEdges, crease_edges, facet_edges, film_edges, primary_edges
 from warp_psdr.guiding import store
 from warp_psdr.kernels import constants as c
@@ -40,6 +40,7 @@ from warp_psdr.kernels.guiding.techniques import Guide
 from warp_psdr.kernels.rng import mix_seed
 from warp_psdr.kernels.structs import Emitter
 from warp_psdr.light_sampling import cumulative
+from warp_psdr.secondary_edges import secondary_edges
 
 if TYPE_CHECKING:
     from warp_psdr.edges import Adjacency

@@ -20,14 +20,17 @@ import warp as wp
 from warp_psdr import workers
 from warp_psdr.boundary.motion import moving_shapes
 from warp_psdr.device import launch_lanes
+from warp_psdr.edges import COPLANAR, scene_adjacency
 from warp_psdr.guiding.build import NODE, Leaves, Target
 from warp_psdr.guiding.methods import Method
+from warp_psdr.guiding.ordering import follow, ordered_edges
 from warp_psdr.kernels.boundary.local_form import Edges
 from warp_psdr.kernels.boundary.secondary import make_secondary_kernel
 from warp_psdr.kernels.guiding.facing import make_facing_kernel
 from warp_psdr.kernels.guiding.techniques import Guide
 from warp_psdr.kernels.rng import mix_seed
 from warp_psdr.scene.layout import CAMERA, LIGHT_POSE
+from warp_psdr.secondary_edges import secondary_candidates
 
 if TYPE_CHECKING:
     from warp_psdr.boundary.terms import Request
@@ -149,8 +152,6 @@ def guide(r: Request, method: Method, seeds: Seeds | None = None) -> tuple[Edges
         method: how to guide it.
         seeds: technique, edges -> (N, 3) points of the cube near which the integrand is large; asked at a build only.
     """
-    from warp_psdr.edges import moved_points, secondary_candidates
-
     scene = r.scene
     values = scene.values.numpy()
     key = _key(r, method)
@@ -163,7 +164,7 @@ def guide(r: Request, method: Method, seeds: Seeds | None = None) -> tuple[Edges
     if not len(keep):
         return None, Guide()
     if old is not None and _covers(scene, old, keep) and _drift(r, old.ordered, values) <= MOST_DRIFTS * method.drift:
-        old.edges.points = moved_points(scene, old.order, old.turned)
+        follow(scene, old.edges, old.order, old.turned)
         if _drift(r, old.built, values) <= method.drift or old.build_evaluations > REBUILD_SHARE * old.guided:
             _refresh(r, method, old, samples)
         else:
@@ -179,8 +180,6 @@ def guide(r: Request, method: Method, seeds: Seeds | None = None) -> tuple[Edges
 
 def _covers(scene: Scene, found: Guiding, keep: np.ndarray) -> bool:
     """Return whether all of these edges are in a structure, but for those that are as good as flat."""
-    from warp_psdr.edges import COPLANAR, scene_adjacency
-
     edges = scene_adjacency(scene)
     if found.numbering is not edges.faces:
         return False
@@ -191,8 +190,6 @@ def _covers(scene: Scene, found: Guiding, keep: np.ndarray) -> bool:
 
 def _ordered(r: Request, keep: np.ndarray, p: np.ndarray, old: Guiding | None) -> Guiding:
     """Return a structure that has its edges and nothing else."""
-    from warp_psdr.edges import ordered_edges, scene_adjacency
-
     edges, facing, order, turned = ordered_edges(r.scene, keep, p, lambda edges: _facing(r, edges))
     values = r.scene.values.numpy().copy()
     numbering = scene_adjacency(r.scene).faces
