@@ -135,7 +135,8 @@ def _near_others(corners: np.ndarray, shape: np.ndarray, tolerance: float) -> np
     """Return the numbers of the triangles whose box meets the box of another shape."""
     if not len(shape):
         return np.zeros(0, np.int64)
-    low, high = corners.min(axis=1) - tolerance, corners.max(axis=1) + tolerance
+    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+    low, high = np.minimum(np.minimum(a, b), c) - tolerance, np.maximum(np.maximum(a, b), c) + tolerance
     order = np.argsort(shape, kind="stable")
     start = np.flatnonzero(np.diff(shape[order], prepend=-1))
     numbers = shape[order][start]
