@@ -165,6 +165,8 @@ def test_view_hands_over_what_it_was_told(scene: str, monkeypatch: pytest.Monkey
         (["gradient", "scene.xml", "--param", SKY, "--tangent", "none.npy", "-o", "d"], "none.npy does not exist"),
         (["gradient", "scene.xml", "--param", SKY, "--target", "none.exr", "-o", "d"], "none.exr"),
         (["gradient", "scene.xml", "--param", "*", "--tangent", "t.npy", "-o", "d"], "--tangent belongs to one"),
+        (["gradient", "scene.xml", "--param", SKY, "--loss", "l1", "-o", "d"], "--loss compares with an image"),
+        (["accuracy", "scene.xml", "--loss", "l1"], "--loss compares with an image"),
         (["plan", "scene.xml", "--param", "nothing"], "no parameter 'nothing'"),
         (["fit", "none.toml"], "none.toml does not exist"),
         (["view", "scene.xml", "--field", "no-file"], "--field: got 'no-file'"),

@@ -189,6 +189,19 @@ def test_checkpoint_of_other_targets_is_refused(config: FitConfig) -> None:
         fit(config, resume=True)
 
 
+def test_checkpoint_of_other_files_of_the_scene_is_refused(config: FitConfig) -> None:
+    text = config.scene.read_text()
+    texture = config.scene.parent / "other.png"
+    image_io.write_image(texture, np.full((2, 2, 3), 0.5, np.float32))
+    extra = '<shape type="rectangle"><bsdf type="diffuse"><texture type="bitmap" name="reflectance">'
+    extra += f'<string name="filename" value="{texture.name}"/></texture></bsdf></shape></scene>'
+    config.scene.write_text(text.replace("</scene>", extra))
+    fit(config, iterations=1)
+    image_io.write_image(texture, np.full((2, 2, 3), 0.6, np.float32))
+    with pytest.raises(ValueError, match="belongs to another run: values differ"):
+        fit(config, resume=True)
+
+
 def test_finished_run_is_not_shortened(config: FitConfig) -> None:
     fit(config, iterations=2)
     with pytest.raises(ValueError, match="at most 1 iterations"):

@@ -172,6 +172,7 @@ def test_non_finite_gradient_names_parameter_and_step_and_changes_nothing(bad: f
         ({"lr": -0.1}, "lr of 'x': got -0.1"),
         ({"lr": float("nan")}, "lr of 'x': got nan"),
         ({"lr": 0.1, "betas": (0.9, 1.0)}, r"betas\[1\]: got 1.0"),
+        ({"lr": 0.1, "betas": (0.9,)}, "expected two numbers"),
         ({"lr": 0.1, "epsilon": 0.0}, "epsilon: got 0.0"),
     ],
 )

@@ -1,5 +1,7 @@
 """Arguments of the drivers: what is out of range is named, in every entry point alike."""
 
+import copy
+
 import numpy as np
 import pytest
 
@@ -21,11 +23,11 @@ def scene():
     return psdr.load_dict({"type": "scene", "camera": camera, "card": card, "sky": {"type": "constant"}})
 
 
-def call(entry_point: str, scene, **options) -> np.ndarray:
+def call(entry_point: str, scene, integrator=None, **options) -> np.ndarray:
     """Return the image, or the gradient, of the card's reflectance."""
     params = psdr.traverse(scene)
     params.requires_grad(NAME)
-    integrator = psdr.PathIntegrator(max_depth=2)
+    integrator = integrator or psdr.PathIntegrator(max_depth=2)
     if entry_point == "render":
         return psdr.render(scene, params, integrator=integrator, **options).numpy()
     if entry_point == "render_forward":
@@ -85,3 +87,38 @@ def test_samples_default_to_the_sensors(scene, entry_point: str) -> None:
 
 def test_wide_seeds_are_used_whole(scene) -> None:
     assert not np.array_equal(call("render", scene, seed=1), call("render", scene, seed=1 + (1 << 40)))
+
+
+@pytest.mark.parametrize("entry_point", ENTRY_POINTS)
+def test_what_is_no_integrator_is_refused(scene, entry_point: str) -> None:
+    with pytest.raises(TypeError, match="integrator: got 'path', expected a"):
+        call(entry_point, scene, integrator="path")
+
+
+def test_what_is_no_name_is_refused(scene) -> None:
+    with pytest.raises(TypeError, match=r"requires_grad: got \['a'\], expected names"):
+        psdr.traverse(scene).requires_grad(["a"])
+    with pytest.raises(TypeError, match="expected a list of names"):
+        psdr.plan(scene, names=NAME)
+
+
+def test_numbers_of_numpy_are_depths() -> None:
+    assert psdr.PathIntegrator(max_depth=np.int64(3)) == psdr.PathIntegrator(max_depth=3)
+    with pytest.raises(ValueError, match="hide_emitters: got 'no'"):
+        psdr.PathIntegrator(hide_emitters="no")
+
+
+def test_what_methods_have_in_common_is_none() -> None:
+    with pytest.raises(TypeError, match=r"boundary\.Method is what methods have in common"):
+        psdr.boundary.Method()
+
+
+def test_scenes_are_not_copied(scene) -> None:
+    with pytest.raises(TypeError, match="neither be copied nor pickled"):
+        copy.deepcopy(scene)
+
+
+@pytest.mark.parametrize("ratio", [-1.0, np.nan, np.inf])
+def test_strips_at_contacts_have_a_width(scene, ratio: float) -> None:
+    with pytest.raises(ValueError, match="contact_ratio: got"):
+        scene.contact_ratio = ratio

@@ -20,6 +20,7 @@ EXIT_ERROR, EXIT_INTERRUPTED = 2, 130
 #: A render reports fractions; the bar counts in these.
 PROGRESS_UNITS = 100
 LOSSES = ("l2", "l1", "huber", "relative_l2")
+DEFAULT_LOSS = "l2"
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -84,7 +85,7 @@ def _parser() -> argparse.ArgumentParser:
         "--translate", type=float, nargs=3, metavar=("X", "Y", "Z"), help="move all vertices or positions this way"
     )
     direction.add_argument("--target", type=Path, metavar="IMAGE", help="reverse mode: compare with this image")
-    gradient.add_argument("--loss", choices=LOSSES, default="l2", help="with --target")
+    gradient.add_argument("--loss", choices=LOSSES, help=f"with --target (default {DEFAULT_LOSS})")
     gradient.add_argument(
         "--boundary", choices=("auto", "none"), default="auto", help="none: leave the boundary term out"
     )
@@ -105,7 +106,7 @@ def _parser() -> argparse.ArgumentParser:
         "--translate", type=float, nargs=3, metavar=("X", "Y", "Z"), help="move all vertices or positions this way"
     )
     direction.add_argument("--target", type=Path, metavar="IMAGE", help="gradient of the loss against this image")
-    accuracy.add_argument("--loss", choices=LOSSES, default="l2", help="with --target")
+    accuracy.add_argument("--loss", choices=LOSSES, help=f"with --target (default {DEFAULT_LOSS})")
     accuracy.add_argument("--boundary", choices=("auto", "none"), default="auto", help="none: leave the term out")
     accuracy.add_argument("--seconds", type=float, default=4.0, help="what the pilot may take (default 4)")
     accuracy.add_argument("--clock", choices=("wall", "cpu"), default="wall", help="cpu: processor time of all threads")
@@ -198,6 +199,7 @@ def _gradient(arguments: argparse.Namespace) -> int:
     params = psdr.traverse(scene)
     params.requires_grad(*arguments.param)
     options = {"sensor": arguments.sensor, "integrator": integrator, "spp": arguments.spp, "seed": arguments.seed}
+    _check_loss(arguments)
     arguments.output.mkdir(parents=True, exist_ok=True)
     written = (_reverse if arguments.target else _forward)(arguments, scene, params, options)
     for text in written:
@@ -229,7 +231,12 @@ def _reverse(arguments: argparse.Namespace, scene: Any, params: Any, options: di
         psdr.render_backward(scene, params, adjoint, progress=progress, **options)
     gradients = {name: params[name].grad.numpy() for name in params.requested}
     notes = write_gradients(arguments.output, scene, params, gradients)
-    return [f"{arguments.loss} loss {loss:.6g}", *notes, f"wrote gradients to {arguments.output}"]
+    return [f"{arguments.loss or DEFAULT_LOSS} loss {loss:.6g}", *notes, f"wrote gradients to {arguments.output}"]
+
+
+def _check_loss(arguments: argparse.Namespace) -> None:
+    if arguments.loss and arguments.target is None:
+        raise ValueError("--loss compares with an image; give it by --target")
 
 
 def _loss(arguments: argparse.Namespace, scene: Any, params: Any, options: dict[str, Any]) -> tuple[float, Any]:
@@ -240,13 +247,13 @@ def _loss(arguments: argparse.Namespace, scene: Any, params: Any, options: dict[
     from warp_psdr import losses
     from warp_psdr.fit import read_target
 
-    film = scene.description.sensors[arguments.sensor].film
-    target = read_target(arguments.target, (film.crop_height, film.crop_width))
+    camera = scene.camera(arguments.sensor)
+    target = read_target(arguments.target, (camera.crop_height, camera.crop_width))
     with _fractions("image") as progress:
         image = psdr.render(scene, params, progress=progress, **options)
     image.requires_grad = True
     with wp.Tape() as tape:
-        loss = getattr(losses, arguments.loss)(image, target)
+        loss = getattr(losses, arguments.loss or DEFAULT_LOSS)(image, target)
     tape.backward(loss)
     return float(loss.numpy()[0]), image.grad
 
@@ -264,6 +271,7 @@ def _accuracy(arguments: argparse.Namespace) -> int:
     adjoint = tangents = None
     if not arguments.param and (arguments.target or arguments.tangent or arguments.translate):
         raise ValueError("--target, --tangent and --translate say how --param is differentiated; give a --param")
+    _check_loss(arguments)
     if arguments.param:
         params.requires_grad(*arguments.param)
         if arguments.target is not None:

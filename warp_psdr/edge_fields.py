@@ -21,7 +21,7 @@ from warp_psdr.guiding import store
 from warp_psdr.invalid import warns
 from warp_psdr.kernels.boundary.local_form import SAMPLE_RECORD
 from warp_psdr.kernels.rng import mix_seed
-from warp_psdr.options import PathIntegrator, from_description
+from warp_psdr.options import PathIntegrator, integrator_of
 from warp_psdr.passes import STREAM_BOUNDARY
 from warp_psdr.plan import decide
 from warp_psdr.plots import as_array
@@ -102,7 +102,7 @@ def boundary_samples(
     Warns:
         RuntimeWarning: samples that were not finite were left out (``psdr.invalid_samples``).
     """
-    integrator = integrator or from_description(scene.description.integrator)
+    integrator = integrator_of(scene, integrator)
     names = params.requested
     plan = decide(scene, params, integrator=integrator, sensor=sensor)
     if plan.boundary is None:
@@ -163,7 +163,7 @@ def edge_density(
     """
     if isinstance(pieces, bool) or not isinstance(pieces, int) or pieces < 1:
         raise ValueError(f"pieces: got {pieces!r}, expected a positive integer")
-    integrator = integrator or from_description(scene.description.integrator)
+    integrator = integrator_of(scene, integrator)
     names = params.requested
     plan = decide(scene, params, integrator=integrator, sensor=sensor)
     if isinstance(plan.boundary, EdgeSampling):

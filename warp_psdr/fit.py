@@ -345,9 +345,11 @@ def _digests(problem: Problem) -> dict[str, Any]:
     def digest(data: bytes) -> str:
         return hashlib.sha256(data).hexdigest()
 
+    others = [array.numpy() for name, array in problem.params.items() if name not in problem.config.parameters]
     return {
         **problem.config.fingerprint(),
         "scene": digest(problem.config.scene.read_bytes()),
+        "values": digest(problem.scene.indices.numpy().tobytes() + b"".join(v.tobytes() for v in others)),
         "targets": [digest(target.tobytes()) for target in problem.targets],
         "initial": {name: digest(value.tobytes()) for name, value in problem.values().items()},
     }

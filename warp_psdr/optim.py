@@ -65,6 +65,8 @@ class Adam:
             if not (math.isfinite(rate) and rate > 0.0):
                 raise ValueError(f"lr of {name!r}: got {rate}, expected a positive number")
         check_independent(rates)
+        if len(betas) != 2:
+            raise ValueError(f"betas: got {betas!r}, expected two numbers in [0, 1)")
         for index, beta in enumerate(betas):
             if not 0.0 <= beta < 1.0:
                 raise ValueError(f"betas[{index}]: got {beta}, expected a number in [0, 1)")

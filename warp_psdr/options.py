@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
 
 from warp_psdr import boundary as boundary_methods
 from warp_psdr import interior as interior_methods
+
+if TYPE_CHECKING:
+    from warp_psdr.scene.scene import Scene
 
 #: Numbers of vertices are 32-bit integers with a sign.
 MOST_DEPTH = (1 << 31) - 1
@@ -42,14 +47,17 @@ class PathIntegrator:
         """
         for name in ("max_depth", "rr_depth"):
             value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, int):
+            if isinstance(value, bool) or not isinstance(value, (int, np.integer)):
                 raise ValueError(f"{name}: expected an integer, got {value!r}")
             if value > MOST_DEPTH:
                 raise ValueError(f"{name}: got {value}, expected at most {MOST_DEPTH}")
+            object.__setattr__(self, name, int(value))
         if self.max_depth == 0 or self.max_depth < -1:
             raise ValueError(f"max_depth: got {self.max_depth}, expected -1 (no limit) or at least 1")
         if self.rr_depth < 1:
             raise ValueError(f"rr_depth: got {self.rr_depth}, expected at least 1")
+        if not isinstance(self.hide_emitters, (bool, np.bool_)):
+            raise ValueError(f"hide_emitters: got {self.hide_emitters!r}, expected True or False")
         if self.sampler not in ("auto", "sobol", "independent"):
             raise ValueError(f"sampler: got {self.sampler!r}, expected 'auto', 'sobol' or 'independent'")
         if not isinstance(self.interior, interior_methods.Method):
@@ -62,6 +70,19 @@ class PathIntegrator:
                 f"boundary: got {self.boundary!r}, expected a method of psdr.boundary, for example "
                 "psdr.boundary.PathSpace(), 'auto' or None"
             )
+
+
+def integrator_of(scene: Scene, integrator: PathIntegrator | None) -> PathIntegrator:
+    """Return the integrator that is given, else the one that the scene's file names.
+
+    Raises:
+        TypeError: what is given is none.
+    """
+    if integrator is None:
+        return from_description(scene.description.integrator)
+    if not isinstance(integrator, PathIntegrator):
+        raise TypeError(f"integrator: got {integrator!r}, expected a psdr.PathIntegrator")
+    return integrator
 
 
 def from_description(integrator: dict) -> PathIntegrator:

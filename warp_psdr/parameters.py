@@ -174,9 +174,12 @@ class Parameters(Mapping):
 
         Raises:
             KeyError: a name or pattern matches nothing.
+            TypeError: what is given is no name.
         """
         requested: list[str] = []
         for pattern in patterns:
+            if not isinstance(pattern, str):
+                raise TypeError(f"requires_grad: got {pattern!r}, expected names: requires_grad(*names)")
             matches = [pattern] if pattern in self._views else fnmatch.filter(self._views, pattern)
             if not matches:
                 self._parameter(pattern)

@@ -152,9 +152,9 @@ def decide(
     names: list[str] | None = None,
 ) -> Plan:
     """Return the ``plan`` without what is only told, the shapes in contact: a search over the scene's triangles."""
-    from warp_psdr.options import from_description
+    from warp_psdr.options import integrator_of
 
-    integrator = integrator or from_description(scene.description.integrator)
+    integrator = integrator_of(scene, integrator)
     names = _named(scene, params, names)
     lines: list[tuple[str, str, str]] = []
     config = _config(scene, integrator, sensor, lines)
@@ -202,6 +202,8 @@ def decide(
 def _named(scene: Scene, params: Parameters | None, names: list[str] | None) -> list[str]:
     if params is not None:
         check_owner(scene, params)
+    if isinstance(names, str):
+        raise TypeError(f"names: got {names!r}, expected a list of names")
     if names is not None:
         for name in names:
             parameter_of(scene, name)

@@ -18,7 +18,7 @@ from warp_psdr.kernels.constants import RFILTER_BOX
 from warp_psdr.kernels.reduction import add_range
 from warp_psdr.kernels.rng import mix_seed
 from warp_psdr.kernels.splat import resolve
-from warp_psdr.options import PathIntegrator, from_description
+from warp_psdr.options import PathIntegrator, integrator_of
 from warp_psdr.passes import (
     STREAM_BOUNDARY,
     STREAM_PRIMAL,
@@ -93,7 +93,7 @@ def render(
         what = quantity.image(scene, integrator=integrator, sensor=sensor)
         wanted = budget.Wanted(target_error, time_budget, report)
         return _budgeted(what, wanted, seed, progress, reached)
-    integrator = integrator or from_description(scene.description.integrator)
+    integrator = integrator_of(scene, integrator)
     spp, seed = sample_count(scene, sensor, spp), checked_seed(seed)
     plan = decide(scene, integrator=integrator, sensor=sensor)
     gradient_spp = samples("spp_grad", spp_grad if spp_grad is not None else spp)
@@ -195,7 +195,7 @@ def render_backward(
             total = wp.array(values[block].astype(np.float32), dtype=wp.float32, device=scene.device)
             _add(scene, params, name, total, 0)
         return bought
-    integrator = integrator or from_description(scene.description.integrator)
+    integrator = integrator_of(scene, integrator)
     names = requested(scene, params)
     spp, seed = sample_count(scene, sensor, spp), checked_seed(seed)
     plan = decide(scene, params, integrator=integrator, sensor=sensor)
@@ -266,7 +266,7 @@ def render_forward(
         what = quantity.derivative(scene, params, tangents, integrator=integrator, sensor=sensor)
         wanted = budget.Wanted(target_error, time_budget, report)
         return _budgeted(what, wanted, seed, progress, reached)
-    integrator = integrator or from_description(scene.description.integrator)
+    integrator = integrator_of(scene, integrator)
     if not tangents:
         raise ValueError("render_forward needs at least one tangent: {'parameter name': direction}")
     spp, seed = sample_count(scene, sensor, spp), checked_seed(seed)

@@ -17,7 +17,7 @@ from warp_psdr.kernels.constants import RFILTER_BOX
 from warp_psdr.kernels.path import PathVertex
 from warp_psdr.kernels.rng import mix_seed
 from warp_psdr.kernels.trace import make_trace_kernel
-from warp_psdr.options import PathIntegrator, from_description
+from warp_psdr.options import PathIntegrator, integrator_of
 from warp_psdr.passes import STREAM_INTERIOR, STREAM_PRIMAL
 from warp_psdr.plan import decide
 
@@ -118,7 +118,7 @@ def trace_sample(
     if kind not in KINDS or kind == "guiding":
         expected = tuple(k for k in KINDS if k != "guiding")
         raise ValueError(f"kind: got {kind!r}, expected one of {expected}; what guiding evaluates is no path")
-    integrator = integrator or from_description(scene.description.integrator)
+    integrator = integrator_of(scene, integrator)
     if kind not in TRACED:
         if params is None or pixel is not None:
             raise ValueError(f"kind {kind!r} takes the params of the gradient (or of its tangents) and no pixel")

@@ -29,8 +29,11 @@ class Method(ABC):  # noqa: B024
         """Validate once.
 
         Raises:
+            TypeError: this is no method.
             ValueError: a sample count is not a positive integer.
         """
+        if type(self) in (Method, Connecting):
+            raise TypeError(f"boundary.{type(self).__name__} is what methods have in common; make one of them")
         for name in self._counts():
             value = getattr(self, name)
             if value is not None and (isinstance(value, bool) or not isinstance(value, int) or value < 1):

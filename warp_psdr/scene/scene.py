@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
@@ -111,7 +111,7 @@ class Scene:
         self._update_triangles(range(len(description.shapes)))
         self.accelerator = Accelerator(self._points, self.indices, self.device)
         self._sight: Accelerator | None = None
-        self.contact_ratio = CONTACT_RATIO
+        self._contact_ratio = CONTACT_RATIO
         self._update_bounds()
         self._world.show(self.parameters.values())
         self._note_specks()
@@ -121,6 +121,28 @@ class Scene:
         self.lights.update_environment(flat)
         self.lights.update_selection(flat, self.radius)
         self._edits = Edits({n: self.view(n) for n, p in self.parameters.items() if has_results(p)})
+
+    @property
+    def contact_ratio(self) -> float:
+        """Return the width of the strips at contacts."""
+        return self._contact_ratio
+
+    @contact_ratio.setter
+    def contact_ratio(self, value: float) -> None:
+        if not 0.0 <= value < np.inf:
+            raise ValueError(f"contact_ratio: got {value!r}, expected a number that is not negative; 0: no strips")
+        self._contact_ratio = float(value)
+
+    def __reduce_ex__(self, _protocol: Any):
+        """Refuse copies.
+
+        Raises:
+            TypeError: always.
+        """
+        raise TypeError(
+            "a scene holds memory of its device: it can neither be copied nor pickled. Load it once more, or keep "
+            "{name: array.numpy() for name, array in psdr.traverse(scene).items()}"
+        )
 
     # -- views and constants ---------------------------------------------------------------------------------------
 

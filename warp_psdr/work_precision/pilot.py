@@ -28,7 +28,7 @@ import numpy as np
 from warp_psdr.arguments import checked_seed, samples
 from warp_psdr.invalid import warns
 from warp_psdr.kernels.rng import mix_seed
-from warp_psdr.options import PathIntegrator, from_description
+from warp_psdr.options import PathIntegrator, integrator_of
 from warp_psdr.work_precision import bias
 from warp_psdr.work_precision import quantity as quantities
 from warp_psdr.work_precision.allocation import efficiency
@@ -114,7 +114,7 @@ def accuracy(
     if adjoint is not None and tangents is not None:
         raise ValueError("accuracy takes an adjoint (of a gradient) or tangents (of a derivative image), not both")
     what = select(scene, params, adjoint, tangents, integrator=integrator, sensor=sensor)
-    other = bias.unbiased(integrator or from_description(scene.description.integrator), what)
+    other = bias.unbiased(integrator_of(scene, integrator), what)
     twin = None if other is None else select(scene, params, adjoint, tangents, integrator=other, sensor=sensor)
     seed, seconds = checked_seed(seed), positive("seconds", seconds)
     spp = None if spp is None else samples("spp", spp)

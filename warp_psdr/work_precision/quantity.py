@@ -22,7 +22,7 @@ from warp_psdr.gradient_sums import GradientSums
 from warp_psdr.guiding import store
 from warp_psdr.kernels.constants import RFILTER_BOX
 from warp_psdr.kernels.rng import mix_seed
-from warp_psdr.options import PathIntegrator, from_description
+from warp_psdr.options import PathIntegrator, integrator_of
 from warp_psdr.passes import (
     STREAM_BOUNDARY,
     STREAM_PRIMAL,
@@ -123,7 +123,7 @@ class Quantity:
 
 def image(scene: Scene, *, integrator: PathIntegrator | None, sensor: int) -> Quantity:
     """Return the image as a quantity."""
-    integrator = integrator or from_description(scene.description.integrator)
+    integrator = integrator_of(scene, integrator)
     camera = scene.camera(sensor)
     plan = decide(scene, integrator=integrator, sensor=sensor)
     shape = (camera.crop_height, camera.crop_width)
@@ -165,7 +165,7 @@ def derivative(
     """
     if not tangents:
         raise ValueError("tangents: got none; expected at least one, {'parameter name': direction}")
-    integrator = integrator or from_description(scene.description.integrator)
+    integrator = integrator_of(scene, integrator)
     target = flat_tangents(scene, params, tangents)
     plan = decide(scene, integrator=integrator, sensor=sensor, names=list(tangents))
     if plan.boundary is not None:
@@ -196,7 +196,7 @@ def gradient(scene: Scene, params: Parameters, adjoint, *, integrator: PathInteg
         ValueError: nothing is requested, a wrong adjoint, or what the methods do not cover.
     """
     names = requested(scene, params)
-    integrator = integrator or from_description(scene.description.integrator)
+    integrator = integrator_of(scene, integrator)
     plan = decide(scene, params, integrator=integrator, sensor=sensor)
     array = adjoint_array(adjoint, scene.camera(sensor), scene.device)
     records = [scene.parameters[name] for name in names]
