@@ -31,7 +31,7 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
-from warp_psdr.kernels.boundary.abutting import edge_share
+from warp_psdr.kernels.boundary.coincident import edge_share
 from warp_psdr.kernels.boundary.depth import DIRECT
 from warp_psdr.kernels.boundary.detector import make_arrival
 from warp_psdr.kernels.boundary.edge_tree import EdgeTrees, edge_at, make_choose

@@ -9,6 +9,7 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
+from warp_psdr.kernels.boundary.coincident import make_screened
 from warp_psdr.kernels.boundary.local_form import (
     EdgePoint,
     Edges,
@@ -21,6 +22,7 @@ from warp_psdr.kernels.boundary.local_form import (
 from warp_psdr.kernels.boundary.projection import FilmPoint, make_projection, make_splat
 from warp_psdr.kernels.bvh.wide import make_intersect
 from warp_psdr.kernels.camera import make_camera_sink, make_lens
+from warp_psdr.kernels.constants import CAMERA_ORTHOGRAPHIC
 from warp_psdr.kernels.invalid import count_invalid
 from warp_psdr.kernels.notes import NOTE_EDGE, make_note
 from warp_psdr.kernels.path import PathConfig
@@ -65,6 +67,7 @@ def make_film_edge(config: PathConfig, role: str, camera_moves: bool):
     """
     _closest_hit, any_hit = make_intersect(config.ray_backend, config.ray_width)
     sight = make_sight(config.hidden)
+    screened = make_screened(config)
     push_edge = make_edge_sink(role)
     push_camera = make_camera_sink(role, config.camera) if camera_moves else None
     splat, gather = make_splat()
@@ -108,6 +111,12 @@ def make_film_edge(config: PathConfig, role: str, camera_moves: bool):
         length = wp.length(back)
         if length > at.near and any_hit(sight(scene), start, back / length, length - at.near):
             return r
+        if wp.static(config.camera == CAMERA_ORTHOGRAPHIC):
+            if r.side != 0.0:
+                inside = point.x + (r.step * r.side) * r.m
+                way = r.distance - at.near
+                if screened(scene, sight(scene), edges, point, inside, r.d, way, -1, edge_behind(scene, r.step)):
+                    return r
         step = film_velocity(scene, camera, at, point.p1 - point.p0)
         r.g = film_gradient(scene, camera, at, wp.vec2(step[1], -step[0]))
         if wp.dot(r.g, r.m) < 0.0:

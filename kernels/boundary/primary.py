@@ -37,6 +37,7 @@ import functools
 
 import warp as wp
 
+from warp_psdr.kernels.boundary.coincident import make_lit_along
 from warp_psdr.kernels.boundary.detector import Arrival, make_arrival
 from warp_psdr.kernels.boundary.film_edge import AHEAD, BESIDE, MARGIN, make_film_edge
 from warp_psdr.kernels.boundary.local_form import (
@@ -49,6 +50,7 @@ from warp_psdr.kernels.boundary.local_form import (
     own_face,
 )
 from warp_psdr.kernels.boundary.notch import facing, is_ridge, let_through, notch, sharp_glass, shines
+from warp_psdr.kernels.constants import DELTA_LIGHTS
 from warp_psdr.kernels.path import PathConfig
 from warp_psdr.kernels.rng import sampler_at
 from warp_psdr.kernels.step import leaving_step
@@ -62,6 +64,8 @@ BESIDE_LEAST = 0.025
 #: do where the surfaces are as far apart as there, up to so many ray epsilons: nearer, roundings decide which is in
 #: front.
 ACUTE, BESIDE_CURVE = 0.01, 10.0
+#: The same, at least, where a light in the camera's place lights what is seen beside the edge, in its steps.
+FLASH = 2.0
 #: Whose surface a ray meets beside an edge, 0: neither the edge's own shape nor one with an edge along it.
 OWN, NEXT = wp.constant(1), wp.constant(2)
 #: Up to what distance another shape's edge runs along this one: as seen, in roundings of coordinates, if that is more
@@ -75,6 +79,7 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
     surface_at = make_surface(config.smooth, config.flat, False, False)
     arrival = make_arrival(config)
     find, push = make_film_edge(config, role, camera_moves)
+    lit_along = make_lit_along(config.lights) if DELTA_LIGHTS & set(config.lights) else None
 
     @wp.func
     def seen_as(scene: Scene, seen: Arrival, d: wp.vec3) -> wp.int32:
@@ -213,6 +218,14 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
                     away = wp.max(leaving_step(scene, face_a), leaving_step(scene, face_b))
                     if curve or not is_ridge(n_a, n_b, m, d):
                         room = wp.max(room, notch(n_a, n_b, through) * wp.max(local, away))
+                if wp.static(bool(lit_along)):
+                    beyond = a
+                    if side > 0.0:
+                        beyond = b
+                    if side != 0.0 and beyond.face >= 0:
+                        if lit_along(scene, beyond.x, -d, wp.length(beyond.x - point.x), local):
+                            away = leaving_step(scene, beyond.face)
+                            room = wp.max(room, FLASH * wp.max(local, away))
                 if room > apart:
                     to_a = room * m
                     to_b = -room * m

@@ -22,7 +22,7 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
-from warp_psdr.kernels.boundary.abutting import edge_share
+from warp_psdr.kernels.boundary.coincident import edge_share, make_screened, way_to
 from warp_psdr.kernels.boundary.depth import make_indirect
 from warp_psdr.kernels.boundary.direction import Direction, wedge_at
 from warp_psdr.kernels.boundary.local_form import (
@@ -67,6 +67,7 @@ def make_segment(config: PathConfig):
     things contributes nothing. ``direct``: only what x_2 itself emits counts.
     """
     closest_hit, any_hit = make_intersect(config.ray_backend, config.ray_width)
+    screened = make_screened(config)
     emitted = make_area(config.area)[0] if config.area else None
     lights = make_lights(config.lights, None, ()) if config.lights else None
     environment_eval = lights.environment_eval if lights else None
@@ -154,7 +155,12 @@ def make_segment(config: PathConfig):
         r.face1 = hit1.face
         r.u1 = hit1.u
         r.v1 = hit1.v
+        r.step = step
         if r.light >= 0:
+            inside = point.x + (step / sine) * r.sweep
+            way = way_to(scene, r.face1, inside, r.w, behind)
+            if screened(scene, scene.accel, edges, point, inside, r.w, way, r.face1, behind):
+                return r
             if direction.distance < 0.5 * FAR:
                 r.tau = r.t1 / (r.t1 + direction.distance)
         elif r.face2 >= 0:

@@ -16,6 +16,7 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
+from warp_psdr.kernels.boundary.coincident import along
 from warp_psdr.kernels.boundary.detector import (
     ROW_COUNT,
     Incident,
@@ -55,6 +56,7 @@ class Segment:
 
     valid: wp.int32
     x: wp.vec3  # x_b, moved off the occluder
+    step: wp.float32  # how far
     w: wp.vec3  # towards the source
     source: wp.vec3  # where the ray towards the source starts
     sweep: wp.vec3  # sin(phi) n
@@ -203,6 +205,8 @@ def make_transport(config: PathConfig, role: str, camera_moves: bool, source: wp
         while walk.alive == 1:
             seen = connect(scene, camera, walk, lens)
             counts = not vanishes(seen.weight)
+            if k == 1 and s.light >= 0:
+                counts = counts and not along(seen.at.origin - walk.x, s.w, s.t1, s.step)
             asked = wp.vec3(0.0, 0.0, 0.0)
             speed = wp.float32(0.0)
             if counts:

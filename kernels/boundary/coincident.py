@@ -1,0 +1,138 @@
+"""Silhouettes that coincide: one jump of light, on which edges of several shapes lie, and which counts once.
+
+**Shapes that abut without sharing vertices.** Where a wall stands on a part of a floor's border, light from behind
+passes both along one line. Whichever of the two edges a segment touches, it is free on the other side, and counts all
+of the jump: the edges share it, and each moves its own shape. An edge that the other shape reaches beyond is no
+silhouette: what hides its segments does so by itself.
+
+With offset the distance of the other edge from the segment's plane, away from the occluder, the edge in front,
+offset = 0, hides segments at the other from offset < -step on, step the distance at which these pass; up to there both
+count. What is seen on the film is told apart by its own means (``primary.py``), which know what covers what.
+
+**Edges one behind the other** coincide for directions of measure zero, but a point, spot or directional light has no
+others, nor has an orthographic camera: equal plates one above the other under a vertical sun, or seen from above. Of
+these edges the one nearest to x_1, or to the camera, counts: who looks from there along the light, beside the edge on
+the occluder's side, sees the edge's own shape first.
+
+**A light in the camera's place**, or a sun along its parallel rays, throws all shadows behind what throws them: what
+hides x_1 from the light hides it from the camera, whose silhouettes (``primary.py``) have counted it. Their rays pass
+the edge farther away, so that what they meet sees the light although its own rays start off its surface.
+"""
+
+import functools
+
+import warp as wp
+
+from warp_psdr.kernels.boundary.local_form import EdgePoint, Edges, edge_step, facing_side
+from warp_psdr.kernels.bvh.wide import make_intersect
+from warp_psdr.kernels.constants import EMITTER_DIRECTIONAL, EMITTER_POINT, EMITTER_SPOT
+from warp_psdr.kernels.emitter.dispatch import make_lights
+from warp_psdr.kernels.path import PathConfig
+from warp_psdr.kernels.step import leaving_step
+from warp_psdr.kernels.structs import Accel, Scene
+
+#: Distance, over that of an edge, at which a light counts as infinitely far.
+DISTANT = 1.0e3
+
+
+@wp.func
+def edge_share(
+    scene: Scene, edges: Edges, point: EdgePoint, along: wp.vec3, w: wp.vec3, side: wp.float32
+) -> wp.float32:
+    """Return the part of the jump at a point of a silhouette that is its own edge's.
+
+    Args:
+        scene: the scene.
+        edges: with ``beside``.
+        point: on one of them.
+        along: its unit tangent.
+        w: direction of the segment, a unit vector.
+        side: of ``facing_side`` there.
+    """
+    count = wp.int32(1)
+    if edges.beside_first.shape[0] > 1:
+        outward = -side * wp.normalize(wp.cross(along, w))
+        for i in range(edges.beside_first[point.edge], edges.beside_first[point.edge + 1]):
+            other = EdgePoint()
+            other.edge = edges.beside[i]
+            other.p0 = edges.points[other.edge, 0]
+            other.p1 = edges.points[other.edge, 1]
+            way = other.p1 - other.p0
+            r = point.x - other.p0
+            t = wp.dot(r, way)
+            if t >= 0.0 and t < wp.dot(way, way) and facing_side(scene, edges, other, along, w) == side:
+                if wp.dot(r, outward) < edge_step(scene, edges, other.edge):
+                    count += 1
+    return 1.0 / wp.float32(count)
+
+
+@wp.func
+def way_to(scene: Scene, face: wp.int32, x: wp.vec3, w: wp.vec3, margin: wp.float32) -> wp.float32:
+    """Distance from x against w to the plane of a face, less what keeps a ray from there off it."""
+    tri = scene.triangles[face]
+    cosine = wp.dot(tri.normal, w)
+    return wp.dot(tri.normal, x - tri.p0) / cosine - (margin + leaving_step(scene, face)) / wp.abs(cosine)
+
+
+@functools.cache
+def make_screened(config: PathConfig):
+    """Return ``screened(scene, accel, edges, point, x, w, way, face, behind) -> bool``: whether another edge counts.
+
+    That is whether who looks along w at x, beside a point of a silhouette on the occluder's side, from the distance
+    ``way``, sees another shape in front of it, but that of ``face``, on which he stands (-1: on none).
+    """
+    closest_hit, _any_hit = make_intersect(config.ray_backend, config.ray_width)
+
+    @wp.func
+    def screened(
+        scene: Scene,
+        accel: Accel,
+        edges: Edges,
+        point: EdgePoint,
+        x: wp.vec3,
+        w: wp.vec3,
+        way: wp.float32,
+        face: wp.int32,
+        behind: wp.float32,
+    ) -> wp.bool:
+        if way <= behind:
+            return False
+        hit = closest_hit(accel, x - way * w, w, way - behind)
+        if hit.face < 0:
+            return False
+        shape = scene.triangles[hit.face].shape
+        for i in range(edges.first[point.edge], edges.first[point.edge + 1]):
+            if scene.triangles[edges.faces[i]].shape == shape:
+                return False
+        return face < 0 or shape != scene.triangles[face].shape
+
+    return screened
+
+
+@wp.func
+def along(r: wp.vec3, w: wp.vec3, t: wp.float32, step: wp.float32) -> wp.bool:
+    """Whether a segment r from a point, and the ray w, a unit vector, pass an edge at the distance t there together."""
+    distance = wp.length(r)
+    return distance > t and wp.dot(r, w) > 0.0 and t * wp.length(wp.cross(r, w)) <= step * distance
+
+
+@functools.cache
+def make_lit_along(kinds: tuple[int, ...]):
+    """Return ``lit_along(scene, x, w, t, step) -> bool``: whether a light of no area lights x ``along`` the ray w.
+
+    Args:
+        kinds: EMITTER_* that the scene holds, without area lights.
+    """
+    sample = make_lights(kinds, None, ()).sample
+
+    @wp.func
+    def lit_along(scene: Scene, x: wp.vec3, w: wp.vec3, t: wp.float32, step: wp.float32) -> wp.bool:
+        for i in range(scene.emitters.shape[0]):
+            e = scene.emitters[i]
+            if e.kind == EMITTER_POINT or e.kind == EMITTER_SPOT or e.kind == EMITTER_DIRECTIONAL:
+                ls = sample(scene, e, x, wp.vec2(0.0, 0.0))
+                if along(wp.min(ls.distance, DISTANT * t) * ls.wi, w, t, step):
+                    return True
+        return False
+
+    return lit_along

@@ -1,0 +1,83 @@
+"""Silhouettes one behind the other: as a light of no area or an orthographic camera sees them, they coincide."""
+
+import pytest
+
+from .measure import Case, assert_agrees, derivatives, differences, rows
+from .scenes import SIZE, T, ball, box, camera, diffuse, floor, mesh, panel, register
+from .test_table import moved
+
+FACES = [[0, 1, 2], [0, 2, 3]]
+RED, BLUE = diffuse(0.8, 0.3, 0.2), diffuse(0.2, 0.4, 0.8)
+EYE = (0.3, -3.0, 2.5)
+VIEW, LOW_VIEW = camera(EYE, (0.0, 0.2, 0.2)), camera((0.3, -3.0, 1.6), (0.0, 0.0, 0.3))
+
+
+def sun(direction=(0, 0, -1)):
+    return {"type": "directional", "direction": list(direction), "irradiance": {"type": "rgb", "value": [3.0] * 3}}
+
+
+def flash():
+    return {"type": "point", "position": list(EYE), "intensity": {"type": "rgb", "value": [20.0] * 3}}
+
+
+def above(origin=(0.0, 0.0, 4.0)):
+    film = {"type": "hdrfilm", "width": SIZE, "height": SIZE}
+    pose = T.look_at(list(origin), [0, 0, 0], [0, 1, 0]) @ T.scale([1.5, 1.5, 1])
+    return {"type": "orthographic", "to_world": pose, "film": film}
+
+
+def sheet(z, bsdf):
+    return mesh([[-0.5, -0.4, z], [0.6, -0.4, z], [0.6, 0.5, z], [-0.5, 0.5, z]], FACES, bsdf)
+
+
+def sheets(sensor, light):
+    """Three equal sheets one above the other."""
+    shapes = {"first": sheet(0.4, RED), "second": sheet(0.65, BLUE), "third": sheet(0.9, RED)}
+    return {"sensor": sensor, "floor": floor(), "light": light, **shapes}
+
+
+def boxes():
+    """Two equal boxes one above the other under a vertical sun."""
+    half = (0.6, 0.5, 0.05)
+    shapes = {"first": box((0.1, 0.05, 0.4), half, RED), "second": box((0.1, 0.05, 0.9), half, BLUE)}
+    return {"sensor": LOW_VIEW, "floor": floor(), "light": sun(), **shapes}
+
+
+def over(shape, sensor, light):
+    return {"sensor": sensor, "floor": floor(), "first": shape, "light": light}
+
+
+def turned():
+    return box((0.1, 0.05, 0.8), (0.5, 0.4, 0.2), RED, 0.3)
+
+
+register(
+    {
+        "sheets in the sun": lambda: sheets(LOW_VIEW, sun()),
+        "sheets from above": lambda: sheets(above(), panel((0.8, -0.6, 3.5), 0.5)),
+        "boxes in the sun": boxes,
+        "flash": lambda: over(turned(), VIEW, flash()),
+        "flash on a ball": lambda: over(ball((0.1, 0.05, 0.8), 0.5, RED, 3), VIEW, flash()),
+        "sun from behind": lambda: over(turned(), above((0.5, -1.0, 4.0)), sun((-0.5, 1.0, -4.0))),
+    }
+)
+ONE = "first.vertex_positions"
+TWO = (ONE, "second.vertex_positions")
+ALL = (*TWO, "third.vertex_positions")
+SLIDE, MOVE = moved(1.0, 0.3, 0.0), moved(1.0, 0.3, 0.2)
+CASES = [
+    Case("sheets in the sun", ALL, SLIDE, 0.01, "all slide", 2, 512, 1024, slow=False),
+    Case("sheets in the sun", ALL, SLIDE, 0.01, "all slide", 3, 512, 1024),
+    Case("sheets from above", ALL, SLIDE, 0.01, "all slide", 2, 1024, 2048),
+    Case("boxes in the sun", TWO, SLIDE, 0.01, "both slide", 2, 512, 1024, slow=False),
+    Case("flash", ONE, MOVE, 0.01, "moves", 2, 512, 1024, slow=False),
+    Case("flash", ONE, MOVE, 0.01, "moves", 3, 2048, 4096),
+    Case("flash on a ball", ONE, MOVE, 0.01, "moves", 2, 512, 1024),
+    Case("sun from behind", ONE, MOVE, 0.01, "moves", 2, 512, 1024, slow=False),
+]
+
+
+@pytest.mark.parametrize("mode", ["forward", "reverse"])
+@pytest.mark.parametrize("case", rows(CASES))
+def test_derivatives_agree_with_differences(case, mode) -> None:
+    assert_agrees(derivatives(case, mode), differences(case)[2])
