@@ -16,7 +16,9 @@ def squared(difference: wp.float32, target: wp.float32, parameter: wp.float32) -
 
 @wp.func
 def absolute(difference: wp.float32, target: wp.float32, parameter: wp.float32) -> wp.float32:
-    # Written with max so that the derivative at a difference of exactly zero is zero; that of wp.abs is one.
+    # Written with max, which drops NaN, so that the derivative at a difference of zero is zero; that of wp.abs is one.
+    if wp.isnan(difference):
+        return difference
     return wp.max(difference, 0.0) + wp.max(-difference, 0.0)
 
 

@@ -282,6 +282,8 @@ def test_integrators():
     path = describe(i={"type": "path", "max_depth": 8, "hide_emitters": True}).integrator
     assert path == {"type": "path", "max_depth": 8, "rr_depth": 5, "hide_emitters": True}
     assert describe(i={"type": "direct"}).integrator["max_depth"] == 2
+    assert describe(i={"type": "prb"}).integrator["max_depth"] == 6
+    assert describe(i={"type": "prb", "max_depth": -1}).integrator["max_depth"] == -1
     volume = describe(i={"type": "volpath", "max_depth": 4})
     assert volume.integrator["max_depth"] == 4 and any("volpath" in note for note in volume.notes)
     nested = describe(i={"type": "aov", "aovs": "d:depth", "inner": {"type": "path", "max_depth": 3}})

@@ -101,10 +101,19 @@ def test_filters_conserve_energy(rfilter):
 
 def test_filters_keep_a_constant_image():
     """Under any filter a film that sees one radiance shows that radiance: the weights sum to 1."""
-    for rfilter in ("box", "tent", "gaussian"):
+    narrow = '<float name="{}" value="{}"/>'
+    filters = {
+        "box": "",
+        "tent": "",
+        "gaussian": "",
+        "narrow tent": narrow.format("radius", 0.1),
+        "narrow gaussian": narrow.format("stddev", 0.05),
+    }
+    for name, options in filters.items():
+        rfilter = name.split()[-1]
         scene = psdr.load_string(f"""
         <scene version="3.0.0"><sensor type="perspective"><film type="hdrfilm"><integer name="width" value="4"/>
-        <integer name="height" value="3"/><rfilter type="{rfilter}"/></film></sensor>
+        <integer name="height" value="3"/><rfilter type="{rfilter}">{options}</rfilter></film></sensor>
         <emitter type="constant"><rgb name="radiance" value="1, 2, 3"/></emitter></scene>""")
         image = psdr.render(scene, spp=8, integrator=psdr.PathIntegrator(max_depth=1)).numpy()
         np.testing.assert_allclose(image, np.broadcast_to([1.0, 2.0, 3.0], (3, 4, 3)), rtol=SUM_ROUNDING)
@@ -174,3 +183,20 @@ def test_mitsuba_sees_the_same_film():
         scene = mitsuba.load_string(text.format(axis=axis))
         theirs = np.stack([np.array(mitsuba.render(scene, spp=64, seed=i)) for i in range(8)]).astype(np.float64)
         assert_same_mean(blocks(ours, 4), blocks(theirs, 4), f"fov_axis {axis}")
+
+
+@pytest.mark.parametrize("to_world", [np.diag([2.0, 1.0, 1.0, 1.0]), np.diag([1.0, -3.0, 0.5, 1.0])])
+def test_a_stretched_environment_lights_a_floor_as_one_that_is_not(to_world) -> None:
+    """Of one radiance all around, whichever way its map is stretched."""
+    film = {"type": "hdrfilm", "width": 4, "height": 4}
+    pose = psdr.Transform.look_at((0, 0, 3), (0, 0, 0), (0, 1, 0))
+    scene = psdr.load_dict(
+        {
+            "type": "scene",
+            "camera": {"type": "perspective", "fov": 20, "to_world": pose, "film": film},
+            "floor": {"type": "rectangle", "to_world": psdr.Transform.scale(5), "bsdf": {"type": "diffuse"}},
+            "sky": {"type": "envmap", "bitmap": np.ones((8, 16, 3), np.float32), "to_world": psdr.Transform(to_world)},
+        }
+    )
+    images = batches(scene, spp=256, max_depth=2)
+    assert_mean(images, np.full((4, 4, 3), 0.5), "floor")

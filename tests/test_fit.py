@@ -7,6 +7,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ import warp_psdr as psdr
 import warp_psdr.viewer
 from tests.fit_scenes import SKY, TEXTURE, TRUTH, write_fit
 from warp_psdr import checkpoint, fit_report, image_io, plots
-from warp_psdr.fit import CHECKPOINT, FitConfig, Unknown, fit, views_of_step
+from warp_psdr.fit import CHECKPOINT, FitConfig, Unknown, _step, fit, views_of_step
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = [
@@ -342,3 +343,20 @@ def test_only_what_has_no_look_is_noted(tmp_path: Path, monkeypatch: pytest.Monk
     else:
         with pytest.raises(ValueError, match="a bug"):
             fit_report.write_gradients(tmp_path, None, params, params)
+
+
+def test_a_view_that_comes_twice_in_a_step_is_drawn_anew() -> None:
+    config = SimpleNamespace(targets=["a", "b", "c"], views_per_step=2, seed=0, lr_half_life=None)
+    drawn: list[tuple[int, int]] = []
+
+    def backward(view: int, seed: int, weight: float) -> float:
+        drawn.append((view, seed))
+        return 1.0
+
+    twice = 0
+    for step in range(30):
+        drawn.clear()
+        _step(SimpleNamespace(config=config, backward=backward), SimpleNamespace(step=lambda scale: None), step)
+        assert len(set(drawn)) == len(drawn) == 2
+        twice += drawn[0][0] == drawn[1][0]
+    assert twice > 0

@@ -139,3 +139,11 @@ def test_thresholds_are_positive(value: float) -> None:
         losses.huber(image, image, delta=value)
     with pytest.raises(ValueError, match="epsilon: got"):
         losses.relative_l2(image, image, epsilon=value)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_what_is_no_number_is_no_loss_either(name: str) -> None:
+    a, b = images()
+    b[2, 3, 1] = np.nan
+    image = wp.array(a, dtype=wp.vec3, device="cpu")
+    assert np.isnan(CASES[name][0](image, b).numpy()[0])

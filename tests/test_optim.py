@@ -1,5 +1,7 @@
 """Adam against an independent implementation in double precision, its projection, its masks and its refusals."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import warp as wp
@@ -14,6 +16,8 @@ BETAS, EPSILON = (0.8, 0.95), 1e-8
 
 class Parameters(dict):
     """The part of a scene's parameters that an optimiser touches: arrays, their ranges, update and zero_grad."""
+
+    scene = SimpleNamespace(derived_normals=lambda names: [])
 
     def __init__(self, values: dict, ranges: dict | None = None, dtypes: dict | None = None, device: str = "cpu"):
         dtypes = dtypes or {}
@@ -181,11 +185,29 @@ def test_options_are_checked(options: dict, message: str) -> None:
         optim.Adam(Parameters({"x": np.zeros(2)}), **options)
 
 
-def test_a_pose_beside_the_vertices_that_it_moves_is_refused() -> None:
-    params = Parameters({"ball.to_world": np.eye(4), "ball.vertex_positions": np.zeros((3, 3))})
-    with pytest.raises(ValueError, match=r"'ball\.to_world' moves 'ball\.vertex_positions'.*leave one of them out"):
+@pytest.mark.parametrize(
+    ("source", "follower"),
+    [("to_world", "vertex_positions"), ("to_world", "vertex_normals"), ("vertex_positions", "vertex_normals")],
+)
+def test_what_follows_another_parameter_is_refused_beside_it(source: str, follower: str) -> None:
+    params = Parameters({f"ball.{source}": np.eye(4), f"ball.{follower}": np.zeros((3, 3))})
+    params.scene = SimpleNamespace(derived_normals=lambda names: [0])
+    with pytest.raises(ValueError, match=rf"'ball\.{follower}' follows 'ball\.{source}'.*leave one of them out"):
         optim.Adam(params, 0.1)
-    optim.Adam(params, {"ball.to_world": 0.1})
+    optim.Adam(params, {f"ball.{source}": 0.1})
+
+
+def test_normals_that_are_given_do_not_follow() -> None:
+    params = Parameters({"ball.vertex_positions": np.zeros((3, 3)), "ball.vertex_normals": np.zeros((3, 3))})
+    optim.Adam(params, 0.1)
+
+
+def test_a_gradient_that_is_not_requested_any_more_is_named() -> None:
+    params = Parameters({"x": np.zeros(2)})
+    adam = optim.Adam(params, 0.1)
+    params["x"].requires_grad = False
+    with pytest.raises(ValueError, match="'x' requires no gradient any more"):
+        adam.step()
 
 
 def test_parameter_without_gradient_is_refused() -> None:

@@ -84,6 +84,14 @@ def test_mirroring_keeps_the_side_of_a_rectangle_and_turns_a_sphere():
         assert x.flip_normals is flipped
 
 
+@pytest.mark.parametrize("kind", ["rectangle", "cube", "disk", "cylinder", "sphere"])
+def test_mirroring_keeps_the_side_without_normals_too(kind):
+    mirror = Transform.scale([-1.0, 1.0, 1.0])
+    smooth, flat = shape(kind, to_world=mirror), shape(kind, to_world=mirror, face_normals=True)
+    np.testing.assert_array_equal(flat.faces, smooth.faces)
+    assert flat.flip_normals is smooth.flip_normals
+
+
 def test_flip_and_face_normals():
     x = shape("sphere", flip_normals=True, face_normals=True, resolution=8)
     assert x.flip_normals and x.normals is None and x.local_normals is None and not x.normals_computed

@@ -62,7 +62,7 @@ def test_the_tape_chains_a_users_model_and_loss(loaded):
     assert np.isfinite(params[ALBEDO].grad.numpy()).all()
 
 
-@pytest.mark.parametrize("edit", ["values", "request"])
+@pytest.mark.parametrize("edit", ["values", "in place", "request"])
 def test_the_tape_refuses_a_scene_that_has_changed(loaded, edit):
     scene, params = loaded
     params.requires_grad(ALBEDO)
@@ -72,6 +72,8 @@ def test_the_tape_refuses_a_scene_that_has_changed(loaded, edit):
     if edit == "values":
         params[RADIANCE] = 5.0
         params.update()
+    elif edit == "in place":
+        params[ALBEDO].fill_(0.25)
     else:
         params.requires_grad(RADIANCE)
     rendered.grad.fill_(wp.vec3(1.0, 1.0, 1.0))

@@ -264,8 +264,8 @@ def _step(problem: Problem, adam: optim.Adam, step: int) -> float:
     config = problem.config
     views = views_of_step(config, step)
     total = 0.0
-    for view in views:
-        loss = problem.backward(view, _seed(config, step, view), 1.0 / len(views))
+    for i, view in enumerate(views):  # a view may come twice, at the end of a round and at the start of the next
+        loss = problem.backward(view, _seed(config, step, i), 1.0 / len(views))
         if not math.isfinite(loss):
             raise ValueError(
                 f"loss of view {view} ({config.targets[view].name}) is {loss} at step {step + 1}; the last checkpoint "
@@ -287,9 +287,9 @@ def views_of_step(config: FitConfig, step: int) -> list[int]:
     return [int(orders[p // count][p % count]) for p in positions]
 
 
-def _seed(config: FitConfig, step: int, view: int) -> int:
-    """Return the seed of a render: below 2^31, independent between steps and views."""
-    return int(_generator(config, RENDER_STREAM, step, view).integers(2**31))
+def _seed(config: FitConfig, step: int, number: int) -> int:
+    """Return the seed of one of a step's renders: below 2^31, independent between steps and renders."""
+    return int(_generator(config, RENDER_STREAM, step, number).integers(2**31))
 
 
 def _generator(config: FitConfig, *key: int) -> np.random.Generator:

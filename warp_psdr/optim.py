@@ -38,8 +38,8 @@ class Adam:
             textures and environment maps of which one view sees but a part.
 
     Raises:
-        ValueError: If a name is unknown or requires no gradient, a number is out of range, or both a pose and the
-            vertices that it moves are given.
+        ValueError: If a name is unknown or requires no gradient, a number is out of range, or values and what follows
+            them are given: a pose and its vertices, positions and their computed normals.
     """
 
     def __init__(
@@ -64,7 +64,7 @@ class Adam:
                 raise ValueError(f"lr: {name!r} requires no gradient; call params.requires_grad({name!r}) first")
             if not (math.isfinite(rate) and rate > 0.0):
                 raise ValueError(f"lr of {name!r}: got {rate}, expected a positive number")
-        check_independent(rates)
+        check_independent(params.scene, rates)
         if len(betas) != 2:
             raise ValueError(f"betas: got {betas!r}, expected two numbers in [0, 1)")
         for index, beta in enumerate(betas):
@@ -171,6 +171,8 @@ class Adam:
         device = next(iter(self._moments.values()))[0].device
         counts = wp.zeros(len(self.lr), dtype=wp.int32, device=device)
         for index, name in enumerate(self.lr):
+            if self._params[name].grad is None:
+                raise ValueError(f"{name!r} requires no gradient any more; name it in params.requires_grad(...), too")
             gradient = flat(self._params[name].grad)
             wp.launch(
                 kernels.make_count_unusable(),

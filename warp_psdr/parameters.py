@@ -60,19 +60,25 @@ def check_owner(scene: Scene, params: Parameters) -> None:
         raise ValueError("params: they belong to another scene; pass those of psdr.traverse(scene) for this one")
 
 
-def check_independent(names: Iterable[str]) -> None:
-    """Refuse names that hold both a pose and the vertices that it moves.
+def check_independent(scene: Scene, names: Iterable[str]) -> None:
+    """Refuse names of values that follow others among them: vertices a pose, normals a pose or the positions.
 
-    Each has a derivative with the other at rest; set together, vertices stay where they are put, whatever the pose.
+    Each has a derivative with the others at rest; set together, what is set stays, whatever it would follow.
 
     Raises:
-        ValueError: they do.
+        ValueError: there are such names.
     """
     given = set(names)
-    for pose in sorted(n for n in given if n.endswith(".to_world")):
-        vertices = pose.removesuffix("to_world") + "vertex_positions"
-        if vertices in given:
-            raise ValueError(f"{pose!r} moves {vertices!r}: the two cannot change together; leave one of them out")
+    for name in sorted(given):
+        base, _dot, kind = name.rpartition(".")
+        followers = []
+        if kind == "to_world":
+            followers = ["vertex_positions", "vertex_normals"]
+        if kind == "vertex_positions" and scene.derived_normals([name]):
+            followers = ["vertex_normals"]
+        for follower in (f"{base}.{f}" for f in followers):
+            if follower in given:
+                raise ValueError(f"{follower!r} follows {name!r}: they cannot change together; leave one of them out")
 
 
 class Parameters(Mapping):

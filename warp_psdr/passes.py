@@ -16,6 +16,7 @@ import warp as wp
 from warp_psdr import workers
 from warp_psdr.device import launch, launch_lanes
 from warp_psdr.invalid import counting
+from warp_psdr.kernels.constants import RFILTER_BOX
 from warp_psdr.kernels.interior.forward import make_forward_kernel
 from warp_psdr.kernels.interior.replay import make_replay_kernel
 from warp_psdr.kernels.interior.textbook import make_textbook_kernel
@@ -26,6 +27,7 @@ from warp_psdr.patches import patch_radii
 
 if TYPE_CHECKING:
     from warp_psdr.gradient_sums import GradientSums
+    from warp_psdr.kernels.structs import Camera
     from warp_psdr.plan import Plan
     from warp_psdr.scene.scene import Scene
 
@@ -34,6 +36,14 @@ STREAM_PRIMAL, STREAM_INTERIOR, STREAM_BOUNDARY = 0, 1, 2
 #: Samples of a pixel that are summed on a film in float32: relative rounding errors of some 1e-5 at most.
 FILM_SAMPLES = 1 << 10
 Progress = Callable[[float], None]
+
+
+def splats(camera: Camera) -> bool:
+    """Whether a camera's pixel filter lets a sample count for other pixels than its own.
+
+    A narrower one is drawn from: of samples that are uniform over the pixel it would miss some, and a pixel all of its.
+    """
+    return camera.filter != RFILTER_BOX and camera.filter_radius > 0.5
 
 
 def boxed(

@@ -14,7 +14,6 @@ from warp_psdr.boundary import drivers as boundary_drivers
 from warp_psdr.device import launch
 from warp_psdr.gradient_sums import GradientSums
 from warp_psdr.invalid import warns
-from warp_psdr.kernels.constants import RFILTER_BOX
 from warp_psdr.kernels.reduction import add_range
 from warp_psdr.kernels.rng import mix_seed
 from warp_psdr.kernels.splat import resolve
@@ -26,9 +25,11 @@ from warp_psdr.passes import (
     boxed,
     interior_backward,
     interior_forward,
+    splats,
     splatted,
 )
 from warp_psdr.plan import Plan, decide
+from warp_psdr.scene.edits import checksum
 
 if TYPE_CHECKING:
     from warp_psdr.parameters import Parameters
@@ -107,7 +108,7 @@ def render(
     image = wp.zeros(
         (camera.crop_height, camera.crop_width), dtype=wp.vec3, device=scene.device, requires_grad=tape is not None
     )
-    draw = _render_splatted if plan.config.filter != RFILTER_BOX else boxed
+    draw = _render_splatted if splats(camera) else boxed
     draw(scene, plan, sensor, spp, mix_seed(seed, STREAM_PRIMAL), image, progress)
     if tape is not None and params is not None:
         _record(tape, image, scene, params, sensor=sensor, integrator=integrator, spp=gradient_spp, seed=seed)
@@ -127,14 +128,13 @@ def _budgeted(what: Quantity, wanted: Wanted, seed: int, progress, reached) -> w
 
 
 def _record(tape: wp.Tape, image: wp.array, scene: Scene, params: Parameters, **options) -> None:
-    names, version = params.requested, scene.version
+    names, values = params.requested, checksum(scene.values)
 
     def backward() -> None:
-        if scene.version != version or set(params.requested) != set(names):
+        if checksum(scene.values) != values or set(params.requested) != set(names):
             raise RuntimeError(
                 "tape.backward: the scene, or what requires_grad named, has changed since render(tape=...); call "
-                "tape.backward before params.update and requires_grad, and record each rendering of another scene on a "
-                "tape of its own"
+                "tape.backward before parameters change, and record every rendering of another scene on its own tape"
             )
         render_backward(scene, params, image.grad, **options)
 

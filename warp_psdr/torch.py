@@ -69,7 +69,7 @@ def render(
     for name, tensor in parameters.items():
         if not isinstance(tensor, torch.Tensor) or not tensor.is_floating_point():
             raise TypeError(f"{name!r}: got {type(tensor).__name__}, expected a floating-point tensor")
-    check_independent(parameters)
+    check_independent(scene, parameters)
     call = _Call(scene, tuple(parameters), sensor, integrator, spp, spp_grad, seed)
     return _Render.apply(call, *parameters.values())
 

@@ -18,7 +18,7 @@ from warp_psdr.kernels.path import PathVertex
 from warp_psdr.kernels.rng import mix_seed
 from warp_psdr.kernels.trace import make_trace_kernel
 from warp_psdr.options import PathIntegrator, integrator_of
-from warp_psdr.passes import STREAM_INTERIOR, STREAM_PRIMAL
+from warp_psdr.passes import STREAM_INTERIOR, STREAM_PRIMAL, splats
 from warp_psdr.plan import decide
 
 if TYPE_CHECKING:
@@ -131,7 +131,7 @@ def trace_sample(
         raise ValueError(f"kind {kind!r} takes the pixel of the sample, (x, y)")
     plan = decide(scene, integrator=integrator, sensor=sensor)
     camera = scene.camera(sensor)
-    splatted = kind == "image" and plan.config.filter != RFILTER_BOX
+    splatted = kind == "image" and splats(camera)
     margin = math.ceil(camera.filter_radius - 0.5) if splatted else 0
     x, y = pixel
     width, height = camera.crop_width + 2 * margin, camera.crop_height + 2 * margin

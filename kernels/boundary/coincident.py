@@ -128,9 +128,10 @@ def make_lit_along(kinds: tuple[int, ...]):
     @wp.func
     def lit_along(scene: Scene, x: wp.vec3, w: wp.vec3, t: wp.float32, step: wp.float32) -> wp.bool:
         for i in range(scene.emitters.shape[0]):
-            e = scene.emitters[i]
-            if e.kind == EMITTER_POINT or e.kind == EMITTER_SPOT or e.kind == EMITTER_DIRECTIONAL:
-                ls = sample(scene, e, x, wp.vec2(0.0, 0.0))
+            emitter = scene.emitters[i]
+            kind = emitter.kind
+            if kind == EMITTER_POINT or kind == EMITTER_SPOT or kind == EMITTER_DIRECTIONAL:
+                ls = sample(scene, emitter, x, wp.vec2(0.0, 0.0))
                 if along(wp.min(ls.distance, DISTANT * t) * ls.wi, w, t, step):
                     return True
         return False

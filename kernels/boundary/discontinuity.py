@@ -245,6 +245,9 @@ def make_crossing(config: PathConfig):
         r.edge = 1
         r.point = point_on_edge(scene, edges, own, hit)
         t1 = wp.length(r.point.x - x)
+        # A vertex on the edge itself, up to its last bit: of measure zero, without a direction.
+        if t1 <= 0.0:
+            return r
         d = (r.point.x - x) / t1
         m = wp.cross(r.point.p1 - r.point.p0, d)
         r.segment.x = r.point.x

@@ -214,6 +214,12 @@ def cell_height(cell: Cell, v: wp.vec3, rows: wp.int32) -> wp.float32:
 
 
 @wp.func
+def narrowing(m: wp.mat33, grown: wp.float32) -> wp.float32:
+    """Solid angle about a unit vector v over that about M v, |M v| = ``grown``: |M v|^3 / |det M|."""
+    return grown * grown * grown / wp.abs(wp.determinant(m))
+
+
+@wp.func
 def cell_share(scene: Scene, row: wp.int32, column: wp.int32, columns: wp.int32) -> wp.float32:
     """Probability of a cell."""
     first = row * (columns + 1) + column
@@ -235,8 +241,8 @@ def stretch(u: wp.float32, low: wp.float32, high: wp.float32, jitter: wp.float32
 def make_envmap(role: str | None, wanted: tuple[str, ...]) -> EnvironmentFunctions:
     """Return the functions of the environment map (see `EnvironmentFunctions`).
 
-    Sampled directions are fixed in world space: neither texels nor pose move them. The densities take ``to_world`` to
-    be a rotation, with reflection and uniform scale allowed; its translation has no effect.
+    Sampled directions are fixed in world space: neither texels nor pose move them. ``to_world`` is any matrix with an
+    inverse; its translation has no effect.
 
     Args:
         role: "reverse", "forward", or None for a light that is not differentiated.
@@ -256,14 +262,18 @@ def make_envmap(role: str | None, wanted: tuple[str, ...]) -> EnvironmentFunctio
     def eval_pdf(scene: Scene, e: Emitter, direction: wp.vec3) -> tuple[wp.vec3, wp.float32]:
         texture = scene.textures[e.texture]
         rows = texture.height - 1
-        v = wp.normalize(wp.inverse(load_matrix(scene.values, e.to_world)) * direction)
+        m = load_matrix(scene.values, e.to_world)
+        v = wp.inverse(m) * direction
+        shrunk = wp.length(v)
+        v = v / shrunk
         cell = locate(texture, v)
         corners = corners_of(scene, texture, cell)
         t = cell_height(cell, v, rows)
         density = density_at(corner_density(corners), cell.fx, t)
         share = cell_share(scene, cell.row, cell.column, texture.width)
         found = scene.values[e.scale] * interpolate(corners, cell)
-        return found, share * density / cell_solid_angle(cell.row, rows, texture.width)
+        density *= share / cell_solid_angle(cell.row, rows, texture.width)
+        return found, density * narrowing(m, 1.0 / shrunk)
 
     @wp.func
     def pdf(scene: Scene, e: Emitter, direction: wp.vec3) -> wp.float32:
@@ -310,12 +320,13 @@ def make_envmap(role: str | None, wanted: tuple[str, ...]) -> EnvironmentFunctio
         cell.fy = wp.clamp(wp.where(upper, y - wp.float32(row), wp.float32(rows - row) - y), 0.0, 1.0)
 
         # Not ``wp.normalize``, which makes zero of NaN: a direction that no surface scatters to.
-        wi = load_matrix(scene.values, e.to_world) * v
-        result.wi = wi / wp.length(wi)
+        m = load_matrix(scene.values, e.to_world)
+        wi = m * v
+        grown = wp.length(wi)
+        result.wi = wi / grown
         result.radiance = scene.values[e.scale] * interpolate(corners, cell)
-        result.pdf = (
-            cell_share(scene, row, column, columns) * density_at(b, s, t) / cell_solid_angle(row, rows, columns)
-        )
+        density = cell_share(scene, row, column, columns) * density_at(b, s, t)
+        result.pdf = density / cell_solid_angle(row, rows, columns) * narrowing(m, grown)
         return result
 
     if role is None:

@@ -15,6 +15,8 @@ from .plugins import Properties, category_of
 
 #: Integrators whose light transport a path tracer computes as well.
 _SAME_TRANSPORT = ("path", "prb", "prb_basic", "prb_projective")
+#: Depths of those that have a limit where none is given, as in Mitsuba.
+_DEPTHS = {"prb": 6, "prb_basic": 6, "prb_projective": 6}
 
 
 def describe_dict(
@@ -113,7 +115,7 @@ def _integrator(node: dict, where: str, context: Context) -> dict[str, Any]:
     direct = "direct" in props.type
     if props.type not in _SAME_TRANSPORT and not direct:
         context.note(f"{where}: the integrator '{props.type}' is replaced by path tracing")
-    max_depth = 2 if direct else props.integer("max_depth", -1, minimum=-1)
+    max_depth = 2 if direct else props.integer("max_depth", _DEPTHS.get(props.type, -1), minimum=-1)
     result = {
         "type": props.type,
         "max_depth": max_depth,

@@ -24,18 +24,19 @@ class Edits:
 
     def __init__(self, arrays: Mapping[str, wp.array]):
         self._arrays = arrays
-        self._sums = {name: _sum(array) for name, array in arrays.items()}
+        self._sums = {name: checksum(array) for name, array in arrays.items()}
 
     def found(self) -> list[str]:
         """Return the names of the arrays that differ from what was followed last."""
-        return [name for name, array in self._arrays.items() if _sum(array) != self._sums[name]]
+        return [name for name, array in self._arrays.items() if checksum(array) != self._sums[name]]
 
     def follow(self, names: Iterable[str]) -> None:
         """Take the arrays as they are now."""
         for name in names:
             if name in self._arrays:
-                self._sums[name] = _sum(self._arrays[name])
+                self._sums[name] = checksum(self._arrays[name])
 
 
-def _sum(array: wp.array) -> int:
+def checksum(array: wp.array) -> int:
+    """Return the CRC-32 of an array."""
     return zlib.crc32(array.numpy())

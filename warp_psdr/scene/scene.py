@@ -77,7 +77,6 @@ class Scene:
         builder = Builder(description)
         self.builder = builder
         self.invalid = Ledger()
-        self.version = 0
         self._unfinished: list[str] = []
         self._uncounted = wp.zeros(COUNTER_SIZE, dtype=wp.int64, device=self.device)
         self._unmeasured = wp.zeros(1, dtype=wp.float32, device=self.device)
@@ -249,7 +248,6 @@ class Scene:
         """
         if not names and not self._unfinished:
             return
-        self.version += 1
         self._unfinished = list(dict.fromkeys([*self._unfinished, *names]))
         self._follow(self._unfinished)
         self._unfinished = []

@@ -128,7 +128,7 @@ def _place(
     """Move the mesh to world space, repair it and give it its normals."""
     repairs: dict[str, int] = {}
     normals = data.normals
-    if normals is not None and np.linalg.det(to_world[:3, :3]) < 0.0:
+    if (normals is not None or props.type in PRIMITIVES) and np.linalg.det(to_world[:3, :3]) < 0.0:
         # Mirroring turns the triangles over but not the given normals; turn the triangles back to agree with them.
         data.faces = data.faces[:, ::-1]
     data.faces = np.ascontiguousarray(data.faces, dtype=np.int32)

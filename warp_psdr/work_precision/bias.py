@@ -19,9 +19,9 @@ from dataclasses import replace
 import numpy as np
 
 from warp_psdr.interior import Replay
-from warp_psdr.kernels.constants import RFILTER_BOX
 from warp_psdr.kernels.rng import mix_seed
 from warp_psdr.options import PathIntegrator
+from warp_psdr.passes import splats
 from warp_psdr.plan import Plan
 from warp_psdr.work_precision.quantity import Quantity
 from warp_psdr.work_precision.statistics import Moments, jackknife, moments
@@ -35,7 +35,7 @@ def named(what: Quantity) -> tuple[str, ...]:
     scene, plan = what.scene, what.plan
     found = []
     if what.role == "primal":
-        if plan.config.filter != RFILTER_BOX:
+        if splats(scene.camera(what.sensor)):
             found.append("the filtered image is a quotient of two sums: of the order of 1 / all samples of a pixel")
         return tuple(found)
     if _textbook(plan):

@@ -20,7 +20,6 @@ from warp_psdr.boundary.motion import motion
 from warp_psdr.boundary.terms import SPLIT, TERMS, Request, launches
 from warp_psdr.gradient_sums import GradientSums
 from warp_psdr.guiding import store
-from warp_psdr.kernels.constants import RFILTER_BOX
 from warp_psdr.kernels.rng import mix_seed
 from warp_psdr.options import PathIntegrator, integrator_of
 from warp_psdr.passes import (
@@ -30,6 +29,7 @@ from warp_psdr.passes import (
     filter_margin,
     interior_backward,
     interior_forward,
+    splats,
     splatted,
 )
 from warp_psdr.plan import Plan, decide
@@ -111,8 +111,7 @@ class Quantity:
     def raster(self) -> tuple[int, int, int]:
         """Width and height of what the first part runs over, and its margin around the crop window, in pixels."""
         camera = self.scene.camera(self.sensor)
-        reaches = self.role == "primal" and self.plan.config.filter != RFILTER_BOX
-        margin = filter_margin(camera) if reaches else 0
+        margin = filter_margin(camera) if self.role == "primal" and splats(camera) else 0
         return camera.crop_width + 2 * margin, camera.crop_height + 2 * margin, margin
 
     def tiled(self, tiling: Tiling) -> Quantity:
@@ -146,7 +145,7 @@ def image(scene: Scene, *, integrator: PathIntegrator | None, sensor: int) -> Qu
         film = raw.reshape(-1, 4)
         return (film[:, :3] / np.where(film[:, 3:] > 0.0, film[:, 3:], 1.0)).reshape(-1)
 
-    box = plan.config.filter == RFILTER_BOX
+    box = not splats(scene.camera(sensor))
     over_pixels = box_batch if box else splat_batch
     found = Quantity(
         scene, plan, "primal", sensor, (), {IMAGE: slice(0, 3 * shape[0] * shape[1])}, over_pixels,
