@@ -21,15 +21,12 @@ from warp_psdr.kernels.bvh.wide import make_intersect
 from warp_psdr.kernels.camera import CameraSample, make_camera_ray
 from warp_psdr.kernels.constants import (
     BSDF_DIELECTRIC,
-    EMITTER_DIRECTIONAL,
-    EMITTER_POINT,
-    EMITTER_SPOT,
     FAR,
     LOBE_DELTA_REFLECTION,
     LOBE_DELTA_TRANSMISSION,
 )
 from warp_psdr.kernels.emitter.area import make_area
-from warp_psdr.kernels.emitter.dispatch import DELTA_LIGHTS, make_lights
+from warp_psdr.kernels.emitter.dispatch import DELTA_LIGHTS, is_delta_light, make_lights
 from warp_psdr.kernels.invalid import vanishes
 from warp_psdr.kernels.math import to_local, to_world
 from warp_psdr.kernels.path import PathConfig, make_frame, make_material
@@ -233,11 +230,6 @@ def make_lit(config: PathConfig):
         return not any_hit(scene.accel, x + turn * ng, ls.wi, ls.distance)
 
     return lit
-
-
-@wp.func
-def is_delta_light(kind: wp.int32) -> wp.bool:
-    return kind == EMITTER_POINT or kind == EMITTER_SPOT or kind == EMITTER_DIRECTIONAL
 
 
 @functools.cache

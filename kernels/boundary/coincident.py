@@ -25,8 +25,7 @@ import warp as wp
 
 from warp_psdr.kernels.boundary.local_form import EdgePoint, Edges, edge_step, facing_side
 from warp_psdr.kernels.bvh.wide import make_intersect
-from warp_psdr.kernels.constants import EMITTER_DIRECTIONAL, EMITTER_POINT, EMITTER_SPOT
-from warp_psdr.kernels.emitter.dispatch import make_lights
+from warp_psdr.kernels.emitter.dispatch import is_delta_light, make_lights
 from warp_psdr.kernels.path import PathConfig
 from warp_psdr.kernels.step import leaving_step
 from warp_psdr.kernels.structs import Accel, Scene
@@ -129,8 +128,7 @@ def make_lit_along(kinds: tuple[int, ...]):
     def lit_along(scene: Scene, x: wp.vec3, w: wp.vec3, t: wp.float32, step: wp.float32) -> wp.bool:
         for i in range(scene.emitters.shape[0]):
             emitter = scene.emitters[i]
-            kind = emitter.kind
-            if kind == EMITTER_POINT or kind == EMITTER_SPOT or kind == EMITTER_DIRECTIONAL:
+            if is_delta_light(emitter.kind):
                 ls = sample(scene, emitter, x, wp.vec2(0.0, 0.0))
                 if along(wp.min(ls.distance, DISTANT * t) * ls.wi, w, t, step):
                     return True

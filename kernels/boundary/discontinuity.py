@@ -28,7 +28,6 @@ from warp_psdr.kernels.boundary.chain import (
     MEETS_SMOOTH,
     Block,
     Link,
-    is_delta_light,
     make_lit,
     make_meet,
     make_start,
@@ -55,7 +54,7 @@ from warp_psdr.kernels.boundary.rims import (
 from warp_psdr.kernels.boundary.transport import Segment
 from warp_psdr.kernels.bvh.wide import make_intersect
 from warp_psdr.kernels.constants import FAR, LOBE_NONE
-from warp_psdr.kernels.emitter.dispatch import DELTA_LIGHTS, make_lights
+from warp_psdr.kernels.emitter.dispatch import DELTA_LIGHTS, is_delta_light, make_lights
 from warp_psdr.kernels.path import PathConfig
 from warp_psdr.kernels.structs import Camera, Scene, Triangle
 from warp_psdr.kernels.surface import VertexAdjoint, normalize_vjp, point_on

@@ -26,6 +26,11 @@ DELTA_LIGHTS = {EMITTER_POINT: make_point, EMITTER_SPOT: make_spot, EMITTER_DIRE
 WANTED = ("radiance", "pose")
 
 
+@wp.func
+def is_delta_light(kind: wp.int32) -> wp.bool:
+    return kind == EMITTER_POINT or kind == EMITTER_SPOT or kind == EMITTER_DIRECTIONAL
+
+
 class LightFunctions(NamedTuple):
     """Device functions of a set of light sources; None: no source of the set has the function.
 
