@@ -79,16 +79,7 @@ def _parser() -> argparse.ArgumentParser:
         metavar="NAME",
         help="its name, or a pattern such as '*.value'; repeatable",
     )
-    direction = gradient.add_mutually_exclusive_group()
-    direction.add_argument("--tangent", type=Path, metavar="FILE.npy", help="direction in which one parameter changes")
-    direction.add_argument(
-        "--translate", type=float, nargs=3, metavar=("X", "Y", "Z"), help="move all vertices or positions this way"
-    )
-    direction.add_argument("--target", type=Path, metavar="IMAGE", help="reverse mode: compare with this image")
-    gradient.add_argument("--loss", choices=LOSSES, help=f"with --target (default {DEFAULT_LOSS})")
-    gradient.add_argument(
-        "--boundary", choices=("auto", "none"), default="auto", help="none: leave the boundary term out"
-    )
+    _direction_options(gradient, "reverse mode: compare with this image")
     gradient.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help="folder to write to")
 
     accuracy = command(
@@ -100,14 +91,7 @@ def _parser() -> argparse.ArgumentParser:
     accuracy.add_argument(
         "--param", action="append", default=[], metavar="NAME", help="as for gradient; none: accuracy of the image"
     )
-    direction = accuracy.add_mutually_exclusive_group()
-    direction.add_argument("--tangent", type=Path, metavar="FILE.npy", help="direction in which one parameter changes")
-    direction.add_argument(
-        "--translate", type=float, nargs=3, metavar=("X", "Y", "Z"), help="move all vertices or positions this way"
-    )
-    direction.add_argument("--target", type=Path, metavar="IMAGE", help="gradient of the loss against this image")
-    accuracy.add_argument("--loss", choices=LOSSES, help=f"with --target (default {DEFAULT_LOSS})")
-    accuracy.add_argument("--boundary", choices=("auto", "none"), default="auto", help="none: leave the term out")
+    _direction_options(accuracy, "gradient of the loss against this image")
     accuracy.add_argument("--seconds", type=float, default=4.0, help="what the pilot may take (default 4)")
     accuracy.add_argument("--clock", choices=("wall", "cpu"), default="wall", help="cpu: processor time of all threads")
     accuracy.add_argument("--target-error", type=float, metavar="ERROR", help="say what this relative error costs")
@@ -160,6 +144,20 @@ def _scene_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--max-depth", type=int, help="longest path; -1: no limit (default: the scene's)")
     parser.add_argument("--device", default="cpu", help="Warp device (default cpu)")
     _worker_option(parser)
+
+
+def _direction_options(parser: argparse.ArgumentParser, target: str) -> None:
+    """Add what ``--param`` is differentiated along, or against; ``target``: help of ``--target``."""
+    direction = parser.add_mutually_exclusive_group()
+    direction.add_argument("--tangent", type=Path, metavar="FILE.npy", help="direction in which one parameter changes")
+    direction.add_argument(
+        "--translate", type=float, nargs=3, metavar=("X", "Y", "Z"), help="move all vertices or positions this way"
+    )
+    direction.add_argument("--target", type=Path, metavar="IMAGE", help=target)
+    parser.add_argument("--loss", choices=LOSSES, help=f"with --target (default {DEFAULT_LOSS})")
+    parser.add_argument(
+        "--boundary", choices=("auto", "none"), default="auto", help="none: leave the boundary term out"
+    )
 
 
 def _sampling_options(parser: argparse.ArgumentParser) -> None:

@@ -64,7 +64,8 @@ BESIDE_LEAST = 0.025
 #: do where the surfaces are as far apart as there, up to so many ray epsilons: nearer, roundings decide which is in
 #: front.
 ACUTE, BESIDE_CURVE = 0.01, 10.0
-#: The same, at least, where a light in the camera's place lights what is seen beside the edge, in its steps.
+#: Distance at which rays pass the edge where a light in the camera's place lights what they meet, in the steps by which
+#: rays leave that.
 FLASH = 2.0
 #: Whose surface a ray meets beside an edge, 0: neither the edge's own shape nor one with an edge along it.
 OWN, NEXT = wp.constant(1), wp.constant(2)
