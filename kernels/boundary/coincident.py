@@ -77,8 +77,8 @@ def way_to(scene: Scene, face: wp.int32, x: wp.vec3, w: wp.vec3, margin: wp.floa
 def make_screened(config: PathConfig):
     """Return ``screened(scene, accel, edges, point, x, w, way, face, behind) -> bool``: whether another edge counts.
 
-    That is whether a ray along w to x, beside a point of a silhouette on the occluder's side, meets another shape first,
-    from the distance ``way`` on. The shape of ``face``, off which it starts (-1: none), does not count.
+    That is whether a ray along w to x, beside a point of a silhouette on the occluder's side, from the distance ``way``
+    on, meets another shape first. The shape of ``face``, off which it starts (-1: none), does not count.
     """
     closest_hit, _any_hit = make_intersect(config.ray_backend, config.ray_width)
 
