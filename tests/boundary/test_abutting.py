@@ -1,11 +1,12 @@
 """Shapes that abut without sharing vertices: an edge of each runs along one line, seen once, with one shadow."""
 
+import numpy as np
 import pytest
 
 import warp_psdr as psdr
 
-from .measure import Case, assert_agrees, derivatives, differences, rows
-from .scenes import SIZE, T, box, camera, diffuse, floor, mesh, panel, register, sky
+from .measure import Case, assert_agrees, derivatives, differences, move, rows
+from .scenes import SIZE, T, box, camera, diffuse, floor, load, mesh, panel, register, sky
 from .test_brushed import pans
 from .test_table import moved
 
@@ -107,3 +108,23 @@ def test_derivatives_agree_with_differences(case, mode) -> None:
 @pytest.mark.parametrize("case", rows(SHADOWS))
 def test_shadows_agree_with_differences(case, method) -> None:
     assert_agrees(derivatives(case, "reverse", METHODS[method]), differences(case)[2])
+
+
+def test_guiding_follows_what_abuts() -> None:
+    scene, params = load("shelf")
+    name = "second.vertex_positions"
+    base = params[name].numpy().copy()
+    weights = np.ones((SIZE, SIZE, 3), np.float32)
+    params.requires_grad(*BOTH)
+    integrator = psdr.PathIntegrator(max_depth=2, boundary=METHODS["guided"])
+    beside = []
+    try:
+        for lift in (0.0, 0.02, 0.0):
+            move(params, {name: base + np.array([0.0, 0.0, lift])})
+            psdr.render_backward(scene, params, weights, integrator=integrator, spp=4)
+            (kept,) = psdr.guiding.structures(scene)
+            beside.append(kept.edges.beside_first.shape[0] > 1)
+    finally:
+        move(params, {name: base})
+        psdr.guiding.reset(scene)
+    assert beside == [True, False, True]
