@@ -107,7 +107,8 @@ def film_edges(
     edges = without(every, scene.luminous) if hide_emitters else every
     asked = np.ones(len(edges.length), bool) if camera_moves else moving_edges(scene, edges, shapes)
     jumps = _jumps(scene, view, edges, asked)
-    creases = _seen(view, edges, asked & ~jumps & (edges.wedge > 0.0))
+    scatters = _scatters(scene)[_shape(scene, edges)].any(axis=1)
+    creases = _seen(view, edges, asked & ~jumps & (edges.wedge > 0.0) & scatters)
     lit = _facets(scene, view, edges, jumps)
     others, facets = _seen(view, edges, jumps & ~lit), _seen(view, edges, lit)
     weight = facets.length * _sine(edges, facets.keep)
@@ -263,15 +264,21 @@ def _facets(scene: Scene, view: CameraView, edges: Adjacency, asked: np.ndarray)
 
     Their faces scatter smoothly, and are wide enough for rays beside the edge.
     """
-    shapes, bsdfs = scene.builder.shapes, scene.builder.bsdfs
-    delta = [b.model in DELTA_MODELS for b in bsdfs]
-    usable = np.array([s.smooth == 0 and not delta[s.bsdf] and not delta[bsdfs[s.bsdf].back] for s in shapes])
+    shapes = scene.builder.shapes
+    usable = np.array([s.smooth == 0 for s in shapes]) & _scatters(scene).all(axis=1)
     shape = _shape(scene, edges)
     facets = asked & _within(scene, edges) & usable[shape] & (edges.wedge > 0.0) & (edges.wedge < SHALLOW)
     some = np.flatnonzero(facets)
     steps = scene.steps.shapes if scene.steps.scene > 0.0 else np.full(len(shapes), scene.ray_epsilon)
     facets[some] = _apart(scene, view, edges, some, WIDE * steps[shape[some]]) & _alike(scene, edges, some)
     return facets
+
+
+def _scatters(scene: Scene) -> np.ndarray:
+    """Return which shapes are more than a mirror or glass in front and on the back, (S, 2)."""
+    bsdfs = scene.builder.bsdfs
+    more = [b.model not in DELTA_MODELS for b in bsdfs]
+    return np.array([(more[s.bsdf], more[bsdfs[s.bsdf].back]) for s in scene.builder.shapes]).reshape(-1, 2)
 
 
 def _alike(scene: Scene, edges: Adjacency, some: np.ndarray) -> np.ndarray:

@@ -450,13 +450,14 @@ def make_crossing(config: PathConfig):
                                                 r.valid = 1
                 return r
             if p.kind == MEETS_DELTA and q.kind == MEETS_DELTA:
+                crosses = is_bent and p.leaving != q.leaving
+                if crosses and crease:
+                    if i == 0 and block.film == 0:
+                        return r
+                    return edge_crossing(scene, edges, tables, block, p, q, x, a, b, i, count, which)
                 a = scattered_differential(p, d, a, a_x)
                 b = scattered_differential(p, d, b, b_x)
-                if is_bent and p.leaving != q.leaving:
-                    if crease:
-                        if i == 0 and block.film == 0:
-                            return r
-                        return edge_crossing(scene, edges, tables, block, p, q, x, a, b, i, count, which)
+                if crosses:
                     tri = scene.triangles[p.face]
                     area = wp.length(wp.cross(tri.p1 - tri.p0, tri.p2 - tri.p0))
                     r.last = count + i

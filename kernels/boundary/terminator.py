@@ -179,7 +179,7 @@ def make_terminator_kernel(config: PathConfig, role: str, camera_moves: bool):
                         local = passing_step(scene, face)
                         # Up phi across the line of sight, where e1 and e2 look as long as they are wide.
                         step = phi_u * wp.cross(e2, view) - phi_v * wp.cross(e1, view)
-                        step = wp.where(cosine >= 0.0, BESIDE, -BESIDE) * local * wp.normalize(step)
+                        step = wp.where(shape.orientation * cosine >= 0.0, BESIDE, -BESIDE) * local * wp.normalize(step)
                         ahead = wp.min(AHEAD * local, distance - at.near)
                         branch = sampler
                         branch.index = wp.uint32(1)
