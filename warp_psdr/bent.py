@@ -9,6 +9,7 @@ import warp as wp
 
 from warp_psdr.camera_view import camera_view
 from warp_psdr.edges import COPLANAR
+from warp_psdr.film_edges import scatters
 from warp_psdr.light_sampling import cumulative
 
 if TYPE_CHECKING:
@@ -74,9 +75,11 @@ def terminator_faces(
     points = scene.points.astype(np.float64)
     view = camera_view(scene, sensor)
     bent = bent_faces(scene)
+    more = np.asarray(scatters(scene).any(axis=1))
     numbers, weights = [], []
     for i, s in enumerate(scene.builder.shapes):
-        if s.smooth == 0 or not (camera_moves or i in shapes):
+        # What mirrors and glass reflect where n . v is small goes into their own triangle: black on both sides.
+        if s.smooth == 0 or not more[i] or not (camera_moves or i in shapes):
             continue
         vertices = slice(s.first_vertex, s.first_vertex + s.vertex_count)
         first = s.normal_offset + 3 * s.first_vertex

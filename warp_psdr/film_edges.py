@@ -107,8 +107,8 @@ def film_edges(
     edges = without(every, scene.luminous) if hide_emitters else every
     asked = np.ones(len(edges.length), bool) if camera_moves else moving_edges(scene, edges, shapes)
     jumps = _jumps(scene, view, edges, asked)
-    scatters = _scatters(scene)[_shape(scene, edges)].any(axis=1)
-    creases = _seen(view, edges, asked & ~jumps & (edges.wedge > 0.0) & scatters)
+    usable = asked & ~jumps & (edges.wedge > 0.0) & scatters(scene)[_shape(scene, edges)].any(axis=1)
+    creases = _seen(view, edges, usable)
     lit = _facets(scene, view, edges, jumps)
     others, facets = _seen(view, edges, jumps & ~lit), _seen(view, edges, lit)
     weight = facets.length * _sine(edges, facets.keep)
@@ -265,7 +265,7 @@ def _facets(scene: Scene, view: CameraView, edges: Adjacency, asked: np.ndarray)
     Their faces scatter smoothly, and are wide enough for rays beside the edge.
     """
     shapes = scene.builder.shapes
-    usable = np.array([s.smooth == 0 for s in shapes]) & _scatters(scene).all(axis=1)
+    usable = np.array([s.smooth == 0 for s in shapes]) & scatters(scene).all(axis=1)
     shape = _shape(scene, edges)
     facets = asked & _within(scene, edges) & usable[shape] & (edges.wedge > 0.0) & (edges.wedge < SHALLOW)
     some = np.flatnonzero(facets)
@@ -274,7 +274,7 @@ def _facets(scene: Scene, view: CameraView, edges: Adjacency, asked: np.ndarray)
     return facets
 
 
-def _scatters(scene: Scene) -> np.ndarray:
+def scatters(scene: Scene) -> np.ndarray:
     """Return which shapes are more than a mirror or glass in front and on the back, (S, 2)."""
     bsdfs = scene.builder.bsdfs
     more = [b.model not in DELTA_MODELS for b in bsdfs]

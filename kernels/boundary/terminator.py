@@ -15,7 +15,9 @@ constant barycentric b_a phi is quadratic: its roots sample the curve. With a on
 The two rays of H pass the curve at a fraction of a ray epsilon, as they pass edges (``primary.py``), along the gradient
 of phi in the plane across the line of sight v: there grad phi . e_1 = phi_u and grad phi . e_2 = phi_v are solved by
 
-    grad phi = (phi_u e_2 x v - phi_v e_1 x v) / ((e_1 x e_2) . v),    the divisor's sign that of n_t . v.
+    grad phi = (phi_u e_2 x v - phi_v e_1 x v) / ((e_1 x e_2) . v),
+
+the divisor's sign that of n_t . v, n_t before ``flip_normals`` turns it.
 
 Steps along the triangle instead look longer the more they go across v, and would leave what is seen nearly edge-on.
 

@@ -18,9 +18,9 @@ def mirror_ball():
     return {"sensor": VIEW, "sky": sky(), "ball": ball(CENTER, RADIUS, GRAY, 1, smooth=True)}
 
 
-def mirror_sphere():
-    shape = {"type": "sphere", "center": list(CENTER), "radius": RADIUS, "bsdf": GRAY, "resolution": 24}
-    return {"sensor": VIEW, "sky": sky(), "floor": floor(half=0.8), "ball": shape}
+def mirror_sphere(resolution, **more):
+    shape = {"type": "sphere", "center": list(CENTER), "radius": RADIUS, "bsdf": GRAY, "resolution": resolution}
+    return {"sensor": VIEW, "sky": sky(), "ball": shape, **more}
 
 
 def flipped():
@@ -34,7 +34,15 @@ def mirrored():
     return {"sensor": VIEW, "floor": floor(), "ball": shape, "light": panel((0.3, -0.5, 2.6), 0.4)}
 
 
-register({"gray ball": mirror_ball, "gray sphere": mirror_sphere, "flipped ball": flipped, "mirrored sphere": mirrored})
+register(
+    {
+        "gray ball": mirror_ball,
+        "gray sphere": lambda: mirror_sphere(24, floor=floor(half=0.8)),
+        "fine gray sphere": lambda: mirror_sphere(256),
+        "flipped ball": flipped,
+        "mirrored sphere": mirrored,
+    }
+)
 VERTICES, POSE = "ball.vertex_positions", "ball.to_world"
 
 
@@ -51,6 +59,7 @@ CASES = [
     Case("gray ball", "sensor.to_world", slides, 0.004, "camera moves", 2, 1024, 4096),
     Case("gray sphere", POSE, slides, 0.004, "moves", 2, 2048, 8192),
     Case("gray sphere", POSE, slides, 0.004, "moves", 4, 2048, 8192),
+    Case("fine gray sphere", POSE, slides, 0.004, "moves", 2, 2048, 4096),
     Case("flipped ball", VERTICES, MOVES, 0.005, "moves", 2, 512, 1024, slow=False),
     Case("flipped ball", VERTICES, MOVES, 0.005, "moves", 3, 1024, 2048),
     Case("mirrored sphere", POSE, slides, 0.005, "moves", 2, 1024, 2048),
