@@ -1,4 +1,4 @@
-"""Edges of a scene's meshes: adjacency on position-welded vertices, and the candidate sets of the boundary term."""
+"""Edges of a scene's meshes: adjacency on position-welded vertices, and its records on the device."""
 
 from __future__ import annotations
 
