@@ -11,6 +11,7 @@ import warp_psdr as psdr
 
 ROOT = Path(__file__).resolve().parents[1]
 WALL, SKY = "wall.bsdf.reflectance.value", "sky.radiance.value"
+POSE, VERTICES = "wall.to_world", "wall.vertex_positions"
 OPTIONS = {"spp": 8, "seed": 3}
 #: Rounding of float32 sums over the pixels, relative to the largest entry.
 ROUNDING = 1e-5
@@ -68,6 +69,113 @@ def test_two_images_of_one_scene_do_not_mix(scene) -> None:
     np.testing.assert_array_equal(psdr.traverse(scene)[WALL].numpy(), np.float32([0.7, 0.7, 0.7]))
 
 
+@pytest.mark.parametrize("asked", [WALL, POSE, VERTICES])
+def test_gradients_are_those_of_the_values_that_were_rendered(scene, asked) -> None:
+    """A posed shape's vertices are values of their own: an edit between the image and its gradient does not count."""
+    torch = pytest.importorskip("torch")
+    params = psdr.traverse(scene)
+    tensor = torch.tensor(params[asked].numpy(), requires_grad=True)
+    gradients = []
+    for edited in (False, True):
+        image = psdr.torch.render(scene, {asked: tensor}, **OPTIONS)
+        if edited:
+            params[VERTICES] = 0.3 * params[VERTICES].numpy() + np.float32([0.2, 0.1, 0.0])
+            params.update()
+        shown = psdr.render(scene, **OPTIONS).numpy()
+        (gradient,) = torch.autograd.grad(image.square().sum(), tensor)
+        gradients.append(gradient.numpy())
+        np.testing.assert_array_equal(psdr.render(scene, **OPTIONS).numpy(), shown)
+    assert np.abs(gradients[0]).max() > 0.0
+    np.testing.assert_array_equal(*gradients)
+
+
+def test_far_scenes_keep_the_digits_of_double_precision() -> None:
+    torch = pytest.importorskip("torch")
+    place = np.array([1.0e6, 0.0, 0.0])
+    pose = psdr.Transform.look_at(list(place + np.array([0.0, 0.0, 3.0])), list(place), [0, 1, 0])
+    far = psdr.load_dict(
+        {
+            "type": "scene",
+            "camera": {"type": "perspective", "to_world": pose, "film": {"type": "hdrfilm", "width": 8, "height": 6}},
+            "wall": {"type": "rectangle", "to_world": psdr.Transform.translate(list(place))},
+            "sky": {"type": "constant"},
+        }
+    )
+    corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) + place
+    camera = far.values.numpy().copy()
+    moved = corners + np.array([1.0e-3, 0.0, 0.0])
+    tensor = torch.tensor(moved, requires_grad=True)
+    image = psdr.torch.render(far, {VERTICES: tensor}, **OPTIONS)
+    held = far.values.numpy().copy()
+    psdr.torch.render(far, {VERTICES: torch.tensor(corners)}, **OPTIONS)
+    p = far.parameters[VERTICES]
+    np.testing.assert_allclose(held[p.offset : p.offset + p.size].reshape(-1, 3), moved - far.origin, atol=1e-6)
+    image.sum().backward()
+    assert tensor.grad.dtype == torch.float64
+    assert tensor.grad.abs().max() > 0.0
+    np.testing.assert_array_equal(far.values.numpy(), camera)
+
+
+def test_an_error_in_backward_leaves_the_scene_as_it_was(scene) -> None:
+    torch = pytest.importorskip("torch")
+    first, second = (torch.full((3,), value, requires_grad=True) for value in (0.2, 0.7))
+    image = psdr.torch.render(scene, {WALL: first}, **OPTIONS)
+    psdr.torch.render(scene, {WALL: second}, **OPTIONS)
+    with pytest.raises(ValueError, match="NaN or infinite"):
+        image.backward(torch.full_like(image, float("nan")))
+    np.testing.assert_array_equal(psdr.traverse(scene)[WALL].numpy(), np.float32([0.7, 0.7, 0.7]))
+
+
+@pytest.mark.filterwarnings("ignore:.torch.jit.script. is deprecated:DeprecationWarning")  # by torch itself
+def test_forward_mode_is_render_forward(scene) -> None:
+    torch = pytest.importorskip("torch")
+    fwd = torch.autograd.forward_ad
+    with fwd.dual_level():
+        dual = fwd.make_dual(torch.full((3,), 0.5), torch.tensor([1.0, 0.0, 2.0]))
+        tangent = fwd.unpack_dual(psdr.torch.render(scene, {WALL: dual}, **OPTIONS)).tangent
+    expected = psdr.render_forward(scene, psdr.traverse(scene), {WALL: [1.0, 0.0, 2.0]}, **OPTIONS).numpy()
+    assert np.abs(expected).max() > 0.0
+    np.testing.assert_array_equal(tangent.numpy(), expected)
+
+
+def test_second_derivatives_are_refused(scene) -> None:
+    torch = pytest.importorskip("torch")
+    albedo = torch.full((3,), 0.5, requires_grad=True)
+    image = psdr.torch.render(scene, {WALL: albedo}, **OPTIONS)
+    with pytest.raises(RuntimeError, match="no second derivatives"):
+        torch.autograd.grad(image.square().sum(), albedo, create_graph=True)
+
+
+def test_tensors_of_any_floating_type_may_change_in_place_afterwards(scene) -> None:
+    torch = pytest.importorskip("torch")
+    albedo = torch.full((3,), 0.5, dtype=torch.bfloat16, requires_grad=True)
+    image = psdr.torch.render(scene, {WALL: albedo}, **OPTIONS)
+    with torch.no_grad():
+        albedo.zero_()
+    image.sum().backward()
+    assert albedo.grad.dtype == torch.bfloat16
+    assert albedo.grad.float().min() > 0.0
+
+
+def test_only_an_image_is_wanted_without_grad(scene) -> None:
+    """What cannot be differentiated can be rendered."""
+    torch = pytest.importorskip("torch")
+    pose = torch.eye(4, requires_grad=True)
+    options = {**OPTIONS, "integrator": psdr.PathIntegrator(max_depth=20)}
+    mirror = psdr.load_dict(
+        {
+            "type": "scene",
+            "camera": {"type": "perspective", "to_world": psdr.Transform.look_at([0, 0, 3], [0, 0, 0], [0, 1, 0])},
+            "wall": {"type": "cube", "bsdf": {"type": "conductor"}},
+            "sky": {"type": "constant"},
+        }
+    )
+    with pytest.raises(ValueError, match="set max_depth to 16 or less"):
+        psdr.torch.render(mirror, {POSE: pose}, **options)
+    with torch.no_grad():
+        assert not psdr.torch.render(mirror, {POSE: pose}, **options).requires_grad
+
+
 def test_only_what_requires_a_gradient_gets_one(scene) -> None:
     torch = pytest.importorskip("torch")
     albedo, sky = torch.full((3,), 0.5), torch.ones(3, requires_grad=True)
@@ -86,4 +194,8 @@ def test_mistakes_are_named(scene) -> None:
     with pytest.raises(KeyError, match="no parameter 'wall'"):
         psdr.torch.render(scene, {"wall": torch.zeros(3)}, **OPTIONS)
     with pytest.raises(ValueError, match="leave one of them out"):
-        psdr.torch.render(scene, {"a.to_world": torch.eye(4), "a.vertex_positions": torch.zeros(3, 3)}, **OPTIONS)
+        psdr.torch.render(scene, {POSE: torch.eye(4), VERTICES: torch.zeros(4, 3)}, **OPTIONS)
+    with pytest.raises(KeyError, match=r"did you mean 'wall\.vertex_positions'"):
+        psdr.torch.render(scene, {"wal.vertex_positions": torch.zeros(4, 3)}, **OPTIONS)
+    with pytest.raises(TypeError, match="expected tensors by name"):
+        psdr.torch.render(scene, [torch.zeros(3)], **OPTIONS)

@@ -66,9 +66,10 @@ def check_independent(scene: Scene, names: Iterable[str]) -> None:
     Each has a derivative with the others at rest; set together, what is set stays, whatever it would follow.
 
     Raises:
+        KeyError: there is no such parameter.
         ValueError: there are such names.
     """
-    given = set(names)
+    given = {name: parameter_of(scene, name) for name in names}
     for name in sorted(given):
         base, _dot, kind = name.rpartition(".")
         followers = []

@@ -5,6 +5,8 @@
     albedo = torch.tensor([0.5, 0.5, 0.5], requires_grad=True)
     image = psdr.torch.render(scene, {"wall.reflectance.value": albedo}, spp=64)
     (image - target).square().mean().backward()  # albedo.grad
+
+Forward mode (``torch.autograd.forward_ad``) gives derivative images. There are no second derivatives.
 """
 
 from __future__ import annotations
@@ -14,12 +16,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import warp as wp
 
 from warp_psdr.options import PathIntegrator
-from warp_psdr.parameters import check_independent, traverse
+from warp_psdr.parameters import Parameters, check_independent, traverse
+from warp_psdr.plan import decide
 from warp_psdr.render import render as render_image
-from warp_psdr.render import render_backward
+from warp_psdr.render import render_backward, render_forward
 
 try:
     import torch
@@ -50,7 +52,8 @@ def render(
     Args:
         scene: A loaded scene; it keeps the tensors' values.
         parameters: Tensors by parameter name, in the parameters' NumPy shapes, for instance (N, 3) for positions. Those
-            that require a gradient get one.
+            that require a gradient get one. They are not kept within their bounds, as ``psdr.optim`` keeps them. Far
+            from the origin float64 keeps the digits of places.
         sensor: Which camera.
         integrator: Default: what the scene file names, else ``PathIntegrator()``.
         spp: Samples a pixel; default: the sensor's sample count.
@@ -62,24 +65,28 @@ def render(
 
     Raises:
         KeyError: There is no such parameter.
-        TypeError: A value is no floating-point tensor.
+        TypeError: No mapping, or a value is no floating-point tensor.
         ValueError: A wrong shape, numbers that are not finite, an option out of range, a pose beside the vertices that
             it moves, or a moving discontinuity that the method of the boundary term does not cover.
     """
+    if not isinstance(parameters, Mapping):
+        raise TypeError(f"parameters: got {type(parameters).__name__}, expected tensors by name")
     for name, tensor in parameters.items():
         if not isinstance(tensor, torch.Tensor) or not tensor.is_floating_point():
             raise TypeError(f"{name!r}: got {type(tensor).__name__}, expected a floating-point tensor")
     check_independent(scene, parameters)
-    call = _Call(scene, tuple(parameters), sensor, integrator, spp, spp_grad, seed)
+    wanted = tuple(tensor.requires_grad and torch.is_grad_enabled() for tensor in parameters.values())
+    call = _Call(scene, tuple(parameters), wanted, sensor, integrator, spp, spp_grad, seed)
     return _Render.apply(call, *parameters.values())
 
 
 @dataclass(frozen=True)
 class _Call:
-    """What is rendered, besides the tensors."""
+    """What is rendered, besides the tensors; ``wanted``: which of them need a gradient."""
 
     scene: Scene
     names: tuple[str, ...]
+    wanted: tuple[bool, ...]
     sensor: int
     integrator: PathIntegrator | None
     spp: int | None
@@ -88,23 +95,27 @@ class _Call:
 
     @property
     def options(self) -> dict[str, Any]:
-        return {"sensor": self.sensor, "integrator": self.integrator, "seed": self.seed}
+        return {"sensor": self.sensor, "integrator": self.integrator}
 
-    def state(self, params: Any) -> dict[str, np.ndarray]:
-        """Return a copy of all values of the scene, but for those that follow from a pose."""
-        posed = [name.removesuffix("to_world") for name in params if name.endswith(".to_world")]
-        follow = {pose + name for pose in posed for name in ("vertex_positions", "vertex_normals")}
-        return {name: params[name].numpy().copy() for name in params if name not in follow.difference(self.names)}
+    @property
+    def gradient_spp(self) -> int | None:
+        return self.spp_grad if self.spp_grad is not None else self.spp
 
-    def assign(self, values: Mapping[str, np.ndarray]) -> Any:
-        """Make the scene hold the values and return its parameters."""
+    def parameters(self) -> Parameters:
+        """Return the scene's parameters, with those requested that need a gradient."""
         params = traverse(self.scene)
-        for name, value in values.items():
-            value = params.check(name, value, "value")
-            if not np.array_equal(value, params[name].numpy()):
-                params[name] = value
-        params.update()
+        params.requires_grad(*(name for name, wanted in zip(self.names, self.wanted, strict=True) if wanted))
         return params
+
+    def assign(self, tensors: tuple[torch.Tensor, ...]) -> None:
+        """Make the scene hold the tensors' values."""
+        params = traverse(self.scene)
+        changed = []
+        for name, tensor in zip(self.names, tensors, strict=True):
+            value = _numpy(tensor)
+            if self.scene.place(name, params.check(name, value, "value", value.dtype.type)):
+                changed.append(name)
+        params.update(*changed)
 
 
 class _Render(torch.autograd.Function):
@@ -112,36 +123,51 @@ class _Render(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, call: _Call, *tensors: torch.Tensor) -> torch.Tensor:
-        params = call.assign({name: _numpy(tensor) for name, tensor in zip(call.names, tensors, strict=True)})
-        wanted = [name for name, needed in zip(call.names, ctx.needs_input_grad[1:], strict=True) if needed]
-        params.requires_grad(*wanted)
-        # With a tape, what cannot be differentiated is refused here, and not only by backward().
-        tape = wp.Tape() if wanted else None
-        image = render_image(call.scene, params, spp=call.spp, spp_grad=call.spp_grad, tape=tape, **call.options)
+        call.assign(tensors)
+        if any(call.wanted):
+            # What cannot be differentiated is refused here, and not only by backward().
+            decide(call.scene, call.parameters(), **call.options)
+            ctx.state = call.scene.state()
+        image = render_image(call.scene, spp=call.spp, seed=call.seed, **call.options)
         ctx.call = call
-        ctx.state = call.state(params)
-        ctx.save_for_backward(*tensors)
+        ctx.like = [(tensor.shape, tensor.dtype, tensor.device) for tensor in tensors]
         return torch.from_numpy(image.numpy().copy()).to(tensors[0].device if tensors else "cpu")
 
     @staticmethod
-    @torch.autograd.function.once_differentiable
     def backward(ctx: Any, adjoint: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
+        if torch.is_grad_enabled():
+            raise RuntimeError(
+                "psdr.torch.render has no second derivatives: leave create_graph out; for products with the Jacobian "
+                "use torch.autograd.forward_ad"
+            )
         call: _Call = ctx.call
-        tensors = ctx.saved_tensors
+        params = call.parameters()
+        params.update()
         # Another render may have changed the scene since; it gets these values for now, and its own ones back.
-        later = call.state(traverse(call.scene))
-        params = call.assign(ctx.state)
-        needed = ctx.needs_input_grad[1:]
-        params.requires_grad(*(name for name, wanted in zip(call.names, needed, strict=True) if wanted))
-        spp = call.spp_grad if call.spp_grad is not None else call.spp
-        render_backward(call.scene, params, _numpy(adjoint), spp=spp, **call.options)
-        gradients = [
-            torch.from_numpy(params[name].grad.numpy().copy()).to(tensor).reshape(tensor.shape) if wanted else None
-            for name, tensor, wanted in zip(call.names, tensors, needed, strict=True)
-        ]
-        call.assign(later)
+        later = call.scene.state()
+        call.scene.restore(ctx.state)
+        try:
+            render_backward(call.scene, params, _numpy(adjoint), spp=call.gradient_spp, seed=call.seed, **call.options)
+            gradients = [
+                torch.from_numpy(params[name].grad.numpy().copy()).to(dtype=dtype, device=device).reshape(shape)
+                if wanted
+                else None
+                for name, wanted, (shape, dtype, device) in zip(call.names, call.wanted, ctx.like, strict=True)
+            ]
+        finally:
+            call.scene.restore(later)
         return (None, *gradients)
+
+    @staticmethod
+    def jvp(ctx: Any, _call: None, *tangents: torch.Tensor | None) -> torch.Tensor:
+        call: _Call = ctx.call
+        given = {name: _numpy(t) for name, t in zip(call.names, tangents, strict=True) if t is not None}
+        params = traverse(call.scene)
+        image = render_forward(call.scene, params, given, spp=call.gradient_spp, seed=call.seed, **call.options)
+        return torch.from_numpy(image.numpy().copy()).to(ctx.like[0][2])
 
 
 def _numpy(tensor: torch.Tensor) -> np.ndarray:
-    return np.ascontiguousarray(tensor.detach().cpu().numpy(), dtype=np.float32)
+    """Return a tensor's values: float64 if it holds that, else float32."""
+    values = tensor.detach().cpu()
+    return np.ascontiguousarray((values if values.dtype == torch.float64 else values.float()).numpy())

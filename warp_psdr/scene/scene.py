@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -47,6 +48,14 @@ HAIR = 0.2
 CONTACT_RATIO = 2.0e-2
 #: Least radius and extent of a scene, in world units: one without triangles has neither, and both are divided by.
 LEAST_LENGTH = 1.0e-30
+
+
+@dataclass(frozen=True)
+class State:
+    """What edits of a scene change: its values, and the object-space geometry of posed shapes."""
+
+    values: np.ndarray
+    local: dict[int, tuple[wp.array, wp.array]]
 
 
 class Scene:
@@ -162,9 +171,9 @@ class Scene:
         """Return the array of a parameter that users read and edit."""
         return self._world.view(self.parameters[name])
 
-    def place(self, name: str, values: np.ndarray) -> None:
-        """Take new values of a parameter, world coordinates, float32 or float64."""
-        self._world.place(self.parameters[name], values)
+    def place(self, name: str, values: np.ndarray) -> bool:
+        """Take new values of a parameter, world coordinates, float32 or float64; return whether they are other ones."""
+        return self._world.place(self.parameters[name], values)
 
     @property
     def positions(self) -> int:
@@ -252,6 +261,24 @@ class Scene:
         self._follow(self._unfinished)
         self._unfinished = []
 
+    def state(self) -> State:
+        """Return a copy of all that edits change, for ``restore``."""
+        return State(self.values.numpy().copy(), dict(self._local))
+
+    def restore(self, state: State) -> None:
+        """Go back to a state of this scene, to the bit; what was edited since and is not refreshed is lost."""
+        held = self.values.numpy()
+        changed = [
+            p
+            for p in self.parameters.values()
+            if not np.array_equal(held[p.offset : p.offset + p.size], state.values[p.offset : p.offset + p.size])
+        ]
+        self._local = dict(state.local)
+        if changed:
+            self.values.assign(state.values)
+            self._world.show(changed)
+            self._renew(changed)
+
     def _follow(self, names: list[str]) -> None:
         changed = [self.parameters[name] for name in names]
         for p in changed:
@@ -270,6 +297,11 @@ class Scene:
                 self.normal_sums(shape, write=True)
         for shape in sorted((placed | shaded) & self._local.keys()):
             self._take_local(shape)
+        self._renew([*changed, *(self.parameters[name] for name in followed)])
+
+    def _renew(self, changed: list[Parameter]) -> None:
+        """Recompute what depends on values, but for other values."""
+        moved = {p.owner for p in changed if POSITIONS in p.uses}
         if moved:
             self._update_triangles(sorted(moved))
             self.accelerator.update()
@@ -286,7 +318,7 @@ class Scene:
         brighter = any(p.uses & BRIGHTNESS for p in changed)
         if brighter or areas or (moved and self.lights.depend_on_size()):
             self.lights.update_selection(values, self.radius)
-        self._edits.follow({*names, *followed})
+        self._edits.follow(p.name for p in changed)
 
     def _pose(self, shape: int, with_normals: bool = True) -> None:
         record = self.builder.shapes[shape]

@@ -34,14 +34,20 @@ class World:
         """Return a parameter's array: world coordinates of what has a place, else the values themselves."""
         return p.view(self._world if p.placed else self._values)
 
-    def place(self, p: Parameter, values: np.ndarray) -> None:
-        """Take new values of a parameter, float32 or float64, which are not rounded before they are made relative."""
-        if not (p.placed and self._origin.any()):
-            p.view(self._values).assign(values.astype(np.float32))
-            return
-        stored, _ = from_world(values.reshape(-1), self._stretch(p).numpy(), shift_of(p.numpy_shape, self._origin))
+    def place(self, p: Parameter, values: np.ndarray) -> bool:
+        """Take new values of a parameter, float32 or float64, which are not rounded before they are made relative.
+
+        Returns:
+            Whether they differ from the former ones.
+        """
+        held = self._stretch(p).numpy()
+        stored = values.reshape(-1).astype(np.float32)
+        if p.placed and self._origin.any():
+            stored, _ = from_world(values.reshape(-1), held, shift_of(p.numpy_shape, self._origin))
+        differs = not np.array_equal(stored, held)
         self._stretch(p).assign(stored)
         self.show([p])
+        return differs
 
     def show(self, parameters: Iterable[Parameter]) -> None:
         """Let world coordinates follow the values."""
