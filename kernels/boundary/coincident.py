@@ -12,11 +12,13 @@ count. What is seen on the film is told apart by its own means (``primary.py``),
 **Edges one behind the other** coincide for directions of measure zero, but a point, spot or directional light has no
 others, nor has an orthographic camera: equal plates one above the other under a vertical sun, or seen from above. Of
 these edges the one nearest to x_1, or to the camera, counts: who looks from there along the light, beside the edge on
-the occluder's side, sees the edge's own shape first.
+the occluder's side, sees the edge's own shape first. What is seen beside such an edge lies in the shadow of the others,
+right up to the edge; a ray to the light that starts off a surface, a step along its normal, passes them where light
+falls aslant. So the rays of ``primary.py`` pass edges that light of no area may fall on farther away than such steps.
 
 **A light in the camera's place**, or a sun along its parallel rays, throws all shadows behind what throws them: what
-hides x_1 from the light hides it from the camera, whose silhouettes (``primary.py``) have counted it. Their rays pass
-the edge farther away, so that what they meet sees the light although its own rays start off its surface.
+hides x_1 from the light hides it from the camera, whose silhouettes (``primary.py``) have counted it. What their rays
+meet, as far from the edge, sees the light for the same reason.
 """
 
 import functools
@@ -25,13 +27,9 @@ import warp as wp
 
 from warp_psdr.kernels.boundary.local_form import EdgePoint, Edges, edge_step, facing_side
 from warp_psdr.kernels.bvh.wide import make_intersect
-from warp_psdr.kernels.emitter.dispatch import is_delta_light, make_lights
 from warp_psdr.kernels.path import PathConfig
 from warp_psdr.kernels.step import leaving_step
 from warp_psdr.kernels.structs import Accel, Scene
-
-#: Distance, over that of an edge, at which a light counts as infinitely far.
-DISTANT = 1.0e3
 
 
 @wp.func
@@ -78,7 +76,7 @@ def make_screened(config: PathConfig):
     """Return ``screened(scene, accel, edges, point, x, w, way, face, behind) -> bool``: whether another edge counts.
 
     That is whether a ray along w to x, beside a point of a silhouette on the occluder's side, from the distance ``way``
-    on, meets another shape first. The shape of ``face``, off which it starts (-1: none), does not count.
+    on, meets another shape first. The triangle ``face``, off which it starts (-1: none), does not count.
     """
     closest_hit, _any_hit = make_intersect(config.ray_backend, config.ray_width)
 
@@ -103,35 +101,13 @@ def make_screened(config: PathConfig):
         for i in range(edges.first[point.edge], edges.first[point.edge + 1]):
             if scene.triangles[edges.faces[i]].shape == shape:
                 return False
-        return face < 0 or shape != scene.triangles[face].shape
+        return hit.face != face
 
     return screened
 
 
 @wp.func
-def along(r: wp.vec3, w: wp.vec3, t: wp.float32, step: wp.float32) -> wp.bool:
+def pass_together(r: wp.vec3, w: wp.vec3, t: wp.float32, step: wp.float32) -> wp.bool:
     """Whether a segment r from a point, and the ray w, a unit vector, pass an edge at the distance t there together."""
     distance = wp.length(r)
     return distance > t and wp.dot(r, w) > 0.0 and t * wp.length(wp.cross(r, w)) <= step * distance
-
-
-@functools.cache
-def make_lit_along(kinds: tuple[int, ...]):
-    """Return ``lit_along(scene, x, w, t, step) -> bool``: whether a light of no area lights x ``along`` the ray w.
-
-    Args:
-        kinds: EMITTER_* that the scene holds, without area lights.
-    """
-    sample = make_lights(kinds, None, ()).sample
-
-    @wp.func
-    def lit_along(scene: Scene, x: wp.vec3, w: wp.vec3, t: wp.float32, step: wp.float32) -> wp.bool:
-        for i in range(scene.emitters.shape[0]):
-            emitter = scene.emitters[i]
-            if is_delta_light(emitter.kind):
-                ls = sample(scene, emitter, x, wp.vec2(0.0, 0.0))
-                if along(wp.min(ls.distance, DISTANT * t) * ls.wi, w, t, step):
-                    return True
-        return False
-
-    return lit_along

@@ -377,6 +377,19 @@ def make_crossing(config: PathConfig):
                 if i > 0 and (at_once(scene, p, o) or at_once(scene, q, o_high)):
                     return r
                 return edge_crossing(scene, edges, tables, block, p, q, x, a, b, i, count, which)
+            is_bent = tables.bent[p.face] == 1 and tables.bent[q.face] == 1
+            crease = is_bent and p.face != q.face
+            if crease:
+                crease = smooth_between(edges, tables, p.face, q.face) >= 0
+            delta = p.kind == MEETS_DELTA and q.kind == MEETS_DELTA
+            crosses = is_bent and p.leaving != q.leaving
+            if crosses and not delta and p.kind != MEETS_SMOOTH and q.kind != MEETS_SMOOTH:
+                # Of a face seen edge-on: what lies between its horizon and its terminator is as narrow as a cell.
+                delta = p.kind == MEETS_DELTA or q.kind == MEETS_DELTA
+                if p.kind != MEETS_DELTA and not crease:
+                    p = q
+                    o = o_high
+                    d = d_high
             visit = Visit()
             visit.face = p.face
             visit.u = p.u
@@ -388,8 +401,7 @@ def make_crossing(config: PathConfig):
             visits[count + i] = visit
             a_x = point_differential(scene, p, x, d, a)
             b_x = point_differential(scene, p, x, d, b)
-            is_bent = tables.bent[p.face] == 1 and tables.bent[q.face] == 1
-            if is_bent and p.facing != q.facing:
+            if is_bent and p.facing != q.facing and not (crosses and delta):
                 if i == 0 and block.first == 0:
                     return r
                 to = x - p.x
@@ -401,9 +413,6 @@ def make_crossing(config: PathConfig):
                 r.phi_b = wp.dot(p.n, b.o - b_x.x) + wp.dot(b_x.n, to)
                 r.valid = 1
                 return r
-            crease = is_bent and p.face != q.face
-            if crease:
-                crease = smooth_between(edges, tables, p.face, q.face) >= 0
             if p.kind == MEETS_SMOOTH and q.kind == MEETS_SMOOTH:
                 if crease and i > 0:
                     return edge_crossing(scene, edges, tables, block, p, q, x, a, b, i, count, which)
@@ -449,8 +458,7 @@ def make_crossing(config: PathConfig):
                                                 r.phi_b = wp.dot(r.start.x, b_x.x)
                                                 r.valid = 1
                 return r
-            if p.kind == MEETS_DELTA and q.kind == MEETS_DELTA:
-                crosses = is_bent and p.leaving != q.leaving
+            if delta:
                 if crosses and crease:
                     if i == 0 and block.film == 0:
                         return r

@@ -25,19 +25,19 @@ An edge beside which its own shape is not seen, but another that ends there, is 
 
 Such a face F is often narrow as it is seen: the rim of a thin slab, the top of a table at the height of the eye. The
 rays pass its edges at half of its width, in order to meet it, down to some roundings of coordinates, and start in front
-of all of it. Narrower faces, 10^-6 of the scene, are looked past from both of their edges, E_1 of A | F and E_2 of
-F | B, B hidden, which is a crease and which a silhouette is up to roundings, and all lies in the plane of F. There the
-jump is the edge's beside which one of its own faces is seen, or what continues one in its plane: on the occluder's side
-of a silhouette, on either side of a crease; at E_1, that is. So motions of F as a whole are right at any width; what
-changes the width of such a narrow one is not, and sheets that narrow are lost. (Shapes with interpolated normals do
-without: next to silhouettes of their fine meshes many faces are as narrow, and their creases are no candidates.)
+of all of it. (At a quarter with interpolated normals, which turn away from the camera somewhere in the middle.)
+Narrower faces, 10^-6 of the scene, are looked past from both of their edges, E_1 of A | F and E_2 of F | B, B hidden,
+which is a crease and which a silhouette is up to roundings, and all lies in the plane of F. There the jump is the
+edge's beside which one of its own faces is seen, or what continues one in its plane: on the occluder's side of a
+silhouette, on either side of a crease; at E_1, that is. So motions of F as a whole are right at any width; what changes
+the width of such a narrow one is not, and sheets that narrow are lost. (Shapes with interpolated normals do without:
+next to silhouettes of their fine meshes many faces are as narrow, and their creases are no candidates.)
 """
 
 import functools
 
 import warp as wp
 
-from warp_psdr.kernels.boundary.coincident import make_lit_along
 from warp_psdr.kernels.boundary.detector import Arrival, make_arrival
 from warp_psdr.kernels.boundary.film_edge import AHEAD, BESIDE, MARGIN, make_film_edge
 from warp_psdr.kernels.boundary.local_form import (
@@ -60,13 +60,15 @@ from warp_psdr.kernels.surface import make_surface
 #: Distance at which the two rays pass the edge beside narrow faces, in ray epsilons: 2 float32 steps of the largest
 #: coordinate.
 BESIDE_LEAST = 0.025
+#: ``MARGIN`` of shapes with interpolated normals: of a face seen edge-on, the half next to a silhouette is black.
+SMOOTH_MARGIN = 2.0 * MARGIN
 #: Sine of the angle at a curve of intersection from which on rays pass it as close as an edge. At smaller angles they
 #: do where the surfaces are as far apart as there, up to so many ray epsilons: nearer, roundings decide which is in
 #: front.
 ACUTE, BESIDE_CURVE = 0.01, 10.0
-#: Distance at which rays pass the edge where a light in the camera's place lights what they meet, in the steps by which
-#: rays leave that.
-FLASH = 2.0
+#: Distance at which rays pass a silhouette where point, spot and directional lights may light what they meet, in the
+#: steps by which rays leave that (``coincident.py``); light may fall at 70 degrees to the normal.
+LIT = 3.0
 #: Whose surface a ray meets beside an edge, 0: neither the edge's own shape nor one with an edge along it.
 OWN, NEXT = wp.constant(1), wp.constant(2)
 #: Up to what distance another shape's edge runs along this one: as seen, in roundings of coordinates, if that is more
@@ -80,7 +82,6 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
     surface_at = make_surface(config.smooth, config.flat, False, False)
     arrival = make_arrival(config)
     find, push = make_film_edge(config, role, camera_moves)
-    lit_along = make_lit_along(config.lights) if DELTA_LIGHTS & set(config.lights) else None
 
     @wp.func
     def seen_as(scene: Scene, seen: Arrival, d: wp.vec3) -> wp.int32:
@@ -172,9 +173,9 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
             width, slant = narrowest_face(scene, edges, point, m, d)
             # Where scales are mixed, steps are some roundings already.
             least = wp.where(scene.least_step > 0.0, BESIDE, BESIDE_LEAST)
-            apart = wp.clamp(width / MARGIN, least * local, BESIDE * local)
-            ahead = wp.max(ahead, MARGIN * apart / slant)
             flat = scene.shapes[scene.triangles[edges.faces[first_face]].shape].smooth == 0
+            apart = wp.clamp(width / wp.where(flat, MARGIN, SMOOTH_MARGIN), least * local, BESIDE * local)
+            ahead = wp.max(ahead, MARGIN * apart / slant)
             narrow = flat and width < MARGIN * apart
         # Of a face that is seen exactly edge-on, the near plane.
         ahead = wp.min(ahead, distance - at.near)
@@ -219,14 +220,14 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
                     away = wp.max(leaving_step(scene, face_a), leaving_step(scene, face_b))
                     if curve or not is_ridge(n_a, n_b, m, d):
                         room = wp.max(room, notch(n_a, n_b, through) * wp.max(local, away))
-                if wp.static(bool(lit_along)):
-                    beyond = a
-                    if side > 0.0:
-                        beyond = b
-                    if side != 0.0 and beyond.face >= 0:
-                        if lit_along(scene, beyond.x, -d, wp.length(beyond.x - point.x), local):
-                            away = leaving_step(scene, beyond.face)
-                            room = wp.max(room, FLASH * wp.max(local, away))
+                if wp.static(bool(DELTA_LIGHTS & set(config.lights))):
+                    if side != 0.0:
+                        away = local
+                        if a.face >= 0:
+                            away = wp.max(away, leaving_step(scene, a.face))
+                        if b.face >= 0:
+                            away = wp.max(away, leaving_step(scene, b.face))
+                        room = wp.max(room, LIT * away)
                 if room > apart:
                     to_a = room * m
                     to_b = -room * m

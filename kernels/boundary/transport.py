@@ -16,7 +16,7 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
-from warp_psdr.kernels.boundary.coincident import along
+from warp_psdr.kernels.boundary.coincident import pass_together
 from warp_psdr.kernels.boundary.detector import (
     ROW_COUNT,
     Incident,
@@ -206,7 +206,7 @@ def make_transport(config: PathConfig, role: str, camera_moves: bool, source: wp
             seen = connect(scene, camera, walk, lens)
             counts = not vanishes(seen.weight)
             if k == 1 and s.light >= 0:
-                counts = counts and not along(seen.at.origin - walk.x, s.w, s.t1, s.step)
+                counts = counts and not pass_together(seen.at.origin - walk.x, s.w, s.t1, s.step)
             asked = wp.vec3(0.0, 0.0, 0.0)
             speed = wp.float32(0.0)
             if counts:

@@ -1,5 +1,6 @@
 """Silhouettes one behind the other: as a light of no area or an orthographic camera sees them, they coincide."""
 
+import numpy as np
 import pytest
 
 from .measure import Case, assert_agrees, derivatives, differences, rows
@@ -26,14 +27,37 @@ def above(origin=(0.0, 0.0, 4.0)):
     return {"type": "orthographic", "to_world": pose, "film": film}
 
 
-def sheet(z, bsdf):
-    return mesh([[-0.5, -0.4, z], [0.6, -0.4, z], [0.6, 0.5, z], [-0.5, 0.5, z]], FACES, bsdf)
+def sheet(z, bsdf, scale=1.0, slide=(0.0, 0.0)):
+    corners = scale * np.array([[-0.5, -0.4], [0.6, -0.4], [0.6, 0.5], [-0.5, 0.5]]) + slide
+    return mesh(np.insert(corners, 2, z, axis=1), FACES, bsdf)
 
 
 def sheets(sensor, light):
     """Three equal sheets one above the other."""
     shapes = {"first": sheet(0.4, RED), "second": sheet(0.65, BLUE), "third": sheet(0.9, RED)}
     return {"sensor": sensor, "floor": floor(), "light": light, **shapes}
+
+
+def aslant():
+    """Equal sheets whose edges lie behind each other in slanting light."""
+    shapes = {f"sheet{k}": sheet(z, RED, slide=(0.4 * z, 0.2 * z)) for k, z in enumerate((0.4, 0.8))}
+    return {"sensor": LOW_VIEW, "floor": floor(), "light": sun((-0.4, -0.2, -1.0)), **shapes}
+
+
+def below_a_lamp():
+    """Sheets as large as each other as a point light sees them."""
+    light = {"type": "point", "position": [0.0, 0.0, 3.0], "intensity": {"type": "rgb", "value": [20.0] * 3}}
+    shapes = {"first": sheet(0.4, RED), "second": sheet(0.8, BLUE, 2.2 / 2.6)}
+    return {"sensor": LOW_VIEW, "floor": floor(), "light": light, **shapes}
+
+
+def room():
+    """A floor and a sheet above it, in one mesh, and an equal sheet."""
+    lower = sheet(0.4, RED)
+    ground = [[-3.0, -3.0, 0.0], [3.0, -3.0, 0.0], [3.0, 3.0, 0.0], [-3.0, 3.0, 0.0]]
+    faces = [*FACES, *(4 + np.array(FACES)).tolist()]
+    one = mesh([*ground, *lower["vertices"]], faces, diffuse(0.7, 0.6, 0.5))
+    return {"sensor": LOW_VIEW, "first": one, "second": sheet(0.8, BLUE), "light": sun()}
 
 
 def boxes():
@@ -56,6 +80,9 @@ register(
         "sheets in the sun": lambda: sheets(LOW_VIEW, sun()),
         "sheets from above": lambda: sheets(above(), panel((0.8, -0.6, 3.5), 0.5)),
         "boxes in the sun": boxes,
+        "sheets aslant": aslant,
+        "sheets below a lamp": below_a_lamp,
+        "sheet in a room": room,
         "flash": lambda: over(turned(), VIEW, flash()),
         "flash on a ball": lambda: over(ball((0.1, 0.05, 0.8), 0.5, RED, 3), VIEW, flash()),
         "sun from behind": lambda: over(turned(), above((0.5, -1.0, 4.0)), sun((-0.5, 1.0, -4.0))),
@@ -65,11 +92,28 @@ ONE = "first.vertex_positions"
 TWO = (ONE, "second.vertex_positions")
 ALL = (*TWO, "third.vertex_positions")
 SLIDE, MOVE = moved(1.0, 0.3, 0.0), moved(1.0, 0.3, 0.2)
+
+
+def slide_all(values):
+    """Positions of vertices, or of a light."""
+    return np.broadcast_to((1.0, 0.3, 0.0), values.shape)
+
+
+def all_but_the_floor(positions):
+    """The last four vertices slide."""
+    tangent = np.zeros_like(positions)
+    tangent[-4:] = (1.0, 0.3, 0.0)
+    return tangent
+
+
 CASES = [
     Case("sheets in the sun", ALL, SLIDE, 0.01, "all slide", 2, 512, 1024, slow=False),
     Case("sheets in the sun", ALL, SLIDE, 0.01, "all slide", 3, 512, 1024),
     Case("sheets from above", ALL, SLIDE, 0.01, "all slide", 2, 1024, 2048),
     Case("boxes in the sun", TWO, SLIDE, 0.01, "both slide", 2, 512, 1024, slow=False),
+    Case("sheets aslant", ("sheet0.vertex_positions", "sheet1.vertex_positions"), SLIDE, 0.01, "slide", 2, 512, 1024),
+    Case("sheets below a lamp", (*TWO, "light.position"), slide_all, 0.01, "all slide", 2, 512, 1024, slow=False),
+    Case("sheet in a room", TWO, all_but_the_floor, 0.01, "sheets slide", 2, 512, 1024, slow=False),
     Case("flash", ONE, MOVE, 0.01, "moves", 2, 512, 1024, slow=False),
     Case("flash", ONE, MOVE, 0.01, "moves", 3, 2048, 4096),
     Case("flash on a ball", ONE, MOVE, 0.01, "moves", 2, 512, 1024),

@@ -39,6 +39,7 @@ register(
         "gray ball": mirror_ball,
         "gray sphere": lambda: mirror_sphere(24, floor=floor(half=0.8)),
         "fine gray sphere": lambda: mirror_sphere(256),
+        "gray sphere with faces seen edge-on": lambda: mirror_sphere(128),
         "flipped ball": flipped,
         "mirrored sphere": mirrored,
     }
@@ -60,6 +61,7 @@ CASES = [
     Case("gray sphere", POSE, slides, 0.004, "moves", 2, 2048, 8192),
     Case("gray sphere", POSE, slides, 0.004, "moves", 4, 2048, 8192),
     Case("fine gray sphere", POSE, slides, 0.004, "moves", 2, 2048, 4096),
+    Case("gray sphere with faces seen edge-on", POSE, slides, 0.002, "moves", 2, 2048, 8192),
     Case("flipped ball", VERTICES, MOVES, 0.005, "moves", 2, 512, 1024, slow=False),
     Case("flipped ball", VERTICES, MOVES, 0.005, "moves", 3, 1024, 2048),
     Case("mirrored sphere", POSE, slides, 0.005, "moves", 2, 1024, 2048),
