@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import numpy as np
 import warp as wp
 
 from warp_psdr import workers
@@ -39,9 +40,9 @@ class GradientSums:
         self._scene, self._names = scene, names
         size = scene.values.shape[0]
         lanes = workers.lane_count(size) if scene.device.is_cpu else 1
-        self.buffers = wp.zeros((lanes, size), dtype=wp.float32, device=scene.device)
+        self.buffers = _zeros((lanes, size), np.float32, scene.device)
         self.most = BUFFER_SAMPLES * lanes
-        self._total = wp.zeros(size, dtype=wp.float64, device=scene.device)
+        self._total = _zeros((size,), np.float64, scene.device)
         ranges = [(scene.parameters[n].offset, scene.parameters[n].size) for n in names]
         self._ranges = list(dict.fromkeys(ranges + derived_ranges(scene, names)))
 
@@ -53,8 +54,15 @@ class GradientSums:
 
     def result(self) -> wp.array:
         """Return the flat gradient, (values,) float32, pulled back to poses and positions."""
-        flat = wp.zeros(self._total.shape[0], dtype=wp.float32, device=self._scene.device)
+        flat = _zeros(self._total.shape, np.float32, self._scene.device)
         for offset, size in self._ranges:
             launch(round_range, dim=size, inputs=[self._total, offset], outputs=[flat], device=self._scene.device)
         pull_derived(self._scene, self._names, flat)
         return flat
+
+
+def _zeros(shape: tuple[int, ...], dtype: type, device: wp.Device) -> wp.array:
+    """Return zeros; on the CPU memory is taken where they are written, and most values get no gradient."""
+    if device.is_cpu:
+        return wp.array(np.zeros(shape, dtype), device=device, copy=False)
+    return wp.zeros(shape, dtype=wp.dtype_from_numpy(dtype), device=device)
