@@ -36,8 +36,9 @@ if TYPE_CHECKING:
     from warp_psdr.boundary.terms import Request
     from warp_psdr.scene.scene import Scene
 
-#: Bounds of the wedge's share of the samples.
-LEAST_SHARE, MOST_SHARE = 0.05, 0.95
+#: Least share of the samples of either technique, and that of one whose evaluations met nothing: there may be light
+#: all the same, in a small part of the cube.
+LEAST_SHARE, UNSEEN_SHARE = 0.05, 0.3
 #: Points of the lights for which edges are tested to be a silhouette.
 FACING = 32
 #: Stream of the random numbers with which structures are built, and what an evaluation adds to it.
@@ -235,9 +236,7 @@ def _build(r: Request, method: Method, found: Guiding, seeds: Seeds | None) -> N
             edges=found.edges,
             shared=shared,
         )
-        # Light that is not at infinity is found by aiming at it: with that alone the wedge keeps its least share.
-        aimed = r.plan.max_depth == 2 and r.scene.builder.environment < 0
-        if technique == "wedge" and aimed:
+        if technique == "wedge" and _aimed(r):
             found.leaves[technique] = whole()
         else:
             found.leaves[technique] = method.build(_seeded(target, seeds))
@@ -249,6 +248,11 @@ def _build(r: Request, method: Method, found: Guiding, seeds: Seeds | None) -> N
     found.build_evaluations = max(found.evaluations - before, found.leaf_count * method.samples)
     found.guided = 0
     _finish(r, method, found)
+
+
+def _aimed(r: Request) -> bool:
+    """Whether all light is found by aiming at it, being direct and not at infinity: little is left to the wedge."""
+    return r.plan.max_depth == 2 and r.scene.builder.environment < 0
 
 
 def _seeded(target: Target, seeds: Seeds | None) -> Target:
@@ -290,10 +294,13 @@ def _finish(r: Request, method: Method, found: Guiding) -> None:
     mass = {technique: float(leaves.mass.sum()) for technique, leaves in found.leaves.items()}
     total = sum(mass.values())
     share = mass["wedge"] / total if total > 0.0 else 0.5
+    least = {technique: LEAST_SHARE if mass[technique] > 0.0 else UNSEEN_SHARE for technique in TECHNIQUES}
+    if _aimed(r):
+        least["wedge"] = LEAST_SHARE
     found.guide = Guide()
     found.guide.wedge = found.leaves["wedge"].upload(method.floor, r.scene.device)
     found.guide.light = found.leaves["light"].upload(method.floor, r.scene.device)
-    found.guide.share = min(max(share, LEAST_SHARE), MOST_SHARE)
+    found.guide.share = min(max(share, least["wedge"]), 1.0 - least["light"])
 
 
 class _Evaluator:
