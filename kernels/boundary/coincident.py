@@ -12,13 +12,14 @@ count. What is seen on the film is told apart by its own means (``primary.py``),
 **Edges one behind the other** coincide for directions of measure zero, but a point, spot or directional light has no
 others, nor has an orthographic camera: equal plates one above the other under a vertical sun, or seen from above. Of
 these edges the one nearest to x_1, or to the camera, counts: who looks from there along the light, beside the edge on
-the occluder's side, sees the edge's own shape first. What is seen beside such an edge lies in the shadow of the others,
-right up to the edge; a ray to the light that starts off a surface, a step along its normal, passes them where light
-falls aslant. So the rays of ``primary.py`` pass edges that light of no area may fall on farther away than such steps.
+the occluder's side, sees the edge's own shape first. What the camera sees beside such an edge lies in the shadow of the
+others, right up to the edge; a ray to the light that starts off a surface, a step along its normal, passes them where
+light falls aslant. So the rays of ``primary.py`` pass the edge farther away than such steps, if a shadow falls along
+it.
 
 **A light in the camera's place**, or a sun along its parallel rays, throws all shadows behind what throws them: what
-hides x_1 from the light hides it from the camera, whose silhouettes (``primary.py``) have counted it. What their rays
-meet, as far from the edge, sees the light for the same reason.
+hides x_1 from the light hides it from the camera, whose silhouettes (``primary.py``) have counted it. Their rays pass
+the edge farther away for the same reason, so that what they meet sees the light.
 """
 
 import functools
@@ -27,9 +28,16 @@ import warp as wp
 
 from warp_psdr.kernels.boundary.local_form import EdgePoint, Edges, edge_step, facing_side
 from warp_psdr.kernels.bvh.wide import make_intersect
+from warp_psdr.kernels.constants import DELTA_LIGHTS
+from warp_psdr.kernels.emitter.dispatch import is_delta_light, make_lights
 from warp_psdr.kernels.path import PathConfig
 from warp_psdr.kernels.step import leaving_step
 from warp_psdr.kernels.structs import Accel, Scene
+
+#: Distance, over that of an edge, at which a light counts as infinitely far.
+DISTANT = 1.0e3
+#: Distance from an edge at which its rays to lights start, in the distances at which they pass it.
+CLEAR = 10.0
 
 
 @wp.func
@@ -111,3 +119,51 @@ def pass_together(r: wp.vec3, w: wp.vec3, t: wp.float32, step: wp.float32) -> wp
     """Whether a segment r from a point, and the ray w, a unit vector, pass an edge at the distance t there together."""
     distance = wp.length(r)
     return distance > t and wp.dot(r, w) > 0.0 and t * wp.length(wp.cross(r, w)) <= step * distance
+
+
+@functools.cache
+def make_lit_along(kinds: tuple[int, ...]):
+    """Return ``lit_along(scene, x, w, t, step) -> bool``: whether a light of no area lights x ``along`` the ray w.
+
+    Args:
+        kinds: EMITTER_* that the scene holds, without area lights.
+    """
+    sample = make_lights(kinds, None, ()).sample
+
+    @wp.func
+    def lit_along(scene: Scene, x: wp.vec3, w: wp.vec3, t: wp.float32, step: wp.float32) -> wp.bool:
+        for i in range(scene.emitters.shape[0]):
+            emitter = scene.emitters[i]
+            if is_delta_light(emitter.kind):
+                ls = sample(scene, emitter, x, wp.vec2(0.0, 0.0))
+                if pass_together(wp.min(ls.distance, DISTANT * t) * ls.wi, w, t, step):
+                    return True
+        return False
+
+    return lit_along
+
+
+@functools.cache
+def make_shadow_along(config: PathConfig):
+    """Return ``shadow_along(scene, x, into, step) -> bool``: whether an edge's shadow falls along another edge.
+
+    Args of it: x on that edge; the unit vector ``into`` from there in its face; the distance on either side of x at
+    which the light of a lamp without area is looked for.
+    """
+    sample = make_lights(tuple(k for k in config.lights if k in DELTA_LIGHTS), None, ()).sample
+    _closest_hit, any_hit = make_intersect(config.ray_backend, config.ray_width)
+
+    @wp.func
+    def shadow_along(scene: Scene, x: wp.vec3, into: wp.vec3, step: wp.float32) -> wp.bool:
+        for i in range(scene.emitters.shape[0]):
+            emitter = scene.emitters[i]
+            if is_delta_light(emitter.kind):
+                ls = sample(scene, emitter, x, wp.vec2(0.0, 0.0))
+                start = x + (CLEAR * step) * ls.wi
+                reach = ls.distance - CLEAR * step
+                if any_hit(scene.accel, start + step * into, ls.wi, reach):
+                    if not any_hit(scene.accel, start - step * into, ls.wi, reach):
+                        return True
+        return False
+
+    return shadow_along

@@ -38,6 +38,7 @@ import functools
 
 import warp as wp
 
+from warp_psdr.kernels.boundary.coincident import make_lit_along, make_shadow_along
 from warp_psdr.kernels.boundary.detector import Arrival, make_arrival
 from warp_psdr.kernels.boundary.film_edge import AHEAD, BESIDE, MARGIN, make_film_edge
 from warp_psdr.kernels.boundary.local_form import (
@@ -66,8 +67,8 @@ SMOOTH_MARGIN = 2.0 * MARGIN
 #: do where the surfaces are as far apart as there, up to so many ray epsilons: nearer, roundings decide which is in
 #: front.
 ACUTE, BESIDE_CURVE = 0.01, 10.0
-#: Distance at which rays pass a silhouette where point, spot and directional lights may light what they meet, in the
-#: steps by which rays leave that (``coincident.py``); light may fall at 70 degrees to the normal.
+#: Distance at which rays pass a silhouette along which shadows of point, spot and directional lights fall, in the steps
+#: by which rays leave what is met (``coincident.py``). Light may fall at 70 degrees to the normal.
 LIT = 3.0
 #: Whose surface a ray meets beside an edge, 0: neither the edge's own shape nor one with an edge along it.
 OWN, NEXT = wp.constant(1), wp.constant(2)
@@ -82,6 +83,9 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
     surface_at = make_surface(config.smooth, config.flat, False, False)
     arrival = make_arrival(config)
     find, push = make_film_edge(config, role, camera_moves)
+    has_delta_lights = bool(DELTA_LIGHTS & set(config.lights))
+    lit_along = make_lit_along(config.lights) if has_delta_lights else None
+    shadow_along = make_shadow_along(config) if has_delta_lights else None
 
     @wp.func
     def seen_as(scene: Scene, seen: Arrival, d: wp.vec3) -> wp.int32:
@@ -220,14 +224,22 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
                     away = wp.max(leaving_step(scene, face_a), leaving_step(scene, face_b))
                     if curve or not is_ridge(n_a, n_b, m, d):
                         room = wp.max(room, notch(n_a, n_b, through) * wp.max(local, away))
-                if wp.static(bool(DELTA_LIGHTS & set(config.lights))):
+                if wp.static(has_delta_lights):
                     if side != 0.0:
-                        away = local
-                        if a.face >= 0:
-                            away = wp.max(away, leaving_step(scene, a.face))
-                        if b.face >= 0:
-                            away = wp.max(away, leaving_step(scene, b.face))
-                        room = wp.max(room, LIT * away)
+                        before = a
+                        beyond = b
+                        if side < 0.0:
+                            before = b
+                            beyond = a
+                        if touches(scene, point, before, local):
+                            t = wp.normalize(point.p1 - point.p0)
+                            into = before.x - point.x
+                            into = wp.normalize(into - wp.dot(into, t) * t)
+                            if shadow_along(scene, point.x, into, local):
+                                room = wp.max(room, LIT * wp.max(local, leaving_step(scene, before.face)))
+                        if beyond.face >= 0:
+                            if lit_along(scene, beyond.x, -d, wp.length(beyond.x - point.x), local):
+                                room = wp.max(room, LIT * wp.max(local, leaving_step(scene, beyond.face)))
                 if room > apart:
                     to_a = room * m
                     to_b = -room * m
