@@ -67,6 +67,12 @@ def boxes():
     return {"sensor": LOW_VIEW, "floor": floor(), "light": sun(), **shapes}
 
 
+def lamp_by_the_camera():
+    """Beside each silhouette a shadow is seen, ten times as wide as rays pass edges."""
+    position = [EYE[0] + 5.0e-4, *EYE[1:]]
+    return over(turned(), VIEW, {**flash(), "position": position})
+
+
 def over(shape, sensor, light):
     return {"sensor": sensor, "floor": floor(), "first": shape, "light": light}
 
@@ -84,6 +90,7 @@ register(
         "sheets below a lamp": below_a_lamp,
         "sheet in a room": room,
         "flash": lambda: over(turned(), VIEW, flash()),
+        "lamp by the camera": lamp_by_the_camera,
         "flash on a ball": lambda: over(ball((0.1, 0.05, 0.8), 0.5, RED, 3), VIEW, flash()),
         "sun from behind": lambda: over(turned(), above((0.5, -1.0, 4.0)), sun((-0.5, 1.0, -4.0))),
     }
@@ -116,6 +123,7 @@ CASES = [
     Case("sheet in a room", TWO, all_but_the_floor, 0.01, "sheets slide", 2, 512, 1024, slow=False),
     Case("flash", ONE, MOVE, 0.01, "moves", 2, 512, 1024, slow=False),
     Case("flash", ONE, MOVE, 0.01, "moves", 3, 2048, 4096),
+    Case("lamp by the camera", ONE, MOVE, 0.01, "moves", 2, 512, 1024),
     Case("flash on a ball", ONE, MOVE, 0.01, "moves", 2, 512, 1024),
     Case("sun from behind", ONE, MOVE, 0.01, "moves", 2, 512, 1024, slow=False),
 ]
