@@ -126,6 +126,15 @@ def test_an_error_in_backward_leaves_the_scene_as_it_was(scene) -> None:
     np.testing.assert_array_equal(psdr.traverse(scene)[WALL].numpy(), np.float32([0.7, 0.7, 0.7]))
 
 
+def test_values_written_in_place_are_followed(scene) -> None:
+    torch = pytest.importorskip("torch")
+    corners = psdr.traverse(scene)[VERTICES]
+    corners.assign(0.3 * corners.numpy())
+    image = psdr.torch.render(scene, {WALL: torch.full((3,), 0.5)}, **OPTIONS)
+    psdr.traverse(scene).update(VERTICES)
+    np.testing.assert_array_equal(image.numpy(), psdr.render(scene, **OPTIONS).numpy())
+
+
 @pytest.mark.filterwarnings("ignore:.torch.jit.script. is deprecated:DeprecationWarning")  # by torch itself
 def test_forward_mode_is_render_forward(scene) -> None:
     torch = pytest.importorskip("torch")

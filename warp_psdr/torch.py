@@ -115,7 +115,8 @@ class _Call:
             value = _numpy(tensor)
             if self.scene.place(name, params.check(name, value, "value", value.dtype.type)):
                 changed.append(name)
-        params.update(*changed)
+        # Kernels may have written other values, and checksums of world coordinates do not tell all in far scenes.
+        params.update(*changed, *self.scene.edited())
 
 
 class _Render(torch.autograd.Function):
