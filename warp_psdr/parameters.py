@@ -66,10 +66,9 @@ def check_independent(scene: Scene, names: Iterable[str]) -> None:
     Each has a derivative with the others at rest; set together, what is set stays, whatever it would follow.
 
     Raises:
-        KeyError: there is no such parameter.
         ValueError: there are such names.
     """
-    given = {name: parameter_of(scene, name) for name in names}
+    given = set(names)
     for name in sorted(given):
         base, _dot, kind = name.rpartition(".")
         followers = []

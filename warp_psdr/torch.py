@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warp_psdr.options import PathIntegrator
-from warp_psdr.parameters import Parameters, check_independent, traverse
+from warp_psdr.parameters import Parameters, check_independent, parameter_of, traverse
 from warp_psdr.plan import decide
 from warp_psdr.render import render as render_image
 from warp_psdr.render import render_backward, render_forward
@@ -72,6 +72,7 @@ def render(
     if not isinstance(parameters, Mapping):
         raise TypeError(f"parameters: got {type(parameters).__name__}, expected tensors by name")
     for name, tensor in parameters.items():
+        parameter_of(scene, name)
         if not isinstance(tensor, torch.Tensor) or not tensor.is_floating_point():
             raise TypeError(f"{name!r}: got {type(tensor).__name__}, expected a floating-point tensor")
     check_independent(scene, parameters)
