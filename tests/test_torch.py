@@ -206,5 +206,9 @@ def test_mistakes_are_named(scene) -> None:
         psdr.torch.render(scene, {POSE: torch.eye(4), VERTICES: torch.zeros(4, 3)}, **OPTIONS)
     with pytest.raises(KeyError, match=r"did you mean 'wall\.vertex_positions'"):
         psdr.torch.render(scene, {"wal.vertex_positions": torch.zeros(4, 3)}, **OPTIONS)
+    with pytest.raises(ValueError, match="spp_grad"):
+        psdr.torch.render(scene, {WALL: torch.zeros(3, requires_grad=True)}, spp_grad=0, **OPTIONS)
+    with pytest.raises(TypeError, match="integrator"):
+        psdr.torch.render(scene, {WALL: torch.zeros(3, requires_grad=True)}, integrator="path", **OPTIONS)
     with pytest.raises(TypeError, match="expected tensors by name"):
         psdr.torch.render(scene, [torch.zeros(3)], **OPTIONS)

@@ -130,7 +130,7 @@ class _Render(torch.autograd.Function):
             # What cannot be differentiated is refused here, and not only by backward().
             decide(call.scene, call.parameters(), **call.options)
             ctx.state = call.scene.state()
-        image = render_image(call.scene, spp=call.spp, seed=call.seed, **call.options)
+        image = render_image(call.scene, spp=call.spp, spp_grad=call.spp_grad, seed=call.seed, **call.options)
         ctx.call = call
         ctx.like = [(tensor.shape, tensor.dtype, tensor.device) for tensor in tensors]
         return torch.from_numpy(image.numpy().copy()).to(tensors[0].device if tensors else "cpu")
