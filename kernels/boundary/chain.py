@@ -26,7 +26,7 @@ from warp_psdr.kernels.constants import (
     LOBE_DELTA_TRANSMISSION,
 )
 from warp_psdr.kernels.emitter.area import make_area
-from warp_psdr.kernels.emitter.dispatch import DELTA_LIGHTS, is_delta_light, make_lights
+from warp_psdr.kernels.emitter.dispatch import is_delta_light, make_delta_sample
 from warp_psdr.kernels.invalid import vanishes
 from warp_psdr.kernels.math import to_local, to_world
 from warp_psdr.kernels.path import PathConfig, make_frame, make_material
@@ -217,10 +217,9 @@ def make_lit(config: PathConfig):
 
     None: the scene has none.
     """
-    kinds = tuple(k for k in config.lights if k in DELTA_LIGHTS)
-    if not kinds:
+    sample = make_delta_sample(config.lights)
+    if sample is None:
         return None
-    sample = make_lights(kinds, None, ()).sample
     _closest_hit, any_hit = make_intersect(config.ray_backend, config.ray_width)
 
     @wp.func

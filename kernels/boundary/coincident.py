@@ -28,11 +28,10 @@ import warp as wp
 
 from warp_psdr.kernels.boundary.local_form import EdgePoint, Edges, edge_step, facing_side
 from warp_psdr.kernels.bvh.wide import make_intersect
-from warp_psdr.kernels.constants import DELTA_LIGHTS
-from warp_psdr.kernels.emitter.dispatch import is_delta_light, make_lights
+from warp_psdr.kernels.emitter.dispatch import is_delta_light, make_delta_sample
 from warp_psdr.kernels.path import PathConfig
 from warp_psdr.kernels.step import leaving_step
-from warp_psdr.kernels.structs import Accel, Scene
+from warp_psdr.kernels.structs import Accel, LightSample, Scene
 
 #: Distance, over that of an edge, at which a light counts as infinitely far.
 DISTANT = 1.0e3
@@ -122,25 +121,15 @@ def pass_together(r: wp.vec3, w: wp.vec3, t: wp.float32, step: wp.float32) -> wp
 
 
 @functools.cache
-def make_lit_along(kinds: tuple[int, ...]):
-    """Return ``lit_along(scene, x, w, t, step) -> bool``: whether a light of no area lights x ``along`` the ray w.
-
-    Args:
-        kinds: EMITTER_* that the scene holds, without area lights.
-    """
-    sample = make_lights(kinds, None, ()).sample
+def make_lit_along(config: PathConfig):
+    """Return ``lit_along(scene, x, v, step) -> bool``: whether a light of no area lights x past an edge at x + v."""
 
     @wp.func
-    def lit_along(scene: Scene, x: wp.vec3, w: wp.vec3, t: wp.float32, step: wp.float32) -> wp.bool:
-        for i in range(scene.emitters.shape[0]):
-            emitter = scene.emitters[i]
-            if is_delta_light(emitter.kind):
-                ls = sample(scene, emitter, x, wp.vec2(0.0, 0.0))
-                if pass_together(wp.min(ls.distance, DISTANT * t) * ls.wi, w, t, step):
-                    return True
-        return False
+    def passes(scene: Scene, x: wp.vec3, v: wp.vec3, step: wp.float32, ls: LightSample) -> wp.bool:
+        t = wp.length(v)
+        return pass_together(wp.min(ls.distance, DISTANT * t) * ls.wi, wp.normalize(v), t, step)
 
-    return lit_along
+    return _make_any_light(config, passes)
 
 
 @functools.cache
@@ -150,20 +139,29 @@ def make_shadow_along(config: PathConfig):
     Args of it: x on that edge; the unit vector ``into`` from there in its face; the distance on either side of x at
     which the light of a lamp without area is looked for.
     """
-    sample = make_lights(tuple(k for k in config.lights if k in DELTA_LIGHTS), None, ()).sample
     _closest_hit, any_hit = make_intersect(config.ray_backend, config.ray_width)
 
     @wp.func
-    def shadow_along(scene: Scene, x: wp.vec3, into: wp.vec3, step: wp.float32) -> wp.bool:
+    def ends(scene: Scene, x: wp.vec3, into: wp.vec3, step: wp.float32, ls: LightSample) -> wp.bool:
+        start = x + (CLEAR * step) * ls.wi
+        reach = ls.distance - CLEAR * step
+        hidden = any_hit(scene.accel, start + step * into, ls.wi, reach)
+        return hidden and not any_hit(scene.accel, start - step * into, ls.wi, reach)
+
+    return _make_any_light(config, ends)
+
+
+def _make_any_light(config: PathConfig, test: wp.Function):
+    """Return ``any_light(scene, x, v, step) -> bool``: whether ``test`` holds for some light of no area, from x."""
+    sample = make_delta_sample(config.lights)
+
+    @wp.func
+    def any_light(scene: Scene, x: wp.vec3, v: wp.vec3, step: wp.float32) -> wp.bool:
         for i in range(scene.emitters.shape[0]):
             emitter = scene.emitters[i]
             if is_delta_light(emitter.kind):
-                ls = sample(scene, emitter, x, wp.vec2(0.0, 0.0))
-                start = x + (CLEAR * step) * ls.wi
-                reach = ls.distance - CLEAR * step
-                if any_hit(scene.accel, start + step * into, ls.wi, reach):
-                    if not any_hit(scene.accel, start - step * into, ls.wi, reach):
-                        return True
+                if test(scene, x, v, step, sample(scene, emitter, x, wp.vec2(0.0, 0.0))):
+                    return True
         return False
 
-    return shadow_along
+    return any_light

@@ -54,7 +54,7 @@ from warp_psdr.kernels.boundary.rims import (
 from warp_psdr.kernels.boundary.transport import Segment
 from warp_psdr.kernels.bvh.wide import make_intersect
 from warp_psdr.kernels.constants import FAR, LOBE_NONE
-from warp_psdr.kernels.emitter.dispatch import DELTA_LIGHTS, is_delta_light, make_lights
+from warp_psdr.kernels.emitter.dispatch import is_delta_light, make_delta_sample
 from warp_psdr.kernels.path import PathConfig
 from warp_psdr.kernels.structs import Camera, Scene, Triangle
 from warp_psdr.kernels.surface import VertexAdjoint, normalize_vjp, point_on
@@ -195,8 +195,7 @@ def make_crossing(config: PathConfig):
     lit = make_lit(config)
     point_differential = make_point_differential(config.smooth, config.flat)
     closest_hit, _any_hit = make_intersect(config.ray_backend, config.ray_width)
-    kinds = tuple(k for k in config.lights if k in DELTA_LIGHTS)
-    sample_light = make_lights(kinds, None, ()).sample if kinds else None
+    sample_light = make_delta_sample(config.lights)
 
     @wp.func
     def edge_crossing(

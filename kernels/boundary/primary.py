@@ -84,7 +84,7 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
     arrival = make_arrival(config)
     find, push = make_film_edge(config, role, camera_moves)
     has_delta_lights = bool(DELTA_LIGHTS & set(config.lights))
-    lit_along = make_lit_along(config.lights) if has_delta_lights else None
+    lit_along = make_lit_along(config) if has_delta_lights else None
     shadow_along = make_shadow_along(config) if has_delta_lights else None
 
     @wp.func
@@ -238,7 +238,7 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
                             if shadow_along(scene, point.x, into, local):
                                 room = wp.max(room, LIT * wp.max(local, leaving_step(scene, before.face)))
                         if beyond.face >= 0:
-                            if lit_along(scene, beyond.x, -d, wp.length(beyond.x - point.x), local):
+                            if lit_along(scene, beyond.x, point.x - beyond.x, local):
                                 room = wp.max(room, LIT * wp.max(local, leaving_step(scene, beyond.face)))
                 if room > apart:
                     to_a = room * m

@@ -8,6 +8,7 @@ import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.constants import (
+    DELTA_LIGHTS,
     EMITTER_CONSTANT,
     EMITTER_DIRECTIONAL,
     EMITTER_ENVMAP,
@@ -22,7 +23,7 @@ from warp_psdr.kernels.emitter.spot import make_spot
 from warp_psdr.kernels.structs import Emitter, LightAdjoint, LightSample, Scene
 
 ENVIRONMENTS = {EMITTER_CONSTANT: make_constant, EMITTER_ENVMAP: make_envmap}
-DELTA_LIGHTS = {EMITTER_POINT: make_point, EMITTER_SPOT: make_spot, EMITTER_DIRECTIONAL: make_directional}
+WITHOUT_AREA = {EMITTER_POINT: make_point, EMITTER_SPOT: make_spot, EMITTER_DIRECTIONAL: make_directional}
 WANTED = ("radiance", "pose")
 
 
@@ -63,7 +64,7 @@ def make_lights(kinds: tuple[int, ...], role: str | None, wanted: tuple[str, ...
     Raises:
         ValueError: unknown kind, role or derivative.
     """
-    makers = ENVIRONMENTS | DELTA_LIGHTS
+    makers = ENVIRONMENTS | WITHOUT_AREA
     for kind in kinds:
         if kind not in makers:
             raise ValueError(f"unknown kind of light {kind!r}; expected any of {sorted(makers)} (area lights: area.py)")
@@ -90,6 +91,11 @@ def make_lights(kinds: tuple[int, ...], role: str | None, wanted: tuple[str, ...
         environment_eval_pdf=environment_eval_pdf,
         environment_vjp=environment_vjp,
     )
+
+
+def make_delta_sample(kinds: tuple[int, ...]) -> wp.Function | None:
+    """Return ``sample`` of the point, spot and directional lights among ``kinds``; None: there is none."""
+    return make_lights(tuple(k for k in kinds if k in DELTA_LIGHTS), None, ()).sample
 
 
 def _chain(either: Callable, models: dict, name: str) -> wp.Function | None:

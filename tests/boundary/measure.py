@@ -22,6 +22,9 @@ STANDARD_ERRORS = 3.0
 #: What the remainder of the difference, of second order in the step, may leave: steps are a twentieth of a pixel.
 REMAINDER = 0.01
 SEED, WEIGHT_SEED = 300, 900
+#: Modes of a row. Their kernels differ only in where derivatives go, which ``assert_transposes`` compares exactly, so
+#: the fast subset runs one.
+MODES = ["forward", pytest.param("reverse", marks=pytest.mark.slow)]
 #: Float32 sums in another order, relative to the sum of magnitudes.
 SUMMATION = 1.0e-4
 

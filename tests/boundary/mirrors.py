@@ -151,7 +151,7 @@ CASES = [
     Case("slab", LAMP, ALONG, 0.01, "lamp moves", depth=4, spp=1024, difference_spp=4096),
     Case("slab", GLASSES, turned(2), 0.01, "slab turns", depth=4, **MANY),
     Case("slab", ETA, np.ones_like, 0.01, "index changes", depth=4, **MANY),
-    Case("faceted glass", GLASSES, ALONG, 0.005, "glass moves", depth=4, spp=256, difference_spp=2048, slow=False),
+    Case("faceted glass", GLASSES, ALONG, 0.005, "glass moves", depth=4, spp=256, difference_spp=2048),
     Case("faceted glass", ETA, np.ones_like, 0.005, "index changes", depth=4, **MANY),
     Case("glass ball", LAMP, ALONG, 0.01, "lamp moves", depth=4, spp=1024, difference_spp=4096),
     Case("glass ball", GLASSES, ALONG, 0.002, "glass moves", depth=4, **MANY),

@@ -5,7 +5,7 @@ import pytest
 
 import warp_psdr as psdr
 
-from .measure import Case, assert_agrees, derivatives, differences, move, rows
+from .measure import MODES, Case, assert_agrees, derivatives, differences, move, rows
 from .scenes import SIZE, T, box, camera, diffuse, floor, load, mesh, panel, register, sky
 from .test_brushed import pans
 from .test_table import moved
@@ -98,13 +98,15 @@ METHODS = {
 }
 
 
-@pytest.mark.parametrize("mode", ["forward", "reverse"])
+@pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("case", rows(CASES))
 def test_derivatives_agree_with_differences(case, mode) -> None:
     assert_agrees(derivatives(case, mode), differences(case)[2])
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize(
+    "method", ["unguided", *(pytest.param(m, marks=pytest.mark.slow) for m in ("guided", "edge sampling"))]
+)
 @pytest.mark.parametrize("case", rows(SHADOWS))
 def test_shadows_agree_with_differences(case, method) -> None:
     assert_agrees(derivatives(case, "reverse", METHODS[method]), differences(case)[2])

@@ -5,7 +5,7 @@ import pytest
 
 import warp_psdr as psdr
 
-from .measure import Case, assert_agrees, assert_transposes, derivatives, differences, rows, slope
+from .measure import MODES, Case, assert_agrees, assert_transposes, derivatives, differences, rows, slope
 from .mirrors import ETA, GLASSES, LAMP, WALL, behind, glass, slab
 from .scenes import T, ball, camera, diffuse, load, panel, register, room, silhouette, sky, under
 from .test_table import ALONG, BOX, FLOOR, OCCLUDER, RECEIVER, SHAPE, moved, scaled, turned
@@ -103,7 +103,7 @@ CASES = [
 ]
 
 
-@pytest.mark.parametrize("mode", ["forward", "reverse"])
+@pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("case", rows(CASES))
 def test_derivatives_equal_finite_differences(case: Case, mode: str) -> None:
     assert_agrees(derivatives(case, mode), differences(case)[2])
@@ -126,9 +126,9 @@ def test_the_rows_can_tell_a_missing_boundary_term(case: Case) -> None:
 @pytest.mark.parametrize(
     ("name", "names"),
     [
-        ("parallel", [OCCLUDER, FLOOR, POSE]),
+        pytest.param("parallel", [OCCLUDER, FLOOR, POSE], marks=pytest.mark.slow),
         ("lens", [OCCLUDER, FLOOR, POSE, FOCUS, RADIUS, "sensor.x_fov"]),
-        ("parallel mirror", [LAMP, WALL, POSE]),
+        pytest.param("parallel mirror", [LAMP, WALL, POSE], marks=pytest.mark.slow),
         pytest.param("lens mirror", [LAMP, WALL, POSE, FOCUS, RADIUS, "sensor.x_fov"], marks=pytest.mark.slow),
         pytest.param("lens smooth", [SHAPE, POSE, FOCUS, RADIUS], marks=pytest.mark.slow),
     ],

@@ -4,13 +4,13 @@ import pytest
 
 import warp_psdr as psdr
 
-from .measure import Case, assert_agrees, assert_transposes, derivatives, differences, rows, slope
+from .measure import MODES, Case, assert_agrees, assert_transposes, derivatives, differences, rows, slope
 from .mirrors import CASES, ETA, GLASSES, LAMP, NEAR, OCCLUDER, WALL
 from .scenes import load
 from .test_table import moved
 
 
-@pytest.mark.parametrize("mode", ["forward", "reverse"])
+@pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("case", rows(CASES))
 def test_derivatives_equal_finite_differences(case: Case, mode: str) -> None:
     assert_agrees(derivatives(case, mode), differences(case)[2])

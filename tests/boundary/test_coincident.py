@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from .measure import Case, assert_agrees, derivatives, differences, rows
+from .measure import MODES, Case, assert_agrees, derivatives, differences, rows
 from .scenes import SIZE, T, ball, box, camera, diffuse, floor, mesh, panel, register
 from .test_table import moved
 
@@ -129,7 +129,7 @@ CASES = [
 ]
 
 
-@pytest.mark.parametrize("mode", ["forward", "reverse"])
+@pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("case", rows(CASES))
 def test_derivatives_agree_with_differences(case, mode) -> None:
     assert_agrees(derivatives(case, mode), differences(case)[2])

@@ -7,7 +7,7 @@ import warp_psdr as psdr
 from warp_psdr.boundary import terms
 from warp_psdr.curves import scene_curves
 
-from .measure import Case, assert_agrees, derivatives, differences, rows, slope
+from .measure import MODES, Case, assert_agrees, derivatives, differences, rows, slope
 from .scenes import T, ball, box, camera, diffuse, floor, load, mesh, panel, register, sky
 from .test_table import moved, scaled
 
@@ -129,7 +129,7 @@ CASES = [
 ]
 
 
-@pytest.mark.parametrize("mode", ["forward", "reverse"])
+@pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("case", rows(CASES))
 def test_derivatives_equal_finite_differences(case: Case, mode: str) -> None:
     assert_agrees(derivatives(case, mode), differences(case)[2])

@@ -13,7 +13,7 @@ from warp_psdr.guiding import store
 from warp_psdr.guiding.photons import PhotonMap, importon_map, photon_map
 from warp_psdr.plan import plan
 
-from .measure import Case, assert_agrees, derivatives, differences, rows
+from .measure import MODES, Case, assert_agrees, derivatives, differences, rows
 from .scenes import T, ball, camera, diffuse, floor, load, panel, sky, spot
 from .test_projective import drawn, request
 from .test_table import ALONG, BOX, FLOOR, OCCLUDER, RECEIVER, moved
@@ -142,7 +142,7 @@ CASES = [
 ]
 
 
-@pytest.mark.parametrize("mode", ["forward", "reverse"])
+@pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("case", rows(CASES))
 def test_derivatives_equal_finite_differences(case: Case, mode: str) -> None:
     guiding.reset(load(case.scene)[0])

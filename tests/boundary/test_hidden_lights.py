@@ -5,7 +5,7 @@ import pytest
 
 import warp_psdr as psdr
 
-from .measure import Case, assert_agrees, assert_transposes, derivatives, differences, rows
+from .measure import MODES, Case, assert_agrees, assert_transposes, derivatives, differences, rows
 from .scenes import ball, camera, diffuse, floor, load, mesh, occluder, panel, register
 from .test_table import ALONG, OCCLUDER, PANEL, moved
 
@@ -51,7 +51,7 @@ CASES = [
 ]
 
 
-@pytest.mark.parametrize("mode", ["forward", "reverse"])
+@pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("case", rows(CASES))
 def test_derivatives_equal_finite_differences(case: Case, mode: str) -> None:
     assert_agrees(derivatives(case, mode), differences(case)[2])

@@ -6,7 +6,7 @@ import pytest
 import warp_psdr as psdr
 from warp_psdr.boundary import terms
 
-from .measure import Case, assert_agrees, derivatives, differences, rows, slope
+from .measure import MODES, Case, assert_agrees, derivatives, differences, rows, slope
 from .mirrors import wall
 from .scenes import ball, camera, diffuse, floor, mesh, register
 from .test_table import moved, turned
@@ -68,7 +68,7 @@ CASES = [
 ]
 
 
-@pytest.mark.parametrize("mode", ["forward", "reverse"])
+@pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("case", rows(CASES))
 def test_derivatives_equal_finite_differences(case: Case, mode: str) -> None:
     assert_agrees(derivatives(case, mode), differences(case)[2])

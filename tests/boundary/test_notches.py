@@ -5,7 +5,7 @@ import pytest
 
 import warp_psdr as psdr
 
-from .measure import Case, assert_agrees, derivatives, differences, pushed, rows, slope
+from .measure import MODES, Case, assert_agrees, derivatives, differences, pushed, rows, slope
 from .mirrors import ALONG, ETA, GLASS, GLASSES, LAMP, MIRROR, lamp, slab
 from .scenes import ball, camera, diffuse, floor, mesh, register
 from .test_table import moved
@@ -149,7 +149,7 @@ CASES = [
 ]
 
 
-@pytest.mark.parametrize("mode", ["forward", "reverse"])
+@pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("case", rows(CASES))
 def test_derivatives_equal_finite_differences(case: Case, mode: str) -> None:
     assert_agrees(derivatives(case, mode), differences(case)[2])
@@ -162,6 +162,7 @@ def test_deeper_vertices_see_into_notches(method) -> None:
     assert_agrees(derivatives(case, "forward", method), differences(case)[2])
 
 
+@pytest.mark.slow
 def test_glass_shows_what_runs_through_it() -> None:
     case = Case("stuck in glass", GLASSES, moved(0.3, 1.0, 0.2), 0.005, "glass moves", depth=4, spp=512)
     value, error = slope(derivatives(case, "reverse"), differences(case)[2])
@@ -191,6 +192,7 @@ def test_glass_elsewhere_changes_nothing() -> None:
     np.testing.assert_array_equal(derivative(GLASS), without)
 
 
+@pytest.mark.slow
 def test_hiding_unseen_lights_changes_nothing() -> None:
     """Hidden lights are looked through, but the creases of glass as without them."""
     scene = psdr.load_dict(

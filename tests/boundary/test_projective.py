@@ -17,7 +17,7 @@ from warp_psdr.guiding import store
 from warp_psdr.kernels.boundary.projective import BLOCKED_LIGHT, SCATTERED
 from warp_psdr.secondary_edges import secondary_edges
 
-from .measure import Case, assert_agrees, assert_transposes, derivatives, differences, rows
+from .measure import MODES, Case, assert_agrees, assert_transposes, derivatives, differences, rows
 from .scenes import SCENES, ball, diffuse, load, panel, under
 from .test_table import ALONG, BOX, FLOOR, OCCLUDER, RECEIVER, moved
 
@@ -166,7 +166,7 @@ CASES = [
 ]
 
 
-@pytest.mark.parametrize("mode", ["forward", "reverse"])
+@pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("case", rows(CASES))
 def test_derivatives_equal_finite_differences(case: Case, mode: str) -> None:
     guiding.reset(load(case.scene)[0])

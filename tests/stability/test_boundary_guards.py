@@ -3,6 +3,7 @@
 import math
 
 import numpy as np
+import pytest
 import warp as wp
 
 import warp_psdr as psdr
@@ -182,6 +183,7 @@ def terminator(shape: dict, parameter: str, seed: int = 0, kinds=(terms.terminat
     return np.sum(found, axis=0), psdr.invalid_samples(scene)["terminator"]
 
 
+@pytest.mark.slow
 def test_terminators_of_fine_meshes_count_once() -> None:
     """Of a ball of 81,920 triangles rays past the silhouette pass some of them, too: those are no curves of their own.
 

@@ -74,7 +74,7 @@ def fine(size: float) -> float:
 CASES = (
     Case(
         family="mirrored", name="balls of 1,280 triangles, 0.1 and 0.01 large (|z| over its limit)", bound=1.0,
-        quantile=True, measure=lambda: max(fine(0.1), fine(0.01)),
+        quantile=True, slow=True, measure=lambda: max(fine(0.1), fine(0.01)),
         hard="triangles are as small as a few ray epsilons, by which a ray misses an edge",
         naive="an edge is looked for within a share of its triangle: 0.7 of the derivative at 0.01",
     ),
