@@ -134,6 +134,55 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
                     return NEXT
         return 0
 
+    @wp.func
+    def room_beside(
+        scene: Scene,
+        edges: Edges,
+        point: EdgePoint,
+        d: wp.vec3,
+        m: wp.vec3,
+        side: wp.float32,
+        local: wp.float32,
+        a: Arrival,
+        b: Arrival,
+    ) -> wp.float32:
+        """Distance at which rays have to pass an edge for what they meet, ``a`` on the side of m, to be lit as seen."""
+        room = sharp_glass(scene, edges, point.edge) * local
+        hidden = wp.bool(wp.static(config.hidden))
+        first_face = edges.first[point.edge]
+        curve = edges.ends[point.edge, 0] < 0
+        if curve or (touches(scene, point, a, local) and touches(scene, point, b, local)):
+            face_a = a.face
+            face_b = b.face
+            through = hidden and shines(scene, edges.faces[first_face])
+            if curve:
+                # What a hidden light is pierced by is seen on both sides.
+                face_a = edges.faces[first_face]
+                face_b = edges.faces[first_face + 1]
+                through = let_through(scene, face_a, face_b, hidden)
+            n_a = facing(scene.triangles[face_a].normal, d)
+            n_b = facing(scene.triangles[face_b].normal, d)
+            away = wp.max(leaving_step(scene, face_a), leaving_step(scene, face_b))
+            if curve or not is_ridge(n_a, n_b, m, d):
+                room = wp.max(room, notch(n_a, n_b, through) * wp.max(local, away))
+        if wp.static(has_delta_lights):
+            if side != 0.0:
+                before = a
+                beyond = b
+                if side < 0.0:
+                    before = b
+                    beyond = a
+                if touches(scene, point, before, local):
+                    t = wp.normalize(point.p1 - point.p0)
+                    into = before.x - point.x
+                    into = wp.normalize(into - wp.dot(into, t) * t)
+                    if shadow_along(scene, point.x, into, local):
+                        room = wp.max(room, LIT * wp.max(local, leaving_step(scene, before.face)))
+                if beyond.face >= 0:
+                    if lit_along(scene, beyond.x, point.x - beyond.x, local):
+                        room = wp.max(room, LIT * wp.max(local, leaving_step(scene, beyond.face)))
+        return room
+
     @wp.kernel(module="unique", enable_backward=False)
     def primary(
         # Scene:
@@ -208,38 +257,7 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
                 b = seen
             k += 1
             if k == 2:
-                room = sharp_glass(scene, edges, point.edge) * local
-                hidden = wp.bool(wp.static(config.hidden))
-                if curve or (touches(scene, point, a, local) and touches(scene, point, b, local)):
-                    face_a = a.face
-                    face_b = b.face
-                    through = hidden and shines(scene, edges.faces[first_face])
-                    if curve:
-                        # What a hidden light is pierced by is seen on both sides.
-                        face_a = edges.faces[first_face]
-                        face_b = edges.faces[first_face + 1]
-                        through = let_through(scene, face_a, face_b, hidden)
-                    n_a = facing(scene.triangles[face_a].normal, d)
-                    n_b = facing(scene.triangles[face_b].normal, d)
-                    away = wp.max(leaving_step(scene, face_a), leaving_step(scene, face_b))
-                    if curve or not is_ridge(n_a, n_b, m, d):
-                        room = wp.max(room, notch(n_a, n_b, through) * wp.max(local, away))
-                if wp.static(has_delta_lights):
-                    if side != 0.0:
-                        before = a
-                        beyond = b
-                        if side < 0.0:
-                            before = b
-                            beyond = a
-                        if touches(scene, point, before, local):
-                            t = wp.normalize(point.p1 - point.p0)
-                            into = before.x - point.x
-                            into = wp.normalize(into - wp.dot(into, t) * t)
-                            if shadow_along(scene, point.x, into, local):
-                                room = wp.max(room, LIT * wp.max(local, leaving_step(scene, before.face)))
-                        if beyond.face >= 0:
-                            if lit_along(scene, beyond.x, point.x - beyond.x, local):
-                                room = wp.max(room, LIT * wp.max(local, leaving_step(scene, beyond.face)))
+                room = room_beside(scene, edges, point, d, m, side, local, a, b)
                 if room > apart:
                     to_a = room * m
                     to_b = -room * m
