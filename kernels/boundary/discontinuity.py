@@ -28,86 +28,20 @@ from warp_psdr.kernels.boundary.chain import (
     MEETS_SMOOTH,
     Block,
     Link,
-    make_lit,
     make_meet,
     make_start,
     transmits,
 )
+from warp_psdr.kernels.boundary.chain_edges import Crossing, make_edge_crossing, make_shadow_crossing
 from warp_psdr.kernels.boundary.chain_pullback import Visit
-from warp_psdr.kernels.boundary.local_form import EdgePoint, Edges, barycentrics_at, split_between
-from warp_psdr.kernels.boundary.notch import facing, is_ridge, let_through, notch, sharp_glass
-from warp_psdr.kernels.boundary.ray_differential import (
-    RayDifferential,
-    make_point_differential,
-    scattered_differential,
-)
-from warp_psdr.kernels.boundary.rims import (
-    RIM_EPSILONS,
-    Rim,
-    Tables,
-    joined,
-    of_edge,
-    point_on_edge,
-    rim_of,
-    smooth_between,
-)
-from warp_psdr.kernels.boundary.transport import Segment
-from warp_psdr.kernels.bvh.wide import make_intersect
+from warp_psdr.kernels.boundary.local_form import Edges
+from warp_psdr.kernels.boundary.ray_differential import RayDifferential, make_point_differential, scattered_differential
+from warp_psdr.kernels.boundary.rims import Tables, joined, smooth_between
 from warp_psdr.kernels.constants import FAR, LOBE_NONE
-from warp_psdr.kernels.emitter.dispatch import is_delta_light, make_delta_sample
+from warp_psdr.kernels.emitter.dispatch import is_delta_light
 from warp_psdr.kernels.path import PathConfig
-from warp_psdr.kernels.structs import Camera, Scene, Triangle
-from warp_psdr.kernels.surface import VertexAdjoint, normalize_vjp, point_on
-
-#: Where two surfaces meet, an edge within this many ray epsilons is what is crossed: they touch there.
-TOUCHING = 2.0
-#: The part of a line at which its two sides are looked at at most, in a notch.
-ASIDE_MOST = 0.01
-#: Squared sine of the angle between two planes below which they have no line in common.
-PARALLEL = 1.0e-10
-#: What numbers that are divided by are at least.
-TINY = 1.0e-20
-#: Distance of two such planes, in ray epsilons, within which they are one.
-ONE_PLANE = 0.5
-
-
-@wp.struct
-class Crossing:
-    """A curve in the domain of q, as the adjoint of phi."""
-
-    valid: wp.int32
-    side: wp.int32  # 0: the integrand jumps; +1, -1: it counts on that side of the line only
-    phi_a: wp.float32  # derivatives of phi along the line and across it
-    phi_b: wp.float32
-    aside: wp.float32  # part of the line at which its two sides are looked at (``notch.py``)
-    both: wp.int32  # 1: the other side of the line is a crossing of its own
-    edge: wp.int32  # 1: ``point`` and ``segment`` hold the edge, 2: ``segment`` holds material points
-    point: EdgePoint
-    segment: Segment  # of the points, face1 (-1: none) is moved along ``sweep1``, face2 along ``sweep``
-    sweep1: wp.vec3
-    last: wp.int32  # where the pull-back starts (``chain_pullback.py``)
-    start: VertexAdjoint
-    o_before: wp.vec3
-    a_o: wp.vec3
-    a_d: wp.vec3
-
-
-@wp.func
-def inside(tri: Triangle, x: wp.vec3) -> wp.bool:
-    uv = barycentrics_at(tri, x)
-    return uv[0] > 0.0 and uv[1] > 0.0 and uv[0] + uv[1] < 1.0
-
-
-@wp.func
-def laid_over(scene: Scene, low: Link, high: Link) -> wp.bool:
-    """Whether two faces lie over one another in one plane at both hits: which is met there is up to rounding."""
-    tri_low = scene.triangles[low.face]
-    tri_high = scene.triangles[high.face]
-    if wp.length_sq(wp.cross(tri_low.normal, tri_high.normal)) >= PARALLEL:
-        return False
-    if wp.abs(wp.dot(tri_low.normal, high.x - low.x)) > ONE_PLANE * scene.ray_epsilon:
-        return False
-    return inside(tri_low, high.x) and inside(tri_high, low.x)
+from warp_psdr.kernels.structs import Camera, Scene
+from warp_psdr.kernels.surface import normalize_vjp
 
 
 @wp.func
@@ -117,67 +51,37 @@ def at_once(scene: Scene, hit: Link, o: wp.vec3) -> wp.bool:
 
 
 @wp.func
-def aside(scene: Scene, block: Block, m: wp.vec3, room: wp.float32, phi_a: wp.float32) -> wp.float32:
-    """``Crossing.aside`` for a room in steps; phi is m times a distance in the plane across the ray."""
-    along = wp.max(wp.abs(phi_a) * block.ell, TINY)
-    return wp.min(room * scene.ray_epsilon * wp.length(m) / along, ASIDE_MOST)
-
-
-@wp.func
-def curve_crossing(
+def own_horizon(
     scene: Scene,
     block: Block,
-    low: Link,
-    high: Link,
-    x: wp.vec3,
+    face: wp.int32,
+    hit: Link,
+    d: wp.vec3,
     a: RayDifferential,
     b: RayDifferential,
-    i: wp.int32,
-    count: wp.int32,
-    which: wp.int32,
-    hidden: wp.bool,
+    last: wp.int32,
+    side: wp.int32,
 ) -> Crossing:
-    """Where the triangles that two neighbouring rays meet run through each other."""
+    """The horizon of the vertex at which a block starts, on one side, seen past the point c that ``hit`` is."""
     r = Crossing()
-    n_low = scene.triangles[low.face].normal
-    n_high = scene.triangles[high.face].normal
-    along = wp.cross(n_low, n_high)
-    squared = wp.length_sq(along)
-    first = block.film == 0 and i == 0
-    if squared < PARALLEL or (first and block.first == 0):
-        return r
-    x_b = 0.5 * (low.x + high.x)
-    t1 = wp.length(x_b - x)
-    d = (x_b - x) / t1
-    m = wp.cross(along / wp.sqrt(squared), d)
-    by_low, by_high = split_between(m, n_low, n_high, squared)
-    r.edge = 2
-    r.segment.x = x_b
+    r.both = 1
+    r.side = side
+    r.last = last
+    tri = scene.triangles[face]
+    area = wp.length(wp.cross(tri.p1 - tri.p0, tri.p2 - tri.p0))
+    r.start.c = normalize_vjp(block.n, area, scene.shapes[tri.shape].orientation * d)
+    r.phi_a = wp.dot(block.n, a.d)
+    r.phi_b = wp.dot(block.n, b.d)
+    r.segment.x = block.x
     r.segment.w = d
-    r.segment.face1 = low.face
-    r.segment.u1 = low.u
-    r.segment.v1 = low.v
-    r.segment.face2 = high.face
-    r.segment.u2 = high.u
-    r.segment.v2 = high.v
-    r.sweep1 = by_low
-    r.segment.sweep = by_high
-    r.last = count + i - 1
-    if first:
-        # c on the lower side's surface, and then on the upper one's.
-        r.both = 1
-        r.side = 2 * which - 1
-        if which == 0:
-            r.sweep1 = -by_high
-        else:
-            r.segment.sweep = -by_low
-    else:
-        r.a_o = -m
-        r.a_d = -t1 * m
-    r.phi_a = -wp.dot(m, a.o + t1 * a.d)
-    r.phi_b = -wp.dot(m, b.o + t1 * b.d)
-    through = let_through(scene, low.face, high.face, hidden)
-    r.aside = aside(scene, block, m, notch(facing(n_low, d), facing(n_high, d), through), r.phi_a)
+    r.segment.face1 = -1
+    if hit.face >= 0:
+        r.edge = 2
+        r.segment.face2 = hit.face
+        r.segment.u2 = hit.u
+        r.segment.v2 = hit.v
+        r.segment.sweep = block.n / wp.length(hit.x - block.x)
+        r.a_o = -r.segment.sweep
     r.valid = 1
     return r
 
@@ -192,136 +96,9 @@ def make_crossing(config: PathConfig):
     """
     start_at = make_start(config.camera)
     meet = make_meet(config)
-    lit = make_lit(config)
     point_differential = make_point_differential(config.smooth, config.flat)
-    closest_hit, _any_hit = make_intersect(config.ray_backend, config.ray_width)
-    sample_light = make_delta_sample(config.lights)
-
-    @wp.func
-    def edge_crossing(
-        scene: Scene,
-        edges: Edges,
-        tables: Tables,
-        block: Block,
-        low: Link,
-        high: Link,
-        x: wp.vec3,
-        a: RayDifferential,
-        b: RayDifferential,
-        i: wp.int32,
-        count: wp.int32,
-        which: wp.int32,
-    ) -> Crossing:
-        r = Crossing()
-        t_low = wp.float32(FAR)
-        t_high = wp.float32(FAR)
-        rim_low = Rim()
-        rim_low.near = FAR
-        rim_high = Rim()
-        rim_high.near = FAR
-        if low.face >= 0:
-            t_low = wp.length(low.x - x)
-            rim_low = rim_of(scene, tables, low.face, low.u, low.v)
-        if high.face >= 0:
-            t_high = wp.length(high.x - x)
-            rim_high = rim_of(scene, tables, high.face, high.u, high.v)
-        room = RIM_EPSILONS * scene.ray_epsilon
-        tie = wp.abs(t_low - t_high) <= room
-        if low.face >= 0 and high.face >= 0:
-            if laid_over(scene, low, high):
-                return r
-            apart = wp.min(rim_low.distance, rim_high.distance) > TOUCHING * scene.ray_epsilon
-            neighbours = rim_low.edge >= 0 and of_edge(edges, rim_low.edge, high.face)
-            if apart and not neighbours and wp.length(low.x - high.x) <= room:
-                return curve_crossing(scene, block, low, high, x, a, b, i, count, which, wp.static(config.hidden))
-        own_low = wp.where(tie, rim_low.distance <= rim_high.distance, t_low <= t_high)
-        own = wp.where(own_low, rim_low.edge, rim_high.edge)
-        near = wp.where(own_low, rim_low.near, rim_high.near)
-        if near > 1.0 or own < 0:
-            return r
-        hit = wp.where(own_low, low.x, high.x)
-        r.edge = 1
-        r.point = point_on_edge(scene, edges, own, hit)
-        t1 = wp.length(r.point.x - x)
-        # A vertex on the edge itself, up to its last bit: of measure zero, without a direction.
-        if t1 <= 0.0:
-            return r
-        d = (r.point.x - x) / t1
-        m = wp.cross(r.point.p1 - r.point.p0, d)
-        r.segment.x = r.point.x
-        r.segment.w = d
-        r.segment.sweep = m
-        r.segment.t1 = t1
-        r.segment.face2 = -1
-        r.segment.light = -1
-        r.last = count + i - 1
-        tau = wp.float32(0.0)
-        if block.film == 0 and i == 0:
-            # The local form: the background is a material point.
-            face = wp.where(own_low, high.face, low.face)
-            t2 = wp.where(own_low, t_high, t_low)
-            r.side = wp.where(own_low, 1, -1)
-            if block.first == 0:
-                return r
-            if face >= 0:
-                shared = edges.ends[own, 0] == edges.twins[own, 0] and edges.ends[own, 1] == edges.twins[own, 1]
-                if shared and of_edge(edges, own, face):
-                    return r
-                # An edge inside of what it touches lies behind the background.
-                tau = wp.min(t1 / t2, 1.0)
-                r.segment.face2 = face
-                r.segment.u2 = wp.where(own_low, high.u, low.u)
-                r.segment.v2 = wp.where(own_low, high.v, low.v)
-                r.segment.tau = tau
-            r.a_o = -(1.0 - tau) * m
-        else:
-            r.a_o = -m
-            r.a_d = -t1 * m
-        r.phi_a = -wp.dot(m, a.o + t1 * a.d)
-        r.phi_b = -wp.dot(m, b.o + t1 * b.d)
-        apart_by = sharp_glass(scene, edges, own)
-        if wp.length(low.x - high.x) <= room and low.face >= 0 and high.face >= 0:
-            n_low = facing(scene.triangles[low.face].normal, d)
-            n_high = facing(scene.triangles[high.face].normal, d)
-            if not is_ridge(n_low, n_high, wp.sign(r.phi_a) * m, d):
-                apart_by = wp.max(apart_by, notch(n_low, n_high, False))
-        r.aside = aside(scene, block, m, apart_by, r.phi_a)
-        r.valid = 1
-        return r
-
-    @wp.func
-    def own_horizon(
-        scene: Scene,
-        block: Block,
-        face: wp.int32,
-        hit: Link,
-        d: wp.vec3,
-        a: RayDifferential,
-        b: RayDifferential,
-        last: wp.int32,
-        side: wp.int32,
-    ) -> Crossing:
-        r = Crossing()
-        r.both = 1
-        r.side = side
-        r.last = last
-        tri = scene.triangles[face]
-        area = wp.length(wp.cross(tri.p1 - tri.p0, tri.p2 - tri.p0))
-        r.start.c = normalize_vjp(block.n, area, scene.shapes[tri.shape].orientation * d)
-        r.phi_a = wp.dot(block.n, a.d)
-        r.phi_b = wp.dot(block.n, b.d)
-        r.segment.x = block.x
-        r.segment.w = d
-        r.segment.face1 = -1
-        if hit.face >= 0:
-            r.edge = 2
-            r.segment.face2 = hit.face
-            r.segment.u2 = hit.u
-            r.segment.v2 = hit.v
-            r.segment.sweep = block.n / wp.length(hit.x - block.x)
-            r.a_o = -r.segment.sweep
-        r.valid = 1
-        return r
+    edge_crossing = make_edge_crossing(config.hidden)
+    shadow_crossing = make_shadow_crossing(config)
 
     @wp.func
     def crossing(
@@ -415,47 +192,11 @@ def make_crossing(config: PathConfig):
             if p.kind == MEETS_SMOOTH and q.kind == MEETS_SMOOTH:
                 if crease and i > 0:
                     return edge_crossing(scene, edges, tables, block, p, q, x, a, b, i, count, which)
-                if wp.static(lit is not None):
+                if wp.static(shadow_crossing is not None):
                     if (i > 0 or block.first == 1) and depth + 1 < max_depth:
-                        shared = smooth_between(edges, tables, p.face, q.face)
                         for k in range(scene.emitters.shape[0]):
                             if r.valid == 0 and is_delta_light(scene.emitters[k].kind):
-                                lit_low = lit(scene, p.x, p.ng, k)
-                                lit_high = lit(scene, q.x, q.ng, k)
-                                if lit_low != lit_high:
-                                    # Where light meets the back of one of two faces: at a crease, see above.
-                                    if p.face == q.face or shared < 0:
-                                        dark_x = wp.where(lit_low, q.x, p.x)
-                                        dark_ng = wp.where(lit_low, q.ng, p.ng)
-                                        ls = sample_light(scene, scene.emitters[k], dark_x, wp.vec2(0.5, 0.5))
-                                        turn = wp.where(
-                                            wp.dot(dark_ng, ls.wi) >= 0.0, scene.ray_epsilon, -scene.ray_epsilon
-                                        )
-                                        hit = closest_hit(scene.accel, dark_x + turn * dark_ng, ls.wi, ls.distance)
-                                        # What is met at once is what the surface runs through.
-                                        if hit.face >= 0 and hit.t > scene.ray_epsilon:
-                                            rim = rim_of(scene, tables, hit.face, hit.u, hit.v)
-                                            if rim.near <= 1.0 and rim.edge >= 0:
-                                                tri = scene.triangles[hit.face]
-                                                met = point_on(tri, hit.u, hit.v)
-                                                r.edge = 1
-                                                r.point = point_on_edge(scene, edges, rim.edge, met)
-                                                t1 = wp.length(r.point.x - p.x)
-                                                w = (r.point.x - p.x) / t1
-                                                m = wp.cross(r.point.p1 - r.point.p0, w)
-                                                r.segment.x = r.point.x
-                                                r.segment.w = w
-                                                r.segment.sweep = m
-                                                r.segment.t1 = t1
-                                                r.segment.face2 = -1
-                                                r.segment.light = k
-                                                if ls.distance < 0.5 * FAR:
-                                                    r.segment.tau = t1 / ls.distance
-                                                r.last = count + i
-                                                r.start.x = -(1.0 - r.segment.tau) * m
-                                                r.phi_a = wp.dot(r.start.x, a_x.x)
-                                                r.phi_b = wp.dot(r.start.x, b_x.x)
-                                                r.valid = 1
+                                r = shadow_crossing(scene, edges, tables, p, q, a_x, b_x, k, count + i)
                 return r
             if delta:
                 if crosses and crease:

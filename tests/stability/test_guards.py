@@ -10,9 +10,9 @@ import warp as wp
 
 import warp_psdr as psdr
 from warp_psdr.kernels.boundary.chain import Block, Link
+from warp_psdr.kernels.boundary.chain_edges import curve_crossing
 from warp_psdr.kernels.boundary.detector import Walk, make_walk
 from warp_psdr.kernels.boundary.direction import Wedge, pdf_wedge, wedge_direction, wedge_square
-from warp_psdr.kernels.boundary.discontinuity import curve_crossing
 from warp_psdr.kernels.boundary.edge_tree import EdgeNode, lobe_estimate, node_importance
 from warp_psdr.kernels.boundary.local_form import barycentrics_at
 from warp_psdr.kernels.boundary.ltc_line import (
