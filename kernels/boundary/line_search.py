@@ -38,33 +38,24 @@ from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.boundary.chain import (
     TRANSMIT,
     Block,
-    film_at,
     film_point,
-    make_follow,
     make_identity,
     make_shading,
-    make_start,
 )
-from warp_psdr.kernels.boundary.chain_pullback import Visit, make_chain_pullback
-from warp_psdr.kernels.boundary.discontinuity import make_crossing
+from warp_psdr.kernels.boundary.chain_pullback import Visit
+from warp_psdr.kernels.boundary.line_crossing import Line, make_crossing_sink
 from warp_psdr.kernels.boundary.local_form import Edges
-from warp_psdr.kernels.boundary.projection import filter_extent, make_splat
-from warp_psdr.kernels.boundary.ray_differential import RayDifferential, make_film_differential
+from warp_psdr.kernels.boundary.projection import filter_extent
 from warp_psdr.kernels.boundary.rims import Tables
-from warp_psdr.kernels.boundary.secondary import make_segment_sink
-from warp_psdr.kernels.boundary.transport import Segment
 from warp_psdr.kernels.bsdf.dispatch import make_bsdf
 from warp_psdr.kernels.camera import CameraSample, make_camera_ray, make_lens
 from warp_psdr.kernels.constants import INV_FOUR_PI, LOBE_SMOOTH, TWO_PI
 from warp_psdr.kernels.interior.wanted import Wanted
-from warp_psdr.kernels.invalid import count_invalid, vanishes
 from warp_psdr.kernels.math import any_tangent, to_local, to_world
-from warp_psdr.kernels.notes import NOTE_EDGE, make_note
 from warp_psdr.kernels.path import PathConfig, make_path_step, path_from
-from warp_psdr.kernels.rng import Sampler, branch_of, make_sampler, sampler_at
+from warp_psdr.kernels.rng import Sampler, make_sampler, sampler_at
 from warp_psdr.kernels.sampling import square_to_sphere
 from warp_psdr.kernels.structs import Camera, Scene
-from warp_psdr.kernels.surface import VertexAdjoint, make_vertex_sink
 
 #: Lengths of a line: pixels on the film, radians at a vertex.
 FILM_LENGTH, ARC_LENGTH = 2.0, 1.0
@@ -91,76 +82,21 @@ MAX_DEPTH = 16
 MAX_VISITS = 17
 
 
-@wp.struct
-class Pixel:
-    """Where a contribution goes."""
-
-    q: wp.vec2
-    weight: wp.vec3  # reverse mode: adjoint under the filter
-
-
 @functools.cache
 def make_line_search_kernel(config: PathConfig, wanted: Wanted, role: str, light_pose: bool):
     """Return the kernel of the boundary term through mirrors and glass: one thread a path (``secondary.py``)."""
-    start_at = make_start(config.camera)
     camera_ray, _camera_origin = make_camera_ray(config.camera)
     lens_point = make_lens(config.camera)
-    film_differential = make_film_differential(config.camera)
     identity = make_identity(config)
-    follow = make_follow(config)
-    crossing_at = make_crossing(config)
+    push_crossings = make_crossing_sink(config, wanted, role, light_pose)
     shading_at = make_shading(config)
-    pull = make_chain_pullback(config, wanted, role)
-    push_segment = make_segment_sink(role, light_pose)
-    push_vertex = make_vertex_sink(role, False, False, False, False, False, True)
     path_step = make_path_step(config, False)
     bsdf = make_bsdf(config.bsdfs)
     has_smooth = bsdf.eval is not None
-    splat, gather = make_splat()
     draw = make_sampler(config.sampler)
     sample_1d = draw.sample_1d
     sample_2d = draw.sample_2d
     sample_4d = draw.sample_4d
-    note_place = make_note(config.noted)
-
-    @wp.func
-    def push_point(
-        scene: Scene,
-        target: wp.array(dtype=wp.float32),
-        s: Segment,
-        face: wp.int32,
-        u: wp.float32,
-        v: wp.float32,
-        g: wp.vec3,
-    ) -> wp.float32:
-        """Scatter the adjoint g of a material point."""
-        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
-        adjoint = VertexAdjoint()
-        adjoint.x = g
-        pushed = push_vertex(scene, target, face, u, v, adjoint, False, s.x, s.w)
-        return pushed.dot
-
-    @wp.func
-    def settled(
-        scene: Scene,
-        camera: Camera,
-        tables: Tables,
-        block: Block,
-        s: wp.float32,
-        step: wp.float32,
-        max_depth: wp.int32,
-        links: wp.int32,
-    ) -> wp.float32:
-        """A step away from s, in either direction, where the first ``links`` vertices are those at s; else s itself.
-
-        On the curve itself what is met wavers by roundings: the line may cross it an odd number of times there.
-        """
-        name = identity(scene, camera, tables.group, tables.bent, block, s, max_depth, links)
-        for k in range(2):
-            away = s + (1.0 - 2.0 * wp.float32(k)) * step
-            if name == identity(scene, camera, tables.group, tables.bent, block, away, max_depth, links):
-                return away
-        return s
 
     @wp.func
     def search(
@@ -169,21 +105,16 @@ def make_line_search_kernel(config: PathConfig, wanted: Wanted, role: str, light
         edges: Edges,
         tables: Tables,
         block: Block,
+        line: Line,
         cells: wp.int32,
-        throughput: wp.vec3,  # over the density of the line
-        start_sample: CameraSample,  # of the path
-        q: wp.vec2,
         visits: wp.array(dtype=Visit),
-        count: wp.int32,
         sampler: Sampler,
-        slot: wp.int32,
-        max_depth: wp.int32,
-        rr_depth: wp.int32,
         adjoint: wp.array2d(dtype=wp.vec3),
         target: wp.array(dtype=wp.float32),
         image_out: wp.array2d(dtype=wp.vec3),
     ):
         _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
+        max_depth = line.max_depth
         # Right ends of the cells to visit, the next one on top.
         ends = wp.zeros(shape=(STACK,), dtype=wp.int32)
         names = wp.zeros(shape=(STACK,), dtype=wp.uint32)
@@ -198,7 +129,7 @@ def make_line_search_kernel(config: PathConfig, wanted: Wanted, role: str, light
         left = wp.int32(0)
         left_name = identity(scene, camera, tables.group, tables.bent, block, 0.0, max_depth, 0)
         # The path down the tree: its cell starts as a random root.
-        cell = wp.int32(sample_1d(sampler, slot) * wp.float32(cells))
+        cell = wp.int32(sample_1d(sampler, line.slot) * wp.float32(cells))
         lower = cell * (RESOLUTION // cells)
         size = RESOLUTION // cells
         lower_name = left_name
@@ -230,88 +161,14 @@ def make_line_search_kernel(config: PathConfig, wanted: Wanted, role: str, light
                     left = end
                     left_name = name
                     top -= 1
-                    a = RayDifferential()
-                    b = RayDifferential()
-                    if block.film == 1:
-                        at = film_at(block, low)
-                        a = film_differential(scene, camera, at, block.lens, block.e)
-                        b = film_differential(scene, camera, at, block.lens, wp.vec2(-block.e[1], block.e[0]))
-                    else:
-                        angle = low * block.ell
-                        a.d = wp.cos(angle) * block.w1 - wp.sin(angle) * block.w0
-                        b.d = wp.cross(block.w0, block.w1)
-                    which = wp.int32(0)
-                    sides = wp.int32(1)
-                    while which < sides:
-                        r = crossing_at(
-                            scene, camera, edges, tables, block, low, high, which, a, b, visits, count, max_depth
-                        )
-                        sides = 1 + r.both
-                        which += 1
-                        squared = r.phi_a * r.phi_a + r.phi_b * r.phi_b
-                        if r.valid == 1 and not (squared <= 0.0):
-                            if r.edge == 1:
-                                place = r.point.x
-                                note_place(
-                                    scene, NOTE_EDGE, r.point.edge, r.point.s, 0.0, place, r.segment.w, throughput
-                                )
-                            jump = wp.vec3(0.0, 0.0, 0.0)
-                            branch = branch_of(sampler, 1 + slot)
-                            for k in range(2):
-                                sign = 2.0 * wp.float32(k) - 1.0
-                                s = wp.where(k == 0, low, high)
-                                if r.side == 0 or wp.float32(r.side) == sign:
-                                    if r.aside > 0.0:
-                                        links = r.last - count + 2
-                                        s = settled(scene, camera, tables, block, s, sign * r.aside, max_depth, links)
-                                    f = follow(scene, camera, block, s, branch, max_depth, rr_depth)
-                                    if wp.static(has_smooth):
-                                        if block.film == 0:
-                                            y = visits[count - 1]
-                                            g = shading_at(scene, y.face, y.u, y.v, y.d)
-                                            ray = start_at(scene, camera, block, s)
-                                            f = wp.cw_mul(
-                                                f,
-                                                bsdf.eval(g.model, g.material, g.wi, to_local(g.s, g.t, g.n, ray.d)),
-                                            )
-                                    jump += sign * f
-                            scale = 2.0 * weight * r.phi_a / (squared * block.ell)
-                            value = scale * wp.cw_mul(throughput, jump)
-                            at_q = q
-                            seen = start_sample
-                            if block.film == 1:
-                                at_q = film_at(block, low)
-                                seen = CameraSample()
-                                seen.film = film_point(camera, at_q)
-                                seen.lens = block.lens
-                            w = wp.float32(1.0)
-                            if wp.static(role == "reverse"):
-                                w = wp.dot(gather(camera, at_q, adjoint), value)
-                            if not vanishes(value) and w != 0.0:
-                                start = VertexAdjoint()
-                                start.x = w * r.start.x
-                                start.n = w * r.start.n
-                                start.c = w * r.start.c
-                                speed = pull(
-                                    scene, target, camera, seen, visits, r.last, start,
-                                    w * r.o_before, w * r.a_o, w * r.a_d,
-                                )  # fmt: skip
-                                if r.edge == 2:
-                                    met = r.segment
-                                    speed += push_point(scene, target, met, met.face2, met.u2, met.v2, w * met.sweep)
-                                    if met.face1 >= 0:
-                                        speed += push_point(scene, target, met, met.face1, met.u1, met.v1, w * r.sweep1)
-                                if r.edge == 1:
-                                    speed += push_segment(scene, target, edges, r.point, r.segment, w)
-                                if wp.static(role == "forward"):
-                                    splat(scene, sampler, camera, at_q, speed * value, image_out)
-                                elif wp.static(role == "reverse"):
-                                    if speed != 0.0:
-                                        count_invalid(scene, sampler)
+                    push_crossings(
+                        scene, camera, edges, tables, block, line, low, high, weight, visits, sampler,
+                        adjoint, target, image_out,
+                    )  # fmt: skip
             # One cell further down.
             active = level < LEVELS
             if active:
-                u = sample_1d(sampler, slot + 1 + level)
+                u = sample_1d(sampler, line.slot + 1 + level)
                 half = size // 2
                 name = identity(
                     scene, camera, tables.group, tables.bent, block, unit * wp.float32(lower + half), max_depth, 0
@@ -390,16 +247,19 @@ def make_line_search_kernel(config: PathConfig, wanted: Wanted, role: str, light
         block.lens = sample.lens
         block.ell = FILM_LENGTH
         block.pattern = pattern
-        one = wp.vec3(scale, scale, scale)
-        slot = wp.int32(SLOT_SEARCH + 4)
-        search(
-            scene, camera, edges, tables, block, FILM_CELLS, one, sample, q, visits, 0, sampler, slot,
-            max_depth, rr_depth, adjoint, target, image_out,
-        )  # fmt: skip
+        line = Line()
+        line.throughput = wp.vec3(scale, scale, scale)
+        line.camera = sample
+        line.q = q
+        line.slot = SLOT_SEARCH + 4
+        line.max_depth = max_depth
+        line.rr_depth = rr_depth
+        search(scene, camera, edges, tables, block, line, FILM_CELLS, visits, sampler, adjoint, target, image_out)
         if wp.static(has_smooth):
             ray = camera_ray(scene, camera, sample)
             state = path_from(ray.o + ray.t_min * ray.d, ray.d, ray.t_max - ray.t_min, 0)
             count = wp.int32(0)
+            slot = line.slot
             through = wp.int32(0)  # 1: a mirror or glass came before
             attached = wp.int32(1)
             while state.alive == 1 and count + 2 <= max_depth:
@@ -442,9 +302,11 @@ def make_line_search_kernel(config: PathConfig, wanted: Wanted, role: str, light
                             from_y.depth = count
                             from_y.pattern = pattern
                             from_y.first = through
+                            line.throughput = (scale / pdf) * vertex.throughput
+                            line.count = count
+                            line.slot = slot + 1
                             search(
-                                scene, camera, edges, tables, from_y, ARC_CELLS, (scale / pdf) * vertex.throughput,
-                                sample, q, visits, count, sampler, slot + 1, max_depth, rr_depth,
+                                scene, camera, edges, tables, from_y, line, ARC_CELLS, visits, sampler,
                                 adjoint, target, image_out,
                             )  # fmt: skip
                     attached = wp.where(vertex.lobe > LOBE_SMOOTH, 1, 0)
