@@ -209,6 +209,16 @@ CASES = [
         ("scene['x']", "did you mean 'flip_normals'"),
         plugins={"x": {"type": "cube", "flip_normal": True}},
     ),
+    Case(
+        "unknown colour",
+        ("scene['x']['bsdf']", "no parameter 'reflectence'", "did you mean 'reflectance'"),
+        plugins=model(type="diffuse", reflectence={"type": "rgb", "value": [0.5, 0.5, 0.5]}),
+    ),
+    Case(
+        "texture without a name",
+        ("scene.xml:4 <texture", "takes no texture plugin here (got 'bitmap' without a name)"),
+        xml='<bsdf type="diffuse"><texture type="bitmap"/></bsdf>',
+    ),
     Case("no type", ("scene['x']", "'type' is None", "name the plugin"), plugins={"x": {}}),
     Case("a number in the scene", ("scene['x']", "a scene holds plugins"), plugins={"x": 5}),
     Case(

@@ -106,6 +106,26 @@ def test_accuracy_of_the_image_and_of_its_derivative(scene: str, capsys) -> None
     assert "give a --param" in capsys.readouterr().err
 
 
+def test_what_cannot_be_written_is_said_before_the_work(scene: str, capsys) -> None:
+    Path("file").touch()
+    for output, said in (("file/a.exr", "folder cannot be made"), ("a.jpg", "suffix '.jpg'"), (".", "suffix ''")):
+        assert main(["render", scene, "-o", output]) == 2
+        printed = capsys.readouterr().err
+        assert said in printed and "render 1" not in printed
+    Path("a.exr").mkdir()
+    assert main(["render", scene, "-o", "a.exr"]) == 2
+    assert "is a folder" in capsys.readouterr().err
+    assert main(["accuracy", scene, "--target-error", "0"]) == 2
+    printed = capsys.readouterr()
+    assert "--target-error: got 0.0" in printed.err and not printed.out
+
+
+def test_plan_names_the_parameters(scene: str, capsys) -> None:
+    assert main(["plan", scene]) == 0
+    printed = capsys.readouterr().out
+    assert TEXTURE in printed and POSITIONS in printed
+
+
 def test_plan_is_printed(scene: str, capsys) -> None:
     assert main(["plan", scene, "--param", TEXTURE, "--max-depth", "5"]) == 0
     printed = capsys.readouterr().out

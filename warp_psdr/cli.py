@@ -7,6 +7,7 @@ ends in one line on standard error and exit status 2.
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -99,7 +100,9 @@ def _parser() -> argparse.ArgumentParser:
     accuracy.add_argument("--plot", type=Path, metavar="FILE.png", help="draw the error against the time")
     accuracy.add_argument("--json", type=Path, metavar="FILE.json", help="write the report")
 
-    plan = command("plan", _plan, "Print what would be compiled and estimated, and why.")
+    plan = command(
+        "plan", _plan, "Print what would be compiled and estimated, and why; without --param, all parameters, too."
+    )
     _scene_options(plan)
     plan.add_argument(
         "--param",
@@ -173,7 +176,7 @@ def _render(arguments: argparse.Namespace) -> int:
     import warp_psdr as psdr
     from warp_psdr import image_io
 
-    _require_suffix(arguments.output, ".exr", ".png")
+    _prepare(arguments.output, ".exr", ".png")
     scene, integrator = _load(arguments)
     with _fractions("render") as progress:
         image = psdr.render(
@@ -184,7 +187,6 @@ def _render(arguments: argparse.Namespace) -> int:
             seed=arguments.seed,
             progress=progress,
         ).numpy()
-    arguments.output.parent.mkdir(parents=True, exist_ok=True)
     image_io.write_image(arguments.output, image)
     print(f"wrote {arguments.output}")
     return 0
@@ -261,8 +263,9 @@ def _accuracy(arguments: argparse.Namespace) -> int:
 
     for path, suffix in ((arguments.plot, ".png"), (arguments.json, ".json")):
         if path is not None:
-            _require_suffix(path, suffix)
-            path.parent.mkdir(parents=True, exist_ok=True)
+            _prepare(path, suffix)
+    if arguments.target_error is not None and not arguments.target_error > 0.0:
+        raise ValueError(f"--target-error: got {arguments.target_error}, expected a positive number")
     scene, integrator = _load(arguments)
     params = psdr.traverse(scene)
     options: dict[str, Any] = {"sensor": arguments.sensor, "integrator": integrator, "seed": arguments.seed}
@@ -300,6 +303,8 @@ def _plan(arguments: argparse.Namespace) -> int:
     params = psdr.traverse(scene)
     params.requires_grad(*arguments.param)
     print(psdr.plan(scene, params, integrator=integrator, sensor=arguments.sensor))
+    if not arguments.param:
+        print(params)
     return 0
 
 
@@ -331,8 +336,7 @@ def _view(arguments: argparse.Namespace) -> int:
             raise ValueError(f"--field: got {text!r}, expected NAME=FILE.npy")
         fields[name] = read_array(file)
     if arguments.screenshot is not None:
-        _require_suffix(arguments.screenshot, ".png")
-        arguments.screenshot.parent.mkdir(parents=True, exist_ok=True)
+        _prepare(arguments.screenshot, ".png")
     scene, _ = _load(arguments)
     plotter = view(
         scene,
@@ -411,9 +415,18 @@ def _fractions(title: str) -> Iterator[Callable[[float], None]]:
         yield lambda fraction: report(int(fraction * PROGRESS_UNITS), "")
 
 
-def _require_suffix(path: Path, *suffixes: str) -> None:
+def _prepare(path: Path, *suffixes: str) -> None:
+    """Make the folder of a file that will be written: what is wrong with it is said before there is work to lose."""
     if path.suffix.lower() not in suffixes:
         raise ValueError(f"{path}: got suffix {path.suffix!r}, expected {' or '.join(suffixes)}")
+    if path.is_dir():
+        raise ValueError(f"{path}: is a folder, expected a file")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ValueError(f"{path}: its folder cannot be made ({error.strerror})") from error
+    if not os.access(path.parent, os.W_OK):
+        raise ValueError(f"{path}: its folder cannot be written to")
 
 
 if __name__ == "__main__":

@@ -25,7 +25,8 @@ def parameter_of(scene: Scene, name: str) -> Parameter:
         return scene.parameters[name]
     except KeyError:
         close = difflib.get_close_matches(str(name), scene.parameters, n=3, cutoff=0.4)
-        hint = f"did you mean {', '.join(map(repr, close))}?" if close else "print(params) lists them all"
+        all_of_them = "print(params), or 'warp-psdr plan SCENE', lists them all"
+        hint = f"did you mean {', '.join(map(repr, close))}?" if close else all_of_them
         raise KeyError(f"the scene has no parameter {name!r}; {hint}") from None
 
 

@@ -6,7 +6,8 @@
     image = psdr.torch.render(scene, {"wall.reflectance.value": albedo}, spp=64)
     (image - target).square().mean().backward()  # albedo.grad
 
-Forward mode (``torch.autograd.forward_ad``) gives derivative images. There are no second derivatives.
+Forward mode (``torch.autograd.forward_ad``) gives derivative images. There are no second derivatives, and hence no
+``torch.func`` transforms, which prepare for them.
 """
 
 from __future__ import annotations
@@ -51,9 +52,9 @@ def render(
 
     Args:
         scene: A loaded scene; it keeps the tensors' values.
-        parameters: Tensors by parameter name, in the parameters' NumPy shapes, for instance (N, 3) for positions. Those
-            that require a gradient get one. They are not kept within their bounds, as ``psdr.optim`` keeps them. Far
-            from the origin float64 keeps the digits of places.
+        parameters: Tensors by parameter name, in the parameters' NumPy shapes, for instance (N, 3) for positions, up to
+            axes of length one. Those that require a gradient get one. They are not kept within their bounds, as
+            ``psdr.optim`` keeps them. Far from the origin float64 keeps the digits of places.
         sensor: Which camera.
         integrator: Default: what the scene file names, else ``PathIntegrator()``.
         spp: Samples a pixel; default: the sensor's sample count.

@@ -247,16 +247,19 @@ class Properties:
             ValueError: If any parameter is left.
         """
         for name, value in self._left.items():
-            known = sorted(set(self._asked))
+            # Nested plugins without a name of their own have one of the reader's.
+            known = sorted(asked for asked in set(self._asked) if not asked.startswith("_arg_"))
             if isinstance(value, dict):
                 node, where = self.context.resolve(value, self.context.inside(self.where, name, value))
                 category = category_of(node, where)
-                raise error(
-                    where,
-                    f"a '{self.type}' takes no {category} plugin here (got '{node.get('type')}' as '{name}')"
-                    f"{did_you_mean(name, known)}",
-                    f"its parameters are: {listing(known) or 'none'}",
-                )
+                unnamed = name.startswith("_arg_")
+                if category != "texture" or name in known or unnamed:
+                    called = "without a name" if unnamed else f"as '{name}'"
+                    raise error(
+                        where,
+                        f"a '{self.type}' takes no {category} plugin here (got '{node.get('type')}' {called})",
+                        f"its parameters are: {listing(known) or 'none'}",
+                    )
             raise error(
                 self.where,
                 f"'{self.type}' has no parameter '{name}'{did_you_mean(name, known)}",
