@@ -20,17 +20,17 @@ from dataclasses import dataclass
 import warp as wp
 
 from warp_psdr.kernels.bsdf.dispatch import make_bsdf
-from warp_psdr.kernels.bvh.wide import make_intersect
+from warp_psdr.kernels.bvh.wide import RayHit, make_intersect
 from warp_psdr.kernels.camera import CameraSample, make_camera_ray, make_lens
 from warp_psdr.kernels.constants import CAMERA_PERSPECTIVE, FAR, LOBE_NONE, LOBE_SMOOTH, RFILTER_BOX
 from warp_psdr.kernels.distribution import find_interval
 from warp_psdr.kernels.emitter.area import make_area, pdf_area
 from warp_psdr.kernels.emitter.dispatch import make_lights
 from warp_psdr.kernels.film import make_filter
-from warp_psdr.kernels.invalid import count_invalid, finite, inverse_pdf, vanishes
+from warp_psdr.kernels.invalid import finite, inverse_pdf, vanishes
 from warp_psdr.kernels.math import aligned_tangent, any_tangent, to_local, to_world
 from warp_psdr.kernels.notes import NOTE_VERTEX, note
-from warp_psdr.kernels.rng import Sampler, make_sampler, sampler_at
+from warp_psdr.kernels.rng import Sampler, make_sampler
 from warp_psdr.kernels.sampling import mis_weight
 from warp_psdr.kernels.sight import make_accel_at
 from warp_psdr.kernels.step import leaving_step
@@ -91,6 +91,7 @@ class PathState:
     eta: wp.float32  # product of relative refractive indices
     left: wp.int32  # face that d left by a smooth lobe, from one; 0: none
     met: wp.int32  # more than 0: the path has met a shape that matters
+    seen: RayHit  # what the camera's ray meets, where ``camera_rays.py`` has traced it
 
 
 @wp.func
@@ -249,11 +250,12 @@ def shadow_ray(scene: Scene, o: wp.vec3, ls: LightSample) -> tuple[wp.vec3, wp.f
 
 
 @functools.cache
-def make_path_step(config: PathConfig, differential: bool, sparse: bool = False):
+def make_path_step(config: PathConfig, differential: bool, sparse: bool = False, traced: bool = False):
     """Return ``path_step(scene, sampler, state, max_depth, rr_depth) -> (PathVertex, PathState)``.
 
     ``differential``: keep going where a factor is exactly zero, since its derivative may not be. ``sparse``: leave out
-    next-event estimates before the path meets a shape that matters (``interior/replay.py``).
+    next-event estimates before the path meets a shape that matters (``interior/replay.py``). ``traced``: the camera's
+    ray has been, ``state.seen`` is what it meets.
     """
     closest_hit, any_hit = make_intersect(config.ray_backend, config.ray_width)
     accel_at = make_accel_at(config.hidden)
@@ -290,7 +292,12 @@ def make_path_step(config: PathConfig, differential: bool, sparse: bool = False)
             if wp.static(has_lights):
                 u4 = sample_4d(sampler, 1 + SLOTS_PER_VERTEX * state.depth)
             r4 = sample_4d(sampler, 2 + SLOTS_PER_VERTEX * state.depth)
-        hit = closest_hit(accel_at(scene, state.depth), state.o, state.d, state.t_max)
+        if wp.static(traced):
+            hit = state.seen
+            if state.depth > 0:
+                hit = closest_hit(scene.accel, state.o, state.d, state.t_max)
+        else:
+            hit = closest_hit(accel_at(scene, state.depth), state.o, state.d, state.t_max)
         if hit.face < 0:
             if not finite(state.o + state.d):
                 # A ray of a camera without a pose, which meets nothing: not black, nor what an environment holds there.
@@ -449,47 +456,3 @@ def make_camera_start(config: PathConfig, filter_kind: int | None = None):
         return state, sample
 
     return start
-
-
-@functools.cache
-def make_primal_kernel(config: PathConfig):
-    """Return the primal kernel: one thread a pixel, all its samples in order."""
-    path_step = make_path_step(config, False)
-    start = make_camera_start(config)
-
-    @wp.kernel(module="unique", enable_backward=False)
-    def primal(
-        # Scene:
-        scene: Scene,
-        camera: Camera,
-        # In:
-        pixels: wp.array(dtype=wp.int32),
-        first_pixel: wp.int32,
-        first_sample: wp.int32,
-        samples: wp.int32,
-        scale: wp.float32,
-        seed: wp.uint32,
-        max_depth: wp.int32,
-        rr_depth: wp.int32,
-        # Out:
-        image_out: wp.array2d(dtype=wp.vec3),
-    ):
-        pixel = pixels[first_pixel + wp.tid()]
-        px = pixel % camera.crop_width
-        py = pixel // camera.crop_width
-        # In double precision: a float32 sum stands still after 2^24 equal terms.
-        total = wp.vec3d()
-        for i in range(samples):
-            sampler = sampler_at(pixel, first_sample + i, seed)
-            radiance = wp.vec3(0.0, 0.0, 0.0)
-            state, _sample = start(scene, camera, px, py, sampler)
-            while state.alive == 1:
-                vertex, state = path_step(scene, sampler, state, max_depth, rr_depth)
-                radiance += wp.cw_mul(vertex.throughput, vertex.direct)
-            if finite(radiance):
-                total += wp.vec3d(radiance)
-            else:
-                count_invalid(scene, sampler)
-        image_out[py, px] = image_out[py, px] + wp.vec3(wp.float64(scale) * total)
-
-    return primal

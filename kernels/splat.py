@@ -15,9 +15,11 @@ import functools
 
 import warp as wp
 
+from warp_psdr.kernels.camera import CameraSample
+from warp_psdr.kernels.camera_rays import make_camera_starts, rays_together
 from warp_psdr.kernels.constants import RFILTER_BOX, RFILTER_TENT
 from warp_psdr.kernels.invalid import count_invalid, finite
-from warp_psdr.kernels.path import PathConfig, make_camera_start, make_path_step
+from warp_psdr.kernels.path import PathConfig, PathState, make_path_step
 from warp_psdr.kernels.rng import sampler_at
 from warp_psdr.kernels.structs import Camera, Scene
 
@@ -75,8 +77,9 @@ def make_filter_steps(kind: int):
 @functools.cache
 def make_splat_kernel(config: PathConfig):
     """Return the primal kernel for tent and gaussian filters: one thread a pixel of the extended raster."""
-    path_step = make_path_step(config, False)
-    start = make_camera_start(config, RFILTER_BOX)
+    lanes = rays_together(config)
+    path_step = make_path_step(config, False, traced=lanes > 1)
+    starts = make_camera_starts(config, RFILTER_BOX)
     first, following = make_filter_steps(config.filter)
 
     @wp.kernel(module="unique", enable_backward=False)
@@ -100,9 +103,11 @@ def make_splat_kernel(config: PathConfig):
         width = camera.crop_width + 2 * margin
         px = pixel % width - margin
         py = pixel // width - margin
+        starting = wp.zeros(shape=(wp.static(lanes),), dtype=PathState)
+        cameras = wp.zeros(shape=(wp.static(lanes),), dtype=CameraSample)
         for i in range(samples):
             sampler = sampler_at(pixel, first_sample + i, seed)
-            state, sample = start(scene, camera, px, py, sampler)
+            state, sample = starts(scene, camera, px, py, sampler, i, samples, starting, cameras)
             radiance = wp.vec3(0.0, 0.0, 0.0)
             while state.alive == 1:
                 vertex, state = path_step(scene, sampler, state, max_depth, rr_depth)

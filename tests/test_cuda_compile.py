@@ -178,7 +178,7 @@ FACTORIES = {
         ("image", (SIMPLE, False, c.RFILTER_BOX), FAST),
         ("interior", (SIMPLE, True, None), SLOW),
     ],
-    "path.make_primal_kernel": [
+    "primal.make_primal_kernel": [
         ("simple", (SIMPLE,), FAST),
         ("emission", (EMISSION,), SLOW),
         ("orthographic", (ORTHOGRAPHIC,), SLOW),

@@ -13,7 +13,7 @@ from tests.gradients import scenes
 from warp_psdr import passes
 from warp_psdr.kernels import path as path_module
 from warp_psdr.kernels.bsdf import dispatch
-from warp_psdr.kernels.path import make_primal_kernel
+from warp_psdr.kernels.primal import make_primal_kernel
 
 INTEGRATOR = psdr.PathIntegrator(max_depth=4, boundary=None)
 #: Words of models that a scene of diffuse surfaces and one area light has no use for.

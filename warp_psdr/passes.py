@@ -20,7 +20,7 @@ from warp_psdr.kernels.constants import RFILTER_BOX
 from warp_psdr.kernels.interior.forward import make_forward_kernel
 from warp_psdr.kernels.interior.replay import make_replay_kernel
 from warp_psdr.kernels.interior.textbook import make_textbook_kernel
-from warp_psdr.kernels.path import make_primal_kernel
+from warp_psdr.kernels.primal import make_primal_kernel
 from warp_psdr.kernels.rng import mix_seed
 from warp_psdr.kernels.splat import collect, make_splat_kernel
 from warp_psdr.patches import patch_radii

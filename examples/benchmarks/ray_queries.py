@@ -19,6 +19,7 @@ import numpy as np
 import warp as wp
 
 from warp_psdr.acceleration import Accelerator, host_width
+from warp_psdr.kernels.bvh.bundle import make_bundle
 from warp_psdr.kernels.bvh.wide import Accel, RayHit, make_intersect
 
 
@@ -69,7 +70,7 @@ CASES = {
 
 #: Seconds between two measurements: Dr.Jit's threads spin for a while after their work.
 SETTLE = 0.05
-#: Ray sets for which Embree is told that rays are coherent.
+#: Ray sets for which Embree is told that rays are coherent, and which the wide BVH traces in bundles.
 COHERENT = ("camera", "shadow")
 
 
@@ -147,29 +148,67 @@ class WarpQueries:
             i = first + wp.tid()
             hits_out[i] = any_hit(accel, origin[i], direction[i], t_max)
 
-        self._kernels = {"closest": (closest_kernel, RayHit), "any": (any_kernel, wp.bool)}
+        single = {"closest": (closest_kernel, RayHit, 1), "any": (any_kernel, wp.bool, 1)}
+        self._kernels = {False: single, True: single}
+        if backend == "wide":
+            self._kernels[True] = {
+                "closest": (_make_bundle_kernel(0, RayHit, self.accelerator.width), RayHit, self.accelerator.width),
+                "any": (_make_bundle_kernel(1, wp.bool, self.accelerator.width), wp.bool, self.accelerator.width),
+            }
         self._threads = threads
         # Not closed: idle threads, and the process ends with the benchmark.
         self._pool = concurrent.futures.ThreadPoolExecutor(threads)
 
     def load(self, origins, directions, t_max, coherent=False):
-        """Move a ray set to Warp; ``coherent`` is a hint for Embree."""
+        """Move a ray set to Warp; ``coherent`` makes the wide BVH trace bundles."""
         self._rays = (wp.array(origins, dtype=wp.vec3, device="cpu"), wp.array(directions, dtype=wp.vec3, device="cpu"))
         self._t_max = t_max
-        self._out = {k: wp.zeros(len(origins), dtype=dtype, device="cpu") for k, (_, dtype) in self._kernels.items()}
+        self._queries = self._kernels[coherent]
+        self._out = {k: wp.zeros(len(origins), dtype=q[1], device="cpu") for k, q in self._queries.items()}
 
     def run(self, query: str) -> np.ndarray:
         """Trace the loaded rays."""
         out = self._out[query]
-        tile = -(-out.shape[0] // (2 * self._threads))
+        kernel, _dtype, rays = self._queries[query]
+        launches = -(-out.shape[0] // rays)
+        tile = -(-launches // (2 * self._threads))
 
         def launch(first):
-            count = min(tile, out.shape[0] - first)
-            inputs = [self.accelerator.data, *self._rays, self._t_max, first]
-            wp.launch(self._kernels[query][0], count, inputs, [out], device="cpu")
+            inputs = [self.accelerator.data, *self._rays, self._t_max, rays * first]
+            wp.launch(kernel, min(tile, launches - first), inputs, [out], device="cpu")
 
-        list(self._pool.map(launch, range(0, out.shape[0], tile)))
+        list(self._pool.map(launch, range(0, launches, tile)))
         return out.numpy()
+
+
+def _make_bundle_kernel(query: int, dtype: type, width: int):
+    """Return the kernel that traces ``width`` rays a thread; query 0: closest hits, 1: any hits."""
+    hits = make_bundle(width)[query]
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def bundle_kernel(
+        accel: Accel,
+        origin: wp.array(dtype=wp.vec3),
+        direction: wp.array(dtype=wp.vec3),
+        t_max: wp.float32,
+        first: wp.int32,
+        hits_out: wp.array(dtype=dtype),
+    ):
+        o = wp.zeros(shape=(wp.static(width),), dtype=wp.vec3)
+        d = wp.zeros(shape=(wp.static(width),), dtype=wp.vec3)
+        limit = wp.zeros(shape=(wp.static(width),), dtype=wp.float32)
+        found = wp.zeros(shape=(wp.static(width),), dtype=dtype)
+        i = first + wp.tid() * wp.static(width)
+        for k in range(o.shape[0]):
+            j = wp.min(i + k, origin.shape[0] - 1)
+            o[k] = origin[j]
+            d[k] = direction[j]
+            limit[k] = t_max
+        hits(accel, o, d, limit, found)
+        for k in range(wp.min(o.shape[0], origin.shape[0] - i)):
+            hits_out[i + k] = found[k]
+
+    return bundle_kernel
 
 
 class EmbreeQueries:

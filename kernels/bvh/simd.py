@@ -15,6 +15,9 @@ TYPES = """
     struct Simd {
 #define INLINE inline __attribute__((always_inline))
         static INLINE vf load(const float* p) { return *(const vf*)p; }
+        static INLINE vf splat(const float* p) { return *p; }
+        static INLINE float at(float a, int) { return a; }
+        static INLINE float at(vf a, int i) { return a[i]; }
         static INLINE vf fma(vf a, vf b, vf c) {
             return __builtin_elementwise_fma(a, b, c);
         }
@@ -41,8 +44,12 @@ TYPES = """
         static INLINE float max1(float a, float b) { return a > b ? a : b; }
         static INLINE vf min(vf a, vf b) { return a < b ? a : b; }
         static INLINE vf max(vf a, vf b) { return a > b ? a : b; }
-        static INLINE u32 mask(vi a) {
-#if $W == 4
+        static INLINE u32 mask(vi a) {  // one bit a lane, of lanes that are all ones or all zeros
+#if $W == 4 && defined(__SSE__)
+            return __builtin_ia32_movmskps(__builtin_bit_cast(vf, a));
+#elif $W == 8 && defined(__AVX__)
+            return __builtin_ia32_movmskps256(__builtin_bit_cast(vf, a));
+#elif $W == 4
             typedef bool vb __attribute__((ext_vector_type(8)));
             vi zero = 0;
             auto wide = __builtin_shufflevector(a, zero, 0, 1, 2, 3, 4, 5, 6, 7);
@@ -163,9 +170,54 @@ DISTANCE = """
                     const double u = cx * by - cy * bx, v = ax * cy - ay * cx, w = bx * ay - by * ax, s = u + v + w;
                     const bool out = (u < 0.0 || v < 0.0 || w < 0.0) && (u > 0.0 || v > 0.0 || w > 0.0);
                     const double z = u * a_z[i] + v * b_z[i] + w * c_z[i];
-                    reach[i] = out || s == 0.0 ? -1.0f : (float)(z * shear_z / s);
+                    reach[i] = out || s == 0.0 ? -1.0f : (float)(z * Simd::at(shear_z, i) / s);
                     weight[i] = 1.0f;
                     edge_v[i] = (float)(v / s);
                     edge_w[i] = (float)(w / s);
                 }
+"""
+
+# Push the hit children farthest first, and go on with the nearest.
+ORDER = """
+            if ((hit & (hit - 1)) == 0) {
+                current = child[__builtin_ctz(hit)];
+                continue;
+            }
+            const vf key = __builtin_bit_cast(vf, (__builtin_bit_cast(vi, enter) & ~($W - 1)) | lanes);
+            float keys[$W] __attribute__((aligned(64)));
+            *(vf*)keys = key;
+            const int n = __builtin_popcount(hit);
+            for (u32 m = hit; m; m &= m - 1) {
+                const int i = __builtin_ctz(m);
+                const int rank = __builtin_popcount(hit & Simd::mask(key < vf(keys[i])));
+                stack_t[top + n - 1 - rank] = keys[i];
+                stack[top + n - 1 - rank] = child[i];
+                Simd::prefetch(child[i] < 0 ? packets + (long long)~child[i] * (10 * $W)
+                                            : nodes + (long long)child[i] * (7 * $W));
+            }
+            top += n - 1;
+            current = stack[top];
+"""
+
+# Barycentrics of the closest hit, again where its triangle reaches much farther than it lies.
+EXACT = """
+    const float a_z = best[qz] - ray_o[kz], b_z = best[3 * $W + qz] - ray_o[kz], c_z = best[6 * $W + qz] - ray_o[kz];
+    const float a_x = best[qx] - ray_o[kx], b_x = best[3 * $W + qx] - ray_o[kx], c_x = best[6 * $W + qx] - ray_o[kx];
+    const float a_y = best[qy] - ray_o[ky], b_y = best[3 * $W + qy] - ray_o[ky], c_y = best[6 * $W + qy] - ray_o[ky];
+    const float far_a = Simd::max1(__builtin_fabsf(a_x), Simd::max1(__builtin_fabsf(a_y), __builtin_fabsf(a_z)));
+    const float far_b = Simd::max1(__builtin_fabsf(b_x), Simd::max1(__builtin_fabsf(b_y), __builtin_fabsf(b_z)));
+    const float far_c = Simd::max1(__builtin_fabsf(c_x), Simd::max1(__builtin_fabsf(c_y), __builtin_fabsf(c_z)));
+    // 8: a triangle that reaches so much farther than the hit lies
+    if (Simd::max1(far_a, Simd::max1(far_b, far_c)) * __builtin_fabsf(shear_z) > 8.0f * t_best) {
+        // Edge functions from exact products; those of the wrong sign count as 0.
+        const double ax = __builtin_fmaf(a_z, shear_x, a_x), ay = __builtin_fmaf(a_z, shear_y, a_y);
+        const double bx = __builtin_fmaf(b_z, shear_x, b_x), by = __builtin_fmaf(b_z, shear_y, b_y);
+        const double cx = __builtin_fmaf(c_z, shear_x, c_x), cy = __builtin_fmaf(c_z, shear_y, c_y);
+        const double u = cx * by - cy * bx, v = ax * cy - ay * cx, w = bx * ay - by * ax;
+        const double side = u + v + w < 0.0 ? -1.0 : 1.0;
+        const double u1 = u * side > 0.0 ? u * side : 0.0, v1 = v * side > 0.0 ? v * side : 0.0;
+        const double w1 = w * side > 0.0 ? w * side : 0.0, scale = 1.0 / (u1 + v1 + w1);
+        u_best = (float)(v1 * scale);
+        v_best = (float)(w1 * scale);
+    }
 """

@@ -42,7 +42,7 @@ import functools
 
 import warp as wp
 
-from warp_psdr.kernels.bvh.simd import ARGUMENTS, BOXES, DISTANCE, EDGES, SHEAR, SLABS, TYPES
+from warp_psdr.kernels.bvh.simd import ARGUMENTS, BOXES, DISTANCE, EDGES, EXACT, ORDER, SHEAR, SLABS, TYPES
 
 #: Vector widths (lanes) for which a traversal can be generated.
 WIDTHS = (4, 8, 16)
@@ -144,24 +144,9 @@ _CLOSEST = (
     + """
             if (hit == 0)
                 goto pop;
-            if ((hit & (hit - 1)) == 0) {
-                current = child[__builtin_ctz(hit)];
-                continue;
-            }
-            const vf key = __builtin_bit_cast(vf, (__builtin_bit_cast(vi, enter) & ~($W - 1)) | lanes);
-            float keys[$W] __attribute__((aligned(64)));
-            *(vf*)keys = key;
-            const int n = __builtin_popcount(hit);
-            for (u32 m = hit; m; m &= m - 1) {
-                const int i = __builtin_ctz(m);
-                const int rank = __builtin_popcount(hit & Simd::mask(key < vf(keys[i])));
-                stack_t[top + n - 1 - rank] = keys[i];
-                stack[top + n - 1 - rank] = child[i];
-                Simd::prefetch(child[i] < 0 ? packets + (long long)~child[i] * (10 * $W)
-                                            : nodes + (long long)child[i] * (7 * $W));
-            }
-            top += n - 1;
-            current = stack[top];
+"""
+    + ORDER
+    + """
         }
         {
         const float* packet = packets + (long long)~current * (10 * $W);
@@ -196,25 +181,9 @@ _CLOSEST = (
     done:
     if (!best)
         return -1;
-    const float a_z = best[qz] - ray_o[kz], b_z = best[3 * $W + qz] - ray_o[kz], c_z = best[6 * $W + qz] - ray_o[kz];
-    const float a_x = best[qx] - ray_o[kx], b_x = best[3 * $W + qx] - ray_o[kx], c_x = best[6 * $W + qx] - ray_o[kx];
-    const float a_y = best[qy] - ray_o[ky], b_y = best[3 * $W + qy] - ray_o[ky], c_y = best[6 * $W + qy] - ray_o[ky];
-    const float far_a = Simd::max1(__builtin_fabsf(a_x), Simd::max1(__builtin_fabsf(a_y), __builtin_fabsf(a_z)));
-    const float far_b = Simd::max1(__builtin_fabsf(b_x), Simd::max1(__builtin_fabsf(b_y), __builtin_fabsf(b_z)));
-    const float far_c = Simd::max1(__builtin_fabsf(c_x), Simd::max1(__builtin_fabsf(c_y), __builtin_fabsf(c_z)));
-    // 8: a triangle that reaches so much farther than the hit lies
-    if (Simd::max1(far_a, Simd::max1(far_b, far_c)) * __builtin_fabsf(shear_z) > 8.0f * t_best) {
-        // Edge functions from exact products; those of the wrong sign count as 0.
-        const double ax = __builtin_fmaf(a_z, shear_x, a_x), ay = __builtin_fmaf(a_z, shear_y, a_y);
-        const double bx = __builtin_fmaf(b_z, shear_x, b_x), by = __builtin_fmaf(b_z, shear_y, b_y);
-        const double cx = __builtin_fmaf(c_z, shear_x, c_x), cy = __builtin_fmaf(c_z, shear_y, c_y);
-        const double u = cx * by - cy * bx, v = ax * cy - ay * cx, w = bx * ay - by * ax;
-        const double side = u + v + w < 0.0 ? -1.0 : 1.0;
-        const double u1 = u * side > 0.0 ? u * side : 0.0, v1 = v * side > 0.0 ? v * side : 0.0;
-        const double w1 = w * side > 0.0 ? w * side : 0.0, scale = 1.0 / (u1 + v1 + w1);
-        u_best = (float)(v1 * scale);
-        v_best = (float)(w1 * scale);
-    }
+"""
+    + EXACT
+    + """
     t_out = t_best;
     u_out = u_best;
     v_out = v_best;
@@ -300,7 +269,7 @@ _ANY = (
 )
 
 
-def _native(name: str, source: str, width: int, function) -> wp.Function:
+def native(name: str, source: str, width: int, function) -> wp.Function:
     """Turn a snippet into a Warp function whose name, hence the kernel cache's key, is the same in every process."""
     function.__qualname__ = function.__name__ = f"{name}_wide{width}"
     for key, value in {"$STACK": stack_size(width), "$BITS": 32 * width, "$W": width}.items():
@@ -330,7 +299,7 @@ def make_intersect(backend: str, width: int) -> tuple[wp.Function, wp.Function]:
     def any_hit(accel: Accel, o: wp.vec3, d: wp.vec3, t_max: wp.float32) -> wp.bool:
         return wp.bool(False)
 
-    return _native("closest_hit", _CLOSEST, width, closest_hit), _native("any_hit", _ANY, width, any_hit)
+    return native("closest_hit", _CLOSEST, width, closest_hit), native("any_hit", _ANY, width, any_hit)
 
 
 @wp.func

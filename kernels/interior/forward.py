@@ -21,6 +21,7 @@ import warp as wp
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.bsdf.dispatch import make_bsdf
 from warp_psdr.kernels.camera import CameraSample, make_camera_ray, make_camera_sink
+from warp_psdr.kernels.camera_rays import make_camera_starts, rays_together
 from warp_psdr.kernels.constants import EMITTER_AREA, EMITTER_CONSTANT, EMITTER_ENVMAP, LOBE_SMOOTH
 from warp_psdr.kernels.emitter.area import light_uv
 from warp_psdr.kernels.emitter.dispatch import make_lights
@@ -39,8 +40,8 @@ from warp_psdr.kernels.interior.wanted import Wanted
 from warp_psdr.kernels.invalid import count_invalid, finite
 from warp_psdr.kernels.path import (
     PathConfig,
+    PathState,
     PathVertex,
-    make_camera_start,
     make_frame,
     make_material,
     make_path_step,
@@ -68,8 +69,9 @@ def make_forward_kernel(config: PathConfig, wanted: Wanted):
 
     Arguments as ``make_replay_kernel``'s; ``target`` holds the tangents, ``image_out`` receives the derivative.
     """
-    path_step = make_path_step(config, True)
-    start = make_camera_start(config)
+    lanes = rays_together(config)
+    path_step = make_path_step(config, True, traced=lanes > 1)
+    starts = make_camera_starts(config)
     _camera_ray, camera_origin = make_camera_ray(config.camera)
     surface_at = make_surface(config.smooth, config.flat, config.uv, config.tangent)
     frame_at = make_frame(config.two_sided, config.tangent)
@@ -330,9 +332,11 @@ def make_forward_kernel(config: PathConfig, wanted: Wanted):
         px = pixel % camera.crop_width
         py = pixel // camera.crop_width
         total = wp.vec3d()  # in double precision, as the image
+        starting = wp.zeros(shape=(wp.static(lanes),), dtype=PathState)
+        cameras = wp.zeros(shape=(wp.static(lanes),), dtype=CameraSample)
         for i in range(samples):
             sampler = sampler_at(pixel, first_sample + i, seed)
-            state, sample = start(scene, camera, px, py, sampler)
+            state, sample = starts(scene, camera, px, py, sampler, i, samples, starting, cameras)
             vertex, state = path_step(scene, sampler, state, max_depth, rr_depth)
             vertex.o = camera_origin(scene, camera, sample)
             moving = first_moving(scene, camera, target, sample, vertex)

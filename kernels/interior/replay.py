@@ -35,11 +35,12 @@ import functools
 
 import warp as wp
 
-from warp_psdr.kernels.camera import make_camera_ray
+from warp_psdr.kernels.camera import CameraSample, make_camera_ray
+from warp_psdr.kernels.camera_rays import make_camera_starts, rays_together
 from warp_psdr.kernels.interior.sweep import Carry, make_sweep
 from warp_psdr.kernels.interior.wanted import Wanted
 from warp_psdr.kernels.invalid import count_invalid, finite
-from warp_psdr.kernels.path import PathConfig, PathState, PathVertex, make_camera_start, make_path_step
+from warp_psdr.kernels.path import PathConfig, PathState, PathVertex, make_path_step
 from warp_psdr.kernels.rng import sampler_at
 from warp_psdr.kernels.structs import Camera, Scene
 
@@ -54,8 +55,9 @@ def make_replay_kernel(config: PathConfig, wanted: Wanted, block: int, blocks: i
         block: K, the number of vertices kept at a time.
         blocks: the most blocks that a path can have; 1 compiles the replay out.
     """
-    path_step = make_path_step(config, True, True)
-    start = make_camera_start(config)
+    lanes = rays_together(config)
+    path_step = make_path_step(config, True, True, traced=lanes > 1)
+    starts = make_camera_starts(config)
     _camera_ray, camera_origin = make_camera_ray(config.camera)
     sweep, finish, _finish_vertex = make_sweep(config, wanted, "reverse")
 
@@ -86,9 +88,11 @@ def make_replay_kernel(config: PathConfig, wanted: Wanted, block: int, blocks: i
             return
         record = wp.zeros(shape=(wp.static(block),), dtype=PathVertex)
         states = wp.zeros(shape=(wp.static(blocks),), dtype=PathState)
+        starting = wp.zeros(shape=(wp.static(lanes),), dtype=PathState)
+        cameras = wp.zeros(shape=(wp.static(lanes),), dtype=CameraSample)
         for i in range(samples):
             sampler = sampler_at(pixel, first_sample + i, seed)
-            state, sample = start(scene, camera, px, py, sampler)
+            state, sample = starts(scene, camera, px, py, sampler, i, samples, starting, cameras)
             origin = camera_origin(scene, camera, sample)
             count = wp.int32(0)
             met = scene.matters[scene.matters.shape[0] - 1]

@@ -17,11 +17,12 @@ import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.camera import CameraSample, make_camera_ray, make_camera_sink
+from warp_psdr.kernels.camera_rays import make_camera_starts, rays_together
 from warp_psdr.kernels.interior.contact import make_contact_weights
 from warp_psdr.kernels.interior.sweep import Carry, make_sweep
 from warp_psdr.kernels.interior.wanted import Wanted
 from warp_psdr.kernels.invalid import count_invalid, finite, vanishes
-from warp_psdr.kernels.path import PathConfig, PathVertex, make_camera_start, make_path_step
+from warp_psdr.kernels.path import PathConfig, PathState, PathVertex, make_path_step
 from warp_psdr.kernels.rng import sampler_at
 from warp_psdr.kernels.structs import Camera, Scene
 
@@ -51,8 +52,9 @@ def at_vertex(vertex: PathVertex) -> Carry:
 @functools.cache
 def make_textbook_kernel(config: PathConfig, wanted: Wanted, role: str):
     """Return the kernel of ``interior.Replay(block=0)``; arguments as ``make_replay_kernel``'s."""
-    path_step = make_path_step(config, True)
-    start = make_camera_start(config)
+    lanes = rays_together(config)
+    path_step = make_path_step(config, True, traced=lanes > 1)
+    starts = make_camera_starts(config)
     _camera_ray, camera_origin = make_camera_ray(config.camera)
     sweep, _finish, finish_vertex = make_sweep(config, wanted, role)
     push_camera = make_camera_sink(role, config.camera) if wanted.camera else None
@@ -106,11 +108,13 @@ def make_textbook_kernel(config: PathConfig, wanted: Wanted, role: str):
         if wp.static(role == "reverse"):
             delta = scale * adjoint[py, px]
         derivative = wp.vec3d()  # in double precision, as the image
+        starting = wp.zeros(shape=(wp.static(lanes),), dtype=PathState)
+        cameras = wp.zeros(shape=(wp.static(lanes),), dtype=CameraSample)
         for i in range(samples):
             of_sample = wp.vec3(0.0, 0.0, 0.0)
             sampler = sampler_at(pixel, first_sample + i, seed)
             total_radiance = wp.vec3(0.0, 0.0, 0.0)
-            state, sample = start(scene, camera, px, py, sampler)
+            state, sample = starts(scene, camera, px, py, sampler, i, samples, starting, cameras)
             origin = camera_origin(scene, camera, sample)
             first_state = state
             while state.alive == 1:

@@ -1,0 +1,328 @@
+"""Ray queries for W rays that lie close together: camera rays of a pixel, shadow rays from neighbours to one light.
+
+What is wide here is the bundle, one ray a lane. It walks the tree of ``wide.py`` once for all of its rays.
+
+**Boxes.** All children of a node are tested at once against the whole bundle. Let s be the sign of the direction along
+an axis, the same for all rays, r = 1 / |d| in [r0, r1], and o the origin relative to the scene's center. A ray meets
+the slab whose near side is n and whose far side is f between (s n - s o - delta) r and (s f - s o + delta) r. So none
+enters before the smaller one of (s n - max(s o) - delta) r0 and ... r1, and none leaves behind the larger one of
+(s f - min(s o) + delta) r0 and ... r1; products with one factor fixed are monotonic, and so is their rounding. delta
+is that of ``wide.py``, for the largest |o - c| of the rays.
+
+**Triangles** of a packet are tested one after the other, each against all rays, by the operations of ``wide.py`` in
+the same order: a ray gets the distance and the barycentrics that it gets alone, and up to ties the same face.
+
+Rays whose directions differ in the sign of a component or in the largest one, and rays that are not finite, are not
+traced together: the query returns False, and the caller traces them one by one.
+"""
+
+import functools
+
+import warp as wp
+
+from warp_psdr.kernels.bvh.simd import DISTANCE, EDGES, EXACT, ORDER, TYPES
+from warp_psdr.kernels.bvh.wide import Accel, RayHit, make_intersect, native
+
+#: Reads one corner for all lanes, where a single ray reads one lane's corner each.
+EDGES_OF_ONE = EDGES.replace("Simd::load(packet", "Simd::splat(corner")
+
+_START = (
+    TYPES
+    + """
+    typedef __typeof__(*found_out.data) Found;
+    struct Bundle {
+    // Smallest and largest lane. As integers: a reduction of floats is a chain.
+    static int order(int bits) { return bits ^ ((bits >> 31) & 0x7fffffff); }
+    static vi order(vi bits) { return bits ^ ((bits >> 31) & 0x7fffffff); }
+    static float lowest(vf a) {
+        return __builtin_bit_cast(float, order(__builtin_reduce_min(order(__builtin_bit_cast(vi, a)))));
+    }
+    static float highest(vf a) {
+        return __builtin_bit_cast(float, order(__builtin_reduce_max(order(__builtin_bit_cast(vi, a)))));
+    }
+    static bool all(vi a) { return Simd::mask(a) == (u32)((1ll << $W) - 1); }
+    static bool none(vi a) { return Simd::mask(a) == 0; }
+
+    static __attribute__((noinline, min_vector_width($BITS))) bool run(
+        const float* nodes, const float* packets, int flat, const float* center, float extent,
+        const float* origins, const float* directions, const float* limits, Found* found)
+    {
+    #pragma clang fp contract(off)
+    vf ray_o[3], ray_d[3], ends[3], size[3], t_best, sum = 0.0f;
+    for (int i = 0; i < $W; ++i) {
+        t_best[i] = limits[i];
+        for (int axis = 0; axis < 3; ++axis) {
+            ray_o[axis][i] = origins[3 * i + axis];
+            ray_d[axis][i] = directions[3 * i + axis];
+        }
+    }
+    float spread = 0.0f;
+    for (int axis = 0; axis < 3; ++axis) {
+        size[axis] = Simd::abs(ray_d[axis]);
+        sum += ray_o[axis] + ray_d[axis];
+        $ENDS
+    }
+    const bool backward = spread < 0.0f;
+    const vi first = (size[0] > size[1]) & (size[0] > size[2]), second = (size[0] <= size[1]) & (size[1] > size[2]);
+    const int kz = all(first) ? 0 : all(second) ? 1 : 2;
+    const vf largest = size[kz];
+    if (!all((0.0f * sum == 0.0f) & (largest > 0.0f)) || (kz == 2 && !none(first | second)))
+        return false;
+    const int kx = kz == 2 ? 0 : kz + 1, ky = kx == 2 ? 0 : kx + 1;
+    const vf shear_z = 1.0f / ray_d[kz], mx = -ray_d[kx] * shear_z, my = -ray_d[ky] * shear_z;
+    const vf px = ray_o[kx], py = ray_o[ky], pz = ray_o[kz];
+    const long long qx = kx * $W, qy = ky * $W, qz = kz * $W;
+
+    // Slabs: times are side * enter + begin and side * leave + end.
+    float reach_o = 0.0f, low[3], high[3], r0[3], r1[3];
+    vf enter_by[3], leave_by[3], begin[3], end[3];
+    long long near[3], far[3];
+    bool behind[3];
+    for (int axis = 0; axis < 3; ++axis) {
+        const vi negative = __builtin_bit_cast(vi, ray_d[axis]) < 0;
+        if (!all(negative) && !none(negative))
+            return false;
+        const bool back = behind[axis] = (negative[0] != 0) != backward;
+        const vf tiny = 1.0e-16f * largest, r = 1.0f / (size[axis] < tiny ? tiny : size[axis]);
+        const vf oc = (backward ? ends[axis] : ray_o[axis]) - center[axis];
+        low[axis] = lowest(back ? -oc : oc);
+        high[axis] = highest(back ? -oc : oc);
+        reach_o = Simd::max1(reach_o, Simd::max1(__builtin_fabsf(low[axis]), __builtin_fabsf(high[axis])));
+        r0[axis] = lowest(r);
+        r1[axis] = highest(r);
+        enter_by[axis] = back ? -r0[axis] : r0[axis];
+        leave_by[axis] = back ? -r1[axis] : r1[axis];
+        near[axis] = (2 * axis + back) * $W;
+        far[axis] = (2 * axis + !back) * $W;
+    }
+    const float delta = 9.6e-7f * (reach_o + extent);  // 16 u, see wide.py
+    for (int axis = 0; axis < 3; ++axis) {
+        begin[axis] = -(high[axis] + delta) * r0[axis];
+        end[axis] = -(low[axis] - delta) * r1[axis];
+    }
+    int current = flat ? ~0 : 0;
+    float stack_t[$STACK];
+    int stack[$STACK];
+    long long top = 0;
+    float last = highest(t_best);
+    vi lanes;
+    for (int i = 0; i < $W; ++i)
+        lanes[i] = i;
+"""
+)
+
+# The nearest entry and the farthest exit of any ray, for all children at once.
+_WALK = """
+    for (;;) {
+        while (current >= 0) {
+            const float* node = nodes + (long long)current * (7 * $W);
+            const int* child = (const int*)(node + 6 * $W);
+            vf enter = 0.0f, leave = last;
+            for (int axis = 0; axis < 3; ++axis) {
+                enter = Simd::max(Simd::fma(Simd::load(node + near[axis]), enter_by[axis], begin[axis]), enter);
+                leave = Simd::min(Simd::fma(Simd::load(node + far[axis]), leave_by[axis], end[axis]), leave);
+            }
+            const u32 hit = Simd::mask(enter <= leave);
+            if (hit == 0)
+                goto pop;
+"""
+
+_PACKET = """
+        }
+        {
+        const float* packet = packets + (long long)~current * (10 * $W);
+        vf enter = 0.0f, leave = last;
+        for (int axis = 0; axis < 3; ++axis) {
+            const vf a = Simd::load(packet + axis * $W), b = Simd::load(packet + (3 + axis) * $W);
+            const vf c = Simd::load(packet + (6 + axis) * $W);
+            const vf lower = Simd::min(Simd::min(a, b), c) - center[axis];
+            const vf upper = Simd::max(Simd::max(a, b), c) - center[axis];
+            enter = Simd::max(Simd::fma(behind[axis] ? upper : lower, enter_by[axis], begin[axis]), enter);
+            leave = Simd::min(Simd::fma(behind[axis] ? lower : upper, leave_by[axis], end[axis]), leave);
+        }
+        for (u32 m = Simd::mask(enter <= leave); m; m &= m - 1) {
+        const int lane = __builtin_ctz(m);
+        const float* corner = packet + lane;
+"""
+
+_NEXT = """
+        }
+        }
+        if (flat && ~current + 1 < flat) {
+            --current;
+            continue;
+        }
+        last = highest(t_best);
+        if (last <= 0.0f)
+            goto done;
+    pop:
+        do {
+            if (top == 0)
+                goto done;
+            --top;
+        } while (stack_t[top] > last);
+        current = stack[top];
+    }
+    done:
+"""
+
+_CLOSEST = (
+    _START.replace("$ENDS", "ends[axis] = 0.0f;")
+    + """
+    vf u_lanes = 0.0f, v_lanes = 0.0f;
+    vi which = -1;
+"""
+    + _WALK
+    + ORDER
+    + _PACKET
+    + EDGES_OF_ONE
+    + """
+            if (none(inside))
+                continue;
+"""
+    + DISTANCE
+    + """
+            const vf inverse = Simd::inverse(weight), t = reach * inverse;
+            const vi closer = inside & (t > 0.0f) & (t < t_best);
+            t_best = closer ? t : t_best;
+            u_lanes = closer ? Simd::abs(edge_v) * inverse : u_lanes;
+            v_lanes = closer ? Simd::abs(edge_w) * inverse : v_lanes;
+            which = closer ? vi(~current * (10 * $W) + lane) : which;
+"""
+    + _NEXT
+    + """
+    for (int i = 0; i < $W; ++i)
+        found[i] = exact(packets, which[i], kx, ky, kz, ray_o[0][i], ray_o[1][i], ray_o[2][i], mx[i], my[i],
+                         shear_z[i], t_best[i], u_lanes[i], v_lanes[i]);
+    return true;
+    }
+    static Found exact(const float* packets, int which, int kx, int ky, int kz, float o_x, float o_y, float o_z,
+                       float shear_x, float shear_y, float shear_z, float t_best, float u_best, float v_best)
+    {
+    #pragma clang fp contract(off)
+    if (which < 0)
+        return {t_best, 0.0f, 0.0f, -1};
+    const float* best = packets + which;
+    const float ray_o[3] = {o_x, o_y, o_z};
+    const long long qx = kx * $W, qy = ky * $W, qz = kz * $W;
+"""
+    + EXACT
+    + """
+    return {t_best, u_best, v_best, ((const int*)best)[9 * $W]};
+    }
+    };
+"""
+)
+
+_ANY = (
+    _START.replace(
+        "$ENDS",
+        """ends[axis] = Simd::fma(ray_d[axis], t_best, ray_o[axis]);
+        spread += Simd::max1(ends[axis][0] - ends[axis][$W - 1], ends[axis][$W - 1] - ends[axis][0])
+            - Simd::max1(ray_o[axis][0] - ray_o[axis][$W - 1], ray_o[axis][$W - 1] - ray_o[axis][0]);""",
+    )
+    + """
+    vi blocked = 0;
+"""
+    + _WALK
+    + ORDER
+    + _PACKET
+    + EDGES_OF_ONE
+    + """
+            if (none(inside))
+                continue;
+"""
+    + DISTANCE
+    + """
+            blocked |= inside & (reach > 0.0f) & (reach < weight * t_best);
+            t_best = blocked ? vf(-1.0f) : t_best;  // looks for nothing any more
+"""
+    + _NEXT
+    + """
+    for (int i = 0; i < $W; ++i)
+        found[i] = blocked[i] != 0;
+    return true;
+    }
+    };
+"""
+)
+
+_CALL = """
+    return accel.packets != 0
+        && Bundle::run((const float*)accel.nodes, (const float*)accel.packets, accel.flat, accel.center.c,
+                       accel.extent, (const float*)o.data, (const float*)d.data, t_max.data, found_out.data);
+"""
+
+
+@functools.cache
+def make_together(width: int) -> tuple[wp.Function, wp.Function]:
+    """Make ``closest_together`` and ``any_together``, the queries of ``make_bundle``, which may refuse.
+
+    They return whether the rays were close enough together to be traced.
+
+    Args:
+        width: Rays and SIMD lanes, one of ``WIDTHS``.
+    """
+
+    def closest_together(
+        accel: Accel,
+        o: wp.array(dtype=wp.vec3),
+        d: wp.array(dtype=wp.vec3),
+        t_max: wp.array(dtype=wp.float32),
+        found_out: wp.array(dtype=RayHit),
+    ) -> wp.bool:
+        return wp.bool(False)  # Warp takes the type from here; the snippet is what runs
+
+    def any_together(
+        accel: Accel,
+        o: wp.array(dtype=wp.vec3),
+        d: wp.array(dtype=wp.vec3),
+        t_max: wp.array(dtype=wp.float32),
+        found_out: wp.array(dtype=wp.bool),
+    ) -> wp.bool:
+        return wp.bool(False)
+
+    return (
+        native("closest_together", _CLOSEST + _CALL, width, closest_together),
+        native("any_together", _ANY + _CALL, width, any_together),
+    )
+
+
+@functools.cache
+def make_bundle(width: int) -> tuple[wp.Function, wp.Function]:
+    """Make the queries ``closest_hits`` and ``any_hits`` of the wide BVH.
+
+    Both take ``(accel: Accel, o, d, t_max, found_out)``, arrays of ``width`` vec3, vec3, float32, and ``RayHit`` or
+    bool, and find what the queries of ``make_intersect`` find.
+
+    Args:
+        width: Rays and SIMD lanes, one of ``WIDTHS``.
+    """
+    closest_together, any_together = make_together(width)
+    closest_hit, any_hit = make_intersect("wide", width)
+
+    @wp.func
+    def closest_hits(
+        accel: Accel,
+        o: wp.array(dtype=wp.vec3),
+        d: wp.array(dtype=wp.vec3),
+        t_max: wp.array(dtype=wp.float32),
+        found_out: wp.array(dtype=RayHit),
+    ):
+        if not closest_together(accel, o, d, t_max, found_out):
+            for i in range(o.shape[0]):
+                found_out[i] = closest_hit(accel, o[i], d[i], t_max[i])
+
+    @wp.func
+    def any_hits(
+        accel: Accel,
+        o: wp.array(dtype=wp.vec3),
+        d: wp.array(dtype=wp.vec3),
+        t_max: wp.array(dtype=wp.float32),
+        found_out: wp.array(dtype=wp.bool),
+    ):
+        if not any_together(accel, o, d, t_max, found_out):
+            for i in range(o.shape[0]):
+                found_out[i] = any_hit(accel, o[i], d[i], t_max[i])
+
+    return closest_hits, any_hits

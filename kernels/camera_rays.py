@@ -1,0 +1,89 @@
+"""Camera rays of a pixel, traced together where the ray structure can (``bvh/bundle.py``): as many samples as lanes."""
+
+import functools
+
+import warp as wp
+
+from warp_psdr.kernels.bvh.bundle import make_bundle
+from warp_psdr.kernels.bvh.wide import RayHit
+from warp_psdr.kernels.camera import CameraSample
+from warp_psdr.kernels.path import PathConfig, PathState, make_camera_start
+from warp_psdr.kernels.rng import Sampler, branch_of
+from warp_psdr.kernels.sight import make_sight
+from warp_psdr.kernels.structs import Camera, Scene
+
+
+def rays_together(config: PathConfig) -> int:
+    """Return the number of camera rays that are traced at a time; 1: ``path_step`` traces them."""
+    return config.ray_width if config.ray_backend == "wide" else 1
+
+
+@functools.cache
+def make_camera_starts(config: PathConfig, filter_kind: int | None = None):
+    """Return ``starts(scene, camera, px, py, sampler, k, count, states, samples) -> (PathState, CameraSample)``.
+
+    The state and the camera's sample of the k-th of ``count`` samples of a pixel, to be asked for in their order;
+    ``states`` and ``samples`` are arrays of ``rays_together`` that keep those of a bundle. Every ``rays_together``-th
+    call traces the rays of the samples up to the next: ``state.seen``.
+
+    ``filter_kind``: as ``make_camera_start``'s.
+    """
+    start = make_camera_start(config, filter_kind)
+    lanes = rays_together(config)
+    if lanes > 1:
+        closest_hits, _any_hits = make_bundle(config.ray_width)
+    sight = make_sight(config.hidden)
+
+    @wp.func
+    def trace_together(
+        scene: Scene,
+        camera: Camera,
+        px: wp.int32,
+        py: wp.int32,
+        sampler: Sampler,
+        count: wp.int32,
+        states: wp.array(dtype=PathState),
+        samples: wp.array(dtype=CameraSample),
+    ):
+        o = wp.zeros(shape=(wp.static(lanes),), dtype=wp.vec3)
+        d = wp.zeros(shape=(wp.static(lanes),), dtype=wp.vec3)
+        t_max = wp.zeros(shape=(wp.static(lanes),), dtype=wp.float32)
+        seen = wp.zeros(shape=(wp.static(lanes),), dtype=RayHit)
+        for i in range(count):
+            state, sample = start(scene, camera, px, py, branch_of(sampler, wp.int32(sampler.index) + i))
+            states[i] = state
+            samples[i] = sample
+            o[i] = state.o
+            d[i] = state.d
+            t_max[i] = state.t_max
+        for i in range(count, o.shape[0]):  # more of the last
+            o[i] = o[count - 1]
+            d[i] = d[count - 1]
+            t_max[i] = t_max[count - 1]
+        closest_hits(sight(scene), o, d, t_max, seen)
+        for i in range(count):
+            state = states[i]
+            state.seen = seen[i]
+            states[i] = state
+
+    @wp.func
+    def starts(
+        scene: Scene,
+        camera: Camera,
+        px: wp.int32,
+        py: wp.int32,
+        sampler: Sampler,
+        k: wp.int32,
+        count: wp.int32,
+        states: wp.array(dtype=PathState),
+        samples: wp.array(dtype=CameraSample),
+    ) -> tuple[PathState, CameraSample]:
+        if wp.static(lanes > 1):
+            i = k % wp.static(lanes)
+            if i == 0:
+                trace_together(scene, camera, px, py, sampler, wp.min(count - k, wp.static(lanes)), states, samples)
+            return states[i], samples[i]
+        else:
+            return start(scene, camera, px, py, sampler)
+
+    return starts

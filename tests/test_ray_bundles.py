@@ -1,0 +1,198 @@
+"""Rays that are traced together against the same rays traced one by one, for every vector width."""
+
+import functools
+from pathlib import Path
+
+import numpy as np
+import pytest
+import warp as wp
+
+import warp_psdr as psdr
+from tests.ray_helpers import KINDS, MESHES, assert_same_hits, make_rays, unit
+from warp_psdr.acceleration import Accelerator, host_width
+from warp_psdr.kernels.bvh.bundle import make_bundle, make_together
+from warp_psdr.kernels.bvh.wide import WIDTHS, Accel, RayHit, make_intersect
+
+SCENE = Path(__file__).resolve().parents[1] / "scenes" / "cornell_box.xml"
+FAR = 1.0e18
+#: Root mean square of an image's difference between ray queries that round differently, relative to its mean.
+ROUNDING = 1.0e-5
+#: Share of the diameter, or of the direction's length, by which the rays of a bundle differ.
+SPREADS = (0.0, 1.0e-5, 1.0e-3, 0.1)
+
+
+@functools.cache
+def make_kernel(width):
+    closest_hit, any_hit = make_intersect("wide", width)
+    closest_hits, any_hits = make_bundle(width)
+    closest_together, any_together = make_together(width)
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def trace(
+        # In:
+        accel: Accel,
+        origins: wp.array(dtype=wp.vec3),
+        directions: wp.array(dtype=wp.vec3),
+        limits: wp.array(dtype=wp.float32),
+        # Out:
+        single_out: wp.array(dtype=RayHit),
+        single_any_out: wp.array(dtype=wp.bool),
+        hits_out: wp.array(dtype=RayHit),
+        any_out: wp.array(dtype=wp.bool),
+        together_out: wp.array(dtype=wp.bool),
+    ):
+        o = wp.zeros(shape=(wp.static(width),), dtype=wp.vec3)
+        d = wp.zeros(shape=(wp.static(width),), dtype=wp.vec3)
+        t_max = wp.zeros(shape=(wp.static(width),), dtype=wp.float32)
+        hits = wp.zeros(shape=(wp.static(width),), dtype=RayHit)
+        found = wp.zeros(shape=(wp.static(width),), dtype=wp.bool)
+        first = wp.tid() * wp.static(width)
+        for i in range(o.shape[0]):
+            o[i] = origins[first + i]
+            d[i] = directions[first + i]
+            t_max[i] = limits[first + i]
+            single_out[first + i] = closest_hit(accel, o[i], d[i], t_max[i])
+            single_any_out[first + i] = any_hit(accel, o[i], d[i], t_max[i])
+        together = closest_together(accel, o, d, t_max, hits)
+        together_out[wp.tid()] = together and any_together(accel, o, d, t_max, found)
+        closest_hits(accel, o, d, t_max, hits)
+        any_hits(accel, o, d, t_max, found)
+        for i in range(o.shape[0]):
+            hits_out[first + i] = hits[i]
+            any_out[first + i] = found[i]
+
+    return trace
+
+
+def trace_both(vertices, faces, width, origins, directions, limits):
+    """Return (hits, any) one by one, (hits, any) in bundles, and which bundles were traced together."""
+    points = wp.array(np.asarray(vertices, np.float32).reshape(-1, 3), dtype=wp.vec3, device="cpu")
+    indices = wp.array(np.asarray(faces, np.int32).reshape(-1), dtype=wp.int32, device="cpu")
+    accelerator = Accelerator(points, indices, "cpu", "wide", width=width)
+    rays = [wp.array(np.asarray(a, np.float32), dtype=wp.vec3, device="cpu") for a in (origins, directions)]
+    limits = np.broadcast_to(np.asarray(limits, np.float32), len(origins))
+    inputs = [accelerator.data, *rays, wp.array(limits, dtype=wp.float32, device="cpu")]
+    n = len(origins)
+    sizes = [(n, RayHit), (n, wp.bool), (n, RayHit), (n, wp.bool), (n // width, wp.bool)]
+    out = [wp.zeros(size, dtype=dtype, device="cpu") for size, dtype in sizes]
+    wp.launch(make_kernel(width), n // width, inputs, out, device="cpu")
+    hits, found, hits_together, found_together, together = (a.numpy() for a in out)
+    return (hits, found), (hits_together, found_together), together
+
+
+def assert_equal(vertices, faces, origins, directions, alone, together):
+    """Check that bundles change nothing: not a bit of distances and barycentrics, and faces at ties alone."""
+    (hits, found), (bundled, bundled_found) = alone, together
+    np.testing.assert_array_equal(bundled_found, found)
+    np.testing.assert_array_equal(bundled["t"], hits["t"])
+    same = bundled["face"] == hits["face"]
+    np.testing.assert_array_equal(bundled[same], hits[same])
+    assert_same_hits(vertices, faces, origins, directions, bundled, hits)
+
+
+def bundles_of(kind, vertices, faces, width, count, seed, spread):
+    """Return rays in groups of ``width``, each around one ray of a family."""
+    origins, directions = make_rays(kind, vertices, faces, count, seed)
+    rng = np.random.default_rng(seed + 1)
+    size = np.ptp(vertices, axis=0).max()
+    origins, directions = np.repeat(origins, width, 0), np.repeat(directions, width, 0)
+    origins += spread * size * rng.uniform(-1.0, 1.0, origins.shape) * rng.integers(0, 2, (len(origins), 1))
+    directions += spread * rng.uniform(-1.0, 1.0, directions.shape)
+    # Distances on either side of what is hit, and none at all.
+    limits = np.where(rng.random(len(origins)) < 0.5, FAR, size * 10.0 ** rng.uniform(-2.0, 1.0, len(origins)))
+    return origins, directions, np.where(rng.random(len(origins)) < 0.02, 0.0, limits)
+
+
+def compare(mesh, width, count, seed):
+    vertices, faces = MESHES[mesh]()
+    for kind in KINDS:
+        for spread in SPREADS:
+            rays = bundles_of(kind, vertices, faces, width, count, seed, spread)
+            alone, bundled, together = trace_both(vertices, faces, width, *rays)
+            assert_equal(vertices, faces, *rays[:2], alone, bundled)
+            if spread <= SPREADS[1] and kind != "axis":  # else nothing is tested; zeros have two signs
+                assert together.mean() > 0.2
+            assert 0.0 < bundled[1].mean() < 1.0
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+@pytest.mark.parametrize("mesh", list(MESHES))
+def test_bundles_meet_what_their_rays_meet(mesh, width):
+    compare(mesh, width, 600, 0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("mesh", list(MESHES))
+def test_bundles_meet_what_their_rays_meet_ten_million_times(mesh):
+    batches = 10
+    width = host_width()
+    for seed in range(batches):
+        compare(mesh, width, 10_000_000 // (len(MESHES) * len(KINDS) * len(SPREADS) * batches * width) + 1, 100 + seed)
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+@pytest.mark.parametrize("mesh", ["box36", "sphere", "far_sphere"])
+def test_shadow_rays_that_meet_in_a_light(mesh, width):
+    """They are followed from the light, where they are close together."""
+    vertices, faces = MESHES[mesh]()
+    rng = np.random.default_rng(7)
+    low, high = vertices.min(0).astype(np.float64), vertices.max(0).astype(np.float64)
+    size, count = (high - low).max(), 1000
+    light = 0.5 * (low + high) + size * np.array([0.4, 0.7, 1.1])
+    points = np.repeat(rng.uniform(low, high, (count, 3)), width, 0)
+    points += 0.05 * size * rng.uniform(-1.0, 1.0, points.shape)
+    lights = np.repeat(light + 1.0e-3 * size * rng.uniform(-1.0, 1.0, (count, 3)), width, 0)
+    rays = points, lights - points, np.full(len(points), 0.999)
+    alone, bundled, together = trace_both(vertices, faces, width, *rays)
+    assert_equal(vertices, faces, *rays[:2], alone, bundled)
+    assert together.mean() > 0.3 and 0.1 < bundled[1].mean() < 0.99
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+def test_rays_that_are_no_rays_disturb_no_others(width):
+    vertices, faces = MESHES["sphere"]()
+    origins, directions = make_rays("random", vertices, faces, 200)
+    origins, directions = np.repeat(origins, width, 0), np.repeat(directions, width, 0)
+    broken = [[np.nan, 0.0, 1.0], [np.inf, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, -np.inf, np.nan]]
+    for group in range(100):
+        directions[group * width + group % width] = broken[group % len(broken)]
+        origins[(100 + group) * width + group % width] = broken[group % 2]
+    alone, bundled, together = trace_both(vertices, faces, width, origins, directions, FAR)
+    for one, other in zip(alone, bundled, strict=True):
+        np.testing.assert_array_equal(one, other)
+    assert not together.any()
+    assert alone[1].mean() > 0.1
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+def test_an_empty_mesh_is_missed(width):
+    nothing = np.zeros((0, 3))
+    rays = np.zeros((2 * width, 3)), np.full((2 * width, 3), 0.1), FAR
+    alone, bundled, _together = trace_both(nothing, nothing, width, *rays)
+    assert (bundled[0]["face"] == -1).all() and not bundled[1].any() and not alone[1].any()
+
+
+@pytest.mark.parametrize("spp", [1, 3, 19])
+def test_images_are_those_of_single_rays(spp):
+    """Any number of samples, a multiple of the lanes or not; the other backend traces one ray at a time."""
+    images = []
+    try:
+        for backend in ("wide", "warp"):
+            psdr.set_ray_backend(backend)
+            scene = psdr.load_file(SCENE, resolution=24)
+            images.append(psdr.render(scene, spp=spp, seed=3).numpy())
+    finally:
+        psdr.set_ray_backend("auto")
+    assert images[0].mean() > 0.01
+    assert np.sqrt(np.mean((images[0] - images[1]) ** 2)) < ROUNDING * images[0].mean()
+
+
+def test_neighbours_are_traced_together():
+    """What a camera sends through one pixel."""
+    vertices, faces = MESHES["sphere"]()
+    width = host_width()
+    rng = np.random.default_rng(3)
+    target = np.repeat(rng.uniform(-0.5, 0.5, (500, 3)), width, 0) + 2.0e-3 * rng.normal(size=(500 * width, 3))
+    origins = np.tile([[0.3, 0.2, 4.0]], (len(target), 1))
+    _alone, _bundled, together = trace_both(vertices, faces, width, origins, unit(target - origins), FAR)
+    assert together.mean() > 0.9
