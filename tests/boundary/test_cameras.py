@@ -127,7 +127,7 @@ def test_the_rows_can_tell_a_missing_boundary_term(case: Case) -> None:
     ("name", "names"),
     [
         pytest.param("parallel", [OCCLUDER, FLOOR, POSE], marks=pytest.mark.slow),
-        ("lens", [OCCLUDER, FLOOR, POSE, FOCUS, RADIUS, "sensor.x_fov"]),
+        pytest.param("lens", [OCCLUDER, FLOOR, POSE, FOCUS, RADIUS, "sensor.x_fov"], marks=pytest.mark.slow),
         pytest.param("parallel mirror", [LAMP, WALL, POSE], marks=pytest.mark.slow),
         pytest.param("lens mirror", [LAMP, WALL, POSE, FOCUS, RADIUS, "sensor.x_fov"], marks=pytest.mark.slow),
         pytest.param("lens smooth", [SHAPE, POSE, FOCUS, RADIUS], marks=pytest.mark.slow),

@@ -53,7 +53,7 @@ def test_a_convex_body_under_a_uniform_sky_is_its_outline() -> None:
 
 
 @pytest.mark.parametrize("depth", [1, 2])
-@pytest.mark.parametrize("smooth", [False, True], ids=["flat", "interpolated"])
+@pytest.mark.parametrize("smooth", [False, pytest.param(True, marks=pytest.mark.slow)], ids=["flat", "interpolated"])
 def test_creases_beside_a_silhouette_do_not_count_it_again(smooth: bool, depth: int) -> None:
     """A small ball of 5,120 triangles in a room a hundred times its size: it shines, so only its outline matters.
 

@@ -125,7 +125,7 @@ CASES = [
     Case("flash", ONE, MOVE, 0.01, "moves", 3, 2048, 4096),
     Case("lamp by the camera", ONE, MOVE, 0.01, "moves", 2, 512, 1024),
     Case("flash on a ball", ONE, MOVE, 0.01, "moves", 2, 512, 1024),
-    Case("sun from behind", ONE, MOVE, 0.01, "moves", 2, 512, 1024, slow=False),
+    Case("sun from behind", ONE, MOVE, 0.01, "moves", 2, 512, 1024),
 ]
 
 

@@ -64,6 +64,7 @@ def test_other_methods(method: str) -> None:
     assert_agrees(derivatives(case, "forward", getattr(psdr.boundary, method)()), differences(case)[2])
 
 
+@pytest.mark.slow
 def test_the_modes_are_transposes_of_each_other() -> None:
     """Also where the contact of a light with the floor is seen, through the light."""
     scene, params = load("unseen bright")

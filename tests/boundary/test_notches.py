@@ -142,7 +142,7 @@ CASES = [
     Case("stuck in glass", ETA, np.ones_like, 0.005, "index changes", depth=4, spp=4096, difference_spp=32768),
     Case("lamp in glass", BALL, ALONG, 0.005, "lamp moves", depth=4, spp=1024, difference_spp=4096),
     Case("lamp in glass", GLASSES, ALONG, 0.005, "glass moves", depth=4, spp=1024, difference_spp=4096),
-    Case("prism", GLASSES, RISES, 0.005, "prism moves", depth=4, spp=512, difference_spp=2048, slow=False),
+    Case("prism", GLASSES, RISES, 0.005, "prism moves", depth=4, spp=512, difference_spp=2048),
     Case("prism in a mirror", GLASSES, RISES, 0.005, "prism moves", depth=4, spp=2048, difference_spp=8192),
     Case("prism", LAMP, ALONG, 0.005, "lamp moves", depth=4, spp=1024, difference_spp=4096),
     Case("prism", ETA, np.ones_like, 0.005, "index changes", depth=4, spp=2048, difference_spp=8192),
