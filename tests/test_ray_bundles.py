@@ -132,17 +132,21 @@ def test_bundles_meet_what_their_rays_meet_ten_million_times(mesh):
 
 @pytest.mark.parametrize("width", WIDTHS)
 @pytest.mark.parametrize("mesh", ["box36", "sphere", "far_sphere"])
-def test_shadow_rays_that_meet_in_a_light(mesh, width):
-    """They are followed from the light, where they are close together."""
+@pytest.mark.parametrize("light", ["lamp", "sun"])
+def test_shadow_rays_to_one_light(mesh, width, light):
+    """Those to a lamp are followed from there, where they are close together; those to a sun have no end."""
     vertices, faces = MESHES[mesh]()
     rng = np.random.default_rng(7)
     low, high = vertices.min(0).astype(np.float64), vertices.max(0).astype(np.float64)
     size, count = (high - low).max(), 1000
-    light = 0.5 * (low + high) + size * np.array([0.4, 0.7, 1.1])
     points = np.repeat(rng.uniform(low, high, (count, 3)), width, 0)
     points += 0.05 * size * rng.uniform(-1.0, 1.0, points.shape)
-    lights = np.repeat(light + 1.0e-3 * size * rng.uniform(-1.0, 1.0, (count, 3)), width, 0)
-    rays = points, lights - points, np.full(len(points), 0.999)
+    if light == "lamp":
+        lamp = 0.5 * (low + high) + size * np.array([0.4, 0.7, 1.1])
+        lamps = np.repeat(lamp + 1.0e-3 * size * rng.uniform(-1.0, 1.0, (count, 3)), width, 0)
+        rays = points, lamps - points, np.full(len(points), 0.999)
+    else:
+        rays = points, np.tile([[0.3, 0.2, -0.8]], (len(points), 1)), np.full(len(points), FAR)
     alone, bundled, together = trace_both(vertices, faces, width, *rays)
     assert_equal(vertices, faces, *rays[:2], alone, bundled)
     assert together.mean() > 0.3 and 0.1 < bundled[1].mean() < 0.99

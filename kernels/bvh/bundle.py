@@ -4,10 +4,13 @@ What is wide here is the bundle, one ray a lane. It walks the tree of ``wide.py`
 
 **Boxes.** All children of a node are tested at once against the whole bundle. Let s be the sign of the direction along
 an axis, the same for all rays, r = 1 / |d| in [r0, r1], and o the origin relative to the scene's center. A ray meets
-the slab whose near side is n and whose far side is f between (s n - s o - delta) r and (s f - s o + delta) r. So none
-enters before the smaller one of (s n - max(s o) - delta) r0 and ... r1, and none leaves behind the larger one of
-(s f - min(s o) + delta) r0 and ... r1; products with one factor fixed are monotonic, and so is their rounding. delta
-is that of ``wide.py``, for the largest |o - c| of the rays.
+the slab with the near side n and the far side f between (s n - s o - delta) r and (s f - s o + delta) r. So none enters
+before (s n - max(s o) - delta) r0, or before 0 where that is negative, and none leaves behind
+(s f - min(s o) + delta) r1, which is negative where all rays have the slab behind them. delta is that of ``wide.py``
+for the largest |o - c| of the rays. The boxes of a packet's triangles are tested in the same way before the triangles.
+
+Shadow rays that start apart and end in one light are followed from the light: any hit has no order, and seen from there
+they are closer together. Their ends are rounded once more than their origins, which delta's spare covers.
 
 **Triangles** of a packet are tested one after the other, each against all rays, by the operations of ``wide.py`` in
 the same order: a ray gets the distance and the barycentrics that it gets alone, and up to ties the same face.
@@ -48,7 +51,7 @@ _START = (
         const float* origins, const float* directions, const float* limits, Found* found)
     {
     #pragma clang fp contract(off)
-    vf ray_o[3], ray_d[3], ends[3], size[3], t_best, sum = 0.0f;
+    vf ray_o[3], ray_d[3], size[3], from_c[3], t_best, farthest = 0.0f;
     for (int i = 0; i < $W; ++i) {
         t_best[i] = limits[i];
         for (int axis = 0; axis < 3; ++axis) {
@@ -56,13 +59,15 @@ _START = (
             ray_d[axis][i] = directions[3 * i + axis];
         }
     }
-    float spread = 0.0f;
+    vf sum = t_best;
     for (int axis = 0; axis < 3; ++axis) {
         size[axis] = Simd::abs(ray_d[axis]);
         sum += ray_o[axis] + ray_d[axis];
-        $ENDS
+        from_c[axis] = ray_o[axis] - center[axis];
+        farthest = Simd::max(farthest, Simd::abs(from_c[axis]));
     }
-    const bool backward = spread < 0.0f;
+    bool backward = false;
+    $TURN
     const vi first = (size[0] > size[1]) & (size[0] > size[2]), second = (size[0] <= size[1]) & (size[1] > size[2]);
     const int kz = all(first) ? 0 : all(second) ? 1 : 2;
     const vf largest = size[kz];
@@ -73,8 +78,8 @@ _START = (
     const vf px = ray_o[kx], py = ray_o[ky], pz = ray_o[kz];
     const long long qx = kx * $W, qy = ky * $W, qz = kz * $W;
 
-    // Slabs: times are side * enter + begin and side * leave + end.
-    float reach_o = 0.0f, low[3], high[3], r0[3], r1[3];
+    // Slabs: entry is near side * enter_by + begin, exit is far side * leave_by + end.
+    const float delta = 9.6e-7f * (highest(farthest) + extent);  // 16 u, see wide.py
     vf enter_by[3], leave_by[3], begin[3], end[3];
     long long near[3], far[3];
     bool behind[3];
@@ -84,21 +89,14 @@ _START = (
             return false;
         const bool back = behind[axis] = (negative[0] != 0) != backward;
         const vf tiny = 1.0e-16f * largest, r = 1.0f / (size[axis] < tiny ? tiny : size[axis]);
-        const vf oc = (backward ? ends[axis] : ray_o[axis]) - center[axis];
-        low[axis] = lowest(back ? -oc : oc);
-        high[axis] = highest(back ? -oc : oc);
-        reach_o = Simd::max1(reach_o, Simd::max1(__builtin_fabsf(low[axis]), __builtin_fabsf(high[axis])));
-        r0[axis] = lowest(r);
-        r1[axis] = highest(r);
-        enter_by[axis] = back ? -r0[axis] : r0[axis];
-        leave_by[axis] = back ? -r1[axis] : r1[axis];
+        const vf along = back ? -from_c[axis] : from_c[axis];
+        const float r0 = lowest(r), r1 = highest(r);
+        enter_by[axis] = back ? -r0 : r0;
+        leave_by[axis] = back ? -r1 : r1;
+        begin[axis] = -(highest(along) + delta) * r0;
+        end[axis] = -(lowest(along) - delta) * r1;
         near[axis] = (2 * axis + back) * $W;
         far[axis] = (2 * axis + !back) * $W;
-    }
-    const float delta = 9.6e-7f * (reach_o + extent);  // 16 u, see wide.py
-    for (int axis = 0; axis < 3; ++axis) {
-        begin[axis] = -(high[axis] + delta) * r0[axis];
-        end[axis] = -(low[axis] - delta) * r1[axis];
     }
     int current = flat ? ~0 : 0;
     float stack_t[$STACK];
@@ -145,6 +143,19 @@ _PACKET = """
         const float* corner = packet + lane;
 """
 
+#: The triangles of the tree, up to what is done with those that a ray meets: ``inside``, ``reach``, ``weight``.
+_TRIANGLES = (
+    _WALK
+    + ORDER
+    + _PACKET
+    + EDGES_OF_ONE
+    + """
+            if (none(inside))
+                continue;
+"""
+    + DISTANCE
+)
+
 _NEXT = """
         }
         }
@@ -167,27 +178,19 @@ _NEXT = """
 """
 
 _CLOSEST = (
-    _START.replace("$ENDS", "ends[axis] = 0.0f;")
+    _START.replace("$TURN", "")
     + """
     vf u_lanes = 0.0f, v_lanes = 0.0f;
     vi which = -1;
 """
-    + _WALK
-    + ORDER
-    + _PACKET
-    + EDGES_OF_ONE
-    + """
-            if (none(inside))
-                continue;
-"""
-    + DISTANCE
+    + _TRIANGLES
     + """
             const vf inverse = Simd::inverse(weight), t = reach * inverse;
             const vi closer = inside & (t > 0.0f) & (t < t_best);
             t_best = closer ? t : t_best;
             u_lanes = closer ? Simd::abs(edge_v) * inverse : u_lanes;
             v_lanes = closer ? Simd::abs(edge_w) * inverse : v_lanes;
-            which = closer ? vi(~current * (10 * $W) + lane) : which;
+            which = closer ? vi(~current * $W + lane) : which;
 """
     + _NEXT
     + """
@@ -202,7 +205,7 @@ _CLOSEST = (
     #pragma clang fp contract(off)
     if (which < 0)
         return {t_best, 0.0f, 0.0f, -1};
-    const float* best = packets + which;
+    const float* best = packets + (long long)(which / $W) * (10 * $W) + which % $W;
     const float ray_o[3] = {o_x, o_y, o_z};
     const long long qx = kx * $W, qy = ky * $W, qz = kz * $W;
 """
@@ -214,25 +217,28 @@ _CLOSEST = (
 """
 )
 
+# Whether the first and the last ray are closer together at their ends, by more than roundings.
+_TURN = """
+    vf ends[3];
+    float spread = 0.0f;
+    for (int axis = 0; axis < 3; ++axis) {
+        const vf e = ends[axis] = Simd::fma(ray_d[axis], t_best, from_c[axis]), o = from_c[axis];
+        spread += __builtin_fabsf(e[0] - e[$W - 1]) - __builtin_fabsf(o[0] - o[$W - 1]);
+        spread += 1.0e-6f * __builtin_fabsf(e[0]);
+    }
+    backward = spread < 0.0f;
+    for (int axis = 0; axis < 3 && backward; ++axis) {
+        from_c[axis] = ends[axis];
+        farthest = Simd::max(farthest, Simd::abs(ends[axis]));
+    }
+"""
+
 _ANY = (
-    _START.replace(
-        "$ENDS",
-        """ends[axis] = Simd::fma(ray_d[axis], t_best, ray_o[axis]);
-        spread += Simd::max1(ends[axis][0] - ends[axis][$W - 1], ends[axis][$W - 1] - ends[axis][0])
-            - Simd::max1(ray_o[axis][0] - ray_o[axis][$W - 1], ray_o[axis][$W - 1] - ray_o[axis][0]);""",
-    )
+    _START.replace("$TURN", _TURN)
     + """
     vi blocked = 0;
 """
-    + _WALK
-    + ORDER
-    + _PACKET
-    + EDGES_OF_ONE
-    + """
-            if (none(inside))
-                continue;
-"""
-    + DISTANCE
+    + _TRIANGLES
     + """
             blocked |= inside & (reach > 0.0f) & (reach < weight * t_best);
             t_best = blocked ? vf(-1.0f) : t_best;  // looks for nothing any more
