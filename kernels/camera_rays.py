@@ -5,7 +5,7 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.bvh.bundle import make_bundle
-from warp_psdr.kernels.bvh.wide import RayHit
+from warp_psdr.kernels.bvh.wide import RayHit, make_intersect
 from warp_psdr.kernels.camera import CameraSample
 from warp_psdr.kernels.path import PathConfig, PathState, make_camera_start
 from warp_psdr.kernels.rng import Sampler, branch_of
@@ -20,11 +20,11 @@ def rays_together(config: PathConfig) -> int:
 
 @functools.cache
 def make_camera_starts(config: PathConfig, filter_kind: int | None = None):
-    """Return ``starts(scene, camera, px, py, sampler, k, count, states, samples) -> (PathState, CameraSample)``.
+    """Return ``starts(scene, camera, px, py, sampler, k, count, starting, cameras) -> (PathState, CameraSample)``.
 
     The state and the camera's sample of the k-th of ``count`` samples of a pixel, to be asked for in their order;
-    ``states`` and ``samples`` are arrays of ``rays_together`` that keep those of a bundle. Every ``rays_together``-th
-    call traces the rays of the samples up to the next: ``state.seen``.
+    ``starting`` and ``cameras`` are arrays of ``rays_together`` that keep those of a bundle. Every ``rays_together``-th
+    call traces the rays of the samples up to the next: ``state.seen``. A few samples are traced one by one.
 
     ``filter_kind``: as ``make_camera_start``'s.
     """
@@ -32,6 +32,7 @@ def make_camera_starts(config: PathConfig, filter_kind: int | None = None):
     lanes = rays_together(config)
     if lanes > 1:
         closest_hits, _any_hits = make_bundle(config.ray_width)
+    closest_hit, _any_hit = make_intersect(config.ray_backend, config.ray_width)
     sight = make_sight(config.hidden)
 
     @wp.func
@@ -42,8 +43,8 @@ def make_camera_starts(config: PathConfig, filter_kind: int | None = None):
         py: wp.int32,
         sampler: Sampler,
         count: wp.int32,
-        states: wp.array(dtype=PathState),
-        samples: wp.array(dtype=CameraSample),
+        starting: wp.array(dtype=PathState),
+        cameras: wp.array(dtype=CameraSample),
     ):
         o = wp.zeros(shape=(wp.static(lanes),), dtype=wp.vec3)
         d = wp.zeros(shape=(wp.static(lanes),), dtype=wp.vec3)
@@ -51,8 +52,8 @@ def make_camera_starts(config: PathConfig, filter_kind: int | None = None):
         seen = wp.zeros(shape=(wp.static(lanes),), dtype=RayHit)
         for i in range(count):
             state, sample = start(scene, camera, px, py, branch_of(sampler, wp.int32(sampler.index) + i))
-            states[i] = state
-            samples[i] = sample
+            starting[i] = state
+            cameras[i] = sample
             o[i] = state.o
             d[i] = state.d
             t_max[i] = state.t_max
@@ -62,9 +63,9 @@ def make_camera_starts(config: PathConfig, filter_kind: int | None = None):
             t_max[i] = t_max[count - 1]
         closest_hits(sight(scene), o, d, t_max, seen)
         for i in range(count):
-            state = states[i]
+            state = starting[i]
             state.seen = seen[i]
-            states[i] = state
+            starting[i] = state
 
     @wp.func
     def starts(
@@ -75,14 +76,18 @@ def make_camera_starts(config: PathConfig, filter_kind: int | None = None):
         sampler: Sampler,
         k: wp.int32,
         count: wp.int32,
-        states: wp.array(dtype=PathState),
-        samples: wp.array(dtype=CameraSample),
+        starting: wp.array(dtype=PathState),
+        cameras: wp.array(dtype=CameraSample),
     ) -> tuple[PathState, CameraSample]:
         if wp.static(lanes > 1):
+            if 2 * count <= wp.static(lanes):
+                state, sample = start(scene, camera, px, py, sampler)
+                state.seen = closest_hit(sight(scene), state.o, state.d, state.t_max)
+                return state, sample
             i = k % wp.static(lanes)
             if i == 0:
-                trace_together(scene, camera, px, py, sampler, wp.min(count - k, wp.static(lanes)), states, samples)
-            return states[i], samples[i]
+                trace_together(scene, camera, px, py, sampler, wp.min(count - k, wp.static(lanes)), starting, cameras)
+            return starting[i], cameras[i]
         else:
             return start(scene, camera, px, py, sampler)
 

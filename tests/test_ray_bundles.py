@@ -153,6 +153,50 @@ def test_shadow_rays_to_one_light(mesh, width, light):
 
 
 @pytest.mark.parametrize("width", WIDTHS)
+@pytest.mark.parametrize("distance", [1.0e2, 1.0e3, 1.0e4])
+def test_shadow_rays_to_a_distant_lamp(distance, width):
+    """Blockers are found behind vertices, on borders of boxes, where the rounding of the lamp's place counts."""
+    vertices, faces = MESHES["sphere"]()
+    rng = np.random.default_rng(8)
+    count = 2000
+    lamp = distance * unit(rng.normal(size=(count, 3)))
+    corner = vertices[rng.integers(len(vertices), size=count)]
+    start = corner + rng.uniform(0.01, 0.3, (count, 1)) * unit(corner - lamp)
+    aside = np.zeros((count, width, 3))
+    aside[np.arange(count), :, rng.integers(3, size=count)] = np.arange(width) * max(5.0e-6 * distance, 1.0e-3)
+    points = (start[:, None] + aside).reshape(-1, 3)
+    rays = points, np.repeat(lamp, width, 0) - points, np.full(len(points), 0.999)
+    alone, bundled, together = trace_both(vertices, faces, width, *rays)
+    assert_equal(vertices, faces, *rays[:2], alone, bundled)
+    assert together.mean() > 0.3 and 0.3 < bundled[1].mean() <= 1.0
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+def test_ties_without_a_tree(width):
+    """Every triangle twice, in any order: alone or together, a ray meets the same one of the two."""
+    rng = np.random.default_rng(9)
+    corners = np.repeat(rng.uniform(-1.0, 1.0, (width + 1, 3, 3)), 2, 0)[rng.permutation(2 * width + 2)]
+    faces = np.arange(corners.size // 3).reshape(-1, 3)
+    origins, directions = rng.uniform(-1.0, 1.0, (2000, 3)), unit(rng.normal(size=(2000, 3)))
+    rays = np.repeat(origins, width, 0), np.repeat(directions, width, 0) + 1.0e-3 * rng.normal(size=(2000 * width, 3))
+    alone, bundled, together = trace_both(corners.reshape(-1, 3), faces, width, *rays, FAR)
+    np.testing.assert_array_equal(bundled[0], alone[0])
+    assert together.mean() > 0.5 and bundled[1].mean() > 0.1
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+def test_an_end_beyond_all_floats(width):
+    """In the middle of a bundle whose other ends are close together."""
+    vertices, faces = MESHES["sphere"]()
+    origins = np.stack([np.linspace(-0.5, 0.5, width), np.full(width, 0.1), np.full(width, -3.0)], -1)
+    directions = np.array([0.6, 0.7, 3.0]) - origins
+    directions[1] *= 4.0
+    limits = np.where(np.arange(width) == 1, 3.0e38, 1.0)
+    alone, bundled, _together = trace_both(vertices, faces, width, origins, directions, limits)
+    assert_equal(vertices, faces, origins, directions, alone, bundled)
+
+
+@pytest.mark.parametrize("width", WIDTHS)
 def test_rays_that_are_no_rays_disturb_no_others(width):
     vertices, faces = MESHES["sphere"]()
     origins, directions = make_rays("random", vertices, faces, 200)

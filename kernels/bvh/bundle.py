@@ -1,6 +1,7 @@
 """Ray queries for W rays that lie close together: camera rays of a pixel, shadow rays from neighbours to one light.
 
-What is wide here is the bundle, one ray a lane. It walks the tree of ``wide.py`` once for all of its rays.
+What is wide here is the bundle, one ray a lane. It walks the tree of ``wide.py`` once for all of its rays. The renderer
+traces camera rays so (``camera_rays.py``); its shadow rays start on paths that have parted.
 
 **Boxes.** All children of a node are tested at once against the whole bundle. Let s be the sign of the direction along
 an axis, the same for all rays, r = 1 / |d| in [r0, r1], and o the origin relative to the scene's center. A ray meets
@@ -13,7 +14,8 @@ Shadow rays that start apart and end in one light are followed from the light: a
 they are closer together. Their ends are rounded once more than their origins, which delta's spare covers.
 
 **Triangles** of a packet are tested one after the other, each against all rays, by the operations of ``wide.py`` in
-the same order: a ray gets the distance and the barycentrics that it gets alone, and up to ties the same face.
+the same order: a ray gets the distance and the barycentrics that it gets alone. It gets the same face, too, unless
+several are hit at one distance in a tree: which one is met there depends on the bundle.
 
 Rays whose directions differ in the sign of a component or in the largest one, and rays that are not finite, are not
 traced together: the query returns False, and the caller traces them one by one.
@@ -80,6 +82,8 @@ _START = (
 
     // Slabs: entry is near side * enter_by + begin, exit is far side * leave_by + end.
     const float delta = 9.6e-7f * (highest(farthest) + extent);  // 16 u, see wide.py
+    if (!(0.0f * delta == 0.0f))
+        return false;  // an end beyond all floats
     vf enter_by[3], leave_by[3], begin[3], end[3];
     long long near[3], far[3];
     bool behind[3];
@@ -138,7 +142,8 @@ _PACKET = """
             enter = Simd::max(Simd::fma(behind[axis] ? upper : lower, enter_by[axis], begin[axis]), enter);
             leave = Simd::min(Simd::fma(behind[axis] ? lower : upper, leave_by[axis], end[axis]), leave);
         }
-        for (u32 m = Simd::mask(enter <= leave); m; m &= m - 1) {
+        const vi there = Simd::load(packet) == Simd::load(packet);  // lanes without a triangle hold NaN
+        for (u32 m = Simd::mask(there & (enter <= leave)); m; m &= m - 1) {
         const int lane = __builtin_ctz(m);
         const float* corner = packet + lane;
 """
@@ -159,13 +164,13 @@ _TRIANGLES = (
 _NEXT = """
         }
         }
+        last = highest(t_best);
+        if (last <= 0.0f)
+            goto done;
         if (flat && ~current + 1 < flat) {
             --current;
             continue;
         }
-        last = highest(t_best);
-        if (last <= 0.0f)
-            goto done;
     pop:
         do {
             if (top == 0)
