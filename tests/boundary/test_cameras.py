@@ -138,6 +138,7 @@ def test_the_modes_are_transposes_of_each_other(name, names) -> None:
     assert_transposes(scene, params, names, {"integrator": psdr.PathIntegrator(max_depth=2), "spp": 16, "seed": 3})
 
 
+@pytest.mark.slow
 def test_a_closed_lens_is_a_pinhole() -> None:
     """With an aperture of radius zero every derivative that a pinhole has is the same, bit for bit or nearly so."""
     images = []

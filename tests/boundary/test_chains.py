@@ -33,7 +33,7 @@ def test_the_camera_looks_through_hidden_lights(scene: str) -> None:
 @pytest.mark.parametrize(
     ("name", "names", "depth"),
     [
-        ("slab", [GLASSES, ETA, LAMP, "sensor.to_world"], 4),
+        pytest.param("slab", [GLASSES, ETA, LAMP, "sensor.to_world"], 4, marks=pytest.mark.slow),
         pytest.param("glass ball", [GLASSES, ETA, LAMP, "sensor.to_world"], 4, marks=pytest.mark.slow),
         pytest.param("caustic", [WALL, LAMP, OCCLUDER, "floor.vertex_positions"], 3, marks=pytest.mark.slow),
         pytest.param("point in a mirror", ["light.position", WALL, "floor.to_world"], 3, marks=pytest.mark.slow),

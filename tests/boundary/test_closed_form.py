@@ -87,6 +87,7 @@ def test_creases_beside_a_silhouette_do_not_count_it_again(smooth: bool, depth: 
     assert np.linalg.norm(image - exact) < 0.01 * np.linalg.norm(exact)
 
 
+@pytest.mark.slow
 def test_horizons_of_mirrors_seen_in_grazing_reflections_move_as_they_should() -> None:
     """A parallel camera that moves aside shifts its image: rows gain what enters at one end less what leaves.
 

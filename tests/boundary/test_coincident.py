@@ -117,7 +117,7 @@ CASES = [
     Case("sheets in the sun", ALL, SLIDE, 0.01, "all slide", 2, 512, 1024, slow=False),
     Case("sheets in the sun", ALL, SLIDE, 0.01, "all slide", 3, 512, 1024),
     Case("sheets from above", ALL, SLIDE, 0.01, "all slide", 2, 1024, 2048),
-    Case("boxes in the sun", TWO, SLIDE, 0.01, "both slide", 2, 512, 1024, slow=False),
+    Case("boxes in the sun", TWO, SLIDE, 0.01, "both slide", 2, 512, 1024),
     Case("sheets aslant", ("sheet0.vertex_positions", "sheet1.vertex_positions"), SLIDE, 0.01, "slide", 2, 512, 1024),
     Case("sheets below a lamp", (*TWO, "light.position"), slide_all, 0.01, "all slide", 2, 512, 1024, slow=False),
     Case("sheet in a room", TWO, all_but_the_floor, 0.01, "sheets slide", 2, 512, 1024, slow=False),
