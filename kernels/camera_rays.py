@@ -7,7 +7,7 @@ import warp as wp
 from warp_psdr.kernels.bvh.bundle import make_bundle
 from warp_psdr.kernels.bvh.wide import RayHit, make_intersect
 from warp_psdr.kernels.camera import CameraSample
-from warp_psdr.kernels.path import PathConfig, PathState, make_camera_start
+from warp_psdr.kernels.path import PathConfig, PathState, make_camera_start, make_path_step
 from warp_psdr.kernels.rng import Sampler, branch_of
 from warp_psdr.kernels.sight import make_sight
 from warp_psdr.kernels.structs import Camera, Scene
@@ -92,3 +92,16 @@ def make_camera_starts(config: PathConfig, filter_kind: int | None = None):
             return start(scene, camera, px, py, sampler)
 
     return starts
+
+
+def make_camera_paths(
+    config: PathConfig, differential: bool, sparse: bool = False, filter_kind: int | None = None
+) -> tuple[int, wp.Function, wp.Function]:
+    """Return ``(lanes, starts, path_step)`` of paths from the camera: two functions that agree on who traces its rays.
+
+    ``lanes`` is the size of the arrays that ``starts`` takes. Arguments as those of ``make_path_step`` and
+    ``make_camera_starts``.
+    """
+    lanes = rays_together(config)
+    path_step = make_path_step(config, differential, sparse, traced=lanes > 1)
+    return lanes, make_camera_starts(config, filter_kind), path_step

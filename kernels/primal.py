@@ -5,9 +5,9 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.camera import CameraSample
-from warp_psdr.kernels.camera_rays import make_camera_starts, rays_together
+from warp_psdr.kernels.camera_rays import make_camera_paths
 from warp_psdr.kernels.invalid import count_invalid, finite
-from warp_psdr.kernels.path import PathConfig, PathState, make_path_step
+from warp_psdr.kernels.path import PathConfig, PathState
 from warp_psdr.kernels.rng import sampler_at
 from warp_psdr.kernels.structs import Camera, Scene
 
@@ -15,9 +15,7 @@ from warp_psdr.kernels.structs import Camera, Scene
 @functools.cache
 def make_primal_kernel(config: PathConfig):
     """Return the primal kernel: one thread a pixel, all its samples in order."""
-    lanes = rays_together(config)
-    path_step = make_path_step(config, False, traced=lanes > 1)
-    starts = make_camera_starts(config)
+    lanes, starts, path_step = make_camera_paths(config, False)
 
     @wp.kernel(module="unique", enable_backward=False)
     def primal(

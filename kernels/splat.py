@@ -16,10 +16,10 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.camera import CameraSample
-from warp_psdr.kernels.camera_rays import make_camera_starts, rays_together
+from warp_psdr.kernels.camera_rays import make_camera_paths
 from warp_psdr.kernels.constants import RFILTER_BOX, RFILTER_TENT
 from warp_psdr.kernels.invalid import count_invalid, finite
-from warp_psdr.kernels.path import PathConfig, PathState, make_path_step
+from warp_psdr.kernels.path import PathConfig, PathState
 from warp_psdr.kernels.rng import sampler_at
 from warp_psdr.kernels.structs import Camera, Scene
 
@@ -77,9 +77,7 @@ def make_filter_steps(kind: int):
 @functools.cache
 def make_splat_kernel(config: PathConfig):
     """Return the primal kernel for tent and gaussian filters: one thread a pixel of the extended raster."""
-    lanes = rays_together(config)
-    path_step = make_path_step(config, False, traced=lanes > 1)
-    starts = make_camera_starts(config, RFILTER_BOX)
+    lanes, starts, path_step = make_camera_paths(config, False, filter_kind=RFILTER_BOX)
     first, following = make_filter_steps(config.filter)
 
     @wp.kernel(module="unique", enable_backward=False)

@@ -21,7 +21,7 @@ import warp as wp
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.bsdf.dispatch import make_bsdf
 from warp_psdr.kernels.camera import CameraSample, make_camera_ray, make_camera_sink
-from warp_psdr.kernels.camera_rays import make_camera_starts, rays_together
+from warp_psdr.kernels.camera_rays import make_camera_paths
 from warp_psdr.kernels.constants import EMITTER_AREA, EMITTER_CONSTANT, EMITTER_ENVMAP, LOBE_SMOOTH
 from warp_psdr.kernels.emitter.area import light_uv
 from warp_psdr.kernels.emitter.dispatch import make_lights
@@ -44,7 +44,6 @@ from warp_psdr.kernels.path import (
     PathVertex,
     make_frame,
     make_material,
-    make_path_step,
     to_local,
 )
 from warp_psdr.kernels.rng import sampler_at
@@ -69,9 +68,7 @@ def make_forward_kernel(config: PathConfig, wanted: Wanted):
 
     Arguments as ``make_replay_kernel``'s; ``target`` holds the tangents, ``image_out`` receives the derivative.
     """
-    lanes = rays_together(config)
-    path_step = make_path_step(config, True, traced=lanes > 1)
-    starts = make_camera_starts(config)
+    lanes, starts, path_step = make_camera_paths(config, True)
     _camera_ray, camera_origin = make_camera_ray(config.camera)
     surface_at = make_surface(config.smooth, config.flat, config.uv, config.tangent)
     frame_at = make_frame(config.two_sided, config.tangent)

@@ -36,11 +36,11 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.camera import CameraSample, make_camera_ray
-from warp_psdr.kernels.camera_rays import make_camera_starts, rays_together
+from warp_psdr.kernels.camera_rays import make_camera_paths
 from warp_psdr.kernels.interior.sweep import Carry, make_sweep
 from warp_psdr.kernels.interior.wanted import Wanted
 from warp_psdr.kernels.invalid import count_invalid, finite
-from warp_psdr.kernels.path import PathConfig, PathState, PathVertex, make_path_step
+from warp_psdr.kernels.path import PathConfig, PathState, PathVertex
 from warp_psdr.kernels.rng import sampler_at
 from warp_psdr.kernels.structs import Camera, Scene
 
@@ -55,9 +55,7 @@ def make_replay_kernel(config: PathConfig, wanted: Wanted, block: int, blocks: i
         block: K, the number of vertices kept at a time.
         blocks: the most blocks that a path can have; 1 compiles the replay out.
     """
-    lanes = rays_together(config)
-    path_step = make_path_step(config, True, True, traced=lanes > 1)
-    starts = make_camera_starts(config)
+    lanes, starts, path_step = make_camera_paths(config, True, True)
     _camera_ray, camera_origin = make_camera_ray(config.camera)
     sweep, finish, _finish_vertex = make_sweep(config, wanted, "reverse")
 

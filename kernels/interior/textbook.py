@@ -17,12 +17,12 @@ import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.camera import CameraSample, make_camera_ray, make_camera_sink
-from warp_psdr.kernels.camera_rays import make_camera_starts, rays_together
+from warp_psdr.kernels.camera_rays import make_camera_paths
 from warp_psdr.kernels.interior.contact import make_contact_weights
 from warp_psdr.kernels.interior.sweep import Carry, make_sweep
 from warp_psdr.kernels.interior.wanted import Wanted
 from warp_psdr.kernels.invalid import count_invalid, finite, vanishes
-from warp_psdr.kernels.path import PathConfig, PathState, PathVertex, make_path_step
+from warp_psdr.kernels.path import PathConfig, PathState, PathVertex
 from warp_psdr.kernels.rng import sampler_at
 from warp_psdr.kernels.structs import Camera, Scene
 
@@ -52,9 +52,7 @@ def at_vertex(vertex: PathVertex) -> Carry:
 @functools.cache
 def make_textbook_kernel(config: PathConfig, wanted: Wanted, role: str):
     """Return the kernel of ``interior.Replay(block=0)``; arguments as ``make_replay_kernel``'s."""
-    lanes = rays_together(config)
-    path_step = make_path_step(config, True, traced=lanes > 1)
-    starts = make_camera_starts(config)
+    lanes, starts, path_step = make_camera_paths(config, True)
     _camera_ray, camera_origin = make_camera_ray(config.camera)
     sweep, _finish, finish_vertex = make_sweep(config, wanted, role)
     push_camera = make_camera_sink(role, config.camera) if wanted.camera else None
