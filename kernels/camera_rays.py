@@ -7,10 +7,11 @@ import warp as wp
 from warp_psdr.kernels.bvh.bundle import make_bundle
 from warp_psdr.kernels.bvh.wide import RayHit, make_intersect
 from warp_psdr.kernels.camera import CameraSample
-from warp_psdr.kernels.path import PathConfig, PathState, make_camera_start, make_path_step
+from warp_psdr.kernels.path import make_camera_start, make_path_step
 from warp_psdr.kernels.rng import Sampler, branch_of
 from warp_psdr.kernels.sight import make_sight
 from warp_psdr.kernels.structs import Camera, Scene
+from warp_psdr.kernels.vertex import PathConfig, PathState
 
 
 def rays_together(config: PathConfig) -> int:
@@ -19,24 +20,55 @@ def rays_together(config: PathConfig) -> int:
 
 
 @functools.cache
-def make_camera_starts(config: PathConfig, filter_kind: int | None = None):
-    """Return ``starts(scene, camera, px, py, sampler, k, count, starting, cameras) -> (PathState, CameraSample)``.
+def make_trace_together(config: PathConfig):
+    """Return ``trace_together(scene, count, o, d, t_max, found)`` for up to ``rays_together`` rays of the camera.
 
-    The state and the camera's sample of the k-th of ``count`` samples of a pixel, to be asked for in their order;
-    ``starting`` and ``cameras`` are arrays of ``rays_together`` that keep those of a bundle. Every ``rays_together``-th
-    call traces the rays of the samples up to the next: ``state.seen``. A few samples are traced one by one.
-
-    ``filter_kind``: as ``make_camera_start``'s.
+    The arrays have that many entries, of which ``count`` are rays: vec3, vec3, float32; ``found`` are ``RayHit``. A few
+    are traced one by one.
     """
-    start = make_camera_start(config, filter_kind)
     lanes = rays_together(config)
-    if lanes > 1:
-        closest_hits, _any_hits = make_bundle(config.ray_width)
+    closest_hits, _any_hits = make_bundle(config.ray_width)
     closest_hit, _any_hit = make_intersect(config.ray_backend, config.ray_width)
     sight = make_sight(config.hidden)
 
     @wp.func
     def trace_together(
+        scene: Scene,
+        count: wp.int32,
+        o: wp.array(dtype=wp.vec3),
+        d: wp.array(dtype=wp.vec3),
+        t_max: wp.array(dtype=wp.float32),
+        found: wp.array(dtype=RayHit),
+    ):
+        if 2 * count <= wp.static(lanes):
+            for i in range(count):
+                found[i] = closest_hit(sight(scene), o[i], d[i], t_max[i])
+        else:
+            for i in range(count, wp.static(lanes)):  # more of the last
+                o[i] = o[count - 1]
+                d[i] = d[count - 1]
+                t_max[i] = t_max[count - 1]
+            closest_hits(sight(scene), o, d, t_max, found)
+
+    return trace_together
+
+
+@functools.cache
+def make_camera_starts(config: PathConfig, filter_kind: int | None = None):
+    """Return ``starts(scene, camera, px, py, sampler, k, count, starting, cameras) -> (PathState, CameraSample)``.
+
+    The state and the camera's sample of the k-th of ``count`` samples of a pixel, to be asked for in their order;
+    ``starting`` and ``cameras`` are arrays of ``rays_together`` that keep those of a bundle. Every ``rays_together``-th
+    call traces the rays of the samples up to the next: ``state.seen``.
+
+    ``filter_kind``: as ``make_camera_start``'s.
+    """
+    start = make_camera_start(config, filter_kind)
+    lanes = rays_together(config)
+    trace_together = make_trace_together(config) if lanes > 1 else None
+
+    @wp.func
+    def start_together(
         scene: Scene,
         camera: Camera,
         px: wp.int32,
@@ -57,11 +89,7 @@ def make_camera_starts(config: PathConfig, filter_kind: int | None = None):
             o[i] = state.o
             d[i] = state.d
             t_max[i] = state.t_max
-        for i in range(count, o.shape[0]):  # more of the last
-            o[i] = o[count - 1]
-            d[i] = d[count - 1]
-            t_max[i] = t_max[count - 1]
-        closest_hits(sight(scene), o, d, t_max, seen)
+        trace_together(scene, count, o, d, t_max, seen)
         for i in range(count):
             state = starting[i]
             state.seen = seen[i]
@@ -80,13 +108,9 @@ def make_camera_starts(config: PathConfig, filter_kind: int | None = None):
         cameras: wp.array(dtype=CameraSample),
     ) -> tuple[PathState, CameraSample]:
         if wp.static(lanes > 1):
-            if 2 * count <= wp.static(lanes):
-                state, sample = start(scene, camera, px, py, sampler)
-                state.seen = closest_hit(sight(scene), state.o, state.d, state.t_max)
-                return state, sample
             i = k % wp.static(lanes)
             if i == 0:
-                trace_together(scene, camera, px, py, sampler, wp.min(count - k, wp.static(lanes)), starting, cameras)
+                start_together(scene, camera, px, py, sampler, wp.min(count - k, wp.static(lanes)), starting, cameras)
             return starting[i], cameras[i]
         else:
             return start(scene, camera, px, py, sampler)

@@ -13,6 +13,12 @@ PARALLEL = 1.0e-12
 
 
 @wp.func
+def where3(condition: wp.bool, a: wp.vec3, b: wp.vec3) -> wp.vec3:
+    """One of two vectors, component by component: no branch in a loop over lanes (``lanes.py``)."""
+    return wp.vec3(wp.where(condition, a[0], b[0]), wp.where(condition, a[1], b[1]), wp.where(condition, a[2], b[2]))
+
+
+@wp.func
 def safe_sqrt(x: wp.float32) -> wp.float32:
     """Square root; 0 with derivative 0 for ``x`` at and below zero."""
     root = wp.float32(0.0)
@@ -51,9 +57,8 @@ def aligned_tangent(n: wp.vec3, tangent: wp.vec3) -> wp.vec3:
     """
     across = tangent - n * wp.dot(n, tangent)
     squared = wp.dot(across, across)
-    if squared <= PARALLEL * wp.dot(tangent, tangent):
-        return any_tangent(n)
-    return across / wp.sqrt(squared)
+    parallel = squared <= PARALLEL * wp.dot(tangent, tangent)
+    return where3(parallel, any_tangent(n), across / wp.sqrt(wp.where(parallel, 1.0, squared)))
 
 
 @wp.func

@@ -13,9 +13,7 @@ def square_to_disk(u: wp.vec2) -> wp.vec2:
     wide = wp.abs(x) > wp.abs(y)
     r = wp.where(wide, x, y)
     other = wp.where(wide, y, x)
-    t = wp.float32(0.0)
-    if r != 0.0:
-        t = 0.25 * PI * (other / r)
+    t = wp.where(r != 0.0, 0.25 * PI * (other / r), 0.0)
     # sin and cos on [-pi/4, pi/4] (minimax, error below 3e-7): a tenth of the cost of the library's.
     t2 = t * t
     sine = r * t * (1.0 + t2 * (-0.16666667 + t2 * (0.0083333310 + t2 * (-0.00019840874 + t2 * 2.7525562e-06))))
@@ -49,11 +47,9 @@ def sphere_pdf() -> wp.float32:
 @wp.func
 def square_to_triangle(u: wp.vec2) -> wp.vec2:
     """Barycentrics (b1, b2), uniform in area; no square root, halves keep their neighbours [Heitz 2019]."""
-    if u[0] < u[1]:
-        b = 0.5 * u[0]
-        return wp.vec2(b, u[1] - b)
-    b = 0.5 * u[1]
-    return wp.vec2(u[0] - b, b)
+    half = 0.5 * wp.min(u[0], u[1])
+    first = u[0] < u[1]
+    return wp.vec2(wp.where(first, half, u[0] - half), wp.where(first, u[1] - half, half))
 
 
 @wp.func

@@ -15,13 +15,12 @@ import functools
 
 import warp as wp
 
-from warp_psdr.kernels.camera import CameraSample
-from warp_psdr.kernels.camera_rays import make_camera_paths
 from warp_psdr.kernels.constants import RFILTER_BOX, RFILTER_TENT
 from warp_psdr.kernels.invalid import count_invalid, finite
-from warp_psdr.kernels.path import PathConfig, PathState
-from warp_psdr.kernels.rng import sampler_at
+from warp_psdr.kernels.primal import CameraPath, make_camera_paths
+from warp_psdr.kernels.rng import branch_of, sampler_at
 from warp_psdr.kernels.structs import Camera, Scene
+from warp_psdr.kernels.vertex import PathConfig
 
 
 @wp.struct
@@ -77,8 +76,31 @@ def make_filter_steps(kind: int):
 @functools.cache
 def make_splat_kernel(config: PathConfig):
     """Return the primal kernel for tent and gaussian filters: one thread a pixel of the extended raster."""
-    lanes, starts, path_step = make_camera_paths(config, False, filter_kind=RFILTER_BOX)
+    paths = make_camera_paths(config, RFILTER_BOX)
+    trace = paths.trace
     first, following = make_filter_steps(config.filter)
+
+    @wp.func
+    def spread(camera: Camera, path: CameraPath, film_out: wp.array2d(dtype=wp.vec4)):
+        """Add a sample to the pixels that it counts for."""
+        # Where it lies, in pixels of the crop window; pixel j's centre is at j + 1/2.
+        x = path.sample.film[0] * wp.float32(camera.width) - wp.float32(camera.crop_x) - 0.5
+        y = path.sample.film[1] * wp.float32(camera.height) - wp.float32(camera.crop_y) - 0.5
+        r = camera.filter_radius
+        radiance = path.radiance
+        first_row = wp.max(wp.int32(wp.ceil(y - r)), 0)
+        last_row = wp.min(wp.int32(wp.floor(y + r)), camera.crop_height - 1)
+        first_column = wp.max(wp.int32(wp.ceil(x - r)), 0)
+        last_column = wp.min(wp.int32(wp.floor(x + r)), camera.crop_width - 1)
+        row_step = first(y - wp.float32(first_row), r, camera.filter_stddev)
+        start_step = first(x - wp.float32(first_column), r, camera.filter_stddev)
+        for row in range(first_row, last_row + 1):
+            step = start_step
+            for column in range(first_column, last_column + 1):
+                w = row_step.weight * step.weight
+                wp.atomic_add(film_out, row, column, wp.vec4(w * radiance[0], w * radiance[1], w * radiance[2], w))
+                step = following(step)
+            row_step = following(row_step)
 
     @wp.kernel(module="unique", enable_backward=False)
     def splat(
@@ -101,35 +123,19 @@ def make_splat_kernel(config: PathConfig):
         width = camera.crop_width + 2 * margin
         px = pixel % width - margin
         py = pixel // width - margin
-        starting = wp.zeros(shape=(wp.static(lanes),), dtype=PathState)
-        cameras = wp.zeros(shape=(wp.static(lanes),), dtype=CameraSample)
-        for i in range(samples):
-            sampler = sampler_at(pixel, first_sample + i, seed)
-            state, sample = starts(scene, camera, px, py, sampler, i, samples, starting, cameras)
-            radiance = wp.vec3(0.0, 0.0, 0.0)
-            while state.alive == 1:
-                vertex, state = path_step(scene, sampler, state, max_depth, rr_depth)
-                radiance += wp.cw_mul(vertex.throughput, vertex.direct)
-            if not finite(radiance):
-                count_invalid(scene, sampler)
-                continue
-            # Where the sample lies, in pixels of the crop window; pixel j's centre is at j + 1/2.
-            x = sample.film[0] * wp.float32(camera.width) - wp.float32(camera.crop_x) - 0.5
-            y = sample.film[1] * wp.float32(camera.height) - wp.float32(camera.crop_y) - 0.5
-            r = camera.filter_radius
-            first_row = wp.max(wp.int32(wp.ceil(y - r)), 0)
-            last_row = wp.min(wp.int32(wp.floor(y + r)), camera.crop_height - 1)
-            first_column = wp.max(wp.int32(wp.ceil(x - r)), 0)
-            last_column = wp.min(wp.int32(wp.floor(x + r)), camera.crop_width - 1)
-            row_step = first(y - wp.float32(first_row), r, camera.filter_stddev)
-            start_step = first(x - wp.float32(first_column), r, camera.filter_stddev)
-            for row in range(first_row, last_row + 1):
-                step = start_step
-                for column in range(first_column, last_column + 1):
-                    w = row_step.weight * step.weight
-                    wp.atomic_add(film_out, row, column, wp.vec4(w * radiance[0], w * radiance[1], w * radiance[2], w))
-                    step = following(step)
-                row_step = following(row_step)
+        rows = wp.zeros(shape=(wp.static(paths.size),), dtype=wp.uint32)
+        found = wp.zeros(shape=(wp.static(paths.width),), dtype=CameraPath)
+        done = wp.int32(0)
+        while done < samples:
+            count = wp.min(samples - done, wp.static(paths.width))
+            sampler = sampler_at(pixel, first_sample + done, seed)
+            trace(scene, camera, px, py, sampler, count, max_depth, rr_depth, rows, found)
+            for j in range(count):
+                if finite(found[j].radiance):
+                    spread(camera, found[j], film_out)
+                else:
+                    count_invalid(scene, branch_of(sampler, wp.int32(sampler.index) + j))
+            done += count
 
     return splat
 

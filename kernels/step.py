@@ -20,6 +20,7 @@ small triangles near it, they do not count.
 
 import warp as wp
 
+from warp_psdr.kernels.reading import triangle_at
 from warp_psdr.kernels.structs import Scene
 
 #: Steps over the largest coordinate: of the scene; of the triangle that is left; at edges, of the shape and of what
@@ -32,7 +33,7 @@ TOUCH = 2.5e-7
 
 @wp.func
 def largest_coordinate(scene: Scene, face: wp.int32) -> wp.float32:
-    tri = scene.triangles[face]
+    tri = triangle_at(scene, face)
     m = wp.max(wp.max(wp.abs(tri.p0), wp.abs(tri.p1)), wp.abs(tri.p2))
     return wp.max(m)
 

@@ -201,6 +201,8 @@ class LightSample:
     face: wp.int32  # area light: triangle and barycentrics, else -1
     u: wp.float32
     v: wp.float32
+    target: wp.vec3  # area light: where shadow rays end, a little in front of the point
+    probability: wp.float32  # selection probability
 
 
 @wp.struct

@@ -16,6 +16,8 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.autodiff import differentiable
+from warp_psdr.kernels.math import where3
+from warp_psdr.kernels.reading import load_vec2, load_vec3, shape_at, triangle_at
 from warp_psdr.kernels.sink import make_sink, make_sink_vec3
 from warp_psdr.kernels.structs import Scene, Triangle
 
@@ -64,17 +66,6 @@ class RayAdjoint:
     dot: wp.float32
 
 
-# Warp checks an index for its sign and multiplies it with a stride, for every component anew: 3 % of an image.
-@wp.func_native("return *(const wp::vec3*)(values.data + offset);")
-def load_vec3(values: wp.array(dtype=wp.float32), offset: wp.int32) -> wp.vec3:
-    return wp.vec3()  # Warp takes the type from here; the snippet is what runs
-
-
-@wp.func_native("return *(const wp::vec2*)(values.data + offset);")
-def load_vec2(values: wp.array(dtype=wp.float32), offset: wp.int32) -> wp.vec2:
-    return wp.vec2()
-
-
 @wp.func
 def interpolated_normal(
     n0: wp.vec3, n1: wp.vec3, n2: wp.vec3, u: wp.float32, v: wp.float32, fallback: wp.vec3
@@ -82,9 +73,8 @@ def interpolated_normal(
     """Unit normal between three vertex normals; ``fallback`` where they cancel."""
     n = (1.0 - u - v) * n0 + u * n1 + v * n2
     squared = wp.dot(n, n)
-    if squared < 1.0e-20:
-        return fallback
-    return n / wp.sqrt(squared)
+    cancelled = squared < 1.0e-20
+    return where3(cancelled, fallback, n / wp.sqrt(wp.where(cancelled, 1.0, squared)))
 
 
 @wp.func
@@ -146,14 +136,14 @@ def make_surface(smooth: bool, flat: bool, uv: bool, tangent: bool):
 
     @wp.func
     def surface_at(scene: Scene, face: wp.int32, u: wp.float32, v: wp.float32) -> Surface:
-        tri = scene.triangles[face]
+        tri = triangle_at(scene, face)
         s = Surface()
         s.x = point_on(tri, u, v)
         s.ng = tri.normal
         s.n = tri.normal
         s.shape = tri.shape
         if wp.static(smooth or uv or tangent):
-            shape = scene.shapes[tri.shape]
+            shape = shape_at(scene, tri.shape)
             if wp.static(smooth):
                 is_smooth = shape.smooth == 1
                 if wp.static(not flat):
@@ -203,7 +193,7 @@ def make_vertex_sink(role: str, smooth: bool, flat: bool, uv: bool, tangent: boo
         d: wp.vec3,
     ) -> RayAdjoint:
         tri = scene.triangles[face]
-        shape = scene.shapes[tri.shape]
+        shape = shape_at(scene, tri.shape)
         result = RayAdjoint()
         total = wp.float32(0.0)
         w = 1.0 - u - v

@@ -21,6 +21,7 @@ from warp_psdr.kernels.constants import (
     WRAP_CLAMP,
     WRAP_MIRROR,
 )
+from warp_psdr.kernels.reading import load_float, texture_record
 from warp_psdr.kernels.sink import make_sink, make_sink_texel
 from warp_psdr.kernels.structs import Scene, Texture
 
@@ -104,10 +105,9 @@ def footprint(scene: Scene, texture: Texture, uv: wp.vec2) -> Footprint:
 
 @wp.func
 def texel(scene: Scene, offset: wp.int32, channels: wp.int32) -> wp.vec3:
-    a = scene.values[offset]
-    if channels == 1:
-        return wp.vec3(a, a, a)
-    return wp.vec3(a, scene.values[offset + 1], scene.values[offset + 2])
+    step = wp.where(channels == 1, 0, 1)
+    values = scene.values
+    return wp.vec3(load_float(values, offset), load_float(values, offset + step), load_float(values, offset + 2 * step))
 
 
 @differentiable
@@ -146,9 +146,10 @@ def make_texture(kinds: tuple[int, ...]):
     @wp.func
     def texture_at(scene: Scene, index: wp.int32, face: wp.int32, u: wp.float32, v: wp.float32, uv: wp.vec2) -> wp.vec3:
         if wp.static(kinds == (TEXTURE_CONSTANT,)):
-            return texel(scene, scene.textures[index].offset, scene.textures[index].channels)
+            texture = texture_record(scene, index)
+            return texel(scene, texture.offset, texture.channels)
         else:
-            texture = scene.textures[index]
+            texture = texture_record(scene, index)
             if wp.static(TEXTURE_BITMAP in kinds):
                 if texture.kind == TEXTURE_BITMAP:
                     return eval_bitmap(scene, texture, uv)

@@ -4,9 +4,10 @@ import functools
 
 import warp as wp
 
-from warp_psdr.kernels.path import PathConfig, PathVertex, make_camera_start, make_path_step
+from warp_psdr.kernels.path import make_camera_start, make_path_step
 from warp_psdr.kernels.rng import sampler_at
 from warp_psdr.kernels.structs import Camera, Scene
+from warp_psdr.kernels.vertex import PathConfig, PathVertex
 
 
 @functools.cache

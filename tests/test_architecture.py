@@ -10,7 +10,7 @@ import warp as wp
 
 ROOT = Path(__file__).resolve().parents[1]
 #: What device code may import besides its own package.
-DEVICE_IMPORTS = {"__future__", "collections", "dataclasses", "functools", "math", "typing", "warp"}
+DEVICE_IMPORTS = {"__future__", "collections", "ctypes", "dataclasses", "functools", "math", "typing", "warp"}
 MAX_LINES = 500
 
 DEVICE_FILES = sorted((ROOT / "kernels").rglob("*.py"))

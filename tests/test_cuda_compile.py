@@ -18,7 +18,7 @@ from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.boundary.projective import BLOCKED_LIGHT, SCATTERED
 from warp_psdr.kernels.interior.wanted import Wanted
 from warp_psdr.kernels.loss import relative_squared
-from warp_psdr.kernels.path import PathConfig
+from warp_psdr.kernels.vertex import PathConfig
 
 #: Compute capability 9.0.
 ARCHITECTURE = 90

@@ -19,7 +19,7 @@ from warp_psdr.boundary.motion import motion
 from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.emitter.spot import MIN_FALLOFF
 from warp_psdr.kernels.interior.wanted import Wanted
-from warp_psdr.kernels.path import PathConfig
+from warp_psdr.kernels.vertex import PathConfig
 from warp_psdr.parameters import check_owner, parameter_of
 from warp_psdr.scene.build import SLOTS
 from warp_psdr.scene.layout import (

@@ -14,9 +14,9 @@ from warp_psdr.boundary.trace import BoundaryTrace, numbers, trace_boundary
 from warp_psdr.device import launch
 from warp_psdr.invalid import KINDS, TRACED
 from warp_psdr.kernels.constants import RFILTER_BOX
-from warp_psdr.kernels.path import PathVertex
 from warp_psdr.kernels.rng import mix_seed
 from warp_psdr.kernels.trace import make_trace_kernel
+from warp_psdr.kernels.vertex import PathVertex
 from warp_psdr.options import PathIntegrator, integrator_of
 from warp_psdr.passes import STREAM_INTERIOR, STREAM_PRIMAL, splats
 from warp_psdr.plan import decide

@@ -33,12 +33,12 @@ from warp_psdr.kernels.bvh.wide import make_intersect
 from warp_psdr.kernels.constants import FAR
 from warp_psdr.kernels.distribution import stratified_entry
 from warp_psdr.kernels.invalid import count_invalid
-from warp_psdr.kernels.path import PathConfig
 from warp_psdr.kernels.rng import Sampler, make_sampler, sampler_at
 from warp_psdr.kernels.sampling import square_to_triangle
 from warp_psdr.kernels.step import leaving_step, passing_step
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.surface import VertexAdjoint, make_surface, make_vertex_sink
+from warp_psdr.kernels.vertex import PathConfig
 
 #: Sine of the angle by which the two directions of the jump lie above and below the horizon of n.
 TILT = 1.0e-4

@@ -29,11 +29,11 @@ from warp_psdr.kernels.emitter.area import make_area
 from warp_psdr.kernels.emitter.dispatch import is_delta_light, make_delta_sample
 from warp_psdr.kernels.invalid import vanishes
 from warp_psdr.kernels.math import to_local, to_world
-from warp_psdr.kernels.path import PathConfig, make_frame, make_material
 from warp_psdr.kernels.rng import Sampler
 from warp_psdr.kernels.sight import make_accel_at
 from warp_psdr.kernels.structs import Camera, Material, Scene
 from warp_psdr.kernels.surface import make_surface
+from warp_psdr.kernels.vertex import PathConfig, make_frame, make_material
 
 #: Probability with which a pattern lets light through glass instead of reflecting it.
 TRANSMIT = 0.75
@@ -150,7 +150,7 @@ def make_meet(config: PathConfig):
     frame_at = make_frame(config.two_sided, config.tangent)
     material_at = make_material(config.slots)
     bsdf = make_bsdf(config.bsdfs)
-    emitted = make_area(config.area)[0] if config.area else None
+    emitted = make_area(config.area).emitted if config.area else None
 
     @wp.func
     def meet(

@@ -17,9 +17,9 @@ from warp_psdr.kernels.boundary.transport import Segment
 from warp_psdr.kernels.bvh.wide import make_intersect
 from warp_psdr.kernels.constants import FAR
 from warp_psdr.kernels.emitter.dispatch import make_delta_sample
-from warp_psdr.kernels.path import PathConfig
 from warp_psdr.kernels.structs import Scene, Triangle
 from warp_psdr.kernels.surface import VertexAdjoint, point_on
+from warp_psdr.kernels.vertex import PathConfig
 
 #: Where two surfaces meet, an edge within this many ray epsilons is what is crossed: they touch there.
 TOUCHING = 2.0

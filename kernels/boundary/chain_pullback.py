@@ -17,9 +17,9 @@ from warp_psdr.kernels.interior.factors import make_material_sink
 from warp_psdr.kernels.interior.pullback import make_frame_vjp
 from warp_psdr.kernels.interior.wanted import Wanted
 from warp_psdr.kernels.math import to_local
-from warp_psdr.kernels.path import PathConfig, make_frame, make_material
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.surface import VertexAdjoint, make_surface, make_vertex_sink, normalize_vjp
+from warp_psdr.kernels.vertex import PathConfig, make_frame, make_material
 
 
 @wp.struct

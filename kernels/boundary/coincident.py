@@ -29,9 +29,9 @@ import warp as wp
 from warp_psdr.kernels.boundary.local_form import EdgePoint, Edges, edge_step, facing_side
 from warp_psdr.kernels.bvh.wide import make_intersect
 from warp_psdr.kernels.emitter.dispatch import is_delta_light, make_delta_sample
-from warp_psdr.kernels.path import PathConfig
 from warp_psdr.kernels.step import leaving_step
 from warp_psdr.kernels.structs import Accel, LightSample, Scene
+from warp_psdr.kernels.vertex import PathConfig
 
 #: Distance, over that of an edge, at which a light counts as infinitely far.
 DISTANT = 1.0e3

@@ -39,10 +39,10 @@ from warp_psdr.kernels.constants import FAR, TWO_PI
 from warp_psdr.kernels.invalid import count_invalid
 from warp_psdr.kernels.math import any_tangent, to_world
 from warp_psdr.kernels.notes import NOTE_EDGE, make_note
-from warp_psdr.kernels.path import PathConfig
 from warp_psdr.kernels.rng import make_sampler, sampler_at
 from warp_psdr.kernels.sampling import square_to_cosine_hemisphere
 from warp_psdr.kernels.structs import Camera, Scene
+from warp_psdr.kernels.vertex import PathConfig
 
 #: Sample slots of a point on the curve; those of the walk follow (``transport.py``).
 SLOT_POINT, SLOT_DIRECTION = 0, 1

@@ -26,20 +26,14 @@ from warp_psdr.kernels.constants import LOBE_SMOOTH
 from warp_psdr.kernels.emitter.area import make_area
 from warp_psdr.kernels.invalid import vanishes
 from warp_psdr.kernels.math import to_local, to_world
-from warp_psdr.kernels.path import (
-    ROULETTE_MAX,
-    PathConfig,
-    PathState,
-    make_frame,
-    make_material,
-    make_path_step,
-    path_from,
-)
+from warp_psdr.kernels.path import make_path_step
 from warp_psdr.kernels.rng import Sampler
+from warp_psdr.kernels.scattering import ROULETTE_MAX
 from warp_psdr.kernels.sight import make_sight
 from warp_psdr.kernels.step import leaving_step
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.surface import make_surface, point_on
+from warp_psdr.kernels.vertex import PathConfig, PathState, make_frame, make_material, path_from
 
 #: Cosines below it count as zero where one is divided by: such a vertex is seen or lit exactly edge-on.
 MIN_COSINE = 1.0e-6
@@ -204,7 +198,7 @@ def make_incident(config: PathConfig):
     i + j + 1 < N.
     """
     path_step = make_path_step(config, False)
-    emitted = make_area(config.area)[0] if config.area else None
+    emitted = make_area(config.area).emitted if config.area else None
 
     @wp.func
     def incident(

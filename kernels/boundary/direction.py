@@ -21,8 +21,8 @@ from warp_psdr.kernels.boundary.local_form import EdgePoint, Edges
 from warp_psdr.kernels.constants import INV_FOUR_PI, PI
 from warp_psdr.kernels.emitter.area import pdf_area
 from warp_psdr.kernels.emitter.dispatch import make_lights
-from warp_psdr.kernels.path import PathConfig
 from warp_psdr.kernels.structs import Scene
+from warp_psdr.kernels.vertex import PathConfig
 
 
 @wp.struct

@@ -39,9 +39,9 @@ from warp_psdr.kernels.boundary.ray_differential import RayDifferential, make_po
 from warp_psdr.kernels.boundary.rims import Tables, joined, smooth_between
 from warp_psdr.kernels.constants import FAR, LOBE_NONE
 from warp_psdr.kernels.emitter.dispatch import is_delta_light
-from warp_psdr.kernels.path import PathConfig
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.surface import normalize_vjp
+from warp_psdr.kernels.vertex import PathConfig
 
 
 @wp.func

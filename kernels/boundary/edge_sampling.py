@@ -47,18 +47,13 @@ from warp_psdr.kernels.constants import BSDF_ROUGH_CONDUCTOR_BECKMANN, BSDF_ROUG
 from warp_psdr.kernels.invalid import count_invalid, finite, vanishes
 from warp_psdr.kernels.math import any_tangent, to_local
 from warp_psdr.kernels.notes import NOTE_EDGE, make_note
-from warp_psdr.kernels.path import (
-    PathConfig,
-    make_camera_start,
-    make_frame,
-    make_light_sampler,
-    make_material,
-    make_path_step,
-)
+from warp_psdr.kernels.path import make_camera_start, make_path_step
 from warp_psdr.kernels.rng import SALT_X, SALT_Y, Sampler, independent_2d, independent_4d, pcg4d, sampler_at
+from warp_psdr.kernels.scattering import make_light_sampler
 from warp_psdr.kernels.step import leaving_step
 from warp_psdr.kernels.structs import Bsdf, Camera, Material, Scene
 from warp_psdr.kernels.surface import make_surface
+from warp_psdr.kernels.vertex import PathConfig, make_frame, make_material
 
 #: Share of the light's lobe in the mixture: half [LADL18], more where only a light itself can be the background.
 LIGHT_SHARE, LIGHT_SHARE_LAST = 0.5, 0.8

@@ -28,9 +28,9 @@ from warp_psdr.kernels.boundary.local_form import EdgePoint, Edges, interior_sid
 from warp_psdr.kernels.boundary.ltc_line import Lobe, Lobes, mixture_integral
 from warp_psdr.kernels.constants import INV_PI
 from warp_psdr.kernels.distribution import find_interval
+from warp_psdr.kernels.reading import load_vec3
 from warp_psdr.kernels.rng import Sampler, independent_1d
 from warp_psdr.kernels.structs import Scene
-from warp_psdr.kernels.surface import load_vec3
 
 #: Most samples that travel through the trees together: [LADL18] split 16 ways. Also the length of the stack.
 MAX_SPLIT = 16

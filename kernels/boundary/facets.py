@@ -32,12 +32,13 @@ from warp_psdr.kernels.bvh.wide import make_intersect
 from warp_psdr.kernels.constants import FAR
 from warp_psdr.kernels.invalid import inverse_pdf, vanishes
 from warp_psdr.kernels.math import to_local, to_world
-from warp_psdr.kernels.path import PathConfig, make_light_sampler, path_from, shadow_ray
 from warp_psdr.kernels.rng import make_sampler, sampler_at
 from warp_psdr.kernels.sampling import mis_weight
+from warp_psdr.kernels.scattering import make_light_sampler, shadow_ray
 from warp_psdr.kernels.sight import make_sight
 from warp_psdr.kernels.step import leaving_step
 from warp_psdr.kernels.structs import Camera, Scene
+from warp_psdr.kernels.vertex import PathConfig, path_from
 
 #: Sample slots: the light, the direction. The path's vertices, the first of which is behind one, take those behind.
 SLOT_LIGHT, SLOT_DIRECTION = 1, 2
@@ -170,7 +171,7 @@ def make_facets_kernel(config: PathConfig, role: str, camera_moves: bool):
                     weight = inverse_pdf(pdf_light)
                     if ls.delta == 0:
                         weight *= mis_weight(pdf_light, to_light.pdf)
-                    r, t_max = shadow_ray(scene, to_light.o, ls)
+                    r, t_max = shadow_ray(to_light.o, ls)
                     if not any_hit(scene.accel, to_light.o, r, t_max):
                         jump += weight * wp.cw_mul(to_light.value, ls.radiance)
         r4 = sample_4d(sampler, SLOT_DIRECTION)

@@ -25,10 +25,10 @@ from warp_psdr.kernels.camera import make_camera_sink, make_lens
 from warp_psdr.kernels.constants import CAMERA_ORTHOGRAPHIC
 from warp_psdr.kernels.invalid import count_invalid
 from warp_psdr.kernels.notes import NOTE_EDGE, make_note
-from warp_psdr.kernels.path import PathConfig
 from warp_psdr.kernels.rng import Sampler, make_sampler
 from warp_psdr.kernels.sight import make_sight
 from warp_psdr.kernels.structs import Camera, Scene
+from warp_psdr.kernels.vertex import PathConfig
 
 #: Distance at which the two rays pass the edge, in ray epsilons: some 8 float32 steps of the largest coordinate. It is
 #: small because a second discontinuity as near (a terminator just inside of a silhouette) is taken for the first; the

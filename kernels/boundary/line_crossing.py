@@ -29,10 +29,10 @@ from warp_psdr.kernels.interior.wanted import Wanted
 from warp_psdr.kernels.invalid import count_invalid, vanishes
 from warp_psdr.kernels.math import to_local
 from warp_psdr.kernels.notes import NOTE_EDGE, make_note
-from warp_psdr.kernels.path import PathConfig
 from warp_psdr.kernels.rng import Sampler, branch_of
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.surface import VertexAdjoint, make_vertex_sink
+from warp_psdr.kernels.vertex import PathConfig
 
 
 @wp.struct

@@ -52,10 +52,11 @@ from warp_psdr.kernels.camera import CameraSample, make_camera_ray, make_lens
 from warp_psdr.kernels.constants import INV_FOUR_PI, LOBE_SMOOTH, TWO_PI
 from warp_psdr.kernels.interior.wanted import Wanted
 from warp_psdr.kernels.math import any_tangent, to_local, to_world
-from warp_psdr.kernels.path import PathConfig, make_path_step, path_from
+from warp_psdr.kernels.path import make_path_step
 from warp_psdr.kernels.rng import Sampler, make_sampler, sampler_at
 from warp_psdr.kernels.sampling import square_to_sphere
 from warp_psdr.kernels.structs import Camera, Scene
+from warp_psdr.kernels.vertex import PathConfig, path_from
 
 #: Lengths of a line: pixels on the film, radians at a vertex.
 FILM_LENGTH, ARC_LENGTH = 2.0, 1.0

@@ -31,8 +31,8 @@ import warp as wp
 
 from warp_psdr.kernels.constants import BSDF_ROUGH_CONDUCTOR_BECKMANN, BSDF_ROUGH_CONDUCTOR_GGX, INV_PI
 from warp_psdr.kernels.math import any_tangent, reflect_local, to_world
-from warp_psdr.kernels.path import Frame
 from warp_psdr.kernels.structs import Material
+from warp_psdr.kernels.vertex import Frame
 
 #: Arcs (radians) below it are integrated with Gauss' rule of three nodes: a relative error below 1e-7.
 SHORT_ARC = 0.3

@@ -52,11 +52,11 @@ from warp_psdr.kernels.boundary.local_form import (
 )
 from warp_psdr.kernels.boundary.notch import facing, is_ridge, let_through, notch, sharp_glass, shines
 from warp_psdr.kernels.constants import DELTA_LIGHTS
-from warp_psdr.kernels.path import PathConfig
 from warp_psdr.kernels.rng import sampler_at
 from warp_psdr.kernels.step import leaving_step
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.surface import make_surface
+from warp_psdr.kernels.vertex import PathConfig
 
 #: Distance at which the two rays pass the edge beside narrow faces, in ray epsilons: 2 float32 steps of the largest
 #: coordinate.

@@ -28,19 +28,14 @@ from warp_psdr.kernels.bvh.wide import make_intersect
 from warp_psdr.kernels.constants import FAR, LOBE_SMOOTH
 from warp_psdr.kernels.guiding.light_square import make_light_square, outside_of
 from warp_psdr.kernels.math import to_local
-from warp_psdr.kernels.path import (
-    PathConfig,
-    PathVertex,
-    make_camera_start,
-    make_frame,
-    make_light_sampler,
-    make_material,
-    make_path_step,
-)
+from warp_psdr.kernels.path import make_camera_start, make_path_step
+from warp_psdr.kernels.reading import load_vec3
 from warp_psdr.kernels.rng import make_sampler, sampler_at
+from warp_psdr.kernels.scattering import make_light_sampler
 from warp_psdr.kernels.step import leaving_step
 from warp_psdr.kernels.structs import Camera, Scene
-from warp_psdr.kernels.surface import load_vec3, make_surface
+from warp_psdr.kernels.surface import make_surface
+from warp_psdr.kernels.vertex import PathConfig, PathVertex, make_frame, make_material
 
 #: Most triangles that one walk crosses [ZRJ23].
 WALK_STEPS = 30

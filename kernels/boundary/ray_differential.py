@@ -24,8 +24,8 @@ from warp_psdr.kernels.camera import camera_direction, lens_direction, load_mat4
 from warp_psdr.kernels.constants import CAMERA_ORTHOGRAPHIC, CAMERA_THINLENS, LOBE_DELTA_TRANSMISSION
 from warp_psdr.kernels.fresnel import refracted_cosine
 from warp_psdr.kernels.interior.tangents import normalize_jvp
+from warp_psdr.kernels.reading import load_vec3
 from warp_psdr.kernels.structs import Camera, Scene
-from warp_psdr.kernels.surface import load_vec3
 
 
 @wp.struct

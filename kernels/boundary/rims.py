@@ -5,8 +5,8 @@ import warp as wp
 from warp_psdr.kernels.boundary.chain import Link
 from warp_psdr.kernels.boundary.local_form import EdgePoint, Edges
 from warp_psdr.kernels.constants import FAR
+from warp_psdr.kernels.reading import load_vec3
 from warp_psdr.kernels.structs import Scene
-from warp_psdr.kernels.surface import load_vec3
 
 #: A hit counts as on the rim of its triangle within this fraction of the height above it, or this many ray epsilons.
 #: Neighbouring rays are that far apart on what they see edge-on; of what lies farther inside, no edge is crossed. Of a

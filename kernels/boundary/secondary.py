@@ -43,12 +43,12 @@ from warp_psdr.kernels.emitter.spot import load_column
 from warp_psdr.kernels.guiding.techniques import Guide, make_techniques, octant_point
 from warp_psdr.kernels.invalid import count_invalid, vanishes
 from warp_psdr.kernels.notes import NOTE_EDGE, make_note
-from warp_psdr.kernels.path import PathConfig
 from warp_psdr.kernels.rng import make_sampler, sampler_at
 from warp_psdr.kernels.sink import make_sink, make_sink_vec3
 from warp_psdr.kernels.step import leaving_step
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.surface import VertexAdjoint, make_vertex_sink
+from warp_psdr.kernels.vertex import PathConfig
 
 #: Sample slots of a segment; those of the walk follow (``transport.py``).
 SLOT_EDGE, SLOT_DIRECTION = 0, 1
@@ -68,7 +68,7 @@ def make_segment(config: PathConfig):
     """
     closest_hit, any_hit = make_intersect(config.ray_backend, config.ray_width)
     screened = make_screened(config)
-    emitted = make_area(config.area)[0] if config.area else None
+    emitted = make_area(config.area).emitted if config.area else None
     lights = make_lights(config.lights, None, ()) if config.lights else None
     environment_eval = lights.environment_eval if lights else None
     has_environment = environment_eval is not None

@@ -43,12 +43,13 @@ from warp_psdr.kernels.constants import CAMERA_ORTHOGRAPHIC, CAMERA_THINLENS
 from warp_psdr.kernels.distribution import find_interval
 from warp_psdr.kernels.invalid import count_invalid
 from warp_psdr.kernels.notes import NOTE_POINT, make_note
-from warp_psdr.kernels.path import PathConfig
+from warp_psdr.kernels.reading import load_vec3
 from warp_psdr.kernels.rng import make_sampler, sampler_at
 from warp_psdr.kernels.sight import make_sight
 from warp_psdr.kernels.step import leaving_step, passing_step
 from warp_psdr.kernels.structs import Camera, Scene
-from warp_psdr.kernels.surface import VertexAdjoint, load_vec3, make_vertex_sink
+from warp_psdr.kernels.surface import VertexAdjoint, make_vertex_sink
+from warp_psdr.kernels.vertex import PathConfig
 
 
 @wp.func

@@ -33,11 +33,11 @@ from warp_psdr.kernels.camera import make_camera_sink, make_lens
 from warp_psdr.kernels.constants import FAR
 from warp_psdr.kernels.invalid import count_invalid, vanishes
 from warp_psdr.kernels.notes import NOTE_SENSOR, NOTE_SOURCE, NOTE_WALK, make_note
-from warp_psdr.kernels.path import PathConfig
 from warp_psdr.kernels.rng import Sampler, branch_of, make_sampler
 from warp_psdr.kernels.step import leaving_step
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.surface import VertexAdjoint, make_vertex_sink, point_on
+from warp_psdr.kernels.vertex import PathConfig
 
 #: A path goes on from this fraction of a segment's length in front of the light that the segment met, at least.
 BEFORE_LIGHT = 1.0e-3

@@ -3,6 +3,7 @@
 import warp as wp
 
 from warp_psdr.kernels.constants import INV_PI, LOBE_NONE, LOBE_SMOOTH
+from warp_psdr.kernels.math import where3
 from warp_psdr.kernels.sampling import square_to_cosine_hemisphere
 from warp_psdr.kernels.structs import BsdfSample, Material
 
@@ -10,9 +11,8 @@ from warp_psdr.kernels.structs import BsdfSample, Material
 @wp.func
 def diffuse_eval(mat: Material, wi: wp.vec3, wo: wp.vec3) -> wp.vec3:
     """f_s times the cosine of ``wo``, 1/sr."""
-    if wi[2] <= 0.0 or wo[2] <= 0.0:
-        return wp.vec3(0.0, 0.0, 0.0)
-    return mat.c0 * (INV_PI * wo[2])
+    above = not (wi[2] <= 0.0 or wo[2] <= 0.0)
+    return where3(above, mat.c0 * (INV_PI * wo[2]), wp.vec3(0.0, 0.0, 0.0))
 
 
 @wp.func
@@ -28,11 +28,9 @@ def diffuse_sample(mat: Material, wi: wp.vec3, u: wp.float32, v: wp.vec2) -> Bsd
     """Sample a direction proportional to its cosine; ``v`` is uniform in the unit square, ``u`` is not used."""
     s = BsdfSample()
     s.eta = 1.0
-    s.lobe = LOBE_NONE
-    if wi[2] > 0.0:
-        s.wo = square_to_cosine_hemisphere(v)
-        if s.wo[2] > 0.0:
-            s.pdf = INV_PI * s.wo[2]
-            s.value = mat.c0 * s.pdf
-            s.lobe = LOBE_SMOOTH
+    s.wo = square_to_cosine_hemisphere(v)
+    above = wi[2] > 0.0 and s.wo[2] > 0.0
+    s.pdf = wp.where(above, INV_PI * s.wo[2], 0.0)
+    s.value = where3(above, mat.c0 * s.pdf, wp.vec3(0.0, 0.0, 0.0))
+    s.lobe = wp.where(above, LOBE_SMOOTH, LOBE_NONE)
     return s

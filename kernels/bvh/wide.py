@@ -127,7 +127,7 @@ _CLOSEST = (
             // Positive floats are ordered as their bits are; the integer reduction is a tree, that of floats a chain.
             t_best = __builtin_bit_cast(float, __builtin_reduce_min(__builtin_bit_cast(vi, nearest)));
             // Of several at one distance the first in the packets' order, as in bundle.py.
-            const vi order = (which >= 0) & (nearest == t_best) ? which * $W + lanes : vi(0x7fffffff);
+            const vi order = ((which >= 0) & (nearest == t_best)) ? which * $W + lanes : vi(0x7fffffff);
             const int lane = __builtin_reduce_min(order) % $W;
             u_best = u[lane];
             v_best = v[lane];

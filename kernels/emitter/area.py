@@ -7,13 +7,16 @@ the pdf in solid angle seen from x is P t^2 / (A |cos|).
 """
 
 import functools
+from typing import NamedTuple
 
 import warp as wp
 
 from warp_psdr.kernels.distribution import find_interval
+from warp_psdr.kernels.reading import load_float, load_vec2, shape_at, triangle_at
 from warp_psdr.kernels.sampling import square_to_triangle
+from warp_psdr.kernels.step import leaving_step
 from warp_psdr.kernels.structs import Emitter, LightSample, Scene
-from warp_psdr.kernels.surface import load_vec2, point_on
+from warp_psdr.kernels.surface import point_on
 from warp_psdr.kernels.texture import make_texture
 
 
@@ -21,7 +24,7 @@ from warp_psdr.kernels.texture import make_texture
 def light_uv(scene: Scene, face: wp.int32, u: wp.float32, v: wp.float32) -> wp.vec2:
     """Texture coordinates at a point of a triangle."""
     tri = scene.triangles[face]
-    shape = scene.shapes[tri.shape]
+    shape = shape_at(scene, tri.shape)
     if shape.has_uv == 0:
         return wp.vec2(u, v)
     t0 = load_vec2(scene.values, shape.uv_offset + 2 * tri.i0)
@@ -33,10 +36,10 @@ def light_uv(scene: Scene, face: wp.int32, u: wp.float32, v: wp.float32) -> wp.v
 @wp.func
 def area_density(scene: Scene, e: Emitter, face: wp.int32) -> wp.float32:
     """Density per area with which points of a triangle are drawn."""
-    tri = scene.triangles[face]
+    tri = triangle_at(scene, face)
     k = e.cdf_offset + face - e.first_face
     doubled = wp.length(wp.cross(tri.p1 - tri.p0, tri.p2 - tri.p0))
-    return 2.0 * (scene.face_cdf[k + 1] - scene.face_cdf[k]) / wp.max(doubled, 1.0e-30)
+    return 2.0 * (load_float(scene.face_cdf, k + 1) - load_float(scene.face_cdf, k)) / wp.max(doubled, 1.0e-30)
 
 
 @wp.func
@@ -45,13 +48,24 @@ def pdf_area(scene: Scene, e: Emitter, face: wp.int32, d: wp.vec3, t: wp.float32
     return area_density(scene, e, face) * t * t / wp.max(wp.abs(wp.dot(scene.triangles[face].normal, d)), 1.0e-12)
 
 
-@functools.cache
-def make_area(radiance_kinds: tuple[int, ...]):
-    """Return ``(emitted, sample)`` for area lights whose radiance textures are of the given kinds.
+class AreaFunctions(NamedTuple):
+    """Warp functions of area lights.
 
-    ``emitted(scene, e, face, u, v, d)`` is the radiance leaving against direction d, the direction of the ray that
-    arrives there. ``sample(scene, e, x, u3) -> LightSample`` draws a point.
+    Attributes:
+        emitted: ``(scene, e, face, u, v, d) -> vec3``, radiance leaving against d, the direction of the ray that
+            arrives there.
+        pick: ``(scene, e, u) -> int``, one of the light's triangles.
+        draw: ``(scene, e, face, x, u: vec2) -> LightSample``, a point on it, seen from x.
     """
+
+    emitted: wp.Function
+    pick: wp.Function
+    draw: wp.Function
+
+
+@functools.cache
+def make_area(radiance_kinds: tuple[int, ...]) -> AreaFunctions:
+    """Return the functions of area lights whose radiance textures are of the given kinds."""
     texture_at = make_texture(radiance_kinds)
     textured = any(kind != 0 for kind in radiance_kinds)
 
@@ -69,28 +83,27 @@ def make_area(radiance_kinds: tuple[int, ...]):
         return radiance_at(scene, e, face, u, v)
 
     @wp.func
-    def sample(scene: Scene, e: Emitter, x: wp.vec3, u3: wp.vec3) -> LightSample:
+    def pick(scene: Scene, e: Emitter, u: wp.float32) -> wp.int32:
+        return e.first_face + find_interval(scene.face_cdf, e.cdf_offset, e.face_count, u)
+
+    @wp.func
+    def draw(scene: Scene, e: Emitter, face: wp.int32, x: wp.vec3, u: wp.vec2) -> LightSample:
         result = LightSample()
-        cell = find_interval(scene.face_cdf, e.cdf_offset, e.face_count, u3[0])
-        face = e.first_face + cell
-        barycentrics = square_to_triangle(wp.vec2(u3[1], u3[2]))
-        u = barycentrics[0]
-        v = barycentrics[1]
-        tri = scene.triangles[face]
-        r = point_on(tri, u, v) - x
-        squared = wp.dot(r, r)
+        barycentrics = square_to_triangle(u)
         result.face = face
-        result.u = u
-        result.v = v
-        if squared <= 0.0:
-            return result
+        result.u = barycentrics[0]
+        result.v = barycentrics[1]
+        tri = triangle_at(scene, face)
+        y = point_on(tri, result.u, result.v)
+        result.target = y + leaving_step(scene, face) * tri.normal
+        r = y - x
+        squared = wp.dot(r, r)
         result.distance = wp.sqrt(squared)
-        result.wi = r / result.distance
+        result.wi = r / wp.where(squared <= 0.0, 1.0, result.distance)
         cosine = -wp.dot(tri.normal, result.wi)
-        if cosine <= 0.0:
-            return result
-        result.pdf = area_density(scene, e, face) * squared / cosine
-        result.radiance = radiance_at(scene, e, face, u, v)
+        density = area_density(scene, e, face) * squared / cosine
+        result.pdf = wp.where(squared <= 0.0 or cosine <= 0.0, 0.0, density)
+        result.radiance = radiance_at(scene, e, face, result.u, result.v)
         return result
 
-    return emitted, sample
+    return AreaFunctions(emitted, pick, draw)

@@ -7,9 +7,9 @@ import warp as wp
 
 from warp_psdr.kernels.autodiff import differentiable
 from warp_psdr.kernels.constants import TEXTURE_CONSTANT
+from warp_psdr.kernels.reading import load_vec3
 from warp_psdr.kernels.sink import make_sink_vec3
 from warp_psdr.kernels.structs import Emitter, LightAdjoint, LightSample, Scene
-from warp_psdr.kernels.surface import load_vec3
 from warp_psdr.kernels.texture import make_texture, make_texture_sink
 
 

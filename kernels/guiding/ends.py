@@ -13,9 +13,9 @@ from warp_psdr.kernels.boundary.direction import wedge_at
 from warp_psdr.kernels.boundary.local_form import Edges
 from warp_psdr.kernels.boundary.secondary import make_segment
 from warp_psdr.kernels.guiding.techniques import Guide, make_techniques
-from warp_psdr.kernels.path import PathConfig
 from warp_psdr.kernels.structs import Scene
 from warp_psdr.kernels.surface import make_surface
+from warp_psdr.kernels.vertex import PathConfig
 
 
 @functools.cache

@@ -6,8 +6,8 @@ import warp as wp
 
 from warp_psdr.kernels.boundary.local_form import Edges, edge_at, facing_side
 from warp_psdr.kernels.guiding.light_square import make_light_square
-from warp_psdr.kernels.path import PathConfig
 from warp_psdr.kernels.structs import Scene
+from warp_psdr.kernels.vertex import PathConfig
 
 
 @functools.cache

@@ -19,9 +19,9 @@ from warp_psdr.kernels.distribution import find_interval_64
 from warp_psdr.kernels.emitter.dispatch import make_lights
 from warp_psdr.kernels.emitter.envmap import cell_density, cell_height, load_matrix, locate
 from warp_psdr.kernels.guiding.stripe import stripe_at, stripe_point, stripe_square
-from warp_psdr.kernels.path import PathConfig
 from warp_psdr.kernels.structs import Emitter, Scene
 from warp_psdr.kernels.surface import point_on
+from warp_psdr.kernels.vertex import PathConfig
 
 
 @wp.func

@@ -22,19 +22,15 @@ from warp_psdr.kernels.constants import EMITTER_POINT, FAR, LOBE_SMOOTH, PI
 from warp_psdr.kernels.emitter.spot import load_column
 from warp_psdr.kernels.invalid import vanishes
 from warp_psdr.kernels.math import any_tangent, to_local, to_world
-from warp_psdr.kernels.path import (
-    PathConfig,
-    make_camera_start,
-    make_frame,
-    make_light_sampler,
-    make_material,
-    make_path_step,
-)
+from warp_psdr.kernels.path import make_camera_start, make_path_step
+from warp_psdr.kernels.reading import load_vec3
 from warp_psdr.kernels.rng import make_sampler, sampler_at
 from warp_psdr.kernels.sampling import square_to_cosine_hemisphere, square_to_disk, square_to_sphere
+from warp_psdr.kernels.scattering import make_light_sampler
 from warp_psdr.kernels.step import leaving_step
 from warp_psdr.kernels.structs import Camera, Scene
-from warp_psdr.kernels.surface import load_vec3, make_surface, point_on
+from warp_psdr.kernels.surface import make_surface, point_on
+from warp_psdr.kernels.vertex import PathConfig, make_frame, make_material
 
 #: Sample slots of a light path: source, position or direction, then one per vertex.
 SLOT_SOURCE, SLOT_START, SLOT_VERTEX = 0, 1, 2

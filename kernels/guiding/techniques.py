@@ -28,9 +28,9 @@ from warp_psdr.kernels.boundary.direction import (
 from warp_psdr.kernels.boundary.local_form import EdgePoint, Edges, edge_at
 from warp_psdr.kernels.guiding.cells import Cells, CellSample, pdf_cells, sample_cells
 from warp_psdr.kernels.guiding.light_square import make_light_square
-from warp_psdr.kernels.path import PathConfig
 from warp_psdr.kernels.rng import UNIT
 from warp_psdr.kernels.structs import Scene
+from warp_psdr.kernels.vertex import PathConfig
 
 
 @wp.struct

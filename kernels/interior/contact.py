@@ -54,10 +54,10 @@ import warp as wp
 
 from warp_psdr.kernels.bvh.wide import make_intersect
 from warp_psdr.kernels.constants import EMITTER_AREA
-from warp_psdr.kernels.path import PathVertex
 from warp_psdr.kernels.step import leaving_step
 from warp_psdr.kernels.structs import Scene
 from warp_psdr.kernels.surface import point_on
+from warp_psdr.kernels.vertex import PathVertex
 
 #: Of the angle between two surfaces. Between planes nearer to parallel, chi goes by it and is at most 1.
 LEAST_SINE = 0.1

@@ -10,10 +10,10 @@ from warp_psdr.kernels.emitter.area import light_uv, make_area
 from warp_psdr.kernels.emitter.dispatch import make_lights
 from warp_psdr.kernels.interior.pullback import connection_vjp
 from warp_psdr.kernels.interior.wanted import Wanted
-from warp_psdr.kernels.path import PathConfig, PathVertex
 from warp_psdr.kernels.structs import Bsdf, Material, Scene
 from warp_psdr.kernels.surface import VertexAdjoint, make_vertex_sink, point_on
 from warp_psdr.kernels.texture import make_texture_sink
+from warp_psdr.kernels.vertex import PathConfig, PathVertex
 
 
 @wp.func
@@ -101,7 +101,7 @@ def make_light_sink(config: PathConfig, wanted: Wanted, role: str):
 
     ``radiance_of(scene, vertex, x)`` beside it gives the attached radiance of the sampled light.
     """
-    emitted = make_area(config.area)[0] if config.area else None
+    emitted = make_area(config.area).emitted if config.area else None
     lights = make_lights(config.lights, role, wanted.lights) if config.lights else None
     sample = lights.sample if lights else None
     sample_vjp = lights.sample_vjp if lights else None

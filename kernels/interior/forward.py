@@ -38,17 +38,11 @@ from warp_psdr.kernels.interior.tangents import (
 from warp_psdr.kernels.interior.velocities import axis_vec3, make_material_jvp, make_texture_jvp, pair
 from warp_psdr.kernels.interior.wanted import Wanted
 from warp_psdr.kernels.invalid import count_invalid, finite
-from warp_psdr.kernels.path import (
-    PathConfig,
-    PathState,
-    PathVertex,
-    make_frame,
-    make_material,
-    to_local,
-)
+from warp_psdr.kernels.math import to_local
 from warp_psdr.kernels.rng import sampler_at
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.surface import make_surface, point_on
+from warp_psdr.kernels.vertex import PathConfig, PathState, PathVertex, make_frame, make_material
 
 
 @wp.struct

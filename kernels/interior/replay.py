@@ -40,9 +40,10 @@ from warp_psdr.kernels.camera_rays import make_camera_paths
 from warp_psdr.kernels.interior.sweep import Carry, make_sweep
 from warp_psdr.kernels.interior.wanted import Wanted
 from warp_psdr.kernels.invalid import count_invalid, finite
-from warp_psdr.kernels.path import PathConfig, PathState, PathVertex
-from warp_psdr.kernels.rng import sampler_at
+from warp_psdr.kernels.path_lanes import make_lane_paths, side_by_side
+from warp_psdr.kernels.rng import branch_of, sampler_at
 from warp_psdr.kernels.structs import Camera, Scene
+from warp_psdr.kernels.vertex import PathConfig, PathState, PathVertex
 
 
 @functools.cache
@@ -55,6 +56,8 @@ def make_replay_kernel(config: PathConfig, wanted: Wanted, block: int, blocks: i
         block: K, the number of vertices kept at a time.
         blocks: the most blocks that a path can have; 1 compiles the replay out.
     """
+    if blocks == 1 and side_by_side(config):
+        return _make_lane_kernel(config, wanted, block)
     lanes, starts, path_step = make_camera_paths(config, True, True)
     _camera_ray, camera_origin = make_camera_ray(config.camera)
     sweep, finish, _finish_vertex = make_sweep(config, wanted, "reverse")
@@ -133,3 +136,76 @@ def make_replay_kernel(config: PathConfig, wanted: Wanted, block: int, blocks: i
                 count_invalid(scene, sampler)
 
     return replay
+
+
+def _make_lane_kernel(config: PathConfig, wanted: Wanted, block: int):
+    """The same for paths of at most ``block`` vertices, traced side by side."""
+    lanes = make_lane_paths(config, True, True, kept=block)
+    _camera_ray, camera_origin = make_camera_ray(config.camera)
+    sweep, finish, _finish_vertex = make_sweep(config, wanted, "reverse")
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def replay_lanes(
+        # Scene:
+        scene: Scene,
+        camera: Camera,
+        # In:
+        pixels: wp.array(dtype=wp.int32),
+        first_pixel: wp.int32,
+        first_sample: wp.int32,
+        samples: wp.int32,
+        scale: wp.float32,
+        seed: wp.uint32,
+        max_depth: wp.int32,
+        rr_depth: wp.int32,
+        adjoint: wp.array2d(dtype=wp.vec3),
+        # Out:
+        target: wp.array(dtype=wp.float32),
+        image_out: wp.array2d(dtype=wp.vec3),
+    ):
+        pixel = pixels[first_pixel + wp.tid()]
+        px = pixel % camera.crop_width
+        py = pixel // camera.crop_width
+        delta = scale * adjoint[py, px]
+        if delta[0] == 0.0 and delta[1] == 0.0 and delta[2] == 0.0:
+            return
+        rows = wp.zeros(shape=(wp.static(lanes.size),), dtype=wp.uint32)
+        always = scene.matters[scene.matters.shape[0] - 1]
+        done = wp.int32(0)
+        while done < samples:
+            count = wp.min(samples - done, wp.static(lanes.width))
+            sampler = sampler_at(pixel, first_sample + done, seed)
+            lanes.start(scene, camera, px, py, sampler, count, always, rows)
+            depth = wp.int32(0)
+            alive = wp.int32(count)
+            while alive > 0:
+                alive = lanes.step(scene, sampler, depth, max_depth, rr_depth, rows)
+                depth += 1
+            for j in range(count):
+                path = lanes.gathered(rows, j)
+                met = wp.int32(always)
+                n = wp.int32(path.vertices)
+                while n > 0 and met == 0:
+                    n -= 1
+                    face = lanes.vertex(rows, j, n).face
+                    if face >= 0:
+                        met = scene.matters[scene.triangles[face].shape]
+                if met == 0:
+                    if not finite(path.radiance):
+                        count_invalid(scene, branch_of(sampler, wp.int32(sampler.index) + j))
+                    continue
+                sample = lanes.camera(rows, j)
+                carry = Carry()
+                carry.face = -2
+                n = path.vertices
+                while n > 0:
+                    n -= 1
+                    vertex = lanes.vertex(rows, j, n)
+                    if n == 0:
+                        vertex.o = camera_origin(scene, camera, sample)
+                    carry = sweep(scene, target, vertex, delta, carry)
+                if finish(scene, target, camera, sample, carry) != 0.0 or not finite(carry.radiance):
+                    count_invalid(scene, branch_of(sampler, wp.int32(sampler.index) + j))
+            done += count
+
+    return replay_lanes

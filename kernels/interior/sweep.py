@@ -14,10 +14,10 @@ from warp_psdr.kernels.interior.factors import add_material, make_light_sink, ma
 from warp_psdr.kernels.interior.pullback import connection_vjp, make_frame_vjp
 from warp_psdr.kernels.interior.wanted import Wanted
 from warp_psdr.kernels.math import to_local
-from warp_psdr.kernels.path import PathConfig, PathVertex, make_frame, make_material
 from warp_psdr.kernels.structs import Camera, Material, Scene
 from warp_psdr.kernels.surface import VertexAdjoint, make_surface, make_vertex_sink, normalize_vjp, point_on
 from warp_psdr.kernels.texture import make_texture_sink
+from warp_psdr.kernels.vertex import PathConfig, PathVertex, make_frame, make_material
 
 
 @wp.struct

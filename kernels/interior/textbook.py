@@ -22,9 +22,9 @@ from warp_psdr.kernels.interior.contact import make_contact_weights
 from warp_psdr.kernels.interior.sweep import Carry, make_sweep
 from warp_psdr.kernels.interior.wanted import Wanted
 from warp_psdr.kernels.invalid import count_invalid, finite, vanishes
-from warp_psdr.kernels.path import PathConfig, PathState, PathVertex
 from warp_psdr.kernels.rng import sampler_at
 from warp_psdr.kernels.structs import Camera, Scene
+from warp_psdr.kernels.vertex import PathConfig, PathState, PathVertex
 
 
 @wp.func

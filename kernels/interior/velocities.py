@@ -11,9 +11,9 @@ import warp as wp
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.interior.tangents import VertexTangent
 from warp_psdr.kernels.interior.wanted import Wanted
-from warp_psdr.kernels.path import PathConfig
 from warp_psdr.kernels.structs import Bsdf, BsdfAdjoint, Material, Scene
 from warp_psdr.kernels.texture import make_texture_sink
+from warp_psdr.kernels.vertex import PathConfig
 
 
 @wp.func

@@ -10,7 +10,7 @@ contributions, then through the normalisation.
 import warp as wp
 
 from warp_psdr.kernels.autodiff import differentiable
-from warp_psdr.kernels.surface import load_vec3
+from warp_psdr.kernels.reading import load_vec3
 
 
 @wp.func

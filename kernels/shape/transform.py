@@ -9,8 +9,8 @@ import warp as wp
 
 from warp_psdr.kernels.autodiff import differentiable
 from warp_psdr.kernels.camera import load_mat44
+from warp_psdr.kernels.reading import load_vec3
 from warp_psdr.kernels.shape.normals import add_vec3
-from warp_psdr.kernels.surface import load_vec3
 
 
 @wp.func

@@ -9,9 +9,10 @@ meets its attached triangle. It shares no derivative, and no factor, with the re
 import numpy as np
 import warp as wp
 
-from warp_psdr.kernels.path import PathVertex, make_camera_start, make_path_step
+from warp_psdr.kernels.path import make_camera_start, make_path_step
 from warp_psdr.kernels.rng import Sampler
 from warp_psdr.kernels.structs import Camera, Scene
+from warp_psdr.kernels.vertex import PathVertex
 
 DEPTH = 3
 #: wp.Tape differentiates static loops that Warp unrolls, and nothing else; DEPTH is far below its limit of 16.

@@ -32,15 +32,15 @@ from warp_psdr.kernels.guiding.stripe import CORNERS, Polygon, Stripe, cut, stri
 from warp_psdr.kernels.interior.pullback import connection_vjp
 from warp_psdr.kernels.interior.tangents import VertexTangent, log_geometry_jvp, make_frame_jvp, normalize_jvp
 from warp_psdr.kernels.math import any_tangent
-from warp_psdr.kernels.path import Frame
 from warp_psdr.kernels.sampling import square_to_cosine_hemisphere
 from warp_psdr.kernels.structs import Camera, Material, Scene, Triangle
 from warp_psdr.kernels.surface import interpolated_normal, normalize_vjp
+from warp_psdr.kernels.vertex import Frame
 
 from .sweeps import room
 
 SAMPLE_VISIBLE = make_microfacet("ggx").sample_visible
-AREA_SAMPLE = make_area((TEXTURE_CONSTANT,))[1]
+DRAW_LIGHT = make_area((TEXTURE_CONSTANT,)).draw
 SCATTERING_LOBES = make_scattering_lobes((BSDF_ROUGH_CONDUCTOR_GGX,))
 FRAME_JVP = make_frame_jvp(True)
 
@@ -90,7 +90,7 @@ def guards(scene: Scene, zero: wp.vec3, out: wp.array(dtype=wp.float32)):
     out[12] = 0.0 * pdf_area(scene, scene.emitters[0], scene.emitters[0].first_face, x, nil)
     out[17] = area_density(scene, scene.emitters[0], scene.emitters[0].first_face + 1)
     corner = scene.triangles[scene.emitters[0].first_face].p0
-    out[18] = AREA_SAMPLE(scene, scene.emitters[0], corner, zero).pdf
+    out[18] = DRAW_LIGHT(scene, scene.emitters[0], scene.emitters[0].first_face, corner, wp.vec2(zero[1], zero[2])).pdf
     # An edge that points at the one who sees it, behind a lobe and in it.
     lobe = make_lobe(z, x, 1.0, 1.0, 1.0)
     end_on = line_integral(lobe, z, z)

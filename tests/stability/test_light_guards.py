@@ -8,9 +8,10 @@ import warp_psdr as psdr
 from tests.emitter_helpers import Light, envmap, light_frame_directions, pose, random_map
 from tests.test_invalid import scene_dict
 from warp_psdr.kernels import constants as c
-from warp_psdr.kernels.path import make_path_step, path_from
+from warp_psdr.kernels.path import make_path_step
 from warp_psdr.kernels.rng import sampler_at
 from warp_psdr.kernels.structs import Scene
+from warp_psdr.kernels.vertex import path_from
 
 SIZE = 12
 #: Angle to a map's pole (radians) within which the azimuth has no derivative.

@@ -15,8 +15,8 @@ from warp_psdr.kernels.boundary.line_search import ARC_LENGTH, MAX_VISITS, RESOL
 from warp_psdr.kernels.boundary.local_form import Edges
 from warp_psdr.kernels.boundary.ray_differential import RayDifferential
 from warp_psdr.kernels.boundary.rims import Tables
-from warp_psdr.kernels.path import PathConfig
 from warp_psdr.kernels.structs import Camera, Scene
+from warp_psdr.kernels.vertex import PathConfig
 
 from .sweeps import box, room
 

@@ -14,7 +14,7 @@ from warp_psdr.kernels.emitter.spot import MIN_FALLOFF
 from warp_psdr.scene.layout import TEXCOORDS, TO_UV
 
 if TYPE_CHECKING:
-    from warp_psdr.kernels.path import PathConfig
+    from warp_psdr.kernels.vertex import PathConfig
     from warp_psdr.options import PathIntegrator
     from warp_psdr.scene.scene import Scene
 

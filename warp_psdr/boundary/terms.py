@@ -44,8 +44,8 @@ from warp_psdr.secondary_edges import secondary_edges
 
 if TYPE_CHECKING:
     from warp_psdr.edges import Adjacency
-    from warp_psdr.kernels.path import PathConfig
     from warp_psdr.kernels.structs import Camera
+    from warp_psdr.kernels.vertex import PathConfig
     from warp_psdr.plan import Plan
     from warp_psdr.scene.scene import Scene
 

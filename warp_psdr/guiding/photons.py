@@ -15,8 +15,8 @@ from warp_psdr.device import launch_lanes
 from warp_psdr.kernels.guiding.photons import make_importons_kernel, make_photons_kernel
 
 if TYPE_CHECKING:
-    from warp_psdr.kernels.path import PathConfig
     from warp_psdr.kernels.structs import Camera
+    from warp_psdr.kernels.vertex import PathConfig
     from warp_psdr.scene.scene import Scene
 
 

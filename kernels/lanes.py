@@ -1,0 +1,98 @@
+"""Values of several paths side by side, so that the compiler makes SIMD of loops over the paths.
+
+A loop ``while j < W`` whose body is made of Warp functions is turned into SIMD by LLVM's loop vectoriser, W iterations
+at a time, every operation rounded as it is alone: the same functions serve one path and W paths, with equal bits. What
+it asks for (its reasons for a refusal are printed by the compiler flags of ``tests/test_lanes.py``):
+
+* no inner loop and no call; branches may choose between numbers, not around loads from memory;
+* no value of vector type between branches. C++ hands the first two components of a ``vec2`` or ``vec3`` over in one
+  register: where two branches return vectors, or a vector is read from memory whole, that register stays. Hence
+  ``where3`` and reads word by word;
+* a known number of iterations, and loads and stores that provably do not meet: some 120 at most in a loop.
+
+The last point is what this file is for. The paths' values lie in one local array of words, a row of W words for each
+word of a record, and are read and written as ``char32_t``, a type that nothing else in a kernel has. In C++ an access
+to an object of one scalar type does not touch one of another, so stores to the rows leave the scene's floats and
+integers alone.
+
+A row is named by its number; a record takes ``words(record)`` rows from its first one on.
+"""
+
+import ctypes
+import functools
+
+import warp as wp
+
+from warp_psdr.kernels.bvh.wide import native
+
+ROWS = wp.array(dtype=wp.uint32)
+
+
+def words(record) -> int:
+    """Number of rows that a Warp struct takes."""
+    return ctypes.sizeof(record.ctype) // 4
+
+
+@functools.cache
+def make_record(record, width: int):
+    """Return ``(get, put)`` of a Warp struct whose members have 4 bytes each.
+
+    ``get(rows, first, j, like) -> record`` reads lane j from the rows ``first`` on (``like`` is any value of the
+    struct), ``put(rows, first, j, value)`` writes it.
+    """
+    count = words(record)
+    reads = "".join(
+        f"const char32_t w{i} = data[{i} * $W]; __builtin_memcpy((char*)&r + {4 * i}, &w{i}, 4);\n"
+        for i in range(count)
+    )
+    writes = "".join(
+        f"char32_t w{i}; __builtin_memcpy(&w{i}, (const char*)&value + {4 * i}, 4); data[{i} * $W] = w{i};\n"
+        for i in range(count)
+    )
+
+    def get(rows: ROWS, first: wp.int32, j: wp.int32, like: record) -> record:
+        return record()  # Warp takes the type from here; the snippet is what runs
+
+    def put(rows: ROWS, first: wp.int32, j: wp.int32, value: record):
+        return
+
+    name = record.key.rsplit(".", 1)[-1].lower()
+    source = "const char32_t* data = (const char32_t*)rows.data + first * $W + j;\n__typeof__(like) r;\n"
+    target = "char32_t* data = (char32_t*)rows.data + first * $W + j;\n"
+    return (
+        native(f"get_{name}", source + reads + "return r;", width, get),
+        native(f"put_{name}", target + writes, width, put),
+    )
+
+
+@functools.cache
+def make_number(width: int):
+    """Return ``(get, put)`` of one random number in [0, 1) and lane: ``get(rows, row, j)``, ``put(rows, row, j, u)``.
+
+    The absolute value, which changes nothing, is arithmetic: without any, two numbers that become a ``vec2`` are moved
+    as one integer of 8 bytes, which no loop over lanes may hold.
+    """
+
+    def get(rows: ROWS, row: wp.int32, j: wp.int32) -> wp.float32:
+        return wp.float32(0.0)
+
+    def put(rows: ROWS, row: wp.int32, j: wp.int32, u: wp.float32):
+        return
+
+    source = "const char32_t w = ((const char32_t*)rows.data)[row * $W + j];\n"
+    return (
+        native("get_number", source + "return __builtin_fabsf(__builtin_bit_cast(float, w));", width, get),
+        native("put_number", "((char32_t*)rows.data)[row * $W + j] = __builtin_bit_cast(char32_t, u);", width, put),
+    )
+
+
+@functools.cache
+def make_copy(record, width: int):
+    """Return ``copy(rows, source, target)``: the rows of a Warp struct once more, from another first row on."""
+
+    def copy(rows: ROWS, source: wp.int32, target: wp.int32):
+        return
+
+    name = record.key.rsplit(".", 1)[-1].lower()
+    snippet = f"__builtin_memcpy(rows.data + target * $W, rows.data + source * $W, {4 * words(record)} * $W);"
+    return native(f"copy_{name}", snippet, width, copy)

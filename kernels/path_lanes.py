@@ -1,0 +1,361 @@
+"""The path loop of ``path.py`` for as many samples of a pixel as there are lanes, in step (``lanes.py``).
+
+Each part of a vertex is a loop over all lanes. Rays are traced, and what is rare (emitters that are hit, rays that
+leave the scene, the search for a light) is done, lane by lane; the rest, which is most of the arithmetic, becomes SIMD.
+Lanes whose path has ended are computed along and never looked at. A path has the bits that it has alone.
+"""
+
+import functools
+from typing import NamedTuple
+
+import warp as wp
+
+from warp_psdr.kernels.bvh.wide import RayHit, make_intersect
+from warp_psdr.kernels.camera import CameraSample
+from warp_psdr.kernels.camera_rays import make_trace_together
+from warp_psdr.kernels.lanes import ROWS, make_copy, make_number, make_record, words
+from warp_psdr.kernels.math import where3
+from warp_psdr.kernels.path import make_camera_start, vertex_of
+from warp_psdr.kernels.rng import Sampler, branch_of, make_sampler
+from warp_psdr.kernels.scattering import (
+    SLOTS_PER_VERTEX,
+    Arrival,
+    NextEvent,
+    Onward,
+    Place,
+    make_arrive,
+    make_light_draw,
+    make_next_event,
+    make_scatter,
+    make_stand,
+    samples_lights,
+)
+from warp_psdr.kernels.structs import Camera, LightSample, Scene
+from warp_psdr.kernels.vertex import PathConfig, PathState, PathVertex
+
+
+@wp.struct
+class Choice:
+    """What lane by lane is looked up for a vertex: its face, and the light of its next-event estimate."""
+
+    on: wp.int32  # 1: the path stands on ``face``
+    face: wp.int32
+    light: wp.int32
+    light_face: wp.int32
+    lit: wp.int32  # 1: the estimate's shadow ray is free
+
+
+@wp.struct
+class Sum:
+    """What a path has gathered so far."""
+
+    radiance: wp.vec3
+    vertices: wp.int32
+
+
+class LanePaths(NamedTuple):
+    """Functions that trace paths side by side; all take ``rows``, an array of ``size`` uint32.
+
+    Attributes:
+        width: number of lanes.
+        size: words of the array.
+        start: ``(scene, camera, px, py, sampler, count, met, rows)`` starts samples of a pixel, that of the sampler and
+            the next ones, ``count`` in all, and traces their camera rays; ``met`` as in ``PathState``.
+        step: ``(scene, sampler, depth, max_depth, rr_depth, rows) -> int``: one vertex of every path, behind ``depth``
+            others; the number of paths that have another one.
+        gathered: ``(rows, j) -> Sum`` of the j-th path.
+        camera: ``(rows, j) -> CameraSample``.
+        vertex: ``(rows, j, n) -> PathVertex``, its n-th vertex; None if none are kept.
+    """
+
+    width: int
+    size: int
+    start: wp.Function
+    step: wp.Function
+    gathered: wp.Function
+    camera: wp.Function
+    vertex: wp.Function | None
+
+
+def side_by_side(config: PathConfig) -> bool:
+    """Whether a scene's paths are traced so: on the CPU, unless what they meet is written down."""
+    return config.ray_backend == "wide" and not config.noted
+
+
+@functools.cache
+def make_lane_paths(
+    config: PathConfig, differential: bool, sparse: bool = False, filter_kind: int | None = None, kept: int = 0
+) -> LanePaths:
+    """Make the functions; arguments as those of ``make_path_step`` and ``make_camera_start``.
+
+    ``kept``: number of vertices that are kept of a path; none has more.
+    """
+    width = config.ray_width
+    closest_hit, any_hit = make_intersect(config.ray_backend, width)
+    trace_together = make_trace_together(config)
+    start_sample = make_camera_start(config, filter_kind)
+    arrive = make_arrive(config)
+    stand = make_stand(config)
+    scatter = make_scatter(config, differential)
+    sample_4d = make_sampler(config.sampler).sample_4d
+    has_lights = samples_lights(config)
+    pick, draw = make_light_draw(config) if has_lights else (None, None)
+    next_event = make_next_event(config, differential) if has_lights else None
+
+    get_number, put_number = make_number(width)
+    get_state, put_state = make_record(PathState, width)
+    get_hit, put_hit = make_record(RayHit, width)
+    get_camera, put_camera = make_record(CameraSample, width)
+    get_sum, put_sum = make_record(Sum, width)
+    get_arrival, put_arrival = make_record(Arrival, width)
+    get_choice, put_choice = make_record(Choice, width)
+    get_place, put_place = make_record(Place, width)
+    get_light, put_light = make_record(LightSample, width)
+    get_event, put_event = make_record(NextEvent, width)
+    get_onward, put_onward = make_record(Onward, width)
+    get_vertex, put_vertex = make_record(PathVertex, width)
+    copy_vertex = make_copy(PathVertex, width)
+    records = (PathState, RayHit, CameraSample, Sum, Arrival, Choice, Place, Onward)
+    records += (LightSample, NextEvent) if has_lights else ()
+    first_row = {}
+    row = 8  # random numbers: next-event estimation, scattering
+    for record in records:
+        first_row[record] = row
+        row += words(record)
+    state_row, hit_row, camera_row, sum_row = (first_row[r] for r in (PathState, RayHit, CameraSample, Sum))
+    arrival_row, choice_row, place_row, onward_row = (first_row[r] for r in (Arrival, Choice, Place, Onward))
+    light_row, event_row = (first_row.get(r, 0) for r in (LightSample, NextEvent))
+    vertex_row, vertex_words = row, words(PathVertex)
+
+    @wp.func
+    def start(
+        scene: Scene,
+        camera: Camera,
+        px: wp.int32,
+        py: wp.int32,
+        sampler: Sampler,
+        count: wp.int32,
+        met: wp.int32,
+        rows: ROWS,
+    ):
+        o = wp.zeros(shape=(wp.static(width),), dtype=wp.vec3)
+        d = wp.zeros(shape=(wp.static(width),), dtype=wp.vec3)
+        t_max = wp.zeros(shape=(wp.static(width),), dtype=wp.float32)
+        seen = wp.zeros(shape=(wp.static(width),), dtype=RayHit)
+        j = wp.int32(0)
+        while j < count:
+            state, sample = start_sample(scene, camera, px, py, branch_of(sampler, wp.int32(sampler.index) + j))
+            state.met = met
+            put_state(rows, state_row, j, state)
+            put_camera(rows, camera_row, j, sample)
+            o[j] = state.o
+            d[j] = state.d
+            t_max[j] = state.t_max
+            j += 1
+        trace_together(scene, count, o, d, t_max, seen)
+        j = wp.int32(0)
+        while j < count:
+            put_hit(rows, hit_row, j, seen[j])
+            j += 1
+        j = wp.int32(0)
+        while j < width:
+            put_sum(rows, sum_row, j, Sum())
+            j += 1
+        idle = PathState()
+        j = wp.int32(count)
+        while j < width:
+            put_state(rows, state_row, j, idle)
+            j += 1
+
+    @wp.func
+    def draw_numbers(sampler: Sampler, depth: wp.int32, rows: ROWS):
+        j = wp.int32(0)
+        while j < width:
+            own = branch_of(sampler, wp.int32(sampler.index) + j)
+            if wp.static(has_lights):
+                u4 = sample_4d(own, 1 + SLOTS_PER_VERTEX * depth)
+                put_number(rows, 0, j, u4[0])
+                put_number(rows, 1, j, u4[1])
+                put_number(rows, 2, j, u4[2])
+                put_number(rows, 3, j, u4[3])
+            r4 = sample_4d(own, 2 + SLOTS_PER_VERTEX * depth)
+            put_number(rows, 4, j, r4[0])
+            put_number(rows, 5, j, r4[1])
+            put_number(rows, 6, j, r4[2])
+            put_number(rows, 7, j, r4[3])
+            j += 1
+
+    @wp.func
+    def meet(scene: Scene, depth: wp.int32, last: wp.bool, rows: ROWS) -> wp.int32:
+        """What the rays find, one by one; the number of paths that stand on a surface."""
+        standing = wp.int32(0)
+        j = wp.int32(0)
+        while j < width:
+            state = get_state(rows, state_row, j, PathState())
+            arrival = Arrival()
+            choice = Choice()
+            if state.alive == 1:
+                if depth > 0:
+                    put_hit(rows, hit_row, j, closest_hit(scene.accel, state.o, state.d, state.t_max))
+                hit = get_hit(rows, hit_row, j, RayHit())
+                arrival = arrive(scene, state, hit)
+                if arrival.on == 1:
+                    standing += 1
+                    choice.on = 1
+                    choice.face = hit.face
+                    if wp.static(has_lights):
+                        if not last:
+                            light, face = pick(scene, wp.vec2(get_number(rows, 0, j), get_number(rows, 1, j)))
+                            choice.light = light
+                            choice.light_face = face
+            put_arrival(rows, arrival_row, j, arrival)
+            put_choice(rows, choice_row, j, choice)
+            j += 1
+        return standing
+
+    @wp.func
+    def stand_there(scene: Scene, rows: ROWS):
+        j = wp.int32(0)
+        while j < width:
+            state = get_state(rows, state_row, j, PathState())
+            hit = get_hit(rows, hit_row, j, RayHit())
+            choice = get_choice(rows, choice_row, j, Choice())
+            put_place(rows, place_row, j, stand(scene, choice.face, hit.u, hit.v, state.d))
+            j += 1
+
+    @wp.func
+    def draw_lights(scene: Scene, rows: ROWS):
+        j = wp.int32(0)
+        while j < width:
+            choice = get_choice(rows, choice_row, j, Choice())
+            place = get_place(rows, place_row, j, Place())
+            u = wp.vec2(get_number(rows, 2, j), get_number(rows, 3, j))
+            put_light(rows, light_row, j, draw(scene, choice.light, choice.light_face, place.x, u))
+            j += 1
+
+    @wp.func
+    def estimate(rows: ROWS):
+        j = wp.int32(0)
+        while j < width:
+            choice = get_choice(rows, choice_row, j, Choice())
+            place = get_place(rows, place_row, j, Place())
+            ls = get_light(rows, light_row, j, LightSample())
+            put_event(rows, event_row, j, next_event(place, ls, choice.light))
+            j += 1
+
+    @wp.func
+    def scatter_all(scene: Scene, rr_depth: wp.int32, rows: ROWS):
+        j = wp.int32(0)
+        while j < width:
+            state = get_state(rows, state_row, j, PathState())
+            choice = get_choice(rows, choice_row, j, Choice())
+            place = get_place(rows, place_row, j, Place())
+            r4 = wp.vec4(get_number(rows, 4, j), get_number(rows, 5, j), get_number(rows, 6, j), get_number(rows, 7, j))
+            onward = scatter(place, state, choice.face, r4, rr_depth)
+            if wp.static(sparse):
+                onward.after.met = state.met + scene.matters[place.shape]
+            put_onward(rows, onward_row, j, onward)
+            j += 1
+
+    @wp.func
+    def look(scene: Scene, rows: ROWS):
+        """Shadow rays, one by one."""
+        j = wp.int32(0)
+        while j < width:
+            choice = get_choice(rows, choice_row, j, Choice())
+            event = get_event(rows, event_row, j, NextEvent())
+            wanted = choice.on == 1 and event.wanted == 1
+            if wp.static(sparse):
+                onward = get_onward(rows, onward_row, j, Onward())
+                wanted = wanted and onward.after.met > 0
+            if wanted:
+                if not any_hit(scene.accel, event.o, event.d, event.t_max):
+                    choice.lit = 1
+                    put_choice(rows, choice_row, j, choice)
+            j += 1
+
+    @wp.func
+    def keep(depth: wp.int32, scattering: wp.bool, rows: ROWS):
+        j = wp.int32(0)
+        while j < width:
+            state = get_state(rows, state_row, j, PathState())
+            hit = get_hit(rows, hit_row, j, RayHit())
+            arrival = get_arrival(rows, arrival_row, j, Arrival())
+            choice = get_choice(rows, choice_row, j, Choice())
+            onward = get_onward(rows, onward_row, j, Onward())
+            event = NextEvent()
+            lit = wp.bool(False)
+            if wp.static(has_lights):
+                event = get_event(rows, event_row, j, NextEvent())
+                lit = choice.lit == 1
+            on = scattering and choice.on == 1
+            vertex = vertex_of(state, hit, arrival, lit, event, on, onward)
+            put_vertex(rows, vertex_row, j, vertex)
+            j += 1
+        # Written at once to where it stays, it might overlap what is read, for all that the compiler knows.
+        copy_vertex(rows, vertex_row, vertex_row + (depth + 1) * vertex_words)
+
+    @wp.func
+    def advance(scattering: wp.bool, rows: ROWS) -> wp.int32:
+        alive = wp.int32(0)
+        j = wp.int32(0)
+        while j < width:
+            state = get_state(rows, state_row, j, PathState())
+            arrival = get_arrival(rows, arrival_row, j, Arrival())
+            choice = get_choice(rows, choice_row, j, Choice())
+            onward = get_onward(rows, onward_row, j, Onward())
+            total = get_sum(rows, sum_row, j, Sum())
+            on = scattering and choice.on == 1
+            direct = arrival.direct
+            if wp.static(has_lights):
+                event = get_event(rows, event_row, j, NextEvent())
+                direct += where3(choice.lit == 1, event.value, wp.vec3(0.0, 0.0, 0.0))
+            direct = where3(on and onward.broken == 1, wp.vec3(wp.NAN, wp.NAN, wp.NAN), direct)
+            # What lies in the rows of a path that has ended may be anything.
+            gained = total.radiance + wp.cw_mul(state.throughput, direct)
+            total.radiance = where3(state.alive == 1, gained, total.radiance)
+            total.vertices += state.alive
+            put_sum(rows, sum_row, j, total)
+            after = onward.after
+            after.alive = wp.where(on, onward.after.alive, 0)
+            put_state(rows, state_row, j, after)
+            alive += after.alive
+            j += 1
+        return alive
+
+    @wp.func
+    def step(
+        scene: Scene, sampler: Sampler, depth: wp.int32, max_depth: wp.int32, rr_depth: wp.int32, rows: ROWS
+    ) -> wp.int32:
+        last = wp.static(not config.scatter) or (max_depth >= 0 and depth + 1 >= max_depth)
+        if wp.static(config.scatter):
+            if not last:
+                draw_numbers(sampler, depth, rows)
+        scattering = meet(scene, depth, last, rows) > 0 and not last
+        if wp.static(config.scatter):
+            if scattering:
+                stand_there(scene, rows)
+                if wp.static(has_lights):
+                    draw_lights(scene, rows)
+                    estimate(rows)
+                scatter_all(scene, rr_depth, rows)
+                if wp.static(has_lights):
+                    look(scene, rows)
+        if wp.static(kept > 0):
+            keep(depth, scattering, rows)
+        return advance(scattering, rows)
+
+    @wp.func
+    def gathered(rows: ROWS, j: wp.int32) -> Sum:
+        return get_sum(rows, sum_row, j, Sum())
+
+    @wp.func
+    def camera_of(rows: ROWS, j: wp.int32) -> CameraSample:
+        return get_camera(rows, camera_row, j, CameraSample())
+
+    @wp.func
+    def vertex_at(rows: ROWS, j: wp.int32, n: wp.int32) -> PathVertex:
+        return get_vertex(rows, vertex_row + (n + 1) * vertex_words, j, PathVertex())
+
+    size = (row + (kept + 1 if kept else 0) * vertex_words) * width
+    return LanePaths(width, size, start, step, gathered, camera_of, vertex_at if kept else None)

@@ -1,0 +1,313 @@
+"""The parts of one path vertex: what arrives there, the light that is drawn for it, and the direction that goes on.
+
+``path.py`` puts them together for one path, ``path_lanes.py`` for several side by side. There each part is the body of
+a loop over lanes that the compiler turns into SIMD, which asks for few branches, none of them around a load and none
+that ends in a vector: below, what does not count is computed and then not selected.
+"""
+
+import functools
+
+import warp as wp
+
+from warp_psdr.kernels.bsdf.dispatch import make_bsdf
+from warp_psdr.kernels.bvh.wide import RayHit
+from warp_psdr.kernels.constants import EMITTER_AREA, FAR, LOBE_NONE, LOBE_SMOOTH
+from warp_psdr.kernels.distribution import find_interval
+from warp_psdr.kernels.emitter.area import make_area, pdf_area
+from warp_psdr.kernels.emitter.dispatch import make_lights
+from warp_psdr.kernels.invalid import finite, inverse_pdf, vanishes
+from warp_psdr.kernels.math import to_local, to_world, where3
+from warp_psdr.kernels.reading import bsdf_at, emitter_at, shape_at, triangle_at
+from warp_psdr.kernels.sampling import mis_weight
+from warp_psdr.kernels.step import leaving_step
+from warp_psdr.kernels.structs import LightSample, Material, Scene
+from warp_psdr.kernels.surface import make_surface
+from warp_psdr.kernels.vertex import PathConfig, PathState, make_frame, make_material
+
+#: Sample slots per path vertex: next-event estimation, scattering. Slot 0 is the camera's.
+SLOTS_PER_VERTEX = 2
+#: Largest and smallest survival probability of Russian roulette (Mitsuba's upper one). The lower bound applies to
+#: differential passes only, where a path of zero throughput still carries derivatives.
+ROULETTE_MAX = 0.95
+ROULETTE_MIN = 0.05
+
+
+@wp.struct
+class Arrival:
+    """What a ray brings: E_n."""
+
+    direct: wp.vec3
+    weight: wp.float32  # its MIS weight
+    on: wp.int32  # 1: there is a surface to go on from
+
+
+@wp.struct
+class Place:
+    """Where a path scatters: point, frame on the side of the incoming ray, and the material there."""
+
+    x: wp.vec3
+    ng: wp.vec3
+    n: wp.vec3
+    s: wp.vec3
+    t: wp.vec3
+    wi: wp.vec3  # local
+    away: wp.float32  # step of the rays that leave
+    model: wp.int32
+    shape: wp.int32
+    material: Material
+
+
+@wp.struct
+class NextEvent:
+    """A next-event estimate D_n, as long as its shadow ray is free."""
+
+    wanted: wp.int32  # 1: it is worth the ray
+    value: wp.vec3
+    o: wp.vec3
+    d: wp.vec3
+    t_max: wp.float32
+    light: wp.int32  # emitter
+    face: wp.int32
+    u: wp.float32
+    v: wp.float32
+    wi: wp.vec3
+    weight: wp.float32  # MIS weight / pdf
+
+
+@wp.struct
+class Onward:
+    """How a path goes on."""
+
+    after: PathState
+    lobe: wp.int32
+    wo: wp.vec3
+    inv_pdf: wp.float32
+    beta: wp.vec3
+    broken: wp.int32  # 1: there is no such direction, as a NaN of the scene has it
+
+
+def samples_lights(config: PathConfig) -> bool:
+    """Whether there is next-event estimation: it never finds a delta lobe."""
+    return bool(config.area or config.lights) and make_bsdf(config.bsdfs).eval is not None
+
+
+@functools.cache
+def make_arrive(config: PathConfig):
+    """Return ``arrive(scene, state, hit) -> Arrival``."""
+    emitted = make_area(config.area).emitted if config.area else None
+    lights = make_lights(config.lights, None, ()) if config.lights else None
+    environment_eval = lights.environment_eval if lights else None
+    environment_eval_pdf = lights.environment_eval_pdf if lights else None
+    environment = environment_eval is not None
+
+    @wp.func
+    def arrive(scene: Scene, state: PathState, hit: RayHit) -> Arrival:
+        arrival = Arrival()
+        if hit.face < 0:
+            if not finite(state.o + state.d):
+                # A ray of a camera without a pose, which meets nothing: not black, nor what an environment holds there.
+                arrival.direct = wp.vec3(wp.NAN, wp.NAN, wp.NAN)
+                return arrival
+            if wp.static(environment):
+                if wp.static(not config.hide_emitters) or state.depth > 0:
+                    weight = wp.float32(1.0)
+                    if state.pdf > 0.0:
+                        found, density = environment_eval_pdf(scene, state.d)
+                        weight = mis_weight(state.pdf, density * scene.emitters[scene.environment].probability)
+                        arrival.direct = weight * found
+                    else:
+                        arrival.direct = environment_eval(scene, state.d)
+                    arrival.weight = weight
+            return arrival
+        arrival.on = 1
+        if wp.static(bool(config.area)):
+            light = shape_at(scene, triangle_at(scene, hit.face).shape).emitter
+            if light >= 0:
+                emitter = emitter_at(scene, light)
+                weight = wp.float32(1.0)
+                if state.pdf > 0.0:
+                    pdf_light = pdf_area(scene, emitter, hit.face, state.d, hit.t) * emitter.probability
+                    weight = mis_weight(state.pdf, pdf_light)
+                arrival.weight = weight
+                arrival.direct = weight * emitted(scene, emitter, hit.face, hit.u, hit.v, state.d)
+        return arrival
+
+    return arrive
+
+
+@functools.cache
+def make_stand(config: PathConfig):
+    """Return ``stand(scene, face, u, v, d) -> Place``, d the direction that the path arrives with."""
+    surface_at = make_surface(config.smooth, config.flat, config.uv, config.tangent)
+    frame_at = make_frame(config.two_sided, config.tangent)
+    material_at = make_material(config.slots)
+
+    @wp.func
+    def stand(scene: Scene, face: wp.int32, u: wp.float32, v: wp.float32, d: wp.vec3) -> Place:
+        surface = surface_at(scene, face, u, v)
+        frame = frame_at(scene, shape_at(scene, surface.shape).bsdf, surface.n, surface.tangent, -d)
+        b = bsdf_at(scene, frame.bsdf)
+        place = Place()
+        place.x = surface.x
+        place.ng = surface.ng
+        place.n = frame.n
+        place.s = frame.s
+        place.t = frame.t
+        place.wi = to_local(frame.s, frame.t, frame.n, -d)
+        place.away = leaving_step(scene, face)
+        place.model = b.model
+        place.shape = surface.shape
+        place.material = material_at(scene, b, face, u, v, surface.uv)
+        return place
+
+    return stand
+
+
+@wp.func
+def step_off(place: Place, d: wp.vec3) -> wp.vec3:
+    """Where a ray with direction d starts."""
+    return place.x + wp.where(wp.dot(place.ng, d) >= 0.0, place.away, -place.away) * place.ng
+
+
+@functools.cache
+def make_light_draw(config: PathConfig):
+    """Return ``pick(scene, u: vec2) -> (emitter, face)`` and ``draw(scene, emitter, face, x, u: vec2) -> LightSample``.
+
+    Face -1: the light is no area light.
+    """
+    area = make_area(config.area) if config.area else None
+    other = make_lights(config.lights, None, ()).sample if config.lights else None
+
+    @wp.func
+    def pick(scene: Scene, u: wp.vec2) -> tuple[wp.int32, wp.int32]:
+        index = wp.int32(0)
+        count = scene.emitters.shape[0]
+        if count > 1:
+            index = find_interval(scene.emitter_cdf, 0, count, u[0])
+        face = wp.int32(-1)
+        if wp.static(bool(config.area)):
+            emitter = emitter_at(scene, index)
+            if wp.static(not config.lights) or emitter.kind == EMITTER_AREA:
+                face = area.pick(scene, emitter, u[1])
+        return index, face
+
+    @wp.func
+    def draw(scene: Scene, index: wp.int32, face: wp.int32, x: wp.vec3, u: wp.vec2) -> LightSample:
+        emitter = emitter_at(scene, index)
+        if wp.static(bool(config.area and config.lights)):
+            ls = LightSample()
+            if face >= 0:
+                ls = area.draw(scene, emitter, face, x, u)
+            else:
+                ls = other(scene, emitter, x, u)
+                ls.face = -1
+        elif wp.static(bool(config.area)):
+            ls = area.draw(scene, emitter, face, x, u)
+        else:
+            ls = other(scene, emitter, x, u)
+            ls.face = -1
+        ls.probability = emitter.probability
+        return ls
+
+    return pick, draw
+
+
+@functools.cache
+def make_light_sampler(config: PathConfig):
+    """Return ``sample_light(scene, x, u4) -> (LightSample, emitter index, selection probability)``."""
+    pick, draw = make_light_draw(config)
+
+    @wp.func
+    def sample_light(scene: Scene, x: wp.vec3, u4: wp.vec4) -> tuple[LightSample, wp.int32, wp.float32]:
+        index, face = pick(scene, wp.vec2(u4[0], u4[1]))
+        ls = draw(scene, index, face, x, wp.vec2(u4[2], u4[3]))
+        return ls, index, ls.probability
+
+    return sample_light
+
+
+@wp.func
+def shadow_ray(o: wp.vec3, ls: LightSample) -> tuple[wp.vec3, wp.float32]:
+    """Direction and length of the ray from o to a light point, or to a little in front of an area light's surface."""
+    r = ls.target - o
+    length = wp.length(r)
+    near = ls.face >= 0
+    return where3(near, r / wp.where(near, length, 1.0), ls.wi), wp.where(near, length, ls.distance)
+
+
+@functools.cache
+def make_next_event(config: PathConfig, differential: bool):
+    """Return ``next_event(place, ls, light) -> NextEvent``; arguments as ``make_path_step``'s."""
+    bsdf = make_bsdf(config.bsdfs)
+
+    @wp.func
+    def next_event(place: Place, ls: LightSample, light: wp.int32) -> NextEvent:
+        wo = to_local(place.s, place.t, place.n, ls.wi)
+        pdf_bsdf = bsdf.pdf(place.model, place.material, place.wi, wo)
+        pdf_light = ls.pdf * ls.probability
+        event = NextEvent()
+        event.weight = inverse_pdf(pdf_light) * wp.where(ls.delta == 0, mis_weight(pdf_light, pdf_bsdf), 1.0)
+        event.value = event.weight * wp.cw_mul(bsdf.eval(place.model, place.material, place.wi, wo), ls.radiance)
+        wanted = not (ls.pdf <= 0.0 or pdf_bsdf <= 0.0 or bsdf.is_delta(place.model))
+        if wp.static(not differential):
+            wanted = wanted and not vanishes(event.value)
+        event.wanted = wp.where(wanted, 1, 0)
+        event.o = step_off(place, ls.wi)
+        d, t_max = shadow_ray(event.o, ls)
+        event.d = d
+        event.t_max = t_max
+        event.light = light
+        event.face = ls.face
+        event.u = ls.u
+        event.v = ls.v
+        event.wi = ls.wi
+        return event
+
+    return next_event
+
+
+@functools.cache
+def make_scatter(config: PathConfig, differential: bool):
+    """Return ``scatter(place, state, face, r4, rr_depth) -> Onward``; arguments as ``make_path_step``'s."""
+    bsdf = make_bsdf(config.bsdfs)
+
+    @wp.func
+    def scatter(place: Place, state: PathState, face: wp.int32, r4: wp.vec4, rr_depth: wp.int32) -> Onward:
+        bs = bsdf.sample(place.model, place.material, place.wi, r4[0], wp.vec2(r4[2], r4[3]))
+        onward = Onward()
+        onward.wo = to_world(place.s, place.t, place.n, bs.wo)
+        inv_pdf = 1.0 / bs.pdf
+        beta = inv_pdf * bs.value
+        throughput = wp.cw_mul(state.throughput, beta)
+        alive = not bs.pdf <= 0.0
+        # Said here, for nothing behind would tell: rays without a direction meet nothing.
+        broken = alive and not finite(throughput + bs.pdf * onward.wo)
+        alive = alive and not broken
+        survival = wp.max(throughput)
+        if wp.static(not differential):
+            alive = alive and not survival <= 0.0
+        eta = state.eta * bs.eta
+        survival = wp.min(survival * eta * eta, ROULETTE_MAX)
+        if wp.static(differential):
+            survival = wp.max(survival, ROULETTE_MIN)
+        late = state.depth + 1 >= rr_depth
+        alive = alive and not (late and r4[1] >= survival)
+        q = wp.where(late, survival, 1.0)
+        inv_pdf = wp.where(broken, inv_pdf, inv_pdf / q)
+        onward.broken = wp.where(broken, 1, 0)
+        onward.lobe = wp.where(alive, bs.lobe, LOBE_NONE)
+        onward.inv_pdf = inv_pdf
+        onward.beta = where3(alive or broken, inv_pdf * bs.value, wp.vec3(0.0, 0.0, 0.0))
+        smooth = bs.lobe == LOBE_SMOOTH
+        onward.after.alive = wp.where(alive, 1, 0)
+        onward.after.depth = state.depth + 1
+        onward.after.left = wp.where(smooth, face + 1, 0)
+        onward.after.o = step_off(place, onward.wo)
+        onward.after.d = onward.wo
+        onward.after.t_max = FAR
+        onward.after.throughput = throughput / q
+        onward.after.pdf = wp.where(smooth, bs.pdf, 0.0)
+        onward.after.eta = eta
+        return onward
+
+    return scatter
