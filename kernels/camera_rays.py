@@ -1,4 +1,4 @@
-"""Camera rays of a pixel, traced together where the ray structure can (``bvh/bundle.py``): as many samples as lanes."""
+"""Camera rays that are traced together where the ray structure can (``bvh/bundle.py``), and the samples behind them."""
 
 import functools
 
@@ -8,10 +8,57 @@ from warp_psdr.kernels.bvh.bundle import make_bundle
 from warp_psdr.kernels.bvh.wide import RayHit, make_intersect
 from warp_psdr.kernels.camera import CameraSample
 from warp_psdr.kernels.path import make_camera_start, make_path_step
-from warp_psdr.kernels.rng import Sampler, branch_of
+from warp_psdr.kernels.rng import Sampler, branch_of, sampler_at
 from warp_psdr.kernels.sight import make_sight
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.vertex import PathConfig, PathState
+
+
+@wp.struct
+class Bundle:
+    """Samples that are traced together: some of one pixel, or all of several, one after the other."""
+
+    first: wp.int32  # of the pixels, in the list that the kernel is given
+    pixels: wp.int32  # their number
+    first_sample: wp.int32
+    samples: wp.int32  # of each
+    seed: wp.uint32
+    raster: wp.int32  # width of the raster that the pixels are numbered in
+    margin: wp.int32  # by which it exceeds the image
+
+
+@wp.func
+def sampler_in(pixels: wp.array(dtype=wp.int32), bundle: Bundle, j: wp.int32) -> Sampler:
+    """The j-th sample of a bundle."""
+    pixel = pixels[bundle.first + j // bundle.samples]
+    return sampler_at(pixel, bundle.first_sample + j % bundle.samples, bundle.seed)
+
+
+@wp.func
+def column_of(bundle: Bundle, sampler: Sampler) -> wp.int32:
+    return wp.int32(sampler.pixel) % bundle.raster - bundle.margin
+
+
+@wp.func
+def row_of(bundle: Bundle, sampler: Sampler) -> wp.int32:
+    return wp.int32(sampler.pixel) // bundle.raster - bundle.margin
+
+
+@functools.cache
+def make_group_size(lanes: int):
+    """Return ``group_size(thread, pixel_count, samples) -> int``: the pixels that a thread traces, 0 for some threads.
+
+    One, or where their samples are fewer than the lanes, as many as fill them; the threads of the others are idle.
+    """
+
+    @wp.func
+    def group_size(thread: wp.int32, pixel_count: wp.int32, samples: wp.int32) -> wp.int32:
+        size = wp.max(wp.static(lanes) // samples, 1)
+        if thread % size != 0:
+            return 0
+        return wp.min(size, pixel_count - thread)
+
+    return group_size
 
 
 def rays_together(config: PathConfig) -> int:

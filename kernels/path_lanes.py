@@ -1,4 +1,4 @@
-"""The path loop of ``path.py`` for as many samples of a pixel as there are lanes, in step (``lanes.py``).
+"""The path loop of ``path.py`` for as many samples as there are lanes, in step (``lanes.py``).
 
 Each part of a vertex is a loop over all lanes. Rays are traced, and what is rare (emitters that are hit, rays that
 leave the scene, the search for a light) is done, lane by lane; the rest, which is most of the arithmetic, becomes SIMD.
@@ -12,11 +12,12 @@ import warp as wp
 
 from warp_psdr.kernels.bvh.wide import RayHit, make_intersect
 from warp_psdr.kernels.camera import CameraSample
-from warp_psdr.kernels.camera_rays import make_trace_together
+from warp_psdr.kernels.camera_rays import Bundle, column_of, make_trace_together, row_of, sampler_in
+from warp_psdr.kernels.constants import BSDF_DIFFUSE
 from warp_psdr.kernels.lanes import ROWS, make_copy, make_number, make_record, words
 from warp_psdr.kernels.math import where3
 from warp_psdr.kernels.path import make_camera_start, vertex_of
-from warp_psdr.kernels.rng import Sampler, branch_of, make_sampler
+from warp_psdr.kernels.rng import Sampler, make_sampler
 from warp_psdr.kernels.scattering import (
     SLOTS_PER_VERTEX,
     Arrival,
@@ -59,10 +60,10 @@ class LanePaths(NamedTuple):
     Attributes:
         width: number of lanes.
         size: words of the array.
-        start: ``(scene, camera, px, py, sampler, count, met, rows)`` starts samples of a pixel, that of the sampler and
-            the next ones, ``count`` in all, and traces their camera rays; ``met`` as in ``PathState``.
-        step: ``(scene, sampler, depth, max_depth, rr_depth, rows) -> int``: one vertex of every path, behind ``depth``
-            others; the number of paths that have another one.
+        start: ``(scene, camera, pixels, bundle, met, rows)`` starts the samples of a bundle, and traces their camera
+            rays; ``met`` as in ``PathState``.
+        step: ``(scene, depth, max_depth, rr_depth, rows) -> int``: one vertex of every path, behind ``depth`` others;
+            the number of paths that have another one.
         gathered: ``(rows, j) -> Sum`` of the j-th path.
         camera: ``(rows, j) -> CameraSample``.
         vertex: ``(rows, j, n) -> PathVertex``, its n-th vertex; None if none are kept.
@@ -78,8 +79,11 @@ class LanePaths(NamedTuple):
 
 
 def side_by_side(config: PathConfig) -> bool:
-    """Whether a scene's paths are traced so: on the CPU, unless what they meet is written down."""
-    return config.ray_backend == "wide" and not config.noted
+    """Whether a scene's paths are traced so: on the CPU, unless what they meet is written down.
+
+    Not where scattering is more than choosing between numbers: the other models branch around vectors.
+    """
+    return config.ray_backend == "wide" and not config.noted and config.bsdfs == (BSDF_DIFFUSE,)
 
 
 @functools.cache
@@ -103,6 +107,7 @@ def make_lane_paths(
     next_event = make_next_event(config, differential) if has_lights else None
 
     get_number, put_number = make_number(width)
+    get_sampler, put_sampler = make_record(Sampler, width)
     get_state, put_state = make_record(PathState, width)
     get_hit, put_hit = make_record(RayHit, width)
     get_camera, put_camera = make_record(CameraSample, width)
@@ -115,13 +120,14 @@ def make_lane_paths(
     get_onward, put_onward = make_record(Onward, width)
     get_vertex, put_vertex = make_record(PathVertex, width)
     copy_vertex = make_copy(PathVertex, width)
-    records = (PathState, RayHit, CameraSample, Sum, Arrival, Choice, Place, Onward)
+    records = (Sampler, PathState, RayHit, CameraSample, Sum, Arrival, Choice, Place, Onward)
     records += (LightSample, NextEvent) if has_lights else ()
     first_row = {}
     row = 8  # random numbers: next-event estimation, scattering
     for record in records:
         first_row[record] = row
         row += words(record)
+    sampler_row = first_row[Sampler]
     state_row, hit_row, camera_row, sum_row = (first_row[r] for r in (PathState, RayHit, CameraSample, Sum))
     arrival_row, choice_row, place_row, onward_row = (first_row[r] for r in (Arrival, Choice, Place, Onward))
     light_row, event_row = (first_row.get(r, 0) for r in (LightSample, NextEvent))
@@ -131,10 +137,8 @@ def make_lane_paths(
     def start(
         scene: Scene,
         camera: Camera,
-        px: wp.int32,
-        py: wp.int32,
-        sampler: Sampler,
-        count: wp.int32,
+        pixels: wp.array(dtype=wp.int32),
+        bundle: Bundle,
         met: wp.int32,
         rows: ROWS,
     ):
@@ -142,10 +146,13 @@ def make_lane_paths(
         d = wp.zeros(shape=(wp.static(width),), dtype=wp.vec3)
         t_max = wp.zeros(shape=(wp.static(width),), dtype=wp.float32)
         seen = wp.zeros(shape=(wp.static(width),), dtype=RayHit)
+        count = bundle.pixels * bundle.samples
         j = wp.int32(0)
         while j < count:
-            state, sample = start_sample(scene, camera, px, py, branch_of(sampler, wp.int32(sampler.index) + j))
+            sampler = sampler_in(pixels, bundle, j)
+            state, sample = start_sample(scene, camera, column_of(bundle, sampler), row_of(bundle, sampler), sampler)
             state.met = met
+            put_sampler(rows, sampler_row, j, sampler)
             put_state(rows, state_row, j, state)
             put_camera(rows, camera_row, j, sample)
             o[j] = state.o
@@ -168,17 +175,17 @@ def make_lane_paths(
             j += 1
 
     @wp.func
-    def draw_numbers(sampler: Sampler, depth: wp.int32, rows: ROWS):
+    def draw_numbers(depth: wp.int32, rows: ROWS):
         j = wp.int32(0)
         while j < width:
-            own = branch_of(sampler, wp.int32(sampler.index) + j)
+            sampler = get_sampler(rows, sampler_row, j, Sampler())
             if wp.static(has_lights):
-                u4 = sample_4d(own, 1 + SLOTS_PER_VERTEX * depth)
+                u4 = sample_4d(sampler, 1 + SLOTS_PER_VERTEX * depth)
                 put_number(rows, 0, j, u4[0])
                 put_number(rows, 1, j, u4[1])
                 put_number(rows, 2, j, u4[2])
                 put_number(rows, 3, j, u4[3])
-            r4 = sample_4d(own, 2 + SLOTS_PER_VERTEX * depth)
+            r4 = sample_4d(sampler, 2 + SLOTS_PER_VERTEX * depth)
             put_number(rows, 4, j, r4[0])
             put_number(rows, 5, j, r4[1])
             put_number(rows, 6, j, r4[2])
@@ -324,13 +331,11 @@ def make_lane_paths(
         return alive
 
     @wp.func
-    def step(
-        scene: Scene, sampler: Sampler, depth: wp.int32, max_depth: wp.int32, rr_depth: wp.int32, rows: ROWS
-    ) -> wp.int32:
+    def step(scene: Scene, depth: wp.int32, max_depth: wp.int32, rr_depth: wp.int32, rows: ROWS) -> wp.int32:
         last = wp.static(not config.scatter) or (max_depth >= 0 and depth + 1 >= max_depth)
         if wp.static(config.scatter):
             if not last:
-                draw_numbers(sampler, depth, rows)
+                draw_numbers(depth, rows)
         scattering = meet(scene, depth, last, rows) > 0 and not last
         if wp.static(config.scatter):
             if scattering:

@@ -6,13 +6,19 @@ from typing import NamedTuple
 import warp as wp
 
 from warp_psdr.kernels.camera import CameraSample
+from warp_psdr.kernels.camera_rays import (
+    Bundle,
+    column_of,
+    make_camera_paths,
+    make_group_size,
+    row_of,
+    sampler_in,
+)
 from warp_psdr.kernels.invalid import count_invalid, finite
 from warp_psdr.kernels.lanes import ROWS
-from warp_psdr.kernels.path import make_camera_start, make_path_step
 from warp_psdr.kernels.path_lanes import make_lane_paths, side_by_side
-from warp_psdr.kernels.rng import Sampler, branch_of, sampler_at
 from warp_psdr.kernels.structs import Camera, Scene
-from warp_psdr.kernels.vertex import PathConfig
+from warp_psdr.kernels.vertex import PathConfig, PathState
 
 
 @wp.struct
@@ -24,20 +30,20 @@ class CameraPath:
 
 
 class CameraPaths(NamedTuple):
-    """How the samples of a pixel are traced: ``width`` at a time.
+    """How samples are traced: ``width`` at a time, which are those of one pixel unless ``grouped``.
 
-    ``trace(scene, camera, px, py, sampler, count, max_depth, rr_depth, rows, paths_out)`` traces the sampler's sample
-    and those behind it, ``count`` in all, with an array of ``size`` uint32 to work on, into an array of ``width``
-    ``CameraPath``.
+    ``trace(scene, camera, pixels, bundle, max_depth, rr_depth, rows, paths_out)`` traces the samples of a bundle, with
+    an array of ``size`` uint32 to work on, into an array of ``width`` ``CameraPath``.
     """
 
     width: int
+    grouped: bool
     size: int
     trace: wp.Function
 
 
 @functools.cache
-def make_camera_paths(config: PathConfig, filter_kind: int | None = None) -> CameraPaths:
+def make_image_paths(config: PathConfig, filter_kind: int | None = None) -> CameraPaths:
     """Make the function for what a scene needs; ``filter_kind`` as ``make_camera_start``'s."""
     if side_by_side(config):
         lanes = make_lane_paths(config, False, filter_kind=filter_kind)
@@ -46,61 +52,63 @@ def make_camera_paths(config: PathConfig, filter_kind: int | None = None) -> Cam
         def trace_lanes(
             scene: Scene,
             camera: Camera,
-            px: wp.int32,
-            py: wp.int32,
-            sampler: Sampler,
-            count: wp.int32,
+            pixels: wp.array(dtype=wp.int32),
+            bundle: Bundle,
             max_depth: wp.int32,
             rr_depth: wp.int32,
             rows: ROWS,
             paths_out: wp.array(dtype=CameraPath),
         ):
-            lanes.start(scene, camera, px, py, sampler, count, 0, rows)
+            lanes.start(scene, camera, pixels, bundle, 0, rows)
             depth = wp.int32(0)
-            alive = wp.int32(count)
+            alive = wp.int32(1)
             while alive > 0:
-                alive = lanes.step(scene, sampler, depth, max_depth, rr_depth, rows)
+                alive = lanes.step(scene, depth, max_depth, rr_depth, rows)
                 depth += 1
-            for j in range(count):
+            for j in range(bundle.pixels * bundle.samples):
                 path = CameraPath()
                 path.sample = lanes.camera(rows, j)
                 path.radiance = lanes.gathered(rows, j).radiance
                 paths_out[j] = path
 
-        return CameraPaths(lanes.width, lanes.size, trace_lanes)
+        return CameraPaths(lanes.width, True, lanes.size, trace_lanes)
 
-    start = make_camera_start(config, filter_kind)
-    path_step = make_path_step(config, False)
+    width, starts, path_step = make_camera_paths(config, False, filter_kind=filter_kind)
 
     @wp.func
     def trace(
         scene: Scene,
         camera: Camera,
-        px: wp.int32,
-        py: wp.int32,
-        sampler: Sampler,
-        count: wp.int32,
+        pixels: wp.array(dtype=wp.int32),
+        bundle: Bundle,
         max_depth: wp.int32,
         rr_depth: wp.int32,
         rows: ROWS,
         paths_out: wp.array(dtype=CameraPath),
     ):
-        path = CameraPath()
-        state, sample = start(scene, camera, px, py, sampler)
-        path.sample = sample
-        while state.alive == 1:
-            vertex, state = path_step(scene, sampler, state, max_depth, rr_depth)
-            path.radiance += wp.cw_mul(vertex.throughput, vertex.direct)
-        paths_out[0] = path
+        starting = wp.zeros(shape=(wp.static(width),), dtype=PathState)
+        cameras = wp.zeros(shape=(wp.static(width),), dtype=CameraSample)
+        for j in range(bundle.samples):
+            sampler = sampler_in(pixels, bundle, j)
+            px = column_of(bundle, sampler)
+            py = row_of(bundle, sampler)
+            path = CameraPath()
+            state, sample = starts(scene, camera, px, py, sampler, j, bundle.samples, starting, cameras)
+            path.sample = sample
+            while state.alive == 1:
+                vertex, state = path_step(scene, sampler, state, max_depth, rr_depth)
+                path.radiance += wp.cw_mul(vertex.throughput, vertex.direct)
+            paths_out[j] = path
 
-    return CameraPaths(1, 1, trace)
+    return CameraPaths(width, False, 1, trace)
 
 
 @functools.cache
 def make_primal_kernel(config: PathConfig):
     """Return the primal kernel: one thread a pixel, all its samples in order."""
-    paths = make_camera_paths(config)
+    paths = make_image_paths(config)
     trace = paths.trace
+    group_size = make_group_size(paths.width if paths.grouped else 1)
 
     @wp.kernel(module="unique", enable_backward=False)
     def primal(
@@ -110,6 +118,7 @@ def make_primal_kernel(config: PathConfig):
         # In:
         pixels: wp.array(dtype=wp.int32),
         first_pixel: wp.int32,
+        pixel_count: wp.int32,
         first_sample: wp.int32,
         samples: wp.int32,
         scale: wp.float32,
@@ -119,24 +128,33 @@ def make_primal_kernel(config: PathConfig):
         # Out:
         image_out: wp.array2d(dtype=wp.vec3),
     ):
-        pixel = pixels[first_pixel + wp.tid()]
-        px = pixel % camera.crop_width
-        py = pixel // camera.crop_width
+        bundle = Bundle()
+        bundle.pixels = group_size(wp.tid(), pixel_count, samples)
+        if bundle.pixels == 0:
+            return
+        bundle.first = first_pixel + wp.tid()
+        bundle.seed = seed
+        bundle.raster = camera.crop_width
         # In double precision: a float32 sum stands still after 2^24 equal terms.
         total = wp.vec3d()
         rows = wp.zeros(shape=(wp.static(paths.size),), dtype=wp.uint32)
         found = wp.zeros(shape=(wp.static(paths.width),), dtype=CameraPath)
         done = wp.int32(0)
         while done < samples:
-            count = wp.min(samples - done, wp.static(paths.width))
-            sampler = sampler_at(pixel, first_sample + done, seed)
-            trace(scene, camera, px, py, sampler, count, max_depth, rr_depth, rows, found)
-            for j in range(count):
+            bundle.first_sample = first_sample + done
+            bundle.samples = wp.min(samples - done, wp.static(paths.width))
+            done += bundle.samples
+            trace(scene, camera, pixels, bundle, max_depth, rr_depth, rows, found)
+            for j in range(bundle.pixels * bundle.samples):
+                sampler = sampler_in(pixels, bundle, j)
                 if finite(found[j].radiance):
                     total += wp.vec3d(found[j].radiance)
                 else:
-                    count_invalid(scene, branch_of(sampler, wp.int32(sampler.index) + j))
-            done += count
-        image_out[py, px] = image_out[py, px] + wp.vec3(wp.float64(scale) * total)
+                    count_invalid(scene, sampler)
+                if done == samples and (j + 1) % bundle.samples == 0:
+                    px = column_of(bundle, sampler)
+                    py = row_of(bundle, sampler)
+                    image_out[py, px] = image_out[py, px] + wp.vec3(wp.float64(scale) * total)
+                    total = wp.vec3d()
 
     return primal

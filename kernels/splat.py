@@ -15,10 +15,10 @@ import functools
 
 import warp as wp
 
+from warp_psdr.kernels.camera_rays import Bundle, make_group_size, sampler_in
 from warp_psdr.kernels.constants import RFILTER_BOX, RFILTER_TENT
 from warp_psdr.kernels.invalid import count_invalid, finite
-from warp_psdr.kernels.primal import CameraPath, make_camera_paths
-from warp_psdr.kernels.rng import branch_of, sampler_at
+from warp_psdr.kernels.primal import CameraPath, make_image_paths
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.vertex import PathConfig
 
@@ -76,8 +76,9 @@ def make_filter_steps(kind: int):
 @functools.cache
 def make_splat_kernel(config: PathConfig):
     """Return the primal kernel for tent and gaussian filters: one thread a pixel of the extended raster."""
-    paths = make_camera_paths(config, RFILTER_BOX)
+    paths = make_image_paths(config, RFILTER_BOX)
     trace = paths.trace
+    group_size = make_group_size(paths.width if paths.grouped else 1)
     first, following = make_filter_steps(config.filter)
 
     @wp.func
@@ -110,6 +111,7 @@ def make_splat_kernel(config: PathConfig):
         # In:
         pixels: wp.array(dtype=wp.int32),
         first_pixel: wp.int32,
+        pixel_count: wp.int32,
         margin: wp.int32,
         first_sample: wp.int32,
         samples: wp.int32,
@@ -119,23 +121,27 @@ def make_splat_kernel(config: PathConfig):
         # Out:
         film_out: wp.array2d(dtype=wp.vec4),
     ):
-        pixel = pixels[first_pixel + wp.tid()]
-        width = camera.crop_width + 2 * margin
-        px = pixel % width - margin
-        py = pixel // width - margin
+        bundle = Bundle()
+        bundle.pixels = group_size(wp.tid(), pixel_count, samples)
+        if bundle.pixels == 0:
+            return
+        bundle.first = first_pixel + wp.tid()
+        bundle.seed = seed
+        bundle.raster = camera.crop_width + 2 * margin
+        bundle.margin = margin
         rows = wp.zeros(shape=(wp.static(paths.size),), dtype=wp.uint32)
         found = wp.zeros(shape=(wp.static(paths.width),), dtype=CameraPath)
         done = wp.int32(0)
         while done < samples:
-            count = wp.min(samples - done, wp.static(paths.width))
-            sampler = sampler_at(pixel, first_sample + done, seed)
-            trace(scene, camera, px, py, sampler, count, max_depth, rr_depth, rows, found)
-            for j in range(count):
+            bundle.first_sample = first_sample + done
+            bundle.samples = wp.min(samples - done, wp.static(paths.width))
+            done += bundle.samples
+            trace(scene, camera, pixels, bundle, max_depth, rr_depth, rows, found)
+            for j in range(bundle.pixels * bundle.samples):
                 if finite(found[j].radiance):
                     spread(camera, found[j], film_out)
                 else:
-                    count_invalid(scene, branch_of(sampler, wp.int32(sampler.index) + j))
-            done += count
+                    count_invalid(scene, sampler_in(pixels, bundle, j))
 
     return splat
 

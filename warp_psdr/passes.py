@@ -63,7 +63,7 @@ def boxed(
         make_primal_kernel(plan.config),
         (camera.crop_width, camera.crop_height),
         lambda data, first, count, pixels, lane: (
-            [data, camera, pixels, first, 0, spp, 1.0 / spp, seed, plan.max_depth, plan.rr_depth],
+            [data, camera, pixels, first, count, 0, spp, 1.0 / spp, seed, plan.max_depth, plan.rr_depth],
             [image],
         ),
         lanes=workers.LANES,
@@ -100,7 +100,7 @@ def splatted(
             make_splat_kernel(plan.config),
             (camera.crop_width + 2 * margin, camera.crop_height + 2 * margin),
             lambda data, first, count, pixels, lane, block=block: (
-                [data, camera, pixels, first, *block],
+                [data, camera, pixels, first, count, *block],
                 [films[lane]],
             ),
             lanes=lanes,
@@ -147,7 +147,7 @@ def interior_backward(
             _gradient_kernel(plan, "reverse"),
             (camera.crop_width, camera.crop_height),
             lambda data, first, count, pixels, lane, block=block: (
-                [data, camera, pixels, first, *block],
+                [data, camera, pixels, first, count, *block],
                 [sums.buffers[lane], dummy],
             ),
             lanes=lanes,
@@ -180,7 +180,7 @@ def interior_forward(
         scene,
         _gradient_kernel(plan, "forward"),
         (camera.crop_width, camera.crop_height),
-        lambda data, first, count, pixels, lane: ([data, camera, pixels, first, *tail], [target, image]),
+        lambda data, first, count, pixels, lane: ([data, camera, pixels, first, count, *tail], [target, image]),
         lanes=workers.LANES,
         kind="interior",
         spp=spp,

@@ -308,6 +308,7 @@ def make_forward_kernel(config: PathConfig, wanted: Wanted):
         # In:
         pixels: wp.array(dtype=wp.int32),
         first_pixel: wp.int32,
+        pixel_count: wp.int32,
         first_sample: wp.int32,
         samples: wp.int32,
         scale: wp.float32,

@@ -36,12 +36,19 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.camera import CameraSample, make_camera_ray
-from warp_psdr.kernels.camera_rays import make_camera_paths
+from warp_psdr.kernels.camera_rays import (
+    Bundle,
+    column_of,
+    make_camera_paths,
+    make_group_size,
+    row_of,
+    sampler_in,
+)
 from warp_psdr.kernels.interior.sweep import Carry, make_sweep
 from warp_psdr.kernels.interior.wanted import Wanted
-from warp_psdr.kernels.invalid import count_invalid, finite
+from warp_psdr.kernels.invalid import count_invalid, finite, vanishes
 from warp_psdr.kernels.path_lanes import make_lane_paths, side_by_side
-from warp_psdr.kernels.rng import branch_of, sampler_at
+from warp_psdr.kernels.rng import sampler_at
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.vertex import PathConfig, PathState, PathVertex
 
@@ -70,6 +77,7 @@ def make_replay_kernel(config: PathConfig, wanted: Wanted, block: int, blocks: i
         # In:
         pixels: wp.array(dtype=wp.int32),
         first_pixel: wp.int32,
+        pixel_count: wp.int32,
         first_sample: wp.int32,
         samples: wp.int32,
         scale: wp.float32,
@@ -141,6 +149,7 @@ def make_replay_kernel(config: PathConfig, wanted: Wanted, block: int, blocks: i
 def _make_lane_kernel(config: PathConfig, wanted: Wanted, block: int):
     """The same for paths of at most ``block`` vertices, traced side by side."""
     lanes = make_lane_paths(config, True, True, kept=block)
+    group_size = make_group_size(lanes.width)
     _camera_ray, camera_origin = make_camera_ray(config.camera)
     sweep, finish, _finish_vertex = make_sweep(config, wanted, "reverse")
 
@@ -152,6 +161,7 @@ def _make_lane_kernel(config: PathConfig, wanted: Wanted, block: int):
         # In:
         pixels: wp.array(dtype=wp.int32),
         first_pixel: wp.int32,
+        pixel_count: wp.int32,
         first_sample: wp.int32,
         samples: wp.int32,
         scale: wp.float32,
@@ -163,25 +173,36 @@ def _make_lane_kernel(config: PathConfig, wanted: Wanted, block: int):
         target: wp.array(dtype=wp.float32),
         image_out: wp.array2d(dtype=wp.vec3),
     ):
-        pixel = pixels[first_pixel + wp.tid()]
-        px = pixel % camera.crop_width
-        py = pixel // camera.crop_width
-        delta = scale * adjoint[py, px]
-        if delta[0] == 0.0 and delta[1] == 0.0 and delta[2] == 0.0:
+        bundle = Bundle()
+        bundle.pixels = group_size(wp.tid(), pixel_count, samples)
+        bundle.first = first_pixel + wp.tid()
+        bundle.raster = camera.crop_width
+        bundle.seed = seed
+        weighted = wp.bool(False)
+        for i in range(bundle.pixels):
+            pixel = pixels[bundle.first + i]
+            weight = adjoint[pixel // bundle.raster, pixel % bundle.raster]
+            weighted = weighted or not vanishes(scale * weight)
+        if not weighted:
             return
         rows = wp.zeros(shape=(wp.static(lanes.size),), dtype=wp.uint32)
         always = scene.matters[scene.matters.shape[0] - 1]
         done = wp.int32(0)
         while done < samples:
-            count = wp.min(samples - done, wp.static(lanes.width))
-            sampler = sampler_at(pixel, first_sample + done, seed)
-            lanes.start(scene, camera, px, py, sampler, count, always, rows)
+            bundle.first_sample = first_sample + done
+            bundle.samples = wp.min(samples - done, wp.static(lanes.width))
+            done += bundle.samples
+            lanes.start(scene, camera, pixels, bundle, always, rows)
             depth = wp.int32(0)
-            alive = wp.int32(count)
+            alive = wp.int32(1)
             while alive > 0:
-                alive = lanes.step(scene, sampler, depth, max_depth, rr_depth, rows)
+                alive = lanes.step(scene, depth, max_depth, rr_depth, rows)
                 depth += 1
-            for j in range(count):
+            for j in range(bundle.pixels * bundle.samples):
+                sampler = sampler_in(pixels, bundle, j)
+                delta = scale * adjoint[row_of(bundle, sampler), column_of(bundle, sampler)]
+                if vanishes(delta):
+                    continue
                 path = lanes.gathered(rows, j)
                 met = wp.int32(always)
                 n = wp.int32(path.vertices)
@@ -192,7 +213,7 @@ def _make_lane_kernel(config: PathConfig, wanted: Wanted, block: int):
                         met = scene.matters[scene.triangles[face].shape]
                 if met == 0:
                     if not finite(path.radiance):
-                        count_invalid(scene, branch_of(sampler, wp.int32(sampler.index) + j))
+                        count_invalid(scene, sampler)
                     continue
                 sample = lanes.camera(rows, j)
                 carry = Carry()
@@ -205,7 +226,6 @@ def _make_lane_kernel(config: PathConfig, wanted: Wanted, block: int):
                         vertex.o = camera_origin(scene, camera, sample)
                     carry = sweep(scene, target, vertex, delta, carry)
                 if finish(scene, target, camera, sample, carry) != 0.0 or not finite(carry.radiance):
-                    count_invalid(scene, branch_of(sampler, wp.int32(sampler.index) + j))
-            done += count
+                    count_invalid(scene, sampler)
 
     return replay_lanes

@@ -88,6 +88,7 @@ def make_textbook_kernel(config: PathConfig, wanted: Wanted, role: str):
         # In:
         pixels: wp.array(dtype=wp.int32),
         first_pixel: wp.int32,
+        pixel_count: wp.int32,
         first_sample: wp.int32,
         samples: wp.int32,
         scale: wp.float32,
