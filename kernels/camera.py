@@ -61,11 +61,16 @@ def load_mat44(values: wp.array(dtype=wp.float32), offset: wp.int32) -> wp.mat44
 
 
 @wp.func
-def camera_direction(
-    m: wp.mat44, fov: wp.float32, cx: wp.float32, cy: wp.float32, s: wp.float32, t: wp.float32, aspect: wp.float32
+def half_width(fov: wp.float32) -> wp.float32:
+    """tan(fov / 2), ``fov`` in degrees."""
+    return wp.tan(fov * wp.static(3.14159265358979 / 360.0))
+
+
+@wp.func
+def direction_through(
+    m: wp.mat44, k: wp.float32, cx: wp.float32, cy: wp.float32, s: wp.float32, t: wp.float32, aspect: wp.float32
 ) -> wp.vec3:
-    """Unnormalised world direction through (s, t); ``aspect`` is width / height, ``fov`` in degrees."""
-    k = wp.tan(fov * wp.static(3.14159265358979 / 360.0))
+    """Unnormalised world direction through (s, t); ``k`` is the ``half_width``, ``aspect`` width / height."""
     x = (1.0 - 2.0 * (s + cx)) * k
     y = (1.0 - 2.0 * (t + cy)) * k / aspect
     return wp.vec3(
@@ -73,6 +78,14 @@ def camera_direction(
         m[1, 0] * x + m[1, 1] * y + m[1, 2],
         m[2, 0] * x + m[2, 1] * y + m[2, 2],
     )
+
+
+@wp.func
+def camera_direction(
+    m: wp.mat44, fov: wp.float32, cx: wp.float32, cy: wp.float32, s: wp.float32, t: wp.float32, aspect: wp.float32
+) -> wp.vec3:
+    """``direction_through``, of the field of view."""
+    return direction_through(m, half_width(fov), cx, cy, s, t, aspect)
 
 
 @differentiable
@@ -87,12 +100,8 @@ def camera_dot(
 
 
 @wp.func
-def lens_direction(
-    m: wp.mat44, fov: wp.float32, cx: wp.float32, cy: wp.float32, radius: wp.float32, focus: wp.float32,
-    film: wp.vec2, lens: wp.vec2, aspect: wp.float32,
-) -> wp.vec3:  # fmt: skip
-    """Unnormalised world direction from the lens point through the film position's point in focus."""
-    d = camera_direction(m, fov, cx, cy, film[0], film[1], aspect)
+def bent_to_focus(m: wp.mat44, d: wp.vec3, radius: wp.float32, focus: wp.float32, lens: wp.vec2) -> wp.vec3:
+    """Direction from the lens point to where the pinhole's ray is in focus."""
     x = radius * lens[0] / focus
     y = radius * lens[1] / focus
     return wp.vec3(
@@ -100,6 +109,15 @@ def lens_direction(
         d[1] - m[1, 0] * x - m[1, 1] * y,
         d[2] - m[2, 0] * x - m[2, 1] * y,
     )
+
+
+@wp.func
+def lens_direction(
+    m: wp.mat44, fov: wp.float32, cx: wp.float32, cy: wp.float32, radius: wp.float32, focus: wp.float32,
+    film: wp.vec2, lens: wp.vec2, aspect: wp.float32,
+) -> wp.vec3:  # fmt: skip
+    """Unnormalised world direction from the lens point through the film position's point in focus."""
+    return bent_to_focus(m, camera_direction(m, fov, cx, cy, film[0], film[1], aspect), radius, focus, lens)
 
 
 @wp.func
@@ -158,36 +176,34 @@ def make_lens(kind: int):
 
 
 @functools.cache
-def make_camera_ray(kind: int):
-    """Return ``(camera_ray, camera_origin)``, both of ``(scene, camera, sample)``; ``camera_origin`` is the ray's o."""
+def make_camera_rays(kind: int):
+    """Return ``(view, ray_in)`` for many rays: ``ray_in(scene, camera, view(scene, camera), sample) -> Ray``.
+
+    ``view`` is what they share and takes a call of the C library.
+    """
+    camera_origin = make_camera_origin(kind)
 
     @wp.func
-    def camera_origin(scene: Scene, camera: Camera, sample: CameraSample) -> wp.vec3:
-        m = load_mat44(scene.values, camera.to_world)
+    def view(scene: Scene, camera: Camera) -> wp.float32:
         if wp.static(kind == CAMERA_ORTHOGRAPHIC):
-            return parallel_origin(m, sample.film, wp.float32(camera.width) / wp.float32(camera.height))
-        elif wp.static(kind == CAMERA_THINLENS):
-            return lens_origin(m, scene.values[camera.aperture_radius], sample.lens)
+            return 0.0
         else:
-            return wp.vec3(m[0, 3], m[1, 3], m[2, 3])
+            return half_width(scene.values[camera.x_fov])
 
     @wp.func
-    def camera_ray(scene: Scene, camera: Camera, sample: CameraSample) -> Ray:
+    def ray_in(scene: Scene, camera: Camera, k: wp.float32, sample: CameraSample) -> Ray:
         m = load_mat44(scene.values, camera.to_world)
         aspect = wp.float32(camera.width) / wp.float32(camera.height)
         d = wp.vec3(m[0, 2], m[1, 2], m[2, 2])
         axis = wp.length(d)
         film = sample.film
+        if wp.static(kind != CAMERA_ORTHOGRAPHIC):
+            cx = scene.values[camera.principal]
+            cy = scene.values[camera.principal + 1]
+            d = direction_through(m, k, cx, cy, film[0], film[1], aspect)
         if wp.static(kind == CAMERA_THINLENS):
-            d = lens_direction(
-                m, scene.values[camera.x_fov], scene.values[camera.principal], scene.values[camera.principal + 1],
-                scene.values[camera.aperture_radius], scene.values[camera.focus_distance], film, sample.lens, aspect,
-            )  # fmt: skip
-        elif wp.static(kind != CAMERA_ORTHOGRAPHIC):
-            d = camera_direction(
-                m, scene.values[camera.x_fov], scene.values[camera.principal], scene.values[camera.principal + 1],
-                film[0], film[1], aspect,
-            )  # fmt: skip
+            radius = scene.values[camera.aperture_radius]
+            d = bent_to_focus(m, d, radius, scene.values[camera.focus_distance], sample.lens)
         length = wp.length(d)
         ray = Ray()
         ray.o = camera_origin(scene, camera, sample)
@@ -203,7 +219,36 @@ def make_camera_ray(kind: int):
             ray.t_max = camera.far * slant
         return ray
 
-    return camera_ray, camera_origin
+    return view, ray_in
+
+
+@functools.cache
+def make_camera_origin(kind: int):
+    """Return ``camera_origin(scene, camera, sample) -> vec3``, where a ray starts, before it is clipped."""
+
+    @wp.func
+    def camera_origin(scene: Scene, camera: Camera, sample: CameraSample) -> wp.vec3:
+        m = load_mat44(scene.values, camera.to_world)
+        if wp.static(kind == CAMERA_ORTHOGRAPHIC):
+            return parallel_origin(m, sample.film, wp.float32(camera.width) / wp.float32(camera.height))
+        elif wp.static(kind == CAMERA_THINLENS):
+            return lens_origin(m, scene.values[camera.aperture_radius], sample.lens)
+        else:
+            return wp.vec3(m[0, 3], m[1, 3], m[2, 3])
+
+    return camera_origin
+
+
+@functools.cache
+def make_camera_ray(kind: int):
+    """Return ``(camera_ray, camera_origin)``, both of ``(scene, camera, sample)``; ``camera_origin`` is the ray's o."""
+    view, ray_in = make_camera_rays(kind)
+
+    @wp.func
+    def camera_ray(scene: Scene, camera: Camera, sample: CameraSample) -> Ray:
+        return ray_in(scene, camera, view(scene, camera), sample)
+
+    return camera_ray, make_camera_origin(kind)
 
 
 @functools.cache

@@ -101,7 +101,7 @@ def make_trace_together(config: PathConfig):
 
 
 @functools.cache
-def make_camera_starts(config: PathConfig, filter_kind: int | None = None):
+def make_bundled_starts(config: PathConfig, filter_kind: int | None = None):
     """Return ``starts(scene, camera, px, py, sampler, k, count, starting, cameras) -> (PathState, CameraSample)``.
 
     The state and the camera's sample of the k-th of ``count`` samples of a pixel, to be asked for in their order;
@@ -171,8 +171,8 @@ def make_camera_paths(
     """Return ``(lanes, starts, path_step)`` of paths from the camera: two functions that agree on who traces its rays.
 
     ``lanes`` is the size of the arrays that ``starts`` takes. Arguments as those of ``make_path_step`` and
-    ``make_camera_starts``.
+    ``make_bundled_starts``.
     """
     lanes = rays_together(config)
     path_step = make_path_step(config, differential, sparse, traced=lanes > 1)
-    return lanes, make_camera_starts(config, filter_kind), path_step
+    return lanes, make_bundled_starts(config, filter_kind), path_step

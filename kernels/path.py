@@ -20,7 +20,7 @@ import warp as wp
 
 from warp_psdr.kernels.bsdf.dispatch import make_bsdf
 from warp_psdr.kernels.bvh.wide import RayHit, make_intersect
-from warp_psdr.kernels.camera import CameraSample, make_camera_ray, make_lens
+from warp_psdr.kernels.camera import CameraSample, make_camera_rays, make_lens
 from warp_psdr.kernels.constants import LOBE_NONE, RFILTER_BOX
 from warp_psdr.kernels.film import make_filter
 from warp_psdr.kernels.math import where3
@@ -145,21 +145,21 @@ def make_path_step(config: PathConfig, differential: bool, sparse: bool = False,
 
 
 @functools.cache
-def make_camera_start(config: PathConfig, filter_kind: int | None = None):
-    """Return ``start(scene, camera, px, py, sampler) -> (PathState, CameraSample)``.
+def make_camera_starts(config: PathConfig, filter_kind: int | None = None):
+    """Return ``(view, start_in)`` for many paths: ``start_in(scene, camera, view(scene, camera), px, py, sampler)``.
 
-    ``filter_kind``: RFILTER_BOX draws positions uniformly in the pixel; None draws from the film's own filter.
+    The result is ``(PathState, CameraSample)``. ``filter_kind``: RFILTER_BOX draws positions uniformly in the pixel;
+    None draws from the film's own filter.
     """
-    draw = make_sampler(config.sampler)
-    sample_4d = draw.sample_4d
+    sample_4d = make_sampler(config.sampler).sample_4d
     box = filter_kind == RFILTER_BOX
     filter_sample = make_filter(RFILTER_BOX if box else config.filter)
-    camera_ray, _camera_origin = make_camera_ray(config.camera)
+    view, ray_in = make_camera_rays(config.camera)
     lens_point = make_lens(config.camera)
 
     @wp.func
-    def start(
-        scene: Scene, camera: Camera, px: wp.int32, py: wp.int32, sampler: Sampler
+    def start_in(
+        scene: Scene, camera: Camera, k: wp.float32, px: wp.int32, py: wp.int32, sampler: Sampler
     ) -> tuple[PathState, CameraSample]:
         u4 = sample_4d(sampler, 0)
         radius = camera.filter_radius
@@ -169,8 +169,23 @@ def make_camera_start(config: PathConfig, filter_kind: int | None = None):
         sample = CameraSample()
         sample.film = film_position(camera, px, py, offset)
         sample.lens = lens_point(wp.vec2(u4[2], u4[3]))
-        ray = camera_ray(scene, camera, sample)
+        ray = ray_in(scene, camera, k, sample)
         state = path_from(ray.o + ray.t_min * ray.d, ray.d, ray.t_max - ray.t_min, 0)
+        return state, sample
+
+    return view, start_in
+
+
+@functools.cache
+def make_camera_start(config: PathConfig, filter_kind: int | None = None):
+    """Return ``start(scene, camera, px, py, sampler) -> (PathState, CameraSample)``; arguments as above."""
+    view, start_in = make_camera_starts(config, filter_kind)
+
+    @wp.func
+    def start(
+        scene: Scene, camera: Camera, px: wp.int32, py: wp.int32, sampler: Sampler
+    ) -> tuple[PathState, CameraSample]:
+        state, sample = start_in(scene, camera, view(scene, camera), px, py, sampler)
         return state, sample
 
     return start

@@ -12,12 +12,12 @@ import warp as wp
 
 from warp_psdr.kernels.bvh.wide import RayHit, make_intersect
 from warp_psdr.kernels.camera import CameraSample
-from warp_psdr.kernels.camera_rays import Bundle, column_of, make_trace_together, row_of, sampler_in
+from warp_psdr.kernels.camera_rays import Bundle, column_of, make_trace_together, row_of
 from warp_psdr.kernels.constants import BSDF_DIFFUSE
 from warp_psdr.kernels.lanes import ROWS, make_copy, make_number, make_record, words
 from warp_psdr.kernels.math import where3
-from warp_psdr.kernels.path import make_camera_start, vertex_of
-from warp_psdr.kernels.rng import Sampler, make_sampler
+from warp_psdr.kernels.path import make_camera_starts, vertex_of
+from warp_psdr.kernels.rng import Sampler, make_sampler, sampler_at
 from warp_psdr.kernels.scattering import (
     SLOTS_PER_VERTEX,
     Arrival,
@@ -33,6 +33,15 @@ from warp_psdr.kernels.scattering import (
 )
 from warp_psdr.kernels.structs import Camera, LightSample, Scene
 from warp_psdr.kernels.vertex import PathConfig, PathState, PathVertex
+
+
+@wp.struct
+class Seat:
+    """A lane's sample, and its pixel in the image."""
+
+    sampler: Sampler
+    px: wp.int32
+    py: wp.int32
 
 
 @wp.struct
@@ -90,14 +99,14 @@ def side_by_side(config: PathConfig) -> bool:
 def make_lane_paths(
     config: PathConfig, differential: bool, sparse: bool = False, filter_kind: int | None = None, kept: int = 0
 ) -> LanePaths:
-    """Make the functions; arguments as those of ``make_path_step`` and ``make_camera_start``.
+    """Make the functions; arguments as those of ``make_path_step`` and ``make_camera_starts``.
 
     ``kept``: number of vertices that are kept of a path; none has more.
     """
     width = config.ray_width
     closest_hit, any_hit = make_intersect(config.ray_backend, width)
     trace_together = make_trace_together(config)
-    start_sample = make_camera_start(config, filter_kind)
+    view, start_in = make_camera_starts(config, filter_kind)
     arrive = make_arrive(config)
     stand = make_stand(config)
     scatter = make_scatter(config, differential)
@@ -107,7 +116,7 @@ def make_lane_paths(
     next_event = make_next_event(config, differential) if has_lights else None
 
     get_number, put_number = make_number(width)
-    get_sampler, put_sampler = make_record(Sampler, width)
+    get_seat, put_seat = make_record(Seat, width)
     get_state, put_state = make_record(PathState, width)
     get_hit, put_hit = make_record(RayHit, width)
     get_camera, put_camera = make_record(CameraSample, width)
@@ -120,14 +129,14 @@ def make_lane_paths(
     get_onward, put_onward = make_record(Onward, width)
     get_vertex, put_vertex = make_record(PathVertex, width)
     copy_vertex = make_copy(PathVertex, width)
-    records = (Sampler, PathState, RayHit, CameraSample, Sum, Arrival, Choice, Place, Onward)
+    records = (Seat, PathState, RayHit, CameraSample, Sum, Arrival, Choice, Place, Onward)
     records += (LightSample, NextEvent) if has_lights else ()
     first_row = {}
     row = 8  # random numbers: next-event estimation, scattering
     for record in records:
         first_row[record] = row
         row += words(record)
-    sampler_row = first_row[Sampler]
+    seat_row = first_row[Seat]
     state_row, hit_row, camera_row, sum_row = (first_row[r] for r in (PathState, RayHit, CameraSample, Sum))
     arrival_row, choice_row, place_row, onward_row = (first_row[r] for r in (Arrival, Choice, Place, Onward))
     light_row, event_row = (first_row.get(r, 0) for r in (LightSample, NextEvent))
@@ -148,13 +157,29 @@ def make_lane_paths(
         seen = wp.zeros(shape=(wp.static(width),), dtype=RayHit)
         count = bundle.pixels * bundle.samples
         j = wp.int32(0)
-        while j < count:
-            sampler = sampler_in(pixels, bundle, j)
-            state, sample = start_sample(scene, camera, column_of(bundle, sampler), row_of(bundle, sampler), sampler)
+        for i in range(bundle.pixels):
+            seat = Seat()
+            seat.sampler = sampler_at(pixels[bundle.first + i], 0, bundle.seed)
+            seat.px = column_of(bundle, seat.sampler)
+            seat.py = row_of(bundle, seat.sampler)
+            for n in range(bundle.samples):
+                seat.sampler.index = wp.uint32(bundle.first_sample + n)
+                put_seat(rows, seat_row, j, seat)
+                j += 1
+        k = view(scene, camera)
+        j = wp.int32(0)
+        while j < width:
+            seat = get_seat(rows, seat_row, j, Seat())
+            state, sample = start_in(scene, camera, k, seat.px, seat.py, seat.sampler)
+            state.alive = wp.where(j < count, 1, 0)
             state.met = met
-            put_sampler(rows, sampler_row, j, sampler)
             put_state(rows, state_row, j, state)
             put_camera(rows, camera_row, j, sample)
+            put_sum(rows, sum_row, j, Sum())
+            j += 1
+        j = wp.int32(0)
+        while j < count:
+            state = get_state(rows, state_row, j, PathState())
             o[j] = state.o
             d[j] = state.d
             t_max[j] = state.t_max
@@ -164,21 +189,12 @@ def make_lane_paths(
         while j < count:
             put_hit(rows, hit_row, j, seen[j])
             j += 1
-        j = wp.int32(0)
-        while j < width:
-            put_sum(rows, sum_row, j, Sum())
-            j += 1
-        idle = PathState()
-        j = wp.int32(count)
-        while j < width:
-            put_state(rows, state_row, j, idle)
-            j += 1
 
     @wp.func
     def draw_numbers(depth: wp.int32, rows: ROWS):
         j = wp.int32(0)
         while j < width:
-            sampler = get_sampler(rows, sampler_row, j, Sampler())
+            sampler = get_seat(rows, seat_row, j, Seat()).sampler
             if wp.static(has_lights):
                 u4 = sample_4d(sampler, 1 + SLOTS_PER_VERTEX * depth)
                 put_number(rows, 0, j, u4[0])
