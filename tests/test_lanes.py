@@ -1,0 +1,195 @@
+"""Paths that are traced side by side: the bits of single ones, and loops that the compiler turns into SIMD."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import warp as wp
+
+import warp_psdr as psdr
+from tests.gradients import scenes
+from warp_psdr import acceleration
+from warp_psdr.kernels import primal, splat
+from warp_psdr.kernels.interior import replay
+from warp_psdr.kernels.lanes import make_copy, make_number, make_record, words
+from warp_psdr.kernels.path_lanes import side_by_side
+from warp_psdr.kernels.scattering import Onward
+
+ROOT = Path(__file__).resolve().parents[1]
+BOX = ROOT / "scenes" / "cornell_box.xml"
+KERNELS = (
+    primal.make_image_paths,
+    primal.make_primal_kernel,
+    splat.make_splat_kernel,
+    replay.make_replay_kernel,
+)
+#: Loops over lanes in a kernel: camera rays, random numbers, places, lights, estimates, directions, sums; what is kept.
+LOOPS = {"primal": 7, "replay": 8}
+
+
+def forget_kernels():
+    for make in KERNELS:
+        make.cache_clear()
+
+
+@pytest.fixture
+def alone(monkeypatch):
+    """Return a function after whose call every path is traced by itself."""
+
+    def switch():
+        for module in (primal, replay):
+            monkeypatch.setattr(module, "side_by_side", lambda config: False)
+        forget_kernels()
+
+    yield switch
+    monkeypatch.undo()
+    forget_kernels()
+
+
+def with_sensor(scene, **changes):
+    return {"type": "scene", **scene, "sensor": {**scene["sensor"], **changes}}
+
+
+def hidden_light():
+    scene = scenes.gap_scene()
+    return {"type": "scene", "integrator": {"type": "path", "hide_emitters": True}, **scene}
+
+
+def blurred():
+    return with_sensor(scenes.plane_scene(), type="thinlens", aperture_radius=0.1, focus_distance=2.0)
+
+
+def wide_filter():
+    scene = scenes.gap_scene()
+    film = {**scene["sensor"]["film"], "rfilter": {"type": "gaussian"}}
+    return with_sensor(scene, film=film)
+
+
+SCENES = {
+    "area light, two-sided, textured by vertices": lambda: {"type": "scene", **scenes.gap_scene()},
+    "sky, point, spot and sun, a bitmap": lambda: {"type": "scene", **scenes.plane_scene()},
+    "constant sky, textured by faces": lambda: {"type": "scene", **scenes.dome_scene()},
+    "hidden light": hidden_light,
+    "thin lens": blurred,
+    "gaussian filter": wide_filter,
+}
+
+
+def images_and_gradients(scene, spp, sampler, depth):
+    """Return the image, and the gradient of a weighted image by all that the interior term differentiates."""
+    integrator = psdr.PathIntegrator(max_depth=depth, rr_depth=3, sampler=sampler, boundary=None)
+    image = psdr.render(scene, integrator=integrator, spp=spp, seed=5).numpy()
+    params = psdr.traverse(scene)
+    names = [name for name in params if name.endswith((".data", ".value", "color", "vertex_positions"))]
+    params.requires_grad(*names)
+    adjoint = np.random.default_rng(1).normal(size=image.shape).astype(np.float32)
+    adjoint[::3, 1::2] = 0.0  # pixels without a weight are left out
+    psdr.render_backward(scene, params, adjoint, integrator=integrator, spp=spp, seed=6)
+    gradients = {name: params[name].grad.numpy().copy() for name in names}
+    params.requires_grad()
+    return image, gradients
+
+
+def cases():
+    """Every scene with few samples, some and more than there are lanes; the quick ones once each."""
+    quick = {
+        "area light, two-sided, textured by vertices": 3,
+        "sky, point, spot and sun, a bitmap": 19,
+        "gaussian filter": 1,
+    }
+    for name in SCENES:
+        for spp, sampler in ((1, "independent"), (3, "sobol"), (19, "independent")):
+            marks = () if quick.get(name) == spp else pytest.mark.slow
+            yield pytest.param(name, spp, sampler, marks=marks, id=f"{name}-{spp}")
+
+
+@pytest.mark.parametrize(("name", "spp", "sampler"), cases())
+def test_paths_have_the_bits_of_single_ones(name, spp, sampler, alone):
+    scene = psdr.load_dict(SCENES[name]())
+    assert side_by_side(psdr.plan(scene).config)
+    image, gradients = images_and_gradients(scene, spp, sampler, 4)
+    alone()
+    single, singles = images_and_gradients(scene, spp, sampler, 4)
+    assert image.mean() > 1.0e-3
+    np.testing.assert_array_equal(image, single)
+    for key, gradient in gradients.items():
+        assert np.isfinite(gradient).all()
+        np.testing.assert_array_equal(gradient, singles[key])
+    assert any(np.abs(gradient).max() > 0.0 for gradient in gradients.values())
+
+
+@pytest.mark.parametrize("width", [pytest.param(4, marks=pytest.mark.slow), 16])
+def test_other_widths_have_the_same_bits(width, monkeypatch):
+    images = []
+    for lanes in (acceleration.host_width(), width):
+        monkeypatch.setattr(acceleration, "host_width", lambda lanes=lanes: lanes)
+        scene = psdr.load_file(BOX, resolution=24)
+        assert psdr.plan(scene).config.ray_width == lanes
+        images.append(psdr.render(scene, spp=5, seed=2).numpy())
+    np.testing.assert_allclose(images[0], images[1], rtol=0, atol=1.0e-6 * images[0].mean())
+
+
+def test_models_that_branch_around_vectors_are_traced_alone():
+    for name in ("glass", "mirror", "rough"):
+        assert not side_by_side(psdr.plan(scenes.load(name)[0]).config)
+
+
+@pytest.mark.parametrize("width", [4, 8, 16])
+def test_records_come_back_from_their_rows(width):
+    get, put = make_record(Onward, width)
+    get_number, put_number = make_number(width)
+    copy = make_copy(Onward, width)
+    count = words(Onward)
+    size = (2 * count + 1) * width
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def there_and_back(values: wp.array(dtype=Onward), out: wp.array(dtype=Onward), numbers: wp.array(dtype=float)):
+        rows = wp.zeros(shape=(wp.static(size),), dtype=wp.uint32)
+        for j in range(wp.static(width)):
+            put(rows, 1, j, values[j])
+            put_number(rows, 0, j, 0.125 * wp.float32(j))
+        copy(rows, 1, wp.static(1 + count))
+        for j in range(wp.static(width)):
+            out[j] = get(rows, wp.static(1 + count), j, Onward())
+            numbers[j] = get_number(rows, 0, j)
+
+    rng = np.random.default_rng(2)
+    raw = rng.integers(-(2**31), 2**31, size=(width, count)).astype(np.int32)
+    values = wp.array(raw.view(Onward.numpy_dtype()).reshape(width), dtype=Onward, device="cpu")
+    out = wp.zeros(width, dtype=Onward, device="cpu")
+    numbers = wp.zeros(width, dtype=float, device="cpu")
+    wp.launch(there_and_back, 1, [values], [out, numbers], device="cpu")
+    np.testing.assert_array_equal(out.numpy().view(np.int32).reshape(width, count), raw)
+    np.testing.assert_array_equal(numbers.numpy(), 0.125 * np.arange(width))
+
+
+COMPILE = """
+import sys
+import warp as wp
+wp.config.log_level = wp.LOG_ERROR
+wp.config.kernel_cache_dir = sys.argv[2]
+wp.config.cpu_compiler_flags += " -Rpass=loop-vectorize"
+import warp_psdr as psdr
+from warp_psdr import passes
+from warp_psdr.kernels.primal import make_primal_kernel
+scene = psdr.load_file(sys.argv[1], resolution=16)
+names = [name for name in scene.parameters if name.endswith(("reflectance.value", "vertex_positions"))]
+plan = psdr.plan(scene, names=names, integrator=psdr.PathIntegrator(max_depth=6, boundary=None))
+kernels = {"primal": make_primal_kernel, "replay": lambda config: passes._gradient_kernel(plan, "reverse")}
+wp.load_module(kernels[sys.argv[3]](plan.config).module, device="cpu")
+"""
+
+
+@pytest.mark.skipif(acceleration.host_width() < 8, reason="narrow vectors: the compiler may find SIMD not worth it")
+@pytest.mark.parametrize("kernel", LOOPS)
+def test_loops_over_lanes_become_simd(kernel, tmp_path):
+    """Without it nothing would be wrong, and all of it slow; a refusal's reason is told by ``-Rpass-analysis``."""
+    result = subprocess.run(
+        [sys.executable, "-c", COMPILE, str(BOX), str(tmp_path), kernel], capture_output=True, text=True, cwd=ROOT
+    )
+    assert result.returncode == 0, result.stderr[-2000:]
+    found = re.findall(rf"{kernel}\w*\.cpp:(\d+):\d+: remark: vectorized loop", result.stderr)
+    assert len(found) >= LOOPS[kernel], result.stderr[-2000:]
