@@ -106,7 +106,7 @@ def cases():
             yield pytest.param(name, spp, sampler, marks=marks, id=f"{name}-{spp}")
 
 
-@pytest.mark.parametrize(("name", "spp", "sampler"), cases())
+@pytest.mark.parametrize(("name", "spp", "sampler"), list(cases()))
 def test_paths_have_the_bits_of_single_ones(name, spp, sampler, alone):
     scene = psdr.load_dict(SCENES[name]())
     assert side_by_side(psdr.plan(scene).config)
