@@ -212,11 +212,16 @@ def make_lane_paths(
     def meet(scene: Scene, depth: wp.int32, last: wp.bool, rows: ROWS) -> wp.int32:
         """What the rays find, one by one; the number of paths that stand on a surface."""
         standing = wp.int32(0)
+        nobody = Choice()  # a face and a light that there are: what a lane without a path is computed along with
+        if wp.static(has_lights):
+            first_light, first_face = pick(scene, wp.vec2(0.0, 0.0))
+            nobody.light = first_light
+            nobody.light_face = first_face
         j = wp.int32(0)
         while j < width:
             state = get_state(rows, state_row, j, PathState())
             arrival = Arrival()
-            choice = Choice()
+            choice = nobody
             if state.alive == 1:
                 if depth > 0:
                     put_hit(rows, hit_row, j, closest_hit(scene.accel, state.o, state.d, state.t_max))
