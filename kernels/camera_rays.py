@@ -45,20 +45,33 @@ def row_of(bundle: Bundle, sampler: Sampler) -> wp.int32:
 
 
 @functools.cache
-def make_group_size(lanes: int):
-    """Return ``group_size(thread, pixel_count, samples) -> int``: the pixels that a thread traces, 0 for some threads.
+def make_pixel_bundle(lanes: int):
+    """Return ``pixel_bundle(thread, first_pixel, pixel_count, samples, seed, raster, margin) -> Bundle``.
 
-    One, or where their samples are fewer than the lanes, as many as fill them; the threads of the others are idle.
+    It holds the pixels that a thread traces, not yet their samples: one, or where its samples are fewer than the lanes,
+    as many as fill them. The threads of the others have none.
     """
 
     @wp.func
-    def group_size(thread: wp.int32, pixel_count: wp.int32, samples: wp.int32) -> wp.int32:
+    def pixel_bundle(
+        thread: wp.int32,
+        first_pixel: wp.int32,
+        pixel_count: wp.int32,
+        samples: wp.int32,
+        seed: wp.uint32,
+        raster: wp.int32,
+        margin: wp.int32,
+    ) -> Bundle:
         size = wp.max(wp.static(lanes) // samples, 1)
-        if thread % size != 0:
-            return 0
-        return wp.min(size, pixel_count - thread)
+        bundle = Bundle()
+        bundle.first = first_pixel + thread
+        bundle.pixels = wp.where(thread % size == 0, wp.min(size, pixel_count - thread), 0)
+        bundle.seed = seed
+        bundle.raster = raster
+        bundle.margin = margin
+        return bundle
 
-    return group_size
+    return pixel_bundle
 
 
 def rays_together(config: PathConfig) -> int:

@@ -10,7 +10,7 @@ from warp_psdr.kernels.camera_rays import (
     Bundle,
     column_of,
     make_camera_paths,
-    make_group_size,
+    make_pixel_bundle,
     row_of,
     sampler_in,
 )
@@ -108,7 +108,7 @@ def make_primal_kernel(config: PathConfig):
     """Return the primal kernel: one thread a pixel, all its samples in order."""
     paths = make_image_paths(config)
     trace = paths.trace
-    group_size = make_group_size(paths.width if paths.grouped else 1)
+    pixel_bundle = make_pixel_bundle(paths.width if paths.grouped else 1)
 
     @wp.kernel(module="unique", enable_backward=False)
     def primal(
@@ -128,13 +128,9 @@ def make_primal_kernel(config: PathConfig):
         # Out:
         image_out: wp.array2d(dtype=wp.vec3),
     ):
-        bundle = Bundle()
-        bundle.pixels = group_size(wp.tid(), pixel_count, samples)
+        bundle = pixel_bundle(wp.tid(), first_pixel, pixel_count, samples, seed, camera.crop_width, 0)
         if bundle.pixels == 0:
             return
-        bundle.first = first_pixel + wp.tid()
-        bundle.seed = seed
-        bundle.raster = camera.crop_width
         # In double precision: a float32 sum stands still after 2^24 equal terms.
         total = wp.vec3d()
         rows = wp.zeros(shape=(wp.static(paths.size),), dtype=wp.uint32)

@@ -15,7 +15,7 @@ import functools
 
 import warp as wp
 
-from warp_psdr.kernels.camera_rays import Bundle, make_group_size, sampler_in
+from warp_psdr.kernels.camera_rays import make_pixel_bundle, sampler_in
 from warp_psdr.kernels.constants import RFILTER_BOX, RFILTER_TENT
 from warp_psdr.kernels.invalid import count_invalid, finite
 from warp_psdr.kernels.primal import CameraPath, make_image_paths
@@ -78,7 +78,7 @@ def make_splat_kernel(config: PathConfig):
     """Return the primal kernel for tent and gaussian filters: one thread a pixel of the extended raster."""
     paths = make_image_paths(config, RFILTER_BOX)
     trace = paths.trace
-    group_size = make_group_size(paths.width if paths.grouped else 1)
+    pixel_bundle = make_pixel_bundle(paths.width if paths.grouped else 1)
     first, following = make_filter_steps(config.filter)
 
     @wp.func
@@ -121,14 +121,9 @@ def make_splat_kernel(config: PathConfig):
         # Out:
         film_out: wp.array2d(dtype=wp.vec4),
     ):
-        bundle = Bundle()
-        bundle.pixels = group_size(wp.tid(), pixel_count, samples)
+        bundle = pixel_bundle(wp.tid(), first_pixel, pixel_count, samples, seed, camera.crop_width + 2 * margin, margin)
         if bundle.pixels == 0:
             return
-        bundle.first = first_pixel + wp.tid()
-        bundle.seed = seed
-        bundle.raster = camera.crop_width + 2 * margin
-        bundle.margin = margin
         rows = wp.zeros(shape=(wp.static(paths.size),), dtype=wp.uint32)
         found = wp.zeros(shape=(wp.static(paths.width),), dtype=CameraPath)
         done = wp.int32(0)

@@ -37,10 +37,9 @@ import warp as wp
 
 from warp_psdr.kernels.camera import CameraSample, make_camera_ray
 from warp_psdr.kernels.camera_rays import (
-    Bundle,
     column_of,
     make_camera_paths,
-    make_group_size,
+    make_pixel_bundle,
     row_of,
     sampler_in,
 )
@@ -149,7 +148,7 @@ def make_replay_kernel(config: PathConfig, wanted: Wanted, block: int, blocks: i
 def _make_lane_kernel(config: PathConfig, wanted: Wanted, block: int):
     """The same for paths of at most ``block`` vertices, traced side by side."""
     lanes = make_lane_paths(config, True, True, kept=block)
-    group_size = make_group_size(lanes.width)
+    pixel_bundle = make_pixel_bundle(lanes.width)
     _camera_ray, camera_origin = make_camera_ray(config.camera)
     sweep, finish, _finish_vertex = make_sweep(config, wanted, "reverse")
 
@@ -173,11 +172,7 @@ def _make_lane_kernel(config: PathConfig, wanted: Wanted, block: int):
         target: wp.array(dtype=wp.float32),
         image_out: wp.array2d(dtype=wp.vec3),
     ):
-        bundle = Bundle()
-        bundle.pixels = group_size(wp.tid(), pixel_count, samples)
-        bundle.first = first_pixel + wp.tid()
-        bundle.raster = camera.crop_width
-        bundle.seed = seed
+        bundle = pixel_bundle(wp.tid(), first_pixel, pixel_count, samples, seed, camera.crop_width, 0)
         weighted = wp.bool(False)
         for i in range(bundle.pixels):
             pixel = pixels[bundle.first + i]
