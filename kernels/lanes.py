@@ -33,6 +33,11 @@ def words(record) -> int:
     return ctypes.sizeof(record.ctype) // 4
 
 
+def word_of(record, name: str) -> int:
+    """Row of a member of a Warp struct, counted from the record's first."""
+    return getattr(record.ctype, name).offset // 4
+
+
 @functools.cache
 def make_record(record, width: int):
     """Return ``(get, put)`` of a Warp struct whose members have 4 bytes each.

@@ -10,11 +10,12 @@ from typing import NamedTuple
 
 import warp as wp
 
+from warp_psdr.kernels.bvh.each import make_each
 from warp_psdr.kernels.bvh.wide import RayHit, make_intersect
 from warp_psdr.kernels.camera import CameraSample
 from warp_psdr.kernels.camera_rays import Bundle, column_of, make_trace_together, row_of
 from warp_psdr.kernels.constants import BSDF_DIFFUSE
-from warp_psdr.kernels.lanes import ROWS, make_copy, make_number, make_record, words
+from warp_psdr.kernels.lanes import ROWS, make_copy, make_number, make_record, word_of, words
 from warp_psdr.kernels.math import where3
 from warp_psdr.kernels.path import make_camera_starts, vertex_of
 from warp_psdr.kernels.rng import Sampler, make_sampler, sampler_at
@@ -52,7 +53,14 @@ class Choice:
     face: wp.int32
     light: wp.int32
     light_face: wp.int32
-    lit: wp.int32  # 1: the estimate's shadow ray is free
+
+
+@wp.struct
+class Look:
+    """A shadow ray: whether it is traced, and whether it meets anything."""
+
+    wanted: wp.int32
+    blocked: wp.int32
 
 
 @wp.struct
@@ -105,6 +113,7 @@ def make_lane_paths(
     """
     width = config.ray_width
     closest_hit, any_hit = make_intersect(config.ray_backend, width)
+    closest_of_each, any_of_each = make_each(width)
     trace_together = make_trace_together(config)
     view, start_in = make_camera_starts(config, filter_kind)
     arrive = make_arrive(config)
@@ -127,10 +136,11 @@ def make_lane_paths(
     get_light, put_light = make_record(LightSample, width)
     get_event, put_event = make_record(NextEvent, width)
     get_onward, put_onward = make_record(Onward, width)
+    get_look, put_look = make_record(Look, width)
     get_vertex, put_vertex = make_record(PathVertex, width)
     copy_vertex = make_copy(PathVertex, width)
     records = (Seat, PathState, RayHit, CameraSample, Sum, Arrival, Choice, Place, Onward)
-    records += (LightSample, NextEvent) if has_lights else ()
+    records += (LightSample, NextEvent, Look) if has_lights else ()
     first_row = {}
     row = 8  # random numbers: next-event estimation, scattering
     for record in records:
@@ -139,7 +149,9 @@ def make_lane_paths(
     seat_row = first_row[Seat]
     state_row, hit_row, camera_row, sum_row = (first_row[r] for r in (PathState, RayHit, CameraSample, Sum))
     arrival_row, choice_row, place_row, onward_row = (first_row[r] for r in (Arrival, Choice, Place, Onward))
-    light_row, event_row = (first_row.get(r, 0) for r in (LightSample, NextEvent))
+    light_row, event_row, look_row = (first_row.get(r, 0) for r in (LightSample, NextEvent, Look))
+    ray_row, alive_row = (state_row + word_of(PathState, name) for name in ("o", "alive"))
+    shadow_row, blocked_row = event_row + word_of(NextEvent, "o"), look_row + word_of(Look, "blocked")
     vertex_row, vertex_words = row, words(PathVertex)
 
     @wp.func
@@ -211,6 +223,10 @@ def make_lane_paths(
     @wp.func
     def meet(scene: Scene, depth: wp.int32, last: wp.bool, rows: ROWS) -> wp.int32:
         """What the rays find, one by one; the number of paths that stand on a surface."""
+        one_by_one = depth > 0
+        if depth > 0 and scene.accel.flat > 0:
+            closest_of_each(scene.accel, rows, ray_row, alive_row, hit_row)
+            one_by_one = False
         standing = wp.int32(0)
         nobody = Choice()  # a face and a light that there are: what a lane without a path is computed along with
         if wp.static(has_lights):
@@ -223,7 +239,7 @@ def make_lane_paths(
             arrival = Arrival()
             choice = nobody
             if state.alive == 1:
-                if depth > 0:
+                if one_by_one:
                     put_hit(rows, hit_row, j, closest_hit(scene.accel, state.o, state.d, state.t_max))
                 hit = get_hit(rows, hit_row, j, RayHit())
                 arrival = arrive(scene, state, hit)
@@ -286,21 +302,30 @@ def make_lane_paths(
             j += 1
 
     @wp.func
-    def look(scene: Scene, rows: ROWS):
-        """Shadow rays, one by one."""
+    def look_at_lights(scene: Scene, rows: ROWS):
+        """Shadow rays."""
         j = wp.int32(0)
         while j < width:
-            choice = get_choice(rows, choice_row, j, Choice())
-            event = get_event(rows, event_row, j, NextEvent())
-            wanted = choice.on == 1 and event.wanted == 1
+            wanted = get_choice(rows, choice_row, j, Choice()).on == 1
+            wanted = wanted and get_event(rows, event_row, j, NextEvent()).wanted == 1
             if wp.static(sparse):
-                onward = get_onward(rows, onward_row, j, Onward())
-                wanted = wanted and onward.after.met > 0
-            if wanted:
-                if not any_hit(scene.accel, event.o, event.d, event.t_max):
-                    choice.lit = 1
-                    put_choice(rows, choice_row, j, choice)
+                wanted = wanted and get_onward(rows, onward_row, j, Onward()).after.met > 0
+            look = Look()
+            look.wanted = wp.where(wanted, 1, 0)
+            put_look(rows, look_row, j, look)
             j += 1
+        if scene.accel.flat > 0:
+            any_of_each(scene.accel, rows, shadow_row, look_row, blocked_row)
+        else:
+            j = wp.int32(0)
+            while j < width:
+                look = get_look(rows, look_row, j, Look())
+                if look.wanted == 1:
+                    event = get_event(rows, event_row, j, NextEvent())
+                    if any_hit(scene.accel, event.o, event.d, event.t_max):
+                        look.blocked = 1
+                        put_look(rows, look_row, j, look)
+                j += 1
 
     @wp.func
     def keep(depth: wp.int32, scattering: wp.bool, rows: ROWS):
@@ -311,12 +336,13 @@ def make_lane_paths(
             arrival = get_arrival(rows, arrival_row, j, Arrival())
             choice = get_choice(rows, choice_row, j, Choice())
             onward = get_onward(rows, onward_row, j, Onward())
+            on = scattering and choice.on == 1
             event = NextEvent()
             lit = wp.bool(False)
             if wp.static(has_lights):
                 event = get_event(rows, event_row, j, NextEvent())
-                lit = choice.lit == 1
-            on = scattering and choice.on == 1
+                look = get_look(rows, look_row, j, Look())
+                lit = on and look.wanted == 1 and look.blocked == 0
             vertex = vertex_of(state, hit, arrival, lit, event, on, onward)
             put_vertex(rows, vertex_row, j, vertex)
             j += 1
@@ -337,7 +363,9 @@ def make_lane_paths(
             direct = arrival.direct
             if wp.static(has_lights):
                 event = get_event(rows, event_row, j, NextEvent())
-                direct += where3(choice.lit == 1, event.value, wp.vec3(0.0, 0.0, 0.0))
+                look = get_look(rows, look_row, j, Look())
+                lit = on and look.wanted == 1 and look.blocked == 0
+                direct += where3(lit, event.value, wp.vec3(0.0, 0.0, 0.0))
             direct = where3(on and onward.broken == 1, wp.vec3(wp.NAN, wp.NAN, wp.NAN), direct)
             # What lies in the rows of a path that has ended may be anything.
             gained = total.radiance + wp.cw_mul(state.throughput, direct)
@@ -366,7 +394,7 @@ def make_lane_paths(
                     estimate(rows)
                 scatter_all(scene, rr_depth, rows)
                 if wp.static(has_lights):
-                    look(scene, rows)
+                    look_at_lights(scene, rows)
         if wp.static(kept > 0):
             keep(depth, scattering, rows)
         return advance(scattering, rows)

@@ -20,7 +20,9 @@ import warp as wp
 
 from warp_psdr.acceleration import Accelerator, host_width
 from warp_psdr.kernels.bvh.bundle import make_bundle
+from warp_psdr.kernels.bvh.each import make_each
 from warp_psdr.kernels.bvh.wide import Accel, RayHit, make_intersect
+from warp_psdr.kernels.lanes import make_record
 
 
 def box36() -> tuple[np.ndarray, np.ndarray]:
@@ -151,10 +153,16 @@ class WarpQueries:
         single = {"closest": (closest_kernel, RayHit, 1), "any": (any_kernel, wp.bool, 1)}
         self._kernels = {False: single, True: single}
         if backend == "wide":
+            w = self.accelerator.width
             self._kernels[True] = {
-                "closest": (_make_bundle_kernel(0, RayHit, self.accelerator.width), RayHit, self.accelerator.width),
-                "any": (_make_bundle_kernel(1, wp.bool, self.accelerator.width), wp.bool, self.accelerator.width),
+                "closest": (_make_bundle_kernel(0, RayHit, w), RayHit, w),
+                "any": (_make_bundle_kernel(1, wp.bool, w), wp.bool, w),
             }
+            if self.accelerator.data.flat > 0:
+                self._kernels[False] = {
+                    "closest": (_make_each_kernel(0, RayHit, w), RayHit, w),
+                    "any": (_make_each_kernel(1, AnyHit, w), AnyHit, w),
+                }
         self._threads = threads
         # Not closed: idle threads, and the process ends with the benchmark.
         self._pool = concurrent.futures.ThreadPoolExecutor(threads)
@@ -209,6 +217,55 @@ def _make_bundle_kernel(query: int, dtype: type, width: int):
             hits_out[i + k] = found[k]
 
     return bundle_kernel
+
+
+@wp.struct
+class Ray:
+    """A ray in rows."""
+
+    o: wp.vec3
+    d: wp.vec3
+    t_max: wp.float32
+    wanted: wp.int32
+
+
+@wp.struct
+class AnyHit:
+    """The result of an any-hit query in rows."""
+
+    hit: wp.int32
+
+
+def _make_each_kernel(query: int, record, width: int):
+    """Return the kernel that traces ``width`` rays of any directions a thread; query 0: closest hits, 1: any hits."""
+    of_each = make_each(width)[query]
+    _, put_ray = make_record(Ray, width)
+    get_hit, _ = make_record(record, width)
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def each_kernel(
+        accel: Accel,
+        origin: wp.array(dtype=wp.vec3),
+        direction: wp.array(dtype=wp.vec3),
+        t_max: wp.float32,
+        first: wp.int32,
+        hits_out: wp.array(dtype=record),
+    ):
+        rows = wp.zeros(shape=(wp.static(12 * width),), dtype=wp.uint32)
+        i = first + wp.tid() * wp.static(width)
+        for k in range(wp.static(width)):
+            ray = Ray()
+            if i + k < origin.shape[0]:
+                ray.o = origin[i + k]
+                ray.d = direction[i + k]
+                ray.t_max = t_max
+                ray.wanted = 1
+            put_ray(rows, 0, k, ray)
+        of_each(accel, rows, 0, 7, 8)
+        for k in range(wp.min(wp.static(width), origin.shape[0] - i)):
+            hits_out[i + k] = get_hit(rows, 8, k, record())
+
+    return each_kernel
 
 
 class EmbreeQueries:

@@ -25,7 +25,7 @@ import functools
 
 import warp as wp
 
-from warp_psdr.kernels.bvh.simd import DISTANCE, EDGES, EXACT, ORDER, TYPES
+from warp_psdr.kernels.bvh.simd import BARYCENTRICS, CORNERS, DISTANCE, EDGES, ORDER, TYPES
 from warp_psdr.kernels.bvh.wide import Accel, RayHit, make_intersect, native
 
 #: Reads one corner for all lanes, where a single ray reads one lane's corner each.
@@ -185,38 +185,26 @@ _NEXT = """
 _CLOSEST = (
     _START.replace("$TURN", "")
     + """
-    vf u_lanes = 0.0f, v_lanes = 0.0f;
     vi which = -1;
 """
     + _TRIANGLES
     + """
-            const vf inverse = Simd::inverse(weight), t = reach * inverse;
+            const vf t = reach * Simd::inverse(weight);
             const vi closer = inside & (t > 0.0f) & (t < t_best);
             t_best = closer ? t : t_best;
-            u_lanes = closer ? Simd::abs(edge_v) * inverse : u_lanes;
-            v_lanes = closer ? Simd::abs(edge_w) * inverse : v_lanes;
             which = closer ? vi(~current * $W + lane) : which;
 """
     + _NEXT
     + """
-    for (int i = 0; i < $W; ++i)
-        found[i] = exact(packets, which[i], kx, ky, kz, ray_o[0][i], ray_o[1][i], ray_o[2][i], mx[i], my[i],
-                         shear_z[i], t_best[i], u_lanes[i], v_lanes[i]);
-    return true;
-    }
-    static Found exact(const float* packets, int which, int kx, int ky, int kz, float o_x, float o_y, float o_z,
-                       float shear_x, float shear_y, float shear_z, float t_best, float u_best, float v_best)
-    {
-    #pragma clang fp contract(off)
-    if (which < 0)
-        return {t_best, 0.0f, 0.0f, -1};
-    const float* best = packets + (long long)(which / $W) * (10 * $W) + which % $W;
-    const float ray_o[3] = {o_x, o_y, o_z};
-    const long long qx = kx * $W, qy = ky * $W, qz = kz * $W;
+    const vf shear_x = mx, shear_y = my;
+    vf u_best, v_best;
 """
-    + EXACT
+    + CORNERS
+    + BARYCENTRICS
     + """
-    return {t_best, u_best, v_best, ((const int*)best)[9 * $W]};
+    for (int i = 0; i < $W; ++i)
+        found[i] = which[i] < 0 ? Found{t_best[i], 0.0f, 0.0f, -1} : Found{t_best[i], u_best[i], v_best[i], faces[i]};
+    return true;
     }
     };
 """

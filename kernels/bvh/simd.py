@@ -10,17 +10,28 @@ TYPES = """
     typedef float vf __attribute__((ext_vector_type($W)));
     typedef int vi __attribute__((ext_vector_type($W)));
     typedef float f4 __attribute__((ext_vector_type(4)));
+    typedef double vd __attribute__((ext_vector_type($W)));
     typedef int i4 __attribute__((ext_vector_type(4)));
     typedef unsigned int u32;
     struct Simd {
 #define INLINE inline __attribute__((always_inline))
         static INLINE vf load(const float* p) { return *(const vf*)p; }
         static INLINE vf splat(const float* p) { return *p; }
+        // What all lanes have in common, or what one of them has.
         static INLINE float at(float a, int) { return a; }
         static INLINE float at(vf a, int i) { return a[i]; }
-        static INLINE vf fma(vf a, vf b, vf c) {
-            return __builtin_elementwise_fma(a, b, c);
-        }
+        static INLINE long long at(long long a, int) { return a; }
+        static INLINE long long at(vi a, int i) { return a[i]; }
+        static INLINE double wide(float a) { return a; }
+        static INLINE vd wide(vf a) { return __builtin_convertvector(a, vd); }
+        static INLINE float narrow(double a) { return a; }
+        static INLINE vf narrow(vd a) { return __builtin_convertvector(a, vf); }
+        static INLINE double sign(double a) { return __builtin_copysign(1.0, a); }
+        static INLINE vd sign(vd a) { return __builtin_elementwise_copysign(vd(1.0), a); }
+        static INLINE double positive(double a) { return a > 0.0 ? a : 0.0; }
+        static INLINE vd positive(vd a) { return a > 0.0 ? a : 0.0; }
+        static INLINE float fma(float a, float b, float c) { return __builtin_fmaf(a, b, c); }
+        static INLINE vf fma(vf a, vf b, vf c) { return __builtin_elementwise_fma(a, b, c); }
         static INLINE vf abs(vf a) { return __builtin_elementwise_abs(a); }
         static INLINE vf larger(vf a, vf b) {  // magnitude of the one of larger magnitude
 #if $W == 16 && defined(__AVX512DQ__)
@@ -199,25 +210,63 @@ ORDER = """
             current = stack[top];
 """
 
-# Barycentrics of the closest hit, again where its triangle reaches much farther than it lies.
-EXACT = """
-    const float a_z = best[qz] - ray_o[kz], b_z = best[3 * $W + qz] - ray_o[kz], c_z = best[6 * $W + qz] - ray_o[kz];
-    const float a_x = best[qx] - ray_o[kx], b_x = best[3 * $W + qx] - ray_o[kx], c_x = best[6 * $W + qx] - ray_o[kx];
-    const float a_y = best[qy] - ray_o[ky], b_y = best[3 * $W + qy] - ray_o[ky], c_y = best[6 * $W + qy] - ray_o[ky];
-    const float far_a = Simd::max1(__builtin_fabsf(a_x), Simd::max1(__builtin_fabsf(a_y), __builtin_fabsf(a_z)));
-    const float far_b = Simd::max1(__builtin_fabsf(b_x), Simd::max1(__builtin_fabsf(b_y), __builtin_fabsf(b_z)));
-    const float far_c = Simd::max1(__builtin_fabsf(c_x), Simd::max1(__builtin_fabsf(c_y), __builtin_fabsf(c_z)));
-    // 8: a triangle that reaches so much farther than the hit lies
-    if (Simd::max1(far_a, Simd::max1(far_b, far_c)) * __builtin_fabsf(shear_z) > 8.0f * t_best) {
-        // Edge functions from exact products; those of the wrong sign count as 0.
-        const double ax = __builtin_fmaf(a_z, shear_x, a_x), ay = __builtin_fmaf(a_z, shear_y, a_y);
-        const double bx = __builtin_fmaf(b_z, shear_x, b_x), by = __builtin_fmaf(b_z, shear_y, b_y);
-        const double cx = __builtin_fmaf(c_z, shear_x, c_x), cy = __builtin_fmaf(c_z, shear_y, c_y);
-        const double u = cx * by - cy * bx, v = ax * cy - ay * cx, w = bx * ay - by * ax;
-        const double side = u + v + w < 0.0 ? -1.0 : 1.0;
-        const double u1 = u * side > 0.0 ? u * side : 0.0, v1 = v * side > 0.0 ? v * side : 0.0;
-        const double w1 = w * side > 0.0 ? w * side : 0.0, scale = 1.0 / (u1 + v1 + w1);
-        u_best = (float)(v1 * scale);
-        v_best = (float)(w1 * scale);
-    }
+# Barycentrics of a closest hit from its corners relative to the origin, of one ray or of one in every lane: from exact
+# products; edge functions of the wrong sign count as 0. Without a branch, for the signs are anybody's guess.
+BARYCENTRICS = """
+    const auto ax = Simd::wide(Simd::fma(a_z, shear_x, a_x)), ay = Simd::wide(Simd::fma(a_z, shear_y, a_y));
+    const auto bx = Simd::wide(Simd::fma(b_z, shear_x, b_x)), by = Simd::wide(Simd::fma(b_z, shear_y, b_y));
+    const auto cx = Simd::wide(Simd::fma(c_z, shear_x, c_x)), cy = Simd::wide(Simd::fma(c_z, shear_y, c_y));
+    const auto u = cx * by - cy * bx, v = ax * cy - ay * cx, w = bx * ay - by * ax, side = Simd::sign(u + v + w);
+    const auto u1 = Simd::positive(u * side), v1 = Simd::positive(v * side), w1 = Simd::positive(w * side);
+    const auto scale = 1.0 / (u1 + v1 + w1);
+    u_best = Simd::narrow(v1 * scale);
+    v_best = Simd::narrow(w1 * scale);
 """
+
+# The corners, relative to the origin, of the triangle in lane ``which % $W`` of packet ``which / $W``, in every lane.
+CORNERS = """
+    float corners[9][$W] __attribute__((aligned(64)));
+    int faces[$W] __attribute__((aligned(64)));
+    for (int i = 0; i < $W; ++i) {
+        const int n = which[i] < 0 ? 0 : which[i];
+        const float* best = packets + (long long)(n / $W) * (10 * $W) + n % $W;
+        for (int corner = 0; corner < 3; ++corner) {
+            corners[3 * corner][i] = best[3 * corner * $W + Simd::at(qx, i)];
+            corners[3 * corner + 1][i] = best[3 * corner * $W + Simd::at(qy, i)];
+            corners[3 * corner + 2][i] = best[3 * corner * $W + Simd::at(qz, i)];
+        }
+        faces[i] = ((const int*)best)[9 * $W];
+    }
+    const vf a_x = Simd::load(corners[0]) - px, a_y = Simd::load(corners[1]) - py, a_z = Simd::load(corners[2]) - pz;
+    const vf b_x = Simd::load(corners[3]) - px, b_y = Simd::load(corners[4]) - py, b_z = Simd::load(corners[5]) - pz;
+    const vf c_x = Simd::load(corners[6]) - px, c_y = Simd::load(corners[7]) - py, c_z = Simd::load(corners[8]) - pz;
+"""
+
+# The closest triangle of a scene without a tree: its distance ``nearest``, and ``n`` as in CORNERS, -1: none. Without a
+# branch that depends on the ray, unless two are equally far.
+FLAT = (
+    """
+        vf distance = t_max;
+        vi which_packet = -1;
+        for (int i = 0; i < flat; ++i) {
+        const float* packet = packets + i * (10 * $W);
+"""
+    + EDGES
+    + DISTANCE
+    + """
+            const vf t = reach * Simd::inverse(weight);
+            const vi closer = inside & (t > 0.0f) & (t < distance);
+            distance = closer ? t : distance;
+            which_packet = closer ? vi(i) : which_packet;
+        }
+        // Positive floats are ordered as their bits are; the integer reduction is a tree, that of floats a chain.
+        const float nearest = __builtin_bit_cast(float, __builtin_reduce_min(__builtin_bit_cast(vi, distance)));
+        const vi tied = (which_packet >= 0) & (distance == nearest);
+        int numbers[$W] __attribute__((aligned(64)));
+        *(vi*)numbers = tied ? which_packet * $W + lanes : vi(-1);
+        const u32 ties = Simd::mask(tied);
+        int n = numbers[__builtin_ctz(ties | (1u << ($W - 1)))];
+        if (__builtin_expect((ties & (ties - 1)) != 0, 0))  // the first in the packets' order, as in bundle.py
+            n = __builtin_reduce_min(tied ? *(vi*)numbers : vi(0x7fffffff));
+"""
+)

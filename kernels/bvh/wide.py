@@ -24,11 +24,10 @@ determinant U + V + W is small against the products, on needles and on triangles
 the ray, the edge functions are evaluated again in double precision, in which products of floats and the signs of their
 differences are exact. Without this second look the small ones would be hit far beside them, where edge functions vanish
 by rounding, and the distance t, an average of the corners' with weights U, V, W, would be anywhere along a needle.
-What is left to float keeps 16 bits of U, V, W or more, hence of the barycentrics V and W over U + V + W: they are taken
-from the lanes as they are, but for triangles that reach much farther than the hit lies, on which some roundings are a
-long way: those are evaluated again, exactly (to do so for all took a third of a small scene's query). The reciprocal of
-U + V + W is approximate and refined by one Newton step; any hit compares products instead of dividing. So t_max is met
-to within two roundings.
+What is left to float keeps 16 bits of U, V, W or more, which is enough to choose the closest triangle by its distance.
+Its barycentrics V and W over U + V + W, in which roundings are a long way on a triangle that reaches far, are evaluated
+again from exact products. The reciprocal of U + V + W is approximate and refined by one Newton step; any hit compares
+products instead of dividing. So t_max is met to within two roundings.
 
 **Order.** Hit children are ranked without branches: the lowest bits of their entry distances are replaced by the lane
 number, so that all differ, and a child's rank is the number of hit children before it. They are pushed farthest first.
@@ -42,7 +41,7 @@ import functools
 
 import warp as wp
 
-from warp_psdr.kernels.bvh.simd import ARGUMENTS, BOXES, DISTANCE, EDGES, EXACT, ORDER, SHEAR, SLABS, TYPES
+from warp_psdr.kernels.bvh.simd import ARGUMENTS, BARYCENTRICS, BOXES, DISTANCE, EDGES, FLAT, ORDER, SHEAR, SLABS, TYPES
 
 #: Vector widths (lanes) for which a traversal can be generated.
 WIDTHS = (4, 8, 16)
@@ -94,44 +93,23 @@ _CLOSEST = (
     struct Query {
     static __attribute__((noinline, min_vector_width($BITS))) int run("""
     + ARGUMENTS
-    + """, float& t_out, float& u_out, float& v_out)
+    + """, float& t_out, float& u_best, float& v_best)
     {
 """
     + SHEAR
     + """
-    float t_best = t_max, u_best = 0.0f, v_best = 0.0f;
+    float t_best = t_max;
     const float* best = nullptr;
     vi lanes;
     for (int i = 0; i < $W; ++i)
         lanes[i] = i;
     if (flat) {
-        vf nearest = t_max, near_v = 0.0f, near_w = 0.0f, near_inverse = 0.0f;
-        vi which = -1;
-        for (int i = 0; i < flat; ++i) {
-        const float* packet = packets + i * (10 * $W);
 """
-    + EDGES
-    + DISTANCE
+    + FLAT
     + """
-            const vf inverse = Simd::inverse(weight), t = reach * inverse;
-            const vi closer = inside & (t > 0.0f) & (t < nearest);
-            nearest = closer ? t : nearest;
-            near_v = closer ? edge_v : near_v;
-            near_w = closer ? edge_w : near_w;
-            near_inverse = closer ? inverse : near_inverse;
-            which = closer ? vi(i) : which;
-        }
-        const vf u = Simd::abs(near_v) * near_inverse, v = Simd::abs(near_w) * near_inverse;
-        const u32 found = Simd::mask(which >= 0);
-        if (found) {
-            // Positive floats are ordered as their bits are; the integer reduction is a tree, that of floats a chain.
-            t_best = __builtin_bit_cast(float, __builtin_reduce_min(__builtin_bit_cast(vi, nearest)));
-            // Of several at one distance the first in the packets' order, as in bundle.py.
-            const vi order = ((which >= 0) & (nearest == t_best)) ? which * $W + lanes : vi(0x7fffffff);
-            const int lane = __builtin_reduce_min(order) % $W;
-            u_best = u[lane];
-            v_best = v[lane];
-            best = packets + which[lane] * (10 * $W) + lane;
+        if (n >= 0) {
+            t_best = nearest;
+            best = packets + (n / $W) * (10 * $W) + n % $W;
         }
         goto done;
     }
@@ -159,14 +137,11 @@ _CLOSEST = (
 """
     + DISTANCE
     + """
-            const vf inverse = Simd::inverse(weight), t = reach * inverse;
-            const vf u = Simd::abs(edge_v) * inverse, v = Simd::abs(edge_w) * inverse;
+            const vf t = reach * Simd::inverse(weight);
             for (u32 m = Simd::mask(inside & (t > 0.0f) & (t < t_best)); m; m &= m - 1) {
                 const int i = __builtin_ctz(m);
                 const bool closer = t[i] < t_best;
                 best = closer ? packet + i : best;
-                u_best = closer ? u[i] : u_best;
-                v_best = closer ? v[i] : v_best;
                 t_best = closer ? t[i] : t_best;
             }
         }
@@ -183,12 +158,14 @@ _CLOSEST = (
     done:
     if (!best)
         return -1;
+    const float o_kx = ray_o[kx], o_ky = ray_o[ky], o_kz = ray_o[kz];
+    const float a_x = best[qx] - o_kx, a_y = best[qy] - o_ky, a_z = best[qz] - o_kz;
+    const float b_x = best[3 * $W + qx] - o_kx, b_y = best[3 * $W + qy] - o_ky, b_z = best[3 * $W + qz] - o_kz;
+    const float c_x = best[6 * $W + qx] - o_kx, c_y = best[6 * $W + qy] - o_ky, c_z = best[6 * $W + qz] - o_kz;
 """
-    + EXACT
+    + BARYCENTRICS
     + """
     t_out = t_best;
-    u_out = u_best;
-    v_out = v_best;
     return ((const int*)best)[9 * $W];
     }
     };
