@@ -185,19 +185,21 @@ _NEXT = """
 _CLOSEST = (
     _START.replace("$TURN", "")
     + """
-    vi which = -1;
+    vi winner = -1;
 """
     + _TRIANGLES
     + """
             const vf t = reach * Simd::inverse(weight);
             const vi closer = inside & (t > 0.0f) & (t < t_best);
             t_best = closer ? t : t_best;
-            which = closer ? vi(~current * $W + lane) : which;
+            winner = closer ? vi(~current * $W + lane) : winner;
 """
     + _NEXT
     + """
     const vf shear_x = mx, shear_y = my;
     vf u_best, v_best;
+    int which[$W] __attribute__((aligned(64)));
+    *(vi*)which = winner;
 """
     + CORNERS
     + BARYCENTRICS

@@ -50,7 +50,7 @@ _START = (
     const vi all_qx = first ? vi($W) : second ? vi(2 * $W) : vi(0);
     const vi all_qy = first ? vi(2 * $W) : second ? vi(0) : vi($W);
     const vi all_qz = first ? vi(0) : second ? vi($W) : vi(2 * $W);
-    // To take a vector's lane whose number varies, the compiler stores the vector each time: here it is done once.
+    // In arrays, as ``CORNERS`` says.
     float of_ray[7][$W] __attribute__((aligned(64)));
     int rows_of_ray[3][$W] __attribute__((aligned(64))), result[$W] __attribute__((aligned(64)));
     const vf numbers_of_rays[7] = {all_px, all_py, all_pz, all_mx, all_my, all_shear_z, limits};
@@ -86,15 +86,14 @@ _CLOSEST = (
         of_ray[6][ray] = nearest;
     }
     {
-    const vi which = *(vi*)result;
     const vf px = all_px, py = all_py, pz = all_pz, shear_x = all_mx, shear_y = all_my;
-    const vi qx = all_qx, qy = all_qy, qz = all_qz;
+    const int *qx = rows_of_ray[0], *qy = rows_of_ray[1], *qz = rows_of_ray[2], *which = result;
     vf u_best, v_best;
 """
     + CORNERS
     + BARYCENTRICS
     + """
-    const vi hit = which >= 0;
+    const vi hit = *(const vi*)result >= 0;
     *(row*)found = hit ? *(const vf*)of_ray[6] : limits;
     *(row*)(found + $W) = hit ? u_best : 0.0f;
     *(row*)(found + 2 * $W) = hit ? v_best : 0.0f;

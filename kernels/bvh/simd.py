@@ -21,7 +21,7 @@ TYPES = """
         static INLINE float at(float a, int) { return a; }
         static INLINE float at(vf a, int i) { return a[i]; }
         static INLINE long long at(long long a, int) { return a; }
-        static INLINE long long at(vi a, int i) { return a[i]; }
+        static INLINE long long at(const int* a, int i) { return a[i]; }
         static INLINE double wide(float a) { return a; }
         static INLINE vd wide(vf a) { return __builtin_convertvector(a, vd); }
         static INLINE float narrow(double a) { return a; }
@@ -223,7 +223,8 @@ BARYCENTRICS = """
     v_best = Simd::narrow(w1 * scale);
 """
 
-# The corners, relative to the origin, of the triangle in lane ``which % $W`` of packet ``which / $W``, in every lane.
+# The corners, relative to the origin, of the triangle in lane ``which[i] % $W`` of packet ``which[i] / $W`` for every
+# lane i. ``which`` is an array: to take a vector's lane whose number varies, the compiler stores the vector each time.
 CORNERS = """
     float corners[9][$W] __attribute__((aligned(64)));
     int faces[$W] __attribute__((aligned(64)));
