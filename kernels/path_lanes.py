@@ -15,7 +15,7 @@ from warp_psdr.kernels.bvh.wide import RayHit, make_intersect
 from warp_psdr.kernels.camera import CameraSample
 from warp_psdr.kernels.camera_rays import Bundle, column_of, make_trace_together, row_of
 from warp_psdr.kernels.constants import BSDF_DIFFUSE
-from warp_psdr.kernels.lanes import ROWS, make_copy, make_number, make_record, word_of, words
+from warp_psdr.kernels.lanes import ROWS, make_copy, make_fetch, make_number, make_record, word_of, words
 from warp_psdr.kernels.math import where3
 from warp_psdr.kernels.path import make_camera_starts, vertex_of
 from warp_psdr.kernels.rng import Sampler, make_sampler, sampler_at
@@ -32,7 +32,7 @@ from warp_psdr.kernels.scattering import (
     make_stand,
     samples_lights,
 )
-from warp_psdr.kernels.structs import Camera, LightSample, Scene
+from warp_psdr.kernels.structs import Camera, LightSample, Scene, Triangle
 from warp_psdr.kernels.vertex import PathConfig, PathState, PathVertex
 
 
@@ -132,6 +132,8 @@ def make_lane_paths(
     get_sum, put_sum = make_record(Sum, width)
     get_arrival, put_arrival = make_record(Arrival, width)
     get_choice, put_choice = make_record(Choice, width)
+    get_triangle, _put = make_record(Triangle, width)
+    fetch_triangle = make_fetch(Triangle, width)
     get_place, put_place = make_record(Place, width)
     get_light, put_light = make_record(LightSample, width)
     get_event, put_event = make_record(NextEvent, width)
@@ -139,7 +141,7 @@ def make_lane_paths(
     get_look, put_look = make_record(Look, width)
     get_vertex, put_vertex = make_record(PathVertex, width)
     copy_vertex = make_copy(PathVertex, width)
-    records = (Seat, PathState, RayHit, CameraSample, Sum, Arrival, Choice, Place, Onward)
+    records = (Seat, PathState, RayHit, CameraSample, Sum, Arrival, Choice, Triangle, Place, Onward)
     records += (LightSample, NextEvent, Look) if has_lights else ()
     first_row = {}
     row = 8  # random numbers: next-event estimation, scattering
@@ -148,10 +150,12 @@ def make_lane_paths(
         row += words(record)
     seat_row = first_row[Seat]
     state_row, hit_row, camera_row, sum_row = (first_row[r] for r in (PathState, RayHit, CameraSample, Sum))
-    arrival_row, choice_row, place_row, onward_row = (first_row[r] for r in (Arrival, Choice, Place, Onward))
+    arrival_row, choice_row, triangle_row = (first_row[r] for r in (Arrival, Choice, Triangle))
+    place_row, onward_row = (first_row[r] for r in (Place, Onward))
     light_row, event_row, look_row = (first_row.get(r, 0) for r in (LightSample, NextEvent, Look))
     ray_row, alive_row = (state_row + word_of(PathState, name) for name in ("o", "alive"))
     shadow_row, blocked_row = event_row + word_of(NextEvent, "o"), look_row + word_of(Look, "blocked")
+    face_row, light_face_row = (choice_row + word_of(Choice, name) for name in ("face", "light_face"))
     vertex_row, vertex_words = row, words(PathVertex)
 
     @wp.func
@@ -259,22 +263,27 @@ def make_lane_paths(
 
     @wp.func
     def stand_there(scene: Scene, rows: ROWS):
+        fetch_triangle(scene.triangles, rows, face_row, triangle_row)
         j = wp.int32(0)
         while j < width:
             state = get_state(rows, state_row, j, PathState())
             hit = get_hit(rows, hit_row, j, RayHit())
             choice = get_choice(rows, choice_row, j, Choice())
-            put_place(rows, place_row, j, stand(scene, choice.face, hit.u, hit.v, state.d))
+            tri = get_triangle(rows, triangle_row, j, Triangle())
+            put_place(rows, place_row, j, stand(scene, tri, choice.face, hit.u, hit.v, state.d))
             j += 1
 
     @wp.func
     def draw_lights(scene: Scene, rows: ROWS):
+        if wp.static(bool(config.area)):
+            fetch_triangle(scene.triangles, rows, light_face_row, triangle_row)
         j = wp.int32(0)
         while j < width:
             choice = get_choice(rows, choice_row, j, Choice())
             place = get_place(rows, place_row, j, Place())
             u = wp.vec2(get_number(rows, 2, j), get_number(rows, 3, j))
-            put_light(rows, light_row, j, draw(scene, choice.light, choice.light_face, place.x, u))
+            tri = get_triangle(rows, triangle_row, j, Triangle())
+            put_light(rows, light_row, j, draw(scene, choice.light, choice.light_face, tri, place.x, u))
             j += 1
 
     @wp.func

@@ -19,9 +19,9 @@ from warp_psdr.kernels.invalid import finite, inverse_pdf, vanishes
 from warp_psdr.kernels.math import to_local, to_world, where3
 from warp_psdr.kernels.reading import bsdf_at, emitter_at, shape_at, triangle_at
 from warp_psdr.kernels.sampling import mis_weight
-from warp_psdr.kernels.step import leaving_step
-from warp_psdr.kernels.structs import LightSample, Material, Scene
-from warp_psdr.kernels.surface import make_surface
+from warp_psdr.kernels.step import step_off_triangle
+from warp_psdr.kernels.structs import LightSample, Material, Scene, Triangle
+from warp_psdr.kernels.surface import make_surface_of
 from warp_psdr.kernels.vertex import PathConfig, PathState, make_frame, make_material
 
 #: Sample slots per path vertex: next-event estimation, scattering. Slot 0 is the camera's.
@@ -137,14 +137,19 @@ def make_arrive(config: PathConfig):
 
 @functools.cache
 def make_stand(config: PathConfig):
-    """Return ``stand(scene, face, u, v, d) -> Place``, d the direction that the path arrives with."""
-    surface_at = make_surface(config.smooth, config.flat, config.uv, config.tangent)
+    """Return ``stand(scene, tri, face, u, v, d) -> Place``.
+
+    ``tri`` is the record of the triangle with the number ``face``, d the direction that the path arrives with.
+    """
+    surface_of = make_surface_of(config.smooth, config.flat, config.uv, config.tangent)
     frame_at = make_frame(config.two_sided, config.tangent)
     material_at = make_material(config.slots)
 
     @wp.func
-    def stand(scene: Scene, face: wp.int32, u: wp.float32, v: wp.float32, d: wp.vec3) -> Place:
-        surface = surface_at(scene, face, u, v)
+    def stand(
+        scene: Scene, tri: Triangle, face: wp.int32, u: wp.float32, v: wp.float32, d: wp.vec3
+    ) -> Place:
+        surface = surface_of(scene, tri, u, v)
         frame = frame_at(scene, shape_at(scene, surface.shape).bsdf, surface.n, surface.tangent, -d)
         b = bsdf_at(scene, frame.bsdf)
         place = Place()
@@ -154,7 +159,7 @@ def make_stand(config: PathConfig):
         place.s = frame.s
         place.t = frame.t
         place.wi = to_local(frame.s, frame.t, frame.n, -d)
-        place.away = leaving_step(scene, face)
+        place.away = step_off_triangle(scene, tri)
         place.model = b.model
         place.shape = surface.shape
         place.material = material_at(scene, b, face, u, v, surface.uv)
@@ -171,9 +176,9 @@ def step_off(place: Place, d: wp.vec3) -> wp.vec3:
 
 @functools.cache
 def make_light_draw(config: PathConfig):
-    """Return ``pick(scene, u: vec2) -> (emitter, face)`` and ``draw(scene, emitter, face, x, u: vec2) -> LightSample``.
+    """Return ``pick(scene, u: vec2) -> (emitter, face)`` and ``draw(scene, emitter, face, tri, x, u: vec2) -> LightSample``.
 
-    Face -1: the light is no area light.
+    Face -1: the light is no area light. ``tri`` is the face's record, anything where there is none.
     """
     area = make_area(config.area) if config.area else None
     other = make_lights(config.lights, None, ()).sample if config.lights else None
@@ -192,17 +197,19 @@ def make_light_draw(config: PathConfig):
         return index, face
 
     @wp.func
-    def draw(scene: Scene, index: wp.int32, face: wp.int32, x: wp.vec3, u: wp.vec2) -> LightSample:
+    def draw(
+        scene: Scene, index: wp.int32, face: wp.int32, tri: Triangle, x: wp.vec3, u: wp.vec2
+    ) -> LightSample:
         emitter = emitter_at(scene, index)
         if wp.static(bool(config.area and config.lights)):
             ls = LightSample()
             if face >= 0:
-                ls = area.draw(scene, emitter, face, x, u)
+                ls = area.draw(scene, emitter, face, tri, x, u)
             else:
                 ls = other(scene, emitter, x, u)
                 ls.face = -1
         elif wp.static(bool(config.area)):
-            ls = area.draw(scene, emitter, face, x, u)
+            ls = area.draw(scene, emitter, face, tri, x, u)
         else:
             ls = other(scene, emitter, x, u)
             ls.face = -1
@@ -220,7 +227,11 @@ def make_light_sampler(config: PathConfig):
     @wp.func
     def sample_light(scene: Scene, x: wp.vec3, u4: wp.vec4) -> tuple[LightSample, wp.int32, wp.float32]:
         index, face = pick(scene, wp.vec2(u4[0], u4[1]))
-        ls = draw(scene, index, face, x, wp.vec2(u4[2], u4[3]))
+        tri = Triangle()
+        if wp.static(bool(config.area)):
+            if face >= 0:
+                tri = triangle_at(scene, face)
+        ls = draw(scene, index, face, tri, x, wp.vec2(u4[2], u4[3]))
         return ls, index, ls.probability
 
     return sample_light

@@ -21,7 +21,7 @@ small triangles near it, they do not count.
 import warp as wp
 
 from warp_psdr.kernels.reading import triangle_at
-from warp_psdr.kernels.structs import Scene
+from warp_psdr.kernels.structs import Scene, Triangle
 
 #: Steps over the largest coordinate: of the scene; of the triangle that is left; at edges, of the shape and of what
 #: touches it.
@@ -32,18 +32,23 @@ TOUCH = 2.5e-7
 
 
 @wp.func
-def largest_coordinate(scene: Scene, face: wp.int32) -> wp.float32:
-    tri = triangle_at(scene, face)
+def largest_coordinate(tri: Triangle) -> wp.float32:
     m = wp.max(wp.max(wp.abs(tri.p0), wp.abs(tri.p1)), wp.abs(tri.p2))
     return wp.max(m)
 
 
 @wp.func
-def leaving_step(scene: Scene, face: wp.int32) -> wp.float32:
+def step_off_triangle(scene: Scene, tri: Triangle) -> wp.float32:
     """Distance from a triangle, world units, at which the rays that leave it start."""
+    return wp.where(scene.least_step <= 0.0, scene.ray_epsilon, LEAVE * largest_coordinate(tri))
+
+
+@wp.func
+def leaving_step(scene: Scene, face: wp.int32) -> wp.float32:
+    """The same of the triangle with the number ``face``."""
     if scene.least_step <= 0.0:
         return scene.ray_epsilon
-    return LEAVE * largest_coordinate(scene, face)
+    return step_off_triangle(scene, triangle_at(scene, face))
 
 
 @wp.func

@@ -124,8 +124,8 @@ def normalize_vjp(unit: wp.vec3, length: wp.float32, a: wp.vec3) -> wp.vec3:
 
 
 @functools.cache
-def make_surface(smooth: bool, flat: bool, uv: bool, tangent: bool):
-    """Return ``surface_at(scene, face, u, v) -> Surface`` for scenes that hold smooth and/or flat shapes.
+def make_surface_of(smooth: bool, flat: bool, uv: bool, tangent: bool):
+    """Return ``surface_of(scene, tri, u, v) -> Surface`` for scenes that hold smooth and/or flat shapes.
 
     Args:
         smooth: some shape interpolates vertex normals.
@@ -135,8 +135,7 @@ def make_surface(smooth: bool, flat: bool, uv: bool, tangent: bool):
     """
 
     @wp.func
-    def surface_at(scene: Scene, face: wp.int32, u: wp.float32, v: wp.float32) -> Surface:
-        tri = triangle_at(scene, face)
+    def surface_of(scene: Scene, tri: Triangle, u: wp.float32, v: wp.float32) -> Surface:
         s = Surface()
         s.x = point_on(tri, u, v)
         s.ng = tri.normal
@@ -165,6 +164,18 @@ def make_surface(smooth: bool, flat: bool, uv: bool, tangent: bool):
                     if wp.static(tangent):
                         s.tangent = uv_tangent(tri.p0, tri.p1, tri.p2, t0, t1, t2)
         return s
+
+    return surface_of
+
+
+@functools.cache
+def make_surface(smooth: bool, flat: bool, uv: bool, tangent: bool):
+    """Return ``surface_at(scene, face, u, v) -> Surface``; arguments as those of ``make_surface_of``."""
+    surface_of = make_surface_of(smooth, flat, uv, tangent)
+
+    @wp.func
+    def surface_at(scene: Scene, face: wp.int32, u: wp.float32, v: wp.float32) -> Surface:
+        return surface_of(scene, triangle_at(scene, face), u, v)
 
     return surface_at
 

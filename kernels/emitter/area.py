@@ -14,8 +14,8 @@ import warp as wp
 from warp_psdr.kernels.distribution import find_interval
 from warp_psdr.kernels.reading import load_float, load_vec2, shape_at, triangle_at
 from warp_psdr.kernels.sampling import square_to_triangle
-from warp_psdr.kernels.step import leaving_step
-from warp_psdr.kernels.structs import Emitter, LightSample, Scene
+from warp_psdr.kernels.step import step_off_triangle
+from warp_psdr.kernels.structs import Emitter, LightSample, Scene, Triangle
 from warp_psdr.kernels.surface import point_on
 from warp_psdr.kernels.texture import make_texture
 
@@ -34,12 +34,17 @@ def light_uv(scene: Scene, face: wp.int32, u: wp.float32, v: wp.float32) -> wp.v
 
 
 @wp.func
-def area_density(scene: Scene, e: Emitter, face: wp.int32) -> wp.float32:
-    """Density per area with which points of a triangle are drawn."""
-    tri = triangle_at(scene, face)
+def density_on(scene: Scene, e: Emitter, face: wp.int32, tri: Triangle) -> wp.float32:
+    """Density per area with which points of a triangle are drawn; ``tri`` is that of the number ``face``."""
     k = e.cdf_offset + face - e.first_face
     doubled = wp.length(wp.cross(tri.p1 - tri.p0, tri.p2 - tri.p0))
     return 2.0 * (load_float(scene.face_cdf, k + 1) - load_float(scene.face_cdf, k)) / wp.max(doubled, 1.0e-30)
+
+
+@wp.func
+def area_density(scene: Scene, e: Emitter, face: wp.int32) -> wp.float32:
+    """Density per area with which points of the triangle with the number ``face`` are drawn."""
+    return density_on(scene, e, face, triangle_at(scene, face))
 
 
 @wp.func
@@ -55,7 +60,7 @@ class AreaFunctions(NamedTuple):
         emitted: ``(scene, e, face, u, v, d) -> vec3``, radiance leaving against d, the direction of the ray that
             arrives there.
         pick: ``(scene, e, u) -> int``, one of the light's triangles.
-        draw: ``(scene, e, face, x, u: vec2) -> LightSample``, a point on it, seen from x.
+        draw: ``(scene, e, face, tri, x, u: vec2) -> LightSample``, a point on it, seen from x; ``tri`` is its record.
     """
 
     emitted: wp.Function
@@ -87,21 +92,20 @@ def make_area(radiance_kinds: tuple[int, ...]) -> AreaFunctions:
         return e.first_face + find_interval(scene.face_cdf, e.cdf_offset, e.face_count, u)
 
     @wp.func
-    def draw(scene: Scene, e: Emitter, face: wp.int32, x: wp.vec3, u: wp.vec2) -> LightSample:
+    def draw(scene: Scene, e: Emitter, face: wp.int32, tri: Triangle, x: wp.vec3, u: wp.vec2) -> LightSample:
         result = LightSample()
         barycentrics = square_to_triangle(u)
         result.face = face
         result.u = barycentrics[0]
         result.v = barycentrics[1]
-        tri = triangle_at(scene, face)
         y = point_on(tri, result.u, result.v)
-        result.target = y + leaving_step(scene, face) * tri.normal
+        result.target = y + step_off_triangle(scene, tri) * tri.normal
         r = y - x
         squared = wp.dot(r, r)
         result.distance = wp.sqrt(squared)
         result.wi = r / wp.where(squared <= 0.0, 1.0, result.distance)
         cosine = -wp.dot(tri.normal, result.wi)
-        density = area_density(scene, e, face) * squared / cosine
+        density = density_on(scene, e, face, tri) * squared / cosine
         result.pdf = wp.where(squared <= 0.0 or cosine <= 0.0, 0.0, density)
         result.radiance = radiance_at(scene, e, face, result.u, result.v)
         return result
