@@ -21,6 +21,7 @@ A row is named by its number; a record takes ``words(record)`` rows from its fir
 import ctypes
 import functools
 import re
+from typing import NamedTuple
 
 import warp as wp
 
@@ -69,6 +70,56 @@ def make_record(record, width: int):
         native(f"get_{name}", source + reads + "return r;", width, get),
         native(f"put_{name}", target + writes, width, put),
     )
+
+
+class Rows(NamedTuple):
+    """Where a record lies, and how it is read and written.
+
+    Attributes:
+        first: its first row.
+        get: ``(rows, j) -> record`` of lane j.
+        put: ``(rows, j, record)``.
+    """
+
+    first: int
+    get: wp.Function
+    put: wp.Function
+
+    @staticmethod
+    @functools.cache
+    def of(record, width: int, first: int) -> "Rows":
+        """Make the functions for a record of ``width`` lanes from row ``first`` on."""
+        get_from, put_to = make_record(record, width)
+
+        @wp.func
+        def get(rows: ROWS, j: wp.int32) -> record:
+            return get_from(rows, first, j, record())
+
+        @wp.func
+        def put(rows: ROWS, j: wp.int32, value: record):
+            put_to(rows, first, j, value)
+
+        return Rows(first, get, put)
+
+
+class Table:
+    """Rows of several records, one record below the other.
+
+    Attributes:
+        width: number of lanes.
+        rows: number of rows that are taken.
+    """
+
+    def __init__(self, width: int, rows: int = 0):
+        """Start with ``rows`` rows that are taken otherwise."""
+        self.width = width
+        self.rows = rows
+
+    def add(self, record) -> Rows:
+        """Take the next rows for a record."""
+        first = self.rows
+        self.rows += words(record)
+        return Rows.of(record, self.width, first)
 
 
 @functools.cache

@@ -15,9 +15,13 @@ from warp_psdr.kernels.bvh.wide import RayHit, make_intersect
 from warp_psdr.kernels.camera import CameraSample
 from warp_psdr.kernels.camera_rays import Bundle, column_of, make_trace_together, row_of
 from warp_psdr.kernels.constants import BSDF_DIFFUSE
-from warp_psdr.kernels.lanes import ROWS, make_copy, make_fetch, make_number, make_record, word_of, words
+from warp_psdr.kernels.emitter.dispatch import ENVIRONMENTS
+from warp_psdr.kernels.invalid import finite
+from warp_psdr.kernels.lanes import ROWS, Table, make_copy, make_fetch, make_number, make_record, word_of, words
+from warp_psdr.kernels.light_lanes import make_light_lanes
 from warp_psdr.kernels.math import where3
 from warp_psdr.kernels.path import make_camera_starts, vertex_of
+from warp_psdr.kernels.reading import shape_at
 from warp_psdr.kernels.rng import Sampler, make_sampler, sampler_at
 from warp_psdr.kernels.scattering import (
     SLOTS_PER_VERTEX,
@@ -26,14 +30,16 @@ from warp_psdr.kernels.scattering import (
     Onward,
     Place,
     make_arrive,
-    make_light_draw,
-    make_next_event,
     make_scatter,
     make_stand,
     samples_lights,
 )
-from warp_psdr.kernels.structs import Camera, LightSample, Scene, Triangle
+from warp_psdr.kernels.structs import Camera, Scene, Triangle
 from warp_psdr.kernels.vertex import PathConfig, PathState, PathVertex
+
+
+#: Rows of random numbers: for next-event estimation, for scattering.
+NUMBERS = 8
 
 
 @wp.struct
@@ -47,12 +53,11 @@ class Seat:
 
 @wp.struct
 class Choice:
-    """What lane by lane is looked up for a vertex: its face, and the light of its next-event estimate."""
+    """Where a path is. A lane without a path is computed along on face 0."""
 
     on: wp.int32  # 1: the path stands on ``face``
     face: wp.int32
-    light: wp.int32
-    light_face: wp.int32
+    brings: wp.int32  # 1: its ray may bring something: it has left the scene, or found an emitter
 
 
 @wp.struct
@@ -121,42 +126,23 @@ def make_lane_paths(
     scatter = make_scatter(config, differential)
     sample_4d = make_sampler(config.sampler).sample_4d
     has_lights = samples_lights(config)
-    pick, draw = make_light_draw(config) if has_lights else (None, None)
-    next_event = make_next_event(config, differential) if has_lights else None
-
+    environment = any(kind in ENVIRONMENTS for kind in config.lights)
     get_number, put_number = make_number(width)
-    get_seat, put_seat = make_record(Seat, width)
-    get_state, put_state = make_record(PathState, width)
-    get_hit, put_hit = make_record(RayHit, width)
-    get_camera, put_camera = make_record(CameraSample, width)
-    get_sum, put_sum = make_record(Sum, width)
-    get_arrival, put_arrival = make_record(Arrival, width)
-    get_choice, put_choice = make_record(Choice, width)
-    get_triangle, _put = make_record(Triangle, width)
     fetch_triangle = make_fetch(Triangle, width)
-    get_place, put_place = make_record(Place, width)
-    get_light, put_light = make_record(LightSample, width)
-    get_event, put_event = make_record(NextEvent, width)
-    get_onward, put_onward = make_record(Onward, width)
-    get_look, put_look = make_record(Look, width)
-    get_vertex, put_vertex = make_record(PathVertex, width)
     copy_vertex = make_copy(PathVertex, width)
-    records = (Seat, PathState, RayHit, CameraSample, Sum, Arrival, Choice, Triangle, Place, Onward)
-    records += (LightSample, NextEvent, Look) if has_lights else ()
-    first_row = {}
-    row = 8  # random numbers: next-event estimation, scattering
-    for record in records:
-        first_row[record] = row
-        row += words(record)
-    seat_row = first_row[Seat]
-    state_row, hit_row, camera_row, sum_row = (first_row[r] for r in (PathState, RayHit, CameraSample, Sum))
-    arrival_row, choice_row, triangle_row = (first_row[r] for r in (Arrival, Choice, Triangle))
-    place_row, onward_row = (first_row[r] for r in (Place, Onward))
-    light_row, event_row, look_row = (first_row.get(r, 0) for r in (LightSample, NextEvent, Look))
-    ray_row, alive_row = (state_row + word_of(PathState, name) for name in ("o", "alive"))
-    shadow_row, blocked_row = event_row + word_of(NextEvent, "o"), look_row + word_of(Look, "blocked")
-    face_row, light_face_row = (choice_row + word_of(Choice, name) for name in ("face", "light_face"))
-    vertex_row, vertex_words = row, words(PathVertex)
+
+    table = Table(width, NUMBERS)
+    seats, states, hits, cameras, sums = (table.add(r) for r in (Seat, PathState, RayHit, CameraSample, Sum))
+    arrivals, choices, triangles = (table.add(r) for r in (Arrival, Choice, Triangle))
+    places, onwards, looks = (table.add(r) for r in (Place, Onward, Look))
+    if has_lights:
+        choose_lights, draw_lights, events = make_light_lanes(config, differential, table, places, triangles)
+        shadow_row = events.first + word_of(NextEvent, "o")
+    hit_row, triangle_row, look_row = (r.first for r in (hits, triangles, looks))
+    ray_row, alive_row = (states.first + word_of(PathState, name) for name in ("o", "alive"))
+    face_row, blocked_row = choices.first + word_of(Choice, "face"), looks.first + word_of(Look, "blocked")
+    vertex_row, vertex_words = table.rows, words(PathVertex)
+    get_vertex, put_vertex = make_record(PathVertex, width)
 
     @wp.func
     def start(
@@ -180,22 +166,22 @@ def make_lane_paths(
             seat.py = row_of(bundle, seat.sampler)
             for n in range(bundle.samples):
                 seat.sampler.index = wp.uint32(bundle.first_sample + n)
-                put_seat(rows, seat_row, j, seat)
+                seats.put(rows, j, seat)
                 j += 1
         k = view(scene, camera)
         j = wp.int32(0)
         while j < width:
-            seat = get_seat(rows, seat_row, j, Seat())
+            seat = seats.get(rows, j)
             state, sample = start_in(scene, camera, k, seat.px, seat.py, seat.sampler)
             state.alive = wp.where(j < count, 1, 0)
             state.met = met
-            put_state(rows, state_row, j, state)
-            put_camera(rows, camera_row, j, sample)
-            put_sum(rows, sum_row, j, Sum())
+            states.put(rows, j, state)
+            cameras.put(rows, j, sample)
+            sums.put(rows, j, Sum())
             j += 1
         j = wp.int32(0)
         while j < count:
-            state = get_state(rows, state_row, j, PathState())
+            state = states.get(rows, j)
             o[j] = state.o
             d[j] = state.d
             t_max[j] = state.t_max
@@ -203,14 +189,14 @@ def make_lane_paths(
         trace_together(scene, count, o, d, t_max, seen)
         j = wp.int32(0)
         while j < count:
-            put_hit(rows, hit_row, j, seen[j])
+            hits.put(rows, j, seen[j])
             j += 1
 
     @wp.func
     def draw_numbers(depth: wp.int32, rows: ROWS):
         j = wp.int32(0)
         while j < width:
-            sampler = get_seat(rows, seat_row, j, Seat()).sampler
+            sampler = seats.get(rows, j).sampler
             if wp.static(has_lights):
                 u4 = sample_4d(sampler, 1 + SLOTS_PER_VERTEX * depth)
                 put_number(rows, 0, j, u4[0])
@@ -225,133 +211,121 @@ def make_lane_paths(
             j += 1
 
     @wp.func
-    def meet(scene: Scene, depth: wp.int32, last: wp.bool, rows: ROWS) -> wp.int32:
-        """What the rays find, one by one; the number of paths that stand on a surface."""
-        one_by_one = depth > 0
-        if depth > 0 and scene.accel.flat > 0:
-            closest_of_each(scene.accel, rows, ray_row, alive_row, hit_row)
-            one_by_one = False
+    def trace(scene: Scene, depth: wp.int32, rows: ROWS):
+        """Closest hits; the camera's rays have been traced."""
+        if depth > 0:
+            if scene.accel.flat > 0:
+                closest_of_each(scene.accel, rows, ray_row, alive_row, hit_row)
+            else:
+                j = wp.int32(0)
+                while j < width:
+                    state = states.get(rows, j)
+                    if state.alive == 1:
+                        hits.put(rows, j, closest_hit(scene.accel, state.o, state.d, state.t_max))
+                    j += 1
+
+    @wp.func
+    def meet(scene: Scene, rows: ROWS) -> wp.int32:
+        """What the rays bring; the number of paths that stand on a surface."""
         standing = wp.int32(0)
-        nobody = Choice()  # a face and a light that there are: what a lane without a path is computed along with
-        if wp.static(has_lights):
-            first_light, first_face = pick(scene, wp.vec2(0.0, 0.0))
-            nobody.light = first_light
-            nobody.light_face = first_face
         j = wp.int32(0)
         while j < width:
-            state = get_state(rows, state_row, j, PathState())
-            arrival = Arrival()
-            choice = nobody
-            if state.alive == 1:
-                if one_by_one:
-                    put_hit(rows, hit_row, j, closest_hit(scene.accel, state.o, state.d, state.t_max))
-                hit = get_hit(rows, hit_row, j, RayHit())
-                arrival = arrive(scene, state, hit)
-                if arrival.on == 1:
-                    standing += 1
-                    choice.on = 1
-                    choice.face = hit.face
-                    if wp.static(has_lights):
-                        if not last:
-                            light, face = pick(scene, wp.vec2(get_number(rows, 0, j), get_number(rows, 1, j)))
-                            choice.light = light
-                            choice.light_face = face
-            put_arrival(rows, arrival_row, j, arrival)
-            put_choice(rows, choice_row, j, choice)
+            face = hits.get(rows, j).face
+            choice = Choice()
+            choice.on = wp.where(states.get(rows, j).alive == 1 and face >= 0, 1, 0)
+            choice.face = wp.where(choice.on == 1, face, 0)
+            choices.put(rows, j, choice)
+            standing += choice.on
+            j += 1
+        if standing > 0:
+            fetch_triangle(scene.triangles, rows, face_row, triangle_row)
+        j = wp.int32(0)
+        while j < width:
+            choice = choices.get(rows, j)
+            state = states.get(rows, j)
+            brings = state.alive == 1 and choice.on == 0
+            if wp.static(not environment):
+                brings = brings and not finite(state.o + state.d)  # which ``arrive`` tells
+            if wp.static(bool(config.area)):
+                shape = wp.where(choice.on == 1, triangles.get(rows, j).shape, 0)
+                brings = brings or (choice.on == 1 and shape_at(scene, shape).emitter >= 0)
+            choice.brings = wp.where(brings, 1, 0)
+            choices.put(rows, j, choice)
+            arrivals.put(rows, j, Arrival())
+            j += 1
+        j = wp.int32(0)
+        while j < width:
+            if choices.get(rows, j).brings == 1:
+                arrivals.put(rows, j, arrive(scene, states.get(rows, j), hits.get(rows, j)))
             j += 1
         return standing
 
     @wp.func
     def stand_there(scene: Scene, rows: ROWS):
-        fetch_triangle(scene.triangles, rows, face_row, triangle_row)
         j = wp.int32(0)
         while j < width:
-            state = get_state(rows, state_row, j, PathState())
-            hit = get_hit(rows, hit_row, j, RayHit())
-            choice = get_choice(rows, choice_row, j, Choice())
-            tri = get_triangle(rows, triangle_row, j, Triangle())
-            put_place(rows, place_row, j, stand(scene, tri, choice.face, hit.u, hit.v, state.d))
-            j += 1
-
-    @wp.func
-    def draw_lights(scene: Scene, rows: ROWS):
-        if wp.static(bool(config.area)):
-            fetch_triangle(scene.triangles, rows, light_face_row, triangle_row)
-        j = wp.int32(0)
-        while j < width:
-            choice = get_choice(rows, choice_row, j, Choice())
-            place = get_place(rows, place_row, j, Place())
-            u = wp.vec2(get_number(rows, 2, j), get_number(rows, 3, j))
-            tri = get_triangle(rows, triangle_row, j, Triangle())
-            put_light(rows, light_row, j, draw(scene, choice.light, choice.light_face, tri, place.x, u))
-            j += 1
-
-    @wp.func
-    def estimate(rows: ROWS):
-        j = wp.int32(0)
-        while j < width:
-            choice = get_choice(rows, choice_row, j, Choice())
-            place = get_place(rows, place_row, j, Place())
-            ls = get_light(rows, light_row, j, LightSample())
-            put_event(rows, event_row, j, next_event(place, ls, choice.light))
+            hit = hits.get(rows, j)
+            face = choices.get(rows, j).face
+            d = states.get(rows, j).d
+            places.put(rows, j, stand(scene, triangles.get(rows, j), face, hit.u, hit.v, d))
             j += 1
 
     @wp.func
     def scatter_all(scene: Scene, rr_depth: wp.int32, rows: ROWS):
         j = wp.int32(0)
         while j < width:
-            state = get_state(rows, state_row, j, PathState())
-            choice = get_choice(rows, choice_row, j, Choice())
-            place = get_place(rows, place_row, j, Place())
+            state = states.get(rows, j)
+            choice = choices.get(rows, j)
+            place = places.get(rows, j)
             r4 = wp.vec4(get_number(rows, 4, j), get_number(rows, 5, j), get_number(rows, 6, j), get_number(rows, 7, j))
             onward = scatter(place, state, choice.face, r4, rr_depth)
             if wp.static(sparse):
                 onward.after.met = state.met + scene.matters[place.shape]
-            put_onward(rows, onward_row, j, onward)
+            onwards.put(rows, j, onward)
             j += 1
 
     @wp.func
-    def look_at_lights(scene: Scene, rows: ROWS):
+    def look(scene: Scene, rows: ROWS):
         """Shadow rays."""
         j = wp.int32(0)
         while j < width:
-            wanted = get_choice(rows, choice_row, j, Choice()).on == 1
-            wanted = wanted and get_event(rows, event_row, j, NextEvent()).wanted == 1
+            wanted = choices.get(rows, j).on == 1
+            wanted = wanted and events.get(rows, j).wanted == 1
             if wp.static(sparse):
-                wanted = wanted and get_onward(rows, onward_row, j, Onward()).after.met > 0
-            look = Look()
-            look.wanted = wp.where(wanted, 1, 0)
-            put_look(rows, look_row, j, look)
+                wanted = wanted and onwards.get(rows, j).after.met > 0
+            shadow = Look()
+            shadow.wanted = wp.where(wanted, 1, 0)
+            looks.put(rows, j, shadow)
             j += 1
         if scene.accel.flat > 0:
             any_of_each(scene.accel, rows, shadow_row, look_row, blocked_row)
         else:
             j = wp.int32(0)
             while j < width:
-                look = get_look(rows, look_row, j, Look())
-                if look.wanted == 1:
-                    event = get_event(rows, event_row, j, NextEvent())
+                shadow = looks.get(rows, j)
+                if shadow.wanted == 1:
+                    event = events.get(rows, j)
                     if any_hit(scene.accel, event.o, event.d, event.t_max):
-                        look.blocked = 1
-                        put_look(rows, look_row, j, look)
+                        shadow.blocked = 1
+                        looks.put(rows, j, shadow)
                 j += 1
 
     @wp.func
     def keep(depth: wp.int32, scattering: wp.bool, rows: ROWS):
         j = wp.int32(0)
         while j < width:
-            state = get_state(rows, state_row, j, PathState())
-            hit = get_hit(rows, hit_row, j, RayHit())
-            arrival = get_arrival(rows, arrival_row, j, Arrival())
-            choice = get_choice(rows, choice_row, j, Choice())
-            onward = get_onward(rows, onward_row, j, Onward())
+            state = states.get(rows, j)
+            hit = hits.get(rows, j)
+            arrival = arrivals.get(rows, j)
+            choice = choices.get(rows, j)
+            onward = onwards.get(rows, j)
             on = scattering and choice.on == 1
             event = NextEvent()
             lit = wp.bool(False)
             if wp.static(has_lights):
-                event = get_event(rows, event_row, j, NextEvent())
-                look = get_look(rows, look_row, j, Look())
-                lit = on and look.wanted == 1 and look.blocked == 0
+                event = events.get(rows, j)
+                shadow = looks.get(rows, j)
+                lit = on and shadow.wanted == 1 and shadow.blocked == 0
             vertex = vertex_of(state, hit, arrival, lit, event, on, onward)
             put_vertex(rows, vertex_row, j, vertex)
             j += 1
@@ -363,27 +337,27 @@ def make_lane_paths(
         alive = wp.int32(0)
         j = wp.int32(0)
         while j < width:
-            state = get_state(rows, state_row, j, PathState())
-            arrival = get_arrival(rows, arrival_row, j, Arrival())
-            choice = get_choice(rows, choice_row, j, Choice())
-            onward = get_onward(rows, onward_row, j, Onward())
-            total = get_sum(rows, sum_row, j, Sum())
+            state = states.get(rows, j)
+            arrival = arrivals.get(rows, j)
+            choice = choices.get(rows, j)
+            onward = onwards.get(rows, j)
+            total = sums.get(rows, j)
             on = scattering and choice.on == 1
             direct = arrival.direct
             if wp.static(has_lights):
-                event = get_event(rows, event_row, j, NextEvent())
-                look = get_look(rows, look_row, j, Look())
-                lit = on and look.wanted == 1 and look.blocked == 0
+                event = events.get(rows, j)
+                shadow = looks.get(rows, j)
+                lit = on and shadow.wanted == 1 and shadow.blocked == 0
                 direct += where3(lit, event.value, wp.vec3(0.0, 0.0, 0.0))
             direct = where3(on and onward.broken == 1, wp.vec3(wp.NAN, wp.NAN, wp.NAN), direct)
             # What lies in the rows of a path that has ended may be anything.
             gained = total.radiance + wp.cw_mul(state.throughput, direct)
             total.radiance = where3(state.alive == 1, gained, total.radiance)
             total.vertices += state.alive
-            put_sum(rows, sum_row, j, total)
+            sums.put(rows, j, total)
             after = onward.after
             after.alive = wp.where(on, onward.after.alive, 0)
-            put_state(rows, state_row, j, after)
+            states.put(rows, j, after)
             alive += after.alive
             j += 1
         return alive
@@ -394,31 +368,32 @@ def make_lane_paths(
         if wp.static(config.scatter):
             if not last:
                 draw_numbers(depth, rows)
-        scattering = meet(scene, depth, last, rows) > 0 and not last
+        trace(scene, depth, rows)
+        scattering = meet(scene, rows) > 0 and not last
         if wp.static(config.scatter):
             if scattering:
                 stand_there(scene, rows)
                 if wp.static(has_lights):
+                    choose_lights(scene, rows)
                     draw_lights(scene, rows)
-                    estimate(rows)
                 scatter_all(scene, rr_depth, rows)
                 if wp.static(has_lights):
-                    look_at_lights(scene, rows)
+                    look(scene, rows)
         if wp.static(kept > 0):
             keep(depth, scattering, rows)
         return advance(scattering, rows)
 
     @wp.func
     def gathered(rows: ROWS, j: wp.int32) -> Sum:
-        return get_sum(rows, sum_row, j, Sum())
+        return sums.get(rows, j)
 
     @wp.func
     def camera_of(rows: ROWS, j: wp.int32) -> CameraSample:
-        return get_camera(rows, camera_row, j, CameraSample())
+        return cameras.get(rows, j)
 
     @wp.func
     def vertex_at(rows: ROWS, j: wp.int32, n: wp.int32) -> PathVertex:
         return get_vertex(rows, vertex_row + (n + 1) * vertex_words, j, PathVertex())
 
-    size = (row + (kept + 1 if kept else 0) * vertex_words) * width
+    size = (table.rows + (kept + 1 if kept else 0) * vertex_words) * width
     return LanePaths(width, size, start, step, gathered, camera_of, vertex_at if kept else None)

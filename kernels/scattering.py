@@ -186,9 +186,8 @@ def make_light_draw(config: PathConfig):
     @wp.func
     def pick(scene: Scene, u: wp.vec2) -> tuple[wp.int32, wp.int32]:
         index = wp.int32(0)
-        count = scene.emitters.shape[0]
-        if count > 1:
-            index = find_interval(scene.emitter_cdf, 0, count, u[0])
+        if wp.static(not config.one_light):
+            index = find_interval(scene.emitter_cdf, 0, scene.emitters.shape[0], u[0])
         face = wp.int32(-1)
         if wp.static(bool(config.area)):
             emitter = emitter_at(scene, index)
@@ -200,7 +199,7 @@ def make_light_draw(config: PathConfig):
     def draw(
         scene: Scene, index: wp.int32, face: wp.int32, tri: Triangle, x: wp.vec3, u: wp.vec2
     ) -> LightSample:
-        emitter = emitter_at(scene, index)
+        emitter = emitter_at(scene, wp.where(wp.static(config.one_light), 0, index))
         if wp.static(bool(config.area and config.lights)):
             ls = LightSample()
             if face >= 0:

@@ -29,6 +29,8 @@ class PathConfig:
     area: tuple[int, ...]
     #: Other light sources.
     lights: tuple[int, ...]
+    #: True: there is no other than emitter 0.
+    one_light: bool
     #: False: ``max_depth`` is 1 and only directly visible light is computed.
     scatter: bool
     hide_emitters: bool

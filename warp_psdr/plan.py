@@ -263,6 +263,7 @@ def _config(scene: Scene, integrator: PathIntegrator, sensor: int, lines: list) 
         tangent=bool(b.anisotropic) and scatter,
         area=area,
         lights=lights,
+        one_light=len(b.emitters) == 1,
         scatter=scatter,
         hide_emitters=integrator.hide_emitters,
         hidden=integrator.hide_emitters and bool(area),
