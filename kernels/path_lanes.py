@@ -214,7 +214,7 @@ def make_lane_paths(
     def trace(scene: Scene, depth: wp.int32, rows: ROWS):
         """Closest hits; the camera's rays have been traced."""
         if depth > 0:
-            if scene.accel.flat > 0:
+            if scene.accel.below_root > 0:
                 closest_of_each(scene.accel, rows, ray_row, alive_row, hit_row)
             else:
                 j = wp.int32(0)
@@ -297,7 +297,7 @@ def make_lane_paths(
             shadow.wanted = wp.where(wanted, 1, 0)
             looks.put(rows, j, shadow)
             j += 1
-        if scene.accel.flat > 0:
+        if scene.accel.below_root > 0:
             any_of_each(scene.accel, rows, shadow_row, look_row, blocked_row)
         else:
             j = wp.int32(0)

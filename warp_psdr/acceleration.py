@@ -123,7 +123,8 @@ class Accelerator:
         self.nbytes = self._nodes.nbytes + self._packets.nbytes
         self.data.nodes = self._nodes.address
         self.data.packets = self._packets.address
-        self.data.flat = self._packet_count if n <= FLAT_PACKETS * w else 0
+        self.data.flat = self._packet_count if self._packet_count <= FLAT_PACKETS else 0
+        self.data.below_root = self._packet_count if self._node_count == 1 else 0
         self._refit(primitives.address, leaves.address, children.address)
         self._built_cost = self.cost
 

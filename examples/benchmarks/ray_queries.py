@@ -158,7 +158,7 @@ class WarpQueries:
                 "closest": (_make_bundle_kernel(0, RayHit, w), RayHit, w),
                 "any": (_make_bundle_kernel(1, wp.bool, w), wp.bool, w),
             }
-            if self.accelerator.data.flat > 0:
+            if self.accelerator.data.below_root > 0:
                 self._kernels[False] = {
                     "closest": (_make_each_kernel(0, RayHit, w), RayHit, w),
                     "any": (_make_each_kernel(1, AnyHit, w), AnyHit, w),

@@ -4,7 +4,7 @@
 3 x 31 inner borders of 32 bins over the bounds of the centroids. Costs count packets, ceil(n / W), and a range that
 fits one packet is a leaf, because a packet costs the same however many of its lanes are used. Below ``SAH_DEPTH``
 levels, or where no border separates the centroids, a range is halved by count, so that the depth is bounded for any
-input. A scene that is tested without a tree is cut into full packets.
+input.
 
 **Collapse.** Which binary nodes become wide ones is decided by dynamic programming [YKL17]: cost[i] is the least cost
 of a subtree that may take i + 1 slots of its parent; it is either shared out between the two halves of the subtree, or,
@@ -19,7 +19,7 @@ import functools
 
 import warp as wp
 
-from warp_psdr.kernels.bvh.wide import FLAT_PACKETS, SAH_DEPTH
+from warp_psdr.kernels.bvh.wide import SAH_DEPTH
 
 #: Words of a primitive record: lower bounds, biased face number, upper bounds, unused.
 PRIMITIVE_WORDS = 8
@@ -182,7 +182,7 @@ _BUILD = """
         }
         Task left, right;
         const int half = task.depth >= $SAH_DEPTH ? (r.end - r.begin) / 2 : 0;
-        builder.split(r, left.range, right.range, count <= $FLAT * $W ? $W : half);
+        builder.split(r, left.range, right.range, half);
         left.depth = right.depth = task.depth + 1;
         left.node = binary_count++;
         right.node = binary_count++;
@@ -286,7 +286,7 @@ _EMIT = """
 def make_native(width: int):
     """Return a decorator that makes a Warp function of C++ text in which ``$W`` and the constants are filled in."""
     values = {"$STACK": (SAH_DEPTH + 32) * width, "$SAH_DEPTH": SAH_DEPTH}
-    values |= {"$FLAT": FLAT_PACKETS, "$FACE_BIAS": FACE_BIAS, "$W": width}
+    values |= {"$FACE_BIAS": FACE_BIAS, "$W": width}
 
     def native(source: str):
         for key, value in values.items():

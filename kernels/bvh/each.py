@@ -1,10 +1,13 @@
-"""Ray queries for W rays of any directions at a time, of scenes that are tested without a tree.
+"""Ray queries for W rays of any directions at a time, of scenes whose packets all lie right below the root.
 
-Still one ray meets the triangles of a packet at a time, by the operations of ``wide.py``: hits are those of its queries
-to the bit. What is not done ray by ray is the rest, which is half of such a query: choosing the axes, shearing, and the
-closest hits' barycentrics are computed for all rays at once, one a lane. And nothing between waits for a ray's result
-or depends on it in a branch, so that the processor is in the next ray's packets while it still reduces those of the
-last to one number.
+One ray meets the triangles of a packet at a time, by the operations of ``wide.py``; all the rest is done for all rays at
+once, one a lane: choosing the axes, shearing, the boxes of the packets, and the closest hits' barycentrics. Packets are
+taken one after the other, and each is met by the rays that enter its box. So the processor knows which rays come next,
+where one ray's walk through a tree is anybody's guess; and nothing waits for a ray's result, so that the next ray's
+triangles are tested while the last one's are still reduced to one number.
+
+Boxes are those of ``wide.py``, and so are hits, to the bit. Only where triangles of several packets are hit at one
+distance, the first one's counts here, and there, in a tree, the one that is met first.
 
 Rays and hits lie in rows, one for each number, as ``lanes.py`` has it.
 """
@@ -13,7 +16,7 @@ import functools
 
 import warp as wp
 
-from warp_psdr.kernels.bvh.simd import BARYCENTRICS, CORNERS, DISTANCE, EDGES, FLAT, TYPES
+from warp_psdr.kernels.bvh.simd import BARYCENTRICS, CORNERS, DISTANCE, EDGES, TYPES
 from warp_psdr.kernels.bvh.wide import Accel, native
 
 # Rows may lie anywhere, and are words of another type to everybody else.
@@ -25,19 +28,23 @@ _START = (
     typedef int int_row __attribute__((ext_vector_type($W), aligned(4), may_alias));
 
     static __attribute__((noinline, min_vector_width($BITS))) void run(
-        const float* packets, int flat, const float* rays, const int* wanted, float* found)
+        const float* nodes, const float* packets, int count, const float* center, float extent, const float* rays,
+        const int* wanted, float* found)
     {
     #pragma clang fp contract(off)
-    vf ray_o[3], ray_d[3], size[3];
+    vf ray_o[3], ray_d[3], size[3], from_c[3], farthest = 0.0f;
     for (int axis = 0; axis < 3; ++axis) {
         ray_o[axis] = *(const row*)(rays + axis * $W);
         ray_d[axis] = *(const row*)(rays + (3 + axis) * $W);
         size[axis] = Simd::abs(ray_d[axis]);
+        from_c[axis] = ray_o[axis] - center[axis];
+        farthest = Simd::max(farthest, Simd::abs(from_c[axis]));
     }
     const vf limits = *(const row*)(rays + 6 * $W);
     const vf sum = ray_o[0] + ray_o[1] + ray_o[2] + ray_d[0] + ray_d[1] + ray_d[2];
-    const vi somewhere = (size[0] != 0.0f) | (size[1] != 0.0f) | (size[2] != 0.0f);
-    const u32 traced = Simd::mask((*(const int_row*)wanted != 0) & (0.0f * sum == 0.0f) & somewhere);
+    const vf largest = Simd::max(Simd::max(size[0], size[1]), size[2]);
+    const u32 traced = Simd::mask((*(const int_row*)wanted != 0) & (0.0f * sum == 0.0f) & (largest > 0.0f));
+
     // The largest component becomes z: kz = 0, kz = 1, or else 2.
     const vi first = (size[0] > size[1]) & (size[0] > size[2]), second = (size[0] <= size[1]) & (size[1] > size[2]);
     const vf d_x = first ? ray_d[1] : second ? ray_d[2] : ray_d[0];
@@ -47,43 +54,83 @@ _START = (
     const vf all_py = first ? ray_o[2] : second ? ray_o[0] : ray_o[1];
     const vf all_pz = first ? ray_o[0] : second ? ray_o[1] : ray_o[2];
     const vf all_shear_z = 1.0f / d_z, all_mx = -d_x * all_shear_z, all_my = -d_y * all_shear_z;
-    const vi all_qx = first ? vi($W) : second ? vi(2 * $W) : vi(0);
-    const vi all_qy = first ? vi(2 * $W) : second ? vi(0) : vi($W);
-    const vi all_qz = first ? vi(0) : second ? vi($W) : vi(2 * $W);
     // In arrays, as ``CORNERS`` says.
-    float of_ray[7][$W] __attribute__((aligned(64)));
+    float of_ray[6][$W] __attribute__((aligned(64))), reached[$W] __attribute__((aligned(64)));
     int rows_of_ray[3][$W] __attribute__((aligned(64))), result[$W] __attribute__((aligned(64)));
-    const vf numbers_of_rays[7] = {all_px, all_py, all_pz, all_mx, all_my, all_shear_z, limits};
-    for (int i = 0; i < 7; ++i)
-        *(vf*)of_ray[i] = numbers_of_rays[i];
-    *(vi*)rows_of_ray[0] = all_qx;
-    *(vi*)rows_of_ray[1] = all_qy;
-    *(vi*)rows_of_ray[2] = all_qz;
+    const vf numbers[6] = {all_px, all_py, all_pz, all_mx, all_my, all_shear_z};
+    for (int i = 0; i < 6; ++i)
+        *(vf*)of_ray[i] = numbers[i];
+    *(vi*)rows_of_ray[0] = first ? vi($W) : second ? vi(2 * $W) : vi(0);
+    *(vi*)rows_of_ray[1] = first ? vi(2 * $W) : second ? vi(0) : vi($W);
+    *(vi*)rows_of_ray[2] = first ? vi(0) : second ? vi($W) : vi(2 * $W);
     *(vi*)result = $NOTHING;
+    *(vf*)reached = limits;
+
+    // Distance to plane b is b * rcp + near or far.
+    const vf delta = 9.6e-7f * (farthest + extent), tiny = 1.0e-16f * largest;  // 16 u, see wide.py
+    vf rcp[3], near[3], far[3];
+    vi back[3];
+    for (int axis = 0; axis < 3; ++axis) {
+        back[axis] = __builtin_bit_cast(vi, ray_d[axis]) < 0;
+        rcp[axis] = 1.0f / (size[axis] < tiny ? Simd::flip(tiny, ray_d[axis]) : ray_d[axis]);
+        const vf grow = Simd::flip(delta, ray_d[axis]);
+        near[axis] = -(from_c[axis] + grow) * rcp[axis];
+        far[axis] = -(from_c[axis] - grow) * rcp[axis];
+    }
+    for (int number = 0; number < count; ++number) {
+        const float* box = nodes + number;
+        vf enter = 0.0f, leave = *(const vf*)reached;
+        for (int axis = 0; axis < 3; ++axis) {
+            const vf lower = box[2 * axis * $W], upper = box[(2 * axis + 1) * $W];
+            enter = Simd::max(Simd::fma(back[axis] ? upper : lower, rcp[axis], near[axis]), enter);
+            leave = Simd::min(Simd::fma(back[axis] ? lower : upper, rcp[axis], far[axis]), leave);
+        }
+        const float* packet = packets + number * (10 * $W);
+        for (u32 rest = traced & Simd::mask(enter <= leave); rest; rest &= rest - 1) {
+            // One ray after the other, under the names of the texts.
+            const int ray = __builtin_ctz(rest);
+            const vf px = of_ray[0][ray], py = of_ray[1][ray], pz = of_ray[2][ray];
+            const vf mx = of_ray[3][ray], my = of_ray[4][ray];
+            const float shear_z = of_ray[5][ray], t_best = reached[ray];
+            const long long qx = rows_of_ray[0][ray], qy = rows_of_ray[1][ray], qz = rows_of_ray[2][ray];
 """
+    + EDGES
+    + DISTANCE
 )
 
-# One ray after the other, under the names of the texts.
-_RAYS = """
+_CLOSEST = (
+    _START.replace("$NOTHING", "-1").replace(
+        "    for (int number",
+        """    vf distance[$W];
+    vi where[$W], lanes;
+    for (int i = 0; i < $W; ++i) {
+        distance[i] = limits[i];
+        where[i] = -1;
+        lanes[i] = i;
+    }
+    for (int number""",
+    )
+    + """
+            const vf t = reach * Simd::inverse(weight), t0 = distance[ray];
+            const vi closer = inside & (t > 0.0f) & (t < t0);
+            distance[ray] = closer ? t : t0;
+            where[ray] = closer ? vi(number) : where[ray];
+        }
+    }
     for (u32 rest = traced; rest; rest &= rest - 1) {
         const int ray = __builtin_ctz(rest);
-        const vf px = of_ray[0][ray], py = of_ray[1][ray], pz = of_ray[2][ray], mx = of_ray[3][ray], my = of_ray[4][ray];
-        const float shear_z = of_ray[5][ray], t_max = of_ray[6][ray];
-        const long long qx = rows_of_ray[0][ray], qy = rows_of_ray[1][ray], qz = rows_of_ray[2][ray];
-"""
-
-_CLOSEST = (
-    _START.replace("$NOTHING", "-1")
-    + """
-    vi lanes;
-    for (int i = 0; i < $W; ++i)
-        lanes[i] = i;
-"""
-    + _RAYS
-    + FLAT
-    + """
+        // Positive floats are ordered as their bits are; the integer reduction is a tree, that of floats a chain.
+        const vf t = distance[ray];
+        const float nearest = __builtin_bit_cast(float, __builtin_reduce_min(__builtin_bit_cast(vi, t)));
+        const vi tied = (where[ray] >= 0) & (t == nearest);
+        int numbers[$W] __attribute__((aligned(64)));
+        *(vi*)numbers = tied ? where[ray] * $W + lanes : vi(-1);
+        const u32 ties = Simd::mask(tied);
+        int n = numbers[__builtin_ctz(ties | (1u << ($W - 1)))];
+        if (__builtin_expect((ties & (ties - 1)) != 0, 0))  // the first in the packets' order
+            n = __builtin_reduce_min(tied ? *(vi*)numbers : vi(0x7fffffff));
+        reached[ray] = nearest;
         result[ray] = n;
-        of_ray[6][ray] = nearest;
     }
     {
     const vf px = all_px, py = all_py, pz = all_pz, shear_x = all_mx, shear_y = all_my;
@@ -94,7 +141,7 @@ _CLOSEST = (
     + BARYCENTRICS
     + """
     const vi hit = *(const vi*)result >= 0;
-    *(row*)found = hit ? *(const vf*)of_ray[6] : limits;
+    *(row*)found = *(const vf*)reached;
     *(row*)(found + $W) = hit ? u_best : 0.0f;
     *(row*)(found + 2 * $W) = hit ? v_best : 0.0f;
     *(int_row*)(found + 3 * $W) = hit ? *(const vi*)faces : vi(-1);
@@ -104,20 +151,14 @@ _CLOSEST = (
 """
 )
 
+# A ray that has met something enters no box any more.
 _ANY = (
     _START.replace("$NOTHING", "0")
-    + _RAYS
     + """
-        vi met = 0;
-        for (int i = 0; i < flat; ++i) {
-        const float* packet = packets + i * (10 * $W);
-"""
-    + EDGES
-    + DISTANCE
-    + """
-            met |= inside & (reach > 0.0f) & (reach < weight * t_max);
+            const int met = Simd::mask(inside & (reach > 0.0f) & (reach < weight * t_best)) != 0;
+            result[ray] |= met;
+            reached[ray] = met ? -1.0f : t_best;
         }
-        result[ray] = Simd::mask(met != 0) != 0;
     }
     *(int_row*)found = *(const vi*)result;
     }
@@ -126,14 +167,14 @@ _ANY = (
 )
 
 _CALL = """
-    Each::run((const float*)accel.packets, accel.flat, (const float*)rows.data + rays * $W,
-              (const int*)rows.data + wanted * $W, (float*)rows.data + found * $W);
+    Each::run((const float*)accel.nodes, (const float*)accel.packets, accel.below_root, accel.center.c, accel.extent,
+              (const float*)rows.data + rays * $W, (const int*)rows.data + wanted * $W, (float*)rows.data + found * $W);
 """
 
 
 @functools.cache
 def make_each(width: int) -> tuple[wp.Function, wp.Function]:
-    """Make the queries ``closest_of_each`` and ``any_of_each``, for scenes with ``Accel.flat`` > 0.
+    """Make the queries ``closest_of_each`` and ``any_of_each``, for scenes with ``Accel.below_root`` > 0.
 
     Both take ``(accel: Accel, rows, rays: int, wanted: int, found: int)``: an array of uint32, ``width`` words a row;
     the first of seven rows with origins, directions and largest distances; the row of what is not 0 where a ray is

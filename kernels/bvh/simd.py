@@ -242,32 +242,3 @@ CORNERS = """
     const vf b_x = Simd::load(corners[3]) - px, b_y = Simd::load(corners[4]) - py, b_z = Simd::load(corners[5]) - pz;
     const vf c_x = Simd::load(corners[6]) - px, c_y = Simd::load(corners[7]) - py, c_z = Simd::load(corners[8]) - pz;
 """
-
-# The closest triangle of a scene without a tree: its distance ``nearest``, and ``n`` as in CORNERS, -1: none. Without a
-# branch that depends on the ray, unless two are equally far.
-FLAT = (
-    """
-        vf distance = t_max;
-        vi which_packet = -1;
-        for (int i = 0; i < flat; ++i) {
-        const float* packet = packets + i * (10 * $W);
-"""
-    + EDGES
-    + DISTANCE
-    + """
-            const vf t = reach * Simd::inverse(weight);
-            const vi closer = inside & (t > 0.0f) & (t < distance);
-            distance = closer ? t : distance;
-            which_packet = closer ? vi(i) : which_packet;
-        }
-        // Positive floats are ordered as their bits are; the integer reduction is a tree, that of floats a chain.
-        const float nearest = __builtin_bit_cast(float, __builtin_reduce_min(__builtin_bit_cast(vi, distance)));
-        const vi tied = (which_packet >= 0) & (distance == nearest);
-        int numbers[$W] __attribute__((aligned(64)));
-        *(vi*)numbers = tied ? which_packet * $W + lanes : vi(-1);
-        const u32 ties = Simd::mask(tied);
-        int n = numbers[__builtin_ctz(ties | (1u << ($W - 1)))];
-        if (__builtin_expect((ties & (ties - 1)) != 0, 0))  // the first in the packets' order, as in bundle.py
-            n = __builtin_reduce_min(tied ? *(vi*)numbers : vi(0x7fffffff));
-"""
-)
