@@ -175,16 +175,19 @@ def make_fetch(record, width: int):
     typedef float f4 __attribute__((ext_vector_type(4), aligned(4), may_alias));
     typedef float vf __attribute__((ext_vector_type($W), aligned(4), may_alias));
     struct Fetch {
-        static inline __attribute__((always_inline)) vf join(const float* const* from) {
-            // The four words of every fourth lane.
+        static inline __attribute__((always_inline)) f4 four(const float* from) { return *(const f4*)from; }
+        static inline __attribute__((always_inline)) vf join(const float* const* from, int word) {
+            // Four words of every fourth lane.
+            const f4 a = four(from[0] + word);
 #if $W == 4
-            return *(const f4*)from[0];
+            return a;
 #else
-            const auto low = __builtin_shufflevector(*(const f4*)from[0], *(const f4*)from[4], 0, 1, 2, 3, 4, 5, 6, 7);
+            const auto low = __builtin_shufflevector(a, four(from[4] + word), 0, 1, 2, 3, 4, 5, 6, 7);
 #if $W == 8
             return low;
 #else
-            const auto high = __builtin_shufflevector(*(const f4*)from[8], *(const f4*)from[12], 0, 1, 2, 3, 4, 5, 6, 7);
+            const f4 c = four(from[8] + word);
+            const auto high = __builtin_shufflevector(c, four(from[12] + word), 0, 1, 2, 3, 4, 5, 6, 7);
             return __builtin_shufflevector(low, high, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15);
 #endif
 #endif
@@ -195,16 +198,16 @@ def make_fetch(record, width: int):
     for (int j = 0; j < $W; ++j)
         from[j] = (const float*)(records.data + (numbers[j] < 0 ? 0 : numbers[j]));
     float* to = (float*)rows.data + first * $W;
+    #pragma clang loop unroll(full)
     for (int word = 0; word < $COUNT; word += 4) {
         // Blocks of four lanes, each transposed by itself.
-        const vf a = Fetch::join(from), b = Fetch::join(from + 1), c = Fetch::join(from + 2), d = Fetch::join(from + 3);
+        const vf a = Fetch::join(from, word), b = Fetch::join(from + 1, word);
+        const vf c = Fetch::join(from + 2, word), d = Fetch::join(from + 3, word);
         const vf p = $LOW(a, b), q = $LOW(c, d), r = $HIGH(a, b), s = $HIGH(c, d);
         *(vf*)(to + word * $W) = $FIRST(p, q);
         *(vf*)(to + (word + 1) * $W) = $SECOND(p, q);
         *(vf*)(to + (word + 2) * $W) = $FIRST(r, s);
         *(vf*)(to + (word + 3) * $W) = $SECOND(r, s);
-        for (int j = 0; j < $W; ++j)
-            from[j] += 4;
     }
     """
     # Within each block of four, from two vectors: words 0 and 1 of both in turns, and so on.

@@ -25,7 +25,6 @@ from warp_psdr.kernels.constants import LOBE_NONE, RFILTER_BOX
 from warp_psdr.kernels.film import make_filter
 from warp_psdr.kernels.math import where3
 from warp_psdr.kernels.notes import NOTE_VERTEX, note
-from warp_psdr.kernels.reading import triangle_at
 from warp_psdr.kernels.rng import Sampler, make_sampler
 from warp_psdr.kernels.scattering import (
     SLOTS_PER_VERTEX,
@@ -115,7 +114,7 @@ def make_path_step(config: PathConfig, differential: bool, sparse: bool = False,
         if wp.static(config.scatter):
             on = arrival.on == 1 and (max_depth < 0 or state.depth + 1 < max_depth)
             if on:
-                place = stand(scene, triangle_at(scene, hit.face), hit.face, hit.u, hit.v, state.d)
+                place = stand(scene, hit.face, hit.u, hit.v, state.d)
                 # The new direction is drawn before the shadow ray is traced: again the two overlap, and what depends on
                 # the light's visibility, which is guessed badly, is short.
                 onward = scatter(place, state, hit.face, r4, rr_depth)

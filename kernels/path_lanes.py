@@ -26,15 +26,18 @@ from warp_psdr.kernels.rng import Sampler, make_sampler, sampler_at
 from warp_psdr.kernels.scattering import (
     SLOTS_PER_VERTEX,
     Arrival,
+    LookedUp,
     NextEvent,
     Onward,
     Place,
     make_arrive,
+    make_look_up,
+    make_place,
     make_scatter,
-    make_stand,
     samples_lights,
 )
 from warp_psdr.kernels.structs import Camera, Scene, Triangle
+from warp_psdr.kernels.surface import Surface, make_surface_of
 from warp_psdr.kernels.vertex import PathConfig, PathState, PathVertex
 
 
@@ -57,7 +60,20 @@ class Choice:
 
     on: wp.int32  # 1: the path stands on ``face``
     face: wp.int32
-    brings: wp.int32  # 1: its ray may bring something: it has left the scene, or found an emitter
+    brings: wp.int32  # 1: there may be something that its ray brings, though it has met nothing
+    behind: wp.int32  # 1: it arrives at the back
+    u: wp.float32
+    v: wp.float32
+
+
+@wp.struct
+class Tint:
+    """What is looked up of a diffuse material."""
+
+    side: wp.float32
+    red: wp.float32
+    green: wp.float32
+    blue: wp.float32
 
 
 @wp.struct
@@ -122,7 +138,9 @@ def make_lane_paths(
     trace_together = make_trace_together(config)
     view, start_in = make_camera_starts(config, filter_kind)
     arrive = make_arrive(config)
-    stand = make_stand(config)
+    surface_of = make_surface_of(config.smooth, config.flat, config.uv, config.tangent)
+    look_up = make_look_up(config)
+    place_on = make_place(config)
     scatter = make_scatter(config, differential)
     sample_4d = make_sampler(config.sampler).sample_4d
     has_lights = samples_lights(config)
@@ -133,7 +151,7 @@ def make_lane_paths(
 
     table = Table(width, NUMBERS)
     seats, states, hits, cameras, sums = (table.add(r) for r in (Seat, PathState, RayHit, CameraSample, Sum))
-    arrivals, choices, triangles = (table.add(r) for r in (Arrival, Choice, Triangle))
+    arrivals, choices, triangles, surfaces, tints = (table.add(r) for r in (Arrival, Choice, Triangle, Surface, Tint))
     places, onwards, looks = (table.add(r) for r in (Place, Onward, Look))
     if has_lights:
         choose_lights, draw_lights, events = make_light_lanes(config, differential, table, places, triangles)
@@ -226,48 +244,74 @@ def make_lane_paths(
 
     @wp.func
     def meet(scene: Scene, rows: ROWS) -> wp.int32:
-        """What the rays bring; the number of paths that stand on a surface."""
+        """Where paths are; the number of lanes up to the last whose path stands on a surface."""
         standing = wp.int32(0)
         j = wp.int32(0)
         while j < width:
+            state = states.get(rows, j)
             face = hits.get(rows, j).face
             choice = Choice()
-            choice.on = wp.where(states.get(rows, j).alive == 1 and face >= 0, 1, 0)
+            choice.on = wp.where(state.alive == 1 and face >= 0, 1, 0)
             choice.face = wp.where(choice.on == 1, face, 0)
+            astray = state.alive == 1 and face < 0
+            if wp.static(not environment):
+                astray = astray and not finite(state.o + state.d)  # which ``arrive`` tells
+            choice.brings = wp.where(astray, 1, 0)
             choices.put(rows, j, choice)
-            standing += choice.on
+            arrivals.put(rows, j, Arrival())
+            standing = wp.max(standing, choice.on * (j + 1))
             j += 1
         if standing > 0:
             fetch_triangle(scene.triangles, rows, face_row, triangle_row)
-        j = wp.int32(0)
-        while j < width:
-            choice = choices.get(rows, j)
-            state = states.get(rows, j)
-            brings = state.alive == 1 and choice.on == 0
-            if wp.static(not environment):
-                brings = brings and not finite(state.o + state.d)  # which ``arrive`` tells
-            if wp.static(bool(config.area)):
-                shape = wp.where(choice.on == 1, triangles.get(rows, j).shape, 0)
-                brings = brings or (choice.on == 1 and shape_at(scene, shape).emitter >= 0)
-            choice.brings = wp.where(brings, 1, 0)
-            choices.put(rows, j, choice)
-            arrivals.put(rows, j, Arrival())
-            j += 1
-        j = wp.int32(0)
-        while j < width:
-            if choices.get(rows, j).brings == 1:
-                arrivals.put(rows, j, arrive(scene, states.get(rows, j), hits.get(rows, j)))
-            j += 1
         return standing
 
     @wp.func
-    def stand_there(scene: Scene, rows: ROWS):
+    def collect(scene: Scene, rows: ROWS):
+        """What rays bring that have met an emitter or left the scene."""
+        j = wp.int32(0)
+        while j < width:
+            choice = choices.get(rows, j)
+            brings = choice.brings == 1
+            if wp.static(bool(config.area)):
+                if choice.on == 1:
+                    brings = shape_at(scene, triangles.get(rows, j).shape).emitter >= 0
+            if brings:
+                arrivals.put(rows, j, arrive(scene, states.get(rows, j), hits.get(rows, j)))
+            j += 1
+
+    @wp.func
+    def stand(scene: Scene, standing: wp.int32, rows: ROWS):
         j = wp.int32(0)
         while j < width:
             hit = hits.get(rows, j)
-            face = choices.get(rows, j).face
-            d = states.get(rows, j).d
-            places.put(rows, j, stand(scene, triangles.get(rows, j), face, hit.u, hit.v, d))
+            choice = choices.get(rows, j)
+            u = wp.where(choice.on == 1, hit.u, 0.0)
+            v = wp.where(choice.on == 1, hit.v, 0.0)
+            surface = surface_of(scene, triangles.get(rows, j), u, v)
+            surfaces.put(rows, j, surface)
+            choice.u = u
+            choice.v = v
+            choice.behind = wp.where(wp.dot(surface.n, -states.get(rows, j).d) < 0.0, 1, 0)
+            choices.put(rows, j, choice)
+            j += 1
+        for j in range(standing):  # one by one: SIMD would be gathers, which take longer
+            c = choices.get(rows, j)
+            found = look_up(scene, surfaces.get(rows, j), c.behind == 1, c.face, c.u, c.v)
+            tint = Tint()
+            tint.side = found.side
+            tint.red = found.material.c0[0]
+            tint.green = found.material.c0[1]
+            tint.blue = found.material.c0[2]
+            tints.put(rows, j, tint)
+        j = wp.int32(0)
+        while j < width:
+            tint = tints.get(rows, j)
+            found = LookedUp()
+            found.side = tint.side
+            found.model = BSDF_DIFFUSE
+            found.material.c0 = wp.vec3(tint.red, tint.green, tint.blue)
+            surface = surfaces.get(rows, j)
+            places.put(rows, j, place_on(scene, triangles.get(rows, j), surface, found, states.get(rows, j).d))
             j += 1
 
     @wp.func
@@ -369,10 +413,12 @@ def make_lane_paths(
             if not last:
                 draw_numbers(depth, rows)
         trace(scene, depth, rows)
-        scattering = meet(scene, rows) > 0 and not last
+        standing = meet(scene, rows)
+        scattering = standing > 0 and not last
+        collect(scene, rows)
         if wp.static(config.scatter):
             if scattering:
-                stand_there(scene, rows)
+                stand(scene, standing, rows)
                 if wp.static(has_lights):
                     choose_lights(scene, rows)
                     draw_lights(scene, rows)

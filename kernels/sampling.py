@@ -58,10 +58,7 @@ def mis_weight(a: wp.float32, b: wp.float32) -> wp.float32:
 
     Works with the ratio, so that neither a tiny nor an infinite density overflows; (0, 0) gives 0.
     """
-    if a == b:
-        return wp.where(a > 0.0, 0.5, 0.0)
-    if a > b:
-        r = b / a
-        return 1.0 / (1.0 + r * r)
-    r = a / b
-    return r * r / (1.0 + r * r)
+    larger = a > b
+    r = wp.where(larger, b, a) / wp.where(larger, a, b)
+    weight = wp.where(larger, 1.0, r * r) / (1.0 + r * r)
+    return wp.where(a == b, wp.where(a > 0.0, 0.5, 0.0), weight)

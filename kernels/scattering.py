@@ -21,8 +21,8 @@ from warp_psdr.kernels.reading import bsdf_at, emitter_at, shape_at, triangle_at
 from warp_psdr.kernels.sampling import mis_weight
 from warp_psdr.kernels.step import step_off_triangle
 from warp_psdr.kernels.structs import LightSample, Material, Scene, Triangle
-from warp_psdr.kernels.surface import make_surface_of
-from warp_psdr.kernels.vertex import PathConfig, PathState, make_frame, make_material
+from warp_psdr.kernels.surface import Surface, make_surface_of
+from warp_psdr.kernels.vertex import PathConfig, PathState, make_framing, make_material, make_side
 
 #: Sample slots per path vertex: next-event estimation, scattering. Slot 0 is the camera's.
 SLOTS_PER_VERTEX = 2
@@ -39,6 +39,15 @@ class Arrival:
     direct: wp.vec3
     weight: wp.float32  # its MIS weight
     on: wp.int32  # 1: there is a surface to go on from
+
+
+@wp.struct
+class LookedUp:
+    """What the scene's tables say of a point: its side, +1, or -1 on the back of a two-sided material, and that."""
+
+    side: wp.float32
+    model: wp.int32
+    material: Material
 
 
 @wp.struct
@@ -136,22 +145,34 @@ def make_arrive(config: PathConfig):
 
 
 @functools.cache
-def make_stand(config: PathConfig):
-    """Return ``stand(scene, tri, face, u, v, d) -> Place``.
-
-    ``tri`` is the record of the triangle with the number ``face``, d the direction that the path arrives with.
-    """
-    surface_of = make_surface_of(config.smooth, config.flat, config.uv, config.tangent)
-    frame_at = make_frame(config.two_sided, config.tangent)
+def make_look_up(config: PathConfig):
+    """Return ``look_up(scene, surface, behind, face, u, v) -> LookedUp``; ``behind``: the ray arrives at the back."""
+    side_of = make_side(config.two_sided)
     material_at = make_material(config.slots)
 
     @wp.func
-    def stand(
-        scene: Scene, tri: Triangle, face: wp.int32, u: wp.float32, v: wp.float32, d: wp.vec3
-    ) -> Place:
-        surface = surface_of(scene, tri, u, v)
-        frame = frame_at(scene, shape_at(scene, surface.shape).bsdf, surface.n, surface.tangent, -d)
-        b = bsdf_at(scene, frame.bsdf)
+    def look_up(
+        scene: Scene, surface: Surface, behind: wp.bool, face: wp.int32, u: wp.float32, v: wp.float32
+    ) -> LookedUp:
+        side, record = side_of(scene, shape_at(scene, surface.shape).bsdf, behind)
+        b = bsdf_at(scene, record)
+        result = LookedUp()
+        result.side = side
+        result.model = b.model
+        result.material = material_at(scene, b, face, u, v, surface.uv)
+        return result
+
+    return look_up
+
+
+@functools.cache
+def make_place(config: PathConfig):
+    """Return ``place_on(scene, tri, surface, found, d) -> Place``, d the direction that the path arrives with."""
+    frame_on = make_framing(config.tangent)
+
+    @wp.func
+    def place_on(scene: Scene, tri: Triangle, surface: Surface, found: LookedUp, d: wp.vec3) -> Place:
+        frame = frame_on(found.side, 0, surface.n, surface.tangent)
         place = Place()
         place.x = surface.x
         place.ng = surface.ng
@@ -160,10 +181,27 @@ def make_stand(config: PathConfig):
         place.t = frame.t
         place.wi = to_local(frame.s, frame.t, frame.n, -d)
         place.away = step_off_triangle(scene, tri)
-        place.model = b.model
+        place.model = found.model
         place.shape = surface.shape
-        place.material = material_at(scene, b, face, u, v, surface.uv)
+        place.material = found.material
         return place
+
+    return place_on
+
+
+@functools.cache
+def make_stand(config: PathConfig):
+    """Return ``stand(scene, face, u, v, d) -> Place``, all of it."""
+    surface_of = make_surface_of(config.smooth, config.flat, config.uv, config.tangent)
+    look_up = make_look_up(config)
+    place_on = make_place(config)
+
+    @wp.func
+    def stand(scene: Scene, face: wp.int32, u: wp.float32, v: wp.float32, d: wp.vec3) -> Place:
+        tri = triangle_at(scene, face)
+        surface = surface_of(scene, tri, u, v)
+        found = look_up(scene, surface, wp.dot(surface.n, -d) < 0.0, face, u, v)
+        return place_on(scene, tri, surface, found, d)
 
     return stand
 
@@ -242,7 +280,7 @@ def shadow_ray(o: wp.vec3, ls: LightSample) -> tuple[wp.vec3, wp.float32]:
     r = ls.target - o
     length = wp.length(r)
     near = ls.face >= 0
-    return where3(near, r / wp.where(near, length, 1.0), ls.wi), wp.where(near, length, ls.distance)
+    return where3(near, (1.0 / wp.where(near, length, 1.0)) * r, ls.wi), wp.where(near, length, ls.distance)
 
 
 @functools.cache
@@ -302,8 +340,8 @@ def make_scatter(config: PathConfig, differential: bool):
             survival = wp.max(survival, ROULETTE_MIN)
         late = state.depth + 1 >= rr_depth
         alive = alive and not (late and r4[1] >= survival)
-        q = wp.where(late, survival, 1.0)
-        inv_pdf = wp.where(broken, inv_pdf, inv_pdf / q)
+        inv_q = wp.where(late, 1.0 / survival, 1.0)
+        inv_pdf = wp.where(broken, inv_pdf, inv_pdf * inv_q)
         onward.broken = wp.where(broken, 1, 0)
         onward.lobe = wp.where(alive, bs.lobe, LOBE_NONE)
         onward.inv_pdf = inv_pdf
@@ -315,7 +353,7 @@ def make_scatter(config: PathConfig, differential: bool):
         onward.after.o = step_off(place, onward.wo)
         onward.after.d = onward.wo
         onward.after.t_max = FAR
-        onward.after.throughput = throughput / q
+        onward.after.throughput = inv_q * throughput
         onward.after.pdf = wp.where(smooth, bs.pdf, 0.0)
         onward.after.eta = eta
         return onward

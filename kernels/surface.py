@@ -74,7 +74,7 @@ def interpolated_normal(
     n = (1.0 - u - v) * n0 + u * n1 + v * n2
     squared = wp.dot(n, n)
     cancelled = squared < 1.0e-20
-    return where3(cancelled, fallback, n / wp.sqrt(wp.where(cancelled, 1.0, squared)))
+    return where3(cancelled, fallback, (1.0 / wp.sqrt(wp.where(cancelled, 1.0, squared))) * n)
 
 
 @wp.func

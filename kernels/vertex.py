@@ -123,26 +123,53 @@ def film_position(camera: Camera, px: wp.int32, py: wp.int32, offset: wp.vec2) -
 
 
 @functools.cache
-def make_frame(two_sided: bool, tangent: bool):
-    """Return ``frame_at(scene, bsdf, n, tangent, wi) -> Frame``."""
+def make_side(two_sided: bool):
+    """Return ``side_of(scene, bsdf, behind) -> (side, scattering record of that side)``."""
 
     @wp.func
-    def frame_at(scene: Scene, bsdf: wp.int32, n: wp.vec3, dpdu: wp.vec3, wi: wp.vec3) -> Frame:
-        f = Frame()
-        f.side = 1.0
-        f.bsdf = bsdf
+    def side_of(scene: Scene, bsdf: wp.int32, behind: wp.bool) -> tuple[wp.float32, wp.int32]:
+        side = wp.float32(1.0)
+        record = wp.int32(bsdf)
         if wp.static(two_sided):
-            record = bsdf_at(scene, bsdf)
-            behind = wp.dot(n, wi) < 0.0 and record.two_sided == 1
-            f.side = wp.where(behind, -1.0, 1.0)
-            f.bsdf = wp.where(behind, record.back, bsdf)
-        f.n = f.side * n
+            front = bsdf_at(scene, bsdf)
+            back = behind and front.two_sided == 1
+            side = wp.where(back, -1.0, 1.0)
+            record = wp.where(back, front.back, bsdf)
+        return side, record
+
+    return side_of
+
+
+@functools.cache
+def make_framing(tangent: bool):
+    """Return ``frame_on(side, bsdf, n, tangent) -> Frame``."""
+
+    @wp.func
+    def frame_on(side: wp.float32, bsdf: wp.int32, n: wp.vec3, dpdu: wp.vec3) -> Frame:
+        f = Frame()
+        f.side = side
+        f.bsdf = bsdf
+        f.n = side * n
         if wp.static(tangent):
             f.s = aligned_tangent(f.n, dpdu)
         else:
             f.s = any_tangent(f.n)
         f.t = wp.cross(f.n, f.s)
         return f
+
+    return frame_on
+
+
+@functools.cache
+def make_frame(two_sided: bool, tangent: bool):
+    """Return ``frame_at(scene, bsdf, n, tangent, wi) -> Frame``."""
+    side_of = make_side(two_sided)
+    frame_on = make_framing(tangent)
+
+    @wp.func
+    def frame_at(scene: Scene, bsdf: wp.int32, n: wp.vec3, dpdu: wp.vec3, wi: wp.vec3) -> Frame:
+        side, record = side_of(scene, bsdf, wp.dot(n, wi) < 0.0)
+        return frame_on(side, record, n, dpdu)
 
     return frame_at
 

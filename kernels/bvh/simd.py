@@ -228,6 +228,7 @@ BARYCENTRICS = """
 CORNERS = """
     float corners[9][$W] __attribute__((aligned(64)));
     int faces[$W] __attribute__((aligned(64)));
+    #pragma clang loop vectorize(disable)
     for (int i = 0; i < $W; ++i) {
         const int n = which[i] < 0 ? 0 : which[i];
         const float* best = packets + (long long)(n / $W) * (10 * $W) + n % $W;

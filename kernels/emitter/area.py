@@ -103,7 +103,7 @@ def make_area(radiance_kinds: tuple[int, ...]) -> AreaFunctions:
         r = y - x
         squared = wp.dot(r, r)
         result.distance = wp.sqrt(squared)
-        result.wi = r / wp.where(squared <= 0.0, 1.0, result.distance)
+        result.wi = (1.0 / wp.where(squared <= 0.0, 1.0, result.distance)) * r
         cosine = -wp.dot(tri.normal, result.wi)
         density = density_on(scene, e, face, tri) * squared / cosine
         result.pdf = wp.where(squared <= 0.0 or cosine <= 0.0, 0.0, density)
