@@ -20,7 +20,6 @@ A row is named by its number; a record takes ``words(record)`` rows from its fir
 
 import ctypes
 import functools
-import re
 from typing import NamedTuple
 
 import warp as wp
@@ -203,11 +202,12 @@ def make_fetch(record, width: int):
         // Blocks of four lanes, each transposed by itself.
         const vf a = Fetch::join(from, word), b = Fetch::join(from + 1, word);
         const vf c = Fetch::join(from + 2, word), d = Fetch::join(from + 3, word);
-        const vf p = $LOW(a, b), q = $LOW(c, d), r = $HIGH(a, b), s = $HIGH(c, d);
-        *(vf*)(to + word * $W) = $FIRST(p, q);
-        *(vf*)(to + (word + 1) * $W) = $SECOND(p, q);
-        *(vf*)(to + (word + 2) * $W) = $FIRST(r, s);
-        *(vf*)(to + (word + 3) * $W) = $SECOND(r, s);
+        const vf p = __builtin_shufflevector(a, b, $LOW), q = __builtin_shufflevector(c, d, $LOW);
+        const vf r = __builtin_shufflevector(a, b, $HIGH), s = __builtin_shufflevector(c, d, $HIGH);
+        *(vf*)(to + word * $W) = __builtin_shufflevector(p, q, $FIRST);
+        *(vf*)(to + (word + 1) * $W) = __builtin_shufflevector(p, q, $SECOND);
+        *(vf*)(to + (word + 2) * $W) = __builtin_shufflevector(r, s, $FIRST);
+        *(vf*)(to + (word + 3) * $W) = __builtin_shufflevector(r, s, $SECOND);
     }
     """
     # Within each block of four, from two vectors: words 0 and 1 of both in turns, and so on.
@@ -215,5 +215,5 @@ def make_fetch(record, width: int):
     orders |= {"FIRST": (0, 1, width, width + 1), "SECOND": (2, 3, width + 2, width + 3)}
     for key, order in orders.items():
         lanes = ", ".join(str(block + lane) for block in range(0, width, 4) for lane in order)
-        snippet = re.sub(rf"\${key}\((\w), (\w)\)", rf"__builtin_shufflevector(\1, \2, {lanes})", snippet)
+        snippet = snippet.replace(f"${key}", lanes)
     return native(f"fetch_{name}", snippet.replace("$COUNT", str(count)), width, fetch)

@@ -4,7 +4,8 @@
 3 x 31 inner borders of 32 bins over the bounds of the centroids. Costs count packets, ceil(n / W), and a range that
 fits one packet is a leaf, because a packet costs the same however many of its lanes are used. Below ``SAH_DEPTH``
 levels, or where no border separates the centroids, a range is halved by count, so that the depth is bounded for any
-input.
+input. First of all, if there are few triangles as large as the scene, the walls of a room say, they become a packet of
+their own, which most rays meet anyway: among others they would make boxes of everything as large as themselves.
 
 **Collapse.** Which binary nodes become wide ones is decided by dynamic programming [YKL17]: cost[i] is the least cost
 of a subtree that may take i + 1 slots of its parent; it is either shared out between the two halves of the subtree, or,
@@ -25,6 +26,10 @@ from warp_psdr.kernels.bvh.wide import SAH_DEPTH
 PRIMITIVE_WORDS = 8
 #: Added to face numbers, so that as floats they are normal numbers: arithmetic on the others is slow on some CPUs.
 FACE_BIAS = 0x3F800000
+
+
+#: Share of the scene's area from which on a triangle's box is large.
+LARGE = 0.125
 
 
 def binary_words(width: int) -> int:
@@ -153,6 +158,21 @@ _BUILD = """
             bounds(left);
             bounds(right);
         }
+
+        // Bring the large triangles of the scene to the front; their number, 0 where they are no packet for themselves.
+        int large_first(const Range& r) {
+            int n = 0;
+            for (int i = r.begin; i < r.end; ++i) {
+                const Primitive p = primitive[i];
+                if (Box{p.lower, p.upper}.area() > $LARGE * r.box.area()) {
+                    if (n == $W)
+                        return 0;
+                    primitive[i] = primitive[n];
+                    primitive[n++] = p;
+                }
+            }
+            return n < r.end ? n : 0;
+        }
     };
 
     // Binary tree. A node's children are neighbours, with larger numbers than the node.
@@ -182,7 +202,7 @@ _BUILD = """
         }
         Task left, right;
         const int half = task.depth >= $SAH_DEPTH ? (r.end - r.begin) / 2 : 0;
-        builder.split(r, left.range, right.range, half);
+        builder.split(r, left.range, right.range, task.depth == 0 ? builder.large_first(r) : half);
         left.depth = right.depth = task.depth + 1;
         left.node = binary_count++;
         right.node = binary_count++;
@@ -286,7 +306,7 @@ _EMIT = """
 def make_native(width: int):
     """Return a decorator that makes a Warp function of C++ text in which ``$W`` and the constants are filled in."""
     values = {"$STACK": (SAH_DEPTH + 32) * width, "$SAH_DEPTH": SAH_DEPTH}
-    values |= {"$FACE_BIAS": FACE_BIAS, "$W": width}
+    values |= {"$LARGE": LARGE, "$FACE_BIAS": FACE_BIAS, "$W": width}
 
     def native(source: str):
         for key, value in values.items():
