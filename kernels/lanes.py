@@ -76,49 +76,40 @@ class Rows(NamedTuple):
 
     Attributes:
         first: its first row.
+        end: the row behind its last.
         get: ``(rows, j) -> record`` of lane j.
         put: ``(rows, j, record)``.
     """
 
     first: int
+    end: int
     get: wp.Function
     put: wp.Function
 
-    @staticmethod
-    @functools.cache
-    def of(record, width: int, first: int) -> "Rows":
-        """Make the functions for a record of ``width`` lanes from row ``first`` on."""
-        get_from, put_to = make_record(record, width)
 
-        @wp.func
-        def get(rows: ROWS, j: wp.int32) -> record:
-            return get_from(rows, first, j, record())
+@functools.cache
+def make_rows(record, width: int, first: int) -> Rows:
+    """Make the functions for a record of ``width`` lanes from row ``first`` on."""
+    get_from, put_to = make_record(record, width)
 
-        @wp.func
-        def put(rows: ROWS, j: wp.int32, value: record):
-            put_to(rows, first, j, value)
+    @wp.func
+    def get(rows: ROWS, j: wp.int32) -> record:
+        return get_from(rows, first, j, record())
 
-        return Rows(first, get, put)
+    @wp.func
+    def put(rows: ROWS, j: wp.int32, value: record):
+        put_to(rows, first, j, value)
+
+    return Rows(first, first + words(record), get, put)
 
 
-class Table:
-    """Rows of several records, one record below the other.
-
-    Attributes:
-        width: number of lanes.
-        rows: number of rows that are taken.
-    """
-
-    def __init__(self, width: int, rows: int = 0):
-        """Start with ``rows`` rows that are taken otherwise."""
-        self.width = width
-        self.rows = rows
-
-    def add(self, record) -> Rows:
-        """Take the next rows for a record."""
-        first = self.rows
-        self.rows += words(record)
-        return Rows.of(record, self.width, first)
+def stack_rows(width: int, first: int, *records) -> tuple[Rows, ...]:
+    """Lay out records of ``width`` lanes from row ``first`` on, one below the other."""
+    stacked = []
+    for record in records:
+        stacked.append(make_rows(record, width, first))
+        first = stacked[-1].end
+    return tuple(stacked)
 
 
 @functools.cache
@@ -192,10 +183,10 @@ def make_fetch(record, width: int):
 #endif
         }
     };
-    const int* numbers = (const int*)rows.data + index * $W;
+    const char32_t* numbers = (const char32_t*)rows.data + index * $W;
     const float* from[$W];
     for (int j = 0; j < $W; ++j)
-        from[j] = (const float*)(records.data + (numbers[j] < 0 ? 0 : numbers[j]));
+        from[j] = (const float*)(records.data + ((int)numbers[j] < 0 ? 0 : (int)numbers[j]));
     float* to = (float*)rows.data + first * $W;
     #pragma clang loop unroll(full)
     for (int word = 0; word < $COUNT; word += 4) {

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import warp as wp
 
 from warp_psdr.kernels.constants import EMITTER_AREA, ONE_MINUS_EPSILON
-from warp_psdr.kernels.lanes import ROWS, Rows, Table, make_fetch, make_number, word_of
+from warp_psdr.kernels.lanes import ROWS, Rows, make_fetch, make_number, stack_rows, word_of
 from warp_psdr.kernels.reading import emitter_at, load_float
 from warp_psdr.kernels.scattering import NextEvent, make_light_draw, make_next_event
 from warp_psdr.kernels.structs import Emitter, LightSample, Scene, Triangle
@@ -50,15 +50,23 @@ class LightLanes(NamedTuple):
 
 
 def make_light_lanes(
-    config: PathConfig, differential: bool, table: Table, places: Rows, triangles: Rows
+    config: PathConfig, differential: bool, width: int, first: int, places: Rows, triangles: Rows
 ) -> LightLanes:
-    """Make the functions; ``places`` are where paths stand, ``triangles`` rows to work in."""
-    width = table.width
+    """Make the functions.
+
+    Args:
+        config: as for ``make_path_step``, and ``differential``.
+        differential: see there.
+        width: number of lanes.
+        first: the first row that they may take; the last one is the last of ``events``.
+        places: where the paths stand, ``Place``.
+        triangles: rows to work in, ``Triangle``.
+    """
     get_number, _put_number = make_number(width)
     fetch_triangle = make_fetch(Triangle, width)
     _pick, draw_one = make_light_draw(config)
     next_event = make_next_event(config, differential)
-    searches, chosen, samples, events = (table.add(r) for r in (Search, Chosen, LightSample, NextEvent))
+    searches, chosen, samples, events = stack_rows(width, first, Search, Chosen, LightSample, NextEvent)
     triangle_row, face_row = triangles.first, chosen.first + word_of(Chosen, "face")
 
     @wp.func

@@ -17,7 +17,7 @@ from warp_psdr.kernels.camera_rays import Bundle, column_of, make_trace_together
 from warp_psdr.kernels.constants import BSDF_DIFFUSE
 from warp_psdr.kernels.emitter.dispatch import ENVIRONMENTS
 from warp_psdr.kernels.invalid import finite
-from warp_psdr.kernels.lanes import ROWS, Table, make_copy, make_fetch, make_number, make_record, word_of, words
+from warp_psdr.kernels.lanes import ROWS, make_copy, make_fetch, make_number, make_record, stack_rows, word_of, words
 from warp_psdr.kernels.light_lanes import make_light_lanes
 from warp_psdr.kernels.math import where3
 from warp_psdr.kernels.path import make_camera_starts, vertex_of
@@ -39,7 +39,6 @@ from warp_psdr.kernels.scattering import (
 from warp_psdr.kernels.structs import Camera, Scene, Triangle
 from warp_psdr.kernels.surface import Surface, make_surface_of
 from warp_psdr.kernels.vertex import PathConfig, PathState, PathVertex
-
 
 #: Rows of random numbers: for next-event estimation, for scattering.
 NUMBERS = 8
@@ -149,17 +148,18 @@ def make_lane_paths(
     fetch_triangle = make_fetch(Triangle, width)
     copy_vertex = make_copy(PathVertex, width)
 
-    table = Table(width, NUMBERS)
-    seats, states, hits, cameras, sums = (table.add(r) for r in (Seat, PathState, RayHit, CameraSample, Sum))
-    arrivals, choices, triangles, surfaces, tints = (table.add(r) for r in (Arrival, Choice, Triangle, Surface, Tint))
-    places, onwards, looks = (table.add(r) for r in (Place, Onward, Look))
+    seats, states, hits, cameras, sums = stack_rows(width, NUMBERS, Seat, PathState, RayHit, CameraSample, Sum)
+    arrivals, choices, triangles, surfaces = stack_rows(width, sums.end, Arrival, Choice, Triangle, Surface)
+    tints, places, onwards, looks = stack_rows(width, surfaces.end, Tint, Place, Onward, Look)
+    end = looks.end
     if has_lights:
-        choose_lights, draw_lights, events = make_light_lanes(config, differential, table, places, triangles)
+        choose_lights, draw_lights, events = make_light_lanes(config, differential, width, end, places, triangles)
         shadow_row = events.first + word_of(NextEvent, "o")
+        end = events.end
     hit_row, triangle_row, look_row = (r.first for r in (hits, triangles, looks))
     ray_row, alive_row = (states.first + word_of(PathState, name) for name in ("o", "alive"))
     face_row, blocked_row = choices.first + word_of(Choice, "face"), looks.first + word_of(Look, "blocked")
-    vertex_row, vertex_words = table.rows, words(PathVertex)
+    vertex_row, vertex_words = end, words(PathVertex)
     get_vertex, put_vertex = make_record(PathVertex, width)
 
     @wp.func
@@ -441,5 +441,5 @@ def make_lane_paths(
     def vertex_at(rows: ROWS, j: wp.int32, n: wp.int32) -> PathVertex:
         return get_vertex(rows, vertex_row + (n + 1) * vertex_words, j, PathVertex())
 
-    size = (table.rows + (kept + 1 if kept else 0) * vertex_words) * width
+    size = (end + (kept + 1 if kept else 0) * vertex_words) * width
     return LanePaths(width, size, start, step, gathered, camera_of, vertex_at if kept else None)

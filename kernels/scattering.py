@@ -214,9 +214,10 @@ def step_off(place: Place, d: wp.vec3) -> wp.vec3:
 
 @functools.cache
 def make_light_draw(config: PathConfig):
-    """Return ``pick(scene, u: vec2) -> (emitter, face)`` and ``draw(scene, emitter, face, tri, x, u: vec2) -> LightSample``.
+    """Return ``pick`` and ``draw``, which choose a light, and a point on it as seen from x.
 
-    Face -1: the light is no area light. ``tri`` is the face's record, anything where there is none.
+    ``pick(scene, u: vec2) -> (emitter, face)``, face -1: the light is no area light;
+    ``draw(scene, emitter, face, tri, x, u: vec2) -> LightSample``, ``tri`` the face's record, or anything.
     """
     area = make_area(config.area) if config.area else None
     other = make_lights(config.lights, None, ()).sample if config.lights else None
@@ -234,9 +235,7 @@ def make_light_draw(config: PathConfig):
         return index, face
 
     @wp.func
-    def draw(
-        scene: Scene, index: wp.int32, face: wp.int32, tri: Triangle, x: wp.vec3, u: wp.vec2
-    ) -> LightSample:
+    def draw(scene: Scene, index: wp.int32, face: wp.int32, tri: Triangle, x: wp.vec3, u: wp.vec2) -> LightSample:
         emitter = emitter_at(scene, wp.where(wp.static(config.one_light), 0, index))
         if wp.static(bool(config.area and config.lights)):
             ls = LightSample()

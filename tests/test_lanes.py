@@ -26,8 +26,9 @@ KERNELS = (
     splat.make_splat_kernel,
     replay.make_replay_kernel,
 )
-#: Loops over lanes in a kernel: camera rays, random numbers, places, lights, estimates, directions, sums; what is kept.
-LOOPS = {"primal": 7, "replay": 8}
+#: Loops over lanes in a kernel: camera rays, random numbers, surfaces, places, lights, estimates, directions, sums and
+#: what is found out on the way; what is kept.
+LOOPS = {"primal": 12, "replay": 13}
 
 
 def forget_kernels():
@@ -68,7 +69,24 @@ def wide_filter():
     return with_sensor(scene, film=film)
 
 
+def sky_and_lamps():
+    """A sky, a lamp of many triangles, and one of two; few enough triangles for rays in rows."""
+    square = {"type": "rectangle", "emitter": {"type": "area", "radiance": scenes.rgb(3.0, 2.0, 1.0)}}
+    down = psdr.Transform.look_at([0.8, 0.2, 0.9], [0.0, 0.0, 0.0], [0.0, 1.0, 0.0]) @ psdr.Transform.scale(0.1)
+    cube = {"type": "cube", "emitter": {"type": "area", "radiance": scenes.rgb(0.5, 1.0, 0.7)}}
+    aside = psdr.Transform.translate([-0.6, 0.2, 0.3]) @ psdr.Transform.scale(0.1)
+    return {
+        "type": "scene",
+        "sensor": scenes.gap_scene()["sensor"],
+        "floor": {"type": "rectangle", "bsdf": {"type": "diffuse", "reflectance": scenes.rgb(0.6, 0.7, 0.5)}},
+        "lamp": {**square, "to_world": down},
+        "cube": {**cube, "to_world": aside},
+        "sky": {"type": "constant", "radiance": scenes.rgb(0.2, 0.3, 0.4)},
+    }
+
+
 SCENES = {
+    "sky and two lamps": sky_and_lamps,
     "area light, two-sided, textured by vertices": lambda: {"type": "scene", **scenes.gap_scene()},
     "sky, point, spot and sun, a bitmap": lambda: {"type": "scene", **scenes.plane_scene()},
     "constant sky, textured by faces": lambda: {"type": "scene", **scenes.dome_scene()},
@@ -96,6 +114,7 @@ def images_and_gradients(scene, spp, sampler, depth):
 def cases():
     """Every scene with few samples, some and more than there are lanes; the quick ones once each."""
     quick = {
+        "sky and two lamps": 3,
         "area light, two-sided, textured by vertices": 3,
         "sky, point, spot and sun, a bitmap": 19,
         "gaussian filter": 1,

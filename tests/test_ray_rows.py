@@ -145,8 +145,8 @@ def test_rays_in_rows_follow_a_moved_mesh(width):
 @pytest.mark.parametrize("width", WIDTHS)
 def test_records_are_fetched_into_lanes(width):
     fetch = make_fetch(Triangle, width)
-    get, put = make_record(Triangle, width)
-    get_index, put_index = make_record(RayHit, width)
+    get, _put = make_record(Triangle, width)
+    _get, put_index = make_record(RayHit, width)
     size = 20 * width
 
     @wp.kernel(module="unique", enable_backward=False)

@@ -1,10 +1,10 @@
 """Ray queries for W rays of any directions at a time, of scenes whose packets all lie right below the root.
 
-One ray meets the triangles of a packet at a time, by the operations of ``wide.py``; all the rest is done for all rays at
-once, one a lane: choosing the axes, shearing, the boxes of the packets, and the closest hits' barycentrics. Packets are
-taken one after the other, and each is met by the rays that enter its box. So the processor knows which rays come next,
-where one ray's walk through a tree is anybody's guess; and nothing waits for a ray's result, so that the next ray's
-triangles are tested while the last one's are still reduced to one number.
+One ray meets the triangles of a packet at a time, by the operations of ``wide.py``; all the rest is done for all rays
+at once, one a lane: choosing the axes, shearing, the boxes of the packets, and the closest hits' barycentrics. Packets
+are taken one after the other, and each is met by the rays that enter its box. So the processor knows which rays come
+next, where one ray's walk through a tree is anybody's guess; and nothing waits for a ray's result, so that the next
+ray's triangles are tested while the last one's are still reduced to one number.
 
 Boxes are those of ``wide.py``, and so are hits, to the bit. Only where triangles of several packets are hit at one
 distance, the first one's counts here, and there, in a tree, the one that is met first.
@@ -185,7 +185,9 @@ def make_each(width: int) -> tuple[wp.Function, wp.Function]:
         width: Rays and SIMD lanes, one of ``WIDTHS``.
     """
 
-    def closest_of_each(accel: Accel, rows: wp.array(dtype=wp.uint32), rays: wp.int32, wanted: wp.int32, found: wp.int32):
+    def closest_of_each(
+        accel: Accel, rows: wp.array(dtype=wp.uint32), rays: wp.int32, wanted: wp.int32, found: wp.int32
+    ):
         return  # the snippet is what runs
 
     def any_of_each(accel: Accel, rows: wp.array(dtype=wp.uint32), rays: wp.int32, wanted: wp.int32, found: wp.int32):
