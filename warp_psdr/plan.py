@@ -170,6 +170,10 @@ def decide(
         if block == 0:
             _check_textbook(config, wanted)
     moving = tuple(_discontinuities(scene, config, names))
+    still = wanted is None or not (wanted.geometry or wanted.lights or moving)
+    if still and config.smooth and scene.shades_flat:
+        config = replace(config, smooth=False, flat=True)
+        lines.append(("interpolated normals", "not read", "they are those of the triangles"))
     term = None
     if names:
         if not moving:

@@ -31,6 +31,7 @@ from warp_psdr.scene.layout import (
 )
 from warp_psdr.scene.lights import Lights
 from warp_psdr.scene.origin import COLLAPSING
+from warp_psdr.scene.shading import shades_flat
 from warp_psdr.scene.steps import Boxes, Steps, find_steps, measure, second_width
 from warp_psdr.scene.world import World
 
@@ -120,6 +121,7 @@ class Scene:
         self.accelerator = Accelerator(self._points, self.indices, self.device)
         self._sight: Accelerator | None = None
         self._contact_ratio = CONTACT_RATIO
+        self._shades_flat: bool | None = None
         self._update_bounds()
         self._world.show(self.parameters.values())
         self._note_specks()
@@ -129,6 +131,13 @@ class Scene:
         self.lights.update_environment(flat)
         self.lights.update_selection(flat, self.radius)
         self._edits = Edits({n: self.view(n) for n, p in self.parameters.items() if has_results(p)})
+
+    @property
+    def shades_flat(self) -> bool:
+        """Whether interpolated normals are those of the triangles; see ``warp_psdr.scene.shading``."""
+        if self._shades_flat is None:
+            self._shades_flat = shades_flat(self)
+        return self._shades_flat
 
     @property
     def contact_ratio(self) -> float:
@@ -301,6 +310,8 @@ class Scene:
 
     def _renew(self, changed: list[Parameter]) -> None:
         """Recompute what depends on values, but for other values."""
+        if any(p.uses & {POSITIONS, NORMALS} for p in changed):
+            self._shades_flat = None
         moved = {p.owner for p in changed if POSITIONS in p.uses}
         if moved:
             self._update_triangles(sorted(moved))
