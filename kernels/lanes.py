@@ -40,19 +40,20 @@ def word_of(record, name: str) -> int:
 
 
 @functools.cache
-def make_record(record, width: int):
+def make_record(record, width: int, aside: bool = False):
     """Return ``(get, put)`` of a Warp struct whose members have 4 bytes each.
 
     ``get(rows, first, j, like) -> record`` reads lane j from the rows ``first`` on (``like`` is any value of the
-    struct), ``put(rows, first, j, value)`` writes it.
+    struct), ``put(rows, first, j, value)`` writes it. ``aside``: the rows are for nobody else's eyes, and are accessed
+    as floats, so that a loop may read rows and write to these wherever they lie.
     """
     count = words(record)
+    word = "float" if aside else "char32_t"
     reads = "".join(
-        f"const char32_t w{i} = data[{i} * $W]; __builtin_memcpy((char*)&r + {4 * i}, &w{i}, 4);\n"
-        for i in range(count)
+        f"const {word} w{i} = data[{i} * $W]; __builtin_memcpy((char*)&r + {4 * i}, &w{i}, 4);\n" for i in range(count)
     )
     writes = "".join(
-        f"char32_t w{i}; __builtin_memcpy(&w{i}, (const char*)&value + {4 * i}, 4); data[{i} * $W] = w{i};\n"
+        f"{word} w{i}; __builtin_memcpy(&w{i}, (const char*)&value + {4 * i}, 4); data[{i} * $W] = w{i};\n"
         for i in range(count)
     )
 
@@ -62,9 +63,9 @@ def make_record(record, width: int):
     def put(rows: ROWS, first: wp.int32, j: wp.int32, value: record):
         return
 
-    name = record.key.rsplit(".", 1)[-1].lower()
-    source = "const char32_t* data = (const char32_t*)rows.data + first * $W + j;\n__typeof__(like) r;\n"
-    target = "char32_t* data = (char32_t*)rows.data + first * $W + j;\n"
+    name = record.key.rsplit(".", 1)[-1].lower() + ("_aside" if aside else "")
+    source = f"const {word}* data = (const {word}*)rows.data + first * $W + j;\n__typeof__(like) r;\n"
+    target = f"{word}* data = ({word}*)rows.data + first * $W + j;\n"
     return (
         native(f"get_{name}", source + reads + "return r;", width, get),
         native(f"put_{name}", target + writes, width, put),
@@ -131,18 +132,6 @@ def make_number(width: int):
         native("get_number", source + "return __builtin_fabsf(__builtin_bit_cast(float, w));", width, get),
         native("put_number", "((char32_t*)rows.data)[row * $W + j] = __builtin_bit_cast(char32_t, u);", width, put),
     )
-
-
-@functools.cache
-def make_copy(record, width: int):
-    """Return ``copy(rows, source, target)``: the rows of a Warp struct once more, from another first row on."""
-
-    def copy(rows: ROWS, source: wp.int32, target: wp.int32):
-        return
-
-    name = record.key.rsplit(".", 1)[-1].lower()
-    snippet = f"__builtin_memcpy(rows.data + target * $W, rows.data + source * $W, {4 * words(record)} * $W);"
-    return native(f"copy_{name}", snippet, width, copy)
 
 
 @functools.cache

@@ -17,7 +17,7 @@ from warp_psdr.kernels.camera_rays import Bundle, column_of, make_trace_together
 from warp_psdr.kernels.constants import BSDF_DIFFUSE
 from warp_psdr.kernels.emitter.dispatch import ENVIRONMENTS
 from warp_psdr.kernels.invalid import finite
-from warp_psdr.kernels.lanes import ROWS, make_copy, make_fetch, make_number, make_record, stack_rows, word_of, words
+from warp_psdr.kernels.lanes import ROWS, make_fetch, make_number, make_record, stack_rows, word_of, words
 from warp_psdr.kernels.light_lanes import make_light_lanes
 from warp_psdr.kernels.math import where3
 from warp_psdr.kernels.path import make_camera_starts, vertex_of
@@ -146,7 +146,6 @@ def make_lane_paths(
     environment = any(kind in ENVIRONMENTS for kind in config.lights)
     get_number, put_number = make_number(width)
     fetch_triangle = make_fetch(Triangle, width)
-    copy_vertex = make_copy(PathVertex, width)
 
     seats, states, hits, cameras, sums = stack_rows(width, NUMBERS, Seat, PathState, RayHit, CameraSample, Sum)
     arrivals, choices, triangles, surfaces = stack_rows(width, sums.end, Arrival, Choice, Triangle, Surface)
@@ -160,7 +159,7 @@ def make_lane_paths(
     ray_row, alive_row = (states.first + word_of(PathState, name) for name in ("o", "alive"))
     face_row, blocked_row = choices.first + word_of(Choice, "face"), looks.first + word_of(Look, "blocked")
     vertex_row, vertex_words = end, words(PathVertex)
-    get_vertex, put_vertex = make_record(PathVertex, width)
+    get_vertex, put_vertex = make_record(PathVertex, width, aside=True)
 
     @wp.func
     def start(
@@ -273,8 +272,7 @@ def make_lane_paths(
             choice = choices.get(rows, j)
             brings = choice.brings == 1
             if wp.static(bool(config.area)):
-                if choice.on == 1:
-                    brings = shape_at(scene, triangles.get(rows, j).shape).emitter >= 0
+                brings = brings or (choice.on == 1 and shape_at(scene, triangles.get(rows, j).shape).emitter >= 0)
             if brings:
                 arrivals.put(rows, j, arrive(scene, states.get(rows, j), hits.get(rows, j)))
             j += 1
@@ -371,10 +369,8 @@ def make_lane_paths(
                 shadow = looks.get(rows, j)
                 lit = on and shadow.wanted == 1 and shadow.blocked == 0
             vertex = vertex_of(state, hit, arrival, lit, event, on, onward)
-            put_vertex(rows, vertex_row, j, vertex)
+            put_vertex(rows, vertex_row + depth * vertex_words, j, vertex)
             j += 1
-        # Written at once to where it stays, it might overlap what is read, for all that the compiler knows.
-        copy_vertex(rows, vertex_row, vertex_row + (depth + 1) * vertex_words)
 
     @wp.func
     def advance(scattering: wp.bool, rows: ROWS) -> wp.int32:
@@ -439,7 +435,7 @@ def make_lane_paths(
 
     @wp.func
     def vertex_at(rows: ROWS, j: wp.int32, n: wp.int32) -> PathVertex:
-        return get_vertex(rows, vertex_row + (n + 1) * vertex_words, j, PathVertex())
+        return get_vertex(rows, vertex_row + n * vertex_words, j, PathVertex())
 
-    size = (end + (kept + 1 if kept else 0) * vertex_words) * width
+    size = (end + kept * vertex_words) * width
     return LanePaths(width, size, start, step, gathered, camera_of, vertex_at if kept else None)

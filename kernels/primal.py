@@ -17,6 +17,7 @@ from warp_psdr.kernels.camera_rays import (
 from warp_psdr.kernels.invalid import count_invalid, finite
 from warp_psdr.kernels.lanes import ROWS
 from warp_psdr.kernels.path_lanes import make_lane_paths, side_by_side
+from warp_psdr.kernels.rng import sampler_at
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.vertex import PathConfig, PathState
 
@@ -141,13 +142,16 @@ def make_primal_kernel(config: PathConfig):
             bundle.samples = wp.min(samples - done, wp.static(paths.width))
             done += bundle.samples
             trace(scene, camera, pixels, bundle, max_depth, rr_depth, rows, found)
-            for j in range(bundle.pixels * bundle.samples):
-                sampler = sampler_in(pixels, bundle, j)
-                if finite(found[j].radiance):
-                    total += wp.vec3d(found[j].radiance)
-                else:
-                    count_invalid(scene, sampler)
-                if done == samples and (j + 1) % bundle.samples == 0:
+            for i in range(bundle.pixels):
+                sampler = sampler_at(pixels[bundle.first + i], 0, bundle.seed)
+                for k in range(bundle.samples):
+                    radiance = found[i * bundle.samples + k].radiance
+                    if finite(radiance):
+                        total += wp.vec3d(radiance)
+                    else:
+                        sampler.index = wp.uint32(bundle.first_sample + k)
+                        count_invalid(scene, sampler)
+                if done == samples:
                     px = column_of(bundle, sampler)
                     py = row_of(bundle, sampler)
                     image_out[py, px] = image_out[py, px] + wp.vec3(wp.float64(scale) * total)

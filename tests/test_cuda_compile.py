@@ -49,6 +49,7 @@ SIMPLE = PathConfig(
     tangent=False,
     area=(c.TEXTURE_CONSTANT,),
     lights=(),
+    one_light=True,
     scatter=True,
     hide_emitters=False,
     sampler="sobol",
@@ -67,6 +68,7 @@ EVERYTHING = PathConfig(
     tangent=True,
     area=TEXTURES,
     lights=LIGHTS,
+    one_light=False,
     scatter=True,
     hide_emitters=True,
     hidden=True,
@@ -86,6 +88,7 @@ OTHERS = PathConfig(
     tangent=True,
     area=(),
     lights=(c.EMITTER_CONSTANT,),
+    one_light=True,
     scatter=True,
     hide_emitters=False,
     sampler="independent",
@@ -119,7 +122,7 @@ TEXTURED = PathConfig(
         "hidden": True,
     }
 )
-ALL_LIGHTS = PathConfig(**{**vars(SIMPLE), "lights": LIGHTS, "filter": c.RFILTER_GAUSSIAN})
+ALL_LIGHTS = PathConfig(**{**vars(SIMPLE), "lights": LIGHTS, "one_light": False, "filter": c.RFILTER_GAUSSIAN})
 ORTHOGRAPHIC = PathConfig(**{**vars(SIMPLE), "camera": c.CAMERA_ORTHOGRAPHIC})
 THIN_LENS = PathConfig(**{**vars(SIMPLE), "camera": c.CAMERA_THINLENS})
 THIN_LENS_SMOOTH = PathConfig(**{**vars(THIN_LENS), "smooth": True})

@@ -14,7 +14,7 @@ from tests.gradients import scenes
 from warp_psdr import acceleration
 from warp_psdr.kernels import primal, splat
 from warp_psdr.kernels.interior import replay
-from warp_psdr.kernels.lanes import make_copy, make_number, make_record, words
+from warp_psdr.kernels.lanes import make_number, make_record, words
 from warp_psdr.kernels.path_lanes import side_by_side
 from warp_psdr.kernels.scattering import Onward
 
@@ -160,7 +160,7 @@ def test_models_that_branch_around_vectors_are_traced_alone():
 def test_records_come_back_from_their_rows(width):
     get, put = make_record(Onward, width)
     get_number, put_number = make_number(width)
-    copy = make_copy(Onward, width)
+    get_aside, put_aside = make_record(Onward, width, aside=True)
     count = words(Onward)
     size = (2 * count + 1) * width
 
@@ -170,9 +170,10 @@ def test_records_come_back_from_their_rows(width):
         for j in range(wp.static(width)):
             put(rows, 1, j, values[j])
             put_number(rows, 0, j, 0.125 * wp.float32(j))
-        copy(rows, 1, wp.static(1 + count))
         for j in range(wp.static(width)):
-            out[j] = get(rows, wp.static(1 + count), j, Onward())
+            put_aside(rows, wp.static(1 + count), j, get(rows, 1, j, Onward()))
+        for j in range(wp.static(width)):
+            out[j] = get_aside(rows, wp.static(1 + count), j, Onward())
             numbers[j] = get_number(rows, 0, j)
 
     rng = np.random.default_rng(2)

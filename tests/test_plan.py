@@ -125,7 +125,7 @@ def test_one_albedo_compiles_no_geometry(diffuse, tmp_path):
     # A function's own definition is emitted as "static ... name_0("; closures of what is not called are not.
     assert [w for w in words if f" {w}_" in small] == []
     assert [w for w in words if f" {w}_" in large], "the words are out of date"
-    assert len(small) < 0.8 * len(large)
+    assert len(small) < 0.85 * len(large)  # the paths are the same in both
 
 
 def test_the_plan_says_what_and_why(diffuse):

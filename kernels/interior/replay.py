@@ -41,7 +41,6 @@ from warp_psdr.kernels.camera_rays import (
     make_camera_paths,
     make_pixel_bundle,
     row_of,
-    sampler_in,
 )
 from warp_psdr.kernels.interior.sweep import Carry, make_sweep
 from warp_psdr.kernels.interior.wanted import Wanted
@@ -193,34 +192,37 @@ def _make_lane_kernel(config: PathConfig, wanted: Wanted, block: int):
             while alive > 0:
                 alive = lanes.step(scene, depth, max_depth, rr_depth, rows)
                 depth += 1
-            for j in range(bundle.pixels * bundle.samples):
-                sampler = sampler_in(pixels, bundle, j)
+            for i in range(bundle.pixels):
+                sampler = sampler_at(pixels[bundle.first + i], 0, bundle.seed)
                 delta = scale * adjoint[row_of(bundle, sampler), column_of(bundle, sampler)]
                 if vanishes(delta):
                     continue
-                path = lanes.gathered(rows, j)
-                met = wp.int32(always)
-                n = wp.int32(path.vertices)
-                while n > 0 and met == 0:
-                    n -= 1
-                    face = lanes.vertex(rows, j, n).face
-                    if face >= 0:
-                        met = scene.matters[scene.triangles[face].shape]
-                if met == 0:
-                    if not finite(path.radiance):
+                for k in range(bundle.samples):
+                    sampler.index = wp.uint32(bundle.first_sample + k)
+                    j = i * bundle.samples + k
+                    path = lanes.gathered(rows, j)
+                    met = wp.int32(always)
+                    n = wp.int32(path.vertices)
+                    while n > 0 and met == 0:
+                        n -= 1
+                        face = lanes.vertex(rows, j, n).face
+                        if face >= 0:
+                            met = scene.matters[scene.triangles[face].shape]
+                    if met == 0:
+                        if not finite(path.radiance):
+                            count_invalid(scene, sampler)
+                        continue
+                    sample = lanes.camera(rows, j)
+                    carry = Carry()
+                    carry.face = -2
+                    n = path.vertices
+                    while n > 0:
+                        n -= 1
+                        vertex = lanes.vertex(rows, j, n)
+                        if n == 0:
+                            vertex.o = camera_origin(scene, camera, sample)
+                        carry = sweep(scene, target, vertex, delta, carry)
+                    if finish(scene, target, camera, sample, carry) != 0.0 or not finite(carry.radiance):
                         count_invalid(scene, sampler)
-                    continue
-                sample = lanes.camera(rows, j)
-                carry = Carry()
-                carry.face = -2
-                n = path.vertices
-                while n > 0:
-                    n -= 1
-                    vertex = lanes.vertex(rows, j, n)
-                    if n == 0:
-                        vertex.o = camera_origin(scene, camera, sample)
-                    carry = sweep(scene, target, vertex, delta, carry)
-                if finish(scene, target, camera, sample, carry) != 0.0 or not finite(carry.radiance):
-                    count_invalid(scene, sampler)
 
     return replay_lanes
