@@ -15,29 +15,20 @@ from warp_psdr.kernels.bvh.wide import RayHit, make_intersect
 from warp_psdr.kernels.camera import CameraSample
 from warp_psdr.kernels.camera_rays import Bundle, column_of, make_trace_together, row_of
 from warp_psdr.kernels.constants import BSDF_DIFFUSE
-from warp_psdr.kernels.emitter.dispatch import ENVIRONMENTS
-from warp_psdr.kernels.invalid import finite
-from warp_psdr.kernels.lanes import ROWS, make_fetch, make_number, make_record, stack_rows, word_of, words
+from warp_psdr.kernels.lanes import ROWS, make_number, make_record, stack_rows, word_of, words
 from warp_psdr.kernels.light_lanes import make_light_lanes
 from warp_psdr.kernels.math import where3
 from warp_psdr.kernels.path import make_camera_starts, vertex_of
-from warp_psdr.kernels.reading import shape_at
+from warp_psdr.kernels.place_lanes import make_place_lanes
 from warp_psdr.kernels.rng import Sampler, make_sampler, sampler_at
 from warp_psdr.kernels.scattering import (
     SLOTS_PER_VERTEX,
-    Arrival,
-    LookedUp,
     NextEvent,
     Onward,
-    Place,
-    make_arrive,
-    make_look_up,
-    make_place,
     make_scatter,
     samples_lights,
 )
-from warp_psdr.kernels.structs import Camera, Scene, Triangle
-from warp_psdr.kernels.surface import Surface, make_surface_of
+from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.vertex import PathConfig, PathState, PathVertex
 
 #: Rows of random numbers: for next-event estimation, for scattering.
@@ -51,28 +42,6 @@ class Seat:
     sampler: Sampler
     px: wp.int32
     py: wp.int32
-
-
-@wp.struct
-class Choice:
-    """Where a path is. A lane without a path is computed along on face 0."""
-
-    on: wp.int32  # 1: the path stands on ``face``
-    face: wp.int32
-    brings: wp.int32  # 1: there may be something that its ray brings, though it has met nothing
-    behind: wp.int32  # 1: it arrives at the back
-    u: wp.float32
-    v: wp.float32
-
-
-@wp.struct
-class Tint:
-    """What is looked up of a diffuse material."""
-
-    side: wp.float32
-    red: wp.float32
-    green: wp.float32
-    blue: wp.float32
 
 
 @wp.struct
@@ -136,28 +105,21 @@ def make_lane_paths(
     closest_of_each, any_of_each = make_each(width)
     trace_together = make_trace_together(config)
     view, start_in = make_camera_starts(config, filter_kind)
-    arrive = make_arrive(config)
-    surface_of = make_surface_of(config.smooth, config.flat, config.uv, config.tangent)
-    look_up = make_look_up(config)
-    place_on = make_place(config)
     scatter = make_scatter(config, differential)
     sample_4d = make_sampler(config.sampler).sample_4d
     has_lights = samples_lights(config)
-    environment = any(kind in ENVIRONMENTS for kind in config.lights)
     get_number, put_number = make_number(width)
-    fetch_triangle = make_fetch(Triangle, width)
 
     seats, states, hits, cameras, sums = stack_rows(width, NUMBERS, Seat, PathState, RayHit, CameraSample, Sum)
-    arrivals, choices, triangles, surfaces = stack_rows(width, sums.end, Arrival, Choice, Triangle, Surface)
-    tints, places, onwards, looks = stack_rows(width, surfaces.end, Tint, Place, Onward, Look)
+    meet, collect, stand, choices, triangles, places, arrivals = make_place_lanes(config, width, sums.end, states, hits)
+    onwards, looks = stack_rows(width, arrivals.end, Onward, Look)
     end = looks.end
     if has_lights:
         choose_lights, draw_lights, events = make_light_lanes(config, differential, width, end, places, triangles)
         shadow_row = events.first + word_of(NextEvent, "o")
         end = events.end
-    hit_row, triangle_row, look_row = (r.first for r in (hits, triangles, looks))
+    hit_row, look_row, blocked_row = hits.first, looks.first, looks.first + word_of(Look, "blocked")
     ray_row, alive_row = (states.first + word_of(PathState, name) for name in ("o", "alive"))
-    face_row, blocked_row = choices.first + word_of(Choice, "face"), looks.first + word_of(Look, "blocked")
     vertex_row, vertex_words = end, words(PathVertex)
     get_vertex, put_vertex = make_record(PathVertex, width, aside=True)
 
@@ -240,77 +202,6 @@ def make_lane_paths(
                     if state.alive == 1:
                         hits.put(rows, j, closest_hit(scene.accel, state.o, state.d, state.t_max))
                     j += 1
-
-    @wp.func
-    def meet(scene: Scene, rows: ROWS) -> wp.int32:
-        """Where paths are; the number of lanes up to the last whose path stands on a surface."""
-        standing = wp.int32(0)
-        j = wp.int32(0)
-        while j < width:
-            state = states.get(rows, j)
-            face = hits.get(rows, j).face
-            choice = Choice()
-            choice.on = wp.where(state.alive == 1 and face >= 0, 1, 0)
-            choice.face = wp.where(choice.on == 1, face, 0)
-            astray = state.alive == 1 and face < 0
-            if wp.static(not environment):
-                astray = astray and not finite(state.o + state.d)  # which ``arrive`` tells
-            choice.brings = wp.where(astray, 1, 0)
-            choices.put(rows, j, choice)
-            arrivals.put(rows, j, Arrival())
-            standing = wp.max(standing, choice.on * (j + 1))
-            j += 1
-        if standing > 0:
-            fetch_triangle(scene.triangles, rows, face_row, triangle_row)
-        return standing
-
-    @wp.func
-    def collect(scene: Scene, rows: ROWS):
-        """What rays bring that have met an emitter or left the scene."""
-        j = wp.int32(0)
-        while j < width:
-            choice = choices.get(rows, j)
-            brings = choice.brings == 1
-            if wp.static(bool(config.area)):
-                brings = brings or (choice.on == 1 and shape_at(scene, triangles.get(rows, j).shape).emitter >= 0)
-            if brings:
-                arrivals.put(rows, j, arrive(scene, states.get(rows, j), hits.get(rows, j)))
-            j += 1
-
-    @wp.func
-    def stand(scene: Scene, standing: wp.int32, rows: ROWS):
-        j = wp.int32(0)
-        while j < width:
-            hit = hits.get(rows, j)
-            choice = choices.get(rows, j)
-            u = wp.where(choice.on == 1, hit.u, 0.0)
-            v = wp.where(choice.on == 1, hit.v, 0.0)
-            surface = surface_of(scene, triangles.get(rows, j), u, v)
-            surfaces.put(rows, j, surface)
-            choice.u = u
-            choice.v = v
-            choice.behind = wp.where(wp.dot(surface.n, -states.get(rows, j).d) < 0.0, 1, 0)
-            choices.put(rows, j, choice)
-            j += 1
-        for j in range(standing):  # one by one: SIMD would be gathers, which take longer
-            c = choices.get(rows, j)
-            found = look_up(scene, surfaces.get(rows, j), c.behind == 1, c.face, c.u, c.v)
-            tint = Tint()
-            tint.side = found.side
-            tint.red = found.material.c0[0]
-            tint.green = found.material.c0[1]
-            tint.blue = found.material.c0[2]
-            tints.put(rows, j, tint)
-        j = wp.int32(0)
-        while j < width:
-            tint = tints.get(rows, j)
-            found = LookedUp()
-            found.side = tint.side
-            found.model = BSDF_DIFFUSE
-            found.material.c0 = wp.vec3(tint.red, tint.green, tint.blue)
-            surface = surfaces.get(rows, j)
-            places.put(rows, j, place_on(scene, triangles.get(rows, j), surface, found, states.get(rows, j).d))
-            j += 1
 
     @wp.func
     def scatter_all(scene: Scene, rr_depth: wp.int32, rows: ROWS):

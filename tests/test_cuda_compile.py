@@ -136,6 +136,7 @@ MIRROR_LIGHTS = PathConfig(
         "bsdfs": (c.BSDF_DIFFUSE, c.BSDF_CONDUCTOR),
         "slots": ((c.TEXTURE_CONSTANT,),) * 3 + ((), ()),
         "lights": LIGHTS,
+        "one_light": False,
     }
 )
 MIRRORS = PathConfig(
