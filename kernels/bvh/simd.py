@@ -10,6 +10,7 @@ TYPES = """
     typedef float vf __attribute__((ext_vector_type($W)));
     typedef int vi __attribute__((ext_vector_type($W)));
     typedef float f4 __attribute__((ext_vector_type(4)));
+    typedef double vd __attribute__((ext_vector_type($W)));
     typedef int i4 __attribute__((ext_vector_type(4)));
     typedef unsigned int u32;
     struct Simd {
@@ -21,23 +22,16 @@ TYPES = """
         static INLINE float at(vf a, int i) { return a[i]; }
         static INLINE long long at(long long a, int) { return a; }
         static INLINE long long at(const int* a, int i) { return a[i]; }
+        static INLINE double wide(float a) { return a; }
+        static INLINE vd wide(vf a) { return __builtin_convertvector(a, vd); }
+        static INLINE float narrow(double a) { return a; }
+        static INLINE vf narrow(vd a) { return __builtin_convertvector(a, vf); }
+        static INLINE double sign(double a) { return __builtin_copysign(1.0, a); }
+        static INLINE vd sign(vd a) { return __builtin_elementwise_copysign(vd(1.0), a); }
+        static INLINE double positive(double a) { return a > 0.0 ? a : 0.0; }
+        static INLINE vd positive(vd a) { return a > 0.0 ? a : 0.0; }
         static INLINE float fma(float a, float b, float c) { return __builtin_fmaf(a, b, c); }
         static INLINE vf fma(vf a, vf b, vf c) { return __builtin_elementwise_fma(a, b, c); }
-        // a b - c d to two units in the last place, however much of the products cancels (Kahan).
-        static INLINE float difference(float a, float b, float c, float d) {
-            const float p = c * d;
-            return fma(a, b, -p) + fma(-c, d, p);
-        }
-        static INLINE vf difference(vf a, vf b, vf c, vf d) {
-            const vf p = c * d;
-            return fma(a, b, -p) + fma(-c, d, p);
-        }
-        static INLINE float flip(float a, float sign) {
-            const int bits = __builtin_bit_cast(int, sign) & (int)0x80000000;
-            return __builtin_bit_cast(float, __builtin_bit_cast(int, a) ^ bits);
-        }
-        static INLINE float positive(float a) { return a > 0.0f ? a : 0.0f; }
-        static INLINE vf positive(vf a) { return a > 0.0f ? a : 0.0f; }
         static INLINE vf abs(vf a) { return __builtin_elementwise_abs(a); }
         static INLINE vf larger(vf a, vf b) {  // magnitude of the one of larger magnitude
 #if $W == 16 && defined(__AVX512DQ__)
@@ -216,19 +210,17 @@ ORDER = """
             current = stack[top];
 """
 
-# Barycentrics of a closest hit from its corners relative to the origin, of one ray or of one in every lane. Edge
-# functions of the wrong sign count as 0. Without a branch, for the signs are anybody's guess.
+# Barycentrics of a closest hit from its corners relative to the origin, of one ray or of one in every lane: from exact
+# products; edge functions of the wrong sign count as 0. Without a branch, for the signs are anybody's guess.
 BARYCENTRICS = """
-    const auto ax = Simd::fma(a_z, shear_x, a_x), ay = Simd::fma(a_z, shear_y, a_y);
-    const auto bx = Simd::fma(b_z, shear_x, b_x), by = Simd::fma(b_z, shear_y, b_y);
-    const auto cx = Simd::fma(c_z, shear_x, c_x), cy = Simd::fma(c_z, shear_y, c_y);
-    const auto u = Simd::difference(cx, by, cy, bx), v = Simd::difference(ax, cy, ay, cx);
-    const auto w = Simd::difference(bx, ay, by, ax), side = u + v + w;
-    const auto u1 = Simd::positive(Simd::flip(u, side)), v1 = Simd::positive(Simd::flip(v, side));
-    const auto w1 = Simd::positive(Simd::flip(w, side));
-    const auto scale = 1.0f / (u1 + v1 + w1);
-    u_best = v1 * scale;
-    v_best = w1 * scale;
+    const auto ax = Simd::wide(Simd::fma(a_z, shear_x, a_x)), ay = Simd::wide(Simd::fma(a_z, shear_y, a_y));
+    const auto bx = Simd::wide(Simd::fma(b_z, shear_x, b_x)), by = Simd::wide(Simd::fma(b_z, shear_y, b_y));
+    const auto cx = Simd::wide(Simd::fma(c_z, shear_x, c_x)), cy = Simd::wide(Simd::fma(c_z, shear_y, c_y));
+    const auto u = cx * by - cy * bx, v = ax * cy - ay * cx, w = bx * ay - by * ax, side = Simd::sign(u + v + w);
+    const auto u1 = Simd::positive(u * side), v1 = Simd::positive(v * side), w1 = Simd::positive(w * side);
+    const auto scale = 1.0 / (u1 + v1 + w1);
+    u_best = Simd::narrow(v1 * scale);
+    v_best = Simd::narrow(w1 * scale);
 """
 
 # The corners, relative to the origin, of the triangle in lane ``which[i] % $W`` of packet ``which[i] / $W`` for every

@@ -26,8 +26,8 @@ differences are exact. Without this second look the small ones would be hit far 
 by rounding, and the distance t, an average of the corners' with weights U, V, W, would be anywhere along a needle.
 What is left to float keeps 16 bits of U, V, W or more, which is enough to choose the closest triangle by its distance.
 Its barycentrics V and W over U + V + W, in which roundings are a long way on a triangle that reaches far, are evaluated
-again, with what the products lose by rounding added (Kahan). The reciprocal of U + V + W is approximate and refined by
-one Newton step; any hit compares products instead of dividing. So t_max is met to within two roundings.
+again from exact products, in double precision. The reciprocal of U + V + W is approximate and refined by one Newton
+step; any hit compares products instead of dividing. So t_max is met to within two roundings.
 
 **Order.** Hit children are ranked without branches: the lowest bits of their entry distances are replaced by the lane
 number, so that all differ, and a child's rank is the number of hit children before it. They are pushed farthest first.

@@ -90,7 +90,9 @@ def guards(scene: Scene, zero: wp.vec3, out: wp.array(dtype=wp.float32)):
     out[12] = 0.0 * pdf_area(scene, scene.emitters[0], scene.emitters[0].first_face, x, nil)
     out[17] = area_density(scene, scene.emitters[0], scene.emitters[0].first_face + 1)
     corner = scene.triangles[scene.emitters[0].first_face].p0
-    out[18] = DRAW_LIGHT(scene, scene.emitters[0], scene.emitters[0].first_face, corner, wp.vec2(zero[1], zero[2])).pdf
+    face = scene.emitters[0].first_face
+    u = wp.vec2(zero[1], zero[2])
+    out[18] = DRAW_LIGHT(scene, scene.emitters[0], face, scene.triangles[face], corner, u).pdf
     # An edge that points at the one who sees it, behind a lobe and in it.
     lobe = make_lobe(z, x, 1.0, 1.0, 1.0)
     end_on = line_integral(lobe, z, z)
