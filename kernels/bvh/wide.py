@@ -48,7 +48,7 @@ WIDTHS = (4, 8, 16)
 #: Rows of a node and of a triangle packet; a row has W words of 4 bytes.
 NODE_ROWS = 7
 PACKET_ROWS = 10
-#: Scenes of up to this many full packets are tested without a tree (measured).
+#: Scenes of up to this many packets are tested without a tree (measured).
 FLAT_PACKETS = 4
 #: Levels of the builder's binary tree below which it halves by count; bounds the traversal stack for any input.
 SAH_DEPTH = 48
