@@ -16,7 +16,7 @@ from warp_psdr.kernels.bvh.wide import RayHit, make_intersect
 from warp_psdr.kernels.camera import CameraSample
 from warp_psdr.kernels.camera_rays import Bundle, column_of, make_trace_together, row_of
 from warp_psdr.kernels.constants import BSDF_DIFFUSE
-from warp_psdr.kernels.lanes import ROWS, make_number, make_record, stack_rows, word_of, words
+from warp_psdr.kernels.lanes import ROOM, ROWS, make_number, make_record, stack_rows, word_of, words
 from warp_psdr.kernels.light_lanes import make_light_lanes
 from warp_psdr.kernels.math import where3
 from warp_psdr.kernels.path import make_camera_starts, vertex_of
@@ -62,11 +62,11 @@ class Sum:
 
 
 class LanePaths(NamedTuple):
-    """Functions that trace paths side by side; all take ``rows``, an array of ``size`` uint32.
+    """Functions that trace paths side by side; all take ``Scene.rows``.
 
     Attributes:
         width: number of lanes.
-        size: words of the array.
+        fit: whether there are rows enough; else none of them may be called.
         start: ``(scene, camera, pixels, bundle, met, rows)`` starts the samples of a bundle, and traces their camera
             rays; ``met`` as in ``PathState``.
         step: ``(scene, depth, max_depth, rr_depth, rows) -> int``: one vertex of every path, behind ``depth`` others;
@@ -77,7 +77,7 @@ class LanePaths(NamedTuple):
     """
 
     width: int
-    size: int
+    fit: bool
     start: wp.Function
     step: wp.Function
     gathered: wp.Function
@@ -139,8 +139,8 @@ def make_lane_paths(
         seen = wp.zeros(shape=(wp.static(width),), dtype=RayHit)
         count = bundle.pixels * bundle.samples
         j = wp.int32(0)
+        seat = Seat()
         for i in range(bundle.pixels):
-            seat = Seat()
             seat.sampler = sampler_at(pixels[bundle.first + i], 0, bundle.seed)
             seat.px = column_of(bundle, seat.sampler)
             seat.py = row_of(bundle, seat.sampler)
@@ -148,6 +148,9 @@ def make_lane_paths(
                 seat.sampler.index = wp.uint32(bundle.first_sample + n)
                 seats.put(rows, j, seat)
                 j += 1
+        while j < width:  # the last one once more
+            seats.put(rows, j, seat)
+            j += 1
         k = view(scene, camera)
         j = wp.int32(0)
         while j < width:
@@ -329,5 +332,5 @@ def make_lane_paths(
     def vertex_at(rows: ROWS, j: wp.int32, n: wp.int32) -> PathVertex:
         return get_vertex(rows, vertex_row + n * vertex_words, j, PathVertex())
 
-    size = (end + kept * vertex_words) * width
-    return LanePaths(width, size, start, step, gathered, camera_of, vertex_at if kept else None)
+    fit = end + kept * vertex_words <= ROOM
+    return LanePaths(width, fit, start, step, gathered, camera_of, vertex_at if kept else None)

@@ -114,7 +114,8 @@ def make_place_lanes(config: PathConfig, width: int, first: int, states: Rows, h
             choice = choices.get(rows, j)
             brings = choice.brings == 1
             if wp.static(bool(config.area)):
-                brings = brings or (choice.on == 1 and shape_at(scene, triangles.get(rows, j).shape).emitter >= 0)
+                shape = wp.where(choice.on == 1, triangles.get(rows, j).shape, 0)
+                brings = brings or (choice.on == 1 and shape_at(scene, shape).emitter >= 0)
             if brings:
                 arrivals.put(rows, j, arrive(scene, states.get(rows, j), hits.get(rows, j)))
             j += 1

@@ -15,7 +15,6 @@ from warp_psdr.kernels.camera_rays import (
     sampler_in,
 )
 from warp_psdr.kernels.invalid import count_invalid, finite
-from warp_psdr.kernels.lanes import ROWS
 from warp_psdr.kernels.path_lanes import make_lane_paths, side_by_side
 from warp_psdr.kernels.rng import sampler_at
 from warp_psdr.kernels.structs import Camera, Scene
@@ -33,13 +32,12 @@ class CameraPath:
 class CameraPaths(NamedTuple):
     """How samples are traced: ``width`` at a time, which are those of one pixel unless ``grouped``.
 
-    ``trace(scene, camera, pixels, bundle, max_depth, rr_depth, rows, paths_out)`` traces the samples of a bundle, with
-    an array of ``size`` uint32 to work on, into an array of ``width`` ``CameraPath``.
+    ``trace(scene, camera, pixels, bundle, max_depth, rr_depth, paths_out)`` traces the samples of a bundle into an
+    array of ``width`` ``CameraPath``.
     """
 
     width: int
     grouped: bool
-    size: int
     trace: wp.Function
 
 
@@ -57,9 +55,9 @@ def make_image_paths(config: PathConfig, filter_kind: int | None = None) -> Came
             bundle: Bundle,
             max_depth: wp.int32,
             rr_depth: wp.int32,
-            rows: ROWS,
             paths_out: wp.array(dtype=CameraPath),
         ):
+            rows = scene.rows
             lanes.start(scene, camera, pixels, bundle, 0, rows)
             depth = wp.int32(0)
             alive = wp.int32(1)
@@ -72,7 +70,7 @@ def make_image_paths(config: PathConfig, filter_kind: int | None = None) -> Came
                 path.radiance = lanes.gathered(rows, j).radiance
                 paths_out[j] = path
 
-        return CameraPaths(lanes.width, True, lanes.size, trace_lanes)
+        return CameraPaths(lanes.width, True, trace_lanes)
 
     width, starts, path_step = make_camera_paths(config, False, filter_kind=filter_kind)
 
@@ -84,7 +82,6 @@ def make_image_paths(config: PathConfig, filter_kind: int | None = None) -> Came
         bundle: Bundle,
         max_depth: wp.int32,
         rr_depth: wp.int32,
-        rows: ROWS,
         paths_out: wp.array(dtype=CameraPath),
     ):
         starting = wp.zeros(shape=(wp.static(width),), dtype=PathState)
@@ -101,7 +98,7 @@ def make_image_paths(config: PathConfig, filter_kind: int | None = None) -> Came
                 path.radiance += wp.cw_mul(vertex.throughput, vertex.direct)
             paths_out[j] = path
 
-    return CameraPaths(width, False, 1, trace)
+    return CameraPaths(width, False, trace)
 
 
 @functools.cache
@@ -134,14 +131,13 @@ def make_primal_kernel(config: PathConfig):
             return
         # In double precision: a float32 sum stands still after 2^24 equal terms.
         total = wp.vec3d()
-        rows = wp.zeros(shape=(wp.static(paths.size),), dtype=wp.uint32)
         found = wp.zeros(shape=(wp.static(paths.width),), dtype=CameraPath)
         done = wp.int32(0)
         while done < samples:
             bundle.first_sample = first_sample + done
             bundle.samples = wp.min(samples - done, wp.static(paths.width))
             done += bundle.samples
-            trace(scene, camera, pixels, bundle, max_depth, rr_depth, rows, found)
+            trace(scene, camera, pixels, bundle, max_depth, rr_depth, found)
             for i in range(bundle.pixels):
                 sampler = sampler_at(pixels[bundle.first + i], 0, bundle.seed)
                 for k in range(bundle.samples):

@@ -124,14 +124,13 @@ def make_splat_kernel(config: PathConfig):
         bundle = pixel_bundle(wp.tid(), first_pixel, pixel_count, samples, seed, camera.crop_width + 2 * margin, margin)
         if bundle.pixels == 0:
             return
-        rows = wp.zeros(shape=(wp.static(paths.size),), dtype=wp.uint32)
         found = wp.zeros(shape=(wp.static(paths.width),), dtype=CameraPath)
         done = wp.int32(0)
         while done < samples:
             bundle.first_sample = first_sample + done
             bundle.samples = wp.min(samples - done, wp.static(paths.width))
             done += bundle.samples
-            trace(scene, camera, pixels, bundle, max_depth, rr_depth, rows, found)
+            trace(scene, camera, pixels, bundle, max_depth, rr_depth, found)
             for j in range(bundle.pixels * bundle.samples):
                 if finite(found[j].radiance):
                     spread(camera, found[j], film_out)

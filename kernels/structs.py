@@ -159,6 +159,7 @@ class Scene:
     #: 1: what is differentiated belongs to this shape; the last one: to something else too (``interior/replay.py``).
     matters: wp.array(dtype=wp.int32)
     invalid: wp.array(dtype=wp.int64)  # counter of this launch and lane, see ``invalid.py``
+    rows: wp.array(dtype=wp.uint32)  # room of this launch and lane for paths side by side, see ``lanes.py``
 
 
 @wp.struct

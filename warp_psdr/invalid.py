@@ -19,6 +19,7 @@ import numpy as np
 import warp as wp
 
 from warp_psdr.kernels.invalid import COUNTER_SIZE
+from warp_psdr.kernels.lanes import ROOM
 
 if TYPE_CHECKING:
     from warp_psdr.kernels import structs
@@ -128,6 +129,7 @@ def counting(
         (record of the scene, lane) -> the record that this lane has to pass to its kernels.
     """
     counters = wp.zeros((lanes, COUNTER_SIZE), dtype=wp.int64, device=scene.device)
+    rows = wp.empty((lanes, ROOM * scene.accelerator.width), dtype=wp.uint32, device=scene.device)
     records: list[structs.Scene | None] = [None] * lanes
 
     def of_lane(data: structs.Scene, lane: int) -> structs.Scene:
@@ -135,6 +137,7 @@ def counting(
         if record is None:
             record = data.to(scene.device)  # a copy that shares the arrays
             record.invalid = counters[lane]
+            record.rows = rows[lane]
             records[lane] = record
         return record
 

@@ -61,7 +61,7 @@ def make_replay_kernel(config: PathConfig, wanted: Wanted, block: int, blocks: i
         block: K, the number of vertices kept at a time.
         blocks: the most blocks that a path can have; 1 compiles the replay out.
     """
-    if blocks == 1 and side_by_side(config):
+    if blocks == 1 and side_by_side(config) and make_lane_paths(config, True, True, kept=block).fit:
         return _make_lane_kernel(config, wanted, block)
     lanes, starts, path_step = make_camera_paths(config, True, True)
     _camera_ray, camera_origin = make_camera_ray(config.camera)
@@ -179,7 +179,7 @@ def _make_lane_kernel(config: PathConfig, wanted: Wanted, block: int):
             weighted = weighted or not vanishes(scale * weight)
         if not weighted:
             return
-        rows = wp.zeros(shape=(wp.static(lanes.size),), dtype=wp.uint32)
+        rows = scene.rows
         always = scene.matters[scene.matters.shape[0] - 1]
         done = wp.int32(0)
         while done < samples:

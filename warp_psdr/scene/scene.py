@@ -15,6 +15,7 @@ from warp_psdr.invalid import Ledger
 from warp_psdr.kernels import structs
 from warp_psdr.kernels.constants import DELTA_MODELS
 from warp_psdr.kernels.invalid import COUNTER_SIZE
+from warp_psdr.kernels.lanes import ROOM
 from warp_psdr.kernels.shape.normals import normalize_sums, sum_normals
 from warp_psdr.kernels.shape.transform import pose_shape
 from warp_psdr.kernels.step import RAY_EPSILON
@@ -119,6 +120,7 @@ class Scene:
             self._pose(shape)
         self._update_triangles(range(len(description.shapes)))
         self.accelerator = Accelerator(self._points, self.indices, self.device)
+        self._rows = wp.empty(ROOM * self.accelerator.width, dtype=wp.uint32, device=self.device)
         self._sight: Accelerator | None = None
         self._contact_ratio = CONTACT_RATIO
         self._shades_flat: bool | None = None
@@ -246,6 +248,7 @@ class Scene:
         s.radii = self._unmeasured  # the interior term asks for them
         s.matters = self._unmarked  # the interior term marks shapes
         s.invalid = self._uncounted  # for launches outside of ``invalid.counting``
+        s.rows = self._rows
         return s
 
     # -- refreshing ------------------------------------------------------------------------------------------------
