@@ -10,8 +10,8 @@ it asks for (its reasons for a refusal are printed by the compiler flags of ``te
   ``where3`` and reads word by word;
 * a known number of iterations, and loads and stores that provably do not meet: some 120 at most in a loop.
 
-The last point is what this file is for. The paths' values lie in one local array of words, a row of W words for each
-word of a record, and are read and written as ``char32_t``, a type that nothing else in a kernel has. In C++ an access
+The last point is what this file is for. The paths' values lie in one array of words, ``Scene.rows``, a row of W words
+for each word of a record, and are read and written as ``char32_t``, a type that nothing else in a kernel has. In C++ an access
 to an object of one scalar type does not touch one of another, so stores to the rows leave the scene's floats and
 integers alone.
 
@@ -28,7 +28,7 @@ from warp_psdr.kernels.bvh.wide import native
 
 ROWS = wp.array(dtype=wp.uint32)
 #: Rows that ``Scene.rows`` has. It is the host's and holds anything: a local array would be cleared for every pixel,
-#: twice, which took 4 % of an image and 8 % of a gradient.
+#: twice, which took a tenth of an image and of a gradient.
 ROOM = 1024
 
 

@@ -15,7 +15,7 @@ from warp_psdr import acceleration
 from warp_psdr.kernels import primal, splat
 from warp_psdr.kernels.interior import replay
 from warp_psdr.kernels.lanes import make_number, make_record, words
-from warp_psdr.kernels.path_lanes import side_by_side
+from warp_psdr.kernels.path_lanes import make_lane_paths, side_by_side
 from warp_psdr.kernels.scattering import Onward
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -154,6 +154,25 @@ def test_other_widths_have_the_same_bits(width, monkeypatch):
 def test_models_that_branch_around_vectors_are_traced_alone():
     for name in ("glass", "mirror", "rough"):
         assert not side_by_side(psdr.plan(scenes.load(name)[0]).config)
+
+
+def test_paths_whose_vertices_have_no_room_are_traced_alone():
+    scene = psdr.load_dict({"type": "scene", **scenes.gap_scene()})
+    config = psdr.plan(scene).config
+    assert make_lane_paths(config, True, True, kept=8).fit
+    assert not make_lane_paths(config, True, True, kept=40).fit
+    params = psdr.traverse(scene)
+    name = "ceiling.bsdf.reflectance.value"
+    params.requires_grad(name)
+    adjoint = np.ones(psdr.render(scene, spp=1).numpy().shape, np.float32)
+    gradients = []
+    for block in (40, 8):
+        integrator = psdr.PathIntegrator(max_depth=40, boundary=None, interior=psdr.interior.Replay(block=block))
+        params[name].grad.zero_()
+        psdr.render_backward(scene, params, adjoint, integrator=integrator, spp=4)
+        gradients.append(params[name].grad.numpy().copy())
+    assert gradients[0].min() > 0.0
+    np.testing.assert_array_equal(*gradients)
 
 
 @pytest.mark.parametrize("width", [4, 8, 16])
