@@ -11,8 +11,8 @@ it asks for (its reasons for a refusal are printed by the compiler flags of ``te
 * a known number of iterations, and loads and stores that provably do not meet: some 120 at most in a loop.
 
 The last point is what this file is for. The paths' values lie in one array of words, ``Scene.rows``, a row of W words
-for each word of a record, and are read and written as ``char32_t``, a type that nothing else in a kernel has. In C++ an access
-to an object of one scalar type does not touch one of another, so stores to the rows leave the scene's floats and
+for each word of a record, and are read and written as ``char32_t``, a type that nothing else in a kernel has. In C++ an
+access to an object of one scalar type does not touch one of another, so stores to the rows leave the scene's floats and
 integers alone.
 
 A row is named by its number; a record takes ``words(record)`` rows from its first one on.

@@ -25,7 +25,7 @@ import functools
 
 import warp as wp
 
-from warp_psdr.kernels.bvh.simd import BARYCENTRICS, CORNERS, DISTANCE, EDGES, ORDER, TYPES
+from warp_psdr.kernels.bvh.simd import BARYCENTRICS, DISTANCE, EDGES, ORDER, TYPES
 from warp_psdr.kernels.bvh.wide import Accel, RayHit, make_intersect, native
 
 #: Reads one corner for all lanes, where a single ray reads one lane's corner each.
@@ -196,12 +196,30 @@ _CLOSEST = (
 """
     + _NEXT
     + """
+    // The corners of what every ray meets, for each triangle at once: neighbours meet a few.
     const vf shear_x = mx, shear_y = my;
-    vf u_best, v_best;
+    vf u_best, v_best, a_x = 0.0f, a_y = 0.0f, a_z = 0.0f, b_x = 0.0f, b_y = 0.0f, b_z = 0.0f, c_x = 0.0f, c_y = 0.0f;
+    vf c_z = 0.0f;
+    vi faces = -1;
     int which[$W] __attribute__((aligned(64)));
     *(vi*)which = winner;
+    for (u32 rest = Simd::mask(winner >= 0); rest;) {
+        const int n = which[__builtin_ctz(rest)];
+        const vi same = winner == n;
+        const float* best = packets + (long long)(n / $W) * (10 * $W) + n % $W;
+        a_x = same ? best[qx] - px : a_x;
+        a_y = same ? best[qy] - py : a_y;
+        a_z = same ? best[qz] - pz : a_z;
+        b_x = same ? best[3 * $W + qx] - px : b_x;
+        b_y = same ? best[3 * $W + qy] - py : b_y;
+        b_z = same ? best[3 * $W + qz] - pz : b_z;
+        c_x = same ? best[6 * $W + qx] - px : c_x;
+        c_y = same ? best[6 * $W + qy] - py : c_y;
+        c_z = same ? best[6 * $W + qz] - pz : c_z;
+        faces = same ? vi(((const int*)best)[9 * $W]) : faces;
+        rest &= ~Simd::mask(same);
+    }
 """
-    + CORNERS
     + BARYCENTRICS
     + """
     for (int i = 0; i < $W; ++i)
