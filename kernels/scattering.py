@@ -172,7 +172,7 @@ def make_place(config: PathConfig):
 
     @wp.func
     def place_on(scene: Scene, tri: Triangle, surface: Surface, found: LookedUp, d: wp.vec3) -> Place:
-        frame = frame_on(found.side, 0, surface.n, surface.tangent)
+        frame = frame_on(found.side, surface.n, surface.tangent)
         place = Place()
         place.x = surface.x
         place.ng = surface.ng

@@ -142,13 +142,12 @@ def make_side(two_sided: bool):
 
 @functools.cache
 def make_framing(tangent: bool):
-    """Return ``frame_on(side, bsdf, n, tangent) -> Frame``."""
+    """Return ``frame_on(side, n, tangent) -> Frame``, but for its scattering record."""
 
     @wp.func
-    def frame_on(side: wp.float32, bsdf: wp.int32, n: wp.vec3, dpdu: wp.vec3) -> Frame:
+    def frame_on(side: wp.float32, n: wp.vec3, dpdu: wp.vec3) -> Frame:
         f = Frame()
         f.side = side
-        f.bsdf = bsdf
         f.n = side * n
         if wp.static(tangent):
             f.s = aligned_tangent(f.n, dpdu)
@@ -169,7 +168,9 @@ def make_frame(two_sided: bool, tangent: bool):
     @wp.func
     def frame_at(scene: Scene, bsdf: wp.int32, n: wp.vec3, dpdu: wp.vec3, wi: wp.vec3) -> Frame:
         side, record = side_of(scene, bsdf, wp.dot(n, wi) < 0.0)
-        return frame_on(side, record, n, dpdu)
+        f = frame_on(side, n, dpdu)
+        f.bsdf = record
+        return f
 
     return frame_at
 

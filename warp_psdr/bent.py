@@ -11,6 +11,7 @@ from warp_psdr.camera_view import camera_view
 from warp_psdr.edges import COPLANAR
 from warp_psdr.film_edges import scatters
 from warp_psdr.light_sampling import cumulative
+from warp_psdr.scene.shading import normals_at_corners
 
 if TYPE_CHECKING:
     from warp_psdr.scene.scene import Scene
@@ -22,19 +23,10 @@ TERMINATOR_FLOOR = 0.01
 
 def bend(scene: Scene) -> np.ndarray:
     """Return for every triangle the largest sine between its normal and the interpolated ones at its corners."""
-    values = scene.values.numpy().astype(np.float64)
-    points = scene.points.astype(np.float64)
     sines = np.zeros(scene.face_count)
-    for s in scene.builder.shapes:
-        if s.smooth == 1:
-            rows = slice(s.first_face, s.first_face + s.face_count)
-            faces = scene.builder.indices[rows]
-            p = points[faces]
-            normal = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
-            normal /= np.maximum(np.linalg.norm(normal, axis=1), 1e-300)[:, None]
-            first = s.normal_offset + 3 * s.first_vertex
-            at = values[first : first + 3 * s.vertex_count].reshape(-1, 3)[faces - s.first_vertex]
-            sines[rows] = np.linalg.norm(np.cross(at, normal[:, None]), axis=2).max(axis=1)
+    for s, normal, at in normals_at_corners(scene):
+        rows = slice(s.first_face, s.first_face + s.face_count)
+        sines[rows] = np.linalg.norm(np.cross(at, normal[:, None]), axis=2).max(axis=1)
     return sines
 
 

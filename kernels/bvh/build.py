@@ -26,8 +26,6 @@ from warp_psdr.kernels.bvh.wide import SAH_DEPTH
 PRIMITIVE_WORDS = 8
 #: Added to face numbers, so that as floats they are normal numbers: arithmetic on the others is slow on some CPUs.
 FACE_BIAS = 0x3F800000
-
-
 #: Share of the scene's area from which on a triangle's box is large.
 LARGE = 0.125
 

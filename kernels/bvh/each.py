@@ -16,7 +16,7 @@ import functools
 
 import warp as wp
 
-from warp_psdr.kernels.bvh.simd import BARYCENTRICS, CORNERS, DISTANCE, EDGES, TYPES
+from warp_psdr.kernels.bvh.simd import BARYCENTRICS, DISTANCE, EDGES, NEAREST, TYPES
 from warp_psdr.kernels.bvh.wide import Accel, native
 
 # Rows may lie anywhere, and are words of another type to everybody else.
@@ -54,7 +54,7 @@ _START = (
     const vf all_py = first ? ray_o[2] : second ? ray_o[0] : ray_o[1];
     const vf all_pz = first ? ray_o[0] : second ? ray_o[1] : ray_o[2];
     const vf all_shear_z = 1.0f / d_z, all_mx = -d_x * all_shear_z, all_my = -d_y * all_shear_z;
-    // In arrays, as ``CORNERS`` says.
+    // In arrays, as ``_CORNERS`` says.
     float of_ray[6][$W] __attribute__((aligned(64))), reached[$W] __attribute__((aligned(64)));
     int rows_of_ray[3][$W] __attribute__((aligned(64))), result[$W] __attribute__((aligned(64)));
     const vf numbers[6] = {all_px, all_py, all_pz, all_mx, all_my, all_shear_z};
@@ -98,37 +98,53 @@ _START = (
     + DISTANCE
 )
 
+# The corners, relative to the origin, of the triangle in lane ``which[i] % $W`` of packet ``which[i] / $W`` for every
+# lane i. ``which`` is an array: to take a vector's lane whose number varies, the compiler stores the vector each time.
+_CORNERS = """
+    float corners[9][$W] __attribute__((aligned(64)));
+    int faces[$W] __attribute__((aligned(64)));
+    #pragma clang loop vectorize(disable)
+    for (int i = 0; i < $W; ++i) {
+        const int n = which[i] < 0 ? 0 : which[i];
+        const float* best = packets + (long long)(n / $W) * (10 * $W) + n % $W;
+        for (int corner = 0; corner < 3; ++corner) {
+            corners[3 * corner][i] = best[3 * corner * $W + qx[i]];
+            corners[3 * corner + 1][i] = best[3 * corner * $W + qy[i]];
+            corners[3 * corner + 2][i] = best[3 * corner * $W + qz[i]];
+        }
+        faces[i] = ((const int*)best)[9 * $W];
+    }
+    const vf a_x = Simd::load(corners[0]) - px, a_y = Simd::load(corners[1]) - py, a_z = Simd::load(corners[2]) - pz;
+    const vf b_x = Simd::load(corners[3]) - px, b_y = Simd::load(corners[4]) - py, b_z = Simd::load(corners[5]) - pz;
+    const vf c_x = Simd::load(corners[6]) - px, c_y = Simd::load(corners[7]) - py, c_z = Simd::load(corners[8]) - pz;
+"""
+
 _CLOSEST = (
     _START.replace("$NOTHING", "-1").replace(
         "    for (int number",
-        """    vf distance[$W];
-    vi where[$W], lanes;
+        """    vf distances[$W];
+    vi packets_of[$W], lanes;
     for (int i = 0; i < $W; ++i) {
-        distance[i] = limits[i];
-        where[i] = -1;
+        distances[i] = limits[i];
+        packets_of[i] = -1;
         lanes[i] = i;
     }
     for (int number""",
     )
     + """
-            const vf t = reach * Simd::inverse(weight), t0 = distance[ray];
+            const vf t = reach * Simd::inverse(weight), t0 = distances[ray];
             const vi closer = inside & (t > 0.0f) & (t < t0);
-            distance[ray] = closer ? t : t0;
-            where[ray] = closer ? vi(number) : where[ray];
+            distances[ray] = closer ? t : t0;
+            packets_of[ray] = closer ? vi(number) : packets_of[ray];
         }
     }
     for (u32 rest = traced; rest; rest &= rest - 1) {
         const int ray = __builtin_ctz(rest);
-        // Positive floats are ordered as their bits are; the integer reduction is a tree, that of floats a chain.
-        const vf t = distance[ray];
-        const float nearest = __builtin_bit_cast(float, __builtin_reduce_min(__builtin_bit_cast(vi, t)));
-        const vi tied = (where[ray] >= 0) & (t == nearest);
-        int numbers[$W] __attribute__((aligned(64)));
-        *(vi*)numbers = tied ? where[ray] * $W + lanes : vi(-1);
-        const u32 ties = Simd::mask(tied);
-        int n = numbers[__builtin_ctz(ties | (1u << ($W - 1)))];
-        if (__builtin_expect((ties & (ties - 1)) != 0, 0))  // the first in the packets' order
-            n = __builtin_reduce_min(tied ? *(vi*)numbers : vi(0x7fffffff));
+        const vf distance = distances[ray];
+        const vi in_packet = packets_of[ray];
+"""
+    + NEAREST
+    + """
         reached[ray] = nearest;
         result[ray] = n;
     }
@@ -137,7 +153,7 @@ _CLOSEST = (
     const int *qx = rows_of_ray[0], *qy = rows_of_ray[1], *qz = rows_of_ray[2], *which = result;
     vf u_best, v_best;
 """
-    + CORNERS
+    + _CORNERS
     + BARYCENTRICS
     + """
     const vi hit = *(const vi*)result >= 0;

@@ -20,8 +20,6 @@ TYPES = """
         // What all lanes have in common, or what one of them has.
         static INLINE float at(float a, int) { return a; }
         static INLINE float at(vf a, int i) { return a[i]; }
-        static INLINE long long at(long long a, int) { return a; }
-        static INLINE long long at(const int* a, int i) { return a[i]; }
         static INLINE double wide(float a) { return a; }
         static INLINE vd wide(vf a) { return __builtin_convertvector(a, vd); }
         static INLINE float narrow(double a) { return a; }
@@ -223,23 +221,16 @@ BARYCENTRICS = """
     v_best = Simd::narrow(w1 * scale);
 """
 
-# The corners, relative to the origin, of the triangle in lane ``which[i] % $W`` of packet ``which[i] / $W`` for every
-# lane i. ``which`` is an array: to take a vector's lane whose number varies, the compiler stores the vector each time.
-CORNERS = """
-    float corners[9][$W] __attribute__((aligned(64)));
-    int faces[$W] __attribute__((aligned(64)));
-    #pragma clang loop vectorize(disable)
-    for (int i = 0; i < $W; ++i) {
-        const int n = which[i] < 0 ? 0 : which[i];
-        const float* best = packets + (long long)(n / $W) * (10 * $W) + n % $W;
-        for (int corner = 0; corner < 3; ++corner) {
-            corners[3 * corner][i] = best[3 * corner * $W + Simd::at(qx, i)];
-            corners[3 * corner + 1][i] = best[3 * corner * $W + Simd::at(qy, i)];
-            corners[3 * corner + 2][i] = best[3 * corner * $W + Simd::at(qz, i)];
-        }
-        faces[i] = ((const int*)best)[9 * $W];
-    }
-    const vf a_x = Simd::load(corners[0]) - px, a_y = Simd::load(corners[1]) - py, a_z = Simd::load(corners[2]) - pz;
-    const vf b_x = Simd::load(corners[3]) - px, b_y = Simd::load(corners[4]) - py, b_z = Simd::load(corners[5]) - pz;
-    const vf c_x = Simd::load(corners[6]) - px, c_y = Simd::load(corners[7]) - py, c_z = Simd::load(corners[8]) - pz;
+# The closest of W hits, from their distances ``distance`` and packets ``in_packet`` (-1: none): ``nearest``, and its
+# packet and lane as one number ``n`` (-1: no hit), of several at one distance the first.
+NEAREST = """
+        // Positive floats are ordered as their bits are; the integer reduction is a tree, that of floats a chain.
+        const float nearest = __builtin_bit_cast(float, __builtin_reduce_min(__builtin_bit_cast(vi, distance)));
+        const vi tied = (in_packet >= 0) & (distance == nearest);
+        int numbers[$W] __attribute__((aligned(64)));
+        *(vi*)numbers = tied ? in_packet * $W + lanes : vi(-1);
+        const u32 ties = Simd::mask(tied);
+        int n = numbers[__builtin_ctz(ties | (1u << ($W - 1)))];
+        if (__builtin_expect((ties & (ties - 1)) != 0, 0))
+            n = __builtin_reduce_min(tied ? *(vi*)numbers : vi(0x7fffffff));
 """

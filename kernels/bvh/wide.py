@@ -41,7 +41,18 @@ import functools
 
 import warp as wp
 
-from warp_psdr.kernels.bvh.simd import ARGUMENTS, BARYCENTRICS, BOXES, DISTANCE, EDGES, ORDER, SHEAR, SLABS, TYPES
+from warp_psdr.kernels.bvh.simd import (
+    ARGUMENTS,
+    BARYCENTRICS,
+    BOXES,
+    DISTANCE,
+    EDGES,
+    NEAREST,
+    ORDER,
+    SHEAR,
+    SLABS,
+    TYPES,
+)
 
 #: Vector widths (lanes) for which a traversal can be generated.
 WIDTHS = (4, 8, 16)
@@ -106,7 +117,7 @@ _CLOSEST = (
         lanes[i] = i;
     if (flat) {
         vf distance = t_max;
-        vi which_packet = -1;
+        vi in_packet = -1;
         for (int i = 0; i < flat; ++i) {
         const float* packet = packets + i * (10 * $W);
 """
@@ -116,17 +127,11 @@ _CLOSEST = (
             const vf t = reach * Simd::inverse(weight);
             const vi closer = inside & (t > 0.0f) & (t < distance);
             distance = closer ? t : distance;
-            which_packet = closer ? vi(i) : which_packet;
+            in_packet = closer ? vi(i) : in_packet;
         }
-        // Positive floats are ordered as their bits are; the integer reduction is a tree, that of floats a chain.
-        const float nearest = __builtin_bit_cast(float, __builtin_reduce_min(__builtin_bit_cast(vi, distance)));
-        const vi tied = (which_packet >= 0) & (distance == nearest);
-        int numbers[$W] __attribute__((aligned(64)));
-        *(vi*)numbers = tied ? which_packet * $W + lanes : vi(-1);
-        const u32 ties = Simd::mask(tied);
-        int n = numbers[__builtin_ctz(ties | (1u << ($W - 1)))];
-        if (__builtin_expect((ties & (ties - 1)) != 0, 0))  // the first in the packets' order, as in bundle.py
-            n = __builtin_reduce_min(tied ? *(vi*)numbers : vi(0x7fffffff));
+"""
+    + NEAREST
+    + """
         if (n >= 0) {
             t_best = nearest;
             best = packets + (n / $W) * (10 * $W) + n % $W;
