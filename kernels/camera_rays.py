@@ -5,8 +5,9 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.bvh.bundle import make_bundle
-from warp_psdr.kernels.bvh.wide import RayHit, make_intersect
+from warp_psdr.kernels.bvh.wide import Ray, RayHit, make_intersect
 from warp_psdr.kernels.camera import CameraSample
+from warp_psdr.kernels.lanes import ROWS, make_record, words
 from warp_psdr.kernels.path import make_camera_start, make_path_step
 from warp_psdr.kernels.rng import Sampler, branch_of, sampler_at
 from warp_psdr.kernels.sight import make_sight
@@ -81,34 +82,26 @@ def rays_together(config: PathConfig) -> int:
 
 @functools.cache
 def make_trace_together(config: PathConfig):
-    """Return ``trace_together(scene, count, o, d, t_max, found)`` for up to ``rays_together`` rays of the camera.
+    """Return ``trace_together(scene, count, rows, rays, found)`` for up to ``rays_together`` rays of the camera.
 
-    The arrays have that many entries, of which ``count`` are rays: vec3, vec3, float32; ``found`` are ``RayHit``. A few
-    are traced one by one.
+    ``rays`` is the first row of their ``Ray``, of which those behind the ``count``-th are traced for nothing;
+    ``found`` that of their ``RayHit``. A few are traced one by one.
     """
-    lanes = rays_together(config)
-    closest_hits, _any_hits = make_bundle(config.ray_width)
-    closest_hit, _any_hit = make_intersect(config.ray_backend, config.ray_width)
+    width = config.ray_width
+    closest_hits, _any_hits = make_bundle(width)
+    closest_hit, _any_hit = make_intersect(config.ray_backend, width)
     sight = make_sight(config.hidden)
+    get_ray, _put_ray = make_record(Ray, width)
+    _get_hit, put_hit = make_record(RayHit, width)
 
     @wp.func
-    def trace_together(
-        scene: Scene,
-        count: wp.int32,
-        o: wp.array(dtype=wp.vec3),
-        d: wp.array(dtype=wp.vec3),
-        t_max: wp.array(dtype=wp.float32),
-        found: wp.array(dtype=RayHit),
-    ):
-        if 2 * count <= wp.static(lanes):
+    def trace_together(scene: Scene, count: wp.int32, rows: ROWS, rays: wp.int32, found: wp.int32):
+        if 2 * count <= wp.static(width):
             for i in range(count):
-                found[i] = closest_hit(sight(scene), o[i], d[i], t_max[i])
+                ray = get_ray(rows, rays, i, Ray())
+                put_hit(rows, found, i, closest_hit(sight(scene), ray.o, ray.d, ray.t_max))
         else:
-            for i in range(count, wp.static(lanes)):  # more of the last
-                o[i] = o[count - 1]
-                d[i] = d[count - 1]
-                t_max[i] = t_max[count - 1]
-            closest_hits(sight(scene), o, d, t_max, found)
+            closest_hits(sight(scene), rows, rays, found)
 
     return trace_together
 
@@ -127,6 +120,10 @@ def make_bundled_starts(config: PathConfig, filter_kind: int | None = None):
     lanes = rays_together(config)
     trace_together = make_trace_together(config) if lanes > 1 else None
 
+    _get_ray, put_ray = make_record(Ray, config.ray_width)
+    get_hit, _put_hit = make_record(RayHit, config.ray_width)
+    hit_row = words(Ray)
+
     @wp.func
     def start_together(
         scene: Scene,
@@ -138,21 +135,21 @@ def make_bundled_starts(config: PathConfig, filter_kind: int | None = None):
         starting: wp.array(dtype=PathState),
         cameras: wp.array(dtype=CameraSample),
     ):
-        o = wp.zeros(shape=(wp.static(lanes),), dtype=wp.vec3)
-        d = wp.zeros(shape=(wp.static(lanes),), dtype=wp.vec3)
-        t_max = wp.zeros(shape=(wp.static(lanes),), dtype=wp.float32)
-        seen = wp.zeros(shape=(wp.static(lanes),), dtype=RayHit)
+        ray = Ray()
         for i in range(count):
             state, sample = start(scene, camera, px, py, branch_of(sampler, wp.int32(sampler.index) + i))
             starting[i] = state
             cameras[i] = sample
-            o[i] = state.o
-            d[i] = state.d
-            t_max[i] = state.t_max
-        trace_together(scene, count, o, d, t_max, seen)
+            ray.o = state.o
+            ray.d = state.d
+            ray.t_max = state.t_max
+            put_ray(scene.rows, 0, i, ray)
+        for i in range(count, wp.static(lanes)):  # the last one once more
+            put_ray(scene.rows, 0, i, ray)
+        trace_together(scene, count, scene.rows, 0, hit_row)
         for i in range(count):
             state = starting[i]
-            state.seen = seen[i]
+            state.seen = get_hit(scene.rows, hit_row, i, RayHit())
             starting[i] = state
 
     @wp.func

@@ -133,10 +133,6 @@ def make_lane_paths(
         met: wp.int32,
         rows: ROWS,
     ):
-        o = wp.zeros(shape=(wp.static(width),), dtype=wp.vec3)
-        d = wp.zeros(shape=(wp.static(width),), dtype=wp.vec3)
-        t_max = wp.zeros(shape=(wp.static(width),), dtype=wp.float32)
-        seen = wp.zeros(shape=(wp.static(width),), dtype=RayHit)
         count = bundle.pixels * bundle.samples
         j = wp.int32(0)
         seat = Seat()
@@ -162,18 +158,7 @@ def make_lane_paths(
             cameras.put(rows, j, sample)
             sums.put(rows, j, Sum())
             j += 1
-        j = wp.int32(0)
-        while j < count:
-            state = states.get(rows, j)
-            o[j] = state.o
-            d[j] = state.d
-            t_max[j] = state.t_max
-            j += 1
-        trace_together(scene, count, o, d, t_max, seen)
-        j = wp.int32(0)
-        while j < count:
-            hits.put(rows, j, seen[j])
-            j += 1
+        trace_together(scene, count, rows, ray_row, hit_row)
 
     @wp.func
     def draw_numbers(depth: wp.int32, rows: ROWS):

@@ -11,7 +11,8 @@ import warp_psdr as psdr
 from tests.ray_helpers import KINDS, MESHES, assert_same_hits, make_rays, unit
 from warp_psdr.acceleration import Accelerator, host_width
 from warp_psdr.kernels.bvh.bundle import make_bundle, make_together
-from warp_psdr.kernels.bvh.wide import WIDTHS, Accel, RayHit, make_intersect
+from warp_psdr.kernels.bvh.wide import WIDTHS, Accel, AnyHit, Ray, RayHit, make_intersect
+from warp_psdr.kernels.lanes import make_record, words
 
 SCENE = Path(__file__).resolve().parents[1] / "scenes" / "cornell_box.xml"
 FAR = 1.0e18
@@ -26,14 +27,18 @@ def make_kernel(width):
     closest_hit, any_hit = make_intersect("wide", width)
     closest_hits, any_hits = make_bundle(width)
     closest_together, any_together = make_together(width)
+    _get_ray, put_ray = make_record(Ray, width)
+    get_hit, _put_hit = make_record(RayHit, width)
+    get_any, _put_any = make_record(AnyHit, width)
+    hit_row = words(Ray)
+    any_row = hit_row + words(RayHit)
+    size = (any_row + words(AnyHit)) * width
 
     @wp.kernel(module="unique", enable_backward=False)
     def trace(
         # In:
         accel: Accel,
-        origins: wp.array(dtype=wp.vec3),
-        directions: wp.array(dtype=wp.vec3),
-        limits: wp.array(dtype=wp.float32),
+        rays: wp.array(dtype=Ray),
         # Out:
         single_out: wp.array(dtype=RayHit),
         single_any_out: wp.array(dtype=wp.bool),
@@ -41,25 +46,20 @@ def make_kernel(width):
         any_out: wp.array(dtype=wp.bool),
         together_out: wp.array(dtype=wp.bool),
     ):
-        o = wp.zeros(shape=(wp.static(width),), dtype=wp.vec3)
-        d = wp.zeros(shape=(wp.static(width),), dtype=wp.vec3)
-        t_max = wp.zeros(shape=(wp.static(width),), dtype=wp.float32)
-        hits = wp.zeros(shape=(wp.static(width),), dtype=RayHit)
-        found = wp.zeros(shape=(wp.static(width),), dtype=wp.bool)
+        rows = wp.zeros(shape=(wp.static(size),), dtype=wp.uint32)
         first = wp.tid() * wp.static(width)
-        for i in range(o.shape[0]):
-            o[i] = origins[first + i]
-            d[i] = directions[first + i]
-            t_max[i] = limits[first + i]
-            single_out[first + i] = closest_hit(accel, o[i], d[i], t_max[i])
-            single_any_out[first + i] = any_hit(accel, o[i], d[i], t_max[i])
-        together = closest_together(accel, o, d, t_max, hits)
-        together_out[wp.tid()] = together and any_together(accel, o, d, t_max, found)
-        closest_hits(accel, o, d, t_max, hits)
-        any_hits(accel, o, d, t_max, found)
-        for i in range(o.shape[0]):
-            hits_out[first + i] = hits[i]
-            any_out[first + i] = found[i]
+        for i in range(wp.static(width)):
+            ray = rays[first + i]
+            put_ray(rows, 0, i, ray)
+            single_out[first + i] = closest_hit(accel, ray.o, ray.d, ray.t_max)
+            single_any_out[first + i] = any_hit(accel, ray.o, ray.d, ray.t_max)
+        together = closest_together(accel, rows, 0, hit_row)
+        together_out[wp.tid()] = together and any_together(accel, rows, 0, any_row)
+        closest_hits(accel, rows, 0, hit_row)
+        any_hits(accel, rows, 0, any_row)
+        for i in range(wp.static(width)):
+            hits_out[first + i] = get_hit(rows, hit_row, i, RayHit())
+            any_out[first + i] = get_any(rows, any_row, i, AnyHit()).hit != 0
 
     return trace
 
@@ -69,10 +69,10 @@ def trace_both(vertices, faces, width, origins, directions, limits):
     points = wp.array(np.asarray(vertices, np.float32).reshape(-1, 3), dtype=wp.vec3, device="cpu")
     indices = wp.array(np.asarray(faces, np.int32).reshape(-1), dtype=wp.int32, device="cpu")
     accelerator = Accelerator(points, indices, "cpu", "wide", width=width)
-    rays = [wp.array(np.asarray(a, np.float32), dtype=wp.vec3, device="cpu") for a in (origins, directions)]
-    limits = np.broadcast_to(np.asarray(limits, np.float32), len(origins))
-    inputs = [accelerator.data, *rays, wp.array(limits, dtype=wp.float32, device="cpu")]
     n = len(origins)
+    rays = np.zeros(n, Ray.numpy_dtype())
+    rays["o"], rays["d"], rays["t_max"] = origins, directions, limits
+    inputs = [accelerator.data, wp.array(rays, dtype=Ray, device="cpu")]
     sizes = [(n, RayHit), (n, wp.bool), (n, RayHit), (n, wp.bool), (n // width, wp.bool)]
     out = [wp.zeros(size, dtype=dtype, device="cpu") for size, dtype in sizes]
     wp.launch(make_kernel(width), n // width, inputs, out, device="cpu")

@@ -22,7 +22,7 @@ from warp_psdr.acceleration import Accelerator, host_width
 from warp_psdr.kernels.bvh.bundle import make_bundle
 from warp_psdr.kernels.bvh.each import make_each
 from warp_psdr.kernels.bvh.wide import Accel, RayHit, make_intersect
-from warp_psdr.kernels.lanes import make_record
+from warp_psdr.kernels.lanes import ROWS
 
 
 def box36() -> tuple[np.ndarray, np.ndarray]:
@@ -74,6 +74,8 @@ CASES = {
 SETTLE = 0.05
 #: Ray sets for which Embree is told that rays are coherent, and which the wide BVH traces in bundles.
 COHERENT = ("camera", "shadow")
+#: Rows of a group of rays in memory; those of the mark of rays that are wanted, and of the hits, behind the rays.
+ROWS_OF_RAYS, WANTED, FOUND = 12, 7, 8
 
 
 def make_rays(name: str, count: int, trace) -> dict[str, tuple[np.ndarray, np.ndarray, float]]:
@@ -150,122 +152,78 @@ class WarpQueries:
             i = first + wp.tid()
             hits_out[i] = any_hit(accel, origin[i], direction[i], t_max)
 
-        single = {"closest": (closest_kernel, RayHit, 1), "any": (any_kernel, wp.bool, 1)}
-        self._kernels = {False: single, True: single}
+        self._single = {"closest": (closest_kernel, RayHit), "any": (any_kernel, wp.bool)}
+        self._in_rows = {}
+        self._width = self.accelerator.width
         if backend == "wide":
-            w = self.accelerator.width
-            self._kernels[True] = {
-                "closest": (_make_bundle_kernel(0, RayHit, w), RayHit, w),
-                "any": (_make_bundle_kernel(1, wp.bool, w), wp.bool, w),
-            }
+            self._in_rows[True] = [_make_rows_kernel(of_all, self._width) for of_all in make_bundle(self._width)]
             if self.accelerator.data.below_root > 0:
-                self._kernels[False] = {
-                    "closest": (_make_each_kernel(0, RayHit, w), RayHit, w),
-                    "any": (_make_each_kernel(1, AnyHit, w), AnyHit, w),
-                }
+                self._in_rows[False] = [_make_rows_kernel(_wanted(q), self._width) for q in make_each(self._width)]
         self._threads = threads
         # Not closed: idle threads, and the process ends with the benchmark.
         self._pool = concurrent.futures.ThreadPoolExecutor(threads)
 
     def load(self, origins, directions, t_max, coherent=False):
-        """Move a ray set to Warp; ``coherent`` makes the wide BVH trace bundles."""
-        self._rays = (wp.array(origins, dtype=wp.vec3, device="cpu"), wp.array(directions, dtype=wp.vec3, device="cpu"))
-        self._t_max = t_max
-        self._queries = self._kernels[coherent]
-        self._out = {k: wp.zeros(len(origins), dtype=q[1], device="cpu") for k, q in self._queries.items()}
+        """Move a ray set to Warp, where they are traced in rows, in rows; ``coherent``: the wide BVH traces bundles."""
+        kernels, self._count = self._in_rows.get(coherent), len(origins)
+        if kernels:
+            width = self._width
+            of_row = np.minimum(np.arange(-(-self._count // width) * width), self._count - 1).reshape(-1, 1, width)
+            rays = np.zeros((len(of_row), ROWS_OF_RAYS, width), np.uint32)
+            rays[:, :3] = origins.view(np.uint32)[of_row, np.arange(3)[:, None]]
+            rays[:, 3:6] = directions.view(np.uint32)[of_row, np.arange(3)[:, None]]
+            rays[:, 6] = np.float32(t_max).view(np.uint32)
+            rays[:, WANTED] = 1
+            self._rows = wp.array(rays.reshape(-1), dtype=wp.uint32, device="cpu")
+            self._queries = {q: (k, [], self._rows) for q, k in zip(("closest", "any"), kernels, strict=True)}
+        else:
+            inputs = [wp.array(a, dtype=wp.vec3, device="cpu") for a in (origins, directions)]
+            self._rows = None
+            self._queries = {
+                query: (kernel, [*inputs, t_max], wp.zeros(self._count, dtype=dtype, device="cpu"))
+                for query, (kernel, dtype) in self._single.items()
+            }
 
-    def run(self, query: str) -> np.ndarray:
+    def run(self, query: str) -> None:
         """Trace the loaded rays."""
-        out = self._out[query]
-        kernel, _dtype, rays = self._queries[query]
-        launches = -(-out.shape[0] // rays)
+        kernel, inputs, out = self._queries[query]
+        launches = self._count if self._rows is None else -(-self._count // self._width)
         tile = -(-launches // (2 * self._threads))
 
         def launch(first):
-            inputs = [self.accelerator.data, *self._rays, self._t_max, rays * first]
-            wp.launch(kernel, min(tile, launches - first), inputs, [out], device="cpu")
+            count = min(tile, launches - first)
+            wp.launch(kernel, count, [self.accelerator.data, *inputs, first], [out], device="cpu")
 
         list(self._pool.map(launch, range(0, launches, tile)))
-        return out.numpy()
+
+    def found(self, query: str) -> np.ndarray:
+        """Return what the last run of a query found: hits with ``t`` and ``face``, or whether there are any."""
+        if self._rows is None:
+            return self._queries[query][2].numpy()
+        rows = self._rows.numpy().reshape(-1, ROWS_OF_RAYS, self._width)[:, FOUND:].transpose(0, 2, 1)
+        rows = np.ascontiguousarray(rows.reshape(-1, 4)[: self._count])
+        return rows.view(RayHit.numpy_dtype())[:, 0] if query == "closest" else rows[:, 0] != 0
 
 
-def _make_bundle_kernel(query: int, dtype: type, width: int):
-    """Return the kernel that traces ``width`` rays a thread; query 0: closest hits, 1: any hits."""
-    hits = make_bundle(width)[query]
+def _wanted(of_each):
+    """Return the query ``of_each`` of ``each.py`` with the arguments of those of ``bundle.py``."""
 
-    @wp.kernel(module="unique", enable_backward=False)
-    def bundle_kernel(
-        accel: Accel,
-        origin: wp.array(dtype=wp.vec3),
-        direction: wp.array(dtype=wp.vec3),
-        t_max: wp.float32,
-        first: wp.int32,
-        hits_out: wp.array(dtype=dtype),
-    ):
-        o = wp.zeros(shape=(wp.static(width),), dtype=wp.vec3)
-        d = wp.zeros(shape=(wp.static(width),), dtype=wp.vec3)
-        limit = wp.zeros(shape=(wp.static(width),), dtype=wp.float32)
-        found = wp.zeros(shape=(wp.static(width),), dtype=dtype)
-        i = first + wp.tid() * wp.static(width)
-        for k in range(o.shape[0]):
-            j = wp.min(i + k, origin.shape[0] - 1)
-            o[k] = origin[j]
-            d[k] = direction[j]
-            limit[k] = t_max
-        hits(accel, o, d, limit, found)
-        for k in range(wp.min(o.shape[0], origin.shape[0] - i)):
-            hits_out[i + k] = found[k]
+    @wp.func
+    def of_all(accel: Accel, rows: ROWS, rays: wp.int32, found: wp.int32):
+        of_each(accel, rows, rays, rays + wp.static(WANTED), found)
 
-    return bundle_kernel
+    return of_all
 
 
-@wp.struct
-class Ray:
-    """A ray in rows."""
-
-    o: wp.vec3
-    d: wp.vec3
-    t_max: wp.float32
-    wanted: wp.int32
-
-
-@wp.struct
-class AnyHit:
-    """The result of an any-hit query in rows."""
-
-    hit: wp.int32
-
-
-def _make_each_kernel(query: int, record, width: int):
-    """Return the kernel that traces ``width`` rays of any directions a thread; query 0: closest hits, 1: any hits."""
-    of_each = make_each(width)[query]
-    _, put_ray = make_record(Ray, width)
-    get_hit, _ = make_record(record, width)
+def _make_rows_kernel(of_all, width: int):
+    """Return the kernel that traces ``width`` rays a thread, which lie in rows, and leaves the hits there."""
 
     @wp.kernel(module="unique", enable_backward=False)
-    def each_kernel(
-        accel: Accel,
-        origin: wp.array(dtype=wp.vec3),
-        direction: wp.array(dtype=wp.vec3),
-        t_max: wp.float32,
-        first: wp.int32,
-        hits_out: wp.array(dtype=record),
-    ):
-        rows = wp.zeros(shape=(wp.static(12 * width),), dtype=wp.uint32)
-        i = first + wp.tid() * wp.static(width)
-        for k in range(wp.static(width)):
-            ray = Ray()
-            if i + k < origin.shape[0]:
-                ray.o = origin[i + k]
-                ray.d = direction[i + k]
-                ray.t_max = t_max
-                ray.wanted = 1
-            put_ray(rows, 0, k, ray)
-        of_each(accel, rows, 0, 7, 8)
-        for k in range(wp.min(wp.static(width), origin.shape[0] - i)):
-            hits_out[i + k] = get_hit(rows, 8, k, record())
+    def rows_kernel(accel: Accel, first: wp.int32, rows_out: ROWS):
+        rays = wp.static(ROWS_OF_RAYS) * (first + wp.tid())
+        of_all(accel, rows_out, rays, rays + wp.static(FOUND))
 
-    return each_kernel
+    return rows_kernel
 
 
 class EmbreeQueries:
@@ -303,7 +261,6 @@ class EmbreeQueries:
             result = (hit.t, hit.prim_uv, hit.prim_index)
         self._dr.eval(result)
         self._dr.sync_thread()
-        return result
 
 
 def main() -> None:
@@ -336,7 +293,8 @@ def main() -> None:
 
         def trace(o, d, t_max, wide=wide, vertices=vertices, faces=faces):
             wide.load(o, d, t_max)
-            hits = wide.run("closest")
+            wide.run("closest")
+            hits = wide.found("closest")
             corner = vertices[faces[np.maximum(hits["face"], 0)]]
             normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
             normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1.0e-30)
@@ -361,7 +319,8 @@ def main() -> None:
                         a / b for a, b in zip(seconds[k], seconds["wide"], strict=True)
                     )
                 rows.append(row)
-                hits = float((wide.run("closest")["face"] >= 0).mean())
+                found = wide.found(query)
+                hits = float((found["face"] >= 0 if query == "closest" else found).mean())
                 text = "  ".join(f"{k} {v:6.2f}" for k, v in row.items() if isinstance(v, float))
                 print(f"  {rays:7s} {query:8s} {text}  (hits {hits:.0%}; M rays/s)", flush=True)
     if arguments.json:

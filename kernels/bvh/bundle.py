@@ -19,6 +19,8 @@ several are hit at one distance in a tree: which one is met there depends on the
 
 Rays whose directions differ in the sign of a component or in the largest one, and rays that are not finite, are not
 traced together: the query returns False, and the caller traces them one by one.
+
+Rays and hits lie in rows, one for each number, as ``lanes.py`` has it.
 """
 
 import functools
@@ -26,7 +28,8 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.bvh.simd import BARYCENTRICS, DISTANCE, EDGES, ORDER, TYPES
-from warp_psdr.kernels.bvh.wide import Accel, RayHit, make_intersect, native
+from warp_psdr.kernels.bvh.wide import Accel, AnyHit, Ray, RayHit, make_intersect, native
+from warp_psdr.kernels.lanes import ROWS, make_record
 
 #: Reads one corner for all lanes, where a single ray reads one lane's corner each.
 EDGES_OF_ONE = EDGES.replace("Simd::load(packet", "Simd::splat(corner")
@@ -34,7 +37,6 @@ EDGES_OF_ONE = EDGES.replace("Simd::load(packet", "Simd::splat(corner")
 _START = (
     TYPES
     + """
-    typedef __typeof__(*found_out.data) Found;
     struct Bundle {
     // Smallest and largest lane. As integers: a reduction of floats is a chain.
     static int order(int bits) { return bits ^ ((bits >> 31) & 0x7fffffff); }
@@ -49,20 +51,15 @@ _START = (
     static bool none(vi a) { return Simd::mask(a) == 0; }
 
     static __attribute__((noinline, min_vector_width($BITS))) bool run(
-        const float* nodes, const float* packets, int flat, const float* center, float extent,
-        const float* origins, const float* directions, const float* limits, Found* found)
+        const float* nodes, const float* packets, int flat, const float* center, float extent, const float* rays,
+        float* found)
     {
     #pragma clang fp contract(off)
-    vf ray_o[3], ray_d[3], size[3], from_c[3], t_best, farthest = 0.0f;
-    for (int i = 0; i < $W; ++i) {
-        t_best[i] = limits[i];
-        for (int axis = 0; axis < 3; ++axis) {
-            ray_o[axis][i] = origins[3 * i + axis];
-            ray_d[axis][i] = directions[3 * i + axis];
-        }
-    }
+    vf ray_o[3], ray_d[3], size[3], from_c[3], t_best = *(const row*)(rays + 6 * $W), farthest = 0.0f;
     vf sum = t_best;
     for (int axis = 0; axis < 3; ++axis) {
+        ray_o[axis] = *(const row*)(rays + axis * $W);
+        ray_d[axis] = *(const row*)(rays + (3 + axis) * $W);
         size[axis] = Simd::abs(ray_d[axis]);
         sum += ray_o[axis] + ray_d[axis];
         from_c[axis] = ray_o[axis] - center[axis];
@@ -222,8 +219,10 @@ _CLOSEST = (
 """
     + BARYCENTRICS
     + """
-    for (int i = 0; i < $W; ++i)
-        found[i] = which[i] < 0 ? Found{t_best[i], 0.0f, 0.0f, -1} : Found{t_best[i], u_best[i], v_best[i], faces[i]};
+    *(row*)found = t_best;
+    *(row*)(found + $W) = winner < 0 ? vf(0.0f) : u_best;
+    *(row*)(found + 2 * $W) = winner < 0 ? vf(0.0f) : v_best;
+    *(int_row*)(found + 3 * $W) = faces;
     return true;
     }
     };
@@ -258,8 +257,7 @@ _ANY = (
 """
     + _NEXT
     + """
-    for (int i = 0; i < $W; ++i)
-        found[i] = blocked[i] != 0;
+    *(int_row*)found = blocked & 1;
     return true;
     }
     };
@@ -269,7 +267,7 @@ _ANY = (
 _CALL = """
     return accel.packets != 0
         && Bundle::run((const float*)accel.nodes, (const float*)accel.packets, accel.flat, accel.center.c,
-                       accel.extent, (const float*)o.data, (const float*)d.data, t_max.data, found_out.data);
+                       accel.extent, (const float*)rows.data + rays * $W, (float*)rows.data + found * $W);
 """
 
 
@@ -283,22 +281,10 @@ def make_together(width: int) -> tuple[wp.Function, wp.Function]:
         width: Rays and SIMD lanes, one of ``WIDTHS``.
     """
 
-    def closest_together(
-        accel: Accel,
-        o: wp.array(dtype=wp.vec3),
-        d: wp.array(dtype=wp.vec3),
-        t_max: wp.array(dtype=wp.float32),
-        found_out: wp.array(dtype=RayHit),
-    ) -> wp.bool:
+    def closest_together(accel: Accel, rows: ROWS, rays: wp.int32, found: wp.int32) -> wp.bool:
         return wp.bool(False)  # Warp takes the type from here; the snippet is what runs
 
-    def any_together(
-        accel: Accel,
-        o: wp.array(dtype=wp.vec3),
-        d: wp.array(dtype=wp.vec3),
-        t_max: wp.array(dtype=wp.float32),
-        found_out: wp.array(dtype=wp.bool),
-    ) -> wp.bool:
+    def any_together(accel: Accel, rows: ROWS, rays: wp.int32, found: wp.int32) -> wp.bool:
         return wp.bool(False)
 
     return (
@@ -311,37 +297,34 @@ def make_together(width: int) -> tuple[wp.Function, wp.Function]:
 def make_bundle(width: int) -> tuple[wp.Function, wp.Function]:
     """Make the queries ``closest_hits`` and ``any_hits`` of the wide BVH.
 
-    Both take ``(accel: Accel, o, d, t_max, found_out)``, arrays of ``width`` vec3, vec3, float32, and ``RayHit`` or
-    bool, and find what the queries of ``make_intersect`` find.
+    Both take ``(accel: Accel, rows, rays: int, found: int)``, as the queries of ``each.py`` do: an array of uint32,
+    ``width`` words a row; the first of seven rows with origins, directions and largest distances; and the first row of
+    what is found: for closest hits the four of ``RayHit``, for any hit one, 1 where there is a hit. They find what the
+    queries of ``make_intersect`` find.
 
     Args:
         width: Rays and SIMD lanes, one of ``WIDTHS``.
     """
     closest_together, any_together = make_together(width)
     closest_hit, any_hit = make_intersect("wide", width)
+    get_ray, _ = make_record(Ray, width)
+    _, put_hit = make_record(RayHit, width)
+    _, put_any = make_record(AnyHit, width)
 
     @wp.func
-    def closest_hits(
-        accel: Accel,
-        o: wp.array(dtype=wp.vec3),
-        d: wp.array(dtype=wp.vec3),
-        t_max: wp.array(dtype=wp.float32),
-        found_out: wp.array(dtype=RayHit),
-    ):
-        if not closest_together(accel, o, d, t_max, found_out):
-            for i in range(o.shape[0]):
-                found_out[i] = closest_hit(accel, o[i], d[i], t_max[i])
+    def closest_hits(accel: Accel, rows: ROWS, rays: wp.int32, found: wp.int32):
+        if not closest_together(accel, rows, rays, found):
+            for i in range(wp.static(width)):
+                ray = get_ray(rows, rays, i, Ray())
+                put_hit(rows, found, i, closest_hit(accel, ray.o, ray.d, ray.t_max))
 
     @wp.func
-    def any_hits(
-        accel: Accel,
-        o: wp.array(dtype=wp.vec3),
-        d: wp.array(dtype=wp.vec3),
-        t_max: wp.array(dtype=wp.float32),
-        found_out: wp.array(dtype=wp.bool),
-    ):
-        if not any_together(accel, o, d, t_max, found_out):
-            for i in range(o.shape[0]):
-                found_out[i] = any_hit(accel, o[i], d[i], t_max[i])
+    def any_hits(accel: Accel, rows: ROWS, rays: wp.int32, found: wp.int32):
+        if not any_together(accel, rows, rays, found):
+            for i in range(wp.static(width)):
+                ray = get_ray(rows, rays, i, Ray())
+                hit = AnyHit()
+                hit.hit = wp.where(any_hit(accel, ray.o, ray.d, ray.t_max), 1, 0)
+                put_any(rows, found, i, hit)
 
     return closest_hits, any_hits

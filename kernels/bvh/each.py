@@ -18,15 +18,12 @@ import warp as wp
 
 from warp_psdr.kernels.bvh.simd import BARYCENTRICS, DISTANCE, EDGES, NEAREST, TYPES
 from warp_psdr.kernels.bvh.wide import Accel, native
+from warp_psdr.kernels.lanes import ROWS
 
-# Rows may lie anywhere, and are words of another type to everybody else.
 _START = (
     TYPES
     + """
     struct Each {
-    typedef float row __attribute__((ext_vector_type($W), aligned(4), may_alias));
-    typedef int int_row __attribute__((ext_vector_type($W), aligned(4), may_alias));
-
     static __attribute__((noinline, min_vector_width($BITS))) void run(
         const float* nodes, const float* packets, int count, const float* center, float extent, const float* rays,
         const int* wanted, float* found)
@@ -201,12 +198,10 @@ def make_each(width: int) -> tuple[wp.Function, wp.Function]:
         width: Rays and SIMD lanes, one of ``WIDTHS``.
     """
 
-    def closest_of_each(
-        accel: Accel, rows: wp.array(dtype=wp.uint32), rays: wp.int32, wanted: wp.int32, found: wp.int32
-    ):
+    def closest_of_each(accel: Accel, rows: ROWS, rays: wp.int32, wanted: wp.int32, found: wp.int32):
         return  # the snippet is what runs
 
-    def any_of_each(accel: Accel, rows: wp.array(dtype=wp.uint32), rays: wp.int32, wanted: wp.int32, found: wp.int32):
+    def any_of_each(accel: Accel, rows: ROWS, rays: wp.int32, wanted: wp.int32, found: wp.int32):
         return
 
     return (

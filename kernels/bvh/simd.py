@@ -13,6 +13,9 @@ TYPES = """
     typedef double vd __attribute__((ext_vector_type($W)));
     typedef int i4 __attribute__((ext_vector_type(4)));
     typedef unsigned int u32;
+    // Rows of ``lanes.py`` may lie anywhere, and are words of another type to everybody else.
+    typedef float row __attribute__((ext_vector_type($W), aligned(4), may_alias));
+    typedef int int_row __attribute__((ext_vector_type($W), aligned(4), may_alias));
     struct Simd {
 #define INLINE inline __attribute__((always_inline))
         static INLINE vf load(const float* p) { return *(const vf*)p; }

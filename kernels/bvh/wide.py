@@ -79,6 +79,15 @@ class Accel:
 
 
 @wp.struct
+class Ray:
+    """A ray up to the distance ``t_max`` (in units of the direction's length)."""
+
+    o: wp.vec3
+    d: wp.vec3
+    t_max: wp.float32
+
+
+@wp.struct
 class RayHit:
     """A hit at distance ``t`` (in units of the direction's length): point = (1 - u - v) p0 + u p1 + v p2."""
 
@@ -86,6 +95,13 @@ class RayHit:
     u: wp.float32
     v: wp.float32
     face: wp.int32  # -1: miss
+
+
+@wp.struct
+class AnyHit:
+    """Whether there is a hit, in a word."""
+
+    hit: wp.int32
 
 
 def stack_size(width: int) -> int:
