@@ -41,17 +41,19 @@ class LightLanes(NamedTuple):
     Attributes:
         choose: ``(scene, rows)`` chooses lights by the random numbers in the rows 0 and 1.
         draw: ``(scene, rows)`` draws points on them by those in the rows 2 and 3, and computes the estimates.
+        triangles: the records of the area lights' triangles.
+        samples: the points, ``LightSample``.
         events: the estimates, ``NextEvent``.
     """
 
     choose: wp.Function
     draw: wp.Function
+    triangles: Rows
+    samples: Rows
     events: Rows
 
 
-def make_light_lanes(
-    config: PathConfig, differential: bool, width: int, first: int, places: Rows, triangles: Rows
-) -> LightLanes:
+def make_light_lanes(config: PathConfig, differential: bool, width: int, first: int, places: Rows) -> LightLanes:
     """Make the functions.
 
     Args:
@@ -60,13 +62,14 @@ def make_light_lanes(
         width: number of lanes.
         first: the first row that they may take; the last one is the last of ``events``.
         places: where the paths stand, ``Place``.
-        triangles: rows to work in, ``Triangle``.
     """
     get_number, _put_number = make_number(width)
     fetch_triangle = make_fetch(Triangle, width)
     _pick, draw_one = make_light_draw(config)
     next_event = make_next_event(config, differential)
-    searches, chosen, samples, events = stack_rows(width, first, Search, Chosen, LightSample, NextEvent)
+    searches, chosen, triangles, samples, events = stack_rows(
+        width, first, Search, Chosen, Triangle, LightSample, NextEvent
+    )
     triangle_row, face_row = triangles.first, chosen.first + word_of(Chosen, "face")
 
     @wp.func
@@ -147,4 +150,4 @@ def make_light_lanes(
             events.put(rows, j, next_event(places.get(rows, j), samples.get(rows, j), c.light))
             j += 1
 
-    return LightLanes(choose, draw, events)
+    return LightLanes(choose, draw, triangles, samples, events)

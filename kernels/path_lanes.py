@@ -16,7 +16,7 @@ from warp_psdr.kernels.bvh.wide import RayHit, make_intersect
 from warp_psdr.kernels.camera import CameraSample
 from warp_psdr.kernels.camera_rays import Bundle, column_of, make_trace_together, row_of
 from warp_psdr.kernels.constants import BSDF_DIFFUSE
-from warp_psdr.kernels.lanes import ROOM, ROWS, make_number, make_record, stack_rows, word_of, words
+from warp_psdr.kernels.lanes import ROWS, Rows, make_number, make_record, stack_rows, word_of, words
 from warp_psdr.kernels.light_lanes import make_light_lanes
 from warp_psdr.kernels.math import where3
 from warp_psdr.kernels.path import make_camera_starts, vertex_of
@@ -29,8 +29,8 @@ from warp_psdr.kernels.scattering import (
     make_scatter,
     samples_lights,
 )
-from warp_psdr.kernels.structs import Camera, Scene
-from warp_psdr.kernels.vertex import PathConfig, PathState, PathVertex
+from warp_psdr.kernels.structs import Camera, Scene, Triangle
+from warp_psdr.kernels.vertex import PathConfig, PathState, PathVertex, Stood
 
 #: Rows of random numbers: for next-event estimation, for scattering.
 NUMBERS = 8
@@ -61,12 +61,21 @@ class Sum:
     vertices: wp.int32
 
 
+@wp.struct
+class Kept:
+    """A vertex and what belongs to it; ``light`` and ``stood`` may be anything where it does not scatter."""
+
+    vertex: PathVertex
+    tri: Triangle
+    light: Triangle
+    stood: Stood
+
+
 class LanePaths(NamedTuple):
     """Functions that trace paths side by side; all take ``Scene.rows``.
 
     Attributes:
         width: number of lanes.
-        fit: whether there are rows enough; else none of them may be called.
         start: ``(scene, camera, pixels, bundle, met, rows)`` starts the samples of a bundle, and traces their camera
             rays; ``met`` as in ``PathState``.
         step: ``(scene, depth, max_depth, rr_depth, rows) -> int``: one vertex of every path, behind ``depth`` others;
@@ -74,15 +83,20 @@ class LanePaths(NamedTuple):
         gathered: ``(rows, j) -> Sum`` of the j-th path.
         camera: ``(rows, j) -> CameraSample``.
         vertex: ``(rows, j, n) -> PathVertex``, its n-th vertex; None if none are kept.
+        record: ``(rows, j, n) -> Kept``, and what is kept with it; None if no such things are.
+        seats: ``Seat``, the paths' samples.
+        end: the first row that is free; if there are fewer, none of the functions may be called.
     """
 
     width: int
-    fit: bool
     start: wp.Function
     step: wp.Function
     gathered: wp.Function
     camera: wp.Function
     vertex: wp.Function | None
+    record: wp.Function | None
+    seats: Rows
+    end: int
 
 
 def side_by_side(config: PathConfig) -> bool:
@@ -95,11 +109,16 @@ def side_by_side(config: PathConfig) -> bool:
 
 @functools.cache
 def make_lane_paths(
-    config: PathConfig, differential: bool, sparse: bool = False, filter_kind: int | None = None, kept: int = 0
+    config: PathConfig,
+    differential: bool,
+    sparse: bool = False,
+    filter_kind: int | None = None,
+    kept: int = 0,
+    whole: bool = False,
 ) -> LanePaths:
     """Make the functions; arguments as those of ``make_path_step`` and ``make_camera_starts``.
 
-    ``kept``: number of vertices that are kept of a path; none has more.
+    ``kept``: number of vertices that are kept of a path; none has more. ``whole``: their ``Kept``.
     """
     width = config.ray_width
     closest_hit, any_hit = make_intersect(config.ray_backend, width)
@@ -112,17 +131,23 @@ def make_lane_paths(
     get_number, put_number = make_number(width)
 
     seats, states, hits, cameras, sums = stack_rows(width, NUMBERS, Seat, PathState, RayHit, CameraSample, Sum)
-    meet, collect, stand, choices, triangles, places, arrivals = make_place_lanes(config, width, sums.end, states, hits)
+    on_places = make_place_lanes(config, width, sums.end, states, hits)
+    choices, places, arrivals = on_places.choices, on_places.places, on_places.arrivals
     onwards, looks = stack_rows(width, arrivals.end, Onward, Look)
     end = looks.end
     if has_lights:
-        choose_lights, draw_lights, events = make_light_lanes(config, differential, width, end, places, triangles)
+        lights = make_light_lanes(config, differential, width, end, places)
+        events = lights.events
         shadow_row = events.first + word_of(NextEvent, "o")
         end = events.end
     hit_row, look_row, blocked_row = hits.first, looks.first, looks.first + word_of(Look, "blocked")
     ray_row, alive_row = (states.first + word_of(PathState, name) for name in ("o", "alive"))
-    vertex_row, vertex_words = end, words(PathVertex)
+    # The vertex is what comes first in both.
+    kept_row, kept_words = end, words(Kept if whole else PathVertex)
     get_vertex, put_vertex = make_record(PathVertex, width, aside=True)
+    get_kept, _put_kept = make_record(Kept, width, aside=True)
+    put_tri, put_stood = (make_record(record, width, aside=True)[1] for record in (Triangle, Stood))
+    tri_word, light_word, stood_word = (word_of(Kept, name) for name in ("tri", "light", "stood"))
 
     @wp.func
     def start(
@@ -233,6 +258,34 @@ def make_lane_paths(
                 j += 1
 
     @wp.func
+    def keep_rest(depth: wp.int32, rows: ROWS):
+        """In loops of their own: stores in several places provably meet neither each other nor what is read."""
+        first = kept_row + depth * kept_words
+        j = wp.int32(0)
+        while j < width:
+            put_tri(rows, first + tri_word, j, on_places.triangles.get(rows, j))
+            j += 1
+        if wp.static(has_lights):
+            j = wp.int32(0)
+            while j < width:
+                put_tri(rows, first + light_word, j, lights.triangles.get(rows, j))
+                j += 1
+        j = wp.int32(0)
+        while j < width:
+            place = places.get(rows, j)
+            surface = on_places.surfaces.get(rows, j)
+            stood = Stood()
+            stood.n = place.n
+            stood.side = on_places.tints.get(rows, j).side
+            stood.length = surface.length
+            stood.uv = surface.uv
+            stood.c0 = place.material.c0
+            if wp.static(has_lights):
+                stood.radiance = lights.samples.get(rows, j).radiance
+            put_stood(rows, first + stood_word, j, stood)
+            j += 1
+
+    @wp.func
     def keep(depth: wp.int32, scattering: wp.bool, rows: ROWS):
         j = wp.int32(0)
         while j < width:
@@ -249,8 +302,10 @@ def make_lane_paths(
                 shadow = looks.get(rows, j)
                 lit = on and shadow.wanted == 1 and shadow.blocked == 0
             vertex = vertex_of(state, hit, arrival, lit, event, on, onward)
-            put_vertex(rows, vertex_row + depth * vertex_words, j, vertex)
+            put_vertex(rows, kept_row + depth * kept_words, j, vertex)
             j += 1
+        if wp.static(whole):
+            keep_rest(depth, rows)
 
     @wp.func
     def advance(scattering: wp.bool, rows: ROWS) -> wp.int32:
@@ -289,15 +344,15 @@ def make_lane_paths(
             if not last:
                 draw_numbers(depth, rows)
         trace(scene, depth, rows)
-        standing = meet(scene, rows)
+        standing = on_places.meet(scene, rows)
         scattering = standing > 0 and not last
-        collect(scene, rows)
+        on_places.collect(scene, rows)
         if wp.static(config.scatter):
             if scattering:
-                stand(scene, standing, rows)
+                on_places.stand(scene, standing, rows)
                 if wp.static(has_lights):
-                    choose_lights(scene, rows)
-                    draw_lights(scene, rows)
+                    lights.choose(scene, rows)
+                    lights.draw(scene, rows)
                 scatter_all(scene, rr_depth, rows)
                 if wp.static(has_lights):
                     look(scene, rows)
@@ -315,7 +370,12 @@ def make_lane_paths(
 
     @wp.func
     def vertex_at(rows: ROWS, j: wp.int32, n: wp.int32) -> PathVertex:
-        return get_vertex(rows, vertex_row + n * vertex_words, j, PathVertex())
+        return get_vertex(rows, kept_row + n * kept_words, j, PathVertex())
 
-    fit = end + kept * vertex_words <= ROOM
-    return LanePaths(width, fit, start, step, gathered, camera_of, vertex_at if kept else None)
+    @wp.func
+    def kept_at(rows: ROWS, j: wp.int32, n: wp.int32) -> Kept:
+        return get_kept(rows, kept_row + wp.clamp(n, 0, kept - 1) * kept_words, j, Kept())
+
+    end += kept * kept_words
+    vertex, record = vertex_at if kept else None, kept_at if whole else None
+    return LanePaths(width, start, step, gathered, camera_of, vertex, record, seats, end)

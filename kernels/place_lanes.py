@@ -51,7 +51,9 @@ class PlaceLanes(NamedTuple):
         collect: ``(scene, rows)``: what the rays bring.
         stand: ``(scene, standing, rows)``: where the paths stand; ``standing`` is what ``meet`` returned.
         choices: ``Choice``.
-        triangles: ``Triangle``, those that paths stand on, until others are fetched there.
+        triangles: ``Triangle``, those that paths stand on.
+        surfaces: ``Surface``, at the same points.
+        tints: ``Tint``.
         places: ``Place``.
         arrivals: ``Arrival``.
     """
@@ -61,6 +63,8 @@ class PlaceLanes(NamedTuple):
     stand: wp.Function
     choices: Rows
     triangles: Rows
+    surfaces: Rows
+    tints: Rows
     places: Rows
     arrivals: Rows
 
@@ -155,4 +159,4 @@ def make_place_lanes(config: PathConfig, width: int, first: int, states: Rows, h
             places.put(rows, j, place_on(scene, triangles.get(rows, j), surface, found, states.get(rows, j).d))
             j += 1
 
-    return PlaceLanes(meet, collect, stand, choices, triangles, places, arrivals)
+    return PlaceLanes(meet, collect, stand, choices, triangles, surfaces, tints, places, arrivals)

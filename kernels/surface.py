@@ -21,6 +21,9 @@ from warp_psdr.kernels.reading import load_vec2, load_vec3, shape_at, triangle_a
 from warp_psdr.kernels.sink import make_sink, make_sink_vec3
 from warp_psdr.kernels.structs import Scene, Triangle
 
+#: Squared length below which interpolated normals cancel.
+CANCELLED = wp.constant(1.0e-20)
+
 
 @wp.func
 def point_on(tri: Triangle, u: wp.float32, v: wp.float32) -> wp.vec3:
@@ -38,6 +41,7 @@ class Surface:
     tangent: wp.vec3  # dp/du, only where an anisotropic model needs it
     uv: wp.vec2
     shape: wp.int32
+    length: wp.float32  # of the sum of vertex normals that n comes from, 0 where they cancel; -1: n is the triangle's
 
 
 @wp.struct
@@ -58,6 +62,15 @@ class VertexAdjoint:
 
 
 @wp.struct
+class Corners:
+    """Adjoints of a triangle's corners."""
+
+    p0: wp.vec3
+    p1: wp.vec3
+    p2: wp.vec3
+
+
+@wp.struct
 class RayAdjoint:
     """Adjoint of a ray's origin and direction, and the forward-mode sum collected on the way."""
 
@@ -67,14 +80,24 @@ class RayAdjoint:
 
 
 @wp.func
-def interpolated_normal(
-    n0: wp.vec3, n1: wp.vec3, n2: wp.vec3, u: wp.float32, v: wp.float32, fallback: wp.vec3
-) -> wp.vec3:
-    """Unit normal between three vertex normals; ``fallback`` where they cancel."""
-    n = (1.0 - u - v) * n0 + u * n1 + v * n2
+def interpolate(a: wp.vec3, b: wp.vec3, c: wp.vec3, u: wp.float32, v: wp.float32) -> wp.vec3:
+    """Sum of three corners' values, weighted by barycentrics."""
+    return (1.0 - u - v) * a + u * b + v * c
+
+
+@wp.func
+def length_of_normals(n: wp.vec3) -> wp.float32:
+    """Length of a sum of vertex normals; 0 where they cancel."""
     squared = wp.dot(n, n)
-    cancelled = squared < 1.0e-20
-    return where3(cancelled, fallback, (1.0 / wp.sqrt(wp.where(cancelled, 1.0, squared))) * n)
+    cancelled = squared < CANCELLED
+    return wp.where(cancelled, 0.0, wp.sqrt(wp.where(cancelled, 1.0, squared)))
+
+
+@wp.func
+def unit_normal(n: wp.vec3, length: wp.float32, fallback: wp.vec3) -> wp.vec3:
+    """A sum of vertex normals over its length; ``fallback`` where they cancel."""
+    some = length > 0.0
+    return where3(some, (1.0 / wp.where(some, length, 1.0)) * n, fallback)
 
 
 @wp.func
@@ -118,9 +141,31 @@ def tangent_dot(p0: wp.vec3, p1: wp.vec3, p2: wp.vec3, t0: wp.vec2, t1: wp.vec2,
 @wp.func
 def normalize_vjp(unit: wp.vec3, length: wp.float32, a: wp.vec3) -> wp.vec3:
     """Adjoint of r from the adjoint of r / |r| = unit: (a - unit (unit . a)) / |r|; 0 where r vanishes."""
-    if length <= 0.0:
-        return wp.vec3(0.0, 0.0, 0.0)
-    return (a - unit * wp.dot(unit, a)) / length
+    some = not length <= 0.0
+    across = (1.0 / wp.where(some, length, 1.0)) * (a - unit * wp.dot(unit, a))
+    return where3(some, across, wp.vec3(0.0, 0.0, 0.0))
+
+
+@wp.func
+def face_normal_vjp(tri: Triangle, orientation: wp.float32, a: wp.vec3) -> wp.vec3:
+    """Adjoint of the cross product c of a triangle's edges from that of its unit normal, orientation c / |c|."""
+    length = wp.length(wp.cross(tri.p1 - tri.p0, tri.p2 - tri.p0))
+    return normalize_vjp(tri.normal, length, orientation * a)
+
+
+@wp.func
+def corners_vjp(tri: Triangle, u: wp.float32, v: wp.float32, x: wp.vec3, c: wp.vec3) -> Corners:
+    """Adjoints of a triangle's corners from those of its point (u, v) and of the cross product of its edges."""
+    e1 = tri.p1 - tri.p0
+    e2 = tri.p2 - tri.p0
+    # c = e1 x e2: the triple product's rule.
+    a_e1 = wp.cross(e2, c)
+    a_e2 = wp.cross(c, e1)
+    corners = Corners()
+    corners.p0 = (1.0 - u - v) * x - (a_e1 + a_e2)
+    corners.p1 = u * x + a_e1
+    corners.p2 = v * x + a_e2
+    return corners
 
 
 @functools.cache
@@ -141,6 +186,7 @@ def make_surface_of(smooth: bool, flat: bool, uv: bool, tangent: bool):
         s.ng = tri.normal
         s.n = tri.normal
         s.shape = tri.shape
+        s.length = -1.0
         if wp.static(smooth or uv or tangent):
             shape = shape_at(scene, tri.shape)
             if wp.static(smooth):
@@ -151,8 +197,9 @@ def make_surface_of(smooth: bool, flat: bool, uv: bool, tangent: bool):
                     n0 = load_vec3(scene.values, shape.normal_offset + 3 * tri.i0)
                     n1 = load_vec3(scene.values, shape.normal_offset + 3 * tri.i1)
                     n2 = load_vec3(scene.values, shape.normal_offset + 3 * tri.i2)
-                    n = interpolated_normal(n0, n1, n2, u, v, shape.orientation * tri.normal)
-                    s.n = shape.orientation * n
+                    n = interpolate(n0, n1, n2, u, v)
+                    s.length = length_of_normals(n)
+                    s.n = shape.orientation * unit_normal(n, s.length, shape.orientation * tri.normal)
             if wp.static(uv or tangent):
                 s.uv = wp.vec2(u, v)
                 s.tangent = tri.p1 - tri.p0
@@ -208,12 +255,8 @@ def make_vertex_sink(role: str, smooth: bool, flat: bool, uv: bool, tangent: boo
         result = RayAdjoint()
         total = wp.float32(0.0)
         w = 1.0 - u - v
-        # Position: x = w p0 + u p1 + v p2.
         e1 = tri.p1 - tri.p0
         e2 = tri.p2 - tri.p0
-        a0 = w * adjoint.x
-        a1 = u * adjoint.x
-        a2 = v * adjoint.x
         a_u = adjoint.u
         a_v = adjoint.v
         a_c = adjoint.c
@@ -224,27 +267,21 @@ def make_vertex_sink(role: str, smooth: bool, flat: bool, uv: bool, tangent: boo
                 n0 = load_vec3(scene.values, shape.normal_offset + 3 * tri.i0)
                 n1 = load_vec3(scene.values, shape.normal_offset + 3 * tri.i1)
                 n2 = load_vec3(scene.values, shape.normal_offset + 3 * tri.i2)
-                n = w * n0 + u * n1 + v * n2
-                squared = wp.dot(n, n)
-                if squared > 1.0e-20:
-                    length = wp.sqrt(squared)
-                    b = normalize_vjp(n / length, length, shape.orientation * adjoint.n)
-                    total += sink3(target, shape.normal_offset + 3 * tri.i0, w * b)
-                    total += sink3(target, shape.normal_offset + 3 * tri.i1, u * b)
-                    total += sink3(target, shape.normal_offset + 3 * tri.i2, v * b)
-                    a_u += wp.dot(b, n1 - n0)
-                    a_v += wp.dot(b, n2 - n0)
+                n = interpolate(n0, n1, n2, u, v)
+                length = length_of_normals(n)
+                b = normalize_vjp(unit_normal(n, length, n), length, shape.orientation * adjoint.n)
+                total += sink3(target, shape.normal_offset + 3 * tri.i0, w * b)
+                total += sink3(target, shape.normal_offset + 3 * tri.i1, u * b)
+                total += sink3(target, shape.normal_offset + 3 * tri.i2, v * b)
+                a_u += wp.dot(b, n1 - n0)
+                a_v += wp.dot(b, n2 - n0)
         else:
             if wp.static(flat):
-                # n = orientation c / |c|
-                length = wp.length(wp.cross(e1, e2))
-                a_c += normalize_vjp(tri.normal, length, shape.orientation * adjoint.n)
-        # c = e1 x e2: the triple product's rule.
-        a_e1 = wp.cross(e2, a_c)
-        a_e2 = wp.cross(a_c, e1)
-        a0 -= a_e1 + a_e2
-        a1 += a_e1
-        a2 += a_e2
+                a_c += face_normal_vjp(tri, shape.orientation, adjoint.n)
+        corners = corners_vjp(tri, u, v, adjoint.x, a_c)
+        a0 = corners.p0
+        a1 = corners.p1
+        a2 = corners.p2
         # Texture coordinates and their tangent.
         if wp.static(uv or tangent):
             if shape.has_uv == 1:

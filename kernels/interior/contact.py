@@ -54,6 +54,7 @@ import warp as wp
 
 from warp_psdr.kernels.bvh.wide import make_intersect
 from warp_psdr.kernels.constants import EMITTER_AREA
+from warp_psdr.kernels.math import where3
 from warp_psdr.kernels.step import leaving_step
 from warp_psdr.kernels.structs import Scene
 from warp_psdr.kernels.surface import point_on
@@ -71,6 +72,41 @@ LEAST_SHARE = 0.4
 WAVER = 0.1
 #: In q's own widths: how far from its plane contacts are looked for, where its facet may be narrower than theirs.
 REACH = 4.0
+
+
+@wp.struct
+class Wedge:
+    """Two planes, and a connection between a point of each."""
+
+    n: wp.vec3  # normals that face the wedge between the planes
+    m: wp.vec3
+    p: wp.vec3
+    r: wp.vec3  # q - p
+    cosine: wp.float32  # of the angle between the normals, and its sine
+    sine: wp.float32
+    a: wp.float32  # distance of p from the plane of q
+    t: wp.float32  # s, or less where the planes are close to parallel
+
+
+@wp.func
+def wedge_between(n: wp.vec3, corner: wp.vec3, m: wp.vec3, o: wp.vec3, q: wp.vec3) -> Wedge:
+    """The planes have the normals n, through ``corner``, and m, through q; o is p or a step off it."""
+    w = Wedge()
+    w.p = o + wp.dot(n, corner - o) * n
+    w.r = q - w.p
+    w.n = where3(wp.dot(n, w.r) < 0.0, -n, n)
+    w.m = where3(wp.dot(m, w.r) > 0.0, -m, m)
+    w.cosine = wp.dot(w.n, w.m)
+    w.sine = wp.length(wp.cross(w.n, w.m))
+    w.a = -wp.dot(w.m, w.r)
+    w.t = w.a / wp.max(w.sine, LEAST_SINE)
+    return w
+
+
+@wp.func
+def may_touch(w: Wedge, rho_p: wp.float32, rho_q: wp.float32) -> wp.bool:
+    """Whether chi may not be 1; ``rho_p`` and ``rho_q`` are ``Scene.contact_ratio`` times the radii at p and q."""
+    return not (w.t >= rho_p or w.t >= REACH * rho_q or w.sine < PARALLEL)
 
 
 @functools.cache
@@ -100,42 +136,33 @@ def make_contact_weights(backend: str, width: int) -> tuple[wp.Function, wp.Func
     @wp.func
     def contact_weight(scene: Scene, p_face: wp.int32, q_face: wp.int32, o: wp.vec3, q: wp.vec3) -> wp.float32:
         """Weight chi of a connection with q that starts at o, on p's triangle or a step off it."""
-        n = scene.triangles[p_face].normal
-        m = scene.triangles[q_face].normal
-        p = o + wp.dot(n, scene.triangles[p_face].p0 - o) * n
-        r = q - p
-        if wp.dot(n, r) < 0.0:
-            n = -n
-        if wp.dot(m, r) > 0.0:
-            m = -m
-        # Both face the wedge between the two planes. In that of p, across their line:
-        cosine = wp.dot(n, m)
-        sine = wp.length(wp.cross(n, m))
-        a = -wp.dot(m, r)
-        t = a / wp.max(sine, LEAST_SINE)
+        near = scene.triangles[p_face]
+        w = wedge_between(near.normal, near.p0, scene.triangles[q_face].normal, o, q)
         rho = scene.contact_ratio * scene.radii[p_face]
-        if t >= rho or t >= REACH * scene.contact_ratio * scene.radii[q_face] or sine < PARALLEL:
+        if not may_touch(w, rho, scene.contact_ratio * scene.radii[q_face]):
             return 1.0
+        t = w.t
         step = wp.max(leaving_step(scene, p_face), leaving_step(scene, q_face))
-        if a + step * cosine > 0.0:
-            ahead = (cosine * n - m) / sine
-            back = (n - cosine * m) / sine
-            line = wp.cross(n, ahead)
-            s = a / sine
+        if w.a + step * w.cosine > 0.0:
+            # Across the line of both planes, in that of p and in that of q.
+            ahead = (w.cosine * w.n - w.m) / w.sine
+            back = (w.n - w.cosine * w.m) / w.sine
+            line = wp.cross(w.n, ahead)
+            s = w.a / w.sine
             reach = 2.0 * (s + rho)
             other = scene.triangles[q_face].shape
-            met = found_ahead(scene, p + wp.dot(r, line) * line, n, ahead, reach, step, other)
+            met = found_ahead(scene, w.p + wp.dot(w.r, line) * line, w.n, ahead, reach, step, other)
             if met < 0:
                 return 1.0
             own = scene.triangles[p_face].shape
-            left = found_ahead(scene, p + s * (ahead + back), m, -back, reach, step, own)
+            left = found_ahead(scene, w.p + s * (ahead + back), w.m, -back, reach, step, own)
             if left < 0:
                 return 1.0
             rho = wp.min(rho, scene.contact_ratio * wp.min(scene.radii[met], scene.radii[left]))
             if t >= rho:
                 return 1.0
         t /= rho
-        return wp.min(3.0 * t * t, wp.where(sine < LEAST_SINE, 1.0, 3.0))
+        return wp.min(3.0 * t * t, wp.where(w.sine < LEAST_SINE, 1.0, 3.0))
 
     @wp.func
     def weight_before(scene: Scene, vertex: PathVertex) -> wp.float32:

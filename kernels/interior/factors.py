@@ -96,11 +96,13 @@ def make_material_sink(config: PathConfig, wanted: Wanted, role: str):
 
 
 @functools.cache
-def make_light_sink(config: PathConfig, wanted: Wanted, role: str):
+def make_light_sink(config: PathConfig, wanted: Wanted, role: str, links: bool = True):
     """Return ``push_light(scene, target, vertex, x, f, w_f, a_wo, w) -> (adjoint of x, float)`` for the NEE factor.
 
-    ``radiance_of(scene, vertex, x)`` beside it gives the attached radiance of the sampled light.
+    ``radiance_of(scene, vertex, x)`` beside it gives the attached radiance of the sampled light. ``links=False``: the
+    connection with a point of an area light is the caller's to pull.
     """
+    corners = wanted.texcoords or (links and wanted.shapes)
     emitted = make_area(config.area).emitted if config.area else None
     lights = make_lights(config.lights, role, wanted.lights) if config.lights else None
     sample = lights.sample if lights else None
@@ -156,19 +158,17 @@ def make_light_sink(config: PathConfig, wanted: Wanted, role: str):
                     )
                     total += ta.dot
                     adjoint.uv = ta.uv
-                if wp.static(wanted.geometry):
+                if wp.static(links and wanted.geometry):
                     tri = scene.triangles[face]
                     y = point_on(tri, vertex.light_u, vertex.light_v)
                     cross = wp.cross(tri.p1 - tri.p0, tri.p2 - tri.p0)
                     link = connection_vjp(x, y, cross, vertex.light_wi, a_wo, value, chi)
                     a_x = link.x
-                    if wp.static(wanted.shapes or wanted.texcoords):
-                        adjoint.x = -link.x
-                        adjoint.c = link.c
-                        pushed = push_vertex(
-                            scene, target, face, vertex.light_u, vertex.light_v, adjoint, False, x, a_wo
-                        )
-                        total += pushed.dot
+                    adjoint.x = -link.x
+                    adjoint.c = link.c
+                if wp.static(corners):
+                    pushed = push_vertex(scene, target, face, vertex.light_u, vertex.light_v, adjoint, False, x, a_wo)
+                    total += pushed.dot
                 return a_x, total
         if wp.static(has_environment):
             if emitter.kind == EMITTER_CONSTANT or emitter.kind == EMITTER_ENVMAP:

@@ -86,16 +86,18 @@ def connection_vjp(
     the geometric factor G, so that G's own adjoint is value / G; ``chi``: weight of G (``contact.py``), which a_wo
     has already. y is rounded: at grazing angles the part of a_wo along the normal must not leak into the length.
     """
-    result = ConnectionAdjoint()
     r = y - x
     length = wp.length(r)
-    if length > 0.0:
-        result.x = -normalize_vjp(wo, length, a_wo)
-        direction = r / length
-        cosine = wp.dot(cross, direction)
-        if cosine != 0.0:
-            # log G = log |c . r| - 3 log |r|, of which chi leaves log |c|.
-            weighted = chi * value
-            result.x -= weighted * (cross / cosine - 3.0 * direction) / length
-            result.c = weighted / cosine * direction + (value - weighted) / wp.dot(cross, cross) * cross
+    direction = (1.0 / wp.where(length > 0.0, length, 1.0)) * r
+    cosine = wp.dot(cross, direction)
+    faces = length > 0.0 and cosine != 0.0
+    # log G = log |c . r| - 3 log |r|, of which chi leaves log |c|.
+    weighted = wp.where(faces, chi * value, 0.0)
+    rest = wp.where(faces, value - weighted, 0.0)
+    across = weighted / wp.where(faces, cosine, 1.0)
+    along = 3.0 * weighted
+    result = ConnectionAdjoint()
+    inv_length = 1.0 / wp.where(faces, length, 1.0)
+    result.x = -normalize_vjp(wo, length, a_wo) - inv_length * (across * cross - along * direction)
+    result.c = across * direction + (rest / wp.where(faces, wp.dot(cross, cross), 1.0)) * cross
     return result

@@ -35,17 +35,16 @@ import functools
 
 import warp as wp
 
+from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.camera import CameraSample, make_camera_ray
-from warp_psdr.kernels.camera_rays import (
-    column_of,
-    make_camera_paths,
-    make_pixel_bundle,
-    row_of,
-)
+from warp_psdr.kernels.camera_rays import make_camera_paths, make_pixel_bundle
 from warp_psdr.kernels.interior.sweep import Carry, make_sweep
+from warp_psdr.kernels.interior.sweep_lanes import make_lane_sweep
+from warp_psdr.kernels.interior.sweep_sinks import make_chosen
 from warp_psdr.kernels.interior.wanted import Wanted
 from warp_psdr.kernels.invalid import count_invalid, finite, vanishes
-from warp_psdr.kernels.path_lanes import make_lane_paths, side_by_side
+from warp_psdr.kernels.lanes import ROOM, ROWS
+from warp_psdr.kernels.path_lanes import LanePaths, make_lane_paths, side_by_side
 from warp_psdr.kernels.rng import sampler_at
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.vertex import PathConfig, PathState, PathVertex
@@ -61,8 +60,12 @@ def make_replay_kernel(config: PathConfig, wanted: Wanted, block: int, blocks: i
         block: K, the number of vertices kept at a time.
         blocks: the most blocks that a path can have; 1 compiles the replay out.
     """
-    if blocks == 1 and side_by_side(config) and make_lane_paths(config, True, True, kept=block).fit:
-        return _make_lane_kernel(config, wanted, block)
+    if blocks == 1 and side_by_side(config):
+        paths = make_lane_paths(config, True, True, kept=block, whole=wanted.geometry)
+        make = make_lane_sweep if wanted.geometry else make_sweep_of_each
+        end, sweep_all = make(config, wanted, paths)
+        if end <= ROOM:
+            return _make_lane_kernel(paths, sweep_all)
     lanes, starts, path_step = make_camera_paths(config, True, True)
     _camera_ray, camera_origin = make_camera_ray(config.camera)
     sweep, finish, _finish_vertex = make_sweep(config, wanted, "reverse")
@@ -144,12 +147,46 @@ def make_replay_kernel(config: PathConfig, wanted: Wanted, block: int, blocks: i
     return replay
 
 
-def _make_lane_kernel(config: PathConfig, wanted: Wanted, block: int):
-    """The same for paths of at most ``block`` vertices, traced side by side."""
-    lanes = make_lane_paths(config, True, True, kept=block)
-    pixel_bundle = make_pixel_bundle(lanes.width)
-    _camera_ray, camera_origin = make_camera_ray(config.camera)
+def make_sweep_of_each(config: PathConfig, wanted: Wanted, paths: LanePaths) -> tuple[int, wp.Function]:
+    """Return what ``make_lane_sweep`` returns, for paths that are swept one after the other."""
     sweep, finish, _finish_vertex = make_sweep(config, wanted, "reverse")
+    _camera_ray, camera_origin = make_camera_ray(config.camera)
+    chosen = make_chosen(paths)
+
+    @wp.func
+    def sweep_all(
+        scene: Scene,
+        camera: Camera,
+        target: wp.array(dtype=wp.float32),
+        scale: wp.float32,
+        adjoint: wp.array2d(dtype=wp.vec3),
+        count: wp.int32,
+        always: wp.int32,
+        rows: ROWS,
+    ):
+        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
+        for j in range(count):
+            path = chosen(scene, scale, adjoint, j, always, rows)
+            n = wp.int32(path.vertices)
+            if n > 0:
+                sample = paths.camera(rows, j)
+                carry = Carry()
+                carry.face = -2
+                while n > 0:
+                    n -= 1
+                    vertex = paths.vertex(rows, j, n)
+                    if n == 0:
+                        vertex.o = camera_origin(scene, camera, sample)
+                    carry = sweep(scene, target, vertex, path.delta, carry)
+                if finish(scene, target, camera, sample, carry) != 0.0 or not finite(carry.radiance):
+                    count_invalid(scene, paths.seats.get(rows, j).sampler)
+
+    return paths.end, sweep_all
+
+
+def _make_lane_kernel(paths: LanePaths, sweep_all: wp.Function):
+    """The same for paths that are traced side by side."""
+    pixel_bundle = make_pixel_bundle(paths.width)
 
     @wp.kernel(module="unique", enable_backward=False)
     def replay_lanes(
@@ -184,45 +221,15 @@ def _make_lane_kernel(config: PathConfig, wanted: Wanted, block: int):
         done = wp.int32(0)
         while done < samples:
             bundle.first_sample = first_sample + done
-            bundle.samples = wp.min(samples - done, wp.static(lanes.width))
+            bundle.samples = wp.min(samples - done, wp.static(paths.width))
             done += bundle.samples
-            lanes.start(scene, camera, pixels, bundle, always, rows)
-            depth = wp.int32(0)
+            paths.start(scene, camera, pixels, bundle, always, rows)
+            n = wp.int32(0)
             alive = wp.int32(1)
             while alive > 0:
-                alive = lanes.step(scene, depth, max_depth, rr_depth, rows)
-                depth += 1
-            for i in range(bundle.pixels):
-                sampler = sampler_at(pixels[bundle.first + i], 0, bundle.seed)
-                delta = scale * adjoint[row_of(bundle, sampler), column_of(bundle, sampler)]
-                if vanishes(delta):
-                    continue
-                for k in range(bundle.samples):
-                    sampler.index = wp.uint32(bundle.first_sample + k)
-                    j = i * bundle.samples + k
-                    path = lanes.gathered(rows, j)
-                    met = wp.int32(always)
-                    n = wp.int32(path.vertices)
-                    while n > 0 and met == 0:
-                        n -= 1
-                        face = lanes.vertex(rows, j, n).face
-                        if face >= 0:
-                            met = scene.matters[scene.triangles[face].shape]
-                    if met == 0:
-                        if not finite(path.radiance):
-                            count_invalid(scene, sampler)
-                        continue
-                    sample = lanes.camera(rows, j)
-                    carry = Carry()
-                    carry.face = -2
-                    n = path.vertices
-                    while n > 0:
-                        n -= 1
-                        vertex = lanes.vertex(rows, j, n)
-                        if n == 0:
-                            vertex.o = camera_origin(scene, camera, sample)
-                        carry = sweep(scene, target, vertex, delta, carry)
-                    if finish(scene, target, camera, sample, carry) != 0.0 or not finite(carry.radiance):
-                        count_invalid(scene, sampler)
+                alive = paths.step(scene, n, max_depth, rr_depth, rows)
+                n += 1
+            count = bundle.pixels * bundle.samples
+            sweep_all(scene, camera, target, scale, adjoint, count, always, rows)
 
     return replay_lanes

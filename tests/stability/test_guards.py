@@ -34,7 +34,7 @@ from warp_psdr.kernels.interior.tangents import VertexTangent, log_geometry_jvp,
 from warp_psdr.kernels.math import any_tangent
 from warp_psdr.kernels.sampling import square_to_cosine_hemisphere
 from warp_psdr.kernels.structs import Camera, Material, Scene, Triangle
-from warp_psdr.kernels.surface import interpolated_normal, normalize_vjp
+from warp_psdr.kernels.surface import interpolate, length_of_normals, normalize_vjp, unit_normal
 from warp_psdr.kernels.vertex import Frame
 
 from .sweeps import room
@@ -59,7 +59,8 @@ def guards(scene: Scene, zero: wp.vec3, out: wp.array(dtype=wp.float32)):
     y = wp.vec3(nil, 1.0, nil)
     z = wp.vec3(nil, nil, 1.0)
     # Vertex normals that cancel: the fallback.
-    out[0] = size(interpolated_normal(x, -x, nil * x, 0.5, 0.0, z) - z)
+    sum_of_normals = interpolate(x, -x, nil * x, 0.5, 0.0)
+    out[0] = size(unit_normal(sum_of_normals, length_of_normals(sum_of_normals), z) - z)
     # A connection of no length has no direction that could turn.
     out[1] = size(normalize_vjp(zero, nil, x))
     out[2] = size(normalize_jvp(zero, nil, x))
