@@ -28,7 +28,17 @@ from warp_psdr.kernels.path_lanes import Kept, LanePaths
 from warp_psdr.kernels.reading import load_float
 from warp_psdr.kernels.structs import Camera, Material, Scene
 from warp_psdr.kernels.surface import Corners, corners_vjp, face_normal_vjp, normalize_vjp, point_on
-from warp_psdr.kernels.vertex import PathConfig, make_framing
+from warp_psdr.kernels.vertex import Frame, PathConfig, make_framing
+
+
+@wp.struct
+class Scattering:
+    """Where a vertex scatters, and A_n."""
+
+    frame: Frame
+    material: Material
+    wi: wp.vec3  # local
+    a_n: wp.vec3
 
 
 @wp.struct
@@ -99,9 +109,13 @@ def make_lane_sweep(config: PathConfig, wanted: Wanted, paths: LanePaths) -> tup
         return most
 
     @wp.func
-    def origin_of(path: Swept, record: Kept, n: wp.int32) -> wp.vec3:
-        """Where the ray that found a vertex started."""
-        return where3(n == 0, path.origin, record.vertex.o)
+    def scattering_at(record: Kept, delta: wp.vec3) -> Scattering:
+        at = Scattering()
+        at.frame = frame_on(1.0, record.stood.n, wp.vec3(0.0, 0.0, 0.0))
+        at.material.c0 = record.stood.c0
+        at.wi = to_local(at.frame.s, at.frame.t, at.frame.n, -record.vertex.d)
+        at.a_n = wp.cw_mul(delta, record.vertex.throughput)
+        return at
 
     @wp.func
     def weigh_each(scene: Scene, count: wp.int32, n: wp.int32, rows: ROWS):
@@ -175,25 +189,20 @@ def make_lane_sweep(config: PathConfig, wanted: Wanted, paths: LanePaths) -> tup
             if wp.static(has_lights):
                 record = kept_at(rows, j, n)
                 vertex = record.vertex
-                stood = record.stood
+                at = scattering_at(record, swept.get(rows, j).delta)
                 link = links.get(rows, j)
                 lit = link.lit > 0
-                frame = frame_on(1.0, stood.n, zero)
-                material = Material()
-                material.c0 = stood.c0
-                a_n = wp.cw_mul(swept.get(rows, j).delta, vertex.throughput)
-                wi = to_local(frame.s, frame.t, frame.n, -vertex.d)
-                wo = to_local(frame.s, frame.t, frame.n, vertex.light_wi)
-                w_f = vertex.light_weight * wp.cw_mul(a_n, stood.radiance)
-                f = bsdf.eval(BSDF_DIFFUSE, material, wi, wo)
-                fa = bsdf.eval_vjp(BSDF_DIFFUSE, material, wi, wo, w_f)
+                wo = to_local(at.frame.s, at.frame.t, at.frame.n, vertex.light_wi)
+                w_f = vertex.light_weight * wp.cw_mul(at.a_n, record.stood.radiance)
+                f = bsdf.eval(BSDF_DIFFUSE, at.material, at.wi, wo)
+                fa = bsdf.eval_vjp(BSDF_DIFFUSE, at.material, at.wi, wo, w_f)
                 a_wi = link.chi * fa.wi
-                turned = frame_vjp(frame, zero, -vertex.d, vertex.light_wi, a_wi, link.chi_light * fa.wo)
+                turned = frame_vjp(at.frame, zero, -vertex.d, vertex.light_wi, a_wi, link.chi_light * fa.wo)
                 pull.c0 = where3(lit, fa.material.c0, zero)
                 pull.n = where3(lit, turned.n, zero)
                 pull.wi = where3(lit, turned.wi, zero)
                 pull.a_wo = turned.wo
-                pull.radiance = vertex.light_weight * wp.cw_mul(a_n, f)
+                pull.radiance = vertex.light_weight * wp.cw_mul(at.a_n, f)
                 pull.value = wp.dot(w_f, f)
             pulls.put(rows, j, pull)
             j += 1
@@ -224,21 +233,16 @@ def make_lane_sweep(config: PathConfig, wanted: Wanted, paths: LanePaths) -> tup
             record = kept_at(rows, j, n)
             behind = kept_at(rows, j, n + 1)
             vertex = record.vertex
-            stood = record.stood
+            at = scattering_at(record, swept.get(rows, j).delta)
             link = links.get(rows, j)
             pull = pulls.get(rows, j)
             following = handed.get(rows, j)
             on = link.scatters == 1 and vertex.lobe == LOBE_SMOOTH
-            frame = frame_on(1.0, stood.n, zero)
-            material = Material()
-            material.c0 = stood.c0
-            a_n = wp.cw_mul(swept.get(rows, j).delta, vertex.throughput)
-            wi = to_local(frame.s, frame.t, frame.n, -vertex.d)
-            wo = to_local(frame.s, frame.t, frame.n, vertex.wo)
-            w_f = vertex.inv_pdf * wp.cw_mul(a_n, following.radiance)
-            fa = bsdf.eval_vjp(BSDF_DIFFUSE, material, wi, wo, w_f)
+            wo = to_local(at.frame.s, at.frame.t, at.frame.n, vertex.wo)
+            w_f = vertex.inv_pdf * wp.cw_mul(at.a_n, following.radiance)
+            fa = bsdf.eval_vjp(BSDF_DIFFUSE, at.material, at.wi, wo, w_f)
             a_wi = link.chi * fa.wi
-            turned = frame_vjp(frame, zero, -vertex.d, vertex.wo, a_wi, following.chi * fa.wo)
+            turned = frame_vjp(at.frame, zero, -vertex.d, vertex.wo, a_wi, following.chi * fa.wo)
             pull.c0 += where3(on, fa.material.c0, zero)
             pull.n += where3(on, turned.n, zero)
             pull.wi += where3(on, turned.wi, zero)
@@ -247,7 +251,7 @@ def make_lane_sweep(config: PathConfig, wanted: Wanted, paths: LanePaths) -> tup
             u = behind.vertex.u
             v = behind.vertex.v
             cross = wp.cross(tri.p1 - tri.p0, tri.p2 - tri.p0)
-            value = wp.dot(wp.cw_mul(a_n, vertex.beta), following.radiance)
+            value = wp.dot(wp.cw_mul(at.a_n, vertex.beta), following.radiance)
             pulled = connection_vjp(following.o, point_on(tri, u, v), cross, vertex.wo, turned.wo, value, following.chi)
             pull.x += where3(connected, pulled.x, zero) + where3(on, following.a_x, zero)
             pull.onward = wp.where(connected, 1, 0)
@@ -271,7 +275,7 @@ def make_lane_sweep(config: PathConfig, wanted: Wanted, paths: LanePaths) -> tup
             following = handed.get(rows, j)
             there = n < path.vertices
             scatters = link.scatters == 1
-            o = origin_of(path, record, n)
+            o = where3(n == 0, path.origin, vertex.o)
             x = point_on(tri, vertex.u, vertex.v)
             # wi = normalize(x_{n-1} - x_n).
             a_x = where3(scatters, normalize_vjp(-vertex.d, wp.length(o - x), pull.wi), zero)
