@@ -61,11 +61,11 @@ def make_replay_kernel(config: PathConfig, wanted: Wanted, block: int, blocks: i
         blocks: the most blocks that a path can have; 1 compiles the replay out.
     """
     if blocks == 1 and side_by_side(config):
-        paths = make_lane_paths(config, True, True, kept=block, whole=wanted.geometry)
-        make = make_lane_sweep if wanted.geometry else make_sweep_of_each
-        end, sweep_all = make(config, wanted, paths)
-        if end <= ROOM:
-            return _make_lane_kernel(paths, sweep_all)
+        for make in (make_lane_sweep, make_sweep_of_each) if wanted.geometry else (make_sweep_of_each,):
+            paths = make_lane_paths(config, True, True, kept=block, whole=make is make_lane_sweep)
+            end, sweep_all = make(config, wanted, paths)
+            if end <= ROOM:
+                return _make_lane_kernel(paths, sweep_all)
     lanes, starts, path_step = make_camera_paths(config, True, True)
     _camera_ray, camera_origin = make_camera_ray(config.camera)
     sweep, finish, _finish_vertex = make_sweep(config, wanted, "reverse")
