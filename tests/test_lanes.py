@@ -28,7 +28,7 @@ KERNELS = (
 )
 #: Loops over lanes in a kernel: camera rays, random numbers, surfaces, places, lights, estimates, directions, sums and
 #: what is found out on the way; what is kept, and the sweep over it.
-LOOPS = {"primal": 12, "replay": 22}
+LOOPS = {"primal": 12, "replay": 18}
 #: What float32 sums in another order differ by, relative to the largest entry of a gradient.
 SUMMED = 1.0e-5
 
