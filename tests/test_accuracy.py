@@ -314,8 +314,8 @@ def test_report_predicts_the_scatter_of_gradients(soft):
 
 def test_times_and_errors_are_inverse(report):
     for error in (0.02, 0.005):
-        # A time is spent in larger batches.
-        assert 0.5 * error < report.error_in(report.seconds_to(error)) < 1.05 * error
+        # A time is spent in larger batches. By how much the error falls depends on costs, which are measured.
+        assert 0.3 * error < report.error_in(report.seconds_to(error)) < 1.05 * error
         low, high = report.seconds_interval(error)
         assert low < report.seconds_to(error) < high
     assert report.error_in(1e-9) == math.inf

@@ -39,7 +39,8 @@ LIMIT = (3.0, 30.0)
 WANTED = {"image": 1.0, "gradient": 3.0}
 NOTE = """The ratio is a product: of samples a second, and of noise in a sample. Where it is below what is wanted, the
 lower factor comes first; factors are above one where ours is better, and in brackets is what the rate consists of.
-Samples run one after another on each core here, in the lanes of its vectors in Mitsuba's variant llvm_ad_rgb.
+Samples lie in the lanes of vectors in Mitsuba's variant llvm_ad_rgb, and here those of diffuse scenes; others run one
+after another on each core.
 """
 #: Seeds: those of references and differences are no run's.
 LONG_SEED, DIFFERENCE_SEED = 10_000_000, 20_000_000
