@@ -155,7 +155,9 @@ class Scene:
     ray_epsilon: wp.float32  # distance by which a ray's origin is moved off its surface, world units
     least_step: wp.float32  # the least at edges, see ``step.py``; 0: ``ray_epsilon`` serves all surfaces and edges
     contact_ratio: wp.float32  # width of strips at contacts over the radius, ``interior/contact.py``
-    radii: wp.array(dtype=wp.float32)  # of the triangles' patches, ``warp_psdr.patches``; one 0 unless geometry moves
+    radii: wp.array(
+        dtype=wp.float32
+    )  # of the triangles' patches, ``warp_psdr.patches``; not empty: a 0 if nothing moves
     #: 1: what is differentiated belongs to this shape; the last one: to something else too (``interior/replay.py``).
     matters: wp.array(dtype=wp.int32)
     invalid: wp.array(dtype=wp.int64)  # counter of this launch and lane, see ``invalid.py``

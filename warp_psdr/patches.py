@@ -22,11 +22,13 @@ RADIUS = np.sqrt(3.0)
 
 
 def patch_radii(scene: Scene) -> wp.array:
-    """Return the radius at every triangle, (F,) float32 world units; kept until a vertex moves."""
+    """Return the radius at every triangle, (F,) world units (a 0 if there is none), kept until a vertex moves."""
     edges = scene_adjacency(scene)
     kept = getattr(scene, "_patch_radii", None)
     if kept is None or kept[0] is not edges:
         found = radii(scene.points, scene.builder.indices, edges)
+        if not len(found):
+            found = np.zeros(1)
         kept = (edges, wp.array(found, dtype=wp.float32, device=scene.device))
         scene._patch_radii = kept  # type: ignore[attr-defined]
     return kept[1]
