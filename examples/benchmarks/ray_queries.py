@@ -188,7 +188,7 @@ class WarpQueries:
         """Trace the loaded rays."""
         kernel, inputs, out = self._queries[query]
         launches = self._count if self._rows is None else -(-self._count // self._width)
-        tile = -(-launches // (2 * self._threads))
+        tile = -(-launches // (4 * self._threads))
 
         def launch(first):
             count = min(tile, launches - first)
