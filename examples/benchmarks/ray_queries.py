@@ -6,7 +6,8 @@ Every backend gets the same rays in the same order and the same number of thread
 repetition, so that a noisy machine is noisy to all; reported are medians and, for ratios, the median of the
 repetitions' ratios. Ray sets: ``camera`` (scanlines, coherent), ``shadow`` (from the camera's hits to one point,
 coherent), ``random`` (uniform origins in the bounding box, uniform directions) and ``bounce`` (cosine-distributed off
-the surfaces of shuffled hits, incoherent).
+the surfaces of shuffled hits, incoherent). Every query finds its rays in memory as it takes them: Embree's are arrays
+of components, as Dr.Jit has them; what the wide BVH traces together lies in rows, and the rest are vectors.
 """
 
 import argparse
