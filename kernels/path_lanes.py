@@ -16,7 +16,8 @@ from warp_psdr.kernels.bvh.wide import RayHit, make_intersect
 from warp_psdr.kernels.camera import CameraSample
 from warp_psdr.kernels.camera_rays import Bundle, column_of, make_trace_together, row_of
 from warp_psdr.kernels.constants import BSDF_DIFFUSE
-from warp_psdr.kernels.lanes import ROWS, Rows, make_number, make_record, stack_rows, word_of, words
+from warp_psdr.kernels.kept_lanes import make_kept_lanes
+from warp_psdr.kernels.lanes import ROWS, Rows, make_number, stack_rows, word_of
 from warp_psdr.kernels.light_lanes import make_light_lanes
 from warp_psdr.kernels.math import where3
 from warp_psdr.kernels.path import make_camera_starts, vertex_of
@@ -29,8 +30,8 @@ from warp_psdr.kernels.scattering import (
     make_scatter,
     samples_lights,
 )
-from warp_psdr.kernels.structs import Camera, Scene, Triangle
-from warp_psdr.kernels.vertex import PathConfig, PathState, PathVertex, Stood
+from warp_psdr.kernels.structs import Camera, Scene
+from warp_psdr.kernels.vertex import PathConfig, PathState
 
 #: Rows of random numbers: for next-event estimation, for scattering.
 NUMBERS = 8
@@ -59,16 +60,6 @@ class Sum:
 
     radiance: wp.vec3
     vertices: wp.int32
-
-
-@wp.struct
-class Kept:
-    """A vertex and what belongs to it; ``light`` and ``stood`` may be anything where it does not scatter."""
-
-    vertex: PathVertex
-    tri: Triangle
-    light: Triangle
-    stood: Stood
 
 
 class LanePaths(NamedTuple):
@@ -134,7 +125,7 @@ def make_lane_paths(
     on_places = make_place_lanes(config, width, sums.end, states, hits)
     choices, places, arrivals = on_places.choices, on_places.places, on_places.arrivals
     onwards, looks = stack_rows(width, arrivals.end, Onward, Look)
-    end = looks.end
+    end, lights = looks.end, None
     if has_lights:
         lights = make_light_lanes(config, differential, width, end, places)
         events = lights.events
@@ -142,12 +133,7 @@ def make_lane_paths(
         end = events.end
     hit_row, look_row, blocked_row = hits.first, looks.first, looks.first + word_of(Look, "blocked")
     ray_row, alive_row = (states.first + word_of(PathState, name) for name in ("o", "alive"))
-    # The vertex is what comes first in both.
-    kept_row, kept_words = end, words(Kept if whole else PathVertex)
-    get_vertex, put_vertex = make_record(PathVertex, width, aside=True)
-    get_kept, _put_kept = make_record(Kept, width, aside=True)
-    put_tri, put_stood = (make_record(record, width, aside=True)[1] for record in (Triangle, Stood))
-    tri_word, light_word, stood_word = (word_of(Kept, name) for name in ("tri", "light", "stood"))
+    store = make_kept_lanes(width, end, kept, whole, on_places, lights)
 
     @wp.func
     def start(
@@ -258,34 +244,6 @@ def make_lane_paths(
                 j += 1
 
     @wp.func
-    def keep_rest(depth: wp.int32, rows: ROWS):
-        """In loops of their own: stores in several places provably meet neither each other nor what is read."""
-        first = kept_row + depth * kept_words
-        j = wp.int32(0)
-        while j < width:
-            put_tri(rows, first + tri_word, j, on_places.triangles.get(rows, j))
-            j += 1
-        if wp.static(has_lights):
-            j = wp.int32(0)
-            while j < width:
-                put_tri(rows, first + light_word, j, lights.triangles.get(rows, j))
-                j += 1
-        j = wp.int32(0)
-        while j < width:
-            place = places.get(rows, j)
-            surface = on_places.surfaces.get(rows, j)
-            stood = Stood()
-            stood.n = place.n
-            stood.side = on_places.tints.get(rows, j).side
-            stood.length = surface.length
-            stood.uv = surface.uv
-            stood.c0 = place.material.c0
-            if wp.static(has_lights):
-                stood.radiance = lights.samples.get(rows, j).radiance
-            put_stood(rows, first + stood_word, j, stood)
-            j += 1
-
-    @wp.func
     def keep(depth: wp.int32, scattering: wp.bool, rows: ROWS):
         j = wp.int32(0)
         while j < width:
@@ -302,10 +260,10 @@ def make_lane_paths(
                 shadow = looks.get(rows, j)
                 lit = on and shadow.wanted == 1 and shadow.blocked == 0
             vertex = vertex_of(state, hit, arrival, lit, event, on, onward)
-            put_vertex(rows, kept_row + depth * kept_words, j, vertex)
+            store.put(rows, j, depth, vertex)
             j += 1
         if wp.static(whole):
-            keep_rest(depth, rows)
+            store.keep_rest(rows, depth)
 
     @wp.func
     def advance(scattering: wp.bool, rows: ROWS) -> wp.int32:
@@ -368,14 +326,4 @@ def make_lane_paths(
     def camera_of(rows: ROWS, j: wp.int32) -> CameraSample:
         return cameras.get(rows, j)
 
-    @wp.func
-    def vertex_at(rows: ROWS, j: wp.int32, n: wp.int32) -> PathVertex:
-        return get_vertex(rows, kept_row + n * kept_words, j, PathVertex())
-
-    @wp.func
-    def kept_at(rows: ROWS, j: wp.int32, n: wp.int32) -> Kept:
-        return get_kept(rows, kept_row + wp.clamp(n, 0, kept - 1) * kept_words, j, Kept())
-
-    end += kept * kept_words
-    vertex, record = vertex_at if kept else None, kept_at if whole else None
-    return LanePaths(width, start, step, gathered, camera_of, vertex, record, seats, end)
+    return LanePaths(width, start, step, gathered, camera_of, store.vertex, store.record, seats, store.end)

@@ -103,18 +103,6 @@ class PathVertex:
 
 
 @wp.struct
-class Stood:
-    """What more of a vertex a sweep side by side reads again (``interior/sweep_lanes.py``), if the path scattered."""
-
-    n: wp.vec3  # of the shading frame, on the side of the incoming ray
-    side: wp.float32  # +1, or -1 on the back of a two-sided material
-    length: wp.float32  # ``Surface.length``
-    uv: wp.vec2
-    c0: wp.vec3  # reflectance
-    radiance: wp.vec3  # of the light found by next-event estimation, as ``LightSample`` has it
-
-
-@wp.struct
 class Frame:
     """Shading frame on the side of the incoming ray, and the scattering record of that side."""
 

@@ -22,9 +22,10 @@ from warp_psdr.kernels.interior.sweep import Carry, make_sweep
 from warp_psdr.kernels.interior.sweep_sinks import Links, Pull, Slide, Swept, make_chosen, make_sweep_sinks
 from warp_psdr.kernels.interior.wanted import Wanted
 from warp_psdr.kernels.invalid import count_invalid, finite
+from warp_psdr.kernels.kept_lanes import Kept
 from warp_psdr.kernels.lanes import ROWS, stack_rows
 from warp_psdr.kernels.math import to_local, where3
-from warp_psdr.kernels.path_lanes import Kept, LanePaths
+from warp_psdr.kernels.path_lanes import LanePaths
 from warp_psdr.kernels.reading import load_float
 from warp_psdr.kernels.structs import Camera, Material, Scene
 from warp_psdr.kernels.surface import Corners, corners_vjp, face_normal_vjp, normalize_vjp, point_on

@@ -8,8 +8,9 @@ from warp_psdr.kernels.emitter.dispatch import make_lights
 from warp_psdr.kernels.interior.factors import make_light_sink, make_material_sink
 from warp_psdr.kernels.interior.wanted import Wanted
 from warp_psdr.kernels.invalid import count_invalid, finite, vanishes
+from warp_psdr.kernels.kept_lanes import Kept
 from warp_psdr.kernels.lanes import ROWS, Rows
-from warp_psdr.kernels.path_lanes import Kept, LanePaths
+from warp_psdr.kernels.path_lanes import LanePaths
 from warp_psdr.kernels.reading import shape_at
 from warp_psdr.kernels.sink import make_sink_vec3
 from warp_psdr.kernels.structs import Material, Scene, Triangle
