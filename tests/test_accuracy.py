@@ -313,9 +313,12 @@ def test_report_predicts_the_scatter_of_gradients(soft):
 
 
 def test_times_and_errors_are_inverse(report):
+    # Larger batches save what is fixed in their cost, here a share that does not depend on the machine.
+    fixed = ({"fixed_seconds": 0.1 * t.seconds, "sample_seconds": 0.9 * t.seconds / t.samples} for t in report.terms)
+    report = replace(report, terms=tuple(replace(t, **costs) for t, costs in zip(report.terms, fixed, strict=True)))
     for error in (0.02, 0.005):
-        # A time is spent in larger batches. By how much the error falls depends on costs, which are measured.
-        assert 0.3 * error < report.error_in(report.seconds_to(error)) < 1.05 * error
+        # A time is spent in larger batches.
+        assert 0.5 * error < report.error_in(report.seconds_to(error)) < 1.05 * error
         low, high = report.seconds_interval(error)
         assert low < report.seconds_to(error) < high
     assert report.error_in(1e-9) == math.inf
