@@ -109,10 +109,11 @@ def make_sweep_sinks(
     lit_corners: Rows,
     next_corners: Rows,
 ) -> tuple[wp.Function, wp.Function]:
-    """Return ``push_light`` and ``push``, both ``(scene, target, count, n, rows)``; None for the first: no lights.
+    """Return ``push_light`` and ``push``, both ``(scene, target, count, n, rows)``.
 
-    The first does what D_n brings to the lights, and adds to the adjoint of x_n what comes back; the second what goes
-    to the material, to the normals at the corners, and to the corners of the vertex n + 1.
+    The first, which scenes without lights have no use for, does what D_n brings to the lights, and adds to the adjoint
+    of x_n what comes back; the second what goes to the material, to the normals at the corners, and to the corners of
+    the vertex n + 1.
     """
     kept_at = paths.record
     side_of = make_side(config.two_sided)
