@@ -5,7 +5,7 @@ two faces by position and the planes of these faces (6-D), under one root. An ed
 n_A and n_B, turned the same way around it, is a silhouette from x where n . (x - p) has another sign for A than for B.
 A node bounds n and d = n . (p - c), c its centre: points of a dual (Hough) space [OZ06]. Where n . (x - c) - d has one
 sign over the bounds no edge of the node is a silhouette, and the node is left out; so is one below the horizon of x.
-The test never leaves out a silhouette.
+The test never leaves out a silhouette. Edges of a face in whose plane x lies, its own first of all, are none.
 
 The others are drawn by an estimate of their integral: the node's sum of length times (pi - dihedral angle), times the
 lobes at the direction of its bounding sphere closest to them, over the squared distance. A node hands its M samples on
@@ -30,6 +30,7 @@ from warp_psdr.kernels.constants import INV_PI
 from warp_psdr.kernels.distribution import find_interval
 from warp_psdr.kernels.reading import load_vec3
 from warp_psdr.kernels.rng import Sampler, independent_1d
+from warp_psdr.kernels.step import LEAVE, largest_coordinate
 from warp_psdr.kernels.structs import Scene
 
 #: Most samples that travel through the trees together: [LADL18] split 16 ways. Also the length of the stack.
@@ -134,14 +135,29 @@ def edge_at(scene: Scene, edges: Edges, edge: wp.int32) -> EdgePoint:
 
 
 @wp.func
+def on_own_plane(scene: Scene, edges: Edges, edge: wp.int32, x: wp.vec3) -> wp.bool:
+    """Whether x lies on the plane of one of the edge's faces, to float32's rounding."""
+    largest = wp.max(wp.abs(x))
+    for i in range(edges.first[edge], edges.first[edge + 1]):
+        tri = scene.triangles[edges.faces[i]]
+        if wp.abs(wp.dot(tri.normal, tri.p0 - x)) <= LEAVE * wp.max(largest, largest_coordinate(tri)):
+            return True
+    return False
+
+
+@wp.func
 def edge_importance(
     scene: Scene, edges: Edges, trees: EdgeTrees, lobes: Lobes, x: wp.vec3, edge: wp.int32
 ) -> wp.float32:
-    """Q(e) as seen from x; 0 for what is no silhouette."""
+    """Q(e) as seen from x; 0 for what is no silhouette.
+
+    From a point of a face its own edges and those of faces in its plane are none, and no rounding may make them so:
+    they pass x as closely as can be, and Q is one over that distance.
+    """
     at = edge_at(scene, edges, edge)
     along = at.p1 - at.p0
     a = at.p0 - x
-    if interior_side(scene, edges, at, wp.cross(along, a)) == 0.0:
+    if interior_side(scene, edges, at, wp.cross(along, a)) == 0.0 or on_own_plane(scene, edges, edge, x):
         return 0.0
     return trees.boost[edge] * mixture_integral(lobes, a, along)
 

@@ -27,7 +27,7 @@ from warp_psdr.kernels.rng import Sampler
 from warp_psdr.kernels.structs import Scene
 from warp_psdr.secondary_edges import secondary_edges
 
-from .scenes import ball, camera, diffuse, mesh, sky
+from .scenes import ball, box, camera, diffuse, mesh, sky
 
 #: Significance of the tests, over all of their comparisons.
 SIGNIFICANCE_SIGMAS = 4.5
@@ -285,6 +285,48 @@ def test_no_silhouette_is_left_out_and_much_else_is() -> None:
     leaves = nodes["left"] < 0
     assert silhouette.any(axis=1).all()
     assert held[:, leaves].mean() < 0.5  # most of what is no silhouette is left out
+
+
+def test_from_a_face_no_edge_in_its_plane_is_a_silhouette() -> None:
+    scene = psdr.load_dict(
+        {
+            "type": "scene",
+            "sensor": camera(),
+            "sky": sky(),
+            "ball": ball((0.3, 0.1, 1.0), 0.5, diffuse(0.5), subdivisions=2),
+            "box": box((-1.2, 0.2, 0.7), (0.3, 0.25, 0.3), diffuse(0.5), 0.3),
+        }
+    )
+    edges = secondary_edges(scene, {0, 1})
+    trees = edge_trees(scene, edges)
+    triangles = scene.triangles.numpy()
+    random = np.random.default_rng(7)
+    # Points of faces, most of them close to a side: where roundings pass for a silhouette, it passes closely.
+    near = 10.0 ** random.uniform(-5.0, -0.5, (50, len(triangles), 1))
+    along = random.uniform(0.0, 1.0, (50, len(triangles), 1)) * (1.0 - near)
+    p0, e1, e2 = triangles["p0"], triangles["p1"] - triangles["p0"], triangles["p2"] - triangles["p0"]
+    x = np.roll([p0, p0 + e1, p0 + e2], random.integers(3), axis=0)
+    x = x[0] + along * (x[1] - x[0]) + near * (x[2] - x[0])
+    count = edges.cdf.shape[0] - 1
+    lobes = Lobes()
+    lobes.cosine = lobe((0.0, 0.0, 1.0), 1.0, 1.0, 0.5)
+    lobes.light = lobe((0.0, 0.0, -1.0), 1.0, 1.0, 0.5)
+
+    def weights(x: np.ndarray) -> np.ndarray:
+        importance = wp.zeros((x.shape[0] * x.shape[1], count), dtype=wp.float32)
+        held = wp.zeros((importance.shape[0], len(trees.nodes)), dtype=wp.int32)
+        inputs = [scene.data(), edges, trees, lobes, wp.array(x.reshape(-1, 3), dtype=wp.vec3)]
+        wp.launch(weigh, dim=held.shape, inputs=inputs, outputs=[importance, held])
+        return importance.numpy().reshape(*x.shape[:2], count)
+
+    # Edges with both ends in the plane of a face.
+    ends = edges.points.numpy()
+    height = np.abs(np.einsum("fk,ecfk->ecf", triangles["normal"], ends[:, :, None] - p0)).max(axis=1).T
+    in_plane = height < 1e-5
+    assert (in_plane.sum(axis=1) >= 3).all() and (in_plane.sum(axis=1) == 4).any()
+    assert not weights(x)[:, in_plane].any()
+    # Just above the face they are, but where that is in front of the next face, too.
+    assert (weights(x + 1e-4 * triangles["normal"])[:, in_plane] > 0.0).mean() > 0.6
 
 
 @pytest.mark.parametrize("tree", [True, False])
