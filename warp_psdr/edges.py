@@ -9,9 +9,10 @@ import numpy as np
 import warp as wp
 
 from warp_psdr.kernels.boundary.local_form import Edges
+from warp_psdr.kernels.constants import CAMERA_ORTHOGRAPHIC, DELTA_LIGHTS
 from warp_psdr.light_sampling import cumulative
 from warp_psdr.t_junctions import cut_sides
-from warp_psdr.welding import still_welded, weld, weld_shapes
+from warp_psdr.welding import components, still_welded, weld, weld_shapes
 
 if TYPE_CHECKING:
     from warp_psdr.scene.scene import Scene
@@ -293,12 +294,25 @@ def joined_faces(faces: int, edges: Adjacency, joins: np.ndarray) -> np.ndarray:
         edges: of the scene.
         joins: (E,) mask of edges, each of two triangles.
     """
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
-
     start = edges.first[:-1][joins]
-    pairs = edges.faces[start], edges.faces[start + 1]
-    return connected_components(coo_matrix((np.ones(len(start)), pairs), shape=(faces, faces)), directed=False)[1]
+    return components(faces, edges.faces[start], edges.faces[start + 1])
+
+
+def mesh_parts(scene: Scene) -> np.ndarray:
+    """Return the number of every triangle's part of its mesh, (faces,): parts of a mesh share no position.
+
+    Kept as long as the same vertices coincide.
+    """
+    edges = scene_adjacency(scene)
+    kept = getattr(scene, "_mesh_parts", None)
+    if kept is None or kept[0] is not scene._edges[2]:  # type: ignore[attr-defined]
+        shape = scene.builder.face_shape[edges.faces]
+        edge = np.repeat(np.arange(len(edges.length)), edges.count)
+        joined = np.flatnonzero((edge[1:] == edge[:-1]) & (shape[1:] == shape[:-1]))
+        parts = components(scene.face_count, edges.faces[joined], edges.faces[joined + 1])
+        kept = (scene._edges[2], parts.astype(np.int32))  # type: ignore[attr-defined]
+        scene._mesh_parts = kept  # type: ignore[attr-defined]
+    return kept[1]
 
 
 def shape_of_vertex(scene: Scene) -> np.ndarray:
@@ -311,22 +325,6 @@ def moving_edges(scene: Scene, edges: Adjacency, shapes: set[int]) -> np.ndarray
     moves = np.isin(shape_of_vertex(scene), sorted(shapes))
     (a, b), (c, d) = edges.ends.T, edges.twins.T
     return moves[a] | moves[b] | moves[c] | moves[d]
-
-
-def shared_by_many(scene: Scene, shapes: set[int]) -> tuple[int, int] | None:
-    """Return two shapes, one of which moves, that meet in an edge of more than two triangles; None: there are none.
-
-    Which of their velocities such an edge has depends on the direction in which it is seen.
-    """
-    edges = scene_adjacency(scene)
-    if not len(edges.length):
-        return None
-    of = scene.builder.face_shape[edges.faces]
-    start = edges.first[:-1]
-    moves = np.logical_or.reduceat(np.isin(of, sorted(shapes)), start)
-    low, high = np.minimum.reduceat(of, start), np.maximum.reduceat(of, start)
-    found = np.flatnonzero((edges.count > 2) & (low != high) & moves)
-    return (int(low[found[0]]), int(high[found[0]])) if len(found) else None
 
 
 def curve_edges(scene: Scene, curves: Adjacency) -> Edges | None:
@@ -357,5 +355,9 @@ def upload(scene: Scene, edges: Adjacency, keep: np.ndarray, weight: np.ndarray,
     record.faces = array(edges.faces, wp.int32)
     record.first = array(edges.first, wp.int32)
     record.low, record.high = array(low), array(high)
+    # Only lights of no area, and parallel rays of a camera, have edges one behind the other (``coincident.py``).
+    parallel = {camera.kind for camera in scene.builder.cameras} & {CAMERA_ORTHOGRAPHIC}
+    aligned = parallel or {e.kind for e in scene.builder.emitters} & DELTA_LIGHTS
+    record.parts = array(mesh_parts(scene) if aligned else [0], wp.int32)
     record.sides, record.beside, record.beside_first = (array([0], wp.int32) for _ in range(3))
     return record

@@ -10,6 +10,14 @@ DIRECTION = np.array([0.5403023058681398, 0.7071067811865476, 0.4559422718932519
 PAIRS_A_VERTEX = 16
 
 
+def components(count: int, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Return for each of ``count`` things the number of its group: the pairs (a, b), numbers of things, join groups."""
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    return connected_components(coo_matrix((np.ones(len(a)), (a, b)), shape=(count, count)), directed=False)[1]
+
+
 def weld(points: np.ndarray, tolerance: float) -> np.ndarray:
     """Return for every point the number of the group of points that share its position.
 
@@ -17,8 +25,6 @@ def weld(points: np.ndarray, tolerance: float) -> np.ndarray:
         points: (N, 3).
         tolerance: world units; groups are closed under it.
     """
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
     from scipy.spatial import cKDTree
 
     # Exact copies first, which keeps the neighbour search small.
@@ -27,8 +33,7 @@ def weld(points: np.ndarray, tolerance: float) -> np.ndarray:
     pairs = cKDTree(unique).query_pairs(tolerance, output_type="ndarray")
     if not len(pairs):
         return group
-    graph = coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(unique), len(unique)))
-    return connected_components(graph, directed=False)[1][group]
+    return components(len(unique), *pairs.T)[group]
 
 
 def weld_shapes(points: np.ndarray, shape: np.ndarray, tolerances: np.ndarray) -> np.ndarray:
@@ -42,9 +47,6 @@ def weld_shapes(points: np.ndarray, shape: np.ndarray, tolerances: np.ndarray) -
     Returns:
         (N,) number of every point's group.
     """
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
-
     groups = np.empty(len(points), np.int64)
     used = 0
     for i in np.unique(shape):
@@ -57,7 +59,7 @@ def weld_shapes(points: np.ndarray, shape: np.ndarray, tolerances: np.ndarray) -
     row = np.concatenate([np.arange(n), np.arange(n)])
     column = np.concatenate([n + groups, n + used + across])
     size = n + used + (int(across.max()) + 1 if n else 0)
-    return connected_components(coo_matrix((np.ones(2 * n), (row, column)), shape=(size, size)), directed=False)[1][:n]
+    return components(size, row, column)[:n]
 
 
 def still_welded(points: np.ndarray, group: np.ndarray, tolerance: float) -> bool:

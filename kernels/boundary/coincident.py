@@ -1,4 +1,4 @@
-"""Silhouettes that coincide: one jump of light, on which edges of several shapes lie, and which counts once.
+"""Silhouettes that coincide: one jump of light, on which edges of several bodies lie, and which counts once.
 
 **Shapes that abut without sharing vertices.** Where a wall stands on a part of a floor's border, light from behind
 passes both along one line. Whichever of the two edges a segment touches, it is free on the other side, and counts all
@@ -12,10 +12,10 @@ count. What is seen on the film is told apart by its own means (``primary.py``),
 **Edges one behind the other** coincide for directions of measure zero, but a point, spot or directional light has no
 others, nor has an orthographic camera: equal plates one above the other under a vertical sun, or seen from above. Of
 these edges the one nearest to x_1, or to the camera, counts: who looks from there along the light, beside the edge on
-the occluder's side, sees the edge's own shape first. What the camera sees beside such an edge lies in the shadow of the
-others, right up to the edge; a ray to the light that starts off a surface, a step along its normal, passes them where
-light falls aslant. So the rays of ``primary.py`` pass the edge farther away than such steps, if a shadow falls along
-it.
+the occluder's side, sees the edge's own body first. (A body is a shape, or a part of a mesh that shares no position
+with the rest.) What the camera sees beside such an edge lies in the shadow of the others, right up to the edge; a ray
+to the light that starts off a surface, a step along its normal, passes them where light falls aslant. So the rays of
+``primary.py`` pass the edge farther away than such steps, if a shadow falls along it.
 
 **A light in the camera's place**, or a sun along its parallel rays, throws all shadows behind what throws them: what
 hides x_1 from the light hides it from the camera, whose silhouettes (``primary.py``) have counted it. Their rays pass
@@ -83,7 +83,7 @@ def make_screened(config: PathConfig):
     """Return ``screened(scene, accel, edges, point, x, w, way, face, behind) -> bool``: whether another edge counts.
 
     That is whether a ray along w to x, beside a point of a silhouette on the occluder's side, from the distance ``way``
-    on, meets another shape first. The triangle ``face``, off which it starts (-1: none), does not count.
+    on, meets another body first. The triangle ``face``, off which it starts (-1: none), does not count.
     """
     closest_hit, _any_hit = make_intersect(config.ray_backend, config.ray_width)
 
@@ -104,9 +104,9 @@ def make_screened(config: PathConfig):
         hit = closest_hit(accel, x - way * w, w, way - behind)
         if hit.face < 0:
             return False
-        shape = scene.triangles[hit.face].shape
+        part = edges.parts[hit.face]
         for i in range(edges.first[point.edge], edges.first[point.edge + 1]):
-            if scene.triangles[edges.faces[i]].shape == shape:
+            if edges.parts[edges.faces[i]] == part:
                 return False
         return hit.face != face
 

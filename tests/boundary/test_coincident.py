@@ -67,6 +67,15 @@ def boxes():
     return {"sensor": LOW_VIEW, "floor": floor(), "light": sun(), **shapes}
 
 
+def table(sensor, light):
+    """The boxes in one mesh, and in one paint, as they come from a modelling program."""
+    half = (0.6, 0.5, 0.05)
+    parts = [box((0.1, 0.05, z), half, RED) for z in (0.4, 0.9)]
+    faces = np.concatenate([parts[0]["faces"], parts[1]["faces"] + len(parts[0]["vertices"])])
+    one = mesh(np.concatenate([p["vertices"] for p in parts]), faces, RED, face_normals=True)
+    return over(one, sensor, light)
+
+
 def lamp_by_the_camera():
     """Beside each silhouette a shadow is seen, ten times as wide as rays pass edges."""
     position = [EYE[0] + 5.0e-4, *EYE[1:]]
@@ -86,6 +95,8 @@ register(
         "sheets in the sun": lambda: sheets(LOW_VIEW, sun()),
         "sheets from above": lambda: sheets(above(), panel((0.8, -0.6, 3.5), 0.5)),
         "boxes in the sun": boxes,
+        "table in the sun": lambda: table(LOW_VIEW, sun()),
+        "table from above": lambda: table(above(), panel((0.8, -0.6, 3.5), 0.5)),
         "sheets aslant": aslant,
         "sheets below a lamp": below_a_lamp,
         "sheet in a room": room,
@@ -118,6 +129,8 @@ CASES = [
     Case("sheets in the sun", ALL, SLIDE, 0.01, "all slide", 3, 512, 1024),
     Case("sheets from above", ALL, SLIDE, 0.01, "all slide", 2, 1024, 2048),
     Case("boxes in the sun", TWO, SLIDE, 0.01, "both slide", 2, 512, 1024),
+    Case("table in the sun", ONE, SLIDE, 0.01, "slides", 2, 512, 1024, slow=False),
+    Case("table from above", ONE, SLIDE, 0.01, "slides", 2, 1024, 2048),
     Case("sheets aslant", ("sheet0.vertex_positions", "sheet1.vertex_positions"), SLIDE, 0.01, "slide", 2, 512, 1024),
     Case("sheets below a lamp", (*TWO, "light.position"), slide_all, 0.01, "all slide", 2, 512, 1024, slow=False),
     Case("sheet in a room", TWO, all_but_the_floor, 0.01, "sheets slide", 2, 512, 1024, slow=False),

@@ -5,9 +5,11 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from warp_psdr.boundary.methods import EdgeSampling, Method, PathSpace
 from warp_psdr.boundary.motion import motion
-from warp_psdr.edges import shared_by_many
+from warp_psdr.edges import scene_adjacency
 from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.boundary.line_search import MAX_DEPTH
 from warp_psdr.kernels.emitter.spot import MIN_FALLOFF
@@ -69,8 +71,24 @@ def _uncovered(scene: Scene, config: PathConfig, names: list[str], max_depth: in
             cutoff, beam = values[e.cutoff : e.cutoff + 2].tolist()
             if math.radians(cutoff - beam) <= MIN_FALLOFF:
                 return "a spot light's cone has a hard edge; make beam_width smaller than cutoff_angle"
-    pair = shared_by_many(scene, set(motion(scene, names).shapes))
+    pair = _shared_by_many(scene, set(motion(scene, names).shapes))
     if pair is not None:
         a, b = (scene.description.shapes[i].path for i in pair)
         return f"shapes {a!r} and {b!r} meet in an edge of more than two triangles; move them apart, by a little"
     return ""
+
+
+def _shared_by_many(scene: Scene, shapes: set[int]) -> tuple[int, int] | None:
+    """Return two shapes, one of which moves, that meet in an edge of more than two triangles; None: there are none.
+
+    Which of their velocities such an edge has depends on the direction in which it is seen.
+    """
+    edges = scene_adjacency(scene)
+    if not len(edges.length):
+        return None
+    of = scene.builder.face_shape[edges.faces]
+    start = edges.first[:-1]
+    moves = np.logical_or.reduceat(np.isin(of, sorted(shapes)), start)
+    low, high = np.minimum.reduceat(of, start), np.maximum.reduceat(of, start)
+    found = np.flatnonzero((edges.count > 2) & (low != high) & moves)
+    return (int(low[found[0]]), int(high[found[0]])) if len(found) else None
