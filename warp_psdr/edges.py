@@ -299,7 +299,7 @@ def joined_faces(faces: int, edges: Adjacency, joins: np.ndarray) -> np.ndarray:
 
 
 def mesh_parts(scene: Scene) -> np.ndarray:
-    """Return the number of every triangle's part of its mesh, (faces,): parts of a mesh share no position.
+    """Return the number of every triangle's part of its mesh, (faces,): parts of a mesh share no edge.
 
     Kept as long as the same vertices coincide.
     """

@@ -12,7 +12,7 @@ count. What is seen on the film is told apart by its own means (``primary.py``),
 **Edges one behind the other** coincide for directions of measure zero, but a point, spot or directional light has no
 others, nor has an orthographic camera: equal plates one above the other under a vertical sun, or seen from above. Of
 these edges the one nearest to x_1, or to the camera, counts: who looks from there along the light, beside the edge on
-the occluder's side, sees the edge's own body first. (A body is a shape, or a part of a mesh that shares no position
+the occluder's side, sees the edge's own body first. (A body is a shape, or a part of a mesh that shares no edge
 with the rest.) What the camera sees beside such an edge lies in the shadow of the others, right up to the edge; a ray
 to the light that starts off a surface, a step along its normal, passes them where light falls aslant. So the rays of
 ``primary.py`` pass the edge farther away than such steps, if a shadow falls along it.

@@ -66,7 +66,7 @@ class Edges:
     first: wp.array(dtype=wp.int32)  # where an edge's triangles start, n + 1
     low: wp.array(dtype=wp.float32)  # stretch of the edge that is sampled, in [0, 1]
     high: wp.array(dtype=wp.float32)
-    # Of every triangle, its part of its mesh: parts share no position. One zero where nobody asks.
+    # Of every triangle, its part of its mesh: parts share no edge. One zero where nobody asks.
     parts: wp.array(dtype=wp.int32)
     # Of every triangle, bit k: its side from corner k on is among the edges. One zero where nobody asks.
     sides: wp.array(dtype=wp.int32)
