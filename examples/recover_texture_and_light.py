@@ -20,8 +20,8 @@ import warp as wp
 
 import warp_psdr as psdr
 from warp_psdr import image_io, plots
-from warp_psdr.fit import FitConfig, fit
-from warp_psdr.fit_report import psnr
+from warp_psdr.fit.report import psnr
+from warp_psdr.fit.run import FitConfig, fit
 
 ALBEDO, LIGHT = "bunny.bsdf.reflectance.data", "environment.data"
 #: Samples a pixel of the images that judge the result, and the first of their seeds: of the truth, and of the recovered

@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 
 import warp_psdr as psdr
-from warp_psdr import edge_fields, plots
-from warp_psdr.vtk_window import open_plotter
+from warp_psdr import plots
+from warp_psdr.view import edge_fields
+from warp_psdr.view.vtk_window import open_plotter
 
 #: Pixels along a side of the pictures of the mesh and of a frame, and the views that they show.
 PICTURE, FRAME, SHOWN = 160, 144, (0, 1, 5, 7)

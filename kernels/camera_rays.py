@@ -6,10 +6,10 @@ import warp as wp
 
 from warp_psdr.kernels.bvh.bundle import make_bundle
 from warp_psdr.kernels.bvh.wide import Ray, RayHit, make_intersect
-from warp_psdr.kernels.camera import CameraSample
-from warp_psdr.kernels.lanes import ROWS, make_record, words
+from warp_psdr.kernels.lanes.lanes import ROWS, make_record, words
 from warp_psdr.kernels.path import make_camera_start, make_path_step
 from warp_psdr.kernels.rng import Sampler, branch_of, sampler_at
+from warp_psdr.kernels.sensor.camera import CameraSample
 from warp_psdr.kernels.sight import make_sight
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.vertex import PathConfig, PathState

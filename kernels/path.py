@@ -20,9 +20,7 @@ import warp as wp
 
 from warp_psdr.kernels.bsdf.dispatch import make_bsdf
 from warp_psdr.kernels.bvh.wide import RayHit, make_intersect
-from warp_psdr.kernels.camera import CameraSample, make_camera_rays, make_lens
 from warp_psdr.kernels.constants import LOBE_NONE, RFILTER_BOX
-from warp_psdr.kernels.film import make_filter
 from warp_psdr.kernels.math import where3
 from warp_psdr.kernels.notes import NOTE_VERTEX, note
 from warp_psdr.kernels.rng import Sampler, make_sampler
@@ -38,6 +36,8 @@ from warp_psdr.kernels.scattering import (
     make_stand,
     samples_lights,
 )
+from warp_psdr.kernels.sensor.camera import CameraSample, make_camera_rays, make_lens
+from warp_psdr.kernels.sensor.film import make_filter
 from warp_psdr.kernels.sight import make_accel_at
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.vertex import PathConfig, PathState, PathVertex, film_position, path_from

@@ -5,7 +5,6 @@ from typing import NamedTuple
 
 import warp as wp
 
-from warp_psdr.kernels.camera import CameraSample
 from warp_psdr.kernels.camera_rays import (
     Bundle,
     column_of,
@@ -15,8 +14,9 @@ from warp_psdr.kernels.camera_rays import (
     sampler_in,
 )
 from warp_psdr.kernels.invalid import count_invalid, finite
-from warp_psdr.kernels.path_lanes import make_lane_paths, side_by_side
+from warp_psdr.kernels.lanes.path_lanes import make_lane_paths, side_by_side
 from warp_psdr.kernels.rng import sampler_at
+from warp_psdr.kernels.sensor.camera import CameraSample
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.vertex import PathConfig, PathState
 

@@ -157,7 +157,7 @@ class Scene:
     contact_ratio: wp.float32  # width of strips at contacts over the radius, ``interior/contact.py``
     radii: wp.array(
         dtype=wp.float32
-    )  # of the triangles' patches, ``warp_psdr.patches``; not empty: a 0 if nothing moves
+    )  # of the triangles' patches, ``warp_psdr.topology.patches``; not empty: a 0 if nothing moves
     #: 1: what is differentiated belongs to this shape; the last one: to something else too (``interior/replay.py``).
     matters: wp.array(dtype=wp.int32)
     invalid: wp.array(dtype=wp.int64)  # counter of this launch and lane, see ``invalid.py``

@@ -10,7 +10,7 @@ from warp_psdr.kernels.constants import CAMERA_PERSPECTIVE
 from warp_psdr.kernels.math import aligned_tangent, any_tangent
 from warp_psdr.kernels.reading import bsdf_at
 from warp_psdr.kernels.structs import Bsdf, Camera, Material, Scene
-from warp_psdr.kernels.texture import make_texture
+from warp_psdr.kernels.texture.texture import make_texture
 
 
 @dataclass(frozen=True)

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 import warp_psdr as psdr
-from tests.fit_scenes import SKY, TEXTURE, write_fit, write_scene
+from tests.fit.scenes import SKY, TEXTURE, write_fit, write_scene
 from warp_psdr import image_io
+from warp_psdr.accuracy import Report
 from warp_psdr.cli import main
-from warp_psdr.work_precision import Report
 
 ROOT = Path(__file__).resolve().parents[1]
 POSITIONS = "wall.vertex_positions"
@@ -146,8 +146,8 @@ def test_fit_and_resume(tmp_path: Path, capsys) -> None:
 
 
 def test_view_hands_over_what_it_was_told(scene: str, monkeypatch: pytest.MonkeyPatch, capsys) -> None:
-    # What is drawn is the business of tests/test_view.py; a machine without OpenGL draws nothing.
-    import warp_psdr.viewer
+    # What is drawn is the business of tests/view/test_view.py; a machine without OpenGL draws nothing.
+    from warp_psdr.view import viewer
 
     calls = []
 
@@ -159,7 +159,7 @@ def test_view_hands_over_what_it_was_told(scene: str, monkeypatch: pytest.Monkey
         calls.append(options)
         return Plotter()
 
-    monkeypatch.setattr(warp_psdr.viewer, "view", view)
+    monkeypatch.setattr(viewer, "view", view)
     np.save("g.npy", np.ones((4, 3), np.float32))
     arguments = ["view", scene, "--field", f"{POSITIONS}=g.npy", "--screenshot", "new/shot.png", "--sensor", "1"]
     assert main(arguments) == 0

@@ -15,7 +15,7 @@ import warp as wp
 
 import warp_psdr.kernels
 from warp_psdr.kernels import constants as c
-from warp_psdr.kernels.boundary.projective import BLOCKED_LIGHT, SCATTERED
+from warp_psdr.kernels.boundary.guiding.projective import BLOCKED_LIGHT, SCATTERED
 from warp_psdr.kernels.interior.wanted import Wanted
 from warp_psdr.kernels.loss import relative_squared
 from warp_psdr.kernels.vertex import PathConfig
@@ -211,23 +211,23 @@ FACTORIES = {
         ("reverse, materials", (MATERIALS, STILL, "reverse"), SLOW),
         ("reverse, lights", (ALL_LIGHTS, ALL, "reverse"), SLOW),
     ],
-    "boundary.bent.make_bent_kernel": [
+    "boundary.shading_normals.bent.make_bent_kernel": [
         ("reverse, materials", (MATERIALS, "reverse", True), SLOW),
         ("forward, textures", (TEXTURED, "forward", False), SLOW),
     ],
-    "boundary.curve.make_curve_kernel": [
+    "boundary.path_space.curve.make_curve_kernel": [
         ("reverse, simple", (SIMPLE, "reverse", False), SLOW),
         ("forward, textures", (TEXTURED, "forward", True), SLOW),
         ("reverse, lights", (ALL_LIGHTS, "reverse", False), SLOW),
         ("indirect, lights", (ALL_LIGHTS, "reverse", False, True), SLOW),
         ("noted, simple", (NOTED, "forward", False), SLOW),
     ],
-    "boundary.horizon.make_horizon_kernel": [
+    "boundary.shading_normals.horizon.make_horizon_kernel": [
         ("reverse, materials", (MATERIALS, "reverse", True), SLOW),
         ("forward, textures", (TEXTURED, "forward", False), SLOW),
         ("indirect, materials", (MATERIALS, "reverse", False, True), SLOW),
     ],
-    "boundary.line_search.make_line_search_kernel": [
+    "boundary.specular.line_search.make_line_search_kernel": [
         ("reverse, materials", (MATERIALS, MOVING, "reverse", False), SLOW),
         ("forward, mirror under lights", (MIRROR_LIGHTS, MOVING, "forward", True), SLOW),
         ("reverse, mirrors alone", (MIRRORS, MOVING, "reverse", False), SLOW),
@@ -235,7 +235,7 @@ FACTORIES = {
         ("forward, mirrors, thin lens", (MIRRORS_LENS, MOVING_CAMERA, "forward", False), SLOW),
         ("noted, materials", (NOTED_MATERIALS, MOVING, "reverse", False), SLOW),
     ],
-    "boundary.primary.make_primary_kernel": [
+    "boundary.path_space.primary.make_primary_kernel": [
         ("reverse, simple", (SIMPLE, "reverse", False), FAST),
         ("forward, materials", (MATERIALS, "forward", True), SLOW),
         ("reverse, textures", (TEXTURED, "reverse", True), SLOW),
@@ -244,7 +244,7 @@ FACTORIES = {
         ("samples, simple", (SIMPLE, "samples", False), SLOW),
         ("noted, simple", (NOTED, "reverse", False), FAST),
     ],
-    "boundary.facets.make_facets_kernel": [
+    "boundary.path_space.facets.make_facets_kernel": [
         ("reverse, simple", (SIMPLE, "reverse", False), FAST),
         ("forward, materials", (GLOSSY, "forward", True), SLOW),
         ("reverse, textures", (TEXTURED, "reverse", True), SLOW),
@@ -254,7 +254,7 @@ FACTORIES = {
         ("samples, simple", (SIMPLE, "samples", False), SLOW),
         ("noted, simple", (NOTED, "reverse", False), SLOW),
     ],
-    "boundary.secondary.make_secondary_kernel": [
+    "boundary.path_space.secondary.make_secondary_kernel": [
         ("reverse, simple", (SIMPLE, "reverse", False, False), SLOW),
         ("forward, textures", (TEXTURED, "forward", True, False), SLOW),
         ("reverse, lights", (ALL_LIGHTS, "reverse", True, True), SLOW),
@@ -268,22 +268,22 @@ FACTORIES = {
         ("indirect target, textures", (TEXTURED, "target", False, False, False, True), SLOW),
         ("noted, simple", (NOTED, "reverse", False, False), SLOW),
     ],
-    "boundary.projective.make_seeds_kernel": [
+    "boundary.guiding.projective.make_seeds_kernel": [
         ("blocked, simple", (SIMPLE, BLOCKED_LIGHT), FAST),
         ("blocked, lights", (ALL_LIGHTS, BLOCKED_LIGHT), SLOW),
         ("scattered, materials", (MATERIALS, SCATTERED), SLOW),
     ],
-    "guiding.ends.make_ends_kernel": [("simple", (SIMPLE,), FAST), ("lights", (ALL_LIGHTS,), SLOW)],
-    "guiding.facing.make_facing_kernel": [("simple", (SIMPLE,), FAST), ("lights", (ALL_LIGHTS,), SLOW)],
-    "guiding.photons.make_importons_kernel": [("simple", (SIMPLE,), FAST), ("materials", (MATERIALS,), SLOW)],
-    "guiding.photons.make_photons_kernel": [("simple", (SIMPLE,), FAST), ("lights", (ALL_LIGHTS,), SLOW)],
-    "boundary.terminator.make_terminator_kernel": [
+    "boundary.guiding.ends.make_ends_kernel": [("simple", (SIMPLE,), FAST), ("lights", (ALL_LIGHTS,), SLOW)],
+    "boundary.guiding.facing.make_facing_kernel": [("simple", (SIMPLE,), FAST), ("lights", (ALL_LIGHTS,), SLOW)],
+    "boundary.guiding.photons.make_importons_kernel": [("simple", (SIMPLE,), FAST), ("materials", (MATERIALS,), SLOW)],
+    "boundary.guiding.photons.make_photons_kernel": [("simple", (SIMPLE,), FAST), ("lights", (ALL_LIGHTS,), SLOW)],
+    "boundary.shading_normals.terminator.make_terminator_kernel": [
         ("reverse, materials", (MATERIALS, "reverse", True), SLOW),
         ("reverse, orthographic", (ORTHOGRAPHIC_SMOOTH, "reverse", True), SLOW),
         ("forward, thin lens", (THIN_LENS_SMOOTH, "forward", True), SLOW),
         ("noted, materials", (NOTED_MATERIALS, "reverse", False), SLOW),
     ],
-    "boundary.edge_sampling.make_edge_sampling_kernel": [
+    "boundary.edge_sampling.edge_sampling.make_edge_sampling_kernel": [
         ("reverse, simple", (SIMPLE, unlit(SIMPLE), "reverse", False, True, 16), SLOW),
         ("forward, flat", (SIMPLE, unlit(SIMPLE), "forward", True, False, 64), SLOW),
         ("forward, materials", (GLOSSY, unlit(GLOSSY), "forward", True, True, 16), SLOW),

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import warp as wp
 
-from tests.bsdf_helpers import direction, random_directions
+from tests.bsdf.helpers import direction, random_directions
 from warp_psdr.kernels.math import aligned_tangent, any_tangent, safe_normalize, safe_sqrt, to_local, to_world
 
 

@@ -6,23 +6,23 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 from warp_psdr import boundary, guiding, interior, losses, optim
-from warp_psdr.acceleration import set_ray_backend
-from warp_psdr.boundary.trace import BoundaryTrace
+from warp_psdr.accuracy.pilot import accuracy
+from warp_psdr.estimate.boundary.trace import BoundaryTrace
+from warp_psdr.estimate.trace import Trace, trace_sample
 from warp_psdr.invalid import invalid_samples
-from warp_psdr.options import PathIntegrator
-from warp_psdr.parameters import Parameters, traverse
-from warp_psdr.plan import Plan, plan
+from warp_psdr.options.integrator import PathIntegrator
+from warp_psdr.plan.plan import Plan, plan
 from warp_psdr.render import render, render_backward, render_forward
+from warp_psdr.scene.acceleration import set_ray_backend
+from warp_psdr.scene.parameters import Parameters, traverse
 from warp_psdr.scene.transforms import Transform
-from warp_psdr.trace import Trace, trace_sample
+from warp_psdr.view.viewer import view
 from warp_psdr.workers import set_workers
 
 if TYPE_CHECKING:
     from warp_psdr import fit, image_io, plots
     from warp_psdr import torch as torch
     from warp_psdr.scene.scene import Scene
-    from warp_psdr.viewer import view
-    from warp_psdr.work_precision.pilot import accuracy
 
 __version__ = "0.1.0"
 
@@ -59,19 +59,16 @@ __all__ = [
 
 #: Modules that need more than Warp and NumPy; each is loaded when it is first used.
 _LAZY_MODULES = ("fit", "image_io", "plots", "torch")
-_LAZY_FUNCTIONS = {"accuracy": "warp_psdr.work_precision.pilot", "view": "warp_psdr.viewer"}
 
 
 def __getattr__(name: str) -> Any:
     if name in _LAZY_MODULES:
         return importlib.import_module(f"warp_psdr.{name}")
-    if name in _LAZY_FUNCTIONS:
-        return getattr(importlib.import_module(_LAZY_FUNCTIONS[name]), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *_LAZY_MODULES, *_LAZY_FUNCTIONS})
+    return sorted({*globals(), *_LAZY_MODULES})
 
 
 def load_file(path, *, device: str = "cpu", allow_outside=False, **defaults) -> Scene:

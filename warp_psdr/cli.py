@@ -113,7 +113,7 @@ def _parser() -> argparse.ArgumentParser:
     )
 
     fit = command("fit", _fit, "Recover parameters of a scene from target images.")
-    fit.add_argument("config", type=Path, help="TOML or JSON file, see warp_psdr.fit.FitConfig")
+    fit.add_argument("config", type=Path, help="TOML or JSON file, see warp_psdr.fit.run.FitConfig")
     start = fit.add_mutually_exclusive_group()
     start.add_argument("--resume", action="store_true", help="continue from the last checkpoint, if there is one")
     start.add_argument("--overwrite", action="store_true", help="start again although there is a checkpoint")
@@ -224,7 +224,7 @@ def _forward(arguments: argparse.Namespace, scene: Any, params: Any, options: di
 def _reverse(arguments: argparse.Namespace, scene: Any, params: Any, options: dict[str, Any]) -> list[str]:
     """Write the gradient of a loss against the target."""
     import warp_psdr as psdr
-    from warp_psdr.fit_report import write_gradients
+    from warp_psdr.fit.report import write_gradients
 
     loss, adjoint = _loss(arguments, scene, params, options)
     with _fractions("gradient") as progress:
@@ -245,7 +245,7 @@ def _loss(arguments: argparse.Namespace, scene: Any, params: Any, options: dict[
 
     import warp_psdr as psdr
     from warp_psdr import losses
-    from warp_psdr.fit import read_target
+    from warp_psdr.fit.run import read_target
 
     camera = scene.camera(arguments.sensor)
     target = read_target(arguments.target, (camera.crop_height, camera.crop_width))
@@ -310,7 +310,7 @@ def _plan(arguments: argparse.Namespace) -> int:
 
 def _fit(arguments: argparse.Namespace) -> int:
     import warp_psdr as psdr
-    from warp_psdr.fit import FitConfig, fit
+    from warp_psdr.fit.run import FitConfig, fit
 
     config = FitConfig.from_file(arguments.config)
     psdr.set_workers(arguments.workers)
@@ -327,7 +327,7 @@ def _fit(arguments: argparse.Namespace) -> int:
 def _view(arguments: argparse.Namespace) -> int:
     import warp_psdr as psdr
     from warp_psdr.arrays import read_array
-    from warp_psdr.viewer import view
+    from warp_psdr.view.viewer import view
 
     fields = {}
     for text in arguments.field:
@@ -358,7 +358,7 @@ def _load(arguments: argparse.Namespace) -> tuple[Any, Any]:
     from dataclasses import replace
 
     import warp_psdr as psdr
-    from warp_psdr.options import from_description
+    from warp_psdr.options.integrator import from_description
 
     psdr.set_workers(arguments.workers)
     defaults = {}

@@ -1,32 +1,5 @@
-"""Methods of the interior term (survey eq. 12 first term, section 3)."""
+"""The interior term (survey eq. 12 first term, section 3): its methods, one object each."""
 
-from __future__ import annotations
+from warp_psdr.options.interior import Method, Replay
 
-from dataclasses import dataclass
-
-
-class Method:
-    """Base of all methods: a way to estimate the interior term."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Replay(Method):
-    """Path replay [VSJ21] by record and sweep (``kernels/interior/replay.py``).
-
-    Attributes:
-        block: K, how many path vertices are kept at a time. Longer paths are replayed in blocks of K (without a depth
-            limit those of some 500 vertices more than Russian roulette begins at are cut, one in 10^11). 0: textbook
-            path replay, which keeps none, divides by every factor, and therefore loses the derivative of factors that
-            are exactly zero; it refuses vertices that move in scenes with smooth mirrors or glass. For comparison only.
-    """
-
-    block: int = 8
-
-    def __post_init__(self) -> None:
-        """Validate once.
-
-        Raises:
-            ValueError: ``block`` is not between 0 and 64.
-        """
-        if isinstance(self.block, bool) or not isinstance(self.block, int) or not 0 <= self.block <= 64:
-            raise ValueError(f"block: got {self.block!r}, expected an integer from 0 to 64")
+__all__ = ["Method", "Replay"]

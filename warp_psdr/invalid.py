@@ -19,7 +19,7 @@ import numpy as np
 import warp as wp
 
 from warp_psdr.kernels.invalid import COUNTER_SIZE
-from warp_psdr.kernels.lanes import ROOM
+from warp_psdr.kernels.lanes.lanes import ROOM
 
 if TYPE_CHECKING:
     from warp_psdr.kernels import structs
@@ -29,7 +29,7 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 #: Kinds of samples: light paths of the image and of the interior term, the terms of the boundary term by the names of
-#: their functions in ``boundary/terms.py``, and evaluations of the integrand that guiding follows.
+#: their functions in ``estimate/boundary/terms.py``, and evaluations of the integrand that guiding follows.
 KINDS = (
     "image",
     "interior",

@@ -10,11 +10,11 @@ import numpy as np
 import warp as wp
 
 from warp_psdr.kernels import adam as kernels
-from warp_psdr.parameters import check_independent
 from warp_psdr.scene.layout import POSITIONS
+from warp_psdr.scene.parameters import check_independent
 
 if TYPE_CHECKING:
-    from warp_psdr.laplacian import Smoother
+    from warp_psdr.topology.laplacian import Smoother
 
 __all__ = ["Adam", "LargeSteps"]
 
@@ -195,11 +195,11 @@ class LargeSteps(Adam):
     """Vertex positions in the preconditioned space of [NJJ21], with AdamUniform; all other parameters with Adam.
 
     Positions v are written as v = (I + lambda L)^-1 u, L the combinatorial Laplacian of the mesh on position-welded
-    vertices (``warp_psdr/laplacian.py``), and u is optimised: its gradient is (I + lambda L)^-1 dv, v's smoothed, and a
-    step of u moves v by the smoothed step. So a gradient that lives on a silhouette moves the surface around it too,
-    and triangles keep their shape. AdamUniform divides by one number a mesh, the largest root mean square of an entry,
-    so that a direction is not bent. Since v is linear in u, u is never stored: v moves by (I + lambda L)^-1 du, and
-    what else edits v between two steps is kept.
+    vertices (``warp_psdr/topology/laplacian.py``), and u is optimised: its gradient is (I + lambda L)^-1 dv, v's
+    smoothed, and a step of u moves v by the smoothed step. So a gradient that lives on a silhouette moves the surface
+    around it too, and triangles keep their shape. AdamUniform divides by one number a mesh, the largest root mean
+    square of an entry, so that a direction is not bent. Since v is linear in u, u is never stored: v moves by (I +
+    lambda L)^-1 du, and what else edits v between two steps is kept.
 
     The matrix is factorised once, in double precision, from the positions that the scene was loaded with.
 
@@ -232,7 +232,7 @@ class LargeSteps(Adam):
         epsilon: float = 1e-8,
         mask_updates: bool = False,
     ):
-        from warp_psdr.laplacian import Smoother
+        from warp_psdr.topology.laplacian import Smoother
 
         super().__init__(params, lr, betas=betas, epsilon=epsilon, mask_updates=mask_updates)
         self.lambda_ = _laplacian_weight(lambda_, alpha)

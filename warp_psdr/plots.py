@@ -1,9 +1,9 @@
 """Plots of a run: derivative images, loss curves, pictures side by side and error against time.
 
-Signed quantities share one look, here and in ``warp_psdr.viewer``: a diverging map that is white at zero, red above and
-blue below, symmetric about zero. Its range ends at a percentile of the magnitudes, so that a few outliers do not wash
-out the rest, and the picture says where it ends and how much lies beyond. matplotlib is loaded on the first call and
-never through its global ``pyplot`` state. Every file appears under its name only once it is complete.
+Signed quantities share one look, here and in ``warp_psdr.view.viewer``: a diverging map that is white at zero, red
+above and blue below, symmetric about zero. Its range ends at a percentile of the magnitudes, so that a few outliers do
+not wash out the rest, and the picture says where it ends and how much lies beyond. matplotlib is loaded on the first
+call and never through its global ``pyplot`` state. Every file appears under its name only once it is complete.
 """
 
 from __future__ import annotations

@@ -8,17 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
-from warp_psdr.arguments import adjoint_array, checked_seed, flat_tangents, requested, sample_count, samples
-from warp_psdr.boundary import contacts
-from warp_psdr.boundary import drivers as boundary_drivers
 from warp_psdr.device import launch
-from warp_psdr.gradient_sums import GradientSums
-from warp_psdr.invalid import warns
-from warp_psdr.kernels.reduction import add_range
-from warp_psdr.kernels.rng import mix_seed
-from warp_psdr.kernels.splat import resolve
-from warp_psdr.options import PathIntegrator, integrator_of
-from warp_psdr.passes import (
+from warp_psdr.estimate.arguments import adjoint_array, checked_seed, flat_tangents, requested, sample_count, samples
+from warp_psdr.estimate.boundary import drivers as boundary_drivers
+from warp_psdr.estimate.gradient_sums import GradientSums
+from warp_psdr.estimate.passes import (
     STREAM_BOUNDARY,
     STREAM_PRIMAL,
     Progress,
@@ -28,15 +22,21 @@ from warp_psdr.passes import (
     splats,
     splatted,
 )
-from warp_psdr.plan import Plan, decide
+from warp_psdr.invalid import warns
+from warp_psdr.kernels.reduction import add_range
+from warp_psdr.kernels.rng import mix_seed
+from warp_psdr.kernels.splat import resolve
+from warp_psdr.options.integrator import PathIntegrator, integrator_of
+from warp_psdr.plan.plan import Plan, decide
 from warp_psdr.scene.edits import checksum
+from warp_psdr.topology import contacts
 
 if TYPE_CHECKING:
-    from warp_psdr.parameters import Parameters
+    from warp_psdr.accuracy.budget import Reached, Wanted
+    from warp_psdr.accuracy.quantity import Quantity
+    from warp_psdr.accuracy.report import Report
+    from warp_psdr.scene.parameters import Parameters
     from warp_psdr.scene.scene import Scene
-    from warp_psdr.work_precision.budget import Reached, Wanted
-    from warp_psdr.work_precision.quantity import Quantity
-    from warp_psdr.work_precision.report import Report
 
 
 @warns
@@ -73,7 +73,7 @@ def render(
         target_error: instead of ``spp``: the relative error (of the whole image, in the mean square) to be reached.
         time_budget: instead of ``spp``: seconds to be spent, after compiling.
         report: of ``psdr.accuracy`` for this call; a budget without one runs a pilot of its own.
-        reached: called with what a budget bought (``work_precision.Reached``), for example ``print``.
+        reached: called with what a budget bought (``accuracy.Reached``), for example ``print``.
 
     Returns:
         ``wp.array2d`` of vec3, shape (H, W) of the crop window: radiance in W/m^2/sr, averaged under the pixel filter.
@@ -82,7 +82,7 @@ def render(
         ValueError: an option out of range, or two that exclude each other; with a tape: parameters are missing, or
             what is requested moves a discontinuity that the method of the boundary term does not cover.
     """
-    from warp_psdr.work_precision import budget, quantity
+    from warp_psdr.accuracy import budget, quantity
 
     if budget.check(spp, target_error, time_budget, report):
         if tape is not None:
@@ -117,7 +117,7 @@ def render(
 
 def _budgeted(what: Quantity, wanted: Wanted, seed: int, progress, reached) -> wp.array:
     """Return an image that was estimated within a budget."""
-    from warp_psdr.work_precision.budget import spend
+    from warp_psdr.accuracy.budget import spend
 
     values, bought = spend(what, wanted, seed=seed, progress=progress)
     if reached is not None:
@@ -185,7 +185,7 @@ def render_backward(
         ValueError: nothing is requested, options that exclude each other, a wrong adjoint, an option out of range,
             or a moving discontinuity that the method of the boundary term does not cover.
     """
-    from warp_psdr.work_precision import budget, quantity
+    from warp_psdr.accuracy import budget, quantity
 
     if budget.check(spp, target_error, time_budget, report):
         what = quantity.gradient(scene, params, adjoint, integrator=integrator, sensor=sensor)
@@ -251,7 +251,7 @@ def render_forward(
         target_error: instead of ``spp``: the relative error of the derivative image to be reached.
         time_budget: instead of ``spp``: seconds to be spent, after compiling.
         report: of ``psdr.accuracy`` for this call; a budget without one runs a pilot of its own.
-        reached: called with what a budget bought (``work_precision.Reached``), for example ``print``.
+        reached: called with what a budget bought (``accuracy.Reached``), for example ``print``.
 
     Returns:
         ``wp.array2d`` of vec3, shape (H, W): d image / d t for parameters + t * tangents.
@@ -260,7 +260,7 @@ def render_forward(
         ValueError: no or wrong tangents, an option out of range or two that exclude each other, or a moving
             discontinuity that the method of the boundary term does not cover.
     """
-    from warp_psdr.work_precision import budget, quantity
+    from warp_psdr.accuracy import budget, quantity
 
     if budget.check(spp, target_error, time_budget, report):
         what = quantity.derivative(scene, params, tangents, integrator=integrator, sensor=sensor)

@@ -18,11 +18,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warp_psdr.options import PathIntegrator
-from warp_psdr.parameters import Parameters, check_independent, parameter_of, traverse
-from warp_psdr.plan import decide
+from warp_psdr.options.integrator import PathIntegrator
+from warp_psdr.plan.plan import decide
 from warp_psdr.render import render as render_image
 from warp_psdr.render import render_backward, render_forward
+from warp_psdr.scene.parameters import Parameters, check_independent, parameter_of, traverse
 
 try:
     import torch

@@ -28,11 +28,11 @@ import numpy as np
 from accuracy_cases import PAIRS, Loaded, Pair, kept, scatter
 from common import Report, arguments, psdr
 
-from warp_psdr.work_precision import quantity
-from warp_psdr.work_precision.allocation import efficiency
-from warp_psdr.work_precision.budget import rounds
-from warp_psdr.work_precision.statistics import moments, relative_variance
-from warp_psdr.work_precision.tiles import density, measured, spread
+from warp_psdr.accuracy import quantity
+from warp_psdr.accuracy.allocation import efficiency
+from warp_psdr.accuracy.budget import rounds
+from warp_psdr.accuracy.statistics import moments, relative_variance
+from warp_psdr.accuracy.tiles import density, measured, spread
 
 #: What the project asks: "equal-time error of the automatic split is never more than 5 % worse than the best fixed
 #: split in a sweep, and at least 1.5 times better than equal split on at least half of the scenes".

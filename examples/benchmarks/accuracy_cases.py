@@ -11,7 +11,7 @@ from common import psdr
 from work_precision_data import Records
 
 from scenes import BLUE, CASES, CORNELL, DELTA, SKY, Case, mesh, stage, write_data
-from warp_psdr.work_precision import quantity as quantities
+from warp_psdr.accuracy import quantity as quantities
 
 #: How far what moves lies from where it is sought, over the scene's radius; what is sought of other values, in times of
 #: what they are and plus; and samples a pixel of the image and of the target that a loss compares.

@@ -5,7 +5,7 @@
 For every pair of a scene and a parameter pilots with seeds of their own predict the error that ``seconds`` buy. That
 error is then asked for as ``render_backward(..., target_error=...)`` does with the pilot's report, again and again.
 Measured are the mean time, and the error that was reached. A run of n_k batches of term k has the squared error
-sum_k U_k / n_k, since its n_k are independent of the batches that it averages (``work_precision/budget.py``); U_k is
+sum_k U_k / n_k, since its n_k are independent of the batches that it averages (``accuracy/budget.py``); U_k is
 known from the batches of all runs, hundreds, and from these the norm of the gradient, too. The scatter of the runs
 themselves says the same with far fewer degrees of freedom, and stands beside it. Behind a ratio is its standard error.
 
@@ -26,8 +26,8 @@ import numpy as np
 from accuracy_cases import FRESH, PAIRS, Loaded, Pair, kept, scatter
 from common import Report, arguments, psdr
 
-from warp_psdr.work_precision import budget, quantity
-from warp_psdr.work_precision.tiles import spread
+from warp_psdr.accuracy import budget, quantity
+from warp_psdr.accuracy.tiles import spread
 
 #: What the project asks of predictions: time within 25 %, error within 20 %, in 80 % of the pairs.
 TIME_WITHIN, ERROR_WITHIN, SHARE = 0.25, 0.20, 0.8

@@ -8,7 +8,7 @@ import numpy as np
 import warp as wp
 from common import psdr
 
-from warp_psdr.boundary import drivers, terms
+from warp_psdr.estimate.boundary import drivers, terms
 
 #: Relative error at which times are compared.
 AIM = 0.1

@@ -19,11 +19,11 @@ import time
 import numpy as np
 import warp as wp
 
-from warp_psdr.acceleration import Accelerator, host_width
 from warp_psdr.kernels.bvh.bundle import make_bundle
 from warp_psdr.kernels.bvh.each import make_each
 from warp_psdr.kernels.bvh.wide import Accel, RayHit, make_intersect
-from warp_psdr.kernels.lanes import ROWS
+from warp_psdr.kernels.lanes.lanes import ROWS
+from warp_psdr.scene.acceleration import Accelerator, host_width
 
 
 def box36() -> tuple[np.ndarray, np.ndarray]:

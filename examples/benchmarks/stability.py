@@ -19,9 +19,10 @@ from unittest import mock
 import numpy as np
 from common import ROOT, psdr
 
-from warp_psdr import edges, plots
-from warp_psdr.kernels.boundary import primary
+from warp_psdr import plots
+from warp_psdr.kernels.boundary.path_space import primary
 from warp_psdr.scene import dictionary
+from warp_psdr.topology import edges
 
 #: Pixels of a picture's side, batches and samples of each derivative in it, and of the reference.
 FILM, BATCHES, SPP, REFERENCE_SPP = 64, 4, 64, 512

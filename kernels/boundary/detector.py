@@ -19,7 +19,6 @@ import functools
 
 import warp as wp
 
-from warp_psdr.kernels.boundary.projection import FilmPoint, make_projection
 from warp_psdr.kernels.bsdf.dispatch import make_bsdf
 from warp_psdr.kernels.bvh.wide import make_intersect
 from warp_psdr.kernels.constants import LOBE_SMOOTH
@@ -29,6 +28,7 @@ from warp_psdr.kernels.math import to_local, to_world
 from warp_psdr.kernels.path import make_path_step
 from warp_psdr.kernels.rng import Sampler
 from warp_psdr.kernels.scattering import ROULETTE_MAX
+from warp_psdr.kernels.sensor.projection import FilmPoint, make_projection
 from warp_psdr.kernels.sight import make_sight
 from warp_psdr.kernels.step import leaving_step
 from warp_psdr.kernels.structs import Camera, Scene

@@ -19,13 +19,13 @@ from warp_psdr.kernels.boundary.local_form import (
     interior_side,
     make_edge_sink,
 )
-from warp_psdr.kernels.boundary.projection import FilmPoint, make_projection, make_splat
 from warp_psdr.kernels.bvh.wide import make_intersect
-from warp_psdr.kernels.camera import make_camera_sink, make_lens
 from warp_psdr.kernels.constants import CAMERA_ORTHOGRAPHIC
 from warp_psdr.kernels.invalid import count_invalid
 from warp_psdr.kernels.notes import NOTE_EDGE, make_note
 from warp_psdr.kernels.rng import Sampler, make_sampler
+from warp_psdr.kernels.sensor.camera import make_camera_sink, make_lens
+from warp_psdr.kernels.sensor.projection import FilmPoint, make_projection, make_splat
 from warp_psdr.kernels.sight import make_sight
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.vertex import PathConfig

@@ -28,12 +28,12 @@ from warp_psdr.kernels.boundary.detector import (
     make_incident,
     make_walk,
 )
-from warp_psdr.kernels.boundary.projection import make_splat
-from warp_psdr.kernels.camera import make_camera_sink, make_lens
 from warp_psdr.kernels.constants import FAR
 from warp_psdr.kernels.invalid import count_invalid, vanishes
 from warp_psdr.kernels.notes import NOTE_SENSOR, NOTE_SOURCE, NOTE_WALK, make_note
 from warp_psdr.kernels.rng import Sampler, branch_of, make_sampler
+from warp_psdr.kernels.sensor.camera import make_camera_sink, make_lens
+from warp_psdr.kernels.sensor.projection import make_splat
 from warp_psdr.kernels.step import leaving_step
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.surface import VertexAdjoint, make_vertex_sink, point_on

@@ -29,7 +29,7 @@ import warp as wp
 
 from warp_psdr.kernels.bvh.simd import BARYCENTRICS, DISTANCE, EDGES, ORDER, TYPES
 from warp_psdr.kernels.bvh.wide import Accel, AnyHit, Ray, RayHit, make_intersect, native
-from warp_psdr.kernels.lanes import ROWS, make_record
+from warp_psdr.kernels.lanes.lanes import ROWS, make_record
 
 #: Reads one corner for all lanes, where a single ray reads one lane's corner each.
 EDGES_OF_ONE = EDGES.replace("Simd::load(packet", "Simd::splat(corner")

@@ -18,7 +18,7 @@ import warp as wp
 
 from warp_psdr.kernels.bvh.simd import BARYCENTRICS, DISTANCE, EDGES, NEAREST, TYPES
 from warp_psdr.kernels.bvh.wide import Accel, native
-from warp_psdr.kernels.lanes import ROWS
+from warp_psdr.kernels.lanes.lanes import ROWS
 
 _START = (
     TYPES

@@ -17,7 +17,7 @@ from warp_psdr.kernels.sampling import square_to_triangle
 from warp_psdr.kernels.step import step_off_triangle
 from warp_psdr.kernels.structs import Emitter, LightSample, Scene, Triangle
 from warp_psdr.kernels.surface import point_on
-from warp_psdr.kernels.texture import make_texture
+from warp_psdr.kernels.texture.texture import make_texture
 
 
 @wp.func

@@ -9,7 +9,7 @@ from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.constants import FAR, TEXTURE_CONSTANT
 from warp_psdr.kernels.sampling import sphere_pdf, square_to_sphere
 from warp_psdr.kernels.structs import Emitter, LightAdjoint, LightSample, Scene
-from warp_psdr.kernels.texture import make_texture, make_texture_sink
+from warp_psdr.kernels.texture.texture import make_texture, make_texture_sink
 
 
 class EnvironmentFunctions(NamedTuple):

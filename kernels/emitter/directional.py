@@ -11,7 +11,7 @@ from warp_psdr.kernels.emitter.spot import load_column
 from warp_psdr.kernels.math import safe_normalize
 from warp_psdr.kernels.sink import make_sink
 from warp_psdr.kernels.structs import Emitter, LightAdjoint, LightSample, Scene
-from warp_psdr.kernels.texture import make_texture, make_texture_sink
+from warp_psdr.kernels.texture.texture import make_texture, make_texture_sink
 
 
 @differentiable

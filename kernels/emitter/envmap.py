@@ -21,7 +21,7 @@ from warp_psdr.kernels.invalid import finite, vanishes
 from warp_psdr.kernels.rng import UNIT, pcg4d, unit_float
 from warp_psdr.kernels.sink import make_sink, make_sink_texel
 from warp_psdr.kernels.structs import Emitter, LightAdjoint, LightSample, Scene, Texture
-from warp_psdr.kernels.texture import bilinear_dot, texel
+from warp_psdr.kernels.texture.texture import bilinear_dot, texel
 
 #: Share of the samples within a cell that is uniform: bounds the variance of a black texel's derivative.
 UNIFORM_CELL = 0.1

@@ -10,7 +10,7 @@ from warp_psdr.kernels.constants import TEXTURE_CONSTANT
 from warp_psdr.kernels.reading import load_vec3
 from warp_psdr.kernels.sink import make_sink_vec3
 from warp_psdr.kernels.structs import Emitter, LightAdjoint, LightSample, Scene
-from warp_psdr.kernels.texture import make_texture, make_texture_sink
+from warp_psdr.kernels.texture.texture import make_texture, make_texture_sink
 
 
 class DeltaLightFunctions(NamedTuple):

@@ -13,7 +13,7 @@ from warp_psdr.kernels.constants import PI, TEXTURE_CONSTANT
 from warp_psdr.kernels.emitter.point import DeltaLightFunctions
 from warp_psdr.kernels.sink import make_sink
 from warp_psdr.kernels.structs import Emitter, LightAdjoint, LightSample, Scene
-from warp_psdr.kernels.texture import make_texture, make_texture_sink
+from warp_psdr.kernels.texture.texture import make_texture, make_texture_sink
 
 RADIANS_PER_DEGREE = PI / 180.0
 #: Narrowest falloff (radians): equal angles give a hard edge instead of a division by zero.

@@ -30,8 +30,8 @@ q lifts off its plane, has a logarithmic tail of its own.
 Where F varies within rho, that part of its derivative is wrong, and what is lost may be all: next to a sheet of paper
 that slides over a table, F falls from F(0+) to 0 within the height of the paper's rim, and of the two terms that nearly
 cancel in the mean only the boundary's would be left. So rho goes by the surfaces themselves: it is
-``Scene.contact_ratio`` times the smaller radius at p and where they meet (``warp_psdr.patches``), whatever shapes they
-belong to; and a speck in the scene does not make the corners of its rooms noisy.
+``Scene.contact_ratio`` times the smaller radius at p and where they meet (``warp_psdr.topology.patches``), whatever
+shapes they belong to; and a speck in the scene does not make the corners of its rooms noisy.
 
 For the same reason chi is 1 where the surfaces do not meet: next to a wall that ends g above the floor, F(0+) is 0 and
 F rises within a ~ g. Whether they do must not depend on where on its surface q is: of the changes v / r at a given p

@@ -12,7 +12,7 @@ from warp_psdr.kernels.interior.pullback import connection_vjp
 from warp_psdr.kernels.interior.wanted import Wanted
 from warp_psdr.kernels.structs import Bsdf, Material, Scene
 from warp_psdr.kernels.surface import VertexAdjoint, make_vertex_sink, point_on
-from warp_psdr.kernels.texture import make_texture_sink
+from warp_psdr.kernels.texture.texture import make_texture_sink
 from warp_psdr.kernels.vertex import PathConfig, PathVertex
 
 

@@ -20,7 +20,6 @@ import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.bsdf.dispatch import make_bsdf
-from warp_psdr.kernels.camera import CameraSample, make_camera_ray, make_camera_sink
 from warp_psdr.kernels.camera_rays import make_camera_paths
 from warp_psdr.kernels.constants import EMITTER_AREA, EMITTER_CONSTANT, EMITTER_ENVMAP, LOBE_SMOOTH
 from warp_psdr.kernels.emitter.area import light_uv
@@ -40,6 +39,7 @@ from warp_psdr.kernels.interior.wanted import Wanted
 from warp_psdr.kernels.invalid import count_invalid, finite
 from warp_psdr.kernels.math import to_local
 from warp_psdr.kernels.rng import sampler_at
+from warp_psdr.kernels.sensor.camera import CameraSample, make_camera_ray, make_camera_sink
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.surface import make_surface, point_on
 from warp_psdr.kernels.vertex import PathConfig, PathState, PathVertex, make_frame, make_material

@@ -36,16 +36,16 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
-from warp_psdr.kernels.camera import CameraSample, make_camera_ray
 from warp_psdr.kernels.camera_rays import make_camera_paths, make_pixel_bundle
 from warp_psdr.kernels.interior.sweep import Carry, make_sweep
-from warp_psdr.kernels.interior.sweep_lanes import make_lane_sweep
-from warp_psdr.kernels.interior.sweep_sinks import make_chosen
 from warp_psdr.kernels.interior.wanted import Wanted
 from warp_psdr.kernels.invalid import count_invalid, finite, vanishes
-from warp_psdr.kernels.lanes import ROOM, ROWS
-from warp_psdr.kernels.path_lanes import LanePaths, make_lane_paths, side_by_side
+from warp_psdr.kernels.lanes.lanes import ROOM, ROWS
+from warp_psdr.kernels.lanes.path_lanes import LanePaths, make_lane_paths, side_by_side
+from warp_psdr.kernels.lanes.sweep_lanes import make_lane_sweep
+from warp_psdr.kernels.lanes.sweep_sinks import make_chosen
 from warp_psdr.kernels.rng import sampler_at
+from warp_psdr.kernels.sensor.camera import CameraSample, make_camera_ray
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.vertex import PathConfig, PathState, PathVertex
 

@@ -6,7 +6,6 @@ import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.bsdf.dispatch import make_bsdf
-from warp_psdr.kernels.camera import CameraSample, make_camera_sink
 from warp_psdr.kernels.constants import LOBE_NONE, LOBE_SMOOTH
 from warp_psdr.kernels.emitter.dispatch import make_lights
 from warp_psdr.kernels.interior.contact import make_contact_weights
@@ -14,9 +13,10 @@ from warp_psdr.kernels.interior.factors import add_material, make_light_sink, ma
 from warp_psdr.kernels.interior.pullback import connection_vjp, make_frame_vjp
 from warp_psdr.kernels.interior.wanted import Wanted
 from warp_psdr.kernels.math import to_local
+from warp_psdr.kernels.sensor.camera import CameraSample, make_camera_sink
 from warp_psdr.kernels.structs import Camera, Material, Scene
 from warp_psdr.kernels.surface import VertexAdjoint, make_surface, make_vertex_sink, normalize_vjp, point_on
-from warp_psdr.kernels.texture import make_texture_sink
+from warp_psdr.kernels.texture.texture import make_texture_sink
 from warp_psdr.kernels.vertex import PathConfig, PathVertex, make_frame, make_material
 
 

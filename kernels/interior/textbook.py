@@ -16,13 +16,13 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
-from warp_psdr.kernels.camera import CameraSample, make_camera_ray, make_camera_sink
 from warp_psdr.kernels.camera_rays import make_camera_paths
 from warp_psdr.kernels.interior.contact import make_contact_weights
 from warp_psdr.kernels.interior.sweep import Carry, make_sweep
 from warp_psdr.kernels.interior.wanted import Wanted
 from warp_psdr.kernels.invalid import count_invalid, finite, vanishes
 from warp_psdr.kernels.rng import sampler_at
+from warp_psdr.kernels.sensor.camera import CameraSample, make_camera_ray, make_camera_sink
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.vertex import PathConfig, PathState, PathVertex
 

@@ -12,7 +12,7 @@ from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.interior.tangents import VertexTangent
 from warp_psdr.kernels.interior.wanted import Wanted
 from warp_psdr.kernels.structs import Bsdf, BsdfAdjoint, Material, Scene
-from warp_psdr.kernels.texture import make_texture_sink
+from warp_psdr.kernels.texture.texture import make_texture_sink
 from warp_psdr.kernels.vertex import PathConfig
 
 

@@ -8,8 +8,8 @@ shear alike.
 import warp as wp
 
 from warp_psdr.kernels.autodiff import differentiable
-from warp_psdr.kernels.camera import load_mat44
 from warp_psdr.kernels.reading import load_vec3
+from warp_psdr.kernels.sensor.camera import load_mat44
 from warp_psdr.kernels.shape.normals import add_vec3
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import warp_psdr as psdr
-from warp_psdr.boundary import terms
+from warp_psdr.estimate.boundary import terms
 
 from .measure import MODES, Case, assert_agrees, derivatives, differences, rows, slope
 from .scenes import ball, camera, diffuse, floor, mesh, panel, register

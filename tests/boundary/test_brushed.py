@@ -54,7 +54,7 @@ def test_derivatives_agree_with_differences(case, mode) -> None:
 
 
 def test_seams_follow_edits_of_texture_coordinates() -> None:
-    from warp_psdr.film_edges import film_edges
+    from warp_psdr.topology.film_edges import film_edges
 
     scene, params = load("brushed with texture coordinates")
     name = "sheet.vertex_texcoords"

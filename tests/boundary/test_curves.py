@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import warp_psdr as psdr
-from warp_psdr.boundary import terms
-from warp_psdr.curves import scene_curves
+from warp_psdr.estimate.boundary import terms
+from warp_psdr.topology.curves import scene_curves
 
 from .measure import MODES, Case, assert_agrees, derivatives, differences, rows, slope
 from .scenes import T, ball, box, camera, diffuse, floor, load, mesh, panel, register, sky

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 import warp_psdr as psdr
-from warp_psdr.boundary.drivers import launch_backward
-from warp_psdr.boundary.motion import motion
-from warp_psdr.boundary.terms import TERMS, Request, launches
-from warp_psdr.gradient_sums import GradientSums
-from warp_psdr.work_precision import quantity
+from warp_psdr.accuracy import quantity
+from warp_psdr.estimate.boundary.drivers import launch_backward
+from warp_psdr.estimate.boundary.terms import TERMS, Request, launches
+from warp_psdr.estimate.gradient_sums import GradientSums
+from warp_psdr.plan.motion import motion
 
 from . import test_curves, test_horizon  # noqa: F401  register scenes
 from .measure import BATCHES, SEED, SUMMATION, WEIGHT_SEED, Case, move, slope

@@ -8,10 +8,13 @@ import trimesh
 import warp as wp
 
 import warp_psdr as psdr
-from warp_psdr.edge_trees import edge_trees
-from warp_psdr.kernels.boundary.edge_tree import EdgeTrees, edge_importance, make_choose, may_hold_silhouette
-from warp_psdr.kernels.boundary.local_form import Edges
-from warp_psdr.kernels.boundary.ltc_line import (
+from warp_psdr.kernels.boundary.edge_sampling.edge_tree import (
+    EdgeTrees,
+    edge_importance,
+    make_choose,
+    may_hold_silhouette,
+)
+from warp_psdr.kernels.boundary.edge_sampling.ltc_line import (
     Lobe,
     Lobes,
     line_integral,
@@ -22,10 +25,12 @@ from warp_psdr.kernels.boundary.ltc_line import (
     sample_line,
     sample_mixture,
 )
+from warp_psdr.kernels.boundary.local_form import Edges
 from warp_psdr.kernels.math import any_tangent
 from warp_psdr.kernels.rng import Sampler
 from warp_psdr.kernels.structs import Scene
-from warp_psdr.secondary_edges import secondary_edges
+from warp_psdr.topology.edge_trees import edge_trees
+from warp_psdr.topology.secondary_edges import secondary_edges
 
 from .scenes import ball, box, camera, diffuse, mesh, sky
 

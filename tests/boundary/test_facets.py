@@ -7,13 +7,13 @@ import pytest
 import warp as wp
 
 import warp_psdr as psdr
-from warp_psdr.boundary import terms
-from warp_psdr.boundary.drivers import launch_backward
-from warp_psdr.boundary.motion import motion
-from warp_psdr.film_edges import film_edges
-from warp_psdr.gradient_sums import GradientSums
-from warp_psdr.kernels.boundary.primary import make_primary_kernel
-from warp_psdr.plan import decide
+from warp_psdr.estimate.boundary import terms
+from warp_psdr.estimate.boundary.drivers import launch_backward
+from warp_psdr.estimate.gradient_sums import GradientSums
+from warp_psdr.kernels.boundary.path_space.primary import make_primary_kernel
+from warp_psdr.plan.motion import motion
+from warp_psdr.plan.plan import decide
+from warp_psdr.topology.film_edges import film_edges
 
 from .scenes import SIZE, ball, camera, diffuse, envmap, floor, load, mesh, panel, register, rough, sky, spot
 

@@ -9,9 +9,9 @@ import pytest
 import warp_psdr as psdr
 from warp_psdr import guiding
 from warp_psdr.boundary import PathSpace, Projective
-from warp_psdr.guiding import store
-from warp_psdr.guiding.photons import PhotonMap, importon_map, photon_map
-from warp_psdr.plan import plan
+from warp_psdr.estimate.guiding import store
+from warp_psdr.estimate.guiding.photons import PhotonMap, importon_map, photon_map
+from warp_psdr.plan.plan import plan
 
 from .measure import MODES, Case, assert_agrees, derivatives, differences, rows
 from .scenes import T, ball, camera, diffuse, floor, load, panel, sky, spot

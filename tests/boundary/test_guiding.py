@@ -8,16 +8,16 @@ import warp as wp
 from scipy import stats
 
 import warp_psdr as psdr
-from warp_psdr.boundary.motion import Motion
-from warp_psdr.guiding import chains
-from warp_psdr.guiding.build import Growth, Target, volume
-from warp_psdr.guiding.store import whole
-from warp_psdr.kernels.boundary.direction import wedge_at, wedge_direction, wedge_square
+from warp_psdr.estimate.guiding import chains
+from warp_psdr.estimate.guiding.build import Growth, Target, volume
+from warp_psdr.estimate.guiding.store import whole
+from warp_psdr.kernels.boundary.guiding.cells import Cells, pdf_cells, sample_cells
+from warp_psdr.kernels.boundary.guiding.light_square import make_light_square
 from warp_psdr.kernels.boundary.local_form import Edges, edge_at
-from warp_psdr.kernels.guiding.cells import Cells, pdf_cells, sample_cells
-from warp_psdr.kernels.guiding.light_square import make_light_square
+from warp_psdr.kernels.boundary.path_space.direction import wedge_at, wedge_direction, wedge_square
 from warp_psdr.kernels.structs import Scene
-from warp_psdr.secondary_edges import secondary_edges
+from warp_psdr.plan.motion import Motion
+from warp_psdr.topology.secondary_edges import secondary_edges
 
 from .measure import Case, assert_agrees, assert_transposes, derivatives, differences, rows
 from .scenes import ball, camera, diffuse, envmap, floor, load, panel, sky
@@ -384,7 +384,7 @@ def test_other_wrong_options_are_refused() -> None:
 
 
 def test_a_moving_camera_or_light_moves_everything() -> None:
-    from warp_psdr.boundary.motion import moving_shapes
+    from warp_psdr.plan.motion import moving_shapes
 
     scene, _params = load("soft")
     none = Motion(frozenset(), camera=False, light_pose=False)

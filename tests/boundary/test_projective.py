@@ -8,14 +8,15 @@ import warp as wp
 
 import warp_psdr as psdr
 from warp_psdr import guiding
-from warp_psdr.boundary import PathSpace, Projective, projective
-from warp_psdr.boundary.motion import motion
-from warp_psdr.boundary.neighbours import neighbour_tables, neighbours
-from warp_psdr.boundary.terms import Request, secondary
-from warp_psdr.edges import scene_adjacency
-from warp_psdr.guiding import store
-from warp_psdr.kernels.boundary.projective import BLOCKED_LIGHT, SCATTERED
-from warp_psdr.secondary_edges import secondary_edges
+from warp_psdr.boundary import PathSpace, Projective
+from warp_psdr.estimate.boundary import projective
+from warp_psdr.estimate.boundary.terms import Request, secondary
+from warp_psdr.estimate.guiding import store
+from warp_psdr.kernels.boundary.guiding.projective import BLOCKED_LIGHT, SCATTERED
+from warp_psdr.plan.motion import motion
+from warp_psdr.topology.edges import scene_adjacency
+from warp_psdr.topology.neighbours import neighbour_tables, neighbours
+from warp_psdr.topology.secondary_edges import secondary_edges
 
 from .measure import MODES, Case, assert_agrees, assert_transposes, derivatives, differences, rows
 from .scenes import SCENES, ball, diffuse, load, panel, under

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import warp_psdr as psdr
-from tests.test_invalid import FLOOR, SIZE, SPP, broken, integrator, scene_dict
+from tests.estimate.test_invalid import FLOOR, SIZE, SPP, broken, integrator, scene_dict
 
 from . import scenes
 

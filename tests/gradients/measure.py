@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 import warp_psdr as psdr
-from warp_psdr.passes import STREAM_INTERIOR
+from warp_psdr.estimate.passes import STREAM_INTERIOR
 from warp_psdr.scene.lights import Lights
 
 from .scenes import load

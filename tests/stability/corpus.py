@@ -11,8 +11,9 @@ import numpy as np
 import OpenEXR
 from PIL import Image
 
-from tests import fit_scenes
-from warp_psdr import checkpoint, image_io
+from tests.fit import scenes as fit_scenes
+from warp_psdr import image_io
+from warp_psdr.fit import checkpoint
 
 ROOT = Path(__file__).resolve().parents[2]
 CORNERS = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], np.float32)

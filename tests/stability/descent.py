@@ -20,9 +20,9 @@ import warp as wp
 import warp_psdr as psdr
 from tests.boundary import scenes
 from tests.stability import killed
-from warp_psdr import checkpoint
-from warp_psdr.fit import FitConfig, fit
-from warp_psdr.guiding.store import structures
+from warp_psdr.estimate.guiding.store import structures
+from warp_psdr.fit import checkpoint
+from warp_psdr.fit.run import FitConfig, fit
 
 #: Steps between two looks at the memory.
 EVERY = 10

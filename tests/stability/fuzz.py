@@ -102,10 +102,11 @@ def _replace_number(data: bytearray, at: int, text: bytes) -> None:
 def reader(suffix: str) -> Callable[[Path], Any]:
     """Return what reads files of a kind."""
     import warp_psdr as psdr
-    from warp_psdr import checkpoint, image_io
+    from warp_psdr import image_io
     from warp_psdr.arrays import read_array
-    from warp_psdr.fit import load_problem
-    from warp_psdr.fit_config import FitConfig
+    from warp_psdr.fit import checkpoint
+    from warp_psdr.fit.config import FitConfig
+    from warp_psdr.fit.run import load_problem
     from warp_psdr.scene import describe_dict
 
     def shape(file: Path) -> Any:

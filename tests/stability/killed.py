@@ -22,9 +22,10 @@ import numpy as np
 import warp as wp
 
 import warp_psdr as psdr
-from warp_psdr import plots, viewer
+from warp_psdr import plots
 from warp_psdr.files import write_atomic
-from warp_psdr.fit import CHECKPOINT, FitConfig, fit
+from warp_psdr.fit.run import CHECKPOINT, FitConfig, fit
+from warp_psdr.view import viewer
 
 #: Seconds after which a process is killed from outside, at most: some two thirds of a run.
 LONGEST = 0.5

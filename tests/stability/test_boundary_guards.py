@@ -9,25 +9,25 @@ import warp as wp
 import warp_psdr as psdr
 from tests.boundary.scenes import ball
 from tests.boundary.test_facets import gradient
-from warp_psdr.boundary import terms
-from warp_psdr.boundary.motion import motion
-from warp_psdr.curves import scene_curves
-from warp_psdr.edge_trees import edge_trees
-from warp_psdr.edges import curve_edges
-from warp_psdr.kernels.boundary.bent import make_jump
-from warp_psdr.kernels.boundary.curve import MAX_SHIFT, make_curve_segment
-from warp_psdr.kernels.boundary.edge_sampling import make_edge_sample
-from warp_psdr.kernels.boundary.edge_tree import EdgeTrees
+from warp_psdr.estimate.boundary import terms
+from warp_psdr.kernels.boundary.edge_sampling.edge_sampling import make_edge_sample
+from warp_psdr.kernels.boundary.edge_sampling.edge_tree import EdgeTrees
+from warp_psdr.kernels.boundary.guiding.light_square import make_light_square
+from warp_psdr.kernels.boundary.guiding.stripe import stripe_at
+from warp_psdr.kernels.boundary.guiding.techniques import make_techniques
 from warp_psdr.kernels.boundary.local_form import Edges, edge_point, edge_step
-from warp_psdr.kernels.boundary.secondary import make_segment
+from warp_psdr.kernels.boundary.path_space.curve import MAX_SHIFT, make_curve_segment
+from warp_psdr.kernels.boundary.path_space.secondary import make_segment
+from warp_psdr.kernels.boundary.shading_normals.bent import make_jump
 from warp_psdr.kernels.boundary.transport import Segment
-from warp_psdr.kernels.guiding.light_square import make_light_square
-from warp_psdr.kernels.guiding.stripe import stripe_at
-from warp_psdr.kernels.guiding.techniques import make_techniques
 from warp_psdr.kernels.rng import sampler_at
 from warp_psdr.kernels.structs import Scene
-from warp_psdr.plan import decide
-from warp_psdr.secondary_edges import secondary_edges
+from warp_psdr.plan.motion import motion
+from warp_psdr.plan.plan import decide
+from warp_psdr.topology.curves import scene_curves
+from warp_psdr.topology.edge_trees import edge_trees
+from warp_psdr.topology.edges import curve_edges
+from warp_psdr.topology.secondary_edges import secondary_edges
 
 from .sweeps import box, room
 from .test_crossing import camera, plates

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import warp_psdr as psdr
-from warp_psdr import curves
+from warp_psdr.topology import curves
 
 from .record import Case, parameters
 

@@ -12,9 +12,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from tests.stability import corpus
-from warp_psdr import checkpoint, image_io
+from warp_psdr import image_io
 from warp_psdr.arrays import parse_array
-from warp_psdr.fit_config import FitConfig
+from warp_psdr.fit import checkpoint
+from warp_psdr.fit.config import FitConfig
 from warp_psdr.scene import describe_dict, describe_string
 from warp_psdr.scene.errors import SceneError
 from warp_psdr.scene.plugins import PLUGINS

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import warp_psdr as psdr
-from warp_psdr import edges, t_junctions
+from warp_psdr.topology import edges, t_junctions
 
 from .record import Case, parameters
 from .sweeps import VELOCITY, apart, box, derivatives, passes, rectangle, reference, room, slope_error

@@ -1,7 +1,7 @@
 """Guards of device functions, called where each is needed: without it, what comes out is not finite, or wrong.
 
 Guards of what is differentiated stand in ``test_singular.py``, those of scattering models in ``tests/test_bsdf*.py``,
-those of samples that are not finite in ``tests/test_invalid.py``.
+those of samples that are not finite in ``tests/estimate/test_invalid.py``.
 """
 
 import numpy as np
@@ -9,26 +9,30 @@ import pytest
 import warp as wp
 
 import warp_psdr as psdr
-from warp_psdr.kernels.boundary.chain import Block, Link
-from warp_psdr.kernels.boundary.chain_edges import curve_crossing
 from warp_psdr.kernels.boundary.detector import Walk, make_walk
-from warp_psdr.kernels.boundary.direction import Wedge, pdf_wedge, wedge_direction, wedge_square
-from warp_psdr.kernels.boundary.edge_tree import EdgeNode, lobe_estimate, node_importance
-from warp_psdr.kernels.boundary.local_form import barycentrics_at
-from warp_psdr.kernels.boundary.ltc_line import (
+from warp_psdr.kernels.boundary.edge_sampling.edge_tree import EdgeNode, lobe_estimate, node_importance
+from warp_psdr.kernels.boundary.edge_sampling.ltc_line import (
     Lobes,
     line_integral,
     make_lobe,
     make_scattering_lobes,
     sample_line,
 )
-from warp_psdr.kernels.boundary.projective import nearest_fraction
-from warp_psdr.kernels.boundary.ray_differential import PointDifferential, RayDifferential, scattered_differential
+from warp_psdr.kernels.boundary.guiding.projective import nearest_fraction
+from warp_psdr.kernels.boundary.guiding.stripe import CORNERS, Polygon, Stripe, cut, stripe_point, stripe_square
+from warp_psdr.kernels.boundary.local_form import barycentrics_at
+from warp_psdr.kernels.boundary.path_space.direction import Wedge, pdf_wedge, wedge_direction, wedge_square
+from warp_psdr.kernels.boundary.specular.chain import Block, Link
+from warp_psdr.kernels.boundary.specular.chain_edges import curve_crossing
+from warp_psdr.kernels.boundary.specular.ray_differential import (
+    PointDifferential,
+    RayDifferential,
+    scattered_differential,
+)
 from warp_psdr.kernels.bsdf.microfacet import make_microfacet
 from warp_psdr.kernels.constants import BSDF_ROUGH_CONDUCTOR_GGX, LOBE_DELTA_TRANSMISSION, TEXTURE_CONSTANT
 from warp_psdr.kernels.emitter.area import area_density, make_area, pdf_area
 from warp_psdr.kernels.emitter.spot import falloff
-from warp_psdr.kernels.guiding.stripe import CORNERS, Polygon, Stripe, cut, stripe_point, stripe_square
 from warp_psdr.kernels.interior.pullback import connection_vjp
 from warp_psdr.kernels.interior.tangents import VertexTangent, log_geometry_jvp, make_frame_jvp, normalize_jvp
 from warp_psdr.kernels.math import any_tangent

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 import warp_psdr as psdr
-from tests.bsdf_helpers import MIRROR, rough, twin_eval, unit
+from tests.bsdf.helpers import MIRROR, rough, twin_eval, unit
 from warp_psdr.kernels.constants import BSDF_ROUGH_CONDUCTOR_GGX
 
 from .record import Case, parameters

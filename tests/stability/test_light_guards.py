@@ -5,8 +5,8 @@ import pytest
 import warp as wp
 
 import warp_psdr as psdr
-from tests.emitter_helpers import Light, envmap, light_frame_directions, pose, random_map
-from tests.test_invalid import scene_dict
+from tests.emitter.helpers import Light, envmap, light_frame_directions, pose, random_map
+from tests.estimate.test_invalid import scene_dict
 from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.path import make_path_step
 from warp_psdr.kernels.rng import sampler_at

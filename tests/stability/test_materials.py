@@ -9,7 +9,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from tests.bsdf_helpers import (
+from tests.bsdf.helpers import (
     GOLD,
     MATERIAL,
     MIRROR,

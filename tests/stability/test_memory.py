@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.fit_scenes import write_fit
+from tests.fit.scenes import write_fit
 from tests.stability.descent import EVERY
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -17,11 +17,12 @@ import numpy as np
 import pytest
 
 import warp_psdr as psdr
-import warp_psdr.fit as fit_module
-from tests.fit_scenes import TEXTURE, write_fit
-from warp_psdr import checkpoint, image_io, plots
+import warp_psdr.fit.run as fit_module
+from tests.fit.scenes import TEXTURE, write_fit
+from warp_psdr import image_io, plots
 from warp_psdr.files import held
-from warp_psdr.fit import CHECKPOINT, FitConfig, fit
+from warp_psdr.fit import checkpoint
+from warp_psdr.fit.run import CHECKPOINT, FitConfig, fit
 
 ROOT = Path(__file__).resolve().parents[2]
 #: Seconds after which a process that hangs is ended: a safety net.

@@ -9,7 +9,7 @@ import functools
 import numpy as np
 import pytest
 
-from tests.test_wide_bvh import Tracer
+from tests.rays.test_wide_bvh import Tracer
 
 from .record import Case, parameters
 

@@ -5,7 +5,7 @@ import pytest
 import warp as wp
 from scipy.special import erfc
 
-from tests.emitter_helpers import envmap, random_map
+from tests.emitter.helpers import envmap, random_map
 from warp_psdr.kernels.bsdf.microfacet import BECKMANN_MAX_SLOPE, make_microfacet
 
 #: Of cumulative probabilities.

@@ -12,10 +12,11 @@ import pytest
 from PIL import Image
 
 from tests.stability import corpus
-from warp_psdr import checkpoint, image_io
+from warp_psdr import image_io
 from warp_psdr.arrays import read_array
 from warp_psdr.cli import main
-from warp_psdr.fit_config import FitConfig
+from warp_psdr.fit import checkpoint
+from warp_psdr.fit.config import FitConfig
 from warp_psdr.scene import describe_dict, describe_file, describe_string
 
 HEAD = '<scene version="3.0.0"><sensor type="perspective"/>'

@@ -9,9 +9,9 @@ import warp as wp
 
 from warp_psdr.kernels import constants as c
 from warp_psdr.kernels import structs
-from warp_psdr.light_sampling import build_env_distribution, cumulative
 from warp_psdr.scene.build import Builder
 from warp_psdr.scene.layout import struct_array
+from warp_psdr.scene.light_sampling import build_env_distribution, cumulative
 from warp_psdr.scene.spectra import LUMINANCE
 
 #: Share of the light selection that is uniform, so that a light of zero radiance is still sampled and its derivative

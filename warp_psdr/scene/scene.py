@@ -9,17 +9,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
-from warp_psdr.acceleration import Accelerator
 from warp_psdr.device import launch
 from warp_psdr.invalid import Ledger
 from warp_psdr.kernels import structs
 from warp_psdr.kernels.constants import DELTA_MODELS
 from warp_psdr.kernels.invalid import COUNTER_SIZE
-from warp_psdr.kernels.lanes import ROOM
+from warp_psdr.kernels.lanes.lanes import ROOM
 from warp_psdr.kernels.shape.normals import normalize_sums, sum_normals
 from warp_psdr.kernels.shape.transform import pose_shape
 from warp_psdr.kernels.step import RAY_EPSILON
 from warp_psdr.kernels.surface import update_triangles
+from warp_psdr.scene.acceleration import Accelerator
 from warp_psdr.scene.build import Builder
 from warp_psdr.scene.edits import Edits, has_results
 from warp_psdr.scene.layout import (
@@ -70,8 +70,8 @@ class Scene:
         origin: (3,) float64, world units: positions in ``values`` are relative to it (``warp_psdr.scene.origin``).
             Parameters are not.
         contact_ratio: Width of the strips on which the interior term is weighted where surfaces meet, over the smaller
-            of their radii (``warp_psdr.patches``, ``kernels/interior/contact.py``). A narrower one has less bias and
-            more noise, of its inverse square root.
+            of their radii (``warp_psdr.topology.patches``, ``kernels/interior/contact.py``). A narrower one has less
+            bias and more noise, of its inverse square root.
         parameters: Named stretches of ``values``.
         indices: Flat int32 vertex numbers, three a triangle, over all shapes.
     """

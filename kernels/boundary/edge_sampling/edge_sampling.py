@@ -1,0 +1,307 @@
+"""Unidirectional edge sampling [LADL18]: at every vertex of a camera path, a silhouette edge as the vertex sees it.
+
+The local form (``local_form.py``) per étendue dl dsigma of an edge, sigma the directions towards x_1, becomes one for
+fixed x_1 by dsigma = |cos(theta_1)| dA_1 / t_1^2, since a camera path already samples x_1 by area: with f_s the
+scattering function including the cosine, T_k the throughput over the density of a path up to its vertex k, x_1 = x_k
+and an edge point drawn by the density pdf_l per length,
+
+    dI = sum_k T_k f_s(w_i, omega) L_2 sin(phi) n . ( x_b' - (1 - tau) x_1' - tau x_2' ) / (t_1^2 pdf_l):
+
+an angular velocity n . (...) / t_1 times an element sin(phi) dl / t_1 of the silhouette [LADL18, eq. 8 and 9]. x_2 is
+what the ray past the edge hits, or infinity (tau = 0, a fixed direction); L_2 is path-traced. Only this background
+counts: triangle domains are material. x_1' is the velocity of the interior term's vertex (``interior/replay.py``):
+
+* k = 1: the hit of the attached camera ray, which slides over the surface; the film position is importance sampled
+  from the pixel filter, so a path belongs to one pixel and its weight is one;
+* k > 1: behind a smooth lobe, a material point. Delta lobes are refused (``warp_psdr/plan/coverage.py``).
+
+Sampling is detached. pdf_l is that of resampling (``edge_tree.py``) from lobes about the scattering function and, for
+LIGHT_SHARE of the mixture, about a light: a light point z is drawn as for next-event estimation, and a lobe of the
+light's solid angle about z weighs edges by how close they pass to the segment x_1 z. z is an auxiliary variable: for
+every z the mixture is positive wherever f_s is, so the estimate is unbiased for each z. Very glossy surfaces do
+without, as in the paper.
+
+Where a surface touches the edge (a box standing on a floor) the contact is the background: t_2 = 0, tau = 1, and counts
+once: segments that start in it have measure zero. A point, spot or directional light is met from a fixed x_1 by
+edges of measure zero; ``secondary.py`` samples those from the edge.
+"""
+
+import functools
+
+import warp as wp
+
+from warp_psdr.kernels.autodiff import anchor
+from warp_psdr.kernels.boundary.coincident import edge_share
+from warp_psdr.kernels.boundary.depth import DIRECT
+from warp_psdr.kernels.boundary.detector import make_arrival
+from warp_psdr.kernels.boundary.edge_sampling.edge_tree import EdgeTrees, edge_at, make_choose
+from warp_psdr.kernels.boundary.edge_sampling.ltc_line import (
+    Lobes,
+    make_lobe,
+    make_scattering_lobes,
+    mixture_density,
+    sample_mixture,
+)
+from warp_psdr.kernels.boundary.film_edge import BESIDE
+from warp_psdr.kernels.boundary.local_form import EdgePoint, Edges, edge_behind, edge_step, interior_side
+from warp_psdr.kernels.boundary.path_space.secondary import Segment, make_segment_sink
+from warp_psdr.kernels.boundary.transport import make_first_sink
+from warp_psdr.kernels.bsdf.dispatch import make_bsdf
+from warp_psdr.kernels.bvh.wide import make_intersect
+from warp_psdr.kernels.constants import BSDF_ROUGH_CONDUCTOR_BECKMANN, BSDF_ROUGH_CONDUCTOR_GGX, FAR, PI
+from warp_psdr.kernels.invalid import count_invalid, finite, vanishes
+from warp_psdr.kernels.math import any_tangent, to_local
+from warp_psdr.kernels.notes import NOTE_EDGE, make_note
+from warp_psdr.kernels.path import make_camera_start, make_path_step
+from warp_psdr.kernels.rng import SALT_X, SALT_Y, Sampler, independent_2d, independent_4d, pcg4d, sampler_at
+from warp_psdr.kernels.scattering import make_light_sampler
+from warp_psdr.kernels.sensor.camera import make_camera_ray, make_camera_sink
+from warp_psdr.kernels.step import leaving_step
+from warp_psdr.kernels.structs import Bsdf, Camera, Material, Scene
+from warp_psdr.kernels.surface import make_surface
+from warp_psdr.kernels.vertex import PathConfig, make_frame, make_material
+
+#: Share of the light's lobe in the mixture: half [LADL18], more where only a light itself can be the background.
+LIGHT_SHARE, LIGHT_SHARE_LAST = 0.5, 0.8
+#: Roughness up to which the scattering lobe is left alone [LADL18].
+GLOSSY = 0.1
+#: Narrowest and widest lobe (slope) about a light point.
+MIN_LIGHT_SCALE, MAX_LIGHT_SCALE = 0.01, 1.0
+#: First sample slot of an edge: light, position along it, resampling.
+SLOT_LIGHT, SLOT_ALONG, SLOT_CHOICE = 0, 1, 2
+
+
+@wp.struct
+class EdgeSample:
+    """A boundary segment from a path vertex, and f_s / (t_1^2 pdf_l)."""
+
+    segment: Segment
+    point: EdgePoint
+    value: wp.vec3
+
+
+@functools.cache
+def make_edge_sample(config: PathConfig, tree: bool, candidates: int):
+    """Return ``edge_sample(scene, edges, trees, face, u, v, d, sampler, last) -> EdgeSample``.
+
+    ``d`` is the direction of the ray that found the vertex; ``last``: only a light may follow.
+    """
+    closest_hit, any_hit = make_intersect(config.ray_backend, config.ray_width)
+    surface_at = make_surface(config.smooth, config.flat, config.uv, config.tangent)
+    frame_at = make_frame(config.two_sided, config.tangent)
+    material_at = make_material(config.slots)
+    bsdf = make_bsdf(config.bsdfs)
+    scattering_lobes = make_scattering_lobes(config.bsdfs)
+    choose = make_choose(tree, candidates)
+    sample_light = make_light_sampler(config)
+
+    @wp.func
+    def lobes_at(
+        scene: Scene, x: wp.vec3, b: Bsdf, material: Material, lobes: Lobes, u4: wp.vec4, last: wp.bool
+    ) -> Lobes:
+        """Add the lobe of a light to those of the scattering function."""
+        r = Lobes()
+        r.cosine = lobes.cosine
+        r.glossy = lobes.glossy
+        if b.model == BSDF_ROUGH_CONDUCTOR_GGX or b.model == BSDF_ROUGH_CONDUCTOR_BECKMANN:
+            if wp.min(material.s0, material.s1) <= GLOSSY:
+                return r
+        ls, _index, _probability = sample_light(scene, x, u4)
+        if ls.pdf > 0.0 and ls.delta == 0 and wp.dot(ls.wi, lobes.cosine.z) > 0.0:
+            share = wp.where(last, LIGHT_SHARE_LAST, LIGHT_SHARE)
+            scale = wp.clamp(wp.sqrt(1.0 / (PI * ls.pdf)), MIN_LIGHT_SCALE, MAX_LIGHT_SCALE)
+            r.cosine.share = (1.0 - share) * lobes.cosine.share
+            r.glossy.share = (1.0 - share) * lobes.glossy.share
+            r.light = make_lobe(ls.wi, any_tangent(ls.wi), scale, scale, share)
+        return r
+
+    @wp.func
+    def edge_sample(
+        scene: Scene,
+        edges: Edges,
+        trees: EdgeTrees,
+        face: wp.int32,
+        u: wp.float32,
+        v: wp.float32,
+        d: wp.vec3,
+        sampler: Sampler,
+        last: wp.bool,
+    ) -> EdgeSample:
+        r = EdgeSample()
+        surface = surface_at(scene, face, u, v)
+        frame = frame_at(scene, scene.shapes[surface.shape].bsdf, surface.n, surface.tangent, -d)
+        b = scene.bsdfs[frame.bsdf]
+        material = material_at(scene, b, face, u, v, surface.uv)
+        wi = to_local(frame.s, frame.t, frame.n, -d)
+        if wi[2] <= 0.0:
+            return r
+        x1 = surface.x
+        lobes = lobes_at(
+            scene, x1, b, material, scattering_lobes(b.model, material, frame, wi),
+            independent_4d(sampler, SLOT_LIGHT), last,
+        )  # fmt: skip
+        chosen = choose(scene, edges, trees, lobes, x1, sampler, SLOT_CHOICE)
+        if chosen.edge < 0:
+            return r
+        point = edge_at(scene, edges, chosen.edge)
+        along = point.p1 - point.p0
+        point.s = sample_mixture(lobes, point.p0 - x1, along, independent_2d(sampler, SLOT_ALONG))
+        point.x = point.p0 + point.s * along
+        length = wp.length(along)
+        t1 = wp.length(point.x - x1)
+        w = (point.x - x1) / t1
+        tangent = along / length
+        m = wp.cross(tangent, w)
+        sine = wp.length(m)
+        side = interior_side(scene, edges, point, m)
+        density = trees.boost[chosen.edge] * mixture_density(lobes, w)
+        f = bsdf.eval(b.model, material, wi, to_local(frame.s, frame.t, frame.n, w))
+        # Where the density is 0 so is f: both are of the same cosine. A point that is drawn is not seen end-on.
+        if side == 0.0 or vanishes(f):
+            return r
+        # The line passes the occluder on its outside.
+        step = edge_step(scene, edges, point.edge)
+        x = point.x - (step * side / sine) * m
+        behind = wp.min(edge_behind(scene, step), 0.5 * t1)
+        away = leaving_step(scene, face)
+        turn = wp.where(wp.dot(surface.ng, w) >= 0.0, away, -away)
+        o = x1 + turn * surface.ng
+        ray = x - o
+        distance = wp.length(ray)
+        if distance > behind and any_hit(scene.accel, o, ray / distance, distance - behind):
+            return r
+        s = Segment()
+        s.light = -1
+        s.x = x
+        # Past the edge so closely that small lights behind it are met.
+        s.source = point.x - (BESIDE * step * side / sine) * m - behind * w
+        s.w = w
+        s.sweep = side * m
+        s.t1 = t1
+        s.face1 = face
+        s.u1 = u
+        s.v1 = v
+        hit = closest_hit(scene.accel, s.source, w, FAR)
+        s.face2 = hit.face
+        if hit.face >= 0:
+            s.tau = t1 / (t1 + wp.max(hit.t - behind, 0.0))
+            s.u2 = hit.u
+            s.v2 = hit.v
+            if hit.t <= behind + step:
+                # A contact may be a notch (``notch.py``).
+                s.source = x - behind * w
+        s.valid = 1
+        # pdf_l = q boost / scale, q = density sin(phi) / t_1^2; t_1^2 cancels against the measure.
+        share = edge_share(scene, edges, point, tangent, w, side)
+        r.value = (share * chosen.scale / (density * sine)) * f
+        r.segment = s
+        r.point = point
+        return r
+
+    return edge_sample
+
+
+@functools.cache
+def make_edge_sampling_kernel(
+    config: PathConfig,
+    walk: PathConfig,
+    role: str,
+    camera_moves: bool,
+    tree: bool,
+    candidates: int,
+    indirect: bool = False,
+):
+    """Return the kernel: one thread a sample of a pixel.
+
+    Args:
+        config: what the scene needs.
+        walk: the same with the sampler of camera paths and without lights, which such a path does not look for.
+        role: "reverse" (``adjoint`` is read, ``target`` receives the gradient) or "forward" (``target`` holds the
+            tangents, ``image_out`` receives the derivative image).
+        camera_moves: a parameter of the camera is differentiated.
+        tree: choose edges with the hierarchies.
+        candidates: edges that are resampled.
+        indirect: paths of two vertices are left out (``depth.py``).
+    """
+    start = make_camera_start(walk)
+    _camera_ray, camera_origin = make_camera_ray(config.camera)
+    path_step = make_path_step(walk, False)
+    edge_sample = make_edge_sample(config, tree, candidates)
+    arrival = make_arrival(config)
+    push_segment = make_segment_sink(role, False)
+    push_first = make_first_sink(role)
+    push_camera = make_camera_sink(role, config.camera) if camera_moves else None
+    note_place = make_note(config.noted)
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def edge_sampling(
+        # Scene:
+        scene: Scene,
+        camera: Camera,
+        edges: Edges,
+        trees: EdgeTrees,
+        # In:
+        first: wp.int32,
+        spp: wp.int32,
+        seed: wp.uint32,
+        max_depth: wp.int32,
+        rr_depth: wp.int32,
+        adjoint: wp.array2d(dtype=wp.vec3),
+        # Out:
+        target: wp.array(dtype=wp.float32),
+        image_out: wp.array2d(dtype=wp.vec3),
+    ):
+        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
+        number = first + wp.tid()
+        pixel = number // spp
+        px = pixel % camera.crop_width
+        py = pixel // camera.crop_width
+        delta = wp.vec3(0.0, 0.0, 0.0)
+        if wp.static(role == "reverse"):
+            delta = adjoint[py, px]
+            if delta[0] == 0.0 and delta[1] == 0.0 and delta[2] == 0.0:
+                return
+        sampler = sampler_at(pixel, number % spp, seed)
+        state, ray = start(scene, camera, px, py, sampler)
+        origin = camera_origin(scene, camera, ray)
+        total = wp.vec3(0.0, 0.0, 0.0)
+        dropped = wp.float32(0.0)
+        k = wp.int32(1)
+        while state.alive == 1:
+            vertex, state = path_step(scene, sampler, state, max_depth, rr_depth)
+            if vertex.face >= 0 and (max_depth < 0 or k < max_depth):
+                words = pcg4d(seed, wp.uint32(k), SALT_X, SALT_Y)
+                branch = sampler
+                branch.seed = words.x
+                drawn = edge_sample(
+                    scene, edges, trees, vertex.face, vertex.u, vertex.v, vertex.d, branch, k + 1 == max_depth
+                )
+                s = drawn.segment
+                if s.valid == 1:
+                    at = drawn.point
+                    note_place(scene, NOTE_EDGE, at.edge, at.s, 0.0, at.x, s.w, drawn.value)
+                    branch.seed = words.y
+                    source = arrival(scene, branch, s.source, s.w, FAR, k, max_depth, rr_depth).radiance
+                    if wp.static(indirect):
+                        if k == 1:
+                            source -= arrival(scene, branch, s.source, s.w, FAR, k, DIRECT, rr_depth).radiance
+                    value = (1.0 / wp.float32(spp)) * wp.cw_mul(wp.cw_mul(vertex.throughput, drawn.value), source)
+                    if not vanishes(value):
+                        w = wp.float32(1.0)
+                        if wp.static(role == "reverse"):
+                            w = wp.dot(delta, value)
+                        a_o, a_d, speed = push_first(scene, target, s, w, k == 1, origin, vertex.d)
+                        speed += push_segment(scene, target, edges, drawn.point, s, w)
+                        if wp.static(camera_moves):
+                            if k == 1:
+                                speed += push_camera(scene, target, camera, ray, a_o, a_d)
+                        total += speed * value
+                        if wp.static(role == "reverse"):
+                            dropped += speed
+            k += 1
+        if dropped != 0.0 or not finite(total):
+            count_invalid(scene, sampler_at(number, 0, seed))  # its number in the term
+        elif wp.static(role == "forward"):
+            wp.atomic_add(image_out, py, px, total)
+
+    return edge_sampling

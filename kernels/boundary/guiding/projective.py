@@ -1,0 +1,376 @@
+"""Seeds of boundary segments: ordinary path segments, projected to the nearest silhouette [ZRJ23, section 4].
+
+Where a ray from a path vertex x_1 is stopped by a surface, an edge of that surface may let another one pass: boundary
+segments with a large contribution are near path segments with a large contribution. Camera paths are traced as usual;
+every vertex offers the ray towards a sampled light point that something blocks, weighted by what the light would have
+given, or the ray that scattering sampled, weighted by its throughput, and one segment of the path is kept
+(weighted reservoir). From the triangle f that it hits, with normal n and centroid c seen along omega = unit(c - x_1),
+
+* a *walk* goes from triangle to triangle, to the neighbour with the smallest |n . omega|, while that falls, and ends at
+  the first triangle with an edge that is a silhouette as seen from x_1 (open edges are);
+* where the walk ends without one, a *jump*: n . omega, known at the centroids of the walk's first and last triangles,
+  is extended linearly to its zero, and a second walk starts where the ray towards it meets the same shape.
+
+The edge point nearest to the first ray and the direction to it from x_1 make the seed. It is returned as a point of the
+unit cube of the wedge technique (``guiding/techniques.py``): edges' cumulative probability, then ``wedge_square``.
+A blocked ray towards a light is projected as seen from the light point, too, which makes a seed of the technique that
+aims at lights. Seeds only say where samples are worth their cost; no estimate depends on them being right.
+"""
+
+import functools
+
+import warp as wp
+
+from warp_psdr.kernels.boundary.guiding.light_square import make_light_square, outside_of
+from warp_psdr.kernels.boundary.local_form import EdgePoint, Edges, interior_side
+from warp_psdr.kernels.boundary.path_space.direction import wedge_at, wedge_square
+from warp_psdr.kernels.bsdf.dispatch import make_bsdf
+from warp_psdr.kernels.bvh.wide import make_intersect
+from warp_psdr.kernels.constants import FAR, LOBE_SMOOTH
+from warp_psdr.kernels.math import to_local
+from warp_psdr.kernels.path import make_camera_start, make_path_step
+from warp_psdr.kernels.reading import load_vec3
+from warp_psdr.kernels.rng import make_sampler, sampler_at
+from warp_psdr.kernels.scattering import make_light_sampler
+from warp_psdr.kernels.step import leaving_step
+from warp_psdr.kernels.structs import Camera, Scene
+from warp_psdr.kernels.surface import make_surface
+from warp_psdr.kernels.vertex import PathConfig, PathVertex, make_frame, make_material
+
+#: Most triangles that one walk crosses [ZRJ23].
+WALK_STEPS = 30
+#: Walks after the first one, each from where a jump landed.
+JUMPS = 3
+#: A jump that misses the shape is shortened by half, at most so often.
+JUMP_TRIES = 8
+#: A ray towards a light point counts as blocked if it is stopped before this fraction of its length.
+BLOCKED = 0.999
+#: First sample slot of the seeds' own numbers; the path's are far below.
+SLOT_SEED = 1 << 20
+#: Which rays are projected.
+BLOCKED_LIGHT, SCATTERED = 0, 1
+#: Light at infinity is put this many scene radii away: an angle of a thousandth, far below a cell's.
+INFINITY_RADII = 1.0e3
+
+
+@wp.struct
+class Neighbours:
+    """What lies across the side of a triangle between its corners i and i + 1."""
+
+    faces: wp.array2d(dtype=wp.int32)  # (faces, 3) the triangle; -1: an open edge, or one of more than two triangles
+    edges: wp.array2d(dtype=wp.int32)  # (faces, 3) the number of the edge in ``Edges``; -1: flat, never a silhouette
+
+
+@wp.struct
+class Silhouette:
+    """A point on an edge that is a silhouette as seen from some point; ``edge`` -1: none found."""
+
+    edge: wp.int32
+    s: wp.float32
+    w: wp.vec3  # unit, from the point to the edge
+    jumped: wp.int32
+
+
+@wp.func
+def nearest_fraction(p0: wp.vec3, p1: wp.vec3, o: wp.vec3, d: wp.vec3) -> wp.float32:
+    """Fraction of the way from p0 to p1 where the segment is nearest to the line o + t d (d unit)."""
+    r = p0 - o
+    e_across = (p1 - p0) - wp.dot(p1 - p0, d) * d
+    r_across = r - wp.dot(r, d) * d
+    squared = wp.dot(e_across, e_across)
+    if squared <= 0.0:
+        return 0.5
+    return wp.clamp(-wp.dot(r_across, e_across) / squared, 0.0, 1.0)
+
+
+@wp.func
+def centroid(scene: Scene, face: wp.int32) -> wp.vec3:
+    tri = scene.triangles[face]
+    return (tri.p0 + tri.p1 + tri.p2) / 3.0
+
+
+@wp.func
+def facing(scene: Scene, face: wp.int32, o: wp.vec3) -> wp.float32:
+    """Return n . omega at the centroid of a triangle seen from o."""
+    return wp.dot(scene.triangles[face].normal, wp.normalize(centroid(scene, face) - o))
+
+
+@wp.func
+def silhouette_at(
+    scene: Scene, edges: Edges, neighbours: Neighbours, face: wp.int32, o: wp.vec3, d: wp.vec3
+) -> Silhouette:
+    """Return the point on a silhouette edge of the triangle that is nearest to the ray (o, d)."""
+    r = Silhouette()
+    r.edge = -1
+    best = wp.float32(-2.0)
+    for side in range(3):
+        edge = neighbours.edges[face, side]
+        if edge >= 0:
+            point = EdgePoint()
+            point.edge = edge
+            point.p0 = load_vec3(scene.values, scene.positions + 3 * edges.ends[edge, 0])
+            point.p1 = load_vec3(scene.values, scene.positions + 3 * edges.ends[edge, 1])
+            s = nearest_fraction(point.p0, point.p1, o, d)
+            w = wp.normalize((1.0 - s) * point.p0 + s * point.p1 - o)
+            if wp.dot(w, d) > best and interior_side(scene, edges, point, wp.cross(point.p1 - point.p0, w)) != 0.0:
+                best = wp.dot(w, d)
+                r.edge = edge
+                r.s = s
+                r.w = w
+    return r
+
+
+@functools.cache
+def make_projection(backend: str, width: int):
+    """Return ``to_silhouette(scene, edges, neighbours, face, o, d) -> Silhouette``: walk, jump, walk."""
+    closest_hit, _any_hit = make_intersect(backend, width)
+
+    @wp.func
+    def walk(
+        scene: Scene, edges: Edges, neighbours: Neighbours, start: wp.int32, o: wp.vec3, d: wp.vec3
+    ) -> tuple[Silhouette, wp.int32]:
+        face = wp.int32(start)
+        found = silhouette_at(scene, edges, neighbours, face, o, d)
+        steps = wp.int32(0)
+        while found.edge < 0 and steps < WALK_STEPS:
+            least = wp.abs(facing(scene, face, o))
+            after = wp.int32(-1)
+            for side in range(3):
+                other = neighbours.faces[face, side]
+                if other >= 0:
+                    value = wp.abs(facing(scene, other, o))
+                    if value < least:
+                        least = value
+                        after = other
+            if after < 0:
+                return found, face
+            face = after
+            found = silhouette_at(scene, edges, neighbours, face, o, d)
+            steps += 1
+        return found, face
+
+    @wp.func
+    def to_silhouette(
+        scene: Scene, edges: Edges, neighbours: Neighbours, start: wp.int32, o: wp.vec3, d: wp.vec3
+    ) -> Silhouette:
+        face = wp.int32(start)
+        found, last = walk(scene, edges, neighbours, face, o, d)
+        jumps = wp.int32(0)
+        while found.edge < 0 and last != face and jumps < JUMPS:
+            at = centroid(scene, last)
+            here = facing(scene, last, o)
+            step = (here / (facing(scene, face, o) - here)) * (at - centroid(scene, face))
+            shape = scene.triangles[last].shape
+            face = last
+            tries = wp.int32(0)
+            while tries < JUMP_TRIES and last == face:
+                hit = closest_hit(scene.accel, o, wp.normalize(at + step - o), FAR)
+                if hit.face >= 0:
+                    if scene.triangles[hit.face].shape == shape:
+                        face = hit.face
+                step *= 0.5
+                tries += 1
+            if face != last:
+                found, last = walk(scene, edges, neighbours, face, o, d)
+                found.jumped = 1
+            jumps += 1
+        return found
+
+    return to_silhouette
+
+
+@wp.func
+def edge_coordinate(edges: Edges, edge: wp.int32, s: wp.float32) -> wp.float64:
+    """Where in [0, 1) of the edges' cumulative probabilities the point s of an edge lies."""
+    along = (s - edges.low[edge]) / (edges.high[edge] - edges.low[edge])
+    # For less noise alone: an end that is met stays on its edge. Seeds only say where to look.
+    return outside_of(edges.cdf, edge, wp.min(wp.float64(along), wp.float64(0.999999)))
+
+
+@wp.func
+def found_point(scene: Scene, edges: Edges, found: Silhouette) -> EdgePoint:
+    point = EdgePoint()
+    point.edge = found.edge
+    point.s = found.s
+    point.p0 = load_vec3(scene.values, scene.positions + 3 * edges.ends[found.edge, 0])
+    point.p1 = load_vec3(scene.values, scene.positions + 3 * edges.ends[found.edge, 1])
+    point.x = (1.0 - found.s) * point.p0 + found.s * point.p1
+    return point
+
+
+@wp.func
+def wedge_seed(scene: Scene, edges: Edges, found: Silhouette) -> wp.vec3d:
+    """Coordinates of a silhouette point in the cube of the wedge technique; outside of it if it is in no wedge."""
+    point = found_point(scene, edges, found)
+    square = wedge_square(wedge_at(scene, edges, point), found.w)
+    return wp.vec3d(edge_coordinate(edges, found.edge, found.s), wp.float64(square[0]), wp.float64(square[1]))
+
+
+@wp.struct
+class Candidate:
+    """A segment of a path that may be projected."""
+
+    weight: wp.float32  # 0: there is none
+    face: wp.int32  # what stops the ray
+    o: wp.vec3
+    d: wp.vec3
+    light: wp.vec3  # the light point behind
+    light_face: wp.int32  # its triangle and barycentrics; -1: of an environment or a point-like light
+    light_u: wp.float32
+    light_v: wp.float32
+    coordinate: wp.float64  # of a point-like light in the square of ``light_square.py``, else -1
+
+
+@functools.cache
+def make_blocked_light(config: PathConfig):
+    """Return ``blocked_light(scene, vertex, radius, u4) -> Candidate``: a light point that something hides from x_1."""
+    closest_hit, _any_hit = make_intersect(config.ray_backend, config.ray_width)
+    surface_at = make_surface(config.smooth, config.flat, config.uv, config.tangent)
+    frame_at = make_frame(config.two_sided, config.tangent)
+    material_at = make_material(config.slots)
+    bsdf = make_bsdf(config.bsdfs)
+    sample_light = make_light_sampler(config)
+
+    @wp.func
+    def blocked_light(scene: Scene, vertex: PathVertex, radius: wp.float32, u4: wp.vec4) -> Candidate:
+        r = Candidate()
+        surface = surface_at(scene, vertex.face, vertex.u, vertex.v)
+        frame = frame_at(scene, scene.shapes[surface.shape].bsdf, surface.n, surface.tangent, -vertex.d)
+        b = scene.bsdfs[frame.bsdf]
+        if bsdf.is_delta(b.model):
+            return r
+        material = material_at(scene, b, vertex.face, vertex.u, vertex.v, surface.uv)
+        ls, index, probability = sample_light(scene, surface.x, u4)
+        if ls.pdf <= 0.0:
+            return r
+        wi = to_local(frame.s, frame.t, frame.n, -vertex.d)
+        f = bsdf.eval(b.model, material, wi, to_local(frame.s, frame.t, frame.n, ls.wi))
+        value = wp.max(wp.cw_mul(vertex.throughput, wp.cw_mul(f, ls.radiance)))
+        if value <= 0.0:
+            return r
+        away = leaving_step(scene, vertex.face)
+        turn = wp.where(wp.dot(surface.ng, ls.wi) >= 0.0, away, -away)
+        r.o = surface.x + turn * surface.ng
+        r.d = ls.wi
+        hit = closest_hit(scene.accel, r.o, r.d, wp.min(BLOCKED * ls.distance, FAR))
+        if hit.face < 0:
+            return r
+        r.weight = value / (ls.pdf * probability)
+        r.face = hit.face
+        distance = ls.distance
+        if ls.distance > 0.5 * FAR:
+            distance = INFINITY_RADII * radius
+        r.light = r.o + distance * ls.wi
+        r.light_face = ls.face
+        r.light_u = ls.u
+        r.light_v = ls.v
+        r.coordinate = wp.float64(-1.0)
+        if ls.delta == 1:
+            r.coordinate = outside_of(scene.emitter_cdf, index, wp.float64(u4[2]))
+        return r
+
+    return blocked_light
+
+
+@functools.cache
+def make_light_seed(config: PathConfig):
+    """Return ``light_seed(scene, edges, found, candidate, u) -> vec3d``: coordinates in the cube of the lights."""
+    _aim, light_coordinates = make_light_square(config)
+
+    @wp.func
+    def light_seed(scene: Scene, edges: Edges, found: Silhouette, from_x: Candidate, u: wp.float32) -> wp.vec3d:
+        along = edge_coordinate(edges, found.edge, found.s)
+        if from_x.coordinate >= wp.float64(0.0):
+            # All coordinates of such a light mean the same.
+            return wp.vec3d(along, from_x.coordinate, wp.float64(u))
+        point = found_point(scene, edges, found)
+        w = wp.normalize(from_x.light - point.x)
+        at = light_coordinates(scene, edges, point, from_x.light_face, from_x.light_u, from_x.light_v, w)
+        return wp.vec3d(along, at[0], at[1])
+
+    return light_seed
+
+
+@functools.cache
+def make_seeds_kernel(config: PathConfig, kind: int):
+    """Return the kernel: one thread a camera path and its seed.
+
+    Args:
+        config: what the scene needs.
+        kind: BLOCKED_LIGHT or SCATTERED, the rays that are projected. The former makes seeds of both techniques, the
+            latter of the wedge alone.
+    """
+    closest_hit, _any_hit = make_intersect(config.ray_backend, config.ray_width)
+    path_step = make_path_step(config, False)
+    start = make_camera_start(config)
+    to_silhouette = make_projection(config.ray_backend, config.ray_width)
+    to_light = kind == BLOCKED_LIGHT
+    blocked_light = make_blocked_light(config) if to_light else None
+    light_seed = make_light_seed(config) if to_light else None
+    draw = make_sampler(config.sampler)
+    sample_1d = draw.sample_1d
+    sample_4d = draw.sample_4d
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def seeds(
+        # Scene:
+        scene: Scene,
+        camera: Camera,
+        edges: Edges,
+        neighbours: Neighbours,
+        # In:
+        radius: wp.float32,
+        first: wp.int32,
+        seed: wp.uint32,
+        max_depth: wp.int32,
+        rr_depth: wp.int32,
+        # Out:
+        weight_out: wp.array(dtype=wp.float32),
+        wedge_out: wp.array(dtype=wp.vec3d),
+        light_out: wp.array(dtype=wp.vec3d),
+    ):
+        number = first + wp.tid()
+        outside = wp.vec3d(wp.float64(-1.0), wp.float64(-1.0), wp.float64(-1.0))
+        weight_out[number] = 0.0
+        wedge_out[number] = outside
+        light_out[number] = outside
+        pixel = number % (camera.crop_width * camera.crop_height)
+        sampler = sampler_at(pixel, number // (camera.crop_width * camera.crop_height), seed)
+        state, _film = start(scene, camera, pixel % camera.crop_width, pixel // camera.crop_width, sampler)
+        total = wp.float32(0.0)
+        kept = Candidate()
+        while state.alive == 1:
+            depth = state.depth
+            vertex, state = path_step(scene, sampler, state, max_depth, rr_depth)
+            found = Candidate()
+            if wp.static(to_light):
+                if vertex.face >= 0 and (max_depth < 0 or depth + 2 <= max_depth):
+                    found = blocked_light(scene, vertex, radius, sample_4d(sampler, SLOT_SEED + 2 * depth))
+            else:
+                if state.alive == 1 and vertex.lobe == LOBE_SMOOTH:
+                    hit = closest_hit(scene.accel, state.o, state.d, FAR)
+                    if hit.face >= 0:
+                        found.weight = wp.max(state.throughput)
+                        found.face = hit.face
+                        found.o = state.o
+                        found.d = state.d
+            if found.weight > 0.0:
+                total += found.weight
+                if sample_1d(sampler, SLOT_SEED + 2 * depth + 1) * total <= found.weight:
+                    kept = found
+        weight_out[number] = total
+        if total <= 0.0:
+            return
+        seen = to_silhouette(scene, edges, neighbours, kept.face, kept.o, kept.d)
+        if seen.edge >= 0:
+            wedge_out[number] = wedge_seed(scene, edges, seen)
+        if wp.static(to_light):
+            back = wp.normalize(kept.o - kept.light)
+            apart = wp.length(kept.o - kept.light)
+            hit = closest_hit(scene.accel, kept.light + (1.0 - BLOCKED) * apart * back, back, apart)
+            if hit.face >= 0:
+                lit = to_silhouette(scene, edges, neighbours, hit.face, kept.light, back)
+                if lit.edge >= 0:
+                    light_out[number] = light_seed(scene, edges, lit, kept, sample_1d(sampler, SLOT_SEED - 1))
+
+    return seeds

@@ -1,0 +1,319 @@
+"""Secondary boundary: discontinuities of the visibility between two path vertices [ZMY*20], in the local form.
+
+A sample is an edge point x_b and a direction omega through it. The ray along omega ends in x_2, where the path tracer
+gives L_2; the ray along -omega ends in x_1, from which importance is carried to the camera (``detector.py``). Its
+vertex k as counted from the camera is x_1 itself: k = 1 if the camera sees x_1 directly, then x_1 slides along its
+pixel's ray and its velocity is that of the attached ray's hit; deeper ones are material points. x_2 is a material
+point, the light itself, or at infinity, where tau = 0:
+
+* environment: a fixed world direction;
+* directional light: omega turns with the light, which moves the line at x_b by t_1 omega'.
+
+Samples are stratified over the edges (unguided), or drawn from cells (``kernels/boundary/guiding/``). The cells follow
+the integrand of their technique's coordinates, with the balance heuristic of equal shares folded in:
+
+    sum_k |W_k L_2| sin(phi) dl / du_0 / ( J_wedge / 2 + J_light / 2 ),                     (role "target")
+
+whatever the velocities are; 0 where nothing moves. So one structure serves every adjoint and every tangent.
+"""
+
+import functools
+
+import warp as wp
+
+from warp_psdr.kernels.autodiff import anchor
+from warp_psdr.kernels.boundary.coincident import edge_share, make_screened, way_to
+from warp_psdr.kernels.boundary.depth import make_indirect
+from warp_psdr.kernels.boundary.guiding.techniques import Guide, make_techniques, octant_point
+from warp_psdr.kernels.boundary.local_form import (
+    EdgePoint,
+    Edges,
+    edge_behind,
+    edge_step,
+    facing_side,
+    make_edge_sink,
+)
+from warp_psdr.kernels.boundary.path_space.direction import Direction, wedge_at
+from warp_psdr.kernels.boundary.transport import Segment, make_source, make_transport
+from warp_psdr.kernels.bvh.wide import make_intersect
+from warp_psdr.kernels.constants import EMITTER_DIRECTIONAL, EMITTER_POINT, FAR
+from warp_psdr.kernels.emitter.area import make_area
+from warp_psdr.kernels.emitter.directional import directional_dot
+from warp_psdr.kernels.emitter.dispatch import make_lights
+from warp_psdr.kernels.emitter.spot import load_column
+from warp_psdr.kernels.invalid import count_invalid, vanishes
+from warp_psdr.kernels.notes import NOTE_EDGE, make_note
+from warp_psdr.kernels.rng import make_sampler, sampler_at
+from warp_psdr.kernels.sink import make_sink, make_sink_vec3
+from warp_psdr.kernels.step import leaving_step
+from warp_psdr.kernels.structs import Camera, Scene
+from warp_psdr.kernels.surface import VertexAdjoint, make_vertex_sink
+from warp_psdr.kernels.vertex import PathConfig
+
+#: Sample slots of a segment; those of the walk follow (``transport.py``).
+SLOT_EDGE, SLOT_DIRECTION = 0, 1
+
+
+@wp.func
+def moves(scene: Scene, moving: wp.array(dtype=wp.int32), face: wp.int32) -> wp.int32:
+    return moving[scene.triangles[face].shape]
+
+
+@functools.cache
+def make_segment(config: PathConfig):
+    """Return ``segment(scene, edges, moving, point, direction, direct) -> Segment``, its scale without densities.
+
+    What is cheap is tested first: most edges are no silhouette for most directions, and a segment between resting
+    things contributes nothing. ``direct``: only what x_2 itself emits counts.
+    """
+    closest_hit, any_hit = make_intersect(config.ray_backend, config.ray_width)
+    screened = make_screened(config)
+    emitted = make_area(config.area).emitted if config.area else None
+    lights = make_lights(config.lights, None, ()) if config.lights else None
+    environment_eval = lights.environment_eval if lights else None
+    has_environment = environment_eval is not None
+
+    @wp.func
+    def segment(
+        scene: Scene,
+        edges: Edges,
+        moving: wp.array(dtype=wp.int32),
+        point: EdgePoint,
+        direction: Direction,
+        direct: wp.bool,
+    ) -> Segment:
+        r = Segment()
+        r.face2 = -1
+        r.light = -1
+        r.w = direction.w
+        along = wp.normalize(point.p1 - point.p0)
+        m = wp.cross(along, r.w)
+        side = facing_side(scene, edges, point, along, r.w)
+        sine = wp.length(m)
+        if side == 0.0 or sine <= 0.0:
+            return r
+        r.sweep = side * m
+        step = edge_step(scene, edges, point.edge)
+        r.x = point.x - (step / sine) * r.sweep
+        behind = edge_behind(scene, step)
+        any_moves = wp.int32(0)
+        for i in range(edges.first[point.edge], edges.first[point.edge + 1]):
+            any_moves += moves(scene, moving, edges.faces[i])
+        r.source = r.x - behind * r.w
+        start1 = behind
+        # Towards the source. A surface at the edge itself hides what was aimed at, otherwise it is a contact.
+        if direction.light >= 0:
+            if any_hit(scene.accel, r.source, r.w, wp.min(direction.distance + behind, FAR)):
+                return r
+            r.light = direction.light
+            r.known = 1
+            r.radiance = direction.irradiance
+        elif direction.aimed == 1:
+            reach = wp.float32(FAR)
+            if direction.distance < 0.5 * FAR:
+                # The ray runs a step beside the line to the light point and meets the light's plane earlier or later:
+                # it stops a little in front of that plane, so that neither the light nor its roundings hide it.
+                plane = scene.triangles[direction.face].normal
+                shift = wp.dot(plane, point.x - r.x) / wp.dot(plane, r.w)
+                margin = (step + leaving_step(scene, direction.face)) / wp.abs(wp.dot(plane, r.w))
+                reach = wp.max(direction.distance + shift - margin, 0.0) + behind
+            if any_hit(scene.accel, r.source, r.w, reach):
+                return r
+            r.face2 = direction.face
+            r.u2 = direction.u
+            r.v2 = direction.v
+            r.t2 = direction.distance
+        else:
+            hit2 = closest_hit(scene.accel, r.source, r.w, FAR)
+            r.face2 = hit2.face
+            r.u2 = hit2.u
+            r.v2 = hit2.v
+            r.t2 = wp.max(hit2.t - behind, 0.0)
+            if hit2.face >= 0 and hit2.t <= behind + step:
+                start1 = -behind
+        if r.light < 0:
+            if r.face2 >= 0:
+                any_moves += moves(scene, moving, r.face2)
+                if wp.static(bool(config.area)):
+                    emitter = scene.shapes[scene.triangles[r.face2].shape].emitter
+                    if emitter >= 0:
+                        r.radiance = emitted(scene, scene.emitters[emitter], r.face2, r.u2, r.v2, r.w)
+            else:
+                if wp.static(has_environment):
+                    r.radiance = environment_eval(scene, r.w)
+            if (direct or r.face2 < 0) and vanishes(r.radiance):
+                return r
+        # Towards the sensor: from beyond the edge, but not from beyond a contact, which counts as x_2 only.
+        hit1 = closest_hit(scene.accel, r.x + start1 * r.w, -r.w, FAR)
+        if hit1.face < 0:
+            return r
+        if any_moves + moves(scene, moving, hit1.face) == 0:
+            return r
+        r.t1 = hit1.t - start1
+        if r.t1 <= step:
+            return r
+        r.face1 = hit1.face
+        r.u1 = hit1.u
+        r.v1 = hit1.v
+        r.step = step
+        if r.light >= 0:
+            inside = point.x + (step / sine) * r.sweep
+            way = way_to(scene, r.face1, inside, r.w, behind)
+            if screened(scene, scene.accel, edges, point, inside, r.w, way, r.face1, behind):
+                return r
+            if direction.distance < 0.5 * FAR:
+                r.tau = r.t1 / (r.t1 + direction.distance)
+        elif r.face2 >= 0:
+            r.tau = r.t1 / (r.t1 + r.t2)
+        r.scale = edge_share(scene, edges, point, along, r.w, side)
+        r.valid = 1
+        return r
+
+    return segment
+
+
+@functools.cache
+def make_segment_sink(role: str, light_pose: bool):
+    """Return ``push_segment(scene, target, edges, point, segment, w) -> float`` for the edge and x_2, weighted by w."""
+    push_edge = make_edge_sink(role)
+    push_vertex = make_vertex_sink(role, False, False, False, False, False, True)
+    sink = make_sink(role)
+    sink3 = make_sink_vec3(role)
+
+    @wp.func
+    def push_segment(
+        scene: Scene,
+        target: wp.array(dtype=wp.float32),
+        edges: Edges,
+        point: EdgePoint,
+        segment: Segment,
+        w: wp.float32,
+    ) -> wp.float32:
+        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
+        g = w * segment.sweep
+        total = push_edge(scene, target, edges, point, g)
+        if segment.face2 >= 0:
+            adjoint = VertexAdjoint()
+            adjoint.x = -segment.tau * g
+            pushed = push_vertex(
+                scene, target, segment.face2, segment.u2, segment.v2, adjoint, False, segment.x, segment.w
+            )
+            total += pushed.dot
+        if wp.static(light_pose):
+            if segment.light >= 0:
+                record = scene.emitters[segment.light]
+                if record.kind == EMITTER_DIRECTIONAL:
+                    axis = load_column(scene.values, record.to_world, 2)
+                    d_axis, _a = wp.grad(directional_dot)(axis, -segment.t1 * g)
+                    for i in range(3):
+                        total += sink(target, record.to_world + 4 * i + 2, d_axis[i])
+                elif record.kind == EMITTER_POINT:
+                    total += sink3(target, record.to_world, -segment.tau * g)
+                else:
+                    for i in range(3):
+                        total += sink(target, record.to_world + 4 * i + 3, -segment.tau * g[i])
+        return total
+
+    return push_segment
+
+
+@functools.cache
+def make_secondary_kernel(
+    config: PathConfig,
+    role: str,
+    camera_moves: bool,
+    light_pose: bool,
+    guided: bool = False,
+    indirect: bool = False,
+):
+    """Return the kernel of the secondary boundary term: one thread a sample.
+
+    Args:
+        config: what the scene needs.
+        role: "reverse" (``adjoint`` is read, ``target`` receives the gradient), "forward" (``target`` holds the
+            tangents, ``image_out`` receives the derivative image), "samples" (as "reverse", but ``target`` receives
+            what every sample is, see ``make_edge_sink``), or "target" (``target`` receives the integrand that guiding
+            follows, at points of the cube that ``guide`` gives, see ``techniques.py``).
+        camera_moves: a parameter of the camera is differentiated.
+        light_pose: the position or direction of a point, spot or directional light is differentiated.
+        guided: segments are drawn from the cells in ``guide``.
+        indirect: paths of two vertices are left out (``depth.py``).
+    """
+    evaluates = role == "target"
+    segment_at = make_segment(config)
+    push_segment = None if evaluates else make_segment_sink(role, light_pose)
+    source = make_source(config, True)
+    source = make_indirect(source) if indirect else source
+    transport = make_transport(config, role, camera_moves, source)
+    sample_aim, density, place = make_techniques(config, guided)
+    draw = make_sampler(config.sampler)
+    sample_1d = draw.sample_1d
+    sample_4d = draw.sample_4d
+    note_place = make_note(config.noted)
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def secondary(
+        # Scene:
+        scene: Scene,
+        camera: Camera,
+        edges: Edges,
+        moving: wp.array(dtype=wp.int32),
+        guide: Guide,
+        # In:
+        first: wp.int32,
+        samples: wp.int32,
+        seed: wp.uint32,
+        max_depth: wp.int32,
+        rr_depth: wp.int32,
+        adjoint: wp.array2d(dtype=wp.vec3),
+        # Out:
+        target: wp.array(dtype=wp.float32),
+        image_out: wp.array2d(dtype=wp.vec3),
+    ):
+        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
+        number = first + wp.tid()
+        sampler = sampler_at(number, 0, seed)
+        direct = max_depth == 2
+        u4 = sample_4d(sampler, SLOT_DIRECTION)
+        if wp.static(evaluates):
+            if guide.points.shape[0] > 0:
+                aim = place(scene, edges, guide.points[number], guide.technique)
+            else:
+                box = number // samples
+                u = octant_point(guide.low[box], guide.high[box], (number - box * samples) % 8, u4)
+                aim = place(scene, edges, u, guide.technique)
+        else:
+            jitter = u4[0]
+            if wp.static(not guided):
+                jitter = sample_1d(sampler, SLOT_EDGE)
+            aim = sample_aim(scene, edges, guide, (wp.float64(number) + wp.float64(jitter)) / wp.float64(samples), u4)
+        point = aim.point
+        point.sample = number
+        direction = aim.direction
+        if direction.valid == 0:
+            return
+        s = segment_at(scene, edges, moving, point, direction, direct)
+        if s.valid == 0:
+            return
+        note_place(scene, NOTE_EDGE, point.edge, point.s, 0.0, point.x, direction.w, s.radiance)
+        wedge = wedge_at(scene, edges, point)
+        pdf = density(scene, edges, guide, wedge, aim, s.face2, s.u2, s.v2, s.t2)
+        # pdf_l is a density of the fraction s; dl = |p1 - p0| ds.
+        s.scale *= wp.length(point.p1 - point.p0) / (point.pdf * pdf)
+        rest = wp.float32(0.0)
+        scale = s.scale
+        if wp.static(role == "forward"):
+            rest = push_segment(scene, target, edges, point, s, 1.0)
+        if wp.static(evaluates):
+            scale *= wp.length(s.sweep)
+        else:
+            scale /= wp.float32(samples)
+        weight = transport(scene, camera, sampler, s, scale, rest, max_depth, rr_depth, adjoint, target, image_out)
+        if wp.static(evaluates):
+            target[number] = weight
+        elif wp.static(role != "forward"):
+            if weight != 0.0:
+                if push_segment(scene, target, edges, point, s, weight) != 0.0:
+                    count_invalid(scene, sampler)
+
+    return secondary

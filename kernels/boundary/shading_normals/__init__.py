@@ -1,0 +1,1 @@
+"""Discontinuities that interpolated normals make: terminators and horizons."""

@@ -1,0 +1,169 @@
+"""The horizon of a path vertex's own triangle, where its interpolated normal does not lie on the triangle's.
+
+A vertex x with the shading normal n scatters light from all directions w with n . w > 0. Those below its triangle,
+n_g . w < 0, start on the other side of the surface: inside of a closed body they meet its far wall. So what arrives
+jumps where phi = n_g . (x_2 - x) = 0, x_2 the point that w meets, and unlike under flat shading the scattering function
+does not vanish there. (It does towards the sensor, whose direction enters with the geometric cosine.) In material form,
+with W the importance of x for light from w, whose cosine with n_g is written out,
+
+    dI = sum over both sides of  integral over A(x), A(x_2) of  +- W |n_g . w| G_2 L(x_2 -> x) delta(phi) phi',
+
+G_2 = |n_2 . w| / d^2, d = |x_2 - x|, + for the side above the triangle. For a fixed x, dA(x_2) G_2 = dsigma(w), and
+phi = d n_g . w leaves the angle theta of w in the plane of the triangle, with dsigma = dtheta d(n_g . w):
+
+    dI = sum over both sides of  integral over A(x), theta of  +- W |n_g . w| L phi' / d,
+
+    phi' / d = n_g . (x_2' - x') / d + n_g' . w.
+
+x' is that of x in its own parametrisation (``transport.py``: tau = 0, sweep = n_g / d), x_2 a material point, different
+on either side; light from infinity leaves n_g' . w. W |n_g . w| is finite: the directions are tilted by a small angle
+out of the plane, to their side, and that angle's sine cancels. What W scatters is about proportional to |n . w| =
+sin(alpha) |cos(theta)|, alpha the angle between n and n_g: theta is drawn in proportion to |cos(theta)|, triangles by
+area times the largest sin(alpha) of their corners.
+
+Point, spot and directional lights cross the plane of a triangle at one value of a parameter for all of its points: then
+the image itself jumps, once for every triangle, and has no derivative that could be estimated.
+"""
+
+import functools
+
+import warp as wp
+
+from warp_psdr.kernels.autodiff import anchor
+from warp_psdr.kernels.boundary.depth import make_indirect
+from warp_psdr.kernels.boundary.detector import Incident, amplified, make_incident
+from warp_psdr.kernels.boundary.shading_normals.bent import FLAT, TILT
+from warp_psdr.kernels.boundary.transport import Segment, make_transport
+from warp_psdr.kernels.bvh.wide import make_intersect
+from warp_psdr.kernels.constants import FAR
+from warp_psdr.kernels.distribution import stratified_entry
+from warp_psdr.kernels.invalid import count_invalid
+from warp_psdr.kernels.rng import Sampler, make_sampler, sampler_at
+from warp_psdr.kernels.sampling import square_to_triangle
+from warp_psdr.kernels.step import leaving_step
+from warp_psdr.kernels.structs import Camera, Scene
+from warp_psdr.kernels.surface import VertexAdjoint, make_surface, make_vertex_sink, normalize_vjp
+from warp_psdr.kernels.vertex import PathConfig
+
+#: Sample slots of x and theta, and of the side; those of the walk follow (``transport.py``).
+SLOT_POINT, SLOT_SIDE = 0, 1
+
+
+@functools.cache
+def make_side(config: PathConfig):
+    """Return ``side(scene, sampler, segment, k, max_depth, rr_depth) -> Incident``: L, negative below the triangle."""
+    incident = make_incident(config)
+
+    @wp.func
+    def side(
+        scene: Scene, sampler: Sampler, s: Segment, k: wp.int32, max_depth: wp.int32, rr_depth: wp.int32
+    ) -> Incident:
+        arriving = incident(scene, sampler, s.source, s.w, FAR, k, max_depth, rr_depth)
+        return amplified(arriving, wp.vec3(0.0, 0.0, 0.0), s.radiance[0])
+
+    return side
+
+
+@functools.cache
+def make_horizon_kernel(config: PathConfig, role: str, camera_moves: bool, indirect: bool = False):
+    """Return the kernel: one thread a sample (arguments as in ``bent.py``; ``indirect`` as in ``secondary.py``)."""
+    closest_hit, _any_hit = make_intersect(config.ray_backend, config.ray_width)
+    surface_at = make_surface(True, config.flat, False, False)
+    push_vertex = make_vertex_sink(role, False, False, False, False, False, True)
+    source = make_indirect(make_side(config)) if indirect else make_side(config)
+    transport = make_transport(config, role, camera_moves, source)
+    draw = make_sampler(config.sampler)
+    sample_1d = draw.sample_1d
+    sample_4d = draw.sample_4d
+
+    @wp.func
+    def push_horizon(scene: Scene, target: wp.array(dtype=wp.float32), s: Segment, w: wp.float32) -> wp.float32:
+        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
+        tri = scene.triangles[s.face1]
+        own = VertexAdjoint()
+        twice_area = wp.length(wp.cross(tri.p1 - tri.p0, tri.p2 - tri.p0))
+        own.c = normalize_vjp(tri.normal, twice_area, (w * scene.shapes[tri.shape].orientation) * s.w)
+        pushed = push_vertex(scene, target, s.face1, s.u1, s.v1, own, False, s.x, s.w)
+        total = pushed.dot
+        if s.face2 >= 0:
+            other = VertexAdjoint()
+            other.x = w * s.sweep
+            met = push_vertex(scene, target, s.face2, s.u2, s.v2, other, False, s.x, s.w)
+            total += met.dot
+        return total
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def horizon(
+        # Scene:
+        scene: Scene,
+        camera: Camera,
+        face_cdf: wp.array(dtype=wp.float32),
+        faces: wp.array(dtype=wp.int32),
+        # In:
+        first: wp.int32,
+        samples: wp.int32,
+        seed: wp.uint32,
+        max_depth: wp.int32,
+        rr_depth: wp.int32,
+        adjoint: wp.array2d(dtype=wp.vec3),
+        # Out:
+        target: wp.array(dtype=wp.float32),
+        image_out: wp.array2d(dtype=wp.vec3),
+    ):
+        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
+        number = first + wp.tid()
+        sampler = sampler_at(number, 0, seed)
+        u4 = sample_4d(sampler, SLOT_POINT)
+        face, probability = stratified_entry(face_cdf, faces, number, samples, u4[0])
+        s = Segment()
+        s.light = -1
+        s.face1 = face
+        uv = square_to_triangle(wp.vec2(u4[1], u4[2]))
+        s.u1 = uv[0]
+        s.v1 = uv[1]
+        surface = surface_at(scene, s.face1, s.u1, s.v1)
+        across = surface.n - wp.dot(surface.n, surface.ng) * surface.ng
+        sine = wp.length(across)
+        if sine < FLAT:
+            return
+        across = across / sine
+        # theta: its sine is uniform. Where n . w < 0, only two-sided materials scatter.
+        half = wp.float32(0.0)
+        b = 2.0 * u4[3] - 1.0
+        chance = wp.float32(1.0)
+        if wp.static(config.two_sided):
+            half = wp.where(u4[3] < 0.5, 0.0, 1.0)
+            b = 4.0 * u4[3] - 2.0 * half - 1.0
+            chance = wp.float32(0.5)
+        cosine = wp.sqrt(1.0 - b * b)
+        if cosine <= 0.0:
+            return
+        flat = (1.0 - 2.0 * half) * cosine * across + b * wp.cross(surface.ng, across)
+        sign = wp.where(sample_1d(sampler, SLOT_SIDE) < 0.5, 1.0, -1.0)
+        s.radiance = wp.vec3(sign, 0.0, 0.0)
+        s.w = wp.normalize(flat + (sign * TILT) * surface.ng)
+        s.x = surface.x
+        away = leaving_step(scene, s.face1)
+        s.source = s.x + (sign * away) * surface.ng
+        hit = closest_hit(scene.accel, s.source, s.w, FAR)
+        s.face2 = hit.face
+        if hit.face >= 0:
+            if hit.t <= away:
+                return
+            s.u2 = hit.u
+            s.v2 = hit.v
+            s.sweep = surface.ng / hit.t
+        rest = wp.float32(0.0)
+        if wp.static(role == "forward"):
+            rest = push_horizon(scene, target, s, 1.0)
+        tri = scene.triangles[s.face1]
+        area = 0.5 * wp.length(wp.cross(tri.p1 - tri.p0, tri.p2 - tri.p0))
+        # One of two sides; pdf_theta = chance |cos(theta)| / 2.
+        scale = 4.0 * area * wp.abs(wp.dot(surface.ng, s.w)) / (chance * cosine * probability * wp.float32(samples))
+        weight = transport(scene, camera, sampler, s, scale, rest, max_depth, rr_depth, adjoint, target, image_out)
+        if wp.static(role == "reverse"):
+            if weight != 0.0:
+                if push_horizon(scene, target, s, weight) != 0.0:
+                    count_invalid(scene, sampler)
+
+    return horizon

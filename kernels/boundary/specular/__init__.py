@@ -1,0 +1,1 @@
+"""Discontinuities seen through smooth mirrors and glass."""

@@ -1,0 +1,384 @@
+"""Chains: what a ray meets on its way through smooth mirrors and glass, up to the first surface that scatters smoothly.
+
+A *block* of a path starts at the film (q in pixels) or at a smooth vertex y (q a direction, in solid angle) and is a
+function of q. Its chain c_1, ..., c_m holds delta lobes only; which lobe glass takes at c_i is the i-th bit of a
+pattern that is drawn before, with the same probability for all q, so that one pattern is one integrand
+
+    F(q) = f_s(y, q) . prod_i beta_i / P_i . L(c_m -> end)         (no f_s on the film; emission of the c_i added),
+
+L by the path tracer. The *identity* of a chain is a hash of what is hit (``tables.group``), on which side of its
+shading normal, on which side of its surface the lobe leaves, and which point, spot and directional lights reach its
+end: F is continuous where the identity does not change. Two of them agree by accident with probability 2^-32.
+"""
+
+import functools
+
+import warp as wp
+
+from warp_psdr.kernels.boundary.detector import make_arrival
+from warp_psdr.kernels.bsdf.dispatch import make_bsdf
+from warp_psdr.kernels.bvh.wide import make_intersect
+from warp_psdr.kernels.constants import (
+    BSDF_DIELECTRIC,
+    FAR,
+    LOBE_DELTA_REFLECTION,
+    LOBE_DELTA_TRANSMISSION,
+)
+from warp_psdr.kernels.emitter.area import make_area
+from warp_psdr.kernels.emitter.dispatch import is_delta_light, make_delta_sample
+from warp_psdr.kernels.invalid import vanishes
+from warp_psdr.kernels.math import to_local, to_world
+from warp_psdr.kernels.rng import Sampler
+from warp_psdr.kernels.sensor.camera import CameraSample, make_camera_ray
+from warp_psdr.kernels.sight import make_accel_at
+from warp_psdr.kernels.structs import Camera, Material, Scene
+from warp_psdr.kernels.surface import make_surface
+from warp_psdr.kernels.vertex import PathConfig, make_frame, make_material
+
+#: Probability with which a pattern lets light through glass instead of reflecting it.
+TRANSMIT = 0.75
+#: What a ray meets: nothing; a lobe of weight zero; a smooth surface, or the last vertex; a mirror or glass.
+MEETS_NOTHING, MEETS_DEAD, MEETS_SMOOTH, MEETS_DELTA = 0, 1, 2, 3
+#: Multiplier of the identity's hash (2^32 over the golden ratio).
+HASH_FACTOR = wp.constant(wp.uint32(0x9E3779B1))
+
+
+@wp.struct
+class Block:
+    """Where a chain starts. On the film q = q0 + s ell (cos, sin), else q = cos(s ell) w0 + sin(s ell) w1."""
+
+    film: wp.int32  # 1: starts at the camera
+    q0: wp.vec2  # pixels of the crop window
+    e: wp.vec2
+    lens: wp.vec2  # ``CameraSample.lens``
+    x: wp.vec3  # y
+    n: wp.vec3  # geometric normal at y
+    w0: wp.vec3
+    w1: wp.vec3
+    ell: wp.float32  # length of the line: pixels or radians
+    depth: wp.int32  # path vertices in front
+    pattern: wp.uint32
+    first: wp.int32  # 1: discontinuities of the first segment belong to this estimator
+
+
+@wp.struct
+class Start:
+    """The first ray of a chain."""
+
+    x: wp.vec3  # where it counts from: the camera or y
+    o: wp.vec3  # where it is traced from
+    d: wp.vec3
+    t_max: wp.float32
+
+
+@wp.struct
+class Link:
+    """What a ray of a chain meets."""
+
+    kind: wp.int32
+    face: wp.int32
+    u: wp.float32
+    v: wp.float32
+    x: wp.vec3
+    ng: wp.vec3
+    n: wp.vec3  # shading normal
+    facing: wp.int32  # 1: the ray arrives on the front of the shading normal
+    leaving: wp.int32  # 1: the lobe leaves on the front of the surface
+    lobe: wp.int32
+    eta: wp.float32  # index behind the interface over the one in front, as the ray arrives
+    weight: wp.vec3
+    emitted: wp.vec3
+    o: wp.vec3  # the ray that leaves
+    d: wp.vec3
+
+
+@wp.func
+def film_point(camera: Camera, q: wp.vec2) -> wp.vec2:
+    """Film coordinates in [0, 1]^2 of a point in pixels of the crop window."""
+    return wp.vec2(
+        (q[0] + wp.float32(camera.crop_x)) / wp.float32(camera.width),
+        (q[1] + wp.float32(camera.crop_y)) / wp.float32(camera.height),
+    )
+
+
+@wp.func
+def film_at(block: Block, s: wp.float32) -> wp.vec2:
+    return block.q0 + (s * block.ell) * block.e
+
+
+@functools.cache
+def make_start(camera_kind: int):
+    """Return ``start_at(scene, camera, block, s) -> Start``."""
+    camera_ray, _camera_origin = make_camera_ray(camera_kind)
+
+    @wp.func
+    def start_at(scene: Scene, camera: Camera, block: Block, s: wp.float32) -> Start:
+        r = Start()
+        if block.film == 1:
+            sample = CameraSample()
+            sample.film = film_point(camera, film_at(block, s))
+            sample.lens = block.lens
+            ray = camera_ray(scene, camera, sample)
+            r.x = ray.o
+            r.d = ray.d
+            r.o = ray.o + ray.t_min * ray.d
+            r.t_max = ray.t_max - ray.t_min
+        else:
+            angle = s * block.ell
+            r.x = block.x
+            r.d = wp.cos(angle) * block.w0 + wp.sin(angle) * block.w1
+            turn = wp.where(wp.dot(block.n, r.d) >= 0.0, scene.ray_epsilon, -scene.ray_epsilon)
+            r.o = block.x + turn * block.n
+            r.t_max = FAR
+        return r
+
+    return start_at
+
+
+@wp.func
+def fold(h: wp.uint32, value: wp.int32) -> wp.uint32:
+    a = (h ^ wp.uint32(value)) * HASH_FACTOR
+    return a ^ (a >> wp.uint32(15))
+
+
+@functools.cache
+def make_meet(config: PathConfig):
+    """Return ``meet(scene, o, d, t_max, depth, transmit, max_depth) -> Link``: what a ray meets at ``depth``."""
+    closest_hit, _any_hit = make_intersect(config.ray_backend, config.ray_width)
+    accel_at = make_accel_at(config.hidden)
+    surface_at = make_surface(config.smooth, config.flat, config.uv, config.tangent)
+    frame_at = make_frame(config.two_sided, config.tangent)
+    material_at = make_material(config.slots)
+    bsdf = make_bsdf(config.bsdfs)
+    emitted = make_area(config.area).emitted if config.area else None
+
+    @wp.func
+    def meet(
+        scene: Scene,
+        o: wp.vec3,
+        d: wp.vec3,
+        t_max: wp.float32,
+        depth: wp.int32,
+        transmit: wp.bool,
+        max_depth: wp.int32,
+    ) -> Link:
+        r = Link()
+        hit = closest_hit(accel_at(scene, depth), o, d, t_max)
+        r.face = hit.face
+        if hit.face < 0:
+            return r
+        r.u = hit.u
+        r.v = hit.v
+        surface = surface_at(scene, hit.face, hit.u, hit.v)
+        r.x = surface.x
+        r.ng = surface.ng
+        r.n = surface.n
+        r.kind = MEETS_SMOOTH
+        r.facing = wp.where(wp.dot(surface.n, d) <= 0.0, 1, 0)
+        r.leaving = 1
+        r.eta = 1.0
+        shape = scene.shapes[surface.shape]
+        frame = frame_at(scene, shape.bsdf, surface.n, surface.tangent, -d)
+        b = scene.bsdfs[frame.bsdf]
+        if not bsdf.is_delta(b.model) or depth + 1 >= max_depth:
+            return r
+        if wp.static(bool(config.area)):
+            if shape.emitter >= 0:
+                r.emitted = emitted(scene, scene.emitters[shape.emitter], hit.face, hit.u, hit.v, d)
+        material = material_at(scene, b, hit.face, hit.u, hit.v, surface.uv)
+        wi = to_local(frame.s, frame.t, frame.n, -d)
+        r.lobe = LOBE_DELTA_REFLECTION
+        probability = wp.float32(1.0)
+        if b.model == BSDF_DIELECTRIC:
+            r.eta = wp.where(wi[2] < 0.0, 1.0 / material.s0, material.s0)
+            probability = wp.where(transmit, TRANSMIT, 1.0 - TRANSMIT)
+            if transmit:
+                r.lobe = LOBE_DELTA_TRANSMISSION
+        scattered = bsdf.scatter(b.model, material, wi, r.lobe)
+        r.weight = scattered.value / probability
+        r.kind = wp.where(vanishes(scattered.value), MEETS_DEAD, MEETS_DELTA)
+        r.d = to_world(frame.s, frame.t, frame.n, scattered.wo)
+        r.leaving = wp.where(wp.dot(surface.ng, r.d) >= 0.0, 1, 0)
+        turn = wp.where(r.leaving == 1, scene.ray_epsilon, -scene.ray_epsilon)
+        r.o = surface.x + turn * surface.ng
+        return r
+
+    return meet
+
+
+@wp.func
+def transmits(block: Block, i: wp.int32) -> wp.bool:
+    return ((block.pattern >> wp.uint32(i)) & wp.uint32(1)) == wp.uint32(1)
+
+
+@functools.cache
+def make_lit(config: PathConfig):
+    """Return ``lit(scene, link, light) -> bool``: whether a point, spot or directional light reaches a surface.
+
+    None: the scene has none.
+    """
+    sample = make_delta_sample(config.lights)
+    if sample is None:
+        return None
+    _closest_hit, any_hit = make_intersect(config.ray_backend, config.ray_width)
+
+    @wp.func
+    def lit(scene: Scene, x: wp.vec3, ng: wp.vec3, light: wp.int32) -> wp.bool:
+        ls = sample(scene, scene.emitters[light], x, wp.vec2(0.5, 0.5))
+        turn = wp.where(wp.dot(ng, ls.wi) >= 0.0, scene.ray_epsilon, -scene.ray_epsilon)
+        return not any_hit(scene.accel, x + turn * ng, ls.wi, ls.distance)
+
+    return lit
+
+
+@functools.cache
+def make_identity(config: PathConfig):
+    """Return ``identity(scene, camera, group, bent, block, s, max_depth, links) -> uint32``.
+
+    ``group`` numbers the faces such that coplanar neighbours are one; ``bent`` marks faces with interpolated normals.
+    Where the first segment belongs to others, what ends there is not told apart. ``links``: how many of the first
+    vertices count, without what lights them; 0: all, with it.
+    """
+    start_at = make_start(config.camera)
+    meet = make_meet(config)
+    lit = make_lit(config)
+
+    @wp.func
+    def identity(
+        scene: Scene,
+        camera: Camera,
+        group: wp.array(dtype=wp.int32),
+        bent: wp.array(dtype=wp.int32),
+        block: Block,
+        s: wp.float32,
+        max_depth: wp.int32,
+        links: wp.int32,
+    ) -> wp.uint32:
+        ray = start_at(scene, camera, block, s)
+        o = ray.o
+        d = ray.d
+        t_max = ray.t_max
+        h = wp.uint32(1)
+        i = wp.int32(0)
+        more = wp.bool(True)
+        while more:
+            link = meet(scene, o, d, t_max, block.depth + i, transmits(block, i), max_depth)
+            ends = link.kind < MEETS_DELTA
+            mine = i > 0 or block.first == 1 or link.kind == MEETS_DELTA or link.kind == MEETS_DEAD
+            if mine:
+                h = fold(h, link.kind)
+                if link.face >= 0:
+                    h = fold(h, group[link.face])
+            if link.face >= 0:
+                if bent[link.face] == 1 and (block.first == 1 or i > 0):
+                    h = fold(h, link.facing)
+                if bent[link.face] == 1 and link.kind == MEETS_DELTA:
+                    h = fold(h, link.leaving)
+                if wp.static(lit is not None):
+                    if links == 0 and mine and link.kind == MEETS_SMOOTH and block.depth + i + 1 < max_depth:
+                        for k in range(scene.emitters.shape[0]):
+                            if is_delta_light(scene.emitters[k].kind):
+                                if lit(scene, link.x, link.ng, k):
+                                    h = fold(h, k)
+                                else:
+                                    h = fold(h, -1)
+            i += 1
+            if ends or i == links:
+                more = False
+            else:
+                o = link.o
+                d = link.d
+                t_max = FAR
+        return h
+
+    return identity
+
+
+@functools.cache
+def make_follow(config: PathConfig):
+    """Return ``follow(scene, camera, block, s, sampler, max_depth, rr_depth) -> vec3``: F(q) without f_s."""
+    start_at = make_start(config.camera)
+    meet = make_meet(config)
+    arrival = make_arrival(config)
+
+    @wp.func
+    def follow(
+        scene: Scene,
+        camera: Camera,
+        block: Block,
+        s: wp.float32,
+        sampler: Sampler,
+        max_depth: wp.int32,
+        rr_depth: wp.int32,
+    ) -> wp.vec3:
+        ray = start_at(scene, camera, block, s)
+        o = ray.o
+        d = ray.d
+        t_max = ray.t_max
+        total = wp.vec3(0.0, 0.0, 0.0)
+        weight = wp.vec3(1.0, 1.0, 1.0)
+        i = wp.int32(0)
+        more = wp.bool(True)
+        while more:
+            link = meet(scene, o, d, t_max, block.depth + i, transmits(block, i), max_depth)
+            if link.kind == MEETS_DELTA:
+                total += wp.cw_mul(weight, link.emitted)
+                weight = wp.cw_mul(weight, link.weight)
+                o = link.o
+                d = link.d
+                t_max = FAR
+                i += 1
+            else:
+                more = False
+                if link.kind == MEETS_DEAD:
+                    total += wp.cw_mul(weight, link.emitted)
+                else:
+                    seen = arrival(scene, sampler, o, d, t_max, block.depth + i, max_depth, rr_depth)
+                    total += wp.cw_mul(weight, seen.radiance)
+        return total
+
+    return follow
+
+
+@wp.struct
+class Shading:
+    """The scattering function at a smooth vertex for one incoming direction."""
+
+    valid: wp.int32  # 0: a delta model
+    x: wp.vec3
+    ng: wp.vec3
+    n: wp.vec3
+    s: wp.vec3
+    t: wp.vec3
+    wi: wp.vec3  # local
+    model: wp.int32
+    material: Material
+
+
+@functools.cache
+def make_shading(config: PathConfig):
+    """Return ``shading_at(scene, face, u, v, d) -> Shading`` for a ray that arrives along d."""
+    surface_at = make_surface(config.smooth, config.flat, config.uv, config.tangent)
+    frame_at = make_frame(config.two_sided, config.tangent)
+    material_at = make_material(config.slots)
+    bsdf = make_bsdf(config.bsdfs)
+
+    @wp.func
+    def shading_at(scene: Scene, face: wp.int32, u: wp.float32, v: wp.float32, d: wp.vec3) -> Shading:
+        r = Shading()
+        surface = surface_at(scene, face, u, v)
+        frame = frame_at(scene, scene.shapes[surface.shape].bsdf, surface.n, surface.tangent, -d)
+        b = scene.bsdfs[frame.bsdf]
+        r.x = surface.x
+        r.ng = surface.ng
+        r.n = frame.n
+        r.s = frame.s
+        r.t = frame.t
+        r.model = b.model
+        if not bsdf.is_delta(b.model):
+            r.valid = 1
+            r.material = material_at(scene, b, face, u, v, surface.uv)
+            r.wi = to_local(frame.s, frame.t, frame.n, -d)
+        return r
+
+    return shading_at

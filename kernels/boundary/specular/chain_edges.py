@@ -1,0 +1,315 @@
+"""Edges that a line crosses where the identity of a chain changes, as the adjoint of phi = 0 (``discontinuity.py``).
+
+Edges of what the two rays on either side of the crossing meet, curves along which two surfaces run through each other,
+and edges that end the light of a point, spot or directional light.
+"""
+
+import functools
+
+import warp as wp
+
+from warp_psdr.kernels.boundary.local_form import EdgePoint, Edges, barycentrics_at, split_between
+from warp_psdr.kernels.boundary.notch import facing, is_ridge, let_through, notch, sharp_glass
+from warp_psdr.kernels.boundary.specular.chain import Block, Link, make_lit
+from warp_psdr.kernels.boundary.specular.ray_differential import PointDifferential, RayDifferential
+from warp_psdr.kernels.boundary.specular.rims import (
+    RIM_EPSILONS,
+    Rim,
+    Tables,
+    of_edge,
+    point_on_edge,
+    rim_of,
+    smooth_between,
+)
+from warp_psdr.kernels.boundary.transport import Segment
+from warp_psdr.kernels.bvh.wide import make_intersect
+from warp_psdr.kernels.constants import FAR
+from warp_psdr.kernels.emitter.dispatch import make_delta_sample
+from warp_psdr.kernels.structs import Scene, Triangle
+from warp_psdr.kernels.surface import VertexAdjoint, point_on
+from warp_psdr.kernels.vertex import PathConfig
+
+#: Where two surfaces meet, an edge within this many ray epsilons is what is crossed: they touch there.
+TOUCHING = 2.0
+#: The part of a line at which its two sides are looked at at most, in a notch.
+ASIDE_MOST = 0.01
+#: Squared sine of the angle between two planes below which they have no line in common.
+PARALLEL = 1.0e-10
+#: What numbers that are divided by are at least.
+TINY = 1.0e-20
+#: Distance of two such planes, in ray epsilons, within which they are one.
+ONE_PLANE = 0.5
+
+
+@wp.struct
+class Crossing:
+    """A curve in the domain of q, as the adjoint of phi."""
+
+    valid: wp.int32
+    side: wp.int32  # 0: the integrand jumps; +1, -1: it counts on that side of the line only
+    phi_a: wp.float32  # derivatives of phi along the line and across it
+    phi_b: wp.float32
+    aside: wp.float32  # part of the line at which its two sides are looked at (``notch.py``)
+    both: wp.int32  # 1: the other side of the line is a crossing of its own
+    edge: wp.int32  # 1: ``point`` and ``segment`` hold the edge, 2: ``segment`` holds material points
+    point: EdgePoint
+    segment: Segment  # of the points, face1 (-1: none) is moved along ``sweep1``, face2 along ``sweep``
+    sweep1: wp.vec3
+    last: wp.int32  # where the pull-back starts (``chain_pullback.py``)
+    start: VertexAdjoint
+    o_before: wp.vec3
+    a_o: wp.vec3
+    a_d: wp.vec3
+
+
+@wp.func
+def inside(tri: Triangle, x: wp.vec3) -> wp.bool:
+    uv = barycentrics_at(tri, x)
+    return uv[0] > 0.0 and uv[1] > 0.0 and uv[0] + uv[1] < 1.0
+
+
+@wp.func
+def laid_over(scene: Scene, low: Link, high: Link) -> wp.bool:
+    """Whether two faces lie over one another in one plane at both hits: which is met there is up to rounding."""
+    tri_low = scene.triangles[low.face]
+    tri_high = scene.triangles[high.face]
+    if wp.length_sq(wp.cross(tri_low.normal, tri_high.normal)) >= PARALLEL:
+        return False
+    if wp.abs(wp.dot(tri_low.normal, high.x - low.x)) > ONE_PLANE * scene.ray_epsilon:
+        return False
+    return inside(tri_low, high.x) and inside(tri_high, low.x)
+
+
+@wp.func
+def aside(scene: Scene, block: Block, m: wp.vec3, room: wp.float32, phi_a: wp.float32) -> wp.float32:
+    """``Crossing.aside`` for a room in steps; phi is m times a distance in the plane across the ray."""
+    along = wp.max(wp.abs(phi_a) * block.ell, TINY)
+    return wp.min(room * scene.ray_epsilon * wp.length(m) / along, ASIDE_MOST)
+
+
+@wp.func
+def curve_crossing(
+    scene: Scene,
+    block: Block,
+    low: Link,
+    high: Link,
+    x: wp.vec3,
+    a: RayDifferential,
+    b: RayDifferential,
+    i: wp.int32,
+    count: wp.int32,
+    which: wp.int32,
+    hidden: wp.bool,
+) -> Crossing:
+    """Where the triangles that two neighbouring rays meet run through each other."""
+    r = Crossing()
+    n_low = scene.triangles[low.face].normal
+    n_high = scene.triangles[high.face].normal
+    along = wp.cross(n_low, n_high)
+    squared = wp.length_sq(along)
+    first = block.film == 0 and i == 0
+    if squared < PARALLEL or (first and block.first == 0):
+        return r
+    x_b = 0.5 * (low.x + high.x)
+    t1 = wp.length(x_b - x)
+    d = (x_b - x) / t1
+    m = wp.cross(along / wp.sqrt(squared), d)
+    by_low, by_high = split_between(m, n_low, n_high, squared)
+    r.edge = 2
+    r.segment.x = x_b
+    r.segment.w = d
+    r.segment.face1 = low.face
+    r.segment.u1 = low.u
+    r.segment.v1 = low.v
+    r.segment.face2 = high.face
+    r.segment.u2 = high.u
+    r.segment.v2 = high.v
+    r.sweep1 = by_low
+    r.segment.sweep = by_high
+    r.last = count + i - 1
+    if first:
+        # c on the lower side's surface, and then on the upper one's.
+        r.both = 1
+        r.side = 2 * which - 1
+        if which == 0:
+            r.sweep1 = -by_high
+        else:
+            r.segment.sweep = -by_low
+    else:
+        r.a_o = -m
+        r.a_d = -t1 * m
+    r.phi_a = -wp.dot(m, a.o + t1 * a.d)
+    r.phi_b = -wp.dot(m, b.o + t1 * b.d)
+    through = let_through(scene, low.face, high.face, hidden)
+    r.aside = aside(scene, block, m, notch(facing(n_low, d), facing(n_high, d), through), r.phi_a)
+    r.valid = 1
+    return r
+
+
+@functools.cache
+def make_edge_crossing(hidden: bool):
+    """Return ``edge_crossing(scene, edges, tables, block, low, high, x, a, b, i, count, which) -> Crossing``.
+
+    The edge between what two neighbouring rays from x meet at the i-th vertex of the chain, ``low`` and ``high``.
+    ``hidden``: there are lights that the camera does not see.
+    """
+
+    @wp.func
+    def edge_crossing(
+        scene: Scene,
+        edges: Edges,
+        tables: Tables,
+        block: Block,
+        low: Link,
+        high: Link,
+        x: wp.vec3,
+        a: RayDifferential,
+        b: RayDifferential,
+        i: wp.int32,
+        count: wp.int32,
+        which: wp.int32,
+    ) -> Crossing:
+        r = Crossing()
+        t_low = wp.float32(FAR)
+        t_high = wp.float32(FAR)
+        rim_low = Rim()
+        rim_low.near = FAR
+        rim_high = Rim()
+        rim_high.near = FAR
+        if low.face >= 0:
+            t_low = wp.length(low.x - x)
+            rim_low = rim_of(scene, tables, low.face, low.u, low.v)
+        if high.face >= 0:
+            t_high = wp.length(high.x - x)
+            rim_high = rim_of(scene, tables, high.face, high.u, high.v)
+        room = RIM_EPSILONS * scene.ray_epsilon
+        tie = wp.abs(t_low - t_high) <= room
+        if low.face >= 0 and high.face >= 0:
+            if laid_over(scene, low, high):
+                return r
+            apart = wp.min(rim_low.distance, rim_high.distance) > TOUCHING * scene.ray_epsilon
+            neighbours = rim_low.edge >= 0 and of_edge(edges, rim_low.edge, high.face)
+            if apart and not neighbours and wp.length(low.x - high.x) <= room:
+                return curve_crossing(scene, block, low, high, x, a, b, i, count, which, wp.static(hidden))
+        own_low = wp.where(tie, rim_low.distance <= rim_high.distance, t_low <= t_high)
+        own = wp.where(own_low, rim_low.edge, rim_high.edge)
+        near = wp.where(own_low, rim_low.near, rim_high.near)
+        if near > 1.0 or own < 0:
+            return r
+        hit = wp.where(own_low, low.x, high.x)
+        r.edge = 1
+        r.point = point_on_edge(scene, edges, own, hit)
+        t1 = wp.length(r.point.x - x)
+        # A vertex on the edge itself, up to its last bit: of measure zero, without a direction.
+        if t1 <= 0.0:
+            return r
+        d = (r.point.x - x) / t1
+        m = wp.cross(r.point.p1 - r.point.p0, d)
+        r.segment.x = r.point.x
+        r.segment.w = d
+        r.segment.sweep = m
+        r.segment.t1 = t1
+        r.segment.face2 = -1
+        r.segment.light = -1
+        r.last = count + i - 1
+        tau = wp.float32(0.0)
+        if block.film == 0 and i == 0:
+            # The local form: the background is a material point.
+            face = wp.where(own_low, high.face, low.face)
+            t2 = wp.where(own_low, t_high, t_low)
+            r.side = wp.where(own_low, 1, -1)
+            if block.first == 0:
+                return r
+            if face >= 0:
+                shared = edges.ends[own, 0] == edges.twins[own, 0] and edges.ends[own, 1] == edges.twins[own, 1]
+                if shared and of_edge(edges, own, face):
+                    return r
+                # An edge inside of what it touches lies behind the background.
+                tau = wp.min(t1 / t2, 1.0)
+                r.segment.face2 = face
+                r.segment.u2 = wp.where(own_low, high.u, low.u)
+                r.segment.v2 = wp.where(own_low, high.v, low.v)
+                r.segment.tau = tau
+            r.a_o = -(1.0 - tau) * m
+        else:
+            r.a_o = -m
+            r.a_d = -t1 * m
+        r.phi_a = -wp.dot(m, a.o + t1 * a.d)
+        r.phi_b = -wp.dot(m, b.o + t1 * b.d)
+        apart_by = sharp_glass(scene, edges, own)
+        if wp.length(low.x - high.x) <= room and low.face >= 0 and high.face >= 0:
+            n_low = facing(scene.triangles[low.face].normal, d)
+            n_high = facing(scene.triangles[high.face].normal, d)
+            if not is_ridge(n_low, n_high, wp.sign(r.phi_a) * m, d):
+                apart_by = wp.max(apart_by, notch(n_low, n_high, False))
+        r.aside = aside(scene, block, m, apart_by, r.phi_a)
+        r.valid = 1
+        return r
+
+    return edge_crossing
+
+
+@functools.cache
+def make_shadow_crossing(config: PathConfig):
+    """Return ``shadow_crossing(scene, edges, tables, p, q, a_x, b_x, light, last) -> Crossing``.
+
+    The edge whose shadow from a point, spot or directional light ends between the points p and q, whose differentials
+    are ``a_x`` along the line and ``b_x`` across it. None: the scene has no such light.
+    """
+    lit = make_lit(config)
+    if lit is None:
+        return None
+    sample = make_delta_sample(config.lights)
+    closest_hit, _any_hit = make_intersect(config.ray_backend, config.ray_width)
+
+    @wp.func
+    def shadow_crossing(
+        scene: Scene,
+        edges: Edges,
+        tables: Tables,
+        p: Link,
+        q: Link,
+        a_x: PointDifferential,
+        b_x: PointDifferential,
+        light: wp.int32,
+        last: wp.int32,
+    ) -> Crossing:
+        r = Crossing()
+        lit_low = lit(scene, p.x, p.ng, light)
+        if lit_low == lit(scene, q.x, q.ng, light):
+            return r
+        # Where light meets the back of one of two faces: at a crease, see above.
+        if p.face != q.face and smooth_between(edges, tables, p.face, q.face) >= 0:
+            return r
+        dark_x = wp.where(lit_low, q.x, p.x)
+        dark_ng = wp.where(lit_low, q.ng, p.ng)
+        ls = sample(scene, scene.emitters[light], dark_x, wp.vec2(0.5, 0.5))
+        turn = wp.where(wp.dot(dark_ng, ls.wi) >= 0.0, scene.ray_epsilon, -scene.ray_epsilon)
+        hit = closest_hit(scene.accel, dark_x + turn * dark_ng, ls.wi, ls.distance)
+        # What is met at once is what the surface runs through.
+        if hit.face < 0 or hit.t <= scene.ray_epsilon:
+            return r
+        rim = rim_of(scene, tables, hit.face, hit.u, hit.v)
+        if rim.near > 1.0 or rim.edge < 0:
+            return r
+        r.edge = 1
+        r.point = point_on_edge(scene, edges, rim.edge, point_on(scene.triangles[hit.face], hit.u, hit.v))
+        t1 = wp.length(r.point.x - p.x)
+        w = (r.point.x - p.x) / t1
+        m = wp.cross(r.point.p1 - r.point.p0, w)
+        r.segment.x = r.point.x
+        r.segment.w = w
+        r.segment.sweep = m
+        r.segment.t1 = t1
+        r.segment.face2 = -1
+        r.segment.light = light
+        if ls.distance < 0.5 * FAR:
+            r.segment.tau = t1 / ls.distance
+        r.last = last
+        r.start.x = -(1.0 - r.segment.tau) * m
+        r.phi_a = wp.dot(r.start.x, a_x.x)
+        r.phi_b = wp.dot(r.start.x, b_x.x)
+        r.valid = 1
+        return r
+
+    return shadow_crossing

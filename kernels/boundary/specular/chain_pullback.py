@@ -1,0 +1,118 @@
+"""The adjoint of a chain's ray, carried back along the path that sent it.
+
+A point of the path is attached to the ray that found it if a camera or a delta lobe sent that ray, and a material point
+otherwise, as in the interior term (``interior/replay.py``); this is the backward sweep (``interior/sweep.py``) of one
+ray instead of a radiance. It ends at the camera or at the first material point whose predecessor does not matter.
+"""
+
+import functools
+
+import warp as wp
+
+from warp_psdr.kernels.autodiff import anchor
+from warp_psdr.kernels.bsdf.dispatch import make_bsdf
+from warp_psdr.kernels.constants import LOBE_SMOOTH
+from warp_psdr.kernels.interior.factors import make_material_sink
+from warp_psdr.kernels.interior.pullback import make_frame_vjp
+from warp_psdr.kernels.interior.wanted import Wanted
+from warp_psdr.kernels.math import to_local
+from warp_psdr.kernels.sensor.camera import CameraSample, make_camera_sink
+from warp_psdr.kernels.structs import Camera, Scene
+from warp_psdr.kernels.surface import VertexAdjoint, make_surface, make_vertex_sink, normalize_vjp
+from warp_psdr.kernels.vertex import PathConfig, make_frame, make_material
+
+
+@wp.struct
+class Visit:
+    """A vertex of the path and the ray (o, d) that found it."""
+
+    face: wp.int32
+    u: wp.float32
+    v: wp.float32
+    o: wp.vec3
+    d: wp.vec3
+    lobe: wp.int32  # in which the path goes on
+    attached: wp.int32  # 1: to that ray
+
+
+@functools.cache
+def make_chain_pullback(config: PathConfig, wanted: Wanted, role: str):
+    """Return ``pull(scene, target, camera, sample, visits, last, start, o_before, a_o, a_d) -> float``.
+
+    ``visits[:last + 1]`` is the path, (a_o, a_d) the adjoint of the ray that leaves its last vertex, ``start`` further
+    adjoints of that vertex, and ``o_before`` one of the position before it. -1: the ray leaves the camera. The result
+    is 0 in reverse mode and the derivative in forward mode.
+    """
+    surface_at = make_surface(config.smooth, config.flat, config.uv, config.tangent)
+    frame_at = make_frame(config.two_sided, config.tangent)
+    material_at = make_material(config.slots)
+    bsdf = make_bsdf(config.bsdfs)
+    scatter, scatter_vjp = bsdf.scatter, bsdf.scatter_vjp
+    frame_vjp = make_frame_vjp(config.tangent)
+    push_material = make_material_sink(config, wanted, role)
+    push_vertex = make_vertex_sink(role, config.smooth, config.flat, config.uv, config.tangent, wanted.texcoords, True)
+    push_camera = make_camera_sink(role, config.camera) if wanted.camera else None
+
+    @wp.func
+    def pull(
+        scene: Scene,
+        target: wp.array(dtype=wp.float32),
+        camera: Camera,
+        sample: CameraSample,
+        visits: wp.array(dtype=Visit),
+        last: wp.int32,
+        start: VertexAdjoint,
+        o_before: wp.vec3,
+        a_o_in: wp.vec3,
+        a_d_in: wp.vec3,
+    ) -> wp.float32:
+        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
+        total = wp.float32(0.0)
+        a_o = a_o_in
+        a_d = a_d_in
+        adjoint = start
+        before = o_before
+        j = last
+        more = wp.bool(True)
+        while more and j >= 0:
+            visit = visits[j]
+            adjoint.x += a_o
+            if wp.static(scatter_vjp is not None):
+                if visit.lobe > LOBE_SMOOTH:
+                    surface = surface_at(scene, visit.face, visit.u, visit.v)
+                    wi_world = -visit.d
+                    frame = frame_at(scene, scene.shapes[surface.shape].bsdf, surface.n, surface.tangent, wi_world)
+                    b = scene.bsdfs[frame.bsdf]
+                    material = material_at(scene, b, visit.face, visit.u, visit.v, surface.uv)
+                    wi = to_local(frame.s, frame.t, frame.n, wi_world)
+                    zero = wp.vec3(0.0, 0.0, 0.0)
+                    fa = scatter_vjp(b.model, material, wi, visit.lobe, zero, to_local(frame.s, frame.t, frame.n, a_d))
+                    wo = scatter(b.model, material, wi, visit.lobe).wo
+                    # The local direction leaves the frame: d = F wo, the transpose of entering it.
+                    turned = frame_vjp(frame, surface.tangent, wi_world, a_d, fa.wi, wo)
+                    adjoint.n = adjoint.n + frame.side * turned.n
+                    adjoint.tangent = adjoint.tangent + turned.tangent
+                    adjoint, dot = push_material(
+                        scene, target, b, visit.face, visit.u, visit.v, surface.uv, fa.material, adjoint
+                    )
+                    total += dot
+                    # wi = normalize(x_{j-1} - x_j).
+                    a_x = normalize_vjp(wi_world, wp.length(visit.o - surface.x), turned.wi)
+                    adjoint.x = adjoint.x - a_x
+                    before += a_x
+            pushed = push_vertex(
+                scene, target, visit.face, visit.u, visit.v, adjoint, visit.attached == 1, visit.o, visit.d
+            )
+            total += pushed.dot
+            a_o = before + pushed.o
+            a_d = pushed.d
+            more = wp.length_sq(a_o) + wp.length_sq(a_d) > 0.0
+            adjoint = VertexAdjoint()
+            before = wp.vec3(0.0, 0.0, 0.0)
+            j -= 1
+        if wp.static(wanted.camera):
+            if more:
+                total += push_camera(scene, target, camera, sample, a_o, a_d)
+        return total
+
+    return pull

@@ -1,0 +1,232 @@
+"""What a line crosses where the identity of the chain changes, and the implicit equation phi = 0 of that curve.
+
+Two rays on either side of the crossing are followed in step until they differ at the i-th vertex x of the chain:
+
+* an edge: phi = m . (x_b - o - t d), m = tangent x d, for the ray (o, d) that passes the edge at x_b. In a block that
+  starts at a smooth vertex y the first vertex behind it is a material point c (or at infinity), and on the first
+  segment only the background counts:  phi = m . (x_b - (1 - tau) y - tau c), the local form;
+* a curve along which two surfaces run through each other: an edge whose velocity follows from those of both planes,
+  m . x_b' = a n_A . v_A + b n_B . v_B with m = a n_A + b n_B. On the first segment behind a smooth vertex, where
+  ``curve.py`` says what jumps, once for the material point c of either surface:  phi = m . (x_b - c);
+* a crease of interpolated normals: an edge beside which light may reach one of the two triangles only;
+* the horizon of a vertex y with such normals (``horizon.py``): phi = n_g . (c - y) / |c - y|, once for either side,
+  where c is another point;
+* a shadow's edge: the same for the segment from x to a point, spot or directional light;
+* the terminator of interpolated normals, where the ray arrives edge-on: phi = n . (o - x);
+* the horizon of a mirror or glass with such normals, where its lobe leaves along the surface: phi = n_g . d.
+
+Each is a linear form in the velocities of the edge, the vertex, the ray and the light, so phi' is that form pulled back
+along the path, and its gradient in q that form applied to the ray differentials.
+"""
+
+import functools
+
+import warp as wp
+
+from warp_psdr.kernels.boundary.local_form import Edges
+from warp_psdr.kernels.boundary.specular.chain import (
+    MEETS_DELTA,
+    MEETS_SMOOTH,
+    Block,
+    Link,
+    make_meet,
+    make_start,
+    transmits,
+)
+from warp_psdr.kernels.boundary.specular.chain_edges import Crossing, make_edge_crossing, make_shadow_crossing
+from warp_psdr.kernels.boundary.specular.chain_pullback import Visit
+from warp_psdr.kernels.boundary.specular.ray_differential import (
+    RayDifferential,
+    make_point_differential,
+    scattered_differential,
+)
+from warp_psdr.kernels.boundary.specular.rims import Tables, joined, smooth_between
+from warp_psdr.kernels.constants import FAR, LOBE_NONE
+from warp_psdr.kernels.emitter.dispatch import is_delta_light
+from warp_psdr.kernels.structs import Camera, Scene
+from warp_psdr.kernels.surface import normalize_vjp
+from warp_psdr.kernels.vertex import PathConfig
+
+
+@wp.func
+def at_once(scene: Scene, hit: Link, o: wp.vec3) -> wp.bool:
+    """Whether a ray meets something where it starts."""
+    return hit.face >= 0 and wp.length(hit.x - o) <= scene.ray_epsilon
+
+
+@wp.func
+def own_horizon(
+    scene: Scene,
+    block: Block,
+    face: wp.int32,
+    hit: Link,
+    d: wp.vec3,
+    a: RayDifferential,
+    b: RayDifferential,
+    last: wp.int32,
+    side: wp.int32,
+) -> Crossing:
+    """The horizon of the vertex at which a block starts, on one side, seen past the point c that ``hit`` is."""
+    r = Crossing()
+    r.both = 1
+    r.side = side
+    r.last = last
+    tri = scene.triangles[face]
+    area = wp.length(wp.cross(tri.p1 - tri.p0, tri.p2 - tri.p0))
+    r.start.c = normalize_vjp(block.n, area, scene.shapes[tri.shape].orientation * d)
+    r.phi_a = wp.dot(block.n, a.d)
+    r.phi_b = wp.dot(block.n, b.d)
+    r.segment.x = block.x
+    r.segment.w = d
+    r.segment.face1 = -1
+    if hit.face >= 0:
+        r.edge = 2
+        r.segment.face2 = hit.face
+        r.segment.u2 = hit.u
+        r.segment.v2 = hit.v
+        r.segment.sweep = block.n / wp.length(hit.x - block.x)
+        r.a_o = -r.segment.sweep
+    r.valid = 1
+    return r
+
+
+@functools.cache
+def make_crossing(config: PathConfig):
+    """Return ``crossing(scene, camera, edges, tables, block, low, high, which, a, b, visits, ...) -> Crossing``.
+
+    ``a`` and ``b`` are the differentials of the first ray along the line and across it; ``visits[:count]`` is the path
+    up to the block, to which the chain's vertices are added. ``which``: where the two sides are crossings of their own
+    (``both``), 0 for the lower and 1 for the upper one.
+    """
+    start_at = make_start(config.camera)
+    meet = make_meet(config)
+    point_differential = make_point_differential(config.smooth, config.flat)
+    edge_crossing = make_edge_crossing(config.hidden)
+    shadow_crossing = make_shadow_crossing(config)
+
+    @wp.func
+    def crossing(
+        scene: Scene,
+        camera: Camera,
+        edges: Edges,
+        tables: Tables,
+        block: Block,
+        low: wp.float32,
+        high: wp.float32,
+        which: wp.int32,
+        first_a: RayDifferential,
+        first_b: RayDifferential,
+        visits: wp.array(dtype=Visit),
+        count: wp.int32,
+        max_depth: wp.int32,
+    ) -> Crossing:
+        r = Crossing()
+        ray = start_at(scene, camera, block, low)
+        other = start_at(scene, camera, block, high)
+        x = ray.x
+        o = ray.o
+        d = ray.d
+        o_high = other.o
+        d_high = other.d
+        t_max = ray.t_max
+        a = first_a
+        b = first_b
+        i = wp.int32(0)
+        more = wp.bool(True)
+        while more:
+            depth = block.depth + i
+            transmit = transmits(block, i)
+            p = meet(scene, o, d, t_max, depth, transmit, max_depth)
+            q = meet(scene, o_high, d_high, t_max, depth, transmit, max_depth)
+            more = False
+            if block.film == 0 and i == 0 and block.first == 1:
+                face = visits[count - 1].face
+                if tables.bent[face] == 1 and (wp.dot(block.n, d) >= 0.0) != (wp.dot(block.n, d_high) >= 0.0):
+                    if which == 0:
+                        return own_horizon(scene, block, face, p, d, a, b, count - 1, -1)
+                    return own_horizon(scene, block, face, q, d, a, b, count - 1, 1)
+            if p.face < 0 and q.face < 0:
+                return r
+            same = p.face >= 0 and q.face >= 0
+            if same:
+                same = joined(scene, edges, tables, p, q)
+            if not same:
+                if block.film == 1 and i == 0:
+                    return r
+                # Where something runs through a mirror, the curve is a discontinuity of the segment before.
+                if i > 0 and (at_once(scene, p, o) or at_once(scene, q, o_high)):
+                    return r
+                return edge_crossing(scene, edges, tables, block, p, q, x, a, b, i, count, which)
+            is_bent = tables.bent[p.face] == 1 and tables.bent[q.face] == 1
+            crease = is_bent and p.face != q.face
+            if crease:
+                crease = smooth_between(edges, tables, p.face, q.face) >= 0
+            delta = p.kind == MEETS_DELTA and q.kind == MEETS_DELTA
+            crosses = is_bent and p.leaving != q.leaving
+            if crosses and not delta and p.kind != MEETS_SMOOTH and q.kind != MEETS_SMOOTH:
+                # Of a face seen edge-on: what lies between its horizon and its terminator is as narrow as a cell.
+                delta = p.kind == MEETS_DELTA or q.kind == MEETS_DELTA
+                if p.kind != MEETS_DELTA and not crease:
+                    p = q
+                    o = o_high
+                    d = d_high
+            visit = Visit()
+            visit.face = p.face
+            visit.u = p.u
+            visit.v = p.v
+            visit.o = wp.where(i == 0 and block.film == 1, x, o)
+            visit.d = d
+            visit.lobe = wp.where(p.kind == MEETS_DELTA, p.lobe, LOBE_NONE)
+            visit.attached = wp.where(i > 0 or block.film == 1, 1, 0)
+            visits[count + i] = visit
+            a_x = point_differential(scene, p, x, d, a)
+            b_x = point_differential(scene, p, x, d, b)
+            if is_bent and p.facing != q.facing and not (crosses and delta):
+                if i == 0 and block.first == 0:
+                    return r
+                to = x - p.x
+                r.last = count + i
+                r.start.x = -p.n
+                r.start.n = to
+                r.o_before = p.n
+                r.phi_a = wp.dot(p.n, a.o - a_x.x) + wp.dot(a_x.n, to)
+                r.phi_b = wp.dot(p.n, b.o - b_x.x) + wp.dot(b_x.n, to)
+                r.valid = 1
+                return r
+            if p.kind == MEETS_SMOOTH and q.kind == MEETS_SMOOTH:
+                if crease and i > 0:
+                    return edge_crossing(scene, edges, tables, block, p, q, x, a, b, i, count, which)
+                if wp.static(shadow_crossing is not None):
+                    if (i > 0 or block.first == 1) and depth + 1 < max_depth:
+                        for k in range(scene.emitters.shape[0]):
+                            if r.valid == 0 and is_delta_light(scene.emitters[k].kind):
+                                r = shadow_crossing(scene, edges, tables, p, q, a_x, b_x, k, count + i)
+                return r
+            if delta:
+                if crosses and crease:
+                    if i == 0 and block.film == 0:
+                        return r
+                    return edge_crossing(scene, edges, tables, block, p, q, x, a, b, i, count, which)
+                a = scattered_differential(p, d, a, a_x)
+                b = scattered_differential(p, d, b, b_x)
+                if crosses:
+                    tri = scene.triangles[p.face]
+                    area = wp.length(wp.cross(tri.p1 - tri.p0, tri.p2 - tri.p0))
+                    r.last = count + i
+                    r.start.c = normalize_vjp(p.ng, area, scene.shapes[tri.shape].orientation * p.d)
+                    r.a_d = p.ng
+                    r.phi_a = wp.dot(p.ng, a.d)
+                    r.phi_b = wp.dot(p.ng, b.d)
+                    r.valid = 1
+                    return r
+                x = p.x
+                o = p.o
+                d = p.d
+                o_high = q.o
+                d_high = q.d
+                t_max = FAR
+                i += 1
+                more = True
+        return r
+
+    return crossing

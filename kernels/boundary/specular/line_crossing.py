@@ -1,0 +1,218 @@
+"""What a crossing of a line and a discontinuity adds to a derivative: one term of the sum in ``line_search.py``."""
+
+import functools
+
+import warp as wp
+
+from warp_psdr.kernels.autodiff import anchor
+from warp_psdr.kernels.boundary.local_form import Edges
+from warp_psdr.kernels.boundary.path_space.secondary import make_segment_sink
+from warp_psdr.kernels.boundary.specular.chain import (
+    Block,
+    film_at,
+    film_point,
+    make_follow,
+    make_identity,
+    make_shading,
+    make_start,
+)
+from warp_psdr.kernels.boundary.specular.chain_edges import Crossing
+from warp_psdr.kernels.boundary.specular.chain_pullback import Visit, make_chain_pullback
+from warp_psdr.kernels.boundary.specular.discontinuity import make_crossing
+from warp_psdr.kernels.boundary.specular.ray_differential import RayDifferential, make_film_differential
+from warp_psdr.kernels.boundary.specular.rims import Tables
+from warp_psdr.kernels.boundary.transport import Segment
+from warp_psdr.kernels.bsdf.dispatch import make_bsdf
+from warp_psdr.kernels.interior.wanted import Wanted
+from warp_psdr.kernels.invalid import count_invalid, vanishes
+from warp_psdr.kernels.math import to_local
+from warp_psdr.kernels.notes import NOTE_EDGE, make_note
+from warp_psdr.kernels.rng import Sampler, branch_of
+from warp_psdr.kernels.sensor.camera import CameraSample
+from warp_psdr.kernels.sensor.projection import make_splat
+from warp_psdr.kernels.structs import Camera, Scene
+from warp_psdr.kernels.surface import VertexAdjoint, make_vertex_sink
+from warp_psdr.kernels.vertex import PathConfig
+
+
+@wp.struct
+class Line:
+    """The search along a line, and the path to the block in which it lies."""
+
+    throughput: wp.vec3  # of the path, over the density of the line
+    camera: CameraSample  # of the path
+    q: wp.vec2  # its place on the film
+    count: wp.int32  # its vertices
+    slot: wp.int32  # first sample slot of the search
+    max_depth: wp.int32
+    rr_depth: wp.int32
+
+
+@functools.cache
+def make_crossing_sink(config: PathConfig, wanted: Wanted, role: str, light_pose: bool):
+    """Return ``push_crossings(scene, camera, edges, tables, block, line, low, high, weight, visits, ...)``.
+
+    Adds what lies between the neighbouring points ``low`` and ``high`` of a line, as ``weight`` crossings.
+    """
+    start_at = make_start(config.camera)
+    film_differential = make_film_differential(config.camera)
+    identity = make_identity(config)
+    follow = make_follow(config)
+    crossing_at = make_crossing(config)
+    shading_at = make_shading(config)
+    pull = make_chain_pullback(config, wanted, role)
+    push_segment = make_segment_sink(role, light_pose)
+    push_vertex = make_vertex_sink(role, False, False, False, False, False, True)
+    bsdf = make_bsdf(config.bsdfs)
+    has_smooth = bsdf.eval is not None
+    splat, gather = make_splat()
+    note_place = make_note(config.noted)
+
+    @wp.func
+    def push_point(
+        scene: Scene,
+        target: wp.array(dtype=wp.float32),
+        s: Segment,
+        face: wp.int32,
+        u: wp.float32,
+        v: wp.float32,
+        g: wp.vec3,
+    ) -> wp.float32:
+        """Scatter the adjoint g of a material point."""
+        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
+        adjoint = VertexAdjoint()
+        adjoint.x = g
+        pushed = push_vertex(scene, target, face, u, v, adjoint, False, s.x, s.w)
+        return pushed.dot
+
+    @wp.func
+    def settled(
+        scene: Scene,
+        camera: Camera,
+        tables: Tables,
+        block: Block,
+        s: wp.float32,
+        step: wp.float32,
+        max_depth: wp.int32,
+        links: wp.int32,
+    ) -> wp.float32:
+        """A step away from s, in either direction, where the first ``links`` vertices are those at s; else s itself.
+
+        On the curve itself what is met wavers by roundings: the line may cross it an odd number of times there.
+        """
+        name = identity(scene, camera, tables.group, tables.bent, block, s, max_depth, links)
+        for k in range(2):
+            away = s + (1.0 - 2.0 * wp.float32(k)) * step
+            if name == identity(scene, camera, tables.group, tables.bent, block, away, max_depth, links):
+                return away
+        return s
+
+    @wp.func
+    def jump_at(
+        scene: Scene,
+        camera: Camera,
+        tables: Tables,
+        block: Block,
+        line: Line,
+        low: wp.float32,
+        high: wp.float32,
+        r: Crossing,
+        visits: wp.array(dtype=Visit),
+        sampler: Sampler,
+    ) -> wp.vec3:
+        """F_high - F_low, or the side that counts."""
+        jump = wp.vec3(0.0, 0.0, 0.0)
+        branch = branch_of(sampler, 1 + line.slot)
+        for k in range(2):
+            sign = 2.0 * wp.float32(k) - 1.0
+            s = wp.where(k == 0, low, high)
+            if r.side == 0 or wp.float32(r.side) == sign:
+                if r.aside > 0.0:
+                    links = r.last - line.count + 2
+                    s = settled(scene, camera, tables, block, s, sign * r.aside, line.max_depth, links)
+                f = follow(scene, camera, block, s, branch, line.max_depth, line.rr_depth)
+                if wp.static(has_smooth):
+                    if block.film == 0:
+                        y = visits[line.count - 1]
+                        g = shading_at(scene, y.face, y.u, y.v, y.d)
+                        ray = start_at(scene, camera, block, s)
+                        f = wp.cw_mul(f, bsdf.eval(g.model, g.material, g.wi, to_local(g.s, g.t, g.n, ray.d)))
+                jump += sign * f
+        return jump
+
+    @wp.func
+    def push_crossings(
+        scene: Scene,
+        camera: Camera,
+        edges: Edges,
+        tables: Tables,
+        block: Block,
+        line: Line,
+        low: wp.float32,
+        high: wp.float32,
+        weight: wp.float32,
+        visits: wp.array(dtype=Visit),
+        sampler: Sampler,
+        adjoint: wp.array2d(dtype=wp.vec3),
+        target: wp.array(dtype=wp.float32),
+        image_out: wp.array2d(dtype=wp.vec3),
+    ):
+        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
+        a = RayDifferential()
+        b = RayDifferential()
+        if block.film == 1:
+            at = film_at(block, low)
+            a = film_differential(scene, camera, at, block.lens, block.e)
+            b = film_differential(scene, camera, at, block.lens, wp.vec2(-block.e[1], block.e[0]))
+        else:
+            angle = low * block.ell
+            a.d = wp.cos(angle) * block.w1 - wp.sin(angle) * block.w0
+            b.d = wp.cross(block.w0, block.w1)
+        which = wp.int32(0)
+        sides = wp.int32(1)
+        while which < sides:
+            r = crossing_at(
+                scene, camera, edges, tables, block, low, high, which, a, b, visits, line.count, line.max_depth
+            )
+            sides = 1 + r.both
+            which += 1
+            squared = r.phi_a * r.phi_a + r.phi_b * r.phi_b
+            if r.valid == 1 and not (squared <= 0.0):
+                if r.edge == 1:
+                    place = r.point.x
+                    note_place(scene, NOTE_EDGE, r.point.edge, r.point.s, 0.0, place, r.segment.w, line.throughput)
+                jump = jump_at(scene, camera, tables, block, line, low, high, r, visits, sampler)
+                scale = 2.0 * weight * r.phi_a / (squared * block.ell)
+                value = scale * wp.cw_mul(line.throughput, jump)
+                at_q = line.q
+                seen = line.camera
+                if block.film == 1:
+                    at_q = film_at(block, low)
+                    seen = CameraSample()
+                    seen.film = film_point(camera, at_q)
+                    seen.lens = block.lens
+                w = wp.float32(1.0)
+                if wp.static(role == "reverse"):
+                    w = wp.dot(gather(camera, at_q, adjoint), value)
+                if not vanishes(value) and w != 0.0:
+                    start = VertexAdjoint()
+                    start.x = w * r.start.x
+                    start.n = w * r.start.n
+                    start.c = w * r.start.c
+                    speed = pull(
+                        scene, target, camera, seen, visits, r.last, start, w * r.o_before, w * r.a_o, w * r.a_d
+                    )
+                    if r.edge == 2:
+                        met = r.segment
+                        speed += push_point(scene, target, met, met.face2, met.u2, met.v2, w * met.sweep)
+                        if met.face1 >= 0:
+                            speed += push_point(scene, target, met, met.face1, met.u1, met.v1, w * r.sweep1)
+                    if r.edge == 1:
+                        speed += push_segment(scene, target, edges, r.point, r.segment, w)
+                    if wp.static(role == "forward"):
+                        splat(scene, sampler, camera, at_q, speed * value, image_out)
+                    elif wp.static(role == "reverse"):
+                        if speed != 0.0:
+                            count_invalid(scene, sampler)
+
+    return push_crossings

@@ -1,0 +1,317 @@
+"""Discontinuities seen through mirrors and glass, by searching along lines.
+
+A camera cannot be met by a ray that comes out of a mirror, so edges seen through one cannot be sampled. They are
+looked for instead. For a two-dimensional domain q with integrand F, the derivative of its integral has the boundary
+term
+
+    integral over C of g dl,      g = (F_+ - F_-) phi' / |grad phi|,      C: phi(q) = 0,  F_+ where phi > 0.
+
+From q0 with density p(q0) a line of length ell goes in a uniform direction e (an arc of a great circle where q is a
+direction). Through a piece dl of C that it meets at an angle theta run lines of measure |sin theta| dl ds de, so that
+
+    sum over the crossings of the line of   2 |sin theta| g / (ell p(q0))                       (<sin^2> = 1 / 2)
+
+has the expectation of the integral (Crofton's formula; preserved measure of the geodesic flow), if p > 0 within ell of
+C. With phi_s the derivative along the line, |sin theta| = |phi_s| / |grad phi|, and F_high the side where s is larger:
+
+    2 phi_s (F_high - F_low) phi' / (|grad phi|^2 ell p(q0)):    nothing is singular where a line touches C.
+
+**No crossing is lost.** Let the line be a tree of halved cells down to the resolution of a float. A cell whose ends
+differ in identity (``chain.py``) is halved, and its halves likewise, which ends in crossings; one whose ends agree is
+left, although it may hide a pair. Every crossing hangs from exactly one topmost cell with ends that differ: a root, or
+half of a cell with equal ends and another middle. The roots are all taken; of the others one random path down the tree
+is, weighted with the inverse probability 2^-k of having looked at that cell of level k: a telescoping sum over
+resolutions.
+
+**Blocks.** A path from the camera is sampled as usual. One block starts at the film, with F the radiance, and one at
+each smooth vertex y, with F = f_s L and q the direction. A discontinuity counts here if a mirror or glass lies between
+the camera and the segment that touches it; all others are the primary (``primary.py``) and the secondary boundary
+(``secondary.py``, ``bent.py``, ``horizon.py``), but for the horizons of mirrors and glass with interpolated normals,
+which all count here. The point of a thin lens is drawn once a path: for each the camera is a pinhole.
+"""
+
+import functools
+
+import warp as wp
+
+from warp_psdr.kernels.autodiff import anchor
+from warp_psdr.kernels.boundary.local_form import Edges
+from warp_psdr.kernels.boundary.specular.chain import (
+    TRANSMIT,
+    Block,
+    film_point,
+    make_identity,
+    make_shading,
+)
+from warp_psdr.kernels.boundary.specular.chain_pullback import Visit
+from warp_psdr.kernels.boundary.specular.line_crossing import Line, make_crossing_sink
+from warp_psdr.kernels.boundary.specular.rims import Tables
+from warp_psdr.kernels.bsdf.dispatch import make_bsdf
+from warp_psdr.kernels.constants import INV_FOUR_PI, LOBE_SMOOTH, TWO_PI
+from warp_psdr.kernels.interior.wanted import Wanted
+from warp_psdr.kernels.math import any_tangent, to_local, to_world
+from warp_psdr.kernels.path import make_path_step
+from warp_psdr.kernels.rng import Sampler, make_sampler, sampler_at
+from warp_psdr.kernels.sampling import square_to_sphere
+from warp_psdr.kernels.sensor.camera import CameraSample, make_camera_ray, make_lens
+from warp_psdr.kernels.sensor.projection import filter_extent
+from warp_psdr.kernels.structs import Camera, Scene
+from warp_psdr.kernels.vertex import PathConfig, path_from
+
+#: Lengths of a line: pixels on the film, radians at a vertex.
+FILM_LENGTH, ARC_LENGTH = 2.0, 1.0
+#: Root cells of a line on the film and of an arc; both divide the finest resolution.
+FILM_CELLS, ARC_CELLS = 8, 8
+#: Cells of the finest resolution: an arc's are 10^-6 rad, some 16 float32 steps of a direction.
+RESOLUTION = 1 << 20
+#: Levels of the tree below its roots at which hidden crossings are looked for. Lines that cut off a corner hide pairs
+#: with a density constant in their width w, found with probability w: the variance grows by the same amount at each
+#: level, without end. Pairs narrower than 2^-12 of a cell, 10^-4 pixels or radians, are left out.
+LEVELS = 12
+#: Right ends of cells that wait: a cell's halves, down to the finest, and a line's roots.
+STACK = 40
+#: Share of the lines at a vertex that start in a uniform direction; the others follow the scattering function. Lines
+#: have to start also below the horizon, from where they reach above it.
+UNIFORM_SHARE = 0.25
+#: Sample slots of a search, behind those of a path of any length that is allowed here.
+SLOT_SEARCH = 1000
+#: Slots of one search; the last of the first one's is the lens's.
+SLOTS_PER_SEARCH = 64
+SLOT_LENS = SLOT_SEARCH + SLOTS_PER_SEARCH - 1
+#: Most vertices of a path, and of a path with its chain.
+MAX_DEPTH = 16
+MAX_VISITS = 17
+
+
+@functools.cache
+def make_line_search_kernel(config: PathConfig, wanted: Wanted, role: str, light_pose: bool):
+    """Return the kernel of the boundary term through mirrors and glass: one thread a path (``secondary.py``)."""
+    camera_ray, _camera_origin = make_camera_ray(config.camera)
+    lens_point = make_lens(config.camera)
+    identity = make_identity(config)
+    push_crossings = make_crossing_sink(config, wanted, role, light_pose)
+    shading_at = make_shading(config)
+    path_step = make_path_step(config, False)
+    bsdf = make_bsdf(config.bsdfs)
+    has_smooth = bsdf.eval is not None
+    draw = make_sampler(config.sampler)
+    sample_1d = draw.sample_1d
+    sample_2d = draw.sample_2d
+    sample_4d = draw.sample_4d
+
+    @wp.func
+    def search(
+        scene: Scene,
+        camera: Camera,
+        edges: Edges,
+        tables: Tables,
+        block: Block,
+        line: Line,
+        cells: wp.int32,
+        visits: wp.array(dtype=Visit),
+        sampler: Sampler,
+        adjoint: wp.array2d(dtype=wp.vec3),
+        target: wp.array(dtype=wp.float32),
+        image_out: wp.array2d(dtype=wp.vec3),
+    ):
+        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
+        max_depth = line.max_depth
+        # Right ends of the cells to visit, the next one on top.
+        ends = wp.zeros(shape=(STACK,), dtype=wp.int32)
+        names = wp.zeros(shape=(STACK,), dtype=wp.uint32)
+        top = wp.int32(0)
+        unit = 1.0 / wp.float32(RESOLUTION)
+        for k in range(cells):
+            ends[top] = (RESOLUTION // cells) * (cells - k)
+            names[top] = identity(
+                scene, camera, tables.group, tables.bent, block, unit * wp.float32(ends[top]), max_depth, 0
+            )
+            top += 1
+        left = wp.int32(0)
+        left_name = identity(scene, camera, tables.group, tables.bent, block, 0.0, max_depth, 0)
+        # The path down the tree: its cell starts as a random root.
+        cell = wp.int32(sample_1d(sampler, line.slot) * wp.float32(cells))
+        lower = cell * (RESOLUTION // cells)
+        size = RESOLUTION // cells
+        lower_name = left_name
+        if cell > 0:
+            lower_name = names[cells - cell]
+        upper_name = names[cells - 1 - cell]
+        chance = 1.0 / wp.float32(cells)
+        weight = wp.float32(1.0)
+        level = wp.int32(0)
+        active = wp.bool(True)
+        while active:
+            # All crossings of the cells that wait.
+            while top > 0:
+                end = ends[top - 1]
+                name = names[top - 1]
+                if name == left_name:
+                    left = end
+                    top -= 1
+                elif end - left > 1:
+                    middle = (left + end) // 2
+                    ends[top] = middle
+                    names[top] = identity(
+                        scene, camera, tables.group, tables.bent, block, unit * wp.float32(middle), max_depth, 0
+                    )
+                    top += 1
+                else:
+                    low = unit * wp.float32(left)
+                    high = unit * wp.float32(end)
+                    left = end
+                    left_name = name
+                    top -= 1
+                    push_crossings(
+                        scene, camera, edges, tables, block, line, low, high, weight, visits, sampler,
+                        adjoint, target, image_out,
+                    )  # fmt: skip
+            # One cell further down.
+            active = level < LEVELS
+            if active:
+                u = sample_1d(sampler, line.slot + 1 + level)
+                half = size // 2
+                name = identity(
+                    scene, camera, tables.group, tables.bent, block, unit * wp.float32(lower + half), max_depth, 0
+                )
+                if lower_name == upper_name and name != lower_name:
+                    left = lower
+                    left_name = lower_name
+                    ends[0] = lower + size
+                    names[0] = upper_name
+                    ends[1] = lower + half
+                    names[1] = name
+                    top = 2
+                    weight = 1.0 / chance
+                chance *= 0.5
+                size = half
+                if u < 0.5:
+                    upper_name = name
+                else:
+                    lower += half
+                    lower_name = name
+                level += 1
+        return
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def line_search(
+        # Scene:
+        scene: Scene,
+        camera: Camera,
+        edges: Edges,
+        tables: Tables,
+        # In:
+        first: wp.int32,
+        samples: wp.int32,
+        seed: wp.uint32,
+        max_depth: wp.int32,
+        rr_depth: wp.int32,
+        adjoint: wp.array2d(dtype=wp.vec3),
+        # Out:
+        target: wp.array(dtype=wp.float32),
+        image_out: wp.array2d(dtype=wp.vec3),
+    ):
+        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
+        number = first + wp.tid()
+        sampler = sampler_at(number, 0, seed)
+        visits = wp.zeros(shape=(MAX_VISITS,), dtype=Visit)
+        # A point of the film, and of its surroundings as far as lines and filter reach; stratified over the pixels.
+        u4 = sample_4d(sampler, 0)
+        margin = filter_extent(camera) + FILM_LENGTH
+        width = wp.float32(camera.crop_width) + 2.0 * margin
+        height = wp.float32(camera.crop_height) + 2.0 * margin
+        pixels = camera.crop_width * camera.crop_height
+        stratum = number % pixels
+        column = wp.float32(stratum % camera.crop_width) + u4[0]
+        row = wp.float32(stratum // camera.crop_width) + u4[1]
+        if number >= (samples // pixels) * pixels:
+            column = u4[0] * wp.float32(camera.crop_width)
+            row = u4[1] * wp.float32(camera.crop_height)
+        q = wp.vec2(
+            column * width / wp.float32(camera.crop_width) - margin,
+            row * height / wp.float32(camera.crop_height) - margin,
+        )
+        sample = CameraSample()
+        sample.film = film_point(camera, q)
+        sample.lens = lens_point(sample_2d(sampler, SLOT_LENS))
+        scale = width * height / wp.float32(samples)
+        pattern = wp.uint32(0)
+        for k in range(4):
+            bits = sample_4d(sampler, SLOT_SEARCH + k)
+            for j in range(4):
+                if bits[j] < TRANSMIT:
+                    pattern = pattern | (wp.uint32(1) << wp.uint32(4 * k + j))
+        block = Block()
+        block.film = 1
+        block.q0 = q
+        block.e = wp.vec2(wp.cos(TWO_PI * u4[2]), wp.sin(TWO_PI * u4[2]))
+        block.lens = sample.lens
+        block.ell = FILM_LENGTH
+        block.pattern = pattern
+        line = Line()
+        line.throughput = wp.vec3(scale, scale, scale)
+        line.camera = sample
+        line.q = q
+        line.slot = SLOT_SEARCH + 4
+        line.max_depth = max_depth
+        line.rr_depth = rr_depth
+        search(scene, camera, edges, tables, block, line, FILM_CELLS, visits, sampler, adjoint, target, image_out)
+        if wp.static(has_smooth):
+            ray = camera_ray(scene, camera, sample)
+            state = path_from(ray.o + ray.t_min * ray.d, ray.d, ray.t_max - ray.t_min, 0)
+            count = wp.int32(0)
+            slot = line.slot
+            through = wp.int32(0)  # 1: a mirror or glass came before
+            attached = wp.int32(1)
+            while state.alive == 1 and count + 2 <= max_depth:
+                before = state.o
+                vertex, state = path_step(scene, sampler, state, max_depth, rr_depth)
+                slot += SLOTS_PER_SEARCH
+                visit = Visit()
+                visit.face = vertex.face
+                visit.u = vertex.u
+                visit.v = vertex.v
+                visit.o = wp.where(count == 0, ray.o, before)
+                visit.d = vertex.d
+                visit.lobe = vertex.lobe
+                visit.attached = attached
+                visits[count] = visit
+                count += 1
+                if vertex.face >= 0:
+                    g = shading_at(scene, vertex.face, vertex.u, vertex.v, vertex.d)
+                    if g.valid == 1:
+                        v4 = sample_4d(sampler, slot)
+                        w0 = square_to_sphere(wp.vec2(v4[1], v4[2]))
+                        found = wp.bool(True)
+                        if v4[0] >= UNIFORM_SHARE:
+                            again = (v4[0] - UNIFORM_SHARE) / (1.0 - UNIFORM_SHARE)
+                            bs = bsdf.sample(g.model, g.material, g.wi, again, wp.vec2(v4[1], v4[2]))
+                            w0 = to_world(g.s, g.t, g.n, bs.wo)
+                            found = not (bs.pdf <= 0.0)
+                        pdf = UNIFORM_SHARE * INV_FOUR_PI + (1.0 - UNIFORM_SHARE) * bsdf.pdf(
+                            g.model, g.material, g.wi, to_local(g.s, g.t, g.n, w0)
+                        )
+                        if found:
+                            side = any_tangent(w0)
+                            angle = TWO_PI * v4[3]
+                            from_y = Block()
+                            from_y.x = g.x
+                            from_y.n = g.ng
+                            from_y.w0 = w0
+                            from_y.w1 = wp.cos(angle) * side + wp.sin(angle) * wp.cross(w0, side)
+                            from_y.ell = ARC_LENGTH
+                            from_y.depth = count
+                            from_y.pattern = pattern
+                            from_y.first = through
+                            line.throughput = (scale / pdf) * vertex.throughput
+                            line.count = count
+                            line.slot = slot + 1
+                            search(
+                                scene, camera, edges, tables, from_y, line, ARC_CELLS, visits, sampler,
+                                adjoint, target, image_out,
+                            )  # fmt: skip
+                    attached = wp.where(vertex.lobe > LOBE_SMOOTH, 1, 0)
+                    if attached == 1:
+                        through = 1
+
+    return line_search

@@ -1,0 +1,123 @@
+"""How the rays of a chain move with q, the point of the line search's domain: differentials of rays [Igehy 1999].
+
+The scene rests. For a ray (o, d) with o_q and d_q, met at x on a triangle with normal n_g,
+
+    x_q = r - d (n_g . r) / (n_g . d),   r = o_q + t d_q,
+
+n_q follows from the barycentrics of x_q, and the lobe's direction from its closed form: with c = d . n,
+
+    reflected    d - 2 c n,
+    refracted    (d - c n + sign(c) g n) / eta,   g = sqrt(eta^2 - 1 + c^2),  g_q = c c_q / g.
+
+On the film, with the point of the lens held, the camera's direction before it is normalized and its origin are affine
+in q (``camera.py``): their derivatives are differences.
+
+Homan Igehy, "Tracing Ray Differentials", SIGGRAPH 1999.
+"""
+
+import functools
+
+import warp as wp
+
+from warp_psdr.kernels.boundary.specular.chain import Link, film_point
+from warp_psdr.kernels.constants import CAMERA_ORTHOGRAPHIC, CAMERA_THINLENS, LOBE_DELTA_TRANSMISSION
+from warp_psdr.kernels.fresnel import refracted_cosine
+from warp_psdr.kernels.interior.tangents import normalize_jvp
+from warp_psdr.kernels.reading import load_vec3
+from warp_psdr.kernels.sensor.camera import camera_direction, lens_direction, load_mat44, parallel_origin
+from warp_psdr.kernels.structs import Camera, Scene
+
+
+@wp.struct
+class RayDifferential:
+    """Derivative of a ray along one direction of q."""
+
+    o: wp.vec3
+    d: wp.vec3
+
+
+@wp.struct
+class PointDifferential:
+    """Derivative of a point of a surface, and of the shading normal there."""
+
+    x: wp.vec3
+    n: wp.vec3
+
+
+@functools.cache
+def make_film_differential(kind: int):
+    """Return ``film_differential(scene, camera, q, lens, step) -> RayDifferential`` by q [pixels] along ``step``."""
+
+    @wp.func
+    def film_differential(scene: Scene, camera: Camera, q: wp.vec2, lens: wp.vec2, step: wp.vec2) -> RayDifferential:
+        r = RayDifferential()
+        m = load_mat44(scene.values, camera.to_world)
+        aspect = wp.float32(camera.width) / wp.float32(camera.height)
+        here = film_point(camera, q)
+        there = film_point(camera, q + step)
+        if wp.static(kind == CAMERA_ORTHOGRAPHIC):
+            r.o = parallel_origin(m, there, aspect) - parallel_origin(m, here, aspect)
+        else:
+            fov = scene.values[camera.x_fov]
+            cx = scene.values[camera.principal]
+            cy = scene.values[camera.principal + 1]
+            d = camera_direction(m, fov, cx, cy, here[0], here[1], aspect)
+            d_q = camera_direction(m, fov, cx, cy, there[0], there[1], aspect) - d
+            if wp.static(kind == CAMERA_THINLENS):
+                radius = scene.values[camera.aperture_radius]
+                d = lens_direction(m, fov, cx, cy, radius, scene.values[camera.focus_distance], here, lens, aspect)
+            length = wp.length(d)
+            d = d / length
+            r.d = (d_q - d * wp.dot(d, d_q)) / length
+        return r
+
+    return film_differential
+
+
+@functools.cache
+def make_point_differential(smooth: bool, flat: bool):
+    """Return ``point_differential(scene, link, x, d, ray) -> PointDifferential`` for a ray from x along d."""
+
+    @wp.func
+    def point_differential(scene: Scene, link: Link, x: wp.vec3, d: wp.vec3, ray: RayDifferential) -> PointDifferential:
+        result = PointDifferential()
+        r = ray.o + wp.length(link.x - x) * ray.d
+        result.x = r - (wp.dot(link.ng, r) / wp.dot(link.ng, d)) * d
+        if wp.static(smooth):
+            tri = scene.triangles[link.face]
+            shape = scene.shapes[tri.shape]
+            if shape.smooth == 1 or wp.static(not flat):
+                e1 = tri.p1 - tri.p0
+                e2 = tri.p2 - tri.p0
+                c = wp.cross(e1, e2)
+                squared = wp.dot(c, c)
+                u_q = wp.dot(wp.cross(result.x, e2), c) / squared
+                v_q = wp.dot(wp.cross(e1, result.x), c) / squared
+                n0 = load_vec3(scene.values, shape.normal_offset + 3 * tri.i0)
+                n1 = load_vec3(scene.values, shape.normal_offset + 3 * tri.i1)
+                n2 = load_vec3(scene.values, shape.normal_offset + 3 * tri.i2)
+                n = (1.0 - link.u - link.v) * n0 + link.u * n1 + link.v * n2
+                turned = shape.orientation * (u_q * (n1 - n0) + v_q * (n2 - n0))
+                result.n = normalize_jvp(link.n, wp.length(n), turned)
+        return result
+
+    return point_differential
+
+
+@wp.func
+def scattered_differential(link: Link, d: wp.vec3, ray: RayDifferential, point: PointDifferential) -> RayDifferential:
+    """Differential of the ray that leaves a mirror or glass; the sign of the normal does not matter."""
+    r = RayDifferential()
+    r.o = point.x
+    n = link.n
+    c = wp.dot(d, n)
+    c_q = wp.dot(ray.d, n) + wp.dot(d, point.n)
+    if link.lobe == LOBE_DELTA_TRANSMISSION:
+        g = refracted_cosine(wp.abs(c), link.eta)
+        sign = wp.where(c < 0.0, -1.0, 1.0)
+        normal = sign * g - c
+        normal_q = sign * c * c_q / wp.max(g, 1.0e-20) - c_q
+        r.d = (ray.d + normal_q * n + normal * point.n) / link.eta
+    else:
+        r.d = ray.d - 2.0 * (c_q * n + c * point.n)
+    return r

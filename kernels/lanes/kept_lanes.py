@@ -1,0 +1,118 @@
+"""What is kept of the vertices of paths that are traced side by side (``path_lanes.py``), for a sweep back over them.
+
+The vertices of one depth lie side by side. They are for the sweep's eyes alone: a sweep of single paths reads one after
+the other, and one that is itself side by side (``lanes/sweep_lanes.py``) reads rows. The latter needs more of a
+vertex, which to fetch and to look up again took as long as the sweep's own arithmetic.
+"""
+
+from typing import NamedTuple
+
+import warp as wp
+
+from warp_psdr.kernels.lanes.lanes import ROWS, make_record, word_of, words
+from warp_psdr.kernels.lanes.light_lanes import LightLanes
+from warp_psdr.kernels.lanes.place_lanes import PlaceLanes
+from warp_psdr.kernels.structs import Triangle
+from warp_psdr.kernels.vertex import PathVertex
+
+
+@wp.struct
+class Stood:
+    """Where a path scattered."""
+
+    n: wp.vec3  # of the shading frame, on the side of the incoming ray
+    side: wp.float32  # +1, or -1 on the back of a two-sided material
+    length: wp.float32  # ``Surface.length``
+    uv: wp.vec2
+    c0: wp.vec3  # reflectance
+    radiance: wp.vec3  # of the light found by next-event estimation, as ``LightSample`` has it
+
+
+@wp.struct
+class Kept:
+    """A vertex and what belongs to it; ``light`` and ``stood`` may be anything where it does not scatter."""
+
+    vertex: PathVertex
+    tri: Triangle
+    light: Triangle
+    stood: Stood
+
+
+class KeptLanes(NamedTuple):
+    """What ``make_kept_lanes`` makes.
+
+    Attributes:
+        put: ``(rows, j, n, vertex)`` keeps the n-th vertex of the j-th path.
+        keep_rest: ``(rows, n)`` keeps the rest of all n-th vertices, which are where the paths stand now.
+        vertex: ``(rows, j, n) -> PathVertex``; None if none are kept.
+        record: ``(rows, j, n) -> Kept``, of the nearest n that there is; None unless all of it is kept.
+        end: the first row that is free.
+    """
+
+    put: wp.Function
+    keep_rest: wp.Function
+    vertex: wp.Function | None
+    record: wp.Function | None
+    end: int
+
+
+def make_kept_lanes(
+    width: int, first: int, kept: int, whole: bool, on_places: PlaceLanes, lights: LightLanes | None
+) -> KeptLanes:
+    """Make the functions.
+
+    Args:
+        width: number of lanes.
+        first: the first row that they may take.
+        kept: number of vertices of a path.
+        whole: whether all of ``Kept`` is kept, or vertices alone.
+        on_places: where the paths stand.
+        lights: what next-event estimation finds there, if there are lights.
+    """
+    size = words(Kept if whole else PathVertex)  # the vertex comes first in both
+    get_vertex, put_vertex = make_record(PathVertex, width, aside=True)
+    get_kept, _put_kept = make_record(Kept, width, aside=True)
+    put_tri, put_stood = (make_record(record, width, aside=True)[1] for record in (Triangle, Stood))
+    tri_word, light_word, stood_word = (word_of(Kept, name) for name in ("tri", "light", "stood"))
+
+    @wp.func
+    def put(rows: ROWS, j: wp.int32, n: wp.int32, vertex: PathVertex):
+        put_vertex(rows, first + n * size, j, vertex)
+
+    @wp.func
+    def keep_rest(rows: ROWS, n: wp.int32):
+        # In loops of their own: stores in several places provably meet neither each other nor what is read.
+        to = first + n * size
+        j = wp.int32(0)
+        while j < width:
+            put_tri(rows, to + tri_word, j, on_places.triangles.get(rows, j))
+            j += 1
+        if wp.static(lights is not None):
+            j = wp.int32(0)
+            while j < width:
+                put_tri(rows, to + light_word, j, lights.triangles.get(rows, j))
+                j += 1
+        j = wp.int32(0)
+        while j < width:
+            place = on_places.places.get(rows, j)
+            surface = on_places.surfaces.get(rows, j)
+            stood = Stood()
+            stood.n = place.n
+            stood.side = on_places.tints.get(rows, j).side
+            stood.length = surface.length
+            stood.uv = surface.uv
+            stood.c0 = place.material.c0
+            if wp.static(lights is not None):
+                stood.radiance = lights.samples.get(rows, j).radiance
+            put_stood(rows, to + stood_word, j, stood)
+            j += 1
+
+    @wp.func
+    def vertex_at(rows: ROWS, j: wp.int32, n: wp.int32) -> PathVertex:
+        return get_vertex(rows, first + n * size, j, PathVertex())
+
+    @wp.func
+    def kept_at(rows: ROWS, j: wp.int32, n: wp.int32) -> Kept:
+        return get_kept(rows, first + wp.clamp(n, 0, kept - 1) * size, j, Kept())
+
+    return KeptLanes(put, keep_rest, vertex_at if kept else None, kept_at if whole else None, first + kept * size)

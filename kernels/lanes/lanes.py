@@ -1,0 +1,202 @@
+"""Values of several paths side by side, so that the compiler makes SIMD of loops over the paths.
+
+A loop ``while j < W`` whose body is made of Warp functions is turned into SIMD by LLVM's loop vectoriser, W iterations
+at a time, every operation rounded as it is alone: the same functions serve one path and W paths, with equal bits. What
+it asks for (its reasons for a refusal are printed by the compiler flags of ``tests/lanes/test_lanes.py``):
+
+* no inner loop and no call; branches may choose between numbers, not around loads from memory;
+* no value of vector type between branches. C++ hands the first two components of a ``vec2`` or ``vec3`` over in one
+  register: where two branches return vectors, or a vector is read from memory whole, that register stays. Hence
+  ``where3`` and reads word by word;
+* a known number of iterations, and loads and stores that provably do not meet: some 120 at most in a loop.
+
+The last point is what this file is for. The paths' values lie in one array of words, ``Scene.rows``, a row of W words
+for each word of a record, and are read and written as ``char32_t``, a type that nothing else in a kernel has. In C++ an
+access to an object of one scalar type does not touch one of another, so stores to the rows leave the scene's floats and
+integers alone.
+
+A row is named by its number; a record takes ``words(record)`` rows from its first one on.
+"""
+
+import ctypes
+import functools
+from typing import NamedTuple
+
+import warp as wp
+
+from warp_psdr.kernels.bvh.wide import native
+
+ROWS = wp.array(dtype=wp.uint32)
+#: Rows that ``Scene.rows`` has. It is the host's and holds anything: a local array would be cleared for every pixel,
+#: twice, which took a tenth of an image and of a gradient.
+ROOM = 1024
+
+
+def words(record) -> int:
+    """Number of rows that a Warp struct takes."""
+    return ctypes.sizeof(record.ctype) // 4
+
+
+def word_of(record, name: str) -> int:
+    """Row of a member of a Warp struct, counted from the record's first."""
+    return getattr(record.ctype, name).offset // 4
+
+
+@functools.cache
+def make_record(record, width: int, aside: bool = False):
+    """Return ``(get, put)`` of a Warp struct whose members have 4 bytes each.
+
+    ``get(rows, first, j, like) -> record`` reads lane j from the rows ``first`` on (``like`` is any value of the
+    struct), ``put(rows, first, j, value)`` writes it. ``aside``: the rows are for nobody else's eyes, and are accessed
+    as floats, so that a loop may read rows and write to these wherever they lie.
+    """
+    count = words(record)
+    word = "float" if aside else "char32_t"
+    reads = "".join(
+        f"const {word} w{i} = data[{i} * $W]; __builtin_memcpy((char*)&r + {4 * i}, &w{i}, 4);\n" for i in range(count)
+    )
+    writes = "".join(
+        f"{word} w{i}; __builtin_memcpy(&w{i}, (const char*)&value + {4 * i}, 4); data[{i} * $W] = w{i};\n"
+        for i in range(count)
+    )
+
+    def get(rows: ROWS, first: wp.int32, j: wp.int32, like: record) -> record:
+        return record()  # Warp takes the type from here; the snippet is what runs
+
+    def put(rows: ROWS, first: wp.int32, j: wp.int32, value: record):
+        return
+
+    name = record.key.rsplit(".", 1)[-1].lower() + ("_aside" if aside else "")
+    source = f"const {word}* data = (const {word}*)rows.data + first * $W + j;\n__typeof__(like) r;\n"
+    target = f"{word}* data = ({word}*)rows.data + first * $W + j;\n"
+    return (
+        native(f"get_{name}", source + reads + "return r;", width, get),
+        native(f"put_{name}", target + writes, width, put),
+    )
+
+
+class Rows(NamedTuple):
+    """Where a record lies, and how it is read and written.
+
+    Attributes:
+        first: its first row.
+        end: the row behind its last.
+        get: ``(rows, j) -> record`` of lane j.
+        put: ``(rows, j, record)``.
+    """
+
+    first: int
+    end: int
+    get: wp.Function
+    put: wp.Function
+
+
+@functools.cache
+def make_rows(record, width: int, first: int) -> Rows:
+    """Make the functions for a record of ``width`` lanes from row ``first`` on."""
+    get_from, put_to = make_record(record, width)
+
+    @wp.func
+    def get(rows: ROWS, j: wp.int32) -> record:
+        return get_from(rows, first, j, record())
+
+    @wp.func
+    def put(rows: ROWS, j: wp.int32, value: record):
+        put_to(rows, first, j, value)
+
+    return Rows(first, first + words(record), get, put)
+
+
+def stack_rows(width: int, first: int, *records) -> tuple[Rows, ...]:
+    """Lay out records of ``width`` lanes from row ``first`` on, one below the other."""
+    stacked = []
+    for record in records:
+        stacked.append(make_rows(record, width, first))
+        first = stacked[-1].end
+    return tuple(stacked)
+
+
+@functools.cache
+def make_number(width: int):
+    """Return ``(get, put)`` of one random number in [0, 1) and lane: ``get(rows, row, j)``, ``put(rows, row, j, u)``.
+
+    The absolute value, which changes nothing, is arithmetic: without any, two numbers that become a ``vec2`` are moved
+    as one integer of 8 bytes, which no loop over lanes may hold.
+    """
+
+    def get(rows: ROWS, row: wp.int32, j: wp.int32) -> wp.float32:
+        return wp.float32(0.0)
+
+    def put(rows: ROWS, row: wp.int32, j: wp.int32, u: wp.float32):
+        return
+
+    source = "const char32_t w = ((const char32_t*)rows.data)[row * $W + j];\n"
+    return (
+        native("get_number", source + "return __builtin_fabsf(__builtin_bit_cast(float, w));", width, get),
+        native("put_number", "((char32_t*)rows.data)[row * $W + j] = __builtin_bit_cast(char32_t, u);", width, put),
+    )
+
+
+@functools.cache
+def make_fetch(record, width: int):
+    """Return ``fetch(records, rows, index, first)``: records of an array in lanes.
+
+    The words of ``records[n]``, n the number in row ``index``, in the rows ``first`` on; n < 0 counts as 0. The struct
+    has a multiple of four words. Four words of a record are loaded at once and transposed between lanes, in registers:
+    of records in many words that is a fraction of the time of gathers, which load every word by itself.
+    """
+    count = words(record)
+    if count % 4:
+        raise ValueError(f"{record.key} has {count} words; expected a multiple of four")
+
+    def fetch(records: wp.array(dtype=record), rows: ROWS, index: wp.int32, first: wp.int32):
+        return
+
+    name = record.key.rsplit(".", 1)[-1].lower()
+    snippet = """
+    typedef float f4 __attribute__((ext_vector_type(4), aligned(4), may_alias));
+    typedef float vf __attribute__((ext_vector_type($W), aligned(4), may_alias));
+    struct Fetch {
+        static inline __attribute__((always_inline)) f4 four(const float* from) { return *(const f4*)from; }
+        static inline __attribute__((always_inline)) vf join(const float* const* from, int word) {
+            // Four words of every fourth lane.
+            const f4 a = four(from[0] + word);
+#if $W == 4
+            return a;
+#else
+            const auto low = __builtin_shufflevector(a, four(from[4] + word), 0, 1, 2, 3, 4, 5, 6, 7);
+#if $W == 8
+            return low;
+#else
+            const f4 c = four(from[8] + word);
+            const auto high = __builtin_shufflevector(c, four(from[12] + word), 0, 1, 2, 3, 4, 5, 6, 7);
+            return __builtin_shufflevector(low, high, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15);
+#endif
+#endif
+        }
+    };
+    const char32_t* numbers = (const char32_t*)rows.data + index * $W;
+    const float* from[$W];
+    for (int j = 0; j < $W; ++j)
+        from[j] = (const float*)(records.data + ((int)numbers[j] < 0 ? 0 : (int)numbers[j]));
+    float* to = (float*)rows.data + first * $W;
+    #pragma clang loop unroll(full)
+    for (int word = 0; word < $COUNT; word += 4) {
+        // Blocks of four lanes, each transposed by itself.
+        const vf a = Fetch::join(from, word), b = Fetch::join(from + 1, word);
+        const vf c = Fetch::join(from + 2, word), d = Fetch::join(from + 3, word);
+        const vf p = __builtin_shufflevector(a, b, $LOW), q = __builtin_shufflevector(c, d, $LOW);
+        const vf r = __builtin_shufflevector(a, b, $HIGH), s = __builtin_shufflevector(c, d, $HIGH);
+        *(vf*)(to + word * $W) = __builtin_shufflevector(p, q, $FIRST);
+        *(vf*)(to + (word + 1) * $W) = __builtin_shufflevector(p, q, $SECOND);
+        *(vf*)(to + (word + 2) * $W) = __builtin_shufflevector(r, s, $FIRST);
+        *(vf*)(to + (word + 3) * $W) = __builtin_shufflevector(r, s, $SECOND);
+    }
+    """
+    # Within each block of four, from two vectors: words 0 and 1 of both in turns, and so on.
+    orders = {"LOW": (0, width, 1, width + 1), "HIGH": (2, width + 2, 3, width + 3)}
+    orders |= {"FIRST": (0, 1, width, width + 1), "SECOND": (2, 3, width + 2, width + 3)}
+    for key, order in orders.items():
+        lanes = ", ".join(str(block + lane) for block in range(0, width, 4) for lane in order)
+        snippet = snippet.replace(f"${key}", lanes)
+    return native(f"fetch_{name}", snippet.replace("$COUNT", str(count)), width, fetch)

@@ -1,0 +1,153 @@
+"""Next-event estimates of as many paths as there are lanes, in step (``path_lanes.py``): their lights.
+
+A light, and the triangle of an area light, are found by binary search in cumulative probabilities, as by
+``find_interval``, each step a loop over all lanes: an entry costs a gather. Searches that have ended go on without
+moving.
+"""
+
+from typing import NamedTuple
+
+import warp as wp
+
+from warp_psdr.kernels.constants import EMITTER_AREA, ONE_MINUS_EPSILON
+from warp_psdr.kernels.lanes.lanes import ROWS, Rows, make_fetch, make_number, stack_rows, word_of
+from warp_psdr.kernels.reading import emitter_at, load_float
+from warp_psdr.kernels.scattering import NextEvent, make_light_draw, make_next_event
+from warp_psdr.kernels.structs import Emitter, LightSample, Scene, Triangle
+from warp_psdr.kernels.vertex import PathConfig
+
+
+@wp.struct
+class Search:
+    """A search among ``length`` entries from ``first + low`` on of an array."""
+
+    first: wp.int32
+    low: wp.int32
+    length: wp.int32
+    u: wp.float32
+
+
+@wp.struct
+class Chosen:
+    """The light of an estimate; -1: it has no triangles."""
+
+    light: wp.int32
+    face: wp.int32
+
+
+class LightLanes(NamedTuple):
+    """What ``make_light_lanes`` makes.
+
+    Attributes:
+        choose: ``(scene, rows)`` chooses lights by the random numbers in the rows 0 and 1.
+        draw: ``(scene, rows)`` draws points on them by those in the rows 2 and 3, and computes the estimates.
+        triangles: the records of the area lights' triangles.
+        samples: the points, ``LightSample``.
+        events: the estimates, ``NextEvent``.
+    """
+
+    choose: wp.Function
+    draw: wp.Function
+    triangles: Rows
+    samples: Rows
+    events: Rows
+
+
+def make_light_lanes(config: PathConfig, differential: bool, width: int, first: int, places: Rows) -> LightLanes:
+    """Make the functions.
+
+    Args:
+        config: as for ``make_path_step``, and ``differential``.
+        differential: see there.
+        width: number of lanes.
+        first: the first row that they may take; the last one is the last of ``events``.
+        places: where the paths stand, ``Place``.
+    """
+    get_number, _put_number = make_number(width)
+    fetch_triangle = make_fetch(Triangle, width)
+    _pick, draw_one = make_light_draw(config)
+    next_event = make_next_event(config, differential)
+    searches, chosen, triangles, samples, events = stack_rows(
+        width, first, Search, Chosen, Triangle, LightSample, NextEvent
+    )
+    triangle_row, face_row = triangles.first, chosen.first + word_of(Chosen, "face")
+
+    @wp.func
+    def search(cdf: wp.array(dtype=wp.float32), rows: ROWS):
+        longest = wp.int32(2)
+        while longest > 1:
+            longest = wp.int32(0)
+            j = wp.int32(0)
+            while j < width:
+                s = searches.get(rows, j)
+                half = s.length >> 1
+                s.low = wp.where(load_float(cdf, s.first + s.low + half) <= s.u, s.low + half, s.low)
+                s.length -= half
+                longest = wp.max(longest, s.length)
+                searches.put(rows, j, s)
+                j += 1
+
+    @wp.func
+    def choose(scene: Scene, rows: ROWS):
+        j = wp.int32(0)
+        while j < width:
+            s = Search()
+            s.length = scene.emitters.shape[0]
+            s.u = wp.min(get_number(rows, 0, j), ONE_MINUS_EPSILON)
+            searches.put(rows, j, s)
+            j += 1
+        if wp.static(not config.one_light):
+            search(scene.emitter_cdf, rows)
+        j = wp.int32(0)
+        while j < width:
+            c = Chosen()
+            c.light = searches.get(rows, j).low
+            c.face = -1
+            chosen.put(rows, j, c)
+            j += 1
+        if wp.static(bool(config.area)):
+            choose_faces(scene, rows)
+
+    @wp.func
+    def emitter_of(scene: Scene, c: Chosen) -> Emitter:
+        return emitter_at(scene, wp.where(wp.static(config.one_light), 0, c.light))
+
+    @wp.func
+    def choose_faces(scene: Scene, rows: ROWS):
+        j = wp.int32(0)
+        while j < width:
+            emitter = emitter_of(scene, chosen.get(rows, j))
+            on_area = emitter.kind == EMITTER_AREA
+            s = Search()
+            s.first = wp.where(on_area, emitter.cdf_offset, 0)
+            s.length = wp.where(on_area, emitter.face_count, 1)
+            s.u = wp.min(get_number(rows, 1, j), ONE_MINUS_EPSILON)
+            searches.put(rows, j, s)
+            j += 1
+        search(scene.face_cdf, rows)
+        j = wp.int32(0)
+        while j < width:
+            c = chosen.get(rows, j)
+            emitter = emitter_of(scene, c)
+            c.face = wp.where(emitter.kind == EMITTER_AREA, emitter.first_face + searches.get(rows, j).low, -1)
+            chosen.put(rows, j, c)
+            j += 1
+
+    @wp.func
+    def draw(scene: Scene, rows: ROWS):
+        if wp.static(bool(config.area)):
+            fetch_triangle(scene.triangles, rows, face_row, triangle_row)
+        j = wp.int32(0)
+        while j < width:
+            c = chosen.get(rows, j)
+            u = wp.vec2(get_number(rows, 2, j), get_number(rows, 3, j))
+            x = places.get(rows, j).x
+            samples.put(rows, j, draw_one(scene, c.light, c.face, triangles.get(rows, j), x, u))
+            j += 1
+        j = wp.int32(0)
+        while j < width:
+            c = chosen.get(rows, j)
+            events.put(rows, j, next_event(places.get(rows, j), samples.get(rows, j), c.light))
+            j += 1
+
+    return LightLanes(choose, draw, triangles, samples, events)

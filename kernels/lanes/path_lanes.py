@@ -1,0 +1,329 @@
+"""The path loop of ``path.py`` for as many samples as there are lanes, in step (``lanes.py``).
+
+Each part of a vertex is a loop over all lanes. What is rare (emitters that are hit, rays that leave the scene), what is
+looked up in tables, and rays through a tree of several levels are done lane by lane; the rest, which is most of the
+arithmetic, becomes SIMD. Lanes whose path has ended are computed along and never looked at. A path has the bits that it
+has alone.
+"""
+
+import functools
+from typing import NamedTuple
+
+import warp as wp
+
+from warp_psdr.kernels.bvh.each import make_each
+from warp_psdr.kernels.bvh.wide import RayHit, make_intersect
+from warp_psdr.kernels.camera_rays import Bundle, column_of, make_trace_together, row_of
+from warp_psdr.kernels.constants import BSDF_DIFFUSE
+from warp_psdr.kernels.lanes.kept_lanes import make_kept_lanes
+from warp_psdr.kernels.lanes.lanes import ROWS, Rows, make_number, stack_rows, word_of
+from warp_psdr.kernels.lanes.light_lanes import make_light_lanes
+from warp_psdr.kernels.lanes.place_lanes import make_place_lanes
+from warp_psdr.kernels.math import where3
+from warp_psdr.kernels.path import make_camera_starts, vertex_of
+from warp_psdr.kernels.rng import Sampler, make_sampler, sampler_at
+from warp_psdr.kernels.scattering import (
+    SLOTS_PER_VERTEX,
+    NextEvent,
+    Onward,
+    make_scatter,
+    samples_lights,
+)
+from warp_psdr.kernels.sensor.camera import CameraSample
+from warp_psdr.kernels.structs import Camera, Scene
+from warp_psdr.kernels.vertex import PathConfig, PathState
+
+#: Rows of random numbers: for next-event estimation, for scattering.
+NUMBERS = 8
+
+
+@wp.struct
+class Seat:
+    """A lane's sample, and its pixel in the image."""
+
+    sampler: Sampler
+    px: wp.int32
+    py: wp.int32
+
+
+@wp.struct
+class Look:
+    """A shadow ray: whether it is traced, and whether it meets anything."""
+
+    wanted: wp.int32
+    blocked: wp.int32
+
+
+@wp.struct
+class Sum:
+    """What a path has gathered so far."""
+
+    radiance: wp.vec3
+    vertices: wp.int32
+
+
+class LanePaths(NamedTuple):
+    """Functions that trace paths side by side; all take ``Scene.rows``.
+
+    Attributes:
+        width: number of lanes.
+        start: ``(scene, camera, pixels, bundle, met, rows)`` starts the samples of a bundle, and traces their camera
+            rays; ``met`` as in ``PathState``.
+        step: ``(scene, depth, max_depth, rr_depth, rows) -> int``: one vertex of every path, behind ``depth`` others;
+            the number of paths that have another one.
+        gathered: ``(rows, j) -> Sum`` of the j-th path.
+        camera: ``(rows, j) -> CameraSample``.
+        vertex: ``(rows, j, n) -> PathVertex``, its n-th vertex; None if none are kept.
+        record: ``(rows, j, n) -> Kept``, and what is kept with it; None if no such things are.
+        seats: ``Seat``, the paths' samples.
+        end: the first row that is free; if there are fewer, none of the functions may be called.
+    """
+
+    width: int
+    start: wp.Function
+    step: wp.Function
+    gathered: wp.Function
+    camera: wp.Function
+    vertex: wp.Function | None
+    record: wp.Function | None
+    seats: Rows
+    end: int
+
+
+def side_by_side(config: PathConfig) -> bool:
+    """Whether a scene's paths are traced so: on the CPU, unless what they meet is written down.
+
+    Not where scattering is more than choosing between numbers: the other models branch around vectors.
+    """
+    return config.ray_backend == "wide" and not config.noted and config.bsdfs == (BSDF_DIFFUSE,)
+
+
+@functools.cache
+def make_lane_paths(
+    config: PathConfig,
+    differential: bool,
+    sparse: bool = False,
+    filter_kind: int | None = None,
+    kept: int = 0,
+    whole: bool = False,
+) -> LanePaths:
+    """Make the functions; arguments as those of ``make_path_step`` and ``make_camera_starts``.
+
+    ``kept``: number of vertices that are kept of a path; none has more. ``whole``: their ``Kept``.
+    """
+    width = config.ray_width
+    closest_hit, any_hit = make_intersect(config.ray_backend, width)
+    closest_of_each, any_of_each = make_each(width)
+    trace_together = make_trace_together(config)
+    view, start_in = make_camera_starts(config, filter_kind)
+    scatter = make_scatter(config, differential)
+    sample_4d = make_sampler(config.sampler).sample_4d
+    has_lights = samples_lights(config)
+    get_number, put_number = make_number(width)
+
+    seats, states, hits, cameras, sums = stack_rows(width, NUMBERS, Seat, PathState, RayHit, CameraSample, Sum)
+    on_places = make_place_lanes(config, width, sums.end, states, hits)
+    choices, places, arrivals = on_places.choices, on_places.places, on_places.arrivals
+    onwards, looks = stack_rows(width, arrivals.end, Onward, Look)
+    end, lights = looks.end, None
+    if has_lights:
+        lights = make_light_lanes(config, differential, width, end, places)
+        events = lights.events
+        shadow_row = events.first + word_of(NextEvent, "o")
+        end = events.end
+    hit_row, look_row, blocked_row = hits.first, looks.first, looks.first + word_of(Look, "blocked")
+    ray_row, alive_row = (states.first + word_of(PathState, name) for name in ("o", "alive"))
+    store = make_kept_lanes(width, end, kept, whole, on_places, lights)
+
+    @wp.func
+    def start(
+        scene: Scene,
+        camera: Camera,
+        pixels: wp.array(dtype=wp.int32),
+        bundle: Bundle,
+        met: wp.int32,
+        rows: ROWS,
+    ):
+        count = bundle.pixels * bundle.samples
+        j = wp.int32(0)
+        seat = Seat()
+        for i in range(bundle.pixels):
+            seat.sampler = sampler_at(pixels[bundle.first + i], 0, bundle.seed)
+            seat.px = column_of(bundle, seat.sampler)
+            seat.py = row_of(bundle, seat.sampler)
+            for n in range(bundle.samples):
+                seat.sampler.index = wp.uint32(bundle.first_sample + n)
+                seats.put(rows, j, seat)
+                j += 1
+        while j < width:  # the last one once more
+            seats.put(rows, j, seat)
+            j += 1
+        k = view(scene, camera)
+        j = wp.int32(0)
+        while j < width:
+            seat = seats.get(rows, j)
+            state, sample = start_in(scene, camera, k, seat.px, seat.py, seat.sampler)
+            state.alive = wp.where(j < count, 1, 0)
+            state.met = met
+            states.put(rows, j, state)
+            cameras.put(rows, j, sample)
+            sums.put(rows, j, Sum())
+            j += 1
+        trace_together(scene, count, rows, ray_row, hit_row)
+
+    @wp.func
+    def draw_numbers(depth: wp.int32, rows: ROWS):
+        j = wp.int32(0)
+        while j < width:
+            sampler = seats.get(rows, j).sampler
+            if wp.static(has_lights):
+                u4 = sample_4d(sampler, 1 + SLOTS_PER_VERTEX * depth)
+                put_number(rows, 0, j, u4[0])
+                put_number(rows, 1, j, u4[1])
+                put_number(rows, 2, j, u4[2])
+                put_number(rows, 3, j, u4[3])
+            r4 = sample_4d(sampler, 2 + SLOTS_PER_VERTEX * depth)
+            put_number(rows, 4, j, r4[0])
+            put_number(rows, 5, j, r4[1])
+            put_number(rows, 6, j, r4[2])
+            put_number(rows, 7, j, r4[3])
+            j += 1
+
+    @wp.func
+    def trace(scene: Scene, depth: wp.int32, rows: ROWS):
+        """Closest hits; the camera's rays have been traced."""
+        if depth > 0:
+            if scene.accel.below_root > 0:
+                closest_of_each(scene.accel, rows, ray_row, alive_row, hit_row)
+            else:
+                j = wp.int32(0)
+                while j < width:
+                    state = states.get(rows, j)
+                    if state.alive == 1:
+                        hits.put(rows, j, closest_hit(scene.accel, state.o, state.d, state.t_max))
+                    j += 1
+
+    @wp.func
+    def scatter_all(scene: Scene, rr_depth: wp.int32, rows: ROWS):
+        j = wp.int32(0)
+        while j < width:
+            state = states.get(rows, j)
+            choice = choices.get(rows, j)
+            place = places.get(rows, j)
+            r4 = wp.vec4(get_number(rows, 4, j), get_number(rows, 5, j), get_number(rows, 6, j), get_number(rows, 7, j))
+            onward = scatter(place, state, choice.face, r4, rr_depth)
+            if wp.static(sparse):
+                onward.after.met = state.met + scene.matters[place.shape]
+            onwards.put(rows, j, onward)
+            j += 1
+
+    @wp.func
+    def look(scene: Scene, rows: ROWS):
+        """Shadow rays."""
+        j = wp.int32(0)
+        while j < width:
+            wanted = choices.get(rows, j).on == 1
+            wanted = wanted and events.get(rows, j).wanted == 1
+            if wp.static(sparse):
+                wanted = wanted and onwards.get(rows, j).after.met > 0
+            shadow = Look()
+            shadow.wanted = wp.where(wanted, 1, 0)
+            looks.put(rows, j, shadow)
+            j += 1
+        if scene.accel.below_root > 0:
+            any_of_each(scene.accel, rows, shadow_row, look_row, blocked_row)
+        else:
+            j = wp.int32(0)
+            while j < width:
+                shadow = looks.get(rows, j)
+                if shadow.wanted == 1:
+                    event = events.get(rows, j)
+                    if any_hit(scene.accel, event.o, event.d, event.t_max):
+                        shadow.blocked = 1
+                        looks.put(rows, j, shadow)
+                j += 1
+
+    @wp.func
+    def keep(depth: wp.int32, scattering: wp.bool, rows: ROWS):
+        j = wp.int32(0)
+        while j < width:
+            state = states.get(rows, j)
+            hit = hits.get(rows, j)
+            arrival = arrivals.get(rows, j)
+            choice = choices.get(rows, j)
+            onward = onwards.get(rows, j)
+            on = scattering and choice.on == 1
+            event = NextEvent()
+            lit = wp.bool(False)
+            if wp.static(has_lights):
+                event = events.get(rows, j)
+                shadow = looks.get(rows, j)
+                lit = on and shadow.wanted == 1 and shadow.blocked == 0
+            vertex = vertex_of(state, hit, arrival, lit, event, on, onward)
+            store.put(rows, j, depth, vertex)
+            j += 1
+        if wp.static(whole):
+            store.keep_rest(rows, depth)
+
+    @wp.func
+    def advance(scattering: wp.bool, rows: ROWS) -> wp.int32:
+        alive = wp.int32(0)
+        j = wp.int32(0)
+        while j < width:
+            state = states.get(rows, j)
+            arrival = arrivals.get(rows, j)
+            choice = choices.get(rows, j)
+            onward = onwards.get(rows, j)
+            total = sums.get(rows, j)
+            on = scattering and choice.on == 1
+            direct = arrival.direct
+            if wp.static(has_lights):
+                event = events.get(rows, j)
+                shadow = looks.get(rows, j)
+                lit = on and shadow.wanted == 1 and shadow.blocked == 0
+                direct += where3(lit, event.value, wp.vec3(0.0, 0.0, 0.0))
+            direct = where3(on and onward.broken == 1, wp.vec3(wp.NAN, wp.NAN, wp.NAN), direct)
+            # What lies in the rows of a path that has ended may be anything.
+            gained = total.radiance + wp.cw_mul(state.throughput, direct)
+            total.radiance = where3(state.alive == 1, gained, total.radiance)
+            total.vertices += state.alive
+            sums.put(rows, j, total)
+            after = onward.after
+            after.alive = wp.where(on, onward.after.alive, 0)
+            states.put(rows, j, after)
+            alive += after.alive
+            j += 1
+        return alive
+
+    @wp.func
+    def step(scene: Scene, depth: wp.int32, max_depth: wp.int32, rr_depth: wp.int32, rows: ROWS) -> wp.int32:
+        last = wp.static(not config.scatter) or (max_depth >= 0 and depth + 1 >= max_depth)
+        if wp.static(config.scatter):
+            if not last:
+                draw_numbers(depth, rows)
+        trace(scene, depth, rows)
+        standing = on_places.meet(scene, rows)
+        scattering = standing > 0 and not last
+        on_places.collect(scene, rows)
+        if wp.static(config.scatter):
+            if scattering:
+                on_places.stand(scene, standing, rows)
+                if wp.static(has_lights):
+                    lights.choose(scene, rows)
+                    lights.draw(scene, rows)
+                scatter_all(scene, rr_depth, rows)
+                if wp.static(has_lights):
+                    look(scene, rows)
+        if wp.static(kept > 0):
+            keep(depth, scattering, rows)
+        return advance(scattering, rows)
+
+    @wp.func
+    def gathered(rows: ROWS, j: wp.int32) -> Sum:
+        return sums.get(rows, j)
+
+    @wp.func
+    def camera_of(rows: ROWS, j: wp.int32) -> CameraSample:
+        return cameras.get(rows, j)
+
+    return LanePaths(width, start, step, gathered, camera_of, store.vertex, store.record, seats, store.end)

@@ -1,0 +1,162 @@
+"""Where as many paths as there are lanes stand, in step (``path_lanes.py``): points, frames and materials.
+
+Triangles are fetched whole and transposed (``lanes.make_fetch``). What is found by following numbers through the
+scene's tables, shape to material to texture to values, is looked up lane by lane, and of textures any kind may be: as
+SIMD it would be a gather for each word, which on the processors at hand takes as long as the loads, or longer.
+"""
+
+from typing import NamedTuple
+
+import warp as wp
+
+from warp_psdr.kernels.constants import BSDF_DIFFUSE
+from warp_psdr.kernels.emitter.dispatch import ENVIRONMENTS
+from warp_psdr.kernels.invalid import finite
+from warp_psdr.kernels.lanes.lanes import ROWS, Rows, make_fetch, stack_rows, word_of
+from warp_psdr.kernels.reading import shape_at
+from warp_psdr.kernels.scattering import Arrival, LookedUp, Place, make_arrive, make_look_up, make_place
+from warp_psdr.kernels.structs import Scene, Triangle
+from warp_psdr.kernels.surface import Surface, make_surface_of
+from warp_psdr.kernels.vertex import PathConfig
+
+
+@wp.struct
+class Choice:
+    """Where a path is. A lane without a path is computed along on face 0."""
+
+    on: wp.int32  # 1: the path stands on ``face``
+    face: wp.int32
+    brings: wp.int32  # 1: there may be something that its ray brings, though it has met nothing
+    behind: wp.int32  # 1: it arrives at the back
+    u: wp.float32
+    v: wp.float32
+
+
+@wp.struct
+class Tint:
+    """What is looked up of a diffuse material."""
+
+    side: wp.float32
+    red: wp.float32
+    green: wp.float32
+    blue: wp.float32
+
+
+class PlaceLanes(NamedTuple):
+    """What ``make_place_lanes`` makes.
+
+    Attributes:
+        meet: ``(scene, rows) -> int``: what the rays have met; the number of lanes up to the last whose path stands on
+            a surface.
+        collect: ``(scene, rows)``: what the rays bring.
+        stand: ``(scene, standing, rows)``: where the paths stand; ``standing`` is what ``meet`` returned.
+        choices: ``Choice``.
+        triangles: ``Triangle``, those that paths stand on.
+        surfaces: ``Surface``, at the same points.
+        tints: ``Tint``.
+        places: ``Place``.
+        arrivals: ``Arrival``.
+    """
+
+    meet: wp.Function
+    collect: wp.Function
+    stand: wp.Function
+    choices: Rows
+    triangles: Rows
+    surfaces: Rows
+    tints: Rows
+    places: Rows
+    arrivals: Rows
+
+
+def make_place_lanes(config: PathConfig, width: int, first: int, states: Rows, hits: Rows) -> PlaceLanes:
+    """Make the functions.
+
+    Args:
+        config: as for ``make_path_step``.
+        width: number of lanes.
+        first: the first row that they may take; the last one is the last of ``arrivals``.
+        states: the paths' ``PathState``.
+        hits: what their rays have met, ``RayHit``.
+    """
+    arrive = make_arrive(config)
+    surface_of = make_surface_of(config.smooth, config.flat, config.uv, config.tangent)
+    look_up = make_look_up(config)
+    place_on = make_place(config)
+    fetch_triangle = make_fetch(Triangle, width)
+    environment = any(kind in ENVIRONMENTS for kind in config.lights)
+    choices, triangles, surfaces = stack_rows(width, first, Choice, Triangle, Surface)
+    tints, places, arrivals = stack_rows(width, surfaces.end, Tint, Place, Arrival)
+    triangle_row, face_row = triangles.first, choices.first + word_of(Choice, "face")
+
+    @wp.func
+    def meet(scene: Scene, rows: ROWS) -> wp.int32:
+        standing = wp.int32(0)
+        j = wp.int32(0)
+        while j < width:
+            state = states.get(rows, j)
+            face = hits.get(rows, j).face
+            choice = Choice()
+            choice.on = wp.where(state.alive == 1 and face >= 0, 1, 0)
+            choice.face = wp.where(choice.on == 1, face, 0)
+            astray = state.alive == 1 and face < 0
+            if wp.static(not environment):
+                astray = astray and not finite(state.o + state.d)  # which ``arrive`` tells
+            choice.brings = wp.where(astray, 1, 0)
+            choices.put(rows, j, choice)
+            arrivals.put(rows, j, Arrival())
+            standing = wp.max(standing, choice.on * (j + 1))
+            j += 1
+        if standing > 0:
+            fetch_triangle(scene.triangles, rows, face_row, triangle_row)
+        return standing
+
+    @wp.func
+    def collect(scene: Scene, rows: ROWS):
+        j = wp.int32(0)
+        while j < width:
+            choice = choices.get(rows, j)
+            brings = choice.brings == 1
+            if wp.static(bool(config.area)):
+                shape = wp.where(choice.on == 1, triangles.get(rows, j).shape, 0)
+                brings = brings or (choice.on == 1 and shape_at(scene, shape).emitter >= 0)
+            if brings:
+                arrivals.put(rows, j, arrive(scene, states.get(rows, j), hits.get(rows, j)))
+            j += 1
+
+    @wp.func
+    def stand(scene: Scene, standing: wp.int32, rows: ROWS):
+        j = wp.int32(0)
+        while j < width:
+            hit = hits.get(rows, j)
+            choice = choices.get(rows, j)
+            u = wp.where(choice.on == 1, hit.u, 0.0)
+            v = wp.where(choice.on == 1, hit.v, 0.0)
+            surface = surface_of(scene, triangles.get(rows, j), u, v)
+            surfaces.put(rows, j, surface)
+            choice.u = u
+            choice.v = v
+            choice.behind = wp.where(wp.dot(surface.n, -states.get(rows, j).d) < 0.0, 1, 0)
+            choices.put(rows, j, choice)
+            j += 1
+        for j in range(standing):  # one by one: SIMD would be gathers, which take longer
+            c = choices.get(rows, j)
+            found = look_up(scene, surfaces.get(rows, j), c.behind == 1, c.face, c.u, c.v)
+            tint = Tint()
+            tint.side = found.side
+            tint.red = found.material.c0[0]
+            tint.green = found.material.c0[1]
+            tint.blue = found.material.c0[2]
+            tints.put(rows, j, tint)
+        j = wp.int32(0)
+        while j < width:
+            tint = tints.get(rows, j)
+            found = LookedUp()
+            found.side = tint.side
+            found.model = BSDF_DIFFUSE
+            found.material.c0 = wp.vec3(tint.red, tint.green, tint.blue)
+            surface = surfaces.get(rows, j)
+            places.put(rows, j, place_on(scene, triangles.get(rows, j), surface, found, states.get(rows, j).d))
+            j += 1
+
+    return PlaceLanes(meet, collect, stand, choices, triangles, surfaces, tints, places, arrivals)

@@ -1,0 +1,246 @@
+"""From a point to the film: projection, importance of the camera, and splats under the pixel filter.
+
+With P = M^-1 (x - o), M the upper 3x3 block of the camera's matrix, and (p, q) = (P_x, P_y) / P_z, a pinhole at o sees
+a point at
+
+    film = (1 - p / k) / 2 - c_x,  (1 - q a / k) / 2 - c_y,      k = tan(fov / 2), a = width / height,
+
+so that a step of one pixel is 2 k / width in p and in q. A pixel's value is the integral of h(film) L over the film in
+pixels, the filter's integral being one. A surface element dA seen at a distance r under the angle theta fills
+d(film) = dA cos(theta) / r^2 . |M (p, q, 1)|^3 / |det M| . (width / 2 k)^2 pixels: the importance of the camera.
+
+A thin lens is the mean over lens points of pinholes at o = T + M (a l, 0), whose film is moved: a point whose direction
+in camera space is (p, q, 1) lies on the film where the pinhole at T sees (p, q) + a l / f (``camera.py``). The shift
+depends on neither x nor the direction, so the derivatives by x and the importance are those of that pinhole. Every
+boundary sample draws a lens point, detached and fixed like the film position.
+
+An orthographic camera has (p, q) = (P_x, P_y), P = M^-1 (x - T), and k = 1 without principal point. All its rays have
+the direction d = M e_z / |M e_z|. A unit of (p, q) is the parallelogram M e_x, M e_y, which seen along d has the area
+|det M| / |M e_z|; so an element dA fills dA cos(theta) |M e_z| / |det M| . (width / 2)^2 pixels.
+"""
+
+import functools
+
+import warp as wp
+
+from warp_psdr.kernels.constants import (
+    CAMERA_ORTHOGRAPHIC,
+    CAMERA_THINLENS,
+    RFILTER_BOX,
+    RFILTER_GAUSSIAN,
+    RFILTER_TENT,
+)
+from warp_psdr.kernels.invalid import count_invalid, finite
+from warp_psdr.kernels.rng import Sampler
+from warp_psdr.kernels.sensor.camera import CameraSample, lens_origin, load_mat44
+from warp_psdr.kernels.sensor.film import GAUSSIAN_CUT
+from warp_psdr.kernels.structs import Camera, Scene
+
+#: Pixels beside each other for which the filter is evaluated once and not for every row: all under most filters.
+TAP_COUNT = 5
+TAPS = wp.types.vector(length=TAP_COUNT, dtype=wp.float32)
+#: sqrt(2 pi) erf(4 / sqrt 2) - 8 exp(-8): the integral of the lowered Gaussian, over its standard deviation.
+GAUSSIAN_INTEGRAL = 2.50378587
+GAUSSIAN_FLOOR = 3.3546263e-4
+
+
+@wp.struct
+class FilmPoint:
+    """A point's image. ``scale``: pixels a unit of p and q."""
+
+    valid: wp.int32  # 0: behind the camera, clipped, or farther than the filter's radius outside the crop window
+    sample: CameraSample  # the camera's ray through the point
+    pixel: wp.vec2  # in pixels of the crop window
+    camera_space: wp.vec3
+    origin: wp.vec3  # of that ray
+    near: wp.float32  # distances of the clip planes along the ray
+    far: wp.float32
+    scale: wp.float32
+    per_area: wp.float32  # pixels a unit of area at the point, perpendicular to the ray
+
+
+@wp.func
+def camera_block(scene: Scene, camera: Camera) -> wp.mat33:
+    m = load_mat44(scene.values, camera.to_world)
+    return wp.mat33(m[0, 0], m[0, 1], m[0, 2], m[1, 0], m[1, 1], m[1, 2], m[2, 0], m[2, 1], m[2, 2])
+
+
+@wp.func
+def filter_extent(camera: Camera) -> wp.float32:
+    """Radius of the pixel filter [pixels]."""
+    if camera.filter == RFILTER_GAUSSIAN:
+        return GAUSSIAN_CUT * camera.filter_stddev
+    return camera.filter_radius
+
+
+@wp.func
+def filter_1d(camera: Camera, x: wp.float32) -> wp.float32:
+    """Density of the pixel filter along one axis [1 / pixel]; what ``film.py`` samples."""
+    a = wp.abs(x)
+    if camera.filter == RFILTER_BOX:
+        # Half-open: a point on the border between two pixels counts for one of them.
+        inside = x >= -camera.filter_radius and x < camera.filter_radius
+        return wp.where(inside, 0.5 / camera.filter_radius, 0.0)
+    if camera.filter == RFILTER_TENT:
+        return wp.max(1.0 - a / camera.filter_radius, 0.0) / camera.filter_radius
+    z = a / camera.filter_stddev
+    if z >= GAUSSIAN_CUT:
+        return 0.0
+    return (wp.exp(-0.5 * z * z) - GAUSSIAN_FLOOR) / (GAUSSIAN_INTEGRAL * camera.filter_stddev)
+
+
+@functools.cache
+def make_projection(kind: int):
+    """Return ``(project, film_gradient, film_velocity)`` of a kind of camera.
+
+    ``project(scene, camera, x, lens) -> FilmPoint``, ``lens`` from ``camera.make_lens``;
+    ``film_gradient(scene, camera, at, n) -> vec3``: gradient of n . pixel(x) with respect to x;
+    ``film_velocity(scene, camera, at, v) -> vec2``: velocity of pixel(x) for a velocity v of x.
+    """
+
+    @wp.func
+    def project(scene: Scene, camera: Camera, x: wp.vec3, lens: wp.vec2) -> FilmPoint:
+        r = FilmPoint()
+        r.sample.lens = lens
+        m = load_mat44(scene.values, camera.to_world)
+        block = camera_block(scene, camera)
+        axis = wp.vec3(m[0, 2], m[1, 2], m[2, 2])
+        r.origin = wp.vec3(m[0, 3], m[1, 3], m[2, 3])
+        if wp.static(kind == CAMERA_THINLENS):
+            r.origin = lens_origin(m, scene.values[camera.aperture_radius], lens)
+        c = wp.inverse(block) * (x - r.origin)
+        if c[2] <= 0.0:
+            return r
+        r.camera_space = c
+        width = wp.float32(camera.width)
+        height = wp.float32(camera.height)
+        size = wp.length(axis)
+        area = wp.abs(wp.determinant(block))
+        if wp.static(kind == CAMERA_ORTHOGRAPHIC):
+            r.scale = 0.5 * width
+            r.sample.film = wp.vec2(0.5 * (1.0 - c[0]), 0.5 * (1.0 - c[1] * width / height))
+            r.origin = x - c[2] * axis
+            r.near = camera.near * size
+            r.far = r.near + (camera.far - camera.near)
+            r.per_area = r.scale * r.scale * size / area
+        else:
+            k = wp.tan(scene.values[camera.x_fov] * wp.static(3.14159265358979 / 360.0))
+            r.scale = 0.5 * width / k
+            p = c[0] / c[2]
+            q = c[1] / c[2]
+            slant = wp.length(block * wp.vec3(p, q, 1.0))
+            r.near = camera.near * slant / size
+            r.far = camera.far * slant / size
+            r.per_area = r.scale * r.scale * slant * slant * slant / (area * wp.length_sq(x - r.origin))
+            if wp.static(kind == CAMERA_THINLENS):
+                shear = scene.values[camera.aperture_radius] / scene.values[camera.focus_distance]
+                p += shear * lens[0]
+                q += shear * lens[1]
+            r.sample.film = wp.vec2(
+                0.5 * (1.0 - p / k) - scene.values[camera.principal],
+                0.5 * (1.0 - q * width / (height * k)) - scene.values[camera.principal + 1],
+            )
+        film = r.sample.film
+        r.pixel = wp.vec2(film[0] * width - wp.float32(camera.crop_x), film[1] * height - wp.float32(camera.crop_y))
+        distance = wp.length(x - r.origin)
+        margin = filter_extent(camera)
+        inside = (
+            r.pixel[0] > -margin
+            and r.pixel[0] < wp.float32(camera.crop_width) + margin
+            and r.pixel[1] > -margin
+            and r.pixel[1] < wp.float32(camera.crop_height) + margin
+        )
+        if inside and distance > r.near and distance < r.far:
+            r.valid = 1
+        return r
+
+    @wp.func
+    def film_gradient(scene: Scene, camera: Camera, at: FilmPoint, n: wp.vec2) -> wp.vec3:
+        c = at.camera_space
+        if wp.static(kind == CAMERA_ORTHOGRAPHIC):
+            g = -at.scale * wp.vec3(n[0], n[1], 0.0)
+            return wp.transpose(wp.inverse(camera_block(scene, camera))) * g
+        else:
+            p = c[0] / c[2]
+            q = c[1] / c[2]
+            g = (-at.scale / c[2]) * wp.vec3(n[0], n[1], -(n[0] * p + n[1] * q))
+            return wp.transpose(wp.inverse(camera_block(scene, camera))) * g
+
+    @wp.func
+    def film_velocity(scene: Scene, camera: Camera, at: FilmPoint, v: wp.vec3) -> wp.vec2:
+        c = at.camera_space
+        w = wp.inverse(camera_block(scene, camera)) * v
+        if wp.static(kind == CAMERA_ORTHOGRAPHIC):
+            return -at.scale * wp.vec2(w[0], w[1])
+        else:
+            p = c[0] / c[2]
+            q = c[1] / c[2]
+            return (-at.scale / c[2]) * wp.vec2(w[0] - p * w[2], w[1] - q * w[2])
+
+    return project, film_gradient, film_velocity
+
+
+@wp.func
+def filter_taps(camera: Camera, at: wp.float32, first: wp.int32) -> TAPS:
+    """Densities of the pixel filter at the pixels ``first``, ``first`` + 1, ... of an axis, for a point ``at``."""
+    r = TAPS()
+    for i in range(wp.static(TAP_COUNT)):
+        r[i] = filter_1d(camera, at - wp.float32(first + i) - 0.5)
+    return r
+
+
+@functools.cache
+def make_splat():
+    """Return ``(splat, gather)``.
+
+    ``splat(scene, sampler, camera, at, value, image)`` adds a contribution to all pixels under the filter;
+    ``gather(camera, at, adjoint) -> vec3`` is its transpose.
+    """
+
+    @wp.func
+    def splat(
+        scene: Scene,
+        sampler: Sampler,
+        camera: Camera,
+        at: wp.vec2,
+        value: wp.vec3,
+        image: wp.array2d(dtype=wp.vec3),
+    ):
+        if not finite(value):
+            count_invalid(scene, sampler)
+            return
+        r = filter_extent(camera)
+        x0 = wp.max(wp.int32(wp.ceil(at[0] - 0.5 - r)), 0)
+        y0 = wp.max(wp.int32(wp.ceil(at[1] - 0.5 - r)), 0)
+        x1 = wp.min(wp.int32(wp.floor(at[0] - 0.5 + r)), camera.crop_width - 1)
+        y1 = wp.min(wp.int32(wp.floor(at[1] - 0.5 + r)), camera.crop_height - 1)
+        taps = filter_taps(camera, at[0], x0)
+        for y in range(y0, y1 + 1):
+            h_y = filter_1d(camera, at[1] - wp.float32(y) - 0.5)
+            for x in range(x0, x1 + 1):
+                if x - x0 < wp.static(TAP_COUNT):
+                    h = h_y * taps[x - x0]
+                else:
+                    h = h_y * filter_1d(camera, at[0] - wp.float32(x) - 0.5)
+                wp.atomic_add(image, y, x, h * value)
+
+    @wp.func
+    def gather(camera: Camera, at: wp.vec2, adjoint: wp.array2d(dtype=wp.vec3)) -> wp.vec3:
+        r = filter_extent(camera)
+        x0 = wp.max(wp.int32(wp.ceil(at[0] - 0.5 - r)), 0)
+        y0 = wp.max(wp.int32(wp.ceil(at[1] - 0.5 - r)), 0)
+        x1 = wp.min(wp.int32(wp.floor(at[0] - 0.5 + r)), camera.crop_width - 1)
+        y1 = wp.min(wp.int32(wp.floor(at[1] - 0.5 + r)), camera.crop_height - 1)
+        taps = filter_taps(camera, at[0], x0)
+        total = wp.vec3(0.0, 0.0, 0.0)
+        for y in range(y0, y1 + 1):
+            h_y = filter_1d(camera, at[1] - wp.float32(y) - 0.5)
+            for x in range(x0, x1 + 1):
+                if x - x0 < wp.static(TAP_COUNT):
+                    h = h_y * taps[x - x0]
+                else:
+                    h = h_y * filter_1d(camera, at[0] - wp.float32(x) - 0.5)
+                total += h * adjoint[y, x]
+        return total
+
+    return splat, gather

@@ -1,0 +1,1 @@
+"""Textures: what varies over a surface or with direction."""

@@ -1,0 +1,261 @@
+"""Paths that are traced side by side: the bits of single ones, and loops that the compiler turns into SIMD."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import warp as wp
+
+import warp_psdr as psdr
+from tests.gradients import scenes
+from warp_psdr.kernels import primal, splat
+from warp_psdr.kernels.interior import replay
+from warp_psdr.kernels.lanes.lanes import ROOM, make_number, make_record, words
+from warp_psdr.kernels.lanes.path_lanes import make_lane_paths, side_by_side
+from warp_psdr.kernels.scattering import Onward
+from warp_psdr.scene import acceleration
+
+ROOT = Path(__file__).resolve().parents[2]
+BOX = ROOT / "scenes" / "cornell_box.xml"
+KERNELS = (
+    primal.make_image_paths,
+    primal.make_primal_kernel,
+    splat.make_splat_kernel,
+    replay.make_replay_kernel,
+)
+#: Loops over lanes in a kernel: camera rays, random numbers, surfaces, places, lights, estimates, directions, sums and
+#: what is found out on the way; what is kept, and the sweep over it.
+LOOPS = {"primal": 12, "replay": 18}
+#: What float32 sums in another order differ by, relative to the largest entry of a gradient.
+SUMMED = 1.0e-5
+
+
+def forget_kernels():
+    for make in KERNELS:
+        make.cache_clear()
+
+
+@pytest.fixture
+def alone(monkeypatch):
+    """Return a function after whose call every path is traced by itself."""
+
+    def switch():
+        for module in (primal, replay):
+            monkeypatch.setattr(module, "side_by_side", lambda config: False)
+        forget_kernels()
+
+    yield switch
+    monkeypatch.undo()
+    forget_kernels()
+
+
+def with_sensor(scene, **changes):
+    return {"type": "scene", **scene, "sensor": {**scene["sensor"], **changes}}
+
+
+def hidden_light():
+    scene = scenes.gap_scene()
+    return {"type": "scene", "integrator": {"type": "path", "hide_emitters": True}, **scene}
+
+
+def blurred():
+    return with_sensor(scenes.plane_scene(), type="thinlens", aperture_radius=0.1, focus_distance=2.0)
+
+
+def wide_filter():
+    scene = scenes.gap_scene()
+    film = {**scene["sensor"]["film"], "rfilter": {"type": "gaussian"}}
+    return with_sensor(scene, film=film)
+
+
+def sky_and_lamps():
+    """A sky, a lamp of many triangles, and one of two; few enough triangles for rays in rows."""
+    square = {"type": "rectangle", "emitter": {"type": "area", "radiance": scenes.rgb(3.0, 2.0, 1.0)}}
+    down = psdr.Transform.look_at([0.8, 0.2, 0.9], [0.0, 0.0, 0.0], [0.0, 1.0, 0.0]) @ psdr.Transform.scale(0.1)
+    cube = {"type": "cube", "emitter": {"type": "area", "radiance": scenes.rgb(0.5, 1.0, 0.7)}}
+    aside = psdr.Transform.translate([-0.6, 0.2, 0.3]) @ psdr.Transform.scale(0.1)
+    return {
+        "type": "scene",
+        "sensor": scenes.gap_scene()["sensor"],
+        "floor": {"type": "rectangle", "bsdf": {"type": "diffuse", "reflectance": scenes.rgb(0.6, 0.7, 0.5)}},
+        "lamp": {**square, "to_world": down},
+        "cube": {**cube, "to_world": aside},
+        "sky": {"type": "constant", "radiance": scenes.rgb(0.2, 0.3, 0.4)},
+    }
+
+
+SCENES = {
+    "sky and two lamps": sky_and_lamps,
+    "area light, two-sided, textured by vertices": lambda: {"type": "scene", **scenes.gap_scene()},
+    "sky, point, spot and sun, a bitmap": lambda: {"type": "scene", **scenes.plane_scene()},
+    "constant sky, textured by faces": lambda: {"type": "scene", **scenes.dome_scene()},
+    "hidden light": hidden_light,
+    "thin lens": blurred,
+    "gaussian filter": wide_filter,
+}
+
+
+def images_and_gradients(scene, spp, sampler, depth, names):
+    """Return the image, and the gradient of a weighted image by the parameters."""
+    integrator = psdr.PathIntegrator(max_depth=depth, rr_depth=3, sampler=sampler, boundary=None)
+    image = psdr.render(scene, integrator=integrator, spp=spp, seed=5).numpy()
+    params = psdr.traverse(scene)
+    params.requires_grad(*names)
+    adjoint = np.random.default_rng(1).normal(size=image.shape).astype(np.float32)
+    adjoint[::3, 1::2] = 0.0  # pixels without a weight are left out
+    psdr.render_backward(scene, params, adjoint, integrator=integrator, spp=spp, seed=6)
+    gradients = {name: params[name].grad.numpy().copy() for name in names}
+    params.requires_grad()
+    return image, gradients
+
+
+def cases():
+    """Every scene with few samples, some and more than there are lanes; the quick ones once each."""
+    quick = {
+        "sky and two lamps": 3,
+        "area light, two-sided, textured by vertices": 3,
+        "sky, point, spot and sun, a bitmap": 19,
+        "gaussian filter": 1,
+    }
+    for name in SCENES:
+        for spp, sampler in ((1, "independent"), (3, "sobol"), (19, "independent")):
+            marks = () if quick.get(name) == spp else pytest.mark.slow
+            yield pytest.param(name, spp, sampler, marks=marks, id=f"{name}-{spp}")
+
+
+@pytest.mark.parametrize("what", ["values", "all"])
+@pytest.mark.parametrize(("name", "spp", "sampler"), list(cases()))
+def test_paths_have_the_bits_of_single_ones(name, spp, sampler, what, alone):
+    """Gradients of vertices, lights' poses and the camera, whose paths are swept side by side, but for their sums."""
+    scene = psdr.load_dict(SCENES[name]())
+    assert side_by_side(psdr.plan(scene).config)
+    names = [name for name in scene.parameters if what == "all" or name.endswith((".data", ".value", "color"))]
+    image, gradients = images_and_gradients(scene, spp, sampler, 4, names)
+    alone()
+    single, singles = images_and_gradients(scene, spp, sampler, 4, names)
+    assert image.mean() > 1.0e-3
+    np.testing.assert_array_equal(image, single)
+    for key, gradient in gradients.items():
+        assert np.isfinite(gradient).all()
+        tolerance = 0.0 if what == "values" else SUMMED * np.abs(singles[key]).max()
+        np.testing.assert_allclose(gradient, singles[key], rtol=0.0, atol=tolerance)
+    moved = [g for key, g in gradients.items() if key.endswith(("positions", "to_world"))]
+    for of_kind in [list(gradients.values())] + [moved] * (what == "all"):
+        assert any(np.abs(gradient).max() > 0.0 for gradient in of_kind)
+
+
+def test_contacts_are_weighed_side_by_side(alone):
+    """Boxes that stand on a floor: connections along contacts are looked at one by one."""
+    scene = psdr.load_file(BOX, resolution=16)
+    names = [name for name in scene.parameters if name.endswith("vertex_positions")]
+    ratio = scene.contact_ratio
+    gradients = []
+    for weighed in (ratio, 0.0):
+        scene.contact_ratio = weighed
+        gradients.append(images_and_gradients(scene, 8, "independent", 6, names)[1])
+    scene.contact_ratio = ratio
+    alone()
+    singles = images_and_gradients(scene, 8, "independent", 6, names)[1]
+    for key, single in singles.items():
+        np.testing.assert_allclose(gradients[0][key], single, rtol=0.0, atol=SUMMED * np.abs(single).max())
+    assert any(np.abs(gradients[1][key] - single).max() > 0.01 for key, single in singles.items())
+
+
+@pytest.mark.parametrize("width", [pytest.param(4, marks=pytest.mark.slow), 16])
+def test_other_widths_have_the_same_bits(width, monkeypatch):
+    images = []
+    for lanes in (acceleration.host_width(), width):
+        monkeypatch.setattr(acceleration, "host_width", lambda lanes=lanes: lanes)
+        scene = psdr.load_file(BOX, resolution=24)
+        assert psdr.plan(scene).config.ray_width == lanes
+        images.append(psdr.render(scene, spp=5, seed=2).numpy())
+    np.testing.assert_allclose(images[0], images[1], rtol=0, atol=1.0e-6 * images[0].mean())
+
+
+def test_models_that_branch_around_vectors_are_traced_alone():
+    for name in ("glass", "mirror", "rough"):
+        assert not side_by_side(psdr.plan(scenes.load(name)[0]).config)
+
+
+@pytest.mark.parametrize("name", ["ceiling.bsdf.reflectance.value", "ceiling.vertex_positions"])
+def test_paths_whose_vertices_have_no_room_are_traced_alone(name):
+    """Of vertices that move more is kept: for some numbers of them, paths are traced together but swept alone."""
+    scene = psdr.load_dict({"type": "scene", **scenes.gap_scene()})
+    config = psdr.plan(scene).config
+    whole = [make_lane_paths(config, True, True, kept=kept, whole=True).end for kept in (8, 16)]
+    alone = [make_lane_paths(config, True, True, kept=kept).end for kept in (16, 40)]
+    assert max(whole[0], alone[0]) < ROOM < min(whole[1], alone[1])
+    params = psdr.traverse(scene)
+    params.requires_grad(name)
+    adjoint = np.ones(psdr.render(scene, spp=1).numpy().shape, np.float32)
+    for depth, block in ((40, 40), (16, 16)):
+        gradients = []
+        for kept in (block, 8):
+            integrator = psdr.PathIntegrator(max_depth=depth, boundary=None, interior=psdr.interior.Replay(block=kept))
+            params[name].grad.zero_()
+            psdr.render_backward(scene, params, adjoint, integrator=integrator, spp=4)
+            gradients.append(params[name].grad.numpy().copy())
+        assert np.abs(gradients[0]).max() > 0.0
+        np.testing.assert_array_equal(*gradients)
+
+
+@pytest.mark.parametrize("width", [4, 8, 16])
+def test_records_come_back_from_their_rows(width):
+    get, put = make_record(Onward, width)
+    get_number, put_number = make_number(width)
+    get_aside, put_aside = make_record(Onward, width, aside=True)
+    count = words(Onward)
+    size = (2 * count + 1) * width
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def there_and_back(values: wp.array(dtype=Onward), out: wp.array(dtype=Onward), numbers: wp.array(dtype=float)):
+        rows = wp.zeros(shape=(wp.static(size),), dtype=wp.uint32)
+        for j in range(wp.static(width)):
+            put(rows, 1, j, values[j])
+            put_number(rows, 0, j, 0.125 * wp.float32(j))
+        for j in range(wp.static(width)):
+            put_aside(rows, wp.static(1 + count), j, get(rows, 1, j, Onward()))
+        for j in range(wp.static(width)):
+            out[j] = get_aside(rows, wp.static(1 + count), j, Onward())
+            numbers[j] = get_number(rows, 0, j)
+
+    rng = np.random.default_rng(2)
+    raw = rng.integers(-(2**31), 2**31, size=(width, count)).astype(np.int32)
+    values = wp.array(raw.view(Onward.numpy_dtype()).reshape(width), dtype=Onward, device="cpu")
+    out = wp.zeros(width, dtype=Onward, device="cpu")
+    numbers = wp.zeros(width, dtype=float, device="cpu")
+    wp.launch(there_and_back, 1, [values], [out, numbers], device="cpu")
+    np.testing.assert_array_equal(out.numpy().view(np.int32).reshape(width, count), raw)
+    np.testing.assert_array_equal(numbers.numpy(), 0.125 * np.arange(width))
+
+
+COMPILE = """
+import sys
+import warp as wp
+wp.config.log_level = wp.LOG_ERROR
+wp.config.kernel_cache_dir = sys.argv[2]
+wp.config.cpu_compiler_flags += " -Rpass=loop-vectorize"
+import warp_psdr as psdr
+from warp_psdr.estimate import passes
+from warp_psdr.kernels.primal import make_primal_kernel
+scene = psdr.load_file(sys.argv[1], resolution=16)
+names = [name for name in scene.parameters if name.endswith(("reflectance.value", "vertex_positions"))]
+plan = psdr.plan(scene, names=names, integrator=psdr.PathIntegrator(max_depth=6, boundary=None))
+kernels = {"primal": make_primal_kernel, "replay": lambda config: passes._gradient_kernel(plan, "reverse")}
+wp.load_module(kernels[sys.argv[3]](plan.config).module, device="cpu")
+"""
+
+
+@pytest.mark.skipif(acceleration.host_width() < 8, reason="narrow vectors: the compiler may find SIMD not worth it")
+@pytest.mark.parametrize("kernel", LOOPS)
+def test_loops_over_lanes_become_simd(kernel, tmp_path):
+    """Without it nothing would be wrong, and all of it slow; a refusal's reason is told by ``-Rpass-analysis``."""
+    result = subprocess.run(
+        [sys.executable, "-c", COMPILE, str(BOX), str(tmp_path), kernel], capture_output=True, text=True, cwd=ROOT
+    )
+    assert result.returncode == 0, result.stderr[-2000:]
+    found = re.findall(rf"{kernel}\w*\.cpp:(\d+):\d+: remark: vectorized loop", result.stderr)
+    assert len(found) >= LOOPS[kernel], result.stderr[-2000:]

@@ -1,0 +1,277 @@
+"""What is estimated: an image, a derivative image or a gradient, as a sum of terms that run one by one.
+
+A *batch* of a term is one run of it with a number of samples and a seed of its own: an independent, unbiased estimate.
+The means of batches of all terms add up to the quantity; so do their variances.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import warp as wp
+
+from warp_psdr.accuracy.tiles import Tiling, uniform
+from warp_psdr.estimate.arguments import adjoint_array, flat_tangents, requested
+from warp_psdr.estimate.boundary.drivers import launch_backward, launch_forward
+from warp_psdr.estimate.boundary.terms import SPLIT, TERMS, Request, launches
+from warp_psdr.estimate.gradient_sums import GradientSums
+from warp_psdr.estimate.guiding import store
+from warp_psdr.estimate.passes import (
+    STREAM_BOUNDARY,
+    STREAM_PRIMAL,
+    boxed,
+    filter_margin,
+    interior_backward,
+    interior_forward,
+    splats,
+    splatted,
+)
+from warp_psdr.kernels.rng import mix_seed
+from warp_psdr.options.integrator import PathIntegrator, integrator_of
+from warp_psdr.plan.motion import motion
+from warp_psdr.plan.plan import Plan, decide
+from warp_psdr.topology import contacts
+
+if TYPE_CHECKING:
+    from warp_psdr.scene.parameters import Parameters
+    from warp_psdr.scene.scene import Scene
+
+#: What users call the functions of ``estimate/boundary/terms.py``; others keep their function's name. ``{}``: whether
+#: only paths of two vertices are in it (direct), or only longer ones.
+TITLES = {
+    "primary": "primary boundary",
+    "facets": "flat creases",
+    "creases": "smooth creases",
+    "terminator": "terminators",
+    "secondary": "{} boundary",
+    "curve": "{} curves of intersection",
+    "bent": "bent normals",
+    "horizon": "{} horizons",
+    "edge_sampling": "{} boundary",
+    "hard_shadows": "{} hard shadows",
+    "through_mirrors": "through mirrors",
+}
+#: Stream of the indirect boundary, beside those of the terms (``estimate/boundary/terms.py``).
+STREAM_INDIRECT = 0x696E6469
+#: Name of the components of an image.
+IMAGE = "image"
+
+
+@dataclass(frozen=True)
+class Part:
+    """A term.
+
+    Attributes:
+        name: what it is called.
+        run: (samples a pixel, seed) -> one batch, in the layout of ``Quantity.blocks`` or what ``Quantity.finish``
+            takes.
+        prepare: builds anew what is built once for many batches; None: there is none, or it had been built before.
+    """
+
+    name: str
+    run: Callable[[int, int], np.ndarray]
+    prepare: Callable[[], None] | None = None
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """What is estimated.
+
+    Attributes:
+        scene: the scene.
+        plan: what is compiled and estimated.
+        role: "primal", "forward" or "reverse".
+        sensor: which camera.
+        parts: the terms; the first is the one that runs over pixels.
+        blocks: name -> its components in a batch: parameters, or the image.
+        adjoint: of reverse mode.
+        over_pixels: (samples a pixel, seed, tiling) -> a batch of the first part.
+        finish: raw batch, or a mean of raw batches -> components; an image under a filter that reaches beyond its pixel
+            is a quotient.
+    """
+
+    scene: Scene
+    plan: Plan
+    role: str
+    sensor: int
+    parts: tuple[Part, ...]
+    blocks: dict[str, slice]
+    over_pixels: Callable[[int, int, Tiling], np.ndarray]
+    adjoint: np.ndarray | None = None
+    finish: Callable[[np.ndarray], np.ndarray] | None = None
+
+    def finished(self, raw: np.ndarray) -> np.ndarray:
+        """Return the components of a batch."""
+        return raw if self.finish is None else self.finish(raw)
+
+    @property
+    def raster(self) -> tuple[int, int, int]:
+        """Width and height of what the first part runs over, and its margin around the crop window, in pixels."""
+        camera = self.scene.camera(self.sensor)
+        margin = filter_margin(camera) if self.role == "primal" and splats(camera) else 0
+        return camera.crop_width + 2 * margin, camera.crop_height + 2 * margin, margin
+
+    def tiled(self, tiling: Tiling) -> Quantity:
+        """Return the same with the first part's samples spread as a tiling says."""
+        first = replace(self.parts[0], run=lambda spp, seed: self.over_pixels(spp, seed, tiling))
+        return replace(self, parts=(first, *self.parts[1:]))
+
+
+def image(scene: Scene, *, integrator: PathIntegrator | None, sensor: int) -> Quantity:
+    """Return the image as a quantity."""
+    integrator = integrator_of(scene, integrator)
+    camera = scene.camera(sensor)
+    plan = decide(scene, integrator=integrator, sensor=sensor)
+    shape = (camera.crop_height, camera.crop_width)
+
+    def box_batch(spp: int, seed: int, tiling: Tiling) -> np.ndarray:
+        out = wp.zeros(shape, dtype=wp.vec3, device=scene.device)
+        for pixels, count, _weight in tiling.launches(spp, seed, scene.device):
+            boxed(scene, plan, sensor, count, mix_seed(seed, STREAM_PRIMAL), out, pixels=pixels)
+        return out.numpy().astype(np.float64).reshape(-1)
+
+    def splat_batch(spp: int, seed: int, tiling: Tiling) -> np.ndarray:
+        total = np.zeros((*shape, 4))
+        for pixels, count, _weight in tiling.launches(spp, seed, scene.device):
+            film = splatted(scene, plan, sensor, count, mix_seed(seed, STREAM_PRIMAL), pixels=pixels)
+            # Weighted by area: where tiles differ in their samples, a filter that reaches into both stays itself.
+            total += film.numpy() / count
+        return total.reshape(-1)
+
+    def quotient(raw: np.ndarray) -> np.ndarray:
+        film = raw.reshape(-1, 4)
+        return (film[:, :3] / np.where(film[:, 3:] > 0.0, film[:, 3:], 1.0)).reshape(-1)
+
+    box = not splats(scene.camera(sensor))
+    over_pixels = box_batch if box else splat_batch
+    found = Quantity(
+        scene, plan, "primal", sensor, (), {IMAGE: slice(0, 3 * shape[0] * shape[1])}, over_pixels,
+        finish=None if box else quotient,
+    )  # fmt: skip
+    return _with(found, IMAGE, ())
+
+
+def derivative(
+    scene: Scene, params: Parameters, tangents: dict, *, integrator: PathIntegrator | None, sensor: int
+) -> Quantity:
+    """Return the derivative image along tangents as a quantity.
+
+    Raises:
+        ValueError: no or wrong tangents, or what the methods do not cover.
+    """
+    if not tangents:
+        raise ValueError("tangents: got none; expected at least one, {'parameter name': direction}")
+    integrator = integrator_of(scene, integrator)
+    target = flat_tangents(scene, params, tangents)
+    plan = decide(scene, integrator=integrator, sensor=sensor, names=list(tangents))
+    if plan.boundary is not None:
+        contacts.warn(scene, target.numpy())
+    camera = scene.camera(sensor)
+    shape = (camera.crop_height, camera.crop_width)
+
+    def over_pixels(spp: int, seed: int, tiling: Tiling) -> np.ndarray:
+        out = wp.zeros(shape, dtype=wp.vec3, device=scene.device)
+        for pixels, count, weight in tiling.launches(spp, seed, scene.device):
+            interior_forward(scene, plan, sensor, count, seed, target, out, pixels=pixels, weight=weight)
+        return out.numpy().astype(np.float64).reshape(-1)
+
+    def boundary(request: Callable[[int, int], list], spp: int, seed: int) -> np.ndarray:
+        out = wp.zeros(shape, dtype=wp.vec3, device=scene.device)
+        launch_forward(scene, request(spp, seed), target, out)
+        return out.numpy().astype(np.float64).reshape(-1)
+
+    blocks = {IMAGE: slice(0, 3 * shape[0] * shape[1])}
+    found = Quantity(scene, plan, "forward", sensor, (), blocks, over_pixels)
+    return _with(found, "interior", _boundary_parts(found, list(tangents), boundary))
+
+
+def gradient(scene: Scene, params: Parameters, adjoint, *, integrator: PathIntegrator | None, sensor: int) -> Quantity:
+    """Return the gradient of ``sum(adjoint * image)`` with respect to what ``params.requires_grad`` named.
+
+    Raises:
+        ValueError: nothing is requested, a wrong adjoint, or what the methods do not cover.
+    """
+    names = requested(scene, params)
+    integrator = integrator_of(scene, integrator)
+    plan = decide(scene, params, integrator=integrator, sensor=sensor)
+    array = adjoint_array(adjoint, scene.camera(sensor), scene.device)
+    records = [scene.parameters[name] for name in names]
+    ends = np.cumsum([0, *(p.size for p in records)]).tolist()
+    blocks = {name: slice(a, b) for name, a, b in zip(names, ends[:-1], ends[1:], strict=True)}
+
+    def collected(sums: GradientSums) -> np.ndarray:
+        flat = sums.result().numpy().astype(np.float64)
+        return np.concatenate([flat[p.offset : p.offset + p.size] for p in records])
+
+    def over_pixels(spp: int, seed: int, tiling: Tiling) -> np.ndarray:
+        sums = GradientSums(scene, names)
+        for pixels, count, weight in tiling.launches(spp, seed, scene.device):
+            interior_backward(scene, plan, sensor, count, seed, array, sums, pixels=pixels, weight=weight)
+        return collected(sums)
+
+    def boundary(request: Callable[[int, int], list], spp: int, seed: int) -> np.ndarray:
+        sums = GradientSums(scene, names)
+        launch_backward(scene, request(spp, seed), array, sums)
+        return collected(sums)
+
+    found = Quantity(scene, plan, "reverse", sensor, (), blocks, over_pixels, adjoint=array.numpy())
+    return _with(found, "interior", _boundary_parts(found, names, boundary))
+
+
+def _with(quantity: Quantity, title: str, more: tuple[Part, ...]) -> Quantity:
+    """Give a quantity its parts: the one over pixels, with samples spread evenly over those that count, and others."""
+    even = uniform(quantity)
+    first = Part(title, lambda spp, seed: quantity.over_pixels(spp, seed, even))
+    return replace(quantity, parts=(first, *more))
+
+
+def _boundary_parts(quantity: Quantity, names: list[str], run: Callable[..., np.ndarray]) -> tuple[Part, ...]:
+    """Return the terms of the boundary's method, each with a sample count of its own.
+
+    Where paths of two vertices can be told from longer ones, they are a term of their own
+    (``kernels/boundary/depth.py``): light that a shadow hides and light that comes by way of other surfaces differ in
+    what a sample costs and in how it varies.
+    """
+    scene, method = quantity.scene, quantity.plan.boundary
+    if method is None:
+        return ()
+    # Without counts of its own the method takes the request's.
+    plan = replace(quantity.plan, boundary=method.without_counts())
+    moves, guiding = motion(scene, names), getattr(method, "guiding", None)
+
+    def part(term: Callable, kind: str) -> Part | None:
+        depths = replace(plan, max_depth=2) if kind == "direct" else plan
+
+        def request(spp: int, seed: int) -> Request:
+            seed = mix_seed(seed, STREAM_BOUNDARY)
+            if kind == "indirect":  # independent of the direct part at equal seeds
+                seed = mix_seed(seed, STREAM_INDIRECT)
+            return Request(scene, depths, moves, quantity.role, quantity.sensor, spp, seed, kind == "indirect")
+
+        def one(spp: int, seed: int) -> np.ndarray:
+            return run(lambda n, s: launches(term, request(n, s)), spp, seed)
+
+        def prepare() -> None:
+            assert guiding is not None
+            store.forget(request(1, 0), guiding)
+            launches(term, request(1, 0))
+
+        # What was built before is kept, for whoever built it.
+        fresh = guiding is not None and term.__name__ == "secondary" and not store.built(request(1, 0), guiding)
+        if not launches(term, request(1, 0)):
+            return None
+        title = TITLES.get(term.__name__, term.__name__.replace("_", " ")).format(kind)
+        return Part(title, one, prepare if fresh else None)
+
+    found = [part(term, kind) for term in TERMS[type(method)] for kind in _kinds(term, plan.max_depth)]
+    return tuple(p for p in found if p is not None)
+
+
+def _kinds(term: Callable, max_depth: int) -> tuple[str, ...]:
+    """Return the parts of a term that are told apart."""
+    if term not in SPLIT or 0 <= max_depth < 2:
+        return ("",)
+    return ("direct",) if max_depth == 2 else ("direct", "indirect")

@@ -1,0 +1,82 @@
+"""Arguments of the drivers, checked once."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import warp as wp
+
+from warp_psdr.scene.chain import push_derived
+from warp_psdr.scene.parameters import check_owner
+
+if TYPE_CHECKING:
+    from warp_psdr.scene.parameters import Parameters
+    from warp_psdr.scene.scene import Scene
+
+
+#: Sample numbers are 32-bit integers with a sign.
+MOST_SAMPLES = (1 << 31) - 1
+
+
+def sample_count(scene: Scene, sensor: int, spp: int | None) -> int:
+    """Return the samples a pixel: those given, else the sensor's."""
+    scene.camera(sensor)  # says so where there is no such sensor
+    return samples("spp", scene.description.sensors[sensor].sample_count if spp is None else spp)
+
+
+def checked_seed(value) -> int:
+    """Return a seed as an int."""
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 0:
+        raise ValueError(f"seed: got {value!r}, expected a non-negative integer")
+    return int(value)
+
+
+def samples(name: str, value) -> int:
+    """Return a number of samples a pixel as an int."""
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 1:
+        raise ValueError(f"{name}: got {value!r}, expected a positive integer (samples a pixel)")
+    if value > MOST_SAMPLES:
+        raise ValueError(f"{name}: got {value}, expected at most {MOST_SAMPLES}; average renderings of several seeds")
+    return int(value)
+
+
+def requested(scene: Scene, params: Parameters) -> list[str]:
+    """Return the names of what is to be differentiated."""
+    check_owner(scene, params)
+    if not params.requested:
+        raise ValueError("nothing to differentiate: call params.requires_grad(...) with parameter names first")
+    return params.requested
+
+
+def adjoint_array(adjoint, camera, device) -> wp.array:
+    """Return the adjoint of an image as an array of vec3, checked."""
+    shape = (camera.crop_height, camera.crop_width)
+    if isinstance(adjoint, wp.array) and adjoint.dtype is wp.vec3:
+        if adjoint.shape != shape:
+            raise ValueError(f"adjoint: got shape {adjoint.shape} of vec3, expected the image's {shape}")
+        _check_finite(adjoint.numpy())
+        return adjoint if adjoint.device == device else adjoint.to(device)
+    array = np.asarray(adjoint.numpy() if isinstance(adjoint, wp.array) else adjoint, dtype=np.float32)
+    if array.shape != (*shape, 3):
+        raise ValueError(f"adjoint: got shape {array.shape}, expected the image's {(*shape, 3)}")
+    _check_finite(array)
+    return wp.array(np.ascontiguousarray(array), dtype=wp.vec3, device=device)
+
+
+def _check_finite(adjoint: np.ndarray) -> None:
+    if not np.isfinite(adjoint).all():
+        raise ValueError("adjoint: holds NaN or infinite numbers; check the loss and the target image")
+
+
+def flat_tangents(scene: Scene, params: Parameters, tangents: dict) -> wp.array:
+    """Return the flat tangents of all values, those that follow from poses and positions included."""
+    check_owner(scene, params)
+    flat = np.zeros(scene.values.shape[0], np.float32)
+    for name, tangent in tangents.items():
+        values = params.check(name, tangent, "tangent")
+        p = scene.parameters[name]
+        flat[p.offset : p.offset + p.size] = values.reshape(-1)
+    target = wp.array(flat, dtype=wp.float32, device=scene.device)
+    push_derived(scene, list(tangents), target)
+    return target

@@ -1,0 +1,1 @@
+"""The launches of the boundary term."""

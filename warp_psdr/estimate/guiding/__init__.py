@@ -1,0 +1,1 @@
+"""Guiding structures: how they are built, kept and reused."""

@@ -1,0 +1,267 @@
+"""The passes over pixels: the image, and the interior term in reverse and in forward mode.
+
+Each runs over a raster, or over some of its pixels, and adds to what it is given.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING
+
+import numpy as np
+import warp as wp
+
+from warp_psdr import workers
+from warp_psdr.device import launch, launch_lanes
+from warp_psdr.invalid import counting
+from warp_psdr.kernels.constants import RFILTER_BOX
+from warp_psdr.kernels.interior.forward import make_forward_kernel
+from warp_psdr.kernels.interior.replay import make_replay_kernel
+from warp_psdr.kernels.interior.textbook import make_textbook_kernel
+from warp_psdr.kernels.primal import make_primal_kernel
+from warp_psdr.kernels.rng import mix_seed
+from warp_psdr.kernels.splat import collect, make_splat_kernel
+from warp_psdr.topology.patches import patch_radii
+
+if TYPE_CHECKING:
+    from warp_psdr.estimate.gradient_sums import GradientSums
+    from warp_psdr.kernels.structs import Camera
+    from warp_psdr.plan.plan import Plan
+    from warp_psdr.scene.scene import Scene
+
+#: Random-number streams: the primal image, the interior and the boundary term are independent of each other.
+STREAM_PRIMAL, STREAM_INTERIOR, STREAM_BOUNDARY = 0, 1, 2
+#: Samples of a pixel that are summed on a film in float32: relative rounding errors of some 1e-5 at most.
+FILM_SAMPLES = 1 << 10
+Progress = Callable[[float], None]
+
+
+def splats(camera: Camera) -> bool:
+    """Whether a camera's pixel filter lets a sample count for other pixels than its own.
+
+    A narrower one is drawn from: of samples that are uniform over the pixel it would miss some, and a pixel all of its.
+    """
+    return camera.filter != RFILTER_BOX and camera.filter_radius > 0.5
+
+
+def boxed(
+    scene: Scene,
+    plan: Plan,
+    sensor: int,
+    spp: int,
+    seed: int,
+    image: wp.array,
+    progress: Progress | None = None,
+    pixels: wp.array | None = None,
+) -> None:
+    """Add the mean of ``spp`` samples to every pixel, or to those listed; a sample counts in its own pixel."""
+    camera = scene.camera(sensor)
+    _launch(
+        scene,
+        make_primal_kernel(plan.config),
+        (camera.crop_width, camera.crop_height),
+        lambda data, first, count, pixels, lane: (
+            [data, camera, pixels, first, count, 0, spp, 1.0 / spp, seed, plan.max_depth, plan.rr_depth],
+            [image],
+        ),
+        lanes=workers.LANES,
+        kind="image",
+        spp=spp,
+        progress=progress,
+        listed=pixels,
+    )
+
+
+def splatted(
+    scene: Scene,
+    plan: Plan,
+    sensor: int,
+    spp: int,
+    seed: int,
+    progress: Progress | None = None,
+    pixels: wp.array | None = None,
+) -> wp.array:
+    """Return a film, (H, W) of vec4d: sums of weighted radiance and of weights (``kernels/splat.py``).
+
+    ``pixels`` lists pixels of the raster that is extended by the filter's reach, ``filter_margin``.
+    """
+    camera = scene.camera(sensor)
+    margin = filter_margin(camera)
+    shape = (camera.crop_height, camera.crop_width)
+    lanes = workers.lane_count(4 * shape[0] * shape[1]) if scene.device.is_cpu else 1
+    films = wp.zeros((lanes, *shape), dtype=wp.vec4, device=scene.device)
+    total = wp.zeros(shape, dtype=wp.vec4d, device=scene.device)
+    for first_sample, samples, reported in _blocks(spp, FILM_SAMPLES, progress):
+        block = [margin, first_sample, samples, seed, plan.max_depth, plan.rr_depth]
+        _launch(
+            scene,
+            make_splat_kernel(plan.config),
+            (camera.crop_width + 2 * margin, camera.crop_height + 2 * margin),
+            lambda data, first, count, pixels, lane, block=block: (
+                [data, camera, pixels, first, count, *block],
+                [films[lane]],
+            ),
+            lanes=lanes,
+            kind="image",
+            spp=samples,
+            margin=margin,
+            progress=reported,
+            listed=pixels,
+        )
+        launch(collect, dim=shape, inputs=[films], outputs=[total], device=scene.device)
+    return total
+
+
+def filter_margin(camera) -> int:
+    """Return how many pixels beyond the film's border a sample can lie that counts for it."""
+    return math.ceil(camera.filter_radius - 0.5)
+
+
+def interior_backward(
+    scene: Scene,
+    plan: Plan,
+    sensor: int,
+    spp: int,
+    seed: int,
+    adjoint: wp.array,
+    sums: GradientSums,
+    progress: Progress | None = None,
+    pixels: wp.array | None = None,
+    weight: float = 1.0,
+) -> None:
+    """Add the gradient of the interior term, of all pixels or of those listed, times a weight."""
+    camera = scene.camera(sensor)
+    dummy = wp.zeros((1, 1), dtype=wp.vec3, device=scene.device)
+    tail = [weight / spp, mix_seed(seed, STREAM_INTERIOR), _depth(plan), plan.rr_depth, adjoint]
+    count = camera.crop_width * camera.crop_height if pixels is None else pixels.shape[0]
+    lanes = sums.buffers.shape[0]
+    share = workers.lane_share(count, lanes)  # few pixels do not spread over all lanes
+    most = max(sums.most // lanes // max(share, 1), 1)
+    fields = _patches(scene, plan) | {"matters": _mask(scene, plan.shapes)}
+    for first_sample, samples, reported in _blocks(spp, most, progress):
+        block = [first_sample, samples, *tail]
+        _launch(
+            scene,
+            _gradient_kernel(plan, "reverse"),
+            (camera.crop_width, camera.crop_height),
+            lambda data, first, count, pixels, lane, block=block: (
+                [data, camera, pixels, first, count, *block],
+                [sums.buffers[lane], dummy],
+            ),
+            lanes=lanes,
+            kind="interior",
+            spp=samples,
+            progress=reported,
+            listed=pixels,
+            fields=fields,
+        )
+        sums.collect()
+
+
+def interior_forward(
+    scene: Scene,
+    plan: Plan,
+    sensor: int,
+    spp: int,
+    seed: int,
+    target: wp.array,
+    image: wp.array,
+    progress: Progress | None = None,
+    pixels: wp.array | None = None,
+    weight: float = 1.0,
+) -> None:
+    """Add the derivative of the interior term along flat tangents, times a weight, to all pixels or those listed."""
+    camera = scene.camera(sensor)
+    dummy = wp.zeros((1, 1), dtype=wp.vec3, device=scene.device)
+    tail = [0, spp, weight / spp, mix_seed(seed, STREAM_INTERIOR), _depth(plan), plan.rr_depth, dummy]
+    _launch(
+        scene,
+        _gradient_kernel(plan, "forward"),
+        (camera.crop_width, camera.crop_height),
+        lambda data, first, count, pixels, lane: ([data, camera, pixels, first, count, *tail], [target, image]),
+        lanes=workers.LANES,
+        kind="interior",
+        spp=spp,
+        progress=progress,
+        listed=pixels,
+        fields=_patches(scene, plan),
+    )
+
+
+def _patches(scene: Scene, plan: Plan) -> dict[str, wp.array]:
+    """Return ``structs.Scene.radii``, if geometry is differentiated."""
+    return {"radii": patch_radii(scene)} if plan.wanted is not None and plan.wanted.geometry else {}
+
+
+def _gradient_kernel(plan: Plan, role: str) -> wp.Kernel:
+    if plan.block == 0:
+        return make_textbook_kernel(plan.config, plan.wanted, role)
+    if role == "forward":
+        return make_forward_kernel(plan.config, plan.wanted)
+    return make_replay_kernel(plan.config, plan.wanted, plan.block, plan.blocks)
+
+
+def _mask(scene: Scene, shapes: frozenset[int] | None) -> wp.array:
+    """Return ``structs.Scene.matters``: 1 for these shapes, 0 for the others and behind them; None: 1 for all."""
+    mask = np.full(len(scene.builder.shapes) + 1, shapes is None, np.int32)
+    mask[sorted(shapes or ())] = 1
+    return wp.array(mask, dtype=wp.int32, device=scene.device)
+
+
+def _depth(plan: Plan) -> int:
+    """Depth limit of a differential pass: its records have to hold the path."""
+    if plan.block == 0 or plan.max_depth > 0:
+        return plan.max_depth
+    return plan.block * plan.blocks
+
+
+def _blocks(spp: int, most: int, progress: Progress | None) -> Iterator[tuple[int, int, Progress | None]]:
+    """Split a pixel's samples: yield (first, count, progress of these), ``most`` of them at a time."""
+    for first in range(0, spp, most):
+        count = min(most, spp - first)
+        yield first, count, None if progress is None else functools.partial(_part, progress, first / spp, count / spp)
+
+
+def _part(progress: Progress, start: float, share: float, done: float) -> None:
+    """Report the finished fraction of a part as that of the whole."""
+    progress(start + share * done)
+
+
+def _launch(
+    scene: Scene,
+    kernel: wp.Kernel,
+    raster: tuple[int, int],
+    arguments,
+    *,
+    lanes: int,
+    kind: str,
+    spp: int,
+    margin: int = 0,
+    progress: Progress | None = None,
+    listed: wp.array | None = None,
+    fields: dict[str, wp.array] | None = None,
+) -> None:
+    """Run a kernel over a raster (width, height): in one launch on CUDA, in lanes on worker threads on the CPU.
+
+    ``kind``, ``spp`` and ``margin``: what its samples are, a pixel, and by how much the raster exceeds the image.
+    ``listed``: numbers of its pixels, instead of all of them. ``fields``: of ``structs.Scene``, those of this pass.
+    """
+    data = scene.data()
+    for name, values in (fields or {}).items():
+        setattr(data, name, values)
+    order = listed
+    if order is None:
+        order = wp.array(workers.pixel_order(*raster), dtype=wp.int32, device=scene.device)
+    count = order.shape[0]
+    lanes = lanes if scene.device.is_cpu else 1
+    with counting(scene, kind, count * spp, lanes, (raster[0], margin)) as of_lane:
+        launch_lanes(
+            kernel,
+            count,
+            lambda first, n, lane: arguments(of_lane(data, lane), first, n, order, lane),
+            lanes=lanes,
+            device=scene.device,
+            progress=progress,
+        )

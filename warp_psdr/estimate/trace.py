@@ -1,0 +1,170 @@
+"""The path of one sample, drawn again: ``psdr.trace_sample``."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import warp as wp
+
+from warp_psdr.device import launch
+from warp_psdr.estimate.arguments import sample_count
+from warp_psdr.estimate.boundary.trace import BoundaryTrace, numbers, trace_boundary
+from warp_psdr.estimate.passes import STREAM_INTERIOR, STREAM_PRIMAL, splats
+from warp_psdr.invalid import KINDS, TRACED
+from warp_psdr.kernels.constants import RFILTER_BOX
+from warp_psdr.kernels.rng import mix_seed
+from warp_psdr.kernels.trace import make_trace_kernel
+from warp_psdr.kernels.vertex import PathVertex
+from warp_psdr.options.integrator import PathIntegrator, integrator_of
+from warp_psdr.plan.plan import decide
+
+if TYPE_CHECKING:
+    from warp_psdr.scene.parameters import Parameters
+    from warp_psdr.scene.scene import Scene
+
+#: Vertices that are kept of a path: far more than any that is not endless.
+MOST_VERTICES = 1024
+
+
+@dataclass(frozen=True)
+class TracedVertex:
+    """A path vertex.
+
+    Attributes:
+        shape: name of the shape that the ray meets; "": it leaves the scene.
+        bsdf: its scattering model.
+        face: number of the triangle, -1 outside.
+        position: (3,) world units.
+        direction: (3,) of the ray that arrives.
+        throughput: (3,) product of scattering values over densities in front of it.
+        direct: (3,) radiance of what the ray hits and of next-event estimation there, with their weights.
+        beta: (3,) scattering value over density towards the next vertex; 0 at the last.
+    """
+
+    shape: str
+    bsdf: str
+    face: int
+    position: np.ndarray
+    direction: np.ndarray
+    throughput: np.ndarray
+    direct: np.ndarray
+    beta: np.ndarray
+
+
+@dataclass(frozen=True)
+class Trace:
+    """A sample's path; ``str`` is a table of its vertices.
+
+    Attributes:
+        vertices: in the order in which light is collected, camera first.
+        radiance: (3,) what the sample adds to its pixel.
+    """
+
+    vertices: tuple[TracedVertex, ...]
+    radiance: np.ndarray
+
+    def __str__(self) -> str:
+        lines = [f"radiance {numbers(self.radiance)}"]
+        for i, v in enumerate(self.vertices):
+            where = f"{v.shape} ({v.bsdf}), triangle {v.face}" if v.shape else "leaves the scene"
+            lines.append(f"{i + 1}. {where}: position {numbers(v.position)}, ray {numbers(v.direction)}")
+            lines.append(f"   throughput {numbers(v.throughput)}, direct {numbers(v.direct)}, beta {numbers(v.beta)}")
+        return "\n".join(lines)
+
+
+def trace_sample(
+    scene: Scene,
+    *,
+    sample: int,
+    pixel: tuple[int, int] | None = None,
+    seed: int = 0,
+    sensor: int = 0,
+    integrator: PathIntegrator | None = None,
+    kind: str = "image",
+    spp: int | None = None,
+    params: Parameters | None = None,
+    adjoint=None,
+    tangents: dict | None = None,
+) -> Trace | BoundaryTrace:
+    """Draw the path of one sample again, and return its vertices.
+
+    With the arguments of the rendering that it belongs to, whose warning about samples that are not finite names them.
+    (Not of a budget's batches, which have seeds of their own.)
+
+    Args:
+        scene: a loaded scene, unchanged since.
+        sample: its number, within the pixel or within the boundary term.
+        pixel: (x, y) in the crop window; under a filter that is wider than a pixel also next to it. Samples of a
+            boundary term belong to none.
+        seed: of the rendering.
+        sensor: of the rendering.
+        integrator: of the rendering.
+        kind: "image", "interior" for the path of a gradient, or the name of a boundary term, "secondary" for example.
+        spp: of the rendering; default: the sensor's. This and what follows is read for boundary terms only.
+        params: of the rendering, after the same ``requires_grad``.
+        adjoint: of ``render_backward``; default: ones. What nobody asks for is not traced.
+        tangents: of ``render_forward``, in place of requests and adjoint.
+
+    Returns:
+        A ``Trace``; of a boundary term a ``BoundaryTrace``: its edge or point, the direction through it, and the
+        vertices of the paths to either side.
+
+    Raises:
+        ValueError: another kind, a pixel that is not sampled, or arguments that its kind needs or does not take.
+    """
+    if kind not in KINDS or kind == "guiding":
+        expected = tuple(k for k in KINDS if k != "guiding")
+        raise ValueError(f"kind: got {kind!r}, expected one of {expected}; what guiding evaluates is no path")
+    integrator = integrator_of(scene, integrator)
+    if kind not in TRACED:
+        if params is None or pixel is not None:
+            raise ValueError(f"kind {kind!r} takes the params of the gradient (or of its tangents) and no pixel")
+        names = None if tangents is None else list(tangents)
+        return trace_boundary(
+            scene, decide(scene, params, integrator=integrator, sensor=sensor, names=names), params, kind, sample,
+            adjoint=adjoint, tangents=tangents, sensor=sensor, spp=sample_count(scene, sensor, spp), seed=seed,
+        )  # fmt: skip
+    if pixel is None:
+        raise ValueError(f"kind {kind!r} takes the pixel of the sample, (x, y)")
+    plan = decide(scene, integrator=integrator, sensor=sensor)
+    camera = scene.camera(sensor)
+    splatted = kind == "image" and splats(camera)
+    margin = math.ceil(camera.filter_radius - 0.5) if splatted else 0
+    x, y = pixel
+    width, height = camera.crop_width + 2 * margin, camera.crop_height + 2 * margin
+    if not (0 <= x + margin < width and 0 <= y + margin < height and sample >= 0):
+        raise ValueError(
+            f"pixel {pixel}, sample {sample}: expected a non-negative sample and a pixel from "
+            f"({-margin}, {-margin}) to ({width - margin - 1}, {height - margin - 1})"
+        )
+    stream = STREAM_PRIMAL if kind == "image" else STREAM_INTERIOR
+    vertices = wp.zeros(MOST_VERTICES, dtype=PathVertex, device=scene.device)
+    count = wp.zeros(1, dtype=wp.int32, device=scene.device)
+    launch(
+        make_trace_kernel(plan.config, kind == "interior", RFILTER_BOX if splatted else None),
+        dim=1,
+        inputs=[
+            scene.data(), camera, x, y, (y + margin) * width + x + margin, sample, mix_seed(seed, stream),
+            plan.max_depth, plan.rr_depth,
+        ],
+        outputs=[vertices, count],
+        device=scene.device,
+    )  # fmt: skip
+    records = vertices.numpy()[: min(int(count.numpy()[0]), MOST_VERTICES)]
+    radiance = sum((r["throughput"] * r["direct"] for r in records), np.zeros(3, np.float32))
+    return Trace(tuple(_vertex(scene, r) for r in records), radiance)
+
+
+def _vertex(scene: Scene, record: np.void) -> TracedVertex:
+    face = int(record["face"])
+    rest = (record["d"], record["throughput"], record["direct"], record["beta"])
+    if face < 0:
+        return TracedVertex("", "", face, np.full(3, np.nan, np.float32), *rest)
+    tri = scene.triangles.numpy()[face]
+    u, v = record["u"], record["v"]
+    position = (1.0 - u - v) * tri["p0"] + u * tri["p1"] + v * tri["p2"] + scene.origin
+    shape = scene.description.shapes[int(tri["shape"])]
+    return TracedVertex(shape.path, shape.bsdf.model, face, position, *rest)

@@ -1,0 +1,1 @@
+"""Options that users make: frozen dataclasses of integrators and of their methods."""

@@ -1,0 +1,163 @@
+"""Methods of the boundary term: options, one object each. ``terms.py`` says which launches each of them consists of."""
+
+from __future__ import annotations
+
+from abc import ABC
+from dataclasses import dataclass, field, fields, replace
+from typing import Self
+
+from warp_psdr import guiding as guiding_methods
+from warp_psdr.kernels.boundary.edge_sampling.edge_tree import MAX_SPLIT
+
+#: Candidates without the hierarchies: [LADL18] take 64; more than 1024 cost more than they tell.
+DEFAULT_CANDIDATES, MAX_CANDIDATES = 64, 1024
+
+
+@dataclass(frozen=True, kw_only=True)
+class Method(ABC):  # noqa: B024
+    """A way to estimate the boundary term.
+
+    Attributes:
+        spp_primary: samples of the edges that the camera sees, a pixel; None: as many as the interior term's.
+        spp_secondary: samples of shadow edges and their like, a pixel; None: as many as the interior term's.
+    """
+
+    spp_primary: int | None = None
+    spp_secondary: int | None = None
+
+    def __post_init__(self) -> None:
+        """Validate once.
+
+        Raises:
+            TypeError: this is no method.
+            ValueError: a sample count is not a positive integer.
+        """
+        if type(self) in (Method, Connecting):
+            raise TypeError(f"boundary.{type(self).__name__} is what methods have in common; make one of them")
+        for name in self._counts():
+            value = getattr(self, name)
+            if value is not None and (isinstance(value, bool) or not isinstance(value, int) or value < 1):
+                raise ValueError(f"{name}: got {value!r}, expected a positive integer (samples a pixel), or None")
+
+    @property
+    def label(self) -> str:
+        """What the plan calls it."""
+        return f"boundary.{type(self).__name__}"
+
+    def without_counts(self) -> Self:
+        """Return the method with as many samples of everything as the interior term has."""
+        return replace(self, **dict.fromkeys(self._counts()))
+
+    def _counts(self) -> list[str]:
+        return [f.name for f in fields(self) if f.name.startswith("spp_")]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Connecting(Method):
+    """What methods have in common that connect an edge to the camera on one side and to a light on the other.
+
+    Attributes:
+        spp_mirrors: paths along which what is seen through smooth mirrors and glass is searched, a pixel; None: as many
+            as the interior term's.
+        guiding: a method of ``psdr.guiding``; None: none.
+    """
+
+    spp_mirrors: int | None = None
+    guiding: guiding_methods.Method | None = None
+
+    def __post_init__(self) -> None:
+        """Validate once.
+
+        Raises:
+            ValueError: an option out of range.
+        """
+        super().__post_init__()
+        if self.guiding is not None and not isinstance(self.guiding, guiding_methods.Method):
+            raise ValueError(
+                f"guiding: got {self.guiding!r}, expected a method of psdr.guiding, for example psdr.guiding.KdTree(), "
+                "or None"
+            )
+
+
+@dataclass(frozen=True, kw_only=True)
+class PathSpace(Connecting):
+    """Multi-directional sampling of boundary paths [ZMY*20] (``kernels/boundary/``).
+
+    Unbiased for triangle meshes with moving shapes, which may run through each other and interpolate normals, area,
+    environment, point, spot and directional lights, and a moving camera, at any depth. Through smooth mirrors and
+    glass it searches along lines (``kernels/boundary/specular/line_search.py``): 16 path vertices at most. Not covered,
+    and refused: textures with steps (bitmaps that take the nearest texel; faces' attributes where texture coordinates
+    move), spot lights whose cone ends abruptly, what a clip plane cuts in sight, and shapes that share an edge.
+    Surfaces that merely touch are in contact: as they move apart, or into each other, the image has two one-sided
+    derivatives, and what is returned at the contact is neither. Forward mode warns of such tangents; the gradient of
+    reverse mode holds for motions along contacts and for those that keep what touches together, and the plan names the
+    shapes (``warp_psdr/topology/contacts.py``).
+
+    Attributes:
+        guiding: a method of ``psdr.guiding`` that learns where shadow edges and their like carry light, for example
+            ``psdr.guiding.KdTree()``; None: edges by length and angle, directions by the wedge or the lights.
+        spp_mirrors: paths along which what is seen through smooth mirrors and glass is searched, a pixel; None: as many
+            as the interior term's.
+    """
+
+
+@dataclass(frozen=True, kw_only=True)
+class EdgeSampling(Method):
+    """Unidirectional edge sampling [LADL18]: silhouette edges as every vertex of a camera path sees them.
+
+    Unbiased, for what ``PathSpace`` covers without mirrors and glass. Edges are resampled by the line integral of the
+    scattering lobe, half of the samples towards a light (``kernels/boundary/edge_sampling/edge_sampling.py``).
+    Shadow edges of point, spot and directional lights, which a path vertex cannot meet, are sampled from the edge, as
+    ``PathSpace`` does.
+
+    Attributes:
+        tree: choose edges by hierarchies over position and face planes; otherwise by length and angle alone.
+        candidates: edges that are resampled for each sample; None: 16 with the hierarchies, else 64.
+    """
+
+    tree: bool = True
+    candidates: int | None = None
+
+    def __post_init__(self) -> None:
+        """Validate once.
+
+        Raises:
+            ValueError: an option out of range.
+        """
+        super().__post_init__()
+        if not isinstance(self.tree, bool):
+            raise ValueError(f"tree: got {self.tree!r}, expected True or False")
+        most = MAX_SPLIT if self.tree else MAX_CANDIDATES
+        value = self.candidates
+        if value is not None and (isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= most):
+            raise ValueError(f"candidates: got {value!r}, expected an integer from 1 to {most}, or None")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Projective(Connecting):
+    """Projective sampling [ZRJ23]: where boundary segments carry light is learnt from ordinary paths.
+
+    Segments of camera paths that a surface stops are projected to the nearest silhouette of that surface, by a walk
+    over its mesh (``kernels/boundary/guiding/projective.py``); guiding puts its cells where these seeds lie. The
+    estimator is that of ``PathSpace`` otherwise, unbiased whatever the projection finds, with the same coverage.
+
+    Attributes:
+        guiding: a method of ``psdr.guiding``; ``KdTree`` and ``Octree`` are finest where seeds lie. None: uniform
+            sampling of edges by length and angle and of directions by the wedge, the paper's reference; what a point,
+            spot or directional light sends is aimed at by half of the samples then.
+        paths: camera paths whose segments are projected, for each kind of them.
+        spp_mirrors: as of ``PathSpace``.
+    """
+
+    guiding: guiding_methods.Method | None = field(default_factory=guiding_methods.Octree)
+    paths: int = 1 << 16
+
+    def __post_init__(self) -> None:
+        """Validate once.
+
+        Raises:
+            ValueError: an option out of range.
+        """
+        super().__post_init__()
+        if isinstance(self.paths, bool) or not isinstance(self.paths, int) or self.paths < 1:
+            raise ValueError(f"paths: got {self.paths!r}, expected a positive integer")

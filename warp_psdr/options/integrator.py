@@ -1,0 +1,91 @@
+"""Integrators: what light transport is computed, and which methods differentiate it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from warp_psdr import boundary as boundary_methods
+from warp_psdr.options import interior as interior_methods
+
+if TYPE_CHECKING:
+    from warp_psdr.scene.scene import Scene
+
+#: Numbers of vertices are 32-bit integers with a sign.
+MOST_DEPTH = (1 << 31) - 1
+
+
+@dataclass(frozen=True, kw_only=True)
+class PathIntegrator:
+    """Unidirectional path tracing with next-event estimation, MIS and Russian roulette.
+
+    Attributes:
+        max_depth: most vertices of a path behind the camera; 1: emission seen directly, 2: direct light, -1: no limit.
+        rr_depth: depth from which Russian roulette ends paths, those behind a discontinuity four vertices earlier; very
+            large: never.
+        hide_emitters: lights are invisible to the camera.
+        sampler: "sobol" (Owen-scrambled), "independent", or "auto": what the scene file says, else Sobol.
+        interior: method of the interior term.
+        boundary: method of the boundary term; "auto": chosen by the plan; None: left out on purpose (the gradient
+            then misses moving discontinuities).
+    """
+
+    max_depth: int = -1
+    rr_depth: int = 5
+    hide_emitters: bool = False
+    sampler: Literal["auto", "sobol", "independent"] = "auto"
+    interior: interior_methods.Method = field(default_factory=interior_methods.Replay)
+    boundary: boundary_methods.Method | Literal["auto"] | None = "auto"
+
+    def __post_init__(self) -> None:
+        """Validate once.
+
+        Raises:
+            ValueError: a value out of range.
+        """
+        for name in ("max_depth", "rr_depth"):
+            value = getattr(self, name)
+            if isinstance(value, bool) or not isinstance(value, (int, np.integer)):
+                raise ValueError(f"{name}: expected an integer, got {value!r}")
+            if value > MOST_DEPTH:
+                raise ValueError(f"{name}: got {value}, expected at most {MOST_DEPTH}")
+            object.__setattr__(self, name, int(value))
+        if self.max_depth == 0 or self.max_depth < -1:
+            raise ValueError(f"max_depth: got {self.max_depth}, expected -1 (no limit) or at least 1")
+        if self.rr_depth < 1:
+            raise ValueError(f"rr_depth: got {self.rr_depth}, expected at least 1")
+        if not isinstance(self.hide_emitters, (bool, np.bool_)):
+            raise ValueError(f"hide_emitters: got {self.hide_emitters!r}, expected True or False")
+        if self.sampler not in ("auto", "sobol", "independent"):
+            raise ValueError(f"sampler: got {self.sampler!r}, expected 'auto', 'sobol' or 'independent'")
+        if not isinstance(self.interior, interior_methods.Method):
+            raise ValueError(
+                f"interior: got {self.interior!r}, expected a method of psdr.interior, "
+                "for example psdr.interior.Replay()"
+            )
+        if not isinstance(self.boundary, boundary_methods.Method) and self.boundary not in ("auto", None):
+            raise ValueError(
+                f"boundary: got {self.boundary!r}, expected a method of psdr.boundary, for example "
+                "psdr.boundary.PathSpace(), 'auto' or None"
+            )
+
+
+def integrator_of(scene: Scene, integrator: PathIntegrator | None) -> PathIntegrator:
+    """Return the integrator that is given, else the one that the scene's file names.
+
+    Raises:
+        TypeError: what is given is none.
+    """
+    if integrator is None:
+        return from_description(scene.description.integrator)
+    if not isinstance(integrator, PathIntegrator):
+        raise TypeError(f"integrator: got {integrator!r}, expected a psdr.PathIntegrator")
+    return integrator
+
+
+def from_description(integrator: dict) -> PathIntegrator:
+    """Return the integrator that a scene file names, or the default one."""
+    known = {k: integrator[k] for k in ("max_depth", "rr_depth", "hide_emitters") if k in integrator}
+    return PathIntegrator(**known)

@@ -1,0 +1,1 @@
+"""The plan: what a call compiles and estimates, and why."""

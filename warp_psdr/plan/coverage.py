@@ -1,0 +1,94 @@
+"""Which method estimates the boundary term of a scene, and what none of them covers."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from warp_psdr.kernels import constants as c
+from warp_psdr.kernels.boundary.specular.line_search import MAX_DEPTH
+from warp_psdr.kernels.emitter.spot import MIN_FALLOFF
+from warp_psdr.options.boundary import EdgeSampling, Method, PathSpace
+from warp_psdr.plan.motion import motion
+from warp_psdr.scene.layout import TEXCOORDS, TO_UV
+from warp_psdr.topology.edges import scene_adjacency
+
+if TYPE_CHECKING:
+    from warp_psdr.kernels.vertex import PathConfig
+    from warp_psdr.options.integrator import PathIntegrator
+    from warp_psdr.scene.scene import Scene
+
+REMEDY = "say PathIntegrator(boundary=None) to get the interior term alone"
+
+
+def choose(scene: Scene, config: PathConfig, integrator: PathIntegrator, names: list[str], moving: tuple) -> Method:
+    """Return the method that estimates the boundary term of the named parameters.
+
+    Args:
+        scene: the scene.
+        config: what its path loop compiles.
+        integrator: names the method, or "auto".
+        names: what is differentiated.
+        moving: which discontinuities move, in words.
+
+    Raises:
+        ValueError: no method covers the case.
+    """
+    method = integrator.boundary if isinstance(integrator.boundary, Method) else PathSpace()
+    reason = _beyond(method, config) or _uncovered(scene, config, names, integrator.max_depth)
+    if reason:
+        raise ValueError(
+            f"the requested gradient has a boundary term ({'; '.join(moving)}), which {method.label}() cannot "
+            f"estimate here: {reason}; {REMEDY}"
+        )
+    return method
+
+
+def _beyond(method: Method, config: PathConfig) -> str:
+    """Say what this method leaves to others; empty: nothing."""
+    if isinstance(method, EdgeSampling) and c.DELTA_MODELS & set(config.bsdfs):
+        return "it does not follow edges through smooth mirrors or glass; use boundary.PathSpace()"
+    return ""
+
+
+def _uncovered(scene: Scene, config: PathConfig, names: list[str], max_depth: int) -> str:
+    """Say why the boundary term cannot be estimated; empty: it can."""
+    if c.DELTA_MODELS & set(config.bsdfs):
+        if not 0 < max_depth <= MAX_DEPTH:
+            return f"discontinuities are searched through mirrors to some depth; set max_depth to {MAX_DEPTH} or less"
+    steps = any(t.kind == c.TEXTURE_BITMAP and t.filter == c.FILTER_NEAREST for t in scene.builder.textures)
+    if steps:
+        return "a texture with filter_type 'nearest' jumps inside of triangles; use 'bilinear'"
+    if any(scene.parameters[n].uses & {TO_UV, TEXCOORDS} for n in names) and any(
+        t.kind == c.TEXTURE_FACE for t in scene.builder.textures
+    ):
+        return "a texture with steps slides; use a vertex attribute"
+    values = scene.values.numpy()
+    for e in scene.builder.emitters:
+        if e.kind == c.EMITTER_SPOT:
+            cutoff, beam = values[e.cutoff : e.cutoff + 2].tolist()
+            if math.radians(cutoff - beam) <= MIN_FALLOFF:
+                return "a spot light's cone has a hard edge; make beam_width smaller than cutoff_angle"
+    pair = _shared_by_many(scene, set(motion(scene, names).shapes))
+    if pair is not None:
+        a, b = (scene.description.shapes[i].path for i in pair)
+        return f"shapes {a!r} and {b!r} meet in an edge of more than two triangles; move them apart, by a little"
+    return ""
+
+
+def _shared_by_many(scene: Scene, shapes: set[int]) -> tuple[int, int] | None:
+    """Return two shapes, one of which moves, that meet in an edge of more than two triangles; None: there are none.
+
+    Which of their velocities such an edge has depends on the direction in which it is seen.
+    """
+    edges = scene_adjacency(scene)
+    if not len(edges.length):
+        return None
+    of = scene.builder.face_shape[edges.faces]
+    start = edges.first[:-1]
+    moves = np.logical_or.reduceat(np.isin(of, sorted(shapes)), start)
+    low, high = np.minimum.reduceat(of, start), np.maximum.reduceat(of, start)
+    found = np.flatnonzero((edges.count > 2) & (low != high) & moves)
+    return (int(low[found[0]]), int(high[found[0]])) if len(found) else None

@@ -1,0 +1,434 @@
+"""The plan: what a scene, the requested parameters and the integrator call for, and nothing else.
+
+Everything here becomes a compile-time constant of the kernels, so that what the plan leaves out costs neither run time
+nor compile time.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+from warp_psdr import guiding
+from warp_psdr.kernels import constants as c
+from warp_psdr.kernels.emitter.spot import MIN_FALLOFF
+from warp_psdr.kernels.interior.wanted import Wanted
+from warp_psdr.kernels.vertex import PathConfig
+from warp_psdr.options import interior
+from warp_psdr.options.boundary import Connecting
+from warp_psdr.plan.coverage import choose
+from warp_psdr.plan.motion import motion
+from warp_psdr.scene.build import SLOTS
+from warp_psdr.scene.layout import (
+    CAMERA,
+    LIGHT_POSE,
+    LIGHT_RADIANCE,
+    MATERIAL,
+    NORMALS,
+    POSITIONS,
+    RADIANCE,
+    SHAPE_POSE,
+    TEXCOORDS,
+    TO_UV,
+)
+from warp_psdr.scene.parameters import check_owner, parameter_of
+from warp_psdr.topology import contacts
+from warp_psdr.topology.bent import bent_faces
+
+if TYPE_CHECKING:
+    from warp_psdr.boundary import Method
+    from warp_psdr.options.integrator import PathIntegrator
+    from warp_psdr.scene.parameters import Parameters
+    from warp_psdr.scene.scene import Scene
+
+MODEL_NAMES = {
+    c.BSDF_DIFFUSE: "diffuse",
+    c.BSDF_CONDUCTOR: "conductor",
+    c.BSDF_DIELECTRIC: "dielectric",
+    c.BSDF_ROUGH_CONDUCTOR_GGX: "roughconductor (GGX)",
+    c.BSDF_ROUGH_CONDUCTOR_BECKMANN: "roughconductor (Beckmann)",
+}
+EMITTER_NAMES = {
+    c.EMITTER_AREA: "area",
+    c.EMITTER_CONSTANT: "constant",
+    c.EMITTER_ENVMAP: "envmap",
+    c.EMITTER_POINT: "point",
+    c.EMITTER_SPOT: "spot",
+    c.EMITTER_DIRECTIONAL: "directional",
+}
+CAMERA_NAMES = {
+    c.CAMERA_PERSPECTIVE: "perspective",
+    c.CAMERA_ORTHOGRAPHIC: "orthographic",
+    c.CAMERA_THINLENS: "thinlens",
+}
+TEXTURE_NAMES = {
+    c.TEXTURE_CONSTANT: "constant",
+    c.TEXTURE_BITMAP: "bitmap",
+    c.TEXTURE_VERTEX: "vertex attribute",
+    c.TEXTURE_FACE: "face attribute",
+}
+#: Shapes that a line of the plan names.
+NAMED = 3
+#: Vertices after which a path without depth limit is cut, counted from where Russian roulette begins: it survives with
+#: probability 0.95 at most, so fewer than one path in 10^11 is that long.
+UNBOUNDED_VERTICES = 507
+#: Most vertices of a path that is differentiated without a depth limit.
+MOST_VERTICES = 4096
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Decisions and their reasons; ``print(plan)`` shows them.
+
+    Attributes:
+        config: what the path loop compiles.
+        wanted: which derivatives are compiled; None: primal only.
+        max_depth: most vertices of a path, -1: no limit.
+        rr_depth: depth at which Russian roulette starts.
+        block: path vertices kept at a time (0: textbook replay).
+        blocks: most blocks of a path.
+        discontinuities: why the requested parameters move discontinuities; empty: they do not.
+        lines: (item, decision, reason).
+        boundary: method of the boundary term; None: there is none, or it was left out on purpose.
+        shapes: numbers of the shapes that all that is requested belongs to; None: to lights too, or to the camera.
+    """
+
+    config: PathConfig
+    wanted: Wanted | None
+    max_depth: int
+    rr_depth: int
+    block: int
+    blocks: int
+    discontinuities: tuple[str, ...]
+    lines: tuple[tuple[str, str, str], ...]
+    boundary: Method | None = None
+    shapes: frozenset[int] | None = None
+
+    def __str__(self) -> str:
+        """Return a table."""
+        w0 = max(len(line[0]) for line in self.lines)
+        w1 = max(len(line[1]) for line in self.lines)
+        return "\n".join(f"{a:<{w0}}  {b:<{w1}}  {r}" for a, b, r in self.lines)
+
+
+def plan(
+    scene: Scene,
+    params: Parameters | None = None,
+    *,
+    integrator: PathIntegrator | None = None,
+    sensor: int = 0,
+    names: list[str] | None = None,
+) -> Plan:
+    """Decide what is compiled and estimated, and say why.
+
+    Args:
+        scene: a loaded scene.
+        params: its parameters; those that ``requires_grad`` was asked for are differentiated.
+        integrator: default: the one that the scene file names.
+        sensor: which camera (its filter is compiled in).
+        names: what is differentiated, instead of ``params``' requests.
+
+    Returns:
+        The plan.
+
+    Raises:
+        KeyError: the scene has no parameter of such a name.
+        ValueError: the methods named by the integrator cannot differentiate what is requested.
+    """
+    decided = decide(scene, params, integrator=integrator, sensor=sensor, names=names)
+    touching = contacts.describe(scene, motion(scene, _named(scene, params, names)).shapes) if decided.boundary else ""
+    if not touching:
+        return decided
+    reason = f"{touching} touch; moving them apart or into each other has one-sided derivatives only"
+    return replace(decided, lines=(*decided.lines, ("contacts", "derivatives along them", reason)))
+
+
+def decide(
+    scene: Scene,
+    params: Parameters | None = None,
+    *,
+    integrator: PathIntegrator | None = None,
+    sensor: int = 0,
+    names: list[str] | None = None,
+) -> Plan:
+    """Return the ``plan`` without what is only told, the shapes in contact: a search over the scene's triangles."""
+    from warp_psdr.options.integrator import integrator_of
+
+    integrator = integrator_of(scene, integrator)
+    names = _named(scene, params, names)
+    lines: list[tuple[str, str, str]] = []
+    config = _config(scene, integrator, sensor, lines)
+    if config.hidden:
+        scene.hide_lights()
+    wanted = _wanted(scene, config, names, lines) if names else None
+    if not names:
+        lines.append(("derivatives", "none", "no parameter is requested"))
+    method = integrator.interior
+    block, blocks = 0, 1
+    if names and isinstance(method, interior.Replay):
+        block, blocks = _blocks(method.block, integrator.max_depth, integrator.rr_depth, lines)
+        if block == 0:
+            _check_textbook(config, wanted)
+    moving = tuple(_discontinuities(scene, config, names))
+    still = wanted is None or not (wanted.geometry or wanted.lights or moving)
+    if still and config.smooth and scene.shades_flat:
+        config = replace(config, smooth=False, flat=True)
+        lines.append(("interpolated normals", "not read", "they are those of the triangles"))
+    term = None
+    if names:
+        if not moving:
+            lines.append(("boundary term", "not run", "no requested parameter moves a discontinuity"))
+        elif integrator.boundary is None:
+            lines.append(("boundary term", "left out", "boundary=None was said, although " + "; ".join(moving)))
+        else:
+            term = choose(scene, config, integrator, names, moving)
+            lines.append(("boundary term", term.label, "; ".join(moving)))
+            if isinstance(term, Connecting) and term.guiding is not None:
+                lines.append(("guiding", term.guiding.label, guiding.describe(scene, term.guiding)))
+            if c.DELTA_MODELS & set(config.bsdfs):
+                lines.append(
+                    (
+                        "boundary term",
+                        "through mirrors and glass: line search",
+                        "no edge can be connected to the camera",
+                    )
+                )
+    shapes = _shapes(scene, names)
+    if block and shapes is not None:
+        met = ", ".join(scene.description.shapes[i].path for i in sorted(shapes)[:NAMED])
+        met += f" and {len(shapes) - NAMED} more" if len(shapes) > NAMED else ""
+        lines.append(("swept", "paths that meet what is requested", met))
+    return Plan(
+        config, wanted, integrator.max_depth, integrator.rr_depth, block, blocks, moving, tuple(lines), term, shapes
+    )
+
+
+def _named(scene: Scene, params: Parameters | None, names: list[str] | None) -> list[str]:
+    if params is not None:
+        check_owner(scene, params)
+    if isinstance(names, str):
+        raise TypeError(f"names: got {names!r}, expected a list of names")
+    if names is not None:
+        for name in names:
+            parameter_of(scene, name)
+        return names
+    return params.requested if params is not None else []
+
+
+def _config(scene: Scene, integrator: PathIntegrator, sensor: int, lines: list) -> PathConfig:
+    b = scene.builder
+    camera = scene.camera(sensor)
+    scatter = integrator.max_depth != 1
+    models = tuple(sorted({r.model for r in b.bsdfs})) if scatter else ()
+    models = models or (c.BSDF_DIFFUSE,)
+    kinds = {e.kind for e in b.emitters}
+    lights = tuple(sorted(kinds - {c.EMITTER_AREA}))
+    slots = tuple(tuple(sorted(b.slot_kinds[s])) if scatter else () for s in SLOTS)
+    area = tuple(sorted(b.radiance_kinds))
+    uv = any(c.TEXTURE_BITMAP in kinds for kinds in (*slots, area))
+    sampler: str = integrator.sampler
+    if sampler == "auto":
+        sampler = scene.description.sensors[sensor].sampler
+    if sampler == "default":
+        sampler = "sobol"
+    lines.append(
+        ("materials", ", ".join(MODEL_NAMES[m] for m in models), "no dispatch" if len(models) == 1 else "in use")
+    )
+    used = [
+        f"{s}: {' or '.join(TEXTURE_NAMES[k] for k in kinds)}" for s, kinds in zip(SLOTS, slots, strict=True) if kinds
+    ]
+    lines.append(("material values", ", ".join(used) or "none", "texture kinds in use"))
+    lines.append(("two-sided", "yes" if b.two_sided else "no", "some material is" if b.two_sided else "no material is"))
+    smooth = any(s.smooth for s in b.shapes)
+    flat = any(not s.smooth for s in b.shapes) or not b.shapes
+    normals = "interpolated and flat" if smooth and flat else "interpolated" if smooth else "flat"
+    lines.append(("normals", normals, f"{len(b.shapes)} shapes, {scene.face_count} triangles"))
+    lines.append(("texture coordinates", "yes" if uv else "no", "a bitmap reads them" if uv else "no bitmap is in use"))
+    lines.append(("anisotropy", "yes" if b.anisotropic else "no", "two roughnesses" if b.anisotropic else "isotropic"))
+    lines.append(
+        ("lights", ", ".join(EMITTER_NAMES[k] for k in sorted(kinds)) or "none", f"{len(b.emitters)} in the scene")
+    )
+    depth = integrator.max_depth
+    reason = (
+        "no limit" if depth < 0 else "emission only, no scattering code" if depth == 1 else f"at most {depth} vertices"
+    )
+    lines.append(("depth", str(depth), reason))
+    kind = CAMERA_NAMES[camera.kind]
+    lines.append(("camera", kind, "two random numbers a sample for the lens" if kind == "thinlens" else "no lens"))
+    lines.append(("sampler", sampler, "Owen-scrambled, padded pairs" if sampler == "sobol" else "hashed counters"))
+    lines.append(("ray queries", scene.accelerator.backend, f"{scene.accelerator.width} lanes"))
+    return PathConfig(
+        bsdfs=models,
+        slots=slots,
+        two_sided=bool(b.two_sided),
+        smooth=smooth,
+        flat=flat,
+        uv=uv,
+        tangent=bool(b.anisotropic) and scatter,
+        area=area,
+        lights=lights,
+        one_light=len(b.emitters) == 1,
+        scatter=scatter,
+        hide_emitters=integrator.hide_emitters,
+        hidden=integrator.hide_emitters and bool(area),
+        sampler=sampler,
+        filter=camera.filter,
+        ray_backend=scene.accelerator.backend,
+        ray_width=scene.accelerator.width,
+        camera=camera.kind,
+    )
+
+
+def _wanted(scene: Scene, config: PathConfig, names: list[str], lines: list) -> Wanted:
+    def has(*uses: str) -> bool:
+        return scene.has_use(names, *uses)
+
+    lights = []
+    if has(LIGHT_RADIANCE):
+        lights.append("radiance")
+    if has(LIGHT_POSE):
+        lights.append("pose")
+    wanted = Wanted(
+        slots=tuple(has(MATERIAL + s) for s in SLOTS),
+        to_uv=has(TO_UV),
+        shapes=has(POSITIONS, NORMALS, SHAPE_POSE),
+        texcoords=has(TEXCOORDS),
+        radiance=has(RADIANCE),
+        lights=tuple(lights),
+        camera=has(CAMERA),
+        bends=bool(_bending(scene, names)),
+    )
+    lines.append(("differentiated", ", ".join(names), "requested"))
+    on = [s for s, w in zip(SLOTS, wanted.slots, strict=True) if w]
+    lines.append(("material derivatives", ", ".join(on) or "none", "slots that hold a requested parameter"))
+    geometry = (
+        "positions, normals and chains through mirrors and glass are differentiated"
+        if wanted.geometry
+        else "no requested parameter moves a path vertex"
+    )
+    lines.append(("moving vertices", "yes" if wanted.geometry else "no", geometry))
+    return wanted
+
+
+def _shapes(scene: Scene, names: list[str]) -> frozenset[int] | None:
+    """Return the shapes, none of them a light, on which alone the named parameters act; None: on more than that."""
+    found: set[int] = set()
+    for name in names:
+        parameter = scene.parameters[name]
+        if parameter.uses <= {POSITIONS, NORMALS, TEXCOORDS, SHAPE_POSE}:
+            found.add(parameter.owner)
+        elif parameter.uses <= {MATERIAL + s for s in SLOTS}:
+            users = [
+                i
+                for i, shape in enumerate(scene.description.shapes)
+                for bsdf in (shape.bsdf, shape.bsdf.back)
+                if bsdf is not None and any(t.parameter == name for t in bsdf.textures.values())
+            ]
+            if not users:  # an attribute of a mesh
+                return None
+            found.update(users)
+        else:
+            return None
+    lights = any(scene.description.shapes[i].emitter is not None for i in found)
+    return frozenset(found) if names and not lights else None
+
+
+def _bending(scene: Scene, names: list[str]) -> list[str]:
+    """Requested indices of refraction: they turn the rays behind a smooth interface."""
+    found = []
+    for shape in scene.description.shapes:
+        if shape.bsdf.model == "dielectric" and "eta" in shape.bsdf.textures:
+            name = shape.bsdf.textures["eta"].parameter
+            found += [name] if name in names and name not in found else []
+    return found
+
+
+def _blocks(k: int, max_depth: int, rr_depth: int, lines: list) -> tuple[int, int]:
+    if k == 0:
+        lines.append(
+            ("interior", "textbook replay", "K = 0: divides by every factor, loses derivatives of zero factors")
+        )
+        return 0, 1
+    if max_depth < 0:
+        max_depth = rr_depth + UNBOUNDED_VERTICES
+        if max_depth > MOST_VERTICES:
+            raise ValueError(
+                f"rr_depth: paths without a depth limit that Russian roulette ends from vertex {rr_depth} on are too "
+                "long to be differentiated; give max_depth, or an rr_depth of at most "
+                f"{MOST_VERTICES - UNBOUNDED_VERTICES}"
+            )
+    if max_depth > MOST_VERTICES:
+        raise ValueError(
+            f"max_depth: got {max_depth}, expected at most {MOST_VERTICES} for derivatives; -1 leaves the end of paths "
+            "to Russian roulette"
+        )
+    block = min(k, max_depth)
+    blocks = -(-max_depth // block)
+    blocks = 1 << (blocks - 1).bit_length()  # few kernel variants
+    reason = (
+        "the whole path fits, one trace" if blocks == 1 else f"longer paths are replayed in at most {blocks} blocks"
+    )
+    lines.append(("interior", f"record and sweep, K = {block}", reason))
+    return block, blocks
+
+
+def _check_textbook(config: PathConfig, wanted: Wanted) -> None:
+    if wanted.geometry and c.DELTA_MODELS & set(config.bsdfs):
+        raise ValueError(
+            "interior.Replay(block=0), textbook replay, cannot differentiate moving vertices behind smooth mirrors or "
+            "glass: the adjoint of a ray has to be carried backwards. Use interior.Replay(block=8)"
+        )
+
+
+def _discontinuities(scene: Scene, config: PathConfig, names: list[str]) -> list[str]:
+    """Say which requested parameters move a discontinuity of the integrand, and which one."""
+    reasons = []
+    delta = bool(c.DELTA_MODELS & set(config.bsdfs))
+    lights = _moving_lights(scene)
+    for name in names:
+        uses = scene.parameters[name].uses
+        if uses & {POSITIONS, SHAPE_POSE}:
+            reasons.append(f"{name} moves silhouettes and shadows")
+        elif CAMERA in uses and scene.face_count:
+            reasons.append(f"{name} moves the silhouettes that the camera sees")
+        elif name in lights:
+            reasons.append(f"{name} moves {lights[name]}")
+        elif NORMALS in uses and delta:
+            reasons.append(f"{name} moves what is seen in smooth mirrors and glass")
+        elif NORMALS in uses and config.scatter and _bent(scene, scene.parameters[name].owner):
+            reasons.append(f"{name} moves the curves where interpolated normals turn away")
+        elif uses & {TO_UV, TEXCOORDS} and _has_steps(scene):
+            reasons.append(f"{name} slides a nearest-neighbour or face-wise texture")
+    reasons += [f"{name} moves what is seen through the interface" for name in _bending(scene, names)]
+    return reasons
+
+
+def _bent(scene: Scene, shape: int) -> bool:
+    """Whether the interpolated normals of a shape differ from those of its triangles."""
+    return bool(bent_faces(scene)[scene.builder.face_shape == shape].any())
+
+
+def _moving_lights(scene: Scene) -> dict[str, str]:
+    """Parameters that move the light of a light source, and which discontinuity they move."""
+    found: dict[str, str] = {}
+    if scene.face_count == 0:
+        return found
+    values = scene.values.numpy()
+    for e, record in zip(scene.description.emitters, scene.builder.emitters, strict=True):
+        if e.kind in ("point", "spot", "directional"):
+            found[f"{e.path}.{'to_world' if e.position is None else 'position'}"] = "hard shadows"
+        if e.kind == "spot":
+            cutoff, beam = values[record.cutoff : record.cutoff + 2].tolist()
+            if math.radians(cutoff - beam) <= MIN_FALLOFF:
+                edge = "the hard edge of the cone (beam_width reaches cutoff_angle)"
+                found[f"{e.path}.to_world"] += f" and {edge}"
+                found[f"{e.path}.cutoff_angle"] = found[f"{e.path}.beam_width"] = edge
+    return found
+
+
+def _has_steps(scene: Scene) -> bool:
+    return any(
+        t.kind == c.TEXTURE_FACE or (t.kind == c.TEXTURE_BITMAP and t.filter == c.FILTER_NEAREST)
+        for t in scene.builder.textures
+    )

@@ -1,0 +1,149 @@
+"""A camera's projection on the host, in double precision: which edges and triangles its film can see.
+
+An eye is homogeneous, (e, w): the direction from a point x towards it is e - w x, with w = 1 for a pinhole and the
+centre of a lens, and w = 0, e = -M e_z for an orthographic camera. Over a lens of radius a, in the plane of M e_x and
+M e_y, a linear function v . eye varies by ``spread``, a times the length of v's part in that plane.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from warp_psdr.kernels.constants import CAMERA_ORTHOGRAPHIC, CAMERA_THINLENS, RFILTER_GAUSSIAN
+from warp_psdr.kernels.sensor.film import GAUSSIAN_CUT
+
+if TYPE_CHECKING:
+    from warp_psdr.kernels.structs import Camera
+    from warp_psdr.scene.scene import Scene
+
+
+#: Edges that are clipped at a time: intermediate values of more leave the processor's cache and are fetched from, and
+#: given back to, the system with every operation, which takes some times longer than the arithmetic.
+CHUNK = 4096
+
+
+@dataclass(frozen=True, eq=False)
+class CameraView:
+    """Where a camera stands and how it projects.
+
+    Attributes:
+        camera: its record.
+        pose: (4, 4).
+        eye: (3,) position, or direction towards the camera.
+        finite: 1; 0 for an orthographic camera.
+        radius: of the lens, world units; 0 without one.
+        focus: distance of the plane in focus, world units.
+        scale: (2,) pixels that a unit of camera space's x and y (divided by depth unless orthographic) fills.
+        center: (2,) pixels of the full film at which x and y are zero.
+    """
+
+    camera: Camera
+    pose: np.ndarray
+    eye: np.ndarray
+    finite: float
+    radius: float
+    focus: float
+    scale: np.ndarray
+    center: np.ndarray
+
+    def numbers(self) -> tuple:
+        """Return all that the view depends on, to compare it by."""
+        c = self.camera
+        window = (c.kind, c.width, c.height, c.crop_x, c.crop_y, c.crop_width, c.crop_height, c.near, c.far)
+        film = (c.filter, c.filter_radius, c.filter_stddev)
+        arrays = tuple(a.tobytes() for a in (self.pose, self.eye, self.scale, self.center))
+        return (*window, *film, *arrays, self.finite, self.radius, self.focus)
+
+    def towards(self, points: np.ndarray) -> np.ndarray:
+        """Return vectors (..., 3) from points to the eye; unscaled, and the same everywhere, if it is at infinity."""
+        return self.eye - self.finite * points
+
+    def spread(self, v: np.ndarray) -> np.ndarray:
+        """Return the largest change of v . eye over the lens; v has shape (..., 3)."""
+        return self.radius * np.linalg.norm(v @ self.pose[:3, :2], axis=-1)
+
+    def clip(self, ends: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Clip edges to what the film, filter margin included, can see of them.
+
+        Through a lens a point at depth z is seen within ``scale a |1/f - 1/z|`` of its image from the centre; times z
+        that is convex along an edge, so what is interpolated from the ends is too wide rather than too narrow.
+
+        Args:
+            ends: (E, 2, 3).
+
+        Returns:
+            (E,) the stretches' ends, low and high in [0, 1], and the root mean square over the lens of the length of
+            their images in pixels: 0 where nothing is seen.
+        """
+        parts = [self._clip(ends[i : i + CHUNK]) for i in range(0, max(len(ends), 1), CHUNK)]
+        low, high, length = (np.concatenate(part) for part in zip(*parts, strict=True))
+        return low, high, length
+
+    def _clip(self, ends: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        camera = self.camera
+        p = (ends - self.pose[:3, 3]).reshape(-1, 3) @ np.linalg.inv(self.pose[:3, :3]).T
+        # First ends in the first row, second ends in the second.
+        a, b, z = (np.ascontiguousarray(p[:, k].reshape(-1, 2).T) for k in range(3))
+        w = self.finite * z + (1.0 - self.finite)
+        # Homogeneous film coordinates in pixels of the crop window.
+        x = (self.center[0] - camera.crop_x) * w - self.scale[0] * a
+        y = (self.center[1] - camera.crop_y) * w - self.scale[1] * b
+        gaussian = camera.filter == RFILTER_GAUSSIAN
+        margin = (GAUSSIAN_CUT * camera.filter_stddev if gaussian else camera.filter_radius) * w
+        across, down = (margin + self.radius * s * np.abs(z / self.focus - 1.0) for s in self.scale)
+        size = np.linalg.norm(self.pose[:3, 2])
+        far = camera.far if self.finite else camera.near * size + camera.far - camera.near
+        planes = (
+            z - camera.near / (size if self.finite else 1.0),
+            far / size - z,
+            x + across,
+            camera.crop_width * w + across - x,
+            y + down,
+            camera.crop_height * w + down - y,
+        )
+        low, high = np.zeros(len(ends)), np.ones(len(ends))
+        for f in planes:
+            outside = f < 0.0
+            if not outside.any():
+                continue
+            inside = f >= 0.0
+            with np.errstate(divide="ignore", invalid="ignore"):
+                at = -f[0] / (f[1] - f[0])
+            low = np.where(outside[0] & inside[1], np.maximum(low, at), low)
+            high = np.where(inside[0] & outside[1], np.minimum(high, at), high)
+            high = np.where(outside[0] & outside[1], -1.0, high)
+
+        def image(s: np.ndarray) -> np.ndarray:
+            xyw = [(1.0 - s) * q[0] + s * q[1] for q in (x, y, w, np.ones_like(w))]
+            return np.stack([xyw[0], xyw[1], xyw[3]]) / np.where(np.abs(xyw[2]) > 1e-30, xyw[2], 1e-30)
+
+        # The last component is 1 / z: what a lens point shifts the image by, but for the common shift a l / f.
+        step = image(high) - image(low)
+        # E |l_x|^2 = E |l_y|^2 = 1/4 on the unit disk.
+        squared = step[0] ** 2 + step[1] ** 2 + 0.25 * (self.radius * step[2]) ** 2 * (self.scale**2).sum()
+        length = np.where(high > low, np.sqrt(squared), 0.0)
+        return low, high, np.where(np.isfinite(length), length, 0.0)
+
+
+def camera_view(scene: Scene, sensor: int) -> CameraView:
+    """Return the view of a sensor at the scene's present values."""
+    camera = scene.camera(sensor)
+    values = scene.values.numpy().astype(np.float64)
+    pose = values[camera.to_world : camera.to_world + 16].reshape(4, 4)
+    parallel = camera.kind == CAMERA_ORTHOGRAPHIC
+    lens = camera.kind == CAMERA_THINLENS
+    k = 1.0 if parallel else np.tan(np.radians(values[camera.x_fov]) / 2.0)
+    offset = np.zeros(2) if parallel else values[camera.principal : camera.principal + 2]
+    return CameraView(
+        camera=camera,
+        pose=pose,
+        eye=-pose[:3, 2] if parallel else pose[:3, 3],
+        finite=0.0 if parallel else 1.0,
+        radius=float(values[camera.aperture_radius]) if lens else 0.0,
+        focus=float(values[camera.focus_distance]) if lens else 1.0,
+        scale=np.full(2, 0.5 * camera.width / k),
+        center=np.array([camera.width, camera.height]) * (0.5 - offset),
+    )

@@ -1,0 +1,47 @@
+"""What the line search knows of the faces: which of them are one surface, and which edges they have."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import warp as wp
+
+from warp_psdr.kernels.boundary.local_form import Edges
+from warp_psdr.kernels.boundary.specular.rims import Tables
+from warp_psdr.topology.bent import bent_faces
+from warp_psdr.topology.edges import every_edge, joined_faces, scene_adjacency
+from warp_psdr.topology.film_edges import smooth_edges
+
+if TYPE_CHECKING:
+    from warp_psdr.scene.scene import Scene
+    from warp_psdr.topology.edges import Adjacency
+
+
+def face_tables(scene: Scene) -> tuple[Edges, Tables]:
+    """Return every edge of a scene and, of every face, its edges, its group of coplanar neighbours, and its normals."""
+    found = scene_adjacency(scene)
+    edges = every_edge(scene, found)
+    smooth = smooth_edges(scene, found)
+    tables = Tables()
+    for name, values in (
+        ("group", joined_faces(scene.face_count, found, smooth & (found.wedge == 0.0))),
+        ("bent", bent_faces(scene)),
+        ("face_edges", face_edges(scene, found).reshape(-1)),
+        ("smooth_edge", smooth),
+    ):
+        setattr(tables, name, wp.array(values.astype(np.int32), dtype=wp.int32, device=scene.device))
+    return edges, tables
+
+
+def face_edges(scene: Scene, edges: Adjacency) -> np.ndarray:
+    """Return (faces, 3): the edge opposite of each corner, which is farthest from it; -1: a face of no area."""
+    points = scene.points
+    edge = np.repeat(np.arange(len(edges.length)), edges.count)
+    corners = points[scene.builder.indices[edges.faces]].astype(np.float64)
+    ends = points[edges.ends[edge]].astype(np.float64)
+    along = ends[:, 1] - ends[:, 0]
+    opposite = np.linalg.norm(np.cross(corners - ends[:, :1], along[:, None]), axis=2).argmax(axis=1)
+    found = np.full((scene.face_count, 3), -1, np.int32)
+    found[edges.faces, opposite] = edge
+    return found

@@ -1,0 +1,76 @@
+"""The lengths over which light between surfaces varies: how wide their smooth patches are, and how much they bend."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import warp as wp
+
+from warp_psdr.topology.edges import area_normals, joined_faces, scene_adjacency
+
+if TYPE_CHECKING:
+    from warp_psdr.scene.scene import Scene
+    from warp_psdr.topology.edges import Adjacency
+
+#: Angle (radians) between two triangles from which their edge ends a patch. Coarse spheres and cylinders have less.
+CREASE = 0.8
+#: Radius of curvature over area / (length of the edge * angle) of the triangles or quadrilaterals of spheres.
+BEND = 1.2
+#: Radius of a patch over its width: half the diagonal of a cube of side 2.
+RADIUS = np.sqrt(3.0)
+
+
+def patch_radii(scene: Scene) -> wp.array:
+    """Return the radius at every triangle, (F,) world units (a 0 if there is none), kept until a vertex moves."""
+    edges = scene_adjacency(scene)
+    kept = getattr(scene, "_patch_radii", None)
+    if kept is None or kept[0] is not edges:
+        found = radii(scene.points, scene.builder.indices, edges)
+        if not len(found):
+            found = np.zeros(1)
+        kept = (edges, wp.array(found, dtype=wp.float32, device=scene.device))
+        scene._patch_radii = kept  # type: ignore[attr-defined]
+    return kept[1]
+
+
+def radii(points: np.ndarray, triangles: np.ndarray, edges: Adjacency) -> np.ndarray:
+    """Return the radius at every triangle: of its patch, or of the surface's curvature if that is less.
+
+    A patch is as wide as twice its area over its circumference, and half the root of its area at most: a square of
+    side 2 a is a wide, a strip or a frame as wide as its bars. Its radius is sqrt(3) times that. Curvature is the angle
+    at an edge within the patch over the distance across it of the smaller of the two flat polygons: spheres and
+    cylinders of radius r have 1.5 to 2.1 r. But a flat polygon has no less than by its own width: its rounded or
+    bevelled edges count for themselves.
+
+    Args:
+        points: (N, 3) vertex positions, world units.
+        triangles: (F, 3) vertex numbers.
+        edges: of these triangles.
+
+    Returns:
+        (F,) float64, world units; 0: without area.
+    """
+    normal = area_normals(points.astype(np.float64), triangles)
+    area = 0.5 * np.sqrt((normal * normal).sum(axis=1))
+    sides = np.repeat(np.arange(len(edges.length)), edges.count)  # the edge of every entry of ``edges.faces``
+
+    def widths(joins: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the groups that edges join the triangles to, and how wide each is."""
+        group = joined_faces(len(triangles), edges, joins)
+        ends = ~joins[sides]
+        around = np.bincount(group[edges.faces[ends]], edges.length[sides[ends]], group.max(initial=-1) + 1)
+        whole = np.bincount(group, area)
+        half = 0.5 * np.sqrt(whole)
+        return group, np.minimum(half, 2.0 * whole / np.maximum(around, np.maximum(half, 1e-300)))
+
+    two = edges.count == 2
+    patch, wide = widths(two & (edges.wedge < CREASE))
+    polygon, narrow = widths(two & (edges.wedge == 0.0))
+    curved = np.flatnonzero(two & (edges.wedge > 0.0) & (edges.wedge < CREASE))
+    first, second = (polygon[edges.faces[edges.first[curved] + i]] for i in (0, 1))
+    across = np.bincount(polygon, area)[np.stack([first, second])].min(axis=0) / edges.length[curved]
+    bend = np.full(len(narrow), np.inf)
+    for own in (first, second):
+        np.minimum.at(bend, own, np.maximum(BEND * across / edges.wedge[curved], narrow[own]))
+    return RADIUS * np.minimum(wide[patch], bend[polygon])

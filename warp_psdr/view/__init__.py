@@ -1,0 +1,1 @@
+"""Scenes and gradient fields in 3D."""

@@ -1,0 +1,444 @@
+"""Scenes and gradient fields in 3D, drawn with pyvista.
+
+``view`` looks named parameters up in a scene, turns their gradients into fields (``warp_psdr.view.fields``) and draws
+them, a panel a kind of parameter. Signed values have the look of ``warp_psdr.plots``: white is zero, red positive, blue
+negative, the range is clipped and the panel says where. pyvista is loaded on the first call.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from warp_psdr.plots import (
+    NOT_FINITE_COLOR,
+    Reduce,
+    as_array,
+    clip_text,
+    diverging_colormap,
+    symmetric_limit,
+    tonemap,
+    write_picture,
+)
+from warp_psdr.scene.description import SceneDescription, SensorDescription, ShapeDescription, TextureDescription
+from warp_psdr.view.fields import Arrows, Field, arrows, environment_field, mesh_field, texture_field, vertex_normals
+from warp_psdr.view.vtk_window import open_plotter
+
+_BACKGROUND = (0.86, 0.87, 0.88)  # not white, which means zero
+_PLAIN = (0.72, 0.72, 0.72)  # surfaces that carry no field, beside surfaces that do
+_LIGHT = (1.0, 0.85, 0.35)
+_METAL = (0.75, 0.75, 0.78)
+_GLASS = (0.70, 0.82, 0.90)
+#: Radius of the sphere that shows an environment, in radii of the scene.
+_ENVIRONMENT = 1.8
+
+
+class NotDrawableError(ValueError):
+    """A parameter has no look on a surface."""
+
+
+def view(
+    scene: Any,
+    params: Mapping[str, Any] | None = None,
+    *,
+    fields: str | Sequence[str] | Mapping[str, Any] | None = None,
+    screenshot: str | os.PathLike | None = None,
+    camera: int | None = 0,
+    show_emitters: bool = True,
+    window_size: tuple[int, int] = (1024, 768),
+    percentile: float = 99.0,
+    reduce: Reduce = "mean",
+) -> Any:
+    """Draw a scene, and gradients on its surfaces.
+
+    Positions and normals are drawn as arrows (the direction in which the value grows) and as the component along the
+    vertex normal; textures through their texture coordinates; attributes, constants and the two texture coordinates as
+    colours; environment maps on a sphere around the scene, seen from outside in two panels, towards and against the
+    camera's direction. Parameters of one kind, such as the positions of all shapes, share a panel and a scale.
+
+    Args:
+        scene: A scene, or its ``SceneDescription``.
+        params: The scene's parameters; current values, where there are any, stand in for those of the description.
+        fields: Names of parameters whose ``.grad`` is drawn, or a mapping from names to arrays of the parameters'
+            shapes. None: the scene alone, in its materials' colours.
+        screenshot: PNG file to write; draws off-screen.
+        camera: Number of the sensor to look through (principal point and crop are ignored), or None: from outside.
+        show_emitters: Draw area lights, and markers for point, spot and directional lights.
+        window_size: Width and height in pixels.
+        percentile: Of the non-zero magnitudes of a panel; its colour range and arrows end there.
+        reduce: How colours become one signed value: the "mean" of the channels or their "luminance".
+
+    Returns:
+        The ``pyvista.Plotter``; call ``show()`` on it where there is a display, ``close()`` when done with it.
+
+    Raises:
+        ValueError: A name is unknown or cannot be drawn, has no gradient, or its array has the wrong shape; there is no
+            such sensor.
+        RuntimeError: VTK cannot draw on this machine; the message says what to install.
+    """
+    description: SceneDescription = getattr(scene, "description", scene)
+    if (
+        camera is not None
+        and description.sensors
+        and not -len(description.sensors) <= camera < len(description.sensors)
+    ):
+        raise ValueError(f"camera {camera}: the scene has sensors 0 to {len(description.sensors) - 1}")
+    sensor = description.sensors[camera] if camera is not None and description.sensors else None
+    values = dict(params) if params is not None else {}
+    center, radius = _bounds(description, values)
+    import pyvista
+
+    panels = _panels(description, values, _named_arrays(params, fields), center, radius, reduce)
+    columns = math.ceil(math.sqrt(len(panels)))
+    rows = math.ceil(len(panels) / columns)
+    plotter = open_plotter(rows, columns, window_size, off_screen=screenshot is not None)
+    for number, panel in enumerate(panels):
+        plotter.subplot(number // columns, number % columns)
+        plotter.set_background(_BACKGROUND)
+        # One white light beside the camera: the usual warm and cool ones would tint what means zero.
+        plotter.add_light(pyvista.Light(light_type="camera light", position=(-0.4, 0.6, 1.0)), only_active=True)
+        _draw_shapes(plotter, description, values, panel, show_emitters)
+        if show_emitters:
+            _draw_light_markers(plotter, description, values, center, radius)
+        if panel.fields:
+            _draw_fields(plotter, panel, percentile, window_size[0] // columns, window_size[1] // rows)
+        aspect = window_size[0] / columns / (window_size[1] / rows)
+        _aim(plotter, panel, sensor, values, center, radius, aspect)
+    if screenshot is not None:
+        from PIL import Image
+
+        image = Image.fromarray(plotter.screenshot(None, return_img=True))
+        write_picture(screenshot, lambda file: image.save(file, format="PNG"))
+    return plotter
+
+
+@dataclass(eq=False)
+class _Panel:
+    """What one sub-window shows."""
+
+    title: str
+    fields: list[tuple[Field, np.ndarray | None, np.ndarray | None]]  #: a field, its vectors, and their normals
+    shapes: set[str]  #: paths of the shapes that the fields stand for
+    side: Literal["camera", "towards", "against"] = "camera"  #: the last two: an environment, from outside
+
+
+def _named_arrays(params: Mapping[str, Any] | None, fields: Any) -> dict[str, np.ndarray]:
+    """Return the arrays to draw by parameter name."""
+    if fields is None:
+        return {}
+    if isinstance(fields, Mapping):
+        return {name: as_array(array) for name, array in fields.items()}
+    arrays = {}
+    for name in [fields] if isinstance(fields, str) else fields:
+        if params is None or name not in params:
+            raise ValueError(f"no parameter {name!r}; got {'no params' if params is None else sorted(params)}")
+        gradient = getattr(params[name], "grad", None)
+        if gradient is None:
+            raise ValueError(f"{name!r} has no gradient; call params.requires_grad({name!r}) and render_backward first")
+        arrays[name] = as_array(gradient)
+    return arrays
+
+
+def _surface_textures(shape: ShapeDescription) -> Iterator[TextureDescription]:
+    yield from shape.bsdf.textures.values()
+    if shape.bsdf.back is not None:
+        yield from shape.bsdf.back.textures.values()
+    if shape.emitter is not None:
+        yield shape.emitter.radiance
+
+
+def _panels(
+    description: SceneDescription,
+    values: Mapping[str, Any],
+    arrays: dict[str, np.ndarray],
+    center: np.ndarray,
+    radius: float,
+    reduce: Reduce,
+) -> list[_Panel]:
+    """Find what each named array belongs to, and group by kind of parameter."""
+    panels: dict[str, _Panel] = {}
+    drawable = set()
+
+    def add(
+        name: str, owner: str, field: Field, vectors: np.ndarray | None = None, normals: np.ndarray | None = None
+    ) -> None:
+        # "vertex_positions", "vertex_color", "reflectance.data": what shapes have in common.
+        tail = ".".join(name.split(".")[-2 if name.endswith((".value", ".data")) else -1 :])
+        if tail in panels and owner in panels[tail].shapes:
+            tail = name  # a second texture of this kind on the same shape, such as its back's
+        panel = panels.setdefault(tail, _Panel(name, [], set()))
+        if panel.title != name:
+            panel.title = f"*.{tail}"
+        panel.fields.append((field, vectors, normals))
+        panel.shapes.add(owner)
+
+    for shape in description.shapes:
+        vertices = _vertices(values, shape)
+        for name in (f"{shape.path}.vertex_positions", f"{shape.path}.vertex_normals"):
+            drawable.add(name)
+            if name in arrays:
+                vectors = _reshaped(name, arrays[name], (len(vertices), 3))
+                normals = vertex_normals(vertices, shape.faces) * (-1.0 if shape.flip_normals else 1.0)
+                field = mesh_field(vertices, shape.faces, vectors, vectors=True, normals=normals)
+                add(name, shape.path, field, vectors, normals)
+        name = f"{shape.path}.vertex_texcoords"
+        if shape.texcoords is not None:
+            drawable.add(name)
+            for axis in (0, 1) if name in arrays else ():
+                data = _reshaped(name, arrays[name], shape.texcoords.shape)[:, axis]
+                add(f"{name}[{'uv'[axis]}]", shape.path, mesh_field(vertices, shape.faces, data))
+        for attribute, data in shape.attributes.items():
+            name = f"{shape.path}.{attribute}"
+            drawable.add(name)
+            if name in arrays:
+                on: Literal["vertex", "face"] = "vertex" if attribute.startswith("vertex_") else "face"
+                data = _reshaped(name, arrays[name], data.shape)
+                add(name, shape.path, mesh_field(vertices, shape.faces, data, on=on, reduce=reduce))
+        for texture in dict.fromkeys(_surface_textures(shape)):
+            if texture.kind == "mesh_attribute":
+                continue
+            name = texture.parameter
+            drawable.add(name)
+            if name in arrays:
+                data = _reshaped(name, arrays[name], texture.value.shape)
+                if texture.kind == "constant":
+                    data = np.broadcast_to(data.reshape(1, -1), (len(shape.faces), data.size))
+                    add(name, shape.path, mesh_field(vertices, shape.faces, data, on="face", reduce=reduce))
+                else:
+                    add(name, shape.path, texture_field(vertices, shape.faces, shape.texcoords, data,
+                        to_uv=texture.to_uv, wrap=texture.wrap, reduce=reduce))  # fmt: skip
+    for emitter in description.emitters:
+        if emitter.kind not in ("constant", "envmap"):
+            continue
+        constant = emitter.radiance.kind == "constant"
+        name = emitter.radiance.parameter
+        drawable.add(name)
+        if name in arrays:
+            data = _reshaped(name, arrays[name], emitter.radiance.value.shape)
+            data = data.reshape(1, 1, -1) if constant else data
+            to_world = _value(values, f"{emitter.path}.to_world", emitter.to_world)
+            item = (
+                environment_field(data, to_world, center=center, radius=_ENVIRONMENT * radius, reduce=reduce),
+                None,
+                None,
+            )
+            panels[f"{name}, towards"] = _Panel(f"{name}, ahead of the camera", [item], set(), "towards")
+            panels[f"{name}, against"] = _Panel(f"{name}, behind the camera", [item], set(), "against")
+    unknown = sorted(set(arrays) - drawable)
+    if unknown:
+        known = ", ".join(sorted(drawable))
+        raise NotDrawableError(f"cannot draw {', '.join(unknown)} on a surface; drawable here: {known}")
+    return list(panels.values()) or [_Panel("", [], set())]
+
+
+def _reshaped(name: str, array: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    if array.size != math.prod(shape):
+        raise ValueError(f"{name}: got an array of shape {array.shape}; expected {shape}")
+    return array.reshape(shape)
+
+
+def _value(values: Mapping[str, Any], name: str, default: Any) -> Any:
+    """Return the current value of a parameter, or the description's."""
+    return as_array(values[name]) if name in values else default
+
+
+def _vertices(values: Mapping[str, Any], shape: ShapeDescription) -> np.ndarray:
+    return as_array(_value(values, f"{shape.path}.vertex_positions", shape.vertices)).reshape(-1, 3)
+
+
+def _bounds(description: SceneDescription, values: Mapping[str, Any]) -> tuple[np.ndarray, float]:
+    """Return centre and radius of a sphere around all shapes."""
+    corners = [
+        bound for s in description.shapes for bound in (_vertices(values, s).min(0), _vertices(values, s).max(0))
+    ]
+    if not corners:
+        return np.zeros(3), 1.0
+    low, high = np.min(corners, axis=0), np.max(corners, axis=0)
+    return 0.5 * (low + high), max(0.5 * float(np.linalg.norm(high - low)), 1e-6)
+
+
+def _poly_data(vertices: np.ndarray, faces: np.ndarray) -> Any:
+    import pyvista
+
+    return pyvista.PolyData.from_regular_faces(np.asarray(vertices, np.float32), np.asarray(faces, np.int64))
+
+
+def _texture(rgb: np.ndarray, wrap: str) -> Any:
+    """Return a pyvista texture of colours in [0, 1], (H, W, 3), first row at v = 0."""
+    import pyvista
+
+    texture = pyvista.Texture(np.ascontiguousarray(np.round(255.0 * rgb[::-1]).astype(np.uint8)))
+    modes = {"repeat": "REPEAT", "mirror": "MIRRORED_REPEAT", "clamp": "CLAMP_TO_EDGE"}
+    texture.wrap = getattr(pyvista.Texture.WrapType, modes[wrap])
+    texture.interpolate = False  # interpolated colours would lead from red to blue past violet, not white
+    return texture
+
+
+def _draw_shapes(
+    plotter: Any, description: SceneDescription, values: Mapping[str, Any], panel: _Panel, show_emitters: bool
+) -> None:
+    """Draw the shapes that carry no field: plain beside fields, in their materials' colours otherwise."""
+    for shape in description.shapes:
+        if shape.path in panel.shapes or (shape.emitter is not None and not show_emitters):
+            continue
+        mesh = _poly_data(_vertices(values, shape), shape.faces)
+        look: dict[str, Any] = {"color": _PLAIN}
+        texture = shape.bsdf.textures.get("reflectance")
+        if shape.emitter is not None:
+            look = {"color": _LIGHT, "lighting": False}
+        elif panel.fields:
+            pass
+        elif shape.bsdf.model == "dielectric":
+            look = {"color": _GLASS, "opacity": 0.4, "specular": 0.5}
+        elif texture is None:
+            look = {"color": _METAL, "specular": 0.5}
+        elif texture.kind == "constant":
+            data = as_array(_value(values, f"{texture.path}.value", texture.value))
+            look = {"color": tuple(tonemap(data.reshape(1, 1, -1))[0, 0])}
+        elif texture.kind == "bitmap":
+            data = as_array(_value(values, f"{texture.path}.data", texture.value)).reshape(texture.value.shape)
+            field = texture_field(mesh.points, shape.faces, shape.texcoords, data[..., 0], to_uv=texture.to_uv)
+            mesh = _poly_data(field.vertices, field.faces)
+            mesh.active_texture_coordinates = np.asarray(field.uvs, np.float32)
+            look = {"texture": _texture(tonemap(data), texture.wrap)}
+        else:
+            data = as_array(_value(values, f"{shape.path}.{texture.attribute}", shape.attributes[texture.attribute]))
+            data = data.reshape(shape.attributes[texture.attribute].shape)
+            look = {"scalars": np.round(255.0 * tonemap(data[:, None])[:, 0]).astype(np.uint8), "rgb": True}
+        plotter.add_mesh(mesh, ambient=0.3, diffuse=0.7, show_scalar_bar=False, **look)
+
+
+def _draw_fields(plotter: Any, panel: _Panel, percentile: float, width: int, height: int) -> None:
+    """Draw a panel's fields and arrows on one scale, its colour bar and title."""
+    import pyvista
+    from vtkmodules.vtkRenderingAnnotation import vtkScalarBarActor
+
+    scalars = np.concatenate([field.values.reshape(-1) for field, _, _ in panel.fields])
+    limit = symmetric_limit(scalars, percentile)
+    colormap = diverging_colormap()
+    table = pyvista.LookupTable(colormap, n_values=colormap.N, scalar_range=(-limit, limit))
+    table.nan_color = NOT_FINITE_COLOR
+    faithful: dict[str, Any] = {"ambient": 0.6, "diffuse": 0.45, "show_scalar_bar": False}  # shaded, but readable
+    if panel.side != "camera":
+        faithful |= {"lighting": False, "culling": "back"}  # the far half, from inside
+    for field, _, _ in panel.fields:
+        mesh = _poly_data(field.vertices, field.faces)
+        finite = np.where(np.isfinite(field.values), field.values, np.nan)
+        if field.on == "texel":
+            mesh.active_texture_coordinates = np.asarray(field.uvs, np.float32)
+            colors = colormap(np.ma.masked_invalid(0.5 + 0.5 * finite / limit))[..., :3]
+            plotter.add_mesh(mesh, texture=_texture(colors, field.wrap), **faithful)
+        else:
+            preference = "point" if field.on == "vertex" else "cell"
+            plotter.add_mesh(mesh, scalars=finite.astype(np.float32), preference=preference, cmap=table, **faithful)
+    vectors = [np.linalg.norm(v, axis=1) for _, v, _ in panel.fields if v is not None]
+    quantity = panel.fields[0][0].quantity
+    notes = [f"{quantity}: {clip_text(scalars, limit)}" if quantity else clip_text(scalars, limit)]
+    if vectors:
+        longest = symmetric_limit(np.concatenate(vectors), percentile)
+        share = max(160 // len(vectors), 20)
+        for field, vector, normals in panel.fields:
+            if vector is not None:
+                drawn = arrows(field.vertices, vector, normals=normals, limit=longest, count=share)
+                if len(drawn.starts):
+                    _draw_arrows(plotter, drawn)
+        if any(np.any(v > 0.0) for v in vectors):
+            notes.append(f"longest arrow: {longest:.3g}")
+    size = max(7, min(11, width // 75))
+    bar = vtkScalarBarActor()
+    bar.SetLookupTable(table)
+    bar.SetMaximumNumberOfColors(colormap.N)
+    bar.SetNumberOfLabels(5)
+    bar.UnconstrainedFontSizeOn()
+    bar.GetLabelTextProperty().SetFontSize(size + 3)
+    bar.GetLabelTextProperty().BoldOff()
+    bar.SetLabelFormat("{:.2g}")
+    bar.SetPosition(1.0 - 85 / width, 0.2)  # 85 pixels: the bar and labels such as -0.00012
+    bar.SetWidth(80 / width)
+    bar.SetBarRatio(0.25)
+    bar.SetHeight(0.6)
+    bar.GetLabelTextProperty().SetColor(0.0, 0.0, 0.0)
+    bar.GetLabelTextProperty().ShadowOff()
+    bar.GetLabelTextProperty().ItalicOff()
+    plotter.renderer.AddViewProp(bar)
+    for text, y in ((panel.title, 1.0 - 2.4 * size / height), ("\n".join(notes), 0.01)):
+        actor = plotter.add_text(text, position=(0.01, y), viewport=True, font_size=size, color="black")
+        actor.prop.background_color = _BACKGROUND  # readable in front of dark red and blue, too
+        actor.prop.background_opacity = 0.8
+
+
+def _draw_arrows(plotter: Any, drawn: Arrows) -> None:
+    import pyvista
+
+    points = pyvista.PolyData(drawn.starts.astype(np.float32))
+    points["vector"] = drawn.vectors.astype(np.float32)
+    shape = pyvista.Arrow(tip_length=0.35, tip_radius=0.12, shaft_radius=0.04, tip_resolution=12, shaft_resolution=8)
+    glyphs = points.glyph(orient="vector", scale="vector", factor=1.0, geom=shape)
+    plotter.add_mesh(glyphs, color=(0.1, 0.1, 0.1), ambient=0.4, show_scalar_bar=False)
+
+
+def _draw_light_markers(
+    plotter: Any, description: SceneDescription, values: Mapping[str, Any], center: np.ndarray, radius: float
+) -> None:
+    """Draw a ball for each point light, a cone for spot lights, an arrow from outside for directional lights."""
+    import pyvista
+
+    for emitter in description.emitters:
+        pose = np.asarray(_value(values, f"{emitter.path}.to_world", np.eye(4) if emitter.to_world is None else
+                                 emitter.to_world), dtype=float)  # fmt: skip
+        place, direction = pose[:3, 3], pose[:3, 2]
+        if emitter.kind == "point":
+            position = _value(values, f"{emitter.path}.position", emitter.position)
+            marker = pyvista.Sphere(radius=0.03 * radius, center=position)
+        elif emitter.kind == "spot":
+            height = 0.15 * radius  # VTK's cone points along its direction: away from the beam, apex at the light
+            marker = pyvista.Cone(center=place + 0.5 * height * direction, direction=-direction, height=height,
+                                  angle=float(emitter.cutoff_angle), resolution=32)  # fmt: skip
+        elif emitter.kind == "directional":
+            marker = pyvista.Arrow(start=center - 1.2 * radius * direction, direction=direction, scale=0.3 * radius)
+        else:
+            continue
+        plotter.add_mesh(marker, color=_LIGHT, lighting=False)
+
+
+def _aim(
+    plotter: Any,
+    panel: _Panel,
+    sensor: SensorDescription | None,
+    values: Mapping[str, Any],
+    center: np.ndarray,
+    radius: float,
+    aspect: float,
+) -> None:
+    """Look through the sensor, or at the whole scene or environment from outside."""
+    pose, fov = None, 40.0
+    if sensor is not None:
+        pose = as_array(_value(values, f"{sensor.path}.to_world", sensor.to_world))
+        if sensor.kind != "orthographic":
+            fov = float(as_array(_value(values, f"{sensor.path}.x_fov", sensor.x_fov)).reshape(-1)[0])
+    forward, up = (np.array([-0.6, -0.45, -0.66]), np.array([0.0, 1.0, 0.0])) if pose is None else pose[:3, [2, 1]].T
+    forward = forward / np.linalg.norm(forward)
+    if sensor is None or pose is None or panel.side != "camera":
+        extent = radius if panel.side == "camera" else 1.05 * _ENVIRONMENT * radius
+        forward = -forward if panel.side == "against" else forward
+        angle = math.radians(30.0)
+        distance = extent / math.sin(0.5 * angle) / min(aspect, 1.0)
+        eye, vertical = center - distance * forward, angle
+    else:
+        film, half = sensor.film, math.tan(math.radians(0.5 * fov))
+        # VTK takes the vertical angle, or half the height; the panel shows at least the film.
+        shape = min(aspect, film.width / film.height)
+        eye, vertical = pose[:3, 3], 2.0 * math.atan(half / shape)
+        if sensor.kind == "orthographic":
+            plotter.camera.parallel_projection = True
+            plotter.camera.parallel_scale = float(np.linalg.norm(pose[:3, 0])) / shape
+    plotter.camera.position = tuple(eye)
+    plotter.camera.focal_point = tuple(eye + forward * max(float(np.dot(center - eye, forward)), 0.1 * radius))
+    plotter.camera.up = tuple(up)
+    plotter.camera.view_angle = math.degrees(vertical)
+    plotter.renderer.ResetCameraClippingRange()
