@@ -99,8 +99,8 @@ CASES = [
         xml='<!DOCTYPE s [<!ENTITY x SYSTEM "file:///etc/passwd">]><scene version="3.0.0">&x;</scene>',
     ),
     Case("very deep nesting", ("scene.xml:4", "nested more than", "flatten"), xml=deep()),
-    Case("no version", ("scene.xml:1 <scene>", "no version", "convert older ones"), xml="<scene/>"),
-    Case("old version", ("version '0.6.0'", "convert older ones"), xml='<scene version="0.6.0"/>'),
+    Case("no version", ("scene.xml:1 <scene>", "no version", 'write version="3.0.0"'), xml="<scene/>"),
+    Case("version to come", ("version '4.0.0'", 'write version="3.0.0"'), xml='<scene version="4.0.0"/>'),
     Case(
         "another root", ("scene.xml:", "no <scene>"), xml='<scenes version="3.0.0"/>'.replace("<scenes", "<?x?><scenes")
     ),
@@ -236,9 +236,16 @@ CASES = [
         ("scene['x']", "2 bsdf plugins", "at most 1"),
         plugins={"x": {"type": "cube", "a": {"type": "diffuse"}, "b": {"type": "diffuse"}}},
     ),
-    Case("area light without a shape", ("scene['x']", "outside a shape", "nest it"), plugins={"x": {"type": "area"}}),
+    Case(
+        "area light of two shapes",
+        ("scene['b']['light']", "'b' is that of 'a'", "an emitter of its own"),
+        plugins={
+            "x": {"type": "area"},
+            "a": {"type": "cube", "light": {"type": "ref", "id": "x"}},
+            "b": {"type": "cube", "light": {"type": "ref", "id": "x"}},
+        },
+    ),
     Case("two environments", ("'sky'", "'x'", "keep one"), plugins={"x": {"type": "constant"}}),
-    Case("no sensor", ("scene", "no sensor", "add one"), plugins={"sensor": None}),
     Case("nothing to see", ("scene", "no shapes", "add a shape"), plugins={"sky": None}),
     Case("dictionary inside itself", ("contains itself", "break the cycle"), plugins=itself()),
     # Materials and lights.

@@ -300,10 +300,7 @@ def test_transforms_compose_on_the_class_and_in_chains():
     np.testing.assert_array_equal(x[0].vertices, x[1].vertices)
 
 
-def test_the_axis_of_a_rotation_may_have_any_length():
-    # Other than in Mitsuba 3, whose matrix is no rotation then.
-    expected = Transform.rotate([0.6, 0.0, 0.8], 30).matrix
-    np.testing.assert_allclose(Transform.rotate([3.0, 0.0, 4.0], 30).matrix, expected, atol=1e-15)
+def test_rotation_without_an_axis():
     with pytest.raises(ValueError, match="non-zero axis"):
         Transform.rotate([0.0, 0.0, 0.0], 30)
 
@@ -397,5 +394,4 @@ def test_spectra_equal_mitsubas(mi, values):
     reflectance = f'<bsdf type="diffuse"><spectrum name="reflectance" value="{values}"/></bsdf>'
     theirs = mi.traverse(mi.load_string(reflectance.replace("<bsdf", '<bsdf version="3.0.0"')))["reflectance.value"]
     ours = texture(type="spectrum", value=values).value
-    # Mitsuba's white is 0.999: it samples the tables at 1000 wavelengths.
-    np.testing.assert_allclose(ours, np.array(theirs), atol=3e-3)
+    np.testing.assert_allclose(ours, np.array(theirs), rtol=1e-5, atol=1e-6)

@@ -10,7 +10,7 @@ import numpy as np
 from warp_psdr.kernels.bsdf.microfacet import MIN_ALPHA
 
 from .description import BsdfDescription, TextureDescription
-from .errors import did_you_mean, error, listing
+from .errors import ReportedError, did_you_mean, error, listing
 from .materials import CONDUCTORS
 from .plugins import Properties, category_of, unsupported_plugin
 from .textures import check_attribute, constant, texture
@@ -164,6 +164,8 @@ def _ior(props: Properties, name: str, preset: str) -> float:
 
 def _twosided(props: Properties) -> BsdfDescription:
     nested = props.children("bsdf", limit=2)
+    if not nested and props.incomplete:
+        raise ReportedError(props.where)
     if not nested:
         raise error(props.where, "a 'twosided' without a nested bsdf", "nest one, or two for front and back")
     sides = []

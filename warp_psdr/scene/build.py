@@ -182,6 +182,9 @@ class Builder:
     def _image(self, t: TextureDescription, use: str, bounds: tuple[float, float]) -> Placed:
         """Lay out a constant or a bitmap; return its record and the flat (offset, size) of its values."""
         record = structs.Texture()
+        # Bitmaps may exceed the range; an optimiser then keeps to what the file has.
+        low, high = bounds
+        bounds = (low, max(high, float(t.value.max())))
         record.offset = self.layout.add(t.parameter, t.value, use, bounds=bounds)
         if t.kind == "constant":
             record.kind, record.channels = c.TEXTURE_CONSTANT, t.value.size

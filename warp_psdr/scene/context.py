@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from .errors import did_you_mean, error, listing, missing_file
+from .errors import LimitError, ReportedError, SceneError, did_you_mean, error, limit, listing, missing_file
 
 T = TypeVar("T")
 #: Where a scene may read files beside its own folder: nowhere, below these folders, or anywhere.
@@ -18,6 +18,8 @@ Outside = bool | str | os.PathLike[str] | Iterable[str | os.PathLike[str]]
 _NUMBERS_MAX = 2**31 - 1
 #: References that lead to each other, and remarks: more than anybody follows, or reads.
 _CHAIN_MAX, _NOTES_MAX = 64, 1000
+#: Problems of one scene: more than anybody reads.
+_PROBLEMS_MAX = 50
 
 
 class FileName(str):
@@ -64,6 +66,14 @@ class Context:
         self.origin = np.zeros(3)
         self._built: dict[Any, tuple[dict, Any]] = {}
         self._open: list[int] = []
+        self._attached: dict[int, tuple[object, str]] = {}
+        #: Area lights that stand in the scene itself, with their places.
+        self.area_lights: list[tuple[object, str]] = []
+        #: What keeps the scene from being used, reported together when all of it is known.
+        self.problems: list[SceneError | FileNotFoundError] = []
+        #: ``id`` of the dictionaries whose problems are reported: they are not built, and nothing is said of what lacks
+        #: them.
+        self.broken: set[int] = set()
 
     def fresh(self) -> Context:
         """Return the same load as it is now, to build everything in it once more."""
@@ -71,6 +81,44 @@ class Context:
         copy.roots, copy.search_paths = self.roots, list(self.search_paths)
         copy.notes, copy.named = list(self.notes), dict(self.named)
         return copy
+
+    def report(self, problem: SceneError | FileNotFoundError) -> None:
+        """Keep a problem, to go on and find the others.
+
+        Raises:
+            ValueError: If there are too many, or this one ends the load.
+        """
+        if isinstance(problem, LimitError):
+            raise problem
+        if isinstance(problem, ReportedError) or str(problem) in map(str, self.problems):
+            return
+        self.problems.append(problem)
+        if len(self.problems) >= _PROBLEMS_MAX:
+            self.raise_problems()
+
+    def attempt(self, make: Callable[[], T], otherwise: T) -> T:
+        """Return ``make()``; if that cannot be, report the problem and return ``otherwise``."""
+        try:
+            return make()
+        except (SceneError, FileNotFoundError) as problem:
+            self.report(problem)
+            return otherwise
+
+    def raise_problems(self) -> None:
+        """Raise what was reported.
+
+        Raises:
+            ValueError: With all problems and their places.
+            FileNotFoundError: If the problems are missing files only.
+        """
+        if not self.problems:
+            return
+        if len(self.problems) == 1:
+            raise self.problems[0]
+        missing = all(isinstance(problem, FileNotFoundError) for problem in self.problems)
+        kind = FileNotFoundError if missing else SceneError
+        count = f"{len(self.problems)} problems" if len(self.problems) < _PROBLEMS_MAX else "many problems, such as"
+        raise kind("\n  - ".join([f"{self.source}: {count}:", *map(str, self.problems)]))
 
     def note(self, text: str) -> None:
         """Keep a remark for the user, once; the first thousand of them."""
@@ -128,6 +176,21 @@ class Context:
         # The node is kept with the result: its id() must not be given to another object meanwhile.
         self._built.setdefault(key, (node, result))
         return result
+
+    def attach(self, light: object, shape: str, where: str) -> None:
+        """Remember the shape of an area light, which has one.
+
+        Raises:
+            ValueError: If the light belongs to another shape.
+        """
+        other = self._attached.setdefault(id(light), (light, shape))[1]
+        if other != shape:
+            problem = f"the emitter of '{shape}' is that of '{other}'"
+            raise error(where, problem, "give every shape an emitter of its own")
+
+    def is_attached(self, light: object) -> bool:
+        """Return whether an area light belongs to a shape."""
+        return id(light) in self._attached
 
     def file(self, name: Any, where: str) -> Path:
         """Return the existing file that a scene names.
@@ -188,7 +251,7 @@ class Context:
         """
         self._numbers += numbers
         if self._numbers > _NUMBERS_MAX:
-            raise error(
+            raise limit(
                 where, f"the scene holds more than {_NUMBERS_MAX} values by here", "use smaller images or meshes"
             )
 

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import functools
 import os
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from . import bsdfs, emitters, sensors, shapes, textures
 from .context import Context, Outside
 from .description import SceneDescription
-from .errors import error
+from .errors import SceneError, error
 from .origin import find_origin
 from .plugins import Properties, category_of
 
@@ -50,8 +53,13 @@ def describe(scene: dict, where: str, context: Context) -> SceneDescription:
     """
     if scene.get("type") != "scene":
         raise error(where, f"the outermost type is {scene.get('type')!r}", "wrap the scene in {'type': 'scene', ...}")
+    _register(scene, where, context, [])
+    _survey(scene, where, context)
     again = context.fresh()
     result = _build(scene, where, context)
+    if not context.problems:
+        context.attempt(lambda: _check(result, where), None)
+    context.raise_problems()
     origin = find_origin(result.shapes)
     if not origin.any():
         return result
@@ -61,23 +69,51 @@ def describe(scene: dict, where: str, context: Context) -> SceneDescription:
 
 
 def _build(scene: dict, where: str, context: Context) -> SceneDescription:
-    """Build every plugin, with all positions relative to the context's origin."""
-    _register(scene, where, context, [])
+    """Build every plugin, with all positions relative to the context's origin; problems are reported."""
     result = SceneDescription(shapes=[], emitters=[], sensors=[], source=context.source, notes=context.notes)
     result.origin = context.origin
-    scene_props = Properties(scene, where, "", context)
     for key, value in scene.items():
-        if key in ("type", "id"):
-            continue
-        if not isinstance(value, dict):
-            raise error(f"{where}[{key!r}]", f"got {value!r}", "a scene holds plugins; give {'type': plugin, ...}")
-        scene_props.take(key)
-        node, place = context.resolve(value, context.inside(where, key, value))
-        # As in Mitsuba an explicit id wins over the dictionary key.
-        name = node.get("id") if isinstance(node.get("id"), str) else key
-        _add(result, node, place, str(name), context)
-    _check(result, where)
+        if key not in ("type", "id"):
+            context.attempt(functools.partial(_top, result, str(key), value, where, context), None)
+    if context.problems:
+        return result
+    for light, place in context.area_lights:
+        if not context.is_attached(light):
+            context.note(f"{place}: no shape refers to this emitter, so it does not shine")
+    if not result.sensors:
+        corners = [shape.vertices.astype(np.float64) + context.origin for shape in result.shapes]
+        low = np.min([points.min(axis=0) for points in corners], axis=0, initial=np.inf)
+        high = np.max([points.max(axis=0) for points in corners], axis=0, initial=-np.inf)
+        name = "sensor" if "sensor" not in scene else "default_sensor"
+        result.sensors.append(sensors.default(low, high, where, name, context))
     return result
+
+
+def _top(result: SceneDescription, key: str, value: Any, where: str, context: Context) -> None:
+    """Build what the scene holds under a key."""
+    if not isinstance(value, dict):
+        raise error(f"{where}[{key!r}]", f"got {value!r}", "a scene holds plugins; give {'type': plugin, ...}")
+    node, place = context.resolve(value, context.inside(where, key, value))
+    if id(node) in context.broken:
+        return
+    # As in Mitsuba an explicit id wins over the dictionary key.
+    name = node.get("id") if isinstance(node.get("id"), str) else key
+    _add(result, node, place, str(name), context)
+
+
+def _survey(node: dict, where: str, context: Context) -> None:
+    """Report every plugin that is not supported, wherever it is nested."""
+    for key, value in node.items():
+        if not isinstance(value, dict) or value.get("type") == "ref" or not isinstance(value.get("type"), str):
+            continue
+        place = context.inside(where, key, value)
+        if id(value) not in context.broken:
+            try:
+                category_of(value, place)
+            except SceneError as problem:
+                context.broken.add(id(value))
+                context.report(problem)
+        _survey(value, place, context)
 
 
 def _add(result: SceneDescription, node: dict, where: str, name: str, context: Context) -> None:
@@ -88,6 +124,9 @@ def _add(result: SceneDescription, node: dict, where: str, name: str, context: C
         result.shapes.append(shape)
         if shape.emitter is not None:
             result.emitters.append(shape.emitter)
+    elif category == "emitter" and node["type"] == "area":
+        light = emitters.build_area(node, where, name, context, shared=True)
+        context.area_lights.append((light, where))  # shines from the shape that refers to it
     elif category == "emitter":
         result.emitters.append(emitters.build(node, where, name, context))
     elif category == "sensor":
@@ -101,8 +140,9 @@ def _add(result: SceneDescription, node: dict, where: str, name: str, context: C
     elif category == "texture":
         kind = textures.variant(node, False)
         context.build(node, where, kind, lambda: textures.build(node, where, name, context), shared=False)
-    else:
-        raise error(where, f"a '{node['type']}' ({category}) directly in the scene", "nest it in the sensor or film")
+    elif category == "scene":
+        raise error(where, "a scene in the scene", "give its plugins instead")
+    # What is left belongs to a sensor or a film that refers to it.
 
 
 def _integrator(node: dict, where: str, context: Context) -> dict[str, Any]:
@@ -147,9 +187,7 @@ def _register(node: dict, where: str, context: Context, open_nodes: list[int]) -
 
 
 def _check(result: SceneDescription, where: str) -> None:
-    """Raise if there is nothing to see or nothing to see it with; note what is merely suspicious."""
-    if not result.sensors:
-        raise error(where, "there is no sensor", "add one: {'type': 'perspective', 'to_world': ..., 'fov': ...}")
+    """Raise if there is nothing to see; note what is merely suspicious."""
     environments = [light for light in result.emitters if light.kind in ("constant", "envmap")]
     if len(environments) > 1:
         names = ", ".join(f"'{light.path}'" for light in environments)

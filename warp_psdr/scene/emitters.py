@@ -18,10 +18,10 @@ if TYPE_CHECKING:
 
 
 def build(node: dict, where: str, path: str, context: Context) -> EmitterDescription:
-    """Return the light that a plugin dictionary of the scene describes.
+    """Return the light that a plugin dictionary of the scene describes; an area light is ``build_area``'s.
 
     Raises:
-        ValueError: If a parameter is not supported or out of range, or the light belongs into a shape.
+        ValueError: If a parameter is not supported or out of range.
         FileNotFoundError: If its image does not exist.
     """
     builders = {
@@ -32,25 +32,33 @@ def build(node: dict, where: str, path: str, context: Context) -> EmitterDescrip
         "directional": _directional,
     }
     props = Properties(node, where, path, context)
-    if props.type not in builders:
-        raise error(where, "an 'area' emitter outside a shape", "nest it in the shape that shines")
     _ignore_weights(props)
     result = builders[props.type](props)
     props.finish()
     return result
 
 
-def build_area(node: dict, where: str, path: str, context: Context) -> EmitterDescription:
+def build_area(node: dict, where: str, path: str, context: Context, *, shared: bool) -> EmitterDescription:
     """Return the area light of a shape.
+
+    Args:
+        node: The dictionary, references resolved.
+        where: Its place, for messages.
+        path: The name under which its radiance is listed if this is its first use.
+        context: The load in progress.
+        shared: Whether a reference led here.
 
     Raises:
         ValueError: If it is of another kind or a parameter is out of range.
     """
-    props = Properties(node, where, path, context)
+    return context.build(node, where, "area", lambda: _area(Properties(node, where, path, context)), shared=shared)
+
+
+def _area(props: Properties) -> EmitterDescription:
     if props.type != "area":
-        raise error(where, f"a '{props.type}' emitter inside a shape", "shapes take 'area'; move it to the scene")
+        raise error(props.where, f"a '{props.type}' emitter inside a shape", "shapes take 'area'; move it to the scene")
     _ignore_weights(props)
-    result = EmitterDescription(path, "area", texture(props, "radiance", 1.0, emissive=True))
+    result = EmitterDescription(props.path, "area", texture(props, "radiance", 1.0, emissive=True))
     props.finish()
     return result
 

@@ -11,6 +11,14 @@ class SceneError(ValueError):
     """A scene file or dictionary that cannot be turned into a scene."""
 
 
+class LimitError(SceneError):
+    """A scene that is larger than is read; loading ends at once, while other problems are collected."""
+
+
+class ReportedError(SceneError):
+    """Something that cannot be built because of a problem that is reported already."""
+
+
 #: Letters of a part of a message, and of a name that others are compared with, which takes quadratic time.
 _LETTERS_MAX, _NAME_MAX = 1000, 100
 
@@ -18,6 +26,11 @@ _LETTERS_MAX, _NAME_MAX = 1000, 100
 def error(where: str, problem: str, remedy: str) -> SceneError:
     """Return the exception for ``problem`` at ``where``; ``remedy`` says what is expected or what to do."""
     return SceneError(": ".join((_short(where), "; ".join((_short(problem), _short(remedy))))))
+
+
+def limit(where: str, problem: str, remedy: str) -> LimitError:
+    """Return the exception for a scene that is larger than is read; see ``error``."""
+    return LimitError(str(error(where, problem, remedy)))
 
 
 def _short(text: str) -> str:

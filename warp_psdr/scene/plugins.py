@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import functools
+from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .errors import SceneError, did_you_mean, error, listing
+from .catalogue import MITSUBA, kind_of
+from .errors import ReportedError, SceneError, did_you_mean, error, listing
 from .transforms import FLOAT_MAX, as_matrix
 
 if TYPE_CHECKING:
@@ -21,7 +23,10 @@ PLUGINS: dict[str, tuple[str, ...]] = {
         *("obj", "ply", "gltf", "glb", "stl", "off", "mesh"),
     ),
     "bsdf": ("diffuse", "conductor", "roughconductor", "dielectric", "twosided"),
-    "texture": ("bitmap", "mesh_attribute", "rgb", "spectrum", "uniform"),
+    "texture": (
+        *("bitmap", "mesh_attribute"),
+        *("rgb", "srgb", "spectrum", "uniform", "rawconstant", "d65", "blackbody", "regular", "irregular"),
+    ),
     "emitter": ("area", "constant", "envmap", "point", "spot", "directional"),
     "sensor": ("perspective", "orthographic", "thinlens"),
     "film": ("hdrfilm",),
@@ -84,24 +89,39 @@ def category_of(node: dict, where: str) -> str:
 
 
 def unsupported_plugin(name: str, where: str, category: str = "") -> SceneError:
-    """Return the exception for a plugin that is not supported (here)."""
+    """Return the exception for a plugin that is not supported (here); it suggests plugins of the same kind only."""
+    category = category or kind_of(name)
     if category and category not in PLUGINS:
         return error(where, f"a <{category}> ('{name}') is not supported", f"supported: {listing(PLUGINS)}")
-    if category:
-        names = PLUGINS[category]
-        return error(
-            where,
-            f"unsupported {category} '{name}'{did_you_mean(name, names)}",
-            f"supported {category} plugins: {listing(names)}",
-        )
-    every = [n for names in PLUGINS.values() for n in names]
-    return error(
-        where, f"unsupported plugin '{name}'{did_you_mean(name, every)}", f"supported plugins: {listing(every)}"
-    )
+    names = PLUGINS[category] if category else [n for names in PLUGINS.values() for n in names]
+    # A name of Mitsuba's is no slip of the pen.
+    hint = "" if name in MITSUBA.get(category, ()) else did_you_mean(name, names)
+    kind = category or "plugin"
+    plural = f"{category} plugins" if category else "plugins"
+    return error(where, f"unsupported {kind} '{name}'{hint}", f"supported {plural}: {listing(names)}")
+
+
+def _reported(read: Callable[..., Any]) -> Callable[..., Any]:
+    """Let a reader of parameters report what is wrong and go on with the default, if there is one."""
+
+    @functools.wraps(read)
+    def wrapped(self: Properties, name: str, default: Any = None, *args: Any, **kwargs: Any) -> Any:
+        try:
+            return read(self, name, default, *args, **kwargs)
+        except SceneError as problem:
+            if default is None:
+                raise
+            self.context.report(problem)
+            return read(Properties({"type": self.type}, self.where, self.path, self.context), name, default, **kwargs)
+
+    return wrapped
 
 
 class Properties:
     """A plugin's parameters; each may be taken once, and what is left at the end is an error.
+
+    Problems of values and unknown parameters are reported to the context, which raises them when the whole scene is
+    read.
 
     Args:
         node: The plugin's dictionary.
@@ -118,6 +138,8 @@ class Properties:
         self.type = plugin_type(node, where)
         self._left = {key: value for key, value in node.items() if key not in RESERVED}
         self._asked: list[str] = []
+        #: Whether a nested plugin was left out because its problems are reported.
+        self.incomplete = False
 
     def place(self, name: str) -> str:
         """Return the place of a parameter, for messages."""
@@ -139,6 +161,7 @@ class Properties:
                 self.context.note(f"{self.place(name)} is ignored: {reason}")
             self.take(name)
 
+    @_reported
     def number(
         self,
         name: str,
@@ -161,6 +184,7 @@ class Properties:
             raise error(self.place(name), f"got {number:g}", f"give {_range(minimum, maximum, exclusive)}")
         return number
 
+    @_reported
     def integer(self, name: str, default: int, *, minimum: int | None = None, maximum: int = INTEGER_MAX) -> int:
         """Return a whole number, at least ``minimum`` and at most ``maximum``."""
         number = self.number(name, default)
@@ -171,6 +195,7 @@ class Properties:
             raise error(self.place(name), f"got {number:g}", f"give at most {maximum}")
         return round(number)
 
+    @_reported
     def boolean(self, name: str, default: bool) -> bool:
         """Return a truth value."""
         value = self.take(name, default)
@@ -178,6 +203,7 @@ class Properties:
             raise error(self.place(name), f"got {value!r}", "give true or false")
         return bool(value)
 
+    @_reported
     def string(self, name: str, default: str, choices: Iterable[str] = ()) -> str:
         """Return a text, one of ``choices`` if there are any."""
         value = self.take(name, default)
@@ -188,6 +214,7 @@ class Properties:
             raise error(self.place(name), f"got {value!r}{hint}", remedy)
         return value
 
+    @_reported
     def vector(self, name: str, default: Iterable[float]) -> np.ndarray:
         """Return three finite numbers, float64."""
         value = self.take(name, default)
@@ -201,6 +228,9 @@ class Properties:
 
     def transform(self, name: str) -> np.ndarray:
         """Return an invertible affine 4x4 matrix, float64; identity when it is not given."""
+        return self.context.attempt(lambda: self._transform(name), np.eye(4))
+
+    def _transform(self, name: str) -> np.ndarray:
         value = self.take(name)
         if value is None:
             return np.eye(4)
@@ -218,53 +248,53 @@ class Properties:
         return matrix
 
     def plugins(self) -> list[tuple[str, dict, str, str]]:
-        """Return the nested plugins, references resolved, as (key, node, where, category)."""
+        """Return the nested plugins, references resolved, as (key, node, where, category); unusable ones are taken."""
         found = []
-        for key, value in self._left.items():
+        for key, value in list(self._left.items()):
             if isinstance(value, dict):
-                node, where = self.context.resolve(value, self.context.inside(self.where, key, value))
-                found.append((key, node, where, category_of(node, where)))
+                nested = self.context.attempt(functools.partial(self._nested, key, value), None)
+                if nested is None:
+                    self.take(key)
+                    self.incomplete = True
+                else:
+                    found.append(nested)
         return found
 
-    def children(self, category: str, limit: int = 1) -> list[tuple[str, dict, str]]:
-        """Take the nested plugins of a category, whatever their keys, as (key, node, where).
+    def _nested(self, key: str, value: dict) -> tuple[str, dict, str, str]:
+        node, where = self.context.resolve(value, self.context.inside(self.where, key, value))
+        if id(node) in self.context.broken:
+            raise ReportedError(where)
+        return key, node, where, category_of(node, where)
 
-        Raises:
-            ValueError: If there are more than ``limit``.
-        """
+    def children(self, category: str, limit: int = 1) -> list[tuple[str, dict, str]]:
+        """Take the nested plugins of a category, whatever their keys, as (key, node, where), at most ``limit``."""
         found = [(key, node, where) for key, node, where, kind in self.plugins() if kind == category]
         if len(found) > limit:
             keys = listing(f"'{key}'" for key, _, _ in found)
-            raise error(self.where, f"{len(found)} {category} plugins ({keys})", f"give at most {limit}")
+            problem = error(self.where, f"{len(found)} {category} plugins ({keys})", f"give at most {limit}")
+            self.context.report(problem)
         for key, _, _ in found:
             self.take(key)
-        return found
+        return found[:limit]
 
     def finish(self) -> None:
-        """Raise for parameters that nothing asked for.
+        """Report the parameters that nothing asked for."""
+        for name in list(self._left):
+            self.context.attempt(functools.partial(self._refuse, name), None)
 
-        Raises:
-            ValueError: If any parameter is left.
-        """
-        for name, value in self._left.items():
-            # Nested plugins without a name of their own have one of the reader's.
-            known = sorted(asked for asked in set(self._asked) if not asked.startswith("_arg_"))
-            if isinstance(value, dict):
-                node, where = self.context.resolve(value, self.context.inside(self.where, name, value))
-                category = category_of(node, where)
-                unnamed = name.startswith("_arg_")
-                if category != "texture" or name in known or unnamed:
-                    called = "without a name" if unnamed else f"as '{name}'"
-                    raise error(
-                        where,
-                        f"a '{self.type}' takes no {category} plugin here (got '{node.get('type')}' {called})",
-                        f"its parameters are: {listing(known) or 'none'}",
-                    )
-            raise error(
-                self.where,
-                f"'{self.type}' has no parameter '{name}'{did_you_mean(name, known)}",
-                f"its parameters are: {listing(known) or 'none'}",
-            )
+    def _refuse(self, name: str) -> None:
+        # Nested plugins without a name of their own have one of the reader's.
+        known = sorted(asked for asked in set(self._asked) if not asked.startswith("_arg_"))
+        remedy = f"its parameters are: {listing(known) or 'none'}"
+        value = self._left[name]
+        if isinstance(value, dict):
+            _, node, where, category = self._nested(name, value)
+            unnamed = name.startswith("_arg_")
+            if category != "texture" or name in known or unnamed:
+                called = "without a name" if unnamed else f"as '{name}'"
+                problem = f"a '{self.type}' takes no {category} plugin here (got '{node.get('type')}' {called})"
+                raise error(where, problem, remedy)
+        raise error(self.where, f"'{self.type}' has no parameter '{name}'{did_you_mean(name, known)}", remedy)
 
 
 def _is_number(value: Any) -> bool:

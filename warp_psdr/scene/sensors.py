@@ -11,20 +11,33 @@ from .description import FilmDescription, SensorDescription
 from .errors import error
 from .origin import moved
 from .plugins import PLUGINS, Properties, unsupported_plugin
+from .transforms import Transform
 
 if TYPE_CHECKING:
     from .context import Context
 
 _FOV_AXES = ("x", "y", "diagonal", "smaller", "larger")
+#: Degrees, of the camera of a scene without one.
+_DEFAULT_FOV = 45.0
 #: Diagonal of 35 mm film, in mm: what focal lengths refer to.
 _FILM_DIAGONAL = math.hypot(36.0, 24.0)
 #: Largest difference of the axes' lengths, relative, that rounding in a scene file may leave.
 _RIGID = 1e-3
+#: Parameters of a film that matter when Mitsuba writes an image.
+_WRITTEN = {"file_format": ("openexr", "exr", "rgbe", "pfm"), "component_format": ("float16", "float32", "uint32")}
 _FILM_MAX = 65536
 #: Pixels of a film, 3 GB: images and their gradients are kept as a whole.
 _PIXELS_MAX = 1 << 28
 #: Radius of a reconstruction filter, pixels: the film grows by it on every side.
 _RADIUS_MAX = 64.0
+
+
+_Filter = tuple[Literal["box", "tent", "gaussian"], float, float]
+_Sampler = tuple[Literal["default", "independent", "sobol"], int]
+#: Name, radius and standard deviation of the filter of a film that names none.
+_GAUSSIAN: _Filter = ("gaussian", 2.0, 0.5)
+#: Sampler and samples of a camera that names none.
+_NO_SAMPLER: _Sampler = ("default", 4)
 
 
 def build(node: dict, where: str, path: str, context: Context) -> SensorDescription:
@@ -37,8 +50,8 @@ def build(node: dict, where: str, path: str, context: Context) -> SensorDescript
     if props.type not in PLUGINS["sensor"]:
         raise unsupported_plugin(props.type, where, "sensor")
     kind = cast(Literal["perspective", "orthographic", "thinlens"], props.type)
-    film = _film(props)
-    sampler, sample_count = _sampler(props)
+    film = context.attempt(lambda: _film(props), FilmDescription())
+    sampler, sample_count = context.attempt(lambda: _sampler(props), _NO_SAMPLER)
     near = props.number("near_clip", 1e-2, minimum=0.0, exclusive=True)
     far = props.number("far_clip", 1e4, minimum=0.0, exclusive=True)
     if near >= far:
@@ -68,6 +81,32 @@ def build(node: dict, where: str, path: str, context: Context) -> SensorDescript
         )
     props.finish()
     return result
+
+
+def default(low: np.ndarray, high: np.ndarray, where: str, path: str, context: Context) -> SensorDescription:
+    """Return the camera of a scene that has none: it looks along +z and sees all of the scene, 45 degrees wide.
+
+    It is the one that Mitsuba has made in this case (until 2022; its later versions render no scene without a sensor).
+
+    Args:
+        low: (3,) least coordinates of the scene, world units; not finite where it has no shapes.
+        high: (3,) largest ones.
+        where: Place of the scene, for messages.
+        path: Name under which its parameters are listed.
+        context: The load in progress.
+    """
+    node: dict = {"type": "perspective", "fov": _DEFAULT_FOV}
+    if np.isfinite(low).all():
+        largest = float((high - low).max())
+        distance = largest / (2.0 * math.tan(0.5 * math.radians(_DEFAULT_FOV)))
+        eye = (*(0.5 * (low + high))[:2], low[2] - distance)
+        node |= {
+            "near_clip": distance / 100.0,
+            "far_clip": 5.0 * largest + distance,
+            "to_world": Transform.translate(eye),
+        }
+    context.note(f"{where}: there is no sensor; one that looks along +z at the whole scene is used ({node})")
+    return build(node, where, path, context)
 
 
 def _pose(props: Properties) -> np.ndarray:
@@ -142,21 +181,36 @@ def _film(sensor: Properties) -> FilmDescription:
             f"the crop {crop_width}x{crop_height} at ({crop_x}, {crop_y}) leaves the film {width}x{height}",
             "offset and size together must not exceed the film",
         )
-    pixel_format = props.string("pixel_format", "rgb", ("rgb", "rgba", "luminance", "luminance_alpha", "xyz", "xyza"))
+    pixel_format = _format(props, "pixel_format", ("rgb", "rgba", "luminance", "luminance_alpha", "xyz", "xyza"))
     if pixel_format != "rgb":
         props.context.note(f"{props.place('pixel_format')}: '{pixel_format}' is ignored; images are RGB")
-    props.ignore("component_format", "file_format", reason="it is chosen when an image is written")
+    for name, choices in _WRITTEN.items():
+        if props.has(name):
+            _format(props, name, choices)
+            props.context.note(f"{props.place(name)} is ignored: it is chosen when an image is written")
+        props.take(name)
+    props.take("banner")  # Mitsuba 3 draws none either
     props.ignore("sample_border", "high_quality_edges", "compensate", reason="it does not apply to this film")
-    name, radius, stddev = _filter(props)
+    name, radius, stddev = props.context.attempt(lambda: _filter(props), _GAUSSIAN)
     props.finish()
     return FilmDescription(width, height, crop_x, crop_y, crop_width, crop_height, name, radius, stddev)
 
 
-def _filter(film: Properties) -> tuple[Literal["box", "tent", "gaussian"], float, float]:
+def _format(props: Properties, name: str, choices: tuple[str, ...]) -> str:
+    """Take one of the film's formats, in upper or lower case; the first one is the default."""
+    value = props.node.get(name, choices[0])
+    lower = value.lower() if isinstance(value, str) else value
+    if lower not in choices:
+        raise error(props.place(name), f"got {value!r}", f"give one of: {', '.join(choices)}")
+    props.take(name)
+    return str(lower)
+
+
+def _filter(film: Properties) -> _Filter:
     """Return a reconstruction filter's name, radius and standard deviation, in pixels."""
     nested = film.children("rfilter")
     if not nested:
-        return "gaussian", 2.0, 0.5
+        return _GAUSSIAN
     _, node, where = nested[0]
     props = Properties(node, where, film.path, film.context)
     stddev = 0.5
@@ -173,10 +227,10 @@ def _filter(film: Properties) -> tuple[Literal["box", "tent", "gaussian"], float
     return cast(Literal["box", "tent", "gaussian"], props.type), radius, stddev
 
 
-def _sampler(sensor: Properties) -> tuple[Literal["default", "independent", "sobol"], int]:
+def _sampler(sensor: Properties) -> _Sampler:
     nested = sensor.children("sampler")
     if not nested:
-        return "default", 4
+        return _NO_SAMPLER
     _, node, where = nested[0]
     props = Properties(node, where, sensor.path, sensor.context)
     count = props.integer("sample_count", 4, minimum=1)

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from . import bsdfs, emitters
-from .description import ShapeDescription
-from .errors import error
+from .description import EmitterDescription, ShapeDescription
+from .errors import ReportedError, error
 from .mesh_files import read_mesh
 from .meshes import MeshData, check, drop_flat_triangles, in_place, vertex_normals
 from .origin import collapses, moved
@@ -41,14 +41,19 @@ def build(node: dict, where: str, path: str, context: Context) -> ShapeDescripti
     props = Properties(node, where, path, context)
     props.ignore("silhouette_sampling_weight", reason="boundary sampling is set up by the integrator")
     flip, flat = props.boolean("flip_normals", False), props.boolean("face_normals", False)
-    data, to_world, place = _geometry(props)
+    geometry = context.attempt(lambda: _geometry(props), None)
+    lights = props.children("emitter")
+    bsdf = _bsdf(props, shines=bool(lights))
+    emitter = _light(props, lights)
+    props.finish()
+    if geometry is None:
+        raise ReportedError(where)
+    data, to_world, place = geometry
     to_world = moved(to_world, context.origin)
     analytic = props.type in PRIMITIVES
     check(data, place)
     if flat:
         data.normals = None
-    lights = props.children("emitter")
-    bsdf = _bsdf(props, shines=bool(lights))
     shape = _place(props, data, to_world, bsdf, flat=flat)
     # A mirrored sphere is inside out in Mitsuba; its other shapes keep their side.
     mirrored_sphere = props.type == "sphere" and bool(np.linalg.det(to_world[:3, :3]) < 0.0)
@@ -58,10 +63,9 @@ def build(node: dict, where: str, path: str, context: Context) -> ShapeDescripti
         shape.to_world = to_world.astype(np.float32)
         shape.local_vertices = data.vertices.astype(np.float32)
         shape.local_normals = None if data.normals is None else data.normals.astype(np.float32)
-    for _, light, light_where in lights:
-        shape.emitter = emitters.build_area(light, light_where, f"{path}.emitter", context)
-        check_attribute(shape.emitter.radiance, shape.attributes, light_where, 0.0, np.inf, False)
-    props.finish()
+    shape.emitter = emitter
+    if emitter is not None:
+        check_attribute(emitter.radiance, shape.attributes, lights[0][2], 0.0, np.inf, False)
     bsdfs.check_attributes(bsdf, shape.attributes, where)
     return shape
 
@@ -172,7 +176,25 @@ def _place(
 
 def _bsdf(props: Properties, *, shines: bool) -> bsdfs.BsdfDescription:
     nested = props.children("bsdf")
+    plain = bsdfs.default(f"{props.path}.bsdf", shines)
     if not nested:
-        return bsdfs.default(f"{props.path}.bsdf", shines)
+        return plain
     key, node, where = nested[0]
-    return bsdfs.build(node, where, f"{props.path}.bsdf", props.context, shared=node is not props.node[key])
+    shared = node is not props.node[key]
+    return props.context.attempt(
+        lambda: bsdfs.build(node, where, f"{props.path}.bsdf", props.context, shared=shared), plain
+    )
+
+
+def _light(props: Properties, nested: list[tuple[str, dict, str]]) -> EmitterDescription | None:
+    if not nested:
+        return None
+    key, node, where = nested[0]
+    shared = node is not props.node[key]
+
+    def build_light() -> EmitterDescription:
+        light = emitters.build_area(node, where, f"{props.path}.emitter", props.context, shared=shared)
+        props.context.attach(light, props.path, where)
+        return light
+
+    return props.context.attempt(build_light, None)

@@ -14,7 +14,7 @@ import numpy as np
 from warp_psdr.image_io import read_image, srgb_to_linear
 
 from .description import TextureDescription
-from .errors import SceneError, error
+from .errors import ReportedError, SceneError, error
 from .plugins import Properties, category_of
 from .spectra import COLOR_TYPES, LUMINANCE, check_range, color
 from .transforms import as_matrix
@@ -47,15 +47,32 @@ def texture(
         emissive: Whether it is emitted light.
         scalar: Whether it is one number; colour bitmaps are reduced to their luminance.
 
-    Raises:
-        ValueError: If the value is of a wrong form or out of range.
+    Returns:
+        The texture; the default, with a report to the context, if the value cannot be used.
     """
+    return props.context.attempt(
+        lambda: _texture(props, name, default, low, high, emissive, scalar),
+        constant(f"{props.path}.{name}", default),
+    )
+
+
+def _texture(
+    props: Properties,
+    name: str,
+    default: float | np.ndarray,
+    low: float,
+    high: float,
+    emissive: bool,
+    scalar: bool,
+) -> TextureDescription:
     value = props.take(name)
     place, path = props.place(name), f"{props.path}.{name}"
     if value is None:
         result = constant(path, default)
     elif isinstance(value, dict):
         node, where = props.context.resolve(value, props.context.inside(props.where, name, value))
+        if id(node) in props.context.broken:
+            raise ReportedError(where)
         place = where if node is not value else place
         result = props.context.build(
             node,
@@ -67,9 +84,17 @@ def texture(
         if scalar and result.kind == "bitmap" and result.value.shape[2] == 3:
             result = dataclasses.replace(result, path=path, value=(result.value @ LUMINANCE)[..., None])
     else:
-        result = constant(path, color(value, place, emissive=emissive, high=high))
+        result = constant(path, color(value, place, props.context, emissive=emissive, high=high))
     if scalar and result.kind == "constant" and result.value.size != 1:
         raise error(place, f"got the colour {result.value.tolist()}", f"'{name}' is one number")
+    if result.kind == "bitmap" and result.value.max() > high:
+        # As in Mitsuba, whose scenes hold such bitmaps.
+        count = int((result.value > high).sum())
+        props.context.note(
+            f"{place}: {count} of {result.value.size} values of '{name}' exceed {high:g} (the largest is "
+            f"{result.value.max():g}), so more light is scattered than arrives"
+        )
+        high = np.inf
     if result.value.size:
         check_range(result.value, place, low, high, f"'{name}'")
     return result
@@ -89,8 +114,14 @@ def build(
     node: dict, where: str, path: str, context: Context, emissive: bool = False, high: float = np.inf
 ) -> TextureDescription:
     """Return the texture that a nested dictionary describes."""
+    if node.get("type") == "d65":
+        nested = Properties(node, where, path, context).children("texture")
+        if nested and nested[0][0] != "color":
+            # The white of RGB times a texture is the texture.
+            _, inner, place = nested[0]
+            return build(inner, place, path, context, emissive, high)
     if node.get("type") in COLOR_TYPES:
-        return constant(path, color(node, where, emissive=emissive, high=high))
+        return constant(path, color(node, where, context, path=path, emissive=emissive, high=high))
     if category_of(node, where) != "texture":
         raise error(where, f"a '{node.get('type')}' is no texture", "give a colour, a bitmap or a mesh_attribute")
     props = Properties(node, where, path, context)

@@ -65,17 +65,19 @@ class Transform:
 
     @_Chained
     def rotate(axis: Any, degrees: float) -> np.ndarray:
-        """Return the rotation about ``axis``, shape (3,), by an angle in degrees, counter-clockwise.
+        """Return the rotation about ``axis``, a unit vector of shape (3,), by an angle in degrees, counter-clockwise.
 
-        The axis may have any length but zero: it is normalised. Mitsuba 3 takes it as it is, so that its matrix is no
-        rotation unless the length is one; a scene file with such an axis looks different there.
+        As in Mitsuba 3, the axis is taken as it is: if its length is not one, the matrix scales and is no rotation.
         """
-        x, y, z = _unit(_vector(axis, "rotate"), "the axis of a rotation has no length; give a non-zero axis")
+        v = _vector(axis, "rotate")
+        _unit(v, "the axis of a rotation has no length; give a non-zero axis")
+        x, y, z = v
         angle = math.radians(float(degrees))
         cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
         matrix = np.eye(4)
         # Rodrigues' formula.
-        matrix[:3, :3] += math.sin(angle) * cross + (1.0 - math.cos(angle)) * (cross @ cross)
+        cosine = math.cos(angle)
+        matrix[:3, :3] = cosine * np.eye(3) + math.sin(angle) * cross + (1.0 - cosine) * np.outer(v, v)
         return matrix
 
     @_Chained

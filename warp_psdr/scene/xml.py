@@ -9,8 +9,9 @@ from typing import Any
 from .context import Context, FileName, Outside
 from .description import SceneDescription
 from .dictionary import describe
-from .errors import SceneError, did_you_mean, error, listing, missing_file
+from .errors import SceneError, did_you_mean, error, limit, listing, missing_file
 from .plugins import PLUGINS, Node
+from .upgrade import CURRENT, Version, underscored, upgrade, upgrade_element, version_of
 from .xml_parser import Element, parse
 from .xml_values import PROPERTY_TAGS, attributes, read_property, read_transform
 
@@ -27,7 +28,6 @@ _PARAMETERS_MAX = 1000
 #: Tags of Mitsuba whose plugins are not supported.
 _UNSUPPORTED_TAGS = ("medium", "phase", "volume")
 _OTHER_TAGS = ("transform", "ref", "include", "alias", "default", "path")
-_VERSIONS = ("2", "3")
 
 
 def describe_file(path: str | os.PathLike[str], *, allow_outside: Outside = False, **defaults: Any) -> SceneDescription:
@@ -38,7 +38,7 @@ def describe_file(path: str | os.PathLike[str], *, allow_outside: Outside = Fals
     or below it, so that a scene from somebody else reads nothing but what came with it.
 
     Args:
-        path: An XML file of version 3.x (or 2.x, which has the same form).
+        path: An XML file of version 3.x, or an older one, whose names are brought up to date as Mitsuba 3 does it.
         allow_outside: Further folders in or below which files may lie (one, or several), for example the folder that
             holds both ``scenes/`` and ``textures/``; True: anywhere, for scenes that you trust.
         **defaults: Values for the file's ``$parameters``; they take precedence over ``<default>``.
@@ -80,25 +80,14 @@ def describe_string(
 def _describe(data: bytes, label: str, file: Path | None, context: Context, defaults: dict) -> SceneDescription:
     reader = _Reader(context, defaults)
     root = reader.parse(data, label)
-    _check_version(root)
+    version = version_of(root)
     if root.tag != "scene":
         raise error(root.where, "the outermost element is no <scene>", 'write <scene version="3.0.0">')
     scene = Node({"type": "scene"}, root.where, "scene")
-    reader.fill(scene, root, file, top=True)
-    reader.check_unused()
+    reader.fill(scene, root, file, version, top=True)
+    context.attempt(reader.check_unused, None)
     reader.register_aliases()
     return describe(scene, root.where, context)
-
-
-def _check_version(root: Element) -> None:
-    version = root.attributes.get("version", "")
-    if version.split(".")[0] not in _VERSIONS:
-        got = f"version '{version}'" if version else "no version"
-        raise error(
-            root.where,
-            f"the scene has {got}",
-            'only Mitsuba 3 scenes (version="3.x") are supported; convert older ones with Mitsuba 3',
-        )
 
 
 class _Reader:
@@ -132,20 +121,36 @@ class _Reader:
         self._elements_left -= count
         return root
 
-    def fill(self, node: Node, element: Element, file: Path | None, *, top: bool) -> None:
-        """Add an element's children to its dictionary; ``file`` is where the element stands."""
+    def fill(self, node: Node, element: Element, file: Path | None, version: Version, *, top: bool) -> None:
+        """Add an element's children to its dictionary; problems are reported.
+
+        Args:
+            node: The dictionary.
+            element: The element.
+            file: Where the element stands; None: in a text.
+            version: Of that file.
+            top: Whether the element is the scene.
+        """
         if file is not None and not self._including:
             self._including.append(file)
         for child in element.children:
-            self._substitute(child)
-            self._child(node, child, file, top=top)
+            try:
+                self._substitute(child)
+                self._child(node, child, file, version, top=top)
+            except (SceneError, FileNotFoundError) as problem:
+                self.context.report(problem)
+                if not top:
+                    self.context.broken.add(id(node))
 
-    def _child(self, node: Node, child: Element, file: Path | None, *, top: bool) -> None:
+    def _child(self, node: Node, child: Element, file: Path | None, version: Version, *, top: bool) -> None:
+        old = version < CURRENT
+        if old:
+            upgrade_element(child)
         if child.tag == "default":
             name, value = attributes(child, "name", "value").values()
             self.parameters.setdefault(name, value)
             if len(self.parameters) > _PARAMETERS_MAX:
-                raise error(child.where, f"more than {_PARAMETERS_MAX} parameters", "write values instead")
+                raise limit(child.where, f"more than {_PARAMETERS_MAX} parameters", "write values instead")
         elif child.tag == "alias":
             source, target = attributes(child, "id", "as").values()
             self._claim(target, child.where)
@@ -156,35 +161,39 @@ class _Reader:
             self._include(node, child, file, top=top)
         elif child.tag == "ref":
             values = attributes(child, "id", optional=("name",))
-            self._set(node, child, Node({"type": "ref", "id": values["id"]}, child.where), top=top)
+            self._set(node, child, Node({"type": "ref", "id": values["id"]}, child.where), top=top, old=old)
         elif child.tag == "transform":
             name = attributes(child, "name")["name"]
             for step in child.children:
                 self._substitute(step)
-            self._assign(node, name, read_transform(child), child.where)
+            self._assign(node, name, read_transform(child, self.context.note), child.where, old=old)
         elif child.tag in PROPERTY_TAGS and not (child.tag == "spectrum" and "type" in child.attributes):
             name, value = read_property(child)
             if isinstance(value, str) and file is not None:
                 value = FileName(value, file.parent)
-            self._assign(node, name, value, child.where)
+            elif isinstance(value, Node) and "filename" in value:
+                value["filename"] = FileName(value["filename"], _folder(file))
+            self._assign(node, name, value, child.where, old=old)
         else:
-            self._plugin(node, child, file, top=top)
+            self._plugin(node, child, file, version, top=top)
 
-    def _plugin(self, node: Node, child: Element, file: Path | None, *, top: bool) -> None:
+    def _plugin(self, node: Node, child: Element, file: Path | None, version: Version, *, top: bool) -> None:
         tag = "texture" if child.tag == "spectrum" else child.tag
-        if tag not in PLUGINS or tag == "scene":
+        if (tag not in PLUGINS and tag not in _UNSUPPORTED_TAGS) or tag == "scene":
             known = [*(name for name in PLUGINS if name != "scene"), *PROPERTY_TAGS, *_OTHER_TAGS]
-            supported = "" if tag in _UNSUPPORTED_TAGS else did_you_mean(tag, known)
-            raise error(child.where, f"the element <{tag}> is not supported{supported}", f"supported: {listing(known)}")
+            hint = did_you_mean(tag, known)
+            raise error(child.where, f"the element <{tag}> is not supported{hint}", f"supported: {listing(known)}")
         values = attributes(child, "type", optional=("id", "name"), also=("version",))
         plugin = Node({"type": values["type"]}, child.where, tag)
         if values.get("id"):
             self._claim(values["id"], child.where)
             plugin["id"] = values["id"]
-        self.fill(plugin, child, file, top=False)
-        self._set(node, child, plugin, top=top)
+        self.fill(plugin, child, file, version, top=False)
+        if version < CURRENT:
+            upgrade(plugin)
+        self._set(node, child, plugin, top=top, old=version < CURRENT)
 
-    def _set(self, node: Node, child: Element, value: Node, *, top: bool) -> None:
+    def _set(self, node: Node, child: Element, value: Node, *, top: bool, old: bool) -> None:
         """Store a nested plugin under its name; in the scene the id is the name, elsewhere the name is the slot."""
         name = child.attributes.get("name", "")
         if top:
@@ -200,9 +209,10 @@ class _Reader:
                 number += 1
             self._unnamed[id(node)] = number + 1
             name = f"_arg_{number}"
-        self._assign(node, name, value, child.where)
+        self._assign(node, name, value, child.where, old=old and not top)
 
-    def _assign(self, node: Node, name: str, value: Any, where: str) -> None:
+    def _assign(self, node: Node, name: str, value: Any, where: str, *, old: bool) -> None:
+        name = underscored(name) if old else name
         if name in node:
             raise error(where, f"'{name}' is given twice in {node.where}", "remove one of the two")
         node[name] = value
@@ -227,7 +237,7 @@ class _Reader:
                     self.used.add(name)
                 if len(text) > _LETTERS_MAX:
                     problem = f"the attribute '{key}' has more than {_LETTERS_MAX} letters with its parameters"
-                    raise error(element.where, problem, "write it shorter")
+                    raise limit(element.where, problem, "write it shorter")
             if "$" in text:
                 unknown = "".join(c if c.isalnum() or c == "_" else " " for c in text.split("$", 1)[1]).split(" ")[0]
                 known = listing(f"${name}" for name in self.parameters) or "none"
@@ -245,7 +255,7 @@ class _Reader:
             raise error(child.where, "a <path> inside a plugin", "move it directly into <scene>")
         self.context.search_paths.insert(0, self.context.folder(FileName(name, _folder(file)), child.where))
         if len(self.context.search_paths) > _PATHS_MAX:
-            raise error(child.where, f"more than {_PATHS_MAX} <path> folders", "keep those that are needed")
+            raise limit(child.where, f"more than {_PATHS_MAX} <path> folders", "keep those that are needed")
 
     def _include(self, node: Node, child: Element, file: Path | None, *, top: bool) -> None:
         values = attributes(child, "filename", optional=("name",))
@@ -255,17 +265,17 @@ class _Reader:
             raise error(child.where, f"circular <include>: {chain}", "remove one of the includes")
         self._includes += 1
         if self._includes > _INCLUDES_MAX:
-            raise error(child.where, f"more than {_INCLUDES_MAX} files are included", "put them into one")
+            raise limit(child.where, f"more than {_INCLUDES_MAX} files are included", "put them into one")
         root = self.parse(found.read_bytes(), found.name)
         self._including.append(found)
         self._substitute(root)
         if root.tag == "scene":
-            _check_version(root)
-            self.fill(node, root, found, top=top)
+            self.fill(node, root, found, version_of(root), top=top)
         else:
             if "name" in values:
                 root.attributes["name"] = values["name"]
-            self._child(node, root, found, top=top)
+            version = version_of(root) if "version" in root.attributes else CURRENT
+            self._child(node, root, found, version, top=top)
         self._including.pop()
 
     def check_unused(self) -> None:
@@ -283,15 +293,13 @@ class _Reader:
             )
 
     def register_aliases(self) -> None:
-        """Make aliases known to references.
-
-        Raises:
-            ValueError: If one stands for an unknown id.
-        """
+        """Make aliases known to references; those of unknown ids are reported."""
         for source, target, where in self.aliases:
             if source not in self.ids:
                 known = listing(f"'{name}'" for name in self.ids)
-                raise error(where, f"alias of unknown id '{source}'{did_you_mean(source, self.ids)}", f"ids: {known}")
+                problem = f"alias of unknown id '{source}'{did_you_mean(source, self.ids)}"
+                self.context.report(error(where, problem, f"ids: {known}"))
+                continue
             self.context.named[target] = Node({"type": "ref", "id": source}, where)
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 from xml.sax import SAXException, SAXParseException
 
-from .errors import SceneError, error
+from .errors import SceneError, error, limit
 
 #: Deeper nesting than any scene needs; protects the recursive reading.
 _MAX_DEPTH = 64
@@ -84,10 +84,10 @@ class _Handler(xml.sax.handler.ContentHandler):
         shown = "".join(f' {key}="{attributes[key]}"' for key in ("type", "id", "name") if key in attributes)
         element = Element(name, attributes, f"{self.label}:{self.line} <{name}{shown}>")
         if len(self._open) >= _MAX_DEPTH:
-            raise error(element.where, f"elements are nested more than {_MAX_DEPTH} deep", "flatten the scene")
+            raise limit(element.where, f"elements are nested more than {_MAX_DEPTH} deep", "flatten the scene")
         self.count += 1
         if self.count > self.most:
-            raise error(element.where, "the scene has too many elements", "put geometry into meshes")
+            raise limit(element.where, "the scene has too many elements", "put geometry into meshes")
         if self._open:
             self._open[-1].children.append(element)
         else:

@@ -13,6 +13,9 @@ from .plugins import Node
 from .transforms import Transform
 from .xml_parser import Element
 
+#: How much the length of a rotation's axis may differ from one without a remark: rounding in a file.
+_UNIT = 1e-3
+
 
 def attributes(
     element: Element, *required: str, optional: tuple[str, ...] = (), also: tuple[str, ...] = ()
@@ -52,13 +55,19 @@ def read_property(element: Element) -> tuple[str, Any]:
             raise error(element.where, "a component is missing", 'write x="..." y="..." z="..." or value="x y z"')
         return values["name"], _vector(element, 0.0)
     if element.tag == "spectrum" and "filename" in element.attributes:
-        raise error(element.where, "a spectrum from a file is not supported", 'write value="wavelength:value, ..."')
+        values = attributes(element, "name", "filename")
+        content = {"type": "spectrum", "filename": values["filename"]}
+        return values["name"], Node(content, element.where, "texture")
     name, text = attributes(element, "name", "value").values()
     return name, PROPERTY_TAGS[element.tag](text, element)
 
 
-def read_transform(element: Element) -> np.ndarray:
+def read_transform(element: Element, note: Callable[[str], None]) -> np.ndarray:
     """Return the 4x4 matrix of a ``<transform>``: its steps are applied in the order of the file.
+
+    Args:
+        element: The element.
+        note: Called with remarks for the user.
 
     Raises:
         ValueError: If a step is unknown or its numbers do not make a transformation.
@@ -73,6 +82,10 @@ def read_transform(element: Element) -> np.ndarray:
             )
         try:
             total = _STEPS[step.tag](step) @ total
+            if step.tag == "rotate" and abs(np.linalg.norm(_vector(step, 0.0)) - 1.0) > _UNIT:
+                note(
+                    f"{step.where}: the axis is no unit vector, so the matrix scales and is no rotation, as in Mitsuba"
+                )
         except SceneError as problem:
             text = str(problem)
             raise problem if text.startswith(step.where) else SceneError(f"{step.where}: {text}") from None

@@ -1,0 +1,36 @@
+"""Mitsuba 3's plugins by kind, those that are not supported included, so that messages know what a name stands for."""
+
+from __future__ import annotations
+
+#: Names that Mitsuba 3 has, and older versions had, by the XML tag that introduces them.
+MITSUBA: dict[str, tuple[str, ...]] = {
+    "shape": (
+        *("bsplinecurve", "ellipsoids", "ellipsoidsmesh", "heightfield", "instance", "linearcurve", "merge"),
+        *("sdfgrid", "serialized", "shapegroup", "hair"),
+    ),
+    "bsdf": (
+        *("blendbsdf", "bumpmap", "circular", "hair", "mask", "measured", "measured_polarized", "normalmap", "null"),
+        *("plastic", "polarizer", "pplastic", "principled", "principledthin", "retarder", "roughdielectric"),
+        *("roughplastic", "thindielectric", "coating", "roughcoating", "difftrans", "phong", "ward", "mixturebsdf"),
+        *("roughdiffuse", "opacity"),
+    ),
+    "texture": ("checkerboard", "volume", "gridtexture", "scale", "vertexcolors", "curvature", "wireframe"),
+    "emitter": (*("directionalarea", "projector", "sunsky", "timed_sunsky", "sky", "sun", "collimated"),),
+    "sensor": ("batch", "distant", "irradiancemeter", "radiancemeter", "fluencemeter", "perspective_rdist"),
+    "film": ("specfilm", "ldrfilm", "mfilm", "tiledhdrfilm"),
+    "rfilter": ("catmullrom", "lanczos", "mitchell"),
+    "sampler": ("halton", "hammersley"),
+    "integrator": (
+        *("stokes", "volprim_rf_basic", "bdpt", "photonmapper", "ppm", "sppm", "pssmlt", "mlt", "erpt", "vpl"),
+        *("adaptive", "irrcache", "multichannel"),
+    ),
+    "medium": ("heterogeneous", "homogeneous"),
+    "phase": ("blendphase", "hg", "isotropic", "rayleigh", "sggx", "tabphase"),
+    "volume": ("const", "constvolume", "grid", "gridvolume"),
+}
+
+
+def kind_of(name: str) -> str:
+    """Return the only kind of plugin that has this name in Mitsuba; empty: none or several."""
+    kinds = [kind for kind, names in MITSUBA.items() if name in names]
+    return kinds[0] if len(kinds) == 1 else ""
