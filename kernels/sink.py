@@ -1,10 +1,12 @@
 """Where the partial derivatives of local factors go, in reverse and in forward mode.
 
-Reverse mode adds ``value`` to the gradient at ``offset``; forward mode returns ``value`` times the tangent there, and
-the caller sums what the sinks return. A value that is not finite is dropped in reverse mode, which returns 1 for it and
-0 otherwise: so the sum is the number of values that a sample lost, while in forward mode it is not finite. Both use one
-flat array, laid out like ``Scene.values``. Where the boundary term records its samples, what pulls at edge points is
-kept (``boundary/local_form.py``) and all else is dropped.
+Reverse mode adds ``value`` to the gradient at ``offset``, in double precision: ``target`` is then the memory of float64
+sums under the type of forward mode's float32 tangents (``warp_psdr/gradient_sums.py``). A float32 sum of n equal terms
+has a relative error of n 2^-25, and after 2^24 of them stands still. Forward mode returns ``value`` times the tangent
+there, and the caller sums what the sinks return. A value that is not finite is dropped in reverse mode, which returns 1
+for it and 0 otherwise: so the sum is the number of values that a sample lost, while in forward mode it is not finite.
+Both use one flat array, laid out like ``Scene.values``. Where the boundary term records its samples, what pulls at edge
+points is kept (``boundary/local_form.py``) and all else is dropped.
 """
 
 import functools
@@ -12,6 +14,19 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.invalid import finite
+
+
+@wp.func_native("""
+    double* sums = (double*)target.data;
+#if defined(__CUDA_ARCH__)
+    atomicAdd(sums + offset, (double)value);
+#else
+    sums[offset] += (double)value;
+#endif
+""")
+def add_to_sum(target: wp.array(dtype=wp.float32), offset: wp.int32, value: wp.float32):
+    """Add to the float64 sum number ``offset`` in the memory of ``target``; on the CPU one thread owns it."""
+    ...
 
 
 @functools.cache
@@ -23,7 +38,7 @@ def make_sink(role: str):
         def sink(target: wp.array(dtype=wp.float32), offset: wp.int32, value: wp.float32) -> wp.float32:
             if not wp.isfinite(value):
                 return 1.0
-            wp.atomic_add(target, offset, value)
+            add_to_sum(target, offset, value)
             return 0.0
 
     elif role == "forward":
@@ -53,9 +68,9 @@ def make_sink_vec3(role: str):
         if wp.static(role == "reverse"):
             # One test for three values, nearly always.
             if finite(value):
-                wp.atomic_add(target, offset, value[0])
-                wp.atomic_add(target, offset + 1, value[1])
-                wp.atomic_add(target, offset + 2, value[2])
+                add_to_sum(target, offset, value[0])
+                add_to_sum(target, offset + 1, value[1])
+                add_to_sum(target, offset + 2, value[2])
                 return wp.float32(0.0)
         return (
             scalar(target, offset, value[0])

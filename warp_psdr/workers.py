@@ -16,7 +16,7 @@ import numpy as np
 
 #: Lanes of a launch. More lanes balance better and scale to more cores, fewer need fewer gradient buffers.
 LANES = 16
-#: Gradient buffers together hold at most this many floats (64 MB).
+#: The lanes' buffers together hold at most this many numbers (128 MB of gradients).
 LANE_FLOATS = 1 << 24
 #: Pixels of one launch: small enough to balance, large enough to hide the launch (10 us).
 MIN_CHUNK, MAX_CHUNK = 64, 4096
@@ -80,11 +80,6 @@ def chunks(pixels: int, lanes: int) -> list[list[tuple[int, int]]]:
     for i, first in enumerate(range(0, pixels, size)):
         result[i % lanes].append((first, min(size, pixels - first)))
     return result
-
-
-def lane_share(pixels: int, lanes: int) -> int:
-    """Return how many pixels the busiest of the ``lanes`` gets."""
-    return max((sum(n for _first, n in part) for part in chunks(pixels, lanes)), default=0)
 
 
 @functools.lru_cache(maxsize=32)

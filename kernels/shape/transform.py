@@ -82,19 +82,34 @@ def pose_shape_vjp(
     to_world: wp.int32,
     position_offset: wp.int32,
     normal_offset: wp.int32,
-    # In and out:
-    grad_out: wp.array(dtype=wp.float32),
+    grad: wp.array(dtype=wp.float32),
+    # Out:
+    pose_out: wp.array2d(dtype=wp.float64),
 ):
-    """Add the gradient of ``to_world``, given the gradients of positions and normals in the same flat array."""
+    """Add the gradient of ``to_world``'s upper three rows, given the flat gradient of positions and normals."""
     i = wp.tid()
     m = load_mat44(values, to_world)
-    g, _p, _a = wp.grad(point_dot)(m, local_positions[i], load_vec3(grad_out, position_offset + 3 * i))
+    g, _p, _a = wp.grad(point_dot)(m, local_positions[i], load_vec3(grad, position_offset + 3 * i))
     if normal_offset >= 0:
-        h, _n, _b = wp.grad(normal_dot)(m, local_normals[i], load_vec3(grad_out, normal_offset + 3 * i))
+        h, _n, _b = wp.grad(normal_dot)(m, local_normals[i], load_vec3(grad, normal_offset + 3 * i))
         g = g + h
     for row in range(3):
         for column in range(4):
-            wp.atomic_add(grad_out, to_world + 4 * row + column, g[row, column])
+            wp.atomic_add(pose_out, row, column, wp.float64(g[row, column]))
+
+
+@wp.kernel(module="unique", enable_backward=False)
+def add_pose(
+    # In:
+    pose: wp.array2d(dtype=wp.float64),
+    to_world: wp.int32,
+    # In and out:
+    grad_out: wp.array(dtype=wp.float32),
+):
+    """Add the gradient of ``to_world``'s upper three rows to the flat gradient."""
+    row, column = wp.tid()
+    i = to_world + 4 * row + column
+    grad_out[i] = wp.float32(wp.float64(grad_out[i]) + pose[row, column])
 
 
 @wp.kernel(module="unique", enable_backward=False)

@@ -1,7 +1,7 @@
-"""Sums of the lanes' gradients.
+"""Sums of the lanes' gradients, in double precision.
 
-Every lane of a launch adds to a flat float32 buffer of its own. Such a sum loses digits with its length
-(``kernels/reduction.py``), so after ``most`` samples the lanes are added to a total in double precision and cleared.
+Every lane of a launch adds to sums of its own (``kernels/sink.py``), which are added up in fixed order: so a gradient
+has the same bits for any number of workers, and its last digits do not depend on how many samples it is the sum of.
 """
 
 from __future__ import annotations
@@ -13,15 +13,11 @@ import warp as wp
 
 from warp_psdr import workers
 from warp_psdr.device import launch
-from warp_psdr.kernels.reduction import add_lanes, round_range
+from warp_psdr.kernels.reduction import add_lanes
 from warp_psdr.scene.chain import derived_ranges, pull_derived
 
 if TYPE_CHECKING:
     from warp_psdr.scene.scene import Scene
-
-#: Samples of a lane whose gradients are summed in float32: relative rounding errors of some 1e-6 (see
-#: ``kernels/reduction.py``), and of 1e-3 where all terms are equal, which is free of noise. Fewer would cost time.
-BUFFER_SAMPLES = 1 << 16
 
 
 class GradientSums:
@@ -32,31 +28,27 @@ class GradientSums:
         names: of the parameters.
 
     Attributes:
-        buffers: (lanes, values), what the lanes of a launch add to.
-        most: samples of one launch, all lanes together, after which ``collect`` has to be called.
+        buffers: what the lanes of a launch add to, a lane each: the memory of its float64 sums as twice as many
+            float32, the type that device code has for gradients and tangents.
     """
 
     def __init__(self, scene: Scene, names: list[str]):
         self._scene, self._names = scene, names
         size = scene.values.shape[0]
         lanes = workers.lane_count(size) if scene.device.is_cpu else 1
-        self.buffers = _zeros((lanes, size), np.float32, scene.device)
-        self.most = BUFFER_SAMPLES * lanes
-        self._total = _zeros((size,), np.float64, scene.device)
+        self._sums = _zeros((lanes, size), np.float64, scene.device)
+        self.buffers = [
+            wp.array(ptr=self._sums[lane].ptr, dtype=wp.float32, shape=(2 * size,), device=scene.device, copy=False)
+            for lane in range(lanes)
+        ]
         ranges = [(scene.parameters[n].offset, scene.parameters[n].size) for n in names]
         self._ranges = list(dict.fromkeys(ranges + derived_ranges(scene, names)))
 
-    def collect(self) -> None:
-        """Add the lanes up, in fixed order, and clear them."""
-        for offset, size in self._ranges:
-            inputs, outputs = [self.buffers, offset], [self._total]
-            launch(add_lanes, dim=size, inputs=inputs, outputs=outputs, device=self._scene.device)
-
     def result(self) -> wp.array:
         """Return the flat gradient, (values,) float32, pulled back to poses and positions."""
-        flat = _zeros(self._total.shape, np.float32, self._scene.device)
+        flat = _zeros((self._sums.shape[1],), np.float32, self._scene.device)
         for offset, size in self._ranges:
-            launch(round_range, dim=size, inputs=[self._total, offset], outputs=[flat], device=self._scene.device)
+            launch(add_lanes, dim=size, inputs=[self._sums, offset], outputs=[flat], device=self._scene.device)
         pull_derived(self._scene, self._names, flat)
         return flat
 

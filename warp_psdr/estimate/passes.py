@@ -134,30 +134,22 @@ def interior_backward(
     """Add the gradient of the interior term, of all pixels or of those listed, times a weight."""
     camera = scene.camera(sensor)
     dummy = wp.zeros((1, 1), dtype=wp.vec3, device=scene.device)
-    tail = [weight / spp, mix_seed(seed, STREAM_INTERIOR), _depth(plan), plan.rr_depth, adjoint]
-    count = camera.crop_width * camera.crop_height if pixels is None else pixels.shape[0]
-    lanes = sums.buffers.shape[0]
-    share = workers.lane_share(count, lanes)  # few pixels do not spread over all lanes
-    most = max(sums.most // lanes // max(share, 1), 1)
-    fields = _patches(scene, plan) | {"matters": _mask(scene, plan.shapes)}
-    for first_sample, samples, reported in _blocks(spp, most, progress):
-        block = [first_sample, samples, *tail]
-        _launch(
-            scene,
-            _gradient_kernel(plan, "reverse"),
-            (camera.crop_width, camera.crop_height),
-            lambda data, first, count, pixels, lane, block=block: (
-                [data, camera, pixels, first, count, *block],
-                [sums.buffers[lane], dummy],
-            ),
-            lanes=lanes,
-            kind="interior",
-            spp=samples,
-            progress=reported,
-            listed=pixels,
-            fields=fields,
-        )
-        sums.collect()
+    tail = [0, spp, weight / spp, mix_seed(seed, STREAM_INTERIOR), _depth(plan), plan.rr_depth, adjoint]
+    _launch(
+        scene,
+        _gradient_kernel(plan, "reverse"),
+        (camera.crop_width, camera.crop_height),
+        lambda data, first, count, pixels, lane: (
+            [data, camera, pixels, first, count, *tail],
+            [sums.buffers[lane], dummy],
+        ),
+        lanes=len(sums.buffers),
+        kind="interior",
+        spp=spp,
+        progress=progress,
+        listed=pixels,
+        fields=_patches(scene, plan) | {"matters": _mask(scene, plan.shapes)},
+    )
 
 
 def interior_forward(

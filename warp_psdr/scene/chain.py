@@ -17,7 +17,7 @@ from warp_psdr.kernels.shape.normals import (
     sum_normals_jvp,
     sum_normals_vjp,
 )
-from warp_psdr.kernels.shape.transform import pose_shape_jvp, pose_shape_vjp
+from warp_psdr.kernels.shape.transform import add_pose, pose_shape_jvp, pose_shape_vjp
 from warp_psdr.scene.layout import SHAPE_POSE
 
 if TYPE_CHECKING:
@@ -52,13 +52,16 @@ def pull_derived(scene: Scene, names: list[str], grad: wp.array) -> None:
     for shape in _posed(scene, names):
         record = scene.builder.shapes[shape]
         vertices, normals = scene.local_geometry(shape)
+        offsets = scene.pose_offsets(shape)
+        pose = wp.zeros((3, 4), dtype=wp.float64, device=device)
         launch(
             pose_shape_vjp,
             dim=record.vertex_count,
-            inputs=[scene.values, vertices, normals, *scene.pose_offsets(shape)],
-            outputs=[grad],
+            inputs=[scene.values, vertices, normals, *offsets, grad],
+            outputs=[pose],
             device=device,
         )
+        launch(add_pose, dim=(3, 4), inputs=[pose, offsets[0]], outputs=[grad], device=device)
     for shape in scene.derived_normals(names):
         record = scene.builder.shapes[shape]
         sums = scene.normal_sums(shape, write=False)

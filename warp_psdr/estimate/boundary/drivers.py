@@ -45,10 +45,7 @@ def launch_backward(scene: Scene, found: list[Term], adjoint: wp.array, sums: Gr
     dummy = wp.zeros((1, 1), dtype=wp.vec3, device=scene.device)
     buffers = sums.buffers
     for term in found:
-        for first in range(0, _checked(term).samples, sums.most):
-            count = min(sums.most, term.samples - first)
-            _run(scene, term, first, count, adjoint, lambda lane: [buffers[lane], dummy], buffers.shape[0])
-            sums.collect()
+        _run(scene, term, adjoint, lambda lane: [buffers[lane], dummy], len(buffers))
 
 
 def forward(
@@ -65,14 +62,14 @@ def launch_forward(scene: Scene, found: list[Term], tangents: wp.array, image: w
     lanes = max(2, min(workers.LANES, LANE_IMAGE_FLOATS // (3 * height * width))) if scene.device.is_cpu else 1
     images = wp.zeros((lanes, height, width), dtype=wp.vec3, device=scene.device)
     for term in found:
-        _run(scene, term, 0, _checked(term).samples, dummy, lambda lane: [tangents, images[lane]], lanes)
+        _run(scene, term, dummy, lambda lane: [tangents, images[lane]], lanes)
     launch(add_images, dim=(height, width), inputs=[images], outputs=[image], device=scene.device)
 
 
 def launch_samples(scene: Scene, term: Term, adjoint: wp.array, records: wp.array) -> None:
     """Write the record of every sample of a term of role "samples"."""
     dummy = wp.zeros((1, 1), dtype=wp.vec3, device=scene.device)
-    _run(scene, term, 0, _checked(term).samples, adjoint, lambda _lane: [records, dummy], 1)
+    _run(scene, term, adjoint, lambda _lane: [records, dummy], 1)
 
 
 def _checked(term: Term) -> Term:
@@ -84,20 +81,13 @@ def _checked(term: Term) -> Term:
     return term
 
 
-def _run(
-    scene: Scene,
-    term: Term,
-    begin: int,
-    count: int,
-    adjoint: wp.array,
-    outputs: Callable[[int], list],
-    lanes: int,
-) -> None:
-    """Launch ``count`` samples of a term, from number ``begin`` on; ``outputs``: of a lane."""
+def _run(scene: Scene, term: Term, adjoint: wp.array, outputs: Callable[[int], list], lanes: int) -> None:
+    """Launch the samples of a term; ``outputs``: of a lane."""
+    count = _checked(term).samples
     with counting(scene, term.kind, count, lanes) as of_lane:
 
         def arguments(first: int, _count: int, lane: int) -> tuple[list, list]:
-            data, *rest = term.inputs(begin + first, adjoint)
+            data, *rest = term.inputs(first, adjoint)
             return [of_lane(data, lane), *rest], outputs(lane)
 
         launch_lanes(term.kernel, count, arguments, lanes=lanes, device=scene.device)
