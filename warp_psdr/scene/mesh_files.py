@@ -1,7 +1,6 @@
 """Read mesh files without merging, splitting or reordering vertices.
 
-PLY, glTF, STL and OFF go through trimesh's format readers. OBJ is read here: trimesh's reader sorts the vertices and
-splits the mesh by material, while scene parameters rely on Mitsuba's order (the first use in the faces).
+PLY, glTF, STL and OFF go through trimesh's format readers, OBJ through ``obj_files``.
 """
 
 from __future__ import annotations
@@ -13,7 +12,8 @@ from typing import Any, BinaryIO, TypeVar
 import numpy as np
 
 from .errors import error
-from .meshes import MeshData, vertex_normals
+from .meshes import MeshData, fans, vertex_normals
+from .obj_files import read_obj
 from .transforms import transform_normals, transform_points
 
 T = TypeVar("T")
@@ -35,7 +35,7 @@ def read_mesh(kind: str, file: Path, where: str, note: Any) -> MeshData:
     Raises:
         ValueError: If the file cannot be read.
     """
-    readers = {"obj": _read_obj, "ply": _read_ply, "gltf": _read_gltf, "glb": _read_gltf}
+    readers = {"obj": read_obj, "ply": _read_ply, "gltf": _read_gltf, "glb": _read_gltf}
     place = f"{where}, file '{file}'"
     if kind in readers:
         return readers[kind](file, place, note)
@@ -60,91 +60,6 @@ def _guarded(load: Callable[[BinaryIO], T], file: Path, place: str) -> T:
         raise error(place, f"the file is damaged or of another format ({reason})", _REEXPORT) from None
 
 
-def _read_obj(file: Path, place: str, note: Any) -> MeshData:
-    """Read positions, texture coordinates, normals, vertex colours and polygons (cut into fans)."""
-    pools: dict[str, list[str]] = {"v": [], "vt": [], "vn": []}
-    polygons: list[list[str]] = []
-    places: list[tuple[int, int, int, int]] = []
-    with file.open(encoding="utf-8", errors="replace") as stream:
-        for number, line in enumerate(stream, start=1):
-            keyword, _, rest = line.strip().partition(" ")
-            if keyword in pools:
-                pools[keyword].append(rest)
-            elif keyword == "f":
-                polygons.append(rest.split())
-                # Negative indices count back from here.
-                places.append((number, len(pools["v"]), len(pools["vt"]), len(pools["vn"])))
-    positions = _obj_numbers(pools["v"], 3, "v", place)
-    texcoords = _obj_numbers(pools["vt"], 2, "vt", place)
-    normals = _obj_numbers(pools["vn"], 3, "vn", place)
-    corners, counts = _obj_corners(polygons, places, (len(positions), len(texcoords), len(normals)), place)
-    if len(corners) == 0:
-        return MeshData(np.empty((0, 3)), np.empty((0, 3), dtype=np.int64))
-    unique, first, inverse = np.unique(corners, axis=0, return_index=True, return_inverse=True)
-    order = np.argsort(first)
-    rank = np.empty(len(order), dtype=np.int64)
-    rank[order] = np.arange(len(order))
-    vertex = unique[order]
-    data = MeshData(positions[vertex[:, 0], :3], _fans(rank[inverse.reshape(-1)], counts))
-    if (vertex[:, 1] >= 0).any():
-        data.texcoords = np.where(vertex[:, 1:2] >= 0, texcoords[vertex[:, 1], :2], 0.0)
-    if (vertex[:, 2] >= 0).any():
-        data.normals = np.where(vertex[:, 2:3] >= 0, normals[vertex[:, 2], :3], 0.0)
-    if positions.shape[1] >= 6:
-        data.attributes["vertex_color"] = _stack(list(positions[vertex[:, 0], 3:6].T), np.float32)
-    return data
-
-
-def _obj_numbers(lines: list[str], columns: int, keyword: str, place: str) -> np.ndarray:
-    """Return the numbers of all lines with a keyword, shape (N, C) with C >= ``columns``."""
-    if not lines:
-        return np.empty((0, columns))
-    rows = [line.split() for line in lines]
-    width = min(len(row) for row in rows)
-    if width < columns:
-        i = next(i for i, row in enumerate(rows) if len(row) < columns)
-        raise error(place, f"'{keyword} {lines[i].strip()}' has {len(rows[i])} numbers", f"write {columns}")
-    try:
-        return np.array([row[:width] for row in rows], dtype=np.float64)
-    except ValueError:
-        raise error(place, f"a '{keyword}' line is not made of numbers", _REEXPORT) from None
-
-
-def _obj_corners(
-    polygons: list[list[str]], places: list[tuple[int, int, int, int]], sizes: tuple[int, int, int], place: str
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return zero-based (v, vt, vn) of every corner, -1 where absent, and the corners of each polygon."""
-    flat: list[tuple[int, int, int]] = []
-    for polygon, (line, *seen) in zip(polygons, places, strict=True):
-        if len(polygon) < 3:
-            raise error(f"{place}, line {line}", f"a face with {len(polygon)} corners", "give at least three")
-        for corner in polygon:
-            parts = corner.split("/")
-            try:
-                raw = [int(part) if part else 0 for part in (*parts, "", "")[:3]]
-            except ValueError:
-                raise error(f"{place}, line {line}", f"cannot read the corner '{corner}'", "write v/vt/vn") from None
-            index = [i - 1 if i >= 0 else count + i for i, count in zip(raw, seen, strict=True)]
-            if not 0 <= index[0] < sizes[0] or any(
-                i != 0 and not 0 <= k < size for i, k, size in zip(raw, index, sizes, strict=True)
-            ):
-                raise error(
-                    f"{place}, line {line}",
-                    f"the corner '{corner}' refers to a missing vertex, texture coordinate or normal",
-                    f"the file has {sizes[0]} v, {sizes[1]} vt and {sizes[2]} vn",
-                )
-            flat.append((index[0], index[1] if raw[1] else -1, index[2] if raw[2] else -1))
-    return np.array(flat, dtype=np.int64).reshape(-1, 3), np.array([len(p) for p in polygons], dtype=np.int64)
-
-
-def _fans(corners: np.ndarray, counts: np.ndarray) -> np.ndarray:
-    """Cut polygons, given as consecutive runs of ``corners``, into triangle fans in order, shape (M, 3)."""
-    triangles = np.maximum(counts - 2, 0)
-    start = np.repeat(np.cumsum(counts) - counts, triangles)
-    step = np.arange(triangles.sum()) - np.repeat(np.cumsum(triangles) - triangles, triangles)
-    return np.stack([corners[start], corners[start + step + 1], corners[start + step + 2]], axis=1)
-
-
 def _read_ply(file: Path, place: str, note: Any) -> MeshData:
     from trimesh.exchange import ply
 
@@ -164,7 +79,7 @@ def _read_ply(file: Path, place: str, note: Any) -> MeshData:
     corners = np.concatenate(polygons).astype(np.int64) if len(polygons) else np.empty(0, dtype=np.int64)
     if any(name not in vertex for name in "xyz"):
         raise error(place, "the vertices lack x, y or z", _REEXPORT)
-    data = MeshData(_stack([vertex.pop(name) for name in "xyz"], np.float64), _fans(corners, counts))
+    data = MeshData(_stack([vertex.pop(name) for name in "xyz"], np.float64), fans(corners, counts))
     if all(name in vertex for name in ("nx", "ny", "nz")):
         data.normals = _stack([vertex.pop(name) for name in ("nx", "ny", "nz")], np.float64)
     for names in (("u", "v"), ("s", "t"), ("texture_u", "texture_v")):

@@ -52,6 +52,16 @@ def in_place(props: Properties) -> MeshData:
     return data
 
 
+def fans(corners: np.ndarray, counts: np.ndarray) -> np.ndarray:
+    """Cut polygons, given as consecutive runs of ``corners``, into triangle fans in order, shape (M, 3)."""
+    if (counts == 3).all():
+        return corners.reshape(-1, 3)
+    triangles = np.maximum(counts - 2, 0)
+    start = np.repeat(np.cumsum(counts) - counts, triangles)
+    step = np.arange(triangles.sum()) - np.repeat(np.cumsum(triangles) - triangles, triangles)
+    return np.stack([corners[start], corners[start + step + 1], corners[start + step + 2]], axis=1)
+
+
 def check(data: MeshData, where: str) -> None:
     """Raise if a mesh cannot be rendered.
 
