@@ -14,7 +14,7 @@ def main() -> None:
     scene = psdr.load_file(ROOT / "scenes" / "cornell_box.xml")
     params = psdr.traverse(scene)
     for names in REQUESTS:
-        params.requires_grad(*names)
+        params.requires_grad_only(*names)
         print(f"gradient of {', '.join(names) or 'nothing'}:")
         print(psdr.plan(scene, params), end="\n\n")
 

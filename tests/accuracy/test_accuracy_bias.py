@@ -37,7 +37,7 @@ def bias_of(scene, params, name, integrator, spp):
 
 def test_bias_is_measured(soft):
     scene, params = soft
-    params.requires_grad(POSITIONS)
+    params.requires_grad_only(POSITIONS)
     try:
         options = {"clock": "cpu", "seconds": 0.5, "tiles": False}
         without = psdr.PathIntegrator(max_depth=2, boundary=None)
@@ -48,7 +48,7 @@ def test_bias_is_measured(soft):
         assert f"Bias, measured: {math.sqrt(squared):.2g} ±" in str(found)
         assert psdr.accuracy(scene, params, adjoint(), integrator=INTEGRATOR, **options).bias_squared is None
     finally:
-        params.requires_grad(POSITIONS, ALBEDO)
+        params.requires_grad_only(POSITIONS, ALBEDO)
 
 
 @pytest.mark.slow

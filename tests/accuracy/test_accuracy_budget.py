@@ -268,12 +268,12 @@ def test_a_report_of_something_else_is_refused(soft, report):
         psdr.render(scene, integrator=INTEGRATOR, target_error=0.1, report=report)
     with pytest.raises(ValueError, match="report: needed with target_error or time_budget only"):
         psdr.render(scene, integrator=INTEGRATOR, spp=1, report=report)
-    params.requires_grad(ALBEDO)
+    params.requires_grad_only(ALBEDO)
     try:
         with pytest.raises(ValueError, match=r"run psdr\.accuracy for this call"):
             psdr.render_backward(scene, params, adjoint(), integrator=INTEGRATOR, target_error=0.1, report=report)
     finally:
-        params.requires_grad(POSITIONS, ALBEDO)
+        params.requires_grad_only(POSITIONS, ALBEDO)
 
 
 def test_a_tape_takes_samples(soft):

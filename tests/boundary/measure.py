@@ -125,7 +125,7 @@ def derivatives(case: Case, mode: str, boundary="auto") -> np.ndarray:
             image = psdr.render_forward(scene, params, given, seed=SEED + batch, **options).numpy()
             sums.append(float((weights * image).sum()))
         else:
-            params.requires_grad(*case.names)
+            params.requires_grad_only(*case.names)
             params.zero_grad()
             psdr.render_backward(scene, params, weights.astype(np.float32), seed=SEED + batch, **options)
             sums.append(sum(float((params[n].grad.numpy().astype(np.float64) * t).sum()) for n, t in tangents.items()))
@@ -176,7 +176,7 @@ def assert_transposes(scene, params, names, options: dict) -> None:
     camera = scene.camera(0)
     adjoint = random.uniform(0.5, 1.5, (camera.crop_height, camera.crop_width, 3)).astype(np.float32)
     image = psdr.render_forward(scene, params, tangents, **options).numpy().astype(np.float64)
-    params.requires_grad(*names)
+    params.requires_grad_only(*names)
     params.zero_grad()
     psdr.render_backward(scene, params, adjoint, **options)
     total = sum(float((params[n].grad.numpy().astype(np.float64) * tangents[n]).sum()) for n in names)

@@ -117,7 +117,7 @@ def test_guiding_follows_what_abuts() -> None:
     name = "second.vertex_positions"
     base = params[name].numpy().copy()
     weights = np.ones((SIZE, SIZE, 3), np.float32)
-    params.requires_grad(*BOTH)
+    params.requires_grad_only(*BOTH)
     integrator = psdr.PathIntegrator(max_depth=2, boundary=METHODS["guided"])
     beside = []
     try:

@@ -38,7 +38,7 @@ def test_a_convex_body_under_a_uniform_sky_is_its_outline() -> None:
         moved[i] -= 2.0 * step
         exact[i] = (high - outline(scene, moved).volume) / (2.0 * step)
     exact *= -(1.0 - ALBEDO).sum()
-    params.requires_grad(name)
+    params.requires_grad_only(name)
     integrator = psdr.PathIntegrator(max_depth=2, boundary=psdr.boundary.PathSpace(spp_primary=1024, spp_secondary=1))
     found = []
     for seed in range(4):

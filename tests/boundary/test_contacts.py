@@ -151,7 +151,7 @@ def test_reverse_mode_takes_touching_shapes_and_the_plan_says_what_holds() -> No
     assert np.abs(params[BOX].grad.numpy()).max() > 0.0
     (line,) = (line for line in psdr.plan(scene, params, integrator=DIRECT).lines if line[0] == "contacts")
     assert "'ground' and 'box'" in line[2] and "one-sided" in line[2]
-    params.requires_grad(LIGHT)
+    params.requires_grad_only(LIGHT)
     assert "contacts" not in str(psdr.plan(scene, params, integrator=DIRECT))
     above, _params = load("room above")
     assert "contacts" not in str(psdr.plan(above, names=[BOX], integrator=DIRECT))

@@ -30,7 +30,7 @@ def adjoint():
 
 def gradient_of(scene_name, name, method="auto", depth=DEPTH):
     scene, params = load(scene_name)
-    params.requires_grad(name)
+    params.requires_grad_only(name)
     integrator = psdr.PathIntegrator(max_depth=depth, boundary=method)
     return quantity.gradient(scene, params, adjoint(), integrator=integrator, sensor=0)
 

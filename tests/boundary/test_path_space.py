@@ -17,7 +17,7 @@ def scene_of(**objects):
 
 
 def gradients(scene, params, names, adjoint, **options):
-    params.requires_grad(*names)
+    params.requires_grad_only(*names)
     params.zero_grad()
     psdr.render_backward(scene, params, adjoint, **options)
     return {n: params[n].grad.numpy().copy() for n in names}
@@ -108,12 +108,12 @@ def test_wrong_sample_counts_are_refused(value) -> None:
 
 def test_the_plan_says_which_method_it_chose() -> None:
     scene, params = load("soft")
-    params.requires_grad(OCCLUDER)
+    params.requires_grad_only(OCCLUDER)
     plan = psdr.plan(scene, params, integrator=psdr.PathIntegrator(max_depth=2))
     assert plan.boundary == psdr.boundary.PathSpace()
     line = next(line for line in plan.lines if line[0] == "boundary term")
     assert line[1] == "boundary.PathSpace" and OCCLUDER in line[2]
-    params.requires_grad("floor.bsdf.reflectance.value")
+    params.requires_grad_only("floor.bsdf.reflectance.value")
     assert psdr.plan(scene, params, integrator=psdr.PathIntegrator()).boundary is None
 
 
@@ -147,7 +147,7 @@ def test_what_is_not_covered_is_refused_with_a_remedy(case) -> None:
     with pytest.raises(ValueError, match=message) as error:
         psdr.render_forward(scene, params, {OCCLUDER: 1.0}, integrator=integrator, spp=1)
     assert "boundary=None" in str(error.value)
-    params.requires_grad(OCCLUDER)
+    params.requires_grad_only(OCCLUDER)
     with pytest.raises(ValueError, match=message):
         psdr.render_backward(scene, params, np.ones((16, 16, 3)), integrator=integrator, spp=1)
 

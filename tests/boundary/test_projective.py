@@ -207,7 +207,7 @@ def test_it_keeps_what_it_built_apart_from_others() -> None:
 def test_its_modes_are_transposes_and_the_plan_names_it() -> None:
     scene, params = load("soft")
     integrator = psdr.PathIntegrator(max_depth=2, boundary=Projective(guiding=SMALL, paths=1024))
-    params.requires_grad(OCCLUDER)
+    params.requires_grad_only(OCCLUDER)
     lines = {line[0]: line for line in psdr.plan(scene, params, integrator=integrator).lines}
     assert lines["boundary term"][1] == "boundary.Projective" and lines["guiding"][1] == "guiding.Octree"
     assert_transposes(scene, params, [OCCLUDER], {"integrator": integrator, "spp": 16, "seed": 3})

@@ -159,7 +159,7 @@ def test_what_cannot_be_traced_is_refused() -> None:
         psdr.trace_sample(scene, sample=0, kind="guiding", params=params, **how)
     with pytest.raises(ValueError, match="takes the pixel"):
         psdr.trace_sample(scene, sample=0)
-    params.requires_grad(NAME)
+    params.requires_grad_only(NAME)
     with pytest.raises(ValueError, match=r"which boundary\.PathSpace does not estimate"):
         psdr.trace_sample(scene, sample=0, kind="through_mirrors", params=params, **how)
     with pytest.raises(ValueError, match="sample: got 1000000"):

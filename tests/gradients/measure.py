@@ -160,7 +160,7 @@ def derivative(case, mode: str, block: int, names, tangent, weights) -> np.ndarr
             image = psdr.render_forward(scene, params, tangents, seed=SEED + batch, **options).numpy()
             sums.append(float((weights.astype(np.float64) * image).sum()))
         else:
-            params.requires_grad(*names)
+            params.requires_grad_only(*names)
             params.zero_grad()
             psdr.render_backward(scene, params, weights, seed=SEED + batch, **options)
             sums.append(float((params[case.parameter].grad.numpy().astype(np.float64) * tangent).sum()))

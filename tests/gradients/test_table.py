@@ -23,7 +23,7 @@ def rows():
 def requested(case):
     """The parameters of a case's scene that are requested together."""
     _scene, params = load(case.scene)
-    params.requires_grad(*TOGETHER[case.scene])
+    params.requires_grad_only(*TOGETHER[case.scene])
     return params.requested
 
 
@@ -76,7 +76,7 @@ def test_every_parameter_of_every_scene_has_a_row_or_a_reason():
 )
 def test_a_moving_discontinuity_is_never_left_out_in_silence(scene, parameter, reason):
     loaded, params = load(scene)
-    params.requires_grad(parameter)
+    params.requires_grad_only(parameter)
     left_out = psdr.plan(loaded, params, integrator=measure.integrator(2))
     assert any(parameter in d and reason in d for d in left_out.discontinuities)
     auto = psdr.PathIntegrator(max_depth=2)

@@ -112,7 +112,7 @@ def slope(black, block, mode):
         image = psdr.render_forward(scene, params, {name: tangent}, **options).numpy().astype(np.float64)
         got = (image * difference).sum()
     else:
-        params.requires_grad(name)
+        params.requires_grad_only(name)
         params.zero_grad()
         psdr.render_backward(scene, params, difference, **options)
         got = (params[name].grad.numpy().astype(np.float64) * tangent).sum()

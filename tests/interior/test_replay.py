@@ -65,9 +65,9 @@ FAST_PAIRS = {(1, 8), (2, 1), (5, 1), (5, 2), (16, 3), (16, 8), (64, 8)}
 def test_every_block_size_gives_the_textbook_gradient(closed, depth, block):
     scene, params = closed
     if depth == 1:
-        params.requires_grad("room.emitter.radiance.value")
+        params.requires_grad_only("room.emitter.radiance.value")
     else:
-        params.requires_grad("room.bsdf.reflectance.value", "room.emitter.radiance.value")
+        params.requires_grad_only("room.bsdf.reflectance.value", "room.emitter.radiance.value")
     assert_same(backward(scene, params, depth, block), backward(scene, params, depth, 0), CANCELLATION)
 
 
@@ -75,7 +75,7 @@ def test_every_block_size_gives_the_textbook_gradient(closed, depth, block):
 @pytest.mark.parametrize("depth", [2, 5, 16, 64])
 def test_block_sizes_agree_to_rounding(closed, depth):
     scene, params = closed
-    params.requires_grad("room.bsdf.reflectance.value", "room.emitter.radiance.value")
+    params.requires_grad_only("room.bsdf.reflectance.value", "room.emitter.radiance.value")
     whole = backward(scene, params, depth, 64)
     for block in KS:
         assert_same(backward(scene, params, depth, block), whole, ROUNDING)
@@ -84,7 +84,7 @@ def test_block_sizes_agree_to_rounding(closed, depth):
 @pytest.mark.parametrize("depth", [1, 2, 5, 16, 64])
 def test_gradient_of_the_furnace_has_its_closed_form(closed, depth):
     scene, params = closed
-    params.requires_grad("room.bsdf.reflectance.value", "room.emitter.radiance.value")
+    params.requires_grad_only("room.bsdf.reflectance.value", "room.emitter.radiance.value")
     options = {"integrator": integrator(depth), "spp": 64}
     k = np.arange(depth)
     slopes = {
@@ -107,7 +107,7 @@ def test_gradient_of_the_furnace_has_its_closed_form(closed, depth):
 
 def test_unbounded_paths_end_by_roulette_only(closed):
     scene, params = closed
-    params.requires_grad("room.bsdf.reflectance.value", "room.emitter.radiance.value")
+    params.requires_grad_only("room.bsdf.reflectance.value", "room.emitter.radiance.value")
     endless = backward(scene, params, -1, 8, spp=16, rr_depth=3)
     # The plan cuts unbounded paths after 512 vertices; no path of this seed comes near.
     assert_same(endless, backward(scene, params, 512, 8, spp=16, rr_depth=3), 0.0)
@@ -120,7 +120,7 @@ def test_unbounded_paths_end_by_roulette_only(closed):
 
 def test_unbounded_paths_are_as_long_in_small_blocks(closed):
     scene, params = closed
-    params.requires_grad("room.bsdf.reflectance.value")
+    params.requires_grad_only("room.bsdf.reflectance.value")
     long = {k: backward(scene, params, -1, k, spp=4, rr_depth=150) for k in (2, 64)}
     assert_same(long[2], long[64], 0.0)
     with pytest.raises(ValueError, match=r"rr_depth: paths without a depth limit .* give max_depth"):
@@ -139,8 +139,8 @@ def test_unbounded_paths_are_as_long_in_small_blocks(closed):
 )
 def test_chains_through_mirrors_and_glass_cross_block_boundaries(name, block):
     scene, params = scenes.load(name)
-    params.requires_grad("*")
-    params.requires_grad(*(n for n in params if n not in ("room.vertex_texcoords", "ball.vertex_texcoords")))
+    params.requires_grad_only("*")
+    params.requires_grad_only(*(n for n in params if n not in ("room.vertex_texcoords", "ball.vertex_texcoords")))
     assert_same(backward(scene, params, 5, block), backward(scene, params, 5, 16), ROUNDING)
 
 
@@ -148,7 +148,7 @@ def test_chains_through_mirrors_and_glass_cross_block_boundaries(name, block):
 @pytest.mark.parametrize("name", ["plane", "gap", "rough"])
 def test_textbook_replay_agrees_on_moving_vertices(name):
     scene, params = scenes.load(name)
-    params.requires_grad("*")
+    params.requires_grad_only("*")
     for n, g in backward(scene, params, 4, 0, spp=16).items():
         expected = backward(scene, params, 4, 8, spp=16)[n]
         np.testing.assert_allclose(g, expected, rtol=0.0, atol=CANCELLATION * max(np.abs(expected).max(), 1e-6))
@@ -156,7 +156,7 @@ def test_textbook_replay_agrees_on_moving_vertices(name):
 
 def test_memory_depends_neither_on_depth_nor_on_samples(closed):
     scene, params = closed
-    params.requires_grad("room.bsdf.reflectance.value", "room.emitter.radiance.value")
+    params.requires_grad_only("room.bsdf.reflectance.value", "room.emitter.radiance.value")
     backward(scene, params, 64, 8, spp=1)  # compiled, pools allocated
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     backward(scene, params, 64, 8, spp=256)

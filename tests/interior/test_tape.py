@@ -74,7 +74,7 @@ def test_the_tape_refuses_a_scene_that_has_changed(loaded, edit):
     elif edit == "in place":
         params[ALBEDO].fill_(0.25)
     else:
-        params.requires_grad(RADIANCE)
+        params.requires_grad_only(RADIANCE)
     rendered.grad.fill_(wp.vec3(1.0, 1.0, 1.0))
     with pytest.raises(RuntimeError, match="has changed since"):
         tape.backward()

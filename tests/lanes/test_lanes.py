@@ -108,7 +108,6 @@ def images_and_gradients(scene, spp, sampler, depth, names):
     adjoint[::3, 1::2] = 0.0  # pixels without a weight are left out
     psdr.render_backward(scene, params, adjoint, integrator=integrator, spp=spp, seed=6)
     gradients = {name: params[name].grad.numpy().copy() for name in names}
-    params.requires_grad()
     return image, gradients
 
 

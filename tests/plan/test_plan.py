@@ -130,7 +130,7 @@ def test_one_albedo_compiles_no_geometry(diffuse, tmp_path):
 
 def test_the_plan_says_what_and_why(diffuse):
     scene, params = diffuse
-    params.requires_grad("floor.bsdf.reflectance.value")
+    params.requires_grad_only("floor.bsdf.reflectance.value")
     plan = psdr.plan(scene, params, integrator=INTEGRATOR)
     table = {item: (decision, reason) for item, decision, reason in plan.lines}
     assert table["materials"] == ("diffuse", "no dispatch")
@@ -145,7 +145,7 @@ def test_the_plan_says_what_and_why(diffuse):
     text = str(plan)
     assert len(text.splitlines()) == len(plan.lines)
     assert all(part in text for line in plan.lines for part in line)
-    params.requires_grad()
+    params.requires_grad_only()
     assert "no parameter is requested" in str(psdr.plan(scene, params, integrator=INTEGRATOR))
 
 
@@ -197,12 +197,12 @@ def test_a_name_that_is_none_is_refused_with_one_that_is(diffuse):
 def test_moving_discontinuities_are_named_and_never_left_out_in_silence(diffuse):
     scene, params = diffuse
     name = "ceiling.vertex_positions"
-    params.requires_grad("floor.bsdf.reflectance.value", name)
+    params.requires_grad_only("floor.bsdf.reflectance.value", name)
     left_out = psdr.plan(scene, params, integrator=INTEGRATOR)
     assert len(left_out.discontinuities) == 1 and left_out.discontinuities[0].startswith(name)
     line = next(line for line in left_out.lines if line[0] == "boundary term")
     assert line[1] == "left out" and name in line[2] and "boundary=None" in line[2]
-    params.requires_grad("floor.bsdf.reflectance.value")
+    params.requires_grad_only("floor.bsdf.reflectance.value")
     assert psdr.plan(scene, params, integrator=psdr.PathIntegrator()).discontinuities == ()
 
 
@@ -253,7 +253,7 @@ def test_the_scene_file_names_the_integrator(diffuse):
 @pytest.mark.parametrize("spp", [0, -1, 1.5, "4", True])
 def test_a_bad_sample_count_is_refused(diffuse, spp):
     scene, params = diffuse
-    params.requires_grad("floor.bsdf.reflectance.value")
+    params.requires_grad_only("floor.bsdf.reflectance.value")
     ones = np.ones((scenes.SIZE, scenes.SIZE, 3), np.float32)
     for call in (
         lambda: psdr.render(scene, spp=spp),

@@ -22,7 +22,7 @@ def test_ray_that_ends_where_it_started():
     assert np.isfinite(image).all()
     adjoint = np.zeros_like(image)
     adjoint[2, 2] = 1.0
-    params.requires_grad("box.vertex_positions")
+    params.requires_grad_only("box.vertex_positions")
     psdr.render_backward(scene, params, adjoint, **options)
     reverse = float(np.sum(params["box.vertex_positions"].grad.numpy() * velocity))
     assert image[2, 2].sum() != 0.0

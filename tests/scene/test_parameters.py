@@ -362,17 +362,33 @@ def test_patterns_name_what_is_differentiated(loaded):
     _scene, params = loaded
     params.requires_grad("*.value")
     assert params.requested == [ALBEDO, "ceiling.bsdf.reflectance.value", RADIANCE]
-    params.requires_grad(RADIANCE, "*.value")
+    params.requires_grad_only(RADIANCE, "*.value")
     assert params.requested == [RADIANCE, ALBEDO, "ceiling.bsdf.reflectance.value"]
     assert params[ALBEDO].grad is not None
-    params.requires_grad("sensor.x_fov")
+    params.requires_grad_only("sensor.x_fov")
     assert params.requested == ["sensor.x_fov"]
     assert params[ALBEDO].grad is None
     assert "x_fov" in next(line for line in repr(params).splitlines() if "gradient requested" in line)
     with pytest.raises(KeyError):
         params.requires_grad("*.colour")
-    params.requires_grad()
+    params.requires_grad_only()
     assert params.requested == []
+
+
+def test_requests_add_up(loaded):
+    _scene, params = loaded
+    params.requires_grad(ALBEDO)
+    params[ALBEDO].grad.fill_(1.0)
+    params.requires_grad(RADIANCE, ALBEDO)
+    assert params.requested == [ALBEDO, RADIANCE]
+    assert params[ALBEDO].grad.numpy().all(), "asking for more lost a gradient"
+    params.requires_grad()
+    assert params.requested == [ALBEDO, RADIANCE]
+    with pytest.raises(KeyError):
+        params.requires_grad_only("*.colour")
+    assert params.requested == [ALBEDO, RADIANCE]
+    params.requires_grad_only(RADIANCE)
+    assert params.requested == [RADIANCE] and params[ALBEDO].grad is None
 
 
 def test_zero_grad_and_accumulation(loaded):

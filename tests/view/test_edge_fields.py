@@ -20,12 +20,12 @@ SUMMATION = 1e-4
 @pytest.fixture(scope="module")
 def under_a_light():
     scene, params = load("soft")
-    params.requires_grad(NAME)
+    params.requires_grad_only(NAME)
     return scene, params
 
 
 def gradient(scene, params, adjoint, boundary, spp: int = 8) -> np.ndarray:
-    params.requires_grad(NAME)
+    params.requires_grad_only(NAME)
     params.zero_grad()
     integrator = psdr.PathIntegrator(max_depth=2, boundary=boundary)
     psdr.render_backward(scene, params, adjoint, integrator=integrator, spp=spp, seed=5)
@@ -81,7 +81,7 @@ def test_density_integrates_to_one(under_a_light) -> None:
 
 def test_the_density_of_guided_sampling_is_that_of_its_cells(under_a_light) -> None:
     scene, params = under_a_light
-    params.requires_grad(NAME)
+    params.requires_grad_only(NAME)
     tree = psdr.guiding.KdTree()
     integrator = psdr.PathIntegrator(max_depth=2, boundary=psdr.boundary.PathSpace(guiding=tree))
     psdr.guiding.reset(scene)
@@ -136,7 +136,7 @@ def test_samples_that_are_not_finite_are_counted(kind) -> None:
 
 def test_wrong_pieces_are_refused(under_a_light) -> None:
     scene, params = under_a_light
-    params.requires_grad(NAME)
+    params.requires_grad_only(NAME)
     for pieces in (0, 1.5, True):
         with pytest.raises(ValueError, match="pieces: got"):
             edge_fields.edge_density(scene, params, pieces=pieces)
@@ -145,10 +145,10 @@ def test_wrong_pieces_are_refused(under_a_light) -> None:
 def test_what_has_no_boundary_term_is_refused(under_a_light) -> None:
     scene, params = under_a_light
     adjoint = adjoint_of(scene)
-    params.requires_grad("floor.bsdf.reflectance.value")
+    params.requires_grad_only("floor.bsdf.reflectance.value")
     with pytest.raises(ValueError, match="have no boundary term here"):
         edge_fields.boundary_samples(scene, params, adjoint, integrator=DIRECT)
-    params.requires_grad(NAME)
+    params.requires_grad_only(NAME)
     with pytest.raises(ValueError, match=r"only those of boundary.PathSpace\(\)"):
         other = psdr.PathIntegrator(max_depth=2, boundary=psdr.boundary.EdgeSampling())
         edge_fields.boundary_samples(scene, params, adjoint, integrator=other)

@@ -174,7 +174,7 @@ class Parameters(Mapping):
         self._dirty.clear()
 
     def requires_grad(self, *patterns: str) -> None:
-        """Say what is differentiated; nothing else is paid for. Replaces what was asked for before.
+        """Ask for derivatives of these parameters, beside those that were asked for before; nothing else is paid for.
 
         Args:
             *patterns: names, or shell patterns such as ``"*.reflectance.value"``.
@@ -183,14 +183,33 @@ class Parameters(Mapping):
             KeyError: a name or pattern matches nothing.
             TypeError: what is given is no name.
         """
-        requested: list[str] = []
+        self._request([*self._requested, *self._matching(patterns)])
+
+    def requires_grad_only(self, *patterns: str) -> None:
+        """Ask for derivatives of these parameters alone: others lose their gradients; without names, all of them do.
+
+        Args:
+            *patterns: as of ``requires_grad``.
+
+        Raises:
+            KeyError: a name or pattern matches nothing.
+            TypeError: what is given is no name.
+        """
+        self._request(self._matching(patterns))
+
+    def _matching(self, patterns: Iterable[str]) -> list[str]:
+        found: list[str] = []
         for pattern in patterns:
             if not isinstance(pattern, str):
                 raise TypeError(f"requires_grad: got {pattern!r}, expected names: requires_grad(*names)")
             matches = [pattern] if pattern in self._views else fnmatch.filter(self._views, pattern)
             if not matches:
                 self._parameter(pattern)
-            requested += [m for m in matches if m not in requested]
+            found += matches
+        return found
+
+    def _request(self, names: list[str]) -> None:
+        requested = list(dict.fromkeys(names))
         for name in self._requested:
             if name not in requested:
                 self._views[name].requires_grad = False
@@ -201,7 +220,7 @@ class Parameters(Mapping):
 
     @property
     def requested(self) -> list[str]:
-        """Names that ``requires_grad`` was asked for."""
+        """Names of what ``requires_grad`` was asked for."""
         return list(self._requested)
 
     def zero_grad(self) -> None:
