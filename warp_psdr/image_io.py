@@ -1,4 +1,4 @@
-"""Read and write images: EXR, PNG and JPEG as linear float32 arrays."""
+"""Read and write images as linear float32 arrays: EXR, RGBE and PFM in floating point, PNG, JPEG, BMP and TGA in sRGB."""
 
 from __future__ import annotations
 
@@ -12,10 +12,15 @@ from typing import Any
 import numpy as np
 
 from warp_psdr.files import atomic_path
+from warp_psdr.float_images import read_float_image, write_pfm, write_rgbe
 
-_EXR = (".exr",)
-_LOW_RANGE = (".png", ".jpg", ".jpeg")
-_SUPPORTED = (*_EXR, *_LOW_RANGE)
+_EXR, _RGBE, _PFM = (".exr",), (".hdr", ".rgbe"), (".pfm",)
+#: Suffix -> Pillow's name of the format.
+_LOW_RANGE = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG", ".bmp": "BMP", ".tga": "TGA"}
+#: Suffixes of the formats that are read and written.
+SUFFIXES = (*_EXR, *_RGBE, *_PFM, *_LOW_RANGE)
+#: Formats with an alpha channel.
+_WITH_ALPHA = (*_EXR, ".png", ".tga")
 #: Largest finite value of a half float; larger values are written as this one instead of infinity.
 _HALF_MAX = 65504.0
 #: Values of an image (pixels times channels): 2 GB as float32, 16 times those of an 8k environment map in colour.
@@ -38,12 +43,12 @@ def read_image(path: str | os.PathLike[str], *, raw: bool = False) -> np.ndarray
     """Read an image, top row first.
 
     Args:
-        path: An EXR, PNG or JPEG file.
+        path: A file of one of the formats in ``SUFFIXES``.
         raw: Leave 8- and 16-bit values as they are stored (divided by 255 or 65535) instead of decoding sRGB.
 
     Returns:
         Linear values, float32, shape (H, W, C): C is 1 (grey), 2 (grey, alpha), 3 or 4 (RGB, RGBA). An alpha channel
-        is never decoded. NaN and infinity in an EXR file are returned as they are.
+        is never decoded. NaN and infinity in EXR and PFM files are returned as they are.
 
     Raises:
         FileNotFoundError: If there is no such file.
@@ -53,22 +58,26 @@ def read_image(path: str | os.PathLike[str], *, raw: bool = False) -> np.ndarray
     _check_suffix(file)
     if not os.path.isfile(file):
         raise FileNotFoundError(f"no such image: '{file}'; check the name")
-    return _read_exr(file) if file.suffix.lower() in _EXR else _read_low_range(file, raw)
+    if file.suffix.lower() in _EXR:
+        return _read_exr(file)
+    return _read_low_range(file, raw) if file.suffix.lower() in _LOW_RANGE else _read_float(file)
 
 
 def write_image(path: str | os.PathLike[str], image: Any, *, half: bool = False) -> None:
     """Write an image; the file appears complete or not at all.
 
-    EXR keeps every value (``half``: 16-bit floats, clipped to their range); PNG and JPEG clip to [0, 1], encode sRGB
-    and write NaN as black.
+    EXR keeps every value (``half``: 16-bit floats, clipped to their range), and so does PFM; HDR keeps eight bits of the
+    largest component. PNG, JPEG, BMP and TGA clip to [0, 1], encode sRGB and write NaN as black.
 
     Args:
-        path: File whose suffix picks the format; missing folders are made.
-        image: Linear values, shape (H, W), (H, W, 1), (H, W, 3) or (H, W, 4), or an object with ``numpy()``.
+        path: File whose suffix picks the format, in a folder that exists.
+        image: Linear values, shape (H, W), (H, W, 1), (H, W, 3) or (H, W, 4), or an object with ``numpy()``. EXR, PNG
+            and TGA have a fourth channel, alpha; the others leave it out.
         half: EXR only.
 
     Raises:
         ValueError: If the shape or the suffix is not supported.
+        FileNotFoundError: If the folder does not exist; none is made.
         OSError: If the file cannot be written; then what was there before is untouched.
     """
     file = Path(path)
@@ -81,17 +90,23 @@ def write_image(path: str | os.PathLike[str], image: Any, *, half: bool = False)
             f"cannot write an image of shape {np.shape(array)} to '{file}'; "
             "expected (H, W), (H, W, 1), (H, W, 3) or (H, W, 4) with H and W of at least 1"
         )
-    file.parent.mkdir(parents=True, exist_ok=True)
+    if not file.parent.is_dir():
+        raise FileNotFoundError(f"cannot write '{file}': there is no folder '{file.parent}'; make it first")
+    suffix = file.suffix.lower()
+    if suffix not in _WITH_ALPHA:
+        array = array[..., :3]
     with atomic_path(file) as temporary:
-        if file.suffix.lower() in _EXR:
+        if suffix in _EXR:
             _write_exr(temporary, array, half)
-        else:
+        elif suffix in _LOW_RANGE:
             _write_low_range(temporary, array)
+        else:
+            (write_rgbe if suffix in _RGBE else write_pfm)(temporary, array)
 
 
 def _check_suffix(file: Path) -> None:
-    if file.suffix.lower() not in _SUPPORTED:
-        raise ValueError(f"'{file}' has no supported image suffix; use one of {', '.join(_SUPPORTED)}")
+    if file.suffix.lower() not in SUFFIXES:
+        raise ValueError(f"'{file}' has no supported image suffix; use one of {', '.join(SUFFIXES)}")
 
 
 def _read_exr(file: Path) -> np.ndarray:
@@ -119,6 +134,13 @@ def _read_exr(file: Path) -> np.ndarray:
     return np.ascontiguousarray(np.stack(planes, axis=-1), dtype=np.float32)
 
 
+def _read_float(file: Path) -> np.ndarray:
+    try:
+        return read_float_image(file, _VALUES_MAX)
+    except ValueError as problem:
+        raise ValueError(f"'{file}' is no readable HDR or PFM image ({problem}); export it again") from None
+
+
 def _write_exr(file: Path, array: np.ndarray, half: bool) -> None:
     import OpenEXR
 
@@ -142,12 +164,12 @@ def _read_low_range(file: Path, raw: bool) -> np.ndarray:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # the size is checked here
             # Files of other formats, which have readers of their own, are not what their suffix says.
-            with Image.open(file, formats=("PNG", "JPEG")) as source:
+            with Image.open(file, formats=tuple(set(_LOW_RANGE.values()))) as source:
                 _check_size(source.width * source.height * len(source.getbands()))
                 source.load()
                 values = _pixels(source)
     except Exception as problem:  # damaged files fail in many ways
-        raise ValueError(f"'{file}' is no readable PNG or JPEG image ({problem}); export it again") from None
+        raise ValueError(f"'{file}' is no readable PNG, JPEG, BMP or TGA image ({problem}); export it again") from None
     if not raw:
         # In place: large images have room for no second copy.
         color = values.shape[2] - (values.shape[2] in (2, 4))
@@ -177,13 +199,12 @@ def _pixels(source: Any) -> np.ndarray:
 def _write_low_range(file: Path, array: np.ndarray) -> None:
     from PIL import Image
 
-    color = array[..., : 1 if array.shape[2] == 1 else 3]
-    values = linear_to_srgb(color)
-    if array.shape[2] == 4 and file.suffix.lower() == ".png":
+    values = linear_to_srgb(array[..., :3])
+    if array.shape[2] == 4:
         values = np.concatenate([values, np.clip(np.nan_to_num(array[..., 3:]), 0.0, 1.0)], axis=-1)
     pixels = np.round(values * 255.0).astype(np.uint8)
-    kind = "PNG" if file.suffix.lower() == ".png" else "JPEG"
     stream = io.BytesIO()
-    Image.fromarray(pixels[..., 0] if pixels.shape[2] == 1 else pixels).save(stream, kind, quality=95)
+    picture = Image.fromarray(pixels[..., 0] if pixels.shape[2] == 1 else pixels)
+    picture.save(stream, _LOW_RANGE[file.suffix.lower()], quality=95)
     # Not by Pillow, whose JPEG encoder does not notice when a disk is full.
     file.write_bytes(stream.getvalue())

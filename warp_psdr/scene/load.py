@@ -1,0 +1,86 @@
+"""Load scenes: from Mitsuba 3 files, text and dictionaries to records on a device."""
+
+from __future__ import annotations
+
+import warnings
+from typing import TYPE_CHECKING
+
+import warp as wp
+
+if TYPE_CHECKING:
+    from warp_psdr.scene.description import SceneDescription
+    from warp_psdr.scene.scene import Scene
+
+#: Notes on a scene that are warned of one by one; ``scene.description.notes`` has all.
+MOST_WARNINGS = 20
+
+
+class SceneWarning(UserWarning):
+    """What is ignored, repaired or doubtful in a scene."""
+
+
+def load_file(path, *, device: str | wp.Device | None = None, allow_outside=False, **defaults) -> Scene:
+    """Load a Mitsuba 3 scene file.
+
+    Args:
+        path: an XML file of version 3.x.
+        device: Warp device, "cpu" or "cuda:0"; None: Warp's current one.
+        allow_outside: where the files that the scene names may lie beside the scene's own folder and those below it: a
+            folder (and below), several, or True: anywhere, for scenes that you trust. Wherever a name leads to, by
+            "..", as an absolute name or by a symbolic link, other files are refused.
+        **defaults: values for the file's ``$parameters``.
+
+    Returns:
+        The scene.
+
+    Raises:
+        FileNotFoundError: the file, or one that it names, does not exist.
+        ValueError: the file is malformed or uses what is not supported; the message names the place and the remedy.
+
+    Warns:
+        SceneWarning: something in the scene is ignored, repaired or doubtful.
+    """
+    from warp_psdr.scene.xml import describe_file
+
+    return _load(describe_file(path, allow_outside=allow_outside, **defaults), device)
+
+
+def load_string(
+    xml: str, *, device: str | wp.Device | None = None, base=None, allow_outside=None, **defaults
+) -> Scene:
+    """Load a Mitsuba 3 scene from XML text; see ``load_file``.
+
+    Without ``base``, file names start from the current folder and, the text being the program's own, may lead anywhere.
+    ``base`` stands for the scene's folder, which the names may then not leave. For text of strangers give ``base``, or
+    ``allow_outside=False``.
+    """
+    from warp_psdr.scene.xml import describe_string
+
+    if allow_outside is None:
+        allow_outside = base is None
+    return _load(describe_string(xml, base=base, allow_outside=allow_outside, **defaults), device)
+
+
+def load_dict(scene: dict, *, device: str | wp.Device | None = None) -> Scene:
+    """Load a scene from Mitsuba 3's dictionary form (plain Python and NumPy values).
+
+    Relative file names start from the current folder; the names are the program's own, so any file may be named. See
+    ``load_file``.
+    """
+    from warp_psdr.scene.dictionary import describe_dict
+
+    return _load(describe_dict(scene), device)
+
+
+def _load(description: SceneDescription, device: str | wp.Device | None) -> Scene:
+    """Build a scene, and warn of its notes at the line that loads it."""
+    from warp_psdr.scene.scene import Scene
+
+    scene = Scene(description, device)
+    notes = scene.description.notes
+    for note in notes[:MOST_WARNINGS]:
+        warnings.warn(note, SceneWarning, stacklevel=3)
+    if len(notes) > MOST_WARNINGS:
+        more = f"{len(notes) - MOST_WARNINGS} more remarks on the scene: see scene.description.notes"
+        warnings.warn(more, SceneWarning, stacklevel=3)
+    return scene
