@@ -13,6 +13,7 @@ def pytest_configure(config: pytest.Config) -> None:
     # line per compiled module between the results.
     wp.config.log_level = wp.LOG_WARNING
     wp.init()
+    wp.set_device("cpu")  # tests of other devices name them
 
 
 def pytest_report_header(config: pytest.Config) -> str:

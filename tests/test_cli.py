@@ -27,6 +27,7 @@ def scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
 
 
 def test_render_writes_what_the_library_renders(scene: str, capsys) -> None:
+    Path("new").mkdir()
     assert main(["render", scene, "-o", "new/image.exr", "--spp", "8", "--seed", "3", "--sensor", "1"]) == 0
     expected = psdr.render(psdr.load_file(scene), sensor=1, spp=8, seed=3).numpy()
     np.testing.assert_array_equal(image_io.read_image("new/image.exr"), expected)
@@ -90,6 +91,7 @@ def test_reverse_gradient_agrees_with_differences(scene: str, capsys) -> None:
 def test_accuracy_is_printed_drawn_and_written(scene: str, capsys) -> None:
     image_io.write_image("target.exr", np.zeros((10, 12, 3), np.float32))
     arguments = ["accuracy", scene, "--param", SKY, "--param", TEXTURE, "--target", "target.exr", "--seconds", "0.2"]
+    Path("new").mkdir()
     assert main([*arguments, "--target-error", "0.1", "--plot", "new/a.png", "--json", "new/a.json"]) == 0
     printed = capsys.readouterr().out
     assert "Accuracy of the gradient" in printed and SKY in printed and "relative error 0.1: " in printed
@@ -107,8 +109,7 @@ def test_accuracy_of_the_image_and_of_its_derivative(scene: str, capsys) -> None
 
 
 def test_what_cannot_be_written_is_said_before_the_work(scene: str, capsys) -> None:
-    Path("file").touch()
-    for output, said in (("file/a.exr", "folder cannot be made"), ("a.jpg", "suffix '.jpg'"), (".", "suffix ''")):
+    for output, said in (("no/a.exr", "there is no folder 'no'"), ("a.gif", "suffix '.gif'"), (".", "suffix ''")):
         assert main(["render", scene, "-o", output]) == 2
         printed = capsys.readouterr().err
         assert said in printed and "render 1" not in printed
@@ -118,6 +119,19 @@ def test_what_cannot_be_written_is_said_before_the_work(scene: str, capsys) -> N
     assert main(["accuracy", scene, "--target-error", "0"]) == 2
     printed = capsys.readouterr()
     assert "--target-error: got 0.0" in printed.err and not printed.out
+
+
+def test_notes_on_the_scene_are_a_line_each_and_a_sensor_has_an_id(scene: str, capsys, recwarn) -> None:
+    text = Path(scene).read_text().replace("<film", '<float name="shutter_open" value="1"/><film', 1)
+    Path("noted.xml").write_text(text)
+    name = psdr.load_file(scene).description.sensors[1].path
+    assert main(["render", "noted.xml", "-o", "id.hdr", "--spp", "1", "--sensor", name]) == 0
+    notes = [line for line in capsys.readouterr().err.splitlines() if line.startswith("note: ")]
+    assert len(notes) == 1 and "'shutter_open' is ignored" in notes[0] and not recwarn
+    assert main(["render", scene, "-o", "number.hdr", "--spp", "1", "--sensor", "1"]) == 0
+    assert Path("id.hdr").read_bytes() == Path("number.hdr").read_bytes()
+    assert main(["render", scene, "-o", "a.hdr", "--sensor", "nowhere"]) == 2
+    assert "sensor 'nowhere': the scene has" in capsys.readouterr().err
 
 
 def test_plan_names_the_parameters(scene: str, capsys) -> None:
@@ -161,6 +175,7 @@ def test_view_hands_over_what_it_was_told(scene: str, monkeypatch: pytest.Monkey
 
     monkeypatch.setattr(viewer, "view", view)
     np.save("g.npy", np.ones((4, 3), np.float32))
+    Path("new").mkdir()
     arguments = ["view", scene, "--field", f"{POSITIONS}=g.npy", "--screenshot", "new/shot.png", "--sensor", "1"]
     assert main(arguments) == 0
     options, closed = calls
@@ -174,7 +189,7 @@ def test_view_hands_over_what_it_was_told(scene: str, monkeypatch: pytest.Monkey
     ("arguments", "message"),
     [
         (["render", "none.xml", "-o", "a.exr"], "none.xml"),
-        (["render", "scene.xml", "-o", "a.tiff"], "a.tiff: got suffix '.tiff', expected .exr or .png"),
+        (["render", "scene.xml", "-o", "a.tiff"], "a.tiff: got suffix '.tiff', expected .exr or .hdr"),
         (["render", "scene.xml", "-o", "a.exr", "--sensor", "7"], "sensor 7"),
         (["render", "scene.xml", "-o", "a.exr", "--spp", "0"], "spp: got 0"),
         (["render", "scene.xml", "-o", "a.exr", "--workers", "0"], "workers: got 0"),

@@ -124,7 +124,9 @@ def test_rgbe_reads_runs_and_writes_what_mitsuba_reads(tmp_path):
     picture_of = 100.0 * picture(3) ** 4
     for suffix in (".hdr", ".pfm", ".bmp", ".tga", ".png", ".exr"):
         write_image(tmp_path / f"m{suffix}", picture_of)
-        theirs = mi.Bitmap(str(tmp_path / f"m{suffix}")).convert(mi.Bitmap.PixelFormat.RGB, mi.Struct.Type.Float32, False)
+        theirs = mi.Bitmap(str(tmp_path / f"m{suffix}")).convert(
+            mi.Bitmap.PixelFormat.RGB, mi.Struct.Type.Float32, False
+        )
         np.testing.assert_allclose(read_image(tmp_path / f"m{suffix}"), np.array(theirs), rtol=1e-5, atol=1e-6)
 
 

@@ -25,6 +25,33 @@ def test_import_is_light(statement: str) -> None:
     assert [package for package in HEAVY if package in loaded] == []
 
 
+def test_dir_lists_what_is_public() -> None:
+    import warp_psdr as psdr
+
+    assert dir(psdr) == sorted(psdr.__all__) and len(set(psdr.__all__)) == len(psdr.__all__)
+    missing = [name for name in psdr.__all__ if not hasattr(psdr, name)]
+    assert missing == []
+    assert isinstance(psdr.load_dict(psdr.cornell_box()), psdr.Scene)
+
+
+def test_rendering_needs_neither_vtk_nor_pyvista(tmp_path: Path) -> None:
+    code = f"""
+import sys
+for name in ("vtk", "vtkmodules", "pyvista"):
+    sys.modules[name] = None  # an import of it fails
+import warp_psdr as psdr
+scene = psdr.load_dict(psdr.cornell_box())
+params = psdr.traverse(scene)
+params.requires_grad("white.reflectance.value")
+print(psdr.plan(scene, params), params, scene)
+image = psdr.render(scene, integrator={{"type": "path", "max_depth": 1}}, spp=1)
+psdr.write_image({str(tmp_path / "box.png")!r}, image)
+"""
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr[-2000:]
+    assert (tmp_path / "box.png").stat().st_size > 0
+
+
 def test_import_leaves_warp_uninitialised() -> None:
     # Initialising takes time and prints a banner; only the first use of a device should.
     loaded = subprocess.run(

@@ -34,7 +34,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         import warp as wp
 
-        with wp.ScopedLogLevel(wp.LOG_WARNING):  # no line per compiled kernel between the results
+        with wp.ScopedLogLevel(wp.LOG_WARNING), _notes():  # no line per compiled kernel between the results
             return arguments.run(arguments)
     except KeyboardInterrupt:
         print("warp-psdr: interrupted", file=sys.stderr)
@@ -63,7 +63,13 @@ def _parser() -> argparse.ArgumentParser:
     render = command("render", _render, "Render an image of a scene.")
     _scene_options(render)
     _sampling_options(render)
-    render.add_argument("-o", "--output", type=Path, required=True, help="image to write, .exr (linear) or .png (sRGB)")
+    render.add_argument(
+        "-o",
+        "--output",
+        type=Path,
+        required=True,
+        help="image to write: linear as .exr, .hdr, .pfm; sRGB as .png, .jpg, .bmp",
+    )
 
     gradient = command(
         "gradient",
@@ -143,7 +149,7 @@ def _scene_options(parser: argparse.ArgumentParser) -> None:
         metavar="FOLDER",
         help="the scene may read files in or below it, beside its own folder; repeatable",
     )
-    parser.add_argument("--sensor", type=int, default=0, help="number of the camera (default 0)")
+    parser.add_argument("--sensor", type=_sensor, default=0, help="number or id of the camera (default 0)")
     parser.add_argument("--max-depth", type=int, help="longest path; -1: no limit (default: the scene's)")
     parser.add_argument("--device", default="cpu", help="Warp device (default cpu)")
     _worker_option(parser)
@@ -176,7 +182,7 @@ def _render(arguments: argparse.Namespace) -> int:
     import warp_psdr as psdr
     from warp_psdr import image_io
 
-    _prepare(arguments.output, ".exr", ".png")
+    _prepare(arguments.output, *image_io.SUFFIXES)
     scene, integrator = _load(arguments)
     with _fractions("render") as progress:
         image = psdr.render(
@@ -369,9 +375,7 @@ def _load(arguments: argparse.Namespace) -> tuple[Any, Any]:
         defaults[name] = value
     outside = arguments.allow_outside
     scene = psdr.load_file(arguments.scene, device=arguments.device, allow_outside=outside, **defaults)
-    scene.camera(arguments.sensor)  # an unknown sensor raises
-    for note in scene.description.notes:
-        print(f"note: {note}", file=sys.stderr)
+    arguments.sensor = scene.description.sensor_number(arguments.sensor)
     changes: dict[str, Any] = {}
     if arguments.max_depth is not None:
         changes["max_depth"] = arguments.max_depth
@@ -406,6 +410,35 @@ def _tangent(arguments: argparse.Namespace, shape: tuple[int, ...]) -> Any:
     return np.broadcast_to(np.float32(arguments.translate), shape)
 
 
+def _sensor(text: str) -> int | str:
+    """Return the number of a sensor, or its id."""
+    try:
+        return int(text)
+    except ValueError:
+        return text
+
+
+@contextmanager
+def _notes() -> Iterator[None]:
+    """Print what is ignored, repaired or doubtful in a scene as a line each, instead of as Python's warnings."""
+    import warnings
+
+    from warp_psdr import SceneWarning
+
+    show = warnings.showwarning
+
+    def line(message: Any, category: type[Warning], *place: Any, **rest: Any) -> None:
+        if issubclass(category, SceneWarning):
+            print(f"note: {message}", file=sys.stderr)
+        else:
+            show(message, category, *place, **rest)
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("always", SceneWarning)
+        warnings.showwarning = line
+        yield
+
+
 @contextmanager
 def _fractions(title: str) -> Iterator[Callable[[float], None]]:
     """Progress of a render, which reports finished fractions."""
@@ -416,15 +449,13 @@ def _fractions(title: str) -> Iterator[Callable[[float], None]]:
 
 
 def _prepare(path: Path, *suffixes: str) -> None:
-    """Make the folder of a file that will be written: what is wrong with it is said before there is work to lose."""
+    """Check the place of a file that will be written: what is wrong with it is said before there is work to lose."""
     if path.suffix.lower() not in suffixes:
         raise ValueError(f"{path}: got suffix {path.suffix!r}, expected {' or '.join(suffixes)}")
     if path.is_dir():
         raise ValueError(f"{path}: is a folder, expected a file")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ValueError(f"{path}: its folder cannot be made ({error.strerror})") from error
+    if not path.parent.is_dir():
+        raise ValueError(f"{path}: there is no folder {str(path.parent)!r}; make it first")
     if not os.access(path.parent, os.W_OK):
         raise ValueError(f"{path}: its folder cannot be written to")
 

@@ -10,6 +10,12 @@ import warp as wp
 from warp_psdr import workers
 
 
+def active_tape() -> wp.Tape | None:
+    """Return the tape in whose ``with`` block the program is; None: in none."""
+    runtime = wp._src.context.runtime  # Warp 1.19 has no public name for it
+    return None if runtime is None else runtime.tape
+
+
 def launch(kernel: wp.Kernel, dim, inputs: list, outputs: list, device) -> None:
     """Launch a kernel without recording it on the tape that may be active."""
     wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=device, record_tape=False)

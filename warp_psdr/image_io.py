@@ -1,4 +1,4 @@
-"""Read and write images as linear float32 arrays: EXR, RGBE and PFM in floating point, PNG, JPEG, BMP and TGA in sRGB."""
+"""Read and write images as linear float32 arrays: EXR, HDR and PFM hold such, PNG, JPEG, BMP and TGA hold sRGB."""
 
 from __future__ import annotations
 
@@ -66,8 +66,8 @@ def read_image(path: str | os.PathLike[str], *, raw: bool = False) -> np.ndarray
 def write_image(path: str | os.PathLike[str], image: Any, *, half: bool = False) -> None:
     """Write an image; the file appears complete or not at all.
 
-    EXR keeps every value (``half``: 16-bit floats, clipped to their range), and so does PFM; HDR keeps eight bits of the
-    largest component. PNG, JPEG, BMP and TGA clip to [0, 1], encode sRGB and write NaN as black.
+    EXR keeps every value (``half``: 16-bit floats, clipped to their range), and so does PFM; HDR keeps eight bits of a
+    pixel's largest component. PNG, JPEG, BMP and TGA clip to [0, 1], encode sRGB and write NaN as black.
 
     Args:
         path: File whose suffix picks the format, in a folder that exists.

@@ -131,7 +131,7 @@ def write_picture(path: str | os.PathLike, write: Callable[[BinaryIO], object]) 
 
 
 def derivative_image(
-    path: str | os.PathLike,
+    path: str | os.PathLike | BinaryIO,
     image: Any,
     *,
     percentile: float = 99.5,
@@ -143,7 +143,7 @@ def derivative_image(
     """Draw a signed image, such as the derivative of a picture or the gradient of a texture, with its colour bar.
 
     Args:
-        path: File to write; the suffix names the format (.png, .pdf, .svg).
+        path: File to write; the suffix names the format (.png, .pdf, .svg). Or an open binary file, for PNG.
         image: (H, W), (H, W, 1) or (H, W, 3), NumPy or Warp array.
         percentile: Of the non-zero magnitudes; the colour range ends there.
         limit: End of the colour range, instead of the percentile; for pictures that are to be compared.
@@ -353,7 +353,10 @@ def _figure(width: float, height: float, *, extra_width: float = 0.0, extra_heig
     return figure
 
 
-def _save(figure: Any, path: str | os.PathLike) -> None:
+def _save(figure: Any, path: str | os.PathLike | BinaryIO) -> None:
+    if not isinstance(path, (str, os.PathLike)):
+        figure.savefig(path, format="png")
+        return
     suffix = Path(path).suffix.lower().lstrip(".")
     known = figure.canvas.get_supported_filetypes()
     if suffix not in known:

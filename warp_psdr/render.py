@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
-from warp_psdr.device import launch
+from warp_psdr.device import active_tape, launch
 from warp_psdr.estimate.arguments import adjoint_array, checked_seed, flat_tangents, requested, sample_count, samples
 from warp_psdr.estimate.boundary import drivers as boundary_drivers
 from warp_psdr.estimate.gradient_sums import GradientSums
@@ -22,11 +22,12 @@ from warp_psdr.estimate.passes import (
     splats,
     splatted,
 )
+from warp_psdr.image import Image
 from warp_psdr.invalid import warns
 from warp_psdr.kernels.reduction import add_range
 from warp_psdr.kernels.rng import mix_seed
 from warp_psdr.kernels.splat import resolve
-from warp_psdr.options.integrator import PathIntegrator, integrator_of
+from warp_psdr.options.integrator import Integrator, integrator_of
 from warp_psdr.plan.plan import Plan, decide
 from warp_psdr.scene.edits import checksum
 from warp_psdr.topology import contacts
@@ -44,8 +45,8 @@ def render(
     scene: Scene,
     params: Parameters | None = None,
     *,
-    sensor: int = 0,
-    integrator: PathIntegrator | None = None,
+    sensor: int | str = 0,
+    integrator: Integrator | None = None,
     spp: int | None = None,
     spp_grad: int | None = None,
     seed: int = 0,
@@ -55,20 +56,22 @@ def render(
     time_budget: float | None = None,
     report: Report | None = None,
     reached: Callable[[Reached], None] | None = None,
-) -> wp.array:
+) -> Image:
     """Render an image.
 
     Args:
         scene: a loaded scene.
         params: its parameters; needed with a tape only.
-        sensor: which camera.
-        integrator: default: what the scene file names, else ``PathIntegrator()``.
+        sensor: which camera, by its number or its id.
+        integrator: a ``PathIntegrator``, or Mitsuba's dictionary (``{"type": "path", "max_depth": 4}``) or plugin name;
+            default: what the scene file names, else ``PathIntegrator()``.
         spp: samples a pixel; default: the sensor's sample count.
         spp_grad: samples a pixel of the backward pass; default: ``spp``.
         seed: equal seeds give equal bits, with a budget only where a report is given and no time; the backward pass is
             decorrelated from the image.
         tape: a Warp tape to record the rendering on: ``tape.backward(loss)`` then adds to the gradients of the
-            parameters that ``params.requires_grad`` named.
+            parameters that ``params.requires_grad`` named. In a tape's ``with`` block that tape, if ``params`` has
+            such parameters.
         progress: called with the finished fraction.
         target_error: instead of ``spp``: the relative error (of the whole image, in the mean square) to be reached.
         time_budget: instead of ``spp``: seconds to be spent, after compiling.
@@ -76,7 +79,8 @@ def render(
         reached: called with what a budget bought (``accuracy.Reached``), for example ``print``.
 
     Returns:
-        ``wp.array2d`` of vec3, shape (H, W) of the crop window: radiance in W/m^2/sr, averaged under the pixel filter.
+        ``wp.array2d`` of vec3, shape (H, W) of the crop window: radiance in W/m^2/sr, averaged under the pixel filter
+            (``psdr.Image``, which notebooks show).
 
     Raises:
         ValueError: an option out of range, or two that exclude each other; with a tape: parameters are missing, or
@@ -84,13 +88,15 @@ def render(
     """
     from warp_psdr.accuracy import budget, quantity
 
+    sensor = scene.description.sensor_number(sensor)
+    if tape is None and params is not None and params.requested:
+        tape = active_tape()
     if budget.check(spp, target_error, time_budget, report):
         if tape is not None:
             raise ValueError(
                 "tape: a recorded image takes spp; render with the budget, then call "
                 "render_backward(..., target_error=...) with the loss's adjoint"
             )
-        scene.camera(sensor)
         what = quantity.image(scene, integrator=integrator, sensor=sensor)
         wanted = budget.Wanted(target_error, time_budget, report)
         return _budgeted(what, wanted, seed, progress, reached)
@@ -105,9 +111,7 @@ def render(
             scene, params, integrator=integrator, sensor=sensor
         )  # says what cannot be differentiated, before the work
     camera = scene.camera(sensor)
-    image = wp.zeros(
-        (camera.crop_height, camera.crop_width), dtype=wp.vec3, device=scene.device, requires_grad=tape is not None
-    )
+    image = Image((camera.crop_height, camera.crop_width), scene.device, requires_grad=tape is not None)
     draw = _render_splatted if splats(camera) else boxed
     draw(scene, plan, sensor, spp, mix_seed(seed, STREAM_PRIMAL), image, progress)
     if tape is not None and params is not None:
@@ -115,7 +119,7 @@ def render(
     return image
 
 
-def _budgeted(what: Quantity, wanted: Wanted, seed: int, progress, reached) -> wp.array:
+def _budgeted(what: Quantity, wanted: Wanted, seed: int, progress, reached) -> Image:
     """Return an image that was estimated within a budget."""
     from warp_psdr.accuracy.budget import spend
 
@@ -123,8 +127,9 @@ def _budgeted(what: Quantity, wanted: Wanted, seed: int, progress, reached) -> w
     if reached is not None:
         reached(bought)
     camera = what.scene.camera(what.sensor)
-    pixels = values.reshape(camera.crop_height, camera.crop_width, 3).astype(np.float32)
-    return wp.array(pixels, dtype=wp.vec3, device=what.scene.device)
+    image = Image((camera.crop_height, camera.crop_width), what.scene.device, signed=what.role == "forward")
+    image.assign(values.reshape(camera.crop_height, camera.crop_width, 3).astype(np.float32))
+    return image
 
 
 def _record(tape: wp.Tape, image: wp.array, scene: Scene, params: Parameters, **options) -> None:
@@ -153,8 +158,8 @@ def render_backward(
     params: Parameters,
     adjoint,
     *,
-    sensor: int = 0,
-    integrator: PathIntegrator | None = None,
+    sensor: int | str = 0,
+    integrator: Integrator | None = None,
     spp: int | None = None,
     seed: int = 0,
     progress: Progress | None = None,
@@ -168,8 +173,8 @@ def render_backward(
         scene: a loaded scene.
         params: its parameters, after ``requires_grad``.
         adjoint: derivative of a loss with respect to the image, NumPy (H, W, 3) or Warp (H, W) of vec3.
-        sensor: which camera.
-        integrator: default: what the scene file names.
+        sensor: which camera, by its number or its id.
+        integrator: as of ``render``; default: what the scene file names.
         spp: samples a pixel; default: the sensor's sample count.
         seed: equal seeds give equal bits; with a budget if a report is given and no time.
         progress: called with the finished fraction.
@@ -187,6 +192,7 @@ def render_backward(
     """
     from warp_psdr.accuracy import budget, quantity
 
+    sensor = scene.description.sensor_number(sensor)
     if budget.check(spp, target_error, time_budget, report):
         what = quantity.gradient(scene, params, adjoint, integrator=integrator, sensor=sensor)
         wanted = budget.Wanted(target_error, time_budget, report)
@@ -224,8 +230,8 @@ def render_forward(
     params: Parameters,
     tangents: dict,
     *,
-    sensor: int = 0,
-    integrator: PathIntegrator | None = None,
+    sensor: int | str = 0,
+    integrator: Integrator | None = None,
     spp: int | None = None,
     seed: int = 0,
     progress: Progress | None = None,
@@ -233,7 +239,7 @@ def render_forward(
     time_budget: float | None = None,
     report: Report | None = None,
     reached: Callable[[Reached], None] | None = None,
-) -> wp.array:
+) -> Image:
     """Render the derivative of the image along a direction of parameter space.
 
     Args:
@@ -242,8 +248,8 @@ def render_forward(
         tangents: name -> direction, NumPy or Warp, in the parameter's shape; a number fills it. What a pose and the
             vertices that it moves bring add up, each with the other at rest, and so does what positions bring, whose
             computed normals follow, and what these normals bring themselves.
-        sensor: which camera.
-        integrator: default: what the scene file names.
+        sensor: which camera, by its number or its id.
+        integrator: as of ``render``; default: what the scene file names.
         spp: samples a pixel; default: the sensor's sample count.
         seed: equal seeds give equal bits, with a budget only where a report is given and no time, and the random
             numbers of ``render_backward``.
@@ -262,6 +268,7 @@ def render_forward(
     """
     from warp_psdr.accuracy import budget, quantity
 
+    sensor = scene.description.sensor_number(sensor)
     if budget.check(spp, target_error, time_budget, report):
         what = quantity.derivative(scene, params, tangents, integrator=integrator, sensor=sensor)
         wanted = budget.Wanted(target_error, time_budget, report)
@@ -276,7 +283,7 @@ def render_forward(
     camera = scene.camera(sensor)
     if plan.boundary is not None:
         contacts.warn(scene, target.numpy())
-    image = wp.zeros((camera.crop_height, camera.crop_width), dtype=wp.vec3, device=scene.device)
+    image = Image((camera.crop_height, camera.crop_width), scene.device, signed=True)
     interior_forward(scene, plan, sensor, spp, seed, target, image, progress)
     if plan.boundary is not None:
         seed = mix_seed(seed, STREAM_BOUNDARY)

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warp_psdr.options.integrator import PathIntegrator
+from warp_psdr.options.integrator import Integrator
 from warp_psdr.plan.plan import decide
 from warp_psdr.render import render as render_image
 from warp_psdr.render import render_backward, render_forward
@@ -42,8 +42,8 @@ def render(
     scene: Scene,
     parameters: Mapping[str, torch.Tensor],
     *,
-    sensor: int = 0,
-    integrator: PathIntegrator | None = None,
+    sensor: int | str = 0,
+    integrator: Integrator | None = None,
     spp: int | None = None,
     spp_grad: int | None = None,
     seed: int = 0,
@@ -55,8 +55,8 @@ def render(
         parameters: Tensors by parameter name, in the parameters' NumPy shapes, for instance (N, 3) for positions, up to
             axes of length one. Those that require a gradient get one. They are not kept within their bounds, as
             ``psdr.optim`` keeps them. Far from the origin float64 keeps the digits of places.
-        sensor: Which camera.
-        integrator: Default: what the scene file names, else ``PathIntegrator()``.
+        sensor: Which camera, by its number or its id.
+        integrator: As of ``psdr.render``; default: what the scene file names, else ``PathIntegrator()``.
         spp: Samples a pixel; default: the sensor's sample count.
         spp_grad: Samples a pixel of the backward pass; default: ``spp``.
         seed: Equal seeds give equal bits; the backward pass is decorrelated from the image.
@@ -89,8 +89,8 @@ class _Call:
     scene: Scene
     names: tuple[str, ...]
     wanted: tuple[bool, ...]
-    sensor: int
-    integrator: PathIntegrator | None
+    sensor: int | str
+    integrator: Integrator | None
     spp: int | None
     spp_grad: int | None
     seed: int

@@ -42,7 +42,7 @@ def call(entry_point: str, scene, integrator=None, **options) -> np.ndarray:
     [
         ({"sensor": 1}, r"sensor 1: the scene has sensors 0 to 0"),
         ({"sensor": -2}, r"sensor -2: the scene has"),
-        ({"sensor": "camera"}, r"sensor 'camera'"),
+        ({"sensor": "lens"}, r"sensor 'lens': the scene has .* with the ids 'camera'"),
         ({"sensor": 0.0}, r"sensor 0\.0"),
         ({"sensor": True}, r"sensor True"),
         ({"spp": 0}, r"spp: got 0, expected a positive integer"),
@@ -90,9 +90,33 @@ def test_wide_seeds_are_used_whole(scene) -> None:
 
 
 @pytest.mark.parametrize("entry_point", ENTRY_POINTS)
-def test_what_is_no_integrator_is_refused(scene, entry_point: str) -> None:
-    with pytest.raises(TypeError, match="integrator: got 'path', expected a"):
-        call(entry_point, scene, integrator="path")
+def test_sensors_have_ids_and_integrators_mitsubas_form(scene, entry_point: str) -> None:
+    expected = call(entry_point, scene, seed=3)
+    direct = {"type": "path", "max_depth": 2}
+    np.testing.assert_array_equal(call(entry_point, scene, direct, sensor="camera", seed=3), expected)
+    np.testing.assert_array_equal(call(entry_point, scene, "direct", seed=3), expected)
+    assert not np.array_equal(call(entry_point, scene, {**direct, "max_depth": 1}, seed=3), expected)
+
+
+@pytest.mark.parametrize("entry_point", ENTRY_POINTS)
+@pytest.mark.parametrize(
+    ("integrator", "kind", "message"),
+    [
+        (3, TypeError, r"integrator: got 3, expected a psdr\.PathIntegrator, a dictionary such as"),
+        ("path_tracer", ValueError, "'path_tracer'"),
+        ("diffuse", ValueError, "'diffuse' is a bsdf"),
+        ({"type": "path", "max_depth": -3}, ValueError, "max_depth"),
+        ({"max_depth": 3}, ValueError, "type"),
+    ],
+)
+def test_what_is_no_integrator_is_refused(scene, entry_point: str, integrator, kind, message: str) -> None:
+    with pytest.raises(kind, match=message):
+        call(entry_point, scene, integrator=integrator)
+
+
+def test_what_an_integrators_dictionary_ignores_is_said(scene) -> None:
+    with pytest.warns(psdr.SceneWarning, match="'samples_per_pass' is ignored"):
+        psdr.plan(scene, integrator={"type": "path", "samples_per_pass": 4})
 
 
 def test_what_is_no_name_is_refused(scene) -> None:

@@ -61,6 +61,27 @@ def test_the_tape_chains_a_users_model_and_loss(loaded):
     assert np.isfinite(params[ALBEDO].grad.numpy()).all()
 
 
+def test_rendering_in_a_tapes_block_records_itself(loaded):
+    scene, params = loaded
+    params.requires_grad(ALBEDO)
+    adjoint = wp.full((SIZE, SIZE), wp.vec3(1.0, 2.0, 3.0), dtype=wp.vec3, device="cpu")
+    options = {"integrator": INTEGRATOR, "spp": 4, "seed": 5}
+    psdr.render_backward(scene, params, adjoint, **options)
+    expected = params[ALBEDO].grad.numpy().copy()
+    assert expected.all()
+    params.zero_grad()
+    tape = wp.Tape()
+    with tape:
+        rendered = psdr.render(scene, params, **options)
+        target = psdr.render(scene, **options)
+    assert not target.requires_grad, "nothing was requested of it"
+    tape.backward(grads={rendered: adjoint})
+    np.testing.assert_array_equal(params[ALBEDO].grad.numpy(), expected)
+    assert not psdr.render(scene, params, **options).requires_grad, "no tape is active any more"
+    with tape, pytest.raises(ValueError, match="a recorded image takes spp"):
+        psdr.render(scene, params, integrator=INTEGRATOR, time_budget=0.1)
+
+
 @pytest.mark.parametrize("edit", ["values", "in place", "request"])
 def test_the_tape_refuses_a_scene_that_has_changed(loaded, edit):
     scene, params = loaded

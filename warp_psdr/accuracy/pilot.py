@@ -37,7 +37,7 @@ from warp_psdr.accuracy.tiles import Tiling, measured, spread, uniform
 from warp_psdr.estimate.arguments import checked_seed, samples
 from warp_psdr.invalid import warns
 from warp_psdr.kernels.rng import mix_seed
-from warp_psdr.options.integrator import PathIntegrator, integrator_of
+from warp_psdr.options.integrator import Integrator, integrator_of
 
 if TYPE_CHECKING:
     from warp_psdr.scene.parameters import Parameters
@@ -73,8 +73,8 @@ def accuracy(
     adjoint=None,
     *,
     tangents: dict | None = None,
-    integrator: PathIntegrator | None = None,
-    sensor: int = 0,
+    integrator: Integrator | None = None,
+    sensor: int | str = 0,
     spp: int | None = None,
     seed: int = 0,
     seconds: float = 4.0,
@@ -93,8 +93,9 @@ def accuracy(
         adjoint: derivative of a loss with respect to the image, as ``render_backward`` takes it: accuracy of the
             gradient.
         tangents: as ``render_forward`` takes them: accuracy of the derivative image. Neither: accuracy of the image.
-        integrator: default: what the scene file names. Sample counts of its boundary method are not used.
-        sensor: which camera.
+        integrator: as of ``render``; default: what the scene file names. Sample counts of its boundary method are not
+            used.
+        sensor: which camera, by its number or its id.
         spp: samples a pixel of a batch, of every term; default: chosen by the costs.
         seed: of the pilot.
         seconds: what the pilot may take; more where four batches a term need it, and up to four times as much where
@@ -113,8 +114,10 @@ def accuracy(
         raise ValueError(f"clock: got {clock!r}, expected 'wall' or 'cpu'")
     if adjoint is not None and tangents is not None:
         raise ValueError("accuracy takes an adjoint (of a gradient) or tangents (of a derivative image), not both")
+    integrator = integrator_of(scene, integrator)
+    sensor = scene.description.sensor_number(sensor)
     what = select(scene, params, adjoint, tangents, integrator=integrator, sensor=sensor)
-    other = bias.unbiased(integrator_of(scene, integrator), what)
+    other = bias.unbiased(integrator, what)
     twin = None if other is None else select(scene, params, adjoint, tangents, integrator=other, sensor=sensor)
     seed, seconds = checked_seed(seed), positive("seconds", seconds)
     spp = None if spp is None else samples("spp", spp)

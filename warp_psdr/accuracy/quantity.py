@@ -30,7 +30,7 @@ from warp_psdr.estimate.passes import (
     splatted,
 )
 from warp_psdr.kernels.rng import mix_seed
-from warp_psdr.options.integrator import PathIntegrator, integrator_of
+from warp_psdr.options.integrator import Integrator, integrator_of
 from warp_psdr.plan.motion import motion
 from warp_psdr.plan.plan import Plan, decide
 from warp_psdr.topology import contacts
@@ -120,7 +120,7 @@ class Quantity:
         return replace(self, parts=(first, *self.parts[1:]))
 
 
-def image(scene: Scene, *, integrator: PathIntegrator | None, sensor: int) -> Quantity:
+def image(scene: Scene, *, integrator: Integrator | None, sensor: int) -> Quantity:
     """Return the image as a quantity."""
     integrator = integrator_of(scene, integrator)
     camera = scene.camera(sensor)
@@ -155,7 +155,7 @@ def image(scene: Scene, *, integrator: PathIntegrator | None, sensor: int) -> Qu
 
 
 def derivative(
-    scene: Scene, params: Parameters, tangents: dict, *, integrator: PathIntegrator | None, sensor: int
+    scene: Scene, params: Parameters, tangents: dict, *, integrator: Integrator | None, sensor: int
 ) -> Quantity:
     """Return the derivative image along tangents as a quantity.
 
@@ -188,7 +188,7 @@ def derivative(
     return _with(found, "interior", _boundary_parts(found, list(tangents), boundary))
 
 
-def gradient(scene: Scene, params: Parameters, adjoint, *, integrator: PathIntegrator | None, sensor: int) -> Quantity:
+def gradient(scene: Scene, params: Parameters, adjoint, *, integrator: Integrator | None, sensor: int) -> Quantity:
     """Return the gradient of ``sum(adjoint * image)`` with respect to what ``params.requires_grad`` named.
 
     Raises:

@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from warp_psdr import html
 from warp_psdr.accuracy.allocation import (
     LEAST,
     LEAST_IN_TIME,
@@ -320,6 +321,10 @@ class Report:
         if self.bias_squared is not None:
             lines.append(f"Bias, measured: {_bias(*self.bias_squared)}; predicted errors do not hold it")
         return "\n".join(lines)
+
+    def _repr_html_(self) -> str:
+        """Return what a notebook shows: the tables."""
+        return html.preformatted(str(self))
 
     def plot(self, path: str | os.PathLike | None = None) -> Any:
         """Draw the error against the time: the prediction with its 95 % interval, and the pilot's measured points.

@@ -21,7 +21,6 @@ MOST_SAMPLES = (1 << 31) - 1
 
 def sample_count(scene: Scene, sensor: int, spp: int | None) -> int:
     """Return the samples a pixel: those given, else the sensor's."""
-    scene.camera(sensor)  # says so where there is no such sensor
     return samples("spp", scene.description.sensors[sensor].sample_count if spp is None else spp)
 
 

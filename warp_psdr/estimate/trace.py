@@ -18,7 +18,7 @@ from warp_psdr.kernels.constants import RFILTER_BOX
 from warp_psdr.kernels.rng import mix_seed
 from warp_psdr.kernels.trace import make_trace_kernel
 from warp_psdr.kernels.vertex import PathVertex
-from warp_psdr.options.integrator import PathIntegrator, integrator_of
+from warp_psdr.options.integrator import Integrator, integrator_of
 from warp_psdr.plan.plan import decide
 
 if TYPE_CHECKING:
@@ -81,8 +81,8 @@ def trace_sample(
     sample: int,
     pixel: tuple[int, int] | None = None,
     seed: int = 0,
-    sensor: int = 0,
-    integrator: PathIntegrator | None = None,
+    sensor: int | str = 0,
+    integrator: Integrator | None = None,
     kind: str = "image",
     spp: int | None = None,
     params: Parameters | None = None,
@@ -100,7 +100,7 @@ def trace_sample(
         pixel: (x, y) in the crop window; under a filter that is wider than a pixel also next to it. Samples of a
             boundary term belong to none.
         seed: of the rendering.
-        sensor: of the rendering.
+        sensor: of the rendering, its number or its id.
         integrator: of the rendering.
         kind: "image", "interior" for the path of a gradient, or the name of a boundary term, "secondary" for example.
         spp: of the rendering; default: the sensor's. This and what follows is read for boundary terms only.
@@ -119,6 +119,7 @@ def trace_sample(
         expected = tuple(k for k in KINDS if k != "guiding")
         raise ValueError(f"kind: got {kind!r}, expected one of {expected}; what guiding evaluates is no path")
     integrator = integrator_of(scene, integrator)
+    sensor = scene.description.sensor_number(sensor)
     if kind not in TRACED:
         if params is None or pixel is not None:
             raise ValueError(f"kind {kind!r} takes the params of the gradient (or of its tangents) and no pixel")

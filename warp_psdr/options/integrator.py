@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal
 
@@ -72,17 +73,38 @@ class PathIntegrator:
             )
 
 
-def integrator_of(scene: Scene, integrator: PathIntegrator | None) -> PathIntegrator:
+#: What functions take for an integrator: an object, Mitsuba's dictionary or plugin name, or None: the scene file's.
+Integrator = PathIntegrator | dict | str
+
+
+def integrator_of(scene: Scene, integrator: Integrator | None) -> PathIntegrator:
     """Return the integrator that is given, else the one that the scene's file names.
 
     Raises:
         TypeError: what is given is none.
+        ValueError: Mitsuba's dictionary, or name, of a plugin or with a parameter that is not supported.
+
+    Warns:
+        SceneWarning: a parameter of the dictionary is ignored.
     """
     if integrator is None:
         return from_description(scene.description.integrator)
-    if not isinstance(integrator, PathIntegrator):
-        raise TypeError(f"integrator: got {integrator!r}, expected a psdr.PathIntegrator")
-    return integrator
+    if isinstance(integrator, PathIntegrator):
+        return integrator
+    if isinstance(integrator, str):
+        integrator = {"type": integrator}
+    if not isinstance(integrator, dict):
+        raise TypeError(
+            f"integrator: got {integrator!r}, expected a psdr.PathIntegrator, a dictionary such as "
+            "{'type': 'path', 'max_depth': 4}, or 'path'"
+        )
+    from warp_psdr.scene.dictionary import describe_integrator
+    from warp_psdr.scene.load import SceneWarning
+
+    described, notes = describe_integrator(integrator)
+    for note in notes:
+        warnings.warn(note, SceneWarning, stacklevel=4)
+    return from_description(described)
 
 
 def from_description(integrator: dict) -> PathIntegrator:

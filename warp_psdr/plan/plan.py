@@ -10,7 +10,7 @@ import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from warp_psdr import guiding
+from warp_psdr import guiding, html
 from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.emitter.spot import MIN_FALLOFF
 from warp_psdr.kernels.interior.wanted import Wanted
@@ -38,7 +38,7 @@ from warp_psdr.topology.bent import bent_faces
 
 if TYPE_CHECKING:
     from warp_psdr.boundary import Method
-    from warp_psdr.options.integrator import PathIntegrator
+    from warp_psdr.options.integrator import Integrator, PathIntegrator
     from warp_psdr.scene.parameters import Parameters
     from warp_psdr.scene.scene import Scene
 
@@ -111,13 +111,17 @@ class Plan:
         w1 = max(len(line[1]) for line in self.lines)
         return "\n".join(f"{a:<{w0}}  {b:<{w1}}  {r}" for a, b, r in self.lines)
 
+    def _repr_html_(self) -> str:
+        """Return the table that a notebook shows."""
+        return html.table(("", "decision", "reason"), self.lines)
+
 
 def plan(
     scene: Scene,
     params: Parameters | None = None,
     *,
-    integrator: PathIntegrator | None = None,
-    sensor: int = 0,
+    integrator: Integrator | None = None,
+    sensor: int | str = 0,
     names: list[str] | None = None,
 ) -> Plan:
     """Decide what is compiled and estimated, and say why.
@@ -125,8 +129,8 @@ def plan(
     Args:
         scene: a loaded scene.
         params: its parameters; those that ``requires_grad`` was asked for are differentiated.
-        integrator: default: the one that the scene file names.
-        sensor: which camera (its filter is compiled in).
+        integrator: as of ``render``; default: the one that the scene file names.
+        sensor: which camera (its filter is compiled in), by its number or its id.
         names: what is differentiated, instead of ``params``' requests.
 
     Returns:
@@ -148,14 +152,15 @@ def decide(
     scene: Scene,
     params: Parameters | None = None,
     *,
-    integrator: PathIntegrator | None = None,
-    sensor: int = 0,
+    integrator: Integrator | None = None,
+    sensor: int | str = 0,
     names: list[str] | None = None,
 ) -> Plan:
     """Return the ``plan`` without what is only told, the shapes in contact: a search over the scene's triangles."""
     from warp_psdr.options.integrator import integrator_of
 
     integrator = integrator_of(scene, integrator)
+    sensor = scene.description.sensor_number(sensor)
     names = _named(scene, params, names)
     lines: list[tuple[str, str, str]] = []
     config = _config(scene, integrator, sensor, lines)

@@ -37,14 +37,15 @@ def cornell_box() -> dict[str, Any]:
                 "height": 256,
                 "rfilter": {"type": "gaussian"},
                 "pixel_format": "rgb",
-                "component_format": "float32",
             },
         },
         "white": _diffuse(_WHITE),
         "green": _diffuse(_GREEN),
         "red": _diffuse(_RED),
         "light": {
-            **_shape("rectangle", "white", t.translate([0.0, 0.99, 0.01]) @ t.rotate(x, 90) @ t.scale([0.23, 0.19, 1.0])),
+            **_shape(
+                "rectangle", "white", t.translate([0.0, 0.99, 0.01]) @ t.rotate(x, 90) @ t.scale([0.23, 0.19, 0.19])
+            ),
             "emitter": {"type": "area", "radiance": {"type": "rgb", "value": list(_RADIANCE)}},
         },
         "floor": _shape("rectangle", "white", t.translate([0.0, -1.0, 0.0]) @ t.rotate(x, -90)),

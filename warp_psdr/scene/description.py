@@ -135,3 +135,18 @@ class SceneDescription:
     #: (3,) float64: what was subtracted from all positions, those of matrices included; see ``origin``.
     origin: np.ndarray = field(default_factory=lambda: np.zeros(3))
     notes: list[str] = field(default_factory=list)  #: reported repairs and ignored cosmetic properties
+
+    def sensor_number(self, sensor: int | str) -> int:
+        """Return the number of a sensor, which is given by its number, from the end if negative, or by its id.
+
+        Raises:
+            ValueError: There is no such sensor.
+        """
+        names, count = [s.path for s in self.sensors], len(self.sensors)
+        if isinstance(sensor, str) and sensor in names:
+            return names.index(sensor)
+        whole = isinstance(sensor, (int, np.integer)) and not isinstance(sensor, bool)
+        if not whole or not -count <= int(sensor) < count:
+            known = ", ".join(map(repr, names))
+            raise ValueError(f"sensor {sensor!r}: the scene has sensors 0 to {count - 1}, with the ids {known}")
+        return int(sensor) % count

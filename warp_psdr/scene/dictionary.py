@@ -68,6 +68,19 @@ def describe(scene: dict, where: str, context: Context) -> SceneDescription:
     return _build(scene, where, again)
 
 
+def describe_integrator(node: dict) -> tuple[dict[str, Any], list[str]]:
+    """Return what ``SceneDescription.integrator`` holds for an integrator's dictionary, and the notes on it.
+
+    Raises:
+        ValueError: If it is no integrator that is supported.
+    """
+    context = Context("integrator", Path.cwd(), True)
+    found = category_of(node, "integrator")
+    if found != "integrator":
+        raise error("integrator", f"'{node.get('type')}' is a {found}", "give {'type': 'path', 'max_depth': 4}")
+    return _integrator(node, "integrator", context), context.notes
+
+
 def _build(scene: dict, where: str, context: Context) -> SceneDescription:
     """Build every plugin, with all positions relative to the context's origin; problems are reported."""
     result = SceneDescription(shapes=[], emitters=[], sensors=[], source=context.source, notes=context.notes)

@@ -45,9 +45,7 @@ def load_file(path, *, device: str | wp.Device | None = None, allow_outside=Fals
     return _load(describe_file(path, allow_outside=allow_outside, **defaults), device)
 
 
-def load_string(
-    xml: str, *, device: str | wp.Device | None = None, base=None, allow_outside=None, **defaults
-) -> Scene:
+def load_string(xml: str, *, device: str | wp.Device | None = None, base=None, allow_outside=None, **defaults) -> Scene:
     """Load a Mitsuba 3 scene from XML text; see ``load_file``.
 
     Without ``base``, file names start from the current folder and, the text being the program's own, may lead anywhere.

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
+from warp_psdr import html
+
 if TYPE_CHECKING:
     from warp_psdr.scene.layout import Parameter
     from warp_psdr.scene.scene import Scene
@@ -112,6 +114,14 @@ class Parameters(Mapping):
             for n, p in self._scene.parameters.items()
         ]
         return "Parameters[\n" + "\n".join(lines) + "\n]"
+
+    def _repr_html_(self) -> str:
+        """Return the table that a notebook shows."""
+        rows = [
+            (n, p.dtype.__name__, str(p.shape), ", ".join(sorted(p.uses)), "requested" if n in self._requested else "")
+            for n, p in self._scene.parameters.items()
+        ]
+        return html.table(("parameter", "type", "shape", "acts on", "gradient"), rows)
 
     def __setitem__(self, name: str, values) -> None:
         """Copy new values in; ``update`` makes the scene follow.

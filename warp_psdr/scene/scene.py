@@ -34,6 +34,7 @@ from warp_psdr.scene.lights import Lights
 from warp_psdr.scene.origin import COLLAPSING
 from warp_psdr.scene.shading import shades_flat
 from warp_psdr.scene.steps import Boxes, Steps, find_steps, measure, second_width
+from warp_psdr.scene.summary import summary
 from warp_psdr.scene.world import World
 
 if TYPE_CHECKING:
@@ -76,12 +77,12 @@ class Scene:
         indices: Flat int32 vertex numbers, three a triangle, over all shapes.
     """
 
-    def __init__(self, description: SceneDescription, device: str | wp.Device = "cpu"):
+    def __init__(self, description: SceneDescription, device: str | wp.Device | None = None):
         """Build the device records.
 
         Args:
             description: What the readers produced.
-            device: Warp device name, "cpu" or "cuda:0".
+            device: Warp device, "cpu" or "cuda:0"; None: Warp's current one.
         """
         self.description = description
         self.device = wp.get_device(device)
@@ -152,6 +153,9 @@ class Scene:
             raise ValueError(f"contact_ratio: got {value!r}, expected a number that is not negative; 0: no strips")
         self._contact_ratio = float(value)
 
+    def __repr__(self) -> str:
+        return summary(self)
+
     def __reduce_ex__(self, _protocol: Any):
         """Refuse copies.
 
@@ -191,17 +195,13 @@ class Scene:
         """Flat offset of the vertex positions of all shapes."""
         return self.builder.positions
 
-    def camera(self, sensor: int) -> structs.Camera:
-        """Return the camera record of a sensor.
+    def camera(self, sensor: int | str) -> structs.Camera:
+        """Return the camera record of a sensor, which is given by its number or its id.
 
         Raises:
             ValueError: There is no such sensor.
         """
-        cameras = self.builder.cameras
-        integer = isinstance(sensor, (int, np.integer)) and not isinstance(sensor, bool)
-        if not integer or not -len(cameras) <= sensor < len(cameras):
-            raise ValueError(f"sensor {sensor!r}: the scene has sensors 0 to {len(cameras) - 1}")
-        return cameras[sensor]
+        return self.builder.cameras[self.description.sensor_number(sensor)]
 
     @property
     def luminous(self) -> np.ndarray:

@@ -21,7 +21,7 @@ from warp_psdr.invalid import warns
 from warp_psdr.kernels.boundary.local_form import SAMPLE_RECORD
 from warp_psdr.kernels.rng import mix_seed
 from warp_psdr.options.boundary import EdgeSampling, PathSpace
-from warp_psdr.options.integrator import PathIntegrator, integrator_of
+from warp_psdr.options.integrator import Integrator, integrator_of
 from warp_psdr.plan.motion import motion
 from warp_psdr.plan.plan import decide
 from warp_psdr.plots import as_array
@@ -76,8 +76,8 @@ def boundary_samples(
     params: Parameters,
     adjoint: Any,
     *,
-    sensor: int = 0,
-    integrator: PathIntegrator | None = None,
+    sensor: int | str = 0,
+    integrator: Integrator | None = None,
     spp: int = 4,
     seed: int = 0,
 ) -> EdgeSamples:
@@ -91,8 +91,8 @@ def boundary_samples(
         scene: a loaded scene.
         params: its parameters, after ``requires_grad``.
         adjoint: derivative of a loss with respect to the image, NumPy (H, W, 3) or Warp (H, W) of vec3.
-        sensor: which camera.
-        integrator: default: what the scene file names.
+        sensor: which camera, by its number or its id.
+        integrator: as of ``render``; default: what the scene file names.
         spp: samples a pixel, of each kind.
         seed: equal seeds give equal samples.
 
@@ -103,8 +103,9 @@ def boundary_samples(
         RuntimeWarning: samples that were not finite were left out (``psdr.invalid_samples``).
     """
     integrator = integrator_of(scene, integrator)
+    number: int = scene.description.sensor_number(sensor)
     names = params.requested
-    plan = decide(scene, params, integrator=integrator, sensor=sensor)
+    plan = decide(scene, params, integrator=integrator, sensor=number)
     if plan.boundary is None:
         raise ValueError(
             f"{names} have no boundary term here: no discontinuity moves, or PathIntegrator(boundary=None) left it out"
@@ -113,7 +114,7 @@ def boundary_samples(
         raise ValueError(
             f"the samples of {plan.boundary.label} are not recorded, only those of boundary.PathSpace(); name that"
         )
-    camera = scene.camera(sensor)
+    camera = scene.camera(number)
     values = np.ascontiguousarray(as_array(adjoint), np.float32)
     if values.shape != (camera.crop_height, camera.crop_width, 3):
         raise ValueError(
@@ -121,7 +122,7 @@ def boundary_samples(
         )
     weights = wp.array(values, dtype=wp.vec3, device=scene.device)
     stream = mix_seed(seed, STREAM_BOUNDARY)
-    request = Request(scene, plan, motion(scene, names), "samples", sensor, spp, stream)
+    request = Request(scene, plan, motion(scene, names), "samples", number, spp, stream)
     records, kinds = [np.zeros((0, SAMPLE_RECORD), np.float32)], []
     for kind, make in (("primary", primary), ("primary", facets), ("secondary", secondary)):
         for term in launches(make, request):
@@ -140,8 +141,8 @@ def edge_density(
     scene: Any,
     params: Parameters,
     *,
-    sensor: int = 0,
-    integrator: PathIntegrator | None = None,
+    sensor: int | str = 0,
+    integrator: Integrator | None = None,
     seed: int = 0,
     pieces: int = 1,
 ) -> EdgeDensity:
@@ -152,8 +153,8 @@ def edge_density(
     Args:
         scene: a loaded scene.
         params: its parameters, after ``requires_grad``.
-        sensor: which camera.
-        integrator: default: what the scene file names.
+        sensor: which camera, by its number or its id.
+        integrator: as of ``render``; default: what the scene file names.
         seed: that of the gradient whose structure is shown.
         pieces: into how many segments an edge is cut; ``EdgeDensity`` holds each of them.
 
@@ -164,8 +165,9 @@ def edge_density(
     if isinstance(pieces, bool) or not isinstance(pieces, int) or pieces < 1:
         raise ValueError(f"pieces: got {pieces!r}, expected a positive integer")
     integrator = integrator_of(scene, integrator)
+    number: int = scene.description.sensor_number(sensor)
     names = params.requested
-    plan = decide(scene, params, integrator=integrator, sensor=sensor)
+    plan = decide(scene, params, integrator=integrator, sensor=number)
     if isinstance(plan.boundary, EdgeSampling):
         raise ValueError(
             f"{plan.boundary.label} draws edges by each path vertex, not by one density of the scene; name PathSpace() "
@@ -176,7 +178,7 @@ def edge_density(
     if method is None:
         edges = secondary_edges(scene, set(motion(scene, names).shapes))
     else:
-        request = Request(scene, plan, motion(scene, names), "reverse", sensor, 1, mix_seed(seed, STREAM_BOUNDARY))
+        request = Request(scene, plan, motion(scene, names), "reverse", number, 1, mix_seed(seed, STREAM_BOUNDARY))
         asker = projective.asker(request) if isinstance(plan.boundary, projective.Projective) else None
         edges, guide = store.guide(request, method, asker)
     if edges is None:

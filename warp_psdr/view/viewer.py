@@ -67,7 +67,7 @@ def view(
         fields: Names of parameters whose ``.grad`` is drawn, or a mapping from names to arrays of the parameters'
             shapes. None: the scene alone, in its materials' colours.
         screenshot: PNG file to write; draws off-screen.
-        camera: Number of the sensor to look through (principal point and crop are ignored), or None: from outside.
+        camera: Number or id of the sensor to look through (principal point and crop are ignored); None: from outside.
         show_emitters: Draw area lights, and markers for point, spot and directional lights.
         window_size: Width and height in pixels.
         percentile: Of the non-zero magnitudes of a panel; its colour range and arrows end there.
@@ -82,13 +82,9 @@ def view(
         RuntimeError: VTK cannot draw on this machine; the message says what to install.
     """
     description: SceneDescription = getattr(scene, "description", scene)
-    if (
-        camera is not None
-        and description.sensors
-        and not -len(description.sensors) <= camera < len(description.sensors)
-    ):
-        raise ValueError(f"camera {camera}: the scene has sensors 0 to {len(description.sensors) - 1}")
-    sensor = description.sensors[camera] if camera is not None and description.sensors else None
+    sensor = (
+        description.sensors[description.sensor_number(camera)] if camera is not None and description.sensors else None
+    )
     values = dict(params) if params is not None else {}
     center, radius = _bounds(description, values)
     import pyvista

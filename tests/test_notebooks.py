@@ -1,0 +1,97 @@
+"""What notebooks show of images, plans, parameters and reports."""
+
+import io
+import math
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+import warp as wp
+from PIL import Image as Picture
+
+import warp_psdr as psdr
+from warp_psdr.image import Image
+from warp_psdr.image_io import linear_to_srgb
+from warp_psdr.work_precision.report import Report, TermReport
+
+NAME = "white.reflectance.value"
+DIRECT = psdr.PathIntegrator(max_depth=1)
+
+
+@pytest.fixture(scope="module")
+def box():
+    scene = psdr.cornell_box()
+    scene["sensor"]["film"] |= {"width": 6, "height": 4}
+    scene = psdr.load_dict(scene)
+    params = psdr.traverse(scene)
+    params.requires_grad(NAME)
+    return scene, params
+
+
+class Cells(HTMLParser):
+    """Collects the texts of cells, and whether every tag is closed."""
+
+    def __init__(self, text: str):
+        super().__init__()
+        self.texts: list[str] = []
+        self.open: list[str] = []
+        self.feed(text)
+        assert self.open == []
+
+    def handle_starttag(self, tag, attributes):
+        self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.texts.append(data)
+
+
+def test_an_image_is_a_warp_array_that_shows_itself(box) -> None:
+    scene, params = box
+    image = psdr.render(scene, integrator=DIRECT, spp=4)
+    assert isinstance(image, psdr.Image) and isinstance(image, wp.array)
+    assert image.shape == (4, 6) and image.dtype is wp.vec3
+    shown = np.asarray(Picture.open(io.BytesIO(image._repr_png_())))
+    factor = shown.shape[0] // 4
+    assert factor > 1 and shown.shape == (4 * factor, 6 * factor, 3), "small images are enlarged"
+    expected = 255.0 * linear_to_srgb(image.numpy())
+    np.testing.assert_allclose(shown[::factor, ::factor], expected, atol=0.51)
+    change = psdr.render_forward(scene, params, {NAME: 1.0}, integrator=DIRECT, spp=1)
+    signed = Picture.open(io.BytesIO(change._repr_png_()))
+    assert signed.width > 6 * factor / 2 and change.signed and not image.signed
+
+
+def test_kernels_and_tapes_take_images(box) -> None:
+    scene, _params = box
+    image = psdr.render(scene, integrator=DIRECT, spp=1)
+    image.requires_grad = True
+    target = Image((4, 6), scene.device)
+    assert not target.numpy().any()
+    with wp.Tape() as tape:
+        loss = psdr.losses.l2(image, target)
+    tape.backward(loss)
+    np.testing.assert_allclose(image.grad.numpy(), 2.0 * image.numpy() / image.numpy().size, rtol=1e-5)
+
+
+def test_plans_and_parameters_are_tables(box) -> None:
+    scene, params = box
+    plan = psdr.plan(scene, params)
+    texts = Cells(plan._repr_html_()).texts
+    assert texts == ["decision", "reason", *(text for line in plan.lines for text in line)]
+    texts = Cells(params._repr_html_()).texts
+    assert all(name in texts for name in params) and texts.count("requested") == 1
+
+
+def test_reports_keep_their_columns() -> None:
+    term = TermReport(
+        name="interior <a>", spp=4, samples=96, seconds=0.2, seconds_error=0.01, fixed_seconds=0.1,
+        sample_seconds=0.01, setup_seconds=0.0, variance={"image": 1.0}, variance_error={"image": 0.1},
+        exponent=math.nan, exponent_error=math.nan, largest=0.1, kurtosis=3.0,
+    )  # fmt: skip
+    report = Report(
+        role="primal", clock="wall", batches=4, pilot_seconds=1.0, terms=(term,), norm2={"image": 2.0},
+        norm2_error={"image": 0.1}, seen=("image",), spread=0.1,
+    )  # fmt: skip
+    assert "".join(Cells(report._repr_html_()).texts) == str(report)

@@ -1,0 +1,47 @@
+"""What rendering returns: a Warp array that a notebook shows as a picture."""
+
+from __future__ import annotations
+
+import io
+from typing import Any
+
+import warp as wp
+
+#: Least width and height of a picture that is shown, pixels: smaller images are enlarged by a whole number.
+_SHOWN = 192
+
+
+class Image(wp.array):
+    """An image on its device: a ``wp.array2d`` of vec3, shape (H, W), top row first; notebooks show it.
+
+    It is a Warp array in everything else: kernels, tapes, ``numpy()`` and PyTorch take it as one.
+
+    Args:
+        shape: (H, W).
+        device: Warp device.
+        requires_grad: with an array for its gradient.
+        signed: a derivative, which is shown in two hues with a colour bar instead of as radiance.
+    """
+
+    def __init__(self, shape: tuple[int, int], device: Any, *, requires_grad: bool = False, signed: bool = False):
+        super().__init__(shape=shape, dtype=wp.vec3, device=device, requires_grad=requires_grad)
+        self.signed = signed
+        self.zero_()
+
+    def _repr_png_(self) -> bytes:
+        """Return the picture that a notebook shows: sRGB, clipped to [0, 1]."""
+        from PIL import Image as Picture
+
+        from warp_psdr.image_io import linear_to_srgb
+
+        values = self.numpy()
+        stream = io.BytesIO()
+        if self.signed:
+            from warp_psdr.plots import derivative_image
+
+            derivative_image(stream, values)
+            return stream.getvalue()
+        pixels = (255.0 * linear_to_srgb(values)).round().astype("uint8")
+        factor = max(-(-_SHOWN // max(min(self.shape), 1)), 1)
+        Picture.fromarray(pixels.repeat(factor, axis=0).repeat(factor, axis=1)).save(stream, "PNG")
+        return stream.getvalue()
