@@ -77,7 +77,7 @@ IMAGE = {
 PATH = {"Mitsuba path": Method({"type": "path"})}
 INTERIOR = {
     "ours, Replay": Method({"boundary": None}),
-    "ours, textbook": Method({"boundary": None, "interior": psdr.interior.Replay(block=0)}, full=True),
+    "ours, textbook": Method({"boundary": None, "interior": psdr.interior.Textbook()}, full=True),
 }
 PRB = {"Mitsuba prb": Method({"type": "prb"})}
 

@@ -1,4 +1,4 @@
-"""Interior term by textbook path replay [VSJ21]: nothing kept, everything divided. For comparison (K = 0).
+"""Interior term by textbook path replay [VSJ21]: nothing kept, everything divided. For comparison.
 
 A first pass computes L of the sample. The second one traces the same path again and subtracts what it meets, so that
 the remaining radiance after vertex n is R_n = A_{n+1} . L_{n+1}; the derivative of beta_n then is R_n dbeta_n / beta_n.
@@ -51,7 +51,7 @@ def at_vertex(vertex: PathVertex) -> Carry:
 
 @functools.cache
 def make_textbook_kernel(config: PathConfig, wanted: Wanted, role: str):
-    """Return the kernel of ``interior.Replay(block=0)``; arguments as ``make_replay_kernel``'s."""
+    """Return the kernel of ``interior.Textbook()``; arguments as ``make_replay_kernel``'s."""
     lanes, starts, path_step = make_camera_paths(config, True)
     _camera_ray, camera_origin = make_camera_ray(config.camera)
     sweep, _finish, finish_vertex = make_sweep(config, wanted, role)

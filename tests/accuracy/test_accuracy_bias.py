@@ -20,7 +20,7 @@ def soft():
 
 def test_textbook_replay_and_a_missing_term_are_named(soft):
     scene, params = soft
-    integrator = psdr.PathIntegrator(max_depth=2, interior=psdr.interior.Replay(block=0), boundary=None)
+    integrator = psdr.PathIntegrator(max_depth=2, interior=psdr.interior.Textbook(), boundary=None)
     found = bias.named(quantity.gradient(scene, params, adjoint(), integrator=integrator, sensor=0))
     assert [text.partition(":")[0] for text in found[:2]] == ["textbook replay", "boundary=None"]
 
@@ -60,7 +60,7 @@ def test_bias_of_textbook_replay_on_black_is_measured():
     name = "box.bsdf.reflectance.value"
     params.requires_grad(name)
     for depth in (2, 3):
-        textbook = psdr.PathIntegrator(max_depth=depth, interior=psdr.interior.Replay(block=0))
+        textbook = psdr.PathIntegrator(max_depth=depth, interior=psdr.interior.Textbook())
         options = {"clock": "cpu", "seconds": 1.0, "tiles": False, "integrator": textbook}
         squared, error = psdr.accuracy(scene, params, adjoint(), **options).bias_squared
         expected = bias_of(scene, params, name, textbook, 1024)

@@ -46,7 +46,7 @@ def made_up(
         role="reverse", parts=tuple(part(i, *term) for i, term in enumerate(terms)), blocks={"x": slice(0, components)},
         raster=(1, 1, 0), finished=lambda x: x, adjoint=None, sensor=0,
         scene=SimpleNamespace(camera=lambda _sensor: SimpleNamespace(crop_width=1, crop_height=1)),
-        plan=SimpleNamespace(block=4, boundary=None, discontinuities=(), wanted=None),
+        plan=SimpleNamespace(interior=None, boundary=None, discontinuities=(), wanted=None),
     )  # fmt: skip
     what.tiled = lambda _tiling: what
     return what

@@ -11,6 +11,9 @@ from .measure import MODES, Case, assert_agrees, derivatives, differences, rows,
 from .scenes import T, ball, box, camera, diffuse, floor, load, mesh, panel, register, sky
 from .test_table import moved, scaled
 
+#: Geometry alone: there is no light.
+pytestmark = pytest.mark.filterwarnings("ignore::warp_psdr.SceneWarning")
+
 
 def sunk(smooth=False, light=None, **more):
     """A ball half sunk into a floor."""

@@ -112,12 +112,12 @@ def test_the_count_does_not_depend_on_the_workers() -> None:
     assert counts[0] == counts[1] > 0
 
 
-@pytest.mark.parametrize("block", [8, 0])
+@pytest.mark.parametrize("interior", [psdr.interior.Replay(), psdr.interior.Textbook()], ids=["replay", "textbook"])
 @pytest.mark.parametrize("mode", ["reverse", "forward"])
-def test_the_interior_term(mode: str, block: int, monkeypatch) -> None:
+def test_the_interior_term(mode: str, interior, monkeypatch) -> None:
     scene = broken()
     params = psdr.traverse(scene)
-    options = {"integrator": integrator(interior=psdr.interior.Replay(block=block)), "spp": SPP}
+    options = {"integrator": integrator(interior=interior), "spp": SPP}
     with pytest.warns(RuntimeWarning, match="interior: "):
         if mode == "reverse":
             params.requires_grad(FLOOR)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-#: Method -> (mode, K of interior.Replay).
+#: Method -> (mode, K of interior.Replay; 0: interior.Textbook).
 METHODS = {
     "forward": ("forward", 8),
     "reverse": ("reverse", 8),

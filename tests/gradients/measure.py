@@ -100,7 +100,12 @@ def shared_random_numbers():
 def integrator(depth: int, block: int = 8, **options) -> psdr.PathIntegrator:
     """Return the interior term's integrator without roulette, whose decisions would depend on the parameters."""
     options = {"rr_depth": NO_ROULETTE, "boundary": None, **options}
-    return psdr.PathIntegrator(max_depth=depth, interior=psdr.interior.Replay(block=block), **options)
+    return psdr.PathIntegrator(max_depth=depth, interior=interior(block), **options)
+
+
+def interior(block: int) -> psdr.interior.Method:
+    """Return record and sweep in blocks of K vertices; 0: textbook replay, which keeps none."""
+    return psdr.interior.Replay(block=block) if block else psdr.interior.Textbook()
 
 
 def image_at(scene, params, name, values, depth, spp, seed):

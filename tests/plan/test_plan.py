@@ -14,6 +14,7 @@ from warp_psdr.estimate import passes
 from warp_psdr.kernels import path as path_module
 from warp_psdr.kernels.bsdf import dispatch
 from warp_psdr.kernels.primal import make_primal_kernel
+from warp_psdr.plan.interior import TABLE, row_of
 
 INTEGRATOR = psdr.PathIntegrator(max_depth=4, boundary=None)
 #: Words of models that a scene of diffuse surfaces and one area light has no use for.
@@ -178,15 +179,37 @@ def test_depth_one_compiles_no_scattering(diffuse, tmp_path):
         (3, 16, (3, 8)),
         (1, 5, (1, 8)),
         (8, 64, (8, 8)),
-        (0, 64, (0, 1)),
         (8, -1, (8, 64)),
     ],
 )
 def test_blocks(diffuse, block, depth, expected):
     integrator = psdr.PathIntegrator(max_depth=depth, interior=psdr.interior.Replay(block=block))
     plan = psdr.plan(diffuse[0], names=["floor.bsdf.reflectance.value"], integrator=integrator)
-    assert (plan.block, plan.blocks) == expected
-    assert block == 0 or depth < 0 or plan.block * plan.blocks >= depth
+    assert (plan.kept.block, plan.kept.blocks) == expected
+    assert depth < 0 or plan.kept.longest >= depth
+
+
+def test_textbook_replay_is_a_method_of_its_own(diffuse):
+    integrator = psdr.PathIntegrator(max_depth=64, interior=psdr.interior.Textbook())
+    plan = psdr.plan(diffuse[0], names=["floor.bsdf.reflectance.value"], integrator=integrator)
+    assert plan.kept.longest == 0 and plan.interior.bias
+    _item, decision, reason = next(line for line in plan.lines if line[0] == "interior")
+    assert decision == "textbook replay" and "factors that are exactly zero are lost" in reason
+    assert psdr.plan(diffuse[0], integrator=integrator).interior is None, "nothing is differentiated"
+
+
+def test_every_interior_method_has_a_row_beside_every_boundary_method():
+    methods = [psdr.interior.Replay(), psdr.interior.Textbook()]
+    assert {type(m) for m in methods} == set(psdr.interior.Method.__subclasses__()) == {m for m, _kind in TABLE}
+    terms = [None, psdr.boundary.PathSpace(), psdr.boundary.EdgeSampling(), psdr.boundary.Projective()]
+    assert all(row_of(method, term).label for method in methods for term in terms)
+
+    class Another(psdr.interior.Method):
+        pass
+
+    message = r"interior\.Another\(\) has no kernel beside PathSpace\(\); use interior\.Replay\(\)"
+    with pytest.raises(ValueError, match=message):
+        row_of(Another(), terms[1])
 
 
 def test_a_name_that_is_none_is_refused_with_one_that_is(diffuse):
@@ -228,9 +251,10 @@ def test_a_bad_integrator_is_refused(options, message):
         psdr.PathIntegrator(**options)
 
 
-@pytest.mark.parametrize("block", [-1, 65, 8.0, True, None])
+@pytest.mark.parametrize("block", [-1, 0, 65, 8.0, True, None])
 def test_a_bad_block_is_refused(block):
-    with pytest.raises(ValueError, match="block: got"):
+    named = r".*is interior\.Textbook\(\)" if block == 0 else ""
+    with pytest.raises(ValueError, match=f"block: got{named}"):
         psdr.interior.Replay(block=block)
 
 

@@ -12,6 +12,9 @@ from warp_psdr.kernels.step import LEAVE, RAY_EPSILON, TOUCH
 from warp_psdr.topology.edges import scene_adjacency
 from warp_psdr.topology.welding import weld, weld_shapes
 
+#: What is noted is looked for in the notes.
+pytestmark = pytest.mark.filterwarnings("ignore::warp_psdr.SceneWarning")
+
 
 def test_a_scene_of_one_scale_has_one_step() -> None:
     steps = psdr.load_dict(room()).steps

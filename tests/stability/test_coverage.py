@@ -16,6 +16,9 @@ import warp_psdr as psdr
 from .record import Case, parameters
 from .sweeps import box
 
+#: Scenes that are noted to be at the edge of what floats hold are what is tested.
+pytestmark = pytest.mark.filterwarnings("ignore::warp_psdr.SceneWarning")
+
 FILM, FOV, NEAR = 16, 40.0, 0.01
 SPP, BATCHES = 256, 4
 #: Of the exact derivative's central difference: below the images of all that is thin here.

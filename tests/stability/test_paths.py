@@ -53,7 +53,7 @@ def room(kind: str, rho: float):
 
 
 def integrator(depth: int, *, rr: int = NO_ROULETTE, block: int = 8) -> psdr.PathIntegrator:
-    interior = psdr.interior.Replay(block=block)
+    interior = psdr.interior.Replay(block=block) if block else psdr.interior.Textbook()
     return psdr.PathIntegrator(max_depth=depth, rr_depth=rr, boundary=None, interior=interior)
 
 

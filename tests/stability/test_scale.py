@@ -12,6 +12,9 @@ from warp_psdr.scene import dictionary
 from .record import Case, parameters
 from .sweeps import VELOCITY, derivatives, passes, rectangle, reference, room, slope_error, worst
 
+#: Scenes that are noted to be at the edge of what floats hold are what is tested.
+pytestmark = pytest.mark.filterwarnings("ignore::warp_psdr.SceneWarning")
+
 #: Where scenes are moved, in their own sizes.
 PLACE = np.array([1.0, 0.7, -0.4])
 

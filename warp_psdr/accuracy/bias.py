@@ -38,8 +38,8 @@ def named(what: Quantity) -> tuple[str, ...]:
         if splats(scene.camera(what.sensor)):
             found.append("the filtered image is a quotient of two sums: of the order of 1 / all samples of a pixel")
         return tuple(found)
-    if _textbook(plan):
-        found.append("textbook replay: derivatives of factors that are exactly zero are lost")
+    if plan.interior is not None and plan.interior.bias:
+        found.append(f"{plan.interior.label}: {plan.interior.bias}")
     if _without_boundary(plan):
         found.append("boundary=None: all of the boundary term is left out, although " + "; ".join(plan.discontinuities))
     if plan.wanted is not None and plan.wanted.geometry and scene.contact_ratio > 0.0:
@@ -50,8 +50,8 @@ def named(what: Quantity) -> tuple[str, ...]:
     return tuple(found)
 
 
-def _textbook(plan: Plan) -> bool:
-    return plan.block == 0
+def _biased(plan: Plan) -> bool:
+    return plan.interior is not None and bool(plan.interior.bias)
 
 
 def _without_boundary(plan: Plan) -> bool:
@@ -61,7 +61,7 @@ def _without_boundary(plan: Plan) -> bool:
 def unbiased(integrator: PathIntegrator, what: Quantity) -> PathIntegrator | None:
     """Return the twin's integrator; None: the method needs none."""
     changes: dict = {}
-    if _textbook(what.plan):
+    if _biased(what.plan):
         changes["interior"] = Replay()
     if _without_boundary(what.plan):
         changes["boundary"] = "auto"
@@ -91,7 +91,7 @@ def measured(
     while len(batches) < LEAST_BATCHES or (len(batches) < MOST_BATCHES and now() - start < SHARE * seconds):
         at = mix_seed(seed, len(batches))
         difference = np.zeros(max(block.stop for block in blocks))
-        if _textbook(what.plan):
+        if _biased(what.plan):
             difference += twin.parts[0].run(spp, at) - what.parts[0].run(spp, at)
         batches.append(sum((part.run(spp, at) for part in boundary), difference))
     of_bias = moments([batches], blocks)

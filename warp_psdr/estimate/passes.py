@@ -17,9 +17,6 @@ from warp_psdr import workers
 from warp_psdr.device import launch, launch_lanes
 from warp_psdr.invalid import counting
 from warp_psdr.kernels.constants import RFILTER_BOX
-from warp_psdr.kernels.interior.forward import make_forward_kernel
-from warp_psdr.kernels.interior.replay import make_replay_kernel
-from warp_psdr.kernels.interior.textbook import make_textbook_kernel
 from warp_psdr.kernels.primal import make_primal_kernel
 from warp_psdr.kernels.rng import mix_seed
 from warp_psdr.kernels.splat import collect, make_splat_kernel
@@ -188,11 +185,8 @@ def _patches(scene: Scene, plan: Plan) -> dict[str, wp.array]:
 
 
 def _gradient_kernel(plan: Plan, role: str) -> wp.Kernel:
-    if plan.block == 0:
-        return make_textbook_kernel(plan.config, plan.wanted, role)
-    if role == "forward":
-        return make_forward_kernel(plan.config, plan.wanted)
-    return make_replay_kernel(plan.config, plan.wanted, plan.block, plan.blocks)
+    assert plan.interior is not None and plan.wanted is not None and plan.kept is not None
+    return plan.interior.make(plan.config, plan.wanted, role, plan.kept)
 
 
 def _mask(scene: Scene, shapes: frozenset[int] | None) -> wp.array:
@@ -204,9 +198,8 @@ def _mask(scene: Scene, shapes: frozenset[int] | None) -> wp.array:
 
 def _depth(plan: Plan) -> int:
     """Depth limit of a differential pass: its records have to hold the path."""
-    if plan.block == 0 or plan.max_depth > 0:
-        return plan.max_depth
-    return plan.block * plan.blocks
+    longest = plan.kept.longest if plan.kept is not None else 0
+    return longest if longest and plan.max_depth < 0 else plan.max_depth
 
 
 def _blocks(spp: int, most: int, progress: Progress | None) -> Iterator[tuple[int, int, Progress | None]]:

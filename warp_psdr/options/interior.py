@@ -15,9 +15,7 @@ class Replay(Method):
 
     Attributes:
         block: K, how many path vertices are kept at a time. Longer paths are replayed in blocks of K (without a depth
-            limit those of some 500 vertices more than Russian roulette begins at are cut, one in 10^11). 0: textbook
-            path replay, which keeps none, divides by every factor, and therefore loses the derivative of factors that
-            are exactly zero; it refuses vertices that move in scenes with smooth mirrors or glass. For comparison only.
+            limit those of some 500 vertices more than Russian roulette begins at are cut, one in 10^11).
     """
 
     block: int = 8
@@ -26,7 +24,17 @@ class Replay(Method):
         """Validate once.
 
         Raises:
-            ValueError: ``block`` is not between 0 and 64.
+            ValueError: ``block`` is not between 1 and 64.
         """
-        if isinstance(self.block, bool) or not isinstance(self.block, int) or not 0 <= self.block <= 64:
-            raise ValueError(f"block: got {self.block!r}, expected an integer from 0 to 64")
+        if isinstance(self.block, bool) or not isinstance(self.block, int) or not 1 <= self.block <= 64:
+            remedy = "; textbook replay, which keeps no vertices, is interior.Textbook()" if self.block == 0 else ""
+            raise ValueError(f"block: got {self.block!r}, expected an integer from 1 to 64{remedy}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Textbook(Method):
+    """Path replay as [VSJ21] print it (``kernels/interior/textbook.py``), for comparison only.
+
+    It keeps no vertices and divides by every factor, and therefore loses the derivative of factors that are exactly
+    zero. It refuses vertices that move in scenes with smooth mirrors or glass.
+    """

@@ -15,9 +15,9 @@ from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.emitter.spot import MIN_FALLOFF
 from warp_psdr.kernels.interior.wanted import Wanted
 from warp_psdr.kernels.vertex import PathConfig
-from warp_psdr.options import interior
 from warp_psdr.options.boundary import Connecting
 from warp_psdr.plan.coverage import choose
+from warp_psdr.plan.interior import Kept, Row, row_of
 from warp_psdr.plan.motion import motion
 from warp_psdr.scene.build import SLOTS
 from warp_psdr.scene.layout import (
@@ -70,11 +70,6 @@ TEXTURE_NAMES = {
 }
 #: Shapes that a line of the plan names.
 NAMED = 3
-#: Vertices after which a path without depth limit is cut, counted from where Russian roulette begins: it survives with
-#: probability 0.95 at most, so fewer than one path in 10^11 is that long.
-UNBOUNDED_VERTICES = 507
-#: Most vertices of a path that is differentiated without a depth limit.
-MOST_VERTICES = 4096
 
 
 @dataclass(frozen=True)
@@ -86,8 +81,8 @@ class Plan:
         wanted: which derivatives are compiled; None: primal only.
         max_depth: most vertices of a path, -1: no limit.
         rr_depth: depth at which Russian roulette starts.
-        block: path vertices kept at a time (0: textbook replay).
-        blocks: most blocks of a path.
+        interior: method of the interior term (``interior.py``); None: primal only.
+        kept: what of a path it keeps.
         discontinuities: why the requested parameters move discontinuities; empty: they do not.
         lines: (item, decision, reason).
         boundary: method of the boundary term; None: there is none, or it was left out on purpose.
@@ -98,8 +93,8 @@ class Plan:
     wanted: Wanted | None
     max_depth: int
     rr_depth: int
-    block: int
-    blocks: int
+    interior: Row | None
+    kept: Kept | None
     discontinuities: tuple[str, ...]
     lines: tuple[tuple[str, str, str], ...]
     boundary: Method | None = None
@@ -169,44 +164,50 @@ def decide(
     wanted = _wanted(scene, config, names, lines) if names else None
     if not names:
         lines.append(("derivatives", "none", "no parameter is requested"))
-    method = integrator.interior
-    block, blocks = 0, 1
-    if names and isinstance(method, interior.Replay):
-        block, blocks = _blocks(method.block, integrator.max_depth, integrator.rr_depth, lines)
-        if block == 0:
-            _check_textbook(config, wanted)
     moving = tuple(_discontinuities(scene, config, names))
     still = wanted is None or not (wanted.geometry or wanted.lights or moving)
     if still and config.smooth and scene.shades_flat:
         config = replace(config, smooth=False, flat=True)
         lines.append(("interpolated normals", "not read", "they are those of the triangles"))
-    term = None
-    if names:
-        if not moving:
-            lines.append(("boundary term", "not run", "no requested parameter moves a discontinuity"))
-        elif integrator.boundary is None:
-            lines.append(("boundary term", "left out", "boundary=None was said, although " + "; ".join(moving)))
-        else:
-            term = choose(scene, config, integrator, names, moving)
-            lines.append(("boundary term", term.label, "; ".join(moving)))
-            if isinstance(term, Connecting) and term.guiding is not None:
-                lines.append(("guiding", term.guiding.label, guiding.describe(scene, term.guiding)))
-            if c.DELTA_MODELS & set(config.bsdfs):
-                lines.append(
-                    (
-                        "boundary term",
-                        "through mirrors and glass: line search",
-                        "no edge can be connected to the camera",
-                    )
-                )
+    term, told = _boundary(scene, config, integrator, names, moving)
+    row = kept = None
+    if wanted is not None:
+        row = row_of(integrator.interior, term)
+        kept = row.keep(integrator.interior, integrator.max_depth, integrator.rr_depth)
+        reason = row.refuse(config, wanted)
+        if reason:
+            raise ValueError(reason)
+        block = f", K = {kept.block}" if kept.block else ""
+        lines.append(("interior", f"{row.label}{block}", "; ".join(filter(None, (kept.reason, row.bias)))))
+    lines += told
     shapes = _shapes(scene, names)
-    if block and shapes is not None:
+    if kept is not None and kept.block and shapes is not None:
         met = ", ".join(scene.description.shapes[i].path for i in sorted(shapes)[:NAMED])
         met += f" and {len(shapes) - NAMED} more" if len(shapes) > NAMED else ""
         lines.append(("swept", "paths that meet what is requested", met))
     return Plan(
-        config, wanted, integrator.max_depth, integrator.rr_depth, block, blocks, moving, tuple(lines), term, shapes
+        config, wanted, integrator.max_depth, integrator.rr_depth, row, kept, moving, tuple(lines), term, shapes
     )
+
+
+def _boundary(
+    scene: Scene, config: PathConfig, integrator: PathIntegrator, names: list[str], moving: tuple[str, ...]
+) -> tuple[Method | None, list[tuple[str, str, str]]]:
+    """Return the method of the boundary term, if there is any to estimate, and what the plan says of it."""
+    if not names:
+        return None, []
+    if not moving:
+        return None, [("boundary term", "not run", "no requested parameter moves a discontinuity")]
+    if integrator.boundary is None:
+        return None, [("boundary term", "left out", "boundary=None was said, although " + "; ".join(moving))]
+    term = choose(scene, config, integrator, names, moving)
+    lines = [("boundary term", term.label, "; ".join(moving))]
+    if isinstance(term, Connecting) and term.guiding is not None:
+        lines.append(("guiding", term.guiding.label, guiding.describe(scene, term.guiding)))
+    if c.DELTA_MODELS & set(config.bsdfs):
+        searched = "through mirrors and glass: line search"
+        lines.append(("boundary term", searched, "no edge can be connected to the camera"))
+    return term, lines
 
 
 def _named(scene: Scene, params: Parameters | None, names: list[str] | None) -> list[str]:
@@ -347,43 +348,6 @@ def _bending(scene: Scene, names: list[str]) -> list[str]:
             name = shape.bsdf.textures["eta"].parameter
             found += [name] if name in names and name not in found else []
     return found
-
-
-def _blocks(k: int, max_depth: int, rr_depth: int, lines: list) -> tuple[int, int]:
-    if k == 0:
-        lines.append(
-            ("interior", "textbook replay", "K = 0: divides by every factor, loses derivatives of zero factors")
-        )
-        return 0, 1
-    if max_depth < 0:
-        max_depth = rr_depth + UNBOUNDED_VERTICES
-        if max_depth > MOST_VERTICES:
-            raise ValueError(
-                f"rr_depth: paths without a depth limit that Russian roulette ends from vertex {rr_depth} on are too "
-                "long to be differentiated; give max_depth, or an rr_depth of at most "
-                f"{MOST_VERTICES - UNBOUNDED_VERTICES}"
-            )
-    if max_depth > MOST_VERTICES:
-        raise ValueError(
-            f"max_depth: got {max_depth}, expected at most {MOST_VERTICES} for derivatives; -1 leaves the end of paths "
-            "to Russian roulette"
-        )
-    block = min(k, max_depth)
-    blocks = -(-max_depth // block)
-    blocks = 1 << (blocks - 1).bit_length()  # few kernel variants
-    reason = (
-        "the whole path fits, one trace" if blocks == 1 else f"longer paths are replayed in at most {blocks} blocks"
-    )
-    lines.append(("interior", f"record and sweep, K = {block}", reason))
-    return block, blocks
-
-
-def _check_textbook(config: PathConfig, wanted: Wanted) -> None:
-    if wanted.geometry and c.DELTA_MODELS & set(config.bsdfs):
-        raise ValueError(
-            "interior.Replay(block=0), textbook replay, cannot differentiate moving vertices behind smooth mirrors or "
-            "glass: the adjoint of a ray has to be carried backwards. Use interior.Replay(block=8)"
-        )
 
 
 def _discontinuities(scene: Scene, config: PathConfig, names: list[str]) -> list[str]:

@@ -1,0 +1,129 @@
+"""The table of interior methods: which kernel estimates the interior term, what it claims, what the plan says of it.
+
+A row belongs to a method of ``psdr.interior`` and to a kind of method of the boundary term: explicit boundary terms
+leave the interior's kernel as it is, others (reparameterisations) change it. A new method is an object in
+``options/interior.py``, a kernel, and a row here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import warp as wp
+
+from warp_psdr.kernels.constants import DELTA_MODELS
+from warp_psdr.kernels.interior.forward import make_forward_kernel
+from warp_psdr.kernels.interior.replay import make_replay_kernel
+from warp_psdr.kernels.interior.textbook import make_textbook_kernel
+from warp_psdr.options import boundary, interior
+
+if TYPE_CHECKING:
+    from warp_psdr.kernels.interior.wanted import Wanted
+    from warp_psdr.kernels.vertex import PathConfig
+
+#: Vertices after which a path without depth limit is cut, counted from where Russian roulette begins: it survives with
+#: probability 0.95 at most, so fewer than one path in 10^11 is that long.
+UNBOUNDED_VERTICES = 507
+#: Most vertices of a path whose vertices are kept.
+MOST_VERTICES = 4096
+
+
+@dataclass(frozen=True)
+class Kept:
+    """What of a path is kept while it is differentiated.
+
+    Attributes:
+        block: path vertices at a time; 0: none.
+        blocks: most blocks of a path.
+        reason: of these numbers, for the plan.
+    """
+
+    block: int
+    blocks: int
+    reason: str
+
+    @property
+    def longest(self) -> int:
+        """Most vertices of a path that the records hold; 0: any number."""
+        return self.block * self.blocks
+
+
+@dataclass(frozen=True, kw_only=True)
+class Row:
+    """An interior method.
+
+    Attributes:
+        label: what the plan calls it.
+        keep: (method, max_depth, rr_depth) -> what of a path is kept.
+        make: (what the path loop compiles, which derivatives, "reverse" or "forward", what is kept) -> its kernel.
+        refuse: (what the path loop compiles, which derivatives) -> why it cannot estimate them; empty: it claims to.
+        bias: what it leaves out by design; empty: nothing.
+    """
+
+    label: str
+    keep: Callable[[interior.Method, int, int], Kept]
+    make: Callable[[PathConfig, Wanted, str, Kept], wp.Kernel]
+    refuse: Callable[[PathConfig, Wanted], str] = lambda _config, _wanted: ""
+    bias: str = ""
+
+
+def row_of(method: interior.Method, term: boundary.Method | None) -> Row:
+    """Return the row of a method of the interior term beside one of the boundary term (None: there is no such term)."""
+    kinds = boundary.Method.__mro__[:1] if term is None else type(term).__mro__
+    for kind in kinds:
+        if (type(method), kind) in TABLE:
+            return TABLE[type(method), kind]
+    names = ", ".join(f"interior.{m.__name__}()" for m, kind in TABLE if kind in kinds)
+    raise ValueError(f"interior.{type(method).__name__}() has no kernel beside {type(term).__name__}(); use {names}")
+
+
+def _keep_blocks(method: interior.Method, max_depth: int, rr_depth: int) -> Kept:
+    assert isinstance(method, interior.Replay)
+    if max_depth < 0:
+        max_depth = rr_depth + UNBOUNDED_VERTICES
+        if max_depth > MOST_VERTICES:
+            raise ValueError(
+                f"rr_depth: paths without a depth limit that Russian roulette ends from vertex {rr_depth} on are too "
+                "long to be differentiated; give max_depth, or an rr_depth of at most "
+                f"{MOST_VERTICES - UNBOUNDED_VERTICES}"
+            )
+    if max_depth > MOST_VERTICES:
+        raise ValueError(
+            f"max_depth: got {max_depth}, expected at most {MOST_VERTICES} for derivatives; -1 leaves the end of paths "
+            "to Russian roulette"
+        )
+    block = min(method.block, max_depth)
+    blocks = -(-max_depth // block)
+    blocks = 1 << (blocks - 1).bit_length()  # few kernel variants
+    whole = "the whole path fits, one trace"
+    return Kept(block, blocks, whole if blocks == 1 else f"longer paths are replayed in at most {blocks} blocks")
+
+
+def _make_replay(config: PathConfig, wanted: Wanted, role: str, kept: Kept) -> wp.Kernel:
+    if role == "forward":
+        return make_forward_kernel(config, wanted)
+    return make_replay_kernel(config, wanted, kept.block, kept.blocks)
+
+
+def _refused_by_textbook(config: PathConfig, wanted: Wanted) -> str:
+    if wanted.geometry and DELTA_MODELS & set(config.bsdfs):
+        return (
+            "interior.Textbook(), textbook replay, cannot differentiate moving vertices behind smooth mirrors or "
+            "glass: the adjoint of a ray has to be carried backwards. Use interior.Replay()"
+        )
+    return ""
+
+
+#: (method of the interior term, kind of method of the boundary term) -> row. ``boundary.Method``: every explicit term.
+TABLE: dict[tuple[type[interior.Method], type[boundary.Method]], Row] = {
+    (interior.Replay, boundary.Method): Row(label="record and sweep", keep=_keep_blocks, make=_make_replay),
+    (interior.Textbook, boundary.Method): Row(
+        label="textbook replay",
+        keep=lambda _method, _max_depth, _rr_depth: Kept(0, 1, "nothing is kept: divides by every factor"),
+        make=lambda config, wanted, role, _kept: make_textbook_kernel(config, wanted, role),
+        refuse=_refused_by_textbook,
+        bias="derivatives of factors that are exactly zero are lost",
+    ),
+}
