@@ -17,6 +17,9 @@ from warp_psdr.scene.plugins import PLUGINS
 from .record import Case, parameters
 from .sweeps import Result, passes, worst
 
+#: Scenes that are noted to be at the edge of what floats hold are what is tested.
+pytestmark = pytest.mark.filterwarnings("ignore::warp_psdr.SceneWarning")
+
 T = psdr.Transform
 SIZE, VELOCITY = 0.4, np.array([0.3, 0.5, -0.2])
 CORNERS = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])

@@ -13,6 +13,9 @@ import warp_psdr as psdr
 
 from .record import Case, parameters
 
+#: Scenes that are noted to be at the edge of what floats hold are what is tested.
+pytestmark = pytest.mark.filterwarnings("ignore::warp_psdr.SceneWarning")
+
 SIZE = 4  # pixels
 ALBEDO = 0.6
 DOWN = psdr.Transform.rotate([1, 0, 0], 180)

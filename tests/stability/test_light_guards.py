@@ -13,6 +13,9 @@ from warp_psdr.kernels.rng import sampler_at
 from warp_psdr.kernels.structs import Scene
 from warp_psdr.kernels.vertex import path_from
 
+#: Scenes that are noted to be at the edge of what floats hold are what is tested.
+pytestmark = pytest.mark.filterwarnings("ignore::warp_psdr.SceneWarning")
+
 SIZE = 12
 #: Angle to a map's pole (radians) within which the azimuth has no derivative.
 AT_POLE = 1e-6
