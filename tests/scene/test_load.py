@@ -11,7 +11,7 @@ import warp_psdr as psdr
 from warp_psdr.scene import load
 from warp_psdr.scene.dictionary import describe_dict
 
-SCENES = Path(__file__).resolve().parents[1] / "scenes"
+SCENES = Path(__file__).resolve().parents[2] / "scenes"
 #: Rounding of a shape's pose, float32 in Mitsuba and float64 here.
 POSE_ROUNDING = 2e-6
 
