@@ -10,9 +10,9 @@ import warp as wp
 from PIL import Image as Picture
 
 import warp_psdr as psdr
+from warp_psdr.accuracy.report import Report, TermReport
 from warp_psdr.image import Image
 from warp_psdr.image_io import linear_to_srgb
-from warp_psdr.accuracy.report import Report, TermReport
 
 NAME = "white.reflectance.value"
 DIRECT = psdr.PathIntegrator(max_depth=1)

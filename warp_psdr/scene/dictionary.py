@@ -78,7 +78,9 @@ def describe_integrator(node: dict) -> tuple[dict[str, Any], list[str]]:
     found = category_of(node, "integrator")
     if found != "integrator":
         raise error("integrator", f"'{node.get('type')}' is a {found}", "give {'type': 'path', 'max_depth': 4}")
-    return _integrator(node, "integrator", context), context.notes
+    described = _integrator(node, "integrator", context)
+    context.raise_problems()
+    return described, context.notes
 
 
 def _build(scene: dict, where: str, context: Context) -> SceneDescription:
