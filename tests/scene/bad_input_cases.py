@@ -320,9 +320,9 @@ CASES = [
     ),
     Case(
         "bitmap of another format",
-        ("a.tga", "use one of .exr"),
-        files={"a.tga": "hello"},
-        plugins=model(type="diffuse", reflectance={"type": "bitmap", "filename": "a.tga"}),
+        ("a.gif", "use one of .exr"),
+        files={"a.gif": "hello"},
+        plugins=model(type="diffuse", reflectance={"type": "bitmap", "filename": "a.gif"}),
     ),
     Case(
         "bitmap without an image",

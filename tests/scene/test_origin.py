@@ -8,6 +8,9 @@ import pytest
 import warp_psdr as psdr
 from warp_psdr.scene.origin import FAR, find_origin, from_world, shift_of, to_world
 
+#: Scenes that are far from the origin are noted to be so.
+pytestmark = pytest.mark.filterwarnings("ignore::warp_psdr.SceneWarning")
+
 #: Representable in float32 together with coordinates of a few bits, so that every sum below is exact.
 PLACE = np.array([4096.0, -8192.0, 0.0])
 TRIANGLE = np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [0.0, 1.0, 0.5]])
