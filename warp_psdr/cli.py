@@ -364,7 +364,7 @@ def _load(arguments: argparse.Namespace) -> tuple[Any, Any]:
     from dataclasses import replace
 
     import warp_psdr as psdr
-    from warp_psdr.options.integrator import from_description
+    from warp_psdr.plan.integrator import from_description
 
     psdr.set_workers(arguments.workers)
     defaults = {}

@@ -1,13 +1,17 @@
-"""Progress of a long run: a bar with the time left on a terminal, plain lines elsewhere."""
+"""Progress of a long run: a bar with the time left on a terminal and in a notebook, plain lines elsewhere."""
 
 from __future__ import annotations
 
+import importlib.util
 import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import TextIO
+from typing import TYPE_CHECKING, TextIO
+
+if TYPE_CHECKING:
+    from rich.progress import TaskID
 
 __all__ = ["progress"]
 
@@ -20,7 +24,9 @@ Report = Callable[[int, str], None]
 
 @contextmanager
 def progress(title: str, total: int, *, start: int = 0, stream: TextIO | None = None) -> Iterator[Report]:
-    """Show how far a run of ``total`` steps has come.
+    """Show how far a run of ``total`` steps has come: from its first report to its last, and nothing else.
+
+    What comes before the first step (loading, compiling) and after the last one (writing results) shows no bar.
 
     Args:
         title: What is running.
@@ -32,30 +38,21 @@ def progress(title: str, total: int, *, start: int = 0, stream: TextIO | None = 
         A function ``report(done, text)``, to be called after every step.
     """
     stream = sys.stderr if stream is None else stream
-    if stream.isatty():
-        from rich.console import Console
-        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-
-        columns = (
-            TextColumn("{task.description}"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TextColumn("{task.fields[text]}"),
-            TimeElapsedColumn(),
-            TextColumn("{task.fields[left]}"),
-        )
-        with Progress(*columns, console=Console(file=stream)) as bar:
-            task = bar.add_task(title, total=total, completed=start, text="", left="")
-            clock = _Clock(total, start)
+    clock = _Clock(total, start)
+    lock = threading.Lock()  # worker threads report too
+    if stream.isatty() or shows_widgets():
+        bar = _Bar(title, total, clock, stream)
+        try:
 
             def report(done: int, text: str) -> None:
-                bar.update(task, completed=done, text=text, left=clock.left(done))
+                with lock:
+                    bar.report(done, text)
 
             yield report
+        finally:
+            bar.stop()
         return
-    clock = _Clock(total, start)
     every = max(1, total // PLAIN_LINES)
-    lock = threading.Lock()  # worker threads report too
     printed = start // every - 1  # so that the first report is printed
 
     def report_line(done: int, text: str) -> None:
@@ -69,22 +66,69 @@ def progress(title: str, total: int, *, start: int = 0, stream: TextIO | None = 
     yield report_line
 
 
+def shows_widgets() -> bool:
+    """Whether this is a notebook in which rich can draw a bar; without ipywidgets it gets plain lines."""
+    if "IPython" not in sys.modules or importlib.util.find_spec("ipywidgets") is None:
+        return False
+    shell = sys.modules["IPython"].get_ipython()
+    return type(shell).__name__ == "ZMQInteractiveShell"
+
+
+class _Bar:
+    """A bar of rich: on a terminal, or in a notebook."""
+
+    def __init__(self, title: str, total: int, clock: _Clock, stream: TextIO):
+        from rich.console import Console
+        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+
+        columns = (
+            TextColumn("{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TextColumn("{task.fields[text]}"),
+            TextColumn("{task.fields[elapsed]}"),
+            TextColumn("{task.fields[left]}"),
+        )
+        self._bar = Progress(*columns, console=Console(file=stream))
+        self._title, self._total, self._clock = title, total, clock
+        self._task: TaskID | None = None
+
+    def report(self, done: int, text: str) -> None:
+        if self._task is None:
+            self._task = self._bar.add_task(self._title, total=self._total, text="", elapsed="", left="")
+            self._bar.start()
+        clock = self._clock
+        self._bar.update(self._task, completed=done, text=text, elapsed=clock.elapsed(), left=clock.left(done))
+        if done >= self._total:
+            self.stop()
+
+    def stop(self) -> None:
+        if self._bar.live.is_started:
+            self._bar.stop()
+
+
 class _Clock:
     """Time gone and time left, of the steps of this process alone."""
 
     def __init__(self, total: int, start: int):
         self._total, self._start = total, start
         self._began = time.monotonic()
+        self._first: tuple[int, float] | None = None
 
     def elapsed(self) -> str:
         return duration(time.monotonic() - self._began)
 
     def left(self, done: int) -> str:
-        here = done - self._start
-        if here <= 0:
+        now = time.monotonic()
+        # Steps after the first report tell more of what is left: kernels are compiled before it.
+        since, began = (self._start, self._began) if self._first is None else self._first
+        if self._first is None:
+            self._first = (done, now)
+        if done <= since:
+            since, began = self._start, self._began
+        if done <= since:
             return "time left unknown"
-        seconds = (time.monotonic() - self._began) / here * (self._total - done)
-        return f"{duration(seconds)} left"
+        return f"{duration((now - began) / (done - since) * (self._total - done))} left"
 
 
 def duration(seconds: float) -> str:

@@ -10,7 +10,8 @@ import warp as wp
 
 from warp_psdr.device import active_tape, launch
 from warp_psdr.estimate.arguments import adjoint_array, checked_seed, flat_tangents, requested, sample_count, samples
-from warp_psdr.estimate.boundary import drivers as boundary_drivers
+from warp_psdr.estimate.boundary.drivers import launch_backward, launch_forward
+from warp_psdr.estimate.boundary.terms import Term, terms
 from warp_psdr.estimate.gradient_sums import GradientSums
 from warp_psdr.estimate.passes import (
     STREAM_BOUNDARY,
@@ -19,6 +20,7 @@ from warp_psdr.estimate.passes import (
     boxed,
     interior_backward,
     interior_forward,
+    part,
     splats,
     splatted,
 )
@@ -27,7 +29,8 @@ from warp_psdr.invalid import warns
 from warp_psdr.kernels.reduction import add_range
 from warp_psdr.kernels.rng import mix_seed
 from warp_psdr.kernels.splat import resolve
-from warp_psdr.options.integrator import Integrator, integrator_of
+from warp_psdr.options.integrator import Integrator
+from warp_psdr.plan.integrator import integrator_of
 from warp_psdr.plan.plan import Plan, decide
 from warp_psdr.scene.edits import checksum
 from warp_psdr.topology import contacts
@@ -207,10 +210,10 @@ def render_backward(
     plan = decide(scene, params, integrator=integrator, sensor=sensor)
     adjoint = adjoint_array(adjoint, scene.camera(sensor), scene.device)
     sums = GradientSums(scene, names)
-    interior_backward(scene, plan, sensor, spp, seed, adjoint, sums, progress)
-    if plan.boundary is not None:
-        seed = mix_seed(seed, STREAM_BOUNDARY)
-        boundary_drivers.backward(scene, plan, names, adjoint, sums, sensor=sensor, spp=spp, seed=seed)
+    boundary = _boundary(scene, plan, names, "reverse", sensor, spp, seed)
+    first, second = _shares(progress, adjoint.size * spp, boundary)
+    interior_backward(scene, plan, sensor, spp, seed, adjoint, sums, first)
+    launch_backward(scene, boundary, adjoint, sums, second)
     total = sums.result()
     for name in names:
         _add(scene, params, name, total, scene.parameters[name].offset)
@@ -284,8 +287,22 @@ def render_forward(
     if plan.boundary is not None:
         contacts.warn(scene, target.numpy())
     image = Image((camera.crop_height, camera.crop_width), scene.device, signed=True)
-    interior_forward(scene, plan, sensor, spp, seed, target, image, progress)
-    if plan.boundary is not None:
-        seed = mix_seed(seed, STREAM_BOUNDARY)
-        boundary_drivers.forward(scene, plan, names, target, image, sensor=sensor, spp=spp, seed=seed)
+    boundary = _boundary(scene, plan, names, "forward", sensor, spp, seed)
+    first, second = _shares(progress, image.size * spp, boundary)
+    interior_forward(scene, plan, sensor, spp, seed, target, image, first)
+    if boundary:
+        launch_forward(scene, boundary, target, image, second)
     return image
+
+
+def _boundary(scene: Scene, plan: Plan, names: list[str], role: str, sensor: int, spp: int, seed: int) -> list[Term]:
+    """Return the launches of the boundary term; there are none where no discontinuity moves."""
+    if plan.boundary is None:
+        return []
+    return terms(scene, plan, names, role, sensor, spp, mix_seed(seed, STREAM_BOUNDARY))
+
+
+def _shares(progress: Progress | None, interior: int, boundary: list[Term]) -> tuple[Progress | None, Progress | None]:
+    """Split a call's progress over the samples of the interior and those of the boundary term."""
+    share = interior / (interior + sum(term.samples for term in boundary))
+    return part(progress, 0.0, share), part(progress, share, 1.0 - share)

@@ -9,6 +9,7 @@ import warp as wp
 from common import psdr
 
 from warp_psdr.estimate.boundary import drivers, terms
+from warp_psdr.plan.motion import motion
 
 #: Relative error at which times are compared.
 AIM = 0.1
@@ -71,13 +72,8 @@ class Secondary:
         plan = psdr.plan(scene, names=names, integrator=self._integrator)
         camera = scene.camera(0)
         image = wp.zeros((camera.crop_height, camera.crop_width), dtype=wp.vec3, device=scene.device)
-        options = {"sensor": 0, "spp": spp, "seed": seed}
-        every = terms.TERMS
-        terms.TERMS = dict.fromkeys(every, (terms.secondary,))
-        try:
-            drivers.forward(scene, plan, names, self._tangent, image, **options)
-        finally:
-            terms.TERMS = every
+        request = terms.Request(scene, plan, motion(scene, names), "forward", 0, spp, seed)
+        drivers.launch_forward(scene, terms.launches(terms.secondary, request), self._tangent, image)
         return image.numpy().astype(np.float64)
 
     def gradient(self, spp: int, seed: int) -> np.ndarray:

@@ -84,6 +84,20 @@ def test_results_do_not_depend_on_the_number_of_workers() -> None:
     assert np.abs(other - results[0][0]).max() > 0.0
 
 
+def test_progress_is_that_of_interior_and_boundary() -> None:
+    scene, params = load("soft")
+    adjoint = np.ones(psdr.render(scene, integrator="direct", spp=1).numpy().shape, np.float32)
+    options = {"integrator": psdr.PathIntegrator(max_depth=2), "spp": 2}
+    seen: list[float] = []
+    gradients(scene, params, [OCCLUDER], adjoint, progress=seen.append, **options)
+    # Half of the samples, those of shadow edges, are as many as the interior term's; edges in sight come on top.
+    assert seen == sorted(seen) and seen[-1] == pytest.approx(1.0)
+    assert 3 <= sum(fraction <= 0.5 for fraction in seen) < len(seen) - 3
+    seen.clear()
+    psdr.render_forward(scene, params, {OCCLUDER: 1.0}, progress=seen.append, **options)
+    assert seen == sorted(seen) and seen[-1] == pytest.approx(1.0) and seen[0] < 0.5
+
+
 def test_sample_counts_of_its_own() -> None:
     scene, params = load("soft")
 

@@ -8,6 +8,9 @@ import warp_psdr as psdr
 from warp_psdr import optim
 from warp_psdr.topology.laplacian import Smoother
 
+#: Optimisers alone: there is no light.
+pytestmark = pytest.mark.filterwarnings("ignore::warp_psdr.SceneWarning")
+
 #: Of a sparse solve in double precision, relative to the largest value.
 SOLVE = 1e-12
 #: Float32 rounding of moments and positions over the steps that a test makes, for values of about 1.

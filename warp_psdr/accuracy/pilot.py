@@ -37,7 +37,8 @@ from warp_psdr.accuracy.tiles import Tiling, measured, spread, uniform
 from warp_psdr.estimate.arguments import checked_seed, samples
 from warp_psdr.invalid import warns
 from warp_psdr.kernels.rng import mix_seed
-from warp_psdr.options.integrator import Integrator, integrator_of
+from warp_psdr.options.integrator import Integrator
+from warp_psdr.plan.integrator import integrator_of
 
 if TYPE_CHECKING:
     from warp_psdr.scene.parameters import Parameters

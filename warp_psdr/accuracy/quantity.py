@@ -30,7 +30,8 @@ from warp_psdr.estimate.passes import (
     splatted,
 )
 from warp_psdr.kernels.rng import mix_seed
-from warp_psdr.options.integrator import Integrator, integrator_of
+from warp_psdr.options.integrator import Integrator
+from warp_psdr.plan.integrator import integrator_of
 from warp_psdr.plan.motion import motion
 from warp_psdr.plan.plan import Plan, decide
 from warp_psdr.topology import contacts

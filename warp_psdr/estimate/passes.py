@@ -5,7 +5,6 @@ Each runs over a raster, or over some of its pixels, and adds to what it is give
 
 from __future__ import annotations
 
-import functools
 import math
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
@@ -206,12 +205,12 @@ def _blocks(spp: int, most: int, progress: Progress | None) -> Iterator[tuple[in
     """Split a pixel's samples: yield (first, count, progress of these), ``most`` of them at a time."""
     for first in range(0, spp, most):
         count = min(most, spp - first)
-        yield first, count, None if progress is None else functools.partial(_part, progress, first / spp, count / spp)
+        yield first, count, part(progress, first / spp, count / spp)
 
 
-def _part(progress: Progress, start: float, share: float, done: float) -> None:
-    """Report the finished fraction of a part as that of the whole."""
-    progress(start + share * done)
+def part(progress: Progress | None, start: float, share: float) -> Progress | None:
+    """Return what reports the finished fraction of a part, which begins at ``start``, as that of the whole."""
+    return None if progress is None else lambda done: progress(start + share * done)
 
 
 def _launch(

@@ -18,7 +18,8 @@ from warp_psdr.kernels.constants import RFILTER_BOX
 from warp_psdr.kernels.rng import mix_seed
 from warp_psdr.kernels.trace import make_trace_kernel
 from warp_psdr.kernels.vertex import PathVertex
-from warp_psdr.options.integrator import Integrator, integrator_of
+from warp_psdr.options.integrator import Integrator
+from warp_psdr.plan.integrator import integrator_of
 from warp_psdr.plan.plan import decide
 
 if TYPE_CHECKING:

@@ -28,7 +28,7 @@ from warp_psdr.arrays import read_array
 from warp_psdr.files import held
 from warp_psdr.fit import checkpoint
 from warp_psdr.fit.config import FitConfig, Unknown, integrator_options
-from warp_psdr.options.integrator import from_description
+from warp_psdr.plan.integrator import from_description
 from warp_psdr.progress import progress
 from warp_psdr.topology.mesh_checks import MeshWatch
 

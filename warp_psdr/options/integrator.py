@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 
 from warp_psdr import boundary as boundary_methods
 from warp_psdr.options import interior as interior_methods
-
-if TYPE_CHECKING:
-    from warp_psdr.scene.scene import Scene
 
 #: Numbers of vertices are 32-bit integers with a sign.
 MOST_DEPTH = (1 << 31) - 1
@@ -75,39 +71,3 @@ class PathIntegrator:
 
 #: What functions take for an integrator: an object, Mitsuba's dictionary or plugin name, or None: the scene file's.
 Integrator = PathIntegrator | dict | str
-
-
-def integrator_of(scene: Scene, integrator: Integrator | None) -> PathIntegrator:
-    """Return the integrator that is given, else the one that the scene's file names.
-
-    Raises:
-        TypeError: what is given is none.
-        ValueError: Mitsuba's dictionary, or name, of a plugin or with a parameter that is not supported.
-
-    Warns:
-        SceneWarning: a parameter of the dictionary is ignored.
-    """
-    if integrator is None:
-        return from_description(scene.description.integrator)
-    if isinstance(integrator, PathIntegrator):
-        return integrator
-    if isinstance(integrator, str):
-        integrator = {"type": integrator}
-    if not isinstance(integrator, dict):
-        raise TypeError(
-            f"integrator: got {integrator!r}, expected a psdr.PathIntegrator, a dictionary such as "
-            "{'type': 'path', 'max_depth': 4}, or 'path'"
-        )
-    from warp_psdr.scene.dictionary import describe_integrator
-    from warp_psdr.scene.load import SceneWarning
-
-    described, notes = describe_integrator(integrator)
-    for note in notes:
-        warnings.warn(note, SceneWarning, stacklevel=4)
-    return from_description(described)
-
-
-def from_description(integrator: dict) -> PathIntegrator:
-    """Return the integrator that a scene file names, or the default one."""
-    known = {k: integrator[k] for k in ("max_depth", "rr_depth", "hide_emitters") if k in integrator}
-    return PathIntegrator(**known)

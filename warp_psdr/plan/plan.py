@@ -17,6 +17,7 @@ from warp_psdr.kernels.interior.wanted import Wanted
 from warp_psdr.kernels.vertex import PathConfig
 from warp_psdr.options.boundary import Connecting
 from warp_psdr.plan.coverage import choose
+from warp_psdr.plan.integrator import integrator_of
 from warp_psdr.plan.interior import Kept, Row, row_of
 from warp_psdr.plan.motion import motion
 from warp_psdr.scene.build import SLOTS
@@ -152,8 +153,6 @@ def decide(
     names: list[str] | None = None,
 ) -> Plan:
     """Return the ``plan`` without what is only told, the shapes in contact: a search over the scene's triangles."""
-    from warp_psdr.options.integrator import integrator_of
-
     integrator = integrator_of(scene, integrator)
     sensor = scene.description.sensor_number(sensor)
     names = _named(scene, params, names)

@@ -21,7 +21,8 @@ from warp_psdr.invalid import warns
 from warp_psdr.kernels.boundary.local_form import SAMPLE_RECORD
 from warp_psdr.kernels.rng import mix_seed
 from warp_psdr.options.boundary import EdgeSampling, PathSpace
-from warp_psdr.options.integrator import Integrator, integrator_of
+from warp_psdr.options.integrator import Integrator
+from warp_psdr.plan.integrator import integrator_of
 from warp_psdr.plan.motion import motion
 from warp_psdr.plan.plan import decide
 from warp_psdr.plots import as_array

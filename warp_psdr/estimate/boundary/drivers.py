@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
 
 import warp as wp
@@ -10,7 +10,8 @@ import warp as wp
 from warp_psdr import workers
 from warp_psdr.device import launch, launch_lanes
 from warp_psdr.estimate.arguments import MOST_SAMPLES
-from warp_psdr.estimate.boundary.terms import Term, terms
+from warp_psdr.estimate.boundary.terms import Term
+from warp_psdr.estimate.passes import Progress, part
 from warp_psdr.invalid import counting
 from warp_psdr.kernels.reduction import add_images
 
@@ -22,47 +23,34 @@ if TYPE_CHECKING:
 LANE_IMAGE_FLOATS = 1 << 24
 
 
-def backward(
-    scene: Scene, plan, names: list[str], adjoint: wp.array, sums: GradientSums, *, sensor: int, spp: int, seed: int
+def launch_backward(
+    scene: Scene, found: list[Term], adjoint: wp.array, sums: GradientSums, progress: Progress | None = None
 ) -> None:
-    """Add the gradient of the boundary term.
+    """Add the gradient of some terms.
 
     Args:
         scene: the scene.
-        plan: with the method in ``boundary``.
-        names: what is differentiated.
+        found: its terms, of role "reverse".
         adjoint: (H, W) of vec3.
         sums: what it is added to.
-        sensor: which camera.
-        spp: samples a pixel of the interior term.
-        seed: of the boundary term's stream.
+        progress: called with the finished fraction.
     """
-    launch_backward(scene, terms(scene, plan, names, "reverse", sensor, spp, seed), adjoint, sums)
-
-
-def launch_backward(scene: Scene, found: list[Term], adjoint: wp.array, sums: GradientSums) -> None:
-    """Add the gradient of some terms."""
     dummy = wp.zeros((1, 1), dtype=wp.vec3, device=scene.device)
     buffers = sums.buffers
-    for term in found:
-        _run(scene, term, adjoint, lambda lane: [buffers[lane], dummy], len(buffers))
+    for term, reported in _reporting(found, progress):
+        _run(scene, term, adjoint, lambda lane: [buffers[lane], dummy], len(buffers), reported)
 
 
-def forward(
-    scene: Scene, plan, names: list[str], tangents: wp.array, image: wp.array, *, sensor: int, spp: int, seed: int
+def launch_forward(
+    scene: Scene, found: list[Term], tangents: wp.array, image: wp.array, progress: Progress | None = None
 ) -> None:
-    """Add the derivative of the boundary term along flat tangents to an image (arguments as in ``backward``)."""
-    launch_forward(scene, terms(scene, plan, names, "forward", sensor, spp, seed), tangents, image)
-
-
-def launch_forward(scene: Scene, found: list[Term], tangents: wp.array, image: wp.array) -> None:
-    """Add the derivative of some terms along flat tangents to an image."""
+    """Add the derivative of some terms, of role "forward", along flat tangents to an image."""
     dummy = wp.zeros((1, 1), dtype=wp.vec3, device=scene.device)
     height, width = image.shape
     lanes = max(2, min(workers.LANES, LANE_IMAGE_FLOATS // (3 * height * width))) if scene.device.is_cpu else 1
     images = wp.zeros((lanes, height, width), dtype=wp.vec3, device=scene.device)
-    for term in found:
-        _run(scene, term, dummy, lambda lane: [tangents, images[lane]], lanes)
+    for term, reported in _reporting(found, progress):
+        _run(scene, term, dummy, lambda lane: [tangents, images[lane]], lanes, reported)
     launch(add_images, dim=(height, width), inputs=[images], outputs=[image], device=scene.device)
 
 
@@ -70,6 +58,14 @@ def launch_samples(scene: Scene, term: Term, adjoint: wp.array, records: wp.arra
     """Write the record of every sample of a term of role "samples"."""
     dummy = wp.zeros((1, 1), dtype=wp.vec3, device=scene.device)
     _run(scene, term, adjoint, lambda _lane: [records, dummy], 1)
+
+
+def _reporting(found: list[Term], progress: Progress | None) -> Iterator[tuple[Term, Progress | None]]:
+    """Yield every term with what reports its finished fraction, by samples, as that of all of them."""
+    done, total = 0, sum(term.samples for term in found)
+    for term in found:
+        yield term, part(progress, done / total, term.samples / total)
+        done += term.samples
 
 
 def _checked(term: Term) -> Term:
@@ -81,7 +77,14 @@ def _checked(term: Term) -> Term:
     return term
 
 
-def _run(scene: Scene, term: Term, adjoint: wp.array, outputs: Callable[[int], list], lanes: int) -> None:
+def _run(
+    scene: Scene,
+    term: Term,
+    adjoint: wp.array,
+    outputs: Callable[[int], list],
+    lanes: int,
+    progress: Progress | None = None,
+) -> None:
     """Launch the samples of a term; ``outputs``: of a lane."""
     count = _checked(term).samples
     with counting(scene, term.kind, count, lanes) as of_lane:
@@ -90,4 +93,4 @@ def _run(scene: Scene, term: Term, adjoint: wp.array, outputs: Callable[[int], l
             data, *rest = term.inputs(first, adjoint)
             return [of_lane(data, lane), *rest], outputs(lane)
 
-        launch_lanes(term.kernel, count, arguments, lanes=lanes, device=scene.device)
+        launch_lanes(term.kernel, count, arguments, lanes=lanes, device=scene.device, progress=progress)
