@@ -27,7 +27,7 @@ def room(film="", sensor="", rfilter='<rfilter type="box"/>', size=16):
         </sensor>
         <shape type="rectangle"><transform name="to_world"><translate z="-1"/></transform>
             <bsdf type="diffuse"><rgb name="reflectance" value="0.8, 0.5, 0.2"/></bsdf></shape>
-        <shape type="cube"><transform name="to_world"><scale value=".4"/><rotate x="0.6" y="0.8" angle="30"/></transform>
+        <shape type="cube"><transform name="to_world"><scale value=".4"/><rotate x=".6" y=".8" angle="30"/></transform>
             <bsdf type="diffuse"><rgb name="reflectance" value="0.2, 0.5, 0.8"/></bsdf></shape>
         <shape type="rectangle"><transform name="to_world"><scale value="0.3"/><rotate y="1" angle="180"/>
             <translate x="-0.6" y="0.6" z="1.2"/></transform>
