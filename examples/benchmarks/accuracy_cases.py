@@ -18,8 +18,8 @@ from warp_psdr.accuracy import quantity as quantities
 SHIFT, FACTOR, OFFSET, IMAGE_SPP, TARGET_SPP = 0.05, 0.7, 0.1, 32, 256
 KDTREE = psdr.boundary.PathSpace(guiding=psdr.guiding.KdTree())
 
-CUBE = f"""<shape type="cube" id="object"><transform name="to_world"><scale value="0.4"/><rotate x="1" z="1"
-angle="30"/>
+CUBE = f"""<shape type="cube" id="object"><transform name="to_world"><scale value="0.4"/><rotate x="0.70710678"
+z="0.70710678" angle="30"/>
     </transform>{BLUE}</shape>"""
 MIRROR = """<shape type="rectangle" id="mirror"><transform name="to_world"><scale value="1.5"/>
     <translate y="0.3" z="-1.2"/></transform><bsdf type="conductor"><string name="material" value="none"/></bsdf>

@@ -42,7 +42,7 @@ def test_triangles_face_the_way_their_normals_point(kind, resolution):
 @pytest.mark.parametrize("kind, ends", [("cube", 0), ("sphere", 0), ("rectangle", 4), ("disk", 7), ("cylinder", 14)])
 def test_seams_are_closed_bit_for_bit(kind, ends):
     # An oblique pose: equal object-space points must stay equal after rounding.
-    pose = Transform.translate([0.1, 0.7, -3.3]).rotate([1.0, 2.0, 0.3], 37.0).scale([1.7, 0.3, 2.9])
+    pose = Transform.translate([0.1, 0.7, -3.3]).rotate([0.48, 0.8, 0.36], 37.0).scale([1.7, 0.3, 2.9])
     extra = {"resolution": 7} if kind in ("sphere", "disk", "cylinder") else {}
     x = shape(kind, to_world=pose, **extra)
     assert len(open_edges(positions_and_faces(x.vertices, x.faces))) == ends
@@ -107,7 +107,7 @@ def test_resolution_is_settable():
 def test_normals_and_texcoords_equal_mitsubas(kind):
     mi = pytest.importorskip("mitsuba")
     mi.set_variant("scalar_rgb")
-    pose = Transform.translate([0.3, -0.2, 0.1]).rotate([1.0, 0.4, -0.2], 50.0).scale([1.5, 1.5, 1.5])
+    pose = Transform.translate([0.3, -0.2, 0.1]).rotate([0.8, 0.48, -0.36], 50.0).scale([1.5, 1.5, 1.5])
     extra = {"p0": [0.1, 0.2, 0.3], "p1": [0.5, 1.0, -0.7], "radius": 0.4} if kind == "cylinder" else {}
     extra = {"center": [0.1, 0.2, 0.3], "radius": 1.3} if kind == "sphere" else extra
     x = shape(kind, to_world=pose, **extra)
@@ -137,3 +137,60 @@ def test_cube_equals_mitsubas_vertex_by_vertex():
     for name, ours in (("positions", x.vertices), ("normals", x.normals), ("texcoords", x.texcoords)):
         np.testing.assert_array_equal(np.array(theirs[f"vertex_{name}"]), ours.ravel())
     np.testing.assert_array_equal(np.array(theirs["faces"]), x.faces.ravel())
+
+
+def light(kind, pose=None, **parameters):
+    """Return the triangles of a shape that shines, (M, 3, 3) float64."""
+    emitter = {"type": "area", "radiance": {"type": "rgb", "value": 2.0}}
+    x = shape(kind, emitter=emitter, **({} if pose is None else {"to_world": pose}), **parameters)
+    assert x.emitter.radiance.value.tolist() == [2.0] * 3
+    world = x.local_vertices.astype(np.float64) @ x.to_world[:3, :3].T + x.to_world[:3, 3]
+    np.testing.assert_allclose(x.vertices, world, atol=ROUNDING)
+    return world[x.faces]
+
+
+def area_of(corners):
+    return 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum()
+
+
+def spheroid(a, c):
+    """Return the area of an oblate spheroid, c < a."""
+    e = np.sqrt(1.0 - (c / a) ** 2)
+    return 2.0 * np.pi * a**2 * (1.0 + (1.0 - e**2) / e * np.arctanh(e))
+
+
+@pytest.mark.parametrize("resolution", [12, 64])
+def test_lights_have_the_area_and_so_the_power_of_their_shape(resolution):
+    flat, tall = Transform.scale([2.0, 2.0, 0.5]), Transform.scale([2.0, 2.0, 5.0])
+    areas = {
+        area_of(light("sphere", radius=2.5, resolution=resolution)): 4.0 * np.pi * 2.5**2,
+        area_of(light("sphere", flat, resolution=resolution)): spheroid(2.0, 0.5),
+        area_of(light("disk", flat, resolution=resolution)): 4.0 * np.pi,
+        area_of(light("cylinder", tall, radius=0.5, resolution=resolution)): 10.0 * np.pi,
+    }
+    for ours, exact in areas.items():
+        assert ours == pytest.approx(exact, rel=2e-6)
+    # Only lights are widened.
+    assert area_of(shape("disk").vertices[shape("disk").faces]) < 0.999 * np.pi
+
+
+def irradiance(corners, radiance):
+    """Return the irradiance of a surface at the origin that looks along +z (Lambert's formula, over edges in view)."""
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    seen = corners[np.einsum("mi,mi->m", normal, corners[:, 0]) < 0.0]
+    p = seen / np.linalg.norm(seen, axis=2, keepdims=True)
+    total = 0.0
+    for i in range(3):
+        a, b = p[:, i], p[:, (i + 1) % 3]
+        cross = np.cross(a, b)
+        length = np.linalg.norm(cross, axis=1)
+        total += (np.arctan2(length, np.einsum("mi,mi->m", a, b)) * cross[:, 2] / length).sum()
+    return abs(0.5 * radiance * total)
+
+
+def test_what_a_luminous_sphere_lights_receives_the_closed_forms_irradiance():
+    pose = Transform.translate([0.0, 0.0, 4.0]).rotate([0.6, 0.8, 0.0], 50.0)
+    exact = np.pi * 2.0 * (1.0 / 4.0) ** 2
+    assert irradiance(light("sphere", pose), 2.0) == pytest.approx(exact, rel=2e-4)
+    inscribed = shape("sphere", to_world=pose)
+    assert irradiance(inscribed.vertices.astype(np.float64)[inscribed.faces], 2.0) < (1.0 - 1.5e-3) * exact

@@ -27,7 +27,7 @@ class Result:
 def box(center, size, turn: float = 25.0) -> tuple[np.ndarray, np.ndarray]:
     """Return the 8 vertices, float64, and the 12 triangles of a turned box."""
     corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float64) * size
-    matrix = psdr.Transform.rotate((0.3, 0.2, 1.0), turn).matrix[:3, :3]
+    matrix = psdr.Transform.rotate((0.28221627, 0.18814418, 0.94072091), turn).matrix[:3, :3]
     faces = [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1],
              [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]]  # fmt: skip
     return corners @ matrix.T + center, np.array(faces)

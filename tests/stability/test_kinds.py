@@ -85,7 +85,11 @@ def scene(size: float = 1.0, offset=(0.0, 0.0, 0.0), sky: str = "envmap") -> dic
     for i in range(count):
         shape = list(SHAPES.values())[i % len(SHAPES)]
         place = ((i - 0.5 * (count - 1)) * 0.7, 0.1 * (-1) ** i, 0.8 + 0.05 * i)
-        pose = T.translate(at(place)) @ T.rotate((0.3, 0.2, 1.0), 25.0 + 40.0 * i) @ T.scale(0.5 * SIZE * size)
+        pose = (
+            T.translate(at(place))
+            @ T.rotate((0.28221627, 0.18814418, 0.94072091), 25.0 + 40.0 * i)
+            @ T.scale(0.5 * SIZE * size)
+        )
         found[f"shape{i}"] = shape(pose) | {"bsdf": list(BSDFS.values())[(i + 1) % len(BSDFS)]}
     lights = {name: light for name, light in LIGHTS.items() if name == sky or name not in ("envmap", "constant")}
     return found | {name: light(size, at) for name, light in lights.items()}

@@ -13,7 +13,7 @@ from .mesh_files import read_mesh
 from .meshes import MeshData, check, drop_flat_triangles, in_place, vertex_normals
 from .origin import collapses, moved
 from .plugins import Properties
-from .primitives import CURVED, DEFAULT_RESOLUTION, MAX_RESOLUTION, MIN_RESOLUTION, PRIMITIVES
+from .primitives import CURVED, DEFAULT_RESOLUTION, MAX_RESOLUTION, MIN_RESOLUTION, PRIMITIVES, widening
 from .textures import check_attribute
 from .transforms import Transform, transform_normals, transform_points
 
@@ -52,6 +52,8 @@ def build(node: dict, where: str, path: str, context: Context) -> ShapeDescripti
     to_world = moved(to_world, context.origin)
     analytic = props.type in PRIMITIVES
     check(data, place)
+    if emitter is not None and props.type in CURVED:
+        data.vertices = data.vertices * widening(props.type, data.vertices, data.faces, to_world)
     if flat:
         data.normals = None
     shape = _place(props, data, to_world, bsdf, flat=flat)
