@@ -1,8 +1,10 @@
-"""The layers: device code knows no host code, host code leaves Warp's global state alone, files stay readable."""
+"""Layers: device code knows no host code, imports run in no circles, a name has one meaning, files stay readable."""
 
 import ast
 import re
-from collections.abc import Iterator
+import subprocess
+import sys
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import pytest
@@ -12,6 +14,39 @@ ROOT = Path(__file__).resolve().parents[1]
 #: What device code may import besides its own package.
 DEVICE_IMPORTS = {"__future__", "collections", "ctypes", "dataclasses", "functools", "math", "typing", "warp"}
 MAX_LINES = 500
+#: Host code from the ground up: what stands in a row imports from its own row and from those above it.
+HOST_LAYERS = (
+    {
+        *("arrays", "device", "exr_header", "files", "float_images", "html", "image", "image_io"),
+        *("invalid", "losses", "plots", "progress", "workers"),
+    },
+    {"options"},
+    {"scene"},
+    {"topology"},
+    {"plan"},
+    {"estimate"},
+    {"accuracy", "boundary", "guiding", "interior", "optim", "view"},
+    {"render"},
+    {"torch", "__init__"},
+    {"fit"},
+    {"cli"},
+)
+#: Device code that imports nothing but itself and ``invalid``, the counters of samples that are dropped.
+GROUND_FLOOR = {"autodiff", "constants", "math", "rng", "sampling", "sink", "structs"}
+#: Device code further up: what stands on the left imports nothing that stands on the right.
+DEVICE_RULES = (
+    (
+        {"bsdf", "bvh", "emitter", "sensor", "shape", "texture"},
+        {"path", "vertex", "scattering", "primal", "splat", "trace", "camera_rays", "lanes", "interior", "boundary"},
+    ),
+    (
+        {"path", "vertex", "scattering"},
+        {"primal", "splat", "trace", "camera_rays", "lanes", "interior", "boundary"},
+    ),
+    ({"primal", "splat", "trace", "camera_rays", "lanes", "interior"}, {"boundary"}),
+)
+#: A scene's record holds the handle of its ray structure; bundles of rays are made of the records of lanes.
+DEVICE_EXCEPTIONS = {("structs", "bvh.wide"), ("bvh.bundle", "lanes.lanes"), ("bvh.each", "lanes.lanes")}
 
 DEVICE_FILES = sorted((ROOT / "kernels").rglob("*.py"))
 HOST_FILES = sorted((ROOT / "warp_psdr").rglob("*.py"))
@@ -34,6 +69,104 @@ def foreign_imports(source: str) -> Iterator[str]:
         for module in modules:
             if module.split(".")[0] not in DEVICE_IMPORTS and not (module + ".").startswith("warp_psdr.kernels."):
                 yield module
+
+
+def package_modules(top: str) -> dict[str, Path]:
+    """Dotted name within the package -> file, for host code ("warp_psdr") or device code ("kernels")."""
+    found = {}
+    for path in sorted((ROOT / top).rglob("*.py")):
+        parts = path.relative_to(ROOT / top).with_suffix("").parts
+        if top == "warp_psdr" and parts[0] == "kernels":
+            continue
+        found[".".join(parts[:-1] if len(parts) > 1 and parts[-1] == "__init__" else parts)] = path
+    return found
+
+
+def is_for_type_checkers(node: ast.AST) -> bool:
+    return isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test)
+
+
+def own_imports(source: str, name: str, modules: Iterable[str], package: str) -> set[str]:
+    """Modules of the package that one of them imports, at module level or within functions, but for type checkers."""
+    found: set[str] = set()
+    pending: list[ast.AST] = [ast.parse(source)]
+    while pending:
+        node = pending.pop()
+        pending += [child for child in ast.iter_child_nodes(node) if not is_for_type_checkers(child)]
+        if isinstance(node, ast.Import):
+            named = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            above = [package, *name.split(".")][: -node.level] if node.level else []
+            if node.level and f"{name}.__init__" in modules:
+                above = [package, *name.split(".")]
+            base = ".".join([*above, *([node.module] if node.module else [])])
+            named = [f"{base}.{alias.name}" for alias in node.names]
+        else:
+            continue
+        for full in named:
+            if full == package:
+                found.add("__init__")
+            within = full.removeprefix(package + ".")
+            if within != full:
+                parent = within.rpartition(".")[0] or "__init__"
+                found.add(within if within in modules else parent)
+    return (found & set(modules)) - {name}
+
+
+def import_graph(top: str) -> dict[str, set[str]]:
+    modules = package_modules(top)
+    package = "warp_psdr" if top == "warp_psdr" else "warp_psdr.kernels"
+    return {name: own_imports(path.read_text(), name, modules, package) for name, path in modules.items()}
+
+
+def circle(graph: dict[str, set[str]]) -> list[str]:
+    """A circle of imports, the first module again at its end; empty: there is none."""
+    done: set[str] = set()
+
+    def walk(name: str, way: list[str]) -> list[str]:
+        if name in way:
+            return [*way[way.index(name) :], name]
+        if name not in done:
+            for other in sorted(graph[name]):
+                if found := walk(other, [*way, name]):
+                    return found
+            done.add(name)
+        return []
+
+    for name in graph:
+        if found := walk(name, []):
+            return found
+    return []
+
+
+def upward_imports(graph: dict[str, set[str]]) -> Iterator[str]:
+    """Imports of host code from a row of ``HOST_LAYERS`` below its own."""
+    row = {name: i for i, names in enumerate(HOST_LAYERS) for name in names}
+    for name, imported in graph.items():
+        for other in sorted(imported):
+            a, b = row.get(name.split(".")[0]), row.get(other.split(".")[0])
+            if a is not None and b is not None and b > a:
+                yield f"{name} imports {other}"
+
+
+def broken_rules(graph: dict[str, set[str]]) -> Iterator[str]:
+    """Imports of device code that ``GROUND_FLOOR`` and ``DEVICE_RULES`` forbid."""
+    for name, imported in graph.items():
+        folder = name.split(".")[0]
+        for other in sorted(imported):
+            above = other.split(".")[0]
+            forbidden = folder in GROUND_FLOOR and above not in GROUND_FLOOR | {"invalid"}
+            forbidden |= any(folder in left and above in right for left, right in DEVICE_RULES)
+            if forbidden and (name, other) not in DEVICE_EXCEPTIONS:
+                yield f"{name} imports {other}"
+
+
+def device_names(source: str) -> Iterator[str]:
+    """Records and functions of device code at module level."""
+    for node in ast.parse(source).body:
+        if isinstance(node, ast.ClassDef | ast.FunctionDef):
+            if any(re.match(r"wp\.(struct|func|kernel)", ast.unparse(d)) for d in node.decorator_list):
+                yield node.name
 
 
 def is_constant_name(node: ast.expr) -> bool:
@@ -116,6 +249,83 @@ def test_host_code_leaves_warps_global_state_alone(path: Path) -> None:
 @pytest.mark.parametrize("path", ALL_FILES, ids=names)
 def test_files_are_short_enough_to_read(path: Path) -> None:
     assert len(path.read_text().splitlines()) <= MAX_LINES, "could a stage or a method move into a file of its own?"
+
+
+@pytest.mark.parametrize("top", ["warp_psdr", "kernels"])
+def test_imports_run_in_no_circle(top: str) -> None:
+    # Imports within functions count: one that is there to break a circle hides it.
+    assert circle(import_graph(top)) == []
+
+
+def test_host_code_imports_from_its_own_layer_and_those_below() -> None:
+    assert list(upward_imports(import_graph("warp_psdr"))) == []
+
+
+def test_device_code_keeps_its_layers() -> None:
+    assert list(broken_rules(import_graph("kernels"))) == []
+
+
+def test_one_name_has_one_meaning_in_device_code() -> None:
+    places: dict[str, list[str]] = {}
+    for path in DEVICE_FILES:
+        for name in device_names(path.read_text()):
+            places.setdefault(name, []).append(names(path))
+    assert len(places) > 100
+    assert {name: where for name, where in places.items() if len(where) > 1} == {}
+
+
+@pytest.mark.parametrize(
+    ("name", "source", "expected"),
+    [
+        ("a.b", "from warp_psdr.c import d", {"c.d"}),
+        ("a.b", "from warp_psdr.c.d import function", {"c.d"}),
+        ("a.b", "def f():\n    from warp_psdr import e", {"e"}),
+        ("a.b", "from .x import function", {"a.x"}),
+        ("a", "from .x import function", {"a.x"}),
+        ("a.b", "import warp_psdr as psdr", {"__init__"}),
+        ("a.b", "from warp_psdr import plan", {"__init__"}),
+        ("a.b", "if TYPE_CHECKING:\n    from warp_psdr.c import d\nimport os", set()),
+    ],
+)
+def test_imports_are_found(name: str, source: str, expected: set[str]) -> None:
+    modules = {"__init__", "a", "a.__init__", "a.b", "a.x", "c", "c.d", "e"}
+    assert own_imports(source, name, modules, "warp_psdr") == expected
+
+
+def test_circles_and_broken_layers_are_found() -> None:
+    assert circle({"a": {"b"}, "b": {"c"}, "c": {"b"}}) == ["b", "c", "b"]
+    assert list(upward_imports({"scene.scene": {"plan.plan", "options.guiding"}})) == ["scene.scene imports plan.plan"]
+    assert list(broken_rules({"rng": {"vertex"}, "emitter.area": {"path"}, "interior.sweep": {"vertex"}})) == [
+        "rng imports vertex",
+        "emitter.area imports path",
+    ]
+    assert list(device_names("@wp.struct\nclass A:\n    x: wp.vec3\n@wp.func\ndef f(): ...\ndef make(): ...")) == [
+        "A",
+        "f",
+    ]
+
+
+@pytest.mark.parametrize("name", ["accuracy", "plan", "render", "view"])
+def test_functions_are_not_hidden_by_folders_of_their_name(name: str) -> None:
+    code = "import warp_psdr, warp_psdr.accuracy.report, warp_psdr.plan.coverage, warp_psdr.view.fields\n"
+    code += f"assert callable(warp_psdr.{name}), warp_psdr.{name}"
+    subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=True)
+
+
+@pytest.mark.parametrize(
+    ("code", "column", "file"),
+    [
+        ("from warp_psdr.kernels import path", 31, "kernels/path.py"),
+        ("from warp_psdr.kernels.path import make_path_step", 40, "kernels/path.py"),
+        ("from warp_psdr.kernels.boundary.path_space import primary", 52, "kernels/boundary/path_space/primary.py"),
+        ("from warp_psdr.scene.scene import Scene", 36, "warp_psdr/scene/scene.py"),
+    ],
+)
+def test_editors_go_to_the_definition(code: str, column: int, file: str) -> None:
+    jedi = pytest.importorskip("jedi")
+    script = jedi.Script(code, path=ROOT / "script.py", project=jedi.Project(ROOT))
+    found = script.goto(1, column, follow_imports=True)
+    assert [Path(name.module_path).resolve() for name in found] == [ROOT / file]
 
 
 def test_there_are_files_to_check() -> None:

@@ -1,9 +1,7 @@
 """Guiding of the boundary term's segments: methods that learn where boundary paths carry light, one object each."""
 
-from warp_psdr.estimate.guiding.grid import Grid
-from warp_psdr.estimate.guiding.kdtree import KdTree
-from warp_psdr.estimate.guiding.methods import Method
-from warp_psdr.estimate.guiding.octree import Octree
-from warp_psdr.estimate.guiding.store import Guiding, describe, reset, structures
+from warp_psdr.estimate.guiding.store import Guiding, reset, structures
+from warp_psdr.options.guiding import Grid, KdTree, Method, Octree
+from warp_psdr.plan.guiding import describe
 
 __all__ = ["Grid", "Guiding", "KdTree", "Method", "Octree", "describe", "reset", "structures"]

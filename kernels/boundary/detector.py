@@ -135,7 +135,7 @@ class Connection:
 
 
 @wp.struct
-class Arrival:
+class IncidentRadiance:
     """What arrives against a ray, and the surface that sends it."""
 
     radiance: wp.vec3
@@ -145,12 +145,14 @@ class Arrival:
 
 @functools.cache
 def make_following(config: PathConfig):
-    """Return ``following(scene, sampler, start, max_depth, rr_depth) -> Arrival``: what a path collects and meets."""
+    """Return ``following(scene, sampler, start, max_depth, rr_depth) -> IncidentRadiance``: what a path collects."""
     path_step = make_path_step(config, False)
 
     @wp.func
-    def following(scene: Scene, sampler: Sampler, start: PathState, max_depth: wp.int32, rr_depth: wp.int32) -> Arrival:
-        r = Arrival()
+    def following(
+        scene: Scene, sampler: Sampler, start: PathState, max_depth: wp.int32, rr_depth: wp.int32
+    ) -> IncidentRadiance:
+        r = IncidentRadiance()
         vertex, state = path_step(scene, sampler, start, max_depth, rr_depth)
         r.radiance = wp.cw_mul(vertex.throughput, vertex.direct)
         r.face = vertex.face
@@ -167,7 +169,7 @@ def make_following(config: PathConfig):
 
 @functools.cache
 def make_arrival(config: PathConfig):
-    """Return ``arrival(scene, sampler, o, d, t_max, depth, max_depth, rr_depth) -> Arrival``.
+    """Return ``arrival(scene, sampler, o, d, t_max, depth, max_depth, rr_depth) -> IncidentRadiance``.
 
     ``depth`` counts the path vertices in front of what the ray meets.
     """
@@ -183,7 +185,7 @@ def make_arrival(config: PathConfig):
         depth: wp.int32,
         max_depth: wp.int32,
         rr_depth: wp.int32,
-    ) -> Arrival:
+    ) -> IncidentRadiance:
         return following(scene, sampler, path_from(o, d, t_max, depth), max_depth, rr_depth)
 
     return arrival

@@ -44,7 +44,7 @@ class Cell:
 
 
 @wp.struct
-class Corners:
+class CellCorners:
     """The texels at a cell's corners: read once, for the radiance and for the density."""
 
     t00: wp.vec3
@@ -119,9 +119,9 @@ def locate(texture: Texture, v: wp.vec3) -> Cell:
 
 
 @wp.func
-def corners_of(scene: Scene, texture: Texture, cell: Cell) -> Corners:
+def corners_of(scene: Scene, texture: Texture, cell: Cell) -> CellCorners:
     n = texture.channels
-    corners = Corners()
+    corners = CellCorners()
     corners.t00 = texel(scene, cell.i00, n)
     corners.t10 = texel(scene, cell.i10, n)
     corners.t01 = texel(scene, cell.i01, n)
@@ -130,7 +130,7 @@ def corners_of(scene: Scene, texture: Texture, cell: Cell) -> Corners:
 
 
 @wp.func
-def interpolate(c: Corners, cell: Cell) -> wp.vec3:
+def interpolate_cell(c: CellCorners, cell: Cell) -> wp.vec3:
     top = (1.0 - cell.fx) * c.t00 + cell.fx * c.t10
     bottom = (1.0 - cell.fx) * c.t01 + cell.fx * c.t11
     return (1.0 - cell.fy) * top + cell.fy * bottom
@@ -142,7 +142,7 @@ def brightness(t: wp.vec3) -> wp.float32:
 
 
 @wp.func
-def corner_density(c: Corners) -> CellDensity:
+def corner_density(c: CellCorners) -> CellDensity:
     """Corner values of the density within a cell, their mean one."""
     b00 = brightness(c.t00)
     b10 = brightness(c.t10)
@@ -256,7 +256,7 @@ def make_envmap(role: str | None, wanted: tuple[str, ...]) -> EnvironmentFunctio
         texture = scene.textures[e.texture]
         v = wp.inverse(load_matrix(scene.values, e.to_world)) * direction
         cell = locate(texture, v)
-        return scene.values[e.scale] * interpolate(corners_of(scene, texture, cell), cell)
+        return scene.values[e.scale] * interpolate_cell(corners_of(scene, texture, cell), cell)
 
     @wp.func
     def eval_pdf(scene: Scene, e: Emitter, direction: wp.vec3) -> tuple[wp.vec3, wp.float32]:
@@ -271,7 +271,7 @@ def make_envmap(role: str | None, wanted: tuple[str, ...]) -> EnvironmentFunctio
         t = cell_height(cell, v, rows)
         density = density_at(corner_density(corners), cell.fx, t)
         share = cell_share(scene, cell.row, cell.column, texture.width)
-        found = scene.values[e.scale] * interpolate(corners, cell)
+        found = scene.values[e.scale] * interpolate_cell(corners, cell)
         density *= share / cell_solid_angle(cell.row, rows, texture.width)
         return found, density * narrowing(m, 1.0 / shrunk)
 
@@ -324,7 +324,7 @@ def make_envmap(role: str | None, wanted: tuple[str, ...]) -> EnvironmentFunctio
         wi = m * v
         grown = wp.length(wi)
         result.wi = wi / grown
-        result.radiance = scene.values[e.scale] * interpolate(corners, cell)
+        result.radiance = scene.values[e.scale] * interpolate_cell(corners, cell)
         density = cell_share(scene, row, column, columns) * density_at(b, s, t)
         result.pdf = density / cell_solid_angle(row, rows, columns) * narrowing(m, grown)
         return result
@@ -367,7 +367,7 @@ def make_envmap(role: str | None, wanted: tuple[str, ...]) -> EnvironmentFunctio
         d_direction = wp.transpose(to_local) * d_v
         result.x = d_direction
         if wp.static("radiance" in wanted):
-            result.dot += sink(target, e.scale, wp.dot(w, interpolate(corners, cell)))
+            result.dot += sink(target, e.scale, wp.dot(w, interpolate_cell(corners, cell)))
             result.dot += sink_texel(target, cell.i00, n, w00) + sink_texel(target, cell.i10, n, w10)
             result.dot += sink_texel(target, cell.i01, n, w01) + sink_texel(target, cell.i11, n, w11)
         if wp.static("pose" in wanted):

@@ -75,7 +75,7 @@ REACH = 4.0
 
 
 @wp.struct
-class Wedge:
+class ContactWedge:
     """Two planes, and a connection between a point of each."""
 
     n: wp.vec3  # normals that face the wedge between the planes
@@ -89,9 +89,9 @@ class Wedge:
 
 
 @wp.func
-def wedge_between(n: wp.vec3, corner: wp.vec3, m: wp.vec3, o: wp.vec3, q: wp.vec3) -> Wedge:
+def wedge_between(n: wp.vec3, corner: wp.vec3, m: wp.vec3, o: wp.vec3, q: wp.vec3) -> ContactWedge:
     """The planes have the normals n, through ``corner``, and m, through q; o is p or a step off it."""
-    w = Wedge()
+    w = ContactWedge()
     w.p = o + wp.dot(n, corner - o) * n
     w.r = q - w.p
     w.n = where3(wp.dot(n, w.r) < 0.0, -n, n)
@@ -104,7 +104,7 @@ def wedge_between(n: wp.vec3, corner: wp.vec3, m: wp.vec3, o: wp.vec3, q: wp.vec
 
 
 @wp.func
-def may_touch(w: Wedge, rho_p: wp.float32, rho_q: wp.float32) -> wp.bool:
+def may_touch(w: ContactWedge, rho_p: wp.float32, rho_q: wp.float32) -> wp.bool:
     """Whether chi may not be 1; ``rho_p`` and ``rho_q`` are ``Scene.contact_ratio`` times the radii at p and q."""
     return not (w.t >= rho_p or w.t >= REACH * rho_q or w.sine < PARALLEL)
 

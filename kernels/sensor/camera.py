@@ -33,7 +33,7 @@ from warp_psdr.kernels.structs import Camera, Scene
 
 
 @wp.struct
-class Ray:
+class CameraRay:
     """A ray from the plane z = 0 of the camera; hits closer than ``t_min`` or farther than ``t_max`` are clipped."""
 
     o: wp.vec3
@@ -177,7 +177,7 @@ def make_lens(kind: int):
 
 @functools.cache
 def make_camera_rays(kind: int):
-    """Return ``(view, ray_in)`` for many rays: ``ray_in(scene, camera, view(scene, camera), sample) -> Ray``.
+    """Return ``(view, ray_in)`` for many rays: ``ray_in(scene, camera, view(scene, camera), sample) -> CameraRay``.
 
     ``view`` is what they share and takes a call of the C library.
     """
@@ -191,7 +191,7 @@ def make_camera_rays(kind: int):
             return half_width(scene.values[camera.x_fov])
 
     @wp.func
-    def ray_in(scene: Scene, camera: Camera, k: wp.float32, sample: CameraSample) -> Ray:
+    def ray_in(scene: Scene, camera: Camera, k: wp.float32, sample: CameraSample) -> CameraRay:
         m = load_mat44(scene.values, camera.to_world)
         aspect = wp.float32(camera.width) / wp.float32(camera.height)
         d = wp.vec3(m[0, 2], m[1, 2], m[2, 2])
@@ -205,7 +205,7 @@ def make_camera_rays(kind: int):
             radius = scene.values[camera.aperture_radius]
             d = bent_to_focus(m, d, radius, scene.values[camera.focus_distance], sample.lens)
         length = wp.length(d)
-        ray = Ray()
+        ray = CameraRay()
         ray.o = camera_origin(scene, camera, sample)
         ray.d = d / length
         if wp.static(kind == CAMERA_ORTHOGRAPHIC):
@@ -245,7 +245,7 @@ def make_camera_ray(kind: int):
     view, ray_in = make_camera_rays(kind)
 
     @wp.func
-    def camera_ray(scene: Scene, camera: Camera, sample: CameraSample) -> Ray:
+    def camera_ray(scene: Scene, camera: Camera, sample: CameraSample) -> CameraRay:
         return ray_in(scene, camera, view(scene, camera), sample)
 
     return camera_ray, make_camera_origin(kind)

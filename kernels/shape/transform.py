@@ -37,7 +37,7 @@ def transform_normal(m: wp.mat44, n: wp.vec3) -> wp.vec3:
 
 @differentiable
 @wp.func
-def point_dot(m: wp.mat44, p: wp.vec3, a: wp.vec3) -> wp.float32:
+def moved_point_dot(m: wp.mat44, p: wp.vec3, a: wp.vec3) -> wp.float32:
     return wp.dot(a, transform_point(m, p))
 
 
@@ -89,7 +89,7 @@ def pose_shape_vjp(
     """Add the gradient of ``to_world``'s upper three rows, given the flat gradient of positions and normals."""
     i = wp.tid()
     m = load_mat44(values, to_world)
-    g, _p, _a = wp.grad(point_dot)(m, local_positions[i], load_vec3(grad, position_offset + 3 * i))
+    g, _p, _a = wp.grad(moved_point_dot)(m, local_positions[i], load_vec3(grad, position_offset + 3 * i))
     if normal_offset >= 0:
         h, _n, _b = wp.grad(normal_dot)(m, local_normals[i], load_vec3(grad, normal_offset + 3 * i))
         g = g + h
@@ -133,7 +133,7 @@ def pose_shape_jvp(
     for axis in range(3):
         e = wp.vec3(0.0, 0.0, 0.0)
         e[axis] = 1.0
-        g, _p, _a = wp.grad(point_dot)(m, local_positions[i], e)
+        g, _p, _a = wp.grad(moved_point_dot)(m, local_positions[i], e)
         position[axis] = wp.ddot(g, dm)
         if normal_offset >= 0:
             h, _n, _b = wp.grad(normal_dot)(m, local_normals[i], e)

@@ -10,6 +10,7 @@ from scipy import stats
 import warp_psdr as psdr
 from warp_psdr.estimate.guiding import chains
 from warp_psdr.estimate.guiding.build import Growth, Target, volume
+from warp_psdr.estimate.guiding.methods import build
 from warp_psdr.estimate.guiding.store import whole
 from warp_psdr.kernels.boundary.guiding.cells import Cells, pdf_cells, sample_cells
 from warp_psdr.kernels.boundary.guiding.light_square import make_light_square
@@ -71,7 +72,7 @@ def target(integrand=None):
 
 
 def built(name, **options):
-    return METHODS[name](**options).build(target())
+    return build(METHODS[name](**options), target())
 
 
 def densities(cells, u):
@@ -133,7 +134,7 @@ def test_without_any_mass_all_is_uniform() -> None:
         def at(self, points):
             return np.zeros(len(points))
 
-    for leaves in (whole(), *(METHODS[name](max_leaves=64).build(target(Nothing())) for name in METHODS)):
+    for leaves in (whole(), *(build(METHODS[name](max_leaves=64), target(Nothing())) for name in METHODS)):
         u, pdf = samples(leaves.upload(0.2, wp.get_device("cpu")), 1 << 12)
         np.testing.assert_allclose(pdf, 1.0, rtol=1e-5)
         assert stats.kstest(u[:, 0], "uniform").pvalue > P_VALUE

@@ -21,9 +21,9 @@ import numpy as np
 from warp_psdr.accuracy.quantity import Quantity
 from warp_psdr.accuracy.statistics import Moments, jackknife, moments
 from warp_psdr.estimate.passes import splats
-from warp_psdr.interior import Replay
 from warp_psdr.kernels.rng import mix_seed
 from warp_psdr.options.integrator import PathIntegrator
+from warp_psdr.options.interior import Replay
 from warp_psdr.plan.plan import Plan
 
 #: Batches: the least, the most, and the share of the pilot's time after which there are no more.

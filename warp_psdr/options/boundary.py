@@ -6,8 +6,8 @@ from abc import ABC
 from dataclasses import dataclass, field, fields, replace
 from typing import Self
 
-from warp_psdr import guiding as guiding_methods
 from warp_psdr.kernels.boundary.edge_sampling.edge_tree import MAX_SPLIT
+from warp_psdr.options import guiding as guiding_methods
 
 #: Candidates without the hierarchies: [LADL18] take 64; more than 1024 cost more than they tell.
 DEFAULT_CANDIDATES, MAX_CANDIDATES = 64, 1024

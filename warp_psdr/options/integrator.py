@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from warp_psdr import boundary as boundary_methods
+from warp_psdr.options import boundary as boundary_methods
 from warp_psdr.options import interior as interior_methods
 
 #: Numbers of vertices are 32-bit integers with a sign.

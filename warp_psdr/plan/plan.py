@@ -10,14 +10,16 @@ import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from warp_psdr import guiding, html
+from warp_psdr import html
 from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.emitter.spot import MIN_FALLOFF
 from warp_psdr.kernels.interior.wanted import Wanted
 from warp_psdr.kernels.vertex import PathConfig
-from warp_psdr.options.boundary import Connecting
+from warp_psdr.options.boundary import Connecting, Method
+from warp_psdr.options.integrator import PathIntegrator
+from warp_psdr.plan import guiding
 from warp_psdr.plan.coverage import choose
-from warp_psdr.plan.integrator import integrator_of
+from warp_psdr.plan.integrator import Integrator, integrator_of
 from warp_psdr.plan.interior import Kept, Row, row_of
 from warp_psdr.plan.motion import motion
 from warp_psdr.scene.build import SLOTS
@@ -38,8 +40,6 @@ from warp_psdr.topology import contacts
 from warp_psdr.topology.bent import bent_faces
 
 if TYPE_CHECKING:
-    from warp_psdr.boundary import Method
-    from warp_psdr.options.integrator import Integrator, PathIntegrator
     from warp_psdr.scene.parameters import Parameters
     from warp_psdr.scene.scene import Scene
 

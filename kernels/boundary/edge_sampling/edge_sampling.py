@@ -34,7 +34,7 @@ from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.boundary.coincident import edge_share
 from warp_psdr.kernels.boundary.depth import DIRECT
 from warp_psdr.kernels.boundary.detector import make_arrival
-from warp_psdr.kernels.boundary.edge_sampling.edge_tree import EdgeTrees, edge_at, make_choose
+from warp_psdr.kernels.boundary.edge_sampling.edge_tree import EdgeTrees, make_choose, whole_edge
 from warp_psdr.kernels.boundary.edge_sampling.ltc_line import (
     Lobes,
     make_lobe,
@@ -143,7 +143,7 @@ def make_edge_sample(config: PathConfig, tree: bool, candidates: int):
         chosen = choose(scene, edges, trees, lobes, x1, sampler, SLOT_CHOICE)
         if chosen.edge < 0:
             return r
-        point = edge_at(scene, edges, chosen.edge)
+        point = whole_edge(scene, edges, chosen.edge)
         along = point.p1 - point.p0
         point.s = sample_mixture(lobes, point.p0 - x1, along, independent_2d(sampler, SLOT_ALONG))
         point.x = point.p0 + point.s * along

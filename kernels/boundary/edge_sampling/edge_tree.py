@@ -66,7 +66,7 @@ class EdgeTrees:
 
 
 @wp.struct
-class Chosen:
+class ResampledEdge:
     """A resampled edge, -1: none. Drawn by q within it, a point has the density q boost / scale per length."""
 
     edge: wp.int32
@@ -124,7 +124,7 @@ def node_importance(node: EdgeNode, lobes: Lobes, x: wp.vec3) -> wp.float32:
 
 
 @wp.func
-def edge_at(scene: Scene, edges: Edges, edge: wp.int32) -> EdgePoint:
+def whole_edge(scene: Scene, edges: Edges, edge: wp.int32) -> EdgePoint:
     """Return an edge with its first end as the point."""
     r = EdgePoint()
     r.edge = edge
@@ -154,7 +154,7 @@ def edge_importance(
     From a point of a face its own edges and those of faces in its plane are none, and no rounding may make them so:
     they pass x as closely as can be, and Q is one over that distance.
     """
-    at = edge_at(scene, edges, edge)
+    at = whole_edge(scene, edges, edge)
     along = at.p1 - at.p0
     a = at.p0 - x
     if interior_side(scene, edges, at, wp.cross(along, a)) == 0.0 or on_own_plane(scene, edges, edge, x):
@@ -164,7 +164,7 @@ def edge_importance(
 
 @functools.cache
 def make_choose(tree: bool, candidates: int):
-    """Return ``choose(scene, edges, trees, lobes, x, sampler, slot) -> Chosen``.
+    """Return ``choose(scene, edges, trees, lobes, x, sampler, slot) -> ResampledEdge``.
 
     Args:
         tree: samples travel through the trees; otherwise they are drawn by length times (pi - dihedral angle).
@@ -174,8 +174,8 @@ def make_choose(tree: bool, candidates: int):
     @wp.func
     def choose_flat(
         scene: Scene, edges: Edges, trees: EdgeTrees, lobes: Lobes, x: wp.vec3, sampler: Sampler, slot: wp.int32
-    ) -> Chosen:
-        r = Chosen()
+    ) -> ResampledEdge:
+        r = ResampledEdge()
         r.edge = -1
         total = wp.float32(0.0)
         count = edges.cdf.shape[0] - 1
@@ -191,8 +191,8 @@ def make_choose(tree: bool, candidates: int):
     @wp.func
     def choose_by_tree(
         scene: Scene, edges: Edges, trees: EdgeTrees, lobes: Lobes, x: wp.vec3, sampler: Sampler, slot: wp.int32
-    ) -> Chosen:
-        r = Chosen()
+    ) -> ResampledEdge:
+        r = ResampledEdge()
         r.edge = -1
         total = wp.float32(0.0)
         pending = NUMBERS()

@@ -75,7 +75,7 @@ class Lobes:
 
 
 @wp.struct
-class Line:
+class LobeSegment:
     """The part of an edge in front of a lobe, and the integral of q over it [1 / length]."""
 
     integral: wp.float32
@@ -129,9 +129,9 @@ def arc_integral(psi: wp.float32, x: wp.float32, u_z: wp.float32, w_z: wp.float3
 
 
 @wp.func
-def line_integral(lobe: Lobe, a: wp.vec3, along: wp.vec3) -> Line:
+def line_integral(lobe: Lobe, a: wp.vec3, along: wp.vec3) -> LobeSegment:
     """Integrate q over the edge from a to a + along, both relative to the point that sees it."""
-    r = Line()
+    r = LobeSegment()
     a_t = wp.vec3(wp.dot(a, lobe.x) / lobe.sx, wp.dot(a, lobe.y) / lobe.sy, wp.dot(a, lobe.z))
     e_t = wp.vec3(wp.dot(along, lobe.x) / lobe.sx, wp.dot(along, lobe.y) / lobe.sy, wp.dot(along, lobe.z))
     z0 = a_t[2]
@@ -164,7 +164,7 @@ def line_integral(lobe: Lobe, a: wp.vec3, along: wp.vec3) -> Line:
 
 
 @wp.func
-def sample_line(line: Line, u: wp.float32) -> wp.float32:
+def sample_line(line: LobeSegment, u: wp.float32) -> wp.float32:
     """Return the fraction of the edge up to which a part u of the integral lies."""
     target = u * arc_integral(line.psi, line.arc, line.u_z, line.w_z)
     low = wp.float32(0.0)
@@ -224,9 +224,9 @@ def mixture_density(lobes: Lobes, w: wp.vec3) -> wp.float32:
 @wp.func
 def sample_mixture(lobes: Lobes, a: wp.vec3, along: wp.vec3, u: wp.vec2) -> wp.float32:
     """Draw a fraction of the edge with the density q of the mixture over its integral."""
-    cosine = Line()
-    glossy = Line()
-    light = Line()
+    cosine = LobeSegment()
+    glossy = LobeSegment()
+    light = LobeSegment()
     if lobes.cosine.share > 0.0:
         cosine = line_integral(lobes.cosine, a, along)
     if lobes.glossy.share > 0.0:

@@ -90,7 +90,7 @@ def centroid(scene: Scene, face: wp.int32) -> wp.vec3:
 
 
 @wp.func
-def facing(scene: Scene, face: wp.int32, o: wp.vec3) -> wp.float32:
+def face_cosine(scene: Scene, face: wp.int32, o: wp.vec3) -> wp.float32:
     """Return n . omega at the centroid of a triangle seen from o."""
     return wp.dot(scene.triangles[face].normal, wp.normalize(centroid(scene, face) - o))
 
@@ -133,12 +133,12 @@ def make_projection(backend: str, width: int):
         found = silhouette_at(scene, edges, neighbours, face, o, d)
         steps = wp.int32(0)
         while found.edge < 0 and steps < WALK_STEPS:
-            least = wp.abs(facing(scene, face, o))
+            least = wp.abs(face_cosine(scene, face, o))
             after = wp.int32(-1)
             for side in range(3):
                 other = neighbours.faces[face, side]
                 if other >= 0:
-                    value = wp.abs(facing(scene, other, o))
+                    value = wp.abs(face_cosine(scene, other, o))
                     if value < least:
                         least = value
                         after = other
@@ -158,8 +158,8 @@ def make_projection(backend: str, width: int):
         jumps = wp.int32(0)
         while found.edge < 0 and last != face and jumps < JUMPS:
             at = centroid(scene, last)
-            here = facing(scene, last, o)
-            step = (here / (facing(scene, face, o) - here)) * (at - centroid(scene, face))
+            here = face_cosine(scene, last, o)
+            step = (here / (face_cosine(scene, face, o) - here)) * (at - centroid(scene, face))
             shape = scene.triangles[last].shape
             face = last
             tries = wp.int32(0)

@@ -68,16 +68,16 @@ def cut(polygon: Polygon, g: wp.vec3, sign: wp.float32) -> Polygon:
 
 
 @wp.func
-def corner(polygon: Polygon, i: wp.int32) -> wp.vec2:
+def polygon_corner(polygon: Polygon, i: wp.int32) -> wp.vec2:
     return wp.vec2(polygon.corners[i, 0], polygon.corners[i, 1])
 
 
 @wp.func
 def fan_area(polygon: Polygon, i: wp.int32) -> wp.float32:
     """Area of triangle i of the polygon's fan, relative to the triangle's: twice that in (u, v)."""
-    a = corner(polygon, 0)
-    b = corner(polygon, i + 1) - a
-    c = corner(polygon, i + 2) - a
+    a = polygon_corner(polygon, 0)
+    b = polygon_corner(polygon, i + 1) - a
+    c = polygon_corner(polygon, i + 2) - a
     return wp.abs(b[0] * c[1] - b[1] * c[0])
 
 
@@ -138,8 +138,8 @@ def stripe_point(stripe: Stripe, u1: wp.float64, u2: wp.float64) -> wp.vec2:
         i += 1
         area = fan_area(polygon, i)
     b = square_to_triangle(wp.vec2(wp.clamp(rest / area, 0.0, 1.0), wp.float32(u2)))
-    c = corner(polygon, 0)
-    return c + b[0] * (corner(polygon, i + 1) - c) + b[1] * (corner(polygon, i + 2) - c)
+    c = polygon_corner(polygon, 0)
+    return c + b[0] * (polygon_corner(polygon, i + 1) - c) + b[1] * (polygon_corner(polygon, i + 2) - c)
 
 
 @wp.func
@@ -156,9 +156,9 @@ def search(polygon: Polygon, at: wp.vec2, before: wp.float32, best: wp.vec4) -> 
     r = best
     done = before
     for i in range(polygon.count - 2):
-        a = corner(polygon, 0)
-        b = corner(polygon, i + 1) - a
-        c = corner(polygon, i + 2) - a
+        a = polygon_corner(polygon, 0)
+        b = polygon_corner(polygon, i + 1) - a
+        c = polygon_corner(polygon, i + 2) - a
         area = b[0] * c[1] - b[1] * c[0]
         if area != 0.0:
             q = at - a

@@ -39,7 +39,7 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.boundary.coincident import make_lit_along, make_shadow_along
-from warp_psdr.kernels.boundary.detector import Arrival, make_arrival
+from warp_psdr.kernels.boundary.detector import IncidentRadiance, make_arrival
 from warp_psdr.kernels.boundary.film_edge import AHEAD, BESIDE, MARGIN, make_film_edge
 from warp_psdr.kernels.boundary.local_form import (
     EdgePoint,
@@ -88,7 +88,7 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
     shadow_along = make_shadow_along(config) if has_delta_lights else None
 
     @wp.func
-    def seen_as(scene: Scene, seen: Arrival, d: wp.vec3) -> wp.int32:
+    def seen_as(scene: Scene, seen: IncidentRadiance, d: wp.vec3) -> wp.int32:
         """Number of the shape that a ray meets, from one, negative on the back of its normals; 0: none."""
         if seen.face < 0:
             return 0
@@ -97,7 +97,7 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
         return wp.where(wp.dot(surface.n, d) > 0.0, -1, 1) * (1 + surface.shape)
 
     @wp.func
-    def touches(scene: Scene, point: EdgePoint, seen: Arrival, step: wp.float32) -> wp.bool:
+    def touches(scene: Scene, point: EdgePoint, seen: IncidentRadiance, step: wp.float32) -> wp.bool:
         """Whether what a ray meets beside a point of an edge goes on to that point."""
         if seen.face < 0:
             return False
@@ -143,8 +143,8 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
         m: wp.vec3,
         side: wp.float32,
         local: wp.float32,
-        a: Arrival,
-        b: Arrival,
+        a: IncidentRadiance,
+        b: IncidentRadiance,
     ) -> wp.float32:
         """Distance at which rays have to pass an edge for what they meet, ``a`` on the side of m, to be lit as seen."""
         room = sharp_glass(scene, edges, point.edge) * local
@@ -234,8 +234,8 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
         ahead = wp.min(ahead, distance - at.near)
         t_max = at.far - distance + ahead
         own = wp.bool(False)
-        a = Arrival()
-        b = Arrival()
+        a = IncidentRadiance()
+        b = IncidentRadiance()
         to_a = apart * m
         to_b = -apart * m
         k = wp.int32(0)

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass
-
 import numpy as np
 import warp as wp
 
 from warp_psdr import workers
 from warp_psdr.device import launch_lanes
 from warp_psdr.estimate.guiding.build import QUANTUM, Growth, Leaves, Target
-from warp_psdr.estimate.guiding.methods import MAX_LEAVES, Method
 from warp_psdr.estimate.guiding.photons import PhotonMap, importon_map, photon_map
 from warp_psdr.kernels.boundary.guiding.ends import make_ends_kernel
 from warp_psdr.kernels.boundary.guiding.techniques import Guide
 from warp_psdr.kernels.rng import mix_seed
+from warp_psdr.options.guiding import Grid
 from warp_psdr.plan.motion import moving_shapes
 
 #: Vertices of a photon's or importon's path where the depth has no limit: deeper ones are spread out anyway.
@@ -24,67 +21,29 @@ UNBOUNDED_VERTICES = 8
 PHOTONS, IMPORTONS = 10, 11
 
 
-@dataclass(frozen=True, kw_only=True)
-class Grid(Method):
-    """Regular grids over the cube, one for each technique [ZMY*20, section 6.3] (more options: ``guiding.Method``).
+def build(method: Grid, target: Target) -> Leaves:
+    """Return the grid's cells, with masses from the maps."""
+    growth = Growth(target)
+    cells = regular(growth, method.shape)
+    low, high = growth.low[cells, None], growth.high[cells, None]
+    points = low + target.random.random((len(cells), method.samples, 3)) * (high - low)
+    values = _integrand(method, target, points.reshape(-1, 3)).reshape(len(cells), method.samples)
+    growth.square[cells] = (values**2).mean(axis=1)
+    return growth.finish()
 
-    A cell's mass is the product of the radiance and the importance that meet in boundary segments through its points.
-    Both come from k-nearest density estimates, of photons at the segments' far ends and of importons at their near
-    ends, and from what the far ends emit; no path is traced for a cell. The published grids are [5000, 5, 5, 32] and
-    [2000, 5, 5, 32] cells over edge, direction and light; here the three axes are the cube's.
 
-    Attributes:
-        shape: cells along the edges and along the two coordinates of the direction, 2^20 at most.
-        photons: light paths.
-        importons: camera paths.
-        neighbours: k.
-        samples: points of a cell whose segments are asked for.
-    """
-
-    shape: tuple[int, int, int] = (512, 8, 8)
-    photons: int = 5000
-    importons: int = 5000
-    neighbours: int = 20
-    samples: int = 8
-
-    def __post_init__(self) -> None:
-        """Validate once.
-
-        Raises:
-            ValueError: an option out of range.
-        """
-        super().__post_init__()
-        for name in ("photons", "importons", "neighbours"):
-            _check_count(name, getattr(self, name))
-        if not isinstance(self.shape, tuple) or len(self.shape) != 3:
-            raise ValueError(f"shape: got {self.shape!r}, expected three numbers of cells, for example (512, 8, 8)")
-        for value in self.shape:
-            _check_count("shape", value)
-        if math.prod(self.shape) > MAX_LEAVES:
-            raise ValueError(f"shape: got {math.prod(self.shape)} cells, expected at most {MAX_LEAVES} (2^20)")
-
-    def build(self, target: Target) -> Leaves:
-        """Return the grid's cells, with masses from the maps."""
-        growth = Growth(target)
-        cells = regular(growth, self.shape)
-        low, high = growth.low[cells, None], growth.high[cells, None]
-        points = low + target.random.random((len(cells), self.samples, 3)) * (high - low)
-        values = self._integrand(target, points.reshape(-1, 3)).reshape(len(cells), self.samples)
-        growth.square[cells] = (values**2).mean(axis=1)
-        return growth.finish()
-
-    def _integrand(self, target: Target, points: np.ndarray) -> np.ndarray:
-        """Return radiance times importance times the measure at points (N, 3) of the cube."""
-        r = target.request
-        depth = r.plan.max_depth
-        bounces = UNBOUNDED_VERTICES if depth < 0 else depth - 1
-        if not target.shared:
-            seeds = [mix_seed(r.seed, stream) for stream in (IMPORTONS, PHOTONS)]
-            target.shared["importons"] = importon_map(r.scene, r.camera, r.config, self.importons, bounces, seeds[0])
-            # x_2 is at least the second vertex, and light that it scatters takes another.
-            target.shared["photons"] = photon_map(r.scene, r.config, self.photons, bounces - 1, seeds[1])
-        importons, photons = target.shared["importons"], target.shared["photons"]
-        return _Ends(target, points).integrand(importons, photons, self.neighbours)
+def _integrand(method: Grid, target: Target, points: np.ndarray) -> np.ndarray:
+    """Return radiance times importance times the measure at points (N, 3) of the cube."""
+    r = target.request
+    depth = r.plan.max_depth
+    bounces = UNBOUNDED_VERTICES if depth < 0 else depth - 1
+    if not target.shared:
+        seeds = [mix_seed(r.seed, stream) for stream in (IMPORTONS, PHOTONS)]
+        target.shared["importons"] = importon_map(r.scene, r.camera, r.config, method.importons, bounces, seeds[0])
+        # x_2 is at least the second vertex, and light that it scatters takes another.
+        target.shared["photons"] = photon_map(r.scene, r.config, method.photons, bounces - 1, seeds[1])
+    importons, photons = target.shared["importons"], target.shared["photons"]
+    return _Ends(target, points).integrand(importons, photons, method.neighbours)
 
 
 def regular(growth: Growth, shape: tuple[int, int, int]) -> np.ndarray:
@@ -140,8 +99,3 @@ class _Ends:
         values = np.zeros(len(used))
         values[used] = self.scale[used] * radiance[used] * importons.leaving(self.x1[used], neighbours)
         return values
-
-
-def _check_count(name: str, value) -> None:
-    if isinstance(value, bool) or not isinstance(value, int) or value < 1:
-        raise ValueError(f"{name}: got {value!r}, expected a positive integer")

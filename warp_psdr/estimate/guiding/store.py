@@ -20,13 +20,15 @@ import warp as wp
 from warp_psdr import workers
 from warp_psdr.device import launch_lanes
 from warp_psdr.estimate.guiding.build import NODE, Leaves, Target
-from warp_psdr.estimate.guiding.methods import Method
+from warp_psdr.estimate.guiding.methods import build
 from warp_psdr.estimate.guiding.ordering import follow, ordered_edges
 from warp_psdr.kernels.boundary.guiding.facing import make_facing_kernel
 from warp_psdr.kernels.boundary.guiding.techniques import Guide
 from warp_psdr.kernels.boundary.local_form import Edges
 from warp_psdr.kernels.boundary.path_space.secondary import make_secondary_kernel
 from warp_psdr.kernels.rng import mix_seed
+from warp_psdr.options.guiding import Method
+from warp_psdr.plan.guiding import kept
 from warp_psdr.plan.motion import moving_shapes
 from warp_psdr.scene.layout import CAMERA, LIGHT_POSE
 from warp_psdr.topology.edges import COPLANAR, scene_adjacency
@@ -110,39 +112,26 @@ class Guiding:
 
 def structures(scene: Scene) -> list[Guiding]:
     """Return what guiding has built for a scene."""
-    return list(_kept(scene).values())
+    return list(kept(scene).values())
 
 
 def reset(scene: Scene) -> None:
     """Forget what guiding has built for a scene."""
-    _kept(scene).clear()
-
-
-def describe(scene: Scene, method: Method) -> str:
-    """Say what a method has built for a scene."""
-    found = [g for key, g in _kept(scene).items() if key[0] == method]
-    if not found:
-        return "built with the first gradient"
-    leaves, memory = sum(g.leaf_count for g in found), sum(g.memory for g in found)
-    return f"{leaves} leaves, {memory / 1e6:.1f} MB; guiding.reset(scene) forgets them"
+    kept(scene).clear()
 
 
 def built(r: Request, method: Method) -> bool:
     """Whether there is a structure for a boundary term."""
-    return _key(r, method) in _kept(r.scene)
+    return _key(r, method) in kept(r.scene)
 
 
 def forget(r: Request, method: Method) -> None:
     """Forget what guiding has built for one boundary term."""
-    _kept(r.scene).pop(_key(r, method), None)
+    kept(r.scene).pop(_key(r, method), None)
 
 
 def _key(r: Request, method: Method) -> tuple:
     return method, r.moves, r.sensor, r.plan.max_depth, r.method.without_counts(), r.indirect
-
-
-def _kept(scene: Scene) -> dict:
-    return scene.__dict__.setdefault("_guiding", {})
 
 
 def guide(r: Request, method: Method, seeds: Seeds | None = None) -> tuple[Edges | None, Guide]:
@@ -156,7 +145,7 @@ def guide(r: Request, method: Method, seeds: Seeds | None = None) -> tuple[Edges
     scene = r.scene
     values = scene.values.numpy()
     key = _key(r, method)
-    old = _kept(scene).get(key)
+    old = kept(scene).get(key)
     samples = r.pixels * (r.method.spp_secondary or r.spp)
     if old is not None and np.array_equal(old.seen, values, equal_nan=True):
         old.guided += samples
@@ -173,7 +162,7 @@ def guide(r: Request, method: Method, seeds: Seeds | None = None) -> tuple[Edges
     else:
         old = _ordered(r, keep, p, old)
         _build(r, method, old, seeds)
-    _kept(scene)[key] = old
+    kept(scene)[key] = old
     old.seen = values.copy()
     old.guided += samples
     return old.edges, old.guide
@@ -239,7 +228,7 @@ def _build(r: Request, method: Method, found: Guiding, seeds: Seeds | None) -> N
         if technique == "wedge" and _aimed(r):
             found.leaves[technique] = whole()
         else:
-            found.leaves[technique] = method.build(_seeded(target, seeds))
+            found.leaves[technique] = build(method, _seeded(target, seeds))
             if target.seeds is not None and found.leaves[technique].square.any():
                 found.leaves[technique].add_seeds(target.seeds)
     found.built = r.scene.values.numpy().copy()
