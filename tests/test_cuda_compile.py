@@ -283,7 +283,7 @@ FACTORIES = {
         ("forward, thin lens", (THIN_LENS_SMOOTH, "forward", True), SLOW),
         ("noted, materials", (NOTED_MATERIALS, "reverse", False), SLOW),
     ],
-    "boundary.edge_sampling.edge_sampling.edge_sampling.make_edge_sampling_kernel": [
+    "boundary.edge_sampling.edge_sampling.make_edge_sampling_kernel": [
         ("reverse, simple", (SIMPLE, unlit(SIMPLE), "reverse", False, True, 16), SLOW),
         ("forward, flat", (SIMPLE, unlit(SIMPLE), "forward", True, False, 64), SLOW),
         ("forward, materials", (GLOSSY, unlit(GLOSSY), "forward", True, True, 16), SLOW),
