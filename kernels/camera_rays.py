@@ -5,14 +5,15 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.bvh.bundle import make_bundle
-from warp_psdr.kernels.bvh.wide import Ray, RayHit, make_intersect
+from warp_psdr.kernels.bvh.wide import Ray, RayHit
+from warp_psdr.kernels.jobs import PixelJob
 from warp_psdr.kernels.lanes.lanes import ROWS, make_record, words
 from warp_psdr.kernels.path import make_camera_start, make_path_step
 from warp_psdr.kernels.rng import Sampler, branch_of, sampler_at
 from warp_psdr.kernels.sensor.camera import CameraSample
-from warp_psdr.kernels.sight import make_sight
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.vertex import PathConfig, PathState
+from warp_psdr.kernels.visibility import visibility_of
 
 
 @wp.struct
@@ -47,29 +48,21 @@ def row_of(bundle: Bundle, sampler: Sampler) -> wp.int32:
 
 @functools.cache
 def make_pixel_bundle(lanes: int):
-    """Return ``pixel_bundle(thread, first_pixel, pixel_count, samples, seed, raster, margin) -> Bundle``.
+    """Return ``pixel_bundle(job, camera, thread) -> Bundle``.
 
     It holds the pixels that a thread traces, not yet their samples: one, or where its samples are fewer than the lanes,
     as many as fill them. The threads of the others have none.
     """
 
     @wp.func
-    def pixel_bundle(
-        thread: wp.int32,
-        first_pixel: wp.int32,
-        pixel_count: wp.int32,
-        samples: wp.int32,
-        seed: wp.uint32,
-        raster: wp.int32,
-        margin: wp.int32,
-    ) -> Bundle:
-        size = wp.max(wp.static(lanes) // samples, 1)
+    def pixel_bundle(job: PixelJob, camera: Camera, thread: wp.int32) -> Bundle:
+        size = wp.max(wp.static(lanes) // job.samples, 1)
         bundle = Bundle()
-        bundle.first = first_pixel + thread
-        bundle.pixels = wp.where(thread % size == 0, wp.min(size, pixel_count - thread), 0)
-        bundle.seed = seed
-        bundle.raster = raster
-        bundle.margin = margin
+        bundle.first = job.first_pixel + thread
+        bundle.pixels = wp.where(thread % size == 0, wp.min(size, job.pixel_count - thread), 0)
+        bundle.seed = job.seed
+        bundle.raster = camera.crop_width + 2 * job.margin
+        bundle.margin = job.margin
         return bundle
 
     return pixel_bundle
@@ -89,8 +82,7 @@ def make_trace_together(config: PathConfig):
     """
     width = config.ray_width
     closest_hits, _any_hits = make_bundle(width)
-    closest_hit, _any_hit = make_intersect(config.ray_backend, width)
-    sight = make_sight(config.hidden)
+    visibility = visibility_of(config)
     get_ray, _put_ray = make_record(Ray, width)
     _get_hit, put_hit = make_record(RayHit, width)
 
@@ -99,9 +91,9 @@ def make_trace_together(config: PathConfig):
         if 2 * count <= wp.static(width):
             for i in range(count):
                 ray = get_ray(rows, rays, i, Ray())
-                put_hit(rows, found, i, closest_hit(sight(scene), ray.o, ray.d, ray.t_max))
+                put_hit(rows, found, i, visibility.seen(scene, ray.o, ray.d, ray.t_max, 0))
         else:
-            closest_hits(sight(scene), rows, rays, found)
+            closest_hits(visibility.camera_accel(scene), rows, rays, found)
 
     return trace_together
 

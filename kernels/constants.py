@@ -26,15 +26,6 @@ WRAP_REPEAT = 0
 WRAP_MIRROR = 1
 WRAP_CLAMP = 2
 
-# Scattering models (``Bsdf.model``).
-BSDF_DIFFUSE = 0
-BSDF_CONDUCTOR = 1
-BSDF_DIELECTRIC = 2
-BSDF_ROUGH_CONDUCTOR_GGX = 3
-BSDF_ROUGH_CONDUCTOR_BECKMANN = 4
-#: Models that scatter in delta lobes only: smooth mirrors and glass.
-DELTA_MODELS = frozenset({BSDF_CONDUCTOR, BSDF_DIELECTRIC})
-
 # Light sources (``Emitter.kind``).
 EMITTER_AREA = 0
 EMITTER_CONSTANT = 1

@@ -75,5 +75,6 @@ def fresnel_dielectric(c: wp.float32, g: wp.float32, eta: wp.float32) -> wp.floa
         p = eta2 * c + g
         r_s = contrast / (s * s)
         r_p = contrast * (c * c * (eta2 + 1.0) - 1.0) / (p * p)
-        reflectance = 0.5 * (r_s * r_s + r_p * r_p)
+        # At grazing angles it exceeds 1 by rounding, and what is transmitted would be negative.
+        reflectance = wp.min(1.0, 0.5 * (r_s * r_s + r_p * r_p))
     return reflectance

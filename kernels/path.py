@@ -18,9 +18,9 @@ import functools
 
 import warp as wp
 
-from warp_psdr.kernels.bsdf.dispatch import make_bsdf
-from warp_psdr.kernels.bvh.wide import RayHit, make_intersect
+from warp_psdr.kernels.bvh.wide import RayHit
 from warp_psdr.kernels.constants import LOBE_NONE, RFILTER_BOX
+from warp_psdr.kernels.interaction import make_interaction
 from warp_psdr.kernels.math import where3
 from warp_psdr.kernels.notes import NOTE_VERTEX, note
 from warp_psdr.kernels.rng import Sampler, make_sampler
@@ -33,14 +33,13 @@ from warp_psdr.kernels.scattering import (
     make_light_sampler,
     make_next_event,
     make_scatter,
-    make_stand,
     samples_lights,
 )
 from warp_psdr.kernels.sensor.camera import CameraSample, make_camera_rays, make_lens
 from warp_psdr.kernels.sensor.film import make_filter
-from warp_psdr.kernels.sight import make_accel_at
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.vertex import PathConfig, PathState, PathVertex, film_position, path_from
+from warp_psdr.kernels.visibility import visibility_of
 
 
 @wp.func
@@ -80,12 +79,11 @@ def make_path_step(config: PathConfig, differential: bool, sparse: bool = False,
     next-event estimates before the path meets a shape that matters (``interior/replay.py``). ``traced``: the camera's
     ray has been, ``state.seen`` is what it meets.
     """
-    closest_hit, any_hit = make_intersect(config.ray_backend, config.ray_width)
-    accel_at = make_accel_at(config.hidden)
+    visibility = visibility_of(config)
+    interaction = make_interaction(config)
     arrive = make_arrive(config)
-    stand = make_stand(config)
     scatter = make_scatter(config, differential)
-    is_delta = make_bsdf(config.bsdfs).is_delta
+    has_smooth = interaction.bsdf.has_smooth
     has_lights = samples_lights(config)
     sample_light = make_light_sampler(config) if has_lights else None
     next_event = make_next_event(config, differential) if has_lights else None
@@ -103,9 +101,9 @@ def make_path_step(config: PathConfig, differential: bool, sparse: bool = False,
         if wp.static(traced):
             hit = state.seen
             if state.depth > 0:
-                hit = closest_hit(scene.accel, state.o, state.d, state.t_max)
+                hit = visibility.closest(scene, state.o, state.d, state.t_max)
         else:
-            hit = closest_hit(accel_at(scene, state.depth), state.o, state.d, state.t_max)
+            hit = visibility.seen(scene, state.o, state.d, state.t_max, state.depth)
         arrival = arrive(scene, state, hit)
         event = NextEvent()
         onward = Onward()
@@ -114,20 +112,20 @@ def make_path_step(config: PathConfig, differential: bool, sparse: bool = False,
         if wp.static(config.scatter):
             on = arrival.on == 1 and (max_depth < 0 or state.depth + 1 < max_depth)
             if on:
-                place = stand(scene, hit.face, hit.u, hit.v, state.d)
+                at = interaction.at(scene, hit.face, hit.u, hit.v, state.d)
                 # The new direction is drawn before the shadow ray is traced: again the two overlap, and what depends on
                 # the light's visibility, which is guessed badly, is short.
-                onward = scatter(place, state, hit.face, r4, rr_depth)
+                onward = scatter(at, state, hit.face, r4, rr_depth)
                 wanted = wp.bool(True)
                 if wp.static(sparse):
-                    onward.after.met = state.met + scene.matters[place.shape]
+                    onward.after.met = state.met + scene.matters[at.shape]
                     wanted = onward.after.met > 0
                 if wp.static(has_lights):
-                    if wanted and not is_delta(place.model):
-                        ls, light, _probability = sample_light(scene, place.x, u4)
-                        event = next_event(place, ls, light)
+                    if wanted and has_smooth(at.model):
+                        ls, light, _probability = sample_light(scene, at.x, u4)
+                        event = next_event(at, ls, light)
                         if event.wanted == 1:
-                            lit = not any_hit(scene.accel, event.o, event.d, event.t_max)
+                            lit = not visibility.occluded(scene, event.o, event.d, event.t_max)
         return vertex_of(state, hit, arrival, lit, event, on, onward), onward.after
 
     if not config.noted:

@@ -14,6 +14,7 @@ from warp_psdr.kernels.camera_rays import (
     sampler_in,
 )
 from warp_psdr.kernels.invalid import count_invalid, finite
+from warp_psdr.kernels.jobs import PixelJob
 from warp_psdr.kernels.lanes.path_lanes import make_lane_paths, side_by_side
 from warp_psdr.kernels.rng import sampler_at
 from warp_psdr.kernels.sensor.camera import CameraSample
@@ -114,32 +115,24 @@ def make_primal_kernel(config: PathConfig):
         scene: Scene,
         camera: Camera,
         # In:
-        pixels: wp.array(dtype=wp.int32),
-        first_pixel: wp.int32,
-        pixel_count: wp.int32,
-        first_sample: wp.int32,
-        samples: wp.int32,
-        scale: wp.float32,
-        seed: wp.uint32,
-        max_depth: wp.int32,
-        rr_depth: wp.int32,
+        job: PixelJob,
         # Out:
         image_out: wp.array2d(dtype=wp.vec3),
     ):
-        bundle = pixel_bundle(wp.tid(), first_pixel, pixel_count, samples, seed, camera.crop_width, 0)
+        bundle = pixel_bundle(job, camera, wp.tid())
         if bundle.pixels == 0:
             return
         # In double precision: a float32 sum stands still after 2^24 equal terms.
         total = wp.vec3d()
         found = wp.zeros(shape=(wp.static(paths.width),), dtype=CameraPath)
         done = wp.int32(0)
-        while done < samples:
-            bundle.first_sample = first_sample + done
-            bundle.samples = wp.min(samples - done, wp.static(paths.width))
+        while done < job.samples:
+            bundle.first_sample = job.first_sample + done
+            bundle.samples = wp.min(job.samples - done, wp.static(paths.width))
             done += bundle.samples
-            trace(scene, camera, pixels, bundle, max_depth, rr_depth, found)
+            trace(scene, camera, job.pixels, bundle, job.max_depth, job.rr_depth, found)
             for i in range(bundle.pixels):
-                sampler = sampler_at(pixels[bundle.first + i], 0, bundle.seed)
+                sampler = sampler_at(job.pixels[bundle.first + i], 0, bundle.seed)
                 for k in range(bundle.samples):
                     radiance = found[i * bundle.samples + k].radiance
                     if finite(radiance):
@@ -147,10 +140,10 @@ def make_primal_kernel(config: PathConfig):
                     else:
                         sampler.index = wp.uint32(bundle.first_sample + k)
                         count_invalid(scene, sampler)
-                if done == samples:
+                if done == job.samples:
                     px = column_of(bundle, sampler)
                     py = row_of(bundle, sampler)
-                    image_out[py, px] = image_out[py, px] + wp.vec3(wp.float64(scale) * total)
+                    image_out[py, px] = image_out[py, px] + wp.vec3(wp.float64(job.scale) * total)
                     total = wp.vec3d()
 
     return primal

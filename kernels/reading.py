@@ -14,6 +14,11 @@ def load_float(values: wp.array(dtype=wp.float32), offset: wp.int32) -> wp.float
     return wp.float32(0.0)
 
 
+@wp.func_native("return numbers.data[index];")
+def load_int(numbers: wp.array(dtype=wp.int32), index: wp.int32) -> wp.int32:
+    return wp.int32(0)
+
+
 @wp.func_native("return ((const float*)(triangles.data + face))[word];")
 def triangle_float(triangles: wp.array(dtype=Triangle), face: wp.int32, word: wp.int32) -> wp.float32:
     return wp.float32(0.0)

@@ -9,20 +9,19 @@ import functools
 
 import warp as wp
 
-from warp_psdr.kernels.bsdf.dispatch import make_bsdf
+from warp_psdr.kernels.bsdf.dispatch import has_smooth_lobes
 from warp_psdr.kernels.bvh.wide import RayHit
 from warp_psdr.kernels.constants import EMITTER_AREA, FAR, LOBE_NONE, LOBE_SMOOTH
 from warp_psdr.kernels.distribution import find_interval
 from warp_psdr.kernels.emitter.area import make_area, pdf_area
 from warp_psdr.kernels.emitter.dispatch import make_lights
+from warp_psdr.kernels.interaction import enter_frame, leave_frame, make_interaction
 from warp_psdr.kernels.invalid import finite, inverse_pdf, vanishes
-from warp_psdr.kernels.math import to_local, to_world, where3
-from warp_psdr.kernels.reading import bsdf_at, emitter_at, shape_at, triangle_at
+from warp_psdr.kernels.math import where3
+from warp_psdr.kernels.reading import emitter_at, shape_at, triangle_at
 from warp_psdr.kernels.sampling import mis_weight
-from warp_psdr.kernels.step import step_off_triangle
-from warp_psdr.kernels.structs import LightSample, Material, Scene, Triangle
-from warp_psdr.kernels.surface import Surface, make_surface_of
-from warp_psdr.kernels.vertex import PathConfig, PathState, make_framing, make_material, make_side
+from warp_psdr.kernels.structs import LightSample, Scene, Triangle
+from warp_psdr.kernels.vertex import PathConfig, PathState
 
 #: Sample slots per path vertex: next-event estimation, scattering. Slot 0 is the camera's.
 SLOTS_PER_VERTEX = 2
@@ -39,31 +38,6 @@ class Arrival:
     direct: wp.vec3
     weight: wp.float32  # its MIS weight
     on: wp.int32  # 1: there is a surface to go on from
-
-
-@wp.struct
-class LookedUp:
-    """What the scene's tables say of a point: its side, +1, or -1 on the back of a two-sided material, and that."""
-
-    side: wp.float32
-    model: wp.int32
-    material: Material
-
-
-@wp.struct
-class Place:
-    """Where a path scatters: point, frame on the side of the incoming ray, and the material there."""
-
-    x: wp.vec3
-    ng: wp.vec3
-    n: wp.vec3
-    s: wp.vec3
-    t: wp.vec3
-    wi: wp.vec3  # local
-    away: wp.float32  # step of the rays that leave
-    model: wp.int32
-    shape: wp.int32
-    material: Material
 
 
 @wp.struct
@@ -97,7 +71,7 @@ class Onward:
 
 def samples_lights(config: PathConfig) -> bool:
     """Whether there is next-event estimation: it never finds a delta lobe."""
-    return bool(config.area or config.lights) and make_bsdf(config.bsdfs).eval is not None
+    return bool(config.area or config.lights) and has_smooth_lobes(config.bsdfs)
 
 
 @functools.cache
@@ -142,74 +116,6 @@ def make_arrive(config: PathConfig):
         return arrival
 
     return arrive
-
-
-@functools.cache
-def make_look_up(config: PathConfig):
-    """Return ``look_up(scene, surface, behind, face, u, v) -> LookedUp``; ``behind``: the ray arrives at the back."""
-    side_of = make_side(config.two_sided)
-    material_at = make_material(config.slots)
-
-    @wp.func
-    def look_up(
-        scene: Scene, surface: Surface, behind: wp.bool, face: wp.int32, u: wp.float32, v: wp.float32
-    ) -> LookedUp:
-        side, record = side_of(scene, shape_at(scene, surface.shape).bsdf, behind)
-        b = bsdf_at(scene, record)
-        result = LookedUp()
-        result.side = side
-        result.model = b.model
-        result.material = material_at(scene, b, face, u, v, surface.uv)
-        return result
-
-    return look_up
-
-
-@functools.cache
-def make_place(config: PathConfig):
-    """Return ``place_on(scene, tri, surface, found, d) -> Place``, d the direction that the path arrives with."""
-    frame_on = make_framing(config.tangent)
-
-    @wp.func
-    def place_on(scene: Scene, tri: Triangle, surface: Surface, found: LookedUp, d: wp.vec3) -> Place:
-        frame = frame_on(found.side, surface.n, surface.tangent)
-        place = Place()
-        place.x = surface.x
-        place.ng = surface.ng
-        place.n = frame.n
-        place.s = frame.s
-        place.t = frame.t
-        place.wi = to_local(frame.s, frame.t, frame.n, -d)
-        place.away = step_off_triangle(scene, tri)
-        place.model = found.model
-        place.shape = surface.shape
-        place.material = found.material
-        return place
-
-    return place_on
-
-
-@functools.cache
-def make_stand(config: PathConfig):
-    """Return ``stand(scene, face, u, v, d) -> Place``, all of it."""
-    surface_of = make_surface_of(config.smooth, config.flat, config.uv, config.tangent)
-    look_up = make_look_up(config)
-    place_on = make_place(config)
-
-    @wp.func
-    def stand(scene: Scene, face: wp.int32, u: wp.float32, v: wp.float32, d: wp.vec3) -> Place:
-        tri = triangle_at(scene, face)
-        surface = surface_of(scene, tri, u, v)
-        found = look_up(scene, surface, wp.dot(surface.n, -d) < 0.0, face, u, v)
-        return place_on(scene, tri, surface, found, d)
-
-    return stand
-
-
-@wp.func
-def step_off(place: Place, d: wp.vec3) -> wp.vec3:
-    """Where a ray with direction d starts."""
-    return place.x + wp.where(wp.dot(place.ng, d) >= 0.0, place.away, -place.away) * place.ng
 
 
 @functools.cache
@@ -284,22 +190,24 @@ def shadow_ray(o: wp.vec3, ls: LightSample) -> tuple[wp.vec3, wp.float32]:
 
 @functools.cache
 def make_next_event(config: PathConfig, differential: bool):
-    """Return ``next_event(place, ls, light) -> NextEvent``; arguments as ``make_path_step``'s."""
-    bsdf = make_bsdf(config.bsdfs)
+    """Return ``next_event(at, ls, light) -> NextEvent``; arguments as ``make_path_step``'s, ``at`` an interaction."""
+    interaction = make_interaction(config)
+    record = interaction.record
+    bsdf = interaction.bsdf
 
     @wp.func
-    def next_event(place: Place, ls: LightSample, light: wp.int32) -> NextEvent:
-        wo = to_local(place.s, place.t, place.n, ls.wi)
-        pdf_bsdf = bsdf.pdf(place.model, place.material, place.wi, wo)
+    def next_event(at: record, ls: LightSample, light: wp.int32) -> NextEvent:
+        wo = enter_frame(at.frame, ls.wi)
+        pdf_bsdf = interaction.pdf(at, wo)
         pdf_light = ls.pdf * ls.probability
         event = NextEvent()
         event.weight = inverse_pdf(pdf_light) * wp.where(ls.delta == 0, mis_weight(pdf_light, pdf_bsdf), 1.0)
-        event.value = event.weight * wp.cw_mul(bsdf.eval(place.model, place.material, place.wi, wo), ls.radiance)
-        wanted = not (ls.pdf <= 0.0 or pdf_bsdf <= 0.0 or bsdf.is_delta(place.model))
+        event.value = event.weight * wp.cw_mul(interaction.eval(at, wo), ls.radiance)
+        wanted = not (ls.pdf <= 0.0 or pdf_bsdf <= 0.0 or not bsdf.has_smooth(at.model))
         if wp.static(not differential):
             wanted = wanted and not vanishes(event.value)
         event.wanted = wp.where(wanted, 1, 0)
-        event.o = step_off(place, ls.wi)
+        event.o = interaction.offset(at, ls.wi)
         d, t_max = shadow_ray(event.o, ls)
         event.d = d
         event.t_max = t_max
@@ -315,14 +223,15 @@ def make_next_event(config: PathConfig, differential: bool):
 
 @functools.cache
 def make_scatter(config: PathConfig, differential: bool):
-    """Return ``scatter(place, state, face, r4, rr_depth) -> Onward``; arguments as ``make_path_step``'s."""
-    bsdf = make_bsdf(config.bsdfs)
+    """Return ``scatter(at, state, face, r4, rr_depth) -> Onward``; arguments as ``make_path_step``'s."""
+    interaction = make_interaction(config)
+    record = interaction.record
 
     @wp.func
-    def scatter(place: Place, state: PathState, face: wp.int32, r4: wp.vec4, rr_depth: wp.int32) -> Onward:
-        bs = bsdf.sample(place.model, place.material, place.wi, r4[0], wp.vec2(r4[2], r4[3]))
+    def scatter(at: record, state: PathState, face: wp.int32, r4: wp.vec4, rr_depth: wp.int32) -> Onward:
+        bs = interaction.sample(at, r4[0], wp.vec2(r4[2], r4[3]))
         onward = Onward()
-        onward.wo = to_world(place.s, place.t, place.n, bs.wo)
+        onward.wo = leave_frame(at.frame, bs.wo)
         inv_pdf = 1.0 / bs.pdf
         beta = inv_pdf * bs.value
         throughput = wp.cw_mul(state.throughput, beta)
@@ -349,7 +258,7 @@ def make_scatter(config: PathConfig, differential: bool):
         onward.after.alive = wp.where(alive, 1, 0)
         onward.after.depth = state.depth + 1
         onward.after.left = wp.where(smooth, face + 1, 0)
-        onward.after.o = step_off(place, onward.wo)
+        onward.after.o = interaction.offset(at, onward.wo)
         onward.after.d = onward.wo
         onward.after.t_max = FAR
         onward.after.throughput = inv_q * throughput

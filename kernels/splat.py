@@ -18,6 +18,7 @@ import warp as wp
 from warp_psdr.kernels.camera_rays import make_pixel_bundle, sampler_in
 from warp_psdr.kernels.constants import RFILTER_BOX, RFILTER_TENT
 from warp_psdr.kernels.invalid import count_invalid, finite
+from warp_psdr.kernels.jobs import PixelJob
 from warp_psdr.kernels.primal import CameraPath, make_image_paths
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.vertex import PathConfig
@@ -109,33 +110,25 @@ def make_splat_kernel(config: PathConfig):
         scene: Scene,
         camera: Camera,
         # In:
-        pixels: wp.array(dtype=wp.int32),
-        first_pixel: wp.int32,
-        pixel_count: wp.int32,
-        margin: wp.int32,
-        first_sample: wp.int32,
-        samples: wp.int32,
-        seed: wp.uint32,
-        max_depth: wp.int32,
-        rr_depth: wp.int32,
+        job: PixelJob,
         # Out:
         film_out: wp.array2d(dtype=wp.vec4),
     ):
-        bundle = pixel_bundle(wp.tid(), first_pixel, pixel_count, samples, seed, camera.crop_width + 2 * margin, margin)
+        bundle = pixel_bundle(job, camera, wp.tid())
         if bundle.pixels == 0:
             return
         found = wp.zeros(shape=(wp.static(paths.width),), dtype=CameraPath)
         done = wp.int32(0)
-        while done < samples:
-            bundle.first_sample = first_sample + done
-            bundle.samples = wp.min(samples - done, wp.static(paths.width))
+        while done < job.samples:
+            bundle.first_sample = job.first_sample + done
+            bundle.samples = wp.min(job.samples - done, wp.static(paths.width))
             done += bundle.samples
-            trace(scene, camera, pixels, bundle, max_depth, rr_depth, found)
+            trace(scene, camera, job.pixels, bundle, job.max_depth, job.rr_depth, found)
             for j in range(bundle.pixels * bundle.samples):
                 if finite(found[j].radiance):
                     spread(camera, found[j], film_out)
                 else:
-                    count_invalid(scene, sampler_in(pixels, bundle, j))
+                    count_invalid(scene, sampler_in(job.pixels, bundle, j))
 
     return splat
 

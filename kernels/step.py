@@ -57,3 +57,9 @@ def passing_step(scene: Scene, face: wp.int32) -> wp.float32:
     if scene.least_step <= 0.0:
         return scene.ray_epsilon
     return scene.shapes[scene.triangles[face].shape].edge_step
+
+
+@wp.func
+def step_beside(x: wp.vec3, ng: wp.vec3, d: wp.vec3, step: wp.float32) -> wp.vec3:
+    """A point of a surface with the normal ``ng``, moved off it by ``step`` to the side of the direction ``d``."""
+    return x + wp.where(wp.dot(ng, d) >= 0.0, step, -step) * ng

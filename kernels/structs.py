@@ -62,37 +62,13 @@ class Texture:
 
 @wp.struct
 class Bsdf:
-    """A scattering model and the textures in its slots (-1: slot unused); see ``Material`` for the slots."""
+    """A scattering model and where the numbers of its textures start."""
 
-    model: wp.int32
+    model: wp.int32  # place in ``PathConfig.bsdfs``
     two_sided: wp.int32  # 1: both sides scatter; the back side uses the record ``back``
     back: wp.int32
-    c0: wp.int32
-    c1: wp.int32
-    c2: wp.int32
-    s0: wp.int32
-    s1: wp.int32
-
-
-@wp.struct
-class Material:
-    """Values of a BSDF's slots at one point.
-
-    ======================  =====================  =====================  ===============  =========  =========
-    model                   c0                     c1                     c2               s0         s1
-    ======================  =====================  =====================  ===============  =========  =========
-    diffuse                 reflectance
-    conductor               specular_reflectance   eta                    k
-    roughconductor          specular_reflectance   eta                    k                alpha_u    alpha_v
-    dielectric              specular_reflectance   specular_transmittance                  eta
-    ======================  =====================  =====================  ===============  =========  =========
-    """
-
-    c0: wp.vec3
-    c1: wp.vec3
-    c2: wp.vec3
-    s0: wp.float32
-    s1: wp.float32
+    slots: wp.int32  # first index in ``Scene.slots``
+    lobes: wp.int32  # bit k: the model has the lobe LOBE_* = k
 
 
 @wp.struct
@@ -145,6 +121,7 @@ class Scene:
     triangles: wp.array(dtype=Triangle)
     shapes: wp.array(dtype=Shape)
     bsdfs: wp.array(dtype=Bsdf)
+    slots: wp.array(dtype=wp.int32)  # texture numbers of material values, see ``bsdf/record.py``
     textures: wp.array(dtype=Texture)
     emitters: wp.array(dtype=Emitter)
     emitter_cdf: wp.array(dtype=wp.float32)  # cumulative selection probabilities, length n + 1, from 0 to 1
@@ -181,15 +158,6 @@ class Scattered:
 
     wo: wp.vec3
     value: wp.vec3
-
-
-@wp.struct
-class BsdfAdjoint:
-    """Partial derivatives of a weighted scattering value."""
-
-    material: Material
-    wi: wp.vec3
-    wo: wp.vec3
 
 
 @wp.struct

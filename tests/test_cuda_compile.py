@@ -14,8 +14,10 @@ import pytest
 import warp as wp
 
 import warp_psdr.kernels
+from tests.config_helpers import SIMPLE, materials
 from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.boundary.guiding.projective import BLOCKED_LIGHT, SCATTERED
+from warp_psdr.kernels.bsdf.dispatch import VARIANTS
 from warp_psdr.kernels.interior.wanted import Wanted
 from warp_psdr.kernels.loss import relative_squared
 from warp_psdr.kernels.vertex import PathConfig
@@ -29,38 +31,23 @@ CPU_ONLY = {
     "interior.replay._make_lane_kernel": "paths side by side are for SIMD; make_replay_kernel has one a thread on CUDA",
 }
 
-MODELS = (
-    c.BSDF_DIFFUSE,
-    c.BSDF_CONDUCTOR,
-    c.BSDF_DIELECTRIC,
-    c.BSDF_ROUGH_CONDUCTOR_GGX,
-    c.BSDF_ROUGH_CONDUCTOR_BECKMANN,
-)
 TEXTURES = (c.TEXTURE_CONSTANT, c.TEXTURE_BITMAP, c.TEXTURE_VERTEX, c.TEXTURE_FACE)
 LIGHTS = (c.EMITTER_ENVMAP, c.EMITTER_POINT, c.EMITTER_SPOT, c.EMITTER_DIRECTIONAL)
-#: Diffuse walls under an area light.
-SIMPLE = PathConfig(
-    bsdfs=(c.BSDF_DIFFUSE,),
-    slots=((c.TEXTURE_CONSTANT,), (), (), (), ()),
-    two_sided=False,
-    smooth=False,
-    flat=True,
-    uv=False,
-    tangent=False,
-    area=(c.TEXTURE_CONSTANT,),
-    lights=(),
-    one_light=True,
-    scatter=True,
-    hide_emitters=False,
-    sampler="sobol",
-    filter=c.RFILTER_BOX,
-    ray_backend="warp",
-    ray_width=1,
-)
+
+
+def wanted(config, *names, **others):
+    """Derivatives by named values of the materials, and others."""
+    return Wanted(material=tuple(slot.name in names for slot in config.material), **others)
+
+
+def everything(config, **others):
+    """Derivatives by all values of the materials, and others."""
+    return wanted(config, *(slot.name for slot in config.material), **others)
+
+
 #: All models, all texture kinds in every slot, all lights, smooth and flat shapes, anisotropy.
 EVERYTHING = PathConfig(
-    bsdfs=MODELS,
-    slots=(TEXTURES,) * 5,
+    **materials(*VARIANTS, kinds=TEXTURES),
     two_sided=True,
     smooth=True,
     flat=True,
@@ -79,8 +66,7 @@ EVERYTHING = PathConfig(
 )
 #: What EVERYTHING excludes: the other light at infinity, the other sampler and filter, smooth shapes alone.
 OTHERS = PathConfig(
-    bsdfs=(c.BSDF_ROUGH_CONDUCTOR_BECKMANN,),
-    slots=((c.TEXTURE_CONSTANT,),) * 5,
+    **materials("roughconductor (beckmann)"),
     two_sided=False,
     smooth=True,
     flat=False,
@@ -96,15 +82,14 @@ OTHERS = PathConfig(
     ray_backend="warp",
     ray_width=1,
 )
-EMISSION = PathConfig(**{**vars(SIMPLE), "scatter": False, "slots": ((),) * 5})
+EMISSION = PathConfig(**{**vars(SIMPLE), "scatter": False, "material": ()})
 SPLAT = PathConfig(**{**vars(SIMPLE), "filter": c.RFILTER_TENT})
 SPLAT_GAUSSIAN = PathConfig(**{**vars(SIMPLE), "filter": c.RFILTER_GAUSSIAN})
 # The compiler needs over ten minutes for the derivatives of EVERYTHING at once; in these thirds, seconds each.
 MATERIALS = PathConfig(
     **{
         **vars(SIMPLE),
-        "bsdfs": MODELS,
-        "slots": ((c.TEXTURE_CONSTANT,),) * 5,
+        **materials(*VARIANTS),
         "two_sided": True,
         "smooth": True,
         "tangent": True,
@@ -113,7 +98,7 @@ MATERIALS = PathConfig(
 TEXTURED = PathConfig(
     **{
         **vars(SIMPLE),
-        "slots": (TEXTURES, (), (), (), ()),
+        **materials("diffuse", kinds=TEXTURES),
         "area": TEXTURES,
         "uv": True,
         "smooth": True,
@@ -127,42 +112,51 @@ ORTHOGRAPHIC = PathConfig(**{**vars(SIMPLE), "camera": c.CAMERA_ORTHOGRAPHIC})
 THIN_LENS = PathConfig(**{**vars(SIMPLE), "camera": c.CAMERA_THINLENS})
 THIN_LENS_SMOOTH = PathConfig(**{**vars(THIN_LENS), "smooth": True})
 ORTHOGRAPHIC_SMOOTH = PathConfig(**{**vars(ORTHOGRAPHIC), "smooth": True})
-GLOSSY = PathConfig(
-    **{**vars(MATERIALS), "bsdfs": (c.BSDF_DIFFUSE, c.BSDF_ROUGH_CONDUCTOR_GGX, c.BSDF_ROUGH_CONDUCTOR_BECKMANN)}
-)
+GLOSSY = PathConfig(**{**vars(MATERIALS), **materials("diffuse", "roughconductor (ggx)", "roughconductor (beckmann)")})
 MIRROR_LIGHTS = PathConfig(
     **{
         **vars(SIMPLE),
-        "bsdfs": (c.BSDF_DIFFUSE, c.BSDF_CONDUCTOR),
-        "slots": ((c.TEXTURE_CONSTANT,),) * 3 + ((), ()),
+        **materials("diffuse", "conductor"),
         "lights": LIGHTS,
         "one_light": False,
     }
 )
-MIRRORS = PathConfig(
-    **{**vars(SIMPLE), "bsdfs": (c.BSDF_CONDUCTOR, c.BSDF_DIELECTRIC), "slots": ((c.TEXTURE_CONSTANT,),) * 4 + ((),)}
-)
+MIRRORS = PathConfig(**{**vars(SIMPLE), **materials("conductor", "dielectric")})
 MIRRORS_PARALLEL = PathConfig(**{**vars(MIRRORS), "camera": c.CAMERA_ORTHOGRAPHIC})
 MIRRORS_LENS = PathConfig(**{**vars(MIRRORS), "camera": c.CAMERA_THINLENS})
 #: What is traced again for ``psdr.trace_sample``.
 NOTED = PathConfig(**{**vars(SIMPLE), "noted": True})
 NOTED_MATERIALS = PathConfig(**{**vars(MATERIALS), "noted": True})
-ALBEDO = Wanted(slots=(True, False, False, False, False))
-MOVING_CAMERA = Wanted(slots=(False,) * 5, camera=True)
-GEOMETRY = Wanted(slots=(True, False, False, False, False), shapes=True)
-ALL = Wanted(
-    slots=(True,) * 5,
-    to_uv=True,
-    shapes=True,
-    texcoords=True,
-    radiance=True,
-    lights=("radiance", "pose"),
-    camera=True,
-    bends=True,
-)
-MOVING = Wanted(slots=(False, False, False, True, False), shapes=True, camera=True, bends=True)
-#: Textbook replay takes no moving vertices behind delta lobes.
-STILL = Wanted(slots=(True,) * 5, radiance=True, lights=("radiance", "pose"))
+ALBEDO = wanted(SIMPLE, "reflectance")
+GEOMETRY = wanted(SIMPLE, "reflectance", shapes=True)
+
+
+def moving_camera(config):
+    return wanted(config, camera=True)
+
+
+def moving(config):
+    return wanted(config, "ior", shapes=True, camera=True, bends=True)
+
+
+def all_of(config):
+    return everything(
+        config,
+        to_uv=True,
+        shapes=True,
+        texcoords=True,
+        radiance=True,
+        lights=("radiance", "pose"),
+        camera=True,
+        bends=True,
+    )
+
+
+def still(config):
+    """Textbook replay takes no moving vertices behind delta lobes."""
+    return everything(config, radiance=True, lights=("radiance", "pose"))
+
+
 #: Configurations that together hold every model, texture kind, light, sampler and filter.
 THIRDS = {"materials": MATERIALS, "textures": TEXTURED, "lights": ALL_LIGHTS, "others": OTHERS}
 FAST, SLOW = (), (pytest.mark.slow,)
@@ -195,21 +189,21 @@ FACTORIES = {
     "interior.replay.make_replay_kernel": [
         ("simple", (SIMPLE, GEOMETRY, 8, 1), FAST),
         ("blocks", (SIMPLE, ALBEDO, 8, 4), SLOW),
-        ("orthographic", (ORTHOGRAPHIC, MOVING_CAMERA, 4, 1), SLOW),
-        ("thin lens", (THIN_LENS, MOVING_CAMERA, 4, 1), SLOW),
-        *[(name, (config, ALL, 4, 1), SLOW) for name, config in THIRDS.items()],
+        ("orthographic", (ORTHOGRAPHIC, moving_camera(ORTHOGRAPHIC), 4, 1), SLOW),
+        ("thin lens", (THIN_LENS, moving_camera(THIN_LENS), 4, 1), SLOW),
+        *[(name, (config, all_of(config), 4, 1), SLOW) for name, config in THIRDS.items()],
     ],
     "interior.forward.make_forward_kernel": [
         ("simple", (SIMPLE, ALBEDO), FAST),
-        ("orthographic", (ORTHOGRAPHIC, MOVING_CAMERA), SLOW),
-        ("thin lens", (THIN_LENS, MOVING_CAMERA), SLOW),
-        *[(name, (config, ALL), SLOW) for name, config in THIRDS.items()],
+        ("orthographic", (ORTHOGRAPHIC, moving_camera(ORTHOGRAPHIC)), SLOW),
+        ("thin lens", (THIN_LENS, moving_camera(THIN_LENS)), SLOW),
+        *[(name, (config, all_of(config)), SLOW) for name, config in THIRDS.items()],
     ],
     "interior.textbook.make_textbook_kernel": [
         ("reverse, simple", (SIMPLE, ALBEDO, "reverse"), FAST),
         ("forward, simple", (SIMPLE, ALBEDO, "forward"), SLOW),
-        ("reverse, materials", (MATERIALS, STILL, "reverse"), SLOW),
-        ("reverse, lights", (ALL_LIGHTS, ALL, "reverse"), SLOW),
+        ("reverse, materials", (MATERIALS, still(MATERIALS), "reverse"), SLOW),
+        ("reverse, lights", (ALL_LIGHTS, all_of(ALL_LIGHTS), "reverse"), SLOW),
     ],
     "boundary.shading_normals.bent.make_bent_kernel": [
         ("reverse, materials", (MATERIALS, "reverse", True), SLOW),
@@ -228,12 +222,12 @@ FACTORIES = {
         ("indirect, materials", (MATERIALS, "reverse", False, True), SLOW),
     ],
     "boundary.specular.line_search.make_line_search_kernel": [
-        ("reverse, materials", (MATERIALS, MOVING, "reverse", False), SLOW),
-        ("forward, mirror under lights", (MIRROR_LIGHTS, MOVING, "forward", True), SLOW),
-        ("reverse, mirrors alone", (MIRRORS, MOVING, "reverse", False), SLOW),
-        ("reverse, mirrors, orthographic", (MIRRORS_PARALLEL, MOVING_CAMERA, "reverse", False), SLOW),
-        ("forward, mirrors, thin lens", (MIRRORS_LENS, MOVING_CAMERA, "forward", False), SLOW),
-        ("noted, materials", (NOTED_MATERIALS, MOVING, "reverse", False), SLOW),
+        ("reverse, materials", (MATERIALS, moving(MATERIALS), "reverse", False), SLOW),
+        ("forward, mirror under lights", (MIRROR_LIGHTS, moving(MIRROR_LIGHTS), "forward", True), SLOW),
+        ("reverse, mirrors alone", (MIRRORS, moving(MIRRORS), "reverse", False), SLOW),
+        ("reverse, mirrors, orthographic", (MIRRORS_PARALLEL, moving_camera(MIRRORS_PARALLEL), "reverse", False), SLOW),
+        ("forward, mirrors, thin lens", (MIRRORS_LENS, moving_camera(MIRRORS_LENS), "forward", False), SLOW),
+        ("noted, materials", (NOTED_MATERIALS, moving(NOTED_MATERIALS), "reverse", False), SLOW),
     ],
     "boundary.path_space.primary.make_primary_kernel": [
         ("reverse, simple", (SIMPLE, "reverse", False), FAST),

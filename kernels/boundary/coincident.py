@@ -27,11 +27,11 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.boundary.local_form import EdgePoint, Edges, edge_step, facing_side
-from warp_psdr.kernels.bvh.wide import make_intersect
 from warp_psdr.kernels.emitter.dispatch import is_delta_light, make_delta_sample
 from warp_psdr.kernels.step import leaving_step
 from warp_psdr.kernels.structs import Accel, LightSample, Scene
 from warp_psdr.kernels.vertex import PathConfig
+from warp_psdr.kernels.visibility import visibility_of
 
 #: Distance, over that of an edge, at which a light counts as infinitely far.
 DISTANT = 1.0e3
@@ -85,7 +85,7 @@ def make_screened(config: PathConfig):
     That is whether a ray along w to x, beside a point of a silhouette on the occluder's side, from the distance ``way``
     on, meets another body first. The triangle ``face``, off which it starts (-1: none), does not count.
     """
-    closest_hit, _any_hit = make_intersect(config.ray_backend, config.ray_width)
+    visibility = visibility_of(config)
 
     @wp.func
     def screened(
@@ -101,7 +101,7 @@ def make_screened(config: PathConfig):
     ) -> wp.bool:
         if way <= behind:
             return False
-        hit = closest_hit(accel, x - way * w, w, way - behind)
+        hit = visibility.closest_in(accel, x - way * w, w, way - behind)
         if hit.face < 0:
             return False
         part = edges.parts[hit.face]
@@ -139,14 +139,14 @@ def make_shadow_along(config: PathConfig):
     Args of it: x on that edge; the unit vector ``into`` from there in its face; the distance on either side of x at
     which the light of a lamp without area is looked for.
     """
-    _closest_hit, any_hit = make_intersect(config.ray_backend, config.ray_width)
+    visibility = visibility_of(config)
 
     @wp.func
     def ends(scene: Scene, x: wp.vec3, into: wp.vec3, step: wp.float32, ls: LightSample) -> wp.bool:
         start = x + (CLEAR * step) * ls.wi
         reach = ls.distance - CLEAR * step
-        hidden = any_hit(scene.accel, start + step * into, ls.wi, reach)
-        return hidden and not any_hit(scene.accel, start - step * into, ls.wi, reach)
+        hidden = visibility.occluded(scene, start + step * into, ls.wi, reach)
+        return hidden and not visibility.occluded(scene, start - step * into, ls.wi, reach)
 
     return _make_any_light(config, ends)
 

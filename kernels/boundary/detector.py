@@ -19,21 +19,18 @@ import functools
 
 import warp as wp
 
-from warp_psdr.kernels.bsdf.dispatch import make_bsdf
-from warp_psdr.kernels.bvh.wide import make_intersect
 from warp_psdr.kernels.constants import LOBE_SMOOTH
-from warp_psdr.kernels.emitter.area import make_area
+from warp_psdr.kernels.interaction import enter_frame, leave_frame, make_interaction
 from warp_psdr.kernels.invalid import vanishes
-from warp_psdr.kernels.math import to_local, to_world
 from warp_psdr.kernels.path import make_path_step
 from warp_psdr.kernels.rng import Sampler
 from warp_psdr.kernels.scattering import ROULETTE_MAX
 from warp_psdr.kernels.sensor.projection import FilmPoint, make_projection
-from warp_psdr.kernels.sight import make_sight
-from warp_psdr.kernels.step import leaving_step
+from warp_psdr.kernels.step import step_beside
 from warp_psdr.kernels.structs import Camera, Scene
-from warp_psdr.kernels.surface import make_surface, point_on
-from warp_psdr.kernels.vertex import PathConfig, PathState, make_frame, make_material, path_from
+from warp_psdr.kernels.surface import point_on
+from warp_psdr.kernels.vertex import PathConfig, PathState, path_from
+from warp_psdr.kernels.visibility import visibility_of
 
 #: Cosines below it count as zero where one is divided by: such a vertex is seen or lit exactly edge-on.
 MIN_COSINE = 1.0e-6
@@ -145,12 +142,15 @@ class IncidentRadiance:
 
 @functools.cache
 def make_following(config: PathConfig):
-    """Return ``following(scene, sampler, start, max_depth, rr_depth) -> IncidentRadiance``: what a path collects."""
+    """Return ``following(scene, sampler, start, max_depth, rr_depth, smooth) -> IncidentRadiance``: what a path collects.
+
+    ``smooth``: of the first surface that it meets only what its smooth lobes send.
+    """
     path_step = make_path_step(config, False)
 
     @wp.func
     def following(
-        scene: Scene, sampler: Sampler, start: PathState, max_depth: wp.int32, rr_depth: wp.int32
+        scene: Scene, sampler: Sampler, start: PathState, max_depth: wp.int32, rr_depth: wp.int32, smooth: wp.bool
     ) -> IncidentRadiance:
         r = IncidentRadiance()
         vertex, state = path_step(scene, sampler, start, max_depth, rr_depth)
@@ -159,6 +159,8 @@ def make_following(config: PathConfig):
         if vertex.face >= 0:
             tri = scene.triangles[vertex.face]
             r.x = point_on(tri, vertex.u, vertex.v)
+        if smooth and vertex.lobe > LOBE_SMOOTH:
+            return r
         while state.alive == 1:
             vertex, state = path_step(scene, sampler, state, max_depth, rr_depth)
             r.radiance += wp.cw_mul(vertex.throughput, vertex.direct)
@@ -186,7 +188,7 @@ def make_arrival(config: PathConfig):
         max_depth: wp.int32,
         rr_depth: wp.int32,
     ) -> IncidentRadiance:
-        return following(scene, sampler, path_from(o, d, t_max, depth), max_depth, rr_depth)
+        return following(scene, sampler, path_from(o, d, t_max, depth), max_depth, rr_depth, False)
 
     return arrival
 
@@ -200,7 +202,7 @@ def make_incident(config: PathConfig):
     i + j + 1 < N.
     """
     path_step = make_path_step(config, False)
-    emitted = make_area(config.area).emitted if config.area else None
+    emitted = make_interaction(config).emitted
 
     @wp.func
     def incident(
@@ -229,11 +231,9 @@ def make_incident(config: PathConfig):
                 if vertex.face < 0:
                     last += value
                 else:
-                    if wp.static(bool(config.area)):
-                        light = scene.shapes[scene.triangles[vertex.face].shape].emitter
-                        if light >= 0:
-                            own = emitted(scene, scene.emitters[light], vertex.face, vertex.u, vertex.v, vertex.d)
-                            last += vertex.e_weight * wp.cw_mul(vertex.throughput, own)
+                    if wp.static(emitted is not None):
+                        own = emitted(scene, vertex.face, vertex.u, vertex.v, vertex.d)
+                        last += vertex.e_weight * wp.cw_mul(vertex.throughput, own)
                 for c in range(3):
                     rows[r.cut, c] = last[c]
             r.total += value
@@ -250,12 +250,8 @@ def make_walk(config: PathConfig):
     ``connect(scene, camera, walk, lens) -> Connection``, with ``lens`` from ``camera.make_lens``;
     ``extend(scene, walk, u4, roulette) -> Walk``: the next vertex.
     """
-    closest_hit, any_hit = make_intersect(config.ray_backend, config.ray_width)
-    sight = make_sight(config.hidden)
-    surface_at = make_surface(config.smooth, config.flat, config.uv, config.tangent)
-    frame_at = make_frame(config.two_sided, config.tangent)
-    material_at = make_material(config.slots)
-    bsdf = make_bsdf(config.bsdfs)
+    visibility = visibility_of(config)
+    interaction = make_interaction(config)
     project = make_projection(config.camera)[0]
 
     @wp.func
@@ -264,48 +260,39 @@ def make_walk(config: PathConfig):
         r.at = project(scene, camera, walk.x, lens)
         if r.at.valid == 0:
             return r
-        surface = surface_at(scene, walk.face, walk.u, walk.v)
-        shape = scene.shapes[surface.shape]
         if wp.static(config.hidden):
-            if shape.emitter >= 0:
+            if scene.shapes[scene.triangles[walk.face].shape].emitter >= 0:
                 return r
         towards = r.at.origin - walk.x
         w = wp.normalize(towards)
-        frame = frame_at(scene, shape.bsdf, surface.n, surface.tangent, w)
-        b = scene.bsdfs[frame.bsdf]
-        material = material_at(scene, b, walk.face, walk.u, walk.v, surface.uv)
-        f = bsdf.eval(
-            b.model, material, to_local(frame.s, frame.t, frame.n, w), to_local(frame.s, frame.t, frame.n, walk.to)
-        )
-        cosine = wp.abs(wp.dot(surface.ng, walk.to))
+        here = interaction.at(scene, walk.face, walk.u, walk.v, -w)
+        f = interaction.eval(here, enter_frame(here.frame, walk.to))
+        cosine = wp.abs(wp.dot(here.ng, walk.to))
         if vanishes(f) or cosine < MIN_COSINE:
             return r
-        away = leaving_step(scene, walk.face)
-        turn = wp.where(wp.dot(surface.ng, w) >= 0.0, away, -away)
-        o = walk.x + turn * surface.ng
+        o = step_beside(walk.x, here.ng, w, here.step)
         ray = r.at.origin - o
         length = wp.length(ray)
-        if any_hit(sight(scene), o, ray / length, length - r.at.near):
+        if visibility.hidden_from_camera(scene, o, ray / length, length - r.at.near):
             return r
-        factor = wp.abs(wp.dot(surface.ng, w)) * r.at.per_area / cosine
+        factor = wp.abs(wp.dot(here.ng, w)) * r.at.per_area / cosine
         r.weight = factor * wp.cw_mul(walk.weight, f)
         return r
 
     @wp.func
     def extend(scene: Scene, walk: Walk, u4: wp.vec4, t_max: wp.float32, roulette: wp.bool) -> Walk:
         r = Walk()
-        surface = surface_at(scene, walk.face, walk.u, walk.v)
-        frame = frame_at(scene, scene.shapes[surface.shape].bsdf, surface.n, surface.tangent, walk.to)
-        b = scene.bsdfs[frame.bsdf]
-        material = material_at(scene, b, walk.face, walk.u, walk.v, surface.uv)
-        to = to_local(frame.s, frame.t, frame.n, walk.to)
-        bs = bsdf.sample(b.model, material, to, u4[0], wp.vec2(u4[2], u4[3]))
-        cosine = wp.abs(wp.dot(surface.ng, walk.to))
+        here = interaction.at(scene, walk.face, walk.u, walk.v, -walk.to)
+        bs = interaction.sample(here, u4[0], wp.vec2(u4[2], u4[3]))
+        cosine = wp.abs(wp.dot(here.ng, walk.to))
         if bs.pdf <= 0.0 or bs.lobe != LOBE_SMOOTH or cosine < MIN_COSINE:
             return r
-        w = to_world(frame.s, frame.t, frame.n, bs.wo)
-        f = bsdf.eval(b.model, material, bs.wo, to)
-        weight = wp.cw_mul(walk.weight, (wp.abs(wp.dot(surface.ng, w)) / (cosine * bs.pdf)) * f)
+        w = leave_frame(here.frame, bs.wo)
+        # Importance: light comes from ``to`` and leaves along the new direction.
+        to = here.wi
+        here.wi = bs.wo
+        f = interaction.eval(here, to)
+        weight = wp.cw_mul(walk.weight, (wp.abs(wp.dot(here.ng, w)) / (cosine * bs.pdf)) * f)
         if vanishes(weight):
             return r
         if roulette:
@@ -313,9 +300,7 @@ def make_walk(config: PathConfig):
             if u4[1] >= survival:
                 return r
             weight /= survival
-        away = leaving_step(scene, walk.face)
-        turn = wp.where(wp.dot(surface.ng, w) >= 0.0, away, -away)
-        hit = closest_hit(scene.accel, walk.x + turn * surface.ng, w, t_max)
+        hit = visibility.closest(scene, step_beside(walk.x, here.ng, w, here.step), w, t_max)
         if hit.face < 0:
             return r
         tri = scene.triangles[hit.face]

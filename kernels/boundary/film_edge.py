@@ -19,16 +19,15 @@ from warp_psdr.kernels.boundary.local_form import (
     interior_side,
     make_edge_sink,
 )
-from warp_psdr.kernels.bvh.wide import make_intersect
 from warp_psdr.kernels.constants import CAMERA_ORTHOGRAPHIC
 from warp_psdr.kernels.invalid import count_invalid
 from warp_psdr.kernels.notes import NOTE_EDGE, make_note
 from warp_psdr.kernels.rng import Sampler, make_sampler
 from warp_psdr.kernels.sensor.camera import make_camera_sink, make_lens
 from warp_psdr.kernels.sensor.projection import FilmPoint, make_projection, make_splat
-from warp_psdr.kernels.sight import make_sight
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.vertex import PathConfig
+from warp_psdr.kernels.visibility import visibility_of
 
 #: Distance at which the two rays pass the edge, in ray epsilons: some 8 float32 steps of the largest coordinate. It is
 #: small because a second discontinuity as near (a terminator just inside of a silhouette) is taken for the first; the
@@ -65,8 +64,7 @@ def make_film_edge(config: PathConfig, role: str, camera_moves: bool):
     ``push(scene, camera, edges, sampler, samples, film_edge, jump, target, image)`` takes L_- - L_+, the radiance on
     the side that m points away from less that on the other.
     """
-    _closest_hit, any_hit = make_intersect(config.ray_backend, config.ray_width)
-    sight = make_sight(config.hidden)
+    visibility = visibility_of(config)
     screened = make_screened(config)
     push_edge = make_edge_sink(role)
     push_camera = make_camera_sink(role, config.camera) if camera_moves else None
@@ -109,13 +107,23 @@ def make_film_edge(config: PathConfig, role: str, camera_moves: bool):
         start = point.x - (r.step * r.side) * r.m - edge_behind(scene, r.step) * r.d
         back = at.origin - start
         length = wp.length(back)
-        if length > at.near and any_hit(sight(scene), start, back / length, length - at.near):
+        if length > at.near and visibility.hidden_from_camera(scene, start, back / length, length - at.near):
             return r
         if wp.static(config.camera == CAMERA_ORTHOGRAPHIC):
             if r.side != 0.0:
                 inside = point.x + (r.step * r.side) * r.m
                 way = r.distance - at.near
-                if screened(scene, sight(scene), edges, point, inside, r.d, way, -1, edge_behind(scene, r.step)):
+                if screened(
+                    scene,
+                    visibility.camera_accel(scene),
+                    edges,
+                    point,
+                    inside,
+                    r.d,
+                    way,
+                    -1,
+                    edge_behind(scene, r.step),
+                ):
                     return r
         step = film_velocity(scene, camera, at, point.p1 - point.p0)
         r.g = film_gradient(scene, camera, at, wp.vec2(step[1], -step[0]))

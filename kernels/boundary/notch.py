@@ -19,7 +19,7 @@ enter beside it would leave at once.
 import warp as wp
 
 from warp_psdr.kernels.boundary.local_form import Edges
-from warp_psdr.kernels.constants import BSDF_DIELECTRIC
+from warp_psdr.kernels.constants import LOBE_DELTA_TRANSMISSION
 from warp_psdr.kernels.structs import Scene
 
 #: Distance in steps at which rays pass the edge of a notch that they look into.
@@ -48,7 +48,8 @@ def shines(scene: Scene, face: wp.int32) -> wp.bool:
 
 @wp.func
 def refracts(scene: Scene, face: wp.int32) -> wp.bool:
-    return scene.bsdfs[scene.shapes[scene.triangles[face].shape].bsdf].model == BSDF_DIELECTRIC
+    lobes = scene.bsdfs[scene.shapes[scene.triangles[face].shape].bsdf].lobes
+    return ((lobes >> LOBE_DELTA_TRANSMISSION) & 1) == 1
 
 
 @wp.func

@@ -30,6 +30,7 @@ from warp_psdr.kernels.boundary.detector import (
 )
 from warp_psdr.kernels.constants import FAR
 from warp_psdr.kernels.invalid import count_invalid, vanishes
+from warp_psdr.kernels.jobs import SampleJob
 from warp_psdr.kernels.notes import NOTE_SENSOR, NOTE_SOURCE, NOTE_WALK, make_note
 from warp_psdr.kernels.rng import Sampler, branch_of, make_sampler
 from warp_psdr.kernels.sensor.camera import make_camera_sink, make_lens
@@ -176,9 +177,7 @@ def make_transport(config: PathConfig, role: str, camera_moves: bool, source: wp
         s: Segment,
         scale: wp.float32,
         rest: wp.float32,
-        max_depth: wp.int32,
-        rr_depth: wp.int32,
-        adjoint: wp.array2d(dtype=wp.vec3),
+        job: SampleJob,
         target: wp.array(dtype=wp.float32),
         image: wp.array2d(dtype=wp.vec3),
     ) -> wp.float32:
@@ -212,7 +211,7 @@ def make_transport(config: PathConfig, role: str, camera_moves: bool, source: wp
             if counts:
                 # What nobody asks for, or what does not move, needs no light.
                 if wp.static(role == "reverse" or role == "samples"):
-                    asked = gather(camera, seen.at.pixel, adjoint)
+                    asked = gather(camera, seen.at.pixel, job.image_adjoint)
                     counts = wp.max(wp.abs(asked)) > 0.0
                 if wp.static(role == "forward"):
                     if k == 1:
@@ -232,7 +231,7 @@ def make_transport(config: PathConfig, role: str, camera_moves: bool, source: wp
             if counts:
                 if not covers(incident, k):
                     branch = branch_of(sampler, k)
-                    incident = source(scene, branch, s, k, max_depth, rr_depth)
+                    incident = source(scene, branch, s, k, job.max_depth, job.rr_depth)
                 value = scale * wp.cw_mul(seen.weight, arriving(incident, k))
                 if wp.static(evaluates):
                     total += value[0] + value[1] + value[2]
@@ -250,11 +249,11 @@ def make_transport(config: PathConfig, role: str, camera_moves: bool, source: wp
                             count_invalid(scene, sampler)
                     else:
                         weight += w
-            if max_depth >= 0 and k + 1 + wp.static(least) > max_depth:
+            if job.max_depth >= 0 and k + 1 + wp.static(least) > job.max_depth:
                 walk.alive = 0
             else:
                 u4 = sample_4d(sampler, SLOT_WALK + k)
-                walk = extend(scene, walk, u4, FAR, k >= rr_depth)
+                walk = extend(scene, walk, u4, FAR, k >= job.rr_depth)
                 if walk.alive == 1:
                     note_place(scene, NOTE_WALK, walk.face, walk.u, walk.v, walk.x, -walk.to, walk.weight)
             k += 1

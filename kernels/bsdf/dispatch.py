@@ -1,250 +1,237 @@
 """The scattering functions of a scene: those of its own models and no others.
 
-``make_bsdf((BSDF_DIFFUSE,))`` calls the diffuse functions directly; with several models a chain of comparisons with the
-model id is compiled, one link a model. A new model is a file with its functions and a row in ``_MODELS``.
+``make_bsdf(("diffuse",))`` calls the diffuse functions directly; with several models a chain of comparisons with the
+model's number, its place in that tuple, is compiled. A new model is a file with its declaration and a row in
+``MODELS``.
 
 All directions are local (z: shading normal) and unit, and point away from the surface: ``wi`` to the previous vertex,
-``wo`` along the new direction. All models but the dielectric scatter on the side z > 0 only; for the back of a
-two-sided surface the caller flips ``wi.z`` before and ``wo.z`` after the call.
+``wo`` along the new direction. Models that do not transmit scatter on the side z > 0 only; for the back of a two-sided
+surface the caller flips ``wi.z`` before and ``wo.z`` after the call.
 """
 
 import functools
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import warp as wp
 
-from warp_psdr.kernels.autodiff import differentiable
-from warp_psdr.kernels.bsdf.conductor import conductor_sample, conductor_scatter
-from warp_psdr.kernels.bsdf.dielectric import dielectric_sample, dielectric_scatter
-from warp_psdr.kernels.bsdf.diffuse import diffuse_eval, diffuse_pdf, diffuse_sample
-from warp_psdr.kernels.bsdf.roughconductor import make_rough_conductor
-from warp_psdr.kernels.constants import (
-    BSDF_CONDUCTOR,
-    BSDF_DIELECTRIC,
-    BSDF_DIFFUSE,
-    BSDF_ROUGH_CONDUCTOR_BECKMANN,
-    BSDF_ROUGH_CONDUCTOR_GGX,
+from warp_psdr.kernels.autodiff import anchor, differentiable
+from warp_psdr.kernels.bsdf.conductor import CONDUCTOR
+from warp_psdr.kernels.bsdf.dielectric import DIELECTRIC
+from warp_psdr.kernels.bsdf.diffuse import DIFFUSE
+from warp_psdr.kernels.bsdf.model import Model, key_of
+from warp_psdr.kernels.bsdf.record import (
+    MaterialAlgebra,
+    make_adjoint_record,
+    make_material_algebra,
+    make_material_record,
+    merge_values,
 )
-from warp_psdr.kernels.structs import BsdfAdjoint, BsdfSample, Material, Scattered
+from warp_psdr.kernels.bsdf.roughconductor import ROUGH_CONDUCTOR
+from warp_psdr.kernels.generated import make_generated
+from warp_psdr.kernels.structs import BsdfSample, Scattered
+
+#: All scattering models.
+MODELS: tuple[Model, ...] = (DIFFUSE, CONDUCTOR, DIELECTRIC, ROUGH_CONDUCTOR)
+#: Key of a variant -> model and the variant's name, in the order in which a scene numbers those that it has.
+VARIANTS: dict[str, tuple[Model, str]] = {
+    key_of(model.plugin, variant): (model, variant) for model in MODELS for variant in model.variants
+}
 
 
 class BsdfFunctions(NamedTuple):
-    """Warp functions over a set of models, ``model`` (a ``BSDF_*`` id) first. None: no model of the set provides it.
+    """Warp functions over a set of models, ``model`` (its number) first. None: no model of the set provides it.
 
     Attributes:
+        record: the struct of a material's values, ``mat``.
+        adjoint: the struct of the partial derivatives of a weighted scattering value: ``material``, ``wi``, ``wo``.
+        algebra: functions of ``record``.
         sample: ``(model, mat, wi, u, v) -> BsdfSample``. Primal only.
-        is_delta: ``(model) -> bool``, True where ``scatter`` serves the model and ``eval`` does not.
-        eval: ``(model, mat, wi, wo) -> vec3``, f_s times the cosine of ``wo``, 1/sr; 0 for delta models.
-        pdf: ``(model, mat, wi, wo) -> float32``, density of ``sample``, solid angle; 0 for delta models.
-        eval_vjp: ``(model, mat, wi, wo, w) -> BsdfAdjoint``, gradient of ``dot(w, eval)``.
-        scatter: ``(model, mat, wi, lobe) -> Scattered``, direction and weight (not divided by the probability) of a
-            delta lobe; 0 for smooth models.
-        scatter_vjp: ``(model, mat, wi, lobe, w, a_wo) -> BsdfAdjoint``, gradient of ``dot(w, value) + dot(a_wo, wo)``;
-            its ``wo`` is 0.
+        has_smooth: ``(model) -> bool``: whether ``eval`` serves the model.
+        has_delta: ``(model) -> bool``: whether ``scatter`` serves the model.
+        eval: ``(model, mat, wi, wo) -> vec3``: smooth lobes, f_s times the cosine of ``wo``, 1/sr.
+        pdf: ``(model, mat, wi, wo) -> float32``: density of ``sample`` in the smooth lobes, solid angle.
+        eval_vjp: ``(model, mat, wi, wo, w) -> adjoint``, gradient of ``dot(w, eval)``.
+        scatter: ``(model, mat, wi, lobe) -> Scattered``: direction and weight (not divided by the probability) of a
+            delta lobe.
+        scatter_vjp: ``(model, mat, wi, lobe, w, a_wo) -> adjoint``, gradient of ``dot(w, value) + dot(a_wo, wo)``; its
+            ``wo`` is 0.
+        transmits: ``(model) -> bool``.
+        relative_eta: ``(model, mat, wi) -> float32``: index behind the interface over the one in front; 1 where nothing
+            is transmitted.
+        slopes: ``(model, mat) -> vec2``: of a glossy lobe about the mirror direction; 0: there is none.
     """
 
+    record: type
+    adjoint: type
+    algebra: MaterialAlgebra
     sample: wp.Function
-    is_delta: wp.Function
+    has_smooth: wp.Function
+    has_delta: wp.Function
     eval: wp.Function | None
     pdf: wp.Function | None
     eval_vjp: wp.Function | None
     scatter: wp.Function | None
     scatter_vjp: wp.Function | None
+    transmits: wp.Function
+    relative_eta: wp.Function | None
+    slopes: wp.Function | None
 
 
-class _Smooth(NamedTuple):
-    eval: wp.Function
-    pdf: wp.Function
-    sample: wp.Function
+def models_of(keys: Iterable[str]) -> list[Model]:
+    """Return the models with these keys."""
+    return [VARIANTS[key][0] for key in keys]
 
 
-class _Delta(NamedTuple):
-    sample: wp.Function
-    scatter: wp.Function
+def has_smooth_lobes(keys: Iterable[str]) -> bool:
+    """Whether any of the models scatters other than in single directions."""
+    return any(model.has_smooth for model in models_of(keys))
 
 
-#: Model id -> factory of its functions. The factories run only for models that are asked for.
-_MODELS = {
-    BSDF_DIFFUSE: lambda: _Smooth(diffuse_eval, diffuse_pdf, diffuse_sample),
-    BSDF_CONDUCTOR: lambda: _Delta(conductor_sample, conductor_scatter),
-    BSDF_DIELECTRIC: lambda: _Delta(dielectric_sample, dielectric_scatter),
-    BSDF_ROUGH_CONDUCTOR_GGX: lambda: _Smooth(*make_rough_conductor("ggx")),
-    BSDF_ROUGH_CONDUCTOR_BECKMANN: lambda: _Smooth(*make_rough_conductor("beckmann")),
-}
+def has_delta_lobes(keys: Iterable[str]) -> bool:
+    """Whether any of the models has a lobe of a single direction, as mirrors and glass have."""
+    return any(model.has_delta for model in models_of(keys))
+
+
+def is_diffuse(keys: Iterable[str]) -> bool:
+    """Whether all is diffuse."""
+    return set(keys) == {DIFFUSE.plugin}
 
 
 @functools.cache
-def make_bsdf(models: tuple[int, ...]) -> BsdfFunctions:
-    """Return the scattering functions for the models (``BSDF_*`` ids) of a scene.
+def make_bsdf(models: tuple[str, ...]) -> BsdfFunctions:
+    """Return the scattering functions for the models of a scene.
 
     Args:
-        models: Distinct ids in ascending order, so that equal sets share one specialisation.
+        models: Distinct keys of ``VARIANTS`` in its order, so that equal sets share one specialisation.
 
     Raises:
-        ValueError: Empty, unsorted or unknown ids.
+        ValueError: Empty, unsorted or unknown keys.
     """
-    if not models or list(models) != sorted(set(models)) or any(m not in _MODELS for m in models):
+    if not models or list(models) != [key for key in VARIANTS if key in models]:
         raise ValueError(
-            f"got BSDF models {models!r}; expected a non-empty, strictly ascending tuple of ids out of "
-            f"{sorted(_MODELS)}; pass tuple(sorted(set(ids)))"
+            f"got BSDF models {models!r}; expected some of {tuple(VARIANTS)}, each once and in this order; "
+            "pass tuple(key for key in VARIANTS if key in keys)"
         )
-    functions = {m: _MODELS[m]() for m in models}
-    smooth = {m: f for m, f in functions.items() if isinstance(f, _Smooth)}
-    delta = {m: f for m, f in functions.items() if isinstance(f, _Delta)}
-    # In a set of both kinds the other kind falls through to the functions that return zero.
-    mixed = bool(smooth) and bool(delta)
+    declared = models_of(models)
+    record = make_material_record(tuple((value.name, value.color) for value in merge_values(declared)))
+    adjoint = make_adjoint_record(record)
+    functions = [model.make(record, VARIANTS[key][1]) for model, key in zip(declared, models, strict=True)]
+    types = {"record": record, "adjoint": adjoint, "BsdfSample": BsdfSample, "Scattered": Scattered}
+
+    def chain(name: str, signature: str, result: str, rest: str, make, *, of: str, anchored: bool = False):
+        """Return the function that calls that of its model, or gives ``rest`` where a model has none."""
+        own = {i: make(f) for i, f in enumerate(functions) if getattr(f, of) is not None}
+        return _make_chain(name, signature, result, rest, own, len(functions), types, anchored)
+
+    mat, wi, wo = "mat: record", "wi: wp.vec3", "wo: wp.vec3"
+    lobe, weights = "lobe: wp.int32", "w: wp.vec3, a_wo: wp.vec3"
+    black = "wp.vec3(0.0, 0.0, 0.0)"
     return BsdfFunctions(
-        sample=_chain(_wrap_sample, {m: f.sample for m, f in functions.items()}),
-        is_delta=_make_is_delta(frozenset(delta), mixed),
-        eval=_chain(_wrap_eval, {m: f.eval for m, f in smooth.items()}, _no_eval if mixed else None),
-        pdf=_chain(_wrap_pdf, {m: f.pdf for m, f in smooth.items()}, _no_pdf if mixed else None),
-        eval_vjp=_chain(_wrap_eval_vjp, {m: f.eval for m, f in smooth.items()}, _no_eval_vjp if mixed else None),
-        scatter=_chain(_wrap_scatter, {m: f.scatter for m, f in delta.items()}, _no_scatter if mixed else None),
-        scatter_vjp=_chain(
-            _wrap_scatter_vjp, {m: f.scatter for m, f in delta.items()}, _no_scatter_vjp if mixed else None
+        record=record,
+        adjoint=adjoint,
+        algebra=make_material_algebra(record),
+        sample=chain(
+            "sample", f"{mat}, {wi}, u: wp.float32, v: wp.vec2", "BsdfSample", "", lambda f: f.sample, of="sample"
         ),
-    )
+        has_smooth=_make_test([model.has_smooth for model in declared]),
+        has_delta=_make_test([model.has_delta for model in declared]),
+        eval=chain("eval", f"{mat}, {wi}, {wo}", "wp.vec3", black, lambda f: f.eval, of="eval"),
+        pdf=chain("pdf", f"{mat}, {wi}, {wo}", "wp.float32", "0.0", lambda f: f.pdf, of="pdf"),
+        eval_vjp=chain(
+            "eval_vjp", f"{mat}, {wi}, {wo}, w: wp.vec3", "adjoint", "adjoint()",
+            lambda f: _make_eval_vjp(record, adjoint, f.eval), of="eval", anchored=True,
+        ),
+        scatter=chain("scatter", f"{mat}, {wi}, {lobe}", "Scattered", "Scattered()", lambda f: f.scatter, of="scatter"),
+        scatter_vjp=chain(
+            "scatter_vjp", f"{mat}, {wi}, {lobe}, {weights}", "adjoint", "adjoint()",
+            lambda f: _make_scatter_vjp(record, adjoint, f.scatter), of="scatter", anchored=True,
+        ),
+        transmits=_make_test([model.transmits for model in declared]),
+        relative_eta=chain(
+            "relative_eta", f"{mat}, {wi}", "wp.float32", "1.0", lambda f: f.relative_eta, of="relative_eta"
+        ),
+        slopes=chain("slopes", mat, "wp.vec2", "wp.vec2(0.0, 0.0)", lambda f: f.slopes, of="slopes"),
+    )  # fmt: skip
 
 
-def _chain(wrap, functions: dict[int, wp.Function], rest: wp.Function | None = None) -> wp.Function | None:
-    """Build ``model == a ? f_a : model == b ? f_b : rest``; without ``rest`` the last function takes every model."""
-    for model, f in reversed(functions.items()):
-        rest = wrap(model, f, rest)
-    return rest
+def _make_chain(
+    name: str,
+    signature: str,
+    result: str,
+    rest: str,
+    own: dict[int, wp.Function],
+    count: int,
+    types: dict,
+    anchored: bool,
+) -> wp.Function | None:
+    """Return ``name(model, ...)``: ``own[model](...)``, or ``rest`` where ``own`` has no such number."""
+    if not own:
+        return None
+    arguments = ", ".join(part.split(":")[0].strip() for part in signature.split(","))
+    lines = [f"def bsdf_{name}(model: wp.int32, {signature}) -> {result}:"]
+    if anchored:
+        lines.append("    _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py")
+    *links, last = own
+    if len(own) < count:
+        links, otherwise = list(own), rest
+    else:
+        otherwise = f"f{last}({arguments})"
+    for number in links:
+        lines += [f"    if model == {number}:", f"        return f{number}({arguments})"]
+    lines.append(f"    return {otherwise}\n")
+    return make_generated("\n".join(lines), anchor=anchor, **types, **{f"f{number}": f for number, f in own.items()})
 
 
-def _make_is_delta(delta: frozenset[int], mixed: bool) -> wp.Function:
-    if not mixed:
-        answer = bool(delta)
+def _make_test(answers: list[bool]) -> wp.Function:
+    """Return ``(model) -> bool``, whether the answer for a model is yes."""
+    bits = sum(1 << number for number, answer in enumerate(answers) if answer)
+    if all(answers) or not any(answers):
 
         @wp.func
-        def is_delta(model: wp.int32) -> wp.bool:
-            return wp.static(answer)
+        def answer_of_all(model: wp.int32) -> wp.bool:
+            return wp.static(bits != 0)
 
-        return is_delta
-
-    bits = sum(1 << m for m in delta)
+        return answer_of_all
 
     @wp.func
-    def is_delta_of(model: wp.int32) -> wp.bool:
+    def answer_of(model: wp.int32) -> wp.bool:
         return ((wp.static(bits) >> model) & 1) == 1
 
-    return is_delta_of
+    return answer_of
 
 
-# The links of a chain. ``rest`` is None at its end, where ``f`` serves every model and no comparison is compiled.
-
-
-def _wrap_eval(this: int, f: wp.Function, rest: wp.Function | None) -> wp.Function:
-    @wp.func
-    def eval_link(model: wp.int32, mat: Material, wi: wp.vec3, wo: wp.vec3) -> wp.vec3:
-        if wp.static(rest is not None):
-            if model != wp.static(this):
-                return rest(model, mat, wi, wo)
-        return f(mat, wi, wo)
-
-    return eval_link
-
-
-def _wrap_pdf(this: int, f: wp.Function, rest: wp.Function | None) -> wp.Function:
-    @wp.func
-    def pdf_link(model: wp.int32, mat: Material, wi: wp.vec3, wo: wp.vec3) -> wp.float32:
-        if wp.static(rest is not None):
-            if model != wp.static(this):
-                return rest(model, mat, wi, wo)
-        return f(mat, wi, wo)
-
-    return pdf_link
-
-
-def _wrap_sample(this: int, f: wp.Function, rest: wp.Function | None) -> wp.Function:
-    @wp.func
-    def sample_link(model: wp.int32, mat: Material, wi: wp.vec3, u: wp.float32, v: wp.vec2) -> BsdfSample:
-        if wp.static(rest is not None):
-            if model != wp.static(this):
-                return rest(model, mat, wi, u, v)
-        return f(mat, wi, u, v)
-
-    return sample_link
-
-
-def _wrap_eval_vjp(this: int, f: wp.Function, rest: wp.Function | None) -> wp.Function:
+def _make_eval_vjp(record: type, adjoint: type, f: wp.Function) -> wp.Function:
     @differentiable
     @wp.func
-    def eval_dot(mat: Material, wi: wp.vec3, wo: wp.vec3, w: wp.vec3) -> wp.float32:
+    def eval_dot(mat: record, wi: wp.vec3, wo: wp.vec3, w: wp.vec3) -> wp.float32:
         return wp.dot(w, f(mat, wi, wo))
 
     @wp.func
-    def eval_vjp_link(model: wp.int32, mat: Material, wi: wp.vec3, wo: wp.vec3, w: wp.vec3) -> BsdfAdjoint:
-        if wp.static(rest is not None):
-            if model != wp.static(this):
-                return rest(model, mat, wi, wo, w)
+    def eval_vjp_of(mat: record, wi: wp.vec3, wo: wp.vec3, w: wp.vec3) -> adjoint:
         a_mat, a_wi, a_wo, _a_w = wp.grad(eval_dot)(mat, wi, wo, w)
-        adjoint = BsdfAdjoint()
-        adjoint.material = a_mat
-        adjoint.wi = a_wi
-        adjoint.wo = a_wo
-        return adjoint
+        result = adjoint()
+        result.material = a_mat
+        result.wi = a_wi
+        result.wo = a_wo
+        return result
 
-    return eval_vjp_link
-
-
-def _wrap_scatter(this: int, f: wp.Function, rest: wp.Function | None) -> wp.Function:
-    @wp.func
-    def scatter_link(model: wp.int32, mat: Material, wi: wp.vec3, lobe: wp.int32) -> Scattered:
-        if wp.static(rest is not None):
-            if model != wp.static(this):
-                return rest(model, mat, wi, lobe)
-        return f(mat, wi, lobe)
-
-    return scatter_link
+    return eval_vjp_of
 
 
-def _wrap_scatter_vjp(this: int, f: wp.Function, rest: wp.Function | None) -> wp.Function:
+def _make_scatter_vjp(record: type, adjoint: type, f: wp.Function) -> wp.Function:
     @differentiable
     @wp.func
-    def scatter_dot(mat: Material, wi: wp.vec3, lobe: wp.int32, w: wp.vec3, a_wo: wp.vec3) -> wp.float32:
+    def scatter_dot(mat: record, wi: wp.vec3, lobe: wp.int32, w: wp.vec3, a_wo: wp.vec3) -> wp.float32:
         s = f(mat, wi, lobe)
         return wp.dot(w, s.value) + wp.dot(a_wo, s.wo)
 
     @wp.func
-    def scatter_vjp_link(
-        model: wp.int32, mat: Material, wi: wp.vec3, lobe: wp.int32, w: wp.vec3, a_wo: wp.vec3
-    ) -> BsdfAdjoint:
-        if wp.static(rest is not None):
-            if model != wp.static(this):
-                return rest(model, mat, wi, lobe, w, a_wo)
+    def scatter_vjp_of(mat: record, wi: wp.vec3, lobe: wp.int32, w: wp.vec3, a_wo: wp.vec3) -> adjoint:
         a_mat, a_wi, _a_lobe, _a_w, _a_a_wo = wp.grad(scatter_dot)(mat, wi, lobe, w, a_wo)
-        adjoint = BsdfAdjoint()
-        adjoint.material = a_mat
-        adjoint.wi = a_wi
-        return adjoint
+        result = adjoint()
+        result.material = a_mat
+        result.wi = a_wi
+        return result
 
-    return scatter_vjp_link
-
-
-@wp.func
-def _no_eval(model: wp.int32, mat: Material, wi: wp.vec3, wo: wp.vec3) -> wp.vec3:
-    return wp.vec3(0.0, 0.0, 0.0)
-
-
-@wp.func
-def _no_pdf(model: wp.int32, mat: Material, wi: wp.vec3, wo: wp.vec3) -> wp.float32:
-    return 0.0
-
-
-@wp.func
-def _no_eval_vjp(model: wp.int32, mat: Material, wi: wp.vec3, wo: wp.vec3, w: wp.vec3) -> BsdfAdjoint:
-    return BsdfAdjoint()
-
-
-@wp.func
-def _no_scatter(model: wp.int32, mat: Material, wi: wp.vec3, lobe: wp.int32) -> Scattered:
-    return Scattered()
-
-
-@wp.func
-def _no_scatter_vjp(
-    model: wp.int32, mat: Material, wi: wp.vec3, lobe: wp.int32, w: wp.vec3, a_wo: wp.vec3
-) -> BsdfAdjoint:
-    return BsdfAdjoint()
+    return scatter_vjp_of

@@ -52,13 +52,13 @@ import functools
 
 import warp as wp
 
-from warp_psdr.kernels.bvh.wide import make_intersect
 from warp_psdr.kernels.constants import EMITTER_AREA
 from warp_psdr.kernels.math import where3
 from warp_psdr.kernels.step import leaving_step
 from warp_psdr.kernels.structs import Scene
 from warp_psdr.kernels.surface import point_on
 from warp_psdr.kernels.vertex import PathVertex
+from warp_psdr.kernels.visibility import make_visibility
 
 #: Of the angle between two surfaces. Between planes nearer to parallel, chi goes by it and is at most 1.
 LEAST_SINE = 0.1
@@ -111,19 +111,19 @@ def may_touch(w: ContactWedge, rho_p: wp.float32, rho_q: wp.float32) -> wp.bool:
 
 @functools.cache
 def make_contact_weights(backend: str, width: int) -> tuple[wp.Function, wp.Function]:
-    """Return two functions of the weight chi; backend and width as of ``make_intersect``.
+    """Return two functions of the weight chi; backend and width as of ``make_visibility``.
 
     ``weight_before(scene, vertex)``: of the connection by which a vertex was found.
     ``weight_of_light(scene, vertex, x)``: of that of a vertex, at x, with the light found by next-event estimation.
     """
-    closest_hit, _any_hit = make_intersect(backend, width)
+    closest_hit = make_visibility(backend, width).closest
 
     @wp.func
     def found_ahead(
         scene: Scene, p: wp.vec3, n: wp.vec3, ahead: wp.vec3, reach: wp.float32, step: wp.float32, shape: wp.int32
     ) -> wp.int32:
         """Triangle of a shape that a ray finds which leaves a plane flatly, and which meets the plane; -1: none."""
-        hit = closest_hit(scene.accel, p + step * n, wp.normalize(ahead + SLOPE * n), reach)
+        hit = closest_hit(scene, p + step * n, wp.normalize(ahead + SLOPE * n), reach)
         if hit.face < 0:
             return -1
         found = scene.triangles[hit.face]

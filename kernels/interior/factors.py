@@ -5,94 +5,54 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
+from warp_psdr.kernels.bsdf.dispatch import make_bsdf
 from warp_psdr.kernels.constants import EMITTER_AREA, EMITTER_CONSTANT, EMITTER_ENVMAP
 from warp_psdr.kernels.emitter.area import light_uv, make_area
 from warp_psdr.kernels.emitter.dispatch import make_lights
+from warp_psdr.kernels.generated import make_generated
 from warp_psdr.kernels.interior.pullback import connection_vjp
 from warp_psdr.kernels.interior.wanted import Wanted
-from warp_psdr.kernels.structs import Bsdf, Material, Scene
+from warp_psdr.kernels.material import slot_at
+from warp_psdr.kernels.structs import Scene
 from warp_psdr.kernels.surface import VertexAdjoint, make_vertex_sink, point_on
 from warp_psdr.kernels.texture.texture import make_texture_sink
 from warp_psdr.kernels.vertex import PathConfig, PathVertex
 
 
-@wp.func
-def add_material(a: Material, b: Material) -> Material:
-    m = Material()
-    m.c0 = a.c0 + b.c0
-    m.c1 = a.c1 + b.c1
-    m.c2 = a.c2 + b.c2
-    m.s0 = a.s0 + b.s0
-    m.s1 = a.s1 + b.s1
-    return m
-
-
 @functools.cache
 def make_material_sink(config: PathConfig, wanted: Wanted, role: str):
-    """Return ``push_material(scene, target, b, face, u, v, uv, m, adjoint) -> (VertexAdjoint, float)``."""
-    slide = wanted.geometry
-    use = tuple(
-        bool(kinds) and (w or slide or wanted.to_uv) for kinds, w in zip(config.slots, wanted.slots, strict=True)
-    )
-    push = tuple(
-        make_texture_sink(role, kinds, w, wanted.to_uv, slide) if needed else None
-        for kinds, w, needed in zip(config.slots, wanted.slots, use, strict=True)
-    )
-    p0, p1, p2, p3, p4 = push
-
-    @wp.func
-    def push_material(
-        scene: Scene,
-        target: wp.array(dtype=wp.float32),
-        b: Bsdf,
-        face: wp.int32,
-        u: wp.float32,
-        v: wp.float32,
-        uv: wp.vec2,
-        m: Material,
-        adjoint: VertexAdjoint,
-    ) -> tuple[VertexAdjoint, wp.float32]:
-        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
-        a = adjoint
-        total = wp.float32(0.0)
-        if wp.static(use[0]):
-            if b.c0 >= 0:
-                t0 = p0(scene, target, b.c0, face, u, v, uv, m.c0)
-                total += t0.dot
-                a.uv += t0.uv
-                a.u += t0.u
-                a.v += t0.v
-        if wp.static(use[1]):
-            if b.c1 >= 0:
-                t1 = p1(scene, target, b.c1, face, u, v, uv, m.c1)
-                total += t1.dot
-                a.uv += t1.uv
-                a.u += t1.u
-                a.v += t1.v
-        if wp.static(use[2]):
-            if b.c2 >= 0:
-                t2 = p2(scene, target, b.c2, face, u, v, uv, m.c2)
-                total += t2.dot
-                a.uv += t2.uv
-                a.u += t2.u
-                a.v += t2.v
-        if wp.static(use[3]):
-            if b.s0 >= 0:
-                t3 = p3(scene, target, b.s0, face, u, v, uv, wp.vec3(m.s0, 0.0, 0.0))
-                total += t3.dot
-                a.uv += t3.uv
-                a.u += t3.u
-                a.v += t3.v
-        if wp.static(use[4]):
-            if b.s1 >= 0:
-                t4 = p4(scene, target, b.s1, face, u, v, uv, wp.vec3(m.s1, 0.0, 0.0))
-                total += t4.dot
-                a.uv += t4.uv
-                a.u += t4.u
-                a.v += t4.v
-        return a, total
-
-    return push_material
+    """Return ``push_material(scene, target, slots, face, u, v, uv, m, adjoint) -> (VertexAdjoint, float)``."""
+    scope = {
+        "record": make_bsdf(config.bsdfs).record,
+        "Scene": Scene,
+        "VertexAdjoint": VertexAdjoint,
+        "anchor": anchor,
+        "slot_at": slot_at,
+    }
+    lines = [
+        "def push_material(",
+        "    scene: Scene, target: wp.array(dtype=wp.float32), slots: wp.int32, face: wp.int32, u: wp.float32,",
+        "    v: wp.float32, uv: wp.vec2, m: record, adjoint: VertexAdjoint,",
+        ") -> tuple[VertexAdjoint, wp.float32]:",
+        "    _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py",
+        "    a = adjoint",
+        "    total = wp.float32(0.0)",
+    ]
+    for k, (slot, values) in enumerate(zip(config.material, wanted.material, strict=True)):
+        if slot.kinds and (values or wanted.geometry or wanted.to_uv):
+            scope[f"push_{k}"] = make_texture_sink(role, slot.kinds, values, wanted.to_uv, wanted.geometry)
+            value = f"m.{slot.name}" if slot.color else f"wp.vec3(m.{slot.name}, 0.0, 0.0)"
+            lines += [
+                f"    i{k} = slot_at(scene, slots, {k})",
+                f"    if i{k} >= 0:",
+                f"        t{k} = push_{k}(scene, target, i{k}, face, u, v, uv, {value})",
+                f"        total += t{k}.dot",
+                f"        a.uv += t{k}.uv",
+                f"        a.u += t{k}.u",
+                f"        a.v += t{k}.v",
+            ]
+    lines.append("    return a, total\n")
+    return make_generated("\n".join(lines), **scope)
 
 
 @functools.cache

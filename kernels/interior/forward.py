@@ -19,11 +19,11 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
-from warp_psdr.kernels.bsdf.dispatch import make_bsdf
 from warp_psdr.kernels.camera_rays import make_camera_paths
 from warp_psdr.kernels.constants import EMITTER_AREA, EMITTER_CONSTANT, EMITTER_ENVMAP, LOBE_SMOOTH
 from warp_psdr.kernels.emitter.area import light_uv
 from warp_psdr.kernels.emitter.dispatch import make_lights
+from warp_psdr.kernels.interaction import enter_frame, make_interaction
 from warp_psdr.kernels.interior.contact import make_contact_weights
 from warp_psdr.kernels.interior.factors import make_light_sink
 from warp_psdr.kernels.interior.tangents import (
@@ -34,15 +34,15 @@ from warp_psdr.kernels.interior.tangents import (
     make_vertex_jvp,
     normalize_jvp,
 )
-from warp_psdr.kernels.interior.velocities import axis_vec3, make_material_jvp, make_texture_jvp, pair
+from warp_psdr.kernels.interior.velocities import axis_vec3, make_material_jvp, make_pair, make_texture_jvp
 from warp_psdr.kernels.interior.wanted import Wanted
 from warp_psdr.kernels.invalid import count_invalid, finite
-from warp_psdr.kernels.math import to_local
+from warp_psdr.kernels.jobs import PixelJob, pixel_of
 from warp_psdr.kernels.rng import sampler_at
 from warp_psdr.kernels.sensor.camera import CameraSample, make_camera_ray, make_camera_sink
 from warp_psdr.kernels.structs import Camera, Scene
-from warp_psdr.kernels.surface import make_surface, point_on
-from warp_psdr.kernels.vertex import PathConfig, PathState, PathVertex, make_frame, make_material
+from warp_psdr.kernels.surface import point_on
+from warp_psdr.kernels.vertex import PathConfig, PathState, PathVertex
 
 
 @wp.struct
@@ -64,15 +64,13 @@ def make_forward_kernel(config: PathConfig, wanted: Wanted):
     """
     lanes, starts, path_step = make_camera_paths(config, True)
     _camera_ray, camera_origin = make_camera_ray(config.camera)
-    surface_at = make_surface(config.smooth, config.flat, config.uv, config.tangent)
-    frame_at = make_frame(config.two_sided, config.tangent)
+    interaction = make_interaction(config)
     frame_jvp = make_frame_jvp(config.tangent)
     vertex_jvp = make_vertex_jvp(config.smooth, config.flat, config.uv, config.tangent)
-    material_at = make_material(config.slots)
     material_jvp = make_material_jvp(config, wanted)
-    bsdf = make_bsdf(config.bsdfs)
-    smooth_lobes = bsdf.eval is not None
-    delta_lobes = bsdf.scatter_vjp is not None
+    pair = make_pair(config.bsdfs)
+    smooth_lobes = interaction.eval is not None
+    delta_lobes = interaction.scatter is not None
     has_lights = bool(config.area or config.lights) and smooth_lobes
     radiance_of = make_light_sink(config, wanted, "forward")[0] if has_lights else None
     geometry = wanted.geometry
@@ -89,7 +87,7 @@ def make_forward_kernel(config: PathConfig, wanted: Wanted):
     light_vjp = lights.sample_vjp if lights else None
     environment = environment_vjp is not None and (bool(wanted.lights) or geometry)
     delta_lights = light_vjp is not None and (bool(wanted.lights) or geometry)
-    scatters = any(wanted.slots) or wanted.to_uv or geometry or delta_lights
+    scatters = any(wanted.material) or wanted.to_uv or geometry or delta_lights
 
     @wp.func
     def environment_jvp(scene: Scene, tangents: wp.array(dtype=wp.float32), d: wp.vec3, d_dot: wp.vec3) -> wp.vec3:
@@ -176,7 +174,7 @@ def make_forward_kernel(config: PathConfig, wanted: Wanted):
                     l_dot = environment_jvp(scene, tangents, vertex.d, d_dot)
                     derivative += vertex.e_weight * wp.cw_mul(a_n, l_dot)
             return derivative, next_dot, after
-        surface = surface_at(scene, vertex.face, vertex.u, vertex.v)
+        surface = interaction.surface(scene, vertex.face, vertex.u, vertex.v)
         shape = scene.shapes[surface.shape]
         if wp.static(emission):
             if shape.emitter >= 0 and vertex.e_weight > 0.0 and wp.dot(surface.ng, vertex.d) < 0.0:
@@ -189,11 +187,11 @@ def make_forward_kernel(config: PathConfig, wanted: Wanted):
             return derivative, next_dot, after
 
         wi_world = -vertex.d
-        frame = frame_at(scene, shape.bsdf, surface.n, surface.tangent, wi_world)
-        b = scene.bsdfs[frame.bsdf]
-        material = material_at(scene, b, vertex.face, vertex.u, vertex.v, surface.uv)
-        wi = to_local(frame.s, frame.t, frame.n, wi_world)
-        material_dot = material_jvp(scene, tangents, b, vertex.face, vertex.u, vertex.v, surface.uv, moving.vertex)
+        at = interaction.on(scene, surface, vertex.face, vertex.u, vertex.v, vertex.d)
+        frame = at.frame
+        material_dot = material_jvp(
+            scene, tangents, at.slots, vertex.face, vertex.u, vertex.v, surface.uv, moving.vertex
+        )
         turning = frame_jvp(frame, surface.tangent, moving.vertex)
         wi_dot = wp.vec3(0.0, 0.0, 0.0)
         if wp.static(geometry):
@@ -204,8 +202,8 @@ def make_forward_kernel(config: PathConfig, wanted: Wanted):
         # D_n.
         if wp.static(has_lights):
             if vertex.light >= 0:
-                wo = to_local(frame.s, frame.t, frame.n, vertex.light_wi)
-                f = bsdf.eval(b.model, material, wi, wo)
+                wo = enter_frame(frame, vertex.light_wi)
+                f = interaction.eval(at, wo)
                 radiance = radiance_of(scene, vertex, surface.x)
                 chi = wp.float32(1.0)
                 if wp.static(geometry):
@@ -215,7 +213,7 @@ def make_forward_kernel(config: PathConfig, wanted: Wanted):
                 if wp.static(scatters):
                     wo_dot = chi * local_jvp(frame, turning, vertex.light_wi, wo_world_dot)
                     for channel in range(3):
-                        fa = bsdf.eval_vjp(b.model, material, wi, wo, axis_vec3(channel))
+                        fa = interaction.eval_vjp(at, wo, axis_vec3(channel))
                         f_dot[channel] = pair(fa, material_dot, wi_dot, wo_dot)
                 d_dot = wp.cw_mul(f_dot + log_g * f, radiance) + wp.cw_mul(f, l_dot)
                 derivative += vertex.light_weight * wp.cw_mul(a_n, d_dot)
@@ -239,25 +237,25 @@ def make_forward_kernel(config: PathConfig, wanted: Wanted):
                         cross = wp.cross(tri.p1 - tri.p0, tri.p2 - tri.p0)
                         beta_dot = log_geometry_jvp(cross, r, after.vertex.c, r_dot, after.chi) * vertex.beta
                 if wp.static(scatters):
-                    wo = to_local(frame.s, frame.t, frame.n, vertex.wo)
+                    wo = enter_frame(frame, vertex.wo)
                     wo_dot = local_jvp(frame, turning, vertex.wo, wo_world_dot)
                     if wp.static(geometry):
                         wo_dot *= after.chi
                     f_dot = wp.vec3(0.0, 0.0, 0.0)
                     for channel in range(3):
-                        fa = bsdf.eval_vjp(b.model, material, wi, wo, axis_vec3(channel))
+                        fa = interaction.eval_vjp(at, wo, axis_vec3(channel))
                         f_dot[channel] = pair(fa, material_dot, wi_dot, wo_dot)
                     beta_dot += vertex.inv_pdf * f_dot
         if wp.static(delta_lobes):
             if vertex.lobe > LOBE_SMOOTH:
-                wo = to_local(frame.s, frame.t, frame.n, vertex.wo)
+                wo = enter_frame(frame, vertex.wo)
                 f_dot = wp.vec3(0.0, 0.0, 0.0)
                 wo_dot = wp.vec3(0.0, 0.0, 0.0)
                 for channel in range(3):
-                    va = bsdf.scatter_vjp(b.model, material, wi, vertex.lobe, axis_vec3(channel), zero)
+                    va = interaction.scatter_vjp(at, vertex.lobe, axis_vec3(channel), zero)
                     f_dot[channel] = pair(va, material_dot, wi_dot, zero)
                     if wp.static(geometry):
-                        da = bsdf.scatter_vjp(b.model, material, wi, vertex.lobe, zero, axis_vec3(channel))
+                        da = interaction.scatter_vjp(at, vertex.lobe, zero, axis_vec3(channel))
                         wo_dot[channel] = pair(da, material_dot, wi_dot, zero)
                 beta_dot = vertex.inv_pdf * f_dot
                 if wp.static(geometry):
@@ -306,30 +304,19 @@ def make_forward_kernel(config: PathConfig, wanted: Wanted):
         scene: Scene,
         camera: Camera,
         # In:
-        pixels: wp.array(dtype=wp.int32),
-        first_pixel: wp.int32,
-        pixel_count: wp.int32,
-        first_sample: wp.int32,
-        samples: wp.int32,
-        scale: wp.float32,
-        seed: wp.uint32,
-        max_depth: wp.int32,
-        rr_depth: wp.int32,
-        adjoint: wp.array2d(dtype=wp.vec3),
+        job: PixelJob,
         # Out:
         target: wp.array(dtype=wp.float32),
         image_out: wp.array2d(dtype=wp.vec3),
     ):
-        pixel = pixels[first_pixel + wp.tid()]
-        px = pixel % camera.crop_width
-        py = pixel // camera.crop_width
+        pixel = pixel_of(job, camera, wp.tid())
         total = wp.vec3d()  # in double precision, as the image
         starting = wp.zeros(shape=(wp.static(lanes),), dtype=PathState)
         cameras = wp.zeros(shape=(wp.static(lanes),), dtype=CameraSample)
-        for i in range(samples):
-            sampler = sampler_at(pixel, first_sample + i, seed)
-            state, sample = starts(scene, camera, px, py, sampler, i, samples, starting, cameras)
-            vertex, state = path_step(scene, sampler, state, max_depth, rr_depth)
+        for i in range(job.samples):
+            sampler = sampler_at(pixel.number, job.first_sample + i, job.seed)
+            state, sample = starts(scene, camera, pixel.px, pixel.py, sampler, i, job.samples, starting, cameras)
+            vertex, state = path_step(scene, sampler, state, job.max_depth, job.rr_depth)
             vertex.o = camera_origin(scene, camera, sample)
             moving = first_moving(scene, camera, target, sample, vertex)
             sum_dot = wp.vec3(0.0, 0.0, 0.0)
@@ -340,7 +327,7 @@ def make_forward_kernel(config: PathConfig, wanted: Wanted):
                 following.face = -1
                 more = state.alive == 1
                 if more:
-                    following, state = path_step(scene, sampler, state, max_depth, rr_depth)
+                    following, state = path_step(scene, sampler, state, job.max_depth, job.rr_depth)
                 derivative, throughput_dot, moving = advance(scene, target, vertex, following, moving, throughput_dot)
                 sum_dot += derivative
                 vertex = following
@@ -348,6 +335,6 @@ def make_forward_kernel(config: PathConfig, wanted: Wanted):
                 total += wp.vec3d(sum_dot)
             else:
                 count_invalid(scene, sampler)
-        image_out[py, px] = image_out[py, px] + wp.vec3(wp.float64(scale) * total)
+        image_out[pixel.py, pixel.px] = image_out[pixel.py, pixel.px] + wp.vec3(wp.float64(job.scale) * total)
 
     return forward

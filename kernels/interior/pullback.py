@@ -5,9 +5,9 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor, differentiable
+from warp_psdr.kernels.interaction import Frame
 from warp_psdr.kernels.math import to_local, to_world
 from warp_psdr.kernels.surface import normalize_vjp
-from warp_psdr.kernels.vertex import Frame
 
 
 @wp.struct

@@ -40,6 +40,7 @@ from warp_psdr.kernels.camera_rays import make_camera_paths, make_pixel_bundle
 from warp_psdr.kernels.interior.sweep import Carry, make_sweep
 from warp_psdr.kernels.interior.wanted import Wanted
 from warp_psdr.kernels.invalid import count_invalid, finite, vanishes
+from warp_psdr.kernels.jobs import PixelJob, pixel_of
 from warp_psdr.kernels.lanes.lanes import ROOM, ROWS
 from warp_psdr.kernels.lanes.path_lanes import LanePaths, make_lane_paths, side_by_side
 from warp_psdr.kernels.lanes.sweep_lanes import make_lane_sweep
@@ -76,33 +77,22 @@ def make_replay_kernel(config: PathConfig, wanted: Wanted, block: int, blocks: i
         scene: Scene,
         camera: Camera,
         # In:
-        pixels: wp.array(dtype=wp.int32),
-        first_pixel: wp.int32,
-        pixel_count: wp.int32,
-        first_sample: wp.int32,
-        samples: wp.int32,
-        scale: wp.float32,
-        seed: wp.uint32,
-        max_depth: wp.int32,
-        rr_depth: wp.int32,
-        adjoint: wp.array2d(dtype=wp.vec3),
+        job: PixelJob,
         # Out:
         target: wp.array(dtype=wp.float32),
         image_out: wp.array2d(dtype=wp.vec3),
     ):
-        pixel = pixels[first_pixel + wp.tid()]
-        px = pixel % camera.crop_width
-        py = pixel // camera.crop_width
-        delta = scale * adjoint[py, px]
+        pixel = pixel_of(job, camera, wp.tid())
+        delta = job.scale * job.image_adjoint[pixel.py, pixel.px]
         if delta[0] == 0.0 and delta[1] == 0.0 and delta[2] == 0.0:
             return
         record = wp.zeros(shape=(wp.static(block),), dtype=PathVertex)
         states = wp.zeros(shape=(wp.static(blocks),), dtype=PathState)
         starting = wp.zeros(shape=(wp.static(lanes),), dtype=PathState)
         cameras = wp.zeros(shape=(wp.static(lanes),), dtype=CameraSample)
-        for i in range(samples):
-            sampler = sampler_at(pixel, first_sample + i, seed)
-            state, sample = starts(scene, camera, px, py, sampler, i, samples, starting, cameras)
+        for i in range(job.samples):
+            sampler = sampler_at(pixel.number, job.first_sample + i, job.seed)
+            state, sample = starts(scene, camera, pixel.px, pixel.py, sampler, i, job.samples, starting, cameras)
             origin = camera_origin(scene, camera, sample)
             count = wp.int32(0)
             met = scene.matters[scene.matters.shape[0] - 1]
@@ -112,7 +102,7 @@ def make_replay_kernel(config: PathConfig, wanted: Wanted, block: int, blocks: i
                 if wp.static(blocks > 1):
                     if count % wp.static(block) == 0:
                         states[count // wp.static(block)] = state
-                vertex, state = path_step(scene, sampler, state, max_depth, rr_depth)
+                vertex, state = path_step(scene, sampler, state, job.max_depth, job.rr_depth)
                 if count == 0:
                     vertex.o = origin
                 record[count % wp.static(block)] = vertex
@@ -135,7 +125,7 @@ def make_replay_kernel(config: PathConfig, wanted: Wanted, block: int, blocks: i
                         again = states[loaded]
                         for j in range(wp.static(block)):
                             if again.alive == 1:
-                                vertex, again = path_step(scene, sampler, again, max_depth, rr_depth)
+                                vertex, again = path_step(scene, sampler, again, job.max_depth, job.rr_depth)
                                 if loaded == 0 and j == 0:
                                     vertex.o = origin
                                 record[j] = vertex
@@ -194,42 +184,33 @@ def _make_lane_kernel(paths: LanePaths, sweep_all: wp.Function):
         scene: Scene,
         camera: Camera,
         # In:
-        pixels: wp.array(dtype=wp.int32),
-        first_pixel: wp.int32,
-        pixel_count: wp.int32,
-        first_sample: wp.int32,
-        samples: wp.int32,
-        scale: wp.float32,
-        seed: wp.uint32,
-        max_depth: wp.int32,
-        rr_depth: wp.int32,
-        adjoint: wp.array2d(dtype=wp.vec3),
+        job: PixelJob,
         # Out:
         target: wp.array(dtype=wp.float32),
         image_out: wp.array2d(dtype=wp.vec3),
     ):
-        bundle = pixel_bundle(wp.tid(), first_pixel, pixel_count, samples, seed, camera.crop_width, 0)
+        bundle = pixel_bundle(job, camera, wp.tid())
         weighted = wp.bool(False)
         for i in range(bundle.pixels):
-            pixel = pixels[bundle.first + i]
-            weight = adjoint[pixel // bundle.raster, pixel % bundle.raster]
-            weighted = weighted or not vanishes(scale * weight)
+            pixel = job.pixels[bundle.first + i]
+            weight = job.image_adjoint[pixel // bundle.raster, pixel % bundle.raster]
+            weighted = weighted or not vanishes(job.scale * weight)
         if not weighted:
             return
         rows = scene.rows
         always = scene.matters[scene.matters.shape[0] - 1]
         done = wp.int32(0)
-        while done < samples:
-            bundle.first_sample = first_sample + done
-            bundle.samples = wp.min(samples - done, wp.static(paths.width))
+        while done < job.samples:
+            bundle.first_sample = job.first_sample + done
+            bundle.samples = wp.min(job.samples - done, wp.static(paths.width))
             done += bundle.samples
-            paths.start(scene, camera, pixels, bundle, always, rows)
+            paths.start(scene, camera, job.pixels, bundle, always, rows)
             n = wp.int32(0)
             alive = wp.int32(1)
             while alive > 0:
-                alive = paths.step(scene, n, max_depth, rr_depth, rows)
+                alive = paths.step(scene, n, job.max_depth, job.rr_depth, rows)
                 n += 1
             count = bundle.pixels * bundle.samples
-            sweep_all(scene, camera, target, scale, adjoint, count, always, rows)
+            sweep_all(scene, camera, target, job.scale, job.image_adjoint, count, always, rows)
 
     return replay_lanes

@@ -5,19 +5,18 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
-from warp_psdr.kernels.bsdf.dispatch import make_bsdf
 from warp_psdr.kernels.constants import LOBE_NONE, LOBE_SMOOTH
 from warp_psdr.kernels.emitter.dispatch import make_lights
+from warp_psdr.kernels.interaction import enter_frame, make_interaction
 from warp_psdr.kernels.interior.contact import make_contact_weights
-from warp_psdr.kernels.interior.factors import add_material, make_light_sink, make_material_sink
+from warp_psdr.kernels.interior.factors import make_light_sink, make_material_sink
 from warp_psdr.kernels.interior.pullback import connection_vjp, make_frame_vjp
 from warp_psdr.kernels.interior.wanted import Wanted
-from warp_psdr.kernels.math import to_local
 from warp_psdr.kernels.sensor.camera import CameraSample, make_camera_sink
-from warp_psdr.kernels.structs import Camera, Material, Scene
-from warp_psdr.kernels.surface import VertexAdjoint, make_surface, make_vertex_sink, normalize_vjp, point_on
+from warp_psdr.kernels.structs import Camera, Scene
+from warp_psdr.kernels.surface import VertexAdjoint, make_vertex_sink, normalize_vjp, point_on
 from warp_psdr.kernels.texture.texture import make_texture_sink
-from warp_psdr.kernels.vertex import PathConfig, PathVertex, make_frame, make_material
+from warp_psdr.kernels.vertex import PathConfig, PathVertex
 
 
 @wp.struct
@@ -46,13 +45,12 @@ def make_sweep(config: PathConfig, wanted: Wanted, role: str):
     mode it returns the derivative of the sample.
     ``finish_vertex(scene, target, carry, by_ray) -> Carry``: scatter the adjoint of one vertex.
     """
-    surface_at = make_surface(config.smooth, config.flat, config.uv, config.tangent)
-    frame_at = make_frame(config.two_sided, config.tangent)
-    material_at = make_material(config.slots)
-    bsdf = make_bsdf(config.bsdfs)
-    scatter_vjp = bsdf.scatter_vjp
+    interaction = make_interaction(config)
+    material_record = interaction.bsdf.record
+    add_materials = interaction.bsdf.algebra.add
+    scatter_vjp = interaction.scatter_vjp
     has_delta = scatter_vjp is not None
-    has_smooth = bsdf.eval is not None
+    has_smooth = interaction.eval is not None
     push_material = make_material_sink(config, wanted, role)
     frame_vjp = make_frame_vjp(config.tangent)
     has_lights = bool(config.area or config.lights) and has_smooth
@@ -70,7 +68,7 @@ def make_sweep(config: PathConfig, wanted: Wanted, role: str):
     weight_before, weight_of_light = make_contact_weights(config.ray_backend, config.ray_width)
     # The direction towards a point, spot or directional light moves with the light.
     aims = geometry or ("pose" in wanted.lights and lights is not None and lights.sample_vjp is not None)
-    materials = any(wanted.slots) or wanted.to_uv or aims
+    materials = any(wanted.material) or wanted.to_uv or aims
     light_terms = materials or wanted.radiance or bool(wanted.lights)
     area_radiance = bool(config.area) and (wanted.radiance or wanted.to_uv or wanted.texcoords)
     push_lights = has_lights and (geometry or area_radiance or bool(wanted.lights))
@@ -114,7 +112,7 @@ def make_sweep(config: PathConfig, wanted: Wanted, role: str):
 
         total = carry.dot
         adjoint = VertexAdjoint()
-        surface = surface_at(scene, vertex.face, vertex.u, vertex.v)
+        surface = interaction.surface(scene, vertex.face, vertex.u, vertex.v)
         shape = scene.shapes[surface.shape]
 
         # E_n: emission met by the incoming ray.
@@ -136,11 +134,9 @@ def make_sweep(config: PathConfig, wanted: Wanted, role: str):
 
         if wp.static(light_terms):
             wi_world = -vertex.d
-            frame = frame_at(scene, shape.bsdf, surface.n, surface.tangent, wi_world)
-            b = scene.bsdfs[frame.bsdf]
-            material = material_at(scene, b, vertex.face, vertex.u, vertex.v, surface.uv)
-            wi = to_local(frame.s, frame.t, frame.n, wi_world)
-            a_material = Material()
+            at = interaction.on(scene, surface, vertex.face, vertex.u, vertex.v, vertex.d)
+            frame = at.frame
+            a_material = material_record()
             a_wi_world = wp.vec3(0.0, 0.0, 0.0)
             a_frame_n = wp.vec3(0.0, 0.0, 0.0)
             a_tangent = wp.vec3(0.0, 0.0, 0.0)
@@ -148,13 +144,13 @@ def make_sweep(config: PathConfig, wanted: Wanted, role: str):
             # D_n: next-event estimate.
             if wp.static(has_lights):
                 if vertex.light >= 0:
-                    wo = to_local(frame.s, frame.t, frame.n, vertex.light_wi)
+                    wo = enter_frame(frame, vertex.light_wi)
                     radiance = radiance_of(scene, vertex, surface.x)
                     w_f = vertex.light_weight * wp.cw_mul(a_n, radiance)
                     a_wo_world = wp.vec3(0.0, 0.0, 0.0)
                     chi = wp.float32(1.0)
                     if wp.static(materials):
-                        fa = bsdf.eval_vjp(b.model, material, wi, wo, w_f)
+                        fa = interaction.eval_vjp(at, wo, w_f)
                         a_material = fa.material
                         if wp.static(geometry):
                             chi = weight_of_light(scene, vertex, surface.x)
@@ -167,7 +163,7 @@ def make_sweep(config: PathConfig, wanted: Wanted, role: str):
                             a_wi_world += turned.wi
                             a_wo_world = turned.wo
                     if wp.static(push_lights):
-                        f = bsdf.eval(b.model, material, wi, wo)
+                        f = interaction.eval(at, wo)
                         a_x, dot = push_light(
                             scene, target, vertex, surface.x,
                             vertex.light_weight * wp.cw_mul(a_n, f), wp.dot(w_f, f), a_wo_world, chi,
@@ -179,10 +175,10 @@ def make_sweep(config: PathConfig, wanted: Wanted, role: str):
             if wp.static(materials):
                 if wp.static(has_smooth):
                     if vertex.lobe == LOBE_SMOOTH:
-                        wo = to_local(frame.s, frame.t, frame.n, vertex.wo)
+                        wo = enter_frame(frame, vertex.wo)
                         w_f = vertex.inv_pdf * wp.cw_mul(a_n, carry.radiance)
-                        fa = bsdf.eval_vjp(b.model, material, wi, wo, w_f)
-                        a_material = add_material(a_material, fa.material)
+                        fa = interaction.eval_vjp(at, wo, w_f)
+                        a_material = add_materials(a_material, fa.material)
                         if wp.static(geometry):
                             turned = frame_vjp(
                                 frame, surface.tangent, wi_world, vertex.wo, result.chi * fa.wi, carry.chi * fa.wo
@@ -206,7 +202,7 @@ def make_sweep(config: PathConfig, wanted: Wanted, role: str):
                 if wp.static(has_delta):
                     if vertex.lobe > LOBE_SMOOTH:
                         w = vertex.inv_pdf * wp.cw_mul(a_n, carry.radiance)
-                        wo = to_local(frame.s, frame.t, frame.n, vertex.wo)
+                        wo = enter_frame(frame, vertex.wo)
                         a_d = wp.vec3(0.0, 0.0, 0.0)
                         if wp.static(geometry):
                             carry.dot = wp.float32(0.0)
@@ -214,10 +210,8 @@ def make_sweep(config: PathConfig, wanted: Wanted, role: str):
                             total += done.dot
                             adjoint.x += done.a_x
                             a_d = done.a_d
-                        fa = scatter_vjp(
-                            b.model, material, wi, vertex.lobe, w, to_local(frame.s, frame.t, frame.n, a_d)
-                        )
-                        a_material = add_material(a_material, fa.material)
+                        fa = scatter_vjp(at, vertex.lobe, w, enter_frame(frame, a_d))
+                        a_material = add_materials(a_material, fa.material)
                         if wp.static(geometry):
                             # The local direction leaves the frame: d = F wo, the transpose of entering it.
                             turned = frame_vjp(frame, surface.tangent, wi_world, a_d, result.chi * fa.wi, wo)
@@ -226,7 +220,7 @@ def make_sweep(config: PathConfig, wanted: Wanted, role: str):
                             a_wi_world += turned.wi
 
                 adjoint, dot = push_material(
-                    scene, target, b, vertex.face, vertex.u, vertex.v, surface.uv, a_material, adjoint
+                    scene, target, at.slots, vertex.face, vertex.u, vertex.v, surface.uv, a_material, adjoint
                 )
                 total += dot
             if wp.static(geometry):

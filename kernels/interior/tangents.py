@@ -15,10 +15,10 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
+from warp_psdr.kernels.interaction import Frame
 from warp_psdr.kernels.reading import load_vec2, load_vec3
 from warp_psdr.kernels.structs import Scene
 from warp_psdr.kernels.surface import tangent_dot
-from warp_psdr.kernels.vertex import Frame
 
 
 @wp.struct

@@ -21,6 +21,7 @@ from warp_psdr.kernels.interior.contact import make_contact_weights
 from warp_psdr.kernels.interior.sweep import Carry, make_sweep
 from warp_psdr.kernels.interior.wanted import Wanted
 from warp_psdr.kernels.invalid import count_invalid, finite, vanishes
+from warp_psdr.kernels.jobs import PixelJob, pixel_of
 from warp_psdr.kernels.rng import sampler_at
 from warp_psdr.kernels.sensor.camera import CameraSample, make_camera_ray, make_camera_sink
 from warp_psdr.kernels.structs import Camera, Scene
@@ -86,38 +87,27 @@ def make_textbook_kernel(config: PathConfig, wanted: Wanted, role: str):
         scene: Scene,
         camera: Camera,
         # In:
-        pixels: wp.array(dtype=wp.int32),
-        first_pixel: wp.int32,
-        pixel_count: wp.int32,
-        first_sample: wp.int32,
-        samples: wp.int32,
-        scale: wp.float32,
-        seed: wp.uint32,
-        max_depth: wp.int32,
-        rr_depth: wp.int32,
-        adjoint: wp.array2d(dtype=wp.vec3),
+        job: PixelJob,
         # Out:
         target: wp.array(dtype=wp.float32),
         image_out: wp.array2d(dtype=wp.vec3),
     ):
-        pixel = pixels[first_pixel + wp.tid()]
-        px = pixel % camera.crop_width
-        py = pixel // camera.crop_width
-        delta = wp.vec3(scale, scale, scale)
+        pixel = pixel_of(job, camera, wp.tid())
+        delta = wp.vec3(job.scale, job.scale, job.scale)
         if wp.static(role == "reverse"):
-            delta = scale * adjoint[py, px]
+            delta = job.scale * job.image_adjoint[pixel.py, pixel.px]
         derivative = wp.vec3d()  # in double precision, as the image
         starting = wp.zeros(shape=(wp.static(lanes),), dtype=PathState)
         cameras = wp.zeros(shape=(wp.static(lanes),), dtype=CameraSample)
-        for i in range(samples):
+        for i in range(job.samples):
             of_sample = wp.vec3(0.0, 0.0, 0.0)
-            sampler = sampler_at(pixel, first_sample + i, seed)
+            sampler = sampler_at(pixel.number, job.first_sample + i, job.seed)
             total_radiance = wp.vec3(0.0, 0.0, 0.0)
-            state, sample = starts(scene, camera, px, py, sampler, i, samples, starting, cameras)
+            state, sample = starts(scene, camera, pixel.px, pixel.py, sampler, i, job.samples, starting, cameras)
             origin = camera_origin(scene, camera, sample)
             first_state = state
             while state.alive == 1:
-                vertex, state = path_step(scene, sampler, state, max_depth, rr_depth)
+                vertex, state = path_step(scene, sampler, state, job.max_depth, job.rr_depth)
                 total_radiance += wp.cw_mul(vertex.throughput, vertex.direct)
             for channel in range(wp.static(channels)):
                 weight = delta
@@ -127,7 +117,7 @@ def make_textbook_kernel(config: PathConfig, wanted: Wanted, role: str):
                 total = wp.float32(0.0)
                 remaining = total_radiance
                 state = first_state
-                current, state = path_step(scene, sampler, state, max_depth, rr_depth)
+                current, state = path_step(scene, sampler, state, job.max_depth, job.rr_depth)
                 current.o = origin
                 before = PathVertex()
                 n = wp.int32(1)
@@ -139,7 +129,7 @@ def make_textbook_kernel(config: PathConfig, wanted: Wanted, role: str):
                     carry.face = -2
                     more = state.alive == 1
                     if more:
-                        following, state = path_step(scene, sampler, state, max_depth, rr_depth)
+                        following, state = path_step(scene, sampler, state, job.max_depth, job.rr_depth)
                         carry = at_vertex(following)
                         if wp.static(geometry):
                             carry.chi = weight_before(scene, following)
@@ -172,6 +162,6 @@ def make_textbook_kernel(config: PathConfig, wanted: Wanted, role: str):
             elif wp.static(role == "forward"):
                 derivative += wp.vec3d(of_sample)
         if wp.static(role == "forward"):
-            image_out[py, px] = image_out[py, px] + wp.vec3(derivative)
+            image_out[pixel.py, pixel.px] = image_out[pixel.py, pixel.px] + wp.vec3(derivative)
 
     return textbook

@@ -9,9 +9,12 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
+from warp_psdr.kernels.bsdf.dispatch import make_bsdf
+from warp_psdr.kernels.generated import make_generated
 from warp_psdr.kernels.interior.tangents import VertexTangent
 from warp_psdr.kernels.interior.wanted import Wanted
-from warp_psdr.kernels.structs import Bsdf, BsdfAdjoint, Material, Scene
+from warp_psdr.kernels.material import slot_at
+from warp_psdr.kernels.structs import Scene
 from warp_psdr.kernels.texture.texture import make_texture_sink
 from warp_psdr.kernels.vertex import PathConfig
 
@@ -23,15 +26,17 @@ def axis_vec3(axis: wp.int32) -> wp.vec3:
     return e
 
 
-@wp.func
-def pair_material(a: Material, b: Material) -> wp.float32:
-    return wp.dot(a.c0, b.c0) + wp.dot(a.c1, b.c1) + wp.dot(a.c2, b.c2) + a.s0 * b.s0 + a.s1 * b.s1
+@functools.cache
+def make_pair(models: tuple[str, ...]):
+    """Return ``pair(adjoint, material, wi, wo) -> float32``: the adjoint of a scattering value times velocities."""
+    bsdf = make_bsdf(models)
+    adjoint, record, dot = bsdf.adjoint, bsdf.record, bsdf.algebra.dot
 
+    @wp.func
+    def pair(a: adjoint, material: record, wi: wp.vec3, wo: wp.vec3) -> wp.float32:
+        return dot(a.material, material) + wp.dot(a.wi, wi) + wp.dot(a.wo, wo)
 
-@wp.func
-def pair(a: BsdfAdjoint, material: Material, wi: wp.vec3, wo: wp.vec3) -> wp.float32:
-    """Adjoint times velocity."""
-    return pair_material(a.material, material) + wp.dot(a.wi, wi) + wp.dot(a.wo, wo)
+    return pair
 
 
 @functools.cache
@@ -62,44 +67,30 @@ def make_texture_jvp(kinds: tuple[int, ...], values: bool, to_uv: bool, slide: b
 
 @functools.cache
 def make_material_jvp(config: PathConfig, wanted: Wanted):
-    """Return ``material_jvp(scene, tangents, b, face, u, v, uv, vertex) -> Material``."""
-    slide = wanted.geometry
-    use = tuple(
-        bool(kinds) and (w or slide or wanted.to_uv) for kinds, w in zip(config.slots, wanted.slots, strict=True)
-    )
-    p0, p1, p2, p3, p4 = (
-        make_texture_jvp(kinds, w, wanted.to_uv, slide) if needed else None
-        for kinds, w, needed in zip(config.slots, wanted.slots, use, strict=True)
-    )
-
-    @wp.func
-    def material_jvp(
-        scene: Scene,
-        tangents: wp.array(dtype=wp.float32),
-        b: Bsdf,
-        face: wp.int32,
-        u: wp.float32,
-        v: wp.float32,
-        uv: wp.vec2,
-        vertex: VertexTangent,
-    ) -> Material:
-        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
-        m = Material()
-        if wp.static(use[0]):
-            if b.c0 >= 0:
-                m.c0 = p0(scene, tangents, b.c0, face, u, v, uv, vertex)
-        if wp.static(use[1]):
-            if b.c1 >= 0:
-                m.c1 = p1(scene, tangents, b.c1, face, u, v, uv, vertex)
-        if wp.static(use[2]):
-            if b.c2 >= 0:
-                m.c2 = p2(scene, tangents, b.c2, face, u, v, uv, vertex)
-        if wp.static(use[3]):
-            if b.s0 >= 0:
-                m.s0 = p3(scene, tangents, b.s0, face, u, v, uv, vertex)[0]
-        if wp.static(use[4]):
-            if b.s1 >= 0:
-                m.s1 = p4(scene, tangents, b.s1, face, u, v, uv, vertex)[0]
-        return m
-
-    return material_jvp
+    """Return ``material_jvp(scene, tangents, slots, face, u, v, uv, vertex) -> record``: velocities of its values."""
+    scope = {
+        "record": make_bsdf(config.bsdfs).record,
+        "Scene": Scene,
+        "VertexTangent": VertexTangent,
+        "anchor": anchor,
+        "slot_at": slot_at,
+    }
+    lines = [
+        "def material_jvp(",
+        "    scene: Scene, tangents: wp.array(dtype=wp.float32), slots: wp.int32, face: wp.int32, u: wp.float32,",
+        "    v: wp.float32, uv: wp.vec2, vertex: VertexTangent,",
+        ") -> record:",
+        "    _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py",
+        "    m = record()",
+    ]
+    for k, (slot, values) in enumerate(zip(config.material, wanted.material, strict=True)):
+        if slot.kinds and (values or wanted.geometry or wanted.to_uv):
+            scope[f"jvp_{k}"] = make_texture_jvp(slot.kinds, values, wanted.to_uv, wanted.geometry)
+            value = f"jvp_{k}(scene, tangents, i{k}, face, u, v, uv, vertex)" + ("" if slot.color else "[0]")
+            lines += [
+                f"    i{k} = slot_at(scene, slots, {k})",
+                f"    if i{k} >= 0:",
+                f"        m.{slot.name} = {value}",
+            ]
+    lines.append("    return m\n")
+    return make_generated("\n".join(lines), **scope)

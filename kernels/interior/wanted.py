@@ -7,8 +7,8 @@ from dataclasses import dataclass
 class Wanted:
     """Which derivatives are compiled; everything else costs nothing."""
 
-    #: Texture values per material slot c0, c1, c2, s0, s1.
-    slots: tuple[bool, ...] = (False,) * 5
+    #: Textures of material values, one answer for each of ``PathConfig.material``.
+    material: tuple[bool, ...] = ()
     #: Texture-coordinate transforms of bitmaps in material slots and of area lights.
     to_uv: bool = False
     #: Vertex positions, vertex normals or their sources.

@@ -24,7 +24,7 @@ class Stood:
     side: wp.float32  # +1, or -1 on the back of a two-sided material
     length: wp.float32  # ``Surface.length``
     uv: wp.vec2
-    c0: wp.vec3  # reflectance
+    reflectance: wp.vec3
     radiance: wp.vec3  # of the light found by next-event estimation, as ``LightSample`` has it
 
 
@@ -97,11 +97,11 @@ def make_kept_lanes(
             place = on_places.places.get(rows, j)
             surface = on_places.surfaces.get(rows, j)
             stood = Stood()
-            stood.n = place.n
+            stood.n = place.frame.n
             stood.side = on_places.tints.get(rows, j).side
             stood.length = surface.length
             stood.uv = surface.uv
-            stood.c0 = place.material.c0
+            stood.reflectance = place.material.reflectance
             if wp.static(lights is not None):
                 stood.radiance = lights.samples.get(rows, j).radiance
             put_stood(rows, to + stood_word, j, stood)

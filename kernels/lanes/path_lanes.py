@@ -11,10 +11,10 @@ from typing import NamedTuple
 
 import warp as wp
 
+from warp_psdr.kernels.bsdf.dispatch import is_diffuse
 from warp_psdr.kernels.bvh.each import make_each
-from warp_psdr.kernels.bvh.wide import RayHit, make_intersect
+from warp_psdr.kernels.bvh.wide import RayHit
 from warp_psdr.kernels.camera_rays import Bundle, column_of, make_trace_together, row_of
-from warp_psdr.kernels.constants import BSDF_DIFFUSE
 from warp_psdr.kernels.lanes.kept_lanes import make_kept_lanes
 from warp_psdr.kernels.lanes.lanes import ROWS, Rows, make_number, stack_rows, word_of
 from warp_psdr.kernels.lanes.light_lanes import make_light_lanes
@@ -32,6 +32,7 @@ from warp_psdr.kernels.scattering import (
 from warp_psdr.kernels.sensor.camera import CameraSample
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.vertex import PathConfig, PathState
+from warp_psdr.kernels.visibility import visibility_of
 
 #: Rows of random numbers: for next-event estimation, for scattering.
 NUMBERS = 8
@@ -95,7 +96,7 @@ def side_by_side(config: PathConfig) -> bool:
 
     Not where scattering is more than choosing between numbers: the other models branch around vectors.
     """
-    return config.ray_backend == "wide" and not config.noted and config.bsdfs == (BSDF_DIFFUSE,)
+    return config.ray_backend == "wide" and not config.noted and is_diffuse(config.bsdfs)
 
 
 @functools.cache
@@ -112,7 +113,7 @@ def make_lane_paths(
     ``kept``: number of vertices that are kept of a path; none has more. ``whole``: their ``Kept``.
     """
     width = config.ray_width
-    closest_hit, any_hit = make_intersect(config.ray_backend, width)
+    visibility = visibility_of(config)
     closest_of_each, any_of_each = make_each(width)
     trace_together = make_trace_together(config)
     view, start_in = make_camera_starts(config, filter_kind)
@@ -200,7 +201,7 @@ def make_lane_paths(
                 while j < width:
                     state = states.get(rows, j)
                     if state.alive == 1:
-                        hits.put(rows, j, closest_hit(scene.accel, state.o, state.d, state.t_max))
+                        hits.put(rows, j, visibility.closest(scene, state.o, state.d, state.t_max))
                     j += 1
 
     @wp.func
@@ -238,7 +239,7 @@ def make_lane_paths(
                 shadow = looks.get(rows, j)
                 if shadow.wanted == 1:
                     event = events.get(rows, j)
-                    if any_hit(scene.accel, event.o, event.d, event.t_max):
+                    if visibility.occluded(scene, event.o, event.d, event.t_max):
                         shadow.blocked = 1
                         looks.put(rows, j, shadow)
                 j += 1

@@ -9,14 +9,14 @@ from typing import NamedTuple
 
 import warp as wp
 
-from warp_psdr.kernels.constants import BSDF_DIFFUSE
 from warp_psdr.kernels.emitter.dispatch import ENVIRONMENTS
+from warp_psdr.kernels.interaction import make_interaction
 from warp_psdr.kernels.invalid import finite
 from warp_psdr.kernels.lanes.lanes import ROWS, Rows, make_fetch, stack_rows, word_of
 from warp_psdr.kernels.reading import shape_at
-from warp_psdr.kernels.scattering import Arrival, LookedUp, Place, make_arrive, make_look_up, make_place
+from warp_psdr.kernels.scattering import Arrival, make_arrive
 from warp_psdr.kernels.structs import Scene, Triangle
-from warp_psdr.kernels.surface import Surface, make_surface_of
+from warp_psdr.kernels.surface import Surface
 from warp_psdr.kernels.vertex import PathConfig
 
 
@@ -54,7 +54,7 @@ class PlaceLanes(NamedTuple):
         triangles: ``Triangle``, those that paths stand on.
         surfaces: ``Surface``, at the same points.
         tints: ``Tint``.
-        places: ``Place``.
+        places: interactions, the struct of ``make_interaction``.
         arrivals: ``Arrival``.
     """
 
@@ -80,13 +80,12 @@ def make_place_lanes(config: PathConfig, width: int, first: int, states: Rows, h
         hits: what their rays have met, ``RayHit``.
     """
     arrive = make_arrive(config)
-    surface_of = make_surface_of(config.smooth, config.flat, config.uv, config.tangent)
-    look_up = make_look_up(config)
-    place_on = make_place(config)
+    interaction = make_interaction(config)
+    surface_of, looked_up, look_up, put_together = interaction.parts
     fetch_triangle = make_fetch(Triangle, width)
     environment = any(kind in ENVIRONMENTS for kind in config.lights)
     choices, triangles, surfaces = stack_rows(width, first, Choice, Triangle, Surface)
-    tints, places, arrivals = stack_rows(width, surfaces.end, Tint, Place, Arrival)
+    tints, places, arrivals = stack_rows(width, surfaces.end, Tint, interaction.record, Arrival)
     triangle_row, face_row = triangles.first, choices.first + word_of(Choice, "face")
 
     @wp.func
@@ -144,19 +143,18 @@ def make_place_lanes(config: PathConfig, width: int, first: int, states: Rows, h
             found = look_up(scene, surfaces.get(rows, j), c.behind == 1, c.face, c.u, c.v)
             tint = Tint()
             tint.side = found.side
-            tint.red = found.material.c0[0]
-            tint.green = found.material.c0[1]
-            tint.blue = found.material.c0[2]
+            tint.red = found.material.reflectance[0]
+            tint.green = found.material.reflectance[1]
+            tint.blue = found.material.reflectance[2]
             tints.put(rows, j, tint)
         j = wp.int32(0)
         while j < width:
             tint = tints.get(rows, j)
-            found = LookedUp()
+            found = looked_up()
             found.side = tint.side
-            found.model = BSDF_DIFFUSE
-            found.material.c0 = wp.vec3(tint.red, tint.green, tint.blue)
+            found.material.reflectance = wp.vec3(tint.red, tint.green, tint.blue)
             surface = surfaces.get(rows, j)
-            places.put(rows, j, place_on(scene, triangles.get(rows, j), surface, found, states.get(rows, j).d))
+            places.put(rows, j, put_together(scene, triangles.get(rows, j), surface, found, states.get(rows, j).d))
             j += 1
 
     return PlaceLanes(meet, collect, stand, choices, triangles, surfaces, tints, places, arrivals)

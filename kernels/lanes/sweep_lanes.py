@@ -14,7 +14,8 @@ import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.bsdf.dispatch import make_bsdf
-from warp_psdr.kernels.constants import BSDF_DIFFUSE, LOBE_SMOOTH
+from warp_psdr.kernels.constants import LOBE_SMOOTH
+from warp_psdr.kernels.interaction import Frame, enter_frame, make_framing
 from warp_psdr.kernels.interior.contact import make_contact_weights, may_touch, wedge_between
 from warp_psdr.kernels.interior.pullback import connection_vjp, make_frame_vjp
 from warp_psdr.kernels.interior.sweep import Carry, make_sweep
@@ -24,12 +25,15 @@ from warp_psdr.kernels.lanes.kept_lanes import Kept
 from warp_psdr.kernels.lanes.lanes import ROWS, stack_rows
 from warp_psdr.kernels.lanes.path_lanes import LanePaths
 from warp_psdr.kernels.lanes.sweep_sinks import Links, Pull, Slide, Swept, make_chosen, make_sweep_sinks
-from warp_psdr.kernels.math import to_local, where3
+from warp_psdr.kernels.math import where3
 from warp_psdr.kernels.reading import load_float
 from warp_psdr.kernels.sensor.camera import make_camera_ray
-from warp_psdr.kernels.structs import Camera, Material, Scene
+from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.surface import Corners, corners_vjp, face_normal_vjp, normalize_vjp, point_on
-from warp_psdr.kernels.vertex import Frame, PathConfig, make_framing
+from warp_psdr.kernels.vertex import PathConfig
+
+#: The only scattering functions of what is traced side by side.
+DIFFUSE = make_bsdf(("diffuse",))
 
 
 @wp.struct
@@ -37,7 +41,7 @@ class Scattering:
     """Where a vertex scatters, and A_n."""
 
     frame: Frame
-    material: Material
+    material: DIFFUSE.record
     wi: wp.vec3  # local
     a_n: wp.vec3
 
@@ -71,7 +75,6 @@ def make_lane_sweep(config: PathConfig, wanted: Wanted, paths: LanePaths) -> tup
     swept, links, pulls, slides, handed, lit_corners, next_corners = stack_rows(
         width, paths.end, Swept, Links, Pull, Slide, Handed, Corners, Corners
     )
-    bsdf = make_bsdf(config.bsdfs)
     frame_on = make_framing(False)
     frame_vjp = make_frame_vjp(False)
     _camera_ray, camera_origin = make_camera_ray(config.camera)
@@ -113,8 +116,8 @@ def make_lane_sweep(config: PathConfig, wanted: Wanted, paths: LanePaths) -> tup
     def scattering_at(record: Kept, delta: wp.vec3) -> Scattering:
         at = Scattering()
         at.frame = frame_on(1.0, record.stood.n, wp.vec3(0.0, 0.0, 0.0))
-        at.material.c0 = record.stood.c0
-        at.wi = to_local(at.frame.s, at.frame.t, at.frame.n, -record.vertex.d)
+        at.material.reflectance = record.stood.reflectance
+        at.wi = enter_frame(at.frame, -record.vertex.d)
         at.a_n = wp.cw_mul(delta, record.vertex.throughput)
         return at
 
@@ -193,13 +196,13 @@ def make_lane_sweep(config: PathConfig, wanted: Wanted, paths: LanePaths) -> tup
                 at = scattering_at(record, swept.get(rows, j).delta)
                 link = links.get(rows, j)
                 lit = link.lit > 0
-                wo = to_local(at.frame.s, at.frame.t, at.frame.n, vertex.light_wi)
+                wo = enter_frame(at.frame, vertex.light_wi)
                 w_f = vertex.light_weight * wp.cw_mul(at.a_n, record.stood.radiance)
-                f = bsdf.eval(BSDF_DIFFUSE, at.material, at.wi, wo)
-                fa = bsdf.eval_vjp(BSDF_DIFFUSE, at.material, at.wi, wo, w_f)
+                f = DIFFUSE.eval(0, at.material, at.wi, wo)
+                fa = DIFFUSE.eval_vjp(0, at.material, at.wi, wo, w_f)
                 a_wi = link.chi * fa.wi
                 turned = frame_vjp(at.frame, zero, -vertex.d, vertex.light_wi, a_wi, link.chi_light * fa.wo)
-                pull.c0 = where3(lit, fa.material.c0, zero)
+                pull.reflectance = where3(lit, fa.material.reflectance, zero)
                 pull.n = where3(lit, turned.n, zero)
                 pull.wi = where3(lit, turned.wi, zero)
                 pull.a_wo = turned.wo
@@ -239,12 +242,12 @@ def make_lane_sweep(config: PathConfig, wanted: Wanted, paths: LanePaths) -> tup
             pull = pulls.get(rows, j)
             following = handed.get(rows, j)
             on = link.scatters == 1 and vertex.lobe == LOBE_SMOOTH
-            wo = to_local(at.frame.s, at.frame.t, at.frame.n, vertex.wo)
+            wo = enter_frame(at.frame, vertex.wo)
             w_f = vertex.inv_pdf * wp.cw_mul(at.a_n, following.radiance)
-            fa = bsdf.eval_vjp(BSDF_DIFFUSE, at.material, at.wi, wo, w_f)
+            fa = DIFFUSE.eval_vjp(0, at.material, at.wi, wo, w_f)
             a_wi = link.chi * fa.wi
             turned = frame_vjp(at.frame, zero, -vertex.d, vertex.wo, a_wi, following.chi * fa.wo)
-            pull.c0 += where3(on, fa.material.c0, zero)
+            pull.reflectance += where3(on, fa.material.reflectance, zero)
             pull.n += where3(on, turned.n, zero)
             pull.wi += where3(on, turned.wi, zero)
             connected = on and following.face >= 0

@@ -3,8 +3,10 @@
 import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
+from warp_psdr.kernels.bsdf.dispatch import make_bsdf
 from warp_psdr.kernels.emitter.area import light_uv
 from warp_psdr.kernels.emitter.dispatch import make_lights
+from warp_psdr.kernels.interaction import make_side
 from warp_psdr.kernels.interior.factors import make_light_sink, make_material_sink
 from warp_psdr.kernels.interior.wanted import Wanted
 from warp_psdr.kernels.invalid import count_invalid, finite, vanishes
@@ -13,10 +15,10 @@ from warp_psdr.kernels.lanes.lanes import ROWS, Rows
 from warp_psdr.kernels.lanes.path_lanes import LanePaths
 from warp_psdr.kernels.reading import shape_at
 from warp_psdr.kernels.sink import make_sink_vec3
-from warp_psdr.kernels.structs import Material, Scene, Triangle
+from warp_psdr.kernels.structs import Scene, Triangle
 from warp_psdr.kernels.surface import Corners, VertexAdjoint, make_vertex_sink, point_on
 from warp_psdr.kernels.texture.texture import make_texture_sink
-from warp_psdr.kernels.vertex import PathConfig, make_side
+from warp_psdr.kernels.vertex import PathConfig
 
 
 @wp.struct
@@ -45,7 +47,7 @@ class Links:
 class Pull:
     """Adjoints of the vertex at hand."""
 
-    c0: wp.vec3  # reflectance
+    reflectance: wp.vec3
     n: wp.vec3  # normal of the frame, and then the sum of vertex normals that it is of
     wi: wp.vec3
     x: wp.vec3
@@ -119,6 +121,7 @@ def make_sweep_sinks(
     side_of = make_side(config.two_sided)
     sink3 = make_sink_vec3("reverse")
     push_vertex = make_vertex_sink("reverse", config.smooth, config.flat, config.uv, False, wanted.texcoords, False)
+    material_record = make_bsdf(config.bsdfs).record
     push_material = make_material_sink(config, wanted, "reverse")
     has_lights = bool(config.area or config.lights)
     push_source = make_light_sink(config, wanted, "reverse", links=False)[1] if has_lights else None
@@ -202,12 +205,12 @@ def make_sweep_sinks(
                     if links.get(rows, j).scatters == 1:
                         pull = pulls.get(rows, j)
                         stood = record.stood
-                        m = Material()
-                        m.c0 = pull.c0
+                        m = material_record()
+                        m.reflectance = pull.reflectance
                         shape = shape_at(scene, record.tri.shape)
                         _side, b = side_of(scene, shape.bsdf, stood.side < 0.0)
                         adjoint, lost = push_material(
-                            scene, target, scene.bsdfs[b], vertex.face, vertex.u, vertex.v, stood.uv, m, adjoint
+                            scene, target, scene.bsdfs[b].slots, vertex.face, vertex.u, vertex.v, stood.uv, m, adjoint
                         )
                         path.lost += lost
                         if wp.static(wanted.shapes and config.smooth):

@@ -1,48 +1,60 @@
-"""What the tests of scattering models share: launches over arrays, and a float64 twin of every model as the oracle.
+"""What the tests of scattering models share: launches over arrays, and ``EXAMPLES``, the table of what is tested.
 
-The twin is written from the textbook formulas (complex Fresnel, angles, normalised half vectors), not from the kernels'
-rearrangements of them, so that the two agree only where both are right.
+A new model joins the tests by one entry in that table (two or more if it has variants), with a twin in
+``twins.py``.
 """
 
 import functools
+import itertools
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 import warp as wp
 
-from warp_psdr.kernels.bsdf.dispatch import make_bsdf
+from tests.bsdf import twins
+from warp_psdr.kernels.bsdf.dispatch import VARIANTS, make_bsdf
 from warp_psdr.kernels.bsdf.microfacet import MIN_ALPHA
-from warp_psdr.kernels.constants import (
-    BSDF_CONDUCTOR,
-    BSDF_DIELECTRIC,
-    BSDF_DIFFUSE,
-    BSDF_ROUGH_CONDUCTOR_BECKMANN,
-    BSDF_ROUGH_CONDUCTOR_GGX,
-    LOBE_DELTA_REFLECTION,
-)
-from warp_psdr.kernels.structs import BsdfAdjoint, BsdfSample, Material, Scattered
+from warp_psdr.kernels.bsdf.model import Color, ComplexIndex, Value
+from warp_psdr.kernels.constants import LOBE_DELTA_TRANSMISSION, LOBE_SMOOTH
+from warp_psdr.kernels.structs import BsdfSample, Scattered
 
-ALL_MODELS = (
-    BSDF_DIFFUSE,
-    BSDF_CONDUCTOR,
-    BSDF_DIELECTRIC,
-    BSDF_ROUGH_CONDUCTOR_GGX,
-    BSDF_ROUGH_CONDUCTOR_BECKMANN,
-)
-ROUGH = (BSDF_ROUGH_CONDUCTOR_GGX, BSDF_ROUGH_CONDUCTOR_BECKMANN)
-#: eta and k of gold at red, green and blue (rounded).
+ALL_MODELS = tuple(VARIANTS)
+SMOOTH_MODELS = tuple(key for key in VARIANTS if VARIANTS[key][0].has_smooth)
+DELTA_MODELS = tuple(key for key in VARIANTS if VARIANTS[key][0].has_delta)
+GGX, BECKMANN = "roughconductor (ggx)", "roughconductor (beckmann)"
+
+#: eta and k of gold at red, green and blue (rounded); of a perfect mirror; of a medium that absorbs nothing.
 GOLD = ((0.143, 0.375, 1.442), (3.983, 2.386, 1.603))
 MIRROR = ((0.0, 0.0, 0.0), (1.0, 1.0, 1.0))
-
-#: A material as one float64 record, laid out like the struct on the device.
-MATERIAL = np.dtype([("c0", "f8", 3), ("c1", "f8", 3), ("c2", "f8", 3), ("s0", "f8"), ("s1", "f8")])
-
-
-def material(c0=(1.0, 1.0, 1.0), c1=(0.0, 0.0, 0.0), c2=(1.0, 1.0, 1.0), s0=0.0, s1=0.0) -> np.void:
-    return np.array((c0, c1, c2, s0, s1), dtype=MATERIAL)[()]
+LOSSLESS = ((1.5, 1.3, 2.0), (0.0, 0.0, 0.0))
+BLACK = (0.0, 0.0, 0.0)
+BELOW = np.array([1.0, 1.0, -1.0])
 
 
-def rough(alpha_u, alpha_v=None, metal=GOLD, reflectance=(0.9, 0.6, 0.3)) -> np.void:
-    return material(reflectance, metal[0], metal[1], alpha_u, alpha_u if alpha_v is None else alpha_v)
+def material(**values) -> dict:
+    """Values by name: numbers, and colours as (3,) arrays."""
+    return {name: np.array(v, float) if np.ndim(v) else float(v) for name, v in values.items()}
+
+
+def metal(indices=GOLD, reflectance=(0.9, 0.6, 0.3)) -> dict:
+    return material(specular_reflectance=reflectance, eta=indices[0], k=indices[1])
+
+
+def rough(alpha_u, alpha_v=None, metal=GOLD, reflectance=(0.9, 0.6, 0.3)) -> dict:
+    alpha_v = alpha_u if alpha_v is None else alpha_v
+    return material(specular_reflectance=reflectance, eta=metal[0], k=metal[1], alpha_u=alpha_u, alpha_v=alpha_v)
+
+
+def glass(ior: float, reflectance=(0.9, 0.5, 0.1), transmittance=(0.2, 0.4, 0.6)) -> dict:
+    return material(specular_reflectance=reflectance, specular_transmittance=transmittance, ior=ior)
+
+
+def plastic(ior: float, diffuse=(0.2, 0.5, 0.8), specular=(0.9, 0.6, 0.3)) -> dict:
+    return material(diffuse_reflectance=diffuse, specular_reflectance=specular, ior=ior)
+
+
+# --- directions ---
 
 
 def direction(degrees: float, azimuth: float = 30.0) -> np.ndarray:
@@ -55,6 +67,16 @@ def unit(w: np.ndarray) -> np.ndarray:
     return w / np.linalg.norm(w, axis=-1, keepdims=True)
 
 
+def rounded(x) -> np.ndarray:
+    """What the device sees of a float64 value."""
+    return np.asarray(x, np.float32).astype(float)
+
+
+def as_seen(mat: dict) -> dict:
+    """What the device sees of a material."""
+    return {name: rounded(value) if np.ndim(value) else float(rounded(value)) for name, value in mat.items()}
+
+
 def random_directions(rng: np.random.Generator, n: int, both_sides: bool = False) -> np.ndarray:
     w = rng.normal(size=(n, 3))
     w /= np.linalg.norm(w, axis=1, keepdims=True)
@@ -63,19 +85,199 @@ def random_directions(rng: np.random.Generator, n: int, both_sides: bool = False
     return w
 
 
+# --- the table ---
+
+
+def _rgb(mat: dict, *names: str) -> dict:
+    return {name: {"type": "rgb", "value": mat[name].tolist()} for name in names}
+
+
+def _mitsuba_rough(mat: dict, distribution: str) -> dict | None:
+    # Mitsuba's arithmetic does not resolve narrow lobes.
+    if min(mat["alpha_u"], mat["alpha_v"]) < 0.05:
+        return None
+    shape = {"distribution": distribution, "alpha_u": mat["alpha_u"], "alpha_v": mat["alpha_v"]}
+    return {"type": "roughconductor", **shape, **_rgb(mat, "specular_reflectance", "eta", "k")}
+
+
+def _mitsuba_dielectric(mat: dict) -> dict | None:
+    # Its Fresnel reflectance cancels where the indices are nearly equal.
+    if abs(mat["ior"] - 1.0) < 0.01:
+        return None
+    colors = _rgb(mat, "specular_reflectance", "specular_transmittance")
+    return {"type": "dielectric", "int_ior": mat["ior"], "ext_ior": 1.0, **colors}
+
+
+def _mitsuba_plastic(mat: dict, nonlinear: bool) -> dict | None:
+    # A lobe whose reflectance is 0 is not drawn there, and here it is, since its derivative is not 0.
+    if abs(mat["ior"] - 1.0) < 0.01 or mat["diffuse_reflectance"].max() * mat["specular_reflectance"].max() == 0.0:
+        return None
+    colors = _rgb(mat, "diffuse_reflectance", "specular_reflectance")
+    return {"type": "plastic", "int_ior": mat["ior"], "ext_ior": 1.0, "nonlinear": nonlinear, **colors}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Example:
+    """What the tests of a model go through.
+
+    Attributes:
+        materials: at several places of the values' ranges, their ends included; the first is a typical one, off all
+            ends, whose lobes are wide.
+        more: further materials whose values and derivatives are compared with the twin.
+        extremes: materials for which everything is finite, but which the twin does not define.
+        eval: ``(material, wi, wo) -> f_s cos``, the twin of the smooth lobes.
+        scatter: ``(material, wi, lobe) -> (wo, weight)``, the twin of the delta lobes.
+        mitsuba: ``material -> plugin dictionary``; None: Mitsuba's arithmetic does not do.
+        mitsuba_pdf: how far Mitsuba's pdf may be from ours, relative.
+        lossless: ``material -> bool``: whether it is white in a white furnace once its reflectances are 1, and no
+            sample is lost.
+        bounded_by: the reflectance that bounds value over pdf; "": none does.
+    """
+
+    materials: tuple[dict, ...]
+    mitsuba: Callable[[dict], dict | None]
+    more: tuple[dict, ...] = ()
+    extremes: tuple[dict, ...] = ()
+    eval: Callable[[dict, np.ndarray, np.ndarray], np.ndarray] | None = None
+    scatter: Callable[[dict, np.ndarray, int], tuple[np.ndarray, np.ndarray]] | None = None
+    mitsuba_pdf: float = 2e-3
+    lossless: Callable[[dict], bool] = lambda mat: True
+    bounded_by: str = ""
+
+
+_ROUGH = {
+    "materials": (
+        rough(0.4, 0.2),
+        *(rough(*a) for a in ((MIN_ALPHA, MIN_ALPHA), (1e-4, 1e-4), (0.05, 0.05), (0.3, 0.08), (0.6, 0.6), (0.2, 1.0))),
+    ),
+    "more": (
+        *(rough(*a) for a in ((0.3, 0.2), (1.0, 1.0), (0.9, 0.7), (1e-2, 1e-2), (2e-4, 3e-4), (2e-5, 3e-5))),
+        *(rough(0.3, 0.2, m) for m in (MIRROR, LOSSLESS, ((1.5, 1.0, 0.5), (0.0, 0.0, 0.1)))),
+        *(rough(a, a, m) for a in (1e-4, 0.05) for m in (MIRROR, ((1.5, 1.0, 0.5), (0.0, 0.0, 0.1)))),
+        rough(0.3, 0.2, reflectance=BLACK),
+        rough(0.3, 0.2, reflectance=(1.0, 1.0, 1.0)),
+    ),
+    "extremes": (
+        rough(MIN_ALPHA, 1.0),
+        rough(0.3, metal=((0.0, 1.0, 1e-4), (0.0, 0.0, 1e-4))),
+        rough(0.1, metal=((20.0, 0.0, 1.0), (0.0, 50.0, 0.0)), reflectance=BLACK),
+    ),
+    # Visible normals leave G_1(wo) F of a sample. A nearly smooth mirror hides nothing.
+    "bounded_by": "specular_reflectance",
+    "lossless": lambda mat: mat["alpha_u"] == mat["alpha_v"] <= 1e-4,
+}
+_PLASTIC = {
+    "materials": (plastic(1.5), plastic(1.1, BLACK), plastic(1.9, (1.0, 1.0, 1.0), BLACK), plastic(0.7)),
+    "more": (plastic(1.0003), plastic(1.5, (1.0, 1.0, 1.0), (1.0, 1.0, 1.0)), plastic(1.5, BLACK, BLACK)),
+    "extremes": (plastic(1.0), plastic(0.999999), plastic(1.000001)),
+    "scatter": twins.plastic_scatter,
+}
+
+#: Key of ``VARIANTS`` -> what its tests go through.
+EXAMPLES: dict[str, Example] = {
+    "diffuse": Example(
+        materials=tuple(material(reflectance=c) for c in ((0.2, 0.5, 0.8), BLACK, (1.0, 1.0, 1.0))),
+        eval=twins.diffuse_eval,
+        mitsuba=lambda mat: {"type": "diffuse", **_rgb(mat, "reflectance")},
+        bounded_by="reflectance",
+    ),
+    "conductor": Example(
+        materials=(metal(), metal(MIRROR), metal(LOSSLESS), metal(reflectance=BLACK), metal(MIRROR, (1.0, 1.0, 1.0))),
+        extremes=(metal(((0.0, 1.0, 1e-4), (0.0, 0.0, 1e-4))), metal(((20.0, 0.0, 1.0), (0.0, 50.0, 0.0)), BLACK)),
+        scatter=twins.conductor_scatter,
+        mitsuba=lambda mat: {"type": "conductor", **_rgb(mat, "specular_reflectance", "eta", "k")},
+    ),
+    "dielectric": Example(
+        materials=tuple(glass(ior) for ior in (1.5, 0.7, 1.0, 1.001, 1.0001, 2.4)),
+        more=(glass(1.5, BLACK, BLACK),),
+        extremes=tuple(glass(ior) for ior in (0.5, 0.999999, 1.000001, 4.0)),
+        scatter=twins.dielectric_scatter,
+        mitsuba=_mitsuba_dielectric,
+    ),
+    GGX: Example(eval=twins.ggx_eval, mitsuba=lambda mat: _mitsuba_rough(mat, "ggx"), **_ROUGH),
+    BECKMANN: Example(
+        eval=twins.beckmann_eval,
+        mitsuba=lambda mat: _mitsuba_rough(mat, "beckmann"),
+        # Mitsuba's pdf takes a rational fit of the masking, ours the exact one.
+        mitsuba_pdf=1e-2,
+        **_ROUGH,
+    ),
+}
+
+
+def values_of(key: str) -> tuple[Value, ...]:
+    return VARIANTS[key][0].values
+
+
+def lobes_of(key: str) -> tuple[int, ...]:
+    """The delta lobes of a model."""
+    return tuple(lobe for lobe in VARIANTS[key][0].lobes if lobe != LOBE_SMOOTH)
+
+
+def transmits(key: str) -> bool:
+    return VARIANTS[key][0].transmits
+
+
+def narrowest(mat: dict) -> float:
+    """Least roughness; 1: the model has none."""
+    return min(mat.get("alpha_u", 1.0), mat.get("alpha_v", 1.0))
+
+
+def reflectances(key: str) -> list[str]:
+    """Names of the values that are shares of light."""
+    return [p.name for p in VARIANTS[key][0].parameters if isinstance(p, Color) and p.high == 1.0]
+
+
+def is_black(key: str, mat: dict) -> bool:
+    return all(mat[name].max() == 0.0 for name in reflectances(key))
+
+
+def white(key: str, mat: dict) -> dict:
+    """The material that absorbs nothing where its lobes are."""
+    out = mat | {name: np.ones(3) for name in reflectances(key)}
+    if any(isinstance(p, ComplexIndex) for p in VARIANTS[key][0].parameters):
+        out |= {"eta": np.array(MIRROR[0]), "k": np.array(MIRROR[1])}
+    return out
+
+
+def corners(key: str) -> list[dict]:
+    """Materials at all combinations of the ends of the values' ranges; what has no end stops at 50.
+
+    Indices of refraction lie between 0.5 and 3: above 3.8 the fit of ``mean_reflectance`` exceeds 1.
+    """
+    ends = []
+    for value in values_of(key):
+        high = value.high if np.isfinite(value.high) else 50.0
+        low, high = (0.5, 3.0) if value.name == "ior" else (value.low, high)
+        ends.append([np.full(3, end) if value.color else end for end in (low, high)])
+    names = [value.name for value in values_of(key)]
+    return [dict(zip(names, chosen, strict=True)) for chosen in itertools.product(*ends)]
+
+
+def index_behind(mat: dict, wi: np.ndarray) -> float:
+    """Index of refraction behind the interface over the one in front."""
+    return mat["ior"] if wi[2] > 0.0 else 1.0 / mat["ior"]
+
+
+def energy_of(mat: dict, wi: np.ndarray, lobe: int, value: np.ndarray) -> np.ndarray:
+    """Energy of a delta lobe with a weight: radiance that crosses an interface is scaled, its energy is not."""
+    return value * index_behind(mat, wi) ** 2 if lobe == LOBE_DELTA_TRANSMISSION else value
+
+
 # --- launches ---
 
 
 @functools.cache
-def make_kernels(models: tuple[int, ...]) -> dict[str, wp.Kernel]:
+def make_kernels(models: tuple[str, ...]) -> dict[str, wp.Kernel]:
     """One kernel a function of ``make_bsdf(models)``, all over one material, so that a test may ask for any of them."""
     f = make_bsdf(models)
+    record, adjoint = f.record, f.adjoint
     kernels = {}
 
     @wp.kernel(module="unique", enable_backward=False)
     def sample_kernel(
         model: wp.int32,
-        mat: Material,
+        mat: record,
         wi: wp.array(dtype=wp.vec3),
         uvw: wp.array(dtype=wp.vec3),
         out: wp.array(dtype=BsdfSample),
@@ -89,7 +291,7 @@ def make_kernels(models: tuple[int, ...]) -> dict[str, wp.Kernel]:
         @wp.kernel(module="unique", enable_backward=False)
         def eval_kernel(
             model: wp.int32,
-            mat: Material,
+            mat: record,
             wi: wp.array(dtype=wp.vec3),
             wo: wp.array(dtype=wp.vec3),
             value_out: wp.array(dtype=wp.vec3),
@@ -102,11 +304,11 @@ def make_kernels(models: tuple[int, ...]) -> dict[str, wp.Kernel]:
         @wp.kernel(module="unique", enable_backward=False)
         def eval_vjp_kernel(
             model: wp.int32,
-            mat: Material,
+            mat: record,
             wi: wp.array(dtype=wp.vec3),
             wo: wp.array(dtype=wp.vec3),
             w: wp.vec3,
-            out: wp.array(dtype=BsdfAdjoint),
+            out: wp.array(dtype=adjoint),
         ):
             i = wp.tid()
             out[i] = f.eval_vjp(model, mat, wi[i], wo[i], w)
@@ -118,7 +320,7 @@ def make_kernels(models: tuple[int, ...]) -> dict[str, wp.Kernel]:
         @wp.kernel(module="unique", enable_backward=False)
         def scatter_kernel(
             model: wp.int32,
-            mat: Material,
+            mat: record,
             wi: wp.array(dtype=wp.vec3),
             lobe: wp.int32,
             out: wp.array(dtype=Scattered),
@@ -129,12 +331,12 @@ def make_kernels(models: tuple[int, ...]) -> dict[str, wp.Kernel]:
         @wp.kernel(module="unique", enable_backward=False)
         def scatter_vjp_kernel(
             model: wp.int32,
-            mat: Material,
+            mat: record,
             wi: wp.array(dtype=wp.vec3),
             lobe: wp.int32,
             w: wp.vec3,
             a_wo: wp.vec3,
-            out: wp.array(dtype=BsdfAdjoint),
+            out: wp.array(dtype=adjoint),
         ):
             i = wp.tid()
             out[i] = f.scatter_vjp(model, mat, wi[i], lobe, w, a_wo)
@@ -147,105 +349,62 @@ def make_kernels(models: tuple[int, ...]) -> dict[str, wp.Kernel]:
 class Launcher:
     """The functions of a set of models over NumPy arrays; directions are (N, 3) or (3,), broadcast."""
 
-    def __init__(self, device: str, models: tuple[int, ...] = ALL_MODELS):
+    def __init__(self, device: str, models: tuple[str, ...] = ALL_MODELS):
         self.device = device
+        self.models = models
         self.kernels = make_kernels(models)
+        self.record, self.adjoint = make_bsdf(models).record, make_bsdf(models).adjoint
 
-    def eval_pdf(self, model: int, mat: np.void, wi, wo) -> tuple[np.ndarray, np.ndarray]:
+    def eval_pdf(self, key: str, mat: dict, wi, wo) -> tuple[np.ndarray, np.ndarray]:
         wi, wo = self._vectors(wi, wo)
         value = wp.empty(len(wi), dtype=wp.vec3, device=self.device)
         pdf = wp.empty(len(wi), dtype=wp.float32, device=self.device)
-        self._launch("eval", model, mat, [wi, wo], [value, pdf])
+        self._launch("eval", key, mat, [wi, wo], [value, pdf])
         return value.numpy().astype(float), pdf.numpy().astype(float)
 
-    def sample(self, model: int, mat: np.void, wi, uvw) -> np.ndarray:
+    def sample(self, key: str, mat: dict, wi, uvw) -> np.ndarray:
         wi, uvw = self._vectors(wi, uvw)
-        return self._structs("sample", BsdfSample, model, mat, [wi, uvw])
+        return self._structs("sample", BsdfSample, key, mat, [wi, uvw])
 
-    def eval_vjp(self, model: int, mat: np.void, wi, wo, w) -> np.ndarray:
+    def eval_vjp(self, key: str, mat: dict, wi, wo, w) -> np.ndarray:
         wi, wo = self._vectors(wi, wo)
-        return self._structs("eval_vjp", BsdfAdjoint, model, mat, [wi, wo, wp.vec3(*w)])
+        return self._structs("eval_vjp", self.adjoint, key, mat, [wi, wo, wp.vec3(*w)])
 
-    def scatter(self, model: int, mat: np.void, wi, lobe: int) -> np.ndarray:
-        return self._structs("scatter", Scattered, model, mat, [*self._vectors(wi), lobe])
+    def scatter(self, key: str, mat: dict, wi, lobe: int) -> np.ndarray:
+        return self._structs("scatter", Scattered, key, mat, [*self._vectors(wi), lobe])
 
-    def scatter_vjp(self, model: int, mat: np.void, wi, lobe: int, w, a_wo) -> np.ndarray:
+    def scatter_vjp(self, key: str, mat: dict, wi, lobe: int, w, a_wo) -> np.ndarray:
         inputs = [*self._vectors(wi), lobe, wp.vec3(*w), wp.vec3(*a_wo)]
-        return self._structs("scatter_vjp", BsdfAdjoint, model, mat, inputs)
+        return self._structs("scatter_vjp", self.adjoint, key, mat, inputs)
 
     def _vectors(self, *arrays) -> list[wp.array]:
         broadcast = np.broadcast_arrays(*(np.atleast_2d(a) for a in arrays))
         return [wp.array(np.ascontiguousarray(a, np.float32), dtype=wp.vec3, device=self.device) for a in broadcast]
 
-    def _structs(self, name: str, dtype, model: int, mat: np.void, inputs: list) -> np.ndarray:
+    def _structs(self, name: str, dtype, key: str, mat: dict, inputs: list) -> np.ndarray:
         out = wp.empty(inputs[0].shape, dtype=dtype, device=self.device)
-        self._launch(name, model, mat, inputs, [out])
+        self._launch(name, key, mat, inputs, [out])
         return out.numpy()
 
-    def _launch(self, name: str, model: int, mat: np.void, inputs: list, outputs: list) -> None:
-        m = Material()
-        m.c0, m.c1, m.c2 = (wp.vec3(*mat[c]) for c in ("c0", "c1", "c2"))
-        m.s0, m.s1 = float(mat["s0"]), float(mat["s1"])
-        dim = inputs[0].shape
+    def _launch(self, name: str, key: str, mat: dict, inputs: list, outputs: list) -> None:
+        m = self.record()
+        for value in values_of(key):
+            setattr(m, value.name, wp.vec3(*mat[value.name]) if value.color else float(mat[value.name]))
+        model, dim = self.models.index(key), inputs[0].shape
         wp.launch(self.kernels[name], dim=dim, inputs=[model, m, *inputs], outputs=outputs, device=self.device)
 
 
-# --- the float64 twin ---
+def all_finite(adjoint: np.ndarray) -> bool:
+    """Whether nothing of a partial derivative is infinite or no number."""
+    fields = [adjoint["material"][name] for name in adjoint["material"].dtype.names] + [adjoint["wi"], adjoint["wo"]]
+    return all(np.all(np.isfinite(x)) for x in fields)
 
 
-def twin_fresnel_conductor(cos: float, eta: np.ndarray, k: np.ndarray) -> np.ndarray:
-    n = eta + 1j * k
-    n_cos_t = n * np.sqrt(1.0 - (1.0 - cos**2) / n**2 + 0j)
-    # Of the two roots the one in the first quadrant; its axes are k = 0 and eta = 0, which lie inside the domain here.
-    n_cos_t = np.where(n_cos_t.real + n_cos_t.imag < 0.0, -n_cos_t, n_cos_t)
-    r_s = (cos - n_cos_t) / (cos + n_cos_t)
-    r_p = (n * n * cos - n_cos_t) / (n * n * cos + n_cos_t)
-    return 0.5 * (np.abs(r_s) ** 2 + np.abs(r_p) ** 2)
+def uniform(seed: int, n: int) -> np.ndarray:
+    return np.random.default_rng(seed).random((n, 3), dtype=np.float32)
 
 
-def twin_eval(model: int, mat: np.void, wi: np.ndarray, wo: np.ndarray) -> np.ndarray:
-    if min(wi[2], wo[2]) <= 0.0:
-        return np.zeros(3)
-    if model == BSDF_DIFFUSE:
-        return mat["c0"] / np.pi * wo[2]
-    if model not in ROUGH:
-        return np.zeros(3)
-    au, av = (max(mat[name], float(np.float32(MIN_ALPHA))) for name in ("s0", "s1"))
-    h = (wi + wo) / np.linalg.norm(wi + wo)
-    theta, phi = np.arctan2(np.hypot(h[0], h[1]), h[2]), np.arctan2(h[1], h[0])
-    t = np.tan(theta) ** 2 * ((np.cos(phi) / au) ** 2 + (np.sin(phi) / av) ** 2)
-    p = np.exp(-t) if model == BSDF_ROUGH_CONDUCTOR_BECKMANN else 1.0 / (1.0 + t) ** 2
-    d = p / (np.pi * au * av * np.cos(theta) ** 4)
-    fresnel = twin_fresnel_conductor(np.dot(wi, h), mat["c1"], mat["c2"])
-    return mat["c0"] * fresnel * d * _twin_g1(model, wi, au, av) * _twin_g1(model, wo, au, av) / (4.0 * wi[2])
-
-
-def _twin_g1(model: int, w: np.ndarray, au: float, av: float) -> float:
-    tan_alpha = np.hypot(au * w[0], av * w[1]) / w[2]
-    if tan_alpha == 0.0:
-        return 1.0
-    if model == BSDF_ROUGH_CONDUCTOR_GGX:
-        return 2.0 / (1.0 + np.sqrt(1.0 + tan_alpha**2))
-    a = 1.0 / tan_alpha
-    return 1.0 if a >= 1.6 else min(1.0, (3.535 * a + 2.181 * a**2) / (1.0 + 2.276 * a + 2.577 * a**2))
-
-
-def twin_scatter(model: int, mat: np.void, wi: np.ndarray, lobe: int) -> tuple[np.ndarray, np.ndarray]:
-    """Direction and value of a delta lobe."""
-    mirror = wi * [-1.0, -1.0, 1.0]
-    if model == BSDF_CONDUCTOR:
-        return mirror, mat["c0"] * twin_fresnel_conductor(wi[2], mat["c1"], mat["c2"]) * (wi[2] > 0.0)
-    assert model == BSDF_DIELECTRIC
-    eta = mat["s0"] if wi[2] > 0.0 else 1.0 / mat["s0"]
-    theta = np.arccos(min(abs(wi[2]), 1.0))
-    sin_t = np.sin(theta) / eta
-    if sin_t >= 1.0:
-        return mirror, mat["c0"] if lobe == LOBE_DELTA_REFLECTION else np.zeros(3)
-    theta_t = np.arcsin(sin_t)
-    r_s = (np.cos(theta) - eta * np.cos(theta_t)) / (np.cos(theta) + eta * np.cos(theta_t))
-    r_p = (eta * np.cos(theta) - np.cos(theta_t)) / (eta * np.cos(theta) + np.cos(theta_t))
-    reflectance = 0.5 * (r_s**2 + r_p**2)
-    if lobe == LOBE_DELTA_REFLECTION:
-        return mirror, mat["c0"] * reflectance
-    wo = np.array([-wi[0] / eta, -wi[1] / eta, -np.sign(wi[2]) * np.cos(theta_t)])
-    return wo, mat["c1"] * (1.0 - reflectance) / eta**2
+def delta_samples(bsdf: Launcher, key: str, mat: dict, wi: np.ndarray, uvw: np.ndarray) -> dict[int, np.ndarray]:
+    """Samples of each delta lobe."""
+    s = bsdf.sample(key, mat, wi, uvw)
+    return {lobe: s[s["lobe"] == lobe] for lobe in lobes_of(key)}

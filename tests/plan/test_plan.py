@@ -13,6 +13,7 @@ from tests.gradients import scenes
 from warp_psdr.estimate import passes
 from warp_psdr.kernels import path as path_module
 from warp_psdr.kernels.bsdf import dispatch
+from warp_psdr.kernels.bsdf.model import Model
 from warp_psdr.kernels.primal import make_primal_kernel
 from warp_psdr.plan.interior import TABLE, row_of
 
@@ -47,7 +48,7 @@ def source_of(kernel, folder):
 def functions_of(source):
     """Generated source without the records, whose fields are the same in every scene, and without file names.
 
-    ``structs.Scene`` names its environment arrays and ``Material`` its slots whether they are used or not.
+    ``structs.Scene`` names its environment arrays whether they are used or not.
     """
     lines = source.splitlines()
     first = next(i for i, line in enumerate(lines) if line.startswith("static") and "_atomic" not in line)
@@ -93,20 +94,25 @@ def test_an_unused_feature_leaves_the_kernels_of_other_scenes_alone(diffuse, mon
     before = module_hash(scene, names)
     assert before == module_hash(scene, names)  # the hash does not depend on the process's history
 
-    def never():
+    def never(record, variant):
         raise AssertionError("the factory of a model that the scene does not use was called")
 
-    monkeypatch.setitem(dispatch._MODELS, 99, never)
+    monkeypatch.setitem(dispatch.VARIANTS, "never", (Model("never", (), (), never), ""))
     assert module_hash(scene, names) == before
     # A changed feature that is in use does change it.
-    other = dispatch._MODELS[0]
+    diffuse_model, variant = dispatch.VARIANTS["diffuse"]
 
-    @wp.func
-    def half_diffuse(mat: dispatch.Material, wi: wp.vec3, wo: wp.vec3) -> wp.vec3:
-        return 0.5 * other_eval(mat, wi, wo)
+    def make_half(record, variant):
+        other = diffuse_model.make(record, variant)
 
-    other_eval = other().eval
-    monkeypatch.setitem(dispatch._MODELS, 0, lambda: other()._replace(eval=half_diffuse))
+        @wp.func
+        def half_diffuse(mat: record, wi: wp.vec3, wo: wp.vec3) -> wp.vec3:
+            return 0.5 * other.eval(mat, wi, wo)
+
+        return other._replace(eval=half_diffuse)
+
+    halved = dataclasses.replace(diffuse_model, make=make_half)
+    monkeypatch.setitem(dispatch.VARIANTS, "diffuse", (halved, variant))
     assert module_hash(scene, names) != before
     monkeypatch.undo()
     assert module_hash(scene, names) == before
@@ -117,7 +123,8 @@ def test_one_albedo_compiles_no_geometry(diffuse, tmp_path):
     albedo = psdr.plan(scene, names=["floor.bsdf.reflectance.value"], integrator=INTEGRATOR)
     everything = psdr.plan(scene, names=list(scene.parameters), integrator=INTEGRATOR)
     assert not albedo.wanted.geometry and everything.wanted.geometry
-    assert albedo.wanted.slots == (True, False, False, False, False)
+    assert [slot.name for slot in albedo.config.material] == ["reflectance"]
+    assert albedo.wanted.material == (True,)
     words = ("barycentrics_dot", "connection_vjp", "normalize_vjp", "push_vertex", "camera_vjp")
     small, large = (
         functions_of(source_of(passes._gradient_kernel(plan, "reverse"), tmp_path / str(i)))
@@ -159,7 +166,7 @@ def test_the_plan_of_a_richer_scene():
     assert table["depth"] == "-1"
     assert table["sampler"] == "sobol"
     table = dict(line[:2] for line in psdr.plan(scenes.load("brushed")[0]).lines)
-    assert table["materials"] == "diffuse, roughconductor (Beckmann)"
+    assert table["materials"] == "diffuse, roughconductor (beckmann)"
     assert table["anisotropy"] == "yes"
 
 

@@ -95,20 +95,20 @@ def test_model_defaults():
     assert (x.bsdf.model, x.bsdf.textures["reflectance"].path) == ("diffuse", "x.bsdf.reflectance")
     assert x.bsdf.textures["reflectance"].value == 0.5
     rough = bsdf(type="roughconductor")
-    assert rough.distribution == "beckmann"
+    assert rough.variant == "beckmann"
     values = {name: t.value.tolist() for name, t in rough.textures.items()}
     assert values.pop("alpha_u") == values.pop("alpha_v") == [np.float32(0.1)]
     assert values == {"specular_reflectance": [1.0], "eta": [0.0], "k": [1.0]}
     assert rough.textures["alpha_u"] is rough.textures["alpha_v"]
     assert rough.textures["alpha_u"].path == "x.bsdf.alpha"
     glass = bsdf(type="dielectric")
-    assert glass.textures["eta"].value == np.float32(1.5046 / 1.000277)
-    assert set(glass.textures) == {"specular_reflectance", "specular_transmittance", "eta"}
+    assert glass.textures["ior"].value == np.float32(1.5046 / 1.000277)
+    assert set(glass.textures) == {"specular_reflectance", "specular_transmittance", "ior"}
 
 
 def test_anisotropic_roughness_has_two_textures():
     rough = bsdf(type="roughconductor", alpha_u=0.2, alpha_v=0.3, distribution="ggx")
-    assert rough.distribution == "ggx"
+    assert rough.variant == "ggx"
     assert [rough.textures[n].path for n in ("alpha_u", "alpha_v")] == ["x.bsdf.alpha_u", "x.bsdf.alpha_v"]
 
 
@@ -116,7 +116,7 @@ def test_materials_and_indices_of_refraction():
     gold = bsdf(type="conductor", material="Au")
     np.testing.assert_allclose(gold.textures["eta"].value, CONDUCTORS["Au"][0], rtol=1e-6)
     water = bsdf(type="dielectric", int_ior="water", ext_ior=1.0)
-    assert water.textures["eta"].value == np.float32(1.333)
+    assert water.textures["ior"].value == np.float32(1.333)
     own = bsdf(type="conductor", eta={"type": "rgb", "value": [1.0, 2.0, 3.0]}, k=4.0)
     assert own.textures["eta"].value.tolist() == [1.0, 2.0, 3.0] and own.textures["k"].value.tolist() == [4.0]
 

@@ -9,6 +9,7 @@ import pytest
 import warp as wp
 
 import warp_psdr as psdr
+from tests.config_helpers import SIMPLE, materials
 from warp_psdr.kernels.boundary.detector import Walk, make_walk
 from warp_psdr.kernels.boundary.edge_sampling.edge_tree import EdgeNode, lobe_estimate, node_importance
 from warp_psdr.kernels.boundary.edge_sampling.ltc_line import (
@@ -30,22 +31,25 @@ from warp_psdr.kernels.boundary.specular.ray_differential import (
     scattered_differential,
 )
 from warp_psdr.kernels.bsdf.microfacet import make_microfacet
-from warp_psdr.kernels.constants import BSDF_ROUGH_CONDUCTOR_GGX, LOBE_DELTA_TRANSMISSION, TEXTURE_CONSTANT
+from warp_psdr.kernels.constants import LOBE_DELTA_TRANSMISSION, TEXTURE_CONSTANT
 from warp_psdr.kernels.emitter.area import area_density, make_area, pdf_area
 from warp_psdr.kernels.emitter.spot import falloff
+from warp_psdr.kernels.interaction import Frame, make_interaction
 from warp_psdr.kernels.interior.pullback import connection_vjp
 from warp_psdr.kernels.interior.tangents import VertexTangent, log_geometry_jvp, make_frame_jvp, normalize_jvp
 from warp_psdr.kernels.math import any_tangent
 from warp_psdr.kernels.sampling import square_to_cosine_hemisphere
-from warp_psdr.kernels.structs import Camera, Material, Scene, Triangle
+from warp_psdr.kernels.structs import Camera, Scene, Triangle
 from warp_psdr.kernels.surface import interpolate, length_of_normals, normalize_vjp, unit_normal
-from warp_psdr.kernels.vertex import Frame
+from warp_psdr.kernels.vertex import PathConfig
 
 from .sweeps import room
 
 SAMPLE_VISIBLE = make_microfacet("ggx").sample_visible
 DRAW_LIGHT = make_area((TEXTURE_CONSTANT,)).draw
-SCATTERING_LOBES = make_scattering_lobes((BSDF_ROUGH_CONDUCTOR_GGX,))
+METAL = PathConfig(**{**vars(SIMPLE), **materials("roughconductor (ggx)")})
+INTERACTION = make_interaction(METAL).record
+SCATTERING_LOBES = make_scattering_lobes(METAL)
 FRAME_JVP = make_frame_jvp(True)
 
 
@@ -103,14 +107,16 @@ def guards(scene: Scene, zero: wp.vec3, out: wp.array(dtype=wp.float32)):
     end_on = line_integral(lobe, z, z)
     out[13] = end_on.integral + 0.0 * (end_on.psi + end_on.u_z + end_on.w_z + end_on.reach)
     # A mirror direction along the normal: the lobe has any axes.
-    material = Material()
-    material.s0 = 0.1
-    material.s1 = 0.1
+    metal = INTERACTION()
+    metal.material.alpha_u = 0.1
+    metal.material.alpha_v = 0.1
     frame = Frame()
     frame.n = z
     frame.s = x
     frame.t = y
-    lobes = SCATTERING_LOBES(BSDF_ROUGH_CONDUCTOR_GGX, material, frame, z)
+    metal.frame = frame
+    metal.wi = z
+    lobes = SCATTERING_LOBES(metal)
     out[14] = wp.abs(wp.length(lobes.glossy.x) - 1.0)
     # An edge around the one who sees it: a node that is no farther away than it is large.
     node = EdgeNode()
@@ -168,9 +174,9 @@ def guards(scene: Scene, zero: wp.vec3, out: wp.array(dtype=wp.float32)):
     vertex.tangent = y
     out[23] = size(FRAME_JVP(frame, 2.0 * z, vertex).s)
     # A lobe of a mirror's width: all of an edge across it is in it.
-    material.s0 = nil
-    material.s1 = nil
-    lobes = SCATTERING_LOBES(BSDF_ROUGH_CONDUCTOR_GGX, material, frame, z)
+    metal.material.alpha_u = nil
+    metal.material.alpha_v = nil
+    lobes = SCATTERING_LOBES(metal)
     out[24] = wp.where(line_integral(lobes.glossy, z - x, 2.0 * x).integral > 1.0, 0.0, 1.0)
     # A direction in the plane of a wedge without a width is not in it.
     out[25] = wp.abs(wedge_square(wedge, y)[1] - 2.0)

@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 
 import warp_psdr as psdr
-from tests.bsdf.helpers import MIRROR, rough, twin_eval, unit
-from warp_psdr.kernels.constants import BSDF_ROUGH_CONDUCTOR_GGX
+from tests.bsdf.helpers import MIRROR, rough, unit
+from tests.bsdf.twins import ggx_eval
 
 from .record import Case, parameters
 
@@ -59,7 +59,7 @@ def film_points(camera: np.ndarray, half: float, nodes: int):
 def reflected(camera: np.ndarray, point: np.ndarray, to_light: np.ndarray, alpha: float) -> float:
     """Return f_s cos at a point of the floor."""
     mat = rough(alpha, metal=MIRROR, reflectance=(1.0,) * 3)
-    return float(twin_eval(BSDF_ROUGH_CONDUCTOR_GGX, mat, unit(camera - point), unit(to_light))[0])
+    return float(ggx_eval(mat, unit(camera - point), unit(to_light))[0])
 
 
 def load(camera: np.ndarray, alpha: float, half: float, more: dict):

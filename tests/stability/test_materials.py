@@ -1,6 +1,6 @@
 """Materials: every scattering model at the ends of its parameters' ranges, value and derivatives, against float64.
 
-A model joins the sweeps by a row of ``SMOOTH`` or ``DELTA``.
+A model joins the sweeps by a row of ``SMOOTH``, or of a table of its own where its errors are of another size.
 """
 
 import math
@@ -10,49 +10,39 @@ import numpy as np
 import pytest
 
 from tests.bsdf.helpers import (
+    BECKMANN,
+    EXAMPLES,
+    GGX,
     GOLD,
-    MATERIAL,
+    LOSSLESS,
     MIRROR,
     Launcher,
+    all_finite,
+    as_seen,
     direction,
+    glass,
     material,
+    metal,
     rough,
-    twin_eval,
-    twin_fresnel_conductor,
+    rounded,
     unit,
 )
+from tests.bsdf.twins import fresnel_conductor
 from warp_psdr.kernels.bsdf.microfacet import MIN_ALPHA
-from warp_psdr.kernels.constants import (
-    BSDF_CONDUCTOR,
-    BSDF_DIELECTRIC,
-    BSDF_DIFFUSE,
-    BSDF_ROUGH_CONDUCTOR_BECKMANN,
-    BSDF_ROUGH_CONDUCTOR_GGX,
-    LOBE_DELTA_REFLECTION,
-    LOBE_DELTA_TRANSMISSION,
-)
+from warp_psdr.kernels.constants import LOBE_DELTA_REFLECTION, LOBE_DELTA_TRANSMISSION
 
 from .record import Case, parameters
 
 WEIGHT = np.array([0.7, -0.4, 1.1])
 #: Metals: gold, a perfect mirror, a lossless medium.
-METALS = (GOLD, MIRROR, ((1.5, 1.3, 2.0), (0.0, 0.0, 0.0)))
+METALS = (GOLD, MIRROR, LOSSLESS)
 ALPHAS = (MIN_ALPHA, 1e-4, 1e-3, 1e-2, 1e-1, 0.3, 1.0)
 ANGLES = (0.0, 40.0, 80.0, 89.0, 89.9)
 
 
-def rounded(x) -> np.ndarray:
-    """What the device sees of a float64 value."""
-    return np.asarray(x, np.float32).astype(np.float64)
-
-
-def twin(model: int, mat: np.void, wi: np.ndarray, wo: np.ndarray) -> np.ndarray:
+def twin(key: str, mat: dict, wi: np.ndarray, wo: np.ndarray) -> np.ndarray:
     """f_s cos in float64 of directions as the device sees them but for their lengths, which are rounded too."""
-    return twin_eval(model, mat, unit(wi), unit(wo))
-
-
-def as_seen(mat: np.void) -> np.void:
-    return np.array(tuple(rounded(mat[name]) for name in MATERIAL.names), dtype=MATERIAL)[()]
+    return EXAMPLES[key].eval(mat, unit(wi), unit(wo))
 
 
 def rough_pairs(alpha: float) -> Iterator[tuple[np.ndarray, np.ndarray]]:
@@ -71,79 +61,71 @@ def diffuse_pairs(_alpha: float) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         yield rounded(direction(angle)), rounded(direction(89.9 - angle, 200.0))
 
 
-#: name, model, materials by a roughness, pairs of directions.
+#: model, the reflectance in which it is linear, materials by a roughness, pairs of directions.
 SMOOTH = [
-    ("diffuse", BSDF_DIFFUSE, lambda a: [material((0.0, 1.0, a))], diffuse_pairs),
-    ("ggx", BSDF_ROUGH_CONDUCTOR_GGX, lambda a: [rough(a, metal=m) for m in METALS], rough_pairs),
-    ("beckmann", BSDF_ROUGH_CONDUCTOR_BECKMANN, lambda a: [rough(a, metal=m) for m in METALS], rough_pairs),
-    ("ggx, brushed", BSDF_ROUGH_CONDUCTOR_GGX, lambda a: [rough(a, min(10.0 * a, 1.0))], rough_pairs),
+    ("diffuse", "reflectance", lambda a: [material(reflectance=(0.0, 1.0, a))], diffuse_pairs),
+    (GGX, "specular_reflectance", lambda a: [rough(a, metal=m) for m in METALS], rough_pairs),
+    (BECKMANN, "specular_reflectance", lambda a: [rough(a, metal=m) for m in METALS], rough_pairs),
+    (GGX, "specular_reflectance", lambda a: [rough(a, min(10.0 * a, 1.0))], rough_pairs),
 ]
 
 
-def smooth_rows() -> Iterator[tuple[int, float, np.void, np.ndarray, np.ndarray]]:
-    for _name, model, materials, pairs in SMOOTH:
+def smooth_rows(models: list) -> Iterator[tuple[str, str, dict, np.ndarray, np.ndarray]]:
+    for key, linear, materials, pairs in models:
         for alpha in ALPHAS:
             for mat in materials(alpha):
                 for wi, wo in pairs(alpha):
-                    yield model, alpha, as_seen(mat), wi, wo
+                    yield key, linear, as_seen(mat), wi, wo
 
 
-def smooth_values() -> float:
+def smooth_values(models: list) -> float:
     """Worst error of f_s cos, relative; infinite where something is not finite."""
     launcher, worst = Launcher("cpu"), 0.0
-    for model, _alpha, mat, wi, wo in smooth_rows():
-        value, pdf = launcher.eval_pdf(model, mat, wi, wo)
-        expected = twin(model, mat, wi, wo)
+    for key, _linear, mat, wi, wo in smooth_rows(models):
+        value, pdf = launcher.eval_pdf(key, mat, wi, wo)
+        expected = twin(key, mat, wi, wo)
         if not (np.isfinite(value).all() and np.isfinite(pdf).all() and pdf[0] > 0.0):
             return math.inf
         worst = max(worst, float(np.abs(value[0] - expected).max() / np.abs(expected).max()))
     return worst
 
 
-def smooth_derivatives() -> float:
+def smooth_derivatives(models: list) -> float:
     """Worst error of the derivatives by reflectance and roughness, relative to value over parameter."""
     launcher, worst = Launcher("cpu"), 0.0
-    for model, _alpha, mat, wi, wo in smooth_rows():
-        adjoint = launcher.eval_vjp(model, mat, wi, wo, WEIGHT)[0]
-        if not all(np.isfinite(adjoint["material"][n]).all() for n in MATERIAL.names) or not (
-            np.isfinite(adjoint["wi"]).all() and np.isfinite(adjoint["wo"]).all()
-        ):
+    for key, linear, mat, wi, wo in smooth_rows(models):
+        adjoint = launcher.eval_vjp(key, mat, wi, wo, WEIGHT)[0]
+        if not all_finite(adjoint):
             return math.inf
-        value = np.abs(WEIGHT) @ np.abs(twin(model, mat, wi, wo)) + 1e-30
+        value = np.abs(WEIGHT) @ np.abs(twin(key, mat, wi, wo)) + 1e-30
         # By the reflectance: linear, so exact also where it is 0.
         for c in range(3):
-            one = np.array(mat, dtype=MATERIAL)
-            one["c0"] = np.eye(3)[c]
-            expected = WEIGHT[c] * twin(model, one[()], wi, wo)[c]
-            worst = max(worst, float(abs(adjoint["material"]["c0"][c] - expected)) / max(abs(expected), 1e-30))
+            expected = WEIGHT[c] * twin(key, mat | {linear: np.eye(3)[c]}, wi, wo)[c]
+            worst = max(worst, float(abs(adjoint["material"][linear][c] - expected)) / max(abs(expected), 1e-30))
         # By the roughness: one-sided where the range begins.
-        for slot in ("s0", "s1"):
-            alpha = float(mat[slot])
+        for name in ("alpha_u", "alpha_v"):
+            alpha = mat.get(name, 0.0)
             if alpha > 0.0:
                 h = 1e-5 * alpha
                 first = 0 if alpha < 1.5 * MIN_ALPHA else -1
-                f = []
-                for k in (first, first + 1, first + 2):
-                    moved = np.array(mat, dtype=MATERIAL)
-                    moved[slot] = alpha + k * h
-                    f.append(WEIGHT @ twin(model, moved[()], wi, wo))
+                f = [WEIGHT @ twin(key, mat | {name: alpha + k * h}, wi, wo) for k in range(first, first + 3)]
                 forward = (-1.5 * f[0] + 2.0 * f[1] - 0.5 * f[2]) / h
                 expected = forward if first == 0 else (f[2] - f[0]) / (2.0 * h)
-                worst = max(worst, abs(float(adjoint["material"][slot]) - expected) * alpha / value)
+                worst = max(worst, abs(float(adjoint["material"][name]) - expected) * alpha / value)
     return worst
 
 
 def below_the_range() -> float:
     """Roughness below 1e-5 is that of 1e-5: largest difference of values, and of derivatives from 0."""
     launcher, worst = Launcher("cpu"), 0.0
-    for model in (BSDF_ROUGH_CONDUCTOR_GGX, BSDF_ROUGH_CONDUCTOR_BECKMANN):
+    for key in (GGX, BECKMANN):
         for wi, wo in rough_pairs(MIN_ALPHA):
-            at = launcher.eval_pdf(model, rough(MIN_ALPHA), wi, wo)
+            at = launcher.eval_pdf(key, rough(MIN_ALPHA), wi, wo)
             for alpha in (9e-6, 1e-7, 0.0):
-                below = launcher.eval_pdf(model, rough(alpha), wi, wo)
+                below = launcher.eval_pdf(key, rough(alpha), wi, wo)
                 worst = max(worst, *(float(np.abs(a - b).max()) for a, b in zip(at, below, strict=True)))
-                adjoint = launcher.eval_vjp(model, rough(alpha), wi, wo, WEIGHT)[0]["material"]
-                worst = max(worst, abs(float(adjoint["s0"])), abs(float(adjoint["s1"])))
+                adjoint = launcher.eval_vjp(key, rough(alpha), wi, wo, WEIGHT)[0]["material"]
+                worst = max(worst, abs(float(adjoint["alpha_u"])), abs(float(adjoint["alpha_v"])))
     return worst
 
 
@@ -176,20 +158,20 @@ def dielectric_error(eta: float, c: float) -> float:
     """Worst error of reflectance and its derivative by eta, relative to themselves."""
     launcher = Launcher("cpu")
     wi = rounded([math.sqrt(max(1.0 - c * c, 0.0)), 0.0, c])
-    mat = as_seen(material(c1=(1.0, 1.0, 1.0), s0=eta))
-    value = launcher.scatter(BSDF_DIELECTRIC, mat, wi, LOBE_DELTA_REFLECTION)[0]["value"]
+    mat = as_seen(glass(eta, (1.0, 1.0, 1.0), (1.0, 1.0, 1.0)))
+    value = launcher.scatter("dielectric", mat, wi, LOBE_DELTA_REFLECTION)[0]["value"]
     w, none = np.array([1.0, 0.0, 0.0]), np.zeros(3)
-    adjoint = launcher.scatter_vjp(BSDF_DIELECTRIC, mat, wi, LOBE_DELTA_REFLECTION, w, none)[0]
-    through = launcher.scatter_vjp(BSDF_DIELECTRIC, mat, wi, LOBE_DELTA_TRANSMISSION, w, np.ones(3))[0]
-    found = [value[0], adjoint["material"]["s0"], *adjoint["wi"], through["material"]["s0"], *through["wi"]]
+    adjoint = launcher.scatter_vjp("dielectric", mat, wi, LOBE_DELTA_REFLECTION, w, none)[0]
+    through = launcher.scatter_vjp("dielectric", mat, wi, LOBE_DELTA_TRANSMISSION, w, np.ones(3))[0]
+    found = [value[0], adjoint["material"]["ior"], *adjoint["wi"], through["material"]["ior"], *through["wi"]]
     if not np.isfinite(found).all():
         return math.inf
-    expected, by_eta, _by_c = interface(float(mat["s0"]), float(wi[2]))
+    expected, by_eta, _by_c = interface(float(mat["ior"]), float(wi[2]))
     if eta == 1.0:
-        return max(abs(float(value[0])), abs(float(adjoint["material"]["s0"])))
+        return max(abs(float(value[0])), abs(float(adjoint["material"]["ior"])))
     return max(
         abs(float(value[0]) / expected - 1.0),
-        abs(float(adjoint["material"]["s0"]) - by_eta) / max(abs(by_eta), 1e-30) if abs(by_eta) > 0.0 else 0.0,
+        abs(float(adjoint["material"]["ior"]) - by_eta) / max(abs(by_eta), 1e-30) if abs(by_eta) > 0.0 else 0.0,
     )
 
 
@@ -217,10 +199,10 @@ def total_reflection() -> float:
 def dielectric_error_inside(eta: float, c: float) -> float:
     launcher = Launcher("cpu")
     wi = rounded([math.sqrt(1.0 - c * c), 0.0, c])
-    mat = as_seen(material(c1=(1.0, 1.0, 1.0), s0=eta))
-    value = launcher.scatter(BSDF_DIELECTRIC, mat, wi, LOBE_DELTA_REFLECTION)[0]["value"]
-    adjoint = launcher.scatter_vjp(BSDF_DIELECTRIC, mat, wi, LOBE_DELTA_REFLECTION, WEIGHT, np.ones(3))[0]
-    found = [*value, adjoint["material"]["s0"], *adjoint["wi"]]
+    mat = as_seen(glass(eta, (1.0, 1.0, 1.0), (1.0, 1.0, 1.0)))
+    value = launcher.scatter("dielectric", mat, wi, LOBE_DELTA_REFLECTION)[0]["value"]
+    adjoint = launcher.scatter_vjp("dielectric", mat, wi, LOBE_DELTA_REFLECTION, WEIGHT, np.ones(3))[0]
+    found = [*value, adjoint["material"]["ior"], *adjoint["wi"]]
     return abs(float(value[0]) - 1.0) if np.isfinite(found).all() else math.inf
 
 
@@ -233,14 +215,14 @@ def metals() -> float:
                 continue
             for angle in ANGLES:
                 wi = rounded(direction(angle))
-                mat = as_seen(material(c1=(eta,) * 3, c2=(k,) * 3))
-                value = launcher.scatter(BSDF_CONDUCTOR, mat, wi, LOBE_DELTA_REFLECTION)[0]["value"]
-                adjoint = launcher.scatter_vjp(BSDF_CONDUCTOR, mat, wi, LOBE_DELTA_REFLECTION, WEIGHT, np.ones(3))[0]
-                found = [*value, *adjoint["material"]["c1"], *adjoint["material"]["c2"], *adjoint["wi"]]
+                mat = as_seen(metal(((eta,) * 3, (k,) * 3), (1.0, 1.0, 1.0)))
+                value = launcher.scatter("conductor", mat, wi, LOBE_DELTA_REFLECTION)[0]["value"]
+                adjoint = launcher.scatter_vjp("conductor", mat, wi, LOBE_DELTA_REFLECTION, WEIGHT, np.ones(3))[0]
+                found = [*value, *adjoint["material"]["eta"], *adjoint["material"]["k"], *adjoint["wi"]]
                 if not np.isfinite(found).all():
                     return math.inf
                 if eta > 0.0:  # without it the twin's roots are ambiguous
-                    expected = twin_fresnel_conductor(wi[2], mat["c1"] + 0j, mat["c2"])
+                    expected = fresnel_conductor(wi[2], mat["eta"] + 0j, mat["k"])
                     worst = max(worst, float(np.abs(value - expected).max()))
     return worst
 
@@ -252,7 +234,7 @@ CASES = [
         hard="lobes of 1e10 per steradian, half vectors that cancel to 1e-5, grazing angles",
         naive="slopes of wi + wo alone: off by 0.8 at alpha 1e-5 and 89.9 degrees",
         bound=1.5e-6,
-        measure=smooth_values,
+        measure=lambda: smooth_values(SMOOTH),
     ),
     Case(
         family="materials",
@@ -260,7 +242,7 @@ CASES = [
         hard="as above; the derivative by a reflectance of 0",
         naive="value / reflectance is 0 / 0 at a black surface",
         bound=2.5e-6,
-        measure=smooth_derivatives,
+        measure=lambda: smooth_derivatives(SMOOTH),
     ),
     Case(
         family="materials",

@@ -14,6 +14,7 @@ import warp as wp
 
 from warp_psdr import workers
 from warp_psdr.device import launch, launch_lanes
+from warp_psdr.estimate.jobs import PixelSamples
 from warp_psdr.invalid import counting
 from warp_psdr.kernels.constants import RFILTER_BOX
 from warp_psdr.kernels.primal import make_primal_kernel
@@ -58,13 +59,11 @@ def boxed(
         scene,
         make_primal_kernel(plan.config),
         (camera.crop_width, camera.crop_height),
-        lambda data, first, count, pixels, lane: (
-            [data, camera, pixels, first, count, 0, spp, 1.0 / spp, seed, plan.max_depth, plan.rr_depth],
-            [image],
-        ),
+        PixelSamples(spp, seed, plan.max_depth, plan.rr_depth, scale=1.0 / spp),
+        camera,
+        lambda _lane: [image],
         lanes=workers.LANES,
         kind="image",
-        spp=spp,
         progress=progress,
         listed=pixels,
     )
@@ -90,19 +89,15 @@ def splatted(
     films = wp.zeros((lanes, *shape), dtype=wp.vec4, device=scene.device)
     total = wp.zeros(shape, dtype=wp.vec4d, device=scene.device)
     for first_sample, samples, reported in _blocks(spp, FILM_SAMPLES, progress):
-        block = [margin, first_sample, samples, seed, plan.max_depth, plan.rr_depth]
         _launch(
             scene,
             make_splat_kernel(plan.config),
             (camera.crop_width + 2 * margin, camera.crop_height + 2 * margin),
-            lambda data, first, count, pixels, lane, block=block: (
-                [data, camera, pixels, first, count, *block],
-                [films[lane]],
-            ),
+            PixelSamples(samples, seed, plan.max_depth, plan.rr_depth, first_sample=first_sample, margin=margin),
+            camera,
+            lambda lane: [films[lane]],
             lanes=lanes,
             kind="image",
-            spp=samples,
-            margin=margin,
             progress=reported,
             listed=pixels,
         )
@@ -130,18 +125,18 @@ def interior_backward(
     """Add the gradient of the interior term, of all pixels or of those listed, times a weight."""
     camera = scene.camera(sensor)
     dummy = wp.zeros((1, 1), dtype=wp.vec3, device=scene.device)
-    tail = [0, spp, weight / spp, mix_seed(seed, STREAM_INTERIOR), _depth(plan), plan.rr_depth, adjoint]
+    samples = PixelSamples(
+        spp, mix_seed(seed, STREAM_INTERIOR), _depth(plan), plan.rr_depth, scale=weight / spp, adjoint=adjoint
+    )
     _launch(
         scene,
         _gradient_kernel(plan, "reverse"),
         (camera.crop_width, camera.crop_height),
-        lambda data, first, count, pixels, lane: (
-            [data, camera, pixels, first, count, *tail],
-            [sums.buffers[lane], dummy],
-        ),
+        samples,
+        camera,
+        lambda lane: [sums.buffers[lane], dummy],
         lanes=len(sums.buffers),
         kind="interior",
-        spp=spp,
         progress=progress,
         listed=pixels,
         fields=_patches(scene, plan) | {"matters": _mask(scene, plan.shapes)},
@@ -162,16 +157,15 @@ def interior_forward(
 ) -> None:
     """Add the derivative of the interior term along flat tangents, times a weight, to all pixels or those listed."""
     camera = scene.camera(sensor)
-    dummy = wp.zeros((1, 1), dtype=wp.vec3, device=scene.device)
-    tail = [0, spp, weight / spp, mix_seed(seed, STREAM_INTERIOR), _depth(plan), plan.rr_depth, dummy]
     _launch(
         scene,
         _gradient_kernel(plan, "forward"),
         (camera.crop_width, camera.crop_height),
-        lambda data, first, count, pixels, lane: ([data, camera, pixels, first, count, *tail], [target, image]),
+        PixelSamples(spp, mix_seed(seed, STREAM_INTERIOR), _depth(plan), plan.rr_depth, scale=weight / spp),
+        camera,
+        lambda _lane: [target, image],
         lanes=workers.LANES,
         kind="interior",
-        spp=spp,
         progress=progress,
         listed=pixels,
         fields=_patches(scene, plan),
@@ -217,20 +211,20 @@ def _launch(
     scene: Scene,
     kernel: wp.Kernel,
     raster: tuple[int, int],
-    arguments,
+    samples: PixelSamples,
+    camera: Camera,
+    outputs: Callable[[int], list],
     *,
     lanes: int,
     kind: str,
-    spp: int,
-    margin: int = 0,
     progress: Progress | None = None,
     listed: wp.array | None = None,
     fields: dict[str, wp.array] | None = None,
 ) -> None:
     """Run a kernel over a raster (width, height): in one launch on CUDA, in lanes on worker threads on the CPU.
 
-    ``kind``, ``spp`` and ``margin``: what its samples are, a pixel, and by how much the raster exceeds the image.
-    ``listed``: numbers of its pixels, instead of all of them. ``fields``: of ``structs.Scene``, those of this pass.
+    ``kind``: what its samples are. ``outputs``: of a lane. ``listed``: numbers of the raster's pixels, instead of all
+    of them. ``fields``: of ``structs.Scene``, those of this pass.
     """
     data = scene.data()
     for name, values in (fields or {}).items():
@@ -240,12 +234,14 @@ def _launch(
         order = wp.array(workers.pixel_order(*raster), dtype=wp.int32, device=scene.device)
     count = order.shape[0]
     lanes = lanes if scene.device.is_cpu else 1
-    with counting(scene, kind, count * spp, lanes, (raster[0], margin)) as of_lane:
-        launch_lanes(
-            kernel,
-            count,
-            lambda first, n, lane: arguments(of_lane(data, lane), first, n, order, lane),
-            lanes=lanes,
-            device=scene.device,
-            progress=progress,
-        )
+    # A record for every lane: the launches of one lane follow each other, those of several run side by side.
+    jobs = [samples.job(order) for _ in range(lanes)]
+
+    with counting(scene, kind, count * samples.samples, lanes, (raster[0], samples.margin)) as of_lane:
+
+        def arguments(first: int, n: int, lane: int) -> tuple[list, list]:
+            job = jobs[lane]
+            job.first_pixel, job.pixel_count = first, n
+            return [of_lane(data, lane), camera, job], outputs(lane)
+
+        launch_lanes(kernel, count, arguments, lanes=lanes, device=scene.device, progress=progress)

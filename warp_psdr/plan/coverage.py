@@ -9,6 +9,7 @@ import numpy as np
 
 from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.boundary.specular.line_search import MAX_DEPTH
+from warp_psdr.kernels.bsdf.dispatch import has_delta_lobes
 from warp_psdr.kernels.emitter.spot import MIN_FALLOFF
 from warp_psdr.options.boundary import EdgeSampling, Method, PathSpace
 from warp_psdr.plan.motion import motion
@@ -48,14 +49,14 @@ def choose(scene: Scene, config: PathConfig, integrator: PathIntegrator, names: 
 
 def _beyond(method: Method, config: PathConfig) -> str:
     """Say what this method leaves to others; empty: nothing."""
-    if isinstance(method, EdgeSampling) and c.DELTA_MODELS & set(config.bsdfs):
+    if isinstance(method, EdgeSampling) and has_delta_lobes(config.bsdfs):
         return "it does not follow edges through smooth mirrors or glass; use boundary.PathSpace()"
     return ""
 
 
 def _uncovered(scene: Scene, config: PathConfig, names: list[str], max_depth: int) -> str:
     """Say why the boundary term cannot be estimated; empty: it can."""
-    if c.DELTA_MODELS & set(config.bsdfs):
+    if has_delta_lobes(config.bsdfs):
         if not 0 < max_depth <= MAX_DEPTH:
             return f"discontinuities are searched through mirrors to some depth; set max_depth to {MAX_DEPTH} or less"
     steps = any(t.kind == c.TEXTURE_BITMAP and t.filter == c.FILTER_NEAREST for t in scene.builder.textures)

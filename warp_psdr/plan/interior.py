@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import warp as wp
 
-from warp_psdr.kernels.constants import DELTA_MODELS
+from warp_psdr.kernels.bsdf.dispatch import has_delta_lobes
 from warp_psdr.kernels.interior.forward import make_forward_kernel
 from warp_psdr.kernels.interior.replay import make_replay_kernel
 from warp_psdr.kernels.interior.textbook import make_textbook_kernel
@@ -108,7 +108,7 @@ def _make_replay(config: PathConfig, wanted: Wanted, role: str, kept: Kept) -> w
 
 
 def _refused_by_textbook(config: PathConfig, wanted: Wanted) -> str:
-    if wanted.geometry and DELTA_MODELS & set(config.bsdfs):
+    if wanted.geometry and has_delta_lobes(config.bsdfs):
         return (
             "interior.Textbook(), textbook replay, cannot differentiate moving vertices behind smooth mirrors or "
             "glass: the adjoint of a ray has to be carried backwards. Use interior.Replay()"

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from warp_psdr import html
 from warp_psdr.kernels import constants as c
+from warp_psdr.kernels.bsdf.dispatch import has_delta_lobes
 from warp_psdr.kernels.emitter.spot import MIN_FALLOFF
 from warp_psdr.kernels.interior.wanted import Wanted
 from warp_psdr.kernels.vertex import PathConfig
@@ -22,7 +23,7 @@ from warp_psdr.plan.coverage import choose
 from warp_psdr.plan.integrator import Integrator, integrator_of
 from warp_psdr.plan.interior import Kept, Row, row_of
 from warp_psdr.plan.motion import motion
-from warp_psdr.scene.build import SLOTS
+from warp_psdr.scene.bsdfs import model_of
 from warp_psdr.scene.layout import (
     CAMERA,
     LIGHT_POSE,
@@ -43,13 +44,6 @@ if TYPE_CHECKING:
     from warp_psdr.scene.parameters import Parameters
     from warp_psdr.scene.scene import Scene
 
-MODEL_NAMES = {
-    c.BSDF_DIFFUSE: "diffuse",
-    c.BSDF_CONDUCTOR: "conductor",
-    c.BSDF_DIELECTRIC: "dielectric",
-    c.BSDF_ROUGH_CONDUCTOR_GGX: "roughconductor (GGX)",
-    c.BSDF_ROUGH_CONDUCTOR_BECKMANN: "roughconductor (Beckmann)",
-}
 EMITTER_NAMES = {
     c.EMITTER_AREA: "area",
     c.EMITTER_CONSTANT: "constant",
@@ -203,7 +197,7 @@ def _boundary(
     lines = [("boundary term", term.label, "; ".join(moving))]
     if isinstance(term, Connecting) and term.guiding is not None:
         lines.append(("guiding", term.guiding.label, guiding.describe(scene, term.guiding)))
-    if c.DELTA_MODELS & set(config.bsdfs):
+    if has_delta_lobes(config.bsdfs):
         searched = "through mirrors and glass: line search"
         lines.append(("boundary term", searched, "no edge can be connected to the camera"))
     return term, lines
@@ -225,24 +219,19 @@ def _config(scene: Scene, integrator: PathIntegrator, sensor: int, lines: list) 
     b = scene.builder
     camera = scene.camera(sensor)
     scatter = integrator.max_depth != 1
-    models = tuple(sorted({r.model for r in b.bsdfs})) if scatter else ()
-    models = models or (c.BSDF_DIFFUSE,)
+    models = (b.models if scatter else ()) or ("diffuse",)
     kinds = {e.kind for e in b.emitters}
     lights = tuple(sorted(kinds - {c.EMITTER_AREA}))
-    slots = tuple(tuple(sorted(b.slot_kinds[s])) if scatter else () for s in SLOTS)
+    material = b.material if scatter else ()
     area = tuple(sorted(b.radiance_kinds))
-    uv = any(c.TEXTURE_BITMAP in kinds for kinds in (*slots, area))
+    uv = any(c.TEXTURE_BITMAP in kinds for kinds in (*(slot.kinds for slot in material), area))
     sampler: str = integrator.sampler
     if sampler == "auto":
         sampler = scene.description.sensors[sensor].sampler
     if sampler == "default":
         sampler = "sobol"
-    lines.append(
-        ("materials", ", ".join(MODEL_NAMES[m] for m in models), "no dispatch" if len(models) == 1 else "in use")
-    )
-    used = [
-        f"{s}: {' or '.join(TEXTURE_NAMES[k] for k in kinds)}" for s, kinds in zip(SLOTS, slots, strict=True) if kinds
-    ]
+    lines.append(("materials", ", ".join(models), "no dispatch" if len(models) == 1 else "in use"))
+    used = [f"{slot.name}: {' or '.join(TEXTURE_NAMES[k] for k in slot.kinds)}" for slot in material if slot.kinds]
     lines.append(("material values", ", ".join(used) or "none", "texture kinds in use"))
     lines.append(("two-sided", "yes" if b.two_sided else "no", "some material is" if b.two_sided else "no material is"))
     smooth = any(s.smooth for s in b.shapes)
@@ -265,7 +254,7 @@ def _config(scene: Scene, integrator: PathIntegrator, sensor: int, lines: list) 
     lines.append(("ray queries", scene.accelerator.backend, f"{scene.accelerator.width} lanes"))
     return PathConfig(
         bsdfs=models,
-        slots=slots,
+        material=material,
         two_sided=bool(b.two_sided),
         smooth=smooth,
         flat=flat,
@@ -295,7 +284,7 @@ def _wanted(scene: Scene, config: PathConfig, names: list[str], lines: list) -> 
     if has(LIGHT_POSE):
         lights.append("pose")
     wanted = Wanted(
-        slots=tuple(has(MATERIAL + s) for s in SLOTS),
+        material=tuple(has(MATERIAL + slot.name) for slot in config.material),
         to_uv=has(TO_UV),
         shapes=has(POSITIONS, NORMALS, SHAPE_POSE),
         texcoords=has(TEXCOORDS),
@@ -305,8 +294,8 @@ def _wanted(scene: Scene, config: PathConfig, names: list[str], lines: list) -> 
         bends=bool(_bending(scene, names)),
     )
     lines.append(("differentiated", ", ".join(names), "requested"))
-    on = [s for s, w in zip(SLOTS, wanted.slots, strict=True) if w]
-    lines.append(("material derivatives", ", ".join(on) or "none", "slots that hold a requested parameter"))
+    on = [slot.name for slot, w in zip(config.material, wanted.material, strict=True) if w]
+    lines.append(("material derivatives", ", ".join(on) or "none", "values that hold a requested parameter"))
     geometry = (
         "positions, normals and chains through mirrors and glass are differentiated"
         if wanted.geometry
@@ -323,7 +312,7 @@ def _shapes(scene: Scene, names: list[str]) -> frozenset[int] | None:
         parameter = scene.parameters[name]
         if parameter.uses <= {POSITIONS, NORMALS, TEXCOORDS, SHAPE_POSE}:
             found.add(parameter.owner)
-        elif parameter.uses <= {MATERIAL + s for s in SLOTS}:
+        elif all(use.startswith(MATERIAL) for use in parameter.uses):
             users = [
                 i
                 for i, shape in enumerate(scene.description.shapes)
@@ -343,8 +332,8 @@ def _bending(scene: Scene, names: list[str]) -> list[str]:
     """Requested indices of refraction: they turn the rays behind a smooth interface."""
     found = []
     for shape in scene.description.shapes:
-        if shape.bsdf.model == "dielectric" and "eta" in shape.bsdf.textures:
-            name = shape.bsdf.textures["eta"].parameter
+        for value in model_of(shape.bsdf).turned_by:
+            name = shape.bsdf.textures[value].parameter
             found += [name] if name in names and name not in found else []
     return found
 
@@ -352,7 +341,7 @@ def _bending(scene: Scene, names: list[str]) -> list[str]:
 def _discontinuities(scene: Scene, config: PathConfig, names: list[str]) -> list[str]:
     """Say which requested parameters move a discontinuity of the integrand, and which one."""
     reasons = []
-    delta = bool(c.DELTA_MODELS & set(config.bsdfs))
+    delta = has_delta_lobes(config.bsdfs)
     lights = _moving_lights(scene)
     for name in names:
         uses = scene.parameters[name].uses

@@ -3,11 +3,22 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import TYPE_CHECKING, Any, Literal, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warp_psdr.kernels.bsdf.microfacet import MIN_ALPHA
+from warp_psdr.kernels.bsdf.dispatch import MODELS, VARIANTS
+from warp_psdr.kernels.bsdf.model import (
+    Accepted,
+    Choice,
+    Color,
+    ComplexIndex,
+    Flag,
+    Model,
+    RelativeIndex,
+    Roughness,
+    key_of,
+)
 
 from .description import BsdfDescription, TextureDescription
 from .errors import ReportedError, did_you_mean, error, listing
@@ -27,9 +38,10 @@ IORS = {
     "amber": 1.55, "pet": 1.5750, "diamond": 2.419,
 }  # fmt: skip
 
-#: Admissible range of each texture slot; eta and k only have to be non-negative.
-RANGES = {"reflectance": 1.0, "specular_reflectance": 1.0, "specular_transmittance": 1.0}
-_SCALARS = ("alpha", "alpha_u", "alpha_v")
+
+def model_of(bsdf: BsdfDescription) -> Model:
+    """Return the declaration of a scattering model."""
+    return VARIANTS[key_of(bsdf.model, bsdf.variant)][0]
 
 
 def build(node: dict, where: str, path: str, context: Context, *, shared: bool) -> BsdfDescription:
@@ -62,39 +74,45 @@ def check_attributes(bsdf: BsdfDescription, attributes: dict[str, np.ndarray], w
     Raises:
         ValueError: With the attributes that the shape has.
     """
-    for slot, value in bsdf.textures.items():
-        low = MIN_ALPHA if slot in _SCALARS else 0.0
-        check_attribute(value, attributes, where, low, RANGES.get(slot, np.inf), slot in _SCALARS)
+    values = {value.name: value for value in model_of(bsdf).values}
+    for name, t in bsdf.textures.items():
+        value = values[name]
+        check_attribute(t, attributes, where, value.low, value.high, not value.color)
     if bsdf.back is not None:
         check_attributes(bsdf.back, attributes, where)
 
 
 def _build(props: Properties) -> BsdfDescription:
-    builders = {
-        "diffuse": _diffuse,
-        "conductor": _conductor,
-        "roughconductor": _roughconductor,
-        "dielectric": _dielectric,
-        "twosided": _twosided,
-    }
-    result = builders[props.type](props)
+    if props.type == "twosided":
+        result = _twosided(props)
+    else:
+        result = _declared(props, next(model for model in MODELS if model.plugin == props.type))
     props.finish()
     return result
 
 
-def _slot(props: Properties, name: str, value: Any = 1.0) -> TextureDescription:
-    return texture(props, name, value, high=RANGES.get(name, np.inf))
+def _declared(props: Properties, model: Model) -> BsdfDescription:
+    """Read what a model declares."""
+    variant = ""
+    textures: dict[str, TextureDescription] = {}
+    for parameter in model.parameters:
+        if isinstance(parameter, Choice):
+            variant = props.string(parameter.name, parameter.default, parameter.options)
+        elif isinstance(parameter, Flag):
+            variant = parameter.name if props.boolean(parameter.name, False) else ""
+        elif isinstance(parameter, Accepted):
+            if props.boolean(parameter.name, parameter.default) != parameter.default:
+                props.context.note(f"{props.place(parameter.name)} is ignored: {parameter.reason}")
+        else:
+            textures.update(READERS[type(parameter)](props, parameter))
+    return BsdfDescription(props.path, model.plugin, textures, variant)
 
 
-def _diffuse(props: Properties) -> BsdfDescription:
-    return BsdfDescription(props.path, "diffuse", {"reflectance": _slot(props, "reflectance", 0.5)})
+def _color(props: Properties, parameter: Color) -> dict[str, TextureDescription]:
+    return {parameter.name: texture(props, parameter.name, parameter.default, high=parameter.high)}
 
 
-def _conductor(props: Properties) -> BsdfDescription:
-    return BsdfDescription(props.path, "conductor", _metal(props))
-
-
-def _metal(props: Properties) -> dict[str, TextureDescription]:
+def _complex_index(props: Properties, parameter: ComplexIndex) -> dict[str, TextureDescription]:
     """Take ``material`` or ``eta`` and ``k``."""
     if props.has("eta", "k") and props.has("material"):
         raise error(props.where, "got 'material' besides 'eta' or 'k'", "give either the material or eta and k")
@@ -113,39 +131,43 @@ def _metal(props: Properties) -> dict[str, TextureDescription]:
         eta, k = (np.array(v) for v in found)
     if props.has("eta") != props.has("k"):
         raise error(props.where, "got only one of 'eta' and 'k'", "give both")
-    return {
-        "specular_reflectance": _slot(props, "specular_reflectance"),
-        "eta": _slot(props, "eta", eta),
-        "k": _slot(props, "k", k),
-    }
+    defaults = {"eta": eta, "k": k}
+    return {value.name: texture(props, value.name, defaults[value.name], high=value.high) for value in parameter.values}
 
 
-def _roughconductor(props: Properties) -> BsdfDescription:
-    textures = _metal(props)
+def _roughness(props: Properties, parameter: Roughness) -> dict[str, TextureDescription]:
     anisotropic = props.has("alpha_u", "alpha_v")
     if anisotropic and props.has("alpha"):
         raise error(props.where, "got 'alpha' besides 'alpha_u' or 'alpha_v'", "give either alpha or both others")
     if anisotropic and not (props.has("alpha_u") and props.has("alpha_v")):
         raise error(props.where, "got only one of 'alpha_u' and 'alpha_v'", "give both, or 'alpha'")
-    for slot, name in (("alpha_u", "alpha_u"), ("alpha_v", "alpha_v")) if anisotropic else (("alpha_u", "alpha"),):
-        textures[slot] = texture(props, name, 0.1, low=MIN_ALPHA, scalar=True)
-    textures.setdefault("alpha_v", textures["alpha_u"])
-    for name in _SCALARS:
+    u = texture(props, "alpha_u" if anisotropic else "alpha", parameter.default, low=parameter.low, scalar=True)
+    v = texture(props, "alpha_v", parameter.default, low=parameter.low, scalar=True) if anisotropic else u
+    for name in ("alpha", "alpha_u", "alpha_v"):
         props.take(name)
-    distribution = props.string("distribution", "beckmann", ("ggx", "beckmann"))
-    if not props.boolean("sample_visible", True):
-        props.context.note(f"{props.place('sample_visible')} is ignored: visible normals are always sampled")
-    return BsdfDescription(
-        props.path, "roughconductor", textures, distribution=cast(Literal["ggx", "beckmann"], distribution)
-    )
+    return {"alpha_u": u, "alpha_v": v}
 
 
-def _dielectric(props: Properties) -> BsdfDescription:
-    inside, outside = _ior(props, "int_ior", "bk7"), _ior(props, "ext_ior", "air")
-    textures = {name: _slot(props, name) for name in ("specular_reflectance", "specular_transmittance")}
+def _relative_index(props: Properties, parameter: RelativeIndex) -> dict[str, TextureDescription]:
+    inside, outside = _ior(props, "int_ior", parameter.interior), _ior(props, "ext_ior", parameter.exterior)
+    if not parameter.low <= inside / outside <= parameter.high:
+        raise error(
+            props.where,
+            f"int_ior / ext_ior is {inside / outside:g}",
+            f"a '{props.type}' takes ratios from {parameter.low:g} to {parameter.high:g}",
+        )
     # Mitsuba keeps the ratio as a number, not as a texture, so its name has no ".value".
-    textures["eta"] = dataclasses.replace(constant(f"{props.path}.eta", inside / outside), plain=True)
-    return BsdfDescription(props.path, "dielectric", textures)
+    eta = dataclasses.replace(constant(f"{props.path}.eta", inside / outside), plain=True)
+    return {value.name: eta for value in parameter.values}
+
+
+#: How each kind of parameter is read: ``(props, parameter) -> textures``, by the names of the values.
+READERS: dict[type, Any] = {
+    Color: _color,
+    ComplexIndex: _complex_index,
+    RelativeIndex: _relative_index,
+    Roughness: _roughness,
+}
 
 
 def _ior(props: Properties, name: str, preset: str) -> float:
@@ -172,7 +194,7 @@ def _twosided(props: Properties) -> BsdfDescription:
     for i, (key, node, where) in enumerate(nested):
         shared = node is not props.node[key]
         side = build(node, where, f"{props.path}.brdf_{i}", props.context, shared=shared)
-        if side.model == "dielectric" or side.two_sided:
+        if model_of(side).transmits or side.two_sided:
             raise error(where, f"a '{node['type']}' inside 'twosided'", "nest a bsdf that reflects only")
         sides.append(side)
     front = sides[0]

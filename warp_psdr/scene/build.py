@@ -9,7 +9,9 @@ import warp as wp
 
 from warp_psdr.kernels import constants as c
 from warp_psdr.kernels import structs
-from warp_psdr.kernels.bsdf.microfacet import MIN_ALPHA
+from warp_psdr.kernels.bsdf.dispatch import VARIANTS, models_of
+from warp_psdr.kernels.bsdf.model import Value, key_of
+from warp_psdr.kernels.bsdf.record import Slot, merge_values
 from warp_psdr.scene.layout import (
     CAMERA,
     LIGHT_POSE,
@@ -35,30 +37,6 @@ if TYPE_CHECKING:
     )
 
 INF = float("inf")
-SLOTS = ("c0", "c1", "c2", "s0", "s1")
-#: Which property of a model sits in which slot of ``structs.Material``, and its valid range.
-SLOT_OF = {
-    "diffuse": {"reflectance": "c0"},
-    "conductor": {"specular_reflectance": "c0", "eta": "c1", "k": "c2"},
-    "roughconductor": {"specular_reflectance": "c0", "eta": "c1", "k": "c2", "alpha_u": "s0", "alpha_v": "s1"},
-    "dielectric": {"specular_reflectance": "c0", "specular_transmittance": "c1", "eta": "s0"},
-}
-BOUNDS = {
-    "reflectance": (0.0, 1.0),
-    "specular_reflectance": (0.0, 1.0),
-    "specular_transmittance": (0.0, 1.0),
-    "alpha_u": (MIN_ALPHA, 1.0),
-    "alpha_v": (MIN_ALPHA, 1.0),
-    "eta": (0.0, INF),
-    "k": (0.0, INF),
-}
-MODELS = {
-    ("diffuse", None): c.BSDF_DIFFUSE,
-    ("conductor", None): c.BSDF_CONDUCTOR,
-    ("dielectric", None): c.BSDF_DIELECTRIC,
-    ("roughconductor", "ggx"): c.BSDF_ROUGH_CONDUCTOR_GGX,
-    ("roughconductor", "beckmann"): c.BSDF_ROUGH_CONDUCTOR_BECKMANN,
-}
 FILTERS = {"bilinear": c.FILTER_BILINEAR, "nearest": c.FILTER_NEAREST}
 WRAPS = {"repeat": c.WRAP_REPEAT, "mirror": c.WRAP_MIRROR, "clamp": c.WRAP_CLAMP}
 RFILTERS = {"box": c.RFILTER_BOX, "tent": c.RFILTER_TENT, "gaussian": c.RFILTER_GAUSSIAN}
@@ -88,16 +66,20 @@ class Builder:
         self.emitters: list = []  #: structs.Emitter
         self.cameras: list = []  #: structs.Camera
         self.environment = -1
-        self.slot_kinds: dict[str, set[int]] = {s: set() for s in SLOTS}
+        self.models: tuple[str, ...] = ()  #: keys of ``VARIANTS``
+        self.bsdf_textures: list[dict[str, int]] = []  #: of each record: value name -> texture number
+        self.slots = np.zeros(0, np.int32)  #: texture numbers, ``structs.Scene.slots``
         self.radiance_kinds: set[int] = set()
         self.two_sided = False
         self.anisotropic: set[int] = set()
         self._texture_index: dict[tuple[int, int], int] = {}
         self._absent_index: dict[float, int] = {}
+        self._bsdf_keys: list[str] = []
         self._bsdf_index: dict[tuple[int, int], int] = {}
         self._geometry()
         for number, shape in enumerate(description.shapes):
             self.shapes[number].bsdf = self._bsdf(shape.bsdf, number)
+        self._number_models()
         for emitter in description.emitters:
             self._emitter(emitter)
         for sensor in description.sensors:
@@ -223,23 +205,44 @@ class Builder:
         if key in self._bsdf_index:
             return self._bsdf_index[key]
         record = structs.Bsdf()
-        record.model = MODELS[b.model, b.distribution if b.model == "roughconductor" else None]
         record.two_sided = int(b.two_sided)
         self.two_sided |= b.two_sided
-        for slot in SLOTS:
-            setattr(record, slot, -1)
-        for prop, slot in SLOT_OF[b.model].items():
-            t = b.textures.get(prop)
-            index = self._absent(1.0) if t is None else self._texture(t, MATERIAL + slot, BOUNDS[prop], shape)
-            setattr(record, slot, index)
-            self.slot_kinds[slot].add(self.textures[index].kind)
+        textures = {}
+        for value in VARIANTS[key_of(b.model, b.variant)][0].values:
+            t = b.textures.get(value.name)
+            bounds = (value.low, value.high)
+            textures[value.name] = (
+                self._absent(1.0) if t is None else self._texture(t, MATERIAL + value.name, bounds, shape)
+            )
         number = len(self.bsdfs)
-        if b.model == "roughconductor" and record.s0 != record.s1:
+        if textures.get("alpha_u") != textures.get("alpha_v"):
             self.anisotropic.add(number)
         self.bsdfs.append(record)
+        self.bsdf_textures.append(textures)
+        self._bsdf_keys.append(key_of(b.model, b.variant))
         self._bsdf_index[key] = number
         record.back = number if b.back is None else self._bsdf(b.back, shape)
         return number
+
+    def _number_models(self) -> None:
+        """Number the models that occur, and lay out their textures alike: one number for each value that any has."""
+        self.models = tuple(key for key in VARIANTS if key in self._bsdf_keys)
+        self.values: tuple[Value, ...] = merge_values(models_of(self.models))
+        numbers = [[textures.get(value.name, -1) for value in self.values] for textures in self.bsdf_textures]
+        self.slots = np.array(numbers, np.int32).reshape(-1)
+        for i, (record, key) in enumerate(zip(self.bsdfs, self._bsdf_keys, strict=True)):
+            record.model = self.models.index(key)
+            record.slots = i * len(self.values)
+            record.lobes = sum(1 << lobe for lobe in VARIANTS[key][0].lobes)
+
+    @property
+    def material(self) -> tuple[Slot, ...]:
+        """Values of the materials and the kinds of their textures, as the path loop is compiled for them."""
+        kinds = {value.name: set() for value in self.values}
+        for textures in self.bsdf_textures:
+            for name, number in textures.items():
+                kinds[name].add(self.textures[number].kind)
+        return tuple(Slot(value.name, value.color, tuple(sorted(kinds[value.name]))) for value in self.values)
 
     # -- lights and cameras ----------------------------------------------------------------------------------------
 

@@ -38,11 +38,11 @@ class BsdfDescription:
     """One scattering model with its textures; shared by identity between the shapes that reference it."""
 
     path: str
-    model: Literal["diffuse", "conductor", "roughconductor", "dielectric"]
+    model: str  #: plugin name
+    #: One for each value that the model declares (``kernels/bsdf/model.py``), by its name there; the same object twice
+    #: for alpha_u and alpha_v of an isotropic model.
     textures: dict[str, TextureDescription]
-    #: diffuse: reflectance; conductor: specular_reflectance, eta, k; roughconductor: the same and alpha_u, alpha_v
-    #: (the same object twice when isotropic); dielectric: specular_reflectance, specular_transmittance, eta (1 value)
-    distribution: Literal["ggx", "beckmann"] = "beckmann"
+    variant: str = ""  #: of the model, for example "ggx"
     two_sided: bool = False
     back: BsdfDescription | None = None  #: two_sided with a different model behind
 

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from warp_psdr.kernels.bsdf.dispatch import MODELS
+
 from .catalogue import MITSUBA, kind_of
 from .errors import ReportedError, SceneError, did_you_mean, error, listing
 from .transforms import FLOAT_MAX, as_matrix
@@ -22,7 +24,7 @@ PLUGINS: dict[str, tuple[str, ...]] = {
         *("rectangle", "cube", "sphere", "disk", "cylinder"),
         *("obj", "ply", "gltf", "glb", "stl", "off", "mesh"),
     ),
-    "bsdf": ("diffuse", "conductor", "roughconductor", "dielectric", "twosided"),
+    "bsdf": (*(model.plugin for model in MODELS), "twosided"),
     "texture": (
         *("bitmap", "mesh_attribute"),
         *("rgb", "srgb", "spectrum", "uniform", "rawconstant", "d65", "blackbody", "regular", "irregular"),

@@ -12,7 +12,7 @@ import warp as wp
 from warp_psdr.device import launch
 from warp_psdr.invalid import Ledger
 from warp_psdr.kernels import structs
-from warp_psdr.kernels.constants import DELTA_MODELS
+from warp_psdr.kernels.bsdf.dispatch import has_delta_lobes
 from warp_psdr.kernels.invalid import COUNTER_SIZE
 from warp_psdr.kernels.lanes.lanes import ROOM
 from warp_psdr.kernels.shape.normals import normalize_sums, sum_normals
@@ -116,6 +116,7 @@ class Scene:
         self.triangles = wp.zeros(max(self.face_count, 1), dtype=structs.Triangle, device=self.device)
         self._shapes = struct_array(structs.Shape, builder.shapes, self.device)
         self._bsdfs = struct_array(structs.Bsdf, builder.bsdfs, self.device)
+        self._slots = wp.array(builder.slots if builder.slots.size else [-1], dtype=wp.int32, device=self.device)
         self._textures = struct_array(structs.Texture, builder.textures, self.device)
         for shape in self._local:
             self._pose(shape)
@@ -235,6 +236,7 @@ class Scene:
         s.triangles = self.triangles
         s.shapes = self._shapes
         s.bsdfs = self._bsdfs
+        s.slots = self._slots
         s.textures = self._textures
         s.emitters = self.lights.emitters
         s.emitter_cdf = self.lights.emitter_cdf
@@ -452,7 +454,7 @@ class Scene:
 
     def _note_specks(self) -> None:
         """Tell of shapes that are small for the steps by which rays leave surfaces."""
-        mirrors = any(record.model in DELTA_MODELS for record in self.builder.bsdfs)
+        mirrors = has_delta_lobes(self.builder.models)
         for number, (shape, size) in enumerate(zip(self.description.shapes, self._boxes.size.tolist(), strict=True)):
             if self.steps.scene and size < SPECK * self.steps.behind[number]:
                 self.description.notes.append(

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
-from warp_psdr.kernels.constants import DELTA_MODELS, TEXTURE_FACE
+from warp_psdr.kernels.constants import LOBE_DELTA_REFLECTION, LOBE_DELTA_TRANSMISSION, LOBE_SMOOTH, TEXTURE_FACE
 from warp_psdr.topology.camera_view import CameraView, camera_view
 from warp_psdr.topology.edges import (
     COPLANAR,
@@ -191,8 +191,8 @@ def _within(scene: Scene, edges: Adjacency) -> np.ndarray:
 def _stepped(scene: Scene, shape: Any) -> bool:
     """Return whether a texture of a shape may jump at its edges."""
     b = scene.builder
-    record = b.bsdfs[shape.bsdf]
-    numbers = {n for r in (record, b.bsdfs[record.back]) for n in (r.c0, r.c1, r.c2, r.s0, r.s1) if n >= 0}
+    sides = (shape.bsdf, b.bsdfs[shape.bsdf].back)
+    numbers = {number for side in sides for number in b.bsdf_textures[side].values()}
     if shape.emitter >= 0:
         numbers.add(b.emitters[shape.emitter].texture)
     found = [b.textures[n] for n in numbers]
@@ -265,7 +265,7 @@ def _facets(scene: Scene, view: CameraView, edges: Adjacency, asked: np.ndarray)
     Their faces scatter smoothly, and are wide enough for rays beside the edge.
     """
     shapes = scene.builder.shapes
-    usable = np.array([s.smooth == 0 for s in shapes]) & scatters(scene).all(axis=1)
+    usable = np.array([s.smooth == 0 for s in shapes]) & scatters(scene).all(axis=1) & ~_mirrors(scene).any(axis=1)
     shape = _shape(scene, edges)
     facets = asked & _within(scene, edges) & usable[shape] & (edges.wedge > 0.0) & (edges.wedge < SHALLOW)
     some = np.flatnonzero(facets)
@@ -276,9 +276,18 @@ def _facets(scene: Scene, view: CameraView, edges: Adjacency, asked: np.ndarray)
 
 def scatters(scene: Scene) -> np.ndarray:
     """Return which shapes are more than a mirror or glass in front and on the back, (S, 2)."""
+    return _lobes(scene) & (1 << LOBE_SMOOTH) != 0
+
+
+def _mirrors(scene: Scene) -> np.ndarray:
+    """Return which shapes show mirror images, or let them through, in front and on the back, (S, 2)."""
+    return _lobes(scene) & (1 << LOBE_DELTA_REFLECTION | 1 << LOBE_DELTA_TRANSMISSION) != 0
+
+
+def _lobes(scene: Scene) -> np.ndarray:
     bsdfs = scene.builder.bsdfs
-    more = [b.model not in DELTA_MODELS for b in bsdfs]
-    return np.array([(more[s.bsdf], more[bsdfs[s.bsdf].back]) for s in scene.builder.shapes]).reshape(-1, 2)
+    sides = [(bsdfs[s.bsdf].lobes, bsdfs[bsdfs[s.bsdf].back].lobes) for s in scene.builder.shapes]
+    return np.array(sides, dtype=np.int64).reshape(-1, 2)
 
 
 def _alike(scene: Scene, edges: Adjacency, some: np.ndarray) -> np.ndarray:

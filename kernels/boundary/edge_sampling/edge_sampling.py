@@ -46,20 +46,19 @@ from warp_psdr.kernels.boundary.film_edge import BESIDE
 from warp_psdr.kernels.boundary.local_form import EdgePoint, Edges, edge_behind, edge_step, interior_side
 from warp_psdr.kernels.boundary.path_space.secondary import Segment, make_segment_sink
 from warp_psdr.kernels.boundary.transport import make_first_sink
-from warp_psdr.kernels.bsdf.dispatch import make_bsdf
-from warp_psdr.kernels.bvh.wide import make_intersect
-from warp_psdr.kernels.constants import BSDF_ROUGH_CONDUCTOR_BECKMANN, BSDF_ROUGH_CONDUCTOR_GGX, FAR, PI
+from warp_psdr.kernels.constants import FAR, PI
+from warp_psdr.kernels.interaction import enter_frame, make_interaction
 from warp_psdr.kernels.invalid import count_invalid, finite, vanishes
-from warp_psdr.kernels.math import any_tangent, to_local
+from warp_psdr.kernels.jobs import SampleJob
+from warp_psdr.kernels.math import any_tangent
 from warp_psdr.kernels.notes import NOTE_EDGE, make_note
 from warp_psdr.kernels.path import make_camera_start, make_path_step
 from warp_psdr.kernels.rng import SALT_X, SALT_Y, Sampler, independent_2d, independent_4d, pcg4d, sampler_at
 from warp_psdr.kernels.scattering import make_light_sampler
 from warp_psdr.kernels.sensor.camera import make_camera_ray, make_camera_sink
-from warp_psdr.kernels.step import leaving_step
-from warp_psdr.kernels.structs import Bsdf, Camera, Material, Scene
-from warp_psdr.kernels.surface import make_surface
-from warp_psdr.kernels.vertex import PathConfig, make_frame, make_material
+from warp_psdr.kernels.structs import Camera, Scene
+from warp_psdr.kernels.vertex import PathConfig
+from warp_psdr.kernels.visibility import visibility_of
 
 #: Share of the light's lobe in the mixture: half [LADL18], more where only a light itself can be the background.
 LIGHT_SHARE, LIGHT_SHARE_LAST = 0.5, 0.8
@@ -86,27 +85,24 @@ def make_edge_sample(config: PathConfig, tree: bool, candidates: int):
 
     ``d`` is the direction of the ray that found the vertex; ``last``: only a light may follow.
     """
-    closest_hit, any_hit = make_intersect(config.ray_backend, config.ray_width)
-    surface_at = make_surface(config.smooth, config.flat, config.uv, config.tangent)
-    frame_at = make_frame(config.two_sided, config.tangent)
-    material_at = make_material(config.slots)
-    bsdf = make_bsdf(config.bsdfs)
-    scattering_lobes = make_scattering_lobes(config.bsdfs)
+    visibility = visibility_of(config)
+    interaction = make_interaction(config)
+    record, slopes = interaction.record, interaction.bsdf.slopes
+    scattering_lobes = make_scattering_lobes(config)
     choose = make_choose(tree, candidates)
     sample_light = make_light_sampler(config)
 
     @wp.func
-    def lobes_at(
-        scene: Scene, x: wp.vec3, b: Bsdf, material: Material, lobes: Lobes, u4: wp.vec4, last: wp.bool
-    ) -> Lobes:
+    def lobes_at(scene: Scene, at: record, lobes: Lobes, u4: wp.vec4, last: wp.bool) -> Lobes:
         """Add the lobe of a light to those of the scattering function."""
         r = Lobes()
         r.cosine = lobes.cosine
         r.glossy = lobes.glossy
-        if b.model == BSDF_ROUGH_CONDUCTOR_GGX or b.model == BSDF_ROUGH_CONDUCTOR_BECKMANN:
-            if wp.min(material.s0, material.s1) <= GLOSSY:
+        if wp.static(slopes is not None):
+            slope = slopes(at.model, at.material)
+            if wp.min(slope[0], slope[1]) <= GLOSSY and wp.max(slope[0], slope[1]) > 0.0:
                 return r
-        ls, _index, _probability = sample_light(scene, x, u4)
+        ls, _index, _probability = sample_light(scene, at.x, u4)
         if ls.pdf > 0.0 and ls.delta == 0 and wp.dot(ls.wi, lobes.cosine.z) > 0.0:
             share = wp.where(last, LIGHT_SHARE_LAST, LIGHT_SHARE)
             scale = wp.clamp(wp.sqrt(1.0 / (PI * ls.pdf)), MIN_LIGHT_SCALE, MAX_LIGHT_SCALE)
@@ -128,18 +124,11 @@ def make_edge_sample(config: PathConfig, tree: bool, candidates: int):
         last: wp.bool,
     ) -> EdgeSample:
         r = EdgeSample()
-        surface = surface_at(scene, face, u, v)
-        frame = frame_at(scene, scene.shapes[surface.shape].bsdf, surface.n, surface.tangent, -d)
-        b = scene.bsdfs[frame.bsdf]
-        material = material_at(scene, b, face, u, v, surface.uv)
-        wi = to_local(frame.s, frame.t, frame.n, -d)
-        if wi[2] <= 0.0:
+        at = interaction.at(scene, face, u, v, d)
+        if at.wi[2] <= 0.0:
             return r
-        x1 = surface.x
-        lobes = lobes_at(
-            scene, x1, b, material, scattering_lobes(b.model, material, frame, wi),
-            independent_4d(sampler, SLOT_LIGHT), last,
-        )  # fmt: skip
+        x1 = at.x
+        lobes = lobes_at(scene, at, scattering_lobes(at), independent_4d(sampler, SLOT_LIGHT), last)
         chosen = choose(scene, edges, trees, lobes, x1, sampler, SLOT_CHOICE)
         if chosen.edge < 0:
             return r
@@ -155,7 +144,7 @@ def make_edge_sample(config: PathConfig, tree: bool, candidates: int):
         sine = wp.length(m)
         side = interior_side(scene, edges, point, m)
         density = trees.boost[chosen.edge] * mixture_density(lobes, w)
-        f = bsdf.eval(b.model, material, wi, to_local(frame.s, frame.t, frame.n, w))
+        f = interaction.eval(at, enter_frame(at.frame, w))
         # Where the density is 0 so is f: both are of the same cosine. A point that is drawn is not seen end-on.
         if side == 0.0 or vanishes(f):
             return r
@@ -163,12 +152,10 @@ def make_edge_sample(config: PathConfig, tree: bool, candidates: int):
         step = edge_step(scene, edges, point.edge)
         x = point.x - (step * side / sine) * m
         behind = wp.min(edge_behind(scene, step), 0.5 * t1)
-        away = leaving_step(scene, face)
-        turn = wp.where(wp.dot(surface.ng, w) >= 0.0, away, -away)
-        o = x1 + turn * surface.ng
+        o = interaction.offset(at, w)
         ray = x - o
         distance = wp.length(ray)
-        if distance > behind and any_hit(scene.accel, o, ray / distance, distance - behind):
+        if distance > behind and visibility.occluded(scene, o, ray / distance, distance - behind):
             return r
         s = Segment()
         s.light = -1
@@ -181,7 +168,7 @@ def make_edge_sample(config: PathConfig, tree: bool, candidates: int):
         s.face1 = face
         s.u1 = u
         s.v1 = v
-        hit = closest_hit(scene.accel, s.source, w, FAR)
+        hit = visibility.closest(scene, s.source, w, FAR)
         s.face2 = hit.face
         if hit.face >= 0:
             s.tau = t1 / (t1 + wp.max(hit.t - behind, 0.0))
@@ -241,51 +228,47 @@ def make_edge_sampling_kernel(
         edges: Edges,
         trees: EdgeTrees,
         # In:
-        first: wp.int32,
-        spp: wp.int32,
-        seed: wp.uint32,
-        max_depth: wp.int32,
-        rr_depth: wp.int32,
-        adjoint: wp.array2d(dtype=wp.vec3),
+        job: SampleJob,
         # Out:
         target: wp.array(dtype=wp.float32),
         image_out: wp.array2d(dtype=wp.vec3),
     ):
         _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
-        number = first + wp.tid()
-        pixel = number // spp
+        number = job.first + wp.tid()
+        pixel = number // job.samples
         px = pixel % camera.crop_width
         py = pixel // camera.crop_width
         delta = wp.vec3(0.0, 0.0, 0.0)
         if wp.static(role == "reverse"):
-            delta = adjoint[py, px]
+            delta = job.image_adjoint[py, px]
             if delta[0] == 0.0 and delta[1] == 0.0 and delta[2] == 0.0:
                 return
-        sampler = sampler_at(pixel, number % spp, seed)
+        sampler = sampler_at(pixel, number % job.samples, job.seed)
         state, ray = start(scene, camera, px, py, sampler)
         origin = camera_origin(scene, camera, ray)
+        scale = 1.0 / wp.float32(job.samples)
         total = wp.vec3(0.0, 0.0, 0.0)
         dropped = wp.float32(0.0)
         k = wp.int32(1)
         while state.alive == 1:
-            vertex, state = path_step(scene, sampler, state, max_depth, rr_depth)
-            if vertex.face >= 0 and (max_depth < 0 or k < max_depth):
-                words = pcg4d(seed, wp.uint32(k), SALT_X, SALT_Y)
+            vertex, state = path_step(scene, sampler, state, job.max_depth, job.rr_depth)
+            if vertex.face >= 0 and (job.max_depth < 0 or k < job.max_depth):
+                words = pcg4d(job.seed, wp.uint32(k), SALT_X, SALT_Y)
                 branch = sampler
                 branch.seed = words.x
                 drawn = edge_sample(
-                    scene, edges, trees, vertex.face, vertex.u, vertex.v, vertex.d, branch, k + 1 == max_depth
+                    scene, edges, trees, vertex.face, vertex.u, vertex.v, vertex.d, branch, k + 1 == job.max_depth
                 )
                 s = drawn.segment
                 if s.valid == 1:
                     at = drawn.point
                     note_place(scene, NOTE_EDGE, at.edge, at.s, 0.0, at.x, s.w, drawn.value)
                     branch.seed = words.y
-                    source = arrival(scene, branch, s.source, s.w, FAR, k, max_depth, rr_depth).radiance
+                    source = arrival(scene, branch, s.source, s.w, FAR, k, job.max_depth, job.rr_depth).radiance
                     if wp.static(indirect):
                         if k == 1:
-                            source -= arrival(scene, branch, s.source, s.w, FAR, k, DIRECT, rr_depth).radiance
-                    value = (1.0 / wp.float32(spp)) * wp.cw_mul(wp.cw_mul(vertex.throughput, drawn.value), source)
+                            source -= arrival(scene, branch, s.source, s.w, FAR, k, DIRECT, job.rr_depth).radiance
+                    value = scale * wp.cw_mul(wp.cw_mul(vertex.throughput, drawn.value), source)
                     if not vanishes(value):
                         w = wp.float32(1.0)
                         if wp.static(role == "reverse"):
@@ -300,7 +283,7 @@ def make_edge_sampling_kernel(
                             dropped += speed
             k += 1
         if dropped != 0.0 or not finite(total):
-            count_invalid(scene, sampler_at(number, 0, seed))  # its number in the term
+            count_invalid(scene, sampler_at(number, 0, job.seed))  # its number in the term
         elif wp.static(role == "forward"):
             wp.atomic_add(image_out, py, px, total)
 

@@ -29,10 +29,10 @@ import functools
 
 import warp as wp
 
-from warp_psdr.kernels.constants import BSDF_ROUGH_CONDUCTOR_BECKMANN, BSDF_ROUGH_CONDUCTOR_GGX, INV_PI
-from warp_psdr.kernels.math import any_tangent, reflect_local, to_world
-from warp_psdr.kernels.structs import Material
-from warp_psdr.kernels.vertex import Frame
+from warp_psdr.kernels.constants import INV_PI
+from warp_psdr.kernels.interaction import leave_frame, make_interaction
+from warp_psdr.kernels.math import any_tangent, reflect_local
+from warp_psdr.kernels.vertex import PathConfig
 
 #: Arcs (radians) below it are integrated with Gauss' rule of three nodes: a relative error below 1e-7.
 SHORT_ARC = 0.3
@@ -244,31 +244,34 @@ def sample_mixture(lobes: Lobes, a: wp.vec3, along: wp.vec3, u: wp.vec2) -> wp.f
 
 
 @functools.cache
-def make_scattering_lobes(models: tuple[int, ...]):
-    """Return ``scattering_lobes(model, material, frame, wi) -> Lobes`` for scattering models (``BSDF_*`` ids).
+def make_scattering_lobes(config: PathConfig):
+    """Return ``scattering_lobes(at) -> Lobes`` for an interaction.
 
     The cosine lobe is positive wherever a model is that scatters on its own side only. A rough conductor's lobe lies
     about the mirror direction: a microfacet's slope alpha turns the reflection by 2 alpha in the plane of incidence,
     and by 2 alpha cos(theta_i) across it.
     """
-    glossy = bool({BSDF_ROUGH_CONDUCTOR_GGX, BSDF_ROUGH_CONDUCTOR_BECKMANN} & set(models))
+    interaction = make_interaction(config)
+    record, slopes = interaction.record, interaction.bsdf.slopes
 
     @wp.func
-    def scattering_lobes(model: wp.int32, material: Material, frame: Frame, wi: wp.vec3) -> Lobes:
+    def scattering_lobes(at: record) -> Lobes:
         r = Lobes()
+        frame = at.frame
         r.cosine = make_lobe(frame.n, frame.s, 1.0, 1.0, 1.0)
-        if wp.static(glossy):
-            if model == BSDF_ROUGH_CONDUCTOR_GGX or model == BSDF_ROUGH_CONDUCTOR_BECKMANN:
-                z = to_world(frame.s, frame.t, frame.n, reflect_local(wi))
+        if wp.static(slopes is not None):
+            slope = slopes(at.model, at.material)
+            if wp.max(slope[0], slope[1]) > 0.0:
+                z = leave_frame(frame, reflect_local(at.wi))
                 x = frame.n - wp.dot(frame.n, z) * z
                 squared = wp.dot(x, x)
                 if squared > 1.0e-8:
                     x = x / wp.sqrt(squared)
                 else:
                     x = any_tangent(z)
-                width = 2.0 * wp.sqrt(material.s0 * material.s1)
+                width = 2.0 * wp.sqrt(slope[0] * slope[1])
                 sx = wp.clamp(width, MIN_SCALE, 1.0)
-                sy = wp.clamp(width * wp.max(wi[2], MIN_NARROWING), MIN_SCALE, 1.0)
+                sy = wp.clamp(width * wp.max(at.wi[2], MIN_NARROWING), MIN_SCALE, 1.0)
                 r.cosine.share = COSINE_SHARE
                 r.glossy = make_lobe(z, x, sx, sy, 1.0 - COSINE_SHARE)
         return r

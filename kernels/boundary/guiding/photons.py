@@ -16,12 +16,11 @@ import functools
 
 import warp as wp
 
-from warp_psdr.kernels.bsdf.dispatch import make_bsdf
-from warp_psdr.kernels.bvh.wide import make_intersect
 from warp_psdr.kernels.constants import EMITTER_POINT, FAR, LOBE_SMOOTH, PI
 from warp_psdr.kernels.emitter.spot import load_column
+from warp_psdr.kernels.interaction import leave_frame, make_interaction
 from warp_psdr.kernels.invalid import vanishes
-from warp_psdr.kernels.math import any_tangent, to_local, to_world
+from warp_psdr.kernels.math import any_tangent, to_world
 from warp_psdr.kernels.path import make_camera_start, make_path_step
 from warp_psdr.kernels.reading import load_vec3
 from warp_psdr.kernels.rng import make_sampler, sampler_at
@@ -29,8 +28,9 @@ from warp_psdr.kernels.sampling import square_to_cosine_hemisphere, square_to_di
 from warp_psdr.kernels.scattering import make_light_sampler
 from warp_psdr.kernels.step import leaving_step
 from warp_psdr.kernels.structs import Camera, Scene
-from warp_psdr.kernels.surface import make_surface, point_on
-from warp_psdr.kernels.vertex import PathConfig, make_frame, make_material
+from warp_psdr.kernels.surface import point_on
+from warp_psdr.kernels.vertex import PathConfig
+from warp_psdr.kernels.visibility import visibility_of
 
 #: Sample slots of a light path: source, position or direction, then one per vertex.
 SLOT_SOURCE, SLOT_START, SLOT_VERTEX = 0, 1, 2
@@ -88,12 +88,9 @@ def make_emission(config: PathConfig):
 @functools.cache
 def make_photons_kernel(config: PathConfig):
     """Return the kernel: one thread a light path; it writes up to ``x_out.shape[1]`` photons, the others stay 0."""
-    closest_hit, _any_hit = make_intersect(config.ray_backend, config.ray_width)
+    visibility = visibility_of(config)
     emit = make_emission(config)
-    surface_at = make_surface(config.smooth, config.flat, config.uv, config.tangent)
-    frame_at = make_frame(config.two_sided, config.tangent)
-    material_at = make_material(config.slots)
-    bsdf = make_bsdf(config.bsdfs)
+    interaction = make_interaction(config)
     draw = make_sampler(config.sampler)
     sample_2d = draw.sample_2d
     sample_4d = draw.sample_4d
@@ -119,25 +116,20 @@ def make_photons_kernel(config: PathConfig):
         flux = ray.flux
         vertex = wp.int32(0)
         while vertex < x_out.shape[1] and not vanishes(flux):
-            hit = closest_hit(scene.accel, o, d, FAR)
+            hit = visibility.closest(scene, o, d, FAR)
             if hit.face < 0:
                 return
-            surface = surface_at(scene, hit.face, hit.u, hit.v)
-            frame = frame_at(scene, scene.shapes[surface.shape].bsdf, surface.n, surface.tangent, -d)
-            b = scene.bsdfs[frame.bsdf]
-            material = material_at(scene, b, hit.face, hit.u, hit.v, surface.uv)
+            at = interaction.at(scene, hit.face, hit.u, hit.v, d)
             u4 = sample_4d(sampler, SLOT_VERTEX + vertex)
-            bs = bsdf.sample(b.model, material, to_local(frame.s, frame.t, frame.n, -d), u4[0], wp.vec2(u4[2], u4[3]))
+            bs = interaction.sample(at, u4[0], wp.vec2(u4[2], u4[3]))
             if bs.pdf <= 0.0:
                 return
             flux = wp.cw_mul(flux, bs.value / bs.pdf)
             if bs.lobe == LOBE_SMOOTH:
-                x_out[number, vertex] = surface.x
+                x_out[number, vertex] = at.x
                 weight_out[number, vertex] = flux[0] + flux[1] + flux[2]
-            d = to_world(frame.s, frame.t, frame.n, bs.wo)
-            away = leaving_step(scene, hit.face)
-            turn = wp.where(wp.dot(surface.ng, d) >= 0.0, away, -away)
-            o = surface.x + turn * surface.ng
+            d = leave_frame(at.frame, bs.wo)
+            o = interaction.offset(at, d)
             vertex += 1
 
     return photons

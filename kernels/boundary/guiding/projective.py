@@ -24,18 +24,15 @@ import warp as wp
 from warp_psdr.kernels.boundary.guiding.light_square import make_light_square, outside_of
 from warp_psdr.kernels.boundary.local_form import EdgePoint, Edges, interior_side
 from warp_psdr.kernels.boundary.path_space.direction import wedge_at, wedge_square
-from warp_psdr.kernels.bsdf.dispatch import make_bsdf
-from warp_psdr.kernels.bvh.wide import make_intersect
 from warp_psdr.kernels.constants import FAR, LOBE_SMOOTH
-from warp_psdr.kernels.math import to_local
+from warp_psdr.kernels.interaction import enter_frame, make_interaction
 from warp_psdr.kernels.path import make_camera_start, make_path_step
 from warp_psdr.kernels.reading import load_vec3
 from warp_psdr.kernels.rng import make_sampler, sampler_at
 from warp_psdr.kernels.scattering import make_light_sampler
-from warp_psdr.kernels.step import leaving_step
 from warp_psdr.kernels.structs import Camera, Scene
-from warp_psdr.kernels.surface import make_surface
-from warp_psdr.kernels.vertex import PathConfig, PathVertex, make_frame, make_material
+from warp_psdr.kernels.vertex import PathConfig, PathVertex
+from warp_psdr.kernels.visibility import make_visibility, visibility_of
 
 #: Most triangles that one walk crosses [ZRJ23].
 WALK_STEPS = 30
@@ -123,7 +120,7 @@ def silhouette_at(
 @functools.cache
 def make_projection(backend: str, width: int):
     """Return ``to_silhouette(scene, edges, neighbours, face, o, d) -> Silhouette``: walk, jump, walk."""
-    closest_hit, _any_hit = make_intersect(backend, width)
+    visibility = make_visibility(backend, width)
 
     @wp.func
     def walk(
@@ -164,7 +161,7 @@ def make_projection(backend: str, width: int):
             face = last
             tries = wp.int32(0)
             while tries < JUMP_TRIES and last == face:
-                hit = closest_hit(scene.accel, o, wp.normalize(at + step - o), FAR)
+                hit = visibility.closest(scene, o, wp.normalize(at + step - o), FAR)
                 if hit.face >= 0:
                     if scene.triangles[hit.face].shape == shape:
                         face = hit.face
@@ -224,35 +221,26 @@ class Candidate:
 @functools.cache
 def make_blocked_light(config: PathConfig):
     """Return ``blocked_light(scene, vertex, radius, u4) -> Candidate``: a light point that something hides from x_1."""
-    closest_hit, _any_hit = make_intersect(config.ray_backend, config.ray_width)
-    surface_at = make_surface(config.smooth, config.flat, config.uv, config.tangent)
-    frame_at = make_frame(config.two_sided, config.tangent)
-    material_at = make_material(config.slots)
-    bsdf = make_bsdf(config.bsdfs)
+    visibility = visibility_of(config)
+    interaction = make_interaction(config)
     sample_light = make_light_sampler(config)
 
     @wp.func
     def blocked_light(scene: Scene, vertex: PathVertex, radius: wp.float32, u4: wp.vec4) -> Candidate:
         r = Candidate()
-        surface = surface_at(scene, vertex.face, vertex.u, vertex.v)
-        frame = frame_at(scene, scene.shapes[surface.shape].bsdf, surface.n, surface.tangent, -vertex.d)
-        b = scene.bsdfs[frame.bsdf]
-        if bsdf.is_delta(b.model):
+        at = interaction.at(scene, vertex.face, vertex.u, vertex.v, vertex.d)
+        if not interaction.bsdf.has_smooth(at.model):
             return r
-        material = material_at(scene, b, vertex.face, vertex.u, vertex.v, surface.uv)
-        ls, index, probability = sample_light(scene, surface.x, u4)
+        ls, index, probability = sample_light(scene, at.x, u4)
         if ls.pdf <= 0.0:
             return r
-        wi = to_local(frame.s, frame.t, frame.n, -vertex.d)
-        f = bsdf.eval(b.model, material, wi, to_local(frame.s, frame.t, frame.n, ls.wi))
+        f = interaction.eval(at, enter_frame(at.frame, ls.wi))
         value = wp.max(wp.cw_mul(vertex.throughput, wp.cw_mul(f, ls.radiance)))
         if value <= 0.0:
             return r
-        away = leaving_step(scene, vertex.face)
-        turn = wp.where(wp.dot(surface.ng, ls.wi) >= 0.0, away, -away)
-        r.o = surface.x + turn * surface.ng
+        r.o = interaction.offset(at, ls.wi)
         r.d = ls.wi
-        hit = closest_hit(scene.accel, r.o, r.d, wp.min(BLOCKED * ls.distance, FAR))
+        hit = visibility.closest(scene, r.o, r.d, wp.min(BLOCKED * ls.distance, FAR))
         if hit.face < 0:
             return r
         r.weight = value / (ls.pdf * probability)
@@ -300,7 +288,7 @@ def make_seeds_kernel(config: PathConfig, kind: int):
         kind: BLOCKED_LIGHT or SCATTERED, the rays that are projected. The former makes seeds of both techniques, the
             latter of the wedge alone.
     """
-    closest_hit, _any_hit = make_intersect(config.ray_backend, config.ray_width)
+    visibility = visibility_of(config)
     path_step = make_path_step(config, False)
     start = make_camera_start(config)
     to_silhouette = make_projection(config.ray_backend, config.ray_width)
@@ -348,7 +336,7 @@ def make_seeds_kernel(config: PathConfig, kind: int):
                     found = blocked_light(scene, vertex, radius, sample_4d(sampler, SLOT_SEED + 2 * depth))
             else:
                 if state.alive == 1 and vertex.lobe == LOBE_SMOOTH:
-                    hit = closest_hit(scene.accel, state.o, state.d, FAR)
+                    hit = visibility.closest(scene, state.o, state.d, FAR)
                     if hit.face >= 0:
                         found.weight = wp.max(state.throughput)
                         found.face = hit.face
@@ -367,7 +355,7 @@ def make_seeds_kernel(config: PathConfig, kind: int):
         if wp.static(to_light):
             back = wp.normalize(kept.o - kept.light)
             apart = wp.length(kept.o - kept.light)
-            hit = closest_hit(scene.accel, kept.light + (1.0 - BLOCKED) * apart * back, back, apart)
+            hit = visibility.closest(scene, kept.light + (1.0 - BLOCKED) * apart * back, back, apart)
             if hit.face >= 0:
                 lit = to_silhouette(scene, edges, neighbours, hit.face, kept.light, back)
                 if lit.edge >= 0:

@@ -34,15 +34,16 @@ from warp_psdr.kernels.boundary.local_form import (
 )
 from warp_psdr.kernels.boundary.path_space.secondary import make_segment_sink
 from warp_psdr.kernels.boundary.transport import Segment, make_source, make_transport
-from warp_psdr.kernels.bvh.wide import make_intersect
 from warp_psdr.kernels.constants import FAR, TWO_PI
 from warp_psdr.kernels.invalid import count_invalid
+from warp_psdr.kernels.jobs import SampleJob
 from warp_psdr.kernels.math import any_tangent, to_world
 from warp_psdr.kernels.notes import NOTE_EDGE, make_note
 from warp_psdr.kernels.rng import make_sampler, sampler_at
 from warp_psdr.kernels.sampling import square_to_cosine_hemisphere
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.vertex import PathConfig
+from warp_psdr.kernels.visibility import visibility_of
 
 #: Sample slots of a point on the curve; those of the walk follow (``transport.py``).
 SLOT_POINT, SLOT_DIRECTION = 0, 1
@@ -53,7 +54,7 @@ OFF, MAX_SHIFT = 3.0, 100.0
 @functools.cache
 def make_curve_segment(config: PathConfig):
     """Return ``segment(scene, edges, point, which, u4) -> Segment``: c on the first or second face of the curve."""
-    closest_hit, _any_hit = make_intersect(config.ray_backend, config.ray_width)
+    visibility = visibility_of(config)
 
     @wp.func
     def segment(scene: Scene, edges: Edges, point: EdgePoint, which: wp.int32, u4: wp.vec4) -> Segment:
@@ -87,7 +88,7 @@ def make_curve_segment(config: PathConfig):
         x = point.x + (step * wp.min(OFF / wp.dot(out, other), MAX_SHIFT)) * out
         r.x = x
         r.source = x + edge_behind(scene, step) * back
-        hit = closest_hit(scene.accel, r.source, back, FAR)
+        hit = visibility.closest(scene, r.source, back, FAR)
         if hit.face < 0:
             return r
         r.t1 = hit.t
@@ -120,21 +121,16 @@ def make_curve_kernel(config: PathConfig, role: str, camera_moves: bool, indirec
         camera: Camera,
         edges: Edges,
         # In:
-        first: wp.int32,
-        samples: wp.int32,
-        seed: wp.uint32,
-        max_depth: wp.int32,
-        rr_depth: wp.int32,
-        adjoint: wp.array2d(dtype=wp.vec3),
+        job: SampleJob,
         # Out:
         target: wp.array(dtype=wp.float32),
         image_out: wp.array2d(dtype=wp.vec3),
     ):
         _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
-        number = first + wp.tid()
-        sampler = sampler_at(number, 0, seed)
+        number = job.first + wp.tid()
+        sampler = sampler_at(number, 0, job.seed)
         u4 = sample_4d(sampler, SLOT_POINT)
-        point = edge_point(scene, edges, number, samples, u4[0])
+        point = edge_point(scene, edges, number, job.samples, u4[0])
         s = segment_at(scene, edges, point, wp.where(u4[1] < 0.5, 0, 1), sample_4d(sampler, SLOT_DIRECTION))
         if s.valid == 0:
             return
@@ -142,8 +138,8 @@ def make_curve_kernel(config: PathConfig, role: str, camera_moves: bool, indirec
         rest = wp.float32(0.0)
         if wp.static(role == "forward"):
             rest = push_segment(scene, target, edges, point, s, 1.0)
-        scale = s.scale / wp.float32(samples)
-        weight = transport(scene, camera, sampler, s, scale, rest, max_depth, rr_depth, adjoint, target, image_out)
+        scale = s.scale / wp.float32(job.samples)
+        weight = transport(scene, camera, sampler, s, scale, rest, job, target, image_out)
         if wp.static(role == "reverse"):
             if weight != 0.0:
                 if push_segment(scene, target, edges, point, s, weight) != 0.0:

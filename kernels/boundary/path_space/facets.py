@@ -26,19 +26,17 @@ from warp_psdr.kernels.boundary.detector import make_following
 from warp_psdr.kernels.boundary.film_edge import AHEAD, BESIDE, MARGIN, make_film_edge
 from warp_psdr.kernels.boundary.local_form import Edges, barycentrics_at, narrowest_face, on_planes, own_face
 from warp_psdr.kernels.boundary.notch import facing
-from warp_psdr.kernels.boundary.specular.chain import Shading, make_shading
-from warp_psdr.kernels.bsdf.dispatch import make_bsdf
-from warp_psdr.kernels.bvh.wide import make_intersect
 from warp_psdr.kernels.constants import FAR
+from warp_psdr.kernels.interaction import enter_frame, leave_frame, make_interaction
 from warp_psdr.kernels.invalid import inverse_pdf, vanishes
-from warp_psdr.kernels.math import to_local, to_world
+from warp_psdr.kernels.jobs import SampleJob
 from warp_psdr.kernels.rng import make_sampler, sampler_at
 from warp_psdr.kernels.sampling import mis_weight
 from warp_psdr.kernels.scattering import make_light_sampler, shadow_ray
-from warp_psdr.kernels.sight import make_sight
 from warp_psdr.kernels.step import leaving_step
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.vertex import PathConfig, path_from
+from warp_psdr.kernels.visibility import visibility_of
 
 #: Sample slots: the light, the direction. The path's vertices, the first of which is behind one, take those behind.
 SLOT_LIGHT, SLOT_DIRECTION = 1, 2
@@ -48,8 +46,6 @@ SLOT_LIGHT, SLOT_DIRECTION = 1, 2
 class Crease:
     """The two faces of a crease at a point of it, with normals towards the camera, and how rays leave it."""
 
-    a: Shading
-    b: Shading
     x_a: wp.vec3  # in front of the face alone
     x_b: wp.vec3
     x: wp.vec3  # in front of both
@@ -69,10 +65,9 @@ class Difference:
 @functools.cache
 def make_facets_kernel(config: PathConfig, role: str, camera_moves: bool):
     """Return the kernel: one thread a sample (arguments as in ``secondary.py``)."""
-    closest_hit, any_hit = make_intersect(config.ray_backend, config.ray_width)
-    sight = make_sight(config.hidden)
-    shading_at = make_shading(config)
-    bsdf = make_bsdf(config.bsdfs)
+    visibility = visibility_of(config)
+    interaction = make_interaction(config)
+    record = interaction.record
     lit = bool(config.area or config.lights)
     sample_light = make_light_sampler(config) if lit else None
     following = make_following(config)
@@ -80,24 +75,24 @@ def make_facets_kernel(config: PathConfig, role: str, camera_moves: bool):
     sample_4d = make_sampler(config.sampler).sample_4d
 
     @wp.func
-    def scattered(a: Shading, w: wp.vec3) -> tuple[wp.vec3, wp.float32]:
-        wo = to_local(a.s, a.t, a.n, w)
-        return bsdf.eval(a.model, a.material, a.wi, wo), bsdf.pdf(a.model, a.material, a.wi, wo)
+    def scattered(at: record, w: wp.vec3) -> tuple[wp.vec3, wp.float32]:
+        wo = enter_frame(at.frame, w)
+        return interaction.eval(at, wo), interaction.pdf(at, wo)
 
     @wp.func
-    def difference(c: Crease, w: wp.vec3) -> Difference:
+    def difference(a: record, b: record, c: Crease, w: wp.vec3) -> Difference:
         r = Difference()
         above_a = wp.dot(c.n_a, w) > 0.0
         above_b = wp.dot(c.n_b, w) > 0.0
         r.o = c.x
         if above_a:
-            value, pdf = scattered(c.a, w)
+            value, pdf = scattered(a, w)
             r.value += value
             r.pdf += 0.5 * pdf
             if not above_b:
                 r.o = c.x_a
         if above_b:
-            value_b, pdf_b = scattered(c.b, w)
+            value_b, pdf_b = scattered(b, w)
             r.value -= value_b
             r.pdf += 0.5 * pdf_b
             if not above_a:
@@ -111,19 +106,14 @@ def make_facets_kernel(config: PathConfig, role: str, camera_moves: bool):
         camera: Camera,
         edges: Edges,
         # In:
-        first: wp.int32,
-        samples: wp.int32,
-        seed: wp.uint32,
-        max_depth: wp.int32,
-        rr_depth: wp.int32,
-        adjoint: wp.array2d(dtype=wp.vec3),
+        job: SampleJob,
         # Out:
         target: wp.array(dtype=wp.float32),
         image_out: wp.array2d(dtype=wp.vec3),
     ):
-        number = first + wp.tid()
-        sampler = sampler_at(number, 0, seed)
-        f = find(scene, camera, edges, number, samples, sampler, adjoint)
+        number = job.first + wp.tid()
+        sampler = sampler_at(number, 0, job.seed)
+        f = find(scene, camera, edges, number, job.samples, sampler, job.image_adjoint)
         if f.valid == 0:
             return
         apart = BESIDE * f.step
@@ -131,7 +121,7 @@ def make_facets_kernel(config: PathConfig, role: str, camera_moves: bool):
         ahead = wp.min(wp.max(AHEAD * f.step, MARGIN * apart / slant), f.distance - f.at.near)
         for i in range(2):
             o = f.point.x + (apart - 2.0 * apart * wp.float32(i)) * f.m - ahead * f.d
-            hit = closest_hit(sight(scene), o, f.d, 2.0 * ahead)
+            hit = visibility.seen(scene, o, f.d, 2.0 * ahead, 0)
             seen = o + hit.t * f.d
             if not (
                 own_face(scene, edges, f.point.edge, hit.face)
@@ -151,10 +141,10 @@ def make_facets_kernel(config: PathConfig, role: str, camera_moves: bool):
         uv_a = barycentrics_at(tri_a, f.point.x)
         uv_b = barycentrics_at(tri_b, f.point.x)
         c = Crease()
-        c.a = shading_at(scene, face_a, uv_a[0], uv_a[1], f.d)
-        c.b = shading_at(scene, face_b, uv_b[0], uv_b[1], f.d)
-        c.n_a = facing(c.a.ng, f.d)
-        c.n_b = facing(c.b.ng, f.d)
+        a = interaction.at(scene, face_a, uv_a[0], uv_a[1], f.d)
+        b = interaction.at(scene, face_b, uv_b[0], uv_b[1], f.d)
+        c.n_a = facing(a.ng, f.d)
+        c.n_b = facing(b.ng, f.d)
         away = wp.max(leaving_step(scene, face_a), leaving_step(scene, face_b))
         c.x_a = f.point.x - apart * f.m + away * c.n_a
         c.x_b = f.point.x + apart * f.m + away * c.n_b
@@ -165,28 +155,28 @@ def make_facets_kernel(config: PathConfig, role: str, camera_moves: bool):
         if wp.static(lit):
             ls, _index, probability = sample_light(scene, f.point.x, sample_4d(sampler, SLOT_LIGHT))
             if not (ls.pdf <= 0.0):
-                to_light = difference(c, ls.wi)
+                to_light = difference(a, b, c, ls.wi)
                 if not vanishes(to_light.value):
                     pdf_light = ls.pdf * probability
                     weight = inverse_pdf(pdf_light)
                     if ls.delta == 0:
                         weight *= mis_weight(pdf_light, to_light.pdf)
                     r, t_max = shadow_ray(to_light.o, ls)
-                    if not any_hit(scene.accel, to_light.o, r, t_max):
+                    if not visibility.occluded(scene, to_light.o, r, t_max):
                         jump += weight * wp.cw_mul(to_light.value, ls.radiance)
         r4 = sample_4d(sampler, SLOT_DIRECTION)
-        own = c.a
+        own = a
         if r4[1] >= 0.5:
-            own = c.b
-        bs = bsdf.sample(own.model, own.material, own.wi, r4[0], wp.vec2(r4[2], r4[3]))
+            own = b
+        bs = interaction.sample(own, r4[0], wp.vec2(r4[2], r4[3]))
         if not (bs.pdf <= 0.0):
-            w = to_world(own.s, own.t, own.n, bs.wo)
-            along = difference(c, w)
+            w = leave_frame(own.frame, bs.wo)
+            along = difference(a, b, c, w)
             if not (along.pdf <= 0.0) and not vanishes(along.value):
                 state = path_from(along.o, w, FAR, 1)
                 state.pdf = along.pdf
-                arriving = following(scene, sampler, state, max_depth, rr_depth)
+                arriving = following(scene, sampler, state, job.max_depth, job.rr_depth, False)
                 jump += inverse_pdf(along.pdf) * wp.cw_mul(along.value, arriving.radiance)
-        push(scene, camera, edges, sampler, samples, f, jump, target, image_out)
+        push(scene, camera, edges, sampler, job.samples, f, jump, target, image_out)
 
     return facets

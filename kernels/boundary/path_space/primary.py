@@ -52,10 +52,11 @@ from warp_psdr.kernels.boundary.local_form import (
 )
 from warp_psdr.kernels.boundary.notch import facing, is_ridge, let_through, notch, sharp_glass, shines
 from warp_psdr.kernels.constants import DELTA_LIGHTS
+from warp_psdr.kernels.interaction import make_interaction
+from warp_psdr.kernels.jobs import SampleJob
 from warp_psdr.kernels.rng import sampler_at
 from warp_psdr.kernels.step import leaving_step
 from warp_psdr.kernels.structs import Camera, Scene
-from warp_psdr.kernels.surface import make_surface
 from warp_psdr.kernels.vertex import PathConfig
 
 #: Distance at which the two rays pass the edge beside narrow faces, in ray epsilons: 2 float32 steps of the largest
@@ -80,7 +81,7 @@ ROUNDING, ALONG = 2.0e-7, 10.0
 @functools.cache
 def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
     """Return the kernel of the primary boundary term: one thread a sample (arguments as in ``secondary.py``)."""
-    surface_at = make_surface(config.smooth, config.flat, False, False)
+    surface_at = make_interaction(config).surface
     arrival = make_arrival(config)
     find, push = make_film_edge(config, role, camera_moves)
     has_delta_lights = bool(DELTA_LIGHTS & set(config.lights))
@@ -190,19 +191,14 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
         camera: Camera,
         edges: Edges,
         # In:
-        first: wp.int32,
-        samples: wp.int32,
-        seed: wp.uint32,
-        max_depth: wp.int32,
-        rr_depth: wp.int32,
-        adjoint: wp.array2d(dtype=wp.vec3),
+        job: SampleJob,
         # Out:
         target: wp.array(dtype=wp.float32),
         image_out: wp.array2d(dtype=wp.vec3),
     ):
-        number = first + wp.tid()
-        sampler = sampler_at(number, 0, seed)
-        f = find(scene, camera, edges, number, samples, sampler, adjoint)
+        number = job.first + wp.tid()
+        sampler = sampler_at(number, 0, job.seed)
+        f = find(scene, camera, edges, number, job.samples, sampler, job.image_adjoint)
         if f.valid == 0:
             return
         point = f.point
@@ -242,7 +238,7 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
         looks = wp.int32(2)
         while k < looks:
             o = point.x + wp.where(k % 2 == 0, to_a, to_b) - ahead * d
-            seen = arrival(scene, sampler, o, d, t_max, 0, max_depth, rr_depth)
+            seen = arrival(scene, sampler, o, d, t_max, 0, job.max_depth, job.rr_depth)
             if k < 2:
                 # A face that is seen nearly edge-on is met far away.
                 its = own_face(scene, edges, point.edge, seen.face)
@@ -273,6 +269,6 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
                 if by_a != OWN and by_b != OWN:
                     return
                 jump *= 0.5
-        push(scene, camera, edges, sampler, samples, f, jump, target, image_out)
+        push(scene, camera, edges, sampler, job.samples, f, jump, target, image_out)
 
     return primary

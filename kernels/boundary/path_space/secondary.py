@@ -35,13 +35,13 @@ from warp_psdr.kernels.boundary.local_form import (
 )
 from warp_psdr.kernels.boundary.path_space.direction import Direction, wedge_at
 from warp_psdr.kernels.boundary.transport import Segment, make_source, make_transport
-from warp_psdr.kernels.bvh.wide import make_intersect
 from warp_psdr.kernels.constants import EMITTER_DIRECTIONAL, EMITTER_POINT, FAR
 from warp_psdr.kernels.emitter.area import make_area
 from warp_psdr.kernels.emitter.directional import directional_dot
 from warp_psdr.kernels.emitter.dispatch import make_lights
 from warp_psdr.kernels.emitter.spot import load_column
 from warp_psdr.kernels.invalid import count_invalid, vanishes
+from warp_psdr.kernels.jobs import SampleJob
 from warp_psdr.kernels.notes import NOTE_EDGE, make_note
 from warp_psdr.kernels.rng import make_sampler, sampler_at
 from warp_psdr.kernels.sink import make_sink, make_sink_vec3
@@ -49,6 +49,7 @@ from warp_psdr.kernels.step import leaving_step
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.surface import VertexAdjoint, make_vertex_sink
 from warp_psdr.kernels.vertex import PathConfig
+from warp_psdr.kernels.visibility import visibility_of
 
 #: Sample slots of a segment; those of the walk follow (``transport.py``).
 SLOT_EDGE, SLOT_DIRECTION = 0, 1
@@ -66,7 +67,7 @@ def make_segment(config: PathConfig):
     What is cheap is tested first: most edges are no silhouette for most directions, and a segment between resting
     things contributes nothing. ``direct``: only what x_2 itself emits counts.
     """
-    closest_hit, any_hit = make_intersect(config.ray_backend, config.ray_width)
+    visibility = visibility_of(config)
     screened = make_screened(config)
     emitted = make_area(config.area).emitted if config.area else None
     lights = make_lights(config.lights, None, ()) if config.lights else None
@@ -103,7 +104,7 @@ def make_segment(config: PathConfig):
         start1 = behind
         # Towards the source. A surface at the edge itself hides what was aimed at, otherwise it is a contact.
         if direction.light >= 0:
-            if any_hit(scene.accel, r.source, r.w, wp.min(direction.distance + behind, FAR)):
+            if visibility.occluded(scene, r.source, r.w, wp.min(direction.distance + behind, FAR)):
                 return r
             r.light = direction.light
             r.known = 1
@@ -117,14 +118,14 @@ def make_segment(config: PathConfig):
                 shift = wp.dot(plane, point.x - r.x) / wp.dot(plane, r.w)
                 margin = (step + leaving_step(scene, direction.face)) / wp.abs(wp.dot(plane, r.w))
                 reach = wp.max(direction.distance + shift - margin, 0.0) + behind
-            if any_hit(scene.accel, r.source, r.w, reach):
+            if visibility.occluded(scene, r.source, r.w, reach):
                 return r
             r.face2 = direction.face
             r.u2 = direction.u
             r.v2 = direction.v
             r.t2 = direction.distance
         else:
-            hit2 = closest_hit(scene.accel, r.source, r.w, FAR)
+            hit2 = visibility.closest(scene, r.source, r.w, FAR)
             r.face2 = hit2.face
             r.u2 = hit2.u
             r.v2 = hit2.v
@@ -144,7 +145,7 @@ def make_segment(config: PathConfig):
             if (direct or r.face2 < 0) and vanishes(r.radiance):
                 return r
         # Towards the sensor: from beyond the edge, but not from beyond a contact, which counts as x_2 only.
-        hit1 = closest_hit(scene.accel, r.x + start1 * r.w, -r.w, FAR)
+        hit1 = visibility.closest(scene, r.x + start1 * r.w, -r.w, FAR)
         if hit1.face < 0:
             return r
         if any_moves + moves(scene, moving, hit1.face) == 0:
@@ -260,33 +261,29 @@ def make_secondary_kernel(
         moving: wp.array(dtype=wp.int32),
         guide: Guide,
         # In:
-        first: wp.int32,
-        samples: wp.int32,
-        seed: wp.uint32,
-        max_depth: wp.int32,
-        rr_depth: wp.int32,
-        adjoint: wp.array2d(dtype=wp.vec3),
+        job: SampleJob,
         # Out:
         target: wp.array(dtype=wp.float32),
         image_out: wp.array2d(dtype=wp.vec3),
     ):
         _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
-        number = first + wp.tid()
-        sampler = sampler_at(number, 0, seed)
-        direct = max_depth == 2
+        number = job.first + wp.tid()
+        sampler = sampler_at(number, 0, job.seed)
+        direct = job.max_depth == 2
         u4 = sample_4d(sampler, SLOT_DIRECTION)
         if wp.static(evaluates):
             if guide.points.shape[0] > 0:
                 aim = place(scene, edges, guide.points[number], guide.technique)
             else:
-                box = number // samples
-                u = octant_point(guide.low[box], guide.high[box], (number - box * samples) % 8, u4)
+                box = number // job.samples
+                u = octant_point(guide.low[box], guide.high[box], (number - box * job.samples) % 8, u4)
                 aim = place(scene, edges, u, guide.technique)
         else:
             jitter = u4[0]
             if wp.static(not guided):
                 jitter = sample_1d(sampler, SLOT_EDGE)
-            aim = sample_aim(scene, edges, guide, (wp.float64(number) + wp.float64(jitter)) / wp.float64(samples), u4)
+            u = (wp.float64(number) + wp.float64(jitter)) / wp.float64(job.samples)
+            aim = sample_aim(scene, edges, guide, u, u4)
         point = aim.point
         point.sample = number
         direction = aim.direction
@@ -307,8 +304,8 @@ def make_secondary_kernel(
         if wp.static(evaluates):
             scale *= wp.length(s.sweep)
         else:
-            scale /= wp.float32(samples)
-        weight = transport(scene, camera, sampler, s, scale, rest, max_depth, rr_depth, adjoint, target, image_out)
+            scale /= wp.float32(job.samples)
+        weight = transport(scene, camera, sampler, s, scale, rest, job, target, image_out)
         if wp.static(evaluates):
             target[number] = weight
         elif wp.static(role != "forward"):

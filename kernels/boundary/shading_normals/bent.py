@@ -29,16 +29,18 @@ import warp as wp
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.boundary.detector import Incident, difference, make_incident
 from warp_psdr.kernels.boundary.transport import Segment, make_transport
-from warp_psdr.kernels.bvh.wide import make_intersect
 from warp_psdr.kernels.constants import FAR
 from warp_psdr.kernels.distribution import stratified_entry
+from warp_psdr.kernels.interaction import make_interaction
 from warp_psdr.kernels.invalid import count_invalid
+from warp_psdr.kernels.jobs import SampleJob
 from warp_psdr.kernels.rng import Sampler, make_sampler, sampler_at
 from warp_psdr.kernels.sampling import square_to_triangle
 from warp_psdr.kernels.step import leaving_step, passing_step
 from warp_psdr.kernels.structs import Camera, Scene
-from warp_psdr.kernels.surface import VertexAdjoint, make_surface, make_vertex_sink
+from warp_psdr.kernels.surface import VertexAdjoint, make_vertex_sink
 from warp_psdr.kernels.vertex import PathConfig
+from warp_psdr.kernels.visibility import visibility_of
 
 #: Sine of the angle by which the two directions of the jump lie above and below the horizon of n.
 TILT = 1.0e-4
@@ -75,8 +77,8 @@ def make_bent_kernel(config: PathConfig, role: str, camera_moves: bool):
 
     ``faces`` are the triangles whose normals bend, ``face_cdf`` their cumulative probabilities.
     """
-    closest_hit, _any_hit = make_intersect(config.ray_backend, config.ray_width)
-    surface_at = make_surface(True, config.flat, False, False)
+    visibility = visibility_of(config)
+    surface_at = make_interaction(config).surface
     push_vertex = make_vertex_sink(role, True, config.flat, False, False, False, True)
     transport = make_transport(config, role, camera_moves, make_jump(config), 2)
     sample_4d = make_sampler(config.sampler).sample_4d
@@ -98,21 +100,16 @@ def make_bent_kernel(config: PathConfig, role: str, camera_moves: bool):
         face_cdf: wp.array(dtype=wp.float32),
         faces: wp.array(dtype=wp.int32),
         # In:
-        first: wp.int32,
-        samples: wp.int32,
-        seed: wp.uint32,
-        max_depth: wp.int32,
-        rr_depth: wp.int32,
-        adjoint: wp.array2d(dtype=wp.vec3),
+        job: SampleJob,
         # Out:
         target: wp.array(dtype=wp.float32),
         image_out: wp.array2d(dtype=wp.vec3),
     ):
         _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
-        number = first + wp.tid()
-        sampler = sampler_at(number, 0, seed)
+        number = job.first + wp.tid()
+        sampler = sampler_at(number, 0, job.seed)
         u4 = sample_4d(sampler, 0)
-        face, probability = stratified_entry(face_cdf, faces, number, samples, u4[0])
+        face, probability = stratified_entry(face_cdf, faces, number, job.samples, u4[0])
         s = Segment()
         s.light = -1
         s.face2 = face
@@ -134,7 +131,7 @@ def make_bent_kernel(config: PathConfig, role: str, camera_moves: bool):
         s.w = -out
         away = leaving_step(scene, s.face2)
         turn = (1.0 - 2.0 * half) * away
-        hit = closest_hit(scene.accel, s.x + turn * surface.ng, out, FAR)
+        hit = visibility.closest(scene, s.x + turn * surface.ng, out, FAR)
         if hit.face < 0 or hit.t <= away:
             return
         s.t1 = hit.t
@@ -148,8 +145,8 @@ def make_bent_kernel(config: PathConfig, role: str, camera_moves: bool):
         tri = scene.triangles[s.face2]
         area = 0.5 * wp.length(wp.cross(tri.p1 - tri.p0, tri.p2 - tri.p0))
         # |n_g . w| / pdf_theta = 4 sin(alpha)
-        scale = 4.0 * sine * area / (probability * wp.float32(samples))
-        weight = transport(scene, camera, sampler, s, scale, rest, max_depth, rr_depth, adjoint, target, image_out)
+        scale = 4.0 * sine * area / (probability * wp.float32(job.samples))
+        weight = transport(scene, camera, sampler, s, scale, rest, job, target, image_out)
         if wp.static(role == "reverse"):
             if weight != 0.0:
                 if push_bent(scene, target, s, weight) != 0.0:

@@ -34,16 +34,18 @@ from warp_psdr.kernels.boundary.depth import make_indirect
 from warp_psdr.kernels.boundary.detector import Incident, amplified, make_incident
 from warp_psdr.kernels.boundary.shading_normals.bent import FLAT, TILT
 from warp_psdr.kernels.boundary.transport import Segment, make_transport
-from warp_psdr.kernels.bvh.wide import make_intersect
 from warp_psdr.kernels.constants import FAR
 from warp_psdr.kernels.distribution import stratified_entry
+from warp_psdr.kernels.interaction import make_interaction
 from warp_psdr.kernels.invalid import count_invalid
+from warp_psdr.kernels.jobs import SampleJob
 from warp_psdr.kernels.rng import Sampler, make_sampler, sampler_at
 from warp_psdr.kernels.sampling import square_to_triangle
 from warp_psdr.kernels.step import leaving_step
 from warp_psdr.kernels.structs import Camera, Scene
-from warp_psdr.kernels.surface import VertexAdjoint, make_surface, make_vertex_sink, normalize_vjp
+from warp_psdr.kernels.surface import VertexAdjoint, make_vertex_sink, normalize_vjp
 from warp_psdr.kernels.vertex import PathConfig
+from warp_psdr.kernels.visibility import visibility_of
 
 #: Sample slots of x and theta, and of the side; those of the walk follow (``transport.py``).
 SLOT_POINT, SLOT_SIDE = 0, 1
@@ -67,8 +69,8 @@ def make_side(config: PathConfig):
 @functools.cache
 def make_horizon_kernel(config: PathConfig, role: str, camera_moves: bool, indirect: bool = False):
     """Return the kernel: one thread a sample (arguments as in ``bent.py``; ``indirect`` as in ``secondary.py``)."""
-    closest_hit, _any_hit = make_intersect(config.ray_backend, config.ray_width)
-    surface_at = make_surface(True, config.flat, False, False)
+    visibility = visibility_of(config)
+    surface_at = make_interaction(config).surface
     push_vertex = make_vertex_sink(role, False, False, False, False, False, True)
     source = make_indirect(make_side(config)) if indirect else make_side(config)
     transport = make_transport(config, role, camera_moves, source)
@@ -100,21 +102,16 @@ def make_horizon_kernel(config: PathConfig, role: str, camera_moves: bool, indir
         face_cdf: wp.array(dtype=wp.float32),
         faces: wp.array(dtype=wp.int32),
         # In:
-        first: wp.int32,
-        samples: wp.int32,
-        seed: wp.uint32,
-        max_depth: wp.int32,
-        rr_depth: wp.int32,
-        adjoint: wp.array2d(dtype=wp.vec3),
+        job: SampleJob,
         # Out:
         target: wp.array(dtype=wp.float32),
         image_out: wp.array2d(dtype=wp.vec3),
     ):
         _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
-        number = first + wp.tid()
-        sampler = sampler_at(number, 0, seed)
+        number = job.first + wp.tid()
+        sampler = sampler_at(number, 0, job.seed)
         u4 = sample_4d(sampler, SLOT_POINT)
-        face, probability = stratified_entry(face_cdf, faces, number, samples, u4[0])
+        face, probability = stratified_entry(face_cdf, faces, number, job.samples, u4[0])
         s = Segment()
         s.light = -1
         s.face1 = face
@@ -145,7 +142,7 @@ def make_horizon_kernel(config: PathConfig, role: str, camera_moves: bool, indir
         s.x = surface.x
         away = leaving_step(scene, s.face1)
         s.source = s.x + (sign * away) * surface.ng
-        hit = closest_hit(scene.accel, s.source, s.w, FAR)
+        hit = visibility.closest(scene, s.source, s.w, FAR)
         s.face2 = hit.face
         if hit.face >= 0:
             if hit.t <= away:
@@ -159,8 +156,9 @@ def make_horizon_kernel(config: PathConfig, role: str, camera_moves: bool, indir
         tri = scene.triangles[s.face1]
         area = 0.5 * wp.length(wp.cross(tri.p1 - tri.p0, tri.p2 - tri.p0))
         # One of two sides; pdf_theta = chance |cos(theta)| / 2.
-        scale = 4.0 * area * wp.abs(wp.dot(surface.ng, s.w)) / (chance * cosine * probability * wp.float32(samples))
-        weight = transport(scene, camera, sampler, s, scale, rest, max_depth, rr_depth, adjoint, target, image_out)
+        density = chance * cosine * probability * wp.float32(job.samples)
+        scale = 4.0 * area * wp.abs(wp.dot(surface.ng, s.w)) / density
+        weight = transport(scene, camera, sampler, s, scale, rest, job, target, image_out)
         if wp.static(role == "reverse"):
             if weight != 0.0:
                 if push_horizon(scene, target, s, weight) != 0.0:

@@ -36,20 +36,20 @@ from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.boundary.detector import make_arrival
 from warp_psdr.kernels.boundary.film_edge import AHEAD, BESIDE
 from warp_psdr.kernels.boundary.local_form import on_plane
-from warp_psdr.kernels.bvh.wide import make_intersect
 from warp_psdr.kernels.constants import CAMERA_ORTHOGRAPHIC, CAMERA_THINLENS
 from warp_psdr.kernels.distribution import find_interval
 from warp_psdr.kernels.invalid import count_invalid
+from warp_psdr.kernels.jobs import SampleJob
 from warp_psdr.kernels.notes import NOTE_POINT, make_note
 from warp_psdr.kernels.reading import load_vec3
 from warp_psdr.kernels.rng import make_sampler, sampler_at
 from warp_psdr.kernels.sensor.camera import lens_origin, load_mat44, make_camera_sink, make_lens
 from warp_psdr.kernels.sensor.projection import make_projection, make_splat
-from warp_psdr.kernels.sight import make_sight
 from warp_psdr.kernels.step import leaving_step, passing_step
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.surface import VertexAdjoint, make_vertex_sink
 from warp_psdr.kernels.vertex import PathConfig
+from warp_psdr.kernels.visibility import visibility_of
 
 
 @wp.func
@@ -75,8 +75,7 @@ def barycentrics(axis: wp.int32, w: wp.float32, r: wp.float32) -> wp.vec3:
 @functools.cache
 def make_terminator_kernel(config: PathConfig, role: str, camera_moves: bool):
     """Return the kernel: one thread a sample (arguments as in ``secondary.py``)."""
-    _closest_hit, any_hit = make_intersect(config.ray_backend, config.ray_width)
-    sight = make_sight(config.hidden)
+    visibility = visibility_of(config)
     arrival = make_arrival(config)
     push_vertex = make_vertex_sink(role, True, config.flat, False, False, False, True)
     push_camera = make_camera_sink(role, config.camera) if camera_moves else None
@@ -97,19 +96,14 @@ def make_terminator_kernel(config: PathConfig, role: str, camera_moves: bool):
         face_cdf: wp.array(dtype=wp.float32),
         faces: wp.array(dtype=wp.int32),
         # In:
-        first: wp.int32,
-        samples: wp.int32,
-        seed: wp.uint32,
-        max_depth: wp.int32,
-        rr_depth: wp.int32,
-        adjoint: wp.array2d(dtype=wp.vec3),
+        job: SampleJob,
         # Out:
         target: wp.array(dtype=wp.float32),
         image_out: wp.array2d(dtype=wp.vec3),
     ):
         _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
-        number = first + wp.tid()
-        sampler = sampler_at(number, 0, seed)
+        number = job.first + wp.tid()
+        sampler = sampler_at(number, 0, job.seed)
         u4 = sample_4d(sampler, 0)
         cell = find_interval(face_cdf, 0, faces.shape[0], u4[0])
         probability = face_cdf[cell + 1] - face_cdf[cell]
@@ -173,10 +167,10 @@ def make_terminator_kernel(config: PathConfig, role: str, camera_moves: bool):
                     start = x + wp.where(cosine >= 0.0, away, -away) * tri.normal
                     back = at.origin - start
                     length = wp.length(back)
-                    hidden = any_hit(sight(scene), start, back / length, length - at.near)
+                    hidden = visibility.hidden_from_camera(scene, start, back / length, length - at.near)
                     weight = wp.vec3(1.0, 1.0, 1.0)
                     if wp.static(role == "reverse"):
-                        weight = gather(camera, at.pixel, adjoint)
+                        weight = gather(camera, at.pixel, job.image_adjoint)
                     if not hidden and speed_sum > 0.0 and wp.length_sq(weight) > 0.0:
                         note_place(scene, NOTE_POINT, face, at_b[1], at_b[2], x, -view, weight)
                         local = passing_step(scene, face)
@@ -192,12 +186,12 @@ def make_terminator_kernel(config: PathConfig, role: str, camera_moves: bool):
                             sign = 1.0 - 2.0 * wp.float32(side)
                             near_x = x + sign * step + ahead * view
                             far = at.far - distance
-                            seen = arrival(scene, branch, near_x, -view, far, 0, max_depth, rr_depth)
+                            seen = arrival(scene, branch, near_x, -view, far, 0, job.max_depth, job.rr_depth)
                             jump += sign * seen.radiance
                             own = own and seen.face >= 0 and on_plane(tri.normal, seen.x - x, local)
                         if not own:
                             continue
-                        g = 3.0 * size * area / (speed_sum * probability * wp.float32(samples))
+                        g = 3.0 * size * area / (speed_sum * probability * wp.float32(job.samples))
                         if wp.static(role == "reverse"):
                             g *= wp.dot(weight, jump)
                         unit = raw / size

@@ -15,28 +15,21 @@ import functools
 
 import warp as wp
 
-from warp_psdr.kernels.boundary.detector import make_arrival
-from warp_psdr.kernels.bsdf.dispatch import make_bsdf
-from warp_psdr.kernels.bvh.wide import make_intersect
-from warp_psdr.kernels.constants import (
-    BSDF_DIELECTRIC,
-    FAR,
-    LOBE_DELTA_REFLECTION,
-    LOBE_DELTA_TRANSMISSION,
-)
-from warp_psdr.kernels.emitter.area import make_area
+from warp_psdr.kernels.boundary.detector import make_following
+from warp_psdr.kernels.constants import FAR, LOBE_DELTA_REFLECTION, LOBE_DELTA_TRANSMISSION, LOBE_SMOOTH
 from warp_psdr.kernels.emitter.dispatch import is_delta_light, make_delta_sample
+from warp_psdr.kernels.interaction import leave_frame, make_interaction
 from warp_psdr.kernels.invalid import vanishes
-from warp_psdr.kernels.math import to_local, to_world
 from warp_psdr.kernels.rng import Sampler
 from warp_psdr.kernels.sensor.camera import CameraSample, make_camera_ray
-from warp_psdr.kernels.sight import make_accel_at
-from warp_psdr.kernels.structs import Camera, Material, Scene
-from warp_psdr.kernels.surface import make_surface
-from warp_psdr.kernels.vertex import PathConfig, make_frame, make_material
+from warp_psdr.kernels.step import step_beside
+from warp_psdr.kernels.structs import Camera, Scene
+from warp_psdr.kernels.vertex import PathConfig, path_from
+from warp_psdr.kernels.visibility import visibility_of
 
-#: Probability with which a pattern lets light through glass instead of reflecting it.
-TRANSMIT = 0.75
+#: Probability of a pattern's bit: light passes glass instead of being reflected, or a surface that has smooth lobes too
+#: reflects as a mirror instead of ending the chain.
+GO_ON = 0.75
 #: What a ray meets: nothing; a lobe of weight zero; a smooth surface, or the last vertex; a mirror or glass.
 MEETS_NOTHING, MEETS_DEAD, MEETS_SMOOTH, MEETS_DELTA = 0, 1, 2, 3
 #: Multiplier of the identity's hash (2^32 over the golden ratio).
@@ -84,7 +77,7 @@ class Link:
     n: wp.vec3  # shading normal
     facing: wp.int32  # 1: the ray arrives on the front of the shading normal
     leaving: wp.int32  # 1: the lobe leaves on the front of the surface
-    lobe: wp.int32
+    lobe: wp.int32  # in which the chain goes on; LOBE_SMOOTH: it ends, and only what the smooth lobes send counts
     eta: wp.float32  # index behind the interface over the one in front, as the ray arrives
     weight: wp.vec3
     emitted: wp.vec3
@@ -127,8 +120,7 @@ def make_start(camera_kind: int):
             angle = s * block.ell
             r.x = block.x
             r.d = wp.cos(angle) * block.w0 + wp.sin(angle) * block.w1
-            turn = wp.where(wp.dot(block.n, r.d) >= 0.0, scene.ray_epsilon, -scene.ray_epsilon)
-            r.o = block.x + turn * block.n
+            r.o = step_beside(block.x, block.n, r.d, scene.ray_epsilon)
             r.t_max = FAR
         return r
 
@@ -143,14 +135,13 @@ def fold(h: wp.uint32, value: wp.int32) -> wp.uint32:
 
 @functools.cache
 def make_meet(config: PathConfig):
-    """Return ``meet(scene, o, d, t_max, depth, transmit, max_depth) -> Link``: what a ray meets at ``depth``."""
-    closest_hit, _any_hit = make_intersect(config.ray_backend, config.ray_width)
-    accel_at = make_accel_at(config.hidden)
-    surface_at = make_surface(config.smooth, config.flat, config.uv, config.tangent)
-    frame_at = make_frame(config.two_sided, config.tangent)
-    material_at = make_material(config.slots)
-    bsdf = make_bsdf(config.bsdfs)
-    emitted = make_area(config.area).emitted if config.area else None
+    """Return ``meet(scene, o, d, t_max, depth, on, max_depth) -> Link``: what a ray meets at ``depth``."""
+    visibility = visibility_of(config)
+    interaction = make_interaction(config)
+    bsdf, emitted = interaction.bsdf, interaction.emitted
+    # What a delta lobe is chosen from: nothing else, a lobe that transmits, or smooth lobes.
+    mixed = bsdf.eval is not None
+    transmissive = bsdf.relative_eta is not None
 
     @wp.func
     def meet(
@@ -159,55 +150,60 @@ def make_meet(config: PathConfig):
         d: wp.vec3,
         t_max: wp.float32,
         depth: wp.int32,
-        transmit: wp.bool,
+        on: wp.bool,
         max_depth: wp.int32,
     ) -> Link:
         r = Link()
-        hit = closest_hit(accel_at(scene, depth), o, d, t_max)
+        hit = visibility.seen(scene, o, d, t_max, depth)
         r.face = hit.face
+        r.weight = wp.vec3(1.0, 1.0, 1.0)
         if hit.face < 0:
             return r
         r.u = hit.u
         r.v = hit.v
-        surface = surface_at(scene, hit.face, hit.u, hit.v)
-        r.x = surface.x
-        r.ng = surface.ng
-        r.n = surface.n
+        at = interaction.at(scene, hit.face, hit.u, hit.v, d)
+        n = at.frame.side * at.frame.n
+        r.x = at.x
+        r.ng = at.ng
+        r.n = n
         r.kind = MEETS_SMOOTH
-        r.facing = wp.where(wp.dot(surface.n, d) <= 0.0, 1, 0)
+        r.facing = wp.where(wp.dot(n, d) <= 0.0, 1, 0)
         r.leaving = 1
         r.eta = 1.0
-        shape = scene.shapes[surface.shape]
-        frame = frame_at(scene, shape.bsdf, surface.n, surface.tangent, -d)
-        b = scene.bsdfs[frame.bsdf]
-        if not bsdf.is_delta(b.model) or depth + 1 >= max_depth:
+        if not bsdf.has_delta(at.model) or depth + 1 >= max_depth:
             return r
-        if wp.static(bool(config.area)):
-            if shape.emitter >= 0:
-                r.emitted = emitted(scene, scene.emitters[shape.emitter], hit.face, hit.u, hit.v, d)
-        material = material_at(scene, b, hit.face, hit.u, hit.v, surface.uv)
-        wi = to_local(frame.s, frame.t, frame.n, -d)
-        r.lobe = LOBE_DELTA_REFLECTION
         probability = wp.float32(1.0)
-        if b.model == BSDF_DIELECTRIC:
-            r.eta = wp.where(wi[2] < 0.0, 1.0 / material.s0, material.s0)
-            probability = wp.where(transmit, TRANSMIT, 1.0 - TRANSMIT)
-            if transmit:
-                r.lobe = LOBE_DELTA_TRANSMISSION
-        scattered = bsdf.scatter(b.model, material, wi, r.lobe)
+        r.lobe = LOBE_DELTA_REFLECTION
+        if wp.static(transmissive):
+            if bsdf.transmits(at.model):
+                r.eta = bsdf.relative_eta(at.model, at.material, at.wi)
+                probability = wp.where(on, GO_ON, 1.0 - GO_ON)
+                if on:
+                    r.lobe = LOBE_DELTA_TRANSMISSION
+        if wp.static(mixed):
+            if bsdf.has_smooth(at.model):
+                if not on:
+                    # The chain ends here: what its smooth lobes send, and what the surface emits.
+                    r.lobe = LOBE_SMOOTH
+                    r.weight /= 1.0 - GO_ON
+                    return r
+                probability = GO_ON
+        if wp.static(emitted is not None):
+            if not bsdf.has_smooth(at.model):
+                r.emitted = emitted(scene, hit.face, hit.u, hit.v, d)
+        scattered = interaction.scatter(at, r.lobe)
         r.weight = scattered.value / probability
         r.kind = wp.where(vanishes(scattered.value), MEETS_DEAD, MEETS_DELTA)
-        r.d = to_world(frame.s, frame.t, frame.n, scattered.wo)
-        r.leaving = wp.where(wp.dot(surface.ng, r.d) >= 0.0, 1, 0)
-        turn = wp.where(r.leaving == 1, scene.ray_epsilon, -scene.ray_epsilon)
-        r.o = surface.x + turn * surface.ng
+        r.d = leave_frame(at.frame, scattered.wo)
+        r.leaving = wp.where(wp.dot(at.ng, r.d) >= 0.0, 1, 0)
+        r.o = step_beside(at.x, at.ng, r.d, scene.ray_epsilon)
         return r
 
     return meet
 
 
 @wp.func
-def transmits(block: Block, i: wp.int32) -> wp.bool:
+def goes_on(block: Block, i: wp.int32) -> wp.bool:
     return ((block.pattern >> wp.uint32(i)) & wp.uint32(1)) == wp.uint32(1)
 
 
@@ -220,13 +216,12 @@ def make_lit(config: PathConfig):
     sample = make_delta_sample(config.lights)
     if sample is None:
         return None
-    _closest_hit, any_hit = make_intersect(config.ray_backend, config.ray_width)
+    visibility = visibility_of(config)
 
     @wp.func
     def lit(scene: Scene, x: wp.vec3, ng: wp.vec3, light: wp.int32) -> wp.bool:
         ls = sample(scene, scene.emitters[light], x, wp.vec2(0.5, 0.5))
-        turn = wp.where(wp.dot(ng, ls.wi) >= 0.0, scene.ray_epsilon, -scene.ray_epsilon)
-        return not any_hit(scene.accel, x + turn * ng, ls.wi, ls.distance)
+        return not visibility.occluded(scene, step_beside(x, ng, ls.wi, scene.ray_epsilon), ls.wi, ls.distance)
 
     return lit
 
@@ -262,7 +257,7 @@ def make_identity(config: PathConfig):
         i = wp.int32(0)
         more = wp.bool(True)
         while more:
-            link = meet(scene, o, d, t_max, block.depth + i, transmits(block, i), max_depth)
+            link = meet(scene, o, d, t_max, block.depth + i, goes_on(block, i), max_depth)
             ends = link.kind < MEETS_DELTA
             mine = i > 0 or block.first == 1 or link.kind == MEETS_DELTA or link.kind == MEETS_DEAD
             if mine:
@@ -299,7 +294,7 @@ def make_follow(config: PathConfig):
     """Return ``follow(scene, camera, block, s, sampler, max_depth, rr_depth) -> vec3``: F(q) without f_s."""
     start_at = make_start(config.camera)
     meet = make_meet(config)
-    arrival = make_arrival(config)
+    following = make_following(config)
 
     @wp.func
     def follow(
@@ -320,7 +315,7 @@ def make_follow(config: PathConfig):
         i = wp.int32(0)
         more = wp.bool(True)
         while more:
-            link = meet(scene, o, d, t_max, block.depth + i, transmits(block, i), max_depth)
+            link = meet(scene, o, d, t_max, block.depth + i, goes_on(block, i), max_depth)
             if link.kind == MEETS_DELTA:
                 total += wp.cw_mul(weight, link.emitted)
                 weight = wp.cw_mul(weight, link.weight)
@@ -333,52 +328,9 @@ def make_follow(config: PathConfig):
                 if link.kind == MEETS_DEAD:
                     total += wp.cw_mul(weight, link.emitted)
                 else:
-                    seen = arrival(scene, sampler, o, d, t_max, block.depth + i, max_depth, rr_depth)
-                    total += wp.cw_mul(weight, seen.radiance)
+                    state = path_from(o, d, t_max, block.depth + i)
+                    seen = following(scene, sampler, state, max_depth, rr_depth, link.lobe == LOBE_SMOOTH)
+                    total += wp.cw_mul(wp.cw_mul(weight, link.weight), seen.radiance)
         return total
 
     return follow
-
-
-@wp.struct
-class Shading:
-    """The scattering function at a smooth vertex for one incoming direction."""
-
-    valid: wp.int32  # 0: a delta model
-    x: wp.vec3
-    ng: wp.vec3
-    n: wp.vec3
-    s: wp.vec3
-    t: wp.vec3
-    wi: wp.vec3  # local
-    model: wp.int32
-    material: Material
-
-
-@functools.cache
-def make_shading(config: PathConfig):
-    """Return ``shading_at(scene, face, u, v, d) -> Shading`` for a ray that arrives along d."""
-    surface_at = make_surface(config.smooth, config.flat, config.uv, config.tangent)
-    frame_at = make_frame(config.two_sided, config.tangent)
-    material_at = make_material(config.slots)
-    bsdf = make_bsdf(config.bsdfs)
-
-    @wp.func
-    def shading_at(scene: Scene, face: wp.int32, u: wp.float32, v: wp.float32, d: wp.vec3) -> Shading:
-        r = Shading()
-        surface = surface_at(scene, face, u, v)
-        frame = frame_at(scene, scene.shapes[surface.shape].bsdf, surface.n, surface.tangent, -d)
-        b = scene.bsdfs[frame.bsdf]
-        r.x = surface.x
-        r.ng = surface.ng
-        r.n = frame.n
-        r.s = frame.s
-        r.t = frame.t
-        r.model = b.model
-        if not bsdf.is_delta(b.model):
-            r.valid = 1
-            r.material = material_at(scene, b, face, u, v, surface.uv)
-            r.wi = to_local(frame.s, frame.t, frame.n, -d)
-        return r
-
-    return shading_at

@@ -22,12 +22,13 @@ from warp_psdr.kernels.boundary.specular.rims import (
     smooth_between,
 )
 from warp_psdr.kernels.boundary.transport import Segment
-from warp_psdr.kernels.bvh.wide import make_intersect
 from warp_psdr.kernels.constants import FAR
 from warp_psdr.kernels.emitter.dispatch import make_delta_sample
+from warp_psdr.kernels.step import step_beside
 from warp_psdr.kernels.structs import Scene, Triangle
 from warp_psdr.kernels.surface import VertexAdjoint, point_on
 from warp_psdr.kernels.vertex import PathConfig
+from warp_psdr.kernels.visibility import visibility_of
 
 #: Where two surfaces meet, an edge within this many ray epsilons is what is crossed: they touch there.
 TOUCHING = 2.0
@@ -260,7 +261,7 @@ def make_shadow_crossing(config: PathConfig):
     if lit is None:
         return None
     sample = make_delta_sample(config.lights)
-    closest_hit, _any_hit = make_intersect(config.ray_backend, config.ray_width)
+    visibility = visibility_of(config)
 
     @wp.func
     def shadow_crossing(
@@ -284,8 +285,8 @@ def make_shadow_crossing(config: PathConfig):
         dark_x = wp.where(lit_low, q.x, p.x)
         dark_ng = wp.where(lit_low, q.ng, p.ng)
         ls = sample(scene, scene.emitters[light], dark_x, wp.vec2(0.5, 0.5))
-        turn = wp.where(wp.dot(dark_ng, ls.wi) >= 0.0, scene.ray_epsilon, -scene.ray_epsilon)
-        hit = closest_hit(scene.accel, dark_x + turn * dark_ng, ls.wi, ls.distance)
+        o = step_beside(dark_x, dark_ng, ls.wi, scene.ray_epsilon)
+        hit = visibility.closest(scene, o, ls.wi, ls.distance)
         # What is met at once is what the surface runs through.
         if hit.face < 0 or hit.t <= scene.ray_epsilon:
             return r

@@ -10,16 +10,15 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
-from warp_psdr.kernels.bsdf.dispatch import make_bsdf
 from warp_psdr.kernels.constants import LOBE_SMOOTH
+from warp_psdr.kernels.interaction import enter_frame, make_interaction
 from warp_psdr.kernels.interior.factors import make_material_sink
 from warp_psdr.kernels.interior.pullback import make_frame_vjp
 from warp_psdr.kernels.interior.wanted import Wanted
-from warp_psdr.kernels.math import to_local
 from warp_psdr.kernels.sensor.camera import CameraSample, make_camera_sink
 from warp_psdr.kernels.structs import Camera, Scene
-from warp_psdr.kernels.surface import VertexAdjoint, make_surface, make_vertex_sink, normalize_vjp
-from warp_psdr.kernels.vertex import PathConfig, make_frame, make_material
+from warp_psdr.kernels.surface import VertexAdjoint, make_vertex_sink, normalize_vjp
+from warp_psdr.kernels.vertex import PathConfig
 
 
 @wp.struct
@@ -43,11 +42,8 @@ def make_chain_pullback(config: PathConfig, wanted: Wanted, role: str):
     adjoints of that vertex, and ``o_before`` one of the position before it. -1: the ray leaves the camera. The result
     is 0 in reverse mode and the derivative in forward mode.
     """
-    surface_at = make_surface(config.smooth, config.flat, config.uv, config.tangent)
-    frame_at = make_frame(config.two_sided, config.tangent)
-    material_at = make_material(config.slots)
-    bsdf = make_bsdf(config.bsdfs)
-    scatter, scatter_vjp = bsdf.scatter, bsdf.scatter_vjp
+    interaction = make_interaction(config)
+    scatter, scatter_vjp = interaction.scatter, interaction.scatter_vjp
     frame_vjp = make_frame_vjp(config.tangent)
     push_material = make_material_sink(config, wanted, role)
     push_vertex = make_vertex_sink(role, config.smooth, config.flat, config.uv, config.tangent, wanted.texcoords, True)
@@ -79,21 +75,19 @@ def make_chain_pullback(config: PathConfig, wanted: Wanted, role: str):
             adjoint.x += a_o
             if wp.static(scatter_vjp is not None):
                 if visit.lobe > LOBE_SMOOTH:
-                    surface = surface_at(scene, visit.face, visit.u, visit.v)
+                    surface = interaction.surface(scene, visit.face, visit.u, visit.v)
                     wi_world = -visit.d
-                    frame = frame_at(scene, scene.shapes[surface.shape].bsdf, surface.n, surface.tangent, wi_world)
-                    b = scene.bsdfs[frame.bsdf]
-                    material = material_at(scene, b, visit.face, visit.u, visit.v, surface.uv)
-                    wi = to_local(frame.s, frame.t, frame.n, wi_world)
+                    at = interaction.on(scene, surface, visit.face, visit.u, visit.v, visit.d)
+                    frame = at.frame
                     zero = wp.vec3(0.0, 0.0, 0.0)
-                    fa = scatter_vjp(b.model, material, wi, visit.lobe, zero, to_local(frame.s, frame.t, frame.n, a_d))
-                    wo = scatter(b.model, material, wi, visit.lobe).wo
+                    fa = scatter_vjp(at, visit.lobe, zero, enter_frame(frame, a_d))
+                    wo = scatter(at, visit.lobe).wo
                     # The local direction leaves the frame: d = F wo, the transpose of entering it.
                     turned = frame_vjp(frame, surface.tangent, wi_world, a_d, fa.wi, wo)
                     adjoint.n = adjoint.n + frame.side * turned.n
                     adjoint.tangent = adjoint.tangent + turned.tangent
                     adjoint, dot = push_material(
-                        scene, target, b, visit.face, visit.u, visit.v, surface.uv, fa.material, adjoint
+                        scene, target, at.slots, visit.face, visit.u, visit.v, surface.uv, fa.material, adjoint
                     )
                     total += dot
                     # wi = normalize(x_{j-1} - x_j).

@@ -29,9 +29,9 @@ from warp_psdr.kernels.boundary.specular.chain import (
     MEETS_SMOOTH,
     Block,
     Link,
+    goes_on,
     make_meet,
     make_start,
-    transmits,
 )
 from warp_psdr.kernels.boundary.specular.chain_edges import Crossing, make_edge_crossing, make_shadow_crossing
 from warp_psdr.kernels.boundary.specular.chain_pullback import Visit
@@ -135,9 +135,9 @@ def make_crossing(config: PathConfig):
         more = wp.bool(True)
         while more:
             depth = block.depth + i
-            transmit = transmits(block, i)
-            p = meet(scene, o, d, t_max, depth, transmit, max_depth)
-            q = meet(scene, o_high, d_high, t_max, depth, transmit, max_depth)
+            on = goes_on(block, i)
+            p = meet(scene, o, d, t_max, depth, on, max_depth)
+            q = meet(scene, o_high, d_high, t_max, depth, on, max_depth)
             more = False
             if block.film == 0 and i == 0 and block.first == 1:
                 face = visits[count - 1].face

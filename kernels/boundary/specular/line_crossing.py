@@ -13,7 +13,6 @@ from warp_psdr.kernels.boundary.specular.chain import (
     film_point,
     make_follow,
     make_identity,
-    make_shading,
     make_start,
 )
 from warp_psdr.kernels.boundary.specular.chain_edges import Crossing
@@ -22,10 +21,9 @@ from warp_psdr.kernels.boundary.specular.discontinuity import make_crossing
 from warp_psdr.kernels.boundary.specular.ray_differential import RayDifferential, make_film_differential
 from warp_psdr.kernels.boundary.specular.rims import Tables
 from warp_psdr.kernels.boundary.transport import Segment
-from warp_psdr.kernels.bsdf.dispatch import make_bsdf
+from warp_psdr.kernels.interaction import enter_frame, make_interaction
 from warp_psdr.kernels.interior.wanted import Wanted
 from warp_psdr.kernels.invalid import count_invalid, vanishes
-from warp_psdr.kernels.math import to_local
 from warp_psdr.kernels.notes import NOTE_EDGE, make_note
 from warp_psdr.kernels.rng import Sampler, branch_of
 from warp_psdr.kernels.sensor.camera import CameraSample
@@ -59,12 +57,11 @@ def make_crossing_sink(config: PathConfig, wanted: Wanted, role: str, light_pose
     identity = make_identity(config)
     follow = make_follow(config)
     crossing_at = make_crossing(config)
-    shading_at = make_shading(config)
     pull = make_chain_pullback(config, wanted, role)
     push_segment = make_segment_sink(role, light_pose)
     push_vertex = make_vertex_sink(role, False, False, False, False, False, True)
-    bsdf = make_bsdf(config.bsdfs)
-    has_smooth = bsdf.eval is not None
+    interaction = make_interaction(config)
+    has_smooth = interaction.eval is not None
     splat, gather = make_splat()
     note_place = make_note(config.noted)
 
@@ -134,9 +131,9 @@ def make_crossing_sink(config: PathConfig, wanted: Wanted, role: str, light_pose
                 if wp.static(has_smooth):
                     if block.film == 0:
                         y = visits[line.count - 1]
-                        g = shading_at(scene, y.face, y.u, y.v, y.d)
+                        g = interaction.at(scene, y.face, y.u, y.v, y.d)
                         ray = start_at(scene, camera, block, s)
-                        f = wp.cw_mul(f, bsdf.eval(g.model, g.material, g.wi, to_local(g.s, g.t, g.n, ray.d)))
+                        f = wp.cw_mul(f, interaction.eval(g, enter_frame(g.frame, ray.d)))
                 jump += sign * f
         return jump
 

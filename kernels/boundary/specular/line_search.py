@@ -37,19 +37,19 @@ import warp as wp
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.boundary.local_form import Edges
 from warp_psdr.kernels.boundary.specular.chain import (
-    TRANSMIT,
+    GO_ON,
     Block,
     film_point,
     make_identity,
-    make_shading,
 )
 from warp_psdr.kernels.boundary.specular.chain_pullback import Visit
 from warp_psdr.kernels.boundary.specular.line_crossing import Line, make_crossing_sink
 from warp_psdr.kernels.boundary.specular.rims import Tables
-from warp_psdr.kernels.bsdf.dispatch import make_bsdf
 from warp_psdr.kernels.constants import INV_FOUR_PI, LOBE_SMOOTH, TWO_PI
+from warp_psdr.kernels.interaction import enter_frame, leave_frame, make_interaction
 from warp_psdr.kernels.interior.wanted import Wanted
-from warp_psdr.kernels.math import any_tangent, to_local, to_world
+from warp_psdr.kernels.jobs import SampleJob
+from warp_psdr.kernels.math import any_tangent
 from warp_psdr.kernels.path import make_path_step
 from warp_psdr.kernels.rng import Sampler, make_sampler, sampler_at
 from warp_psdr.kernels.sampling import square_to_sphere
@@ -90,10 +90,9 @@ def make_line_search_kernel(config: PathConfig, wanted: Wanted, role: str, light
     lens_point = make_lens(config.camera)
     identity = make_identity(config)
     push_crossings = make_crossing_sink(config, wanted, role, light_pose)
-    shading_at = make_shading(config)
     path_step = make_path_step(config, False)
-    bsdf = make_bsdf(config.bsdfs)
-    has_smooth = bsdf.eval is not None
+    interaction = make_interaction(config)
+    has_smooth = interaction.eval is not None
     draw = make_sampler(config.sampler)
     sample_1d = draw.sample_1d
     sample_2d = draw.sample_2d
@@ -201,19 +200,14 @@ def make_line_search_kernel(config: PathConfig, wanted: Wanted, role: str, light
         edges: Edges,
         tables: Tables,
         # In:
-        first: wp.int32,
-        samples: wp.int32,
-        seed: wp.uint32,
-        max_depth: wp.int32,
-        rr_depth: wp.int32,
-        adjoint: wp.array2d(dtype=wp.vec3),
+        job: SampleJob,
         # Out:
         target: wp.array(dtype=wp.float32),
         image_out: wp.array2d(dtype=wp.vec3),
     ):
         _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
-        number = first + wp.tid()
-        sampler = sampler_at(number, 0, seed)
+        number = job.first + wp.tid()
+        sampler = sampler_at(number, 0, job.seed)
         visits = wp.zeros(shape=(MAX_VISITS,), dtype=Visit)
         # A point of the film, and of its surroundings as far as lines and filter reach; stratified over the pixels.
         u4 = sample_4d(sampler, 0)
@@ -224,7 +218,7 @@ def make_line_search_kernel(config: PathConfig, wanted: Wanted, role: str, light
         stratum = number % pixels
         column = wp.float32(stratum % camera.crop_width) + u4[0]
         row = wp.float32(stratum // camera.crop_width) + u4[1]
-        if number >= (samples // pixels) * pixels:
+        if number >= (job.samples // pixels) * pixels:
             column = u4[0] * wp.float32(camera.crop_width)
             row = u4[1] * wp.float32(camera.crop_height)
         q = wp.vec2(
@@ -234,12 +228,12 @@ def make_line_search_kernel(config: PathConfig, wanted: Wanted, role: str, light
         sample = CameraSample()
         sample.film = film_point(camera, q)
         sample.lens = lens_point(sample_2d(sampler, SLOT_LENS))
-        scale = width * height / wp.float32(samples)
+        scale = width * height / wp.float32(job.samples)
         pattern = wp.uint32(0)
         for k in range(4):
             bits = sample_4d(sampler, SLOT_SEARCH + k)
             for j in range(4):
-                if bits[j] < TRANSMIT:
+                if bits[j] < GO_ON:
                     pattern = pattern | (wp.uint32(1) << wp.uint32(4 * k + j))
         block = Block()
         block.film = 1
@@ -253,9 +247,11 @@ def make_line_search_kernel(config: PathConfig, wanted: Wanted, role: str, light
         line.camera = sample
         line.q = q
         line.slot = SLOT_SEARCH + 4
-        line.max_depth = max_depth
-        line.rr_depth = rr_depth
-        search(scene, camera, edges, tables, block, line, FILM_CELLS, visits, sampler, adjoint, target, image_out)
+        line.max_depth = job.max_depth
+        line.rr_depth = job.rr_depth
+        search(
+            scene, camera, edges, tables, block, line, FILM_CELLS, visits, sampler, job.image_adjoint, target, image_out
+        )
         if wp.static(has_smooth):
             ray = camera_ray(scene, camera, sample)
             state = path_from(ray.o + ray.t_min * ray.d, ray.d, ray.t_max - ray.t_min, 0)
@@ -263,9 +259,9 @@ def make_line_search_kernel(config: PathConfig, wanted: Wanted, role: str, light
             slot = line.slot
             through = wp.int32(0)  # 1: a mirror or glass came before
             attached = wp.int32(1)
-            while state.alive == 1 and count + 2 <= max_depth:
+            while state.alive == 1 and count + 2 <= job.max_depth:
                 before = state.o
-                vertex, state = path_step(scene, sampler, state, max_depth, rr_depth)
+                vertex, state = path_step(scene, sampler, state, job.max_depth, job.rr_depth)
                 slot += SLOTS_PER_SEARCH
                 visit = Visit()
                 visit.face = vertex.face
@@ -278,19 +274,18 @@ def make_line_search_kernel(config: PathConfig, wanted: Wanted, role: str, light
                 visits[count] = visit
                 count += 1
                 if vertex.face >= 0:
-                    g = shading_at(scene, vertex.face, vertex.u, vertex.v, vertex.d)
-                    if g.valid == 1:
+                    g = interaction.at(scene, vertex.face, vertex.u, vertex.v, vertex.d)
+                    if interaction.bsdf.has_smooth(g.model):
                         v4 = sample_4d(sampler, slot)
                         w0 = square_to_sphere(wp.vec2(v4[1], v4[2]))
                         found = wp.bool(True)
                         if v4[0] >= UNIFORM_SHARE:
                             again = (v4[0] - UNIFORM_SHARE) / (1.0 - UNIFORM_SHARE)
-                            bs = bsdf.sample(g.model, g.material, g.wi, again, wp.vec2(v4[1], v4[2]))
-                            w0 = to_world(g.s, g.t, g.n, bs.wo)
-                            found = not (bs.pdf <= 0.0)
-                        pdf = UNIFORM_SHARE * INV_FOUR_PI + (1.0 - UNIFORM_SHARE) * bsdf.pdf(
-                            g.model, g.material, g.wi, to_local(g.s, g.t, g.n, w0)
-                        )
+                            bs = interaction.sample(g, again, wp.vec2(v4[1], v4[2]))
+                            w0 = leave_frame(g.frame, bs.wo)
+                            found = not (bs.pdf <= 0.0) and bs.lobe == LOBE_SMOOTH
+                        density = interaction.pdf(g, enter_frame(g.frame, w0))
+                        pdf = UNIFORM_SHARE * INV_FOUR_PI + (1.0 - UNIFORM_SHARE) * density
                         if found:
                             side = any_tangent(w0)
                             angle = TWO_PI * v4[3]
@@ -308,7 +303,7 @@ def make_line_search_kernel(config: PathConfig, wanted: Wanted, role: str, light
                             line.slot = slot + 1
                             search(
                                 scene, camera, edges, tables, from_y, line, ARC_CELLS, visits, sampler,
-                                adjoint, target, image_out,
+                                job.image_adjoint, target, image_out,
                             )  # fmt: skip
                     attached = wp.where(vertex.lobe > LOBE_SMOOTH, 1, 0)
                     if attached == 1:

@@ -16,6 +16,7 @@ import warp as wp
 
 from warp_psdr.estimate.boundary import projective
 from warp_psdr.estimate.guiding import store
+from warp_psdr.estimate.jobs import sample_job
 from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.boundary.edge_sampling.edge_sampling import make_edge_sampling_kernel
 from warp_psdr.kernels.boundary.edge_sampling.edge_tree import MAX_SPLIT
@@ -28,6 +29,7 @@ from warp_psdr.kernels.boundary.shading_normals.bent import make_bent_kernel
 from warp_psdr.kernels.boundary.shading_normals.horizon import make_horizon_kernel
 from warp_psdr.kernels.boundary.shading_normals.terminator import make_terminator_kernel
 from warp_psdr.kernels.boundary.specular.line_search import make_line_search_kernel
+from warp_psdr.kernels.bsdf.dispatch import has_delta_lobes, has_smooth_lobes
 from warp_psdr.kernels.rng import mix_seed
 from warp_psdr.kernels.structs import Emitter
 from warp_psdr.options.boundary import DEFAULT_CANDIDATES, Connecting, EdgeSampling, Method, PathSpace, Projective
@@ -124,7 +126,7 @@ class Request:
     @property
     def scatters_smoothly(self) -> bool:
         """Whether any surface is more than a mirror or glass: only then can a path vertex be connected to another."""
-        return not c.DELTA_MODELS.issuperset(self.config.bsdfs)
+        return has_smooth_lobes(self.config.bsdfs)
 
     @property
     def method(self) -> Method:
@@ -156,8 +158,13 @@ def _term(r: Request, stream: int, kernel: wp.Kernel, head: list, samples: int, 
         samples: how many.
         count: what the kernel is told of their number; None: ``samples``.
     """
-    tail = [count or samples, mix_seed(r.seed, stream), r.plan.max_depth, r.rr_depth]
-    return Term(kernel, lambda first, adjoint: [*head, first, *tail, adjoint], samples)
+    told = count or samples
+    random = mix_seed(r.seed, stream)
+
+    def inputs(first: int, adjoint: wp.array) -> list:
+        return [*head, sample_job(first, told, random, r.plan.max_depth, r.rr_depth, adjoint)]
+
+    return Term(kernel, inputs, samples)
 
 
 def primary(r: Request) -> Term | None:
@@ -336,7 +343,7 @@ def hard_shadows(r: Request) -> Term | None:
 
 def through_mirrors(r: Request) -> Term | None:
     """Return the term of what is seen through smooth mirrors and glass."""
-    if not r.config.scatter or c.DELTA_MODELS.isdisjoint(r.config.bsdfs) or not r.scene.face_count:
+    if not r.config.scatter or not has_delta_lobes(r.config.bsdfs) or not r.scene.face_count:
         return None
     assert r.plan.wanted is not None
     edges, tables = face_tables(r.scene)

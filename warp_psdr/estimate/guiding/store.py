@@ -22,6 +22,7 @@ from warp_psdr.device import launch_lanes
 from warp_psdr.estimate.guiding.build import NODE, Leaves, Target
 from warp_psdr.estimate.guiding.methods import build
 from warp_psdr.estimate.guiding.ordering import follow, ordered_edges
+from warp_psdr.estimate.jobs import sample_job
 from warp_psdr.kernels.boundary.guiding.facing import make_facing_kernel
 from warp_psdr.kernels.boundary.guiding.techniques import Guide
 from warp_psdr.kernels.boundary.local_form import Edges
@@ -323,9 +324,12 @@ class _Evaluator:
         out = wp.zeros(total, dtype=wp.float32, device=device)
         none = wp.zeros((1, 1), dtype=wp.vec3, device=device)
         seed = mix_seed(mix_seed(r.seed, BUILD), self._found.evaluations)
-        tail = [count, seed, r.plan.max_depth, r.rr_depth, none]
         self._found.evaluations += total
-        _run(r, self._kernel, total, lambda first: [*self._head, record, first, *tail], [out, none])
+
+        def inputs(first: int) -> list:
+            return [*self._head, record, sample_job(first, count, seed, r.plan.max_depth, r.rr_depth, none)]
+
+        _run(r, self._kernel, total, inputs, [out, none])
         values = out.numpy().astype(np.float64)
         return r.scene.invalid.drop("guiding", values)
 

@@ -1,0 +1,203 @@
+"""What a scattering model declares: its parameters, its lobes and its functions.
+
+A model is one file of this folder, which ends with a ``Model``, and one row of ``MODELS`` in ``dispatch.py``. Scene
+files, parameter names, valid ranges, the plan's lines, gradients and the generic tests follow from the declaration.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import warp as wp
+
+from warp_psdr.kernels.constants import LOBE_DELTA_REFLECTION, LOBE_DELTA_TRANSMISSION, LOBE_SMOOTH
+
+
+class Value(NamedTuple):
+    """A number or colour of a material, as device code reads it: ``material.<name>``."""
+
+    name: str
+    color: bool
+    low: float = 0.0
+    high: float = math.inf
+
+
+@dataclass(frozen=True)
+class Color:
+    """A parameter that is a colour or a texture, read as a value of the same name."""
+
+    name: str
+    default: float = 1.0
+    high: float = 1.0
+
+    @property
+    def values(self) -> tuple[Value, ...]:
+        """What device code reads."""
+        return (Value(self.name, True, 0.0, self.high),)
+
+
+@dataclass(frozen=True)
+class ComplexIndex:
+    """The complex index of refraction of a conductor: ``eta`` and ``k``, or the name of a ``material``."""
+
+    @property
+    def values(self) -> tuple[Value, ...]:
+        """What device code reads."""
+        return Value("eta", True), Value("k", True)
+
+
+@dataclass(frozen=True)
+class RelativeIndex:
+    """The ratio of ``int_ior`` and ``ext_ior``, a bare number that is listed as ``eta`` and read as ``ior``.
+
+    Attributes:
+        interior: default of ``int_ior``, a name or a number.
+        exterior: default of ``ext_ior``.
+        low: least ratio that the model takes.
+        high: greatest ratio that the model takes.
+    """
+
+    interior: str
+    exterior: str = "air"
+    low: float = 0.0
+    high: float = math.inf
+
+    @property
+    def values(self) -> tuple[Value, ...]:
+        """What device code reads."""
+        return (Value("ior", False, self.low, self.high),)
+
+
+@dataclass(frozen=True)
+class Roughness:
+    """``alpha``, or ``alpha_u`` and ``alpha_v``: root mean square slopes of microfacets, textures."""
+
+    default: float
+    low: float
+
+    @property
+    def values(self) -> tuple[Value, ...]:
+        """What device code reads."""
+        return Value("alpha_u", False, self.low, 1.0), Value("alpha_v", False, self.low, 1.0)
+
+
+@dataclass(frozen=True)
+class Choice:
+    """A string that selects a variant of the model; each variant is compiled as a model of its own."""
+
+    name: str
+    default: str
+    options: tuple[str, ...]
+
+    @property
+    def values(self) -> tuple[Value, ...]:
+        """Nothing: it is known when the model is compiled."""
+        return ()
+
+
+@dataclass(frozen=True)
+class Flag:
+    """A boolean, false by default, whose true selects the variant of its name."""
+
+    name: str
+
+    @property
+    def values(self) -> tuple[Value, ...]:
+        """Nothing: it is known when the model is compiled."""
+        return ()
+
+    @property
+    def options(self) -> tuple[str, ...]:
+        """Names of the variants."""
+        return "", self.name
+
+
+@dataclass(frozen=True)
+class Accepted:
+    """A boolean that scene files may give; anything but its default is noted and changes nothing."""
+
+    name: str
+    default: bool
+    reason: str
+
+    @property
+    def values(self) -> tuple[Value, ...]:
+        """Nothing."""
+        return ()
+
+
+class Functions(NamedTuple):
+    """Warp functions of one model. Directions are local and point away from the surface, see ``dispatch.py``.
+
+    Attributes:
+        sample: ``(material, wi, u, v) -> BsdfSample``: draw a direction from any of the lobes.
+        eval: ``(material, wi, wo) -> vec3``: smooth lobes, f_s times the cosine of ``wo``, 1/sr; differentiable.
+        pdf: ``(material, wi, wo) -> float32``: density of the smooth part of ``sample``, solid angle; it integrates to
+            the probability of the smooth lobes.
+        scatter: ``(material, wi, lobe) -> Scattered``: direction and weight of a delta lobe, not divided by its
+            probability; differentiable.
+        relative_eta: ``(material, wi) -> float32``: index of refraction behind the interface over the one in front.
+            None: nothing is transmitted.
+        slopes: ``(material) -> vec2``: root mean square slopes of a glossy lobe about the mirror direction, along the
+            tangents. None: there is no such lobe.
+    """
+
+    sample: wp.Function
+    eval: wp.Function | None = None
+    pdf: wp.Function | None = None
+    scatter: wp.Function | None = None
+    relative_eta: wp.Function | None = None
+    slopes: wp.Function | None = None
+
+
+@dataclass(frozen=True)
+class Model:
+    """A scattering model.
+
+    Attributes:
+        plugin: its name in scene files.
+        parameters: of the plugin, in the order in which scene files are read.
+        lobes: which lobes it has, out of ``LOBE_SMOOTH``, ``LOBE_DELTA_REFLECTION``, ``LOBE_DELTA_TRANSMISSION``.
+        make: ``(record, variant) -> Functions``, ``record`` the struct of a scene's material values.
+        turned_by: values that the direction of a delta lobe depends on.
+    """
+
+    plugin: str
+    parameters: tuple
+    lobes: tuple[int, ...]
+    make: Callable[[type, str], Functions]
+    turned_by: tuple[str, ...] = ()
+
+    @property
+    def values(self) -> tuple[Value, ...]:
+        """What device code reads of a material."""
+        return tuple(value for parameter in self.parameters for value in parameter.values)
+
+    @property
+    def variants(self) -> tuple[str, ...]:
+        """Names of the variants; one empty name: there are none."""
+        for parameter in self.parameters:
+            if isinstance(parameter, Choice | Flag):
+                return parameter.options
+        return ("",)
+
+    @property
+    def has_smooth(self) -> bool:
+        """Whether there is a lobe that a connection of two points can meet."""
+        return LOBE_SMOOTH in self.lobes
+
+    @property
+    def has_delta(self) -> bool:
+        """Whether there is a lobe of a single direction."""
+        return LOBE_DELTA_REFLECTION in self.lobes or self.transmits
+
+    @property
+    def transmits(self) -> bool:
+        """Whether light passes the surface."""
+        return LOBE_DELTA_TRANSMISSION in self.lobes
+
+
+def key_of(plugin: str, variant: str = "") -> str:
+    """Return the name of a model's variant, for example "roughconductor (ggx)"."""
+    return f"{plugin} ({variant})" if variant else plugin

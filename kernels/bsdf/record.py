@@ -1,0 +1,79 @@
+"""The record of a scene's material values: one member for each value that any of its models declares, by its name.
+
+Texture number k of a material, ``Scene.slots[bsdf.slots + k]``, gives member k; -1 where its model has no such value.
+"""
+
+import functools
+from typing import NamedTuple
+
+import warp as wp
+
+from warp_psdr.kernels.bsdf.model import Value
+from warp_psdr.kernels.generated import make_generated
+
+
+class Slot(NamedTuple):
+    """A member of the record, and the kinds of the textures that hold it in a scene."""
+
+    name: str
+    color: bool
+    kinds: tuple[int, ...]
+
+
+def merge_values(models) -> tuple[Value, ...]:
+    """Return the values of all ``Model``s, each once, in the order of their first mention.
+
+    Raises:
+        ValueError: two models declare values of one name and of different kinds.
+    """
+    found: dict[str, Value] = {}
+    for model in models:
+        for value in model.values:
+            if found.setdefault(value.name, value).color != value.color:
+                raise ValueError(
+                    f"{model.plugin!r} declares the value {value.name!r}, a {'colour' if value.color else 'number'}, "
+                    "which is not what another model declares by that name; give one of them another name"
+                )
+    return tuple(found.values())
+
+
+@functools.cache
+def make_material_record(members: tuple[tuple[str, bool], ...]) -> type:
+    """Return the Warp struct with these members: (name, whether it is a colour)."""
+    types = {name: wp.vec3 if color else wp.float32 for name, color in members}
+    name = "Material_" + "_".join(types)
+    return wp.struct(type(name, (), {"__annotations__": types, "__module__": __name__, "__qualname__": name}))
+
+
+@functools.cache
+def make_adjoint_record(material: type) -> type:
+    """Return the Warp struct of the partial derivatives of a weighted scattering value."""
+    name = "BsdfAdjoint_" + material.key.rsplit(".", 1)[-1]
+    types = {"material": material, "wi": wp.vec3, "wo": wp.vec3}
+    return wp.struct(type(name, (), {"__annotations__": types, "__module__": __name__, "__qualname__": name}))
+
+
+class MaterialAlgebra(NamedTuple):
+    """Functions of a material record, one line a member.
+
+    Attributes:
+        add: ``(a, b) -> material``.
+        dot: ``(a, b) -> float32``: the sum of the products of all members.
+    """
+
+    add: wp.Function
+    dot: wp.Function
+
+
+@functools.cache
+def make_material_algebra(material: type) -> MaterialAlgebra:
+    """Return the functions for a record."""
+    names = list(material.vars)
+    add = "def add_materials(a: material, b: material) -> material:\n    m = material()\n"
+    add += "".join(f"    m.{name} = a.{name} + b.{name}\n" for name in names) + "    return m\n"
+    products = [
+        f"wp.dot(a.{name}, b.{name})" if var.type is wp.vec3 else f"a.{name} * b.{name}"
+        for name, var in material.vars.items()
+    ]
+    dot = f"def dot_materials(a: material, b: material) -> wp.float32:\n    return {' + '.join(products)}\n"
+    return MaterialAlgebra(make_generated(add, material=material), make_generated(dot, material=material))

@@ -1,0 +1,57 @@
+"""What one launch draws: samples of pixels, or samples of a boundary term, in one record.
+
+Every kernel takes the scene, what it reads of its own, a job, and where its results go. A job is a range of numbered
+samples with a seed: disjoint ranges are independent, and what they give adds up.
+"""
+
+import warp as wp
+
+from warp_psdr.kernels.structs import Camera
+
+
+@wp.struct
+class PixelJob:
+    """Samples ``first_sample`` ... of some pixels: one thread a pixel."""
+
+    pixels: wp.array(dtype=wp.int32)  # numbers in the raster, row * width + column, in the order of the threads
+    first_pixel: wp.int32  # of this launch, in that list
+    pixel_count: wp.int32
+    margin: wp.int32  # by which the raster exceeds the image on each side, pixels
+    first_sample: wp.int32
+    samples: wp.int32  # of each pixel
+    scale: wp.float32  # of what they give: 1 over all of a pixel's samples
+    seed: wp.uint32
+    max_depth: wp.int32  # most path vertices, -1: no limit
+    rr_depth: wp.int32  # vertex from which on Russian roulette ends paths
+    image_adjoint: wp.array2d(dtype=wp.vec3)  # where a pass reads it; Warp takes ``job.adjoint[...]`` for its own
+
+
+@wp.struct
+class SampleJob:
+    """Samples ``first`` ... of the ``samples`` of a boundary term: one thread a sample."""
+
+    first: wp.int32
+    samples: wp.int32  # of the term, all launches together
+    seed: wp.uint32
+    max_depth: wp.int32
+    rr_depth: wp.int32
+    image_adjoint: wp.array2d(dtype=wp.vec3)
+
+
+@wp.struct
+class Pixel:
+    """A pixel of the crop window."""
+
+    number: wp.int32  # row * width + column, which its samples are seeded with
+    px: wp.int32
+    py: wp.int32
+
+
+@wp.func
+def pixel_of(job: PixelJob, camera: Camera, thread: wp.int32) -> Pixel:
+    """The pixel of a thread, in a raster without a margin."""
+    pixel = Pixel()
+    pixel.number = job.pixels[job.first_pixel + thread]
+    pixel.px = pixel.number % camera.crop_width
+    pixel.py = pixel.number // camera.crop_width
+    return pixel

@@ -1,0 +1,47 @@
+"""Values of a material at a point: its textures, read where it is met."""
+
+import functools
+
+import warp as wp
+
+from warp_psdr.kernels.bsdf.dispatch import make_bsdf, models_of
+from warp_psdr.kernels.bsdf.record import Slot
+from warp_psdr.kernels.generated import make_generated
+from warp_psdr.kernels.reading import load_int
+from warp_psdr.kernels.structs import Scene
+from warp_psdr.kernels.texture.texture import make_texture
+
+
+def is_optional(models: tuple[str, ...], slot: Slot) -> bool:
+    """Whether some of the models have no such value."""
+    return any(slot.name not in {value.name for value in model.values} for model in models_of(models))
+
+
+@wp.func
+def slot_at(scene: Scene, slots: wp.int32, number: wp.int32) -> wp.int32:
+    """Index of the texture that holds a value of a material; -1: its model has no such value."""
+    return load_int(scene.slots, slots + number)
+
+
+@functools.cache
+def make_material(models: tuple[str, ...], material: tuple[Slot, ...]):
+    """Return ``material_at(scene, slots, face, u, v, uv) -> record``; unused values stay 0 and cost nothing."""
+    scope = {"record": make_bsdf(models).record, "Scene": Scene, "slot_at": slot_at}
+    lines = [
+        "def material_at(",
+        "    scene: Scene, slots: wp.int32, face: wp.int32, u: wp.float32, v: wp.float32, uv: wp.vec2",
+        ") -> record:",
+        "    m = record()",
+    ]
+    for k, slot in enumerate(material):
+        if not slot.kinds:
+            continue
+        scope[f"texture_{k}"] = make_texture(slot.kinds)
+        value = f"texture_{k}(scene, i{k}, face, u, v, uv)" + ("" if slot.color else "[0]")
+        lines.append(f"    i{k} = slot_at(scene, slots, {k})")
+        if is_optional(models, slot):
+            lines += [f"    if i{k} >= 0:", f"        m.{slot.name} = {value}"]
+        else:
+            lines.append(f"    m.{slot.name} = {value}")
+    lines.append("    return m\n")
+    return make_generated("\n".join(lines), **scope)

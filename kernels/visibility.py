@@ -1,0 +1,86 @@
+"""What rays meet, and whether light passes between two points: the one door to ray queries.
+
+Today a surface either blocks a ray or is not there, so a segment is free where no ray hits anything on it. Where light
+passes surfaces (masks) or is absorbed on the way (media), the transmittance of a segment takes the place of
+``occluded``.
+
+The camera's own rays meet everything, or where lights are hidden (``hide_emitters``) all but area lights: a structure
+without the lights, and no rays that go on behind what they met, since a step past a light would cross what touches it.
+"""
+
+import functools
+from typing import NamedTuple
+
+import warp as wp
+
+from warp_psdr.kernels.bvh.wide import Accel, RayHit, make_intersect
+from warp_psdr.kernels.structs import Scene
+
+
+class Visibility(NamedTuple):
+    """Warp functions of ray queries; directions are unit, ``t_max`` is a length in world units.
+
+    Attributes:
+        closest: ``(scene, o, d, t_max) -> RayHit``.
+        occluded: ``(scene, o, d, t_max) -> bool``: whether anything lies on the segment.
+        camera_accel: ``(scene) -> Accel``: what the camera's own rays meet.
+        seen: ``(scene, o, d, t_max, depth) -> RayHit``: the closest hit behind ``depth`` path vertices; at depth 0 it
+            is what the camera sees.
+        closest_in: ``(accel, o, d, t_max) -> RayHit``.
+        hidden_from_camera: ``(scene, o, d, t_max) -> bool``: ``occluded`` for segments that end in the camera.
+    """
+
+    closest: wp.Function
+    occluded: wp.Function
+    camera_accel: wp.Function
+    seen: wp.Function
+    closest_in: wp.Function
+    hidden_from_camera: wp.Function
+
+
+@functools.cache
+def make_visibility(backend: str, width: int, hidden: bool = False) -> Visibility:
+    """Return the functions.
+
+    Args:
+        backend: "wide" or "warp", see ``bvh/wide.py``.
+        width: number of lanes of the wide structure.
+        hidden: True: there are area lights, which the camera does not see.
+    """
+    closest_hit, any_hit = make_intersect(backend, width)
+
+    @wp.func
+    def closest(scene: Scene, o: wp.vec3, d: wp.vec3, t_max: wp.float32) -> RayHit:
+        return closest_hit(scene.accel, o, d, t_max)
+
+    @wp.func
+    def occluded(scene: Scene, o: wp.vec3, d: wp.vec3, t_max: wp.float32) -> wp.bool:
+        return any_hit(scene.accel, o, d, t_max)
+
+    @wp.func
+    def camera_accel(scene: Scene) -> Accel:
+        if wp.static(hidden):
+            return scene.sight
+        return scene.accel
+
+    @wp.func
+    def accel_at(scene: Scene, depth: wp.int32) -> Accel:
+        if wp.static(hidden):
+            if depth == 0:
+                return camera_accel(scene)
+        return scene.accel
+
+    @wp.func
+    def seen(scene: Scene, o: wp.vec3, d: wp.vec3, t_max: wp.float32, depth: wp.int32) -> RayHit:
+        return closest_hit(accel_at(scene, depth), o, d, t_max)
+
+    @wp.func
+    def hidden_from_camera(scene: Scene, o: wp.vec3, d: wp.vec3, t_max: wp.float32) -> wp.bool:
+        return any_hit(camera_accel(scene), o, d, t_max)
+
+    return Visibility(closest, occluded, camera_accel, seen, closest_hit, hidden_from_camera)
+
+
+def visibility_of(config) -> Visibility:
+    """Return the functions for a ``PathConfig``."""
+    return make_visibility(config.ray_backend, config.ray_width, config.hidden)

@@ -1,0 +1,235 @@
+"""Sampling of the scattering models: samples against densities and probabilities, energy, the ends of the unit square.
+
+The tests run over ``EXAMPLES`` in ``helpers.py``; a new model joins them by its entry there.
+"""
+
+import zlib
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from tests.bsdf.helpers import (
+    ALL_MODELS,
+    BECKMANN,
+    BELOW,
+    EXAMPLES,
+    GGX,
+    SMOOTH_MODELS,
+    Launcher,
+    corners,
+    delta_samples,
+    direction,
+    energy_of,
+    index_behind,
+    lobes_of,
+    narrowest,
+    rough,
+    rounded,
+    transmits,
+    uniform,
+    white,
+)
+from warp_psdr.kernels.bsdf.dispatch import VARIANTS
+from warp_psdr.kernels.bsdf.microfacet import MIN_ALPHA
+from warp_psdr.kernels.constants import LOBE_DELTA_TRANSMISSION, LOBE_NONE, LOBE_SMOOTH
+
+#: Relative error of float32 arithmetic through a microfacet model (a few dozen operations of 6e-8 each).
+FLOAT32 = 2e-5
+#: Probability of a false alarm of all tests of one kind together.
+SIGNIFICANCE = 0.01
+SAMPLES = 100_000
+ANGLES = [0.0, 40.0, 75.0, 88.0]
+#: Key, material and signed cosine's direction of all lobes that are sampled.
+LOBES = [
+    pytest.param(key, mat, direction(angle) * side, id=f"{key}-{i}-{angle:g}{'' if side[2] > 0.0 else '-below'}")
+    for key in ALL_MODELS
+    for i, mat in enumerate(EXAMPLES[key].materials)
+    for angle in ANGLES
+    for side in ([np.ones(3), BELOW] if transmits(key) else [np.ones(3)])
+    # At 88 degrees the narrowest lobe is only twelve float32 directions wide.
+    if angle < 88.0 or narrowest(mat) > MIN_ALPHA
+]
+
+each_model = pytest.mark.parametrize("key", ALL_MODELS)
+each_smooth_model = pytest.mark.parametrize("key", SMOOTH_MODELS)
+
+
+def lobes(having) -> pytest.MarkDecorator:
+    """Parametrise over the lobes of the models that are ``having``."""
+    return pytest.mark.parametrize(("key", "mat", "wi"), [p for p in LOBES if having(VARIANTS[p.values[0]][0])])
+
+
+each_lobe = lobes(lambda model: True)
+each_smooth_lobe = lobes(lambda model: model.has_smooth)
+each_delta_lobe = lobes(lambda model: model.has_delta)
+
+
+@pytest.fixture
+def bsdf(device: str) -> Launcher:
+    return Launcher(device)
+
+
+def seed(*parts) -> int:
+    return zlib.crc32(repr(parts).encode())
+
+
+# --- coordinates in which a lobe is smooth: (q, phi), q in [0, 1) ---
+
+
+def from_lobe(mat: dict, wi: np.ndarray, q: np.ndarray, phi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Directions (N, 3) and solid angle per dq dphi."""
+    if "alpha_u" not in mat:
+        r, z = np.sqrt(1.0 - q), np.sqrt(q)
+        return np.stack([r * np.cos(phi), r * np.sin(phi), z], axis=1), 0.5 / z
+    # Slopes of the half vector, in units of alpha; their length p is mapped to [0, 1), tails wide open.
+    au, av = mat["alpha_u"], mat["alpha_v"]
+    p = np.tan(0.5 * np.pi * q)
+    h = np.stack([au * p * np.cos(phi), av * p * np.sin(phi), np.ones_like(p)], axis=1)
+    h /= np.linalg.norm(h, axis=1, keepdims=True)
+    dot = h @ wi
+    wo = 2.0 * dot[:, None] * h - wi
+    return wo, 4.0 * np.abs(dot) * h[:, 2] ** 3 * au * av * p * (1.0 + p * p) * 0.5 * np.pi
+
+
+def to_lobe(mat: dict, wi: np.ndarray, wo: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    if "alpha_u" not in mat:
+        return wo[:, 2] ** 2, np.arctan2(wo[:, 1], wo[:, 0]) % (2.0 * np.pi)
+    h = wi + wo
+    x, y = h[:, 0] / h[:, 2] / mat["alpha_u"], h[:, 1] / h[:, 2] / mat["alpha_v"]
+    return np.arctan(np.hypot(x, y)) * 2.0 / np.pi, np.arctan2(y, x) % (2.0 * np.pi)
+
+
+def quadrature(bsdf: Launcher, key: str, mat: dict, wi: np.ndarray, bins=(20, 24), fine=(60, 12)):
+    """Integrals of the pdf over each bin (shape ``bins``) and of the value over the hemisphere, midpoint rule.
+
+    Finer in q, since at normal incidence the horizon cuts all of a ring of bins at one q.
+    """
+    n_q, n_phi = bins[0] * fine[0], bins[1] * fine[1]
+    q, phi = np.meshgrid((np.arange(n_q) + 0.5) / n_q, (np.arange(n_phi) + 0.5) * 2.0 * np.pi / n_phi, indexing="ij")
+    wo, jacobian = from_lobe(mat, wi, q.ravel(), phi.ravel())
+    value, pdf = bsdf.eval_pdf(key, mat, wi, wo)
+    cell = jacobian * 2.0 * np.pi / (n_q * n_phi)
+    cells = (pdf * cell).reshape(bins[0], fine[0], bins[1], fine[1])
+    return cells.sum(axis=(1, 3)), (value * cell[:, None]).sum(axis=0)
+
+
+def chi_square_p(observed: np.ndarray, expected: np.ndarray) -> float:
+    """p-value; the rarest bins are pooled into one that expects at least 5 samples."""
+    order = np.argsort(expected)
+    observed, expected = observed[order], expected[order]
+    pooled = max(int(np.searchsorted(np.cumsum(expected), 5.0)) + 1, int(np.searchsorted(expected, 5.0)))
+    observed = np.append(observed[pooled:], observed[:pooled].sum())
+    expected = np.append(expected[pooled:], expected[:pooled].sum())
+    return float(stats.chi2.sf(((observed - expected) ** 2 / expected).sum(), df=len(expected) - 1))
+
+
+def sampler_p(bsdf: Launcher, key: str, mat: dict, wi: np.ndarray, pdf_mat: dict) -> float:
+    """Chi-square test of the smooth samples of ``mat`` against the pdf of ``pdf_mat``; all others are one more bin."""
+    wi = rounded(wi)
+    s = bsdf.sample(key, mat, wi, uniform(seed(key, wi.tolist(), narrowest(mat)), SAMPLES))
+    assert set(s["lobe"]) <= {LOBE_NONE, *VARIANTS[key][0].lobes}
+    assert np.all((s["pdf"] > 0.0) == (s["lobe"] != LOBE_NONE))
+    smooth = s["lobe"] == LOBE_SMOOTH
+    mass, _ = quadrature(bsdf, key, pdf_mat, wi)
+    if mass.sum() == 0.0:  # total reflection by a coat
+        return float(not smooth.any())
+    q, phi = to_lobe(pdf_mat, wi, s["wo"][smooth].astype(float))
+    observed, _, _ = np.histogram2d(q, phi, bins=mass.shape, range=[(0.0, 1.0), (0.0, 2.0 * np.pi)])
+    observed = np.append(observed.ravel(), SAMPLES - smooth.sum())
+    expected = SAMPLES * np.append(mass.ravel(), max(1.0 - mass.sum(), 0.0))
+    return chi_square_p(observed, expected)
+
+
+@each_smooth_lobe
+def test_samples_follow_the_pdf(bsdf: Launcher, key: str, mat: dict, wi: np.ndarray) -> None:
+    assert sampler_p(bsdf, key, mat, wi, mat) > SIGNIFICANCE / len(LOBES)
+
+
+@pytest.mark.parametrize("key", [GGX, BECKMANN])
+@pytest.mark.parametrize("angle", [0.0, 75.0])
+def test_the_chi_square_test_notices_a_slightly_wrong_roughness(bsdf: Launcher, key: str, angle: float) -> None:
+    assert sampler_p(bsdf, key, rough(0.3), direction(angle), rough(0.32)) < 1e-6
+
+
+@each_delta_lobe
+def test_delta_lobes_are_drawn_with_their_probabilities(bsdf: Launcher, key: str, mat: dict, wi: np.ndarray) -> None:
+    n = 20_000
+    for drawn in delta_samples(bsdf, key, mat, wi, uniform(seed(key, wi.tolist()), n)).values():
+        if len(drawn):
+            assert np.all(drawn["pdf"] == drawn["pdf"][0])
+            probability = min(float(drawn["pdf"][0]), 1.0)
+            assert stats.binomtest(len(drawn), n, probability).pvalue > SIGNIFICANCE / (2 * len(LOBES))
+
+
+@each_lobe
+def test_sample_returns_the_value_and_pdf_of_its_direction(bsdf, key: str, mat: dict, wi: np.ndarray) -> None:
+    s = bsdf.sample(key, mat, wi, uniform(1, 1000))
+    drawn = s["lobe"] != LOBE_NONE
+    assert drawn.any()
+    through = s["lobe"] == LOBE_DELTA_TRANSMISSION
+    assert np.all(s["eta"][drawn & ~through] == 1.0)
+    if through.any():
+        np.testing.assert_allclose(s["eta"][through], index_behind(mat, wi), rtol=1e-6)
+    np.testing.assert_allclose(np.linalg.norm(s["wo"][drawn], axis=1), 1.0, atol=1e-6)
+    for lobe in lobes_of(key):
+        found = s[s["lobe"] == lobe]
+        np.testing.assert_allclose(found["value"], np.repeat(bsdf.scatter(key, mat, wi, lobe)["value"], len(found), 0))
+        np.testing.assert_allclose(found["wo"], np.repeat(bsdf.scatter(key, mat, wi, lobe)["wo"], len(found), 0))
+    if VARIANTS[key][0].has_smooth:
+        found = s[s["lobe"] == LOBE_SMOOTH]
+        value, pdf = bsdf.eval_pdf(key, mat, wi, found["wo"]) if len(found) else (np.zeros((0, 3)), np.zeros(0))
+        np.testing.assert_allclose(found["value"], value, rtol=FLOAT32)
+        np.testing.assert_allclose(found["pdf"], pdf, rtol=FLOAT32)
+        if EXAMPLES[key].bounded_by:
+            # Beckmann's pdf has the exact G_1 and its value the fit, which exceeds it by up to 0.4 %.
+            assert np.all(found["value"] <= 1.005 * mat[EXAMPLES[key].bounded_by] * found["pdf"][:, None])
+
+
+@each_lobe
+def test_no_energy_is_made_and_none_is_lost_in_a_white_furnace(bsdf, key: str, mat: dict, wi: np.ndarray) -> None:
+    mat, wi = white(key, mat), rounded(wi)
+    probability, energy = 0.0, np.zeros(3)
+    # The midpoint rule, above all where the horizon cuts the lobe, and fits within a model.
+    slack = 2e-3 if VARIANTS[key][0].has_smooth else 1e-5
+    if VARIANTS[key][0].has_smooth:
+        mass, energy = quadrature(bsdf, key, mat, wi)
+        probability = mass.sum()
+    numbers = np.full((2000, 3), 0.5)
+    numbers[:, 0] = (np.arange(2000) + 0.5) / 2000
+    for lobe, drawn in delta_samples(bsdf, key, mat, wi, numbers).items():
+        probability += drawn["pdf"][0] if len(drawn) else 0.0
+        energy = energy + energy_of(mat, wi, lobe, bsdf.scatter(key, mat, wi, lobe)["value"][0].astype(float))
+    assert np.all(energy <= 1.0 + slack)
+    assert probability <= 1.0 + slack
+    if EXAMPLES[key].lossless(mat):
+        np.testing.assert_allclose(energy, 1.0, atol=slack)
+        # Lobes rarer than the numbers above tell are not found.
+        np.testing.assert_allclose(probability, 1.0, atol=slack + (1e-3 if lobes_of(key) else 0.0))
+
+
+@pytest.mark.parametrize("corner", [0.0, np.float32(0.99999994)])
+@each_model
+def test_samples_are_finite_at_the_ends_of_the_unit_square(bsdf: Launcher, key: str, corner: float) -> None:
+    other = np.linspace(0.0, 0.99999994, 17, dtype=np.float32)
+    uvw = np.concatenate([[(0.5, corner, x), (0.5, x, corner), (corner, x, x)] for x in other])
+    for mat in (*EXAMPLES[key].materials, *EXAMPLES[key].extremes, *corners(key)):
+        for angle in (0.0, 30.0, 89.9999):
+            s = bsdf.sample(key, mat, direction(angle), uvw)
+            assert all(np.all(np.isfinite(s[name])) for name in ("wo", "value", "pdf"))
+
+
+@each_smooth_model
+def test_samples_are_finite_at_the_rim_of_the_unit_square(bsdf: Launcher, key: str) -> None:
+    """The squared radius of a point on a disk's rim may exceed one by rounding; a uniform number may be zero."""
+    mat = EXAMPLES[key].materials[0]
+    if "alpha_u" in mat:
+        mat = mat | {"alpha_u": 0.05, "alpha_v": 0.05}
+    rim = np.linspace(0.0, 0.99999994, 1 << 15, dtype=np.float32)
+    half = np.full_like(rim, 0.5)
+    for end in (0.0, 0.99999994):
+        for v in ((half, np.full_like(rim, end), rim), (half, rim, np.full_like(rim, end))):
+            s = bsdf.sample(key, mat, direction(0.0), np.stack(v, axis=1))
+            assert all(np.all(np.isfinite(s[name])) for name in ("wo", "value", "pdf"))
+            # GGX has normals in the surface, and the diffuse model directions.
+            assert key != BECKMANN or np.all(s["lobe"] == LOBE_SMOOTH)

@@ -1,0 +1,128 @@
+"""A float64 twin of every scattering model, the oracle of their tests.
+
+The twins are written from the textbook formulas (complex Fresnel equations, angles, normalised half vectors), not from
+the kernels' rearrangements of them, so that the two agree only where both are right. A material is a dictionary of the
+values that its model declares, by their names.
+"""
+
+import numpy as np
+
+from warp_psdr.kernels.bsdf.microfacet import MIN_ALPHA
+from warp_psdr.kernels.constants import LOBE_DELTA_REFLECTION
+
+#: Turns a direction into its mirror direction.
+MIRRORED = np.array([-1.0, -1.0, 1.0])
+
+
+def fresnel_conductor(cos: float, eta: np.ndarray, k: np.ndarray) -> np.ndarray:
+    """Reflectance of a metal."""
+    n = eta + 1j * k
+    n_cos_t = n * np.sqrt(1.0 - (1.0 - cos**2) / n**2 + 0j)
+    # Of the two roots the one in the first quadrant; its axes are k = 0 and eta = 0, which lie inside the domain here.
+    n_cos_t = np.where(n_cos_t.real + n_cos_t.imag < 0.0, -n_cos_t, n_cos_t)
+    r_s = (cos - n_cos_t) / (cos + n_cos_t)
+    r_p = (n * n * cos - n_cos_t) / (n * n * cos + n_cos_t)
+    return 0.5 * (np.abs(r_s) ** 2 + np.abs(r_p) ** 2)
+
+
+def fresnel_dielectric(cos: float, eta: float) -> tuple[float, float]:
+    """Reflectance of an interface and the cosine behind it; ``eta``: the index behind over that in front."""
+    theta = np.arccos(min(cos, 1.0))
+    sin_t = np.sin(theta) / eta
+    if sin_t >= 1.0:
+        return 1.0, 0.0
+    theta_t = np.arcsin(sin_t)
+    r_s = (np.cos(theta) - eta * np.cos(theta_t)) / (np.cos(theta) + eta * np.cos(theta_t))
+    r_p = (eta * np.cos(theta) - np.cos(theta_t)) / (eta * np.cos(theta) + np.cos(theta_t))
+    return 0.5 * (r_s**2 + r_p**2), np.cos(theta_t)
+
+
+def mean_reflectance(eta: float) -> float:
+    """Mean reflectance of an interface for diffuse light: the fits that define ``plastic``."""
+    if eta < 1.0:
+        return -1.4399 * eta**2 + 0.7099 * eta + 0.6681 + 0.0636 / eta
+    return float(np.polynomial.Polynomial([0.919317, -3.4793, 6.75335, -7.80989, 4.98554, -1.36881])(1.0 / eta))
+
+
+# --- smooth lobes: f_s times the cosine of wo ---
+
+
+def diffuse_eval(mat: dict, wi: np.ndarray, wo: np.ndarray) -> np.ndarray:
+    if min(wi[2], wo[2]) <= 0.0:
+        return np.zeros(3)
+    return mat["reflectance"] / np.pi * wo[2]
+
+
+def ggx_eval(mat: dict, wi: np.ndarray, wo: np.ndarray) -> np.ndarray:
+    return _rough_conductor_eval(mat, wi, wo, lambda t: 1.0 / (1.0 + t) ** 2, _ggx_g1)
+
+
+def beckmann_eval(mat: dict, wi: np.ndarray, wo: np.ndarray) -> np.ndarray:
+    return _rough_conductor_eval(mat, wi, wo, lambda t: np.exp(-t), _beckmann_g1)
+
+
+def _rough_conductor_eval(mat: dict, wi: np.ndarray, wo: np.ndarray, p, g1) -> np.ndarray:
+    if min(wi[2], wo[2]) <= 0.0:
+        return np.zeros(3)
+    au, av = (max(mat[name], float(np.float32(MIN_ALPHA))) for name in ("alpha_u", "alpha_v"))
+    h = (wi + wo) / np.linalg.norm(wi + wo)
+    theta, phi = np.arctan2(np.hypot(h[0], h[1]), h[2]), np.arctan2(h[1], h[0])
+    t = np.tan(theta) ** 2 * ((np.cos(phi) / au) ** 2 + (np.sin(phi) / av) ** 2)
+    d = p(t) / (np.pi * au * av * np.cos(theta) ** 4)
+    fresnel = fresnel_conductor(np.dot(wi, h), mat["eta"], mat["k"])
+    masking = g1(_slope(wi, au, av)) * g1(_slope(wo, au, av))
+    return mat["specular_reflectance"] * fresnel * d * masking / (4.0 * wi[2])
+
+
+def _slope(w: np.ndarray, au: float, av: float) -> float:
+    return np.hypot(au * w[0], av * w[1]) / w[2]
+
+
+def _ggx_g1(tan_alpha: float) -> float:
+    return 2.0 / (1.0 + np.sqrt(1.0 + tan_alpha**2))
+
+
+def _beckmann_g1(tan_alpha: float) -> float:
+    if tan_alpha == 0.0:
+        return 1.0
+    a = 1.0 / tan_alpha
+    return 1.0 if a >= 1.6 else min(1.0, (3.535 * a + 2.181 * a**2) / (1.0 + 2.276 * a + 2.577 * a**2))
+
+
+def plastic_eval(mat: dict, wi: np.ndarray, wo: np.ndarray, nonlinear: bool = False) -> np.ndarray:
+    if min(wi[2], wo[2]) <= 0.0:
+        return np.zeros(3)
+    rho, eta = mat["diffuse_reflectance"], mat["ior"]
+    passed_in, passed_out = (1.0 - fresnel_dielectric(w[2], eta)[0] for w in (wi, wo))
+    # A share of the light from the base is reflected back to it, where the nonlinear variant tints it again.
+    again = mean_reflectance(1.0 / eta) * (rho if nonlinear else 1.0)
+    return rho / (1.0 - again) * passed_in * passed_out / (np.pi * eta**2) * wo[2]
+
+
+def nonlinear_plastic_eval(mat: dict, wi: np.ndarray, wo: np.ndarray) -> np.ndarray:
+    return plastic_eval(mat, wi, wo, nonlinear=True)
+
+
+# --- delta lobes: direction and weight ---
+
+
+def conductor_scatter(mat: dict, wi: np.ndarray, _lobe: int) -> tuple[np.ndarray, np.ndarray]:
+    value = mat["specular_reflectance"] * fresnel_conductor(wi[2], mat["eta"], mat["k"])
+    return wi * MIRRORED, value * (wi[2] > 0.0)
+
+
+def dielectric_scatter(mat: dict, wi: np.ndarray, lobe: int) -> tuple[np.ndarray, np.ndarray]:
+    eta = mat["ior"] if wi[2] > 0.0 else 1.0 / mat["ior"]
+    reflectance, cos_t = fresnel_dielectric(abs(wi[2]), eta)
+    if lobe == LOBE_DELTA_REFLECTION:
+        return wi * MIRRORED, mat["specular_reflectance"] * reflectance
+    if cos_t == 0.0:
+        return wi * MIRRORED, np.zeros(3)
+    wo = np.array([-wi[0] / eta, -wi[1] / eta, -np.sign(wi[2]) * cos_t])
+    return wo, mat["specular_transmittance"] * (1.0 - reflectance) / eta**2
+
+
+def plastic_scatter(mat: dict, wi: np.ndarray, _lobe: int) -> tuple[np.ndarray, np.ndarray]:
+    if wi[2] <= 0.0:
+        return wi * MIRRORED, np.zeros(3)
+    return wi * MIRRORED, mat["specular_reflectance"] * fresnel_dielectric(wi[2], mat["ior"])[0]
