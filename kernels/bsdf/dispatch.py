@@ -20,6 +20,7 @@ from warp_psdr.kernels.bsdf.conductor import CONDUCTOR
 from warp_psdr.kernels.bsdf.dielectric import DIELECTRIC
 from warp_psdr.kernels.bsdf.diffuse import DIFFUSE
 from warp_psdr.kernels.bsdf.model import Model, key_of
+from warp_psdr.kernels.bsdf.plastic import PLASTIC
 from warp_psdr.kernels.bsdf.record import (
     MaterialAlgebra,
     make_adjoint_record,
@@ -32,7 +33,7 @@ from warp_psdr.kernels.generated import make_generated
 from warp_psdr.kernels.structs import BsdfSample, Scattered
 
 #: All scattering models.
-MODELS: tuple[Model, ...] = (DIFFUSE, CONDUCTOR, DIELECTRIC, ROUGH_CONDUCTOR)
+MODELS: tuple[Model, ...] = (DIFFUSE, CONDUCTOR, DIELECTRIC, ROUGH_CONDUCTOR, PLASTIC)
 #: Key of a variant -> model and the variant's name, in the order in which a scene numbers those that it has.
 VARIANTS: dict[str, tuple[Model, str]] = {
     key_of(model.plugin, variant): (model, variant) for model in MODELS for variant in model.variants

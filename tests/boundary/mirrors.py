@@ -8,6 +8,7 @@ from .test_table import moved, scaled, turned
 
 MIRROR = {"type": "conductor", "material": "none"}
 GLASS = {"type": "dielectric", "int_ior": 1.5, "ext_ior": 1.0}
+PLASTIC = {"type": "plastic", "diffuse_reflectance": {"type": "rgb", "value": [0.6, 0.3, 0.2]}}
 
 
 def shining(shape, r, g, b):
@@ -85,6 +86,18 @@ def slab():
     return box((0.0, 0.0, 0.0), (1.0, 0.3, 0.8), GLASS, 0.5)
 
 
+def coated(**more):
+    """A plastic floor that shows a lamp and a box in its coat, and their light and shadow beneath it."""
+    corners = [[-2, -2, 0], [2, -2, 0], [2, 2, 0], [-2, 2, 0]]
+    return {
+        "sensor": camera((0.3, -2.6, 1.4), (0.0, 0.2, 0.2)),
+        "floor": mesh(corners, [[0, 1, 2], [0, 2, 3]], PLASTIC),
+        "lamp": lamp((-0.2, 1.0, 1.5), 0.5, 4.0),
+        "occluder": box((0.3, 0.4, 0.55), (0.2, 0.15, 0.25), diffuse(0.3, 0.5, 0.7), 0.4),
+        **more,
+    }
+
+
 def caustic():
     """A light that turns its back on the floor reaches it by way of a mirror alone."""
     light = {"type": "area", "radiance": {"type": "rgb", "value": [8.0, 7.0, 6.0]}}
@@ -120,6 +133,9 @@ register(
         "pierced above": pierced_above,
         "pierced glass": lambda: {**glass(slab()), "other": lamp((0.0, 2.2, 0.1), 0.6, 0.5)},
         "caustic": caustic,
+        "plastic floor": coated,
+        "plastic ball": lambda: coated(occluder=ball((0.2, 0.3, 0.5), 0.4, PLASTIC, subdivisions=2, smooth=True)),
+        "plastic in a mirror": lambda: coated(mirror=wall(1.0, 1.7, 1.0)),
         "unseen in a mirror": unseen,
         "unseen in its mirror": lambda: unseen(1.15),
         "unseen before glass": lambda: {**glass(slab()), "near": lamp((0.2, -1.2, 0.1), 0.25, 0.6)},
@@ -183,6 +199,21 @@ CASES = [
     Case("point in a mirror", WALL, turned(2), 0.005, "mirror turns", depth=3, **MANY),
     Case("soft in a mirror", OCCLUDER, ALONG, 0.02, "occluder moves", depth=3, spp=1024, difference_spp=4096),
     Case("soft in a mirror", "light.vertex_positions", ALONG, 0.02, "light moves", 3, spp=10240, difference_spp=8192),
+    # In the coat of plastic.
+    Case("plastic floor", LAMP, ALONG, 0.01, "lamp moves", depth=3, spp=1024, difference_spp=4096),
+    Case("plastic floor", OCCLUDER, ALONG, 0.01, "occluder moves", depth=3, spp=4096, difference_spp=16384),
+    Case(
+        "plastic floor",
+        "floor.vertex_positions",
+        turned(0),
+        0.005,
+        "floor turns",
+        depth=3,
+        spp=4096,
+        difference_spp=16384,
+    ),
+    Case("plastic ball", OCCLUDER, ALONG, 0.005, "ball moves", depth=3, spp=8192, difference_spp=32768),
+    Case("plastic in a mirror", OCCLUDER, ALONG, 0.01, "occluder moves", depth=4, spp=4096, difference_spp=16384),
     # Through lights that the camera does not see.
     Case("unseen in a mirror", NEAR, ALONG, 0.01, "light moves", hidden=True, **MANY),
     Case("unseen in a mirror", WALL, turned(2), 0.002, "mirror turns", hidden=True, **MANY),

@@ -202,6 +202,10 @@ EXAMPLES: dict[str, Example] = {
         mitsuba_pdf=1e-2,
         **_ROUGH,
     ),
+    "plastic": Example(eval=twins.plastic_eval, mitsuba=lambda mat: _mitsuba_plastic(mat, False), **_PLASTIC),
+    "plastic (nonlinear)": Example(
+        eval=twins.nonlinear_plastic_eval, mitsuba=lambda mat: _mitsuba_plastic(mat, True), **_PLASTIC
+    ),
 }
 
 

@@ -164,6 +164,7 @@ def test_a_derivative_is_compared_where_there_is_a_lobe(key: str) -> None:
 
 @pytest.mark.parametrize(("key", "name"), [
     ("diffuse", "reflectance"), (GGX, "specular_reflectance"), (BECKMANN, "specular_reflectance"),
+    ("plastic", "diffuse_reflectance"),
 ])  # fmt: skip
 def test_a_black_surface_has_the_reflectance_derivative_of_a_white_one(bsdf: Launcher, key: str, name: str) -> None:
     typical = EXAMPLES[key].materials[0]

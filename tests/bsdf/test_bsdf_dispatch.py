@@ -20,7 +20,7 @@ from warp_psdr.kernels.bsdf.dispatch import VARIANTS, make_bsdf
 from warp_psdr.kernels.constants import LOBE_DELTA_REFLECTION
 
 #: Models whose dispatch is checked in every run of the tests; the others' kernels are compiled in slow ones.
-FEW_KERNELS = ("diffuse", GGX)
+FEW_KERNELS = ("diffuse", GGX, "plastic")
 
 
 @pytest.fixture

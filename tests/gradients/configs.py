@@ -15,7 +15,7 @@ METHODS = {
     "reverse textbook": ("reverse", 0),
 }
 #: Scenes whose moving vertices textbook replay does not claim: it raises (chains through smooth mirrors and glass).
-TEXTBOOK_REFUSES = ("mirror", "glass")
+TEXTBOOK_REFUSES = ("plastic", "mirror", "glass")
 #: What is requested together in a scene, so that its cases share kernels.
 TOGETHER = {
     "plane": ("*",),
@@ -27,6 +27,7 @@ TOGETHER = {
     "brushed": ("*",),
     "beckmann": ("floor.bsdf.*.value",),
     "brushed ggx": ("floor.bsdf.*.value",),
+    "plastic": ("*",),
     "mirror": ("*",),
     "glass": ("*",),
 }
@@ -228,6 +229,13 @@ ROUGH = [
     Case("brushed ggx", "floor.bsdf.alpha_u.value", ones, 2e-2, depth=2, spp=512, slow=True),
     Case("brushed ggx", "floor.bsdf.alpha_v.value", ones, 2e-2, depth=2, spp=512, slow=True),
 ]
+PLASTIC = [
+    Case("plastic", "floor.bsdf.diffuse_reflectance.value", mixed, 2e-2),
+    Case("plastic", "floor.bsdf.specular_reflectance.value", mixed, 2e-2, depth=2, spp=2048, slow=True),
+    Case("plastic", "floor.bsdf.eta", ones, 6e-2, depth=2, spp=2048, slow=True),
+    Case("plastic", "floor.vertex_positions", bend, 4e-2, "bend", spp=1024, slow=True),
+    Case("plastic", "floor.vertex_normals", turn(0.5, 0.8, 0.2), 2e-2, spp=512, slow=True),
+]
 DELTA = [
     Case("mirror", "room.bsdf.specular_reflectance.value", ones, 1e-2, depth=4),
     Case("mirror", "room.bsdf.eta.value", mixed, 1e-2, depth=4),
@@ -250,4 +258,4 @@ DELTA = [
     Case("glass", "sensor.to_world", aim(0.3, 0.8, 0.4), 2e-3, "aim", depth=4, spp=64),
     Case("glass", "sensor.x_fov", ones, 0.1, depth=4, spp=128, slow=True),
 ]
-CASES = [*PLANE, *PARALLEL, *LENS, *DOME, *GAP, *ROUGH, *DELTA]
+CASES = [*PLANE, *PARALLEL, *LENS, *DOME, *GAP, *ROUGH, *PLASTIC, *DELTA]

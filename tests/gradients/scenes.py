@@ -142,6 +142,12 @@ def brushed_scene(distribution="beckmann"):
     return gap_scene({**metal, "specular_reflectance": rgb(0.9, 0.8, 0.7)})
 
 
+def plastic_scene():
+    return gap_scene(
+        {"type": "plastic", "diffuse_reflectance": rgb(0.6, 0.3, 0.2), "specular_reflectance": rgb(0.9, 0.8, 0.7)}
+    )
+
+
 def mirror_scene():
     room = ball(True, bsdf={"type": "conductor", "material": "Au"})
     room["vertex_radiance"] = (1.0 + 0.6 * np.sin(room["vertices"] @ noise(3, 3, low=-2.0, high=2.0, seed=6))).astype(
@@ -171,6 +177,7 @@ SCENES = {
     "brushed": brushed_scene,
     "beckmann": lambda: rough_scene("beckmann"),
     "brushed ggx": lambda: brushed_scene("ggx"),
+    "plastic": plastic_scene,
     "mirror": mirror_scene,
     "glass": glass_scene,
 }

@@ -23,6 +23,7 @@ from tests.bsdf.helpers import (
     glass,
     material,
     metal,
+    plastic,
     rough,
     rounded,
     unit,
@@ -68,6 +69,7 @@ SMOOTH = [
     (BECKMANN, "specular_reflectance", lambda a: [rough(a, metal=m) for m in METALS], rough_pairs),
     (GGX, "specular_reflectance", lambda a: [rough(a, min(10.0 * a, 1.0))], rough_pairs),
 ]
+COATED = [("plastic", "diffuse_reflectance", lambda a: [plastic(1.5, (0.0, 1.0, a))], diffuse_pairs)]
 
 
 def smooth_rows(models: list) -> Iterator[tuple[str, str, dict, np.ndarray, np.ndarray]]:
@@ -243,6 +245,14 @@ CASES = [
         naive="value / reflectance is 0 / 0 at a black surface",
         bound=2.5e-6,
         measure=lambda: smooth_derivatives(SMOOTH),
+    ),
+    Case(
+        family="materials",
+        name="a coat, values and derivatives, up to 89.9 degrees",
+        hard="little light passes the coat at grazing angles, and is what reflection leaves of 1",
+        naive="a transmittance below 0 by rounding",
+        bound=6e-6,
+        measure=lambda: max(smooth_values(COATED), smooth_derivatives(COATED)),
     ),
     Case(
         family="materials",

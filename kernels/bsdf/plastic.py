@@ -1,0 +1,140 @@
+"""A diffuse base under a smooth dielectric coat (Mitsuba's ``plastic``): a mirror reflection beside a smooth lobe.
+
+With F the Fresnel reflectance of the coat, eta its index over that outside and F_dr the mean reflectance that light
+from the base meets at the coat from below,
+
+    f_s(wi, wo) = rho / (1 - rho F_dr) (1 - F(wi)) (1 - F(wo)) / (pi eta^2)        (nonlinear; else 1 - F_dr),
+
+and the mirror reflection weighs specular_reflectance F(wi). F_dr is a fit in eta, Mitsuba's: d'Eon and Irving above 1,
+Egan and Hilgeman below.
+"""
+
+import functools
+
+import warp as wp
+
+from warp_psdr.kernels.bsdf.diffuse import diffuse_pdf
+from warp_psdr.kernels.bsdf.model import Color, Flag, Functions, Model, RelativeIndex
+from warp_psdr.kernels.constants import INV_PI, LOBE_DELTA_REFLECTION, LOBE_NONE, LOBE_SMOOTH
+from warp_psdr.kernels.fresnel import fresnel_dielectric, refracted_cosine
+from warp_psdr.kernels.math import reflect_local
+from warp_psdr.kernels.sampling import square_to_cosine_hemisphere
+from warp_psdr.kernels.structs import BsdfSample, Scattered
+
+#: Ratios of indices for which the fit of F_dr keeps the base below 1 (by 2e-3 above 1.9, by 3e-2 above 2.4); beyond 3.8
+#: it is no reflectance at all.
+MIN_IOR, MAX_IOR = 0.5, 3.0
+#: Least share of either lobe where a reflectance is 0: the lobe is still drawn, since its derivative is not 0.
+MIN_SHARE = 0.02
+
+
+@wp.func
+def diffuse_fresnel(eta: wp.float32) -> wp.float32:
+    """Mean reflectance of a smooth interface for diffuse light; ``eta``: the index behind it over that in front."""
+    x = 1.0 / eta
+    below = 0.0636 * x + eta * (eta * -1.4399 + 0.7099) + 0.6681
+    above = 0.919317 + x * (-3.4793 + x * (6.75335 + x * (-7.80989 + x * (4.98554 + x * -1.36881))))
+    return wp.where(eta < 1.0, below, above)
+
+
+@wp.func
+def coat(c: wp.float32, eta: wp.float32) -> wp.float32:
+    """Reflectance of the coat at the cosine c."""
+    return fresnel_dielectric(c, refracted_cosine(c, eta), eta)
+
+
+@wp.func
+def through_coat(c: wp.float32, eta: wp.float32) -> wp.float32:
+    """Transmittance of the coat at the cosine c, 1 - F without the difference, which cancels at grazing angles."""
+    g = refracted_cosine(c, eta)
+    transmittance = wp.float32(0.0)
+    if g > 0.0:
+        s = c + g
+        p = eta * eta * c + g
+        transmittance = 2.0 * c * g * (1.0 / (s * s) + eta * eta / (p * p))
+    return transmittance
+
+
+@functools.cache
+def make_plastic(record: type, variant: str) -> Functions:
+    """Return the model's functions; ``variant`` "nonlinear": light that meets the base again is tinted again."""
+    nonlinear = variant == "nonlinear"
+
+    @wp.func
+    def specular_share(mat: record, wi: wp.vec3) -> wp.float32:
+        """Probability of the mirror reflection."""
+        d = mat.diffuse_reflectance[0] + mat.diffuse_reflectance[1] + mat.diffuse_reflectance[2]
+        s = mat.specular_reflectance[0] + mat.specular_reflectance[1] + mat.specular_reflectance[2]
+        weight = wp.float32(0.5)
+        if d + s > 0.0:
+            weight = wp.clamp(s / (d + s), MIN_SHARE, 1.0 - MIN_SHARE)
+        reflectance = coat(wi[2], mat.ior)
+        specular = reflectance * weight
+        return specular / (specular + (1.0 - reflectance) * (1.0 - weight))
+
+    @wp.func
+    def plastic_eval(mat: record, wi: wp.vec3, wo: wp.vec3) -> wp.vec3:
+        """f_s of the base times the cosine of ``wo``, 1/sr."""
+        if wi[2] <= 0.0 or wo[2] <= 0.0:
+            return wp.vec3(0.0, 0.0, 0.0)
+        inside = diffuse_fresnel(1.0 / mat.ior)
+        rho = mat.diffuse_reflectance
+        through = through_coat(wi[2], mat.ior) * through_coat(wo[2], mat.ior) / (mat.ior * mat.ior)
+        scale = INV_PI * wo[2] * through
+        if wp.static(nonlinear):
+            return scale * wp.vec3(
+                rho[0] / (1.0 - rho[0] * inside), rho[1] / (1.0 - rho[1] * inside), rho[2] / (1.0 - rho[2] * inside)
+            )
+        return (scale / (1.0 - inside)) * rho
+
+    @wp.func
+    def plastic_pdf(mat: record, wi: wp.vec3, wo: wp.vec3) -> wp.float32:
+        """Density of the base's directions, solid angle."""
+        if wi[2] <= 0.0:
+            return 0.0
+        return (1.0 - specular_share(mat, wi)) * diffuse_pdf(wi, wo)
+
+    @wp.func
+    def plastic_scatter(mat: record, wi: wp.vec3, lobe: wp.int32) -> Scattered:
+        """Mirror direction and its weight; differentiable."""
+        value = wp.vec3(0.0, 0.0, 0.0)
+        if wi[2] > 0.0:
+            value = coat(wi[2], mat.ior) * mat.specular_reflectance
+        return Scattered(reflect_local(wi), value)
+
+    @wp.func
+    def plastic_sample(mat: record, wi: wp.vec3, u: wp.float32, v: wp.vec2) -> BsdfSample:
+        """Choose the mirror reflection or the base by ``u``, and a direction of the latter by ``v``."""
+        s = BsdfSample()
+        s.eta = 1.0
+        s.lobe = LOBE_NONE
+        if wi[2] > 0.0:
+            share = specular_share(mat, wi)
+            if u < share:
+                scattered = plastic_scatter(mat, wi, LOBE_DELTA_REFLECTION)
+                s.wo = scattered.wo
+                s.value = scattered.value
+                s.pdf = share
+                s.lobe = LOBE_DELTA_REFLECTION
+            else:
+                s.wo = square_to_cosine_hemisphere(v)
+                s.pdf = plastic_pdf(mat, wi, s.wo)
+                if s.pdf > 0.0:
+                    s.value = plastic_eval(mat, wi, s.wo)
+                    s.lobe = LOBE_SMOOTH
+        return s
+
+    return Functions(plastic_sample, plastic_eval, plastic_pdf, plastic_scatter)
+
+
+PLASTIC = Model(
+    "plastic",
+    (
+        Color("diffuse_reflectance", 0.5),
+        Color("specular_reflectance"),
+        RelativeIndex("polypropylene", low=MIN_IOR, high=MAX_IOR),
+        Flag("nonlinear"),
+    ),
+    (LOBE_SMOOTH, LOBE_DELTA_REFLECTION),
+    make_plastic,
+)
