@@ -142,7 +142,7 @@ class IncidentRadiance:
 
 @functools.cache
 def make_following(config: PathConfig):
-    """Return ``following(scene, sampler, start, max_depth, rr_depth, smooth) -> IncidentRadiance``: what a path collects.
+    """Return ``following(scene, sampler, start, max_depth, rr_depth, smooth) -> IncidentRadiance``: of a path.
 
     ``smooth``: of the first surface that it meets only what its smooth lobes send.
     """
