@@ -12,6 +12,7 @@ from warp_psdr.estimate.trace import Trace, trace_sample
 from warp_psdr.image import Image
 from warp_psdr.invalid import invalid_samples
 from warp_psdr.options.integrator import PathIntegrator
+from warp_psdr.options.methods import methods
 from warp_psdr.plan.plan import Plan, plan
 from warp_psdr.render import render, render_backward, render_forward
 from warp_psdr.scene.acceleration import set_ray_backend
@@ -52,6 +53,7 @@ __all__ = [
     "load_file",
     "load_string",
     "losses",
+    "methods",
     "optim",
     "plan",
     "plots",

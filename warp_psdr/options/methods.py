@@ -1,0 +1,103 @@
+"""The published methods that exist here: the one table behind ``psdr.methods()``, the README and the documentation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+
+@dataclass(frozen=True, kw_only=True)
+class Method:
+    """A published method and where it stands.
+
+    Attributes:
+        key: the paper, by its key in the survey's references and in ``docs/references.bib``.
+        paper: what the paper calls the method.
+        option: the expression behind ``psdr.`` that asks for it.
+        term: what it estimates, or helps to: "interior", "boundary" or "guiding".
+        file: the file that implements it, from the repository's root.
+        page: its page, from the repository's root.
+    """
+
+    key: str
+    paper: str
+    option: str
+    term: str
+    file: str
+    page: str
+
+
+class MethodTable(tuple[Method, ...]):
+    """All methods; prints as a table."""
+
+    __slots__ = ()
+
+    def __repr__(self) -> str:
+        rows = [["paper", "method", "option", "term", "file", "page"]]
+        rows += [[f"[{m.key}]", m.paper, f"psdr.{m.option}", m.term, m.file, m.page] for m in self]
+        widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
+        return "\n".join(
+            "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows
+        )
+
+    def _repr_html_(self) -> str:
+        names = [f.name for f in fields(Method)]
+        head = "".join(f"<th>{name}</th>" for name in names)
+        body = "".join("<tr>" + "".join(f"<td>{getattr(m, name)}</td>" for name in names) + "</tr>" for m in self)
+        return f"<table><tr>{head}</tr>{body}</table>"
+
+    def markdown(self) -> str:
+        """Return the table as Markdown, with links from the repository's root."""
+        lines = ["| paper | term | option | file | page |", "|---|---|---|---|---|"]
+        for m in self:
+            key, file = m.key.replace("*", "\\*"), m.file.rpartition("/")[2]
+            name = m.page.rpartition("/")[2].removesuffix(".md")
+            lines.append(f"| {m.paper} [{key}] | {m.term} | `{m.option}` | [`{file}`]({m.file}) | [{name}]({m.page}) |")
+        return "\n".join(lines)
+
+
+_METHODS = MethodTable(
+    Method(key=key, paper=paper, option=option, term=term, file=file, page=f"docs/methods/{page}.md")
+    for key, paper, option, term, file, page in (
+        (
+            *("VSJ21", "Path replay, by record and sweep", "interior.Replay()", "interior"),
+            *("kernels/interior/replay.py", "replay"),
+        ),
+        (
+            *("VSJ21", "Path replay, as published", "interior.Replay(block=0)", "interior"),
+            *("kernels/interior/textbook.py", "textbook"),
+        ),
+        (
+            *("ZMY*20", "Path-space boundary sampling", "boundary.PathSpace()", "boundary"),
+            *("kernels/boundary/path_space/secondary.py", "path_space"),
+        ),
+        (
+            *("LADL18", "Edge sampling", "boundary.EdgeSampling()", "boundary"),
+            *("kernels/boundary/edge_sampling/edge_sampling.py", "edge_sampling"),
+        ),
+        (
+            *("ZRJ23", "Projective sampling", "boundary.Projective()", "boundary"),
+            *("kernels/boundary/guiding/projective.py", "projective"),
+        ),
+        (
+            *("ZMY*20", "Grid of photons and importons", "guiding.Grid()", "guiding"),
+            *("warp_psdr/estimate/guiding/grid.py", "grid"),
+        ),
+        (
+            *("YLB*22", "k-d tree over edges and directions", "guiding.KdTree()", "guiding"),
+            *("warp_psdr/estimate/guiding/kdtree.py", "kd_tree"),
+        ),
+        (
+            *("ZRJ23", "Octree over edges and directions", "guiding.Octree()", "guiding"),
+            *("warp_psdr/estimate/guiding/octree.py", "octree"),
+        ),
+    )
+)
+
+
+def methods() -> MethodTable:
+    """Return the published methods that exist here, with paper, option, file and page.
+
+    Returns:
+        One ``Method`` each; ``print`` shows a table.
+    """
+    return _METHODS
