@@ -1,17 +1,10 @@
 """The one path loop: camera ray, emission, next-event estimation, scattering, Russian roulette.
 
-Unidirectional path tracing with multiple importance sampling [Vea97]. A path is a sequence of vertices x_1, x_2, ...
-behind the camera. At every vertex
+At every vertex L_n = E_n + D_n + beta_n L_{n+1} [Vea97]: E_n the emission that the incoming ray hits, D_n the
+next-event estimate, beta_n = f_s / (p q). ``path_step`` computes one vertex and the state from which the next one
+follows. Depth counts as in Mitsuba's ``path``.
 
-    L_n = E_n + D_n + beta_n L_{n+1},
-
-E_n the emission that the incoming ray hits (weighted against next-event estimation at the vertex before), D_n the
-next-event estimate, beta_n = f_s / (p q) the scattering value over its pdf p and survival probability q. ``path_step``
-computes one vertex and the state from which the next one follows; the primal pass sums throughput times (E_n + D_n),
-the differential passes keep the vertices and sweep them backwards (``interior/replay.py``). Sampling decisions, pdfs,
-MIS weights and roulette are detached everywhere.
-
-Depth counts as in Mitsuba's ``path``: ``max_depth`` vertices at most (1: emission only; -1: unbounded).
+Derivation: ``docs/theory/interior.md#the-path-loop``.
 """
 
 import functools

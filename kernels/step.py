@@ -1,21 +1,10 @@
 """The step by which rays leave surfaces and look past edges: long enough for float32, short for what is small.
 
-A ray that leaves a triangle must not meet it again. What it meets where is off by some roundings of the triangle's
-coordinates *relative to the ray's origin*, and the origin by some of its own, so the step is a multiple of u = 2^-24
-times the largest coordinate of that triangle. In most scenes one step serves all triangles, ``Scene.ray_epsilon``, a
-generous 160 u of the largest coordinate of all. Where shapes are small for that (``Scene.least_step`` > 0):
+The step is a multiple of u = 2^-24 times the largest coordinate: ``Scene.ray_epsilon`` for all triangles, or, where
+shapes are small for that, ``LEAVE`` (6.4 u) of the triangle's own largest coordinate, and ``Shape.edge_step`` past
+edges.
 
-* A ray leaves a triangle by ``LEAVE`` (6.4 u) of that triangle's largest coordinate. Measured, of 2.4 million points of
-  turned squares, seen from anywhere and at angles down to 10^-4: at 1.6 u a share of 10^-3 meets its own square or the
-  triangle beside, at 3.2 u none, for both ray backends.
-* An edge is passed at ``RAY_EPSILON`` times the size of its shape, but at no less than ``RESOLVED`` (40 u) of the
-  shape's largest coordinate (``primary.py`` and ``edge_sampling.py`` look past edges at a tenth of that), and no less
-  than ``TOUCH`` (4 u) of the largest coordinate of whatever may touch the shape: so far a vast triangle that touches
-  the edge may lie off its place. The host knows these (``scene/steps.py``): ``Shape.edge_step``.
-
-So a small thing is as exact as a large one unless it touches something vast; at 10^-5 of what it touches, steps are
-some percent of its size: float32 coordinates of vast triangles allow little more. Where the vast surface is cut into
-small triangles near it, they do not count.
+Derivation: ``docs/theory/numerics.md#steps-off-surfaces-and-past-edges``.
 """
 
 import warp as wp

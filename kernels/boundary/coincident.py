@@ -1,25 +1,9 @@
 """Silhouettes that coincide: one jump of light, on which edges of several bodies lie, and which counts once.
 
-**Shapes that abut without sharing vertices.** Where a wall stands on a part of a floor's border, light from behind
-passes both along one line. Whichever of the two edges a segment touches, it is free on the other side, and counts all
-of the jump: the edges share it, and each moves its own shape. An edge that the other shape reaches beyond is no
-silhouette: what hides its segments does so by itself.
+Shapes that abut share the jump along their common line. Of edges that lie one behind the other as a point, spot or
+directional light or an orthographic camera sees them, the one nearest to x_1, or to the camera, counts.
 
-With offset the distance of the other edge from the segment's plane, away from the occluder, the edge in front,
-offset = 0, hides segments at the other from offset < -step on, step the distance at which these pass; up to there both
-count. What is seen on the film is told apart by its own means (``primary.py``), which know what covers what.
-
-**Edges one behind the other** coincide for directions of measure zero, but a point, spot or directional light has no
-others, nor has an orthographic camera: equal plates one above the other under a vertical sun, or seen from above. Of
-these edges the one nearest to x_1, or to the camera, counts: who looks from there along the light, beside the edge on
-the occluder's side, sees the edge's own body first. (A body is a shape, or a part of a mesh that shares no edge
-with the rest.) What the camera sees beside such an edge lies in the shadow of the others, right up to the edge; a ray
-to the light that starts off a surface, a step along its normal, passes them where light falls aslant. So the rays of
-``primary.py`` pass the edge farther away than such steps, if a shadow falls along it.
-
-**A light in the camera's place**, or a sun along its parallel rays, throws all shadows behind what throws them: what
-hides x_1 from the light hides it from the camera, whose silhouettes (``primary.py``) have counted it. Their rays pass
-the edge farther away for the same reason, so that what they meet sees the light.
+Derivation: ``docs/theory/boundary.md#silhouettes-that-coincide``.
 """
 
 import functools

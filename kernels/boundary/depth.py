@@ -1,17 +1,9 @@
 """Paths of two vertices behind the camera and longer ones apart: the direct and the indirect boundary.
 
-A boundary segment x_1 -> x_2 whose x_1 is the k-th vertex as counted from the camera brings W_k L_k (``transport.py``),
-where L_k holds what x_2 sends by itself, E_2, wherever a path may have k + 1 vertices, and what it scatters, R_k.
-Linear in L, the term is the sum of
+The direct boundary is W_1 E_2, what x_2 sends by itself to a vertex that the camera sees; the indirect one is the rest.
+They are estimated by independent samples, and the sum of the two means is the whole term.
 
-    direct boundary:    W_1 E_2,                            all that is left of it at max_depth = 2,
-    indirect boundary:  W_1 R_1 + sum over k > 1 of W_k L_k,
-
-which may be estimated by independent samples of any densities that are positive where their integrands are not zero:
-the sum of the two means is the whole term, the sum of their variances that of its estimate. The direct part is the
-estimator with max_depth = 2. For the indirect one, what that estimator would count is taken from what a path brings
-behind one vertex. Both follow the same path, which starts with x_2: the difference is R_1 path by path, and nothing is
-left of the variance of E_2.
+Derivation: ``docs/theory/boundary.md#direct-and-indirect-boundary``.
 """
 
 import functools

@@ -1,18 +1,9 @@
 """The two sub-paths at the ends of a boundary segment: radiance from the source, importance towards the sensor.
 
-The source's side is the ordinary path tracer: a ray that starts at the edge, at the depth that the vertices in front of
-it leave. The sensor's side is a walk *from* x_1 towards the camera that scatters importance: with ``to`` the direction
-in which the vertex before lies (for x_1 the direction of the segment) and f_s the scattering function including the
-cosine of its outgoing direction, as everywhere here,
+The source's side is the ordinary path tracer; the sensor's side is a walk from x_1 towards the camera that scatters
+importance and is connected to the camera at every vertex.
 
-    W(x, to) = integral W(y, -w) f_s(w, to) |n . w| / |n . to| dsigma(w),      y what the direction w meets,
-
-and at every vertex it is connected to the camera, w_c the direction towards the origin of its ray through y:
-
-    W_camera(x, to) = f_s(w_c, to) / |n . to| . |n . w_c| . per_area                    (``projection.py``).
-
-n is the geometric normal; the cosine with the shading normal sits in f_s, as in the interior term.
-The vertices between x_1 and the camera only carry values here, not derivatives.
+Derivation: ``docs/theory/boundary.md#sub-paths-of-a-segment``.
 """
 
 import functools

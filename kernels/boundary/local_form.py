@@ -1,25 +1,10 @@
 """The local form of the boundary term, shared by all of its estimators.
 
-A boundary segment x_1 -> x_b -> x_2 touches an edge at x_b; x_1 lies on the sensor's side, x_2 on the source's. With
-t_1 = |x_b - x_1|, d = |x_2 - x_1|, tau = t_1 / d, the direction omega of the segment and the edge's tangent t at an
-angle phi, the segments through a piece of edge dl within dsigma(omega) carry the étendue that the moving edge sweeps:
+A boundary segment x_1 -> x_b -> x_2 touches an edge at x_b, at t_1 = |x_b - x_1| of d = |x_2 - x_1|; tau = t_1 / d.
+With W_1 and L_2 the importance and the radiance past the occluder, n the normal of the plane through edge and segment
+and phi the angle between them, dI = W_1 . L_2 . n . ( x_b' - (1 - tau) x_1' - tau x_2' ) sin(phi) dl dsigma.
 
-    dI = W_1 . L_2 . n . ( x_b' - (1 - tau) x_1' - tau x_2' ) sin(phi) dl dsigma,
-
-W_1 and L_2 the importance and the radiance along the segment *past* the occluder, n the unit normal of the plane
-through t and omega, turned towards the occluder's interior, and ' the velocities: of x_b the edge's, of x_1 and x_2
-those of the parametrisation that the interior term uses for these vertices (``interior/replay.py``). The bracket is the
-velocity of the edge relative to the line between the end points at x_b. Since sin(phi) n = +- t x omega, the normal and
-the sine come as one vector, the *sweep*. Equivalent to survey eq. 17 with V of [ZMY*20], but no normal is needed at
-x_1 or x_2.
-
-In material form only the background counts: domains are fixed, and the radiance of the occluder itself does not jump in
-them. In the film's parametrisation (``primary.py``) it is background minus foreground.
-
-Where the line just beside x_b meets a surface at x_b itself (a box standing on a floor), a path vertex on that surface
-loses sight of both of its neighbours at once. The jump is counted once, by the segment whose end x_2 is the contact
-(tau = 1), with all of the radiance that leaves it: the interior term converges there only conditionally, in the order
-in which its paths are drawn, the sensor's side first (``interior/contact.py``).
+Derivation: ``docs/theory/boundary.md#local-form``.
 """
 
 import functools

@@ -1,19 +1,9 @@
 """Notches: how close to an edge its two sides can be looked at where surfaces meet at an acute angle.
 
-A ray that leaves a surface starts one step off it (``kernels/step.py``). Close to where another surface rises from the
-first at an angle theta < 90 degrees, that start lies behind the other: light that shines into the notch is kept out,
-and light from behind gets in. In an image that is a strip as narrow as the step. A boundary term, though, looks right
-beside the edge, and would see nothing but that strip: a wedge of 30 degrees that slides over a sunlit floor had 70 % of
-its derivative. At a distance r from the edge the other surface is r tan(theta) above the first, so rays have to meet it
-at r > 1 / tan(theta) steps from the edge.
+A ray that leaves a surface starts one step off it, behind another surface that rises from the first at an acute angle.
+So at concave edges rays pass ``INTO`` steps from the edge, where they meet the first surface in front of the other.
 
-Who looks into the notch does so at an angle g < theta with the surface. A ray that passes the edge at one step meets
-the surface at 1 / sin(g) > 1 / tan(theta): ``INTO`` steps are enough at any angle. Who looks at a sharp edge from
-outside sees no notch: what starts in front of either surface is in front of both.
-
-Surfaces that run through each other also meet behind what is seen, at 180 - theta, and light from there arrives through
-glass and hidden lights: no such bound holds. Nor does it inside of glass that ends in a sharp edge, which rays that
-enter beside it would leave at once.
+Derivation: ``docs/theory/boundary.md#concave-edges``.
 """
 
 import warp as wp

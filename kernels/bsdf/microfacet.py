@@ -1,20 +1,9 @@
 """Microfacet distributions: GGX [WMLT07] (Trowbridge-Reitz) and Beckmann, anisotropic, with visible-normal sampling.
 
-In slopes s = (-h_x / h_z, -h_y / h_z) and t = (s_x / alpha_u)^2 + (s_y / alpha_v)^2, the distribution of normals is
+In slopes s = (-h_x / h_z, -h_y / h_z) and t = (s_x / alpha_u)^2 + (s_y / alpha_v)^2, D(h) = P(t) / (alpha_u alpha_v
+h_z^4), P(t) = exp(-t) / pi (Beckmann) or 1 / (pi (1 + t)^2) (GGX). Nothing in it cancels at small roughness.
 
-    D(h) = P(t) / (alpha_u alpha_v h_z^4),   1 / h_z^2 = 1 + |s|^2,
-    P(t) = exp(-t) / pi (Beckmann) or 1 / (pi (1 + t)^2) (GGX).
-
-Nothing in it cancels at small roughness. A direction w enters the masking functions through the stretched vector
-(alpha_u w_x, alpha_v w_y, w_z); ``r`` is the length of its horizontal part.
-
-* ``smith_over_cos(w)``: Smith's masking G_1(w) over the cosine of w. For Beckmann the rational fit of [WMLT07, eq. 27],
-  as in Mitsuba, whose G = G_1(wi) G_1(wo) is separable too.
-* ``projected_area(w)``: area of the visible microsurface, cos / G_1 with the exact G_1. Normals seen from w have the
-  density D max(0, dot(w, h)) / projected_area(w) [Heitz and d'Eon 2014]. (Mitsuba's pdf takes the fit here; this one is
-  the density that is sampled, to rounding.)
-
-[WMLT07] Walter, Marschner, Li, Torrance: Microfacet Models for Refraction through Rough Surfaces.
+Derivation: ``docs/theory/materials.md#microfacet-distributions``.
 """
 
 import functools

@@ -1,27 +1,9 @@
 """A rough mirror of metal (Mitsuba's ``roughconductor`` with ``sample_visible``), GGX or Beckmann.
 
-    f_s(wi, wo) cos(wo) = F(dot(wi, h)) D(h) G_1(wi) G_1(wo) / (4 cos(wi))    [WMLT07, eq. 20]
+f_s(wi, wo) cos(wo) = F(dot(wi, h)) D(h) G_1(wi) G_1(wo) / (4 cos(wi)) [WMLT07, eq. 20]. The slope of h is corrected by
+a second measurement, that wo - wi is normal to h, so that it keeps its digits at every angle down to alpha = 1e-5.
 
-with h the half vector. For unit directions |wi + wo| is twice dot(wi, h), and h itself is never normalised.
-
-Digits. A lobe is as wide as alpha in slopes s = (h_x, h_y) / h_z, so a share of alpha is what an error of s may be.
-Components of unit vectors are off by some u = 2^-24, hence h_x and h_y too (they cancel, but exactly), while
-h_z = 2 cos(wi): s is off by u / cos, more than alpha = 1e-5 at 89.9 degrees. In the plane of incidence the directions
-hold a second measurement. Their lengths agree, so d = wo - wi is normal to h,
-
-    d_x s_x + d_y s_y + d_z = 0,
-
-where d_z, the difference of two small cosines, is exact to u and the length of (d_x, d_y) is about 2 sin. The slope is
-what fits both best: minimising |h_z s - (h_x, h_y)|^2 + (d_x s_x + d_y s_y + d_z)^2, errors of all components being
-alike, corrects the first one to
-
-    s - (d_x, d_y) r,   r = (d_x s_x + d_y s_y + d_z) / (h_z^2 + d_x^2 + d_y^2).
-
-r is 0 but for rounding, and nothing in it cancels that is not exact. In the plane of incidence s is then good to about
-u at every angle (measured: 1e-3 alpha at alpha = 1e-5 from 45 to 89.9 degrees, 1.3 alpha without). Across it u / cos
-remains: the lobe is 2 alpha cos radians wide there, and u is what float32 directions resolve. At alpha = 1e-5 that is
-1 % of the lobe at 80 degrees and a tenth at 89. Value, pdf and sampling see the same blurred lobe, whose integral is
-right. Off the unit sphere this is another function, but adjoints of directions only ever act along it.
+Derivation: ``docs/theory/materials.md#digits-of-a-rough-conductor``.
 """
 
 import functools

@@ -1,19 +1,9 @@
 """Builds the wide BVH on the CPU: a binary tree, and its collapse.
 
-**Binary tree.** Top-down with the surface-area heuristic [Wal07]: a range of triangles is split at the best of the
-3 x 31 inner borders of 32 bins over the bounds of the centroids. Costs count packets, ceil(n / W), and a range that
-fits one packet is a leaf, because a packet costs the same however many of its lanes are used. Below ``SAH_DEPTH``
-levels, or where no border separates the centroids, a range is halved by count, so that the depth is bounded for any
-input. First of all, if there are few triangles as large as the scene, the walls of a room say, they become a packet of
-their own, which most rays meet anyway: among others they would make boxes of everything as large as themselves.
+Top-down with the surface-area heuristic [Wal07], costs counted in packets; then dynamic programming [YKL17] decides
+which binary nodes become wide ones. Triangles as large as the scene are a packet of their own.
 
-**Collapse.** Which binary nodes become wide ones is decided by dynamic programming [YKL17]: cost[i] is the least cost
-of a subtree that may take i + 1 slots of its parent; it is either shared out between the two halves of the subtree, or,
-in one slot, the subtree is a node of its own and costs its area plus its share of W slots. Leaves are given, so they
-cost nothing here, and the cost of the root is the expected number of node tests times its area.
-
-[Wal07] Wald. On fast Construction of SAH-based Bounding Volume Hierarchies. RT 2007.
-[YKL17] Ylitie, Karras, Laine. Efficient Incoherent Ray Traversal on GPUs Through Compressed Wide BVHs. HPG 2017.
+Derivation: ``docs/theory/rays.md#building-the-wide-bvh``.
 """
 
 import functools

@@ -1,26 +1,9 @@
 """Ray queries for W rays that lie close together: camera rays of a pixel, shadow rays from neighbours to one light.
 
-What is wide here is the bundle, one ray a lane. It walks the tree of ``wide.py`` once for all of its rays. The renderer
-traces camera rays so (``camera_rays.py``); its shadow rays start on paths that have parted.
+What is wide here is the bundle, one ray a lane: it walks the tree of ``wide.py`` once for all of its rays, whose hits
+are those that each has alone. Rays that differ in a sign or in their largest component are traced one by one.
 
-**Boxes.** All children of a node are tested at once against the whole bundle. Let s be the sign of the direction along
-an axis, the same for all rays, r = 1 / |d| in [r0, r1], and o the origin relative to the scene's center. A ray meets
-the slab with the near side n and the far side f between (s n - s o - delta) r and (s f - s o + delta) r. So none enters
-before (s n - max(s o) - delta) r0, or before 0 where that is negative, and none leaves behind
-(s f - min(s o) + delta) r1, which is negative where all rays have the slab behind them. delta is that of ``wide.py``
-for the largest |o - c| of the rays. The boxes of a packet's triangles are tested in the same way before the triangles.
-
-Shadow rays that start apart and end in one light are followed from the light: any hit has no order, and seen from there
-they are closer together. Their ends are rounded once more than their origins, which delta's spare covers.
-
-**Triangles** of a packet are tested one after the other, each against all rays, by the operations of ``wide.py`` in
-the same order: a ray gets the distance and the barycentrics that it gets alone. It gets the same face, too, unless
-several are hit at one distance in a tree: which one is met there depends on the bundle.
-
-Rays whose directions differ in the sign of a component or in the largest one, and rays that are not finite, are not
-traced together: the query returns False, and the caller traces them one by one.
-
-Rays and hits lie in rows, one for each number, as ``lanes.py`` has it.
+Derivation: ``docs/theory/rays.md#bundles-of-coherent-rays``.
 """
 
 import functools

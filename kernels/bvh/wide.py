@@ -1,40 +1,10 @@
 """Closest-hit and any-hit ray queries: Warp's mesh queries, and a wide BVH traversed with SIMD on the CPU.
 
-**Layout.** W is the number of lanes (4, 8 or 16). A node is 7 rows of W words: for each axis the lower and the upper
-bounds of its W children, relative to the scene's center, then the children: n > 0 is node n, c < 0 is packet ~c.
-Unused children have inverted infinite bounds, which no ray meets. A packet is 10 rows: the x, y, z rows of the first,
-second and third corners of up to W triangles, then their face numbers. Unused and zero-area lanes hold NaN corners,
-for which every comparison below is false. Up to ``FLAT_PACKETS`` packets are tested one after the other, without nodes
-and without a branch that depends on the ray.
+A node holds the bounds of W children in rows of words, a packet the corners of up to W triangles; slab tests [KK86]
+grow by an error bound, triangle tests are watertight [WBW13], and what loses its digits is evaluated again in double
+precision.
 
-**Boxes.** Slab test [KK86] on all children at once, with the ray's origin moved by +-delta so that every slab grows by
-delta on both sides; delta = 16 u (|o - c| + extent) in the maximum norm, u = 2^-24 the unit roundoff. In units of
-u (|o - c| + extent) a slab's rounding is at most 6: subtracting the center from bound and origin, adding delta, 1 / d,
-and the two operations of the distance; the rounding of the sheared corners below is at most 5. So the box of a
-triangle that is hit as computed is never missed, which a watertight triangle test needs [WBW13]. A direction component
-below 1e-16 of the largest is replaced by that value: over the whole scene this moves the ray by far less than delta,
-and 1 / d and its products stay finite.
-
-**Triangles.** [WBW13]: corners relative to the origin are sheared so that the ray becomes the z axis; the ray hits if
-the origin of the plane lies inside the projected triangle: the edge functions U = Cx By - Cy Bx, V, W have one sign or
-are 0. A corner's projection depends on that corner alone, so neighbours see the same edge. Both products are rounded
-before they are subtracted (contraction to fma is off). Rounding is monotonic, hence the computed sign is never the
-wrong one, it can only become 0, which counts as inside for both neighbours: no ray passes between them. Where the
-determinant U + V + W is small against the products, on needles and on triangles that are small for their distance from
-the ray, the edge functions are evaluated again in double precision, in which products of floats and the signs of their
-differences are exact. Without this second look the small ones would be hit far beside them, where edge functions vanish
-by rounding, and the distance t, an average of the corners' with weights U, V, W, would be anywhere along a needle.
-What is left to float keeps 16 bits of U, V, W or more, which is enough to choose the closest triangle by its distance.
-Its barycentrics V and W over U + V + W, in which roundings are a long way on a triangle that reaches far, are evaluated
-again from exact products, in double precision. The reciprocal of U + V + W is approximate and refined by one Newton
-step; any hit compares products instead of dividing. So t_max is met to within two roundings.
-
-**Order.** Hit children are ranked without branches: the lowest bits of their entry distances are replaced by the lane
-number, so that all differ, and a child's rank is the number of hit children before it. They are pushed farthest first.
-Any hit needs no order.
-
-[KK86] Kay, Kajiya. Ray Tracing Complex Scenes. SIGGRAPH 1986.
-[WBW13] Woop, Benthin, Wald. Watertight Ray/Triangle Intersection. JCGT 2(1), 2013.
+Derivation: ``docs/theory/rays.md#the-wide-bvh``.
 """
 
 import functools

@@ -1,51 +1,10 @@
 """Contacts: the interior term's fireflies where a moving surface touches another, and what is done about them.
 
-In material form the geometric factor between a path vertex p and the next one q, towards the source, changes by the
-rate dG/G ~ v / r when q moves relative to p with v, r = |q - p|. Paths are drawn with a density proportional to G, so a
-sample is as large as v / r. Near a line of contact of the two surfaces r gets as small as the distance a of p from the
-surface of q, and a is spread evenly: the samples have a tail P(|X| > t) ~ 1/t and no variance. Their mean exists in the
-order in which a path is drawn, p first: with b the distance of q from the surface of p, G = a b / r^4, and the
-integral over q of dG/da at a fixed a is dF/da, F(a) the form factor of q's surface, which is smooth down to a = 0.
-(The jump F(0+) itself is the boundary term's: the segment p -> q whose end q is the contact, ``boundary/local_form``.)
+Near a line of contact of two surfaces that move against each other a sample is as large as v / r and has no variance.
+So what changes because of that motion is multiplied by chi = 3 (s / rho)^2 where s < rho and 1 elsewhere, s the
+distance from the line of contact: the mean of chi is one, and its bias is of second order in rho.
 
-So what changes because the two move against each other is multiplied by
-
-    chi = 3 (s / rho)^2 where s < rho, 1 elsewhere,    s = a / sin(theta),
-
-a the distance of p from the tangent plane of q, theta the angle between the two surfaces: s is how far p is from the
-line where they meet, and infinite in a gap between parallel ones, where r has a bound, the gap's width. (Near
-those sin(theta) counts as ``LEAST_SINE``, and chi is at most 1.) It is dG/G but for the rate of the area around q, and
-the turn of the direction in the frames of p and of q. Each is complete with the turn of the surfaces themselves: where
-all turn together they are 0, and chi changes nothing.
-
-Where q's surface is flat over lengths rho, chi is constant for a given p, and what is lost is the integral of
-(1 - chi) dF/da over s < rho. That holds for a weight which depends on a alone; a cut at a fixed r would leave an error
-that does not vanish with rho. The mean of chi over s < rho is 1, so what is lost is of second order: with L the size
-of the surfaces, 1/4 (rho / L)^2 of L d^2F/da^2. (Among the weights with that mean this one has the least integral of
-(chi / s)^2, hence the least noise.) Where light was scattered nearby just before, s is not spread evenly but with a
-logarithm, ln(L / s), of which a first order is left: 2/3 rho / L of that part. This is the mean over the strip s < rho;
-pixels that resolve it see chi. The part v / a of a sample is at most some v / rho; that of directions which graze p, as
-q lifts off its plane, has a logarithmic tail of its own.
-
-Where F varies within rho, that part of its derivative is wrong, and what is lost may be all: next to a sheet of paper
-that slides over a table, F falls from F(0+) to 0 within the height of the paper's rim, and of the two terms that nearly
-cancel in the mean only the boundary's would be left. So rho goes by the surfaces themselves: it is
-``Scene.contact_ratio`` times the smaller radius at p and where they meet (``warp_psdr.topology.patches``), whatever
-shapes they belong to; and a speck in the scene does not make the corners of its rooms noisy.
-
-For the same reason chi is 1 where the surfaces do not meet: next to a wall that ends g above the floor, F(0+) is 0 and
-F rises within a ~ g. Whether they do must not depend on where on its surface q is: of the changes v / r at a given p
-only the sum over q is small. So two rays ask for it, each along one of the planes but for a rise of ``SLOPE``: one from
-p, or rather next to q, as far along the line of both planes (past the end of a contact chi is then what it is before,
-and as F falls on the one side and rises on the other, what is lost cancels), and one from the plane of q, as far from
-the line as p. Each has to find the shape of the other, and the radii are those of what they find. Next to a gap they
-pass below for a < g / ``SLOPE``; next to an edge that is rounded with radius g they find that, with a rho much smaller
-than g: chi is 1 until F has risen. The mean of chi is not 1 then, but at most 1.39 (where that ends at 0.58 rho), in
-front of a derivative that is smooth at this distance: 0.39 rho / L of it. The samples are as large as v / g, and are
-many. On surfaces that bend away from the contact, F falls with the root of a, and the s of their triangles grow from
-the contact on; 1 % of F(0+) is lost at rho = R / 25.
-
-Cameras, mirrors and glass need no weight: what they meet has no density G.
+Derivation: ``docs/theory/interior.md#contacts``.
 """
 
 import functools

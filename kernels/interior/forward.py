@@ -1,17 +1,9 @@
 """Interior term in forward mode: the derivative travels with the path.
 
-Same factors, parametrisation and detached sampling as record and sweep (``replay.py``), in the other order. With the
-throughput A_n = beta_1 ... beta_{n-1} of vertex n and its derivative A_n',
+Same factors, parametrisation and detached sampling as record and sweep (``replay.py``), in the other order: with A_n'
+the derivative of the throughput, dI = sum_n A_n' (E_n + D_n) + A_n (E_n' + D_n'). One trace, nothing recorded.
 
-    dI = sum_n  A_n' (E_n + D_n) + A_n (E_n' + D_n'),       A_{n+1}' = A_n' beta_n + A_n beta_n',
-
-componentwise over the colour channels, all three at once. beta_n' needs the velocity of vertex n + 1 (direction and
-geometric factor), so the loop looks one vertex ahead. Nothing is recorded: one trace, memory independent of depth, and
-no division by a factor, so factors that are exactly zero keep their derivative.
-
-Velocities of vertices and frames are closed forms (``tangents.py``). A colour's derivative is found from the local
-factors that reverse mode uses, one vector-Jacobian product for each channel, dotted with the velocities of what the
-factor depends on; so a material or light is written once for both modes.
+Derivation: ``docs/theory/interior.md#forward-mode``.
 """
 
 import functools

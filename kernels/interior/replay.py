@@ -1,34 +1,10 @@
 """Interior term by record and sweep: path replay [VSJ21] without its division (survey eq. 12 first term, eq. 55).
 
-The radiance along a path obeys ``L_n = E_n + D_n + beta_n L_{n+1}`` (``kernels/path.py``). With the adjoint ``delta``
-of a pixel and the detached prefix ``A_n = delta beta_1 ... beta_{n-1} / spp``, the derivative of one sample is
+With L_n = E_n + D_n + beta_n L_{n+1} and the detached prefix A_n, the derivative of one sample is sum_n A_n . ( dE_n +
+dD_n + dbeta_n L_{n+1} ). A backward sweep that carries L_{n+1} needs no division by a factor: where one is exactly zero
+its derivative is still right. Longer paths are replayed in blocks of K vertices.
 
-    sum_n  A_n . ( dE_n + dD_n + dbeta_n L_{n+1} ),                                         (eq. 55 for each factor g_n)
-
-so a *backward* sweep that carries ``L_{n+1}`` needs no division by a factor: where a reflectance or a radiance is
-exactly zero its derivative is still right, while textbook replay (``kernels/interior/textbook.py``) loses it.
-
-Parametrisation (what is attached):
-
-* smooth lobe: the next vertex and every light point are material points. Value ``f_s G J / (p G)_det`` with the flat
-  triangle's ``G J`` of ``geometric_factor``; ``p``, MIS weights and roulette detached;
-* the environment: a fixed world direction;
-* camera and delta lobes: the next vertex is where the attached ray meets its triangle, so its barycentrics, shading
-  normal and texture coordinates move too. The sweep carries the adjoint of that ray back to the vertex, or to the
-  camera, that sent it;
-* point, spot and directional lights: their attached position or direction.
-
-Paths of more than K vertices are traced once with the state at every K-th vertex kept, then replayed block by block
-from the last to the first, each from its own state and the same random numbers: 2 traces at most, so time is linear
-in depth; memory is K records and one state a block, whatever the depth and the number of samples.
-
-Where all that is differentiated belongs to some shapes, none of them a light, a path that meets none of them has no
-derivative, since every factor depends on its own vertices alone: it is not swept. A path that does is traced without
-next-event estimates up to there: D_n is differentiated, or scaled by a differentiated beta_m, m <= n, only from the
-first such vertex on.
-
-This is reverse mode. Forward mode, whose derivative has three components a pixel, would sweep three times; it travels
-with the path instead (``forward.py``), through the same local factors.
+Derivation: ``docs/theory/interior.md#replay-by-record-and-sweep``.
 """
 
 import functools

@@ -1,21 +1,10 @@
 """Values of several paths side by side, so that the compiler makes SIMD of loops over the paths.
 
-A loop ``while j < W`` whose body is made of Warp functions is turned into SIMD by LLVM's loop vectoriser, W iterations
-at a time, every operation rounded as it is alone: the same functions serve one path and W paths, with equal bits. What
-it asks for (its reasons for a refusal are printed by the compiler flags of ``tests/lanes/test_lanes.py``):
+A loop ``while j < W`` whose body is made of Warp functions is turned into SIMD by LLVM's loop vectoriser, with the bits
+of single paths. The paths' values lie in rows of ``Scene.rows``, read and written as ``char32_t``, so that the compiler
+knows them apart from the scene's floats and integers.
 
-* no inner loop and no call; branches may choose between numbers, not around loads from memory;
-* no value of vector type between branches. C++ hands the first two components of a ``vec2`` or ``vec3`` over in one
-  register: where two branches return vectors, or a vector is read from memory whole, that register stays. Hence
-  ``where3`` and reads word by word;
-* a known number of iterations, and loads and stores that provably do not meet: some 120 at most in a loop.
-
-The last point is what this file is for. The paths' values lie in one array of words, ``Scene.rows``, a row of W words
-for each word of a record, and are read and written as ``char32_t``, a type that nothing else in a kernel has. In C++ an
-access to an object of one scalar type does not touch one of another, so stores to the rows leave the scene's floats and
-integers alone.
-
-A row is named by its number; a record takes ``words(record)`` rows from its first one on.
+Derivation: ``docs/theory/rays.md#paths-side-by-side``.
 """
 
 import ctypes

@@ -1,24 +1,9 @@
 """Cameras: a ray through a film position, and the adjoint of that ray.
 
-Conventions of Mitsuba's ``perspective``, ``thinlens`` and ``orthographic``: camera space looks along +z, +y is up and
-+x points to the left of the image; a film position (s, t) in [0, 1]^2 counts from the top left. M is the upper 3x3
-block of ``to_world`` and T its translation.
+Conventions of Mitsuba's ``perspective``, ``thinlens`` and ``orthographic``. Film position and lens point are fixed
+while the camera moves: the first vertex of a path slides over the surface.
 
-* Pinhole, with the horizontal field of view ``fov`` and the principal point offset (c_x, c_y): o = T, d ~ M d_c,
-
-      d_c = ((1 - 2 (s + c_x)) tan(fov / 2), (1 - 2 (t + c_y)) tan(fov / 2) height / width, 1).
-
-* Thin lens: with a point l of the unit disk, drawn uniformly, the aperture radius a and the focus distance f,
-
-      o = T + M (a l, 0),      d ~ M (d_c - (a l, 0) / f),
-
-  since the ray from the point a l of the lens meets the pinhole's ray on the plane z = f. For every l this is a
-  pinhole at o whose film is sheared. Its importance is that of the pinhole, so the mean over l has weight one.
-* Orthographic: o = T + M ((1 - 2 s), (1 - 2 t) height / width, 0), d ~ M e_z. The film is two units wide, times the
-  scale in ``to_world``, which may stretch. Radiance does not depend on the film's area, so again the weight is one.
-
-Film position and l are fixed while the camera moves: the first vertex of a path slides over the surface (the boundary
-term for that parametrisation is the primary one). Radiance averaged over the pixel filter needs no further weight.
+Derivation: ``docs/theory/cameras.md#camera-rays``.
 """
 
 import functools

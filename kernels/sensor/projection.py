@@ -1,22 +1,9 @@
 """From a point to the film: projection, importance of the camera, and splats under the pixel filter.
 
-With P = M^-1 (x - o), M the upper 3x3 block of the camera's matrix, and (p, q) = (P_x, P_y) / P_z, a pinhole at o sees
-a point at
+With P = M^-1 (x - o) and (p, q) = (P_x, P_y) / P_z, a pinhole at o sees a point at film = (1 - p / k) / 2 - c_x, (1 - q
+a / k) / 2 - c_y. The importance of the camera is the Jacobian of that map; a thin lens is the mean over pinholes.
 
-    film = (1 - p / k) / 2 - c_x,  (1 - q a / k) / 2 - c_y,      k = tan(fov / 2), a = width / height,
-
-so that a step of one pixel is 2 k / width in p and in q. A pixel's value is the integral of h(film) L over the film in
-pixels, the filter's integral being one. A surface element dA seen at a distance r under the angle theta fills
-d(film) = dA cos(theta) / r^2 . |M (p, q, 1)|^3 / |det M| . (width / 2 k)^2 pixels: the importance of the camera.
-
-A thin lens is the mean over lens points of pinholes at o = T + M (a l, 0), whose film is moved: a point whose direction
-in camera space is (p, q, 1) lies on the film where the pinhole at T sees (p, q) + a l / f (``camera.py``). The shift
-depends on neither x nor the direction, so the derivatives by x and the importance are those of that pinhole. Every
-boundary sample draws a lens point, detached and fixed like the film position.
-
-An orthographic camera has (p, q) = (P_x, P_y), P = M^-1 (x - T), and k = 1 without principal point. All its rays have
-the direction d = M e_z / |M e_z|. A unit of (p, q) is the parallelogram M e_x, M e_y, which seen along d has the area
-|det M| / |M e_z|; so an element dA fills dA cos(theta) |M e_z| / |det M| . (width / 2)^2 pixels.
+Derivation: ``docs/theory/cameras.md#projection-and-importance``.
 """
 
 import functools

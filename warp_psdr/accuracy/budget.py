@@ -1,34 +1,9 @@
 """Budgets: spend samples until a relative error is reached, or for a time, without bias.
 
-A pilot (``pilot.py``) fixes the batches, how they are spread over the image, and their proportions over the terms;
-it is then thrown away, so that given the pilot every batch that counts is an independent and unbiased estimate. What
-is left to watch is *when* one stops, since a rule that looks at the estimates it stops can prefer some outcomes.
+A pilot (``pilot.py``) fixes the batches and is thrown away. Towards a target error two halves decide each other's
+number of batches; within a time, rounds of equal batches run until it is over. Neither rule prefers an outcome.
 
-**Target error.** Two halves, A and B. Both run some batches of each term, fixed by the pilot: fewer than it predicts.
-From the variances and the norm in one half (and in the pilot) follows the number of batches that reaches the error.
-What B says is run in A, and what A says in B:
-
-    estimate = (mean of A's first N(B) batches + mean of B's first N(A) batches) / 2.
-
-N(B) is independent of A, so E[mean of A's first N(B)] = E[E[... | N(B)]] = g exactly, for any rule; likewise B's. A
-half that asks for more than ``NEXT_LOOK`` times what it has seen does not decide, but looks again at that many.
-
-Squared errors are U / n with U = sum_k U_k, and U' is an estimate of it, unbiased and with the relative variance r^2.
-With n = U' / error^2 batches the squared error is error^2 E[U / U'] ~ error^2 (1 + r^2) (Jensen; with d degrees of
-freedom E[U / U'] = d / (d - 2), and r^2 = 2 / d). So n is taken (1 + r^2) times as large. The variance of a batch is
-told by n of them with r^2 = (kurtosis - 1) / n, where the kurtosis is that of ``statistics.py``.
-
-**Time.** Rounds of a fixed number of batches of each term are independent and equally distributed, pairs (estimate x_i,
-time t_i). At most M rounds run, which the pilot expects to fill the time; the run also ends at T, the time and a little
-slack, and a round that was not finished then is left out, unless it is the first. So N = max(1, min(M, number of rounds
-with t_1 + ... + t_n <= T)), and the mean of x_1 ... x_N is unbiased even where samples of large value take longer:
-the event N = n does not change when the first n rounds change places, so E[x_i; N = n] is the same for all i <= n, and
-E[mean] = sum_n E[x_1; N = n] = E[x_1] [Glynn and Heidelberger 1990, "Bias properties of budget constrained
-simulations"]. (The slack lets the last round count that takes a little longer than was predicted. A round that begins
-within it and ends behind it is paid for nothing; not to begin it would depend on the order of the others.)
-
-An image under a filter that reaches beyond its pixel is the quotient of two such means: its bias is of the order of one
-over all samples, as without a budget.
+Derivation: ``docs/theory/accuracy.md#budgets-without-bias``.
 """
 
 from __future__ import annotations

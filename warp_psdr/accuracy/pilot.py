@@ -1,19 +1,9 @@
 """The pilot: a short run that measures what a batch of every term costs and how uncertain it is.
 
-1. Every term runs once, untimed: kernels are compiled and guiding structures built.
-2. Two timings at two sample counts give each term's fixed and marginal cost, and from these the batch: large enough
-   that the fixed cost is a tenth of it, small enough that the pilot has time for many.
-3. A few batches of the term over pixels say whether samples are better spread unevenly over the image (``tiles.py``).
-4. A few rounds of one batch of every term say which terms matter; the batches of the others become smaller, down to the
-   share of the time that the best split would give them.
-5. Rounds, each with a seed of its own, until the prediction is as certain as ``CERTAIN`` or the pilot's time is over.
-   Some also run a batch of another size, whose time and variance give the marginal cost and the exponent; as far as
-   that is not known to differ from one, both sizes tell the variance (``rounds.py``). Where rare samples carry it, the
-   time may not be enough: the pilot goes on while the prediction is less certain than ``UNCERTAIN``, or, before an
-   error is asked for, until it has taken ``SHARE`` of what that is predicted to take.
-6. Where the method is biased by choice, batches of an unbiased one tell by how much (``bias.py``).
+Every term runs once untimed, then twice to tell fixed from marginal cost; rounds of one batch of every term follow
+until the prediction is certain or the pilot's time is over. It is no function of the seed alone.
 
-How long the pilot runs, and so what it finds, depends on the machine's speed: it is no function of the seed alone.
+Derivation: ``docs/theory/accuracy.md#the-pilot``.
 """
 
 from __future__ import annotations

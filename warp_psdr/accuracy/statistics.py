@@ -1,18 +1,9 @@
 """Variances of batches, and what is known of them.
 
-For the batches x_1 ... x_B of a term (independent, equally distributed, vectors of D components), m their mean:
+The unbiased variance of batches, the squared norm without its noise, the error over parameters of different units, and
+jackknife spreads of all of these.
 
-* V = sum_b |x_b - m|^2 / (B - 1) is the unbiased estimate of the sum of the components' variances; the mean of n
-  batches has the squared error V / n in expectation.
-* A gradient g is the sum of its terms' means; |m|^2 - sum_k V_k / B is the unbiased estimate of |g|^2 (|m|^2 alone
-  counts the noise as signal).
-* With parameters p of different units, the squared relative error of the gradient is the mean over the parameters of
-  theirs: error^2 = (1/P) sum_p sum_k V_kp / (n_k |g_p|^2), a sum over terms with weights w_p = 1 / (P |g_p|^2).
-
-Spreads of what is computed from these are jackknife estimates: the batch of number b is left out of all terms at once.
-With S_b the statistic without it, var(S) ~ (B - 1)/B sum_b (S_b - mean S)^2 [Efron and Stein 1981, "The jackknife
-estimate of variance"]. Batches of stratified samples need no other treatment: randomised quasi-Monte Carlo is judged
-by independent randomisations [Owen 1997, "Monte Carlo variance of scrambled net quadrature"].
+Derivation: ``docs/theory/accuracy.md#variances-of-batches``.
 """
 
 from __future__ import annotations

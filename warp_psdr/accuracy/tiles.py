@@ -1,23 +1,9 @@
 """Where on the image samples are spent, by the term that runs over pixels.
 
-A pixel p with n_p samples adds v_p / n_p to the variance, so at a given number of samples, which cost alike, the sum is
-least at n_p ~ sqrt(v_p) (Neyman allocation). In reverse mode a pixel's samples are multiplied by its adjoint w_p, which
-is known, so v_p = |w_p|^2 s_p^2, where s_p is the deviation of a sample with an adjoint of length one. The latter is
-measured by tiles t, of which each is run by itself with even counts:
+Neyman allocation: n_p in proportion to |w_p| s_t, the pixel's adjoint times the deviation measured in its tile. A share
+of the samples is spread evenly; counts are powers of two of the batch's, systematically thinned below one.
 
-    n_p ~ |w_p| s_t,    s_t^2 = (variance of tile t's batch, a sample a pixel) / sum_{p in t} |w_p|^2.
-
-So counts follow a residual that is concentrated in a few pixels, whatever the size of the tiles. Images and derivative
-images have no adjoint, w_p = 1. A share of the samples is spread evenly, which bounds what a deviation that was
-measured too low can cost: with a share E the variance is at most 1 / E times that of the even spread.
-
-Counts are the batch's times powers of two, one launch a power. Counts below one sample are expected numbers: of the
-pixels of that power, in the order of a Morton curve, every (n/k)-th is run from a random start on, k of n, with the
-weight n / k. Each is met with the probability k / n (systematic sampling), so that the batch is unbiased. An image
-would have holes where a narrow filter met no sample: there, counts below one are one.
-
-Deviations come from runs of their own, which are thrown away, and adjoints are given: what they are used for is
-unbiased whatever they are. No pixel goes without samples, unless its adjoint is zero and it has no gradient.
+Derivation: ``docs/theory/accuracy.md#samples-over-the-image``.
 """
 
 from __future__ import annotations

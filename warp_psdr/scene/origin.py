@@ -1,18 +1,9 @@
 """Where the device's coordinates start: the world's origin, or a point near a scene that is far away from it.
 
-A float32 coordinate x is off by up to u |x|, u = 2^-24, and so is everything that is computed from differences of such
-coordinates: for a scene of radius r at a distance D the relative error grows as u D / r, and the step by which rays
-leave surfaces, a fraction of the largest coordinate, soon exceeds the scene. But no image depends on the origin. So the
-device holds x - o, with o near the centre of the scene, and the subtraction is done in float64 on load, before anything
-is rounded: what arrives in float64 (text files, arrays, matrices) keeps a relative error of u.
+The device holds x - o in float32, with o near the centre of a scene that lies far away from the world's origin,
+subtracted in float64 on load. Parameters stay in world coordinates, and so do their gradients and tangents.
 
-**Parameters** stay in world coordinates: float32 numbers for the user, x = (x - o) + o. Derivatives are the same for x
-and x - o, since o is a constant; so gradients and tangents need no conversion. o is a multiple of the power of two g <=
-r, and is 0 along an axis on which the scene is not far away; with it x - o is exact for a float32 x beyond ``FAR`` r (x
-and o are multiples of ulp(x), and |x - o| < 2^24 ulp(x)). Hence what arrives in float32 loses nothing more, and comes
-back with the same bits. A number that an edit leaves as it was keeps the digits that float32 world coordinates lack.
-
-Scenes that are not far away have o = 0, and nothing is different for them. o is fixed when the scene is loaded.
+Derivation: ``docs/theory/numerics.md#origins-near-the-scene``.
 """
 
 from __future__ import annotations

@@ -1,21 +1,9 @@
 """Surfaces that touch: which motions of theirs have a derivative.
 
-Where two shapes touch along a line or an area, the image as a function of their relative motion has a kink. Let a box
-that stands on a floor move along the floor's normal. Lifted by h, it lets light through a slit as high as h: with the
-elevations of two directions against the edge, the strip of floor from which both are seen through the slit is
-h / tan(the larger elevation) wide. Lowered by h, it runs through the floor, and no slit opens. Both one-sided
-derivatives exist, but they differ, and no linear function of the vertices' velocities, which is what reverse mode
-returns, describes both. The same holds where two surfaces meet in a seam, as the walls of a room do, and move so that
-one slides past the end of the other or a gap opens between them.
+Where shapes touch, motions along the contact, and those that keep together what touches, have a derivative: n . v = 0
+where an edge lies inside of a face, v parallel to t where it lies on another edge. Others have two one-sided ones.
 
-What has a derivative is motion along the contact: with v the relative velocity of the material points that touch,
-
-    n . v = 0           where an edge lies inside of a face with the normal n,
-    v parallel to t     where an edge lies on another edge, with the tangent t, at which neither surface goes on.
-
-The conditions are linear on a piece of contact, so they are tested at its ends. Both modes estimate the derivative that
-holds for motions along contacts and of all that touches together; of others it is neither one at the contact. Forward
-mode knows v and warns; in reverse mode the plan says so.
+Derivation: ``docs/theory/boundary.md#motions-at-contacts``.
 """
 
 from __future__ import annotations

@@ -1,29 +1,10 @@
 """Unidirectional edge sampling [LADL18]: at every vertex of a camera path, a silhouette edge as the vertex sees it.
 
-The local form (``local_form.py``) per étendue dl dsigma of an edge, sigma the directions towards x_1, becomes one for
-fixed x_1 by dsigma = |cos(theta_1)| dA_1 / t_1^2, since a camera path already samples x_1 by area: with f_s the
-scattering function including the cosine, T_k the throughput over the density of a path up to its vertex k, x_1 = x_k
-and an edge point drawn by the density pdf_l per length,
+With T_k the throughput up to vertex k and an edge point drawn by pdf_l, dI = sum_k T_k f_s(w_i, omega) L_2 sin(phi) n .
+( x_b' - (1 - tau) x_1' - tau x_2' ) / (t_1^2 pdf_l): an angular velocity times an element of the silhouette [LADL18,
+eq. 8 and 9]. Edges are resampled (``edge_tree.py``), from lobes about the scattering function and about a light.
 
-    dI = sum_k T_k f_s(w_i, omega) L_2 sin(phi) n . ( x_b' - (1 - tau) x_1' - tau x_2' ) / (t_1^2 pdf_l):
-
-an angular velocity n . (...) / t_1 times an element sin(phi) dl / t_1 of the silhouette [LADL18, eq. 8 and 9]. x_2 is
-what the ray past the edge hits, or infinity (tau = 0, a fixed direction); L_2 is path-traced. Only this background
-counts: triangle domains are material. x_1' is the velocity of the interior term's vertex (``interior/replay.py``):
-
-* k = 1: the hit of the attached camera ray, which slides over the surface; the film position is importance sampled
-  from the pixel filter, so a path belongs to one pixel and its weight is one;
-* k > 1: behind a smooth lobe, a material point. Delta lobes are refused (``warp_psdr/plan/coverage.py``).
-
-Sampling is detached. pdf_l is that of resampling (``edge_tree.py``) from lobes about the scattering function and, for
-LIGHT_SHARE of the mixture, about a light: a light point z is drawn as for next-event estimation, and a lobe of the
-light's solid angle about z weighs edges by how close they pass to the segment x_1 z. z is an auxiliary variable: for
-every z the mixture is positive wherever f_s is, so the estimate is unbiased for each z. Very glossy surfaces do
-without, as in the paper.
-
-Where a surface touches the edge (a box standing on a floor) the contact is the background: t_2 = 0, tau = 1, and counts
-once: segments that start in it have measure zero. A point, spot or directional light is met from a fixed x_1 by
-edges of measure zero; ``secondary.py`` samples those from the edge.
+Derivation: ``docs/theory/edge_sampling.md#edges-as-a-path-vertex-sees-them``.
 """
 
 import functools

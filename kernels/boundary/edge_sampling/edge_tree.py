@@ -1,23 +1,10 @@
 """Choice of a silhouette edge as seen from a point: two hierarchies, split samples and resampling [LADL18, section 5].
 
-The trees (``warp_psdr/topology/edge_trees.py``) hold edges of one or more than two faces by position (3-D), and edges
-between two faces by position and the planes of these faces (6-D), under one root. An edge between faces with the unit
-normals n_A and n_B, turned the same way around it, is a silhouette from x where n . (x - p) has another sign for A than
-for B. A node bounds n and d = n . (p - c), c its centre: points of a dual (Hough) space [OZ06]. Where n . (x - c) - d
-has one sign over the bounds no edge of the node is a silhouette, and the node is left out; so is one below the horizon
-of x. The test never leaves out a silhouette. Edges of a face in whose plane x lies, its own first of all, are none.
+Edges are held by position (3-D) and by position and face planes (6-D, Hough space [OZ06]). Nodes without silhouettes
+are left out; the others share M samples in proportion to their estimated integrals, and of the edges reached one is
+kept in proportion to Q(e) / p(e), without bias.
 
-The others are drawn by an estimate of their integral: the node's sum of length times (pi - dihedral angle), times the
-lobes at the direction of its bounding sphere closest to them, over the squared distance. A node hands its M samples on
-to its children with probability P as floor(M P + xi) and the rest; the expected number of samples of an edge is M times
-the product p(e) of the probabilities on its way, whatever the others do. Of the edges reached one is kept with
-probability in proportion to w = Q(e) / p(e), Q the line integral of the lobes (``ltc_line.py``). Then
-
-    E[ (1/M sum w) g(e) / Q(e) ] = 1/M sum_i E[ g(e_i) / p(e_i) ] = sum_e g(e),
-
-for any g that vanishes where Q does: resampling is unbiased although the samples are not independent.
-
-[OZ06] Olson, Zhang: Silhouette Extraction in Hough Space, Computer Graphics Forum 25(3).
+Derivation: ``docs/theory/edge_sampling.md#two-hierarchies``.
 """
 
 import functools

@@ -1,28 +1,9 @@
 """Integrals of lobes over edges: linearly transformed cosines along a line [HH17], as [LADL18] weigh edges with.
 
-Seen from the origin, a piece dl of an edge at a distance t and an angle phi to the line of sight carries a density D of
-directions with the weight
+The measure is q(l) dl = D(omega) sin(phi) / t^2 dl, D a clamped cosine in directions transformed by M; M maps lines to
+lines, so the integral over an edge has a closed form.
 
-    q(l) dl = D(omega) sin(phi) / t^2 dl,                  the measure of ``edge_sampling.py``.
-
-D is a clamped cosine in transformed directions: with axes x, y, z and scales s_x, s_y
-
-    p' = M^-1 p = (p . x / s_x, p . y / s_y, p . z),      D(omega) = z' / (pi |p'|) |det M^-1| / |M^-1 omega|^3.
-
-s = 1 is the cosine about z; a small s a lobe of slopes with the density 1 / (pi s_x s_y (1 + |slope / s|^2)^2), which
-is the GGX distribution's. M maps lines to lines. Along one, p = a + s e, the triple product of p, dp and the normal
-of the plane through the origin scales with det M: sin(phi) / t^2 dl = |a x e| ds / t^3, so
-
-    q ds = J / pi . (z' / t') sin(phi') / t'^2 dl',        J = |a x e| / (s_x s_y |a' x e'|).
-
-With d' the distance of the transformed line, u its foot's direction, w its own and l' = d' tan(psi),
-
-    integral (z' / t') sin(phi') / t'^2 dl' = 1 / d' integral (u_z cos(psi) + w_z sin(psi)) cos(psi) dpsi
-        = 1 / (2 d') ( u_z (x + cos(2 psi_1 + x) sin(x)) + w_z sin(2 psi_1 + x) sin(x) ),  x = psi_2 - psi_1,
-
-which has no difference of large terms but where the line is seen end-on; there the arc is short, and Gauss' rule exact
-to rounding. What lies behind the lobe's plane, z' < 0, is clipped. [HH17] Heitz, Hill: Linear-Light Shading with
-Linearly Transformed Cosines, GPU Zen.
+Derivation: ``docs/theory/edge_sampling.md#lobes-along-a-line``.
 """
 
 import functools

@@ -1,15 +1,9 @@
 """A piecewise density over the unit cube of boundary segments: what k-d tree, octree and grid all are on the device.
 
-A segment has the coordinates (u_0, u_1, u_2): the position on the edges through their cumulative distribution, and a
-direction (``techniques.py``). The cube is split into leaves; leaf i is drawn with the probability P_i, a position t in
-[0, 1)^3 of it with the product of three ramps 1 + s_a (2 t_a - 1), |s_a| < 1. A share of the samples is uniform over
-the whole cube,
+A segment has the coordinates (u_0, u_1, u_2): the position on the edges, and a direction. The cube is split into leaves
+with linear densities; a share of the samples is uniform over the whole cube, without which there would be bias.
 
-    p(u) = floor + (1 - floor) P_i / V_i  prod_a (1 + s_a (2 t_a - 1)),
-
-without which the estimator would be biased wherever the leaves' probabilities, which are estimates, are zero. Sampling
-keeps the order of the leaves, so stratified numbers give stratified samples. Coordinates are double precision: one of
-them chooses among as many as 10^5 edges or light triangles *and* a position on the one it chose.
+Derivation: ``docs/theory/guiding.md#cells``.
 """
 
 import warp as wp

@@ -1,15 +1,10 @@
 """Photons and importons: where light and importance arrive, as points on surfaces [ZMY*20, section 6.3; Jen96].
 
-A photon is a vertex of a light path with the flux [W] that it scatters on, summed over the colours; an importon is a
-vertex of a camera path with its throughput after scattering. Over pi times the area of the disk that holds the k
-nearest ones, their sum is the radiance, or the importance, that leaves a diffuse surface there. Other materials get the
-same estimate: it only guides.
+A photon is a vertex of a light path with the flux [W] that it scatters on; an importon is a vertex of a camera path
+with its throughput. Over pi times the area of the disk that holds the k nearest ones, their sum is the radiance, or the
+importance, that leaves a diffuse surface there.
 
-Light leaves, with the cumulative probability P of the source and its sample density p,
-
-* an area light at a point, by area, with the cosine's density: flux pi L / (p P);
-* a point or spot light in a uniform direction: 4 pi I / P, I the irradiance at unit distance;
-* a light at infinity through a disk of the scene's radius R, perpendicular to the direction: pi R^2 L / (p P).
+Derivation: ``docs/theory/guiding.md#photons-and-importons``.
 """
 
 import functools

@@ -1,20 +1,10 @@
 """Seeds of boundary segments: ordinary path segments, projected to the nearest silhouette [ZRJ23, section 4].
 
-Where a ray from a path vertex x_1 is stopped by a surface, an edge of that surface may let another one pass: boundary
-segments with a large contribution are near path segments with a large contribution. Camera paths are traced as usual;
-every vertex offers the ray towards a sampled light point that something blocks, weighted by what the light would have
-given, or the ray that scattering sampled, weighted by its throughput, and one segment of the path is kept
-(weighted reservoir). From the triangle f that it hits, with normal n and centroid c seen along omega = unit(c - x_1),
+A ray from a path vertex x_1 that a surface stops is projected: a walk over the mesh, to the neighbour with the smallest
+|n . omega|, ends at a silhouette; where it ends without one, a jump to the linearised zero starts a second walk. Seeds
+only say where samples are worth their cost; no estimate depends on them being right.
 
-* a *walk* goes from triangle to triangle, to the neighbour with the smallest |n . omega|, while that falls, and ends at
-  the first triangle with an edge that is a silhouette as seen from x_1 (open edges are);
-* where the walk ends without one, a *jump*: n . omega, known at the centroids of the walk's first and last triangles,
-  is extended linearly to its zero, and a second walk starts where the ray towards it meets the same shape.
-
-The edge point nearest to the first ray and the direction to it from x_1 make the seed. It is returned as a point of the
-unit cube of the wedge technique (``guiding/techniques.py``): edges' cumulative probability, then ``wedge_square``.
-A blocked ray towards a light is projected as seen from the light point, too, which makes a seed of the technique that
-aims at lights. Seeds only say where samples are worth their cost; no estimate depends on them being right.
+Derivation: ``docs/theory/guiding.md#projected-path-segments``.
 """
 
 import functools

@@ -1,16 +1,9 @@
 """Where on a triangle of a light is an edge a silhouette? In a stripe, from which points are drawn exactly.
 
-With p_0 an end of the edge, t its tangent and a_A, a_B the directions from p_0 to the third corners of its two faces,
+An edge is a silhouette between x and y where g_A(y) and g_B(y), both affine, have the same sign: on a triangle of a
+light that leaves at most one convex polygon for each sign, from which points are drawn exactly.
 
-    g_i(y) = (y - p_0) . (a_i x t)
-
-tells on which side of face i's plane, seen along the edge, y lies; it is the same for all points x of the edge. The
-edge is a silhouette between x and y where g_A and g_B have the same sign. Both are affine, so on a triangle that is
-what two lines leave of it: at most one convex polygon for each sign, of at most five corners. Of the unit square, one
-coordinate chooses among the triangles of their fans and a position, as on a light (``light_square.py``). Aiming at
-random points of the light instead, an edge of a fine mesh is hardly ever a silhouette: its faces differ by a degree.
-
-Edges of one face, or of more than two, are silhouettes in other places as well: there the stripe is the triangle.
+Derivation: ``docs/theory/guiding.md#stripes-of-lights``.
 """
 
 import warp as wp

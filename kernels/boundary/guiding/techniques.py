@@ -1,15 +1,9 @@
 """Sampling of boundary segments by two techniques [YLB*22, section 5]; guided, each has cells of its own.
 
-A point (u_0, u_1, u_2) of the unit cube is an edge point and a direction: of the wedge between the edge's faces
-("wedge"), or towards a point of a light ("light", ``light_square.py``). With p_T the density of the cells and J_T the
-solid-angle density of the technique for uniform coordinates (``boundary/path_space/direction.py``), one-sample MIS with
-the balance heuristic gives the segment the density
+A point of the unit cube is an edge point and a direction: of the wedge between the edge's faces, or towards a point of
+a light. One-sample MIS with the balance heuristic joins the two.
 
-    pdf_l pdf_sigma = pdf(x_b) ( share p_wedge J_wedge + (1 - share) p_light J_light ),
-
-pdf(x_b) the density on the edges of a uniform u_0. What a point, spot or directional light sends is reached by the
-second technique alone. Guided, the number of the sample, stratified, chooses the technique as well: the first
-``share`` of all samples are wedge samples. Unguided, p = 1 and the samples are stratified over the edges.
+Derivation: ``docs/theory/guiding.md#two-techniques``.
 """
 
 import functools

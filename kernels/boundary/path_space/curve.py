@@ -1,21 +1,9 @@
 """Curves of intersection as path vertices meet them: two surfaces A and B that run through each other.
 
-The camera sees such a curve as it sees a crease (``primary.py``). For deeper vertices no segment grazes it, since both
-surfaces go on behind it; what jumps is the visibility of a path vertex c *on* A where c passes through B: it loses
-sight of the vertex y before it, and of everything behind it, at once. Let s be the side of B on which y lies; c
-contributes where it lies on that side. In material form, with w the direction from y to c,
+Where a path vertex c on A passes through B, it loses sight of the vertex before it and of everything behind it. The
+jump is the local form with tau = 1 and the sweep +- t x w, turned away from the visible part of A.
 
-    dI = integral over the curve and w of  W(y, w) L(c, -w) |n_A . w| beta dl dsigma,
-
-beta the speed in A's plane, away from the part of A on side s, of the curve x_b relative to the material point c, and L
-all that c sends to y: what it emits and what it scatters, as close to B as can be. As for any contact, the jump is
-counted with the segment whose end x_2 = c is on the curve (``local_form.py``). x_b' - c' lies in A's plane, where
-n_B . (x_b' - c') = n_B . (v_B - v_A), and |n_A . w| is the part of t x w across the curve in that plane. So this is the
-local form with tau = 1 and
-
-    sweep = +- t x w,  turned away from the visible part of A;
-
-x_1 = y does not enter. Which of the two surfaces carries c is drawn, and the direction -w by its cosine.
+Derivation: ``docs/theory/boundary.md#curves-of-intersection``.
 """
 
 import functools

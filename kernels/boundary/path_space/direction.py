@@ -1,16 +1,9 @@
 """Directions of boundary segments at an edge point [ZMY*20, section 6.2].
 
-One-sample MIS (balance heuristic) of two techniques, in solid angle at x_b:
+One-sample MIS (balance heuristic) of two techniques, in solid angle at x_b: the wedge between the face planes, and a
+point of a light for which the edge is a silhouette.
 
-* the wedge between the face planes: with a the direction from the edge into face A, perpendicular to the tangent t, and
-  b = t x a, a direction cos(phi) t + sin(phi) (cos(psi) a + sin(psi) b) sees both faces on one side of its plane with t
-  unless psi, modulo pi, falls between the faces. cos(phi) and the remaining psi are uniform. At an open edge, or one
-  of more than two faces, psi is uniform in the whole turn (and the segment is then tested);
-* a point of a light for which the edge is a silhouette, if it is the first thing that the segment meets
-  (``kernels/boundary/guiding/light_square.py``).
-
-A point, spot or directional light is reached from x_b in one direction only, which the second technique yields; the
-first cannot. There the integral of L_2 over dsigma is the irradiance that the light gives at x_b.
+Derivation: ``docs/theory/boundary.md#directions-at-an-edge-point``.
 """
 
 import functools

@@ -1,21 +1,10 @@
 """Primary boundary at creases between flat faces: both sides of the jump from one path.
 
-At an edge of a shape with flat normals both of whose faces A and B the camera sees, the radiance jumps because the
-normal does, and the two faces meet in one point: light arrives there from the same directions w on either side,
+At an edge both of whose flat faces the camera sees, light arrives from the same directions on either side, so L_A - L_B
+= integral ( f_A(w) - f_B(w) ) L(w) dsigma(w) is estimated with one path: its variance falls with the square of the
+angle between the faces.
 
-    L_A - L_B = integral ( f_A(w) - f_B(w) ) L(w) dsigma(w),       f_k = 0 for w behind face k,
-
-f_k the scattering function towards the camera, cosine included. What a shape emits does not jump. Two paths, one for
-each side, as in ``primary.py``, whose directions turn with the normals, differ in what they meet: the variance of their
-difference falls in proportion to the angle between the faces. Here w is drawn for one of the faces, or towards a light,
-weighted by multiple importance sampling with the density (p_A + p_B) / 2, and followed once: the variance falls with
-the square of the angle. Fine meshes have many creases, of small angles, whose noise is nearly all that their primary
-boundary has (a ball of 100,000 triangles, depth 4: 350 times the variance of its silhouette by two paths). At larger
-angles two paths are the better choice (``film_edges.SHALLOW``), for of even light they tell nothing, without noise.
-
-The direction is traced from in front of both faces if it leaves both, otherwise from in front of the one it leaves,
-beside the edge: between faces that form a notch it meets the other. Two short rays make sure that the two faces are
-what is seen beside the edge, as in ``primary.py``. The edge's velocity is the same as there.
+Derivation: ``docs/theory/boundary.md#creases-between-flat-faces``.
 """
 
 import functools

@@ -1,37 +1,9 @@
 """Primary boundary: discontinuities of the radiance on the film, for the pixel filter h.
 
-    dI_j = integral h(u - u_j) (L_- - L_+) (u' . N) ds,      N perpendicular to du/ds on the film, |N| = |du/ds|,
+dI_j = integral h(u - u_j) (L_- - L_+) (u' . N) ds over the edges' images u on the film [LADL18]. The two radiances are
+path-traced along rays that pass the edge on either side, with common random numbers; whatever does not jump cancels.
 
-u = pixel(x_b) the image of an edge point, s its position along the edge, L_+ and L_- the radiance on the side that N
-points to and on the other [LADL18; survey eq. 4 on the film]. It is the local form with the camera as x_1: with g the
-gradient of N . pixel(x), u' . N = g . (x_b' - o' - |x_b - o| d'), the edge's velocity relative to its pixel's ray.
-A thin lens is the mean over its points of such cameras, one point a sample (``projection.py``).
-
-Where the edge is hidden there is no jump. The two radiances are path-traced along rays that pass the edge on either
-side at a fraction of a ray epsilon, parallel to the line of sight, with common random numbers. Where what they meet
-forms a notch, they are traced again farther away (``notch.py``), unless something else is seen there: a silhouette that
-turns into a curve of intersection, and its terminator, are tangent to it. Silhouettes, creases,
-and borders between materials or texture charts are one case: whatever does not jump cancels. (Creases of small angles
-have an estimator of their own, ``facets.py``.)
-
-Where a fine mesh bends away from the camera, creases run within that distance of its silhouette, in front of it and
-behind. One of their two rays passes the silhouette instead, whose jump the silhouette's own samples have counted, so at
-an edge that is not a silhouette both rays have to meet one of its faces' planes beside it. (Otherwise a ball of 5,120
-triangles, and of a twentieth of the scene's size, had 15 % too large a derivative.)
-
-Where shapes abut without sharing vertices, tiles of unequal size or a wall on a part of a floor's border, an edge of
-either runs along the same line. Both see the jump between the two, so each counts half of it, and moves its own shape.
-An edge beside which its own shape is not seen, but another that ends there, is hidden: the floor's behind such a wall.
-
-Such a face F is often narrow as it is seen: the rim of a thin slab, the top of a table at the height of the eye. The
-rays pass its edges at half of its width, in order to meet it, down to some roundings of coordinates, and start in front
-of all of it. (At a quarter with interpolated normals, which turn away from the camera somewhere in the middle.)
-Narrower faces, 10^-6 of the scene, are looked past from both of their edges, E_1 of A | F and E_2 of F | B, B hidden,
-which is a crease and which a silhouette is up to roundings, and all lies in the plane of F. There the jump is the
-edge's beside which one of its own faces is seen, or what continues one in its plane: on the occluder's side of a
-silhouette, on either side of a crease; at E_1, that is. So motions of F as a whole are right at any width; what changes
-the width of such a narrow one is not, and sheets that narrow are lost. (Shapes with interpolated normals do without:
-next to silhouettes of their fine meshes many faces are as narrow, and their creases are no candidates.)
+Derivation: ``docs/theory/boundary.md#primary-boundary``.
 """
 
 import functools

@@ -1,20 +1,10 @@
 """Secondary boundary: discontinuities of the visibility between two path vertices [ZMY*20], in the local form.
 
 A sample is an edge point x_b and a direction omega through it. The ray along omega ends in x_2, where the path tracer
-gives L_2; the ray along -omega ends in x_1, from which importance is carried to the camera (``detector.py``). Its
-vertex k as counted from the camera is x_1 itself: k = 1 if the camera sees x_1 directly, then x_1 slides along its
-pixel's ray and its velocity is that of the attached ray's hit; deeper ones are material points. x_2 is a material
-point, the light itself, or at infinity, where tau = 0:
+gives L_2; the ray along -omega ends in x_1, from which importance is carried to the camera (``detector.py``). Samples
+are stratified over the edges, or drawn from the cells of guiding.
 
-* environment: a fixed world direction;
-* directional light: omega turns with the light, which moves the line at x_b by t_1 omega'.
-
-Samples are stratified over the edges (unguided), or drawn from cells (``kernels/boundary/guiding/``). The cells follow
-the integrand of their technique's coordinates, with the balance heuristic of equal shares folded in:
-
-    sum_k |W_k L_2| sin(phi) dl / du_0 / ( J_wedge / 2 + J_light / 2 ),                     (role "target")
-
-whatever the velocities are; 0 where nothing moves. So one structure serves every adjoint and every tangent.
+Derivation: ``docs/theory/boundary.md#secondary-boundary``.
 """
 
 import functools

@@ -1,25 +1,9 @@
 """Where interpolated normals turn away from other path vertices: the terminator beyond the camera.
 
-A one-sided material is black, and a two-sided one shows its other side, where the vertex y before it lies below the
-horizon of the shading normal n(x), although the triangle faces y. So what x = x_{k+1} scatters towards y = x_k jumps
-where phi = n(x) . (y - x) = 0. (It does not where the *next* vertex sinks below that horizon: all models vanish there,
-which is why only the side towards the sensor counts.) The camera's own terminator is ``terminator.py``'s. With F the
-integrand apart from the jump, in material form
+What x scatters towards the vertex y before it jumps where phi = n(x) . (y - x) = 0. The direction is drawn in the plane
+perpendicular to n.
 
-    dI = integral over A(y), A(x) of  F G(y, x) [L(x -> y)] delta(phi) phi',      G = |n_y . w| |n_g . w| / d^2,
-
-w the direction from x to y, d their distance, n_g the triangle's normal and [L] the radiance for phi > 0 minus that for
-phi < 0. For a fixed x, dA(y) = d^2 dsigma(w) / |n_y . w|, and phi = d n . w leaves the angle theta of w in the plane
-perpendicular to n, with dsigma = dtheta d(n . w):
-
-    dI = integral over A(x), theta of  W(y, w) [L(x -> y)] |n_g . w| phi' / d.
-
-phi' is that of y in its own parametrisation (``transport.py``) and of the material point x with its normal:
-
-    phi' / d = n . (y' - x') / d + n' . w.
-
-With alpha the angle between n and n_g, |n_g . w| = sin(alpha) |cos(theta)|: theta is drawn in proportion to
-|cos(theta)|, and triangles by area times the largest sin(alpha) of their corners.
+Derivation: ``docs/theory/shading_normals.md#the-terminator-beyond-the-camera``.
 """
 
 import functools

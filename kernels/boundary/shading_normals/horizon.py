@@ -1,28 +1,9 @@
 """The horizon of a path vertex's own triangle, where its interpolated normal does not lie on the triangle's.
 
-A vertex x with the shading normal n scatters light from all directions w with n . w > 0. Those below its triangle,
-n_g . w < 0, start on the other side of the surface: inside of a closed body they meet its far wall. So what arrives
-jumps where phi = n_g . (x_2 - x) = 0, x_2 the point that w meets, and unlike under flat shading the scattering function
-does not vanish there. (It does towards the sensor, whose direction enters with the geometric cosine.) In material form,
-with W the importance of x for light from w, whose cosine with n_g is written out,
+What arrives at x jumps where phi = n_g . (x_2 - x) = 0, and under interpolated normals the scattering function does not
+vanish there. Directions in the plane of the triangle are sampled, tilted to either side.
 
-    dI = sum over both sides of  integral over A(x), A(x_2) of  +- W |n_g . w| G_2 L(x_2 -> x) delta(phi) phi',
-
-G_2 = |n_2 . w| / d^2, d = |x_2 - x|, + for the side above the triangle. For a fixed x, dA(x_2) G_2 = dsigma(w), and
-phi = d n_g . w leaves the angle theta of w in the plane of the triangle, with dsigma = dtheta d(n_g . w):
-
-    dI = sum over both sides of  integral over A(x), theta of  +- W |n_g . w| L phi' / d,
-
-    phi' / d = n_g . (x_2' - x') / d + n_g' . w.
-
-x' is that of x in its own parametrisation (``transport.py``: tau = 0, sweep = n_g / d), x_2 a material point, different
-on either side; light from infinity leaves n_g' . w. W |n_g . w| is finite: the directions are tilted by a small angle
-out of the plane, to their side, and that angle's sine cancels. What W scatters is about proportional to |n . w| =
-sin(alpha) |cos(theta)|, alpha the angle between n and n_g: theta is drawn in proportion to |cos(theta)|, triangles by
-area times the largest sin(alpha) of their corners.
-
-Point, spot and directional lights cross the plane of a triangle at one value of a parameter for all of its points: then
-the image itself jumps, once for every triangle, and has no derivative that could be estimated.
+Derivation: ``docs/theory/shading_normals.md#the-horizon-of-a-triangle``.
 """
 
 import functools

@@ -1,31 +1,9 @@
 """The terminator of interpolated normals as the camera sees it: another discontinuity on the film.
 
-Where a shading normal n turns away from the camera while its triangle does not, one-sided materials turn black and
-two-sided ones show their other side: the radiance jumps along phi = n . (o - x) = 0. The finer a mesh, the closer
-that curve moves to the silhouette, but the jump does not shrink with it; without it the silhouette's own term, whose
-foreground is then the far side of the terminator, is wrong by as much. With fixed film position q and H the radiance
-where phi > 0 minus that where phi < 0,
+Where a shading normal n turns away from the camera while its triangle does not, the radiance jumps along phi = n . (o -
+x) = 0. On a line of constant barycentric phi is quadratic: its roots sample the curve.
 
-    dI_j = integral h H phi' delta(phi) dq = integral over the curve of h H phi' |det dq/d(u, v)| / |grad phi| dl,
-
-phi' the velocity of phi along the attached pixel ray and l the curve's length in barycentrics (u, v). On a line of
-constant barycentric b_a phi is quadratic: its roots sample the curve. With a one of the three at random the density is
-(|phi_u| + |phi_v| + |phi_u - phi_v|) / (3 |grad phi|), which nowhere vanishes.
-
-The two rays of H pass the curve at a fraction of a ray epsilon, as they pass edges (``primary.py``), along the gradient
-of phi in the plane across the line of sight v: there grad phi . e_1 = phi_u and grad phi . e_2 = phi_v are solved by
-
-    grad phi = (phi_u e_2 x v - phi_v e_1 x v) / ((e_1 x e_2) . v),
-
-the divisor's sign that of n_t . v, n_t before ``flip_normals`` turns it.
-
-Steps along the triangle instead look longer the more they go across v, and would leave what is seen nearly edge-on.
-
-Where the curve is so close to the silhouette that one of the two rays passes that instead, the silhouette's own rays
-pass both, and only they count.
-
-o is the pinhole, or a point of a thin lens, one a sample. Seen by an orthographic camera phi is n . (-d), d its fixed
-direction: the same with -d for o and without x (``finite`` = 0), linear in r.
+Derivation: ``docs/theory/shading_normals.md#the-terminator-that-the-camera-sees``.
 """
 
 import functools

@@ -1,22 +1,10 @@
 """What a line crosses where the identity of the chain changes, and the implicit equation phi = 0 of that curve.
 
-Two rays on either side of the crossing are followed in step until they differ at the i-th vertex x of the chain:
+Two rays on either side of the crossing are followed in step until they differ at the i-th vertex of the chain. What
+differs (an edge, a curve of intersection, a crease, a horizon, a shadow's edge, a terminator) decides phi, a linear
+form in the velocities.
 
-* an edge: phi = m . (x_b - o - t d), m = tangent x d, for the ray (o, d) that passes the edge at x_b. In a block that
-  starts at a smooth vertex y the first vertex behind it is a material point c (or at infinity), and on the first
-  segment only the background counts:  phi = m . (x_b - (1 - tau) y - tau c), the local form;
-* a curve along which two surfaces run through each other: an edge whose velocity follows from those of both planes,
-  m . x_b' = a n_A . v_A + b n_B . v_B with m = a n_A + b n_B. On the first segment behind a smooth vertex, where
-  ``curve.py`` says what jumps, once for the material point c of either surface:  phi = m . (x_b - c);
-* a crease of interpolated normals: an edge beside which light may reach one of the two triangles only;
-* the horizon of a vertex y with such normals (``horizon.py``): phi = n_g . (c - y) / |c - y|, once for either side,
-  where c is another point;
-* a shadow's edge: the same for the segment from x to a point, spot or directional light;
-* the terminator of interpolated normals, where the ray arrives edge-on: phi = n . (o - x);
-* the horizon of a mirror or glass with such normals, where its lobe leaves along the surface: phi = n_g . d.
-
-Each is a linear form in the velocities of the edge, the vertex, the ray and the light, so phi' is that form pulled back
-along the path, and its gradient in q that form applied to the ray differentials.
+Derivation: ``docs/theory/specular.md#what-a-line-crosses``.
 """
 
 import functools

@@ -1,33 +1,10 @@
 """Discontinuities seen through mirrors and glass, by searching along lines.
 
-A camera cannot be met by a ray that comes out of a mirror, so edges seen through one cannot be sampled. They are
-looked for instead. For a two-dimensional domain q with integrand F, the derivative of its integral has the boundary
-term
+Edges seen through a mirror cannot be sampled. From q0 a line goes in a uniform direction e, and each crossing s of a
+discontinuity phi = 0 adds 2 phi_s (F_high - F_low) phi' / (|grad phi|^2 ell p(q0)) (Crofton's formula). A random path
+down a tree of halved cells loses no crossing.
 
-    integral over C of g dl,      g = (F_+ - F_-) phi' / |grad phi|,      C: phi(q) = 0,  F_+ where phi > 0.
-
-From q0 with density p(q0) a line of length ell goes in a uniform direction e (an arc of a great circle where q is a
-direction). Through a piece dl of C that it meets at an angle theta run lines of measure |sin theta| dl ds de, so that
-
-    sum over the crossings of the line of   2 |sin theta| g / (ell p(q0))                       (<sin^2> = 1 / 2)
-
-has the expectation of the integral (Crofton's formula; preserved measure of the geodesic flow), if p > 0 within ell of
-C. With phi_s the derivative along the line, |sin theta| = |phi_s| / |grad phi|, and F_high the side where s is larger:
-
-    2 phi_s (F_high - F_low) phi' / (|grad phi|^2 ell p(q0)):    nothing is singular where a line touches C.
-
-**No crossing is lost.** Let the line be a tree of halved cells down to the resolution of a float. A cell whose ends
-differ in identity (``chain.py``) is halved, and its halves likewise, which ends in crossings; one whose ends agree is
-left, although it may hide a pair. Every crossing hangs from exactly one topmost cell with ends that differ: a root, or
-half of a cell with equal ends and another middle. The roots are all taken; of the others one random path down the tree
-is, weighted with the inverse probability 2^-k of having looked at that cell of level k: a telescoping sum over
-resolutions.
-
-**Blocks.** A path from the camera is sampled as usual. One block starts at the film, with F the radiance, and one at
-each smooth vertex y, with F = f_s L and q the direction. A discontinuity counts here if a mirror or glass lies between
-the camera and the segment that touches it; all others are the primary (``primary.py``) and the secondary boundary
-(``secondary.py``, ``bent.py``, ``horizon.py``), but for the horizons of mirrors and glass with interpolated normals,
-which all count here. The point of a thin lens is drawn once a path: for each the camera is a pinhole.
+Derivation: ``docs/theory/specular.md#searching-along-lines``.
 """
 
 import functools

@@ -1,18 +1,9 @@
 """How the rays of a chain move with q, the point of the line search's domain: differentials of rays [Igehy 1999].
 
-The scene rests. For a ray (o, d) with o_q and d_q, met at x on a triangle with normal n_g,
+The scene rests. A ray (o, d) with o_q and d_q meets a triangle at x_q = r - d (n_g . r) / (n_g . d), r = o_q + t d_q;
+the lobe's direction follows from its closed form [Igehy 1999, "Tracing Ray Differentials"].
 
-    x_q = r - d (n_g . r) / (n_g . d),   r = o_q + t d_q,
-
-n_q follows from the barycentrics of x_q, and the lobe's direction from its closed form: with c = d . n,
-
-    reflected    d - 2 c n,
-    refracted    (d - c n + sign(c) g n) / eta,   g = sqrt(eta^2 - 1 + c^2),  g_q = c c_q / g.
-
-On the film, with the point of the lens held, the camera's direction before it is normalized and its origin are affine
-in q (``camera.py``): their derivatives are differences.
-
-Homan Igehy, "Tracing Ray Differentials", SIGGRAPH 1999.
+Derivation: ``docs/theory/specular.md#ray-differentials``.
 """
 
 import functools

@@ -1,0 +1,177 @@
+"""Directives whose text is made when the documentation is built: from the code's tables, and from measurements.
+
+``{methods}`` is ``psdr.methods()``, ``{about-method} OPTION`` one row of it; ``{plugins} KIND`` what the loader reads
+of its plugins; ``{api}`` the public names; ``{measured} NAME`` the tables of ``data/NAME.jsonl``, in the form that
+``--output`` of the benchmarks writes.
+"""
+
+from __future__ import annotations
+
+import inspect
+import json
+from pathlib import Path
+
+import plugin_parameters
+from docutils import nodes
+from docutils.statemachine import StringList
+from sphinx.util.docutils import SphinxDirective
+
+import warp_psdr as psdr
+
+DATA = Path(__file__).resolve().parents[1] / "data"
+#: Keys of a measured line that are no columns.
+ABOUT = ("benchmark", "table", "machine", "note")
+
+
+class Generated(SphinxDirective):
+    """Parses the Markdown that ``text`` returns."""
+
+    def run(self) -> list[nodes.Node]:
+        """Return the parsed text."""
+        parent = nodes.container()
+        lines = self.text().splitlines()
+        self.state.nested_parse(StringList(lines, self.get_source_info()[0]), self.content_offset, parent)
+        return parent.children
+
+    def text(self) -> str:
+        """Return Markdown."""
+        raise NotImplementedError
+
+
+class Methods(Generated):
+    """The table of methods; pages are linked from ``docs/methods``."""
+
+    def text(self) -> str:
+        """Return the table."""
+        lines = ["| paper | term | option | file | page |", "|---|---|---|---|---|"]
+        for m in psdr.methods():
+            page = m.page.rpartition("/")[2]
+            lines.append(
+                f"| {m.paper} {{cite}}`{m.key}` | {m.term} | `{m.option}` | `{m.file}` "
+                f"| [{page.removesuffix('.md')}](/methods/{page}) |"
+            )
+        return "\n".join(lines)
+
+
+class MethodCard(Generated):
+    """Paper, option, term and file of the method with this option, and the option's parameters."""
+
+    required_arguments = 1
+    final_argument_whitespace = True
+
+    def text(self) -> str:
+        """Return a list."""
+        (method,) = [m for m in psdr.methods() if m.option == self.arguments[0]]
+        name = method.option.partition("(")[0]
+        return "\n".join(
+            [
+                "| | |\n|---|---|",
+                f"| paper | {{cite}}`{method.key}` |",
+                f"| term | {method.term} |",
+                f"| option | `psdr.{method.option}` ({{py:obj}}`parameters <warp_psdr.{name}>`) |",
+                f"| file | `{method.file}` |",
+            ]
+        )
+
+
+class Plugins(Generated):
+    """What the loader reads of a kind of plugin."""
+
+    required_arguments = 1
+
+    def text(self) -> str:
+        """Return a table, a row a plugin."""
+        lines = ["| plugin | parameters that are read | values in `psdr.traverse` |", "|---|---|---|"]
+        for plugin in plugin_parameters.plugins(self.arguments[0]):
+            read = ", ".join(f"`{p}`" for p in plugin.read) or "–"
+            values = ", ".join(f"`{v}`" for v in plugin.values) or "–"
+            lines.append(f"| `{plugin.name}` | {read} | {values} |")
+        return "\n".join(lines)
+
+
+class Api(Generated):
+    """All public names, with the names of public modules behind them."""
+
+    def text(self) -> str:
+        """Return autodoc's directives."""
+        out: list[str] = []
+        modules = []
+        for name in psdr.__all__:
+            value = getattr(psdr, name)
+            if inspect.ismodule(value):
+                modules.append((name, value))
+            else:
+                out += _directive("warp_psdr", name, value)
+        for name, module in modules:
+            out += [f"## psdr.{name}", "", inspect.getdoc(module) or "", ""]
+            for inner in _public(module):
+                out += _directive(module.__name__, inner, getattr(module, inner))
+        return "\n".join(out)
+
+
+def _public(module) -> list[str]:
+    if hasattr(module, "__all__"):
+        return list(module.__all__)
+    return [
+        name
+        for name, value in vars(module).items()
+        if not name.startswith("_")
+        and (inspect.isfunction(value) or inspect.isclass(value))
+        and value.__module__ == module.__name__
+    ]
+
+
+def _directive(module: str, name: str, value) -> list[str]:
+    kind = "autoclass" if inspect.isclass(value) else "autofunction" if callable(value) else "autodata"
+    lines = ["```{eval-rst}", f".. {kind}:: {module}.{name}"]
+    if kind == "autoclass":
+        lines += ["   :members:"]
+    return [*lines, "```", ""]
+
+
+class Measured(Generated):
+    """Measured tables with their machine and commit."""
+
+    required_arguments = 1
+
+    def text(self) -> str:
+        """Return the tables of a file."""
+        file = DATA / f"{self.arguments[0]}.jsonl"
+        self.env.note_dependency(str(file))
+        return measured(file)
+
+
+def measured(file: Path) -> str:
+    """Return the tables of a file of measured lines as Markdown."""
+    tables: dict[tuple, list[dict]] = {}
+    for line in file.read_text(encoding="utf-8").splitlines():
+        row = json.loads(line)
+        machine = json.dumps(row["machine"], sort_keys=True)
+        tables.setdefault((row["benchmark"], row["table"], machine), []).append(row)
+    out = []
+    for (benchmark, title, text), rows in tables.items():
+        machine = json.loads(text)
+        columns = [key for key in rows[0] if key not in ABOUT]
+        out += [f"**{title}** (`{benchmark}`)", "", f"| {' | '.join(columns)} |", "|" + "---|" * len(columns)]
+        out += [f"| {' | '.join(_number(row[key]) for key in columns)} |" for row in rows]
+        versions = [f"{key} {machine[key]}" for key in ("warp", "mitsuba", "commit") if key in machine]
+        about = f"*{machine['cores']} cores of {machine['cpu']}; {', '.join(versions)}.*"
+        notes = dict.fromkeys(row["note"] for row in rows if "note" in row)
+        out += ["", " ".join([about, *notes]), ""]
+    return "\n".join(out)
+
+
+def _number(value) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float):
+        return f"{value:,.3g}" if abs(value) < 1000.0 else f"{value:,.0f}"
+    return "" if value is None else f"{value:,}" if isinstance(value, int) else str(value)
+
+
+def setup(app) -> dict:
+    """Add the directives."""
+    directives = {"methods": Methods, "about-method": MethodCard, "plugins": Plugins, "api": Api, "measured": Measured}
+    for name, directive in directives.items():
+        app.add_directive(name, directive)
+    return {"parallel_read_safe": True}

@@ -1,0 +1,140 @@
+"""What the scene loader reads of each plugin, found by loading a scene with it and listening.
+
+The loader has no list of parameters: a reader asks for each. So every plugin is put in a small scene, and what is asked
+for is written down, with the values that ``psdr.traverse`` then lists. Parameters that exclude the default ones
+(``alpha_u`` beside ``alpha``) need an example of their own, in ``MORE``.
+"""
+
+from __future__ import annotations
+
+import functools
+import tempfile
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+import warp_psdr as psdr
+from warp_psdr import image_io
+from warp_psdr.scene import plugins as loader
+
+#: Parameters without which a plugin cannot be loaded; "FILE.obj" and the like stand for files that are made.
+NEEDED: dict[str, dict] = {
+    "twosided": {"bsdf": {"type": "diffuse"}},
+    "bitmap": {"filename": "FILE.png"},
+    "mesh_attribute": {"name": "vertex_color"},
+    "envmap": {"filename": "FILE.png"},
+    "thinlens": {"aperture_radius": 0.1},
+    "mesh": {"vertices": np.eye(3), "faces": [[0, 1, 2]]},
+    **{kind: {"filename": f"FILE.{kind}"} for kind in ("obj", "ply", "gltf", "glb", "stl", "off")},
+}
+#: Further examples, whose parameters join those of the first.
+MORE: dict[str, tuple[dict, ...]] = {
+    "roughconductor": ({"alpha_u": 0.1, "alpha_v": 0.2}, {"eta": 1.0, "k": 2.0}),
+    "conductor": ({"eta": 1.0, "k": 2.0},),
+    "perspective": ({"fov": 40.0},),
+    "thinlens": ({"aperture_radius": 0.1, "fov": 40.0},),
+    "directional": ({"direction": [0.0, 0.0, 1.0]},),
+    "point": ({"position": [0.0, 0.0, 1.0]},),
+}
+#: Plugins that stand for values (spectra) take different forms; they are listed by name alone.
+VALUES = ("rgb", "srgb", "spectrum", "uniform", "rawconstant", "d65", "blackbody", "regular", "irregular")
+
+
+class Plugin(NamedTuple):
+    """A plugin, the parameters that are read of it, and the names of its values in ``psdr.traverse``."""
+
+    name: str
+    read: list[str]
+    values: list[str]
+
+
+@functools.cache
+def plugins(category: str) -> list[Plugin]:
+    """Return the supported plugins of a kind.
+
+    Raises:
+        ValueError: one of them cannot be loaded; its example has to be mended.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        return [_listen(category, name, Path(folder)) for name in loader.PLUGINS[category]]
+
+
+def _listen(category: str, name: str, folder: Path) -> Plugin:
+    read: dict[str, None] = {}
+    values: dict[str, None] = {}
+    if name in VALUES:
+        return Plugin(name, [], [])
+    for parameters in (NEEDED.get(name, {}), *MORE.get(name, ())):
+        asked, found = _load(category, name, {k: _file(v, folder) for k, v in parameters.items()})
+        read.update(dict.fromkeys(asked))
+        values.update(dict.fromkeys(found))
+    return Plugin(name, sorted(read), list(values))
+
+
+def _load(category: str, name: str, parameters: dict) -> tuple[list[str], list[str]]:
+    """Return the parameters that loading a scene with the plugin asked it for, and the names of its values."""
+    asked: list[str] = []
+    take = loader.Properties.take
+
+    def listening(self: loader.Properties, parameter: str, default=None):
+        if self.type == name:
+            asked.append(parameter)
+        return take(self, parameter, default)
+
+    loader.Properties.take = listening  # type: ignore[method-assign]
+    try:
+        scene = psdr.load_dict(_scene(category, {"type": name, **parameters}))
+    finally:
+        loader.Properties.take = take  # type: ignore[method-assign]
+    found = [n.removeprefix("probe.") for n in psdr.traverse(scene) if n.startswith("probe.")]
+    inner = {"texture": "bsdf.reflectance.", "bsdf": "bsdf."}.get(category, "emitter." if name == "area" else "")
+    found = [n.removeprefix(inner) for n in found if n.startswith(inner)]
+    if category == "shape":
+        found = [n for n in found if not n.startswith("bsdf.")]
+    elif category not in ("texture", "bsdf", "emitter", "sensor"):
+        found = []
+    return [a for a in asked if not a.startswith("_arg_")], found
+
+
+def _scene(category: str, plugin: dict) -> dict:
+    """Return a scene that holds the plugin where it belongs; what is looked at is called ``probe``."""
+    film: dict = {"type": "hdrfilm", "width": 4, "height": 4}
+    camera: dict = {"type": "perspective", "fov": 40.0, "film": film}
+    shape = {"type": "mesh", "vertices": np.eye(3), "faces": [[0, 1, 2]], "texcoords": np.eye(3)[:, :2]}
+    shape["vertex_color"] = np.full((3, 3), 0.5)
+    scene: dict = {"type": "scene", "sensor": camera, "probe": shape, "integrator": {"type": "path"}}
+    if category == "sensor":
+        del scene["sensor"]
+        scene["body"], scene["probe"] = shape, {**plugin, "film": film}
+    elif category == "film":
+        camera["film"] = plugin
+    elif category in ("rfilter", "sampler"):
+        (film if category == "rfilter" else camera)[category] = plugin
+    elif category == "integrator":
+        scene["integrator"] = plugin
+    elif category == "bsdf":
+        shape["bsdf"] = plugin
+    elif category == "texture":
+        shape["bsdf"] = {"type": "diffuse", "reflectance": plugin}
+    elif plugin["type"] == "area":
+        shape["emitter"] = plugin
+    elif category == "emitter":
+        scene["body"], scene["probe"] = shape, plugin
+    elif category == "shape":
+        scene["probe"] = plugin
+    return scene
+
+
+def _file(value, folder: Path):
+    """Return the name of a small file where ``value`` asks for one."""
+    if not isinstance(value, str) or not value.startswith("FILE."):
+        return value
+    file = folder / value
+    if file.suffix == ".png":
+        image_io.write_image(file, np.full((4, 8, 3), 0.5, np.float32))
+    else:
+        import trimesh
+
+        trimesh.creation.box().export(file)
+    return str(file)

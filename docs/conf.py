@@ -1,0 +1,33 @@
+"""Settings of the documentation: ``sphinx-build -W --keep-going docs docs/_build``."""
+
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path[:0] = [str(ROOT), str(ROOT / "docs" / "_ext")]
+
+project = "warp_psdr"
+author = "The warp_psdr authors"
+html_title = "warp_psdr"
+html_theme = "furo"
+exclude_patterns = ["_build", "_ext", "data"]
+extensions = [
+    "myst_parser",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.napoleon",
+    "sphinx.ext.mathjax",
+    "sphinxcontrib.bibtex",
+    "citation_keys",
+    "generated",
+]
+myst_enable_extensions = ["dollarmath", "amsmath", "deflist", "colon_fence"]
+myst_heading_anchors = 3
+bibtex_bibfiles = ["references.bib"]
+bibtex_default_style = "citation_keys"
+bibtex_reference_style = "label"
+suppress_warnings = ["ref.python"]  # three families have a class Method each
+autodoc_typehints = "none"  # the docstrings say shapes and units, which types do not
+autodoc_member_order = "bysource"
+napoleon_google_docstring = True
+napoleon_numpy_docstring = False
+napoleon_use_ivar = True
