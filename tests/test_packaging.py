@@ -11,10 +11,10 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-SHIPPED = ["kernels", "warp_psdr", "tests", "examples", "scenes"]
-TOP_FILES = ["pyproject.toml", "MANIFEST.in", "LICENSE", "README.md", "CHANGELOG.md", "CONTRIBUTING.md"]
+SHIPPED = ["kernels", "warp_psdr", "docs", "tests", "examples", "scenes"]
+TOP_FILES = ["pyproject.toml", "MANIFEST.in", "LICENSE", "README.md", "CHANGELOG.md", "CITATION.cff", "CONTRIBUTING.md"]
 #: Not part of a distribution, and never copied: what tools leave behind.
-LEFTOVERS = shutil.ignore_patterns("__pycache__", "*.py[cod]", "out", ".*")
+LEFTOVERS = shutil.ignore_patterns("__pycache__", "*.py[cod]", "_build", "out", ".*")
 
 
 @pytest.fixture(scope="module")
@@ -47,6 +47,7 @@ def test_wheel_holds_exactly_the_library(wheel_names: set[str]) -> None:
     # kernels/__init__.py is installed in place of the stand-in that finds it in a checkout.
     expected = {f"warp_psdr/kernels/{name}" for name in sources("kernels")}
     expected |= {f"warp_psdr/{name}" for name in sources("warp_psdr")}
+    expected.add("warp_psdr/py.typed")  # the annotations are for type checkers of users, too
     assert {name for name in wheel_names if ".dist-info/" not in name} == expected
 
 

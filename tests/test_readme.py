@@ -1,19 +1,19 @@
-"""The README keeps its promises: its commands exist, its pictures are there, its code runs."""
+"""The README keeps its promises: its commands exist, its pictures are there, its code runs, its table is the code's."""
 
-import argparse
 import re
-import shlex
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from warp_psdr import cli
+import warp_psdr as psdr
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 #: Pictures that everyone downloads with the repository stay small, bytes.
 PICTURE_BYTES = 300_000
+#: One screen, more or less: numbers belong to docs/performance.md, exceptions to docs/limits.md.
+MOST_LINES = 110
 SECOND_BLOCK = "python3 -m venv .venv && .venv/bin/pip install -e '.[test]' && .venv/bin/python -m pytest -n 2"
 
 
@@ -29,9 +29,11 @@ def fences(text: str) -> list[tuple[str, str]]:
     return re.findall(r"^```(\w*)\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
 
 
-def test_opens_with_a_picture_of_the_project() -> None:
-    first = README.lstrip().splitlines()[0]
-    assert re.fullmatch(r"!\[.+\]\(examples/pictures/\S+\.png\)", first)
+def test_says_what_it_is_and_shows_it() -> None:
+    first, second = [line for line in README.splitlines() if line][:2]
+    assert "physics-based differentiable renderer for inverse rendering" in first
+    assert re.fullmatch(r"!\[.+\]\(examples/pictures/\S+\.png\)", second)
+    assert len(README.splitlines()) <= MOST_LINES
 
 
 def test_quick_start_has_two_blocks_of_commands() -> None:
@@ -57,30 +59,15 @@ def test_links_lead_somewhere(target: str) -> None:
         assert file.stat().st_size < PICTURE_BYTES
 
 
-def test_every_example_is_listed() -> None:
-    for file in (ROOT / "examples").glob("*.py"):
-        assert f"`{file.name}`" in README
+def test_methods_are_those_of_the_code() -> None:
+    assert psdr.methods().markdown() in section("Methods")
 
 
-def test_code_runs(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture) -> None:
+def test_loop_runs_and_its_loss_falls(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture) -> None:
     monkeypatch.chdir(ROOT)
-    blocks = [code for language, code in fences(README) if language == "python"]
-    assert blocks
-    for code in blocks:
-        names: dict = {}
-        exec(compile(code, "README.md", "exec"), names)
-        assert np.abs(names["gradient"]).min() > 0.0
-        assert np.abs(names["derivative"].numpy()).max() > 0.0
-        assert "differentiated" in capsys.readouterr().out
-
-
-def test_commands_exist() -> None:
-    lines = [line for _, text in fences(section("On the command line")) for line in text.splitlines() if line]
-    assert {shlex.split(line)[1] for line in lines} == {"render", "gradient", "plan", "accuracy", "fit", "view"}
-    for line in lines:
-        program, *arguments = shlex.split(line)
-        assert program == "warp-psdr"
-        parsed = cli._parser().parse_args(arguments)  # ends the process where an option is unknown
-        assert isinstance(parsed, argparse.Namespace)
-        for name in ("scene", "config"):
-            assert (ROOT / getattr(parsed, name, ".")).exists()
+    (code,) = [code for language, code in fences(README) if language == "python"]
+    exec(compile(code, "README.md", "exec"), {})
+    losses = [float(x) for x in re.findall(r"loss (\S+)", capsys.readouterr().out)]
+    assert len(losses) > 10
+    # Half: the noise of the two images is a fifth of the loss at the start.
+    assert np.mean(losses[-3:]) < 0.5 * np.mean(losses[:3])

@@ -63,7 +63,7 @@ _METHODS = MethodTable(
             *("kernels/interior/replay.py", "replay"),
         ),
         (
-            *("VSJ21", "Path replay, as published", "interior.Replay(block=0)", "interior"),
+            *("VSJ21", "Path replay, as published", "interior.Textbook()", "interior"),
             *("kernels/interior/textbook.py", "textbook"),
         ),
         (

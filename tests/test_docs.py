@@ -1,0 +1,139 @@
+"""The documentation keeps its promises: its commands and examples exist, its programs run, its tables are measured."""
+
+import argparse
+import ast
+import json
+import re
+import shlex
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from warp_psdr import cli
+
+ROOT = Path(__file__).resolve().parents[1]
+DOCS = ROOT / "docs"
+PAGES = sorted(path for path in DOCS.rglob("*.md") if "_build" not in path.parts)
+METHOD_SECTIONS = ["Equation", "Covers and refuses", "Options", "Measured", "Failure modes"]
+#: A device file's header is a title, a paragraph, and where the derivation is.
+HEADER_LINES = 15
+
+
+def name(path: Path) -> str:
+    return str(path.relative_to(ROOT))
+
+
+def slug(heading: str) -> str:
+    """The anchor that MyST and GitHub give a heading."""
+    return re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-")
+
+
+def headings(page: Path) -> list[str]:
+    """Headings below the title, fenced blocks left out."""
+    text = re.sub(r"^```.*?^```$", "", page.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
+    return re.findall(r"^## (.+)$", text, re.MULTILINE)
+
+
+def python_blocks(page: str) -> list[str]:
+    text = (DOCS / page).read_text(encoding="utf-8")
+    return re.findall(r"^```python\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
+
+
+@pytest.mark.parametrize(
+    "page", [p for p in sorted((DOCS / "methods").glob("*.md")) if p.stem != "index"], ids=lambda p: p.stem
+)
+def test_method_pages_follow_one_template(page: Path) -> None:
+    assert headings(page) == METHOD_SECTIONS
+
+
+@pytest.mark.parametrize("file", sorted((ROOT / "kernels").rglob("*.py")), ids=name)
+def test_headers_of_device_files_are_short(file: Path) -> None:
+    header = ast.get_docstring(ast.parse(file.read_text(encoding="utf-8"))) or ""
+    assert len(header.splitlines()) <= HEADER_LINES, "move the derivation to docs/theory and name its section"
+
+
+def test_headers_name_sections_that_exist() -> None:
+    found = 0
+    for folder in ("kernels", "warp_psdr"):
+        for file in (ROOT / folder).rglob("*.py"):
+            for page, anchor in re.findall(r"``(docs/\S+\.md)#(\S+?)``", file.read_text(encoding="utf-8")):
+                assert anchor in map(slug, headings(ROOT / page)), f"{name(file)}: {page}#{anchor}"
+                found += 1
+    assert found > 10
+
+
+def test_theory_names_files_that_exist() -> None:
+    for page in (DOCS / "theory").glob("*.md"):
+        for file in re.findall(r"^\*File: `(\S+)`\*$", page.read_text(encoding="utf-8"), re.MULTILINE):
+            assert (ROOT / file).is_file(), f"{name(page)}: {file}"
+
+
+def test_contributing_names_files_that_exist() -> None:
+    for page in [ROOT / "CONTRIBUTING.md", *(DOCS / "contributing").glob("*.md")]:
+        text = page.read_text(encoding="utf-8")
+        for file in re.findall(r"`((?:kernels|warp_psdr|tests|docs|examples|scenes)/[\w/.*]+)`", text):
+            assert list(ROOT.glob(file)), f"{name(page)}: {file}"
+
+
+@pytest.mark.parametrize("file", sorted((DOCS / "data").glob("*.jsonl")), ids=lambda p: p.stem)
+def test_measurements_say_where_they_were_made(file: Path) -> None:
+    pages = "".join(page.read_text(encoding="utf-8") for page in PAGES)
+    assert f"```{{measured}} {file.stem}\n" in pages
+    columns: dict[str, list[str]] = {}
+    for line in file.read_text(encoding="utf-8").splitlines():
+        row = json.loads(line)
+        assert {"cpu", "cores", "commit"} <= set(row["machine"])
+        assert list(row) == columns.setdefault(row["table"], list(row))
+
+
+def test_every_example_is_listed() -> None:
+    text = (DOCS / "start.md").read_text(encoding="utf-8")
+    for file in (ROOT / "examples").glob("*.py"):
+        assert f"`{file.name}`" in text
+
+
+def test_commands_exist() -> None:
+    text = (DOCS / "start.md").read_text(encoding="utf-8")
+    lines = re.findall(r"^warp-psdr .+$", text, re.MULTILINE)
+    assert {"render", "gradient", "plan", "accuracy", "fit", "view"} <= {shlex.split(line)[1] for line in lines}
+    for line in lines:
+        parsed = cli._parser().parse_args(shlex.split(line)[1:])  # ends the process where an option is unknown
+        assert isinstance(parsed, argparse.Namespace)
+        for argument in ("scene", "config"):
+            assert (ROOT / getattr(parsed, argument, ".")).exists()
+
+
+def test_first_program_runs(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture) -> None:
+    monkeypatch.chdir(ROOT)
+    (code,) = python_blocks("start.md")
+    names: dict = {}
+    exec(compile(code, "start.md", "exec"), names)
+    assert np.abs(names["gradient"]).min() > 0.0
+    assert np.abs(names["derivative"].numpy()).max() > 0.0
+    assert "differentiated" in capsys.readouterr().out
+
+
+@pytest.mark.slow
+def test_programs_beside_mitsubas_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(ROOT)
+    names: dict = {}
+    for code in python_blocks("from_mitsuba.md")[1::2]:
+        names.pop("gradient", None)
+        exec(compile(code, "from_mitsuba.md", "exec"), names)
+        if "gradient =" in code:
+            assert np.abs(names["gradient"]).max() > 0.0
+
+
+@pytest.mark.slow
+def test_programs_of_mitsuba_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    mitsuba = pytest.importorskip("mitsuba")
+    monkeypatch.chdir(ROOT)
+    try:
+        mitsuba.set_variant("llvm_ad_rgb")
+        mitsuba.load_dict({"type": "sphere"})
+    except Exception as error:
+        pytest.skip(f"Mitsuba's variant llvm_ad_rgb does not start: {error}")
+    names: dict = {}
+    for code in python_blocks("from_mitsuba.md")[::2]:
+        exec(compile(code, "from_mitsuba.md", "exec"), names)
