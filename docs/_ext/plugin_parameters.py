@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import functools
 import tempfile
+import warnings
 from pathlib import Path
 from typing import NamedTuple
 
@@ -84,7 +85,8 @@ def _load(category: str, name: str, parameters: dict) -> tuple[list[str], list[s
 
     loader.Properties.take = listening  # type: ignore[method-assign]
     try:
-        scene = psdr.load_dict(_scene(category, {"type": name, **parameters}))
+        with warnings.catch_warnings(action="ignore", category=psdr.SceneWarning):
+            scene = psdr.load_dict(_scene(category, {"type": name, **parameters}))
     finally:
         loader.Properties.take = take  # type: ignore[method-assign]
     found = [n.removeprefix("probe.") for n in psdr.traverse(scene) if n.startswith("probe.")]

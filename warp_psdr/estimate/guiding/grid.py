@@ -1,4 +1,4 @@
-"""Guiding by a regular grid, filled from photon and importon maps."""
+"""Guiding by a regular grid [ZMY*20, section 6.3], filled from photon and importon maps."""
 
 from __future__ import annotations
 

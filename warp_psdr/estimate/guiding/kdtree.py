@@ -1,4 +1,4 @@
-"""Guiding by a k-d tree."""
+"""Guiding by a k-d tree [YLB*22, sections 4 and 5]."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Guiding by an octree."""
+"""Guiding by an octree [ZRJ23, section 5]."""
 
 from __future__ import annotations
 
