@@ -29,7 +29,7 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 #: Kinds of samples: light paths of the image and of the interior term, the terms of the boundary term by the names of
-#: their functions in ``estimate/boundary/terms.py``, and evaluations of the integrand that guiding follows.
+#: ``estimate/boundary/terms``, and evaluations of the integrand that guiding follows.
 KINDS = (
     "image",
     "interior",

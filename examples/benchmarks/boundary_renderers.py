@@ -73,7 +73,7 @@ class Secondary:
         camera = scene.camera(0)
         image = wp.zeros((camera.crop_height, camera.crop_width), dtype=wp.vec3, device=scene.device)
         request = terms.Request(scene, plan, motion(scene, names), "forward", 0, spp, seed)
-        drivers.launch_forward(scene, terms.launches(terms.secondary, request), self._tangent, image)
+        drivers.launch_forward(scene, terms.launches(terms.named("secondary"), request), self._tangent, image)
         return image.numpy().astype(np.float64)
 
     def gradient(self, spp: int, seed: int) -> np.ndarray:

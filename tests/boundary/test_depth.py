@@ -60,7 +60,7 @@ def batch(what, name, term, spp, seed, *, depth=DEPTH, indirect=False):
 def test_parts_add_up_sample_by_sample(scene, name, method, term) -> None:
     # With equal random numbers: where whole and parts draw the same segments, the parts add up to the last bits.
     what = gradient_of(scene, name, method)
-    function = next(t for t in TERMS[type(what.plan.boundary)] if t.__name__ == term)
+    function = next(t for t in TERMS[type(what.plan.boundary)] if t.name == term)
     for seed in range(3):
         whole = batch(what, name, function, 32, seed)
         direct = batch(what, name, function, 32, seed, depth=2)
@@ -83,7 +83,7 @@ def test_parts_add_up_sample_by_sample(scene, name, method, term) -> None:
 def test_means_add_up(scene, method, batches) -> None:
     # Independent batches: direct light draws its segments otherwise than the whole does.
     what = gradient_of(scene, BOX, method)
-    function = next(t for t in TERMS[type(what.plan.boundary)] if t.__name__ in ("secondary", "edge_sampling"))
+    function = next(t for t in TERMS[type(what.plan.boundary)] if t.name in ("secondary", "edge_sampling"))
     parts = [p for p in what.parts if p.name in ("direct boundary", "indirect boundary")]
     directions = np.random.default_rng(2).normal(size=(what.blocks[BOX].stop, 6))
     whole = np.array([batch(what, BOX, function, 64, 5000 + b) for b in range(batches)]) @ directions

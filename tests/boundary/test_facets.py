@@ -97,7 +97,7 @@ def test_one_path_equals_two(name, parameter, depth) -> None:
     for seed in range(2 * BATCHES):
         two = bool(seed % 2)
         request = request_of(name, parameter, depth, seed)
-        (term,) = terms.launches(terms.facets, request)
+        (term,) = terms.launches(terms.named("facets"), request)
         if two:
             term = replace(term, kernel=make_primary_kernel(request.config, request.role, request.moves.camera))
         found[two].append(gradient(request, parameter, term))
@@ -116,7 +116,7 @@ def test_the_noise_falls_with_the_angle_between_the_faces() -> None:
         batches = []
         for seed in range(16):
             request = request_of("coloured ball, panel", SHAPE, 4, seed, spp=8)
-            (term,) = terms.launches(terms.facets, request)
+            (term,) = terms.launches(terms.named("facets"), request)
             if two:
                 term = replace(term, kernel=make_primary_kernel(request.config, request.role, request.moves.camera))
             batches.append(gradient(request, SHAPE, term).reshape(-1, 3).sum(axis=0))

@@ -10,7 +10,7 @@ import warp_psdr as psdr
 from warp_psdr import guiding
 from warp_psdr.boundary import PathSpace, Projective
 from warp_psdr.estimate.boundary import projective
-from warp_psdr.estimate.boundary.terms import Request, secondary
+from warp_psdr.estimate.boundary.terms import Request, named
 from warp_psdr.estimate.guiding import store
 from warp_psdr.kernels.boundary.guiding.projective import BLOCKED_LIGHT, SCATTERED
 from warp_psdr.plan.motion import motion
@@ -189,7 +189,7 @@ def test_the_structure_does_not_change_the_mean(method) -> None:
 def test_uniform_sampling_aims_at_point_like_lights_only() -> None:
     for name, share in (("soft", 1.0), ("point", 0.5)):
         scene, _params = load(name)
-        term = secondary(request(scene, OCCLUDER, Projective(guiding=None)))
+        term = named("secondary").launch(request(scene, OCCLUDER, Projective(guiding=None)))
         record = next(x for x in term.inputs(0, wp.zeros((1, 1), dtype=wp.vec3)) if hasattr(x, "share"))
         assert record.share == share
 

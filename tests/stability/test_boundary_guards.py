@@ -141,7 +141,7 @@ def crease(slant: float, half: float = 0.6, eye: float = -3.0, near: float = 0.0
     )
     plan = decide(scene, psdr.traverse(scene), integrator=psdr.PathIntegrator(max_depth=2), names=[RIDGE])
     request = terms.Request(scene, plan, motion(scene, [RIDGE]), "reverse", 0, 64, 0)
-    (term,) = terms.launches(terms.facets, request)
+    (term,) = terms.launches(terms.named("facets"), request)
     return float(gradient(request, RIDGE, term) @ LIFT)
 
 
@@ -172,13 +172,13 @@ def test_creases_behind_what_is_nearly_there() -> None:
 # --- terminators of interpolated normals ---
 
 
-def terminator(shape: dict, parameter: str, seed: int = 0, kinds=(terms.terminator,), **more) -> tuple[np.ndarray, int]:
+def terminator(shape: dict, parameter: str, seed: int = 0, kinds=("terminator",), **more) -> tuple[np.ndarray, int]:
     """Return the gradient of the term of the terminators, or others, and how many of its samples were not finite."""
     view = camera(to_world=psdr.Transform.look_at((0.3, -3.0, 2.0), (0.0, 0.0, 0.0), (0, 0, 1)))
     scene = psdr.load_dict({"type": "scene", "camera": view, "shape": shape, "sky": {"type": "constant"}} | more)
     plan = decide(scene, psdr.traverse(scene), integrator=psdr.PathIntegrator(max_depth=2), names=[parameter])
     request = terms.Request(scene, plan, motion(scene, [parameter]), "reverse", 0, 64, seed)
-    found = [gradient(request, parameter, t) for kind in kinds for t in terms.launches(kind, request)]
+    found = [gradient(request, parameter, t) for kind in kinds for t in terms.launches(terms.named(kind), request)]
     assert len(found) == len(kinds)
     return np.sum(found, axis=0), psdr.invalid_samples(scene)["terminator"]
 
@@ -192,7 +192,7 @@ def test_terminators_of_fine_meshes_count_once() -> None:
     found = []
     below = psdr.Transform.translate([0.0, 0.0, -1.2]) @ psdr.Transform.scale(3.0)
     floor = {"type": "rectangle", "to_world": below}
-    kinds = (terms.primary, terms.terminator)
+    kinds = ("primary", "terminator")
     for subdivisions in (5, 6):
         shape = ball((0.0, 0.0, 0.0), 1.0, {"type": "diffuse"}, subdivisions=subdivisions, smooth=True)
         outwards = np.asarray(shape["vertices"], np.float64).reshape(-1)

@@ -16,7 +16,7 @@ import warp as wp
 from warp_psdr.accuracy.tiles import Tiling, uniform
 from warp_psdr.estimate.arguments import adjoint_array, flat_tangents, requested
 from warp_psdr.estimate.boundary.drivers import launch_backward, launch_forward
-from warp_psdr.estimate.boundary.terms import SPLIT, TERMS, Request, launches
+from warp_psdr.estimate.boundary.terms import TERMS, BoundaryTerm, Request, launches
 from warp_psdr.estimate.gradient_sums import GradientSums
 from warp_psdr.estimate.guiding import store
 from warp_psdr.estimate.passes import (
@@ -40,22 +40,7 @@ if TYPE_CHECKING:
     from warp_psdr.scene.parameters import Parameters
     from warp_psdr.scene.scene import Scene
 
-#: What users call the functions of ``estimate/boundary/terms.py``; others keep their function's name. ``{}``: whether
-#: only paths of two vertices are in it (direct), or only longer ones.
-TITLES = {
-    "primary": "primary boundary",
-    "facets": "flat creases",
-    "creases": "smooth creases",
-    "terminator": "terminators",
-    "secondary": "{} boundary",
-    "curve": "{} curves of intersection",
-    "bent": "bent normals",
-    "horizon": "{} horizons",
-    "edge_sampling": "{} boundary",
-    "hard_shadows": "{} hard shadows",
-    "through_mirrors": "through mirrors",
-}
-#: Stream of the indirect boundary, beside those of the terms (``estimate/boundary/terms.py``).
+#: Stream of the indirect boundary, beside those of the terms (``estimate/boundary/terms``).
 STREAM_INDIRECT = 0x696E6469
 #: Name of the components of an image.
 IMAGE = "image"
@@ -243,7 +228,7 @@ def _boundary_parts(quantity: Quantity, names: list[str], run: Callable[..., np.
     plan = replace(quantity.plan, boundary=method.without_counts())
     moves, guiding = motion(scene, names), getattr(method, "guiding", None)
 
-    def part(term: Callable, kind: str) -> Part | None:
+    def part(term: BoundaryTerm, kind: str) -> Part | None:
         depths = replace(plan, max_depth=2) if kind == "direct" else plan
 
         def request(spp: int, seed: int) -> Request:
@@ -261,18 +246,17 @@ def _boundary_parts(quantity: Quantity, names: list[str], run: Callable[..., np.
             launches(term, request(1, 0))
 
         # What was built before is kept, for whoever built it.
-        fresh = guiding is not None and term.__name__ == "secondary" and not store.built(request(1, 0), guiding)
+        fresh = guiding is not None and term.name == "secondary" and not store.built(request(1, 0), guiding)
         if not launches(term, request(1, 0)):
             return None
-        title = TITLES.get(term.__name__, term.__name__.replace("_", " ")).format(kind)
-        return Part(title, one, prepare if fresh else None)
+        return Part(term.title.format(kind), one, prepare if fresh else None)
 
     found = [part(term, kind) for term in TERMS[type(method)] for kind in _kinds(term, plan.max_depth)]
     return tuple(p for p in found if p is not None)
 
 
-def _kinds(term: Callable, max_depth: int) -> tuple[str, ...]:
+def _kinds(term: BoundaryTerm, max_depth: int) -> tuple[str, ...]:
     """Return the parts of a term that are told apart."""
-    if term not in SPLIT or 0 <= max_depth < 2:
+    if not term.splits or 0 <= max_depth < 2:
         return ("",)
     return ("direct",) if max_depth == 2 else ("direct", "indirect")

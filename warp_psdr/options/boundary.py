@@ -1,4 +1,4 @@
-"""Methods of the boundary term: options, one object each. ``terms.py`` says which launches each of them consists of."""
+"""Methods of the boundary term: options, one object each. ``estimate/boundary/terms`` has the launches of each."""
 
 from __future__ import annotations
 

@@ -14,7 +14,7 @@ import warp as wp
 
 from warp_psdr.estimate.boundary import projective
 from warp_psdr.estimate.boundary.drivers import launch_samples
-from warp_psdr.estimate.boundary.terms import Request, facets, launches, primary, secondary
+from warp_psdr.estimate.boundary.terms import Request, launches, named
 from warp_psdr.estimate.guiding import store
 from warp_psdr.estimate.passes import STREAM_BOUNDARY
 from warp_psdr.invalid import warns
@@ -125,8 +125,8 @@ def boundary_samples(
     stream = mix_seed(seed, STREAM_BOUNDARY)
     request = Request(scene, plan, motion(scene, names), "samples", number, spp, stream)
     records, kinds = [np.zeros((0, SAMPLE_RECORD), np.float32)], []
-    for kind, make in (("primary", primary), ("primary", facets), ("secondary", secondary)):
-        for term in launches(make, request):
+    for kind, name in (("primary", "primary"), ("primary", "facets"), ("secondary", "secondary")):
+        for term in launches(named(name), request):
             target = wp.zeros(SAMPLE_RECORD * term.samples, dtype=wp.float32, device=scene.device)
             launch_samples(scene, term, weights, target)
             found = target.numpy().reshape(-1, SAMPLE_RECORD)

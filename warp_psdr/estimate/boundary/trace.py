@@ -129,7 +129,7 @@ def trace_boundary(
     noted = replace(plan, config=replace(plan.config, noted=True))
     stream = mix_seed(seed, STREAM_BOUNDARY)
     request = Request(scene, noted, motion(scene, names), role, sensor, spp, stream)
-    found = [t for f in TERMS[type(plan.boundary)] if f.__name__ == kind for t in launches(f, request)]
+    found = [t for term in TERMS[type(plan.boundary)] if term.name == kind for t in launches(term, request)]
     if not found:
         raise ValueError(f"kind: got {kind!r}, which {plan.boundary.label} does not estimate for {', '.join(names)}")
     term = found[0]

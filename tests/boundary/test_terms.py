@@ -1,0 +1,39 @@
+"""The boundary terms declare themselves: one file each, one list, random numbers of their own."""
+
+import pkgutil
+from dataclasses import replace
+from importlib import import_module
+
+import warp_psdr as psdr
+from warp_psdr.estimate.boundary import terms
+from warp_psdr.plan.motion import motion
+
+from .scenes import load
+
+OCCLUDER = "occluder.vertex_positions"
+
+
+def test_every_file_declares_a_term_that_is_in_the_list() -> None:
+    files = {m.name for m in pkgutil.iter_modules(terms.__path__)} - {"request"}
+    declared = {name: import_module(f"{terms.__name__}.{name}").TERM for name in files}
+    assert {term.name for term in terms.ALL} == files and len(terms.ALL) == len(files)
+    assert all(declared[term.name] is term and terms.named(term.name) is term for term in terms.ALL)
+    assert all(("{}" in term.title) == term.splits for term in terms.ALL)
+
+
+def test_the_terms_of_a_method_have_random_numbers_of_their_own() -> None:
+    assert set(terms.TERMS) == {psdr.boundary.EdgeSampling, psdr.boundary.PathSpace, psdr.boundary.Projective}
+    for found in terms.TERMS.values():
+        assert len({term.stream for term in found}) == len(found) > 3
+
+
+def test_what_does_not_apply_is_not_looked_for() -> None:
+    scene, _params = load("soft")
+    plan = psdr.plan(scene, names=[OCCLUDER], integrator=psdr.PathIntegrator(max_depth=1))
+    request = terms.Request(scene, plan, motion(scene, [OCCLUDER]), "reverse", 0, 1, 0)
+
+    def launch(_request):
+        raise AssertionError("looked for")
+
+    assert terms.launches(replace(terms.named("secondary"), launch=launch), request) == []
+    assert [t.kind for t in terms.launches(terms.named("primary"), request)] == ["primary"]

@@ -1,0 +1,66 @@
+"""The terms of the boundary methods: each kind of discontinuity declares itself in a file of its own; here is the list.
+
+A new kind of edge is a file with a ``BoundaryTerm`` and its place in ``ALL``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from warp_psdr.estimate.boundary.terms import (
+    bent,
+    creases,
+    curve,
+    edge_sampling,
+    facets,
+    hard_shadows,
+    horizon,
+    primary,
+    secondary,
+    terminator,
+    through_mirrors,
+)
+from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term
+from warp_psdr.options.boundary import EdgeSampling, Method, PathSpace, Projective
+from warp_psdr.plan.motion import motion
+
+if TYPE_CHECKING:
+    from warp_psdr.plan.plan import Plan
+    from warp_psdr.scene.scene import Scene
+
+#: All terms, in the order in which they are estimated.
+ALL: tuple[BoundaryTerm, ...] = (
+    primary.TERM,
+    facets.TERM,
+    creases.TERM,
+    terminator.TERM,
+    secondary.TERM,
+    edge_sampling.TERM,
+    hard_shadows.TERM,
+    curve.TERM,
+    bent.TERM,
+    horizon.TERM,
+    through_mirrors.TERM,
+)
+#: What each method consists of.
+TERMS: dict[type[Method], tuple[BoundaryTerm, ...]] = {
+    method: tuple(term for term in ALL if method in term.methods) for method in (PathSpace, Projective, EdgeSampling)
+}
+
+
+def named(name: str) -> BoundaryTerm:
+    """Return the term of a name."""
+    return next(term for term in ALL if term.name == name)
+
+
+def terms(scene: Scene, plan: Plan, names: list[str], role: str, sensor: int, spp: int, seed: int) -> list[Term]:
+    """Return the launches that estimate the boundary term of the named parameters."""
+    request = Request(scene, plan, motion(scene, names), role, sensor, spp, seed)
+    return [t for term in TERMS[type(request.method)] for t in launches(term, request)]
+
+
+def launches(term: BoundaryTerm, request: Request) -> list[Term]:
+    """Return the launches of one of a method's terms, under its name."""
+    found = term.launch(request) if term.applies(request) else None
+    return [] if found is None else [replace(found, kind=term.name)]

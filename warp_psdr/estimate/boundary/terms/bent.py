@@ -1,0 +1,33 @@
+"""Curves where interpolated normals turn away from other path vertices."""
+
+from __future__ import annotations
+
+from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term, term_of
+from warp_psdr.kernels.boundary.shading_normals.bent import make_bent_kernel
+from warp_psdr.options.boundary import EdgeSampling, PathSpace, Projective
+from warp_psdr.topology.bent import bent_choice
+
+
+def applies(r: Request) -> bool:
+    """Whether paths have more than one vertex that scatters."""
+    return not 0 <= r.plan.max_depth <= 2 and bool(r.scene.builder.emitters) and r.scatters_smoothly
+
+
+def launch(r: Request) -> Term | None:
+    """Return the term of the curves where interpolated normals turn away from other path vertices."""
+    found = bent_choice(r.scene)
+    if found is None:
+        return None
+    samples = r.pixels * (r.method.spp_secondary or r.spp)
+    kernel = make_bent_kernel(r.config, r.role, r.moves.camera)
+    return term_of(r, TERM, kernel, [r.scene.data(), r.camera, *found[:2]], samples)
+
+
+TERM = BoundaryTerm(
+    name="bent",
+    title="bent normals",
+    stream=4,
+    methods=(PathSpace, Projective, EdgeSampling),
+    launch=launch,
+    applies=applies,
+)

@@ -1,0 +1,36 @@
+"""Path vertices on curves of intersection."""
+
+from __future__ import annotations
+
+from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term, curves_of, term_of
+from warp_psdr.kernels.boundary.path_space.curve import make_curve_kernel
+from warp_psdr.options.boundary import EdgeSampling, PathSpace, Projective
+from warp_psdr.topology.edges import curve_edges
+
+
+def applies(r: Request) -> bool:
+    """Whether light can come from, or be scattered at, such a vertex."""
+    if r.plan.max_depth == 1 or not r.scene.builder.emitters:
+        return False
+    return (r.plan.max_depth != 2 or bool(r.config.area)) and r.scatters_smoothly
+
+
+def launch(r: Request) -> Term | None:
+    """Return the term of path vertices on curves of intersection."""
+    edges = curve_edges(r.scene, curves_of(r, camera_moves=False))
+    if edges is None:
+        return None
+    samples = r.pixels * (r.method.spp_secondary or r.spp)
+    kernel = make_curve_kernel(r.config, r.role, r.moves.camera, r.indirect)
+    return term_of(r, TERM, kernel, [r.scene.data(), r.camera, edges], samples)
+
+
+TERM = BoundaryTerm(
+    name="curve",
+    title="{} curves of intersection",
+    stream=3,
+    methods=(PathSpace, Projective, EdgeSampling),
+    launch=launch,
+    applies=applies,
+    splits=True,
+)

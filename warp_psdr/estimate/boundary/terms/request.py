@@ -1,0 +1,163 @@
+"""What a boundary term is asked for, how a kind of discontinuity declares itself, and what it is launched as."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import warp as wp
+
+from warp_psdr.estimate.jobs import sample_job
+from warp_psdr.kernels.bsdf.dispatch import has_smooth_lobes
+from warp_psdr.kernels.rng import mix_seed
+from warp_psdr.options.boundary import Method
+from warp_psdr.plan.motion import Motion
+from warp_psdr.topology.curves import moving_curves, scene_curves
+from warp_psdr.topology.edges import select
+from warp_psdr.topology.film_edges import FilmEdges, film_edges
+
+if TYPE_CHECKING:
+    from warp_psdr.kernels.structs import Camera
+    from warp_psdr.kernels.vertex import PathConfig
+    from warp_psdr.plan.plan import Plan
+    from warp_psdr.scene.scene import Scene
+    from warp_psdr.topology.edges import Adjacency
+
+#: Roulette ends paths behind a discontinuity so many vertices earlier than those of the image: their first vertices are
+#: what makes boundary samples differ. By default, from the first one on.
+ROULETTE_EARLIER = 4
+
+
+@dataclass(frozen=True)
+class Term:
+    """One launch.
+
+    Attributes:
+        kernel: one thread a sample; its last two parameters are the target and the image.
+        inputs: (number of the first sample, adjoint) -> the arguments in front of them, the scene's record first.
+        samples: how many.
+        kind: the term's name.
+    """
+
+    kernel: wp.Kernel
+    inputs: Callable[[int, wp.array], list]
+    samples: int
+    kind: str = ""
+
+
+@dataclass(frozen=True)
+class Request:
+    """What a boundary term is asked for.
+
+    Attributes:
+        scene: the scene.
+        plan: with the method in ``boundary``.
+        moves: what moves.
+        role: "reverse" or "forward"; "samples" for ``edge_fields``.
+        sensor: which camera.
+        spp: samples a pixel of the interior term.
+        seed: of the boundary term's stream.
+        indirect: paths of two vertices are left out, of the terms that split.
+    """
+
+    scene: Scene
+    plan: Plan
+    moves: Motion
+    role: str
+    sensor: int
+    spp: int
+    seed: int
+    indirect: bool = False
+
+    @property
+    def camera(self) -> Camera:
+        """The camera's record."""
+        return self.scene.camera(self.sensor)
+
+    @property
+    def rr_depth(self) -> int:
+        """From which vertex on roulette ends the paths behind a discontinuity."""
+        return max(self.plan.rr_depth - ROULETTE_EARLIER, 1)
+
+    @property
+    def pixels(self) -> int:
+        """Number of pixels of the crop window."""
+        return self.camera.crop_width * self.camera.crop_height
+
+    @property
+    def config(self) -> PathConfig:
+        """The path loop's: the estimators stratify what they sample first; everything else is independent."""
+        return replace(self.plan.config, sampler="independent")
+
+    @property
+    def scatters_smoothly(self) -> bool:
+        """Whether any surface is more than a mirror or glass: only then can a path vertex be connected to another."""
+        return has_smooth_lobes(self.config.bsdfs)
+
+    @property
+    def method(self) -> Method:
+        """The method, with its sample counts."""
+        assert self.plan.boundary is not None
+        return self.plan.boundary
+
+
+@dataclass(frozen=True, kw_only=True)
+class BoundaryTerm:
+    """A kind of discontinuity, as its file declares it.
+
+    Attributes:
+        name: of the samples that it drops, and in ``psdr.trace_sample``.
+        title: what reports of accuracy call it; ``{}``: whether only paths of two vertices are in it (direct), or only
+            longer ones.
+        stream: sub-stream of the boundary term's random numbers.
+        methods: the boundary methods that it belongs to.
+        launch: request -> its launch; None: nothing of the kind moves, or exists.
+        applies: request -> whether it can have a launch at all, without a look at the scene's edges.
+        splits: paths of two vertices behind the camera can be told from longer ones (``kernels/boundary/depth.py``).
+    """
+
+    name: str
+    title: str
+    stream: int
+    methods: tuple[type[Method], ...]
+    launch: Callable[[Request], Term | None]
+    applies: Callable[[Request], bool] = lambda _request: True
+    splits: bool = False
+
+
+def term_of(
+    r: Request, term: BoundaryTerm, kernel: wp.Kernel, head: list, samples: int, *, count: int | None = None
+) -> Term:
+    """Return the launch of a kernel: what it reads of the scene, and what all of them take.
+
+    Args:
+        r: what is asked for.
+        term: of this kind.
+        kernel: one thread a sample.
+        head: the arguments in front of the first sample's number.
+        samples: how many.
+        count: what the kernel is told of their number; None: ``samples``.
+    """
+    told = count or samples
+    random = mix_seed(r.seed, term.stream)
+
+    def inputs(first: int, adjoint: wp.array) -> list:
+        return [*head, sample_job(first, told, random, r.plan.max_depth, r.rr_depth, adjoint)]
+
+    return Term(kernel, inputs, samples)
+
+
+def film_edges_of(r: Request) -> FilmEdges:
+    """Return the edges that the camera may see move."""
+    shapes = set(r.moves.shapes)
+    return film_edges(r.scene, r.sensor, shapes, camera_moves=r.moves.camera, hide_emitters=r.config.hidden)
+
+
+def curves_of(r: Request, *, camera_moves: bool) -> Adjacency:
+    """Return the curves of intersection that move."""
+    curves = scene_curves(r.scene)
+    return (
+        curves if camera_moves else select(curves, np.flatnonzero(moving_curves(r.scene, curves, set(r.moves.shapes))))
+    )

@@ -1,0 +1,53 @@
+"""Shadow edges and their like: visibility between two path vertices [ZMY*20]."""
+
+from __future__ import annotations
+
+from warp_psdr.estimate.boundary import projective
+from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term, term_of
+from warp_psdr.estimate.guiding import store
+from warp_psdr.kernels.boundary.guiding.techniques import Guide
+from warp_psdr.kernels.boundary.path_space.secondary import make_secondary_kernel
+from warp_psdr.options.boundary import PathSpace, Projective
+from warp_psdr.plan.motion import moving_shapes
+from warp_psdr.topology.secondary_edges import secondary_edges
+
+#: Share of the segments whose direction is drawn from the wedge instead of towards a light. With direct light of lights
+#: that are not at infinity, what is not a light contributes nothing.
+WEDGE_SHARE_DIRECT, WEDGE_SHARE = 0.1, 0.5
+
+
+def applies(r: Request) -> bool:
+    """Whether light is scattered, and edges, lights or the camera move."""
+    return r.plan.max_depth != 1 and bool(r.scene.builder.emitters) and r.moves.edges and r.scatters_smoothly
+
+
+def launch(r: Request) -> Term | None:
+    """Return the term of shadow edges and their like: visibility between two path vertices."""
+    guiding = getattr(r.method, "guiding", None)
+    if guiding is None:
+        edges, guide = secondary_edges(r.scene, set(r.moves.shapes)), Guide()
+        aimed = r.plan.max_depth == 2 and r.scene.builder.environment < 0
+        guide.share = WEDGE_SHARE_DIRECT if aimed else WEDGE_SHARE
+        if isinstance(r.method, Projective):
+            guide.share = projective.uniform_share(r)
+    else:
+        seeds = projective.asker(r) if isinstance(r.method, Projective) else None
+        edges, guide = store.guide(r, guiding, seeds)
+    if edges is None:
+        return None
+    samples = r.pixels * (r.method.spp_secondary or r.spp)
+    kernel = make_secondary_kernel(
+        r.config, r.role, r.moves.camera, r.moves.light_pose, guiding is not None, r.indirect
+    )
+    return term_of(r, TERM, kernel, [r.scene.data(), r.camera, edges, moving_shapes(r.scene, r.moves), guide], samples)
+
+
+TERM = BoundaryTerm(
+    name="secondary",
+    title="{} boundary",
+    stream=1,
+    methods=(PathSpace, Projective),
+    launch=launch,
+    applies=applies,
+    splits=True,
+)

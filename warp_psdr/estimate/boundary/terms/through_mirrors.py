@@ -1,0 +1,34 @@
+"""What is seen through smooth mirrors and glass: searched along lines."""
+
+from __future__ import annotations
+
+from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term, term_of
+from warp_psdr.kernels.boundary.specular.line_search import make_line_search_kernel
+from warp_psdr.kernels.bsdf.dispatch import has_delta_lobes
+from warp_psdr.options.boundary import Connecting, PathSpace, Projective
+from warp_psdr.topology.faces import face_tables
+
+
+def applies(r: Request) -> bool:
+    """Whether there is a mirror or glass."""
+    return r.config.scatter and has_delta_lobes(r.config.bsdfs) and bool(r.scene.face_count)
+
+
+def launch(r: Request) -> Term | None:
+    """Return the term of what is seen through smooth mirrors and glass."""
+    assert r.plan.wanted is not None
+    edges, tables = face_tables(r.scene)
+    assert isinstance(r.method, Connecting)
+    samples = r.pixels * (r.method.spp_mirrors or r.spp)
+    kernel = make_line_search_kernel(r.config, r.plan.wanted, r.role, r.moves.light_pose)
+    return term_of(r, TERM, kernel, [r.scene.data(), r.camera, edges, tables], samples)
+
+
+TERM = BoundaryTerm(
+    name="through_mirrors",
+    title="through mirrors",
+    stream=100,
+    methods=(PathSpace, Projective),
+    launch=launch,
+    applies=applies,
+)
