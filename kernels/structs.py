@@ -84,6 +84,7 @@ class Emitter:
     to_world: wp.int32  # flat offset of a 4x4 row-major matrix (envmap, spot, directional) or of a position (point)
     scale: wp.int32  # flat offset (envmap)
     cutoff: wp.int32  # flat offset of [cutoff_angle, beam_width], degrees (spot)
+    projected: wp.int32  # texture that colours the cone (textured spot)
     probability: wp.float32  # discrete selection probability
 
 

@@ -14,22 +14,28 @@ from warp_psdr.kernels.constants import (
     EMITTER_ENVMAP,
     EMITTER_POINT,
     EMITTER_SPOT,
+    EMITTER_TEXTURED_SPOT,
 )
 from warp_psdr.kernels.emitter.constant import make_constant
 from warp_psdr.kernels.emitter.directional import make_directional
 from warp_psdr.kernels.emitter.envmap import make_envmap
 from warp_psdr.kernels.emitter.point import make_point
-from warp_psdr.kernels.emitter.spot import make_spot
+from warp_psdr.kernels.emitter.spot import make_spot, make_textured_spot
 from warp_psdr.kernels.structs import Emitter, LightAdjoint, LightSample, Scene
 
 ENVIRONMENTS = {EMITTER_CONSTANT: make_constant, EMITTER_ENVMAP: make_envmap}
-WITHOUT_AREA = {EMITTER_POINT: make_point, EMITTER_SPOT: make_spot, EMITTER_DIRECTIONAL: make_directional}
+WITHOUT_AREA = {
+    EMITTER_POINT: make_point,
+    EMITTER_SPOT: make_spot,
+    EMITTER_TEXTURED_SPOT: make_textured_spot,
+    EMITTER_DIRECTIONAL: make_directional,
+}
 WANTED = ("radiance", "pose")
 
 
 @wp.func
 def is_delta_light(kind: wp.int32) -> wp.bool:
-    return kind == EMITTER_POINT or kind == EMITTER_SPOT or kind == EMITTER_DIRECTIONAL
+    return kind == EMITTER_POINT or kind == EMITTER_SPOT or kind == EMITTER_TEXTURED_SPOT or kind == EMITTER_DIRECTIONAL
 
 
 class LightFunctions(NamedTuple):

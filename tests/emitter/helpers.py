@@ -12,7 +12,7 @@ from warp_psdr.kernels.emitter.dispatch import make_lights
 from warp_psdr.kernels.structs import Emitter, Scene, Texture
 from warp_psdr.scene.light_sampling import build_env_distribution
 
-ALL_KINDS = (c.EMITTER_CONSTANT, c.EMITTER_ENVMAP, c.EMITTER_POINT, c.EMITTER_SPOT, c.EMITTER_DIRECTIONAL)
+ALL_KINDS = (c.EMITTER_CONSTANT, c.EMITTER_ENVMAP, c.EMITTER_POINT, *sorted(c.SPOTS), c.EMITTER_DIRECTIONAL)
 BOTH = ("pose", "radiance")
 ROTATION = Rotation.from_rotvec([0.4, -1.1, 0.7]).as_matrix()
 ENVIRONMENTS = (c.EMITTER_CONSTANT, c.EMITTER_ENVMAP)
@@ -32,9 +32,14 @@ def struct_array(kind, records, device):
 
 
 class Light:
-    """One light in a scene without surfaces. ``where`` tells the flat range of each of its parameters."""
+    """One light in a scene without surfaces.
 
-    def __init__(self, kind, device="cpu", *, radiance, to_world=None, position=None, scale=None, angles=None):
+    ``where`` tells the flat range of each of its parameters; what lies beyond ``named`` is none.
+    """
+
+    def __init__(
+        self, kind, device="cpu", *, radiance, to_world=None, position=None, scale=None, angles=None, projected=None
+    ):
         radiance = np.asarray(radiance, np.float32)
         parts = {
             "unused": np.full(3, 7.0),
@@ -43,6 +48,7 @@ class Light:
             "position": position,
             "scale": scale,
             "angles": angles,
+            "projected": projected,
         }
         self.where, offset, flat = {}, 0, []
         for name, part in parts.items():
@@ -51,7 +57,8 @@ class Light:
                 self.where[name] = slice(offset, offset + part.size)
                 offset += part.size
                 flat.append(part)
-        self.values = np.concatenate(flat)
+        self.named = offset
+        self.values = np.concatenate([*flat, np.eye(3, dtype=np.float32).ravel()])
         self.device = device
         self.kind = kind
         texture = Texture()
@@ -70,7 +77,13 @@ class Light:
         e.scale = self.where["scale"].start if scale is not None else 0
         e.cutoff = self.where["angles"].start if angles is not None else 0
         scene = Scene()
-        scene.textures = struct_array(Texture, [texture], device)
+        image = Texture()
+        if projected is not None:
+            image.kind, image.channels = c.TEXTURE_BITMAP, projected.shape[2]
+            image.height, image.width = projected.shape[:2]
+            image.offset, image.to_uv = self.where["projected"].start, offset
+            e.projected = 1
+        scene.textures = struct_array(Texture, [texture, image], device)
         scene.emitters = struct_array(Emitter, [e], device)
         scene.environment = 0
         marginal = conditional = np.zeros(1, np.float32)
@@ -115,13 +128,16 @@ class Light:
     def vjp(self, role, target, x, w, a_wi, wanted=BOTH, kinds=None):
         """Adjoint of x (or of the direction), forward sums, and the target afterwards."""
         n = len(x)
-        target = wp.array(target, dtype=wp.float32, device=self.device)
+        # Reverse mode sums in double precision, in memory of float32 (``kernels/sink.py``).
+        stored = np.asarray(target, np.float64).view(np.float32) if role == "reverse" else target
+        target = wp.array(stored, dtype=wp.float32, device=self.device)
         x_out = wp.zeros(n, dtype=wp.vec3, device=self.device)
         dot_out = wp.zeros(n, dtype=wp.float32, device=self.device)
         inputs = [self.at(), target, *(to_vec(v, 3, self.device) for v in (x, w, a_wi))]
         kernel = vjp_kernel(kinds or (self.kind,), role, wanted, self.kind in ENVIRONMENTS)
         wp.launch(kernel, dim=n, inputs=inputs, outputs=[x_out, dot_out], device=self.device)
-        return x_out.numpy(), dot_out.numpy(), target.numpy()
+        after = target.numpy()
+        return x_out.numpy(), dot_out.numpy(), after.view(np.float64) if role == "reverse" else after
 
 
 def to_vec(v, n, device):
@@ -213,6 +229,13 @@ def random_map(height=6, width=8, seed=0):
     return np.random.default_rng(seed).random((height, width, 3)).astype(np.float32)
 
 
+def ramps(height=6, width=7):
+    """An image that is linear in its rows and columns, so that a look-up between its centres has no kinks."""
+    row, column = np.mgrid[:height, :width]
+    steps = [(0.05, 0.1), (-0.06, 0.08), (0.1, -0.04)]
+    return np.stack([0.5 + a * row + b * column for a, b in steps], axis=-1).astype(np.float32)
+
+
 def sun_map(height=16, width=32, row=5, column=31, sky=0.5):
     data = np.full((height, width, 3), sky, np.float32)
     data[row, column] = 4e4
@@ -264,6 +287,20 @@ def lights_to_differentiate():
             "to_world": pose(skewed, -1.5 * spot_axis),
             "angles": [60.0, 5.0],
         },
+        "textured spot": {
+            "kind": c.EMITTER_TEXTURED_SPOT,
+            "radiance": [3.0, 2.0, 1.0],
+            "to_world": pose(translation=-1.5 * spot_axis),
+            "angles": [40.0, 5.0],
+            "projected": ramps(),
+        },
+        "skewed textured spot": {
+            "kind": c.EMITTER_TEXTURED_SPOT,
+            "radiance": [2.0],
+            "to_world": pose(skewed, -1.5 * spot_axis),
+            "angles": [60.0, 5.0],
+            "projected": ramps()[..., :1],
+        },
         "directional": {"kind": c.EMITTER_DIRECTIONAL, "radiance": [3.0, 2.0, 1.0], "to_world": pose()},
         "skewed directional": {"kind": c.EMITTER_DIRECTIONAL, "radiance": [2.0], "to_world": pose(skewed)},
     }
@@ -283,7 +320,7 @@ def queries(name, light):
         fx, fy = rng.uniform(0.25, 0.75, (2, n))
         x = light_frame_directions(np.pi * (row + fy) / 5, 2.0 * np.pi * (column + 0.5 + fx) / 8) @ m.T
         x /= np.linalg.norm(x, axis=1, keepdims=True)
-    elif light.kind == c.EMITTER_SPOT:
+    elif light.kind in c.SPOTS:
         # Within the falloff.
         angles = light.values[light.where["angles"]]
         m = light.values[light.where["to_world"]].reshape(4, 4)

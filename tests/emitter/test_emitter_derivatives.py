@@ -35,7 +35,7 @@ def differentiated(request):
     light = Light(**LIGHTS[name])
     x, w, a_wi = queries(name, light)
     jacobian = np.zeros((len(x), len(light.values)))
-    for k in range(len(light.values)):
+    for k in range(light.named):
         step = STEP * (30.0 if "angles" in light.where and k >= light.where["angles"].start else 1.0)
 
         def moved(h, k=k):
@@ -102,6 +102,7 @@ def test_only_what_is_wanted_is_scattered(differentiated, wanted):
     x_adjoint, _, gradient = d.light.vjp("reverse", *args, wanted=wanted)
     np.testing.assert_array_equal(x_adjoint, x_all)
     uses = {"radiance": "radiance", "scale": "radiance", "to_world": "pose", "position": "pose", "angles": "pose"}
+    uses["projected"] = "radiance"
     for name, where in d.light.where.items():
         expected = gradient_all[where] if uses.get(name) in wanted else 0.0
         np.testing.assert_array_equal(gradient[where], expected)
@@ -117,6 +118,10 @@ def test_derivatives_are_finite_at_singular_places(role):
     spot = Light(c.EMITTER_SPOT, radiance=[1.0], to_world=pose(np.eye(3)), angles=[20.0, 0.0])
     # In the light, on its axis, behind it.
     cases.append((spot, np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 2.0], [0.0, 0.0, -2.0]], np.float32)))
+    angles = {"to_world": pose(np.eye(3)), "angles": [20.0, 0.0]}
+    slide = Light(c.EMITTER_TEXTURED_SPOT, radiance=[1.0], projected=random_map(), **angles)
+    # The same, and across the axis, where the direction meets no texture.
+    cases.append((slide, np.concatenate([cases[-1][1], np.float32([[1.0, 0.0, 0.0]])])))
     for light, x in cases:
         ones = np.ones_like(x)
         for v in light.vjp(role, np.zeros(len(light.values)), x, ones, ones):

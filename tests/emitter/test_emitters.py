@@ -183,7 +183,7 @@ def test_constant_environment(device):
 # -- dispatch ----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ["constant", "envmap", "point", "spot", "directional"])
+@pytest.mark.parametrize("name", ["constant", "envmap", "point", "spot", "textured spot", "directional"])
 def test_dispatch_over_all_kinds_equals_the_single_kind(name):
     light = Light(**LIGHTS[name])
     x, w, a_wi = queries(name, light)
@@ -289,7 +289,7 @@ def test_constant_environment_equals_mitsubas(mitsuba):
     np.testing.assert_allclose(light.evaluate(d)[0], mitsuba_environment(mitsuba, emitter, d), rtol=1e-5)
 
 
-@pytest.mark.parametrize("name", ["point", "spot", "directional"])
+@pytest.mark.parametrize("name", ["point", "spot", "textured spot", "directional"])
 def test_delta_lights_equal_mitsubas(mitsuba, name):
     rgb = {"type": "rgb", "value": [3.0, 2.0, 1.0]}
     matrix = mitsuba.ScalarTransform4f(pose(translation=(0.3, -0.2, 0.5)).astype(np.float64))
@@ -305,6 +305,19 @@ def test_delta_lights_equal_mitsubas(mitsuba, name):
                 radiance=[3.0, 2.0, 1.0],
                 to_world=pose(translation=(0.3, -0.2, 0.5)),
                 angles=[50.0, 20.0],
+            ),
+        ),
+        "textured spot": (
+            {
+                **{"type": "spot", "intensity": rgb, "to_world": matrix, "cutoff_angle": 50.0, "beam_width": 20.0},
+                "texture": {"type": "bitmap", "bitmap": mitsuba.Bitmap(random_map()), "raw": True},
+            },
+            Light(
+                c.EMITTER_TEXTURED_SPOT,
+                radiance=[3.0, 2.0, 1.0],
+                to_world=pose(translation=(0.3, -0.2, 0.5)),
+                angles=[50.0, 20.0],
+                projected=random_map(),
             ),
         ),
         "directional": (

@@ -68,7 +68,7 @@ def _uncovered(scene: Scene, config: PathConfig, names: list[str], max_depth: in
         return "a texture with steps slides; use a vertex attribute"
     values = scene.values.numpy()
     for e in scene.builder.emitters:
-        if e.kind == c.EMITTER_SPOT:
+        if e.kind in c.SPOTS:
             cutoff, beam = values[e.cutoff : e.cutoff + 2].tolist()
             if math.radians(cutoff - beam) <= MIN_FALLOFF:
                 return "a spot light's cone has a hard edge; make beam_width smaller than cutoff_angle"

@@ -50,6 +50,7 @@ EMITTER_NAMES = {
     c.EMITTER_ENVMAP: "envmap",
     c.EMITTER_POINT: "point",
     c.EMITTER_SPOT: "spot",
+    c.EMITTER_TEXTURED_SPOT: "spot with a texture",
     c.EMITTER_DIRECTIONAL: "directional",
 }
 CAMERA_NAMES = {

@@ -174,7 +174,9 @@ class Builder:
             record.kind = c.TEXTURE_BITMAP
             record.height, record.width, record.channels = t.value.shape
             record.filter, record.wrap = FILTERS[t.filter], WRAPS[t.wrap]
-            if use != LIGHT_RADIANCE:  # an environment map is read by direction
+            if use == LIGHT_RADIANCE:  # an environment map is read by direction, and a spot's has no parameter for this
+                record.to_uv = self.layout.add_values(t.to_uv)
+            else:
                 record.to_uv = self.layout.add(f"{t.path}.to_uv", t.to_uv, TO_UV)
         return record, (record.offset, t.value.size)
 
@@ -270,6 +272,9 @@ class Builder:
             record.to_world = self.layout.add(f"{e.path}.to_world", e.to_world, LIGHT_POSE, placed=placed)
         if e.position is not None:
             record.to_world = self.layout.add(f"{e.path}.position", e.position, LIGHT_POSE, placed=True)
+        if e.projected is not None:
+            record.kind = c.EMITTER_TEXTURED_SPOT
+            record.projected = self._texture(e.projected, LIGHT_RADIANCE, bounds)
         if e.kind == "spot":
             # The kernels read both angles from one offset.
             record.cutoff = self.layout.add_values(np.array([e.cutoff_angle, e.beam_width]))

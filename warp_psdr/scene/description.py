@@ -61,6 +61,7 @@ class EmitterDescription:
     scale: float = 1.0  #: envmap
     cutoff_angle: float = 20.0  #: spot, degrees
     beam_width: float = 15.0  #: spot, degrees
+    projected: TextureDescription | None = None  #: spot: a bitmap that the cone projects
 
 
 @dataclass(eq=False)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -114,8 +115,6 @@ def _spot(props: Properties) -> EmitterDescription:
     if beam > cutoff or cutoff == 0.0:
         angles = f"beam_width is {beam:g} and cutoff_angle {cutoff:g}"
         raise error(props.where, angles, "give 0 <= beam_width <= cutoff_angle and a positive cutoff_angle")
-    if props.has("texture"):
-        raise error(props.place("texture"), "projected textures are not supported", "remove it")
     return EmitterDescription(
         props.path,
         "spot",
@@ -123,7 +122,22 @@ def _spot(props: Properties) -> EmitterDescription:
         to_world=moved(props.transform("to_world"), props.context.origin).astype(np.float32),
         cutoff_angle=cutoff,
         beam_width=beam,
+        projected=_projected(props),
     )
+
+
+def _projected(props: Properties) -> TextureDescription | None:
+    """Take the bitmap that a spot projects; it is a parameter of its own even if something else refers to it, too."""
+    if not props.has("texture"):
+        props.take("texture")
+        return None
+    result = texture(props, "texture", 1.0)
+    if result.kind != "bitmap":
+        raise error(props.place("texture"), f"a {result.kind} texture", "give a bitmap; the intensity has the colour")
+    if result.filter != "bilinear":
+        # Its texels would have edges that move with what they fall on.
+        raise error(props.place("texture"), f"a filter_type of '{result.filter}'", "a spot projects 'bilinear' bitmaps")
+    return dataclasses.replace(result, path=f"{props.path}.texture")
 
 
 def _directional(props: Properties) -> EmitterDescription:

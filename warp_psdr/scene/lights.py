@@ -105,20 +105,25 @@ class Lights:
     def _power(self, number: int, values: np.ndarray, radius: float) -> float:
         """Power of a light in watts, up to a factor near one; negative values count as zero."""
         e = self._builder.emitters[number]
-        offset, size = self._builder.texture_ranges[e.texture]
-        channels = self._builder.textures[e.texture].channels
-        v = values[offset : offset + size].reshape(-1, channels)
-        mean = max(float(np.mean(v @ LUMINANCE if channels == 3 else v, dtype=np.float64)), 0.0)
+        mean = self._mean(e.texture, values)
         if e.kind == c.EMITTER_AREA:
             return np.pi * self._areas[number] * mean
         if e.kind == c.EMITTER_POINT:
             return 4.0 * np.pi * mean
-        if e.kind == c.EMITTER_SPOT:
-            return 2.0 * np.pi * (1.0 - np.cos(np.radians(float(values[e.cutoff])))) * mean
+        if e.kind in c.SPOTS:
+            share = self._mean(e.projected, values) if e.kind == c.EMITTER_TEXTURED_SPOT else 1.0
+            return 2.0 * np.pi * (1.0 - np.cos(np.radians(float(values[e.cutoff])))) * mean * share
         if e.kind == c.EMITTER_DIRECTIONAL:
             return np.pi * radius**2 * mean
         scale = max(float(values[e.scale]), 0.0) if e.kind == c.EMITTER_ENVMAP else 1.0
         return np.pi * np.pi * radius**2 * mean * scale
+
+    def _mean(self, texture: int, values: np.ndarray) -> float:
+        """Mean luminance of a texture, at least 0."""
+        offset, size = self._builder.texture_ranges[texture]
+        channels = self._builder.textures[texture].channels
+        v = values[offset : offset + size].reshape(-1, channels)
+        return max(float(np.mean(v @ LUMINANCE if channels == 3 else v, dtype=np.float64)), 0.0)
 
     def _array(self, values: np.ndarray) -> wp.array:
         return wp.array(values.astype(np.float32), dtype=wp.float32, device=self._device)
