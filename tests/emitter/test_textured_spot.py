@@ -127,9 +127,11 @@ def test_reverse_and_forward_agree(lit):
     [
         ({"type": "rgb", "value": 0.5}, "a constant texture.*give a bitmap"),
         ({"type": "bitmap", "bitmap": random_map(), "filter_type": "nearest"}, "'nearest'.*'bilinear'"),
+        ({"type": "bitmap", "filename": "none.png"}, "no such file: 'none.png'"),
         ({"type": "mesh_attribute", "name": "vertex_color"}, "a mesh_attribute texture"),
     ],
 )
 def test_other_textures_are_refused(texture, words):
-    with pytest.raises(ValueError, match=words):
+    with pytest.raises((ValueError, FileNotFoundError), match=words) as caught:
         psdr.load_dict(scene_of(random_map(), texture=texture))
+    assert "problems" not in str(caught.value)

@@ -131,7 +131,10 @@ def _projected(props: Properties) -> TextureDescription | None:
     if not props.has("texture"):
         props.take("texture")
         return None
+    reported = len(props.context.problems)
     result = texture(props, "texture", 1.0)
+    if len(props.context.problems) > reported:
+        return None
     if result.kind != "bitmap":
         raise error(props.place("texture"), f"a {result.kind} texture", "give a bitmap; the intensity has the colour")
     if result.filter != "bilinear":
