@@ -1,14 +1,15 @@
 """Directives whose text is made when the documentation is built: from the code's tables, and from measurements.
 
 ``{methods}`` is ``psdr.methods()``, ``{about-method} OPTION`` one row of it; ``{plugins} KIND`` what the loader reads
-of its plugins; ``{api}`` the public names; ``{measured} NAME`` the tables of ``data/NAME.jsonl``, in the form that
-``--output`` of the benchmarks writes.
+of its plugins; ``{models}`` the declared scattering models; ``{api}`` the public names; ``{measured} NAME`` the tables
+of ``data/NAME.jsonl``, in the form that ``--output`` of the benchmarks writes.
 """
 
 from __future__ import annotations
 
 import inspect
 import json
+import math
 from pathlib import Path
 
 import plugin_parameters
@@ -17,7 +18,16 @@ from docutils.statemachine import StringList
 from sphinx.util.docutils import SphinxDirective
 
 import warp_psdr as psdr
+from warp_psdr.kernels import constants
+from warp_psdr.kernels.bsdf import model
+from warp_psdr.kernels.bsdf.dispatch import MODELS
 
+#: Names of lobes.
+LOBES = {
+    constants.LOBE_SMOOTH: "smooth",
+    constants.LOBE_DELTA_REFLECTION: "mirror reflection",
+    constants.LOBE_DELTA_TRANSMISSION: "smooth transmission",
+}
 DATA = Path(__file__).resolve().parents[1] / "data"
 #: Keys of a measured line that are no columns.
 ABOUT = ("benchmark", "table", "machine", "note")
@@ -80,13 +90,50 @@ class Plugins(Generated):
     required_arguments = 1
 
     def text(self) -> str:
-        """Return a table, a row a plugin."""
+        """Return a table; plugins that are read alike share a row."""
         lines = ["| plugin | parameters that are read | values in `psdr.traverse` |", "|---|---|---|"]
+        rows: dict[tuple[str, str], list[str]] = {}
         for plugin in plugin_parameters.plugins(self.arguments[0]):
             read = ", ".join(f"`{p}`" for p in plugin.read) or "–"
             values = ", ".join(f"`{v}`" for v in plugin.values) or "–"
-            lines.append(f"| `{plugin.name}` | {read} | {values} |")
+            rows.setdefault((read, values), []).append(f"`{plugin.name}`")
+        lines += [f"| {', '.join(names)} | {read} | {values} |" for (read, values), names in rows.items()]
         return "\n".join(lines)
+
+
+class Models(Generated):
+    """The declarations of the scattering models: parameters with defaults and ranges, lobes."""
+
+    def text(self) -> str:
+        """Return a table, a row a parameter."""
+        lines = ["| model | parameter | default | range | lobes |", "|---|---|---|---|---|"]
+        for declared in MODELS:
+            lobes = ", ".join(LOBES[lobe] for lobe in declared.lobes)
+            for parameter in declared.parameters:
+                about = " | ".join(_parameter(parameter))
+                lines.append(f"| `{declared.plugin}` | {about} | {lobes} |")
+        return "\n".join(lines)
+
+
+def _parameter(parameter) -> tuple[str, str, str]:
+    """Return a declared parameter's name, default and range."""
+    ranges = ", ".join(
+        f"`{v.name}` ≥ {v.low:g}" if math.isinf(v.high) else f"`{v.name}` {v.low:g} to {v.high:g}"
+        for v in parameter.values
+    )
+    match parameter:
+        case model.RelativeIndex():
+            return "`int_ior`, `ext_ior`", f"{parameter.interior}, {parameter.exterior}", ranges
+        case model.ComplexIndex():
+            return "`eta`, `k`, or `material`", "a perfect mirror", ranges
+        case model.Roughness():
+            return "`alpha`, or `alpha_u` and `alpha_v`", f"{parameter.default:g}", ranges
+        case model.Choice():
+            return f"`{parameter.name}`", parameter.default, ", ".join(parameter.options)
+        case model.Flag():
+            return f"`{parameter.name}`", "false", "true, false"
+    default = parameter.default
+    return f"`{parameter.name}`", f"{default:g}" if not isinstance(default, bool) else str(default).lower(), ranges
 
 
 class Api(Generated):
@@ -171,7 +218,14 @@ def _number(value) -> str:
 
 def setup(app) -> dict:
     """Add the directives."""
-    directives = {"methods": Methods, "about-method": MethodCard, "plugins": Plugins, "api": Api, "measured": Measured}
+    directives = {
+        "methods": Methods,
+        "about-method": MethodCard,
+        "models": Models,
+        "plugins": Plugins,
+        "api": Api,
+        "measured": Measured,
+    }
     for name, directive in directives.items():
         app.add_directive(name, directive)
     return {"parallel_read_safe": True}

@@ -141,7 +141,7 @@ def specks():
 
 
 def content(random, camera, rfilter, lights):
-    """A dictionary of the scene; smooth shapes are left out under lights without extent (see the README's limits)."""
+    """A dictionary of the scene; smooth shapes are left out under lights without extent (see docs/limits.md)."""
     flat = any(kind in WITHOUT_EXTENT for kind in lights)
     kinds = ["diffuse", "diffuse", "mirror", "mirror", "glass", "rough"]
     shapes = {f"shape{i}": shape(random, kinds, flat) for i in range(int(random.choice([2, 3, 4])))}
