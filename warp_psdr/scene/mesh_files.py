@@ -1,6 +1,6 @@
 """Read mesh files without merging, splitting or reordering vertices.
 
-PLY, glTF, STL and OFF go through trimesh's format readers, OBJ through ``obj_files``.
+glTF, STL, OFF and most PLY files go through trimesh's format readers, others through ``obj_files`` and ``ply_files``.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import numpy as np
 from .errors import error
 from .meshes import MeshData, fans, vertex_normals
 from .obj_files import read_obj
+from .ply_files import read_text_ply
 from .transforms import transform_normals, transform_points
 
 T = TypeVar("T")
@@ -66,7 +67,7 @@ def _read_ply(file: Path, place: str, note: Any) -> MeshData:
     def load(stream: BinaryIO) -> dict[str, Any]:
         return ply.load_ply(stream, fix_texture=False, skip_materials=True)["metadata"]["_ply_raw"]
 
-    raw = _guarded(load, file, place)
+    raw = read_text_ply(file) or _guarded(load, file, place)
     for element in ("vertex", "face"):
         if element not in raw:
             raise error(place, f"there is no element '{element}'", "only triangle or polygon meshes are supported")

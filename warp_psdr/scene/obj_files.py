@@ -128,15 +128,22 @@ def _words(text: np.ndarray) -> np.ndarray:
     return np.concatenate([[0], begins]) if len(solid) and solid[0] else begins
 
 
-def _parse(text: bytes, dtype: type, count: int) -> np.ndarray | None:
-    """Return the numbers of a text; None if it does not hold so many and nothing else."""
+def parse_numbers(text: bytes, dtype: type) -> np.ndarray | None:
+    """Return the numbers of a text; None if it holds anything else."""
+    if not text.strip():
+        return np.empty(0, dtype=dtype)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error", DeprecationWarning)  # NumPy's word for a text that is no number
-            numbers = np.fromstring(text, dtype=dtype, sep=" ") if count else np.empty(0, dtype=dtype)
+            return np.fromstring(text, dtype=dtype, sep=" ")
     except (DeprecationWarning, ValueError):
         return None
-    return numbers if len(numbers) == count else None
+
+
+def _parse(text: bytes, dtype: type, count: int) -> np.ndarray | None:
+    """Return so many numbers of a text; None if it does not hold just these."""
+    numbers = parse_numbers(text, dtype)
+    return numbers if numbers is not None and len(numbers) == count else None
 
 
 def _numbers(lines: _Lines, keyword: str, place: str) -> np.ndarray:

@@ -96,16 +96,20 @@ def default(low: np.ndarray, high: np.ndarray, where: str, path: str, context: C
         context: The load in progress.
     """
     node: dict = {"type": "perspective", "fov": _DEFAULT_FOV}
+    place = "the origin"
     if np.isfinite(low).all():
         largest = float((high - low).max())
         distance = largest / (2.0 * math.tan(0.5 * math.radians(_DEFAULT_FOV)))
         eye = (*(0.5 * (low + high))[:2], low[2] - distance)
+        place = str([round(float(x), 4) for x in eye])
         node |= {
             "near_clip": distance / 100.0,
             "far_clip": 5.0 * largest + distance,
             "to_world": Transform.translate(eye),
         }
-    context.note(f"{where}: there is no sensor; one that looks along +z at the whole scene is used ({node})")
+    context.note(
+        f"{where}: there is no sensor; one at {place} that looks along +z, {_DEFAULT_FOV:g} degrees wide, is used"
+    )
     return build(node, where, path, context)
 
 
