@@ -3,6 +3,11 @@
 import pytest
 import warp as wp
 
+try:
+    from xdist.scheduler import LoadFileScheduling
+except ImportError:  # without -n there is nothing to schedule
+    LoadFileScheduling = None
+
 
 def _has_cuda() -> bool:
     return wp.get_cuda_device_count() > 0
@@ -28,6 +33,12 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     if gpu:
         config.hook.pytest_deselected(items=gpu)
         items[:] = [item for item in items if not item.get_closest_marker("gpu")]
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> object:
+    """Give a worker whole files: tests of one file share kernels, which two workers would both compile."""
+    return LoadFileScheduling(config, log) if config.getvalue("dist") == "load" else None
 
 
 @pytest.fixture(params=["cpu", pytest.param("cuda:0", marks=pytest.mark.gpu)])

@@ -93,14 +93,13 @@ def test_far_scenes_keep_the_digits_of_double_precision() -> None:
     torch = pytest.importorskip("torch")
     place = np.array([1.0e6, 0.0, 0.0])
     pose = psdr.Transform.look_at(list(place + np.array([0.0, 0.0, 3.0])), list(place), [0, 1, 0])
-    far = psdr.load_dict(
-        {
-            "type": "scene",
-            "camera": {"type": "perspective", "to_world": pose, "film": {"type": "hdrfilm", "width": 8, "height": 6}},
-            "wall": {"type": "rectangle", "to_world": psdr.Transform.translate(list(place))},
-            "sky": {"type": "constant"},
-        }
-    )
+    nodes = {
+        "camera": {"type": "perspective", "to_world": pose, "film": {"type": "hdrfilm", "width": 8, "height": 6}},
+        "wall": {"type": "rectangle", "to_world": psdr.Transform.translate(list(place))},
+        "sky": {"type": "constant"},
+    }
+    with pytest.warns(psdr.SceneWarning, match="far from the origin"):
+        far = psdr.load_dict({"type": "scene", **nodes})
     corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) + place
     camera = far.values.numpy().copy()
     moved = corners + np.array([1.0e-3, 0.0, 0.0])
@@ -135,7 +134,9 @@ def test_values_written_in_place_are_followed(scene) -> None:
     np.testing.assert_array_equal(image.numpy(), psdr.render(scene, **OPTIONS).numpy())
 
 
-@pytest.mark.filterwarnings("ignore:.torch.jit.script. is deprecated:DeprecationWarning")  # by torch itself
+# By torch itself, as it loads its forward mode: a DeprecationWarning up to release 2.13, a FutureWarning from 2.14 on.
+@pytest.mark.filterwarnings("ignore:.torch.jit.script. is (deprecated|not supported in Python 3):DeprecationWarning")
+@pytest.mark.filterwarnings("ignore:.torch.jit.script. is (deprecated|not supported in Python 3):FutureWarning")
 def test_forward_mode_is_render_forward(scene) -> None:
     torch = pytest.importorskip("torch")
     fwd = torch.autograd.forward_ad
@@ -209,6 +210,6 @@ def test_mistakes_are_named(scene) -> None:
     with pytest.raises(ValueError, match="spp_grad"):
         psdr.torch.render(scene, {WALL: torch.zeros(3, requires_grad=True)}, spp_grad=0, **OPTIONS)
     with pytest.raises(TypeError, match="integrator"):
-        psdr.torch.render(scene, {WALL: torch.zeros(3, requires_grad=True)}, integrator="path", **OPTIONS)
+        psdr.torch.render(scene, {WALL: torch.zeros(3, requires_grad=True)}, integrator=3, **OPTIONS)
     with pytest.raises(TypeError, match="expected tensors by name"):
         psdr.torch.render(scene, [torch.zeros(3)], **OPTIONS)
