@@ -5,6 +5,8 @@ import ast
 import json
 import re
 import shlex
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -126,14 +128,11 @@ def test_programs_beside_mitsubas_run(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.slow
-def test_programs_of_mitsuba_run(monkeypatch: pytest.MonkeyPatch) -> None:
-    mitsuba = pytest.importorskip("mitsuba")
-    monkeypatch.chdir(ROOT)
-    try:
-        mitsuba.set_variant("llvm_ad_rgb")
-        mitsuba.load_dict({"type": "sphere"})
-    except Exception as error:
-        pytest.skip(f"Mitsuba's variant llvm_ad_rgb does not start: {error}")
-    names: dict = {}
-    for code in python_blocks("from_mitsuba.md")[::2]:
-        exec(compile(code, "from_mitsuba.md", "exec"), names)
+def test_programs_of_mitsuba_run() -> None:
+    pytest.importorskip("mitsuba")
+    # In a process of its own, which Dr.Jit ends where the system's LLVM is none that it works with.
+    code = "\n".join(python_blocks("from_mitsuba.md")[::2])
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False)
+    if "LLVM ERROR" in done.stderr or "libLLVM" in done.stderr:
+        pytest.skip("Mitsuba's variant llvm_ad_rgb does not work with this machine's LLVM")
+    assert done.returncode == 0, done.stderr[-2000:]
