@@ -8,6 +8,7 @@ sys.path[:0] = [str(ROOT), str(ROOT / "docs" / "_ext")]
 
 project = "warp_psdr"
 author = "The warp_psdr authors"
+copyright = author
 html_title = "warp_psdr"
 html_theme = "furo"
 exclude_patterns = ["_build", "_ext", "data"]
