@@ -61,7 +61,7 @@ def make_terms(term):
 def make_sums():
     """Make the kernels that add up every row, then the rows, in order and in double precision."""
 
-    @wp.kernel(module="unique")
+    @wp.kernel(module="warp_psdr.loss")
     def sum_rows(
         # In:
         terms: wp.array2d(dtype=wp.float32),
@@ -74,7 +74,7 @@ def make_sums():
             total += wp.float64(terms[i, j])
         rows_out[i] = total
 
-    @wp.kernel(module="unique")
+    @wp.kernel(module="warp_psdr.loss")
     def mean_of_rows(
         # In:
         rows: wp.array(dtype=wp.float64),

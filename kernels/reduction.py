@@ -2,8 +2,10 @@
 
 import warp as wp
 
+from warp_psdr.kernels.modules import SCENE
 
-@wp.kernel(module="unique", enable_backward=False)
+
+@wp.kernel(module=SCENE, enable_backward=False)
 def add_lanes(
     # In:
     lanes: wp.array2d(dtype=wp.float64),
@@ -19,7 +21,7 @@ def add_lanes(
     total_out[i] = wp.float32(total)
 
 
-@wp.kernel(module="unique", enable_backward=False)
+@wp.kernel(module=SCENE, enable_backward=False)
 def add_range(
     # In:
     total: wp.array(dtype=wp.float32),
@@ -32,7 +34,7 @@ def add_range(
     grad_out[i] = grad_out[i] + total[offset + i]
 
 
-@wp.kernel(module="unique", enable_backward=False)
+@wp.kernel(module=SCENE, enable_backward=False)
 def add_images(
     # In:
     lanes: wp.array3d(dtype=wp.vec3),

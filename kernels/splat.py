@@ -19,6 +19,7 @@ from warp_psdr.kernels.camera_rays import make_pixel_bundle, sampler_in
 from warp_psdr.kernels.constants import RFILTER_BOX, RFILTER_TENT
 from warp_psdr.kernels.invalid import count_invalid, finite
 from warp_psdr.kernels.jobs import PixelJob
+from warp_psdr.kernels.modules import SCENE
 from warp_psdr.kernels.primal import CameraPath, make_image_paths
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.vertex import PathConfig
@@ -133,7 +134,7 @@ def make_splat_kernel(config: PathConfig):
     return splat
 
 
-@wp.kernel(module="unique", enable_backward=False)
+@wp.kernel(module=SCENE, enable_backward=False)
 def collect(
     # In and out:
     films: wp.array3d(dtype=wp.vec4),
@@ -149,7 +150,7 @@ def collect(
     film_out[row, column] = total
 
 
-@wp.kernel(module="unique", enable_backward=False)
+@wp.kernel(module=SCENE, enable_backward=False)
 def resolve(
     # In:
     film: wp.array2d(dtype=wp.vec4d),

@@ -17,6 +17,7 @@ import warp as wp
 
 from warp_psdr.kernels.autodiff import differentiable
 from warp_psdr.kernels.math import where3
+from warp_psdr.kernels.modules import SCENE
 from warp_psdr.kernels.reading import load_vec2, load_vec3, shape_at, triangle_at
 from warp_psdr.kernels.sink import make_sink, make_sink_vec3
 from warp_psdr.kernels.structs import Scene, Triangle
@@ -336,7 +337,7 @@ def make_vertex_sink(role: str, smooth: bool, flat: bool, uv: bool, tangent: boo
     return push_vertex
 
 
-@wp.kernel(module="unique", enable_backward=False)
+@wp.kernel(module=SCENE, enable_backward=False)
 def update_triangles(
     # In:
     values: wp.array(dtype=wp.float32),

@@ -18,7 +18,7 @@ MAX_LINES = 500
 #: Host code from the ground up: what stands in a row imports from its own row and from those above it.
 HOST_LAYERS = (
     {
-        *("arrays", "device", "exr_header", "files", "float_images", "html", "image", "image_io"),
+        *("arrays", "compiler", "device", "exr_header", "files", "float_images", "html", "image", "image_io"),
         *("invalid", "losses", "plots", "progress", "workers"),
     },
     {"options"},

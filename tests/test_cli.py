@@ -147,6 +147,13 @@ def test_plan_is_printed(scene: str, capsys) -> None:
     assert "at most 5 vertices" in printed
 
 
+def test_compile_says_what_it_did_and_then_that_nothing_is_left(scene: str, capsys) -> None:
+    assert main(["compile", scene, "--param", TEXTURE]) == 0
+    assert capsys.readouterr().out
+    assert main(["compile", scene, "--param", TEXTURE]) == 0
+    assert capsys.readouterr().out.startswith("all kernels were in the cache")
+
+
 def test_fit_and_resume(tmp_path: Path, capsys) -> None:
     config = write_fit(tmp_path)
     assert main(["fit", str(config), "--iterations", "2"]) == 0
@@ -246,7 +253,7 @@ def test_help_lists_every_command() -> None:
     done = subprocess.run(
         [sys.executable, "-m", "warp_psdr.cli", "--help"], cwd=ROOT, capture_output=True, text=True, check=True
     )
-    for name in ("render", "gradient", "plan", "fit", "view"):
+    for name in ("render", "gradient", "plan", "compile", "fit", "view"):
         assert f"\n    {name} " in done.stdout
 
 

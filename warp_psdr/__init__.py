@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 from warp_psdr import boundary, guiding, interior, losses, optim
 from warp_psdr.accuracy.pilot import accuracy
 from warp_psdr.estimate.boundary.trace import BoundaryTrace
+from warp_psdr.estimate.compile import Compilation, compile
 from warp_psdr.estimate.trace import Trace, trace_sample
 from warp_psdr.image import Image
 from warp_psdr.invalid import invalid_samples
@@ -33,6 +34,7 @@ __version__ = "0.1.0"
 
 __all__ = [
     "BoundaryTrace",
+    "Compilation",
     "Image",
     "Parameters",
     "PathIntegrator",
@@ -43,6 +45,7 @@ __all__ = [
     "Transform",
     "accuracy",
     "boundary",
+    "compile",
     "cornell_box",
     "fit",
     "guiding",

@@ -1,4 +1,4 @@
-"""The command line: ``warp-psdr render | gradient | accuracy | plan | fit | view``.
+"""The command line: ``warp-psdr render | gradient | accuracy | plan | compile | fit | view``.
 
 Everything but argparse is loaded by the command that needs it, so that ``--help`` answers at once. A user's mistake
 ends in one line on standard error and exit status 2.
@@ -117,6 +117,14 @@ def _parser() -> argparse.ArgumentParser:
         metavar="NAME",
         help="its name, or a pattern such as '*.value'; repeatable",
     )
+
+    compile = command(
+        "compile",
+        _compile,
+        "Compile the kernels of an image, and with --param of its gradient, for later runs to find.",
+    )
+    _scene_options(compile)
+    compile.add_argument("--param", action="append", default=[], metavar="NAME", help="as for gradient; repeatable")
 
     fit = command("fit", _fit, "Recover parameters of a scene from target images.")
     fit.add_argument("config", type=Path, help="TOML or JSON file, see warp_psdr.fit.run.FitConfig")
@@ -311,6 +319,16 @@ def _plan(arguments: argparse.Namespace) -> int:
     print(psdr.plan(scene, params, integrator=integrator, sensor=arguments.sensor))
     if not arguments.param:
         print(params)
+    return 0
+
+
+def _compile(arguments: argparse.Namespace) -> int:
+    import warp_psdr as psdr
+
+    scene, integrator = _load(arguments)
+    params = psdr.traverse(scene)
+    params.requires_grad(*arguments.param)
+    print(psdr.compile(scene, params, integrator=integrator, sensor=arguments.sensor))
     return 0
 
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import warp as wp
 
-from warp_psdr import workers
+from warp_psdr import compiler, workers
 
 
 def active_tape() -> wp.Tape | None:
@@ -18,6 +18,7 @@ def active_tape() -> wp.Tape | None:
 
 def launch(kernel: wp.Kernel, dim, inputs: list, outputs: list, device) -> None:
     """Launch a kernel without recording it on the tape that may be active."""
+    compiler.ensure([kernel], device)
     wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=device, record_tape=False)
 
 
@@ -41,7 +42,7 @@ def launch_lanes(
         device: Warp device.
         progress: called with the finished fraction, by one worker at a time; not on CUDA.
     """
-    wp.load_module(kernel.module, device=device)  # compile once, before the threads start
+    compiler.ensure([kernel], device)
     if not device.is_cpu:
         launch(kernel, count, *arguments(0, count, 0), device)
         return

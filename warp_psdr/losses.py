@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from warp_psdr import compiler
 from warp_psdr.kernels import loss as kernels
 
 __all__ = ["huber", "l1", "l2", "relative_l2"]
@@ -107,8 +108,10 @@ def _mean(term: wp.Function, image: wp.array, target: wp.array | np.ndarray, par
     rows = wp.empty(height, dtype=wp.float64, device=image.device, requires_grad=differentiable)
     mean = wp.empty(1, dtype=wp.float32, device=image.device, requires_grad=differentiable)
     sum_rows, mean_of_rows = kernels.make_sums()
+    terms_kernel = kernels.make_terms(term)
+    compiler.ensure([terms_kernel, sum_rows], image.device)
     wp.launch(
-        kernels.make_terms(term),
+        terms_kernel,
         dim=(height, width),
         inputs=[image, target, parameter],
         outputs=[terms],

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
+from warp_psdr import compiler
 from warp_psdr.kernels import adam as kernels
 from warp_psdr.scene.layout import POSITIONS
 from warp_psdr.scene.parameters import check_independent
@@ -109,8 +110,10 @@ class Adam:
         values, gradient = flat(parameter), flat(parameter.grad)
         m, v = self._moments[name]
         beta_1, beta_2 = self._betas
+        kernel = kernels.make_adam(self._mask_updates)
+        compiler.ensure([kernel], values.device)
         wp.launch(
-            kernels.make_adam(self._mask_updates),
+            kernel,
             dim=values.shape,
             inputs=[
                 gradient,
@@ -174,6 +177,7 @@ class Adam:
             if self._params[name].grad is None:
                 raise ValueError(f"{name!r} requires no gradient any more; name it in params.requires_grad(...), too")
             gradient = flat(self._params[name].grad)
+            compiler.ensure([kernels.make_count_unusable(), kernels.make_adam(self._mask_updates)], device)
             wp.launch(
                 kernels.make_count_unusable(),
                 dim=gradient.shape,

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
+from warp_psdr import compiler
 from warp_psdr.device import active_tape, launch
 from warp_psdr.estimate.arguments import adjoint_array, checked_seed, flat_tangents, requested, sample_count, samples
 from warp_psdr.estimate.boundary.drivers import launch_backward, launch_forward
@@ -18,6 +19,8 @@ from warp_psdr.estimate.passes import (
     STREAM_PRIMAL,
     Progress,
     boxed,
+    gradient_kernel,
+    image_kernel,
     interior_backward,
     interior_forward,
     part,
@@ -32,6 +35,7 @@ from warp_psdr.kernels.splat import resolve
 from warp_psdr.options.integrator import Integrator
 from warp_psdr.plan.integrator import integrator_of
 from warp_psdr.plan.plan import Plan, decide
+from warp_psdr.scene.chain import pull_kernels
 from warp_psdr.scene.edits import checksum
 from warp_psdr.topology import contacts
 
@@ -110,9 +114,9 @@ def render(
     if tape is not None:
         if params is None or not params.requested:
             raise ValueError("render(tape=...) differentiates what params.requires_grad(...) names; pass such params")
-        decide(
-            scene, params, integrator=integrator, sensor=sensor
-        )  # says what cannot be differentiated, before the work
+        # Says what cannot be differentiated, before the work.
+        differentiated = decide(scene, params, integrator=integrator, sensor=sensor)
+        compiler.begin([image_kernel(scene, plan, sensor), gradient_kernel(differentiated, "reverse")], scene.device)
     camera = scene.camera(sensor)
     image = Image((camera.crop_height, camera.crop_width), scene.device, requires_grad=tape is not None)
     draw = _render_splatted if splats(camera) else boxed
@@ -210,7 +214,9 @@ def render_backward(
     plan = decide(scene, params, integrator=integrator, sensor=sensor)
     adjoint = adjoint_array(adjoint, scene.camera(sensor), scene.device)
     sums = GradientSums(scene, names)
+    compiler.begin([gradient_kernel(plan, "reverse")], scene.device)
     boundary = _boundary(scene, plan, names, "reverse", sensor, spp, seed)
+    compiler.begin(pull_kernels(scene, names), scene.device)
     first, second = _shares(progress, adjoint.size * spp, boundary)
     interior_backward(scene, plan, sensor, spp, seed, adjoint, sums, first)
     launch_backward(scene, boundary, adjoint, sums, second)
@@ -287,6 +293,7 @@ def render_forward(
     if plan.boundary is not None:
         contacts.warn(scene, target.numpy())
     image = Image((camera.crop_height, camera.crop_width), scene.device, signed=True)
+    compiler.begin([gradient_kernel(plan, "forward")], scene.device)
     boundary = _boundary(scene, plan, names, "forward", sensor, spp, seed)
     first, second = _shares(progress, image.size * spp, boundary)
     interior_forward(scene, plan, sensor, spp, seed, target, image, first)

@@ -7,6 +7,8 @@ planes share, which one of them reaches with an edge only. So it suffices to cli
 
 import warp as wp
 
+from warp_psdr.kernels.modules import PAIRS
+
 
 @wp.func
 def clip(low: wp.float64, high: wp.float64, a: wp.float64, b: wp.float64) -> wp.vec2d:
@@ -21,7 +23,7 @@ def clip(low: wp.float64, high: wp.float64, a: wp.float64, b: wp.float64) -> wp.
     return r
 
 
-@wp.kernel(module="unique", enable_backward=False)
+@wp.kernel(module=PAIRS, enable_backward=False)
 def touching_pairs(
     # In:
     boxes: wp.uint64,

@@ -304,6 +304,11 @@ def make_native(width: int):
     return native
 
 
+def shared_module(width: int) -> str:
+    """Return the name of the Warp module of all kernels that build and refit: make them before any is launched."""
+    return f"warp_psdr.bvh{width}"
+
+
 @functools.cache
 def make_build(width: int) -> tuple[wp.Kernel, wp.Kernel]:
     """Make the kernels that build a BVH of ``width`` lanes.
@@ -323,7 +328,7 @@ def make_build(width: int) -> tuple[wp.Kernel, wp.Kernel]:
     @native(_EMIT)
     def emit_all(binary: wp.uint64, children: wp.uint64, leaves: wp.uint64, counts: wp.uint64): ...
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module=shared_module(width), enable_backward=False)
     def build(
         # In:
         points: wp.uint64,
@@ -338,7 +343,7 @@ def make_build(width: int) -> tuple[wp.Kernel, wp.Kernel]:
         fill_primitives(points, indices, primitives, count)
         split_all(primitives, count, binary, capacity, counts)
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module=shared_module(width), enable_backward=False)
     def emit(
         # In:
         binary: wp.uint64,

@@ -9,7 +9,7 @@ import functools
 
 import warp as wp
 
-from warp_psdr.kernels.bvh.build import make_native
+from warp_psdr.kernels.bvh.build import make_native, shared_module
 
 _FILL = """
     const float* p = (const float*)points;
@@ -134,7 +134,7 @@ def make_refit(width: int) -> tuple[wp.Kernel, wp.Kernel]:
         summary: wp.uint64,
     ): ...
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module=shared_module(width), enable_backward=False)
     def fill(
         # In:
         points: wp.uint64,
@@ -148,7 +148,7 @@ def make_refit(width: int) -> tuple[wp.Kernel, wp.Kernel]:
     ):
         fill_range(points, indices, primitives, leaves, packets, begin, end)
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module=shared_module(width), enable_backward=False)
     def bound(
         # In:
         packets: wp.uint64,

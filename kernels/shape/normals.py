@@ -10,6 +10,7 @@ contributions, then through the normalisation.
 import warp as wp
 
 from warp_psdr.kernels.autodiff import differentiable
+from warp_psdr.kernels.modules import DERIVED_JVP, DERIVED_VJP, SCENE
 from warp_psdr.kernels.reading import load_vec3
 
 
@@ -69,7 +70,7 @@ def load_face(
     return f
 
 
-@wp.kernel(module="unique", enable_backward=False)
+@wp.kernel(module=SCENE, enable_backward=False)
 def sum_normals(
     # In:
     values: wp.array(dtype=wp.float32),
@@ -88,7 +89,7 @@ def sum_normals(
     add_vec3(sums_out, 3 * (f.i2 - first_vertex), corner_angle(f.p0 - f.p2, f.p1 - f.p2) * n)
 
 
-@wp.kernel(module="unique", enable_backward=False)
+@wp.kernel(module=SCENE, enable_backward=False)
 def normalize_sums(
     # In:
     sums: wp.array(dtype=wp.float32),
@@ -104,7 +105,7 @@ def normalize_sums(
     values_out[offset + 3 * i + 2] = n[2]
 
 
-@wp.kernel(module="unique", enable_backward=False)
+@wp.kernel(module=DERIVED_VJP, enable_backward=False)
 def normalization_vjp(
     # In:
     sums: wp.array(dtype=wp.float32),
@@ -123,7 +124,7 @@ def normalization_vjp(
     adjoint_out[3 * i + 2] = a[2]
 
 
-@wp.kernel(module="unique", enable_backward=False)
+@wp.kernel(module=DERIVED_VJP, enable_backward=False)
 def sum_normals_vjp(
     # In:
     values: wp.array(dtype=wp.float32),
@@ -150,7 +151,7 @@ def sum_normals_vjp(
     add_vec3(grad_out, positions + 3 * f.i2, b2)
 
 
-@wp.kernel(module="unique", enable_backward=False)
+@wp.kernel(module=DERIVED_JVP, enable_backward=False)
 def sum_normals_jvp(
     # In:
     values: wp.array(dtype=wp.float32),
@@ -179,7 +180,7 @@ def sum_normals_jvp(
         wp.atomic_add(sums_out, 3 * (f.i2 - first_vertex) + axis, wp.dot(f0, d0) + wp.dot(f1, d1) + wp.dot(f2, d2))
 
 
-@wp.kernel(module="unique", enable_backward=False)
+@wp.kernel(module=DERIVED_JVP, enable_backward=False)
 def normalization_jvp(
     # In:
     sums: wp.array(dtype=wp.float32),

@@ -8,6 +8,7 @@ shear alike.
 import warp as wp
 
 from warp_psdr.kernels.autodiff import differentiable
+from warp_psdr.kernels.modules import DERIVED_JVP, DERIVED_VJP, SCENE
 from warp_psdr.kernels.reading import load_vec3
 from warp_psdr.kernels.sensor.camera import load_mat44
 from warp_psdr.kernels.shape.normals import add_vec3
@@ -54,7 +55,7 @@ def store_vec3(array: wp.array(dtype=wp.float32), offset: wp.int32, value: wp.ve
     array[offset + 2] = value[2]
 
 
-@wp.kernel(module="unique", enable_backward=False)
+@wp.kernel(module=SCENE, enable_backward=False)
 def pose_shape(
     # In:
     local_positions: wp.array(dtype=wp.vec3),
@@ -73,7 +74,7 @@ def pose_shape(
         store_vec3(values_out, normal_offset + 3 * i, transform_normal(m, local_normals[i]))
 
 
-@wp.kernel(module="unique", enable_backward=False)
+@wp.kernel(module=DERIVED_VJP, enable_backward=False)
 def pose_shape_vjp(
     # In:
     values: wp.array(dtype=wp.float32),
@@ -98,7 +99,7 @@ def pose_shape_vjp(
             wp.atomic_add(pose_out, row, column, wp.float64(g[row, column]))
 
 
-@wp.kernel(module="unique", enable_backward=False)
+@wp.kernel(module=DERIVED_VJP, enable_backward=False)
 def add_pose(
     # In:
     pose: wp.array2d(dtype=wp.float64),
@@ -112,7 +113,7 @@ def add_pose(
     grad_out[i] = wp.float32(wp.float64(grad_out[i]) + pose[row, column])
 
 
-@wp.kernel(module="unique", enable_backward=False)
+@wp.kernel(module=DERIVED_JVP, enable_backward=False)
 def pose_shape_jvp(
     # In:
     values: wp.array(dtype=wp.float32),

@@ -243,7 +243,7 @@ from warp_psdr.kernels.primal import make_primal_kernel
 scene = psdr.load_file(sys.argv[1], resolution=16)
 names = [name for name in scene.parameters if name.endswith(("reflectance.value", "vertex_positions"))]
 plan = psdr.plan(scene, names=names, integrator=psdr.PathIntegrator(max_depth=6, boundary=None))
-kernels = {"primal": make_primal_kernel, "replay": lambda config: passes._gradient_kernel(plan, "reverse")}
+kernels = {"primal": make_primal_kernel, "replay": lambda config: passes.gradient_kernel(plan, "reverse")}
 wp.load_module(kernels[sys.argv[3]](plan.config).module, device="cpu")
 """
 

@@ -43,6 +43,12 @@ def splats(camera: Camera) -> bool:
     return camera.filter != RFILTER_BOX and camera.filter_radius > 0.5
 
 
+def image_kernel(scene: Scene, plan: Plan, sensor: int) -> wp.Kernel:
+    """Return the kernel of a sensor's image."""
+    make = make_splat_kernel if splats(scene.camera(sensor)) else make_primal_kernel
+    return make(plan.config)
+
+
 def boxed(
     scene: Scene,
     plan: Plan,
@@ -57,7 +63,7 @@ def boxed(
     camera = scene.camera(sensor)
     _launch(
         scene,
-        make_primal_kernel(plan.config),
+        image_kernel(scene, plan, sensor),
         (camera.crop_width, camera.crop_height),
         PixelSamples(spp, seed, plan.max_depth, plan.rr_depth, scale=1.0 / spp),
         camera,
@@ -91,7 +97,7 @@ def splatted(
     for first_sample, samples, reported in _blocks(spp, FILM_SAMPLES, progress):
         _launch(
             scene,
-            make_splat_kernel(plan.config),
+            image_kernel(scene, plan, sensor),
             (camera.crop_width + 2 * margin, camera.crop_height + 2 * margin),
             PixelSamples(samples, seed, plan.max_depth, plan.rr_depth, first_sample=first_sample, margin=margin),
             camera,
@@ -130,7 +136,7 @@ def interior_backward(
     )
     _launch(
         scene,
-        _gradient_kernel(plan, "reverse"),
+        gradient_kernel(plan, "reverse"),
         (camera.crop_width, camera.crop_height),
         samples,
         camera,
@@ -159,7 +165,7 @@ def interior_forward(
     camera = scene.camera(sensor)
     _launch(
         scene,
-        _gradient_kernel(plan, "forward"),
+        gradient_kernel(plan, "forward"),
         (camera.crop_width, camera.crop_height),
         PixelSamples(spp, mix_seed(seed, STREAM_INTERIOR), _depth(plan), plan.rr_depth, scale=weight / spp),
         camera,
@@ -177,7 +183,8 @@ def _patches(scene: Scene, plan: Plan) -> dict[str, wp.array]:
     return {"radii": patch_radii(scene)} if plan.wanted is not None and plan.wanted.geometry else {}
 
 
-def _gradient_kernel(plan: Plan, role: str) -> wp.Kernel:
+def gradient_kernel(plan: Plan, role: str) -> wp.Kernel:
+    """Return the kernel of the interior term, of role "reverse" or "forward"."""
     assert plan.interior is not None and plan.wanted is not None and plan.kept is not None
     return plan.interior.make(plan.config, plan.wanted, role, plan.kept)
 

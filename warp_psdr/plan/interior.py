@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 UNBOUNDED_VERTICES = 507
 #: Most vertices of a path whose vertices are kept.
 MOST_VERTICES = 4096
+#: Paths of at most so many vertices have a kernel of their own, which keeps no more.
+SHORT = 4
 
 
 @dataclass(frozen=True)
@@ -94,9 +96,10 @@ def _keep_blocks(method: interior.Method, max_depth: int, rr_depth: int) -> Kept
             f"max_depth: got {max_depth}, expected at most {MOST_VERTICES} for derivatives; -1 leaves the end of paths "
             "to Russian roulette"
         )
-    block = min(method.block, max_depth)
+    # Few kernel variants: the default keeps 4 or 8 vertices, whatever the depth.
+    block = min(method.block, SHORT) if max_depth <= SHORT else method.block
     blocks = -(-max_depth // block)
-    blocks = 1 << (blocks - 1).bit_length()  # few kernel variants
+    blocks = 1 << (blocks - 1).bit_length()
     whole = "the whole path fits, one trace"
     return Kept(block, blocks, whole if blocks == 1 else f"longer paths are replayed in at most {blocks} blocks")
 

@@ -61,7 +61,14 @@ class Accelerator:
     """
 
     def __init__(
-        self, points: wp.array, indices: wp.array, device, backend: str | None = None, *, width: int | None = None
+        self,
+        points: wp.array,
+        indices: wp.array,
+        device,
+        backend: str | None = None,
+        *,
+        width: int | None = None,
+        built: bool = True,
     ):
         """Build the structure.
 
@@ -71,6 +78,7 @@ class Accelerator:
             device: Where the arrays live.
             backend: ``"warp"``, ``"wide"``, ``"auto"`` or None for what ``set_ray_backend`` says.
             width: SIMD lanes of the wide BVH, 4, 8 or 16; None for the host's.
+            built: False leaves that to ``rebuild``.
 
         Raises:
             ValueError: Unknown backend or width, or ``"wide"`` on a CUDA device.
@@ -92,7 +100,12 @@ class Accelerator:
         self.cost = 0.0
         self._mesh: wp.Mesh | None = None
         self._faces = len(indices) // 3
-        self.rebuild()
+        if built:
+            self.rebuild()
+
+    def kernels(self) -> tuple[wp.Kernel, ...]:
+        """Return the kernels that build and refit: of the wide BVH alone, two of each kind."""
+        return (*make_build(self.width), *make_refit(self.width)) if self.backend == "wide" else ()
 
     def rebuild(self) -> None:
         """Build from scratch, from the current vertex positions."""
@@ -104,7 +117,7 @@ class Accelerator:
             self.data.mesh_id = self._mesh.id
             return
         n, w = self._faces, self.width
-        build, emit = make_build(w)
+        build, emit, *_refit = self.kernels()
         primitives, counts = _Buffer(n * PRIMITIVE_WORDS), _Buffer(2)
         mesh = [self._points.ptr, self._indices.ptr, n]
         capacity = 4 * n // w + 64
@@ -141,7 +154,7 @@ class Accelerator:
 
     def _refit(self, primitives: int = 0, leaves: int = 0, children: int = 0) -> None:
         """Fill packets and nodes from the vertex positions; after a build with the topology at these addresses."""
-        fill, bound = make_refit(self.width)
+        *_build, fill, bound = self.kernels()
         mesh = [self._points.ptr, self._indices.ptr]
         packets, nodes, summary = self._packets.address, self._nodes.address, _Buffer(7)
         launch(fill, 1, [*mesh, primitives, leaves, 0, self._packet_count], [packets], device="cpu")

@@ -39,6 +39,11 @@ def derived_ranges(scene: Scene, names: list[str]) -> list[tuple[int, int]]:
     return ranges
 
 
+def pull_kernels(scene: Scene, names: list[str]) -> list[wp.Kernel]:
+    """Return kernels of the modules that ``pull_derived`` launches from."""
+    return [normalization_vjp] if derived_ranges(scene, names) else []
+
+
 def pull_derived(scene: Scene, names: list[str], grad: wp.array) -> None:
     """Add the gradients of poses and positions that arrive through derived vertices and normals.
 

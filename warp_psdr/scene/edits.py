@@ -4,10 +4,20 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 
+import numpy as np
 import warp as wp
 
 from warp_psdr.scene.layout import BRIGHTNESS, Parameter
+
+
+@dataclass(frozen=True)
+class State:
+    """What edits of a scene change: its values, and the object-space geometry of posed shapes."""
+
+    values: np.ndarray
+    local: dict[int, tuple[wp.array, wp.array]]
 
 
 def has_results(p: Parameter) -> bool:

@@ -8,9 +8,13 @@ from typing import TYPE_CHECKING
 import warp as wp
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from warp_psdr.scene.description import SceneDescription
     from warp_psdr.scene.scene import Scene
 
+#: Called with a scene that is being loaded, where its kernels are not in the cache (``Scene``, ``ahead``).
+ahead: list[Callable[[Scene], None]] = []
 #: Notes on a scene that are warned of one by one; ``scene.description.notes`` has all.
 MOST_WARNINGS = 20
 
@@ -74,7 +78,7 @@ def _load(description: SceneDescription, device: str | wp.Device | None) -> Scen
     """Build a scene, and warn of its notes at the line that loads it."""
     from warp_psdr.scene.scene import Scene
 
-    scene = Scene(description, device)
+    scene = Scene(description, device, ahead)
     notes = scene.description.notes
     for note in notes[:MOST_WARNINGS]:
         warnings.warn(note, SceneWarning, stacklevel=3)

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
 
+from warp_psdr import compiler
 from warp_psdr.device import launch
 from warp_psdr.invalid import Ledger
 from warp_psdr.kernels import structs
@@ -21,7 +21,7 @@ from warp_psdr.kernels.step import RAY_EPSILON
 from warp_psdr.kernels.surface import update_triangles
 from warp_psdr.scene.acceleration import Accelerator
 from warp_psdr.scene.build import Builder
-from warp_psdr.scene.edits import Edits, has_results
+from warp_psdr.scene.edits import Edits, State, has_results
 from warp_psdr.scene.layout import (
     BRIGHTNESS,
     NORMALS,
@@ -38,7 +38,7 @@ from warp_psdr.scene.summary import summary
 from warp_psdr.scene.world import World
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Callable, Iterable
 
     from warp_psdr.scene.description import SceneDescription
 
@@ -51,14 +51,6 @@ HAIR = 0.2
 CONTACT_RATIO = 2.0e-2
 #: Least radius and extent of a scene, in world units: one without triangles has neither, and both are divided by.
 LEAST_LENGTH = 1.0e-30
-
-
-@dataclass(frozen=True)
-class State:
-    """What edits of a scene change: its values, and the object-space geometry of posed shapes."""
-
-    values: np.ndarray
-    local: dict[int, tuple[wp.array, wp.array]]
 
 
 class Scene:
@@ -77,13 +69,20 @@ class Scene:
         indices: Flat int32 vertex numbers, three a triangle, over all shapes.
     """
 
-    def __init__(self, description: SceneDescription, device: str | wp.Device | None = None):
+    def __init__(
+        self,
+        description: SceneDescription,
+        device: str | wp.Device | None = None,
+        ahead: Iterable[Callable[[Scene], None]] = (),
+    ):
         """Build the device records.
 
         Args:
             description: What the readers produced.
             device: Warp device, "cpu" or "cuda:0"; None: Warp's current one.
+            ahead: called with this scene where its own kernels have to be compiled, to begin others beside them.
         """
+        compiler.start_warp()
         self.description = description
         self.device = wp.get_device(device)
         builder = Builder(description)
@@ -118,14 +117,19 @@ class Scene:
         self._bsdfs = struct_array(structs.Bsdf, builder.bsdfs, self.device)
         self._slots = wp.array(builder.slots if builder.slots.size else [-1], dtype=wp.int32, device=self.device)
         self._textures = struct_array(structs.Texture, builder.textures, self.device)
-        for shape in self._local:
-            self._pose(shape)
-        self._update_triangles(range(len(description.shapes)))
-        self.accelerator = Accelerator(self._points, self.indices, self.device)
+        self.accelerator = Accelerator(self._points, self.indices, self.device, built=False)
         self._rows = wp.empty(ROOM * self.accelerator.width, dtype=wp.uint32, device=self.device)
         self._sight: Accelerator | None = None
         self._contact_ratio = CONTACT_RATIO
         self._shades_flat: bool | None = None
+        for begin in ahead if compiler.begin([update_triangles], self.device) else ():
+            begin(self)
+        compiler.begin(self.accelerator.kernels(), self.device)
+        for shape in self._local:
+            self._pose(shape)
+        self._update_triangles(range(len(description.shapes)))
+        self.accelerator.rebuild()
+        self._shades_flat = None
         self._update_bounds()
         self._world.show(self.parameters.values())
         self._note_specks()

@@ -8,6 +8,8 @@ plane and an edge in it. Pairs that share an edge do not. Which of them do inter
 
 import warp as wp
 
+from warp_psdr.kernels.modules import PAIRS
+
 #: Share of the tolerance by which intervals have to overlap here; the host asks for all of it.
 OVERLAP = 0.5
 
@@ -91,7 +93,7 @@ def interval(points: wp.array(dtype=wp.vec3), q: wp.vec3i, h: wp.vec3d, origin: 
     return wp.vec2d(wp.min(s, t), wp.max(s, t))
 
 
-@wp.kernel(module="unique", enable_backward=False)
+@wp.kernel(module=PAIRS, enable_backward=False)
 def crossing_pairs(
     # In:
     boxes: wp.uint64,

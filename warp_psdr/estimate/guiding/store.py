@@ -131,6 +131,11 @@ def forget(r: Request, method: Method) -> None:
     kept(r.scene).pop(_key(r, method), None)
 
 
+def kernels(r: Request) -> list[wp.Kernel]:
+    """Return the kernels that build structures for a boundary term: the integrand, and what faces the lights."""
+    return [make_secondary_kernel(r.config, "target", False, False, indirect=r.indirect), make_facing_kernel(r.config)]
+
+
 def _key(r: Request, method: Method) -> tuple:
     return method, r.moves, r.sensor, r.plan.max_depth, r.method.without_counts(), r.indirect
 
@@ -298,7 +303,7 @@ class _Evaluator:
 
     def __init__(self, r: Request, found: Guiding, technique: str):
         self._r, self._found, self._technique = r, found, technique
-        self._kernel = make_secondary_kernel(r.config, "target", False, False, indirect=r.indirect)
+        self._kernel, _facing = kernels(r)
         self._head = [r.scene.data(), r.camera, found.edges, moving_shapes(r.scene, r.moves)]
 
     def at(self, points: np.ndarray) -> np.ndarray:
@@ -337,7 +342,7 @@ class _Evaluator:
 def _facing(r: Request, edges: Edges) -> np.ndarray:
     """Share of points of the lights for which each edge can be a silhouette."""
     count = edges.cdf.shape[0] - 1
-    kernel = make_facing_kernel(r.config)
+    _integrand, kernel = kernels(r)
     random = np.random.default_rng((r.seed, len(TECHNIQUES)))
     strata = np.stack([random.permutation(FACING) for _ in range(2)], axis=1)
     points = wp.array((strata + random.random((FACING, 2))) / FACING, dtype=wp.vec2d, device=r.scene.device)

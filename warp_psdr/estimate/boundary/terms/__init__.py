@@ -8,6 +8,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+import warp as wp
+
 from warp_psdr.estimate.boundary.terms import (
     bent,
     creases,
@@ -22,6 +24,7 @@ from warp_psdr.estimate.boundary.terms import (
     through_mirrors,
 )
 from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term
+from warp_psdr.estimate.guiding import store
 from warp_psdr.options.boundary import EdgeSampling, Method, PathSpace, Projective
 from warp_psdr.plan.motion import motion
 
@@ -57,7 +60,21 @@ def named(name: str) -> BoundaryTerm:
 def terms(scene: Scene, plan: Plan, names: list[str], role: str, sensor: int, spp: int, seed: int) -> list[Term]:
     """Return the launches that estimate the boundary term of the named parameters."""
     request = Request(scene, plan, motion(scene, names), role, sensor, spp, seed)
-    return [t for term in TERMS[type(request.method)] for t in launches(term, request)]
+    kinds = TERMS[type(request.method)]
+    # The one that may build guiding, with kernels of its own, comes last: all others are compiled meanwhile.
+    found = {term.name: launches(term, request) for term in sorted(kinds, key=lambda term: term is secondary.TERM)}
+    return [t for term in kinds for t in found[term.name]]
+
+
+def prepare(scene: Scene, plan: Plan, names: list[str], sensor: int) -> list[wp.Kernel]:
+    """Return the kernels of the terms; those that build guiding are run once, and what they built is forgotten."""
+    request = Request(scene, plan, motion(scene, names), "reverse", sensor, 1, 0)
+    guiding = getattr(request.method, "guiding", None)
+    built = guiding is None or store.built(request, guiding)
+    kernels = [term.kernel for term in terms(scene, plan, names, "reverse", sensor, 1, 0)]
+    if guiding is not None and not built:
+        store.forget(request, guiding)
+    return kernels
 
 
 def launches(term: BoundaryTerm, request: Request) -> list[Term]:

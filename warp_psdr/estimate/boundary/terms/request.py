@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
+from warp_psdr import compiler
 from warp_psdr.estimate.jobs import sample_job
 from warp_psdr.kernels.bsdf.dispatch import has_smooth_lobes
 from warp_psdr.kernels.rng import mix_seed
@@ -140,6 +141,7 @@ def term_of(
         samples: how many.
         count: what the kernel is told of their number; None: ``samples``.
     """
+    compiler.begin([kernel], r.scene.device)
     told = count or samples
     random = mix_seed(r.seed, term.stream)
 

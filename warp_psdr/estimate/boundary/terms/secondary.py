@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from warp_psdr import compiler
 from warp_psdr.estimate.boundary import projective
 from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term, term_of
 from warp_psdr.estimate.guiding import store
@@ -24,6 +25,9 @@ def applies(r: Request) -> bool:
 def launch(r: Request) -> Term | None:
     """Return the term of shadow edges and their like: visibility between two path vertices."""
     guiding = getattr(r.method, "guiding", None)
+    kernel = make_secondary_kernel(
+        r.config, r.role, r.moves.camera, r.moves.light_pose, guiding is not None, r.indirect
+    )
     if guiding is None:
         edges, guide = secondary_edges(r.scene, set(r.moves.shapes)), Guide()
         aimed = r.plan.max_depth == 2 and r.scene.builder.environment < 0
@@ -31,14 +35,12 @@ def launch(r: Request) -> Term | None:
         if isinstance(r.method, Projective):
             guide.share = projective.uniform_share(r)
     else:
+        compiler.begin([*store.kernels(r), kernel], r.scene.device)
         seeds = projective.asker(r) if isinstance(r.method, Projective) else None
         edges, guide = store.guide(r, guiding, seeds)
     if edges is None:
         return None
     samples = r.pixels * (r.method.spp_secondary or r.spp)
-    kernel = make_secondary_kernel(
-        r.config, r.role, r.moves.camera, r.moves.light_pose, guiding is not None, r.indirect
-    )
     return term_of(r, TERM, kernel, [r.scene.data(), r.camera, edges, moving_shapes(r.scene, r.moves), guide], samples)
 
 

@@ -1,0 +1,205 @@
+"""Compile kernels side by side, on threads of their own, before they are launched.
+
+Warp generates a module's code under a lock and compiles it outside of the interpreter's, so N modules compile on N
+cores (``wp.load_module`` from several threads is what Warp's own ``force_load`` does). What is in the kernel cache is
+loaded by whoever asks for it, at once. Results do not depend on when or where a kernel is compiled.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import threading
+import time
+from collections.abc import Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import warp as wp
+
+from warp_psdr import workers
+
+#: Most threads that compile. Each parses Warp's headers once, which takes as long as half a kernel.
+MOST_THREADS = 8
+#: What a compiled module leaves in the kernel cache.
+BINARIES = (".o", ".ptx", ".cubin")
+
+
+@dataclass
+class Compiled:
+    """What a process has compiled.
+
+    Attributes:
+        name: the kernel's, or that of the module that several kernels share.
+        seconds: from its start to its end; several run side by side.
+    """
+
+    name: str
+    seconds: float
+
+
+_lock = threading.Lock()
+#: (module, name of the device)
+_loaded: set[tuple[wp.Module, str]] = set()
+_jobs: dict[tuple[wp.Module, str], Future] = {}
+_pool: ThreadPoolExecutor | None = None
+_pool_size = 0
+_said: set[Future | None] = set()
+#: What this process has compiled, in the order in which it was done.
+done: list[Compiled] = []
+
+
+def begin(kernels: Iterable[wp.Kernel], device: wp.Device) -> int:
+    """Start to compile kernels that are neither loaded nor in the cache, and return how many modules that starts.
+
+    An error is kept until a kernel is needed (``ensure``).
+    """
+    started = 0
+    if not threading.main_thread().is_alive():
+        return started  # the interpreter takes no more threads
+    for module in dict.fromkeys(kernel.module for kernel in kernels):
+        key = (module, device.alias)
+        if key in _loaded or key in _jobs or _cached(module, device):
+            continue
+        with _lock:
+            if key not in _loaded and key not in _jobs:
+                _jobs[key] = _threads().submit(_compile, module, device)
+                started += 1
+    return started
+
+
+def ensure(kernels: Iterable[wp.Kernel], device: wp.Device | str | None) -> None:
+    """Load kernels, and wait for those that are being compiled.
+
+    Raises:
+        Exception: a kernel cannot be compiled; as Warp raises it.
+    """
+    device = wp.get_device(device)
+    missing = [module for module in dict.fromkeys(k.module for k in kernels) if (module, device.alias) not in _loaded]
+    if not missing:
+        return
+    begin((kernel for kernel in kernels if kernel.module in missing), device)
+    for module in missing:
+        key = (module, device.alias)
+        job = _jobs.get(key)
+        try:
+            if job is not None:
+                _await(job)
+            else:
+                with quiet():
+                    wp.load_module(module, device=device)
+            _loaded.add(key)
+        finally:
+            with _lock:
+                _jobs.pop(key, None)
+                _said.discard(job)
+
+
+def start_warp() -> None:
+    """Initialise Warp without its greeting; a program that calls ``wp.init()`` itself gets to see it."""
+    with quiet():
+        wp.init()
+
+
+@contextmanager
+def quiet() -> Iterator[None]:
+    """Keep Warp's lines about what this thread loads from standard output, but for those that a debug level asks for.
+
+    The logger that the program has set gets everything else, and everything of other threads.
+    """
+    global _quiet_users
+    if wp.config.log_level <= wp.LOG_DEBUG:
+        yield
+        return
+    with _lock:
+        if _quiet_users == 0:
+            wp.set_logger(_Quiet(wp.get_logger()))
+        _quiet_users += 1
+    _quiet.depth = getattr(_quiet, "depth", 0) + 1
+    try:
+        yield
+    finally:
+        _quiet.depth -= 1
+        with _lock:
+            _quiet_users -= 1
+            logger = wp.get_logger()
+            if _quiet_users == 0 and isinstance(logger, _Quiet):
+                wp.set_logger(logger.inner)
+
+
+_quiet = threading.local()
+_quiet_users = 0
+
+
+class _Quiet:
+    """A logger in front of the program's own, which does not see what quiet threads have to tell."""
+
+    def __init__(self, inner):
+        self.inner = inner
+
+    def debug(self, message: str) -> None:
+        self.inner.debug(message)
+
+    def info(self, message: str) -> None:
+        if not getattr(_quiet, "depth", 0):
+            self.inner.info(message)
+
+    def warning(self, message: str, category=None, stacklevel: int = 1) -> None:
+        self.inner.warning(message, category=category, stacklevel=stacklevel + 1)
+
+    def error(self, message: str) -> None:
+        self.inner.error(message)
+
+
+def _await(job: Future) -> None:
+    """Wait for a job, and say once what is being compiled if that is not done."""
+    if not job.done():
+        with _lock:
+            running = [j for j in _jobs.values() if not j.done()]
+            news = job not in _said
+            _said.update(running)
+        if news:
+            kernels = f"{len(running)} kernels" if len(running) != 1 else "1 kernel"
+            print(f"warp_psdr: compiling {kernels}, once (cached)", file=sys.stderr, flush=True)
+    job.result()
+
+
+def _compile(module: wp.Module, device: wp.Device) -> None:
+    """Compile and load a module, on a thread of the pool."""
+    if not threading.main_thread().is_alive():
+        return  # the program ends, and nobody waits for this
+    start = time.perf_counter()
+    with quiet():
+        wp.load_module(module, device=device)
+    done.append(Compiled(_name(module), time.perf_counter() - start))
+
+
+def _name(module: wp.Module) -> str:
+    """Return what a module holds, for people: its kernel's name, or its own."""
+    kernels = list(module.kernels)
+    return kernels[0].rpartition("__")[2] if len(kernels) == 1 else module.name
+
+
+def _cached(module: wp.Module, device: wp.Device) -> bool:
+    """Return whether the kernel cache has a module's binary.
+
+    A binary for another machine in the same place is taken for it: the thread that loads it compiles then.
+    """
+    identifier = module.get_module_identifier(1 if device.is_cpu else None)
+    try:
+        files = os.listdir(os.path.join(wp.config.kernel_cache_dir or "", identifier))
+    except OSError:
+        return False
+    return any(name.endswith(BINARIES[:1] if device.is_cpu else BINARIES[1:]) for name in files)
+
+
+def _threads() -> ThreadPoolExecutor:
+    """Return the threads that compile, one for every worker."""
+    global _pool, _pool_size
+    size = min(workers.workers(), MOST_THREADS)
+    if _pool is None or size != _pool_size:
+        if _pool is not None:
+            _pool.shutdown(wait=False)
+        _pool, _pool_size = ThreadPoolExecutor(size, thread_name_prefix="warp_psdr-compile"), size
+    return _pool
