@@ -29,7 +29,7 @@ from warp_psdr.kernels.scattering import (
     samples_lights,
 )
 from warp_psdr.kernels.sensor.camera import CameraSample, make_camera_rays, make_lens
-from warp_psdr.kernels.sensor.film import make_filter
+from warp_psdr.kernels.sensor.film import make_pixel_offset, uniform_offset
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.vertex import PathConfig, PathState, PathVertex, film_position, path_from
 from warp_psdr.kernels.visibility import visibility_of
@@ -143,8 +143,7 @@ def make_camera_starts(config: PathConfig, filter_kind: int | None = None):
     None draws from the film's own filter.
     """
     sample_4d = make_sampler(config.sampler).sample_4d
-    box = filter_kind == RFILTER_BOX
-    filter_sample = make_filter(RFILTER_BOX if box else config.filter)
+    pixel_offset = uniform_offset if filter_kind == RFILTER_BOX else make_pixel_offset(config.filter)
     view, ray_in = make_camera_rays(config.camera)
     lens_point = make_lens(config.camera)
 
@@ -153,12 +152,8 @@ def make_camera_starts(config: PathConfig, filter_kind: int | None = None):
         scene: Scene, camera: Camera, k: wp.float32, px: wp.int32, py: wp.int32, sampler: Sampler
     ) -> tuple[PathState, CameraSample]:
         u4 = sample_4d(sampler, 0)
-        radius = camera.filter_radius
-        if wp.static(box):
-            radius = wp.float32(0.5)
-        offset = filter_sample(wp.vec2(u4[0], u4[1]), radius, camera.filter_stddev)
         sample = CameraSample()
-        sample.film = film_position(camera, px, py, offset)
+        sample.film = film_position(camera, px, py, pixel_offset(camera, px, py, wp.vec2(u4[0], u4[1])))
         sample.lens = lens_point(wp.vec2(u4[2], u4[3]))
         ray = ray_in(scene, camera, k, sample)
         state = path_from(ray.o + ray.t_min * ray.d, ray.d, ray.t_max - ray.t_min, 0)

@@ -3,8 +3,8 @@
 Samples are uniform over each pixel's square; pixel j receives sum_i h(s_i - j) L_i / sum_i h(s_i - j), the usual ratio
 estimator of the filtered radiance. Compared with drawing one pixel's offsets from the filter (``film.py``, what the
 differential passes do, since there a sample has one pixel's adjoint) it uses each path some 4 pi sigma^2 times: the
-variance of a Gaussian of half a pixel falls by 3. The raster is extended by the filter's reach, so that border pixels
-see the whole of their filter and both estimate the same quantity.
+variance of a Gaussian of half a pixel falls by 3. Where the film samples its border, the raster is extended by the
+filter's reach. Both estimate the same quantity.
 
 Neighbouring threads would add to the same pixels, so on the CPU every lane of a launch has a film of its own: vec4,
 the weighted radiance and the weight. ``collect`` adds the lanes in fixed order to a film in double precision; the host

@@ -109,6 +109,7 @@ class Camera:
     filter: wp.int32
     filter_radius: wp.float32  # pixels
     filter_stddev: wp.float32  # pixels (gaussian)
+    sample_border: wp.int32  # 1: pixels see what lies beyond the crop window; 0: filters end at its border
 
 
 @wp.struct

@@ -14,28 +14,31 @@ from warp_psdr.kernels.constants import (
     CAMERA_ORTHOGRAPHIC,
     CAMERA_THINLENS,
     RFILTER_BOX,
-    RFILTER_GAUSSIAN,
     RFILTER_TENT,
 )
 from warp_psdr.kernels.invalid import count_invalid, finite
 from warp_psdr.kernels.rng import Sampler
 from warp_psdr.kernels.sensor.camera import CameraSample, lens_origin, load_mat44
-from warp_psdr.kernels.sensor.film import GAUSSIAN_CUT
+from warp_psdr.kernels.sensor.film import (
+    GAUSSIAN_CUT,
+    GAUSSIAN_FLOOR,
+    GAUSSIAN_INTEGRAL,
+    filter_extent,
+    filter_margin,
+    filter_share,
+)
 from warp_psdr.kernels.structs import Camera, Scene
 
 #: Pixels beside each other for which the filter is evaluated once and not for every row: all under most filters.
 TAP_COUNT = 5
 TAPS = wp.types.vector(length=TAP_COUNT, dtype=wp.float32)
-#: sqrt(2 pi) erf(4 / sqrt 2) - 8 exp(-8): the integral of the lowered Gaussian, over its standard deviation.
-GAUSSIAN_INTEGRAL = 2.50378587
-GAUSSIAN_FLOOR = 3.3546263e-4
 
 
 @wp.struct
 class FilmPoint:
     """A point's image. ``scale``: pixels a unit of p and q."""
 
-    valid: wp.int32  # 0: behind the camera, clipped, or farther than the filter's radius outside the crop window
+    valid: wp.int32  # 0: behind the camera, clipped, or outside of what counts for the crop window's pixels
     sample: CameraSample  # the camera's ray through the point
     pixel: wp.vec2  # in pixels of the crop window
     camera_space: wp.vec3
@@ -53,16 +56,8 @@ def camera_block(scene: Scene, camera: Camera) -> wp.mat33:
 
 
 @wp.func
-def filter_extent(camera: Camera) -> wp.float32:
-    """Radius of the pixel filter [pixels]."""
-    if camera.filter == RFILTER_GAUSSIAN:
-        return GAUSSIAN_CUT * camera.filter_stddev
-    return camera.filter_radius
-
-
-@wp.func
 def filter_1d(camera: Camera, x: wp.float32) -> wp.float32:
-    """Density of the pixel filter along one axis [1 / pixel]; what ``film.py`` samples."""
+    """Density of the whole pixel filter along one axis [1 / pixel]."""
     a = wp.abs(x)
     if camera.filter == RFILTER_BOX:
         # Half-open: a point on the border between two pixels counts for one of them.
@@ -74,6 +69,21 @@ def filter_1d(camera: Camera, x: wp.float32) -> wp.float32:
     if z >= GAUSSIAN_CUT:
         return 0.0
     return (wp.exp(-0.5 * z * z) - GAUSSIAN_FLOOR) / (GAUSSIAN_INTEGRAL * camera.filter_stddev)
+
+
+@wp.func
+def pixel_filter(camera: Camera, at: wp.float32, pixel: wp.int32, size: wp.int32) -> wp.float32:
+    """What a point counts for a pixel, along an axis of ``size`` pixels [1 / pixel]; what ``film.py`` samples."""
+    h = filter_1d(camera, at - wp.float32(pixel) - 0.5)
+    return h / filter_share(camera, pixel, size)
+
+
+@wp.func
+def counts(camera: Camera, at: wp.vec2) -> wp.bool:
+    """Whether a point, in pixels of the crop window, lies where it can count for a pixel."""
+    margin = filter_margin(camera)
+    across = at[0] >= -margin and at[0] < wp.float32(camera.crop_width) + margin
+    return across and at[1] >= -margin and at[1] < wp.float32(camera.crop_height) + margin
 
 
 @functools.cache
@@ -130,14 +140,7 @@ def make_projection(kind: int):
         film = r.sample.film
         r.pixel = wp.vec2(film[0] * width - wp.float32(camera.crop_x), film[1] * height - wp.float32(camera.crop_y))
         distance = wp.length(x - r.origin)
-        margin = filter_extent(camera)
-        inside = (
-            r.pixel[0] > -margin
-            and r.pixel[0] < wp.float32(camera.crop_width) + margin
-            and r.pixel[1] > -margin
-            and r.pixel[1] < wp.float32(camera.crop_height) + margin
-        )
-        if inside and distance > r.near and distance < r.far:
+        if counts(camera, r.pixel) and distance > r.near and distance < r.far:
             r.valid = 1
         return r
 
@@ -168,11 +171,11 @@ def make_projection(kind: int):
 
 
 @wp.func
-def filter_taps(camera: Camera, at: wp.float32, first: wp.int32) -> TAPS:
-    """Densities of the pixel filter at the pixels ``first``, ``first`` + 1, ... of an axis, for a point ``at``."""
+def filter_taps(camera: Camera, at: wp.float32, first: wp.int32, size: wp.int32) -> TAPS:
+    """What a point counts for the pixels ``first``, ``first`` + 1, ... of an axis."""
     r = TAPS()
     for i in range(wp.static(TAP_COUNT)):
-        r[i] = filter_1d(camera, at - wp.float32(first + i) - 0.5)
+        r[i] = pixel_filter(camera, at, first + i, size)
     return r
 
 
@@ -196,37 +199,41 @@ def make_splat():
         if not finite(value):
             count_invalid(scene, sampler)
             return
+        if not counts(camera, at):
+            return
         r = filter_extent(camera)
         x0 = wp.max(wp.int32(wp.ceil(at[0] - 0.5 - r)), 0)
         y0 = wp.max(wp.int32(wp.ceil(at[1] - 0.5 - r)), 0)
         x1 = wp.min(wp.int32(wp.floor(at[0] - 0.5 + r)), camera.crop_width - 1)
         y1 = wp.min(wp.int32(wp.floor(at[1] - 0.5 + r)), camera.crop_height - 1)
-        taps = filter_taps(camera, at[0], x0)
+        taps = filter_taps(camera, at[0], x0, camera.crop_width)
         for y in range(y0, y1 + 1):
-            h_y = filter_1d(camera, at[1] - wp.float32(y) - 0.5)
+            h_y = pixel_filter(camera, at[1], y, camera.crop_height)
             for x in range(x0, x1 + 1):
                 if x - x0 < wp.static(TAP_COUNT):
                     h = h_y * taps[x - x0]
                 else:
-                    h = h_y * filter_1d(camera, at[0] - wp.float32(x) - 0.5)
+                    h = h_y * pixel_filter(camera, at[0], x, camera.crop_width)
                 wp.atomic_add(image, y, x, h * value)
 
     @wp.func
     def gather(camera: Camera, at: wp.vec2, adjoint: wp.array2d(dtype=wp.vec3)) -> wp.vec3:
+        if not counts(camera, at):
+            return wp.vec3(0.0, 0.0, 0.0)
         r = filter_extent(camera)
         x0 = wp.max(wp.int32(wp.ceil(at[0] - 0.5 - r)), 0)
         y0 = wp.max(wp.int32(wp.ceil(at[1] - 0.5 - r)), 0)
         x1 = wp.min(wp.int32(wp.floor(at[0] - 0.5 + r)), camera.crop_width - 1)
         y1 = wp.min(wp.int32(wp.floor(at[1] - 0.5 + r)), camera.crop_height - 1)
-        taps = filter_taps(camera, at[0], x0)
+        taps = filter_taps(camera, at[0], x0, camera.crop_width)
         total = wp.vec3(0.0, 0.0, 0.0)
         for y in range(y0, y1 + 1):
-            h_y = filter_1d(camera, at[1] - wp.float32(y) - 0.5)
+            h_y = pixel_filter(camera, at[1], y, camera.crop_height)
             for x in range(x0, x1 + 1):
                 if x - x0 < wp.static(TAP_COUNT):
                     h = h_y * taps[x - x0]
                 else:
-                    h = h_y * filter_1d(camera, at[0] - wp.float32(x) - 0.5)
+                    h = h_y * pixel_filter(camera, at[0], x, camera.crop_width)
                 total += h * adjoint[y, x]
         return total
 

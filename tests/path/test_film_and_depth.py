@@ -185,6 +185,31 @@ def test_mitsuba_sees_the_same_film():
         assert_same_mean(blocks(ours, 4), blocks(theirs, 4), f"fov_axis {axis}")
 
 
+@pytest.mark.parametrize("border", [None, "false", "true"])
+@pytest.mark.parametrize("rfilter", ["tent", "gaussian"])
+@pytest.mark.parametrize("cropped", [False, True])
+def test_mitsuba_ends_filters_alike(rfilter, border, cropped):
+    """At the border of the film and of a crop window, with samples beyond it and without."""
+    mitsuba = pytest.importorskip("mitsuba")
+    mitsuba.set_variant("scalar_rgb")
+    value = "" if border is None else f'<boolean name="sample_border" value="{border}"/>'
+    window = {"crop_offset_x": 2, "crop_offset_y": 3, "crop_width": 6, "crop_height": 5} if cropped else {}
+    crop = "".join(f'<integer name="{name}" value="{number}"/>' for name, number in window.items())
+    text = f"""
+    <scene version="3.0.0"><integrator type="path"><integer name="max_depth" value="1"/></integrator>
+    <sensor type="orthographic">
+        <transform name="to_world"><lookat origin="0, 0, 4" target="0, 0, 0" up="0, 1, 0"/></transform>
+        <film type="hdrfilm"><integer name="width" value="10"/><integer name="height" value="10"/>{crop}{value}
+            <rfilter type="{rfilter}"/></film></sensor>
+    <shape type="rectangle"><transform name="to_world"><scale value="0.8"/><rotate z="1" angle="10"/></transform>
+        <emitter type="area"><rgb name="radiance" value="1, 2, 3"/></emitter></shape>
+    <emitter type="constant"><float name="radiance" value="0.1"/></emitter></scene>"""
+    ours = batches(psdr.load_string(text), spp=64, count=8)
+    scene = mitsuba.load_string(text)
+    theirs = np.stack([np.array(mitsuba.render(scene, spp=64, seed=i)) for i in range(8)]).astype(np.float64)
+    assert_same_mean(ours, theirs, f"{rfilter}, {border}", rounding=5e-3)  # Mitsuba's Gaussian is a polynomial
+
+
 @pytest.mark.parametrize("to_world", [np.diag([2.0, 1.0, 1.0, 1.0]), np.diag([1.0, -3.0, 0.5, 1.0])])
 def test_a_stretched_environment_lights_a_floor_as_one_that_is_not(to_world) -> None:
     """Of one radiance all around, whichever way its map is stretched."""

@@ -10,7 +10,7 @@ from warp_psdr.topology.edges import scene_adjacency
 from warp_psdr.topology.film_edges import film_edges, primary_edges
 
 T = psdr.Transform
-FILM = {"type": "hdrfilm", "width": 20, "height": 12, "rfilter": {"type": "box"}}
+FILM = {"type": "hdrfilm", "width": 20, "height": 12, "rfilter": {"type": "tent"}}
 FILM |= {"crop_width": 12, "crop_height": 8, "crop_offset_x": 5, "crop_offset_y": 2}
 POSE = T.look_at([0.3, -0.5, -4.0], [0.0, 0.1, 0.0], [0.0, 1.0, 0.0])
 RADIUS, FOCUS, FOV = 0.6, 2.5, 40.0
@@ -20,12 +20,12 @@ SENSORS = {
     "orthographic": {"to_world": POSE @ T.scale([1.5, 1.2, 2.0])},
 }
 CLIPS = {"near_clip": 1.5, "far_clip": 6.0}
-#: Half a pixel: the radius of the box filter, by which the film is extended.
+#: What the radius of the filter is beyond half a pixel: by so much the film is extended if it samples its border.
 MARGIN = 0.5
 
 
-def load(kind, **shapes):
-    sensor = {"type": kind, "film": FILM, **CLIPS, **SENSORS[kind]}
+def load(kind, border=True, **shapes):
+    sensor = {"type": kind, "film": FILM | {"sample_border": border}, **CLIPS, **SENSORS[kind]}
     return psdr.load_dict({"type": "scene", "sensor": sensor, "sky": {"type": "constant"}, **shapes})
 
 
@@ -47,13 +47,15 @@ def pixels(kind, x, lens):
     return film, (z[..., 0] > near) & (z[..., 0] < far)
 
 
+@pytest.mark.parametrize("border", [True, False], ids=["sampled border", "border"])
 @pytest.mark.parametrize("kind", SENSORS)
-def test_clipped_stretches_hold_what_is_seen(kind):
+def test_clipped_stretches_hold_what_is_seen(kind, border):
+    margin = MARGIN if border else 0.0
     random = np.random.default_rng(2)
     ends = random.uniform([-3, -3, -6], [3, 3, 4], (400, 2, 3))
     s = np.linspace(0.0, 1.0, 201)
     x = ends[:, :1] * (1.0 - s)[:, None] + ends[:, 1:] * s[:, None]
-    low, high, length = camera_view(load(kind), 0).clip(ends)
+    low, high, length = camera_view(load(kind, border), 0).clip(ends)
     outside = (s < low[:, None] - 1e-9) | (s > high[:, None] + 1e-9) | (length[:, None] == 0.0)
     angle = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
     disk = np.stack([np.cos(angle), np.sin(angle)], axis=1)
@@ -62,7 +64,7 @@ def test_clipped_stretches_hold_what_is_seen(kind):
     squared = []
     for point in points:
         film, between = pixels(kind, x, RADIUS * point)
-        inside = (film > -MARGIN).all(-1) & (film[..., 0] < 12 + MARGIN) & (film[..., 1] < 8 + MARGIN) & between
+        inside = (film > -margin).all(-1) & (film[..., 0] < 12 + margin) & (film[..., 1] < 8 + margin) & between
         seen |= inside
         ends_seen = np.stack([ends[:, 0] * (1.0 - q)[:, None] + ends[:, 1] * q[:, None] for q in (low, high)], axis=1)
         image = pixels(kind, ends_seen, RADIUS * point)[0]

@@ -86,7 +86,7 @@ def splatted(
 ) -> wp.array:
     """Return a film, (H, W) of vec4d: sums of weighted radiance and of weights (``kernels/splat.py``).
 
-    ``pixels`` lists pixels of the raster that is extended by the filter's reach, ``filter_margin``.
+    ``pixels`` lists pixels of the raster, which is extended by ``filter_margin``.
     """
     camera = scene.camera(sensor)
     margin = filter_margin(camera)
@@ -113,7 +113,7 @@ def splatted(
 
 def filter_margin(camera) -> int:
     """Return how many pixels beyond the film's border a sample can lie that counts for it."""
-    return math.ceil(camera.filter_radius - 0.5)
+    return math.ceil(camera.filter_radius - 0.5) if camera.sample_border else 0
 
 
 def interior_backward(

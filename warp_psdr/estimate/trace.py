@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -12,7 +11,7 @@ import warp as wp
 from warp_psdr.device import launch
 from warp_psdr.estimate.arguments import sample_count
 from warp_psdr.estimate.boundary.trace import BoundaryTrace, numbers, trace_boundary
-from warp_psdr.estimate.passes import STREAM_INTERIOR, STREAM_PRIMAL, splats
+from warp_psdr.estimate.passes import STREAM_INTERIOR, STREAM_PRIMAL, filter_margin, splats
 from warp_psdr.invalid import KINDS, TRACED
 from warp_psdr.kernels.constants import RFILTER_BOX
 from warp_psdr.kernels.rng import mix_seed
@@ -134,7 +133,7 @@ def trace_sample(
     plan = decide(scene, integrator=integrator, sensor=sensor)
     camera = scene.camera(sensor)
     splatted = kind == "image" and splats(camera)
-    margin = math.ceil(camera.filter_radius - 0.5) if splatted else 0
+    margin = filter_margin(camera) if splatted else 0
     x, y = pixel
     width, height = camera.crop_width + 2 * margin, camera.crop_height + 2 * margin
     if not (0 <= x + margin < width and 0 <= y + margin < height and sample >= 0):

@@ -291,6 +291,7 @@ class Builder:
         record.crop_width, record.crop_height = f.crop_width, f.crop_height
         record.filter = RFILTERS[f.filter]
         record.filter_radius, record.filter_stddev = f.filter_radius, f.filter_stddev
+        record.sample_border = int(f.sample_border)
         record.near, record.far = s.near_clip, s.far_clip
         record.to_world = self.layout.add(f"{s.path}.to_world", s.to_world, CAMERA, placed=True)
         if s.kind != "orthographic":

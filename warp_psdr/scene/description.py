@@ -100,6 +100,7 @@ class FilmDescription:
     filter: Literal["box", "tent", "gaussian"] = "gaussian"
     filter_radius: float = 2.0  #: pixels
     filter_stddev: float = 0.5  #: pixels, gaussian
+    sample_border: bool = False  #: whether pixels see what lies beyond the crop window, under wide filters
 
 
 @dataclass(eq=False)

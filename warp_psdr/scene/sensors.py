@@ -194,10 +194,11 @@ def _film(sensor: Properties) -> FilmDescription:
             props.context.note(f"{props.place(name)} is ignored: it is chosen when an image is written")
         props.take(name)
     props.take("banner")  # Mitsuba 3 draws none either
-    props.ignore("sample_border", "high_quality_edges", "compensate", reason="it does not apply to this film")
+    sample_border = props.boolean("sample_border", False)
+    props.ignore("high_quality_edges", "compensate", reason="it does not apply to this film")
     name, radius, stddev = props.context.attempt(lambda: _filter(props), _GAUSSIAN)
     props.finish()
-    return FilmDescription(width, height, crop_x, crop_y, crop_width, crop_height, name, radius, stddev)
+    return FilmDescription(width, height, crop_x, crop_y, crop_width, crop_height, name, radius, stddev, sample_border)
 
 
 def _format(props: Properties, name: str, choices: tuple[str, ...]) -> str:

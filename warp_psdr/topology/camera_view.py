@@ -53,7 +53,7 @@ class CameraView:
         """Return all that the view depends on, to compare it by."""
         c = self.camera
         window = (c.kind, c.width, c.height, c.crop_x, c.crop_y, c.crop_width, c.crop_height, c.near, c.far)
-        film = (c.filter, c.filter_radius, c.filter_stddev)
+        film = (c.filter, c.filter_radius, c.filter_stddev, c.sample_border)
         arrays = tuple(a.tobytes() for a in (self.pose, self.eye, self.scale, self.center))
         return (*window, *film, *arrays, self.finite, self.radius, self.focus)
 
@@ -92,7 +92,8 @@ class CameraView:
         x = (self.center[0] - camera.crop_x) * w - self.scale[0] * a
         y = (self.center[1] - camera.crop_y) * w - self.scale[1] * b
         gaussian = camera.filter == RFILTER_GAUSSIAN
-        margin = (GAUSSIAN_CUT * camera.filter_stddev if gaussian else camera.filter_radius) * w
+        reach = GAUSSIAN_CUT * camera.filter_stddev if gaussian else camera.filter_radius
+        margin = camera.sample_border * max(reach - 0.5, 0.0) * w
         across, down = (margin + self.radius * s * np.abs(z / self.focus - 1.0) for s in self.scale)
         size = np.linalg.norm(self.pose[:3, 2])
         far = camera.far if self.finite else camera.near * size + camera.far - camera.near

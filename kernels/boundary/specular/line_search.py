@@ -31,7 +31,7 @@ from warp_psdr.kernels.path import make_path_step
 from warp_psdr.kernels.rng import Sampler, make_sampler, sampler_at
 from warp_psdr.kernels.sampling import square_to_sphere
 from warp_psdr.kernels.sensor.camera import CameraSample, make_camera_ray, make_lens
-from warp_psdr.kernels.sensor.projection import filter_extent
+from warp_psdr.kernels.sensor.film import filter_margin
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.vertex import PathConfig, path_from
 
@@ -188,7 +188,7 @@ def make_line_search_kernel(config: PathConfig, wanted: Wanted, role: str, light
         visits = wp.zeros(shape=(MAX_VISITS,), dtype=Visit)
         # A point of the film, and of its surroundings as far as lines and filter reach; stratified over the pixels.
         u4 = sample_4d(sampler, 0)
-        margin = filter_extent(camera) + FILM_LENGTH
+        margin = filter_margin(camera) + FILM_LENGTH
         width = wp.float32(camera.crop_width) + 2.0 * margin
         height = wp.float32(camera.crop_height) + 2.0 * margin
         pixels = camera.crop_width * camera.crop_height
