@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from warp_psdr import boundary, guiding, interior, losses, optim
 from warp_psdr.accuracy.pilot import accuracy
+from warp_psdr.aov import render_aov
 from warp_psdr.estimate.boundary.trace import BoundaryTrace
 from warp_psdr.estimate.compile import Compilation, compile
 from warp_psdr.estimate.trace import Trace, trace_sample
@@ -62,6 +63,7 @@ __all__ = [
     "plots",
     "read_image",
     "render",
+    "render_aov",
     "render_backward",
     "render_forward",
     "set_ray_backend",

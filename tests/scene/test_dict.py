@@ -284,10 +284,25 @@ def test_integrators():
     assert describe(i={"type": "direct"}).integrator["max_depth"] == 2
     assert describe(i={"type": "prb"}).integrator["max_depth"] == 6
     assert describe(i={"type": "prb", "max_depth": -1}).integrator["max_depth"] == -1
-    volume = describe(i={"type": "volpath", "max_depth": 4})
-    assert volume.integrator["max_depth"] == 4 and any("volpath" in note for note in volume.notes)
     nested = describe(i={"type": "aov", "aovs": "d:depth", "inner": {"type": "path", "max_depth": 3}})
     assert nested.integrator["type"] == "path" and nested.integrator["max_depth"] == 3
+    assert nested.integrator["aovs"] == {"d": "depth"}
+
+
+@pytest.mark.parametrize(
+    ("name", "remedy"),
+    [
+        ("volpath", "'path' computes the same"),
+        ("volpathmis", "'path' computes the same"),
+        ("prbvolpath", "'prb' computes the same"),
+        ("ptracer", "'path' computes the same"),
+        ("depth", r"psdr.render_aov\(scene, \['depth'\]\)"),
+        ("moment", "nested in it"),
+    ],
+)
+def test_integrators_that_compute_something_else_are_refused(name, remedy):
+    with pytest.raises(ValueError, match=f"unsupported integrator '{name}'.*{remedy}"):
+        describe(i={"type": name})
 
 
 def test_transforms_compose_on_the_class_and_in_chains():

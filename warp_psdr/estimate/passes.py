@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,6 +17,7 @@ from warp_psdr import workers
 from warp_psdr.device import launch, launch_lanes
 from warp_psdr.estimate.jobs import PixelSamples
 from warp_psdr.invalid import counting
+from warp_psdr.kernels.aov import ROW, make_aov_kernel
 from warp_psdr.kernels.constants import RFILTER_BOX
 from warp_psdr.kernels.primal import make_primal_kernel
 from warp_psdr.kernels.rng import mix_seed
@@ -109,6 +111,24 @@ def splatted(
         )
         launch(collect, dim=shape, inputs=[films], outputs=[total], device=scene.device)
     return total
+
+
+def visible(scene: Scene, plan: Plan, sensor: int, spp: int, seed: int, progress: Progress | None = None) -> np.ndarray:
+    """Return what the camera sees first, (H, W, ``kernels.aov.ROW``) float32: means over ``spp`` samples a pixel."""
+    camera = scene.camera(sensor)
+    rows = wp.zeros((camera.crop_height, camera.crop_width, ROW), dtype=wp.float32, device=scene.device)
+    _launch(
+        scene,
+        make_aov_kernel(replace(plan.config, uv=True)),
+        (camera.crop_width, camera.crop_height),
+        PixelSamples(spp, seed, plan.max_depth, plan.rr_depth),
+        camera,
+        lambda _lane: [rows],
+        lanes=workers.LANES,
+        kind="image",
+        progress=progress,
+    )
+    return rows.numpy()
 
 
 def filter_margin(camera) -> int:

@@ -41,6 +41,15 @@ def integrator_of(scene: Scene, integrator: Integrator | None) -> PathIntegrator
 
 
 def from_description(integrator: dict) -> PathIntegrator:
-    """Return the integrator that a scene file names, or the default one."""
+    """Return the integrator that a scene file names, or the default one.
+
+    Raises:
+        ValueError: it computes no image.
+    """
+    if integrator.get("type") == "aov":
+        raise ValueError(
+            "integrator: 'aov' without a nested integrator computes no image; call psdr.render_aov(scene), or pass "
+            "integrator='path'"
+        )
     known = {k: integrator[k] for k in ("max_depth", "rr_depth", "hide_emitters") if k in integrator}
     return PathIntegrator(**known)

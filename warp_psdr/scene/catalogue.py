@@ -21,12 +21,25 @@ MITSUBA: dict[str, tuple[str, ...]] = {
     "rfilter": ("catmullrom", "lanczos", "mitchell"),
     "sampler": ("halton", "hammersley"),
     "integrator": (
+        *("volpath", "volpathmis", "prbvolpath", "ptracer", "depth", "moment"),
         *("stokes", "volprim_rf_basic", "bdpt", "photonmapper", "ppm", "sppm", "pssmlt", "mlt", "erpt", "vpl"),
         *("adaptive", "irrcache", "multichannel"),
     ),
     "medium": ("heterogeneous", "homogeneous"),
     "phase": ("blendphase", "hg", "isotropic", "rayleigh", "sggx", "tabphase"),
     "volume": ("const", "constvolume", "grid", "gridvolume"),
+}
+
+
+_PATH = "without media, 'path' computes the same image"
+#: Integrators that compute something else, and what to use instead.
+INSTEAD = {
+    "volpath": _PATH,
+    "volpathmis": _PATH,
+    "prbvolpath": "without media, 'prb' computes the same image and gradients",
+    "ptracer": "'path' computes the same image, from the camera instead of from the lights",
+    "depth": "give 'path' and call psdr.render_aov(scene, ['depth'])",
+    "moment": "give the integrator nested in it, render several seeds, and take the mean of the images' squares",
 }
 
 

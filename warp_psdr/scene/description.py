@@ -131,7 +131,8 @@ class SceneDescription:
     emitters: list[EmitterDescription]  #: every light, area lights included
     sensors: list[SensorDescription]
     #: Properties of the integrator that the file names: {"type": "path", "max_depth": 8, "rr_depth": 5,
-    #: "hide_emitters": False}; empty when there is none.
+    #: "hide_emitters": False}; empty when there is none. An ``aov`` is the one nested in it, or {"type": "aov"}, with
+    #: "aovs": {name: type}.
     integrator: dict = field(default_factory=dict)
     source: str = ""  #: file name or "dict", for messages
     #: (3,) float64: what was subtracted from all positions, those of matrices included; see ``origin``.

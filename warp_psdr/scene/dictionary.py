@@ -10,14 +10,13 @@ from typing import Any
 import numpy as np
 
 from . import bsdfs, emitters, sensors, shapes, textures
+from .aovs import parse_aovs
 from .context import Context, Outside
 from .description import SceneDescription
 from .errors import SceneError, error
 from .origin import find_origin
 from .plugins import Properties, category_of
 
-#: Integrators whose light transport a path tracer computes as well.
-_SAME_TRANSPORT = ("path", "prb", "prb_basic", "prb_projective")
 #: Depths of those that have a limit where none is given, as in Mitsuba.
 _DEPTHS = {"prb": 6, "prb_basic": 6, "prb_projective": 6}
 
@@ -163,13 +162,9 @@ def _add(result: SceneDescription, node: dict, where: str, name: str, context: C
 def _integrator(node: dict, where: str, context: Context) -> dict[str, Any]:
     """Return ``{"type", "max_depth", "rr_depth", "hide_emitters"}``; max_depth -1 stands for unlimited."""
     props = Properties(node, where, "integrator", context)
-    nested = props.children("integrator")
-    if props.type in ("aov", "moment") and nested:
-        context.note(f"{where}: the integrator '{props.type}' is ignored; the one nested in it is used")
-        return _integrator(nested[0][1], nested[0][2], context)
+    if props.type == "aov":
+        return _aov(props, context)
     direct = "direct" in props.type
-    if props.type not in _SAME_TRANSPORT and not direct:
-        context.note(f"{where}: the integrator '{props.type}' is replaced by path tracing")
     max_depth = 2 if direct else props.integer("max_depth", _DEPTHS.get(props.type, -1), minimum=-1)
     result = {
         "type": props.type,
@@ -180,6 +175,22 @@ def _integrator(node: dict, where: str, context: Context) -> dict[str, Any]:
     others = [name for name in node if name not in (*result, "id") and not isinstance(node[name], dict)]
     props.ignore(*others, reason="it is an option of psdr's integrator objects")
     return result
+
+
+def _aov(props: Properties, context: Context) -> dict[str, Any]:
+    """Return the description of the integrator nested in an ``aov``, if there is one, with what ``aovs`` lists."""
+    where = props.place("aovs")
+    if not props.has("aovs"):
+        raise error(where, "there is none", "give pairs of a name and a type, such as 'dd.y:depth,nn:sh_normal'")
+    listed = parse_aovs(props.string("aovs", ""), where)
+    nested = props.children("integrator")
+    if len(nested) > 1:
+        raise error(nested[1][2], "a second integrator in 'aov'", "give one")
+    props.finish()
+    inner = _integrator(nested[0][1], nested[0][2], context) if nested else {"type": "aov"}
+    if "aovs" in inner:
+        raise error(nested[0][2], "an 'aov' in an 'aov'", "list its channels in the outer one")
+    return {**inner, "aovs": listed}
 
 
 def _register(node: dict, where: str, context: Context, open_nodes: list[int]) -> None:

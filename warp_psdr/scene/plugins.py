@@ -10,7 +10,7 @@ import numpy as np
 
 from warp_psdr.kernels.bsdf.dispatch import MODELS
 
-from .catalogue import MITSUBA, kind_of
+from .catalogue import INSTEAD, MITSUBA, kind_of
 from .errors import ReportedError, SceneError, did_you_mean, error, listing
 from .transforms import FLOAT_MAX, as_matrix
 
@@ -34,10 +34,7 @@ PLUGINS: dict[str, tuple[str, ...]] = {
     "film": ("hdrfilm",),
     "rfilter": ("box", "tent", "gaussian"),
     "sampler": ("independent", "sobol", "multijitter", "stratified", "orthogonal", "ldsampler"),
-    "integrator": (
-        *("path", "direct", "prb", "prb_basic", "prb_projective", "direct_projective"),
-        *("volpath", "volpathmis", "prbvolpath", "aov", "ptracer", "depth", "moment"),
-    ),
+    "integrator": ("path", "direct", "prb", "prb_basic", "prb_projective", "direct_projective", "aov"),
 }
 
 #: Whole numbers are 32-bit on the device.
@@ -100,6 +97,8 @@ def unsupported_plugin(name: str, where: str, category: str = "") -> SceneError:
     hint = "" if name in MITSUBA.get(category, ()) else did_you_mean(name, names)
     kind = category or "plugin"
     plural = f"{category} plugins" if category else "plugins"
+    if category == "integrator" and name in INSTEAD:
+        return error(where, f"unsupported integrator '{name}'", INSTEAD[name])
     return error(where, f"unsupported {kind} '{name}'{hint}", f"supported {plural}: {listing(names)}")
 
 
