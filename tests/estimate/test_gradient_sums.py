@@ -43,7 +43,8 @@ def test_a_radiance_seen_directly(spp, method) -> None:
 
 def test_a_pose_of_many_vertices() -> None:
     """A translation moves every vertex alike, so its gradient is the sum of theirs."""
-    scene = psdr.load_dict({"type": "scene", "camera": {"type": "perspective"}, "ball": {"type": "sphere"}})
+    ball = {"type": "sphere", "emitter": {"type": "area"}}
+    scene = psdr.load_dict({"type": "scene", "camera": {"type": "perspective"}, "ball": ball})
     flat = np.zeros(scene.values.shape[0], np.float32)
     positions = scene.parameters["ball.vertex_positions"]
     flat[positions.offset : positions.offset + positions.size] = ADJOINT
