@@ -98,9 +98,13 @@ def test_every_example_is_listed() -> None:
 def test_commands_exist() -> None:
     text = (DOCS / "start.md").read_text(encoding="utf-8")
     lines = re.findall(r"^warp-psdr .+$", text, re.MULTILINE)
-    assert {"render", "gradient", "plan", "accuracy", "fit", "view"} <= {shlex.split(line)[1] for line in lines}
+    assert {"render", "gradient", "plan", "accuracy", "fit", "compile", "view"} <= {
+        shlex.split(line, comments=True)[1] for line in lines
+    }
     for line in lines:
-        parsed = cli._parser().parse_args(shlex.split(line)[1:])  # ends the process where an option is unknown
+        parsed = cli._parser().parse_args(
+            shlex.split(line, comments=True)[1:]
+        )  # ends the process where an option is unknown
         assert isinstance(parsed, argparse.Namespace)
         for argument in ("scene", "config"):
             assert (ROOT / getattr(parsed, argument, ".")).exists()

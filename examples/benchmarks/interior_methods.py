@@ -2,8 +2,9 @@
 
     python examples/benchmarks/interior_methods.py [--quick] [--output results.jsonl]
 
-The gradient of the Cornell box's reflectances by the mean of the image, from independent seeds. In the second scene the
-red wall reflects no green and no blue: a method that divides by the factor loses a part of the derivative by these. ``gradient of black`` is that component relative to its value by the first method.
+The gradient of the mean of the image by the Cornell box's reflectances, from independent seeds. In the second scene the
+red wall reflects no green and no blue: a method that divides by the factor loses a part of the derivative by these.
+``gradient of black`` is that component relative to its value by the first method.
 """
 
 import time
