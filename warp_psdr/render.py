@@ -14,6 +14,7 @@ from warp_psdr.estimate.arguments import adjoint_array, checked_seed, flat_tange
 from warp_psdr.estimate.boundary.drivers import launch_backward, launch_forward
 from warp_psdr.estimate.boundary.terms import Term, terms
 from warp_psdr.estimate.gradient_sums import GradientSums
+from warp_psdr.estimate.guiding import automatic
 from warp_psdr.estimate.passes import (
     STREAM_BOUNDARY,
     STREAM_PRIMAL,
@@ -183,7 +184,8 @@ def render_backward(
         sensor: which camera, by its number or its id.
         integrator: as of ``render``; default: what the scene file names.
         spp: samples a pixel; default: the sensor's sample count.
-        seed: equal seeds give equal bits; with a budget if a report is given and no time.
+        seed: equal calls in equal order give equal bits, and equal seeds and values unless a repeated gradient is guided
+            (``PathIntegrator.boundary``); with a budget if a report is given and no time.
         progress: called with the finished fraction.
         target_error: instead of ``spp``: the relative error of the gradient to be reached, the root mean square over
             the parameters. Samples are split over the terms, and over the image, by what they gain for their time.
@@ -215,6 +217,8 @@ def render_backward(
     adjoint = adjoint_array(adjoint, scene.camera(sensor), scene.device)
     sums = GradientSums(scene, names)
     compiler.begin([gradient_kernel(plan, "reverse")], scene.device)
+    if integrator.boundary == "auto" and plan.boundary is not None:
+        plan = automatic.choose(scene, plan, names, "reverse", sensor, spp, seed, adjoint)
     boundary = _boundary(scene, plan, names, "reverse", sensor, spp, seed)
     compiler.begin(pull_kernels(scene, names), scene.device)
     first, second = _shares(progress, adjoint.size * spp, boundary)
@@ -294,6 +298,8 @@ def render_forward(
         contacts.warn(scene, target.numpy())
     image = Image((camera.crop_height, camera.crop_width), scene.device, signed=True)
     compiler.begin([gradient_kernel(plan, "forward")], scene.device)
+    if integrator.boundary == "auto" and plan.boundary is not None:
+        plan = automatic.choose(scene, plan, names, "forward", sensor, spp, seed, target)
     boundary = _boundary(scene, plan, names, "forward", sensor, spp, seed)
     first, second = _shares(progress, image.size * spp, boundary)
     interior_forward(scene, plan, sensor, spp, seed, target, image, first)

@@ -192,5 +192,7 @@ def register(scenes) -> None:
 
 @functools.cache
 def load(name):
+    """Return a scene that is loaded once; only a method guides its gradients, so that no test depends on others."""
     scene = psdr.load_dict({"type": "scene", **SCENES[name]()})
+    psdr.guiding.set_automatic(scene, False)
     return scene, psdr.traverse(scene)

@@ -141,7 +141,8 @@ def test_stop_request_ends_the_run_at_a_whole_step(config: FitConfig, number: in
 def test_killed_run_resumes_bit_for_bit(config: FitConfig) -> None:
     code = (
         "import os, signal, sys\n"
-        "from warp_psdr import checkpoint, fit\n"
+        "from warp_psdr import fit\n"
+        "from warp_psdr.fit import checkpoint\n"
         "save = checkpoint.save\n"
         "def killed(path, arrays, values):\n"
         "    if len(arrays['losses']) == 6: os.kill(os.getpid(), signal.SIGKILL)\n"

@@ -11,6 +11,7 @@ import warp as wp
 from warp_psdr.device import launch
 from warp_psdr.estimate.arguments import sample_count
 from warp_psdr.estimate.boundary.trace import BoundaryTrace, numbers, trace_boundary
+from warp_psdr.estimate.guiding import automatic
 from warp_psdr.estimate.passes import STREAM_INTERIOR, STREAM_PRIMAL, filter_margin, splats
 from warp_psdr.invalid import KINDS, TRACED
 from warp_psdr.kernels.constants import RFILTER_BOX
@@ -124,8 +125,11 @@ def trace_sample(
         if params is None or pixel is not None:
             raise ValueError(f"kind {kind!r} takes the params of the gradient (or of its tangents) and no pixel")
         names = None if tangents is None else list(tangents)
+        plan = decide(scene, params, integrator=integrator, sensor=sensor, names=names)
+        if integrator.boundary == "auto" and plan.boundary is not None:
+            plan = automatic.follow(scene, plan, params.requested if names is None else names, sensor, seed)
         return trace_boundary(
-            scene, decide(scene, params, integrator=integrator, sensor=sensor, names=names), params, kind, sample,
+            scene, plan, params, kind, sample,
             adjoint=adjoint, tangents=tangents, sensor=sensor, spp=sample_count(scene, sensor, spp), seed=seed,
         )  # fmt: skip
     if pixel is None:

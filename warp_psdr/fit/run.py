@@ -233,6 +233,7 @@ def load_problem(config: FitConfig) -> Problem:
             )
         film = sensors[sensor].film
         targets.append(read_target(file, (film.crop_height, film.crop_width)))
+    psdr.guiding.set_automatic(scene, False)  # a resumed fit has the bits of one that was not interrupted
     params = psdr.traverse(scene)
     for name, unknown in config.parameters.items():
         if name not in params:

@@ -25,8 +25,9 @@ class PathIntegrator:
         hide_emitters: lights are invisible to the camera.
         sampler: "sobol" (Owen-scrambled), "independent", or "auto": what the scene file says, else Sobol.
         interior: method of the interior term.
-        boundary: method of the boundary term; "auto": chosen by the plan; None: left out on purpose (the gradient
-            then misses moving discontinuities).
+        boundary: method of the boundary term; "auto": ``PathSpace()``, whose shadow edges are guided from a repeated
+            gradient of a scene on if a pilot says that it pays (``psdr.guiding.set_automatic``, ``reset``); None: left
+            out on purpose (the gradient then misses moving discontinuities).
     """
 
     max_depth: int = -1

@@ -2,17 +2,65 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from warp_psdr.options.guiding import Method
 
 if TYPE_CHECKING:
+    from warp_psdr.plan.motion import Motion
     from warp_psdr.scene.scene import Scene
 
 
 def kept(scene: Scene) -> dict:
     """Return what is kept on a scene: keys that begin with the method -> built structures."""
     return scene.__dict__.setdefault("_guiding", {})
+
+
+@dataclass(eq=False)
+class Automatic:
+    """What is known of a request whose boundary method is left to the plan (``estimate/guiding/automatic.py``).
+
+    Attributes:
+        on: whether its gradients may be guided.
+        spent: samples of the gradients so far, about.
+        plain: (seed, checksum of the scene's values) of the calls that were not guided.
+        decided: whether there was a pilot.
+        method: what guides; None: nothing.
+        said: why.
+    """
+
+    on: bool = True
+    spent: float = 0.0
+    plain: set[tuple] = field(default_factory=set)
+    decided: bool = False
+    method: Method | None = None
+    said: str = "from a repeated gradient on, if a pilot says that it pays"
+
+
+def automatic(scene: Scene, moves: Motion, sensor: int, max_depth: int) -> Automatic:
+    """Return what is known of a request: what moves, seen by a sensor, at a depth."""
+    every = scene.__dict__.setdefault("_automatic", {})
+    found = every.setdefault((moves, sensor, max_depth), Automatic())
+    found.on = scene.__dict__.get("_guides", True)
+    return found
+
+
+def set_automatic(scene: Scene, on: bool) -> None:
+    """Let ``boundary="auto"`` guide repeated gradients of a scene, as it does by default, or not.
+
+    Guided gradients depend on the calls before; without guiding, equal seeds and values give equal bits whatever was
+    computed before. Fits (``psdr.fit``), which resume with equal bits, switch it off.
+    """
+    if not isinstance(on, bool):
+        raise ValueError(f"on: got {on!r}, expected True or False")
+    scene.__dict__["_guides"] = on
+
+
+def reset(scene: Scene) -> None:
+    """Forget what guiding has built for a scene, and what pilots said of it."""
+    kept(scene).clear()
+    scene.__dict__.pop("_automatic", None)
 
 
 def describe(scene: Scene, method: Method) -> str:

@@ -16,7 +16,7 @@ from warp_psdr.kernels.bsdf.dispatch import has_delta_lobes
 from warp_psdr.kernels.emitter.spot import MIN_FALLOFF
 from warp_psdr.kernels.interior.wanted import Wanted
 from warp_psdr.kernels.vertex import PathConfig
-from warp_psdr.options.boundary import Connecting, Method
+from warp_psdr.options.boundary import Connecting, Method, PathSpace
 from warp_psdr.options.integrator import PathIntegrator
 from warp_psdr.plan import guiding
 from warp_psdr.plan.coverage import choose
@@ -163,7 +163,7 @@ def decide(
     if still and config.smooth and scene.shades_flat:
         config = replace(config, smooth=False, flat=True)
         lines.append(("interpolated normals", "not read", "they are those of the triangles"))
-    term, told = _boundary(scene, config, integrator, names, moving)
+    term, told = _boundary(scene, config, integrator, names, moving, sensor)
     row = kept = None
     if wanted is not None:
         row = row_of(integrator.interior, term)
@@ -185,7 +185,7 @@ def decide(
 
 
 def _boundary(
-    scene: Scene, config: PathConfig, integrator: PathIntegrator, names: list[str], moving: tuple[str, ...]
+    scene: Scene, config: PathConfig, integrator: PathIntegrator, names: list[str], moving: tuple[str, ...], sensor: int
 ) -> tuple[Method | None, list[tuple[str, str, str]]]:
     """Return the method of the boundary term, if there is any to estimate, and what the plan says of it."""
     if not names:
@@ -196,6 +196,11 @@ def _boundary(
         return None, [("boundary term", "left out", "boundary=None was said, although " + "; ".join(moving))]
     term = choose(scene, config, integrator, names, moving)
     lines = [("boundary term", term.label, "; ".join(moving))]
+    repeated = guiding.automatic(scene, motion(scene, names), sensor, integrator.max_depth)
+    if integrator.boundary == "auto" and repeated.on:
+        if isinstance(term, PathSpace) and repeated.method is not None:
+            term = replace(term, guiding=repeated.method)
+        lines.append(("guiding", "none" if repeated.method is None else "by itself", repeated.said))
     if isinstance(term, Connecting) and term.guiding is not None:
         lines.append(("guiding", term.guiding.label, guiding.describe(scene, term.guiding)))
     if has_delta_lobes(config.bsdfs):

@@ -116,11 +116,6 @@ def structures(scene: Scene) -> list[Guiding]:
     return list(kept(scene).values())
 
 
-def reset(scene: Scene) -> None:
-    """Forget what guiding has built for a scene."""
-    kept(scene).clear()
-
-
 def built(r: Request, method: Method) -> bool:
     """Whether there is a structure for a boundary term."""
     return _key(r, method) in kept(r.scene)
