@@ -184,8 +184,8 @@ def render_backward(
         sensor: which camera, by its number or its id.
         integrator: as of ``render``; default: what the scene file names.
         spp: samples a pixel; default: the sensor's sample count.
-        seed: equal calls in equal order give equal bits, and equal seeds and values unless a repeated gradient is guided
-            (``PathIntegrator.boundary``); with a budget if a report is given and no time.
+        seed: equal calls in equal order give equal bits, and so do equal seeds and values unless a repeated gradient
+            is guided (``PathIntegrator.boundary``); with a budget if a report is given and no time.
         progress: called with the finished fraction.
         target_error: instead of ``spp``: the relative error of the gradient to be reached, the root mean square over
             the parameters. Samples are split over the terms, and over the image, by what they gain for their time.
