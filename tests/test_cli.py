@@ -26,6 +26,7 @@ def scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     return "scene.xml"
 
 
+@pytest.mark.smoke
 def test_render_writes_what_the_library_renders(scene: str, capsys) -> None:
     Path("new").mkdir()
     assert main(["render", scene, "-o", "new/image.exr", "--spp", "8", "--seed", "3", "--sensor", "1"]) == 0
@@ -140,6 +141,7 @@ def test_plan_names_the_parameters(scene: str, capsys) -> None:
     assert TEXTURE in printed and POSITIONS in printed
 
 
+@pytest.mark.smoke
 def test_plan_is_printed(scene: str, capsys) -> None:
     assert main(["plan", scene, "--param", TEXTURE, "--max-depth", "5"]) == 0
     printed = capsys.readouterr().out
@@ -249,6 +251,7 @@ def test_unexpected_errors_say_how_to_see_more(scene: str, monkeypatch: pytest.M
     assert capsys.readouterr().err == "warp-psdr: error: oh (ZeroDivisionError; --debug shows where)\n"
 
 
+@pytest.mark.smoke
 def test_help_lists_every_command() -> None:
     done = subprocess.run(
         [sys.executable, "-m", "warp_psdr.cli", "--help"], cwd=ROOT, capture_output=True, text=True, check=True

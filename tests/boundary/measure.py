@@ -42,6 +42,7 @@ class Case:
         depth: most path vertices.
         spp: of a batch of derivatives; differences take ``difference_spp``.
         slow: left out of the fast subset.
+        smoke: one of the handful that ``-m smoke`` runs.
         hidden: the camera does not see the lights.
     """
 
@@ -54,6 +55,7 @@ class Case:
     spp: int = 256
     difference_spp: int = 1024
     slow: bool = True
+    smoke: bool = False
     hidden: bool = False
 
     def integrator(self, boundary="auto") -> psdr.PathIntegrator:
@@ -68,8 +70,12 @@ class Case:
 
 
 def rows(cases: Iterable[Case]) -> list:
-    """Return the cases as parameters of a test, the slow ones marked."""
-    return [pytest.param(c, id=str(c), marks=[pytest.mark.slow] if c.slow else []) for c in cases]
+    """Return the cases as parameters of a test, with their marks."""
+
+    def marks(case: Case) -> list:
+        return [pytest.mark.slow] * case.slow + [pytest.mark.smoke] * case.smoke
+
+    return [pytest.param(c, id=str(c), marks=marks(c)) for c in cases]
 
 
 def move(params, values: dict) -> None:

@@ -76,7 +76,7 @@ register(
 )
 BOTH = ("first.vertex_positions", "second.vertex_positions")
 CASES = [
-    Case("tiles", "sensor.to_world", pans, 0.02, "seen in passing", slow=False),
+    Case("tiles", "sensor.to_world", pans, 0.02, "seen in passing"),
     Case("tiles", BOTH, moved(1.0, 0.2, 0.0), 0.02, "both slide"),
     Case("wall on a border", "sensor.to_world", pans, 0.02, "seen in passing", 2, 512, 2048),
     Case("wall on a border", BOTH, moved(1.0, 0.2, 0.3), 0.02, "both move", 2, 1024, 4096),
@@ -86,7 +86,7 @@ CASES = [
     Case("flush boxes", BOTH, moved(1.0, 0.2, 0.0), 0.01, "both slide", 2, 1024, 4096),
 ]
 SHADOWS = [
-    Case("shelf", BOTH, moved(0.2, 1.0, 0.1), 0.02, "both move", 2, 512, 2048, slow=False),
+    Case("shelf", BOTH, moved(0.2, 1.0, 0.1), 0.02, "both move", 2, 512, 2048),
     Case("shelf", BOTH, moved(0.2, 1.0, 0.1), 0.02, "both move", 4, 1024, 4096),
     Case("shelf", "light.vertex_positions", moved(0.3, 1.0, 0.0), 0.02, "its light moves", 2, 1024, 2048),
     Case("shelf in the sun", BOTH, moved(0.2, 1.0, 0.1), 0.01, "both move", 2, 512, 2048),
@@ -112,6 +112,7 @@ def test_shadows_agree_with_differences(case, method) -> None:
     assert_agrees(derivatives(case, "reverse", METHODS[method]), differences(case)[2])
 
 
+@pytest.mark.slow
 def test_guiding_follows_what_abuts() -> None:
     scene, params = load("shelf")
     name = "second.vertex_positions"

@@ -56,9 +56,9 @@ CASES = [
     Case("box under the sun", OCCLUDER, ALONG, 0.02, "along y"),
     Case("box under the sun", OCCLUDER, moved(1.0, 0.0, 0.0), 0.02, "along x"),
     Case("turned box under the sun", OCCLUDER, moved(1.0, 0.4, 0.0), 0.02, "slides"),
-    Case("box and sun, turned", OCCLUDER, moved(1.0, 0.4, 0.0), 0.02, "slides", slow=False),
+    Case("box and sun, turned", OCCLUDER, moved(1.0, 0.4, 0.0), 0.02, "slides"),
     Case("box on the floor under the sun", OCCLUDER, moved(1.0, 0.4, 0.0), 0.005, "slides", difference_spp=4096),
-    Case("sheet under the sun", OCCLUDER, ALONG, 0.005, "slides", difference_spp=4096, slow=False),
+    Case("sheet under the sun", OCCLUDER, ALONG, 0.005, "slides", difference_spp=4096),
     Case("box beside a lamp", OCCLUDER, moved(0.0, 0.0, 1.0), 0.01, "rises"),
     Case("box beside a lamp", (OCCLUDER, LIGHT), moved(1.0, 0.0, 0.0), 0.02, "both slide"),
 ]

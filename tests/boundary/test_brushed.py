@@ -40,7 +40,7 @@ def pans(values):
 
 
 CASES = [
-    Case("brushed", NAME, SLIDES, 0.02, "slides", spp=1024, difference_spp=2048, slow=False),
+    Case("brushed", NAME, SLIDES, 0.02, "slides", spp=1024, difference_spp=2048),
     Case("brushed with texture coordinates", NAME, SLIDES, 0.02, "slides", spp=2048, difference_spp=4096),
     Case("brushed with texture coordinates", "sensor.to_world", pans, 0.02, "seen in passing", spp=1024,
          difference_spp=2048),

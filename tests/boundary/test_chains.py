@@ -22,6 +22,7 @@ def test_the_table_can_tell_a_missing_boundary_term(case: Case) -> None:
     assert abs(value - 1.0) > 0.05 + 3.0 * error
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scene", ["unseen in a mirror", "unseen in its mirror"])
 def test_the_camera_looks_through_hidden_lights(scene: str) -> None:
     case = Case(scene, NEAR, moved(0.0, 0.0, 1.0), 0.01, "light rises", spp=128, difference_spp=512, hidden=True)

@@ -52,7 +52,7 @@ def test_a_convex_body_under_a_uniform_sky_is_its_outline() -> None:
     assert np.linalg.norm(error) < 0.05 * np.linalg.norm(exact)
 
 
-@pytest.mark.parametrize("depth", [1, 2])
+@pytest.mark.parametrize("depth", [1, pytest.param(2, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("smooth", [False, pytest.param(True, marks=pytest.mark.slow)], ids=["flat", "interpolated"])
 def test_creases_beside_a_silhouette_do_not_count_it_again(smooth: bool, depth: int) -> None:
     """A small ball of 5,120 triangles in a room a hundred times its size: it shines, so only its outline matters.

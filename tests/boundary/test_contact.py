@@ -179,10 +179,10 @@ UPRIGHT, BEVEL = [(0.0, 0.0), (0.0, 0.6)], 0.003
     [
         pytest.param(UPRIGHT, WIDE, 0.004, True, id="on the floor"),
         pytest.param(UPRIGHT, WIDE, 0.004, False, id="on the floor, lit"),
-        pytest.param(UPRIGHT, 0.0, 0.06, True, id="that ends"),
+        pytest.param(UPRIGHT, 0.0, 0.06, True, id="that ends", marks=pytest.mark.slow),
         pytest.param([(0.0, 0.005), (0.0, 0.6)], WIDE, 0.02, True, id="above a gap"),
-        pytest.param([(0.0, 0.005), (0.0, 0.6)], WIDE, 0.02, False, id="above a gap, lit"),
-        pytest.param([(0.0, 0.0), (0.0, 0.02)], WIDE, 0.02, True, id="of little height"),
+        pytest.param([(0.0, 0.005), (0.0, 0.6)], WIDE, 0.02, False, id="above a gap, lit", marks=pytest.mark.slow),
+        pytest.param([(0.0, 0.0), (0.0, 0.02)], WIDE, 0.02, True, id="of little height", marks=pytest.mark.slow),
         pytest.param([(-BEVEL, 0.0), (0.0, BEVEL), (0.0, 0.6)], WIDE, 0.02, True, id="with a bevelled edge"),
     ],
 )
@@ -198,6 +198,7 @@ def test_light_next_to_a_wall_that_moves(profile, end, ratio, glows, mode) -> No
     assert_received(sums, received(0.0) - received(VIEW), 0.002)
 
 
+@pytest.mark.slow
 def test_light_next_to_a_round_wall_that_moves() -> None:
     """A quarter of a cylinder: what the floor receives falls with the root of the distance, of which some is lost."""
     radius = 0.6

@@ -72,6 +72,7 @@ def test_both_methods_estimate_the_same(case: Case) -> None:
     assert abs(value - 1.0) < 3.5 * error
 
 
+@pytest.mark.slow
 def test_the_modes_are_transposes_of_each_other() -> None:
     scene, params = load("soft")
     names = [OCCLUDER, FLOOR, PANEL, "sensor.to_world", "sensor.x_fov"]

@@ -84,7 +84,7 @@ def gradient(request: terms.Request, parameter: str, term: terms.Term) -> np.nda
     ("name", "parameter", "depth"),
     [
         ("ridge, panel", SHAPE, 2),
-        ("notch, panel", SHAPE, 3),
+        pytest.param("notch, panel", SHAPE, 3, marks=pytest.mark.slow),
         pytest.param("shiny notch, panel", SHAPE, 3, marks=pytest.mark.slow),
         pytest.param("ball, spot", SHAPE, 3, marks=pytest.mark.slow),
         pytest.param("ball, sky", "sensor.to_world", 3, marks=pytest.mark.slow),
@@ -109,6 +109,7 @@ def test_one_path_equals_two(name, parameter, depth) -> None:
     assert np.abs(two.mean(axis=0) / error).max() > 2.0 * Z
 
 
+@pytest.mark.slow
 def test_the_noise_falls_with_the_angle_between_the_faces() -> None:
     # Creases of 0.1 radians: path by path they differ by light that meets one and not the other.
     spread = {False: 0.0, True: 0.0}

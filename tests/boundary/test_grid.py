@@ -111,7 +111,9 @@ def test_cells_are_those_of_a_regular_grid(shape) -> None:
 
 
 @pytest.mark.parametrize(("name", "parameter", "depth", "technique", "factor"), [
-    ("soft", OCCLUDER, 2, "light", 3.0), ("floating", BOX, 3, "wedge", 1.5), ("point", OCCLUDER, 2, "light", 3.0),
+    ("soft", OCCLUDER, 2, "light", 3.0),
+    pytest.param("floating", BOX, 3, "wedge", 1.5, marks=pytest.mark.slow),
+    pytest.param("point", OCCLUDER, 2, "light", 3.0, marks=pytest.mark.slow),
 ])  # fmt: skip
 def test_guided_samples_find_silhouettes(name, parameter, depth, technique, factor) -> None:
     scene, _params = load(name)

@@ -41,7 +41,7 @@ def hidden(rfilter="tent", lamp=0.01):
 register({"unseen": hidden, "unseen box": lambda: hidden("box"), "unseen bright": lambda: hidden(lamp=1.0)})
 
 CASES = [
-    Case("unseen", OCCLUDER, ALONG, 0.02, "occluder moves", spp=512, difference_spp=6144, hidden=True, slow=False),
+    Case("unseen", OCCLUDER, ALONG, 0.02, "occluder moves", spp=512, difference_spp=6144, hidden=True),
     Case("unseen box", SHEET, moved(0.6, 0.3, 0.2), 0.03, "sheet moves", spp=512, difference_spp=65536, hidden=True),
     # The floor is dark inside of the lamp.
     Case("unseen", LAMP, moved(0.5, -0.5, 0.3), 0.01, "lamp moves", spp=2048, difference_spp=49152, hidden=True),

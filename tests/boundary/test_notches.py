@@ -170,6 +170,7 @@ def test_glass_shows_what_runs_through_it() -> None:
     assert abs(value - 1.0) < 3.0 * error
 
 
+@pytest.mark.slow
 def test_glass_elsewhere_changes_nothing() -> None:
     """Behind glass notches need more room, but not at every crease of a scene that has glass."""
 

@@ -92,7 +92,13 @@ def test_rays_that_the_occluder_stops_are_projected(subdivisions, kind) -> None:
 
 @pytest.mark.parametrize(
     ("name", "technique"),
-    [("soft", "wedge"), ("soft", "light"), ("point", "light"), ("sun", "light"), ("envmap", "light")],
+    [
+        ("soft", "wedge"),
+        ("soft", "light"),
+        ("point", "light"),
+        pytest.param("sun", "light", marks=pytest.mark.slow),
+        pytest.param("envmap", "light", marks=pytest.mark.slow),
+    ],
 )
 def test_seeds_carry_light(name, technique) -> None:
     """At points of the cube near which light is blocked the integrand is hardly ever zero, at random ones often."""
@@ -122,7 +128,10 @@ def drawn(scene, r, built, technique, count):
 @pytest.mark.parametrize("tree", [SMALL, TREE], ids=["octree", "kd-tree"])
 @pytest.mark.parametrize(
     ("name", "parameter", "depth", "technique", "factor"),
-    [("soft", OCCLUDER, 2, "light", 3.0), ("floating", BOX, 3, "wedge", 2.0)],
+    [
+        ("soft", OCCLUDER, 2, "light", 3.0),
+        pytest.param("floating", BOX, 3, "wedge", 2.0, marks=pytest.mark.slow),
+    ],
 )
 def test_guided_samples_find_silhouettes(name, parameter, depth, technique, factor, tree) -> None:
     scene, _params = load(name)

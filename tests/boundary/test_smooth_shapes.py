@@ -56,7 +56,7 @@ def slides(pose):
 
 MOVES = moved(1.0, 0.3, 0.4)
 CASES = [
-    Case("gray ball", VERTICES, MOVES, 0.004, "moves", 2, 1024, 4096, slow=False),
+    Case("gray ball", VERTICES, MOVES, 0.004, "moves", 2, 1024, 4096),
     Case("gray ball", "sensor.to_world", slides, 0.004, "camera moves", 2, 1024, 4096),
     Case("gray sphere", POSE, slides, 0.004, "moves", 2, 2048, 8192),
     Case("gray sphere", POSE, slides, 0.004, "moves", 4, 2048, 8192),

@@ -19,7 +19,7 @@ BOUND = 1.0e-4
 FACTORS = (0.5, 2.0)
 #: (rows of a file, the row's name, whether it is slow)
 ROWS = (
-    (test_table, "smooth, scales, depth 2", False),
+    (test_table, "smooth, scales, depth 2", True),
     (test_notches, "wedge, slides, depth 2", False),
     (test_table, "soft, all move, depth 2", True),
     (test_table, "room, a box on the floor moves, depth 2", True),

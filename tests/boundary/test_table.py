@@ -58,7 +58,7 @@ PANEL, BOX = "light.vertex_positions", "box.vertex_positions"
 RECEIVER = "receiver moves along its normal"
 CASES = [
     # Shapes under constant light: the primary boundary.
-    Case("silhouette tent", SHAPE, ALONG, 0.01, "moves", slow=False),
+    Case("silhouette tent", SHAPE, ALONG, 0.01, "moves", slow=False, smoke=True),
     Case("silhouette tent", SHAPE, scaled, 0.01, "scales"),
     Case("silhouette box", SHAPE, ALONG, 0.01, "moves", difference_spp=2048),
     Case("silhouette gaussian", SHAPE, ALONG, 0.01, "moves"),

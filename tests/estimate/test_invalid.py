@@ -112,8 +112,15 @@ def test_the_count_does_not_depend_on_the_workers() -> None:
     assert counts[0] == counts[1] > 0
 
 
-@pytest.mark.parametrize("interior", [psdr.interior.Replay(), psdr.interior.Textbook()], ids=["replay", "textbook"])
-@pytest.mark.parametrize("mode", ["reverse", "forward"])
+@pytest.mark.parametrize(
+    ("mode", "interior"),
+    [
+        pytest.param("reverse", psdr.interior.Replay(), id="reverse-replay"),
+        pytest.param("reverse", psdr.interior.Textbook(), id="reverse-textbook", marks=pytest.mark.slow),
+        pytest.param("forward", psdr.interior.Replay(), id="forward-replay", marks=pytest.mark.slow),
+        pytest.param("forward", psdr.interior.Textbook(), id="forward-textbook"),
+    ],
+)
 def test_the_interior_term(mode: str, interior, monkeypatch) -> None:
     scene = broken()
     params = psdr.traverse(scene)
@@ -130,7 +137,8 @@ def test_the_interior_term(mode: str, interior, monkeypatch) -> None:
     assert psdr.invalid_samples(scene)["interior"] == hits().sum()
 
 
-@pytest.mark.parametrize("mode", ["reverse", pytest.param("forward", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("mode", ["reverse", "forward"])
 def test_the_boundary_term_and_its_guiding(mode: str) -> None:
     scene = broken(lookup="bilinear")
     params = psdr.traverse(scene)

@@ -128,7 +128,7 @@ def gradient_alone(name, parameter):
 
 
 @pytest.mark.parametrize("parameter", ["vertex_positions", "reflectance.data"])
-@pytest.mark.parametrize("name", [n for n in ROOMS if n not in SLOW])
+@pytest.mark.parametrize("name", ["rough", pytest.param("glass and mirror", marks=pytest.mark.slow)])
 def test_what_is_not_traced_for_one_shape_does_not_matter(name, parameter):
     """A gradient that one shape alone needs leaves out light that the shape cannot turn: it equals the whole one's."""
     scene, params, _w, _grads = gradients(name)

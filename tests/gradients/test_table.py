@@ -11,13 +11,16 @@ from .scenes import SIZE, load
 
 #: Forward mode of the fast subset: ``test_adjoint_identity.py``.
 FAST_METHODS = ("reverse",)
+#: Its rows are among the handful of ``-m smoke``.
+SMOKE_SCENE = "dome"
 
 
 def rows():
     for case in CASES:
         for method in METHODS:
             fast = method in FAST_METHODS and not case.slow
-            yield pytest.param(case, method, id=f"{case}-{method}", marks=() if fast else pytest.mark.slow)
+            marks = [pytest.mark.smoke] * (case.scene == SMOKE_SCENE) if fast else [pytest.mark.slow]
+            yield pytest.param(case, method, id=f"{case}-{method}", marks=marks)
 
 
 def requested(case):

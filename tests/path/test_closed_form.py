@@ -18,6 +18,8 @@ BATCHES, SPP = 8, 4
 DETERMINISTIC = 5e-3
 #: Scenes whose expected values live in a test of their own.
 ELSEWHERE = {"furnace_inside"}
+#: Among the handful of ``-m smoke``.
+SMOKE = {"area_over_plane"}
 
 
 def test_every_scene_has_its_value():
@@ -28,7 +30,7 @@ def expected_image(case, shape):
     return np.array(case["pixels"]) if "pixels" in case else np.broadcast_to(case["radiance"], shape)
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.smoke] * (n in SMOKE)) for n in CASES])
 def test_radiance(name):
     stem, case = CASES[name]
     scene = psdr.load_file(CLOSED_FORM / f"{stem}.xml")

@@ -136,6 +136,7 @@ def test_one_albedo_compiles_no_geometry(diffuse, tmp_path):
     assert len(small) < 0.85 * len(large)  # the paths are the same in both
 
 
+@pytest.mark.smoke
 def test_the_plan_says_what_and_why(diffuse):
     scene, params = diffuse
     params.requires_grad_only("floor.bsdf.reflectance.value")

@@ -45,6 +45,7 @@ def test_of_many_notes_the_first_are_warned_of(monkeypatch: pytest.MonkeyPatch) 
     assert len(found) == 3 and "4 more remarks" in str(found[-1].message)
 
 
+@pytest.mark.smoke
 def test_a_sound_scene_warns_of_nothing() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")

@@ -133,6 +133,7 @@ def test_what_crosses_at_smaller_angles_touches_and_warns() -> None:
         assert abs(seen(1e-4)).max() < 0.01
 
 
+@pytest.mark.slow
 def test_taken_for_a_contact_the_curve_is_lost(monkeypatch) -> None:
     class Anything:
         shapes = np.array([[1, 2]])

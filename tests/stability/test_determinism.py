@@ -45,6 +45,7 @@ def equal_for_any_number_of_workers(method: str, numbers: tuple[int, ...]) -> li
     return expected
 
 
+@pytest.mark.slow
 def test_equal_bits_for_any_number_of_workers() -> None:
     equal_for_any_number_of_workers("kdtree", (1, 3))
 
@@ -79,6 +80,7 @@ def independent_of_history(method: str) -> None:
     assert [digest(*bench.gradients(0)), digest(bench.derivative(0))] == fresh
 
 
+@pytest.mark.slow
 def test_kept_structures_are_history_and_can_be_forgotten() -> None:
     independent_of_history("kdtree")
 

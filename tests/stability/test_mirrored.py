@@ -86,7 +86,8 @@ def test_mirrored(case, check) -> None:
     check(case)
 
 
-@pytest.mark.parametrize("gap", [0.0, pytest.param(3e-5, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("gap", [0.0, 3e-5])
 def test_faces_over_one_another_in_a_mirror(gap: float) -> None:
     """A plate that moves, and within its outline a brighter one that rests.
 

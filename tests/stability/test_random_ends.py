@@ -28,6 +28,7 @@ def check(scenes: tuple[str, ...], methods: tuple[str, ...]) -> None:
     assert not any(found.values()), found
 
 
+@pytest.mark.slow
 def test_few() -> None:
     check(*FAST)
 
