@@ -2,6 +2,7 @@
 
 import argparse
 import ast
+import importlib
 import json
 import re
 import shlex
@@ -13,6 +14,7 @@ import numpy as np
 import pytest
 
 from warp_psdr import cli
+from warp_psdr.scene.plugins import PLUGINS
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
@@ -118,6 +120,14 @@ def test_first_program_runs(monkeypatch: pytest.MonkeyPatch, capsys: pytest.Capt
     assert np.abs(names["gradient"]).min() > 0.0
     assert np.abs(names["derivative"].numpy()).max() > 0.0
     assert "differentiated" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("category", [c for c in PLUGINS if c != "scene"])
+def test_every_plugin_is_listed(category: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    # The site loads a scene with each; one that needs a parameter has it in ``docs/_ext/plugin_parameters.py``.
+    monkeypatch.syspath_prepend(str(DOCS / "_ext"))
+    plugins = importlib.import_module("plugin_parameters").plugins(category)
+    assert [plugin.name for plugin in plugins] == list(PLUGINS[category])
 
 
 @pytest.mark.slow

@@ -26,6 +26,7 @@ NEEDED: dict[str, dict] = {
     "mesh_attribute": {"name": "vertex_color"},
     "envmap": {"filename": "FILE.png"},
     "thinlens": {"aperture_radius": 0.1},
+    "aov": {"aovs": "d:depth"},
     "mesh": {"vertices": np.eye(3), "faces": [[0, 1, 2]]},
     **{kind: {"filename": f"FILE.{kind}"} for kind in ("obj", "ply", "gltf", "glb", "stl", "off")},
 }
@@ -139,5 +140,10 @@ def _file(value, folder: Path):
     else:
         import trimesh
 
-        trimesh.creation.box().export(file)
+        made = trimesh.creation.box().export(file_type=file.suffix[1:])
+        # A glTF file has its buffers beside it.
+        parts = made if isinstance(made, dict) else {file.name: made}
+        for name, content in parts.items():
+            (folder / name).write_bytes(content.encode() if isinstance(content, str) else content)
+        file = folder / next(name for name in parts if name.endswith(file.suffix))
     return str(file)
