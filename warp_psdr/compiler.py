@@ -11,7 +11,7 @@ import os
 import sys
 import threading
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -69,14 +69,15 @@ def begin(kernels: Iterable[wp.Kernel], device: wp.Device) -> int:
     return started
 
 
-def ensure(kernels: Iterable[wp.Kernel], device: wp.Device | str | None) -> None:
+def ensure(kernels: Collection[wp.Kernel], device: wp.Device | str | None) -> None:
     """Load kernels, and wait for those that are being compiled.
 
     Raises:
         Exception: a kernel cannot be compiled; as Warp raises it.
     """
-    device = wp.get_device(device)
-    missing = [module for module in dict.fromkeys(k.module for k in kernels) if (module, device.alias) not in _loaded]
+    if not isinstance(device, wp.Device):
+        device = wp.get_device(device)
+    missing = [module for module in {k.module: None for k in kernels} if (module, device.alias) not in _loaded]
     if not missing:
         return
     begin((kernel for kernel in kernels if kernel.module in missing), device)
