@@ -57,6 +57,7 @@ def contrast(path: Path) -> float:
     return float(image_io.read_image(path, raw=True).std())
 
 
+@pytest.mark.slow
 def test_shape_gets_closer(example, tmp_path: Path) -> None:
     module = example("recover_shape")
     module.PHOTO_SPP, module.shape_pictures.PICTURE, module.shape_pictures.FRAME = 32, 16, 16

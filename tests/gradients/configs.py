@@ -220,7 +220,7 @@ ROUGH = [
     Case("rough", "sensor.to_world", shift(0.0, 1.0, 0.0), 4e-2, "shift", depth=2, spp=8192, slow=True),
     Case("beckmann", "floor.bsdf.alpha.value", ones, 1e-2, spp=512, slow=True),
     Case("brushed", "floor.bsdf.alpha_u.value", ones, 2e-2, depth=2, spp=512),
-    Case("brushed", "floor.bsdf.alpha_v.value", ones, 2e-2, depth=2, spp=1536),
+    Case("brushed", "floor.bsdf.alpha_v.value", ones, 2e-2, depth=2, spp=1536, slow=True),
     Case("brushed", "floor.bsdf.eta.value", mixed, 2e-2, depth=2),
     Case("brushed", "floor.bsdf.k.value", mixed, 2e-2, depth=2),
     Case("brushed", "floor.bsdf.specular_reflectance.value", mixed, 2e-2, depth=2),

@@ -138,6 +138,7 @@ def test_what_is_not_traced_for_one_shape_does_not_matter(name, parameter):
     assert gradient_alone(name, one).any()
 
 
+@pytest.mark.slow
 def test_texture_coordinates_of_a_light_alone():
     assert gradient_alone("rough", "light.vertex_texcoords").any()
 

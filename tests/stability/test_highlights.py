@@ -163,13 +163,13 @@ def over(alphas, angles, one: Callable[[float, float], float]) -> float:
 
 CASES = (
     Case(
-        family="highlights", name="a point light at alpha 1e-5, up to 88 degrees", bound=1e-2,
+        family="highlights", name="a point light at alpha 1e-5, up to 88 degrees", bound=1e-2, slow=True,
         measure=lambda: over((1e-5,), (0.0, 40.0, 80.0, 88.0), point_light),
         hard="a lobe as wide as 170 roundings of a direction, and 6 at 88 degrees",
         naive="slopes of wi + wo alone: 1.9e-2; a clamp at 1e-4: all of it",
     ),
     Case(
-        family="highlights", name="a point light at alpha 1e-4 .. 1e-2, up to 88 degrees", bound=4e-3,
+        family="highlights", name="a point light at alpha 1e-4 .. 1e-2, up to 88 degrees", bound=4e-3, slow=True,
         measure=lambda: over((1e-4, 1e-3, 1e-2), (0.0, 40.0, 88.0), point_light),
         hard="as before", naive="the same",
     ),

@@ -175,6 +175,7 @@ def test_one_step_for_all_loses_the_small(monkeypatch) -> None:
     assert floating((6,)) > 0.9 and light(on_a_floor(1e5), standing(1e3, 3), SLIDE) > 0.05
 
 
+@pytest.mark.slow
 def test_warps_own_queries_keep_the_small_too() -> None:
     acceleration.set_ray_backend("warp")
     try:

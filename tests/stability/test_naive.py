@@ -7,6 +7,7 @@ taken away.
 import math
 
 import numpy as np
+import pytest
 import warp as wp
 
 from . import test_boundary as boundary
@@ -64,6 +65,7 @@ def test_light_a_float32_sum_of_many_lights_drifts() -> None:
     assert abs(float(np.cumsum(shares, dtype=np.float32)[-1]) - 1.0) > 5e-6
 
 
+@pytest.mark.slow
 def test_paths_textbook_replay_has_no_derivative_at_a_reflectance_of_zero() -> None:
     assert paths.relative("conductor", 0.0, 20, 2) < 1e-5
     assert paths.relative("conductor", 0.0, 20, 2, block=0) > 0.5
