@@ -19,10 +19,10 @@ from warp_psdr.kernels.notes import NOTE_VERTEX, note
 from warp_psdr.kernels.rng import Sampler, make_sampler
 from warp_psdr.kernels.scattering import (
     SLOTS_PER_VERTEX,
-    Arrival,
+    EmissionHit,
     NextEvent,
     Onward,
-    make_arrive,
+    make_emission_hit,
     make_light_sampler,
     make_next_event,
     make_scatter,
@@ -37,7 +37,7 @@ from warp_psdr.kernels.visibility import visibility_of
 
 @wp.func
 def vertex_of(
-    state: PathState, hit: RayHit, arrival: Arrival, lit: wp.bool, event: NextEvent, on: wp.bool, onward: Onward
+    state: PathState, hit: RayHit, emission: EmissionHit, lit: wp.bool, event: NextEvent, on: wp.bool, onward: Onward
 ) -> PathVertex:
     """What a path leaves of a vertex. ``lit``: its shadow ray was free; ``on``: a direction was drawn there."""
     vertex = PathVertex()
@@ -48,9 +48,9 @@ def vertex_of(
     vertex.o = state.o
     vertex.d = state.d
     vertex.throughput = state.throughput
-    direct = arrival.direct + where3(lit, event.value, wp.vec3(0.0, 0.0, 0.0))
+    direct = emission.direct + where3(lit, event.value, wp.vec3(0.0, 0.0, 0.0))
     vertex.direct = where3(on and onward.broken == 1, wp.vec3(wp.NAN, wp.NAN, wp.NAN), direct)
-    vertex.e_weight = arrival.weight
+    vertex.e_weight = emission.weight
     vertex.light = wp.where(lit, event.light, -1)
     vertex.light_face = event.face
     vertex.light_u = event.u
@@ -74,7 +74,7 @@ def make_path_step(config: PathConfig, differential: bool, sparse: bool = False,
     """
     visibility = visibility_of(config)
     interaction = make_interaction(config)
-    arrive = make_arrive(config)
+    emission_hit = make_emission_hit(config)
     scatter = make_scatter(config, differential)
     has_smooth = interaction.bsdf.has_smooth
     has_lights = samples_lights(config)
@@ -97,13 +97,13 @@ def make_path_step(config: PathConfig, differential: bool, sparse: bool = False,
                 hit = visibility.closest(scene, state.o, state.d, state.t_max)
         else:
             hit = visibility.seen(scene, state.o, state.d, state.t_max, state.depth)
-        arrival = arrive(scene, state, hit)
+        emission = emission_hit(scene, state, hit)
         event = NextEvent()
         onward = Onward()
         lit = wp.bool(False)
         on = wp.bool(False)
         if wp.static(config.scatter):
-            on = arrival.on == 1 and (max_depth < 0 or state.depth + 1 < max_depth)
+            on = emission.on_surface == 1 and (max_depth < 0 or state.depth + 1 < max_depth)
             if on:
                 at = interaction.at(scene, hit.face, hit.u, hit.v, state.d)
                 # The new direction is drawn before the shadow ray is traced: again the two overlap, and what depends on
@@ -119,7 +119,7 @@ def make_path_step(config: PathConfig, differential: bool, sparse: bool = False,
                         event = next_event(at, ls, light)
                         if event.wanted == 1:
                             lit = not visibility.occluded(scene, event.o, event.d, event.t_max)
-        return vertex_of(state, hit, arrival, lit, event, on, onward), onward.after
+        return vertex_of(state, hit, emission, lit, event, on, onward), onward.after
 
     if not config.noted:
         return path_step

@@ -32,12 +32,12 @@ ROULETTE_MIN = 0.05
 
 
 @wp.struct
-class Arrival:
+class EmissionHit:
     """What a ray brings: E_n."""
 
     direct: wp.vec3
     weight: wp.float32  # its MIS weight
-    on: wp.int32  # 1: there is a surface to go on from
+    on_surface: wp.int32  # 1: there is a surface to go on from
 
 
 @wp.struct
@@ -75,8 +75,8 @@ def samples_lights(config: PathConfig) -> bool:
 
 
 @functools.cache
-def make_arrive(config: PathConfig):
-    """Return ``arrive(scene, state, hit) -> Arrival``."""
+def make_emission_hit(config: PathConfig):
+    """Return ``emission_hit(scene, state, hit) -> EmissionHit``."""
     emitted = make_area(config.area).emitted if config.area else None
     lights = make_lights(config.lights, None, ()) if config.lights else None
     environment_eval = lights.environment_eval if lights else None
@@ -84,25 +84,25 @@ def make_arrive(config: PathConfig):
     environment = environment_eval is not None
 
     @wp.func
-    def arrive(scene: Scene, state: PathState, hit: RayHit) -> Arrival:
-        arrival = Arrival()
+    def emission_hit(scene: Scene, state: PathState, hit: RayHit) -> EmissionHit:
+        emission = EmissionHit()
         if hit.face < 0:
             if not finite(state.o + state.d):
                 # A ray of a camera without a pose, which meets nothing: not black, nor what an environment holds there.
-                arrival.direct = wp.vec3(wp.NAN, wp.NAN, wp.NAN)
-                return arrival
+                emission.direct = wp.vec3(wp.NAN, wp.NAN, wp.NAN)
+                return emission
             if wp.static(environment):
                 if wp.static(not config.hide_emitters) or state.depth > 0:
                     weight = wp.float32(1.0)
                     if state.pdf > 0.0:
                         found, density = environment_eval_pdf(scene, state.d)
                         weight = mis_weight(state.pdf, density * scene.emitters[scene.environment].probability)
-                        arrival.direct = weight * found
+                        emission.direct = weight * found
                     else:
-                        arrival.direct = environment_eval(scene, state.d)
-                    arrival.weight = weight
-            return arrival
-        arrival.on = 1
+                        emission.direct = environment_eval(scene, state.d)
+                    emission.weight = weight
+            return emission
+        emission.on_surface = 1
         if wp.static(bool(config.area)):
             light = shape_at(scene, triangle_at(scene, hit.face).shape).emitter
             if light >= 0:
@@ -111,11 +111,11 @@ def make_arrive(config: PathConfig):
                 if state.pdf > 0.0:
                     pdf_light = pdf_area(scene, emitter, hit.face, state.d, hit.t) * emitter.probability
                     weight = mis_weight(state.pdf, pdf_light)
-                arrival.weight = weight
-                arrival.direct = weight * emitted(scene, emitter, hit.face, hit.u, hit.v, state.d)
-        return arrival
+                emission.weight = weight
+                emission.direct = weight * emitted(scene, emitter, hit.face, hit.u, hit.v, state.d)
+        return emission
 
-    return arrive
+    return emission_hit
 
 
 @functools.cache

@@ -122,7 +122,7 @@ def counting(
         scene: the scene.
         kind: one of ``KINDS``.
         samples: how many are drawn.
-        lanes: launches that may run side by side.
+        shards: launches that may run side by side.
         raster: (width, margin) of the raster whose pixels name the samples; None: they have plain numbers.
 
     Yields:

@@ -161,15 +161,15 @@ def make_following(config: PathConfig):
 
 
 @functools.cache
-def make_arrival(config: PathConfig):
-    """Return ``arrival(scene, sampler, o, d, t_max, depth, max_depth, rr_depth) -> IncidentRadiance``.
+def make_incident_radiance(config: PathConfig):
+    """Return ``incident_radiance(scene, sampler, o, d, t_max, depth, max_depth, rr_depth) -> IncidentRadiance``.
 
     ``depth`` counts the path vertices in front of what the ray meets.
     """
     following = make_following(config)
 
     @wp.func
-    def arrival(
+    def incident_radiance(
         scene: Scene,
         sampler: Sampler,
         o: wp.vec3,
@@ -181,15 +181,15 @@ def make_arrival(config: PathConfig):
     ) -> IncidentRadiance:
         return following(scene, sampler, path_from(o, d, t_max, depth), max_depth, rr_depth, False)
 
-    return arrival
+    return incident_radiance
 
 
 @functools.cache
 def make_incident(config: PathConfig):
     """Return ``incident(scene, sampler, o, d, t_max, depth, max_depth, rr_depth) -> Incident``, from ``depth`` on.
 
-    The path is that of ``make_arrival``. With at most N = max_depth vertices, vertex j of it contributes its emission
-    E_j behind i vertices if i + j < N, and D_j, what it scatters of light that next-event estimation finds, if
+    The path is that of ``make_incident_radiance``. With at most N = max_depth vertices, vertex j of it contributes its
+    emission E_j behind i vertices if i + j < N, and D_j, what it scatters of light that next-event estimation finds, if
     i + j + 1 < N.
     """
     path_step = make_path_step(config, False)

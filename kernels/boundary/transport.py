@@ -117,7 +117,7 @@ def make_source(config: PathConfig, emission: bool = False):
 
 @functools.cache
 def make_first_sink(role: str):
-    """Return ``push_first(scene, target, segment, w, by_ray, o, d)``: scatter the adjoint (tau - 1) w sweep of x_1.
+    """Return ``push_first(scene, target, segment, w, by_ray, o, d)`` for the adjoint of x_1.
 
     ``by_ray``: x_1 is where the ray (o, d) meets its triangle, whose adjoint is returned, as (o, d, dot).
     """

@@ -57,7 +57,7 @@ def make_material_sink(config: PathConfig, wanted: Wanted, role: str):
 
 @functools.cache
 def make_light_sink(config: PathConfig, wanted: Wanted, role: str, links: bool = True):
-    """Return ``push_light(scene, target, vertex, x, f, w_f, a_wo, w) -> (adjoint of x, float)`` for the NEE factor.
+    """Return ``push_light(scene, target, vertex, x, f, w_f, a_wo, w) -> (adjoint of x, float)``.
 
     ``radiance_of(scene, vertex, x)`` beside it gives the attached radiance of the sampled light. ``links=False``: the
     connection with a point of an area light is the caller's to pull.

@@ -124,8 +124,8 @@ def make_lane_paths(
 
     seats, states, hits, cameras, sums = stack_rows(width, NUMBERS, Seat, PathState, RayHit, CameraSample, Sum)
     on_places = make_place_lanes(config, width, sums.end, states, hits)
-    choices, places, arrivals = on_places.choices, on_places.places, on_places.arrivals
-    onwards, looks = stack_rows(width, arrivals.end, Onward, Look)
+    choices, places, emissions = on_places.choices, on_places.places, on_places.emissions
+    onwards, looks = stack_rows(width, emissions.end, Onward, Look)
     end, lights = looks.end, None
     if has_lights:
         lights = make_light_lanes(config, differential, width, end, places)
@@ -250,7 +250,7 @@ def make_lane_paths(
         while j < width:
             state = states.get(rows, j)
             hit = hits.get(rows, j)
-            arrival = arrivals.get(rows, j)
+            emission = emissions.get(rows, j)
             choice = choices.get(rows, j)
             onward = onwards.get(rows, j)
             on = scattering and choice.on == 1
@@ -260,7 +260,7 @@ def make_lane_paths(
                 event = events.get(rows, j)
                 shadow = looks.get(rows, j)
                 lit = on and shadow.wanted == 1 and shadow.blocked == 0
-            vertex = vertex_of(state, hit, arrival, lit, event, on, onward)
+            vertex = vertex_of(state, hit, emission, lit, event, on, onward)
             store.put(rows, j, depth, vertex)
             j += 1
         if wp.static(whole):
@@ -272,12 +272,12 @@ def make_lane_paths(
         j = wp.int32(0)
         while j < width:
             state = states.get(rows, j)
-            arrival = arrivals.get(rows, j)
+            emission = emissions.get(rows, j)
             choice = choices.get(rows, j)
             onward = onwards.get(rows, j)
             total = sums.get(rows, j)
             on = scattering and choice.on == 1
-            direct = arrival.direct
+            direct = emission.direct
             if wp.static(has_lights):
                 event = events.get(rows, j)
                 shadow = looks.get(rows, j)

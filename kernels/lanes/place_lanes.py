@@ -14,7 +14,7 @@ from warp_psdr.kernels.interaction import make_interaction
 from warp_psdr.kernels.invalid import finite
 from warp_psdr.kernels.lanes.lanes import ROWS, Rows, make_fetch, stack_rows, word_of
 from warp_psdr.kernels.reading import shape_at
-from warp_psdr.kernels.scattering import Arrival, make_arrive
+from warp_psdr.kernels.scattering import EmissionHit, make_emission_hit
 from warp_psdr.kernels.structs import Scene, Triangle
 from warp_psdr.kernels.surface import Surface
 from warp_psdr.kernels.vertex import PathConfig
@@ -55,7 +55,7 @@ class PlaceLanes(NamedTuple):
         surfaces: ``Surface``, at the same points.
         tints: ``Tint``.
         places: interactions, the struct of ``make_interaction``.
-        arrivals: ``Arrival``.
+        arrivals: ``EmissionHit``.
     """
 
     meet: wp.Function
@@ -66,7 +66,7 @@ class PlaceLanes(NamedTuple):
     surfaces: Rows
     tints: Rows
     places: Rows
-    arrivals: Rows
+    emissions: Rows
 
 
 def make_place_lanes(config: PathConfig, width: int, first: int, states: Rows, hits: Rows) -> PlaceLanes:
@@ -75,17 +75,17 @@ def make_place_lanes(config: PathConfig, width: int, first: int, states: Rows, h
     Args:
         config: as for ``make_path_step``.
         width: number of lanes.
-        first: the first row that they may take; the last one is the last of ``arrivals``.
+        first: the first row that they may take; the last one is the last of ``emissions``.
         states: the paths' ``PathState``.
         hits: what their rays have met, ``RayHit``.
     """
-    arrive = make_arrive(config)
+    emission_hit = make_emission_hit(config)
     interaction = make_interaction(config)
     surface_of, looked_up, look_up, put_together = interaction.parts
     fetch_triangle = make_fetch(Triangle, width)
     environment = any(kind in ENVIRONMENTS for kind in config.lights)
     choices, triangles, surfaces = stack_rows(width, first, Choice, Triangle, Surface)
-    tints, places, arrivals = stack_rows(width, surfaces.end, Tint, interaction.record, Arrival)
+    tints, places, emissions = stack_rows(width, surfaces.end, Tint, interaction.record, EmissionHit)
     triangle_row, face_row = triangles.first, choices.first + word_of(Choice, "face")
 
     @wp.func
@@ -100,10 +100,10 @@ def make_place_lanes(config: PathConfig, width: int, first: int, states: Rows, h
             choice.face = wp.where(choice.on == 1, face, 0)
             astray = state.alive == 1 and face < 0
             if wp.static(not environment):
-                astray = astray and not finite(state.o + state.d)  # which ``arrive`` tells
+                astray = astray and not finite(state.o + state.d)  # which ``emission_hit`` tells
             choice.brings = wp.where(astray, 1, 0)
             choices.put(rows, j, choice)
-            arrivals.put(rows, j, Arrival())
+            emissions.put(rows, j, EmissionHit())
             standing = wp.max(standing, choice.on * (j + 1))
             j += 1
         if standing > 0:
@@ -120,7 +120,7 @@ def make_place_lanes(config: PathConfig, width: int, first: int, states: Rows, h
                 shape = wp.where(choice.on == 1, triangles.get(rows, j).shape, 0)
                 brings = brings or (choice.on == 1 and shape_at(scene, shape).emitter >= 0)
             if brings:
-                arrivals.put(rows, j, arrive(scene, states.get(rows, j), hits.get(rows, j)))
+                emissions.put(rows, j, emission_hit(scene, states.get(rows, j), hits.get(rows, j)))
             j += 1
 
     @wp.func
@@ -157,4 +157,4 @@ def make_place_lanes(config: PathConfig, width: int, first: int, states: Rows, h
             places.put(rows, j, put_together(scene, triangles.get(rows, j), surface, found, states.get(rows, j).d))
             j += 1
 
-    return PlaceLanes(meet, collect, stand, choices, triangles, surfaces, tints, places, arrivals)
+    return PlaceLanes(meet, collect, stand, choices, triangles, surfaces, tints, places, emissions)

@@ -238,7 +238,7 @@ def make_camera_ray(kind: int):
 
 @functools.cache
 def make_camera_sink(role: str, kind: int):
-    """Return ``push_camera(scene, target, camera, sample, a_o, a_d) -> float``: scatter the adjoint of a camera ray."""
+    """Return ``push_camera(scene, target, camera, sample, a_o, a_d) -> float`` for a camera ray."""
     sink = make_sink(role)
 
     @wp.func

@@ -147,7 +147,7 @@ def _sides(scene: Scene, edges: Adjacency) -> np.ndarray:
 
 
 def facet_edges(scene: Scene, found: FilmEdges) -> Edges | None:
-    """Return the creases between flat faces (``boundary/path_space/facets.py``), drawn by their weight; None: none."""
+    """Return the creases between flat faces (``boundary/path_space/facets.py``), drawn by weight; None: none."""
     seen = found.facets
     return upload(scene, found.edges, seen.keep, found.weight, seen.low, seen.high) if len(seen.keep) else None
 

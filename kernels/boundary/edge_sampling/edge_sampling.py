@@ -14,7 +14,7 @@ import warp as wp
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.boundary.coincident import edge_share
 from warp_psdr.kernels.boundary.depth import DIRECT
-from warp_psdr.kernels.boundary.detector import make_arrival
+from warp_psdr.kernels.boundary.detector import make_incident_radiance
 from warp_psdr.kernels.boundary.edge_sampling.edge_tree import EdgeTrees, make_choose, whole_edge
 from warp_psdr.kernels.boundary.edge_sampling.ltc_line import (
     Lobes,
@@ -195,7 +195,7 @@ def make_edge_sampling_kernel(
     _camera_ray, camera_origin = make_camera_ray(config.camera)
     path_step = make_path_step(walk, False)
     edge_sample = make_edge_sample(config, tree, candidates)
-    arrival = make_arrival(config)
+    incident_radiance = make_incident_radiance(config)
     push_segment = make_segment_sink(role, False)
     push_first = make_first_sink(role)
     push_camera = make_camera_sink(role, config.camera) if camera_moves else None
@@ -245,10 +245,14 @@ def make_edge_sampling_kernel(
                     at = drawn.point
                     note_place(scene, NOTE_EDGE, at.edge, at.s, 0.0, at.x, s.w, drawn.value)
                     branch.seed = words.y
-                    source = arrival(scene, branch, s.source, s.w, FAR, k, job.max_depth, job.rr_depth).radiance
+                    source = incident_radiance(
+                        scene, branch, s.source, s.w, FAR, k, job.max_depth, job.rr_depth
+                    ).radiance
                     if wp.static(indirect):
                         if k == 1:
-                            source -= arrival(scene, branch, s.source, s.w, FAR, k, DIRECT, job.rr_depth).radiance
+                            source -= incident_radiance(
+                                scene, branch, s.source, s.w, FAR, k, DIRECT, job.rr_depth
+                            ).radiance
                     value = scale * wp.cw_mul(wp.cw_mul(vertex.throughput, drawn.value), source)
                     if not vanishes(value):
                         w = wp.float32(1.0)

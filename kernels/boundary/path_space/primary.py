@@ -11,7 +11,7 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.boundary.coincident import make_lit_along, make_shadow_along
-from warp_psdr.kernels.boundary.detector import IncidentRadiance, make_arrival
+from warp_psdr.kernels.boundary.detector import IncidentRadiance, make_incident_radiance
 from warp_psdr.kernels.boundary.film_edge import AHEAD, BESIDE, MARGIN, make_film_edge
 from warp_psdr.kernels.boundary.local_form import (
     EdgePoint,
@@ -54,7 +54,7 @@ ROUNDING, ALONG = 2.0e-7, 10.0
 def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
     """Return the kernel of the primary boundary term: one thread a sample (arguments as in ``secondary.py``)."""
     surface_at = make_interaction(config).surface
-    arrival = make_arrival(config)
+    incident_radiance = make_incident_radiance(config)
     find, push = make_film_edge(config, role, camera_moves)
     has_delta_lights = bool(DELTA_LIGHTS & set(config.lights))
     lit_along = make_lit_along(config) if has_delta_lights else None
@@ -210,7 +210,7 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
         looks = wp.int32(2)
         while k < looks:
             o = point.x + wp.where(k % 2 == 0, to_a, to_b) - ahead * d
-            seen = arrival(scene, sampler, o, d, t_max, 0, job.max_depth, job.rr_depth)
+            seen = incident_radiance(scene, sampler, o, d, t_max, 0, job.max_depth, job.rr_depth)
             if k < 2:
                 # A face that is seen nearly edge-on is met far away.
                 its = own_face(scene, edges, point.edge, seen.face)

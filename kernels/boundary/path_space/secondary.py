@@ -165,7 +165,7 @@ def make_segment(config: PathConfig):
 
 @functools.cache
 def make_segment_sink(role: str, light_pose: bool):
-    """Return ``push_segment(scene, target, edges, point, segment, w) -> float`` for the edge and x_2, weighted by w."""
+    """Return ``push_segment(scene, target, edges, point, segment, w) -> float`` for the edge and x_2."""
     push_edge = make_edge_sink(role)
     push_vertex = make_vertex_sink(role, False, False, False, False, False, True)
     sink = make_sink(role)

@@ -11,7 +11,7 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
-from warp_psdr.kernels.boundary.detector import make_arrival
+from warp_psdr.kernels.boundary.detector import make_incident_radiance
 from warp_psdr.kernels.boundary.film_edge import AHEAD, BESIDE
 from warp_psdr.kernels.boundary.local_form import on_plane
 from warp_psdr.kernels.constants import CAMERA_ORTHOGRAPHIC, CAMERA_THINLENS
@@ -54,7 +54,7 @@ def barycentrics(axis: wp.int32, w: wp.float32, r: wp.float32) -> wp.vec3:
 def make_terminator_kernel(config: PathConfig, role: str, camera_moves: bool):
     """Return the kernel: one thread a sample (arguments as in ``secondary.py``)."""
     visibility = visibility_of(config)
-    arrival = make_arrival(config)
+    incident_radiance = make_incident_radiance(config)
     push_vertex = make_vertex_sink(role, True, config.flat, False, False, False, True)
     push_camera = make_camera_sink(role, config.camera) if camera_moves else None
     splat, gather = make_splat()
@@ -164,7 +164,7 @@ def make_terminator_kernel(config: PathConfig, role: str, camera_moves: bool):
                             sign = 1.0 - 2.0 * wp.float32(side)
                             near_x = x + sign * step + ahead * view
                             far = at.far - distance
-                            seen = arrival(scene, branch, near_x, -view, far, 0, job.max_depth, job.rr_depth)
+                            seen = incident_radiance(scene, branch, near_x, -view, far, 0, job.max_depth, job.rr_depth)
                             jump += sign * seen.radiance
                             own = own and seen.face >= 0 and on_plane(tri.normal, seen.x - x, local)
                         if not own:
