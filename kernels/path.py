@@ -21,7 +21,7 @@ from warp_psdr.kernels.scattering import (
     SLOTS_PER_VERTEX,
     EmissionHit,
     NextEvent,
-    Onward,
+    ScatterSample,
     make_emission_hit,
     make_light_sampler,
     make_next_event,
@@ -37,9 +37,18 @@ from warp_psdr.kernels.visibility import visibility_of
 
 @wp.func
 def vertex_of(
-    state: PathState, hit: RayHit, emission: EmissionHit, lit: wp.bool, event: NextEvent, on: wp.bool, onward: Onward
+    state: PathState,
+    hit: RayHit,
+    emission: EmissionHit,
+    unoccluded: wp.bool,
+    event: NextEvent,
+    scatters: wp.bool,
+    scatter_sample: ScatterSample,
 ) -> PathVertex:
-    """What a path leaves of a vertex. ``lit``: its shadow ray was free; ``on``: a direction was drawn there."""
+    """What a path leaves of a vertex.
+
+    ``unoccluded``: its shadow ray was free; ``scatters``: a direction was drawn there.
+    """
     vertex = PathVertex()
     vertex.face = hit.face
     vertex.u = hit.u
@@ -48,19 +57,19 @@ def vertex_of(
     vertex.o = state.o
     vertex.d = state.d
     vertex.throughput = state.throughput
-    direct = emission.direct + where3(lit, event.value, wp.vec3(0.0, 0.0, 0.0))
-    vertex.direct = where3(on and onward.broken == 1, wp.vec3(wp.NAN, wp.NAN, wp.NAN), direct)
+    direct = emission.direct + where3(unoccluded, event.value, wp.vec3(0.0, 0.0, 0.0))
+    vertex.direct = where3(scatters and scatter_sample.invalid == 1, wp.vec3(wp.NAN, wp.NAN, wp.NAN), direct)
     vertex.e_weight = emission.weight
-    vertex.light = wp.where(lit, event.light, -1)
+    vertex.light = wp.where(unoccluded, event.light, -1)
     vertex.light_face = event.face
     vertex.light_u = event.u
     vertex.light_v = event.v
     vertex.light_wi = event.wi
     vertex.light_weight = event.weight
-    vertex.lobe = wp.where(on, onward.lobe, LOBE_NONE)
-    vertex.wo = onward.wo
-    vertex.inv_pdf = onward.inv_pdf
-    vertex.beta = where3(on, onward.beta, wp.vec3(0.0, 0.0, 0.0))
+    vertex.lobe = wp.where(scatters, scatter_sample.lobe, LOBE_NONE)
+    vertex.wo = scatter_sample.wo
+    vertex.inv_pdf = scatter_sample.inv_pdf
+    vertex.beta = where3(scatters, scatter_sample.beta, wp.vec3(0.0, 0.0, 0.0))
     return vertex
 
 
@@ -99,27 +108,27 @@ def make_path_step(config: PathConfig, differential: bool, sparse: bool = False,
             hit = visibility.seen(scene, state.o, state.d, state.t_max, state.depth)
         emission = emission_hit(scene, state, hit)
         event = NextEvent()
-        onward = Onward()
-        lit = wp.bool(False)
-        on = wp.bool(False)
+        scatter_sample = ScatterSample()
+        unoccluded = wp.bool(False)
+        scatters = wp.bool(False)
         if wp.static(config.scatter):
-            on = emission.on_surface == 1 and (max_depth < 0 or state.depth + 1 < max_depth)
-            if on:
+            scatters = emission.on_surface == 1 and (max_depth < 0 or state.depth + 1 < max_depth)
+            if scatters:
                 at = interaction.at(scene, hit.face, hit.u, hit.v, state.d)
                 # The new direction is drawn before the shadow ray is traced: again the two overlap, and what depends on
                 # the light's visibility, which is guessed badly, is short.
-                onward = scatter(at, state, hit.face, r4, rr_depth)
-                wanted = wp.bool(True)
+                scatter_sample = scatter(at, state, hit.face, r4, rr_depth)
+                traces_shadow_ray = wp.bool(True)
                 if wp.static(sparse):
-                    onward.after.met = state.met + scene.matters[at.shape]
-                    wanted = onward.after.met > 0
+                    scatter_sample.after.met = state.met + scene.matters[at.shape]
+                    traces_shadow_ray = scatter_sample.after.met > 0
                 if wp.static(has_lights):
-                    if wanted and has_smooth(at.model):
+                    if traces_shadow_ray and has_smooth(at.model):
                         ls, light, _probability = sample_light(scene, at.x, u4)
                         event = next_event(at, ls, light)
-                        if event.wanted == 1:
-                            lit = not visibility.occluded(scene, event.o, event.d, event.t_max)
-        return vertex_of(state, hit, emission, lit, event, on, onward), onward.after
+                        if event.traces_shadow_ray == 1:
+                            unoccluded = not visibility.occluded(scene, event.o, event.d, event.t_max)
+        return vertex_of(state, hit, emission, unoccluded, event, scatters, scatter_sample), scatter_sample.after
 
     if not config.noted:
         return path_step

@@ -44,7 +44,7 @@ class EmissionHit:
 class NextEvent:
     """A next-event estimate D_n, as long as its shadow ray is free."""
 
-    wanted: wp.int32  # 1: it is worth the ray
+    traces_shadow_ray: wp.int32  # 1: it is worth the ray
     value: wp.vec3
     o: wp.vec3
     d: wp.vec3
@@ -58,7 +58,7 @@ class NextEvent:
 
 
 @wp.struct
-class Onward:
+class ScatterSample:
     """How a path goes on."""
 
     after: PathState
@@ -66,7 +66,7 @@ class Onward:
     wo: wp.vec3
     inv_pdf: wp.float32
     beta: wp.vec3
-    broken: wp.int32  # 1: there is no such direction, as a NaN of the scene has it
+    invalid: wp.int32  # 1: there is no such direction, as a NaN of the scene has it
 
 
 def samples_lights(config: PathConfig) -> bool:
@@ -203,10 +203,10 @@ def make_next_event(config: PathConfig, differential: bool):
         event = NextEvent()
         event.weight = inverse_pdf(pdf_light) * wp.where(ls.delta == 0, mis_weight(pdf_light, pdf_bsdf), 1.0)
         event.value = event.weight * wp.cw_mul(interaction.eval(at, wo), ls.radiance)
-        wanted = not (ls.pdf <= 0.0 or pdf_bsdf <= 0.0 or not bsdf.has_smooth(at.model))
+        traces_shadow_ray = not (ls.pdf <= 0.0 or pdf_bsdf <= 0.0 or not bsdf.has_smooth(at.model))
         if wp.static(not differential):
-            wanted = wanted and not vanishes(event.value)
-        event.wanted = wp.where(wanted, 1, 0)
+            traces_shadow_ray = traces_shadow_ray and not vanishes(event.value)
+        event.traces_shadow_ray = wp.where(traces_shadow_ray, 1, 0)
         event.o = interaction.offset(at, ls.wi)
         d, t_max = shadow_ray(event.o, ls)
         event.d = d
@@ -223,22 +223,22 @@ def make_next_event(config: PathConfig, differential: bool):
 
 @functools.cache
 def make_scatter(config: PathConfig, differential: bool):
-    """Return ``scatter(at, state, face, r4, rr_depth) -> Onward``; arguments as ``make_path_step``'s."""
+    """Return ``scatter(at, state, face, r4, rr_depth) -> ScatterSample``; arguments as ``make_path_step``'s."""
     interaction = make_interaction(config)
     record = interaction.record
 
     @wp.func
-    def scatter(at: record, state: PathState, face: wp.int32, r4: wp.vec4, rr_depth: wp.int32) -> Onward:
+    def scatter(at: record, state: PathState, face: wp.int32, r4: wp.vec4, rr_depth: wp.int32) -> ScatterSample:
         bs = interaction.sample(at, r4[0], wp.vec2(r4[2], r4[3]))
-        onward = Onward()
-        onward.wo = leave_frame(at.frame, bs.wo)
+        scatter_sample = ScatterSample()
+        scatter_sample.wo = leave_frame(at.frame, bs.wo)
         inv_pdf = 1.0 / bs.pdf
         beta = inv_pdf * bs.value
         throughput = wp.cw_mul(state.throughput, beta)
         alive = not bs.pdf <= 0.0
         # Said here, for nothing behind would tell: rays without a direction meet nothing.
-        broken = alive and not finite(throughput + bs.pdf * onward.wo)
-        alive = alive and not broken
+        invalid = alive and not finite(throughput + bs.pdf * scatter_sample.wo)
+        alive = alive and not invalid
         survival = wp.max(throughput)
         if wp.static(not differential):
             alive = alive and not survival <= 0.0
@@ -249,21 +249,21 @@ def make_scatter(config: PathConfig, differential: bool):
         late = state.depth + 1 >= rr_depth
         alive = alive and not (late and r4[1] >= survival)
         inv_q = wp.where(late, 1.0 / survival, 1.0)
-        inv_pdf = wp.where(broken, inv_pdf, inv_pdf * inv_q)
-        onward.broken = wp.where(broken, 1, 0)
-        onward.lobe = wp.where(alive, bs.lobe, LOBE_NONE)
-        onward.inv_pdf = inv_pdf
-        onward.beta = where3(alive or broken, inv_pdf * bs.value, wp.vec3(0.0, 0.0, 0.0))
+        inv_pdf = wp.where(invalid, inv_pdf, inv_pdf * inv_q)
+        scatter_sample.invalid = wp.where(invalid, 1, 0)
+        scatter_sample.lobe = wp.where(alive, bs.lobe, LOBE_NONE)
+        scatter_sample.inv_pdf = inv_pdf
+        scatter_sample.beta = where3(alive or invalid, inv_pdf * bs.value, wp.vec3(0.0, 0.0, 0.0))
         smooth = bs.lobe == LOBE_SMOOTH
-        onward.after.alive = wp.where(alive, 1, 0)
-        onward.after.depth = state.depth + 1
-        onward.after.left = wp.where(smooth, face + 1, 0)
-        onward.after.o = interaction.offset(at, onward.wo)
-        onward.after.d = onward.wo
-        onward.after.t_max = FAR
-        onward.after.throughput = inv_q * throughput
-        onward.after.pdf = wp.where(smooth, bs.pdf, 0.0)
-        onward.after.eta = eta
-        return onward
+        scatter_sample.after.alive = wp.where(alive, 1, 0)
+        scatter_sample.after.depth = state.depth + 1
+        scatter_sample.after.left = wp.where(smooth, face + 1, 0)
+        scatter_sample.after.o = interaction.offset(at, scatter_sample.wo)
+        scatter_sample.after.d = scatter_sample.wo
+        scatter_sample.after.t_max = FAR
+        scatter_sample.after.throughput = inv_q * throughput
+        scatter_sample.after.pdf = wp.where(smooth, bs.pdf, 0.0)
+        scatter_sample.after.eta = eta
+        return scatter_sample
 
     return scatter

@@ -25,7 +25,7 @@ from warp_psdr.kernels.rng import Sampler, make_sampler, sampler_at
 from warp_psdr.kernels.scattering import (
     SLOTS_PER_VERTEX,
     NextEvent,
-    Onward,
+    ScatterSample,
     make_scatter,
     samples_lights,
 )
@@ -51,7 +51,7 @@ class Seat:
 class Look:
     """A shadow ray: whether it is traced, and whether it meets anything."""
 
-    wanted: wp.int32
+    traces_shadow_ray: wp.int32
     blocked: wp.int32
 
 
@@ -125,7 +125,7 @@ def make_lane_paths(
     seats, states, hits, cameras, sums = stack_rows(width, NUMBERS, Seat, PathState, RayHit, CameraSample, Sum)
     on_places = make_place_lanes(config, width, sums.end, states, hits)
     choices, places, emissions = on_places.choices, on_places.places, on_places.emissions
-    onwards, looks = stack_rows(width, emissions.end, Onward, Look)
+    scatter_samples, looks = stack_rows(width, emissions.end, ScatterSample, Look)
     end, lights = looks.end, None
     if has_lights:
         lights = make_light_lanes(config, differential, width, end, places)
@@ -212,10 +212,10 @@ def make_lane_paths(
             choice = choices.get(rows, j)
             place = places.get(rows, j)
             r4 = wp.vec4(get_number(rows, 4, j), get_number(rows, 5, j), get_number(rows, 6, j), get_number(rows, 7, j))
-            onward = scatter(place, state, choice.face, r4, rr_depth)
+            scatter_sample = scatter(place, state, choice.face, r4, rr_depth)
             if wp.static(sparse):
-                onward.after.met = state.met + scene.matters[place.shape]
-            onwards.put(rows, j, onward)
+                scatter_sample.after.met = state.met + scene.matters[place.shape]
+            scatter_samples.put(rows, j, scatter_sample)
             j += 1
 
     @wp.func
@@ -223,12 +223,12 @@ def make_lane_paths(
         """Shadow rays."""
         j = wp.int32(0)
         while j < width:
-            wanted = choices.get(rows, j).on == 1
-            wanted = wanted and events.get(rows, j).wanted == 1
+            traces_shadow_ray = choices.get(rows, j).on == 1
+            traces_shadow_ray = traces_shadow_ray and events.get(rows, j).traces_shadow_ray == 1
             if wp.static(sparse):
-                wanted = wanted and onwards.get(rows, j).after.met > 0
+                traces_shadow_ray = traces_shadow_ray and scatter_samples.get(rows, j).after.met > 0
             shadow = Look()
-            shadow.wanted = wp.where(wanted, 1, 0)
+            shadow.traces_shadow_ray = wp.where(traces_shadow_ray, 1, 0)
             looks.put(rows, j, shadow)
             j += 1
         if scene.accel.below_root > 0:
@@ -237,7 +237,7 @@ def make_lane_paths(
             j = wp.int32(0)
             while j < width:
                 shadow = looks.get(rows, j)
-                if shadow.wanted == 1:
+                if shadow.traces_shadow_ray == 1:
                     event = events.get(rows, j)
                     if visibility.occluded(scene, event.o, event.d, event.t_max):
                         shadow.blocked = 1
@@ -252,15 +252,15 @@ def make_lane_paths(
             hit = hits.get(rows, j)
             emission = emissions.get(rows, j)
             choice = choices.get(rows, j)
-            onward = onwards.get(rows, j)
-            on = scattering and choice.on == 1
+            scatter_sample = scatter_samples.get(rows, j)
+            scatters = scattering and choice.on == 1
             event = NextEvent()
-            lit = wp.bool(False)
+            unoccluded = wp.bool(False)
             if wp.static(has_lights):
                 event = events.get(rows, j)
                 shadow = looks.get(rows, j)
-                lit = on and shadow.wanted == 1 and shadow.blocked == 0
-            vertex = vertex_of(state, hit, emission, lit, event, on, onward)
+                unoccluded = scatters and shadow.traces_shadow_ray == 1 and shadow.blocked == 0
+            vertex = vertex_of(state, hit, emission, unoccluded, event, scatters, scatter_sample)
             store.put(rows, j, depth, vertex)
             j += 1
         if wp.static(whole):
@@ -274,23 +274,23 @@ def make_lane_paths(
             state = states.get(rows, j)
             emission = emissions.get(rows, j)
             choice = choices.get(rows, j)
-            onward = onwards.get(rows, j)
+            scatter_sample = scatter_samples.get(rows, j)
             total = sums.get(rows, j)
-            on = scattering and choice.on == 1
+            scatters = scattering and choice.on == 1
             direct = emission.direct
             if wp.static(has_lights):
                 event = events.get(rows, j)
                 shadow = looks.get(rows, j)
-                lit = on and shadow.wanted == 1 and shadow.blocked == 0
-                direct += where3(lit, event.value, wp.vec3(0.0, 0.0, 0.0))
-            direct = where3(on and onward.broken == 1, wp.vec3(wp.NAN, wp.NAN, wp.NAN), direct)
+                unoccluded = scatters and shadow.traces_shadow_ray == 1 and shadow.blocked == 0
+                direct += where3(unoccluded, event.value, wp.vec3(0.0, 0.0, 0.0))
+            direct = where3(scatters and scatter_sample.invalid == 1, wp.vec3(wp.NAN, wp.NAN, wp.NAN), direct)
             # What lies in the rows of a path that has ended may be anything.
             gained = total.radiance + wp.cw_mul(state.throughput, direct)
             total.radiance = where3(state.alive == 1, gained, total.radiance)
             total.vertices += state.alive
             sums.put(rows, j, total)
-            after = onward.after
-            after.alive = wp.where(on, onward.after.alive, 0)
+            after = scatter_sample.after
+            after.alive = wp.where(scatters, scatter_sample.after.alive, 0)
             states.put(rows, j, after)
             alive += after.alive
             j += 1

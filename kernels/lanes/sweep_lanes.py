@@ -153,10 +153,10 @@ def make_lane_sweep(config: PathConfig, wanted: Wanted, paths: LanePaths) -> tup
             wedge = wedge_between(before.tri.normal, before.tri.p0, tri.normal, vertex.o, x)
             touches = may_touch(wedge, rho_before, rho)
             lit = on and vertex.light >= 0
-            onward = on and vertex.lobe == LOBE_SMOOTH
+            continues = on and vertex.lobe == LOBE_SMOOTH
             link.near_before = wp.where(touches and left >= 0, 1, 0)
             link.lit = wp.where(lit, 1, 0)
-            link.scatters = wp.where(lit or onward, 1, 0)
+            link.scatters = wp.where(lit or continues, 1, 0)
             if wp.static(area):
                 light = record.light
                 at = wp.where(lit, vertex.light_face, -1)
@@ -258,7 +258,7 @@ def make_lane_sweep(config: PathConfig, wanted: Wanted, paths: LanePaths) -> tup
             value = wp.dot(wp.cw_mul(at.a_n, vertex.beta), following.radiance)
             pulled = connection_vjp(following.o, point_on(tri, u, v), cross, vertex.wo, turned.wo, value, following.chi)
             pull.x += where3(connected, pulled.x, zero) + where3(on, following.a_x, zero)
-            pull.onward = wp.where(connected, 1, 0)
+            pull.continues = wp.where(connected, 1, 0)
             pulls.put(rows, j, pull)
             next_corners.put(rows, j, corners_vjp(tri, u, v, following.x - pulled.x, following.c + pulled.c))
             j += 1

@@ -54,7 +54,7 @@ class Pull:
     radiance: wp.vec3  # of the light
     a_wo: wp.vec3  # direction towards it
     value: wp.float32  # A . D_n
-    onward: wp.int32  # 1: there is a vertex behind it, on a surface
+    continues: wp.int32  # 1: there is a vertex behind it, on a surface
 
 
 @wp.struct
@@ -220,7 +220,7 @@ def make_sweep_sinks(
                                 path.lost += sink3(target, shape.normal_offset + 3 * record.tri.i1, vertex.u * pull.n)
                                 path.lost += sink3(target, shape.normal_offset + 3 * record.tri.i2, vertex.v * pull.n)
                         if wp.static(wanted.shapes):
-                            if pull.onward == 1:
+                            if pull.continues == 1:
                                 tri = kept_at(rows, j, n + 1).tri
                                 path.lost += push_corners(scene, target, tri, next_corners.get(rows, j))
                     slide.uv = adjoint.uv

@@ -16,7 +16,7 @@ from warp_psdr.kernels import primal, splat
 from warp_psdr.kernels.interior import replay
 from warp_psdr.kernels.lanes.lanes import ROOM, make_number, make_record, words
 from warp_psdr.kernels.lanes.path_lanes import make_lane_paths, side_by_side
-from warp_psdr.kernels.scattering import Onward
+from warp_psdr.kernels.scattering import ScatterSample
 from warp_psdr.scene import acceleration
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -205,28 +205,30 @@ def test_paths_whose_vertices_have_no_room_are_traced_alone(name):
 
 @pytest.mark.parametrize("width", [4, 8, 16])
 def test_records_come_back_from_their_rows(width):
-    get, put = make_record(Onward, width)
+    get, put = make_record(ScatterSample, width)
     get_number, put_number = make_number(width)
-    get_aside, put_aside = make_record(Onward, width, aside=True)
-    count = words(Onward)
+    get_aside, put_aside = make_record(ScatterSample, width, aside=True)
+    count = words(ScatterSample)
     size = (2 * count + 1) * width
 
     @wp.kernel(module="unique", enable_backward=False)
-    def there_and_back(values: wp.array(dtype=Onward), out: wp.array(dtype=Onward), numbers: wp.array(dtype=float)):
+    def there_and_back(
+        values: wp.array(dtype=ScatterSample), out: wp.array(dtype=ScatterSample), numbers: wp.array(dtype=float)
+    ):
         rows = wp.zeros(shape=(wp.static(size),), dtype=wp.uint32)
         for j in range(wp.static(width)):
             put(rows, 1, j, values[j])
             put_number(rows, 0, j, 0.125 * wp.float32(j))
         for j in range(wp.static(width)):
-            put_aside(rows, wp.static(1 + count), j, get(rows, 1, j, Onward()))
+            put_aside(rows, wp.static(1 + count), j, get(rows, 1, j, ScatterSample()))
         for j in range(wp.static(width)):
-            out[j] = get_aside(rows, wp.static(1 + count), j, Onward())
+            out[j] = get_aside(rows, wp.static(1 + count), j, ScatterSample())
             numbers[j] = get_number(rows, 0, j)
 
     rng = np.random.default_rng(2)
     raw = rng.integers(-(2**31), 2**31, size=(width, count)).astype(np.int32)
-    values = wp.array(raw.view(Onward.numpy_dtype()).reshape(width), dtype=Onward, device="cpu")
-    out = wp.zeros(width, dtype=Onward, device="cpu")
+    values = wp.array(raw.view(ScatterSample.numpy_dtype()).reshape(width), dtype=ScatterSample, device="cpu")
+    out = wp.zeros(width, dtype=ScatterSample, device="cpu")
     numbers = wp.zeros(width, dtype=float, device="cpu")
     wp.launch(there_and_back, 1, [values], [out, numbers], device="cpu")
     np.testing.assert_array_equal(out.numpy().view(np.int32).reshape(width, count), raw)
