@@ -53,7 +53,7 @@ def vertex_of(
     vertex.face = hit.face
     vertex.u = hit.u
     vertex.v = hit.v
-    vertex.before = state.left - 1
+    vertex.previous_face = state.left_face - 1
     vertex.o = state.o
     vertex.d = state.d
     vertex.throughput = state.throughput
@@ -120,8 +120,8 @@ def make_path_step(config: PathConfig, differential: bool, sparse: bool = False,
                 scatter_sample = scatter(at, state, hit.face, r4, rr_depth)
                 traces_shadow_ray = wp.bool(True)
                 if wp.static(sparse):
-                    scatter_sample.after.met = state.met + scene.matters[at.shape]
-                    traces_shadow_ray = scatter_sample.after.met > 0
+                    scatter_sample.after.touched_requested = state.touched_requested + scene.requested_shapes[at.shape]
+                    traces_shadow_ray = scatter_sample.after.touched_requested > 0
                 if wp.static(has_lights):
                     if traces_shadow_ray and has_smooth(at.model):
                         ls, light, _probability = sample_light(scene, at.x, u4)

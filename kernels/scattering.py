@@ -257,7 +257,7 @@ def make_scatter(config: PathConfig, differential: bool):
         smooth = bs.lobe == LOBE_SMOOTH
         scatter_sample.after.alive = wp.where(alive, 1, 0)
         scatter_sample.after.depth = state.depth + 1
-        scatter_sample.after.left = wp.where(smooth, face + 1, 0)
+        scatter_sample.after.left_face = wp.where(smooth, face + 1, 0)
         scatter_sample.after.o = interaction.offset(at, scatter_sample.wo)
         scatter_sample.after.d = scatter_sample.wo
         scatter_sample.after.t_max = FAR

@@ -138,7 +138,7 @@ class Scene:
         dtype=wp.float32
     )  # of the triangles' patches, ``warp_psdr.topology.patches``; not empty: a 0 if nothing moves
     #: 1: what is differentiated belongs to this shape; the last one: to something else too (``interior/replay.py``).
-    matters: wp.array(dtype=wp.int32)
+    requested_shapes: wp.array(dtype=wp.int32)
     invalid: wp.array(dtype=wp.int64)  # counter of this launch and lane, see ``invalid.py``
     rows: wp.array(dtype=wp.uint32)  # room of this launch and lane for paths side by side, see ``lanes.py``
 

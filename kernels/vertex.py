@@ -56,8 +56,8 @@ class PathState:
     throughput: wp.vec3
     pdf: wp.float32  # solid angle, of d; 0: no next-event estimate could have found what d hits
     eta: wp.float32  # product of relative refractive indices
-    left: wp.int32  # face that d left by a smooth lobe, from one; 0: none
-    met: wp.int32  # more than 0: the path has met a shape that matters
+    left_face: wp.int32  # face that d left by a smooth lobe, from one; 0: none
+    touched_requested: wp.int32  # more than 0: the path has met a shape that matters
     seen: RayHit  # what the camera's ray meets, where ``camera_rays.py`` has traced it
 
 
@@ -82,7 +82,7 @@ class PathVertex:
     face: wp.int32  # -1: the ray left the scene
     u: wp.float32
     v: wp.float32
-    before: wp.int32  # face that the ray which found it left by a smooth lobe, -1: none
+    previous_face: wp.int32  # face that the ray which found it left by a smooth lobe, -1: none
     o: wp.vec3  # where that ray started
     d: wp.vec3  # and its direction
     throughput: wp.vec3  # product of the beta before this vertex

@@ -125,10 +125,10 @@ def make_contact_weights(backend: str, width: int) -> tuple[wp.Function, wp.Func
 
     @wp.func
     def weight_before(scene: Scene, vertex: PathVertex) -> wp.float32:
-        if vertex.face < 0 or vertex.before < 0:
+        if vertex.face < 0 or vertex.previous_face < 0:
             return 1.0
         x = point_on(scene.triangles[vertex.face], vertex.u, vertex.v)
-        return contact_weight(scene, vertex.before, vertex.face, vertex.o, x)
+        return contact_weight(scene, vertex.previous_face, vertex.face, vertex.o, x)
 
     @wp.func
     def weight_of_light(scene: Scene, vertex: PathVertex, x: wp.vec3) -> wp.float32:

@@ -71,8 +71,8 @@ def make_replay_kernel(config: PathConfig, wanted: Wanted, block: int, blocks: i
             state, sample = starts(scene, camera, pixel.px, pixel.py, sampler, i, job.samples, starting, cameras)
             origin = camera_origin(scene, camera, sample)
             count = wp.int32(0)
-            met = scene.matters[scene.matters.shape[0] - 1]
-            state.met = met
+            touched_requested = scene.requested_shapes[scene.requested_shapes.shape[0] - 1]
+            state.touched_requested = touched_requested
             radiance = wp.vec3(0.0, 0.0, 0.0)
             while state.alive == 1:
                 if wp.static(blocks > 1):
@@ -85,8 +85,8 @@ def make_replay_kernel(config: PathConfig, wanted: Wanted, block: int, blocks: i
                 count += 1
                 radiance += wp.cw_mul(vertex.throughput, vertex.direct)
                 if vertex.face >= 0:
-                    met += scene.matters[scene.triangles[vertex.face].shape]
-            if met == 0:
+                    touched_requested += scene.requested_shapes[scene.triangles[vertex.face].shape]
+            if touched_requested == 0:
                 if not finite(radiance):
                     count_invalid(scene, sampler)
                 continue
@@ -174,7 +174,7 @@ def _make_lane_kernel(paths: LanePaths, sweep_all: wp.Function):
         if not weighted:
             return
         rows = scene.rows
-        always = scene.matters[scene.matters.shape[0] - 1]
+        always = scene.requested_shapes[scene.requested_shapes.shape[0] - 1]
         done = wp.int32(0)
         while done < job.samples:
             bundle.first_sample = job.first_sample + done

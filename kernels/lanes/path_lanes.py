@@ -68,8 +68,8 @@ class LanePaths(NamedTuple):
 
     Attributes:
         width: number of lanes.
-        start: ``(scene, camera, pixels, bundle, met, rows)`` starts the samples of a bundle, and traces their camera
-            rays; ``met`` as in ``PathState``.
+        start: ``(scene, camera, pixels, bundle, touched_requested, rows)`` starts the samples of a bundle, and traces
+            their camera rays; ``touched_requested`` as in ``PathState``.
         step: ``(scene, depth, max_depth, rr_depth, rows) -> int``: one vertex of every path, behind ``depth`` others;
             the number of paths that have another one.
         gathered: ``(rows, j) -> Sum`` of the j-th path.
@@ -142,7 +142,7 @@ def make_lane_paths(
         camera: Camera,
         pixels: wp.array(dtype=wp.int32),
         bundle: Bundle,
-        met: wp.int32,
+        touched_requested: wp.int32,
         rows: ROWS,
     ):
         count = bundle.pixels * bundle.samples
@@ -165,7 +165,7 @@ def make_lane_paths(
             seat = seats.get(rows, j)
             state, sample = start_in(scene, camera, k, seat.px, seat.py, seat.sampler)
             state.alive = wp.where(j < count, 1, 0)
-            state.met = met
+            state.touched_requested = touched_requested
             states.put(rows, j, state)
             cameras.put(rows, j, sample)
             sums.put(rows, j, Sum())
@@ -214,7 +214,7 @@ def make_lane_paths(
             r4 = wp.vec4(get_number(rows, 4, j), get_number(rows, 5, j), get_number(rows, 6, j), get_number(rows, 7, j))
             scatter_sample = scatter(place, state, choice.face, r4, rr_depth)
             if wp.static(sparse):
-                scatter_sample.after.met = state.met + scene.matters[place.shape]
+                scatter_sample.after.touched_requested = state.touched_requested + scene.requested_shapes[place.shape]
             scatter_samples.put(rows, j, scatter_sample)
             j += 1
 
@@ -226,7 +226,7 @@ def make_lane_paths(
             traces_shadow_ray = choices.get(rows, j).on == 1
             traces_shadow_ray = traces_shadow_ray and events.get(rows, j).traces_shadow_ray == 1
             if wp.static(sparse):
-                traces_shadow_ray = traces_shadow_ray and scatter_samples.get(rows, j).after.met > 0
+                traces_shadow_ray = traces_shadow_ray and scatter_samples.get(rows, j).after.touched_requested > 0
             shadow = Look()
             shadow.traces_shadow_ray = wp.where(traces_shadow_ray, 1, 0)
             looks.put(rows, j, shadow)

@@ -146,7 +146,7 @@ def make_lane_sweep(config: PathConfig, wanted: Wanted, paths: LanePaths) -> tup
             tri = record.tri
             link = Links()
             on = n < path.vertices and vertex.face >= 0
-            left = wp.where(on, vertex.before, -1)
+            left = wp.where(on, vertex.previous_face, -1)
             x = point_on(tri, vertex.u, vertex.v)
             rho = scene.contact_ratio * load_float(scene.radii, wp.where(on, vertex.face, 0))
             rho_before = scene.contact_ratio * load_float(scene.radii, wp.max(left, 0))

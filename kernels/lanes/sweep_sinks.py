@@ -83,14 +83,14 @@ def make_chosen(paths: LanePaths):
         if vanishes(delta):
             return path
         traced = paths.gathered(rows, j)
-        met = wp.int32(always)
+        touched_requested = wp.int32(always)
         n = wp.int32(traced.vertices)
-        while n > 0 and met == 0:
+        while n > 0 and touched_requested == 0:
             n -= 1
             face = paths.vertex(rows, j, n).face
             if face >= 0:
-                met = scene.matters[scene.triangles[face].shape]
-        if met > 0:
+                touched_requested = scene.requested_shapes[scene.triangles[face].shape]
+        if touched_requested > 0:
             path.delta = delta
             path.vertices = traced.vertices
         elif not finite(traced.radiance):

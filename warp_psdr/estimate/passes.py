@@ -165,7 +165,7 @@ def interior_backward(
         kind="interior",
         progress=progress,
         listed=pixels,
-        fields=_patches(scene, plan) | {"matters": _mask(scene, plan.shapes)},
+        fields=_patches(scene, plan) | {"requested_shapes": _mask(scene, plan.shapes)},
     )
 
 
@@ -210,7 +210,7 @@ def gradient_kernel(plan: Plan, role: str) -> wp.Kernel:
 
 
 def _mask(scene: Scene, shapes: frozenset[int] | None) -> wp.array:
-    """Return ``structs.Scene.matters``: 1 for these shapes, 0 for the others and behind them; None: 1 for all."""
+    """Return ``structs.Scene.requested_shapes``: 1 for these shapes, 0 for the others; None: 1 for all."""
     mask = np.full(len(scene.builder.shapes) + 1, shapes is None, np.int32)
     mask[sorted(shapes or ())] = 1
     return wp.array(mask, dtype=wp.int32, device=scene.device)
