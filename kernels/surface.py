@@ -230,7 +230,7 @@ def make_surface(smooth: bool, flat: bool, uv: bool, tangent: bool):
 
 @functools.cache
 def make_vertex_sink(role: str, smooth: bool, flat: bool, uv: bool, tangent: bool, texcoords: bool, rays: bool):
-    """Return ``push_vertex(scene, target, face, u, v, adjoint, by_ray, o, d) -> RayAdjoint``.
+    """Return ``accumulate_vertex(scene, target, face, u, v, adjoint, by_ray, o, d) -> RayAdjoint``.
 
     Scatters a vertex's adjoint to the corners of its triangle, their normals and (``texcoords``) their texture
     coordinates. ``by_ray``: the barycentrics are attached to the ray (o, d), whose adjoint is returned; otherwise they
@@ -240,7 +240,7 @@ def make_vertex_sink(role: str, smooth: bool, flat: bool, uv: bool, tangent: boo
     sink1 = make_sink(role)
 
     @wp.func
-    def push_vertex(
+    def accumulate_vertex(
         scene: Scene,
         target: wp.array(dtype=wp.float32),
         face: wp.int32,
@@ -334,7 +334,7 @@ def make_vertex_sink(role: str, smooth: bool, flat: bool, uv: bool, tangent: boo
         result.dot = total
         return result
 
-    return push_vertex
+    return accumulate_vertex
 
 
 @wp.kernel(module=SCENE, enable_backward=False)

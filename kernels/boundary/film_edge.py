@@ -58,16 +58,16 @@ class FilmEdge:
 
 @functools.cache
 def make_film_edge(config: PathConfig, role: str, camera_moves: bool):
-    """Return ``(find, push)`` (arguments as in ``secondary.py``).
+    """Return ``(find, accumulate)`` (arguments as in ``secondary.py``).
 
     ``find(scene, camera, edges, number, samples, sampler, adjoint) -> FilmEdge`` takes the sampler's slots 0 and 1;
-    ``push(scene, camera, edges, sampler, samples, film_edge, jump, target, image)`` takes L_- - L_+, the radiance on
-    the side that m points away from less that on the other.
+    ``accumulate(scene, camera, edges, sampler, samples, film_edge, jump, target, image)`` takes L_- - L_+, the
+    radiance on the side that m points away from less that on the other.
     """
     visibility = visibility_of(config)
     screened = make_screened(config)
-    push_edge = make_edge_sink(role)
-    push_camera = make_camera_sink(role, config.camera) if camera_moves else None
+    accumulate_edge = make_edge_sink(role)
+    accumulate_camera = make_camera_sink(role, config.camera) if camera_moves else None
     splat, gather = make_splat()
     project, film_gradient, film_velocity = make_projection(config.camera)
     lens_point = make_lens(config.camera)
@@ -139,7 +139,7 @@ def make_film_edge(config: PathConfig, role: str, camera_moves: bool):
         return r
 
     @wp.func
-    def push(
+    def accumulate(
         scene: Scene,
         camera: Camera,
         edges: Edges,
@@ -155,13 +155,13 @@ def make_film_edge(config: PathConfig, role: str, camera_moves: bool):
         if wp.static(role != "forward"):
             scale *= wp.dot(f.weight, jump)
         g = scale * f.g
-        speed = push_edge(scene, target, edges, f.point, g)
+        speed = accumulate_edge(scene, target, edges, f.point, g)
         if wp.static(camera_moves):
-            speed += push_camera(scene, target, camera, f.at.sample, -g, -f.distance * g)
+            speed += accumulate_camera(scene, target, camera, f.at.sample, -g, -f.distance * g)
         if wp.static(role == "forward"):
             splat(scene, sampler, camera, f.at.pixel, speed * jump, image)
         else:
             if speed != 0.0:
                 count_invalid(scene, sampler)
 
-    return find, push
+    return find, accumulate

@@ -260,7 +260,7 @@ def split_between(g: wp.vec3, n_a: wp.vec3, n_b: wp.vec3, squared: wp.float32) -
 
 @functools.cache
 def make_edge_sink(role: str):
-    """Return ``push_edge(scene, target, edges, point, g) -> float``: scatter the adjoint g of a point on an edge.
+    """Return ``accumulate_edge(scene, target, edges, point, g) -> float``: scatter the adjoint g of a point on an edge.
 
     Where two surfaces that are separate objects meet in an edge, it is their intersection: of the velocity v of such a
     curve only n_A . v = n_A . v_A and n_B . v = n_B . v_B are fixed, so g = a n_A + b n_B is split between them. The
@@ -288,13 +288,13 @@ def make_edge_sink(role: str):
     sink3 = make_sink_vec3(role)
 
     @wp.func
-    def push_ends(
+    def accumulate_ends(
         scene: Scene, target: wp.array(dtype=wp.float32), i: wp.int32, j: wp.int32, s: wp.float32, g: wp.vec3
     ) -> wp.float32:
         return sink3(target, scene.positions + 3 * i, (1.0 - s) * g) + sink3(target, scene.positions + 3 * j, s * g)
 
     @wp.func
-    def push_face(
+    def accumulate_face(
         scene: Scene, target: wp.array(dtype=wp.float32), face: wp.int32, x: wp.vec3, g: wp.vec3
     ) -> wp.float32:
         tri = scene.triangles[face]
@@ -306,7 +306,7 @@ def make_edge_sink(role: str):
         )
 
     @wp.func
-    def push_edge(
+    def accumulate_edge(
         scene: Scene, target: wp.array(dtype=wp.float32), edges: Edges, point: EdgePoint, g: wp.vec3
     ) -> wp.float32:
         e = point.edge
@@ -315,20 +315,22 @@ def make_edge_sink(role: str):
         j0 = edges.twins[e, 0]
         j1 = edges.twins[e, 1]
         if i0 >= 0 and i0 == j0 and i1 == j1:
-            return push_ends(scene, target, i0, i1, point.s, g)
+            return accumulate_ends(scene, target, i0, i1, point.s, g)
         n_a = scene.triangles[edges.faces[edges.first[e]]].normal
         n_b = scene.triangles[edges.faces[edges.first[e] + 1]].normal
         # Of the sine: 1 - cosine^2 would lose it where the faces are nearly parallel.
         squared = wp.length_sq(wp.cross(n_a, n_b))
         if i0 < 0:
             g_1, g_2 = split_between(g, n_a, n_b, squared)
-            return push_face(scene, target, edges.faces[edges.first[e]], point.x, g_1) + push_face(
+            return accumulate_face(scene, target, edges.faces[edges.first[e]], point.x, g_1) + accumulate_face(
                 scene, target, edges.faces[edges.first[e] + 1], point.x, g_2
             )
         g_a = 0.5 * g
         g_b = 0.5 * g
         if squared > SEAM_PARALLEL:
             g_a, g_b = split_between(g, n_a, n_b, squared)
-        return push_ends(scene, target, i0, i1, point.s, g_a) + push_ends(scene, target, j0, j1, point.s, g_b)
+        return accumulate_ends(scene, target, i0, i1, point.s, g_a) + accumulate_ends(
+            scene, target, j0, j1, point.s, g_b
+        )
 
-    return push_edge
+    return accumulate_edge

@@ -117,14 +117,14 @@ def make_source(config: PathConfig, emission: bool = False):
 
 @functools.cache
 def make_first_sink(role: str):
-    """Return ``push_first(scene, target, segment, w, by_ray, o, d)`` for the adjoint of x_1.
+    """Return ``accumulate_first(scene, target, segment, w, by_ray, o, d)`` for the adjoint of x_1.
 
     ``by_ray``: x_1 is where the ray (o, d) meets its triangle, whose adjoint is returned, as (o, d, dot).
     """
-    push_vertex = make_vertex_sink(role, False, False, False, False, False, True)
+    accumulate_vertex = make_vertex_sink(role, False, False, False, False, False, True)
 
     @wp.func
-    def push_first(
+    def accumulate_first(
         scene: Scene,
         target: wp.array(dtype=wp.float32),
         segment: Segment,
@@ -136,10 +136,10 @@ def make_first_sink(role: str):
         _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
         adjoint = VertexAdjoint()
         adjoint.x = ((segment.tau - 1.0) * w) * segment.sweep
-        pushed = push_vertex(scene, target, segment.face1, segment.u1, segment.v1, adjoint, by_ray, o, d)
-        return pushed.o, pushed.d, pushed.dot
+        accumulated = accumulate_vertex(scene, target, segment.face1, segment.u1, segment.v1, adjoint, by_ray, o, d)
+        return accumulated.o, accumulated.d, accumulated.dot
 
-    return push_first
+    return accumulate_first
 
 
 @functools.cache
@@ -160,8 +160,8 @@ def make_transport(config: PathConfig, role: str, camera_moves: bool, source: wp
     """
     connect, extend = make_walk(config)
     evaluates = role == "target"
-    push_first = None if evaluates else make_first_sink(role)
-    push_camera = make_camera_sink(role, config.camera) if camera_moves and not evaluates else None
+    accumulate_first = None if evaluates else make_first_sink(role)
+    accumulate_camera = make_camera_sink(role, config.camera) if camera_moves and not evaluates else None
     splat, gather = make_splat()
     lens_point = make_lens(config.camera)
     draw = make_sampler(config.sampler)
@@ -216,13 +216,13 @@ def make_transport(config: PathConfig, role: str, camera_moves: bool, source: wp
                 if wp.static(role == "forward"):
                     if k == 1:
                         ray = wp.normalize(walk.x - seen.at.origin)
-                        a_o, a_d, speed_1 = push_first(scene, target, s, 1.0, True, seen.at.origin, ray)
+                        a_o, a_d, speed_1 = accumulate_first(scene, target, s, 1.0, True, seen.at.origin, ray)
                         speed = speed_1
                         if wp.static(camera_moves):
-                            speed += push_camera(scene, target, camera, seen.at.sample, a_o, a_d)
+                            speed += accumulate_camera(scene, target, camera, seen.at.sample, a_o, a_d)
                     else:
                         if known == 0:
-                            _o, _d, moved_1 = push_first(scene, target, s, 1.0, False, s.x, s.w)
+                            _o, _d, moved_1 = accumulate_first(scene, target, s, 1.0, False, s.x, s.w)
                             moved = moved_1
                             known = 1
                         speed = moved
@@ -242,9 +242,9 @@ def make_transport(config: PathConfig, role: str, camera_moves: bool, source: wp
                     total += w
                     if k == 1 and w != 0.0:
                         ray = wp.normalize(walk.x - seen.at.origin)
-                        a_o, a_d, dropped = push_first(scene, target, s, w, True, seen.at.origin, ray)
+                        a_o, a_d, dropped = accumulate_first(scene, target, s, w, True, seen.at.origin, ray)
                         if wp.static(camera_moves):
-                            dropped += push_camera(scene, target, camera, seen.at.sample, a_o, a_d)
+                            dropped += accumulate_camera(scene, target, camera, seen.at.sample, a_o, a_d)
                         if dropped != 0.0:
                             count_invalid(scene, sampler)
                     else:
@@ -259,7 +259,7 @@ def make_transport(config: PathConfig, role: str, camera_moves: bool, source: wp
             k += 1
         if wp.static(role != "forward" and not evaluates):
             if weight != 0.0:
-                _a_o, _a_d, lost = push_first(scene, target, s, weight, False, s.x, s.w)
+                _a_o, _a_d, lost = accumulate_first(scene, target, s, weight, False, s.x, s.w)
                 if lost != 0.0:
                     count_invalid(scene, sampler)
         return total

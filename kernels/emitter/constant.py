@@ -37,7 +37,9 @@ def make_constant(role: str | None, wanted: tuple[str, ...]) -> EnvironmentFunct
         wanted: "radiance" scatters to the radiance.
     """
     texture_at = make_texture((TEXTURE_CONSTANT,))
-    push_texture = make_texture_sink(role, (TEXTURE_CONSTANT,), "radiance" in wanted, False, False) if role else None
+    accumulate_texture = (
+        make_texture_sink(role, (TEXTURE_CONSTANT,), "radiance" in wanted, False, False) if role else None
+    )
 
     @wp.func
     def radiance(scene: Scene, e: Emitter, direction: wp.vec3) -> wp.vec3:
@@ -70,7 +72,7 @@ def make_constant(role: str | None, wanted: tuple[str, ...]) -> EnvironmentFunct
     ) -> LightAdjoint:
         result = LightAdjoint()
         _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
-        result.dot = push_texture(scene, target, e.texture, 0, 0.0, 0.0, wp.vec2(0.0, 0.0), w).dot
+        result.dot = accumulate_texture(scene, target, e.texture, 0, 0.0, 0.0, wp.vec2(0.0, 0.0), w).dot
         return result
 
     return EnvironmentFunctions(sample, radiance, pdf, eval_pdf, eval_vjp)

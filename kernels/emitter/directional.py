@@ -30,7 +30,9 @@ def make_directional(role: str | None, wanted: tuple[str, ...]) -> DeltaLightFun
         wanted: "radiance" scatters to the irradiance, "pose" to the matrix, of which only the third column counts.
     """
     texture_at = make_texture((TEXTURE_CONSTANT,))
-    push_texture = make_texture_sink(role, (TEXTURE_CONSTANT,), "radiance" in wanted, False, False) if role else None
+    accumulate_texture = (
+        make_texture_sink(role, (TEXTURE_CONSTANT,), "radiance" in wanted, False, False) if role else None
+    )
     sink = make_sink(role) if role else None
 
     @wp.func
@@ -60,7 +62,7 @@ def make_directional(role: str | None, wanted: tuple[str, ...]) -> DeltaLightFun
         result = LightAdjoint()
         _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
         if wp.static("radiance" in wanted):
-            result.dot += push_texture(scene, target, e.texture, 0, 0.0, 0.0, wp.vec2(0.0, 0.0), w).dot
+            result.dot += accumulate_texture(scene, target, e.texture, 0, 0.0, 0.0, wp.vec2(0.0, 0.0), w).dot
         if wp.static("pose" in wanted):
             d_axis, _a = wp.grad(directional_dot)(load_column(scene.values, e.to_world, 2), a_wi)
             for i in range(wp.static(3)):

@@ -43,7 +43,9 @@ def make_point(role: str | None, wanted: tuple[str, ...]) -> DeltaLightFunctions
         wanted: "radiance" scatters to the intensity, "pose" to the position.
     """
     texture_at = make_texture((TEXTURE_CONSTANT,))
-    push_texture = make_texture_sink(role, (TEXTURE_CONSTANT,), "radiance" in wanted, False, False) if role else None
+    accumulate_texture = (
+        make_texture_sink(role, (TEXTURE_CONSTANT,), "radiance" in wanted, False, False) if role else None
+    )
     sink_vec3 = make_sink_vec3(role) if role else None
 
     @wp.func
@@ -82,7 +84,7 @@ def make_point(role: str | None, wanted: tuple[str, ...]) -> DeltaLightFunctions
         d_x, d_position, d_intensity, _w, _a = wp.grad(point_dot)(x, position, intensity, w, a_wi)
         result.x = d_x
         if wp.static("radiance" in wanted):
-            result.dot += push_texture(scene, target, e.texture, 0, 0.0, 0.0, uv, d_intensity).dot
+            result.dot += accumulate_texture(scene, target, e.texture, 0, 0.0, 0.0, uv, d_intensity).dot
         if wp.static("pose" in wanted):
             result.dot += sink_vec3(target, e.to_world, d_position)
         return result

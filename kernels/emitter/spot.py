@@ -91,7 +91,9 @@ def make_spot(role: str | None, wanted: tuple[str, ...]) -> DeltaLightFunctions:
             and fourth column have derivatives: the axis (whose length does not matter) and the position.
     """
     texture_at = make_texture((TEXTURE_CONSTANT,))
-    push_texture = make_texture_sink(role, (TEXTURE_CONSTANT,), "radiance" in wanted, False, False) if role else None
+    accumulate_texture = (
+        make_texture_sink(role, (TEXTURE_CONSTANT,), "radiance" in wanted, False, False) if role else None
+    )
     sink = make_sink(role) if role else None
 
     @wp.func
@@ -135,7 +137,7 @@ def make_spot(role: str | None, wanted: tuple[str, ...]) -> DeltaLightFunctions:
         )
         result.x = d_x
         if wp.static("radiance" in wanted):
-            result.dot += push_texture(scene, target, e.texture, 0, 0.0, 0.0, uv, d_intensity).dot
+            result.dot += accumulate_texture(scene, target, e.texture, 0, 0.0, 0.0, uv, d_intensity).dot
         if wp.static("pose" in wanted):
             for i in range(wp.static(3)):
                 result.dot += sink(target, e.to_world + 4 * i + 2, d_axis[i])
@@ -175,8 +177,8 @@ def make_textured_spot(role: str | None, wanted: tuple[str, ...]) -> DeltaLightF
     plain_sample = plain.sample
     if role is None:
         return DeltaLightFunctions(sample_textured, None)
-    push_intensity = make_texture_sink(role, (TEXTURE_CONSTANT,), "radiance" in wanted, False, False)
-    push_texture = make_texture_sink(role, (TEXTURE_BITMAP,), "radiance" in wanted, False, True)
+    accumulate_intensity = make_texture_sink(role, (TEXTURE_CONSTANT,), "radiance" in wanted, False, False)
+    accumulate_texture = make_texture_sink(role, (TEXTURE_BITMAP,), "radiance" in wanted, False, True)
     sink = make_sink(role)
 
     @wp.func
@@ -212,19 +214,21 @@ def make_textured_spot(role: str | None, wanted: tuple[str, ...]) -> DeltaLightF
         result.x = d_x
         if wp.static("radiance" in wanted):
             adjoint = wp.cw_mul(d_product, colour)
-            result.dot += push_intensity(scene, target, e.texture, 0, 0.0, 0.0, flat, adjoint).dot
+            result.dot += accumulate_intensity(scene, target, e.texture, 0, 0.0, 0.0, flat, adjoint).dot
         if wp.static("pose" in wanted):
             for i in range(wp.static(3)):
                 result.dot += sink(target, m + 4 * i + 2, d_z[i]) + sink(target, m + 4 * i + 3, d_position[i])
             result.dot += sink(target, e.cutoff, d_cutoff) + sink(target, e.cutoff + 1, d_beam)
         if inside:
-            pushed = push_texture(scene, target, e.projected, 0, 0.0, 0.0, uv, wp.cw_mul(d_product, intensity))
+            accumulated = accumulate_texture(
+                scene, target, e.projected, 0, 0.0, 0.0, uv, wp.cw_mul(d_product, intensity)
+            )
             s_x, s_position, s_xaxis, s_yaxis, s_zaxis, s_cutoff, _uv = wp.grad(projected_dot)(
-                x, position, x_axis, y_axis, z_axis, cutoff, pushed.uv
+                x, position, x_axis, y_axis, z_axis, cutoff, accumulated.uv
             )
             result.x += s_x
             if wp.static("radiance" in wanted):
-                result.dot += pushed.dot
+                result.dot += accumulated.dot
             if wp.static("pose" in wanted):
                 for i in range(wp.static(3)):
                     result.dot += sink(target, m + 4 * i, s_xaxis[i]) + sink(target, m + 4 * i + 1, s_yaxis[i])

@@ -21,7 +21,7 @@ from warp_psdr.kernels.vertex import PathConfig, PathVertex
 
 @functools.cache
 def make_material_sink(config: PathConfig, wanted: Wanted, role: str):
-    """Return ``push_material(scene, target, slots, face, u, v, uv, m, adjoint) -> (VertexAdjoint, float)``."""
+    """Return ``accumulate_material(scene, target, slots, face, u, v, uv, m, adjoint) -> (VertexAdjoint, float)``."""
     scope = {
         "record": make_bsdf(config.bsdfs).record,
         "Scene": Scene,
@@ -30,7 +30,7 @@ def make_material_sink(config: PathConfig, wanted: Wanted, role: str):
         "slot_at": slot_at,
     }
     lines = [
-        "def push_material(",
+        "def accumulate_material(",
         "    scene: Scene, target: wp.array(dtype=wp.float32), slots: wp.int32, face: wp.int32, u: wp.float32,",
         "    v: wp.float32, uv: wp.vec2, m: record, adjoint: VertexAdjoint,",
         ") -> tuple[VertexAdjoint, wp.float32]:",
@@ -57,7 +57,7 @@ def make_material_sink(config: PathConfig, wanted: Wanted, role: str):
 
 @functools.cache
 def make_light_sink(config: PathConfig, wanted: Wanted, role: str, links: bool = True):
-    """Return ``push_light(scene, target, vertex, x, f, w_f, a_wo, w) -> (adjoint of x, float)``.
+    """Return ``accumulate_light(scene, target, vertex, x, f, w_f, a_wo, w) -> (adjoint of x, float)``.
 
     ``radiance_of(scene, vertex, x)`` beside it gives the attached radiance of the sampled light. ``links=False``: the
     connection with a point of an area light is the caller's to pull.
@@ -72,8 +72,12 @@ def make_light_sink(config: PathConfig, wanted: Wanted, role: str, links: bool =
     has_area = bool(config.area)
     has_environment = environment_eval is not None
     has_delta_lights = sample_vjp is not None
-    push_radiance = make_texture_sink(role, config.area, True, wanted.to_uv, wanted.texcoords) if has_area else None
-    push_vertex = make_vertex_sink(role, config.smooth, config.flat, config.uv, config.tangent, wanted.texcoords, False)
+    accumulate_radiance = (
+        make_texture_sink(role, config.area, True, wanted.to_uv, wanted.texcoords) if has_area else None
+    )
+    accumulate_vertex = make_vertex_sink(
+        role, config.smooth, config.flat, config.uv, config.tangent, wanted.texcoords, False
+    )
 
     @wp.func
     def radiance_of(scene: Scene, vertex: PathVertex, x: wp.vec3) -> wp.vec3:
@@ -89,7 +93,7 @@ def make_light_sink(config: PathConfig, wanted: Wanted, role: str, links: bool =
         return wp.vec3(0.0, 0.0, 0.0)
 
     @wp.func
-    def push_light(
+    def accumulate_light(
         scene: Scene,
         target: wp.array(dtype=wp.float32),
         vertex: PathVertex,
@@ -113,7 +117,7 @@ def make_light_sink(config: PathConfig, wanted: Wanted, role: str, links: bool =
                 uv = light_uv(scene, face, vertex.light_u, vertex.light_v)
                 adjoint = VertexAdjoint()
                 if wp.static(wanted.radiance or wanted.to_uv or wanted.texcoords):
-                    ta = push_radiance(
+                    ta = accumulate_radiance(
                         scene, target, emitter.texture, face, vertex.light_u, vertex.light_v, uv, w_radiance
                     )
                     total += ta.dot
@@ -127,8 +131,10 @@ def make_light_sink(config: PathConfig, wanted: Wanted, role: str, links: bool =
                     adjoint.x = -link.x
                     adjoint.c = link.c
                 if wp.static(corners):
-                    pushed = push_vertex(scene, target, face, vertex.light_u, vertex.light_v, adjoint, False, x, a_wo)
-                    total += pushed.dot
+                    accumulated = accumulate_vertex(
+                        scene, target, face, vertex.light_u, vertex.light_v, adjoint, False, x, a_wo
+                    )
+                    total += accumulated.dot
                 return a_x, total
         if wp.static(has_environment):
             if emitter.kind == EMITTER_CONSTANT or emitter.kind == EMITTER_ENVMAP:
@@ -143,4 +149,4 @@ def make_light_sink(config: PathConfig, wanted: Wanted, role: str, links: bool =
                 a_x = la.x
         return a_x, total
 
-    return radiance_of, push_light
+    return radiance_of, accumulate_light

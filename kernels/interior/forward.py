@@ -67,7 +67,7 @@ def make_forward_kernel(config: PathConfig, wanted: Wanted):
     radiance_of = make_light_sink(config, wanted, "forward")[0] if has_lights else None
     geometry = wanted.geometry
     weight_before, weight_of_light = make_contact_weights(config.ray_backend, config.ray_width)
-    push_camera = make_camera_sink("forward", config.camera) if wanted.camera else None
+    accumulate_camera = make_camera_sink("forward", config.camera) if wanted.camera else None
     emission_jvp = (
         make_texture_jvp(config.area, wanted.radiance, wanted.to_uv, geometry or wanted.texcoords)
         if config.area
@@ -282,8 +282,8 @@ def make_forward_kernel(config: PathConfig, wanted: Wanted):
             zero = wp.vec3(0.0, 0.0, 0.0)
             if wp.static(wanted.camera):
                 for axis in range(3):
-                    result.o[axis] = push_camera(scene, tangents, camera, sample, axis_vec3(axis), zero)
-                    result.d[axis] = push_camera(scene, tangents, camera, sample, zero, axis_vec3(axis))
+                    result.o[axis] = accumulate_camera(scene, tangents, camera, sample, axis_vec3(axis), zero)
+                    result.d[axis] = accumulate_camera(scene, tangents, camera, sample, zero, axis_vec3(axis))
             if vertex.face >= 0:
                 result.vertex = vertex_jvp(
                     scene, tangents, vertex.face, vertex.u, vertex.v, True, vertex.o, vertex.d, result.o, result.d

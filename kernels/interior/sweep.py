@@ -51,14 +51,16 @@ def make_sweep(config: PathConfig, wanted: Wanted, role: str):
     scatter_vjp = interaction.scatter_vjp
     has_delta = scatter_vjp is not None
     has_smooth = interaction.eval is not None
-    push_material = make_material_sink(config, wanted, role)
+    accumulate_material = make_material_sink(config, wanted, role)
     frame_vjp = make_frame_vjp(config.tangent)
     has_lights = bool(config.area or config.lights) and has_smooth
-    radiance_of, push_light = make_light_sink(config, wanted, role) if has_lights else (None, None)
-    push_vertex = make_vertex_sink(role, config.smooth, config.flat, config.uv, config.tangent, wanted.texcoords, True)
-    push_camera = make_camera_sink(role, config.camera) if wanted.camera else None
+    radiance_of, accumulate_light = make_light_sink(config, wanted, role) if has_lights else (None, None)
+    accumulate_vertex = make_vertex_sink(
+        role, config.smooth, config.flat, config.uv, config.tangent, wanted.texcoords, True
+    )
+    accumulate_camera = make_camera_sink(role, config.camera) if wanted.camera else None
     emission = bool(config.area) and (wanted.radiance or wanted.to_uv or wanted.geometry)
-    push_emission = (
+    accumulate_emission = (
         make_texture_sink(role, config.area, wanted.radiance, wanted.to_uv, wanted.geometry) if emission else None
     )
     lights = make_lights(config.lights, role, wanted.lights) if config.lights else None
@@ -71,7 +73,7 @@ def make_sweep(config: PathConfig, wanted: Wanted, role: str):
     materials = any(wanted.material) or wanted.to_uv or aims
     light_terms = materials or wanted.radiance or bool(wanted.lights)
     area_radiance = bool(config.area) and (wanted.radiance or wanted.to_uv or wanted.texcoords)
-    push_lights = has_lights and (geometry or area_radiance or bool(wanted.lights))
+    accumulate_lights = has_lights and (geometry or area_radiance or bool(wanted.lights))
 
     @wp.func
     def finish_vertex(scene: Scene, target: wp.array(dtype=wp.float32), carry: Carry, by_ray: wp.bool) -> Carry:
@@ -79,10 +81,12 @@ def make_sweep(config: PathConfig, wanted: Wanted, role: str):
         _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
         c = carry
         if carry.face >= 0:
-            pushed = push_vertex(scene, target, carry.face, carry.u, carry.v, carry.adjoint, by_ray, carry.o, carry.d)
-            c.dot += pushed.dot
-            c.a_x = carry.a_x + pushed.o
-            c.a_d = pushed.d
+            accumulated = accumulate_vertex(
+                scene, target, carry.face, carry.u, carry.v, carry.adjoint, by_ray, carry.o, carry.d
+            )
+            c.dot += accumulated.dot
+            c.a_x = carry.a_x + accumulated.o
+            c.a_d = accumulated.d
         return c
 
     @wp.func
@@ -119,7 +123,7 @@ def make_sweep(config: PathConfig, wanted: Wanted, role: str):
         if wp.static(emission):
             if shape.emitter >= 0 and vertex.e_weight > 0.0 and wp.dot(surface.ng, vertex.d) < 0.0:
                 emitter = scene.emitters[shape.emitter]
-                ta = push_emission(
+                ta = accumulate_emission(
                     scene, target, emitter.texture, vertex.face, vertex.u, vertex.v, surface.uv, vertex.e_weight * a_n
                 )
                 total += ta.dot
@@ -162,9 +166,9 @@ def make_sweep(config: PathConfig, wanted: Wanted, role: str):
                             a_tangent += turned.tangent
                             a_wi_world += turned.wi
                             a_wo_world = turned.wo
-                    if wp.static(push_lights):
+                    if wp.static(accumulate_lights):
                         f = interaction.eval(at, wo)
-                        a_x, dot = push_light(
+                        a_x, dot = accumulate_light(
                             scene, target, vertex, surface.x,
                             vertex.light_weight * wp.cw_mul(a_n, f), wp.dot(w_f, f), a_wo_world, chi,
                         )  # fmt: skip
@@ -219,7 +223,7 @@ def make_sweep(config: PathConfig, wanted: Wanted, role: str):
                             a_tangent += turned.tangent
                             a_wi_world += turned.wi
 
-                adjoint, dot = push_material(
+                adjoint, dot = accumulate_material(
                     scene, target, at.slots, vertex.face, vertex.u, vertex.v, surface.uv, a_material, adjoint
                 )
                 total += dot
@@ -245,7 +249,7 @@ def make_sweep(config: PathConfig, wanted: Wanted, role: str):
             done = finish_vertex(scene, target, carry, True)
             total = done.dot
             if wp.static(wanted.camera):
-                total += push_camera(scene, target, camera, sample, done.a_x, done.a_d)
+                total += accumulate_camera(scene, target, camera, sample, done.a_x, done.a_d)
             return total
 
     return sweep, finish, finish_vertex

@@ -56,13 +56,13 @@ def make_textbook_kernel(config: PathConfig, wanted: Wanted, role: str):
     lanes, starts, path_step = make_camera_paths(config, True)
     _camera_ray, camera_origin = make_camera_ray(config.camera)
     sweep, _finish, finish_vertex = make_sweep(config, wanted, role)
-    push_camera = make_camera_sink(role, config.camera) if wanted.camera else None
+    accumulate_camera = make_camera_sink(role, config.camera) if wanted.camera else None
     geometry = wanted.geometry
     weight_before, _weight_of_light = make_contact_weights(config.ray_backend, config.ray_width)
     channels = 3 if role == "forward" else 1
 
     @wp.func
-    def push(
+    def accumulate(
         scene: Scene,
         target: wp.array(dtype=wp.float32),
         camera: Camera,
@@ -78,7 +78,7 @@ def make_textbook_kernel(config: PathConfig, wanted: Wanted, role: str):
         total = done.dot
         if wp.static(wanted.camera):
             if first:
-                total += push_camera(scene, target, camera, sample, done.a_x, done.a_d)
+                total += accumulate_camera(scene, target, camera, sample, done.a_x, done.a_d)
         return total
 
     @wp.kernel(module="unique", enable_backward=False)
@@ -142,11 +142,11 @@ def make_textbook_kernel(config: PathConfig, wanted: Wanted, role: str):
                         own.a_d = result.a_d
                         if n == 1:
                             own.a_x = result.a_x
-                        total += push(scene, target, camera, sample, own, n == 1)
+                        total += accumulate(scene, target, camera, sample, own, n == 1)
                         if n > 1:
                             previous = at_vertex(before)
                             previous.adjoint.x = result.a_x
-                            total += push(scene, target, camera, sample, previous, n == 2)
+                            total += accumulate(scene, target, camera, sample, previous, n == 2)
                     before = current
                     current = following
                     n += 1

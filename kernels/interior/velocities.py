@@ -42,7 +42,7 @@ def make_pair(models: tuple[str, ...]):
 @functools.cache
 def make_texture_jvp(kinds: tuple[int, ...], values: bool, to_uv: bool, slide: bool):
     """Return ``texture_jvp(scene, tangents, index, face, u, v, uv, vertex) -> vec3``: the velocity of a value read."""
-    push = make_texture_sink("forward", kinds, values, to_uv, slide)
+    accumulate = make_texture_sink("forward", kinds, values, to_uv, slide)
 
     @wp.func
     def texture_jvp(
@@ -58,7 +58,7 @@ def make_texture_jvp(kinds: tuple[int, ...], values: bool, to_uv: bool, slide: b
         _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
         result = wp.vec3(0.0, 0.0, 0.0)
         for channel in range(3):
-            t = push(scene, tangents, index, face, u, v, uv, axis_vec3(channel))
+            t = accumulate(scene, tangents, index, face, u, v, uv, axis_vec3(channel))
             result[channel] = t.dot + wp.dot(t.uv, vertex.uv) + t.u * vertex.u + t.v * vertex.v
         return result
 

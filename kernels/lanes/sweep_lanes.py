@@ -81,7 +81,9 @@ def make_lane_sweep(config: PathConfig, wanted: Wanted, paths: LanePaths) -> tup
     _sweep, finish_path, _finish_vertex = make_sweep(config, wanted, "reverse")
     weight_before, weight_of_light = make_contact_weights(config.ray_backend, width)
     chosen = make_chosen(paths)
-    push_light, push = make_sweep_sinks(config, wanted, paths, swept, links, pulls, slides, lit_corners, next_corners)
+    accumulate_light, accumulate = make_sweep_sinks(
+        config, wanted, paths, swept, links, pulls, slides, lit_corners, next_corners
+    )
     has_lights = bool(config.area or config.lights)
     area = bool(config.area)
 
@@ -308,10 +310,10 @@ def make_lane_sweep(config: PathConfig, wanted: Wanted, paths: LanePaths) -> tup
         weigh(scene, count, n, rows)
         pull_light(n, rows)
         if wp.static(has_lights):
-            push_light(scene, target, count, n, rows)
+            accumulate_light(scene, target, count, n, rows)
         pull_onward(n, rows)
         hand_on(n, rows)
-        push(scene, target, count, n, rows)
+        accumulate(scene, target, count, n, rows)
 
     @wp.func
     def finish(scene: Scene, camera: Camera, target: wp.array(dtype=wp.float32), count: wp.int32, rows: ROWS):

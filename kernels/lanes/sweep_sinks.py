@@ -111,7 +111,7 @@ def make_sweep_sinks(
     lit_corners: Rows,
     next_corners: Rows,
 ) -> tuple[wp.Function, wp.Function]:
-    """Return ``push_light`` and ``push``, both ``(scene, target, count, n, rows)``.
+    """Return ``accumulate_light`` and ``accumulate``, both ``(scene, target, count, n, rows)``.
 
     The first, which scenes without lights have no use for, does what D_n brings to the lights, and adds to the adjoint
     of x_n what comes back; the second what goes to the material, to the normals at the corners, and to the corners of
@@ -120,26 +120,28 @@ def make_sweep_sinks(
     kept_at = paths.record
     side_of = make_side(config.two_sided)
     sink3 = make_sink_vec3("reverse")
-    push_vertex = make_vertex_sink("reverse", config.smooth, config.flat, config.uv, False, wanted.texcoords, False)
+    accumulate_vertex = make_vertex_sink(
+        "reverse", config.smooth, config.flat, config.uv, False, wanted.texcoords, False
+    )
     material_record = make_bsdf(config.bsdfs).record
-    push_material = make_material_sink(config, wanted, "reverse")
+    accumulate_material = make_material_sink(config, wanted, "reverse")
     has_lights = bool(config.area or config.lights)
-    push_source = make_light_sink(config, wanted, "reverse", links=False)[1] if has_lights else None
+    accumulate_source = make_light_sink(config, wanted, "reverse", links=False)[1] if has_lights else None
     sources = bool(config.lights) or wanted.radiance or wanted.to_uv or wanted.texcoords
-    push_emission = (
+    accumulate_emission = (
         make_texture_sink("reverse", config.area, wanted.radiance, wanted.to_uv, True) if config.area else None
     )
     lights = make_lights(config.lights, "reverse", wanted.lights) if config.lights else None
     environment_vjp = lights.environment_vjp if lights else None
 
     @wp.func
-    def push_corners(scene: Scene, target: wp.array(dtype=wp.float32), tri: Triangle, a: Corners) -> wp.float32:
+    def accumulate_corners(scene: Scene, target: wp.array(dtype=wp.float32), tri: Triangle, a: Corners) -> wp.float32:
         lost = sink3(target, scene.positions + 3 * tri.i0, a.p0)
         lost += sink3(target, scene.positions + 3 * tri.i1, a.p1)
         return lost + sink3(target, scene.positions + 3 * tri.i2, a.p2)
 
     @wp.func
-    def push_light(scene: Scene, target: wp.array(dtype=wp.float32), count: wp.int32, n: wp.int32, rows: ROWS):
+    def accumulate_light(scene: Scene, target: wp.array(dtype=wp.float32), count: wp.int32, n: wp.int32, rows: ROWS):
         _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
         for j in range(count):
             link = links.get(rows, j)
@@ -150,7 +152,7 @@ def make_sweep_sinks(
                     vertex = record.vertex
                     pull = pulls.get(rows, j)
                     x = point_on(record.tri, vertex.u, vertex.v)
-                    a_x, lost = push_source(
+                    a_x, lost = accumulate_source(
                         scene, target, vertex, x, pull.radiance, pull.value, pull.a_wo, link.chi_light
                     )
                     path.lost += lost
@@ -158,11 +160,11 @@ def make_sweep_sinks(
                     pulls.put(rows, j, pull)
                 if wp.static(wanted.shapes):
                     if link.lit == 2:
-                        path.lost += push_corners(scene, target, record.light, lit_corners.get(rows, j))
+                        path.lost += accumulate_corners(scene, target, record.light, lit_corners.get(rows, j))
                 swept.put(rows, j, path)
 
     @wp.func
-    def push_brought(
+    def accumulate_brought(
         scene: Scene, target: wp.array(dtype=wp.float32), record: Kept, delta: wp.vec3
     ) -> tuple[VertexAdjoint, wp.float32]:
         """E_n of an area light."""
@@ -176,7 +178,7 @@ def make_sweep_sinks(
                 w = vertex.e_weight * wp.cw_mul(delta, vertex.throughput)
                 uv = light_uv(scene, vertex.face, vertex.u, vertex.v)
                 texture = scene.emitters[emitter].texture
-                ta = push_emission(scene, target, texture, vertex.face, vertex.u, vertex.v, uv, w)
+                ta = accumulate_emission(scene, target, texture, vertex.face, vertex.u, vertex.v, uv, w)
                 lost = ta.dot
                 adjoint.uv = ta.uv
                 adjoint.u = ta.u
@@ -184,7 +186,7 @@ def make_sweep_sinks(
         return adjoint, lost
 
     @wp.func
-    def push(scene: Scene, target: wp.array(dtype=wp.float32), count: wp.int32, n: wp.int32, rows: ROWS):
+    def accumulate(scene: Scene, target: wp.array(dtype=wp.float32), count: wp.int32, n: wp.int32, rows: ROWS):
         _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
         for j in range(count):
             path = swept.get(rows, j)
@@ -200,7 +202,7 @@ def make_sweep_sinks(
                             path.lost += ea.dot
                             slide.a_d = ea.x
                 else:
-                    adjoint, lost = push_brought(scene, target, record, path.delta)
+                    adjoint, lost = accumulate_brought(scene, target, record, path.delta)
                     path.lost += lost
                     if links.get(rows, j).scatters == 1:
                         pull = pulls.get(rows, j)
@@ -209,7 +211,7 @@ def make_sweep_sinks(
                         m.reflectance = pull.reflectance
                         shape = shape_at(scene, record.tri.shape)
                         _side, b = side_of(scene, shape.bsdf, stood.side < 0.0)
-                        adjoint, lost = push_material(
+                        adjoint, lost = accumulate_material(
                             scene, target, scene.bsdfs[b].slots, vertex.face, vertex.u, vertex.v, stood.uv, m, adjoint
                         )
                         path.lost += lost
@@ -222,18 +224,18 @@ def make_sweep_sinks(
                         if wp.static(wanted.shapes):
                             if pull.continues == 1:
                                 tri = kept_at(rows, j, n + 1).tri
-                                path.lost += push_corners(scene, target, tri, next_corners.get(rows, j))
+                                path.lost += accumulate_corners(scene, target, tri, next_corners.get(rows, j))
                     slide.uv = adjoint.uv
                     slide.u = adjoint.u
                     slide.v = adjoint.v
                     if wp.static(wanted.texcoords):
                         if n > 0:
-                            pushed = push_vertex(
+                            accumulated = accumulate_vertex(
                                 scene, target, vertex.face, vertex.u, vertex.v, adjoint, False, vertex.o, vertex.d
                             )
-                            path.lost += pushed.dot
+                            path.lost += accumulated.dot
                 if n == 0:
                     slides.put(rows, j, slide)
                 swept.put(rows, j, path)
 
-    return push_light, push
+    return accumulate_light, accumulate

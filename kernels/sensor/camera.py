@@ -238,11 +238,11 @@ def make_camera_ray(kind: int):
 
 @functools.cache
 def make_camera_sink(role: str, kind: int):
-    """Return ``push_camera(scene, target, camera, sample, a_o, a_d) -> float`` for a camera ray."""
+    """Return ``accumulate_camera(scene, target, camera, sample, a_o, a_d) -> float`` for a camera ray."""
     sink = make_sink(role)
 
     @wp.func
-    def push_camera(
+    def accumulate_camera(
         scene: Scene,
         target: wp.array(dtype=wp.float32),
         camera: Camera,
@@ -284,4 +284,4 @@ def make_camera_sink(role: str, kind: int):
                 total += sink(target, camera.to_world + 4 * row + column, g_m[row, column])
         return total
 
-    return push_camera
+    return accumulate_camera

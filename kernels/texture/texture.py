@@ -166,7 +166,7 @@ def make_texture(kinds: tuple[int, ...]):
 
 @functools.cache
 def make_texture_sink(role: str, kinds: tuple[int, ...], values: bool, to_uv: bool, slide: bool):
-    """Return ``push_texture(scene, target, index, face, u, v, uv, w) -> TextureAdjoint``.
+    """Return ``accumulate_texture(scene, target, index, face, u, v, uv, w) -> TextureAdjoint``.
 
     Args:
         role: "reverse" or "forward" (see ``kernels/sink.py``).
@@ -179,7 +179,7 @@ def make_texture_sink(role: str, kinds: tuple[int, ...], values: bool, to_uv: bo
     sink_texel = make_sink_texel(role)
 
     @wp.func
-    def push_bitmap(
+    def accumulate_bitmap(
         scene: Scene, target: wp.array(dtype=wp.float32), texture: Texture, uv: wp.vec2, w: wp.vec3
     ) -> TextureAdjoint:
         result = TextureAdjoint()
@@ -214,7 +214,7 @@ def make_texture_sink(role: str, kinds: tuple[int, ...], values: bool, to_uv: bo
         return result
 
     @wp.func
-    def push_vertex_attribute(
+    def accumulate_vertex_attribute(
         scene: Scene,
         target: wp.array(dtype=wp.float32),
         texture: Texture,
@@ -239,7 +239,7 @@ def make_texture_sink(role: str, kinds: tuple[int, ...], values: bool, to_uv: bo
         return result
 
     @wp.func
-    def push_texture(
+    def accumulate_texture(
         scene: Scene,
         target: wp.array(dtype=wp.float32),
         index: wp.int32,
@@ -254,10 +254,10 @@ def make_texture_sink(role: str, kinds: tuple[int, ...], values: bool, to_uv: bo
         texture = scene.textures[index]
         if wp.static(TEXTURE_BITMAP in kinds):
             if texture.kind == TEXTURE_BITMAP:
-                return push_bitmap(scene, target, texture, uv, w)
+                return accumulate_bitmap(scene, target, texture, uv, w)
         if wp.static(TEXTURE_VERTEX in kinds):
             if texture.kind == TEXTURE_VERTEX:
-                return push_vertex_attribute(scene, target, texture, face, u, v, w)
+                return accumulate_vertex_attribute(scene, target, texture, face, u, v, w)
         if wp.static(TEXTURE_FACE in kinds):
             if texture.kind == TEXTURE_FACE:
                 if wp.static(values):
@@ -267,4 +267,4 @@ def make_texture_sink(role: str, kinds: tuple[int, ...], values: bool, to_uv: bo
             result.dot = sink_texel(target, texture.offset, texture.channels, w)
         return result
 
-    return push_texture
+    return accumulate_texture

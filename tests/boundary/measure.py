@@ -112,7 +112,7 @@ def differences(case: Case) -> tuple[dict, np.ndarray, np.ndarray]:
     return tangents, weights / scale, sums / scale
 
 
-def pushed(scene, tangents: dict, integrator, spp: int, seed: int) -> np.ndarray:
+def accumulated(scene, tangents: dict, integrator, spp: int, seed: int) -> np.ndarray:
     """Return the derivative image of a scene; tangents: name -> function of the values, as of a ``Case``."""
     params = psdr.traverse(scene)
     given = {name: np.float32(tangent(params[name].numpy().copy())) for name, tangent in tangents.items()}

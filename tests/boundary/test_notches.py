@@ -5,7 +5,7 @@ import pytest
 
 import warp_psdr as psdr
 
-from .measure import MODES, Case, assert_agrees, derivatives, differences, pushed, rows, slope
+from .measure import MODES, Case, accumulated, assert_agrees, derivatives, differences, rows, slope
 from .mirrors import ALONG, ETA, GLASS, GLASSES, LAMP, MIRROR, lamp, slab
 from .scenes import ball, camera, diffuse, floor, mesh, register
 from .test_table import moved
@@ -186,7 +186,7 @@ def test_glass_elsewhere_changes_nothing() -> None:
                 "lamp": {"type": "point", "position": [1.0, -2.0, 3.0], "intensity": 10.0},
             }
         )
-        return pushed(scene, {BALL: moved(0.3, 0.2, 0.1)}, psdr.PathIntegrator(max_depth=2), 16, 1)
+        return accumulated(scene, {BALL: moved(0.3, 0.2, 0.1)}, psdr.PathIntegrator(max_depth=2), 16, 1)
 
     without = derivative(diffuse(0.5))
     assert np.abs(without).max() > 0.1
@@ -209,7 +209,7 @@ def test_hiding_unseen_lights_changes_nothing() -> None:
 
     def derivative(hidden: bool) -> np.ndarray:
         integrator = psdr.PathIntegrator(max_depth=4, hide_emitters=hidden)
-        return pushed(scene, {GLASSES: moved(0.3, 0.2, 0.1)}, integrator, 16, 1)
+        return accumulated(scene, {GLASSES: moved(0.3, 0.2, 0.1)}, integrator, 16, 1)
 
     shown = derivative(False)
     assert np.abs(shown).max() > 0.1

@@ -11,7 +11,7 @@ import warp_psdr as psdr
 from warp_psdr.scene import scene as scenes
 
 from . import test_cameras, test_curves, test_notches, test_table
-from .measure import Case, pushed
+from .measure import Case, accumulated
 from .scenes import SCENES
 
 #: Of the derivative, times the factor of the step: its error is of first order, some 1e-5 in most scenes.
@@ -45,7 +45,7 @@ def derivative(case: Case, factor: float, monkeypatch) -> np.ndarray:
         changed.setattr(scenes, "RAY_EPSILON", factor * scenes.RAY_EPSILON)
         loaded = psdr.load_dict({"type": "scene", **SCENES[case.scene]()})
     tangents = dict.fromkeys(case.names, case.tangent)
-    images = [pushed(loaded, tangents, case.integrator(), 64, seed) for seed in range(4)]
+    images = [accumulated(loaded, tangents, case.integrator(), 64, seed) for seed in range(4)]
     return np.mean(images, axis=0, dtype=np.float64)
 
 

@@ -125,7 +125,7 @@ def test_one_albedo_compiles_no_geometry(diffuse, tmp_path):
     assert not albedo.wanted.geometry and everything.wanted.geometry
     assert [slot.name for slot in albedo.config.material] == ["reflectance"]
     assert albedo.wanted.material == (True,)
-    words = ("barycentrics_dot", "connection_vjp", "normalize_vjp", "push_vertex", "camera_vjp")
+    words = ("barycentrics_dot", "connection_vjp", "normalize_vjp", "accumulate_vertex", "camera_vjp")
     small, large = (
         functions_of(source_of(passes.gradient_kernel(plan, "reverse"), tmp_path / str(i)))
         for i, plan in enumerate((albedo, everything))

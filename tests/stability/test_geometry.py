@@ -105,7 +105,7 @@ def contact(apart_by) -> float:
     return max(float(resting(gap).std(ddof=1)) for gap in apart_by) / float(resting(0.1).std(ddof=1))
 
 
-def pushed_in() -> float:
+def accumulated_in() -> float:
     """Return the noise of derivatives of a tilted box 1e-2 .. 1e-6 inside of the floor, over that of one 0.1 inside."""
     vertices, faces = box((0.2, 0.1, 0.0), 0.5)
     vertices[:, 2] -= vertices[:, 2].min()
@@ -215,8 +215,8 @@ CASES = (
         naive="a weight as at a contact takes the rise: little noise, and derivatives of the wrong sign",
     ),
     Case(
-        family="geometry", name="pushed into the floor by 1e-2 .. 1e-6: noise", bound=1.3, slow=True, measure=pushed_in,
-        hard="the curve of intersection shrinks to a point, next to which the surfaces touch",
+        family="geometry", name="pushed into the floor by 1e-2 .. 1e-6: noise", bound=1.3, slow=True,
+        measure=accumulated_in, hard="the curve of intersection shrinks to a point, next to which the surfaces touch",
         naive="without the curve the derivative lacks its motion; without the contact's weight it has no variance",
     ),
     Case(

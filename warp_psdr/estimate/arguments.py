@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
-from warp_psdr.scene.chain import push_derived
+from warp_psdr.scene.chain import accumulate_derived
 from warp_psdr.scene.parameters import check_owner
 
 if TYPE_CHECKING:
@@ -77,5 +77,5 @@ def flat_tangents(scene: Scene, params: Parameters, tangents: dict) -> wp.array:
         p = scene.parameters[name]
         flat[p.offset : p.offset + p.size] = values.reshape(-1)
     target = wp.array(flat, dtype=wp.float32, device=scene.device)
-    push_derived(scene, list(tangents), target)
+    accumulate_derived(scene, list(tangents), target)
     return target

@@ -87,7 +87,7 @@ def pull_derived(scene: Scene, names: list[str], grad: wp.array) -> None:
         )
 
 
-def push_derived(scene: Scene, names: list[str], tangent: wp.array) -> None:
+def accumulate_derived(scene: Scene, names: list[str], tangent: wp.array) -> None:
     """Add the tangents of vertices and normals that follow the named poses and positions.
 
     Args:

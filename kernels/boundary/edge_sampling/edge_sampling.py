@@ -196,9 +196,9 @@ def make_edge_sampling_kernel(
     path_step = make_path_step(walk, False)
     edge_sample = make_edge_sample(config, tree, candidates)
     incident_radiance = make_incident_radiance(config)
-    push_segment = make_segment_sink(role, False)
-    push_first = make_first_sink(role)
-    push_camera = make_camera_sink(role, config.camera) if camera_moves else None
+    accumulate_segment = make_segment_sink(role, False)
+    accumulate_first = make_first_sink(role)
+    accumulate_camera = make_camera_sink(role, config.camera) if camera_moves else None
     note_place = make_note(config.noted)
 
     @wp.kernel(module="unique", enable_backward=False)
@@ -258,11 +258,11 @@ def make_edge_sampling_kernel(
                         w = wp.float32(1.0)
                         if wp.static(role == "reverse"):
                             w = wp.dot(delta, value)
-                        a_o, a_d, speed = push_first(scene, target, s, w, k == 1, origin, vertex.d)
-                        speed += push_segment(scene, target, edges, drawn.point, s, w)
+                        a_o, a_d, speed = accumulate_first(scene, target, s, w, k == 1, origin, vertex.d)
+                        speed += accumulate_segment(scene, target, edges, drawn.point, s, w)
                         if wp.static(camera_moves):
                             if k == 1:
-                                speed += push_camera(scene, target, camera, ray, a_o, a_d)
+                                speed += accumulate_camera(scene, target, camera, ray, a_o, a_d)
                         total += speed * value
                         if wp.static(role == "reverse"):
                             dropped += speed

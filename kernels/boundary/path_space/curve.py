@@ -95,7 +95,7 @@ def make_curve_segment(config: PathConfig):
 def make_curve_kernel(config: PathConfig, role: str, camera_moves: bool, indirect: bool = False):
     """Return the kernel: one thread a sample (arguments as in ``secondary.py``)."""
     segment_at = make_curve_segment(config)
-    push_segment = make_segment_sink(role, False)
+    accumulate_segment = make_segment_sink(role, False)
     source = make_source(config)
     source = make_indirect(source) if indirect else source
     transport = make_transport(config, role, camera_moves, source)
@@ -125,12 +125,12 @@ def make_curve_kernel(config: PathConfig, role: str, camera_moves: bool, indirec
         note_place(scene, NOTE_EDGE, point.edge, point.s, 0.0, point.x, s.w, wp.vec3(s.scale))
         rest = wp.float32(0.0)
         if wp.static(role == "forward"):
-            rest = push_segment(scene, target, edges, point, s, 1.0)
+            rest = accumulate_segment(scene, target, edges, point, s, 1.0)
         scale = s.scale / wp.float32(job.samples)
         weight = transport(scene, camera, sampler, s, scale, rest, job, target, image_out)
         if wp.static(role == "reverse"):
             if weight != 0.0:
-                if push_segment(scene, target, edges, point, s, weight) != 0.0:
+                if accumulate_segment(scene, target, edges, point, s, weight) != 0.0:
                     count_invalid(scene, sampler)
 
     return curve

@@ -60,7 +60,7 @@ def make_facets_kernel(config: PathConfig, role: str, camera_moves: bool):
     lit = bool(config.area or config.lights)
     sample_light = make_light_sampler(config) if lit else None
     following = make_following(config)
-    find, push = make_film_edge(config, role, camera_moves)
+    find, accumulate = make_film_edge(config, role, camera_moves)
     sample_4d = make_sampler(config.sampler).sample_4d
 
     @wp.func
@@ -166,6 +166,6 @@ def make_facets_kernel(config: PathConfig, role: str, camera_moves: bool):
                 state.pdf = along.pdf
                 arriving = following(scene, sampler, state, job.max_depth, job.rr_depth, False)
                 jump += inverse_pdf(along.pdf) * wp.cw_mul(along.value, arriving.radiance)
-        push(scene, camera, edges, sampler, job.samples, f, jump, target, image_out)
+        accumulate(scene, camera, edges, sampler, job.samples, f, jump, target, image_out)
 
     return facets

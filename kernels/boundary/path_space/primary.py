@@ -55,7 +55,7 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
     """Return the kernel of the primary boundary term: one thread a sample (arguments as in ``secondary.py``)."""
     surface_at = make_interaction(config).surface
     incident_radiance = make_incident_radiance(config)
-    find, push = make_film_edge(config, role, camera_moves)
+    find, accumulate = make_film_edge(config, role, camera_moves)
     has_delta_lights = bool(DELTA_LIGHTS & set(config.lights))
     lit_along = make_lit_along(config) if has_delta_lights else None
     shadow_along = make_shadow_along(config) if has_delta_lights else None
@@ -241,6 +241,6 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
                 if by_a != OWN and by_b != OWN:
                     return
                 jump *= 0.5
-        push(scene, camera, edges, sampler, job.samples, f, jump, target, image_out)
+        accumulate(scene, camera, edges, sampler, job.samples, f, jump, target, image_out)
 
     return primary

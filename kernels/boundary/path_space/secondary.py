@@ -165,14 +165,14 @@ def make_segment(config: PathConfig):
 
 @functools.cache
 def make_segment_sink(role: str, light_pose: bool):
-    """Return ``push_segment(scene, target, edges, point, segment, w) -> float`` for the edge and x_2."""
-    push_edge = make_edge_sink(role)
-    push_vertex = make_vertex_sink(role, False, False, False, False, False, True)
+    """Return ``accumulate_segment(scene, target, edges, point, segment, w) -> float`` for the edge and x_2."""
+    accumulate_edge = make_edge_sink(role)
+    accumulate_vertex = make_vertex_sink(role, False, False, False, False, False, True)
     sink = make_sink(role)
     sink3 = make_sink_vec3(role)
 
     @wp.func
-    def push_segment(
+    def accumulate_segment(
         scene: Scene,
         target: wp.array(dtype=wp.float32),
         edges: Edges,
@@ -182,14 +182,14 @@ def make_segment_sink(role: str, light_pose: bool):
     ) -> wp.float32:
         _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
         g = w * segment.sweep
-        total = push_edge(scene, target, edges, point, g)
+        total = accumulate_edge(scene, target, edges, point, g)
         if segment.face2 >= 0:
             adjoint = VertexAdjoint()
             adjoint.x = -segment.tau * g
-            pushed = push_vertex(
+            accumulated = accumulate_vertex(
                 scene, target, segment.face2, segment.u2, segment.v2, adjoint, False, segment.x, segment.w
             )
-            total += pushed.dot
+            total += accumulated.dot
         if wp.static(light_pose):
             if segment.light >= 0:
                 record = scene.emitters[segment.light]
@@ -205,7 +205,7 @@ def make_segment_sink(role: str, light_pose: bool):
                         total += sink(target, record.to_world + 4 * i + 3, -segment.tau * g[i])
         return total
 
-    return push_segment
+    return accumulate_segment
 
 
 @functools.cache
@@ -232,7 +232,7 @@ def make_secondary_kernel(
     """
     evaluates = role == "target"
     segment_at = make_segment(config)
-    push_segment = None if evaluates else make_segment_sink(role, light_pose)
+    accumulate_segment = None if evaluates else make_segment_sink(role, light_pose)
     source = make_source(config, True)
     source = make_indirect(source) if indirect else source
     transport = make_transport(config, role, camera_moves, source)
@@ -290,7 +290,7 @@ def make_secondary_kernel(
         rest = wp.float32(0.0)
         scale = s.scale
         if wp.static(role == "forward"):
-            rest = push_segment(scene, target, edges, point, s, 1.0)
+            rest = accumulate_segment(scene, target, edges, point, s, 1.0)
         if wp.static(evaluates):
             scale *= wp.length(s.sweep)
         else:
@@ -300,7 +300,7 @@ def make_secondary_kernel(
             target[number] = weight
         elif wp.static(role != "forward"):
             if weight != 0.0:
-                if push_segment(scene, target, edges, point, s, weight) != 0.0:
+                if accumulate_segment(scene, target, edges, point, s, weight) != 0.0:
                     count_invalid(scene, sampler)
 
     return secondary

@@ -63,18 +63,18 @@ def make_bent_kernel(config: PathConfig, role: str, camera_moves: bool):
     """
     visibility = visibility_of(config)
     surface_at = make_interaction(config).surface
-    push_vertex = make_vertex_sink(role, True, config.flat, False, False, False, True)
+    accumulate_vertex = make_vertex_sink(role, True, config.flat, False, False, False, True)
     transport = make_transport(config, role, camera_moves, make_jump(config), 2)
     sample_4d = make_sampler(config.sampler).sample_4d
 
     @wp.func
-    def push_bent(scene: Scene, target: wp.array(dtype=wp.float32), s: Segment, w: wp.float32) -> wp.float32:
+    def accumulate_bent(scene: Scene, target: wp.array(dtype=wp.float32), s: Segment, w: wp.float32) -> wp.float32:
         _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
         vertex = VertexAdjoint()
         vertex.x = w * s.sweep
         vertex.n = -w * s.w
-        pushed = push_vertex(scene, target, s.face2, s.u2, s.v2, vertex, False, s.x, s.w)
-        return pushed.dot
+        accumulated = accumulate_vertex(scene, target, s.face2, s.u2, s.v2, vertex, False, s.x, s.w)
+        return accumulated.dot
 
     @wp.kernel(module="unique", enable_backward=False)
     def bent(
@@ -125,7 +125,7 @@ def make_bent_kernel(config: PathConfig, role: str, camera_moves: bool):
         s.v1 = hit.v
         rest = wp.float32(0.0)
         if wp.static(role == "forward"):
-            rest = push_bent(scene, target, s, 1.0)
+            rest = accumulate_bent(scene, target, s, 1.0)
         tri = scene.triangles[s.face2]
         area = 0.5 * wp.length(wp.cross(tri.p1 - tri.p0, tri.p2 - tri.p0))
         # |n_g . w| / pdf_theta = 4 sin(alpha)
@@ -133,7 +133,7 @@ def make_bent_kernel(config: PathConfig, role: str, camera_moves: bool):
         weight = transport(scene, camera, sampler, s, scale, rest, job, target, image_out)
         if wp.static(role == "reverse"):
             if weight != 0.0:
-                if push_bent(scene, target, s, weight) != 0.0:
+                if accumulate_bent(scene, target, s, weight) != 0.0:
                     count_invalid(scene, sampler)
 
     return bent

@@ -52,7 +52,7 @@ def make_horizon_kernel(config: PathConfig, role: str, camera_moves: bool, indir
     """Return the kernel: one thread a sample (arguments as in ``bent.py``; ``indirect`` as in ``secondary.py``)."""
     visibility = visibility_of(config)
     surface_at = make_interaction(config).surface
-    push_vertex = make_vertex_sink(role, False, False, False, False, False, True)
+    accumulate_vertex = make_vertex_sink(role, False, False, False, False, False, True)
     source = make_indirect(make_side(config)) if indirect else make_side(config)
     transport = make_transport(config, role, camera_moves, source)
     draw = make_sampler(config.sampler)
@@ -60,18 +60,18 @@ def make_horizon_kernel(config: PathConfig, role: str, camera_moves: bool, indir
     sample_4d = draw.sample_4d
 
     @wp.func
-    def push_horizon(scene: Scene, target: wp.array(dtype=wp.float32), s: Segment, w: wp.float32) -> wp.float32:
+    def accumulate_horizon(scene: Scene, target: wp.array(dtype=wp.float32), s: Segment, w: wp.float32) -> wp.float32:
         _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
         tri = scene.triangles[s.face1]
         own = VertexAdjoint()
         twice_area = wp.length(wp.cross(tri.p1 - tri.p0, tri.p2 - tri.p0))
         own.c = normalize_vjp(tri.normal, twice_area, (w * scene.shapes[tri.shape].orientation) * s.w)
-        pushed = push_vertex(scene, target, s.face1, s.u1, s.v1, own, False, s.x, s.w)
-        total = pushed.dot
+        accumulated = accumulate_vertex(scene, target, s.face1, s.u1, s.v1, own, False, s.x, s.w)
+        total = accumulated.dot
         if s.face2 >= 0:
             other = VertexAdjoint()
             other.x = w * s.sweep
-            met = push_vertex(scene, target, s.face2, s.u2, s.v2, other, False, s.x, s.w)
+            met = accumulate_vertex(scene, target, s.face2, s.u2, s.v2, other, False, s.x, s.w)
             total += met.dot
         return total
 
@@ -133,7 +133,7 @@ def make_horizon_kernel(config: PathConfig, role: str, camera_moves: bool, indir
             s.sweep = surface.ng / hit.t
         rest = wp.float32(0.0)
         if wp.static(role == "forward"):
-            rest = push_horizon(scene, target, s, 1.0)
+            rest = accumulate_horizon(scene, target, s, 1.0)
         tri = scene.triangles[s.face1]
         area = 0.5 * wp.length(wp.cross(tri.p1 - tri.p0, tri.p2 - tri.p0))
         # One of two sides; pdf_theta = chance |cos(theta)| / 2.
@@ -142,7 +142,7 @@ def make_horizon_kernel(config: PathConfig, role: str, camera_moves: bool, indir
         weight = transport(scene, camera, sampler, s, scale, rest, job, target, image_out)
         if wp.static(role == "reverse"):
             if weight != 0.0:
-                if push_horizon(scene, target, s, weight) != 0.0:
+                if accumulate_horizon(scene, target, s, weight) != 0.0:
                     count_invalid(scene, sampler)
 
     return horizon

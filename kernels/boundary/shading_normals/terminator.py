@@ -55,8 +55,8 @@ def make_terminator_kernel(config: PathConfig, role: str, camera_moves: bool):
     """Return the kernel: one thread a sample (arguments as in ``secondary.py``)."""
     visibility = visibility_of(config)
     incident_radiance = make_incident_radiance(config)
-    push_vertex = make_vertex_sink(role, True, config.flat, False, False, False, True)
-    push_camera = make_camera_sink(role, config.camera) if camera_moves else None
+    accumulate_vertex = make_vertex_sink(role, True, config.flat, False, False, False, True)
+    accumulate_camera = make_camera_sink(role, config.camera) if camera_moves else None
     splat, gather = make_splat()
     project, _film_gradient, film_velocity = make_projection(config.camera)
     lens_point = make_lens(config.camera)
@@ -176,12 +176,14 @@ def make_terminator_kernel(config: PathConfig, role: str, camera_moves: bool):
                         vertex = VertexAdjoint()
                         vertex.x = -g * finite * unit
                         vertex.n = (shape.orientation * g) * to
-                        pushed = push_vertex(scene, target, face, at_b[1], at_b[2], vertex, True, at.origin, -view)
-                        moved = pushed.dot
+                        accumulated = accumulate_vertex(
+                            scene, target, face, at_b[1], at_b[2], vertex, True, at.origin, -view
+                        )
+                        moved = accumulated.dot
                         if wp.static(camera_moves):
-                            a_o = pushed.o + (g * finite) * unit
-                            a_d = pushed.d - (g * (1.0 - finite)) * unit
-                            moved += push_camera(scene, target, camera, at.sample, a_o, a_d)
+                            a_o = accumulated.o + (g * finite) * unit
+                            a_d = accumulated.d - (g * (1.0 - finite)) * unit
+                            moved += accumulate_camera(scene, target, camera, at.sample, a_o, a_d)
                         if wp.static(role == "forward"):
                             splat(scene, sampler, camera, at.pixel, moved * jump, image_out)
                         elif wp.static(role == "reverse"):

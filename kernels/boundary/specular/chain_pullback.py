@@ -45,9 +45,11 @@ def make_chain_pullback(config: PathConfig, wanted: Wanted, role: str):
     interaction = make_interaction(config)
     scatter, scatter_vjp = interaction.scatter, interaction.scatter_vjp
     frame_vjp = make_frame_vjp(config.tangent)
-    push_material = make_material_sink(config, wanted, role)
-    push_vertex = make_vertex_sink(role, config.smooth, config.flat, config.uv, config.tangent, wanted.texcoords, True)
-    push_camera = make_camera_sink(role, config.camera) if wanted.camera else None
+    accumulate_material = make_material_sink(config, wanted, role)
+    accumulate_vertex = make_vertex_sink(
+        role, config.smooth, config.flat, config.uv, config.tangent, wanted.texcoords, True
+    )
+    accumulate_camera = make_camera_sink(role, config.camera) if wanted.camera else None
 
     @wp.func
     def pull(
@@ -86,7 +88,7 @@ def make_chain_pullback(config: PathConfig, wanted: Wanted, role: str):
                     turned = frame_vjp(frame, surface.tangent, wi_world, a_d, fa.wi, wo)
                     adjoint.n = adjoint.n + frame.side * turned.n
                     adjoint.tangent = adjoint.tangent + turned.tangent
-                    adjoint, dot = push_material(
+                    adjoint, dot = accumulate_material(
                         scene, target, at.slots, visit.face, visit.u, visit.v, surface.uv, fa.material, adjoint
                     )
                     total += dot
@@ -94,19 +96,19 @@ def make_chain_pullback(config: PathConfig, wanted: Wanted, role: str):
                     a_x = normalize_vjp(wi_world, wp.length(visit.o - surface.x), turned.wi)
                     adjoint.x = adjoint.x - a_x
                     before += a_x
-            pushed = push_vertex(
+            accumulated = accumulate_vertex(
                 scene, target, visit.face, visit.u, visit.v, adjoint, visit.attached == 1, visit.o, visit.d
             )
-            total += pushed.dot
-            a_o = before + pushed.o
-            a_d = pushed.d
+            total += accumulated.dot
+            a_o = before + accumulated.o
+            a_d = accumulated.d
             more = wp.length_sq(a_o) + wp.length_sq(a_d) > 0.0
             adjoint = VertexAdjoint()
             before = wp.vec3(0.0, 0.0, 0.0)
             j -= 1
         if wp.static(wanted.camera):
             if more:
-                total += push_camera(scene, target, camera, sample, a_o, a_d)
+                total += accumulate_camera(scene, target, camera, sample, a_o, a_d)
         return total
 
     return pull

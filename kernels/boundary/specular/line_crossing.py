@@ -48,7 +48,7 @@ class Line:
 
 @functools.cache
 def make_crossing_sink(config: PathConfig, wanted: Wanted, role: str, light_pose: bool):
-    """Return ``push_crossings(scene, camera, edges, tables, block, line, low, high, weight, visits, ...)``.
+    """Return ``accumulate_crossings(scene, camera, edges, tables, block, line, low, high, weight, visits, ...)``.
 
     Adds what lies between the neighbouring points ``low`` and ``high`` of a line, as ``weight`` crossings.
     """
@@ -58,15 +58,15 @@ def make_crossing_sink(config: PathConfig, wanted: Wanted, role: str, light_pose
     follow = make_follow(config)
     crossing_at = make_crossing(config)
     pull = make_chain_pullback(config, wanted, role)
-    push_segment = make_segment_sink(role, light_pose)
-    push_vertex = make_vertex_sink(role, False, False, False, False, False, True)
+    accumulate_segment = make_segment_sink(role, light_pose)
+    accumulate_vertex = make_vertex_sink(role, False, False, False, False, False, True)
     interaction = make_interaction(config)
     has_smooth = interaction.eval is not None
     splat, gather = make_splat()
     note_place = make_note(config.noted)
 
     @wp.func
-    def push_point(
+    def accumulate_point(
         scene: Scene,
         target: wp.array(dtype=wp.float32),
         s: Segment,
@@ -79,8 +79,8 @@ def make_crossing_sink(config: PathConfig, wanted: Wanted, role: str, light_pose
         _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
         adjoint = VertexAdjoint()
         adjoint.x = g
-        pushed = push_vertex(scene, target, face, u, v, adjoint, False, s.x, s.w)
-        return pushed.dot
+        accumulated = accumulate_vertex(scene, target, face, u, v, adjoint, False, s.x, s.w)
+        return accumulated.dot
 
     @wp.func
     def settled(
@@ -138,7 +138,7 @@ def make_crossing_sink(config: PathConfig, wanted: Wanted, role: str, light_pose
         return jump
 
     @wp.func
-    def push_crossings(
+    def accumulate_crossings(
         scene: Scene,
         camera: Camera,
         edges: Edges,
@@ -201,15 +201,15 @@ def make_crossing_sink(config: PathConfig, wanted: Wanted, role: str, light_pose
                     )
                     if r.edge == 2:
                         met = r.segment
-                        speed += push_point(scene, target, met, met.face2, met.u2, met.v2, w * met.sweep)
+                        speed += accumulate_point(scene, target, met, met.face2, met.u2, met.v2, w * met.sweep)
                         if met.face1 >= 0:
-                            speed += push_point(scene, target, met, met.face1, met.u1, met.v1, w * r.sweep1)
+                            speed += accumulate_point(scene, target, met, met.face1, met.u1, met.v1, w * r.sweep1)
                     if r.edge == 1:
-                        speed += push_segment(scene, target, edges, r.point, r.segment, w)
+                        speed += accumulate_segment(scene, target, edges, r.point, r.segment, w)
                     if wp.static(role == "forward"):
                         splat(scene, sampler, camera, at_q, speed * value, image_out)
                     elif wp.static(role == "reverse"):
                         if speed != 0.0:
                             count_invalid(scene, sampler)
 
-    return push_crossings
+    return accumulate_crossings

@@ -66,7 +66,7 @@ def make_line_search_kernel(config: PathConfig, wanted: Wanted, role: str, light
     camera_ray, _camera_origin = make_camera_ray(config.camera)
     lens_point = make_lens(config.camera)
     identity = make_identity(config)
-    push_crossings = make_crossing_sink(config, wanted, role, light_pose)
+    accumulate_crossings = make_crossing_sink(config, wanted, role, light_pose)
     path_step = make_path_step(config, False)
     interaction = make_interaction(config)
     has_smooth = interaction.eval is not None
@@ -138,7 +138,7 @@ def make_line_search_kernel(config: PathConfig, wanted: Wanted, role: str, light
                     left = end
                     left_name = name
                     top -= 1
-                    push_crossings(
+                    accumulate_crossings(
                         scene, camera, edges, tables, block, line, low, high, weight, visits, sampler,
                         adjoint, target, image_out,
                     )  # fmt: skip
