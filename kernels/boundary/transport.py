@@ -60,7 +60,7 @@ class Segment:
     step: wp.float32  # how far
     w: wp.vec3  # towards the source
     source: wp.vec3  # where the ray towards the source starts
-    sweep: wp.vec3  # sin(phi) n
+    boundary_normal: wp.vec3  # sin(phi) n
     t1: wp.float32
     t2: wp.float32  # |x_2 - x_b|; not set for point-like lights
     tau: wp.float32
@@ -135,7 +135,7 @@ def make_first_sink(role: str):
     ) -> tuple[wp.vec3, wp.vec3, wp.float32]:
         _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
         adjoint = VertexAdjoint()
-        adjoint.x = ((segment.tau - 1.0) * w) * segment.sweep
+        adjoint.x = ((segment.tau - 1.0) * w) * segment.boundary_normal
         accumulated = accumulate_vertex(scene, target, segment.face1, segment.u1, segment.v1, adjoint, by_ray, o, d)
         return accumulated.o, accumulated.d, accumulated.dot
 

@@ -320,7 +320,7 @@ def test_the_jump_of_a_bent_surface_is_seen_from_in_front_of_what_is_close_to_it
         s = Segment()
         s.t1 = 3.0e-4
         s.w = -out
-        s.sweep = (-1.0 / s.t1) * n
+        s.boundary_normal = (-1.0 / s.t1) * n
         radiance_out[wp.tid()] = jump(scene, sampler_at(wp.tid(), 0, wp.uint32(1)), s, 1, 4, 100).total
 
     found = wp.zeros(256, dtype=wp.vec3)

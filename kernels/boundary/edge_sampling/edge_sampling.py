@@ -144,7 +144,7 @@ def make_edge_sample(config: PathConfig, tree: bool, candidates: int):
         # Past the edge so closely that small lights behind it are met.
         s.source = point.x - (BESIDE * step * side / sine) * m - behind * w
         s.w = w
-        s.sweep = side * m
+        s.boundary_normal = side * m
         s.t1 = t1
         s.face1 = face
         s.u1 = u

@@ -54,7 +54,9 @@ def make_ends_kernel(config: PathConfig):
             return
         wedge = wedge_at(scene, edges, aim.point)
         pdf = density(scene, edges, guide, wedge, aim, s.face2, s.u2, s.v2, s.t2)
-        scale_out[number] = wp.length(s.sweep) * wp.length(aim.point.p1 - aim.point.p0) / (aim.point.pdf * pdf)
+        scale_out[number] = (
+            wp.length(s.boundary_normal) * wp.length(aim.point.p1 - aim.point.p0) / (aim.point.pdf * pdf)
+        )
         x1_out[number] = point_on(triangle_at(scene, s.face1), s.u1, s.v1)
         emitted_out[number] = s.radiance[0] + s.radiance[1] + s.radiance[2]
         if s.light < 0 and s.face2 >= 0:

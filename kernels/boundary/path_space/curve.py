@@ -71,7 +71,7 @@ def make_curve_segment(config: PathConfig):
         if wp.dot(out, other) < 0.0:
             out = -out
         m = wp.cross(t, r.w)
-        r.sweep = wp.where(wp.dot(m, out) > 0.0, -m, m)
+        r.boundary_normal = wp.where(wp.dot(m, out) > 0.0, -m, m)
         step = edge_step(scene, edges, point.edge)
         x = point.x + (step * wp.min(OFF / wp.dot(out, other), MAX_SHIFT)) * out
         r.x = x

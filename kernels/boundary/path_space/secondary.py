@@ -83,9 +83,9 @@ def make_segment(config: PathConfig):
         sine = wp.length(m)
         if side == 0.0 or sine <= 0.0:
             return r
-        r.sweep = side * m
+        r.boundary_normal = side * m
         step = edge_step(scene, edges, point.edge)
-        r.x = point.x - (step / sine) * r.sweep
+        r.x = point.x - (step / sine) * r.boundary_normal
         behind = edge_behind(scene, step)
         any_moves = wp.int32(0)
         for i in range(edges.first[point.edge], edges.first[point.edge + 1]):
@@ -148,7 +148,7 @@ def make_segment(config: PathConfig):
         r.v1 = hit1.v
         r.step = step
         if r.light >= 0:
-            inside = point.x + (step / sine) * r.sweep
+            inside = point.x + (step / sine) * r.boundary_normal
             way = way_to(scene, r.face1, inside, r.w, behind)
             if screened(scene, scene.accel, edges, point, inside, r.w, way, r.face1, behind):
                 return r
@@ -181,7 +181,7 @@ def make_segment_sink(role: str, light_pose: bool):
         w: wp.float32,
     ) -> wp.float32:
         _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
-        g = w * segment.sweep
+        g = w * segment.boundary_normal
         total = accumulate_edge(scene, target, edges, point, g)
         if segment.face2 >= 0:
             adjoint = VertexAdjoint()
@@ -292,7 +292,7 @@ def make_secondary_kernel(
         if wp.static(role == "forward"):
             rest = accumulate_segment(scene, target, edges, point, s, 1.0)
         if wp.static(evaluates):
-            scale *= wp.length(s.sweep)
+            scale *= wp.length(s.boundary_normal)
         else:
             scale /= wp.float32(job.samples)
         weight = transport(scene, camera, sampler, s, scale, rest, job, target, image_out)

@@ -44,7 +44,7 @@ def make_jump(config: PathConfig):
     def jump(
         scene: Scene, sampler: Sampler, s: Segment, k: wp.int32, max_depth: wp.int32, rr_depth: wp.int32
     ) -> Incident:
-        n = -s.t1 * s.sweep
+        n = -s.t1 * s.boundary_normal
         ahead = wp.min(AHEAD * passing_step(scene, s.face2), 0.5 * s.t1)
         d = wp.normalize(s.w - TILT * n)
         here = incident(scene, sampler, s.x - ahead * d, d, FAR, k, max_depth, rr_depth)
@@ -71,7 +71,7 @@ def make_bent_kernel(config: PathConfig, role: str, camera_moves: bool):
     def accumulate_bent(scene: Scene, target: wp.array(dtype=wp.float32), s: Segment, w: wp.float32) -> wp.float32:
         _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
         vertex = VertexAdjoint()
-        vertex.x = w * s.sweep
+        vertex.x = w * s.boundary_normal
         vertex.n = -w * s.w
         accumulated = accumulate_vertex(scene, target, s.face2, s.u2, s.v2, vertex, False, s.x, s.w)
         return accumulated.dot
@@ -119,7 +119,7 @@ def make_bent_kernel(config: PathConfig, role: str, camera_moves: bool):
         if hit.face < 0 or hit.t <= away:
             return
         s.t1 = hit.t
-        s.sweep = (-1.0 / s.t1) * surface.n
+        s.boundary_normal = (-1.0 / s.t1) * surface.n
         s.face1 = hit.face
         s.u1 = hit.u
         s.v1 = hit.v

@@ -70,7 +70,7 @@ def make_horizon_kernel(config: PathConfig, role: str, camera_moves: bool, indir
         total = accumulated.dot
         if s.face2 >= 0:
             other = VertexAdjoint()
-            other.x = w * s.sweep
+            other.x = w * s.boundary_normal
             met = accumulate_vertex(scene, target, s.face2, s.u2, s.v2, other, False, s.x, s.w)
             total += met.dot
         return total
@@ -130,7 +130,7 @@ def make_horizon_kernel(config: PathConfig, role: str, camera_moves: bool, indir
                 return
             s.u2 = hit.u
             s.v2 = hit.v
-            s.sweep = surface.ng / hit.t
+            s.boundary_normal = surface.ng / hit.t
         rest = wp.float32(0.0)
         if wp.static(role == "forward"):
             rest = accumulate_horizon(scene, target, s, 1.0)

@@ -54,8 +54,8 @@ class Crossing:
     both: wp.int32  # 1: the other side of the line is a crossing of its own
     edge: wp.int32  # 1: ``point`` and ``segment`` hold the edge, 2: ``segment`` holds material points
     point: EdgePoint
-    segment: Segment  # of the points, face1 (-1: none) is moved along ``sweep1``, face2 along ``sweep``
-    sweep1: wp.vec3
+    segment: Segment  # of the points, face1 (-1: none) is moved along ``boundary_normal1``, face2 along ``sweep``
+    boundary_normal1: wp.vec3
     last: wp.int32  # where the pull-back starts (``chain_pullback.py``)
     start: VertexAdjoint
     o_before: wp.vec3
@@ -125,17 +125,17 @@ def curve_crossing(
     r.segment.face2 = high.face
     r.segment.u2 = high.u
     r.segment.v2 = high.v
-    r.sweep1 = by_low
-    r.segment.sweep = by_high
+    r.boundary_normal1 = by_low
+    r.segment.boundary_normal = by_high
     r.last = count + i - 1
     if first:
         # c on the lower side's surface, and then on the upper one's.
         r.both = 1
         r.side = 2 * which - 1
         if which == 0:
-            r.sweep1 = -by_high
+            r.boundary_normal1 = -by_high
         else:
-            r.segment.sweep = -by_low
+            r.segment.boundary_normal = -by_low
     else:
         r.a_o = -m
         r.a_d = -t1 * m
@@ -208,7 +208,7 @@ def make_edge_crossing(hidden: bool):
         m = wp.cross(r.point.p1 - r.point.p0, d)
         r.segment.x = r.point.x
         r.segment.w = d
-        r.segment.sweep = m
+        r.segment.boundary_normal = m
         r.segment.t1 = t1
         r.segment.face2 = -1
         r.segment.light = -1
@@ -300,7 +300,7 @@ def make_shadow_crossing(config: PathConfig):
         m = wp.cross(r.point.p1 - r.point.p0, w)
         r.segment.x = r.point.x
         r.segment.w = w
-        r.segment.sweep = m
+        r.segment.boundary_normal = m
         r.segment.t1 = t1
         r.segment.face2 = -1
         r.segment.light = light

@@ -72,8 +72,8 @@ def own_horizon(
         r.segment.face2 = hit.face
         r.segment.u2 = hit.u
         r.segment.v2 = hit.v
-        r.segment.sweep = block.n / wp.length(hit.x - block.x)
-        r.a_o = -r.segment.sweep
+        r.segment.boundary_normal = block.n / wp.length(hit.x - block.x)
+        r.a_o = -r.segment.boundary_normal
     r.valid = 1
     return r
 

@@ -201,9 +201,13 @@ def make_crossing_sink(config: PathConfig, wanted: Wanted, role: str, light_pose
                     )
                     if r.edge == 2:
                         met = r.segment
-                        speed += accumulate_point(scene, target, met, met.face2, met.u2, met.v2, w * met.sweep)
+                        speed += accumulate_point(
+                            scene, target, met, met.face2, met.u2, met.v2, w * met.boundary_normal
+                        )
                         if met.face1 >= 0:
-                            speed += accumulate_point(scene, target, met, met.face1, met.u1, met.v1, w * r.sweep1)
+                            speed += accumulate_point(
+                                scene, target, met, met.face1, met.u1, met.v1, w * r.boundary_normal1
+                            )
                     if r.edge == 1:
                         speed += accumulate_segment(scene, target, edges, r.point, r.segment, w)
                     if wp.static(role == "forward"):
