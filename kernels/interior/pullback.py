@@ -78,7 +78,7 @@ def make_frame_vjp(tangent: bool):
 def connection_vjp(
     x: wp.vec3, y: wp.vec3, cross: wp.vec3, wo: wp.vec3, a_wo: wp.vec3, value: wp.float32, chi: wp.float32
 ) -> ConnectionAdjoint:
-    """Pull a connection x -> y in material form back to its ends.
+    """VertexPullback a connection x -> y in material form back to its ends.
 
     ``x``: where the ray to y started, a step off the surface. From the surface itself, G would change at another rate
     than that of what was traced, by the step over r: next to contacts the difference does not cancel, and adds up.

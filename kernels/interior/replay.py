@@ -145,7 +145,7 @@ def make_sweep_of_each(config: PathConfig, wanted: Wanted, paths: LanePaths) -> 
                         vertex.o = camera_origin(scene, camera, sample)
                     carry = sweep(scene, target, vertex, path.delta, carry)
                 if finish(scene, target, camera, sample, carry) != 0.0 or not finite(carry.radiance):
-                    count_invalid(scene, paths.seats.get(rows, j).sampler)
+                    count_invalid(scene, paths.lane_samples.get(rows, j).sampler)
 
     return paths.end, sweep_all
 

@@ -17,7 +17,7 @@ from warp_psdr.kernels.vertex import PathVertex
 
 
 @wp.struct
-class Stood:
+class RecordedScattering:
     """Where a path scattered."""
 
     n: wp.vec3  # of the shading frame, on the side of the incoming ray
@@ -29,13 +29,13 @@ class Stood:
 
 
 @wp.struct
-class Kept:
+class RecordedVertex:
     """A vertex and what belongs to it; ``light`` and ``stood`` may be anything where it does not scatter."""
 
     vertex: PathVertex
     tri: Triangle
     light: Triangle
-    stood: Stood
+    stood: RecordedScattering
 
 
 class KeptLanes(NamedTuple):
@@ -45,7 +45,7 @@ class KeptLanes(NamedTuple):
         put: ``(rows, j, n, vertex)`` keeps the n-th vertex of the j-th path.
         keep_rest: ``(rows, n)`` keeps the rest of all n-th vertices, which are where the paths stand now.
         vertex: ``(rows, j, n) -> PathVertex``; None if none are kept.
-        record: ``(rows, j, n) -> Kept``, of the nearest n that there is; None unless all of it is kept.
+        record: ``(rows, j, n) -> RecordedVertex``, of the nearest n that there is; None unless all of it is kept.
         end: the first row that is free.
     """
 
@@ -65,15 +65,15 @@ def make_kept_lanes(
         width: number of lanes.
         first: the first row that they may take.
         kept: number of vertices of a path.
-        whole: whether all of ``Kept`` is kept, or vertices alone.
+        whole: whether all of ``RecordedVertex`` is kept, or vertices alone.
         on_places: where the paths stand.
         lights: what next-event estimation finds there, if there are lights.
     """
-    size = words(Kept if whole else PathVertex)  # the vertex comes first in both
+    size = words(RecordedVertex if whole else PathVertex)  # the vertex comes first in both
     get_vertex, put_vertex = make_record(PathVertex, width, aside=True)
-    get_kept, _put_kept = make_record(Kept, width, aside=True)
-    put_tri, put_stood = (make_record(record, width, aside=True)[1] for record in (Triangle, Stood))
-    tri_word, light_word, stood_word = (word_of(Kept, name) for name in ("tri", "light", "stood"))
+    get_kept, _put_kept = make_record(RecordedVertex, width, aside=True)
+    put_tri, put_stood = (make_record(record, width, aside=True)[1] for record in (Triangle, RecordedScattering))
+    tri_word, light_word, stood_word = (word_of(RecordedVertex, name) for name in ("tri", "light", "stood"))
 
     @wp.func
     def put(rows: ROWS, j: wp.int32, n: wp.int32, vertex: PathVertex):
@@ -96,9 +96,9 @@ def make_kept_lanes(
         while j < width:
             place = on_places.places.get(rows, j)
             surface = on_places.surfaces.get(rows, j)
-            stood = Stood()
+            stood = RecordedScattering()
             stood.n = place.frame.n
-            stood.side = on_places.tints.get(rows, j).side
+            stood.side = on_places.lane_reflectances.get(rows, j).side
             stood.length = surface.length
             stood.uv = surface.uv
             stood.reflectance = place.material.reflectance
@@ -112,7 +112,7 @@ def make_kept_lanes(
         return get_vertex(rows, first + n * size, j, PathVertex())
 
     @wp.func
-    def kept_at(rows: ROWS, j: wp.int32, n: wp.int32) -> Kept:
-        return get_kept(rows, first + wp.clamp(n, 0, kept - 1) * size, j, Kept())
+    def kept_at(rows: ROWS, j: wp.int32, n: wp.int32) -> RecordedVertex:
+        return get_kept(rows, first + wp.clamp(n, 0, kept - 1) * size, j, RecordedVertex())
 
     return KeptLanes(put, keep_rest, vertex_at if kept else None, kept_at if whole else None, first + kept * size)

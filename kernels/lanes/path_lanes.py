@@ -39,7 +39,7 @@ NUMBERS = 8
 
 
 @wp.struct
-class Seat:
+class LaneSample:
     """A lane's sample, and its pixel in the image."""
 
     sampler: Sampler
@@ -48,7 +48,7 @@ class Seat:
 
 
 @wp.struct
-class Look:
+class ShadowQuery:
     """A shadow ray: whether it is traced, and whether it meets anything."""
 
     traces_shadow_ray: wp.int32
@@ -75,8 +75,8 @@ class LanePaths(NamedTuple):
         gathered: ``(rows, j) -> Sum`` of the j-th path.
         camera: ``(rows, j) -> CameraSample``.
         vertex: ``(rows, j, n) -> PathVertex``, its n-th vertex; None if none are kept.
-        record: ``(rows, j, n) -> Kept``, and what is kept with it; None if no such things are.
-        seats: ``Seat``, the paths' samples.
+        record: ``(rows, j, n) -> RecordedVertex``, and what is kept with it; None if no such things are.
+        seats: ``LaneSample``, the paths' samples.
         end: the first row that is free; if there are fewer, none of the functions may be called.
     """
 
@@ -87,7 +87,7 @@ class LanePaths(NamedTuple):
     camera: wp.Function
     vertex: wp.Function | None
     record: wp.Function | None
-    seats: Rows
+    lane_samples: Rows
     end: int
 
 
@@ -110,7 +110,7 @@ def make_lane_paths(
 ) -> LanePaths:
     """Make the functions; arguments as those of ``make_path_step`` and ``make_camera_starts``.
 
-    ``kept``: number of vertices that are kept of a path; none has more. ``whole``: their ``Kept``.
+    ``kept``: number of vertices that are kept of a path; none has more. ``whole``: their ``RecordedVertex``.
     """
     width = config.ray_width
     visibility = visibility_of(config)
@@ -122,17 +122,19 @@ def make_lane_paths(
     has_lights = samples_lights(config)
     get_number, put_number = make_number(width)
 
-    seats, states, hits, cameras, sums = stack_rows(width, NUMBERS, Seat, PathState, RayHit, CameraSample, Sum)
+    lane_samples, states, hits, cameras, sums = stack_rows(
+        width, NUMBERS, LaneSample, PathState, RayHit, CameraSample, Sum
+    )
     on_places = make_place_lanes(config, width, sums.end, states, hits)
     choices, places, emissions = on_places.choices, on_places.places, on_places.emissions
-    scatter_samples, looks = stack_rows(width, emissions.end, ScatterSample, Look)
+    scatter_samples, looks = stack_rows(width, emissions.end, ScatterSample, ShadowQuery)
     end, lights = looks.end, None
     if has_lights:
         lights = make_light_lanes(config, differential, width, end, places)
         events = lights.events
         shadow_row = events.first + word_of(NextEvent, "o")
         end = events.end
-    hit_row, look_row, blocked_row = hits.first, looks.first, looks.first + word_of(Look, "blocked")
+    hit_row, look_row, blocked_row = hits.first, looks.first, looks.first + word_of(ShadowQuery, "blocked")
     ray_row, alive_row = (states.first + word_of(PathState, name) for name in ("o", "alive"))
     store = make_kept_lanes(width, end, kept, whole, on_places, lights)
 
@@ -147,23 +149,23 @@ def make_lane_paths(
     ):
         count = bundle.pixels * bundle.samples
         j = wp.int32(0)
-        seat = Seat()
+        lane_sample = LaneSample()
         for i in range(bundle.pixels):
-            seat.sampler = sampler_at(pixels[bundle.first + i], 0, bundle.seed)
-            seat.px = column_of(bundle, seat.sampler)
-            seat.py = row_of(bundle, seat.sampler)
+            lane_sample.sampler = sampler_at(pixels[bundle.first + i], 0, bundle.seed)
+            lane_sample.px = column_of(bundle, lane_sample.sampler)
+            lane_sample.py = row_of(bundle, lane_sample.sampler)
             for n in range(bundle.samples):
-                seat.sampler.index = wp.uint32(bundle.first_sample + n)
-                seats.put(rows, j, seat)
+                lane_sample.sampler.index = wp.uint32(bundle.first_sample + n)
+                lane_samples.put(rows, j, lane_sample)
                 j += 1
         while j < width:  # the last one once more
-            seats.put(rows, j, seat)
+            lane_samples.put(rows, j, lane_sample)
             j += 1
         k = view(scene, camera)
         j = wp.int32(0)
         while j < width:
-            seat = seats.get(rows, j)
-            state, sample = start_in(scene, camera, k, seat.px, seat.py, seat.sampler)
+            lane_sample = lane_samples.get(rows, j)
+            state, sample = start_in(scene, camera, k, lane_sample.px, lane_sample.py, lane_sample.sampler)
             state.alive = wp.where(j < count, 1, 0)
             state.touched_requested = touched_requested
             states.put(rows, j, state)
@@ -176,7 +178,7 @@ def make_lane_paths(
     def draw_numbers(depth: wp.int32, rows: ROWS):
         j = wp.int32(0)
         while j < width:
-            sampler = seats.get(rows, j).sampler
+            sampler = lane_samples.get(rows, j).sampler
             if wp.static(has_lights):
                 u4 = sample_4d(sampler, 1 + SLOTS_PER_VERTEX * depth)
                 put_number(rows, 0, j, u4[0])
@@ -227,7 +229,7 @@ def make_lane_paths(
             traces_shadow_ray = traces_shadow_ray and events.get(rows, j).traces_shadow_ray == 1
             if wp.static(sparse):
                 traces_shadow_ray = traces_shadow_ray and scatter_samples.get(rows, j).after.touched_requested > 0
-            shadow = Look()
+            shadow = ShadowQuery()
             shadow.traces_shadow_ray = wp.where(traces_shadow_ray, 1, 0)
             looks.put(rows, j, shadow)
             j += 1
@@ -327,4 +329,4 @@ def make_lane_paths(
     def camera_of(rows: ROWS, j: wp.int32) -> CameraSample:
         return cameras.get(rows, j)
 
-    return LanePaths(width, start, step, gathered, camera_of, store.vertex, store.record, seats, store.end)
+    return LanePaths(width, start, step, gathered, camera_of, store.vertex, store.record, lane_samples, store.end)

@@ -21,7 +21,7 @@ from warp_psdr.kernels.vertex import PathConfig
 
 
 @wp.struct
-class Choice:
+class LaneHit:
     """Where a path is. A lane without a path is computed along on face 0."""
 
     on: wp.int32  # 1: the path stands on ``face``
@@ -33,7 +33,7 @@ class Choice:
 
 
 @wp.struct
-class Tint:
+class LaneReflectance:
     """What is looked up of a diffuse material."""
 
     side: wp.float32
@@ -50,10 +50,10 @@ class PlaceLanes(NamedTuple):
             a surface.
         collect: ``(scene, rows)``: what the rays bring.
         stand: ``(scene, standing, rows)``: where the paths stand; ``standing`` is what ``meet`` returned.
-        choices: ``Choice``.
+        choices: ``LaneHit``.
         triangles: ``Triangle``, those that paths stand on.
         surfaces: ``Surface``, at the same points.
-        tints: ``Tint``.
+        tints: ``LaneReflectance``.
         places: interactions, the struct of ``make_interaction``.
         arrivals: ``EmissionHit``.
     """
@@ -64,7 +64,7 @@ class PlaceLanes(NamedTuple):
     choices: Rows
     triangles: Rows
     surfaces: Rows
-    tints: Rows
+    lane_reflectances: Rows
     places: Rows
     emissions: Rows
 
@@ -84,9 +84,11 @@ def make_place_lanes(config: PathConfig, width: int, first: int, states: Rows, h
     surface_of, looked_up, look_up, put_together = interaction.parts
     fetch_triangle = make_fetch(Triangle, width)
     environment = any(kind in ENVIRONMENTS for kind in config.lights)
-    choices, triangles, surfaces = stack_rows(width, first, Choice, Triangle, Surface)
-    tints, places, emissions = stack_rows(width, surfaces.end, Tint, interaction.record, EmissionHit)
-    triangle_row, face_row = triangles.first, choices.first + word_of(Choice, "face")
+    choices, triangles, surfaces = stack_rows(width, first, LaneHit, Triangle, Surface)
+    lane_reflectances, places, emissions = stack_rows(
+        width, surfaces.end, LaneReflectance, interaction.record, EmissionHit
+    )
+    triangle_row, face_row = triangles.first, choices.first + word_of(LaneHit, "face")
 
     @wp.func
     def meet(scene: Scene, rows: ROWS) -> wp.int32:
@@ -95,7 +97,7 @@ def make_place_lanes(config: PathConfig, width: int, first: int, states: Rows, h
         while j < width:
             state = states.get(rows, j)
             face = hits.get(rows, j).face
-            choice = Choice()
+            choice = LaneHit()
             choice.on = wp.where(state.alive == 1 and face >= 0, 1, 0)
             choice.face = wp.where(choice.on == 1, face, 0)
             astray = state.alive == 1 and face < 0
@@ -141,20 +143,22 @@ def make_place_lanes(config: PathConfig, width: int, first: int, states: Rows, h
         for j in range(standing):  # one by one: SIMD would be gathers, which take longer
             c = choices.get(rows, j)
             found = look_up(scene, surfaces.get(rows, j), c.behind == 1, c.face, c.u, c.v)
-            tint = Tint()
-            tint.side = found.side
-            tint.red = found.material.reflectance[0]
-            tint.green = found.material.reflectance[1]
-            tint.blue = found.material.reflectance[2]
-            tints.put(rows, j, tint)
+            reflectance_of_lane = LaneReflectance()
+            reflectance_of_lane.side = found.side
+            reflectance_of_lane.red = found.material.reflectance[0]
+            reflectance_of_lane.green = found.material.reflectance[1]
+            reflectance_of_lane.blue = found.material.reflectance[2]
+            lane_reflectances.put(rows, j, reflectance_of_lane)
         j = wp.int32(0)
         while j < width:
-            tint = tints.get(rows, j)
+            reflectance_of_lane = lane_reflectances.get(rows, j)
             found = looked_up()
-            found.side = tint.side
-            found.material.reflectance = wp.vec3(tint.red, tint.green, tint.blue)
+            found.side = reflectance_of_lane.side
+            found.material.reflectance = wp.vec3(
+                reflectance_of_lane.red, reflectance_of_lane.green, reflectance_of_lane.blue
+            )
             surface = surfaces.get(rows, j)
             places.put(rows, j, put_together(scene, triangles.get(rows, j), surface, found, states.get(rows, j).d))
             j += 1
 
-    return PlaceLanes(meet, collect, stand, choices, triangles, surfaces, tints, places, emissions)
+    return PlaceLanes(meet, collect, stand, choices, triangles, surfaces, lane_reflectances, places, emissions)

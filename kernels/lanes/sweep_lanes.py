@@ -21,10 +21,17 @@ from warp_psdr.kernels.interior.pullback import connection_vjp, make_frame_vjp
 from warp_psdr.kernels.interior.sweep import Carry, make_sweep
 from warp_psdr.kernels.interior.wanted import Wanted
 from warp_psdr.kernels.invalid import count_invalid, finite
-from warp_psdr.kernels.lanes.kept_lanes import Kept
+from warp_psdr.kernels.lanes.kept_lanes import RecordedVertex
 from warp_psdr.kernels.lanes.lanes import ROWS, stack_rows
 from warp_psdr.kernels.lanes.path_lanes import LanePaths
-from warp_psdr.kernels.lanes.sweep_sinks import Links, Pull, Slide, Swept, make_chosen, make_sweep_sinks
+from warp_psdr.kernels.lanes.sweep_sinks import (
+    FirstVertexAdjoint,
+    SweptPath,
+    VertexConnections,
+    VertexPullback,
+    make_chosen,
+    make_sweep_sinks,
+)
 from warp_psdr.kernels.math import where3
 from warp_psdr.kernels.reading import load_float
 from warp_psdr.kernels.sensor.camera import make_camera_ray
@@ -47,7 +54,7 @@ class Scattering:
 
 
 @wp.struct
-class Handed:
+class SweepCarry:
     """What the sweep hands from a vertex to the one before it; ``Carry``, for paths of smooth lobes."""
 
     radiance: wp.vec3
@@ -72,8 +79,8 @@ def make_lane_sweep(config: PathConfig, wanted: Wanted, paths: LanePaths) -> tup
         paths: how its paths are traced; of their vertices all is kept.
     """
     width, kept_at = paths.width, paths.record
-    swept, links, pulls, slides, handed, lit_corners, next_corners = stack_rows(
-        width, paths.end, Swept, Links, Pull, Slide, Handed, Corners, Corners
+    swept, links, pulls, first_adjoints, carries, lit_corners, next_corners = stack_rows(
+        width, paths.end, SweptPath, VertexConnections, VertexPullback, FirstVertexAdjoint, SweepCarry, Corners, Corners
     )
     frame_on = make_framing(False)
     frame_vjp = make_frame_vjp(False)
@@ -82,7 +89,7 @@ def make_lane_sweep(config: PathConfig, wanted: Wanted, paths: LanePaths) -> tup
     weight_before, weight_of_light = make_contact_weights(config.ray_backend, width)
     chosen = make_chosen(paths)
     accumulate_light, accumulate = make_sweep_sinks(
-        config, wanted, paths, swept, links, pulls, slides, lit_corners, next_corners
+        config, wanted, paths, swept, links, pulls, first_adjoints, lit_corners, next_corners
     )
     has_lights = bool(config.area or config.lights)
     area = bool(config.area)
@@ -99,23 +106,23 @@ def make_lane_sweep(config: PathConfig, wanted: Wanted, paths: LanePaths) -> tup
     ) -> wp.int32:
         """Choose the paths; the most vertices that one of them has."""
         most = wp.int32(0)
-        none = Handed()
+        none = SweepCarry()
         none.face = -2
         j = wp.int32(0)
         while j < width:
-            path = Swept()
+            path = SweptPath()
             if j < count:
                 path = chosen(scene, scale, adjoint, j, always, rows)
                 if path.vertices > 0:
                     path.origin = camera_origin(scene, camera, paths.camera(rows, j))
                     most = wp.max(most, path.vertices)
             swept.put(rows, j, path)
-            handed.put(rows, j, none)
+            carries.put(rows, j, none)
             j += 1
         return most
 
     @wp.func
-    def scattering_at(record: Kept, delta: wp.vec3) -> Scattering:
+    def scattering_at(record: RecordedVertex, delta: wp.vec3) -> Scattering:
         at = Scattering()
         at.frame = frame_on(1.0, record.stood.n, wp.vec3(0.0, 0.0, 0.0))
         at.material.reflectance = record.stood.reflectance
@@ -146,7 +153,7 @@ def make_lane_sweep(config: PathConfig, wanted: Wanted, paths: LanePaths) -> tup
             path = swept.get(rows, j)
             vertex = record.vertex
             tri = record.tri
-            link = Links()
+            link = VertexConnections()
             on = n < path.vertices and vertex.face >= 0
             left = wp.where(on, vertex.previous_face, -1)
             x = point_on(tri, vertex.u, vertex.v)
@@ -191,7 +198,7 @@ def make_lane_sweep(config: PathConfig, wanted: Wanted, paths: LanePaths) -> tup
         zero = wp.vec3(0.0, 0.0, 0.0)
         j = wp.int32(0)
         while j < width:
-            pull = Pull()
+            pull = VertexPullback()
             if wp.static(has_lights):
                 record = kept_at(rows, j, n)
                 vertex = record.vertex
@@ -242,7 +249,7 @@ def make_lane_sweep(config: PathConfig, wanted: Wanted, paths: LanePaths) -> tup
             at = scattering_at(record, swept.get(rows, j).delta)
             link = links.get(rows, j)
             pull = pulls.get(rows, j)
-            following = handed.get(rows, j)
+            following = carries.get(rows, j)
             on = link.scatters == 1 and vertex.lobe == LOBE_SMOOTH
             wo = enter_frame(at.frame, vertex.wo)
             w_f = vertex.inv_pdf * wp.cw_mul(at.a_n, following.radiance)
@@ -278,7 +285,7 @@ def make_lane_sweep(config: PathConfig, wanted: Wanted, paths: LanePaths) -> tup
             path = swept.get(rows, j)
             link = links.get(rows, j)
             pull = pulls.get(rows, j)
-            following = handed.get(rows, j)
+            following = carries.get(rows, j)
             there = n < path.vertices
             scatters = link.scatters == 1
             o = where3(n == 0, path.origin, vertex.o)
@@ -291,7 +298,7 @@ def make_lane_sweep(config: PathConfig, wanted: Wanted, paths: LanePaths) -> tup
             pull.n = where3(scatters, normalize_vjp(stood.n, stood.length, sign * a_n), zero)
             pulls.put(rows, j, pull)
             flat = scatters and stood.length < 0.0
-            result = Handed()
+            result = SweepCarry()
             result.radiance = where3(there, vertex.direct + wp.cw_mul(vertex.beta, following.radiance), zero)
             result.face = wp.where(there, vertex.face, -2)
             result.o = o
@@ -300,7 +307,7 @@ def make_lane_sweep(config: PathConfig, wanted: Wanted, paths: LanePaths) -> tup
             result.c = where3(flat and n > 0, face_normal_vjp(tri, sign, a_n), zero)
             result.a_x = a_x
             result.chi = link.chi
-            handed.put(rows, j, result)
+            carries.put(rows, j, result)
             j += 1
 
     @wp.func
@@ -321,8 +328,8 @@ def make_lane_sweep(config: PathConfig, wanted: Wanted, paths: LanePaths) -> tup
         for j in range(count):
             path = swept.get(rows, j)
             if path.vertices > 0:
-                last = handed.get(rows, j)
-                slide = slides.get(rows, j)
+                last = carries.get(rows, j)
+                slide = first_adjoints.get(rows, j)
                 vertex = paths.vertex(rows, j, 0)
                 carry = Carry()
                 carry.face = last.face
@@ -339,7 +346,7 @@ def make_lane_sweep(config: PathConfig, wanted: Wanted, paths: LanePaths) -> tup
                 carry.a_d = slide.a_d
                 lost = finish_path(scene, target, camera, paths.camera(rows, j), carry)
                 if lost + path.lost != 0.0 or not finite(last.radiance):
-                    count_invalid(scene, paths.seats.get(rows, j).sampler)
+                    count_invalid(scene, paths.lane_samples.get(rows, j).sampler)
 
     @wp.func
     def sweep_all(

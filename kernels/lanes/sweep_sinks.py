@@ -10,7 +10,7 @@ from warp_psdr.kernels.interaction import make_side
 from warp_psdr.kernels.interior.factors import make_light_sink, make_material_sink
 from warp_psdr.kernels.interior.wanted import Wanted
 from warp_psdr.kernels.invalid import count_invalid, finite, vanishes
-from warp_psdr.kernels.lanes.kept_lanes import Kept
+from warp_psdr.kernels.lanes.kept_lanes import RecordedVertex
 from warp_psdr.kernels.lanes.lanes import ROWS, Rows
 from warp_psdr.kernels.lanes.path_lanes import LanePaths
 from warp_psdr.kernels.reading import shape_at
@@ -22,7 +22,7 @@ from warp_psdr.kernels.vertex import PathConfig
 
 
 @wp.struct
-class Swept:
+class SweptPath:
     """A path that is swept, or not."""
 
     delta: wp.vec3  # adjoint of its pixel over the samples
@@ -32,7 +32,7 @@ class Swept:
 
 
 @wp.struct
-class Links:
+class VertexConnections:
     """The connections of the vertex at hand."""
 
     scatters: wp.int32  # 1: it has one with a vertex behind it, or with a light
@@ -44,7 +44,7 @@ class Links:
 
 
 @wp.struct
-class Pull:
+class VertexPullback:
     """Adjoints of the vertex at hand."""
 
     reflectance: wp.vec3
@@ -58,7 +58,7 @@ class Pull:
 
 
 @wp.struct
-class Slide:
+class FirstVertexAdjoint:
     """Adjoints of the first vertex that only its ray has a use for."""
 
     uv: wp.vec2
@@ -68,7 +68,7 @@ class Slide:
 
 
 def make_chosen(paths: LanePaths):
-    """Return ``chosen(scene, scale, adjoint, j, always, rows) -> Swept``: whether the j-th path is swept.
+    """Return ``chosen(scene, scale, adjoint, j, always, rows) -> SweptPath``: whether the j-th path is swept.
 
     ``always``: 1 if all are whose pixel has an adjoint; else those that meet a shape that matters.
     """
@@ -76,10 +76,10 @@ def make_chosen(paths: LanePaths):
     @wp.func
     def chosen(
         scene: Scene, scale: wp.float32, adjoint: wp.array2d(dtype=wp.vec3), j: wp.int32, always: wp.int32, rows: ROWS
-    ) -> Swept:
-        path = Swept()
-        seat = paths.seats.get(rows, j)
-        delta = scale * adjoint[seat.py, seat.px]
+    ) -> SweptPath:
+        path = SweptPath()
+        lane_sample = paths.lane_samples.get(rows, j)
+        delta = scale * adjoint[lane_sample.py, lane_sample.px]
         if vanishes(delta):
             return path
         traced = paths.gathered(rows, j)
@@ -94,7 +94,7 @@ def make_chosen(paths: LanePaths):
             path.delta = delta
             path.vertices = traced.vertices
         elif not finite(traced.radiance):
-            count_invalid(scene, seat.sampler)
+            count_invalid(scene, lane_sample.sampler)
         return path
 
     return chosen
@@ -107,7 +107,7 @@ def make_sweep_sinks(
     swept: Rows,
     links: Rows,
     pulls: Rows,
-    slides: Rows,
+    first_adjoints: Rows,
     lit_corners: Rows,
     next_corners: Rows,
 ) -> tuple[wp.Function, wp.Function]:
@@ -165,7 +165,7 @@ def make_sweep_sinks(
 
     @wp.func
     def accumulate_brought(
-        scene: Scene, target: wp.array(dtype=wp.float32), record: Kept, delta: wp.vec3
+        scene: Scene, target: wp.array(dtype=wp.float32), record: RecordedVertex, delta: wp.vec3
     ) -> tuple[VertexAdjoint, wp.float32]:
         """E_n of an area light."""
         _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
@@ -193,7 +193,7 @@ def make_sweep_sinks(
             if n < path.vertices:
                 record = kept_at(rows, j, n)
                 vertex = record.vertex
-                slide = Slide()
+                slide = FirstVertexAdjoint()
                 if vertex.face < 0:
                     if wp.static(environment_vjp is not None):
                         if vertex.e_weight > 0.0:
@@ -235,7 +235,7 @@ def make_sweep_sinks(
                             )
                             path.lost += accumulated.dot
                 if n == 0:
-                    slides.put(rows, j, slide)
+                    first_adjoints.put(rows, j, slide)
                 swept.put(rows, j, path)
 
     return accumulate_light, accumulate
