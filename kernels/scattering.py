@@ -137,7 +137,7 @@ def make_light_draw(config: PathConfig):
         if wp.static(bool(config.area)):
             emitter = emitter_at(scene, index)
             if wp.static(not config.lights) or emitter.kind == EMITTER_AREA:
-                face = area.pick(scene, emitter, u[1])
+                face = area.select_triangle(scene, emitter, u[1])
         return index, face
 
     @wp.func
@@ -146,12 +146,12 @@ def make_light_draw(config: PathConfig):
         if wp.static(bool(config.area and config.lights)):
             ls = LightSample()
             if face >= 0:
-                ls = area.draw(scene, emitter, face, tri, x, u)
+                ls = area.sample_point(scene, emitter, face, tri, x, u)
             else:
                 ls = other(scene, emitter, x, u)
                 ls.face = -1
         elif wp.static(bool(config.area)):
-            ls = area.draw(scene, emitter, face, tri, x, u)
+            ls = area.sample_point(scene, emitter, face, tri, x, u)
         else:
             ls = other(scene, emitter, x, u)
             ls.face = -1

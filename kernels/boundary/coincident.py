@@ -55,7 +55,7 @@ def edge_share(
 
 
 @wp.func
-def way_to(scene: Scene, face: wp.int32, x: wp.vec3, w: wp.vec3, margin: wp.float32) -> wp.float32:
+def distance_to_plane(scene: Scene, face: wp.int32, x: wp.vec3, w: wp.vec3, margin: wp.float32) -> wp.float32:
     """Distance from x against w to the plane of a face, less what keeps a ray from there off it."""
     tri = scene.triangles[face]
     cosine = wp.dot(tri.normal, w)

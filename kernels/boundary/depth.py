@@ -10,7 +10,7 @@ import functools
 
 import warp as wp
 
-from warp_psdr.kernels.boundary.detector import ROW_COUNT, ROWS, Incident, arriving
+from warp_psdr.kernels.boundary.detector import ROW_COUNT, ROWS, Incident, radiance_behind
 from warp_psdr.kernels.boundary.transport import Segment
 from warp_psdr.kernels.rng import Sampler
 from warp_psdr.kernels.structs import Scene
@@ -20,13 +20,13 @@ DIRECT = 2
 
 
 @wp.func
-def less(incident: Incident, sent: wp.vec3) -> Incident:
+def subtract(incident: Incident, sent: wp.vec3) -> Incident:
     """What arrives behind one vertex and more, without ``sent`` behind one; behind many, another path is asked for."""
     r = Incident()
     r.first = incident.first
     rows = ROWS()
     for i in range(ROW_COUNT):
-        row = arriving(incident, incident.first + i)
+        row = radiance_behind(incident, incident.first + i)
         if i == 0:
             row -= sent
         for c in range(3):
@@ -46,7 +46,7 @@ def make_indirect(source: wp.Function):
         r = source(scene, sampler, s, k, max_depth, rr_depth)
         if k == 1:
             direct = source(scene, sampler, s, k, DIRECT, rr_depth)
-            r = less(r, arriving(direct, k))
+            r = subtract(r, radiance_behind(direct, k))
         return r
 
     return indirect

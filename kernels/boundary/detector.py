@@ -61,7 +61,7 @@ class Incident:
 
 
 @wp.func
-def alike(radiance: wp.vec3, k: wp.int32) -> Incident:
+def constant(radiance: wp.vec3, k: wp.int32) -> Incident:
     """The same radiance behind k vertices and behind more."""
     r = Incident()
     r.first = k
@@ -71,7 +71,7 @@ def alike(radiance: wp.vec3, k: wp.int32) -> Incident:
 
 
 @wp.func
-def arriving(incident: Incident, k: wp.int32) -> wp.vec3:
+def radiance_behind(incident: Incident, k: wp.int32) -> wp.vec3:
     """Radiance behind k vertices."""
     i = k - incident.first
     if i < incident.cut:
@@ -80,7 +80,7 @@ def arriving(incident: Incident, k: wp.int32) -> wp.vec3:
 
 
 @wp.func
-def amplified(incident: Incident, known: wp.vec3, factor: wp.float32) -> Incident:
+def scaled(incident: Incident, known: wp.vec3, factor: wp.float32) -> Incident:
     """``known`` plus ``factor`` times what there is beyond it."""
     r = incident
     r.total = known + factor * (incident.total - known)
@@ -98,15 +98,15 @@ def difference(a: Incident, b: Incident) -> Incident:
     r.cut = wp.min(a.cut, b.cut)
     r.total = a.total - b.total
     for i in range(ROW_COUNT):
-        apart = arriving(a, a.first + i) - arriving(b, b.first + i)
+        apart = radiance_behind(a, a.first + i) - radiance_behind(b, b.first + i)
         for c in range(3):
             r.rows[i, c] = apart[c]
     return r
 
 
 @wp.func
-def covers(incident: Incident, k: wp.int32) -> wp.bool:
-    """Whether ``arriving`` is known for k vertices, and may be used.
+def serves_length(incident: Incident, k: wp.int32) -> wp.bool:
+    """Whether ``radiance_behind`` is known for k vertices, and may be used.
 
     How many lengths a path serves must not depend on how it ended: if dark ones served more, what is left for new paths
     would not make up for it. So all serve ``ROW_COUNT``, or all that there are.

@@ -21,12 +21,12 @@ from warp_psdr.kernels.boundary.detector import (
     ROW_COUNT,
     Incident,
     Walk,
-    alike,
-    amplified,
-    arriving,
-    covers,
+    constant,
     make_incident,
     make_walk,
+    radiance_behind,
+    scaled,
+    serves_length,
 )
 from warp_psdr.kernels.constants import FAR
 from warp_psdr.kernels.invalid import count_invalid, vanishes
@@ -90,14 +90,14 @@ def make_source(config: PathConfig, emission: bool = False):
         scene: Scene, sampler: Sampler, s: Segment, k: wp.int32, max_depth: wp.int32, rr_depth: wp.int32
     ) -> Incident:
         if s.known == 1:
-            return alike(s.radiance, k)
+            return constant(s.radiance, k)
         if wp.static(emission):
             if s.face2 < 0 or (max_depth >= 0 and k + 1 >= max_depth):
-                return alike(s.radiance, k)
+                return constant(s.radiance, k)
             if wp.max(s.radiance) > 0.0 and k >= rr_depth:
                 # L_2 = E_2 + (L_2 - E_2): the second part by roulette.
                 if sample_1d(sampler, SLOT_BEHIND_LIGHT) >= BEHIND_LIGHT:
-                    ended = alike(s.radiance, k)
+                    ended = constant(s.radiance, k)
                     if max_depth >= 0:
                         ended.cut = ROW_COUNT  # it serves as many lengths as one that goes on
                     return ended
@@ -109,7 +109,7 @@ def make_source(config: PathConfig, emission: bool = False):
                 if before < s.t2:
                     o = point_on(tri, s.u2, s.v2) - before * s.w
                 r = incident(scene, sampler, o, s.w, FAR, k, max_depth, rr_depth)
-                return amplified(r, s.radiance, wp.static(1.0 / BEHIND_LIGHT))
+                return scaled(r, s.radiance, wp.static(1.0 / BEHIND_LIGHT))
         return incident(scene, sampler, s.source, s.w, FAR, k, max_depth, rr_depth)
 
     return source
@@ -229,10 +229,10 @@ def make_transport(config: PathConfig, role: str, camera_moves: bool, source: wp
                     speed += rest
                     counts = speed != 0.0
             if counts:
-                if not covers(incident, k):
+                if not serves_length(incident, k):
                     branch = branch_of(sampler, k)
                     incident = source(scene, branch, s, k, job.max_depth, job.rr_depth)
-                value = scale * wp.cw_mul(seen.weight, arriving(incident, k))
+                value = scale * wp.cw_mul(seen.weight, radiance_behind(incident, k))
                 if wp.static(evaluates):
                     total += value[0] + value[1] + value[2]
                 elif wp.static(role == "forward"):

@@ -64,8 +64,8 @@ class AreaFunctions(NamedTuple):
     """
 
     emitted: wp.Function
-    pick: wp.Function
-    draw: wp.Function
+    select_triangle: wp.Function
+    sample_point: wp.Function
 
 
 @functools.cache
@@ -88,11 +88,11 @@ def make_area(radiance_kinds: tuple[int, ...]) -> AreaFunctions:
         return radiance_at(scene, e, face, u, v)
 
     @wp.func
-    def pick(scene: Scene, e: Emitter, u: wp.float32) -> wp.int32:
+    def select_triangle(scene: Scene, e: Emitter, u: wp.float32) -> wp.int32:
         return e.first_face + find_interval(scene.face_cdf, e.cdf_offset, e.face_count, u)
 
     @wp.func
-    def draw(scene: Scene, e: Emitter, face: wp.int32, tri: Triangle, x: wp.vec3, u: wp.vec2) -> LightSample:
+    def sample_point(scene: Scene, e: Emitter, face: wp.int32, tri: Triangle, x: wp.vec3, u: wp.vec2) -> LightSample:
         result = LightSample()
         barycentrics = square_to_triangle(u)
         result.face = face
@@ -110,4 +110,4 @@ def make_area(radiance_kinds: tuple[int, ...]) -> AreaFunctions:
         result.radiance = radiance_at(scene, e, face, result.u, result.v)
         return result
 
-    return AreaFunctions(emitted, pick, draw)
+    return AreaFunctions(emitted, select_triangle, sample_point)

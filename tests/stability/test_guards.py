@@ -46,7 +46,7 @@ from warp_psdr.kernels.vertex import PathConfig
 from .sweeps import room
 
 SAMPLE_VISIBLE = make_microfacet("ggx").sample_visible
-DRAW_LIGHT = make_area((TEXTURE_CONSTANT,)).draw
+DRAW_LIGHT = make_area((TEXTURE_CONSTANT,)).sample_point
 METAL = PathConfig(**{**vars(SIMPLE), **materials("roughconductor (ggx)")})
 INTERACTION = make_interaction(METAL).record
 SCATTERING_LOBES = make_scattering_lobes(METAL)

@@ -134,15 +134,17 @@ def crossing_pairs(
                     plane_q = plane_of(points, q)
                     h_p = heights(points, plane_q, p, tolerance)
                     across_q = straddles(h_p)
-                    meet = across_q > 0
+                    intersect_link = across_q > 0
                     if across_p == 2 and across_q == 2:
                         along = wp.normalize(wp.cross(plane_p.n, plane_q.n))
                         origin = wp.vec3d(points[p[0]])
                         a = interval(points, p, h_p, origin, along)
                         b = interval(points, q, h_q, origin, along)
                         # Not the other way round: NaN of nearly parallel planes is the host's.
-                        meet = not (wp.min(a[1], b[1]) - wp.max(a[0], b[0]) <= wp.float64(OVERLAP) * tolerance)
-                    if meet:
+                        intersect_link = not (
+                            wp.min(a[1], b[1]) - wp.max(a[0], b[0]) <= wp.float64(OVERLAP) * tolerance
+                        )
+                    if intersect_link:
                         at = wp.atomic_add(count_out, lane, 1)
                         if at < pairs_out.shape[1]:
                             pairs_out[lane, at] = wp.vec2i(i, j)

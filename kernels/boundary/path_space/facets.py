@@ -164,8 +164,8 @@ def make_facets_kernel(config: PathConfig, role: str, camera_moves: bool):
             if not (along.pdf <= 0.0) and not vanishes(along.value):
                 state = path_from(along.o, w, FAR, 1)
                 state.pdf = along.pdf
-                arriving = following(scene, sampler, state, job.max_depth, job.rr_depth, False)
-                jump += inverse_pdf(along.pdf) * wp.cw_mul(along.value, arriving.radiance)
+                radiance_behind = following(scene, sampler, state, job.max_depth, job.rr_depth, False)
+                jump += inverse_pdf(along.pdf) * wp.cw_mul(along.value, radiance_behind.radiance)
         accumulate(scene, camera, edges, sampler, job.samples, f, jump, target, image_out)
 
     return facets

@@ -12,7 +12,7 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
-from warp_psdr.kernels.boundary.coincident import edge_share, make_screened, way_to
+from warp_psdr.kernels.boundary.coincident import distance_to_plane, edge_share, make_screened
 from warp_psdr.kernels.boundary.depth import make_indirect
 from warp_psdr.kernels.boundary.guiding.techniques import Guide, make_techniques, octant_point
 from warp_psdr.kernels.boundary.local_form import (
@@ -149,7 +149,7 @@ def make_segment(config: PathConfig):
         r.step = step
         if r.light >= 0:
             inside = point.x + (step / sine) * r.boundary_normal
-            way = way_to(scene, r.face1, inside, r.w, behind)
+            way = distance_to_plane(scene, r.face1, inside, r.w, behind)
             if screened(scene, scene.accel, edges, point, inside, r.w, way, r.face1, behind):
                 return r
             if direction.distance < 0.5 * FAR:

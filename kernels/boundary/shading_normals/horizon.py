@@ -12,7 +12,7 @@ import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.boundary.depth import make_indirect
-from warp_psdr.kernels.boundary.detector import Incident, amplified, make_incident
+from warp_psdr.kernels.boundary.detector import Incident, make_incident, scaled
 from warp_psdr.kernels.boundary.shading_normals.bent import FLAT, TILT
 from warp_psdr.kernels.boundary.transport import Segment, make_transport
 from warp_psdr.kernels.constants import FAR
@@ -41,8 +41,8 @@ def make_side(config: PathConfig):
     def side(
         scene: Scene, sampler: Sampler, s: Segment, k: wp.int32, max_depth: wp.int32, rr_depth: wp.int32
     ) -> Incident:
-        arriving = incident(scene, sampler, s.source, s.w, FAR, k, max_depth, rr_depth)
-        return amplified(arriving, wp.vec3(0.0, 0.0, 0.0), s.radiance[0])
+        radiance_behind = incident(scene, sampler, s.source, s.w, FAR, k, max_depth, rr_depth)
+        return scaled(radiance_behind, wp.vec3(0.0, 0.0, 0.0), s.radiance[0])
 
     return side
 

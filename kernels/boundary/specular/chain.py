@@ -128,14 +128,14 @@ def make_start(camera_kind: int):
 
 
 @wp.func
-def fold(h: wp.uint32, value: wp.int32) -> wp.uint32:
+def hash_combine(h: wp.uint32, value: wp.int32) -> wp.uint32:
     a = (h ^ wp.uint32(value)) * HASH_FACTOR
     return a ^ (a >> wp.uint32(15))
 
 
 @functools.cache
-def make_meet(config: PathConfig):
-    """Return ``meet(scene, o, d, t_max, depth, on, max_depth) -> Link``: what a ray meets at ``depth``."""
+def make_intersect_link(config: PathConfig):
+    """Return ``intersect_link(scene, o, d, t_max, depth, on, max_depth) -> Link``: what a ray meets at ``depth``."""
     visibility = visibility_of(config)
     interaction = make_interaction(config)
     bsdf, emitted = interaction.bsdf, interaction.emitted
@@ -144,7 +144,7 @@ def make_meet(config: PathConfig):
     transmissive = bsdf.relative_eta is not None
 
     @wp.func
-    def meet(
+    def intersect_link(
         scene: Scene,
         o: wp.vec3,
         d: wp.vec3,
@@ -199,7 +199,7 @@ def make_meet(config: PathConfig):
         r.o = step_beside(at.x, at.ng, r.d, scene.ray_epsilon)
         return r
 
-    return meet
+    return intersect_link
 
 
 @wp.func
@@ -235,7 +235,7 @@ def make_identity(config: PathConfig):
     vertices count, without what lights them; 0: all, with it.
     """
     start_at = make_start(config.camera)
-    meet = make_meet(config)
+    intersect_link = make_intersect_link(config)
     lit = make_lit(config)
 
     @wp.func
@@ -257,26 +257,26 @@ def make_identity(config: PathConfig):
         i = wp.int32(0)
         more = wp.bool(True)
         while more:
-            link = meet(scene, o, d, t_max, block.depth + i, goes_on(block, i), max_depth)
+            link = intersect_link(scene, o, d, t_max, block.depth + i, goes_on(block, i), max_depth)
             ends = link.kind < MEETS_DELTA
             mine = i > 0 or block.first == 1 or link.kind == MEETS_DELTA or link.kind == MEETS_DEAD
             if mine:
-                h = fold(h, link.kind)
+                h = hash_combine(h, link.kind)
                 if link.face >= 0:
-                    h = fold(h, group[link.face])
+                    h = hash_combine(h, group[link.face])
             if link.face >= 0:
                 if bent[link.face] == 1 and (block.first == 1 or i > 0):
-                    h = fold(h, link.facing)
+                    h = hash_combine(h, link.facing)
                 if bent[link.face] == 1 and link.kind == MEETS_DELTA:
-                    h = fold(h, link.leaving)
+                    h = hash_combine(h, link.leaving)
                 if wp.static(lit is not None):
                     if links == 0 and mine and link.kind == MEETS_SMOOTH and block.depth + i + 1 < max_depth:
                         for k in range(scene.emitters.shape[0]):
                             if is_delta_light(scene.emitters[k].kind):
                                 if lit(scene, link.x, link.ng, k):
-                                    h = fold(h, k)
+                                    h = hash_combine(h, k)
                                 else:
-                                    h = fold(h, -1)
+                                    h = hash_combine(h, -1)
             i += 1
             if ends or i == links:
                 more = False
@@ -290,14 +290,14 @@ def make_identity(config: PathConfig):
 
 
 @functools.cache
-def make_follow(config: PathConfig):
-    """Return ``follow(scene, camera, block, s, sampler, max_depth, rr_depth) -> vec3``: F(q) without f_s."""
+def make_follow_chain(config: PathConfig):
+    """Return ``follow_chain(scene, camera, block, s, sampler, max_depth, rr_depth) -> vec3``: F(q) without f_s."""
     start_at = make_start(config.camera)
-    meet = make_meet(config)
+    intersect_link = make_intersect_link(config)
     following = make_following(config)
 
     @wp.func
-    def follow(
+    def follow_chain(
         scene: Scene,
         camera: Camera,
         block: Block,
@@ -315,7 +315,7 @@ def make_follow(config: PathConfig):
         i = wp.int32(0)
         more = wp.bool(True)
         while more:
-            link = meet(scene, o, d, t_max, block.depth + i, goes_on(block, i), max_depth)
+            link = intersect_link(scene, o, d, t_max, block.depth + i, goes_on(block, i), max_depth)
             if link.kind == MEETS_DELTA:
                 total += wp.cw_mul(weight, link.emitted)
                 weight = wp.cw_mul(weight, link.weight)
@@ -333,4 +333,4 @@ def make_follow(config: PathConfig):
                     total += wp.cw_mul(wp.cw_mul(weight, link.weight), seen.radiance)
         return total
 
-    return follow
+    return follow_chain

@@ -18,7 +18,7 @@ from warp_psdr.kernels.boundary.specular.chain import (
     Block,
     Link,
     goes_on,
-    make_meet,
+    make_intersect_link,
     make_start,
 )
 from warp_psdr.kernels.boundary.specular.chain_edges import Crossing, make_edge_crossing, make_shadow_crossing
@@ -87,7 +87,7 @@ def make_crossing(config: PathConfig):
     (``both``), 0 for the lower and 1 for the upper one.
     """
     start_at = make_start(config.camera)
-    meet = make_meet(config)
+    intersect_link = make_intersect_link(config)
     point_differential = make_point_differential(config.smooth, config.flat)
     edge_crossing = make_edge_crossing(config.hidden)
     shadow_crossing = make_shadow_crossing(config)
@@ -124,8 +124,8 @@ def make_crossing(config: PathConfig):
         while more:
             depth = block.depth + i
             on = goes_on(block, i)
-            p = meet(scene, o, d, t_max, depth, on, max_depth)
-            q = meet(scene, o_high, d_high, t_max, depth, on, max_depth)
+            p = intersect_link(scene, o, d, t_max, depth, on, max_depth)
+            q = intersect_link(scene, o_high, d_high, t_max, depth, on, max_depth)
             more = False
             if block.film == 0 and i == 0 and block.first == 1:
                 face = visits[count - 1].face

@@ -11,7 +11,7 @@ from warp_psdr.kernels.boundary.specular.chain import (
     Block,
     film_at,
     film_point,
-    make_follow,
+    make_follow_chain,
     make_identity,
     make_start,
 )
@@ -55,7 +55,7 @@ def make_crossing_sink(config: PathConfig, wanted: Wanted, role: str, light_pose
     start_at = make_start(config.camera)
     film_differential = make_film_differential(config.camera)
     identity = make_identity(config)
-    follow = make_follow(config)
+    follow_chain = make_follow_chain(config)
     crossing_at = make_crossing(config)
     pull = make_chain_pullback(config, wanted, role)
     accumulate_segment = make_segment_sink(role, light_pose)
@@ -83,7 +83,7 @@ def make_crossing_sink(config: PathConfig, wanted: Wanted, role: str, light_pose
         return accumulated.dot
 
     @wp.func
-    def settled(
+    def beside_crossing(
         scene: Scene,
         camera: Camera,
         tables: Tables,
@@ -126,8 +126,8 @@ def make_crossing_sink(config: PathConfig, wanted: Wanted, role: str, light_pose
             if r.side == 0 or wp.float32(r.side) == sign:
                 if r.aside > 0.0:
                     links = r.last - line.count + 2
-                    s = settled(scene, camera, tables, block, s, sign * r.aside, line.max_depth, links)
-                f = follow(scene, camera, block, s, branch, line.max_depth, line.rr_depth)
+                    s = beside_crossing(scene, camera, tables, block, s, sign * r.aside, line.max_depth, links)
+                f = follow_chain(scene, camera, block, s, branch, line.max_depth, line.rr_depth)
                 if wp.static(has_smooth):
                     if block.film == 0:
                         y = visits[line.count - 1]
