@@ -18,7 +18,7 @@ from tests.config_helpers import SIMPLE, materials
 from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.boundary.guiding.projective import BLOCKED_LIGHT, SCATTERED
 from warp_psdr.kernels.bsdf.dispatch import VARIANTS
-from warp_psdr.kernels.interior.wanted import Wanted
+from warp_psdr.kernels.interior.gradient_request import GradientRequest
 from warp_psdr.kernels.loss import relative_squared
 from warp_psdr.kernels.vertex import PathConfig
 
@@ -37,7 +37,7 @@ LIGHTS = (c.EMITTER_ENVMAP, c.EMITTER_POINT, c.EMITTER_SPOT, c.EMITTER_DIRECTION
 
 def wanted(config, *names, **others):
     """Derivatives by named values of the materials, and others."""
-    return Wanted(material=tuple(slot.name in names for slot in config.material), **others)
+    return GradientRequest(material=tuple(slot.name in names for slot in config.material), **others)
 
 
 def everything(config, **others):

@@ -41,7 +41,7 @@ from warp_psdr.scene.edits import checksum
 from warp_psdr.topology import contacts
 
 if TYPE_CHECKING:
-    from warp_psdr.accuracy.budget import Reached, Wanted
+    from warp_psdr.accuracy.budget import Budget, Reached
     from warp_psdr.accuracy.quantity import Quantity
     from warp_psdr.accuracy.report import Report
     from warp_psdr.scene.parameters import Parameters
@@ -106,7 +106,7 @@ def render(
                 "render_backward(..., target_error=...) with the loss's adjoint"
             )
         what = quantity.image(scene, integrator=integrator, sensor=sensor)
-        wanted = budget.Wanted(target_error, time_budget, report)
+        wanted = budget.Budget(target_error, time_budget, report)
         return _budgeted(what, wanted, seed, progress, reached)
     integrator = integrator_of(scene, integrator)
     spp, seed = sample_count(scene, sensor, spp), checked_seed(seed)
@@ -127,7 +127,7 @@ def render(
     return image
 
 
-def _budgeted(what: Quantity, wanted: Wanted, seed: int, progress, reached) -> Image:
+def _budgeted(what: Quantity, wanted: Budget, seed: int, progress, reached) -> Image:
     """Return an image that was estimated within a budget."""
     from warp_psdr.accuracy.budget import spend
 
@@ -204,7 +204,7 @@ def render_backward(
     sensor = scene.description.sensor_number(sensor)
     if budget.check(spp, target_error, time_budget, report):
         what = quantity.gradient(scene, params, adjoint, integrator=integrator, sensor=sensor)
-        wanted = budget.Wanted(target_error, time_budget, report)
+        wanted = budget.Budget(target_error, time_budget, report)
         values, bought = budget.spend(what, wanted, seed=seed, progress=progress)
         for name, block in what.blocks.items():
             total = wp.array(values[block].astype(np.float32), dtype=wp.float32, device=scene.device)
@@ -284,7 +284,7 @@ def render_forward(
     sensor = scene.description.sensor_number(sensor)
     if budget.check(spp, target_error, time_budget, report):
         what = quantity.derivative(scene, params, tangents, integrator=integrator, sensor=sensor)
-        wanted = budget.Wanted(target_error, time_budget, report)
+        wanted = budget.Budget(target_error, time_budget, report)
         return _budgeted(what, wanted, seed, progress, reached)
     integrator = integrator_of(scene, integrator)
     if not tangents:

@@ -10,8 +10,8 @@ from warp_psdr.kernels.constants import EMITTER_AREA, EMITTER_CONSTANT, EMITTER_
 from warp_psdr.kernels.emitter.area import light_uv, make_area
 from warp_psdr.kernels.emitter.dispatch import make_lights
 from warp_psdr.kernels.generated import make_generated
+from warp_psdr.kernels.interior.gradient_request import GradientRequest
 from warp_psdr.kernels.interior.pullback import connection_vjp
-from warp_psdr.kernels.interior.wanted import Wanted
 from warp_psdr.kernels.material import slot_at
 from warp_psdr.kernels.structs import Scene
 from warp_psdr.kernels.surface import VertexAdjoint, make_vertex_sink, point_on
@@ -20,7 +20,7 @@ from warp_psdr.kernels.vertex import PathConfig, PathVertex
 
 
 @functools.cache
-def make_material_sink(config: PathConfig, wanted: Wanted, role: str):
+def make_material_sink(config: PathConfig, wanted: GradientRequest, role: str):
     """Return ``accumulate_material(scene, target, slots, face, u, v, uv, m, adjoint) -> (VertexAdjoint, float)``."""
     scope = {
         "record": make_bsdf(config.bsdfs).record,
@@ -56,7 +56,7 @@ def make_material_sink(config: PathConfig, wanted: Wanted, role: str):
 
 
 @functools.cache
-def make_light_sink(config: PathConfig, wanted: Wanted, role: str, links: bool = True):
+def make_light_sink(config: PathConfig, wanted: GradientRequest, role: str, links: bool = True):
     """Return ``accumulate_light(scene, target, vertex, x, f, w_f, a_wo, w) -> (adjoint of x, float)``.
 
     ``radiance_of(scene, vertex, x)`` beside it gives the attached radiance of the sampled light. ``links=False``: the

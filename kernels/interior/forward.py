@@ -18,6 +18,7 @@ from warp_psdr.kernels.emitter.dispatch import make_lights
 from warp_psdr.kernels.interaction import enter_frame, make_interaction
 from warp_psdr.kernels.interior.contact import make_contact_weights
 from warp_psdr.kernels.interior.factors import make_light_sink
+from warp_psdr.kernels.interior.gradient_request import GradientRequest
 from warp_psdr.kernels.interior.tangents import (
     VertexTangent,
     local_jvp,
@@ -27,7 +28,6 @@ from warp_psdr.kernels.interior.tangents import (
     normalize_jvp,
 )
 from warp_psdr.kernels.interior.velocities import axis_vec3, make_material_jvp, make_pair, make_texture_jvp
-from warp_psdr.kernels.interior.wanted import Wanted
 from warp_psdr.kernels.invalid import count_invalid, finite
 from warp_psdr.kernels.jobs import PixelJob, pixel_of
 from warp_psdr.kernels.rng import sampler_at
@@ -49,7 +49,7 @@ class Moving:
 
 
 @functools.cache
-def make_forward_kernel(config: PathConfig, wanted: Wanted):
+def make_forward_kernel(config: PathConfig, wanted: GradientRequest):
     """Return the forward-mode kernel of ``interior.Replay``.
 
     Arguments as ``make_replay_kernel``'s; ``target`` holds the tangents, ``image_out`` receives the derivative.

@@ -13,8 +13,8 @@ import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.camera_rays import make_camera_paths, make_pixel_bundle
+from warp_psdr.kernels.interior.gradient_request import GradientRequest
 from warp_psdr.kernels.interior.sweep import Carry, make_sweep
-from warp_psdr.kernels.interior.wanted import Wanted
 from warp_psdr.kernels.invalid import count_invalid, finite, vanishes
 from warp_psdr.kernels.jobs import PixelJob, pixel_of
 from warp_psdr.kernels.lanes.lanes import ROOM, ROWS
@@ -28,7 +28,7 @@ from warp_psdr.kernels.vertex import PathConfig, PathState, PathVertex
 
 
 @functools.cache
-def make_replay_kernel(config: PathConfig, wanted: Wanted, block: int, blocks: int):
+def make_replay_kernel(config: PathConfig, wanted: GradientRequest, block: int, blocks: int):
     """Return the reverse-mode kernel of ``interior.Replay``.
 
     Args:
@@ -113,7 +113,7 @@ def make_replay_kernel(config: PathConfig, wanted: Wanted, block: int, blocks: i
     return replay
 
 
-def make_sweep_of_each(config: PathConfig, wanted: Wanted, paths: LanePaths) -> tuple[int, wp.Function]:
+def make_sweep_of_each(config: PathConfig, wanted: GradientRequest, paths: LanePaths) -> tuple[int, wp.Function]:
     """Return what ``make_lane_sweep`` returns, for paths that are swept one after the other."""
     sweep, finish, _finish_vertex = make_sweep(config, wanted, "reverse")
     _camera_ray, camera_origin = make_camera_ray(config.camera)

@@ -10,8 +10,8 @@ from warp_psdr.kernels.emitter.dispatch import make_lights
 from warp_psdr.kernels.interaction import enter_frame, make_interaction
 from warp_psdr.kernels.interior.contact import make_contact_weights
 from warp_psdr.kernels.interior.factors import make_light_sink, make_material_sink
+from warp_psdr.kernels.interior.gradient_request import GradientRequest
 from warp_psdr.kernels.interior.pullback import connection_vjp, make_frame_vjp
-from warp_psdr.kernels.interior.wanted import Wanted
 from warp_psdr.kernels.sensor.camera import CameraSample, make_camera_sink
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.surface import VertexAdjoint, make_vertex_sink, normalize_vjp, point_on
@@ -37,7 +37,7 @@ class Carry:
 
 
 @functools.cache
-def make_sweep(config: PathConfig, wanted: Wanted, role: str):
+def make_sweep(config: PathConfig, wanted: GradientRequest, role: str):
     """Return ``(sweep, finish, finish_vertex)``.
 
     ``sweep(scene, target, vertex, delta, carry) -> Carry``: the step from vertex n + 1 to vertex n.

@@ -18,8 +18,8 @@ import warp as wp
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.camera_rays import make_camera_paths
 from warp_psdr.kernels.interior.contact import make_contact_weights
+from warp_psdr.kernels.interior.gradient_request import GradientRequest
 from warp_psdr.kernels.interior.sweep import Carry, make_sweep
-from warp_psdr.kernels.interior.wanted import Wanted
 from warp_psdr.kernels.invalid import count_invalid, finite, vanishes
 from warp_psdr.kernels.jobs import PixelJob, pixel_of
 from warp_psdr.kernels.rng import sampler_at
@@ -51,7 +51,7 @@ def at_vertex(vertex: PathVertex) -> Carry:
 
 
 @functools.cache
-def make_textbook_kernel(config: PathConfig, wanted: Wanted, role: str):
+def make_textbook_kernel(config: PathConfig, wanted: GradientRequest, role: str):
     """Return the kernel of ``interior.Textbook()``; arguments as ``make_replay_kernel``'s."""
     lanes, starts, path_step = make_camera_paths(config, True)
     _camera_ray, camera_origin = make_camera_ray(config.camera)

@@ -11,8 +11,8 @@ import warp as wp
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.bsdf.dispatch import make_bsdf
 from warp_psdr.kernels.generated import make_generated
+from warp_psdr.kernels.interior.gradient_request import GradientRequest
 from warp_psdr.kernels.interior.tangents import VertexTangent
-from warp_psdr.kernels.interior.wanted import Wanted
 from warp_psdr.kernels.material import slot_at
 from warp_psdr.kernels.structs import Scene
 from warp_psdr.kernels.texture.texture import make_texture_sink
@@ -66,7 +66,7 @@ def make_texture_jvp(kinds: tuple[int, ...], values: bool, to_uv: bool, slide: b
 
 
 @functools.cache
-def make_material_jvp(config: PathConfig, wanted: Wanted):
+def make_material_jvp(config: PathConfig, wanted: GradientRequest):
     """Return ``material_jvp(scene, tangents, slots, face, u, v, uv, vertex) -> record``: velocities of its values."""
     scope = {
         "record": make_bsdf(config.bsdfs).record,

@@ -17,9 +17,9 @@ from warp_psdr.kernels.bsdf.dispatch import make_bsdf
 from warp_psdr.kernels.constants import LOBE_SMOOTH
 from warp_psdr.kernels.interaction import Frame, enter_frame, make_framing
 from warp_psdr.kernels.interior.contact import make_contact_weights, may_touch, wedge_between
+from warp_psdr.kernels.interior.gradient_request import GradientRequest
 from warp_psdr.kernels.interior.pullback import connection_vjp, make_frame_vjp
 from warp_psdr.kernels.interior.sweep import Carry, make_sweep
-from warp_psdr.kernels.interior.wanted import Wanted
 from warp_psdr.kernels.invalid import count_invalid, finite
 from warp_psdr.kernels.lanes.kept_lanes import RecordedVertex
 from warp_psdr.kernels.lanes.lanes import ROWS, stack_rows
@@ -67,7 +67,7 @@ class SweepCarry:
     chi: wp.float32
 
 
-def make_lane_sweep(config: PathConfig, wanted: Wanted, paths: LanePaths) -> tuple[int, wp.Function]:
+def make_lane_sweep(config: PathConfig, wanted: GradientRequest, paths: LanePaths) -> tuple[int, wp.Function]:
     """Return the number of rows that it takes, and the function that sweeps the paths that ``paths`` has traced.
 
     ``sweep_all(scene, camera, target, scale, adjoint, count, always, rows)``: the first ``count`` of them, by

@@ -8,7 +8,7 @@ from warp_psdr.kernels.emitter.area import light_uv
 from warp_psdr.kernels.emitter.dispatch import make_lights
 from warp_psdr.kernels.interaction import make_side
 from warp_psdr.kernels.interior.factors import make_light_sink, make_material_sink
-from warp_psdr.kernels.interior.wanted import Wanted
+from warp_psdr.kernels.interior.gradient_request import GradientRequest
 from warp_psdr.kernels.invalid import count_invalid, finite, vanishes
 from warp_psdr.kernels.lanes.kept_lanes import RecordedVertex
 from warp_psdr.kernels.lanes.lanes import ROWS, Rows
@@ -102,7 +102,7 @@ def make_chosen(paths: LanePaths):
 
 def make_sweep_sinks(
     config: PathConfig,
-    wanted: Wanted,
+    wanted: GradientRequest,
     paths: LanePaths,
     swept: Rows,
     links: Rows,

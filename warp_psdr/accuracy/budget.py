@@ -49,7 +49,7 @@ LEAST_SECONDS = 1e-3
 
 
 @dataclass(frozen=True)
-class Wanted:
+class Budget:
     """A budget.
 
     Attributes:
@@ -110,7 +110,7 @@ def check(spp: Any, target_error: Any, time_budget: Any, report: Any) -> bool:
 
 
 def spend(
-    what: Quantity, wanted: Wanted, *, seed: int, progress: Callable[[float], None] | None
+    what: Quantity, wanted: Budget, *, seed: int, progress: Callable[[float], None] | None
 ) -> tuple[np.ndarray, Reached]:
     """Estimate a quantity within a budget.
 

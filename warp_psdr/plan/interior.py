@@ -20,7 +20,7 @@ from warp_psdr.kernels.interior.textbook import make_textbook_kernel
 from warp_psdr.options import boundary, interior
 
 if TYPE_CHECKING:
-    from warp_psdr.kernels.interior.wanted import Wanted
+    from warp_psdr.kernels.interior.gradient_request import GradientRequest
     from warp_psdr.kernels.vertex import PathConfig
 
 #: Vertices after which a path without depth limit is cut, counted from where Russian roulette begins: it survives with
@@ -66,8 +66,8 @@ class Row:
 
     label: str
     keep: Callable[[interior.Method, int, int], Kept]
-    make: Callable[[PathConfig, Wanted, str, Kept], wp.Kernel]
-    refuse: Callable[[PathConfig, Wanted], str] = lambda _config, _wanted: ""
+    make: Callable[[PathConfig, GradientRequest, str, Kept], wp.Kernel]
+    refuse: Callable[[PathConfig, GradientRequest], str] = lambda _config, _wanted: ""
     bias: str = ""
 
 
@@ -104,13 +104,13 @@ def _keep_blocks(method: interior.Method, max_depth: int, rr_depth: int) -> Kept
     return Kept(block, blocks, whole if blocks == 1 else f"longer paths are replayed in at most {blocks} blocks")
 
 
-def _make_replay(config: PathConfig, wanted: Wanted, role: str, kept: Kept) -> wp.Kernel:
+def _make_replay(config: PathConfig, wanted: GradientRequest, role: str, kept: Kept) -> wp.Kernel:
     if role == "forward":
         return make_forward_kernel(config, wanted)
     return make_replay_kernel(config, wanted, kept.block, kept.blocks)
 
 
-def _refused_by_textbook(config: PathConfig, wanted: Wanted) -> str:
+def _refused_by_textbook(config: PathConfig, wanted: GradientRequest) -> str:
     if wanted.geometry and has_delta_lobes(config.bsdfs):
         return (
             "interior.Textbook(), textbook replay, cannot differentiate moving vertices behind smooth mirrors or "

@@ -14,7 +14,7 @@ from warp_psdr import html
 from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.bsdf.dispatch import has_delta_lobes
 from warp_psdr.kernels.emitter.spot import MIN_FALLOFF
-from warp_psdr.kernels.interior.wanted import Wanted
+from warp_psdr.kernels.interior.gradient_request import GradientRequest
 from warp_psdr.kernels.vertex import PathConfig
 from warp_psdr.options.boundary import Connecting, Method, PathSpace
 from warp_psdr.options.integrator import PathIntegrator
@@ -86,7 +86,7 @@ class Plan:
     """
 
     config: PathConfig
-    wanted: Wanted | None
+    wanted: GradientRequest | None
     max_depth: int
     rr_depth: int
     interior: Row | None
@@ -280,7 +280,7 @@ def _config(scene: Scene, integrator: PathIntegrator, sensor: int, lines: list) 
     )
 
 
-def _wanted(scene: Scene, config: PathConfig, names: list[str], lines: list) -> Wanted:
+def _wanted(scene: Scene, config: PathConfig, names: list[str], lines: list) -> GradientRequest:
     def has(*uses: str) -> bool:
         return scene.has_use(names, *uses)
 
@@ -289,7 +289,7 @@ def _wanted(scene: Scene, config: PathConfig, names: list[str], lines: list) -> 
         lights.append("radiance")
     if has(LIGHT_POSE):
         lights.append("pose")
-    wanted = Wanted(
+    wanted = GradientRequest(
         material=tuple(has(MATERIAL + slot.name) for slot in config.material),
         to_uv=has(TO_UV),
         shapes=has(POSITIONS, NORMALS, SHAPE_POSE),

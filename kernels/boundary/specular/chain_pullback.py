@@ -13,8 +13,8 @@ from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.constants import LOBE_SMOOTH
 from warp_psdr.kernels.interaction import enter_frame, make_interaction
 from warp_psdr.kernels.interior.factors import make_material_sink
+from warp_psdr.kernels.interior.gradient_request import GradientRequest
 from warp_psdr.kernels.interior.pullback import make_frame_vjp
-from warp_psdr.kernels.interior.wanted import Wanted
 from warp_psdr.kernels.sensor.camera import CameraSample, make_camera_sink
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.surface import VertexAdjoint, make_vertex_sink, normalize_vjp
@@ -35,7 +35,7 @@ class Visit:
 
 
 @functools.cache
-def make_chain_pullback(config: PathConfig, wanted: Wanted, role: str):
+def make_chain_pullback(config: PathConfig, wanted: GradientRequest, role: str):
     """Return ``pull(scene, target, camera, sample, visits, last, start, o_before, a_o, a_d) -> float``.
 
     ``visits[:last + 1]`` is the path, (a_o, a_d) the adjoint of the ray that leaves its last vertex, ``start`` further

@@ -22,7 +22,7 @@ from warp_psdr.kernels.boundary.specular.ray_differential import RayDifferential
 from warp_psdr.kernels.boundary.specular.rims import Tables
 from warp_psdr.kernels.boundary.transport import Segment
 from warp_psdr.kernels.interaction import enter_frame, make_interaction
-from warp_psdr.kernels.interior.wanted import Wanted
+from warp_psdr.kernels.interior.gradient_request import GradientRequest
 from warp_psdr.kernels.invalid import count_invalid, vanishes
 from warp_psdr.kernels.notes import NOTE_EDGE, make_note
 from warp_psdr.kernels.rng import Sampler, branch_of
@@ -47,7 +47,7 @@ class Line:
 
 
 @functools.cache
-def make_crossing_sink(config: PathConfig, wanted: Wanted, role: str, light_pose: bool):
+def make_crossing_sink(config: PathConfig, wanted: GradientRequest, role: str, light_pose: bool):
     """Return ``accumulate_crossings(scene, camera, edges, tables, block, line, low, high, weight, visits, ...)``.
 
     Adds what lies between the neighbouring points ``low`` and ``high`` of a line, as ``weight`` crossings.

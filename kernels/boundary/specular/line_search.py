@@ -24,7 +24,7 @@ from warp_psdr.kernels.boundary.specular.line_crossing import Line, make_crossin
 from warp_psdr.kernels.boundary.specular.rims import Tables
 from warp_psdr.kernels.constants import INV_FOUR_PI, LOBE_SMOOTH, TWO_PI
 from warp_psdr.kernels.interaction import enter_frame, leave_frame, make_interaction
-from warp_psdr.kernels.interior.wanted import Wanted
+from warp_psdr.kernels.interior.gradient_request import GradientRequest
 from warp_psdr.kernels.jobs import SampleJob
 from warp_psdr.kernels.math import any_tangent
 from warp_psdr.kernels.path import make_path_step
@@ -61,7 +61,7 @@ MAX_VISITS = 17
 
 
 @functools.cache
-def make_line_search_kernel(config: PathConfig, wanted: Wanted, role: str, light_pose: bool):
+def make_line_search_kernel(config: PathConfig, wanted: GradientRequest, role: str, light_pose: bool):
     """Return the kernel of the boundary term through mirrors and glass: one thread a path (``secondary.py``)."""
     camera_ray, _camera_origin = make_camera_ray(config.camera)
     lens_point = make_lens(config.camera)

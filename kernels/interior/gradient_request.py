@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
-class Wanted:
+class GradientRequest:
     """Which derivatives are compiled; everything else costs nothing."""
 
     #: Textures of material values, one answer for each of ``PathConfig.material``.
