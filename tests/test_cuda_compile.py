@@ -209,7 +209,7 @@ FACTORIES = {
         ("reverse, materials", (MATERIALS, "reverse", True), SLOW),
         ("forward, textures", (TEXTURED, "forward", False), SLOW),
     ],
-    "boundary.path_space.curve.make_curve_kernel": [
+    "boundary.path_space.intersection_curve.make_intersection_curve_kernel": [
         ("reverse, simple", (SIMPLE, "reverse", False), SLOW),
         ("forward, textures", (TEXTURED, "forward", True), SLOW),
         ("reverse, lights", (ALL_LIGHTS, "reverse", False), SLOW),

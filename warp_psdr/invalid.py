@@ -38,7 +38,7 @@ KINDS = (
     "creases",
     "terminator",
     "secondary",
-    "curve",
+    "intersection_curve",
     "bent",
     "horizon",
     "edge_sampling",

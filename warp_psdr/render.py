@@ -36,7 +36,7 @@ from warp_psdr.kernels.splat import resolve
 from warp_psdr.options.integrator import Integrator
 from warp_psdr.plan.integrator import integrator_of
 from warp_psdr.plan.plan import Plan, decide
-from warp_psdr.scene.chain import pull_kernels
+from warp_psdr.scene.derived_values import pull_kernels
 from warp_psdr.scene.edits import checksum
 from warp_psdr.topology import contacts
 

@@ -5,7 +5,7 @@ import pytest
 
 import warp_psdr as psdr
 from warp_psdr.estimate.boundary import terms
-from warp_psdr.topology.curves import scene_curves
+from warp_psdr.topology.intersection_curves import scene_curves
 
 from .measure import MODES, Case, assert_agrees, derivatives, differences, rows, slope
 from .scenes import T, ball, box, camera, diffuse, floor, load, mesh, panel, register, sky
@@ -140,7 +140,7 @@ def test_derivatives_equal_finite_differences(case: Case, mode: str) -> None:
 
 @pytest.mark.parametrize("case", [c for c in CASES if c.scene == "glowing box" and not c.slow], ids=str)
 def test_the_table_can_tell_missing_curves(case: Case, monkeypatch) -> None:
-    rest = tuple(t for t in terms.TERMS[psdr.boundary.PathSpace] if t.name != "curve")
+    rest = tuple(t for t in terms.TERMS[psdr.boundary.PathSpace] if t.name != "intersection_curve")
     monkeypatch.setitem(terms.TERMS, psdr.boundary.PathSpace, rest)
     value, error = slope(derivatives(case, "forward"), differences(case)[2])
     assert abs(value - 1.0) > 0.05 + 3.0 * error

@@ -52,8 +52,8 @@ def batch(what, name, term, spp, seed, *, depth=DEPTH, indirect=False):
     [
         ("sky", OCCLUDER, "auto", "secondary"),
         pytest.param("lamp", BOX, EDGES, "hard_shadows", marks=pytest.mark.slow),
-        pytest.param("glowing box", "shape.vertex_positions", "auto", "curve", marks=pytest.mark.slow),
-        pytest.param("ball and floor", "light.vertex_positions", "auto", "curve", marks=pytest.mark.slow),
+        pytest.param("glowing box", "shape.vertex_positions", "auto", "intersection_curve", marks=pytest.mark.slow),
+        pytest.param("ball and floor", "light.vertex_positions", "auto", "intersection_curve", marks=pytest.mark.slow),
         pytest.param("ball and floor", "light.vertex_positions", "auto", "horizon", marks=pytest.mark.slow),
     ],
 )

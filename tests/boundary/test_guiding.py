@@ -8,7 +8,7 @@ import warp as wp
 from scipy import stats
 
 import warp_psdr as psdr
-from warp_psdr.estimate.guiding import chains
+from warp_psdr.estimate.guiding import edge_chains
 from warp_psdr.estimate.guiding.build import Growth, Target, volume
 from warp_psdr.estimate.guiding.methods import build
 from warp_psdr.estimate.guiding.store import whole
@@ -156,7 +156,7 @@ def test_chains_keep_straight_edges_together() -> None:
     ends = random.permutation(ends)
     turned_in = random.random(len(ends)) < 0.5
     ends[turned_in] = ends[turned_in, ::-1]
-    order, turned = chains.chain_order(points, ends)
+    order, turned = edge_chains.chain_order(points, ends)
     assert sorted(order) == list(range(120))
     walked = np.where(turned[:, None], ends[order][:, ::-1], ends[order])
     joined = walked[1:, 0] == walked[:-1, 1]

@@ -120,7 +120,7 @@ TERMS = [
     ("facets", ball(face_normals=True), psdr.boundary.PathSpace(), "edge", {"path"}),
     ("creases", ball(), psdr.boundary.PathSpace(), "edge", {"path"}),
     ("terminator", ball(), psdr.boundary.PathSpace(), "point", {"path"}),
-    ("curve", ball(), psdr.boundary.PathSpace(), "edge", {"x_1", "x_2"}),
+    ("intersection_curve", ball(), psdr.boundary.PathSpace(), "edge", {"x_1", "x_2"}),
     ("bent", ball(), psdr.boundary.PathSpace(), "x_1", {"x_2", "path"}),
     ("horizon", ball(), psdr.boundary.PathSpace(), "x_1", {"x_2"}),
     ("through_mirrors", ball(center=[0.3, 0.1, 0.4], bsdf=MIRROR), psdr.boundary.PathSpace(), "edge", {"path"}),

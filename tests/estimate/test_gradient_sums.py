@@ -5,7 +5,7 @@ import pytest
 import warp as wp
 
 import warp_psdr as psdr
-from warp_psdr.scene.chain import pull_derived
+from warp_psdr.scene.derived_values import pull_derived
 
 #: Of gradients that are sums of equal terms, relative: they are rounded once to float32, and so is every term.
 SUMMATION = 3e-7

@@ -16,7 +16,7 @@ from warp_psdr.kernels.boundary.guiding.light_square import make_light_square
 from warp_psdr.kernels.boundary.guiding.stripe import stripe_at
 from warp_psdr.kernels.boundary.guiding.techniques import make_techniques
 from warp_psdr.kernels.boundary.local_form import Edges, edge_point, edge_step
-from warp_psdr.kernels.boundary.path_space.curve import MAX_SHIFT, make_curve_segment
+from warp_psdr.kernels.boundary.path_space.intersection_curve import MAX_SHIFT, make_curve_segment
 from warp_psdr.kernels.boundary.path_space.secondary import make_segment
 from warp_psdr.kernels.boundary.shading_normals.bent import make_jump
 from warp_psdr.kernels.boundary.transport import Segment
@@ -24,9 +24,9 @@ from warp_psdr.kernels.rng import sampler_at
 from warp_psdr.kernels.structs import Scene
 from warp_psdr.plan.motion import motion
 from warp_psdr.plan.plan import decide
-from warp_psdr.topology.curves import scene_curves
 from warp_psdr.topology.edge_trees import edge_trees
 from warp_psdr.topology.edges import curve_edges
+from warp_psdr.topology.intersection_curves import scene_curves
 from warp_psdr.topology.secondary_edges import secondary_edges
 
 from .sweeps import box, room

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import warp_psdr as psdr
-from warp_psdr.topology import curves
+from warp_psdr.topology import intersection_curves
 
 from .record import Case, parameters
 
@@ -139,7 +139,7 @@ def test_taken_for_a_contact_the_curve_is_lost(monkeypatch) -> None:
         shapes = np.array([[1, 2]])
 
     assert lit(3e-3) < 1.0
-    monkeypatch.setattr(curves, "contacts", lambda scene: Anything)
+    monkeypatch.setattr(intersection_curves, "contacts", lambda scene: Anything)
     with warnings.catch_warnings():
         warnings.simplefilter("error")  # and nothing says so
         assert lit(3e-3) > 1.0

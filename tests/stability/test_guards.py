@@ -23,13 +23,13 @@ from warp_psdr.kernels.boundary.guiding.projective import nearest_fraction
 from warp_psdr.kernels.boundary.guiding.stripe import CORNERS, Polygon, Stripe, cut, stripe_point, stripe_square
 from warp_psdr.kernels.boundary.local_form import barycentrics_at
 from warp_psdr.kernels.boundary.path_space.direction import Wedge, pdf_wedge, wedge_direction, wedge_square
-from warp_psdr.kernels.boundary.specular.chain import Block, Link
 from warp_psdr.kernels.boundary.specular.chain_edges import curve_crossing
 from warp_psdr.kernels.boundary.specular.ray_differential import (
     PointDifferential,
     RayDifferential,
     scattered_differential,
 )
+from warp_psdr.kernels.boundary.specular.specular_chain import Block, Link
 from warp_psdr.kernels.bsdf.microfacet import make_microfacet
 from warp_psdr.kernels.constants import LOBE_DELTA_TRANSMISSION, TEXTURE_CONSTANT
 from warp_psdr.kernels.emitter.area import area_density, make_area, pdf_area

@@ -8,12 +8,12 @@ import warp as wp
 
 import warp_psdr as psdr
 from warp_psdr.kernels.boundary.local_form import Edges
-from warp_psdr.kernels.boundary.specular.chain import Block
 from warp_psdr.kernels.boundary.specular.chain_pullback import Visit
 from warp_psdr.kernels.boundary.specular.discontinuity import make_crossing
 from warp_psdr.kernels.boundary.specular.line_search import ARC_LENGTH, MAX_VISITS, RESOLUTION
 from warp_psdr.kernels.boundary.specular.ray_differential import RayDifferential
 from warp_psdr.kernels.boundary.specular.rims import Tables
+from warp_psdr.kernels.boundary.specular.specular_chain import Block
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.vertex import PathConfig
 from warp_psdr.topology.faces import face_tables

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
-from warp_psdr.scene.chain import accumulate_derived
+from warp_psdr.scene.derived_values import accumulate_derived
 from warp_psdr.scene.parameters import check_owner
 
 if TYPE_CHECKING:

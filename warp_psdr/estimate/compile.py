@@ -13,7 +13,7 @@ from warp_psdr.estimate.passes import gradient_kernel, image_kernel
 from warp_psdr.plan.integrator import integrator_of
 from warp_psdr.plan.plan import decide
 from warp_psdr.scene import load
-from warp_psdr.scene.chain import pull_kernels
+from warp_psdr.scene.derived_values import pull_kernels
 
 if TYPE_CHECKING:
     from warp_psdr.plan.integrator import Integrator

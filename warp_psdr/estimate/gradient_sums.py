@@ -14,7 +14,7 @@ import warp as wp
 from warp_psdr import workers
 from warp_psdr.device import launch
 from warp_psdr.kernels.reduction import add_lanes
-from warp_psdr.scene.chain import derived_ranges, pull_derived
+from warp_psdr.scene.derived_values import derived_ranges, pull_derived
 
 if TYPE_CHECKING:
     from warp_psdr.scene.scene import Scene

@@ -64,9 +64,10 @@ class Method(ABC):  # noqa: B024
 class KdTree(Method):
     """Adaptive k-d trees, one for each technique [YLB*22, sections 4 and 5] (options: see ``guiding.Method``).
 
-    Leaves start as slabs of neighbouring edges (``chains.py``) and are split where that lowers the variance most, in
-    the middle of the axis that lowers it most. That is the criterion here, in place of the paper's difference between
-    corner and random values: at the silhouettes of fine meshes both are spikes. Densities are linear within leaves.
+    Leaves start as slabs of neighbouring edges (``edge_chains.py``) and are split where that lowers the variance most,
+    in the middle of the axis that lowers it most. That is the criterion here, in place of the paper's difference
+    between corner and random values: at the silhouettes of fine meshes both are spikes. Densities are linear within
+    leaves.
     """
 
 

@@ -3,7 +3,7 @@
 A pair counts if each triangle has corners on both sides of the plane of the other, by more than a tolerance, and the
 two intervals that the triangles cover of the line of both planes overlap; or if one has a corner below the other's
 plane and an edge in it. Pairs that share an edge do not. Which of them do intersect, and where, the host decides
-(``warp_psdr/topology/curves.py``); what is left out here, it would leave out too.
+(``warp_psdr/topology/intersection_curves.py``); what is left out here, it would leave out too.
 """
 
 import warp as wp

@@ -10,7 +10,6 @@ import warp as wp
 
 from warp_psdr.kernels.boundary.local_form import EdgePoint, Edges, barycentrics_at, split_between
 from warp_psdr.kernels.boundary.notch import facing, is_ridge, let_through, notch, sharp_glass
-from warp_psdr.kernels.boundary.specular.chain import Block, Link, make_lit
 from warp_psdr.kernels.boundary.specular.ray_differential import PointDifferential, RayDifferential
 from warp_psdr.kernels.boundary.specular.rims import (
     RIM_EPSILONS,
@@ -21,6 +20,7 @@ from warp_psdr.kernels.boundary.specular.rims import (
     rim_of,
     smooth_between,
 )
+from warp_psdr.kernels.boundary.specular.specular_chain import Block, Link, make_lit
 from warp_psdr.kernels.boundary.transport import Segment
 from warp_psdr.kernels.constants import FAR
 from warp_psdr.kernels.emitter.dispatch import make_delta_sample

@@ -12,15 +12,6 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.boundary.local_form import Edges
-from warp_psdr.kernels.boundary.specular.chain import (
-    MEETS_DELTA,
-    MEETS_SMOOTH,
-    Block,
-    Link,
-    goes_on,
-    make_intersect_link,
-    make_start,
-)
 from warp_psdr.kernels.boundary.specular.chain_edges import Crossing, make_edge_crossing, make_shadow_crossing
 from warp_psdr.kernels.boundary.specular.chain_pullback import Visit
 from warp_psdr.kernels.boundary.specular.ray_differential import (
@@ -29,6 +20,15 @@ from warp_psdr.kernels.boundary.specular.ray_differential import (
     scattered_differential,
 )
 from warp_psdr.kernels.boundary.specular.rims import Tables, joined, smooth_between
+from warp_psdr.kernels.boundary.specular.specular_chain import (
+    MEETS_DELTA,
+    MEETS_SMOOTH,
+    Block,
+    Link,
+    goes_on,
+    make_intersect_link,
+    make_start,
+)
 from warp_psdr.kernels.constants import FAR, LOBE_NONE
 from warp_psdr.kernels.emitter.dispatch import is_delta_light
 from warp_psdr.kernels.structs import Camera, Scene

@@ -7,7 +7,12 @@ import warp as wp
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.boundary.local_form import Edges
 from warp_psdr.kernels.boundary.path_space.secondary import make_segment_sink
-from warp_psdr.kernels.boundary.specular.chain import (
+from warp_psdr.kernels.boundary.specular.chain_edges import Crossing
+from warp_psdr.kernels.boundary.specular.chain_pullback import Visit, make_chain_pullback
+from warp_psdr.kernels.boundary.specular.discontinuity import make_crossing
+from warp_psdr.kernels.boundary.specular.ray_differential import RayDifferential, make_film_differential
+from warp_psdr.kernels.boundary.specular.rims import Tables
+from warp_psdr.kernels.boundary.specular.specular_chain import (
     Block,
     film_at,
     film_point,
@@ -15,11 +20,6 @@ from warp_psdr.kernels.boundary.specular.chain import (
     make_identity,
     make_start,
 )
-from warp_psdr.kernels.boundary.specular.chain_edges import Crossing
-from warp_psdr.kernels.boundary.specular.chain_pullback import Visit, make_chain_pullback
-from warp_psdr.kernels.boundary.specular.discontinuity import make_crossing
-from warp_psdr.kernels.boundary.specular.ray_differential import RayDifferential, make_film_differential
-from warp_psdr.kernels.boundary.specular.rims import Tables
 from warp_psdr.kernels.boundary.transport import Segment
 from warp_psdr.kernels.interaction import enter_frame, make_interaction
 from warp_psdr.kernels.interior.gradient_request import GradientRequest

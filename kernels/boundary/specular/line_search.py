@@ -13,15 +13,15 @@ import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.boundary.local_form import Edges
-from warp_psdr.kernels.boundary.specular.chain import (
+from warp_psdr.kernels.boundary.specular.chain_pullback import Visit
+from warp_psdr.kernels.boundary.specular.line_crossing import Line, make_crossing_sink
+from warp_psdr.kernels.boundary.specular.rims import Tables
+from warp_psdr.kernels.boundary.specular.specular_chain import (
     GO_ON,
     Block,
     film_point,
     make_identity,
 )
-from warp_psdr.kernels.boundary.specular.chain_pullback import Visit
-from warp_psdr.kernels.boundary.specular.line_crossing import Line, make_crossing_sink
-from warp_psdr.kernels.boundary.specular.rims import Tables
 from warp_psdr.kernels.constants import INV_FOUR_PI, LOBE_SMOOTH, TWO_PI
 from warp_psdr.kernels.interaction import enter_frame, leave_frame, make_interaction
 from warp_psdr.kernels.interior.gradient_request import GradientRequest

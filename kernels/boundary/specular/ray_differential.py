@@ -10,7 +10,7 @@ import functools
 
 import warp as wp
 
-from warp_psdr.kernels.boundary.specular.chain import Link, film_point
+from warp_psdr.kernels.boundary.specular.specular_chain import Link, film_point
 from warp_psdr.kernels.constants import CAMERA_ORTHOGRAPHIC, CAMERA_THINLENS, LOBE_DELTA_TRANSMISSION
 from warp_psdr.kernels.fresnel import refracted_cosine
 from warp_psdr.kernels.interior.tangents import normalize_jvp

@@ -3,7 +3,7 @@
 import warp as wp
 
 from warp_psdr.kernels.boundary.local_form import EdgePoint, Edges
-from warp_psdr.kernels.boundary.specular.chain import Link
+from warp_psdr.kernels.boundary.specular.specular_chain import Link
 from warp_psdr.kernels.constants import FAR
 from warp_psdr.kernels.reading import load_vec3
 from warp_psdr.kernels.structs import Scene

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
-from warp_psdr.estimate.guiding.chains import chain_order
+from warp_psdr.estimate.guiding.edge_chains import chain_order
 from warp_psdr.topology.edges import scene_adjacency, upload
 from warp_psdr.topology.secondary_edges import set_beside
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term, curves_of, term_of
-from warp_psdr.kernels.boundary.path_space.curve import make_curve_kernel
+from warp_psdr.kernels.boundary.path_space.intersection_curve import make_intersection_curve_kernel
 from warp_psdr.options.boundary import EdgeSampling, PathSpace, Projective
 from warp_psdr.topology.edges import curve_edges
 
@@ -21,12 +21,12 @@ def launch(r: Request) -> Term | None:
     if edges is None:
         return None
     samples = r.pixels * (r.method.spp_secondary or r.spp)
-    kernel = make_curve_kernel(r.config, r.role, r.moves.camera, r.indirect)
+    kernel = make_intersection_curve_kernel(r.config, r.role, r.moves.camera, r.indirect)
     return term_of(r, TERM, kernel, [r.scene.data(), r.camera, edges], samples)
 
 
 TERM = BoundaryTerm(
-    name="curve",
+    name="intersection_curve",
     title="{} curves of intersection",
     stream=3,
     methods=(PathSpace, Projective, EdgeSampling),

@@ -15,9 +15,9 @@ from warp_psdr.kernels.bsdf.dispatch import has_smooth_lobes
 from warp_psdr.kernels.rng import mix_seed
 from warp_psdr.options.boundary import Method
 from warp_psdr.plan.motion import Motion
-from warp_psdr.topology.curves import moving_curves, scene_curves
 from warp_psdr.topology.edges import select
 from warp_psdr.topology.film_edges import FilmEdges, film_edges
+from warp_psdr.topology.intersection_curves import moving_curves, scene_curves
 
 if TYPE_CHECKING:
     from warp_psdr.kernels.structs import Camera

@@ -92,7 +92,7 @@ def make_curve_segment(config: PathConfig):
 
 
 @functools.cache
-def make_curve_kernel(config: PathConfig, role: str, camera_moves: bool, indirect: bool = False):
+def make_intersection_curve_kernel(config: PathConfig, role: str, camera_moves: bool, indirect: bool = False):
     """Return the kernel: one thread a sample (arguments as in ``secondary.py``)."""
     segment_at = make_curve_segment(config)
     accumulate_segment = make_segment_sink(role, False)
