@@ -205,7 +205,7 @@ FACTORIES = {
         ("reverse, materials", (MATERIALS, still(MATERIALS), "reverse"), SLOW),
         ("reverse, lights", (ALL_LIGHTS, all_of(ALL_LIGHTS), "reverse"), SLOW),
     ],
-    "boundary.shading_normals.bent.make_bent_kernel": [
+    "boundary.shading_normals.indirect_terminator.make_indirect_terminator_kernel": [
         ("reverse, materials", (MATERIALS, "reverse", True), SLOW),
         ("forward, textures", (TEXTURED, "forward", False), SLOW),
     ],
@@ -216,7 +216,7 @@ FACTORIES = {
         ("indirect, lights", (ALL_LIGHTS, "reverse", False, True), SLOW),
         ("noted, simple", (NOTED, "forward", False), SLOW),
     ],
-    "boundary.shading_normals.horizon.make_horizon_kernel": [
+    "boundary.shading_normals.geometric_horizon.make_geometric_horizon_kernel": [
         ("reverse, materials", (MATERIALS, "reverse", True), SLOW),
         ("forward, textures", (TEXTURED, "forward", False), SLOW),
         ("indirect, materials", (MATERIALS, "reverse", False, True), SLOW),
@@ -238,7 +238,7 @@ FACTORIES = {
         ("samples, simple", (SIMPLE, "samples", False), SLOW),
         ("noted, simple", (NOTED, "reverse", False), SLOW),
     ],
-    "boundary.path_space.facets.make_facets_kernel": [
+    "boundary.path_space.flat_creases.make_flat_creases_kernel": [
         ("reverse, simple", (SIMPLE, "reverse", False), SLOW),
         ("forward, materials", (GLOSSY, "forward", True), SLOW),
         ("reverse, textures", (TEXTURED, "reverse", True), SLOW),

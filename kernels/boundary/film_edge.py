@@ -1,7 +1,7 @@
 """A point of an edge as the camera sees it: its image, whether it is hidden, and where its adjoint goes.
 
-What the estimators of jumps across edges on the film share (``primary.py``, ``facets.py``). They differ in how the jump
-is found.
+What the estimators of jumps across edges on the film share (``primary.py``, ``flat_creases.py``). They differ in how
+the jump is found.
 """
 
 import functools

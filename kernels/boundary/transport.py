@@ -1,9 +1,9 @@
 """Carries what a boundary segment x_1 -> x_2 brings to the sensor: the walk from x_1, its connections, the adjoints.
 
 Shared by the estimators whose discontinuity lies between two path vertices (``secondary.py``,
-``intersection_curve.py``, ``bent.py``). They differ in how a segment is found and in what moves its discontinuity; the
-importance W_1, the split into vertices x_1 that slide along a pixel's ray (k = 1) and material ones (k > 1), and the
-sums are the same.
+``intersection_curve.py``, ``indirect_terminator.py``). They differ in how a segment is found and in what moves its
+discontinuity; the importance W_1, the split into vertices x_1 that slide along a pixel's ray (k = 1) and material ones
+(k > 1), and the sums are the same.
 
 A segment contributes sum over k of W_k L_k, W_k by the connection of the walk's k-th vertex, L_k the radiance past the
 occluder behind k vertices, of which max_depth bounds the number. Walk and source are independent given the segment, so

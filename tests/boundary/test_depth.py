@@ -54,7 +54,7 @@ def batch(what, name, term, spp, seed, *, depth=DEPTH, indirect=False):
         pytest.param("lamp", BOX, EDGES, "hard_shadows", marks=pytest.mark.slow),
         pytest.param("glowing box", "shape.vertex_positions", "auto", "intersection_curve", marks=pytest.mark.slow),
         pytest.param("ball and floor", "light.vertex_positions", "auto", "intersection_curve", marks=pytest.mark.slow),
-        pytest.param("ball and floor", "light.vertex_positions", "auto", "horizon", marks=pytest.mark.slow),
+        pytest.param("ball and floor", "light.vertex_positions", "auto", "geometric_horizon", marks=pytest.mark.slow),
     ],
 )
 def test_parts_add_up_sample_by_sample(scene, name, method, term) -> None:

@@ -97,7 +97,7 @@ def test_one_path_equals_two(name, parameter, depth) -> None:
     for seed in range(2 * BATCHES):
         two = bool(seed % 2)
         request = request_of(name, parameter, depth, seed)
-        (term,) = terms.launches(terms.named("facets"), request)
+        (term,) = terms.launches(terms.named("flat_creases"), request)
         if two:
             term = replace(term, kernel=make_primary_kernel(request.config, request.role, request.moves.camera))
         found[two].append(gradient(request, parameter, term))
@@ -117,7 +117,7 @@ def test_the_noise_falls_with_the_angle_between_the_faces() -> None:
         batches = []
         for seed in range(16):
             request = request_of("coloured ball, panel", SHAPE, 4, seed, spp=8)
-            (term,) = terms.launches(terms.named("facets"), request)
+            (term,) = terms.launches(terms.named("flat_creases"), request)
             if two:
                 term = replace(term, kernel=make_primary_kernel(request.config, request.role, request.moves.camera))
             batches.append(gradient(request, SHAPE, term).reshape(-1, 3).sum(axis=0))
@@ -132,7 +132,7 @@ def test_samples_are_shared_by_what_they_are_worth() -> None:
         shape = ball((0.0, 0.0, 0.7), 0.6, diffuse(0.7), subdivisions=subdivisions)
         scene = psdr.load_dict({"type": "scene", **scene_of(shape, sky())})
         found = film_edges(scene, 0, {1}, camera_moves=False)
-        assert not set(found.others.keep) & set(found.facets.keep)
+        assert not set(found.others.keep) & set(found.flat_creases.keep)
         shares.append(found.share)
     assert np.ptp(shares) < 0.05 and 0.3 < shares[0] < 0.9
 

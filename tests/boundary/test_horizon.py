@@ -76,8 +76,8 @@ def test_derivatives_equal_finite_differences(case: Case, mode: str) -> None:
 
 @pytest.mark.parametrize(
     ("case", "left_out"),
-    [(CASES[0], "horizon"), (CASES[4], "creases")],
-    ids=["horizon", "creases"],
+    [(CASES[0], "geometric_horizon"), (CASES[4], "creases")],
+    ids=["geometric_horizon", "creases"],
 )
 def test_the_table_can_tell_a_missing_term(case: Case, left_out, monkeypatch) -> None:
     rest = tuple(t for t in terms.TERMS[psdr.boundary.PathSpace] if t.name != left_out)

@@ -17,7 +17,7 @@ def options(boundary, depth: int = 2) -> dict:
     return {"integrator": integrator(boundary=boundary, max_depth=depth), "spp": SPP, "seed": 5}
 
 
-@pytest.mark.parametrize("kind", ["facets", pytest.param("through_mirrors", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("kind", ["flat_creases", pytest.param("through_mirrors", marks=pytest.mark.slow)])
 def test_invalid_samples_of_every_kind_are_counted(kind) -> None:
     """A reflectance that is not finite: of a flat-shaded ball, or of a mirror in which one is seen."""
     mirror = {"type": "conductor", "specular_reflectance": {"type": "rgb", "value": [0.9, 0.9, 0.9]}}
@@ -27,7 +27,7 @@ def test_invalid_samples_of_every_kind_are_counted(kind) -> None:
         nodes["floor"] = scenes.floor(bsdf=mirror)
     scene = psdr.load_dict({"type": "scene", **nodes})
     params = psdr.traverse(scene)
-    name = "ball.bsdf.reflectance.value" if kind == "facets" else "floor.bsdf.specular_reflectance.value"
+    name = "ball.bsdf.reflectance.value" if kind == "flat_creases" else "floor.bsdf.specular_reflectance.value"
     first = scene.parameters[name].offset
     scene.values.numpy()[first : first + 3] = np.nan
     slide = np.zeros(params["ball.vertex_positions"].numpy().shape, np.float32)
@@ -117,12 +117,12 @@ EDGES = psdr.boundary.EdgeSampling()
 #: term, scene, method, what its first place is, which places others of it have.
 TERMS = [
     ("primary", ball(), psdr.boundary.PathSpace(), "edge", {"path"}),
-    ("facets", ball(face_normals=True), psdr.boundary.PathSpace(), "edge", {"path"}),
+    ("flat_creases", ball(face_normals=True), psdr.boundary.PathSpace(), "edge", {"path"}),
     ("creases", ball(), psdr.boundary.PathSpace(), "edge", {"path"}),
     ("terminator", ball(), psdr.boundary.PathSpace(), "point", {"path"}),
     ("intersection_curve", ball(), psdr.boundary.PathSpace(), "edge", {"x_1", "x_2"}),
-    ("bent", ball(), psdr.boundary.PathSpace(), "x_1", {"x_2", "path"}),
-    ("horizon", ball(), psdr.boundary.PathSpace(), "x_1", {"x_2"}),
+    ("indirect_terminator", ball(), psdr.boundary.PathSpace(), "x_1", {"x_2", "path"}),
+    ("geometric_horizon", ball(), psdr.boundary.PathSpace(), "x_1", {"x_2"}),
     ("through_mirrors", ball(center=[0.3, 0.1, 0.4], bsdf=MIRROR), psdr.boundary.PathSpace(), "edge", {"path"}),
     ("edge_sampling", ball(), EDGES, "path", {"edge"}),
     ("hard_shadows", scene_dict(lookup="bilinear") | POINT, EDGES, "edge", {"x_1", "x_2"}),
@@ -137,7 +137,7 @@ def test_every_term_names_its_places(kind: str, scene: dict, method, first: str,
     params.requires_grad(NAME)
     how = options(method, 3)
     numbers = (
-        range(0, 285, 3) if kind in ("horizon", "creases", "facets") else range(0, 1100, 11)
+        range(0, 285, 3) if kind in ("geometric_horizon", "creases", "flat_creases") else range(0, 1100, 11)
     )  # fewer samples than others have
     found = [psdr.trace_sample(loaded, sample=i, kind=kind, params=params, **how) for i in numbers]
     met = [t.places for t in found if t.places]

@@ -18,7 +18,7 @@ from warp_psdr.kernels.boundary.guiding.techniques import make_techniques
 from warp_psdr.kernels.boundary.local_form import Edges, edge_point, edge_step
 from warp_psdr.kernels.boundary.path_space.intersection_curve import MAX_SHIFT, make_curve_segment
 from warp_psdr.kernels.boundary.path_space.secondary import make_segment
-from warp_psdr.kernels.boundary.shading_normals.bent import make_jump
+from warp_psdr.kernels.boundary.shading_normals.indirect_terminator import make_jump
 from warp_psdr.kernels.boundary.transport import Segment
 from warp_psdr.kernels.rng import sampler_at
 from warp_psdr.kernels.structs import Scene
@@ -141,7 +141,7 @@ def crease(slant: float, half: float = 0.6, eye: float = -3.0, near: float = 0.0
     )
     plan = decide(scene, psdr.traverse(scene), integrator=psdr.PathIntegrator(max_depth=2), names=[RIDGE])
     request = terms.Request(scene, plan, motion(scene, [RIDGE]), "reverse", 0, 64, 0)
-    (term,) = terms.launches(terms.named("facets"), request)
+    (term,) = terms.launches(terms.named("flat_creases"), request)
     return float(gradient(request, RIDGE, term) @ LIFT)
 
 
@@ -310,7 +310,7 @@ def test_the_jump_of_a_bent_surface_is_seen_from_in_front_of_what_is_close_to_it
     corners = 3e-4 * out + 1e-4 * np.array([a * across + b * up for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
     bent = {"type": "mesh", "vertices": [[-1, -1, 0], [1, -1, 0], [0, 2, 0]], "faces": [[0, 1, 2]]}
     plate = {"type": "mesh", "vertices": corners, "faces": [[0, 1, 2], [0, 2, 3]], "face_normals": True}
-    shape = {"bent": bent | {"normals": np.tile(n, (3, 1))}, "sky": {"type": "constant"}}
+    shape = {"indirect_terminator": bent | {"normals": np.tile(n, (3, 1))}, "sky": {"type": "constant"}}
     shape["plate"] = plate | {"emitter": {"type": "area", "radiance": 100.0}}
     scene = psdr.load_dict({"type": "scene", "camera": camera()} | shape)
     jump = make_jump(psdr.plan(scene, integrator=psdr.PathIntegrator(max_depth=4)).config)

@@ -12,8 +12,8 @@ from warp_psdr.kernels.boundary.specular.chain_pullback import Visit
 from warp_psdr.kernels.boundary.specular.discontinuity import make_crossing
 from warp_psdr.kernels.boundary.specular.line_search import ARC_LENGTH, MAX_VISITS, RESOLUTION
 from warp_psdr.kernels.boundary.specular.ray_differential import RayDifferential
-from warp_psdr.kernels.boundary.specular.rims import Tables
 from warp_psdr.kernels.boundary.specular.specular_chain import Block
+from warp_psdr.kernels.boundary.specular.triangle_borders import Tables
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.vertex import PathConfig
 from warp_psdr.topology.faces import face_tables

@@ -5,9 +5,9 @@ import pytest
 import trimesh
 
 import warp_psdr as psdr
-from warp_psdr.topology.bent import bent_faces
 from warp_psdr.topology.edges import COPLANAR, adjacency, scene_adjacency, weld
-from warp_psdr.topology.film_edges import facet_edges, film_edges, primary_edges
+from warp_psdr.topology.film_edges import film_edges, flat_crease_edges, primary_edges
+from warp_psdr.topology.interpolated_normals import interpolated_faces
 from warp_psdr.topology.secondary_edges import secondary_edges
 
 
@@ -109,7 +109,7 @@ def test_edges_that_cannot_jump_or_move_are_not_sampled_on_the_film() -> None:
 
     def seen(shapes: set[int], *, camera_moves: bool = False) -> tuple[int, int]:
         found = film_edges(scene, 0, shapes, camera_moves=camera_moves)
-        edges = primary_edges(scene, found), facet_edges(scene, found)
+        edges = primary_edges(scene, found), flat_crease_edges(scene, found)
         assert (found.share > 0.0) == (edges[1] is not None)
         return tuple(0 if e is None else len(e.cdf) - 1 for e in edges)
 
@@ -119,7 +119,7 @@ def test_edges_that_cannot_jump_or_move_are_not_sampled_on_the_film() -> None:
     # Smooth: silhouettes only, the outline of a ball.
     assert 10 < others < len(ball.edges_unique) // 4 and facets == 0
     assert seen(set(), camera_moves=True) == (12 + others, 0)
-    assert bent_faces(scene)[:12].sum() == 0 and bent_faces(scene)[12:].all()
+    assert interpolated_faces(scene)[:12].sum() == 0 and interpolated_faces(scene)[12:].all()
 
 
 def on_film(scene):

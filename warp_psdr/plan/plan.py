@@ -38,7 +38,7 @@ from warp_psdr.scene.layout import (
 )
 from warp_psdr.scene.parameters import check_owner, parameter_of
 from warp_psdr.topology import contacts
-from warp_psdr.topology.bent import bent_faces
+from warp_psdr.topology.interpolated_normals import interpolated_faces
 
 if TYPE_CHECKING:
     from warp_psdr.scene.parameters import Parameters
@@ -369,7 +369,7 @@ def _discontinuities(scene: Scene, config: PathConfig, names: list[str]) -> list
 
 def _bent(scene: Scene, shape: int) -> bool:
     """Whether the interpolated normals of a shape differ from those of its triangles."""
-    return bool(bent_faces(scene)[scene.builder.face_shape == shape].any())
+    return bool(interpolated_faces(scene)[scene.builder.face_shape == shape].any())
 
 
 def _moving_lights(scene: Scene) -> dict[str, str]:

@@ -8,10 +8,10 @@ import numpy as np
 import warp as wp
 
 from warp_psdr.kernels.boundary.local_form import Edges
-from warp_psdr.kernels.boundary.specular.rims import Tables
-from warp_psdr.topology.bent import bent_faces
+from warp_psdr.kernels.boundary.specular.triangle_borders import Tables
 from warp_psdr.topology.edges import every_edge, joined_faces, scene_adjacency
 from warp_psdr.topology.film_edges import smooth_edges
+from warp_psdr.topology.interpolated_normals import interpolated_faces
 
 if TYPE_CHECKING:
     from warp_psdr.scene.scene import Scene
@@ -26,7 +26,7 @@ def face_tables(scene: Scene) -> tuple[Edges, Tables]:
     tables = Tables()
     for name, values in (
         ("group", joined_faces(scene.face_count, found, smooth & (found.wedge == 0.0))),
-        ("bent", bent_faces(scene)),
+        ("interpolated", interpolated_faces(scene)),
         ("face_edges", face_edges(scene, found).reshape(-1)),
         ("smooth_edge", smooth),
     ):

@@ -77,7 +77,7 @@ class FilmEdges:
     every: Adjacency
     edges: Adjacency
     others: Seen
-    facets: Seen
+    flat_creases: Seen
     weight: np.ndarray
     share: float
     creases: Seen
@@ -110,13 +110,13 @@ def film_edges(
     usable = asked & ~jumps & (edges.wedge > 0.0) & scatters(scene)[_shape(scene, edges)].any(axis=1)
     creases = _seen(view, edges, usable)
     lit = _facets(scene, view, edges, jumps)
-    others, facets = _seen(view, edges, jumps & ~lit), _seen(view, edges, lit)
-    weight = facets.length * _sine(edges, facets.keep)
-    weight = np.where(_hidden(scene, view, edges, facets.keep), HIDDEN * weight, weight)
+    others, flat_creases = _seen(view, edges, jumps & ~lit), _seen(view, edges, lit)
+    weight = flat_creases.length * _sine(edges, flat_creases.keep)
+    weight = np.where(_hidden(scene, view, edges, flat_creases.keep), HIDDEN * weight, weight)
     share = 0.0
     if len(weight):
         share = float(np.clip(weight.sum() / (weight.sum() + others.length.sum()), LEAST_SHARE, 1.0 - LEAST_SHARE))
-    found = FilmEdges(key, every, edges, others, facets, weight, share, creases)
+    found = FilmEdges(key, every, edges, others, flat_creases, weight, share, creases)
     scene._film_edges = found  # type: ignore[attr-defined]
     return found
 
@@ -146,9 +146,9 @@ def _sides(scene: Scene, edges: Adjacency) -> np.ndarray:
     return found
 
 
-def facet_edges(scene: Scene, found: FilmEdges) -> Edges | None:
-    """Return the creases between flat faces (``boundary/path_space/facets.py``), drawn by weight; None: none."""
-    seen = found.facets
+def flat_crease_edges(scene: Scene, found: FilmEdges) -> Edges | None:
+    """Return the creases between flat faces (``boundary/path_space/flat_creases.py``), drawn by weight; None: none."""
+    seen = found.flat_creases
     return upload(scene, found.edges, seen.keep, found.weight, seen.low, seen.high) if len(seen.keep) else None
 
 
@@ -156,8 +156,9 @@ def crease_edges(scene: Scene, found: FilmEdges) -> tuple[Edges, float] | None:
     """Return the creases inside of interpolated normals; None: there are none.
 
     The scattering function is continuous there, but light may reach one of the two triangles only, the other having
-    turned away from it (``kernels/boundary/shading_normals/horizon.py``). They are drawn by the clipped length of their
-    image times the sine between their triangles, to which the jump is proportional; its mean is the second result.
+    turned away from it (``kernels/boundary/shading_normals/geometric_horizon.py``). They are drawn by the clipped
+    length of their image times the sine between their triangles, to which the jump is proportional; its mean is the
+    second result.
     """
     seen = found.creases
     if not len(seen.keep):
@@ -267,11 +268,11 @@ def _facets(scene: Scene, view: CameraView, edges: Adjacency, asked: np.ndarray)
     shapes = scene.builder.shapes
     usable = np.array([s.smooth == 0 for s in shapes]) & scatters(scene).all(axis=1) & ~_mirrors(scene).any(axis=1)
     shape = _shape(scene, edges)
-    facets = asked & _within(scene, edges) & usable[shape] & (edges.wedge > 0.0) & (edges.wedge < SHALLOW)
-    some = np.flatnonzero(facets)
+    flat_creases = asked & _within(scene, edges) & usable[shape] & (edges.wedge > 0.0) & (edges.wedge < SHALLOW)
+    some = np.flatnonzero(flat_creases)
     steps = scene.steps.shapes if scene.steps.scene > 0.0 else np.full(len(shapes), scene.ray_epsilon)
-    facets[some] = _apart(scene, view, edges, some, WIDE * steps[shape[some]]) & _alike(scene, edges, some)
-    return facets
+    flat_creases[some] = _apart(scene, view, edges, some, WIDE * steps[shape[some]]) & _alike(scene, edges, some)
+    return flat_creases
 
 
 def scatters(scene: Scene) -> np.ndarray:

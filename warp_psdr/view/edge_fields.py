@@ -125,7 +125,7 @@ def boundary_samples(
     stream = mix_seed(seed, STREAM_BOUNDARY)
     request = Request(scene, plan, motion(scene, names), "samples", number, spp, stream)
     records, kinds = [np.zeros((0, SAMPLE_RECORD), np.float32)], []
-    for kind, name in (("primary", "primary"), ("primary", "facets"), ("secondary", "secondary")):
+    for kind, name in (("primary", "primary"), ("primary", "flat_creases"), ("secondary", "secondary")):
         for term in launches(named(name), request):
             target = wp.zeros(SAMPLE_RECORD * term.samples, dtype=wp.float32, device=scene.device)
             launch_samples(scene, term, weights, target)

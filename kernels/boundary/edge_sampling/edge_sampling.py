@@ -156,7 +156,7 @@ def make_edge_sample(config: PathConfig, tree: bool, candidates: int):
             s.u2 = hit.u
             s.v2 = hit.v
             if hit.t <= behind + step:
-                # A contact may be a notch (``notch.py``).
+                # A contact may be a notch (``concave_edge.py``).
                 s.source = x - behind * w
         s.valid = 1
         # pdf_l = q boost / scale, q = density sin(phi) / t_1^2; t_1^2 cancels against the measure.

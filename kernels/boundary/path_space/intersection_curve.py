@@ -103,7 +103,7 @@ def make_intersection_curve_kernel(config: PathConfig, role: str, camera_moves: 
     note_place = make_note(config.noted)
 
     @wp.kernel(module="unique", enable_backward=False)
-    def curve(
+    def intersection_curve(
         # Scene:
         scene: Scene,
         camera: Camera,
@@ -133,4 +133,4 @@ def make_intersection_curve_kernel(config: PathConfig, role: str, camera_moves: 
                 if accumulate_segment(scene, target, edges, point, s, weight) != 0.0:
                     count_invalid(scene, sampler)
 
-    return curve
+    return intersection_curve

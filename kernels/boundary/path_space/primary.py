@@ -11,6 +11,7 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.boundary.coincident import make_lit_along, make_shadow_along
+from warp_psdr.kernels.boundary.concave_edge import concave_distance, facing, is_ridge, let_through, sharp_glass, shines
 from warp_psdr.kernels.boundary.detector import IncidentRadiance, make_incident_radiance
 from warp_psdr.kernels.boundary.film_edge import AHEAD, BESIDE, MARGIN, make_film_edge
 from warp_psdr.kernels.boundary.local_form import (
@@ -22,7 +23,6 @@ from warp_psdr.kernels.boundary.local_form import (
     on_planes,
     own_face,
 )
-from warp_psdr.kernels.boundary.notch import facing, is_ridge, let_through, notch, sharp_glass, shines
 from warp_psdr.kernels.constants import DELTA_LIGHTS
 from warp_psdr.kernels.interaction import make_interaction
 from warp_psdr.kernels.jobs import SampleJob
@@ -137,7 +137,7 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
             n_b = facing(scene.triangles[face_b].normal, d)
             away = wp.max(leaving_step(scene, face_a), leaving_step(scene, face_b))
             if curve or not is_ridge(n_a, n_b, m, d):
-                room = wp.max(room, notch(n_a, n_b, through) * wp.max(local, away))
+                room = wp.max(room, concave_distance(n_a, n_b, through) * wp.max(local, away))
         if wp.static(has_delta_lights):
             if side != 0.0:
                 before = a

@@ -8,19 +8,19 @@ import functools
 
 import warp as wp
 
+from warp_psdr.kernels.boundary.concave_edge import concave_distance, facing, is_ridge, let_through, sharp_glass
 from warp_psdr.kernels.boundary.local_form import EdgePoint, Edges, barycentrics_at, split_between
-from warp_psdr.kernels.boundary.notch import facing, is_ridge, let_through, notch, sharp_glass
 from warp_psdr.kernels.boundary.specular.ray_differential import PointDifferential, RayDifferential
-from warp_psdr.kernels.boundary.specular.rims import (
+from warp_psdr.kernels.boundary.specular.specular_chain import Block, Link, make_lit
+from warp_psdr.kernels.boundary.specular.triangle_borders import (
     RIM_EPSILONS,
-    Rim,
     Tables,
+    TriangleBorder,
+    border_of,
     of_edge,
     point_on_edge,
-    rim_of,
     smooth_between,
 )
-from warp_psdr.kernels.boundary.specular.specular_chain import Block, Link, make_lit
 from warp_psdr.kernels.boundary.transport import Segment
 from warp_psdr.kernels.constants import FAR
 from warp_psdr.kernels.emitter.dispatch import make_delta_sample
@@ -50,7 +50,7 @@ class Crossing:
     side: wp.int32  # 0: the integrand jumps; +1, -1: it counts on that side of the line only
     phi_a: wp.float32  # derivatives of phi along the line and across it
     phi_b: wp.float32
-    aside: wp.float32  # part of the line at which its two sides are looked at (``notch.py``)
+    aside: wp.float32  # part of the line at which its two sides are looked at (``concave_edge.py``)
     both: wp.int32  # 1: the other side of the line is a crossing of its own
     edge: wp.int32  # 1: ``point`` and ``segment`` hold the edge, 2: ``segment`` holds material points
     point: EdgePoint
@@ -142,7 +142,7 @@ def curve_crossing(
     r.phi_a = -wp.dot(m, a.o + t1 * a.d)
     r.phi_b = -wp.dot(m, b.o + t1 * b.d)
     through = let_through(scene, low.face, high.face, hidden)
-    r.aside = aside(scene, block, m, notch(facing(n_low, d), facing(n_high, d), through), r.phi_a)
+    r.aside = aside(scene, block, m, concave_distance(facing(n_low, d), facing(n_high, d), through), r.phi_a)
     r.valid = 1
     return r
 
@@ -173,16 +173,16 @@ def make_edge_crossing(hidden: bool):
         r = Crossing()
         t_low = wp.float32(FAR)
         t_high = wp.float32(FAR)
-        rim_low = Rim()
+        rim_low = TriangleBorder()
         rim_low.near = FAR
-        rim_high = Rim()
+        rim_high = TriangleBorder()
         rim_high.near = FAR
         if low.face >= 0:
             t_low = wp.length(low.x - x)
-            rim_low = rim_of(scene, tables, low.face, low.u, low.v)
+            rim_low = border_of(scene, tables, low.face, low.u, low.v)
         if high.face >= 0:
             t_high = wp.length(high.x - x)
-            rim_high = rim_of(scene, tables, high.face, high.u, high.v)
+            rim_high = border_of(scene, tables, high.face, high.u, high.v)
         room = RIM_EPSILONS * scene.ray_epsilon
         tie = wp.abs(t_low - t_high) <= room
         if low.face >= 0 and high.face >= 0:
@@ -242,7 +242,7 @@ def make_edge_crossing(hidden: bool):
             n_low = facing(scene.triangles[low.face].normal, d)
             n_high = facing(scene.triangles[high.face].normal, d)
             if not is_ridge(n_low, n_high, wp.sign(r.phi_a) * m, d):
-                apart_by = wp.max(apart_by, notch(n_low, n_high, False))
+                apart_by = wp.max(apart_by, concave_distance(n_low, n_high, False))
         r.aside = aside(scene, block, m, apart_by, r.phi_a)
         r.valid = 1
         return r
@@ -290,7 +290,7 @@ def make_shadow_crossing(config: PathConfig):
         # What is met at once is what the surface runs through.
         if hit.face < 0 or hit.t <= scene.ray_epsilon:
             return r
-        rim = rim_of(scene, tables, hit.face, hit.u, hit.v)
+        rim = border_of(scene, tables, hit.face, hit.u, hit.v)
         if rim.near > 1.0 or rim.edge < 0:
             return r
         r.edge = 1

@@ -19,7 +19,6 @@ from warp_psdr.kernels.boundary.specular.ray_differential import (
     make_point_differential,
     scattered_differential,
 )
-from warp_psdr.kernels.boundary.specular.rims import Tables, joined, smooth_between
 from warp_psdr.kernels.boundary.specular.specular_chain import (
     MEETS_DELTA,
     MEETS_SMOOTH,
@@ -29,6 +28,7 @@ from warp_psdr.kernels.boundary.specular.specular_chain import (
     make_intersect_link,
     make_start,
 )
+from warp_psdr.kernels.boundary.specular.triangle_borders import Tables, joined, smooth_between
 from warp_psdr.kernels.constants import FAR, LOBE_NONE
 from warp_psdr.kernels.emitter.dispatch import is_delta_light
 from warp_psdr.kernels.structs import Camera, Scene
@@ -129,7 +129,7 @@ def make_crossing(config: PathConfig):
             more = False
             if block.film == 0 and i == 0 and block.first == 1:
                 face = visits[count - 1].face
-                if tables.bent[face] == 1 and (wp.dot(block.n, d) >= 0.0) != (wp.dot(block.n, d_high) >= 0.0):
+                if tables.interpolated[face] == 1 and (wp.dot(block.n, d) >= 0.0) != (wp.dot(block.n, d_high) >= 0.0):
                     if which == 0:
                         return own_horizon(scene, block, face, p, d, a, b, count - 1, -1)
                     return own_horizon(scene, block, face, q, d, a, b, count - 1, 1)
@@ -145,12 +145,12 @@ def make_crossing(config: PathConfig):
                 if i > 0 and (at_once(scene, p, o) or at_once(scene, q, o_high)):
                     return r
                 return edge_crossing(scene, edges, tables, block, p, q, x, a, b, i, count, which)
-            is_bent = tables.bent[p.face] == 1 and tables.bent[q.face] == 1
-            crease = is_bent and p.face != q.face
+            is_interpolated = tables.interpolated[p.face] == 1 and tables.interpolated[q.face] == 1
+            crease = is_interpolated and p.face != q.face
             if crease:
                 crease = smooth_between(edges, tables, p.face, q.face) >= 0
             delta = p.kind == MEETS_DELTA and q.kind == MEETS_DELTA
-            crosses = is_bent and p.leaving != q.leaving
+            crosses = is_interpolated and p.leaving != q.leaving
             if crosses and not delta and p.kind != MEETS_SMOOTH and q.kind != MEETS_SMOOTH:
                 # Of a face seen edge-on: what lies between its horizon and its terminator is as narrow as a cell.
                 delta = p.kind == MEETS_DELTA or q.kind == MEETS_DELTA
@@ -169,7 +169,7 @@ def make_crossing(config: PathConfig):
             visits[count + i] = visit
             a_x = point_differential(scene, p, x, d, a)
             b_x = point_differential(scene, p, x, d, b)
-            if is_bent and p.facing != q.facing and not (crosses and delta):
+            if is_interpolated and p.facing != q.facing and not (crosses and delta):
                 if i == 0 and block.first == 0:
                     return r
                 to = x - p.x

@@ -11,7 +11,6 @@ from warp_psdr.kernels.boundary.specular.chain_edges import Crossing
 from warp_psdr.kernels.boundary.specular.chain_pullback import Visit, make_chain_pullback
 from warp_psdr.kernels.boundary.specular.discontinuity import make_crossing
 from warp_psdr.kernels.boundary.specular.ray_differential import RayDifferential, make_film_differential
-from warp_psdr.kernels.boundary.specular.rims import Tables
 from warp_psdr.kernels.boundary.specular.specular_chain import (
     Block,
     film_at,
@@ -20,6 +19,7 @@ from warp_psdr.kernels.boundary.specular.specular_chain import (
     make_identity,
     make_start,
 )
+from warp_psdr.kernels.boundary.specular.triangle_borders import Tables
 from warp_psdr.kernels.boundary.transport import Segment
 from warp_psdr.kernels.interaction import enter_frame, make_interaction
 from warp_psdr.kernels.interior.gradient_request import GradientRequest
@@ -97,10 +97,10 @@ def make_crossing_sink(config: PathConfig, wanted: GradientRequest, role: str, l
 
         On the curve itself what is met wavers by roundings: the line may cross it an odd number of times there.
         """
-        name = identity(scene, camera, tables.group, tables.bent, block, s, max_depth, links)
+        name = identity(scene, camera, tables.group, tables.interpolated, block, s, max_depth, links)
         for k in range(2):
             away = s + (1.0 - 2.0 * wp.float32(k)) * step
-            if name == identity(scene, camera, tables.group, tables.bent, block, away, max_depth, links):
+            if name == identity(scene, camera, tables.group, tables.interpolated, block, away, max_depth, links):
                 return away
         return s
 

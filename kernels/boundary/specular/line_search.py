@@ -15,13 +15,13 @@ from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.boundary.local_form import Edges
 from warp_psdr.kernels.boundary.specular.chain_pullback import Visit
 from warp_psdr.kernels.boundary.specular.line_crossing import Line, make_crossing_sink
-from warp_psdr.kernels.boundary.specular.rims import Tables
 from warp_psdr.kernels.boundary.specular.specular_chain import (
     GO_ON,
     Block,
     film_point,
     make_identity,
 )
+from warp_psdr.kernels.boundary.specular.triangle_borders import Tables
 from warp_psdr.kernels.constants import INV_FOUR_PI, LOBE_SMOOTH, TWO_PI
 from warp_psdr.kernels.interaction import enter_frame, leave_frame, make_interaction
 from warp_psdr.kernels.interior.gradient_request import GradientRequest
@@ -100,11 +100,11 @@ def make_line_search_kernel(config: PathConfig, wanted: GradientRequest, role: s
         for k in range(cells):
             ends[top] = (RESOLUTION // cells) * (cells - k)
             names[top] = identity(
-                scene, camera, tables.group, tables.bent, block, unit * wp.float32(ends[top]), max_depth, 0
+                scene, camera, tables.group, tables.interpolated, block, unit * wp.float32(ends[top]), max_depth, 0
             )
             top += 1
         left = wp.int32(0)
-        left_name = identity(scene, camera, tables.group, tables.bent, block, 0.0, max_depth, 0)
+        left_name = identity(scene, camera, tables.group, tables.interpolated, block, 0.0, max_depth, 0)
         # The path down the tree: its cell starts as a random root.
         cell = wp.int32(sample_1d(sampler, line.slot) * wp.float32(cells))
         lower = cell * (RESOLUTION // cells)
@@ -129,7 +129,7 @@ def make_line_search_kernel(config: PathConfig, wanted: GradientRequest, role: s
                     middle = (left + end) // 2
                     ends[top] = middle
                     names[top] = identity(
-                        scene, camera, tables.group, tables.bent, block, unit * wp.float32(middle), max_depth, 0
+                        scene, camera, tables.group, tables.interpolated, block, unit * wp.float32(middle), max_depth, 0
                     )
                     top += 1
                 else:
@@ -148,7 +148,14 @@ def make_line_search_kernel(config: PathConfig, wanted: GradientRequest, role: s
                 u = sample_1d(sampler, line.slot + 1 + level)
                 half = size // 2
                 name = identity(
-                    scene, camera, tables.group, tables.bent, block, unit * wp.float32(lower + half), max_depth, 0
+                    scene,
+                    camera,
+                    tables.group,
+                    tables.interpolated,
+                    block,
+                    unit * wp.float32(lower + half),
+                    max_depth,
+                    0,
                 )
                 if lower_name == upper_name and name != lower_name:
                     left = lower

@@ -228,9 +228,10 @@ def make_lit(config: PathConfig):
 
 @functools.cache
 def make_identity(config: PathConfig):
-    """Return ``identity(scene, camera, group, bent, block, s, max_depth, links) -> uint32``.
+    """Return ``identity(scene, camera, group, interpolated, block, s, max_depth, links) -> uint32``.
 
-    ``group`` numbers the faces such that coplanar neighbours are one; ``bent`` marks faces with interpolated normals.
+    ``group`` numbers the faces such that coplanar neighbours are one; ``interpolated`` marks faces with interpolated
+    normals.
     Where the first segment belongs to others, what ends there is not told apart. ``links``: how many of the first
     vertices count, without what lights them; 0: all, with it.
     """
@@ -243,7 +244,7 @@ def make_identity(config: PathConfig):
         scene: Scene,
         camera: Camera,
         group: wp.array(dtype=wp.int32),
-        bent: wp.array(dtype=wp.int32),
+        interpolated: wp.array(dtype=wp.int32),
         block: Block,
         s: wp.float32,
         max_depth: wp.int32,
@@ -265,9 +266,9 @@ def make_identity(config: PathConfig):
                 if link.face >= 0:
                     h = hash_combine(h, group[link.face])
             if link.face >= 0:
-                if bent[link.face] == 1 and (block.first == 1 or i > 0):
+                if interpolated[link.face] == 1 and (block.first == 1 or i > 0):
                     h = hash_combine(h, link.facing)
-                if bent[link.face] == 1 and link.kind == MEETS_DELTA:
+                if interpolated[link.face] == 1 and link.kind == MEETS_DELTA:
                     h = hash_combine(h, link.leaving)
                 if wp.static(lit is not None):
                     if links == 0 and mine and link.kind == MEETS_SMOOTH and block.depth + i + 1 < max_depth:

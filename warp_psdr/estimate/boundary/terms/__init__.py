@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING
 import warp as wp
 
 from warp_psdr.estimate.boundary.terms import (
-    bent,
     creases,
-    curve,
     edge_sampling,
-    facets,
+    flat_creases,
+    geometric_horizon,
     hard_shadows,
-    horizon,
+    indirect_terminator,
+    intersection_curve,
     primary,
     secondary,
     terminator,
@@ -35,15 +35,15 @@ if TYPE_CHECKING:
 #: All terms, in the order in which they are estimated.
 ALL: tuple[BoundaryTerm, ...] = (
     primary.TERM,
-    facets.TERM,
+    flat_creases.TERM,
     creases.TERM,
     terminator.TERM,
     secondary.TERM,
     edge_sampling.TERM,
     hard_shadows.TERM,
-    curve.TERM,
-    bent.TERM,
-    horizon.TERM,
+    intersection_curve.TERM,
+    indirect_terminator.TERM,
+    geometric_horizon.TERM,
     through_mirrors.TERM,
 )
 #: What each method consists of.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term, term_of
 from warp_psdr.kernels.boundary.shading_normals.terminator import make_terminator_kernel
 from warp_psdr.options.boundary import EdgeSampling, PathSpace, Projective
-from warp_psdr.topology.bent import terminator_faces
+from warp_psdr.topology.interpolated_normals import terminator_faces
 
 
 def applies(r: Request) -> bool:

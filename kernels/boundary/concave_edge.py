@@ -50,7 +50,7 @@ def let_through(scene: Scene, face_a: wp.int32, face_b: wp.int32, hidden: wp.boo
 
 
 @wp.func
-def notch(n_a: wp.vec3, n_b: wp.vec3, through: wp.bool) -> wp.float32:
+def concave_distance(n_a: wp.vec3, n_b: wp.vec3, through: wp.bool) -> wp.float32:
     """Distance in steps at which rays pass the line at which two surfaces meet in front of them; 0: at any.
 
     The normals face the rays. ``through``: the surfaces go on, and light from behind counts.

@@ -11,10 +11,10 @@ import functools
 
 import warp as wp
 
+from warp_psdr.kernels.boundary.concave_edge import facing
 from warp_psdr.kernels.boundary.detector import make_following
 from warp_psdr.kernels.boundary.film_edge import AHEAD, BESIDE, MARGIN, make_film_edge
 from warp_psdr.kernels.boundary.local_form import Edges, barycentrics_at, narrowest_face, on_planes, own_face
-from warp_psdr.kernels.boundary.notch import facing
 from warp_psdr.kernels.constants import FAR
 from warp_psdr.kernels.interaction import enter_frame, leave_frame, make_interaction
 from warp_psdr.kernels.invalid import inverse_pdf, vanishes
@@ -52,7 +52,7 @@ class Difference:
 
 
 @functools.cache
-def make_facets_kernel(config: PathConfig, role: str, camera_moves: bool):
+def make_flat_creases_kernel(config: PathConfig, role: str, camera_moves: bool):
     """Return the kernel: one thread a sample (arguments as in ``secondary.py``)."""
     visibility = visibility_of(config)
     interaction = make_interaction(config)
@@ -89,7 +89,7 @@ def make_facets_kernel(config: PathConfig, role: str, camera_moves: bool):
         return r
 
     @wp.kernel(module="unique", enable_backward=False)
-    def facets(
+    def flat_creases(
         # Scene:
         scene: Scene,
         camera: Camera,
@@ -168,4 +168,4 @@ def make_facets_kernel(config: PathConfig, role: str, camera_moves: bool):
                 jump += inverse_pdf(along.pdf) * wp.cw_mul(along.value, radiance_behind.radiance)
         accumulate(scene, camera, edges, sampler, job.samples, f, jump, target, image_out)
 
-    return facets
+    return flat_creases

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 
 from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term, film_edges_of, term_of
-from warp_psdr.kernels.boundary.path_space.facets import make_facets_kernel
+from warp_psdr.kernels.boundary.path_space.flat_creases import make_flat_creases_kernel
 from warp_psdr.options.boundary import EdgeSampling, PathSpace, Projective
-from warp_psdr.topology.film_edges import facet_edges
+from warp_psdr.topology.film_edges import flat_crease_edges
 
 
 def applies(r: Request) -> bool:
@@ -18,16 +18,16 @@ def applies(r: Request) -> bool:
 def launch(r: Request) -> Term | None:
     """Return the term of creases between flat faces that the camera sees side by side."""
     found = film_edges_of(r)
-    edges = facet_edges(r.scene, found)
+    edges = flat_crease_edges(r.scene, found)
     if edges is None:
         return None
     samples = math.ceil(r.pixels * (r.method.spp_primary or r.spp) * found.share)
-    kernel = make_facets_kernel(r.config, r.role, r.moves.camera)
+    kernel = make_flat_creases_kernel(r.config, r.role, r.moves.camera)
     return term_of(r, TERM, kernel, [r.scene.data(), r.camera, edges], samples)
 
 
 TERM = BoundaryTerm(
-    name="facets",
+    name="flat_creases",
     title="flat creases",
     stream=8,
     methods=(PathSpace, Projective, EdgeSampling),

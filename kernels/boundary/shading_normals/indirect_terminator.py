@@ -56,7 +56,7 @@ def make_jump(config: PathConfig):
 
 
 @functools.cache
-def make_bent_kernel(config: PathConfig, role: str, camera_moves: bool):
+def make_indirect_terminator_kernel(config: PathConfig, role: str, camera_moves: bool):
     """Return the kernel: one thread a sample (arguments as in ``secondary.py``).
 
     ``faces`` are the triangles whose normals bend, ``face_cdf`` their cumulative probabilities.
@@ -68,7 +68,9 @@ def make_bent_kernel(config: PathConfig, role: str, camera_moves: bool):
     sample_4d = make_sampler(config.sampler).sample_4d
 
     @wp.func
-    def accumulate_bent(scene: Scene, target: wp.array(dtype=wp.float32), s: Segment, w: wp.float32) -> wp.float32:
+    def accumulate_terminator(
+        scene: Scene, target: wp.array(dtype=wp.float32), s: Segment, w: wp.float32
+    ) -> wp.float32:
         _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
         vertex = VertexAdjoint()
         vertex.x = w * s.boundary_normal
@@ -77,7 +79,7 @@ def make_bent_kernel(config: PathConfig, role: str, camera_moves: bool):
         return accumulated.dot
 
     @wp.kernel(module="unique", enable_backward=False)
-    def bent(
+    def indirect_terminator(
         # Scene:
         scene: Scene,
         camera: Camera,
@@ -125,7 +127,7 @@ def make_bent_kernel(config: PathConfig, role: str, camera_moves: bool):
         s.v1 = hit.v
         rest = wp.float32(0.0)
         if wp.static(role == "forward"):
-            rest = accumulate_bent(scene, target, s, 1.0)
+            rest = accumulate_terminator(scene, target, s, 1.0)
         tri = scene.triangles[s.face2]
         area = 0.5 * wp.length(wp.cross(tri.p1 - tri.p0, tri.p2 - tri.p0))
         # |n_g . w| / pdf_theta = 4 sin(alpha)
@@ -133,7 +135,7 @@ def make_bent_kernel(config: PathConfig, role: str, camera_moves: bool):
         weight = transport(scene, camera, sampler, s, scale, rest, job, target, image_out)
         if wp.static(role == "reverse"):
             if weight != 0.0:
-                if accumulate_bent(scene, target, s, weight) != 0.0:
+                if accumulate_terminator(scene, target, s, weight) != 0.0:
                     count_invalid(scene, sampler)
 
-    return bent
+    return indirect_terminator

@@ -20,13 +20,13 @@ class Tables:
     """What is known of the faces. An edge is smooth where neither radiance nor normal jumps across it."""
 
     group: wp.array(dtype=wp.int32)  # coplanar neighbours are one
-    bent: wp.array(dtype=wp.int32)  # 1: interpolated normals differ from the face's
+    interpolated: wp.array(dtype=wp.int32)  # 1: interpolated normals differ from the face's
     face_edges: wp.array(dtype=wp.int32)  # (3 n) edge opposite of each corner; -1: none
     smooth_edge: wp.array(dtype=wp.int32)
 
 
 @wp.struct
-class Rim:
+class TriangleBorder:
     """The edge of a triangle that is nearest to a point of it."""
 
     edge: wp.int32
@@ -35,8 +35,8 @@ class Rim:
 
 
 @wp.func
-def rim_of(scene: Scene, tables: Tables, face: wp.int32, u: wp.float32, v: wp.float32) -> Rim:
-    r = Rim()
+def border_of(scene: Scene, tables: Tables, face: wp.int32, u: wp.float32, v: wp.float32) -> TriangleBorder:
+    r = TriangleBorder()
     r.edge = -1
     r.distance = FAR
     r.near = FAR

@@ -30,12 +30,12 @@ def bend(scene: Scene) -> np.ndarray:
     return sines
 
 
-def bent_faces(scene: Scene) -> np.ndarray:
+def interpolated_faces(scene: Scene) -> np.ndarray:
     """Return a mask of the triangles whose interpolated normals differ from their face normal."""
     return bend(scene) > COPLANAR
 
 
-def bent_choice(scene: Scene) -> tuple[wp.array, wp.array, float] | None:
+def interpolated_choice(scene: Scene) -> tuple[wp.array, wp.array, float] | None:
     """Return cumulative probabilities and numbers of the bent triangles, by area and bend; None: there are none.
 
     The third result is the mean of their bend (a sine).
@@ -66,7 +66,7 @@ def terminator_faces(
     values = scene.values.numpy().astype(np.float64)
     points = scene.points.astype(np.float64)
     view = camera_view(scene, sensor)
-    bent = bent_faces(scene)
+    interpolated = interpolated_faces(scene)
     more = np.asarray(scatters(scene).any(axis=1))
     numbers, weights = [], []
     for i, s in enumerate(scene.builder.shapes):
@@ -87,8 +87,8 @@ def terminator_faces(
         numbers.append(s.first_face + np.arange(s.face_count))
         weights.append(np.where(crossed, size, TERMINATOR_FLOOR * size))
     faces = np.concatenate([np.zeros(0, np.int32), *numbers]).astype(np.int32)
-    weight = np.concatenate([np.zeros(0), *weights])[bent[faces]]
-    faces = faces[bent[faces]]
+    weight = np.concatenate([np.zeros(0), *weights])[interpolated[faces]]
+    faces = faces[interpolated[faces]]
     if not len(faces):
         return None
     cdf = wp.array(cumulative(weight), dtype=wp.float32, device=scene.device)

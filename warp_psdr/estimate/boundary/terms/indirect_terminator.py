@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term, term_of
-from warp_psdr.kernels.boundary.shading_normals.bent import make_bent_kernel
+from warp_psdr.kernels.boundary.shading_normals.indirect_terminator import make_indirect_terminator_kernel
 from warp_psdr.options.boundary import EdgeSampling, PathSpace, Projective
-from warp_psdr.topology.bent import bent_choice
+from warp_psdr.topology.interpolated_normals import interpolated_choice
 
 
 def applies(r: Request) -> bool:
@@ -15,17 +15,17 @@ def applies(r: Request) -> bool:
 
 def launch(r: Request) -> Term | None:
     """Return the term of the curves where interpolated normals turn away from other path vertices."""
-    found = bent_choice(r.scene)
+    found = interpolated_choice(r.scene)
     if found is None:
         return None
     samples = r.pixels * (r.method.spp_secondary or r.spp)
-    kernel = make_bent_kernel(r.config, r.role, r.moves.camera)
+    kernel = make_indirect_terminator_kernel(r.config, r.role, r.moves.camera)
     return term_of(r, TERM, kernel, [r.scene.data(), r.camera, *found[:2]], samples)
 
 
 TERM = BoundaryTerm(
-    name="bent",
-    title="bent normals",
+    name="indirect_terminator",
+    title="indirect shading terminator",
     stream=4,
     methods=(PathSpace, Projective, EdgeSampling),
     launch=launch,

@@ -3,7 +3,7 @@
 What arrives at x jumps where phi = n_g . (x_2 - x) = 0, and under interpolated normals the scattering function does not
 vanish there. Directions in the plane of the triangle are sampled, tilted to either side.
 
-Derivation: ``docs/theory/shading_normals.md#the-horizon-of-a-triangle``.
+Derivation: ``docs/theory/shading_normals.md#the-geometric_horizon-of-a-triangle``.
 """
 
 import functools
@@ -13,7 +13,7 @@ import warp as wp
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.boundary.depth import make_indirect
 from warp_psdr.kernels.boundary.detector import Incident, make_incident, scaled
-from warp_psdr.kernels.boundary.shading_normals.bent import FLAT, TILT
+from warp_psdr.kernels.boundary.shading_normals.indirect_terminator import FLAT, TILT
 from warp_psdr.kernels.boundary.transport import Segment, make_transport
 from warp_psdr.kernels.constants import FAR
 from warp_psdr.kernels.distribution import stratified_entry
@@ -48,8 +48,8 @@ def make_side(config: PathConfig):
 
 
 @functools.cache
-def make_horizon_kernel(config: PathConfig, role: str, camera_moves: bool, indirect: bool = False):
-    """Return the kernel: one thread a sample (arguments as in ``bent.py``; ``indirect`` as in ``secondary.py``)."""
+def make_geometric_horizon_kernel(config: PathConfig, role: str, camera_moves: bool, indirect: bool = False):
+    """Return the kernel: one thread a sample; arguments as those of ``make_secondary_kernel``."""
     visibility = visibility_of(config)
     surface_at = make_interaction(config).surface
     accumulate_vertex = make_vertex_sink(role, False, False, False, False, False, True)
@@ -60,7 +60,9 @@ def make_horizon_kernel(config: PathConfig, role: str, camera_moves: bool, indir
     sample_4d = draw.sample_4d
 
     @wp.func
-    def accumulate_horizon(scene: Scene, target: wp.array(dtype=wp.float32), s: Segment, w: wp.float32) -> wp.float32:
+    def accumulate_geometric_horizon(
+        scene: Scene, target: wp.array(dtype=wp.float32), s: Segment, w: wp.float32
+    ) -> wp.float32:
         _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
         tri = scene.triangles[s.face1]
         own = VertexAdjoint()
@@ -76,7 +78,7 @@ def make_horizon_kernel(config: PathConfig, role: str, camera_moves: bool, indir
         return total
 
     @wp.kernel(module="unique", enable_backward=False)
-    def horizon(
+    def geometric_horizon(
         # Scene:
         scene: Scene,
         camera: Camera,
@@ -133,7 +135,7 @@ def make_horizon_kernel(config: PathConfig, role: str, camera_moves: bool, indir
             s.boundary_normal = surface.ng / hit.t
         rest = wp.float32(0.0)
         if wp.static(role == "forward"):
-            rest = accumulate_horizon(scene, target, s, 1.0)
+            rest = accumulate_geometric_horizon(scene, target, s, 1.0)
         tri = scene.triangles[s.face1]
         area = 0.5 * wp.length(wp.cross(tri.p1 - tri.p0, tri.p2 - tri.p0))
         # One of two sides; pdf_theta = chance |cos(theta)| / 2.
@@ -142,7 +144,7 @@ def make_horizon_kernel(config: PathConfig, role: str, camera_moves: bool, indir
         weight = transport(scene, camera, sampler, s, scale, rest, job, target, image_out)
         if wp.static(role == "reverse"):
             if weight != 0.0:
-                if accumulate_horizon(scene, target, s, weight) != 0.0:
+                if accumulate_geometric_horizon(scene, target, s, weight) != 0.0:
                     count_invalid(scene, sampler)
 
-    return horizon
+    return geometric_horizon
