@@ -22,23 +22,23 @@ def launch(kernel: wp.Kernel, dim, inputs: list, outputs: list, device) -> None:
     wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=device, record_tape=False)
 
 
-def launch_lanes(
+def launch_shards(
     kernel: wp.Kernel,
     count: int,
     arguments: Callable[[int, int, int], tuple[list, list]],
     *,
-    lanes: int,
+    shards: int,
     device,
     progress: Callable[[float], None] | None = None,
 ) -> None:
-    """Run a kernel over items: in one launch on CUDA, in lanes on the worker threads on the CPU.
+    """Run a kernel over items: in one launch on CUDA, in shards on the worker threads on the CPU.
 
     Args:
         kernel: one thread an item.
         count: number of items.
-        arguments: (first item, number of items, lane) -> inputs and outputs. Launches of different lanes run side by
+        arguments: (first item, number of items, shard) -> inputs and outputs. Launches of different shards run side by
             side, so they must not write to the same place.
-        lanes: on the CPU; independent of the number of workers.
+        shards: on the CPU; independent of the number of workers.
         device: Warp device.
         progress: called with the finished fraction, by one worker at a time; not on CUDA.
     """
@@ -46,10 +46,10 @@ def launch_lanes(
     if not device.is_cpu:
         launch(kernel, count, *arguments(0, count, 0), device)
         return
-    parts = workers.chunks(count, lanes)
+    parts = workers.chunks(count, shards)
     done, lock = 0, threading.Lock()
 
-    def lane(i: int) -> None:
+    def shard(i: int) -> None:
         nonlocal done
         for first, n in parts[i]:
             launch(kernel, n, *arguments(first, n, i), device)
@@ -58,4 +58,4 @@ def launch_lanes(
                     done += n
                     progress(done / count)
 
-    workers.run_lanes(lane, lanes)
+    workers.run_shards(shard, shards)

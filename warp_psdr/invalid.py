@@ -1,6 +1,6 @@
 """Samples that were dropped because they were not finite: counted by kind, reported once a call, never silent.
 
-Kernels count what they drop (``kernels/invalid.py``). A launch draws samples of one kind, and each of its lanes has a
+Kernels count what they drop (``kernels/invalid.py``). A launch draws samples of one kind, and each of its shards has a
 counter of its own. The counts stay with the scene. A right scene has none, so a call that met some warns: it says how
 many of how many, and which was the first, whose path ``psdr.trace_sample`` prints.
 """
@@ -114,7 +114,7 @@ def invalid_samples(scene: Scene, *, reset: bool = False) -> dict[str, int]:
 
 @contextlib.contextmanager
 def counting(
-    scene: Scene, kind: str, samples: int, lanes: int, raster: tuple[int, int] | None = None
+    scene: Scene, kind: str, samples: int, shards: int, raster: tuple[int, int] | None = None
 ) -> Iterator[Callable[[structs.Scene, int], structs.Scene]]:
     """Count the samples that the launches inside drop.
 
@@ -126,22 +126,22 @@ def counting(
         raster: (width, margin) of the raster whose pixels name the samples; None: they have plain numbers.
 
     Yields:
-        (record of the scene, lane) -> the record that this lane has to pass to its kernels.
+        (record of the scene, shard) -> the record that this shard has to pass to its kernels.
     """
-    counters = wp.zeros((lanes, COUNTER_SIZE), dtype=wp.int64, device=scene.device)
-    rows = wp.empty((lanes, ROOM * scene.accelerator.width), dtype=wp.uint32, device=scene.device)
-    records: list[structs.Scene | None] = [None] * lanes
+    counters = wp.zeros((shards, COUNTER_SIZE), dtype=wp.int64, device=scene.device)
+    rows = wp.empty((shards, ROOM * scene.accelerator.width), dtype=wp.uint32, device=scene.device)
+    records: list[structs.Scene | None] = [None] * shards
 
-    def of_lane(data: structs.Scene, lane: int) -> structs.Scene:
-        record = records[lane]
+    def of_shard(data: structs.Scene, shard: int) -> structs.Scene:
+        record = records[shard]
         if record is None:
             record = data.to(scene.device)  # a copy that shares the arrays
-            record.invalid = counters[lane]
-            record.rows = rows[lane]
-            records[lane] = record
+            record.invalid = counters[shard]
+            record.rows = rows[shard]
+            records[shard] = record
         return record
 
-    yield of_lane
+    yield of_shard
     found = counters.numpy()
     first: tuple[int, ...] = ()
     hit = found[found[:, 0] > 0]

@@ -1,7 +1,7 @@
-"""Worker threads: a launch is split into fixed lanes, and idle workers take the next lane.
+"""Worker threads: a launch is split into fixed shards, and idle workers take the next shard.
 
 Warp's CPU launches run on one thread and release the interpreter lock, so threads scale with the cores. The split
-into lanes does not depend on the number of workers, and every lane accumulates into a gradient buffer of its own, so
+into shards does not depend on the number of workers, and every shard accumulates into a gradient buffer of its own, so
 results are the same bit for bit for any number of workers.
 """
 
@@ -14,10 +14,10 @@ from concurrent.futures import ThreadPoolExecutor, wait
 
 import numpy as np
 
-#: Lanes of a launch. More lanes balance better and scale to more cores, fewer need fewer gradient buffers.
-LANES = 16
-#: The lanes' buffers together hold at most this many numbers (128 MB of gradients).
-LANE_FLOATS = 1 << 24
+#: Lanes of a launch. More shards balance better and scale to more cores, fewer need fewer gradient buffers.
+SHARDS = 16
+#: The shards' buffers together hold at most this many numbers (128 MB of gradients).
+SHARD_FLOATS = 1 << 24
 #: Pixels of one launch: small enough to balance, large enough to hide the launch (10 us).
 MIN_CHUNK, MAX_CHUNK = 64, 4096
 
@@ -52,33 +52,33 @@ def workers() -> int:
     return os.cpu_count() or 1
 
 
-def run_lanes(lane: Callable[[int], None], lanes: int) -> None:
-    """Call ``lane(i)`` for every i below ``lanes`` on the worker threads and wait for all; an error is raised."""
+def run_shards(shard: Callable[[int], None], shards: int) -> None:
+    """Call ``shard(i)`` for every i below ``shards`` on the worker threads and wait for all; an error is raised."""
     global _pool
-    n = min(workers(), lanes)
+    n = min(workers(), shards)
     if n <= 1:
-        for i in range(lanes):
-            lane(i)
+        for i in range(shards):
+            shard(i)
         return
     if _pool is None:
         _pool = ThreadPoolExecutor(workers(), thread_name_prefix="warp_psdr")
-    futures = [_pool.submit(lane, i) for i in range(lanes)]
+    futures = [_pool.submit(shard, i) for i in range(shards)]
     wait(futures)  # also after an error: the others write into buffers that the caller holds
     for future in futures:
         future.result()
 
 
-def lane_count(floats: int) -> int:
-    """Return how many lanes a launch with gradient buffers of ``floats`` values gets; independent of the workers."""
-    return max(2, min(LANES, LANE_FLOATS // max(floats, 1)))
+def shard_count(floats: int) -> int:
+    """Return how many shards a launch with gradient buffers of ``floats`` values gets; independent of the workers."""
+    return max(2, min(SHARDS, SHARD_FLOATS // max(floats, 1)))
 
 
-def chunks(pixels: int, lanes: int) -> list[list[tuple[int, int]]]:
-    """Split ``pixels`` into launches (first, count) and deal them out to lanes in turn."""
-    size = min(max(pixels // (4 * lanes), MIN_CHUNK), MAX_CHUNK)
-    result: list[list[tuple[int, int]]] = [[] for _ in range(lanes)]
+def chunks(pixels: int, shards: int) -> list[list[tuple[int, int]]]:
+    """Split ``pixels`` into launches (first, count) and deal them out to shards in turn."""
+    size = min(max(pixels // (4 * shards), MIN_CHUNK), MAX_CHUNK)
+    result: list[list[tuple[int, int]]] = [[] for _ in range(shards)]
     for i, first in enumerate(range(0, pixels, size)):
-        result[i % lanes].append((first, min(size, pixels - first)))
+        result[i % shards].append((first, min(size, pixels - first)))
     return result
 
 

@@ -1,6 +1,6 @@
-"""Sums of the lanes' gradients, in double precision.
+"""Sums of the shards' gradients, in double precision.
 
-Every lane of a launch adds to sums of its own (``kernels/sink.py``), which are added up in fixed order: so a gradient
+Every shard of a launch adds to sums of its own (``kernels/sink.py``), which are added up in fixed order: so a gradient
 has the same bits for any number of workers, and its last digits do not depend on how many samples it is the sum of.
 """
 
@@ -28,18 +28,18 @@ class GradientSums:
         names: of the parameters.
 
     Attributes:
-        buffers: what the lanes of a launch add to, a lane each: the memory of its float64 sums as twice as many
+        buffers: what the shards of a launch add to, a shard each: the memory of its float64 sums as twice as many
             float32, the type that device code has for gradients and tangents.
     """
 
     def __init__(self, scene: Scene, names: list[str]):
         self._scene, self._names = scene, names
         size = scene.values.shape[0]
-        lanes = workers.lane_count(size) if scene.device.is_cpu else 1
-        self._sums = _zeros((lanes, size), np.float64, scene.device)
+        shards = workers.shard_count(size) if scene.device.is_cpu else 1
+        self._sums = _zeros((shards, size), np.float64, scene.device)
         self.buffers = [
-            wp.array(ptr=self._sums[lane].ptr, dtype=wp.float32, shape=(2 * size,), device=scene.device, copy=False)
-            for lane in range(lanes)
+            wp.array(ptr=self._sums[shard].ptr, dtype=wp.float32, shape=(2 * size,), device=scene.device, copy=False)
+            for shard in range(shards)
         ]
         ranges = [(scene.parameters[n].offset, scene.parameters[n].size) for n in names]
         self._ranges = list(dict.fromkeys(ranges + derived_ranges(scene, names)))

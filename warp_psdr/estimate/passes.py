@@ -14,7 +14,7 @@ import numpy as np
 import warp as wp
 
 from warp_psdr import workers
-from warp_psdr.device import launch, launch_lanes
+from warp_psdr.device import launch, launch_shards
 from warp_psdr.estimate.jobs import PixelSamples
 from warp_psdr.invalid import counting
 from warp_psdr.kernels.aov import ROW, make_aov_kernel
@@ -69,8 +69,8 @@ def boxed(
         (camera.crop_width, camera.crop_height),
         PixelSamples(spp, seed, plan.max_depth, plan.rr_depth, scale=1.0 / spp),
         camera,
-        lambda _lane: [image],
-        lanes=workers.LANES,
+        lambda _shard: [image],
+        shards=workers.SHARDS,
         kind="image",
         progress=progress,
         listed=pixels,
@@ -93,8 +93,8 @@ def splatted(
     camera = scene.camera(sensor)
     margin = filter_margin(camera)
     shape = (camera.crop_height, camera.crop_width)
-    lanes = workers.lane_count(4 * shape[0] * shape[1]) if scene.device.is_cpu else 1
-    films = wp.zeros((lanes, *shape), dtype=wp.vec4, device=scene.device)
+    shards = workers.shard_count(4 * shape[0] * shape[1]) if scene.device.is_cpu else 1
+    films = wp.zeros((shards, *shape), dtype=wp.vec4, device=scene.device)
     total = wp.zeros(shape, dtype=wp.vec4d, device=scene.device)
     for first_sample, samples, reported in _blocks(spp, FILM_SAMPLES, progress):
         _launch(
@@ -103,8 +103,8 @@ def splatted(
             (camera.crop_width + 2 * margin, camera.crop_height + 2 * margin),
             PixelSamples(samples, seed, plan.max_depth, plan.rr_depth, first_sample=first_sample, margin=margin),
             camera,
-            lambda lane: [films[lane]],
-            lanes=lanes,
+            lambda shard: [films[shard]],
+            shards=shards,
             kind="image",
             progress=reported,
             listed=pixels,
@@ -123,8 +123,8 @@ def visible(scene: Scene, plan: Plan, sensor: int, spp: int, seed: int, progress
         (camera.crop_width, camera.crop_height),
         PixelSamples(spp, seed, plan.max_depth, plan.rr_depth),
         camera,
-        lambda _lane: [rows],
-        lanes=workers.LANES,
+        lambda _shard: [rows],
+        shards=workers.SHARDS,
         kind="image",
         progress=progress,
     )
@@ -160,8 +160,8 @@ def interior_backward(
         (camera.crop_width, camera.crop_height),
         samples,
         camera,
-        lambda lane: [sums.buffers[lane], dummy],
-        lanes=len(sums.buffers),
+        lambda shard: [sums.buffers[shard], dummy],
+        shards=len(sums.buffers),
         kind="interior",
         progress=progress,
         listed=pixels,
@@ -189,8 +189,8 @@ def interior_forward(
         (camera.crop_width, camera.crop_height),
         PixelSamples(spp, mix_seed(seed, STREAM_INTERIOR), _depth(plan), plan.rr_depth, scale=weight / spp),
         camera,
-        lambda _lane: [target, image],
-        lanes=workers.LANES,
+        lambda _shard: [target, image],
+        shards=workers.SHARDS,
         kind="interior",
         progress=progress,
         listed=pixels,
@@ -242,15 +242,15 @@ def _launch(
     camera: Camera,
     outputs: Callable[[int], list],
     *,
-    lanes: int,
+    shards: int,
     kind: str,
     progress: Progress | None = None,
     listed: wp.array | None = None,
     fields: dict[str, wp.array] | None = None,
 ) -> None:
-    """Run a kernel over a raster (width, height): in one launch on CUDA, in lanes on worker threads on the CPU.
+    """Run a kernel over a raster (width, height): in one launch on CUDA, in shards on worker threads on the CPU.
 
-    ``kind``: what its samples are. ``outputs``: of a lane. ``listed``: numbers of the raster's pixels, instead of all
+    ``kind``: what its samples are. ``outputs``: of a shard. ``listed``: numbers of the raster's pixels, instead of all
     of them. ``fields``: of ``structs.Scene``, those of this pass.
     """
     data = scene.data()
@@ -260,15 +260,15 @@ def _launch(
     if order is None:
         order = wp.array(workers.pixel_order(*raster), dtype=wp.int32, device=scene.device)
     count = order.shape[0]
-    lanes = lanes if scene.device.is_cpu else 1
+    shards = shards if scene.device.is_cpu else 1
     # A record for every lane: the launches of one lane follow each other, those of several run side by side.
-    jobs = [samples.job(order) for _ in range(lanes)]
+    jobs = [samples.job(order) for _ in range(shards)]
 
-    with counting(scene, kind, count * samples.samples, lanes, (raster[0], samples.margin)) as of_lane:
+    with counting(scene, kind, count * samples.samples, shards, (raster[0], samples.margin)) as of_shard:
 
-        def arguments(first: int, n: int, lane: int) -> tuple[list, list]:
-            job = jobs[lane]
+        def arguments(first: int, n: int, shard: int) -> tuple[list, list]:
+            job = jobs[shard]
             job.first_pixel, job.pixel_count = first, n
-            return [of_lane(data, lane), camera, job], outputs(lane)
+            return [of_shard(data, shard), camera, job], outputs(shard)
 
-        launch_lanes(kernel, count, arguments, lanes=lanes, device=scene.device, progress=progress)
+        launch_shards(kernel, count, arguments, shards=shards, device=scene.device, progress=progress)

@@ -20,7 +20,7 @@ import numpy as np
 import warp as wp
 
 from warp_psdr import workers
-from warp_psdr.device import launch_lanes
+from warp_psdr.device import launch_shards
 from warp_psdr.kernels.boundary.path_space.crossing import crossing_pairs
 from warp_psdr.kernels.step import TOUCH
 from warp_psdr.topology.contacts import contacts
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 #: Height above a plane, as a fraction of the scene's extent, that still lies in it: rounding of float32 vertices.
 IN_PLANE = 2.0 * WELD
-#: Room for candidates at first, a lane; beyond it all of them are looked for again.
+#: Room for candidates at first, a shard; beyond it all of them are looked for again.
 ROOM = 8192
 
 
@@ -101,16 +101,16 @@ def _candidates(scene: Scene, points: np.ndarray, triangles: np.ndarray, group: 
         wp.array(group[triangles].astype(np.int32), dtype=wp.vec3i, device=device),
         IN_PLANE * float(scene.steps.far[np.unique(scene.builder.face_shape)].min()),
     ]
-    lanes = workers.LANES if wp.get_device(device).is_cpu else 1
+    shards = workers.SHARDS if wp.get_device(device).is_cpu else 1
     room = ROOM
     while True:
-        count = wp.zeros(lanes, dtype=wp.int32, device=device)
-        pairs = wp.zeros((lanes, room), dtype=wp.vec2i, device=device)
-        launch_lanes(
+        count = wp.zeros(shards, dtype=wp.int32, device=device)
+        pairs = wp.zeros((shards, room), dtype=wp.vec2i, device=device)
+        launch_shards(
             crossing_pairs,
             len(triangles),
             partial(_arguments, inputs, [count, pairs]),
-            lanes=lanes,
+            shards=shards,
             device=wp.get_device(device),
         )
         n = count.numpy()
@@ -121,8 +121,8 @@ def _candidates(scene: Scene, points: np.ndarray, triangles: np.ndarray, group: 
     return found[np.lexsort((found[:, 1], found[:, 0]))]
 
 
-def _arguments(inputs: list, outputs: list, first: int, _count: int, lane: int) -> tuple[list, list]:
-    return [*inputs, first, lane], outputs
+def _arguments(inputs: list, outputs: list, first: int, _count: int, shard: int) -> tuple[list, list]:
+    return [*inputs, first, shard], outputs
 
 
 def _heights(points: np.ndarray, triangles: np.ndarray, plane: np.ndarray, of: np.ndarray) -> np.ndarray:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import warp as wp
 
 from warp_psdr import workers
-from warp_psdr.device import launch, launch_lanes
+from warp_psdr.device import launch, launch_shards
 from warp_psdr.estimate.arguments import MOST_SAMPLES
 from warp_psdr.estimate.boundary.terms import Term
 from warp_psdr.estimate.passes import Progress, part
@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from warp_psdr.estimate.gradient_sums import GradientSums
     from warp_psdr.scene.scene import Scene
 
-#: Images of forward mode's lanes together hold at most this many floats (64 MB).
-LANE_IMAGE_FLOATS = 1 << 24
+#: Images of forward mode's shards together hold at most this many floats (64 MB).
+SHARD_IMAGE_FLOATS = 1 << 24
 
 
 def launch_backward(
@@ -38,7 +38,7 @@ def launch_backward(
     dummy = wp.zeros((1, 1), dtype=wp.vec3, device=scene.device)
     buffers = sums.buffers
     for term, reported in _reporting(found, progress):
-        _run(scene, term, adjoint, lambda lane: [buffers[lane], dummy], len(buffers), reported)
+        _run(scene, term, adjoint, lambda shard: [buffers[shard], dummy], len(buffers), reported)
 
 
 def launch_forward(
@@ -47,17 +47,17 @@ def launch_forward(
     """Add the derivative of some terms, of role "forward", along flat tangents to an image."""
     dummy = wp.zeros((1, 1), dtype=wp.vec3, device=scene.device)
     height, width = image.shape
-    lanes = max(2, min(workers.LANES, LANE_IMAGE_FLOATS // (3 * height * width))) if scene.device.is_cpu else 1
-    images = wp.zeros((lanes, height, width), dtype=wp.vec3, device=scene.device)
+    shards = max(2, min(workers.SHARDS, SHARD_IMAGE_FLOATS // (3 * height * width))) if scene.device.is_cpu else 1
+    images = wp.zeros((shards, height, width), dtype=wp.vec3, device=scene.device)
     for term, reported in _reporting(found, progress):
-        _run(scene, term, dummy, lambda lane: [tangents, images[lane]], lanes, reported)
+        _run(scene, term, dummy, lambda shard: [tangents, images[shard]], shards, reported)
     launch(add_images, dim=(height, width), inputs=[images], outputs=[image], device=scene.device)
 
 
 def launch_samples(scene: Scene, term: Term, adjoint: wp.array, records: wp.array) -> None:
     """Write the record of every sample of a term of role "samples"."""
     dummy = wp.zeros((1, 1), dtype=wp.vec3, device=scene.device)
-    _run(scene, term, adjoint, lambda _lane: [records, dummy], 1)
+    _run(scene, term, adjoint, lambda _shard: [records, dummy], 1)
 
 
 def _reporting(found: list[Term], progress: Progress | None) -> Iterator[tuple[Term, Progress | None]]:
@@ -82,15 +82,15 @@ def _run(
     term: Term,
     adjoint: wp.array,
     outputs: Callable[[int], list],
-    lanes: int,
+    shards: int,
     progress: Progress | None = None,
 ) -> None:
-    """Launch the samples of a term; ``outputs``: of a lane."""
+    """Launch the samples of a term; ``outputs``: of a shard."""
     count = _checked(term).samples
-    with counting(scene, term.kind, count, lanes) as of_lane:
+    with counting(scene, term.kind, count, shards) as of_shard:
 
-        def arguments(first: int, _count: int, lane: int) -> tuple[list, list]:
+        def arguments(first: int, _count: int, shard: int) -> tuple[list, list]:
             data, *rest = term.inputs(first, adjoint)
-            return [of_lane(data, lane), *rest], outputs(lane)
+            return [of_shard(data, shard), *rest], outputs(shard)
 
-        launch_lanes(term.kernel, count, arguments, lanes=lanes, device=scene.device, progress=progress)
+        launch_shards(term.kernel, count, arguments, shards=shards, device=scene.device, progress=progress)

@@ -9,7 +9,7 @@ import numpy as np
 import warp as wp
 
 from warp_psdr import workers
-from warp_psdr.device import launch_lanes
+from warp_psdr.device import launch_shards
 from warp_psdr.kernels.boundary.guiding.projective import BLOCKED_LIGHT, SCATTERED, make_seeds_kernel
 from warp_psdr.kernels.constants import DELTA_LIGHTS
 from warp_psdr.kernels.rng import mix_seed
@@ -77,11 +77,11 @@ def _trace(
     wedge, light = (wp.zeros(paths, dtype=wp.vec3d, device=device) for _ in range(2))
     head = [r.scene.data(), r.camera, edges, around, r.scene.radius]
     tail = [mix_seed(r.seed, SEEDS + kind), r.plan.max_depth, r.rr_depth]
-    launch_lanes(
+    launch_shards(
         make_seeds_kernel(r.config, kind),
         paths,
-        lambda first, _n, _lane: ([*head, first, *tail], [weight, wedge, light]),
-        lanes=workers.LANES,
+        lambda first, _n, _shard: ([*head, first, *tail], [weight, wedge, light]),
+        shards=workers.SHARDS,
         device=device,
     )
     return r.scene.invalid.drop("guiding", weight.numpy().astype(np.float64)), wedge.numpy(), light.numpy()

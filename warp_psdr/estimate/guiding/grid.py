@@ -6,7 +6,7 @@ import numpy as np
 import warp as wp
 
 from warp_psdr import workers
-from warp_psdr.device import launch_lanes
+from warp_psdr.device import launch_shards
 from warp_psdr.estimate.guiding.build import QUANTUM, Growth, Leaves, Target
 from warp_psdr.estimate.guiding.photons import PhotonMap, importon_map, photon_map
 from warp_psdr.kernels.boundary.guiding.ends import make_ends_kernel
@@ -79,11 +79,11 @@ class _Ends:
         technique = 1 if target.technique == "wedge" else 0
         head = [r.scene.data(), target.edges, moving, guide]
         outputs = [x1, x2, emitted, scatters, scale]
-        launch_lanes(
+        launch_shards(
             make_ends_kernel(r.config),
             count,
-            lambda first, _n, _lane: ([*head, first, technique, r.plan.max_depth == 2], outputs),
-            lanes=workers.LANES,
+            lambda first, _n, _shard: ([*head, first, technique, r.plan.max_depth == 2], outputs),
+            shards=workers.SHARDS,
             device=device,
         )
         self.scale = r.scene.invalid.drop("guiding", scale.numpy().astype(np.float64))

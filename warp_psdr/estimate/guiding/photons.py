@@ -11,7 +11,7 @@ import numpy as np
 import warp as wp
 
 from warp_psdr import workers
-from warp_psdr.device import launch_lanes
+from warp_psdr.device import launch_shards
 from warp_psdr.kernels.boundary.guiding.photons import make_importons_kernel, make_photons_kernel
 
 if TYPE_CHECKING:
@@ -86,11 +86,11 @@ def importon_map(scene: Scene, camera: Camera, config: PathConfig, count: int, v
 def _collect(scene: Scene, kernel: wp.Kernel, inputs: list, count: int, vertices: int, scale: float) -> PhotonMap:
     x = wp.zeros((count, vertices), dtype=wp.vec3, device=scene.device)
     weight = wp.zeros((count, vertices), dtype=wp.float32, device=scene.device)
-    launch_lanes(
+    launch_shards(
         kernel,
         count,
-        lambda first, _n, _lane: ([*inputs, first], [x, weight]),
-        lanes=workers.LANES,
+        lambda first, _n, _shard: ([*inputs, first], [x, weight]),
+        shards=workers.SHARDS,
         device=scene.device,
     )
     flat = scene.invalid.drop("guiding", weight.numpy().reshape(-1).astype(np.float64))

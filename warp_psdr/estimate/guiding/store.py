@@ -18,7 +18,7 @@ import numpy as np
 import warp as wp
 
 from warp_psdr import workers
-from warp_psdr.device import launch_lanes
+from warp_psdr.device import launch_shards
 from warp_psdr.estimate.guiding.build import NODE, Leaves, Target
 from warp_psdr.estimate.guiding.methods import build
 from warp_psdr.estimate.guiding.ordering import follow, ordered_edges
@@ -348,6 +348,6 @@ def _facing(r: Request, edges: Edges) -> np.ndarray:
 
 def _run(r: Request, kernel: wp.Kernel, count: int, inputs: Callable[[int], list], outputs: list) -> None:
     """Launch one thread an item; every one has an output of its own, so chunks may run side by side."""
-    launch_lanes(
-        kernel, count, lambda first, _n, _lane: (inputs(first), outputs), lanes=workers.LANES, device=r.scene.device
+    launch_shards(
+        kernel, count, lambda first, _n, _shard: (inputs(first), outputs), shards=workers.SHARDS, device=r.scene.device
     )
