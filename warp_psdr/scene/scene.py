@@ -252,7 +252,7 @@ class Scene:
         s.least_step = self.steps.scene
         s.contact_ratio = self.contact_ratio
         s.radii = self._unmeasured  # the interior term asks for them
-        s.matters = self._unmarked  # the interior term marks shapes
+        s.requested_shapes = self._unmarked  # the interior term marks shapes
         s.invalid = self._uncounted  # for launches outside of ``invalid.counting``
         s.rows = self._rows
         return s

@@ -3,7 +3,7 @@
 What arrives at x jumps where phi = n_g . (x_2 - x) = 0, and under interpolated normals the scattering function does not
 vanish there. Directions in the plane of the triangle are sampled, tilted to either side.
 
-Derivation: ``docs/theory/shading_normals.md#the-geometric_horizon-of-a-triangle``.
+Derivation: ``docs/theory/shading_normals.md#the-horizon-of-a-triangle``.
 """
 
 import functools
