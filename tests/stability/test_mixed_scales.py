@@ -16,6 +16,8 @@ from .record import Case, parameters
 from .sweeps import VELOCITY, Result, apart, box, derivatives, passes, reference, room, slope_error
 from .test_scale import world
 
+#: Scenes that are noted to be at the edge of what floats hold are what is tested.
+pytestmark = pytest.mark.filterwarnings("ignore::warp_psdr.SceneWarning")
 #: Where a box is off the centre of its world, in the world's half sizes: multiples of 2^-10, so that float32 holds the
 #: place exactly in every world, and only digits of the box are lost.
 ASIDE = np.array([0.25, -0.125, 0.0])

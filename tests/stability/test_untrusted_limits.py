@@ -240,8 +240,8 @@ def exr(window: tuple[int, int, int, int], flags: int = 0, folder: Path | None =
         ("a.exr", lambda folder: exr((0, 0, 10, 10**8), folder=folder), "declares 100000001 rows"),
         ("a.exr", lambda folder: exr((5, 5, 0, 0), folder=folder), "declares -4 x -4 pixels"),
         ("a.exr", lambda folder: exr((0, 0, 8, 5), 0x800, folder), "deep images are not supported"),
-        ("a.hdr", lambda folder: b"#?RADIANCE\n\n-Y 9999999 +X 9999999\n", "no supported image suffix"),
-        ("a.png", lambda folder: tiff(), "no readable PNG or JPEG"),
+        ("a.hdr", lambda folder: b"#?RADIANCE\n\n-Y 9999999 +X 9999999\n", "no readable HDR or PFM"),
+        ("a.png", lambda folder: tiff(), "no readable PNG, JPEG"),
     ],
 )
 def test_images_that_declare_more_than_they_hold(name: str, make, message: str, tmp_path: Path) -> None:
