@@ -173,6 +173,7 @@ FACTORIES = {
     "adam.make_count_unusable": [("", (), FAST)],
     "loss.make_terms": [("relative", (relative_squared,), FAST)],
     "loss.make_sums": [("", (), FAST)],
+    "aov.make_aov_kernel": [("textures", (TEXTURED,), FAST), ("materials", (MATERIALS,), SLOW)],
     "trace.make_trace_kernel": [
         ("image", (SIMPLE, False, c.RFILTER_BOX), FAST),
         ("interior", (SIMPLE, True, None), SLOW),
