@@ -148,6 +148,7 @@ def test_the_interior_term_alone_takes_every_motion() -> None:
     assert np.isfinite(image).all()
 
 
+@pytest.mark.slow
 def test_reverse_mode_takes_touching_shapes_and_the_plan_says_what_holds() -> None:
     scene, params = load("room")
     params.requires_grad(BOX)

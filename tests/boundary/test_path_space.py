@@ -37,6 +37,7 @@ def test_the_modes_are_transposes_of_each_other(name, names) -> None:
     assert_transposes(scene, params, names, {"integrator": psdr.PathIntegrator(max_depth=2), "spp": 16, "seed": 3})
 
 
+@pytest.mark.slow
 def test_edges_close_to_a_light() -> None:
     # Half of the points of lights nearer than a hundredth of the scene seemed hidden by the light itself: slope 0.7.
     scene, params = load("close")
