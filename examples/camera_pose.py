@@ -113,9 +113,11 @@ def main(folder: Path = ROOT / "out" / "camera", *, resolution: int = 64, steps:
             degrees, units = history[-1]
             print(f"step {step}: loss {loss.numpy()[0]:.5f}, {degrees:.3f} degrees, {units:.4f} units", flush=True)
     found = picture(PHOTO_SEED + 2)
-    images = [photograph, start, found, np.abs(start - photograph), np.abs(found - photograph)]
-    titles = ["photograph", "start", "found", "start, difference", "found, difference"]
-    plots.side_by_side(folder / "result.png", images, titles, columns=5)
+    differences = {"start − photograph": start - photograph, "found − photograph": found - photograph}
+    titles = ["photograph", "start", "found"]
+    plots.side_by_side(
+        folder / "result.png", [photograph, start, found], titles, columns=5, differences=differences, percentile=98.0
+    )
     return recovery.pose_report(folder, history, began)
 
 

@@ -23,6 +23,9 @@ DIRECTIONS: dict[str, tuple[dict[str, object], str]] = {
     ),
 }
 
+#: The parameters move along a direction t: values are per unit of t.
+UNIT = "d radiance / dt [W/m²/sr]"
+
 
 def main(folder: Path = ROOT / "out" / "examples", resolution: int = 256, spp: int = 64) -> None:
     scene = psdr.load_file(ROOT / "scenes" / "cornell_box.xml", resolution=resolution)
@@ -31,7 +34,9 @@ def main(folder: Path = ROOT / "out" / "examples", resolution: int = 256, spp: i
     for stem, (tangents, title) in DIRECTIONS.items():
         derivative = psdr.render_forward(scene, params, tangents, spp=spp, seed=0).numpy()
         psdr.image_io.write_image(folder / f"derivative_{stem}.exr", derivative)
-        psdr.plots.derivative_image(folder / f"derivative_{stem}.png", derivative, percentile=98.0, title=title)
+        psdr.plots.derivative_image(
+            folder / f"derivative_{stem}.png", derivative, percentile=98.0, title=title, unit=UNIT
+        )
         print(f"wrote {folder / f'derivative_{stem}.png'}")
 
 

@@ -33,6 +33,12 @@ SEEN = 0.1
 SHOWN = (0, *bunny_data.KEPT)
 
 
+def seen_texels(folder, name: str) -> np.ndarray:
+    """Return which texels (H, W) of a parameter the photographs say something about."""
+    gradient = np.abs(np.load(folder / "fit" / "gradients" / f"{name}_start.npy")).sum(axis=-1)
+    return gradient > SEEN * np.median(gradient[gradient > 0.0])
+
+
 def judge(folder, truth, recovered) -> dict:
     """Compare recovered images with new images of the truth, and recovered values with true ones."""
     views = {camera: psnr(recovered[camera], truth[camera]) for camera in truth}
@@ -40,8 +46,7 @@ def judge(folder, truth, recovered) -> dict:
     size = albedo.shape[0]
     painted = image_io.read_image(folder / "albedo_truth.exr")[..., :3]
     painted = painted.reshape(size, painted.shape[0] // size, size, -1, 3).mean(axis=(1, 3))
-    gradient = np.abs(np.load(folder / "fit" / "gradients" / f"{ALBEDO}_start.npy")).sum(axis=-1)
-    seen = gradient > SEEN * np.median(gradient[gradient > 0.0])
+    seen = seen_texels(folder, ALBEDO)
     sky = image_io.read_image(folder / "environment_truth.exr")[..., :3]
     above = lambda image: image[: len(image) // 2].mean(axis=(0, 1))  # noqa: E731
     return {
@@ -82,15 +87,24 @@ def draw(folder, params, truth, recovered) -> None:
     files = ["albedo_truth.exr", "albedo_start.exr", f"fit/parameters/{ALBEDO}.exr"]
     files += ["environment_truth.exr", "environment_start.exr", f"fit/parameters/{LIGHT}.exr"]
     titles = [f"{what}, {which}" for what in ("albedo", "light") for which in ("truth", "start", "recovered")]
-    plots.side_by_side(folder / "recovered.png", [image_io.read_image(folder / f) for f in files], titles, columns=3)
+    plots.side_by_side(
+        folder / "recovered.png",
+        [image_io.read_image(folder / f) for f in files],
+        titles,
+        columns=3,
+        quantity="albedo, or radiance [W/m²/sr] of the light",
+        unseen=[None, None, ~seen_texels(folder, ALBEDO), None, None, ~seen_texels(folder, LIGHT)],
+        unseen_label="hatched: texels that no photograph shows, or hardly",
+    )
 
     scene, name = params.scene, "floor.bsdf.reflectance.value"
     derivative = psdr.render_forward(scene, params, {name: 1.0}, spp=JUDGE_SPP).numpy()
-    plots.derivative_image(folder / "derivative.png", derivative, title="derivative of view 0 by the floor's albedo")
+    title, unit = "derivative of view 0 by the floor's albedo", "radiance [W/m²/sr] per unit of albedo"
+    plots.derivative_image(folder / "derivative.png", derivative, title=title, unit=unit)
 
     gradients = {name: np.load(folder / "fit" / "gradients" / f"{name}_start.npy") for name in (ALBEDO, LIGHT)}
     try:
-        psdr.view(scene, params, fields=gradients, screenshot=folder / "gradients.png").close()
+        psdr.view(scene, params, fields=gradients, screenshot=folder / "gradients.png", window_size=(1260, 320)).close()
     except RuntimeError as problem:  # no OpenGL on this machine: everything else does without
         print(f"gradients.png was not drawn: {problem}")
 

@@ -231,7 +231,8 @@ def _forward(arguments: argparse.Namespace, scene: Any, params: Any, options: di
         image = psdr.render_forward(scene, params, tangents, progress=progress, **options).numpy()
     exr, png = arguments.output / "derivative.exr", arguments.output / "derivative.png"
     image_io.write_image(exr, image)
-    plots.derivative_image(png, image, title="derivative of the image: " + ", ".join(params.requested))
+    title = "derivative of the image: " + ", ".join(params.requested)
+    plots.derivative_image(png, image, title=title, unit=plots.RADIANCE_DERIVATIVE)
     return [f"wrote {exr}", f"wrote {png}"]
 
 

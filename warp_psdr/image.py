@@ -37,9 +37,9 @@ class Image(wp.array):
         values = self.numpy()
         stream = io.BytesIO()
         if self.signed:
-            from warp_psdr.plots import derivative_image
+            from warp_psdr.plots import RADIANCE_DERIVATIVE, derivative_image
 
-            derivative_image(stream, values)
+            derivative_image(stream, values, unit=RADIANCE_DERIVATIVE)
             return stream.getvalue()
         pixels = (255.0 * linear_to_srgb(values)).round().astype("uint8")
         factor = max(-(-_SHOWN // max(min(self.shape), 1)), 1)

@@ -34,6 +34,17 @@ _DIVERGING_ENTRIES = 257
 #: Nearest-neighbour enlargement is used until a picture's longer side has about this many pixels.
 _PICTURE_PIXELS = 640
 _DPI = 100
+#: Inches above and below a picture for its title and size.
+_CAPTION = 0.5
+#: What images hold, derivatives of images, and gradients of losses: names and units at colour bars.
+RADIANCE = "radiance [W/m²/sr]"
+RADIANCE_DERIVATIVE = "radiance [W/m²/sr] per unit of the parameter"
+LOSS_GRADIENT = "loss per unit of the parameter"
+#: Shape of a colour bar, its distance from the pictures, and its largest height in inches beside a grid.
+_BAR: dict[str, Any] = {"aspect": 30, "pad": 0.02, "fraction": 0.04}
+_BAR_HEIGHT = 4.0
+#: Hatching of pixels that carry no information: two greys, and the period of the stripes in enlarged pixels.
+_HATCH_GREYS, _HATCH_PERIOD = (0.93, 0.72), 12
 
 Reduce = Literal["mean", "luminance"]
 
@@ -149,7 +160,7 @@ def derivative_image(
         limit: End of the colour range, instead of the percentile; for pictures that are to be compared.
         reduce: How RGB becomes one value: the "mean" of the channels or their "luminance".
         title: Stands above the picture.
-        unit: Of the values; stands at the colour bar.
+        unit: Name and unit of the values, such as ``RADIANCE_DERIVATIVE``; stands at the colour bar.
 
     Returns:
         The end of the colour range.
@@ -164,17 +175,15 @@ def derivative_image(
     elif not (math.isfinite(limit) and limit > 0.0):
         raise ValueError(f"got limit {limit}; expected a positive number")
     height, width = values.shape
-    figure = _figure(*_picture_size(width, height), extra_width=1.4, extra_height=0.7)
+    figure = _figure(*_picture_size(width, height), extra_width=1.4, extra_height=0.9)
     axes = figure.add_subplot()
-    shown = np.where(np.isfinite(values), values, np.nan)
-    drawn = axes.imshow(shown, cmap=diverging_colormap(), vmin=-limit, vmax=limit, interpolation="nearest")
+    drawn = _draw_signed(axes, values, limit)
     axes.set(xticks=[], yticks=[])
+    axes.set_xlabel(f"{width} × {height}", fontsize=8, color="0.4", labelpad=2)
     axes.set_title(title, fontsize=10, wrap=True)
-    bar = figure.colorbar(drawn, ax=axes, extend="both" if np.any(np.abs(values) > limit * (1.0 + 1e-6)) else "neither")
-    bar.ax.ticklabel_format(style="sci", scilimits=(-2, 3), useMathText=True)
     channels = f"{reduce} of RGB" if pixels.shape[-1] == 3 else ""
     quantity = ", ".join(text for text in (unit, channels) if text)
-    bar.set_label("\n".join(text for text in (quantity, clip_text(values, limit)) if text), fontsize=8)
+    _signed_bar(figure, drawn, [axes], values, limit, quantity)
     _save(figure, path)
     return limit
 
@@ -233,43 +242,78 @@ def loss_curve(
 
 
 def side_by_side(
-    path: str | os.PathLike,
+    path: str | os.PathLike | BinaryIO,
     images: Sequence[Any],
     titles: Sequence[str],
     *,
     exposure: float = 0.0,
     columns: int = 4,
     title: str = "",
+    quantity: str = RADIANCE,
+    differences: Mapping[str, Any] | None = None,
+    percentile: float = 99.5,
+    unseen: Sequence[Any] | None = None,
+    unseen_label: str = "hatched: not seen",
 ) -> None:
-    """Draw linear images next to each other, all tone-mapped alike (see ``tonemap``).
+    """Draw linear images next to each other, all tone-mapped alike (see ``tonemap``), with the scale of their grey.
+
+    Small images are enlarged without interpolation; their sizes stand below them.
 
     Args:
-        path: File to write; the suffix names the format.
+        path: File to write; the suffix names the format. Or an open binary file, for PNG.
         images: Each (H, W), (H, W, 1) or (H, W, 3), linear; sizes may differ.
         titles: One an image.
         exposure: In stops, the same for all.
         columns: Images in a row.
         title: Stands above the whole.
+        quantity: Name and unit of the values; stands at the colour bar.
+        differences: Title -> signed image. These follow the images: the mean of their channels on one scale that is
+            symmetric about zero, with a colour bar of its own.
+        percentile: Of the magnitudes of all differences; their colour range ends there.
+        unseen: One an image: a mask (H, W) of pixels that carry no information and are hatched, or None.
+        unseen_label: Says what the hatching means.
 
     Raises:
-        ValueError: There is no image, or the numbers of images and titles differ.
+        ValueError: There is no image, or the numbers of images and titles differ, or a mask has another shape.
     """
     if not len(images) or len(images) != len(titles):
         raise ValueError(
             f"got {len(images)} images and {len(titles)} titles; expected one title an image, at least one"
         )
-    pictures = [tonemap(image, exposure=exposure) for image in images]
-    columns = min(columns, len(pictures))
-    rows = -(-len(pictures) // columns)
-    width, height = _picture_size(pictures[0].shape[1], pictures[0].shape[0])
-    shrink = min(1.0, 14.0 / (columns * width))  # inches: the whole stays readable on a screen
-    figure = _figure(columns * width * shrink, rows * (height * shrink + 0.35), extra_height=0.35 if title else 0.0)
-    for index, (picture, caption) in enumerate(zip(pictures, titles, strict=True)):
-        axes = figure.add_subplot(rows, columns, index + 1)
-        levels = np.round(255.0 * picture).astype(np.uint8)  # matplotlib itself would round down
-        axes.imshow(levels, interpolation="nearest" if max(picture.shape[:2]) < _PICTURE_PIXELS else "auto")
-        axes.set(xticks=[], yticks=[])
-        axes.set_title(caption, fontsize=9)
+    masks = [None] * len(images) if unseen is None else list(unseen)
+    if len(masks) != len(images):
+        raise ValueError(f"got {len(masks)} masks for {len(images)} images; expected a mask or None an image")
+    signed = {caption: to_signed(_image(values)) for caption, values in (differences or {}).items()}
+    cells = [(tonemap(image, exposure=exposure), mask) for image, mask in zip(images, masks, strict=True)]
+    shapes = [picture.shape[:2] for picture, _ in cells] + [values.shape for values in signed.values()]
+    columns = min(columns, len(shapes))
+    width, _ = _picture_size(shapes[0][1], shapes[0][0])
+    width = min(width, 12.0 / columns)  # inches: the whole stays readable on a screen
+    # A row is as high as its highest picture: wide pictures leave no white below them.
+    rows = [shapes[i : i + columns] for i in range(0, len(shapes), columns)]
+    heights = [width * max(h / w for h, w in row) + _CAPTION for row in rows]
+    bars = 1.0 + bool(signed)
+    figure = _figure(columns * width, sum(heights), extra_width=bars, extra_height=0.25 + (0.3 if title else 0.0))
+    grid = figure.add_gridspec(len(rows), columns, height_ratios=heights)
+    axes = [figure.add_subplot(grid[i // columns, i % columns]) for i in range(len(shapes))]
+    for panel, (picture, mask), caption in zip(axes, cells, titles, strict=False):
+        shown = picture if mask is None else _hatched(picture, np.asarray(mask, bool))
+        levels = np.round(255.0 * shown).astype(np.uint8)  # matplotlib itself would round down
+        panel.imshow(levels, interpolation="nearest" if max(shown.shape[:2]) < _PICTURE_PIXELS else "auto")
+        panel.set_title(caption, fontsize=9)
+    limit = symmetric_limit(np.concatenate([v.reshape(-1) for v in signed.values()]), percentile) if signed else 1.0
+    for panel, (caption, values) in zip(axes[len(cells) :], signed.items(), strict=True):
+        drawn = _draw_signed(panel, values, limit)
+        panel.set_title(caption, fontsize=9)
+    for panel, (h, w) in zip(axes, shapes, strict=True):
+        panel.set(xticks=[], yticks=[])
+        panel.set_xlabel(f"{w} × {h}", fontsize=7, color="0.4", labelpad=2)
+    if signed:
+        _signed_bar(figure, drawn, axes, np.concatenate([v.reshape(-1) for v in signed.values()]), limit,
+                    f"difference of {quantity},\nmean of RGB")  # fmt: skip
+    _grey_bar(figure, axes, quantity, exposure)
+    if any(mask is not None for mask in masks):
+        figure.supxlabel(unseen_label, fontsize=8)
     if title:
         figure.suptitle(title, fontsize=10)
     _save(figure, path)
@@ -333,6 +377,49 @@ def _image(image: Any) -> np.ndarray:
     if pixels.ndim != 3 or pixels.shape[-1] not in (1, 3) or pixels.size == 0:
         raise ValueError(f"got an image of shape {pixels.shape}; expected (H, W), (H, W, 1) or (H, W, 3), not empty")
     return pixels
+
+
+def _draw_signed(axes: Any, values: np.ndarray, limit: float) -> Any:
+    shown = np.where(np.isfinite(values), values, np.nan)
+    return axes.imshow(shown, cmap=diverging_colormap(), vmin=-limit, vmax=limit, interpolation="nearest")
+
+
+def _signed_bar(figure: Any, drawn: Any, axes: list[Any], values: np.ndarray, limit: float, quantity: str) -> None:
+    """Add the colour bar of signed values: name and unit, where the range ends, and what lies beyond."""
+    beyond = np.any(np.abs(values[np.isfinite(values)]) > limit * (1.0 + 1e-6))
+    bar = figure.colorbar(drawn, ax=axes, extend="both" if beyond else "neither", **_BAR, shrink=_shrink(figure, axes))
+    bar.ax.ticklabel_format(style="sci", scilimits=(-2, 3), useMathText=True)
+    bar.set_label("\n".join(text for text in (quantity, clip_text(values, limit)) if text), fontsize=8)
+
+
+def _shrink(figure: Any, axes: list[Any]) -> float:
+    """Return a colour bar's share of the height: all of one picture's, a handy part of a grid's."""
+    return min(_BAR_HEIGHT / figure.get_figheight(), 1.0) if len(axes) > 1 else 1.0
+
+
+def _grey_bar(figure: Any, axes: list[Any], quantity: str, exposure: float) -> None:
+    """Add the scale of tone-mapped values: the grey that stands for each, up to white."""
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import LinearSegmentedColormap, Normalize
+
+    greys = linear_to_srgb(np.linspace(0.0, 1.0, 256))
+    colormap = LinearSegmentedColormap.from_list("psdr_srgb", np.repeat(greys[:, None], 3, axis=1))
+    white = 2.0**-exposure
+    bar = figure.colorbar(
+        ScalarMappable(Normalize(0.0, white), colormap), ax=axes, extend="max", **_BAR, shrink=_shrink(figure, axes)
+    )
+    bar.set_label(f"{quantity},\neach channel, sRGB-encoded", fontsize=8)
+
+
+def _hatched(picture: np.ndarray, mask: np.ndarray) -> np.ndarray:
+    """Return an enlarged picture (H', W', 3) with diagonal stripes where the mask holds."""
+    if mask.shape != picture.shape[:2]:
+        raise ValueError(f"got a mask of shape {mask.shape} for an image of shape {picture.shape[:2]}")
+    scale = max(_PICTURE_PIXELS // max(mask.shape), 1)
+    enlarged, where = (np.repeat(np.repeat(x, scale, axis=0), scale, axis=1) for x in (picture, mask))
+    y, x = np.indices(where.shape)
+    stripes = np.where((x + y) % _HATCH_PERIOD < _HATCH_PERIOD // 2, *_HATCH_GREYS)
+    return np.where(where[..., None], stripes[..., None], enlarged)
 
 
 def _picture_size(width: int, height: int) -> tuple[float, float]:

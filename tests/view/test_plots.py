@@ -243,3 +243,88 @@ def test_matplotlib_loads_late_and_without_its_global_state(tmp_path: Path) -> N
     )
     subprocess.run([sys.executable, "-W", "error", "-c", code], cwd=ROOT, check=True)
     assert (tmp_path / "l.pdf").read_bytes().startswith(b"%PDF")
+
+
+# --- what every plot says about itself --------------------------------------------------------------------------
+
+
+@pytest.fixture
+def figures(monkeypatch: pytest.MonkeyPatch) -> list:
+    """Collect the figures that are saved, without writing them."""
+    drawn: list = []
+    monkeypatch.setattr(plots, "_save", lambda figure, path: drawn.append(figure))
+    return drawn
+
+
+def bars(figure) -> list:
+    return [axes for axes in figure.axes if axes.get_label() == "<colorbar>"]
+
+
+def test_a_derivative_has_a_colour_bar_with_unit_and_a_size(figures: list) -> None:
+    plots.derivative_image("d.png", np.linspace(-2.0, 2.0, 12).reshape(3, 4), unit=plots.RADIANCE_DERIVATIVE)
+    (bar,) = bars(figures[0])
+    assert plots.RADIANCE_DERIVATIVE in bar.get_ylabel() and "clip ±" in bar.get_ylabel()
+    low, high = bar.get_ylim()
+    assert low == -high
+    assert figures[0].axes[0].get_xlabel() == "4 × 3"
+
+
+def test_images_have_a_colour_bar_with_unit_and_their_sizes(figures: list) -> None:
+    plots.side_by_side("s.png", [np.ones((4, 8)), np.ones((2, 2))], ["a", "b"], exposure=1.0)
+    (bar,) = bars(figures[0])
+    assert plots.RADIANCE in bar.get_ylabel()
+    assert bar.get_ylim() == (0.0, 0.5)  # one stop more light: white is half as much
+    assert [axes.get_xlabel() for axes in figures[0].axes[:2]] == ["8 × 4", "2 × 2"]
+
+
+def test_differences_are_signed_on_one_symmetric_scale(figures: list) -> None:
+    first, second = np.full((4, 4), 0.5), np.full((4, 4), -0.25)
+    plots.side_by_side("s.png", [first], ["a"], differences={"b − a": first, "c − a": second}, percentile=100.0)
+    shown = [axes.images[0] for axes in figures[0].axes[1:3]]
+    assert [image.get_clim() for image in shown] == [(-0.5, 0.5)] * 2
+    colors = [image.cmap(image.norm(image.get_array()))[0, 0, :3] for image in shown]
+    assert is_red(tuple(255 * colors[0])) and is_blue(tuple(255 * colors[1]))
+    signed, grey = bars(figures[0])
+    assert "difference of radiance [W/m²/sr]" in signed.get_ylabel()
+    assert plots.RADIANCE in grey.get_ylabel()
+
+
+def test_a_row_is_as_high_as_its_pictures(figures: list) -> None:
+    plots.side_by_side("s.png", [np.ones((8, 8)), np.ones((4, 16))], ["a", "b"], columns=1)
+    figures[0].draw_without_rendering()
+    square, wide = (axes.get_position() for axes in figures[0].axes[:2])
+    assert wide.width == pytest.approx(square.width, rel=0.05)  # neither is shrunk to fit
+    gap = (square.y0 - wide.y1) * figures[0].get_figheight()
+    assert gap < 1.0  # inches: title and size, no white
+
+
+def test_unseen_pixels_are_hatched(figures: list) -> None:
+    mask = np.zeros((4, 4), bool)
+    mask[1, 2] = True
+    options = {"unseen": [mask, None], "unseen_label": "hatched: hidden"}
+    plots.side_by_side("s.png", [np.zeros((4, 4, 3)), np.zeros((4, 4, 3))], ["a", "b"], **options)
+    hatched, plain = (axes.images[0].get_array() for axes in figures[0].axes[:2])
+    size = hatched.shape[0] // 4
+    tile = hatched[size : 2 * size, 2 * size : 3 * size]
+    assert len(np.unique(tile)) == 2 and tile.min() > 150  # stripes of two greys
+    assert hatched.sum() == tile.sum()
+    assert not plain.any()
+    assert figures[0].get_supxlabel() == "hatched: hidden"
+
+
+def test_a_mask_has_the_shape_of_its_image() -> None:
+    with pytest.raises(ValueError, match="mask"):
+        plots.side_by_side("s.png", [np.zeros((4, 4))], ["a"], unseen=[np.zeros((2, 2), bool)])
+    with pytest.raises(ValueError, match="mask"):
+        plots.side_by_side("s.png", [np.zeros((4, 4))], ["a"], unseen=[])
+
+
+@pytest.mark.parametrize("draw", ["loss_curve", "error_against_time"])
+def test_curves_name_their_axes(figures: list, draw: str) -> None:
+    if draw == "loss_curve":
+        plots.loss_curve("l.png", [2.0, 1.0], ylabel="L2 loss [(W/m²/sr)²]")
+    else:
+        plots.error_against_time("e.png", {"a": ([1.0, 2.0], [0.2, 0.1])})
+    axes = figures[0].axes[0]
+    labels = {"loss_curve": ("step", "L2 loss [(W/m²/sr)²]"), "error_against_time": ("time [s]", "relative RMS error")}
+    assert (axes.get_xlabel(), axes.get_ylabel()) == labels[draw]

@@ -28,6 +28,14 @@ PICTURE_SEED = 2**31
 #: Smallest mean squared error that a PSNR is computed from: 120 dB, beyond what 32-bit images can differ in.
 LEAST_ERROR = 1e-12
 
+#: Losses with their units, for plots.
+LOSS_NAMES = {
+    "l1": "L1 loss [W/m²/sr]",
+    "l2": "L2 loss [(W/m²/sr)²]",
+    "huber": "Huber loss [(W/m²/sr)²]",
+    "relative_l2": "relative L2 loss (no unit)",
+}
+
 
 def write_start(problem: Problem) -> None:
     """Write the views and the gradients before the first step."""
@@ -48,7 +56,7 @@ def write_report(problem: Problem, losses: np.ndarray) -> tuple[float, ...]:
         titles[2 * len(images) + i] += f", {score:.1f} dB"
     pictures = [image for row in rows.values() for image in row]
     plots.side_by_side(output / "views.png", pictures, titles, columns=len(images))
-    plots.loss_curve(output / "loss.png", losses, ylabel=f"{problem.config.loss} loss")
+    plots.loss_curve(output / "loss.png", losses, ylabel=LOSS_NAMES[problem.config.loss])
     write_parameters(output / "parameters", problem.values())
     gradients = problem.gradients(len(losses))
     notes = write_gradients(output / "gradients", problem.scene, problem.params, gradients, "_end")
@@ -77,13 +85,15 @@ def psnr(image: np.ndarray, target: np.ndarray) -> float:
 
 
 def write_parameters(folder: Path, values: Mapping[str, np.ndarray]) -> None:
-    """Write every value as ``.npy``, and as EXR and PNG where it is a picture."""
+    """Write every value as ``.npy`` and, where it is a picture, as EXR and as an enlarged PNG with its scale."""
     folder.mkdir(parents=True, exist_ok=True)
     for name, stem in file_stems(values).items():
         value = values[name]
         _write_array(folder / f"{stem}.npy", value)
         if is_picture(value):
-            write_picture(folder / stem, value)
+            image_io.write_image(folder / f"{stem}.exr", value)
+            quantity = "value of the parameter"
+            plots.side_by_side(folder / f"{stem}.png", [value], [name], quantity=quantity)
 
 
 def write_gradients(
@@ -102,7 +112,8 @@ def write_gradients(
         path = folder / f"{stem}{suffix}"
         _write_array(Path(f"{path}.npy"), gradient)
         if is_picture(gradient):
-            plots.derivative_image(f"{path}.png", gradient, title=f"gradient of the loss: {name}")
+            title = f"gradient of the loss: {name}"
+            plots.derivative_image(f"{path}.png", gradient, title=title, unit=plots.LOSS_GRADIENT)
         elif ".vertex_" in name:
             try:
                 view(scene, params, fields={name: gradient}, screenshot=f"{path}.png").close()
