@@ -23,7 +23,7 @@ from warp_psdr.scene.description import (
     ShapeDescription,
     TextureDescription,
 )
-from warp_psdr.view import vtk_window
+from warp_psdr.view import panels, vtk_window
 from warp_psdr.view.viewer import view
 
 SIZE = (400, 300)
@@ -87,9 +87,20 @@ def draw(can_draw: None, tmp_path: Path) -> Callable[..., np.ndarray]:
         options = {"window_size": SIZE, **options}
         view(scene, params, screenshot=tmp_path / "v.png", **options).close()
         assert [p.name for p in tmp_path.iterdir()] == ["v.png"]
-        return np.asarray(Image.open(tmp_path / "v.png").convert("RGB")).astype(int)
+        image = np.asarray(Image.open(tmp_path / "v.png").convert("RGB")).astype(int)
+        return without_labels(image, options["window_size"]) if "fields" in options else image
 
     return call
+
+
+def without_labels(image: np.ndarray, window_size: tuple[int, int]) -> np.ndarray:
+    """Cut the margins that hold labels off a picture of one panel, or of two beside each other."""
+    count = window_size[0] // SIZE[0]
+    cells, whole = panels.arrangement(count, window_size, labels=True)
+    assert image.shape[:2] == whole[::-1]
+    top = cells[0].title
+    columns = [image[top : top + window_size[1], round(c.x) : round(c.x + c.width)] for c in cells]
+    return np.concatenate(columns, axis=1)
 
 
 def red(image: np.ndarray) -> np.ndarray:
@@ -260,6 +271,35 @@ def test_a_constant_colours_the_surfaces_that_share_it(draw) -> None:
     image = draw(scene_of(left, right), fields={"m.reflectance.value": [-1.0, -1.0, -1.0]})
     assert blue(image[100:200, 90:150]).mean() > 0.5
     assert blue(image[100:200, 250:300]).mean() > 0.5
+
+
+def test_labels_stand_beside_the_panel(can_draw, tmp_path: Path) -> None:
+    vertices, _ = sphere()
+    near = scene_of(ball(), camera=sensor((0.0, 0.0, 1.5)))  # fills the panel
+    texts = []
+    plotter = view(near, fields={"ball.vertex_positions": vertices}, screenshot=tmp_path / "v.png", window_size=SIZE)
+    for renderer in plotter.renderers:
+        texts += [actor.input for actor in renderer.actors.values() if hasattr(actor, "input")]
+    plotter.close()
+    image = np.asarray(Image.open(tmp_path / "v.png").convert("RGB")).astype(int)
+    (cell,), _ = panels.arrangement(1, SIZE, labels=True)
+    bar = image[:, SIZE[0] :]
+    assert red(bar[: SIZE[1] // 2]).any() and blue(bar[SIZE[1] // 2 :]).any()
+    for margin in (image[: cell.title], image[cell.title + SIZE[1] :]):
+        assert not red(margin).any() and margin.min() < 80  # letters and background alone
+    assert "ball.vertex_positions" in texts
+    assert any("per world unit" in text and "clip" in text for text in texts)
+
+
+@pytest.mark.parametrize(("count", "rows"), [(1, [1]), (2, [2]), (3, [1, 2]), (4, [2, 2]), (5, [2, 3]), (7, [2, 2, 3])])
+def test_panels_leave_no_place_empty(count: int, rows: list[int]) -> None:
+    cells, whole = panels.arrangement(count, (800, 600), labels=True)
+    heights = sorted({cell.y for cell in cells}, reverse=True)
+    assert [sum(cell.y == y for cell in cells) for y in heights] == rows
+    covered = [cell.viewport(whole, margins=True) for cell in cells]
+    assert sum((x1 - x0) * (y1 - y0) for x0, y0, x1, y1 in covered) == pytest.approx(1.0)
+    wide, _ = panels.arrangement(3, (1200, 300), labels=False)
+    assert len({cell.y for cell in wide}) == 1
 
 
 def test_shapes_share_a_panel_and_a_scale(draw) -> None:

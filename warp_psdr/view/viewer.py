@@ -28,6 +28,7 @@ from warp_psdr.plots import (
 from warp_psdr.scene.bsdfs import model_of
 from warp_psdr.scene.description import SceneDescription, SensorDescription, ShapeDescription, TextureDescription
 from warp_psdr.view.fields import Arrows, Field, arrows, environment_field, mesh_field, texture_field, vertex_normals
+from warp_psdr.view.panels import arrangement, draw_labels
 from warp_psdr.view.vtk_window import open_plotter
 
 _BACKGROUND = (0.86, 0.87, 0.88)  # not white, which means zero
@@ -37,6 +38,14 @@ _METAL = (0.75, 0.75, 0.78)
 _GLASS = (0.70, 0.82, 0.90)
 #: Radius of the sphere that shows an environment, in radii of the scene.
 _ENVIRONMENT = 1.8
+
+
+#: Last part of a parameter's name -> its unit, where it is not 1.
+_UNITS = {
+    "vertex_positions": "world unit",
+    "vertex_texcoords": "unit of u or v",
+    "vertex_normals": "unit of the normal",
+}
 
 
 class NotDrawableError(ValueError):
@@ -70,7 +79,8 @@ def view(
         screenshot: PNG file to write; draws off-screen.
         camera: Number or id of the sensor to look through (principal point and crop are ignored); None: from outside.
         show_emitters: Draw area lights, and markers for point, spot and directional lights.
-        window_size: Width and height in pixels.
+        window_size: Width and height in pixels of all panels together; titles and colour bars stand beside them and
+            add to it.
         percentile: Of the non-zero magnitudes of a panel; its colour range and arrows end there.
         reduce: How colours become one signed value: the "mean" of the channels or their "luminance".
 
@@ -91,21 +101,29 @@ def view(
     import pyvista
 
     panels = _panels(description, values, _named_arrays(params, fields), center, radius, reduce)
-    columns = math.ceil(math.sqrt(len(panels)))
-    rows = math.ceil(len(panels) / columns)
-    plotter = open_plotter(rows, columns, window_size, off_screen=screenshot is not None)
-    for number, panel in enumerate(panels):
-        plotter.subplot(number // columns, number % columns)
+    cells, whole = arrangement(len(panels), window_size, labels=bool(panels[0].fields))
+    # Two renderers a panel: labels fill the cell, the scene covers all of it but the margins.
+    plotter = open_plotter(1, 2 * len(panels), whole, off_screen=screenshot is not None)
+    for number, (panel, cell) in enumerate(zip(panels, cells, strict=True)):
+        plotter.subplot(0, 2 * number)
         plotter.set_background(_BACKGROUND)
+        plotter.renderer.viewport = cell.viewport(whole, margins=True)
+        if panel.fields:
+            scalars, limit, longest = _limits(panel, percentile)
+            quantity = ", ".join(part for part in (panel.unit, panel.fields[0][0].quantity) if part)
+            arrow = "" if longest is None else f"; longest arrow: {longest:.3g}"
+            draw_labels(plotter, cell, _color_table(limit), panel.title, [quantity, clip_text(scalars, limit) + arrow])
+        plotter.subplot(0, 2 * number + 1)
+        plotter.set_background(_BACKGROUND)
+        plotter.renderer.viewport = cell.viewport(whole, margins=False)
         # One white light beside the camera: the usual warm and cool ones would tint what means zero.
         plotter.add_light(pyvista.Light(light_type="camera light", position=(-0.4, 0.6, 1.0)), only_active=True)
         _draw_shapes(plotter, description, values, panel, show_emitters)
         if show_emitters:
             _draw_light_markers(plotter, description, values, center, radius)
         if panel.fields:
-            _draw_fields(plotter, panel, percentile, window_size[0] // columns, window_size[1] // rows)
-        aspect = window_size[0] / columns / (window_size[1] / rows)
-        _aim(plotter, panel, sensor, values, center, radius, aspect)
+            _draw_fields(plotter, panel, percentile)
+        _aim(plotter, panel, sensor, values, center, radius, cell.width / cell.height)
     if screenshot is not None:
         from PIL import Image
 
@@ -122,6 +140,16 @@ class _Panel:
     fields: list[tuple[Field, np.ndarray | None, np.ndarray | None]]  #: a field, its vectors, and their normals
     shapes: set[str]  #: paths of the shapes that the fields stand for
     side: Literal["camera", "towards", "against"] = "camera"  #: the last two: an environment, from outside
+
+    @property
+    def unit(self) -> str:
+        """What the values are per: the unit of the parameter."""
+        name = self.title.partition(",")[0]
+        for ending, unit in _UNITS.items():
+            if name.rpartition("[")[0].endswith(ending) or name.endswith(ending):
+                return f"per {unit}"
+        light = any(word in name for word in ("radiance", "emitter")) or self.side != "camera"
+        return "per W/m²/sr" if light else "per unit of the parameter"
 
 
 def _named_arrays(params: Mapping[str, Any] | None, fields: Any) -> dict[str, np.ndarray]:
@@ -310,16 +338,27 @@ def _draw_shapes(
         plotter.add_mesh(mesh, ambient=0.3, diffuse=0.7, show_scalar_bar=False, **look)
 
 
-def _draw_fields(plotter: Any, panel: _Panel, percentile: float, width: int, height: int) -> None:
-    """Draw a panel's fields and arrows on one scale, its colour bar and title."""
-    import pyvista
-    from vtkmodules.vtkRenderingAnnotation import vtkScalarBarActor
-
+def _limits(panel: _Panel, percentile: float) -> tuple[np.ndarray, float, float | None]:
+    """Return a panel's values, the end of their colour range, and the longest arrow's magnitude, if there is one."""
     scalars = np.concatenate([field.values.reshape(-1) for field, _, _ in panel.fields])
-    limit = symmetric_limit(scalars, percentile)
+    vectors = [np.linalg.norm(v, axis=1) for _, v, _ in panel.fields if v is not None]
+    longest = symmetric_limit(np.concatenate(vectors), percentile) if any(np.any(v > 0.0) for v in vectors) else None
+    return scalars, symmetric_limit(scalars, percentile), longest
+
+
+def _color_table(limit: float) -> Any:
+    import pyvista
+
     colormap = diverging_colormap()
     table = pyvista.LookupTable(colormap, n_values=colormap.N, scalar_range=(-limit, limit))
     table.nan_color = NOT_FINITE_COLOR
+    return table
+
+
+def _draw_fields(plotter: Any, panel: _Panel, percentile: float) -> None:
+    """Draw a panel's fields and arrows on one scale."""
+    _, limit, longest = _limits(panel, percentile)
+    table = _color_table(limit)
     faithful: dict[str, Any] = {"ambient": 0.6, "diffuse": 0.45, "show_scalar_bar": False}  # shaded, but readable
     if panel.side != "camera":
         faithful |= {"lighting": False, "culling": "back"}  # the far half, from inside
@@ -328,45 +367,17 @@ def _draw_fields(plotter: Any, panel: _Panel, percentile: float, width: int, hei
         finite = np.where(np.isfinite(field.values), field.values, np.nan)
         if field.on == "texel":
             mesh.active_texture_coordinates = np.asarray(field.uvs, np.float32)
-            colors = colormap(np.ma.masked_invalid(0.5 + 0.5 * finite / limit))[..., :3]
+            colors = diverging_colormap()(np.ma.masked_invalid(0.5 + 0.5 * finite / limit))[..., :3]
             plotter.add_mesh(mesh, texture=_texture(colors, field.wrap), **faithful)
         else:
             preference = "point" if field.on == "vertex" else "cell"
             plotter.add_mesh(mesh, scalars=finite.astype(np.float32), preference=preference, cmap=table, **faithful)
-    vectors = [np.linalg.norm(v, axis=1) for _, v, _ in panel.fields if v is not None]
-    quantity = panel.fields[0][0].quantity
-    notes = [f"{quantity}: {clip_text(scalars, limit)}" if quantity else clip_text(scalars, limit)]
-    if vectors:
-        longest = symmetric_limit(np.concatenate(vectors), percentile)
-        share = max(160 // len(vectors), 20)
-        for field, vector, normals in panel.fields:
-            if vector is not None:
-                drawn = arrows(field.vertices, vector, normals=normals, limit=longest, count=share)
-                if len(drawn.starts):
-                    _draw_arrows(plotter, drawn)
-        if any(np.any(v > 0.0) for v in vectors):
-            notes.append(f"longest arrow: {longest:.3g}")
-    size = max(7, min(11, width // 75))
-    bar = vtkScalarBarActor()
-    bar.SetLookupTable(table)
-    bar.SetMaximumNumberOfColors(colormap.N)
-    bar.SetNumberOfLabels(5)
-    bar.UnconstrainedFontSizeOn()
-    bar.GetLabelTextProperty().SetFontSize(size + 3)
-    bar.GetLabelTextProperty().BoldOff()
-    bar.SetLabelFormat("{:.2g}")
-    bar.SetPosition(1.0 - 85 / width, 0.2)  # 85 pixels: the bar and labels such as -0.00012
-    bar.SetWidth(80 / width)
-    bar.SetBarRatio(0.25)
-    bar.SetHeight(0.6)
-    bar.GetLabelTextProperty().SetColor(0.0, 0.0, 0.0)
-    bar.GetLabelTextProperty().ShadowOff()
-    bar.GetLabelTextProperty().ItalicOff()
-    plotter.renderer.AddViewProp(bar)
-    for text, y in ((panel.title, 1.0 - 2.4 * size / height), ("\n".join(notes), 0.01)):
-        actor = plotter.add_text(text, position=(0.01, y), viewport=True, font_size=size, color="black")
-        actor.prop.background_color = _BACKGROUND  # readable in front of dark red and blue, too
-        actor.prop.background_opacity = 0.8
+    moving = [(field, vector, normals) for field, vector, normals in panel.fields if vector is not None]
+    for field, vector, normals in moving if longest is not None else ():
+        share = max(160 // len(moving), 20)
+        drawn = arrows(field.vertices, vector, normals=normals, limit=longest, count=share)
+        if len(drawn.starts):
+            _draw_arrows(plotter, drawn)
 
 
 def _draw_arrows(plotter: Any, drawn: Arrows) -> None:

@@ -35,7 +35,7 @@ def open_plotter(rows: int, columns: int, window_size: tuple[int, int], *, off_s
             off_screen=off_screen or window in ("vtkEGLRenderWindow", "vtkOSOpenGLRenderWindow"),
             shape=(rows, columns),
             window_size=list(window_size),
-            border=rows * columns > 1,
+            border=False,
             lighting="none",
         )
 
