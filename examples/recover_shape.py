@@ -8,9 +8,9 @@ of the vertices; ``psdr.optim.LargeSteps`` keeps them in order, and ``remesh.py`
 between the stages. What the colours and lights are is known; the photographs are rendered with seeds of their own.
 
 Leaves in ``out/shape/``: ``result.png`` (photographs, start, recovered), ``loss.png``, ``distance.png`` (to the true
-surface), ``gradient.png`` (the first gradient of the loss on the sphere), ``samples.png`` (boundary samples on their
-edges, coloured by how hard they pull), ``density.png`` (how densely edges are sampled), ``animation.gif``,
-``recovered.ply`` and ``report.json``.
+surface), ``gradient.png`` (the first gradient of the loss on the sphere), ``samples.png`` (boundary samples on the
+edges of the true shape, coloured by how hard they pull), ``density.png`` (how densely edges are sampled),
+``animation.gif``, ``recovered.ply`` and ``report.json``.
 """
 
 from __future__ import annotations
@@ -143,8 +143,8 @@ def main(
         optimiser = psdr.optim.LargeSteps(params, {POSITIONS: stage.lr}, lambda_=stage.weight, betas=BETAS)
         for i in range(stage.steps):
             step = len(losses)
-            if i == 0 and number < 2:
-                shape_pictures.draw_boundary(folder, params, photos, INTEGRATOR, POSITIONS, first=number == 0)
+            if step == 0:
+                shape_pictures.draw_boundary(folder, params, photos, load(*truth, width), INTEGRATOR, POSITIONS)
             loss = backward(params, targets, spp, step * len(targets))
             falling = max(i / stage.steps - CONSTANT, 0.0) / (1.0 - CONSTANT)
             optimiser.step(scale=FALL**falling)

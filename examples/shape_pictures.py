@@ -14,8 +14,8 @@ from warp_psdr.view.vtk_window import open_plotter
 
 #: Pixels along a side of the pictures of the mesh and of a frame, and the views that they show.
 PICTURE, FRAME, SHOWN = 160, 144, (0, 1, 5, 7)
-#: Samples a pixel of the first gradient, and of the boundary samples that are drawn.
-GRADIENT_SPP, DRAWN_SPP = 32, 2
+#: Samples a pixel of the first gradient, and of the boundary samples that are drawn, of one view.
+GRADIENT_SPP, DRAWN_SPP, DRAWN_VIEW = 32, 8, 0
 #: Milliseconds of a frame of the animation, and of its last one.
 FRAME_MS, LAST_MS = 80, 2000
 
@@ -61,10 +61,11 @@ def animate(path: Path, truth: tuple, meshes: list[tuple], render: Callable) -> 
     )
 
 
-def draw_boundary(folder: Path, params, photos: list, integrator, name: str, *, first: bool) -> None:
-    """Draw the gradient on the surface (``first``), or the boundary samples and the density of the edges."""
+def draw_boundary(folder: Path, params, photos: list, truth, integrator, name: str) -> None:
+    """Draw the first gradient on the surface, and the boundary term's samples on the edges of the true shape."""
     try:
-        (_draw_gradient if first else _draw_edges)(folder, params, photos, integrator, name)
+        _draw_gradient(folder, params, photos, integrator, name)
+        draw_edges(folder, truth, integrator, name)
     except RuntimeError as problem:  # no OpenGL on this machine: everything else does without
         print(f"not drawn: {problem}")
 
@@ -87,27 +88,46 @@ def _draw_gradient(folder: Path, params, photos: list, integrator, name: str) ->
     psdr.view(params.scene, params, fields={name: gradient}, screenshot=folder / "gradient.png").close()
 
 
-def _draw_edges(folder: Path, params, photos: list, integrator, name: str) -> None:
+def draw_edges(folder: Path, params, integrator, name: str, sensor: int = DRAWN_VIEW) -> None:
+    """Draw on a shape's edges what the boundary term of a view's mean radiance is estimated from.
+
+    Left and right in ``samples.png``: edges that the camera sees, and edges of shadows. ``density.png``: how
+    densely the latter are sampled.
+    """
     import pyvista
     from PIL import Image
 
-    adjoint = _adjoint(params, photos, integrator, 0)
-    samples = edge_fields.boundary_samples(params.scene, params, adjoint, integrator=integrator, spp=DRAWN_SPP)
-    density = edge_fields.edge_density(params.scene, params, integrator=integrator)
+    camera = params.scene.camera(sensor)
+    adjoint = np.full((camera.crop_height, camera.crop_width, 3), 1.0 / (camera.crop_height * camera.crop_width))
+    options = {"sensor": sensor, "integrator": integrator}
+    samples = edge_fields.boundary_samples(params.scene, params, adjoint, spp=DRAWN_SPP, **options)
+    density = edge_fields.edge_density(params.scene, params, **options)
     vertices = params[name].numpy()
     shape = next(s for s in params.scene.description.shapes if f"{s.path}.vertex_positions" == name)
     surface = pyvista.PolyData.from_regular_faces(vertices, shape.faces)
-    camera = params.scene.description.sensors[0].to_world
-    middle = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
-    for stem in ("samples", "density"):
-        plotter = open_plotter(1, 1, (720, 720), off_screen=True)
-        plotter.set_background((0.86, 0.87, 0.88))
-        plotter.add_mesh(surface, color=(0.72, 0.72, 0.72), show_edges=stem == "samples", edge_opacity=0.2)
-        if stem == "samples":
-            edge_fields.draw_samples(plotter, samples)
-        else:
-            edge_fields.draw_density(plotter, density)
-        plotter.camera_position = [np.asarray(camera)[:3, 3], middle, (0, 1, 0)]
+    eye = np.asarray(params.scene.description.sensors[sensor].to_world)[:3, 3]
+    middle = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0)) - [0.0, 0.12, 0.0]  # room for the colour bar
+    pull = "pull [W/m²/sr of the mean radiance per world unit]"
+    panels = {
+        "samples": {
+            "edges that the camera sees": lambda p: edge_fields.draw_samples(
+                p, samples.of_kind("primary"), least=0.3, size=6.0, title=pull
+            ),
+            "edges of shadows": lambda p: edge_fields.draw_samples(p, samples.of_kind("secondary"), title=f"{pull} "),
+        },
+        "density": {"edges of shadows": lambda p: edge_fields.draw_density(p, density)},
+    }
+    for stem, drawings in panels.items():
+        plotter = open_plotter(1, len(drawings), (560 * len(drawings), 600), off_screen=True)
+        for column, (title, drawing) in enumerate(drawings.items()):
+            plotter.subplot(0, column)
+            plotter.set_background((0.86, 0.87, 0.88))
+            plotter.add_light(pyvista.Light(light_type="headlight", intensity=0.8), only_active=True)
+            plotter.add_mesh(surface, color=(0.78, 0.78, 0.78), ambient=0.15)
+            plotter.add_text(title, position=(0.02, 0.95), viewport=True, font_size=11, color="black")
+            drawing(plotter)
+            plotter.camera_position = [eye, middle, (0, 1, 0)]
+            plotter.camera.view_angle = 32.0
         image = Image.fromarray(plotter.screenshot(None, return_img=True))
         plots.write_picture(folder / f"{stem}.png", lambda file, image=image: image.save(file, format="PNG"))
         plotter.close()

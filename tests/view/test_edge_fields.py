@@ -158,3 +158,25 @@ def test_what_has_no_boundary_term_is_refused(under_a_light) -> None:
         edge_fields.boundary_samples(scene, params, adjoint, integrator=psdr.PathIntegrator(max_depth=2, boundary=None))
     with pytest.raises(ValueError, match=r"adjoint: got shape \(3, 3, 3\)"):
         edge_fields.boundary_samples(scene, params, np.zeros((3, 3, 3)), integrator=DIRECT)
+
+
+def test_samples_that_carry_little_are_left_out_of_the_picture() -> None:
+    class Plotter:
+        def __init__(self):
+            self.meshes, self.options = [], []
+
+        def add_mesh(self, mesh, **options):
+            self.meshes.append(mesh)
+            self.options.append(options)
+
+    pulls = np.zeros((4, 3))
+    pulls[:, 0] = [1.0, 0.5, 0.01, 0.2]
+    kinds = np.array(["primary", "primary", "secondary", "secondary"])
+    samples = edge_fields.EdgeSamples(np.eye(4, 3), np.ones((4, 3)), pulls, kinds)
+    plotter = Plotter()
+    edge_fields.draw_samples(plotter, samples, least=0.1, title="pull [W/m²/sr per world unit]")
+    lines, points = plotter.meshes
+    assert (lines.n_cells, points.n_points) == (3, 3)
+    assert plotter.options[1]["scalar_bar_args"]["title"] == "pull [W/m²/sr per world unit]"
+    assert samples.of_kind("primary").magnitude.tolist() == [1.0, 0.5]
+    assert samples.of_kind("secondary").magnitude.tolist() == [0.01, 0.2]

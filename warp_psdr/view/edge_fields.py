@@ -57,6 +57,11 @@ class EdgeSamples:
         """(K,) length of the pulls."""
         return np.linalg.norm(self.pulls, axis=1)
 
+    def of_kind(self, kind: str) -> EdgeSamples:
+        """Return the samples of one kind, "primary" or "secondary"."""
+        kept = self.kinds == kind
+        return EdgeSamples(self.points[kept], self.edges[kept], self.pulls[kept], self.kinds[kept])
+
 
 @dataclass(frozen=True, eq=False)
 class EdgeDensity:
@@ -219,7 +224,15 @@ def _marginal(cells: Cells, u: np.ndarray) -> np.ndarray:
     return cells.floor * u + (1.0 - cells.floor) * inside
 
 
-def draw_samples(plotter: Any, samples: EdgeSamples, *, reach: float = 1.0, size: float = 6.0) -> None:
+def draw_samples(
+    plotter: Any,
+    samples: EdgeSamples,
+    *,
+    reach: float = 1.0,
+    size: float = 7.0,
+    least: float = 0.1,
+    title: str = "pull per world unit",
+) -> None:
     """Add samples to a ``pyvista.Plotter``: points coloured by the size of their pull, on the edges that they sit on.
 
     Args:
@@ -227,14 +240,19 @@ def draw_samples(plotter: Any, samples: EdgeSamples, *, reach: float = 1.0, size
         samples: from ``boundary_samples``.
         reach: share of its edge that is drawn to either side of a point.
         size: of a point, in pixels.
+        least: samples that pull with less than this share of the strongest are left out, so that one sees those that
+            carry light. (The strongest: the 99.5th percentile.)
+        title: name and unit of the pulls, at the colour bar.
     """
     import pyvista
 
     size_of_pull = samples.magnitude
     if not len(size_of_pull):
         return
+    strongest = np.percentile(size_of_pull, 99.5)
+    limits = [least * strongest, strongest]
     order = np.argsort(size_of_pull)  # the strongest last, over the others
-    limits = np.percentile(size_of_pull, [25.0, 99.5])
+    order = order[size_of_pull[order] >= limits[0]]
     points, half = samples.points[order], 0.5 * reach * samples.edges[order]
     lines = pyvista.line_segments_from_points(np.stack([points - half, points + half], axis=1).reshape(-1, 3))
     plotter.add_mesh(lines, color="black", line_width=1.0, lighting=False)
@@ -243,11 +261,11 @@ def draw_samples(plotter: Any, samples: EdgeSamples, *, reach: float = 1.0, size
         scalars=size_of_pull[order],
         clim=limits,
         log_scale=True,
-        cmap="plasma",
+        cmap="inferno_r",
         point_size=size,
         lighting=False,
         render_points_as_spheres=True,
-        scalar_bar_args={"title": "pull of a sample", "color": "black", "fmt": "%.1e"},
+        scalar_bar_args=_bar(title),
     )
 
 
@@ -272,5 +290,21 @@ def draw_density(plotter: Any, density: EdgeDensity, *, line_width: float = 2.5)
         line_width=line_width,
         render_lines_as_tubes=True,
         lighting=False,
-        scalar_bar_args={"title": "samples per unit of length", "color": "black", "fmt": "%.1e"},
+        scalar_bar_args=_bar("share of the samples per world unit of length"),
     )
+
+
+def _bar(title: str) -> dict[str, Any]:
+    """Return options of a colour bar below what is drawn."""
+    return {
+        "title": title,
+        "color": "black",
+        "fmt": "%.0e",
+        "n_labels": 3,
+        "title_font_size": 14,
+        "label_font_size": 14,
+        "position_x": 0.2,
+        "position_y": 0.02,
+        "width": 0.6,
+        "height": 0.11,
+    }
