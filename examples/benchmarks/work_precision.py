@@ -24,12 +24,12 @@ from common import arguments, import_mitsuba, machine, markdown, psdr
 from work_precision_cases import ALL, Case, Method
 from work_precision_data import Records, Reference, squared_error
 from work_precision_renderers import Ours, Theirs
-from work_precision_report import CLOSED, DIFFERENCES, best_rows, bias_rows, draw, floor_rows, work_rows
+from work_precision_report import CLOCKS, CLOSED, DIFFERENCES, best_rows, bias_rows, draw, floor_rows, work_rows
 
 from scenes import write_data
 
 #: Pixels of a side, samples a pixel, and images of a reference, each of the most samples of a run.
-PIXELS, COUNTS = (32, 64), ((16, 64), (4, 16, 64, 256))
+PIXELS, COUNTS = (32, 64), ((4, 16, 64, 256), (4, 16, 64, 256))
 LONG_IMAGES = (8, 16)
 #: Samples a pixel of the images that finite differences are made of.
 DIFFERENCE_SAMPLES = (256, 1024)
@@ -186,7 +186,19 @@ def reference_file(folder: Path, case: str, method: str, pixels: int) -> Path:
     return folder / (re.sub(r"[^a-z0-9]+", "_", f"{case} {method} {pixels}".lower()) + ".npy")
 
 
-def report(records: Records, folder: Path, names: list[str], pixels: dict[str, int], picture: Path | None) -> None:
+def caption(name: str, case: Case, pixels: int) -> str:
+    """Return a panel's title: the scene, what is computed of it, and its size."""
+    what = {
+        "image": "image",
+        "forward": f"derivative image by {case.parameter}",
+        "reverse": f"gradient by {case.parameter}",
+    }
+    return f"{name.partition(':')[0]}, {pixels} × {pixels}\n{what[case.kind]}"
+
+
+def report(
+    records: Records, folder: Path, names: list[str], pixels: dict[str, int], picture: Path | None, clock: str
+) -> None:
     """Print the tables of what is there, and draw the page."""
     rows = [r for r in records.rows if r["case"] in names and r["pixels"] == pixels[r["case"]]]
     if not rows:
@@ -219,7 +231,8 @@ def report(records: Records, folder: Path, names: list[str], pixels: dict[str, i
         "what float32 costs: error against closed forms in float64 that remains with any number of samples", floors
     )
     if picture is not None:
-        draw(picture, rows, shown, floors, judged, line)
+        what = {n: caption(n, ALL[n], pixels[n]) for n in shown}
+        draw(picture, rows, what, floors, judged, f"Samples a pixel rise along each curve. {line}", clock)
         print(f"{picture}")
 
 
@@ -230,6 +243,7 @@ def main() -> None:
     parser.add_argument("--without-mitsuba", action="store_true", help="our own methods alone")
     parser.add_argument("--report", action="store_true", help="measure nothing; tables and plots of the output file")
     parser.add_argument("--picture", type=Path, help="write the page of plots to this file")
+    parser.add_argument("--clock", choices=list(CLOCKS), default="wall", help="what the page of plots shows")
     options = parser.parse_args()
     output = options.output or Path("out") / f"work_precision_{'quick' if options.quick else 'full'}.jsonl"
     names = options.cases or [n for n, case in ALL.items() if case.quick or not options.quick]
@@ -249,7 +263,7 @@ def main() -> None:
             for name in names:
                 print(f"{name} ...", flush=True)
                 benchmark.measure(name, ALL[name], Path(scenes))
-    report(records, folder, names, dict(zip(names, pair, strict=True)), options.picture)
+    report(records, folder, names, dict(zip(names, pair, strict=True)), options.picture, options.clock)
 
 
 if __name__ == "__main__":

@@ -155,7 +155,7 @@ _SIDEWAYS = np.zeros((4, 4))
 _SIDEWAYS[0, 3] = 1.0
 
 _MATERIALS = {"kind": "forward", "ours": INTERIOR, "mitsuba": PRB}
-_SHAPE_COUNTS = ((4, 16), (4, 16, 64))
+_SHAPE_COUNTS = ((2, 4, 8, 16), (4, 16, 64, 256))
 _SHAPES = {"kind": "forward", "ours": BOUNDARY, "mitsuba": PROJECTIVE, "counts": _SHAPE_COUNTS}
 
 IMAGES = {
@@ -188,7 +188,7 @@ SHAPES = {
     "Cornell box: a box slides": Case(
         lambda folder: boundary_global.write_scenes(folder)["Cornell box, a box slides"], 4,
         parameter="small-box.vertex_positions", direction=(1.0, 0.0, 0.4), step=0.008,
-        **_SHAPES | {"counts": ((16,), _SHAPE_COUNTS[1])},
+        **_SHAPES,
     ),
     "a box under a constant sky": Case(
         lambda folder: _floating_box(folder, "sky_box", _CONSTANT), 2, parameter="box.vertex_positions",
@@ -208,7 +208,7 @@ SHAPES = {
 def _exact_cases() -> dict[str, Case]:
     """What float32 costs: values that are known in float64."""
     cases = {}
-    pixels, counts = (16, 16), ((4, 16), (4, 16, 64))
+    pixels, counts = (16, 16), ((4, 8, 16, 32), (4, 16, 64, 256))
     common = {"depth": exact.FURNACE_DEPTH, "pixels": pixels, "counts": counts, "rr_depth": NEVER}
     cases["white furnace"] = Case(
         exact.write_furnace, kind="image", ours=IMAGE, mitsuba=PATH, closed=exact.furnace, **common
@@ -217,7 +217,7 @@ def _exact_cases() -> dict[str, Case]:
         exact.write_furnace, kind="forward", ours=INTERIOR, mitsuba=PRB, parameter="walls.bsdf.reflectance.value",
         direction=(1.0, 1.0, 1.0), closed=exact.furnace_derivative, **common,
     )  # fmt: skip
-    common = {"depth": 2, "pixels": pixels, "counts": ((4, 64), (4, 64, 1024))}
+    common = {"depth": 2, "pixels": pixels, "counts": ((4, 16, 64, 256), (4, 16, 64, 256, 1024))}
     setups = {f"moved {away:.0e} sizes away".replace("e+0", "e"): exact.Plane(away=away) for away in (1e2, 1e4, 1e6)}
     setups |= {f"light of radius {r:.0e}".replace("e-0", "e-"): exact.Plane(radius=r) for r in (1e-3, 1e-5)}
     for name, plane in setups.items():

@@ -11,6 +11,23 @@ from work_precision_reasons import why
 COLUMNS, PANEL = 4, (3.3, 2.7)
 #: Names of references that are not renderers.
 CLOSED, DIFFERENCES = "closed form", "finite differences"
+#: Names of methods in the legend: what they are options of.
+NAMES = {
+    "ours": "warp_psdr, path",
+    "ours, Replay": "warp_psdr, interior.Replay",
+    "ours, unguided": "warp_psdr, PathSpace, unguided",
+    "ours, KdTree": "warp_psdr, PathSpace, KdTree reused",
+    "ours, KdTree, first call": "warp_psdr, PathSpace, KdTree built anew",
+    "Mitsuba path": "Mitsuba, path",
+    "Mitsuba prb": "Mitsuba, prb",
+    "Mitsuba, none": "Mitsuba, prb_projective, unguided",
+}
+#: What is measured against, and the clocks: axis labels.
+ERROR = "RMS error / RMS of the reference"
+CLOCKS = {
+    "wall": "wall-clock seconds of one rendering",
+    "processor": "processor seconds of one rendering, all threads",
+}
 #: Columns that the page of plots reads.
 VERDICT, FLOOR, BIAS = "against finite differences", "error that remains", "bias of the mean"
 #: Name of a reference -> its images of a case, or None where it has none.
@@ -133,10 +150,27 @@ def _decade(axis, name: str, values: list[float]) -> None:
     getattr(axis, f"{name}axis").set_minor_formatter(NullFormatter())
 
 
-def draw(path: Path, rows: list[dict], cases: list[str], floors: list[dict], judged: list[dict], title: str) -> None:
+def draw(
+    path: Path,
+    rows: list[dict],
+    cases: dict[str, str],
+    floors: list[dict],
+    judged: list[dict],
+    title: str,
+    clock: str = "wall",
+) -> None:
     """Draw one panel a case: error against seconds, both logarithmic.
 
     Horizontal lines are errors that remain. Methods have one colour on the whole page, Mitsuba's are dashed.
+
+    Args:
+        path: file to write.
+        rows: the measurements.
+        cases: name -> scene and what is computed, the title of its panel.
+        floors: of ``floor_rows``.
+        judged: of ``bias_rows``.
+        title: machine, versions and size of the images.
+        clock: "wall", or "processor" (of all threads), which other programs on the machine disturb less.
     """
     from matplotlib import colormaps
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -144,6 +178,8 @@ def draw(path: Path, rows: list[dict], cases: list[str], floors: list[dict], jud
     from matplotlib.lines import Line2D
 
     sums = [r for r in summary(rows) if r["error"] > 0.0]
+    if clock == "processor":
+        sums = [r | {"seconds": r["seconds"] * r["cores"]} for r in sums]
     methods = list(dict.fromkeys(r["method"] for r in sums))
     own = [m for m in methods if not theirs(m)]
     colors = {m: colormaps["tab10"](i % 10) for i, m in enumerate(own)}
@@ -179,21 +215,29 @@ def draw(path: Path, rows: list[dict], cases: list[str], floors: list[dict], jud
         if of_case:
             _decade(axis, "x", [r["seconds"] for r in of_case])
             _decade(axis, "y", [r["error"] for r in of_case] + remains)
-        axis.set_title(case, fontsize=9)
+        axis.set_title(cases[case], fontsize=9)
         axis.grid(True, which="both", alpha=0.2)
         axis.tick_params(labelsize=7, which="both")
     for axis in axes[len(cases) :]:
         axis.set_axis_off()
     for axis in axes[max(len(cases) - COLUMNS, 0) : len(cases)]:
-        axis.set_xlabel("seconds of one rendering", fontsize=8)
+        axis.set_xlabel(CLOCKS[clock], fontsize=8)
     for axis in axes[: len(cases) : COLUMNS]:
-        axis.set_ylabel("relative RMS error", fontsize=8)
+        axis.set_ylabel(ERROR, fontsize=8)
     lines = [
-        Line2D([], [], color=colors[m], linestyle="--" if theirs(m) else "-", marker="s" if theirs(m) else "o", label=m)
+        Line2D(
+            [],
+            [],
+            color=colors[m],
+            linestyle="--" if theirs(m) else "-",
+            marker="s" if theirs(m) else "o",
+            label=NAMES.get(m, m.replace("ours", "warp_psdr")),
+        )
         for m in methods
     ]
-    lines.append(Line2D([], [], color="0.5", linewidth=2.0, alpha=0.6, label="error that remains (float32)"))
-    figure.legend(handles=lines, loc="outside lower center", ncols=6, fontsize=8)
-    figure.suptitle(title, fontsize=10)
+    if any(not row[FLOOR].startswith("<") for row in floors):
+        lines.append(Line2D([], [], color="0.5", linewidth=2.0, alpha=0.6, label="error that remains (float32)"))
+    figure.legend(handles=lines, loc="outside lower center", ncols=4, fontsize=8)
+    figure.suptitle(title, fontsize=9)
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path)

@@ -250,7 +250,7 @@ def test_tables_and_page(modules, tmp_path: Path) -> None:
     floors = report.floor_rows(list(names), names, find)
     assert [r[report.FLOOR] for r in floors] == ["0.1"]
     page = tmp_path / "page.png"
-    report.draw(page, [*given, refused], list(names), floors, judged, "test")
+    report.draw(page, [*given, refused], {name: name for name in names}, floors, judged, "test")
     from warp_psdr import image_io
 
     assert image_io.read_image(page, raw=True).std() > 0.05
@@ -315,3 +315,31 @@ def test_a_run_is_resumed_and_reported(modules, tmp_path: Path, capsys, monkeypa
     assert len(output.read_text().splitlines()) == len(lines)
     again = json.loads(output.read_text().splitlines()[-1])
     assert again["squared_error"] == json.loads(lines[-1])["squared_error"]  # equal seeds, equal bits
+
+
+def test_quick_curves_have_four_points_and_panels_say_what_they_show(modules) -> None:
+    benchmark, cases = modules("work_precision"), modules("work_precision_cases")
+    for case in cases.ALL.values():
+        assert all(len(counts) >= 4 for counts in case.counts or benchmark.COUNTS)
+    name = "Cornell box: reflectance"
+    title = benchmark.caption(name, cases.ALL[name], 32)
+    assert title == "Cornell box, 32 × 32\nderivative image by white.reflectance.value"
+
+
+def test_the_page_names_methods_errors_and_clock(modules, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    report, figures = modules("work_precision_report"), []
+    monkeypatch.setattr("matplotlib.figure.Figure.savefig", lambda figure, path: figures.append(figure))
+    run = {"kind": "run", "case": "box", "pixels": 8, "repeat": 0}
+    measured = [
+        run | {"method": method, "spp": spp, "seconds": 2.0 * spp, "cores": 0.5, "squared_error": 1.0 / spp}
+        for method in ("ours, KdTree", "Mitsuba prb")
+        for spp in (1, 4)
+    ]
+    report.draw(tmp_path / "page.png", measured, {"box": "a box, 8 × 8"}, [], [], "machine", "processor")
+    axes = figures[0].axes[0]
+    assert (axes.get_title(), axes.get_ylabel()) == ("a box, 8 × 8", report.ERROR)
+    assert axes.get_xlabel() == report.CLOCKS["processor"]
+    assert list(axes.lines[0].get_xdata()) == [1.0, 4.0]  # half of the wall clock's seconds
+    legend = [text.get_text() for text in figures[0].legends[0].get_texts()]
+    assert legend == ["warp_psdr, PathSpace, KdTree reused", "Mitsuba, prb"]
+    assert figures[0].get_suptitle() == "machine"
