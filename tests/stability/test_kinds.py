@@ -45,6 +45,7 @@ BSDFS = {
     "beckmann": {"type": "roughconductor", "alpha": 0.3, "distribution": "beckmann"} | METAL,
     "conductor": {"type": "conductor"} | METAL,
     "dielectric": {"type": "dielectric", "int_ior": 1.5},
+    "plastic": {"type": "plastic", "diffuse_reflectance": 0.4},
 }
 #: (size, where) -> the light; what an inverse square divides by has to scale.
 LIGHTS = {
