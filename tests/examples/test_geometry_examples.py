@@ -134,6 +134,7 @@ def test_a_users_kernel_and_the_rendering_share_a_tape(example) -> None:
     assert np.abs(turning).max() > 0.0
 
 
+@pytest.mark.slow
 def test_camera_is_found(example, tmp_path: Path) -> None:
     report = example("camera_pose").main(tmp_path, resolution=32, steps=80, spp=8)
     degrees = report["rotation error, degrees: start, found"]
