@@ -114,7 +114,7 @@ def draw(file: Path) -> None:
         return derivatives(sharper(scene), BATCHES, seed, spp).mean(axis=(0, 3))
 
     scenes = hard_scenes()
-    figure = Figure(figsize=(10.0, 2.5 * len(scenes)), dpi=100, layout="constrained")
+    figure = Figure(figsize=(11.5, 2.7 * len(scenes)), dpi=100, layout="constrained")
     for i, (title, hard, easy, without) in enumerate(scenes):
         integrator = psdr.PathIntegrator(max_depth=3)
         image = psdr.render(psdr.load_dict(sharper(hard)), integrator=integrator, spp=256).numpy()
@@ -131,10 +131,15 @@ def draw(file: Path) -> None:
         axes.set(xticks=[], yticks=[])
         for k, (name, values) in enumerate(panels):
             axes = figure.add_subplot(len(scenes), 4, 4 * i + 2 + k)
-            axes.imshow(values, cmap=plots.diverging_colormap(), vmin=-limit, vmax=limit, interpolation="nearest")
+            drawn = axes.imshow(
+                values, cmap=plots.diverging_colormap(), vmin=-limit, vmax=limit, interpolation="nearest"
+            )
             share = "" if k == 0 else f": {np.abs(values).mean() / np.abs(expected).mean():.2g} of it"
             axes.set_title(name + share, fontsize=9)
             axes.set(xticks=[], yticks=[])
+        bar = figure.colorbar(drawn, ax=figure.axes[-3:], extend="both", pad=0.01)
+        bar.set_label("radiance [W/m²/sr] per unit\nof the parameter, mean of RGB", fontsize=8)
+    figure.supxlabel(f"image: sRGB, {FILM} × {FILM}, white is {2.0**-1.5:.2g} W/m²/sr", fontsize=8)
     figure.savefig(file)
     print(f"{file}: errors are mean absolute values over the derivative's, with its noise at {BATCHES * SPP} samples")
 
