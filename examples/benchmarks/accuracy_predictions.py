@@ -101,7 +101,7 @@ def _of_pilot(loaded: Loaded, *, seconds: float, pilot: float, number: int, runs
     what = loaded.quantity()
     batches: list[list[np.ndarray]] = [[] for _ in what.parts]
     tiled = what.tiled(spread(what, report.tile, report.deviations)) if report.tile else what
-    wanted = budget.Wanted(error, None, replace(report, tile=0, deviations=()))  # the tiles are in what is recorded
+    wanted = budget.Budget(error, None, replace(report, tile=0, deviations=()))  # the tiles are in what is recorded
     bought = [
         budget.spend(recorded(tiled, batches), wanted, seed=RUN_SEED + 1000 * number + run, progress=None)
         for run in range(runs)

@@ -69,7 +69,7 @@ def test_stopping_at_an_error_does_not_choose(monkeypatch):
     what, report = made_up(monkeypatch)
     found, rounds, naive = [], set(), []
     for seed in range(RUNS):
-        values, reached = budget.spend(what, budget.GradientRequest(0.3, None, report), seed=seed, progress=None)
+        values, reached = budget.spend(what, budget.Budget(0.3, None, report), seed=seed, progress=None)
         found.append(values[0])
         rounds.add(tuple(reached.batches.values()))
         half = budget._Half(what, report, report, seed)
@@ -91,7 +91,7 @@ def test_stopping_at_a_time_does_not_choose(monkeypatch, enough):
     monkeypatch.setattr(budget_report, "ENOUGH_FOR_TIME", enough)
     found, rounds = [], set()
     for seed in range(RUNS if enough == math.inf else RUNS // 3):
-        values, reached = budget.spend(what, budget.GradientRequest(None, 7.5, report), seed=seed, progress=None)
+        values, reached = budget.spend(what, budget.Budget(None, 7.5, report), seed=seed, progress=None)
         found.append(values[0])
         rounds.add(tuple(reached.batches.values()))
     assert len(rounds) >= 3
@@ -100,7 +100,7 @@ def test_stopping_at_a_time_does_not_choose(monkeypatch, enough):
 
 def test_reported_error_is_that_of_the_estimates(monkeypatch):
     what, report = made_up(monkeypatch)
-    for wanted in (budget.GradientRequest(0.1, None, report), budget.GradientRequest(None, 100.0, report)):
+    for wanted in (budget.Budget(0.1, None, report), budget.Budget(None, 100.0, report)):
         found = [budget.spend(what, wanted, seed=seed, progress=None) for seed in range(300)]
         true = math.sqrt(np.mean([(values[0] / sum(MEANS) - 1.0) ** 2 for values, _reached in found]))
         said = math.sqrt(np.mean([reached.error**2 for _values, reached in found]))
@@ -115,7 +115,7 @@ def test_an_error_takes_its_time_and_no_more(monkeypatch, target):
     what, report = made_up(monkeypatch)
     report = replace(report, batches=100, terms=tuple(replace(t, kurtosis=9.0) for t in report.terms))
     found = [
-        budget.spend(what, budget.GradientRequest(target, None, report), seed=seed, progress=None)
+        budget.spend(what, budget.Budget(target, None, report), seed=seed, progress=None)
         for seed in range(600)
     ]
     true = math.sqrt(np.mean([(values[0] / sum(MEANS) - 1.0) ** 2 for values, _reached in found]))
@@ -126,7 +126,7 @@ def test_an_error_takes_its_time_and_no_more(monkeypatch, target):
 
 def test_halves_are_weighed_as_they_are_counted(monkeypatch):
     what, report = made_up(monkeypatch)
-    values, reached = budget.spend(what, budget.GradientRequest(0.02, None, report), seed=1, progress=None)
+    values, reached = budget.spend(what, budget.Budget(0.02, None, report), seed=1, progress=None)
     n = np.array(list(reached.spp.values()))
     np.testing.assert_allclose(n @ SECONDS, report.seconds_to(0.02), rtol=0.35)
     assert max(reached.batches.values()) < 0.3 * n.max()  # larger batches than the pilot's
@@ -153,10 +153,10 @@ def test_the_pilot_counts_less_of_other_sizes(monkeypatch):
 
 def test_a_short_time_buys_one_round_and_fills_a_long_one(monkeypatch):
     what, report = made_up(monkeypatch)
-    _values, reached = budget.spend(what, budget.GradientRequest(None, 1e-3, report), seed=1, progress=None)
+    _values, reached = budget.spend(what, budget.Budget(None, 1e-3, report), seed=1, progress=None)
     assert list(reached.batches.values()) == [1, 1]
     seen = []
-    _values, reached = budget.spend(what, budget.GradientRequest(None, 400.0, report), seed=1, progress=seen.append)
+    _values, reached = budget.spend(what, budget.Budget(None, 400.0, report), seed=1, progress=seen.append)
     assert 0.8 * 400.0 < reached.seconds <= 400.0 * 1.1
     assert seen == sorted(seen) and seen[-1] == 1.0
 
