@@ -114,10 +114,7 @@ def test_an_error_takes_its_time_and_no_more(monkeypatch, target):
     # Where the pilot was right; what is run beyond what was needed is wasted.
     what, report = made_up(monkeypatch)
     report = replace(report, batches=100, terms=tuple(replace(t, kurtosis=9.0) for t in report.terms))
-    found = [
-        budget.spend(what, budget.Budget(target, None, report), seed=seed, progress=None)
-        for seed in range(600)
-    ]
+    found = [budget.spend(what, budget.Budget(target, None, report), seed=seed, progress=None) for seed in range(600)]
     true = math.sqrt(np.mean([(values[0] / sum(MEANS) - 1.0) ** 2 for values, _reached in found]))
     assert true == pytest.approx(target, rel=0.09)  # 600 squared deviates: 3 %
     seconds = np.mean([reached.seconds for _values, reached in found])
