@@ -142,7 +142,7 @@ def test_faces_that_turn_different_sides_are_left_to_two_paths() -> None:
     for faces, count in ((RIDGE_FACES, 1), ([*RIDGE_FACES[:2], [0, 1, 4], [4, 1, 5]], 0)):
         shape = mesh(RIDGE + np.array([0.1, 0.2, 0.4]), faces, diffuse(0.5), face_normals=True)
         scene = psdr.load_dict({"type": "scene", **scene_of(shape, sky())})
-        assert len(film_edges(scene, 0, {1}, camera_moves=False).facets.keep) == count
+        assert len(film_edges(scene, 0, {1}, camera_moves=False).flat_creases.keep) == count
 
 
 def test_a_kept_choice_follows_the_camera_and_the_vertices() -> None:
@@ -162,4 +162,4 @@ def test_a_kept_choice_follows_the_camera_and_the_vertices() -> None:
     assert chosen() is not moved
     params[SHAPE], params["sensor.x_fov"] = vertices, fov
     params.update()
-    np.testing.assert_array_equal(chosen().facets.length, first.facets.length)
+    np.testing.assert_array_equal(chosen().flat_creases.length, first.flat_creases.length)

@@ -86,7 +86,7 @@ def test_shape_is_recovered(example, tmp_path: Path) -> None:
 def test_pose_is_found_from_the_shadow(example, tmp_path: Path) -> None:
     module = example("pose_from_shadow")
     module.bunny_data.read_bunny = horned
-    report = module.main(tmp_path, width=48, steps=80, spp=8)
+    report = module.main(tmp_path, width=48, steps=110, spp=8)
     degrees = report["rotation error, degrees: start, found"]
     units = report["translation error, units: start, found"]
     assert degrees[1] < degrees[0] / 5.0
