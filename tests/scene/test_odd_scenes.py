@@ -5,6 +5,8 @@ import pytest
 
 import warp_psdr as psdr
 
+#: Odd scenes are noted on load.
+pytestmark = pytest.mark.filterwarnings("ignore::warp_psdr.SceneWarning")
 LOOK = psdr.Transform.look_at
 SKY = {"type": "constant", "radiance": {"type": "rgb", "value": [0.5, 0.7, 0.9]}}
 POINT = {"type": "point", "position": [0.5, 2.0, 3.0], "intensity": 5.0}
