@@ -167,7 +167,7 @@ def test_seeds_give_independent_images():
     again = batches(scene, count=1, spp=4, max_depth=4)
     np.testing.assert_array_equal(images[0], again[0])
     noise = images - images.mean(axis=0)
-    # A sample counts for several pixels, and bright ones are rare: pixels are no independent draws, pairs of images are.
+    # A sample counts for several pixels, and bright ones are rare: pairs of images are independent draws, not pixels.
     pairs = [np.corrcoef(a.reshape(-1), b.reshape(-1))[0, 1] for a, b in zip(noise[0::2], noise[1::2], strict=True)]
     # Centring on the mean of 64 leaves a correlation of -1/63 between two of them.
     z = (np.mean(pairs) + 1.0 / 63.0) / stats.sem(pairs)
