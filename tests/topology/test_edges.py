@@ -127,7 +127,7 @@ def on_film(scene):
 
 
 def test_edges_are_clipped_to_the_film_and_the_near_plane() -> None:
-    half = 6.0 * np.tan(np.radians(22.5)) * (1.0 + 1.0 / 16)  # of the view at z = 0, with half a pixel on either side
+    half = 6.0 * np.tan(np.radians(22.5))  # of the view at z = 0: no samples are drawn beyond the film
     triangle = np.array([[-100, 0, 0], [100, 0, 0], [0, 50, 0]])
     edges = on_film(scene_with(a=mesh(triangle, [[0, 1, 2]])))
     low, high = edges.low.numpy(), edges.high.numpy()

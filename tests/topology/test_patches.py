@@ -7,6 +7,9 @@ import trimesh
 import warp_psdr as psdr
 from warp_psdr.topology.patches import patch_radii
 
+#: There is no light.
+pytestmark = pytest.mark.filterwarnings("ignore::warp_psdr.SceneWarning")
+
 SIDE = np.sqrt(3.0)  # of a square of side 2
 
 
