@@ -135,9 +135,27 @@ def filter_share(camera: Camera, pixel: wp.int32, size: wp.int32) -> wp.float32:
     return 1.0
 
 
+@wp.func
+def between(camera: Camera, pixel: wp.int32, size: wp.int32, u: wp.float32) -> wp.float32:
+    """Uniform over the part of a box that counts, along one axis; no branch in a loop over lanes."""
+    centre = wp.float32(pixel) + 0.5
+    cut = camera.sample_border == 0
+    low = wp.where(cut, wp.max(-camera.filter_radius, -centre), -camera.filter_radius)
+    high = wp.where(cut, wp.min(camera.filter_radius, wp.float32(size) - centre), camera.filter_radius)
+    return low + u * (high - low)
+
+
+@wp.func
+def box_offset(camera: Camera, px: wp.int32, py: wp.int32, u: wp.vec2) -> wp.vec2:
+    """Uniform over what counts of a box filter."""
+    return wp.vec2(between(camera, px, camera.crop_width, u[0]), between(camera, py, camera.crop_height, u[1]))
+
+
 @functools.cache
 def make_pixel_offset(kind: int):
     """Return ``offset(camera, px, py, u) -> vec2``: from a pixel's centre, by the density of what its filter counts."""
+    if kind == RFILTER_BOX:
+        return box_offset
     sample = make_filter(kind)
 
     @wp.func
