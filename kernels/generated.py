@@ -1,4 +1,4 @@
-"""Device functions whose text is made for a scene: one line a value of its materials, by the values' names."""
+"""Device functions and structs that are made for a scene: one line a value of its materials, by the values' names."""
 
 import hashlib
 import linecache
@@ -21,3 +21,8 @@ def make_generated(source: str, **scope: Any) -> wp.Function:
     exec(compile(source, file, "exec"), scope)
     name = source[len("def ") : source.index("(")]
     return wp.func(scope[name])
+
+
+def make_struct(name: str, members: dict[str, Any]) -> type:
+    """Return the Warp struct ``name`` with these members: name -> type."""
+    return wp.struct(type(name, (), {"__annotations__": members, "__module__": __name__, "__qualname__": name}))

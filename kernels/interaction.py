@@ -13,6 +13,7 @@ import warp as wp
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.bsdf.dispatch import BsdfFunctions, make_bsdf
 from warp_psdr.kernels.emitter.area import make_area
+from warp_psdr.kernels.generated import make_struct
 from warp_psdr.kernels.material import make_material
 from warp_psdr.kernels.math import aligned_tangent, any_tangent, to_local, to_world
 from warp_psdr.kernels.reading import bsdf_at, emitter_at, shape_at, triangle_at
@@ -52,7 +53,7 @@ def make_interaction_record(material: type) -> type:
         "material": material,
     }
     name = "Interaction_" + material.key.rsplit(".", 1)[-1]
-    return wp.struct(type(name, (), {"__annotations__": types, "__module__": __name__, "__qualname__": name}))
+    return make_struct(name, types)
 
 
 @functools.cache
@@ -60,7 +61,7 @@ def make_looked_up_record(material: type) -> type:
     """Return the Warp struct of what the scene's tables say of a point; members as in ``Interaction`` and ``Frame``."""
     types = {"side": wp.float32, "model": wp.int32, "slots": wp.int32, "material": material}
     name = "LookedUp_" + material.key.rsplit(".", 1)[-1]
-    return wp.struct(type(name, (), {"__annotations__": types, "__module__": __name__, "__qualname__": name}))
+    return make_struct(name, types)
 
 
 @functools.cache

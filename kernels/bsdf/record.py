@@ -9,7 +9,7 @@ from typing import NamedTuple
 import warp as wp
 
 from warp_psdr.kernels.bsdf.model import Value
-from warp_psdr.kernels.generated import make_generated
+from warp_psdr.kernels.generated import make_generated, make_struct
 
 
 class Slot(NamedTuple):
@@ -42,7 +42,7 @@ def make_material_record(members: tuple[tuple[str, bool], ...]) -> type:
     """Return the Warp struct with these members: (name, whether it is a colour)."""
     types = {name: wp.vec3 if color else wp.float32 for name, color in members}
     name = "Material_" + "_".join(types)
-    return wp.struct(type(name, (), {"__annotations__": types, "__module__": __name__, "__qualname__": name}))
+    return make_struct(name, types)
 
 
 @functools.cache
@@ -50,7 +50,7 @@ def make_adjoint_record(material: type) -> type:
     """Return the Warp struct of the partial derivatives of a weighted scattering value."""
     name = "BsdfAdjoint_" + material.key.rsplit(".", 1)[-1]
     types = {"material": material, "wi": wp.vec3, "wo": wp.vec3}
-    return wp.struct(type(name, (), {"__annotations__": types, "__module__": __name__, "__qualname__": name}))
+    return make_struct(name, types)
 
 
 class MaterialAlgebra(NamedTuple):
