@@ -13,7 +13,7 @@ import numpy as np
 import warp as wp
 
 from tests.bsdf import twins
-from warp_psdr.kernels.bsdf.dispatch import VARIANTS, make_bsdf
+from warp_psdr.kernels.bsdf.dispatch import VARIANTS, BsdfFunctions, make_bsdf
 from warp_psdr.kernels.bsdf.microfacet import MIN_ALPHA
 from warp_psdr.kernels.bsdf.model import Color, ComplexIndex, Value
 from warp_psdr.kernels.constants import LOBE_DELTA_TRANSMISSION, LOBE_SMOOTH
@@ -272,9 +272,15 @@ def energy_of(mat: dict, wi: np.ndarray, lobe: int, value: np.ndarray) -> np.nda
 
 
 @functools.cache
+def functions_of(models: tuple[str, ...]) -> BsdfFunctions:
+    """``make_bsdf(models)``, kept here: kernels and arrays need the same structs even if its own cache is emptied."""
+    return make_bsdf(models)
+
+
+@functools.cache
 def make_kernels(models: tuple[str, ...]) -> dict[str, wp.Kernel]:
     """One kernel a function of ``make_bsdf(models)``, all over one material, so that a test may ask for any of them."""
-    f = make_bsdf(models)
+    f = functions_of(models)
     record, adjoint = f.record, f.adjoint
     kernels = {}
 
@@ -357,7 +363,7 @@ class Launcher:
         self.device = device
         self.models = models
         self.kernels = make_kernels(models)
-        self.record, self.adjoint = make_bsdf(models).record, make_bsdf(models).adjoint
+        self.record, self.adjoint = functions_of(models).record, functions_of(models).adjoint
 
     def eval_pdf(self, key: str, mat: dict, wi, wo) -> tuple[np.ndarray, np.ndarray]:
         wi, wo = self._vectors(wi, wo)
