@@ -18,6 +18,9 @@ TEXTURE_CONSTANT = 0
 TEXTURE_BITMAP = 1
 TEXTURE_VERTEX = 2
 TEXTURE_FACE = 3
+TEXTURE_CHECKERBOARD = 4
+#: Textures that read texture coordinates.
+READ_TEXCOORDS = frozenset({TEXTURE_BITMAP, TEXTURE_CHECKERBOARD})
 
 # Bitmap filters and wrap modes (``Texture.filter``, ``Texture.wrap``).
 FILTER_BILINEAR = 0

@@ -47,7 +47,7 @@ class Texture:
     """A texture's layout; its values start at ``offset`` with ``channels`` (1 or 3) floats a texel, vertex or face.
 
     Bitmaps are stored row-major, first row at v = 0 (Mitsuba's convention). Vertex and face attributes are
-    biased: they take global vertex and face indices.
+    biased: they take global vertex and face indices. A checkerboard holds no values but the numbers of two textures.
     """
 
     kind: wp.int32
@@ -57,7 +57,9 @@ class Texture:
     height: wp.int32
     filter: wp.int32
     wrap: wp.int32
-    to_uv: wp.int32  # flat offset of the 3x3 row-major texture-coordinate transform (bitmaps only)
+    to_uv: wp.int32  # flat offset of the 3x3 row-major texture-coordinate transform (bitmaps, checkerboards)
+    first: wp.int32  # checkerboard: texture of the field at the origin
+    second: wp.int32  # checkerboard: texture of the fields beside it
 
 
 @wp.struct

@@ -31,7 +31,7 @@ CPU_ONLY = {
     "interior.replay._make_lane_kernel": "paths side by side are for SIMD; make_replay_kernel has one a thread on CUDA",
 }
 
-TEXTURES = (c.TEXTURE_CONSTANT, c.TEXTURE_BITMAP, c.TEXTURE_VERTEX, c.TEXTURE_FACE)
+TEXTURES = (c.TEXTURE_CONSTANT, c.TEXTURE_BITMAP, c.TEXTURE_VERTEX, c.TEXTURE_FACE, c.TEXTURE_CHECKERBOARD)
 LIGHTS = (c.EMITTER_ENVMAP, c.EMITTER_POINT, c.EMITTER_SPOT, c.EMITTER_DIRECTIONAL)
 
 

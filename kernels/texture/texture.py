@@ -1,10 +1,11 @@
-"""Textures: constants, bitmaps and mesh attributes, and where their adjoints go.
+"""Textures: constants, bitmaps, mesh attributes and checkerboards of them, and where their adjoints go.
 
 A bitmap's texel (column i, row j) has its centre at texture coordinates ((i + 1/2) / width, (j + 1/2) / height): the
 first stored row lies at v = 0 (Mitsuba's convention). Bilinear interpolation is differentiable in the coordinates
 (a texture that slides over the film, ``to_uv``) and linear in the texels. Nearest-neighbour look-ups are constant
 between texel borders: their derivative with respect to the coordinates is a boundary term, which is why the plan
-refuses sliding nearest-neighbour bitmaps.
+refuses sliding nearest-neighbour bitmaps. So is that of a checkerboard, whose fields are half a unit wide: where both
+or none of the fractional parts of the coordinates are above 1/2, it is its first texture, elsewhere its second.
 """
 
 import functools
@@ -15,6 +16,7 @@ from warp_psdr.kernels.autodiff import anchor, differentiable
 from warp_psdr.kernels.constants import (
     FILTER_NEAREST,
     TEXTURE_BITMAP,
+    TEXTURE_CHECKERBOARD,
     TEXTURE_CONSTANT,
     TEXTURE_FACE,
     TEXTURE_VERTEX,
@@ -139,6 +141,15 @@ def eval_vertex(scene: Scene, texture: Texture, face: wp.int32, u: wp.float32, v
     )
 
 
+@wp.func
+def checkerboard_field(scene: Scene, texture: Texture, uv: wp.vec2) -> wp.int32:
+    """Number of the texture that a checkerboard has here."""
+    st = transform_uv(scene, texture, uv)
+    right = st[0] - wp.floor(st[0]) > 0.5
+    above = st[1] - wp.floor(st[1]) > 0.5
+    return wp.where(right == above, texture.first, texture.second)
+
+
 @functools.cache
 def make_texture(kinds: tuple[int, ...]):
     """Return ``texture_at(scene, index, face, u, v, uv) -> vec3`` for the texture kinds that a slot uses."""
@@ -150,6 +161,9 @@ def make_texture(kinds: tuple[int, ...]):
             return texel(scene, texture.offset, texture.channels)
         else:
             texture = texture_record(scene, index)
+            if wp.static(TEXTURE_CHECKERBOARD in kinds):
+                if texture.kind == TEXTURE_CHECKERBOARD:
+                    texture = texture_record(scene, checkerboard_field(scene, texture, uv))
             if wp.static(TEXTURE_BITMAP in kinds):
                 if texture.kind == TEXTURE_BITMAP:
                     return eval_bitmap(scene, texture, uv)
@@ -251,7 +265,10 @@ def make_texture_sink(role: str, kinds: tuple[int, ...], values: bool, to_uv: bo
     ) -> TextureAdjoint:
         _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
         result = TextureAdjoint()
-        texture = scene.textures[index]
+        texture = texture_record(scene, index)
+        if wp.static(TEXTURE_CHECKERBOARD in kinds):
+            if texture.kind == TEXTURE_CHECKERBOARD:
+                texture = texture_record(scene, checkerboard_field(scene, texture, uv))
         if wp.static(TEXTURE_BITMAP in kinds):
             if texture.kind == TEXTURE_BITMAP:
                 return accumulate_bitmap(scene, target, texture, uv, w)

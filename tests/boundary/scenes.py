@@ -94,6 +94,14 @@ def under(light, rfilter="tent"):
     return {"sensor": camera(rfilter=rfilter), "floor": floor(), "occluder": occluder(), "light": light}
 
 
+def checkers():
+    """Two colours in fields that the shadows of ``under`` cross."""
+    texture = {"type": "checkerboard", "to_uv": T.scale([4, 4, 1])}
+    texture["color0"] = {"type": "rgb", "value": [0.9, 0.7, 0.5]}
+    texture["color1"] = {"type": "rgb", "value": [0.2, 0.3, 0.4]}
+    return {"type": "diffuse", "reflectance": texture}
+
+
 def spot():
     return {
         "type": "spot",
@@ -157,6 +165,7 @@ SCENES = {
     },
     "soft": lambda: under(panel((0.5, -0.3, 2.2), 0.35)),
     "sky": lambda: under(sky()),
+    "checkered": lambda: under(panel((0.5, -0.3, 2.2), 0.35)) | {"floor": floor(bsdf=checkers())},
     "envmap": lambda: under(envmap()),
     "point": lambda: under(
         {"type": "point", "position": [0.6, -0.4, 3.0], "intensity": {"type": "rgb", "value": 20.0}}

@@ -72,6 +72,8 @@ CASES = [
     Case("soft", PANEL, scaled, 0.04, "light scales"),
     Case("sky", OCCLUDER, ALONG, 0.01, "occluder moves", difference_spp=8192),
     Case("envmap", OCCLUDER, ALONG, 0.01, "occluder moves", spp=512, difference_spp=8192),
+    # A texture with steps at rest, which the moving shape shows, hides, shadows and is lit by.
+    Case("checkered", OCCLUDER, ALONG, 0.01, "occluder moves", depth=3, spp=512, difference_spp=4096),
     # Hard shadows.
     Case("point", OCCLUDER, ALONG, 0.01, "occluder moves"),
     Case("point", FLOOR, moved(0.2, 0.1, 1.0), 0.01, RECEIVER, difference_spp=2048),

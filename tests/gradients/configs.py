@@ -28,6 +28,8 @@ TOGETHER = {
     "beckmann": ("floor.bsdf.*.value",),
     "brushed ggx": ("floor.bsdf.*.value",),
     "plastic": ("*",),
+    "checkered": ("*.color?.value", "*.color?.data"),
+    "checkered metal": ("floor.bsdf.alpha.color?.value",),
     "mirror": ("*",),
     "glass": ("*",),
 }
@@ -236,6 +238,13 @@ PLASTIC = [
     Case("plastic", "floor.vertex_positions", bend, 4e-2, "bend", spp=1024, slow=True),
     Case("plastic", "floor.vertex_normals", turn(0.5, 0.8, 0.2), 2e-2, spp=512, slow=True),
 ]
+CHECKERED = [
+    Case("checkered", "floor.bsdf.reflectance.color0.value", mixed, 2e-2, depth=4),
+    Case("checkered", "floor.bsdf.reflectance.color1.data", texel_wave, 2e-2, depth=4),
+    Case("checkered", "ceiling.emitter.radiance.color1.value", mixed, 5e-2, depth=4),
+    Case("checkered metal", "floor.bsdf.alpha.color0.value", ones, 2e-2, depth=2, spp=2048, slow=True),
+    Case("checkered metal", "floor.bsdf.alpha.color1.value", ones, 2e-2, depth=2, spp=2048, slow=True),
+]
 DELTA = [
     Case("mirror", "room.bsdf.specular_reflectance.value", ones, 1e-2, depth=4),
     Case("mirror", "room.bsdf.eta.value", mixed, 1e-2, depth=4),
@@ -258,4 +267,4 @@ DELTA = [
     Case("glass", "sensor.to_world", aim(0.3, 0.8, 0.4), 2e-3, "aim", depth=4, spp=64),
     Case("glass", "sensor.x_fov", ones, 0.1, depth=4, spp=128, slow=True),
 ]
-CASES = [*PLANE, *PARALLEL, *LENS, *DOME, *GAP, *ROUGH, *PLASTIC, *DELTA]
+CASES = [*PLANE, *PARALLEL, *LENS, *DOME, *GAP, *ROUGH, *PLASTIC, *CHECKERED, *DELTA]

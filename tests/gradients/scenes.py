@@ -148,6 +148,22 @@ def plastic_scene():
     )
 
 
+def checkered_scene():
+    """``gap`` with checkerboards on everything, a bitmap in one."""
+    to_uv = np.array([[1.9, 0.3, 0.1], [-0.4, 2.1, 0.3], [0.0, 0.0, 1.0]])
+    bitmap = {"type": "bitmap", "bitmap": noise(4, 4, 3, low=0.5, seed=7)}
+    floor = {"type": "checkerboard", "color0": rgb(0.8, 0.5, 0.3), "color1": bitmap, "to_uv": to_uv}
+    scene = gap_scene({"type": "diffuse", "reflectance": floor})
+    shine = {"type": "checkerboard", "color0": rgb(3.0, 2.5, 2.0), "color1": rgb(1.0, 1.5, 2.0)}
+    scene["ceiling"]["emitter"]["radiance"] = shine
+    return scene
+
+
+def checkered_metal_scene():
+    alpha = {"type": "checkerboard", "color0": 0.5, "color1": 0.3, "to_uv": psdr.Transform.scale([3, 2, 1])}
+    return gap_scene({"type": "roughconductor", "material": "Cu", "alpha": alpha})
+
+
 def mirror_scene():
     room = ball(True, bsdf={"type": "conductor", "material": "Au"})
     room["vertex_radiance"] = (1.0 + 0.6 * np.sin(room["vertices"] @ noise(3, 3, low=-2.0, high=2.0, seed=6))).astype(
@@ -178,6 +194,8 @@ SCENES = {
     "beckmann": lambda: rough_scene("beckmann"),
     "brushed ggx": lambda: brushed_scene("ggx"),
     "plastic": plastic_scene,
+    "checkered": checkered_scene,
+    "checkered metal": checkered_metal_scene,
     "mirror": mirror_scene,
     "glass": glass_scene,
 }

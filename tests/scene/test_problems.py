@@ -19,7 +19,7 @@ def problems(load):
 def test_all_unsupported_plugins_and_parameters_are_named_with_their_lines():
     body = """<medium type="homogeneous" id="fog"/>
 <emitter type="projector"/>
-<bsdf type="roughplastic" id="shiny"><texture type="checkerboard" name="diffuse_reflectance"/></bsdf>
+<bsdf type="roughplastic" id="shiny"><texture type="wireframe" name="diffuse_reflectance"/></bsdf>
 <shape type="sphere"><ref id="shiny"/><ref id="fog" name="interior"/><float name="radios" value="1"/></shape>
 <shape type="cube"><ref id="shiny"/><float name="size" value="1"/><bogus/></shape>
 <shape type="cube"><bsdf type="twosided"><bsdf type="principled"/></bsdf></shape>
@@ -42,7 +42,7 @@ def test_all_unsupported_plugins_and_parameters_are_named_with_their_lines():
     text = "\n".join(rest)
     for line, words in expected.items():
         assert re.search(rf"string:{line} [^\n]*{re.escape(words)}", text), (line, words, text)
-    for words in ("unsupported texture 'checkerboard'", "no parameter 'smooth'", "no parameter 'roughness'"):
+    for words in ("unsupported texture 'wireframe'", "no parameter 'smooth'", "no parameter 'roughness'"):
         assert words in text
     assert found, text
 

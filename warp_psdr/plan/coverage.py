@@ -12,11 +12,12 @@ from warp_psdr.kernels.boundary.specular.line_search import MAX_DEPTH
 from warp_psdr.kernels.bsdf.dispatch import has_delta_lobes
 from warp_psdr.kernels.emitter.spot import MIN_FALLOFF
 from warp_psdr.options.boundary import EdgeSampling, Method, PathSpace
-from warp_psdr.plan.motion import motion
+from warp_psdr.plan.motion import Motion, motion
 from warp_psdr.scene.layout import TEXCOORDS, TO_UV
 from warp_psdr.topology.edges import scene_adjacency
 
 if TYPE_CHECKING:
+    from warp_psdr.kernels.structs import Texture
     from warp_psdr.kernels.vertex import PathConfig
     from warp_psdr.options.integrator import PathIntegrator
     from warp_psdr.scene.scene import Scene
@@ -59,13 +60,11 @@ def _uncovered(scene: Scene, config: PathConfig, names: list[str], max_depth: in
     if has_delta_lobes(config.bsdfs):
         if not 0 < max_depth <= MAX_DEPTH:
             return f"discontinuities are searched through mirrors to some depth; set max_depth to {MAX_DEPTH} or less"
-    steps = any(t.kind == c.TEXTURE_BITMAP and t.filter == c.FILTER_NEAREST for t in scene.builder.textures)
+    if any(slides_steps(scene, name) for name in names):
+        return "a texture with steps slides; use a bilinear bitmap or a vertex attribute"
+    steps = _moving_steps(scene, config, motion(scene, names))
     if steps:
-        return "a texture with filter_type 'nearest' jumps inside of triangles; use 'bilinear'"
-    if any(scene.parameters[n].uses & {TO_UV, TEXCOORDS} for n in names) and any(
-        t.kind == c.TEXTURE_FACE for t in scene.builder.textures
-    ):
-        return "a texture with steps slides; use a vertex attribute"
+        return f"{steps}, which jumps inside of triangles; use a bilinear bitmap, or hold it still before the camera"
     values = scene.values.numpy()
     for e in scene.builder.emitters:
         if e.kind in c.SPOTS:
@@ -77,6 +76,40 @@ def _uncovered(scene: Scene, config: PathConfig, names: list[str], max_depth: in
         a, b = (scene.description.shapes[i].path for i in pair)
         return f"shapes {a!r} and {b!r} meet in an edge of more than two triangles; move them apart, by a little"
     return ""
+
+
+def has_steps(texture: Texture) -> bool:
+    """Whether a texture jumps inside of triangles."""
+    return texture.kind == c.TEXTURE_CHECKERBOARD or (
+        texture.kind == c.TEXTURE_BITMAP and texture.filter == c.FILTER_NEAREST
+    )
+
+
+def slides_steps(scene: Scene, name: str) -> bool:
+    """Whether a parameter, texture coordinates or their transformation, slides a texture that has steps."""
+    parameter, b = scene.parameters[name], scene.builder
+    if TEXCOORDS in parameter.uses:
+        return any(t.kind == c.TEXTURE_FACE or has_steps(t) for t in b.textures_of(b.shapes[parameter.owner]))
+    return TO_UV in parameter.uses and any(has_steps(t) and t.to_uv == parameter.offset for t in b.textures)
+
+
+def _moving_steps(scene: Scene, config: PathConfig, moves: Motion) -> str:
+    """Say which steps of textures move against the points that read them; empty: none.
+
+    A path's points ride on their triangles, and the steps with them, but for the points that a ray with a fixed start
+    finds: those that the camera sees, and those behind smooth mirrors and glass.
+    """
+    b = scene.builder
+    if not any(has_steps(t) for t in b.textures):
+        return ""
+    carriers = {i for i, shape in enumerate(b.shapes) if any(has_steps(t) for t in b.textures_of(shape))}
+    if has_delta_lobes(config.bsdfs) and carriers:
+        return "smooth mirrors or glass show a texture with steps"
+    seen = sorted(carriers if moves.camera else carriers & moves.shapes)
+    if not seen:
+        return ""
+    path = scene.description.shapes[seen[0]].path
+    return f"the camera moves before the texture of {path!r}" if moves.camera else f"{path!r} carries a texture"
 
 
 def _shared_by_many(scene: Scene, shapes: set[int]) -> tuple[int, int] | None:

@@ -19,7 +19,7 @@ from warp_psdr.kernels.vertex import PathConfig
 from warp_psdr.options.boundary import Connecting, Method, PathSpace
 from warp_psdr.options.integrator import PathIntegrator
 from warp_psdr.plan import guiding
-from warp_psdr.plan.coverage import choose
+from warp_psdr.plan.coverage import choose, slides_steps
 from warp_psdr.plan.integrator import Integrator, integrator_of
 from warp_psdr.plan.interior import Kept, Row, row_of
 from warp_psdr.plan.motion import motion
@@ -63,6 +63,7 @@ TEXTURE_NAMES = {
     c.TEXTURE_BITMAP: "bitmap",
     c.TEXTURE_VERTEX: "vertex attribute",
     c.TEXTURE_FACE: "face attribute",
+    c.TEXTURE_CHECKERBOARD: "checkerboard",
 }
 #: Shapes that a line of the plan names.
 NAMED = 3
@@ -230,7 +231,9 @@ def _config(scene: Scene, integrator: PathIntegrator, sensor: int, lines: list) 
     lights = tuple(sorted(kinds - {c.EMITTER_AREA}))
     material = b.material if scatter else ()
     area = tuple(sorted(b.radiance_kinds))
-    uv = any(c.TEXTURE_BITMAP in kinds for kinds in (*(slot.kinds for slot in material), area))
+    uv = any(c.READ_TEXCOORDS & set(kinds) for kinds in (*(slot.kinds for slot in material), area))
+    bitmap = any(c.TEXTURE_BITMAP in kinds for kinds in (*(slot.kinds for slot in material), area))
+    reader = f"a {'bitmap' if bitmap else 'checkerboard'} reads them"
     sampler: str = integrator.sampler
     if sampler == "auto":
         sampler = scene.description.sensors[sensor].sampler
@@ -244,7 +247,7 @@ def _config(scene: Scene, integrator: PathIntegrator, sensor: int, lines: list) 
     flat = any(not s.smooth for s in b.shapes) or not b.shapes
     normals = "interpolated and flat" if smooth and flat else "interpolated" if smooth else "flat"
     lines.append(("normals", normals, f"{len(b.shapes)} shapes, {scene.face_count} triangles"))
-    lines.append(("texture coordinates", "yes" if uv else "no", "a bitmap reads them" if uv else "no bitmap is in use"))
+    lines.append(("texture coordinates", "yes" if uv else "no", reader if uv else "no bitmap is in use"))
     lines.append(("anisotropy", "yes" if b.anisotropic else "no", "two roughnesses" if b.anisotropic else "isotropic"))
     lines.append(
         ("lights", ", ".join(EMITTER_NAMES[k] for k in sorted(kinds)) or "none", f"{len(b.emitters)} in the scene")
@@ -323,7 +326,7 @@ def _shapes(scene: Scene, names: list[str]) -> frozenset[int] | None:
                 i
                 for i, shape in enumerate(scene.description.shapes)
                 for bsdf in (shape.bsdf, shape.bsdf.back)
-                if bsdf is not None and any(t.parameter == name for t in bsdf.textures.values())
+                if bsdf is not None and any(t.holds(name) for t in bsdf.textures.values())
             ]
             if not users:  # an attribute of a mesh
                 return None
@@ -361,8 +364,8 @@ def _discontinuities(scene: Scene, config: PathConfig, names: list[str]) -> list
             reasons.append(f"{name} moves what is seen in smooth mirrors and glass")
         elif NORMALS in uses and config.scatter and _bent(scene, scene.parameters[name].owner):
             reasons.append(f"{name} moves the curves where interpolated normals turn away")
-        elif uses & {TO_UV, TEXCOORDS} and _has_steps(scene):
-            reasons.append(f"{name} slides a nearest-neighbour or face-wise texture")
+        elif slides_steps(scene, name):
+            reasons.append(f"{name} slides a texture with steps")
     reasons += [f"{name} moves what is seen through the interface" for name in _bending(scene, names)]
     return reasons
 
@@ -388,10 +391,3 @@ def _moving_lights(scene: Scene) -> dict[str, str]:
                 found[f"{e.path}.to_world"] += f" and {edge}"
                 found[f"{e.path}.cutoff_angle"] = found[f"{e.path}.beam_width"] = edge
     return found
-
-
-def _has_steps(scene: Scene) -> bool:
-    return any(
-        t.kind == c.TEXTURE_FACE or (t.kind == c.TEXTURE_BITMAP and t.filter == c.FILTER_NEAREST)
-        for t in scene.builder.textures
-    )

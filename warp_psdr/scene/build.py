@@ -53,6 +53,11 @@ CAMERAS = {"perspective": c.CAMERA_PERSPECTIVE, "orthographic": c.CAMERA_ORTHOGR
 Placed = tuple[structs.Texture, tuple[int, int]]
 
 
+def _reads_mesh(t: TextureDescription) -> bool:
+    """Whether a texture reads an attribute of the shape that it is on."""
+    return any(leaf.kind == "mesh_attribute" for leaf in t.leaves)
+
+
 class Builder:
     """Lays a scene out; see the attributes for what it makes."""
 
@@ -140,12 +145,45 @@ class Builder:
             shape: the shape whose attributes a mesh attribute reads.
         """
         attribute = t.kind == "mesh_attribute"
-        key = (id(t), shape if attribute else -1)
+        key = (id(t), shape if _reads_mesh(t) else -1)
+        nested = [self._texture(inner, use, bounds, shape) for inner in t.nested]
         if key not in self._texture_index:
-            record, values = self._attribute(t, use, bounds, shape) if attribute else self._image(t, use, bounds)
-            self._texture_index[key] = self._add_texture(record, values)
-        self.layout.parameters[self._attribute_name(t, shape) if attribute else t.parameter].uses.add(use)
+            if nested:
+                placed = self._checkerboard(t, nested)
+            else:
+                placed = self._attribute(t, use, bounds, shape) if attribute else self._image(t, use, bounds)
+            self._texture_index[key] = self._add_texture(*placed)
+        if not nested:
+            self.layout.parameters[self._attribute_name(t, shape) if attribute else t.parameter].uses.add(use)
         return self._texture_index[key]
+
+    def _checkerboard(self, t: TextureDescription, nested: list[int]) -> Placed:
+        """Lay out a checkerboard whose two textures have these numbers; return its record and no values."""
+        record = structs.Texture()
+        record.kind = c.TEXTURE_CHECKERBOARD
+        record.first, record.second = nested
+        name = f"{t.path}.to_uv"
+        # A checkerboard that is read as a scalar, too, has a second record, and one transformation.
+        if name not in self.layout.parameters:
+            self.layout.add(name, t.to_uv, TO_UV)
+        record.to_uv = self.layout.parameters[name].offset
+        return record, (0, 0)
+
+    def kinds_of(self, texture: int) -> set[int]:
+        """Return the kinds of a texture and of those nested in it."""
+        t = self.textures[texture]
+        inner = (t.first, t.second) if t.kind == c.TEXTURE_CHECKERBOARD else ()
+        return {t.kind}.union(*(self.kinds_of(number) for number in inner))
+
+    def textures_of(self, shape: structs.Shape) -> list[structs.Texture]:
+        """Return the records of all textures on a shape: of both sides, of its light, and those nested in them."""
+        sides = (shape.bsdf, self.bsdfs[shape.bsdf].back)
+        numbers = {number for side in sides for number in self.bsdf_textures[side].values()}
+        if shape.emitter >= 0:
+            numbers.add(self.emitters[shape.emitter].texture)
+        found = [self.textures[n] for n in sorted(numbers)]
+        boards = [t for t in found if t.kind == c.TEXTURE_CHECKERBOARD]
+        return [*found, *(self.textures[n] for t in boards for n in (t.first, t.second))]
 
     def _absent(self, value: float) -> int:
         """Return the number of the unnamed constant texture that stands in for one that is not given."""
@@ -200,8 +238,8 @@ class Builder:
         return f"{self.description.shapes[shape].path}.{t.attribute}"
 
     def _bsdf(self, b: BsdfDescription, shape: int) -> int:
-        reads_mesh = any(t.kind == "mesh_attribute" for t in b.textures.values()) or (
-            b.back is not None and any(t.kind == "mesh_attribute" for t in b.back.textures.values())
+        reads_mesh = any(_reads_mesh(t) for t in b.textures.values()) or (
+            b.back is not None and any(_reads_mesh(t) for t in b.back.textures.values())
         )
         key = (id(b), shape if reads_mesh else -1)
         if key in self._bsdf_index:
@@ -243,7 +281,7 @@ class Builder:
         kinds = {value.name: set() for value in self.values}
         for textures in self.bsdf_textures:
             for name, number in textures.items():
-                kinds[name].add(self.textures[number].kind)
+                kinds[name] |= self.kinds_of(number)
         return tuple(Slot(value.name, value.color, tuple(sorted(kinds[value.name]))) for value in self.values)
 
     # -- lights and cameras ----------------------------------------------------------------------------------------
@@ -259,7 +297,7 @@ class Builder:
             record.first_face, record.face_count = self.shapes[shape].first_face, self.shapes[shape].face_count
             self.shapes[shape].emitter = number
             record.texture = self._texture(e.radiance, RADIANCE, bounds, shape)
-            self.radiance_kinds.add(self.textures[record.texture].kind)
+            self.radiance_kinds |= self.kinds_of(record.texture)
         else:
             record.texture = self._texture(e.radiance, LIGHT_RADIANCE, bounds)
         if e.kind in ("constant", "envmap"):

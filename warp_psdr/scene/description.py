@@ -17,13 +17,24 @@ class TextureDescription:
     """A value that may vary over a surface (or over directions, for environment maps)."""
 
     path: str  #: e.g. "wall.reflectance"
-    kind: Literal["constant", "bitmap", "mesh_attribute"]
-    value: np.ndarray  #: constant: (1,) or (3,); bitmap: (H, W, 1 or 3), linear, top row first; mesh_attribute: (0,)
+    kind: Literal["constant", "bitmap", "mesh_attribute", "checkerboard"]
+    value: np.ndarray  #: constant: (1,) or (3,); bitmap: (H, W, 1 or 3), linear, top row first; others: (0,)
     filter: Literal["bilinear", "nearest"] = "bilinear"
     wrap: Literal["repeat", "mirror", "clamp"] = "repeat"
-    to_uv: np.ndarray = field(default_factory=lambda: np.eye(3, dtype=np.float32))  #: (3, 3), bitmaps
+    to_uv: np.ndarray = field(default_factory=lambda: np.eye(3, dtype=np.float32))  #: (3, 3), bitmaps, checkerboards
     attribute: str = ""  #: mesh_attribute: "vertex_color", "face_albedo", ...
     plain: bool = False  #: constant: a bare number of its plugin, listed under ``path`` itself
+    #: checkerboard: the textures of its fields, that of the field at the origin of texture coordinates first
+    nested: tuple[TextureDescription, ...] = ()
+
+    @property
+    def leaves(self) -> tuple[TextureDescription, ...]:
+        """The textures that hold values: those nested in this one, or itself."""
+        return self.nested or (self,)
+
+    def holds(self, parameter: str) -> bool:
+        """Whether a parameter of this name holds values of the texture."""
+        return any(t.parameter == parameter for t in self.leaves)
 
     @property
     def parameter(self) -> str:

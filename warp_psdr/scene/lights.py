@@ -120,6 +120,9 @@ class Lights:
 
     def _mean(self, texture: int, values: np.ndarray) -> float:
         """Mean luminance of a texture, at least 0."""
+        record = self._builder.textures[texture]
+        if record.kind == c.TEXTURE_CHECKERBOARD:
+            return 0.5 * (self._mean(record.first, values) + self._mean(record.second, values))
         offset, size = self._builder.texture_ranges[texture]
         channels = self._builder.textures[texture].channels
         v = values[offset : offset + size].reshape(-1, channels)

@@ -22,11 +22,11 @@ PLUGINS: dict[str, tuple[str, ...]] = {
     "scene": ("scene",),
     "shape": (
         *("rectangle", "cube", "sphere", "disk", "cylinder"),
-        *("obj", "ply", "gltf", "glb", "stl", "off", "mesh"),
+        *("obj", "ply", "serialized", "gltf", "glb", "stl", "off", "mesh"),
     ),
     "bsdf": (*(model.plugin for model in MODELS), "twosided"),
     "texture": (
-        *("bitmap", "mesh_attribute"),
+        *("bitmap", "checkerboard", "mesh_attribute"),
         *("rgb", "srgb", "spectrum", "uniform", "rawconstant", "d65", "blackbody", "regular", "irregular"),
     ),
     "emitter": ("area", "constant", "envmap", "point", "spot", "directional"),

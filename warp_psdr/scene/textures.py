@@ -1,4 +1,4 @@
-"""Textures: constants, bitmaps and mesh attributes.
+"""Textures: constants, bitmaps, mesh attributes and checkerboards.
 
 Bitmaps keep their rows as stored, top row first; as in Mitsuba the first row lies at v = 0, and loaders of meshes whose
 format counts v from the bottom flip v instead (``flip_tex_coords``).
@@ -65,6 +65,16 @@ def _texture(
     emissive: bool,
     scalar: bool,
 ) -> TextureDescription:
+    result, place = _read(props, name, default, high, emissive, scalar)
+    for leaf in result.leaves:
+        _check_values(leaf, name, place, props.context, low, high, scalar)
+    return result
+
+
+def _read(
+    props: Properties, name: str, default: float | np.ndarray, high: float, emissive: bool, scalar: bool
+) -> tuple[TextureDescription, str]:
+    """Take a texture; returns it with its place."""
     value = props.take(name)
     place, path = props.place(name), f"{props.path}.{name}"
     if value is None:
@@ -81,23 +91,39 @@ def _texture(
             lambda: build(node, where, path, props.context, emissive, high),
             shared=node is not value,
         )
-        if scalar and result.kind == "bitmap" and result.value.shape[2] == 3:
-            result = dataclasses.replace(result, path=path, value=(result.value @ LUMINANCE)[..., None])
+        if scalar:
+            result = _as_scalar(result, path)
     else:
         result = constant(path, color(value, place, props.context, emissive=emissive, high=high))
-    if scalar and result.kind == "constant" and result.value.size != 1:
-        raise error(place, f"got the colour {result.value.tolist()}", f"'{name}' is one number")
-    if result.kind == "bitmap" and result.value.max() > high:
+    return result, place
+
+
+def _as_scalar(t: TextureDescription, path: str) -> TextureDescription:
+    """Return what a texture is where it is read as one number."""
+    if t.kind == "bitmap" and t.value.shape[2] == 3:
+        return dataclasses.replace(t, path=path, value=(t.value @ LUMINANCE)[..., None])
+    if t.kind == "checkerboard":
+        first, second = (_as_scalar(inner, f"{path}.color{i}") for i, inner in enumerate(t.nested))
+        # Read so, Mitsuba's checkerboard swaps its colours.
+        return dataclasses.replace(t, nested=(second, first))
+    return t
+
+
+def _check_values(
+    t: TextureDescription, name: str, place: str, context: Context, low: float, high: float, scalar: bool
+) -> None:
+    if scalar and t.kind == "constant" and t.value.size != 1:
+        raise error(place, f"got the colour {t.value.tolist()}", f"'{name}' is one number")
+    if t.kind == "bitmap" and t.value.max() > high:
         # As in Mitsuba, whose scenes hold such bitmaps.
-        count = int((result.value > high).sum())
-        props.context.note(
-            f"{place}: {count} of {result.value.size} values of '{name}' exceed {high:g} (the largest is "
-            f"{result.value.max():g}), so more light is scattered than arrives"
+        count = int((t.value > high).sum())
+        context.note(
+            f"{place}: {count} of {t.value.size} values of '{name}' exceed {high:g} (the largest is "
+            f"{t.value.max():g}), so more light is scattered than arrives"
         )
         high = np.inf
-    if result.value.size:
-        check_range(result.value, place, low, high, f"'{name}'")
-    return result
+    if t.value.size:
+        check_range(t.value, place, low, high, f"'{name}'")
 
 
 def constant(path: str, value: Any) -> TextureDescription:
@@ -123,8 +149,14 @@ def build(
     if node.get("type") in COLOR_TYPES:
         return constant(path, color(node, where, context, path=path, emissive=emissive, high=high))
     if category_of(node, where) != "texture":
-        raise error(where, f"a '{node.get('type')}' is no texture", "give a colour, a bitmap or a mesh_attribute")
+        raise error(
+            where,
+            f"a '{node.get('type')}' is no texture",
+            "give a colour, a bitmap, a mesh_attribute or a checkerboard",
+        )
     props = Properties(node, where, path, context)
+    if props.type == "checkerboard":
+        return _checkerboard(props, emissive, high)
     return _mesh_attribute(props) if props.type == "mesh_attribute" else _bitmap(props)
 
 
@@ -184,6 +216,22 @@ def _bitmap(props: Properties) -> TextureDescription:
     return result
 
 
+def _checkerboard(props: Properties, emissive: bool, high: float) -> TextureDescription:
+    """Take the textures of both fields; those of a nested checkerboard would be a third and a fourth."""
+    nested = []
+    for name, default in (("color0", 0.4), ("color1", 0.2)):
+        node = props.node.get(name)
+        if isinstance(node, dict) and props.context.resolve(node, props.place(name))[0].get("type") == "checkerboard":
+            problem = f"a checkerboard inside a checkerboard, as '{name}'"
+            raise error(props.where, problem, "give a colour, a bitmap or a mesh_attribute")
+        nested.append(_read(props, name, default, high, emissive, False)[0])
+    result = TextureDescription(
+        props.path, "checkerboard", np.zeros(0, dtype=np.float32), to_uv=_to_uv(props), nested=tuple(nested)
+    )
+    props.finish()
+    return result
+
+
 def _to_uv(props: Properties) -> np.ndarray:
     """Take the (3, 3) transformation of texture coordinates; of a 4x4 one, z is dropped."""
     value, place = props.take("to_uv"), props.place("to_uv")
@@ -221,6 +269,8 @@ def check_attribute(
     Raises:
         ValueError: With the attributes that the shape has.
     """
+    for inner in result.nested:
+        check_attribute(inner, attributes, where, low, high, scalar)
     if result.kind != "mesh_attribute":
         return
     if result.attribute not in attributes:

@@ -8,7 +8,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
-from warp_psdr.kernels.constants import LOBE_DELTA_REFLECTION, LOBE_DELTA_TRANSMISSION, LOBE_SMOOTH, TEXTURE_FACE
+from warp_psdr.kernels.constants import (
+    LOBE_DELTA_REFLECTION,
+    LOBE_DELTA_TRANSMISSION,
+    LOBE_SMOOTH,
+    READ_TEXCOORDS,
+    TEXTURE_FACE,
+)
 from warp_psdr.topology.camera_view import CameraView, camera_view
 from warp_psdr.topology.edges import (
     COPLANAR,
@@ -191,14 +197,11 @@ def _within(scene: Scene, edges: Adjacency) -> np.ndarray:
 
 def _stepped(scene: Scene, shape: Any) -> bool:
     """Return whether a texture of a shape may jump at its edges."""
-    b = scene.builder
-    sides = (shape.bsdf, b.bsdfs[shape.bsdf].back)
-    numbers = {number for side in sides for number in b.bsdf_textures[side].values()}
-    if shape.emitter >= 0:
-        numbers.add(b.emitters[shape.emitter].texture)
-    found = [b.textures[n] for n in numbers]
-    # A face attribute jumps at every edge; a bitmap on a shape without texture coordinates reads barycentrics.
-    return any(t.kind == TEXTURE_FACE or (t.width > 0 and shape.has_uv == 0) for t in found)
+    # A face attribute jumps at every edge; on a shape without texture coordinates barycentrics are read instead.
+    return any(
+        t.kind == TEXTURE_FACE or (t.kind in READ_TEXCOORDS and shape.has_uv == 0)
+        for t in scene.builder.textures_of(shape)
+    )
 
 
 def _brushed(scene: Scene, shape: Any) -> bool:
