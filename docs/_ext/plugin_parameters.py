@@ -8,8 +8,10 @@ for is written down, with the values that ``psdr.traverse`` then lists. Paramete
 from __future__ import annotations
 
 import functools
+import struct
 import tempfile
 import warnings
+import zlib
 from pathlib import Path
 from typing import NamedTuple
 
@@ -28,7 +30,7 @@ NEEDED: dict[str, dict] = {
     "thinlens": {"aperture_radius": 0.1},
     "aov": {"aovs": "d:depth"},
     "mesh": {"vertices": np.eye(3), "faces": [[0, 1, 2]]},
-    **{kind: {"filename": f"FILE.{kind}"} for kind in ("obj", "ply", "gltf", "glb", "stl", "off")},
+    **{kind: {"filename": f"FILE.{kind}"} for kind in ("obj", "ply", "serialized", "gltf", "glb", "stl", "off")},
 }
 #: Further examples, whose parameters join those of the first.
 MORE: dict[str, tuple[dict, ...]] = {
@@ -137,6 +139,10 @@ def _file(value, folder: Path):
     file = folder / value
     if file.suffix == ".png":
         image_io.write_image(file, np.full((4, 8, 3), 0.5, np.float32))
+    elif file.suffix == ".serialized":
+        triangle = np.eye(3, dtype="<f4").tobytes() + np.arange(3, dtype="<u4").tobytes()
+        body = struct.pack("<IQQ", 0x1000, 3, 1) + triangle
+        file.write_bytes(struct.pack("<HH", 0x041C, 3) + zlib.compress(body))
     else:
         import trimesh
 

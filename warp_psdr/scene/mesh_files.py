@@ -15,6 +15,7 @@ from .errors import error
 from .meshes import MeshData, fans, vertex_normals
 from .obj_files import read_obj
 from .ply_files import read_text_ply
+from .serialized_files import read_serialized
 from .transforms import transform_normals, transform_points
 
 T = TypeVar("T")
@@ -24,20 +25,23 @@ _COLOR_NAMES = {"r": 0, "g": 1, "b": 2, "a": 3, "red": 0, "green": 1, "blue": 2,
 _REEXPORT = "export the mesh again"
 
 
-def read_mesh(kind: str, file: Path, where: str, note: Any) -> MeshData:
+def read_mesh(kind: str, file: Path, where: str, note: Any, index: int = 0) -> MeshData:
     """Read a mesh file; texture coordinates are as the file has them.
 
     Args:
-        kind: "obj", "ply", "gltf", "glb", "stl" or "off".
+        kind: "obj", "ply", "serialized", "gltf", "glb", "stl" or "off".
         file: An existing file.
         where: Place in the scene, for messages.
         note: Called with remarks for the user.
+        index: Number of the mesh in the file ("serialized").
 
     Raises:
         ValueError: If the file cannot be read.
     """
     readers = {"obj": read_obj, "ply": _read_ply, "gltf": _read_gltf, "glb": _read_gltf}
     place = f"{where}, file '{file}'"
+    if kind == "serialized":
+        return read_serialized(file, index, place, note)
     if kind in readers:
         return readers[kind](file, place, note)
     from trimesh.exchange import off, stl

@@ -27,6 +27,7 @@ class MeshData:
     normals: np.ndarray | None = None  #: (N, 3), of any length
     texcoords: np.ndarray | None = None  #: (N, 2)
     attributes: dict[str, np.ndarray] = field(default_factory=dict)  #: "vertex_*": (N, C), "face_*": (M, C)
+    face_normals: bool = False  #: the file asks for face normals
 
 
 def in_place(props: Properties) -> MeshData:

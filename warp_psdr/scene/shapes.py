@@ -54,6 +54,7 @@ def build(node: dict, where: str, path: str, context: Context) -> ShapeDescripti
     check(data, place)
     if emitter is not None and props.type in CURVED:
         data.vertices = data.vertices * widening(props.type, data.vertices, data.faces, to_world)
+    flat |= data.face_normals and not props.has("face_normals")
     if flat:
         data.normals = None
     shape = _place(props, data, to_world, bsdf, flat=flat)
@@ -88,9 +89,15 @@ def _geometry(props: Properties) -> tuple[MeshData, np.ndarray, str]:
     if name is None:
         raise error(props.where, f"a '{props.type}' without 'filename'", "name the mesh file")
     file = props.context.file(name, props.place("filename"))
-    data = read_mesh(props.type, file, props.where, props.context.note)
+    index = props.integer("shape_index", 0, minimum=0) if props.type == "serialized" else 0
+    data = read_mesh(props.type, file, props.where, props.context.note, index)
     props.context.count(data.vertices.size + data.faces.size, props.where)
-    if props.boolean("flip_tex_coords", props.type in _FLIP_TEX_COORDS) and data.texcoords is not None:
+    # Only serialized meshes have no such parameter.
+    if (
+        props.type != "serialized"
+        and props.boolean("flip_tex_coords", props.type in _FLIP_TEX_COORDS)
+        and data.texcoords is not None
+    ):
         data.texcoords = np.stack([data.texcoords[:, 0], 1.0 - data.texcoords[:, 1]], axis=1)
     return data, to_world, f"{props.where}, file '{file}'"
 
