@@ -19,6 +19,12 @@ def where3(condition: wp.bool, a: wp.vec3, b: wp.vec3) -> wp.vec3:
 
 
 @wp.func
+def clamp_unit(x: wp.float32) -> wp.float32:
+    """``x`` clamped to [0, 1], with derivative 1 in it, its ends included: in a tie the second argument has it."""
+    return wp.max(0.0, wp.min(1.0, x))
+
+
+@wp.func
 def safe_sqrt(x: wp.float32) -> wp.float32:
     """Square root; 0 with derivative 0 for ``x`` at and below zero."""
     root = wp.float32(0.0)

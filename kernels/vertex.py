@@ -14,7 +14,7 @@ from warp_psdr.kernels.structs import Camera
 class PathConfig:
     """What a scene needs compiled; frozen and hashable, one kernel per value."""
 
-    #: Scattering models, keys of ``bsdf.dispatch.VARIANTS`` in its order; their places are their numbers.
+    #: Scattering models, keys as ``bsdf.dispatch.ordered`` sorts them; their places are their numbers.
     bsdfs: tuple[str, ...]
     #: Values of the materials and the kinds of their textures, in the order of ``Scene.slots``.
     material: tuple[Slot, ...]

@@ -37,7 +37,11 @@ def make_conductor(record: type, _variant: str) -> Functions:
             s.lobe = LOBE_DELTA_REFLECTION
         return s
 
-    return Functions(conductor_sample, scatter=conductor_scatter)
+    @wp.func
+    def conductor_probability(mat: record, wi: wp.vec3, lobe: wp.int32) -> wp.float32:
+        return wp.where(wi[2] > 0.0, 1.0, 0.0)
+
+    return Functions(conductor_sample, scatter=conductor_scatter, probability=conductor_probability)
 
 
 CONDUCTOR = Model(

@@ -66,7 +66,19 @@ def make_dielectric(record: type, _variant: str) -> Functions:
             s.lobe = LOBE_DELTA_TRANSMISSION
         return s
 
-    return Functions(dielectric_sample, scatter=dielectric_scatter, relative_eta=relative_eta)
+    @wp.func
+    def dielectric_probability(mat: record, wi: wp.vec3, lobe: wp.int32) -> wp.float32:
+        eta = relative_eta(mat, wi)
+        c = wp.abs(wi[2])
+        reflectance = fresnel_dielectric(c, refracted_cosine(c, eta), eta)
+        return wp.where(lobe == LOBE_DELTA_REFLECTION, reflectance, 1.0 - reflectance)
+
+    return Functions(
+        dielectric_sample,
+        scatter=dielectric_scatter,
+        probability=dielectric_probability,
+        relative_eta=relative_eta,
+    )
 
 
 DIELECTRIC = Model(

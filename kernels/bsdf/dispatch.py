@@ -2,7 +2,7 @@
 
 ``make_bsdf(("diffuse",))`` calls the diffuse functions directly; with several models a chain of comparisons with the
 model's number, its place in that tuple, is compiled. A new model is a file with its declaration and a row in
-``MODELS``.
+``MODELS``, one made of models a row in ``COMPOSITES``.
 
 All directions are local (z: shading normal) and unit, and point away from the surface: ``wi`` to the previous vertex,
 ``wo`` along the new direction. Models that do not transmit scatter on the side z > 0 only; for the back of a two-sided
@@ -16,6 +16,8 @@ from typing import NamedTuple
 import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor, differentiable
+from warp_psdr.kernels.bsdf.blendbsdf import BLEND
+from warp_psdr.kernels.bsdf.composite import Composite, split_key
 from warp_psdr.kernels.bsdf.conductor import CONDUCTOR
 from warp_psdr.kernels.bsdf.dielectric import DIELECTRIC
 from warp_psdr.kernels.bsdf.diffuse import DIFFUSE
@@ -34,6 +36,8 @@ from warp_psdr.kernels.structs import BsdfSample, Scattered
 
 #: All scattering models.
 MODELS: tuple[Model, ...] = (DIFFUSE, CONDUCTOR, DIELECTRIC, ROUGH_CONDUCTOR, PLASTIC)
+#: All models that are made of models; each for any children, so that they have no end.
+COMPOSITES: tuple[Composite, ...] = (BLEND,)
 #: Key of a variant -> model and the variant's name, in the order in which a scene numbers those that it has.
 VARIANTS: dict[str, tuple[Model, str]] = {
     key_of(model.plugin, variant): (model, variant) for model in MODELS for variant in model.variants
@@ -79,9 +83,33 @@ class BsdfFunctions(NamedTuple):
     slopes: wp.Function | None
 
 
+def declaration_of(key: str) -> tuple[Model, str]:
+    """Return the model with a key and the name of its variant; of a composite, the model with its children.
+
+    Raises:
+        ValueError: There is no such model.
+    """
+    return VARIANTS[key] if key in VARIANTS else _nested_declaration(key)
+
+
+@functools.cache
+def _nested_declaration(key: str) -> tuple[Model, str]:
+    plugin, variant, children = split_key(key)
+    found = [composite for composite in COMPOSITES if composite.plugin == plugin]
+    if not found:
+        raise ValueError(f"{key!r} is no scattering model; expected one of {tuple(VARIANTS)}, or a nested one")
+    return found[0].of(tuple(declaration_of(child) for child in children)), variant
+
+
+def ordered(keys: Iterable[str]) -> tuple[str, ...]:
+    """Return keys in the order in which a scene numbers its models, each once: as in ``VARIANTS``, then the nested."""
+    given = set(keys)
+    return (*(key for key in VARIANTS if key in given), *sorted(given - set(VARIANTS), key=str))
+
+
 def models_of(keys: Iterable[str]) -> list[Model]:
     """Return the models with these keys."""
-    return [VARIANTS[key][0] for key in keys]
+    return [declaration_of(key)[0] for key in keys]
 
 
 def has_smooth_lobes(keys: Iterable[str]) -> bool:
@@ -104,20 +132,22 @@ def make_bsdf(models: tuple[str, ...]) -> BsdfFunctions:
     """Return the scattering functions for the models of a scene.
 
     Args:
-        models: Distinct keys of ``VARIANTS`` in its order, so that equal sets share one specialisation.
+        models: Distinct keys of ``VARIANTS`` and of nested models, ``ordered``, so that equal sets share one
+            specialisation.
 
     Raises:
         ValueError: Empty, unsorted or unknown keys.
     """
-    if not models or list(models) != [key for key in VARIANTS if key in models]:
+    known = all(key in VARIANTS or (isinstance(key, str) and "(" in key) for key in models)
+    if not models or not known or models != ordered(models):
         raise ValueError(
-            f"got BSDF models {models!r}; expected some of {tuple(VARIANTS)}, each once and in this order; "
-            "pass tuple(key for key in VARIANTS if key in keys)"
+            f"got BSDF models {models!r}; expected some of {tuple(VARIANTS)}, each once and in this order, "
+            "and nested ones behind them; pass ordered(keys)"
         )
     declared = models_of(models)
     record = make_material_record(tuple((value.name, value.color) for value in merge_values(declared)))
     adjoint = make_adjoint_record(record)
-    functions = [model.make(record, VARIANTS[key][1]) for model, key in zip(declared, models, strict=True)]
+    functions = [model.make(record, variant) for model, variant in map(declaration_of, models)]
     types = {"record": record, "adjoint": adjoint, "BsdfSample": BsdfSample, "Scattered": Scattered}
 
     def chain(name: str, signature: str, result: str, rest: str, make, *, of: str, anchored: bool = False):

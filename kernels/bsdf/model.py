@@ -38,6 +38,28 @@ class Color:
 
 
 @dataclass(frozen=True)
+class Number:
+    """A parameter that is a number or a texture of numbers, read as a value of the same name.
+
+    Attributes:
+        name: of the parameter and of the value.
+        low: least value.
+        high: greatest value; device code takes texels and values beyond the ends for the ends.
+        default: None: it has to be given.
+    """
+
+    name: str
+    low: float = 0.0
+    high: float = 1.0
+    default: float | None = None
+
+    @property
+    def values(self) -> tuple[Value, ...]:
+        """What device code reads."""
+        return (Value(self.name, False, self.low, self.high),)
+
+
+@dataclass(frozen=True)
 class ComplexIndex:
     """The complex index of refraction of a conductor: ``eta`` and ``k``, or the name of a ``material``."""
 
@@ -80,6 +102,11 @@ class Roughness:
     def values(self) -> tuple[Value, ...]:
         """What device code reads."""
         return Value("alpha_u", False, self.low, 1.0), Value("alpha_v", False, self.low, 1.0)
+
+    @property
+    def axes(self) -> tuple[tuple[str, str], ...]:
+        """The values along the tangents."""
+        return (("alpha_u", "alpha_v"),)
 
 
 @dataclass(frozen=True)
@@ -137,6 +164,8 @@ class Functions(NamedTuple):
             the probability of the smooth lobes.
         scatter: ``(material, wi, lobe) -> Scattered``: direction and weight of a delta lobe, not divided by its
             probability; differentiable.
+        probability: ``(material, wi, lobe) -> float32``: of a delta lobe in ``sample``. Every model with delta lobes
+            has it, for ``composite.py``.
         relative_eta: ``(material, wi) -> float32``: index of refraction behind the interface over the one in front.
             None: nothing is transmitted.
         slopes: ``(material) -> vec2``: root mean square slopes of a glossy lobe about the mirror direction, along the
@@ -147,6 +176,7 @@ class Functions(NamedTuple):
     eval: wp.Function | None = None
     pdf: wp.Function | None = None
     scatter: wp.Function | None = None
+    probability: wp.Function | None = None
     relative_eta: wp.Function | None = None
     slopes: wp.Function | None = None
 
@@ -161,6 +191,7 @@ class Model:
         lobes: which lobes it has, out of ``LOBE_SMOOTH``, ``LOBE_DELTA_REFLECTION``, ``LOBE_DELTA_TRANSMISSION``.
         make: ``(record, variant) -> Functions``, ``record`` the struct of a scene's material values.
         turned_by: values that the direction of a delta lobe depends on.
+        framed: whether the model needs dp/du whatever its values are.
     """
 
     plugin: str
@@ -168,11 +199,17 @@ class Model:
     lobes: tuple[int, ...]
     make: Callable[[type, str], Functions]
     turned_by: tuple[str, ...] = ()
+    framed: bool = False
 
     @property
     def values(self) -> tuple[Value, ...]:
         """What device code reads of a material."""
         return tuple(value for parameter in self.parameters for value in parameter.values)
+
+    @property
+    def axes(self) -> tuple[tuple[str, str], ...]:
+        """Pairs of values along the tangents; where those of a pair differ, the model needs dp/du."""
+        return tuple(pair for parameter in self.parameters for pair in getattr(parameter, "axes", ()))
 
     @property
     def variants(self) -> tuple[str, ...]:
@@ -198,6 +235,10 @@ class Model:
         return LOBE_DELTA_TRANSMISSION in self.lobes
 
 
-def key_of(plugin: str, variant: str = "") -> str:
-    """Return the name of a model's variant, for example "roughconductor (ggx)"."""
-    return f"{plugin} ({variant})" if variant else plugin
+def key_of(plugin: str, variant: str = "", children: tuple[str, ...] = ()) -> str:
+    """Return the name of a model's variant, for example "roughconductor (ggx)".
+
+    With the keys of nested models it is that of a composite, for example "blendbsdf(diffuse, roughconductor (ggx))".
+    """
+    nested = f"({', '.join(children)})" if children else ""
+    return f"{plugin}{nested} ({variant})" if variant else f"{plugin}{nested}"

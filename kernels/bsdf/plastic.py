@@ -124,7 +124,14 @@ def make_plastic(record: type, variant: str) -> Functions:
                     s.lobe = LOBE_SMOOTH
         return s
 
-    return Functions(plastic_sample, plastic_eval, plastic_pdf, plastic_scatter)
+    @wp.func
+    def plastic_probability(mat: record, wi: wp.vec3, lobe: wp.int32) -> wp.float32:
+        share = wp.float32(0.0)
+        if wi[2] > 0.0:
+            share = specular_share(mat, wi)
+        return share
+
+    return Functions(plastic_sample, plastic_eval, plastic_pdf, plastic_scatter, plastic_probability)
 
 
 PLASTIC = Model(

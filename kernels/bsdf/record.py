@@ -4,12 +4,16 @@ Texture number k of a material, ``Scene.slots[bsdf.slots + k]``, gives member k;
 """
 
 import functools
+import hashlib
 from typing import NamedTuple
 
 import warp as wp
 
 from warp_psdr.kernels.bsdf.model import Value
 from warp_psdr.kernels.generated import make_generated, make_struct
+
+#: Longest name of a struct.
+MAX_NAME = 200
 
 
 class Slot(NamedTuple):
@@ -37,12 +41,18 @@ def merge_values(models) -> tuple[Value, ...]:
     return tuple(found.values())
 
 
+def _short(name: str) -> str:
+    """A name that compilers take: its end is a digest where nested models make it long."""
+    return (
+        name if len(name) <= MAX_NAME else name[: MAX_NAME - 17] + "_" + hashlib.sha256(name.encode()).hexdigest()[:16]
+    )
+
+
 @functools.cache
 def make_material_record(members: tuple[tuple[str, bool], ...]) -> type:
     """Return the Warp struct with these members: (name, whether it is a colour)."""
     types = {name: wp.vec3 if color else wp.float32 for name, color in members}
-    name = "Material_" + "_".join(types)
-    return make_struct(name, types)
+    return make_struct(_short("Material_" + "_".join(types)), types)
 
 
 @functools.cache

@@ -8,6 +8,10 @@ from .test_table import moved, scaled, turned
 
 MIRROR = {"type": "conductor", "material": "none"}
 GLASS = {"type": "dielectric", "int_ior": 1.5, "ext_ior": 1.0}
+GILDED = {
+    "type": "blendbsdf", "weight": 0.4, "paint": {"type": "diffuse", "reflectance": 0.6},
+    "gilt": {"type": "conductor", "material": "none"},
+}  # fmt: skip
 PLASTIC = {"type": "plastic", "diffuse_reflectance": {"type": "rgb", "value": [0.6, 0.3, 0.2]}}
 
 
@@ -86,12 +90,12 @@ def slab():
     return box((0.0, 0.0, 0.0), (1.0, 0.3, 0.8), GLASS, 0.5)
 
 
-def coated(**more):
-    """A plastic floor that shows a lamp and a box in its coat, and their light and shadow beneath it."""
+def coated(bsdf=PLASTIC, **more):
+    """A floor that shows a lamp and a box in its coat, and their light and shadow beneath it."""
     corners = [[-2, -2, 0], [2, -2, 0], [2, 2, 0], [-2, 2, 0]]
     return {
         "sensor": camera((0.3, -2.6, 1.4), (0.0, 0.2, 0.2)),
-        "floor": mesh(corners, [[0, 1, 2], [0, 2, 3]], PLASTIC),
+        "floor": mesh(corners, [[0, 1, 2], [0, 2, 3]], bsdf),
         "lamp": lamp((-0.2, 1.0, 1.5), 0.5, 4.0),
         "occluder": box((0.3, 0.4, 0.55), (0.2, 0.15, 0.25), diffuse(0.3, 0.5, 0.7), 0.4),
         **more,
@@ -134,6 +138,7 @@ register(
         "pierced glass": lambda: {**glass(slab()), "other": lamp((0.0, 2.2, 0.1), 0.6, 0.5)},
         "caustic": caustic,
         "plastic floor": coated,
+        "gilded floor": lambda: coated(GILDED),
         "plastic ball": lambda: coated(occluder=ball((0.2, 0.3, 0.5), 0.4, PLASTIC, subdivisions=2, smooth=True)),
         "plastic in a mirror": lambda: coated(mirror=wall(1.0, 1.7, 1.0)),
         "unseen in a mirror": unseen,
@@ -214,6 +219,8 @@ CASES = [
     ),
     Case("plastic ball", OCCLUDER, ALONG, 0.005, "ball moves", depth=3, spp=8192, difference_spp=32768),
     Case("plastic in a mirror", OCCLUDER, ALONG, 0.01, "occluder moves", depth=4, spp=4096, difference_spp=16384),
+    # In a blend of a mirror and paint.
+    Case("gilded floor", OCCLUDER, ALONG, 0.01, "occluder moves", depth=3, spp=4096, difference_spp=16384),
     # Through lights that the camera does not see.
     Case("unseen in a mirror", NEAR, ALONG, 0.01, "light moves", hidden=True, **MANY),
     Case("unseen in a mirror", WALL, turned(2), 0.002, "mirror turns", hidden=True, **MANY),

@@ -13,15 +13,23 @@ import numpy as np
 import warp as wp
 
 from tests.bsdf import twins
-from warp_psdr.kernels.bsdf.dispatch import VARIANTS, BsdfFunctions, make_bsdf
+from tests.bsdf.nested import bare, blend, nest
+from warp_psdr.kernels.bsdf.composite import split_key
+from warp_psdr.kernels.bsdf.dispatch import VARIANTS, BsdfFunctions, declaration_of, make_bsdf, ordered
 from warp_psdr.kernels.bsdf.microfacet import MIN_ALPHA
-from warp_psdr.kernels.bsdf.model import Color, ComplexIndex, Value
+from warp_psdr.kernels.bsdf.model import ComplexIndex, Value
 from warp_psdr.kernels.constants import LOBE_DELTA_TRANSMISSION, LOBE_SMOOTH
 from warp_psdr.kernels.structs import BsdfSample, Scattered
 
-ALL_MODELS = tuple(VARIANTS)
-SMOOTH_MODELS = tuple(key for key in VARIANTS if VARIANTS[key][0].has_smooth)
-DELTA_MODELS = tuple(key for key in VARIANTS if VARIANTS[key][0].has_delta)
+#: Examples of models made of models: two smooth lobes, a mirror reflection of both, one that transmits.
+SMOOTH_BLEND = "blendbsdf(diffuse, roughconductor (ggx))"
+COATED_BLEND = "blendbsdf(plastic, conductor)"
+GLASS_BLEND = "blendbsdf(diffuse, dielectric)"
+NESTED_MODELS = ordered((SMOOTH_BLEND, COATED_BLEND, GLASS_BLEND))
+PLAIN_MODELS = tuple(VARIANTS)
+ALL_MODELS = (*PLAIN_MODELS, *NESTED_MODELS)
+SMOOTH_MODELS = tuple(key for key in ALL_MODELS if declaration_of(key)[0].has_smooth)
+DELTA_MODELS = tuple(key for key in ALL_MODELS if declaration_of(key)[0].has_delta)
 GGX, BECKMANN = "roughconductor (ggx)", "roughconductor (beckmann)"
 
 #: eta and k of gold at red, green and blue (rounded); of a perfect mirror; of a medium that absorbs nothing.
@@ -210,26 +218,26 @@ EXAMPLES: dict[str, Example] = {
 
 
 def values_of(key: str) -> tuple[Value, ...]:
-    return VARIANTS[key][0].values
+    return declaration_of(key)[0].values
 
 
 def lobes_of(key: str) -> tuple[int, ...]:
     """The delta lobes of a model."""
-    return tuple(lobe for lobe in VARIANTS[key][0].lobes if lobe != LOBE_SMOOTH)
+    return tuple(lobe for lobe in declaration_of(key)[0].lobes if lobe != LOBE_SMOOTH)
 
 
 def transmits(key: str) -> bool:
-    return VARIANTS[key][0].transmits
+    return declaration_of(key)[0].transmits
 
 
 def narrowest(mat: dict) -> float:
     """Least roughness; 1: the model has none."""
-    return min(mat.get("alpha_u", 1.0), mat.get("alpha_v", 1.0))
+    return min(bare(mat).get("alpha_u", 1.0), bare(mat).get("alpha_v", 1.0))
 
 
 def reflectances(key: str) -> list[str]:
     """Names of the values that are shares of light."""
-    return [p.name for p in VARIANTS[key][0].parameters if isinstance(p, Color) and p.high == 1.0]
+    return [value.name for value in values_of(key) if value.color and value.high == 1.0]
 
 
 def is_black(key: str, mat: dict) -> bool:
@@ -239,16 +247,25 @@ def is_black(key: str, mat: dict) -> bool:
 def white(key: str, mat: dict) -> dict:
     """The material that absorbs nothing where its lobes are."""
     out = mat | {name: np.ones(3) for name in reflectances(key)}
-    if any(isinstance(p, ComplexIndex) for p in VARIANTS[key][0].parameters):
-        out |= {"eta": np.array(MIRROR[0]), "k": np.array(MIRROR[1])}
-    return out
+    metal = {value.name: value for value in ComplexIndex().values}
+    indices = {"eta": np.array(MIRROR[0]), "k": np.array(MIRROR[1])}
+    return out | {name: indices[last] for name in mat for last in metal if last in bare({name: 0})}
 
 
 def corners(key: str) -> list[dict]:
     """Materials at all combinations of the ends of the values' ranges; what has no end stops at 50.
 
-    Indices of refraction lie between 0.5 and 3: above 3.8 the fit of ``mean_reflectance`` exceeds 1.
+    Of nested models those of the children, side by side, at both ends of the weight. Indices of refraction lie between
+    0.5 and 3: above 3.8 the fit of ``mean_reflectance`` exceeds 1.
     """
+    if key in NESTED_MODELS:
+        children = [corners(child) for child in split_key(key)[2]]
+        count = max(map(len, children))
+        both = [
+            {"first": children[0][i % len(children[0])], "second": children[1][i % len(children[1])]}
+            for i in range(count)
+        ]
+        return [nest(weight=w, **pair) for pair in both for w in (0.0, 1.0)]
     ends = []
     for value in values_of(key):
         high = value.high if np.isfinite(value.high) else 50.0
@@ -260,12 +277,39 @@ def corners(key: str) -> list[dict]:
 
 def index_behind(mat: dict, wi: np.ndarray) -> float:
     """Index of refraction behind the interface over the one in front."""
-    return mat["ior"] if wi[2] > 0.0 else 1.0 / mat["ior"]
+    ior = bare(mat)["ior"]
+    return ior if wi[2] > 0.0 else 1.0 / ior
 
 
 def energy_of(mat: dict, wi: np.ndarray, lobe: int, value: np.ndarray) -> np.ndarray:
     """Energy of a delta lobe with a weight: radiance that crosses an interface is scaled, its energy is not."""
     return value * index_behind(mat, wi) ** 2 if lobe == LOBE_DELTA_TRANSMISSION else value
+
+
+# --- nested models ---
+
+EXAMPLES |= {
+    SMOOTH_BLEND: Example(
+        materials=tuple(
+            nest(weight=w, first=material(reflectance=(0.2, 0.5, 0.8)), second=rough(*alpha))
+            for w, alpha in ((0.3, (0.4, 0.3)), (0.0, (0.6, 0.6)), (1.0, (0.6, 0.6)), (0.9, (0.3, 0.3)))
+        ),
+        **blend(EXAMPLES, SMOOTH_BLEND),
+    ),
+    COATED_BLEND: Example(
+        materials=tuple(nest(weight=w, first=plastic(1.5), second=metal()) for w in (0.5, 0.0, 1.0)),
+        **blend(EXAMPLES, COATED_BLEND),
+    ),
+    GLASS_BLEND: Example(
+        materials=tuple(
+            nest(weight=w, first=material(reflectance=(0.2, 0.5, 0.8)), second=glass(ior))
+            for w, ior in ((0.5, 1.5), (0.0, 1.3), (1.0, 0.7))
+        ),
+        # Nothing but the glass sends the light that comes from behind.
+        **blend(EXAMPLES, GLASS_BLEND) | {"lossless": lambda mat: False},
+    ),
+}
+EXAMPLES = {key: EXAMPLES[key] for key in ALL_MODELS}
 
 
 # --- launches ---
@@ -357,13 +401,18 @@ def make_kernels(models: tuple[str, ...]) -> dict[str, wp.Kernel]:
 
 
 class Launcher:
-    """The functions of a set of models over NumPy arrays; directions are (N, 3) or (3,), broadcast."""
+    """The functions of a set of models over NumPy arrays; directions are (N, 3) or (3,), broadcast.
 
-    def __init__(self, device: str, models: tuple[str, ...] = ALL_MODELS):
+    Models that are not among them are compiled with the other nested ones.
+    """
+
+    def __init__(self, device: str, models: tuple[str, ...] = PLAIN_MODELS):
         self.device = device
         self.models = models
-        self.kernels = make_kernels(models)
-        self.record, self.adjoint = functions_of(models).record, functions_of(models).adjoint
+
+    def set_of(self, key: str) -> tuple[str, ...]:
+        """The models that this one is compiled with."""
+        return self.models if key in self.models else NESTED_MODELS
 
     def eval_pdf(self, key: str, mat: dict, wi, wo) -> tuple[np.ndarray, np.ndarray]:
         wi, wo = self._vectors(wi, wo)
@@ -378,14 +427,14 @@ class Launcher:
 
     def eval_vjp(self, key: str, mat: dict, wi, wo, w) -> np.ndarray:
         wi, wo = self._vectors(wi, wo)
-        return self._structs("eval_vjp", self.adjoint, key, mat, [wi, wo, wp.vec3(*w)])
+        return self._structs("eval_vjp", functions_of(self.set_of(key)).adjoint, key, mat, [wi, wo, wp.vec3(*w)])
 
     def scatter(self, key: str, mat: dict, wi, lobe: int) -> np.ndarray:
         return self._structs("scatter", Scattered, key, mat, [*self._vectors(wi), lobe])
 
     def scatter_vjp(self, key: str, mat: dict, wi, lobe: int, w, a_wo) -> np.ndarray:
         inputs = [*self._vectors(wi), lobe, wp.vec3(*w), wp.vec3(*a_wo)]
-        return self._structs("scatter_vjp", self.adjoint, key, mat, inputs)
+        return self._structs("scatter_vjp", functions_of(self.set_of(key)).adjoint, key, mat, inputs)
 
     def _vectors(self, *arrays) -> list[wp.array]:
         broadcast = np.broadcast_arrays(*(np.atleast_2d(a) for a in arrays))
@@ -397,11 +446,12 @@ class Launcher:
         return out.numpy()
 
     def _launch(self, name: str, key: str, mat: dict, inputs: list, outputs: list) -> None:
-        m = self.record()
+        models = self.set_of(key)
+        m = functions_of(models).record()
         for value in values_of(key):
             setattr(m, value.name, wp.vec3(*mat[value.name]) if value.color else float(mat[value.name]))
-        model, dim = self.models.index(key), inputs[0].shape
-        wp.launch(self.kernels[name], dim=dim, inputs=[model, m, *inputs], outputs=outputs, device=self.device)
+        model, dim = models.index(key), inputs[0].shape
+        wp.launch(make_kernels(models)[name], dim=dim, inputs=[model, m, *inputs], outputs=outputs, device=self.device)
 
 
 def all_finite(adjoint: np.ndarray) -> bool:

@@ -30,6 +30,7 @@ from tests.bsdf.helpers import (
     unit,
     values_of,
 )
+from tests.bsdf.nested import bare
 from warp_psdr.kernels.bsdf.microfacet import MIN_ALPHA
 from warp_psdr.kernels.constants import LOBE_DELTA_TRANSMISSION
 
@@ -72,7 +73,7 @@ def forward_difference(f, step: float) -> float:
 def scale_of(mat: dict, *directions: np.ndarray) -> float:
     """The length over which scattering changes."""
     scale = min(*(abs(w[2]) for w in directions), narrowest(mat))
-    if "ior" in mat:
+    if "ior" in bare(mat):
         # The refracted cosine vanishes, as a root, at the critical angle.
         scale *= min(1.0, *(abs(index_behind(mat, w) ** 2 - 1.0 + w[2] ** 2) for w in directions))
     return scale
@@ -132,7 +133,8 @@ def pairs_of(mat: dict) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     alpha = narrowest(mat)
     if alpha >= 0.2:
         # On both sides of equal indices, by however little they differ, some grazing angle is one of total reflection.
-        matched = "eta" in mat and np.any((mat["eta"] == 1.0) & (mat["k"] == 0.0))
+        metal = bare(mat)
+        matched = "eta" in metal and np.any((metal["eta"] == 1.0) & (metal["k"] == 0.0))
         return {name: pair for name, pair in PAIRS.items() if not (matched and name.startswith("grazing"))}
     return {f"near-mirror-{d:g}": (direction(d), near_mirror(direction(d), alpha)) for d in (0.0, 40.0, 70.0)}
 
@@ -201,11 +203,12 @@ def directions_of(key: str, mat: dict) -> dict[str, np.ndarray]:
     found = {name: direction(angle) for name, angle in angles.items()}
     if transmits(key):
         found |= {f"{name}-inside": w * BELOW for name, w in found.items()}
-    if "ior" in mat and abs(mat["ior"] - 1.0) > 0.01:
-        dense = BELOW if mat["ior"] > 1.0 else np.ones(3)
-        if transmits(key) or mat["ior"] < 1.0:
-            found["below-critical"] = direction(critical_angle(mat["ior"]) - 0.5) * dense
-            found["total"] = direction(critical_angle(mat["ior"]) + 0.5) * dense
+    ior = bare(mat).get("ior", 1.0)
+    if abs(ior - 1.0) > 0.01:
+        dense = BELOW if ior > 1.0 else np.ones(3)
+        if transmits(key) or ior < 1.0:
+            found["below-critical"] = direction(critical_angle(ior) - 0.5) * dense
+            found["total"] = direction(critical_angle(ior) + 0.5) * dense
     return found
 
 
@@ -258,9 +261,9 @@ def all_materials(key: str) -> list[dict]:
 
 
 def critical_directions(mat: dict) -> np.ndarray:
-    if "ior" not in mat:
+    if "ior" not in bare(mat):
         return np.zeros((0, 3))
-    return np.array([direction(t) for t in critical_angle(mat["ior"]) + np.linspace(-1e-4, 1e-4, 101)])
+    return np.array([direction(t) for t in critical_angle(bare(mat)["ior"]) + np.linspace(-1e-4, 1e-4, 101)])
 
 
 @pytest.mark.parametrize("key", SMOOTH_MODELS)

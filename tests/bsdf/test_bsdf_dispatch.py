@@ -16,7 +16,7 @@ from tests.bsdf.helpers import (
     random_directions,
     values_of,
 )
-from warp_psdr.kernels.bsdf.dispatch import VARIANTS, make_bsdf
+from warp_psdr.kernels.bsdf.dispatch import declaration_of, make_bsdf
 from warp_psdr.kernels.constants import LOBE_DELTA_REFLECTION
 
 #: Models whose dispatch is checked in every run of the tests; the others' kernels are compiled in slow ones.
@@ -69,7 +69,7 @@ def test_lobes_are_known_by_the_number_of_a_model(models: tuple[str, ...], devic
 
     answers = [wp.empty(len(models), dtype=wp.bool, device=device) for _ in range(3)]
     wp.launch(ask, len(models), [], answers, device=device)
-    declared = [VARIANTS[key][0] for key in models]
+    declared = [declaration_of(key)[0] for key in models]
     expected = [[getattr(m, name) for m in declared] for name in ("has_smooth", "has_delta", "transmits")]
     assert [answer.numpy().tolist() for answer in answers] == expected
 
@@ -87,7 +87,7 @@ def test_dispatch_changes_no_bit(bsdf: Launcher, device: str, key: str) -> None:
     wi, wo = (random_directions(np.random.default_rng(13), 50) for _ in range(2))
     mat, w = EXAMPLES[key].materials[0], (0.3, 0.5, 0.7)
     alone = Launcher(device, (key,))
-    if VARIANTS[key][0].has_smooth:
+    if declaration_of(key)[0].has_smooth:
         for mine, other in zip(bsdf.eval_pdf(key, mat, wi, wo), alone.eval_pdf(key, mat, wi, wo), strict=True):
             np.testing.assert_array_equal(mine, other)
         equal_adjoints(key, *(f.eval_vjp(key, mat, wi, wo, w) for f in (bsdf, alone)))

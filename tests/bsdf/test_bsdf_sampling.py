@@ -30,7 +30,7 @@ from tests.bsdf.helpers import (
     uniform,
     white,
 )
-from warp_psdr.kernels.bsdf.dispatch import VARIANTS
+from warp_psdr.kernels.bsdf.dispatch import declaration_of
 from warp_psdr.kernels.bsdf.microfacet import MIN_ALPHA
 from warp_psdr.kernels.constants import LOBE_DELTA_TRANSMISSION, LOBE_NONE, LOBE_SMOOTH
 
@@ -57,7 +57,7 @@ each_smooth_model = pytest.mark.parametrize("key", SMOOTH_MODELS)
 
 def lobes(having) -> pytest.MarkDecorator:
     """Parametrise over the lobes of the models that are ``having``."""
-    return pytest.mark.parametrize(("key", "mat", "wi"), [p for p in LOBES if having(VARIANTS[p.values[0]][0])])
+    return pytest.mark.parametrize(("key", "mat", "wi"), [p for p in LOBES if having(declaration_of(p.values[0])[0])])
 
 
 each_lobe = lobes(lambda model: True)
@@ -128,7 +128,7 @@ def sampler_p(bsdf: Launcher, key: str, mat: dict, wi: np.ndarray, pdf_mat: dict
     """Chi-square test of the smooth samples of ``mat`` against the pdf of ``pdf_mat``; all others are one more bin."""
     wi = rounded(wi)
     s = bsdf.sample(key, mat, wi, uniform(seed(key, wi.tolist(), narrowest(mat)), SAMPLES))
-    assert set(s["lobe"]) <= {LOBE_NONE, *VARIANTS[key][0].lobes}
+    assert set(s["lobe"]) <= {LOBE_NONE, *declaration_of(key)[0].lobes}
     assert np.all((s["pdf"] > 0.0) == (s["lobe"] != LOBE_NONE))
     smooth = s["lobe"] == LOBE_SMOOTH
     mass, _ = quadrature(bsdf, key, pdf_mat, wi)
@@ -176,7 +176,7 @@ def test_sample_returns_the_value_and_pdf_of_its_direction(bsdf, key: str, mat: 
         found = s[s["lobe"] == lobe]
         np.testing.assert_allclose(found["value"], np.repeat(bsdf.scatter(key, mat, wi, lobe)["value"], len(found), 0))
         np.testing.assert_allclose(found["wo"], np.repeat(bsdf.scatter(key, mat, wi, lobe)["wo"], len(found), 0))
-    if VARIANTS[key][0].has_smooth:
+    if declaration_of(key)[0].has_smooth:
         found = s[s["lobe"] == LOBE_SMOOTH]
         value, pdf = bsdf.eval_pdf(key, mat, wi, found["wo"]) if len(found) else (np.zeros((0, 3)), np.zeros(0))
         np.testing.assert_allclose(found["value"], value, rtol=FLOAT32)
@@ -191,8 +191,8 @@ def test_no_energy_is_made_and_none_is_lost_in_a_white_furnace(bsdf, key: str, m
     mat, wi = white(key, mat), rounded(wi)
     probability, energy = 0.0, np.zeros(3)
     # The midpoint rule, above all where the horizon cuts the lobe, and fits within a model.
-    slack = 2e-3 if VARIANTS[key][0].has_smooth else 1e-5
-    if VARIANTS[key][0].has_smooth:
+    slack = 2e-3 if declaration_of(key)[0].has_smooth else 1e-5
+    if declaration_of(key)[0].has_smooth:
         mass, energy = quadrature(bsdf, key, mat, wi)
         probability = mass.sum()
     numbers = np.full((2000, 3), 0.5)

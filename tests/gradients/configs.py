@@ -15,7 +15,7 @@ METHODS = {
     "reverse textbook": ("reverse", 0),
 }
 #: Scenes whose moving vertices textbook replay does not claim: it raises (chains through smooth mirrors and glass).
-TEXTBOOK_REFUSES = ("plastic", "mirror", "glass")
+TEXTBOOK_REFUSES = ("plastic", "gilded", "mirror", "glass")
 #: What is requested together in a scene, so that its cases share kernels.
 TOGETHER = {
     "plane": ("*",),
@@ -30,6 +30,8 @@ TOGETHER = {
     "plastic": ("*",),
     "checkered": ("*.color?.value", "*.color?.data"),
     "checkered metal": ("floor.bsdf.alpha.color?.value",),
+    "blend": ("floor.bsdf.*",),
+    "gilded": ("*",),
     "mirror": ("*",),
     "glass": ("*",),
 }
@@ -245,6 +247,14 @@ CHECKERED = [
     Case("checkered metal", "floor.bsdf.alpha.color0.value", ones, 2e-2, depth=2, spp=2048, slow=True),
     Case("checkered metal", "floor.bsdf.alpha.color1.value", ones, 2e-2, depth=2, spp=2048, slow=True),
 ]
+BLEND = [
+    Case("blend", "floor.bsdf.weight.value", ones, 2e-2, depth=2, spp=1024),
+    Case("blend", "floor.bsdf.bsdf_0.reflectance.value", mixed, 2e-2, depth=2),
+    Case("blend", "floor.bsdf.bsdf_1.alpha.value", ones, 1e-2, depth=2, spp=1024, slow=True),
+    Case("gilded", "floor.vertex_gilt", mixed, 2e-2, spp=1024, slow=True),
+    Case("gilded", "floor.bsdf.bsdf_1.k.value", mixed, 2e-2, spp=1024, slow=True),
+    Case("gilded", "floor.vertex_positions", bend, 4e-2, "bend", spp=1024, slow=True),
+]
 DELTA = [
     Case("mirror", "room.bsdf.specular_reflectance.value", ones, 1e-2, depth=4),
     Case("mirror", "room.bsdf.eta.value", mixed, 1e-2, depth=4),
@@ -267,4 +277,4 @@ DELTA = [
     Case("glass", "sensor.to_world", aim(0.3, 0.8, 0.4), 2e-3, "aim", depth=4, spp=64),
     Case("glass", "sensor.x_fov", ones, 0.1, depth=4, spp=128, slow=True),
 ]
-CASES = [*PLANE, *PARALLEL, *LENS, *DOME, *GAP, *ROUGH, *PLASTIC, *CHECKERED, *DELTA]
+CASES = [*PLANE, *PARALLEL, *LENS, *DOME, *GAP, *ROUGH, *PLASTIC, *CHECKERED, *BLEND, *DELTA]

@@ -123,6 +123,9 @@ def dome_scene():
     }
 
 
+DIFFUSE = {"type": "diffuse", "reflectance": rgb(0.6, 0.3, 0.2)}
+
+
 def gap_scene(floor=None):
     vertices, _faces, _texcoords = dome()
     color = {"type": "diffuse", "reflectance": {"type": "mesh_attribute", "name": "vertex_color"}}
@@ -164,6 +167,23 @@ def checkered_metal_scene():
     return gap_scene({"type": "roughconductor", "material": "Cu", "alpha": alpha})
 
 
+def blend_scene(weight=0.4):
+    """Paint and rough metal."""
+    metal = {"type": "roughconductor", "material": "Cu", "alpha": 0.35}
+    return gap_scene({"type": "blendbsdf", "weight": weight, "paint": DIFFUSE, "metal": metal})
+
+
+def gilded_scene():
+    """Paint with a mirror reflection, by a mesh attribute; the ceiling is seen in it."""
+    scene = gap_scene({
+        "type": "blendbsdf", "weight": {"type": "mesh_attribute", "name": "vertex_gilt"},
+        "paint": {"type": "plastic", "diffuse_reflectance": rgb(0.6, 0.3, 0.2)},
+        "metal": {"type": "conductor", "material": "Cu"},
+    })  # fmt: skip
+    scene["floor"]["vertex_gilt"] = noise(len(scene["floor"]["vertices"]), 1, low=0.2, high=0.8, seed=9)
+    return scene
+
+
 def mirror_scene():
     room = ball(True, bsdf={"type": "conductor", "material": "Au"})
     room["vertex_radiance"] = (1.0 + 0.6 * np.sin(room["vertices"] @ noise(3, 3, low=-2.0, high=2.0, seed=6))).astype(
@@ -196,6 +216,8 @@ SCENES = {
     "plastic": plastic_scene,
     "checkered": checkered_scene,
     "checkered metal": checkered_metal_scene,
+    "blend": blend_scene,
+    "gilded": gilded_scene,
     "mirror": mirror_scene,
     "glass": glass_scene,
 }

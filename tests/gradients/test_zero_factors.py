@@ -64,6 +64,16 @@ def dull_mirror():
     return scene, "room.bsdf.specular_reflectance.value", {}
 
 
+def unseen_metal():
+    """A blend of weight 0: the metal has no part in the image."""
+    return scenes.blend_scene(0.0), "floor.bsdf.weight.value", {}
+
+
+def unseen_paint():
+    """A blend of weight 1: the paint has no part in the image."""
+    return scenes.blend_scene(1.0), "floor.bsdf.weight.value", {}
+
+
 def dark_glass():
     scene = scenes.glass_scene()
     scene["ball"]["bsdf"]["specular_transmittance"] = scenes.rgb(0.0, 0.5, 0.0)
@@ -80,6 +90,8 @@ CASES = [
     dull_metal,
     dull_mirror,
     dark_glass,
+    unseen_metal,
+    unseen_paint,
 ]
 #: Where textbook replay divides by the zero, with all light beyond the factor lost.
 TEXTBOOK_LOSES = {black_wall, black_ceiling, dull_metal, dull_mirror, dark_glass}
@@ -98,20 +110,21 @@ def rows():
 
 @pytest.fixture(scope="module")
 def black(request):
-    """(make, scene, parameters, name, tangent that is non-zero where the values are zero, one-sided difference)."""
+    """(make, scene, parameters, name, tangent, one-sided difference); the tangent is that of values that are zero."""
     node, name, _ = request.param()
     scene = psdr.load_dict({"type": "scene", **node})
     params = psdr.traverse(scene)
     base = params[name].numpy()
-    assert (base == 0.0).any()
-    tangent = np.where(base == 0.0, 1.0, 0.0)
+    # A weight of 1, the other end of its range, goes down.
+    tangent = -np.ones(base.shape) if request.param is unseen_paint else np.where(base == 0.0, 1.0, 0.0)
+    assert tangent.any()
     with measure.shared_random_numbers():
         zero, one, two = (
             measure.image_at(scene, params, name, (base + k * STEP * tangent).astype(np.float32), DEPTH, SPP, 3)
             for k in range(3)
         )
     difference = (4.0 * one - two - 3.0 * zero) / (2.0 * STEP)
-    assert difference.max() > 1e-3
+    assert np.abs(difference).max() > 1e-3
     return request.param, scene, params, name, tangent, difference
 
 

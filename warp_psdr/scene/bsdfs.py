@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warp_psdr.kernels.bsdf.dispatch import MODELS, VARIANTS
+from warp_psdr.kernels.bsdf.composite import Composite, nested_name
+from warp_psdr.kernels.bsdf.dispatch import COMPOSITES, MODELS, declaration_of
 from warp_psdr.kernels.bsdf.model import (
     Accepted,
     Choice,
@@ -15,6 +16,7 @@ from warp_psdr.kernels.bsdf.model import (
     ComplexIndex,
     Flag,
     Model,
+    Number,
     RelativeIndex,
     Roughness,
     key_of,
@@ -41,7 +43,11 @@ IORS = {
 
 def model_of(bsdf: BsdfDescription) -> Model:
     """Return the declaration of a scattering model."""
-    return VARIANTS[key_of(bsdf.model, bsdf.variant)][0]
+    return declaration_of(_key(bsdf))[0]
+
+
+def _key(bsdf: BsdfDescription) -> str:
+    return key_of(bsdf.model, bsdf.variant, bsdf.children)
 
 
 def build(node: dict, where: str, path: str, context: Context, *, shared: bool) -> BsdfDescription:
@@ -85,14 +91,16 @@ def check_attributes(bsdf: BsdfDescription, attributes: dict[str, np.ndarray], w
 def _build(props: Properties) -> BsdfDescription:
     if props.type == "twosided":
         result = _twosided(props)
+    elif any(composite.plugin == props.type for composite in COMPOSITES):
+        result = _nest(props, next(composite for composite in COMPOSITES if composite.plugin == props.type))
     else:
         result = _declared(props, next(model for model in MODELS if model.plugin == props.type))
     props.finish()
     return result
 
 
-def _declared(props: Properties, model: Model) -> BsdfDescription:
-    """Read what a model declares."""
+def _declared(props: Properties, model: Model | Composite) -> BsdfDescription:
+    """Read what a model declares, of a composite what is its own."""
     variant = ""
     textures: dict[str, TextureDescription] = {}
     for parameter in model.parameters:
@@ -110,6 +118,14 @@ def _declared(props: Properties, model: Model) -> BsdfDescription:
 
 def _color(props: Properties, parameter: Color) -> dict[str, TextureDescription]:
     return {parameter.name: texture(props, parameter.name, parameter.default, high=parameter.high)}
+
+
+def _number(props: Properties, parameter: Number) -> dict[str, TextureDescription]:
+    if parameter.default is None and not props.has(parameter.name):
+        raise error(props.where, f"a '{props.type}' without '{parameter.name}'", "give a number or a texture")
+    default = parameter.low if parameter.default is None else parameter.default
+    low, high = parameter.low, parameter.high
+    return {parameter.name: texture(props, parameter.name, default, low=low, high=high, scalar=True, clamped=True)}
 
 
 def _complex_index(props: Properties, parameter: ComplexIndex) -> dict[str, TextureDescription]:
@@ -164,6 +180,7 @@ def _relative_index(props: Properties, parameter: RelativeIndex) -> dict[str, Te
 #: How each kind of parameter is read: ``(props, parameter) -> textures``, by the names of the values.
 READERS: dict[type, Any] = {
     Color: _color,
+    Number: _number,
     ComplexIndex: _complex_index,
     RelativeIndex: _relative_index,
     Roughness: _roughness,
@@ -182,6 +199,49 @@ def _ior(props: Properties, name: str, preset: str) -> float:
             f"give a number or one of: {listing(IORS)}",
         )
     return IORS[key]
+
+
+def _nest(props: Properties, composite: Composite) -> BsdfDescription:
+    """Read a model made of models: what is its own and what is nested in it, of which its own record holds copies.
+
+    Sides of nested models become sides of the whole: a blend of two-sided models is two-sided, a blend on either side.
+    """
+    own = _declared(props, composite)
+    count = len(composite.prefixes)
+    nested = props.children("bsdf", limit=count)
+    if len(nested) < count and props.incomplete:
+        raise ReportedError(props.where)
+    if len(nested) < count:
+        wanted = "two" if count == 2 else "one"
+        raise error(props.where, f"a '{props.type}' with {len(nested)} nested bsdf", f"nest exactly {wanted}")
+    children = []
+    for (key, node, where), place in zip(nested, composite.places, strict=True):
+        shared = node is not props.node[key]
+        children.append(build(node, where, f"{props.path}.{place}", props.context, shared=shared))
+    sided = [child.two_sided for child in children]
+    if any(sided) and not all(sided):
+        raise error(props.where, "one nested bsdf is two-sided, the other is not", "put 'twosided' around both")
+    front = _joined(props, composite, own, children)
+    if not any(sided):
+        return front
+    back = None
+    if any(child.back is not None for child in children):
+        back = _joined(props, composite, own, [child.back or child for child in children])
+    return dataclasses.replace(front, two_sided=True, back=back)
+
+
+def _joined(
+    props: Properties, composite: Composite, own: BsdfDescription, children: list[BsdfDescription]
+) -> BsdfDescription:
+    """Return one side of a composite."""
+    keys = tuple(map(_key, children))
+    reason = composite.refusal(tuple(declaration_of(key) for key in keys))
+    if reason:
+        raise error(props.where, f"'{props.type}' of {listing(keys)}", reason)
+    textures = dict(own.textures)
+    for prefix, child in zip(composite.prefixes, children, strict=True):
+        textures |= {nested_name(prefix, name): t for name, t in child.textures.items()}
+    return dataclasses.replace(own, textures=textures, children=keys)
 
 
 def _twosided(props: Properties) -> BsdfDescription:

@@ -9,7 +9,7 @@ import warp as wp
 
 from warp_psdr.kernels import constants as c
 from warp_psdr.kernels import structs
-from warp_psdr.kernels.bsdf.dispatch import VARIANTS, models_of
+from warp_psdr.kernels.bsdf.dispatch import declaration_of, models_of, ordered
 from warp_psdr.kernels.bsdf.model import Value, key_of
 from warp_psdr.kernels.bsdf.record import Slot, merge_values
 from warp_psdr.scene.layout import (
@@ -71,7 +71,7 @@ class Builder:
         self.emitters: list = []  #: structs.Emitter
         self.cameras: list = []  #: structs.Camera
         self.environment = -1
-        self.models: tuple[str, ...] = ()  #: keys of ``VARIANTS``
+        self.models: tuple[str, ...] = ()  #: keys, ``ordered``
         self.bsdf_textures: list[dict[str, int]] = []  #: of each record: value name -> texture number
         self.slots = np.zeros(0, np.int32)  #: texture numbers, ``structs.Scene.slots``
         self.radiance_kinds: set[int] = set()
@@ -248,32 +248,34 @@ class Builder:
         record.two_sided = int(b.two_sided)
         self.two_sided |= b.two_sided
         textures = {}
-        for value in VARIANTS[key_of(b.model, b.variant)][0].values:
+        bsdf_key = key_of(b.model, b.variant, b.children)
+        model = declaration_of(bsdf_key)[0]
+        for value in model.values:
             t = b.textures.get(value.name)
             bounds = (value.low, value.high)
             textures[value.name] = (
                 self._absent(1.0) if t is None else self._texture(t, MATERIAL + value.name, bounds, shape)
             )
         number = len(self.bsdfs)
-        if textures.get("alpha_u") != textures.get("alpha_v"):
+        if model.framed or any(textures[u] != textures[v] for u, v in model.axes):
             self.anisotropic.add(number)
         self.bsdfs.append(record)
         self.bsdf_textures.append(textures)
-        self._bsdf_keys.append(key_of(b.model, b.variant))
+        self._bsdf_keys.append(bsdf_key)
         self._bsdf_index[key] = number
         record.back = number if b.back is None else self._bsdf(b.back, shape)
         return number
 
     def _number_models(self) -> None:
         """Number the models that occur, and lay out their textures alike: one number for each value that any has."""
-        self.models = tuple(key for key in VARIANTS if key in self._bsdf_keys)
+        self.models = ordered(self._bsdf_keys)
         self.values: tuple[Value, ...] = merge_values(models_of(self.models))
         numbers = [[textures.get(value.name, -1) for value in self.values] for textures in self.bsdf_textures]
         self.slots = np.array(numbers, np.int32).reshape(-1)
         for i, (record, key) in enumerate(zip(self.bsdfs, self._bsdf_keys, strict=True)):
             record.model = self.models.index(key)
             record.slots = i * len(self.values)
-            record.lobes = sum(1 << lobe for lobe in VARIANTS[key][0].lobes)
+            record.lobes = sum(1 << lobe for lobe in declaration_of(key)[0].lobes)
 
     @property
     def material(self) -> tuple[Slot, ...]:

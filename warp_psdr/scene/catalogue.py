@@ -9,7 +9,7 @@ MITSUBA: dict[str, tuple[str, ...]] = {
         *("sdfgrid", "serialized", "shapegroup", "hair"),
     ),
     "bsdf": (
-        *("blendbsdf", "bumpmap", "circular", "hair", "mask", "measured", "measured_polarized", "normalmap", "null"),
+        *("bumpmap", "circular", "hair", "mask", "measured", "measured_polarized", "normalmap", "null"),
         *("plastic", "polarizer", "pplastic", "principled", "principledthin", "retarder", "roughdielectric"),
         *("roughplastic", "thindielectric", "coating", "roughcoating", "difftrans", "phong", "ward", "mixturebsdf"),
         *("roughdiffuse", "opacity"),

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warp_psdr.kernels.bsdf.dispatch import MODELS
+from warp_psdr.kernels.bsdf.dispatch import COMPOSITES, MODELS
 
 from .catalogue import INSTEAD, MITSUBA, kind_of
 from .errors import ReportedError, SceneError, did_you_mean, error, listing
@@ -24,7 +24,7 @@ PLUGINS: dict[str, tuple[str, ...]] = {
         *("rectangle", "cube", "sphere", "disk", "cylinder"),
         *("obj", "ply", "serialized", "gltf", "glb", "stl", "off", "mesh"),
     ),
-    "bsdf": (*(model.plugin for model in MODELS), "twosided"),
+    "bsdf": (*(model.plugin for model in (*MODELS, *COMPOSITES)), "twosided"),
     "texture": (
         *("bitmap", "checkerboard", "mesh_attribute"),
         *("rgb", "srgb", "spectrum", "uniform", "rawconstant", "d65", "blackbody", "regular", "irregular"),

@@ -35,6 +35,7 @@ def texture(
     high: float = np.inf,
     emissive: bool = False,
     scalar: bool = False,
+    clamped: bool = False,
 ) -> TextureDescription:
     """Take a plugin's parameter that may vary over the surface.
 
@@ -46,12 +47,13 @@ def texture(
         high: Largest admissible value.
         emissive: Whether it is emitted light.
         scalar: Whether it is one number; colour bitmaps are reduced to their luminance.
+        clamped: Whether device code takes texels beyond ``high`` for ``high``; otherwise they are noted.
 
     Returns:
         The texture; the default, with a report to the context, if the value cannot be used.
     """
     return props.context.attempt(
-        lambda: _texture(props, name, default, low, high, emissive, scalar),
+        lambda: _texture(props, name, default, low, high, emissive, scalar, clamped),
         constant(f"{props.path}.{name}", default),
     )
 
@@ -64,10 +66,11 @@ def _texture(
     high: float,
     emissive: bool,
     scalar: bool,
+    clamped: bool,
 ) -> TextureDescription:
     result, place = _read(props, name, default, high, emissive, scalar)
     for leaf in result.leaves:
-        _check_values(leaf, name, place, props.context, low, high, scalar)
+        _check_values(leaf, name, place, props.context, (low, high), scalar, clamped)
     return result
 
 
@@ -110,16 +113,24 @@ def _as_scalar(t: TextureDescription, path: str) -> TextureDescription:
 
 
 def _check_values(
-    t: TextureDescription, name: str, place: str, context: Context, low: float, high: float, scalar: bool
+    t: TextureDescription,
+    name: str,
+    place: str,
+    context: Context,
+    ends: tuple[float, float],
+    scalar: bool,
+    clamped: bool,
 ) -> None:
+    low, high = ends
     if scalar and t.kind == "constant" and t.value.size != 1:
         raise error(place, f"got the colour {t.value.tolist()}", f"'{name}' is one number")
     if t.kind == "bitmap" and t.value.max() > high:
         # As in Mitsuba, whose scenes hold such bitmaps.
         count = int((t.value > high).sum())
+        effect = f"which count as {high:g}" if clamped else "so more light is scattered than arrives"
         context.note(
             f"{place}: {count} of {t.value.size} values of '{name}' exceed {high:g} (the largest is "
-            f"{t.value.max():g}), so more light is scattered than arrives"
+            f"{t.value.max():g}), {effect}"
         )
         high = np.inf
     if t.value.size:
