@@ -37,10 +37,11 @@ EMITTER_POINT = 3
 EMITTER_SPOT = 4
 EMITTER_DIRECTIONAL = 5
 EMITTER_TEXTURED_SPOT = 6
+EMITTER_PROJECTOR = 7
 #: Lights with a cone.
 SPOTS = frozenset({EMITTER_SPOT, EMITTER_TEXTURED_SPOT})
 #: Lights that only a direction of their own reaches.
-DELTA_LIGHTS = frozenset({EMITTER_POINT, *SPOTS, EMITTER_DIRECTIONAL})
+DELTA_LIGHTS = frozenset({EMITTER_POINT, *SPOTS, EMITTER_PROJECTOR, EMITTER_DIRECTIONAL})
 
 # Lobes of a scattering event (``BsdfSample.lobe``).
 LOBE_NONE = 0

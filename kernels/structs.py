@@ -83,9 +83,9 @@ class Emitter:
     first_face: wp.int32  # area light: its triangles, and where their cumulative areas start in Scene.face_cdf
     face_count: wp.int32
     cdf_offset: wp.int32
-    to_world: wp.int32  # flat offset of a 4x4 row-major matrix (envmap, spot, directional) or of a position (point)
-    scale: wp.int32  # flat offset (envmap)
-    cutoff: wp.int32  # flat offset of [cutoff_angle, beam_width], degrees (spot)
+    to_world: wp.int32  # flat offset of a 4x4 row-major matrix (all but point) or of a position (point)
+    scale: wp.int32  # flat offset (envmap, projector)
+    cutoff: wp.int32  # flat offset of [cutoff_angle, beam_width], degrees (spot), or of x_fov, degrees (projector)
     projected: wp.int32  # texture that colours the cone (textured spot)
     probability: wp.float32  # discrete selection probability
 

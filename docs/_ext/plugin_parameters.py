@@ -41,6 +41,7 @@ MORE: dict[str, tuple[dict, ...]] = {
     "thinlens": ({"aperture_radius": 0.1, "fov": 40.0},),
     "directional": ({"direction": [0.0, 0.0, 1.0]},),
     "spot": ({"texture": {"type": "bitmap", "bitmap": np.full((2, 2, 3), 0.5)}},),
+    "projector": ({"fov": 40.0}, {"irradiance": {"type": "bitmap", "bitmap": np.full((2, 2, 3), 0.5)}}),
     "point": ({"position": [0.0, 0.0, 1.0]},),
 }
 #: Plugins that stand for values (spectra) take different forms; they are listed by name alone.

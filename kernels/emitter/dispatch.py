@@ -13,6 +13,7 @@ from warp_psdr.kernels.constants import (
     EMITTER_DIRECTIONAL,
     EMITTER_ENVMAP,
     EMITTER_POINT,
+    EMITTER_PROJECTOR,
     EMITTER_SPOT,
     EMITTER_TEXTURED_SPOT,
 )
@@ -20,6 +21,7 @@ from warp_psdr.kernels.emitter.constant import make_constant
 from warp_psdr.kernels.emitter.directional import make_directional
 from warp_psdr.kernels.emitter.envmap import make_envmap
 from warp_psdr.kernels.emitter.point import make_point
+from warp_psdr.kernels.emitter.projector import make_projector
 from warp_psdr.kernels.emitter.spot import make_spot, make_textured_spot
 from warp_psdr.kernels.structs import Emitter, LightAdjoint, LightSample, Scene
 
@@ -28,6 +30,7 @@ WITHOUT_AREA = {
     EMITTER_POINT: make_point,
     EMITTER_SPOT: make_spot,
     EMITTER_TEXTURED_SPOT: make_textured_spot,
+    EMITTER_PROJECTOR: make_projector,
     EMITTER_DIRECTIONAL: make_directional,
 }
 WANTED = ("radiance", "pose")
@@ -35,7 +38,8 @@ WANTED = ("radiance", "pose")
 
 @wp.func
 def is_delta_light(kind: wp.int32) -> wp.bool:
-    return kind == EMITTER_POINT or kind == EMITTER_SPOT or kind == EMITTER_TEXTURED_SPOT or kind == EMITTER_DIRECTIONAL
+    spot = kind == EMITTER_SPOT or kind == EMITTER_TEXTURED_SPOT or kind == EMITTER_PROJECTOR
+    return spot or kind == EMITTER_POINT or kind == EMITTER_DIRECTIONAL
 
 
 class LightFunctions(NamedTuple):
@@ -65,7 +69,7 @@ def make_lights(kinds: tuple[int, ...], role: str | None, wanted: tuple[str, ...
         kinds: every kind that the scene holds, once each.
         role: "reverse", "forward", or None for lights that are not differentiated.
         wanted: which derivatives are scattered to the lights' own parameters: "radiance" (radiance, texels, intensity,
-            irradiance, scale) and "pose" (to_world, position, angles of a spot).
+            irradiance, scale) and "pose" (to_world, position, angles of a spot, field of view of a projector).
 
     Raises:
         ValueError: unknown kind, role or derivative.

@@ -112,6 +112,18 @@ def spot():
     }
 
 
+def projector():
+    """It throws a picture with a black border: its light ends without an edge."""
+    image = np.pad(np.linspace(0.4, 1.0, 75, dtype=np.float32).reshape(5, 5, 3), ((1, 1), (1, 1), (0, 0)))
+    return {
+        "type": "projector",
+        "to_world": T.look_at([0.6, -0.4, 3.0], [0.1, 0.1, 0.0], [0, 1, 0]),
+        "irradiance": {"type": "bitmap", "bitmap": image, "raw": True},
+        "scale": 8.0,
+        "fov": 55.0,
+    }
+
+
 def rough(alpha):
     """A rough mirror of no particular metal."""
     return {"type": "roughconductor", "alpha": alpha, "eta": {"type": "rgb", "value": 0.5}, "k": 3.0}
@@ -171,6 +183,7 @@ SCENES = {
         {"type": "point", "position": [0.6, -0.4, 3.0], "intensity": {"type": "rgb", "value": 20.0}}
     ),
     "spot": lambda: under(spot()),
+    "projector": lambda: under(projector()),
     "sun": lambda: under(
         {
             "type": "directional",

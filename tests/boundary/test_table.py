@@ -79,6 +79,7 @@ CASES = [
     Case("point", FLOOR, moved(0.2, 0.1, 1.0), 0.01, RECEIVER, difference_spp=2048),
     Case("point", "light.position", ALONG, 0.01, "light moves"),
     Case("spot", LIGHT, ALONG, 0.01, "light moves"),
+    Case("projector", LIGHT, ALONG, 0.01, "light moves", slow=True),
     Case("sun", OCCLUDER, ALONG, 0.005, "occluder moves", difference_spp=8192),
     Case("sun", FLOOR, moved(0.2, 0.1, 1.0), 0.01, RECEIVER, difference_spp=2048),
     Case("sun", LIGHT, sun_turns, 0.01, "light turns", difference_spp=8192),

@@ -12,7 +12,14 @@ from warp_psdr.kernels.emitter.dispatch import make_lights
 from warp_psdr.kernels.structs import Emitter, Scene, Texture
 from warp_psdr.scene.light_sampling import build_env_distribution
 
-ALL_KINDS = (c.EMITTER_CONSTANT, c.EMITTER_ENVMAP, c.EMITTER_POINT, *sorted(c.SPOTS), c.EMITTER_DIRECTIONAL)
+ALL_KINDS = (
+    c.EMITTER_CONSTANT,
+    c.EMITTER_ENVMAP,
+    c.EMITTER_POINT,
+    *sorted(c.SPOTS),
+    c.EMITTER_PROJECTOR,
+    c.EMITTER_DIRECTIONAL,
+)
 BOTH = ("pose", "radiance")
 ROTATION = Rotation.from_rotvec([0.4, -1.1, 0.7]).as_matrix()
 ENVIRONMENTS = (c.EMITTER_CONSTANT, c.EMITTER_ENVMAP)
@@ -70,7 +77,7 @@ class Light:
         e.texture = 0
         if radiance.ndim == 3:
             texture.kind = c.TEXTURE_BITMAP
-            texture.height, texture.width = radiance.shape[:2]
+            texture.height, texture.width, texture.to_uv = *radiance.shape[:2], offset
         for name in ("to_world", "position"):
             if name in self.where:
                 e.to_world = self.where[name].start
@@ -301,6 +308,20 @@ def lights_to_differentiate():
             "angles": [60.0, 5.0],
             "projected": ramps()[..., :1],
         },
+        "projector": {
+            "kind": c.EMITTER_PROJECTOR,
+            "radiance": ramps(),
+            "to_world": pose(translation=-1.5 * spot_axis),
+            "scale": [1.5],
+            "angles": [60.0],
+        },
+        "skewed projector": {
+            "kind": c.EMITTER_PROJECTOR,
+            "radiance": [0.7],
+            "to_world": pose(skewed, -1.5 * spot_axis),
+            "scale": [0.5],
+            "angles": [70.0],
+        },
         "directional": {"kind": c.EMITTER_DIRECTIONAL, "radiance": [3.0, 2.0, 1.0], "to_world": pose()},
         "skewed directional": {"kind": c.EMITTER_DIRECTIONAL, "radiance": [2.0], "to_world": pose(skewed)},
     }
@@ -329,6 +350,12 @@ def queries(name, light):
         across /= np.linalg.norm(across, axis=1, keepdims=True)
         angle = np.radians(rng.uniform(angles[1] + 8.0, angles[0] - 8.0, n))[:, None]
         x = m[:3, 3] + (np.cos(angle) * axis + np.sin(angle) * across) * rng.uniform(1.0, 2.0, (n, 1))
+    elif light.kind == c.EMITTER_PROJECTOR:
+        # Inside of the frame, between the centres of the outermost texels.
+        m = light.values[light.where["to_world"]].reshape(4, 4).astype(np.float64)
+        half = 0.55 * np.tan(np.radians(0.5 * light.values[light.where["angles"]][0]))
+        local = np.concatenate([rng.uniform(-half, half, (n, 2)), np.ones((n, 1))], axis=1)
+        x = m[:3, 3] + (local * rng.uniform(1.0, 2.0, (n, 1))) @ m[:3, :3].T
     else:
         x = rng.normal(size=(n, 3)) * 0.3
     return x.astype(np.float32), rng.normal(size=(n, 3)), rng.normal(size=(n, 3))

@@ -122,6 +122,8 @@ def test_derivatives_are_finite_at_singular_places(role):
     slide = Light(c.EMITTER_TEXTURED_SPOT, radiance=[1.0], projected=random_map(), **angles)
     # The same, and across the axis, where the direction meets no texture.
     cases.append((slide, np.concatenate([cases[-1][1], np.float32([[1.0, 0.0, 0.0]])])))
+    thrown = Light(c.EMITTER_PROJECTOR, radiance=random_map(), scale=[1.0], **angles)
+    cases.append((thrown, cases[-1][1]))
     for light, x in cases:
         ones = np.ones_like(x)
         for v in light.vjp(role, np.zeros(len(light.values)), x, ones, ones):

@@ -183,7 +183,7 @@ def test_constant_environment(device):
 # -- dispatch ----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ["constant", "envmap", "point", "spot", "textured spot", "directional"])
+@pytest.mark.parametrize("name", ["constant", "envmap", "point", "spot", "textured spot", "projector", "directional"])
 def test_dispatch_over_all_kinds_equals_the_single_kind(name):
     light = Light(**LIGHTS[name])
     x, w, a_wi = queries(name, light)
@@ -242,7 +242,7 @@ def test_scenes_hold_code_of_their_own_lights_only_and_compile_for_cuda(tmp_path
     words = {
         "sample": ("make_envmap", "find_interval", "make_spot", "falloff", "make_directional"),
         "environment": ("make_envmap", "locate", "bilinear_dot"),
-        "delta": ("spot_dot", "directional_dot"),
+        "delta": ("spot_dot", "projector_dot", "directional_dot"),
     }
     for stage, present in words.items():
         for word in present:
@@ -289,7 +289,7 @@ def test_constant_environment_equals_mitsubas(mitsuba):
     np.testing.assert_allclose(light.evaluate(d)[0], mitsuba_environment(mitsuba, emitter, d), rtol=1e-5)
 
 
-@pytest.mark.parametrize("name", ["point", "spot", "textured spot", "directional"])
+@pytest.mark.parametrize("name", ["point", "spot", "textured spot", "projector", "directional"])
 def test_delta_lights_equal_mitsubas(mitsuba, name):
     rgb = {"type": "rgb", "value": [3.0, 2.0, 1.0]}
     matrix = mitsuba.ScalarTransform4f(pose(translation=(0.3, -0.2, 0.5)).astype(np.float64))
@@ -318,6 +318,19 @@ def test_delta_lights_equal_mitsubas(mitsuba, name):
                 to_world=pose(translation=(0.3, -0.2, 0.5)),
                 angles=[50.0, 20.0],
                 projected=random_map(),
+            ),
+        ),
+        "projector": (
+            {
+                **{"type": "projector", "to_world": matrix, "fov": 100.0, "scale": 1.5},
+                "irradiance": {"type": "bitmap", "bitmap": mitsuba.Bitmap(random_map()), "raw": True},
+            },
+            Light(
+                c.EMITTER_PROJECTOR,
+                radiance=random_map(),
+                to_world=pose(translation=(0.3, -0.2, 0.5)),
+                scale=[1.5],
+                angles=[100.0],
             ),
         ),
         "directional": (

@@ -21,6 +21,7 @@ TOGETHER = {
     "plane": ("*",),
     "plane, parallel": ("sensor.*", "floor.to_world"),
     "plane, lens": ("sensor.*", "floor.to_world"),
+    "projected": ("lamp.*", "floor.to_world"),
     "dome": ("floor.face_color", "sky.radiance.value"),
     "gap": ("*",),
     "rough": ("*",),
@@ -192,6 +193,14 @@ LENS = [
     Case("plane, lens", "sensor.focus_distance", ones, 1e-2, spp=512),
     Case("plane, lens", "floor.to_world", turn(0.5, 0.8, 0.2), 2e-2, "turn", spp=256, slow=True),
 ]
+PROJECTED = [
+    Case("projected", "lamp.irradiance.data", texel_wave, 2e-2, depth=2),
+    Case("projected", "lamp.scale", ones, 5e-2, depth=2),
+    Case("projected", "lamp.x_fov", ones, 0.2, depth=2, spp=64),
+    Case("projected", "lamp.to_world", aim(0.3, 0.8, 0.2), 5e-3, "aim", depth=2, spp=64),
+    Case("projected", "lamp.to_world", shift(0.5, -0.3, 0.4), 5e-3, "shift", depth=2, spp=64),
+    Case("projected", "floor.to_world", turn(0.5, 0.8, 0.2), 1e-2, "turn", depth=2, spp=256, slow=True),
+]
 DOME = [
     Case("dome", "floor.face_color", mixed, 5e-2),
     Case("dome", "sky.radiance.value", mixed, 5e-2),
@@ -277,4 +286,4 @@ DELTA = [
     Case("glass", "sensor.to_world", aim(0.3, 0.8, 0.4), 2e-3, "aim", depth=4, spp=64),
     Case("glass", "sensor.x_fov", ones, 0.1, depth=4, spp=128, slow=True),
 ]
-CASES = [*PLANE, *PARALLEL, *LENS, *DOME, *GAP, *ROUGH, *PLASTIC, *CHECKERED, *BLEND, *DELTA]
+CASES = [*PLANE, *PARALLEL, *LENS, *PROJECTED, *DOME, *GAP, *ROUGH, *PLASTIC, *CHECKERED, *BLEND, *DELTA]

@@ -113,6 +113,22 @@ def plane_seen_by(kind, to_world=None, **parameters):
     return {**scene, "sensor": {**kept, "type": kind, "to_world": pose, **parameters}}
 
 
+def projected_scene():
+    """A floor under a projector, whose image has a black border: it ends without an edge."""
+    image = np.pad(noise(4, 5, 3, seed=7), ((1, 1), (1, 1), (0, 0)))
+    return {
+        "sensor": camera([0.3, -0.6, 2.5], [0.1, 0.0, 0.0]),
+        "floor": {"type": "rectangle", "to_world": psdr.Transform.scale(4)},
+        "lamp": {
+            "type": "projector",
+            "irradiance": {"type": "bitmap", "bitmap": image, "raw": True},
+            "to_world": psdr.Transform.look_at([-0.8, 0.3, 1.8], [0.1, 0.1, 0.0], [0, 1, 0]),
+            "fov": 50.0,
+            "scale": 3.0,
+        },
+    }
+
+
 def dome_scene():
     _vertices, faces, _texcoords = dome()
     reflectance = {"type": "mesh_attribute", "name": "face_color"}
@@ -207,6 +223,7 @@ SCENES = {
     "plane": plane_scene,
     "plane, parallel": lambda: plane_seen_by("orthographic", psdr.Transform.scale([0.9, 1.1, 1.5])),
     "plane, lens": lambda: plane_seen_by("thinlens", aperture_radius=0.3, focus_distance=1.7),
+    "projected": projected_scene,
     "dome": dome_scene,
     "gap": gap_scene,
     "rough": rough_scene,

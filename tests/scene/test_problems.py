@@ -18,7 +18,7 @@ def problems(load):
 
 def test_all_unsupported_plugins_and_parameters_are_named_with_their_lines():
     body = """<medium type="homogeneous" id="fog"/>
-<emitter type="projector"/>
+<emitter type="collimated"/>
 <bsdf type="roughplastic" id="shiny"><texture type="wireframe" name="diffuse_reflectance"/></bsdf>
 <shape type="sphere"><ref id="shiny"/><ref id="fog" name="interior"/><float name="radios" value="1"/></shape>
 <shape type="cube"><ref id="shiny"/><float name="size" value="1"/><bogus/></shape>
@@ -31,7 +31,7 @@ def test_all_unsupported_plugins_and_parameters_are_named_with_their_lines():
     assert first == "string: 11 problems:" and len(rest) == 11
     expected = {
         4: "<medium> ('homogeneous') is not supported",
-        5: "unsupported emitter 'projector'",
+        5: "unsupported emitter 'collimated'",
         6: "unsupported bsdf 'roughplastic'",
         7: "no parameter 'radios' (did you mean 'radius'?)",
         8: "<bogus> is not supported",
@@ -72,7 +72,7 @@ def test_dictionaries_name_all_of_it_too_and_a_shared_plugin_once():
 @pytest.mark.parametrize(
     ("scene", "right", "wrong"),
     [
-        ({"type": "projector"}, "supported emitter plugins: area", "prb_projective"),
+        ({"type": "sunsky"}, "supported emitter plugins: area", "prb_projective"),
         ({"type": "distant"}, "supported sensor plugins: perspective", "did you mean"),
         ({"type": "difuse"}, "did you mean 'diffuse'", "unsupported emitter"),
         ({"type": "cube", "bsdf": {"type": "roughplastic"}}, "supported bsdf plugins", "did you mean"),

@@ -59,6 +59,10 @@ LIGHTS = {
         "type": "spot", "intensity": 20.0 * s * s, "cutoff_angle": 40.0, "beam_width": 20.0,
         "to_world": T.look_at(at((1.5, -1.0, 3.0)), at((0.0, 0.0, 0.0)), (0, 0, 1)),
     },
+    "projector": lambda s, at: {
+        "type": "projector", "irradiance": 2.0 * s * s, "fov": 80.0,
+        "to_world": T.look_at(at((-1.0, 1.0, 4.0)), at((0.0, 0.0, 0.0)), (0, 1, 0)),
+    },
     "directional": lambda s, at: {"type": "directional", "direction": [0.3, 0.4, -1.0], "irradiance": 1.0},
     "envmap": lambda s, at: {
         "type": "envmap", "bitmap": np.random.default_rng(5).uniform(0.2, 1.0, (6, 12, 3)).astype(np.float32),

@@ -120,6 +120,7 @@ LIGHTS = {
     "point": (POINT, "lamp.position", 0),
     "spot": (SPOT, "lamp.to_world", 3),
     "spot without an axis": (SPOT, "lamp.to_world", 2),
+    "projector": ({"type": "projector", "to_world": FACING, "fov": 100.0, "scale": 20.0}, "lamp.to_world", 3),
     "sun": ({"type": "directional", "to_world": FACING}, "lamp.to_world", 2),
     "map": (MAP, "lamp.to_world", 0),
     "camera and map": (MAP, "sensor.to_world", 0),

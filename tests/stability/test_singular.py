@@ -33,7 +33,7 @@ EVERY = {
     "bilinear_dot": "linear in values, and in the position within a cell",
     "camera_dot": "here", "lens_dot": "here", "parallel_dot": "here",
     "directional_dot": "here", "point_dot": "here", "spot_dot": "here", "moved_point_dot": "linear",
-    "projected_dot": "test_textured_spot.py",
+    "projected_dot": "test_textured_spot.py", "projector_dot": "test_projector.py", "frame_dot": "test_projector.py",
     "tangent_dot": "here", "tangent_frame_dot": "here",
     "weighted_normal_dot": "here", "normalized_dot": "here", "normal_dot": "here",
     "eval_dot": "test_materials.py", "scatter_dot": "test_materials.py",

@@ -87,8 +87,8 @@ class PathSpace(Connecting):
     environment, point, spot and directional lights, and a moving camera, at any depth. Through smooth mirrors and
     glass it searches along lines (``kernels/boundary/specular/line_search.py``): 16 path vertices at most. Not covered,
     and refused: textures with steps (checkerboards, bitmaps that take the nearest texel) that move before the camera or
-    beside mirrors and glass, faces' attributes where texture coordinates move, spot lights whose cone ends abruptly,
-    what a clip plane cuts in sight, and shapes that share an edge.
+    beside mirrors and glass, faces' attributes where texture coordinates move, spots and projectors whose light ends
+    abruptly, what a clip plane cuts in sight, and shapes that share an edge.
     Surfaces that merely touch are in contact: as they move apart, or into each other, the image has two one-sided
     derivatives, and what is returned at the contact is neither. Forward mode warns of such tangents; the gradient of
     reverse mode holds for motions along contacts and for those that keep what touches together, and the plan names the

@@ -17,7 +17,7 @@ from warp_psdr.scene.layout import TEXCOORDS, TO_UV
 from warp_psdr.topology.edges import scene_adjacency
 
 if TYPE_CHECKING:
-    from warp_psdr.kernels.structs import Texture
+    from warp_psdr.kernels.structs import Emitter, Texture
     from warp_psdr.kernels.vertex import PathConfig
     from warp_psdr.options.integrator import PathIntegrator
     from warp_psdr.scene.scene import Scene
@@ -74,6 +74,11 @@ def _uncovered(scene: Scene, config: PathConfig, names: list[str], max_depth: in
             cutoff, beam = values[e.cutoff : e.cutoff + 2].tolist()
             if math.radians(cutoff - beam) <= MIN_FALLOFF:
                 return "a spot light's cone has a hard edge; make beam_width smaller than cutoff_angle"
+        if e.kind == c.EMITTER_PROJECTOR and has_hard_frame(scene, e):
+            return (
+                "a projector's image ends in a hard edge of light; give it a border of black texels (with 'bilinear' "
+                "filtering and without to_uv)"
+            )
     pair = _shared_by_many(scene, set(motion(scene, names).shapes))
     if pair is not None:
         a, b = (scene.description.shapes[i].path for i in pair)
@@ -113,6 +118,21 @@ def _moving_steps(scene: Scene, config: PathConfig, moves: Motion) -> str:
         return ""
     path = scene.description.shapes[seen[0]].path
     return f"the camera moves before the texture of {path!r}" if moves.camera else f"{path!r} carries a texture"
+
+
+def has_hard_frame(scene: Scene, e: Emitter) -> bool:
+    """Whether the image of a projector jumps at its frame, or within it: not if its outermost texels are black.
+
+    A bilinear look-up on the frame, half a texel outside of their centres, mixes those of two opposite sides at most.
+    """
+    t = scene.builder.textures[e.texture]
+    values = scene.values.numpy()
+    if t.kind != c.TEXTURE_BITMAP or t.filter != c.FILTER_BILINEAR:
+        return True
+    if not np.array_equal(values[t.to_uv : t.to_uv + 9].reshape(3, 3), np.eye(3)):
+        return True
+    texels = values[t.offset : t.offset + t.height * t.width * t.channels].reshape(t.height, t.width, t.channels)
+    return any(bool(side.any()) for side in (texels[0], texels[-1], texels[:, 0], texels[:, -1]))
 
 
 def _shared_by_many(scene: Scene, shapes: set[int]) -> tuple[int, int] | None:

@@ -19,7 +19,7 @@ from warp_psdr.kernels.vertex import PathConfig
 from warp_psdr.options.boundary import Connecting, Method, PathSpace
 from warp_psdr.options.integrator import PathIntegrator
 from warp_psdr.plan import guiding
-from warp_psdr.plan.coverage import choose, slides_steps
+from warp_psdr.plan.coverage import choose, has_hard_frame, slides_steps
 from warp_psdr.plan.integrator import Integrator, integrator_of
 from warp_psdr.plan.interior import Kept, Row, row_of
 from warp_psdr.plan.motion import motion
@@ -51,6 +51,7 @@ EMITTER_NAMES = {
     c.EMITTER_POINT: "point",
     c.EMITTER_SPOT: "spot",
     c.EMITTER_TEXTURED_SPOT: "spot with a texture",
+    c.EMITTER_PROJECTOR: "projector",
     c.EMITTER_DIRECTIONAL: "directional",
 }
 CAMERA_NAMES = {
@@ -382,7 +383,7 @@ def _moving_lights(scene: Scene) -> dict[str, str]:
         return found
     values = scene.values.numpy()
     for e, record in zip(scene.description.emitters, scene.builder.emitters, strict=True):
-        if e.kind in ("point", "spot", "directional"):
+        if e.kind in ("point", "spot", "projector", "directional"):
             found[f"{e.path}.{'to_world' if e.position is None else 'position'}"] = "hard shadows"
         if e.kind == "spot":
             cutoff, beam = values[record.cutoff : record.cutoff + 2].tolist()
@@ -390,4 +391,8 @@ def _moving_lights(scene: Scene) -> dict[str, str]:
                 edge = "the hard edge of the cone (beam_width reaches cutoff_angle)"
                 found[f"{e.path}.to_world"] += f" and {edge}"
                 found[f"{e.path}.cutoff_angle"] = found[f"{e.path}.beam_width"] = edge
+        if e.kind == "projector" and has_hard_frame(scene, record):
+            edge = "the edge of the projected image"
+            found[f"{e.path}.to_world"] += f" and {edge}"
+            found[f"{e.path}.x_fov"] = edge
     return found

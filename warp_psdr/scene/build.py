@@ -46,6 +46,7 @@ EMITTERS = {
     "envmap": c.EMITTER_ENVMAP,
     "point": c.EMITTER_POINT,
     "spot": c.EMITTER_SPOT,
+    "projector": c.EMITTER_PROJECTOR,
     "directional": c.EMITTER_DIRECTIONAL,
 }
 CAMERAS = {"perspective": c.CAMERA_PERSPECTIVE, "orthographic": c.CAMERA_ORTHOGRAPHIC, "thinlens": c.CAMERA_THINLENS}
@@ -212,7 +213,7 @@ class Builder:
             record.kind = c.TEXTURE_BITMAP
             record.height, record.width, record.channels = t.value.shape
             record.filter, record.wrap = FILTERS[t.filter], WRAPS[t.wrap]
-            if use == LIGHT_RADIANCE:  # an environment map is read by direction, and a spot's has no parameter for this
+            if use == LIGHT_RADIANCE:  # no parameter: an environment map is read by direction, and others have none
                 record.to_uv = self.layout.add_values(t.to_uv)
             else:
                 record.to_uv = self.layout.add(f"{t.path}.to_uv", t.to_uv, TO_UV)
@@ -304,17 +305,20 @@ class Builder:
             record.texture = self._texture(e.radiance, LIGHT_RADIANCE, bounds)
         if e.kind in ("constant", "envmap"):
             self.environment = number
-        if e.kind == "envmap":
+        if e.kind in ("envmap", "projector"):
             record.scale = self.layout.add(f"{e.path}.scale", np.array([e.scale]), LIGHT_RADIANCE, bounds=bounds)
         if e.to_world is not None:
             # Of the others only the directions count.
-            placed = e.kind == "spot"
+            placed = e.kind in ("spot", "projector")
             record.to_world = self.layout.add(f"{e.path}.to_world", e.to_world, LIGHT_POSE, placed=placed)
         if e.position is not None:
             record.to_world = self.layout.add(f"{e.path}.position", e.position, LIGHT_POSE, placed=True)
         if e.projected is not None:
             record.kind = c.EMITTER_TEXTURED_SPOT
             record.projected = self._texture(e.projected, LIGHT_RADIANCE, bounds)
+        if e.kind == "projector":
+            fov = np.array([e.x_fov])
+            record.cutoff = self.layout.add(f"{e.path}.x_fov", fov, LIGHT_POSE, bounds=(1e-3, 179.0))
         if e.kind == "spot":
             # The kernels read both angles from one offset.
             record.cutoff = self.layout.add_values(np.array([e.cutoff_angle, e.beam_width]))

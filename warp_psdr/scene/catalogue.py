@@ -15,7 +15,7 @@ MITSUBA: dict[str, tuple[str, ...]] = {
         *("roughdiffuse", "opacity"),
     ),
     "texture": ("checkerboard", "volume", "gridtexture", "scale", "vertexcolors", "curvature", "wireframe"),
-    "emitter": (*("directionalarea", "projector", "sunsky", "timed_sunsky", "sky", "sun", "collimated"),),
+    "emitter": (*("directionalarea", "sunsky", "timed_sunsky", "sky", "sun", "collimated"),),
     "sensor": ("batch", "distant", "irradiancemeter", "radiancemeter", "fluencemeter", "perspective_rdist"),
     "film": ("specfilm", "ldrfilm", "mfilm", "tiledhdrfilm"),
     "rfilter": ("catmullrom", "lanczos", "mitchell"),

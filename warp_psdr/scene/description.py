@@ -65,15 +65,14 @@ class EmitterDescription:
     """A light source. For area lights the shape holds it."""
 
     path: str
-    kind: Literal["area", "constant", "envmap", "point", "spot", "directional"]
-    radiance: (
-        TextureDescription  #: area, constant: radiance; envmap: data; point, spot: intensity; directional: irradiance
-    )
-    to_world: np.ndarray | None = None  #: (4, 4): envmap, spot, directional
+    kind: Literal["area", "constant", "envmap", "point", "spot", "projector", "directional"]
+    radiance: TextureDescription  #: area, constant: radiance; envmap: data; point, spot: intensity; others: irradiance
+    to_world: np.ndarray | None = None  #: (4, 4): envmap, spot, projector, directional
     position: np.ndarray | None = None  #: (3,): point
-    scale: float = 1.0  #: envmap
+    scale: float = 1.0  #: envmap, projector
     cutoff_angle: float = 20.0  #: spot, degrees
     beam_width: float = 15.0  #: spot, degrees
+    x_fov: float = 0.0  #: projector, degrees, horizontal
     projected: TextureDescription | None = None  #: spot: a bitmap that the cone projects
 
 

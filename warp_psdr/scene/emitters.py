@@ -10,6 +10,7 @@ import numpy as np
 from .description import EmitterDescription, TextureDescription
 from .errors import SceneError, error
 from .origin import moved
+from .pinhole import rigid_pose, x_fov
 from .plugins import Properties
 from .textures import bitmap_values, texture
 from .transforms import Transform
@@ -30,6 +31,7 @@ def build(node: dict, where: str, path: str, context: Context) -> EmitterDescrip
         "envmap": _envmap,
         "point": _point,
         "spot": _spot,
+        "projector": _projector,
         "directional": _directional,
     }
     props = Properties(node, where, path, context)
@@ -141,6 +143,27 @@ def _projected(props: Properties) -> TextureDescription | None:
         # Its texels would have edges that move with what they fall on.
         raise error(props.place("texture"), f"a filter_type of '{result.filter}'", "a spot projects 'bilinear' bitmaps")
     return dataclasses.replace(result, path=f"{props.path}.texture")
+
+
+def _projector(props: Properties) -> EmitterDescription:
+    irradiance = texture(props, "irradiance", 1.0, emissive=True)
+    if irradiance.kind not in ("constant", "bitmap"):
+        place = props.place("irradiance")
+        raise error(place, f"a {irradiance.kind} texture", "a projector throws a bitmap or a colour")
+    aspect = 1.0
+    if irradiance.kind == "bitmap":
+        height, width = irradiance.value.shape[:2]
+        aspect = width / height
+        # A parameter of its own even if something else refers to it, too.
+        irradiance = dataclasses.replace(irradiance, path=f"{props.path}.irradiance")
+    return EmitterDescription(
+        props.path,
+        "projector",
+        irradiance,
+        to_world=moved(rigid_pose(props), props.context.origin).astype(np.float32),
+        scale=props.number("scale", 1.0, minimum=0.0),
+        x_fov=x_fov(props, aspect),
+    )
 
 
 def _directional(props: Properties) -> EmitterDescription:

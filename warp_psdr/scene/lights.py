@@ -113,10 +113,18 @@ class Lights:
         if e.kind in c.SPOTS:
             share = self._mean(e.projected, values) if e.kind == c.EMITTER_TEXTURED_SPOT else 1.0
             return 2.0 * np.pi * (1.0 - np.cos(np.radians(float(values[e.cutoff])))) * mean * share
+        if e.kind == c.EMITTER_PROJECTOR:
+            return np.pi * mean * max(float(values[e.scale]), 0.0) * self._frame_area(e, values)
         if e.kind == c.EMITTER_DIRECTIONAL:
             return np.pi * radius**2 * mean
         scale = max(float(values[e.scale]), 0.0) if e.kind == c.EMITTER_ENVMAP else 1.0
         return np.pi * np.pi * radius**2 * mean * scale
+
+    def _frame_area(self, e: structs.Emitter, values: np.ndarray) -> float:
+        """Area of a projector's frame at distance 1."""
+        t = self._builder.textures[e.texture]
+        width = 2.0 * np.tan(np.radians(0.5 * float(values[e.cutoff])))
+        return width * width * max(t.height, 1) / max(t.width, 1)
 
     def _mean(self, texture: int, values: np.ndarray) -> float:
         """Mean luminance of a texture, at least 0."""

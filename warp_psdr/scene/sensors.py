@@ -10,19 +10,15 @@ import numpy as np
 from .description import FilmDescription, SensorDescription
 from .errors import error
 from .origin import moved
+from .pinhole import rigid_pose, x_fov
 from .plugins import PLUGINS, Properties, unsupported_plugin
 from .transforms import Transform
 
 if TYPE_CHECKING:
     from .context import Context
 
-_FOV_AXES = ("x", "y", "diagonal", "smaller", "larger")
 #: Degrees, of the camera of a scene without one.
 _DEFAULT_FOV = 45.0
-#: Diagonal of 35 mm film, in mm: what focal lengths refer to.
-_FILM_DIAGONAL = math.hypot(36.0, 24.0)
-#: Largest difference of the axes' lengths, relative, that rounding in a scene file may leave.
-_RIGID = 1e-3
 #: Parameters of a film that matter when Mitsuba writes an image.
 _WRITTEN = {"file_format": ("openexr", "exr", "rgbe", "pfm"), "component_format": ("float16", "float32", "uint32")}
 _FILM_MAX = 65536
@@ -58,10 +54,11 @@ def build(node: dict, where: str, path: str, context: Context) -> SensorDescript
         raise error(where, f"near_clip is {near:g} and far_clip {far:g}", "near_clip must be the smaller one")
     props.ignore("shutter_open", "shutter_close", reason="there is no motion blur")
     parallel = kind == "orthographic"
+    to_world = props.transform("to_world") if parallel else rigid_pose(props)
     result = SensorDescription(
         path=path,
         kind=kind,
-        to_world=moved(props.transform("to_world") if parallel else _pose(props), context.origin).astype(np.float32),
+        to_world=moved(to_world, context.origin).astype(np.float32),
         near_clip=near,
         far_clip=far,
         film=film,
@@ -74,7 +71,7 @@ def build(node: dict, where: str, path: str, context: Context) -> SensorDescript
     else:
         props.ignore("focus_distance", reason="without a lens the image is sharp everywhere")
     if not parallel:
-        result.x_fov = _x_fov(props, film.width / film.height)
+        result.x_fov = x_fov(props, film.width / film.height)
         result.principal_point_offset = (
             props.number("principal_point_offset_x", 0.0),
             props.number("principal_point_offset_y", 0.0),
@@ -111,58 +108,6 @@ def default(low: np.ndarray, high: np.ndarray, where: str, path: str, context: C
         f"{where}: there is no sensor; one at {place} that looks along +z, {_DEFAULT_FOV:g} degrees wide, is used"
     )
     return build(node, where, path, context)
-
-
-def _pose(props: Properties) -> np.ndarray:
-    """Return the rigid camera-to-world matrix; a uniform scale is divided out with a note."""
-    matrix = props.transform("to_world")
-    place = props.place("to_world")
-    lengths = np.linalg.svd(matrix[:3, :3], compute_uv=False)
-    if lengths[0] - lengths[-1] > _RIGID * lengths[0]:
-        raise error(
-            place,
-            f"the matrix stretches or shears (singular values {np.round(lengths, 4).tolist()})",
-            "build it from rotations and translations, for example with look_at",
-        )
-    scale = float(np.cbrt(np.abs(np.linalg.det(matrix[:3, :3]))))
-    if abs(scale - 1.0) > _RIGID:
-        props.context.note(f"{place}: the scale {scale:g} of the camera was removed")
-    if np.linalg.det(matrix[:3, :3]) < 0.0:
-        props.context.note(f"{place}: the matrix mirrors the image")
-    matrix[:3, :3] /= scale
-    return matrix
-
-
-def _x_fov(props: Properties, aspect: float) -> float:
-    """Return the horizontal field of view in degrees from ``fov`` and ``fov_axis``, or ``focal_length``."""
-    if props.has("fov") and props.has("focal_length"):
-        raise error(props.where, "got both 'fov' and 'focal_length'", "give one of them")
-    axis = props.string("fov_axis", "x", _FOV_AXES)
-    if props.has("fov"):
-        fov = props.number("fov", None, minimum=0.0, maximum=180.0, exclusive=True)
-        props.take("focal_length")
-    else:
-        props.take("fov")
-        fov, axis = _fov_of_focal_length(props), "diagonal"
-    if axis in ("smaller", "larger"):
-        axis = "x" if (axis == "larger") == (aspect > 1.0) else "y"
-    tangent = math.tan(0.5 * math.radians(fov))
-    if axis == "y":
-        tangent *= aspect
-    elif axis == "diagonal":
-        tangent /= math.sqrt(1.0 + 1.0 / aspect**2)
-    return math.degrees(2.0 * math.atan(tangent))
-
-
-def _fov_of_focal_length(props: Properties) -> float:
-    text = str(props.take("focal_length", "50mm")).strip()
-    try:
-        length = float(text.removesuffix("mm"))
-    except ValueError:
-        length = -1.0
-    if not 0.0 < length < math.inf:
-        raise error(props.place("focal_length"), f"got '{text}'", "give a positive length such as '50mm'")
-    return math.degrees(2.0 * math.atan(0.5 * _FILM_DIAGONAL / length))
 
 
 def _film(sensor: Properties) -> FilmDescription:

@@ -393,7 +393,7 @@ def _draw_arrows(plotter: Any, drawn: Arrows) -> None:
 def _draw_light_markers(
     plotter: Any, description: SceneDescription, values: Mapping[str, Any], center: np.ndarray, radius: float
 ) -> None:
-    """Draw a ball for each point light, a cone for spot lights, an arrow from outside for directional lights."""
+    """Draw a ball for each point light, a cone for spots and projectors, an arrow for directional lights."""
     import pyvista
 
     for emitter in description.emitters:
@@ -403,10 +403,11 @@ def _draw_light_markers(
         if emitter.kind == "point":
             position = _value(values, f"{emitter.path}.position", emitter.position)
             marker = pyvista.Sphere(radius=0.03 * radius, center=position)
-        elif emitter.kind == "spot":
+        elif emitter.kind in ("spot", "projector"):
+            angle = float(emitter.cutoff_angle if emitter.kind == "spot" else 0.5 * emitter.x_fov)
             height = 0.15 * radius  # VTK's cone points along its direction: away from the beam, apex at the light
             marker = pyvista.Cone(center=place + 0.5 * height * direction, direction=-direction, height=height,
-                                  angle=float(emitter.cutoff_angle), resolution=32)  # fmt: skip
+                                  angle=angle, resolution=32)  # fmt: skip
         elif emitter.kind == "directional":
             marker = pyvista.Arrow(start=center - 1.2 * radius * direction, direction=direction, scale=0.3 * radius)
         else:
