@@ -78,3 +78,9 @@ def fresnel_dielectric(c: wp.float32, g: wp.float32, eta: wp.float32) -> wp.floa
         # At grazing angles it exceeds 1 by rounding, and what is transmitted would be negative.
         reflectance = wp.min(1.0, 0.5 * (r_s * r_s + r_p * r_p))
     return reflectance
+
+
+@wp.func
+def coat_reflectance(c: wp.float32, eta: wp.float32) -> wp.float32:
+    """Reflectance of a smooth interface at the cosine ``c`` > 0; ``eta``: the index behind it over that in front."""
+    return fresnel_dielectric(c, refracted_cosine(c, eta), eta)

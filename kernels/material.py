@@ -7,7 +7,7 @@ import warp as wp
 from warp_psdr.kernels.bsdf.dispatch import make_bsdf, models_of
 from warp_psdr.kernels.bsdf.record import Slot
 from warp_psdr.kernels.generated import make_generated
-from warp_psdr.kernels.reading import load_int
+from warp_psdr.kernels.reading import load_int, texture_record
 from warp_psdr.kernels.structs import Scene
 from warp_psdr.kernels.texture.texture import make_texture
 
@@ -23,10 +23,21 @@ def slot_at(scene: Scene, slots: wp.int32, number: wp.int32) -> wp.int32:
     return load_int(scene.slots, slots + number)
 
 
+@wp.func_native("return (wp::uint64)(values.data + offset);")
+def address_of(values: wp.array(dtype=wp.float32), offset: wp.int32) -> wp.uint64:
+    return wp.uint64(0)
+
+
+@wp.func
+def table_address(scene: Scene, index: wp.int32) -> wp.uint64:
+    """Address of a material's table, see ``bsdf/model.py``."""
+    return address_of(scene.values, texture_record(scene, index).offset)
+
+
 @functools.cache
 def make_material(models: tuple[str, ...], material: tuple[Slot, ...]):
     """Return ``material_at(scene, slots, face, u, v, uv) -> record``; unused values stay 0 and cost nothing."""
-    scope = {"record": make_bsdf(models).record, "Scene": Scene, "slot_at": slot_at}
+    scope = {"record": make_bsdf(models).record, "Scene": Scene, "slot_at": slot_at, "table_address": table_address}
     lines = [
         "def material_at(",
         "    scene: Scene, slots: wp.int32, face: wp.int32, u: wp.float32, v: wp.float32, uv: wp.vec2",
@@ -34,11 +45,14 @@ def make_material(models: tuple[str, ...], material: tuple[Slot, ...]):
         "    m = record()",
     ]
     for k, slot in enumerate(material):
-        if not slot.kinds:
+        if not slot.kinds and not slot.table:
+            continue
+        lines.append(f"    i{k} = slot_at(scene, slots, {k})")
+        if slot.table:
+            lines += [f"    if i{k} >= 0:", f"        m.{slot.name} = table_address(scene, i{k})"]
             continue
         scope[f"texture_{k}"] = make_texture(slot.kinds)
         value = f"texture_{k}(scene, i{k}, face, u, v, uv)" + ("" if slot.color else "[0]")
-        lines.append(f"    i{k} = slot_at(scene, slots, {k})")
         if is_optional(models, slot):
             lines += [f"    if i{k} >= 0:", f"        m.{slot.name} = {value}"]
         else:

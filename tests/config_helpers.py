@@ -2,14 +2,14 @@
 
 from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.bsdf.dispatch import models_of
-from warp_psdr.kernels.bsdf.record import Slot, merge_values
+from warp_psdr.kernels.bsdf.record import merge_values, slot_of
 from warp_psdr.kernels.vertex import PathConfig
 
 
 def materials(*models, kinds=(c.TEXTURE_CONSTANT,)):
     """What is compiled for scattering models, whose values are held by these kinds of textures; keys of a config."""
     values = merge_values(models_of(models))
-    return {"bsdfs": models, "material": tuple(Slot(value.name, value.color, kinds) for value in values)}
+    return {"bsdfs": models, "material": tuple(slot_of(value, kinds) for value in values)}
 
 
 #: Diffuse walls under an area light.

@@ -110,6 +110,8 @@ class Models(Generated):
         for declared in MODELS:
             lobes = ", ".join(LOBES[lobe] for lobe in declared.lobes)
             for parameter in declared.parameters:
+                if isinstance(parameter, model.Table):
+                    continue
                 about = " | ".join(_parameter(parameter))
                 lines.append(f"| `{declared.plugin}` | {about} | {lobes} |")
         return "\n".join(lines)
@@ -126,6 +128,8 @@ def _parameter(parameter) -> tuple[str, str, str]:
             return "`int_ior`, `ext_ior`", f"{parameter.interior}, {parameter.exterior}", ranges
         case model.ComplexIndex():
             return "`eta`, `k`, or `material`", "a perfect mirror", ranges
+        case model.UniformRoughness():
+            return "`alpha`", f"{parameter.default:g}", ranges
         case model.Roughness():
             return "`alpha`, or `alpha_u` and `alpha_v`", f"{parameter.default:g}", ranges
         case model.Choice():

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import warp as wp
 
-from warp_psdr.kernels.bsdf.model import Functions, Model, Value, key_of
+from warp_psdr.kernels.bsdf.model import Functions, MadeTable, Model, Value, key_of
 from warp_psdr.kernels.bsdf.record import make_material_record
 from warp_psdr.kernels.constants import LOBE_SMOOTH
 from warp_psdr.kernels.generated import make_generated
@@ -36,11 +36,22 @@ class Nested:
 
     prefix: str
     model: Model
+    variant: str
 
     @property
     def values(self) -> tuple[Value, ...]:
         """What device code reads."""
         return tuple(value._replace(name=nested_name(self.prefix, value.name)) for value in self.model.values)
+
+    @property
+    def tables(self) -> tuple[MadeTable, ...]:
+        """The tables among them."""
+        return tuple(
+            table._replace(
+                name=nested_name(self.prefix, table.name), of=tuple(nested_name(self.prefix, name) for name in table.of)
+            )
+            for table in self.model.tables(self.variant)
+        )
 
     @property
     def axes(self) -> tuple[tuple[str, str], ...]:
@@ -89,7 +100,7 @@ class Child(NamedTuple):
     def bind(self, record: type) -> BoundChild:
         """Return the child's functions over the composite's ``record``."""
         members = self.model.values
-        inner = make_material_record(tuple((value.name, value.color) for value in members))
+        inner = make_material_record(tuple((value.name, value.type) for value in members))
         functions = self.model.make(inner, self.variant)
         read = ", ".join(f"mat.{nested_name(self.prefix, value.name)}" for value in members)
         bound = {name: self._over(name, functions, record, inner, read) for name in SIGNATURES}
@@ -139,7 +150,7 @@ class Composite:
         turned = [nested_name(c.prefix, name) for c in children for name in c.model.turned_by]
         return Model(
             self.plugin,
-            (*self.parameters, *(Nested(child.prefix, child.model) for child in children)),
+            (*self.parameters, *(Nested(child.prefix, child.model, child.variant) for child in children)),
             tuple(sorted(lobes)),
             lambda record, variant: self.make(record, variant, children),
             turned_by=(*(self.turns if lobes - {LOBE_SMOOTH} else ()), *turned),

@@ -31,11 +31,12 @@ from warp_psdr.kernels.bsdf.record import (
     merge_values,
 )
 from warp_psdr.kernels.bsdf.roughconductor import ROUGH_CONDUCTOR
+from warp_psdr.kernels.bsdf.roughplastic import ROUGH_PLASTIC
 from warp_psdr.kernels.generated import make_generated
 from warp_psdr.kernels.structs import BsdfSample, Scattered
 
 #: All scattering models.
-MODELS: tuple[Model, ...] = (DIFFUSE, CONDUCTOR, DIELECTRIC, ROUGH_CONDUCTOR, PLASTIC)
+MODELS: tuple[Model, ...] = (DIFFUSE, CONDUCTOR, DIELECTRIC, ROUGH_CONDUCTOR, PLASTIC, ROUGH_PLASTIC)
 #: All models that are made of models; each for any children, so that they have no end.
 COMPOSITES: tuple[Composite, ...] = (BLEND,)
 #: Key of a variant -> model and the variant's name, in the order in which a scene numbers those that it has.
@@ -145,7 +146,7 @@ def make_bsdf(models: tuple[str, ...]) -> BsdfFunctions:
             "and nested ones behind them; pass ordered(keys)"
         )
     declared = models_of(models)
-    record = make_material_record(tuple((value.name, value.color) for value in merge_values(declared)))
+    record = make_material_record(tuple((value.name, value.type) for value in merge_values(declared)))
     adjoint = make_adjoint_record(record)
     functions = [model.make(record, variant) for model, variant in map(declaration_of, models)]
     types = {"record": record, "adjoint": adjoint, "BsdfSample": BsdfSample, "Scattered": Scattered}

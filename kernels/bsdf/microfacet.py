@@ -27,6 +27,8 @@ BECKMANN_TOLERANCE = 1.0e-6
 #: Slopes beyond this many standard deviations have a probability below that of the smallest random number.
 BECKMANN_MAX_SLOPE = 4.2
 INV_SQRT_PI = 0.5641895835477563
+#: Below it a cosine counts as zero; keeps slopes and their squares inside float32's range.
+MIN_COSINE = 1.0e-7
 
 
 class Microfacet(NamedTuple):
@@ -44,6 +46,93 @@ class Microfacet(NamedTuple):
     smith_over_cos: wp.Function
     projected_area: wp.Function
     sample_visible: wp.Function
+
+
+class Reflection(NamedTuple):
+    """Warp functions of a rough mirror without its reflectance; ``wi`` and ``wo`` lie above, beyond ``MIN_COSINE``.
+
+    Attributes:
+        value: ``(wi, wo, alpha_u, alpha_v) -> float32``, D G_1(wi) G_1(wo) / (4 cos(wi)), 1/sr: f_s times the cosine of
+            ``wo`` for a reflectance of one; differentiable.
+        pdf: ``(wi, wo, alpha_u, alpha_v) -> float32``: density of ``sample``, solid angle.
+        sample: ``(wi, alpha_u, alpha_v, v) -> vec3``: ``wi`` reflected at a visible normal; it may point below.
+    """
+
+    value: wp.Function
+    pdf: wp.Function
+    sample: wp.Function
+
+
+@wp.func
+def at_least_min(alpha: wp.float32) -> wp.float32:
+    """The roughness in use. In a tie the second argument of ``max`` has the derivative: 1 at MIN_ALPHA, 0 below."""
+    return wp.max(MIN_ALPHA, alpha)
+
+
+@wp.func
+def squared_tangent_part(w: wp.vec3, alpha_u: wp.float32, alpha_v: wp.float32) -> wp.float32:
+    """Squared length of the horizontal part of the stretched ``w``."""
+    x = alpha_u * w[0]
+    y = alpha_v * w[1]
+    return x * x + y * y
+
+
+@functools.cache
+def make_visible_normal(distribution: str) -> wp.Function:
+    """Return ``visible_normal(wi, alpha_u, alpha_v, v) -> vec3``: a unit microfacet normal that is seen from ``wi``."""
+    sample_visible = make_microfacet(distribution).sample_visible
+
+    @wp.func
+    def visible_normal(wi: wp.vec3, alpha_u: wp.float32, alpha_v: wp.float32, v: wp.vec2) -> wp.vec3:
+        m = sample_visible(wp.normalize(wp.vec3(alpha_u * wi[0], alpha_v * wi[1], wi[2])), v)
+        return wp.normalize(wp.vec3(alpha_u * m[0], alpha_v * m[1], m[2]))
+
+    return visible_normal
+
+
+@functools.cache
+def make_reflection(distribution: str) -> Reflection:
+    """Return the functions of a rough mirror.
+
+    The slope of the half vector is corrected by a second measurement, that wo - wi is normal to it, so that it keeps
+    its digits at every angle down to alpha = 1e-5.
+
+    Derivation: ``docs/theory/materials.md#digits-of-a-rough-conductor``.
+    """
+    ndf, smith_over_cos, projected_area, _sample_visible = make_microfacet(distribution)
+    visible_normal = make_visible_normal(distribution)
+
+    @wp.func
+    def normals(wi: wp.vec3, wo: wp.vec3, alpha_u: wp.float32, alpha_v: wp.float32) -> wp.float32:
+        """Density D of microfacet normals along the half vector, 1/sr."""
+        h = wi + wo
+        d = wo - wi
+        sx = h[0] / h[2]
+        sy = h[1] / h[2]
+        r = (d[0] * sx + d[1] * sy + d[2]) / (h[2] * h[2] + d[0] * d[0] + d[1] * d[1])
+        sx = sx - d[0] * r
+        sy = sy - d[1] * r
+        tx = sx / alpha_u
+        ty = sy / alpha_v
+        return ndf(tx * tx + ty * ty, 1.0 + sx * sx + sy * sy) / (alpha_u * alpha_v)
+
+    @wp.func
+    def reflected_value(wi: wp.vec3, wo: wp.vec3, alpha_u: wp.float32, alpha_v: wp.float32) -> wp.float32:
+        g_i = smith_over_cos(wi[2], squared_tangent_part(wi, alpha_u, alpha_v))
+        g_o = smith_over_cos(wo[2], squared_tangent_part(wo, alpha_u, alpha_v))
+        return 0.25 * normals(wi, wo, alpha_u, alpha_v) * g_i * g_o * wo[2]
+
+    @wp.func
+    def reflected_pdf(wi: wp.vec3, wo: wp.vec3, alpha_u: wp.float32, alpha_v: wp.float32) -> wp.float32:
+        area = projected_area(wi[2], squared_tangent_part(wi, alpha_u, alpha_v))
+        return 0.25 * normals(wi, wo, alpha_u, alpha_v) / area
+
+    @wp.func
+    def reflected_sample(wi: wp.vec3, alpha_u: wp.float32, alpha_v: wp.float32, v: wp.vec2) -> wp.vec3:
+        n = visible_normal(wi, alpha_u, alpha_v, v)
+        return wp.normalize(2.0 * wp.dot(wi, n) * n - wi)
+
+    return Reflection(reflected_value, reflected_pdf, reflected_sample)
 
 
 @functools.cache

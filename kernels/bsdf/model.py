@@ -5,7 +5,7 @@ files, parameter names, valid ranges, the plan's lines, gradients and the generi
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -15,12 +15,26 @@ from warp_psdr.kernels.constants import LOBE_DELTA_REFLECTION, LOBE_DELTA_TRANSM
 
 
 class Value(NamedTuple):
-    """A number or colour of a material, as device code reads it: ``material.<name>``."""
+    """What device code reads of a material as ``material.<name>``: a number, a colour, or the address of a table.
+
+    Attributes:
+        name: its name.
+        color: whether it is a colour.
+        low: least value.
+        high: greatest value.
+        size: how many numbers a table holds; 0: it is none.
+    """
 
     name: str
     color: bool
     low: float = 0.0
     high: float = math.inf
+    size: int = 0
+
+    @property
+    def type(self) -> type:
+        """Warp type of the member; see ``table_entry`` for an address."""
+        return wp.uint64 if self.size else wp.vec3 if self.color else wp.float32
 
 
 @dataclass(frozen=True)
@@ -78,12 +92,14 @@ class RelativeIndex:
         exterior: default of ``ext_ior``.
         low: least ratio that the model takes.
         high: greatest ratio that the model takes.
+        gap: how far from 1 the ratio has to be at load.
     """
 
     interior: str
     exterior: str = "air"
     low: float = 0.0
     high: float = math.inf
+    gap: float = -1.0
 
     @property
     def values(self) -> tuple[Value, ...]:
@@ -107,6 +123,74 @@ class Roughness:
     def axes(self) -> tuple[tuple[str, str], ...]:
         """The values along the tangents."""
         return (("alpha_u", "alpha_v"),)
+
+
+@dataclass(frozen=True)
+class UniformRoughness:
+    """``alpha``, the root mean square slope of microfacets: one bare number for the whole surface, no texture."""
+
+    default: float
+    low: float
+
+    @property
+    def values(self) -> tuple[Value, ...]:
+        """What device code reads."""
+        return (Value("alpha", False, self.low, 1.0),)
+
+
+@dataclass(frozen=True)
+class Table:
+    """Numbers that follow from other values of the material; no parameter of scene files.
+
+    The host computes them when a scene is loaded and whenever one of those values has changed
+    (``warp_psdr/scene/tables.py``). Device code reads them with ``table_entry`` and takes them as constants: a table
+    that carries a derivative holds it beside the value.
+
+    Attributes:
+        name: of the value, and of the function in ``warp_psdr.scene.tables.MAKERS`` that fills it.
+        size: how many numbers it holds.
+        of: the values that it follows from, bare numbers.
+    """
+
+    name: str
+    size: int
+    of: tuple[str, ...]
+
+    @property
+    def values(self) -> tuple[Value, ...]:
+        """What device code reads."""
+        return (Value(self.name, False, size=self.size),)
+
+
+class MadeTable(NamedTuple):
+    """A table of a model, perhaps of one that is nested in another.
+
+    Attributes:
+        name: of the value.
+        maker: key of ``MAKERS``.
+        variant: of the model that declares it.
+        size: how many numbers it holds.
+        of: the values that it follows from.
+    """
+
+    name: str
+    maker: str
+    variant: str
+    size: int
+    of: tuple[str, ...]
+
+
+def tables_of(parameter, variant: str) -> tuple[MadeTable, ...]:
+    """Return the tables of a parameter: of a ``Table`` itself, or of nested models."""
+    if isinstance(parameter, Table):
+        return (MadeTable(parameter.name, parameter.name, variant, parameter.size, parameter.of),)
+    return getattr(parameter, "tables", ())
+
+
+@wp.func_native("return ((const float*)address)[index];")
+def table_entry(address: wp.uint64, index: wp.int32) -> wp.float32:
+    """Number ``index`` of a material's table; a constant to ``wp.grad``."""
+    return wp.float32(0.0)
 
 
 @dataclass(frozen=True)
@@ -211,13 +295,18 @@ class Model:
         """Pairs of values along the tangents; where those of a pair differ, the model needs dp/du."""
         return tuple(pair for parameter in self.parameters for pair in getattr(parameter, "axes", ()))
 
+    def tables(self, variant: str) -> tuple[MadeTable, ...]:
+        """Return what the host computes from the values of a material."""
+        return tuple(table for parameter in self.parameters for table in tables_of(parameter, variant))
+
     @property
     def variants(self) -> tuple[str, ...]:
-        """Names of the variants; one empty name: there are none."""
+        """Names of the variants, the options of all choices and flags in order; one empty name: there are none."""
+        found: list[tuple[str, ...]] = [()]
         for parameter in self.parameters:
             if isinstance(parameter, Choice | Flag):
-                return parameter.options
-        return ("",)
+                found = [(*chosen, option) for chosen in found for option in parameter.options]
+        return tuple(variant_of(chosen) for chosen in found)
 
     @property
     def has_smooth(self) -> bool:
@@ -231,8 +320,13 @@ class Model:
 
     @property
     def transmits(self) -> bool:
-        """Whether light passes the surface."""
+        """Whether light passes the surface in a delta lobe."""
         return LOBE_DELTA_TRANSMISSION in self.lobes
+
+
+def variant_of(options: Iterable[str]) -> str:
+    """Return the name of a variant from the options that were chosen."""
+    return " ".join(filter(None, options))
 
 
 def key_of(plugin: str, variant: str = "", children: tuple[str, ...] = ()) -> str:

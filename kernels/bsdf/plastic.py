@@ -16,7 +16,7 @@ import warp as wp
 from warp_psdr.kernels.bsdf.diffuse import diffuse_pdf
 from warp_psdr.kernels.bsdf.model import Color, Flag, Functions, Model, RelativeIndex
 from warp_psdr.kernels.constants import INV_PI, LOBE_DELTA_REFLECTION, LOBE_NONE, LOBE_SMOOTH
-from warp_psdr.kernels.fresnel import fresnel_dielectric, refracted_cosine
+from warp_psdr.kernels.fresnel import coat_reflectance, refracted_cosine
 from warp_psdr.kernels.math import reflect_local
 from warp_psdr.kernels.sampling import square_to_cosine_hemisphere
 from warp_psdr.kernels.structs import BsdfSample, Scattered
@@ -38,9 +38,15 @@ def diffuse_fresnel(eta: wp.float32) -> wp.float32:
 
 
 @wp.func
-def coat(c: wp.float32, eta: wp.float32) -> wp.float32:
-    """Reflectance of the coat at the cosine c."""
-    return fresnel_dielectric(c, refracted_cosine(c, eta), eta)
+def share_of_coat(specular: wp.vec3, diffuse: wp.vec3, reflectance: wp.float32) -> wp.float32:
+    """Probability of the coat's lobe, whose share of the light is ``reflectance``, beside that of the base."""
+    s = specular[0] + specular[1] + specular[2]
+    d = diffuse[0] + diffuse[1] + diffuse[2]
+    weight = wp.float32(0.5)
+    if d + s > 0.0:
+        weight = wp.clamp(s / (d + s), MIN_SHARE, 1.0 - MIN_SHARE)
+    coat = reflectance * weight
+    return coat / (coat + (1.0 - reflectance) * (1.0 - weight))
 
 
 @wp.func
@@ -63,14 +69,7 @@ def make_plastic(record: type, variant: str) -> Functions:
     @wp.func
     def specular_share(mat: record, wi: wp.vec3) -> wp.float32:
         """Probability of the mirror reflection."""
-        d = mat.diffuse_reflectance[0] + mat.diffuse_reflectance[1] + mat.diffuse_reflectance[2]
-        s = mat.specular_reflectance[0] + mat.specular_reflectance[1] + mat.specular_reflectance[2]
-        weight = wp.float32(0.5)
-        if d + s > 0.0:
-            weight = wp.clamp(s / (d + s), MIN_SHARE, 1.0 - MIN_SHARE)
-        reflectance = coat(wi[2], mat.ior)
-        specular = reflectance * weight
-        return specular / (specular + (1.0 - reflectance) * (1.0 - weight))
+        return share_of_coat(mat.specular_reflectance, mat.diffuse_reflectance, coat_reflectance(wi[2], mat.ior))
 
     @wp.func
     def plastic_eval(mat: record, wi: wp.vec3, wo: wp.vec3) -> wp.vec3:
@@ -99,7 +98,7 @@ def make_plastic(record: type, variant: str) -> Functions:
         """Mirror direction and its weight; differentiable."""
         value = wp.vec3(0.0, 0.0, 0.0)
         if wi[2] > 0.0:
-            value = coat(wi[2], mat.ior) * mat.specular_reflectance
+            value = coat_reflectance(wi[2], mat.ior) * mat.specular_reflectance
         return Scattered(reflect_local(wi), value)
 
     @wp.func

@@ -15,13 +15,22 @@ from warp_psdr.kernels.generated import make_generated, make_struct
 #: Longest name of a struct.
 MAX_NAME = 200
 
+#: What a value of a type is called.
+KINDS = {wp.vec3: "colour", wp.float32: "number", wp.uint64: "table"}
+
 
 class Slot(NamedTuple):
-    """A member of the record, and the kinds of the textures that hold it in a scene."""
+    """A member of the record, and the kinds of the textures that hold it in a scene; a table is held by none."""
 
     name: str
     color: bool
     kinds: tuple[int, ...]
+    table: bool = False
+
+
+def slot_of(value: Value, kinds: tuple[int, ...]) -> Slot:
+    """Return the member for a value whose textures have these kinds."""
+    return Slot(value.name, value.color, () if value.size else kinds, value.size > 0)
 
 
 def merge_values(models) -> tuple[Value, ...]:
@@ -33,9 +42,9 @@ def merge_values(models) -> tuple[Value, ...]:
     found: dict[str, Value] = {}
     for model in models:
         for value in model.values:
-            if found.setdefault(value.name, value).color != value.color:
+            if found.setdefault(value.name, value).type is not value.type:
                 raise ValueError(
-                    f"{model.plugin!r} declares the value {value.name!r}, a {'colour' if value.color else 'number'}, "
+                    f"{model.plugin!r} declares the value {value.name!r}, a {KINDS[value.type]}, "
                     "which is not what another model declares by that name; give one of them another name"
                 )
     return tuple(found.values())
@@ -49,9 +58,9 @@ def _short(name: str) -> str:
 
 
 @functools.cache
-def make_material_record(members: tuple[tuple[str, bool], ...]) -> type:
-    """Return the Warp struct with these members: (name, whether it is a colour)."""
-    types = {name: wp.vec3 if color else wp.float32 for name, color in members}
+def make_material_record(members: tuple[tuple[str, type], ...]) -> type:
+    """Return the Warp struct with these members: (name, type)."""
+    types = dict(members)
     return make_struct(_short("Material_" + "_".join(types)), types)
 
 
@@ -64,7 +73,7 @@ def make_adjoint_record(material: type) -> type:
 
 
 class MaterialAlgebra(NamedTuple):
-    """Functions of a material record, one line a member.
+    """Functions of a material record, one line a member; tables, which are constants, are left out.
 
     Attributes:
         add: ``(a, b) -> material``.
@@ -78,12 +87,12 @@ class MaterialAlgebra(NamedTuple):
 @functools.cache
 def make_material_algebra(material: type) -> MaterialAlgebra:
     """Return the functions for a record."""
-    names = list(material.vars)
+    members = {name: var for name, var in material.vars.items() if var.type is not wp.uint64}
     add = "def add_materials(a: material, b: material) -> material:\n    m = material()\n"
-    add += "".join(f"    m.{name} = a.{name} + b.{name}\n" for name in names) + "    return m\n"
+    add += "".join(f"    m.{name} = a.{name} + b.{name}\n" for name in members) + "    return m\n"
     products = [
         f"wp.dot(a.{name}, b.{name})" if var.type is wp.vec3 else f"a.{name} * b.{name}"
-        for name, var in material.vars.items()
+        for name, var in members.items()
     ]
     dot = f"def dot_materials(a: material, b: material) -> wp.float32:\n    return {' + '.join(products)}\n"
     return MaterialAlgebra(make_generated(add, material=material), make_generated(dot, material=material))

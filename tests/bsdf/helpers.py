@@ -20,6 +20,7 @@ from warp_psdr.kernels.bsdf.microfacet import MIN_ALPHA
 from warp_psdr.kernels.bsdf.model import ComplexIndex, Value
 from warp_psdr.kernels.constants import LOBE_DELTA_TRANSMISSION, LOBE_SMOOTH
 from warp_psdr.kernels.structs import BsdfSample, Scattered
+from warp_psdr.scene.tables import MAKERS
 
 #: Examples of models made of models: two smooth lobes, a mirror reflection of both, one that transmits.
 SMOOTH_BLEND = "blendbsdf(diffuse, roughconductor (ggx))"
@@ -60,6 +61,10 @@ def glass(ior: float, reflectance=(0.9, 0.5, 0.1), transmittance=(0.2, 0.4, 0.6)
 
 def plastic(ior: float, diffuse=(0.2, 0.5, 0.8), specular=(0.9, 0.6, 0.3)) -> dict:
     return material(diffuse_reflectance=diffuse, specular_reflectance=specular, ior=ior)
+
+
+def rough_plastic(ior: float, alpha: float, diffuse=(0.2, 0.5, 0.8), specular=(0.9, 0.6, 0.3)) -> dict:
+    return plastic(ior, diffuse, specular) | {"alpha": alpha}
 
 
 # --- directions ---
@@ -124,6 +129,13 @@ def _mitsuba_plastic(mat: dict, nonlinear: bool) -> dict | None:
     return {"type": "plastic", "int_ior": mat["ior"], "ext_ior": 1.0, "nonlinear": nonlinear, **colors}
 
 
+def _mitsuba_rough_plastic(mat: dict, distribution: str, nonlinear: bool) -> dict | None:
+    smooth = _mitsuba_plastic(mat, nonlinear)
+    if smooth is None or mat["alpha"] < 0.05:
+        return None
+    return smooth | {"type": "roughplastic", "distribution": distribution, "alpha": mat["alpha"]}
+
+
 @dataclass(frozen=True, kw_only=True)
 class Example:
     """What the tests of a model go through.
@@ -180,6 +192,16 @@ _PLASTIC = {
     "extremes": (plastic(1.0), plastic(0.999999), plastic(1.000001)),
     "scatter": twins.plastic_scatter,
 }
+_ROUGH_PLASTIC = {
+    "materials": (
+        *(rough_plastic(1.5, alpha) for alpha in (0.4, 0.1)),
+        rough_plastic(1.1, 0.3, BLACK),
+        rough_plastic(1.9, 0.25, (1.0, 1.0, 1.0), BLACK),
+    ),
+    "more": (rough_plastic(1.5, 1e-3), rough_plastic(1.3, 0.03, (1.0, 1.0, 1.0), (1.0, 1.0, 1.0))),
+    "extremes": (rough_plastic(1.0, 0.3), rough_plastic(0.999999, 0.3), rough_plastic(1.000001, MIN_ALPHA)),
+    "lossless": lambda mat: False,
+}
 
 #: Key of ``VARIANTS`` -> what its tests go through.
 EXAMPLES: dict[str, Example] = {
@@ -214,11 +236,22 @@ EXAMPLES: dict[str, Example] = {
     "plastic (nonlinear)": Example(
         eval=twins.nonlinear_plastic_eval, mitsuba=lambda mat: _mitsuba_plastic(mat, True), **_PLASTIC
     ),
+    **{
+        f"roughplastic ({distribution}{' nonlinear' if nonlinear else ''})": Example(
+            eval=functools.partial(twins.rough_plastic_eval, distribution=distribution, nonlinear=nonlinear),
+            mitsuba=functools.partial(_mitsuba_rough_plastic, distribution=distribution, nonlinear=nonlinear),
+            mitsuba_pdf=1e-2 if distribution == "beckmann" else 2e-3,
+            **_ROUGH_PLASTIC,
+        )
+        for distribution in ("ggx", "beckmann")
+        for nonlinear in (False, True)
+    },
 }
 
 
 def values_of(key: str) -> tuple[Value, ...]:
-    return declaration_of(key)[0].values
+    """What a material gives; its tables follow from that."""
+    return tuple(value for value in declaration_of(key)[0].values if not value.size)
 
 
 def lobes_of(key: str) -> tuple[int, ...]:
@@ -232,7 +265,7 @@ def transmits(key: str) -> bool:
 
 def narrowest(mat: dict) -> float:
     """Least roughness; 1: the model has none."""
-    return min(bare(mat).get("alpha_u", 1.0), bare(mat).get("alpha_v", 1.0))
+    return min(bare(mat).get(name, 1.0) for name in ("alpha", "alpha_u", "alpha_v"))
 
 
 def reflectances(key: str) -> list[str]:
@@ -450,13 +483,27 @@ class Launcher:
         m = functions_of(models).record()
         for value in values_of(key):
             setattr(m, value.name, wp.vec3(*mat[value.name]) if value.color else float(mat[value.name]))
+        declared, variant = declaration_of(key)
+        tables = []  # held until the launch is over
+        for table in declared.tables(variant):
+            numbers = MAKERS[table.maker](table.variant, *(float(rounded(mat[name])) for name in table.of))
+            tables.append(wp.array(numbers, dtype=wp.float32, device=self.device))
+            setattr(m, table.name, tables[-1].ptr)
         model, dim = models.index(key), inputs[0].shape
         wp.launch(make_kernels(models)[name], dim=dim, inputs=[model, m, *inputs], outputs=outputs, device=self.device)
+        if tables:
+            wp.synchronize_device(self.device)
+
+
+def members(adjoint: np.ndarray) -> list[str]:
+    """Names of a material's values in an adjoint, without those of tables."""
+    dtype = adjoint["material"].dtype
+    return [name for name in dtype.names if dtype[name].base.kind == "f"]
 
 
 def all_finite(adjoint: np.ndarray) -> bool:
     """Whether nothing of a partial derivative is infinite or no number."""
-    fields = [adjoint["material"][name] for name in adjoint["material"].dtype.names] + [adjoint["wi"], adjoint["wo"]]
+    fields = [adjoint["material"][name] for name in members(adjoint)] + [adjoint["wi"], adjoint["wo"]]
     return all(np.all(np.isfinite(x)) for x in fields)
 
 

@@ -77,13 +77,22 @@ def seed(*parts) -> int:
 # --- coordinates in which a lobe is smooth: (q, phi), q in [0, 1) ---
 
 
+def lobe_scales(mat: dict) -> tuple[float, float] | None:
+    """Slopes in units of which a rough mirror's half vectors are measured; beside a diffuse base, no small ones."""
+    if "alpha" in mat:
+        scale = max(mat["alpha"], 0.3)
+        return scale, scale
+    return (mat["alpha_u"], mat["alpha_v"]) if "alpha_u" in mat else None
+
+
 def from_lobe(mat: dict, wi: np.ndarray, q: np.ndarray, phi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Directions (N, 3) and solid angle per dq dphi."""
-    if "alpha_u" not in mat:
+    scales = lobe_scales(mat)
+    if scales is None:
         r, z = np.sqrt(1.0 - q), np.sqrt(q)
         return np.stack([r * np.cos(phi), r * np.sin(phi), z], axis=1), 0.5 / z
     # Slopes of the half vector, in units of alpha; their length p is mapped to [0, 1), tails wide open.
-    au, av = mat["alpha_u"], mat["alpha_v"]
+    au, av = scales
     p = np.tan(0.5 * np.pi * q)
     h = np.stack([au * p * np.cos(phi), av * p * np.sin(phi), np.ones_like(p)], axis=1)
     h /= np.linalg.norm(h, axis=1, keepdims=True)
@@ -93,10 +102,11 @@ def from_lobe(mat: dict, wi: np.ndarray, q: np.ndarray, phi: np.ndarray) -> tupl
 
 
 def to_lobe(mat: dict, wi: np.ndarray, wo: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    if "alpha_u" not in mat:
+    scales = lobe_scales(mat)
+    if scales is None:
         return wo[:, 2] ** 2, np.arctan2(wo[:, 1], wo[:, 0]) % (2.0 * np.pi)
     h = wi + wo
-    x, y = h[:, 0] / h[:, 2] / mat["alpha_u"], h[:, 1] / h[:, 2] / mat["alpha_v"]
+    x, y = h[:, 0] / h[:, 2] / scales[0], h[:, 1] / h[:, 2] / scales[1]
     return np.arctan(np.hypot(x, y)) * 2.0 / np.pi, np.arctan2(y, x) % (2.0 * np.pi)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from warp_psdr.kernels.bsdf.microfacet import MIN_ALPHA
 from warp_psdr.kernels.constants import LOBE_DELTA_REFLECTION
+from warp_psdr.scene.rough_transmittance import transmittance
 
 #: Turns a direction into its mirror direction.
 MIRRORED = np.array([-1.0, -1.0, 1.0])
@@ -101,6 +102,31 @@ def plastic_eval(mat: dict, wi: np.ndarray, wo: np.ndarray, nonlinear: bool = Fa
 
 def nonlinear_plastic_eval(mat: dict, wi: np.ndarray, wo: np.ndarray) -> np.ndarray:
     return plastic_eval(mat, wi, wo, nonlinear=True)
+
+
+def rough_plastic_eval(mat: dict, wi: np.ndarray, wo: np.ndarray, distribution: str, nonlinear: bool) -> np.ndarray:
+    if min(wi[2], wo[2]) <= 0.0:
+        return np.zeros(3)
+    rho, eta, alpha = mat["diffuse_reflectance"], mat["ior"], mat["alpha"]
+    p, g1 = {"ggx": (lambda t: 1.0 / (1.0 + t) ** 2, _ggx_g1), "beckmann": (lambda t: np.exp(-t), _beckmann_g1)}[
+        distribution
+    ]
+    h = (wi + wo) / np.linalg.norm(wi + wo)
+    d = p((h[0] ** 2 + h[1] ** 2) / (alpha * h[2]) ** 2) / (np.pi * alpha**2 * h[2] ** 4)
+    masking = g1(_slope(wi, alpha, alpha)) * g1(_slope(wo, alpha, alpha))
+    specular = mat["specular_reflectance"] * fresnel_dielectric(np.dot(wi, h), eta)[0] * d * masking / (4.0 * wi[2])
+    inside, through = _coat(distribution, alpha, eta)
+    passed_in, passed_out = (np.interp(w[2], np.linspace(0.0, 1.0, len(through)), through) for w in (wi, wo))
+    again = inside * (rho if nonlinear else 1.0)
+    return specular + rho / (1.0 - again) * passed_in * passed_out / (np.pi * eta**2) * wo[2]
+
+
+def _coat(distribution: str, alpha: float, eta: float) -> tuple[float, np.ndarray]:
+    """R and T by the table of the nearest values of three digits; small moves of either are of first order."""
+    near = transmittance(distribution, *(float(np.float32(f"{x:.3g}")) for x in (alpha, eta)))
+    made, *rows = near.astype(float).reshape(-1, 3)
+    inside, *through = np.array(rows) @ [1.0, alpha - made[0], eta - made[1]]
+    return inside, np.array(through)
 
 
 # --- delta lobes: direction and weight ---

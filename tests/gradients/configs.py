@@ -29,6 +29,8 @@ TOGETHER = {
     "beckmann": ("floor.bsdf.*.value",),
     "brushed ggx": ("floor.bsdf.*.value",),
     "plastic": ("*",),
+    "rough plastic": ("floor.bsdf.*",),
+    "rough plastic ggx": ("floor.bsdf.*", "floor.vertex_positions"),
     "checkered": ("*.color?.value", "*.color?.data"),
     "checkered metal": ("floor.bsdf.alpha.color?.value",),
     "blend": ("floor.bsdf.*",),
@@ -249,6 +251,15 @@ PLASTIC = [
     Case("plastic", "floor.vertex_positions", bend, 4e-2, "bend", spp=1024, slow=True),
     Case("plastic", "floor.vertex_normals", turn(0.5, 0.8, 0.2), 2e-2, spp=512, slow=True),
 ]
+ROUGH_PLASTIC = [
+    Case("rough plastic", "floor.bsdf.alpha", ones, 2e-2, depth=2, spp=512),
+    Case("rough plastic", "floor.bsdf.eta", ones, 6e-2, depth=2, spp=4096, slow=True),
+    Case("rough plastic", "floor.bsdf.diffuse_reflectance.value", mixed, 2e-2, depth=2, spp=512, slow=True),
+    Case("rough plastic", "floor.bsdf.specular_reflectance.value", mixed, 2e-2, depth=2, spp=512, slow=True),
+    Case("rough plastic ggx", "floor.bsdf.alpha", ones, 2e-2, depth=2, spp=2048, slow=True),
+    Case("rough plastic ggx", "floor.bsdf.eta", ones, 6e-2, depth=2, spp=4096, slow=True),
+    Case("rough plastic ggx", "floor.vertex_positions", bend, 4e-2, "bend", spp=1024, slow=True),
+]
 CHECKERED = [
     Case("checkered", "floor.bsdf.reflectance.color0.value", mixed, 2e-2, depth=4),
     Case("checkered", "floor.bsdf.reflectance.color1.data", texel_wave, 2e-2, depth=4),
@@ -286,4 +297,4 @@ DELTA = [
     Case("glass", "sensor.to_world", aim(0.3, 0.8, 0.4), 2e-3, "aim", depth=4, spp=64),
     Case("glass", "sensor.x_fov", ones, 0.1, depth=4, spp=128, slow=True),
 ]
-CASES = [*PLANE, *PARALLEL, *LENS, *PROJECTED, *DOME, *GAP, *ROUGH, *PLASTIC, *CHECKERED, *BLEND, *DELTA]
+CASES = [*PLANE, *PARALLEL, *LENS, *PROJECTED, *DOME, *GAP, *ROUGH, *PLASTIC, *ROUGH_PLASTIC, *CHECKERED, *BLEND, *DELTA]

@@ -200,6 +200,11 @@ def gilded_scene():
     return scene
 
 
+def rough_plastic_scene(distribution="beckmann", **more):
+    paint = {"diffuse_reflectance": rgb(0.6, 0.3, 0.2), "specular_reflectance": rgb(0.9, 0.8, 0.7)}
+    return gap_scene({"type": "roughplastic", "distribution": distribution, "alpha": 0.3, **paint, **more})
+
+
 def mirror_scene():
     room = ball(True, bsdf={"type": "conductor", "material": "Au"})
     room["vertex_radiance"] = (1.0 + 0.6 * np.sin(room["vertices"] @ noise(3, 3, low=-2.0, high=2.0, seed=6))).astype(
@@ -235,6 +240,8 @@ SCENES = {
     "checkered metal": checkered_metal_scene,
     "blend": blend_scene,
     "gilded": gilded_scene,
+    "rough plastic": rough_plastic_scene,
+    "rough plastic ggx": lambda: rough_plastic_scene("ggx", nonlinear=True),
     "mirror": mirror_scene,
     "glass": glass_scene,
 }

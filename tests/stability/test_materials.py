@@ -25,6 +25,7 @@ from tests.bsdf.helpers import (
     metal,
     plastic,
     rough,
+    rough_plastic,
     rounded,
     unit,
 )
@@ -68,6 +69,11 @@ SMOOTH = [
     (GGX, "specular_reflectance", lambda a: [rough(a, metal=m) for m in METALS], rough_pairs),
     (BECKMANN, "specular_reflectance", lambda a: [rough(a, metal=m) for m in METALS], rough_pairs),
     (GGX, "specular_reflectance", lambda a: [rough(a, min(10.0 * a, 1.0))], rough_pairs),
+]
+ROUGHLY_COATED = [
+    (f"roughplastic ({kind})", "diffuse_reflectance", lambda a: [rough_plastic(1.5, a), rough_plastic(3.0, a)], pairs)
+    for kind in ("ggx", "beckmann nonlinear")
+    for pairs in (rough_pairs, diffuse_pairs)
 ]
 COATED = [("plastic", "diffuse_reflectance", lambda a: [plastic(1.5, (0.0, 1.0, a))], diffuse_pairs)]
 
@@ -253,6 +259,14 @@ CASES = [
         naive="a transmittance below 0 by rounding",
         bound=6e-6,
         measure=lambda: max(smooth_values(COATED), smooth_derivatives(COATED)),
+    ),
+    Case(
+        family="materials",
+        name="a rough coat, values, alpha 1e-5 .. 1, up to 89.9 degrees",
+        hard="the lobe of the coat is narrow, and its transmittance at grazing angles follows from alpha",
+        naive="7e-1 at alpha = 1e-4",
+        bound=2e-3,
+        measure=lambda: smooth_values(ROUGHLY_COATED),
     ),
     Case(
         family="materials",

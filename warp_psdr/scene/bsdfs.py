@@ -19,7 +19,10 @@ from warp_psdr.kernels.bsdf.model import (
     Number,
     RelativeIndex,
     Roughness,
+    Table,
+    UniformRoughness,
     key_of,
+    variant_of,
 )
 
 from .description import BsdfDescription, TextureDescription
@@ -101,19 +104,21 @@ def _build(props: Properties) -> BsdfDescription:
 
 def _declared(props: Properties, model: Model | Composite) -> BsdfDescription:
     """Read what a model declares, of a composite what is its own."""
-    variant = ""
+    options: list[str] = []
     textures: dict[str, TextureDescription] = {}
     for parameter in model.parameters:
+        if isinstance(parameter, Table):
+            continue
         if isinstance(parameter, Choice):
-            variant = props.string(parameter.name, parameter.default, parameter.options)
+            options.append(props.string(parameter.name, parameter.default, parameter.options))
         elif isinstance(parameter, Flag):
-            variant = parameter.name if props.boolean(parameter.name, False) else ""
+            options.append(parameter.name if props.boolean(parameter.name, False) else "")
         elif isinstance(parameter, Accepted):
             if props.boolean(parameter.name, parameter.default) != parameter.default:
                 props.context.note(f"{props.place(parameter.name)} is ignored: {parameter.reason}")
         else:
             textures.update(READERS[type(parameter)](props, parameter))
-    return BsdfDescription(props.path, model.plugin, textures, variant)
+    return BsdfDescription(props.path, model.plugin, textures, variant_of(options))
 
 
 def _color(props: Properties, parameter: Color) -> dict[str, TextureDescription]:
@@ -164,6 +169,25 @@ def _roughness(props: Properties, parameter: Roughness) -> dict[str, TextureDesc
     return {"alpha_u": u, "alpha_v": v}
 
 
+def _uniform_roughness(props: Properties, parameter: UniformRoughness) -> dict[str, TextureDescription]:
+    """Take ``alpha``; of ``alpha_u`` and ``alpha_v``, which Mitsuba reads too, equal ones."""
+    for name in ("alpha", "alpha_u", "alpha_v"):
+        if isinstance(props.node.get(name), dict):
+            raise error(
+                props.place(name),
+                f"a texture for the roughness of a '{props.type}'",
+                "give a number: what passes its coat is tabulated for one roughness",
+            )
+    low = parameter.low
+    alpha = props.number("alpha", parameter.default, minimum=low)
+    if props.has("alpha_u", "alpha_v"):
+        u, v = (props.number(name, alpha, minimum=low) for name in ("alpha_u", "alpha_v"))
+        if u != v or props.has("alpha"):
+            raise error(props.where, f"alpha_u {u:g} and alpha_v {v:g}", f"a '{props.type}' is isotropic: give 'alpha'")
+        alpha = u
+    return {"alpha": dataclasses.replace(constant(f"{props.path}.alpha", alpha), plain=True)}
+
+
 def _relative_index(props: Properties, parameter: RelativeIndex) -> dict[str, TextureDescription]:
     inside, outside = _ior(props, "int_ior", parameter.interior), _ior(props, "ext_ior", parameter.exterior)
     if not parameter.low <= inside / outside <= parameter.high:
@@ -171,6 +195,14 @@ def _relative_index(props: Properties, parameter: RelativeIndex) -> dict[str, Te
             props.where,
             f"int_ior / ext_ior is {inside / outside:g}",
             f"a '{props.type}' takes ratios from {parameter.low:g} to {parameter.high:g}",
+        )
+    if abs(inside / outside - 1.0) <= parameter.gap:
+        raise error(
+            props.where,
+            f"int_ior / ext_ior is {inside / outside:g}",
+            f"both sides of a '{props.type}' have to differ"
+            + (f", by a ratio of {parameter.gap:g} or more" if parameter.gap else "")
+            + "; where nothing is refracted, leave the surface out, or give a 'diffuse' one",
         )
     # Mitsuba keeps the ratio as a number, not as a texture, so its name has no ".value".
     eta = dataclasses.replace(constant(f"{props.path}.eta", inside / outside), plain=True)
@@ -184,6 +216,7 @@ READERS: dict[type, Any] = {
     ComplexIndex: _complex_index,
     RelativeIndex: _relative_index,
     Roughness: _roughness,
+    UniformRoughness: _uniform_roughness,
 }
 
 

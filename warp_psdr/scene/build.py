@@ -10,8 +10,8 @@ import warp as wp
 from warp_psdr.kernels import constants as c
 from warp_psdr.kernels import structs
 from warp_psdr.kernels.bsdf.dispatch import declaration_of, models_of, ordered
-from warp_psdr.kernels.bsdf.model import Value, key_of
-from warp_psdr.kernels.bsdf.record import Slot, merge_values
+from warp_psdr.kernels.bsdf.model import MadeTable, Value, key_of
+from warp_psdr.kernels.bsdf.record import Slot, merge_values, slot_of
 from warp_psdr.scene.layout import (
     CAMERA,
     LIGHT_POSE,
@@ -25,6 +25,7 @@ from warp_psdr.scene.layout import (
     TO_UV,
     Layout,
 )
+from warp_psdr.scene.tables import PlacedTable
 
 if TYPE_CHECKING:
     from warp_psdr.scene.description import (
@@ -74,6 +75,7 @@ class Builder:
         self.environment = -1
         self.models: tuple[str, ...] = ()  #: keys, ``ordered``
         self.bsdf_textures: list[dict[str, int]] = []  #: of each record: value name -> texture number
+        self.tables: list[PlacedTable] = []
         self.slots = np.zeros(0, np.int32)  #: texture numbers, ``structs.Scene.slots``
         self.radiance_kinds: set[int] = set()
         self.two_sided = False
@@ -252,11 +254,15 @@ class Builder:
         bsdf_key = key_of(b.model, b.variant, b.children)
         model = declaration_of(bsdf_key)[0]
         for value in model.values:
+            if value.size:
+                continue
             t = b.textures.get(value.name)
             bounds = (value.low, value.high)
             textures[value.name] = (
                 self._absent(1.0) if t is None else self._texture(t, MATERIAL + value.name, bounds, shape)
             )
+        for table in model.tables(b.variant):
+            textures[table.name] = self._table(table, textures)
         number = len(self.bsdfs)
         if model.framed or any(textures[u] != textures[v] for u, v in model.axes):
             self.anisotropic.add(number)
@@ -266,6 +272,14 @@ class Builder:
         self._bsdf_index[key] = number
         record.back = number if b.back is None else self._bsdf(b.back, shape)
         return number
+
+    def _table(self, table: MadeTable, textures: dict[str, int]) -> int:
+        """Return the number of the record that says where a material's table lies; it is filled later."""
+        record = structs.Texture()
+        record.offset = self.layout.add_values(np.zeros(table.size))
+        sources = tuple(self.textures[textures[name]].offset for name in table.of)
+        self.tables.append(PlacedTable(table.maker, table.variant, record.offset, sources))
+        return self._add_texture(record, (record.offset, table.size))
 
     def _number_models(self) -> None:
         """Number the models that occur, and lay out their textures alike: one number for each value that any has."""
@@ -285,7 +299,7 @@ class Builder:
         for textures in self.bsdf_textures:
             for name, number in textures.items():
                 kinds[name] |= self.kinds_of(number)
-        return tuple(Slot(value.name, value.color, tuple(sorted(kinds[value.name]))) for value in self.values)
+        return tuple(slot_of(value, tuple(sorted(kinds[value.name]))) for value in self.values)
 
     # -- lights and cameras ----------------------------------------------------------------------------------------
 

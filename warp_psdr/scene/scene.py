@@ -22,19 +22,13 @@ from warp_psdr.kernels.surface import update_triangles
 from warp_psdr.scene.acceleration import Accelerator
 from warp_psdr.scene.build import Builder
 from warp_psdr.scene.edits import Edits, State, has_results
-from warp_psdr.scene.layout import (
-    BRIGHTNESS,
-    NORMALS,
-    POSITIONS,
-    SHAPE_POSE,
-    Parameter,
-    struct_array,
-)
+from warp_psdr.scene.layout import BRIGHTNESS, NORMALS, POSITIONS, SHAPE_POSE, Parameter, struct_array
 from warp_psdr.scene.lights import Lights
 from warp_psdr.scene.origin import COLLAPSING
 from warp_psdr.scene.shading import shades_flat
 from warp_psdr.scene.steps import Boxes, Steps, find_steps, measure, second_width
 from warp_psdr.scene.summary import summary
+from warp_psdr.scene.tables import follow
 from warp_psdr.scene.world import World
 
 if TYPE_CHECKING:
@@ -231,6 +225,7 @@ class Scene:
                 f"the scene could not follow {', '.join(map(repr, self._unfinished))}: the last params.update() raised "
                 "an error; write valid values, then call it again"
             )
+        follow(self.builder.tables, self.values)
         s = structs.Scene()
         s.accel = self.accelerator.data
         if self._sight is not None:
@@ -273,6 +268,7 @@ class Scene:
             ValueError: vertices, or texels of an environment map, are not finite, or vertices were edited under a pose
                 without an inverse.
         """
+        follow(self.builder.tables, self.values)
         if not names and not self._unfinished:
             return
         self._unfinished = list(dict.fromkeys([*self._unfinished, *names]))

@@ -1,0 +1,153 @@
+"""A diffuse base under a rough dielectric coat (Mitsuba's ``roughplastic``): two smooth lobes.
+
+With the coat's microfacet lobe, of a dielectric's reflectance F, its transmittance T and the reflectance R that light
+from the base meets at it from below,
+
+    f_s(wi, wo) = specular_reflectance F(<wi, h>) D(h) G_1(wi) G_1(wo) / (4 cos(wi) cos(wo))
+                + rho / (1 - rho R) T(wi) T(wo) / (pi eta^2)                          (nonlinear; else 1 - R).
+
+T and R depend on alpha and eta. The host tabulates them with their derivatives at the values alpha_0 and eta_0 of the
+last update (``warp_psdr/scene/rough_transmittance.py``); here they are T + (alpha - alpha_0) dT/dalpha + (eta - eta_0)
+dT/deta, whose differences are 0 and whose derivatives are those of the table.
+
+Derivation: ``docs/theory/materials.md#rough-plastic``.
+"""
+
+import functools
+
+import warp as wp
+
+from warp_psdr.kernels.bsdf.diffuse import diffuse_pdf
+from warp_psdr.kernels.bsdf.microfacet import MIN_ALPHA, MIN_COSINE, at_least_min, make_reflection
+from warp_psdr.kernels.bsdf.model import (
+    Accepted,
+    Choice,
+    Color,
+    Flag,
+    Functions,
+    Model,
+    RelativeIndex,
+    Table,
+    UniformRoughness,
+    table_entry,
+)
+from warp_psdr.kernels.bsdf.plastic import share_of_coat
+from warp_psdr.kernels.constants import INV_PI, LOBE_NONE, LOBE_SMOOTH
+from warp_psdr.kernels.fresnel import coat_reflectance
+from warp_psdr.kernels.sampling import square_to_cosine_hemisphere
+from warp_psdr.kernels.structs import BsdfSample
+
+#: Cosines at which the transmittance is tabulated, 0 to 1.
+RESOLUTION = 64
+#: The table holds rows of three: (alpha_0, eta_0, -), then (value, derivative by alpha, derivative by eta) of R and of
+#: T at every cosine. Where the rows of T begin, and its size:
+HEADER = 6
+TABLE_SIZE = HEADER + 3 * RESOLUTION
+#: Least slope of the lobe that edges are sampled by: a narrower one would stand alone, without that of the base.
+WIDE_SLOPE = 0.11
+
+
+@wp.func
+def entry_near(table: wp.uint64, index: wp.int32, alpha: wp.float32, ior: wp.float32) -> wp.float32:
+    """A value of the table, to first order about where it was computed."""
+    from_alpha = alpha - table_entry(table, 0)
+    from_ior = ior - table_entry(table, 1)
+    at = table_entry(table, index)
+    return at + from_alpha * table_entry(table, index + 1) + from_ior * table_entry(table, index + 2)
+
+
+@wp.func
+def rough_through(table: wp.uint64, c: wp.float32, alpha: wp.float32, ior: wp.float32) -> wp.float32:
+    """Transmittance T of the coat at the cosine ``c``; linear between those of the table."""
+    x = c * wp.static(float(RESOLUTION - 1))
+    i = wp.min(wp.int32(x), wp.static(RESOLUTION - 2))
+    f = x - wp.float32(i)
+    low = entry_near(table, HEADER + 3 * i, alpha, ior)
+    high = entry_near(table, HEADER + 3 * i + 3, alpha, ior)
+    return (1.0 - f) * low + f * high
+
+
+@functools.cache
+def make_rough_plastic(record: type, variant: str) -> Functions:
+    """Return the model's functions; ``variant``: the distribution, and "nonlinear" as for ``plastic``."""
+    distribution, *flags = variant.split()
+    nonlinear = "nonlinear" in flags
+    reflection = make_reflection(distribution)
+
+    @wp.func
+    def rough_share(mat: record, wi: wp.vec3) -> wp.float32:
+        """Probability of the coat's lobe."""
+        through = rough_through(mat.transmittance, wi[2], mat.alpha, mat.ior)
+        reflectance = wp.clamp(1.0 - through, 0.0, 1.0)
+        return share_of_coat(mat.specular_reflectance, mat.diffuse_reflectance, reflectance)
+
+    @wp.func
+    def rough_plastic_eval(mat: record, wi: wp.vec3, wo: wp.vec3) -> wp.vec3:
+        """f_s times the cosine of ``wo``, 1/sr."""
+        if wi[2] <= MIN_COSINE or wo[2] <= MIN_COSINE:
+            return wp.vec3(0.0, 0.0, 0.0)
+        alpha = at_least_min(mat.alpha)
+        h = wi + wo
+        fresnel = coat_reflectance(0.5 * wp.sqrt(wp.dot(h, h)), mat.ior)
+        coat = (fresnel * reflection.value(wi, wo, alpha, alpha)) * mat.specular_reflectance
+        table = mat.transmittance
+        inside = entry_near(table, 3, mat.alpha, mat.ior)
+        rho = mat.diffuse_reflectance
+        through = rough_through(table, wi[2], mat.alpha, mat.ior) * rough_through(table, wo[2], mat.alpha, mat.ior)
+        scale = INV_PI * wo[2] * through / (mat.ior * mat.ior)
+        if wp.static(nonlinear):
+            return coat + scale * wp.vec3(
+                rho[0] / (1.0 - rho[0] * inside), rho[1] / (1.0 - rho[1] * inside), rho[2] / (1.0 - rho[2] * inside)
+            )
+        return coat + (scale / (1.0 - inside)) * rho
+
+    @wp.func
+    def rough_plastic_pdf(mat: record, wi: wp.vec3, wo: wp.vec3) -> wp.float32:
+        """Density of the sampled directions, solid angle."""
+        if wi[2] <= MIN_COSINE or wo[2] <= MIN_COSINE:
+            return 0.0
+        alpha = at_least_min(mat.alpha)
+        share = rough_share(mat, wi)
+        return share * reflection.pdf(wi, wo, alpha, alpha) + (1.0 - share) * diffuse_pdf(wi, wo)
+
+    @wp.func
+    def rough_plastic_sample(mat: record, wi: wp.vec3, u: wp.float32, v: wp.vec2) -> BsdfSample:
+        """Choose the coat or the base by ``u``, and a direction by ``v``; none where the coat reflects it downwards."""
+        s = BsdfSample()
+        s.eta = 1.0
+        s.lobe = LOBE_NONE
+        if wi[2] > MIN_COSINE:
+            alpha = at_least_min(mat.alpha)
+            if u < rough_share(mat, wi):
+                s.wo = reflection.sample(wi, alpha, alpha, v)
+            else:
+                s.wo = square_to_cosine_hemisphere(v)
+            s.pdf = rough_plastic_pdf(mat, wi, s.wo)
+            if s.pdf > 0.0:
+                s.value = rough_plastic_eval(mat, wi, s.wo)
+                s.lobe = LOBE_SMOOTH
+        return s
+
+    @wp.func
+    def slopes(mat: record) -> wp.vec2:
+        wide = wp.max(mat.alpha, WIDE_SLOPE)
+        return wp.vec2(wide, wide)
+
+    return Functions(rough_plastic_sample, rough_plastic_eval, rough_plastic_pdf, slopes=slopes)
+
+
+ROUGH_PLASTIC = Model(
+    "roughplastic",
+    (
+        Color("diffuse_reflectance", 0.5),
+        Color("specular_reflectance"),
+        UniformRoughness(0.1, MIN_ALPHA),
+        RelativeIndex("polypropylene", gap=0.0),
+        Table("transmittance", TABLE_SIZE, ("alpha", "ior")),
+        Choice("distribution", "beckmann", ("ggx", "beckmann")),
+        Flag("nonlinear"),
+        Accepted("sample_visible", True, "visible normals are always sampled"),
+    ),
+    (LOBE_SMOOTH,),
+    make_rough_plastic,
+)
