@@ -41,6 +41,8 @@ from warp_psdr.kernels.constants import LOBE_DELTA_REFLECTION, LOBE_DELTA_TRANSM
 
 #: Relative error of float32 arithmetic through a microfacet model (a few dozen operations of 6e-8 each).
 FLOAT32 = 2e-5
+#: Pairs of directions at which Mitsuba's values are compared.
+PAIRS = 2000
 
 UP = np.array([0.0, 0.0, 1.0])
 
@@ -209,9 +211,9 @@ def mitsuba_of(key: str):
 @each_smooth_model
 def test_values_and_densities_agree_with_mitsuba(bsdf: Launcher, key: str) -> None:
     for mi, mat, theirs in mitsuba_of(key):
-        wi = random_directions(np.random.default_rng(9), 300)
-        s = bsdf.sample(key, mat, wi, uniform(10, 300))
-        wo = np.where((s["lobe"] == LOBE_SMOOTH)[:, None], s["wo"], random_directions(np.random.default_rng(11), 300))
+        wi = random_directions(np.random.default_rng(9), PAIRS)
+        s = bsdf.sample(key, mat, wi, uniform(10, PAIRS))
+        wo = np.where((s["lobe"] == LOBE_SMOOTH)[:, None], s["wo"], random_directions(np.random.default_rng(11), PAIRS))
         value, pdf = bsdf.eval_pdf(key, mat, wi, wo)
         si, context = mi.SurfaceInteraction3f(), mi.BSDFContext()
         expected = []
@@ -219,7 +221,7 @@ def test_values_and_densities_agree_with_mitsuba(bsdf: Launcher, key: str) -> No
             si.wi = mi.Vector3f(*a)
             expected.append((*theirs.eval(context, si, mi.Vector3f(*b)), theirs.pdf(context, si, mi.Vector3f(*b))))
         expected = np.array(expected)
-        np.testing.assert_allclose(value, expected[:, :3], rtol=2e-3, atol=1e-5 * value.max())
+        np.testing.assert_allclose(value, expected[:, :3], rtol=2e-4, atol=1e-6 * value.max())
         # Mitsuba cuts densities below 1e-20.
         np.testing.assert_allclose(pdf, expected[:, 3], rtol=EXAMPLES[key].mitsuba_pdf, atol=1e-12)
 

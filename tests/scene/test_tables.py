@@ -122,6 +122,7 @@ def test_a_table_goes_back_with_the_state_of_a_scene() -> None:
 def test_each_material_has_its_own_table() -> None:
     wall = {"type": "rectangle", "bsdf": {"type": "roughplastic", "distribution": "ggx", "alpha": 0.4}}
     loaded = psdr.load_dict(scene(wall=wall | {"to_world": psdr.Transform.translate([0, 0, -1])}))
+    loaded.data()  # as launches ask for it
     first, second = loaded.builder.tables
     values = loaded.values.numpy()
     for table, (variant, alpha) in ((first, ("beckmann", 0.2)), (second, ("ggx", 0.4))):
