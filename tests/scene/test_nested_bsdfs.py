@@ -42,7 +42,7 @@ def test_every_model_with_delta_lobes_tells_their_probability() -> None:
     from warp_psdr.kernels.bsdf.record import make_material_record
 
     for model in MODELS:
-        record = make_material_record(tuple((value.name, value.color) for value in model.values))
+        record = make_material_record(tuple((value.name, value.type) for value in model.values))
         assert (model.make(record, model.variants[0]).probability is not None) == model.has_delta, model.plugin
 
 
