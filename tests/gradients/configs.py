@@ -297,4 +297,7 @@ DELTA = [
     Case("glass", "sensor.to_world", aim(0.3, 0.8, 0.4), 2e-3, "aim", depth=4, spp=64),
     Case("glass", "sensor.x_fov", ones, 0.1, depth=4, spp=128, slow=True),
 ]
-CASES = [*PLANE, *PARALLEL, *LENS, *PROJECTED, *DOME, *GAP, *ROUGH, *PLASTIC, *ROUGH_PLASTIC, *CHECKERED, *BLEND, *DELTA]
+CASES = [
+    *(*PLANE, *PARALLEL, *LENS, *PROJECTED, *DOME, *GAP),
+    *(*ROUGH, *PLASTIC, *ROUGH_PLASTIC, *CHECKERED, *BLEND, *DELTA),
+]
