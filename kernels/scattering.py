@@ -75,33 +75,42 @@ def samples_lights(config: PathConfig) -> bool:
 
 
 @functools.cache
+def make_sky_hit(config: PathConfig):
+    """Return ``sky_hit(scene, state) -> EmissionHit`` of a ray that leaves the scene."""
+    lights = make_lights(config.lights, None, ()) if config.lights else None
+    environment_eval_pdf = lights.environment_eval_pdf if lights else None
+
+    @wp.func
+    def sky_hit(scene: Scene, state: PathState) -> EmissionHit:
+        emission = EmissionHit()
+        if wp.static(environment_eval_pdf is not None):
+            found, density = environment_eval_pdf(scene, state.d)
+            density *= emitter_at(scene, scene.environment).probability
+            weight = wp.where(state.pdf > 0.0, mis_weight(state.pdf, density), 1.0)
+            if wp.static(config.hide_emitters):
+                weight = wp.where(state.depth > 0, weight, 0.0)
+            emission.weight = weight
+            emission.direct = weight * found
+        # A ray of a camera without a pose, which meets nothing: not black, nor what an environment holds there.
+        lost = not finite(state.o + state.d)
+        emission.weight = wp.where(lost, 0.0, emission.weight)
+        emission.direct = where3(lost, wp.vec3(wp.NAN, wp.NAN, wp.NAN), emission.direct)
+        return emission
+
+    return sky_hit
+
+
+@functools.cache
 def make_emission_hit(config: PathConfig):
     """Return ``emission_hit(scene, state, hit) -> EmissionHit``."""
     emitted = make_area(config.area).emitted if config.area else None
-    lights = make_lights(config.lights, None, ()) if config.lights else None
-    environment_eval = lights.environment_eval if lights else None
-    environment_eval_pdf = lights.environment_eval_pdf if lights else None
-    environment = environment_eval is not None
+    sky_hit = make_sky_hit(config)
 
     @wp.func
     def emission_hit(scene: Scene, state: PathState, hit: RayHit) -> EmissionHit:
         emission = EmissionHit()
         if hit.face < 0:
-            if not finite(state.o + state.d):
-                # A ray of a camera without a pose, which meets nothing: not black, nor what an environment holds there.
-                emission.direct = wp.vec3(wp.NAN, wp.NAN, wp.NAN)
-                return emission
-            if wp.static(environment):
-                if wp.static(not config.hide_emitters) or state.depth > 0:
-                    weight = wp.float32(1.0)
-                    if state.pdf > 0.0:
-                        found, density = environment_eval_pdf(scene, state.d)
-                        weight = mis_weight(state.pdf, density * scene.emitters[scene.environment].probability)
-                        emission.direct = weight * found
-                    else:
-                        emission.direct = environment_eval(scene, state.d)
-                    emission.weight = weight
-            return emission
+            return sky_hit(scene, state)
         emission.on_surface = 1
         if wp.static(bool(config.area)):
             light = shape_at(scene, triangle_at(scene, hit.face).shape).emitter
@@ -119,14 +128,16 @@ def make_emission_hit(config: PathConfig):
 
 
 @functools.cache
-def make_light_draw(config: PathConfig):
+def make_light_draw(config: PathConfig, left_out: tuple[int, ...] = ()):
     """Return ``pick`` and ``draw``, which choose a light, and a point on it as seen from x.
 
     ``pick(scene, u: vec2) -> (emitter, face)``, face -1: the light is no area light;
     ``draw(scene, emitter, face, tri, x, u: vec2) -> LightSample``, ``tri`` the face's record, or anything.
+    ``left_out``: kinds of lights, other than area lights, of which ``draw`` returns anything.
     """
     area = make_area(config.area) if config.area else None
-    other = make_lights(config.lights, None, ()).sample if config.lights else None
+    kinds = tuple(kind for kind in config.lights if kind not in left_out)
+    other = make_lights(kinds, None, ()).sample if kinds else None
 
     @wp.func
     def pick(scene: Scene, u: wp.vec2) -> tuple[wp.int32, wp.int32]:
@@ -148,7 +159,8 @@ def make_light_draw(config: PathConfig):
             if face >= 0:
                 ls = area.sample_point(scene, emitter, face, tri, x, u)
             else:
-                ls = other(scene, emitter, x, u)
+                if wp.static(other is not None):
+                    ls = other(scene, emitter, x, u)
                 ls.face = -1
         elif wp.static(bool(config.area)):
             ls = area.sample_point(scene, emitter, face, tri, x, u)

@@ -23,6 +23,7 @@ from warp_psdr.kernels.emitter.envmap import make_envmap
 from warp_psdr.kernels.emitter.point import make_point
 from warp_psdr.kernels.emitter.projector import make_projector
 from warp_psdr.kernels.emitter.spot import make_spot, make_textured_spot
+from warp_psdr.kernels.reading import emitter_at
 from warp_psdr.kernels.structs import Emitter, LightAdjoint, LightSample, Scene
 
 ENVIRONMENTS = {EMITTER_CONSTANT: make_constant, EMITTER_ENVMAP: make_envmap}
@@ -194,7 +195,7 @@ def _either_eval_vjp(kind: int, f: wp.Function, rest: wp.Function) -> wp.Functio
 def _environment_eval(f: wp.Function) -> wp.Function:
     @wp.func
     def environment_eval(scene: Scene, direction: wp.vec3) -> wp.vec3:
-        return f(scene, scene.emitters[scene.environment], direction)
+        return f(scene, emitter_at(scene, scene.environment), direction)
 
     return environment_eval
 
@@ -202,7 +203,7 @@ def _environment_eval(f: wp.Function) -> wp.Function:
 def _environment_pdf(f: wp.Function) -> wp.Function:
     @wp.func
     def environment_pdf(scene: Scene, direction: wp.vec3) -> wp.float32:
-        return f(scene, scene.emitters[scene.environment], direction)
+        return f(scene, emitter_at(scene, scene.environment), direction)
 
     return environment_pdf
 
@@ -210,7 +211,7 @@ def _environment_pdf(f: wp.Function) -> wp.Function:
 def _environment_eval_pdf(f: wp.Function) -> wp.Function:
     @wp.func
     def environment_eval_pdf(scene: Scene, direction: wp.vec3) -> tuple[wp.vec3, wp.float32]:
-        found, density = f(scene, scene.emitters[scene.environment], direction)
+        found, density = f(scene, emitter_at(scene, scene.environment), direction)
         return found, density
 
     return environment_eval_pdf
@@ -222,6 +223,6 @@ def _environment_vjp(f: wp.Function) -> wp.Function:
         scene: Scene, target: wp.array(dtype=wp.float32), direction: wp.vec3, w: wp.vec3
     ) -> LightAdjoint:
         _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
-        return f(scene, target, scene.emitters[scene.environment], direction, w)
+        return f(scene, target, emitter_at(scene, scene.environment), direction, w)
 
     return environment_vjp

@@ -1,17 +1,19 @@
 """Next-event estimates of as many paths as there are lanes, in step (``path_lanes.py``): their lights.
 
-A light, and the triangle of an area light, are found by binary search in cumulative probabilities, as by
-``find_interval``, each step a loop over all lanes: an entry costs a gather. Searches that have ended go on without
-moving.
+A light, the triangle of an area light, and the cell of an image environment are found by binary search in cumulative
+probabilities, as by ``find_interval``, each step a loop over all lanes: an entry costs a gather. Searches that have
+ended go on without moving.
 """
 
 from typing import NamedTuple
 
 import warp as wp
 
-from warp_psdr.kernels.constants import EMITTER_AREA, ONE_MINUS_EPSILON
+from warp_psdr.kernels.constants import EMITTER_AREA, EMITTER_ENVMAP, ONE_MINUS_EPSILON
+from warp_psdr.kernels.emitter.envmap import draw_in_cell
 from warp_psdr.kernels.lanes.lanes import ROWS, Rows, make_fetch, make_number, stack_rows, word_of
-from warp_psdr.kernels.reading import emitter_at, load_float
+from warp_psdr.kernels.math import where3
+from warp_psdr.kernels.reading import emitter_at, load_float, texture_record
 from warp_psdr.kernels.scattering import NextEvent, make_light_draw, make_next_event
 from warp_psdr.kernels.structs import Emitter, LightSample, Scene, Triangle
 from warp_psdr.kernels.vertex import PathConfig
@@ -29,10 +31,29 @@ class Search:
 
 @wp.struct
 class Chosen:
-    """The light of an estimate; -1: it has no triangles."""
+    """The light of an estimate."""
 
     light: wp.int32
-    face: wp.int32
+    face: wp.int32  # -1: it has no triangles
+    row: wp.int32  # of the cell, if it is an image environment
+    column: wp.int32
+
+
+@wp.func
+def where_light(condition: wp.bool, a: LightSample, b: LightSample) -> LightSample:
+    """``a`` if the condition holds, else ``b``, member by member."""
+    ls = LightSample()
+    ls.wi = where3(condition, a.wi, b.wi)
+    ls.distance = wp.where(condition, a.distance, b.distance)
+    ls.radiance = where3(condition, a.radiance, b.radiance)
+    ls.pdf = wp.where(condition, a.pdf, b.pdf)
+    ls.delta = wp.where(condition, a.delta, b.delta)
+    ls.face = wp.where(condition, a.face, b.face)
+    ls.u = wp.where(condition, a.u, b.u)
+    ls.v = wp.where(condition, a.v, b.v)
+    ls.target = where3(condition, a.target, b.target)
+    ls.probability = wp.where(condition, a.probability, b.probability)
+    return ls
 
 
 class LightLanes(NamedTuple):
@@ -65,7 +86,9 @@ def make_light_lanes(config: PathConfig, differential: bool, width: int, first: 
     """
     get_number, _put_number = make_number(width)
     fetch_triangle = make_fetch(Triangle, width)
-    _pick, draw_one = make_light_draw(config)
+    sky = EMITTER_ENVMAP in config.lights
+    sky_alone = sky and config.one_light
+    _pick, draw_one = make_light_draw(config, left_out=(EMITTER_ENVMAP,))
     next_event = make_next_event(config, differential)
     searches, chosen, triangles, samples, events = stack_rows(
         width, first, Search, Chosen, Triangle, LightSample, NextEvent
@@ -88,16 +111,29 @@ def make_light_lanes(config: PathConfig, differential: bool, width: int, first: 
                 j += 1
 
     @wp.func
+    def search_evenly(cdf: wp.array(dtype=wp.float32), entries: wp.int32, rows: ROWS):
+        """``search``, all lanes among as many entries."""
+        length = wp.int32(entries)
+        while length > 1:
+            half = length >> 1
+            j = wp.int32(0)
+            while j < width:
+                s = searches.get(rows, j)
+                s.low = wp.where(load_float(cdf, s.first + s.low + half) <= s.u, s.low + half, s.low)
+                searches.put(rows, j, s)
+                j += 1
+            length -= half
+
+    @wp.func
     def choose(scene: Scene, rows: ROWS):
         j = wp.int32(0)
         while j < width:
             s = Search()
-            s.length = scene.emitters.shape[0]
             s.u = wp.min(get_number(rows, 0, j), ONE_MINUS_EPSILON)
             searches.put(rows, j, s)
             j += 1
         if wp.static(not config.one_light):
-            search(scene.emitter_cdf, rows)
+            search_evenly(scene.emitter_cdf, scene.emitters.shape[0], rows)
         j = wp.int32(0)
         while j < width:
             c = Chosen()
@@ -107,6 +143,8 @@ def make_light_lanes(config: PathConfig, differential: bool, width: int, first: 
             j += 1
         if wp.static(bool(config.area)):
             choose_faces(scene, rows)
+        if wp.static(sky):
+            choose_cells(scene, rows)
 
     @wp.func
     def emitter_of(scene: Scene, c: Chosen) -> Emitter:
@@ -134,16 +172,62 @@ def make_light_lanes(config: PathConfig, differential: bool, width: int, first: 
             j += 1
 
     @wp.func
-    def draw(scene: Scene, rows: ROWS):
-        if wp.static(bool(config.area)):
-            fetch_triangle(scene.triangles, rows, face_row, triangle_row)
+    def choose_cells(scene: Scene, rows: ROWS):
+        texture = texture_record(scene, emitter_at(scene, scene.environment).texture)
+        j = wp.int32(0)
+        while j < width:
+            s = Search()
+            s.u = wp.min(get_number(rows, 3, j), ONE_MINUS_EPSILON)
+            searches.put(rows, j, s)
+            j += 1
+        search_evenly(scene.env_marginal, texture.height - 1, rows)
+        j = wp.int32(0)
+        while j < width:
+            c = chosen.get(rows, j)
+            c.row = searches.get(rows, j).low
+            chosen.put(rows, j, c)
+            s = Search()
+            s.first = c.row * (texture.width + 1)
+            s.u = wp.min(get_number(rows, 2, j), ONE_MINUS_EPSILON)
+            searches.put(rows, j, s)
+            j += 1
+        search_evenly(scene.env_conditional, texture.width, rows)
+        j = wp.int32(0)
+        while j < width:
+            c = chosen.get(rows, j)
+            c.column = searches.get(rows, j).low
+            chosen.put(rows, j, c)
+            j += 1
+
+    @wp.func
+    def draw_sky(scene: Scene, rows: ROWS):
+        e = emitter_at(scene, scene.environment)
+        texture = texture_record(scene, e.texture)
         j = wp.int32(0)
         while j < width:
             c = chosen.get(rows, j)
             u = wp.vec2(get_number(rows, 2, j), get_number(rows, 3, j))
-            x = places.get(rows, j).x
-            samples.put(rows, j, draw_one(scene, c.light, c.face, triangles.get(rows, j), x, u))
+            ls = draw_in_cell(scene, e, texture, c.row, c.column, u)
+            ls.probability = e.probability
+            if wp.static(not sky_alone):
+                ls = where_light(c.light == scene.environment, ls, samples.get(rows, j))
+            samples.put(rows, j, ls)
             j += 1
+
+    @wp.func
+    def draw(scene: Scene, rows: ROWS):
+        if wp.static(bool(config.area)):
+            fetch_triangle(scene.triangles, rows, face_row, triangle_row)
+        if wp.static(not sky_alone):
+            j = wp.int32(0)
+            while j < width:
+                c = chosen.get(rows, j)
+                u = wp.vec2(get_number(rows, 2, j), get_number(rows, 3, j))
+                x = places.get(rows, j).x
+                samples.put(rows, j, draw_one(scene, c.light, c.face, triangles.get(rows, j), x, u))
+                j += 1
+        if wp.static(sky):
+            draw_sky(scene, rows)
         j = wp.int32(0)
         while j < width:
             c = chosen.get(rows, j)

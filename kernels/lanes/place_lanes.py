@@ -13,8 +13,9 @@ from warp_psdr.kernels.emitter.dispatch import ENVIRONMENTS
 from warp_psdr.kernels.interaction import make_interaction
 from warp_psdr.kernels.invalid import finite
 from warp_psdr.kernels.lanes.lanes import ROWS, Rows, make_fetch, stack_rows, word_of
+from warp_psdr.kernels.math import where3
 from warp_psdr.kernels.reading import shape_at
-from warp_psdr.kernels.scattering import EmissionHit, make_emission_hit
+from warp_psdr.kernels.scattering import EmissionHit, make_emission_hit, make_sky_hit
 from warp_psdr.kernels.structs import Scene, Triangle
 from warp_psdr.kernels.surface import Surface
 from warp_psdr.kernels.vertex import PathConfig
@@ -26,7 +27,7 @@ class LaneHit:
 
     on: wp.int32  # 1: the path stands on ``face``
     face: wp.int32
-    brings: wp.int32  # 1: there may be something that its ray brings, though it has met nothing
+    leaves: wp.int32  # 1: its ray has met nothing, and brings what is there
     behind: wp.int32  # 1: it arrives at the back
     u: wp.float32
     v: wp.float32
@@ -79,7 +80,7 @@ def make_place_lanes(config: PathConfig, width: int, first: int, states: Rows, h
         states: the paths' ``PathState``.
         hits: what their rays have met, ``RayHit``.
     """
-    emission_hit = make_emission_hit(config)
+    emission_hit, sky_hit = make_emission_hit(config), make_sky_hit(config)
     interaction = make_interaction(config)
     surface_of, looked_up, look_up, put_together = interaction.parts
     fetch_triangle = make_fetch(Triangle, width)
@@ -103,7 +104,7 @@ def make_place_lanes(config: PathConfig, width: int, first: int, states: Rows, h
             astray = state.alive == 1 and face < 0
             if wp.static(not environment):
                 astray = astray and not finite(state.o + state.d)  # which ``emission_hit`` tells
-            choice.brings = wp.where(astray, 1, 0)
+            choice.leaves = wp.where(astray, 1, 0)
             choices.put(rows, j, choice)
             emissions.put(rows, j, EmissionHit())
             standing = wp.max(standing, choice.on * (j + 1))
@@ -113,17 +114,33 @@ def make_place_lanes(config: PathConfig, width: int, first: int, states: Rows, h
         return standing
 
     @wp.func
-    def collect(scene: Scene, rows: ROWS):
+    def collect_sky(scene: Scene, rows: ROWS):
         j = wp.int32(0)
         while j < width:
-            choice = choices.get(rows, j)
-            brings = choice.brings == 1
-            if wp.static(bool(config.area)):
-                shape = wp.where(choice.on == 1, triangles.get(rows, j).shape, 0)
-                brings = brings or (choice.on == 1 and shape_at(scene, shape).emitter >= 0)
-            if brings:
-                emissions.put(rows, j, emission_hit(scene, states.get(rows, j), hits.get(rows, j)))
+            emission = sky_hit(scene, states.get(rows, j))
+            leaves = choices.get(rows, j).leaves == 1
+            emission.weight = wp.where(leaves, emission.weight, 0.0)
+            emission.direct = where3(leaves, emission.direct, wp.vec3(0.0, 0.0, 0.0))
+            emissions.put(rows, j, emission)
             j += 1
+
+    @wp.func
+    def collect(scene: Scene, rows: ROWS):
+        leaving = wp.int32(0)
+        j = wp.int32(0)
+        while j < width:
+            leaving = wp.max(leaving, choices.get(rows, j).leaves)
+            j += 1
+        if leaving == 1:
+            collect_sky(scene, rows)
+        if wp.static(bool(config.area)):
+            j = wp.int32(0)
+            while j < width:
+                choice = choices.get(rows, j)
+                shape = wp.where(choice.on == 1, triangles.get(rows, j).shape, 0)
+                if choice.on == 1 and shape_at(scene, shape).emitter >= 0:
+                    emissions.put(rows, j, emission_hit(scene, states.get(rows, j), hits.get(rows, j)))
+                j += 1
 
     @wp.func
     def stand(scene: Scene, standing: wp.int32, rows: ROWS):

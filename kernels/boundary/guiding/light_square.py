@@ -18,7 +18,7 @@ from warp_psdr.kernels.boundary.path_space.direction import Direction
 from warp_psdr.kernels.constants import EMITTER_CONSTANT, EMITTER_ENVMAP, FAR, INV_TWO_PI
 from warp_psdr.kernels.distribution import find_interval_64
 from warp_psdr.kernels.emitter.dispatch import make_lights
-from warp_psdr.kernels.emitter.envmap import cell_density, cell_height, load_matrix, locate
+from warp_psdr.kernels.emitter.env_cells import cell_density, cell_height, load_matrix, locate
 from warp_psdr.kernels.structs import Emitter, Scene
 from warp_psdr.kernels.surface import point_on
 from warp_psdr.kernels.vertex import PathConfig
