@@ -12,6 +12,7 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
+from warp_psdr.kernels.bsdf.dispatch import is_diffuse
 from warp_psdr.kernels.camera_rays import make_camera_paths, make_pixel_bundle
 from warp_psdr.kernels.interior.gradient_request import GradientRequest
 from warp_psdr.kernels.interior.sweep import Carry, make_sweep
@@ -38,7 +39,8 @@ def make_replay_kernel(config: PathConfig, wanted: GradientRequest, block: int, 
         blocks: the most blocks that a path can have; 1 compiles the replay out.
     """
     if blocks == 1 and side_by_side(config):
-        for make in (make_lane_sweep, make_sweep_of_each) if wanted.geometry else (make_sweep_of_each,):
+        swept_together = wanted.geometry and is_diffuse(config.bsdfs)
+        for make in (make_lane_sweep, make_sweep_of_each) if swept_together else (make_sweep_of_each,):
             paths = make_lane_paths(config, True, True, kept=block, whole=make is make_lane_sweep)
             end, sweep_all = make(config, wanted, paths)
             if end <= ROOM:

@@ -98,7 +98,7 @@ def make_kept_lanes(
             surface = on_places.surfaces.get(rows, j)
             stood = RecordedScattering()
             stood.n = place.frame.n
-            stood.side = on_places.lane_reflectances.get(rows, j).side
+            stood.side = on_places.looked_up.get(rows, j).side
             stood.length = surface.length
             stood.uv = surface.uv
             stood.reflectance = place.material.reflectance

@@ -11,7 +11,6 @@ from typing import NamedTuple
 
 import warp as wp
 
-from warp_psdr.kernels.bsdf.dispatch import is_diffuse
 from warp_psdr.kernels.bvh.each import make_each
 from warp_psdr.kernels.bvh.wide import RayHit
 from warp_psdr.kernels.camera_rays import Bundle, column_of, make_trace_together, row_of
@@ -92,11 +91,8 @@ class LanePaths(NamedTuple):
 
 
 def side_by_side(config: PathConfig) -> bool:
-    """Whether a scene's paths are traced so: on the CPU, unless what they meet is written down.
-
-    Not where scattering is more than choosing between numbers: the other models branch around vectors.
-    """
-    return config.ray_backend == "wide" and not config.noted and is_diffuse(config.bsdfs)
+    """Whether a scene's paths are traced so: on the CPU, unless what they meet is written down."""
+    return config.ray_backend == "wide" and not config.noted
 
 
 @functools.cache

@@ -33,16 +33,6 @@ class LaneHit:
     v: wp.float32
 
 
-@wp.struct
-class LaneReflectance:
-    """What is looked up of a diffuse material."""
-
-    side: wp.float32
-    red: wp.float32
-    green: wp.float32
-    blue: wp.float32
-
-
 class PlaceLanes(NamedTuple):
     """What ``make_place_lanes`` makes.
 
@@ -54,7 +44,7 @@ class PlaceLanes(NamedTuple):
         choices: ``LaneHit``.
         triangles: ``Triangle``, those that paths stand on.
         surfaces: ``Surface``, at the same points.
-        tints: ``LaneReflectance``.
+        looked_up: what the scene's tables say of those points, the struct of ``InteractionParts``.
         places: interactions, the struct of ``make_interaction``.
         arrivals: ``EmissionHit``.
     """
@@ -65,7 +55,7 @@ class PlaceLanes(NamedTuple):
     choices: Rows
     triangles: Rows
     surfaces: Rows
-    lane_reflectances: Rows
+    looked_up: Rows
     places: Rows
     emissions: Rows
 
@@ -82,13 +72,11 @@ def make_place_lanes(config: PathConfig, width: int, first: int, states: Rows, h
     """
     emission_hit, sky_hit = make_emission_hit(config), make_sky_hit(config)
     interaction = make_interaction(config)
-    surface_of, looked_up, look_up, put_together = interaction.parts
+    surface_of, looked_up_record, look_up, put_together = interaction.parts
     fetch_triangle = make_fetch(Triangle, width)
     environment = any(kind in ENVIRONMENTS for kind in config.lights)
     choices, triangles, surfaces = stack_rows(width, first, LaneHit, Triangle, Surface)
-    lane_reflectances, places, emissions = stack_rows(
-        width, surfaces.end, LaneReflectance, interaction.record, EmissionHit
-    )
+    looked_up, places, emissions = stack_rows(width, surfaces.end, looked_up_record, interaction.record, EmissionHit)
     triangle_row, face_row = triangles.first, choices.first + word_of(LaneHit, "face")
 
     @wp.func
@@ -159,23 +147,12 @@ def make_place_lanes(config: PathConfig, width: int, first: int, states: Rows, h
             j += 1
         for j in range(standing):  # one by one: SIMD would be gathers, which take longer
             c = choices.get(rows, j)
-            found = look_up(scene, surfaces.get(rows, j), c.behind == 1, c.face, c.u, c.v)
-            reflectance_of_lane = LaneReflectance()
-            reflectance_of_lane.side = found.side
-            reflectance_of_lane.red = found.material.reflectance[0]
-            reflectance_of_lane.green = found.material.reflectance[1]
-            reflectance_of_lane.blue = found.material.reflectance[2]
-            lane_reflectances.put(rows, j, reflectance_of_lane)
+            looked_up.put(rows, j, look_up(scene, surfaces.get(rows, j), c.behind == 1, c.face, c.u, c.v))
         j = wp.int32(0)
         while j < width:
-            reflectance_of_lane = lane_reflectances.get(rows, j)
-            found = looked_up()
-            found.side = reflectance_of_lane.side
-            found.material.reflectance = wp.vec3(
-                reflectance_of_lane.red, reflectance_of_lane.green, reflectance_of_lane.blue
-            )
+            found = looked_up.get(rows, j)
             surface = surfaces.get(rows, j)
             places.put(rows, j, put_together(scene, triangles.get(rows, j), surface, found, states.get(rows, j).d))
             j += 1
 
-    return PlaceLanes(meet, collect, stand, choices, triangles, surfaces, lane_reflectances, places, emissions)
+    return PlaceLanes(meet, collect, stand, choices, triangles, surfaces, looked_up, places, emissions)

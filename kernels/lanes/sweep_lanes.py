@@ -6,8 +6,8 @@ which becomes SIMD, does the arithmetic of a connection or of a vertex. What it 
 by lane (``sweep_sinks.py``), for two paths may meet the same triangle. The first vertex of a path, whose barycentrics
 are attached to the camera's ray, ends in ``sweep.finish``, path by path.
 
-It serves scenes whose paths are traced so (``path_lanes.side_by_side``), of smooth lobes and without tangents, where
-vertices move. Where none does, a vertex is a few products, and one path after the other is faster.
+It serves diffuse scenes in which vertices move. Where none does, a vertex is a few products, and one path after the
+other is faster.
 """
 
 import warp as wp
