@@ -53,6 +53,12 @@ LOBE_DELTA_TRANSMISSION = 3
 CAMERA_PERSPECTIVE = 0
 CAMERA_ORTHOGRAPHIC = 1
 CAMERA_THINLENS = 2
+CAMERA_RADIANCEMETER = 3
+CAMERA_IRRADIANCEMETER = 4
+#: Sensors whose rays are parallel to the third column of their pose.
+PARALLEL_CAMERAS = frozenset({CAMERA_ORTHOGRAPHIC, CAMERA_RADIANCEMETER})
+#: Sensors of one pixel, to which no point of a scene can be connected.
+METERS = frozenset({CAMERA_RADIANCEMETER, CAMERA_IRRADIANCEMETER})
 
 # Reconstruction filters (``Camera.filter``).
 RFILTER_BOX = 0

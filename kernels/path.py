@@ -12,7 +12,7 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.bvh.wide import RayHit
-from warp_psdr.kernels.constants import LOBE_NONE, RFILTER_BOX
+from warp_psdr.kernels.constants import CAMERA_IRRADIANCEMETER, CAMERA_RADIANCEMETER, LOBE_NONE, PI, RFILTER_BOX
 from warp_psdr.kernels.interaction import make_interaction
 from warp_psdr.kernels.math import where3
 from warp_psdr.kernels.notes import NOTE_VERTEX, note
@@ -163,9 +163,13 @@ def make_camera_starts(config: PathConfig, filter_kind: int | None = None):
         u4 = sample_4d(sampler, 0)
         sample = CameraSample()
         sample.film = film_position(camera, px, py, pixel_offset(camera, px, py, wp.vec2(u4[0], u4[1])))
+        if wp.static(config.camera == CAMERA_RADIANCEMETER):
+            sample.film = wp.vec2(0.5, 0.5)
         sample.lens = lens_point(wp.vec2(u4[2], u4[3]))
         ray = ray_in(scene, camera, k, sample)
         state = path_from(ray.o + ray.t_min * ray.d, ray.d, ray.t_max - ray.t_min, 0)
+        if wp.static(config.camera == CAMERA_IRRADIANCEMETER):
+            state.throughput = wp.vec3(PI, PI, PI)
         return state, sample
 
     return view, start_in

@@ -111,6 +111,9 @@ class Camera:
     filter: wp.int32
     filter_radius: wp.float32  # pixels
     filter_stddev: wp.float32  # pixels (gaussian)
+    first_face: wp.int32  # irradiance meter: the triangles of its shape, and where their cumulative areas start
+    face_count: wp.int32
+    cdf_offset: wp.int32
     sample_border: wp.int32  # 1: pixels see what lies beyond the crop window; 0: filters end at its border
 
 

@@ -32,7 +32,7 @@ CPU_ONLY = {
 }
 
 TEXTURES = (c.TEXTURE_CONSTANT, c.TEXTURE_BITMAP, c.TEXTURE_VERTEX, c.TEXTURE_FACE, c.TEXTURE_CHECKERBOARD)
-LIGHTS = (c.EMITTER_ENVMAP, c.EMITTER_POINT, c.EMITTER_SPOT, c.EMITTER_DIRECTIONAL)
+LIGHTS = (c.EMITTER_ENVMAP, c.EMITTER_POINT, c.EMITTER_SPOT, c.EMITTER_DIRECTIONAL, c.EMITTER_PROJECTOR)
 
 
 def wanted(config, *names, **others):
@@ -109,6 +109,7 @@ TEXTURED = PathConfig(
 )
 ALL_LIGHTS = PathConfig(**{**vars(SIMPLE), "lights": LIGHTS, "one_light": False, "filter": c.RFILTER_GAUSSIAN})
 ORTHOGRAPHIC = PathConfig(**{**vars(SIMPLE), "camera": c.CAMERA_ORTHOGRAPHIC})
+IRRADIANCE = PathConfig(**{**vars(SIMPLE), "camera": c.CAMERA_IRRADIANCEMETER})
 THIN_LENS = PathConfig(**{**vars(SIMPLE), "camera": c.CAMERA_THINLENS})
 THIN_LENS_SMOOTH = PathConfig(**{**vars(THIN_LENS), "smooth": True})
 ORTHOGRAPHIC_SMOOTH = PathConfig(**{**vars(ORTHOGRAPHIC), "smooth": True})
@@ -183,6 +184,7 @@ FACTORIES = {
         ("emission", (EMISSION,), SLOW),
         ("orthographic", (ORTHOGRAPHIC,), SLOW),
         ("thin lens", (THIN_LENS,), FAST),
+        ("irradiance meter", (IRRADIANCE,), SLOW),
         ("others", (OTHERS,), SLOW),
         ("everything", (EVERYTHING,), SLOW),
     ],

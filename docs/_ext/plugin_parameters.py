@@ -39,6 +39,7 @@ MORE: dict[str, tuple[dict, ...]] = {
     "conductor": ({"eta": 1.0, "k": 2.0},),
     "perspective": ({"fov": 40.0},),
     "thinlens": ({"aperture_radius": 0.1, "fov": 40.0},),
+    "radiancemeter": ({"origin": [0.0, 0.0, 1.0], "direction": [0.0, 0.0, -1.0]},),
     "directional": ({"direction": [0.0, 0.0, 1.0]},),
     "spot": ({"texture": {"type": "bitmap", "bitmap": np.full((2, 2, 3), 0.5)}},),
     "projector": ({"fov": 40.0}, {"irradiance": {"type": "bitmap", "bitmap": np.full((2, 2, 3), 0.5)}}),
@@ -98,6 +99,8 @@ def _load(category: str, name: str, parameters: dict) -> tuple[list[str], list[s
     found = [n.removeprefix("probe.") for n in psdr.traverse(scene) if n.startswith("probe.")]
     inner = {"texture": "bsdf.reflectance.", "bsdf": "bsdf."}.get(category, "emitter." if name == "area" else "")
     found = [n.removeprefix(inner) for n in found if n.startswith(inner)]
+    if name == "irradiancemeter":  # it has no values; those of its shape are not its own
+        found = []
     if category == "shape":
         found = [n for n in found if not n.startswith("bsdf.")]
     elif category not in ("texture", "bsdf", "emitter", "sensor"):
@@ -114,7 +117,11 @@ def _scene(category: str, plugin: dict) -> dict:
     scene: dict = {"type": "scene", "sensor": camera, "probe": shape, "integrator": {"type": "path"}}
     if category == "sensor":
         del scene["sensor"]
-        scene["body"], scene["probe"] = shape, {**plugin, "film": film}
+        meter = {**plugin, "film": {**film, "width": 1, "height": 1}}
+        scene["body"], scene["probe"] = shape, meter if plugin["type"].endswith("meter") else {**plugin, "film": film}
+        if plugin["type"] == "irradiancemeter":
+            del scene["body"]
+            scene["probe"] = {**shape, "sensor": meter}
     elif category == "film":
         camera["film"] = plugin
     elif category in ("rfilter", "sampler"):

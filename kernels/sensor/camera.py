@@ -1,7 +1,8 @@
 """Cameras: a ray through a film position, and the adjoint of that ray.
 
 Conventions of Mitsuba's ``perspective``, ``thinlens`` and ``orthographic``. Film position and lens point are fixed
-while the camera moves: the first vertex of a path slides over the surface.
+while the camera moves: the first vertex of a path slides over the surface. A ``radiancemeter`` is the orthographic ray
+of the film's centre. The rays of an ``irradiancemeter`` are ``meter.py``'s.
 
 Derivation: ``docs/theory/cameras.md#camera-rays``.
 """
@@ -11,8 +12,9 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.autodiff import differentiable
-from warp_psdr.kernels.constants import CAMERA_ORTHOGRAPHIC, CAMERA_THINLENS
+from warp_psdr.kernels.constants import CAMERA_IRRADIANCEMETER, CAMERA_THINLENS, PARALLEL_CAMERAS
 from warp_psdr.kernels.sampling import square_to_disk
+from warp_psdr.kernels.sensor.meter import meter_direction, meter_origin
 from warp_psdr.kernels.sink import make_sink
 from warp_psdr.kernels.structs import Camera, Scene
 
@@ -31,8 +33,8 @@ class CameraRay:
 class CameraSample:
     """What names a ray of the camera; both parts are detached."""
 
-    film: wp.vec2  # in [0, 1]^2 of the uncropped film
-    lens: wp.vec2  # point of the unit disk (thin lens), else 0
+    film: wp.vec2  # in [0, 1]^2 of the uncropped film; irradiance meter: numbers that choose the point
+    lens: wp.vec2  # point of the unit disk (thin lens); irradiance meter: numbers that choose the direction; else 0
 
 
 @wp.func
@@ -148,12 +150,14 @@ def parallel_dot(m: wp.mat44, film: wp.vec2, aspect: wp.float32, a_o: wp.vec3, a
 
 @functools.cache
 def make_lens(kind: int):
-    """Return ``lens_point(u: vec2) -> vec2``: the part ``CameraSample.lens``, uniform on the unit disk."""
+    """Return ``lens_point(u: vec2) -> vec2``: the part ``CameraSample.lens``."""
 
     @wp.func
     def lens_point(u: wp.vec2) -> wp.vec2:
         if wp.static(kind == CAMERA_THINLENS):
             return square_to_disk(u)
+        elif wp.static(kind == CAMERA_IRRADIANCEMETER):
+            return u
         else:
             return wp.vec2(0.0, 0.0)
 
@@ -170,19 +174,25 @@ def make_camera_rays(kind: int):
 
     @wp.func
     def view(scene: Scene, camera: Camera) -> wp.float32:
-        if wp.static(kind == CAMERA_ORTHOGRAPHIC):
+        if wp.static(kind in PARALLEL_CAMERAS or kind == CAMERA_IRRADIANCEMETER):
             return 0.0
         else:
             return half_width(scene.values[camera.x_fov])
 
     @wp.func
     def ray_in(scene: Scene, camera: Camera, k: wp.float32, sample: CameraSample) -> CameraRay:
+        if wp.static(kind == CAMERA_IRRADIANCEMETER):
+            from_meter = CameraRay()
+            from_meter.o = meter_origin(scene, camera, sample.film)
+            from_meter.d = meter_direction(scene, camera, sample.film, sample.lens)
+            from_meter.t_max = camera.far
+            return from_meter
         m = load_mat44(scene.values, camera.to_world)
         aspect = wp.float32(camera.width) / wp.float32(camera.height)
         d = wp.vec3(m[0, 2], m[1, 2], m[2, 2])
         axis = wp.length(d)
         film = sample.film
-        if wp.static(kind != CAMERA_ORTHOGRAPHIC):
+        if wp.static(kind not in PARALLEL_CAMERAS):
             cx = scene.values[camera.principal]
             cy = scene.values[camera.principal + 1]
             d = direction_through(m, k, cx, cy, film[0], film[1], aspect)
@@ -193,7 +203,7 @@ def make_camera_rays(kind: int):
         ray = CameraRay()
         ray.o = camera_origin(scene, camera, sample)
         ray.d = d / length
-        if wp.static(kind == CAMERA_ORTHOGRAPHIC):
+        if wp.static(kind in PARALLEL_CAMERAS):
             # As in Mitsuba the near plane scales with ``to_world`` and the distance between the two does not.
             ray.t_min = camera.near * axis
             ray.t_max = ray.t_min + (camera.far - camera.near)
@@ -213,8 +223,10 @@ def make_camera_origin(kind: int):
 
     @wp.func
     def camera_origin(scene: Scene, camera: Camera, sample: CameraSample) -> wp.vec3:
+        if wp.static(kind == CAMERA_IRRADIANCEMETER):
+            return meter_origin(scene, camera, sample.film)
         m = load_mat44(scene.values, camera.to_world)
-        if wp.static(kind == CAMERA_ORTHOGRAPHIC):
+        if wp.static(kind in PARALLEL_CAMERAS):
             return parallel_origin(m, sample.film, wp.float32(camera.width) / wp.float32(camera.height))
         elif wp.static(kind == CAMERA_THINLENS):
             return lens_origin(m, scene.values[camera.aperture_radius], sample.lens)
@@ -238,7 +250,10 @@ def make_camera_ray(kind: int):
 
 @functools.cache
 def make_camera_sink(role: str, kind: int):
-    """Return ``accumulate_camera(scene, target, camera, sample, a_o, a_d) -> float`` for a camera ray."""
+    """Return ``accumulate_camera(scene, target, camera, sample, a_o, a_d) -> float`` for a camera ray.
+
+    An irradiance meter has no parameters of its own.
+    """
     sink = make_sink(role)
 
     @wp.func
@@ -255,7 +270,7 @@ def make_camera_sink(role: str, kind: int):
         film = sample.film
         total = wp.float32(0.0)
         g_m = wp.mat44()
-        if wp.static(kind == CAMERA_ORTHOGRAPHIC):
+        if wp.static(kind in PARALLEL_CAMERAS):
             g_m, _film, _aspect, _a_o, _a_d = wp.grad(parallel_dot)(m, film, aspect, a_o, a_d)
         else:
             fov = scene.values[camera.x_fov]

@@ -19,10 +19,10 @@ def problems(load):
 def test_all_unsupported_plugins_and_parameters_are_named_with_their_lines():
     body = """<medium type="homogeneous" id="fog"/>
 <emitter type="collimated"/>
-<bsdf type="roughplastic" id="shiny"><texture type="wireframe" name="diffuse_reflectance"/></bsdf>
+<bsdf type="measured" id="shiny"><texture type="wireframe" name="diffuse_reflectance"/></bsdf>
 <shape type="sphere"><ref id="shiny"/><ref id="fog" name="interior"/><float name="radios" value="1"/></shape>
 <shape type="cube"><ref id="shiny"/><float name="size" value="1"/><bogus/></shape>
-<shape type="cube"><bsdf type="twosided"><bsdf type="principled"/></bsdf></shape>
+<shape type="cube"><bsdf type="twosided"><bsdf type="hair"/></bsdf></shape>
 <shape type="obj"><string name="filename" value="none.obj"/><boolean name="smooth" value="true"/></shape>
 <shape type="cube"><bsdf type="diffuse"><rgb name="reflectance" value="5"/><float name="roughness" value="1"/></bsdf>
 </shape></scene>"""
@@ -32,10 +32,10 @@ def test_all_unsupported_plugins_and_parameters_are_named_with_their_lines():
     expected = {
         4: "<medium> ('homogeneous') is not supported",
         5: "unsupported emitter 'collimated'",
-        6: "unsupported bsdf 'roughplastic'",
+        6: "unsupported bsdf 'measured'",
         7: "no parameter 'radios' (did you mean 'radius'?)",
         8: "<bogus> is not supported",
-        9: "unsupported bsdf 'principled'",
+        9: "unsupported bsdf 'hair'",
         10: "no such file: 'none.obj'",
         11: "between 0 and 1",
     }
@@ -55,7 +55,7 @@ def test_one_problem_is_its_own_message_and_missing_files_stay_missing_files():
 
 
 def test_dictionaries_name_all_of_it_too_and_a_shared_plugin_once():
-    shiny = {"type": "roughplastic"}
+    shiny = {"type": "measured"}
     scene = {
         "type": "scene",
         "sky": {"type": "sunsky"},
@@ -66,16 +66,17 @@ def test_dictionaries_name_all_of_it_too_and_a_shared_plugin_once():
     text = "\n".join(problems(lambda: describe_dict(scene)))
     for words in ("unsupported emitter 'sunsky'", "'wide'", "parameter 'radius'", "parameter 'center'", "5 problems"):
         assert words in text
-    assert text.count("roughplastic") == 1
+    assert text.count("measured") == 1
 
 
 @pytest.mark.parametrize(
     ("scene", "right", "wrong"),
     [
-        ({"type": "sunsky"}, "supported emitter plugins: area", "prb_projective"),
+        ({"type": "collimated"}, "supported emitter plugins: area", "prb_projective"),
+        ({"type": "sunsky"}, "let Mitsuba bake it to an 'envmap'", "did you mean"),
         ({"type": "distant"}, "supported sensor plugins: perspective", "did you mean"),
         ({"type": "difuse"}, "did you mean 'diffuse'", "unsupported emitter"),
-        ({"type": "cube", "bsdf": {"type": "roughplastic"}}, "supported bsdf plugins", "did you mean"),
+        ({"type": "cube", "bsdf": {"type": "measured"}}, "supported bsdf plugins", "did you mean"),
     ],
 )
 def test_suggestions_are_of_the_same_kind(scene, right, wrong):

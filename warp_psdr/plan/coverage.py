@@ -13,8 +13,9 @@ from warp_psdr.kernels.bsdf.dispatch import has_delta_lobes, models_of
 from warp_psdr.kernels.emitter.spot import MIN_FALLOFF
 from warp_psdr.options.boundary import EdgeSampling, Method, PathSpace
 from warp_psdr.plan.motion import Motion, motion
-from warp_psdr.scene.layout import TEXCOORDS, TO_UV
+from warp_psdr.scene.layout import POSITIONS, SHAPE_POSE, TEXCOORDS, TO_UV
 from warp_psdr.topology.edges import scene_adjacency
+from warp_psdr.topology.intersection_curves import scene_curves
 
 if TYPE_CHECKING:
     from warp_psdr.kernels.structs import Emitter, Texture
@@ -38,8 +39,13 @@ def choose(scene: Scene, config: PathConfig, integrator: PathIntegrator, names: 
     Raises:
         ValueError: no method covers the case.
     """
-    method = integrator.boundary if isinstance(integrator.boundary, Method) else PathSpace()
-    reason = _beyond(method, config) or _uncovered(scene, config, names, integrator.max_depth)
+    by_itself: Method = EdgeSampling() if config.camera == c.CAMERA_RADIANCEMETER else PathSpace()
+    method = integrator.boundary if isinstance(integrator.boundary, Method) else by_itself
+    reason = (
+        _beyond(method, config)
+        or _metered(scene, method, config, integrator.max_depth)
+        or _uncovered(scene, config, names, integrator.max_depth)
+    )
     if reason:
         raise ValueError(
             f"the requested gradient has a boundary term ({'; '.join(moving)}), which {method.label}() cannot "
@@ -53,6 +59,43 @@ def _beyond(method: Method, config: PathConfig) -> str:
     if isinstance(method, EdgeSampling) and has_delta_lobes(config.bsdfs):
         return "it does not follow edges through smooth mirrors or glass; use boundary.PathSpace()"
     return ""
+
+
+def _metered(scene: Scene, method: Method, config: PathConfig, max_depth: int) -> str:
+    """Say what keeps a sensor of one pixel from a boundary term; empty: nothing.
+
+    A radiance meter has one ray: what moves across it has measure zero, and what is left are the edges that vertices of
+    its paths see. No edge can be connected to it.
+    """
+    if config.camera == c.CAMERA_IRRADIANCEMETER:
+        return "what moves before an irradiancemeter is not sampled; watch the shape with a camera instead"
+    if config.camera != c.CAMERA_RADIANCEMETER:
+        return ""
+    if not isinstance(method, EdgeSampling):
+        return "no edge can be connected to the one ray of a radiancemeter; use boundary.EdgeSampling()"
+    if config.smooth and not scene.shades_flat:
+        return "before a radiancemeter, interpolated normals are not covered; give face_normals or a narrow camera"
+    if max_depth != 2 and set(config.lights) & c.DELTA_LIGHTS:
+        return "before a radiancemeter, hard shadows are not covered beyond max_depth=2; use a narrow camera"
+    if max_depth != 2 and len(scene_curves(scene).length):
+        return "before a radiancemeter, shapes that run through each other are not covered; use a narrow camera"
+    return ""
+
+
+def refuse_own_shape(scene: Scene, sensor: int, names: list[str]) -> None:
+    """Refuse to move the shape that an irradiance meter lies on.
+
+    Raises:
+        ValueError: it is requested.
+    """
+    meter = scene.description.sensors[sensor]
+    for name in names:
+        p = scene.parameters[name]
+        if p.uses & {POSITIONS, SHAPE_POSE} and scene.description.shapes[p.owner].sensor is meter:
+            raise ValueError(
+                f"{name} moves the shape of the irradiancemeter {meter.path!r}, whose points have no derivative here; "
+                "move everything else, or measure on another shape"
+            )
 
 
 def _uncovered(scene: Scene, config: PathConfig, names: list[str], max_depth: int) -> str:

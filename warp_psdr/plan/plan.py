@@ -19,7 +19,7 @@ from warp_psdr.kernels.vertex import PathConfig
 from warp_psdr.options.boundary import Connecting, Method, PathSpace
 from warp_psdr.options.integrator import PathIntegrator
 from warp_psdr.plan import guiding
-from warp_psdr.plan.coverage import choose, has_hard_frame, slides_steps
+from warp_psdr.plan.coverage import choose, has_hard_frame, refuse_own_shape, slides_steps
 from warp_psdr.plan.integrator import Integrator, integrator_of
 from warp_psdr.plan.interior import Kept, Row, row_of
 from warp_psdr.plan.motion import motion
@@ -58,6 +58,8 @@ CAMERA_NAMES = {
     c.CAMERA_PERSPECTIVE: "perspective",
     c.CAMERA_ORTHOGRAPHIC: "orthographic",
     c.CAMERA_THINLENS: "thinlens",
+    c.CAMERA_RADIANCEMETER: "radiancemeter",
+    c.CAMERA_IRRADIANCEMETER: "irradiancemeter",
 }
 TEXTURE_NAMES = {
     c.TEXTURE_CONSTANT: "constant",
@@ -158,6 +160,7 @@ def decide(
     if config.hidden:
         scene.hide_lights()
     wanted = _wanted(scene, config, names, lines) if names else None
+    refuse_own_shape(scene, sensor, names)
     if not names:
         lines.append(("derivatives", "none", "no parameter is requested"))
     moving = tuple(_discontinuities(scene, config, names))
@@ -199,7 +202,7 @@ def _boundary(
     term = choose(scene, config, integrator, names, moving)
     lines = [("boundary term", term.label, "; ".join(moving))]
     repeated = guiding.automatic(scene, motion(scene, names), sensor, integrator.max_depth)
-    if integrator.boundary == "auto" and repeated.on:
+    if integrator.boundary == "auto" and repeated.on and isinstance(term, Connecting):
         if isinstance(term, PathSpace) and repeated.method is not None:
             term = replace(term, guiding=repeated.method)
         lines.append(("guiding", "none" if repeated.method is None else "by itself", repeated.said))

@@ -50,7 +50,13 @@ EMITTERS = {
     "projector": c.EMITTER_PROJECTOR,
     "directional": c.EMITTER_DIRECTIONAL,
 }
-CAMERAS = {"perspective": c.CAMERA_PERSPECTIVE, "orthographic": c.CAMERA_ORTHOGRAPHIC, "thinlens": c.CAMERA_THINLENS}
+CAMERAS = {
+    "perspective": c.CAMERA_PERSPECTIVE,
+    "orthographic": c.CAMERA_ORTHOGRAPHIC,
+    "thinlens": c.CAMERA_THINLENS,
+    "radiancemeter": c.CAMERA_RADIANCEMETER,
+    "irradiancemeter": c.CAMERA_IRRADIANCEMETER,
+}
 #: A texture's record and the flat (offset, size) of its values.
 Placed = tuple[structs.Texture, tuple[int, int]]
 
@@ -351,8 +357,13 @@ class Builder:
         record.filter_radius, record.filter_stddev = f.filter_radius, f.filter_stddev
         record.sample_border = int(f.sample_border)
         record.near, record.far = s.near_clip, s.far_clip
+        if s.kind == "irradiancemeter":
+            shape = self.shapes[next(i for i, held in enumerate(self.description.shapes) if held.sensor is s)]
+            record.first_face, record.face_count = shape.first_face, shape.face_count
+            self.cameras.append(record)
+            return
         record.to_world = self.layout.add(f"{s.path}.to_world", s.to_world, CAMERA, placed=True)
-        if s.kind != "orthographic":
+        if s.kind not in ("orthographic", "radiancemeter"):
             record.x_fov = self.layout.add(f"{s.path}.x_fov", np.array([s.x_fov]), CAMERA, bounds=(1e-3, 179.0))
             record.principal = self.layout.add_values(np.asarray(s.principal_point_offset))
             for i, axis in enumerate("xy"):

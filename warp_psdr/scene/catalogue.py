@@ -16,7 +16,7 @@ MITSUBA: dict[str, tuple[str, ...]] = {
     ),
     "texture": ("checkerboard", "volume", "gridtexture", "scale", "vertexcolors", "curvature", "wireframe"),
     "emitter": (*("directionalarea", "sunsky", "timed_sunsky", "sky", "sun", "collimated"),),
-    "sensor": ("batch", "distant", "irradiancemeter", "radiancemeter", "fluencemeter", "perspective_rdist"),
+    "sensor": ("batch", "distant", "fluencemeter", "perspective_rdist"),
     "film": ("specfilm", "ldrfilm", "mfilm", "tiledhdrfilm"),
     "rfilter": ("catmullrom", "lanczos", "mitchell"),
     "sampler": ("halton", "hammersley"),
@@ -32,14 +32,21 @@ MITSUBA: dict[str, tuple[str, ...]] = {
 
 
 _PATH = "without media, 'path' computes the same image"
-#: Integrators that compute something else, and what to use instead.
-INSTEAD = {
-    "volpath": _PATH,
-    "volpathmis": _PATH,
-    "prbvolpath": "without media, 'prb' computes the same image and gradients",
-    "ptracer": "'path' computes the same image, from the camera instead of from the lights",
-    "depth": "give 'path' and call psdr.render_aov(scene, ['depth'])",
-    "moment": "give the integrator nested in it, render several seeds, and take the mean of the images' squares",
+_SKY = (
+    "the tables of its sky (Hosek and Wilkie) cannot be had under a licence that could be stated here; let Mitsuba "
+    "bake it to an 'envmap', as docs/from_mitsuba.md (Skies) shows, and give a 'directional' light for the sun"
+)
+#: Plugins that compute something else, or cannot be had, by kind, and what to use instead.
+INSTEAD: dict[str, dict[str, str]] = {
+    "emitter": {"sunsky": _SKY, "timed_sunsky": _SKY},
+    "integrator": {
+        "volpath": _PATH,
+        "volpathmis": _PATH,
+        "prbvolpath": "without media, 'prb' computes the same image and gradients",
+        "ptracer": "'path' computes the same image, from the camera instead of from the lights",
+        "depth": "give 'path' and call psdr.render_aov(scene, ['depth'])",
+        "moment": "give the integrator nested in it, render several seeds, and take the mean of the images' squares",
+    },
 }
 
 

@@ -96,6 +96,7 @@ class ShapeDescription:
     to_world: np.ndarray | None = None  #: (4, 4)
     local_vertices: np.ndarray | None = None  #: (N, 3)
     local_normals: np.ndarray | None = None  #: (N, 3)
+    sensor: SensorDescription | None = None  #: an irradiance meter
     repairs: dict[str, int] = field(default_factory=dict)  #: e.g. {"zero-area triangles dropped": 3}
 
 
@@ -117,12 +118,13 @@ class FilmDescription:
 
 @dataclass(eq=False)
 class SensorDescription:
-    """A camera. Space convention as in Mitsuba: looks along +z, +y up, +x to the left of the image."""
+    """A camera or a meter. Space convention as in Mitsuba: looks along +z, +y up, +x to the left of the image."""
 
     path: str
-    kind: Literal["perspective", "orthographic", "thinlens"]
+    kind: Literal["perspective", "orthographic", "thinlens", "radiancemeter", "irradiancemeter"]
     #: (4, 4); perspective, thinlens: rigid with optional uniform scale removed; orthographic: any invertible matrix, of
-    #: which the first column is half the film's width and the third the direction of view
+    #: which the first column is half the film's width and the third the direction of view; radiancemeter: the third and
+    #: fourth column are those of its ray; irradiancemeter: not used, the shape that holds it counts
     to_world: np.ndarray
     x_fov: float = 0.0  #: degrees, horizontal field of view of the whole film (fov_axis already resolved)
     principal_point_offset: tuple[float, float] = (0.0, 0.0)

@@ -25,7 +25,8 @@ class Lights:
     Attributes:
         emitters: ``structs.Emitter`` of every light.
         emitter_cdf: cumulative selection probabilities.
-        face_cdf: cumulative triangle areas of every area light, one behind the other.
+        face_cdf: cumulative triangle areas of every area light, and of every irradiance meter's shape, one behind the
+            other.
         env_marginal: see ``build_env_distribution``.
         env_conditional: see ``build_env_distribution``, flat.
     """
@@ -52,6 +53,10 @@ class Lights:
         """Numbers of the area lights of the given shapes."""
         return [e for e in (self._builder.shapes[s].emitter for s in shapes) if e >= 0]
 
+    def metered(self, shapes: Iterable[int]) -> bool:
+        """Whether any of the given shapes holds an irradiance meter."""
+        return any(self._builder.description.shapes[s].sensor is not None for s in shapes)
+
     def depend_on_size(self) -> bool:
         """Whether the power of any light depends on the size of the scene."""
         at_infinity = {c.EMITTER_CONSTANT, c.EMITTER_ENVMAP, c.EMITTER_DIRECTIONAL}
@@ -61,16 +66,22 @@ class Lights:
         """Follow the geometry of area lights; ``points``: vertex positions of the scene, (N, 3)."""
         for number in numbers:
             e = self._builder.emitters[number]
-            faces = self._builder.indices[e.first_face : e.first_face + e.face_count]
-            p0, p1, p2 = (points[faces[:, k]].astype(np.float64) for k in range(3))
-            areas = 0.5 * np.linalg.norm(np.cross(p1 - p0, p2 - p0), axis=1)
+            areas = self._face_areas(e, points)
             self._areas[number] = areas.sum()
             self._area_cdfs[number] = cumulative(areas)
+        meters = [camera for camera in self._builder.cameras if camera.kind == c.CAMERA_IRRADIANCEMETER]
+        cdfs = [*self._area_cdfs.values(), *(cumulative(self._face_areas(m, points)) for m in meters)]
         offset = 0
-        for number, cdf in self._area_cdfs.items():
-            self._builder.emitters[number].cdf_offset = offset
+        for record, cdf in zip([*(self._builder.emitters[i] for i in self._area_cdfs), *meters], cdfs, strict=True):
+            record.cdf_offset = offset
             offset += len(cdf)
-        self.face_cdf = self._array(np.concatenate([*self._area_cdfs.values(), np.zeros(1)]))
+        self.face_cdf = self._array(np.concatenate([*cdfs, np.zeros(1)]))
+
+    def _face_areas(self, record: structs.Emitter | structs.Camera, points: np.ndarray) -> np.ndarray:
+        """Areas of the triangles of a light or a meter."""
+        faces = self._builder.indices[record.first_face : record.first_face + record.face_count]
+        p0, p1, p2 = (points[faces[:, k]].astype(np.float64) for k in range(3))
+        return 0.5 * np.linalg.norm(np.cross(p1 - p0, p2 - p0), axis=1)
 
     def update_environment(self, values: np.ndarray) -> None:
         """Follow the texels of the environment map; ``values``: the scene's flat values."""

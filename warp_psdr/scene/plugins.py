@@ -30,7 +30,7 @@ PLUGINS: dict[str, tuple[str, ...]] = {
         *("rgb", "srgb", "spectrum", "uniform", "rawconstant", "d65", "blackbody", "regular", "irregular"),
     ),
     "emitter": ("area", "constant", "envmap", "point", "spot", "projector", "directional"),
-    "sensor": ("perspective", "orthographic", "thinlens"),
+    "sensor": ("perspective", "orthographic", "thinlens", "radiancemeter", "irradiancemeter"),
     "film": ("hdrfilm",),
     "rfilter": ("box", "tent", "gaussian"),
     "sampler": ("independent", "sobol", "multijitter", "stratified", "orthogonal", "ldsampler"),
@@ -97,8 +97,8 @@ def unsupported_plugin(name: str, where: str, category: str = "") -> SceneError:
     hint = "" if name in MITSUBA.get(category, ()) else did_you_mean(name, names)
     kind = category or "plugin"
     plural = f"{category} plugins" if category else "plugins"
-    if category == "integrator" and name in INSTEAD:
-        return error(where, f"unsupported integrator '{name}'", INSTEAD[name])
+    if name in INSTEAD.get(category, {}):
+        return error(where, f"unsupported {category} '{name}'", INSTEAD[category][name])
     return error(where, f"unsupported {kind} '{name}'{hint}", f"supported {plural}: {listing(names)}")
 
 

@@ -329,7 +329,7 @@ class Scene:
         if any(first <= p.offset < first + size for p in changed):
             self.lights.update_environment(values)
         areas = self.lights.of_shapes(sorted(moved))
-        if areas:
+        if areas or self.lights.metered(moved):
             self.lights.update_areas(areas, self.points)
         brighter = any(p.uses & BRIGHTNESS for p in changed)
         if brighter or areas or (moved and self.lights.depend_on_size()):

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Literal, cast
 
 import numpy as np
 
+from warp_psdr.kernels.constants import FAR
+
 from .description import FilmDescription, SensorDescription
 from .errors import error
 from .origin import moved
@@ -45,6 +47,12 @@ def build(node: dict, where: str, path: str, context: Context) -> SensorDescript
     props = Properties(node, where, path, context)
     if props.type not in PLUGINS["sensor"]:
         raise unsupported_plugin(props.type, where, "sensor")
+    if props.type == "irradiancemeter":
+        raise error(
+            where, "an 'irradiancemeter' outside of a shape", "nest it in the shape whose irradiance it measures"
+        )
+    if props.type == "radiancemeter":
+        return _radiance_meter(props)
     kind = cast(Literal["perspective", "orthographic", "thinlens"], props.type)
     film = context.attempt(lambda: _film(props), FilmDescription())
     sampler, sample_count = context.attempt(lambda: _sampler(props), _NO_SAMPLER)
@@ -78,6 +86,61 @@ def build(node: dict, where: str, path: str, context: Context) -> SensorDescript
         )
     props.finish()
     return result
+
+
+def build_meter(node: dict, where: str, path: str, context: Context) -> SensorDescription:
+    """Return the irradiance meter of a shape.
+
+    Raises:
+        ValueError: If it is of another kind or a parameter is out of range.
+    """
+    props = Properties(node, where, path, context)
+    if props.type != "irradiancemeter":
+        raise error(where, f"a '{props.type}' inside a shape", "shapes take 'irradiancemeter'; move it to the scene")
+    return _meter(props, "irradiancemeter", np.eye(4))
+
+
+def _radiance_meter(props: Properties) -> SensorDescription:
+    """Return the meter of one ray, from ``origin`` along ``direction`` or along +z of ``to_world``."""
+    given = [name for name in ("origin", "direction") if props.has(name)]
+    if given and props.has("to_world"):
+        raise error(
+            props.where, f"got both '{given[0]}' and 'to_world'", "give 'origin' and 'direction', or 'to_world'"
+        )
+    if len(given) == 1:
+        raise error(props.where, f"got '{given[0]}' alone", "give 'origin' and 'direction'")
+    to_world = props.transform("to_world")
+    origin, direction = props.vector("origin", (0.0, 0.0, 0.0)), props.vector("direction", (0.0, 0.0, 1.0))
+    if given:
+        helper = np.eye(3)[int(np.argmin(np.abs(direction)))]
+        if not direction.any():
+            raise error(props.place("direction"), "it has no length", "give a non-zero direction")
+        to_world = Transform.look_at(origin, origin + direction, helper).matrix
+    return _meter(props, "radiancemeter", moved(to_world, props.context.origin))
+
+
+def _meter(props: Properties, kind: Literal["radiancemeter", "irradiancemeter"], pose: np.ndarray) -> SensorDescription:
+    """Return a sensor of one pixel, which is a mean over rays without a pixel filter."""
+    film = props.context.attempt(lambda: _film(props), FilmDescription(1, 1, 0, 0, 1, 1))
+    if (film.width, film.height) != (1, 1):
+        size = f"a film of {film.width}x{film.height} pixels"
+        raise error(props.where, size, f"a '{kind}' shows one number; give its film a width and a height of 1")
+    if film.filter != "box" or film.filter_radius != 0.5:
+        props.context.note(f"{props.where}: a '{kind}' has no pixel filter; 'box' replaces '{film.filter}'")
+    film.filter, film.filter_radius = "box", 0.5
+    sampler, sample_count = props.context.attempt(lambda: _sampler(props), _NO_SAMPLER)
+    props.ignore("shutter_open", "shutter_close", reason="there is no motion blur")
+    props.finish()
+    return SensorDescription(
+        path=props.path,
+        kind=kind,
+        to_world=pose.astype(np.float32),
+        near_clip=0.0,
+        far_clip=FAR,
+        film=film,
+        sampler=sampler,
+        sample_count=sample_count,
+    )
 
 
 def default(low: np.ndarray, high: np.ndarray, where: str, path: str, context: Context) -> SensorDescription:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from . import bsdfs, emitters
+from . import bsdfs, emitters, sensors
 from .description import EmitterDescription, ShapeDescription
 from .errors import ReportedError, error
 from .mesh_files import read_mesh
@@ -43,8 +43,13 @@ def build(node: dict, where: str, path: str, context: Context) -> ShapeDescripti
     flip, flat = props.boolean("flip_normals", False), props.boolean("face_normals", False)
     geometry = context.attempt(lambda: _geometry(props), None)
     lights = props.children("emitter")
+    meters = props.children("sensor")
     bsdf = _bsdf(props, shines=bool(lights))
     emitter = _light(props, lights)
+    meter = None
+    if meters:
+        key, inner, place = meters[0]
+        meter = context.attempt(lambda: sensors.build_meter(inner, place, f"{path}.{key}", context), None)
     props.finish()
     if geometry is None:
         raise ReportedError(where)
@@ -67,6 +72,7 @@ def build(node: dict, where: str, path: str, context: Context) -> ShapeDescripti
         shape.local_vertices = data.vertices.astype(np.float32)
         shape.local_normals = None if data.normals is None else data.normals.astype(np.float32)
     shape.emitter = emitter
+    shape.sensor = meter
     if emitter is not None:
         check_attribute(emitter.radiance, shape.attributes, lights[0][2], 0.0, np.inf, False)
     bsdfs.check_attributes(bsdf, shape.attributes, where)

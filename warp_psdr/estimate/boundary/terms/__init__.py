@@ -25,6 +25,7 @@ from warp_psdr.estimate.boundary.terms import (
 )
 from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term
 from warp_psdr.estimate.guiding import store
+from warp_psdr.kernels.constants import METERS
 from warp_psdr.options.boundary import EdgeSampling, Method, PathSpace, Projective
 from warp_psdr.plan.motion import motion
 
@@ -61,6 +62,8 @@ def terms(scene: Scene, plan: Plan, names: list[str], role: str, sensor: int, sp
     """Return the launches that estimate the boundary term of the named parameters."""
     request = Request(scene, plan, motion(scene, names), role, sensor, spp, seed)
     kinds = TERMS[type(request.method)]
+    if request.config.camera in METERS:  # what is sampled on a film has measure zero on one ray
+        kinds = (edge_sampling.TERM,)
     # The one that may build guiding, with kernels of its own, comes last: all others are compiled meanwhile.
     found = {term.name: launches(term, request) for term in sorted(kinds, key=lambda term: term is secondary.TERM)}
     return [t for term in kinds for t in found[term.name]]
