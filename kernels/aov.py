@@ -15,9 +15,10 @@ from warp_psdr.kernels.interaction import make_interaction
 from warp_psdr.kernels.invalid import count_invalid, finite
 from warp_psdr.kernels.jobs import PixelJob, pixel_of
 from warp_psdr.kernels.path import make_camera_start
-from warp_psdr.kernels.reading import load_vec2, shape_at, triangle_at
+from warp_psdr.kernels.reading import shape_at, triangle_at
 from warp_psdr.kernels.rng import sampler_at
-from warp_psdr.kernels.structs import Camera, Scene, Triangle
+from warp_psdr.kernels.structs import Camera, Scene
+from warp_psdr.kernels.surface import uv_partials
 from warp_psdr.kernels.vertex import PathConfig
 from warp_psdr.kernels.visibility import make_visibility
 
@@ -36,8 +37,6 @@ CHANNELS = {
     "mask": (23, 1),
 }
 ROW = 24
-#: Area of a triangle's texture coordinates, twice, up to which they tell no directions; as in ``surface.uv_tangent``.
-DEGENERATE = 1.0e-20
 
 
 @wp.func
@@ -46,27 +45,6 @@ def add3(row: wp.array(dtype=wp.float64), first: wp.int32, value: wp.vec3):
     row[first] = row[first] + wp.float64(value[0])
     row[first + 1] = row[first + 1] + wp.float64(value[1])
     row[first + 2] = row[first + 2] + wp.float64(value[2])
-
-
-@wp.func
-def uv_partials(scene: Scene, tri: Triangle) -> tuple[wp.vec3, wp.vec3]:
-    """dp/du and dp/dv; those of the barycentrics where there are no texture coordinates, or degenerate ones."""
-    shape = shape_at(scene, tri.shape)
-    dp_du = tri.p1 - tri.p0
-    dp_dv = tri.p2 - tri.p0
-    if shape.has_uv == 1:
-        t0 = load_vec2(scene.values, shape.uv_offset + 2 * tri.i0)
-        t1 = load_vec2(scene.values, shape.uv_offset + 2 * tri.i1)
-        t2 = load_vec2(scene.values, shape.uv_offset + 2 * tri.i2)
-        d1 = t1 - t0
-        d2 = t2 - t0
-        det = d1[0] * d2[1] - d1[1] * d2[0]
-        if wp.abs(det) > DEGENERATE:
-            e1 = dp_du
-            e2 = dp_dv
-            dp_du = (d2[1] * e1 - d1[1] * e2) / det
-            dp_dv = (d1[0] * e2 - d2[0] * e1) / det
-    return dp_du, dp_dv
 
 
 @functools.cache

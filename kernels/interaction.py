@@ -16,10 +16,11 @@ from warp_psdr.kernels.emitter.area import make_area
 from warp_psdr.kernels.generated import make_struct
 from warp_psdr.kernels.material import make_material
 from warp_psdr.kernels.math import aligned_tangent, any_tangent, to_local, to_world
+from warp_psdr.kernels.measures import make_measures, measures_metric
 from warp_psdr.kernels.reading import bsdf_at, emitter_at, shape_at, triangle_at
 from warp_psdr.kernels.step import step_beside, step_off_triangle
 from warp_psdr.kernels.structs import BsdfSample, Scattered, Scene, Triangle
-from warp_psdr.kernels.surface import Surface, make_surface_of
+from warp_psdr.kernels.surface import Surface, make_surface_of, uv_partials
 from warp_psdr.kernels.vertex import PathConfig
 
 
@@ -174,6 +175,7 @@ def make_parts(config: PathConfig, record: type) -> InteractionParts:
     side_of = make_side(config.two_sided)
     frame_on = make_framing(config.tangent)
     material_at = make_material(config.bsdfs, config.material)
+    measured = make_measures(config.bsdfs, config.material)
 
     @wp.func
     def look_up(
@@ -186,6 +188,13 @@ def make_parts(config: PathConfig, record: type) -> InteractionParts:
         result.model = b.model
         result.slots = b.slots
         result.material = material_at(scene, b.slots, face, u, v, surface.uv)
+        if wp.static(measured is not None):
+            metric = wp.vec3(0.0, 0.0, 0.0)
+            if wp.static(measures_metric(config.material)):
+                frame = frame_on(side, surface.n, surface.tangent)
+                dp_du, dp_dv = uv_partials(scene, triangle_at(scene, face))
+                metric = wp.vec3(wp.dot(dp_du, frame.s), wp.dot(dp_dv, frame.s), wp.dot(dp_dv, frame.t))
+            result.material = measured(result.material, side, metric)
         return result
 
     @wp.func

@@ -9,7 +9,7 @@ from warp_psdr.kernels.bsdf.record import Slot
 from warp_psdr.kernels.generated import make_generated
 from warp_psdr.kernels.reading import load_int, texture_record
 from warp_psdr.kernels.structs import Scene
-from warp_psdr.kernels.texture.texture import make_texture
+from warp_psdr.kernels.texture.gradient import make_reader
 
 
 def is_optional(models: tuple[str, ...], slot: Slot) -> bool:
@@ -51,7 +51,7 @@ def make_material(models: tuple[str, ...], material: tuple[Slot, ...]):
         if slot.table:
             lines += [f"    if i{k} >= 0:", f"        m.{slot.name} = table_address(scene, i{k})"]
             continue
-        scope[f"texture_{k}"] = make_texture(slot.kinds)
+        scope[f"texture_{k}"] = make_reader(slot.kinds, slot.rises)
         value = f"texture_{k}(scene, i{k}, face, u, v, uv)" + ("" if slot.color else "[0]")
         if is_optional(models, slot):
             lines += [f"    if i{k} >= 0:", f"        m.{slot.name} = {value}"]

@@ -24,6 +24,8 @@ from warp_psdr.kernels.structs import Scene, Triangle
 
 #: Squared length below which interpolated normals cancel.
 CANCELLED = wp.constant(1.0e-20)
+#: Area of a triangle's texture coordinates, twice, up to which they tell no directions; as in ``uv_tangent``.
+DEGENERATE = 1.0e-20
 
 
 @wp.func
@@ -110,6 +112,27 @@ def uv_tangent(p0: wp.vec3, p1: wp.vec3, p2: wp.vec3, t0: wp.vec2, t1: wp.vec2, 
     if wp.abs(det) < 1.0e-20:
         return p1 - p0
     return (d2[1] * (p1 - p0) - d1[1] * (p2 - p0)) / det
+
+
+@wp.func
+def uv_partials(scene: Scene, tri: Triangle) -> tuple[wp.vec3, wp.vec3]:
+    """dp/du and dp/dv; those of the barycentrics where there are no texture coordinates, or degenerate ones."""
+    shape = shape_at(scene, tri.shape)
+    dp_du = tri.p1 - tri.p0
+    dp_dv = tri.p2 - tri.p0
+    if shape.has_uv == 1:
+        t0 = load_vec2(scene.values, shape.uv_offset + 2 * tri.i0)
+        t1 = load_vec2(scene.values, shape.uv_offset + 2 * tri.i1)
+        t2 = load_vec2(scene.values, shape.uv_offset + 2 * tri.i2)
+        d1 = t1 - t0
+        d2 = t2 - t0
+        det = d1[0] * d2[1] - d1[1] * d2[0]
+        if wp.abs(det) > DEGENERATE:
+            e1 = dp_du
+            e2 = dp_dv
+            dp_du = (d2[1] * e1 - d1[1] * e2) / det
+            dp_dv = (d1[0] * e2 - d2[0] * e1) / det
+    return dp_du, dp_dv
 
 
 @wp.func

@@ -24,6 +24,8 @@ from warp_psdr.scene import plugins as loader
 #: Parameters without which a plugin cannot be loaded; "FILE.obj" and the like stand for files that are made.
 NEEDED: dict[str, dict] = {
     "twosided": {"bsdf": {"type": "diffuse"}},
+    "normalmap": {"normalmap": {"type": "bitmap", "bitmap": np.ones((2, 2, 3))}, "a": {"type": "diffuse"}},
+    "bumpmap": {"heights": {"type": "bitmap", "bitmap": np.ones((2, 2, 1))}, "a": {"type": "diffuse"}},
     "blendbsdf": {"weight": 0.5, "a": {"type": "diffuse"}, "b": {"type": "diffuse"}},
     "bitmap": {"filename": "FILE.png"},
     "mesh_attribute": {"name": "vertex_color"},

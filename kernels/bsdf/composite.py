@@ -131,6 +131,7 @@ class Composite:
         turns: own values that the direction of a delta lobe depends on, if any child has one.
         framed: whether it needs dp/du.
         adds: lobes that it has beside its children's.
+        behind: name of the variant that the back of a two-sided child becomes, if that is another.
     """
 
     plugin: str
@@ -142,6 +143,7 @@ class Composite:
     turns: tuple[str, ...] = ()
     framed: bool = False
     adds: tuple[int, ...] = ()
+    behind: str = ""
 
     def of(self, nested: tuple[tuple[Model, str], ...]) -> Model:
         """Return the model with these children, (model, variant) each."""

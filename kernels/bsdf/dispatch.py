@@ -17,11 +17,13 @@ import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor, differentiable
 from warp_psdr.kernels.bsdf.blendbsdf import BLEND
+from warp_psdr.kernels.bsdf.bumpmap import BUMP_MAP
 from warp_psdr.kernels.bsdf.composite import Composite, split_key
 from warp_psdr.kernels.bsdf.conductor import CONDUCTOR
 from warp_psdr.kernels.bsdf.dielectric import DIELECTRIC
 from warp_psdr.kernels.bsdf.diffuse import DIFFUSE
 from warp_psdr.kernels.bsdf.model import Model, key_of
+from warp_psdr.kernels.bsdf.normalmap import NORMAL_MAP
 from warp_psdr.kernels.bsdf.plastic import PLASTIC
 from warp_psdr.kernels.bsdf.record import (
     MaterialAlgebra,
@@ -38,7 +40,7 @@ from warp_psdr.kernels.structs import BsdfSample, Scattered
 #: All scattering models.
 MODELS: tuple[Model, ...] = (DIFFUSE, CONDUCTOR, DIELECTRIC, ROUGH_CONDUCTOR, PLASTIC, ROUGH_PLASTIC)
 #: All models that are made of models; each for any children, so that they have no end.
-COMPOSITES: tuple[Composite, ...] = (BLEND,)
+COMPOSITES: tuple[Composite, ...] = (BLEND, NORMAL_MAP, BUMP_MAP)
 #: Key of a variant -> model and the variant's name, in the order in which a scene numbers those that it has.
 VARIANTS: dict[str, tuple[Model, str]] = {
     key_of(model.plugin, variant): (model, variant) for model in MODELS for variant in model.variants

@@ -13,6 +13,12 @@ import warp as wp
 
 from warp_psdr.kernels.constants import LOBE_DELTA_REFLECTION, LOBE_DELTA_TRANSMISSION, LOBE_SMOOTH
 
+#: Where a value comes from: what a texture holds, how it rises along texture coordinates (d/du, d/dv, 0), or the
+#: geometry: +1 or -1 on the back of a two-sided surface, or dp/du and dp/dv in the shading frame (``measures.py``).
+TEXTURE, GRADIENT, SIDE, METRIC = "texture", "gradient", "side", "metric"
+#: Sources that no texture has a part in.
+GEOMETRY = (SIDE, METRIC)
+
 
 class Value(NamedTuple):
     """What device code reads of a material as ``material.<name>``: a number, a colour, or the address of a table.
@@ -23,6 +29,7 @@ class Value(NamedTuple):
         low: least value.
         high: greatest value.
         size: how many numbers a table holds; 0: it is none.
+        source: where it comes from.
     """
 
     name: str
@@ -30,6 +37,7 @@ class Value(NamedTuple):
     low: float = 0.0
     high: float = math.inf
     size: int = 0
+    source: str = TEXTURE
 
     @property
     def type(self) -> type:
@@ -71,6 +79,58 @@ class Number:
     def values(self) -> tuple[Value, ...]:
         """What device code reads."""
         return (Value(self.name, False, self.low, self.high),)
+
+
+@dataclass(frozen=True)
+class PlainNumber:
+    """A parameter that is a bare number, listed without ``.value``."""
+
+    name: str
+    default: float
+    low: float = -math.inf
+    high: float = math.inf
+
+    @property
+    def values(self) -> tuple[Value, ...]:
+        """What device code reads."""
+        return (Value(self.name, False, self.low, self.high),)
+
+
+@dataclass(frozen=True)
+class NormalTexture:
+    """A texture that has to be given, whose colours stand for directions and are read as they are."""
+
+    name: str
+
+    @property
+    def values(self) -> tuple[Value, ...]:
+        """What device code reads."""
+        return (Value(self.name, True, 0.0, 1.0),)
+
+
+@dataclass(frozen=True)
+class HeightTexture:
+    """The one nested texture of a plugin, whatever its name there, of which device code reads how it rises."""
+
+    name: str
+
+    @property
+    def values(self) -> tuple[Value, ...]:
+        """What device code reads."""
+        return (Value(self.name, True, -math.inf, math.inf, source=GRADIENT),)
+
+
+@dataclass(frozen=True)
+class Measured:
+    """A value that the geometry gives, no parameter of scene files; ``source`` is one of ``GEOMETRY``."""
+
+    name: str
+    source: str
+
+    @property
+    def values(self) -> tuple[Value, ...]:
+        """What device code reads."""
+        return (Value(self.name, self.source == METRIC, -math.inf, math.inf, source=self.source),)
 
 
 @dataclass(frozen=True)
@@ -209,9 +269,10 @@ class Choice:
 
 @dataclass(frozen=True)
 class Flag:
-    """A boolean, false by default, whose true selects the variant of its name."""
+    """A boolean that selects a variant of the model where it is not the default."""
 
     name: str
+    default: bool = False
 
     @property
     def values(self) -> tuple[Value, ...]:
@@ -221,7 +282,7 @@ class Flag:
     @property
     def options(self) -> tuple[str, ...]:
         """Names of the variants."""
-        return "", self.name
+        return "", f"no_{self.name}" if self.default else self.name
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import warp as wp
 
-from warp_psdr.kernels.bsdf.model import Value
+from warp_psdr.kernels.bsdf.model import GEOMETRY, GRADIENT, TEXTURE, Value
 from warp_psdr.kernels.generated import make_generated, make_struct
 
 #: Longest name of a struct.
@@ -20,17 +20,28 @@ KINDS = {wp.vec3: "colour", wp.float32: "number", wp.uint64: "table"}
 
 
 class Slot(NamedTuple):
-    """A member of the record, and the kinds of the textures that hold it in a scene; a table is held by none."""
+    """A member of the record, and the kinds of the textures that hold it in a scene; tables and geometry have none.
+
+    ``source`` is that of ``Value``.
+    """
 
     name: str
     color: bool
     kinds: tuple[int, ...]
     table: bool = False
+    source: str = TEXTURE
+
+    @property
+    def rises(self) -> bool:
+        """Whether it is how a texture rises that is read."""
+        return self.source == GRADIENT
 
 
 def slot_of(value: Value, kinds: tuple[int, ...]) -> Slot:
     """Return the member for a value whose textures have these kinds."""
-    return Slot(value.name, value.color, () if value.size else kinds, value.size > 0)
+    return Slot(
+        value.name, value.color, () if value.size or value.source in GEOMETRY else kinds, value.size > 0, value.source
+    )
 
 
 def merge_values(models) -> tuple[Value, ...]:

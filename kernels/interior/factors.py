@@ -15,6 +15,7 @@ from warp_psdr.kernels.interior.pullback import connection_vjp
 from warp_psdr.kernels.material import slot_at
 from warp_psdr.kernels.structs import Scene
 from warp_psdr.kernels.surface import VertexAdjoint, make_vertex_sink, point_on
+from warp_psdr.kernels.texture.gradient import make_reader_sink
 from warp_psdr.kernels.texture.texture import make_texture_sink
 from warp_psdr.kernels.vertex import PathConfig, PathVertex
 
@@ -40,7 +41,7 @@ def make_material_sink(config: PathConfig, wanted: GradientRequest, role: str):
     ]
     for k, (slot, values) in enumerate(zip(config.material, wanted.material, strict=True)):
         if slot.kinds and (values or wanted.geometry or wanted.to_uv):
-            scope[f"push_{k}"] = make_texture_sink(role, slot.kinds, values, wanted.to_uv, wanted.geometry)
+            scope[f"push_{k}"] = make_reader_sink(role, slot.kinds, slot.rises, values, wanted.to_uv, wanted.geometry)
             value = f"m.{slot.name}" if slot.color else f"wp.vec3(m.{slot.name}, 0.0, 0.0)"
             lines += [
                 f"    i{k} = slot_at(scene, slots, {k})",

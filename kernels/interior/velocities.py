@@ -15,7 +15,7 @@ from warp_psdr.kernels.interior.gradient_request import GradientRequest
 from warp_psdr.kernels.interior.tangents import VertexTangent
 from warp_psdr.kernels.material import slot_at
 from warp_psdr.kernels.structs import Scene
-from warp_psdr.kernels.texture.texture import make_texture_sink
+from warp_psdr.kernels.texture.gradient import make_reader_sink
 from warp_psdr.kernels.vertex import PathConfig
 
 
@@ -40,9 +40,9 @@ def make_pair(models: tuple[str, ...]):
 
 
 @functools.cache
-def make_texture_jvp(kinds: tuple[int, ...], values: bool, to_uv: bool, slide: bool):
+def make_texture_jvp(kinds: tuple[int, ...], rises: bool, values: bool, to_uv: bool, slide: bool):
     """Return ``texture_jvp(scene, tangents, index, face, u, v, uv, vertex) -> vec3``: the velocity of a value read."""
-    accumulate = make_texture_sink("forward", kinds, values, to_uv, slide)
+    accumulate = make_reader_sink("forward", kinds, rises, values, to_uv, slide)
 
     @wp.func
     def texture_jvp(
@@ -85,7 +85,7 @@ def make_material_jvp(config: PathConfig, wanted: GradientRequest):
     ]
     for k, (slot, values) in enumerate(zip(config.material, wanted.material, strict=True)):
         if slot.kinds and (values or wanted.geometry or wanted.to_uv):
-            scope[f"jvp_{k}"] = make_texture_jvp(slot.kinds, values, wanted.to_uv, wanted.geometry)
+            scope[f"jvp_{k}"] = make_texture_jvp(slot.kinds, slot.rises, values, wanted.to_uv, wanted.geometry)
             value = f"jvp_{k}(scene, tangents, i{k}, face, u, v, uv, vertex)" + ("" if slot.color else "[0]")
             lines += [
                 f"    i{k} = slot_at(scene, slots, {k})",

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+import pytest
 import warp as wp
 
 from tests.bsdf import twins
@@ -25,7 +26,7 @@ from tests.bsdf.materials import (  # noqa: F401 -- tests take them from here
     rough,
     rough_plastic,
 )
-from tests.bsdf.nested import bare, blend, nest
+from tests.bsdf.nested import bare, blend, bumped_normal, framed, mapped_normal, nest, ramp
 from warp_psdr.kernels.bsdf.composite import split_key
 from warp_psdr.kernels.bsdf.dispatch import VARIANTS, BsdfFunctions, declaration_of, make_bsdf, ordered
 from warp_psdr.kernels.bsdf.microfacet import MIN_ALPHA
@@ -38,7 +39,10 @@ from warp_psdr.scene.tables import MAKERS
 SMOOTH_BLEND = "blendbsdf(diffuse, roughconductor (ggx))"
 COATED_BLEND = "blendbsdf(plastic, conductor)"
 GLASS_BLEND = "blendbsdf(diffuse, dielectric)"
-NESTED_MODELS = ordered((SMOOTH_BLEND, COATED_BLEND, GLASS_BLEND))
+#: A normal map with both switches on, a bump map with both off.
+MAPPED = "normalmap(plastic)"
+BUMPED = "bumpmap(roughconductor (ggx)) (no_flip_invalid_normals no_use_shadowing_function)"
+NESTED_MODELS = ordered((SMOOTH_BLEND, COATED_BLEND, GLASS_BLEND, MAPPED, BUMPED))
 PLAIN_MODELS = tuple(VARIANTS)
 ALL_MODELS = (*PLAIN_MODELS, *NESTED_MODELS)
 SMOOTH_MODELS = tuple(key for key in ALL_MODELS if declaration_of(key)[0].has_smooth)
@@ -274,12 +278,11 @@ def corners(key: str) -> list[dict]:
     """
     if key in NESTED_MODELS:
         children = [corners(child) for child in split_key(key)[2]]
-        count = max(map(len, children))
-        both = [
-            {"first": children[0][i % len(children[0])], "second": children[1][i % len(children[1])]}
-            for i in range(count)
-        ]
-        return [nest(weight=w, **pair) for pair in both for w in (0.0, 1.0)]
+        if len(children) == 2:
+            both = [{"first": m, "second": children[1][i % len(children[1])]} for i, m in enumerate(children[0])]
+            return [nest(weight=w, **pair) for pair in both for w in (0.0, 1.0)]
+        own = (*EXAMPLES[key].materials, *EXAMPLES[key].extremes)
+        return [mat | nest(nested=m) for mat in own for m in children[0]]
     ends = []
     for value in values_of(key):
         high = value.high if np.isfinite(value.high) else 50.0
@@ -302,6 +305,19 @@ def energy_of(mat: dict, wi: np.ndarray, lobe: int, value: np.ndarray) -> np.nda
 
 # --- nested models ---
 
+
+def _normals(mat: dict) -> dict:
+    return {
+        "type": "rgb",
+        "value": (mat["normalmap"] * [1.0, mat["side"], 1.0] + [0.0, mat["side"] < 0.0, 0.0]).tolist(),
+    }
+
+
+def _heights(mat: dict) -> dict:
+    mi = pytest.importorskip("mitsuba")
+    return {"type": "bitmap", "raw": True, "wrap_mode": "clamp", "bitmap": mi.Bitmap(ramp(mat)[..., None])}
+
+
 EXAMPLES |= {
     SMOOTH_BLEND: Example(
         materials=tuple(
@@ -321,6 +337,31 @@ EXAMPLES |= {
         ),
         # Nothing but the glass sends the light that comes from behind.
         **blend(EXAMPLES, GLASS_BLEND) | {"lossless": lambda mat: False},
+    ),
+    MAPPED: Example(
+        materials=tuple(
+            nest(normalmap=np.array(n), side=side, nested=plastic(1.5))
+            for n, side in (((0.7, 0.4, 0.85), -1.0), ((0.5, 0.5, 1.0), 1.0), ((0.1, 0.6, 0.7), 1.0))
+        ),
+        extremes=tuple(
+            nest(normalmap=np.array(n), side=1.0, nested=plastic(1.5)) for n in ((0.5, 0.5, 0.5), (1.0, 0.5, 0.5))
+        ),
+        **framed(EXAMPLES, MAPPED, mapped_normal, lambda mat: {"normalmap": _normals(mat)}),
+    ),
+    BUMPED: Example(
+        materials=tuple(
+            nest(heights=np.array(h), scale=scale, metric=np.array(m), nested=rough(*alpha))
+            for h, scale, m, alpha in (
+                ((0.6, 0.4, 0.1), 0.5, (1.5, 0.4, 0.8), (0.4, 0.3)),
+                ((0.0, 0.0, 0.0), 1.0, (1.0, 0.0, 1.0), (0.4, 0.4)),
+                ((-0.5, 0.3, 0.0), 1.3, (2.0, -0.7, 1.3), (0.6, 0.6)),
+            )
+        ),
+        extremes=tuple(
+            nest(heights=np.array(h), scale=1.0, metric=np.array(m), nested=rough(0.4, 0.3))
+            for h, m in (((1.0, 1.0, 0.0), (0.0, 0.0, 0.0)), ((1e4, -1e4, 0.0), (1.0, 0.0, 1.0)))
+        ),
+        **framed(EXAMPLES, BUMPED, bumped_normal, lambda mat: {"heights": _heights(mat), "scale": mat["scale"]}),
     ),
 }
 EXAMPLES = {key: EXAMPLES[key] for key in ALL_MODELS}

@@ -62,3 +62,75 @@ def blend(examples: dict, key: str) -> dict:
         "mitsuba": mitsuba,
         "lossless": lambda mat: one.lossless(part(mat, "first")) and two.lossless(part(mat, "second")),
     }
+
+
+def framed(examples: dict, key: str, normal_of, mitsuba_of) -> dict:
+    """What an ``Example`` of a normal or bump map needs but for its materials, from that of the nested model.
+
+    Args:
+        examples: of plain models.
+        key: of the map.
+        normal_of: ``mat -> n``, its unit normal in local coordinates.
+        mitsuba_of: ``mat -> dict``: the plugin's own parameters in Mitsuba.
+    """
+    _, variant, (child,) = split_key(key)
+    inner, model = examples[child], declaration_of(child)[0]
+    flip, shadow = (f"no_{name}" not in variant for name in ("flip_invalid_normals", "use_shadowing_function"))
+
+    def frame(mat: dict, wi: np.ndarray) -> np.ndarray:
+        n = normal_of(mat)
+        if flip and wi[2] * (wi @ n) <= 0.0:
+            n = n * [-1.0, -1.0, 1.0]
+        s = np.array([1.0, 0.0, 0.0]) - n * n[0]
+        s /= np.linalg.norm(s)
+        return np.array([s, np.cross(n, s), n])
+
+    def seen(rows: np.ndarray, wo: np.ndarray) -> float:
+        if wo[2] * (wo @ rows[2]) <= 0.0:
+            return 0.0
+        tan_n, tan_o = (np.hypot(w[0], w[1]) / w[2] for w in (rows[2], wo))
+        return 2.0 / (1.0 + np.sqrt(1.0 + min(tan_n**2 / 8.0, 1.0) * tan_o**2)) if shadow else 1.0
+
+    def value(mat: dict, wi: np.ndarray, wo: np.ndarray) -> np.ndarray:
+        rows = frame(mat, wi)
+        return seen(rows, wo) * inner.eval(part(mat, "nested"), rows @ wi, rows @ wo)
+
+    def scatter(mat: dict, wi: np.ndarray, lobe: int) -> tuple[np.ndarray, np.ndarray]:
+        rows = frame(mat, wi)
+        wo, weight = inner.scatter(part(mat, "nested"), rows @ wi, lobe)
+        return rows.T @ wo, seen(rows, rows.T @ wo) * weight
+
+    def mitsuba(mat: dict) -> dict | None:
+        nested = inner.mitsuba(part(mat, "nested"))
+        # Mitsuba builds the frame of a bump map from dp/du in world coordinates, which only two roughnesses notice.
+        if nested is None or bare(mat).get("alpha_u") != bare(mat).get("alpha_v"):
+            return None
+        switches = {"flip_invalid_normals": flip, "use_shadowing_function": shadow}
+        return {"type": split_key(key)[0], **switches, **mitsuba_of(mat), "nested": nested}
+
+    return {
+        "eval": value if model.has_smooth else None,
+        "scatter": scatter if model.has_delta else None,
+        "mitsuba": mitsuba,
+        "lossless": lambda mat: False,
+    }
+
+
+def mapped_normal(mat: dict) -> np.ndarray:
+    """The normal of a normal map."""
+    n = (2.0 * mat["normalmap"] - 1.0) * [1.0, mat["side"], 1.0]
+    return n / np.linalg.norm(n)
+
+
+def bumped_normal(mat: dict) -> np.ndarray:
+    """The normal of a bump map: of the plane that both turned tangents span."""
+    a, b, c = mat["metric"]
+    du, dv = np.array([a, 0.0, mat["scale"] * mat["heights"][0]]), np.array([b, c, mat["scale"] * mat["heights"][1]])
+    n = np.cross(du, dv)
+    return n * np.sign(n[2]) / np.linalg.norm(n)
+
+
+def ramp(mat: dict) -> np.ndarray:
+    """A bitmap of 2 x 2 heights that rises so in the middle of the texture coordinates."""
+    u, v = 0.5 * mat["heights"][0], 0.5 * mat["heights"][1]
+    return np.array([[0.0, u], [v, u + v]], np.float32)

@@ -10,9 +10,11 @@ import pytest
 from tests.bsdf.helpers import (
     BECKMANN,
     BELOW,
+    BUMPED,
     DELTA_MODELS,
     EXAMPLES,
     GGX,
+    MAPPED,
     SMOOTH_MODELS,
     Launcher,
     all_finite,
@@ -41,6 +43,8 @@ DIRECTION_WEIGHT = np.array([0.3, 0.8, -0.5])
 TOLERANCE = 1e-3
 #: Step of the differences over the scale on which the function changes: errors of 1e-8 (curvature) and 1e-7 (rounding).
 STEP = 1e-4
+#: Colours that stand for directions.
+TURNING = ("normalmap", "heights")
 NORMAL = np.array([0.0, 0.0, 1.0])
 
 
@@ -87,6 +91,7 @@ def check(key: str, f, mat: dict, wi: np.ndarray, wo: np.ndarray | None, adjoint
         name = value.name
         number = not value.color
         step = STEP * (min(scale, mat[name]) if number and mat[name] > 0.0 else 1.0)
+        step = STEP * scale if name in TURNING else step
         # One-sided where the range begins: a roughness below is as good as its end.
         at_end = number and 0.0 < mat[name] <= float(np.float32(value.low))
         moves = [1.0] if number else np.eye(3)
@@ -162,7 +167,8 @@ def test_eval_vjp(bsdf: Launcher, key: str, mat: dict, wi: np.ndarray, wo: np.nd
 def test_a_derivative_is_compared_where_there_is_a_lobe(key: str) -> None:
     mat = as_seen(EXAMPLES[key].materials[0])
     values = [np.dot(WEIGHT, EXAMPLES[key].eval(mat, *pair)) for pair in pairs_of(mat).values()]
-    assert np.all(np.abs(values) > 0.0)
+    # Under a normal or bump map some pairs are above one of the two surfaces only.
+    assert np.mean(np.abs(values) > 0.0) > (0.4 if key in (MAPPED, BUMPED) else 0.99)
 
 
 @pytest.mark.parametrize(("key", "name"), [

@@ -13,6 +13,7 @@ from tests.bsdf.helpers import (
     ALL_MODELS,
     BECKMANN,
     BELOW,
+    BUMPED,
     EXAMPLES,
     GGX,
     SMOOTH_MODELS,
@@ -176,7 +177,8 @@ def test_delta_lobes_are_drawn_with_their_probabilities(bsdf: Launcher, key: str
 def test_sample_returns_the_value_and_pdf_of_its_direction(bsdf, key: str, mat: dict, wi: np.ndarray) -> None:
     s = bsdf.sample(key, mat, wi, uniform(1, 1000))
     drawn = s["lobe"] != LOBE_NONE
-    assert drawn.any()
+    # Without flipping, a bumped surface may look away from the viewer.
+    assert drawn.any() or key == BUMPED
     through = s["lobe"] == LOBE_DELTA_TRANSMISSION
     assert np.all(s["eta"][drawn & ~through] == 1.0)
     if through.any():

@@ -35,6 +35,8 @@ TOGETHER = {
     "checkered metal": ("floor.bsdf.alpha.color?.value",),
     "blend": ("floor.bsdf.*",),
     "gilded": ("*",),
+    "mapped": ("*",),
+    "bumped": ("floor.bsdf.nested_texture.data", "floor.bsdf.scale", "floor.bsdf.nested_bsdf.*", "ceiling.to_world"),
     "mirror": ("*",),
     "glass": ("*",),
 }
@@ -275,6 +277,15 @@ BLEND = [
     Case("gilded", "floor.bsdf.bsdf_1.k.value", mixed, 2e-2, spp=1024, slow=True),
     Case("gilded", "floor.vertex_positions", bend, 4e-2, "bend", spp=1024, slow=True),
 ]
+TURNED = [
+    Case("mapped", "floor.bsdf.normalmap.data", texel_wave, 4e-2, depth=2, spp=1024),
+    Case("mapped", "floor.bsdf.nested_bsdf.alpha_u.value", ones, 2e-2, depth=2, spp=1024, slow=True),
+    Case("mapped", "floor.bsdf.normalmap.to_uv", slide, 4e-3, depth=2, spp=2048, slow=True),
+    Case("mapped", "floor.vertex_positions", bend, 4e-2, "bend", depth=2, spp=6144, slow=True),
+    Case("bumped", "floor.bsdf.nested_texture.data", texel_wave, 1e-2, depth=2, spp=1024),
+    Case("bumped", "floor.bsdf.scale", ones, 4e-2, depth=2, spp=1024, slow=True),
+    Case("bumped", "ceiling.to_world", shift(0.0, 0.0, 1.0), 4e-2, "along the normal", depth=2, spp=1024, slow=True),
+]
 DELTA = [
     Case("mirror", "room.bsdf.specular_reflectance.value", ones, 1e-2, depth=4),
     Case("mirror", "room.bsdf.eta.value", mixed, 1e-2, depth=4),
@@ -299,5 +310,5 @@ DELTA = [
 ]
 CASES = [
     *(*PLANE, *PARALLEL, *LENS, *PROJECTED, *DOME, *GAP),
-    *(*ROUGH, *PLASTIC, *ROUGH_PLASTIC, *CHECKERED, *BLEND, *DELTA),
+    *(*ROUGH, *PLASTIC, *ROUGH_PLASTIC, *CHECKERED, *BLEND, *TURNED, *DELTA),
 ]

@@ -205,6 +205,24 @@ def rough_plastic_scene(distribution="beckmann", **more):
     return gap_scene({"type": "roughplastic", "distribution": distribution, "alpha": 0.3, **paint, **more})
 
 
+def turned_floor(kind, name, values, **more):
+    """A rough floor, which reads a bitmap under a normal or bump map."""
+    to_uv = np.array([[1.1, 0.2, 0.1], [-0.1, 0.9, 0.3], [0.0, 0.0, 1.0]])
+    texture = {"type": "bitmap", "bitmap": values, "raw": True, "to_uv": to_uv}
+    metal = {"type": "roughconductor", "material": "Cu", "alpha_u": 0.5, "alpha_v": 0.3}
+    return gap_scene({"type": kind, name: texture, "nested": metal, **more})
+
+
+def mapped_scene():
+    normals = (0.5 + noise(4, 4, 3, low=-0.15, high=0.15, seed=10)).astype(np.float32)
+    normals[..., 2] = 0.9
+    return turned_floor("normalmap", "normalmap", normals)
+
+
+def bumped_scene():
+    return turned_floor("bumpmap", "heights", noise(4, 4, 1, low=0.0, high=0.08, seed=11), scale=1.2)
+
+
 def mirror_scene():
     room = ball(True, bsdf={"type": "conductor", "material": "Au"})
     room["vertex_radiance"] = (1.0 + 0.6 * np.sin(room["vertices"] @ noise(3, 3, low=-2.0, high=2.0, seed=6))).astype(
@@ -242,6 +260,8 @@ SCENES = {
     "gilded": gilded_scene,
     "rough plastic": rough_plastic_scene,
     "rough plastic ggx": lambda: rough_plastic_scene("ggx", nonlinear=True),
+    "mapped": mapped_scene,
+    "bumped": bumped_scene,
     "mirror": mirror_scene,
     "glass": glass_scene,
 }

@@ -46,16 +46,42 @@ def test_every_model_with_delta_lobes_tells_their_probability() -> None:
         assert (model.make(record, model.variants[0]).probability is not None) == model.has_delta, model.plugin
 
 
-@pytest.mark.parametrize(
-    "bsdf", [blend(), blend(blend(), BRUSHED), {"type": "twosided", "b": blend()}], ids=["blend", "nested", "twosided"]
-)
+def bitmap(values=0.5, shape=(2, 2, 3), **more):
+    return {"type": "bitmap", "raw": True, "bitmap": np.full(shape, values, np.float32), **more}
+
+
+def normal_map(nested=RED, **more):
+    return {"type": "normalmap", "normalmap": bitmap(), "nested": nested, **more}
+
+
+def bump_map(nested=RED, **more):
+    return {"type": "bumpmap", "anything": bitmap(shape=(2, 2, 1)), "nested": nested, **more}
+
+
+NAMED = {
+    "blend": blend(),
+    "blend of a blend": blend(blend(), BRUSHED),
+    "twosided": {"type": "twosided", "b": blend()},
+    "normal map": {"type": "twosided", "b": normal_map(blend())},
+    "bump map": bump_map(BRUSHED),
+}
+
+
+@pytest.mark.parametrize("bsdf", NAMED.values(), ids=NAMED)
 def test_names_are_mitsubas(bsdf: dict) -> None:
     mi = pytest.importorskip("mitsuba")
     mi.set_variant("scalar_rgb")
-    theirs = {name for name, _ in mi.traverse(mi.load_dict(bsdf))}
+    theirs = {name for name, _ in mi.traverse(mi.load_dict(_for_mitsuba(mi, bsdf)))}
     ours = [name.removeprefix("x.bsdf.") for name in psdr.traverse(load(bsdf)) if name.startswith("x.bsdf.")]
     # Mitsuba leaves out a reflectance that is not given.
     assert {name for name in ours if "specular_reflectance" not in name} == theirs
+
+
+def _for_mitsuba(mi, node):
+    """The same dictionary with bitmaps of Mitsuba's."""
+    if isinstance(node, np.ndarray):
+        return mi.Bitmap(node)
+    return {key: _for_mitsuba(mi, value) for key, value in node.items()} if isinstance(node, dict) else node
 
 
 def test_children_keep_their_order_and_share_their_textures() -> None:
@@ -113,6 +139,12 @@ BAD = {
     "a weight beyond 1": (blend(weight=1.5), "parameter 'weight'.* between 0 and 1"),
     "two refractions": (blend(GLASS, GLASS), "both refract"),
     "one is two-sided": (blend(RED, {"type": "twosided", "c": BLUE}), "the other is not; put 'twosided' around both"),
+    "no normals": ({"type": "normalmap", "a": RED}, "without 'normalmap'"),
+    "no heights": ({"type": "bumpmap", "a": RED}, "no texture; nest exactly one"),
+    "two textures of heights": (bump_map() | {"more": bitmap()}, r"2 textures .* nest exactly one"),
+    "heights without slopes": ({"type": "bumpmap", "a": RED, "b": bitmap(filter_type="nearest")}, "use 'bilinear'"),
+    "heights on a checkerboard": ({"type": "bumpmap", "a": RED, "b": {"type": "checkerboard"}}, "give a bitmap"),
+    "a map in a map": (normal_map(bump_map()), "inside another"),
     "glass in twosided": ({"type": "twosided", "c": blend(RED, GLASS)}, r"\['c'\].* inside 'twosided'"),
 }
 
@@ -122,3 +154,64 @@ def test_what_cannot_be_nested_is_named(name: str) -> None:
     bsdf, words = BAD[name]
     with pytest.raises(ValueError, match=rf"\['x'\]\['bsdf'\].*{words}"):
         load(bsdf)
+
+
+def test_a_map_on_a_shape_without_texture_coordinates_is_refused() -> None:
+    shape = {"type": "mesh", "vertices": np.eye(3), "faces": [[0, 1, 2]], "bsdf": blend(normal_map())}
+    with pytest.raises(ValueError, match="turns normals by dp/du, and the shape has no texture coordinates"):
+        psdr.load_dict({"type": "scene", "camera": {"type": "perspective"}, "sky": {"type": "constant"}, "x": shape})
+
+
+def test_normals_that_are_decoded_as_colours_are_warned_of() -> None:
+    colours = {"type": "bitmap", "bitmap": np.full((2, 2, 3), 128, np.uint8)}
+    with pytest.warns(psdr.SceneWarning, match="decoded as sRGB colours; say raw = true"):
+        load({"type": "normalmap", "normalmap": colours, "nested": RED})
+
+
+def test_the_back_of_a_two_sided_model_in_a_map_is_seen_from_below() -> None:
+    inside = load(normal_map({"type": "twosided", "a": RED})).description.shapes[0].bsdf
+    assert inside.back.variant == "seen_from_below" and inside.back.textures == inside.textures
+    assert load({"type": "twosided", "a": normal_map()}).description.shapes[0].bsdf.back is None
+
+
+#: What slides a bump map -> parameters that are requested.
+SLIDING = {
+    "shape": ("x.vertex_positions",),
+    "normals": ("x.vertex_normals",),
+    "pose": ("x.to_world",),
+    "texture coordinates": ("x.vertex_texcoords",),
+    "their transformation": ("x.bsdf.nested_texture.to_uv",),
+    "camera": ("camera.to_world",),
+}
+
+
+@pytest.mark.parametrize("boundary", ["auto", None])
+@pytest.mark.parametrize("what", SLIDING)
+def test_sliding_a_bump_map_is_refused_and_a_normal_map_is_not(what: str, boundary) -> None:
+    integrator = psdr.PathIntegrator(max_depth=3, boundary=boundary)
+    with pytest.raises(ValueError, match=r"bump map.*hold the shape and the camera still"):
+        psdr.plan(load(bump_map()), integrator=integrator, names=list(SLIDING[what]))
+    names = [name.replace("nested_texture", "normalmap") for name in SLIDING[what]]
+    plan = psdr.plan(load(normal_map()), integrator=integrator, names=names)
+    assert "leave out the jump where a normal turns away" in str(plan)
+
+
+def test_a_bump_map_may_stand_beside_what_moves() -> None:
+    scene = psdr.load_dict({
+        "type": "scene", "camera": {"type": "perspective"}, "sky": {"type": "constant"},
+        "x": {"type": "rectangle", "bsdf": bump_map()}, "y": {"type": "cube", "bsdf": BLUE},
+    })  # fmt: skip
+    names = ["y.vertex_positions", "x.bsdf.nested_texture.data", "x.bsdf.scale"]
+    plan = psdr.plan(scene, integrator=psdr.PathIntegrator(max_depth=3), names=names)
+    assert plan.boundary is not None and plan.config.tangent
+
+
+def test_normals_of_a_mirror_bend_what_is_seen_in_it() -> None:
+    for bsdf in (
+        normal_map({"type": "conductor"}),
+        {"type": "twosided", "a": RED, "b": normal_map({"type": "conductor"})},
+    ):
+        scene = load(bsdf)
+        (name,) = [name for name in psdr.traverse(scene) if name.endswith("normalmap.data")]
+        plan = psdr.plan(scene, integrator=psdr.PathIntegrator(max_depth=3), names=[name])
+        assert plan.wanted.bends and "in a surface with turned normals" in str(plan)

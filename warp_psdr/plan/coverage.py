@@ -13,7 +13,7 @@ from warp_psdr.kernels.bsdf.dispatch import has_delta_lobes, models_of
 from warp_psdr.kernels.emitter.spot import MIN_FALLOFF
 from warp_psdr.options.boundary import EdgeSampling, Method, PathSpace
 from warp_psdr.plan.motion import Motion, motion
-from warp_psdr.scene.layout import POSITIONS, SHAPE_POSE, TEXCOORDS, TO_UV
+from warp_psdr.scene.layout import NORMALS, POSITIONS, SHAPE_POSE, TEXCOORDS, TO_UV
 from warp_psdr.topology.edges import scene_adjacency
 from warp_psdr.topology.intersection_curves import scene_curves
 
@@ -142,6 +142,33 @@ def slides_steps(scene: Scene, name: str) -> bool:
     if TEXCOORDS in parameter.uses:
         return any(t.kind == c.TEXTURE_FACE or has_steps(t) for t in b.textures_of(b.shapes[parameter.owner]))
     return TO_UV in parameter.uses and any(has_steps(t) and t.to_uv == parameter.offset for t in b.textures)
+
+
+def sliding_heights(scene: Scene, config: PathConfig, names: list[str], geometry: bool) -> str:
+    """Say what slides a bump map, or turns the surface that it lies on; empty: nothing does.
+
+    ``geometry``: path vertices move at all.
+    """
+    b, moves = scene.builder, motion(scene, names)
+    for name in names:
+        parameter = scene.parameters[name]
+        if TO_UV in parameter.uses and any(b.textures[n].to_uv == parameter.offset for n in b.heights):
+            return f"{name} slides a bump map"
+    if not geometry:
+        return ""
+    bumped = {i for i, s in enumerate(b.shapes) if {s.bsdf, b.bsdfs[s.bsdf].back} & b.bumped}
+    if not bumped:
+        return ""
+    first = scene.description.shapes[min(bumped)].path
+    if moves.camera:
+        return f"the camera moves before the bump map of {first!r}"
+    if has_delta_lobes(config.bsdfs):
+        return f"things move in smooth mirrors or glass, in which the bump map of {first!r} may be seen"
+    for name in names:
+        parameter = scene.parameters[name]
+        if parameter.owner in bumped and parameter.uses & {POSITIONS, SHAPE_POSE, NORMALS, TEXCOORDS}:
+            return f"{name} moves the bump map of {scene.description.shapes[parameter.owner].path!r}"
+    return ""
 
 
 def _moving_steps(scene: Scene, config: PathConfig, moves: Motion) -> str:

@@ -12,14 +12,14 @@ from typing import TYPE_CHECKING
 
 from warp_psdr import html
 from warp_psdr.kernels import constants as c
-from warp_psdr.kernels.bsdf.dispatch import has_delta_lobes
+from warp_psdr.kernels.bsdf.dispatch import has_delta_lobes, models_of
 from warp_psdr.kernels.emitter.spot import MIN_FALLOFF
 from warp_psdr.kernels.interior.gradient_request import GradientRequest
 from warp_psdr.kernels.vertex import PathConfig
 from warp_psdr.options.boundary import Connecting, Method, PathSpace
 from warp_psdr.options.integrator import PathIntegrator
 from warp_psdr.plan import guiding
-from warp_psdr.plan.coverage import choose, has_hard_frame, refuse_own_shape, slides_steps
+from warp_psdr.plan.coverage import choose, has_hard_frame, refuse_own_shape, slides_steps, sliding_heights
 from warp_psdr.plan.integrator import Integrator, integrator_of
 from warp_psdr.plan.interior import Kept, Row, row_of
 from warp_psdr.plan.motion import motion
@@ -68,6 +68,9 @@ TEXTURE_NAMES = {
     c.TEXTURE_FACE: "face attribute",
     c.TEXTURE_CHECKERBOARD: "checkerboard",
 }
+#: What gradients leave out under normal and bump maps.
+FLIPPED = "derivatives leave out the jump where a normal turns away from the viewer, and is flipped or black"
+HOLD_STILL = "hold the shape and the camera still before it, or use a normal map"
 #: Shapes that a line of the plan names.
 NAMED = 3
 
@@ -163,6 +166,12 @@ def decide(
     refuse_own_shape(scene, sensor, names)
     if not names:
         lines.append(("derivatives", "none", "no parameter is requested"))
+    if wanted is not None:
+        reason = sliding_heights(scene, config, names, wanted.geometry)
+        if reason:
+            raise ValueError(f"{reason}, and the slopes of a bump map jump at its texels: {HOLD_STILL}")
+        if any("normalmap" in key or "bumpmap" in key for key in config.bsdfs):
+            lines.append(("turned normals", "as they are seen", FLIPPED))
     moving = tuple(_discontinuities(scene, config, names))
     still = wanted is None or not (wanted.geometry or wanted.lights or moving)
     if still and config.smooth and scene.shades_flat:
@@ -252,7 +261,8 @@ def _config(scene: Scene, integrator: PathIntegrator, sensor: int, lines: list) 
     normals = "interpolated and flat" if smooth and flat else "interpolated" if smooth else "flat"
     lines.append(("normals", normals, f"{len(b.shapes)} shapes, {scene.face_count} triangles"))
     lines.append(("texture coordinates", "yes" if uv else "no", reader if uv else "no bitmap is in use"))
-    lines.append(("anisotropy", "yes" if b.anisotropic else "no", "two roughnesses" if b.anisotropic else "isotropic"))
+    dp_du = "normals are turned" if any(model.framed for model in models_of(models)) else "two roughnesses"
+    lines.append(("anisotropy", "yes" if b.anisotropic else "no", dp_du if b.anisotropic else "isotropic"))
     lines.append(
         ("lights", ", ".join(EMITTER_NAMES[k] for k in sorted(kinds)) or "none", f"{len(b.emitters)} in the scene")
     )
@@ -341,13 +351,17 @@ def _shapes(scene: Scene, names: list[str]) -> frozenset[int] | None:
     return frozenset(found) if names and not lights else None
 
 
-def _bending(scene: Scene, names: list[str]) -> list[str]:
-    """Requested indices of refraction: they turn the rays behind a smooth interface."""
-    found = []
+def _bending(scene: Scene, names: list[str]) -> dict[str, str]:
+    """Requested parameters that turn rays at smooth surfaces, and what is seen there: indices, normal and bump maps."""
+    found = {}
     for shape in scene.description.shapes:
-        for value in model_of(shape.bsdf).turned_by:
-            name = shape.bsdf.textures[value].parameter
-            found += [name] if name in names and name not in found else []
+        for bsdf in filter(None, (shape.bsdf, shape.bsdf.back)):
+            for value in model_of(bsdf).turned_by:
+                seen = "through the interface" if value.endswith("ior") else "in a surface with turned normals"
+                for t in bsdf.textures[value].leaves:
+                    name = f"{shape.path}.{t.attribute}" if t.kind == "mesh_attribute" else t.parameter
+                    if name in names:
+                        found[name] = seen
     return found
 
 
@@ -370,7 +384,7 @@ def _discontinuities(scene: Scene, config: PathConfig, names: list[str]) -> list
             reasons.append(f"{name} moves the curves where interpolated normals turn away")
         elif slides_steps(scene, name):
             reasons.append(f"{name} slides a texture with steps")
-    reasons += [f"{name} moves what is seen through the interface" for name in _bending(scene, names)]
+    reasons += [f"{name} moves what is seen {where}" for name, where in _bending(scene, names).items()]
     return reasons
 
 

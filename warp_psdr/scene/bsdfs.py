@@ -15,8 +15,12 @@ from warp_psdr.kernels.bsdf.model import (
     Color,
     ComplexIndex,
     Flag,
+    HeightTexture,
+    Measured,
     Model,
+    NormalTexture,
     Number,
+    PlainNumber,
     RelativeIndex,
     Roughness,
     Table,
@@ -77,18 +81,21 @@ def default(path: str, shines: bool) -> BsdfDescription:
     return BsdfDescription(path, "diffuse", {"reflectance": constant(f"{path}.reflectance", 0.0 if shines else 0.5)})
 
 
-def check_attributes(bsdf: BsdfDescription, attributes: dict[str, np.ndarray], where: str) -> None:
-    """Raise if a texture of the model names a mesh attribute that does not fit the shape.
+def check_shape(bsdf: BsdfDescription, attributes: dict[str, np.ndarray], has_texcoords: bool, where: str) -> None:
+    """Raise if a shape lacks what the model needs: texture coordinates, or a mesh attribute that a texture names.
 
     Raises:
         ValueError: With the attributes that the shape has.
     """
+    if model_of(bsdf).framed and not has_texcoords:
+        problem = f"a '{bsdf.model}' turns normals by dp/du, and the shape has no texture coordinates"
+        raise error(where, problem, "give it some")
     values = {value.name: value for value in model_of(bsdf).values}
     for name, t in bsdf.textures.items():
         value = values[name]
         check_attribute(t, attributes, where, value.low, value.high, not value.color)
     if bsdf.back is not None:
-        check_attributes(bsdf.back, attributes, where)
+        check_shape(bsdf.back, attributes, has_texcoords, where)
 
 
 def _build(props: Properties) -> BsdfDescription:
@@ -104,21 +111,21 @@ def _build(props: Properties) -> BsdfDescription:
 
 def _declared(props: Properties, model: Model | Composite) -> BsdfDescription:
     """Read what a model declares, of a composite what is its own."""
-    options: list[str] = []
+    chosen: list[str] = []
     textures: dict[str, TextureDescription] = {}
     for parameter in model.parameters:
         if isinstance(parameter, Table):
             continue
         if isinstance(parameter, Choice):
-            options.append(props.string(parameter.name, parameter.default, parameter.options))
+            chosen.append(props.string(parameter.name, parameter.default, parameter.options))
         elif isinstance(parameter, Flag):
-            options.append(parameter.name if props.boolean(parameter.name, False) else "")
+            chosen.append(parameter.options[props.boolean(parameter.name, parameter.default) != parameter.default])
         elif isinstance(parameter, Accepted):
             if props.boolean(parameter.name, parameter.default) != parameter.default:
                 props.context.note(f"{props.place(parameter.name)} is ignored: {parameter.reason}")
-        else:
+        elif not isinstance(parameter, Measured):
             textures.update(READERS[type(parameter)](props, parameter))
-    return BsdfDescription(props.path, model.plugin, textures, variant_of(options))
+    return BsdfDescription(props.path, model.plugin, textures, variant_of(chosen))
 
 
 def _color(props: Properties, parameter: Color) -> dict[str, TextureDescription]:
@@ -131,6 +138,46 @@ def _number(props: Properties, parameter: Number) -> dict[str, TextureDescriptio
     default = parameter.low if parameter.default is None else parameter.default
     low, high = parameter.low, parameter.high
     return {parameter.name: texture(props, parameter.name, default, low=low, high=high, scalar=True, clamped=True)}
+
+
+def _plain_number(props: Properties, parameter: PlainNumber) -> dict[str, TextureDescription]:
+    number = props.number(parameter.name, parameter.default, minimum=parameter.low, maximum=parameter.high)
+    return {parameter.name: dataclasses.replace(constant(f"{props.path}.{parameter.name}", number), plain=True)}
+
+
+def _normal_texture(props: Properties, parameter: NormalTexture) -> dict[str, TextureDescription]:
+    name = parameter.name
+    if not props.has(name):
+        raise error(props.where, f"a '{props.type}' without '{name}'", "give a texture of normals, with raw = true")
+    node = props.node[name]
+    if isinstance(node, dict):
+        node, where = props.context.resolve(node, props.context.inside(props.where, name, node))
+        if node.get("type") == "bitmap" and node.get("raw") is not True and not _is_linear(node):
+            props.context.note(f"{where}: the normals are decoded as sRGB colours; say raw = true")
+    return {name: texture(props, name, 0.5)}
+
+
+def _height_texture(props: Properties, parameter: HeightTexture) -> dict[str, TextureDescription]:
+    found = [key for key, _, _, category in props.plugins() if category == "texture"]
+    if len(found) != 1:
+        got = f"{len(found)} textures ({listing(found)})" if found else "no texture"
+        if not found and props.incomplete:
+            raise ReportedError(props.where)
+        raise error(props.where, f"a '{props.type}' with {got}", "nest exactly one, of heights")
+    heights = texture(props, found[0], 0.0, low=-np.inf, scalar=True, path=f"{props.path}.nested_texture")
+    if heights.kind == "mesh_attribute" or heights.nested:
+        raise error(props.place(found[0]), f"a {heights.kind} has no slopes", "give a bitmap")
+    if heights.kind == "bitmap" and heights.filter == "nearest":
+        raise error(props.place(found[0]), "a bitmap with filter_type 'nearest' has no slopes", "use 'bilinear'")
+    return {parameter.name: heights}
+
+
+def _is_linear(bitmap: dict) -> bool:
+    """Whether a bitmap holds numbers as they are, whatever ``raw`` says."""
+    if "filename" in bitmap:
+        return str(bitmap["filename"]).lower().endswith((".exr", ".hdr", ".pfm"))
+    values: Any = bitmap.get("bitmap", bitmap.get("data"))
+    return bool(np.asarray(values.numpy() if hasattr(values, "numpy") else values).dtype.kind == "f")
 
 
 def _complex_index(props: Properties, parameter: ComplexIndex) -> dict[str, TextureDescription]:
@@ -213,6 +260,9 @@ def _relative_index(props: Properties, parameter: RelativeIndex) -> dict[str, Te
 READERS: dict[type, Any] = {
     Color: _color,
     Number: _number,
+    PlainNumber: _plain_number,
+    NormalTexture: _normal_texture,
+    HeightTexture: _height_texture,
     ComplexIndex: _complex_index,
     RelativeIndex: _relative_index,
     Roughness: _roughness,
@@ -258,8 +308,9 @@ def _nest(props: Properties, composite: Composite) -> BsdfDescription:
     if not any(sided):
         return front
     back = None
-    if any(child.back is not None for child in children):
-        back = _joined(props, composite, own, [child.back or child for child in children])
+    if composite.behind or any(child.back is not None for child in children):
+        behind = dataclasses.replace(own, variant=variant_of((own.variant, composite.behind)))
+        back = _joined(props, composite, behind, [child.back or child for child in children])
     return dataclasses.replace(front, two_sided=True, back=back)
 
 

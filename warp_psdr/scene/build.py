@@ -10,7 +10,7 @@ import warp as wp
 from warp_psdr.kernels import constants as c
 from warp_psdr.kernels import structs
 from warp_psdr.kernels.bsdf.dispatch import declaration_of, models_of, ordered
-from warp_psdr.kernels.bsdf.model import MadeTable, Value, key_of
+from warp_psdr.kernels.bsdf.model import GEOMETRY, GRADIENT, MadeTable, Value, key_of
 from warp_psdr.kernels.bsdf.record import Slot, merge_values, slot_of
 from warp_psdr.scene.layout import (
     CAMERA,
@@ -85,7 +85,9 @@ class Builder:
         self.slots = np.zeros(0, np.int32)  #: texture numbers, ``structs.Scene.slots``
         self.radiance_kinds: set[int] = set()
         self.two_sided = False
-        self.anisotropic: set[int] = set()
+        self.anisotropic: set[int] = set()  #: numbers of materials that need dp/du
+        self.bumped: set[int] = set()  #: numbers of materials that read how a texture rises
+        self.heights: set[int] = set()  #: numbers of the bitmaps that bump maps read
         self._texture_index: dict[tuple[int, int], int] = {}
         self._absent_index: dict[float, int] = {}
         self._bsdf_keys: list[str] = []
@@ -260,7 +262,7 @@ class Builder:
         bsdf_key = key_of(b.model, b.variant, b.children)
         model = declaration_of(bsdf_key)[0]
         for value in model.values:
-            if value.size:
+            if value.size or value.source in GEOMETRY:
                 continue
             t = b.textures.get(value.name)
             bounds = (value.low, value.high)
@@ -272,6 +274,10 @@ class Builder:
         number = len(self.bsdfs)
         if model.framed or any(textures[u] != textures[v] for u, v in model.axes):
             self.anisotropic.add(number)
+        heights = {textures[value.name] for value in model.values if value.source == GRADIENT}
+        if heights:
+            self.bumped.add(number)
+            self.heights |= {n for n in heights if self.textures[n].kind == c.TEXTURE_BITMAP}
         self.bsdfs.append(record)
         self.bsdf_textures.append(textures)
         self._bsdf_keys.append(bsdf_key)

@@ -75,7 +75,7 @@ def build(node: dict, where: str, path: str, context: Context) -> ShapeDescripti
     shape.sensor = meter
     if emitter is not None:
         check_attribute(emitter.radiance, shape.attributes, lights[0][2], 0.0, np.inf, False)
-    bsdfs.check_attributes(bsdf, shape.attributes, where)
+    bsdfs.check_shape(bsdf, shape.attributes, shape.texcoords is not None, where)
     return shape
 
 

@@ -36,6 +36,7 @@ def texture(
     emissive: bool = False,
     scalar: bool = False,
     clamped: bool = False,
+    path: str = "",
 ) -> TextureDescription:
     """Take a plugin's parameter that may vary over the surface.
 
@@ -48,13 +49,14 @@ def texture(
         emissive: Whether it is emitted light.
         scalar: Whether it is one number; colour bitmaps are reduced to their luminance.
         clamped: Whether device code takes texels beyond ``high`` for ``high``; otherwise they are noted.
+        path: The name under which it is listed; default: the parameter's.
 
     Returns:
         The texture; the default, with a report to the context, if the value cannot be used.
     """
     return props.context.attempt(
-        lambda: _texture(props, name, default, low, high, emissive, scalar, clamped),
-        constant(f"{props.path}.{name}", default),
+        lambda: _texture(props, name, default, low, high, emissive, scalar, clamped, path),
+        constant(path or f"{props.path}.{name}", default),
     )
 
 
@@ -67,19 +69,20 @@ def _texture(
     emissive: bool,
     scalar: bool,
     clamped: bool,
+    path: str,
 ) -> TextureDescription:
-    result, place = _read(props, name, default, high, emissive, scalar)
+    result, place = _read(props, name, path or f"{props.path}.{name}", default, high, emissive, scalar)
     for leaf in result.leaves:
         _check_values(leaf, name, place, props.context, (low, high), scalar, clamped)
     return result
 
 
 def _read(
-    props: Properties, name: str, default: float | np.ndarray, high: float, emissive: bool, scalar: bool
+    props: Properties, name: str, path: str, default: float | np.ndarray, high: float, emissive: bool, scalar: bool
 ) -> tuple[TextureDescription, str]:
     """Take a texture; returns it with its place."""
     value = props.take(name)
-    place, path = props.place(name), f"{props.path}.{name}"
+    place = props.place(name)
     if value is None:
         result = constant(path, default)
     elif isinstance(value, dict):
@@ -235,7 +238,7 @@ def _checkerboard(props: Properties, emissive: bool, high: float) -> TextureDesc
         if isinstance(node, dict) and props.context.resolve(node, props.place(name))[0].get("type") == "checkerboard":
             problem = f"a checkerboard inside a checkerboard, as '{name}'"
             raise error(props.where, problem, "give a colour, a bitmap or a mesh_attribute")
-        nested.append(_read(props, name, default, high, emissive, False)[0])
+        nested.append(_read(props, name, f"{props.path}.{name}", default, high, emissive, False)[0])
     result = TextureDescription(
         props.path, "checkerboard", np.zeros(0, dtype=np.float32), to_uv=_to_uv(props), nested=tuple(nested)
     )
