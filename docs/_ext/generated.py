@@ -20,7 +20,8 @@ from sphinx.util.docutils import SphinxDirective
 import warp_psdr as psdr
 from warp_psdr.kernels import constants
 from warp_psdr.kernels.bsdf import model
-from warp_psdr.kernels.bsdf.dispatch import MODELS
+from warp_psdr.kernels.bsdf.composite import Composite
+from warp_psdr.kernels.bsdf.dispatch import COMPOSITES, MODELS
 
 #: Names of lobes.
 LOBES = {
@@ -107,10 +108,11 @@ class Models(Generated):
     def text(self) -> str:
         """Return a table, a row a parameter."""
         lines = ["| model | parameter | default | range | lobes |", "|---|---|---|---|---|"]
-        for declared in MODELS:
-            lobes = ", ".join(LOBES[lobe] for lobe in declared.lobes)
+        for declared in (*MODELS, *COMPOSITES):
+            nested = isinstance(declared, Composite)
+            lobes = "those of the nested models" if nested else ", ".join(LOBES[lobe] for lobe in declared.lobes)
             for parameter in declared.parameters:
-                if isinstance(parameter, model.Table):
+                if isinstance(parameter, model.Table | model.Measured):
                     continue
                 about = " | ".join(_parameter(parameter))
                 lines.append(f"| `{declared.plugin}` | {about} | {lobes} |")
@@ -122,6 +124,7 @@ def _parameter(parameter) -> tuple[str, str, str]:
     ranges = ", ".join(
         f"`{v.name}` ≥ {v.low:g}" if math.isinf(v.high) else f"`{v.name}` {v.low:g} to {v.high:g}"
         for v in parameter.values
+        if not math.isinf(v.low)
     )
     match parameter:
         case model.RelativeIndex():
@@ -135,9 +138,13 @@ def _parameter(parameter) -> tuple[str, str, str]:
         case model.Choice():
             return f"`{parameter.name}`", parameter.default, ", ".join(parameter.options)
         case model.Flag():
-            return f"`{parameter.name}`", "false", "true, false"
-    default = parameter.default
-    return f"`{parameter.name}`", f"{default:g}" if not isinstance(default, bool) else str(default).lower(), ranges
+            return f"`{parameter.name}`", str(parameter.default).lower(), "true, false"
+        case model.NormalTexture():
+            return f"`{parameter.name}`", "none", "a texture of normals, `raw`"
+        case model.HeightTexture():
+            return "a nested texture", "none", "heights, any number"
+    default = parameter.default if parameter.default is not None else "none"
+    return f"`{parameter.name}`", str(default).lower() if isinstance(default, bool | str) else f"{default:g}", ranges
 
 
 class Api(Generated):

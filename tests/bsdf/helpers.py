@@ -10,7 +10,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import pytest
 import warp as wp
 
 from tests.bsdf import twins
@@ -26,7 +25,16 @@ from tests.bsdf.materials import (  # noqa: F401 -- tests take them from here
     rough,
     rough_plastic,
 )
-from tests.bsdf.nested import bare, blend, bumped_normal, framed, mapped_normal, nest, ramp
+from tests.bsdf.nested import (
+    BUMPED,
+    COATED_BLEND,
+    GLASS_BLEND,
+    MAPPED,
+    SMOOTH_BLEND,
+    bare,
+    nest,
+    nested_examples,
+)
 from warp_psdr.kernels.bsdf.composite import split_key
 from warp_psdr.kernels.bsdf.dispatch import VARIANTS, BsdfFunctions, declaration_of, make_bsdf, ordered
 from warp_psdr.kernels.bsdf.microfacet import MIN_ALPHA
@@ -35,13 +43,6 @@ from warp_psdr.kernels.constants import LOBE_DELTA_TRANSMISSION, LOBE_SMOOTH
 from warp_psdr.kernels.structs import BsdfSample, Scattered
 from warp_psdr.scene.tables import MAKERS
 
-#: Examples of models made of models: two smooth lobes, a mirror reflection of both, one that transmits.
-SMOOTH_BLEND = "blendbsdf(diffuse, roughconductor (ggx))"
-COATED_BLEND = "blendbsdf(plastic, conductor)"
-GLASS_BLEND = "blendbsdf(diffuse, dielectric)"
-#: A normal map with both switches on, a bump map with both off.
-MAPPED = "normalmap(plastic)"
-BUMPED = "bumpmap(roughconductor (ggx)) (no_flip_invalid_normals no_use_shadowing_function)"
 NESTED_MODELS = ordered((SMOOTH_BLEND, COATED_BLEND, GLASS_BLEND, MAPPED, BUMPED))
 PLAIN_MODELS = tuple(VARIANTS)
 ALL_MODELS = (*PLAIN_MODELS, *NESTED_MODELS)
@@ -303,67 +304,7 @@ def energy_of(mat: dict, wi: np.ndarray, lobe: int, value: np.ndarray) -> np.nda
     return value * index_behind(mat, wi) ** 2 if lobe == LOBE_DELTA_TRANSMISSION else value
 
 
-# --- nested models ---
-
-
-def _normals(mat: dict) -> dict:
-    return {
-        "type": "rgb",
-        "value": (mat["normalmap"] * [1.0, mat["side"], 1.0] + [0.0, mat["side"] < 0.0, 0.0]).tolist(),
-    }
-
-
-def _heights(mat: dict) -> dict:
-    mi = pytest.importorskip("mitsuba")
-    return {"type": "bitmap", "raw": True, "wrap_mode": "clamp", "bitmap": mi.Bitmap(ramp(mat)[..., None])}
-
-
-EXAMPLES |= {
-    SMOOTH_BLEND: Example(
-        materials=tuple(
-            nest(weight=w, first=material(reflectance=(0.2, 0.5, 0.8)), second=rough(*alpha))
-            for w, alpha in ((0.3, (0.4, 0.3)), (0.0, (0.6, 0.6)), (1.0, (0.6, 0.6)), (0.9, (0.3, 0.3)))
-        ),
-        **blend(EXAMPLES, SMOOTH_BLEND),
-    ),
-    COATED_BLEND: Example(
-        materials=tuple(nest(weight=w, first=plastic(1.5), second=metal()) for w in (0.5, 0.0, 1.0)),
-        **blend(EXAMPLES, COATED_BLEND),
-    ),
-    GLASS_BLEND: Example(
-        materials=tuple(
-            nest(weight=w, first=material(reflectance=(0.2, 0.5, 0.8)), second=glass(ior))
-            for w, ior in ((0.5, 1.5), (0.0, 1.3), (1.0, 0.7))
-        ),
-        # Nothing but the glass sends the light that comes from behind.
-        **blend(EXAMPLES, GLASS_BLEND) | {"lossless": lambda mat: False},
-    ),
-    MAPPED: Example(
-        materials=tuple(
-            nest(normalmap=np.array(n), side=side, nested=plastic(1.5))
-            for n, side in (((0.7, 0.4, 0.85), -1.0), ((0.5, 0.5, 1.0), 1.0), ((0.1, 0.6, 0.7), 1.0))
-        ),
-        extremes=tuple(
-            nest(normalmap=np.array(n), side=1.0, nested=plastic(1.5)) for n in ((0.5, 0.5, 0.5), (1.0, 0.5, 0.5))
-        ),
-        **framed(EXAMPLES, MAPPED, mapped_normal, lambda mat: {"normalmap": _normals(mat)}),
-    ),
-    BUMPED: Example(
-        materials=tuple(
-            nest(heights=np.array(h), scale=scale, metric=np.array(m), nested=rough(*alpha))
-            for h, scale, m, alpha in (
-                ((0.6, 0.4, 0.1), 0.5, (1.5, 0.4, 0.8), (0.4, 0.3)),
-                ((0.0, 0.0, 0.0), 1.0, (1.0, 0.0, 1.0), (0.4, 0.4)),
-                ((-0.5, 0.3, 0.0), 1.3, (2.0, -0.7, 1.3), (0.6, 0.6)),
-            )
-        ),
-        extremes=tuple(
-            nest(heights=np.array(h), scale=1.0, metric=np.array(m), nested=rough(0.4, 0.3))
-            for h, m in (((1.0, 1.0, 0.0), (0.0, 0.0, 0.0)), ((1e4, -1e4, 0.0), (1.0, 0.0, 1.0)))
-        ),
-        **framed(EXAMPLES, BUMPED, bumped_normal, lambda mat: {"heights": _heights(mat), "scale": mat["scale"]}),
-    ),
-}
+EXAMPLES |= nested_examples(Example, EXAMPLES)
 EXAMPLES = {key: EXAMPLES[key] for key in ALL_MODELS}
 
 

@@ -3,10 +3,20 @@
 import re
 
 import numpy as np
+import pytest
 
+from tests.bsdf.materials import glass, material, metal, plastic, rough
 from warp_psdr.kernels.bsdf.blendbsdf import MIN_SHARE
 from warp_psdr.kernels.bsdf.composite import split_key
 from warp_psdr.kernels.bsdf.dispatch import declaration_of
+
+#: Examples of models made of models: two smooth lobes, a mirror reflection of both, one that transmits.
+SMOOTH_BLEND = "blendbsdf(diffuse, roughconductor (ggx))"
+COATED_BLEND = "blendbsdf(plastic, conductor)"
+GLASS_BLEND = "blendbsdf(diffuse, dielectric)"
+#: A normal map with both switches on, a bump map with both off.
+MAPPED = "normalmap(plastic)"
+BUMPED = "bumpmap(roughconductor (ggx)) (no_flip_invalid_normals no_use_shadowing_function)"
 
 
 def nest(**children: dict) -> dict:
@@ -134,3 +144,65 @@ def ramp(mat: dict) -> np.ndarray:
     """A bitmap of 2 x 2 heights that rises so in the middle of the texture coordinates."""
     u, v = 0.5 * mat["heights"][0], 0.5 * mat["heights"][1]
     return np.array([[0.0, u], [v, u + v]], np.float32)
+
+
+def _normals(mat: dict) -> dict:
+    return {
+        "type": "rgb",
+        "value": (mat["normalmap"] * [1.0, mat["side"], 1.0] + [0.0, mat["side"] < 0.0, 0.0]).tolist(),
+    }
+
+
+def _heights(mat: dict) -> dict:
+    mi = pytest.importorskip("mitsuba")
+    return {"type": "bitmap", "raw": True, "wrap_mode": "clamp", "bitmap": mi.Bitmap(ramp(mat)[..., None])}
+
+
+def nested_examples(example: type, plain: dict) -> dict:
+    """The ``Example``s of models made of models, from the plain ones."""
+    return {
+        SMOOTH_BLEND: example(
+            materials=tuple(
+                nest(weight=w, first=material(reflectance=(0.2, 0.5, 0.8)), second=rough(*alpha))
+                for w, alpha in ((0.3, (0.4, 0.3)), (0.0, (0.6, 0.6)), (1.0, (0.6, 0.6)), (0.9, (0.3, 0.3)))
+            ),
+            **blend(plain, SMOOTH_BLEND),
+        ),
+        COATED_BLEND: example(
+            materials=tuple(nest(weight=w, first=plastic(1.5), second=metal()) for w in (0.5, 0.0, 1.0)),
+            **blend(plain, COATED_BLEND),
+        ),
+        GLASS_BLEND: example(
+            materials=tuple(
+                nest(weight=w, first=material(reflectance=(0.2, 0.5, 0.8)), second=glass(ior))
+                for w, ior in ((0.5, 1.5), (0.0, 1.3), (1.0, 0.7))
+            ),
+            # Nothing but the glass sends the light that comes from behind.
+            **blend(plain, GLASS_BLEND) | {"lossless": lambda mat: False},
+        ),
+        MAPPED: example(
+            materials=tuple(
+                nest(normalmap=np.array(n), side=side, nested=plastic(1.5))
+                for n, side in (((0.7, 0.4, 0.85), -1.0), ((0.5, 0.5, 1.0), 1.0), ((0.1, 0.6, 0.7), 1.0))
+            ),
+            extremes=tuple(
+                nest(normalmap=np.array(n), side=1.0, nested=plastic(1.5)) for n in ((0.5, 0.5, 0.5), (1.0, 0.5, 0.5))
+            ),
+            **framed(plain, MAPPED, mapped_normal, lambda mat: {"normalmap": _normals(mat)}),
+        ),
+        BUMPED: example(
+            materials=tuple(
+                nest(heights=np.array(h), scale=scale, metric=np.array(m), nested=rough(*alpha))
+                for h, scale, m, alpha in (
+                    ((0.6, 0.4, 0.1), 0.5, (1.5, 0.4, 0.8), (0.4, 0.3)),
+                    ((0.0, 0.0, 0.0), 1.0, (1.0, 0.0, 1.0), (0.4, 0.4)),
+                    ((-0.5, 0.3, 0.0), 1.3, (2.0, -0.7, 1.3), (0.6, 0.6)),
+                )
+            ),
+            extremes=tuple(
+                nest(heights=np.array(h), scale=1.0, metric=np.array(m), nested=rough(0.4, 0.3))
+                for h, m in (((1.0, 1.0, 0.0), (0.0, 0.0, 0.0)), ((1e4, -1e4, 0.0), (1.0, 0.0, 1.0)))
+            ),
+            **framed(plain, BUMPED, bumped_normal, lambda mat: {"heights": _heights(mat), "scale": mat["scale"]}),
+        ),
+    }

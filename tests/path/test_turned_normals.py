@@ -14,9 +14,9 @@ PLAIN = {"use_shadowing_function": False}
 FLOAT32 = 1e-5
 
 
-def lit_plane(bsdf: dict) -> np.ndarray:
-    """A plane under a directional light, seen from above: pixels (16, 3)."""
-    scene = psdr.load_dict({
+def plane(bsdf: dict) -> psdr.Scene:
+    """A plane under a directional light, seen from above."""
+    return psdr.load_dict({
         "type": "scene",
         "camera": {
             "type": "perspective", "fov": 20.0, "to_world": T.look_at([0, 0, 3], [0, 0, 0], [0, 1, 0]),
@@ -25,7 +25,11 @@ def lit_plane(bsdf: dict) -> np.ndarray:
         "plane": {"type": "rectangle", "bsdf": bsdf},
         "sun": {"type": "directional", "direction": (-LIGHT).tolist(), "irradiance": 2.0},
     })  # fmt: skip
-    return psdr.render(scene, integrator=psdr.PathIntegrator(max_depth=2), spp=4).numpy().reshape(-1, 3)
+
+
+def lit_plane(bsdf: dict) -> np.ndarray:
+    """Pixels (16, 3) of such a plane."""
+    return psdr.render(plane(bsdf), integrator=psdr.PathIntegrator(max_depth=2), spp=4).numpy().reshape(-1, 3)
 
 
 def normal_map(n, nested=PAINT, **more) -> dict:
@@ -70,6 +74,35 @@ def test_shadowing_takes_light_from_tilted_normals() -> None:
     tan2 = (LIGHT[0] ** 2 + LIGHT[1] ** 2) / LIGHT[2] ** 2
     shadowed = expected(n) * 2.0 / (1.0 + np.sqrt(1.0 + a2 * tan2))
     np.testing.assert_allclose(lit_plane(normal_map(n)), np.tile(shadowed, (16, 1)), rtol=FLOAT32)
+
+
+@pytest.mark.parametrize("mode", ["forward", "reverse"])
+def test_the_texels_of_a_bump_map_have_exact_derivatives(mode: str) -> None:
+    """Light from one direction on paint leaves nothing to chance but the place in the pixel, which stays."""
+    heights = (0.2 * np.random.default_rng(1).random((6, 6, 1))).astype(np.float32)
+    to_uv = np.array([[1.1, 0.2, 0.1], [-0.1, 0.9, 0.3], [0.0, 0.0, 1.0]])
+    texture = {"type": "bitmap", "bitmap": heights, "raw": True, "to_uv": to_uv}
+    scene = plane({"type": "bumpmap", "any": texture, "nested": PAINT, "scale": 0.7})
+    params, name = psdr.traverse(scene), "plane.bsdf.nested_texture.data"
+    integrator, weights = psdr.PathIntegrator(max_depth=2), np.random.default_rng(2).random((4, 4, 3))
+    direction = np.random.default_rng(3).uniform(-1.0, 1.0, heights.shape)
+
+    def loss(step: float) -> float:
+        params[name] = (heights + step * direction).astype(np.float32)
+        params.update()
+        return float(np.sum(psdr.render(scene, params, integrator=integrator, spp=4096, seed=1).numpy() * weights))
+
+    # Primal and gradient samples have numbers of their own, so the difference is taken of many.
+    expected = (loss(1e-2) - loss(-1e-2)) / 2e-2
+    loss(0.0)
+    params.requires_grad(name)
+    if mode == "forward":
+        image = psdr.render_forward(scene, params, {name: direction}, integrator=integrator, spp=4096)
+        found = np.sum(image.numpy() * weights)
+    else:
+        psdr.render_backward(scene, params, weights, integrator=integrator, spp=4096)
+        found = np.sum(params[name].grad.numpy() * direction)
+    assert found == pytest.approx(expected, rel=1e-2)
 
 
 def _scene(kind: str, lib, pose) -> dict:
