@@ -79,8 +79,8 @@ class Emitter:
 
     kind: wp.int32
     texture: wp.int32
-    shape: wp.int32  # area light: its shape
-    first_face: wp.int32  # area light: its triangles, and where their cumulative areas start in Scene.face_cdf
+    shape: wp.int32  # light of a shape: its number
+    first_face: wp.int32  # the same: its triangles, and where their cumulative areas start in Scene.face_cdf
     face_count: wp.int32
     cdf_offset: wp.int32
     to_world: wp.int32  # flat offset of a 4x4 row-major matrix (all but point) or of a position (point)

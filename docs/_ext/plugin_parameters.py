@@ -99,7 +99,9 @@ def _load(category: str, name: str, parameters: dict) -> tuple[list[str], list[s
     finally:
         loader.Properties.take = take  # type: ignore[method-assign]
     found = [n.removeprefix("probe.") for n in psdr.traverse(scene) if n.startswith("probe.")]
-    inner = {"texture": "bsdf.reflectance.", "bsdf": "bsdf."}.get(category, "emitter." if name == "area" else "")
+    inner = {"texture": "bsdf.reflectance.", "bsdf": "bsdf."}.get(
+        category, "emitter." if name in ("area", "directionalarea") else ""
+    )
     found = [n.removeprefix(inner) for n in found if n.startswith(inner)]
     if name == "irradiancemeter":  # it has no values; those of its shape are not its own
         found = []
@@ -134,7 +136,7 @@ def _scene(category: str, plugin: dict) -> dict:
         shape["bsdf"] = plugin
     elif category == "texture":
         shape["bsdf"] = {"type": "diffuse", "reflectance": plugin}
-    elif plugin["type"] == "area":
+    elif plugin["type"] in ("area", "directionalarea"):
         shape["emitter"] = plugin
     elif category == "emitter":
         scene["body"], scene["probe"] = shape, plugin

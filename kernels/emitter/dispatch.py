@@ -11,6 +11,7 @@ from warp_psdr.kernels.constants import (
     DELTA_LIGHTS,
     EMITTER_CONSTANT,
     EMITTER_DIRECTIONAL,
+    EMITTER_DIRECTIONAL_AREA,
     EMITTER_ENVMAP,
     EMITTER_POINT,
     EMITTER_PROJECTOR,
@@ -19,6 +20,7 @@ from warp_psdr.kernels.constants import (
 )
 from warp_psdr.kernels.emitter.constant import make_constant
 from warp_psdr.kernels.emitter.directional import make_directional
+from warp_psdr.kernels.emitter.directionalarea import make_directional_area
 from warp_psdr.kernels.emitter.envmap import make_envmap
 from warp_psdr.kernels.emitter.point import make_point
 from warp_psdr.kernels.emitter.projector import make_projector
@@ -33,6 +35,7 @@ WITHOUT_AREA = {
     EMITTER_TEXTURED_SPOT: make_textured_spot,
     EMITTER_PROJECTOR: make_projector,
     EMITTER_DIRECTIONAL: make_directional,
+    EMITTER_DIRECTIONAL_AREA: make_directional_area,
 }
 WANTED = ("radiance", "pose")
 
@@ -40,7 +43,7 @@ WANTED = ("radiance", "pose")
 @wp.func
 def is_delta_light(kind: wp.int32) -> wp.bool:
     spot = kind == EMITTER_SPOT or kind == EMITTER_TEXTURED_SPOT or kind == EMITTER_PROJECTOR
-    return spot or kind == EMITTER_POINT or kind == EMITTER_DIRECTIONAL
+    return spot or kind == EMITTER_POINT or kind == EMITTER_DIRECTIONAL or kind == EMITTER_DIRECTIONAL_AREA
 
 
 class LightFunctions(NamedTuple):

@@ -83,7 +83,7 @@ def _metered(scene: Scene, method: Method, config: PathConfig, max_depth: int) -
 
 
 def refuse_own_shape(scene: Scene, sensor: int, names: list[str]) -> None:
-    """Refuse to move the shape that an irradiance meter lies on.
+    """Refuse to move the shape that an irradiance meter, or a directional area light, lies on.
 
     Raises:
         ValueError: it is requested.
@@ -91,6 +91,12 @@ def refuse_own_shape(scene: Scene, sensor: int, names: list[str]) -> None:
     meter = scene.description.sensors[sensor]
     for name in names:
         p = scene.parameters[name]
+        light = scene.description.shapes[p.owner].emitter if p.uses & {POSITIONS, SHAPE_POSE} else None
+        if light is not None and light.kind == "directionalarea":
+            raise ValueError(
+                f"{name} moves the shape of the directional area light {light.path!r}, whose outline has no derivative "
+                "here; use a 'directional' light, or an 'area' light"
+            )
         if p.uses & {POSITIONS, SHAPE_POSE} and scene.description.shapes[p.owner].sensor is meter:
             raise ValueError(
                 f"{name} moves the shape of the irradiancemeter {meter.path!r}, whose points have no derivative here; "
@@ -117,6 +123,8 @@ def _uncovered(scene: Scene, config: PathConfig, names: list[str], max_depth: in
             cutoff, beam = values[e.cutoff : e.cutoff + 2].tolist()
             if math.radians(cutoff - beam) <= MIN_FALLOFF:
                 return "a spot light's cone has a hard edge; make beam_width smaller than cutoff_angle"
+        if e.kind == c.EMITTER_DIRECTIONAL_AREA:
+            return "the light of a directionalarea ends in a hard edge; use a 'directional' light, or an 'area' light"
         if e.kind == c.EMITTER_PROJECTOR and has_hard_frame(scene, e):
             return (
                 "a projector's image ends in a hard edge of light; give it a border of black texels (with 'bilinear' "

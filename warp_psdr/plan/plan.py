@@ -46,6 +46,7 @@ if TYPE_CHECKING:
 
 EMITTER_NAMES = {
     c.EMITTER_AREA: "area",
+    c.EMITTER_DIRECTIONAL_AREA: "directionalarea",
     c.EMITTER_CONSTANT: "constant",
     c.EMITTER_ENVMAP: "envmap",
     c.EMITTER_POINT: "point",

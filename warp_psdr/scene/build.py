@@ -43,6 +43,7 @@ WRAPS = {"repeat": c.WRAP_REPEAT, "mirror": c.WRAP_MIRROR, "clamp": c.WRAP_CLAMP
 RFILTERS = {"box": c.RFILTER_BOX, "tent": c.RFILTER_TENT, "gaussian": c.RFILTER_GAUSSIAN}
 EMITTERS = {
     "area": c.EMITTER_AREA,
+    "directionalarea": c.EMITTER_DIRECTIONAL_AREA,
     "constant": c.EMITTER_CONSTANT,
     "envmap": c.EMITTER_ENVMAP,
     "point": c.EMITTER_POINT,
@@ -320,11 +321,12 @@ class Builder:
         record.kind = EMITTERS[e.kind]
         number = len(self.emitters)
         bounds = (0.0, INF)
-        if e.kind == "area":
+        if e.kind in ("area", "directionalarea"):
             shape = next(i for i, s in enumerate(self.description.shapes) if s.emitter is e)
             record.shape = shape
             record.first_face, record.face_count = self.shapes[shape].first_face, self.shapes[shape].face_count
-            self.shapes[shape].emitter = number
+        if e.kind == "area":
+            self.shapes[shape].emitter = number  # what a ray can meet
             record.texture = self._texture(e.radiance, RADIANCE, bounds, shape)
             self.radiance_kinds |= self.kinds_of(record.texture)
         else:

@@ -15,7 +15,7 @@ MITSUBA: dict[str, tuple[str, ...]] = {
         *("roughdiffuse", "opacity"),
     ),
     "texture": ("checkerboard", "volume", "gridtexture", "scale", "vertexcolors", "curvature", "wireframe"),
-    "emitter": (*("directionalarea", "sunsky", "timed_sunsky", "sky", "sun", "collimated"),),
+    "emitter": (*("sunsky", "timed_sunsky", "sky", "sun", "collimated"),),
     "sensor": ("batch", "distant", "fluencemeter", "perspective_rdist"),
     "film": ("specfilm", "ldrfilm", "mfilm", "tiledhdrfilm"),
     "rfilter": ("catmullrom", "lanczos", "mitchell"),
@@ -38,6 +38,7 @@ _SKY = (
 )
 #: Plugins that compute something else, or cannot be had, by kind, and what to use instead.
 INSTEAD: dict[str, dict[str, str]] = {
+    "sensor": {"batch": "put its sensors into the scene, render each, and set the images side by side"},
     "emitter": {"sunsky": _SKY, "timed_sunsky": _SKY},
     "integrator": {
         "volpath": _PATH,

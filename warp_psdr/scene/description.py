@@ -62,10 +62,10 @@ class BsdfDescription:
 
 @dataclass(eq=False)
 class EmitterDescription:
-    """A light source. For area lights the shape holds it."""
+    """A light source. The shape holds area and directional area lights."""
 
     path: str
-    kind: Literal["area", "constant", "envmap", "point", "spot", "projector", "directional"]
+    kind: Literal["area", "directionalarea", "constant", "envmap", "point", "spot", "projector", "directional"]
     radiance: TextureDescription  #: area, constant: radiance; envmap: data; point, spot: intensity; others: irradiance
     to_world: np.ndarray | None = None  #: (4, 4): envmap, spot, projector, directional
     position: np.ndarray | None = None  #: (3,): point

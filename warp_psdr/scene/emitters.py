@@ -58,9 +58,14 @@ def build_area(node: dict, where: str, path: str, context: Context, *, shared: b
 
 
 def _area(props: Properties) -> EmitterDescription:
-    if props.type != "area":
-        raise error(props.where, f"a '{props.type}' emitter inside a shape", "shapes take 'area'; move it to the scene")
+    if props.type not in ("area", "directionalarea"):
+        remedy = "shapes take 'area' or 'directionalarea'; move it to the scene"
+        raise error(props.where, f"a '{props.type}' emitter inside a shape", remedy)
     _ignore_weights(props)
+    if props.type == "directionalarea":
+        light = EmitterDescription(props.path, "directionalarea", _uniform(props, "radiance"))
+        props.finish()
+        return light
     result = EmitterDescription(props.path, "area", texture(props, "radiance", 1.0, emissive=True))
     props.finish()
     return result

@@ -119,6 +119,10 @@ class Lights:
         mean = self._mean(e.texture, values)
         if e.kind == c.EMITTER_AREA:
             return np.pi * self._areas[number] * mean
+        if e.kind == c.EMITTER_DIRECTIONAL_AREA:
+            first = self._builder.positions
+            points = values[first : first + 3 * self._builder.vertex_count].reshape(-1, 3)
+            return mean * float(self._face_areas(e, points).sum())
         if e.kind == c.EMITTER_POINT:
             return 4.0 * np.pi * mean
         if e.kind in c.SPOTS:

@@ -3,17 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from .errors import error
 from .plugins import Properties
 
+if TYPE_CHECKING:
+    from .description import ShapeDescription
+
 #: Largest coordinate: products of four lengths must stay finite in float32.
 _COORDINATE_MAX = 1e9
 #: A triangle is flat when its area is below this share of its longest edge squared; float32 holds no such area.
 _FLAT = 1e-9
+#: Most triangles of a directional area light: each look-up goes through all of them.
+PROJECTED_MAX = 1024
+#: Largest deviation from a plane of its shape, relative.
+FLAT = 1e-5
 #: Bound on what one in-place array may hold; larger indices do not fit 32 bits.
 _INDEX_MAX = 2**31 - 1
 
@@ -124,6 +131,27 @@ def drop_flat_triangles(data: MeshData, where: str) -> int:
             if name.startswith("face_"):
                 data.attributes[name] = np.ascontiguousarray(values[keep])
     return dropped
+
+
+def check_flat(shape: ShapeDescription, where: str) -> None:
+    """Refuse a shape that a directional area light cannot have.
+
+    Raises:
+        ValueError: If it is not flat, or has more triangles than a look-up goes through.
+    """
+    reason = "it is sampled by orthogonal projection onto one plane; "
+    count = len(shape.faces)
+    if count > PROJECTED_MAX:
+        raise error(where, f"a 'directionalarea' of {count} triangles", f"{reason}give at most {PROJECTED_MAX}")
+    p0, p1, p2 = (shape.vertices[shape.faces[:, k]].astype(np.float64) for k in range(3))
+    normals = np.cross(p1 - p0, p2 - p0)
+    total = normals.sum(axis=0)
+    length = float(np.linalg.norm(total))
+    heights = (shape.vertices[shape.faces.reshape(-1)] - p0[0]) @ (total / max(length, np.finfo(float).tiny))
+    areas = np.linalg.norm(normals, axis=1).sum()
+    size = float(np.ptp(shape.vertices, axis=0).max())
+    if length < (1.0 - FLAT) * areas or np.abs(heights).max() > FLAT * size:
+        raise error(where, "a 'directionalarea' on a shape that is not flat", f"{reason}give a rectangle or a disk")
 
 
 def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:

@@ -29,7 +29,7 @@ PLUGINS: dict[str, tuple[str, ...]] = {
         *("bitmap", "checkerboard", "mesh_attribute"),
         *("rgb", "srgb", "spectrum", "uniform", "rawconstant", "d65", "blackbody", "regular", "irregular"),
     ),
-    "emitter": ("area", "constant", "envmap", "point", "spot", "projector", "directional"),
+    "emitter": ("area", "directionalarea", "constant", "envmap", "point", "spot", "projector", "directional"),
     "sensor": ("perspective", "orthographic", "thinlens", "radiancemeter", "irradiancemeter"),
     "film": ("hdrfilm",),
     "rfilter": ("box", "tent", "gaussian"),

@@ -10,7 +10,7 @@ from . import bsdfs, emitters, sensors
 from .description import EmitterDescription, ShapeDescription
 from .errors import ReportedError, error
 from .mesh_files import read_mesh
-from .meshes import MeshData, check, drop_flat_triangles, in_place, vertex_normals
+from .meshes import MeshData, check, check_flat, drop_flat_triangles, in_place, vertex_normals
 from .origin import collapses, moved
 from .plugins import Properties
 from .primitives import CURVED, DEFAULT_RESOLUTION, MAX_RESOLUTION, MIN_RESOLUTION, PRIMITIVES, widening
@@ -57,7 +57,7 @@ def build(node: dict, where: str, path: str, context: Context) -> ShapeDescripti
     to_world = moved(to_world, context.origin)
     analytic = props.type in PRIMITIVES
     check(data, place)
-    if emitter is not None and props.type in CURVED:
+    if emitter is not None and emitter.kind == "area" and props.type in CURVED:
         data.vertices = data.vertices * widening(props.type, data.vertices, data.faces, to_world)
     flat |= data.face_normals and not props.has("face_normals")
     if flat:
@@ -71,6 +71,8 @@ def build(node: dict, where: str, path: str, context: Context) -> ShapeDescripti
         shape.to_world = to_world.astype(np.float32)
         shape.local_vertices = data.vertices.astype(np.float32)
         shape.local_normals = None if data.normals is None else data.normals.astype(np.float32)
+    if emitter is not None and emitter.kind == "directionalarea":
+        check_flat(shape, lights[0][2])
     shape.emitter = emitter
     shape.sensor = meter
     if emitter is not None:
