@@ -84,3 +84,15 @@ def fresnel_dielectric(c: wp.float32, g: wp.float32, eta: wp.float32) -> wp.floa
 def coat_reflectance(c: wp.float32, eta: wp.float32) -> wp.float32:
     """Reflectance of a smooth interface at the cosine ``c`` > 0; ``eta``: the index behind it over that in front."""
     return fresnel_dielectric(c, refracted_cosine(c, eta), eta)
+
+
+@wp.func
+def coat_transmittance(c: wp.float32, eta: wp.float32) -> wp.float32:
+    """Transmittance of a smooth interface at the cosine ``c``: 1 - F without the difference, which cancels."""
+    g = refracted_cosine(c, eta)
+    transmittance = wp.float32(0.0)
+    if g > 0.0:
+        s = c + g
+        p = eta * eta * c + g
+        transmittance = 2.0 * c * g * (1.0 / (s * s) + eta * eta / (p * p))
+    return transmittance

@@ -38,6 +38,7 @@ NEEDED: dict[str, dict] = {
 #: Further examples, whose parameters join those of the first.
 MORE: dict[str, tuple[dict, ...]] = {
     "roughconductor": ({"alpha_u": 0.1, "alpha_v": 0.2}, {"eta": 1.0, "k": 2.0}),
+    "roughdielectric": ({"alpha_u": 0.1, "alpha_v": 0.2},),
     "conductor": ({"eta": 1.0, "k": 2.0},),
     "perspective": ({"fov": 40.0},),
     "thinlens": ({"aperture_radius": 0.1, "fov": 40.0},),

@@ -33,12 +33,13 @@ from warp_psdr.kernels.bsdf.record import (
     merge_values,
 )
 from warp_psdr.kernels.bsdf.roughconductor import ROUGH_CONDUCTOR
+from warp_psdr.kernels.bsdf.roughdielectric import ROUGH_DIELECTRIC
 from warp_psdr.kernels.bsdf.roughplastic import ROUGH_PLASTIC
 from warp_psdr.kernels.generated import make_generated
 from warp_psdr.kernels.structs import BsdfSample, Scattered
 
 #: All scattering models.
-MODELS: tuple[Model, ...] = (DIFFUSE, CONDUCTOR, DIELECTRIC, ROUGH_CONDUCTOR, PLASTIC, ROUGH_PLASTIC)
+MODELS: tuple[Model, ...] = (DIFFUSE, CONDUCTOR, DIELECTRIC, ROUGH_CONDUCTOR, PLASTIC, ROUGH_PLASTIC, ROUGH_DIELECTRIC)
 #: All models that are made of models; each for any children, so that they have no end.
 COMPOSITES: tuple[Composite, ...] = (BLEND, NORMAL_MAP, BUMP_MAP)
 #: Key of a variant -> model and the variant's name, in the order in which a scene numbers those that it has.
@@ -123,6 +124,11 @@ def has_smooth_lobes(keys: Iterable[str]) -> bool:
 def has_delta_lobes(keys: Iterable[str]) -> bool:
     """Whether any of the models has a lobe of a single direction, as mirrors and glass have."""
     return any(model.has_delta for model in models_of(keys))
+
+
+def passing(keys: Iterable[str]) -> str:
+    """Return the plugin of a model with smooth lobes behind its surface; empty: there is none."""
+    return next((model.plugin for model in models_of(keys) if model.passes), "")
 
 
 def is_diffuse(keys: Iterable[str]) -> bool:

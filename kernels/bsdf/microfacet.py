@@ -29,6 +29,8 @@ BECKMANN_MAX_SLOPE = 4.2
 INV_SQRT_PI = 0.5641895835477563
 #: Below it a cosine counts as zero; keeps slopes and their squares inside float32's range.
 MIN_COSINE = 1.0e-7
+#: Squared length of wi + eta wo below which there is no half vector: the indices are equal, up to float32.
+MIN_HALF = 1.0e-12
 
 
 class Microfacet(NamedTuple):
@@ -61,6 +63,26 @@ class Reflection(NamedTuple):
     value: wp.Function
     pdf: wp.Function
     sample: wp.Function
+
+
+class Refraction(NamedTuple):
+    """Warp functions of a rough interface without its transmittance; ``wi`` lies above, ``wo`` below.
+
+    ``eta`` is the index below over that above. The half vector is wi + eta wo, turned up; both directions have to lie
+    on its right sides, ``wi`` above and ``wo`` below the microfacet.
+
+    Attributes:
+        cosine: ``(wi, wo, eta) -> float32`` between ``wi`` and the half vector; 0 where a side is wrong.
+        value: ``(wi, wo, eta, alpha_u, alpha_v) -> float32``, 1/sr: f_s of radiance times the cosine of ``wo`` for a
+            transmittance of one, D G_1(wi) G_1(wo) <wi, h> |<wo, h>| / (cos(wi) |wi + eta wo|^2) [WMLT07, eq. 21, over
+            eta^2]; differentiable.
+        pdf: ``(wi, wo, eta, alpha_u, alpha_v) -> float32``: density of visible normals that refract ``wi`` into ``wo``,
+            solid angle of ``wo``.
+    """
+
+    cosine: wp.Function
+    value: wp.Function
+    pdf: wp.Function
 
 
 @wp.func
@@ -133,6 +155,60 @@ def make_reflection(distribution: str) -> Reflection:
         return wp.normalize(2.0 * wp.dot(wi, n) * n - wi)
 
     return Reflection(reflected_value, reflected_pdf, reflected_sample)
+
+
+@wp.func
+def refraction_cosine(wi: wp.vec3, wo: wp.vec3, eta: wp.float32) -> wp.float32:
+    h = wi + eta * wo
+    turned = wp.where(h[2] < 0.0, -1.0, 1.0)
+    squared = wp.dot(h, h)
+    seen = turned * wp.dot(wi, h)
+    cosine = wp.float32(0.0)
+    if squared > MIN_HALF and wp.abs(h[2]) > MIN_COSINE and seen > 0.0 and turned * wp.dot(wo, h) < 0.0:
+        # It exceeds 1 by rounding.
+        cosine = wp.min(seen / wp.sqrt(squared), 1.0)
+    return cosine
+
+
+@functools.cache
+def make_refraction(distribution: str) -> Refraction:
+    """Return the functions of a rough interface; ``value`` and ``pdf`` are for a ``cosine`` above 0 alone.
+
+    Derivation: ``docs/theory/materials.md#rough-glass``.
+    """
+    ndf, smith_over_cos, projected_area, _sample_visible = make_microfacet(distribution)
+
+    @wp.func
+    def refracting_normals(
+        wi: wp.vec3, wo: wp.vec3, eta: wp.float32, alpha_u: wp.float32, alpha_v: wp.float32
+    ) -> wp.float32:
+        """D(h) <wi, h> |<wo, h>| / |wi + eta wo|^2."""
+        h = wi + eta * wo
+        sx = h[0] / h[2]
+        sy = h[1] / h[2]
+        tx = sx / alpha_u
+        ty = sy / alpha_v
+        d = ndf(tx * tx + ty * ty, 1.0 + sx * sx + sy * sy) / (alpha_u * alpha_v)
+        squared = wp.dot(h, h)
+        return d * (wp.abs(wp.dot(wi, h)) / squared) * (wp.abs(wp.dot(wo, h)) / squared)
+
+    @wp.func
+    def refracted_value(
+        wi: wp.vec3, wo: wp.vec3, eta: wp.float32, alpha_u: wp.float32, alpha_v: wp.float32
+    ) -> wp.float32:
+        c = -wo[2]
+        g_i = smith_over_cos(wi[2], squared_tangent_part(wi, alpha_u, alpha_v))
+        g_o = smith_over_cos(c, squared_tangent_part(wo, alpha_u, alpha_v))
+        return refracting_normals(wi, wo, eta, alpha_u, alpha_v) * g_i * g_o * c
+
+    @wp.func
+    def refracted_pdf(
+        wi: wp.vec3, wo: wp.vec3, eta: wp.float32, alpha_u: wp.float32, alpha_v: wp.float32
+    ) -> wp.float32:
+        area = projected_area(wi[2], squared_tangent_part(wi, alpha_u, alpha_v))
+        return refracting_normals(wi, wo, eta, alpha_u, alpha_v) * (eta * eta / area)
+
+    return Refraction(refraction_cosine, refracted_value, refracted_pdf)
 
 
 @functools.cache

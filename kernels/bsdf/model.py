@@ -337,6 +337,7 @@ class Model:
         make: ``(record, variant) -> Functions``, ``record`` the struct of a scene's material values.
         turned_by: values that the direction of a delta lobe depends on.
         framed: whether the model needs dp/du whatever its values are.
+        passes: whether a smooth lobe lies behind the surface.
     """
 
     plugin: str
@@ -345,6 +346,7 @@ class Model:
     make: Callable[[type, str], Functions]
     turned_by: tuple[str, ...] = ()
     framed: bool = False
+    passes: bool = False
 
     @property
     def values(self) -> tuple[Value, ...]:

@@ -16,7 +16,7 @@ import warp as wp
 from warp_psdr.kernels.bsdf.diffuse import diffuse_pdf
 from warp_psdr.kernels.bsdf.model import Color, Flag, Functions, Model, RelativeIndex
 from warp_psdr.kernels.constants import INV_PI, LOBE_DELTA_REFLECTION, LOBE_NONE, LOBE_SMOOTH
-from warp_psdr.kernels.fresnel import coat_reflectance, refracted_cosine
+from warp_psdr.kernels.fresnel import coat_reflectance, coat_transmittance
 from warp_psdr.kernels.math import reflect_local
 from warp_psdr.kernels.sampling import square_to_cosine_hemisphere
 from warp_psdr.kernels.structs import BsdfSample, Scattered
@@ -49,18 +49,6 @@ def share_of_coat(specular: wp.vec3, diffuse: wp.vec3, reflectance: wp.float32) 
     return coat / (coat + (1.0 - reflectance) * (1.0 - weight))
 
 
-@wp.func
-def through_coat(c: wp.float32, eta: wp.float32) -> wp.float32:
-    """Transmittance of the coat at the cosine c, 1 - F without the difference, which cancels at grazing angles."""
-    g = refracted_cosine(c, eta)
-    transmittance = wp.float32(0.0)
-    if g > 0.0:
-        s = c + g
-        p = eta * eta * c + g
-        transmittance = 2.0 * c * g * (1.0 / (s * s) + eta * eta / (p * p))
-    return transmittance
-
-
 @functools.cache
 def make_plastic(record: type, variant: str) -> Functions:
     """Return the model's functions; ``variant`` "nonlinear": light that meets the base again is tinted again."""
@@ -78,7 +66,7 @@ def make_plastic(record: type, variant: str) -> Functions:
             return wp.vec3(0.0, 0.0, 0.0)
         inside = diffuse_fresnel(1.0 / mat.ior)
         rho = mat.diffuse_reflectance
-        through = through_coat(wi[2], mat.ior) * through_coat(wo[2], mat.ior) / (mat.ior * mat.ior)
+        through = coat_transmittance(wi[2], mat.ior) * coat_transmittance(wo[2], mat.ior) / (mat.ior * mat.ior)
         scale = INV_PI * wo[2] * through
         if wp.static(nonlinear):
             return scale * wp.vec3(

@@ -23,7 +23,16 @@ from tests.bsdf.materials import (  # noqa: F401 -- tests take them from here
     metal,
     plastic,
     rough,
+    rough_glass,
     rough_plastic,
+)
+from tests.bsdf.mitsuba_plugins import (
+    mitsuba_dielectric,
+    mitsuba_plastic,
+    mitsuba_rough,
+    mitsuba_rough_glass,
+    mitsuba_rough_plastic,
+    rgb,
 )
 from tests.bsdf.nested import (
     BUMPED,
@@ -85,41 +94,6 @@ def random_directions(rng: np.random.Generator, n: int, both_sides: bool = False
 
 
 # --- the table ---
-
-
-def _rgb(mat: dict, *names: str) -> dict:
-    return {name: {"type": "rgb", "value": mat[name].tolist()} for name in names}
-
-
-def _mitsuba_rough(mat: dict, distribution: str) -> dict | None:
-    # Mitsuba's arithmetic does not resolve narrow lobes.
-    if min(mat["alpha_u"], mat["alpha_v"]) < 0.05:
-        return None
-    shape = {"distribution": distribution, "alpha_u": mat["alpha_u"], "alpha_v": mat["alpha_v"]}
-    return {"type": "roughconductor", **shape, **_rgb(mat, "specular_reflectance", "eta", "k")}
-
-
-def _mitsuba_dielectric(mat: dict) -> dict | None:
-    # Its Fresnel reflectance cancels where the indices are nearly equal.
-    if abs(mat["ior"] - 1.0) < 0.01:
-        return None
-    colors = _rgb(mat, "specular_reflectance", "specular_transmittance")
-    return {"type": "dielectric", "int_ior": mat["ior"], "ext_ior": 1.0, **colors}
-
-
-def _mitsuba_plastic(mat: dict, nonlinear: bool) -> dict | None:
-    # A lobe whose reflectance is 0 is not drawn there, and here it is, since its derivative is not 0.
-    if abs(mat["ior"] - 1.0) < 0.01 or mat["diffuse_reflectance"].max() * mat["specular_reflectance"].max() == 0.0:
-        return None
-    colors = _rgb(mat, "diffuse_reflectance", "specular_reflectance")
-    return {"type": "plastic", "int_ior": mat["ior"], "ext_ior": 1.0, "nonlinear": nonlinear, **colors}
-
-
-def _mitsuba_rough_plastic(mat: dict, distribution: str, nonlinear: bool) -> dict | None:
-    smooth = _mitsuba_plastic(mat, nonlinear)
-    if smooth is None or mat["alpha"] < 0.05:
-        return None
-    return smooth | {"type": "roughplastic", "distribution": distribution, "alpha": mat["alpha"]}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -189,48 +163,67 @@ _ROUGH_PLASTIC = {
     "lossless": lambda mat: False,
 }
 
+_ROUGH_GLASS = {
+    "materials": (
+        rough_glass(1.5, 0.4, 0.2),
+        *(rough_glass(ior, alpha) for ior, alpha in ((1.5, 0.1), (1.1, 0.3), (0.7, 0.25), (2.4, 1e-2), (1.5, 1e-3))),
+    ),
+    "more": (rough_glass(1.5, 0.3, reflectance=BLACK, transmittance=BLACK),),
+    "extremes": (rough_glass(1.0, 0.3), rough_glass(0.999999, MIN_ALPHA), rough_glass(1.001, MIN_ALPHA, 1.0)),
+    "lossless": lambda mat: mat["alpha_u"] == mat["alpha_v"] <= 1e-3,
+}
+
 #: Key of ``VARIANTS`` -> what its tests go through.
 EXAMPLES: dict[str, Example] = {
     "diffuse": Example(
         materials=tuple(material(reflectance=c) for c in ((0.2, 0.5, 0.8), BLACK, (1.0, 1.0, 1.0))),
         eval=twins.diffuse_eval,
-        mitsuba=lambda mat: {"type": "diffuse", **_rgb(mat, "reflectance")},
+        mitsuba=lambda mat: {"type": "diffuse", **rgb(mat, "reflectance")},
         bounded_by="reflectance",
     ),
     "conductor": Example(
         materials=(metal(), metal(MIRROR), metal(LOSSLESS), metal(reflectance=BLACK), metal(MIRROR, (1.0, 1.0, 1.0))),
         extremes=(metal(((0.0, 1.0, 1e-4), (0.0, 0.0, 1e-4))), metal(((20.0, 0.0, 1.0), (0.0, 50.0, 0.0)), BLACK)),
         scatter=twins.conductor_scatter,
-        mitsuba=lambda mat: {"type": "conductor", **_rgb(mat, "specular_reflectance", "eta", "k")},
+        mitsuba=lambda mat: {"type": "conductor", **rgb(mat, "specular_reflectance", "eta", "k")},
     ),
     "dielectric": Example(
         materials=tuple(glass(ior) for ior in (1.5, 0.7, 1.0, 1.001, 1.0001, 2.4)),
         more=(glass(1.5, BLACK, BLACK),),
         extremes=tuple(glass(ior) for ior in (0.5, 0.999999, 1.000001, 4.0)),
         scatter=twins.dielectric_scatter,
-        mitsuba=_mitsuba_dielectric,
+        mitsuba=mitsuba_dielectric,
     ),
-    GGX: Example(eval=twins.ggx_eval, mitsuba=lambda mat: _mitsuba_rough(mat, "ggx"), **_ROUGH),
+    GGX: Example(eval=twins.ggx_eval, mitsuba=lambda mat: mitsuba_rough(mat, "ggx"), **_ROUGH),
     BECKMANN: Example(
         eval=twins.beckmann_eval,
-        mitsuba=lambda mat: _mitsuba_rough(mat, "beckmann"),
+        mitsuba=lambda mat: mitsuba_rough(mat, "beckmann"),
         # Mitsuba's pdf takes a rational fit of the masking, ours the exact one.
         mitsuba_pdf=1e-2,
         **_ROUGH,
     ),
-    "plastic": Example(eval=twins.plastic_eval, mitsuba=lambda mat: _mitsuba_plastic(mat, False), **_PLASTIC),
+    "plastic": Example(eval=twins.plastic_eval, mitsuba=lambda mat: mitsuba_plastic(mat, False), **_PLASTIC),
     "plastic (nonlinear)": Example(
-        eval=twins.nonlinear_plastic_eval, mitsuba=lambda mat: _mitsuba_plastic(mat, True), **_PLASTIC
+        eval=twins.nonlinear_plastic_eval, mitsuba=lambda mat: mitsuba_plastic(mat, True), **_PLASTIC
     ),
     **{
         f"roughplastic ({distribution}{' nonlinear' if nonlinear else ''})": Example(
             eval=functools.partial(twins.rough_plastic_eval, distribution=distribution, nonlinear=nonlinear),
-            mitsuba=functools.partial(_mitsuba_rough_plastic, distribution=distribution, nonlinear=nonlinear),
+            mitsuba=functools.partial(mitsuba_rough_plastic, distribution=distribution, nonlinear=nonlinear),
             mitsuba_pdf=1e-2 if distribution == "beckmann" else 2e-3,
             **_ROUGH_PLASTIC,
         )
         for distribution in ("ggx", "beckmann")
         for nonlinear in (False, True)
+    },
+    **{
+        f"roughdielectric ({distribution})": Example(
+            eval=functools.partial(twins.rough_dielectric_eval, distribution=distribution),
+            mitsuba=functools.partial(mitsuba_rough_glass, distribution=distribution),
+            mitsuba_pdf=1e-2 if distribution == "beckmann" else 2e-3,
+            **_ROUGH_GLASS,
+        )
+        for distribution in ("ggx", "beckmann")
     },
 }
 
@@ -246,7 +239,13 @@ def lobes_of(key: str) -> tuple[int, ...]:
 
 
 def transmits(key: str) -> bool:
+    """Whether light passes the surface in a delta lobe."""
     return declaration_of(key)[0].transmits
+
+
+def passes(key: str) -> bool:
+    """Whether light passes the surface in a smooth lobe."""
+    return declaration_of(key)[0].passes
 
 
 def narrowest(mat: dict) -> float:

@@ -27,6 +27,10 @@ def glass(ior: float, reflectance=(0.9, 0.5, 0.1), transmittance=(0.2, 0.4, 0.6)
     return material(specular_reflectance=reflectance, specular_transmittance=transmittance, ior=ior)
 
 
+def rough_glass(ior: float, alpha_u: float, alpha_v: float | None = None, **more) -> dict:
+    return glass(ior, **more) | material(alpha_u=alpha_u, alpha_v=alpha_u if alpha_v is None else alpha_v)
+
+
 def plastic(ior: float, diffuse=(0.2, 0.5, 0.8), specular=(0.9, 0.6, 0.3)) -> dict:
     return material(diffuse_reflectance=diffuse, specular_reflectance=specular, ior=ior)
 

@@ -27,6 +27,8 @@ from tests.bsdf.helpers import (
     is_black,
     lobes_of,
     metal,
+    narrowest,
+    passes,
     plastic,
     random_directions,
     rounded,
@@ -43,6 +45,8 @@ from warp_psdr.kernels.constants import LOBE_DELTA_REFLECTION, LOBE_DELTA_TRANSM
 
 #: Relative error of float32 arithmetic through a microfacet model (a few dozen operations of 6e-8 each).
 FLOAT32 = 2e-5
+#: Relative error of a refracted value times the roughness: 2^-24 over what the indices 1.1 and 1 leave of a direction.
+REFRACTION = 1e-6
 #: Pairs of directions at which Mitsuba's values are compared.
 PAIRS = 2000
 
@@ -99,7 +103,9 @@ def test_values_agree_with_the_twin(bsdf: Launcher, key: str) -> None:
         value, _ = bsdf.eval_pdf(key, mat, wi, wo)
         # Directions are as the device sees them but for their lengths, which are rounded too.
         expected = np.array([example.eval(mat, a, b) for a, b in zip(unit(wi), unit(wo), strict=True)])
-        np.testing.assert_allclose(value, expected, rtol=10 * FLOAT32, atol=1e-9)
+        # Of a refraction nothing but the directions' rounding tells the half vector (docs/theory/materials.md).
+        digits = REFRACTION / narrowest(mat) if passes(key) else 0.0
+        np.testing.assert_allclose(value, expected, rtol=10 * FLOAT32 + digits, atol=1e-9)
         assert expected.max() > 0.0 or is_black(key, mat) or is_smoothly_black(mat)
 
 
@@ -118,7 +124,21 @@ def test_reciprocity(bsdf: Launcher, key: str) -> None:
     np.testing.assert_allclose(forward, backward, rtol=5 * FLOAT32 if key == BUMPED else FLOAT32)
 
 
-@pytest.mark.parametrize("key", [key for key in ALL_MODELS if not transmits(key)])
+@pytest.mark.parametrize("key", [key for key in SMOOTH_MODELS if passes(key)])
+def test_what_passes_is_reciprocal_but_for_the_index(bsdf: Launcher, key: str) -> None:
+    """Radiance over the squared index is what an interface leaves alone [Veach 1997, section 5.2]."""
+    rng = np.random.default_rng(3)
+    wi, wo = random_directions(rng, 3000), random_directions(rng, 3000) * BELOW
+    mat = EXAMPLES[key].materials[0]
+    forward, _ = bsdf.eval_pdf(key, mat, wi, wo)
+    backward, _ = bsdf.eval_pdf(key, mat, wo, wi)
+    assert (forward > 0.01).any(axis=1).sum() > 100
+    np.testing.assert_allclose(
+        mat["ior"] ** 2 * forward / -wo[:, 2:], backward / wi[:, 2:], rtol=10 * FLOAT32, atol=1e-5
+    )
+
+
+@pytest.mark.parametrize("key", [key for key in ALL_MODELS if not (transmits(key) or passes(key))])
 def test_opaque_models_scatter_on_their_front_only(bsdf: Launcher, key: str) -> None:
     mat = EXAMPLES[key].materials[0]
     behind = direction(40.0) * BELOW
@@ -227,9 +247,13 @@ def interaction_of(mi, mat: dict):
 @each_smooth_model
 def test_values_and_densities_agree_with_mitsuba(bsdf: Launcher, key: str) -> None:
     for mi, mat, theirs in mitsuba_of(key):
-        wi = random_directions(np.random.default_rng(9), PAIRS)
+        wi = random_directions(np.random.default_rng(9), PAIRS, both_sides=passes(key))
         s = bsdf.sample(key, mat, wi, uniform(10, PAIRS))
-        wo = np.where((s["lobe"] == LOBE_SMOOTH)[:, None], s["wo"], random_directions(np.random.default_rng(11), PAIRS))
+        wo = np.where(
+            (s["lobe"] == LOBE_SMOOTH)[:, None],
+            s["wo"],
+            random_directions(np.random.default_rng(11), PAIRS, passes(key)),
+        )
         value, pdf = bsdf.eval_pdf(key, mat, wi, wo)
         si, context = interaction_of(mi, mat), mi.BSDFContext()
         expected = []

@@ -26,6 +26,7 @@ from tests.bsdf.helpers import (
     lobes_of,
     members,
     narrowest,
+    passes,
     random_directions,
     rough,
     rounded,
@@ -134,6 +135,31 @@ PAIRS = {
 }
 
 
+def near_refraction(mat: dict, wi: np.ndarray, alpha: float) -> np.ndarray:
+    """The refracted direction at a half vector with the slope (0.5, 0.3) alpha; (0, 0, 0): total reflection."""
+    h = np.array([0.5 * alpha, 0.3 * alpha, 1.0]) * np.sign(wi[2])
+    h /= np.linalg.norm(h)
+    eta, c = index_behind(mat, wi), np.dot(wi, h)
+    g2 = eta**2 - 1.0 + c**2
+    return ((c - np.sqrt(g2)) * h - wi) / eta if g2 > 0.0 else np.zeros(3)
+
+
+def refracted_pairs(mat: dict) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Pairs of directions on both sides of a rough interface."""
+    alpha, found = narrowest(mat), {}
+    for name, wi in (
+        ("oblique", OBLIQUE),
+        ("normal", NORMAL),
+        ("grazing", direction(80.0)),
+        ("inside", OBLIQUE * BELOW),
+    ):
+        wo = near_refraction(mat, wi, alpha)
+        if abs(wo[2]) > 0.05:
+            found[f"through-{name}"] = wi, wo
+    inside = OBLIQUE * BELOW
+    return found | ({"under": (inside, AWAY * BELOW)} if alpha >= 0.2 else {})
+
+
 def pairs_of(mat: dict) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """Pairs of directions in the material's lobes."""
     alpha = narrowest(mat)
@@ -149,7 +175,7 @@ SMOOTH_CASES = [
     pytest.param(key, mat, *pair, id=f"{key}-{i}-{name}")
     for key in SMOOTH_MODELS
     for i, mat in enumerate((*EXAMPLES[key].materials, *EXAMPLES[key].more))
-    for name, pair in pairs_of(mat).items()
+    for name, pair in (pairs_of(mat) | (refracted_pairs(mat) if passes(key) else {})).items()
 ]
 
 
@@ -277,6 +303,8 @@ def critical_directions(mat: dict) -> np.ndarray:
 def test_derivatives_are_finite_everywhere(bsdf: Launcher, key: str) -> None:
     for mat in all_materials(key):
         w = np.concatenate([edge_directions(), critical_directions(mat)[::10]])
+        if passes(key):
+            w = np.concatenate([w, w * BELOW])
         wi, wo = np.repeat(w, len(w), axis=0), np.tile(w, (len(w), 1))
         value, pdf = bsdf.eval_pdf(key, mat, wi, wo)
         assert np.all(np.isfinite(value)) and np.all(value >= 0.0) and np.all(np.isfinite(pdf)) and np.all(pdf >= 0.0)

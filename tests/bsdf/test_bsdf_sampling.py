@@ -25,6 +25,7 @@ from tests.bsdf.helpers import (
     index_behind,
     lobes_of,
     narrowest,
+    passes,
     rough,
     rounded,
     transmits,
@@ -47,7 +48,7 @@ LOBES = [
     for key in ALL_MODELS
     for i, mat in enumerate(EXAMPLES[key].materials)
     for angle in ANGLES
-    for side in ([np.ones(3), BELOW] if transmits(key) else [np.ones(3)])
+    for side in ([np.ones(3), BELOW] if transmits(key) or passes(key) else [np.ones(3)])
     # At 88 degrees the narrowest lobe is only twelve float32 directions wide.
     if angle < 88.0 or narrowest(mat) > MIN_ALPHA
 ]
@@ -111,14 +112,58 @@ def to_lobe(mat: dict, wi: np.ndarray, wo: np.ndarray) -> tuple[np.ndarray, np.n
     return np.arctan(np.hypot(x, y)) * 2.0 / np.pi, np.arctan2(y, x) % (2.0 * np.pi)
 
 
-def quadrature(bsdf: Launcher, key: str, mat: dict, wi: np.ndarray, bins=(20, 24), fine=(60, 12)):
+def from_refraction(mat: dict, wi: np.ndarray, q: np.ndarray, phi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Directions behind a rough interface, by the slopes of the half vector, and solid angle per dq dphi."""
+    up, eta = np.where(wi[2] < 0.0, BELOW, np.ones(3)), index_behind(mat, wi)
+    au, av = lobe_scales(mat)
+    p = np.tan(0.5 * np.pi * q)
+    h = np.stack([au * p * np.cos(phi), av * p * np.sin(phi), np.ones_like(p)], axis=1)
+    h /= np.linalg.norm(h, axis=1, keepdims=True)
+    c = h @ (wi * up)
+    g2 = eta**2 - 1.0 + c**2
+    refracts = (c > 0.0) & (g2 > 0.0)
+    g = np.sqrt(np.where(refracts, g2, 1.0))
+    wo = np.where(refracts[:, None], ((c - g)[:, None] * h - wi * up) / eta, (0.0, 0.0, -1.0)) * up
+    jacobian = h[:, 2] ** 3 * au * av * p * (1.0 + p * p) * 0.5 * np.pi * (c - g) ** 2 / (eta * g)
+    return wo, np.where(refracts, jacobian, 0.0)
+
+
+def to_charts(key: str, mat: dict, wi: np.ndarray, wo: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(q, phi) of directions; behind a surface that they pass q lies in [1, 2)."""
+    if not passes(key):
+        return to_lobe(mat, wi, wo)
+    behind = wi[2] * wo[:, 2] < 0.0
+    half = np.where(behind[:, None], wi + index_behind(mat, wi) * wo, wi + wo)
+    slopes = half[:, :2] / half[:, 2:] * np.where(wi[2] < 0.0, -1.0, 1.0) / np.array(lobe_scales(mat))
+    q = np.arctan(np.linalg.norm(slopes, axis=1)) * 2.0 / np.pi
+    return q + behind, np.arctan2(slopes[:, 1], slopes[:, 0]) % (2.0 * np.pi)
+
+
+def quadrature(bsdf: Launcher, key: str, mat: dict, wi: np.ndarray):
+    """``integrals`` in front of the surface and, where light passes it, behind, where radiance is scaled to energy."""
+    mass, energy = integrals(bsdf, key, mat, wi)
+    if passes(key):
+        through, radiance = integrals(bsdf, key, mat, wi, behind=True)
+        mass, energy = np.concatenate([mass, through]), energy + index_behind(mat, wi) ** 2 * radiance
+    return mass, energy
+
+
+def integrals(bsdf: Launcher, key: str, mat: dict, wi: np.ndarray, bins=(20, 24), fine=(60, 12), behind=False):
     """Integrals of the pdf over each bin (shape ``bins``) and of the value over the hemisphere, midpoint rule.
 
     Finer in q, since at normal incidence the horizon cuts all of a ring of bins at one q.
     """
     n_q, n_phi = bins[0] * fine[0], bins[1] * fine[1]
     q, phi = np.meshgrid((np.arange(n_q) + 0.5) / n_q, (np.arange(n_phi) + 0.5) * 2.0 * np.pi / n_phi, indexing="ij")
-    wo, jacobian = from_lobe(mat, wi, q.ravel(), phi.ravel())
+    if behind:
+        wo, jacobian = from_refraction(mat, wi, q.ravel(), phi.ravel())
+    elif passes(key) and wi[2] < 0.0:
+        wo, jacobian = from_lobe(mat, wi * BELOW, q.ravel(), phi.ravel())
+        wo = wo * BELOW
+    else:
+        wo, jacobian = from_lobe(mat, wi, q.ravel(), phi.ravel())
+    if passes(key):  # half vectors of each lobe lead to the other side as well
+        jacobian = np.where((wi[2] * wo[:, 2] < 0.0) == behind, jacobian, 0.0)
     value, pdf = bsdf.eval_pdf(key, mat, wi, wo)
     cell = jacobian * 2.0 * np.pi / (n_q * n_phi)
     cells = (pdf * cell).reshape(bins[0], fine[0], bins[1], fine[1])
@@ -145,8 +190,9 @@ def sampler_p(bsdf: Launcher, key: str, mat: dict, wi: np.ndarray, pdf_mat: dict
     mass, _ = quadrature(bsdf, key, pdf_mat, wi)
     if mass.sum() == 0.0:  # total reflection by a coat
         return float(not smooth.any())
-    q, phi = to_lobe(pdf_mat, wi, s["wo"][smooth].astype(float))
-    observed, _, _ = np.histogram2d(q, phi, bins=mass.shape, range=[(0.0, 1.0), (0.0, 2.0 * np.pi)])
+    q, phi = to_charts(key, pdf_mat, wi, s["wo"][smooth].astype(float))
+    top = 2.0 if passes(key) else 1.0
+    observed, _, _ = np.histogram2d(q, phi, bins=mass.shape, range=[(0.0, top), (0.0, 2.0 * np.pi)])
     observed = np.append(observed.ravel(), SAMPLES - smooth.sum())
     expected = SAMPLES * np.append(mass.ravel(), max(1.0 - mass.sum(), 0.0))
     return chi_square_p(observed, expected)
@@ -179,7 +225,7 @@ def test_sample_returns_the_value_and_pdf_of_its_direction(bsdf, key: str, mat: 
     drawn = s["lobe"] != LOBE_NONE
     # Without flipping, a bumped surface may look away from the viewer.
     assert drawn.any() or key == BUMPED
-    through = s["lobe"] == LOBE_DELTA_TRANSMISSION
+    through = (s["lobe"] == LOBE_DELTA_TRANSMISSION) | (passes(key) & drawn & (s["wo"][:, 2] * wi[2] < 0.0))
     assert np.all(s["eta"][drawn & ~through] == 1.0)
     if through.any():
         np.testing.assert_allclose(s["eta"][through], index_behind(mat, wi), rtol=1e-6)

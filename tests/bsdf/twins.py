@@ -129,6 +129,28 @@ def _coat(distribution: str, alpha: float, eta: float) -> tuple[float, np.ndarra
     return inside, np.array(through)
 
 
+def rough_dielectric_eval(mat: dict, wi: np.ndarray, wo: np.ndarray, distribution: str) -> np.ndarray:
+    au, av = (max(mat[name], float(np.float32(MIN_ALPHA))) for name in ("alpha_u", "alpha_v"))
+    eta = mat["ior"] if wi[2] > 0.0 else 1.0 / mat["ior"]
+    reflected = wi[2] * wo[2] > 0.0
+    h = wi + wo if reflected else wi + eta * wo
+    h = h / np.linalg.norm(h) * np.sign(h[2])
+    i, o = np.dot(wi, h), np.dot(wo, h)
+    if i * wi[2] <= 0.0 or o * wo[2] <= 0.0:
+        return np.zeros(3)
+    p, g1 = {"ggx": (lambda t: 1.0 / (1.0 + t) ** 2, _ggx_g1), "beckmann": (lambda t: np.exp(-t), _beckmann_g1)}[
+        distribution
+    ]
+    d = p(((h[0] / au) ** 2 + (h[1] / av) ** 2) / h[2] ** 2) / (np.pi * au * av * h[2] ** 4)
+    masking = g1(abs(_slope(wi, au, av))) * g1(abs(_slope(wo, au, av)))
+    fresnel = fresnel_dielectric(abs(i), eta)[0]
+    if reflected:
+        return mat["specular_reflectance"] * fresnel * d * masking / (4.0 * abs(wi[2]))
+    # The Jacobian of the half vector has eta^2, by which radiance is divided.
+    jacobian = abs(o) / (i + eta * o) ** 2
+    return mat["specular_transmittance"] * (1.0 - fresnel) * d * masking * jacobian * abs(i) / abs(wi[2])
+
+
 # --- delta lobes: direction and weight ---
 
 

@@ -35,6 +35,7 @@ TOGETHER = {
     "checkered metal": ("floor.bsdf.alpha.color?.value",),
     "blend": ("floor.bsdf.*",),
     "gilded": ("*",),
+    "rough glass": ("ball.bsdf.*",),
     "mapped": ("*",),
     "bumped": ("floor.bsdf.nested_texture.data", "floor.bsdf.scale", "floor.bsdf.nested_bsdf.*", "ceiling.to_world"),
     "mirror": ("*",),
@@ -277,6 +278,12 @@ BLEND = [
     Case("gilded", "floor.bsdf.bsdf_1.k.value", mixed, 2e-2, spp=1024, slow=True),
     Case("gilded", "floor.vertex_positions", bend, 4e-2, "bend", spp=1024, slow=True),
 ]
+ROUGH_GLASS = [
+    Case("rough glass", "ball.bsdf.specular_reflectance.value", mixed, 2e-2, depth=4, spp=64),
+    Case("rough glass", "ball.bsdf.specular_transmittance.value", mixed, 2e-2, depth=4, spp=64),
+    Case("rough glass", "ball.bsdf.alpha.value", ones, 2e-2, depth=4, spp=1024, slow=True),
+    Case("rough glass", "ball.bsdf.eta", ones, 2e-2, depth=4, spp=1024, slow=True),
+]
 TURNED = [
     Case("mapped", "floor.bsdf.normalmap.data", texel_wave, 4e-2, depth=2, spp=1024),
     Case("mapped", "floor.bsdf.nested_bsdf.alpha_u.value", ones, 2e-2, depth=2, spp=1024, slow=True),
@@ -310,5 +317,5 @@ DELTA = [
 ]
 CASES = [
     *(*PLANE, *PARALLEL, *LENS, *PROJECTED, *DOME, *GAP),
-    *(*ROUGH, *PLASTIC, *ROUGH_PLASTIC, *CHECKERED, *BLEND, *TURNED, *DELTA),
+    *(*ROUGH, *PLASTIC, *ROUGH_PLASTIC, *ROUGH_GLASS, *CHECKERED, *BLEND, *TURNED, *DELTA),
 ]

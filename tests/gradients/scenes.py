@@ -232,8 +232,8 @@ def mirror_scene():
     return {"sensor": camera([0.15, 0.1, -0.1], [1.0, 0.3, 0.2]), "room": room}
 
 
-def glass_scene():
-    glass = {"type": "dielectric", "int_ior": 1.4, "ext_ior": 1.0}
+def glass_scene(kind="dielectric", **more):
+    glass = {"type": kind, "int_ior": 1.4, "ext_ior": 1.0, **more}
     glass |= {"specular_reflectance": rgb(0.9, 0.8, 0.7), "specular_transmittance": rgb(0.7, 0.8, 0.9)}
     return {
         "sensor": camera([0.15, 0.1, -0.1], [1.0, 0.3, 0.2]),
@@ -263,6 +263,7 @@ SCENES = {
     "mapped": mapped_scene,
     "bumped": bumped_scene,
     "mirror": mirror_scene,
+    "rough glass": lambda: glass_scene("roughdielectric", alpha=0.3),
     "glass": glass_scene,
 }
 

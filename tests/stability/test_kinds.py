@@ -46,6 +46,7 @@ BSDFS = {
     "conductor": {"type": "conductor"} | METAL,
     "dielectric": {"type": "dielectric", "int_ior": 1.5},
     "plastic": {"type": "plastic", "diffuse_reflectance": 0.4},
+    "roughdielectric": {"type": "roughdielectric", "int_ior": 1.5, "alpha": 0.3},
     "roughplastic": {"type": "roughplastic", "diffuse_reflectance": 0.4, "alpha": 0.3},
     "blendbsdf": {"type": "blendbsdf", "weight": 0.4, "a": {"type": "diffuse"}, "b": {"type": "conductor"} | METAL},
 }

@@ -9,7 +9,7 @@ import numpy as np
 
 from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.boundary.specular.line_search import MAX_DEPTH
-from warp_psdr.kernels.bsdf.dispatch import has_delta_lobes, models_of
+from warp_psdr.kernels.bsdf.dispatch import has_delta_lobes, models_of, passing
 from warp_psdr.kernels.emitter.spot import MIN_FALLOFF
 from warp_psdr.options.boundary import EdgeSampling, Method, PathSpace
 from warp_psdr.plan.motion import Motion, motion
@@ -109,6 +109,12 @@ def _uncovered(scene: Scene, config: PathConfig, names: list[str], max_depth: in
     if has_delta_lobes(config.bsdfs):
         if not 0 < max_depth <= MAX_DEPTH:
             return f"discontinuities are searched through mirrors to some depth; set max_depth to {MAX_DEPTH} or less"
+    rough = passing(config.bsdfs)
+    if rough:
+        return (
+            f"a {rough!r} lets light through in a smooth lobe, through which edges and shadows are not sampled; "
+            "use a 'dielectric'"
+        )
     for key, model in zip(config.bsdfs, models_of(config.bsdfs), strict=True):
         if {c.LOBE_SMOOTH, c.LOBE_DELTA_REFLECTION, c.LOBE_DELTA_TRANSMISSION} <= set(model.lobes):
             return f"chains through a {key!r}, which is a mirror, glass and more at once, are not searched; split it up"

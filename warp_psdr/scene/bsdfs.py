@@ -57,6 +57,11 @@ def _key(bsdf: BsdfDescription) -> str:
     return key_of(bsdf.model, bsdf.variant, bsdf.children)
 
 
+def lets_through(model: Model) -> bool:
+    """Return whether light passes the surface, in a delta lobe or in a smooth one."""
+    return model.transmits or model.passes
+
+
 def build(node: dict, where: str, path: str, context: Context, *, shared: bool) -> BsdfDescription:
     """Return the scattering model of a plugin dictionary.
 
@@ -338,7 +343,7 @@ def _twosided(props: Properties) -> BsdfDescription:
     for i, (key, node, where) in enumerate(nested):
         shared = node is not props.node[key]
         side = build(node, where, f"{props.path}.brdf_{i}", props.context, shared=shared)
-        if model_of(side).transmits or side.two_sided:
+        if lets_through(model_of(side)) or side.two_sided:
             raise error(where, f"a '{node['type']}' inside 'twosided'", "nest a bsdf that reflects only")
         sides.append(side)
     front = sides[0]

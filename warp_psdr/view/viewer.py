@@ -25,7 +25,7 @@ from warp_psdr.plots import (
     tonemap,
     write_picture,
 )
-from warp_psdr.scene.bsdfs import model_of
+from warp_psdr.scene.bsdfs import lets_through, model_of
 from warp_psdr.scene.description import SceneDescription, SensorDescription, ShapeDescription, TextureDescription
 from warp_psdr.view.fields import Arrows, Field, arrows, environment_field, mesh_field, texture_field, vertex_normals
 from warp_psdr.view.panels import arrangement, draw_labels
@@ -318,7 +318,7 @@ def _draw_shapes(
             look = {"color": _LIGHT, "lighting": False}
         elif panel.fields:
             pass
-        elif model_of(shape.bsdf).transmits:
+        elif lets_through(model_of(shape.bsdf)):
             look = {"color": _GLASS, "opacity": 0.4, "specular": 0.5}
         elif texture is None:
             look = {"color": _METAL, "specular": 0.5}
