@@ -258,7 +258,7 @@ ROUGH_PLASTIC = [
     Case("rough plastic", "floor.bsdf.alpha", ones, 2e-2, depth=2, spp=512),
     Case("rough plastic", "floor.bsdf.eta", ones, 6e-2, depth=2, spp=4096, slow=True),
     Case("rough plastic", "floor.bsdf.diffuse_reflectance.value", mixed, 2e-2, depth=2, spp=512, slow=True),
-    Case("rough plastic", "floor.bsdf.specular_reflectance.value", mixed, 2e-2, depth=2, spp=512, slow=True),
+    Case("rough plastic", "floor.bsdf.specular_reflectance.value", mixed, 2e-2, depth=2, spp=2048, slow=True),
     Case("rough plastic ggx", "floor.bsdf.alpha", ones, 2e-2, depth=2, spp=2048, slow=True),
     Case("rough plastic ggx", "floor.bsdf.eta", ones, 6e-2, depth=2, spp=4096, slow=True),
     Case("rough plastic ggx", "floor.vertex_positions", bend, 4e-2, "bend", spp=1024, slow=True),
@@ -281,7 +281,7 @@ BLEND = [
 ROUGH_GLASS = [
     Case("rough glass", "ball.bsdf.specular_reflectance.value", mixed, 2e-2, depth=4, spp=64),
     Case("rough glass", "ball.bsdf.specular_transmittance.value", mixed, 2e-2, depth=4, spp=64),
-    Case("rough glass", "ball.bsdf.alpha.value", ones, 2e-2, depth=4, spp=1024, slow=True),
+    Case("rough glass", "ball.bsdf.alpha.value", ones, 4e-2, depth=2, spp=4096, slow=True),
     Case("rough glass", "ball.bsdf.eta", ones, 2e-2, depth=4, spp=1024, slow=True),
 ]
 TURNED = [
