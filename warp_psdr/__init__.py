@@ -13,6 +13,7 @@ from warp_psdr.estimate.compile import Compilation, compile
 from warp_psdr.estimate.trace import Trace, trace_sample
 from warp_psdr.image import Image
 from warp_psdr.invalid import invalid_samples
+from warp_psdr.moment import render_moment
 from warp_psdr.options.integrator import PathIntegrator
 from warp_psdr.options.methods import methods
 from warp_psdr.plan.plan import Plan, plan
@@ -66,6 +67,7 @@ __all__ = [
     "render_aov",
     "render_backward",
     "render_forward",
+    "render_moment",
     "set_ray_backend",
     "set_workers",
     "trace_sample",

@@ -21,7 +21,7 @@ MITSUBA: dict[str, tuple[str, ...]] = {
     "rfilter": ("catmullrom", "lanczos", "mitchell"),
     "sampler": ("halton", "hammersley"),
     "integrator": (
-        *("volpath", "volpathmis", "prbvolpath", "ptracer", "depth", "moment"),
+        *("volpath", "volpathmis", "prbvolpath", "ptracer", "depth"),
         *("stokes", "volprim_rf_basic", "bdpt", "photonmapper", "ppm", "sppm", "pssmlt", "mlt", "erpt", "vpl"),
         *("adaptive", "irrcache", "multichannel"),
     ),
@@ -46,7 +46,6 @@ INSTEAD: dict[str, dict[str, str]] = {
         "prbvolpath": "without media, 'prb' computes the same image and gradients",
         "ptracer": "'path' computes the same image, from the camera instead of from the lights",
         "depth": "give 'path' and call psdr.render_aov(scene, ['depth'])",
-        "moment": "give the integrator nested in it, render several seeds, and take the mean of the images' squares",
     },
 }
 

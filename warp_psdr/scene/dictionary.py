@@ -166,6 +166,8 @@ def _integrator(node: dict, where: str, context: Context) -> dict[str, Any]:
     props = Properties(node, where, "integrator", context)
     if props.type == "aov":
         return _aov(props, context)
+    if props.type == "moment":
+        return _moment(props, context)
     direct = "direct" in props.type
     max_depth = 2 if direct else props.integer("max_depth", _DEPTHS.get(props.type, -1), minimum=-1)
     result = {
@@ -193,6 +195,15 @@ def _aov(props: Properties, context: Context) -> dict[str, Any]:
     if "aovs" in inner:
         raise error(nested[0][2], "an 'aov' in an 'aov'", "list its channels in the outer one")
     return {**inner, "aovs": listed}
+
+
+def _moment(props: Properties, context: Context) -> dict[str, Any]:
+    """Return the description of the integrator nested in a ``moment``."""
+    nested = props.children("integrator")
+    if len(nested) != 1:
+        raise error(props.where, f"{len(nested)} integrators in 'moment'", "nest one")
+    props.finish()
+    return _integrator(nested[0][1], nested[0][2], context)
 
 
 def _register(node: dict, where: str, context: Context, open_nodes: list[int]) -> None:

@@ -1,0 +1,74 @@
+"""Second moments of an image's samples, Mitsuba's ``moment`` integrator."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import warp as wp
+
+from warp_psdr.estimate.arguments import checked_seed, sample_count
+from warp_psdr.estimate.passes import STREAM_PRIMAL, Progress, boxed, splats
+from warp_psdr.image import Image
+from warp_psdr.invalid import warns
+from warp_psdr.kernels.rng import mix_seed
+from warp_psdr.plan.integrator import integrator_of
+from warp_psdr.plan.plan import decide
+
+if TYPE_CHECKING:
+    from warp_psdr.options.integrator import PathIntegrator
+    from warp_psdr.scene.scene import Scene
+
+
+@warns
+def render_moment(
+    scene: Scene,
+    *,
+    sensor: int | str = 0,
+    integrator: PathIntegrator | dict | str | None = None,
+    spp: int | None = None,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> tuple[Image, wp.array]:
+    """Render an image and the mean of its samples' squares, from which the variance of a sample follows.
+
+    With the image m and the second moment q of N samples a pixel, (q - m^2) / (N - 1) estimates the variance of m.
+    Samples are independent: those of one pixel are not stratified, so the image itself is noisier than that of
+    ``render``. Each is a pass of its own over the image, which takes longer for small images.
+
+    Args:
+        scene: a loaded scene.
+        sensor: which camera, by its number or its id.
+        integrator: as for ``render``; default: the one nested in the ``moment`` of the scene's file.
+        spp: samples a pixel, N; default: the sensor's sample count.
+        seed: equal seeds give equal bits.
+        progress: called with the finished fraction.
+
+    Returns:
+        The image, W/m^2/sr, and the second moment, its unit squared; both ``wp.array2d`` of vec3, (H, W) of the crop
+        window.
+
+    Raises:
+        ValueError: an option is out of range, or the camera's filter lets a sample count for several pixels.
+    """
+    number = scene.description.sensor_number(sensor)
+    camera = scene.camera(number)
+    if splats(camera):
+        raise ValueError(
+            "render_moment: samples count for several pixels, and a pixel has no moments of its own; "
+            "give the film a 'box' filter"
+        )
+    spp, seed = sample_count(scene, number, spp), checked_seed(seed)
+    plan = decide(scene, integrator=integrator_of(scene, integrator), sensor=number)
+    shape = (camera.crop_height, camera.crop_width)
+    sums = np.zeros((2, *shape, 3))
+    for n in range(spp):
+        one = Image(shape, scene.device)
+        boxed(scene, plan, number, 1, mix_seed(mix_seed(seed, STREAM_PRIMAL), n), one)
+        values = one.numpy().astype(np.float64)
+        sums += values, values * values
+        if progress is not None:
+            progress((n + 1) / spp)
+    image = Image(shape, scene.device)
+    image.assign((sums[0] / spp).astype(np.float32))
+    return image, wp.array((sums[1] / spp).astype(np.float32), dtype=wp.vec3, device=scene.device)
