@@ -32,6 +32,9 @@ NEEDED: dict[str, dict] = {
     "envmap": {"filename": "FILE.png"},
     "thinlens": {"aperture_radius": 0.1},
     "aov": {"aovs": "d:depth"},
+    "shapegroup": {"cube": {"type": "cube"}},
+    "instance": {"shapegroup": {"type": "shapegroup", "cube": {"type": "cube"}}},
+    "merge": {"shape": {"type": "cube"}},
     "mesh": {"vertices": np.eye(3), "faces": [[0, 1, 2]]},
     **{kind: {"filename": f"FILE.{kind}"} for kind in ("obj", "ply", "serialized", "gltf", "glb", "stl", "off")},
 }
@@ -107,7 +110,7 @@ def _load(category: str, name: str, parameters: dict) -> tuple[list[str], list[s
     if name == "irradiancemeter":  # it has no values; those of its shape are not its own
         found = []
     if category == "shape":
-        found = [n for n in found if not n.startswith("bsdf.")]
+        found = [n for n in found if "bsdf." not in n]
     elif category not in ("texture", "bsdf", "emitter", "sensor"):
         found = []
     return [a for a in asked if not a.startswith("_arg_")], found
@@ -143,6 +146,8 @@ def _scene(category: str, plugin: dict) -> dict:
         scene["body"], scene["probe"] = shape, plugin
     elif category == "shape":
         scene["probe"] = plugin
+        if plugin["type"] == "shapegroup":  # which is not there until an instance is
+            scene["instance"] = {"type": "instance", "shapegroup": {"type": "ref", "id": "probe"}}
     return scene
 
 

@@ -142,3 +142,76 @@ def pose_shape_jvp(
     add_vec3(tangent_out, position_offset + 3 * i, position)
     if normal_offset >= 0:
         add_vec3(tangent_out, normal_offset + 3 * i, normal)
+
+
+@wp.kernel(module=DERIVED_VJP, enable_backward=False)
+def local_shape_vjp(
+    # In:
+    values: wp.array(dtype=wp.float32),
+    local_positions: wp.array(dtype=wp.vec3),
+    local_normals: wp.array(dtype=wp.vec3),
+    to_world: wp.int32,
+    position_offset: wp.int32,
+    normal_offset: wp.int32,
+    grad: wp.array(dtype=wp.float32),
+    # In and out:
+    positions_out: wp.array(dtype=wp.float64),
+    normals_out: wp.array(dtype=wp.float64),
+):
+    """Add the gradient of the local positions and normals, given the flat gradient of those in the world."""
+    i = wp.tid()
+    m = load_mat44(values, to_world)
+    _m, g, _a = wp.grad(moved_point_dot)(m, local_positions[i], load_vec3(grad, position_offset + 3 * i))
+    for axis in range(3):
+        positions_out[3 * i + axis] = positions_out[3 * i + axis] + wp.float64(g[axis])
+    if normal_offset >= 0:
+        _n, h, _b = wp.grad(normal_dot)(m, local_normals[i], load_vec3(grad, normal_offset + 3 * i))
+        for axis in range(3):
+            normals_out[3 * i + axis] = normals_out[3 * i + axis] + wp.float64(h[axis])
+
+
+@wp.kernel(module=DERIVED_VJP, enable_backward=False)
+def add_sums(
+    # In:
+    sums: wp.array(dtype=wp.float64),
+    offset: wp.int32,
+    # In and out:
+    grad_out: wp.array(dtype=wp.float32),
+):
+    """Add float64 sums to a stretch of the flat gradient."""
+    i = wp.tid()
+    grad_out[offset + i] = wp.float32(wp.float64(grad_out[offset + i]) + sums[i])
+
+
+@wp.kernel(module=DERIVED_JVP, enable_backward=False)
+def local_shape_jvp(
+    # In:
+    values: wp.array(dtype=wp.float32),
+    local_positions: wp.array(dtype=wp.vec3),
+    local_normals: wp.array(dtype=wp.vec3),
+    to_world: wp.int32,
+    position_offset: wp.int32,
+    normal_offset: wp.int32,
+    local_position_offset: wp.int32,
+    local_normal_offset: wp.int32,
+    # In and out:
+    tangent_out: wp.array(dtype=wp.float32),
+):
+    """Add the tangents of positions and normals in the world, given those of the local ones in the same flat array."""
+    i = wp.tid()
+    m = load_mat44(values, to_world)
+    dp = load_vec3(tangent_out, local_position_offset + 3 * i)
+    position = wp.vec3(0.0, 0.0, 0.0)
+    normal = wp.vec3(0.0, 0.0, 0.0)
+    for axis in range(3):
+        e = wp.vec3(0.0, 0.0, 0.0)
+        e[axis] = 1.0
+        _m, g, _a = wp.grad(moved_point_dot)(m, local_positions[i], e)
+        position[axis] = wp.dot(g, dp)
+        if normal_offset >= 0:
+            dn = load_vec3(tangent_out, local_normal_offset + 3 * i)
+            _n, h, _b = wp.grad(normal_dot)(m, local_normals[i], e)
+            normal[axis] = wp.dot(h, dn)
+    add_vec3(tangent_out, position_offset + 3 * i, position)
+    if normal_offset >= 0:
+        add_vec3(tangent_out, normal_offset + 3 * i, normal)

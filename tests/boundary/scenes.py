@@ -102,6 +102,16 @@ def checkers():
     return {"type": "diffuse", "reflectance": texture}
 
 
+def instances():
+    """Two occluders of one group, the second stretched and mirrored."""
+    poses = {"one": T.translate([0.6, 0.1, 0.9]), "two": T.translate([-0.6, 0.0, 0.8]) @ T.scale([1.0, -0.8, 1.3])}
+    group = {"type": "shapegroup", "ball": ball((0.0, 0.0, 0.0), 0.4, diffuse(0.5, 0.4, 0.6))}
+    made = {n: {"type": "instance", "g": {"type": "ref", "id": "group"}, "to_world": p} for n, p in poses.items()}
+    scene = under(panel((0.5, -0.3, 2.2), 0.35)) | {"group": group, **made}
+    del scene["occluder"]
+    return scene
+
+
 def spot():
     return {
         "type": "spot",
@@ -191,6 +201,7 @@ SCENES = {
             "irradiance": {"type": "rgb", "value": [3.0, 2.5, 2.0]},
         }
     ),
+    "instances": instances,
     "room": room,
     "floating": lambda: room(0.1),
     "rough": lambda: under(panel((0.5, -0.3, 2.2), 0.35)) | {"floor": floor(bsdf=rough(0.2))},

@@ -72,6 +72,10 @@ CASES = [
     Case("soft", PANEL, scaled, 0.04, "light scales"),
     Case("sky", OCCLUDER, ALONG, 0.01, "occluder moves", difference_spp=8192),
     Case("envmap", OCCLUDER, ALONG, 0.01, "occluder moves", spp=512, difference_spp=8192),
+    # Copies that follow one shape, and one pose.
+    Case("instances", "group.ball.vertex_positions", ALONG, 0.01, "the shape of both moves", difference_spp=4096),
+    Case("instances", "group.ball.vertex_positions", scaled, 0.02, "the shape of both scales", difference_spp=4096),
+    Case("instances", "two.to_world", ALONG, 0.01, "the mirrored one moves", difference_spp=4096),
     # A texture with steps at rest, which the moving shape shows, hides, shadows and is lit by.
     Case("checkered", OCCLUDER, ALONG, 0.01, "occluder moves", depth=3, spp=512, difference_spp=4096),
     # Hard shadows.

@@ -38,6 +38,7 @@ TOGETHER = {
     "rough glass": ("ball.bsdf.*",),
     "mapped": ("*",),
     "bumped": ("floor.bsdf.nested_texture.data", "floor.bsdf.scale", "floor.bsdf.nested_bsdf.*", "ceiling.to_world"),
+    "instanced": ("group.sheet.vertex_positions", "floor.to_world"),
     "mirror": ("*",),
     "glass": ("*",),
 }
@@ -293,6 +294,10 @@ TURNED = [
     Case("bumped", "floor.bsdf.scale", ones, 4e-2, depth=2, spp=1024, slow=True),
     Case("bumped", "ceiling.to_world", shift(0.0, 0.0, 1.0), 4e-2, "along the normal", depth=2, spp=1024, slow=True),
 ]
+INSTANCED = [
+    Case("instanced", "group.sheet.vertex_positions", bend, 8e-2, "bend", depth=4, spp=1024, slow=True),
+    Case("instanced", "floor.to_world", shift(0.0, 0.0, 1.0), 4e-2, "along the normal", depth=4, spp=1024, slow=True),
+]
 DELTA = [
     Case("mirror", "room.bsdf.specular_reflectance.value", ones, 1e-2, depth=4),
     Case("mirror", "room.bsdf.eta.value", mixed, 1e-2, depth=4),
@@ -317,5 +322,5 @@ DELTA = [
 ]
 CASES = [
     *(*PLANE, *PARALLEL, *LENS, *PROJECTED, *DOME, *GAP),
-    *(*ROUGH, *PLASTIC, *ROUGH_PLASTIC, *ROUGH_GLASS, *CHECKERED, *BLEND, *TURNED, *DELTA),
+    *(*ROUGH, *PLASTIC, *ROUGH_PLASTIC, *ROUGH_GLASS, *CHECKERED, *BLEND, *TURNED, *INSTANCED, *DELTA),
 ]

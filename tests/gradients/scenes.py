@@ -67,6 +67,10 @@ def ceiling(**more):
     }
 
 
+def ref(name):
+    return {"type": "ref", "id": name}
+
+
 def rgb(*values):
     return {"type": "rgb", "value": list(values)}
 
@@ -223,6 +227,14 @@ def bumped_scene():
     return turned_floor("bumpmap", "heights", noise(4, 4, 1, low=0.0, high=0.08, seed=11), scale=1.2)
 
 
+def instanced_scene():
+    """``gap`` whose floor is the instance of a group, smooth, stretched, sheared and mirrored."""
+    scene = gap_scene({"type": "diffuse", "reflectance": rgb(0.8, 0.6, 0.5)})
+    pose = np.array([[-1.0, 0.1, 0.0, 0.05], [0.05, 1.2, 0.0, 0.0], [0.0, 0.0, 1.5, 0.02], [0.0, 0.0, 0.0, 1.0]])
+    group = {"type": "shapegroup", "sheet": scene.pop("floor")}
+    return {**scene, "group": group, "floor": {"type": "instance", "group": ref("group"), "to_world": pose}}
+
+
 def mirror_scene():
     room = ball(True, bsdf={"type": "conductor", "material": "Au"})
     room["vertex_radiance"] = (1.0 + 0.6 * np.sin(room["vertices"] @ noise(3, 3, low=-2.0, high=2.0, seed=6))).astype(
@@ -255,6 +267,7 @@ SCENES = {
     "brushed ggx": lambda: brushed_scene("ggx"),
     "plastic": plastic_scene,
     "checkered": checkered_scene,
+    "instanced": instanced_scene,
     "checkered metal": checkered_metal_scene,
     "blend": blend_scene,
     "gilded": gilded_scene,

@@ -154,7 +154,8 @@ def slides_steps(scene: Scene, name: str) -> bool:
     """Whether a parameter, texture coordinates or their transformation, slides a texture that has steps."""
     parameter, b = scene.parameters[name], scene.builder
     if TEXCOORDS in parameter.uses:
-        return any(t.kind == c.TEXTURE_FACE or has_steps(t) for t in b.textures_of(b.shapes[parameter.owner]))
+        read = [t for shape in parameter.owners for t in b.textures_of(b.shapes[shape])]
+        return any(t.kind == c.TEXTURE_FACE or has_steps(t) for t in read)
     return TO_UV in parameter.uses and any(has_steps(t) and t.to_uv == parameter.offset for t in b.textures)
 
 

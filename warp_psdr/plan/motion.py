@@ -38,7 +38,7 @@ class Motion:
 
 def motion(scene: Scene, names: list[str]) -> Motion:
     """Return what the named parameters move."""
-    uses = [(scene.parameters[n].uses, scene.parameters[n].owner) for n in names]
+    uses = [(scene.parameters[n].uses, shape) for n in names for shape in scene.parameters[n].owners]
     return Motion(
         shapes=frozenset(owner for use, owner in uses if use & {POSITIONS, SHAPE_POSE}),
         camera=any(CAMERA in use for use, _owner in uses),

@@ -335,7 +335,7 @@ def _shapes(scene: Scene, names: list[str]) -> frozenset[int] | None:
     for name in names:
         parameter = scene.parameters[name]
         if parameter.uses <= {POSITIONS, NORMALS, TEXCOORDS, SHAPE_POSE}:
-            found.add(parameter.owner)
+            found.update(parameter.owners)
         elif all(use.startswith(MATERIAL) for use in parameter.uses):
             users = [
                 i
@@ -381,7 +381,7 @@ def _discontinuities(scene: Scene, config: PathConfig, names: list[str]) -> list
             reasons.append(f"{name} moves {lights[name]}")
         elif NORMALS in uses and delta:
             reasons.append(f"{name} moves what is seen in smooth mirrors and glass")
-        elif NORMALS in uses and config.scatter and _bent(scene, scene.parameters[name].owner):
+        elif NORMALS in uses and config.scatter and any(_bent(scene, shape) for shape in scene.parameters[name].owners):
             reasons.append(f"{name} moves the curves where interpolated normals turn away")
         elif slides_steps(scene, name):
             reasons.append(f"{name} slides a texture with steps")

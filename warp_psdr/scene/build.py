@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -62,6 +63,17 @@ CAMERAS = {
 Placed = tuple[structs.Texture, tuple[int, int]]
 
 
+@dataclass(eq=False)
+class Prototype:
+    """A shape of a group: where its values start, and the numbers of the shapes that are copies of it."""
+
+    description: ShapeDescription
+    positions: int
+    normals: int  #: -1: none
+    texcoords: int  #: -1: none
+    copies: list[int] = field(default_factory=list)
+
+
 def _reads_mesh(t: TextureDescription) -> bool:
     """Whether a texture reads an attribute of the shape that it is on."""
     return any(leaf.kind == "mesh_attribute" for leaf in t.leaves)
@@ -89,6 +101,9 @@ class Builder:
         self.anisotropic: set[int] = set()  #: numbers of materials that need dp/du
         self.bumped: set[int] = set()  #: numbers of materials that read how a texture rises
         self.heights: set[int] = set()  #: numbers of the bitmaps that bump maps read
+        self.prototypes: list[Prototype] = []
+        self.pose_of: dict[int, str] = {}  #: shape with a pose -> name of the pose
+        self._prototype_index: dict[int, int] = {}
         self._texture_index: dict[tuple[int, int], int] = {}
         self._absent_index: dict[float, int] = {}
         self._bsdf_keys: list[str] = []
@@ -113,9 +128,12 @@ class Builder:
         # Positions of all shapes first and in one stretch: the ray structure reads them in place.
         self.positions = self.layout.add_values(np.zeros(0))
         for number, s in enumerate(shapes):
-            offset = self.layout.add(
-                f"{s.path}.vertex_positions", s.vertices, POSITIONS, dtype=wp.vec3, owner=number, placed=True
-            )
+            if s.prototype is not None:
+                offset = self.layout.add_values(s.vertices)
+            else:
+                offset = self.layout.add(
+                    f"{s.path}.vertex_positions", s.vertices, POSITIONS, dtype=wp.vec3, owner=number, placed=True
+                )
             record = structs.Shape()
             record.emitter = -1
             record.orientation = -1.0 if s.flip_normals else 1.0
@@ -131,7 +149,10 @@ class Builder:
         self.indices = np.concatenate(faces)
         self.face_shape = np.concatenate(face_shape)
         for number, (s, record) in enumerate(zip(shapes, self.shapes, strict=True)):
-            self._shape_values(s, record, number)
+            if s.prototype is not None:
+                self._copy_values(s, s.prototype, record, number)
+            else:
+                self._shape_values(s, record, number)
 
     def _shape_values(self, s: ShapeDescription, record, number: int) -> None:
         if s.normals is not None:
@@ -144,6 +165,46 @@ class Builder:
             record.uv_offset = offset - 2 * record.first_vertex
         if s.to_world is not None:
             self.layout.add(f"{s.path}.to_world", s.to_world, SHAPE_POSE, owner=number, placed=True)
+            self.pose_of[number] = f"{s.path}.to_world"
+
+    def _copy_values(self, s: ShapeDescription, source: ShapeDescription, record, number: int) -> None:
+        """Lay out what a copy by an instance has of its own, and what it shares unless another copy has."""
+        if id(source) not in self._prototype_index:
+            self._prototype_index[id(source)] = len(self.prototypes)
+            self.prototypes.append(self._prototype(source, len(self.prototypes), number))
+        prototype = self.prototypes[self._prototype_index[id(source)]]
+        prototype.copies.append(number)
+        if s.normals is not None:
+            record.smooth = 1
+            record.normal_offset = self.layout.add_values(s.normals) - 3 * record.first_vertex
+        if prototype.texcoords >= 0:
+            record.has_uv = 1
+            record.uv_offset = prototype.texcoords - 2 * record.first_vertex
+        for kind in ("vertex_positions", "vertex_normals", "vertex_texcoords"):
+            if f"{source.path}.{kind}" in self.layout.parameters:
+                self.layout.parameters[f"{source.path}.{kind}"].copies += (number,)
+        name = f"{s.instance}.to_world"
+        if name not in self.layout.parameters:
+            assert s.to_world is not None
+            self.layout.add(name, s.to_world, SHAPE_POSE, owner=number, placed=True)
+        self.layout.parameters[name].copies += (number,)
+        self.pose_of[number] = name
+
+    def _prototype(self, s: ShapeDescription, index: int, owner: int) -> Prototype:
+        """Lay out a shape of a group."""
+        offsets: list[int] = []
+        for kind, values, use, dtype in (
+            ("vertex_positions", s.vertices, POSITIONS, wp.vec3),
+            ("vertex_normals", s.normals, NORMALS, wp.vec3),
+            ("vertex_texcoords", s.texcoords, TEXCOORDS, wp.vec2),
+        ):
+            offsets.append(-1)
+            if values is not None:
+                name = f"{s.path}.{kind}"
+                offsets[-1] = self.layout.add(name, values, use, dtype=dtype, owner=owner)
+                self.layout.parameters[name].prototype = index
+        positions, normals, texcoords = offsets
+        return Prototype(s, positions, normals, texcoords)
 
     # -- textures and materials ------------------------------------------------------------------------------------
 
@@ -247,7 +308,7 @@ class Builder:
         return record, (offset, values.size)
 
     def _attribute_name(self, t: TextureDescription, shape: int) -> str:
-        return f"{self.description.shapes[shape].path}.{t.attribute}"
+        return f"{self.description.shapes[shape].source}.{t.attribute}"
 
     def _bsdf(self, b: BsdfDescription, shape: int) -> int:
         reads_mesh = any(_reads_mesh(t) for t in b.textures.values()) or (

@@ -59,6 +59,8 @@ class Context:
         self.base = base
         self.roots = _roots(base, allow_outside)
         self._numbers = 0
+        #: Triangles of all instances so far.
+        self.instanced = 0
         self.search_paths: list[Path] = []
         self.notes: list[str] = []
         self.named: dict[str, dict] = {}

@@ -14,6 +14,8 @@ from warp_psdr.device import launch
 from warp_psdr.kernels.shape.normals import (
     normalization_jvp,
     normalization_vjp,
+    normalize_sums,
+    sum_normals,
     sum_normals_jvp,
     sum_normals_vjp,
 )
@@ -24,13 +26,36 @@ if TYPE_CHECKING:
     from warp_psdr.scene.scene import Scene
 
 
+def sum_of_normals(
+    scene: Scene, positions: int, indices: wp.array, face: int, faces: int, vertex: int, vertices: int, normals: int
+) -> wp.array:
+    """Return the unnormalised normals of vertices.
+
+    Args:
+        scene: the scene.
+        positions: flat offset of the position of vertex 0.
+        indices: vertices of triangles, flat.
+        face: the first triangle.
+        faces: how many.
+        vertex: the first vertex.
+        vertices: how many.
+        normals: flat offset where the unit normals are written; -1: they are not.
+    """
+    sums = wp.zeros(3 * vertices, dtype=wp.float32, device=scene.device)
+    inputs = [scene.values, positions, indices, face, vertex]
+    launch(sum_normals, dim=faces, inputs=inputs, outputs=[sums], device=scene.device)
+    if normals >= 0:
+        launch(normalize_sums, dim=vertices, inputs=[sums, normals], outputs=[scene.values], device=scene.device)
+    return sums
+
+
 def derived_ranges(scene: Scene, names: list[str]) -> list[tuple[int, int]]:
     """Flat (offset, size) of the vertices and normals whose gradients ``pull_derived`` reads."""
     ranges = []
     for shape in scene.derived_normals(names):
         record = scene.builder.shapes[shape]
         ranges.append((record.normal_offset + 3 * record.first_vertex, 3 * record.vertex_count))
-    for shape in _posed(scene, names):
+    for shape in sorted({*_posed(scene, names), *scene.instances.following(names)}):
         _to_world, positions, normals = scene.pose_offsets(shape)
         size = 3 * scene.builder.shapes[shape].vertex_count
         ranges.append((positions, size))
@@ -67,6 +92,7 @@ def pull_derived(scene: Scene, names: list[str], grad: wp.array) -> None:
             device=device,
         )
         launch(add_pose, dim=(3, 4), inputs=[pose, offsets[0]], outputs=[grad], device=device)
+    scene.instances.pull(names, grad)
     for shape in scene.derived_normals(names):
         record = scene.builder.shapes[shape]
         sums = scene.normal_sums(shape, write=False)
@@ -115,6 +141,7 @@ def accumulate_derived(scene: Scene, names: list[str], tangent: wp.array) -> Non
             outputs=[tangent],
             device=device,
         )
+    scene.instances.push(names, tangent)
     for shape in _posed(scene, names):
         record = scene.builder.shapes[shape]
         vertices, normals = scene.local_geometry(shape)
@@ -128,4 +155,4 @@ def accumulate_derived(scene: Scene, names: list[str], tangent: wp.array) -> Non
 
 
 def _posed(scene: Scene, names: list[str]) -> list[int]:
-    return sorted({scene.parameters[n].owner for n in names if SHAPE_POSE in scene.parameters[n].uses})
+    return sorted({s for n in names if SHAPE_POSE in scene.parameters[n].uses for s in scene.parameters[n].owners})

@@ -97,7 +97,16 @@ class ShapeDescription:
     local_vertices: np.ndarray | None = None  #: (N, 3)
     local_normals: np.ndarray | None = None  #: (N, 3)
     sensor: SensorDescription | None = None  #: an irradiance meter
+    #: A copy of a shape of a group: that shape, in the group's space, whose values all copies share; and the path of
+    #: the instance, whose ``to_world`` they have.
+    prototype: ShapeDescription | None = None
+    instance: str = ""
     repairs: dict[str, int] = field(default_factory=dict)  #: e.g. {"zero-area triangles dropped": 3}
+
+    @property
+    def source(self) -> str:
+        """Path under which its vertices and attributes are listed."""
+        return self.path if self.prototype is None else self.prototype.path
 
 
 @dataclass(eq=False)

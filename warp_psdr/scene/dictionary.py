@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from . import bsdfs, emitters, sensors, shapes, textures
+from . import bsdfs, emitters, groups, sensors, textures
 from .aovs import parse_aovs
 from .context import Context, Outside
 from .description import SceneDescription
@@ -134,12 +134,12 @@ def _add(result: SceneDescription, node: dict, where: str, name: str, context: C
     """Build one top-level plugin and file it."""
     category = category_of(node, where)
     if category == "shape":
-        shape = shapes.build(node, where, name, context)
-        result.shapes.append(shape)
-        if shape.emitter is not None:
-            result.emitters.append(shape.emitter)
-        if shape.sensor is not None:
-            result.sensors.append(shape.sensor)
+        for shape in groups.build(node, where, name, context):
+            result.shapes.append(shape)
+            if shape.emitter is not None:
+                result.emitters.append(shape.emitter)
+            if shape.sensor is not None:
+                result.sensors.append(shape.sensor)
     elif category == "emitter" and node["type"] == "area":
         light = emitters.build_area(node, where, name, context, shared=True)
         context.area_lights.append((light, where))  # shines from the shape that refers to it

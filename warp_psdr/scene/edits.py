@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
-from warp_psdr.scene.layout import BRIGHTNESS, Parameter
+from warp_psdr.scene.layout import BRIGHTNESS, POSITIONS, Parameter
 
 
 @dataclass(frozen=True)
@@ -22,7 +22,7 @@ class State:
 
 def has_results(p: Parameter) -> bool:
     """Return whether the scene keeps anything that follows from a parameter: triangles, places, lights' power."""
-    return p.placed or bool(p.uses & BRIGHTNESS)
+    return p.placed or (p.prototype >= 0 and POSITIONS in p.uses) or bool(p.uses & BRIGHTNESS)
 
 
 class Edits:

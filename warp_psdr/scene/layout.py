@@ -37,7 +37,15 @@ class Parameter:
     bounds: tuple[float, float]
     uses: set[str] = field(default_factory=set)
     owner: int = -1  #: shape or emitter number, for updates
+    #: Numbers of all shapes whose values these are, or which they move: copies, by instances, of one in a group.
+    copies: tuple[int, ...] = ()
+    prototype: int = -1  #: values of a shape in a group: its number in ``Builder.prototypes``
     placed: bool = False  #: a position or a pose: relative to the scene's origin on the device (``origin``)
+
+    @property
+    def owners(self) -> tuple[int, ...]:
+        """Numbers of the shapes that these values belong to."""
+        return self.copies or (self.owner,)
 
     @property
     def size(self) -> int:

@@ -77,7 +77,7 @@ def check_independent(scene: Scene, names: Iterable[str]) -> None:
         followers = []
         if kind == "to_world":
             followers = ["vertex_positions", "vertex_normals"]
-        if kind == "vertex_positions" and scene.derived_normals([name]):
+        if kind == "vertex_positions" and (scene.derived_normals([name]) or scene.instances.derived_normals([name])):
             followers = ["vertex_normals"]
         for follower in (f"{base}.{f}" for f in followers):
             if follower in given:
@@ -175,7 +175,8 @@ class Parameters(Mapping):
 
         Args:
             *names: what was changed. Without names: what was assigned, and what differs from what the scene followed
-                last, since kernels or ``assign`` wrote it in place (a checksum of positions, poses and lights tells).
+                last, since kernels or ``assign`` wrote it in place (a checksum of positions, poses and lights tells;
+                normals of a shape in a group, which its instances follow, have to be named).
         """
         for name in names:
             self._parameter(name)

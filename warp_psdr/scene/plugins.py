@@ -23,6 +23,7 @@ PLUGINS: dict[str, tuple[str, ...]] = {
     "shape": (
         *("rectangle", "cube", "sphere", "disk", "cylinder"),
         *("obj", "ply", "serialized", "gltf", "glb", "stl", "off", "mesh"),
+        *("shapegroup", "instance", "merge"),
     ),
     "bsdf": (*(model.plugin for model in (*MODELS, *COMPOSITES)), "twosided"),
     "texture": (

@@ -15,13 +15,14 @@ from warp_psdr.kernels import structs
 from warp_psdr.kernels.bsdf.dispatch import has_delta_lobes
 from warp_psdr.kernels.invalid import COUNTER_SIZE
 from warp_psdr.kernels.lanes.lanes import ROOM
-from warp_psdr.kernels.shape.normals import normalize_sums, sum_normals
 from warp_psdr.kernels.shape.transform import pose_shape
 from warp_psdr.kernels.step import RAY_EPSILON
 from warp_psdr.kernels.surface import update_triangles
 from warp_psdr.scene.acceleration import Accelerator
 from warp_psdr.scene.build import Builder
+from warp_psdr.scene.derived_values import sum_of_normals
 from warp_psdr.scene.edits import Edits, State, has_results
+from warp_psdr.scene.instances import Instances
 from warp_psdr.scene.layout import BRIGHTNESS, NORMALS, POSITIONS, SHAPE_POSE, Parameter, struct_array
 from warp_psdr.scene.lights import Lights
 from warp_psdr.scene.origin import COLLAPSING
@@ -104,8 +105,10 @@ class Scene:
         self._local = {
             i: (self._vectors(s.local_vertices), self._vectors(s.local_normals))
             for i, s in enumerate(description.shapes)
-            if s.to_world is not None
+            if s.to_world is not None and s.prototype is None
         }
+        self.instances = Instances(self)
+        self._local |= self.instances.local_geometry()
         self.triangles = wp.zeros(max(self.face_count, 1), dtype=structs.Triangle, device=self.device)
         self._shapes = struct_array(structs.Shape, builder.shapes, self.device)
         self._bsdfs = struct_array(structs.Bsdf, builder.bsdfs, self.device)
@@ -297,13 +300,15 @@ class Scene:
         changed = [self.parameters[name] for name in names]
         for p in changed:
             self._world.take_over(p, self.radius)
-        placed = {p.owner for p in changed if POSITIONS in p.uses}
-        shaded = {p.owner for p in changed if NORMALS in p.uses}
-        posed = {p.owner for p in changed if SHAPE_POSE in p.uses} - placed
+        placed = {p.owner for p in changed if POSITIONS in p.uses and p.prototype < 0}
+        shaded = {p.owner for p in changed if NORMALS in p.uses and p.prototype < 0}
+        posed = {shape for p in changed if SHAPE_POSE in p.uses for shape in p.owners} - placed
+        posed |= self.instances.follow(changed, posed)
         moved = posed | placed
         for shape in sorted(posed):
             self._pose(shape, shape not in shaded)
         followed = [f"{self.description.shapes[i].path}.vertex_positions" for i in sorted(posed)]
+        followed = [name for name in followed if name in self.parameters] + self.instances.followed(names)
         self._world.show(self.parameters[name] for name in followed)
         for shape in sorted(moved):
             description = self.description.shapes[shape]
@@ -315,9 +320,9 @@ class Scene:
 
     def _renew(self, changed: list[Parameter]) -> None:
         """Recompute what depends on values, but for other values."""
-        if any(p.uses & {POSITIONS, NORMALS} for p in changed):
+        if any(p.uses & {POSITIONS, NORMALS, SHAPE_POSE} for p in changed):
             self._shades_flat = None
-        moved = {p.owner for p in changed if POSITIONS in p.uses}
+        moved = {shape for p in changed if p.uses & {POSITIONS, SHAPE_POSE} for shape in p.owners}
         if moved:
             self._update_triangles(sorted(moved))
             self.accelerator.update()
@@ -372,7 +377,7 @@ class Scene:
     def pose_offsets(self, shape: int) -> tuple[int, int, int]:
         """Flat offsets of a posed shape's matrix, of its first position and of its first normal (-1: flat)."""
         record = self.builder.shapes[shape]
-        to_world = self.parameters[f"{self.description.shapes[shape].path}.to_world"].offset
+        to_world = self.parameters[self.builder.pose_of[shape]].offset
         normals = record.normal_offset + 3 * record.first_vertex if record.smooth else -1
         return to_world, self.positions + 3 * record.first_vertex, normals
 
@@ -382,24 +387,9 @@ class Scene:
 
     def normal_sums(self, shape: int, *, write: bool) -> wp.array:
         """Return the unnormalised vertex normals of a shape; ``write``: update its normals from them."""
-        record = self.builder.shapes[shape]
-        sums = wp.zeros(3 * record.vertex_count, dtype=wp.float32, device=self.device)
-        launch(
-            sum_normals,
-            dim=record.face_count,
-            inputs=[self.values, self.positions, self.indices, record.first_face, record.first_vertex],
-            outputs=[sums],
-            device=self.device,
-        )
-        if write:
-            launch(
-                normalize_sums,
-                dim=record.vertex_count,
-                inputs=[sums, record.normal_offset + 3 * record.first_vertex],
-                outputs=[self.values],
-                device=self.device,
-            )
-        return sums
+        s = self.builder.shapes[shape]
+        faces = (self.indices, s.first_face, s.face_count, s.first_vertex, s.vertex_count)
+        return sum_of_normals(self, self.positions, *faces, s.normal_offset + 3 * s.first_vertex if write else -1)
 
     def _update_triangles(self, shapes: Iterable[int]) -> None:
         for shape in shapes:
@@ -482,7 +472,7 @@ class Scene:
         shapes = set()
         for name in names:
             p = self.parameters[name]
-            if POSITIONS in p.uses and self.description.shapes[p.owner].normals_computed:
+            if POSITIONS in p.uses and p.prototype < 0 and self.description.shapes[p.owner].normals_computed:
                 shapes.add(p.owner)
         return sorted(shapes)
 
@@ -492,4 +482,5 @@ class Scene:
 
     def moves_normals(self, names: list[str]) -> bool:
         """Whether shading normals depend on any of the named parameters."""
-        return self.has_use(names, NORMALS, SHAPE_POSE) or bool(self.derived_normals(names))
+        derived = self.derived_normals(names) or self.instances.derived_normals(names)
+        return self.has_use(names, NORMALS, SHAPE_POSE) or bool(derived)

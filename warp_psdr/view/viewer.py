@@ -273,7 +273,11 @@ def _value(values: Mapping[str, Any], name: str, default: Any) -> Any:
 
 
 def _vertices(values: Mapping[str, Any], shape: ShapeDescription) -> np.ndarray:
-    return as_array(_value(values, f"{shape.path}.vertex_positions", shape.vertices)).reshape(-1, 3)
+    if shape.prototype is None:
+        return as_array(_value(values, f"{shape.path}.vertex_positions", shape.vertices)).reshape(-1, 3)
+    local = as_array(_value(values, f"{shape.source}.vertex_positions", shape.local_vertices)).reshape(-1, 3)
+    pose = as_array(_value(values, f"{shape.instance}.to_world", shape.to_world)).reshape(4, 4)
+    return local @ pose[:3, :3].T + pose[:3, 3]
 
 
 def _bounds(description: SceneDescription, values: Mapping[str, Any]) -> tuple[np.ndarray, float]:
