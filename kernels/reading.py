@@ -37,7 +37,7 @@ def reader(record) -> wp.Function:
 
     load.__qualname__ = load.__name__ = f"load_{record.key.rsplit('.', 1)[-1].lower()}"
     fields = "".join(f"r.{name} = records.data[i].{name};\n" for name in record.vars)
-    return wp.func_native(f"__typeof__(*records.data) r;\n{fields}return r;")(load)
+    return wp.func_native(f"{record.native_name} r;\n{fields}return r;")(load)
 
 
 LOAD_SHAPE, LOAD_BSDF, LOAD_TEXTURE, LOAD_EMITTER = (reader(record) for record in (Shape, Bsdf, Texture, Emitter))

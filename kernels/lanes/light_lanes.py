@@ -201,14 +201,14 @@ def make_light_lanes(config: PathConfig, differential: bool, width: int, first: 
 
     @wp.func
     def draw_sky(scene: Scene, rows: ROWS):
-        e = emitter_at(scene, scene.environment)
-        texture = texture_record(scene, e.texture)
+        emitter = emitter_at(scene, scene.environment)
+        texture = texture_record(scene, emitter.texture)
         j = wp.int32(0)
         while j < width:
             c = chosen.get(rows, j)
             u = wp.vec2(get_number(rows, 2, j), get_number(rows, 3, j))
-            ls = draw_in_cell(scene, e, texture, c.row, c.column, u)
-            ls.probability = e.probability
+            ls = draw_in_cell(scene, emitter, texture, c.row, c.column, u)
+            ls.probability = emitter.probability
             if wp.static(not sky_alone):
                 ls = where_light(c.light == scene.environment, ls, samples.get(rows, j))
             samples.put(rows, j, ls)

@@ -50,6 +50,8 @@ BSDFS = {
     "roughplastic": {"type": "roughplastic", "diffuse_reflectance": 0.4, "alpha": 0.3},
     "blendbsdf": {"type": "blendbsdf", "weight": 0.4, "a": {"type": "diffuse"}, "b": {"type": "conductor"} | METAL},
 }
+#: An image that ends in black: its light has no edge.
+FRAMED = np.pad(np.full((4, 4, 3), 0.7, np.float32), ((1, 1), (1, 1), (0, 0)))
 #: (size, where) -> the light; what an inverse square divides by has to scale.
 LIGHTS = {
     "area": lambda s, at: {
@@ -62,7 +64,8 @@ LIGHTS = {
         "to_world": T.look_at(at((1.5, -1.0, 3.0)), at((0.0, 0.0, 0.0)), (0, 0, 1)),
     },
     "projector": lambda s, at: {
-        "type": "projector", "irradiance": 2.0 * s * s, "fov": 80.0,
+        "type": "projector", "scale": 6.0 * s * s, "fov": 80.0,
+        "irradiance": {"type": "bitmap", "bitmap": FRAMED},
         "to_world": T.look_at(at((-1.0, 1.0, 4.0)), at((0.0, 0.0, 0.0)), (0, 1, 0)),
     },
     "directional": lambda s, at: {"type": "directional", "direction": [0.3, 0.4, -1.0], "irradiance": 1.0},
@@ -147,4 +150,5 @@ def test_every_kind_is_listed() -> None:
     assert set(PLUGINS["shape"]) - files == set(SHAPES)
     # A map needs texture coordinates; its heights are lengths along them.
     assert set(PLUGINS["bsdf"]) - {"normalmap", "bumpmap"} == set(BSDFS) - {"beckmann"}
-    assert set(PLUGINS["emitter"]) == set(LIGHTS)
+    # Beside the hard edge of its light nothing may move.
+    assert set(PLUGINS["emitter"]) - {"directionalarea"} == set(LIGHTS)
