@@ -69,7 +69,7 @@ def make_forward_kernel(config: PathConfig, wanted: GradientRequest):
     weight_before, weight_of_light = make_contact_weights(config.ray_backend, config.ray_width)
     accumulate_camera = make_camera_sink("forward", config.camera) if wanted.camera else None
     emission_jvp = (
-        make_texture_jvp(config.area, wanted.radiance, wanted.to_uv, geometry or wanted.texcoords)
+        make_texture_jvp(config.area, False, wanted.radiance, wanted.to_uv, geometry or wanted.texcoords)
         if config.area
         else None
     )
