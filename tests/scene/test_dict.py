@@ -161,6 +161,14 @@ def test_a_colour_bitmap_as_roughness_is_its_luminance():
     np.testing.assert_allclose(alpha.value, [[[0.5 * 0.71516]]], rtol=1e-5)
 
 
+def test_zeros_of_a_textured_roughness_are_raised():
+    board = {"type": "checkerboard", "color0": 0.0, "color1": 0.4}
+    scene = describe(x={"type": "cube", "bsdf": {"type": "roughconductor", "alpha": board}})
+    assert any("1 of 1 values of 'alpha' are below 1e-05, and raised to it" in note for note in scene.notes)
+    alpha = scene.shapes[0].bsdf.textures["alpha_u"]
+    assert sorted(leaf.value[0] for leaf in alpha.leaves) == [np.float32(1e-5), np.float32(0.4)]
+
+
 def test_colours_in_all_forms():
     assert texture(type="rgb", value=0.25).value.tolist() == [0.25] * 3
     assert texture(type="uniform", value=0.25).value.tolist() == [0.25]

@@ -73,6 +73,8 @@ def _texture(
 ) -> TextureDescription:
     result, place = _read(props, name, path or f"{props.path}.{name}", default, high, emissive, scalar)
     for leaf in result.leaves:
+        if leaf is not result or leaf.kind == "bitmap":
+            _raise_to(leaf, name, place, props.context, low)
         _check_values(leaf, name, place, props.context, (low, high), scalar, clamped)
     return result
 
@@ -113,6 +115,16 @@ def _as_scalar(t: TextureDescription, path: str) -> TextureDescription:
         # Read so, Mitsuba's checkerboard swaps its colours.
         return dataclasses.replace(t, nested=(second, first))
     return t
+
+
+def _raise_to(t: TextureDescription, name: str, place: str, context: Context, low: float) -> None:
+    """Raise values from 0 to below the least one that a model takes, as zeros of a roughness are, and note it."""
+    below = (t.value >= 0.0) & (t.value < low)
+    if low > 0.0 and below.any():
+        context.note(
+            f"{place}: {int(below.sum())} of {t.value.size} values of '{name}' are below {low:g}, and raised to it"
+        )
+        t.value[below] = low
 
 
 def _check_values(
