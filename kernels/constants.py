@@ -49,6 +49,8 @@ LOBE_NONE = 0
 LOBE_SMOOTH = 1
 LOBE_DELTA_REFLECTION = 2
 LOBE_DELTA_TRANSMISSION = 3
+#: Light passes as if there were no surface, with a weight.
+LOBE_NULL = 4
 
 # Cameras (``Camera.kind``).
 CAMERA_PERSPECTIVE = 0

@@ -14,6 +14,7 @@ import warp as wp
 from warp_psdr.kernels.bvh.wide import RayHit
 from warp_psdr.kernels.constants import CAMERA_IRRADIANCEMETER, CAMERA_RADIANCEMETER, LOBE_NONE, PI, RFILTER_BOX
 from warp_psdr.kernels.interaction import make_interaction
+from warp_psdr.kernels.invalid import count_invalid
 from warp_psdr.kernels.math import where3
 from warp_psdr.kernels.notes import NOTE_VERTEX, note
 from warp_psdr.kernels.rng import Sampler, make_sampler
@@ -26,11 +27,13 @@ from warp_psdr.kernels.scattering import (
     make_light_sampler,
     make_next_event,
     make_scatter,
+    make_through_event,
     samples_lights,
 )
 from warp_psdr.kernels.sensor.camera import CameraSample, make_camera_rays, make_lens
 from warp_psdr.kernels.sensor.film import make_pixel_offset, uniform_offset
 from warp_psdr.kernels.structs import Camera, Scene
+from warp_psdr.kernels.transmittance import MOST_CROSSINGS, make_passage, most_crossings, transmittance_of
 from warp_psdr.kernels.vertex import PathConfig, PathState, PathVertex, film_position, path_from
 from warp_psdr.kernels.visibility import visibility_of
 
@@ -90,6 +93,9 @@ def make_path_step(config: PathConfig, differential: bool, sparse: bool = False,
     sample_light = make_light_sampler(config) if has_lights else None
     next_event = make_next_event(config, differential) if has_lights else None
     sample_4d = make_sampler(config.sampler).sample_4d
+    through = config.through and has_lights
+    passage = make_passage(config, differential) if through else None
+    through_event = make_through_event(config) if through else None
 
     @wp.func
     def path_step(
@@ -127,7 +133,16 @@ def make_path_step(config: PathConfig, differential: bool, sparse: bool = False,
                         ls, light, _probability = sample_light(scene, at.x, u4)
                         event = next_event(at, ls, light)
                         if event.traces_shadow_ray == 1:
-                            unoccluded = not visibility.occluded(scene, event.o, event.d, event.t_max)
+                            if wp.static(through):
+                                most = most_crossings(state.depth, max_depth)
+                                passed = passage(scene, event.o, event.d, event.t_max, most)
+                                unoccluded = passed.blocked == 0
+                                if unoccluded and passed.crossings > 0:
+                                    event = through_event(at, ls, event, passed.probability, transmittance_of(passed))
+                                if passed.blocked == 2 and passed.crossings == MOST_CROSSINGS:
+                                    count_invalid(scene, sampler)
+                            else:
+                                unoccluded = not visibility.occluded(scene, event.o, event.d, event.t_max)
         return vertex_of(state, hit, emission, unoccluded, event, scatters, scatter_sample), scatter_sample.after
 
     if not config.noted:

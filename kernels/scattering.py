@@ -11,7 +11,7 @@ import warp as wp
 
 from warp_psdr.kernels.bsdf.dispatch import has_smooth_lobes
 from warp_psdr.kernels.bvh.wide import RayHit
-from warp_psdr.kernels.constants import EMITTER_AREA, FAR, LOBE_NONE, LOBE_SMOOTH
+from warp_psdr.kernels.constants import EMITTER_AREA, FAR, LOBE_NONE, LOBE_NULL, LOBE_SMOOTH
 from warp_psdr.kernels.distribution import find_interval
 from warp_psdr.kernels.emitter.area import make_area, pdf_area
 from warp_psdr.kernels.emitter.dispatch import make_lights
@@ -118,7 +118,10 @@ def make_emission_hit(config: PathConfig):
                 emitter = emitter_at(scene, light)
                 weight = wp.float32(1.0)
                 if state.pdf > 0.0:
-                    pdf_light = pdf_area(scene, emitter, hit.face, state.d, hit.t) * emitter.probability
+                    distance = hit.t
+                    if wp.static(config.through):
+                        distance += state.seen.t
+                    pdf_light = pdf_area(scene, emitter, hit.face, state.d, distance) * emitter.probability
                     weight = mis_weight(state.pdf, pdf_light)
                 emission.weight = weight
                 emission.direct = weight * emitted(scene, emitter, hit.face, hit.u, hit.v, state.d)
@@ -234,6 +237,30 @@ def make_next_event(config: PathConfig, differential: bool):
 
 
 @functools.cache
+def make_through_event(config: PathConfig):
+    """Return ``through_event(at, ls, event, probability, transmittance) -> NextEvent``: one that crosses surfaces.
+
+    ``probability``: of the null lobes of all that its shadow ray crosses.
+    """
+    interaction = make_interaction(config)
+    record = interaction.record
+
+    @wp.func
+    def through_event(
+        at: record, ls: LightSample, event: NextEvent, probability: wp.float32, transmittance: wp.vec3
+    ) -> NextEvent:
+        r = event
+        wo = enter_frame(at.frame, ls.wi)
+        pdf_light = ls.pdf * ls.probability
+        weight = mis_weight(pdf_light, probability * interaction.pdf(at, wo))
+        r.weight = inverse_pdf(pdf_light) * wp.where(ls.delta == 0, weight, 1.0)
+        r.value = r.weight * wp.cw_mul(wp.cw_mul(interaction.eval(at, wo), ls.radiance), transmittance)
+        return r
+
+    return through_event
+
+
+@functools.cache
 def make_scatter(config: PathConfig, differential: bool):
     """Return ``scatter(at, state, face, r4, rr_depth) -> ScatterSample``; arguments as ``make_path_step``'s."""
     interaction = make_interaction(config)
@@ -276,6 +303,11 @@ def make_scatter(config: PathConfig, differential: bool):
         scatter_sample.after.throughput = inv_q * throughput
         scatter_sample.after.pdf = wp.where(smooth, bs.pdf, 0.0)
         scatter_sample.after.eta = eta
+        if wp.static(config.through):
+            if bs.lobe == LOBE_NULL:
+                # The direction was drawn before, and next-event estimation there finds what it hits.
+                scatter_sample.after.pdf = state.pdf * bs.pdf
+                scatter_sample.after.seen.t = state.seen.t + wp.length(at.x - state.o)
         return scatter_sample
 
     return scatter

@@ -42,6 +42,8 @@ class PathConfig:
     noted: bool = False
     #: True: there are area lights, which the camera does not see (``sight.py``).
     hidden: bool = False
+    #: True: shadow rays pass surfaces by their null lobes, which keep a path's density (``transmittance.py``).
+    through: bool = False
 
 
 @wp.struct
@@ -58,7 +60,9 @@ class PathState:
     eta: wp.float32  # product of relative refractive indices
     left_face: wp.int32  # face that d left by a smooth lobe, from one; 0: none
     touched_requested: wp.int32  # more than 0: the path has met a shape that matters
-    seen: RayHit  # what the camera's ray meets, where ``camera_rays.py`` has traced it
+    #: At depth 0 what the camera's ray meets, where ``camera_rays.py`` has traced it. Behind null lobes that keep the
+    #: density, its ``t`` is the distance from where d was drawn to o.
+    seen: RayHit
 
 
 @wp.func

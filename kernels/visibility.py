@@ -1,8 +1,7 @@
 """What rays meet, and whether light passes between two points: the one door to ray queries.
 
-Today a surface either blocks a ray or is not there, so a segment is free where no ray hits anything on it. Where light
-passes surfaces (masks) or is absorbed on the way (media), the transmittance of a segment takes the place of
-``occluded``.
+A segment is free where no ray hits anything on it. Where light passes surfaces (masks, thin glass), the transmittance
+of a shadow ray's segment takes the place of ``occluded`` (``transmittance.py``).
 
 The camera's own rays meet everything, or where lights are hidden (``hide_emitters``) all but area lights: a structure
 without the lights, and no rays that go on behind what they met, since a step past a light would cross what touches it.

@@ -82,7 +82,8 @@ def make_blend(record: type, _variant: str, children: tuple[Child, ...]) -> Func
                 s.value = blend_scatter(mat, wi, s.lobe).value
         return s
 
-    through = next((bound for bound, child in zip((a, b), children, strict=True) if child.model.transmits), None)
+    glass = (bound for bound, child in zip((a, b), children, strict=True) if child.has(LOBE_DELTA_TRANSMISSION))
+    through = next(glass, None)
     return Functions(
         blend_sample,
         blend_eval if smooth else None,

@@ -24,6 +24,7 @@ from warp_psdr.kernels.bsdf.dielectric import DIELECTRIC
 from warp_psdr.kernels.bsdf.diffuse import DIFFUSE
 from warp_psdr.kernels.bsdf.model import Model, key_of
 from warp_psdr.kernels.bsdf.normalmap import NORMAL_MAP
+from warp_psdr.kernels.bsdf.null import NULL
 from warp_psdr.kernels.bsdf.plastic import PLASTIC
 from warp_psdr.kernels.bsdf.record import (
     MaterialAlgebra,
@@ -35,11 +36,15 @@ from warp_psdr.kernels.bsdf.record import (
 from warp_psdr.kernels.bsdf.roughconductor import ROUGH_CONDUCTOR
 from warp_psdr.kernels.bsdf.roughdielectric import ROUGH_DIELECTRIC
 from warp_psdr.kernels.bsdf.roughplastic import ROUGH_PLASTIC
+from warp_psdr.kernels.bsdf.thindielectric import THIN_DIELECTRIC
 from warp_psdr.kernels.generated import make_generated
 from warp_psdr.kernels.structs import BsdfSample, Scattered
 
 #: All scattering models.
-MODELS: tuple[Model, ...] = (DIFFUSE, CONDUCTOR, DIELECTRIC, ROUGH_CONDUCTOR, PLASTIC, ROUGH_PLASTIC, ROUGH_DIELECTRIC)
+MODELS: tuple[Model, ...] = (
+    *(DIFFUSE, CONDUCTOR, DIELECTRIC, ROUGH_CONDUCTOR, PLASTIC, ROUGH_PLASTIC, ROUGH_DIELECTRIC),
+    *(THIN_DIELECTRIC, NULL),
+)
 #: All models that are made of models; each for any children, so that they have no end.
 COMPOSITES: tuple[Composite, ...] = (BLEND, NORMAL_MAP, BUMP_MAP)
 #: Key of a variant -> model and the variant's name, in the order in which a scene numbers those that it has.
@@ -65,7 +70,10 @@ class BsdfFunctions(NamedTuple):
             delta lobe.
         scatter_vjp: ``(model, mat, wi, lobe, w, a_wo) -> adjoint``, gradient of ``dot(w, value) + dot(a_wo, wo)``; its
             ``wo`` is 0.
+        probability: ``(model, mat, wi, lobe) -> float32``: of a delta lobe in ``sample``.
         transmits: ``(model) -> bool``.
+        has_null: ``(model) -> bool``: whether light passes without being turned.
+        mirrors: ``(model) -> bool``: whether there is a mirror reflection.
         relative_eta: ``(model, mat, wi) -> float32``: index behind the interface over the one in front; 1 where nothing
             is transmitted.
         slopes: ``(model, mat) -> vec2``: of a glossy lobe about the mirror direction; 0: there is none.
@@ -82,7 +90,10 @@ class BsdfFunctions(NamedTuple):
     eval_vjp: wp.Function | None
     scatter: wp.Function | None
     scatter_vjp: wp.Function | None
+    probability: wp.Function | None
     transmits: wp.Function
+    has_null: wp.Function
+    mirrors: wp.Function
     relative_eta: wp.Function | None
     slopes: wp.Function | None
 
@@ -129,6 +140,11 @@ def has_delta_lobes(keys: Iterable[str]) -> bool:
 def passing(keys: Iterable[str]) -> str:
     """Return the plugin of a model with smooth lobes behind its surface; empty: there is none."""
     return next((model.plugin for model in models_of(keys) if model.passes), "")
+
+
+def has_null_lobes(keys: Iterable[str]) -> bool:
+    """Whether light passes any of the models without being turned, as it does masks and thin glass."""
+    return any(model.has_null for model in models_of(keys))
 
 
 def is_diffuse(keys: Iterable[str]) -> bool:
@@ -187,7 +203,12 @@ def make_bsdf(models: tuple[str, ...]) -> BsdfFunctions:
             "scatter_vjp", f"{mat}, {wi}, {lobe}, {weights}", "adjoint", "adjoint()",
             lambda f: _make_scatter_vjp(record, adjoint, f.scatter), of="scatter", anchored=True,
         ),
+        probability=chain(
+            "probability", f"{mat}, {wi}, {lobe}", "wp.float32", "0.0", lambda f: f.probability, of="probability"
+        ),
         transmits=_make_test([model.transmits for model in declared]),
+        has_null=_make_test([model.has_null for model in declared]),
+        mirrors=_make_test([model.mirrors for model in declared]),
         relative_eta=chain(
             "relative_eta", f"{mat}, {wi}", "wp.float32", "1.0", lambda f: f.relative_eta, of="relative_eta"
         ),

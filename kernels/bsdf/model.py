@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import warp as wp
 
-from warp_psdr.kernels.constants import LOBE_DELTA_REFLECTION, LOBE_DELTA_TRANSMISSION, LOBE_SMOOTH
+from warp_psdr.kernels.constants import LOBE_DELTA_REFLECTION, LOBE_DELTA_TRANSMISSION, LOBE_NULL, LOBE_SMOOTH
 
 #: Where a value comes from: what a texture holds, how it rises along texture coordinates (d/du, d/dv, 0), or the
 #: geometry: +1 or -1 on the back of a two-sided surface, or dp/du and dp/dv in the shading frame (``measures.py``).
@@ -310,7 +310,7 @@ class Functions(NamedTuple):
         scatter: ``(material, wi, lobe) -> Scattered``: direction and weight of a delta lobe, not divided by its
             probability; differentiable.
         probability: ``(material, wi, lobe) -> float32``: of a delta lobe in ``sample``. Every model with delta lobes
-            has it, for ``composite.py``.
+            has it, for ``composite.py`` and ``transmittance.py``.
         relative_eta: ``(material, wi) -> float32``: index of refraction behind the interface over the one in front.
             None: nothing is transmitted.
         slopes: ``(material) -> vec2``: root mean square slopes of a glossy lobe about the mirror direction, along the
@@ -333,7 +333,8 @@ class Model:
     Attributes:
         plugin: its name in scene files.
         parameters: of the plugin, in the order in which scene files are read.
-        lobes: which lobes it has, out of ``LOBE_SMOOTH``, ``LOBE_DELTA_REFLECTION``, ``LOBE_DELTA_TRANSMISSION``.
+        lobes: which lobes it has, out of ``LOBE_SMOOTH``, ``LOBE_DELTA_REFLECTION``, ``LOBE_DELTA_TRANSMISSION``,
+            ``LOBE_NULL``.
         make: ``(record, variant) -> Functions``, ``record`` the struct of a scene's material values.
         turned_by: values that the direction of a delta lobe depends on.
         framed: whether the model needs dp/du whatever its values are.
@@ -379,12 +380,22 @@ class Model:
     @property
     def has_delta(self) -> bool:
         """Whether there is a lobe of a single direction."""
-        return LOBE_DELTA_REFLECTION in self.lobes or self.transmits
+        return self.mirrors or self.transmits
 
     @property
     def transmits(self) -> bool:
         """Whether light passes the surface in a delta lobe."""
-        return LOBE_DELTA_TRANSMISSION in self.lobes
+        return LOBE_DELTA_TRANSMISSION in self.lobes or self.has_null
+
+    @property
+    def has_null(self) -> bool:
+        """Whether light passes the surface without being turned: a delta lobe too."""
+        return LOBE_NULL in self.lobes
+
+    @property
+    def mirrors(self) -> bool:
+        """Whether the surface shows mirror images."""
+        return LOBE_DELTA_REFLECTION in self.lobes
 
 
 def variant_of(options: Iterable[str]) -> str:

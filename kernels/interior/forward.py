@@ -27,6 +27,7 @@ from warp_psdr.kernels.interior.tangents import (
     make_vertex_jvp,
     normalize_jvp,
 )
+from warp_psdr.kernels.interior.transmittance import make_transmittance_sink
 from warp_psdr.kernels.interior.velocities import axis_vec3, make_material_jvp, make_pair, make_texture_jvp
 from warp_psdr.kernels.invalid import count_invalid, finite
 from warp_psdr.kernels.jobs import PixelJob, pixel_of
@@ -65,6 +66,8 @@ def make_forward_kernel(config: PathConfig, wanted: GradientRequest):
     delta_lobes = interaction.scatter is not None
     has_lights = bool(config.area or config.lights) and smooth_lobes
     radiance_of = make_light_sink(config, wanted, "forward")[0] if has_lights else None
+    through = config.through and has_lights
+    transmittance = make_transmittance_sink(config, wanted, "forward") if through else None
     geometry = wanted.geometry
     weight_before, weight_of_light = make_contact_weights(config.ray_backend, config.ray_width)
     accumulate_camera = make_camera_sink("forward", config.camera) if wanted.camera else None
@@ -208,6 +211,15 @@ def make_forward_kernel(config: PathConfig, wanted: GradientRequest):
                         fa = interaction.eval_vjp(at, wo, axis_vec3(channel))
                         f_dot[channel] = pair(fa, material_dot, wi_dot, wo_dot)
                 d_dot = wp.cw_mul(f_dot + log_g * f, radiance) + wp.cw_mul(f, l_dot)
+                if wp.static(transmittance is not None):
+                    segment = transmittance.segment(scene, at, vertex)
+                    d_dot = wp.cw_mul(d_dot, segment.transmittance)
+                    if wp.static(scatters):
+                        if segment.passage.crossings > 0:
+                            w_t = wp.cw_mul(f, radiance)
+                            for channel in range(3):
+                                w = w_t[channel] * axis_vec3(channel)
+                                d_dot[channel] += transmittance.accumulate(scene, tangents, segment, w)
                 derivative += vertex.light_weight * wp.cw_mul(a_n, d_dot)
 
         # beta_n and the way to vertex n + 1.

@@ -12,6 +12,7 @@ from warp_psdr.kernels.interior.contact import make_contact_weights
 from warp_psdr.kernels.interior.factors import make_light_sink, make_material_sink
 from warp_psdr.kernels.interior.gradient_request import GradientRequest
 from warp_psdr.kernels.interior.pullback import connection_vjp, make_frame_vjp
+from warp_psdr.kernels.interior.transmittance import make_transmittance_sink
 from warp_psdr.kernels.sensor.camera import CameraSample, make_camera_sink
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.surface import VertexAdjoint, make_vertex_sink, normalize_vjp, point_on
@@ -73,6 +74,7 @@ def make_sweep(config: PathConfig, wanted: GradientRequest, role: str):
     materials = any(wanted.material) or wanted.to_uv or aims
     light_terms = materials or wanted.radiance or bool(wanted.lights)
     area_radiance = bool(config.area) and (wanted.radiance or wanted.to_uv or wanted.texcoords)
+    transmittance = make_transmittance_sink(config, wanted, role) if config.through and has_lights else None
     accumulate_lights = has_lights and (geometry or area_radiance or bool(wanted.lights))
 
     @wp.func
@@ -150,7 +152,16 @@ def make_sweep(config: PathConfig, wanted: GradientRequest, role: str):
                 if vertex.light >= 0:
                     wo = enter_frame(frame, vertex.light_wi)
                     radiance = radiance_of(scene, vertex, surface.x)
-                    w_f = vertex.light_weight * wp.cw_mul(a_n, radiance)
+                    a_direct = a_n
+                    if wp.static(transmittance is not None):
+                        segment = transmittance.segment(scene, at, vertex)
+                        if wp.static(materials):
+                            if segment.passage.crossings > 0:
+                                w_t = vertex.light_weight * wp.cw_mul(a_n, radiance)
+                                w_t = wp.cw_mul(w_t, interaction.eval(at, wo))
+                                total += transmittance.accumulate(scene, target, segment, w_t)
+                        a_direct = wp.cw_mul(a_n, segment.transmittance)
+                    w_f = vertex.light_weight * wp.cw_mul(a_direct, radiance)
                     a_wo_world = wp.vec3(0.0, 0.0, 0.0)
                     chi = wp.float32(1.0)
                     if wp.static(materials):
@@ -170,7 +181,7 @@ def make_sweep(config: PathConfig, wanted: GradientRequest, role: str):
                         f = interaction.eval(at, wo)
                         a_x, dot = accumulate_light(
                             scene, target, vertex, surface.x,
-                            vertex.light_weight * wp.cw_mul(a_n, f), wp.dot(w_f, f), a_wo_world, chi,
+                            vertex.light_weight * wp.cw_mul(a_direct, f), wp.dot(w_f, f), a_wo_world, chi,
                         )  # fmt: skip
                         adjoint.x += a_x
                         total += dot

@@ -91,8 +91,11 @@ class LanePaths(NamedTuple):
 
 
 def side_by_side(config: PathConfig) -> bool:
-    """Whether a scene's paths are traced so: on the CPU, unless what they meet is written down."""
-    return config.ray_backend == "wide" and not config.noted
+    """Whether a scene's paths are traced so: on the CPU, unless what they meet is written down.
+
+    Not where shadow rays pass surfaces: each meets as many as there are.
+    """
+    return config.ray_backend == "wide" and not config.noted and not config.through
 
 
 @functools.cache

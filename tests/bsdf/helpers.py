@@ -13,6 +13,7 @@ import numpy as np
 import warp as wp
 
 from tests.bsdf import twins
+from tests.bsdf.kernels import functions_of, make_kernels
 from tests.bsdf.materials import (  # noqa: F401 -- tests take them from here
     BLACK,
     GOLD,
@@ -45,7 +46,7 @@ from tests.bsdf.nested import (
     nested_examples,
 )
 from warp_psdr.kernels.bsdf.composite import split_key
-from warp_psdr.kernels.bsdf.dispatch import VARIANTS, BsdfFunctions, declaration_of, make_bsdf, ordered
+from warp_psdr.kernels.bsdf.dispatch import VARIANTS, declaration_of, ordered
 from warp_psdr.kernels.bsdf.microfacet import MIN_ALPHA
 from warp_psdr.kernels.bsdf.model import ComplexIndex, Value
 from warp_psdr.kernels.constants import LOBE_DELTA_TRANSMISSION, LOBE_SMOOTH
@@ -225,6 +226,14 @@ EXAMPLES: dict[str, Example] = {
         )
         for distribution in ("ggx", "beckmann")
     },
+    "thindielectric": Example(
+        materials=tuple(glass(ior) for ior in (1.5, 0.7, 1.0, 1.001, 2.4)),
+        more=(glass(1.5, BLACK, BLACK),),
+        extremes=tuple(glass(ior) for ior in (0.5, 0.999999, 1.000001, 4.0)),
+        scatter=twins.thindielectric_scatter,
+        mitsuba=lambda mat: mitsuba_dielectric(mat, "thindielectric"),
+    ),
+    "null": Example(materials=(material(),), scatter=twins.null_scatter, mitsuba=lambda mat: {"type": "null"}),
 }
 
 
@@ -259,7 +268,8 @@ def reflectances(key: str) -> list[str]:
 
 
 def is_black(key: str, mat: dict) -> bool:
-    return all(mat[name].max() == 0.0 for name in reflectances(key))
+    names = reflectances(key)
+    return bool(names) and all(mat[name].max() == 0.0 for name in names)
 
 
 def white(key: str, mat: dict) -> dict:
@@ -308,91 +318,6 @@ EXAMPLES = {key: EXAMPLES[key] for key in ALL_MODELS}
 
 
 # --- launches ---
-
-
-@functools.cache
-def functions_of(models: tuple[str, ...]) -> BsdfFunctions:
-    """``make_bsdf(models)``, kept here: kernels and arrays need the same structs even if its own cache is emptied."""
-    return make_bsdf(models)
-
-
-@functools.cache
-def make_kernels(models: tuple[str, ...]) -> dict[str, wp.Kernel]:
-    """One kernel a function of ``make_bsdf(models)``, all over one material, so that a test may ask for any of them."""
-    f = functions_of(models)
-    record, adjoint = f.record, f.adjoint
-    kernels = {}
-
-    @wp.kernel(module="unique", enable_backward=False)
-    def sample_kernel(
-        model: wp.int32,
-        mat: record,
-        wi: wp.array(dtype=wp.vec3),
-        uvw: wp.array(dtype=wp.vec3),
-        out: wp.array(dtype=BsdfSample),
-    ):
-        i = wp.tid()
-        out[i] = f.sample(model, mat, wi[i], uvw[i][0], wp.vec2(uvw[i][1], uvw[i][2]))
-
-    kernels["sample"] = sample_kernel
-    if f.eval is not None:
-
-        @wp.kernel(module="unique", enable_backward=False)
-        def eval_kernel(
-            model: wp.int32,
-            mat: record,
-            wi: wp.array(dtype=wp.vec3),
-            wo: wp.array(dtype=wp.vec3),
-            value_out: wp.array(dtype=wp.vec3),
-            pdf_out: wp.array(dtype=wp.float32),
-        ):
-            i = wp.tid()
-            value_out[i] = f.eval(model, mat, wi[i], wo[i])
-            pdf_out[i] = f.pdf(model, mat, wi[i], wo[i])
-
-        @wp.kernel(module="unique", enable_backward=False)
-        def eval_vjp_kernel(
-            model: wp.int32,
-            mat: record,
-            wi: wp.array(dtype=wp.vec3),
-            wo: wp.array(dtype=wp.vec3),
-            w: wp.vec3,
-            out: wp.array(dtype=adjoint),
-        ):
-            i = wp.tid()
-            out[i] = f.eval_vjp(model, mat, wi[i], wo[i], w)
-
-        kernels["eval"] = eval_kernel
-        kernels["eval_vjp"] = eval_vjp_kernel
-    if f.scatter is not None:
-
-        @wp.kernel(module="unique", enable_backward=False)
-        def scatter_kernel(
-            model: wp.int32,
-            mat: record,
-            wi: wp.array(dtype=wp.vec3),
-            lobe: wp.int32,
-            out: wp.array(dtype=Scattered),
-        ):
-            i = wp.tid()
-            out[i] = f.scatter(model, mat, wi[i], lobe)
-
-        @wp.kernel(module="unique", enable_backward=False)
-        def scatter_vjp_kernel(
-            model: wp.int32,
-            mat: record,
-            wi: wp.array(dtype=wp.vec3),
-            lobe: wp.int32,
-            w: wp.vec3,
-            a_wo: wp.vec3,
-            out: wp.array(dtype=adjoint),
-        ):
-            i = wp.tid()
-            out[i] = f.scatter_vjp(model, mat, wi[i], lobe, w, a_wo)
-
-        kernels["scatter"] = scatter_kernel
-        kernels["scatter_vjp"] = scatter_vjp_kernel
-    return kernels
 
 
 class Launcher:

@@ -13,12 +13,12 @@ def mitsuba_rough(mat: dict, distribution: str) -> dict | None:
     return {"type": "roughconductor", **shape, **rgb(mat, "specular_reflectance", "eta", "k")}
 
 
-def mitsuba_dielectric(mat: dict) -> dict | None:
+def mitsuba_dielectric(mat: dict, plugin: str = "dielectric") -> dict | None:
     # Its Fresnel reflectance cancels where the indices are nearly equal.
     if abs(mat["ior"] - 1.0) < 0.01:
         return None
     colors = rgb(mat, "specular_reflectance", "specular_transmittance")
-    return {"type": "dielectric", "int_ior": mat["ior"], "ext_ior": 1.0, **colors}
+    return {"type": plugin, "int_ior": mat["ior"], "ext_ior": 1.0, **colors}
 
 
 def mitsuba_plastic(mat: dict, nonlinear: bool) -> dict | None:

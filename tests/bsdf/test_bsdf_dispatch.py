@@ -61,17 +61,24 @@ def test_lobes_are_known_by_the_number_of_a_model(models: tuple[str, ...], devic
 
     @wp.kernel(module="unique", enable_backward=False)
     def ask(
-        smooth_out: wp.array(dtype=wp.bool), delta_out: wp.array(dtype=wp.bool), transmits_out: wp.array(dtype=wp.bool)
+        smooth_out: wp.array(dtype=wp.bool),
+        delta_out: wp.array(dtype=wp.bool),
+        transmits_out: wp.array(dtype=wp.bool),
+        null_out: wp.array(dtype=wp.bool),
+        mirrors_out: wp.array(dtype=wp.bool),
     ):
         model = wp.tid()
         smooth_out[model] = f.has_smooth(model)
         delta_out[model] = f.has_delta(model)
         transmits_out[model] = f.transmits(model)
+        null_out[model] = f.has_null(model)
+        mirrors_out[model] = f.mirrors(model)
 
-    answers = [wp.empty(len(models), dtype=wp.bool, device=device) for _ in range(3)]
+    answers = [wp.empty(len(models), dtype=wp.bool, device=device) for _ in range(5)]
     wp.launch(ask, len(models), [], answers, device=device)
     declared = [declaration_of(key)[0] for key in models]
-    expected = [[getattr(m, name) for m in declared] for name in ("has_smooth", "has_delta", "transmits")]
+    asked = ("has_smooth", "has_delta", "transmits", "has_null", "mirrors")
+    expected = [[getattr(m, name) for m in declared] for name in asked]
     assert [answer.numpy().tolist() for answer in answers] == expected
 
 

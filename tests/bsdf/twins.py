@@ -8,7 +8,7 @@ values that its model declares, by their names.
 import numpy as np
 
 from warp_psdr.kernels.bsdf.microfacet import MIN_ALPHA
-from warp_psdr.kernels.constants import LOBE_DELTA_REFLECTION
+from warp_psdr.kernels.constants import LOBE_DELTA_REFLECTION, LOBE_NULL
 from warp_psdr.scene.rough_transmittance import transmittance
 
 #: Turns a direction into its mirror direction.
@@ -174,3 +174,16 @@ def plastic_scatter(mat: dict, wi: np.ndarray, _lobe: int) -> tuple[np.ndarray, 
     if wi[2] <= 0.0:
         return wi * MIRRORED, np.zeros(3)
     return wi * MIRRORED, mat["specular_reflectance"] * fresnel_dielectric(wi[2], mat["ior"])[0]
+
+
+def null_scatter(_mat: dict, wi: np.ndarray, _lobe: int) -> tuple[np.ndarray, np.ndarray]:
+    return -wi, np.ones(3)
+
+
+def thindielectric_scatter(mat: dict, wi: np.ndarray, lobe: int) -> tuple[np.ndarray, np.ndarray]:
+    reflectance = fresnel_dielectric(abs(wi[2]), mat["ior"])[0]
+    # Interreflection within the plate: a geometric series.
+    passed = (1.0 - reflectance) ** 2 / (1.0 - reflectance**2) if reflectance < 1.0 else 0.0
+    if lobe == LOBE_NULL:
+        return -wi, mat["specular_transmittance"] * passed
+    return wi * MIRRORED, mat["specular_reflectance"] * (1.0 - passed)

@@ -41,6 +41,7 @@ TOGETHER = {
     "instanced": ("group.sheet.vertex_positions", "floor.to_world"),
     "mirror": ("*",),
     "glass": ("*",),
+    "plate": ("plate.bsdf.*", "room.vertex_radiance", "lamp.intensity.value"),
 }
 
 
@@ -319,6 +320,11 @@ DELTA = [
     Case("glass", "env.data", texel_wave, 2e-2, depth=4),
     Case("glass", "sensor.to_world", aim(0.3, 0.8, 0.4), 2e-3, "aim", depth=4, spp=64),
     Case("glass", "sensor.x_fov", ones, 0.1, depth=4, spp=128, slow=True),
+    Case("plate", "plate.bsdf.eta", ones, 6e-2, depth=3, spp=1024),
+    Case("plate", "plate.bsdf.specular_reflectance.value", mixed, 2e-2, depth=5, spp=64),
+    Case("plate", "plate.bsdf.specular_transmittance.value", mixed, 2e-2, depth=5, spp=64),
+    Case("plate", "room.vertex_radiance", mixed, 5e-2, depth=5),
+    Case("plate", "lamp.intensity.value", mixed, 5e-2, depth=5),
 ]
 CASES = [
     *(*PLANE, *PARALLEL, *LENS, *PROJECTED, *DOME, *GAP),

@@ -254,6 +254,25 @@ def glass_scene(kind="dielectric", **more):
     }
 
 
+def plate_scene():
+    """Inside of a ball that shines, behind two plates: one of thin glass, and one that is not there."""
+    room = {**mirror_scene()["room"], "bsdf": {"type": "diffuse", "reflectance": rgb(0.5, 0.6, 0.7)}}
+    glass = {"type": "thindielectric", "int_ior": 1.6, "ext_ior": 1.0}
+    glass |= {"specular_reflectance": rgb(0.3, 0.2, 0.1), "specular_transmittance": rgb(0.7, 0.8, 0.9)}
+    facing = psdr.Transform.look_at([0.4, 0.1, 0.05], [0.0, 0.0, 0.0], [0, 0, 1])
+    return {
+        "sensor": camera([-0.1, 0.05, -0.1], [1.0, 0.3, 0.2]),
+        "room": room,
+        "plate": {"type": "rectangle", "to_world": facing @ psdr.Transform.scale(0.6), "bsdf": glass},
+        "nothing": {
+            "type": "rectangle",
+            "to_world": psdr.Transform.translate([0.15, 0.0, 0.0]) @ facing @ psdr.Transform.scale(0.5),
+            "bsdf": {"type": "null"},
+        },
+        "lamp": {"type": "point", "position": [-0.3, -0.1, 0.2], "intensity": rgb(0.3, 0.2, 0.4)},
+    }
+
+
 SCENES = {
     "plane": plane_scene,
     "plane, parallel": lambda: plane_seen_by("orthographic", psdr.Transform.scale([0.9, 1.1, 1.5])),
@@ -278,6 +297,7 @@ SCENES = {
     "mirror": mirror_scene,
     "rough glass": lambda: glass_scene("roughdielectric", alpha=0.3),
     "glass": glass_scene,
+    "plate": plate_scene,
 }
 
 

@@ -80,6 +80,16 @@ def dark_glass():
     return scene, "ball.bsdf.specular_transmittance.value", {}
 
 
+def dark_plate():
+    """Light shines through it by shadow rays and by paths."""
+    scene = scenes.gap_scene()
+    sheet = {"type": "thindielectric", "int_ior": 1.3, "specular_transmittance": scenes.rgb(0.0, 0.5, 0.0)}
+    to_world = psdr.Transform.translate([0.3, 0.0, 0.7]) @ psdr.Transform.scale(0.7)
+    scene["plate"] = {"type": "rectangle", "to_world": to_world, "bsdf": sheet}
+    scene["point"] = {"type": "point", "position": [0.3, 0.2, 1.0], "intensity": scenes.rgb(0.5, 0.5, 0.5)}
+    return scene, "plate.bsdf.specular_transmittance.value", {}
+
+
 CASES = [
     black_wall,
     black_ceiling,
@@ -90,15 +100,19 @@ CASES = [
     dull_metal,
     dull_mirror,
     dark_glass,
+    dark_plate,
     unseen_metal,
     unseen_paint,
 ]
 #: Where textbook replay divides by the zero, with all light beyond the factor lost.
-TEXTBOOK_LOSES = {black_wall, black_ceiling, dull_metal, dull_mirror, dark_glass}
+TEXTBOOK_LOSES = {black_wall, black_ceiling, dull_metal, dull_mirror, dark_glass, dark_plate}
 
 
 #: Every case compiles kernels of its own, so the fast subset has most of them in one mode.
-FAST_FORWARD, FAST_REVERSE = {black_wall, dull_mirror, black_texels}, {black_wall, dark_light, dull_metal, dark_glass}
+FAST_FORWARD, FAST_REVERSE = (
+    {black_wall, dull_mirror, black_texels},
+    {black_wall, dark_light, dull_metal, dark_glass, dark_plate},
+)
 
 
 def rows():

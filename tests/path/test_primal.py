@@ -42,6 +42,13 @@ MITSUBA_CASES = {
     "diffuse under a lamp": object_scene("", LAMP),
     "sky and lamp": object_scene("", SKY + LAMP),
     "glass": object_scene('<bsdf type="dielectric"/>', SKY + LAMP, depth=8),
+    "thin glass": object_scene(
+        """<bsdf type="thindielectric"><rgb name="specular_reflectance" value="0.9, 0.8, 0.7"/>
+        <rgb name="specular_transmittance" value="0.6, 0.8, 1"/></bsdf></shape><shape type="rectangle"><transform
+        name="to_world"><scale value="2"/><translate z="1.5"/></transform><bsdf type="null"/>""",
+        SKY + LAMP,
+        depth=8,
+    ),
     "mirror": object_scene('<bsdf type="conductor"><string name="material" value="Cu"/></bsdf>', SKY + LAMP),
     "rough GGX": object_scene(rough("ggx", '<float name="alpha" value="0.3"/>'), SKY + LAMP),
     "rough Beckmann": object_scene(rough("beckmann", '<float name="alpha" value="0.15"/>'), LAMP),

@@ -49,6 +49,7 @@ BSDFS = {
     "roughdielectric": {"type": "roughdielectric", "int_ior": 1.5, "alpha": 0.3},
     "roughplastic": {"type": "roughplastic", "diffuse_reflectance": 0.4, "alpha": 0.3},
     "blendbsdf": {"type": "blendbsdf", "weight": 0.4, "a": {"type": "diffuse"}, "b": {"type": "conductor"} | METAL},
+    "thindielectric": {"type": "thindielectric", "int_ior": 1.5},
 }
 #: An image that ends in black: its light has no edge.
 FRAMED = np.pad(np.full((4, 4, 3), 0.7, np.float32), ((1, 1), (1, 1), (0, 0)))

@@ -9,10 +9,12 @@ import numpy as np
 
 from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.boundary.specular.line_search import MAX_DEPTH
-from warp_psdr.kernels.bsdf.dispatch import has_delta_lobes, models_of, passing
+from warp_psdr.kernels.bsdf.dispatch import has_delta_lobes, passing
+from warp_psdr.kernels.bsdf.model import key_of
 from warp_psdr.kernels.emitter.spot import MIN_FALLOFF
 from warp_psdr.options.boundary import EdgeSampling, Method, PathSpace
 from warp_psdr.plan.motion import Motion, motion
+from warp_psdr.scene.bsdfs import model_of
 from warp_psdr.scene.layout import NORMALS, POSITIONS, SHAPE_POSE, TEXCOORDS, TO_UV
 from warp_psdr.topology.edges import scene_adjacency
 from warp_psdr.topology.intersection_curves import scene_curves
@@ -109,15 +111,23 @@ def _uncovered(scene: Scene, config: PathConfig, names: list[str], max_depth: in
     if has_delta_lobes(config.bsdfs):
         if not 0 < max_depth <= MAX_DEPTH:
             return f"discontinuities are searched through mirrors to some depth; set max_depth to {MAX_DEPTH} or less"
+        crowded = [
+            (shape.path, key_of(bsdf.model, bsdf.variant, bsdf.children))
+            for shape in scene.description.shapes
+            for bsdf in (shape.bsdf, shape.bsdf.back)
+            if bsdf is not None and model_of(bsdf).has_delta and len(model_of(bsdf).lobes) > 2
+        ]
+        if crowded:
+            return (
+                f"shape {crowded[0][0]!r}, a {crowded[0][1]!r}, scatters smoothly, reflects as a mirror and lets light "
+                "pass, and discontinuities are searched through two of these; split it up"
+            )
     rough = passing(config.bsdfs)
     if rough:
         return (
             f"a {rough!r} lets light through in a smooth lobe, through which edges and shadows are not sampled; "
             "use a 'dielectric'"
         )
-    for key, model in zip(config.bsdfs, models_of(config.bsdfs), strict=True):
-        if {c.LOBE_SMOOTH, c.LOBE_DELTA_REFLECTION, c.LOBE_DELTA_TRANSMISSION} <= set(model.lobes):
-            return f"chains through a {key!r}, which is a mirror, glass and more at once, are not searched; split it up"
     if any(slides_steps(scene, name) for name in names):
         return "a texture with steps slides; use a bilinear bitmap or a vertex attribute"
     steps = _moving_steps(scene, config, motion(scene, names))

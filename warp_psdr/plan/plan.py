@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from warp_psdr import html
 from warp_psdr.kernels import constants as c
-from warp_psdr.kernels.bsdf.dispatch import has_delta_lobes, models_of
+from warp_psdr.kernels.bsdf.dispatch import has_delta_lobes, has_null_lobes, models_of
 from warp_psdr.kernels.emitter.spot import MIN_FALLOFF
 from warp_psdr.kernels.interior.gradient_request import GradientRequest
 from warp_psdr.kernels.vertex import PathConfig
@@ -174,6 +174,13 @@ def decide(
         if any("normalmap" in key or "bumpmap" in key for key in config.bsdfs):
             lines.append(("turned normals", "as they are seen", FLIPPED))
     moving = tuple(_discontinuities(scene, config, names))
+    if config.through and wanted is not None and (wanted.geometry or moving):
+        # What moves sees null lobes as other delta lobes, whose crossings are path vertices of their own.
+        _check_lights(scene, names)
+        config = replace(config, through=False)
+    if has_null_lobes(config.bsdfs):
+        said = ("pass surfaces", "by their null lobes") if config.through else ("end at surfaces", "vertices move")
+        lines.append(("shadow rays", *said))
     still = wanted is None or not (wanted.geometry or wanted.lights or moving)
     if still and config.smooth and scene.shades_flat:
         config = replace(config, smooth=False, flat=True)
@@ -295,6 +302,25 @@ def _config(scene: Scene, integrator: PathIntegrator, sensor: int, lines: list) 
         ray_backend=scene.accelerator.backend,
         ray_width=scene.accelerator.width,
         camera=camera.kind,
+        through=scatter and has_null_lobes(models),
+    )
+
+
+def _check_lights(scene: Scene, names: list[str]) -> None:
+    """Raise if lights of no area shine through surfaces while something moves.
+
+    Raises:
+        ValueError: with the surface, the light and what to do.
+    """
+    shapes, emitters = scene.description.shapes, zip(scene.description.emitters, scene.builder.emitters, strict=True)
+    points = [e.path for e, record in emitters if record.kind in c.DELTA_LIGHTS]
+    if not points:
+        return
+    passed = next(s.path for s in shapes for b in (s.bsdf, s.bsdf.back) if b is not None and model_of(b).has_null)
+    raise ValueError(
+        f"derivatives by {', '.join(names)}: path vertices or shadows move, light passes shape {passed!r} without "
+        f"being turned, and {points[0]!r} is a light of no area, whose light no path finds behind it; make it an area "
+        "light, or request what moves nothing (materials, textures, radiances) in a call of its own"
     )
 
 

@@ -11,6 +11,7 @@ import warp as wp
 from warp_psdr.kernels.constants import (
     LOBE_DELTA_REFLECTION,
     LOBE_DELTA_TRANSMISSION,
+    LOBE_NULL,
     LOBE_SMOOTH,
     READ_TEXCOORDS,
     TEXTURE_FACE,
@@ -285,7 +286,7 @@ def scatters(scene: Scene) -> np.ndarray:
 
 def _mirrors(scene: Scene) -> np.ndarray:
     """Return which shapes show mirror images, or let them through, in front and on the back, (S, 2)."""
-    return _lobes(scene) & (1 << LOBE_DELTA_REFLECTION | 1 << LOBE_DELTA_TRANSMISSION) != 0
+    return _lobes(scene) & (1 << LOBE_DELTA_REFLECTION | 1 << LOBE_DELTA_TRANSMISSION | 1 << LOBE_NULL) != 0
 
 
 def _lobes(scene: Scene) -> np.ndarray:

@@ -11,7 +11,12 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.boundary.specular.specular_chain import Link, film_point
-from warp_psdr.kernels.constants import CAMERA_ORTHOGRAPHIC, CAMERA_THINLENS, LOBE_DELTA_TRANSMISSION
+from warp_psdr.kernels.constants import (
+    CAMERA_ORTHOGRAPHIC,
+    CAMERA_THINLENS,
+    LOBE_DELTA_TRANSMISSION,
+    LOBE_NULL,
+)
 from warp_psdr.kernels.fresnel import refracted_cosine
 from warp_psdr.kernels.interior.tangents import normalize_jvp
 from warp_psdr.kernels.reading import load_vec3
@@ -109,6 +114,8 @@ def scattered_differential(link: Link, d: wp.vec3, ray: RayDifferential, point: 
         normal = sign * g - c
         normal_q = sign * c * c_q / wp.max(g, 1.0e-20) - c_q
         r.d = (ray.d + normal_q * n + normal * point.n) / link.eta
+    elif link.lobe == LOBE_NULL:
+        r.d = ray.d
     else:
         r.d = ray.d - 2.0 * (c_q * n + c * point.n)
     return r

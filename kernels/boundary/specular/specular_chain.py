@@ -16,7 +16,8 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.boundary.detector import make_following
-from warp_psdr.kernels.constants import FAR, LOBE_DELTA_REFLECTION, LOBE_DELTA_TRANSMISSION, LOBE_SMOOTH
+from warp_psdr.kernels.bsdf.dispatch import has_null_lobes
+from warp_psdr.kernels.constants import FAR, LOBE_DELTA_REFLECTION, LOBE_DELTA_TRANSMISSION, LOBE_NULL, LOBE_SMOOTH
 from warp_psdr.kernels.emitter.dispatch import is_delta_light, make_delta_sample
 from warp_psdr.kernels.interaction import leave_frame, make_interaction
 from warp_psdr.kernels.invalid import vanishes
@@ -28,7 +29,7 @@ from warp_psdr.kernels.vertex import PathConfig, path_from
 from warp_psdr.kernels.visibility import visibility_of
 
 #: Probability of a pattern's bit: light passes glass instead of being reflected, or a surface that has smooth lobes too
-#: reflects as a mirror instead of ending the chain.
+#: reflects as a mirror, or lets light pass, instead of ending the chain.
 GO_ON = 0.75
 #: What a ray meets: nothing; a lobe of weight zero; a smooth surface, or the last vertex; a mirror or glass.
 MEETS_NOTHING, MEETS_DEAD, MEETS_SMOOTH, MEETS_DELTA = 0, 1, 2, 3
@@ -139,9 +140,11 @@ def make_intersect_link(config: PathConfig):
     visibility = visibility_of(config)
     interaction = make_interaction(config)
     bsdf, emitted = interaction.bsdf, interaction.emitted
-    # What a delta lobe is chosen from: nothing else, a lobe that transmits, or smooth lobes.
+    # What a delta lobe is chosen from: nothing else, a lobe that transmits, or smooth lobes. No model has three of them
+    # (``warp_psdr/plan/coverage.py``).
     mixed = bsdf.eval is not None
     transmissive = bsdf.relative_eta is not None
+    nulls = has_null_lobes(config.bsdfs)
 
     @wp.func
     def intersect_link(
@@ -180,6 +183,14 @@ def make_intersect_link(config: PathConfig):
                 probability = wp.where(on, GO_ON, 1.0 - GO_ON)
                 if on:
                     r.lobe = LOBE_DELTA_TRANSMISSION
+        if wp.static(nulls):
+            if bsdf.has_null(at.model):
+                r.lobe = LOBE_NULL
+                probability = wp.float32(1.0)
+                if bsdf.mirrors(at.model):
+                    probability = wp.where(on, GO_ON, 1.0 - GO_ON)
+                    if not on:
+                        r.lobe = LOBE_DELTA_REFLECTION
         if wp.static(mixed):
             if bsdf.has_smooth(at.model):
                 if not on:
