@@ -278,7 +278,6 @@ BLEND = [
     Case("blend", "floor.bsdf.bsdf_1.alpha.value", ones, 1e-2, depth=2, spp=1024, slow=True),
     Case("gilded", "floor.vertex_gilt", mixed, 2e-2, spp=1024, slow=True),
     Case("gilded", "floor.bsdf.bsdf_1.k.value", mixed, 2e-2, spp=1024, slow=True),
-    Case("gilded", "floor.vertex_positions", bend, 4e-2, "bend", spp=1024, slow=True),
 ]
 ROUGH_GLASS = [
     Case("rough glass", "ball.bsdf.specular_reflectance.value", mixed, 2e-2, depth=4, spp=64),
@@ -292,7 +291,6 @@ TURNED = [
     Case("mapped", "floor.bsdf.normalmap.to_uv", slide, 4e-3, depth=2, spp=2048, slow=True),
     Case("mapped", "floor.vertex_positions", bend, 4e-2, "bend", depth=2, spp=6144, slow=True),
     Case("bumped", "floor.bsdf.nested_texture.data", texel_wave, 2e-2, depth=2, spp=8192, slow=True),
-    Case("bumped", "floor.bsdf.scale", ones, 4e-2, depth=2, spp=1024, slow=True),
     Case("bumped", "ceiling.to_world", shift(0.0, 0.0, 1.0), 4e-2, "along the normal", depth=2, spp=1024, slow=True),
 ]
 INSTANCED = [

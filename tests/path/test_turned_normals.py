@@ -87,21 +87,26 @@ def test_the_texels_of_a_bump_map_have_exact_derivatives(mode: str) -> None:
     integrator, weights = psdr.PathIntegrator(max_depth=2), np.random.default_rng(2).random((4, 4, 3))
     direction = np.random.default_rng(3).uniform(-1.0, 1.0, heights.shape)
 
-    def loss(step: float) -> float:
-        params[name] = (heights + step * direction).astype(np.float32)
+    def loss(name: str, values) -> float:
+        params[name] = np.asarray(values, np.float32)
         params.update()
         return float(np.sum(psdr.render(scene, params, integrator=integrator, spp=4096, seed=1).numpy() * weights))
 
-    # Primal and gradient samples have numbers of their own, so the difference is taken of many.
-    expected = (loss(1e-2) - loss(-1e-2)) / 2e-2
-    loss(0.0)
-    params.requires_grad(name)
+    def difference(name: str, values, direction, step: float) -> float:
+        found = (loss(name, values + step * direction) - loss(name, values - step * direction)) / (2.0 * step)
+        loss(name, values)
+        return found
+
+    expected = difference(name, heights, direction, 1e-2)
+    params.requires_grad(name, "plane.bsdf.scale")
     if mode == "forward":
         image = psdr.render_forward(scene, params, {name: direction}, integrator=integrator, spp=4096)
         found = np.sum(image.numpy() * weights)
     else:
         psdr.render_backward(scene, params, weights, integrator=integrator, spp=4096)
         found = np.sum(params[name].grad.numpy() * direction)
+        by_scale = difference("plane.bsdf.scale", np.full(1, 0.7), 1.0, 2e-2)
+        assert float(params["plane.bsdf.scale"].grad.numpy()[0]) == pytest.approx(by_scale, rel=1e-2)
     assert found == pytest.approx(expected, rel=1e-2)
 
 
