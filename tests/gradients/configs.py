@@ -36,6 +36,7 @@ TOGETHER = {
     "blend": ("floor.bsdf.*",),
     "gilded": ("*",),
     "rough glass": ("ball.bsdf.*",),
+    "rough window": ("floor.bsdf.*",),
     "mapped": ("*",),
     "bumped": ("floor.bsdf.nested_texture.data", "floor.bsdf.scale", "floor.bsdf.nested_bsdf.*", "ceiling.to_world"),
     "instanced": ("group.sheet.vertex_positions", "floor.to_world"),
@@ -282,7 +283,7 @@ BLEND = [
 ROUGH_GLASS = [
     Case("rough glass", "ball.bsdf.specular_reflectance.value", mixed, 2e-2, depth=4, spp=64),
     Case("rough glass", "ball.bsdf.specular_transmittance.value", mixed, 2e-2, depth=4, spp=64),
-    Case("rough glass", "ball.bsdf.alpha.value", ones, 4e-2, depth=2, spp=4096, slow=True),
+    Case("rough window", "floor.bsdf.alpha.value", ones, 2e-2, depth=2, spp=2560, slow=True),
     Case("rough glass", "ball.bsdf.eta", ones, 2e-2, depth=4, spp=1024, slow=True),
 ]
 TURNED = [

@@ -273,6 +273,12 @@ def plate_scene():
     }
 
 
+def rough_window_scene():
+    """The ceiling of ``gap``, a light, seen through its floor."""
+    scene = gap_scene({"type": "roughdielectric", "distribution": "ggx", "alpha": 0.3, "int_ior": 1.4, "ext_ior": 1.0})
+    return {**scene, "sensor": camera([0.0, -0.3, -1.2], [0.0, 0.1, 0.0])}
+
+
 SCENES = {
     "plane": plane_scene,
     "plane, parallel": lambda: plane_seen_by("orthographic", psdr.Transform.scale([0.9, 1.1, 1.5])),
@@ -296,6 +302,7 @@ SCENES = {
     "bumped": bumped_scene,
     "mirror": mirror_scene,
     "rough glass": lambda: glass_scene("roughdielectric", alpha=0.3),
+    "rough window": rough_window_scene,
     "glass": glass_scene,
     "plate": plate_scene,
 }
