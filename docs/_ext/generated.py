@@ -133,6 +133,8 @@ def _parameter(parameter) -> tuple[str, str, str]:
             return "`eta`, `k`, or `material`", "a perfect mirror", ranges
         case model.UniformRoughness():
             return "`alpha`", f"{parameter.default:g}", ranges
+        case model.SpecularIndex():
+            return "`specular`, or `eta`", f"`specular` {parameter.default:g}", ranges
         case model.Roughness():
             return "`alpha`, or `alpha_u` and `alpha_v`", f"{parameter.default:g}", ranges
         case model.Choice():

@@ -43,6 +43,7 @@ MORE: dict[str, tuple[dict, ...]] = {
     "roughconductor": ({"alpha_u": 0.1, "alpha_v": 0.2}, {"eta": 1.0, "k": 2.0}),
     "roughdielectric": ({"alpha_u": 0.1, "alpha_v": 0.2},),
     "conductor": ({"eta": 1.0, "k": 2.0},),
+    "principled": ({"eta": 1.5, "spec_trans": 0.5},),
     "perspective": ({"fov": 40.0},),
     "thinlens": ({"aperture_radius": 0.1, "fov": 40.0},),
     "radiancemeter": ({"origin": [0.0, 0.0, 1.0], "direction": [0.0, 0.0, -1.0]},),

@@ -112,12 +112,26 @@ def make_visible_normal(distribution: str) -> wp.Function:
     return visible_normal
 
 
+@wp.func
+def half_slope(wi: wp.vec3, wo: wp.vec3) -> wp.vec2:
+    """Slope (h_x, h_y) / h_z of the half vector of two directions above the surface.
+
+    It is corrected by a second measurement, that wo - wi is normal to the half vector, so that it keeps its digits at
+    every angle down to alpha = 1e-5.
+
+    Derivation: ``docs/theory/materials.md#digits-of-a-rough-conductor``.
+    """
+    h = wi + wo
+    d = wo - wi
+    sx = h[0] / h[2]
+    sy = h[1] / h[2]
+    r = (d[0] * sx + d[1] * sy + d[2]) / (h[2] * h[2] + d[0] * d[0] + d[1] * d[1])
+    return wp.vec2(sx - d[0] * r, sy - d[1] * r)
+
+
 @functools.cache
 def make_reflection(distribution: str) -> Reflection:
     """Return the functions of a rough mirror.
-
-    The slope of the half vector is corrected by a second measurement, that wo - wi is normal to it, so that it keeps
-    its digits at every angle down to alpha = 1e-5.
 
     Derivation: ``docs/theory/materials.md#digits-of-a-rough-conductor``.
     """
@@ -127,16 +141,10 @@ def make_reflection(distribution: str) -> Reflection:
     @wp.func
     def normals(wi: wp.vec3, wo: wp.vec3, alpha_u: wp.float32, alpha_v: wp.float32) -> wp.float32:
         """Density D of microfacet normals along the half vector, 1/sr."""
-        h = wi + wo
-        d = wo - wi
-        sx = h[0] / h[2]
-        sy = h[1] / h[2]
-        r = (d[0] * sx + d[1] * sy + d[2]) / (h[2] * h[2] + d[0] * d[0] + d[1] * d[1])
-        sx = sx - d[0] * r
-        sy = sy - d[1] * r
-        tx = sx / alpha_u
-        ty = sy / alpha_v
-        return ndf(tx * tx + ty * ty, 1.0 + sx * sx + sy * sy) / (alpha_u * alpha_v)
+        s = half_slope(wi, wo)
+        tx = s[0] / alpha_u
+        ty = s[1] / alpha_v
+        return ndf(tx * tx + ty * ty, 1.0 + s[0] * s[0] + s[1] * s[1]) / (alpha_u * alpha_v)
 
     @wp.func
     def reflected_value(wi: wp.vec3, wo: wp.vec3, alpha_u: wp.float32, alpha_v: wp.float32) -> wp.float32:

@@ -18,6 +18,8 @@ from warp_psdr.kernels.constants import LOBE_DELTA_REFLECTION, LOBE_DELTA_TRANSM
 TEXTURE, GRADIENT, SIDE, METRIC = "texture", "gradient", "side", "metric"
 #: Sources that no texture has a part in.
 GEOMETRY = (SIDE, METRIC)
+#: Least index of refraction of a ``SpecularIndex``.
+MIN_INDEX = 0.01
 
 
 class Value(NamedTuple):
@@ -165,6 +167,46 @@ class RelativeIndex:
     def values(self) -> tuple[Value, ...]:
         """What device code reads."""
         return (Value("ior", False, self.low, self.high),)
+
+
+@dataclass(frozen=True)
+class SpecularIndex:
+    """The index of refraction of a surface as ``eta``, or as the share ``specular`` of 8 % that it reflects.
+
+    A bare number, listed under the name that it is given by. The value of the other one is 0.
+
+    Attributes:
+        default: of ``specular``, where neither is given.
+        gap: how far from 1 the index has to be at load.
+    """
+
+    default: float
+    gap: float = -1.0
+
+    @property
+    def values(self) -> tuple[Value, ...]:
+        """What device code reads."""
+        return Value("ior", False, MIN_INDEX), Value("specular", False, 0.0, 1.0)
+
+
+@dataclass(frozen=True)
+class Rate:
+    """How often a lobe is sampled beside others: a bare number that no image depends on, and so not listed.
+
+    Attributes:
+        name: of the parameter and of the value.
+        default: its value when it is not given.
+        low: least value.
+    """
+
+    name: str
+    default: float
+    low: float = 0.0
+
+    @property
+    def values(self) -> tuple[Value, ...]:
+        """What device code reads."""
+        return (Value(self.name, False, self.low),)
 
 
 @dataclass(frozen=True)
@@ -339,6 +381,8 @@ class Model:
         turned_by: values that the direction of a delta lobe depends on.
         framed: whether the model needs dp/du whatever its values are.
         passes: whether a smooth lobe lies behind the surface.
+        when: name of a parameter. Where a scene file gives it, other than as the number 0, this model serves the plugin
+            and not the one of the same name; its variants bear the name.
     """
 
     plugin: str
@@ -348,6 +392,7 @@ class Model:
     turned_by: tuple[str, ...] = ()
     framed: bool = False
     passes: bool = False
+    when: str = ""
 
     @property
     def values(self) -> tuple[Value, ...]:
@@ -370,7 +415,7 @@ class Model:
         for parameter in self.parameters:
             if isinstance(parameter, Choice | Flag):
                 found = [(*chosen, option) for chosen in found for option in parameter.options]
-        return tuple(variant_of(chosen) for chosen in found)
+        return tuple(variant_of((self.when, *chosen)) for chosen in found)
 
     @property
     def has_smooth(self) -> bool:

@@ -35,16 +35,19 @@ from tests.bsdf.mitsuba_plugins import (
     mitsuba_rough_plastic,
     rgb,
 )
-from tests.bsdf.nested import (
+from tests.bsdf.nested import (  # noqa: F401
     BUMPED,
     COATED_BLEND,
     GLASS_BLEND,
     MAPPED,
     SMOOTH_BLEND,
     bare,
+    index_behind,
+    narrowest,
     nest,
     nested_examples,
 )
+from tests.bsdf.principled import PRINCIPLED, TRANSMITTING
 from warp_psdr.kernels.bsdf.composite import split_key
 from warp_psdr.kernels.bsdf.dispatch import VARIANTS, declaration_of, ordered
 from warp_psdr.kernels.bsdf.microfacet import MIN_ALPHA
@@ -113,6 +116,7 @@ class Example:
         lossless: ``material -> bool``: whether it is white in a white furnace once its reflectances are 1, and no
             sample is lost.
         bounded_by: the reflectance that bounds value over pdf; "": none does.
+        made: energy that the model makes, at most.
     """
 
     materials: tuple[dict, ...]
@@ -124,6 +128,7 @@ class Example:
     mitsuba_pdf: float = 2e-3
     lossless: Callable[[dict], bool] = lambda mat: True
     bounded_by: str = ""
+    made: float = 0.0
 
 
 _ROUGH = {
@@ -234,6 +239,8 @@ EXAMPLES: dict[str, Example] = {
         mitsuba=lambda mat: mitsuba_dielectric(mat, "thindielectric"),
     ),
     "null": Example(materials=(material(),), scatter=twins.null_scatter, mitsuba=lambda mat: {"type": "null"}),
+    "principled": Example(**PRINCIPLED),
+    "principled (spec_trans)": Example(**TRANSMITTING),
 }
 
 
@@ -257,11 +264,6 @@ def passes(key: str) -> bool:
     return declaration_of(key)[0].passes
 
 
-def narrowest(mat: dict) -> float:
-    """Least roughness; 1: the model has none."""
-    return min(bare(mat).get(name, 1.0) for name in ("alpha", "alpha_u", "alpha_v"))
-
-
 def reflectances(key: str) -> list[str]:
     """Names of the values that are shares of light."""
     return [value.name for value in values_of(key) if value.color and value.high == 1.0]
@@ -281,7 +283,7 @@ def white(key: str, mat: dict) -> dict:
 
 
 def corners(key: str) -> list[dict]:
-    """Materials at all combinations of the ends of the values' ranges; what has no end stops at 50.
+    """Materials at all combinations of the ends of the values' ranges, of many values at some; no end stops at 50.
 
     Of nested models those of the children, side by side, at both ends of the weight. Indices of refraction lie between
     0.5 and 3: above 3.8 the fit of ``mean_reflectance`` exceeds 1.
@@ -299,13 +301,9 @@ def corners(key: str) -> list[dict]:
         low, high = (0.5, 3.0) if value.name == "ior" else (value.low, high)
         ends.append([np.full(3, end) if value.color else end for end in (low, high)])
     names = [value.name for value in values_of(key)]
-    return [dict(zip(names, chosen, strict=True)) for chosen in itertools.product(*ends)]
-
-
-def index_behind(mat: dict, wi: np.ndarray) -> float:
-    """Index of refraction behind the interface over the one in front."""
-    ior = bare(mat)["ior"]
-    return ior if wi[2] > 0.0 else 1.0 / ior
+    few = len(names) < 9
+    picks = itertools.product((0, 1), repeat=len(names)) if few else np.random.default_rng(0).integers(2, size=(64, 99))
+    return [{name: end[i] for name, end, i in zip(names, ends, pick, strict=False)} for pick in picks]
 
 
 def energy_of(mat: dict, wi: np.ndarray, lobe: int, value: np.ndarray) -> np.ndarray:

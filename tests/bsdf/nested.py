@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from tests.bsdf.materials import glass, material, metal, plastic, rough
+from tests.bsdf.principled import alphas, index_of
 from warp_psdr.kernels.bsdf.blendbsdf import MIN_SHARE
 from warp_psdr.kernels.bsdf.composite import split_key
 from warp_psdr.kernels.bsdf.dispatch import declaration_of
@@ -35,6 +36,19 @@ def part(mat: dict, prefix: str) -> dict:
 def bare(mat: dict) -> dict:
     """Values under the names that they have in the innermost models; of equal names the last one counts."""
     return {re.sub("^((first|second|nested)_)+", "", name): value for name, value in mat.items()}
+
+
+def narrowest(mat: dict) -> float:
+    """Least roughness; 1: the model has none."""
+    if "base_color" in mat:
+        return min(alphas(mat))
+    return min(bare(mat).get(name, 1.0) for name in ("alpha", "alpha_u", "alpha_v"))
+
+
+def index_behind(mat: dict, wi: np.ndarray) -> float:
+    """Index of refraction behind the interface over the one in front."""
+    ior = index_of(mat) if "base_color" in mat else bare(mat)["ior"]
+    return ior if wi[2] > 0.0 else 1.0 / ior
 
 
 def blend(examples: dict, key: str) -> dict:

@@ -37,6 +37,8 @@ TOGETHER = {
     "gilded": ("*",),
     "rough glass": ("ball.bsdf.*",),
     "rough window": ("floor.bsdf.*",),
+    "principled": ("floor.bsdf.*",),
+    "principled glass": ("ball.bsdf.*",),
     "mapped": ("*",),
     "bumped": ("floor.bsdf.nested_texture.data", "floor.bsdf.scale", "floor.bsdf.nested_bsdf.*", "ceiling.to_world"),
     "instanced": ("group.sheet.vertex_positions", "floor.to_world"),
@@ -298,6 +300,23 @@ INSTANCED = [
     Case("instanced", "group.sheet.vertex_positions", bend, 8e-2, "bend", depth=4, spp=1024, slow=True),
     Case("instanced", "floor.to_world", shift(0.0, 0.0, 1.0), 4e-2, "along the normal", depth=4, spp=1024, slow=True),
 ]
+PRINCIPLED = [
+    Case("principled", "floor.bsdf.base_color.value", mixed, 2e-2, depth=2, spp=256),
+    Case("principled", "floor.bsdf.roughness.value", ones, 2e-2, depth=2, spp=512),
+    Case("principled", "floor.bsdf.metallic.value", ones, 0.2, depth=2, spp=256),
+    Case("principled", "floor.bsdf.clearcoat.value", ones, 0.2, depth=2, spp=256),
+    Case("principled", "floor.bsdf.anisotropic.value", ones, 4e-2, depth=2, spp=16384, slow=True),
+    Case("principled", "floor.bsdf.clearcoat_gloss.value", ones, 4e-2, depth=2, spp=16384, slow=True),
+    Case("principled", "floor.bsdf.specular", ones, 5e-2, depth=2, spp=1024, slow=True),
+    *(
+        Case("principled", f"floor.bsdf.{name}.value", ones, 0.25, depth=2, spp=512, slow=True)
+        for name in ("spec_tint", "sheen", "sheen_tint", "flatness")
+    ),
+    Case("principled glass", "ball.bsdf.base_color.value", mixed, 2e-2, depth=4, spp=512, slow=True),
+    Case("principled glass", "ball.bsdf.spec_trans.value", ones, 0.3, depth=4, spp=512, slow=True),
+    Case("principled glass", "ball.bsdf.roughness.value", ones, 1e-2, depth=4, spp=1024, slow=True),
+    Case("principled glass", "ball.bsdf.eta", ones, 2e-2, depth=4, spp=1024, slow=True),
+]
 DELTA = [
     Case("mirror", "room.bsdf.specular_reflectance.value", ones, 1e-2, depth=4),
     Case("mirror", "room.bsdf.eta.value", mixed, 1e-2, depth=4),
@@ -327,5 +346,5 @@ DELTA = [
 ]
 CASES = [
     *(*PLANE, *PARALLEL, *LENS, *PROJECTED, *DOME, *GAP),
-    *(*ROUGH, *PLASTIC, *ROUGH_PLASTIC, *ROUGH_GLASS, *CHECKERED, *BLEND, *TURNED, *INSTANCED, *DELTA),
+    *(*ROUGH, *PLASTIC, *ROUGH_PLASTIC, *ROUGH_GLASS, *PRINCIPLED, *CHECKERED, *BLEND, *TURNED, *INSTANCED, *DELTA),
 ]

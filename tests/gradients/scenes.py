@@ -235,6 +235,20 @@ def instanced_scene():
     return {**scene, "group": group, "floor": {"type": "instance", "group": ref("group"), "to_world": pose}}
 
 
+def principled_scene():
+    """All lobes but the transmitted one; at all weights the same is drawn, for the differences' sake."""
+    weights = {"metallic": 0.4, "spec_tint": 0.4, "sheen": 0.6, "sheen_tint": 0.6, "flatness": 0.4, "specular": 0.6}
+    more = {"roughness": 0.55, "anisotropic": 0.4, "clearcoat": 0.5, "clearcoat_gloss": 0.2}
+    more |= {"clearcoat_sampling_rate": 0.0, "diffuse_reflectance_sampling_rate": 0.0}
+    return gap_scene({"type": "principled", "base_color": rgb(0.6, 0.3, 0.2), **weights, **more})
+
+
+def principled_glass_scene():
+    scene = glass_scene()
+    glass = {"type": "principled", "base_color": rgb(0.6, 0.5, 0.8), "spec_trans": 0.6, "roughness": 0.5, "eta": 1.4}
+    return scene | {"ball": ball(False, subdivisions=3, bsdf=glass)}
+
+
 def mirror_scene():
     room = ball(True, bsdf={"type": "conductor", "material": "Au"})
     room["vertex_radiance"] = (1.0 + 0.6 * np.sin(room["vertices"] @ noise(3, 3, low=-2.0, high=2.0, seed=6))).astype(
@@ -300,6 +314,8 @@ SCENES = {
     "rough plastic ggx": lambda: rough_plastic_scene("ggx", nonlinear=True),
     "mapped": mapped_scene,
     "bumped": bumped_scene,
+    "principled": principled_scene,
+    "principled glass": principled_glass_scene,
     "mirror": mirror_scene,
     "rough glass": lambda: glass_scene("roughdielectric", alpha=0.3),
     "rough window": rough_window_scene,

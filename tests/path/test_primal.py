@@ -36,6 +36,12 @@ def rough(distribution, alpha):
         <string name="distribution" value="{distribution}"/>{alpha}</bsdf>"""
 
 
+def principled(**numbers):
+    given = "".join(f'<float name="{name}" value="{value}"/>' for name, value in numbers.items())
+    color = '<rgb name="base_color" value="0.7, 0.4, 0.2"/>'
+    return f'<bsdf type="principled"><float name="roughness" value="0.4"/>{color}{given}</bsdf>'
+
+
 #: Small versions of what the renderer supports, each compared with Mitsuba. Where Mitsuba's shape is analytic and ours
 #: tessellated, the shape is a cube.
 MITSUBA_CASES = {
@@ -55,6 +61,8 @@ MITSUBA_CASES = {
     "anisotropic": object_scene(
         rough("ggx", '<float name="alpha_u" value="0.05"/><float name="alpha_v" value="0.4"/>'), LAMP
     ),
+    "principled": object_scene(principled(metallic=0.3, anisotropic=0.5, sheen=0.6, clearcoat=0.9, flatness=0.4), LAMP),
+    "principled glass": object_scene(principled(spec_trans=0.7, spec_tint=0.4, eta=1.4), SKY + LAMP, depth=8),
     "point, spot and sun": object_scene(
         "",
         """<emitter type="point"><point name="position" x="1" y="-1" z="1.5"/><rgb name="intensity" value="1, 2, 3"/>
@@ -74,7 +82,12 @@ MITSUBA_CASES = {
 }
 
 
-@pytest.mark.parametrize("name", MITSUBA_CASES)
+SLOW = ("principled", "principled glass")
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.slow] * (name in SLOW)) for name in MITSUBA_CASES]
+)
 def test_equals_mitsuba(name):
     """Blocks of 6 x 6 pixels have the mean of Mitsuba's ``path``."""
     mitsuba = pytest.importorskip("mitsuba")

@@ -200,7 +200,7 @@ CASES = [
     ),
     # Plugins and parameters.
     Case("unknown plugin", ("scene['x']", "'cubee'", "did you mean 'cube'"), plugins={"x": {"type": "cubee"}}),
-    Case("unsupported bsdf", ("scene.xml:4 <bsdf", "'principled'", "roughconductor"), xml='<bsdf type="principled"/>'),
+    Case("unsupported bsdf", ("scene.xml:4 <bsdf", "'pplastic'", "roughconductor"), xml='<bsdf type="pplastic"/>'),
     Case(
         "plugin under a wrong tag", ("scene.xml:4 <shape", "unsupported shape 'diffuse'"), xml='<shape type="diffuse"/>'
     ),

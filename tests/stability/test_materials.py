@@ -29,6 +29,7 @@ from tests.bsdf.helpers import (
     rounded,
     unit,
 )
+from tests.bsdf.principled import principled
 from tests.bsdf.twins import fresnel_conductor
 from warp_psdr.kernels.bsdf.microfacet import MIN_ALPHA
 from warp_psdr.kernels.constants import LOBE_DELTA_REFLECTION, LOBE_DELTA_TRANSMISSION
@@ -73,6 +74,14 @@ SMOOTH = [
 ROUGHLY_COATED = [
     (f"roughplastic ({kind})", "diffuse_reflectance", lambda a, ior=ior: [rough_plastic(ior, a)], pairs)
     for kind, ior in (("ggx", 1.5), ("beckmann nonlinear", 3.0))
+    for pairs in (rough_pairs, diffuse_pairs)
+]
+PRINCIPLED = [
+    (key, "base_color", lambda a, more=more: [principled(a**0.5, (0.0, 1.0, 0.5), **more)], pairs)
+    for key, more in (
+        ("principled", {"clearcoat": 1.0, "clearcoat_gloss": 1.0, "sheen": 1.0, "flatness": 0.5, "metallic": 0.5}),
+        ("principled (spec_trans)", {"spec_trans": 0.5, "ior": 0.0, "specular": 0.0}),
+    )
     for pairs in (rough_pairs, diffuse_pairs)
 ]
 COATED = [("plastic", "diffuse_reflectance", lambda a: [plastic(1.5, (0.0, 1.0, a))], diffuse_pairs)]
@@ -267,6 +276,14 @@ CASES = [
         naive="of a half vector alone: 1.3 alpha of the lobe at 89.9 degrees",
         bound=3e-6,
         measure=lambda: smooth_values(ROUGHLY_COATED),
+    ),
+    Case(
+        family="materials",
+        name="principled, values, alpha 1e-3 .. 1, up to 89.9 degrees",
+        hard="narrow lobes, an index of refraction of 1, a base whose channels are 0 and 1",
+        naive="the clear coat by 1 + (a^2 - 1) cos^2, which cancels: off by 6e-2 at gloss 1",
+        bound=5e-5,
+        measure=lambda: smooth_values(PRINCIPLED),
     ),
     Case(
         family="materials",

@@ -10,6 +10,7 @@ import numpy as np
 from warp_psdr.kernels.bsdf.composite import Composite, nested_name
 from warp_psdr.kernels.bsdf.dispatch import COMPOSITES, MODELS, declaration_of
 from warp_psdr.kernels.bsdf.model import (
+    MIN_INDEX,
     Accepted,
     Choice,
     Color,
@@ -21,8 +22,10 @@ from warp_psdr.kernels.bsdf.model import (
     NormalTexture,
     Number,
     PlainNumber,
+    Rate,
     RelativeIndex,
     Roughness,
+    SpecularIndex,
     Table,
     UniformRoughness,
     key_of,
@@ -109,15 +112,26 @@ def _build(props: Properties) -> BsdfDescription:
     elif any(composite.plugin == props.type for composite in COMPOSITES):
         result = _nest(props, next(composite for composite in COMPOSITES if composite.plugin == props.type))
     else:
-        result = _declared(props, next(model for model in MODELS if model.plugin == props.type))
+        result = _declared(props, _serving(props))
     props.finish()
     return result
 
 
+def _serving(props: Properties) -> Model:
+    """Return the model that serves the plugin, see ``Model.when``."""
+    served = [model for model in MODELS if model.plugin == props.type]
+    for model in served:
+        given = props.node.get(model.when) if model.when else None
+        if given is not None and not (np.isscalar(given) and given == 0):
+            return model
+        props.take(model.when)
+    return next(model for model in served if not model.when)
+
+
 def _declared(props: Properties, model: Model | Composite) -> BsdfDescription:
     """Read what a model declares, of a composite what is its own."""
-    chosen: list[str] = []
-    textures: dict[str, TextureDescription] = {}
+    chosen: list[str] = [model.when] if isinstance(model, Model) else []
+    values: dict[str, TextureDescription | float] = {}
     for parameter in model.parameters:
         if isinstance(parameter, Table):
             continue
@@ -129,8 +143,10 @@ def _declared(props: Properties, model: Model | Composite) -> BsdfDescription:
             if props.boolean(parameter.name, parameter.default) != parameter.default:
                 props.context.note(f"{props.place(parameter.name)} is ignored: {parameter.reason}")
         elif not isinstance(parameter, Measured):
-            textures.update(READERS[type(parameter)](props, parameter))
-    return BsdfDescription(props.path, model.plugin, textures, variant_of(chosen))
+            values.update(READERS[type(parameter)](props, parameter))
+    textures = {name: value for name, value in values.items() if isinstance(value, TextureDescription)}
+    fixed = {name: value for name, value in values.items() if not isinstance(value, TextureDescription)}
+    return BsdfDescription(props.path, model.plugin, textures, variant_of(chosen), fixed)
 
 
 def _color(props: Properties, parameter: Color) -> dict[str, TextureDescription]:
@@ -261,7 +277,32 @@ def _relative_index(props: Properties, parameter: RelativeIndex) -> dict[str, Te
     return {value.name: eta for value in parameter.values}
 
 
-#: How each kind of parameter is read: ``(props, parameter) -> textures``, by the names of the values.
+def _specular_index(props: Properties, parameter: SpecularIndex) -> dict[str, TextureDescription | float]:
+    """Take ``eta`` or ``specular``."""
+    if props.has("eta") and props.has("specular"):
+        raise error(props.where, "got 'eta' and 'specular'", "give one: each tells the other")
+    name = "eta" if props.has("eta") else "specular"
+    if name == "eta":
+        number = eta = props.number("eta", None, minimum=MIN_INDEX)
+    else:
+        number = props.number("specular", parameter.default, minimum=0.0, maximum=1.0)
+        props.take("eta")
+        eta = 2.0 / (1.0 - np.sqrt(0.08 * number)) - 1.0
+    if abs(eta - 1.0) <= parameter.gap:
+        raise error(
+            props.where,
+            f"{name} {number:g}, an index of refraction of {eta:g}, beside 'spec_trans'",
+            f"what is refracted needs one that differs from 1 by more than {parameter.gap:g}",
+        )
+    listed = dataclasses.replace(constant(f"{props.path}.{name}", number), plain=True)
+    return {"ior": listed, "specular": 0.0} if name == "eta" else {"ior": 0.0, "specular": listed}
+
+
+def _rate(props: Properties, parameter: Rate) -> dict[str, float]:
+    return {parameter.name: props.number(parameter.name, parameter.default, minimum=parameter.low)}
+
+
+#: How each kind of parameter is read: ``(props, parameter) -> values`` by their names, bare numbers if not listed.
 READERS: dict[type, Any] = {
     Color: _color,
     Number: _number,
@@ -272,6 +313,8 @@ READERS: dict[type, Any] = {
     RelativeIndex: _relative_index,
     Roughness: _roughness,
     UniformRoughness: _uniform_roughness,
+    SpecularIndex: _specular_index,
+    Rate: _rate,
 }
 
 
@@ -327,10 +370,11 @@ def _joined(
     reason = composite.refusal(tuple(declaration_of(key) for key in keys))
     if reason:
         raise error(props.where, f"'{props.type}' of {listing(keys)}", reason)
-    textures = dict(own.textures)
+    textures, fixed = dict(own.textures), dict(own.fixed)
     for prefix, child in zip(composite.prefixes, children, strict=True):
         textures |= {nested_name(prefix, name): t for name, t in child.textures.items()}
-    return dataclasses.replace(own, textures=textures, children=keys)
+        fixed |= {nested_name(prefix, name): number for name, number in child.fixed.items()}
+    return dataclasses.replace(own, textures=textures, fixed=fixed, children=keys)
 
 
 def _twosided(props: Properties) -> BsdfDescription:

@@ -328,8 +328,9 @@ class Builder:
                 continue
             t = b.textures.get(value.name)
             bounds = (value.low, value.high)
+            absent = b.fixed.get(value.name, 1.0)
             textures[value.name] = (
-                self._absent(1.0) if t is None else self._texture(t, MATERIAL + value.name, bounds, shape)
+                self._absent(absent) if t is None else self._texture(t, MATERIAL + value.name, bounds, shape)
             )
         for table in model.tables(b.variant):
             textures[table.name] = self._table(table, textures)

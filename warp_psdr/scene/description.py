@@ -54,6 +54,8 @@ class BsdfDescription:
     #: for alpha_u and alpha_v of an isotropic model.
     textures: dict[str, TextureDescription]
     variant: str = ""  #: of the model, for example "ggx"
+    #: Values that are no parameters, such as sampling rates, by their names; they are not listed.
+    fixed: dict[str, float] = field(default_factory=dict)
     #: Keys (``kernels/bsdf/model.py``) of the models nested in it, whose textures are among its own.
     children: tuple[str, ...] = ()
     two_sided: bool = False

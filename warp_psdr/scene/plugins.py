@@ -25,7 +25,7 @@ PLUGINS: dict[str, tuple[str, ...]] = {
         *("obj", "ply", "serialized", "gltf", "glb", "stl", "off", "mesh"),
         *("shapegroup", "instance", "merge"),
     ),
-    "bsdf": (*(model.plugin for model in (*MODELS, *COMPOSITES)), "twosided"),
+    "bsdf": (*dict.fromkeys(model.plugin for model in (*MODELS, *COMPOSITES)), "twosided"),
     "texture": (
         *("bitmap", "checkerboard", "mesh_attribute"),
         *("rgb", "srgb", "spectrum", "uniform", "rawconstant", "d65", "blackbody", "regular", "irregular"),
