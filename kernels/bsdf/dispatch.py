@@ -25,6 +25,7 @@ from warp_psdr.kernels.bsdf.diffuse import DIFFUSE
 from warp_psdr.kernels.bsdf.model import Model, key_of
 from warp_psdr.kernels.bsdf.normalmap import NORMAL_MAP
 from warp_psdr.kernels.bsdf.null import NULL
+from warp_psdr.kernels.bsdf.orennayar import OREN_NAYAR
 from warp_psdr.kernels.bsdf.plastic import PLASTIC
 from warp_psdr.kernels.bsdf.principled import PRINCIPLED, TRANSMITTING_PRINCIPLED
 from warp_psdr.kernels.bsdf.record import (
@@ -44,7 +45,7 @@ from warp_psdr.kernels.structs import BsdfSample, Scattered
 #: All scattering models.
 MODELS: tuple[Model, ...] = (
     *(DIFFUSE, CONDUCTOR, DIELECTRIC, ROUGH_CONDUCTOR, PLASTIC, ROUGH_PLASTIC, ROUGH_DIELECTRIC),
-    *(THIN_DIELECTRIC, NULL, PRINCIPLED, TRANSMITTING_PRINCIPLED),
+    *(THIN_DIELECTRIC, NULL, PRINCIPLED, TRANSMITTING_PRINCIPLED, OREN_NAYAR),
 )
 #: All models that are made of models; each for any children, so that they have no end.
 COMPOSITES: tuple[Composite, ...] = (BLEND, NORMAL_MAP, BUMP_MAP)

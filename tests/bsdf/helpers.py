@@ -241,6 +241,13 @@ EXAMPLES: dict[str, Example] = {
     "null": Example(materials=(material(),), scatter=twins.null_scatter, mitsuba=lambda mat: {"type": "null"}),
     "principled": Example(**PRINCIPLED),
     "principled (spec_trans)": Example(**TRANSMITTING),
+    "orennayar": Example(
+        materials=tuple(material(reflectance=(0.2, 0.5, 0.8), sigma=s) for s in (0.5, 1.2)),
+        more=(material(reflectance=(1.0, 1.0, 1.0), sigma=0.0), material(reflectance=BLACK, sigma=0.3)),
+        eval=twins.oren_nayar_eval,
+        mitsuba=lambda mat: None,
+        lossless=lambda mat: mat["sigma"] == 0.0,
+    ),
 }
 
 

@@ -170,6 +170,8 @@ def refracted_pairs(mat: dict) -> dict[str, tuple[np.ndarray, np.ndarray]]:
 def pairs_of(mat: dict) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """Pairs of directions in the material's lobes."""
     alpha = narrowest(mat)
+    if "sigma" in mat:  # seen along the normal the grooves have a kink, across which the azimuths agree
+        return {name: pair for name, pair in PAIRS.items() if not name.startswith("normal-in")}
     if alpha >= 0.2:
         # On both sides of equal indices, by however little they differ, some grazing angle is one of total reflection.
         metal = bare(mat)

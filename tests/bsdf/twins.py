@@ -54,6 +54,17 @@ def diffuse_eval(mat: dict, wi: np.ndarray, wo: np.ndarray) -> np.ndarray:
     return mat["reflectance"] / np.pi * wo[2]
 
 
+def oren_nayar_eval(mat: dict, wi: np.ndarray, wo: np.ndarray) -> np.ndarray:
+    if min(wi[2], wo[2]) <= 0.0:
+        return np.zeros(3)
+    lesser, greater = sorted(np.arctan2(np.hypot(w[0], w[1]), w[2]) for w in (wi, wo))
+    turn = np.arctan2(wi[1], wi[0]) - np.arctan2(wo[1], wo[0])
+    s2 = mat["sigma"] ** 2
+    a, b = 1.0 - 0.5 * s2 / (s2 + 0.33), 0.45 * s2 / (s2 + 0.09)
+    grooves = a + b * max(0.0, np.cos(turn)) * np.sin(greater) * np.tan(lesser)
+    return mat["reflectance"] / np.pi * grooves * wo[2]
+
+
 def ggx_eval(mat: dict, wi: np.ndarray, wo: np.ndarray) -> np.ndarray:
     return _rough_conductor_eval(mat, wi, wo, lambda t: 1.0 / (1.0 + t) ** 2, _ggx_g1)
 

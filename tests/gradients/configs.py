@@ -37,6 +37,7 @@ TOGETHER = {
     "gilded": ("*",),
     "rough glass": ("ball.bsdf.*",),
     "rough window": ("floor.bsdf.*",),
+    "grooves": ("floor.bsdf.*",),
     "principled": ("floor.bsdf.*",),
     "principled glass": ("ball.bsdf.*",),
     "mapped": ("*",),
@@ -300,6 +301,10 @@ INSTANCED = [
     Case("instanced", "group.sheet.vertex_positions", bend, 8e-2, "bend", depth=4, spp=1024, slow=True),
     Case("instanced", "floor.to_world", shift(0.0, 0.0, 1.0), 4e-2, "along the normal", depth=4, spp=1024, slow=True),
 ]
+GROOVES = [
+    Case("grooves", "floor.bsdf.reflectance.value", mixed, 2e-2, slow=True),
+    Case("grooves", "floor.bsdf.sigma.value", ones, 4e-2, depth=2, spp=64, slow=True),
+]
 PRINCIPLED = [
     Case("principled", "floor.bsdf.base_color.value", mixed, 2e-2, depth=2, spp=256),
     Case("principled", "floor.bsdf.roughness.value", ones, 2e-2, depth=2, spp=512),
@@ -346,5 +351,17 @@ DELTA = [
 ]
 CASES = [
     *(*PLANE, *PARALLEL, *LENS, *PROJECTED, *DOME, *GAP),
-    *(*ROUGH, *PLASTIC, *ROUGH_PLASTIC, *ROUGH_GLASS, *PRINCIPLED, *CHECKERED, *BLEND, *TURNED, *INSTANCED, *DELTA),
+    *(
+        *ROUGH,
+        *PLASTIC,
+        *ROUGH_PLASTIC,
+        *ROUGH_GLASS,
+        *PRINCIPLED,
+        *GROOVES,
+        *CHECKERED,
+        *BLEND,
+        *TURNED,
+        *INSTANCED,
+        *DELTA,
+    ),
 ]

@@ -314,6 +314,7 @@ SCENES = {
     "rough plastic ggx": lambda: rough_plastic_scene("ggx", nonlinear=True),
     "mapped": mapped_scene,
     "bumped": bumped_scene,
+    "grooves": lambda: gap_scene({"type": "orennayar", "reflectance": rgb(0.8, 0.5, 0.6), "sigma": 0.5}),
     "principled": principled_scene,
     "principled glass": principled_glass_scene,
     "mirror": mirror_scene,

@@ -48,6 +48,7 @@ BSDFS = {
     "plastic": {"type": "plastic", "diffuse_reflectance": 0.4},
     "roughdielectric": {"type": "roughdielectric", "int_ior": 1.5, "alpha": 0.3},
     "roughplastic": {"type": "roughplastic", "diffuse_reflectance": 0.4, "alpha": 0.3},
+    "orennayar": {"type": "orennayar", "sigma": 0.5},
     "principled": {"type": "principled", "metallic": 0.3, "clearcoat": 0.5, "sheen": 0.5, "anisotropic": 0.5},
     "blendbsdf": {"type": "blendbsdf", "weight": 0.4, "a": {"type": "diffuse"}, "b": {"type": "conductor"} | METAL},
     "thindielectric": {"type": "thindielectric", "int_ior": 1.5},

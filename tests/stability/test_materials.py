@@ -67,6 +67,7 @@ def diffuse_pairs(_alpha: float) -> Iterator[tuple[np.ndarray, np.ndarray]]:
 #: model, the reflectance in which it is linear, materials by a roughness, pairs of directions.
 SMOOTH = [
     ("diffuse", "reflectance", lambda a: [material(reflectance=(0.0, 1.0, a))], diffuse_pairs),
+    ("orennayar", "reflectance", lambda a: [material(reflectance=(0.0, 1.0, a), sigma=a)], diffuse_pairs),
     (GGX, "specular_reflectance", lambda a: [rough(a, metal=m) for m in METALS], rough_pairs),
     (BECKMANN, "specular_reflectance", lambda a: [rough(a, metal=m) for m in METALS], rough_pairs),
     (GGX, "specular_reflectance", lambda a: [rough(a, min(10.0 * a, 1.0))], rough_pairs),
