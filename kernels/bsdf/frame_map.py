@@ -21,7 +21,7 @@ import warp as wp
 
 from warp_psdr.kernels.bsdf.composite import Child
 from warp_psdr.kernels.bsdf.model import Flag, Functions
-from warp_psdr.kernels.constants import LOBE_NONE, LOBE_SMOOTH
+from warp_psdr.kernels.constants import LOBE_NONE, LOBE_NULL, LOBE_SMOOTH
 from warp_psdr.kernels.math import aligned_tangent, to_local, to_world
 from warp_psdr.kernels.structs import BsdfSample, Scattered
 
@@ -176,4 +176,6 @@ def refuse_frame_map(children: tuple[Child, ...]) -> str:
     """Say why a model cannot be turned."""
     if children[0].model.framed:
         return "a normal or bump map inside another is not supported; leave one out"
+    if children[0].has(LOBE_NULL):
+        return "light that passes straight on has no normal to be turned; put what lets it pass around the map"
     return ""

@@ -5,7 +5,7 @@ import pytest
 
 import warp_psdr as psdr
 from warp_psdr.kernels.bsdf.composite import split_key
-from warp_psdr.kernels.bsdf.dispatch import MODELS, declaration_of, models_of, ordered
+from warp_psdr.kernels.bsdf.dispatch import MODELS, declaration_of, make_bsdf, models_of, ordered
 from warp_psdr.kernels.bsdf.model import key_of
 
 RED, BLUE = (
@@ -144,6 +144,7 @@ BAD = {
     "two textures of heights": (bump_map() | {"more": bitmap()}, r"2 textures .* nest exactly one"),
     "heights without slopes": ({"type": "bumpmap", "a": RED, "b": bitmap(filter_type="nearest")}, "use 'bilinear'"),
     "heights on a checkerboard": ({"type": "bumpmap", "a": RED, "b": {"type": "checkerboard"}}, "give a bitmap"),
+    "thin glass in a map": (normal_map({"type": "thindielectric"}), "put what lets it pass around the map"),
     "a map in a map": (normal_map(bump_map()), "inside another"),
     "glass in twosided": ({"type": "twosided", "c": blend(RED, GLASS)}, r"\['c'\].* inside 'twosided'"),
 }
@@ -215,3 +216,8 @@ def test_normals_of_a_mirror_bend_what_is_seen_in_it() -> None:
         (name,) = [name for name in psdr.traverse(scene) if name.endswith("normalmap.data")]
         plan = psdr.plan(scene, integrator=psdr.PathIntegrator(max_depth=3), names=[name])
         assert plan.wanted.bends and "in a surface with turned normals" in str(plan)
+
+
+def test_the_index_of_a_blend_is_that_of_the_model_that_refracts() -> None:
+    for children in (("null", "dielectric"), ("dielectric", "null")):
+        assert make_bsdf((key_of("blendbsdf", children=children),)).relative_eta is not None
