@@ -157,6 +157,7 @@ class Composite:
             lambda record, variant: self.make(record, variant, children),
             turned_by=(*(self.turns if lobes - {LOBE_SMOOTH} else ()), *turned),
             framed=self.framed or any(child.model.framed for child in children),
+            brushed=any(child.model.brushed for child in children),
             passes=any(child.model.passes for child in children),
         )
 

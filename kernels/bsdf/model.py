@@ -379,7 +379,8 @@ class Model:
             ``LOBE_NULL``.
         make: ``(record, variant) -> Functions``, ``record`` the struct of a scene's material values.
         turned_by: values that the direction of a delta lobe depends on.
-        framed: whether the model needs dp/du whatever its values are.
+        framed: whether the model needs dp/du whatever its values are, and shapes texture coordinates for it.
+        brushed: whether lobes follow dp/du whatever its values are; any tangent does on shapes that have none.
         passes: whether a smooth lobe lies behind the surface.
         when: name of a parameter. Where a scene file gives it, other than as the number 0, this model serves the plugin
             and not the one of the same name; its variants bear the name.
@@ -391,6 +392,7 @@ class Model:
     make: Callable[[type, str], Functions]
     turned_by: tuple[str, ...] = ()
     framed: bool = False
+    brushed: bool = False
     passes: bool = False
     when: str = ""
 

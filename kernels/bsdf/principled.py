@@ -330,13 +330,13 @@ _REFLECTING = (
     Rate("diffuse_reflectance_sampling_rate", 1.0),
 )
 #: Without ``spec_trans``, or with the number 0: nothing passes.
-PRINCIPLED = Model("principled", (*_REFLECTING, SpecularIndex(0.5)), (LOBE_SMOOTH,), make_principled, framed=True)
+PRINCIPLED = Model("principled", (*_REFLECTING, SpecularIndex(0.5)), (LOBE_SMOOTH,), make_principled, brushed=True)
 TRANSMITTING_PRINCIPLED = Model(
     "principled",
     (*_REFLECTING, Number("spec_trans"), SpecularIndex(0.5, gap=MIN_GAP)),
     (LOBE_SMOOTH,),
     make_principled,
-    framed=True,
+    brushed=True,
     passes=True,
     when="spec_trans",
 )

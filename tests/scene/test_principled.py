@@ -72,3 +72,13 @@ def test_bad_input(given, words):
     with pytest.raises(ValueError, match="floor") as caught:
         describe_dict(scene(**given))
     assert words in str(caught.value)
+
+
+def test_shapes_need_no_texture_coordinates_and_it_may_be_nested():
+    """Its lobes follow dp/du where there is one, since ``anisotropic`` has a derivative at 0."""
+    corners = {"type": "mesh", "vertices": np.eye(3), "faces": [[0, 1, 2]], "bsdf": {"type": "principled"}}
+    assert describe_dict({"type": "scene", "bare": corners}).shapes[0].bsdf.model == "principled"
+    bitmap = {"type": "bitmap", "bitmap": np.full((2, 2, 3), (0.5, 0.5, 1.0)), "raw": True}
+    mapped = {"type": "normalmap", "normalmap": bitmap, "inner": {"type": "principled"}}
+    floor = {"type": "rectangle", "bsdf": mapped}
+    assert describe_dict({"type": "scene", "floor": floor}).shapes[0].bsdf.children == ("principled",)

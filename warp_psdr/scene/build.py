@@ -335,7 +335,7 @@ class Builder:
         for table in model.tables(b.variant):
             textures[table.name] = self._table(table, textures)
         number = len(self.bsdfs)
-        if model.framed or any(textures[u] != textures[v] for u, v in model.axes):
+        if model.framed or model.brushed or any(textures[u] != textures[v] for u, v in model.axes):
             self.anisotropic.add(number)
         heights = {textures[value.name] for value in model.values if value.source == GRADIENT}
         if heights:
