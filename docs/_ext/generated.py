@@ -28,6 +28,7 @@ LOBES = {
     constants.LOBE_SMOOTH: "smooth",
     constants.LOBE_DELTA_REFLECTION: "mirror reflection",
     constants.LOBE_DELTA_TRANSMISSION: "smooth transmission",
+    constants.LOBE_NULL: "passage without a turn",
 }
 DATA = Path(__file__).resolve().parents[1] / "data"
 #: Keys of a measured line that are no columns.

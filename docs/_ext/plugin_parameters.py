@@ -32,6 +32,7 @@ NEEDED: dict[str, dict] = {
     "envmap": {"filename": "FILE.png"},
     "thinlens": {"aperture_radius": 0.1},
     "aov": {"aovs": "d:depth"},
+    "moment": {"integrator": {"type": "path"}},
     "shapegroup": {"cube": {"type": "cube"}},
     "instance": {"shapegroup": {"type": "shapegroup", "cube": {"type": "cube"}}},
     "merge": {"shape": {"type": "cube"}},
