@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     from warp_psdr.options.integrator import PathIntegrator
     from warp_psdr.scene.scene import Scene
 
-#: Kinds of lobes of a surface that a chain chooses among.
-CHAIN_LOBES = 2
 REMEDY = "say PathIntegrator(boundary=None) to get the interior term alone"
 
 
