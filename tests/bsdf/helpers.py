@@ -241,6 +241,20 @@ EXAMPLES: dict[str, Example] = {
     "null": Example(materials=(material(),), scatter=twins.null_scatter, mitsuba=lambda mat: {"type": "null"}),
     "principled": Example(**PRINCIPLED),
     "principled (spec_trans)": Example(**TRANSMITTING),
+    "ashikhminshirley": Example(
+        materials=tuple(
+            material(reflectance=(0.2, 0.5, 0.8), specular_reflectance=(0.3, 0.2, 0.1), nu=nu, nv=nv)
+            for nu, nv in ((12.0, 8.0), (40.0, 10.0), (0.5, 0.7))
+        ),
+        more=(
+            material(reflectance=BLACK, specular_reflectance=(1.0, 1.0, 1.0), nu=10.0, nv=10.0),
+            material(reflectance=(1.0, 1.0, 1.0), specular_reflectance=BLACK, nu=0.0, nv=20.0),
+            material(reflectance=BLACK, specular_reflectance=(0.9, 0.6, 0.3), nu=3e4, nv=9e4),
+        ),
+        eval=twins.ashikhmin_shirley_eval,
+        mitsuba=lambda mat: None,
+        lossless=lambda mat: False,
+    ),
     "orennayar": Example(
         materials=tuple(material(reflectance=(0.2, 0.5, 0.8), sigma=s) for s in (0.5, 1.2)),
         more=(material(reflectance=(1.0, 1.0, 1.0), sigma=0.0), material(reflectance=BLACK, sigma=0.3)),

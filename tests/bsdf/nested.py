@@ -42,6 +42,8 @@ def narrowest(mat: dict) -> float:
     """Least roughness; 1: the model has none."""
     if "base_color" in mat:
         return min(alphas(mat))
+    if "nu" in mat:
+        return float(np.sqrt(2.0 / (max(mat["nu"], mat["nv"]) + 2.0)))
     return min(bare(mat).get(name, 1.0) for name in ("alpha", "alpha_u", "alpha_v"))
 
 

@@ -65,6 +65,20 @@ def oren_nayar_eval(mat: dict, wi: np.ndarray, wo: np.ndarray) -> np.ndarray:
     return mat["reflectance"] / np.pi * grooves * wo[2]
 
 
+def ashikhmin_shirley_eval(mat: dict, wi: np.ndarray, wo: np.ndarray) -> np.ndarray:
+    if min(wi[2], wo[2]) <= 0.0:
+        return np.zeros(3)
+    nu, nv, rs = mat["nu"], mat["nv"], mat["specular_reflectance"]
+    h = (wi + wo) / np.linalg.norm(wi + wo)
+    c, phi = np.dot(wi, h), np.arctan2(h[1], h[0])
+    power = nu * np.cos(phi) ** 2 + nv * np.sin(phi) ** 2
+    # The logarithm of the cosine from the sine, which is what has digits near the normal.
+    d = np.sqrt((nu + 1.0) * (nv + 1.0)) / (2.0 * np.pi) * np.exp(0.5 * power * np.log1p(-(h[0] ** 2 + h[1] ** 2)))
+    glossy = d * (rs + (1.0 - rs) * (1.0 - c) ** 5) / (4.0 * c * max(wi[2], wo[2]))
+    below = (1.0 - (1.0 - wi[2] / 2.0) ** 5) * (1.0 - (1.0 - wo[2] / 2.0) ** 5)
+    return (glossy + 28.0 / (23.0 * np.pi) * mat["reflectance"] * (1.0 - rs) * below) * wo[2]
+
+
 def ggx_eval(mat: dict, wi: np.ndarray, wo: np.ndarray) -> np.ndarray:
     return _rough_conductor_eval(mat, wi, wo, lambda t: 1.0 / (1.0 + t) ** 2, _ggx_g1)
 

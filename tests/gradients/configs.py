@@ -38,6 +38,7 @@ TOGETHER = {
     "rough glass": ("ball.bsdf.*",),
     "rough window": ("floor.bsdf.*",),
     "grooves": ("floor.bsdf.*",),
+    "phong": ("floor.bsdf.*",),
     "principled": ("floor.bsdf.*",),
     "principled glass": ("ball.bsdf.*",),
     "mapped": ("*",),
@@ -302,6 +303,10 @@ INSTANCED = [
     Case("instanced", "floor.to_world", shift(0.0, 0.0, 1.0), 4e-2, "along the normal", depth=4, spp=1024, slow=True),
 ]
 GROOVES = [
+    Case("phong", "floor.bsdf.reflectance.value", mixed, 2e-2, depth=2, spp=256, slow=True),
+    Case("phong", "floor.bsdf.specular_reflectance.value", mixed, 2e-2, depth=2, spp=1024, slow=True),
+    Case("phong", "floor.bsdf.nu.value", ones, 1.0, depth=2, spp=1024, slow=True),
+    Case("phong", "floor.bsdf.nv.value", ones, 0.5, depth=2, spp=1024, slow=True),
     Case("grooves", "floor.bsdf.reflectance.value", mixed, 2e-2, slow=True),
     Case("grooves", "floor.bsdf.sigma.value", ones, 4e-2, depth=2, spp=64, slow=True),
 ]

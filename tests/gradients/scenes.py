@@ -235,6 +235,11 @@ def instanced_scene():
     return {**scene, "group": group, "floor": {"type": "instance", "group": ref("group"), "to_world": pose}}
 
 
+def phong_scene():
+    colors = {"reflectance": rgb(0.6, 0.4, 0.2), "specular_reflectance": rgb(0.3, 0.5, 0.7)}
+    return gap_scene({"type": "ashikhminshirley", "nu": 12.0, "nv": 5.0, **colors})
+
+
 def principled_scene():
     """All lobes but the transmitted one; at all weights the same is drawn, for the differences' sake."""
     weights = {"metallic": 0.4, "spec_tint": 0.4, "sheen": 0.6, "sheen_tint": 0.6, "flatness": 0.4, "specular": 0.6}
@@ -315,6 +320,7 @@ SCENES = {
     "mapped": mapped_scene,
     "bumped": bumped_scene,
     "grooves": lambda: gap_scene({"type": "orennayar", "reflectance": rgb(0.8, 0.5, 0.6), "sigma": 0.5}),
+    "phong": phong_scene,
     "principled": principled_scene,
     "principled glass": principled_glass_scene,
     "mirror": mirror_scene,

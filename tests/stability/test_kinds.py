@@ -48,6 +48,7 @@ BSDFS = {
     "plastic": {"type": "plastic", "diffuse_reflectance": 0.4},
     "roughplastic": {"type": "roughplastic", "diffuse_reflectance": 0.4, "alpha": 0.3},
     "orennayar": {"type": "orennayar", "sigma": 0.5},
+    "ashikhminshirley": {"type": "ashikhminshirley", "nu": 20.0},
     "principled": {"type": "principled", "metallic": 0.3, "clearcoat": 0.5, "sheen": 0.5, "anisotropic": 0.5},
     "blendbsdf": {"type": "blendbsdf", "weight": 0.4, "a": {"type": "diffuse"}, "b": {"type": "conductor"} | METAL},
 }

@@ -64,6 +64,10 @@ def diffuse_pairs(_alpha: float) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         yield rounded(direction(angle)), rounded(direction(89.9 - angle, 200.0))
 
 
+def shirley(n: float) -> dict:
+    return material(reflectance=(0.0, 1.0, 0.5), specular_reflectance=(0.5, 0.0, 1.0), nu=n, nv=0.1 * n)
+
+
 #: model, the reflectance in which it is linear, materials by a roughness, pairs of directions.
 SMOOTH = [
     ("diffuse", "reflectance", lambda a: [material(reflectance=(0.0, 1.0, a))], diffuse_pairs),
@@ -83,6 +87,10 @@ PRINCIPLED = [
         ("principled", {"clearcoat": 1.0, "clearcoat_gloss": 1.0, "sheen": 1.0, "flatness": 0.5, "metallic": 0.5}),
         ("principled (spec_trans)", {"spec_trans": 0.5, "ior": 0.0, "specular": 0.0}),
     )
+    for pairs in (rough_pairs, diffuse_pairs)
+]
+PHONG = [
+    ("ashikhminshirley", "reflectance", lambda a: [shirley(min(2.0 / a**2, 1e5))], pairs)
     for pairs in (rough_pairs, diffuse_pairs)
 ]
 COATED = [("plastic", "diffuse_reflectance", lambda a: [plastic(1.5, (0.0, 1.0, a))], diffuse_pairs)]
@@ -285,6 +293,14 @@ CASES = [
         naive="the clear coat by 1 + (a^2 - 1) cos^2, which cancels: off by 6e-2 at gloss 1",
         bound=5e-5,
         measure=lambda: smooth_values(PRINCIPLED),
+    ),
+    Case(
+        family="materials",
+        name="a power of a cosine, exponents 2 to 1e5, up to 89.9 degrees",
+        hard="cosines next to 1, raised to the exponent 1e5",
+        naive="6e-3: the exponent times the rounding of the cosine",
+        bound=2e-5,
+        measure=lambda: smooth_values(PHONG),
     ),
     Case(
         family="materials",
