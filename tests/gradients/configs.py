@@ -315,8 +315,8 @@ PRINCIPLED = [
     Case("principled", "floor.bsdf.roughness.value", ones, 2e-2, depth=2, spp=512),
     Case("principled", "floor.bsdf.metallic.value", ones, 0.2, depth=2, spp=256),
     Case("principled", "floor.bsdf.clearcoat.value", ones, 0.2, depth=2, spp=256),
-    Case("principled", "floor.bsdf.anisotropic.value", ones, 4e-2, depth=2, spp=16384, slow=True),
-    Case("principled", "floor.bsdf.clearcoat_gloss.value", ones, 4e-2, depth=2, spp=16384, slow=True),
+    Case("principled", "floor.bsdf.anisotropic.value", ones, 4e-2, depth=2, spp=10240, slow=True),
+    Case("principled", "floor.bsdf.clearcoat_gloss.value", ones, 4e-2, depth=2, spp=2048, slow=True),
     Case("principled", "floor.bsdf.specular", ones, 5e-2, depth=2, spp=1024, slow=True),
     *(
         Case("principled", f"floor.bsdf.{name}.value", ones, 0.25, depth=2, spp=512, slow=True)
@@ -324,7 +324,7 @@ PRINCIPLED = [
     ),
     Case("principled glass", "ball.bsdf.base_color.value", mixed, 2e-2, depth=4, spp=512, slow=True),
     Case("principled glass", "ball.bsdf.spec_trans.value", ones, 0.3, depth=4, spp=512, slow=True),
-    Case("principled glass", "ball.bsdf.roughness.value", ones, 1e-2, depth=4, spp=1024, slow=True),
+    Case("principled glass", "ball.bsdf.roughness.value", ones, 1e-2, depth=4, spp=3072, slow=True),
     Case("principled glass", "ball.bsdf.eta", ones, 2e-2, depth=4, spp=1024, slow=True),
 ]
 DELTA = [
