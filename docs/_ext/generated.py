@@ -117,7 +117,8 @@ class Models(Generated):
                     continue
                 about = " | ".join(_parameter(parameter))
                 lines.append(f"| `{declared.plugin}` | {about} | {lobes} |")
-        return "\n".join(lines)
+        # A model that serves a plugin where one parameter is given repeats the others.
+        return "\n".join(dict.fromkeys(lines))
 
 
 def _parameter(parameter) -> tuple[str, str, str]:
