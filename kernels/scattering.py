@@ -79,11 +79,12 @@ def make_sky_hit(config: PathConfig):
     """Return ``sky_hit(scene, state) -> EmissionHit`` of a ray that leaves the scene."""
     lights = make_lights(config.lights, None, ()) if config.lights else None
     environment_eval_pdf = lights.environment_eval_pdf if lights else None
+    environment = environment_eval_pdf is not None
 
     @wp.func
     def sky_hit(scene: Scene, state: PathState) -> EmissionHit:
         emission = EmissionHit()
-        if wp.static(environment_eval_pdf is not None):
+        if wp.static(environment):
             found, density = environment_eval_pdf(scene, state.d)
             density *= emitter_at(scene, scene.environment).probability
             weight = wp.where(state.pdf > 0.0, mis_weight(state.pdf, density), 1.0)

@@ -17,7 +17,9 @@ BETAS, EPSILON = (0.8, 0.95), 1e-8
 class Parameters(dict):
     """The part of a scene's parameters that an optimiser touches: arrays, their ranges, update and zero_grad."""
 
-    scene = SimpleNamespace(derived_normals=lambda names: [])
+    scene = SimpleNamespace(
+        derived_normals=lambda names: [], instances=SimpleNamespace(derived_normals=lambda names: [])
+    )
 
     def __init__(self, values: dict, ranges: dict | None = None, dtypes: dict | None = None, device: str = "cpu"):
         dtypes = dtypes or {}
@@ -191,7 +193,9 @@ def test_options_are_checked(options: dict, message: str) -> None:
 )
 def test_what_follows_another_parameter_is_refused_beside_it(source: str, follower: str) -> None:
     params = Parameters({f"ball.{source}": np.eye(4), f"ball.{follower}": np.zeros((3, 3))})
-    params.scene = SimpleNamespace(derived_normals=lambda names: [0])
+    params.scene = SimpleNamespace(
+        derived_normals=lambda names: [0], instances=SimpleNamespace(derived_normals=lambda names: [])
+    )
     with pytest.raises(ValueError, match=rf"'ball\.{follower}' follows 'ball\.{source}'.*leave one of them out"):
         optim.Adam(params, 0.1)
     optim.Adam(params, {f"ball.{source}": 0.1})
