@@ -132,6 +132,16 @@ MIRROR_LIGHTS = PathConfig(
 MIRRORS = PathConfig(**{**vars(SIMPLE), **materials("conductor", "dielectric")})
 MIRRORS_PARALLEL = PathConfig(**{**vars(MIRRORS), "camera": c.CAMERA_ORTHOGRAPHIC})
 MIRRORS_LENS = PathConfig(**{**vars(MIRRORS), "camera": c.CAMERA_THINLENS})
+#: Light passes masks and thin glass.
+THROUGH = PathConfig(
+    **{
+        **vars(SIMPLE),
+        **materials("diffuse", "thindielectric", "mask(plastic) (explored)"),
+        "lights": (c.EMITTER_CONSTANT, c.EMITTER_POINT),
+        "one_light": False,
+        "through": True,
+    }
+)
 #: What is traced again for ``psdr.trace_sample``.
 NOTED = PathConfig(**{**vars(SIMPLE), "noted": True})
 NOTED_MATERIALS = PathConfig(**{**vars(MATERIALS), "noted": True})
@@ -194,6 +204,7 @@ FACTORIES = {
         ("irradiance meter", (IRRADIANCE,), SLOW),
         ("others", (OTHERS,), SLOW),
         ("everything", (EVERYTHING,), SLOW),
+        ("through", (THROUGH,), SLOW),
     ],
     "splat.make_splat_kernel": [("tent", (SPLAT,), FAST), ("gaussian", (SPLAT_GAUSSIAN,), SLOW)],
     "interior.replay.make_replay_kernel": [
@@ -202,12 +213,14 @@ FACTORIES = {
         ("orthographic", (ORTHOGRAPHIC, moving_camera(ORTHOGRAPHIC), 4, 1), SLOW),
         ("thin lens", (THIN_LENS, moving_camera(THIN_LENS), 4, 1), SLOW),
         *[(name, (config, all_of(config), 4, 1), SLOW) for name, config in THIRDS.items()],
+        ("through", (THROUGH, still(THROUGH), 4, 1), SLOW),
     ],
     "interior.forward.make_forward_kernel": [
         ("simple", (SIMPLE, ALBEDO), FAST),
         ("orthographic", (ORTHOGRAPHIC, moving_camera(ORTHOGRAPHIC)), SLOW),
         ("thin lens", (THIN_LENS, moving_camera(THIN_LENS)), SLOW),
         *[(name, (config, all_of(config)), SLOW) for name, config in THIRDS.items()],
+        ("through", (THROUGH, still(THROUGH)), SLOW),
     ],
     "interior.textbook.make_textbook_kernel": [
         ("reverse, simple", (SIMPLE, ALBEDO, "reverse"), FAST),

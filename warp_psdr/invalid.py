@@ -182,7 +182,8 @@ def _warn(ledger: Ledger, before: dict[str, tuple[int, int]], seed: int) -> None
     if found:
         message = (
             f"samples that were not finite were dropped, which biases the result: {'; '.join(found)}. Look for values "
-            "beyond the range of float32 (huge or tiny sizes, radiances, indices) and for degenerate triangles there"
+            "beyond the range of float32 (huge or tiny sizes, radiances, indices), for degenerate triangles there, and "
+            "for light behind more than 32 surfaces that let it pass"
         )
         warnings.warn(message, RuntimeWarning, stacklevel=4)
 

@@ -26,6 +26,7 @@ NEEDED: dict[str, dict] = {
     "twosided": {"bsdf": {"type": "diffuse"}},
     "normalmap": {"normalmap": {"type": "bitmap", "bitmap": np.ones((2, 2, 3))}, "a": {"type": "diffuse"}},
     "bumpmap": {"heights": {"type": "bitmap", "bitmap": np.ones((2, 2, 1))}, "a": {"type": "diffuse"}},
+    "mask": {"a": {"type": "diffuse"}},
     "blendbsdf": {"weight": 0.5, "a": {"type": "diffuse"}, "b": {"type": "diffuse"}},
     "bitmap": {"filename": "FILE.png"},
     "mesh_attribute": {"name": "vertex_color"},

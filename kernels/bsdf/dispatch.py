@@ -23,6 +23,7 @@ from warp_psdr.kernels.bsdf.composite import Composite, split_key
 from warp_psdr.kernels.bsdf.conductor import CONDUCTOR
 from warp_psdr.kernels.bsdf.dielectric import DIELECTRIC
 from warp_psdr.kernels.bsdf.diffuse import DIFFUSE
+from warp_psdr.kernels.bsdf.mask import MASK
 from warp_psdr.kernels.bsdf.model import Model, key_of
 from warp_psdr.kernels.bsdf.normalmap import NORMAL_MAP
 from warp_psdr.kernels.bsdf.null import NULL
@@ -49,7 +50,7 @@ MODELS: tuple[Model, ...] = (
     *(THIN_DIELECTRIC, NULL, PRINCIPLED, TRANSMITTING_PRINCIPLED, OREN_NAYAR, ASHIKHMIN_SHIRLEY),
 )
 #: All models that are made of models; each for any children, so that they have no end.
-COMPOSITES: tuple[Composite, ...] = (BLEND, NORMAL_MAP, BUMP_MAP)
+COMPOSITES: tuple[Composite, ...] = (BLEND, NORMAL_MAP, BUMP_MAP, MASK)
 #: Key of a variant -> model and the variant's name, in the order in which a scene numbers those that it has.
 VARIANTS: dict[str, tuple[Model, str]] = {
     key_of(model.plugin, variant): (model, variant) for model in MODELS for variant in model.variants

@@ -40,6 +40,9 @@ from tests.bsdf.nested import (  # noqa: F401
     COATED_BLEND,
     GLASS_BLEND,
     MAPPED,
+    MASKED,
+    MASKED_COAT,
+    MASKED_PLATE,
     SMOOTH_BLEND,
     bare,
     index_behind,
@@ -56,7 +59,7 @@ from warp_psdr.kernels.constants import LOBE_DELTA_TRANSMISSION, LOBE_SMOOTH
 from warp_psdr.kernels.structs import BsdfSample, Scattered
 from warp_psdr.scene.tables import MAKERS
 
-NESTED_MODELS = ordered((SMOOTH_BLEND, COATED_BLEND, GLASS_BLEND, MAPPED, BUMPED))
+NESTED_MODELS = ordered((SMOOTH_BLEND, COATED_BLEND, GLASS_BLEND, MAPPED, BUMPED, MASKED, MASKED_PLATE, MASKED_COAT))
 PLAIN_MODELS = tuple(VARIANTS)
 ALL_MODELS = (*PLAIN_MODELS, *NESTED_MODELS)
 SMOOTH_MODELS = tuple(key for key in ALL_MODELS if declaration_of(key)[0].has_smooth)

@@ -10,6 +10,7 @@ from tests.bsdf.principled import alphas, index_of
 from warp_psdr.kernels.bsdf.blendbsdf import MIN_SHARE
 from warp_psdr.kernels.bsdf.composite import split_key
 from warp_psdr.kernels.bsdf.dispatch import declaration_of
+from warp_psdr.kernels.constants import LOBE_NULL
 
 #: Examples of models made of models: two smooth lobes, a mirror reflection of both, one that transmits.
 SMOOTH_BLEND = "blendbsdf(diffuse, roughconductor (ggx))"
@@ -18,6 +19,9 @@ GLASS_BLEND = "blendbsdf(diffuse, dielectric)"
 #: A normal map with both switches on, a bump map with both off.
 MAPPED = "normalmap(plastic)"
 BUMPED = "bumpmap(roughconductor (ggx)) (no_flip_invalid_normals no_use_shadowing_function)"
+MASKED = "mask(diffuse)"
+MASKED_PLATE = "mask(thindielectric)"
+MASKED_COAT = "mask(plastic) (explored)"
 
 
 def nest(**children: dict) -> dict:
@@ -87,6 +91,36 @@ def blend(examples: dict, key: str) -> dict:
         "scatter": scatter if model.has_delta else None,
         "mitsuba": mitsuba,
         "lossless": lambda mat: one.lossless(part(mat, "first")) and two.lossless(part(mat, "second")),
+    }
+
+
+def mask(examples: dict, key: str) -> dict:
+    """What an ``Example`` of a mask needs but for its materials, from that of its child."""
+    child = examples[split_key(key)[2][0]]
+    lobes = declaration_of(split_key(key)[2][0])[0].lobes
+
+    def value(mat: dict, wi: np.ndarray, wo: np.ndarray) -> np.ndarray:
+        return mat["opacity"] * child.eval(part(mat, "nested"), wi, wo)
+
+    def scatter(mat: dict, wi: np.ndarray, lobe: int) -> tuple[np.ndarray, np.ndarray]:
+        nothing = -wi, np.zeros(3)
+        wo, inner = child.scatter(part(mat, "nested"), wi, lobe) if lobe in lobes else nothing
+        return wo, mat["opacity"] * inner + (lobe == LOBE_NULL) * (1.0 - mat["opacity"])
+
+    def mitsuba(mat: dict) -> dict | None:
+        nested = child.mitsuba(part(mat, "nested"))
+        if nested is None or not 0.0 < mat["opacity"] < 1.0:
+            return None
+        return {"type": "mask", "opacity": mat["opacity"], "a": nested}
+
+    return {
+        "eval": value if declaration_of(key)[0].has_smooth else None,
+        "scatter": scatter,
+        "mitsuba": mitsuba,
+        # From behind, an opaque model loses its share.
+        "lossless": lambda mat: (
+            declaration_of(split_key(key)[2][0])[0].transmits and child.lossless(part(mat, "nested"))
+        ),
     }
 
 
@@ -220,5 +254,15 @@ def nested_examples(example: type, plain: dict) -> dict:
                 for h, m in (((1.0, 1.0, 0.0), (0.0, 0.0, 0.0)), ((1e4, -1e4, 0.0), (1.0, 0.0, 1.0)))
             ),
             **framed(plain, BUMPED, bumped_normal, lambda mat: {"heights": _heights(mat), "scale": mat["scale"]}),
+        ),
+        MASKED: example(
+            materials=tuple(nest(opacity=o, nested=material(reflectance=(0.2, 0.5, 0.8))) for o in (0.7, 0.0, 1.0)),
+            **mask(plain, MASKED),
+        ),
+        MASKED_PLATE: example(
+            materials=tuple(nest(opacity=o, nested=glass(1.5)) for o in (0.7, 0.0, 1.0)), **mask(plain, MASKED_PLATE)
+        ),
+        MASKED_COAT: example(
+            materials=tuple(nest(opacity=o, nested=plastic(1.5)) for o in (0.7, 0.0, 1.0)), **mask(plain, MASKED_COAT)
         ),
     }

@@ -46,6 +46,7 @@ TOGETHER = {
     "instanced": ("group.sheet.vertex_positions", "floor.to_world"),
     "mirror": ("*",),
     "glass": ("*",),
+    "leaf": ("leaf.bsdf.*",),
     "plate": ("plate.bsdf.*", "room.vertex_radiance", "lamp.intensity.value"),
 }
 
@@ -353,6 +354,9 @@ DELTA = [
     Case("plate", "plate.bsdf.specular_transmittance.value", mixed, 2e-2, depth=5, spp=64),
     Case("plate", "room.vertex_radiance", mixed, 5e-2, depth=5),
     Case("plate", "lamp.intensity.value", mixed, 5e-2, depth=5),
+    Case("leaf", "leaf.bsdf.opacity.data", ones, 8e-2, depth=4, spp=2048),
+    Case("leaf", "leaf.bsdf.opacity.to_uv", slide, 2e-2, depth=4, spp=8192, slow=True),
+    Case("leaf", "leaf.bsdf.nested_bsdf.brdf_0.reflectance.value", mixed, 5e-2, depth=4, spp=64),
 ]
 CASES = [
     *(*PLANE, *PARALLEL, *LENS, *PROJECTED, *DOME, *GAP),

@@ -273,6 +273,21 @@ def glass_scene(kind="dielectric", **more):
     }
 
 
+def leaf_scene():
+    """Above a floor under a ceiling that shines, and under a lamp of no area: a leaf with soft holes."""
+    scene = gap_scene(DIFFUSE)
+    holes = {"type": "bitmap", "bitmap": noise(4, 4, 1, low=0.1, high=0.9, seed=8), "raw": True}
+    return {
+        **scene,
+        "leaf": {
+            "type": "rectangle",
+            "to_world": psdr.Transform.translate([0.2, 0.2, 0.5]) @ psdr.Transform.scale(0.5),
+            "bsdf": {"type": "mask", "opacity": holes, "leaf": {"type": "twosided", "bsdf": DIFFUSE}},
+        },
+        "lamp": {"type": "point", "position": [0.3, 0.2, 1.1], "intensity": rgb(1.0, 0.8, 0.6)},
+    }
+
+
 def plate_scene():
     """Inside of a ball that shines, behind two plates: one of thin glass, and one that is not there."""
     room = {**mirror_scene()["room"], "bsdf": {"type": "diffuse", "reflectance": rgb(0.5, 0.6, 0.7)}}
@@ -328,6 +343,7 @@ SCENES = {
     "rough window": rough_window_scene,
     "glass": glass_scene,
     "plate": plate_scene,
+    "leaf": leaf_scene,
 }
 
 

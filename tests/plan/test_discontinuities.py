@@ -109,3 +109,27 @@ def test_both_modes_agree_on_an_index_of_refraction() -> None:
     assert total != 0.0
     # Absorbs float32 rounding: the two modes add the same terms in different orders.
     assert params["glass.bsdf.eta"].grad.numpy()[0] == pytest.approx(total, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("bsdf", "light", "name", "match"),
+    [
+        ({"type": "null"}, {"type": "point"}, "card.to_world", "'veil'.*'lamp' is a light of no area"),
+        ({"type": "null"}, {"type": "point"}, "lamp.position", "'veil'.*'lamp' is a light of no area"),
+        ({"type": "null"}, {"type": "point"}, "camera.to_world", "'veil'.*'lamp' is a light of no area"),
+        ({"type": "thindielectric"}, spot(20.0, 15.0), "veil.to_world", "'veil'.*'lamp' is a light of no area"),
+        (
+            {"type": "mask", "bsdf": {"type": "plastic"}}, {"type": "constant"}, "card.to_world",
+            r"'veil', a 'mask\(plastic\)', scatters smoothly, reflects as a mirror and lets light pass",
+        ),
+    ],
+)  # fmt: skip
+def test_what_moves_beside_a_null_lobe_is_refused_by_name(bsdf: dict, light: dict, name: str, match: str) -> None:
+    scene = scene_with(veil={"type": "rectangle", "bsdf": bsdf}, lamp=light)
+    params = psdr.traverse(scene)
+    params.requires_grad(name)
+    with pytest.raises(ValueError, match=match):
+        psdr.plan(scene, params, integrator=psdr.PathIntegrator(max_depth=3))
+    # What moves nothing is not.
+    params.requires_grad_only("card.bsdf.reflectance.value")
+    assert psdr.plan(scene, params, integrator=psdr.PathIntegrator(max_depth=3)).config.through

@@ -146,6 +146,12 @@ BAD = {
     "heights on a checkerboard": ({"type": "bumpmap", "a": RED, "b": {"type": "checkerboard"}}, "give a bitmap"),
     "thin glass in a map": (normal_map({"type": "thindielectric"}), "put what lets it pass around the map"),
     "a map in a map": (normal_map(bump_map()), "inside another"),
+    "a masked model under a normal map": (
+        normal_map({"type": "mask", "c": RED}),
+        "put what lets it pass around the map",
+    ),
+    "a mask in twosided": ({"type": "twosided", "c": {"type": "mask", "d": RED}}, r"\['c'\].* inside 'twosided'"),
+    "a mask of nothing": ({"type": "mask"}, "0 nested bsdf; nest exactly one"),
     "glass in twosided": ({"type": "twosided", "c": blend(RED, GLASS)}, r"\['c'\].* inside 'twosided'"),
 }
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 from warp_psdr import html
 from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.bsdf.dispatch import has_delta_lobes, has_null_lobes, models_of
+from warp_psdr.kernels.bsdf.mask import explored
 from warp_psdr.kernels.emitter.spot import MIN_FALLOFF
 from warp_psdr.kernels.interior.gradient_request import GradientRequest
 from warp_psdr.kernels.vertex import PathConfig
@@ -174,6 +175,10 @@ def decide(
         if any("normalmap" in key or "bumpmap" in key for key in config.bsdfs):
             lines.append(("turned normals", "as they are seen", FLIPPED))
     moving = tuple(_discontinuities(scene, config, names))
+    if wanted is not None:
+        asked = [slot.name for slot, w in zip(config.material, wanted.material, strict=True) if w]
+        if any(name.rsplit("_", 1)[-1] == "opacity" for name in asked):
+            config = replace(config, bsdfs=tuple(map(explored, config.bsdfs)))
     if config.through and wanted is not None and (wanted.geometry or moving):
         # What moves sees null lobes as other delta lobes, whose crossings are path vertices of their own.
         _check_lights(scene, names)

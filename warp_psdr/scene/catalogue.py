@@ -9,9 +9,9 @@ MITSUBA: dict[str, tuple[str, ...]] = {
         *("sdfgrid", "serialized", "shapegroup", "hair"),
     ),
     "bsdf": (
-        *("bumpmap", "circular", "hair", "mask", "measured", "measured_polarized", "normalmap", "null"),
+        *("bumpmap", "circular", "hair", "measured", "measured_polarized", "normalmap"),
         *("plastic", "polarizer", "pplastic", "principled", "principledthin", "retarder", "roughdielectric"),
-        *("roughplastic", "thindielectric", "coating", "roughcoating", "difftrans", "phong", "ward", "mixturebsdf"),
+        *("roughplastic", "coating", "roughcoating", "difftrans", "phong", "ward", "mixturebsdf"),
         *("roughdiffuse", "opacity"),
     ),
     "texture": ("checkerboard", "volume", "gridtexture", "scale", "vertexcolors", "curvature", "wireframe"),

@@ -48,7 +48,8 @@ def texture(
         high: Largest admissible value.
         emissive: Whether it is emitted light.
         scalar: Whether it is one number; colour bitmaps are reduced to their luminance.
-        clamped: Whether device code takes texels beyond ``high`` for ``high``; otherwise they are noted.
+        clamped: Whether device code takes texels beyond ``high`` for ``high``; otherwise they are noted. Of a colour
+            the luminance counts, which is noted.
         path: The name under which it is listed; default: the parameter's.
 
     Returns:
@@ -72,6 +73,9 @@ def _texture(
     path: str,
 ) -> TextureDescription:
     result, place = _read(props, name, path or f"{props.path}.{name}", default, high, emissive, scalar)
+    if clamped and result.kind == "constant" and result.value.size == 3:
+        result = dataclasses.replace(result, value=np.atleast_1d(result.value @ LUMINANCE))
+        props.context.note(f"{place}: '{name}' is one number, the luminance of the colour that is given")
     for leaf in result.leaves:
         if leaf is not result or leaf.kind == "bitmap":
             _raise_to(leaf, name, place, props.context, low)
