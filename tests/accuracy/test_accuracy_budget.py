@@ -63,6 +63,7 @@ def deviate(values, truth: float) -> float:
     return (values.mean() - truth) / (values.std(ddof=1) / math.sqrt(len(values)))
 
 
+@pytest.mark.slow
 def test_stopping_at_an_error_does_not_choose(monkeypatch):
     # A relative error is estimated low where the mean is high by chance: a rule that looks at the estimate which it
     # stops stops early there. The halves do not.
@@ -84,7 +85,7 @@ def test_stopping_at_an_error_does_not_choose(monkeypatch):
     assert deviate(naive, sum(MEANS)) > 1.25 * Z  # and this test would see it
 
 
-@pytest.mark.parametrize("enough", [math.inf, 2.0])
+@pytest.mark.parametrize("enough", [math.inf, pytest.param(2.0, marks=pytest.mark.slow)])
 def test_stopping_at_a_time_does_not_choose(monkeypatch, enough):
     # Large values take long here: whoever counts a round that ends late, or starts none that might, prefers some.
     what, report = made_up(monkeypatch)

@@ -68,7 +68,7 @@ def stretched(values):
 
 
 CASES = [
-    Case("parallel silhouette", SHAPE, ALONG, 0.01, "moves", slow=False),
+    Case("parallel silhouette", SHAPE, ALONG, 0.01, "moves"),
     Case("parallel", OCCLUDER, ALONG, 0.01, "occluder moves", difference_spp=2048),
     Case("parallel", FLOOR, moved(0.0, 0.0, 1.0), 0.02, RECEIVER, spp=2048, difference_spp=4096),
     Case("parallel", POSE, ALONG, 0.01, "camera moves", difference_spp=2048),

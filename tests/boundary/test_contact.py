@@ -178,7 +178,7 @@ UPRIGHT, BEVEL = [(0.0, 0.0), (0.0, 0.6)], 0.003
     ("profile", "end", "ratio", "glows"),
     [
         pytest.param(UPRIGHT, WIDE, 0.004, True, id="on the floor"),
-        pytest.param(UPRIGHT, WIDE, 0.004, False, id="on the floor, lit"),
+        pytest.param(UPRIGHT, WIDE, 0.004, False, id="on the floor, lit", marks=pytest.mark.slow),
         pytest.param(UPRIGHT, 0.0, 0.06, True, id="that ends", marks=pytest.mark.slow),
         pytest.param([(0.0, 0.005), (0.0, 0.6)], WIDE, 0.02, True, id="above a gap"),
         pytest.param([(0.0, 0.005), (0.0, 0.6)], WIDE, 0.02, False, id="above a gap, lit", marks=pytest.mark.slow),
