@@ -145,7 +145,7 @@ UNCOVERED = {
         2,
         "more than two triangles",
     ),
-    "steps": (under(sky()) | {"floor": floor(bsdf=NEAREST)}, 2, "nearest"),
+    "steps": (under(sky()) | {"occluder": ball((0, 0, 1), 0.4, NEAREST)}, 2, "jumps inside of triangles"),
     "cone": (
         under({"type": "spot", "to_world": T.translate([0, 0, 3]), "cutoff_angle": 20.0, "beam_width": 20.0}),
         2,
