@@ -191,7 +191,7 @@ CASES = [
     Case("slab", ETA, np.ones_like, 0.01, "index changes", depth=4, **MANY),
     # Through thin glass, and through nothing.
     Case("hollow slab", LAMP, ALONG, 0.01, "lamp moves", depth=4, spp=1024, difference_spp=4096),
-    Case("hollow slab", GLASSES, turned(2), 0.01, "slab turns", depth=4, spp=8192, difference_spp=32768),
+    Case("hollow slab", GLASSES, turned(2), 0.01, "slab turns", depth=4, spp=12288, difference_spp=49152),
     Case("hollow slab", CAMERA, ALONG, 0.01, "camera moves", depth=4, **MANY),
     Case("no slab", LAMP, ALONG, 0.01, "lamp moves", depth=4, spp=1024, difference_spp=4096),
     Case("under a leaf", "leaf.vertex_positions", ALONG, 0.02, "leaf moves", depth=4, spp=16384, difference_spp=65536),
