@@ -7,6 +7,7 @@ import numpy as np
 import warp as wp
 from scipy.spatial.transform import Rotation
 
+import warp_psdr as psdr
 from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.emitter.dispatch import make_lights
 from warp_psdr.kernels.structs import Emitter, Scene, Texture
@@ -359,3 +360,22 @@ def queries(name, light):
     else:
         x = rng.normal(size=(n, 3)) * 0.3
     return x.astype(np.float32), rng.normal(size=(n, 3)), rng.normal(size=(n, 3))
+
+
+def floor_under(light, size=16):
+    """Return a floor under a light, for `load_dict`; the camera sees nothing else."""
+    return {
+        "type": "scene",
+        "integrator": {"type": "path", "max_depth": 2},
+        "camera": {
+            "type": "perspective",
+            "fov": 40.0,
+            "to_world": psdr.Transform.look_at([0.0, -1.0, 4.0], [0.0, 0.0, 0.0], [0.0, 1.0, 0.0]),
+            "film": {"type": "hdrfilm", "width": size, "height": size, "rfilter": {"type": "box"}},
+        },
+        "floor": {"type": "rectangle", "to_world": psdr.Transform.scale(3.0), "bsdf": {"type": "diffuse"}},
+        "lamp": {
+            "to_world": psdr.Transform.look_at([1.0, 0.5, 2.5], [0.1, 0.2, 0.0], [0.3, 1.0, 0.0]),
+            **light,
+        },
+    }

@@ -5,7 +5,7 @@ import pytest
 
 import warp_psdr as psdr
 from tests.emitter.helpers import random_map
-from tests.emitter.test_textured_spot import for_mitsuba
+from tests.peer import for_mitsuba
 
 T = psdr.Transform
 RADIANCE = np.array([8.0, 6.0, 4.0])

@@ -5,33 +5,16 @@ import pytest
 import warp as wp
 
 import warp_psdr as psdr
-from tests.emitter.helpers import random_map
-from tests.emitter.test_textured_spot import MITSUBA_ROUNDING, for_mitsuba
+from tests.emitter.helpers import floor_under, random_map
 from tests.path.helpers import assert_same_mean, batches, blocks
+from tests.peer import MITSUBA_ROUNDING, for_mitsuba
 from warp_psdr.kernels.emitter.projector import frame_dot, projector_dot
 
 FACING = psdr.Transform.look_at([0.0, 0.0, 2.0], [0.0, 0.0, 0.0], [0.0, 1.0, 0.0])
 
 
 def scene_of(size=16, **projector):
-    """Return a floor under a projector, for `load_dict`; the camera sees nothing else."""
-    return {
-        "type": "scene",
-        "integrator": {"type": "path", "max_depth": 2},
-        "camera": {
-            "type": "perspective",
-            "fov": 40.0,
-            "to_world": psdr.Transform.look_at([0.0, -1.0, 4.0], [0.0, 0.0, 0.0], [0.0, 1.0, 0.0]),
-            "film": {"type": "hdrfilm", "width": size, "height": size, "rfilter": {"type": "box"}},
-        },
-        "floor": {"type": "rectangle", "to_world": psdr.Transform.scale(3.0), "bsdf": {"type": "diffuse"}},
-        "lamp": {
-            "type": "projector",
-            "to_world": psdr.Transform.look_at([1.0, 0.5, 2.5], [0.1, 0.2, 0.0], [0.3, 1.0, 0.0]),
-            "fov": 35.0,
-            **projector,
-        },
-    }
+    return floor_under({"type": "projector", "fov": 35.0} | projector, size)
 
 
 def framed(height=5, width=6):

@@ -4,45 +4,19 @@ import numpy as np
 import pytest
 
 import warp_psdr as psdr
-from tests.emitter.helpers import ramps, random_map
+from tests.emitter.helpers import floor_under, ramps, random_map
 from tests.path.helpers import assert_same_mean, batches, blocks
+from tests.peer import MITSUBA_ROUNDING, for_mitsuba
 
-#: Weight sums of Mitsuba's film, float32, relative.
-MITSUBA_ROUNDING = 1e-3
 #: Step of the four-point central differences, and their error relative to the largest one: falloffs begin in kinks.
 STEP, DIFFERENCE_TOLERANCE = 1e-2, 2e-3
 
 
 def scene_of(image, size=16, **spot):
-    """Return a floor under a slanting spot, for `load_dict`; the camera sees nothing else."""
-    return {
-        "type": "scene",
-        "integrator": {"type": "path", "max_depth": 2},
-        "camera": {
-            "type": "perspective",
-            "fov": 40.0,
-            "to_world": psdr.Transform.look_at([0.0, -1.0, 4.0], [0.0, 0.0, 0.0], [0.0, 1.0, 0.0]),
-            "film": {"type": "hdrfilm", "width": size, "height": size, "rfilter": {"type": "box"}},
-        },
-        "floor": {"type": "rectangle", "to_world": psdr.Transform.scale(3.0), "bsdf": {"type": "diffuse"}},
-        "spot": {
-            "type": "spot",
-            "to_world": psdr.Transform.look_at([1.0, 0.5, 2.5], [0.1, 0.2, 0.0], [0.3, 1.0, 0.0]),
-            "cutoff_angle": 28.0,
-            "intensity": {"type": "rgb", "value": [9.0, 6.0, 3.0]},
-            "texture": {"type": "bitmap", "bitmap": image, "raw": True},
-            **spot,
-        },
-    }
-
-
-def for_mitsuba(mi, value):
-    """Return a scene with Mitsuba's transformations and bitmaps."""
-    if isinstance(value, dict):
-        return {key: for_mitsuba(mi, item) for key, item in value.items()}
-    if isinstance(value, psdr.Transform):
-        return mi.ScalarTransform4f(value.matrix)
-    return mi.Bitmap(value) if isinstance(value, np.ndarray) else value
+    texture = {"type": "bitmap", "bitmap": image, "raw": True}
+    intensity = {"type": "rgb", "value": [9.0, 6.0, 3.0]}
+    light = {"type": "spot", "cutoff_angle": 28.0, "intensity": intensity, "texture": texture}
+    return floor_under(light | spot, size)
 
 
 @pytest.mark.parametrize("to_uv", [None, psdr.Transform.rotate([0.0, 0.0, 1.0], 30.0).scale([2.0, 1.0, 1.0])])
@@ -52,8 +26,8 @@ def test_image_equals_mitsubas(to_uv):
     described = scene_of(random_map(5, 7))
     theirs = for_mitsuba(mi, described)
     if to_uv is not None:
-        described["spot"]["texture"]["to_uv"] = to_uv
-        theirs["spot"]["texture"]["to_uv"] = mi.ScalarTransform4f(to_uv.matrix)
+        described["lamp"]["texture"]["to_uv"] = to_uv
+        theirs["lamp"]["texture"]["to_uv"] = mi.ScalarTransform4f(to_uv.matrix)
     scene = mi.load_dict(theirs)
     ours = batches(psdr.load_dict(described), count=8, spp=16)
     images = np.stack([np.array(mi.render(scene, spp=16, seed=i)) for i in range(len(ours))]).astype(np.float64)
@@ -66,7 +40,7 @@ def test_parameters_have_mitsubas_names_and_values():
     described = scene_of(random_map(5, 7))
     theirs = mi.traverse(mi.load_dict(for_mitsuba(mi, described), optimize=False))
     ours = psdr.traverse(psdr.load_dict(described))
-    np.testing.assert_allclose(ours["spot.texture.data"].numpy(), np.array(theirs["spot.texture.data"]))
+    np.testing.assert_allclose(ours["lamp.texture.data"].numpy(), np.array(theirs["lamp.texture.data"]))
 
 
 @pytest.fixture(scope="module")
@@ -78,22 +52,22 @@ def lit():
     pose = np.zeros((4, 4))
     pose[:3] = rng.normal(size=(3, 4)) * 0.2
     directions = {
-        "spot.texture.data": rng.normal(size=ramps().shape),
-        "spot.intensity.value": np.array([1.0, -2.0, 3.0]),
-        "spot.to_world": pose,
-        "spot.cutoff_angle": np.ones(1),
+        "lamp.texture.data": rng.normal(size=ramps().shape),
+        "lamp.intensity.value": np.array([1.0, -2.0, 3.0]),
+        "lamp.to_world": pose,
+        "lamp.cutoff_angle": np.ones(1),
     }
     params.requires_grad(*directions)
     return scene, params, directions
 
 
-@pytest.mark.parametrize("name", ["spot.texture.data", "spot.intensity.value", "spot.to_world", "spot.cutoff_angle"])
+@pytest.mark.parametrize("name", ["lamp.texture.data", "lamp.intensity.value", "lamp.to_world", "lamp.cutoff_angle"])
 def test_derivatives_equal_differences(lit, name):
     scene, params, directions = lit
     options = {"integrator": psdr.PathIntegrator(max_depth=2), "spp": 64}
     zeros = {other: np.zeros_like(direction) for other, direction in directions.items()}
     tangents = {**zeros, name: directions[name]}
-    start, step = params[name].numpy().copy(), STEP * (30.0 if name == "spot.cutoff_angle" else 1.0)
+    start, step = params[name].numpy().copy(), STEP * (30.0 if name == "lamp.cutoff_angle" else 1.0)
 
     def image(h, seed):
         params[name] = (start + h * directions[name]).astype(np.float32)

@@ -72,7 +72,7 @@ def test_every_parameter_of_every_scene_has_a_row_or_a_reason():
         ("plane", "point.position", "hard shadows"),
         ("plane", "spot.to_world", "hard shadows"),
         ("plane", "sun.to_world", "hard shadows"),
-        ("dome", "floor.vertex_texcoords", "face-wise texture"),
+        ("dome", "floor.vertex_texcoords", "texture with steps"),
         ("mirror", "room.vertex_normals", "smooth mirrors and glass"),
         ("glass", "ball.bsdf.eta", "through the interface"),
     ],

@@ -6,10 +6,9 @@ from scipy import stats
 
 import warp_psdr as psdr
 from tests.path.helpers import SCENES, SIGNIFICANCE, assert_mean, assert_same_mean, batches, blocks
+from tests.peer import MITSUBA_ROUNDING
 
 BOX = SCENES / "cornell_box.xml"
-#: Weight sums of Mitsuba's film, float32, relative.
-MITSUBA_ROUNDING = 1e-3
 
 HEAD = """<scene version="3.0.0"><integrator type="path"><integer name="max_depth" value="{depth}"/></integrator>
 <sensor type="perspective"><float name="fov" value="40"/>

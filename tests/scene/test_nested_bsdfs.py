@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import warp_psdr as psdr
+from tests.peer import for_mitsuba
 from warp_psdr.kernels.bsdf.composite import split_key
 from warp_psdr.kernels.bsdf.dispatch import MODELS, declaration_of, make_bsdf, models_of, ordered
 from warp_psdr.kernels.bsdf.model import key_of
@@ -71,17 +72,10 @@ NAMED = {
 def test_names_are_mitsubas(bsdf: dict) -> None:
     mi = pytest.importorskip("mitsuba")
     mi.set_variant("scalar_rgb")
-    theirs = {name for name, _ in mi.traverse(mi.load_dict(_for_mitsuba(mi, bsdf)))}
+    theirs = {name for name, _ in mi.traverse(mi.load_dict(for_mitsuba(mi, bsdf)))}
     ours = [name.removeprefix("x.bsdf.") for name in psdr.traverse(load(bsdf)) if name.startswith("x.bsdf.")]
     # Mitsuba leaves out a reflectance that is not given.
     assert {name for name in ours if "specular_reflectance" not in name} == theirs
-
-
-def _for_mitsuba(mi, node):
-    """The same dictionary with bitmaps of Mitsuba's."""
-    if isinstance(node, np.ndarray):
-        return mi.Bitmap(node)
-    return {key: _for_mitsuba(mi, value) for key, value in node.items()} if isinstance(node, dict) else node
 
 
 def test_children_keep_their_order_and_share_their_textures() -> None:

@@ -5,9 +5,8 @@ import pytest
 
 import warp_psdr as psdr
 from tests.path.helpers import assert_same_mean, batches, blocks
+from tests.peer import MITSUBA_ROUNDING
 
-#: Weight sums of Mitsuba's film, float32, relative.
-MITSUBA_ROUNDING = 1e-3
 T = psdr.Transform
 POSE = T.look_at([0.3, -4.0, 2.5], [0.0, 0.0, 0.4], [0.0, 0.0, 1.0])
 LOOK = '<lookat origin="0.3, -4, 2.5" target="0, 0, 0.4" up="0, 0, 1"/>'

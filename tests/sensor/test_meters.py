@@ -4,13 +4,11 @@ import numpy as np
 import pytest
 
 import warp_psdr as psdr
-from tests.emitter.test_textured_spot import for_mitsuba
 from tests.path.helpers import assert_same_mean, batches
+from tests.peer import MITSUBA_ROUNDING, for_mitsuba
 
 T = psdr.Transform
 FILM = {"type": "hdrfilm", "width": 1, "height": 1, "rfilter": {"type": "box"}}
-#: Weight sums of Mitsuba's film, float32, relative.
-MITSUBA_ROUNDING = 1e-3
 DOWN = T.translate([0.2, 0.1, 1.0]) @ T.rotate([1.0, 0.0, 0.0], 180.0) @ T.scale(0.5)
 RADIANCE = {"type": "radiancemeter", "origin": [0.3, 0.1, 2.0], "direction": [0.1, 0.0, -2.0], "film": FILM}
 

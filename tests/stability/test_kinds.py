@@ -50,6 +50,7 @@ BSDFS = {
     "orennayar": {"type": "orennayar", "sigma": 0.5},
     "ashikhminshirley": {"type": "ashikhminshirley", "nu": 20.0},
     "principled": {"type": "principled", "metallic": 0.3, "clearcoat": 0.5, "sheen": 0.5, "anisotropic": 0.5},
+    "mask": {"type": "mask", "opacity": 0.6, "a": {"type": "diffuse"}},
     "blendbsdf": {"type": "blendbsdf", "weight": 0.4, "a": {"type": "diffuse"}, "b": {"type": "conductor"} | METAL},
 }
 #: An image that ends in black: its light has no edge.
