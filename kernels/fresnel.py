@@ -52,6 +52,15 @@ def fresnel_conductor_rgb(c: wp.float32, eta: wp.vec3, k: wp.vec3) -> wp.vec3:
 
 
 @wp.func
+def index_behind(ior: wp.float32, z: wp.float32) -> wp.float32:
+    """Index on the other side of an interface over the one on the side of a direction with the local cosine ``z``.
+
+    ``ior`` is the index below (z < 0) over the one above.
+    """
+    return wp.where(z < 0.0, 1.0 / ior, ior)
+
+
+@wp.func
 def refracted_cosine(c: wp.float32, eta: wp.float32) -> wp.float32:
     """``eta`` times the cosine of the refracted ray, sqrt(eta^2 - 1 + c^2); 0 under total internal reflection.
 

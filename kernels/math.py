@@ -86,6 +86,15 @@ def reflect_local(wi: wp.vec3) -> wp.vec3:
 
 
 @wp.func
+def refract_at(w: wp.vec3, n: wp.vec3, c: wp.float32, g: wp.float32, eta: wp.float32) -> wp.vec3:
+    """Refract the unit vector ``w`` at a plane with the unit normal ``n`` on its side, ``c = dot(w, n)``.
+
+    ``eta`` and ``g`` as in ``refract_local``. The normal's share, c - g, is written without the difference.
+    """
+    return (-(eta - 1.0) * (eta + 1.0) / (c + g) * n - w) / eta
+
+
+@wp.func
 def refract_local(wi: wp.vec3, g: wp.float32, eta: wp.float32) -> wp.vec3:
     """Refract ``wi`` at the local plane z = 0 to its other side (Snell's law).
 

@@ -58,13 +58,13 @@ def render_moment(
             "render_moment: samples count for several pixels, and a pixel has no moments of its own; "
             "give the film a 'box' filter"
         )
-    spp, seed = sample_count(scene, number, spp), checked_seed(seed)
+    spp, stream = sample_count(scene, number, spp), mix_seed(checked_seed(seed), STREAM_PRIMAL)
     plan = decide(scene, integrator=integrator_of(scene, integrator), sensor=number)
     shape = (camera.crop_height, camera.crop_width)
     sums = np.zeros((2, *shape, 3))
     for n in range(spp):
         one = Image(shape, scene.device)
-        boxed(scene, plan, number, 1, mix_seed(mix_seed(seed, STREAM_PRIMAL), n), one)
+        boxed(scene, plan, number, 1, mix_seed(stream, n), one)
         values = one.numpy().astype(np.float64)
         sums += values, values * values
         if progress is not None:

@@ -18,10 +18,10 @@ from warp_psdr.kernels.bsdf.microfacet import MIN_COSINE, half_slope
 from warp_psdr.kernels.bsdf.model import Color, Functions, Model, Number
 from warp_psdr.kernels.bsdf.plastic import MIN_SHARE
 from warp_psdr.kernels.bsdf.principled import schlick_weight
+from warp_psdr.kernels.bsdf.reflected import make_reflected_sample
 from warp_psdr.kernels.bsdf.roughplastic import WIDE_SLOPE
-from warp_psdr.kernels.constants import INV_PI, LOBE_NONE, LOBE_SMOOTH
+from warp_psdr.kernels.constants import INV_PI, LOBE_SMOOTH
 from warp_psdr.kernels.sampling import square_to_cosine_hemisphere
-from warp_psdr.kernels.structs import BsdfSample
 
 #: Greatest exponent: a lobe of some 0.3 degrees.
 MAX_EXPONENT = 1.0e5
@@ -111,21 +111,12 @@ def make_ashikhmin_shirley(record: type, _variant: str) -> Functions:
         return share * glossy + (1.0 - share) * diffuse_pdf(wi, wo)
 
     @wp.func
-    def ashikhmin_sample(mat: record, wi: wp.vec3, u: wp.float32, v: wp.vec2) -> BsdfSample:
-        """Choose the glossy lobe or the base by ``u``, and a direction by ``v``; none where it points below."""
-        s = BsdfSample()
-        s.eta = 1.0
-        s.lobe = LOBE_NONE
-        if wi[2] > MIN_COSINE:
-            if u < glossy_share(mat, wi):
-                s.wo = phong_sample(wi, phong_exponent(mat.nu), phong_exponent(mat.nv), v)
-            else:
-                s.wo = square_to_cosine_hemisphere(v)
-            s.pdf = ashikhmin_pdf(mat, wi, s.wo)
-            if s.pdf > 0.0:
-                s.value = ashikhmin_eval(mat, wi, s.wo)
-                s.lobe = LOBE_SMOOTH
-        return s
+    def draw(mat: record, wi: wp.vec3, u: wp.float32, v: wp.vec2) -> wp.vec3:
+        """Choose the glossy lobe or the base by ``u``, and a direction by ``v``."""
+        wo = square_to_cosine_hemisphere(v)
+        if u < glossy_share(mat, wi):
+            wo = phong_sample(wi, phong_exponent(mat.nu), phong_exponent(mat.nv), v)
+        return wo
 
     @wp.func
     def slopes(mat: record) -> wp.vec2:
@@ -133,6 +124,7 @@ def make_ashikhmin_shirley(record: type, _variant: str) -> Functions:
         across = wp.sqrt(2.0 / (phong_exponent(mat.nv) + 2.0))
         return wp.vec2(wp.max(along, WIDE_SLOPE), wp.max(across, WIDE_SLOPE))
 
+    ashikhmin_sample = make_reflected_sample(record, draw, ashikhmin_eval, ashikhmin_pdf)
     return Functions(ashikhmin_sample, ashikhmin_eval, ashikhmin_pdf, slopes=slopes)
 
 

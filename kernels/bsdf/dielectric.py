@@ -10,7 +10,7 @@ import warp as wp
 
 from warp_psdr.kernels.bsdf.model import Color, Functions, Model, RelativeIndex
 from warp_psdr.kernels.constants import LOBE_DELTA_REFLECTION, LOBE_DELTA_TRANSMISSION
-from warp_psdr.kernels.fresnel import fresnel_dielectric, refracted_cosine
+from warp_psdr.kernels.fresnel import fresnel_dielectric, index_behind, refracted_cosine
 from warp_psdr.kernels.math import reflect_local, refract_local
 from warp_psdr.kernels.structs import BsdfSample, Scattered
 
@@ -22,10 +22,7 @@ def make_dielectric(record: type, _variant: str) -> Functions:
     @wp.func
     def relative_eta(mat: record, wi: wp.vec3) -> wp.float32:
         """Index on the other side of the interface over the one on the side of ``wi``."""
-        eta = mat.ior
-        if wi[2] < 0.0:
-            eta = 1.0 / mat.ior
-        return eta
+        return index_behind(mat.ior, wi[2])
 
     @wp.func
     def dielectric_scatter(mat: record, wi: wp.vec3, lobe: wp.int32) -> Scattered:

@@ -29,8 +29,8 @@ from warp_psdr.kernels.bsdf.plastic import MIN_SHARE
 from warp_psdr.kernels.bsdf.roughdielectric import MIN_GAP, turned
 from warp_psdr.kernels.bsdf.roughplastic import WIDE_SLOPE
 from warp_psdr.kernels.constants import INV_PI, LOBE_NONE, LOBE_SMOOTH
-from warp_psdr.kernels.fresnel import coat_reflectance, coat_transmittance, refracted_cosine
-from warp_psdr.kernels.math import clamp_unit
+from warp_psdr.kernels.fresnel import coat_reflectance, coat_transmittance, index_behind, refracted_cosine
+from warp_psdr.kernels.math import clamp_unit, refract_at
 from warp_psdr.kernels.sampling import square_to_cosine_hemisphere
 from warp_psdr.kernels.structs import BsdfSample
 
@@ -209,7 +209,7 @@ def make_principled(record: type, variant: str) -> Functions:
         up = wp.where(wi[2] < 0.0, -1.0, 1.0)
         i = turned(wi, up)
         o = turned(wo, up)
-        behind = wp.where(wi[2] < 0.0, 1.0 / eta, eta)
+        behind = index_behind(eta, wi[2])
         glass = (1.0 - clamp_unit(mat.metallic)) * transmitted_share(mat)
         if o[2] > 0.0:
             h = i + o
@@ -252,7 +252,7 @@ def make_principled(record: type, variant: str) -> Functions:
             return 0.0
         alphas = principled_alphas(mat.roughness, mat.anisotropic)
         eta = principled_index(mat.ior, mat.specular)
-        behind = wp.where(wi[2] < 0.0, 1.0 / eta, eta)
+        behind = index_behind(eta, wi[2])
         weights = lobe_weights(mat)
         if wi[2] < 0.0:
             weights = wp.vec3(0.0, 0.0, 1.0)
@@ -296,12 +296,11 @@ def make_principled(record: type, variant: str) -> Functions:
                 o = 2.0 * c * n - i
                 if wp.static(transmits):
                     eta = principled_index(mat.ior, mat.specular)
-                    behind = wp.where(wi[2] < 0.0, 1.0 / eta, eta)
+                    behind = index_behind(eta, wi[2])
                     rest = (u - weights[0] - weights[1]) / weights[2]
                     if rest < refracting_share(mat, wi, coat_transmittance(c, behind)):
                         g = refracted_cosine(c, behind)
-                        # c - g without the difference.
-                        o = (-(behind - 1.0) * (behind + 1.0) / (c + g) * n - i) / behind
+                        o = refract_at(i, n, c, g, behind)
                         s.eta = behind
                         side = -1.0
             if o[2] * side > 0.0:

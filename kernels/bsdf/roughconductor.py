@@ -11,9 +11,9 @@ import warp as wp
 
 from warp_psdr.kernels.bsdf.microfacet import MIN_ALPHA, MIN_COSINE, at_least_min, make_reflection
 from warp_psdr.kernels.bsdf.model import Accepted, Choice, Color, ComplexIndex, Functions, Model, Roughness
-from warp_psdr.kernels.constants import LOBE_NONE, LOBE_SMOOTH
+from warp_psdr.kernels.bsdf.reflected import make_reflected_sample
+from warp_psdr.kernels.constants import LOBE_SMOOTH
 from warp_psdr.kernels.fresnel import fresnel_conductor_rgb
-from warp_psdr.kernels.structs import BsdfSample
 
 
 @functools.cache
@@ -40,24 +40,15 @@ def make_rough_conductor(record: type, distribution: str) -> Functions:
         return reflection.pdf(wi, wo, at_least_min(mat.alpha_u), at_least_min(mat.alpha_v))
 
     @wp.func
-    def rough_conductor_sample(mat: record, wi: wp.vec3, u: wp.float32, v: wp.vec2) -> BsdfSample:
-        """Reflect ``wi`` at a visible microfacet normal; no sample where that points below the surface."""
-        s = BsdfSample()
-        s.eta = 1.0
-        s.lobe = LOBE_NONE
-        # This and the next are for speed: without a density there is no sample.
-        if wi[2] > MIN_COSINE:
-            s.wo = reflection.sample(wi, at_least_min(mat.alpha_u), at_least_min(mat.alpha_v), v)
-            s.pdf = rough_conductor_pdf(mat, wi, s.wo)
-            if s.pdf > 0.0:
-                s.value = rough_conductor_eval(mat, wi, s.wo)
-                s.lobe = LOBE_SMOOTH
-        return s
+    def draw(mat: record, wi: wp.vec3, u: wp.float32, v: wp.vec2) -> wp.vec3:
+        """Reflect ``wi`` at a visible microfacet normal."""
+        return reflection.sample(wi, at_least_min(mat.alpha_u), at_least_min(mat.alpha_v), v)
 
     @wp.func
     def slopes(mat: record) -> wp.vec2:
         return wp.vec2(at_least_min(mat.alpha_u), at_least_min(mat.alpha_v))
 
+    rough_conductor_sample = make_reflected_sample(record, draw, rough_conductor_eval, rough_conductor_pdf)
     return Functions(rough_conductor_sample, rough_conductor_eval, rough_conductor_pdf, slopes=slopes)
 
 

@@ -28,7 +28,14 @@ from warp_psdr.kernels.bsdf.microfacet import (
 )
 from warp_psdr.kernels.bsdf.model import Accepted, Choice, Color, Functions, Model, RelativeIndex, Roughness
 from warp_psdr.kernels.constants import LOBE_NONE, LOBE_SMOOTH
-from warp_psdr.kernels.fresnel import coat_reflectance, coat_transmittance, fresnel_dielectric, refracted_cosine
+from warp_psdr.kernels.fresnel import (
+    coat_reflectance,
+    coat_transmittance,
+    fresnel_dielectric,
+    index_behind,
+    refracted_cosine,
+)
+from warp_psdr.kernels.math import refract_at
 from warp_psdr.kernels.structs import BsdfSample
 
 #: How far from 1 the ratio of indices has to be: nearer, the half vector is a difference of nearly equal vectors.
@@ -49,14 +56,6 @@ def make_rough_dielectric(record: type, distribution: str) -> Functions:
     visible_normal = make_visible_normal(distribution)
 
     @wp.func
-    def index_behind(mat: record, wi: wp.vec3) -> wp.float32:
-        """Index on the other side of the interface over the one on the side of ``wi``."""
-        eta = mat.ior
-        if wi[2] < 0.0:
-            eta = 1.0 / mat.ior
-        return eta
-
-    @wp.func
     def rough_dielectric_eval(mat: record, wi: wp.vec3, wo: wp.vec3) -> wp.vec3:
         """f_s times the cosine of ``wo``, 1/sr."""
         if wp.abs(wi[2]) <= MIN_COSINE or wp.abs(wo[2]) <= MIN_COSINE:
@@ -64,7 +63,7 @@ def make_rough_dielectric(record: type, distribution: str) -> Functions:
         up = wp.where(wi[2] < 0.0, -1.0, 1.0)
         i = turned(wi, up)
         o = turned(wo, up)
-        eta = index_behind(mat, wi)
+        eta = index_behind(mat.ior, wi[2])
         alpha_u = at_least_min(mat.alpha_u)
         alpha_v = at_least_min(mat.alpha_v)
         if o[2] > 0.0:
@@ -85,7 +84,7 @@ def make_rough_dielectric(record: type, distribution: str) -> Functions:
         up = wp.where(wi[2] < 0.0, -1.0, 1.0)
         i = turned(wi, up)
         o = turned(wo, up)
-        eta = index_behind(mat, wi)
+        eta = index_behind(mat.ior, wi[2])
         alpha_u = at_least_min(mat.alpha_u)
         alpha_v = at_least_min(mat.alpha_v)
         if o[2] > 0.0:
@@ -105,7 +104,7 @@ def make_rough_dielectric(record: type, distribution: str) -> Functions:
         if wp.abs(wi[2]) > MIN_COSINE:
             up = wp.where(wi[2] < 0.0, -1.0, 1.0)
             i = turned(wi, up)
-            eta = index_behind(mat, wi)
+            eta = index_behind(mat.ior, wi[2])
             n = visible_normal(i, at_least_min(mat.alpha_u), at_least_min(mat.alpha_v), v)
             c = wp.dot(i, n)
             g = refracted_cosine(c, eta)
@@ -114,8 +113,7 @@ def make_rough_dielectric(record: type, distribution: str) -> Functions:
             if u < fresnel_dielectric(c, g, eta):
                 right = o[2] > 0.0
             else:
-                # c - g without the difference.
-                o = (-(eta - 1.0) * (eta + 1.0) / (c + g) * n - i) / eta
+                o = refract_at(i, n, c, g, eta)
                 s.eta = eta
                 right = o[2] < 0.0
             if right and c > 0.0:

@@ -32,10 +32,10 @@ from warp_psdr.kernels.bsdf.model import (
     table_entry,
 )
 from warp_psdr.kernels.bsdf.plastic import share_of_coat
-from warp_psdr.kernels.constants import INV_PI, LOBE_NONE, LOBE_SMOOTH
+from warp_psdr.kernels.bsdf.reflected import make_reflected_sample
+from warp_psdr.kernels.constants import INV_PI, LOBE_SMOOTH
 from warp_psdr.kernels.fresnel import coat_reflectance
 from warp_psdr.kernels.sampling import square_to_cosine_hemisphere
-from warp_psdr.kernels.structs import BsdfSample
 
 #: Cosines at which the transmittance is tabulated, 0 to 1.
 RESOLUTION = 64
@@ -111,28 +111,20 @@ def make_rough_plastic(record: type, variant: str) -> Functions:
         return share * reflection.pdf(wi, wo, alpha, alpha) + (1.0 - share) * diffuse_pdf(wi, wo)
 
     @wp.func
-    def rough_plastic_sample(mat: record, wi: wp.vec3, u: wp.float32, v: wp.vec2) -> BsdfSample:
-        """Choose the coat or the base by ``u``, and a direction by ``v``; none where the coat reflects it downwards."""
-        s = BsdfSample()
-        s.eta = 1.0
-        s.lobe = LOBE_NONE
-        if wi[2] > MIN_COSINE:
+    def draw(mat: record, wi: wp.vec3, u: wp.float32, v: wp.vec2) -> wp.vec3:
+        """Choose the coat or the base by ``u``, and a direction by ``v``."""
+        wo = square_to_cosine_hemisphere(v)
+        if u < rough_share(mat, wi):
             alpha = at_least_min(mat.alpha)
-            if u < rough_share(mat, wi):
-                s.wo = reflection.sample(wi, alpha, alpha, v)
-            else:
-                s.wo = square_to_cosine_hemisphere(v)
-            s.pdf = rough_plastic_pdf(mat, wi, s.wo)
-            if s.pdf > 0.0:
-                s.value = rough_plastic_eval(mat, wi, s.wo)
-                s.lobe = LOBE_SMOOTH
-        return s
+            wo = reflection.sample(wi, alpha, alpha, v)
+        return wo
 
     @wp.func
     def slopes(mat: record) -> wp.vec2:
         wide = wp.max(mat.alpha, WIDE_SLOPE)
         return wp.vec2(wide, wide)
 
+    rough_plastic_sample = make_reflected_sample(record, draw, rough_plastic_eval, rough_plastic_pdf)
     return Functions(rough_plastic_sample, rough_plastic_eval, rough_plastic_pdf, slopes=slopes)
 
 

@@ -42,8 +42,7 @@ WANTED = ("radiance", "pose")
 
 @wp.func
 def is_delta_light(kind: wp.int32) -> wp.bool:
-    spot = kind == EMITTER_SPOT or kind == EMITTER_TEXTURED_SPOT or kind == EMITTER_PROJECTOR
-    return spot or kind == EMITTER_POINT or kind == EMITTER_DIRECTIONAL or kind == EMITTER_DIRECTIONAL_AREA
+    return ((wp.static(sum(1 << delta for delta in DELTA_LIGHTS)) >> kind) & 1) == 1
 
 
 class LightFunctions(NamedTuple):

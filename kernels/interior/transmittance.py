@@ -9,8 +9,8 @@ from typing import NamedTuple
 import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
-from warp_psdr.kernels.constants import EMITTER_CONSTANT, EMITTER_ENVMAP, FAR, LOBE_NULL
-from warp_psdr.kernels.emitter.dispatch import make_delta_sample
+from warp_psdr.kernels.constants import FAR, LOBE_NULL
+from warp_psdr.kernels.emitter.dispatch import is_delta_light, make_delta_sample
 from warp_psdr.kernels.interaction import make_interaction
 from warp_psdr.kernels.interior.factors import make_material_sink
 from warp_psdr.kernels.interior.gradient_request import GradientRequest
@@ -75,7 +75,7 @@ def make_transmittance_sink(config: PathConfig, wanted: GradientRequest, role: s
             ls.target = point_on(tri, vertex.light_u, vertex.light_v) + step_off_triangle(scene, tri) * tri.normal
         else:
             if wp.static(delta_sample is not None):
-                if emitter.kind != EMITTER_CONSTANT and emitter.kind != EMITTER_ENVMAP:
+                if is_delta_light(emitter.kind):
                     ls.distance = delta_sample(scene, emitter, at.x, wp.vec2(0.0, 0.0)).distance
         r.o = interaction.offset(at, vertex.light_wi)
         d, t_max = shadow_ray(r.o, ls)

@@ -46,7 +46,7 @@ class PlaceLanes(NamedTuple):
         surfaces: ``Surface``, at the same points.
         looked_up: what the scene's tables say of those points, the struct of ``InteractionParts``.
         places: interactions, the struct of ``make_interaction``.
-        arrivals: ``EmissionHit``.
+        emissions: ``EmissionHit``.
     """
 
     meet: wp.Function
@@ -91,7 +91,7 @@ def make_place_lanes(config: PathConfig, width: int, first: int, states: Rows, h
             choice.face = wp.where(choice.on == 1, face, 0)
             astray = state.alive == 1 and face < 0
             if wp.static(not environment):
-                astray = astray and not finite(state.o + state.d)  # which ``emission_hit`` tells
+                astray = astray and not finite(state.o + state.d)  # which ``sky_hit`` tells
             choice.leaves = wp.where(astray, 1, 0)
             choices.put(rows, j, choice)
             emissions.put(rows, j, EmissionHit())

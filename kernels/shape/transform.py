@@ -49,6 +49,30 @@ def normal_dot(m: wp.mat44, n: wp.vec3, a: wp.vec3) -> wp.float32:
 
 
 @wp.func
+def moved_point_jvp(m: wp.mat44, p: wp.vec3, dm: wp.mat44, dp: wp.vec3) -> wp.vec3:
+    """Tangent of ``transform_point``."""
+    result = wp.vec3(0.0, 0.0, 0.0)
+    for axis in range(3):
+        e = wp.vec3(0.0, 0.0, 0.0)
+        e[axis] = 1.0
+        g, h, _a = wp.grad(moved_point_dot)(m, p, e)
+        result[axis] = wp.ddot(g, dm) + wp.dot(h, dp)
+    return result
+
+
+@wp.func
+def normal_jvp(m: wp.mat44, n: wp.vec3, dm: wp.mat44, dn: wp.vec3) -> wp.vec3:
+    """Tangent of ``transform_normal``."""
+    result = wp.vec3(0.0, 0.0, 0.0)
+    for axis in range(3):
+        e = wp.vec3(0.0, 0.0, 0.0)
+        e[axis] = 1.0
+        g, h, _a = wp.grad(normal_dot)(m, n, e)
+        result[axis] = wp.ddot(g, dm) + wp.dot(h, dn)
+    return result
+
+
+@wp.func
 def store_vec3(array: wp.array(dtype=wp.float32), offset: wp.int32, value: wp.vec3):
     array[offset] = value[0]
     array[offset + 1] = value[1]
@@ -129,19 +153,10 @@ def pose_shape_jvp(
     i = wp.tid()
     m = load_mat44(values, to_world)
     dm = load_mat44(tangent_out, to_world)
-    position = wp.vec3(0.0, 0.0, 0.0)
-    normal = wp.vec3(0.0, 0.0, 0.0)
-    for axis in range(3):
-        e = wp.vec3(0.0, 0.0, 0.0)
-        e[axis] = 1.0
-        g, _p, _a = wp.grad(moved_point_dot)(m, local_positions[i], e)
-        position[axis] = wp.ddot(g, dm)
-        if normal_offset >= 0:
-            h, _n, _b = wp.grad(normal_dot)(m, local_normals[i], e)
-            normal[axis] = wp.ddot(h, dm)
-    add_vec3(tangent_out, position_offset + 3 * i, position)
+    rest = wp.vec3(0.0, 0.0, 0.0)
+    add_vec3(tangent_out, position_offset + 3 * i, moved_point_jvp(m, local_positions[i], dm, rest))
     if normal_offset >= 0:
-        add_vec3(tangent_out, normal_offset + 3 * i, normal)
+        add_vec3(tangent_out, normal_offset + 3 * i, normal_jvp(m, local_normals[i], dm, rest))
 
 
 @wp.kernel(module=DERIVED_VJP, enable_backward=False)
@@ -200,18 +215,9 @@ def local_shape_jvp(
     """Add the tangents of positions and normals in the world, given those of the local ones in the same flat array."""
     i = wp.tid()
     m = load_mat44(values, to_world)
+    rest = wp.mat44()
     dp = load_vec3(tangent_out, local_position_offset + 3 * i)
-    position = wp.vec3(0.0, 0.0, 0.0)
-    normal = wp.vec3(0.0, 0.0, 0.0)
-    for axis in range(3):
-        e = wp.vec3(0.0, 0.0, 0.0)
-        e[axis] = 1.0
-        _m, g, _a = wp.grad(moved_point_dot)(m, local_positions[i], e)
-        position[axis] = wp.dot(g, dp)
-        if normal_offset >= 0:
-            dn = load_vec3(tangent_out, local_normal_offset + 3 * i)
-            _n, h, _b = wp.grad(normal_dot)(m, local_normals[i], e)
-            normal[axis] = wp.dot(h, dn)
-    add_vec3(tangent_out, position_offset + 3 * i, position)
+    add_vec3(tangent_out, position_offset + 3 * i, moved_point_jvp(m, local_positions[i], rest, dp))
     if normal_offset >= 0:
-        add_vec3(tangent_out, normal_offset + 3 * i, normal)
+        dn = load_vec3(tangent_out, local_normal_offset + 3 * i)
+        add_vec3(tangent_out, normal_offset + 3 * i, normal_jvp(m, local_normals[i], rest, dn))

@@ -172,7 +172,7 @@ def decide(
         reason = sliding_heights(scene, config, names, wanted.geometry)
         if reason:
             raise ValueError(f"{reason}, and the slopes of a bump map jump at its texels: {HOLD_STILL}")
-        if any("normalmap" in key or "bumpmap" in key for key in config.bsdfs):
+        if any(model.framed for model in models_of(config.bsdfs)):
             lines.append(("turned normals", "as they are seen", FLIPPED))
     moving = tuple(_discontinuities(scene, config, names))
     if wanted is not None:

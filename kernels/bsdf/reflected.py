@@ -1,0 +1,34 @@
+"""Sampling of models whose smooth lobes lie on the side of the incoming direction: what is left once one is drawn."""
+
+import warp as wp
+
+from warp_psdr.kernels.bsdf.microfacet import MIN_COSINE
+from warp_psdr.kernels.constants import LOBE_NONE, LOBE_SMOOTH
+from warp_psdr.kernels.structs import BsdfSample
+
+
+def make_reflected_sample(record: type, draw: wp.Function, value: wp.Function, pdf: wp.Function) -> wp.Function:
+    """Return ``sample(mat, wi, u, v) -> BsdfSample``; none in a direction without a density, as those below have it.
+
+    Args:
+        record: the struct of a scene's material values.
+        draw: ``(mat, wi, u, v) -> vec3``: a direction, for ``wi`` above the surface.
+        value: as ``Functions.eval``.
+        pdf: as ``Functions.pdf``.
+    """
+
+    @wp.func
+    def reflected_sample(mat: record, wi: wp.vec3, u: wp.float32, v: wp.vec2) -> BsdfSample:
+        s = BsdfSample()
+        s.eta = 1.0
+        s.lobe = LOBE_NONE
+        # This and the next are for speed: without a density there is no sample.
+        if wi[2] > MIN_COSINE:
+            s.wo = draw(mat, wi, u, v)
+            s.pdf = pdf(mat, wi, s.wo)
+            if s.pdf > 0.0:
+                s.value = value(mat, wi, s.wo)
+                s.lobe = LOBE_SMOOTH
+        return s
+
+    return reflected_sample
