@@ -10,6 +10,8 @@ import warp as wp
 TINY = 1.0e-30
 #: sin^2 of the angle between a normal and a tangent below which the tangent says nothing.
 PARALLEL = 1.0e-12
+#: Size of an argument below which the logarithm, and the exponential function, are series.
+LOG_SERIES, EXP_SERIES = 0.1, 0.5
 
 
 @wp.func
@@ -22,6 +24,27 @@ def where3(condition: wp.bool, a: wp.vec3, b: wp.vec3) -> wp.vec3:
 def clamp_unit(x: wp.float32) -> wp.float32:
     """``x`` clamped to [0, 1], with derivative 1 in it, its ends included: in a tie the second argument has it."""
     return wp.max(0.0, wp.min(1.0, x))
+
+
+@wp.func
+def log_ratio(x: wp.float32) -> wp.float32:
+    """log(1 + x) / x, at ``x`` > -1, where it has no pole."""
+    z = x / (2.0 + x)
+    z2 = z * z
+    series = 2.0 / (2.0 + x) * (1.0 + z2 * (1.0 / 3.0 + z2 * (0.2 + z2 / 7.0)))
+    near = wp.abs(x) < LOG_SERIES
+    far = wp.where(near, 1.0, x)
+    return wp.where(near, series, wp.log(1.0 + far) / far)
+
+
+@wp.func
+def exp_ratio(x: wp.float32) -> wp.float32:
+    """(exp(x) - 1) / x, which has no pole."""
+    near = wp.abs(x) < EXP_SERIES
+    z = wp.where(near, x, 0.0)
+    series = 1.0 + z / 2.0 * (1.0 + z / 3.0 * (1.0 + z / 4.0 * (1.0 + z / 5.0 * (1.0 + z / 6.0 * (1.0 + z / 7.0)))))
+    far = wp.where(near, 1.0, x)
+    return wp.where(near, series, (wp.exp(far) - 1.0) / far)
 
 
 @wp.func

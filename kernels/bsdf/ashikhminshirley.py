@@ -21,12 +21,11 @@ from warp_psdr.kernels.bsdf.principled import schlick_weight
 from warp_psdr.kernels.bsdf.reflected import make_reflected_sample
 from warp_psdr.kernels.bsdf.roughplastic import WIDE_SLOPE
 from warp_psdr.kernels.constants import INV_PI, LOBE_SMOOTH
+from warp_psdr.kernels.math import log_ratio
 from warp_psdr.kernels.sampling import square_to_cosine_hemisphere
 
 #: Greatest exponent: a lobe of some 0.3 degrees.
 MAX_EXPONENT = 1.0e5
-#: Squared slope below which the logarithm is a series.
-SERIES = 0.1
 #: Scale of the base, with which the model loses little light and makes none.
 BASE = 28.0 / 23.0
 
@@ -35,16 +34,6 @@ BASE = 28.0 / 23.0
 def phong_exponent(n: wp.float32) -> wp.float32:
     """The exponent in use; in a tie of ``max`` or ``min`` the second argument has the derivative."""
     return wp.max(0.0, wp.min(MAX_EXPONENT, n))
-
-
-@wp.func
-def log_ratio(x: wp.float32) -> wp.float32:
-    """log(1 + x) / x, at ``x`` >= 0, where it has no pole."""
-    z = x / (2.0 + x)
-    z2 = z * z
-    series = 2.0 / (2.0 + x) * (1.0 + z2 * (1.0 / 3.0 + z2 * (0.2 + z2 / 7.0)))
-    far = wp.max(x, SERIES)
-    return wp.where(x < SERIES, series, wp.log(1.0 + far) / far)
 
 
 @wp.func

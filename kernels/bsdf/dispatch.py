@@ -16,6 +16,7 @@ from typing import NamedTuple
 import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor, differentiable
+from warp_psdr.kernels.bsdf.abc import ABC
 from warp_psdr.kernels.bsdf.ashikhminshirley import ASHIKHMIN_SHIRLEY
 from warp_psdr.kernels.bsdf.blendbsdf import BLEND
 from warp_psdr.kernels.bsdf.bumpmap import BUMP_MAP
@@ -47,7 +48,7 @@ from warp_psdr.kernels.structs import BsdfSample, Scattered
 #: All scattering models.
 MODELS: tuple[Model, ...] = (
     *(DIFFUSE, CONDUCTOR, DIELECTRIC, ROUGH_CONDUCTOR, PLASTIC, ROUGH_PLASTIC, ROUGH_DIELECTRIC),
-    *(THIN_DIELECTRIC, NULL, PRINCIPLED, TRANSMITTING_PRINCIPLED, OREN_NAYAR, ASHIKHMIN_SHIRLEY),
+    *(THIN_DIELECTRIC, NULL, PRINCIPLED, TRANSMITTING_PRINCIPLED, OREN_NAYAR, ASHIKHMIN_SHIRLEY, ABC),
 )
 #: All models that are made of models; each for any children, so that they have no end.
 COMPOSITES: tuple[Composite, ...] = (BLEND, NORMAL_MAP, BUMP_MAP, MASK)

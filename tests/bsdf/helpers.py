@@ -19,6 +19,7 @@ from tests.bsdf.materials import (  # noqa: F401 -- tests take them from here
     GOLD,
     LOSSLESS,
     MIRROR,
+    abc,
     glass,
     material,
     metal,
@@ -255,6 +256,19 @@ EXAMPLES: dict[str, Example] = {
             material(reflectance=BLACK, specular_reflectance=(0.9, 0.6, 0.3), nu=3e4, nv=9e4),
         ),
         eval=twins.ashikhmin_shirley_eval,
+        mitsuba=lambda mat: None,
+        lossless=lambda mat: False,
+    ),
+    "abc": Example(
+        materials=tuple(abc(*a) for a in ((0.6, 30.0, 1.5), (0.1, 4.0, 1.0), (3.0, 200.0, 3.0))),
+        more=(
+            *(
+                abc(*a)
+                for a in ((0.0, 30.0, 1.5), (0.05, 0.0, 2.0), (0.05, 10.0, 0.0), (50.0, 1e3, 0.7), (9e3, 1e6, 2.0))
+            ),
+            abc(0.6, 30.0, 1.5, MIRROR, BLACK),
+        ),
+        eval=twins.abc_eval,
         mitsuba=lambda mat: None,
         lossless=lambda mat: False,
     ),

@@ -23,6 +23,10 @@ def rough(alpha_u, alpha_v=None, metal=GOLD, reflectance=(0.9, 0.6, 0.3)) -> dic
     return material(specular_reflectance=reflectance, eta=metal[0], k=metal[1], alpha_u=alpha_u, alpha_v=alpha_v)
 
 
+def abc(a, b, c, metal=GOLD, reflectance=(0.9, 0.6, 0.3)) -> dict:
+    return material(specular_reflectance=reflectance, eta=metal[0], k=metal[1], A=a, B=b, C=c)
+
+
 def glass(ior: float, reflectance=(0.9, 0.5, 0.1), transmittance=(0.2, 0.4, 0.6)) -> dict:
     return material(specular_reflectance=reflectance, specular_transmittance=transmittance, ior=ior)
 

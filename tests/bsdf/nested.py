@@ -48,6 +48,8 @@ def narrowest(mat: dict) -> float:
         return min(alphas(mat))
     if "nu" in mat:
         return float(np.sqrt(2.0 / (max(mat["nu"], mat["nv"]) + 2.0)))
+    if "B" in mat:
+        return float(np.clip(np.sqrt(2.0 / (mat["B"] + 1.0)), 0.0, 1.0))
     return min(bare(mat).get(name, 1.0) for name in ("alpha", "alpha_u", "alpha_v"))
 
 

@@ -92,7 +92,7 @@ def lobe_scales(mat: dict) -> tuple[float, float] | None:
     if "base_color" in mat:
         u, v = alphas(mat)
         return max(u, 0.3), max(v, 0.3)
-    if "nu" in mat:
+    if "nu" in mat or "B" in mat:
         return 0.3, 0.3
     if "alpha" in mat:
         scale = max(mat["alpha"], 0.3)

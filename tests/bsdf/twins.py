@@ -79,6 +79,16 @@ def ashikhmin_shirley_eval(mat: dict, wi: np.ndarray, wo: np.ndarray) -> np.ndar
     return (glossy + 28.0 / (23.0 * np.pi) * mat["reflectance"] * (1.0 - rs) * below) * wo[2]
 
 
+def abc_eval(mat: dict, wi: np.ndarray, wo: np.ndarray) -> np.ndarray:
+    if min(wi[2], wo[2]) <= 0.0:
+        return np.zeros(3)
+    h = (wi + wo) / np.linalg.norm(wi + wo)
+    c, sine2 = np.dot(wi, h), h[0] ** 2 + h[1] ** 2
+    s = mat["A"] * (1.0 + mat["B"] * sine2 / (1.0 + h[2])) ** -mat["C"]
+    masking = min(1.0, 2.0 * h[2] * wi[2] / c, 2.0 * h[2] * wo[2] / c)
+    return mat["specular_reflectance"] * fresnel_conductor(c, mat["eta"], mat["k"]) * s * masking / wi[2]
+
+
 def ggx_eval(mat: dict, wi: np.ndarray, wo: np.ndarray) -> np.ndarray:
     return _rough_conductor_eval(mat, wi, wo, lambda t: 1.0 / (1.0 + t) ** 2, _ggx_g1)
 

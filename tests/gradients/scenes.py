@@ -240,6 +240,10 @@ def phong_scene():
     return gap_scene({"type": "ashikhminshirley", "nu": 12.0, "nv": 5.0, **colors})
 
 
+def abc_scene():
+    return gap_scene({"type": "abc", "material": "Au", "A": 0.6, "B": 20.0, "C": 1.5})
+
+
 def principled_scene():
     """All lobes but the transmitted one; at all weights the same is drawn, for the differences' sake."""
     weights = {"metallic": 0.4, "spec_tint": 0.4, "sheen": 0.6, "sheen_tint": 0.6, "flatness": 0.4, "specular": 0.6}
@@ -336,6 +340,7 @@ SCENES = {
     "bumped": bumped_scene,
     "grooves": lambda: gap_scene({"type": "orennayar", "reflectance": rgb(0.8, 0.5, 0.6), "sigma": 0.5}),
     "phong": phong_scene,
+    "abc": abc_scene,
     "principled": principled_scene,
     "principled glass": principled_glass_scene,
     "mirror": mirror_scene,

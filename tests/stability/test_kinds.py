@@ -49,6 +49,7 @@ BSDFS = {
     "roughplastic": {"type": "roughplastic", "diffuse_reflectance": 0.4, "alpha": 0.3},
     "orennayar": {"type": "orennayar", "sigma": 0.5},
     "ashikhminshirley": {"type": "ashikhminshirley", "nu": 20.0},
+    "abc": {"type": "abc", "A": 0.3, "B": 20.0, "C": 1.5} | METAL,
     "principled": {"type": "principled", "metallic": 0.3, "clearcoat": 0.5, "sheen": 0.5, "anisotropic": 0.5},
     "mask": {"type": "mask", "opacity": 0.6, "a": {"type": "diffuse"}},
     "blendbsdf": {"type": "blendbsdf", "weight": 0.4, "a": {"type": "diffuse"}, "b": {"type": "conductor"} | METAL},

@@ -29,6 +29,7 @@ from tests.bsdf.helpers import (
     rounded,
     unit,
 )
+from tests.bsdf.materials import abc
 from tests.bsdf.principled import principled
 from tests.bsdf.twins import fresnel_conductor
 from warp_psdr.kernels.bsdf.microfacet import MIN_ALPHA
@@ -88,6 +89,14 @@ PRINCIPLED = [
         ("principled (spec_trans)", {"spec_trans": 0.5, "ior": 0.0, "specular": 0.0}),
     )
     for pairs in (rough_pairs, diffuse_pairs)
+]
+ABC = [
+    (
+        "abc",
+        "specular_reflectance",
+        lambda a: [abc(1.0, min(a**-2, 1e6), c, m) for c in (0.7, 3.0) for m in METALS],
+        rough_pairs,
+    )
 ]
 PHONG = [
     ("ashikhminshirley", "reflectance", lambda a: [shirley(min(2.0 / a**2, 1e5))], pairs)
@@ -301,6 +310,14 @@ CASES = [
         naive="6e-3: the exponent times the rounding of the cosine",
         bound=2e-5,
         measure=lambda: smooth_values(PHONG),
+    ),
+    Case(
+        family="materials",
+        name="abc, B 1 to 1e6, up to 89.9 degrees",
+        hard="1 - h_z next to 0",
+        naive="6e-2: B times the rounding of a cosine",
+        bound=1.5e-6,
+        measure=lambda: smooth_values(ABC),
     ),
     Case(
         family="materials",
