@@ -12,7 +12,14 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.bvh.wide import RayHit
-from warp_psdr.kernels.constants import CAMERA_IRRADIANCEMETER, CAMERA_RADIANCEMETER, LOBE_NONE, PI, RFILTER_BOX
+from warp_psdr.kernels.constants import (
+    CAMERA_IRRADIANCEMETER,
+    CAMERA_RADIANCEMETER,
+    LOBE_NONE,
+    LOBE_SMOOTH,
+    PI,
+    RFILTER_BOX,
+)
 from warp_psdr.kernels.interaction import make_interaction
 from warp_psdr.kernels.invalid import count_invalid
 from warp_psdr.kernels.math import where3
@@ -125,9 +132,15 @@ def make_path_step(config: PathConfig, differential: bool, sparse: bool = False,
                 # the light's visibility, which is guessed badly, is short.
                 scatter_sample = scatter(at, state, hit.face, r4, rr_depth)
                 traces_shadow_ray = wp.bool(True)
+                if wp.static(config.delta_first):
+                    traces_shadow_ray = state.depth > 0
+                    if state.depth == 0 and scatter_sample.lobe == LOBE_SMOOTH:
+                        scatter_sample.lobe = LOBE_NONE
+                        scatter_sample.beta = wp.vec3(0.0, 0.0, 0.0)
+                        scatter_sample.after.alive = 0
                 if wp.static(sparse):
                     scatter_sample.after.touched_requested = state.touched_requested + scene.requested_shapes[at.shape]
-                    traces_shadow_ray = scatter_sample.after.touched_requested > 0
+                    traces_shadow_ray = traces_shadow_ray and scatter_sample.after.touched_requested > 0
                 if wp.static(has_lights):
                     if traces_shadow_ray and has_smooth(at.model):
                         ls, light, _probability = sample_light(scene, at.x, u4)

@@ -44,6 +44,8 @@ class PathConfig:
     hidden: bool = False
     #: True: shadow rays pass surfaces by their null lobes, which keep a path's density (``transmittance.py``).
     through: bool = False
+    #: True: of the camera's first surface only delta lobes count, for the rest is the light paths' (``light_path.py``).
+    delta_first: bool = False
 
 
 @wp.struct

@@ -206,6 +206,13 @@ FACTORIES = {
         ("everything", (EVERYTHING,), SLOW),
         ("through", (THROUGH,), SLOW),
     ],
+    "light_tracing.make_light_image_kernel": [
+        ("simple", (SIMPLE,), FAST),
+        ("lights", (ALL_LIGHTS,), SLOW),
+        ("thin lens", (THIN_LENS,), SLOW),
+        ("materials", (MATERIALS,), SLOW),
+        ("through", (THROUGH,), SLOW),
+    ],
     "splat.make_splat_kernel": [("tent", (SPLAT,), FAST), ("gaussian", (SPLAT_GAUSSIAN,), SLOW)],
     "interior.replay.make_replay_kernel": [
         ("simple", (SIMPLE, GEOMETRY, 8, 1), FAST),

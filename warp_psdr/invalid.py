@@ -28,8 +28,8 @@ if TYPE_CHECKING:
 P = ParamSpec("P")
 R = TypeVar("R")
 
-#: Kinds of samples: light paths of the image and of the interior term, the terms of the boundary term by the names of
-#: ``estimate/boundary/terms``, and evaluations of the integrand that guiding follows.
+#: Kinds of samples: paths of the image and of the interior term, the terms of the boundary term by the names of
+#: ``estimate/boundary/terms``, evaluations of the integrand that guiding follows, and paths from the lights.
 KINDS = (
     "image",
     "interior",
@@ -45,7 +45,10 @@ KINDS = (
     "hard_shadows",
     "through_mirrors",
     "guiding",
+    "light",
 )
+#: Kinds whose samples are not drawn again.
+NUMBERED = ("guiding", "light")
 #: Kinds whose samples belong to a pixel.
 TRACED = ("image", "interior")
 
@@ -104,7 +107,7 @@ def invalid_samples(scene: Scene, *, reset: bool = False) -> dict[str, int]:
     Returns:
         Kind -> number since the scene was loaded, or since the last reset, over all renderings and gradients of it:
         "image", "interior", the terms of the boundary ("primary", "secondary", ...) and "guiding" (evaluations of its
-        integrand). All are 0 for a scene within the range of float32.
+        integrand) and "light" (paths from the lights). All are 0 for a scene within the range of float32.
     """
     counts = {kind: c.invalid for kind, c in scene.invalid.counts.items()}
     if reset:
@@ -198,7 +201,7 @@ def _name(kind: str, count: Count, seed: int) -> str:
     if not count.first:
         return ""
     number = count.first[0]
-    if kind == "guiding":
+    if kind in NUMBERED:
         return f", the first: number {number}"
     return (
         f", the first: number {number}; print(psdr.trace_sample(scene, sample={number}, seed={seed}, kind={kind!r}, "

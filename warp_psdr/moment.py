@@ -13,6 +13,7 @@ from warp_psdr.image import Image
 from warp_psdr.invalid import warns
 from warp_psdr.kernels.rng import mix_seed
 from warp_psdr.plan.integrator import integrator_of
+from warp_psdr.plan.light import refuse_light_paths
 from warp_psdr.plan.plan import decide
 
 if TYPE_CHECKING:
@@ -60,6 +61,7 @@ def render_moment(
         )
     spp, stream = sample_count(scene, number, spp), mix_seed(checked_seed(seed), STREAM_PRIMAL)
     plan = decide(scene, integrator=integrator_of(scene, integrator), sensor=number)
+    refuse_light_paths(plan, "render_moment")
     shape = (camera.crop_height, camera.crop_width)
     sums = np.zeros((2, *shape, 3))
     for n in range(spp):

@@ -10,6 +10,7 @@ import warp as wp
 
 from warp_psdr import compiler
 from warp_psdr.device import active_tape, launch
+from warp_psdr.estimate import light
 from warp_psdr.estimate.arguments import adjoint_array, checked_seed, flat_tangents, requested, sample_count, samples
 from warp_psdr.estimate.boundary.drivers import launch_backward, launch_forward
 from warp_psdr.estimate.boundary.terms import Term, terms
@@ -117,11 +118,14 @@ def render(
             raise ValueError("render(tape=...) differentiates what params.requires_grad(...) names; pass such params")
         # Says what cannot be differentiated, before the work.
         differentiated = decide(scene, params, integrator=integrator, sensor=sensor)
-        compiler.begin([image_kernel(scene, plan, sensor), gradient_kernel(differentiated, "reverse")], scene.device)
+        kernels = [image_kernel(scene, plan, sensor), *light.kernels(plan)]
+        compiler.begin([*kernels, gradient_kernel(differentiated, "reverse")], scene.device)
     camera = scene.camera(sensor)
     image = Image((camera.crop_height, camera.crop_width), scene.device, requires_grad=tape is not None)
     draw = _render_splatted if splats(camera) else boxed
-    draw(scene, plan, sensor, spp, mix_seed(seed, STREAM_PRIMAL), image, progress)
+    first, second = (progress, None) if plan.light is None else (part(progress, 0.0, 0.5), part(progress, 0.5, 0.5))
+    draw(scene, plan, sensor, spp, mix_seed(seed, STREAM_PRIMAL), image, first)
+    light.add_image(scene, plan, sensor, spp, mix_seed(seed, STREAM_PRIMAL), image, second)
     if tape is not None and params is not None:
         _record(tape, image, scene, params, sensor=sensor, integrator=integrator, spp=gradient_spp, seed=seed)
     return image

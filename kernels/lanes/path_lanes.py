@@ -93,9 +93,10 @@ class LanePaths(NamedTuple):
 def side_by_side(config: PathConfig) -> bool:
     """Whether a scene's paths are traced so: on the CPU, unless what they meet is written down.
 
-    Not where shadow rays pass surfaces: each meets as many as there are.
+    Not where shadow rays pass surfaces: each meets as many as there are. Nor beside light paths, which leave the
+    camera's few surfaces.
     """
-    return config.ray_backend == "wide" and not config.noted and not config.through
+    return config.ray_backend == "wide" and not (config.noted or config.through or config.delta_first)
 
 
 @functools.cache

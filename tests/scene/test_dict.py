@@ -309,7 +309,6 @@ def test_a_moment_is_the_integrator_nested_in_it():
         ("volpath", "'path' computes the same"),
         ("volpathmis", "'path' computes the same"),
         ("prbvolpath", "'prb' computes the same"),
-        ("ptracer", "'path' computes the same"),
         ("depth", r"psdr.render_aov\(scene, \['depth'\]\)"),
     ],
 )

@@ -32,6 +32,7 @@ from warp_psdr.estimate.passes import (
 from warp_psdr.kernels.rng import mix_seed
 from warp_psdr.options.integrator import Integrator
 from warp_psdr.plan.integrator import integrator_of
+from warp_psdr.plan.light import refuse_light_paths
 from warp_psdr.plan.motion import motion
 from warp_psdr.plan.plan import Plan, decide
 from warp_psdr.topology import contacts
@@ -42,6 +43,8 @@ if TYPE_CHECKING:
 
 #: Stream of the indirect boundary, beside those of the terms (``estimate/boundary/terms``).
 STREAM_INDIRECT = 0x696E6469
+#: What asks for a quantity, for errors.
+BUDGETS = "psdr.accuracy, as target_error and time_budget,"
 #: Name of the components of an image.
 IMAGE = "image"
 
@@ -111,6 +114,7 @@ def image(scene: Scene, *, integrator: Integrator | None, sensor: int) -> Quanti
     integrator = integrator_of(scene, integrator)
     camera = scene.camera(sensor)
     plan = decide(scene, integrator=integrator, sensor=sensor)
+    refuse_light_paths(plan, BUDGETS)
     shape = (camera.crop_height, camera.crop_width)
 
     def box_batch(spp: int, seed: int, tiling: Tiling) -> np.ndarray:
@@ -153,6 +157,7 @@ def derivative(
     integrator = integrator_of(scene, integrator)
     target = flat_tangents(scene, params, tangents)
     plan = decide(scene, integrator=integrator, sensor=sensor, names=list(tangents))
+    refuse_light_paths(plan, BUDGETS)
     if plan.boundary is not None:
         contacts.warn(scene, target.numpy())
     camera = scene.camera(sensor)
@@ -183,6 +188,7 @@ def gradient(scene: Scene, params: Parameters, adjoint, *, integrator: Integrato
     names = requested(scene, params)
     integrator = integrator_of(scene, integrator)
     plan = decide(scene, params, integrator=integrator, sensor=sensor)
+    refuse_light_paths(plan, BUDGETS)
     array = adjoint_array(adjoint, scene.camera(sensor), scene.device)
     records = [scene.parameters[name] for name in names]
     ends = np.cumsum([0, *(p.size for p in records)]).tolist()

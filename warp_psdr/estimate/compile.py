@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from warp_psdr import compiler
 from warp_psdr.compiler import Compiled
+from warp_psdr.estimate import light
 from warp_psdr.estimate.boundary.terms import prepare
 from warp_psdr.estimate.passes import gradient_kernel, image_kernel
 from warp_psdr.plan.integrator import integrator_of
@@ -67,7 +68,8 @@ def compile(
     sensor = scene.description.sensor_number(sensor)
     integrator = integrator_of(scene, integrator)
     start, before = time.perf_counter(), len(compiler.done)
-    kernels = [image_kernel(scene, decide(scene, integrator=integrator, sensor=sensor), sensor)]
+    plan = decide(scene, integrator=integrator, sensor=sensor)
+    kernels = [image_kernel(scene, plan, sensor), *light.kernels(plan)]
     compiler.begin(kernels, scene.device)
     if params is not None and params.requested:
         names = params.requested
@@ -87,7 +89,8 @@ def image_ahead(scene: Scene) -> None:
     """
     try:
         if not integrator_of(scene, None).hide_emitters:  # else the plan builds a ray structure
-            compiler.begin([image_kernel(scene, decide(scene), 0)], scene.device)
+            plan = decide(scene)
+            compiler.begin([image_kernel(scene, plan, 0), *light.kernels(plan)], scene.device)
     except Exception:
         return  # whoever renders gets to hear of it
 

@@ -48,7 +48,7 @@ def splats(camera: Camera) -> bool:
 def image_kernel(scene: Scene, plan: Plan, sensor: int) -> wp.Kernel:
     """Return the kernel of a sensor's image."""
     make = make_splat_kernel if splats(scene.camera(sensor)) else make_primal_kernel
-    return make(plan.config)
+    return make(plan.seen)
 
 
 def boxed(
@@ -63,7 +63,7 @@ def boxed(
 ) -> None:
     """Add the mean of ``spp`` samples to every pixel, or to those listed; a sample counts in its own pixel."""
     camera = scene.camera(sensor)
-    _launch(
+    launch_pass(
         scene,
         image_kernel(scene, plan, sensor),
         (camera.crop_width, camera.crop_height),
@@ -96,8 +96,8 @@ def splatted(
     shards = workers.shard_count(4 * shape[0] * shape[1]) if scene.device.is_cpu else 1
     films = wp.zeros((shards, *shape), dtype=wp.vec4, device=scene.device)
     total = wp.zeros(shape, dtype=wp.vec4d, device=scene.device)
-    for first_sample, samples, reported in _blocks(spp, FILM_SAMPLES, progress):
-        _launch(
+    for first_sample, samples, reported in blocks_of(spp, FILM_SAMPLES, progress):
+        launch_pass(
             scene,
             image_kernel(scene, plan, sensor),
             (camera.crop_width + 2 * margin, camera.crop_height + 2 * margin),
@@ -117,7 +117,7 @@ def visible(scene: Scene, plan: Plan, sensor: int, spp: int, seed: int, progress
     """Return what the camera sees first, (H, W, ``kernels.aov.ROW``) float32: means over ``spp`` samples a pixel."""
     camera = scene.camera(sensor)
     rows = wp.zeros((camera.crop_height, camera.crop_width, ROW), dtype=wp.float32, device=scene.device)
-    _launch(
+    launch_pass(
         scene,
         make_aov_kernel(replace(plan.config, uv=True)),
         (camera.crop_width, camera.crop_height),
@@ -154,7 +154,7 @@ def interior_backward(
     samples = PixelSamples(
         spp, mix_seed(seed, STREAM_INTERIOR), _depth(plan), plan.rr_depth, scale=weight / spp, adjoint=adjoint
     )
-    _launch(
+    launch_pass(
         scene,
         gradient_kernel(plan, "reverse"),
         (camera.crop_width, camera.crop_height),
@@ -183,7 +183,7 @@ def interior_forward(
 ) -> None:
     """Add the derivative of the interior term along flat tangents, times a weight, to all pixels or those listed."""
     camera = scene.camera(sensor)
-    _launch(
+    launch_pass(
         scene,
         gradient_kernel(plan, "forward"),
         (camera.crop_width, camera.crop_height),
@@ -205,8 +205,8 @@ def _patches(scene: Scene, plan: Plan) -> dict[str, wp.array]:
 
 def gradient_kernel(plan: Plan, role: str) -> wp.Kernel:
     """Return the kernel of the interior term, of role "reverse" or "forward"."""
-    assert plan.interior is not None and plan.wanted is not None and plan.kept is not None
-    return plan.interior.make(plan.config, plan.wanted, role, plan.kept)
+    assert plan.interior is not None and plan.seen_wanted is not None and plan.kept is not None
+    return plan.interior.make(plan.seen, plan.seen_wanted, role, plan.kept)
 
 
 def _mask(scene: Scene, shapes: frozenset[int] | None) -> wp.array:
@@ -222,7 +222,7 @@ def _depth(plan: Plan) -> int:
     return longest if longest and plan.max_depth < 0 else plan.max_depth
 
 
-def _blocks(spp: int, most: int, progress: Progress | None) -> Iterator[tuple[int, int, Progress | None]]:
+def blocks_of(spp: int, most: int, progress: Progress | None) -> Iterator[tuple[int, int, Progress | None]]:
     """Split a pixel's samples: yield (first, count, progress of these), ``most`` of them at a time."""
     for first in range(0, spp, most):
         count = min(most, spp - first)
@@ -234,7 +234,7 @@ def part(progress: Progress | None, start: float, share: float) -> Progress | No
     return None if progress is None else lambda done: progress(start + share * done)
 
 
-def _launch(
+def launch_pass(
     scene: Scene,
     kernel: wp.Kernel,
     raster: tuple[int, int],

@@ -13,7 +13,7 @@ from warp_psdr.estimate.arguments import sample_count
 from warp_psdr.estimate.boundary.trace import BoundaryTrace, numbers, trace_boundary
 from warp_psdr.estimate.guiding import automatic
 from warp_psdr.estimate.passes import STREAM_INTERIOR, STREAM_PRIMAL, filter_margin, splats
-from warp_psdr.invalid import KINDS, TRACED
+from warp_psdr.invalid import KINDS, NUMBERED, TRACED
 from warp_psdr.kernels.constants import RFILTER_BOX
 from warp_psdr.kernels.rng import mix_seed
 from warp_psdr.kernels.trace import make_trace_kernel
@@ -116,9 +116,12 @@ def trace_sample(
     Raises:
         ValueError: another kind, a pixel that is not sampled, or arguments that its kind needs or does not take.
     """
-    if kind not in KINDS or kind == "guiding":
-        expected = tuple(k for k in KINDS if k != "guiding")
-        raise ValueError(f"kind: got {kind!r}, expected one of {expected}; what guiding evaluates is no path")
+    if kind not in KINDS or kind in NUMBERED:
+        expected = tuple(k for k in KINDS if k not in NUMBERED)
+        raise ValueError(
+            f"kind: got {kind!r}, expected one of {expected}; what guiding evaluates is no path, and paths from the "
+            "lights are not drawn again"
+        )
     integrator = integrator_of(scene, integrator)
     sensor = scene.description.sensor_number(sensor)
     if kind not in TRACED:
@@ -149,7 +152,7 @@ def trace_sample(
     vertices = wp.zeros(MOST_VERTICES, dtype=PathVertex, device=scene.device)
     count = wp.zeros(1, dtype=wp.int32, device=scene.device)
     launch(
-        make_trace_kernel(plan.config, kind == "interior", RFILTER_BOX if splatted else None),
+        make_trace_kernel(plan.seen, kind == "interior", RFILTER_BOX if splatted else None),
         dim=1,
         inputs=[
             scene.data(), camera, x, y, (y + margin) * width + x + margin, sample, mix_seed(seed, stream),

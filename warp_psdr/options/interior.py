@@ -9,6 +9,13 @@ class Method:
     """Base of all methods: a way to estimate the interior term."""
 
 
+def _check_block(block: int, instead_of_zero: str) -> None:
+    """Raise unless K is an integer from 1 to 64."""
+    if isinstance(block, bool) or not isinstance(block, int) or not 1 <= block <= 64:
+        remedy = instead_of_zero if block == 0 else ""
+        raise ValueError(f"block: got {block!r}, expected an integer from 1 to 64{remedy}")
+
+
 @dataclass(frozen=True, kw_only=True)
 class Replay(Method):
     """Path replay [VSJ21] by record and sweep (``kernels/interior/replay.py``).
@@ -26,9 +33,30 @@ class Replay(Method):
         Raises:
             ValueError: ``block`` is not between 1 and 64.
         """
-        if isinstance(self.block, bool) or not isinstance(self.block, int) or not 1 <= self.block <= 64:
-            remedy = "; textbook replay, which keeps no vertices, is interior.Textbook()" if self.block == 0 else ""
-            raise ValueError(f"block: got {self.block!r}, expected an integer from 1 to 64{remedy}")
+        _check_block(self.block, "; textbook replay, which keeps no vertices, is interior.Textbook()")
+
+
+@dataclass(frozen=True, kw_only=True)
+class LightTracing(Method):
+    """Light tracing: paths start at the lights, and the camera is joined to every vertex (``kernels/light_path.py``).
+
+    It draws the image as well as its derivatives. Lights of no area shine through glass and mirrors, which paths from
+    the camera never find. What the camera sees in mirrors and glass themselves, and the lights that it sees, is drawn
+    from the camera. Samples a pixel are light paths over pixels, and as many paths from the camera.
+
+    Attributes:
+        block: K, as of ``Replay``.
+    """
+
+    block: int = 8
+
+    def __post_init__(self) -> None:
+        """Validate once.
+
+        Raises:
+            ValueError: ``block`` is not between 1 and 64.
+        """
+        _check_block(self.block, "")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -67,6 +67,10 @@ _METHODS = MethodTable(
             *("kernels/interior/textbook.py", "textbook"),
         ),
         (
+            *("Vea97", "Light tracing", "interior.LightTracing()", "interior"),
+            *("kernels/light_path.py", "light_tracing"),
+        ),
+        (
             *("ZMY*20", "Path-space boundary sampling", "boundary.PathSpace()", "boundary"),
             *("kernels/boundary/path_space/secondary.py", "path_space"),
         ),

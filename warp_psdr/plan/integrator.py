@@ -6,6 +6,7 @@ import warnings
 from typing import TYPE_CHECKING
 
 from warp_psdr.options.integrator import Integrator, PathIntegrator
+from warp_psdr.options.interior import LightTracing
 from warp_psdr.scene.dictionary import describe_integrator
 from warp_psdr.scene.load import SceneWarning
 
@@ -52,4 +53,6 @@ def from_description(integrator: dict) -> PathIntegrator:
             "integrator='path'"
         )
     known = {k: integrator[k] for k in ("max_depth", "rr_depth", "hide_emitters") if k in integrator}
+    if integrator.get("type") == "ptracer":
+        return PathIntegrator(**known, interior=LightTracing())
     return PathIntegrator(**known)

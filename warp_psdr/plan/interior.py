@@ -129,4 +129,12 @@ TABLE: dict[tuple[type[interior.Method], type[boundary.Method]], Row] = {
         refuse=_refused_by_textbook,
         bias="derivatives of factors that are exactly zero are lost",
     ),
+    (interior.LightTracing, boundary.Method): Row(
+        label="light tracing",
+        keep=lambda _method, _max_depth, _rr_depth: Kept(0, 1, "the image alone"),
+        make=lambda config, wanted, role, _kept: make_replay_kernel(config, wanted, 1, 1),
+        refuse=lambda _config, _wanted: (
+            "interior.LightTracing() draws images, not yet their derivatives; use interior.Replay()"
+        ),
+    ),
 }

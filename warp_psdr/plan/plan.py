@@ -17,12 +17,14 @@ from warp_psdr.kernels.bsdf.mask import explored
 from warp_psdr.kernels.emitter.spot import MIN_FALLOFF
 from warp_psdr.kernels.interior.gradient_request import GradientRequest
 from warp_psdr.kernels.vertex import PathConfig
+from warp_psdr.options import interior
 from warp_psdr.options.boundary import Connecting, Method, PathSpace
 from warp_psdr.options.integrator import PathIntegrator
 from warp_psdr.plan import guiding
 from warp_psdr.plan.coverage import choose, has_hard_frame, refuse_own_shape, slides_steps, sliding_heights
 from warp_psdr.plan.integrator import Integrator, integrator_of
 from warp_psdr.plan.interior import Kept, Row, row_of
+from warp_psdr.plan.light import LightTracing, passes
 from warp_psdr.plan.motion import motion
 from warp_psdr.scene.bsdfs import model_of
 from warp_psdr.scene.layout import (
@@ -92,6 +94,7 @@ class Plan:
         lines: (item, decision, reason).
         boundary: method of the boundary term; None: there is none, or it was left out on purpose.
         shapes: numbers of the shapes that all that is requested belongs to; None: to lights too, or to the camera.
+        light: the passes of light tracing; None: all paths start at the camera.
     """
 
     config: PathConfig
@@ -104,6 +107,17 @@ class Plan:
     lines: tuple[tuple[str, str, str], ...]
     boundary: Method | None = None
     shapes: frozenset[int] | None = None
+    light: LightTracing | None = None
+
+    @property
+    def seen(self) -> PathConfig:
+        """What paths from the camera compile."""
+        return self.config if self.light is None else self.light.camera
+
+    @property
+    def seen_wanted(self) -> GradientRequest | None:
+        """Which derivatives paths from the camera compute; None: none."""
+        return self.wanted if self.light is None else self.light.wanted
 
     def __str__(self) -> str:
         """Return a table."""
@@ -206,8 +220,12 @@ def decide(
         met = ", ".join(scene.description.shapes[i].path for i in sorted(shapes)[:NAMED])
         met += f" and {len(shapes) - NAMED} more" if len(shapes) > NAMED else ""
         lines.append(("swept", "paths that meet what is requested", met))
+    light = None
+    if isinstance(integrator.interior, interior.LightTracing):
+        light = passes(config, wanted)
+        lines.append(light.line)
     return Plan(
-        config, wanted, integrator.max_depth, integrator.rr_depth, row, kept, moving, tuple(lines), term, shapes
+        config, wanted, integrator.max_depth, integrator.rr_depth, row, kept, moving, tuple(lines), term, shapes, light
     )
 
 

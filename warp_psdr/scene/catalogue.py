@@ -21,7 +21,7 @@ MITSUBA: dict[str, tuple[str, ...]] = {
     "rfilter": ("catmullrom", "lanczos", "mitchell"),
     "sampler": ("halton", "hammersley"),
     "integrator": (
-        *("volpath", "volpathmis", "prbvolpath", "ptracer", "depth"),
+        *("volpath", "volpathmis", "prbvolpath", "depth"),
         *("stokes", "volprim_rf_basic", "bdpt", "photonmapper", "ppm", "sppm", "pssmlt", "mlt", "erpt", "vpl"),
         *("adaptive", "irrcache", "multichannel"),
     ),
@@ -44,7 +44,6 @@ INSTEAD: dict[str, dict[str, str]] = {
         "volpath": _PATH,
         "volpathmis": _PATH,
         "prbvolpath": "without media, 'prb' computes the same image and gradients",
-        "ptracer": "'path' computes the same image, from the camera instead of from the lights",
         "depth": "give 'path' and call psdr.render_aov(scene, ['depth'])",
     },
 }

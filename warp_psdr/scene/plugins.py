@@ -35,7 +35,10 @@ PLUGINS: dict[str, tuple[str, ...]] = {
     "film": ("hdrfilm",),
     "rfilter": ("box", "tent", "gaussian"),
     "sampler": ("independent", "sobol", "multijitter", "stratified", "orthogonal", "ldsampler"),
-    "integrator": ("path", "direct", "prb", "prb_basic", "prb_projective", "direct_projective", "aov", "moment"),
+    "integrator": (
+        *("path", "direct", "prb", "prb_basic", "prb_projective", "direct_projective", "ptracer"),
+        *("aov", "moment"),
+    ),
 }
 
 #: Whole numbers are 32-bit on the device.

@@ -1,0 +1,93 @@
+"""The passes over light paths (``kernels/light_path.py``): the image.
+
+A pass draws as many paths as the image has pixels times samples, and adds to what it is given.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import warp as wp
+
+from warp_psdr import workers
+from warp_psdr.device import launch
+from warp_psdr.estimate.jobs import PixelSamples
+from warp_psdr.estimate.passes import Progress, blocks_of, launch_pass
+from warp_psdr.kernels.light_tracing import add_splats, collect_splats, make_light_image_kernel
+from warp_psdr.kernels.rng import mix_seed
+
+if TYPE_CHECKING:
+    from warp_psdr.plan.plan import Plan
+    from warp_psdr.scene.scene import Scene
+
+#: Stream of the light paths, beside that of the camera's in the same pass.
+STREAM_LIGHT = 0x6C696768
+#: Paths over pixels that are summed on a film in float32. They are not spread evenly: a pixel in a caustic counts a
+#: thousand times as many, with a relative rounding error of some 1e-3 at most.
+FILM_PATHS = 1 << 8
+#: The sphere that rays from infinity cover is larger than the scene's by so much, for rounding.
+MARGIN = 1.0e-4
+
+
+def kernels(plan: Plan) -> list[wp.Kernel]:
+    """Return the kernel of the image's light paths, if there are any."""
+    return [make_light_image_kernel(plan.config)] if _traces(plan) else []
+
+
+def add_image(
+    scene: Scene, plan: Plan, sensor: int, spp: int, seed: int, image: wp.array, progress: Progress | None = None
+) -> None:
+    """Add what the light paths find to an image; ``seed`` is that of the image's other paths."""
+    if _traces(plan):
+        _splat(scene, plan, make_light_image_kernel(plan.config), sensor, spp, seed, [], image, "light", progress)
+
+
+def _traces(plan: Plan) -> bool:
+    return plan.light is not None and plan.light.joins and plan.max_depth != 1
+
+
+def _splat(
+    scene: Scene,
+    plan: Plan,
+    kernel: wp.Kernel,
+    sensor: int,
+    spp: int,
+    seed: int,
+    inputs: list,
+    image: wp.array,
+    kind: str,
+    progress: Progress | None,
+) -> None:
+    """Run a kernel that splats to films, and add these to an image."""
+    camera = scene.camera(sensor)
+    shape = (camera.crop_height, camera.crop_width)
+    sphere = bounding_sphere(scene)
+    shards = workers.shard_count(3 * shape[0] * shape[1]) if scene.device.is_cpu else 1
+    films = wp.zeros((shards, *shape), dtype=wp.vec3, device=scene.device)
+    total = wp.zeros(shape, dtype=wp.vec3d, device=scene.device)
+    scale = 1.0 / (float(spp) * shape[0] * shape[1])
+    for first, samples, reported in blocks_of(spp, FILM_PATHS, progress):
+        launch_pass(
+            scene,
+            kernel,
+            (camera.crop_width, camera.crop_height),
+            PixelSamples(
+                samples, mix_seed(seed, STREAM_LIGHT), plan.max_depth, plan.rr_depth, scale=scale, first_sample=first
+            ),
+            camera,
+            lambda shard: [sphere, *inputs, films[shard]],
+            shards=shards,
+            kind=kind,
+            progress=reported,
+        )
+        launch(collect_splats, dim=shape, inputs=[films], outputs=[total], device=scene.device)
+    launch(add_splats, dim=shape, inputs=[total], outputs=[image], device=scene.device)
+
+
+def bounding_sphere(scene: Scene) -> wp.vec4:
+    """Center and radius of a sphere that holds the scene."""
+    points = scene.points
+    low, high = (points.min(axis=0), points.max(axis=0)) if len(points) else (np.zeros(3), np.zeros(3))
+    center = 0.5 * (low.astype(np.float64) + high)
+    return wp.vec4(*center.tolist(), (1.0 + MARGIN) * scene.radius)
