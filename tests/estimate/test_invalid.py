@@ -254,4 +254,4 @@ def test_what_counts_as_finite_and_as_nothing() -> None:
 
 def test_every_boundary_term_has_a_kind_and_counts() -> None:
     names = {term.name for method in TERMS.values() for term in method}
-    assert names | {"image", "interior", "guiding"} == set(KINDS)
+    assert names | {"image", "interior", "guiding", "light"} == set(KINDS)
