@@ -52,6 +52,13 @@ LOBE_DELTA_TRANSMISSION = 3
 #: Light passes as if there were no surface, with a weight.
 LOBE_NULL = 4
 
+# Phase functions (``Medium.phase``).
+PHASE_ISOTROPIC = 0
+PHASE_HG = 1
+#: Numbers that stand for no medium, and on both sides of a shape for one that bounds none.
+NO_MEDIUM = -1
+NO_INTERFACE = -2
+
 # Cameras (``Camera.kind``).
 CAMERA_PERSPECTIVE = 0
 CAMERA_ORTHOGRAPHIC = 1

@@ -16,6 +16,8 @@ from warp_psdr.kernels.camera_rays import (
 from warp_psdr.kernels.invalid import count_invalid, finite
 from warp_psdr.kernels.jobs import PixelJob
 from warp_psdr.kernels.lanes.path_lanes import make_lane_paths, side_by_side
+from warp_psdr.kernels.path import make_camera_start
+from warp_psdr.kernels.path_media import make_media_step, media_path_from
 from warp_psdr.kernels.rng import sampler_at
 from warp_psdr.kernels.sensor.camera import CameraSample
 from warp_psdr.kernels.structs import Camera, Scene
@@ -73,6 +75,8 @@ def make_image_paths(config: PathConfig, filter_kind: int | None = None) -> Came
 
         return CameraPaths(lanes.width, True, trace_lanes)
 
+    if config.media is not None:
+        return _make_media_paths(config, filter_kind)
     width, starts, path_step = make_camera_paths(config, False, filter_kind=filter_kind)
 
     @wp.func
@@ -100,6 +104,35 @@ def make_image_paths(config: PathConfig, filter_kind: int | None = None) -> Came
             paths_out[j] = path
 
     return CameraPaths(width, False, trace)
+
+
+def _make_media_paths(config: PathConfig, filter_kind: int | None) -> CameraPaths:
+    """The same in a scene with media."""
+    start = make_camera_start(config, filter_kind)
+    media_step = make_media_step(config, False)
+
+    @wp.func
+    def trace_media(
+        scene: Scene,
+        camera: Camera,
+        pixels: wp.array(dtype=wp.int32),
+        bundle: Bundle,
+        max_depth: wp.int32,
+        rr_depth: wp.int32,
+        paths_out: wp.array(dtype=CameraPath),
+    ):
+        for j in range(bundle.samples):
+            sampler = sampler_in(pixels, bundle, j)
+            path = CameraPath()
+            started, sample = start(scene, camera, column_of(bundle, sampler), row_of(bundle, sampler), sampler)
+            state = media_path_from(started, camera.medium)
+            path.sample = sample
+            while state.path.alive == 1:
+                vertex, state = media_step(scene, sampler, state, max_depth, rr_depth)
+                path.radiance += wp.cw_mul(vertex.surface.throughput, vertex.surface.direct)
+            paths_out[j] = path
+
+    return CameraPaths(1, False, trace_media)
 
 
 @functools.cache

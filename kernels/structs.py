@@ -115,6 +115,30 @@ class Camera:
     face_count: wp.int32
     cdf_offset: wp.int32
     sample_border: wp.int32  # 1: pixels see what lies beyond the crop window; 0: filters end at its border
+    medium: wp.int32  # that its rays start in, or NO_MEDIUM
+
+
+@wp.struct
+class Medium:
+    """A homogeneous medium."""
+
+    sigma_t: wp.int32  # flat offset of the extinction coefficient, per unit length, before ``scale``
+    sigma_t_channels: wp.int32  # 1 or 3
+    albedo: wp.int32  # flat offset of the single-scattering albedo
+    albedo_channels: wp.int32
+    scale: wp.int32  # flat offset of what multiplies sigma_t
+    phase: wp.int32  # PHASE_*
+    g: wp.int32  # hg: flat offset of the mean cosine
+
+
+@wp.struct
+class Media:
+    """All media of a scene."""
+
+    records: wp.array(dtype=Medium)
+    #: Of each shape: the number of the medium outside and of that inside, or NO_MEDIUM; NO_INTERFACE: it changes none.
+    sides: wp.array(dtype=wp.vec2i)
+    extent: wp.float32  # diameter of the scene, or 1: length scale of flights that nothing ends
 
 
 @wp.struct
@@ -133,6 +157,7 @@ class Scene:
     emitters: wp.array(dtype=Emitter)
     emitter_cdf: wp.array(dtype=wp.float32)  # cumulative selection probabilities, length n + 1, from 0 to 1
     face_cdf: wp.array(dtype=wp.float32)  # cumulative, normalised triangle areas of each area light, n + 1 a light
+    media: Media
     environment: wp.int32  # index of the constant or envmap emitter, -1: none
     env_marginal: wp.array(dtype=wp.float32)  # cumulative over rows of cells, h + 1
     env_conditional: wp.array(dtype=wp.float32)  # cumulative over the cells of each row, h x (w + 1), flattened

@@ -11,6 +11,16 @@ from warp_psdr.kernels.structs import Camera
 
 
 @dataclass(frozen=True)
+class MediaConfig:
+    """What the media of a scene need compiled."""
+
+    #: Phase functions (PHASE_*) that occur.
+    phases: tuple[int, ...]
+    #: Some extinction coefficient is a colour.
+    chromatic: bool
+
+
+@dataclass(frozen=True)
 class PathConfig:
     """What a scene needs compiled; frozen and hashable, one kernel per value."""
 
@@ -46,6 +56,8 @@ class PathConfig:
     through: bool = False
     #: True: of the camera's first surface only delta lobes count, for the rest is the light paths' (``light_path.py``).
     delta_first: bool = False
+    #: Participating media, whose paths are those of ``path_media.py``; None: there are none.
+    media: MediaConfig | None = None
 
 
 @wp.struct

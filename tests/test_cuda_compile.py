@@ -20,7 +20,7 @@ from warp_psdr.kernels.boundary.guiding.projective import BLOCKED_LIGHT, SCATTER
 from warp_psdr.kernels.bsdf.dispatch import VARIANTS
 from warp_psdr.kernels.interior.gradient_request import GradientRequest
 from warp_psdr.kernels.loss import relative_squared
-from warp_psdr.kernels.vertex import PathConfig
+from warp_psdr.kernels.vertex import MediaConfig, PathConfig
 
 #: Compute capability 9.0.
 ARCHITECTURE = 90
@@ -142,6 +142,14 @@ THROUGH = PathConfig(
         "through": True,
     }
 )
+#: Media in media, behind nothing and behind masks.
+MEDIA = PathConfig(
+    **{
+        **vars(THROUGH),
+        **materials("diffuse", "dielectric", "null", "mask(diffuse)"),
+        "media": MediaConfig((c.PHASE_ISOTROPIC, c.PHASE_HG), True),
+    }
+)
 #: What is traced again for ``psdr.trace_sample``.
 NOTED = PathConfig(**{**vars(SIMPLE), "noted": True})
 NOTED_MATERIALS = PathConfig(**{**vars(MATERIALS), "noted": True})
@@ -205,6 +213,7 @@ FACTORIES = {
         ("others", (OTHERS,), SLOW),
         ("everything", (EVERYTHING,), SLOW),
         ("through", (THROUGH,), SLOW),
+        ("media", (MEDIA,), SLOW),
     ],
     "light_tracing.make_light_image_kernel": [
         ("simple", (SIMPLE,), FAST),

@@ -186,7 +186,9 @@ def _warn(ledger: Ledger, before: dict[str, tuple[int, int]], seed: int) -> None
         message = (
             f"samples that were not finite were dropped, which biases the result: {'; '.join(found)}. Look for values "
             "beyond the range of float32 (huge or tiny sizes, radiances, indices), for degenerate triangles there, and "
-            "for light behind more than 32 surfaces that let it pass"
+            "for light behind more surfaces that let it pass than are crossed (32; 64 in scenes with media); in those "
+            "also for rays that meet a shape which has another medium on that side: name the medium that the sensor is "
+            "in, and the exterior of what lies in a medium"
         )
         warnings.warn(message, RuntimeWarning, stacklevel=4)
 

@@ -56,6 +56,8 @@ MORE: dict[str, tuple[dict, ...]] = {
     "projector": ({"fov": 40.0}, {"irradiance": {"type": "bitmap", "bitmap": np.full((2, 2, 3), 0.5)}}),
     "point": ({"position": [0.0, 0.0, 1.0]},),
 }
+#: Where a medium holds what belongs to it.
+NESTED = {"phase": "phase_function", "volume": "sigma_t"}
 #: Plugins that stand for values (spectra) take different forms; they are listed by name alone.
 VALUES = ("rgb", "srgb", "spectrum", "uniform", "rawconstant", "d65", "blackbody", "regular", "irregular")
 
@@ -108,15 +110,15 @@ def _load(category: str, name: str, parameters: dict) -> tuple[list[str], list[s
     finally:
         loader.Properties.take = take  # type: ignore[method-assign]
     found = [n.removeprefix("probe.") for n in psdr.traverse(scene) if n.startswith("probe.")]
-    inner = {"texture": "bsdf.reflectance.", "bsdf": "bsdf."}.get(
-        category, "emitter." if name in ("area", "directionalarea") else ""
-    )
+    inner = {"texture": "bsdf.reflectance.", "bsdf": "bsdf.", "medium": "interior_medium."}
+    inner |= {kind: f"interior_medium.{key}." for kind, key in NESTED.items()}
+    inner = inner.get(category, "emitter." if name in ("area", "directionalarea") else "")
     found = [n.removeprefix(inner) for n in found if n.startswith(inner)]
     if name == "irradiancemeter":  # it has no values; those of its shape are not its own
         found = []
     if category == "shape":
         found = [n for n in found if "bsdf." not in n]
-    elif category not in ("texture", "bsdf", "emitter", "sensor"):
+    elif category not in ("texture", "bsdf", "emitter", "sensor", "medium", "phase", "volume"):
         found = []
     return [a for a in asked if not a.startswith("_arg_")], found
 
@@ -145,6 +147,9 @@ def _scene(category: str, plugin: dict) -> dict:
         shape["bsdf"] = plugin
     elif category == "texture":
         shape["bsdf"] = {"type": "diffuse", "reflectance": plugin}
+    elif category in ("medium", "phase", "volume"):
+        medium = plugin if category == "medium" else {"type": "homogeneous", NESTED[category]: plugin}
+        shape |= {"bsdf": {"type": "null"}, "interior": medium}
     elif plugin["type"] in ("area", "directionalarea"):
         shape["emitter"] = plugin
     elif category == "emitter":

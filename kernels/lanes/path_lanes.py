@@ -94,8 +94,10 @@ def side_by_side(config: PathConfig) -> bool:
     """Whether a scene's paths are traced so: on the CPU, unless what they meet is written down.
 
     Not where shadow rays pass surfaces: each meets as many as there are. Nor beside light paths, which leave the
-    camera's few surfaces.
+    camera's few surfaces. Nor in media, which paths collide in at random.
     """
+    if config.media is not None:
+        return False
     return config.ray_backend == "wide" and not (config.noted or config.through or config.delta_first)
 
 

@@ -105,7 +105,7 @@ CASES = [
         "another root", ("scene.xml:", "no <scene>"), xml='<scenes version="3.0.0"/>'.replace("<scenes", "<?x?><scenes")
     ),
     Case("unknown element", ("scene.xml:4 <shap", "did you mean 'shape'"), xml='<shap type="cube"/>'),
-    Case("unsupported element", ("<medium", "not supported", "supported:"), xml='<medium type="homogeneous"/>'),
+    Case("unsupported element", ("<subsurface", "not supported", "supported:"), xml='<subsurface type="dipole"/>'),
     Case("missing type", ("scene.xml:4 <shape", "'type' is missing", 'write type="..."'), xml='<shape id="x"/>'),
     Case("unknown attribute", ("<shape", "no attribute 'tpye'", "did you mean 'type'"), xml='<shape tpye="cube"/>'),
     Case(

@@ -306,9 +306,6 @@ def test_a_moment_is_the_integrator_nested_in_it():
 @pytest.mark.parametrize(
     ("name", "remedy"),
     [
-        ("volpath", "'path' computes the same"),
-        ("volpathmis", "'path' computes the same"),
-        ("prbvolpath", "'prb' computes the same"),
         ("depth", r"psdr.render_aov\(scene, \['depth'\]\)"),
     ],
 )

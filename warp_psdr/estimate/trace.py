@@ -114,7 +114,8 @@ def trace_sample(
         vertices of the paths to either side.
 
     Raises:
-        ValueError: another kind, a pixel that is not sampled, or arguments that its kind needs or does not take.
+        ValueError: another kind, a pixel that is not sampled, arguments that its kind needs or does not take, or a
+            scene with participating media.
     """
     if kind not in KINDS or kind in NUMBERED:
         expected = tuple(k for k in KINDS if k not in NUMBERED)
@@ -138,6 +139,8 @@ def trace_sample(
     if pixel is None:
         raise ValueError(f"kind {kind!r} takes the pixel of the sample, (x, y)")
     plan = decide(scene, integrator=integrator, sensor=sensor)
+    if plan.config.media is not None:
+        raise ValueError("trace_sample draws no paths through participating media; leave them out to see the others")
     camera = scene.camera(sensor)
     splatted = kind == "image" and splats(camera)
     margin = filter_margin(camera) if splatted else 0

@@ -20,7 +20,7 @@ from warp_psdr.kernels.vertex import PathConfig
 from warp_psdr.options import interior
 from warp_psdr.options.boundary import Connecting, Method, PathSpace
 from warp_psdr.options.integrator import PathIntegrator
-from warp_psdr.plan import guiding
+from warp_psdr.plan import guiding, media
 from warp_psdr.plan.coverage import choose, has_hard_frame, refuse_own_shape, slides_steps, sliding_heights
 from warp_psdr.plan.integrator import Integrator, integrator_of
 from warp_psdr.plan.interior import Kept, Row, row_of
@@ -178,6 +178,8 @@ def decide(
     config = _config(scene, integrator, sensor, lines)
     if config.hidden:
         scene.hide_lights()
+    lines += media.describe(scene, config)
+    media.refuse(config, integrator.interior, names)
     wanted = _wanted(scene, config, names, lines) if names else None
     refuse_own_shape(scene, sensor, names)
     if not names:
@@ -269,7 +271,7 @@ def _named(scene: Scene, params: Parameters | None, names: list[str] | None) -> 
 def _config(scene: Scene, integrator: PathIntegrator, sensor: int, lines: list) -> PathConfig:
     b = scene.builder
     camera = scene.camera(sensor)
-    scatter = integrator.max_depth != 1
+    scatter = integrator.max_depth != 1 or bool(b.media)  # surfaces that are not there are met at depth 1 too
     models = (b.models if scatter else ()) or ("diffuse",)
     kinds = {e.kind for e in b.emitters}
     lights = tuple(sorted(kinds - {c.EMITTER_AREA}))
@@ -326,6 +328,7 @@ def _config(scene: Scene, integrator: PathIntegrator, sensor: int, lines: list) 
         ray_width=scene.accelerator.width,
         camera=camera.kind,
         through=scatter and has_null_lobes(models),
+        media=b.media_config,
     )
 
 

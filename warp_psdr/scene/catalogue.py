@@ -21,7 +21,7 @@ MITSUBA: dict[str, tuple[str, ...]] = {
     "rfilter": ("catmullrom", "lanczos", "mitchell"),
     "sampler": ("halton", "hammersley"),
     "integrator": (
-        *("volpath", "volpathmis", "prbvolpath", "depth"),
+        "depth",
         *("stokes", "volprim_rf_basic", "bdpt", "photonmapper", "ppm", "sppm", "pssmlt", "mlt", "erpt", "vpl"),
         *("adaptive", "irrcache", "multichannel"),
     ),
@@ -31,7 +31,6 @@ MITSUBA: dict[str, tuple[str, ...]] = {
 }
 
 
-_PATH = "without media, 'path' computes the same image"
 _SKY = (
     "the tables of its sky (Hosek and Wilkie) cannot be had under a licence that could be stated here; let Mitsuba "
     "bake it to an 'envmap', as docs/from_mitsuba.md (Skies) shows, and give a 'directional' light for the sun"
@@ -41,9 +40,6 @@ INSTEAD: dict[str, dict[str, str]] = {
     "sensor": {"batch": "put its sensors into the scene, render each, and set the images side by side"},
     "emitter": {"sunsky": _SKY, "timed_sunsky": _SKY},
     "integrator": {
-        "volpath": _PATH,
-        "volpathmis": _PATH,
-        "prbvolpath": "without media, 'prb' computes the same image and gradients",
         "depth": "give 'path' and call psdr.render_aov(scene, ['depth'])",
     },
 }

@@ -79,6 +79,34 @@ class EmitterDescription:
 
 
 @dataclass(eq=False)
+class VolumeDescription:
+    """A coefficient of a medium."""
+
+    parameter: str  #: name under which it is listed
+    value: np.ndarray  #: (1,) or (3,)
+
+
+@dataclass(eq=False)
+class PhaseDescription:
+    """A phase function."""
+
+    path: str
+    kind: Literal["isotropic", "hg"]
+    g: float = 0.0  #: hg: mean cosine, more than 0 scatters forward
+
+
+@dataclass(eq=False)
+class MediumDescription:
+    """A homogeneous medium; shared by identity between the shapes and sensors that reference it."""
+
+    path: str
+    sigma_t: VolumeDescription  #: per unit length, before ``scale``
+    albedo: VolumeDescription
+    scale: float
+    phase: PhaseDescription
+
+
+@dataclass(eq=False)
 class ShapeDescription:
     """A triangle mesh, world space."""
 
@@ -99,6 +127,8 @@ class ShapeDescription:
     local_vertices: np.ndarray | None = None  #: (N, 3)
     local_normals: np.ndarray | None = None  #: (N, 3)
     sensor: SensorDescription | None = None  #: an irradiance meter
+    interior: MediumDescription | None = None  #: medium behind the triangles, against their normals
+    exterior: MediumDescription | None = None  #: medium before them
     #: A copy of a shape of a group: that shape, in the group's space, whose values all copies share; and the path of
     #: the instance, whose ``to_world`` they have.
     prototype: ShapeDescription | None = None
@@ -146,6 +176,7 @@ class SensorDescription:
     film: FilmDescription = field(default_factory=FilmDescription)
     sampler: Literal["default", "independent", "sobol"] = "default"
     sample_count: int = 4
+    medium: MediumDescription | None = None  #: that it is in
 
 
 @dataclass(eq=False)

@@ -18,7 +18,7 @@ from .origin import find_origin
 from .plugins import Properties, category_of
 
 #: Depths of those that have a limit where none is given, as in Mitsuba.
-_DEPTHS = {"prb": 6, "prb_basic": 6, "prb_projective": 6}
+_DEPTHS = {"prb": 6, "prb_basic": 6, "prb_projective": 6, "prbvolpath": 6}
 
 
 def describe_dict(
@@ -158,7 +158,7 @@ def _add(result: SceneDescription, node: dict, where: str, name: str, context: C
         context.build(node, where, kind, lambda: textures.build(node, where, name, context), shared=False)
     elif category == "scene":
         raise error(where, "a scene in the scene", "give its plugins instead")
-    # What is left belongs to a sensor or a film that refers to it.
+    # What is left belongs to a sensor, a shape, a film or a medium that refers to it.
 
 
 def _integrator(node: dict, where: str, context: Context) -> dict[str, Any]:

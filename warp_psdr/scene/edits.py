@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
-from warp_psdr.scene.layout import BRIGHTNESS, POSITIONS, Parameter
+from warp_psdr.scene.layout import BRIGHTNESS, MEDIUM, POSITIONS, Parameter
 
 
 @dataclass(frozen=True)
@@ -21,8 +21,27 @@ class State:
 
 
 def has_results(p: Parameter) -> bool:
-    """Return whether the scene keeps anything that follows from a parameter: triangles, places, lights' power."""
-    return p.placed or (p.prototype >= 0 and POSITIONS in p.uses) or bool(p.uses & BRIGHTNESS)
+    """Return whether the scene keeps, or checks, what follows from a parameter: triangles, places, power, media."""
+    return p.placed or (p.prototype >= 0 and POSITIONS in p.uses) or bool(p.uses & BRIGHTNESS) or is_medium(p)
+
+
+def is_medium(p: Parameter) -> bool:
+    """Return whether a parameter belongs to a medium."""
+    return any(use.startswith(MEDIUM) for use in p.uses)
+
+
+def check_media(parameters: Iterable[Parameter], values: np.ndarray) -> None:
+    """Raise if a value of a medium is none that a medium can have.
+
+    Raises:
+        ValueError: With the parameter and its range.
+    """
+    for p in filter(is_medium, parameters):
+        low, high = p.bounds
+        held = values[p.offset : p.offset + p.size]
+        if not (np.isfinite(held) & (held >= low) & (held <= high)).all():
+            limits = f"finite values of at least {low:g}" if np.isinf(high) else f"values between {low:g} and {high:g}"
+            raise ValueError(f"{p.name} is {held.tolist()} after an edit; write {limits} (psdr.optim keeps to them)")
 
 
 class Edits:

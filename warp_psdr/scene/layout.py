@@ -22,6 +22,7 @@ RADIANCE = "radiance"
 LIGHT_RADIANCE = "light radiance"
 LIGHT_POSE = "light pose"
 CAMERA = "camera"
+MEDIUM = "medium:"  #: followed by what of it, as in ``kernels/medium/coefficients.py``
 #: Uses that change how bright lights are.
 BRIGHTNESS = {RADIANCE, LIGHT_RADIANCE, LIGHT_POSE}
 

@@ -35,9 +35,12 @@ PLUGINS: dict[str, tuple[str, ...]] = {
     "film": ("hdrfilm",),
     "rfilter": ("box", "tent", "gaussian"),
     "sampler": ("independent", "sobol", "multijitter", "stratified", "orthogonal", "ldsampler"),
+    "medium": ("homogeneous",),
+    "phase": ("isotropic", "hg"),
+    "volume": ("constvolume",),
     "integrator": (
         *("path", "direct", "prb", "prb_basic", "prb_projective", "direct_projective", "ptracer"),
-        *("aov", "moment"),
+        *("volpath", "volpathmis", "prbvolpath", "aov", "moment"),
     ),
 }
 

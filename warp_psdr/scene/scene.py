@@ -11,17 +11,19 @@ import warp as wp
 from warp_psdr import compiler
 from warp_psdr.device import launch
 from warp_psdr.invalid import Ledger
+from warp_psdr.kernels import constants as c
 from warp_psdr.kernels import structs
 from warp_psdr.kernels.bsdf.dispatch import has_delta_lobes
 from warp_psdr.kernels.invalid import COUNTER_SIZE
 from warp_psdr.kernels.lanes.lanes import ROOM
 from warp_psdr.kernels.shape.transform import pose_shape
 from warp_psdr.kernels.step import RAY_EPSILON
+from warp_psdr.kernels.structs import Media, Medium
 from warp_psdr.kernels.surface import update_triangles
 from warp_psdr.scene.acceleration import Accelerator
 from warp_psdr.scene.build import Builder
 from warp_psdr.scene.derived_values import sum_of_normals
-from warp_psdr.scene.edits import Edits, State, has_results
+from warp_psdr.scene.edits import Edits, State, check_media, has_results
 from warp_psdr.scene.instances import Instances
 from warp_psdr.scene.layout import BRIGHTNESS, NORMALS, POSITIONS, SHAPE_POSE, Parameter, struct_array
 from warp_psdr.scene.lights import Lights
@@ -114,6 +116,9 @@ class Scene:
         self._bsdfs = struct_array(structs.Bsdf, builder.bsdfs, self.device)
         self._slots = wp.array(builder.slots if builder.slots.size else [-1], dtype=wp.int32, device=self.device)
         self._textures = struct_array(structs.Texture, builder.textures, self.device)
+        self._media = Media()
+        self._media.records = struct_array(Medium, builder.media, self.device)
+        self._media.sides = wp.array(builder.sides or [(c.NO_INTERFACE,) * 2], dtype=wp.vec2i, device=self.device)
         self.accelerator = Accelerator(self._points, self.indices, self.device, built=False)
         self._rows = wp.empty(ROOM * self.accelerator.width, dtype=wp.uint32, device=self.device)
         self._sight: Accelerator | None = None
@@ -243,6 +248,7 @@ class Scene:
         s.emitters = self.lights.emitters
         s.emitter_cdf = self.lights.emitter_cdf
         s.face_cdf = self.lights.face_cdf
+        s.media = self._media
         s.environment = self.builder.environment
         s.env_marginal = self.lights.env_marginal
         s.env_conditional = self.lights.env_conditional
@@ -330,6 +336,7 @@ class Scene:
                 self._sight.update()
             self._update_bounds()
         values = self.values.numpy()
+        check_media(changed, values)
         first, size = self.lights.environment_data()
         if any(first <= p.offset < first + size for p in changed):
             self.lights.update_environment(values)
@@ -422,6 +429,7 @@ class Scene:
                 "(an optimiser that got here took too long a step: lower its learning rate)"
             )
         self.radius = max(0.5 * float(np.linalg.norm(high - low)), LEAST_LENGTH)
+        self._media.extent = 2.0 * self.radius if self.radius > LEAST_LENGTH else 1.0
         self.ray_epsilon = RAY_EPSILON * max(float(np.abs(low).max()), float(np.abs(high).max()), LEAST_LENGTH)
         if float(np.abs(low + high).max()) > 2.0 * COLLAPSING * self.radius and not self._left:
             self._left = True

@@ -11,6 +11,7 @@ from warp_psdr.kernels.constants import FAR
 
 from .description import FilmDescription, SensorDescription
 from .errors import error
+from .media import take_medium
 from .origin import moved
 from .pinhole import rigid_pose, x_fov
 from .plugins import PLUGINS, Properties, unsupported_plugin
@@ -61,6 +62,7 @@ def build(node: dict, where: str, path: str, context: Context) -> SensorDescript
     if near >= far:
         raise error(where, f"near_clip is {near:g} and far_clip {far:g}", "near_clip must be the smaller one")
     props.ignore("shutter_open", "shutter_close", reason="there is no motion blur")
+    medium = take_medium(props)
     parallel = kind == "orthographic"
     to_world = props.transform("to_world") if parallel else rigid_pose(props)
     result = SensorDescription(
@@ -72,6 +74,7 @@ def build(node: dict, where: str, path: str, context: Context) -> SensorDescript
         film=film,
         sampler=sampler,
         sample_count=sample_count,
+        medium=medium,
     )
     if kind == "thinlens":
         result.aperture_radius = props.number("aperture_radius", None, minimum=0.0)
@@ -130,6 +133,7 @@ def _meter(props: Properties, kind: Literal["radiancemeter", "irradiancemeter"],
     film.filter, film.filter_radius = "box", 0.5
     sampler, sample_count = props.context.attempt(lambda: _sampler(props), _NO_SAMPLER)
     props.ignore("shutter_open", "shutter_close", reason="there is no motion blur")
+    medium = take_medium(props)
     props.finish()
     return SensorDescription(
         path=props.path,
@@ -140,6 +144,7 @@ def _meter(props: Properties, kind: Literal["radiancemeter", "irradiancemeter"],
         film=film,
         sampler=sampler,
         sample_count=sample_count,
+        medium=medium,
     )
 
 

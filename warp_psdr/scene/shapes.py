@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from . import bsdfs, emitters, sensors
+from . import bsdfs, emitters, media, sensors
 from .description import EmitterDescription, ShapeDescription
 from .errors import ReportedError, error
 from .mesh_files import read_mesh
@@ -46,6 +46,7 @@ def build(node: dict, where: str, path: str, context: Context) -> ShapeDescripti
     meters = props.children("sensor")
     bsdf = _bsdf(props, shines=bool(lights))
     emitter = _light(props, lights)
+    sides = media.take_sides(props, bsdf)
     meter = None
     if meters:
         key, inner, place = meters[0]
@@ -75,6 +76,7 @@ def build(node: dict, where: str, path: str, context: Context) -> ShapeDescripti
         check_flat(shape, lights[0][2])
     shape.emitter = emitter
     shape.sensor = meter
+    shape.interior, shape.exterior = sides["interior"], sides["exterior"]
     if emitter is not None:
         check_attribute(emitter.radiance, shape.attributes, lights[0][2], 0.0, np.inf, False)
     bsdfs.check_shape(bsdf, shape.attributes, shape.texcoords is not None, where)

@@ -25,8 +25,6 @@ _ELEMENTS_MAX = 1_000_000
 _LETTERS_MAX = 1 << 16
 #: Parameters of a scene: each is looked for in every attribute with a dollar sign.
 _PARAMETERS_MAX = 1000
-#: Tags of Mitsuba whose plugins are not supported.
-_UNSUPPORTED_TAGS = ("medium", "phase", "volume")
 _OTHER_TAGS = ("transform", "ref", "include", "alias", "default", "path")
 
 
@@ -179,7 +177,7 @@ class _Reader:
 
     def _plugin(self, node: Node, child: Element, file: Path | None, version: Version, *, top: bool) -> None:
         tag = "texture" if child.tag == "spectrum" else child.tag
-        if (tag not in PLUGINS and tag not in _UNSUPPORTED_TAGS) or tag == "scene":
+        if tag not in PLUGINS or tag == "scene":
             known = [*(name for name in PLUGINS if name != "scene"), *PROPERTY_TAGS, *_OTHER_TAGS]
             hint = did_you_mean(tag, known)
             raise error(child.where, f"the element <{tag}> is not supported{hint}", f"supported: {listing(known)}")

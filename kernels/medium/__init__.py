@@ -1,0 +1,1 @@
+"""Participating media: their records, how far light flies in them, and what of it they let pass."""

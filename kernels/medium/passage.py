@@ -1,0 +1,130 @@
+"""Shadow rays in scenes with media: the transmittance of what they fly through, and of the surfaces that let them pass.
+
+Interfaces that are not there (Mitsuba's ``null``) change the medium and nothing else. Which medium a ray enters is
+Mitsuba's rule: that of the side, inside or outside, of the shape that it crosses.
+
+Derivation: ``docs/theory/media.md#next-event-estimation``.
+"""
+
+import functools
+
+import warp as wp
+
+from warp_psdr.kernels.bsdf.dispatch import has_null_lobes
+from warp_psdr.kernels.constants import LOBE_NULL, NO_INTERFACE
+from warp_psdr.kernels.interaction import make_interaction
+from warp_psdr.kernels.invalid import vanishes
+from warp_psdr.kernels.medium.coefficients import coefficients_of, exp_minus
+from warp_psdr.kernels.medium.flight import mean_of
+from warp_psdr.kernels.structs import Scene
+from warp_psdr.kernels.transmittance import Passage, transmittance_of
+from warp_psdr.kernels.vertex import PathConfig
+from warp_psdr.kernels.visibility import visibility_of
+
+#: Surfaces without a change of direction that a path, or a shadow ray, crosses at most. What is behind is dark, and
+#: that is counted.
+MOST_INTERFACES = 64
+
+
+@wp.func
+def medium_towards(scene: Scene, shape: wp.int32, ng: wp.vec3, d: wp.vec3, w: wp.vec3, medium: wp.int32) -> wp.int32:
+    """The medium of a ray that leaves a shape along w, where one arrived along d in a medium.
+
+    On the side that it came from it is still there. A shape that bounds no medium changes none.
+    """
+    sides = scene.media.sides[shape]
+    beyond = wp.where(wp.dot(ng, w) > 0.0, sides[0], sides[1])
+    stays = sides[0] == NO_INTERFACE or wp.dot(ng, d) * wp.dot(ng, w) <= 0.0
+    return wp.where(stays, medium, beyond)
+
+
+@wp.func
+def is_lost(scene: Scene, shape: wp.int32, ng: wp.vec3, d: wp.vec3, medium: wp.int32) -> wp.bool:
+    """Whether a shape has another medium on the side that a ray along d in a medium arrives at."""
+    sides = scene.media.sides[shape]
+    return sides[0] != NO_INTERFACE and medium != wp.where(wp.dot(ng, d) > 0.0, sides[1], sides[0])
+
+
+@functools.cache
+def make_media_passage(config: PathConfig, differential: bool):
+    """Return ``media_passage(scene, o, d, t_max, medium, draws) -> Passage`` for a segment that starts in a medium.
+
+    ``probability`` of the result is that of a path which drew the same direction and passed all of it; ``draws``: it
+    would collide there at random (``Flight``). ``differential``: keep going where the transmittance is exactly zero.
+    """
+    visibility = visibility_of(config)
+    interaction = make_interaction(config)
+    bsdf = interaction.bsdf
+    chromatic = config.media is not None and config.media.chromatic
+
+    @wp.func
+    def fly(scene: Scene, passage: Passage, medium: wp.int32, length: wp.float32, draws: wp.bool) -> Passage:
+        r = passage
+        if medium >= 0:
+            passed = exp_minus(coefficients_of(scene, scene.media.records[medium]).sigma_t, length)
+            r.product = wp.cw_mul(r.product, passed)
+            if draws:
+                if wp.static(chromatic):
+                    r.probability *= mean_of(passed)
+                else:
+                    r.probability *= passed[0]
+        return r
+
+    if not has_null_lobes(config.bsdfs):
+
+        @wp.func
+        def media_segment(
+            scene: Scene, o: wp.vec3, d: wp.vec3, t_max: wp.float32, medium: wp.int32, draws: wp.bool
+        ) -> Passage:
+            r = Passage()
+            r.product = wp.vec3(1.0, 1.0, 1.0)
+            r.probability = 1.0
+            if visibility.occluded(scene, o, d, t_max):
+                r.blocked = 1
+            else:
+                r = fly(scene, r, medium, t_max, draws)
+            return r
+
+        return media_segment
+
+    @wp.func
+    def media_passage(
+        scene: Scene, o: wp.vec3, d: wp.vec3, t_max: wp.float32, medium: wp.int32, draws: wp.bool
+    ) -> Passage:
+        r = Passage()
+        r.product = wp.vec3(1.0, 1.0, 1.0)
+        r.probability = 1.0
+        start = o
+        inside = medium
+        more = wp.bool(True)
+        while more:
+            rest = t_max - wp.dot(start - o, d)
+            hit = visibility.closest(scene, start, d, rest)
+            if hit.face < 0:
+                r = fly(scene, r, inside, rest, draws)
+                more = False
+            else:
+                at = interaction.at(scene, hit.face, hit.u, hit.v, d)
+                passes = bsdf.has_null(at.model)
+                lost = is_lost(scene, at.shape, at.ng, d, inside)
+                if passes and not lost and r.crossings < MOST_INTERFACES:
+                    r = fly(scene, r, inside, hit.t, draws)
+                    inside = medium_towards(scene, at.shape, at.ng, d, d, inside)
+                    value = interaction.scatter(at, LOBE_NULL).value
+                    for c in range(3):
+                        zero = value[c] == 0.0
+                        r.product[c] = r.product[c] * wp.where(zero, 1.0, value[c])
+                        r.zeros[c] = r.zeros[c] + wp.where(zero, 1.0, 0.0)
+                    r.probability *= bsdf.probability(at.model, at.material, at.wi, LOBE_NULL)
+                    r.crossings += 1
+                    start = interaction.offset(at, d)
+                    if wp.static(not differential):
+                        if vanishes(transmittance_of(r)):
+                            r.blocked = 1
+                            more = False
+                else:
+                    r.blocked = wp.where(passes, 2, 1)
+                    more = False
+        return r
+
+    return media_passage

@@ -1,0 +1,316 @@
+"""One step of a path in a scene with media: a flight, and the vertex that it ends at (``path.py`` has that without).
+
+At every step L_n = V_n (E_n + D_n + beta_n L_{n+1}): V_n is the factor of the flight through the medium that the ray
+is in, over its density; the vertex behind it is a collision (E_n = 0), a surface, or what lies behind the scene.
+Surfaces that let light pass without turning it are steps, but do not count as depth; collisions do, as in Mitsuba's
+``volpath``.
+
+Derivation: ``docs/theory/media.md#paths``.
+"""
+
+import functools
+
+import warp as wp
+
+from warp_psdr.kernels.bsdf.dispatch import declaration_of, has_null_lobes
+from warp_psdr.kernels.bsdf.null import NULL
+from warp_psdr.kernels.constants import FAR, LOBE_NONE, LOBE_NULL, LOBE_SMOOTH
+from warp_psdr.kernels.interaction import make_interaction
+from warp_psdr.kernels.invalid import count_invalid, finite, inverse_pdf, vanishes
+from warp_psdr.kernels.math import where3
+from warp_psdr.kernels.medium.flight import make_flight
+from warp_psdr.kernels.medium.passage import MOST_INTERFACES, is_lost, make_media_passage, medium_towards
+from warp_psdr.kernels.path import vertex_of
+from warp_psdr.kernels.phase.dispatch import make_phase
+from warp_psdr.kernels.rng import Sampler, make_sampler
+from warp_psdr.kernels.sampling import mis_weight
+from warp_psdr.kernels.scattering import (
+    ROULETTE_MAX,
+    ROULETTE_MIN,
+    NextEvent,
+    ScatterSample,
+    make_emission_hit,
+    make_light_sampler,
+    make_next_event,
+    make_scatter,
+    make_through_event,
+    samples_lights,
+    shadow_ray,
+)
+from warp_psdr.kernels.step import leaving_step
+from warp_psdr.kernels.structs import Scene
+from warp_psdr.kernels.transmittance import transmittance_of
+from warp_psdr.kernels.vertex import PathConfig, PathState, PathVertex
+from warp_psdr.kernels.visibility import visibility_of
+
+#: Sample slots per step: flight, next-event estimation, scattering. Slot 0 is the camera's.
+SLOTS_PER_STEP = 3
+#: Depth at which no path is ended by roulette.
+NEVER = 2147483647
+
+
+@wp.struct
+class MediaState:
+    """What one step hands to the next."""
+
+    path: PathState
+    medium: wp.int32  # that the ray is in, or NO_MEDIUM
+    steps: wp.int32  # so far
+    crossings: wp.int32  # surfaces passed without a change of direction so far
+
+
+@wp.struct
+class MediaVertex:
+    """A step of a path and what was sampled there; enough to recompute every factor."""
+
+    #: The vertex at the end of the flight. At a collision: the face behind it, and what the phase function drew.
+    surface: PathVertex
+    collides: wp.bool
+    medium: wp.int32  # of the flight
+    t: wp.float32  # its length
+    inv_p: wp.float32  # 1 / p, or 1 / P
+    weight: wp.vec3  # V over its density
+    before: wp.vec3  # throughput before the flight; that of ``surface`` is the one behind it
+    #: The segment to the light that next-event estimation found, the medium it starts in, and its transmittance.
+    shadow_o: wp.vec3
+    shadow_d: wp.vec3
+    shadow_t: wp.float32
+    shadow_medium: wp.int32
+    transmittance: wp.vec3
+
+
+@wp.func
+def media_path_from(path: PathState, medium: wp.int32) -> MediaState:
+    state = MediaState()
+    state.path = path
+    state.medium = medium
+    return state
+
+
+@wp.func
+def collision_point(v: MediaVertex) -> wp.vec3:
+    """Where a flight ends in its medium."""
+    return v.surface.o + v.t * v.surface.d
+
+
+@functools.cache
+def make_media_step(config: PathConfig, differential: bool, explores: bool = False):
+    """Return ``media_step(scene, sampler, state, max_depth, rr_depth) -> (MediaVertex, MediaState)``.
+
+    ``differential``: keep going where one factor is exactly zero, since its derivative may not be. ``explores``: also
+    the density may be zero, and collide (``Flight``).
+    """
+    assert config.media is not None
+    visibility = visibility_of(config)
+    interaction = make_interaction(config)
+    flight = make_flight(config.media, explores)
+    phase = make_phase(config.media.phases)
+    passage = make_media_passage(config, differential)
+    emission_hit = make_emission_hit(config)
+    scatter = make_scatter(config, differential)
+    has_smooth = interaction.bsdf.has_smooth
+    has_lights = bool(config.area or config.lights)
+    surface_lights = samples_lights(config)
+    sample_light = make_light_sampler(config) if has_lights else None
+    next_event = make_next_event(config, differential) if surface_lights else None
+    through_event = make_through_event(config) if surface_lights else None
+    sample_4d = make_sampler(config.sampler).sample_4d
+    nulls = has_null_lobes(config.bsdfs)
+    not_there = [i for i, key in enumerate(config.bsdfs) if declaration_of(key)[0] is NULL]
+    null_model = not_there[0] if not_there else -1
+
+    @wp.func
+    def survival_of(throughput: wp.vec3, eta: wp.float32) -> wp.float32:
+        survival = wp.min(wp.max(throughput) * eta * eta, ROULETTE_MAX)
+        if wp.static(differential):
+            survival = wp.max(survival, ROULETTE_MIN)
+        return survival
+
+    @wp.func
+    def collide(
+        scene: Scene,
+        sampler: Sampler,
+        state: MediaState,
+        vertex: MediaVertex,
+        u4: wp.vec4,
+        r4: wp.vec4,
+        max_depth: wp.int32,
+        rr_depth: wp.int32,
+    ) -> tuple[MediaVertex, MediaState]:
+        """Next-event estimation and scattering where a flight ends in its medium."""
+        r = vertex
+        after = MediaState()
+        path = state.path
+        m = scene.media.records[state.medium]
+        x = collision_point(vertex)
+        throughput = vertex.surface.throughput
+        # ---- Next-event estimation ----
+        r.surface.light = -1
+        if wp.static(has_lights):
+            ls, light, _probability = sample_light(scene, x, u4)
+            f = phase.eval(scene, m, path.d, ls.wi)
+            pdf_light = ls.pdf * ls.probability
+            traces_shadow_ray = not ls.pdf <= 0.0
+            if wp.static(not differential):
+                traces_shadow_ray = traces_shadow_ray and not vanishes(ls.radiance)
+            if traces_shadow_ray:
+                d, t_max = shadow_ray(x, ls)
+                draws = max_depth < 0 or path.depth + 2 < max_depth
+                passed = passage(scene, x, d, t_max, state.medium, draws)
+                if passed.blocked == 0:
+                    weight = inverse_pdf(pdf_light)
+                    if ls.delta == 0:
+                        weight *= mis_weight(pdf_light, passed.probability * f)
+                    r.transmittance = transmittance_of(passed)
+                    r.surface.direct = weight * f * wp.cw_mul(ls.radiance, r.transmittance)
+                    r.surface.light = light
+                    r.surface.light_face = ls.face
+                    r.surface.light_u = ls.u
+                    r.surface.light_v = ls.v
+                    r.surface.light_wi = ls.wi
+                    r.surface.light_weight = weight
+                    r.shadow_o = x
+                    r.shadow_d = d
+                    r.shadow_t = t_max
+                    r.shadow_medium = state.medium
+                elif passed.blocked == 2:
+                    count_invalid(scene, sampler)
+        # ---- Scattering ----
+        wo = phase.sample(scene, m, path.d, wp.vec2(r4[2], r4[3]))
+        pdf = phase.eval(scene, m, path.d, wo)
+        survival = survival_of(throughput, path.eta)
+        late = path.depth + 1 >= rr_depth
+        alive = not (late and r4[1] >= survival)
+        inv_q = wp.where(late, 1.0 / survival, 1.0)
+        r.surface.wo = wo
+        if alive:
+            r.surface.lobe = LOBE_SMOOTH
+            r.surface.inv_pdf = inv_q / pdf
+            r.surface.beta = wp.vec3(inv_q, inv_q, inv_q)
+            after.path.alive = 1
+            after.path.depth = path.depth + 1
+            after.path.o = x
+            after.path.d = wo
+            after.path.t_max = FAR
+            after.path.throughput = inv_q * throughput
+            after.path.pdf = pdf
+            after.path.eta = path.eta
+            after.medium = state.medium
+            after.steps = state.steps + 1
+            after.crossings = state.crossings
+        return r, after
+
+    @wp.func
+    def media_step(
+        scene: Scene, sampler: Sampler, state_in: MediaState, max_depth: wp.int32, rr_depth: wp.int32
+    ) -> tuple[MediaVertex, MediaState]:
+        state = state_in
+        slot = 1 + SLOTS_PER_STEP * state.steps
+        u4 = wp.vec4(0.0, 0.0, 0.0, 0.0)
+        if wp.static(has_lights):
+            u4 = sample_4d(sampler, slot + 1)
+        r4 = sample_4d(sampler, slot + 2)
+        path = state.path
+        hit = visibility.seen(scene, path.o, path.d, path.t_max, path.depth)
+        scatters = max_depth < 0 or path.depth + 1 < max_depth
+        # ---- Flight ----
+        vertex = MediaVertex()
+        vertex.medium = state.medium
+        vertex.before = path.throughput
+        vertex.inv_p = 1.0
+        vertex.weight = wp.vec3(1.0, 1.0, 1.0)
+        if state.medium >= 0:
+            length = path.t_max
+            end = path.t_max
+            if hit.face >= 0:
+                length = hit.t
+                end = hit.t - leaving_step(scene, hit.face)
+            u = sample_4d(sampler, slot)
+            m = scene.media.records[state.medium]
+            f = flight(scene, m, length, end, u, state.steps, scatters)
+            vertex.t = f.t
+            vertex.inv_p = f.inv_p
+            vertex.weight = f.weight
+            path.throughput = wp.cw_mul(path.throughput, f.weight)
+            path.pdf *= f.passing
+            vertex.collides = f.collides
+        # ---- Collision ----
+        if vertex.collides:
+            vertex.surface.face = hit.face
+            vertex.surface.u = hit.u
+            vertex.surface.v = hit.v
+            vertex.surface.previous_face = -1
+            vertex.surface.light = -1
+            vertex.surface.lobe = LOBE_NONE
+            vertex.surface.o = path.o
+            vertex.surface.d = path.d
+            vertex.surface.throughput = path.throughput
+            if not finite(path.throughput):
+                vertex.surface.direct = wp.vec3(wp.NAN, wp.NAN, wp.NAN)
+                return vertex, MediaState()
+            # Behind a second factor that is zero there is no derivative either.
+            goes_on = not vanishes(path.throughput)
+            if wp.static(differential):
+                goes_on = not (vanishes(vertex.before) and vanishes(vertex.weight))
+            if goes_on:
+                reached, after = collide(scene, sampler, state, vertex, u4, r4, max_depth, rr_depth)
+                return reached, after
+            return vertex, MediaState()
+        # ---- Surface, or what lies behind all of them ----
+        emission = emission_hit(scene, path, hit)
+        event = NextEvent()
+        scatter_sample = ScatterSample()
+        unoccluded = wp.bool(False)
+        goes_on = wp.bool(False)
+        after = MediaState()
+        if emission.on_surface == 1:
+            at = interaction.at(scene, hit.face, hit.u, hit.v, path.d)
+            passes = wp.bool(False)
+            if wp.static(nulls):
+                passes = interaction.bsdf.has_null(at.model)
+            goes_on = scatters or passes
+            if is_lost(scene, at.shape, at.ng, path.d, state.medium):
+                count_invalid(scene, sampler)
+                goes_on = False
+            if goes_on:
+                last = rr_depth
+                if wp.static(null_model >= 0):
+                    last = wp.where(at.model == null_model, NEVER, rr_depth)
+                scatter_sample = scatter(at, path, hit.face, r4, last)
+                after.path = scatter_sample.after
+                after.steps = state.steps + 1
+                after.crossings = state.crossings
+                if scatter_sample.lobe == LOBE_NULL:
+                    after.path.depth = path.depth
+                    after.crossings += 1
+                    if after.crossings > MOST_INTERFACES:
+                        count_invalid(scene, sampler)
+                        after.path.alive = 0
+                elif not scatters:
+                    after.path.alive = 0
+                if after.path.alive == 0:
+                    scatter_sample.lobe = LOBE_NONE
+                    black = wp.vec3(0.0, 0.0, 0.0)
+                    scatter_sample.beta = where3(scatter_sample.invalid == 1, scatter_sample.beta, black)
+                after.medium = medium_towards(scene, at.shape, at.ng, path.d, after.path.d, state.medium)
+                if wp.static(surface_lights):
+                    if scatters and has_smooth(at.model):
+                        ls, light, _probability = sample_light(scene, at.x, u4)
+                        event = next_event(at, ls, light)
+                        if event.traces_shadow_ray == 1:
+                            vertex.shadow_o = event.o
+                            vertex.shadow_d = event.d
+                            vertex.shadow_t = event.t_max
+                            vertex.shadow_medium = medium_towards(scene, at.shape, at.ng, path.d, ls.wi, state.medium)
+                            draws = max_depth < 0 or path.depth + 2 < max_depth
+                            passed = passage(scene, event.o, event.d, event.t_max, vertex.shadow_medium, draws)
+                            unoccluded = passed.blocked == 0
+                            if unoccluded:
+                                vertex.transmittance = transmittance_of(passed)
+                                event = through_event(at, ls, event, passed.probability, vertex.transmittance)
+                            elif passed.blocked == 2:
+                                count_invalid(scene, sampler)
+        vertex.surface = vertex_of(path, hit, emission, unoccluded, event, goes_on, scatter_sample)
+        return vertex, after
+
+    return media_step

@@ -1,0 +1,1 @@
+"""Phase functions, one a file, and their dispatch."""

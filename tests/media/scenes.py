@@ -1,0 +1,132 @@
+"""Small scenes with media, as dictionaries that Mitsuba takes, too."""
+
+import numpy as np
+
+import warp_psdr as psdr
+
+T = psdr.Transform
+NOTHING = {"type": "null"}
+BLACK = {"type": "diffuse", "reflectance": 0.0}
+
+
+def rgb(*values):
+    return {"type": "rgb", "value": list(values)}
+
+
+def volume(value):
+    """A coefficient that may exceed one."""
+    return {"type": "constvolume", "value": rgb(*value) if isinstance(value, tuple) else value}
+
+
+def medium(sigma_t=1.0, albedo=0.75, g=None, scale=1.0):
+    phase = {"type": "isotropic"} if g is None else {"type": "hg", "g": g}
+    return {
+        "type": "homogeneous",
+        "sigma_t": volume(sigma_t),
+        "albedo": volume(albedo),
+        "scale": scale,
+        "phase": phase,
+    }
+
+
+def camera(origin, target, fov=1.0, size=4, up=(0, 0, 1), **more):
+    film = {"type": "hdrfilm", "width": size, "height": size, "rfilter": {"type": "box"}, "pixel_format": "rgb"}
+    pose = T.look_at(origin, target, up)
+    sampler = {"type": "independent", "sample_count": 16}
+    return {"type": "perspective", "fov": fov, "to_world": pose, "film": film, "sampler": sampler, **more}
+
+
+def square(z, half, bsdf=None, flipped=False, **more):
+    """A square that faces +z, or -z."""
+    turn = T.rotate([1, 0, 0], 180.0 if flipped else 0.0)
+    pose = T.translate([0, 0, z]) @ turn @ T.scale(half)
+    return {"type": "rectangle", "to_world": pose, "bsdf": bsdf or {"type": "diffuse"}, **more}
+
+
+def lamp(z=4.0, half=1.0, radiance=(8.0, 7.0, 6.0)):
+    return square(z, half, BLACK, flipped=True, emitter={"type": "area", "radiance": rgb(*radiance)})
+
+
+def sky(*values):
+    return {"type": "constant", "radiance": rgb(*values)}
+
+
+def point(position, intensity=(1.0, 1.0, 1.0)):
+    return {"type": "point", "position": list(position), "intensity": rgb(*intensity)}
+
+
+def cube(interior, bsdf=None, scale=1.0, translate=(0, 0, 0), turn=0.0, **more):
+    pose = T.translate(translate) @ T.rotate([0, 0, 1], turn) @ T.scale(scale)
+    return {"type": "cube", "to_world": pose, "bsdf": bsdf or NOTHING, "interior": interior, **more}
+
+
+def integrator(max_depth=-1, rr_depth=5, kind="volpath"):
+    return {"type": kind, "max_depth": max_depth, "rr_depth": rr_depth}
+
+
+def whole(**parts):
+    return {"type": "scene", **parts}
+
+
+FOG = medium((0.25, 0.2, 0.3), (0.9, 0.8, 0.7), g=0.5)
+FLOOR = square(-1.5, 5.0, {"type": "diffuse", "reflectance": rgb(0.6, 0.5, 0.3)})
+VIEW = ([4, 3, 2.5], [0, 0, -0.3], 40.0, 24)
+
+
+def fog_in_a_room():
+    """Fog everywhere, the camera in it; a box of diffuse walls, a block, a lamp."""
+    wall = {"type": "diffuse", "reflectance": rgb(0.7, 0.3, 0.2)}
+    room = {
+        "type": "cube",
+        "flip_normals": True,
+        "to_world": T.scale([3.0, 3.0, 2.0]),
+        "bsdf": wall,
+    }
+    block = {
+        "type": "cube",
+        "to_world": T.translate([0.5, 0.3, -1.2]) @ T.rotate([0, 0, 1], 25.0) @ T.scale(0.7),
+        "bsdf": {"type": "diffuse", "reflectance": rgb(0.3, 0.5, 0.7)},
+    }
+    return whole(
+        integrator=integrator(max_depth=6),
+        fog={**FOG, "id": "fog"},
+        sensor=camera([-2.5, -2.4, 0.8], [0.5, 0.5, -0.8], 60.0, 24, medium={"type": "ref", "id": "fog"}),
+        room=room,
+        block=block,
+        lamp=lamp(1.9, 0.7, (12.0, 11.0, 10.0)),
+    )
+
+
+def milk():
+    """A cube of milk behind a surface that is not there, under a lamp and a sky."""
+    return whole(
+        integrator=integrator(max_depth=8),
+        sensor=camera(*VIEW),
+        floor=FLOOR,
+        cube=cube(medium(3.0, (0.95, 0.9, 0.8), g=0.6), turn=20.0),
+        lamp=lamp(),
+        sky=sky(0.2, 0.3, 0.4),
+    )
+
+
+def ink_in_glass():
+    """A coloured medium behind a dielectric, in a second, thinner medium that a null cube bounds."""
+    thin = {**medium(0.15, 0.6), "id": "thin"}
+    ref = {"type": "ref", "id": "thin"}
+    ink = medium((0.5, 2.0, 4.0), (0.3, 0.6, 0.8))
+    return whole(
+        integrator=integrator(max_depth=8),
+        thin=thin,
+        sensor=camera(*VIEW),
+        floor=FLOOR,
+        shell=cube(ref, scale=1.4, turn=10.0),
+        glass=cube(ink, {"type": "roughdielectric", "alpha": 0.2, "int_ior": 1.3}, scale=0.8, turn=30.0, exterior=ref),
+        lamp=lamp(),
+        sky=sky(0.3, 0.4, 0.5),
+        bulb=point([2.0, -1.5, 2.5], (9.0, 9.0, 9.0)),
+    )
+
+
+def points(image):
+    """All pixels of images (count, H, W, 3) that look at one point, as samples (count H W, 3)."""
+    return np.asarray(image).reshape(-1, 3)

@@ -1,0 +1,73 @@
+"""Images of media: Mitsuba's ``volpath``, rays that are lost, equal bits, and what is refused."""
+
+import numpy as np
+import pytest
+
+import warp_psdr as psdr
+from tests.media import scenes
+from tests.path.helpers import assert_same_mean, batches, blocks
+from tests.peer import MITSUBA_ROUNDING, for_mitsuba
+
+CASES = {"fog in a room": scenes.fog_in_a_room, "milk": scenes.milk, "ink in glass": scenes.ink_in_glass}
+
+
+@pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.slow] * (n == "ink in glass")) for n in CASES])
+def test_equals_mitsuba(name):
+    """Blocks of 6 x 6 pixels have the mean of Mitsuba's ``volpath``."""
+    mi = pytest.importorskip("mitsuba")
+    mi.set_variant("scalar_rgb")
+    parts = CASES[name]()
+    scene = psdr.load_dict(parts)
+    ours = batches(scene, spp=64)
+    assert psdr.invalid_samples(scene)["image"] == 0
+    theirs = mi.load_dict(for_mitsuba(mi, parts))
+    theirs = np.stack([np.array(mi.render(theirs, spp=64, seed=i)) for i in range(16)]).astype(np.float64)
+    assert_same_mean(blocks(ours, 6), blocks(theirs, 6), name, MITSUBA_ROUNDING)
+
+
+def test_any_number_of_workers_and_wide_filters():
+    """Equal bits, under a box and under a wide filter, which agree in the mean."""
+    parts = scenes.milk()
+    scene = psdr.load_dict(parts)
+    before = psdr.set_workers(1)
+    try:
+        first = psdr.render(scene, spp=4, seed=3).numpy()
+    finally:
+        psdr.set_workers(before)
+    np.testing.assert_array_equal(first, psdr.render(scene, spp=4, seed=3).numpy())
+    parts["sensor"]["film"] = {"type": "hdrfilm", "width": 24, "height": 24, "rfilter": {"type": "gaussian"}}
+    wide = batches(psdr.load_dict(parts), spp=16)
+    assert_same_mean(wide.mean(axis=(1, 2)), batches(scene, spp=16).mean(axis=(1, 2)), "filters", 1e-2)
+
+
+def test_rays_in_another_medium_than_a_shape_has_there_are_counted():
+    parts = scenes.milk()
+    parts["sensor"] = scenes.camera([0.0, 0.1, 0.0], [1.0, 0.0, 0.0], 40.0, 8)
+    scene = psdr.load_dict(parts)
+    with pytest.warns(RuntimeWarning, match="name the medium that the sensor is in"):
+        psdr.render(scene, spp=4)
+    assert psdr.invalid_samples(scene)["image"] > 200
+    parts["sensor"]["medium"] = parts["cube"]["interior"] = {**parts["cube"]["interior"], "id": "milk"}
+    parts["sensor"]["medium"] = {"type": "ref", "id": "milk"}
+    scene = psdr.load_dict(parts)
+    psdr.render(scene, spp=4)
+    assert psdr.invalid_samples(scene)["image"] == 0
+
+
+def test_the_plan_names_media_and_others_have_none():
+    scene = psdr.load_dict(scenes.milk())
+    text = str(psdr.plan(scene))
+    assert "1 homogeneous" in text and "bounded by 1 shapes" in text and "hg" in text
+    assert psdr.plan(psdr.load_dict(psdr.cornell_box())).config.media is None
+
+
+def test_what_is_not_there_yet_is_refused():
+    scene = psdr.load_dict(scenes.milk())
+    params = psdr.traverse(scene)
+    params.requires_grad("floor.bsdf.reflectance.value")
+    with pytest.raises(ValueError, match="participating media has images only"):
+        psdr.render_backward(scene, params, np.ones((24, 24, 3)))
+    with pytest.raises(ValueError, match=r"LightTracing\(\) has no paths through participating media"):
+        psdr.render(scene, integrator="ptracer", spp=1)
+    with pytest.raises(ValueError, match="no paths through participating media"):
+        psdr.trace_sample(scene, pixel=(3, 3), sample=0)

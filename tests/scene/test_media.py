@@ -1,0 +1,133 @@
+"""Media in scene files: names, references, defaults, values after edits, and what is wrong."""
+
+import warnings
+
+import numpy as np
+import pytest
+
+import warp_psdr as psdr
+from warp_psdr.scene import describe_dict, describe_string
+
+SKY = {"type": "constant"}
+CUBE = {"type": "cube", "bsdf": {"type": "null"}}
+
+
+def describe(**parts):
+    return describe_dict({"type": "scene", "sensor": {"type": "perspective"}, "sky": SKY, **parts})
+
+
+def inside(**medium):
+    return describe(cube={**CUBE, "interior": {"type": "homogeneous", **medium}}).shapes[0].interior
+
+
+def test_names_are_mitsubas():
+    fog = {"type": "homogeneous", "sigma_t": {"type": "rgb", "value": [0.1, 0.2, 3.0]}, "phase": {"type": "hg"}}
+    scene = {"type": "scene", "sensor": {"type": "perspective", "medium": fog}, "sky": SKY}
+    found = dict(psdr.traverse(psdr.load_dict(scene | {"cube": {**CUBE, "exterior": {"type": "homogeneous"}}})))
+    expected = {
+        **{f"sensor.medium.{name}": (1,) for name in ("albedo.value.value", "scale", "phase_function.g")},
+        "sensor.medium.sigma_t.value.value": (3,),
+        **{f"cube.exterior_medium.{name}": (1,) for name in ("sigma_t.value.value", "albedo.value.value", "scale")},
+    }
+    assert {name: found[name].shape for name in found if "medium" in name} == expected
+    assert found["sensor.medium.phase_function.g"].numpy() == pytest.approx(0.8)
+
+
+def test_mitsuba_lists_the_same_names():
+    mi = pytest.importorskip("mitsuba")
+    mi.set_variant("scalar_rgb")
+    fog = {"type": "homogeneous", "sigma_t": {"type": "constvolume", "value": 2.0}, "phase": {"type": "hg", "g": 0.3}}
+    scene = {"type": "scene", "sensor": {"type": "perspective"}, "cube": {**CUBE, "interior": fog}}
+    theirs = {name for name in mi.traverse(mi.load_dict(scene)).keys() if "medium" in name}
+    assert theirs == {name for name in psdr.traverse(psdr.load_dict(scene | {"sky": SKY})) if "medium" in name}
+
+
+def test_files_references_and_defaults():
+    text = """<scene version="3.0.0"><sensor type="perspective" id="sensor"><ref id="fog" name="medium"/></sensor>
+    <medium type="homogeneous" id="fog"><rgb name="albedo" value="0.1, 0.2, 0.3"/><float name="scale" value="2"/>
+    <volume type="constvolume" name="sigma_t"><float name="value" value="7"/></volume>
+    <phase type="hg"><float name="g" value="-0.3"/></phase></medium>
+    <shape type="cube"><bsdf type="null"/><ref id="fog" name="exterior"/><medium type="homogeneous" name="interior"/>
+    </shape><emitter type="constant"/><integrator type="prbvolpath"/></scene>"""
+    found = describe_string(text)
+    fog, plain = found.sensors[0].medium, found.shapes[0].interior
+    assert found.shapes[0].exterior is fog and fog.path == "sensor.medium" and fog.scale == 2.0
+    assert fog.sigma_t.value == 7.0 and fog.phase.kind == "hg" and fog.phase.g == -0.3
+    np.testing.assert_allclose(fog.albedo.value, [0.1, 0.2, 0.3])
+    assert (plain.sigma_t.value, plain.albedo.value, plain.scale, plain.phase.kind) == (1.0, 0.75, 1.0, "isotropic")
+    assert found.integrator["max_depth"] == 6
+    assert psdr.load_string(text).builder.media_config.phases == (0, 1)
+
+
+def test_numbers_colours_and_volumes():
+    assert inside(sigma_t=3.0).sigma_t.value.tolist() == [3.0]
+    assert inside(sigma_t=[1.0, 2.0, 3.0]).sigma_t.value.tolist() == [1.0, 2.0, 3.0]
+    volume = {"type": "constvolume", "value": {"type": "rgb", "value": [1.0, 2.0, 30.0]}}
+    assert inside(sigma_t=volume).sigma_t.value.tolist() == [1.0, 2.0, 30.0]
+
+
+@pytest.mark.parametrize(
+    ("medium", "words"),
+    [
+        ({"sigma_t": -1.0}, "values out of range.*at least 0"),
+        ({"sigma_t": float("nan")}, "not finite"),
+        ({"sigma_t": {"type": "gridvolume", "filename": "x.vol"}}, "unsupported volume 'gridvolume'.*constvolume"),
+        ({"sigma_t": {"type": "diffuse"}}, "unsupported volume|takes no"),
+        ({"sigma_t": {"type": "constvolume", "value": {"type": "checkerboard"}}}, "give a number or a colour"),
+        ({"albedo": 1.5}, "between 0 and 1"),
+        ({"scale": -1.0}, "of at least 0"),
+        ({"phase": {"type": "hg", "g": 1.0}}, "between -0.99 and 0.99"),
+        ({"phase": {"type": "sggx"}}, "unsupported phase 'sggx'.*isotropic, hg"),
+        ({"phase": {"type": "hg"}, "other": {"type": "isotropic"}}, "2 phase plugins"),
+        ({"emission": 1.0}, "no parameter 'emission'"),
+    ],
+)
+def test_what_is_wrong_is_named(medium, words):
+    with pytest.raises(ValueError, match=words):
+        inside(**medium)
+
+
+def test_media_stand_in_their_places():
+    with pytest.raises(ValueError, match="a medium as 'inside'; name it 'interior' or 'exterior'"):
+        describe(cube={**CUBE, "inside": {"type": "homogeneous"}})
+    with pytest.raises(ValueError, match="takes no medium plugin here"):
+        describe(light={"type": "point", "medium": {"type": "homogeneous"}})
+    with pytest.raises(ValueError, match=r"unsupported medium 'heterogeneous'.*supported medium plugins: homogeneous"):
+        describe(cube={**CUBE, "interior": {"type": "heterogeneous"}})
+    notes = describe(cube={"type": "cube", "interior": {"type": "homogeneous"}}).notes
+    assert any("lets no light through" in note for note in notes)
+    hints = describe(cube={**CUBE, "interior": {"type": "homogeneous", "sample_emitters": False}}).notes
+    assert any("'sample_emitters' is ignored" in note for note in hints)
+
+
+def test_edits_stay_in_range():
+    scene = psdr.load_dict(
+        {
+            "type": "scene",
+            "sensor": {"type": "perspective"},
+            "sky": SKY,
+            "cube": {**CUBE, "interior": {"type": "homogeneous"}},
+        }
+    )
+    params = psdr.traverse(scene)
+    params["cube.interior_medium.sigma_t.value.value"] = -0.5
+    with pytest.raises(ValueError, match=r"sigma_t.value.value is \[-0.5\] after an edit; write finite values of at l"):
+        params.update()
+    params["cube.interior_medium.sigma_t.value.value"] = 0.0
+    params.update()
+    params["cube.interior_medium.albedo.value.value"].assign(np.array([2.0], np.float32))
+    with pytest.raises(ValueError, match="between 0 and 1"):
+        params.update()
+    assert params.bounds("cube.interior_medium.albedo.value.value") == (0.0, 1.0)
+
+
+def test_copies_of_a_group_have_its_media():
+    group = {"type": "shapegroup", "cube": {**CUBE, "interior": {"type": "homogeneous", "sigma_t": 2.0}}}
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = describe(
+            group={**group, "id": "g"},
+            a={"type": "instance", "group": {"type": "ref", "id": "g"}},
+            b={"type": "instance", "group": {"type": "ref", "id": "g"}},
+        )
+    assert len(found.shapes) == 2 and found.shapes[0].interior is found.shapes[1].interior is not None

@@ -1,0 +1,138 @@
+"""Participating media, their phase functions, and the volumes that hold their coefficients."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Literal, cast
+
+import numpy as np
+
+from .bsdfs import lets_through, model_of
+from .description import MediumDescription, PhaseDescription, VolumeDescription
+from .errors import ReportedError, error
+from .plugins import Properties, category_of, unsupported_plugin
+from .spectra import COLOR_TYPES, check_range, color
+
+if TYPE_CHECKING:
+    from .context import Context
+    from .description import BsdfDescription
+
+#: Defaults of Mitsuba's media and phase functions.
+_SIGMA_T, _ALBEDO, _G = 1.0, 0.75, 0.8
+#: Largest |g|: beyond it a lobe of light is narrower than float32 resolves.
+MOST_G = 0.99
+#: Names of a shape's media.
+_SIDES = ("interior", "exterior")
+
+
+def build(node: dict, where: str, path: str, context: Context, *, shared: bool) -> MediumDescription:
+    """Return the medium that a plugin dictionary describes.
+
+    Args:
+        node: The dictionary, references resolved.
+        where: Its place, for messages.
+        path: The name under which its parameters are listed if this is its first use.
+        context: The load in progress.
+        shared: Whether a reference led here; all references to a node give one object.
+
+    Raises:
+        ValueError: If the plugin or a parameter is not supported or out of range.
+    """
+    if category_of(node, where) != "medium":
+        raise unsupported_plugin(node["type"], where, "medium")
+    return context.build(
+        node, where, "medium", lambda: _homogeneous(Properties(node, where, path, context)), shared=shared
+    )
+
+
+def take_sides(props: Properties, bsdf: BsdfDescription) -> dict[str, MediumDescription | None]:
+    """Take the media inside and outside of a shape; None: there is none."""
+    found: dict[str, MediumDescription | None] = dict.fromkeys(_SIDES)
+    for key, node, where, category in props.plugins():
+        if category != "medium":
+            continue
+        if key not in _SIDES:
+            problem = f"a medium as '{key}'" if not key.startswith("_arg_") else "a medium without a name"
+            props.context.report(error(where, problem, "name it 'interior' or 'exterior'"))
+            props.take(key)
+            continue
+        path = f"{props.path}.{key}_medium"
+        found[key] = _nested(props, key, node, where, path)
+    model = model_of(bsdf)
+    if any(found.values()) and not lets_through(model) and not model.has_null:
+        props.context.note(
+            f"{props.where}: the shape bounds a medium, but its BSDF ('{bsdf.model}') lets no light through; give it "
+            "{'type': 'null'} if there is no surface"
+        )
+    return found
+
+
+def take_medium(props: Properties) -> MediumDescription | None:
+    """Take the medium that a sensor is in."""
+    nested = props.children("medium")
+    if not nested:
+        return None
+    key, node, where = nested[0]
+    return _nested(props, key, node, where, f"{props.path}.medium")
+
+
+def _nested(props: Properties, key: str, node: dict, where: str, path: str) -> MediumDescription | None:
+    # One that has an id is the same wherever it is referred to, also before and inside of another shape.
+    shared = node is not props.node[key] or isinstance(node.get("id"), str)
+    props.take(key)
+    return props.context.attempt(lambda: build(node, where, path, props.context, shared=shared), None)
+
+
+def _homogeneous(props: Properties) -> MediumDescription:
+    sigma_t = _volume(props, "sigma_t", _SIGMA_T, np.inf)
+    albedo = _volume(props, "albedo", _ALBEDO, 1.0)
+    scale = props.number("scale", 1.0, minimum=0.0)
+    for hint in ("sample_emitters", "has_spectral_extinction"):
+        if not props.boolean(hint, True):
+            props.context.note(f"{props.place(hint)} is ignored: it changes noise, not the image")
+    nested = props.children("phase")
+    if nested:
+        _key, node, where = nested[0]
+        phase = _phase(Properties(node, where, f"{props.path}.phase_function", props.context))
+    elif props.incomplete:
+        raise ReportedError(props.where)
+    else:
+        phase = PhaseDescription(f"{props.path}.phase_function", "isotropic")
+    props.finish()
+    return MediumDescription(props.path, sigma_t, albedo, scale, phase)
+
+
+def _phase(props: Properties) -> PhaseDescription:
+    g = 0.0
+    if props.type == "hg":
+        g = props.number("g", _G, minimum=-MOST_G, maximum=MOST_G)
+    props.finish()
+    return PhaseDescription(props.path, cast(Literal["isotropic", "hg"], props.type), g)
+
+
+def _volume(props: Properties, name: str, default: float, high: float) -> VolumeDescription:
+    """Take a coefficient: a number, a colour, or a ``constvolume`` of one."""
+    parameter = f"{props.path}.{name}.value.value"
+
+    def read() -> VolumeDescription:
+        value, place = props.take(name, default), props.place(name)
+        inner = None
+        if isinstance(value, dict):
+            value, place = props.context.resolve(value, props.context.inside(props.where, name, value))
+            if id(value) in props.context.broken:
+                raise ReportedError(place)
+            if value["type"] not in COLOR_TYPES:
+                if category_of(value, place) != "volume":
+                    raise unsupported_plugin(value["type"], place, "volume")
+                inner = Properties(value, place, parameter, props.context)
+                value, place = inner.take("value", 1.0), inner.place("value")
+                if isinstance(value, dict):
+                    value, place = props.context.resolve(value, props.context.inside(inner.where, "value", value))
+                    if value.get("type") not in COLOR_TYPES:
+                        raise error(place, f"a '{value.get('type')}' in a 'constvolume'", "give a number or a colour")
+        numbers = color(value, place, props.context, high=high)
+        check_range(numbers, place, 0.0, high, f"'{name}'")
+        if inner is not None:
+            inner.finish()
+        return VolumeDescription(parameter, numbers)
+
+    return props.context.attempt(read, VolumeDescription(parameter, np.full(1, default, np.float32)))
