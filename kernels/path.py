@@ -173,6 +173,25 @@ def make_path_step(config: PathConfig, differential: bool, sparse: bool = False,
 
 
 @functools.cache
+def make_path_radiance(config: PathConfig):
+    """Return ``path_radiance(scene, sampler, state, max_depth, rr_depth) -> vec3``: what a path finds from there on."""
+    path_step = make_path_step(config, False)
+
+    @wp.func
+    def path_radiance(
+        scene: Scene, sampler: Sampler, start: PathState, max_depth: wp.int32, rr_depth: wp.int32
+    ) -> wp.vec3:
+        state = start
+        radiance = wp.vec3(0.0, 0.0, 0.0)
+        while state.alive == 1:
+            vertex, state = path_step(scene, sampler, state, max_depth, rr_depth)
+            radiance += wp.cw_mul(vertex.throughput, vertex.direct)
+        return radiance
+
+    return path_radiance
+
+
+@functools.cache
 def make_camera_starts(config: PathConfig, filter_kind: int | None = None):
     """Return ``(view, start_in)`` for many paths: ``start_in(scene, camera, view(scene, camera), px, py, sampler)``.
 

@@ -244,6 +244,11 @@ FACTORIES = {
         ("reverse, materials", (MATERIALS, still(MATERIALS), "reverse"), SLOW),
         ("reverse, lights", (ALL_LIGHTS, all_of(ALL_LIGHTS), "reverse"), SLOW),
     ],
+    "interior.radiative.make_radiative_kernel": [
+        ("reverse, simple", (SIMPLE, ALBEDO, "reverse", False), SLOW),
+        ("forward, lights", (ALL_LIGHTS, all_of(ALL_LIGHTS), "forward", False), SLOW),
+        ("linear, materials", (MATERIALS, still(MATERIALS), "reverse", True), SLOW),
+    ],
     "boundary.shading_normals.indirect_terminator.make_indirect_terminator_kernel": [
         ("reverse, materials", (MATERIALS, "reverse", True), SLOW),
         ("forward, textures", (TEXTURED, "forward", False), SLOW),

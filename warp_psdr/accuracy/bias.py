@@ -38,8 +38,8 @@ def named(what: Quantity) -> tuple[str, ...]:
         if splats(scene.camera(what.sensor)):
             found.append("the filtered image is a quotient of two sums: of the order of 1 / all samples of a pixel")
         return tuple(found)
-    if plan.interior is not None and plan.interior.bias:
-        found.append(f"{plan.interior.label}: {plan.interior.bias}")
+    if plan.interior is not None and plan.kept is not None and plan.kept.bias:
+        found.append(f"{plan.interior.label}: {plan.kept.bias}")
     if _without_boundary(plan):
         found.append("boundary=None: all of the boundary term is left out, although " + "; ".join(plan.discontinuities))
     if plan.wanted is not None and plan.wanted.geometry and scene.contact_ratio > 0.0:
@@ -51,7 +51,7 @@ def named(what: Quantity) -> tuple[str, ...]:
 
 
 def _biased(plan: Plan) -> bool:
-    return plan.interior is not None and bool(plan.interior.bias)
+    return plan.kept is not None and bool(plan.kept.bias)
 
 
 def _without_boundary(plan: Plan) -> bool:

@@ -66,3 +66,17 @@ class Textbook(Method):
     It keeps no vertices and divides by every factor, and therefore loses the derivative of factors that are exactly
     zero. It refuses vertices that move in scenes with smooth mirrors or glass.
     """
+
+
+@dataclass(frozen=True, kw_only=True)
+class Radiative(Method):
+    """Radiative backpropagation [NDSRJ20] (``kernels/interior/radiative.py``), for comparison only.
+
+    Every vertex of a path estimates the light that arrives there with a path of its own: nothing is kept, and time
+    grows with the square of the depth. It refuses vertices that move in scenes with smooth mirrors or glass.
+
+    Attributes:
+        linear: take 1 for that light, which costs no further paths and is biased.
+    """
+
+    linear: bool = False

@@ -67,6 +67,10 @@ _METHODS = MethodTable(
             *("kernels/interior/textbook.py", "textbook"),
         ),
         (
+            *("NDSRJ20", "Radiative backpropagation", "interior.Radiative()", "interior"),
+            *("kernels/interior/radiative.py", "radiative"),
+        ),
+        (
             *("Vea97", "Light tracing", "interior.LightTracing()", "interior"),
             *("kernels/light_path.py", "light_tracing"),
         ),

@@ -15,6 +15,7 @@ import warp as wp
 
 from warp_psdr.kernels.bsdf.dispatch import has_delta_lobes
 from warp_psdr.kernels.interior.forward import make_forward_kernel
+from warp_psdr.kernels.interior.radiative import make_radiative_kernel
 from warp_psdr.kernels.interior.replay import make_replay_kernel
 from warp_psdr.kernels.interior.textbook import make_textbook_kernel
 from warp_psdr.options import boundary, interior
@@ -40,11 +41,13 @@ class Kept:
         block: path vertices at a time; 0: none.
         blocks: most blocks of a path.
         reason: of these numbers, for the plan.
+        bias: what the method leaves out by design; empty: nothing.
     """
 
     block: int
     blocks: int
     reason: str
+    bias: str = ""
 
     @property
     def longest(self) -> int:
@@ -61,14 +64,12 @@ class Row:
         keep: (method, max_depth, rr_depth) -> what of a path is kept.
         make: (what the path loop compiles, which derivatives, "reverse" or "forward", what is kept) -> its kernel.
         refuse: (what the path loop compiles, which derivatives) -> why it cannot estimate them; empty: it claims to.
-        bias: what it leaves out by design; empty: nothing.
     """
 
     label: str
     keep: Callable[[interior.Method, int, int], Kept]
     make: Callable[[PathConfig, GradientRequest, str, Kept], wp.Kernel]
     refuse: Callable[[PathConfig, GradientRequest], str] = lambda _config, _wanted: ""
-    bias: str = ""
 
 
 def row_of(method: interior.Method, term: boundary.Method | None) -> Row:
@@ -110,13 +111,36 @@ def _make_replay(config: PathConfig, wanted: GradientRequest, role: str, kept: K
     return make_replay_kernel(config, wanted, kept.block, kept.blocks)
 
 
-def _refused_by_textbook(config: PathConfig, wanted: GradientRequest) -> str:
-    if wanted.geometry and has_delta_lobes(config.bsdfs):
-        return (
-            "interior.Textbook(), textbook replay, cannot differentiate moving vertices behind smooth mirrors or "
-            "glass: the adjoint of a ray has to be carried backwards. Use interior.Replay()"
-        )
-    return ""
+#: The bias of ``Radiative(linear=True)``.
+LIGHT_IS_ONE = "the light that arrives at every vertex counts as 1"
+
+
+def _refused_in_path_order(name: str) -> Callable[[PathConfig, GradientRequest], str]:
+    def refuse(config: PathConfig, wanted: GradientRequest) -> str:
+        if wanted.geometry and has_delta_lobes(config.bsdfs):
+            return (
+                f"interior.{name} cannot differentiate moving vertices behind smooth mirrors or glass: the adjoint of "
+                "a ray has to be carried backwards. Use interior.Replay()"
+            )
+        return ""
+
+    return refuse
+
+
+def _keep_textbook(_method: interior.Method, _max_depth: int, _rr_depth: int) -> Kept:
+    lost = "derivatives of factors that are exactly zero are lost"
+    return Kept(0, 1, "nothing is kept: divides by every factor", lost)
+
+
+def _keep_radiative(method: interior.Method, _max_depth: int, _rr_depth: int) -> Kept:
+    assert isinstance(method, interior.Radiative)
+    if method.linear:
+        return Kept(0, 1, "nothing is kept", LIGHT_IS_ONE)
+    return Kept(0, 1, "nothing is kept: every vertex traces a path of its own")
+
+
+def _make_radiative(config: PathConfig, wanted: GradientRequest, role: str, kept: Kept) -> wp.Kernel:
+    return make_radiative_kernel(config, wanted, role, kept.bias == LIGHT_IS_ONE)
 
 
 #: (method of the interior term, kind of method of the boundary term) -> row. ``boundary.Method``: every explicit term.
@@ -124,10 +148,15 @@ TABLE: dict[tuple[type[interior.Method], type[boundary.Method]], Row] = {
     (interior.Replay, boundary.Method): Row(label="record and sweep", keep=_keep_blocks, make=_make_replay),
     (interior.Textbook, boundary.Method): Row(
         label="textbook replay",
-        keep=lambda _method, _max_depth, _rr_depth: Kept(0, 1, "nothing is kept: divides by every factor"),
+        keep=_keep_textbook,
         make=lambda config, wanted, role, _kept: make_textbook_kernel(config, wanted, role),
-        refuse=_refused_by_textbook,
-        bias="derivatives of factors that are exactly zero are lost",
+        refuse=_refused_in_path_order("Textbook(), textbook replay,"),
+    ),
+    (interior.Radiative, boundary.Method): Row(
+        label="radiative backpropagation",
+        keep=_keep_radiative,
+        make=_make_radiative,
+        refuse=_refused_in_path_order("Radiative()"),
     ),
     (interior.LightTracing, boundary.Method): Row(
         label="light tracing",

@@ -215,7 +215,7 @@ def decide(
         if reason:
             raise ValueError(reason)
         block = f", K = {kept.block}" if kept.block else ""
-        lines.append(("interior", f"{row.label}{block}", "; ".join(filter(None, (kept.reason, row.bias)))))
+        lines.append(("interior", f"{row.label}{block}", "; ".join(filter(None, (kept.reason, kept.bias)))))
     lines += told
     shapes = _shapes(scene, names)
     if kept is not None and kept.block and shapes is not None:

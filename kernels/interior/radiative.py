@@ -1,0 +1,62 @@
+"""Interior term by radiative backpropagation [NDSRJ20]: adjoint paths that estimate the light at every vertex anew.
+
+A path from the camera carries the adjoint of the image, alpha_n = A_n . delta. At each of its vertices the derivative
+of the factor that it scatters by is multiplied by L_{n+1}, the radiance that arrives from the direction drawn there,
+estimated by a path of its own from the same vertex with other random numbers:
+
+    dI = sum_n alpha_n (dE_n + dD_n + dbeta_n L_{n+1}).
+
+Nothing is kept and nothing divided, so that no derivative of a factor that is exactly zero is lost. A path of N
+vertices costs N more paths, of N - 1, N - 2, ... vertices: time grows with the square of the depth. ``linear`` takes 1
+for every L_{n+1}, which is biased: dark paths count as bright ones.
+
+Derivation: ``docs/methods/radiative.md``.
+"""
+
+import functools
+
+import warp as wp
+
+from warp_psdr.kernels.interior.gradient_request import GradientRequest
+from warp_psdr.kernels.interior.path_order import Behind, make_path_order_kernel
+from warp_psdr.kernels.path import make_path_radiance
+from warp_psdr.kernels.rng import Sampler, pcg4d
+from warp_psdr.kernels.structs import Scene
+from warp_psdr.kernels.vertex import PathConfig, PathState
+
+#: Tells the random numbers of the paths from the vertices from those of the path through them.
+SALT = wp.constant(wp.uint32(0xBB67AE85))
+
+
+@wp.func
+def other_sampler(s: Sampler, vertex: wp.int32) -> Sampler:
+    """The numbers of the path that starts at a vertex."""
+    r = Sampler()
+    r.pixel = s.pixel
+    r.index = s.index
+    r.seed = pcg4d(s.seed, SALT, wp.uint32(vertex), wp.uint32(0)).x
+    return r
+
+
+@functools.cache
+def make_radiative_kernel(config: PathConfig, wanted: GradientRequest, role: str, linear: bool):
+    """Return the kernel of ``interior.Radiative()``; other arguments as ``make_replay_kernel``'s.
+
+    ``linear``: its biased form.
+    """
+    path_radiance = make_path_radiance(config)
+
+    @wp.func
+    def estimated(
+        scene: Scene, sampler: Sampler, state: PathState, remaining: wp.vec3, throughput: wp.vec3,
+        max_depth: wp.int32, rr_depth: wp.int32,
+    ) -> wp.vec3:  # fmt: skip
+        """What another path finds."""
+        if wp.static(linear):
+            return wp.vec3(1.0, 1.0, 1.0)
+        else:
+            start = state
+            start.throughput = wp.vec3(1.0, 1.0, 1.0)
+            return path_radiance(scene, other_sampler(sampler, state.depth), start, max_depth, rr_depth)
+
+    return make_path_order_kernel(config, wanted, role, Behind(estimated, False))
