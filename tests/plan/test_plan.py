@@ -200,7 +200,7 @@ def test_blocks(diffuse, block, depth, expected):
 def test_textbook_replay_is_a_method_of_its_own(diffuse):
     integrator = psdr.PathIntegrator(max_depth=64, interior=psdr.interior.Textbook())
     plan = psdr.plan(diffuse[0], names=["floor.bsdf.reflectance.value"], integrator=integrator)
-    assert plan.kept.longest == 0 and plan.interior.bias
+    assert plan.kept.longest == 0 and plan.kept.bias
     _item, decision, reason = next(line for line in plan.lines if line[0] == "interior")
     assert decision == "textbook replay" and "factors that are exactly zero are lost" in reason
     assert psdr.plan(diffuse[0], integrator=integrator).interior is None, "nothing is differentiated"
