@@ -60,7 +60,8 @@ def entry_near(table: wp.uint64, index: wp.int32, alpha: wp.float32, ior: wp.flo
 def rough_through(table: wp.uint64, c: wp.float32, alpha: wp.float32, ior: wp.float32) -> wp.float32:
     """Transmittance T of the coat at the cosine ``c``; linear between those of the table."""
     x = c * wp.static(float(RESOLUTION - 1))
-    i = wp.min(wp.int32(x), wp.static(RESOLUTION - 2))
+    # At least 0 also for what is not a number: lanes without a vertex hold anything.
+    i = wp.clamp(wp.int32(x), 0, wp.static(RESOLUTION - 2))
     f = x - wp.float32(i)
     low = entry_near(table, HEADER + 3 * i, alpha, ior)
     high = entry_near(table, HEADER + 3 * i + 3, alpha, ior)

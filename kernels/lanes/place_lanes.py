@@ -74,6 +74,7 @@ def make_place_lanes(config: PathConfig, width: int, first: int, states: Rows, h
     interaction = make_interaction(config)
     surface_of, looked_up_record, look_up, put_together = interaction.parts
     fetch_triangle = make_fetch(Triangle, width)
+    tables = any(slot.table for slot in config.material)
     environment = any(kind in ENVIRONMENTS for kind in config.lights)
     choices, triangles, surfaces = stack_rows(width, first, LaneHit, Triangle, Surface)
     looked_up, places, emissions = stack_rows(width, surfaces.end, looked_up_record, interaction.record, EmissionHit)
@@ -145,7 +146,10 @@ def make_place_lanes(config: PathConfig, width: int, first: int, states: Rows, h
             choice.behind = wp.where(wp.dot(surface.n, -states.get(rows, j).d) < 0.0, 1, 0)
             choices.put(rows, j, choice)
             j += 1
-        for j in range(standing):  # one by one: SIMD would be gathers, which take longer
+        looked = wp.int32(standing)
+        if wp.static(tables):
+            looked = wp.int32(width)  # what is computed for lanes without a vertex, too, reads a table that exists
+        for j in range(looked):  # one by one: SIMD would be gathers, which take longer
             c = choices.get(rows, j)
             looked_up.put(rows, j, look_up(scene, surfaces.get(rows, j), c.behind == 1, c.face, c.u, c.v))
         j = wp.int32(0)

@@ -201,6 +201,26 @@ def test_other_widths_have_the_same_bits(width, monkeypatch):
     np.testing.assert_allclose(images[0], images[1], rtol=0, atol=1.0e-6 * images[0].mean())
 
 
+def test_lanes_without_a_vertex_read_no_table():
+    """What rows hold of lanes whose ray meets nothing is anything, addresses of tables among it."""
+    coat = {"type": "roughplastic", "distribution": "ggx", "alpha": 0.2}
+    down = psdr.Transform.translate([0.0, -2.0, 4.0]) @ psdr.Transform.rotate([1, 0, 0], 180.0)
+    lamp = {"type": "rectangle", "to_world": down, "emitter": {"type": "area", "radiance": scenes.rgb(9.0, 9.0, 9.0)}}
+    scene = psdr.load_dict(
+        {
+            "type": "scene",
+            "sensor": scenes.camera([0.0, -8.0, 1.0], [0.0, 0.0, 0.0], size=8),
+            "ball": {"type": "sphere", "bsdf": coat},
+            "lamp": lamp,
+        }
+    )
+    images = []
+    for word in (0, 0x3F4CCCCD, 0xFFFFFFFF):  # 0, 0.8 and NaN; no address
+        scene._rows.fill_(word)
+        images.append(psdr.render(scene, spp=16, seed=1).numpy())
+    assert (images[0] == images[1]).all() and (images[0] == images[2]).all() and images[0].max() > 0.0
+
+
 @pytest.mark.parametrize("name", ["ceiling.bsdf.reflectance.value", "ceiling.vertex_positions"])
 def test_paths_whose_vertices_have_no_room_are_traced_alone(name):
     """Of vertices that move more is kept: for some numbers of them, paths are traced together but swept alone."""
