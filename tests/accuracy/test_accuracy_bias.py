@@ -35,6 +35,7 @@ def bias_of(scene, params, name, integrator, spp):
     return ((long[1] - long[0]) ** 2).sum() / (long[0] ** 2).sum()
 
 
+@pytest.mark.slow
 def test_bias_is_measured(soft):
     scene, params = soft
     params.requires_grad_only(POSITIONS)

@@ -76,7 +76,7 @@ CASES = [
     Case("parallel", POSE, stretched, 0.03, "camera stretches", spp=1024, difference_spp=4096),
     Case("parallel smooth", SHAPE, scaled, 0.01, "scales", spp=2048, difference_spp=4096),
     Case("parallel smooth", POSE, ALONG, 0.01, "camera moves", spp=1024, difference_spp=4096),
-    Case("lens silhouette", SHAPE, ALONG, 0.01, "moves out of focus", spp=512, difference_spp=2048, slow=False),
+    Case("lens silhouette", SHAPE, ALONG, 0.01, "moves out of focus", spp=512, difference_spp=2048),
     Case("lens", OCCLUDER, ALONG, 0.01, "occluder moves out of focus", spp=512, difference_spp=4096),
     Case("lens", POSE, ALONG, 0.01, "camera moves", difference_spp=4096),
     Case("lens", FOCUS, np.ones_like, 0.1, "focus moves", spp=1024, difference_spp=8192),

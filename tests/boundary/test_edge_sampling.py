@@ -80,6 +80,7 @@ def test_the_modes_are_transposes_of_each_other() -> None:
     assert_transposes(scene, params, names, {"integrator": integrator, "spp": 16, "seed": 3})
 
 
+@pytest.mark.slow
 def test_lights_of_all_kinds_at_once_and_the_scene_stays_as_it_was() -> None:
     # Shadow edges of the sun are drawn with probabilities of their own.
     sun = {"type": "directional", "direction": [0.3, 0.2, -1.0], "irradiance": {"type": "rgb", "value": [2.0] * 3}}

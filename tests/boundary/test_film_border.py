@@ -36,7 +36,7 @@ register(
 )
 
 CASES = [
-    Case("border", SHAPE, ALONG, 0.005, "moves", slow=False),
+    Case("border", SHAPE, ALONG, 0.005, "moves"),
     Case("border", "sensor.x_fov", np.ones_like, 0.1, "camera zooms", spp=1024, difference_spp=8192),
     Case("sampled border", SHAPE, ALONG, 0.005, "moves", spp=1024, difference_spp=4096),
     Case("border, smooth", SHAPE, scaled, 0.01, "scales", spp=2048, difference_spp=4096),

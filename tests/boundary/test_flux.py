@@ -136,6 +136,7 @@ def test_the_flux_past_an_occluder(scene, what) -> None:
     assert abs(ratio.mean() - 1.0) < TOLERANCE, f"{ratio.mean():.4f} +- {error:.4f} of {exact:.4f}"
 
 
+@pytest.mark.slow
 def test_the_image_is_the_closed_form(scene) -> None:
     found, _params = scene
     image = psdr.render(found, integrator=psdr.PathIntegrator(max_depth=2), spp=8192, seed=3).numpy()

@@ -151,6 +151,7 @@ def test_derivatives_equal_finite_differences(case: Case, mode: str) -> None:
     assert_agrees(derivatives(case, mode, PathSpace(guiding=GRID)), differences(case)[2])
 
 
+@pytest.mark.slow
 def test_projective_sampling_takes_a_grid() -> None:
     scene, params = load("soft")
     integrator = psdr.PathIntegrator(max_depth=2, boundary=Projective(guiding=GRID, paths=1024))

@@ -280,6 +280,7 @@ def test_the_mean_over_builds_is_the_unguided_one(scene_name, depth, name) -> No
     assert abs(a.mean() - b.mean()) < 3.5 * np.hypot(a.std(ddof=1), b.std(ddof=1)) / 8.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", METHODS)
 def test_guiding_lowers_the_noise(name) -> None:
     scene, params = load("point")

@@ -73,6 +73,7 @@ def test_the_modes_are_transposes_of_each_other() -> None:
     assert_transposes(scene, params, names, options)
 
 
+@pytest.mark.slow
 def test_they_have_no_silhouettes() -> None:
     """Of a light that shines on nothing, in front of a black sheet, nothing is seen to move."""
     light = panel((0.0, 0.0, 0.5), 0.4, 2.0)

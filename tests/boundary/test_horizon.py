@@ -55,7 +55,7 @@ ALONG_Y = moved(0.0, 1.0, 0.0)
 MANY = {"spp": 1024, "difference_spp": 4096}
 CASES = [
     # The light alone moves: horizons do, creases rest.
-    Case("coarse ball", LIGHT, ALONG_Y, 0.01, "light moves", spp=1024, difference_spp=2048, slow=False),
+    Case("coarse ball", LIGHT, ALONG_Y, 0.01, "light moves", spp=1024, difference_spp=2048),
     Case("coarse metal", LIGHT, ALONG_Y, 0.01, "light moves", spp=2048, difference_spp=16384),
     Case("two-sided ball", LIGHT, ALONG_Y, 0.01, "light moves", **MANY),
     Case("ball and floor", LIGHT, ALONG_Y, 0.01, "light moves", depth=3, **MANY),

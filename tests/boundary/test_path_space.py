@@ -52,6 +52,7 @@ def test_edges_close_to_a_light() -> None:
     assert abs(mean[0] - mean[1]) < 4.0 * np.hypot(*error)
 
 
+@pytest.mark.slow
 def test_lights_close_behind_others_stay_hidden() -> None:
     # A lamp fifty times as bright a thousandth above another: it was seen through it, and the sum 15 times as large.
     found = []
@@ -167,6 +168,7 @@ def test_what_is_not_covered_is_refused_with_a_remedy(case) -> None:
         psdr.render_backward(scene, params, np.ones((16, 16, 3)), integrator=integrator, spp=1)
 
 
+@pytest.mark.slow
 def test_emission_alone_has_a_primary_boundary() -> None:
     light = panel((0.0, 0.0, 0.5), 0.4, 2.0)
     light["faces"] = light["faces"][:, ::-1]  # it faces up, towards the camera

@@ -17,20 +17,20 @@ from .scenes import SCENES
 #: Of the derivative, times the factor of the step: its error is of first order, some 1e-5 in most scenes.
 BOUND = 1.0e-4
 FACTORS = (0.5, 2.0)
-#: (rows of a file, the row's name, whether it is slow)
+#: (rows of a file, the row's name)
 ROWS = (
-    (test_table, "smooth, scales, depth 2", True),
-    (test_notches, "wedge, slides, depth 2", False),
-    (test_table, "soft, all move, depth 2", True),
-    (test_table, "room, a box on the floor moves, depth 2", True),
-    (test_table, "floating, a box moves, depth 3", True),
-    (test_curves, "sunk, the camera moves, depth 2", True),
-    (test_curves, "knot, a mesh through itself, depth 2", True),
-    (test_cameras, "lens smooth, focus moves, depth 2", True),
-    (test_cameras, "parallel smooth, camera moves, depth 2", True),
-    (test_cameras, "lens mirror, focus moves, depth 2", True),
-    (test_notches, "prism in a mirror, prism moves, depth 4", True),
-    (test_notches, "prism, index changes, depth 4", True),
+    (test_table, "smooth, scales, depth 2"),
+    (test_notches, "wedge, slides, depth 2"),
+    (test_table, "soft, all move, depth 2"),
+    (test_table, "room, a box on the floor moves, depth 2"),
+    (test_table, "floating, a box moves, depth 3"),
+    (test_curves, "sunk, the camera moves, depth 2"),
+    (test_curves, "knot, a mesh through itself, depth 2"),
+    (test_cameras, "lens smooth, focus moves, depth 2"),
+    (test_cameras, "parallel smooth, camera moves, depth 2"),
+    (test_cameras, "lens mirror, focus moves, depth 2"),
+    (test_notches, "prism in a mirror, prism moves, depth 4"),
+    (test_notches, "prism, index changes, depth 4"),
 )
 
 
@@ -49,9 +49,8 @@ def derivative(case: Case, factor: float, monkeypatch) -> np.ndarray:
     return np.mean(images, axis=0, dtype=np.float64)
 
 
-@pytest.mark.parametrize(
-    ("module", "name"), [pytest.param(m, n, id=n, marks=[pytest.mark.slow] if slow else []) for m, n, slow in ROWS]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize(("module", "name"), [pytest.param(m, n, id=n) for m, n in ROWS])
 def test_derivatives_do_not_depend_on_the_step(module, name: str, monkeypatch) -> None:
     case = row(module, name)
     expected = derivative(case, 1.0, monkeypatch)

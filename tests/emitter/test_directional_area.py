@@ -72,6 +72,7 @@ def test_image_equals_the_one_that_mitsuba_traces_from_the_lights():
     np.testing.assert_allclose(images.mean(), ours.mean(), rtol=2e-2)
 
 
+@pytest.mark.slow
 def test_the_derivative_by_the_radiance_is_exact_in_both_modes():
     scene = psdr.load_dict(scene_of(size=8))
     params = psdr.traverse(scene)

@@ -118,7 +118,7 @@ def test_the_count_does_not_depend_on_the_workers() -> None:
         pytest.param("reverse", psdr.interior.Replay(), id="reverse-replay"),
         pytest.param("reverse", psdr.interior.Textbook(), id="reverse-textbook", marks=pytest.mark.slow),
         pytest.param("forward", psdr.interior.Replay(), id="forward-replay", marks=pytest.mark.slow),
-        pytest.param("forward", psdr.interior.Textbook(), id="forward-textbook"),
+        pytest.param("forward", psdr.interior.Textbook(), id="forward-textbook", marks=pytest.mark.slow),
     ],
 )
 def test_the_interior_term(mode: str, interior, monkeypatch) -> None:
@@ -210,6 +210,7 @@ def test_an_adjoint_that_is_not_finite_is_refused_and_not_dropped() -> None:
             psdr.render_backward(scene, params, value, integrator=integrator(), spp=1)
 
 
+@pytest.mark.slow
 def test_a_light_without_a_brightness_is_counted_although_nothing_else_sees_it() -> None:
     # All channels are NaN: `max(value) > 0` is false for it, as for a light that is off.
     lamp = {"type": "point", "position": [0.0, 0.0, 1.5], "intensity": 1.0}

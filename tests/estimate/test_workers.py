@@ -44,7 +44,7 @@ def forward(scene, params, seed=1, spp=4):
     return [psdr.render_forward(scene, params, tangents, integrator=INTEGRATOR, spp=spp, seed=seed).numpy()]
 
 
-@pytest.mark.parametrize("mode", [primal, reverse, forward])
+@pytest.mark.parametrize("mode", [primal, reverse, pytest.param(forward, marks=pytest.mark.slow)])
 def test_equal_bits_for_any_number_of_workers(gap, mode):
     results = {}
     for n in (1, 2, 3, 5):
@@ -57,7 +57,7 @@ def test_equal_bits_for_any_number_of_workers(gap, mode):
             np.testing.assert_array_equal(first, other, err_msg=f"{n} workers")
 
 
-@pytest.mark.parametrize("mode", [primal, reverse, forward])
+@pytest.mark.parametrize("mode", [primal, reverse, pytest.param(forward, marks=pytest.mark.slow)])
 def test_equal_seeds_repeat_and_other_seeds_differ(gap, mode):
     once, again, other = mode(*gap), mode(*gap), mode(*gap, seed=2)
     for a, b, c in zip(once, again, other, strict=True):

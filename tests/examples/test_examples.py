@@ -68,6 +68,7 @@ def test_render_scene(example, tmp_path: Path) -> None:
     assert image_io.read_image(tmp_path / "cornell_box.exr").max() > 1.0  # the light, brighter than a PNG can hold
 
 
+@pytest.mark.slow
 def test_derivative_images(example, tmp_path: Path) -> None:
     example("derivative_images").main(tmp_path, resolution=16, spp=16)
     derivatives = {}
