@@ -215,6 +215,17 @@ FACTORIES = {
         ("through", (THROUGH,), SLOW),
         ("media", (MEDIA,), SLOW),
     ],
+    "interior.light_tracing.make_light_replay_kernel": [
+        ("simple", (SIMPLE, ALBEDO, 4, 1), FAST),
+        ("blocks, lights", (ALL_LIGHTS, still(ALL_LIGHTS), 4, 4), SLOW),
+        ("materials", (MATERIALS, everything(MATERIALS, radiance=True), 4, 1), SLOW),
+        ("textures", (TEXTURED, everything(TEXTURED, radiance=True, to_uv=True), 4, 1), SLOW),
+    ],
+    "interior.light_tracing.make_light_forward_kernel": [
+        ("simple", (SIMPLE, ALBEDO), FAST),
+        ("lights", (ALL_LIGHTS, still(ALL_LIGHTS)), SLOW),
+        ("materials", (MATERIALS, everything(MATERIALS, radiance=True)), SLOW),
+    ],
     "light_tracing.make_light_image_kernel": [
         ("simple", (SIMPLE,), FAST),
         ("lights", (ALL_LIGHTS,), SLOW),

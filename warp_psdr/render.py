@@ -21,10 +21,7 @@ from warp_psdr.estimate.passes import (
     STREAM_PRIMAL,
     Progress,
     boxed,
-    gradient_kernel,
     image_kernel,
-    interior_backward,
-    interior_forward,
     part,
     splats,
     splatted,
@@ -119,7 +116,7 @@ def render(
         # Says what cannot be differentiated, before the work.
         differentiated = decide(scene, params, integrator=integrator, sensor=sensor)
         kernels = [image_kernel(scene, plan, sensor), *light.kernels(plan)]
-        compiler.begin([*kernels, gradient_kernel(differentiated, "reverse")], scene.device)
+        compiler.begin([*kernels, *light.gradient_kernels(differentiated, "reverse")], scene.device)
     camera = scene.camera(sensor)
     image = Image((camera.crop_height, camera.crop_width), scene.device, requires_grad=tape is not None)
     draw = _render_splatted if splats(camera) else boxed
@@ -220,13 +217,13 @@ def render_backward(
     plan = decide(scene, params, integrator=integrator, sensor=sensor)
     adjoint = adjoint_array(adjoint, scene.camera(sensor), scene.device)
     sums = GradientSums(scene, names)
-    compiler.begin([gradient_kernel(plan, "reverse")], scene.device)
+    compiler.begin(light.gradient_kernels(plan, "reverse"), scene.device)
     if integrator.boundary == "auto" and plan.boundary is not None:
         plan = automatic.choose(scene, plan, names, "reverse", sensor, spp, seed, adjoint)
     boundary = _boundary(scene, plan, names, "reverse", sensor, spp, seed)
     compiler.begin(pull_kernels(scene, names), scene.device)
     first, second = _shares(progress, adjoint.size * spp, boundary)
-    interior_backward(scene, plan, sensor, spp, seed, adjoint, sums, first)
+    light.backward(scene, plan, sensor, spp, seed, adjoint, sums, first)
     launch_backward(scene, boundary, adjoint, sums, second)
     total = sums.result()
     for name in names:
@@ -301,12 +298,12 @@ def render_forward(
     if plan.boundary is not None:
         contacts.warn(scene, target.numpy())
     image = Image((camera.crop_height, camera.crop_width), scene.device, signed=True)
-    compiler.begin([gradient_kernel(plan, "forward")], scene.device)
+    compiler.begin(light.gradient_kernels(plan, "forward"), scene.device)
     if integrator.boundary == "auto" and plan.boundary is not None:
         plan = automatic.choose(scene, plan, names, "forward", sensor, spp, seed, target)
     boundary = _boundary(scene, plan, names, "forward", sensor, spp, seed)
     first, second = _shares(progress, image.size * spp, boundary)
-    interior_forward(scene, plan, sensor, spp, seed, target, image, first)
+    light.forward(scene, plan, sensor, spp, seed, target, image, first)
     if boundary:
         launch_forward(scene, boundary, target, image, second)
     return image

@@ -10,7 +10,7 @@ from warp_psdr import compiler
 from warp_psdr.compiler import Compiled
 from warp_psdr.estimate import light
 from warp_psdr.estimate.boundary.terms import prepare
-from warp_psdr.estimate.passes import gradient_kernel, image_kernel
+from warp_psdr.estimate.passes import image_kernel
 from warp_psdr.plan.integrator import integrator_of
 from warp_psdr.plan.plan import decide
 from warp_psdr.scene import load
@@ -74,7 +74,7 @@ def compile(
     if params is not None and params.requested:
         names = params.requested
         plan = decide(scene, params, integrator=integrator, sensor=sensor)
-        kernels += [gradient_kernel(plan, "reverse"), *pull_kernels(scene, names)]
+        kernels += [*light.gradient_kernels(plan, "reverse"), *pull_kernels(scene, names)]
         compiler.begin(kernels, scene.device)
         if plan.boundary is not None:
             kernels += prepare(scene, plan, names, sensor)

@@ -1,10 +1,11 @@
-"""The passes over light paths (``kernels/light_path.py``): the image.
+"""The passes over light paths (``kernels/light_path.py``): the image, and its derivatives in both modes.
 
 A pass draws as many paths as the image has pixels times samples, and adds to what it is given.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,11 +14,24 @@ import warp as wp
 from warp_psdr import workers
 from warp_psdr.device import launch
 from warp_psdr.estimate.jobs import PixelSamples
-from warp_psdr.estimate.passes import Progress, blocks_of, launch_pass
+from warp_psdr.estimate.passes import (
+    STREAM_INTERIOR,
+    Progress,
+    blocks_of,
+    depth_of,
+    gradient_kernel,
+    interior_backward,
+    interior_forward,
+    launch_pass,
+    part,
+)
+from warp_psdr.kernels.interior.light_tracing import make_light_forward_kernel, make_light_replay_kernel
 from warp_psdr.kernels.light_tracing import add_splats, collect_splats, make_light_image_kernel
 from warp_psdr.kernels.rng import mix_seed
 
 if TYPE_CHECKING:
+    from warp_psdr.estimate.gradient_sums import GradientSums
+    from warp_psdr.kernels.structs import Camera
     from warp_psdr.plan.plan import Plan
     from warp_psdr.scene.scene import Scene
 
@@ -40,7 +54,84 @@ def add_image(
 ) -> None:
     """Add what the light paths find to an image; ``seed`` is that of the image's other paths."""
     if _traces(plan):
-        _splat(scene, plan, make_light_image_kernel(plan.config), sensor, spp, seed, [], image, "light", progress)
+        _splat(scene, plan, make_light_image_kernel(plan.config), sensor, spp, seed, [], image, progress)
+
+
+def gradient_kernels(plan: Plan, role: str) -> list[wp.Kernel]:
+    """Return the kernels of the interior term, of role "reverse" or "forward": from the camera, and from the lights."""
+    found = [gradient_kernel(plan, role)] if plan.seen_wanted is not None else []
+    return [*found, _gradient_kernel(plan, role)] if _traces(plan) else found
+
+
+def backward(
+    scene: Scene,
+    plan: Plan,
+    sensor: int,
+    spp: int,
+    seed: int,
+    adjoint: wp.array,
+    sums: GradientSums,
+    progress: Progress | None = None,
+) -> None:
+    """Add the gradient of the interior term, of paths from the camera and of those from the lights."""
+    first, second = _halves(plan, progress)
+    if plan.seen_wanted is not None:
+        interior_backward(scene, plan, sensor, spp, seed, adjoint, sums, first)
+    if not _traces(plan):
+        return
+    camera = scene.camera(sensor)
+    sphere = bounding_sphere(scene)
+    launch_pass(
+        scene,
+        _gradient_kernel(plan, "reverse"),
+        (camera.crop_width, camera.crop_height),
+        replace(_paths(plan, camera, spp, mix_seed(seed, STREAM_INTERIOR)), adjoint=adjoint),
+        camera,
+        lambda shard: [sphere, sums.buffers[shard]],
+        shards=len(sums.buffers),
+        kind="light",
+        progress=second,
+    )
+
+
+def forward(
+    scene: Scene,
+    plan: Plan,
+    sensor: int,
+    spp: int,
+    seed: int,
+    target: wp.array,
+    image: wp.array,
+    progress: Progress | None = None,
+) -> None:
+    """Add the derivative of the interior term along flat tangents, of both kinds of paths."""
+    first, second = _halves(plan, progress)
+    if plan.seen_wanted is not None:
+        interior_forward(scene, plan, sensor, spp, seed, target, image, first)
+    if _traces(plan):
+        kernel = _gradient_kernel(plan, "forward")
+        _splat(scene, plan, kernel, sensor, spp, mix_seed(seed, STREAM_INTERIOR), [target], image, second)
+
+
+def _halves(plan: Plan, progress: Progress | None) -> tuple[Progress | None, Progress | None]:
+    """Split a call's progress over the paths from the camera and those from the lights."""
+    if plan.light is None:
+        return progress, None
+    return part(progress, 0.0, 0.5), part(progress, 0.5, 0.5)
+
+
+def _gradient_kernel(plan: Plan, role: str) -> wp.Kernel:
+    """Return the kernel of the light paths' derivatives."""
+    assert plan.wanted is not None and plan.kept is not None
+    if role == "forward":
+        return make_light_forward_kernel(plan.config, plan.wanted)
+    return make_light_replay_kernel(plan.config, plan.wanted, plan.kept.block, plan.kept.blocks)
+
+
+def _paths(plan: Plan, camera: Camera, spp: int, seed: int) -> PixelSamples:
+    """Return the light paths of a pass."""
+    scale = 1.0 / (float(spp) * camera.crop_width * camera.crop_height)
+    return PixelSamples(spp, mix_seed(seed, STREAM_LIGHT), depth_of(plan), plan.rr_depth, scale=scale)
 
 
 def _traces(plan: Plan) -> bool:
@@ -56,7 +147,6 @@ def _splat(
     seed: int,
     inputs: list,
     image: wp.array,
-    kind: str,
     progress: Progress | None,
 ) -> None:
     """Run a kernel that splats to films, and add these to an image."""
@@ -66,19 +156,17 @@ def _splat(
     shards = workers.shard_count(3 * shape[0] * shape[1]) if scene.device.is_cpu else 1
     films = wp.zeros((shards, *shape), dtype=wp.vec3, device=scene.device)
     total = wp.zeros(shape, dtype=wp.vec3d, device=scene.device)
-    scale = 1.0 / (float(spp) * shape[0] * shape[1])
+    paths = _paths(plan, camera, spp, seed)
     for first, samples, reported in blocks_of(spp, FILM_PATHS, progress):
         launch_pass(
             scene,
             kernel,
             (camera.crop_width, camera.crop_height),
-            PixelSamples(
-                samples, mix_seed(seed, STREAM_LIGHT), plan.max_depth, plan.rr_depth, scale=scale, first_sample=first
-            ),
+            replace(paths, samples=samples, first_sample=first),
             camera,
             lambda shard: [sphere, *inputs, films[shard]],
             shards=shards,
-            kind=kind,
+            kind="light",
             progress=reported,
         )
         launch(collect_splats, dim=shape, inputs=[films], outputs=[total], device=scene.device)

@@ -152,7 +152,7 @@ def interior_backward(
     camera = scene.camera(sensor)
     dummy = wp.zeros((1, 1), dtype=wp.vec3, device=scene.device)
     samples = PixelSamples(
-        spp, mix_seed(seed, STREAM_INTERIOR), _depth(plan), plan.rr_depth, scale=weight / spp, adjoint=adjoint
+        spp, mix_seed(seed, STREAM_INTERIOR), depth_of(plan), plan.rr_depth, scale=weight / spp, adjoint=adjoint
     )
     launch_pass(
         scene,
@@ -187,7 +187,7 @@ def interior_forward(
         scene,
         gradient_kernel(plan, "forward"),
         (camera.crop_width, camera.crop_height),
-        PixelSamples(spp, mix_seed(seed, STREAM_INTERIOR), _depth(plan), plan.rr_depth, scale=weight / spp),
+        PixelSamples(spp, mix_seed(seed, STREAM_INTERIOR), depth_of(plan), plan.rr_depth, scale=weight / spp),
         camera,
         lambda _shard: [target, image],
         shards=workers.SHARDS,
@@ -216,7 +216,7 @@ def _mask(scene: Scene, shapes: frozenset[int] | None) -> wp.array:
     return wp.array(mask, dtype=wp.int32, device=scene.device)
 
 
-def _depth(plan: Plan) -> int:
+def depth_of(plan: Plan) -> int:
     """Depth limit of a differential pass: its records have to hold the path."""
     longest = plan.kept.longest if plan.kept is not None else 0
     return longest if longest and plan.max_depth < 0 else plan.max_depth

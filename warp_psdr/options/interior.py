@@ -42,7 +42,8 @@ class LightTracing(Method):
 
     It draws the image as well as its derivatives. Lights of no area shine through glass and mirrors, which paths from
     the camera never find. What the camera sees in mirrors and glass themselves, and the lights that it sees, is drawn
-    from the camera. Samples a pixel are light paths over pixels, and as many paths from the camera.
+    from the camera. Samples a pixel are light paths over pixels, and as many paths from the camera. Derivatives, by
+    record and sweep [NDSRJ20], are by all that moves no vertex of a path (``kernels/interior/light_tracing.py``).
 
     Attributes:
         block: K, as of ``Replay``.

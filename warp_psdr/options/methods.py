@@ -71,8 +71,8 @@ _METHODS = MethodTable(
             *("kernels/interior/radiative.py", "radiative"),
         ),
         (
-            *("Vea97", "Light tracing", "interior.LightTracing()", "interior"),
-            *("kernels/light_path.py", "light_tracing"),
+            *("NDSRJ20", "Light tracing, its adjoint by record and sweep", "interior.LightTracing()", "interior"),
+            *("kernels/interior/light_tracing.py", "light_tracing"),
         ),
         (
             *("ZMY*20", "Path-space boundary sampling", "boundary.PathSpace()", "boundary"),

@@ -19,6 +19,7 @@ from warp_psdr.kernels.interior.radiative import make_radiative_kernel
 from warp_psdr.kernels.interior.replay import make_replay_kernel
 from warp_psdr.kernels.interior.textbook import make_textbook_kernel
 from warp_psdr.options import boundary, interior
+from warp_psdr.plan.light import refused_by_light_tracing
 
 if TYPE_CHECKING:
     from warp_psdr.kernels.interior.gradient_request import GradientRequest
@@ -62,7 +63,8 @@ class Row:
     Attributes:
         label: what the plan calls it.
         keep: (method, max_depth, rr_depth) -> what of a path is kept.
-        make: (what the path loop compiles, which derivatives, "reverse" or "forward", what is kept) -> its kernel.
+        make: (what the path loop compiles, which derivatives, "reverse" or "forward", what is kept) -> its kernel, of
+            the paths from the camera.
         refuse: (what the path loop compiles, which derivatives) -> why it cannot estimate them; empty: it claims to.
     """
 
@@ -83,7 +85,7 @@ def row_of(method: interior.Method, term: boundary.Method | None) -> Row:
 
 
 def _keep_blocks(method: interior.Method, max_depth: int, rr_depth: int) -> Kept:
-    assert isinstance(method, interior.Replay)
+    assert isinstance(method, (interior.Replay, interior.LightTracing))
     if max_depth < 0:
         max_depth = rr_depth + UNBOUNDED_VERTICES
         if max_depth > MOST_VERTICES:
@@ -159,11 +161,6 @@ TABLE: dict[tuple[type[interior.Method], type[boundary.Method]], Row] = {
         refuse=_refused_in_path_order("Radiative()"),
     ),
     (interior.LightTracing, boundary.Method): Row(
-        label="light tracing",
-        keep=lambda _method, _max_depth, _rr_depth: Kept(0, 1, "the image alone"),
-        make=lambda config, wanted, role, _kept: make_replay_kernel(config, wanted, 1, 1),
-        refuse=lambda _config, _wanted: (
-            "interior.LightTracing() draws images, not yet their derivatives; use interior.Replay()"
-        ),
+        label="light tracing", keep=_keep_blocks, make=_make_replay, refuse=refused_by_light_tracing
     ),
 }

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from warp_psdr.kernels.bsdf.dispatch import has_delta_lobes
-from warp_psdr.kernels.constants import METERS
+from warp_psdr.kernels.constants import DELTA_LIGHTS, EMITTER_CONSTANT, EMITTER_ENVMAP, METERS
 from warp_psdr.kernels.scattering import samples_lights
 
 if TYPE_CHECKING:
@@ -51,8 +51,28 @@ def passes(config: PathConfig, wanted: GradientRequest | None) -> LightTracing:
     if config.scatter and has_delta_lobes(config.bsdfs):
         return LightTracing(replace(config, delta_first=True), wanted, joins)
     camera = replace(config, scatter=False, bsdfs=("diffuse",), material=(), tangent=False, through=False)
-    seen = wanted is not None and bool(wanted.radiance or wanted.lights or wanted.to_uv)
-    return LightTracing(camera, replace(wanted, material=()) if wanted is not None and seen else None, joins)
+    if wanted is not None:
+        environment = {EMITTER_CONSTANT, EMITTER_ENVMAP} & set(config.lights)
+        of_lights = (config.area and (wanted.radiance or wanted.to_uv)) or (environment and wanted.lights)
+        wanted = replace(wanted, material=()) if of_lights else None
+    return LightTracing(camera, wanted, joins)
+
+
+def refused_by_light_tracing(config: PathConfig, wanted: GradientRequest) -> str:
+    """Return why light tracing cannot compute derivatives; empty: it can."""
+    if wanted.geometry:
+        return (
+            "interior.LightTracing() differentiates what moves no vertices of its paths: materials, textures, "
+            "radiances, intensities and poses of lights. What moves shapes, normals, texture coordinates or the "
+            "camera, or turns rays, as the index of refraction of glass does, takes interior.Replay()"
+        )
+    if "pose" in wanted.lights and DELTA_LIGHTS & set(config.lights) and has_delta_lobes(config.bsdfs):
+        return (
+            "interior.LightTracing() cannot move a point, spot, projector or directional light in a scene with "
+            "mirrors, glass or masks, behind which its rays would move too; request its intensity, or use "
+            "interior.Replay()"
+        )
+    return ""
 
 
 def refuse_light_paths(plan: Plan, who: str) -> None:
