@@ -12,6 +12,7 @@ from tests.path.test_light_tracing import (
     INTENSITY,
     LIGHT_TRACING,
     POINT,
+    ROUGH,
     SPOT,
     VEIL,
     ball,
@@ -117,7 +118,9 @@ ROOMS = {
     ),
     "matte.bsdf.reflectance.data": lambda: room(point=POINT, matte=ball([-0.5, -0.3, 0.6], **TEXTURED)),
     "matte.bsdf.diffuse_reflectance.value": lambda: room(lamp=lamp(), matte=ball([-0.5, -0.3, 0.6], **PLASTIC)),
-    "matte.bsdf.opacity": lambda: room(lamp=lamp(), matte=ball([-0.5, -0.3, 0.6], **VEIL)),
+    "matte.bsdf.opacity.value": lambda: room(lamp=lamp(), matte=ball([-0.5, -0.3, 0.6], **VEIL)),
+    "matte.bsdf.eta": lambda: room(max_depth=6, lamp=lamp(), matte=ball([-0.5, -0.3, 0.6], **ROUGH)),
+    "matte.bsdf.alpha.value": lambda: room(max_depth=6, lamp=lamp(), matte=ball([-0.5, -0.3, 0.6], **ROUGH)),
     "matte.bsdf.specular_transmittance.value": lambda: room(
         max_depth=6, lamp=lamp(), matte=ball([-0.5, -0.3, 0.6], **GLASS)
     ),
