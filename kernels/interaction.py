@@ -215,9 +215,9 @@ def make_parts(config: PathConfig, record: type) -> InteractionParts:
 
 
 @functools.cache
-def make_interaction(config: PathConfig) -> Interactions:
-    """Return the record of a scene's interactions and its functions."""
-    bsdf = make_bsdf(config.bsdfs)
+def make_interaction(config: PathConfig, selects: bool = False) -> Interactions:
+    """Return the record of a scene's interactions and its functions; ``selects``: as ``make_bsdf``'s."""
+    bsdf = make_bsdf(config.bsdfs, selects)
     record = make_interaction_record(bsdf.record)
     parts = make_parts(config, record)
     surface_of, _looked_up, look_up, put_together = parts

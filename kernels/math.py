@@ -21,6 +21,13 @@ def where3(condition: wp.bool, a: wp.vec3, b: wp.vec3) -> wp.vec3:
 
 
 @wp.func
+def unit_vector(w: wp.vec3) -> wp.vec3:
+    """``w`` over its length, or 0 as it is: ``wp.normalize`` without its branch."""
+    length = wp.length(w)
+    return w / wp.where(length > 0.0, length, 1.0)
+
+
+@wp.func
 def clamp_unit(x: wp.float32) -> wp.float32:
     """``x`` clamped to [0, 1], with derivative 1 in it, its ends included: in a tie the second argument has it."""
     return wp.max(0.0, wp.min(1.0, x))

@@ -205,9 +205,12 @@ def shadow_ray(o: wp.vec3, ls: LightSample) -> tuple[wp.vec3, wp.float32]:
 
 
 @functools.cache
-def make_next_event(config: PathConfig, differential: bool):
-    """Return ``next_event(at, ls, light) -> NextEvent``; arguments as ``make_path_step``'s, ``at`` an interaction."""
-    interaction = make_interaction(config)
+def make_next_event(config: PathConfig, differential: bool, selects: bool = False):
+    """Return ``next_event(at, ls, light) -> NextEvent``, ``at`` an interaction.
+
+    Arguments as ``make_path_step``'s and ``make_bsdf``'s.
+    """
+    interaction = make_interaction(config, selects)
     record = interaction.record
     bsdf = interaction.bsdf
 
@@ -262,9 +265,12 @@ def make_through_event(config: PathConfig):
 
 
 @functools.cache
-def make_scatter(config: PathConfig, differential: bool):
-    """Return ``scatter(at, state, face, r4, rr_depth) -> ScatterSample``; arguments as ``make_path_step``'s."""
-    interaction = make_interaction(config)
+def make_scatter(config: PathConfig, differential: bool, selects: bool = False):
+    """Return ``scatter(at, state, face, r4, rr_depth) -> ScatterSample``.
+
+    Arguments as ``make_path_step``'s and ``make_bsdf``'s.
+    """
+    interaction = make_interaction(config, selects)
     record = interaction.record
 
     @wp.func

@@ -14,9 +14,8 @@ from warp_psdr.kernels.structs import BsdfSample
 @wp.func
 def diffuse_pdf(wi: wp.vec3, wo: wp.vec3) -> wp.float32:
     """Density of directions that are drawn proportional to their cosine, solid angle."""
-    if wi[2] <= 0.0 or wo[2] <= 0.0:
-        return 0.0
-    return INV_PI * wo[2]
+    above = not (wi[2] <= 0.0 or wo[2] <= 0.0)
+    return wp.where(above, INV_PI * wo[2], 0.0)
 
 
 @functools.cache
@@ -44,7 +43,7 @@ def make_diffuse(record: type, _variant: str) -> Functions:
         s.lobe = wp.where(above, LOBE_SMOOTH, LOBE_NONE)
         return s
 
-    return Functions(diffuse_sample, diffuse_eval, diffuse_pdf_of)
+    return Functions(diffuse_sample, diffuse_eval, diffuse_pdf_of, branches=False)
 
 
 DIFFUSE = Model("diffuse", (Color("reflectance", 0.5),), (LOBE_SMOOTH,), make_diffuse)

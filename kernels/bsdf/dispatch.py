@@ -43,6 +43,7 @@ from warp_psdr.kernels.bsdf.roughdielectric import ROUGH_DIELECTRIC
 from warp_psdr.kernels.bsdf.roughplastic import ROUGH_PLASTIC
 from warp_psdr.kernels.bsdf.thindielectric import THIN_DIELECTRIC
 from warp_psdr.kernels.generated import make_generated
+from warp_psdr.kernels.math import where3
 from warp_psdr.kernels.structs import BsdfSample, Scattered
 
 #: All scattering models.
@@ -56,6 +57,31 @@ COMPOSITES: tuple[Composite, ...] = (BLEND, NORMAL_MAP, BUMP_MAP, MASK)
 VARIANTS: dict[str, tuple[Model, str]] = {
     key_of(model.plugin, variant): (model, variant) for model in MODELS for variant in model.variants
 }
+
+
+#: Models that are computed for every path, at most.
+MOST_SELECTED = 3
+
+
+@wp.func
+def where_number(condition: wp.bool, a: wp.float32, b: wp.float32) -> wp.float32:
+    return wp.where(condition, a, b)
+
+
+@wp.func
+def where_sample(condition: wp.bool, a: BsdfSample, b: BsdfSample) -> BsdfSample:
+    """``a`` if the condition holds, else ``b``, member by member."""
+    s = BsdfSample()
+    s.wo = where3(condition, a.wo, b.wo)
+    s.value = where3(condition, a.value, b.value)
+    s.pdf = wp.where(condition, a.pdf, b.pdf)
+    s.eta = wp.where(condition, a.eta, b.eta)
+    s.lobe = wp.where(condition, a.lobe, b.lobe)
+    return s
+
+
+#: Functions of models that are selected among, and how.
+SELECTED = {"sample": where_sample, "eval": where3, "pdf": where_number}
 
 
 class BsdfFunctions(NamedTuple):
@@ -158,12 +184,14 @@ def is_diffuse(keys: Iterable[str]) -> bool:
 
 
 @functools.cache
-def make_bsdf(models: tuple[str, ...]) -> BsdfFunctions:
+def make_bsdf(models: tuple[str, ...], selects: bool = False) -> BsdfFunctions:
     """Return the scattering functions for the models of a scene.
 
     Args:
         models: Distinct keys of ``VARIANTS`` and of nested models, ``ordered``, so that equal sets share one
             specialisation.
+        selects: compute ``sample``, ``eval`` and ``pdf`` of a few models that do not branch, and select, rather than
+            branch to the right one: for paths side by side.
 
     Raises:
         ValueError: Empty, unsorted or unknown keys.
@@ -180,9 +208,13 @@ def make_bsdf(models: tuple[str, ...]) -> BsdfFunctions:
     functions = [model.make(record, variant) for model, variant in map(declaration_of, models)]
     types = {"record": record, "adjoint": adjoint, "BsdfSample": BsdfSample, "Scattered": Scattered}
 
+    all_selected = selects and len(models) <= MOST_SELECTED and not any(f.branches for f in functions)
+
     def chain(name: str, signature: str, result: str, rest: str, make, *, of: str, anchored: bool = False):
         """Return the function that calls that of its model, or gives ``rest`` where a model has none."""
         own = {i: make(f) for i, f in enumerate(functions) if getattr(f, of) is not None}
+        if all_selected and of in SELECTED:
+            return _make_selection(name, signature, result, SELECTED[of], own, types)
         return _make_chain(name, signature, result, rest, own, len(functions), types, anchored)
 
     mat, wi, wo = "mat: record", "wi: wp.vec3", "wo: wp.vec3"
@@ -247,6 +279,19 @@ def _make_chain(
         lines += [f"    if model == {number}:", f"        return f{number}({arguments})"]
     lines.append(f"    return {otherwise}\n")
     return make_generated("\n".join(lines), anchor=anchor, **types, **{f"f{number}": f for number, f in own.items()})
+
+
+def _make_selection(
+    name: str, signature: str, result: str, select: wp.Function, own: dict[int, wp.Function], types: dict
+) -> wp.Function:
+    """Return ``name(model, ...)``: what all functions give, of which that of the model is selected."""
+    arguments = ", ".join(part.split(":")[0].strip() for part in signature.split(","))
+    first, *others = own
+    lines = [f"def bsdf_{name}_all(model: wp.int32, {signature}) -> {result}:", f"    r = f{first}({arguments})"]
+    lines += [f"    r = select(model == {number}, f{number}({arguments}), r)" for number in others]
+    lines.append("    return r\n")
+    functions = {f"f{number}": f for number, f in own.items()}
+    return make_generated("\n".join(lines), select=select, **types, **functions)
 
 
 def _make_test(answers: list[bool]) -> wp.Function:

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import warp as wp
 
 from warp_psdr.kernels.constants import INV_PI
+from warp_psdr.kernels.math import unit_vector, where3
 from warp_psdr.kernels.sampling import square_to_disk
 
 #: Smallest roughness: narrower lobes are the business of ``conductor``, and float32 directions do not resolve them.
@@ -92,6 +93,12 @@ def at_least_min(alpha: wp.float32) -> wp.float32:
 
 
 @wp.func
+def or_upright(above: wp.bool, w: wp.vec3) -> wp.vec3:
+    """``w`` where it lies above the surface, else the normal, with which all is finite, and nothing used."""
+    return where3(above, w, wp.vec3(0.0, 0.0, 1.0))
+
+
+@wp.func
 def squared_tangent_part(w: wp.vec3, alpha_u: wp.float32, alpha_v: wp.float32) -> wp.float32:
     """Squared length of the horizontal part of the stretched ``w``."""
     x = alpha_u * w[0]
@@ -106,8 +113,8 @@ def make_visible_normal(distribution: str) -> wp.Function:
 
     @wp.func
     def visible_normal(wi: wp.vec3, alpha_u: wp.float32, alpha_v: wp.float32, v: wp.vec2) -> wp.vec3:
-        m = sample_visible(wp.normalize(wp.vec3(alpha_u * wi[0], alpha_v * wi[1], wi[2])), v)
-        return wp.normalize(wp.vec3(alpha_u * m[0], alpha_v * m[1], m[2]))
+        m = sample_visible(unit_vector(wp.vec3(alpha_u * wi[0], alpha_v * wi[1], wi[2])), v)
+        return unit_vector(wp.vec3(alpha_u * m[0], alpha_v * m[1], m[2]))
 
     return visible_normal
 
@@ -160,7 +167,7 @@ def make_reflection(distribution: str) -> Reflection:
     @wp.func
     def reflected_sample(wi: wp.vec3, alpha_u: wp.float32, alpha_v: wp.float32, v: wp.vec2) -> wp.vec3:
         n = visible_normal(wi, alpha_u, alpha_v, v)
-        return wp.normalize(2.0 * wp.dot(wi, n) * n - wi)
+        return unit_vector(2.0 * wp.dot(wi, n) * n - wi)
 
     return Reflection(reflected_value, reflected_pdf, reflected_sample)
 

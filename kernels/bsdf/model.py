@@ -357,6 +357,8 @@ class Functions(NamedTuple):
             None: nothing is transmitted.
         slopes: ``(material) -> vec2``: root mean square slopes of a glossy lobe about the mirror direction, along the
             tangents. None: there is no such lobe.
+        branches: whether ``sample``, ``eval`` and ``pdf`` branch. Those that do not select among what they compute, of
+            any directions, so that they are computed for paths side by side, also for those on other materials.
     """
 
     sample: wp.Function
@@ -366,6 +368,7 @@ class Functions(NamedTuple):
     probability: wp.Function | None = None
     relative_eta: wp.Function | None = None
     slopes: wp.Function | None = None
+    branches: bool = True
 
 
 @dataclass(frozen=True)

@@ -61,7 +61,7 @@ def make_oren_nayar(record: type, _variant: str) -> Functions:
         s.lobe = wp.where(above, LOBE_SMOOTH, LOBE_NONE)
         return s
 
-    return Functions(oren_nayar_sample, oren_nayar_eval, oren_nayar_pdf)
+    return Functions(oren_nayar_sample, oren_nayar_eval, oren_nayar_pdf, branches=False)
 
 
 OREN_NAYAR = Model(

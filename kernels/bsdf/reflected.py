@@ -2,8 +2,9 @@
 
 import warp as wp
 
-from warp_psdr.kernels.bsdf.microfacet import MIN_COSINE
+from warp_psdr.kernels.bsdf.microfacet import MIN_COSINE, or_upright
 from warp_psdr.kernels.constants import LOBE_NONE, LOBE_SMOOTH
+from warp_psdr.kernels.math import where3
 from warp_psdr.kernels.structs import BsdfSample
 
 
@@ -19,16 +20,16 @@ def make_reflected_sample(record: type, draw: wp.Function, value: wp.Function, p
 
     @wp.func
     def reflected_sample(mat: record, wi: wp.vec3, u: wp.float32, v: wp.vec2) -> BsdfSample:
+        above = wi[2] > MIN_COSINE
+        upright = or_upright(above, wi)
+        wo = draw(mat, upright, u, v)
         s = BsdfSample()
         s.eta = 1.0
-        s.lobe = LOBE_NONE
-        # This and the next are for speed: without a density there is no sample.
-        if wi[2] > MIN_COSINE:
-            s.wo = draw(mat, wi, u, v)
-            s.pdf = pdf(mat, wi, s.wo)
-            if s.pdf > 0.0:
-                s.value = value(mat, wi, s.wo)
-                s.lobe = LOBE_SMOOTH
+        s.wo = where3(above, wo, wp.vec3(0.0, 0.0, 0.0))
+        s.pdf = wp.where(above, pdf(mat, upright, wo), 0.0)
+        drawn = s.pdf > 0.0
+        s.value = where3(drawn, value(mat, upright, wo), wp.vec3(0.0, 0.0, 0.0))
+        s.lobe = wp.where(drawn, LOBE_SMOOTH, LOBE_NONE)
         return s
 
     return reflected_sample

@@ -89,7 +89,7 @@ def make_light_lanes(config: PathConfig, differential: bool, width: int, first: 
     sky = EMITTER_ENVMAP in config.lights
     sky_alone = sky and config.one_light
     _pick, draw_one = make_light_draw(config, left_out=(EMITTER_ENVMAP,))
-    next_event = make_next_event(config, differential)
+    next_event = make_next_event(config, differential, selects=True)
     searches, chosen, triangles, samples, events = stack_rows(
         width, first, Search, Chosen, Triangle, LightSample, NextEvent
     )

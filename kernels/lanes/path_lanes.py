@@ -119,7 +119,7 @@ def make_lane_paths(
     closest_of_each, any_of_each = make_each(width)
     trace_together = make_trace_together(config)
     view, start_in = make_camera_starts(config, filter_kind)
-    scatter = make_scatter(config, differential)
+    scatter = make_scatter(config, differential, selects=True)
     sample_4d = make_sampler(config.sampler).sample_4d
     has_lights = samples_lights(config)
     get_number, put_number = make_number(width)

@@ -29,7 +29,7 @@ KERNELS = (
 )
 #: Loops over lanes in a kernel: camera rays, random numbers, surfaces, places, lights, estimates, directions, sums and
 #: what is found out on the way; what is kept, and the sweep over it. Of eight lanes short loops are unrolled instead.
-LOOPS = {"primal": {8: 10, 16: 12}, "replay": {8: 15, 16: 18}}
+LOOPS = {"primal": {8: 10, 16: 12}, "replay": {8: 15, 16: 18}, "gold": {8: 10, 16: 12}}
 #: What float32 sums in another order differ by, relative to the largest entry of a gradient.
 SUMMED = 1.0e-5
 
@@ -285,20 +285,27 @@ import warp_psdr as psdr
 from warp_psdr.estimate import passes
 from warp_psdr.kernels.primal import make_primal_kernel
 scene = psdr.load_file(sys.argv[1], resolution=16)
+if sys.argv[3] == "gold":
+    gold = {"type": "roughconductor", "material": "Au", "distribution": "ggx"}
+    lamp = {"type": "sphere", "emitter": {"type": "area"}, "bsdf": {"type": "diffuse"}}
+    scene = psdr.load_dict({"type": "scene", "sensor": {"type": "perspective"}, "lamp": lamp,
+                            "floor": {"type": "rectangle", "bsdf": gold}})
 names = [name for name in scene.parameters if name.endswith(("reflectance.value", "vertex_positions"))]
 plan = psdr.plan(scene, names=names, integrator=psdr.PathIntegrator(max_depth=6, boundary=None))
-kernels = {"primal": make_primal_kernel, "replay": lambda config: passes.gradient_kernel(plan, "reverse")}
-wp.load_module(kernels[sys.argv[3]](plan.config).module, device="cpu")
+replay = sys.argv[3] == "replay"
+kernel = passes.gradient_kernel(plan, "reverse") if replay else make_primal_kernel(plan.config)
+wp.load_module(kernel.module, device="cpu")
 """
 
 
 @pytest.mark.skipif(acceleration.host_width() < 8, reason="narrow vectors: the compiler may find SIMD not worth it")
-@pytest.mark.parametrize("kernel", LOOPS)
+@pytest.mark.parametrize("kernel", ["primal", "replay", pytest.param("gold", marks=pytest.mark.slow)])
 def test_loops_over_lanes_become_simd(kernel, tmp_path):
     """Without it nothing would be wrong, and all of it slow; a refusal's reason is told by ``-Rpass-analysis``."""
     result = subprocess.run(
         [sys.executable, "-c", COMPILE, str(BOX), str(tmp_path), kernel], capture_output=True, text=True, cwd=ROOT
     )
     assert result.returncode == 0, result.stderr[-2000:]
-    found = re.findall(rf"{kernel}\w*\.cpp:(\d+):\d+: remark: vectorized loop", result.stderr)
+    name = "replay" if kernel == "replay" else "primal"
+    found = re.findall(rf"{name}\w*\.cpp:(\d+):\d+: remark: vectorized loop", result.stderr)
     assert len(found) >= LOOPS[kernel][acceleration.host_width()], result.stderr[-2000:]
