@@ -2,8 +2,8 @@
 
     python examples/benchmarks/caustic.py [--quick] [--output results.jsonl] [--picture caustic.png]
 
-The light is a small sphere, which paths from the camera find by chance, and then a point, which they never find. Noise is
-that of the pixels of the floor inside of the caustic, relative to their mean; the gain is in noise² x processor time. The
+The light is a small sphere, which paths from the camera find by chance, and then a point, which they never find. Noise
+is that of the floor's pixels inside of the caustic, relative to their mean; the gain is in noise² x processor time. The
 derivative is that by the floor's reflectance.
 """
 
