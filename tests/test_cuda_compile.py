@@ -19,6 +19,7 @@ from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.boundary.guiding.projective import BLOCKED_LIGHT, SCATTERED
 from warp_psdr.kernels.bsdf.dispatch import VARIANTS
 from warp_psdr.kernels.interior.gradient_request import GradientRequest
+from warp_psdr.kernels.interior.shape_parameters import branched_values
 from warp_psdr.kernels.loss import relative_squared
 from warp_psdr.kernels.vertex import MediaConfig, PathConfig
 
@@ -183,6 +184,15 @@ def still(config):
     return everything(config, radiance=True, lights=("radiance", "pose"))
 
 
+#: Rough metal, and paint with a mirror's reflection, under an area light.
+GLOSSY = PathConfig(**{**vars(SIMPLE), **materials("roughconductor (ggx)", "blendbsdf(diffuse, conductor)")})
+
+
+def shapes_of(config):
+    """The material values that are branched."""
+    return GradientRequest(material=branched_values(config, everything(config)))
+
+
 #: Configurations that together hold every model, texture kind, light, sampler and filter.
 THIRDS = {"materials": MATERIALS, "textures": TEXTURED, "lights": ALL_LIGHTS, "others": OTHERS}
 FAST, SLOW = (), (pytest.mark.slow,)
@@ -259,6 +269,10 @@ FACTORIES = {
         ("reverse, simple", (SIMPLE, ALBEDO, "reverse", False), SLOW),
         ("forward, lights", (ALL_LIGHTS, all_of(ALL_LIGHTS), "forward", False), SLOW),
         ("linear, materials", (MATERIALS, still(MATERIALS), "reverse", True), SLOW),
+    ],
+    "interior.branch.make_branch_kernel": [
+        ("reverse", (GLOSSY, shapes_of(GLOSSY), "reverse", 16), SLOW),
+        ("forward", (GLOSSY, shapes_of(GLOSSY), "forward", 4), SLOW),
     ],
     "boundary.shading_normals.indirect_terminator.make_indirect_terminator_kernel": [
         ("reverse, materials", (MATERIALS, "reverse", True), SLOW),

@@ -26,11 +26,12 @@ def main() -> None:
     params = psdr.traverse(scene)
     params.requires_grad(*NAMES)
     adjoint = np.full((resolution, resolution, 3), 1.0 / (3 * resolution * resolution), np.float32)
-    methods = {
+    integrators = {
         m.option: psdr.PathIntegrator(max_depth=6, interior=_interior(m.option))
         for m in psdr.methods()
         if m.term == "interior"
     }
+    methods = {label: method for label, method in integrators.items() if _serves(scene, params, method)}
     coloured = {label: _gradients(scene, params, adjoint, method, spp, seeds) for label, method in methods.items()}
     params[NAMES[0]] = BLACK
     params.update()
@@ -48,6 +49,16 @@ def main() -> None:
             }
         )
     report.table(f"Interior methods: Cornell box, {resolution} × {resolution} pixels, {spp} samples, depth 6", rows)
+
+
+def _serves(scene, params, integrator) -> bool:
+    """Whether a method estimates the derivatives that are asked for."""
+    try:
+        psdr.plan(scene, params, integrator=integrator)
+    except ValueError as error:
+        print(f"left out: {error}")
+        return False
+    return True
 
 
 def _interior(option: str) -> psdr.interior.Method:

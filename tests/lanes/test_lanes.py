@@ -293,7 +293,7 @@ if sys.argv[3] == "gold":
 names = [name for name in scene.parameters if name.endswith(("reflectance.value", "vertex_positions"))]
 plan = psdr.plan(scene, names=names, integrator=psdr.PathIntegrator(max_depth=6, boundary=None))
 replay = sys.argv[3] == "replay"
-kernel = passes.gradient_kernel(plan, "reverse") if replay else make_primal_kernel(plan.config)
+kernel = passes.camera_gradient_kernels(plan, "reverse")[0] if replay else make_primal_kernel(plan.config)
 wp.load_module(kernel.module, device="cpu")
 """
 

@@ -59,7 +59,7 @@ def functions_of(source):
 def test_a_diffuse_scene_holds_no_code_of_other_models(diffuse, kind, tmp_path):
     scene, _params = diffuse
     plan = psdr.plan(scene, names=["floor.bsdf.reflectance.value"], integrator=INTEGRATOR)
-    kernel = make_primal_kernel(plan.config) if kind == "primal" else passes.gradient_kernel(plan, "reverse")
+    kernel = make_primal_kernel(plan.config) if kind == "primal" else passes.camera_gradient_kernels(plan, "reverse")[0]
     source = functions_of(source_of(kernel, tmp_path))
     assert "diffuse" in source  # the search looks at the right text
     found = {}
@@ -84,7 +84,7 @@ def module_hash(scene, names):
                 if hasattr(value, "cache_clear"):
                     value.cache_clear()
     plan = psdr.plan(scene, names=names, integrator=INTEGRATOR)
-    kernels = make_primal_kernel(plan.config), passes.gradient_kernel(plan, "reverse")
+    kernels = make_primal_kernel(plan.config), passes.camera_gradient_kernels(plan, "reverse")[0]
     return [k.module.get_module_hash() for k in kernels]
 
 
@@ -127,7 +127,7 @@ def test_one_albedo_compiles_no_geometry(diffuse, tmp_path):
     assert albedo.wanted.material == (True,)
     words = ("barycentrics_dot", "connection_vjp", "normalize_vjp", "accumulate_vertex", "camera_vjp")
     small, large = (
-        functions_of(source_of(passes.gradient_kernel(plan, "reverse"), tmp_path / str(i)))
+        functions_of(source_of(passes.camera_gradient_kernels(plan, "reverse")[0], tmp_path / str(i)))
         for i, plan in enumerate((albedo, everything))
     )
     # A function's own definition is emitted as "static ... name_0("; closures of what is not called are not.

@@ -18,8 +18,8 @@ from warp_psdr.estimate.passes import (
     STREAM_INTERIOR,
     Progress,
     blocks_of,
+    camera_gradient_kernels,
     depth_of,
-    gradient_kernel,
     interior_backward,
     interior_forward,
     launch_pass,
@@ -59,7 +59,7 @@ def add_image(
 
 def gradient_kernels(plan: Plan, role: str) -> list[wp.Kernel]:
     """Return the kernels of the interior term, of role "reverse" or "forward": from the camera, and from the lights."""
-    found = [gradient_kernel(plan, role)] if plan.seen_wanted is not None else []
+    found = camera_gradient_kernels(plan, role) if plan.seen_wanted is not None else []
     return [*found, _gradient_kernel(plan, role)] if _traces(plan) else found
 
 

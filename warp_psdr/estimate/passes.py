@@ -154,19 +154,21 @@ def interior_backward(
     samples = PixelSamples(
         spp, mix_seed(seed, STREAM_INTERIOR), depth_of(plan), plan.rr_depth, scale=weight / spp, adjoint=adjoint
     )
-    launch_pass(
-        scene,
-        gradient_kernel(plan, "reverse"),
-        (camera.crop_width, camera.crop_height),
-        samples,
-        camera,
-        lambda shard: [sums.buffers[shard], dummy],
-        shards=len(sums.buffers),
-        kind="interior",
-        progress=progress,
-        listed=pixels,
-        fields=_patches(scene, plan) | {"requested_shapes": _mask(scene, plan.shapes)},
-    )
+    kernels = camera_gradient_kernels(plan, "reverse")
+    for i, kernel in enumerate(kernels):
+        launch_pass(
+            scene,
+            kernel,
+            (camera.crop_width, camera.crop_height),
+            samples,
+            camera,
+            lambda shard: [sums.buffers[shard], dummy],
+            shards=len(sums.buffers),
+            kind="interior",
+            progress=part(progress, i / len(kernels), 1.0 / len(kernels)),
+            listed=pixels,
+            fields=_patches(scene, plan) | {"requested_shapes": _mask(scene, plan.shapes)},
+        )
 
 
 def interior_forward(
@@ -183,19 +185,21 @@ def interior_forward(
 ) -> None:
     """Add the derivative of the interior term along flat tangents, times a weight, to all pixels or those listed."""
     camera = scene.camera(sensor)
-    launch_pass(
-        scene,
-        gradient_kernel(plan, "forward"),
-        (camera.crop_width, camera.crop_height),
-        PixelSamples(spp, mix_seed(seed, STREAM_INTERIOR), depth_of(plan), plan.rr_depth, scale=weight / spp),
-        camera,
-        lambda _shard: [target, image],
-        shards=workers.SHARDS,
-        kind="interior",
-        progress=progress,
-        listed=pixels,
-        fields=_patches(scene, plan),
-    )
+    kernels = camera_gradient_kernels(plan, "forward")
+    for i, kernel in enumerate(kernels):
+        launch_pass(
+            scene,
+            kernel,
+            (camera.crop_width, camera.crop_height),
+            PixelSamples(spp, mix_seed(seed, STREAM_INTERIOR), depth_of(plan), plan.rr_depth, scale=weight / spp),
+            camera,
+            lambda _shard: [target, image],
+            shards=workers.SHARDS,
+            kind="interior",
+            progress=part(progress, i / len(kernels), 1.0 / len(kernels)),
+            listed=pixels,
+            fields=_patches(scene, plan) | {"requested_shapes": _mask(scene, plan.shapes)},
+        )
 
 
 def _patches(scene: Scene, plan: Plan) -> dict[str, wp.array]:
@@ -203,10 +207,12 @@ def _patches(scene: Scene, plan: Plan) -> dict[str, wp.array]:
     return {"radii": patch_radii(scene)} if plan.wanted is not None and plan.wanted.geometry else {}
 
 
-def gradient_kernel(plan: Plan, role: str) -> wp.Kernel:
-    """Return the kernel of the interior term, of role "reverse" or "forward"."""
+def camera_gradient_kernels(plan: Plan, role: str) -> list[wp.Kernel]:
+    """Return the kernels of the interior term, of role "reverse" or "forward", whose results add up."""
     assert plan.interior is not None and plan.seen_wanted is not None and plan.kept is not None
-    return plan.interior.make(plan.seen, plan.seen_wanted, role, plan.kept)
+    what = plan.seen, plan.seen_wanted, role, plan.kept
+    beside = plan.interior.beside(*what)
+    return [plan.interior.make(*what), *([] if beside is None else [beside])]
 
 
 def _mask(scene: Scene, shapes: frozenset[int] | None) -> wp.array:

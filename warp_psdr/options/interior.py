@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 
@@ -58,6 +59,37 @@ class LightTracing(Method):
             ValueError: ``block`` is not between 1 and 64.
         """
         _check_block(self.block, "")
+
+
+#: Fewest and most candidates of ``Resampled``.
+LEAST_CANDIDATES, MOST_CANDIDATES = 4, 256
+
+
+@dataclass(frozen=True, kw_only=True)
+class Resampled(Method):
+    """Resampled branches for the shapes of lobes (``kernels/interior/resampled.py``), after [BXB*24]; the rest: replay.
+
+    Branched are the numbers of materials with smooth lobes (roughnesses, exponents, indices of refraction, weights of
+    mixtures), by one of them a sample; an opacity is not. All else that is requested is left to ``Replay()``.
+
+    Attributes:
+        candidates: how many directions, and light points, are looked at where a path branches, a square.
+    """
+
+    candidates: int = 16
+
+    def __post_init__(self) -> None:
+        """Validate once.
+
+        Raises:
+            ValueError: ``candidates`` is no square from 4 to 256.
+        """
+        n = self.candidates
+        square = isinstance(n, int) and not isinstance(n, bool) and n >= 0 and math.isqrt(n) ** 2 == n
+        if not square or not LEAST_CANDIDATES <= n <= MOST_CANDIDATES:
+            raise ValueError(
+                f"candidates: got {n!r}, expected a square from {LEAST_CANDIDATES} to {MOST_CANDIDATES}, for example 16"
+            )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -75,6 +75,10 @@ _METHODS = MethodTable(
             *("kernels/interior/light_tracing.py", "light_tracing"),
         ),
         (
+            *("BXB*24", "Positivisation, by resampling", "interior.Resampled()", "interior"),
+            *("kernels/interior/resampled.py", "resampled"),
+        ),
+        (
             *("ZMY*20", "Path-space boundary sampling", "boundary.PathSpace()", "boundary"),
             *("kernels/boundary/path_space/secondary.py", "path_space"),
         ),

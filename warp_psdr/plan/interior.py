@@ -8,21 +8,24 @@ leave the interior's kernel as it is, others (reparameterisations) change it. A 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import warp as wp
 
-from warp_psdr.kernels.bsdf.dispatch import has_delta_lobes
+from warp_psdr.kernels.bsdf.dispatch import has_delta_lobes, has_null_lobes
+from warp_psdr.kernels.constants import DELTA_LIGHTS
+from warp_psdr.kernels.interior.branch import make_branch_kernel
 from warp_psdr.kernels.interior.forward import make_forward_kernel
+from warp_psdr.kernels.interior.gradient_request import GradientRequest
 from warp_psdr.kernels.interior.radiative import make_radiative_kernel
 from warp_psdr.kernels.interior.replay import make_replay_kernel
+from warp_psdr.kernels.interior.shape_parameters import branched_values
 from warp_psdr.kernels.interior.textbook import make_textbook_kernel
 from warp_psdr.options import boundary, interior
 from warp_psdr.plan.light import refused_by_light_tracing
 
 if TYPE_CHECKING:
-    from warp_psdr.kernels.interior.gradient_request import GradientRequest
     from warp_psdr.kernels.vertex import PathConfig
 
 #: Vertices after which a path without depth limit is cut, counted from where Russian roulette begins: it survives with
@@ -43,12 +46,14 @@ class Kept:
         blocks: most blocks of a path.
         reason: of these numbers, for the plan.
         bias: what the method leaves out by design; empty: nothing.
+        candidates: of a method that draws for derivatives; 0: it does not.
     """
 
     block: int
     blocks: int
     reason: str
     bias: str = ""
+    candidates: int = 0
 
     @property
     def longest(self) -> int:
@@ -65,12 +70,14 @@ class Row:
         keep: (method, max_depth, rr_depth) -> what of a path is kept.
         make: (what the path loop compiles, which derivatives, "reverse" or "forward", what is kept) -> its kernel, of
             the paths from the camera.
+        beside: likewise, the kernel of the derivatives that it leaves to another method; None: it leaves none.
         refuse: (what the path loop compiles, which derivatives) -> why it cannot estimate them; empty: it claims to.
     """
 
     label: str
     keep: Callable[[interior.Method, int, int], Kept]
     make: Callable[[PathConfig, GradientRequest, str, Kept], wp.Kernel]
+    beside: Callable[[PathConfig, GradientRequest, str, Kept], wp.Kernel | None] = lambda *_arguments: None
     refuse: Callable[[PathConfig, GradientRequest], str] = lambda _config, _wanted: ""
 
 
@@ -113,6 +120,41 @@ def _make_replay(config: PathConfig, wanted: GradientRequest, role: str, kept: K
     return make_replay_kernel(config, wanted, kept.block, kept.blocks)
 
 
+def _keep_candidates(method: interior.Method, max_depth: int, rr_depth: int) -> Kept:
+    assert isinstance(method, interior.Resampled)
+    kept = _keep_blocks(interior.Replay(), max_depth, rr_depth)
+    return replace(kept, reason=f"{method.candidates} candidates; {kept.reason}", candidates=method.candidates)
+
+
+def _make_resampled(config: PathConfig, wanted: GradientRequest, role: str, kept: Kept) -> wp.Kernel:
+    return make_branch_kernel(config, GradientRequest(material=branched_values(config, wanted)), role, kept.candidates)
+
+
+def _make_rest(config: PathConfig, wanted: GradientRequest, role: str, kept: Kept) -> wp.Kernel | None:
+    """Return the kernel of what is not branched, if there is any."""
+    branched = branched_values(config, wanted)
+    rest = replace(wanted, material=tuple(w and not b for w, b in zip(wanted.material, branched, strict=True)))
+    nothing = GradientRequest(material=(False,) * len(branched))
+    return None if rest == nothing else _make_replay(config, rest, role, kept)
+
+
+def _refused_by_resampled(config: PathConfig, wanted: GradientRequest) -> str:
+    if not any(branched_values(config, wanted)):
+        return (
+            "interior.Resampled() draws directions for the shapes of lobes, and no parameter that is requested is one "
+            "(a roughness, an exponent, an index of refraction or a weight of a material with a smooth lobe). Use "
+            "interior.Replay()"
+        )
+    if config.media is not None:
+        return "interior.Resampled() follows no path through participating media. Use interior.Replay()"
+    if has_null_lobes(config.bsdfs) and DELTA_LIGHTS & set(config.lights):
+        return (
+            "interior.Resampled() does not let shadow rays pass masks, thin glass and 'null', and lights of no area "
+            "are found by nothing else behind them. Use interior.Replay(), or area lights"
+        )
+    return ""
+
+
 #: The bias of ``Radiative(linear=True)``.
 LIGHT_IS_ONE = "the light that arrives at every vertex counts as 1"
 
@@ -148,6 +190,13 @@ def _make_radiative(config: PathConfig, wanted: GradientRequest, role: str, kept
 #: (method of the interior term, kind of method of the boundary term) -> row. ``boundary.Method``: every explicit term.
 TABLE: dict[tuple[type[interior.Method], type[boundary.Method]], Row] = {
     (interior.Replay, boundary.Method): Row(label="record and sweep", keep=_keep_blocks, make=_make_replay),
+    (interior.Resampled, boundary.Method): Row(
+        label="resampled branches, record and sweep",
+        keep=_keep_candidates,
+        make=_make_resampled,
+        beside=_make_rest,
+        refuse=_refused_by_resampled,
+    ),
     (interior.Textbook, boundary.Method): Row(
         label="textbook replay",
         keep=_keep_textbook,

@@ -1,0 +1,119 @@
+"""Derivatives by the shape of lobes: variance and time of ``interior.Resampled`` against ``interior.Replay``.
+
+    python examples/benchmarks/shape_derivatives.py [--quick] [--output results.jsonl]
+
+A glossy ball on a floor under a lamp of some width and an even sky. The variance is that of the derivative image, all
+pixels together, from independent seeds at equal samples; the time that of gradients in reverse mode. What counts is the
+last column, the ratio of the variances at equal time: above 1, branches pay.
+"""
+
+import numpy as np
+from common import Report, arguments, in_turns, psdr, ratio
+
+METHODS = {"replay": psdr.interior.Replay(), "resampled": psdr.interior.Resampled()}
+#: Depth of the paths.
+DEPTH = 4
+
+
+def rgb(*value: float) -> dict:
+    """Return a colour."""
+    return {"type": "rgb", "value": list(value)}
+
+
+def metal(alpha: float) -> dict:
+    """Return a rough metal."""
+    return {
+        "type": "roughconductor",
+        "distribution": "ggx",
+        "alpha": alpha,
+        "eta": rgb(0.2, 0.9, 1.1),
+        "k": rgb(4, 2, 2),
+    }
+
+
+#: Materials and what is differentiated.
+PLASTIC = {"type": "roughplastic", "distribution": "ggx", "alpha": 0.2, "diffuse_reflectance": rgb(0.5, 0.2, 0.1)}
+BLEND = {
+    "type": "blendbsdf",
+    "weight": 0.4,
+    "bsdf_0": {"type": "diffuse", "reflectance": rgb(0.6, 0.3, 0.1)},
+    "bsdf_1": metal(0.2),
+}
+#: (name, material, parameter, half width of the lamp, power of the lamp, radiance of the sky).
+CASES = (
+    ("metal, alpha 0.15, small lamp", metal(0.15), "ball.bsdf.alpha.value", 0.1, 24.0, 0.0),
+    ("metal, alpha 0.15, lamp", metal(0.15), "ball.bsdf.alpha.value", 0.7, 24.0, 0.0),
+    ("metal, alpha 0.15, lamp and sky", metal(0.15), "ball.bsdf.alpha.value", 0.7, 24.0, 0.3),
+    ("metal, alpha 0.15, wide lamp and sky", metal(0.15), "ball.bsdf.alpha.value", 3.0, 24.0, 1.0),
+    ("metal, alpha 0.05, wide lamp and sky", metal(0.05), "ball.bsdf.alpha.value", 3.0, 24.0, 1.0),
+    ("metal, alpha 0.4, wide lamp and sky", metal(0.4), "ball.bsdf.alpha.value", 3.0, 24.0, 1.0),
+    ("plastic, alpha 0.2, lamp and sky", PLASTIC, "ball.bsdf.alpha", 0.7, 24.0, 0.3),
+    ("blend of paint and metal, weight, lamp and sky", BLEND, "ball.bsdf.weight.value", 0.7, 24.0, 0.3),
+)
+
+
+def scene_of(material: dict, width: float, power: float, sky: float, size: int) -> psdr.Scene:
+    """Return a scene."""
+    t = psdr.Transform
+    lamp = t.translate([0.5, -1.5, 3.0]) @ t.rotate([1, 0, 0], 180.0) @ t.scale(width)
+    radiance = power / (2.0 * width) ** 2
+    description = {
+        "type": "scene",
+        "sensor": {
+            "type": "perspective",
+            "fov": 26.0,
+            "to_world": t.look_at([0, -4, 1.2], [0, 0, 0.2], [0, 0, 1]),
+            "film": {"type": "hdrfilm", "width": size, "height": size, "rfilter": {"type": "box"}},
+        },
+        "ball": {"type": "sphere", "bsdf": material},
+        "lamp": {"type": "rectangle", "to_world": lamp, "emitter": {"type": "area", "radiance": rgb(*3 * [radiance])}},
+        "floor": {
+            "type": "rectangle",
+            "to_world": t.translate([0, 0, -1.0]) @ t.scale(4.0),
+            "bsdf": {"type": "diffuse", "reflectance": rgb(0.6, 0.4, 0.3)},
+        },
+        "sky": {"type": "constant", "radiance": rgb(sky, sky, sky)},
+    }
+    return psdr.load_dict(description, device="cpu")
+
+
+def main() -> None:
+    """Run and print the table."""
+    options = arguments(__doc__).parse_args()
+    size, spp, seeds = (64, 4, 8) if options.quick else (128, 16, 16)
+    psdr.set_workers(options.threads)
+    report = Report("shapes of lobes", options.output)
+    rows = []
+    for name, material, parameter, width, power, sky in CASES:
+        scene = scene_of(material, width, power, sky, size)
+        params = psdr.traverse(scene)
+        params.requires_grad(parameter)
+        integrators = {
+            label: psdr.PathIntegrator(max_depth=DEPTH, interior=method, boundary=None)
+            for label, method in METHODS.items()
+        }
+        adjoint = np.ones((size, size, 3), np.float32)
+        variance = {}
+        for first, (label, integrator) in enumerate(integrators.items()):
+            images = [
+                psdr.render_forward(
+                    scene, params, {parameter: 1.0}, integrator=integrator, spp=spp, seed=2 * s + first
+                ).numpy()
+                for s in range(seeds)
+            ]
+            variance[label] = float(np.var(np.array(images, np.float64), axis=0, ddof=1).sum())
+
+        def gradient(integrator, scene=scene, params=params, adjoint=adjoint):
+            return lambda seed: psdr.render_backward(scene, params, adjoint, integrator=integrator, spp=spp, seed=seed)
+
+        times = in_turns({label: gradient(i) for label, i in integrators.items()}, options.repeat or 5)
+        noise, cost = variance["replay"] / variance["resampled"], ratio(times, "resampled", "replay", "cpu")
+        found = {"variance at equal samples": noise, "time of a sample": cost, "variance at equal time": noise / cost}
+        rows.append({"case": name, **found})
+    report.table(
+        f"Derivatives by the shape of lobes: a ball, {size} × {size} pixels, {spp} samples, depth {DEPTH}", rows
+    )
+
+
+if __name__ == "__main__":
+    main()

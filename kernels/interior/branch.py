@@ -1,0 +1,365 @@
+"""Branches: derivatives by the shape of lobes, from directions that are drawn for the derivative, not for the image.
+
+The driver of methods that draw for derivatives. A path is drawn as for an image; one of its vertices at which a
+requested value is read is chosen, by the adjoint times the throughput there. There the method chooses two directions
+and two light points by the local derivative; the directions go on as two paths of the image that share their random
+numbers, the light points get a shadow ray each. MIS weights are those of the image's sampler: a partition that depends
+on the direction alone is right whatever drew it. All that is not branched is left to record and sweep (``replay.py``).
+
+Derivation: ``docs/theory/interior.md#branches``.
+"""
+
+import functools
+from dataclasses import replace
+
+import warp as wp
+
+from warp_psdr.kernels.autodiff import anchor
+from warp_psdr.kernels.camera_rays import make_camera_paths
+from warp_psdr.kernels.constants import LOBE_SMOOTH
+from warp_psdr.kernels.interaction import enter_frame, make_interaction
+from warp_psdr.kernels.interior.factors import make_material_sink
+from warp_psdr.kernels.interior.gradient_request import GradientRequest
+from warp_psdr.kernels.interior.resampled import make_resampling
+from warp_psdr.kernels.interior.shape_parameters import make_shape_parameters
+from warp_psdr.kernels.interior.velocities import axis_vec3
+from warp_psdr.kernels.invalid import count_invalid, finite, vanishes
+from warp_psdr.kernels.jobs import PixelJob, pixel_of
+from warp_psdr.kernels.path import make_path_step
+from warp_psdr.kernels.reading import bsdf_at, shape_at
+from warp_psdr.kernels.rng import Sampler, hashed, make_sampler, pcg4d, sampler_at, unit_float
+from warp_psdr.kernels.scattering import make_light_sampler, make_next_event, make_scatter, samples_lights
+from warp_psdr.kernels.sensor.camera import CameraSample
+from warp_psdr.kernels.structs import Camera, Scene
+from warp_psdr.kernels.surface import VertexAdjoint
+from warp_psdr.kernels.vertex import PathConfig, PathState
+from warp_psdr.kernels.visibility import visibility_of
+
+#: Tells the random numbers of branches from those of the path that they leave.
+SALT = wp.constant(wp.uint32(0x6A09E667))
+#: Slots of the branches' sampler; from 3 on they belong to the paths that go on. Those that choose among vertices are
+#: far behind.
+DIRECTION_SLOT, LIGHT_SLOT, CHOICE_SLOT, VERTEX_SLOT = 0, 1, 2, 1 << 24
+#: Share of a value in a target: 2 % of what a relative change by the step (``shape_parameters.py``) would be.
+FLOOR = wp.constant(1.5e-4)
+#: Russian roulette does not end a path where it branches.
+NO_ROULETTE = 1 << 30
+
+
+@wp.struct
+class BranchPoint:
+    """The vertex of a path that was chosen."""
+
+    face: wp.int32  # -1: there is none
+    u: wp.float32
+    v: wp.float32
+    state: PathState  # before it
+    weight: wp.float32  # inverse of the probability of the choice
+
+
+@wp.func
+def branch_sampler(s: Sampler) -> Sampler:
+    """The numbers of a sample's branches."""
+    r = Sampler()
+    r.pixel = s.pixel
+    r.index = s.index
+    r.seed = pcg4d(s.seed, SALT, wp.uint32(0), wp.uint32(0)).x
+    return r
+
+
+@wp.func
+def signed_target(moved: wp.vec3, value: wp.vec3, weights: wp.vec3) -> wp.float32:
+    """What a candidate is chosen by: the weighted absolute changes of its colours, with the sign of their sum.
+
+    A difference stands for the derivative. A small share of the value keeps it from 0 where the derivative is not.
+    """
+    d = moved - value
+    size = wp.dot(weights, wp.abs(d) + FLOOR * wp.abs(value))
+    return wp.where(wp.dot(d, weights) < 0.0, -size, size)
+
+
+@functools.cache
+def make_branch_kernel(config: PathConfig, wanted: GradientRequest, role: str, candidates: int):
+    """Return the kernel of ``interior.Resampled``: the derivative by all values that ``wanted`` holds, complete.
+
+    ``wanted`` holds branched material values and nothing else. Arguments as ``make_replay_kernel``'s.
+    """
+    # Light behind null lobes is found by paths, not by shadow rays: one of the two complete ways.
+    config = replace(config, through=False)
+    unlit = replace(config, area=(), lights=())
+    lanes, starts, walk_step = make_camera_paths(unlit, False)
+    image_step = make_path_step(config, False)
+    interaction = make_interaction(config)
+    record = interaction.record
+    bsdf = interaction.bsdf
+    dot, add_materials = bsdf.algebra.dot, bsdf.algebra.add
+    material_record = bsdf.record
+    eval_vjp, scatter_vjp = interaction.eval_vjp, interaction.scatter_vjp
+    has_smooth = bsdf.has_smooth
+    scatter = make_scatter(config, True)
+    has_lights = samples_lights(config)
+    sample_light = make_light_sampler(config) if has_lights else None
+    next_event = make_next_event(config, True) if has_lights else None
+    visibility = visibility_of(config)
+    accumulate_material = make_material_sink(config, wanted, role)
+    shape_count, shape_direction, along_shape, moved_shape = make_shape_parameters(config, wanted, role)
+    resampling = make_resampling(candidates)
+    numbers, choose_two = resampling.numbers, resampling.choose
+    sample_4d = make_sampler(config.sampler).sample_4d
+    forward = role == "forward"
+
+    @wp.func
+    def lobe_vjp(at: record, lobe: wp.int32, wo: wp.vec3, w: wp.vec3) -> material_record:
+        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
+        if wp.static(scatter_vjp is not None):
+            if lobe > LOBE_SMOOTH:
+                return scatter_vjp(at, lobe, w, wp.vec3(0.0, 0.0, 0.0)).material
+        return eval_vjp(at, wo, w).material
+
+    @wp.func
+    def derivative_along(at: record, lobe: wp.int32, wo: wp.vec3, direction: material_record) -> wp.vec3:
+        """Derivative of the value of a lobe, one number a colour."""
+        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
+        d = wp.vec3(0.0, 0.0, 0.0)
+        for channel in range(3):
+            d[channel] = dot(lobe_vjp(at, lobe, wo, axis_vec3(channel)), direction)
+        return d
+
+    @wp.func
+    def lobe_value(at: record, material: material_record, lobe: wp.int32, wo: wp.vec3) -> wp.vec3:
+        """Value of a lobe, for other values of the material."""
+        if wp.static(scatter_vjp is not None):
+            if lobe > LOBE_SMOOTH:
+                return bsdf.scatter(at.model, material, at.wi, lobe).value
+        return bsdf.eval(at.model, material, at.wi, wo)
+
+    @wp.func
+    def reads_shape(scene: Scene, shape: wp.int32) -> wp.bool:
+        """Whether a material of a shape has a value that is branched."""
+        front = bsdf_at(scene, shape_at(scene, shape).bsdf)
+        count = shape_count(scene, front.slots)
+        if wp.static(config.two_sided):
+            if front.two_sided == 1:
+                count += shape_count(scene, bsdf_at(scene, front.back).slots)
+        return count > 0
+
+    @wp.func
+    def branch_point(
+        scene: Scene,
+        sampler: Sampler,
+        branch: Sampler,
+        start: PathState,
+        delta: wp.vec3,
+        max_depth: wp.int32,
+        rr_depth: wp.int32,
+    ) -> BranchPoint:
+        """Draw a path, and choose one of its vertices by weighted reservoir sampling."""
+        always = scene.requested_shapes[scene.requested_shapes.shape[0] - 1]
+        state = start
+        chosen = BranchPoint()
+        chosen.face = -1
+        total = wp.float32(0.0)
+        weight_of_chosen = wp.float32(1.0)
+        while state.alive == 1 and (max_depth < 0 or state.depth + 1 < max_depth):
+            before = state
+            vertex, state = walk_step(scene, sampler, state, max_depth, rr_depth)
+            if not finite(vertex.direct):
+                count_invalid(scene, sampler)
+            if vertex.face >= 0:
+                shape = scene.triangles[vertex.face].shape
+                if always + scene.requested_shapes[shape] > 0 and reads_shape(scene, shape):
+                    weight = wp.dot(wp.abs(delta), wp.abs(before.throughput))
+                    total += weight
+                    if unit_float(hashed(branch, VERTEX_SLOT + before.depth).x) * total < weight:
+                        weight_of_chosen = weight
+                        chosen.face = vertex.face
+                        chosen.u = vertex.u
+                        chosen.v = vertex.v
+                        chosen.state = before
+        chosen.weight = total / weight_of_chosen
+        return chosen
+
+    @wp.func
+    def branch_radiance(
+        scene: Scene, branch: Sampler, start: PathState, max_depth: wp.int32, rr_depth: wp.int32
+    ) -> wp.vec3:
+        """What a path finds that goes on from here, over its throughput up to here."""
+        state = start
+        state.throughput = wp.vec3(1.0, 1.0, 1.0)
+        radiance = wp.vec3(0.0, 0.0, 0.0)
+        while state.alive == 1:
+            vertex, state = image_step(scene, branch, state, max_depth, rr_depth)
+            radiance += wp.cw_mul(vertex.throughput, vertex.direct)
+        return radiance
+
+    @wp.func
+    def partial(
+        at: record, lobe: wp.int32, wo: wp.vec3, w: wp.vec3, direction: material_record
+    ) -> tuple[material_record, wp.vec3]:
+        """Adjoint of the material for a weight ``w`` of a lobe's value; in forward mode the derivative, else ``w``."""
+        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
+        if wp.static(forward):
+            return material_record(), wp.cw_mul(w, derivative_along(at, lobe, wo, direction))
+        else:
+            return lobe_vjp(at, lobe, wo, w), w
+
+    @wp.func
+    def from_directions(
+        scene: Scene,
+        branch: Sampler,
+        at: record,
+        point: BranchPoint,
+        direction: material_record,
+        moved: material_record,
+        a_n: wp.vec3,
+        u: wp.vec2,
+        max_depth: wp.int32,
+        rr_depth: wp.int32,
+        t: wp.array(dtype=wp.float32),
+    ) -> tuple[material_record, wp.vec3]:
+        """dbeta_n L_{n+1}, of two directions; ``a_n``: adjoint of what leaves the vertex."""
+        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
+        sizes = wp.vec3(wp.abs(a_n[0]), wp.abs(a_n[1]), wp.abs(a_n[2]))
+        r4 = sample_4d(branch, DIRECTION_SLOT)
+        for k in range(t.shape[0]):  # a range that Warp does not unroll
+            n4 = numbers(r4, k)
+            bs = interaction.sample(at, n4[0], wp.vec2(n4[2], n4[3]))
+            t[k] = bs.pdf  # a NaN stays
+            if bs.pdf > 0.0:
+                t[k] = signed_target(lobe_value(at, moved, bs.lobe, bs.wo), bs.value, sizes) / bs.pdf
+        chosen = choose_two(t, u)
+        a_material = material_record()
+        found = wp.vec3(0.0, 0.0, 0.0)
+        if chosen.first < 0:
+            found[0] = chosen.first_weight
+        ray = wp.int32(0)
+        while ray < 2:
+            k = chosen.first
+            weight = chosen.first_weight
+            if ray == 1:
+                k = chosen.second
+                weight = chosen.second_weight
+            ray += 1
+            if k >= 0:
+                goes_on = scatter(at, point.state, point.face, numbers(r4, k), NO_ROULETTE)
+                radiance = branch_radiance(scene, branch, goes_on.after, max_depth, rr_depth)
+                w = (weight * goes_on.inv_pdf) * wp.cw_mul(a_n, radiance)
+                a, d = partial(at, goes_on.lobe, enter_frame(at.frame, goes_on.wo), w, direction)
+                a_material = add_materials(a_material, a)
+                found += d
+        return a_material, found
+
+    @wp.func
+    def from_lights(
+        scene: Scene,
+        branch: Sampler,
+        at: record,
+        direction: material_record,
+        moved: material_record,
+        a_n: wp.vec3,
+        u: wp.vec2,
+        t: wp.array(dtype=wp.float32),
+    ) -> tuple[material_record, wp.vec3]:
+        """dD_n, of two light points that are drawn by what they would send without anything in between."""
+        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
+        a_material = material_record()
+        found = wp.vec3(0.0, 0.0, 0.0)
+        if wp.static(has_lights):
+            sizes = wp.vec3(wp.abs(a_n[0]), wp.abs(a_n[1]), wp.abs(a_n[2]))
+            r4 = sample_4d(branch, LIGHT_SLOT)
+            for k in range(t.shape[0]):  # a range that Warp does not unroll
+                ls, light, _probability = sample_light(scene, at.x, numbers(r4, k))
+                event = next_event(at, ls, light)
+                t[k] = wp.float32(0.0)
+                if event.traces_shadow_ray == 1:
+                    v = event.weight * wp.cw_mul(
+                        bsdf.eval(at.model, moved, at.wi, enter_frame(at.frame, event.wi)), ls.radiance
+                    )
+                    t[k] = signed_target(v, event.value, sizes)
+            chosen = choose_two(t, u)
+            if chosen.first < 0:
+                found[0] = chosen.first_weight
+            ray = wp.int32(0)
+            while ray < 2:
+                k = chosen.first
+                weight = chosen.first_weight
+                if ray == 1:
+                    k = chosen.second
+                    weight = chosen.second_weight
+                ray += 1
+                if k >= 0:
+                    ls, light, _probability = sample_light(scene, at.x, numbers(r4, k))
+                    event = next_event(at, ls, light)
+                    if not visibility.occluded(scene, event.o, event.d, event.t_max):
+                        w = (weight * event.weight) * wp.cw_mul(a_n, ls.radiance)
+                        a, d = partial(at, LOBE_SMOOTH, enter_frame(at.frame, event.wi), w, direction)
+                        a_material = add_materials(a_material, a)
+                        found += d
+        return a_material, found
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def branches(
+        # Scene:
+        scene: Scene,
+        camera: Camera,
+        # In:
+        job: PixelJob,
+        # Out:
+        target: wp.array(dtype=wp.float32),
+        image_out: wp.array2d(dtype=wp.vec3),
+    ):
+        pixel = pixel_of(job, camera, wp.tid())
+        delta = wp.vec3(job.scale, job.scale, job.scale)
+        if wp.static(not forward):
+            delta = job.scale * job.image_adjoint[pixel.py, pixel.px]
+            if vanishes(delta):
+                return
+        derivative = wp.vec3d()  # in double precision, as the image
+        starting = wp.zeros(shape=(wp.static(lanes),), dtype=PathState)
+        cameras = wp.zeros(shape=(wp.static(lanes),), dtype=CameraSample)
+        t = wp.zeros(shape=(wp.static(candidates),), dtype=wp.float32)
+        first_number = hashed(branch_sampler(sampler_at(pixel.number, 0, job.seed)), VERTEX_SLOT - 1).x >> wp.uint32(8)
+        for i in range(job.samples):
+            sampler = sampler_at(pixel.number, job.first_sample + i, job.seed)
+            branch = branch_sampler(sampler)
+            state, _sample = starts(scene, camera, pixel.px, pixel.py, sampler, i, job.samples, starting, cameras)
+            point = branch_point(scene, sampler, branch, state, delta, job.max_depth, job.rr_depth)
+            if point.face < 0:
+                continue
+            surface = interaction.surface(scene, point.face, point.u, point.v)
+            at = interaction.on(scene, surface, point.face, point.u, point.v, point.state.d)
+            count = shape_count(scene, at.slots)
+            if count == 0:
+                continue
+            u = sample_4d(branch, CHOICE_SLOT)
+            # In turn, from a random one on: what differs between numbers is no noise of the choice.
+            number = (wp.int32(first_number % wp.uint32(count)) + job.first_sample + i) % count
+            direction = shape_direction(scene, target, at.slots, point.face, point.u, point.v, surface.uv, number)
+            a_n = (point.weight * wp.float32(count)) * wp.cw_mul(delta, point.state.throughput)
+            moved, moves = moved_shape(at.material, direction)
+            if not moves:
+                continue
+            a_material, found = from_directions(
+                scene, branch, at, point, direction, moved, a_n, wp.vec2(u[0], u[1]), job.max_depth, job.rr_depth, t
+            )
+            if has_smooth(at.model):
+                a_lights, found_lights = from_lights(scene, branch, at, direction, moved, a_n, wp.vec2(u[2], u[3]), t)
+                a_material = add_materials(a_material, a_lights)
+                found += found_lights
+            valid = finite(found)
+            if wp.static(forward):
+                if valid:
+                    derivative += wp.vec3d(found)
+            else:
+                if valid:
+                    a_material = along_shape(a_material, direction)
+                    _adjoint, dropped = accumulate_material(
+                        scene, target, at.slots, point.face, point.u, point.v, surface.uv, a_material, VertexAdjoint()
+                    )
+                    valid = dropped == 0.0
+            if not valid:
+                count_invalid(scene, sampler)
+        if wp.static(forward):
+            image_out[pixel.py, pixel.px] = image_out[pixel.py, pixel.px] + wp.vec3(derivative)
+
+    return branches
