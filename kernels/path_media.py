@@ -22,6 +22,7 @@ from warp_psdr.kernels.medium.flight import make_flight
 from warp_psdr.kernels.medium.passage import MOST_INTERFACES, is_lost, make_media_passage, medium_towards
 from warp_psdr.kernels.path import vertex_of
 from warp_psdr.kernels.phase.dispatch import make_phase
+from warp_psdr.kernels.reading import triangle_at
 from warp_psdr.kernels.rng import Sampler, make_sampler
 from warp_psdr.kernels.sampling import mis_weight
 from warp_psdr.kernels.scattering import (
@@ -37,7 +38,7 @@ from warp_psdr.kernels.scattering import (
     samples_lights,
     shadow_ray,
 )
-from warp_psdr.kernels.step import leaving_step
+from warp_psdr.kernels.step import step_off_triangle
 from warp_psdr.kernels.structs import Scene
 from warp_psdr.kernels.transmittance import transmittance_of
 from warp_psdr.kernels.vertex import PathConfig, PathState, PathVertex
@@ -45,6 +46,8 @@ from warp_psdr.kernels.visibility import visibility_of
 
 #: Sample slots per step: flight, next-event estimation, scattering. Slot 0 is the camera's.
 SLOTS_PER_STEP = 3
+#: Least cosine that the distance of collisions from a surface is divided by.
+GRAZING = 1.0e-4
 #: Depth at which no path is ended by roulette.
 NEVER = 2147483647
 
@@ -224,10 +227,13 @@ def make_media_step(config: PathConfig, differential: bool, explores: bool = Fal
             end = path.t_max
             if hit.face >= 0:
                 length = hit.t
-                end = hit.t - leaving_step(scene, hit.face)
+                # As far before the surface as rays start off it: rounded, a point would be behind it, and lost.
+                tri = triangle_at(scene, hit.face)
+                cosine = wp.max(wp.abs(wp.dot(tri.normal, path.d)), GRAZING)
+                end = hit.t - step_off_triangle(scene, tri) / cosine
             u = sample_4d(sampler, slot)
             m = scene.media.records[state.medium]
-            f = flight(scene, m, length, end, u, state.steps, scatters)
+            f = flight(scene, m, length, end, hit.face < 0, u, state.steps, scatters)
             vertex.t = f.t
             vertex.inv_p = f.inv_p
             vertex.weight = f.weight

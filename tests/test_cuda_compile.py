@@ -143,11 +143,11 @@ THROUGH = PathConfig(
         "through": True,
     }
 )
-#: Media in media, behind nothing and behind masks.
+#: Media behind surfaces that are not there.
 MEDIA = PathConfig(
     **{
         **vars(THROUGH),
-        **materials("diffuse", "dielectric", "null", "mask(diffuse)"),
+        **materials("diffuse", "null"),
         "media": MediaConfig((c.PHASE_ISOTROPIC, c.PHASE_HG), True),
     }
 )
@@ -191,6 +191,12 @@ GLOSSY = PathConfig(**{**vars(SIMPLE), **materials("roughconductor (ggx)", "blen
 def shapes_of(config):
     """The material values that are branched."""
     return GradientRequest(material=branched_values(config, everything(config)))
+
+
+def media(config):
+    """All of media, and what does not move beside them."""
+    everywhere = ("sigma_t", "albedo", "scale", "phase")
+    return everything(config, to_uv=True, radiance=True, lights=("radiance",), media=everywhere)
 
 
 #: Configurations that together hold every model, texture kind, light, sampler and filter.
@@ -258,6 +264,10 @@ FACTORIES = {
         ("thin lens", (THIN_LENS, moving_camera(THIN_LENS)), SLOW),
         *[(name, (config, all_of(config)), SLOW) for name, config in THIRDS.items()],
         ("through", (THROUGH, still(THROUGH)), SLOW),
+    ],
+    "interior.media_replay.make_media_replay_kernel": [
+        ("reverse", (MEDIA, media(MEDIA), "reverse", 8, 8), SLOW),
+        ("forward", (MEDIA, media(MEDIA), "forward", 4, 4), SLOW),
     ],
     "interior.textbook.make_textbook_kernel": [
         ("reverse, simple", (SIMPLE, ALBEDO, "reverse"), FAST),

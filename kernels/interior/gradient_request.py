@@ -19,6 +19,8 @@ class GradientRequest:
     #: What of the other lights: "radiance", "pose".
     lights: tuple[str, ...] = ()
     camera: bool = False
+    #: What of media (``medium/coefficients.py``).
+    media: tuple[str, ...] = ()
     #: A delta lobe's direction depends on a requested material value (index of refraction).
     bends: bool = False
 

@@ -38,8 +38,8 @@ class Carry:
 
 
 @functools.cache
-def make_sweep(config: PathConfig, wanted: GradientRequest, role: str):
-    """Return ``(sweep, finish, finish_vertex)``.
+def make_sweep(config: PathConfig, wanted: GradientRequest, role: str, direct: bool = True):
+    """Return ``(sweep, finish, finish_vertex)``. ``direct=False``: D_n is the caller's to differentiate.
 
     ``sweep(scene, target, vertex, delta, carry) -> Carry``: the step from vertex n + 1 to vertex n.
     ``finish(scene, target, camera, sample, carry) -> float``: the last one, from vertex 1 to the camera; in forward
@@ -54,7 +54,7 @@ def make_sweep(config: PathConfig, wanted: GradientRequest, role: str):
     has_smooth = interaction.eval is not None
     accumulate_material = make_material_sink(config, wanted, role)
     frame_vjp = make_frame_vjp(config.tangent)
-    has_lights = bool(config.area or config.lights) and has_smooth
+    has_lights = direct and bool(config.area or config.lights) and has_smooth
     radiance_of, accumulate_light = make_light_sink(config, wanted, role) if has_lights else (None, None)
     accumulate_vertex = make_vertex_sink(
         role, config.smooth, config.flat, config.uv, config.tangent, wanted.texcoords, True

@@ -4,7 +4,7 @@ Free flights have the density p(t) = mean over the channels of sigma_k exp(-sigm
 L with the probability P = mean_k exp(-sigma_k L): one channel is drawn, all of them weigh (spectral multiple importance
 sampling). Where derivatives by the density are asked for, a share q of the flights has to end on the stretch, by the
 same exponential cut off at L. So p is at least q / L where sigma vanishes, and the derivative of in-scattering there,
-albedo / p, has its estimate. On a stretch without end the forced share has the density kappa / (1 + kappa t)^2.
+albedo / p, has its estimate. On a stretch that no surface ends the forced share has a density like 1 / (1 + kappa t)^2.
 
 Derivation: ``docs/theory/media.md#flights``.
 """
@@ -13,7 +13,6 @@ import functools
 
 import warp as wp
 
-from warp_psdr.kernels.constants import FAR
 from warp_psdr.kernels.medium.coefficients import coefficients_of, exp_minus
 from warp_psdr.kernels.structs import Medium, Scene
 from warp_psdr.kernels.vertex import MediaConfig
@@ -59,10 +58,14 @@ def mean_of(v: wp.vec3) -> wp.float32:
 
 
 @wp.func
-def forced_distance(sigma: wp.float32, length: wp.float32, inv_extent: wp.float32, u: wp.float32) -> wp.float32:
+def forced_distance(
+    sigma: wp.float32, length: wp.float32, inv_extent: wp.float32, open: wp.bool, u: wp.float32
+) -> wp.float32:
     """A distance on the stretch from the forced density."""
-    if length >= FAR:
-        return u / ((1.0 - u) * inv_extent)
+    if open:
+        y = inv_extent * length
+        v = u * (y / (1.0 + y))
+        return wp.min(v / ((1.0 - v) * inv_extent), length)
     x = sigma * length
     if x < UNIFORM_FLIGHT:
         return u * length
@@ -70,11 +73,13 @@ def forced_distance(sigma: wp.float32, length: wp.float32, inv_extent: wp.float3
 
 
 @wp.func
-def forced_density(sigma: wp.float32, t: wp.float32, length: wp.float32, inv_extent: wp.float32) -> wp.float32:
+def forced_density(
+    sigma: wp.float32, t: wp.float32, length: wp.float32, inv_extent: wp.float32, open: wp.bool
+) -> wp.float32:
     """The forced density at t, per unit length."""
-    if length >= FAR:
+    if open:
         s = 1.0 + inv_extent * t
-        return inv_extent / (s * s)
+        return (inv_extent + 1.0 / length) / (s * s)
     x = sigma * length
     if x < UNIFORM_FLIGHT:
         return 1.0 / length
@@ -83,9 +88,9 @@ def forced_density(sigma: wp.float32, t: wp.float32, length: wp.float32, inv_ext
 
 @functools.cache
 def make_flight(config: MediaConfig, explores: bool):
-    """Return ``flight(scene, m, length, end, u, number, draws) -> Flight``.
+    """Return ``flight(scene, m, length, end, open, u, number, draws) -> Flight``.
 
-    The stretch has the ``length`` (FAR: it has no end), collisions lie before ``end``; ``u`` has the numbers for the
+    The stretch has the ``length``, collisions lie before ``end``; ``open``: nothing is there. ``u`` has numbers for the
     channel, the choice and the distance, ``number`` is that of the stretch, ``draws`` false: the flight passes for
     sure, since nothing would come of a collision. ``explores``: some collisions are forced.
     """
@@ -97,6 +102,7 @@ def make_flight(config: MediaConfig, explores: bool):
         m: Medium,
         length: wp.float32,
         end: wp.float32,
+        open: wp.bool,
         u: wp.vec4,
         number: wp.int32,
         draws: wp.bool,
@@ -117,7 +123,7 @@ def make_flight(config: MediaConfig, explores: bool):
                 forced = u[1] < q
             if forced:
                 f.collides = True
-                f.t = forced_distance(rate, length, inv_extent, u[2])
+                f.t = forced_distance(rate, length, inv_extent, open, u[2])
             elif rate > 0.0:
                 t = minus_log_one_minus(u[2]) / rate
                 f.collides = t < length
@@ -129,10 +135,10 @@ def make_flight(config: MediaConfig, explores: bool):
             if wp.static(chromatic):
                 p = mean_of(collided)
             if wp.static(explores):
-                g = forced_density(c.sigma_t[0], f.t, length, inv_extent)
+                g = forced_density(c.sigma_t[0], f.t, length, inv_extent, open)
                 if wp.static(chromatic):
-                    g += forced_density(c.sigma_t[1], f.t, length, inv_extent)
-                    g += forced_density(c.sigma_t[2], f.t, length, inv_extent)
+                    g += forced_density(c.sigma_t[1], f.t, length, inv_extent, open)
+                    g += forced_density(c.sigma_t[2], f.t, length, inv_extent, open)
                     g *= 1.0 / 3.0
                 p = (1.0 - q) * p + q * g
             f.inv_p = 1.0 / p

@@ -58,16 +58,12 @@ def test_the_plan_names_media_and_others_have_none():
     scene = psdr.load_dict(scenes.milk())
     text = str(psdr.plan(scene))
     assert "1 homogeneous" in text and "bounded by 1 shapes" in text and "hg" in text
+    wanted = str(psdr.plan(scene, names=["cube.interior_medium.scale"]))
+    assert "media derivatives" in wanted and "made to collide" in wanted
     assert psdr.plan(psdr.load_dict(psdr.cornell_box())).config.media is None
 
 
-def test_what_is_not_there_yet_is_refused():
+def test_paths_through_media_are_not_traced():
     scene = psdr.load_dict(scenes.milk())
-    params = psdr.traverse(scene)
-    params.requires_grad("floor.bsdf.reflectance.value")
-    with pytest.raises(ValueError, match="participating media has images only"):
-        psdr.render_backward(scene, params, np.ones((24, 24, 3)))
-    with pytest.raises(ValueError, match=r"LightTracing\(\) has no paths through participating media"):
-        psdr.render(scene, integrator="ptracer", spp=1)
     with pytest.raises(ValueError, match="no paths through participating media"):
         psdr.trace_sample(scene, pixel=(3, 3), sample=0)

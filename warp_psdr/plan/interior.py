@@ -18,6 +18,7 @@ from warp_psdr.kernels.constants import DELTA_LIGHTS
 from warp_psdr.kernels.interior.branch import make_branch_kernel
 from warp_psdr.kernels.interior.forward import make_forward_kernel
 from warp_psdr.kernels.interior.gradient_request import GradientRequest
+from warp_psdr.kernels.interior.media_replay import make_media_replay_kernel
 from warp_psdr.kernels.interior.radiative import make_radiative_kernel
 from warp_psdr.kernels.interior.replay import make_replay_kernel
 from warp_psdr.kernels.interior.shape_parameters import branched_values
@@ -115,6 +116,8 @@ def _keep_blocks(method: interior.Method, max_depth: int, rr_depth: int) -> Kept
 
 
 def _make_replay(config: PathConfig, wanted: GradientRequest, role: str, kept: Kept) -> wp.Kernel:
+    if config.media is not None:
+        return make_media_replay_kernel(config, wanted, role, kept.block, kept.longest)
     if role == "forward":
         return make_forward_kernel(config, wanted)
     return make_replay_kernel(config, wanted, kept.block, kept.blocks)

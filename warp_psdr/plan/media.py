@@ -5,16 +5,20 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from warp_psdr.kernels import constants as c
+from warp_psdr.kernels.medium.coefficients import ALBEDO, PHASE, SCALE, SIGMA_T
 from warp_psdr.options import interior
 
 if TYPE_CHECKING:
+    from warp_psdr.kernels.interior.gradient_request import GradientRequest
     from warp_psdr.kernels.vertex import PathConfig
     from warp_psdr.scene.scene import Scene
 
+#: What of a medium is differentiated.
+PARAMETERS = (SIGMA_T, ALBEDO, SCALE, PHASE)
 PHASE_NAMES = {c.PHASE_ISOTROPIC: "isotropic", c.PHASE_HG: "hg"}
 
 
-def describe(scene: Scene, config: PathConfig) -> list[tuple[str, str, str]]:
+def describe(scene: Scene, config: PathConfig, wanted: GradientRequest | None) -> list[tuple[str, str, str]]:
     """Return the plan's lines on the media of a scene; none where there are none."""
     if config.media is None:
         return []
@@ -22,27 +26,47 @@ def describe(scene: Scene, config: PathConfig) -> list[tuple[str, str, str]]:
     phases = ", ".join(PHASE_NAMES[kind] for kind in config.media.phases)
     several = f"{len(scene.builder.media)} homogeneous"
     chromatic = "colours: one channel is drawn, all weigh" if config.media.chromatic else "grey: no channel is drawn"
-    return [
+    lines = [
         ("media", several, f"bounded by {bounds} shapes; null lobes do not count as depth, collisions do"),
         ("phase functions", phases, "those of the media"),
         ("extinction", "by channel" if config.media.chromatic else "grey", chromatic),
     ]
+    if wanted is not None:
+        density = SIGMA_T in wanted.media or SCALE in wanted.media
+        forced = "some flights are made to collide, for where the density is zero" if density else "density: no"
+        lines.append(("media derivatives", ", ".join(wanted.media) or "none", forced))
+    return lines
 
 
-def refuse(config: PathConfig, method: interior.Method, names: list[str]) -> None:
-    """Refuse what there is not in scenes with media: derivatives, and light tracing.
+def refuse(config: PathConfig, method: interior.Method, wanted: GradientRequest | None, names: list[str]) -> None:
+    """Refuse what there is not in scenes with media: other methods, and derivatives by what moves.
 
     Raises:
         ValueError: with what to do instead.
     """
     if config.media is None:
         return
-    if isinstance(method, interior.LightTracing):
+    if type(method) is not interior.Replay and (names or isinstance(method, interior.LightTracing)):
         raise ValueError(
-            "interior.LightTracing() has no paths through participating media; use interior.Replay(), or leave them out"
+            f"interior.{type(method).__name__}() does not know participating media; use interior.Replay(), or leave "
+            "them out"
         )
-    if names:
-        raise ValueError(
-            f"derivatives by {', '.join(names)}: a scene with participating media has images only; request nothing, or "
-            "leave the media out"
-        )
+    if wanted is not None and (wanted.geometry or "pose" in wanted.lights):
+        _refuse_motion(f"derivatives by {', '.join(names)}: path vertices, lights or directions move")
+
+
+def refuse_motion(config: PathConfig, moving: tuple[str, ...]) -> None:
+    """Refuse what moves a discontinuity in a scene with media.
+
+    Raises:
+        ValueError: with what to do instead.
+    """
+    if config.media is not None and moving:
+        _refuse_motion("; ".join(moving))
+
+
+def _refuse_motion(what: str) -> None:
+    raise ValueError(
+        f"{what}, which has no derivative in a scene with participating media yet; hold still what moves (coefficients "
+        "of media, phase functions, reflectances, roughnesses and radiances are differentiated), or leave the media out"
+    )

@@ -32,6 +32,7 @@ from warp_psdr.scene.layout import (
     LIGHT_POSE,
     LIGHT_RADIANCE,
     MATERIAL,
+    MEDIUM,
     NORMALS,
     POSITIONS,
     RADIANCE,
@@ -178,9 +179,9 @@ def decide(
     config = _config(scene, integrator, sensor, lines)
     if config.hidden:
         scene.hide_lights()
-    lines += media.describe(scene, config)
-    media.refuse(config, integrator.interior, names)
     wanted = _wanted(scene, config, names, lines) if names else None
+    lines += media.describe(scene, config, wanted)
+    media.refuse(config, integrator.interior, wanted, names)
     refuse_own_shape(scene, sensor, names)
     if not names:
         lines.append(("derivatives", "none", "no parameter is requested"))
@@ -191,6 +192,7 @@ def decide(
         if any(model.framed for model in models_of(config.bsdfs)):
             lines.append(("turned normals", "as they are seen", FLIPPED))
     moving = tuple(_discontinuities(scene, config, names))
+    media.refuse_motion(config, moving)
     if wanted is not None:
         asked = [slot.name for slot, w in zip(config.material, wanted.material, strict=True) if w]
         if any(name.rsplit("_", 1)[-1] == "opacity" for name in asked):
@@ -217,7 +219,7 @@ def decide(
         block = f", K = {kept.block}" if kept.block else ""
         lines.append(("interior", f"{row.label}{block}", "; ".join(filter(None, (kept.reason, kept.bias)))))
     lines += told
-    shapes = _shapes(scene, names)
+    shapes = _shapes(scene, names) if config.media is None else None
     if kept is not None and kept.block and shapes is not None:
         met = ", ".join(scene.description.shapes[i].path for i in sorted(shapes)[:NAMED])
         met += f" and {len(shapes) - NAMED} more" if len(shapes) > NAMED else ""
@@ -368,6 +370,7 @@ def _wanted(scene: Scene, config: PathConfig, names: list[str], lines: list) -> 
         lights=tuple(lights),
         camera=has(CAMERA),
         bends=bool(_bending(scene, names)),
+        media=tuple(kind for kind in media.PARAMETERS if has(MEDIUM + kind)),
     )
     lines.append(("differentiated", ", ".join(names), "requested"))
     on = [slot.name for slot, w in zip(config.material, wanted.material, strict=True) if w]

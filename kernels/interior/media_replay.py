@@ -1,0 +1,113 @@
+"""Interior term in scenes with media, by record and sweep as on surfaces (``replay.py``), in both modes.
+
+Forward mode sweeps once for each colour channel. A factor that is exactly zero keeps its derivative, the density and
+the albedo of a medium included.
+
+Derivation: ``docs/theory/media.md#derivatives``.
+"""
+
+import functools
+
+import warp as wp
+
+from warp_psdr.kernels.interior.gradient_request import GradientRequest
+from warp_psdr.kernels.interior.media_sweep import explores_density, make_media_sweep
+from warp_psdr.kernels.invalid import count_invalid, finite, vanishes
+from warp_psdr.kernels.jobs import PixelJob, pixel_of
+from warp_psdr.kernels.medium.passage import MOST_INTERFACES
+from warp_psdr.kernels.path import make_camera_start
+from warp_psdr.kernels.path_media import MediaState, MediaVertex, make_media_step, media_path_from
+from warp_psdr.kernels.rng import sampler_at
+from warp_psdr.kernels.structs import Camera, Scene
+from warp_psdr.kernels.vertex import PathConfig
+
+
+@functools.cache
+def make_media_replay_kernel(config: PathConfig, wanted: GradientRequest, role: str, block: int, longest: int):
+    """Return the kernel.
+
+    Args:
+        config: what the scene needs.
+        wanted: what is differentiated; nothing moves.
+        role: "reverse" or "forward".
+        block: the number of steps kept at a time.
+        longest: most vertices of a path; the surfaces that it passes without a change of direction come on top.
+    """
+    start = make_camera_start(config)
+    media_step = make_media_step(config, True, explores_density(wanted))
+    media_sweep = make_media_sweep(config, wanted, role)
+    channels = 3 if role == "forward" else 1
+    blocks = -(-(longest + MOST_INTERFACES + 1) // block)
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def media_replay(
+        # Scene:
+        scene: Scene,
+        camera: Camera,
+        # In:
+        job: PixelJob,
+        # Out:
+        target: wp.array(dtype=wp.float32),
+        image_out: wp.array2d(dtype=wp.vec3),
+    ):
+        pixel = pixel_of(job, camera, wp.tid())
+        delta = wp.vec3(job.scale, job.scale, job.scale)
+        if wp.static(role == "reverse"):
+            delta = job.scale * job.image_adjoint[pixel.py, pixel.px]
+            if vanishes(delta):
+                return
+        derivative = wp.vec3d()  # in double precision, as the image
+        record = wp.zeros(shape=(wp.static(block),), dtype=MediaVertex)
+        states = wp.zeros(shape=(wp.static(blocks),), dtype=MediaState)
+        for i in range(job.samples):
+            sampler = sampler_at(pixel.number, job.first_sample + i, job.seed)
+            started, _sample = start(scene, camera, pixel.px, pixel.py, sampler)
+            state = media_path_from(started, camera.medium)
+            radiance = wp.vec3(0.0, 0.0, 0.0)
+            remaining = wp.vec3(0.0, 0.0, 0.0)
+            of_sample = wp.vec3(0.0, 0.0, 0.0)
+            # Blocks are traced from the first to the last, and swept, and traced again, from the last to the first. One
+            # loop, so that the step and the sweep are compiled once.
+            b = wp.int32(0)
+            tracing = wp.bool(True)
+            while b >= 0:
+                states[b] = state
+                count = wp.int32(0)
+                while state.path.alive == 1 and count < wp.static(block):
+                    vertex, state = media_step(scene, sampler, state, job.max_depth, job.rr_depth)
+                    record[count] = vertex
+                    count += 1
+                    if tracing:
+                        radiance += wp.cw_mul(vertex.surface.throughput, vertex.surface.direct)
+                if tracing and state.path.alive == 1:
+                    b += 1
+                else:
+                    tracing = False
+                    for n in range(count):
+                        kept = record[count - 1 - n]
+                        behind = remaining
+                        for channel in range(wp.static(channels)):
+                            weight = delta
+                            if wp.static(role == "forward"):
+                                weight = wp.vec3(0.0, 0.0, 0.0)
+                                weight[channel] = delta[channel]
+                            here, dot = media_sweep(scene, target, kept, weight, behind)
+                            remaining = here
+                            of_sample[0] = of_sample[0] + wp.where(channel == 0, dot, 0.0)
+                            of_sample[1] = of_sample[1] + wp.where(channel == 1, dot, 0.0)
+                            of_sample[2] = of_sample[2] + wp.where(channel == 2, dot, 0.0)
+                    b -= 1
+                    if b >= 0:
+                        state = states[b]
+            # In reverse mode it is the number of derivatives dropped.
+            valid = finite(radiance) and finite(remaining) and finite(of_sample)
+            if wp.static(role == "reverse"):
+                valid = valid and vanishes(of_sample)
+            if not valid:
+                count_invalid(scene, sampler)
+            elif wp.static(role == "forward"):
+                derivative += wp.vec3d(of_sample)
+        if wp.static(role == "forward"):
+            image_out[pixel.py, pixel.px] = image_out[pixel.py, pixel.px] + wp.vec3(derivative)
+
+    return media_replay

@@ -1,0 +1,236 @@
+"""The backward sweep over the steps of a path through media: one step's factors, differentiated.
+
+A step is L_n = V_n (E_n + D_n + beta_n L_{n+1}). V_n, D_n and the phase function are differentiated here, the rest of a
+surface by its own sweep (``sweep.py``). Nothing moves: distances, directions and densities are detached.
+
+Derivation: ``docs/theory/media.md#derivatives``.
+"""
+
+import functools
+
+import warp as wp
+
+from warp_psdr.kernels.autodiff import anchor
+from warp_psdr.kernels.bsdf.dispatch import has_null_lobes
+from warp_psdr.kernels.constants import FAR, LOBE_NULL, LOBE_SMOOTH
+from warp_psdr.kernels.interaction import enter_frame, make_interaction
+from warp_psdr.kernels.interior.factors import make_light_sink, make_material_sink
+from warp_psdr.kernels.interior.gradient_request import GradientRequest
+from warp_psdr.kernels.interior.sweep import Carry, make_sweep
+from warp_psdr.kernels.medium.coefficients import PHASE, SCALE, SIGMA_T, make_coefficient_sinks
+from warp_psdr.kernels.medium.passage import MOST_INTERFACES, make_media_passage, medium_towards
+from warp_psdr.kernels.path_media import MediaVertex, collision_point
+from warp_psdr.kernels.phase.dispatch import make_phase
+from warp_psdr.kernels.scattering import samples_lights
+from warp_psdr.kernels.sink import make_sink
+from warp_psdr.kernels.structs import Medium, Scene
+from warp_psdr.kernels.surface import VertexAdjoint
+from warp_psdr.kernels.transmittance import other_factors
+from warp_psdr.kernels.vertex import PathConfig
+from warp_psdr.kernels.visibility import visibility_of
+
+
+def explores_density(wanted: GradientRequest) -> bool:
+    """Whether flights have to collide where there is no density, too."""
+    return SIGMA_T in wanted.media or SCALE in wanted.media
+
+
+@functools.cache
+def make_segment_sink(config: PathConfig, wanted: GradientRequest, role: str):
+    """Return ``accumulate_segment(scene, target, vertex, w) -> float32``.
+
+    ``w`` is the adjoint of the transmittance of the segment to the vertex's light, which is walked again.
+    """
+    assert config.media is not None
+    visibility = visibility_of(config)
+    interaction = make_interaction(config)
+    passage = make_media_passage(config, True)
+    accumulate_extinction, _accumulate_flight = make_coefficient_sinks(role, wanted.media)
+    accumulate_material = make_material_sink(config, wanted, role)
+    density = explores_density(wanted)
+    materials = any(wanted.material) or wanted.to_uv
+
+    @wp.func
+    def accumulate_stretch(
+        scene: Scene,
+        target: wp.array(dtype=wp.float32),
+        medium: wp.int32,
+        length: wp.float32,
+        transmittance: wp.vec3,
+        w: wp.vec3,
+    ) -> wp.float32:
+        total = wp.float32(0.0)
+        if wp.static(density):
+            if medium >= 0:
+                a_sigma = wp.vec3(0.0, 0.0, 0.0)
+                for k in range(3):
+                    value = w[k] * transmittance[k]
+                    if value != 0.0:
+                        # Without an end the transmittance falls from 1 to 0 as soon as there is any density.
+                        a_sigma[k] = wp.where(length < FAR, -length * value, -wp.INF)
+                total = accumulate_extinction(scene, target, scene.media.records[medium], a_sigma)
+        return total
+
+    if not has_null_lobes(config.bsdfs):
+
+        @wp.func
+        def accumulate_free_segment(
+            scene: Scene, target: wp.array(dtype=wp.float32), v: MediaVertex, w: wp.vec3
+        ) -> wp.float32:
+            return accumulate_stretch(scene, target, v.shadow_medium, v.shadow_t, v.transmittance, w)
+
+        return accumulate_free_segment
+
+    @wp.func
+    def accumulate_segment(scene: Scene, target: wp.array(dtype=wp.float32), v: MediaVertex, w: wp.vec3) -> wp.float32:
+        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
+        total = wp.float32(0.0)
+        if wp.static(materials):
+            passed = passage(scene, v.shadow_o, v.shadow_d, v.shadow_t, v.shadow_medium, False)
+        start = v.shadow_o
+        inside = v.shadow_medium
+        crossings = wp.int32(0)
+        while crossings <= MOST_INTERFACES:
+            rest = v.shadow_t - wp.dot(start - v.shadow_o, v.shadow_d)
+            hit = visibility.closest(scene, start, v.shadow_d, rest)
+            length = wp.where(hit.face >= 0, hit.t, rest)
+            total += accumulate_stretch(scene, target, inside, length, v.transmittance, w)
+            crossings += 1
+            if hit.face < 0:
+                crossings = MOST_INTERFACES + 1
+            else:
+                surface = interaction.surface(scene, hit.face, hit.u, hit.v)
+                at = interaction.on(scene, surface, hit.face, hit.u, hit.v, v.shadow_d)
+                if wp.static(materials):
+                    others = other_factors(passed, interaction.scatter(at, LOBE_NULL).value)
+                    fa = interaction.scatter_vjp(at, LOBE_NULL, wp.cw_mul(w, others), wp.vec3(0.0, 0.0, 0.0))
+                    _adjoint, dot = accumulate_material(
+                        scene, target, at.slots, hit.face, hit.u, hit.v, surface.uv, fa.material, VertexAdjoint()
+                    )
+                    total += dot
+                inside = medium_towards(scene, at.shape, at.ng, v.shadow_d, v.shadow_d, inside)
+                start = interaction.offset(at, v.shadow_d)
+        return total
+
+    return accumulate_segment
+
+
+@functools.cache
+def make_media_sweep(config: PathConfig, wanted: GradientRequest, role: str):
+    """Return ``media_sweep(scene, target, vertex, delta, radiance) -> (vec3, float32)``.
+
+    ``radiance`` is L_{n+1}; the results are L_n and what the sinks returned.
+    """
+    assert config.media is not None
+    interaction = make_interaction(config)
+    sweep, _finish, _finish_vertex = make_sweep(config, wanted, role, direct=False)
+    phase = make_phase(config.media.phases)
+    sink = make_sink(role)
+    _accumulate_extinction, accumulate_flight = make_coefficient_sinks(role, wanted.media)
+    accumulate_segment = make_segment_sink(config, wanted, role)
+    accumulate_material = make_material_sink(config, wanted, role)
+    has_lights = bool(config.area or config.lights)
+    smooth = samples_lights(config)
+    radiance_of, accumulate_light = make_light_sink(config, wanted, role) if has_lights else (None, None)
+    materials = any(wanted.material) or wanted.to_uv
+    lights = wanted.radiance or wanted.to_uv or bool(wanted.lights)
+    segments = explores_density(wanted) or (materials and has_null_lobes(config.bsdfs))
+    scattered = PHASE in wanted.media
+
+    @wp.func
+    def accumulate_phase(
+        scene: Scene, target: wp.array(dtype=wp.float32), m: Medium, d: wp.vec3, wo: wp.vec3, w: wp.float32
+    ) -> wp.float32:
+        slope = phase.slope(scene, m, d, wo)
+        dot = wp.float32(0.0)
+        if slope != 0.0:  # others have no g
+            dot = sink(target, m.g, w * slope)
+        return dot
+
+    @wp.func
+    def surface_value(
+        scene: Scene, target: wp.array(dtype=wp.float32), v: MediaVertex, a_direct: wp.vec3
+    ) -> tuple[wp.vec3, wp.vec3, wp.float32]:
+        """f_s of the light's direction and the light's radiance; what is left of the vector-Jacobian product."""
+        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
+        vertex = v.surface
+        f = wp.vec3(0.0, 0.0, 0.0)
+        radiance = wp.vec3(0.0, 0.0, 0.0)
+        dot = wp.float32(0.0)
+        if wp.static(smooth):
+            surface = interaction.surface(scene, vertex.face, vertex.u, vertex.v)
+            at = interaction.on(scene, surface, vertex.face, vertex.u, vertex.v, vertex.d)
+            wo = enter_frame(at.frame, vertex.light_wi)
+            f = wp.static(interaction.eval)(at, wo)
+            radiance = radiance_of(scene, vertex, surface.x)
+            if wp.static(materials):
+                fa = wp.static(interaction.eval_vjp)(at, wo, vertex.light_weight * wp.cw_mul(a_direct, radiance))
+                _adjoint, d = accumulate_material(
+                    scene, target, at.slots, vertex.face, vertex.u, vertex.v, surface.uv, fa.material, VertexAdjoint()
+                )
+                dot = d
+        return f, radiance, dot
+
+    @wp.func
+    def direct(scene: Scene, target: wp.array(dtype=wp.float32), v: MediaVertex, a_n: wp.vec3) -> wp.float32:
+        """D_n: the factors of next-event estimation."""
+        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
+        vertex = v.surface
+        total = wp.float32(0.0)
+        if wp.static(has_lights):
+            a_direct = wp.cw_mul(a_n, v.transmittance)
+            x = collision_point(v)
+            f = wp.vec3(0.0, 0.0, 0.0)
+            radiance = wp.vec3(0.0, 0.0, 0.0)
+            if v.collides:
+                m = scene.media.records[v.medium]
+                value = phase.eval(scene, m, vertex.d, vertex.light_wi)
+                f = wp.vec3(value, value, value)
+                radiance = radiance_of(scene, vertex, x)
+                if wp.static(scattered):
+                    w = vertex.light_weight * wp.dot(a_direct, radiance)
+                    total += accumulate_phase(scene, target, m, vertex.d, vertex.light_wi, w)
+            else:
+                f_s, emitted, dot = surface_value(scene, target, v, a_direct)
+                f = f_s
+                radiance = emitted
+                total += dot
+                x = v.shadow_o
+            if wp.static(lights):
+                w_radiance = vertex.light_weight * wp.cw_mul(a_direct, f)
+                _x, dot = accumulate_light(scene, target, vertex, x, w_radiance, 0.0, wp.vec3(0.0, 0.0, 0.0), 1.0)
+                total += dot
+            if wp.static(segments):
+                w_t = vertex.light_weight * wp.cw_mul(wp.cw_mul(a_n, radiance), f)
+                total += accumulate_segment(scene, target, v, w_t)
+        return total
+
+    @wp.func
+    def media_sweep(
+        scene: Scene, target: wp.array(dtype=wp.float32), v: MediaVertex, delta: wp.vec3, radiance: wp.vec3
+    ) -> tuple[wp.vec3, wp.float32]:
+        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
+        vertex = v.surface
+        a_n = wp.cw_mul(delta, vertex.throughput)
+        inner = vertex.direct + wp.cw_mul(vertex.beta, radiance)
+        total = wp.float32(0.0)
+        if v.collides:
+            if wp.static(scattered):
+                if vertex.lobe == LOBE_SMOOTH:
+                    w = vertex.inv_pdf * wp.dot(a_n, radiance)
+                    total += accumulate_phase(scene, target, scene.media.records[v.medium], vertex.d, vertex.wo, w)
+        else:
+            vertex.light = -1
+            carry = Carry()
+            carry.face = -2
+            carry.radiance = radiance
+            done = sweep(scene, target, vertex, delta, carry)
+            total += done.dot
+        if v.surface.light >= 0:
+            total += direct(scene, target, v, a_n)
+        if v.medium >= 0:
+            w_v = v.inv_p * wp.cw_mul(wp.cw_mul(delta, v.before), inner)
+            total += accumulate_flight(scene, target, scene.media.records[v.medium], v.t, v.collides, w_v)
+        return wp.cw_mul(v.weight, inner), total
+
+    return media_sweep
