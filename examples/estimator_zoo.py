@@ -1,0 +1,143 @@
+"""Draws one derivative by every method: how rough a ball of gold is, by all of the interior term, and where it stands,
+by all of the boundary term; for each the derivative image, its error, and the seconds that it took.
+
+All methods of a term get about the same time. The error is that of the image, root mean square over its pixels,
+relative to a reference by the first method with other random numbers.
+"""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import numpy as np
+
+import warp_psdr as psdr
+
+ROOT = Path(__file__).resolve().parents[1]
+T = psdr.Transform
+#: term -> what moves, and how.
+TARGETS = {
+    "interior": ("ball.bsdf.alpha.value", "roughness of the ball"),
+    "boundary": ("ball.to_world", "a step aside"),
+}
+#: The parameters move along a direction t: values are per unit of t.
+UNIT = "d radiance / dt [W/m²/sr]"
+#: Samples of the first, timed pass, and how much longer the reference takes than a method.
+PILOT, REFERENCE = 4, 24
+
+
+def scene_of(resolution: int) -> dict:
+    """Return a ball of gold on a floor, under a wide lamp and a small one."""
+    lamps = {
+        name: {
+            "type": "rectangle",
+            "to_world": T.look_at(origin, [0.0, 0.0, 0.3], [0.0, 1.0, 0.0]).scale(size),
+            "emitter": {"type": "area", "radiance": {"type": "rgb", "value": radiance}},
+        }
+        for name, origin, size, radiance in (
+            ("wide", [-2.0, -1.0, 2.5], 0.9, [2.0, 2.2, 2.5]),
+            ("small", [2.2, -1.5, 2.0], 0.15, [40.0, 32.0, 22.0]),
+        )
+    }
+    gold = {"type": "roughconductor", "material": "Au", "distribution": "ggx", "alpha": 0.2}
+    film = {"type": "hdrfilm", "width": resolution, "height": resolution, "rfilter": {"type": "box"}}
+    return {
+        "type": "scene",
+        "sensor": {
+            "type": "perspective",
+            "fov": 32.0,
+            "to_world": T.look_at([0.0, -5.0, 2.2], [0.0, 0.0, 0.5], [0.0, 0.0, 1.0]),
+            "film": film,
+        },
+        "floor": {"type": "rectangle", "to_world": T.scale(4.0), "bsdf": {"type": "diffuse", "reflectance": 0.5}},
+        "ball": {"type": "sphere", "to_world": T.translate([0.0, 0.0, 0.8]).scale(0.7), "bsdf": gold},
+        **lamps,
+    }
+
+
+def methods(term: str, depth: int) -> dict[str, psdr.PathIntegrator]:
+    """Return the methods of a term by what asks for them, the default first."""
+    found = {}
+    for method in psdr.methods():
+        if method.term == term:
+            kind, name = method.option.removesuffix("()").split(".")
+            found[method.option] = psdr.PathIntegrator(max_depth=depth, **{kind: getattr(getattr(psdr, kind), name)()})
+    return found
+
+
+class Derivative:
+    """A derivative image by one method."""
+
+    def __init__(self, scene, term: str, integrator: psdr.PathIntegrator):
+        self._scene, self._params = scene, psdr.traverse(scene)
+        tangent = np.ones(1)
+        if term == "boundary":
+            tangent = np.zeros((4, 4))
+            tangent[0, 3] = 1.0
+        self._tangents, self._integrator = {TARGETS[term][0]: tangent}, integrator
+
+    def image(self, spp: int, seed: int) -> np.ndarray:
+        """Return the image, (H, W, 3)."""
+        return psdr.render_forward(
+            self._scene, self._params, self._tangents, integrator=self._integrator, spp=spp, seed=seed
+        ).numpy()
+
+    def samples_in(self, seconds: float) -> int:
+        """Return how many samples a pixel take about that long; what has to be compiled is."""
+        self.image(1, 0)
+        start = time.perf_counter()
+        self.image(PILOT, 0)
+        return max(1, round(PILOT * seconds / (time.perf_counter() - start)))
+
+
+def draw(folder: Path, scene, term: str, depth: int, seconds: float) -> list[dict]:
+    """Draw all methods of a term, and return the table's rows."""
+    rows, pictures, reference = [], {}, None
+    for label, integrator in methods(term, depth).items():
+        derivative = Derivative(scene, term, integrator)
+        try:
+            spp = derivative.samples_in(seconds)
+        except ValueError as refusal:
+            rows.append({"method": label, "refused": str(refusal)})
+            continue
+        if reference is None:
+            reference = derivative.image(REFERENCE * spp, seed=1)
+        start = time.perf_counter()
+        found = derivative.image(spp, seed=2)
+        took = time.perf_counter() - start
+        error = float(np.sqrt(((found - reference) ** 2).sum() / (reference**2).sum()))
+        rows.append({"method": label, "samples": spp, "seconds": took, "error": error})
+        pictures[f"{label}\n{spp} samples, {took:.2g} s, error {100 * error:.0f} %"] = found
+    picture = folder / f"zoo_{term}.png"
+    image = psdr.render(scene, integrator=psdr.PathIntegrator(max_depth=depth), spp=64)
+    psdr.plots.side_by_side(
+        picture,
+        [image],
+        ["the image"],
+        differences={f"reference, {REFERENCE} times as long": reference, **pictures},
+        percentile=99.0,
+        columns=3,
+        title=f"{TARGETS[term][1]}: every method of the {term} term, about {seconds:g} s each",
+        quantity=UNIT,
+    )
+    print(f"wrote {picture}")
+    return rows
+
+
+def main(
+    folder: Path = ROOT / "out" / "examples", resolution: int = 128, depth: int = 4, seconds: float = 2.0
+) -> dict[str, list[dict]]:
+    folder.mkdir(parents=True, exist_ok=True)
+    scene = psdr.load_dict(scene_of(resolution))
+    tables = {term: draw(folder, scene, term, depth, seconds) for term in TARGETS}
+    for term, rows in tables.items():
+        print(f"\n{term}")
+        for row in rows:
+            text = row.get("refused") or f"{row['seconds']:6.2f} s  error {row['error']:.3f}"
+            print(f"  {row['method']:28} {text}")
+    return tables
+
+
+if __name__ == "__main__":
+    main()
