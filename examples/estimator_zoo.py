@@ -1,8 +1,8 @@
-"""Draws one derivative by every method: how rough a ball of gold is, by all of the interior term, and where it stands,
-by all of the boundary term; for each the derivative image, its error, and the seconds that it took.
+"""Draws one derivative by every method, with its error and the seconds that it took.
 
-All methods of a term get about the same time. The error is that of the image, root mean square over its pixels,
-relative to a reference by the first method with other random numbers.
+How rough a ball of gold is, by all methods of the interior term, and where it stands, by all of the boundary term. All
+methods of a term get about the same time. The error is that of the image, root mean square over its pixels, relative to
+a reference by the first method with other random numbers.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ T = psdr.Transform
 #: term -> what moves, and how.
 TARGETS = {
     "interior": ("ball.bsdf.alpha.value", "roughness of the ball"),
-    "boundary": ("ball.to_world", "a step aside"),
+    "boundary": ("ball.to_world", "the ball moves aside"),
 }
 #: The parameters move along a direction t: values are per unit of t.
 UNIT = "d radiance / dt [W/m²/sr]"
