@@ -117,7 +117,7 @@ def draw(folder: Path, scene, term: str, depth: int, seconds: float) -> list[dic
         ["the image"],
         differences={f"reference, {REFERENCE} times as long": reference, **pictures},
         percentile=99.0,
-        columns=3,
+        columns=4,
         title=f"{TARGETS[term][1]}: every method of the {term} term, about {seconds:g} s each",
         quantity=UNIT,
     )
