@@ -18,6 +18,7 @@ from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.camera_rays import make_camera_paths
 from warp_psdr.kernels.constants import LOBE_SMOOTH
 from warp_psdr.kernels.interaction import enter_frame, make_interaction
+from warp_psdr.kernels.interior.candidates import make_candidates
 from warp_psdr.kernels.interior.factors import make_material_sink
 from warp_psdr.kernels.interior.gradient_request import GradientRequest
 from warp_psdr.kernels.interior.resampled import make_resampling
@@ -40,8 +41,6 @@ SALT = wp.constant(wp.uint32(0x6A09E667))
 #: Slots of the branches' sampler; from 3 on they belong to the paths that go on. Those that choose among vertices are
 #: far behind.
 DIRECTION_SLOT, LIGHT_SLOT, CHOICE_SLOT, VERTEX_SLOT = 0, 1, 2, 1 << 24
-#: Share of a value in a target: 2 % of what a relative change by the step (``shape_parameters.py``) would be.
-FLOOR = wp.constant(1.5e-4)
 #: Russian roulette does not end a path where it branches.
 NO_ROULETTE = 1 << 30
 
@@ -67,17 +66,6 @@ def branch_sampler(s: Sampler) -> Sampler:
     return r
 
 
-@wp.func
-def signed_target(moved: wp.vec3, value: wp.vec3, weights: wp.vec3) -> wp.float32:
-    """What a candidate is chosen by: the weighted absolute changes of its colours, with the sign of their sum.
-
-    A difference stands for the derivative. A small share of the value keeps it from 0 where the derivative is not.
-    """
-    d = moved - value
-    size = wp.dot(weights, wp.abs(d) + FLOOR * wp.abs(value))
-    return wp.where(wp.dot(d, weights) < 0.0, -size, size)
-
-
 @functools.cache
 def make_branch_kernel(config: PathConfig, wanted: GradientRequest, role: str, candidates: int):
     """Return the kernel of ``interior.Resampled``: the derivative by all values that ``wanted`` holds, complete.
@@ -100,6 +88,7 @@ def make_branch_kernel(config: PathConfig, wanted: GradientRequest, role: str, c
     has_lights = samples_lights(config)
     sample_light = make_light_sampler(config) if has_lights else None
     next_event = make_next_event(config, True) if has_lights else None
+    direction_targets, light_targets = make_candidates(config, candidates)
     visibility = visibility_of(config)
     accumulate_material = make_material_sink(config, wanted, role)
     shape_count, shape_direction, along_shape, moved_shape = make_shape_parameters(config, wanted, role)
@@ -124,14 +113,6 @@ def make_branch_kernel(config: PathConfig, wanted: GradientRequest, role: str, c
         for channel in range(3):
             d[channel] = dot(lobe_vjp(at, lobe, wo, axis_vec3(channel)), direction)
         return d
-
-    @wp.func
-    def lobe_value(at: record, material: material_record, lobe: wp.int32, wo: wp.vec3) -> wp.vec3:
-        """Value of a lobe, for other values of the material."""
-        if wp.static(scatter_vjp is not None):
-            if lobe > LOBE_SMOOTH:
-                return bsdf.scatter(at.model, material, at.wi, lobe).value
-        return bsdf.eval(at.model, material, at.wi, wo)
 
     @wp.func
     def reads_shape(scene: Scene, shape: wp.int32) -> wp.bool:
@@ -221,12 +202,7 @@ def make_branch_kernel(config: PathConfig, wanted: GradientRequest, role: str, c
         _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
         sizes = wp.vec3(wp.abs(a_n[0]), wp.abs(a_n[1]), wp.abs(a_n[2]))
         r4 = sample_4d(branch, DIRECTION_SLOT)
-        for k in range(t.shape[0]):  # a range that Warp does not unroll
-            n4 = numbers(r4, k)
-            bs = interaction.sample(at, n4[0], wp.vec2(n4[2], n4[3]))
-            t[k] = bs.pdf  # a NaN stays
-            if bs.pdf > 0.0:
-                t[k] = signed_target(lobe_value(at, moved, bs.lobe, bs.wo), bs.value, sizes) / bs.pdf
+        direction_targets(scene, at, moved, r4, sizes, t)
         chosen = choose_two(t, u)
         a_material = material_record()
         found = wp.vec3(0.0, 0.0, 0.0)
@@ -267,15 +243,7 @@ def make_branch_kernel(config: PathConfig, wanted: GradientRequest, role: str, c
         if wp.static(has_lights):
             sizes = wp.vec3(wp.abs(a_n[0]), wp.abs(a_n[1]), wp.abs(a_n[2]))
             r4 = sample_4d(branch, LIGHT_SLOT)
-            for k in range(t.shape[0]):  # a range that Warp does not unroll
-                ls, light, _probability = sample_light(scene, at.x, numbers(r4, k))
-                event = next_event(at, ls, light)
-                t[k] = wp.float32(0.0)
-                if event.traces_shadow_ray == 1:
-                    v = event.weight * wp.cw_mul(
-                        bsdf.eval(at.model, moved, at.wi, enter_frame(at.frame, event.wi)), ls.radiance
-                    )
-                    t[k] = signed_target(v, event.value, sizes)
+            light_targets(scene, at, moved, r4, sizes, t)
             chosen = choose_two(t, u)
             if chosen.first < 0:
                 found[0] = chosen.first_weight
