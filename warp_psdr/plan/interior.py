@@ -148,8 +148,6 @@ def _refused_by_resampled(config: PathConfig, wanted: GradientRequest) -> str:
             "(a roughness, an exponent, an index of refraction or a weight of a material with a smooth lobe). Use "
             "interior.Replay()"
         )
-    if config.media is not None:
-        return "interior.Resampled() follows no path through participating media. Use interior.Replay()"
     if has_null_lobes(config.bsdfs) and DELTA_LIGHTS & set(config.lights):
         return (
             "interior.Resampled() does not let shadow rays pass masks, thin glass and 'null', and lights of no area "
