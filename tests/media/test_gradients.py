@@ -88,7 +88,6 @@ TOGETHER = {
     "ink": (INK + "albedo*", INK + "phase*", "glass.bsdf.specular_transmittance.value", "sky.radiance.value"),
 }
 CASES = [
-    Case("sunlit", HAZE + "sigma_t.value.value", ones, 0.1, depth=4, spp=6144, slow=True),
     Case("sunlit", HAZE + "albedo.value.value", ones, 0.02, depth=4, spp=256),
     Case("sunlit", HAZE + "phase_function.g", ones, 0.06, depth=4, spp=3072, slow=True),
     Case("sunlit", "floor.bsdf.reflectance.value", mixed, 0.05, depth=4, spp=256),
