@@ -174,7 +174,10 @@ def make_path_step(config: PathConfig, differential: bool, sparse: bool = False,
 
 @functools.cache
 def make_path_radiance(config: PathConfig):
-    """Return ``path_radiance(scene, sampler, state, max_depth, rr_depth) -> vec3``: what a path finds from there on."""
+    """Return ``path_radiance(scene, sampler, state, max_depth, rr_depth) -> vec3``.
+
+    It is what a path finds that goes on from the state, over its throughput up to there.
+    """
     path_step = make_path_step(config, False)
 
     @wp.func
@@ -182,6 +185,7 @@ def make_path_radiance(config: PathConfig):
         scene: Scene, sampler: Sampler, start: PathState, max_depth: wp.int32, rr_depth: wp.int32
     ) -> wp.vec3:
         state = start
+        state.throughput = wp.vec3(1.0, 1.0, 1.0)
         radiance = wp.vec3(0.0, 0.0, 0.0)
         while state.alive == 1:
             vertex, state = path_step(scene, sampler, state, max_depth, rr_depth)

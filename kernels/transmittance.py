@@ -62,6 +62,19 @@ def other_factors(p: Passage, value: wp.vec3) -> wp.vec3:
 
 
 @wp.func
+def passage_behind(passage: Passage, value: wp.vec3, probability: wp.float32) -> Passage:
+    """The passage behind one more surface, whose null lobe has this weight and probability."""
+    r = passage
+    for c in range(3):
+        zero = value[c] == 0.0
+        r.product[c] = r.product[c] * wp.where(zero, 1.0, value[c])
+        r.zeros[c] = r.zeros[c] + wp.where(zero, 1.0, 0.0)
+    r.probability *= probability
+    r.crossings += 1
+    return r
+
+
+@wp.func
 def most_crossings(depth: wp.int32, max_depth: wp.int32) -> wp.int32:
     """Surfaces that the shadow ray of the vertex behind ``depth`` others may cross: they and the light are vertices."""
     return wp.where(max_depth < 0, MOST_CROSSINGS, wp.min(MOST_CROSSINGS, max_depth - 2 - depth))
@@ -92,12 +105,7 @@ def make_passage(config: PathConfig, differential: bool):
                 passes = bsdf.has_null(at.model)
                 if passes and r.crossings < most:
                     value = interaction.scatter(at, LOBE_NULL).value
-                    for c in range(3):
-                        zero = value[c] == 0.0
-                        r.product[c] = r.product[c] * wp.where(zero, 1.0, value[c])
-                        r.zeros[c] = r.zeros[c] + wp.where(zero, 1.0, 0.0)
-                    r.probability *= bsdf.probability(at.model, at.material, at.wi, LOBE_NULL)
-                    r.crossings += 1
+                    r = passage_behind(r, value, bsdf.probability(at.model, at.material, at.wi, LOBE_NULL))
                     start = interaction.offset(at, d)
                     if wp.static(not differential):
                         if vanishes(transmittance_of(r)):

@@ -26,7 +26,7 @@ from warp_psdr.kernels.interior.shape_parameters import make_shape_parameters
 from warp_psdr.kernels.interior.velocities import axis_vec3
 from warp_psdr.kernels.invalid import count_invalid, finite, vanishes
 from warp_psdr.kernels.jobs import PixelJob, pixel_of
-from warp_psdr.kernels.path import make_path_step
+from warp_psdr.kernels.path import make_path_radiance
 from warp_psdr.kernels.reading import bsdf_at, shape_at
 from warp_psdr.kernels.rng import Sampler, hashed, make_sampler, pcg4d, sampler_at, unit_float
 from warp_psdr.kernels.scattering import make_light_sampler, make_next_event, make_scatter, samples_lights
@@ -76,7 +76,7 @@ def make_branch_kernel(config: PathConfig, wanted: GradientRequest, role: str, c
     config = replace(config, through=False)
     unlit = replace(config, area=(), lights=())
     lanes, starts, walk_step = make_camera_paths(unlit, False)
-    image_step = make_path_step(config, False)
+    path_radiance = make_path_radiance(config)
     interaction = make_interaction(config)
     record = interaction.record
     bsdf = interaction.bsdf
@@ -161,19 +161,6 @@ def make_branch_kernel(config: PathConfig, wanted: GradientRequest, role: str, c
         return chosen
 
     @wp.func
-    def branch_radiance(
-        scene: Scene, branch: Sampler, start: PathState, max_depth: wp.int32, rr_depth: wp.int32
-    ) -> wp.vec3:
-        """What a path finds that goes on from here, over its throughput up to here."""
-        state = start
-        state.throughput = wp.vec3(1.0, 1.0, 1.0)
-        radiance = wp.vec3(0.0, 0.0, 0.0)
-        while state.alive == 1:
-            vertex, state = image_step(scene, branch, state, max_depth, rr_depth)
-            radiance += wp.cw_mul(vertex.throughput, vertex.direct)
-        return radiance
-
-    @wp.func
     def partial(
         at: record, lobe: wp.int32, wo: wp.vec3, w: wp.vec3, direction: material_record
     ) -> tuple[material_record, wp.vec3]:
@@ -218,7 +205,7 @@ def make_branch_kernel(config: PathConfig, wanted: GradientRequest, role: str, c
             ray += 1
             if k >= 0:
                 goes_on = scatter(at, point.state, point.face, numbers(r4, k), NO_ROULETTE)
-                radiance = branch_radiance(scene, branch, goes_on.after, max_depth, rr_depth)
+                radiance = path_radiance(scene, branch, goes_on.after, max_depth, rr_depth)
                 w = (weight * goes_on.inv_pdf) * wp.cw_mul(a_n, radiance)
                 a, d = partial(at, goes_on.lobe, enter_frame(at.frame, goes_on.wo), w, direction)
                 a_material = add_materials(a_material, a)

@@ -55,8 +55,6 @@ def make_radiative_kernel(config: PathConfig, wanted: GradientRequest, role: str
         if wp.static(linear):
             return wp.vec3(1.0, 1.0, 1.0)
         else:
-            start = state
-            start.throughput = wp.vec3(1.0, 1.0, 1.0)
-            return path_radiance(scene, other_sampler(sampler, state.depth), start, max_depth, rr_depth)
+            return path_radiance(scene, other_sampler(sampler, state.depth), state, max_depth, rr_depth)
 
     return make_path_order_kernel(config, wanted, role, Behind(estimated, False))

@@ -17,7 +17,7 @@ from warp_psdr.kernels.invalid import vanishes
 from warp_psdr.kernels.medium.coefficients import coefficients_of, exp_minus
 from warp_psdr.kernels.medium.flight import mean_of
 from warp_psdr.kernels.structs import Scene
-from warp_psdr.kernels.transmittance import Passage, transmittance_of
+from warp_psdr.kernels.transmittance import Passage, passage_behind, transmittance_of
 from warp_psdr.kernels.vertex import PathConfig
 from warp_psdr.kernels.visibility import visibility_of
 
@@ -111,12 +111,7 @@ def make_media_passage(config: PathConfig, differential: bool):
                     r = fly(scene, r, inside, hit.t, draws)
                     inside = medium_towards(scene, at.shape, at.ng, d, d, inside)
                     value = interaction.scatter(at, LOBE_NULL).value
-                    for c in range(3):
-                        zero = value[c] == 0.0
-                        r.product[c] = r.product[c] * wp.where(zero, 1.0, value[c])
-                        r.zeros[c] = r.zeros[c] + wp.where(zero, 1.0, 0.0)
-                    r.probability *= bsdf.probability(at.model, at.material, at.wi, LOBE_NULL)
-                    r.crossings += 1
+                    r = passage_behind(r, value, bsdf.probability(at.model, at.material, at.wi, LOBE_NULL))
                     start = interaction.offset(at, d)
                     if wp.static(not differential):
                         if vanishes(transmittance_of(r)):

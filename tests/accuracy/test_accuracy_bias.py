@@ -69,6 +69,7 @@ def test_bias_of_textbook_replay_on_black_is_measured():
         assert expected < 1e-3 if depth == 2 else (expected > 0.01 and error < 0.2 * expected)
 
 
+@pytest.mark.slow
 def test_measured_bias_is_written_and_drawn(soft, tmp_path):
     scene, params = soft
     without = psdr.PathIntegrator(max_depth=2, boundary=None)

@@ -17,7 +17,8 @@ def options(boundary, depth: int = 2) -> dict:
     return {"integrator": integrator(boundary=boundary, max_depth=depth), "spp": SPP, "seed": 5}
 
 
-@pytest.mark.parametrize("kind", ["flat_creases", pytest.param("through_mirrors", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["flat_creases", "through_mirrors"])
 def test_invalid_samples_of_every_kind_are_counted(kind) -> None:
     """A reflectance that is not finite: of a flat-shaded ball, or of a mirror in which one is seen."""
     mirror = {"type": "conductor", "specular_reflectance": {"type": "rgb", "value": [0.9, 0.9, 0.9]}}

@@ -83,6 +83,7 @@ def test_shape_is_recovered(example, tmp_path: Path) -> None:
     assert trimesh.load(tmp_path / "recovered.ply", process=False).vertices.shape == (report["vertices"], 3)
 
 
+@pytest.mark.slow
 def test_pose_is_found_from_the_shadow(example, tmp_path: Path) -> None:
     module = example("pose_from_shadow")
     module.bunny_data.read_bunny = horned

@@ -159,7 +159,9 @@ def test_normals_and_vertices_of_a_group_cannot_change_together_and_normals_alon
 # -- gradients ------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("flat", [False, True], ids=["smooth", "flat"])
+@pytest.mark.parametrize(
+    "flat", [pytest.param(False, id="smooth", marks=pytest.mark.slow), pytest.param(True, id="flat")]
+)
 def test_gradients_are_the_sums_of_those_of_copies_through_each_pose(flat):
     """Interior and boundary terms, with the same random numbers; smooth copies turn only, to have the same normals."""
     poses = POSES if flat else {"one": POSES["one"], "two": T.translate([-1, 0, 0.2]) @ T.rotate([0.6, 0.8, 0], 50)}
