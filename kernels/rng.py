@@ -55,6 +55,16 @@ def branch_of(sampler: Sampler, index: wp.int32) -> Sampler:
     return s
 
 
+@wp.func
+def salted(s: Sampler, salt: wp.uint32, number: wp.int32) -> Sampler:
+    """Other numbers of the same sample, which a salt and a number tell from all that it has."""
+    r = Sampler()
+    r.pixel = s.pixel
+    r.index = s.index
+    r.seed = pcg4d(s.seed, salt, wp.uint32(number), wp.uint32(0)).x
+    return r
+
+
 class SamplerFunctions(NamedTuple):
     """Device functions ``f(sampler, slot)`` that return 1, 2 or 4 numbers in [0, 1)."""
 

@@ -21,14 +21,14 @@ from warp_psdr.kernels.interaction import enter_frame, make_interaction
 from warp_psdr.kernels.interior.candidates import make_candidates
 from warp_psdr.kernels.interior.factors import make_material_sink
 from warp_psdr.kernels.interior.gradient_request import GradientRequest
-from warp_psdr.kernels.interior.resampled import make_resampling
+from warp_psdr.kernels.interior.resampled import make_resampling, one_of
 from warp_psdr.kernels.interior.shape_parameters import make_shape_parameters
 from warp_psdr.kernels.interior.velocities import axis_vec3
 from warp_psdr.kernels.invalid import count_invalid, finite, vanishes
 from warp_psdr.kernels.jobs import PixelJob, pixel_of
 from warp_psdr.kernels.path import make_path_radiance
 from warp_psdr.kernels.reading import bsdf_at, shape_at
-from warp_psdr.kernels.rng import Sampler, hashed, make_sampler, pcg4d, sampler_at, unit_float
+from warp_psdr.kernels.rng import Sampler, hashed, make_sampler, salted, sampler_at, unit_float
 from warp_psdr.kernels.scattering import make_light_sampler, make_next_event, make_scatter, samples_lights
 from warp_psdr.kernels.sensor.camera import CameraSample
 from warp_psdr.kernels.structs import Camera, Scene
@@ -54,16 +54,6 @@ class BranchPoint:
     v: wp.float32
     state: PathState  # before it
     weight: wp.float32  # inverse of the probability of the choice
-
-
-@wp.func
-def branch_sampler(s: Sampler) -> Sampler:
-    """The numbers of a sample's branches."""
-    r = Sampler()
-    r.pixel = s.pixel
-    r.index = s.index
-    r.seed = pcg4d(s.seed, SALT, wp.uint32(0), wp.uint32(0)).x
-    return r
 
 
 @functools.cache
@@ -197,11 +187,7 @@ def make_branch_kernel(config: PathConfig, wanted: GradientRequest, role: str, c
             found[0] = chosen.first_weight
         ray = wp.int32(0)
         while ray < 2:
-            k = chosen.first
-            weight = chosen.first_weight
-            if ray == 1:
-                k = chosen.second
-                weight = chosen.second_weight
+            k, weight = one_of(chosen, ray)
             ray += 1
             if k >= 0:
                 goes_on = scatter(at, point.state, point.face, numbers(r4, k), NO_ROULETTE)
@@ -236,11 +222,7 @@ def make_branch_kernel(config: PathConfig, wanted: GradientRequest, role: str, c
                 found[0] = chosen.first_weight
             ray = wp.int32(0)
             while ray < 2:
-                k = chosen.first
-                weight = chosen.first_weight
-                if ray == 1:
-                    k = chosen.second
-                    weight = chosen.second_weight
+                k, weight = one_of(chosen, ray)
                 ray += 1
                 if k >= 0:
                     ls, light, _probability = sample_light(scene, at.x, numbers(r4, k))
@@ -273,10 +255,10 @@ def make_branch_kernel(config: PathConfig, wanted: GradientRequest, role: str, c
         starting = wp.zeros(shape=(wp.static(lanes),), dtype=PathState)
         cameras = wp.zeros(shape=(wp.static(lanes),), dtype=CameraSample)
         t = wp.zeros(shape=(wp.static(candidates),), dtype=wp.float32)
-        first_number = hashed(branch_sampler(sampler_at(pixel.number, 0, job.seed)), VERTEX_SLOT - 1).x >> wp.uint32(8)
+        first_number = hashed(salted(sampler_at(pixel.number, 0, job.seed), SALT, 0), VERTEX_SLOT - 1).x >> wp.uint32(8)
         for i in range(job.samples):
             sampler = sampler_at(pixel.number, job.first_sample + i, job.seed)
-            branch = branch_sampler(sampler)
+            branch = salted(sampler, SALT, 0)
             state, _sample = starts(scene, camera, pixel.px, pixel.py, sampler, i, job.samples, starting, cameras)
             point = branch_point(scene, sampler, branch, state, delta, job.max_depth, job.rr_depth)
             if point.face < 0:

@@ -50,12 +50,24 @@ class LightFactors(NamedTuple):
 def make_light_factors(config: PathConfig, wanted: GradientRequest, role: str) -> LightFactors:
     """Return the functions; ``role``: "reverse" or "forward"."""
     interaction = make_interaction(config)
+    material = interaction.bsdf.record
     accumulate_material = make_material_sink(config, wanted, role)
     _radiance_of, accumulate_light = make_light_sink(config, wanted, role, links=False)
     eval_vjp, delta_vjp = interaction.eval_vjp, interaction.scatter_vjp
     aims = "pose" in wanted.lights and bool(DELTA_LIGHTS & set(config.lights))
     materials = any(wanted.material) or wanted.to_uv or aims
     emits = bool(wanted.lights) or wanted.radiance or wanted.to_uv
+
+    @wp.func
+    def push(
+        scene: Scene, target: wp.array(dtype=wp.float32), vertex: LightVertex, slots: wp.int32, uv: wp.vec2, m: material
+    ) -> wp.float32:
+        """Scatter the adjoint of a vertex's material; vertices are at rest."""
+        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
+        _adjoint, total = accumulate_material(
+            scene, target, slots, vertex.face, vertex.u, vertex.v, uv, m, VertexAdjoint()
+        )
+        return total
 
     @wp.func
     def join_vjp(
@@ -68,9 +80,7 @@ def make_light_factors(config: PathConfig, wanted: GradientRequest, role: str) -
             surface = interaction.surface(scene, vertex.face, vertex.u, vertex.v)
             here = interaction.on(scene, surface, vertex.face, vertex.u, vertex.v, -vertex.to_camera)
             fa = eval_vjp(here, enter_frame(here.frame, -vertex.d), vertex.join * w)
-            _adjoint, total = accumulate_material(
-                scene, target, here.slots, vertex.face, vertex.u, vertex.v, surface.uv, fa.material, VertexAdjoint()
-            )
+            total = push(scene, target, vertex, here.slots, surface.uv, fa.material)
             if wp.static(aims):
                 a_light = leave_frame(here.frame, fa.wo)
         return a_light, total
@@ -90,19 +100,13 @@ def make_light_factors(config: PathConfig, wanted: GradientRequest, role: str) -
                 to_light = at.wi
                 at.wi = enter_frame(at.frame, vertex.wo)
                 fa = eval_vjp(at, to_light, vertex.factor * w)
-                _adjoint, total = accumulate_material(
-                    scene, target, at.slots, vertex.face, vertex.u, vertex.v, surface.uv, fa.material, VertexAdjoint()
-                )
+                total = push(scene, target, vertex, at.slots, surface.uv, fa.material)
                 if wp.static(aims):
                     a_light = leave_frame(at.frame, fa.wo)
             if wp.static(delta_vjp is not None):
                 if vertex.lobe > LOBE_SMOOTH:
                     va = delta_vjp(at, vertex.lobe, vertex.factor * w, wp.vec3(0.0, 0.0, 0.0))
-                    _adjoint_d, of_delta = accumulate_material(
-                        scene, target, at.slots, vertex.face, vertex.u, vertex.v, surface.uv, va.material,
-                        VertexAdjoint(),
-                    )  # fmt: skip
-                    total += of_delta
+                    total += push(scene, target, vertex, at.slots, surface.uv, va.material)
         return a_light, total
 
     @wp.func

@@ -20,22 +20,12 @@ import warp as wp
 from warp_psdr.kernels.interior.gradient_request import GradientRequest
 from warp_psdr.kernels.interior.path_order import Behind, make_path_order_kernel
 from warp_psdr.kernels.path import make_path_radiance
-from warp_psdr.kernels.rng import Sampler, pcg4d
+from warp_psdr.kernels.rng import Sampler, salted
 from warp_psdr.kernels.structs import Scene
 from warp_psdr.kernels.vertex import PathConfig, PathState
 
 #: Tells the random numbers of the paths from the vertices from those of the path through them.
 SALT = wp.constant(wp.uint32(0xBB67AE85))
-
-
-@wp.func
-def other_sampler(s: Sampler, vertex: wp.int32) -> Sampler:
-    """The numbers of the path that starts at a vertex."""
-    r = Sampler()
-    r.pixel = s.pixel
-    r.index = s.index
-    r.seed = pcg4d(s.seed, SALT, wp.uint32(vertex), wp.uint32(0)).x
-    return r
 
 
 @functools.cache
@@ -55,6 +45,6 @@ def make_radiative_kernel(config: PathConfig, wanted: GradientRequest, role: str
         if wp.static(linear):
             return wp.vec3(1.0, 1.0, 1.0)
         else:
-            return path_radiance(scene, other_sampler(sampler, state.depth), state, max_depth, rr_depth)
+            return path_radiance(scene, salted(sampler, SALT, state.depth), state, max_depth, rr_depth)
 
     return make_path_order_kernel(config, wanted, role, Behind(estimated, False))

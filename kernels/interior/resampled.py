@@ -36,6 +36,14 @@ class TwoChosen:
     second_weight: wp.float32
 
 
+@wp.func
+def one_of(chosen: TwoChosen, which: wp.int32) -> tuple[wp.int32, wp.float32]:
+    """Number and weight of the first (0) or the second (1)."""
+    if which == 1:
+        return chosen.second, chosen.second_weight
+    return chosen.first, chosen.first_weight
+
+
 class Resampling(NamedTuple):
     """Functions of a method with a number of candidates.
 

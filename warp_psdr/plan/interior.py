@@ -48,6 +48,7 @@ class Kept:
         reason: of these numbers, for the plan.
         bias: what the method leaves out by design; empty: nothing.
         candidates: of a method that draws for derivatives; 0: it does not.
+        linear: whether the light that arrives at vertices is not estimated.
     """
 
     block: int
@@ -55,6 +56,7 @@ class Kept:
     reason: str
     bias: str = ""
     candidates: int = 0
+    linear: bool = False
 
     @property
     def longest(self) -> int:
@@ -156,10 +158,6 @@ def _refused_by_resampled(config: PathConfig, wanted: GradientRequest) -> str:
     return ""
 
 
-#: The bias of ``Radiative(linear=True)``.
-LIGHT_IS_ONE = "the light that arrives at every vertex counts as 1"
-
-
 def _refused_in_path_order(name: str) -> Callable[[PathConfig, GradientRequest], str]:
     def refuse(config: PathConfig, wanted: GradientRequest) -> str:
         if wanted.geometry and has_delta_lobes(config.bsdfs):
@@ -180,12 +178,12 @@ def _keep_textbook(_method: interior.Method, _max_depth: int, _rr_depth: int) ->
 def _keep_radiative(method: interior.Method, _max_depth: int, _rr_depth: int) -> Kept:
     assert isinstance(method, interior.Radiative)
     if method.linear:
-        return Kept(0, 1, "nothing is kept", LIGHT_IS_ONE)
+        return Kept(0, 1, "nothing is kept", "the light that arrives at every vertex counts as 1", linear=True)
     return Kept(0, 1, "nothing is kept: every vertex traces a path of its own")
 
 
 def _make_radiative(config: PathConfig, wanted: GradientRequest, role: str, kept: Kept) -> wp.Kernel:
-    return make_radiative_kernel(config, wanted, role, kept.bias == LIGHT_IS_ONE)
+    return make_radiative_kernel(config, wanted, role, kept.linear)
 
 
 #: (method of the interior term, kind of method of the boundary term) -> row. ``boundary.Method``: every explicit term.
