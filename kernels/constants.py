@@ -19,6 +19,7 @@ TEXTURE_BITMAP = 1
 TEXTURE_VERTEX = 2
 TEXTURE_FACE = 3
 TEXTURE_CHECKERBOARD = 4
+TEXTURE_GRID = 5  # of voxels, which media read
 #: Textures that read texture coordinates.
 READ_TEXCOORDS = frozenset({TEXTURE_BITMAP, TEXTURE_CHECKERBOARD})
 

@@ -18,8 +18,10 @@ from warp_psdr.kernels.constants import FAR, LOBE_NONE, LOBE_NULL, LOBE_SMOOTH
 from warp_psdr.kernels.interaction import make_interaction
 from warp_psdr.kernels.invalid import count_invalid, finite, inverse_pdf, vanishes
 from warp_psdr.kernels.math import where3
-from warp_psdr.kernels.medium.flight import make_flight
+from warp_psdr.kernels.medium.flight import Flight, make_flight
 from warp_psdr.kernels.medium.passage import MOST_INTERFACES, is_lost, make_media_passage, medium_towards
+from warp_psdr.kernels.medium.tracking import make_tracking
+from warp_psdr.kernels.medium.volume import GRID
 from warp_psdr.kernels.path import vertex_of
 from warp_psdr.kernels.phase.dispatch import make_phase
 from warp_psdr.kernels.reading import triangle_at
@@ -72,6 +74,7 @@ class MediaVertex:
     medium: wp.int32  # of the flight
     t: wp.float32  # its length
     inv_p: wp.float32  # 1 / p, or 1 / P
+    passed: wp.vec3  # in grids: the weight without a sigma
     weight: wp.vec3  # V over its density
     before: wp.vec3  # throughput before the flight; that of ``surface`` is the one behind it
     #: The segment to the light that next-event estimation found, the medium it starts in, and its transmittance.
@@ -80,6 +83,7 @@ class MediaVertex:
     shadow_t: wp.float32
     shadow_medium: wp.int32
     transmittance: wp.vec3
+    step: wp.int32  # the number of this one
 
 
 @wp.func
@@ -107,6 +111,8 @@ def make_media_step(config: PathConfig, differential: bool, explores: bool = Fal
     visibility = visibility_of(config)
     interaction = make_interaction(config)
     flight = make_flight(config.media, explores)
+    tracked_flight, _tracked_transmittance = make_tracking(config.media, explores)
+    grids = config.media.grids
     phase = make_phase(config.media.phases)
     passage = make_media_passage(config, differential)
     emission_hit = make_emission_hit(config)
@@ -159,7 +165,7 @@ def make_media_step(config: PathConfig, differential: bool, explores: bool = Fal
             if traces_shadow_ray:
                 d, t_max = shadow_ray(x, ls)
                 draws = max_depth < 0 or path.depth + 2 < max_depth
-                passed = passage(scene, x, d, t_max, state.medium, draws)
+                passed = passage(scene, x, d, t_max, state.medium, draws, sampler, state.steps)
                 if passed.blocked == 0:
                     weight = inverse_pdf(pdf_light)
                     if ls.delta == 0:
@@ -219,6 +225,7 @@ def make_media_step(config: PathConfig, differential: bool, explores: bool = Fal
         # ---- Flight ----
         vertex = MediaVertex()
         vertex.medium = state.medium
+        vertex.step = state.steps
         vertex.before = path.throughput
         vertex.inv_p = 1.0
         vertex.weight = wp.vec3(1.0, 1.0, 1.0)
@@ -233,7 +240,15 @@ def make_media_step(config: PathConfig, differential: bool, explores: bool = Fal
                 end = hit.t - step_off_triangle(scene, tri) / cosine
             u = sample_4d(sampler, slot)
             m = scene.media.records[state.medium]
-            f = flight(scene, m, length, end, hit.face < 0, u, state.steps, scatters)
+            f = Flight()
+            in_grid = wp.bool(False)
+            if wp.static(grids):
+                in_grid = m.sigma_t_channels == GRID
+                if in_grid:
+                    f = tracked_flight(scene, m, path.o, path.d, length, end, sampler, state.steps, scatters)
+            if not in_grid:
+                f = flight(scene, m, length, end, hit.face < 0, u, state.steps, scatters)
+            vertex.passed = f.passed
             vertex.t = f.t
             vertex.inv_p = f.inv_p
             vertex.weight = f.weight
@@ -309,7 +324,16 @@ def make_media_step(config: PathConfig, differential: bool, explores: bool = Fal
                             vertex.shadow_t = event.t_max
                             vertex.shadow_medium = medium_towards(scene, at.shape, at.ng, path.d, ls.wi, state.medium)
                             draws = max_depth < 0 or path.depth + 2 < max_depth
-                            passed = passage(scene, event.o, event.d, event.t_max, vertex.shadow_medium, draws)
+                            passed = passage(
+                                scene,
+                                event.o,
+                                event.d,
+                                event.t_max,
+                                vertex.shadow_medium,
+                                draws,
+                                sampler,
+                                state.steps,
+                            )
                             unoccluded = passed.blocked == 0
                             if unoccluded:
                                 vertex.transmittance = transmittance_of(passed)

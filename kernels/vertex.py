@@ -18,6 +18,8 @@ class MediaConfig:
     phases: tuple[int, ...]
     #: Some extinction coefficient is a colour.
     chromatic: bool
+    #: Some media are ``heterogeneous``.
+    grids: bool = False
 
 
 @dataclass(frozen=True)

@@ -9,9 +9,11 @@ MITSUBA_ROUNDING = 1e-3
 
 
 def for_mitsuba(mi, value):
-    """Return a scene with Mitsuba's transformations and bitmaps."""
+    """Return a scene with Mitsuba's transformations, bitmaps, and grids (Z, Y, X, C)."""
     if isinstance(value, dict):
         return {key: for_mitsuba(mi, item) for key, item in value.items()}
     if isinstance(value, psdr.Transform):
         return mi.ScalarTransform4f(value.matrix)
+    if isinstance(value, np.ndarray) and value.ndim == 4:
+        return mi.TensorXf(value)
     return mi.Bitmap(value) if isinstance(value, np.ndarray) else value

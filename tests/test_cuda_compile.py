@@ -157,6 +157,8 @@ MEDIA = PathConfig(
         "media": MediaConfig((c.PHASE_ISOTROPIC, c.PHASE_HG), True),
     }
 )
+#: The same with grids.
+GRIDS = PathConfig(**{**vars(MEDIA), "media": MediaConfig((c.PHASE_ISOTROPIC, c.PHASE_HG), True, True)})
 #: What is traced again for ``psdr.trace_sample``.
 NOTED = PathConfig(**{**vars(SIMPLE), "noted": True})
 NOTED_MATERIALS = PathConfig(**{**vars(MATERIALS), "noted": True})
@@ -236,6 +238,7 @@ FACTORIES = {
         ("everything", (EVERYTHING,), SLOW),
         ("through", (THROUGH,), SLOW),
         ("media", (MEDIA,), SLOW),
+        ("grids", (GRIDS,), SLOW),
     ],
     "interior.light_tracing.make_light_replay_kernel": [
         ("simple", (SIMPLE, ALBEDO, 4, 1), FAST),
@@ -274,6 +277,7 @@ FACTORIES = {
     "interior.media_replay.make_media_replay_kernel": [
         ("reverse", (MEDIA, media(MEDIA), "reverse", 8, 8), SLOW),
         ("forward", (MEDIA, media(MEDIA), "forward", 4, 4), SLOW),
+        ("grids", (GRIDS, media(GRIDS), "reverse", 4, 4), SLOW),
     ],
     "interior.textbook.make_textbook_kernel": [
         ("reverse, simple", (SIMPLE, ALBEDO, "reverse"), FAST),

@@ -37,6 +37,7 @@ NEEDED: dict[str, dict] = {
     "moment": {"integrator": {"type": "path"}},
     "shapegroup": {"cube": {"type": "cube"}},
     "instance": {"shapegroup": {"type": "shapegroup", "cube": {"type": "cube"}}},
+    "gridvolume": {"data": np.ones((2, 2, 2))},
     "merge": {"shape": {"type": "cube"}},
     "mesh": {"vertices": np.eye(3), "faces": [[0, 1, 2]]},
     **{kind: {"filename": f"FILE.{kind}"} for kind in ("obj", "ply", "serialized", "gltf", "glb", "stl", "off")},
@@ -148,7 +149,7 @@ def _scene(category: str, plugin: dict) -> dict:
     elif category == "texture":
         shape["bsdf"] = {"type": "diffuse", "reflectance": plugin}
     elif category in ("medium", "phase", "volume"):
-        medium = plugin if category == "medium" else {"type": "homogeneous", NESTED[category]: plugin}
+        medium = plugin if category == "medium" else {"type": "heterogeneous", NESTED[category]: plugin}
         shape |= {"bsdf": {"type": "null"}, "interior": medium}
     elif plugin["type"] in ("area", "directionalarea"):
         shape["emitter"] = plugin

@@ -91,7 +91,7 @@ def make_media_replay_kernel(config: PathConfig, wanted: GradientRequest, role: 
                             if wp.static(role == "forward"):
                                 weight = wp.vec3(0.0, 0.0, 0.0)
                                 weight[channel] = delta[channel]
-                            here, dot = media_sweep(scene, target, kept, weight, behind)
+                            here, dot = media_sweep(scene, target, sampler, kept, weight, behind)
                             remaining = here
                             of_sample[0] = of_sample[0] + wp.where(channel == 0, dot, 0.0)
                             of_sample[1] = of_sample[1] + wp.where(channel == 1, dot, 0.0)

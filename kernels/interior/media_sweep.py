@@ -18,9 +18,12 @@ from warp_psdr.kernels.interior.factors import make_light_sink, make_material_si
 from warp_psdr.kernels.interior.gradient_request import GradientRequest
 from warp_psdr.kernels.interior.sweep import Carry, make_sweep
 from warp_psdr.kernels.medium.coefficients import PHASE, SCALE, SIGMA_T, make_coefficient_sinks
+from warp_psdr.kernels.medium.grid_adjoint import SALT_POINTS, make_grid_adjoint
 from warp_psdr.kernels.medium.passage import MOST_INTERFACES, make_media_passage, medium_towards
+from warp_psdr.kernels.medium.volume import GRID
 from warp_psdr.kernels.path_media import MediaVertex, collision_point
 from warp_psdr.kernels.phase.dispatch import make_phase
+from warp_psdr.kernels.rng import Sampler, salted
 from warp_psdr.kernels.scattering import samples_lights
 from warp_psdr.kernels.sink import make_sink
 from warp_psdr.kernels.structs import Medium, Scene
@@ -35,9 +38,15 @@ def explores_density(wanted: GradientRequest) -> bool:
     return SIGMA_T in wanted.media or SCALE in wanted.media
 
 
+@wp.func
+def number_of(v: MediaVertex) -> wp.int32:
+    """The number of a step's first stretch among all: its flight and those of its shadow ray."""
+    return (MOST_INTERFACES + 2) * v.step
+
+
 @functools.cache
 def make_segment_sink(config: PathConfig, wanted: GradientRequest, role: str):
-    """Return ``accumulate_segment(scene, target, vertex, w) -> float32``.
+    """Return ``accumulate_segment(scene, target, sampler, vertex, w) -> float32``.
 
     ``w`` is the adjoint of the transmittance of the segment to the vertex's light, which is walked again.
     """
@@ -47,6 +56,8 @@ def make_segment_sink(config: PathConfig, wanted: GradientRequest, role: str):
     passage = make_media_passage(config, True)
     accumulate_extinction, _accumulate_flight = make_coefficient_sinks(role, wanted.media)
     accumulate_material = make_material_sink(config, wanted, role)
+    accumulate_depth, _accumulate_tracked = make_grid_adjoint(role, wanted.media)
+    grids = config.media.grids
     density = explores_density(wanted)
     materials = any(wanted.material) or wanted.to_uv
 
@@ -55,11 +66,22 @@ def make_segment_sink(config: PathConfig, wanted: GradientRequest, role: str):
         scene: Scene,
         target: wp.array(dtype=wp.float32),
         medium: wp.int32,
+        o: wp.vec3,
+        d: wp.vec3,
         length: wp.float32,
         transmittance: wp.vec3,
+        sampler: Sampler,
+        number: wp.int32,
         w: wp.vec3,
     ) -> wp.float32:
         total = wp.float32(0.0)
+        if wp.static(density and grids):
+            if medium >= 0:
+                m = scene.media.records[medium]
+                if m.sigma_t_channels == GRID:
+                    stream = salted(sampler, SALT_POINTS, number)
+                    w_depth = -wp.cw_mul(w, transmittance)
+                    return accumulate_depth(scene, target, m, o, d, length, stream, w_depth)
         if wp.static(density):
             if medium >= 0:
                 a_sigma = wp.vec3(0.0, 0.0, 0.0)
@@ -75,18 +97,31 @@ def make_segment_sink(config: PathConfig, wanted: GradientRequest, role: str):
 
         @wp.func
         def accumulate_free_segment(
-            scene: Scene, target: wp.array(dtype=wp.float32), v: MediaVertex, w: wp.vec3
+            scene: Scene, target: wp.array(dtype=wp.float32), sampler: Sampler, v: MediaVertex, w: wp.vec3
         ) -> wp.float32:
-            return accumulate_stretch(scene, target, v.shadow_medium, v.shadow_t, v.transmittance, w)
+            return accumulate_stretch(
+                scene,
+                target,
+                v.shadow_medium,
+                v.shadow_o,
+                v.shadow_d,
+                v.shadow_t,
+                v.transmittance,
+                sampler,
+                number_of(v) + 1,
+                w,
+            )
 
         return accumulate_free_segment
 
     @wp.func
-    def accumulate_segment(scene: Scene, target: wp.array(dtype=wp.float32), v: MediaVertex, w: wp.vec3) -> wp.float32:
+    def accumulate_segment(
+        scene: Scene, target: wp.array(dtype=wp.float32), sampler: Sampler, v: MediaVertex, w: wp.vec3
+    ) -> wp.float32:
         _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
         total = wp.float32(0.0)
         if wp.static(materials):
-            passed = passage(scene, v.shadow_o, v.shadow_d, v.shadow_t, v.shadow_medium, False)
+            passed = passage(scene, v.shadow_o, v.shadow_d, v.shadow_t, v.shadow_medium, False, sampler, v.step)
         start = v.shadow_o
         inside = v.shadow_medium
         crossings = wp.int32(0)
@@ -94,7 +129,10 @@ def make_segment_sink(config: PathConfig, wanted: GradientRequest, role: str):
             rest = v.shadow_t - wp.dot(start - v.shadow_o, v.shadow_d)
             hit = visibility.closest(scene, start, v.shadow_d, rest)
             length = wp.where(hit.face >= 0, hit.t, rest)
-            total += accumulate_stretch(scene, target, inside, length, v.transmittance, w)
+            number = number_of(v) + 1 + crossings
+            total += accumulate_stretch(
+                scene, target, inside, start, v.shadow_d, length, v.transmittance, sampler, number, w
+            )
             crossings += 1
             if hit.face < 0:
                 crossings = MOST_INTERFACES + 1
@@ -117,9 +155,9 @@ def make_segment_sink(config: PathConfig, wanted: GradientRequest, role: str):
 
 @functools.cache
 def make_media_sweep(config: PathConfig, wanted: GradientRequest, role: str):
-    """Return ``media_sweep(scene, target, vertex, delta, radiance) -> (vec3, float32)``.
+    """Return ``media_sweep(scene, target, sampler, vertex, delta, radiance) -> (vec3, float32)``.
 
-    ``radiance`` is L_{n+1}; the results are L_n and what the sinks returned.
+    ``radiance`` is L_{n+1}, ``sampler`` the path's; the results are L_n and what the sinks returned.
     """
     assert config.media is not None
     interaction = make_interaction(config)
@@ -127,6 +165,8 @@ def make_media_sweep(config: PathConfig, wanted: GradientRequest, role: str):
     phase = make_phase(config.media.phases)
     sink = make_sink(role)
     _accumulate_extinction, accumulate_flight = make_coefficient_sinks(role, wanted.media)
+    _accumulate_depth, accumulate_tracked = make_grid_adjoint(role, wanted.media)
+    grids = config.media.grids
     accumulate_segment = make_segment_sink(config, wanted, role)
     accumulate_material = make_material_sink(config, wanted, role)
     has_lights = bool(config.area or config.lights)
@@ -172,7 +212,9 @@ def make_media_sweep(config: PathConfig, wanted: GradientRequest, role: str):
         return f, radiance, dot
 
     @wp.func
-    def direct(scene: Scene, target: wp.array(dtype=wp.float32), v: MediaVertex, a_n: wp.vec3) -> wp.float32:
+    def direct(
+        scene: Scene, target: wp.array(dtype=wp.float32), sampler: Sampler, v: MediaVertex, a_n: wp.vec3
+    ) -> wp.float32:
         """D_n: the factors of next-event estimation."""
         _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
         vertex = v.surface
@@ -202,12 +244,17 @@ def make_media_sweep(config: PathConfig, wanted: GradientRequest, role: str):
                 total += dot
             if wp.static(segments):
                 w_t = vertex.light_weight * wp.cw_mul(wp.cw_mul(a_n, radiance), f)
-                total += accumulate_segment(scene, target, v, w_t)
+                total += accumulate_segment(scene, target, sampler, v, w_t)
         return total
 
     @wp.func
     def media_sweep(
-        scene: Scene, target: wp.array(dtype=wp.float32), v: MediaVertex, delta: wp.vec3, radiance: wp.vec3
+        scene: Scene,
+        target: wp.array(dtype=wp.float32),
+        sampler: Sampler,
+        v: MediaVertex,
+        delta: wp.vec3,
+        radiance: wp.vec3,
     ) -> tuple[wp.vec3, wp.float32]:
         _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
         vertex = v.surface
@@ -227,10 +274,20 @@ def make_media_sweep(config: PathConfig, wanted: GradientRequest, role: str):
             done = sweep(scene, target, vertex, delta, carry)
             total += done.dot
         if v.surface.light >= 0:
-            total += direct(scene, target, v, a_n)
+            total += direct(scene, target, sampler, v, a_n)
         if v.medium >= 0:
+            m = scene.media.records[v.medium]
             w_v = v.inv_p * wp.cw_mul(wp.cw_mul(delta, v.before), inner)
-            total += accumulate_flight(scene, target, scene.media.records[v.medium], v.t, v.collides, w_v)
+            in_grid = wp.bool(False)
+            if wp.static(grids):
+                in_grid = m.sigma_t_channels == GRID
+                if in_grid:
+                    stream = salted(sampler, SALT_POINTS, number_of(v))
+                    total += accumulate_tracked(
+                        scene, target, m, vertex.o, vertex.d, v.t, v.collides, v.passed, stream, w_v
+                    )
+            if not in_grid:
+                total += accumulate_flight(scene, target, m, v.t, v.collides, w_v)
         return wp.cw_mul(v.weight, inner), total
 
     return media_sweep

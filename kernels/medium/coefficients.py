@@ -11,6 +11,7 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.constants import FAR
+from warp_psdr.kernels.medium.volume import GRID, grid_value_at
 from warp_psdr.kernels.reading import load_float, load_vec3
 from warp_psdr.kernels.sink import make_sink, make_sink_texel
 from warp_psdr.kernels.structs import Medium, Scene
@@ -45,6 +46,14 @@ def coefficients_of(scene: Scene, m: Medium) -> Coefficients:
     c.sigma_t = load_float(scene.values, m.scale) * load_channels(scene.values, m.sigma_t, m.sigma_t_channels)
     c.albedo = load_channels(scene.values, m.albedo, m.albedo_channels)
     return c
+
+
+@wp.func
+def albedo_at(scene: Scene, m: Medium, x: wp.vec3) -> wp.vec3:
+    """The albedo of a medium of grids."""
+    if m.albedo_channels == GRID:
+        return grid_value_at(scene, m.albedo, x)
+    return load_channels(scene.values, m.albedo, m.albedo_channels)
 
 
 @wp.func

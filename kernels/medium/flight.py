@@ -33,7 +33,8 @@ class Flight:
     t: wp.float32
     weight: wp.vec3  # albedo sigma T / p, or T / P
     inv_p: wp.float32  # 1 / p, or 1 / P
-    passing: wp.float32  # mean_k T_k of a flight that passes: what multiple importance sampling takes for P
+    passing: wp.float32  # mean_k T_k of a flight that passes: what multiple importance sampling takes for P; grids: 1
+    passed: wp.vec3  # in grids: the weight without the factor a sigma of a collision
 
 
 @wp.func

@@ -16,6 +16,9 @@ from warp_psdr.kernels.interaction import make_interaction
 from warp_psdr.kernels.invalid import vanishes
 from warp_psdr.kernels.medium.coefficients import coefficients_of, exp_minus
 from warp_psdr.kernels.medium.flight import mean_of
+from warp_psdr.kernels.medium.tracking import make_tracking
+from warp_psdr.kernels.medium.volume import GRID
+from warp_psdr.kernels.rng import Sampler
 from warp_psdr.kernels.structs import Scene
 from warp_psdr.kernels.transmittance import Passage, passage_behind, transmittance_of
 from warp_psdr.kernels.vertex import PathConfig
@@ -47,19 +50,40 @@ def is_lost(scene: Scene, shape: wp.int32, ng: wp.vec3, d: wp.vec3, medium: wp.i
 
 @functools.cache
 def make_media_passage(config: PathConfig, differential: bool):
-    """Return ``media_passage(scene, o, d, t_max, medium, draws) -> Passage`` for a segment that starts in a medium.
+    """Return ``media_passage(scene, o, d, t_max, medium, draws, sampler, step) -> Passage`` of a segment.
 
     ``probability`` of the result is that of a path which drew the same direction and passed all of it; ``draws``: it
-    would collide there at random (``Flight``). ``differential``: keep going where the transmittance is exactly zero.
+    would collide there at random (``Flight``), grids aside. ``sampler`` and the number of the ``step`` say which
+    numbers estimate the transmittance of grids. ``differential``: keep going where the transmittance is exactly zero.
     """
+    assert config.media is not None
     visibility = visibility_of(config)
     interaction = make_interaction(config)
     bsdf = interaction.bsdf
-    chromatic = config.media is not None and config.media.chromatic
+    chromatic = config.media.chromatic
+    grids = config.media.grids
+    _tracked_flight, tracked_transmittance = make_tracking(config.media, False)
 
     @wp.func
-    def fly(scene: Scene, passage: Passage, medium: wp.int32, length: wp.float32, draws: wp.bool) -> Passage:
+    def fly(
+        scene: Scene,
+        passage: Passage,
+        medium: wp.int32,
+        o: wp.vec3,
+        d: wp.vec3,
+        length: wp.float32,
+        draws: wp.bool,
+        sampler: Sampler,
+        step: wp.int32,
+    ) -> Passage:
         r = passage
+        if wp.static(grids):
+            if medium >= 0:
+                m = scene.media.records[medium]
+                if m.sigma_t_channels == GRID:
+                    number = (MOST_INTERFACES + 1) * step + r.crossings
+                    r.product = wp.cw_mul(r.product, tracked_transmittance(scene, m, o, d, length, sampler, number))
+                    return r
         if medium >= 0:
             passed = exp_minus(coefficients_of(scene, scene.media.records[medium]).sigma_t, length)
             r.product = wp.cw_mul(r.product, passed)
@@ -74,7 +98,14 @@ def make_media_passage(config: PathConfig, differential: bool):
 
         @wp.func
         def media_segment(
-            scene: Scene, o: wp.vec3, d: wp.vec3, t_max: wp.float32, medium: wp.int32, draws: wp.bool
+            scene: Scene,
+            o: wp.vec3,
+            d: wp.vec3,
+            t_max: wp.float32,
+            medium: wp.int32,
+            draws: wp.bool,
+            sampler: Sampler,
+            step: wp.int32,
         ) -> Passage:
             r = Passage()
             r.product = wp.vec3(1.0, 1.0, 1.0)
@@ -82,14 +113,21 @@ def make_media_passage(config: PathConfig, differential: bool):
             if visibility.occluded(scene, o, d, t_max):
                 r.blocked = 1
             else:
-                r = fly(scene, r, medium, t_max, draws)
+                r = fly(scene, r, medium, o, d, t_max, draws, sampler, step)
             return r
 
         return media_segment
 
     @wp.func
     def media_passage(
-        scene: Scene, o: wp.vec3, d: wp.vec3, t_max: wp.float32, medium: wp.int32, draws: wp.bool
+        scene: Scene,
+        o: wp.vec3,
+        d: wp.vec3,
+        t_max: wp.float32,
+        medium: wp.int32,
+        draws: wp.bool,
+        sampler: Sampler,
+        step: wp.int32,
     ) -> Passage:
         r = Passage()
         r.product = wp.vec3(1.0, 1.0, 1.0)
@@ -101,14 +139,14 @@ def make_media_passage(config: PathConfig, differential: bool):
             rest = t_max - wp.dot(start - o, d)
             hit = visibility.closest(scene, start, d, rest)
             if hit.face < 0:
-                r = fly(scene, r, inside, rest, draws)
+                r = fly(scene, r, inside, start, d, rest, draws, sampler, step)
                 more = False
             else:
                 at = interaction.at(scene, hit.face, hit.u, hit.v, d)
                 passes = bsdf.has_null(at.model)
                 lost = is_lost(scene, at.shape, at.ng, d, inside)
                 if passes and not lost and r.crossings < MOST_INTERFACES:
-                    r = fly(scene, r, inside, hit.t, draws)
+                    r = fly(scene, r, inside, start, d, hit.t, draws, sampler, step)
                     inside = medium_towards(scene, at.shape, at.ng, d, d, inside)
                     value = interaction.scatter(at, LOBE_NULL).value
                     r = passage_behind(r, value, bsdf.probability(at.model, at.material, at.wi, LOBE_NULL))

@@ -29,6 +29,34 @@ def medium(sigma_t=1.0, albedo=0.75, g=None, scale=1.0):
     }
 
 
+def grid(values, box=None, **more):
+    """A grid (Z, Y, X[, C]) that fills the cube from -1 to 1, or the unit cube by ``box``."""
+    values = np.asarray(values, np.float32)
+    values = values[..., None] if values.ndim == 3 else values
+    box = T.translate([-1, -1, -1]) @ T.scale(2.0) if box is None else box
+    return {"type": "gridvolume", "data": values, "to_world": box, **more}
+
+
+def grids(sigma_t=1.0, albedo=0.75, g=None, scale=1.0):
+    """A medium of volumes, or of constants, which it has where its extinction is."""
+    return {**medium(sigma_t if isinstance(sigma_t, dict) else 1.0, 0.5, g, scale), "type": "heterogeneous"} | {
+        "sigma_t": sigma_t,
+        "albedo": albedo if isinstance(albedo, dict) else volume(albedo),
+    }
+
+
+def puffs(n=16, channels=1, empty=0.1):
+    """The density of some smoke, (n, n, n, channels), zero in most of the voxels at ``empty`` = 0.1."""
+    x = (np.arange(n) + 0.5) / n * 2.0 - 1.0
+    z, y, x = np.meshgrid(x, x, x, indexing="ij")
+    found = np.zeros((n, n, n))
+    for cx, cy, cz, r in ((-0.3, 0.1, -0.3, 0.5), (0.35, -0.2, 0.2, 0.45), (0.0, 0.3, 0.6, 0.3)):
+        found += np.exp(-((x - cx) ** 2 + (y - cy) ** 2 + (z - cz) ** 2) / (0.5 * r * r))
+    found = np.clip(found * (1.0 + 0.4 * np.sin(9.0 * x + 7.0 * y) * np.cos(8.0 * z)) - empty, 0.0, None)
+    tint = np.array([1.0, 0.8, 0.5])[:channels]
+    return (found[..., None] * tint).astype(np.float32)
+
+
 def camera(origin, target, fov=1.0, size=4, up=(0, 0, 1), **more):
     film = {"type": "hdrfilm", "width": size, "height": size, "rfilter": {"type": "box"}, "pixel_format": "rgb"}
     pose = T.look_at(origin, target, up)
@@ -125,6 +153,36 @@ def ink_in_glass():
         sky=sky(0.3, 0.4, 0.5),
         bulb=point([2.0, -1.5, 2.5], (9.0, 9.0, 9.0)),
     )
+
+
+def smoke(**more):
+    """Smoke in a cube over a floor, under a sky, a point light and a lamp."""
+    parts = {
+        "sensor": camera(*VIEW),
+        "floor": FLOOR,
+        "cube": cube(grids(grid(puffs()), (0.9, 0.8, 0.7), g=0.4, scale=4.0)),
+        "lamp": lamp(),
+        "bulb": point([2.0, -1.5, 2.5], (6.0, 7.0, 8.0)),
+        "sky": sky(0.2, 0.3, 0.4),
+    }
+    return whole(integrator=integrator(max_depth=6), **parts | more)
+
+
+def coloured_smoke():
+    """Extinction and albedo by channel and voxel, nearest and mirrored, a box that ends before the cube."""
+    albedo = np.random.default_rng(1).uniform(0.2, 0.95, (3, 4, 5, 3))
+    box = T.translate([-0.8, -0.9, -1.0]) @ T.scale([1.6, 1.7, 1.9])
+    return smoke(
+        cube=cube(
+            grids(grid(puffs(11, 3, 0.2)[:9], box), grid(albedo, filter_type="nearest", wrap_mode="mirror"), scale=5.0)
+        )
+    )
+
+
+def inside_smoke():
+    """The camera in the smoke, which is a room's air."""
+    air = {**grids(grid(puffs(12, 1, -0.1), T.translate([-3, -3, -2]) @ T.scale([6, 6, 4])), 0.8), "id": "fog"}
+    return {**fog_in_a_room(), "fog": air}
 
 
 def points(image):

@@ -24,16 +24,24 @@ def describe(scene: Scene, config: PathConfig, wanted: GradientRequest | None) -
         return []
     bounds = sum(sides[0] != c.NO_INTERFACE for sides in scene.builder.sides)
     phases = ", ".join(PHASE_NAMES[kind] for kind in config.media.phases)
-    several = f"{len(scene.builder.media)} homogeneous"
+    of_grids = len(scene.builder.super_grids)
+    kinds = ((len(scene.builder.media) - of_grids, "homogeneous"), (of_grids, "heterogeneous"))
+    several = " and ".join(f"{count} {kind}" for count, kind in kinds if count)
     chromatic = "colours: one channel is drawn, all weigh" if config.media.chromatic else "grey: no channel is drawn"
     lines = [
         ("media", several, f"bounded by {bounds} shapes; null lobes do not count as depth, collisions do"),
         ("phase functions", phases, "those of the media"),
         ("extinction", "by channel" if config.media.chromatic else "grey", chromatic),
     ]
+    for grid in scene.builder.super_grids:
+        voxels, cells = (" x ".join(str(n) for n in size) for size in (grid.voxels, grid.cells))
+        tracked = f"majorants of {cells} cells; delta tracking, and ratio tracking for shadow rays"
+        lines.append((f"grid {grid.parameter.removesuffix('.data')}", f"{voxels} voxels", tracked))
     if wanted is not None:
         density = SIGMA_T in wanted.media or SCALE in wanted.media
         forced = "some flights are made to collide, for where the density is zero" if density else "density: no"
+        if density and of_grids:
+            forced += " (in grids when a clock rings, points on each stretch for its transmittance)"
         lines.append(("media derivatives", ", ".join(wanted.media) or "none", forced))
     return lines
 

@@ -13,15 +13,12 @@ from warp_psdr.kernels import structs
 from warp_psdr.kernels.bsdf.dispatch import declaration_of, models_of, ordered
 from warp_psdr.kernels.bsdf.model import GEOMETRY, GRADIENT, MadeTable, Value, key_of
 from warp_psdr.kernels.bsdf.record import Slot, merge_values, slot_of
-from warp_psdr.kernels.medium.coefficients import ALBEDO, PHASE, SCALE, SIGMA_T
-from warp_psdr.kernels.structs import Medium
 from warp_psdr.kernels.vertex import MediaConfig
 from warp_psdr.scene.layout import (
     CAMERA,
     LIGHT_POSE,
     LIGHT_RADIANCE,
     MATERIAL,
-    MEDIUM,
     NORMALS,
     POSITIONS,
     RADIANCE,
@@ -30,14 +27,13 @@ from warp_psdr.scene.layout import (
     TO_UV,
     Layout,
 )
-from warp_psdr.scene.media import MOST_G
+from warp_psdr.scene.medium_records import MediaRecords
 from warp_psdr.scene.tables import PlacedTable
 
 if TYPE_CHECKING:
     from warp_psdr.scene.description import (
         BsdfDescription,
         EmitterDescription,
-        MediumDescription,
         SceneDescription,
         SensorDescription,
         ShapeDescription,
@@ -65,7 +61,6 @@ CAMERAS = {
     "radiancemeter": c.CAMERA_RADIANCEMETER,
     "irradiancemeter": c.CAMERA_IRRADIANCEMETER,
 }
-PHASES = {"isotropic": c.PHASE_ISOTROPIC, "hg": c.PHASE_HG}
 #: A texture's record and the flat (offset, size) of its values.
 Placed = tuple[structs.Texture, tuple[int, int]]
 
@@ -121,8 +116,9 @@ class Builder:
         self._number_models()
         for emitter in description.emitters:
             self._emitter(emitter)
-        self.media: list = []  #: medium.structs.Medium
-        self._medium_index: dict[int, int] = {}
+        self._media = MediaRecords(self.layout, self.textures, self.texture_ranges, description.origin)
+        self.media = self._media.records  #: structs.Medium
+        self.super_grids = self._media.super_grids
         #: Of each shape: medium outside and inside, ``medium.structs.Media.sides``; empty where there are no media.
         self.sides = [self._sides(shape) for shape in description.shapes]
         for sensor in description.sensors:
@@ -432,40 +428,17 @@ class Builder:
     def _sides(self, s: ShapeDescription) -> tuple[int, int]:
         if s.interior is None and s.exterior is None:
             return c.NO_INTERFACE, c.NO_INTERFACE
-        return self._medium(s.exterior), self._medium(s.interior)
-
-    def _medium(self, m: MediumDescription | None) -> int:
-        """Return the number of a medium's record; shared descriptions share it."""
-        if m is None:
-            return c.NO_MEDIUM
-        if id(m) not in self._medium_index:
-            add, record = self.layout.add, Medium()
-            for coefficient, high in ((m.sigma_t, INF), (m.albedo, 1.0)):
-                kind = ALBEDO if coefficient is m.albedo else SIGMA_T
-                offset = add(coefficient.parameter, coefficient.value, MEDIUM + kind, bounds=(0.0, high))
-                setattr(record, kind, offset)
-                setattr(record, f"{kind}_channels", coefficient.value.size)
-            record.scale = add(f"{m.path}.scale", np.array([m.scale]), MEDIUM + SCALE, bounds=(0.0, INF))
-            record.phase = PHASES[m.phase.kind]
-            if m.phase.kind == "hg":
-                bounds = (-MOST_G, MOST_G)
-                record.g = add(f"{m.phase.path}.g", np.array([m.phase.g]), MEDIUM + PHASE, bounds=bounds)
-            self._medium_index[id(m)] = len(self.media)
-            self.media.append(record)
-        return self._medium_index[id(m)]
+        return self._media.number(s.exterior), self._media.number(s.interior)
 
     @property
     def media_config(self) -> MediaConfig | None:
         """What the media need compiled; None: there are none."""
-        if not self.media:
-            return None
-        phases = tuple(sorted({m.phase for m in self.media}))
-        return MediaConfig(phases, any(m.sigma_t_channels == 3 for m in self.media))
+        return self._media.config
 
     def _camera(self, s: SensorDescription) -> None:
         record = structs.Camera()
         record.kind = CAMERAS[s.kind]
-        record.medium = self._medium(s.medium)
+        record.medium = self._media.number(s.medium)
         f = s.film
         record.width, record.height = f.width, f.height
         record.crop_x, record.crop_y = f.crop_offset_x, f.crop_offset_y

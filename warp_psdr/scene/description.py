@@ -83,7 +83,10 @@ class VolumeDescription:
     """A coefficient of a medium."""
 
     parameter: str  #: name under which it is listed
-    value: np.ndarray  #: (1,) or (3,)
+    value: np.ndarray  #: (1,) or (3,); a grid: (Z, Y, X, 1 or 3)
+    to_world: np.ndarray | None = None  #: (4, 4): where the unit cube that it fills is; None: it is everywhere
+    filter: Literal["trilinear", "nearest"] = "trilinear"
+    wrap: Literal["clamp", "repeat", "mirror"] = "clamp"
 
 
 @dataclass(eq=False)
@@ -97,13 +100,14 @@ class PhaseDescription:
 
 @dataclass(eq=False)
 class MediumDescription:
-    """A homogeneous medium; shared by identity between the shapes and sensors that reference it."""
+    """A medium; shared by identity between the shapes and sensors that reference it."""
 
     path: str
     sigma_t: VolumeDescription  #: per unit length, before ``scale``
     albedo: VolumeDescription
     scale: float
     phase: PhaseDescription
+    grids: bool = False  #: heterogeneous
 
 
 @dataclass(eq=False)

@@ -39,9 +39,11 @@ def check_media(parameters: Iterable[Parameter], values: np.ndarray) -> None:
     for p in filter(is_medium, parameters):
         low, high = p.bounds
         held = values[p.offset : p.offset + p.size]
-        if not (np.isfinite(held) & (held >= low) & (held <= high)).all():
+        right = np.isfinite(held) & (held >= low) & (held <= high)
+        if not right.all():
+            wrong = held.tolist() if p.size <= 3 else f"{held[~right][0]:g} in {int((~right).sum())} of {p.size} places"
             limits = f"finite values of at least {low:g}" if np.isinf(high) else f"values between {low:g} and {high:g}"
-            raise ValueError(f"{p.name} is {held.tolist()} after an edit; write {limits} (psdr.optim keeps to them)")
+            raise ValueError(f"{p.name} is {wrong} after an edit; write {limits} (psdr.optim keeps to them)")
 
 
 class Edits:

@@ -1,4 +1,4 @@
-"""Participating media, their phase functions, and the volumes that hold their coefficients."""
+"""Participating media and their phase functions (``volumes.py`` has their coefficients)."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Literal, cast
 import numpy as np
 
 from .bsdfs import lets_through, model_of
-from .description import MediumDescription, PhaseDescription, VolumeDescription
+from .description import MediumDescription, PhaseDescription
 from .errors import ReportedError, error
 from .plugins import Properties, category_of, unsupported_plugin
-from .spectra import COLOR_TYPES, check_range, color
+from .volumes import volume
 
 if TYPE_CHECKING:
     from .context import Context
@@ -39,9 +39,7 @@ def build(node: dict, where: str, path: str, context: Context, *, shared: bool) 
     """
     if category_of(node, where) != "medium":
         raise unsupported_plugin(node["type"], where, "medium")
-    return context.build(
-        node, where, "medium", lambda: _homogeneous(Properties(node, where, path, context)), shared=shared
-    )
+    return context.build(node, where, "medium", lambda: _medium(Properties(node, where, path, context)), shared=shared)
 
 
 def take_sides(props: Properties, bsdf: BsdfDescription) -> dict[str, MediumDescription | None]:
@@ -82,9 +80,10 @@ def _nested(props: Properties, key: str, node: dict, where: str, path: str) -> M
     return props.context.attempt(lambda: build(node, where, path, props.context, shared=shared), None)
 
 
-def _homogeneous(props: Properties) -> MediumDescription:
-    sigma_t = _volume(props, "sigma_t", _SIGMA_T, np.inf)
-    albedo = _volume(props, "albedo", _ALBEDO, 1.0)
+def _medium(props: Properties) -> MediumDescription:
+    grids = props.type == "heterogeneous"
+    sigma_t = volume(props, "sigma_t", _SIGMA_T, np.inf, grids=grids)
+    albedo = volume(props, "albedo", _ALBEDO, 1.0, grids=grids)
     scale = props.number("scale", 1.0, minimum=0.0)
     for hint in ("sample_emitters", "has_spectral_extinction"):
         if not props.boolean(hint, True):
@@ -98,7 +97,7 @@ def _homogeneous(props: Properties) -> MediumDescription:
     else:
         phase = PhaseDescription(f"{props.path}.phase_function", "isotropic")
     props.finish()
-    return MediumDescription(props.path, sigma_t, albedo, scale, phase)
+    return MediumDescription(props.path, sigma_t, albedo, scale, phase, grids)
 
 
 def _phase(props: Properties) -> PhaseDescription:
@@ -107,32 +106,3 @@ def _phase(props: Properties) -> PhaseDescription:
         g = props.number("g", _G, minimum=-MOST_G, maximum=MOST_G)
     props.finish()
     return PhaseDescription(props.path, cast(Literal["isotropic", "hg"], props.type), g)
-
-
-def _volume(props: Properties, name: str, default: float, high: float) -> VolumeDescription:
-    """Take a coefficient: a number, a colour, or a ``constvolume`` of one."""
-    parameter = f"{props.path}.{name}.value.value"
-
-    def read() -> VolumeDescription:
-        value, place = props.take(name, default), props.place(name)
-        inner = None
-        if isinstance(value, dict):
-            value, place = props.context.resolve(value, props.context.inside(props.where, name, value))
-            if id(value) in props.context.broken:
-                raise ReportedError(place)
-            if value["type"] not in COLOR_TYPES:
-                if category_of(value, place) != "volume":
-                    raise unsupported_plugin(value["type"], place, "volume")
-                inner = Properties(value, place, parameter, props.context)
-                value, place = inner.take("value", 1.0), inner.place("value")
-                if isinstance(value, dict):
-                    value, place = props.context.resolve(value, props.context.inside(inner.where, "value", value))
-                    if value.get("type") not in COLOR_TYPES:
-                        raise error(place, f"a '{value.get('type')}' in a 'constvolume'", "give a number or a colour")
-        numbers = color(value, place, props.context, high=high)
-        check_range(numbers, place, 0.0, high, f"'{name}'")
-        if inner is not None:
-            inner.finish()
-        return VolumeDescription(parameter, numbers)
-
-    return props.context.attempt(read, VolumeDescription(parameter, np.full(1, default, np.float32)))

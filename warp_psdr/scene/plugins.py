@@ -35,9 +35,9 @@ PLUGINS: dict[str, tuple[str, ...]] = {
     "film": ("hdrfilm",),
     "rfilter": ("box", "tent", "gaussian"),
     "sampler": ("independent", "sobol", "multijitter", "stratified", "orthogonal", "ldsampler"),
-    "medium": ("homogeneous",),
+    "medium": ("homogeneous", "heterogeneous"),
     "phase": ("isotropic", "hg"),
-    "volume": ("constvolume",),
+    "volume": ("constvolume", "gridvolume"),
     "integrator": (
         *("path", "direct", "prb", "prb_basic", "prb_projective", "direct_projective", "ptracer"),
         *("volpath", "volpathmis", "prbvolpath", "aov", "moment"),

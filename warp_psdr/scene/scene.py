@@ -31,6 +31,7 @@ from warp_psdr.scene.origin import COLLAPSING
 from warp_psdr.scene.shading import shades_flat
 from warp_psdr.scene.steps import Boxes, Steps, find_steps, measure, second_width
 from warp_psdr.scene.summary import summary
+from warp_psdr.scene.super_grid import rebuild
 from warp_psdr.scene.tables import follow
 from warp_psdr.scene.world import World
 
@@ -337,6 +338,7 @@ class Scene:
             self._update_bounds()
         values = self.values.numpy()
         check_media(changed, values)
+        rebuild(self.builder.super_grids, changed, self.values, values)
         first, size = self.lights.environment_data()
         if any(first <= p.offset < first + size for p in changed):
             self.lights.update_environment(values)

@@ -1,0 +1,112 @@
+"""Where the derivatives of flights through grids go, and those of the transmittance of segments.
+
+The derivative of T = exp(-int sigma) is -T int dsigma, whatever tracking drew: the integral is estimated at four
+stratified points of the stretch, from numbers of their own, and T is the estimate that tracking has made [Nimier-David
+et al. 2022, section 4.1]. Majorants and the weights of tracking are not differentiated, so a density that vanishes, or
+that touches its majorant, is as any other.
+
+Derivation: ``docs/theory/media.md#derivatives-of-grids``.
+"""
+
+import functools
+
+import warp as wp
+
+from warp_psdr.kernels.medium.coefficients import ALBEDO, SCALE, SIGMA_T, albedo_at
+from warp_psdr.kernels.medium.majorant import grid_ray
+from warp_psdr.kernels.medium.volume import GRID, grid_point, grid_value, grid_value_at, make_grid_sink
+from warp_psdr.kernels.reading import load_float, texture_record
+from warp_psdr.kernels.rng import Sampler, independent_1d
+from warp_psdr.kernels.sink import make_sink, make_sink_texel
+from warp_psdr.kernels.structs import Medium, Scene, Texture
+
+#: Salt of the numbers that place points on stretches.
+SALT_POINTS = wp.constant(wp.uint32(0x2E6B83D5))
+#: Points on a stretch.
+POINTS = 4
+
+
+@functools.cache
+def make_grid_adjoint(role: str, wanted: tuple[str, ...]):
+    """Return ``(accumulate_depth, accumulate_tracked)``.
+
+    ``accumulate_depth(scene, target, m, o, d, length, stream, w) -> float32``: ``w`` is the adjoint of int sigma dt.
+    ``accumulate_tracked(scene, target, m, o, d, t, collides, passed, stream, w) -> float32``: ``w`` is the adjoint of
+    the weight of a flight (``Flight``).
+    """
+    sink = make_sink(role)
+    sink_texel = make_sink_texel(role)
+    accumulate_grid = make_grid_sink(role)
+    density = SIGMA_T in wanted or SCALE in wanted
+
+    @wp.func
+    def accumulate_extinction_at(
+        scene: Scene, target: wp.array(dtype=wp.float32), m: Medium, g: Texture, p: wp.vec3, w: wp.vec3
+    ) -> wp.float32:
+        """``w`` is the adjoint of sigma at a point, which is given in voxels."""
+        total = wp.float32(0.0)
+        if wp.static(SIGMA_T in wanted):
+            total += accumulate_grid(target, g, p, load_float(scene.values, m.scale) * w)
+        if wp.static(SCALE in wanted):
+            total += sink(target, m.scale, wp.dot(grid_value(scene.values, g, p), w))
+        return total
+
+    @wp.func
+    def accumulate_depth(
+        scene: Scene,
+        target: wp.array(dtype=wp.float32),
+        m: Medium,
+        o: wp.vec3,
+        d: wp.vec3,
+        length: wp.float32,
+        stream: Sampler,
+        w: wp.vec3,
+    ) -> wp.float32:
+        total = wp.float32(0.0)
+        g = texture_record(scene, m.sigma_t)
+        r = grid_ray(scene, g, o, d, length)
+        if r.t0 < r.t1:
+            step = (r.t1 - r.t0) * (1.0 / float(POINTS))
+            points = wp.int32(POINTS)
+            for i in range(points):
+                t = r.t0 + (wp.float32(i) + independent_1d(stream, i)) * step
+                total += accumulate_extinction_at(scene, target, m, g, r.o + t * r.d, step * w)
+        return total
+
+    @wp.func
+    def accumulate_tracked(
+        scene: Scene,
+        target: wp.array(dtype=wp.float32),
+        m: Medium,
+        o: wp.vec3,
+        d: wp.vec3,
+        t: wp.float32,
+        collides: wp.bool,
+        passed: wp.vec3,
+        stream: Sampler,
+        w: wp.vec3,
+    ) -> wp.float32:
+        total = wp.float32(0.0)
+        w_passed = wp.cw_mul(w, passed)
+        w_weight = w_passed
+        if collides:
+            x = o + t * d
+            sigma = load_float(scene.values, m.scale) * grid_value_at(scene, m.sigma_t, x)
+            albedo = albedo_at(scene, m, x)
+            w_weight = wp.cw_mul(w_passed, wp.cw_mul(albedo, sigma))
+            if wp.static(density):
+                g = texture_record(scene, m.sigma_t)
+                p = grid_point(scene, g, x)
+                total += accumulate_extinction_at(scene, target, m, g, p, wp.cw_mul(w_passed, albedo))
+            if wp.static(ALBEDO in wanted):
+                a_albedo = wp.cw_mul(w_passed, sigma)
+                if m.albedo_channels == GRID:
+                    g_albedo = texture_record(scene, m.albedo)
+                    total += accumulate_grid(target, g_albedo, grid_point(scene, g_albedo, x), a_albedo)
+                else:
+                    total += sink_texel(target, m.albedo, m.albedo_channels, a_albedo)
+        if wp.static(density):
+            total += accumulate_depth(scene, target, m, o, d, t, stream, -w_weight)
+        return total
+
+    return accumulate_depth, accumulate_tracked

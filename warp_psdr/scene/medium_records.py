@@ -1,0 +1,104 @@
+"""Device records of media and of their grids, and where the values of both are laid out."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from warp_psdr.kernels import constants as c
+from warp_psdr.kernels.medium.coefficients import ALBEDO, PHASE, SCALE, SIGMA_T
+from warp_psdr.kernels.medium.volume import GRID
+from warp_psdr.kernels.structs import Medium, Texture
+from warp_psdr.kernels.vertex import MediaConfig
+
+from .layout import MEDIUM, Layout
+from .media import MOST_G
+from .origin import moved
+from .super_grid import SuperGrid, super_grid
+
+if TYPE_CHECKING:
+    from .description import MediumDescription, VolumeDescription
+
+PHASES = {"isotropic": c.PHASE_ISOTROPIC, "hg": c.PHASE_HG}
+
+
+class MediaRecords:
+    """Records of the media of a scene.
+
+    Args:
+        layout: Takes their values.
+        textures: Records of the scene's textures, which grids join.
+        texture_ranges: Flat (offset, size) of their values.
+        origin: (3,) float64: where the device's coordinates start.
+
+    Attributes:
+        records: ``structs.Medium``, by number.
+        super_grids: Of the extinction of heterogeneous media.
+    """
+
+    def __init__(self, layout: Layout, textures: list, texture_ranges: list[tuple[int, int]], origin: np.ndarray):
+        self.records: list = []
+        self.super_grids: list[SuperGrid] = []
+        self._layout = layout
+        self._textures = textures
+        self._texture_ranges = texture_ranges
+        self._origin = origin
+        self._numbers: dict[int, int] = {}
+
+    def number(self, m: MediumDescription | None) -> int:
+        """Return the number of a medium's record; shared descriptions share it."""
+        if m is None:
+            return c.NO_MEDIUM
+        if id(m) not in self._numbers:
+            self._numbers[id(m)] = len(self.records)
+            self.records.append(self._record(m))
+        return self._numbers[id(m)]
+
+    @property
+    def config(self) -> MediaConfig | None:
+        """What the media need compiled; None: there are none."""
+        if not self.records:
+            return None
+        phases = tuple(sorted({m.phase for m in self.records}))
+        grids = [self._textures[m.sigma_t] for m in self.records if m.sigma_t_channels == GRID]
+        chromatic = any(m.sigma_t_channels == 3 for m in self.records) or any(g.channels == 3 for g in grids)
+        return MediaConfig(phases, chromatic, bool(grids))
+
+    def _record(self, m: MediumDescription) -> Medium:
+        add, record = self._layout.add, Medium()
+        for coefficient, high in ((m.sigma_t, np.inf), (m.albedo, 1.0)):
+            kind = ALBEDO if coefficient is m.albedo else SIGMA_T
+            place = add(coefficient.parameter, coefficient.value, MEDIUM + kind, bounds=(0.0, high))
+            channels = coefficient.value.size
+            if m.grids and (coefficient.value.ndim == 4 or kind == SIGMA_T):
+                place, channels = self._grid(coefficient, place, tracked=kind == SIGMA_T), GRID
+            setattr(record, kind, place)
+            setattr(record, f"{kind}_channels", channels)
+        record.scale = add(f"{m.path}.scale", np.array([m.scale]), MEDIUM + SCALE, bounds=(0.0, np.inf))
+        record.phase = PHASES[m.phase.kind]
+        if m.phase.kind == "hg":
+            bounds = (-MOST_G, MOST_G)
+            record.g = add(f"{m.phase.path}.g", np.array([m.phase.g]), MEDIUM + PHASE, bounds=bounds)
+        return record
+
+    def _grid(self, v: VolumeDescription, offset: int, *, tracked: bool) -> int:
+        """Return the number of the record of a volume whose values are at a flat offset; a constant is one voxel.
+
+        ``tracked``: it has majorants.
+        """
+        assert v.to_world is not None
+        shape = v.value.shape if v.value.ndim == 4 else (1, 1, 1, v.value.size)
+        record = Texture()
+        record.kind = c.TEXTURE_GRID
+        record.offset = offset
+        record.first, record.height, record.width, record.channels = shape
+        record.filter = c.FILTER_NEAREST if v.filter == "nearest" else c.FILTER_BILINEAR
+        record.wrap = {"repeat": c.WRAP_REPEAT, "mirror": c.WRAP_MIRROR, "clamp": c.WRAP_CLAMP}[v.wrap]
+        record.to_uv = self._layout.add_values(np.linalg.inv(moved(v.to_world, self._origin))[:3])
+        if tracked:
+            record.second = self._layout.add_values(super_grid(v.value.reshape(shape), v.wrap))
+            self.super_grids.append(SuperGrid(v.parameter, offset, shape, v.wrap, record.second))
+        self._textures.append(record)
+        self._texture_ranges.append((offset, v.value.size))
+        return len(self._textures) - 1

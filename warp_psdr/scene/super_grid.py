@@ -1,0 +1,70 @@
+"""Majorants of the grids of a scene: the largest value in each cell of 8^3 voxels (``kernels/medium/majorant.py``)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import warp as wp
+
+from warp_psdr.kernels.medium.majorant import CELL
+
+if TYPE_CHECKING:
+    from .layout import Parameter
+
+#: Neighbours of the first and of the last voxel along an axis, by wrap mode, as NumPy pads.
+_PADDING = {"clamp": "edge", "repeat": "wrap", "mirror": "symmetric"}
+#: What rounding can add to an interpolated value, relative.
+_ROUNDING = 1e-6
+
+
+def super_grid(values: np.ndarray, wrap: str) -> np.ndarray:
+    """Return the majorants, flat float32, x fastest, of a grid (Z, Y, X, C).
+
+    Interpolation in a cell reads its own voxels, and one more on each side.
+    """
+    most = np.pad(values.max(axis=3), 1, mode=_PADDING[wrap])  # type: ignore[call-overload]
+    for axis in range(3):
+        size = most.shape[axis] - 2
+        starts = np.arange(0, size, CELL)
+        ends = np.minimum(starts + CELL, size) + 2
+        cells = [np.take(most, range(a, b), axis=axis).max(axis=axis) for a, b in zip(starts, ends, strict=True)]
+        most = np.stack(cells, axis=axis)
+    return (most * (1.0 + _ROUNDING)).astype(np.float32).reshape(-1)
+
+
+@dataclass(frozen=True)
+class SuperGrid:
+    """Where a grid and its majorants are."""
+
+    parameter: str
+    offset: int  #: flat, of the grid
+    shape: tuple[int, int, int, int]  #: (Z, Y, X, C)
+    wrap: str
+    majorants: int  #: flat offset
+
+    @property
+    def voxels(self) -> tuple[int, ...]:
+        """Number of voxels along x, y, z."""
+        return self.shape[2::-1]
+
+    @property
+    def cells(self) -> tuple[int, ...]:
+        """Number of cells along x, y, z."""
+        return tuple(-(-n // CELL) for n in self.voxels)
+
+    def rebuild(self, values: wp.array, held: np.ndarray) -> None:
+        """Write the majorants of the values that are held, flat, on the host."""
+        grid = held[self.offset : self.offset + int(np.prod(self.shape))].reshape(self.shape)
+        majorants = super_grid(grid, self.wrap)
+        values[self.majorants : self.majorants + majorants.size].assign(majorants)
+
+
+def rebuild(grids: Iterable[SuperGrid], changed: Iterable[Parameter], values: wp.array, held: np.ndarray) -> None:
+    """Let the majorants follow the parameters that have changed."""
+    names = {p.name for p in changed}
+    for grid in grids:
+        if grid.parameter in names:
+            grid.rebuild(values, held)

@@ -1,0 +1,138 @@
+"""Volumes: what the coefficients of media are given by, constants and grids of voxels."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Literal, cast
+
+import numpy as np
+
+from .description import VolumeDescription
+from .errors import ReportedError, SceneError, error
+from .plugins import Properties, category_of, unsupported_plugin
+from .spectra import COLOR_TYPES, check_range, color
+from .volume_files import MOST_VALUES, read_vol
+
+if TYPE_CHECKING:
+    from .context import Context
+
+_FILTERS = ("trilinear", "nearest")
+_WRAPS = ("clamp", "repeat", "mirror")
+#: Files of grids that other programs write, and what makes a .vol of them.
+_CONVERT = {
+    ".nvdb": "wp.Volume.load_from_nvdb reads it: give its values as 'data', an array (Z, Y, X)",
+    ".vdb": "pyopenvdb's grid.copyToArray reads it: give its values as 'data', an array (Z, Y, X)",
+}
+
+
+def volume(props: Properties, name: str, default: float, high: float, *, grids: bool) -> VolumeDescription:
+    """Take a coefficient of a medium: a number, a colour, a ``constvolume`` of one, or a ``gridvolume``.
+
+    Args:
+        props: The medium.
+        name: The coefficient.
+        default: Its value when it is not given.
+        high: Largest admissible value.
+        grids: Whether it may vary; it then fills the unit cube of its ``to_world``.
+    """
+    parameter = f"{props.path}.{name}"
+    unit = np.eye(4) if grids else None
+
+    def read() -> VolumeDescription:
+        value, place = props.take(name, default), props.place(name)
+        if isinstance(value, dict):
+            value, place = props.context.resolve(value, props.context.inside(props.where, name, value))
+            if id(value) in props.context.broken:
+                raise ReportedError(place)
+            if value["type"] not in COLOR_TYPES:
+                if category_of(value, place) != "volume":
+                    raise unsupported_plugin(value["type"], place, "volume")
+                inner = Properties(value, place, parameter, props.context)
+                if inner.type == "gridvolume":
+                    if not grids:
+                        raise error(place, f"a grid in a '{props.type}' medium", "make the medium 'heterogeneous'")
+                    return _grid(inner, name, high)
+                return _constant(inner, name, high, grids=grids)
+        numbers = color(value, place, props.context, high=high)
+        check_range(numbers, place, 0.0, high, f"'{name}'")
+        return VolumeDescription(f"{parameter}.value.value", numbers, unit)
+
+    failed = VolumeDescription(f"{parameter}.value.value", np.full(1, default, np.float32), unit)
+    return props.context.attempt(read, failed)
+
+
+def _constant(props: Properties, name: str, high: float, *, grids: bool) -> VolumeDescription:
+    value, place = props.take("value", 1.0), props.place("value")
+    if isinstance(value, dict):
+        value, place = props.context.resolve(value, props.context.inside(props.where, "value", value))
+        if value.get("type") not in COLOR_TYPES:
+            raise error(place, f"a '{value.get('type')}' in a 'constvolume'", "give a number or a colour")
+    numbers = color(value, place, props.context, high=high)
+    check_range(numbers, place, 0.0, high, f"'{name}'")
+    matrix = props.transform("to_world") if grids else None
+    props.finish()
+    return VolumeDescription(f"{props.path}.value.value", numbers, matrix)
+
+
+def _grid(props: Properties, name: str, high: float) -> VolumeDescription:
+    given = [key for key in ("filename", "data", "grid") if props.has(key)]
+    sources = {key: props.take(key) for key in ("filename", "data", "grid")}
+    if len(given) != 1:
+        problem = f"got {' and '.join(given)}" if given else "there are no values"
+        raise error(props.where, problem, "give one of 'filename' (a .vol file) and 'data' (an array (Z, Y, X))")
+    place, value = props.place(given[0]), sources[given[0]]
+    box = np.eye(4)
+    if given[0] == "filename":
+        values, box = _file(props.context, value, place)
+    else:
+        values = _array(value, place)
+    props.context.count(values.size, place)
+    check_range(values, place, 0.0, high, f"'{name}'")
+    most = props.number("max_value", np.inf, minimum=-np.inf) if props.has("max_value") else np.inf
+    if values.max() > most:
+        raise error(
+            props.place("max_value"),
+            f"got {most:g}, and the grid has values up to {values.max():g}, where tracking would be wrong",
+            "leave it out",
+        )
+    if not props.boolean("use_grid_bbox", False):
+        box = np.eye(4)
+    elif given[0] != "filename":
+        props.context.note(f"{props.place('use_grid_bbox')} is ignored: an array has no box")
+    props.ignore("accel", reason="grids are kept as 32-bit floats")
+    props.boolean("raw", False)  # no colour of a medium is converted
+    matrix = props.transform("to_world") @ box
+    filter_type = cast(Literal["trilinear", "nearest"], props.string("filter_type", "trilinear", _FILTERS))
+    wrap = cast(Literal["clamp", "repeat", "mirror"], props.string("wrap_mode", "clamp", _WRAPS))
+    props.finish()
+    return VolumeDescription(f"{props.path}.data", values, matrix, filter_type, wrap)
+
+
+def _file(context: Context, name: Any, place: str) -> tuple[np.ndarray, np.ndarray]:
+    for ending, remedy in _CONVERT.items():
+        if isinstance(name, str) and name.lower().endswith(ending):
+            raise error(place, f"'{name}' is a {ending} file, which is not read", f"{remedy}, or write a .vol file")
+    file = context.file(name, place)
+    try:
+        values, box = read_vol(file)
+    except ValueError as problem:
+        raise SceneError(f"{place}: {problem}") from None
+    return _checked(values, place), box
+
+
+def _array(value: Any, place: str) -> np.ndarray:
+    try:
+        values = np.asarray(value.numpy() if hasattr(value, "numpy") else value)
+        values = values.astype(np.float32) if values.dtype.kind in "iuf" else np.empty(0, np.float32)
+    except (TypeError, ValueError):
+        values = np.empty(0, np.float32)
+    return _checked(values, place)
+
+
+def _checked(given: np.ndarray, place: str) -> np.ndarray:
+    values = given[..., None] if given.ndim == 3 else given
+    if values.ndim != 4 or 0 in values.shape or values.shape[3] not in (1, 3):
+        shape = f"the shape {given.shape}" if given.ndim else "no array"
+        raise error(place, f"got {shape}", "give numbers (Z, Y, X), (Z, Y, X, 1) or (Z, Y, X, 3)")
+    if values.size > MOST_VALUES:
+        raise error(place, f"got {values.size} values", f"give at most {MOST_VALUES}")
+    return np.ascontiguousarray(values)
