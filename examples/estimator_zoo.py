@@ -21,6 +21,8 @@ TARGETS = {
     "interior": ("ball.bsdf.alpha.value", "roughness of the ball"),
     "boundary": ("ball.to_world", "the ball moves aside"),
 }
+#: Further choices of methods, for what the first of them refuses here.
+CHOICES = {"interior": ('interior.Attached(weights="attached")',), "boundary": ()}
 #: The parameters move along a direction t: values are per unit of t.
 UNIT = "d radiance / dt [W/m²/sr]"
 #: Samples of the first, timed pass, and how much longer the reference takes than a method.
@@ -58,12 +60,11 @@ def scene_of(resolution: int) -> dict:
 
 def methods(term: str, depth: int) -> dict[str, psdr.PathIntegrator]:
     """Return the methods of a term by what asks for them, the default first."""
-    found = {}
-    for method in psdr.methods():
-        if method.term == term:
-            kind, name = method.option.removesuffix("()").split(".")
-            found[method.option] = psdr.PathIntegrator(max_depth=depth, **{kind: getattr(getattr(psdr, kind), name)()})
-    return found
+    options = [method.option for method in psdr.methods() if method.term == term]
+    return {
+        option: psdr.PathIntegrator(max_depth=depth, **{term: eval(option, vars(psdr))})
+        for option in (*options, *CHOICES[term])
+    }
 
 
 class Derivative:
@@ -135,7 +136,7 @@ def main(
         print(f"\n{term}")
         for row in rows:
             text = row.get("refused") or f"{row['seconds']:6.2f} s  error {row['error']:.3f}"
-            print(f"  {row['method']:28} {text}")
+            print(f"  {row['method']:54} {text}")
     return tables
 
 

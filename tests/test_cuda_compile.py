@@ -18,6 +18,7 @@ from tests.config_helpers import SIMPLE, materials
 from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.boundary.guiding.projective import BLOCKED_LIGHT, SCATTERED
 from warp_psdr.kernels.bsdf.dispatch import VARIANTS
+from warp_psdr.kernels.bsdf.motion import MOVED_BY
 from warp_psdr.kernels.interior.gradient_request import GradientRequest
 from warp_psdr.kernels.interior.shape_parameters import branched_values
 from warp_psdr.kernels.loss import relative_squared
@@ -196,6 +197,11 @@ def still(config):
 GLOSSY = PathConfig(**{**vars(SIMPLE), **materials("roughconductor (ggx)", "blendbsdf(diffuse, conductor)")})
 
 
+def roughness_of(config):
+    """The roughnesses of metal."""
+    return GradientRequest(material=tuple(slot.name in MOVED_BY for slot in config.material))
+
+
 def shapes_of(config):
     """The material values that are branched."""
     return GradientRequest(material=branched_values(config, everything(config)))
@@ -293,6 +299,10 @@ FACTORIES = {
     "interior.branch.make_branch_kernel": [
         ("reverse", (GLOSSY, shapes_of(GLOSSY), "reverse", 16), SLOW),
         ("forward", (GLOSSY, shapes_of(GLOSSY), "forward", 4), SLOW),
+    ],
+    "interior.attached.make_attached_kernel": [
+        ("reverse", (GLOSSY, roughness_of(GLOSSY), "reverse", True, "attached"), SLOW),
+        ("forward, weights", (GLOSSY, roughness_of(GLOSSY), "forward", False, "attached"), SLOW),
     ],
     "boundary.shading_normals.indirect_terminator.make_indirect_terminator_kernel": [
         ("reverse, materials", (MATERIALS, "reverse", True), SLOW),

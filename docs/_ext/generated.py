@@ -2,7 +2,8 @@
 
 ``{methods}`` is ``psdr.methods()``, ``{about-method} OPTION`` one row of it; ``{plugins} KIND`` what the loader reads
 of its plugins; ``{models}`` the declared scattering models; ``{api}`` the public names; ``{measured} NAME`` the tables
-of ``data/NAME.jsonl``, in the form that ``--output`` of the benchmarks writes.
+of ``data/NAME.jsonl``, in the form that ``--output`` of the benchmarks writes; ``{combinations}`` what may be attached
+together.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from warp_psdr.kernels import constants
 from warp_psdr.kernels.bsdf import model
 from warp_psdr.kernels.bsdf.composite import Composite
 from warp_psdr.kernels.bsdf.dispatch import COMPOSITES, MODELS
+from warp_psdr.options import combinations
 
 #: Names of lobes.
 LOBES = {
@@ -84,6 +86,28 @@ class MethodCard(Generated):
                 f"| file | `{method.file}` |",
             ]
         )
+
+
+class Combinations(Generated):
+    """What of samples and weights may be attached together."""
+
+    def text(self) -> str:
+        """Return a table."""
+        lines = [
+            "| directions | light points | weights | where | verdict | toy | right | variance | why |",
+            "|---|---|---|---|---|---|---|---|---|",
+        ]
+        where = {
+            combinations.ALWAYS: "",
+            combinations.EDGES: "light has edges",
+            combinations.MOVING_LIGHT: "light moves",
+        }
+        for row in combinations.TABLE:
+            choices = " | ".join(" or ".join(given) for given in (row.bsdf, row.emitter, row.weights))
+            verdict = "offered" if row.offered else "not offered" if row.right else "**biased**"
+            numbers = f"{row.found:.3g} | {row.exact:.3g} | {row.variance:.2g}"
+            lines.append(f"| {choices} | {where[row.when]} | {verdict} | {numbers} | {row.reason} |")
+        return "\n".join(lines)
 
 
 class Plugins(Generated):
@@ -240,6 +264,7 @@ def setup(app) -> dict:
         "plugins": Plugins,
         "api": Api,
         "measured": Measured,
+        "combinations": Combinations,
     }
     for name, directive in directives.items():
         app.add_directive(name, directive)

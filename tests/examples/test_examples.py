@@ -72,7 +72,8 @@ def test_render_scene(example, tmp_path: Path) -> None:
 def test_estimator_zoo(example, tmp_path: Path) -> None:
     tables = example("estimator_zoo").main(tmp_path, resolution=16, depth=2, seconds=0.2)
     for term, rows in tables.items():
-        assert len(rows) == sum(m.term == term for m in psdr.methods())
+        choices = example("estimator_zoo").CHOICES[term]
+        assert len(rows) == sum(m.term == term for m in psdr.methods()) + len(choices)
         assert all(row["error"] < 3.0 for row in rows if "error" in row) and "error" in rows[0]
         assert contrast(tmp_path / f"zoo_{term}.png") > 0.05
 

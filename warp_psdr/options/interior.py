@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from warp_psdr.options import combinations
+
 
 class Method:
     """Base of all methods: a way to estimate the interior term."""
@@ -90,6 +92,54 @@ class Resampled(Method):
             raise ValueError(
                 f"candidates: got {n!r}, expected a square from {LEAST_CANDIDATES} to {MOST_CANDIDATES}, for example 16"
             )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Attached(Method):
+    """Samples that move with a roughness, or stay [ZSGJ21] (``kernels/interior/attached.py``); the rest: replay.
+
+    A sample is attached if it moves with the parameter through the routine that draws it, and detached if it stays.
+    Which choices go together, and why, is one table: ``docs/methods/attached.md``. With all detached it is replay.
+    Attached directions are those of rough metal by its roughness, where reflected rays meet nothing but the sky.
+
+    Attributes:
+        bsdf: "attached" or "detached": the directions that leave surfaces.
+        emitter: the same of points on lights; "detached" alone is offered.
+        weights: of multiple importance sampling: "detached", "attached", or "position": through the direction alone.
+    """
+
+    bsdf: str = "detached"
+    emitter: str = "detached"
+    weights: str = "detached"
+
+    def __post_init__(self) -> None:
+        """Validate once.
+
+        Raises:
+            ValueError: a choice is unknown, or the three together are biased or not offered.
+        """
+        for name, allowed in (
+            ("bsdf", combinations.SAMPLES),
+            ("emitter", combinations.SAMPLES),
+            ("weights", combinations.WEIGHTS),
+        ):
+            given = getattr(self, name)
+            if given not in allowed:
+                raise ValueError(f"{name}: got {given!r}, expected one of {', '.join(map(repr, allowed))}")
+        row = self.combination
+        if not row.offered:
+            verdict = "is not offered" if row.right else f"is biased ({row.numbers})"
+            raise ValueError(f"{self.label} {verdict}: {row.reason}")
+
+    @property
+    def combination(self) -> combinations.Combination:
+        """Its row of the table."""
+        return combinations.combination(self.bsdf, self.emitter, self.weights)
+
+    @property
+    def label(self) -> str:
+        """The expression that asks for it."""
+        return f"interior.Attached(bsdf={self.bsdf!r}, emitter={self.emitter!r}, weights={self.weights!r})"
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -79,6 +79,10 @@ _METHODS = MethodTable(
             *("kernels/interior/resampled.py", "resampled"),
         ),
         (
+            *("ZSGJ21", "Attached samples", 'interior.Attached(bsdf="attached", weights="attached")', "interior"),
+            *("kernels/interior/attached.py", "attached"),
+        ),
+        (
             *("ZMY*20", "Path-space boundary sampling", "boundary.PathSpace()", "boundary"),
             *("kernels/boundary/path_space/secondary.py", "path_space"),
         ),

@@ -14,7 +14,9 @@ from typing import TYPE_CHECKING
 import warp as wp
 
 from warp_psdr.kernels.bsdf.dispatch import has_delta_lobes, has_null_lobes
+from warp_psdr.kernels.bsdf.motion import MOVED_BY
 from warp_psdr.kernels.constants import DELTA_LIGHTS
+from warp_psdr.kernels.interior.attached import make_attached_kernel
 from warp_psdr.kernels.interior.branch import make_branch_kernel
 from warp_psdr.kernels.interior.forward import make_forward_kernel
 from warp_psdr.kernels.interior.gradient_request import GradientRequest
@@ -24,10 +26,12 @@ from warp_psdr.kernels.interior.replay import make_replay_kernel
 from warp_psdr.kernels.interior.shape_parameters import branched_values
 from warp_psdr.kernels.interior.textbook import make_textbook_kernel
 from warp_psdr.options import boundary, interior
+from warp_psdr.plan.attached import refused_by_attached
 from warp_psdr.plan.light import refused_by_light_tracing
 
 if TYPE_CHECKING:
     from warp_psdr.kernels.vertex import PathConfig
+    from warp_psdr.scene.scene import Scene
 
 #: Vertices after which a path without depth limit is cut, counted from where Russian roulette begins: it survives with
 #: probability 0.95 at most, so fewer than one path in 10^11 is that long.
@@ -49,6 +53,7 @@ class Kept:
         bias: what the method leaves out by design; empty: nothing.
         candidates: of a method that draws for derivatives; 0: it does not.
         linear: whether the light that arrives at vertices is not estimated.
+        attached: what moves with a parameter; None: the method leaves no choice.
     """
 
     block: int
@@ -57,6 +62,7 @@ class Kept:
     bias: str = ""
     candidates: int = 0
     linear: bool = False
+    attached: interior.Attached | None = None
 
     @property
     def longest(self) -> int:
@@ -75,6 +81,7 @@ class Row:
             the paths from the camera.
         beside: likewise, the kernel of the derivatives that it leaves to another method; None: it leaves none.
         refuse: (what the path loop compiles, which derivatives) -> why it cannot estimate them; empty: it claims to.
+        refuse_in: (method, scene, requested names) -> likewise, of what the scene holds.
     """
 
     label: str
@@ -82,6 +89,7 @@ class Row:
     make: Callable[[PathConfig, GradientRequest, str, Kept], wp.Kernel]
     beside: Callable[[PathConfig, GradientRequest, str, Kept], wp.Kernel | None] = lambda *_arguments: None
     refuse: Callable[[PathConfig, GradientRequest], str] = lambda _config, _wanted: ""
+    refuse_in: Callable[[interior.Method, Scene, list[str]], str] = lambda *_arguments: ""
 
 
 def row_of(method: interior.Method, term: boundary.Method | None) -> Row:
@@ -137,10 +145,47 @@ def _make_resampled(config: PathConfig, wanted: GradientRequest, role: str, kept
 
 def _make_rest(config: PathConfig, wanted: GradientRequest, role: str, kept: Kept) -> wp.Kernel | None:
     """Return the kernel of what is not branched, if there is any."""
-    branched = branched_values(config, wanted)
-    rest = replace(wanted, material=tuple(w and not b for w, b in zip(wanted.material, branched, strict=True)))
-    nothing = GradientRequest(material=(False,) * len(branched))
+    return _make_others(config, wanted, branched_values(config, wanted), role, kept)
+
+
+def _make_others(
+    config: PathConfig, wanted: GradientRequest, own: tuple[bool, ...], role: str, kept: Kept
+) -> wp.Kernel | None:
+    """Return the kernel of what is requested but for a method's own material values; None: there is no more."""
+    rest = replace(wanted, material=tuple(w and not o for w, o in zip(wanted.material, own, strict=True)))
+    nothing = GradientRequest(material=(False,) * len(own))
     return None if rest == nothing else _make_replay(config, rest, role, kept)
+
+
+def _roughnesses(config: PathConfig, wanted: GradientRequest) -> tuple[bool, ...]:
+    """Return which of the requested material values directions move with."""
+    return tuple(w and slot.name in MOVED_BY for slot, w in zip(config.material, wanted.material, strict=True))
+
+
+def _keep_attached(method: interior.Method, max_depth: int, rr_depth: int) -> Kept:
+    assert isinstance(method, interior.Attached)
+    kept = _keep_blocks(interior.Replay(), max_depth, rr_depth)
+    said = f"directions {method.bsdf}, light points {method.emitter}, weights {method.weights}"
+    return replace(kept, reason=f"{said}: {method.combination.reason}; {kept.reason}", attached=method)
+
+
+def _make_attached(config: PathConfig, wanted: GradientRequest, role: str, kept: Kept) -> wp.Kernel:
+    assert kept.attached is not None
+    if kept.attached.bsdf == "detached":
+        return _make_replay(config, wanted, role, kept)
+    own = GradientRequest(material=_roughnesses(config, wanted))
+    return make_attached_kernel(config, own, role, True, kept.attached.weights)
+
+
+def _make_beside_attached(config: PathConfig, wanted: GradientRequest, role: str, kept: Kept) -> wp.Kernel | None:
+    """Return replay of all but attached samples; of samples that stay, what attached weights add."""
+    assert kept.attached is not None
+    own = _roughnesses(config, wanted)
+    if kept.attached.bsdf == "attached":
+        return _make_others(config, wanted, own, role, kept)
+    if kept.attached.weights != "attached":
+        return None
+    return make_attached_kernel(config, GradientRequest(material=own), role, False, "attached")
 
 
 def _refused_by_resampled(config: PathConfig, wanted: GradientRequest) -> str:
@@ -195,6 +240,13 @@ TABLE: dict[tuple[type[interior.Method], type[boundary.Method]], Row] = {
         make=_make_resampled,
         beside=_make_rest,
         refuse=_refused_by_resampled,
+    ),
+    (interior.Attached, boundary.Method): Row(
+        label="attached samples, record and sweep",
+        keep=_keep_attached,
+        make=_make_attached,
+        beside=_make_beside_attached,
+        refuse_in=refused_by_attached,
     ),
     (interior.Textbook, boundary.Method): Row(
         label="textbook replay",

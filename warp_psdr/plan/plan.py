@@ -213,7 +213,7 @@ def decide(
     if wanted is not None:
         row = row_of(integrator.interior, term)
         kept = row.keep(integrator.interior, integrator.max_depth, integrator.rr_depth)
-        reason = row.refuse(config, wanted)
+        reason = row.refuse(config, wanted) or row.refuse_in(integrator.interior, scene, names)
         if reason:
             raise ValueError(reason)
         block = f", K = {kept.block}" if kept.block else ""

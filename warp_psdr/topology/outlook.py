@@ -1,0 +1,55 @@
+"""Shapes from which nothing but the sky is seen: no vertex of the scene lies in front of any of their triangles."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from warp_psdr.topology.edges import area_normals
+
+if TYPE_CHECKING:
+    from warp_psdr.scene.scene import Scene
+
+#: Height over the largest coordinate up to which a vertex lies in the plane of a triangle: some roundings.
+IN_PLANE = 2.0e-6
+#: Triangles that are compared with all vertices at a time.
+CHUNK = 256
+
+
+def sees_others(scene: Scene, shape: int, both: bool) -> bool:
+    """Return whether a ray that leaves a shape's front, or ``both`` sides, may meet a surface; kept until one moves."""
+    points = scene.points
+    kept: tuple[np.ndarray, dict[tuple[int, bool], bool]] | None = getattr(scene, "_outlooks", None)
+    if kept is None or not np.array_equal(kept[0], points):
+        kept = (points.copy(), {})
+        scene._outlooks = kept  # type: ignore[attr-defined]
+    if (shape, both) not in kept[1]:
+        b = scene.builder
+        triangles = b.indices[b.face_shape == shape]
+        turned = -1.0 if scene.description.shapes[shape].flip_normals else 1.0
+        kept[1][shape, both] = has_in_front(points.astype(np.float64), triangles, turned, both)
+    return kept[1][shape, both]
+
+
+def has_in_front(points: np.ndarray, triangles: np.ndarray, turned: float, both: bool) -> bool:
+    """Return whether any point lies in front of any triangle.
+
+    Args:
+        points: (N, 3) positions.
+        triangles: (F, 3) their numbers.
+        turned: 1, or -1 where normals are flipped.
+        both: whether behind counts, too.
+    """
+    normal = turned * area_normals(points, triangles)
+    length = np.linalg.norm(normal, axis=1)
+    solid = length > 0.0
+    normal, corner = normal[solid] / length[solid, None], points[triangles[solid, 0]]
+    least = IN_PLANE * max(np.abs(points).max(initial=0.0), 1e-300)
+    offset = (normal * corner).sum(axis=1)
+    for first in range(0, len(normal), CHUNK):
+        rows = slice(first, first + CHUNK)
+        height = normal[rows] @ points.T - offset[rows, None]
+        if (height > least).any() or (both and (height < -least).any()):
+            return True
+    return False
