@@ -31,6 +31,7 @@ from warp_psdr.kernels.bsdf.null import NULL
 from warp_psdr.kernels.bsdf.orennayar import OREN_NAYAR
 from warp_psdr.kernels.bsdf.plastic import PLASTIC
 from warp_psdr.kernels.bsdf.principled import PRINCIPLED, TRANSMITTING_PRINCIPLED
+from warp_psdr.kernels.bsdf.principledthin import PRINCIPLED_THIN
 from warp_psdr.kernels.bsdf.record import (
     MaterialAlgebra,
     make_adjoint_record,
@@ -49,7 +50,8 @@ from warp_psdr.kernels.structs import BsdfSample, Scattered
 #: All scattering models.
 MODELS: tuple[Model, ...] = (
     *(DIFFUSE, CONDUCTOR, DIELECTRIC, ROUGH_CONDUCTOR, PLASTIC, ROUGH_PLASTIC, ROUGH_DIELECTRIC),
-    *(THIN_DIELECTRIC, NULL, PRINCIPLED, TRANSMITTING_PRINCIPLED, OREN_NAYAR, ASHIKHMIN_SHIRLEY, ABC),
+    *(THIN_DIELECTRIC, NULL, PRINCIPLED, TRANSMITTING_PRINCIPLED, PRINCIPLED_THIN, OREN_NAYAR),
+    *(ASHIKHMIN_SHIRLEY, ABC),
 )
 #: All models that are made of models; each for any children, so that they have no end.
 COMPOSITES: tuple[Composite, ...] = (BLEND, NORMAL_MAP, BUMP_MAP, MASK)

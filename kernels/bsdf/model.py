@@ -63,24 +63,26 @@ class Color:
 
 @dataclass(frozen=True)
 class Number:
-    """A parameter that is a number or a texture of numbers, read as a value of the same name.
+    """A parameter that is a number or a texture of numbers.
 
     Attributes:
-        name: of the parameter and of the value.
+        name: of the parameter.
         low: least value.
         high: greatest value; device code takes texels and values beyond the ends for the ends.
         default: None: it has to be given.
+        read: name of the value, where it is not that of the parameter.
     """
 
     name: str
     low: float = 0.0
     high: float = 1.0
     default: float | None = None
+    read: str = ""
 
     @property
     def values(self) -> tuple[Value, ...]:
         """What device code reads."""
-        return (Value(self.name, False, self.low, self.high),)
+        return (Value(self.read or self.name, False, self.low, self.high),)
 
 
 @dataclass(frozen=True)

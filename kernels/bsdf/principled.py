@@ -81,7 +81,12 @@ def principled_index(ior: wp.float32, specular: wp.float32) -> wp.float32:
 @wp.func
 def principled_alphas(roughness: wp.float32, anisotropic: wp.float32) -> wp.vec2:
     """Slopes of the main lobe along the tangents."""
-    r = clamp_unit(roughness)
+    return stretched_alphas(clamp_unit(roughness), anisotropic)
+
+
+@wp.func
+def stretched_alphas(r: wp.float32, anisotropic: wp.float32) -> wp.vec2:
+    """Slopes along the tangents at a roughness of any size."""
     aspect = wp.sqrt(1.0 - 0.9 * clamp_unit(anisotropic))
     return wp.vec2(wp.max(MIN_ROUGH_ALPHA, r * r / aspect), wp.max(MIN_ROUGH_ALPHA, r * r * aspect))
 
@@ -130,6 +135,23 @@ def base_scattering(
 
 
 @wp.func
+def tinted_reflectance(tint: wp.vec3, eta: wp.float32, schlick: wp.float32) -> wp.vec3:
+    """Schlick's reflectance of a dielectric with a tint at normal incidence."""
+    white = wp.vec3(1.0, 1.0, 1.0)
+    r = (eta - 1.0) / (eta + 1.0)
+    normal = (r * r) * tint
+    return normal + schlick * (white - normal)
+
+
+@wp.func
+def sheen_color(base: wp.vec3, sheen: wp.float32, sheen_tint: wp.float32, c: wp.float32) -> wp.vec3:
+    """Light that fibres at grazing angles add, without the cosine."""
+    white = wp.vec3(1.0, 1.0, 1.0)
+    color = white + clamp_unit(sheen_tint) * (tint_of(base) - white)
+    return (clamp_unit(sheen) * schlick_weight(c)) * color
+
+
+@wp.func
 def root_of(color: wp.vec3) -> wp.vec3:
     """The root of a colour, 0 with a derivative at 0."""
     return wp.vec3(
@@ -163,10 +185,8 @@ def make_principled(record: type, variant: str) -> Functions:
         tinted = clamp_unit(mat.spec_tint)
         base = mat.base_color
         white = wp.vec3(1.0, 1.0, 1.0)
-        r = (eta - 1.0) / (eta + 1.0)
-        normal = (r * r) * tint_of(base)
         dielectric = coat_reflectance(c, eta) * white
-        tint = normal + schlick * (white - normal)
+        tint = tinted_reflectance(tint_of(base), eta, schlick)
         metal = base + schlick * (white - base)
         return (1.0 - metallic) * (dielectric + tinted * (tint - dielectric)) + metallic * metal
 
@@ -188,10 +208,9 @@ def make_principled(record: type, variant: str) -> Functions:
         opaque = (1.0 - transmitted_share(mat)) * INV_PI
         base = (opaque * base_scattering(mat.roughness, mat.flatness, wi[2], wo[2], c)) * mat.base_color
         white = wp.vec3(1.0, 1.0, 1.0)
-        sheen = clamp_unit(mat.sheen) * schlick_weight(c)
-        sheen_color = white + clamp_unit(mat.sheen_tint) * (tint_of(mat.base_color) - white)
+        sheen = sheen_color(mat.base_color, mat.sheen, mat.sheen_tint, c)
         matte = (1.0 - clamp_unit(mat.metallic)) * wo[2]
-        return value + coat * white + matte * (base + sheen * sheen_color)
+        return value + coat * white + matte * (base + sheen)
 
     @wp.func
     def principled_eval(mat: record, wi: wp.vec3, wo: wp.vec3) -> wp.vec3:

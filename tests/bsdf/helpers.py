@@ -51,7 +51,7 @@ from tests.bsdf.nested import (  # noqa: F401
     nest,
     nested_examples,
 )
-from tests.bsdf.principled import PRINCIPLED, TRANSMITTING
+from tests.bsdf.principled import PRINCIPLED, THIN, TRANSMITTING
 from warp_psdr.kernels.bsdf.composite import split_key
 from warp_psdr.kernels.bsdf.dispatch import VARIANTS, declaration_of, ordered
 from warp_psdr.kernels.bsdf.microfacet import MIN_ALPHA
@@ -116,6 +116,7 @@ class Example:
         eval: ``(material, wi, wo) -> f_s cos``, the twin of the smooth lobes.
         scatter: ``(material, wi, lobe) -> (wo, weight)``, the twin of the delta lobes.
         mitsuba: ``material -> plugin dictionary``; None: Mitsuba's arithmetic does not do.
+        mitsuba_wrong: ``(wi, wo) -> bool``: directions for which Mitsuba's value and pdf are wrong.
         mitsuba_pdf: how far Mitsuba's pdf may be from ours, relative.
         lossless: ``material -> bool``: whether it is white in a white furnace once its reflectances are 1, and no
             sample is lost.
@@ -129,6 +130,7 @@ class Example:
     extremes: tuple[dict, ...] = ()
     eval: Callable[[dict, np.ndarray, np.ndarray], np.ndarray] | None = None
     scatter: Callable[[dict, np.ndarray, int], tuple[np.ndarray, np.ndarray]] | None = None
+    mitsuba_wrong: Callable[[np.ndarray, np.ndarray], bool] = lambda wi, wo: False
     mitsuba_pdf: float = 2e-3
     lossless: Callable[[dict], bool] = lambda mat: True
     bounded_by: str = ""
@@ -245,6 +247,7 @@ EXAMPLES: dict[str, Example] = {
     "null": Example(materials=(material(),), scatter=twins.null_scatter, mitsuba=lambda mat: {"type": "null"}),
     "principled": Example(**PRINCIPLED),
     "principled (spec_trans)": Example(**TRANSMITTING),
+    "principledthin": Example(**THIN),
     "ashikhminshirley": Example(
         materials=tuple(
             material(reflectance=(0.2, 0.5, 0.8), specular_reflectance=(0.3, 0.2, 0.1), nu=nu, nv=nv)

@@ -1,4 +1,4 @@
-"""The tests' entry for ``principled``: a float64 twin, materials, Mitsuba's plugin."""
+"""The tests' entries for ``principled`` and ``principledthin``: float64 twins, materials, Mitsuba's plugins."""
 
 import numpy as np
 
@@ -26,8 +26,15 @@ TYPICAL = principled(
 ONES = dict.fromkeys(("metallic", "spec_tint", "sheen", "sheen_tint", "flatness", "clearcoat"), 1.0)
 
 
+def is_thin(mat: dict) -> bool:
+    """Whether it is a ``principledthin``, behind which is what is in front."""
+    return "diff_trans" in mat
+
+
 def index_of(mat: dict) -> float:
-    """Index of refraction inside over that outside."""
+    """Index of refraction behind the surface over that in front."""
+    if is_thin(mat):
+        return 1.0
     root = np.sqrt(0.08 * mat["specular"] + MIN_NORMAL_REFLECTANCE)
     return mat["ior"] if mat["ior"] > 0.0 else 2.0 / (1.0 - root) - 1.0
 
@@ -39,7 +46,9 @@ def alphas(mat: dict) -> tuple[float, float]:
 
 
 def coat_alpha(mat: dict) -> float:
-    """Slope of the clear coat."""
+    """Slope of the clear coat; 1: there is none."""
+    if is_thin(mat):
+        return 1.0
     return 0.1 - 0.099 * mat["clearcoat_gloss"]
 
 
@@ -58,6 +67,19 @@ def g1(w: np.ndarray, au: float, av: float) -> float:
     return 2.0 / (1.0 + np.sqrt(1.0 + np.hypot(au * w[0], av * w[1]) ** 2 / w[2] ** 2))
 
 
+def base_and_sheen(mat: dict, wi: np.ndarray, wo: np.ndarray, c: float) -> tuple[np.ndarray, np.ndarray]:
+    """Of directions in front, without the cosine of ``wo``."""
+    base = mat["base_color"]
+    s_c, s_i, s_o = ((1.0 - min(x, 1.0)) ** 5 for x in (c, wi[2], wo[2]))
+    rr = 2.0 * mat["roughness"] * c * c
+    diffuse = (1.0 - 0.5 * s_i) * (1.0 - 0.5 * s_o) + rr * (s_o + s_i + s_o * s_i * (rr - 1.0))
+    fss = (1.0 + (0.5 * rr - 1.0) * s_o) * (1.0 + (0.5 * rr - 1.0) * s_i)
+    flat = 1.25 * (fss * (1.0 / (wo[2] + wi[2]) - 0.5) + 0.5)
+    tint = (base + TINT_BLACK) / (np.dot(LUMINANCE, base) + TINT_BLACK)
+    matte = base / np.pi * ((1.0 - mat["flatness"]) * diffuse + mat["flatness"] * flat)
+    return matte, mat["sheen"] * s_c * (1.0 + mat["sheen_tint"] * (tint - 1.0))
+
+
 def principled_eval(mat: dict, wi: np.ndarray, wo: np.ndarray) -> np.ndarray:
     """f_s times the cosine of ``wo``."""
     if min(wi[2], wo[2]) <= 0.0:
@@ -66,7 +88,7 @@ def principled_eval(mat: dict, wi: np.ndarray, wo: np.ndarray) -> np.ndarray:
     h = (wi + wo) / np.linalg.norm(wi + wo)
     c = np.dot(wi, h)
     tint = (base + TINT_BLACK) / (np.dot(LUMINANCE, base) + TINT_BLACK)
-    s_c, s_i, s_o = ((1.0 - min(x, 1.0)) ** 5 for x in (c, wi[2], wo[2]))
+    s_c = (1.0 - min(c, 1.0)) ** 5
     refracted = np.sqrt(max(1.0 - (1.0 - c * c) / eta**2, 0.0))
     s_eta = s_c if eta > 1.0 else (1.0 - refracted) ** 5
     # The main lobe.
@@ -81,12 +103,7 @@ def principled_eval(mat: dict, wi: np.ndarray, wo: np.ndarray) -> np.ndarray:
     d1 = (a2 - 1.0) / (np.pi * np.log(a2) * (h[0] ** 2 + h[1] ** 2 + a2 * h[2] ** 2))
     coat = 0.25 * mat["clearcoat"] * (0.04 + 0.96 * s_eta) * d1 * g1(wi, 0.25, 0.25) * g1(wo, 0.25, 0.25) * wo[2]
     # The base and its sheen.
-    rr = 2.0 * mat["roughness"] * c * c
-    diffuse = (1.0 - 0.5 * s_i) * (1.0 - 0.5 * s_o) + rr * (s_o + s_i + s_o * s_i * (rr - 1.0))
-    fss = (1.0 + (0.5 * rr - 1.0) * s_o) * (1.0 + (0.5 * rr - 1.0) * s_i)
-    flat = 1.25 * (fss * (1.0 / (wo[2] + wi[2]) - 0.5) + 0.5)
-    matte = base / np.pi * ((1.0 - mat["flatness"]) * diffuse + mat["flatness"] * flat)
-    sheen = mat["sheen"] * s_c * (1.0 + mat["sheen_tint"] * (tint - 1.0))
+    matte, sheen = base_and_sheen(mat, wi, wo, c)
     return main + coat + (1.0 - metallic) * wo[2] * ((1.0 - mat.get("spec_trans", 0.0)) * matte + sheen)
 
 
@@ -119,6 +136,66 @@ def mitsuba_principled(mat: dict) -> dict | None:
     numbers = {name: value for name, value in mat.items() if name not in ("base_color", "ior", "specular")}
     base = {"type": "rgb", "value": mat["base_color"].tolist()}
     return {"type": "principled", "base_color": base, **index, **numbers}
+
+
+THIN_RATES = tuple(
+    f"{lobe}_{way}_sampling_rate" for lobe in ("specular", "diffuse") for way in ("reflectance", "transmittance")
+)
+
+
+def thin(roughness=0.6, base=(0.2, 0.5, 0.8), ior=1.5, **more) -> dict:
+    """A thin sheet."""
+    weights = dict.fromkeys(
+        ("anisotropic", "spec_trans", "spec_tint", "sheen", "sheen_tint", "flatness", "diff_trans"), 0.0
+    )
+    rates = dict.fromkeys(THIN_RATES, 1.0)
+    return material(base_color=base, roughness=roughness, ior=ior, **weights | rates | more)
+
+
+def thin_alphas(mat: dict) -> tuple[float, float]:
+    """Slopes of the lobe that passes a sheet."""
+    return alphas(mat | {"roughness": mat["roughness"] * (0.65 * mat["ior"] - 0.35)})
+
+
+def thin_eval(mat: dict, wi: np.ndarray, wo: np.ndarray) -> np.ndarray:
+    """f_s times the cosine of ``wo``."""
+    if wi[2] == 0.0 or wo[2] == 0.0:
+        return np.zeros(3)
+    behind = wi[2] * wo[2] < 0.0
+    i, o = (w * np.array([1.0, 1.0, np.sign(w[2])]) for w in (wi, wo))
+    base, t, d, eta = mat["base_color"], mat["spec_trans"], 0.5 * mat["diff_trans"], mat["ior"]
+    h = (i + o) / np.linalg.norm(i + o)
+    c = np.dot(i, h)
+    au, av = thin_alphas(mat) if behind else alphas(mat)
+    density = 1.0 / (np.pi * au * av * ((h[0] / au) ** 2 + (h[1] / av) ** 2 + h[2] ** 2) ** 2)
+    glossy = t * density * g1(i, au, av) * g1(o, au, av) / (4.0 * i[2])
+    if behind:
+        return base * (glossy * (1.0 - fresnel(c, eta)) + (1.0 - t) * d / np.pi * o[2])
+    tint = (base + TINT_BLACK) / (np.dot(LUMINANCE, base) + TINT_BLACK)
+    refracted = np.sqrt(max(1.0 - (1.0 - c * c) / eta**2, 0.0))
+    s_eta = (1.0 - min(c if eta > 1.0 else refracted, 1.0)) ** 5
+    r0 = ((eta - 1.0) / (eta + 1.0)) ** 2 * tint
+    f = (1.0 - mat["spec_tint"]) * fresnel(c, eta) + mat["spec_tint"] * (r0 + s_eta * (1.0 - r0))
+    return f * glossy + (1.0 - t) * (1.0 - d) * o[2] * sum(base_and_sheen(mat, i, o, c))
+
+
+def mitsuba_cuts(wi: np.ndarray, wo: np.ndarray) -> bool:
+    """Whether Mitsuba leaves the glossy lobe out that passes a sheet.
+
+    It asks that ``wo``, which is mirrored at the sheet, also lies behind the microfacet that has reflected it: nothing
+    in the model does, and the lobe ends at an edge of no meaning.
+    """
+    i, o = (w * np.array([1.0, 1.0, np.sign(w[2])]) for w in (wi, wo))
+    return bool(wi[2] * wo[2] < 0.0 and np.dot(o * [1.0, 1.0, -1.0], i + o) >= 0.0)
+
+
+def mitsuba_thin(mat: dict) -> dict | None:
+    """The plugin; None: it does not draw a lobe whose derivative is not 0."""
+    if not all(0.02 < share < 0.98 for share in (mat["spec_trans"], 0.5 * mat["diff_trans"])):
+        return None
+    numbers = {name: value for name, value in mat.items() if name not in ("base_color", "ior")}
+    base = {"type": "rgb", "value": mat["base_color"].tolist()}
+    return {"type": "principledthin", "base_color": base, "eta": mat["ior"], **numbers}
 
 
 _SHARED = {
@@ -159,3 +236,23 @@ TRANSMITTING = _SHARED | {
     ),
     "extremes": (principled(0.6, spec_trans=1.0, ior=1.0), principled(0.0, spec_trans=0.5, ior=1.001)),
 }
+THIN = _SHARED | {
+    "eval": thin_eval,
+    "mitsuba": mitsuba_thin,
+    "mitsuba_wrong": mitsuba_cuts,
+    "materials": (
+        thin(
+            0.65, anisotropic=0.3, spec_trans=0.6, spec_tint=0.4, sheen=0.6, sheen_tint=0.7, flatness=0.3,
+            diff_trans=0.8, diffuse_transmittance_sampling_rate=0.7,
+        ),
+        thin(0.5, spec_trans=0.3, ior=1.3, diff_trans=1.7),
+        thin(0.7, diff_trans=1.0),
+    ),
+    "more": (
+        thin(0.6, (1.0, 1.0, 1.0), spec_trans=1.0, spec_tint=1.0, diff_trans=2.0),
+        thin(0.6, BLACK, spec_trans=0.5, sheen=1.0, sheen_tint=0.5, diff_trans=1.0),
+        thin(1.0, ior=2.5, spec_trans=0.9, anisotropic=1.0),
+        thin(0.5, ior=0.8, spec_trans=0.5, flatness=1.0, spec_tint=1.0),
+    ),
+    "extremes": (thin(0.6, spec_trans=1.0, ior=1.0), thin(0.0, spec_trans=0.5, ior=0.54)),
+}  # fmt: skip

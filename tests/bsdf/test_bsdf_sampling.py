@@ -32,7 +32,7 @@ from tests.bsdf.helpers import (
     uniform,
     white,
 )
-from tests.bsdf.principled import alphas
+from tests.bsdf.principled import alphas, is_thin
 from warp_psdr.kernels.bsdf.dispatch import declaration_of
 from warp_psdr.kernels.bsdf.microfacet import MIN_ALPHA
 from warp_psdr.kernels.constants import LOBE_DELTA_TRANSMISSION, LOBE_NONE, LOBE_SMOOTH
@@ -146,7 +146,8 @@ def to_charts(key: str, mat: dict, wi: np.ndarray, wo: np.ndarray) -> tuple[np.n
     if not passes(key):
         return to_lobe(mat, wi, wo)
     behind = wi[2] * wo[:, 2] < 0.0
-    half = np.where(behind[:, None], wi + index_behind(mat, wi) * wo, wi + wo)
+    through = wi + wo * BELOW if is_thin(mat) else wi + index_behind(mat, wi) * wo
+    half = np.where(behind[:, None], through, wi + wo)
     slopes = half[:, :2] / half[:, 2:] * np.where(wi[2] < 0.0, -1.0, 1.0) / np.array(lobe_scales(mat))
     q = np.arctan(np.linalg.norm(slopes, axis=1)) * 2.0 / np.pi
     return q + behind, np.arctan2(slopes[:, 1], slopes[:, 0]) % (2.0 * np.pi)
@@ -168,7 +169,10 @@ def integrals(bsdf: Launcher, key: str, mat: dict, wi: np.ndarray, bins=(20, 24)
     """
     n_q, n_phi = bins[0] * fine[0], bins[1] * fine[1]
     q, phi = np.meshgrid((np.arange(n_q) + 0.5) / n_q, (np.arange(n_phi) + 0.5) * 2.0 * np.pi / n_phi, indexing="ij")
-    if behind:
+    if behind and is_thin(mat):
+        wo, jacobian = from_lobe(mat, wi * np.where(wi[2] < 0.0, BELOW, np.ones(3)), q.ravel(), phi.ravel())
+        wo = wo * np.where(wi[2] < 0.0, np.ones(3), BELOW)
+    elif behind:
         wo, jacobian = from_refraction(mat, wi, q.ravel(), phi.ravel())
     elif passes(key) and wi[2] < 0.0:
         wo, jacobian = from_lobe(mat, wi * BELOW, q.ravel(), phi.ravel())

@@ -42,6 +42,7 @@ TOGETHER = {
     "abc": ("floor.bsdf.*",),
     "principled": ("floor.bsdf.*",),
     "principled glass": ("ball.bsdf.*",),
+    "sheet": ("floor.bsdf.*",),
     "mapped": ("*",),
     "bumped": ("floor.bsdf.nested_texture.data", "floor.bsdf.scale", "floor.bsdf.nested_bsdf.*", "ceiling.to_world"),
     "instanced": ("group.sheet.vertex_positions", "floor.to_world"),
@@ -330,6 +331,13 @@ PRINCIPLED = [
         Case("principled", f"floor.bsdf.{name}.value", ones, 0.25, depth=2, spp=512, slow=True)
         for name in ("spec_tint", "sheen", "sheen_tint", "flatness")
     ),
+    *(
+        Case("sheet", f"floor.bsdf.{name}.value", ones, 4e-2, depth=3, spp=1024, slow=True)
+        for name in ("roughness", "anisotropic", "eta", "spec_trans", "spec_tint", "sheen", "sheen_tint")
+    ),
+    Case("sheet", "floor.bsdf.diff_trans.value", ones, 0.4, depth=3, spp=2048, slow=True),
+    Case("sheet", "floor.bsdf.flatness.value", ones, 0.2, depth=3, spp=1024, slow=True),
+    Case("sheet", "floor.bsdf.base_color.value", mixed, 2e-2, depth=3, spp=256, slow=True),
     Case("principled glass", "ball.bsdf.base_color.value", mixed, 2e-2, depth=4, spp=512, slow=True),
     Case("principled glass", "ball.bsdf.spec_trans.value", ones, 0.3, depth=4, spp=512, slow=True),
     Case("principled glass", "ball.bsdf.roughness.value", ones, 1e-2, depth=4, spp=3072, slow=True),

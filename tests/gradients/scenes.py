@@ -252,6 +252,15 @@ def principled_scene():
     return gap_scene({"type": "principled", "base_color": rgb(0.6, 0.3, 0.2), **weights, **more})
 
 
+def sheet_scene():
+    """A frosted, translucent sheet, lit from both sides; hardly any glossy sample, for the differences' sake."""
+    weights = {"spec_trans": 0.4, "diff_trans": 0.9, "spec_tint": 0.5, "sheen": 0.5, "sheen_tint": 0.5, "flatness": 0.4}
+    rates = {f"specular_{way}_sampling_rate": 1e-3 for way in ("reflectance", "transmittance")}
+    sheet = {"type": "principledthin", "base_color": rgb(0.6, 0.3, 0.5), "roughness": 0.6, "anisotropic": 0.3}
+    sky = {"type": "constant", "radiance": rgb(0.6, 0.8, 0.5)}
+    return gap_scene(sheet | {"eta": 1.6} | weights | rates) | {"sky": sky}
+
+
 def principled_glass_scene():
     scene = glass_scene()
     glass = {"type": "principled", "base_color": rgb(0.6, 0.5, 0.8), "spec_trans": 0.6, "roughness": 0.5, "eta": 1.4}
@@ -343,6 +352,7 @@ SCENES = {
     "abc": abc_scene,
     "principled": principled_scene,
     "principled glass": principled_glass_scene,
+    "sheet": sheet_scene,
     "mirror": mirror_scene,
     "rough glass": lambda: glass_scene("roughdielectric", alpha=0.3),
     "rough window": rough_window_scene,

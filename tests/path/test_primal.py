@@ -35,10 +35,10 @@ def rough(distribution, alpha):
         <string name="distribution" value="{distribution}"/>{alpha}</bsdf>"""
 
 
-def principled(**numbers):
+def principled(kind="principled", **numbers):
     given = "".join(f'<float name="{name}" value="{value}"/>' for name, value in numbers.items())
     color = '<rgb name="base_color" value="0.7, 0.4, 0.2"/>'
-    return f'<bsdf type="principled"><float name="roughness" value="0.4"/>{color}{given}</bsdf>'
+    return f'<bsdf type="{kind}"><float name="roughness" value="0.4"/>{color}{given}</bsdf>'
 
 
 #: Small versions of what the renderer supports, each compared with Mitsuba. Where Mitsuba's shape is analytic and ours
@@ -62,6 +62,7 @@ MITSUBA_CASES = {
     ),
     "principled": object_scene(principled(metallic=0.3, anisotropic=0.5, sheen=0.6, clearcoat=0.9, flatness=0.4), LAMP),
     "principled glass": object_scene(principled(spec_trans=0.7, spec_tint=0.4, eta=1.4), SKY + LAMP, depth=8),
+    "paper": object_scene(principled(kind="principledthin", diff_trans=1.2, sheen=0.5), SKY + LAMP, depth=8),
     "point, spot and sun": object_scene(
         "",
         """<emitter type="point"><point name="position" x="1" y="-1" z="1.5"/><rgb name="intensity" value="1, 2, 3"/>
@@ -81,7 +82,7 @@ MITSUBA_CASES = {
 }
 
 
-SLOW = ("principled", "principled glass")
+SLOW = ("principled", "paper", "principled glass")
 
 
 @pytest.mark.parametrize(

@@ -152,9 +152,9 @@ def test_every_kind_is_listed() -> None:
     """Kinds of files are read as meshes; wrappers and textures have tests of their own."""
     files = {"ply", "obj", "stl", "off", "gltf", "glb", "serialized"}
     assert set(PLUGINS["shape"]) - files - {"shapegroup", "instance", "merge"} == set(SHAPES)
-    # A map needs texture coordinates; its heights are lengths along them. Beside rough glass nothing
-    # may move, nor beside what light passes without a turn, if it comes from a point.
-    others = {"normalmap", "bumpmap", "roughdielectric", "thindielectric", "null"}
+    # A map needs texture coordinates; its heights are lengths along them. Beside rough glass and
+    # thin sheets nothing may move, nor beside what light passes without a turn, if it comes from a point.
+    others = {"normalmap", "bumpmap", "roughdielectric", "principledthin", "thindielectric", "null"}
     assert set(PLUGINS["bsdf"]) - others == set(BSDFS) - {"beckmann"}
     # Beside the hard edge of its light nothing may move.
     assert set(PLUGINS["emitter"]) - {"directionalarea"} == set(LIGHTS)

@@ -158,7 +158,8 @@ def _number(props: Properties, parameter: Number) -> dict[str, TextureDescriptio
         raise error(props.where, f"a '{props.type}' without '{parameter.name}'", "give a number or a texture")
     default = parameter.low if parameter.default is None else parameter.default
     low, high = parameter.low, parameter.high
-    return {parameter.name: texture(props, parameter.name, default, low=low, high=high, scalar=True, clamped=True)}
+    number = texture(props, parameter.name, default, low=low, high=high, scalar=True, clamped=True)
+    return {value.name: number for value in parameter.values}
 
 
 def _plain_number(props: Properties, parameter: PlainNumber) -> dict[str, TextureDescription]:
