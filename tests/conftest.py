@@ -21,12 +21,32 @@ def pytest_configure(config: pytest.Config) -> None:
     wp.set_device("cpu")  # tests of other devices name them
 
 
+def _mark_slow_rows(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Mark the rows slow that ``slow_rows`` names.
+
+    Raises:
+        pytest.UsageError: it names one that does not exist.
+    """
+    missing = {}
+    for item in items:
+        for mark in item.iter_markers("slow_rows"):
+            row = getattr(item, "callspec", None) and item.callspec.id
+            if row in mark.args:
+                item.add_marker(pytest.mark.slow)
+            missing.setdefault(item.location[0] + "::" + item.originalname, set(mark.args)).discard(row)
+    wrong = {name: rows for name, rows in missing.items() if rows}
+    if wrong and not any("::" in arg for arg in config.args):  # else only some rows are collected
+        raise pytest.UsageError(f"slow_rows of what no row is called: {wrong}")
+
+
 def pytest_report_header(config: pytest.Config) -> str:
     devices = ", ".join(str(device) for device in wp.get_devices())
     return f"warp {wp.__version__}, devices: {devices}" + ("" if _has_cuda() else "; tests marked gpu are deselected")
 
 
+@pytest.hookimpl(tryfirst=True)  # before ``-m`` selects
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    _mark_slow_rows(config, items)
     if _has_cuda():
         return
     gpu = [item for item in items if item.get_closest_marker("gpu")]

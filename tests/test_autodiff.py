@@ -157,6 +157,7 @@ def test_the_anchor_is_the_identity_and_moves_its_caller_behind_what_it_calls():
 FAST = ("rough",)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [pytest.param(n, marks=() if n in FAST else pytest.mark.slow) for n in scenes.SCENES])
 def test_no_compiled_kernel_calls_an_empty_adjoint(name, tmp_path):
     numbers, sources = run_alone(RENDERED.format(unmarked=False, scene=name, names=[]), tmp_path / "run")

@@ -5,6 +5,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).resolve().parents[1]
 PROGRAM = """
 import numpy as np
@@ -32,6 +34,7 @@ print(*sorted(set(kernels)))
 """
 
 
+@pytest.mark.slow
 def test_names_do_not_depend_on_what_was_cached(tmp_path: Path) -> None:
     environment = os.environ | {"WARP_CACHE_PATH": str(tmp_path)}
     command = [sys.executable, "-c", PROGRAM]

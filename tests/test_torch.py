@@ -89,6 +89,7 @@ def test_gradients_are_those_of_the_values_that_were_rendered(scene, asked) -> N
     np.testing.assert_array_equal(*gradients)
 
 
+@pytest.mark.slow
 def test_far_scenes_keep_the_digits_of_double_precision() -> None:
     torch = pytest.importorskip("torch")
     place = np.array([1.0e6, 0.0, 0.0])

@@ -75,6 +75,7 @@ def test_leaving_out_is_what_it_says():
         np.testing.assert_allclose(whole.norm2_without[b], rest.norm2, rtol=1e-9, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_batch_that_stands_out_is_seen(report):
     x = np.random.default_rng(6).normal(size=(1, 20, 50))
     even = moments([list(x[0])], [slice(0, 50)])
@@ -168,6 +169,7 @@ def test_terms_add_up_to_the_gradient(soft):
         np.testing.assert_allclose(total[block], expected, rtol=1e-4, atol=1e-5 * np.abs(expected).max())
 
 
+@pytest.mark.slow
 def test_terms_add_up_to_the_derivative_image(soft):
     scene, params = soft
     what = quantity.derivative(scene, params, tangents(params), integrator=INTEGRATOR, sensor=0)
@@ -293,6 +295,7 @@ def test_thinned_batches_are_unbiased(soft, role):
 # -- the report -----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_report_predicts_the_scatter_of_gradients(soft):
     # The scatter of gradients of the batches' sizes, drawn otherwise and with other seeds, is the predicted variance.
     scene, params = soft
@@ -312,6 +315,7 @@ def test_report_predicts_the_scatter_of_gradients(soft):
         assert abs(norm2 - report.norm2[name]) < Z * math.hypot(report.norm2_error[name], 0.01 * norm2)
 
 
+@pytest.mark.slow
 def test_times_and_errors_are_inverse(report):
     # Larger batches save what is fixed in their cost, here a share that does not depend on the machine.
     fixed = ({"fixed_seconds": 0.1 * t.seconds, "sample_seconds": 0.9 * t.seconds / t.samples} for t in report.terms)
@@ -329,6 +333,7 @@ def test_times_and_errors_are_inverse(report):
     assert 20.0 < report.seconds_to(0.001) / report.seconds_to(0.01) < 105.0
 
 
+@pytest.mark.slow
 def test_less_accuracy_never_costs_more(report):
     # Also where batches shrink: with a high fixed cost, and where stratified samples gain from large batches.
     halves = ({"fixed_seconds": 0.5 * t.seconds, "sample_seconds": 0.5 * t.seconds / t.samples} for t in report.terms)
@@ -341,6 +346,7 @@ def test_less_accuracy_never_costs_more(report):
         assert np.isfinite(errors).all() and (np.diff(errors) <= 0.05 * errors[:-1]).all()
 
 
+@pytest.mark.slow
 def test_a_long_time_buys_larger_batches(report):
     # What is fixed in their cost is saved, and stratified samples are better together; both as far as they are known.
     term = replace(report.terms[0], spp=4, samples=400, seconds=1.0, fixed_seconds=0.5, sample_seconds=0.5 / 400)
@@ -358,6 +364,7 @@ def test_a_long_time_buys_larger_batches(report):
         assert lone.fitted(error=0.3) is lone  # some 11 batches, all of which tell when to stop
 
 
+@pytest.mark.slow
 def test_report_is_written_and_read(report, tmp_path):
     report.save(tmp_path / "a.json")
     again = Report.load(tmp_path / "a.json")
@@ -368,6 +375,7 @@ def test_report_is_written_and_read(report, tmp_path):
         Report.load(tmp_path / "b.json")
 
 
+@pytest.mark.slow
 def test_report_is_drawn(report, tmp_path):
     report.plot(tmp_path / "a.png")
     assert (tmp_path / "a.png").stat().st_size > 5000
@@ -415,6 +423,7 @@ def test_an_uncertain_pilot_goes_on(soft, monkeypatch):
     assert rounds_of_a_pilot(soft, monkeypatch, error=1e-6)[0] == 40
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("depth", "built"), [(2, 1), pytest.param(3, 2, marks=pytest.mark.slow)])
 def test_building_is_timed_and_keeps_what_was_built(depth, built):
     # A structure that a gradient has built stays; else what building takes is told apart.

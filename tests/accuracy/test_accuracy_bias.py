@@ -18,6 +18,7 @@ def soft():
     return scene, params
 
 
+@pytest.mark.slow
 def test_textbook_replay_and_a_missing_term_are_named(soft):
     scene, params = soft
     integrator = psdr.PathIntegrator(max_depth=2, interior=psdr.interior.Textbook(), boundary=None)
@@ -69,6 +70,7 @@ def test_bias_of_textbook_replay_on_black_is_measured():
         assert expected < 1e-3 if depth == 2 else (expected > 0.01 and error < 0.2 * expected)
 
 
+@pytest.mark.slow
 @pytest.mark.slow
 def test_measured_bias_is_written_and_drawn(soft, tmp_path):
     scene, params = soft

@@ -85,6 +85,7 @@ def test_stopping_at_an_error_does_not_choose(monkeypatch):
     assert deviate(naive, sum(MEANS)) > 1.25 * Z  # and this test would see it
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("enough", [math.inf, pytest.param(2.0, marks=pytest.mark.slow)])
 def test_stopping_at_a_time_does_not_choose(monkeypatch, enough):
     # Large values take long here: whoever counts a round that ends late, or starts none that might, prefers some.
@@ -99,6 +100,7 @@ def test_stopping_at_a_time_does_not_choose(monkeypatch, enough):
     assert abs(deviate(found, sum(MEANS))) < Z
 
 
+@pytest.mark.slow
 def test_reported_error_is_that_of_the_estimates(monkeypatch):
     what, report = made_up(monkeypatch)
     for wanted in (budget.Budget(0.1, None, report), budget.Budget(None, 100.0, report)):
@@ -110,6 +112,7 @@ def test_reported_error_is_that_of_the_estimates(monkeypatch):
             assert true == pytest.approx(wanted.error, rel=0.2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("target", [0.2, 0.1])
 def test_an_error_takes_its_time_and_no_more(monkeypatch, target):
     # Where the pilot was right; what is run beyond what was needed is wasted.

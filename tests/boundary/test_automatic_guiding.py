@@ -52,6 +52,7 @@ def guided(scene, params) -> tuple[str, str]:
     return next((decision, reason) for item, decision, reason in plan.lines if item == "guiding")
 
 
+@pytest.mark.slow
 def test_a_repeated_gradient_is_guided_where_that_pays(soft) -> None:
     scene, params = soft
     assert guided(scene, params) == ("none", "from a repeated gradient on, if a pilot says that it pays")

@@ -20,6 +20,7 @@ def outline(scene, vertices: np.ndarray) -> ConvexHull:
     return ConvexHull(scale * p[:, :2] / p[:, 2:])
 
 
+@pytest.mark.slow
 def test_a_convex_body_under_a_uniform_sky_is_its_outline() -> None:
     """All of it has the radiance albedo x sky, so the sum of the image is that of the sky less (1 - albedo) area.
 
@@ -52,6 +53,7 @@ def test_a_convex_body_under_a_uniform_sky_is_its_outline() -> None:
     assert np.linalg.norm(error) < 0.05 * np.linalg.norm(exact)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("depth", [1, pytest.param(2, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("smooth", [False, pytest.param(True, marks=pytest.mark.slow)], ids=["flat", "interpolated"])
 def test_creases_beside_a_silhouette_do_not_count_it_again(smooth: bool, depth: int) -> None:

@@ -63,6 +63,7 @@ def test_the_light_between_box_and_floor_is_complete() -> None:
     assert abs(derivative.mean() - mean) < 3.0 * error
 
 
+@pytest.mark.slow
 def test_samples_at_a_contact_have_no_heavy_tail(monkeypatch) -> None:
     """Without the weight the samples' largest values grow with their number, and with them the noise of the mean."""
     scene, _params = load("room")
@@ -89,6 +90,7 @@ def slid(scene, spp: int, batches: int) -> np.ndarray:
     ], np.float64)  # fmt: skip
 
 
+@pytest.mark.slow
 def test_what_turns_as_one_looks_the_same() -> None:
     """Walls that turn together do not move against each other, nor against the camera that turns with them."""
     scene, params = load("room")
@@ -173,6 +175,7 @@ def assert_received(sums: list[float], expected: float, lost: float) -> None:
 UPRIGHT, BEVEL = [(0.0, 0.0), (0.0, 0.6)], 0.003
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", [pytest.param("forward", marks=pytest.mark.slow), "reverse"])
 @pytest.mark.parametrize(
     ("profile", "end", "ratio", "glows"),

@@ -119,6 +119,7 @@ def forward(name, directions):
     return psdr.render_forward(scene, params, tangents, integrator=depth, spp=1).numpy()
 
 
+@pytest.mark.slow_rows("prism on its edge-directions6-pair6")
 @pytest.mark.parametrize(("name", "directions", "pair"), rows(ACROSS))
 def test_motions_across_contacts_are_warned_of(name, directions, pair) -> None:
     with pytest.warns(RuntimeWarning, match="one-sided") as found:

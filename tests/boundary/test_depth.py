@@ -47,6 +47,7 @@ def batch(what, name, term, spp, seed, *, depth=DEPTH, indirect=False):
     return sums.result().numpy()[record.offset : record.offset + record.size].astype(np.float64)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("scene", "name", "method", "term"),
     [
@@ -71,6 +72,7 @@ def test_parts_add_up_sample_by_sample(scene, name, method, term) -> None:
             assert np.abs(indirect).max() > 0.01 * np.abs(whole).max()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("scene", "method", "batches"),
     [
@@ -96,6 +98,7 @@ def test_means_add_up(scene, method, batches) -> None:
         assert np.abs(part.mean(axis=0) / error).max() > 3.0 * Z
 
 
+@pytest.mark.slow
 def test_parts_are_independent_at_equal_seeds() -> None:
     # The pilot runs all terms with one seed a round, and takes the variance of their sum for the sum of variances.
     what = gradient_of("floating", BOX)

@@ -104,6 +104,7 @@ def integrand(z, scales, a, along, s):
     return density * np.linalg.norm(np.cross(along, w), axis=1) / t**2
 
 
+@pytest.mark.slow
 def test_line_integrals_and_their_inversion_against_quadrature(device) -> None:
     random = np.random.default_rng(3)
     count = 200

@@ -80,6 +80,7 @@ def gradient(request: terms.Request, parameter: str, term: terms.Term) -> np.nda
     return sums.result().numpy()[record.offset : record.offset + record.size].astype(np.float64)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "parameter", "depth"),
     [

@@ -18,6 +18,7 @@ def options(boundary, depth: int = 2) -> dict:
 
 
 @pytest.mark.slow
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["flat_creases", "through_mirrors"])
 def test_invalid_samples_of_every_kind_are_counted(kind) -> None:
     """A reflectance that is not finite: of a flat-shaded ball, or of a mirror in which one is seen."""
@@ -38,6 +39,7 @@ def test_invalid_samples_of_every_kind_are_counted(kind) -> None:
         psdr.render_forward(scene, params, {"ball.vertex_positions": slide}, **how)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "mode"),
     [

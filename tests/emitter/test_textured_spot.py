@@ -61,6 +61,7 @@ def lit():
     return scene, params, directions
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["lamp.texture.data", "lamp.intensity.value", "lamp.to_world", "lamp.cutoff_angle"])
 def test_derivatives_equal_differences(lit, name):
     scene, params, directions = lit

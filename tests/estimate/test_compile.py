@@ -48,6 +48,7 @@ def cold_and_warm(tmp_path_factory):
     return run(cache), run(cache)
 
 
+@pytest.mark.slow
 def test_results_do_not_depend_on_the_cache(cold_and_warm) -> None:
     (cold, _), (warm, _) = cold_and_warm
     assert cold[0].split()[1:] == warm[0].split()[1:]

@@ -99,6 +99,7 @@ def test_a_sound_scene_has_none_and_counts_start_anew() -> None:
     assert psdr.invalid_samples(scene)["image"] == 0
 
 
+@pytest.mark.slow
 def test_the_count_does_not_depend_on_the_workers() -> None:
     counts = []
     for n in (1, 2):
@@ -112,6 +113,7 @@ def test_the_count_does_not_depend_on_the_workers() -> None:
     assert counts[0] == counts[1] > 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("mode", "interior"),
     [

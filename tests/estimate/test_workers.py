@@ -106,6 +106,7 @@ def noise(image, mean):
     return d / np.linalg.norm(d)
 
 
+@pytest.mark.slow
 def test_image_and_gradient_use_independent_random_numbers(gap):
     """The gradient along a light's own radiance is the image, if all light scales: same noise, if same numbers."""
     scene, params = gap

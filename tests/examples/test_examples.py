@@ -62,6 +62,7 @@ def contrast(path: Path) -> float:
     return float(image_io.read_image(path, raw=True).std())
 
 
+@pytest.mark.slow
 def test_render_scene(example, tmp_path: Path) -> None:
     example("render_scene").main(tmp_path, resolution=16, spp=4)
     assert contrast(tmp_path / "cornell_box.png") > 0.1
@@ -100,6 +101,7 @@ def test_print_plan(example, capsys: pytest.CaptureFixture) -> None:
     assert "differentiated" not in printed.split("gradient of red.reflectance.value:")[0]
 
 
+@pytest.mark.slow
 def test_torch_wall_color(example, tmp_path: Path) -> None:
     pytest.importorskip("torch")
     error = example("torch_wall_color").main(tmp_path, resolution=12, steps=40, spp=8)
@@ -143,6 +145,7 @@ def test_bunny_scene_fits_its_data(data: ModuleType) -> None:
     assert new.mean() == pytest.approx(photo.mean(), rel=3 * NOISE_OF_THE_MEAN)
 
 
+@pytest.mark.slow
 def test_bunny_configuration_recovers_views(data: ModuleType) -> None:
     config = FitConfig.from_file(EXAMPLES / "bunny.toml")
     assert len(config.targets) == len(data.GIVEN)

@@ -84,6 +84,7 @@ def test_shape_is_recovered(example, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.slow
 def test_pose_is_found_from_the_shadow(example, tmp_path: Path) -> None:
     module = example("pose_from_shadow")
     module.bunny_data.read_bunny = horned
@@ -105,6 +106,7 @@ def test_pose_is_found_from_the_shadow(example, tmp_path: Path) -> None:
     assert contrast(tmp_path / "result.png") > 0.05
 
 
+@pytest.mark.slow
 def test_a_users_kernel_and_the_rendering_share_a_tape(example) -> None:
     # What the library launches itself, such as the refit of the ray structure, stays off the tape.
     import warp as wp

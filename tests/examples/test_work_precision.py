@@ -285,6 +285,7 @@ def test_far_away_corners_are_held_exactly(modules) -> None:
 # --- a small run -------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::warp_psdr.SceneWarning")  # its light is noted to be small
 def test_a_run_is_resumed_and_reported(modules, tmp_path: Path, capsys, monkeypatch: pytest.MonkeyPatch) -> None:
     benchmark, cases = modules("work_precision"), modules("work_precision_cases")

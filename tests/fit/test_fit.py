@@ -64,6 +64,7 @@ def recovered(tmp_path_factory: pytest.TempPathFactory):
     return fit(FitConfig.from_file(write_fit(tmp_path_factory.mktemp("recovered"), iterations=80)))
 
 
+@pytest.mark.slow
 @pytest.mark.smoke
 def test_finds_the_texture(recovered) -> None:
     assert recovered.completed

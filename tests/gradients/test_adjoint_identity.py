@@ -97,6 +97,7 @@ def gradients(name):
 INTEGRATOR = psdr.PathIntegrator(max_depth=DEPTH, boundary=None, rr_depth=3)
 
 
+@pytest.mark.slow_rows("glass and mirror")
 @pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.slow if n in SLOW else ()) for n in ROOMS])
 def test_forward_and_reverse_mode_are_adjoint(name):
     scene, params, w, grads = gradients(name)
@@ -127,6 +128,7 @@ def gradient_alone(name, parameter):
     return gradient
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("parameter", ["vertex_positions", "reflectance.data"])
 @pytest.mark.parametrize("name", ["rough", pytest.param("glass and mirror", marks=pytest.mark.slow)])
 def test_what_is_not_traced_for_one_shape_does_not_matter(name, parameter):

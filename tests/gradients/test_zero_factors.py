@@ -157,6 +157,15 @@ def slope(black, block, mode):
     return got / (difference**2).sum()
 
 
+@pytest.mark.slow_rows(
+    "black_wall-forward",
+    "dark_light-reverse",
+    "black_texels-forward",
+    "dull_metal-reverse",
+    "dull_mirror-forward",
+    "dark_glass-reverse",
+    "dark_plate-reverse",
+)
 @pytest.mark.parametrize(("black", "mode"), list(rows()), indirect=["black"])
 def test_derivative_at_zero(black, mode):
     assert slope(black, 8, mode) == pytest.approx(1.0, abs=ONE_SIDED)

@@ -55,6 +55,7 @@ def test_derivatives_have_a_closed_form_at_zero_reflectance_too(furnace):
     np.testing.assert_array_less(np.abs(found.mean(axis=0) - expected), Z * error + 1e-5)
 
 
+@pytest.mark.slow
 def test_the_modes_are_transposes_of_each_other(furnace):
     scene, params = furnace
     adjoint = np.random.default_rng(3).normal(size=(SIZE, SIZE, 3)).astype(np.float32)
@@ -66,6 +67,7 @@ def test_the_modes_are_transposes_of_each_other(furnace):
     assert reverse == pytest.approx(forward, rel=1e-4)
 
 
+@pytest.mark.slow
 def test_the_linear_form_counts_all_light_as_one_and_says_so():
     """In the dark the unbiased derivative is 0 and that of the linear form, for paths of two vertices, 1."""
     scene = psdr.load_dict(room(0.0))

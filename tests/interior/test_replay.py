@@ -58,6 +58,7 @@ KS = (1, 2, 3, 8, 16)
 FAST_PAIRS = {(1, 8), (2, 1), (5, 1), (5, 2), (16, 8), (64, 8)}
 
 
+@pytest.mark.slow_rows("1-8", "5-1", "5-2", "16-8", "64-8")
 @pytest.mark.parametrize(
     ("depth", "block"),
     [pytest.param(d, k, marks=() if (d, k) in FAST_PAIRS else pytest.mark.slow) for d in (1, 2, 5, 16, 64) for k in KS],
@@ -105,6 +106,7 @@ def test_gradient_of_the_furnace_has_its_closed_form(closed, depth):
         assert tolerance < 0.02 * expected + 1e-12
 
 
+@pytest.mark.slow
 def test_unbounded_paths_end_by_roulette_only(closed):
     scene, params = closed
     params.requires_grad_only("room.bsdf.reflectance.value", "room.emitter.radiance.value")
@@ -118,6 +120,7 @@ def test_unbounded_paths_end_by_roulette_only(closed):
     assert primal.mean() == pytest.approx(FURNACE_RADIANCE / (1.0 - FURNACE_ALBEDO), rel=0.02)
 
 
+@pytest.mark.slow
 def test_unbounded_paths_are_as_long_in_small_blocks(closed):
     scene, params = closed
     params.requires_grad_only("room.bsdf.reflectance.value")
@@ -127,6 +130,7 @@ def test_unbounded_paths_are_as_long_in_small_blocks(closed):
         backward(scene, params, -1, 8, spp=4, rr_depth=100_000)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "block"),
     [
@@ -261,6 +265,7 @@ def test_recorded_paths_reach_their_full_depth(taped):
     assert (taped.vertices["light"] >= 0).mean() > 0.1
 
 
+@pytest.mark.slow
 def test_the_whole_image_equals_the_taped_oracle(taped):
     weights = np.random.default_rng(1).normal(size=(36, 3))
     assert_equals_oracle(swept(taped, weights), taped.oracle(weights))

@@ -164,6 +164,7 @@ def test_a_target_that_is_not_a_number_is_seen():
     assert np.isnan(out.numpy()).any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["metal", *(pytest.param(n, marks=pytest.mark.slow) for n in list(SCENES)[1:])])
 def test_mean_is_that_of_replay(name):
     _material, branched, others = SCENES[name]
@@ -242,6 +243,7 @@ def test_slope_of_finite_differences(name, parameter, step):
     assert abs(gradient.mean() / slopes.mean() - 1.0) < SLOPE + 2.0 * noise
 
 
+@pytest.mark.slow
 def test_less_noise_than_replay_at_equal_samples():
     scene, params = load("metal")
     name = SCENES["metal"][1][0]

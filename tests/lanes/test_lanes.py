@@ -153,6 +153,11 @@ def cases():
             yield pytest.param(name, spp, sampler, what, marks=marks, id=f"{name}-{spp}-{what}")
 
 
+@pytest.mark.slow_rows(
+    "image sky, lamp, metal, glass, mirror and coat-3-values",
+    "area light, two-sided, textured by vertices-3-all",
+    "sky, point, spot and sun, a bitmap-19-values",
+)
 @pytest.mark.parametrize(("name", "spp", "sampler", "what"), list(cases()))
 def test_paths_have_the_bits_of_single_ones(name, spp, sampler, what, alone):
     """Gradients of vertices, lights' poses and the camera, whose paths are swept side by side, but for their sums."""
@@ -173,6 +178,7 @@ def test_paths_have_the_bits_of_single_ones(name, spp, sampler, what, alone):
         assert any(np.abs(gradient).max() > 0.0 for gradient in of_kind)
 
 
+@pytest.mark.slow
 def test_contacts_are_weighed_side_by_side(alone):
     """Boxes that stand on a floor: connections along contacts are looked at one by one."""
     scene = psdr.load_file(BOX, resolution=16)
@@ -190,6 +196,7 @@ def test_contacts_are_weighed_side_by_side(alone):
     assert any(np.abs(gradients[1][key] - single).max() > 0.01 for key, single in singles.items())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("width", [pytest.param(4, marks=pytest.mark.slow), 16])
 def test_other_widths_have_the_same_bits(width, monkeypatch):
     images = []
@@ -201,6 +208,7 @@ def test_other_widths_have_the_same_bits(width, monkeypatch):
     np.testing.assert_allclose(images[0], images[1], rtol=0, atol=1.0e-6 * images[0].mean())
 
 
+@pytest.mark.slow
 def test_lanes_without_a_vertex_read_no_table():
     """What rows hold of lanes whose ray meets nothing is anything, addresses of tables among it."""
     coat = {"type": "roughplastic", "distribution": "ggx", "alpha": 0.2}
@@ -221,6 +229,7 @@ def test_lanes_without_a_vertex_read_no_table():
     assert (images[0] == images[1]).all() and (images[0] == images[2]).all() and images[0].max() > 0.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["ceiling.bsdf.reflectance.value", "ceiling.vertex_positions"])
 def test_paths_whose_vertices_have_no_room_are_traced_alone(name):
     """Of vertices that move more is kept: for some numbers of them, paths are traced together but swept alone."""
@@ -298,6 +307,7 @@ wp.load_module(kernel.module, device="cpu")
 """
 
 
+@pytest.mark.slow_rows("replay")
 @pytest.mark.skipif(acceleration.host_width() < 8, reason="narrow vectors: the compiler may find SIMD not worth it")
 @pytest.mark.parametrize("kernel", ["primal", "replay", pytest.param("gold", marks=pytest.mark.slow)])
 def test_loops_over_lanes_become_simd(kernel, tmp_path):

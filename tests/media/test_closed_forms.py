@@ -104,6 +104,7 @@ def test_light_scattered_once(airlight, case):
     assert_mean(points(images), expected, str(parameters), WIDTH)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("g", [None, 0.7])
 def test_a_furnace(g):
     """Nothing absorbs: every pixel has the sky's radiance, whatever the density and the phase function."""

@@ -145,6 +145,7 @@ def gradient(sunlit, block=8, depth=5, rr_depth=3, spp=16):
     return {name: params[name].grad.numpy().astype(np.float64) for name in params.requested}
 
 
+@pytest.mark.slow
 def test_forward_and_reverse_mode_are_adjoint(sunlit):
     scene, params, w = sunlit
     integrator = psdr.PathIntegrator(max_depth=5, rr_depth=3)

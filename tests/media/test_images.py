@@ -25,6 +25,7 @@ def test_equals_mitsuba(name):
     assert_same_mean(blocks(ours, 6), blocks(theirs, 6), name, MITSUBA_ROUNDING)
 
 
+@pytest.mark.slow
 def test_any_number_of_workers_and_wide_filters():
     """Equal bits, under a box and under a wide filter, which agree in the mean."""
     parts = scenes.milk()

@@ -64,6 +64,7 @@ def test_mitsuba_counts_alike():
         assert_mean(images.reshape(-1, 3), expected, f"Mitsuba, depth {depth}")
 
 
+@pytest.mark.slow
 def test_hidden_emitters_still_light():
     """Hiding the lights takes away what the camera sees of them and nothing else."""
     scene = room()
@@ -88,6 +89,7 @@ def test_crop_is_a_part_of_the_film():
         assert_same_mean(cropped, full[:, 3:15, 4:12], "crop", rounding=1e-2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rfilter", ["tent", "gaussian"])
 def test_filters_conserve_energy(rfilter):
     """A filter moves light between neighbouring pixels; it makes none. Sums over the film, whose border is flat."""
@@ -99,6 +101,7 @@ def test_filters_conserve_energy(rfilter):
     assert np.abs(a.mean(axis=0) - b.mean(axis=0)).max() > 0.02
 
 
+@pytest.mark.slow
 def test_filters_keep_a_constant_image():
     """Under any filter a film that sees one radiance shows that radiance: the weights sum to 1."""
     narrow = '<float name="{}" value="{}"/>'
@@ -210,6 +213,7 @@ def test_mitsuba_ends_filters_alike(rfilter, border, cropped):
     assert_same_mean(ours, theirs, f"{rfilter}, {border}", rounding=5e-3)  # Mitsuba's Gaussian is a polynomial
 
 
+@pytest.mark.slow_rows("to_world0")
 @pytest.mark.parametrize("to_world", [np.diag([2.0, 1.0, 1.0, 1.0]), np.diag([1.0, -3.0, 0.5, 1.0])])
 def test_a_stretched_environment_lights_a_floor_as_one_that_is_not(to_world) -> None:
     """Of one radiance all around, whichever way its map is stretched."""

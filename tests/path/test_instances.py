@@ -143,6 +143,7 @@ def test_an_edit_that_mirrors_an_instance_is_refused():
         params.update()
 
 
+@pytest.mark.slow
 def test_normals_and_vertices_of_a_group_cannot_change_together_and_normals_alone_are_kept():
     scene = psdr.load_dict(instanced({"ball": mesh()}))
     params = psdr.traverse(scene)
@@ -159,6 +160,7 @@ def test_normals_and_vertices_of_a_group_cannot_change_together_and_normals_alon
 # -- gradients ------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "flat", [pytest.param(False, id="smooth", marks=pytest.mark.slow), pytest.param(True, id="flat")]
 )

@@ -105,6 +105,7 @@ def integrators(scene):
     return psdr.PathIntegrator(**known), psdr.PathIntegrator(**known, interior=LIGHT_TRACING)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [n if n in FAST else pytest.param(n, marks=pytest.mark.slow) for n in ROOMS])
 def test_the_image_is_that_of_the_path_tracer(name):
     scene = psdr.load_dict(ROOMS[name]())

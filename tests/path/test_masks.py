@@ -68,6 +68,7 @@ def derivative(scene, name, spp, depth=4):
     return forward, np.array(reverse)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("opacity", [0.0, 0.4, 1.0])
 @pytest.mark.parametrize("scene", [stacked, lit], ids=["seen", "lit"])
 def test_derivative_by_an_opacity(scene, opacity):
@@ -79,6 +80,7 @@ def test_derivative_by_an_opacity(scene, opacity):
     assert_mean(reverse[:, None], np.array([expected.sum()]), "reverse", 1e-3)
 
 
+@pytest.mark.slow
 def test_derivative_by_what_an_opacity_of_zero_hides():
     """Nothing of a transparent mirror is seen; its opacity brings it in."""
     mirror = {"type": "conductor", "material": "none"}
@@ -112,6 +114,7 @@ def test_derivative_by_texels_of_an_opacity():
     assert_mean(np.array(found), np.full(4, -GLOW.sum()), "texels", 1e-3)
 
 
+@pytest.mark.slow
 def test_a_mask_around_two_sides():
     """As in Mitsuba, whose ``path`` finds nothing of what shadow rays do here, and has the same mean."""
     mi = pytest.importorskip("mitsuba")

@@ -45,6 +45,7 @@ def fresnel(cosine, eta):
     return 0.5 * (s**2 + p**2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("count", "tilt"), [(1, 0.0), (3, 0.0), (2, 60.0)])
 def test_a_stack_of_plates(count, tilt):
     """N plates of reflectance r and transmittance 1 - r let (1 - r) / (1 + (N - 1) r) pass."""
@@ -104,6 +105,7 @@ def under_a_plate(half):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("half", [0.2, 1.5])
 def test_shadow_rays_through_a_plate_keep_the_mean(half, monkeypatch):
     """Beside paths that cross the plate by its null lobe alone, which find little of a small lamp."""
@@ -149,6 +151,7 @@ def room(**more):
     )
 
 
+@pytest.mark.slow
 def test_nothing_changes_nothing():
     shell = {"type": "cube", "to_world": T.translate([0, 0, 0.8]) @ T.scale(0.9), "bsdf": NOTHING}
     # Deep enough that no path is cut short by what it crosses.

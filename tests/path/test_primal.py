@@ -109,6 +109,7 @@ def test_cornell_box_equals_mitsuba():
     assert_same_mean(ours[:, 0].mean(axis=1), theirs[:, 0].mean(axis=1), "Cornell box, first row", 1e-2)
 
 
+@pytest.mark.slow
 def test_samplers_agree():
     scene = psdr.load_file(BOX, resolution=32)
     sobol, independent = (batches(scene, spp=16, max_depth=6, sampler=s) for s in ("sobol", "independent"))
@@ -133,6 +134,7 @@ def test_roulette_through_glass_keeps_the_mean():
     assert_same_mean(blocks(with_roulette, 6), blocks(without, 6), "Russian roulette through glass")
 
 
+@pytest.mark.slow
 def test_a_thousand_lights():
     """Selection among 1,000 lights of very different power is unbiased: the sum of the closed forms."""
     rng = np.random.default_rng(3)
@@ -166,6 +168,7 @@ def test_light_is_selected_by_power():
     assert np.median((images.std(axis=0) / images.mean(axis=0).clip(1e-9))[floor]) < 0.2
 
 
+@pytest.mark.slow
 def test_extreme_scenes_stay_finite():
     """Grazing light, tiny roughness, a light that touches a surface, indices near 1: finite and not negative."""
     lamp = LAMP.replace('z="2"', 'z="0.05"')

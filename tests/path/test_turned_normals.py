@@ -49,6 +49,7 @@ def expected(n) -> np.ndarray:
     return np.array([0.7, 0.5, 0.3]) / np.pi * 2.0 * max(0.0, n @ LIGHT / np.linalg.norm(n))
 
 
+@pytest.mark.slow
 def test_a_flat_map_changes_nothing() -> None:
     plain = lit_plane(COPPER)
     assert np.std(plain[:, 0]) > 0.0
@@ -68,6 +69,7 @@ def test_the_bump_map_of_a_ramp_tilts_by_the_angle_of_its_slope() -> None:
         np.testing.assert_allclose(image, np.tile(expected(n), (16, 1)), rtol=1e-4)
 
 
+@pytest.mark.slow
 def test_shadowing_takes_light_from_tilted_normals() -> None:
     n = np.array([0.6, 0.0, 0.8])
     a2 = min((0.6 / 0.8) ** 2 / 8.0, 1.0)
@@ -76,6 +78,7 @@ def test_shadowing_takes_light_from_tilted_normals() -> None:
     np.testing.assert_allclose(lit_plane(normal_map(n)), np.tile(shadowed, (16, 1)), rtol=FLOAT32)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", ["forward", "reverse"])
 def test_the_texels_of_a_bump_map_have_exact_derivatives(mode: str) -> None:
     """Light from one direction on paint leaves nothing to chance but the place in the pixel, which stays."""

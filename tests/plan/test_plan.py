@@ -55,6 +55,7 @@ def functions_of(source):
     return "\n".join(lines[first:]).lower()
 
 
+@pytest.mark.slow_rows("reverse")
 @pytest.mark.parametrize("kind", ["primal", "reverse"])
 def test_a_diffuse_scene_holds_no_code_of_other_models(diffuse, kind, tmp_path):
     scene, _params = diffuse

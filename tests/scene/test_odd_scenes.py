@@ -103,14 +103,7 @@ def all_passes(scene, **options) -> tuple[np.ndarray, dict[str, np.ndarray]]:
 
 
 #: Compiling takes seconds a scene; the others are left to the slow set.
-FAST = (
-    "mirrors only",
-    "glass only",
-    "no lights",
-    "environment map alone",
-    "a single triangle",
-    "an area light with smooth normals",
-)
+FAST = ("a single triangle",)
 
 
 @pytest.mark.parametrize("name", [n if n in FAST else pytest.param(n, marks=pytest.mark.slow) for n in SCENES])
@@ -120,6 +113,7 @@ def test_every_pass_is_finite(name: str) -> None:
     assert seen is None or np.any(image > 0.0) == seen
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "inside", ["diffuse", *(pytest.param(n, marks=pytest.mark.slow) for n in ("glass", "shining"))]
 )
@@ -134,6 +128,7 @@ def test_a_camera_inside_a_mesh(inside: str) -> None:
     assert np.all(image.sum(axis=2) > 0.0)
 
 
+@pytest.mark.slow
 def test_a_camera_on_a_surface_and_one_behind_everything() -> None:
     all_passes(load({"a": FLOOR, "sky": SKY}, to_world=LOOK((0, 0, -1.5), (0, 0, 3))))
     image, _ = all_passes(load({"a": FLOOR, "lamp": POINT}, to_world=LOOK((0, 0, 9), (0, 0, 20))))

@@ -249,6 +249,7 @@ def test_poses_move_vertices_and_normals(loaded):
     np.testing.assert_allclose(params["ceiling.vertex_positions"].numpy(), corners @ turn[:3, :3].T, atol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("together", [True, False])
 def test_poses_move_what_was_edited(loaded, together):
     """Whether vertices are edited before a pose, or with it: then they are kept, and move from there."""

@@ -58,6 +58,7 @@ def share(name: str, low: float, high: float, border: bool, first: int, size: in
     return within(max(low, first), min(high, first + size)) / within(first, first + size)
 
 
+@pytest.mark.slow_rows("box-None", "gaussian-None")
 @pytest.mark.parametrize("border", [None, False])
 @pytest.mark.parametrize("name", NAMES)
 def test_a_white_square_that_fills_the_film_is_white(name: str, border: bool | None) -> None:
@@ -76,6 +77,7 @@ def test_a_white_square_that_fills_the_film_is_white(name: str, border: bool | N
         np.testing.assert_allclose(params[name_of_light].grad.numpy().sum(), weights.sum(), rtol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("crop", [False, True])
 @pytest.mark.parametrize("border", [False, True])
 @pytest.mark.parametrize(

@@ -98,6 +98,7 @@ SLOPE = 0.02
 FAST = "irradiance, texels"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.slow] * (n != FAST)) for n in CASES])
 def test_derivatives_equal_differences_in_both_modes(name):
     make, parameter, tangent, step, spp = CASES[name]

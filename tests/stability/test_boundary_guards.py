@@ -145,6 +145,7 @@ def crease(slant: float, half: float = 0.6, eye: float = -3.0, near: float = 0.0
     return float(gradient(request, RIDGE, term) @ LIFT)
 
 
+@pytest.mark.slow
 def test_creases_beside_a_face_seen_nearly_edge_on() -> None:
     """At 4.8e-5 radians: rays beside the crease must start in front of the face, farther away than usual."""
     assert abs(crease(4.8e-5, 0.1) / crease(1e-3, 0.1) - 1.0) < 0.05
@@ -201,6 +202,7 @@ def test_terminators_of_fine_meshes_count_once() -> None:
     assert abs(found[1] / found[0] - 1.0) < 0.05
 
 
+@pytest.mark.slow
 def test_where_normals_cancel_is_no_terminator() -> None:
     """Along a line of the triangle its interpolated normal is 0, and so is its product with the line of sight."""
     n = np.array([0.0, 0.6, 0.8])
@@ -212,6 +214,7 @@ def test_where_normals_cancel_is_no_terminator() -> None:
 # --- two surfaces that continue each other ---
 
 
+@pytest.mark.slow
 def test_a_border_between_plates_in_one_plane_moves_with_both() -> None:
     """Their normals are the same but for roundings, by whose difference the border's velocity must not be split."""
     tilt, at = 0.3, 0.2

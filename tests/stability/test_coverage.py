@@ -181,7 +181,7 @@ def on_a_border() -> float:
 
 CASES = (
     Case(
-        family="coverage", name="needles of width 1e-1 .. 1e-4", bound=1.5e-4,
+        family="coverage", name="needles of width 1e-1 .. 1e-4", slow=True, bound=1.5e-4,
         measure=off([needle(w) for w in (1e-1, 1e-2, 1e-3, 1e-4)]),
         hard="both sides of an edge are looked at, and the other edge is near",
         naive="looking at a fixed distance of 3.5e-6: 1.5e-3. A primal difference needs a step below the width",

@@ -163,13 +163,13 @@ print("GB", resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20)
 
 CASES = (
     Case(
-        family="geometry", name="needles of 1e-1 .. 1e-8, image and interior", bound=5e-7,
+        family="geometry", name="needles of 1e-1 .. 1e-8, image and interior", slow=True, bound=5e-7,
         measure=lambda: same(needles("box", BOX, range(1, 9)) + needles("floor", FLOOR, (3, 6))),
         hard="needles have no normal to speak of, and edge functions of rounding noise",
         naive="false hits all over the image: errors of 1e-2 at 1e-6 and 0.3 at 1e-7",
     ),
     Case(
-        family="geometry", name="needles of 1e-1, 1e-5 and 1e-7, derivative", bound=2e-3,
+        family="geometry", name="needles of 1e-1, 1e-5 and 1e-7, derivative", slow=True, bound=2e-3,
         measure=lambda: slope(needles("box", BOX, (1, 5, 7))),
         hard="needles tilt by rounding, so that their long sides look like folds a hair from the true edge",
         naive="each is found to have the jump of the true edge: a quarter of the image is wrong at 1e-5",
@@ -189,7 +189,8 @@ CASES = (
         naive="cracks",
     ),
     Case(
-        family="geometry", name="T-junctions, derivative", bound=2e-3, measure=lambda: slope(junctions((0.3, 1e-3))),
+        family="geometry", name="T-junctions, derivative", slow=True, bound=2e-3,
+        measure=lambda: slope(junctions((0.3, 1e-3))),
         hard="sides of different length do not match, so all of them look open",
         naive="a silhouette along such sides counts twice: slope 1.07, a third of the image wrong",
     ),

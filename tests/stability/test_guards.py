@@ -315,6 +315,7 @@ def test_a_vertex_met_along_its_surface_is_dropped() -> None:
     assert not along.any() and above[0] > 0.0
 
 
+@pytest.mark.slow
 def test_a_mesh_without_usable_normals_is_flat() -> None:
     """Vertex normals of nearly no length: the triangles' own are used, and the others have no derivative."""
     found = {}

@@ -287,6 +287,7 @@ CASES = [
     Case(
         family="light",
         name="disks of radius 1e-5 to 1",
+        slow=True,
         hard="densities of 1e10 per area; 1 / r^2 of a light that is nearly a point",
         naive="areas below an epsilon are skipped; a light's own surface hides it",
         bound=5e-4,

@@ -38,6 +38,7 @@ def growth(memory: list[float]) -> float:
     return float(np.polyfit(EVERY * np.arange(len(memory)), memory, 1)[0])
 
 
+@pytest.mark.slow
 def test_memory_over_a_few_steps() -> None:
     report = measured(60)
     assert report["moved"] > 0.0 and report["builds"] > 1

@@ -134,6 +134,7 @@ def test_an_edge_of_a_face_seen_nearly_edge_on_is_not_lost(width: float, least: 
     np.testing.assert_allclose(point, np.broadcast_to(at, point.shape), atol=1e-3)
 
 
+@pytest.mark.slow
 def test_beyond_the_rim_of_a_smooth_cup_its_next_side_is_another_surface() -> None:
     """The two sides share an edge across which normals are interpolated, and are far apart where the rim is seen.
 

@@ -212,6 +212,7 @@ CASES = [
     Case(
         family="numbers",
         name="gradient of 1e6 samples, reverse against forward",
+        slow=True,
         hard="one parameter collects all samples of all pixels",
         naive="a single float32 buffer: 1e-5",
         bound=1e-6,

@@ -146,6 +146,7 @@ CASES = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", parameters(CASES))
 def test_paths(case, check) -> None:
     check(case)

@@ -100,6 +100,7 @@ CASES = [
 ]  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", parameters(CASES))
 def test_penumbra(case, check) -> None:
     check(case)

@@ -104,6 +104,7 @@ def test_a_share_has_to_leave_something() -> None:
         MeshWatch(load(), share=1.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["not finite", *(pytest.param(k, marks=pytest.mark.slow) for k in list(RUINS)[1:])])
 def test_a_fit_stops_at_the_step_with_its_last_checkpoint_whole(tmp_path, monkeypatch, kind: str) -> None:
     file = write_fit(tmp_path)

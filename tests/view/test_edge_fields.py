@@ -110,6 +110,7 @@ def test_the_density_of_guided_sampling_is_that_of_its_cells(under_a_light) -> N
     assert np.abs(counted - np.diff(border)).sum() > 0.2  # far from the unguided one
 
 
+@pytest.mark.slow
 def test_guided_samples_add_up_to_the_boundary_gradient(under_a_light) -> None:
     scene, params = under_a_light
     adjoint = adjoint_of(scene)
@@ -124,6 +125,7 @@ def test_guided_samples_add_up_to_the_boundary_gradient(under_a_light) -> None:
     assert np.abs(expected).max() > 10 * SUMMATION * np.abs(pulls).sum()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["primary", "secondary"])
 def test_samples_that_are_not_finite_are_counted(kind) -> None:
     scene = broken(lookup="bilinear")
