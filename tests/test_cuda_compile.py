@@ -207,6 +207,9 @@ def shapes_of(config):
     return GradientRequest(material=branched_values(config, everything(config)))
 
 
+MAPPED = PathConfig(**{**vars(SIMPLE), **materials("normalmap(roughconductor (ggx))"), "tangent": True})
+
+
 def media(config):
     """All of media, and what does not move beside them."""
     everywhere = ("sigma_t", "albedo", "scale", "phase")
@@ -303,6 +306,10 @@ FACTORIES = {
     "interior.attached.make_attached_kernel": [
         ("reverse", (GLOSSY, roughness_of(GLOSSY), "reverse", True, "attached"), SLOW),
         ("forward, weights", (GLOSSY, roughness_of(GLOSSY), "forward", False, "attached"), SLOW),
+    ],
+    "interior.antithetic.make_pair_kernel": [
+        ("reverse", (GLOSSY, moving_camera(GLOSSY), "reverse"), SLOW),
+        ("forward", (MAPPED, everything(MAPPED, to_uv=True), "forward"), SLOW),
     ],
     "boundary.shading_normals.indirect_terminator.make_indirect_terminator_kernel": [
         ("reverse, materials", (MATERIALS, "reverse", True), SLOW),

@@ -1,5 +1,14 @@
 """The interior term (survey eq. 12 first term, section 3): its methods, one object each."""
 
-from warp_psdr.options.interior import Attached, LightTracing, Method, Radiative, Replay, Resampled, Textbook
+from warp_psdr.options.interior import (
+    Antithetic,
+    Attached,
+    LightTracing,
+    Method,
+    Radiative,
+    Replay,
+    Resampled,
+    Textbook,
+)
 
-__all__ = ["Attached", "LightTracing", "Method", "Radiative", "Replay", "Resampled", "Textbook"]
+__all__ = ["Antithetic", "Attached", "LightTracing", "Method", "Radiative", "Replay", "Resampled", "Textbook"]

@@ -1,6 +1,8 @@
-"""Derivatives by the shape of lobes: variance and time of ``interior.Resampled`` against ``interior.Replay``.
+"""Derivatives at glossy surfaces: variance and time of the methods made for them against ``interior.Replay``.
 
-    python examples/benchmarks/shape_derivatives.py [--quick] [--output results.jsonl]
+    python examples/benchmarks/shape_derivatives.py [--normals] [--quick] [--output results.jsonl]
+
+By the shape of lobes, ``interior.Resampled``; with ``--normals`` by their normals, ``interior.Antithetic``.
 
 A glossy ball on a floor under a lamp of some width and an even sky. The variance is that of the derivative image, all
 pixels together, from independent seeds at equal samples; the time that of gradients in reverse mode. What counts is the
@@ -10,7 +12,6 @@ last column, the ratio of the variances at equal time: above 1, branches pay.
 import numpy as np
 from common import Report, arguments, in_turns, psdr, ratio
 
-METHODS = {"replay": psdr.interior.Replay(), "resampled": psdr.interior.Resampled()}
 #: Depth of the paths.
 DEPTH = 4
 
@@ -31,6 +32,11 @@ def metal(alpha: float) -> dict:
     }
 
 
+def mapped(nested: dict) -> dict:
+    """Return a material under an even normal map."""
+    return {"type": "normalmap", "normalmap": rgb(0.55, 0.48, 0.9), "nested": nested}
+
+
 #: Materials and what is differentiated.
 PLASTIC = {"type": "roughplastic", "distribution": "ggx", "alpha": 0.2, "diffuse_reflectance": rgb(0.5, 0.2, 0.1)}
 BLEND = {
@@ -39,17 +45,36 @@ BLEND = {
     "bsdf_0": {"type": "diffuse", "reflectance": rgb(0.6, 0.3, 0.1)},
     "bsdf_1": metal(0.2),
 }
-#: (name, material, parameter, half width of the lamp, power of the lamp, radiance of the sky).
-CASES = (
-    ("metal, alpha 0.15, small lamp", metal(0.15), "ball.bsdf.alpha.value", 0.1, 24.0, 0.0),
-    ("metal, alpha 0.15, lamp", metal(0.15), "ball.bsdf.alpha.value", 0.7, 24.0, 0.0),
-    ("metal, alpha 0.15, lamp and sky", metal(0.15), "ball.bsdf.alpha.value", 0.7, 24.0, 0.3),
-    ("metal, alpha 0.15, wide lamp and sky", metal(0.15), "ball.bsdf.alpha.value", 3.0, 24.0, 1.0),
-    ("metal, alpha 0.05, wide lamp and sky", metal(0.05), "ball.bsdf.alpha.value", 3.0, 24.0, 1.0),
-    ("metal, alpha 0.4, wide lamp and sky", metal(0.4), "ball.bsdf.alpha.value", 3.0, 24.0, 1.0),
-    ("plastic, alpha 0.2, lamp and sky", PLASTIC, "ball.bsdf.alpha", 0.7, 24.0, 0.3),
-    ("blend of paint and metal, weight, lamp and sky", BLEND, "ball.bsdf.weight.value", 0.7, 24.0, 0.3),
+#: Where a case's parameter moves to; 1.0: a number.
+RIGHT, ASIDE = np.array([1.0, 0.0, 0.0]), np.zeros((4, 4))
+ASIDE[0, 3] = 1.0
+#: (name, material, parameter, direction, half width of the lamp, power of the lamp, radiance of the sky).
+SHAPES = (
+    ("metal, alpha 0.15, small lamp", metal(0.15), "ball.bsdf.alpha.value", 1.0, 0.1, 24.0, 0.0),
+    ("metal, alpha 0.15, lamp", metal(0.15), "ball.bsdf.alpha.value", 1.0, 0.7, 24.0, 0.0),
+    ("metal, alpha 0.15, lamp and sky", metal(0.15), "ball.bsdf.alpha.value", 1.0, 0.7, 24.0, 0.3),
+    ("metal, alpha 0.15, wide lamp and sky", metal(0.15), "ball.bsdf.alpha.value", 1.0, 3.0, 24.0, 1.0),
+    ("metal, alpha 0.05, wide lamp and sky", metal(0.05), "ball.bsdf.alpha.value", 1.0, 3.0, 24.0, 1.0),
+    ("metal, alpha 0.4, wide lamp and sky", metal(0.4), "ball.bsdf.alpha.value", 1.0, 3.0, 24.0, 1.0),
+    ("plastic, alpha 0.2, lamp and sky", PLASTIC, "ball.bsdf.alpha", 1.0, 0.7, 24.0, 0.3),
+    ("blend of paint and metal, weight, lamp and sky", BLEND, "ball.bsdf.weight.value", 1.0, 0.7, 24.0, 0.3),
 )
+NORMAL = "ball.bsdf.normalmap.value"
+NORMALS = (
+    ("metal, alpha 0.05, map, small lamp", mapped(metal(0.05)), NORMAL, RIGHT, 0.1, 24.0, 0.0),
+    ("metal, alpha 0.05, map, lamp", mapped(metal(0.05)), NORMAL, RIGHT, 0.7, 24.0, 0.0),
+    ("metal, alpha 0.05, map, wide lamp and sky", mapped(metal(0.05)), NORMAL, RIGHT, 3.0, 24.0, 1.0),
+    ("metal, alpha 0.15, map, wide lamp and sky", mapped(metal(0.15)), NORMAL, RIGHT, 3.0, 24.0, 1.0),
+    ("metal, alpha 0.4, map, wide lamp and sky", mapped(metal(0.4)), NORMAL, RIGHT, 3.0, 24.0, 1.0),
+    ("plastic, alpha 0.2, map, wide lamp and sky", mapped(PLASTIC), NORMAL, RIGHT, 3.0, 24.0, 1.0),
+    ("metal, alpha 0.05, moves, lamp", metal(0.05), "ball.to_world", ASIDE, 0.7, 24.0, 0.0),
+    ("metal, alpha 0.05, moves, wide lamp and sky", metal(0.05), "ball.to_world", ASIDE, 3.0, 24.0, 1.0),
+)
+#: label -> (method, cases).
+TABLES = {
+    "resampled": (psdr.interior.Resampled(), SHAPES, "the shape of lobes"),
+    "antithetic": (psdr.interior.Antithetic(), NORMALS, "what turns normals"),
+}
 
 
 def scene_of(material: dict, width: float, power: float, sky: float, size: int) -> psdr.Scene:
@@ -79,25 +104,30 @@ def scene_of(material: dict, width: float, power: float, sky: float, size: int) 
 
 def main() -> None:
     """Run and print the table."""
-    options = arguments(__doc__).parse_args()
+    parser = arguments(__doc__)
+    parser.add_argument("--normals", action="store_true", help="derivatives by what turns normals")
+    options = parser.parse_args()
+    made = "antithetic" if options.normals else "resampled"
+    method, cases, by = TABLES[made]
+    methods = {"replay": psdr.interior.Replay(), made: method}
     size, spp, seeds = (64, 4, 8) if options.quick else (128, 16, 16)
     psdr.set_workers(options.threads)
-    report = Report("shapes of lobes", options.output)
+    report = Report("glossy surfaces", options.output)
     rows = []
-    for name, material, parameter, width, power, sky in CASES:
+    for name, material, parameter, direction, width, power, sky in cases:
         scene = scene_of(material, width, power, sky, size)
         params = psdr.traverse(scene)
         params.requires_grad(parameter)
         integrators = {
             label: psdr.PathIntegrator(max_depth=DEPTH, interior=method, boundary=None)
-            for label, method in METHODS.items()
+            for label, method in methods.items()
         }
         adjoint = np.ones((size, size, 3), np.float32)
         variance = {}
         for first, (label, integrator) in enumerate(integrators.items()):
             images = [
                 psdr.render_forward(
-                    scene, params, {parameter: 1.0}, integrator=integrator, spp=spp, seed=2 * s + first
+                    scene, params, {parameter: direction}, integrator=integrator, spp=spp, seed=2 * s + first
                 ).numpy()
                 for s in range(seeds)
             ]
@@ -107,12 +137,10 @@ def main() -> None:
             return lambda seed: psdr.render_backward(scene, params, adjoint, integrator=integrator, spp=spp, seed=seed)
 
         times = in_turns({label: gradient(i) for label, i in integrators.items()}, options.repeat or 5)
-        noise, cost = variance["replay"] / variance["resampled"], ratio(times, "resampled", "replay", "cpu")
+        noise, cost = variance["replay"] / variance[made], ratio(times, made, "replay", "cpu")
         found = {"variance at equal samples": noise, "time of a sample": cost, "variance at equal time": noise / cost}
         rows.append({"case": name, **found})
-    report.table(
-        f"Derivatives by the shape of lobes: a ball, {size} × {size} pixels, {spp} samples, depth {DEPTH}", rows
-    )
+    report.table(f"Derivatives by {by}: a ball, {size} × {size} pixels, {spp} samples, depth {DEPTH}", rows)
 
 
 if __name__ == "__main__":

@@ -124,4 +124,5 @@ ABC = Model(
     ),
     (LOBE_SMOOTH,),
     make_abc,
+    glossy=True,
 )

@@ -128,4 +128,5 @@ ASHIKHMIN_SHIRLEY = Model(
     (LOBE_SMOOTH,),
     make_ashikhmin_shirley,
     brushed=True,
+    glossy=True,
 )

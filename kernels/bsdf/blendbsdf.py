@@ -92,6 +92,7 @@ def make_blend(record: type, _variant: str, children: tuple[Child, ...]) -> Func
         blend_probability if delta else None,
         relative_eta=through.relative_eta if through is not None and through.own.relative_eta is not None else None,
         slopes=_make_slopes(record, a, b),
+        normal=_make_normal(record, a, b),
     )
 
 
@@ -108,6 +109,21 @@ def _make_slopes(record: type, a: BoundChild, b: BoundChild) -> wp.Function | No
         return slopes
 
     return blend_slopes
+
+
+def _make_normal(record: type, a: BoundChild, b: BoundChild) -> wp.Function | None:
+    """Return the normal that a lobe is about, of the one with the greater weight."""
+    if a.own.normal is None and b.own.normal is None:
+        return None
+
+    @wp.func
+    def blend_normal(mat: record, wi: wp.vec3) -> wp.vec3:
+        normal = a.normal(mat, wi)
+        if mat.weight > 0.5:
+            normal = b.normal(mat, wi)
+        return normal
+
+    return blend_normal
 
 
 def refuse_blend(children: tuple[Child, ...]) -> str:

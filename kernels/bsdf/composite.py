@@ -26,6 +26,7 @@ SIGNATURES = {
     "probability": ("wi: wp.vec3, lobe: wp.int32", "wp.float32", "0.0"),
     "relative_eta": ("wi: wp.vec3", "wp.float32", "1.0"),
     "slopes": ("", "wp.vec2", "wp.vec2(0.0, 0.0)"),
+    "normal": ("wi: wp.vec3", "wp.vec3", "wp.vec3(0.0, 0.0, 1.0)"),
     "sample": ("wi: wp.vec3, u: wp.float32, v: wp.vec2", "BsdfSample", ""),
 }
 
@@ -62,7 +63,7 @@ class Nested:
 class BoundChild(NamedTuple):
     """The functions of a child over the composite's record, as in ``Functions`` but all there.
 
-    Where the child has no such function, the value is zero (``relative_eta``: one).
+    Where the child has no such function, the value is zero (``relative_eta``: one, ``normal``: upright).
 
     Attributes:
         sends: ``(lobe) -> float32``: 1 where the child has this lobe, else 0.
@@ -76,6 +77,7 @@ class BoundChild(NamedTuple):
     probability: wp.Function
     relative_eta: wp.Function
     slopes: wp.Function
+    normal: wp.Function
     sends: wp.Function
     own: Functions
 
@@ -128,7 +130,7 @@ class Composite:
         places: the children's names in ``psdr.traverse``.
         make: ``(record, variant, children) -> Functions``.
         refuse: ``(children) -> str``: why these cannot be nested in it, and what can; empty: they can.
-        turns: own values that the direction of a delta lobe depends on, if any child has one.
+        turns: own values that the normal depends on, and with it the direction of a delta lobe.
         framed: whether it needs dp/du.
         adds: lobes that it has beside its children's.
         behind: name of the variant that the back of a two-sided child becomes, if that is another.
@@ -159,6 +161,8 @@ class Composite:
             framed=self.framed or any(child.model.framed for child in children),
             brushed=any(child.model.brushed for child in children),
             passes=any(child.model.passes for child in children),
+            glossy=any(child.model.glossy for child in children),
+            tilts=(*self.turns, *(nested_name(c.prefix, name) for c in children for name in c.model.tilts)),
         )
 
     def refusal(self, nested: tuple[tuple[Model, str], ...]) -> str:

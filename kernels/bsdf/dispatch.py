@@ -110,6 +110,8 @@ class BsdfFunctions(NamedTuple):
         relative_eta: ``(model, mat, wi) -> float32``: index behind the interface over the one in front; 1 where nothing
             is transmitted.
         slopes: ``(model, mat) -> vec2``: of a glossy lobe about the mirror direction; 0: there is none.
+        normal: ``(model, mat, wi) -> vec3``: that lobes are about.
+        glossy: ``(model) -> bool``: see ``Model``.
     """
 
     record: type
@@ -129,6 +131,8 @@ class BsdfFunctions(NamedTuple):
     mirrors: wp.Function
     relative_eta: wp.Function | None
     slopes: wp.Function | None
+    normal: wp.Function | None
+    glossy: wp.Function
 
 
 def declaration_of(key: str) -> tuple[Model, str]:
@@ -168,6 +172,11 @@ def has_smooth_lobes(keys: Iterable[str]) -> bool:
 def has_delta_lobes(keys: Iterable[str]) -> bool:
     """Whether any of the models has a lobe of a single direction, as mirrors and glass have."""
     return any(model.has_delta for model in models_of(keys))
+
+
+def has_glossy_lobes(keys: Iterable[str]) -> bool:
+    """Whether any of the models reflects at microfacets."""
+    return any(model.glossy for model in models_of(keys))
 
 
 def passing(keys: Iterable[str]) -> str:
@@ -252,6 +261,10 @@ def make_bsdf(models: tuple[str, ...], selects: bool = False) -> BsdfFunctions:
             "relative_eta", f"{mat}, {wi}", "wp.float32", "1.0", lambda f: f.relative_eta, of="relative_eta"
         ),
         slopes=chain("slopes", mat, "wp.vec2", "wp.vec2(0.0, 0.0)", lambda f: f.slopes, of="slopes"),
+        normal=chain(
+            "normal", f"{mat}, {wi}", "wp.vec3", "wp.vec3(0.0, 0.0, 1.0)", lambda f: f.normal, of="normal"
+        ),
+        glossy=_make_test([model.glossy for model in declared]),
     )  # fmt: skip
 
 

@@ -162,6 +162,10 @@ def make_frame_map(
     def frame_map_relative_eta(mat: record, wi: wp.vec3) -> wp.float32:
         return nested.relative_eta(mat, to_perturbed(frame_map_frame(mat, wi), wi))
 
+    @wp.func
+    def frame_map_normal(mat: record, wi: wp.vec3) -> wp.vec3:
+        return frame_map_frame(mat, wi).n
+
     return Functions(
         frame_map_sample,
         frame_map_eval if model.has_smooth else None,
@@ -169,6 +173,7 @@ def make_frame_map(
         frame_map_scatter if model.has_delta else None,
         frame_map_probability if model.has_delta else None,
         relative_eta=frame_map_relative_eta if nested.own.relative_eta is not None else None,
+        normal=frame_map_normal,
     )
 
 

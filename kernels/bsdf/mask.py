@@ -89,6 +89,7 @@ def make_mask(record: type, variant: str, children: tuple[Child, ...]) -> Functi
         mask_probability,
         relative_eta=nested.relative_eta if nested.own.relative_eta is not None else None,
         slopes=nested.slopes if nested.own.slopes is not None else None,
+        normal=nested.normal if nested.own.normal is not None else None,
     )
 
 

@@ -359,6 +359,7 @@ class Functions(NamedTuple):
             None: nothing is transmitted.
         slopes: ``(material) -> vec2``: root mean square slopes of a glossy lobe about the mirror direction, along the
             tangents. None: there is no such lobe.
+        normal: ``(material, wi) -> vec3``: the normal that lobes are about. None: it is that of the surface.
         branches: whether ``sample``, ``eval`` and ``pdf`` branch. Those that do not select among what they compute, of
             any directions, so that they are computed for paths side by side, also for those on other materials.
     """
@@ -370,6 +371,7 @@ class Functions(NamedTuple):
     probability: wp.Function | None = None
     relative_eta: wp.Function | None = None
     slopes: wp.Function | None = None
+    normal: wp.Function | None = None
     branches: bool = True
 
 
@@ -387,6 +389,8 @@ class Model:
         framed: whether the model needs dp/du whatever its values are, and shapes texture coordinates for it.
         brushed: whether lobes follow dp/du whatever its values are; any tangent does on shapes that have none.
         passes: whether a smooth lobe lies behind the surface.
+        glossy: whether light is reflected at microfacets that are as many on one side of the normal as on the other.
+        tilts: values that the normal of smooth lobes depends on.
         when: name of a parameter. Where a scene file gives it, other than as the number 0, this model serves the plugin
             and not the one of the same name; its variants bear the name.
     """
@@ -399,6 +403,8 @@ class Model:
     framed: bool = False
     brushed: bool = False
     passes: bool = False
+    glossy: bool = False
+    tilts: tuple[str, ...] = ()
     when: str = ""
 
     @property

@@ -348,7 +348,9 @@ _REFLECTING = (
     Rate("diffuse_reflectance_sampling_rate", 1.0),
 )
 #: Without ``spec_trans``, or with the number 0: nothing passes.
-PRINCIPLED = Model("principled", (*_REFLECTING, SpecularIndex(0.5)), (LOBE_SMOOTH,), make_principled, brushed=True)
+PRINCIPLED = Model(
+    "principled", (*_REFLECTING, SpecularIndex(0.5)), (LOBE_SMOOTH,), make_principled, brushed=True, glossy=True
+)
 TRANSMITTING_PRINCIPLED = Model(
     "principled",
     (*_REFLECTING, Number("spec_trans"), SpecularIndex(0.5, gap=MIN_GAP)),
@@ -356,5 +358,6 @@ TRANSMITTING_PRINCIPLED = Model(
     make_principled,
     brushed=True,
     passes=True,
+    glossy=True,
     when="spec_trans",
 )

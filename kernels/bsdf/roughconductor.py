@@ -69,4 +69,5 @@ ROUGH_CONDUCTOR = Model(
     ),
     (LOBE_SMOOTH,),
     make_rough_conductor,
+    glossy=True,
 )

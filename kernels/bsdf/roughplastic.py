@@ -143,4 +143,5 @@ ROUGH_PLASTIC = Model(
     ),
     (LOBE_SMOOTH,),
     make_rough_plastic,
+    glossy=True,
 )

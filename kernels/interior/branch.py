@@ -18,6 +18,16 @@ from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.camera_rays import make_camera_paths
 from warp_psdr.kernels.constants import LOBE_SMOOTH
 from warp_psdr.kernels.interaction import enter_frame, make_interaction
+from warp_psdr.kernels.interior.branch_point import (
+    CHOICE_SLOT,
+    DIRECTION_SLOT,
+    LIGHT_SLOT,
+    NO_ROULETTE,
+    SALT,
+    VERTEX_SLOT,
+    BranchPoint,
+    make_branch_point,
+)
 from warp_psdr.kernels.interior.candidates import make_candidates
 from warp_psdr.kernels.interior.factors import make_material_sink
 from warp_psdr.kernels.interior.gradient_request import GradientRequest
@@ -28,32 +38,13 @@ from warp_psdr.kernels.invalid import count_invalid, finite, vanishes
 from warp_psdr.kernels.jobs import PixelJob, pixel_of
 from warp_psdr.kernels.path import make_path_radiance
 from warp_psdr.kernels.reading import bsdf_at, shape_at
-from warp_psdr.kernels.rng import Sampler, hashed, make_sampler, salted, sampler_at, unit_float
+from warp_psdr.kernels.rng import Sampler, hashed, make_sampler, salted, sampler_at
 from warp_psdr.kernels.scattering import make_light_sampler, make_next_event, make_scatter, samples_lights
 from warp_psdr.kernels.sensor.camera import CameraSample
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.surface import VertexAdjoint
 from warp_psdr.kernels.vertex import PathConfig, PathState
 from warp_psdr.kernels.visibility import visibility_of
-
-#: Tells the random numbers of branches from those of the path that they leave.
-SALT = wp.constant(wp.uint32(0x6A09E667))
-#: Slots of the branches' sampler; from 3 on they belong to the paths that go on. Those that choose among vertices are
-#: far behind.
-DIRECTION_SLOT, LIGHT_SLOT, CHOICE_SLOT, VERTEX_SLOT = 0, 1, 2, 1 << 24
-#: Russian roulette does not end a path where it branches.
-NO_ROULETTE = 1 << 30
-
-
-@wp.struct
-class BranchPoint:
-    """The vertex of a path that was chosen."""
-
-    face: wp.int32  # -1: there is none
-    u: wp.float32
-    v: wp.float32
-    state: PathState  # before it
-    weight: wp.float32  # inverse of the probability of the choice
 
 
 @functools.cache
@@ -114,41 +105,7 @@ def make_branch_kernel(config: PathConfig, wanted: GradientRequest, role: str, c
                 count += shape_count(scene, bsdf_at(scene, front.back).slots)
         return count > 0
 
-    @wp.func
-    def branch_point(
-        scene: Scene,
-        sampler: Sampler,
-        branch: Sampler,
-        start: PathState,
-        delta: wp.vec3,
-        max_depth: wp.int32,
-        rr_depth: wp.int32,
-    ) -> BranchPoint:
-        """Draw a path, and choose one of its vertices by weighted reservoir sampling."""
-        always = scene.requested_shapes[scene.requested_shapes.shape[0] - 1]
-        state = start
-        chosen = BranchPoint()
-        chosen.face = -1
-        total = wp.float32(0.0)
-        weight_of_chosen = wp.float32(1.0)
-        while state.alive == 1 and (max_depth < 0 or state.depth + 1 < max_depth):
-            before = state
-            vertex, state = walk_step(scene, sampler, state, max_depth, rr_depth)
-            if not finite(vertex.direct):
-                count_invalid(scene, sampler)
-            if vertex.face >= 0:
-                shape = scene.triangles[vertex.face].shape
-                if always + scene.requested_shapes[shape] > 0 and reads_shape(scene, shape):
-                    weight = wp.dot(wp.abs(delta), wp.abs(before.throughput))
-                    total += weight
-                    if unit_float(hashed(branch, VERTEX_SLOT + before.depth).x) * total < weight:
-                        weight_of_chosen = weight
-                        chosen.face = vertex.face
-                        chosen.u = vertex.u
-                        chosen.v = vertex.v
-                        chosen.state = before
-        chosen.weight = total / weight_of_chosen
-        return chosen
+    branch_point = make_branch_point(walk_step, reads_shape)
 
     @wp.func
     def partial(

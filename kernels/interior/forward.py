@@ -27,6 +27,7 @@ from warp_psdr.kernels.interior.tangents import (
     make_vertex_jvp,
     normalize_jvp,
 )
+from warp_psdr.kernels.interior.tilts import make_tilts, upright
 from warp_psdr.kernels.interior.transmittance import make_transmittance_sink
 from warp_psdr.kernels.interior.velocities import axis_vec3, make_material_jvp, make_pair, make_texture_jvp
 from warp_psdr.kernels.invalid import count_invalid, finite
@@ -61,6 +62,7 @@ def make_forward_kernel(config: PathConfig, wanted: GradientRequest):
     frame_jvp = make_frame_jvp(config.tangent)
     vertex_jvp = make_vertex_jvp(config.smooth, config.flat, config.uv, config.tangent)
     material_jvp = make_material_jvp(config, wanted)
+    glossy, still = interaction.bsdf.glossy, make_tilts(config).still
     pair = make_pair(config.bsdfs)
     smooth_lobes = interaction.eval is not None
     delta_lobes = interaction.scatter is not None
@@ -188,6 +190,10 @@ def make_forward_kernel(config: PathConfig, wanted: GradientRequest):
             scene, tangents, at.slots, vertex.face, vertex.u, vertex.v, surface.uv, moving.vertex
         )
         turning = frame_jvp(frame, surface.tangent, moving.vertex)
+        if wp.static(wanted.paired):
+            if glossy(at.model):
+                material_dot = still(material_dot)
+                turning = frame_jvp(frame, surface.tangent, upright(moving.vertex))
         wi_dot = wp.vec3(0.0, 0.0, 0.0)
         if wp.static(geometry):
             # wi = normalize(x_{n-1} - x_n).

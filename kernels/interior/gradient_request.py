@@ -23,6 +23,8 @@ class GradientRequest:
     media: tuple[str, ...] = ()
     #: A delta lobe's direction depends on a requested material value (index of refraction).
     bends: bool = False
+    #: What turns normals of glossy surfaces is left to antithetic pairs (``antithetic.py``).
+    paired: bool = False
 
     @property
     def geometry(self) -> bool:

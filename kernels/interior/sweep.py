@@ -12,6 +12,7 @@ from warp_psdr.kernels.interior.contact import make_contact_weights
 from warp_psdr.kernels.interior.factors import make_light_sink, make_material_sink
 from warp_psdr.kernels.interior.gradient_request import GradientRequest
 from warp_psdr.kernels.interior.pullback import connection_vjp, make_frame_vjp
+from warp_psdr.kernels.interior.tilts import make_tilts
 from warp_psdr.kernels.interior.transmittance import make_transmittance_sink
 from warp_psdr.kernels.sensor.camera import CameraSample, make_camera_sink
 from warp_psdr.kernels.structs import Camera, Scene
@@ -51,6 +52,7 @@ def make_sweep(config: PathConfig, wanted: GradientRequest, role: str, direct: b
     add_materials = interaction.bsdf.algebra.add
     scatter_vjp = interaction.scatter_vjp
     has_delta = scatter_vjp is not None
+    glossy, still = interaction.bsdf.glossy, make_tilts(config).still
     has_smooth = interaction.eval is not None
     accumulate_material = make_material_sink(config, wanted, role)
     frame_vjp = make_frame_vjp(config.tangent)
@@ -234,6 +236,10 @@ def make_sweep(config: PathConfig, wanted: GradientRequest, role: str, direct: b
                             a_tangent += turned.tangent
                             a_wi_world += turned.wi
 
+                if wp.static(wanted.paired):
+                    if glossy(at.model):
+                        a_material = still(a_material)
+                        a_frame_n = wp.vec3(0.0, 0.0, 0.0)
                 adjoint, dot = accumulate_material(
                     scene, target, at.slots, vertex.face, vertex.u, vertex.v, surface.uv, a_material, adjoint
                 )

@@ -143,6 +143,16 @@ class Attached(Method):
 
 
 @dataclass(frozen=True, kw_only=True)
+class Antithetic(Method):
+    """Antithetic pairs at glossy surfaces [ZDDZ21] (``kernels/interior/antithetic.py``); the rest: replay.
+
+    Paired are derivatives by what turns the normals of glossy surfaces: normal and bump maps, vertex normals, and
+    positions and poses as far as they turn normals. All else that is requested, and what else those move, is left to
+    ``Replay()``. It refuses requests in which no normal turns, and moving vertices beside smooth mirrors or glass.
+    """
+
+
+@dataclass(frozen=True, kw_only=True)
 class Textbook(Method):
     """Path replay as [VSJ21] print it (``kernels/interior/textbook.py``), for comparison only.
 

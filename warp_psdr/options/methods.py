@@ -83,6 +83,10 @@ _METHODS = MethodTable(
             *("kernels/interior/attached.py", "attached"),
         ),
         (
+            *("ZDDZ21", "Antithetic sampling of scattering functions", "interior.Antithetic()", "interior"),
+            *("kernels/interior/antithetic.py", "antithetic"),
+        ),
+        (
             *("ZMY*20", "Path-space boundary sampling", "boundary.PathSpace()", "boundary"),
             *("kernels/boundary/path_space/secondary.py", "path_space"),
         ),

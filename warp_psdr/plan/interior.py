@@ -13,9 +13,10 @@ from typing import TYPE_CHECKING
 
 import warp as wp
 
-from warp_psdr.kernels.bsdf.dispatch import has_delta_lobes, has_null_lobes
+from warp_psdr.kernels.bsdf.dispatch import has_delta_lobes, has_glossy_lobes, has_null_lobes, models_of, passing
 from warp_psdr.kernels.bsdf.motion import MOVED_BY
 from warp_psdr.kernels.constants import DELTA_LIGHTS
+from warp_psdr.kernels.interior.antithetic import make_pair_kernel
 from warp_psdr.kernels.interior.attached import make_attached_kernel
 from warp_psdr.kernels.interior.branch import make_branch_kernel
 from warp_psdr.kernels.interior.forward import make_forward_kernel
@@ -25,6 +26,7 @@ from warp_psdr.kernels.interior.radiative import make_radiative_kernel
 from warp_psdr.kernels.interior.replay import make_replay_kernel
 from warp_psdr.kernels.interior.shape_parameters import branched_values
 from warp_psdr.kernels.interior.textbook import make_textbook_kernel
+from warp_psdr.kernels.interior.tilts import tilting_values, tilts
 from warp_psdr.options import boundary, interior
 from warp_psdr.plan.attached import refused_by_attached
 from warp_psdr.plan.light import refused_by_light_tracing
@@ -188,6 +190,63 @@ def _make_beside_attached(config: PathConfig, wanted: GradientRequest, role: str
     return make_attached_kernel(config, GradientRequest(material=own), role, False, "attached")
 
 
+def _keep_pairs(_method: interior.Method, max_depth: int, rr_depth: int) -> Kept:
+    kept = _keep_blocks(interior.Replay(), max_depth, rr_depth)
+    return replace(kept, reason=f"a pair at one glossy vertex of a path; {kept.reason}")
+
+
+def _make_pairs(config: PathConfig, wanted: GradientRequest, role: str, _kept: Kept) -> wp.Kernel:
+    turned = GradientRequest(
+        material=tilting_values(config, wanted),
+        to_uv=wanted.to_uv,
+        shapes=wanted.shapes,
+        texcoords=wanted.texcoords,
+        camera=wanted.camera,
+    )
+    return make_pair_kernel(config, turned, role)
+
+
+def _make_unpaired(config: PathConfig, wanted: GradientRequest, role: str, kept: Kept) -> wp.Kernel | None:
+    """Return the kernel of what is not paired, if there is any: all but the normals of glossy surfaces."""
+    kept_still = {name for model in models_of(config.bsdfs) if not model.glossy for name in model.tilts}
+    turned = tilting_values(config, wanted)
+    material = tuple(
+        w and not (t and slot.name not in kept_still)
+        for w, t, slot in zip(wanted.material, turned, config.material, strict=True)
+    )
+    rest = replace(wanted, material=material, paired=True)
+    nothing = GradientRequest(material=(False,) * len(material), paired=True)
+    return None if rest == nothing else _make_replay(config, rest, role, kept)
+
+
+def _refused_by_antithetic(config: PathConfig, wanted: GradientRequest) -> str:
+    name = "interior.Antithetic()"
+    if not has_glossy_lobes(config.bsdfs):
+        through = passing(config.bsdfs)
+        why = f", and of '{through}' it does not know the mirrored directions" if through else ""
+        return f"{name} draws pairs at glossy surfaces, and the scene has none that reflect{why}. Use interior.Replay()"
+    slides = wanted.to_uv and any(tilts(slot, config.bsdfs) for slot in config.material)
+    if not wanted.geometry and not slides and not any(tilting_values(config, wanted)):
+        if any(branched_values(config, wanted)):
+            return (
+                f"{name} draws pairs for what turns the normals of glossy surfaces; derivatives by the shape of a lobe "
+                "are alike on both sides of it, and gain nothing. Use interior.Resampled()"
+            )
+        return (
+            f"{name} draws pairs for what turns the normals of glossy surfaces (normal and bump maps, vertex normals, "
+            "what moves), and no parameter that is requested does. Use interior.Replay()"
+        )
+    refused = _refused_in_path_order(name)(config, wanted)
+    if refused:
+        return refused
+    if has_null_lobes(config.bsdfs) and DELTA_LIGHTS & set(config.lights):
+        return (
+            f"{name} does not let shadow rays pass masks, thin glass and 'null', and lights of no area are found by "
+            "nothing else behind them. Use interior.Replay(), or area lights"
+        )
+    return ""
+
+
 def _refused_by_resampled(config: PathConfig, wanted: GradientRequest) -> str:
     if not any(branched_values(config, wanted)):
         return (
@@ -247,6 +306,13 @@ TABLE: dict[tuple[type[interior.Method], type[boundary.Method]], Row] = {
         make=_make_attached,
         beside=_make_beside_attached,
         refuse_in=refused_by_attached,
+    ),
+    (interior.Antithetic, boundary.Method): Row(
+        label="antithetic pairs, record and sweep",
+        keep=_keep_pairs,
+        make=_make_pairs,
+        beside=_make_unpaired,
+        refuse=_refused_by_antithetic,
     ),
     (interior.Textbook, boundary.Method): Row(
         label="textbook replay",

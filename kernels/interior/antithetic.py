@@ -1,0 +1,303 @@
+"""Antithetic pairs: derivatives by what turns the normals of glossy surfaces [ZDDZ21].
+
+A turn of the normal shifts a glossy lobe aside: its derivative is odd in the half vector h, and almost all of the noise
+of its estimate is the sign. So directions come in pairs, whose half vectors are mirror images about the normal:
+
+    (g(h) + g(h')) / (p(h) + p(h')),    g = df_s L J,  p = p_b J,  J = dw / dh,
+
+both as paths of the image with the same random numbers. One glossy vertex of a path branches (``branch_point.py``),
+and a light point is drawn there, which has no partner. What does not turn the normals of glossy vertices is left to
+record and sweep.
+
+Derivation: ``docs/theory/interior.md#antithetic-pairs``.
+"""
+
+import functools
+from dataclasses import replace
+
+import warp as wp
+
+from warp_psdr.kernels.autodiff import anchor
+from warp_psdr.kernels.camera_rays import make_camera_paths
+from warp_psdr.kernels.constants import LOBE_SMOOTH
+from warp_psdr.kernels.interaction import enter_frame, leave_frame, make_interaction
+from warp_psdr.kernels.interior.branch_point import (
+    DIRECTION_SLOT,
+    LIGHT_SLOT,
+    NO_ROULETTE,
+    SALT,
+    BranchPoint,
+    make_branch_point,
+)
+from warp_psdr.kernels.interior.contact import make_contact_weights
+from warp_psdr.kernels.interior.factors import make_material_sink
+from warp_psdr.kernels.interior.gradient_request import GradientRequest
+from warp_psdr.kernels.interior.half_vectors import mirrored
+from warp_psdr.kernels.interior.pullback import make_frame_vjp
+from warp_psdr.kernels.interior.sweep import Carry, make_sweep
+from warp_psdr.kernels.interior.tilts import make_tilts, tilts
+from warp_psdr.kernels.interior.velocities import axis_vec3
+from warp_psdr.kernels.invalid import count_invalid, finite, inverse_pdf, vanishes
+from warp_psdr.kernels.jobs import PixelJob, pixel_of
+from warp_psdr.kernels.path import make_path_step
+from warp_psdr.kernels.reading import bsdf_at, shape_at
+from warp_psdr.kernels.rng import Sampler, make_sampler, salted, sampler_at
+from warp_psdr.kernels.scattering import make_light_sampler, make_next_event, make_scatter, samples_lights
+from warp_psdr.kernels.sensor.camera import CameraSample, make_camera_ray
+from warp_psdr.kernels.structs import Camera, Scene
+from warp_psdr.kernels.surface import Surface, VertexAdjoint
+from warp_psdr.kernels.vertex import PathConfig, PathState, PathVertex
+from warp_psdr.kernels.visibility import visibility_of
+
+
+@wp.struct
+class Seen:
+    """A direction and what it finds."""
+
+    wo: wp.vec3  # world
+    light: wp.vec3  # radiance, with the weight of the estimate
+    chi: wp.float32  # weight of the turn of what the direction is between, see ``contact.py``
+
+
+@functools.cache
+def make_pair_kernel(config: PathConfig, wanted: GradientRequest, role: str):
+    """Return the kernel of ``interior.Antithetic``: the derivative by the normals of glossy vertices, complete.
+
+    ``wanted`` holds, of material values, those that turn normals alone. Arguments as ``make_replay_kernel``'s.
+    """
+    # Light behind null lobes is found by paths, not by shadow rays: one of the two complete ways.
+    config = replace(config, through=False)
+    lanes, starts, walk_step = make_camera_paths(replace(config, area=(), lights=()), False)
+    path_step = make_path_step(config, False)
+    interaction = make_interaction(config)
+    record, bsdf = interaction.record, interaction.bsdf
+    material_record, add_materials = bsdf.record, bsdf.algebra.add
+    glossy, normal, has_normal = bsdf.glossy, bsdf.normal, bsdf.normal is not None
+    eval_vjp = interaction.eval_vjp
+    scatter = make_scatter(config, True)
+    has_lights = samples_lights(config)
+    sample_light = make_light_sampler(config) if has_lights else None
+    next_event = make_next_event(config, True) if has_lights else None
+    visibility = visibility_of(config)
+    _camera_ray, camera_origin = make_camera_ray(config.camera)
+    turning = tuple(slot if tilts(slot, config.bsdfs) else slot._replace(kinds=()) for slot in config.material)
+    accumulate_material = make_material_sink(replace(config, material=turning), wanted, role)
+    only = make_tilts(config).only
+    frame_vjp = make_frame_vjp(config.tangent)
+    _sweep, finish, finish_vertex = make_sweep(config, wanted, role)
+    weight_before, weight_of_light = make_contact_weights(config.ray_backend, config.ray_width)
+    sample_4d = make_sampler(config.sampler).sample_4d
+    geometry = wanted.geometry
+    forward = role == "forward"
+
+    @wp.func
+    def branches_on(scene: Scene, shape: wp.int32) -> wp.bool:
+        """Whether a material of a shape is glossy."""
+        front = bsdf_at(scene, shape_at(scene, shape).bsdf)
+        found = glossy(front.model)
+        if wp.static(config.two_sided):
+            if front.two_sided == 1:
+                found = found or glossy(bsdf_at(scene, front.back).model)
+        return found
+
+    branch_point = make_branch_point(walk_step, branches_on)
+
+    @wp.func
+    def follow(
+        scene: Scene,
+        branch: Sampler,
+        at: record,
+        drawn: PathState,
+        wo: wp.vec3,
+        weight: wp.float32,
+        max_depth: wp.int32,
+        rr_depth: wp.int32,
+    ) -> Seen:
+        """What a path of the image finds that goes on along ``wo`` (local); ``drawn``: another one that does."""
+        state = drawn
+        state.d = leave_frame(at.frame, wo)
+        state.o = interaction.offset(at, state.d)
+        state.pdf = interaction.pdf(at, wo)
+        state.throughput = wp.vec3(1.0, 1.0, 1.0)
+        seen = Seen()
+        seen.wo = state.d
+        seen.chi = 1.0
+        radiance = wp.vec3(0.0, 0.0, 0.0)
+        first = wp.bool(True)
+        while state.alive == 1:
+            vertex, state = path_step(scene, branch, state, max_depth, rr_depth)
+            radiance += wp.cw_mul(vertex.throughput, vertex.direct)
+            if wp.static(geometry):
+                if first:
+                    seen.chi = weight_before(scene, vertex)
+                first = False
+        seen.light = weight * radiance
+        return seen
+
+    @wp.func
+    def draw_pair(
+        scene: Scene, branch: Sampler, at: record, point: BranchPoint, max_depth: wp.int32, rr_depth: wp.int32
+    ) -> tuple[Seen, Seen]:
+        one = Seen()
+        other = Seen()
+        goes_on = scatter(at, point.state, point.face, sample_4d(branch, DIRECTION_SLOT), NO_ROULETTE)
+        if goes_on.lobe == LOBE_SMOOTH:
+            wo = enter_frame(at.frame, goes_on.wo)
+            m = wp.vec3(0.0, 0.0, 1.0)
+            if wp.static(has_normal):
+                m = normal(at.model, at.material, at.wi)
+            partner = mirrored(at.wi, wo, m)
+            density = partner.own * interaction.pdf(at, wo)
+            of_partner = wp.float32(0.0)
+            if partner.other > 0.0:
+                of_partner = partner.other * interaction.pdf(at, partner.wo)
+            # [ZDDZ21, section 4]: both over the sum of their densities.
+            over = inverse_pdf(density + of_partner)
+            one = follow(scene, branch, at, goes_on.after, wo, partner.own * over, max_depth, rr_depth)
+            if of_partner > 0.0:
+                other = follow(scene, branch, at, goes_on.after, partner.wo, partner.other * over, max_depth, rr_depth)
+        return one, other
+
+    @wp.func
+    def draw_light(scene: Scene, branch: Sampler, at: record, point: BranchPoint) -> Seen:
+        seen = Seen()
+        if wp.static(has_lights):
+            ls, light, _probability = sample_light(scene, at.x, sample_4d(branch, LIGHT_SLOT))
+            event = next_event(at, ls, light)
+            if event.traces_shadow_ray == 1:
+                if not visibility.occluded(scene, event.o, event.d, event.t_max):
+                    seen.wo = event.wi
+                    seen.light = event.weight * ls.radiance
+                    seen.chi = 1.0
+                    if wp.static(geometry):
+                        vertex = PathVertex()
+                        vertex.face = point.face
+                        vertex.light = event.light
+                        vertex.light_face = event.face
+                        vertex.light_u = event.u
+                        vertex.light_v = event.v
+                        seen.chi = weight_of_light(scene, vertex, at.x)
+        return seen
+
+    @wp.func
+    def turn_of(
+        at: record, surface: Surface, wi: wp.vec3, seen: Seen, a_n: wp.vec3, chi: wp.float32
+    ) -> tuple[material_record, wp.vec3]:
+        """Adjoints of what turns normals in the material, and of the frame's normal; ``chi``: weight of wi's turn."""
+        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
+        a_material = material_record()
+        n = wp.vec3(0.0, 0.0, 0.0)
+        if not vanishes(seen.light):
+            fa = eval_vjp(at, enter_frame(at.frame, seen.wo), wp.cw_mul(a_n, seen.light))
+            a_material = only(fa.material)
+            if wp.static(geometry):
+                n = frame_vjp(at.frame, surface.tangent, wi, seen.wo, chi * fa.wi, seen.chi * fa.wo).n
+        return a_material, n
+
+    @wp.func
+    def pull(
+        scene: Scene,
+        target: wp.array(dtype=wp.float32),
+        camera: Camera,
+        sample: CameraSample,
+        point: BranchPoint,
+        at: record,
+        surface: Surface,
+        a_n: wp.vec3,
+        one: Seen,
+        other: Seen,
+        light: Seen,
+    ) -> wp.float32:
+        """Scatter the adjoints; in forward mode the derivative. ``a_n``: adjoint of what leaves the vertex."""
+        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
+        chi = wp.float32(1.0)
+        origin = point.state.o
+        if wp.static(geometry):
+            if point.state.depth == 0:
+                origin = camera_origin(scene, camera, sample)
+            before = PathVertex()
+            before.face = point.face
+            before.u = point.u
+            before.v = point.v
+            before.previous_face = point.state.left_face - 1
+            before.o = origin
+            chi = weight_before(scene, before)
+        wi = -point.state.d
+        a_material, a_frame_n = turn_of(at, surface, wi, one, a_n, chi)
+        m, n = turn_of(at, surface, wi, other, a_n, chi)
+        a_material = add_materials(a_material, m)
+        a_frame_n += n
+        m, n = turn_of(at, surface, wi, light, a_n, chi)
+        a_material = add_materials(a_material, m)
+        a_frame_n += n
+        adjoint, total = accumulate_material(
+            scene, target, at.slots, point.face, point.u, point.v, surface.uv, a_material, VertexAdjoint()
+        )
+        if wp.static(geometry):
+            adjoint.n = at.frame.side * a_frame_n
+            carry = Carry()
+            carry.face = point.face
+            carry.u = point.u
+            carry.v = point.v
+            carry.o = origin
+            carry.d = point.state.d
+            carry.adjoint = adjoint
+            if point.state.depth == 0:
+                total += finish(scene, target, camera, sample, carry)
+            else:
+                done = finish_vertex(scene, target, carry, False)
+                total += done.dot
+        return total
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def pairs(
+        # Scene:
+        scene: Scene,
+        camera: Camera,
+        # In:
+        job: PixelJob,
+        # Out:
+        target: wp.array(dtype=wp.float32),
+        image_out: wp.array2d(dtype=wp.vec3),
+    ):
+        pixel = pixel_of(job, camera, wp.tid())
+        delta = wp.vec3(job.scale, job.scale, job.scale)
+        if wp.static(not forward):
+            delta = job.scale * job.image_adjoint[pixel.py, pixel.px]
+            if vanishes(delta):
+                return
+        derivative = wp.vec3d()  # in double precision, as the image
+        starting = wp.zeros(shape=(wp.static(lanes),), dtype=PathState)
+        cameras = wp.zeros(shape=(wp.static(lanes),), dtype=CameraSample)
+        for i in range(job.samples):
+            sampler = sampler_at(pixel.number, job.first_sample + i, job.seed)
+            branch = salted(sampler, SALT, 0)
+            state, sample = starts(scene, camera, pixel.px, pixel.py, sampler, i, job.samples, starting, cameras)
+            point = branch_point(scene, sampler, branch, state, delta, job.max_depth, job.rr_depth)
+            if point.face < 0:
+                continue
+            surface = interaction.surface(scene, point.face, point.u, point.v)
+            at = interaction.on(scene, surface, point.face, point.u, point.v, point.state.d)
+            if not glossy(at.model):
+                continue
+            one, other = draw_pair(scene, branch, at, point, job.max_depth, job.rr_depth)
+            light = draw_light(scene, branch, at, point)
+            a_n = point.weight * wp.cw_mul(delta, point.state.throughput)
+            valid = finite(one.light + other.light + light.light)
+            if wp.static(forward):
+                found = wp.vec3(0.0, 0.0, 0.0)
+                for channel in range(3):
+                    a = wp.cw_mul(axis_vec3(channel), a_n)
+                    found[channel] = pull(scene, target, camera, sample, point, at, surface, a, one, other, light)
+                valid = valid and finite(found)
+                if valid:
+                    derivative += wp.vec3d(found)
+            else:
+                if valid:
+                    valid = pull(scene, target, camera, sample, point, at, surface, a_n, one, other, light) == 0.0
+            if not valid:
+                count_invalid(scene, sampler)
+        if wp.static(forward):
+            image_out[pixel.py, pixel.px] = image_out[pixel.py, pixel.px] + wp.vec3(derivative)
+
+    return pairs
