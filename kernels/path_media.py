@@ -73,6 +73,7 @@ class MediaVertex:
     collides: wp.bool
     medium: wp.int32  # of the flight
     t: wp.float32  # its length
+    length: wp.float32  # as long as it could have been and collided
     inv_p: wp.float32  # 1 / p, or 1 / P
     passed: wp.vec3  # in grids: the weight without a sigma
     weight: wp.vec3  # V over its density
@@ -101,32 +102,17 @@ def collision_point(v: MediaVertex) -> wp.vec3:
 
 
 @functools.cache
-def make_media_step(config: PathConfig, differential: bool, explores: bool = False):
-    """Return ``media_step(scene, sampler, state, max_depth, rr_depth) -> (MediaVertex, MediaState)``.
+def make_collision(config: PathConfig, differential: bool):
+    """Return ``collide(scene, sampler, state, vertex, u4, r4, max_depth, rr_depth) -> (MediaVertex, MediaState)``.
 
-    ``differential``: keep going where one factor is exactly zero, since its derivative may not be. ``explores``: also
-    the density may be zero, and collide (``Flight``).
+    Next-event estimation and scattering where the flight of ``vertex``, which started in ``state``, ends in its medium.
+    ``differential``: as of ``make_media_step``.
     """
     assert config.media is not None
-    visibility = visibility_of(config)
-    interaction = make_interaction(config)
-    flight = make_flight(config.media, explores)
-    tracked_flight, _tracked_transmittance = make_tracking(config.media, explores)
-    grids = config.media.grids
     phase = make_phase(config.media.phases)
     passage = make_media_passage(config, differential)
-    emission_hit = make_emission_hit(config)
-    scatter = make_scatter(config, differential)
-    has_smooth = interaction.bsdf.has_smooth
     has_lights = bool(config.area or config.lights)
-    surface_lights = samples_lights(config)
     sample_light = make_light_sampler(config) if has_lights else None
-    next_event = make_next_event(config, differential) if surface_lights else None
-    through_event = make_through_event(config) if surface_lights else None
-    sample_4d = make_sampler(config.sampler).sample_4d
-    nulls = has_null_lobes(config.bsdfs)
-    not_there = [i for i, key in enumerate(config.bsdfs) if declaration_of(key)[0] is NULL]
-    null_model = not_there[0] if not_there else -1
 
     @wp.func
     def survival_of(throughput: wp.vec3, eta: wp.float32) -> wp.float32:
@@ -146,7 +132,6 @@ def make_media_step(config: PathConfig, differential: bool, explores: bool = Fal
         max_depth: wp.int32,
         rr_depth: wp.int32,
     ) -> tuple[MediaVertex, MediaState]:
-        """Next-event estimation and scattering where a flight ends in its medium."""
         r = vertex
         after = MediaState()
         path = state.path
@@ -209,6 +194,37 @@ def make_media_step(config: PathConfig, differential: bool, explores: bool = Fal
             after.crossings = state.crossings
         return r, after
 
+    return collide
+
+
+@functools.cache
+def make_media_step(config: PathConfig, differential: bool, explores: bool = False, clocked: bool = True):
+    """Return ``media_step(scene, sampler, state, max_depth, rr_depth) -> (MediaVertex, MediaState)``.
+
+    ``differential``: keep going where one factor is exactly zero, since its derivative may not be. ``explores``: also
+    the density may be zero, and collide (``Flight``); in grids by a clock, unless not ``clocked``.
+    """
+    assert config.media is not None
+    visibility = visibility_of(config)
+    interaction = make_interaction(config)
+    flight = make_flight(config.media, explores)
+    tracked_flight, _tracked_transmittance = make_tracking(config.media, explores and clocked)
+    grids = config.media.grids
+    collide = make_collision(config, differential)
+    passage = make_media_passage(config, differential)
+    emission_hit = make_emission_hit(config)
+    scatter = make_scatter(config, differential)
+    has_smooth = interaction.bsdf.has_smooth
+    has_lights = bool(config.area or config.lights)
+    surface_lights = samples_lights(config)
+    sample_light = make_light_sampler(config) if has_lights else None
+    next_event = make_next_event(config, differential) if surface_lights else None
+    through_event = make_through_event(config) if surface_lights else None
+    sample_4d = make_sampler(config.sampler).sample_4d
+    nulls = has_null_lobes(config.bsdfs)
+    not_there = [i for i, key in enumerate(config.bsdfs) if declaration_of(key)[0] is NULL]
+    null_model = not_there[0] if not_there else -1
+
     @wp.func
     def media_step(
         scene: Scene, sampler: Sampler, state_in: MediaState, max_depth: wp.int32, rr_depth: wp.int32
@@ -238,6 +254,7 @@ def make_media_step(config: PathConfig, differential: bool, explores: bool = Fal
                 tri = triangle_at(scene, hit.face)
                 cosine = wp.max(wp.abs(wp.dot(tri.normal, path.d)), GRAZING)
                 end = hit.t - step_off_triangle(scene, tri) / cosine
+            vertex.length = wp.max(end, 0.0)
             u = sample_4d(sampler, slot)
             m = scene.media.records[state.medium]
             f = Flight()

@@ -287,6 +287,7 @@ FACTORIES = {
         ("reverse", (MEDIA, media(MEDIA), "reverse", 8, 8), SLOW),
         ("forward", (MEDIA, media(MEDIA), "forward", 4, 4), SLOW),
         ("grids", (GRIDS, media(GRIDS), "reverse", 4, 4), SLOW),
+        ("ratio tracking", (GRIDS, media(GRIDS), "forward", 4, 4, True), SLOW),
     ],
     "interior.textbook.make_textbook_kernel": [
         ("reverse, simple", (SIMPLE, ALBEDO, "reverse"), FAST),

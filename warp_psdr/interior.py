@@ -3,6 +3,7 @@
 from warp_psdr.options.interior import (
     Antithetic,
     Attached,
+    DifferentialRatioTracking,
     LightTracing,
     Method,
     Radiative,
@@ -11,4 +12,14 @@ from warp_psdr.options.interior import (
     Textbook,
 )
 
-__all__ = ["Antithetic", "Attached", "LightTracing", "Method", "Radiative", "Replay", "Resampled", "Textbook"]
+__all__ = [
+    "Antithetic",
+    "Attached",
+    "DifferentialRatioTracking",
+    "LightTracing",
+    "Method",
+    "Radiative",
+    "Replay",
+    "Resampled",
+    "Textbook",
+]

@@ -10,6 +10,7 @@ import functools
 
 import warp as wp
 
+from warp_psdr.kernels.interior.differential_ratio_tracking import Stretch, make_ratio_branch
 from warp_psdr.kernels.interior.gradient_request import GradientRequest
 from warp_psdr.kernels.interior.media_sweep import explores_density, make_media_sweep
 from warp_psdr.kernels.invalid import count_invalid, finite, vanishes
@@ -23,7 +24,9 @@ from warp_psdr.kernels.vertex import PathConfig
 
 
 @functools.cache
-def make_media_replay_kernel(config: PathConfig, wanted: GradientRequest, role: str, block: int, longest: int):
+def make_media_replay_kernel(
+    config: PathConfig, wanted: GradientRequest, role: str, block: int, longest: int, ratio: bool = False
+):
     """Return the kernel.
 
     Args:
@@ -32,10 +35,12 @@ def make_media_replay_kernel(config: PathConfig, wanted: GradientRequest, role: 
         role: "reverse" or "forward".
         block: the number of steps kept at a time.
         longest: most vertices of a path; the surfaces that it passes without a change of direction come on top.
+        ratio: in-scattering in grids is by differential ratio tracking, too; the density is differentiated.
     """
     start = make_camera_start(config)
-    media_step = make_media_step(config, True, explores_density(wanted))
-    media_sweep = make_media_sweep(config, wanted, role)
+    media_step = make_media_step(config, True, explores_density(wanted), not ratio)
+    media_sweep = make_media_sweep(config, wanted, role, ratio)
+    consider_stretch, from_stretch = make_ratio_branch(config, wanted, role) if ratio else (None, None)
     channels = 3 if role == "forward" else 1
     blocks = -(-(longest + MOST_INTERFACES + 1) // block)
 
@@ -70,14 +75,19 @@ def make_media_replay_kernel(config: PathConfig, wanted: GradientRequest, role: 
             # loop, so that the step and the sweep are compiled once.
             b = wp.int32(0)
             tracing = wp.bool(True)
+            if wp.static(ratio):
+                stretch = Stretch()
             while b >= 0:
                 states[b] = state
                 count = wp.int32(0)
                 while state.path.alive == 1 and count < wp.static(block):
+                    before = state
                     vertex, state = media_step(scene, sampler, state, job.max_depth, job.rr_depth)
                     record[count] = vertex
                     count += 1
                     if tracing:
+                        if wp.static(ratio):
+                            stretch = consider_stretch(scene, sampler, stretch, before, vertex, delta, job.max_depth)
                         radiance += wp.cw_mul(vertex.surface.throughput, vertex.surface.direct)
                 if tracing and state.path.alive == 1:
                     b += 1
@@ -99,6 +109,9 @@ def make_media_replay_kernel(config: PathConfig, wanted: GradientRequest, role: 
                     b -= 1
                     if b >= 0:
                         state = states[b]
+            if wp.static(ratio):
+                if stretch.total > 0.0:
+                    of_sample += from_stretch(scene, target, sampler, stretch, delta, job.max_depth, job.rr_depth)
             # In reverse mode it is the number of derivatives dropped.
             valid = finite(radiance) and finite(remaining) and finite(of_sample)
             if wp.static(role == "reverse"):

@@ -56,7 +56,7 @@ def make_segment_sink(config: PathConfig, wanted: GradientRequest, role: str):
     passage = make_media_passage(config, True)
     accumulate_extinction, _accumulate_flight = make_coefficient_sinks(role, wanted.media)
     accumulate_material = make_material_sink(config, wanted, role)
-    accumulate_depth, _accumulate_tracked = make_grid_adjoint(role, wanted.media)
+    accumulate_depth, _tracked, _extinction_at = make_grid_adjoint(role, wanted.media)
     grids = config.media.grids
     density = explores_density(wanted)
     materials = any(wanted.material) or wanted.to_uv
@@ -154,10 +154,11 @@ def make_segment_sink(config: PathConfig, wanted: GradientRequest, role: str):
 
 
 @functools.cache
-def make_media_sweep(config: PathConfig, wanted: GradientRequest, role: str):
+def make_media_sweep(config: PathConfig, wanted: GradientRequest, role: str, ratio: bool = False):
     """Return ``media_sweep(scene, target, sampler, vertex, delta, radiance) -> (vec3, float32)``.
 
     ``radiance`` is L_{n+1}, ``sampler`` the path's; the results are L_n and what the sinks returned.
+    ``ratio``: in-scattering in grids is shared with differential ratio tracking.
     """
     assert config.media is not None
     interaction = make_interaction(config)
@@ -165,7 +166,7 @@ def make_media_sweep(config: PathConfig, wanted: GradientRequest, role: str):
     phase = make_phase(config.media.phases)
     sink = make_sink(role)
     _accumulate_extinction, accumulate_flight = make_coefficient_sinks(role, wanted.media)
-    _accumulate_depth, accumulate_tracked = make_grid_adjoint(role, wanted.media)
+    _depth, accumulate_tracked, _extinction_at = make_grid_adjoint(role, wanted.media, ratio)
     grids = config.media.grids
     accumulate_segment = make_segment_sink(config, wanted, role)
     accumulate_material = make_material_sink(config, wanted, role)

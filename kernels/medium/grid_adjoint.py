@@ -13,7 +13,8 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.medium.coefficients import ALBEDO, SCALE, SIGMA_T, albedo_at
-from warp_psdr.kernels.medium.majorant import grid_ray
+from warp_psdr.kernels.medium.flight import mean_of
+from warp_psdr.kernels.medium.majorant import grid_ray, mean_majorant
 from warp_psdr.kernels.medium.volume import GRID, grid_point, grid_value, grid_value_at, make_grid_sink
 from warp_psdr.kernels.reading import load_float, texture_record
 from warp_psdr.kernels.rng import Sampler, independent_1d
@@ -26,13 +27,24 @@ SALT_POINTS = wp.constant(wp.uint32(0x2E6B83D5))
 POINTS = 4
 
 
+@wp.func
+def power_share(a: wp.float32, b: wp.float32) -> wp.float32:
+    """The share of the first of two techniques by the power heuristic: a^2 / (a^2 + b^2)."""
+    ratio = wp.min(a / wp.max(b, 1.0e-30), 1.0e15)
+    return ratio * ratio / (1.0 + ratio * ratio)
+
+
 @functools.cache
-def make_grid_adjoint(role: str, wanted: tuple[str, ...]):
-    """Return ``(accumulate_depth, accumulate_tracked)``.
+def make_grid_adjoint(role: str, wanted: tuple[str, ...], shared: bool = False):
+    """Return ``(accumulate_depth, accumulate_tracked, accumulate_extinction_at)``.
 
     ``accumulate_depth(scene, target, m, o, d, length, stream, w) -> float32``: ``w`` is the adjoint of int sigma dt.
     ``accumulate_tracked(scene, target, m, o, d, t, collides, passed, stream, w) -> float32``: ``w`` is the adjoint of
     the weight of a flight (``Flight``).
+    ``accumulate_extinction_at(scene, target, m, g, p, w) -> float32``: ``w`` is the adjoint of sigma at p, in voxels.
+
+    ``shared``: of in-scattering collisions have their share of the power heuristic
+    (``interior/differential_ratio_tracking.py``).
     """
     sink = make_sink(role)
     sink_texel = make_sink_texel(role)
@@ -43,7 +55,6 @@ def make_grid_adjoint(role: str, wanted: tuple[str, ...]):
     def accumulate_extinction_at(
         scene: Scene, target: wp.array(dtype=wp.float32), m: Medium, g: Texture, p: wp.vec3, w: wp.vec3
     ) -> wp.float32:
-        """``w`` is the adjoint of sigma at a point, which is given in voxels."""
         total = wp.float32(0.0)
         if wp.static(SIGMA_T in wanted):
             total += accumulate_grid(target, g, p, load_float(scene.values, m.scale) * w)
@@ -97,7 +108,10 @@ def make_grid_adjoint(role: str, wanted: tuple[str, ...]):
             if wp.static(density):
                 g = texture_record(scene, m.sigma_t)
                 p = grid_point(scene, g, x)
-                total += accumulate_extinction_at(scene, target, m, g, p, wp.cw_mul(w_passed, albedo))
+                a_sigma = wp.cw_mul(w_passed, albedo)
+                if wp.static(shared):
+                    a_sigma *= power_share(mean_of(sigma), mean_majorant(scene, m, g, o, d))
+                total += accumulate_extinction_at(scene, target, m, g, p, a_sigma)
             if wp.static(ALBEDO in wanted):
                 a_albedo = wp.cw_mul(w_passed, sigma)
                 if m.albedo_channels == GRID:
@@ -109,4 +123,4 @@ def make_grid_adjoint(role: str, wanted: tuple[str, ...]):
             total += accumulate_depth(scene, target, m, o, d, t, stream, -w_weight)
         return total
 
-    return accumulate_depth, accumulate_tracked
+    return accumulate_depth, accumulate_tracked, accumulate_extinction_at

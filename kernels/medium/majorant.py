@@ -7,15 +7,19 @@ detached: nothing that is differentiated depends on them.
 The walk steps from cell to cell by integers; where a ray crosses a plane is computed from the plane's number each time,
 so that nothing adds up and a grazing ray leaves no cell out [Amanatides and Woo 1987].
 
+Tentative points of tracking come along it at the rate of the majorants.
+
 Derivation: ``docs/theory/media.md#grids``.
 """
 
 import warp as wp
 
 from warp_psdr.kernels.constants import FAR
+from warp_psdr.kernels.medium.flight import minus_log_one_minus
 from warp_psdr.kernels.medium.volume import grid_point, grid_size, grid_vector
 from warp_psdr.kernels.reading import load_float
-from warp_psdr.kernels.structs import Scene, Texture
+from warp_psdr.kernels.rng import Sampler, independent_2d
+from warp_psdr.kernels.structs import Medium, Scene, Texture
 
 #: Voxels along the side of a cell.
 CELL = 8
@@ -137,3 +141,79 @@ def next_cell(g: Texture, r: GridRay, walk: CellWalk) -> CellWalk:
 def majorant_of(values: wp.array(dtype=wp.float32), g: Texture, w: CellWalk) -> wp.float32:
     index = (w.k * cells_along(g.height) + w.j) * cells_along(g.width) + w.i
     return load_float(values, g.second + index)
+
+
+@wp.func
+def mean_majorant(scene: Scene, m: Medium, g: Texture, o: wp.vec3, d: wp.vec3) -> wp.float32:
+    """The mean majorant from a point of a ray to the end of the grid, at least one over that length."""
+    r = grid_ray(scene, g, o, d, FAR)
+    depth = wp.float32(0.0)
+    if not r.t0 < r.t1:
+        return 0.0
+    t = r.t0
+    walk = first_cell(g, r)
+    while t < r.t1:
+        leaves = wp.clamp(walk.t, t, r.t1)
+        depth += (leaves - t) * majorant_of(scene.values, g, walk)
+        t = leaves
+        if leaves < r.t1:
+            walk = next_cell(g, r, walk)
+            if walk.axis < 0:
+                t = r.t1
+    return wp.max(load_float(scene.values, m.scale) * depth, 1.0) / (r.t1 - r.t0)
+
+
+@wp.struct
+class Tentative:
+    """A tentative point on a ray, or where the ray is before the first of them."""
+
+    t: wp.float32  # the end of the stretch: there is none any more
+    rate: wp.float32  # of such points there
+    u: wp.float32  # a number for what is decided there
+    walk: CellWalk
+    slot: wp.int32  # of the last number that was drawn
+
+
+@wp.func
+def before_tentative(g: Texture, r: GridRay, slot: wp.int32) -> Tentative:
+    """Where a ray enters the grid; the numbers of ``slot`` and of those before are not drawn."""
+    p = Tentative()
+    p.t = r.t0
+    p.slot = slot
+    p.walk = first_cell(g, r)
+    return p
+
+
+@wp.func
+def next_tentative(
+    values: wp.array(dtype=wp.float32),
+    g: Texture,
+    r: GridRay,
+    scale: wp.float32,
+    least: wp.float32,
+    stream: Sampler,
+    point: Tentative,
+) -> Tentative:
+    """The next point; the rate is ``scale`` times the majorant, and at ``least`` so much."""
+    p = point
+    p.slot += 1
+    u = independent_2d(stream, p.slot)
+    p.u = u[1]
+    tau = minus_log_one_minus(u[0])
+    more = p.t < r.t1
+    while more:
+        leaves = wp.min(p.walk.t, r.t1)
+        p.rate = wp.max(scale * majorant_of(values, g, p.walk), least)
+        depth = p.rate * (leaves - p.t)
+        if tau < depth:
+            p.t += tau / p.rate
+            more = False
+        else:
+            tau -= wp.max(depth, 0.0)
+            p.t = wp.max(leaves, p.t)
+            if leaves < r.t1:
+                p.walk = next_cell(g, r, p.walk)
+                if p.walk.axis < 0:
+                    p.t = r.t1
+            more = p.t < r.t1
+    return p

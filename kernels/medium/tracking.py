@@ -19,10 +19,10 @@ import warp as wp
 from warp_psdr.kernels.invalid import vanishes
 from warp_psdr.kernels.medium.coefficients import albedo_at
 from warp_psdr.kernels.medium.flight import FORCED, Flight, minus_log_one_minus
-from warp_psdr.kernels.medium.majorant import first_cell, grid_ray, majorant_of, next_cell
+from warp_psdr.kernels.medium.majorant import before_tentative, grid_ray, next_tentative
 from warp_psdr.kernels.medium.volume import grid_value, grid_value_at
 from warp_psdr.kernels.reading import load_float, texture_record
-from warp_psdr.kernels.rng import Sampler, independent_1d, independent_2d, salted
+from warp_psdr.kernels.rng import Sampler, independent_1d, salted
 from warp_psdr.kernels.structs import Medium, Scene
 from warp_psdr.kernels.vertex import MediaConfig
 
@@ -72,46 +72,28 @@ def make_tracking(config: MediaConfig, explores: bool):
         if not r.t0 < r.t1:
             return result
         w = result.weight
-        walk = first_cell(g, r)
-        t = r.t0
-        slot = wp.int32(CLOCK + 1)
-        u = independent_2d(stream, slot)
-        tau = minus_log_one_minus(u[0])
-        while t < r.t1:
-            leaves = wp.min(walk.t, r.t1)
-            majorant = scale * majorant_of(scene.values, g, walk)
-            tentative = majorant * (leaves - t)
-            if not tau < tentative:
-                tau -= wp.max(tentative, 0.0)
-                t = wp.max(leaves, t)
-                if leaves < r.t1:
-                    walk = next_cell(g, r, walk)
-                    if walk.axis < 0:
-                        t = r.t1
+        point = next_tentative(scene.values, g, r, scale, 0.0, stream, before_tentative(g, r, CLOCK))
+        while point.t < r.t1:
+            sigma = scale * grid_value(scene.values, g, r.o + point.t * r.d)
+            kept = wp.vec3(1.0, 1.0, 1.0) - sigma / point.rate
+            if ratio:
+                w = wp.cw_mul(w, kept)
             else:
-                t += tau / majorant
-                sigma = scale * grid_value(scene.values, g, r.o + t * r.d)
-                kept = wp.vec3(1.0, 1.0, 1.0) - sigma / majorant
-                if ratio:
-                    w = wp.cw_mul(w, kept)
-                    if vanishes(w):
-                        t = r.t1
-                else:
-                    if wp.static(chromatic):
-                        stays = wp.dot(share_of(w), kept)
-                        if u[1] < stays:
-                            w = wp.cw_mul(w, kept) / stays
-                        else:
-                            result.collides = True
+                if wp.static(chromatic):
+                    stays = wp.dot(share_of(w), kept)
+                    if point.u < stays:
+                        w = wp.cw_mul(w, kept) / stays
                     else:
-                        result.collides = not u[1] < kept[0]
-                    if result.collides:
-                        result.t = t
-                        result.sigma = sigma
-                        t = r.t1
-                slot += 1
-                u = independent_2d(stream, slot)
-                tau = minus_log_one_minus(u[0])
+                        result.collides = True
+                else:
+                    result.collides = not point.u < kept[0]
+            if result.collides:
+                result.t = point.t
+                result.sigma = sigma
+            if result.collides or vanishes(w):
+                point.t = r.t1
+            else:
+                point = next_tentative(scene.values, g, r, scale, 0.0, stream, point)
         result.weight = w
         return result
 

@@ -153,6 +153,28 @@ class Antithetic(Method):
 
 
 @dataclass(frozen=True, kw_only=True)
+class DifferentialRatioTracking(Method):
+    """Differential ratio tracking [NDMKJ22] in grids of density (``kernels/interior/differential_ratio_tracking.py``).
+
+    Of in-scattering, points by transmittance alone share the derivative by the density with collisions; one stretch of
+    each path has such a point, and a path of its own from there. All else is ``Replay()``.
+
+    Attributes:
+        block: K, as of ``Replay``.
+    """
+
+    block: int = 8
+
+    def __post_init__(self) -> None:
+        """Validate once.
+
+        Raises:
+            ValueError: ``block`` is not between 1 and 64.
+        """
+        _check_block(self.block, "")
+
+
+@dataclass(frozen=True, kw_only=True)
 class Textbook(Method):
     """Path replay as [VSJ21] print it (``kernels/interior/textbook.py``), for comparison only.
 

@@ -87,6 +87,10 @@ _METHODS = MethodTable(
             *("kernels/interior/antithetic.py", "antithetic"),
         ),
         (
+            *("NDMKJ22", "Differential ratio tracking", "interior.DifferentialRatioTracking()", "interior"),
+            *("kernels/interior/differential_ratio_tracking.py", "differential_ratio_tracking"),
+        ),
+        (
             *("ZMY*20", "Path-space boundary sampling", "boundary.PathSpace()", "boundary"),
             *("kernels/boundary/path_space/secondary.py", "path_space"),
         ),

@@ -22,6 +22,7 @@ from warp_psdr.kernels.interior.branch import make_branch_kernel
 from warp_psdr.kernels.interior.forward import make_forward_kernel
 from warp_psdr.kernels.interior.gradient_request import GradientRequest
 from warp_psdr.kernels.interior.media_replay import make_media_replay_kernel
+from warp_psdr.kernels.interior.media_sweep import explores_density
 from warp_psdr.kernels.interior.radiative import make_radiative_kernel
 from warp_psdr.kernels.interior.replay import make_replay_kernel
 from warp_psdr.kernels.interior.shape_parameters import branched_values
@@ -105,7 +106,7 @@ def row_of(method: interior.Method, term: boundary.Method | None) -> Row:
 
 
 def _keep_blocks(method: interior.Method, max_depth: int, rr_depth: int) -> Kept:
-    assert isinstance(method, (interior.Replay, interior.LightTracing))
+    assert isinstance(method, (interior.Replay, interior.LightTracing, interior.DifferentialRatioTracking))
     if max_depth < 0:
         max_depth = rr_depth + UNBOUNDED_VERTICES
         if max_depth > MOST_VERTICES:
@@ -133,6 +134,19 @@ def _make_replay(config: PathConfig, wanted: GradientRequest, role: str, kept: K
     if role == "forward":
         return make_forward_kernel(config, wanted)
     return make_replay_kernel(config, wanted, kept.block, kept.blocks)
+
+
+def _make_ratio(config: PathConfig, wanted: GradientRequest, role: str, kept: Kept) -> wp.Kernel:
+    return make_media_replay_kernel(config, wanted, role, kept.block, kept.longest, True)
+
+
+def _refused_by_ratio_tracking(config: PathConfig, wanted: GradientRequest) -> str:
+    if config.media is None or not config.media.grids or not explores_density(wanted):
+        return (
+            "interior.DifferentialRatioTracking() draws points for the density of 'heterogeneous' media, and no "
+            "parameter that is requested is one (sigma_t or scale). Use interior.Replay()"
+        )
+    return ""
 
 
 def _keep_candidates(method: interior.Method, max_depth: int, rr_depth: int) -> Kept:
@@ -313,6 +327,12 @@ TABLE: dict[tuple[type[interior.Method], type[boundary.Method]], Row] = {
         make=_make_pairs,
         beside=_make_unpaired,
         refuse=_refused_by_antithetic,
+    ),
+    (interior.DifferentialRatioTracking, boundary.Method): Row(
+        label="differential ratio tracking, record and sweep",
+        keep=_keep_blocks,
+        make=_make_ratio,
+        refuse=_refused_by_ratio_tracking,
     ),
     (interior.Textbook, boundary.Method): Row(
         label="textbook replay",

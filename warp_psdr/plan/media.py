@@ -54,7 +54,8 @@ def refuse(config: PathConfig, method: interior.Method, wanted: GradientRequest 
     """
     if config.media is None:
         return
-    if type(method) is not interior.Replay and (names or isinstance(method, interior.LightTracing)):
+    known = (interior.Replay, interior.DifferentialRatioTracking)
+    if type(method) not in known and (names or isinstance(method, interior.LightTracing)):
         raise ValueError(
             f"interior.{type(method).__name__}() does not know participating media; use interior.Replay(), or leave "
             "them out"

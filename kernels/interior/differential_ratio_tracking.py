@@ -1,0 +1,154 @@
+"""Differential ratio tracking: points for in-scattering by transmittance alone [NDMKJ22, section 4].
+
+The derivative of in-scattering by the density is int a dsigma T S dt, and collisions, which come by sigma T, estimate
+it with a division by sigma. Ratio tracking draws a point by T instead: of its tentative points t_i, whose weights are
+w_i = prod_{j<i} (1 - sigma_j / M_j), one is chosen by w_i / M_i, and what it finds is weighted with the sum of these.
+Both techniques are weighed by the power heuristic, with sigma and with c, a mean majorant of the ray (the paper has 1,
+which is no length). One stretch of a path is chosen, by its throughput, and the light scattered in at its point is the
+estimate of one path that starts there.
+
+Derivation: ``docs/theory/media.md#differential-ratio-tracking``.
+"""
+
+import functools
+
+import warp as wp
+
+from warp_psdr.kernels.interior.gradient_request import GradientRequest
+from warp_psdr.kernels.invalid import vanishes
+from warp_psdr.kernels.medium.coefficients import albedo_at
+from warp_psdr.kernels.medium.flight import mean_of
+from warp_psdr.kernels.medium.grid_adjoint import make_grid_adjoint, power_share
+from warp_psdr.kernels.medium.majorant import before_tentative, grid_ray, mean_majorant, next_tentative
+from warp_psdr.kernels.medium.volume import GRID, grid_value
+from warp_psdr.kernels.path_media import SLOTS_PER_STEP, MediaState, MediaVertex, make_collision, make_media_step
+from warp_psdr.kernels.reading import load_float, texture_record
+from warp_psdr.kernels.rng import Sampler, independent_1d, make_sampler, salted
+from warp_psdr.kernels.structs import Scene
+from warp_psdr.kernels.vertex import PathConfig
+
+#: Salt of the numbers that choose a stretch (0) and a point on it (1), and of the path that starts there (2).
+SALT_BRANCH = wp.constant(wp.uint32(0x1B873593))
+
+
+@wp.struct
+class Stretch:
+    """The stretch of a path that was chosen."""
+
+    state: MediaState  # before it
+    length: wp.float32
+    weight: wp.float32  # its own
+    total: wp.float32  # of all; 0: there is none
+
+
+@functools.cache
+def make_ratio_branch(config: PathConfig, wanted: GradientRequest, role: str):
+    """Return ``(consider_stretch, from_stretch)``.
+
+    ``consider_stretch(scene, sampler, stretch, state, vertex, delta, max_depth) -> Stretch``: weighted reservoir
+    sampling; ``state`` is that before the step of ``vertex``.
+    ``from_stretch(scene, target, sampler, stretch, delta, max_depth, rr_depth) -> vec3``: what the sinks returned, in
+    forward mode of each channel.
+    """
+    assert config.media is not None
+    collide = make_collision(config, True)
+    media_step = make_media_step(config, True, True, False)
+    _depth, _tracked, accumulate_extinction_at = make_grid_adjoint(role, wanted.media, True)
+    sample_4d = make_sampler(config.sampler).sample_4d
+    channels = 3 if role == "forward" else 1
+
+    @wp.func
+    def consider_stretch(
+        scene: Scene,
+        sampler: Sampler,
+        stretch: Stretch,
+        state: MediaState,
+        v: MediaVertex,
+        delta: wp.vec3,
+        max_depth: wp.int32,
+    ) -> Stretch:
+        r = stretch
+        if state.medium >= 0 and (max_depth < 0 or state.path.depth + 1 < max_depth):
+            if scene.media.records[state.medium].sigma_t_channels == GRID:
+                weight = wp.dot(wp.abs(delta), wp.abs(state.path.throughput))
+                r.total += weight
+                if independent_1d(salted(sampler, SALT_BRANCH, 0), state.steps) * r.total < weight:
+                    r.state = state
+                    r.length = v.length
+                    r.weight = weight
+        return r
+
+    @wp.func
+    def from_stretch(
+        scene: Scene,
+        target: wp.array(dtype=wp.float32),
+        sampler: Sampler,
+        stretch: Stretch,
+        delta: wp.vec3,
+        max_depth: wp.int32,
+        rr_depth: wp.int32,
+    ) -> wp.vec3:
+        dots = wp.vec3(0.0, 0.0, 0.0)
+        o = stretch.state.path.o
+        d = stretch.state.path.d
+        m = scene.media.records[stretch.state.medium]
+        g = texture_record(scene, m.sigma_t)
+        scale = load_float(scene.values, m.scale)
+        r = grid_ray(scene, g, o, d, stretch.length)
+        if not r.t0 < r.t1:
+            return dots
+        # ---- A point by T: a reservoir over the tentative points of ratio tracking ----
+        least = 1.0 / (r.t1 - r.t0)
+        stream = salted(sampler, SALT_BRANCH, 1)
+        w = wp.vec3(1.0, 1.0, 1.0)
+        total = wp.float32(0.0)
+        t = wp.float32(0.0)
+        found = wp.vec3(0.0, 0.0, 0.0)
+        sigma = wp.vec3(0.0, 0.0, 0.0)
+        point = next_tentative(scene.values, g, r, scale, least, stream, before_tentative(g, r, 0))
+        while point.t < r.t1:
+            sigma_here = scale * grid_value(scene.values, g, r.o + point.t * r.d)
+            share = mean_of(w)
+            total += share / point.rate
+            if point.u * total < share / point.rate:
+                t = point.t
+                found = w / share
+                sigma = sigma_here
+            w = wp.cw_mul(w, wp.vec3(1.0, 1.0, 1.0) - sigma_here / point.rate)
+            if vanishes(w):
+                point.t = r.t1
+            else:
+                point = next_tentative(scene.values, g, r, scale, least, stream, point)
+        if total <= 0.0:
+            return dots
+        # ---- S: what is scattered in there ----
+        branch = salted(sampler, SALT_BRANCH, 2)
+        state = stretch.state
+        slot = 1 + SLOTS_PER_STEP * state.steps
+        vertex = MediaVertex()
+        vertex.t = t
+        vertex.surface.o = o
+        vertex.surface.d = d
+        vertex.surface.throughput = wp.vec3(1.0, 1.0, 1.0)
+        u4 = sample_4d(branch, slot + 1)
+        r4 = sample_4d(branch, slot + 2)
+        reached, after = collide(scene, branch, state, vertex, u4, r4, max_depth, rr_depth)
+        radiance = reached.surface.direct
+        while after.path.alive == 1:
+            behind, after = media_step(scene, branch, after, max_depth, rr_depth)
+            radiance += wp.cw_mul(behind.surface.throughput, behind.surface.direct)
+        # ---- a dsigma T S, weighed against collisions ----
+        shared = power_share(mean_majorant(scene, m, g, o, d), mean_of(sigma))
+        size = shared * total * stretch.total / stretch.weight
+        a_sigma = size * wp.cw_mul(wp.cw_mul(found, albedo_at(scene, m, o + t * d)), radiance)
+        a_sigma = wp.cw_mul(a_sigma, wp.cw_mul(delta, state.path.throughput))
+        p = r.o + t * r.d
+        for channel in range(wp.static(channels)):
+            a = a_sigma
+            if wp.static(role == "forward"):
+                a = wp.vec3(0.0, 0.0, 0.0)
+                a[channel] = a_sigma[channel]
+            dots[channel] = accumulate_extinction_at(scene, target, m, g, p, a)
+        return dots
+
+    return consider_stretch, from_stretch
