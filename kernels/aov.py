@@ -15,10 +15,11 @@ from warp_psdr.kernels.interaction import make_interaction
 from warp_psdr.kernels.invalid import count_invalid, finite
 from warp_psdr.kernels.jobs import PixelJob, pixel_of
 from warp_psdr.kernels.path import make_camera_start
+from warp_psdr.kernels.primitive.affine import is_primitive
+from warp_psdr.kernels.primitive.dispatch import make_partials
 from warp_psdr.kernels.reading import shape_at, triangle_at
 from warp_psdr.kernels.rng import sampler_at
 from warp_psdr.kernels.structs import Camera, Scene
-from warp_psdr.kernels.surface import uv_partials
 from warp_psdr.kernels.vertex import PathConfig
 from warp_psdr.kernels.visibility import make_visibility
 
@@ -54,7 +55,8 @@ def make_aov_kernel(config: PathConfig):
     ``config``: of a scene that reads texture coordinates, and whose lights the camera sees.
     """
     start = make_camera_start(config)
-    closest = make_visibility(config.ray_backend, config.ray_width).closest
+    closest = make_visibility(config.ray_backend, config.ray_width, False, config.primitives).closest
+    partials = make_partials(config.primitives)
     interaction = make_interaction(config)
     surface_at, interaction_at, bsdf_eval = interaction.surface, interaction.at, interaction.eval
 
@@ -91,7 +93,7 @@ def make_aov_kernel(config: PathConfig):
                 if not finite(surface.x + surface.n + albedo):
                     count_invalid(scene, sampler)
                     continue
-                dp_du, dp_dv = uv_partials(scene, tri)
+                dp_du, dp_dv = partials(scene, tri, hit.u, hit.v)
                 row[0] = row[0] + wp.float64(hit.t)
                 add3(row, 1, surface.x)
                 row[4] = row[4] + wp.float64(surface.uv[0])
@@ -101,7 +103,8 @@ def make_aov_kernel(config: PathConfig):
                 add3(row, 12, dp_du)
                 add3(row, 15, dp_dv)
                 add3(row, 18, albedo)
-                row[21] = row[21] + wp.float64(hit.face - shape_at(scene, tri.shape).first_face)
+                number = wp.where(is_primitive(tri), 0, hit.face - shape_at(scene, tri.shape).first_face)
+                row[21] = row[21] + wp.float64(number)
                 row[22] = row[22] + wp.float64(tri.shape)
                 row[23] = row[23] + wp.float64(1.0)
         for k in range(ROW):

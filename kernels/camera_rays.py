@@ -70,7 +70,7 @@ def make_pixel_bundle(lanes: int):
 
 def rays_together(config: PathConfig) -> int:
     """Return the number of camera rays that are traced at a time; 1: ``path_step`` traces them."""
-    return config.ray_width if config.ray_backend == "wide" else 1
+    return config.ray_width if config.ray_backend == "wide" and not config.primitives else 1
 
 
 @functools.cache

@@ -5,6 +5,7 @@ import math
 PI = math.pi
 INV_PI = 1.0 / math.pi
 TWO_PI = 2.0 * math.pi
+FOUR_PI = 4.0 * math.pi
 INV_TWO_PI = 0.5 / math.pi
 INV_FOUR_PI = 0.25 / math.pi
 
@@ -59,6 +60,9 @@ PHASE_HG = 1
 #: Numbers that stand for no medium, and on both sides of a shape for one that bounds none.
 NO_MEDIUM = -1
 NO_INTERFACE = -2
+
+# Shapes without triangles (``kernels/primitive``).
+PRIMITIVE_SPHERE = 0
 
 # Cameras (``Camera.kind``).
 CAMERA_PERSPECTIVE = 0

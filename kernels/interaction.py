@@ -17,10 +17,11 @@ from warp_psdr.kernels.generated import make_struct
 from warp_psdr.kernels.material import make_material
 from warp_psdr.kernels.math import aligned_tangent, any_tangent, to_local, to_world
 from warp_psdr.kernels.measures import make_measures, measures_metric
+from warp_psdr.kernels.primitive.dispatch import make_leaving, make_partials, make_surface_at
 from warp_psdr.kernels.reading import bsdf_at, emitter_at, shape_at, triangle_at
-from warp_psdr.kernels.step import step_beside, step_off_triangle
+from warp_psdr.kernels.step import step_beside
 from warp_psdr.kernels.structs import BsdfSample, Scattered, Scene, Triangle
-from warp_psdr.kernels.surface import Surface, make_surface_of, uv_partials
+from warp_psdr.kernels.surface import Surface
 from warp_psdr.kernels.vertex import PathConfig
 
 
@@ -170,7 +171,9 @@ class Interactions(NamedTuple):
 @functools.cache
 def make_parts(config: PathConfig, record: type) -> InteractionParts:
     """Return the steps that make a ``record`` of the scene's interactions."""
-    surface_of = make_surface_of(config.smooth, config.flat, config.uv, config.tangent)
+    surface_of = make_surface_at(config.smooth, config.flat, config.uv, config.tangent, config.primitives)
+    partials = make_partials(config.primitives)
+    step_off = make_leaving(config.primitives)
     looked_up = make_looked_up_record(make_bsdf(config.bsdfs).record)
     side_of = make_side(config.two_sided)
     frame_on = make_framing(config.tangent)
@@ -192,7 +195,7 @@ def make_parts(config: PathConfig, record: type) -> InteractionParts:
             metric = wp.vec3(0.0, 0.0, 0.0)
             if wp.static(measures_metric(config.material)):
                 frame = frame_on(side, surface.n, surface.tangent)
-                dp_du, dp_dv = uv_partials(scene, triangle_at(scene, face))
+                dp_du, dp_dv = partials(scene, triangle_at(scene, face), u, v)
                 metric = wp.vec3(wp.dot(dp_du, frame.s), wp.dot(dp_dv, frame.s), wp.dot(dp_dv, frame.t))
             result.material = measured(result.material, side, metric)
         return result
@@ -204,7 +207,7 @@ def make_parts(config: PathConfig, record: type) -> InteractionParts:
         at.ng = surface.ng
         at.frame = frame_on(found.side, surface.n, surface.tangent)
         at.wi = enter_frame(at.frame, -d)
-        at.step = step_off_triangle(scene, tri)
+        at.step = step_off(scene, tri)
         at.model = found.model
         at.shape = surface.shape
         at.slots = found.slots

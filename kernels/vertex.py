@@ -60,6 +60,8 @@ class PathConfig:
     delta_first: bool = False
     #: Participating media, whose paths are those of ``path_media.py``; None: there are none.
     media: MediaConfig | None = None
+    #: Kinds of shapes without triangles (PRIMITIVE_*, ``primitive/dispatch.py``).
+    primitives: tuple[int, ...] = ()
 
 
 @wp.struct

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import warp as wp
 
 from warp_psdr.kernels.bvh.wide import Accel, RayHit, make_intersect
+from warp_psdr.kernels.primitive.dispatch import make_primitive_queries
 from warp_psdr.kernels.structs import Scene
 
 
@@ -25,7 +26,7 @@ class Visibility(NamedTuple):
         camera_accel: ``(scene) -> Accel``: what the camera's own rays meet.
         seen: ``(scene, o, d, t_max, depth) -> RayHit``: the closest hit behind ``depth`` path vertices; at depth 0 it
             is what the camera sees.
-        closest_in: ``(accel, o, d, t_max) -> RayHit``.
+        closest_in: ``(accel, o, d, t_max) -> RayHit``: of triangles.
         hidden_from_camera: ``(scene, o, d, t_max) -> bool``: ``occluded`` for segments that end in the camera.
     """
 
@@ -38,13 +39,14 @@ class Visibility(NamedTuple):
 
 
 @functools.cache
-def make_visibility(backend: str, width: int, hidden: bool = False) -> Visibility:
+def make_visibility(backend: str, width: int, hidden: bool = False, primitives: tuple[int, ...] = ()) -> Visibility:
     """Return the functions.
 
     Args:
         backend: "wide" or "warp", see ``bvh/wide.py``.
         width: number of lanes of the wide structure.
         hidden: True: there are area lights, which the camera does not see.
+        primitives: kinds of shapes without triangles, none of which is a light; ``closest_in`` does not meet them.
     """
     closest_hit, any_hit = make_intersect(backend, width)
 
@@ -77,9 +79,29 @@ def make_visibility(backend: str, width: int, hidden: bool = False) -> Visibilit
     def hidden_from_camera(scene: Scene, o: wp.vec3, d: wp.vec3, t_max: wp.float32) -> wp.bool:
         return any_hit(camera_accel(scene), o, d, t_max)
 
-    return Visibility(closest, occluded, camera_accel, seen, closest_hit, hidden_from_camera)
+    if not primitives:
+        return Visibility(closest, occluded, camera_accel, seen, closest_hit, hidden_from_camera)
+    closest_primitive, occluded_by_primitive = make_primitive_queries(primitives)
+
+    @wp.func
+    def closest_of_any(scene: Scene, o: wp.vec3, d: wp.vec3, t_max: wp.float32) -> RayHit:
+        return closest_primitive(scene, o, d, closest(scene, o, d, t_max))
+
+    @wp.func
+    def occluded_by_any(scene: Scene, o: wp.vec3, d: wp.vec3, t_max: wp.float32) -> wp.bool:
+        return occluded_by_primitive(scene, o, d, t_max) or occluded(scene, o, d, t_max)
+
+    @wp.func
+    def any_seen(scene: Scene, o: wp.vec3, d: wp.vec3, t_max: wp.float32, depth: wp.int32) -> RayHit:
+        return closest_primitive(scene, o, d, seen(scene, o, d, t_max, depth))
+
+    @wp.func
+    def any_hidden_from_camera(scene: Scene, o: wp.vec3, d: wp.vec3, t_max: wp.float32) -> wp.bool:
+        return occluded_by_primitive(scene, o, d, t_max) or hidden_from_camera(scene, o, d, t_max)
+
+    return Visibility(closest_of_any, occluded_by_any, camera_accel, any_seen, closest_hit, any_hidden_from_camera)
 
 
 def visibility_of(config) -> Visibility:
     """Return the functions for a ``PathConfig``."""
-    return make_visibility(config.ray_backend, config.ray_width, config.hidden)
+    return make_visibility(config.ray_backend, config.ray_width, config.hidden, config.primitives)

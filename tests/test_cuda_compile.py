@@ -137,6 +137,9 @@ MIRROR_LIGHTS = PathConfig(
         "one_light": False,
     }
 )
+#: Shapes without triangles beside those with.
+EXACT = PathConfig(**{**vars(SIMPLE), "uv": True, "tangent": True, "primitives": (c.PRIMITIVE_SPHERE,)})
+EXACT_LIGHTS = PathConfig(**{**vars(ALL_LIGHTS), "primitives": (c.PRIMITIVE_SPHERE,)})
 MIRRORS = PathConfig(**{**vars(SIMPLE), **materials("conductor", "dielectric")})
 MIRRORS_PARALLEL = PathConfig(**{**vars(MIRRORS), "camera": c.CAMERA_ORTHOGRAPHIC})
 MIRRORS_LENS = PathConfig(**{**vars(MIRRORS), "camera": c.CAMERA_THINLENS})
@@ -354,6 +357,14 @@ FACTORIES = {
         ("forward, thin lens", (THIN_LENS, "forward", True), SLOW),
         ("samples, simple", (SIMPLE, "samples", False), SLOW),
         ("noted, simple", (NOTED, "reverse", False), SLOW),
+    ],
+    "boundary.silhouette.primary.make_primary_silhouette_kernel": [
+        ("reverse, exact", (EXACT, "reverse", True), SLOW),
+        ("forward, exact", (EXACT, "forward", False), SLOW),
+    ],
+    "boundary.silhouette.secondary.make_secondary_silhouette_kernel": [
+        ("reverse, exact", (EXACT, "reverse", True, False), SLOW),
+        ("indirect, lights", (EXACT_LIGHTS, "forward", False, True, True), SLOW),
     ],
     "boundary.path_space.secondary.make_secondary_kernel": [
         ("reverse, simple", (SIMPLE, "reverse", False, False), SLOW),

@@ -11,7 +11,8 @@ KERNELS = Path(__file__).resolve().parents[1] / "kernels"
 #: extension, which takes the steps of an interaction one by one.
 DOORS = {
     "make_material": {"material.py", "interaction.py"},
-    "make_surface_of": {"surface.py", "interaction.py"},
+    "make_surface_of": {"surface.py", "primitive/dispatch.py"},
+    "make_surface_at": {"primitive/dispatch.py", "interaction.py"},
     "make_framing": {"interaction.py", "lanes/sweep_lanes.py"},
     "make_intersect": {"bvh/wide.py", "bvh/bundle.py", "visibility.py"},
 }

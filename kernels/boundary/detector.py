@@ -14,12 +14,12 @@ from warp_psdr.kernels.constants import LOBE_SMOOTH
 from warp_psdr.kernels.interaction import enter_frame, leave_frame, make_interaction
 from warp_psdr.kernels.invalid import vanishes
 from warp_psdr.kernels.path import make_path_step
+from warp_psdr.kernels.primitive.dispatch import make_position
 from warp_psdr.kernels.rng import Sampler
 from warp_psdr.kernels.scattering import ROULETTE_MAX
 from warp_psdr.kernels.sensor.projection import FilmPoint, make_projection
 from warp_psdr.kernels.step import step_beside
 from warp_psdr.kernels.structs import Camera, Scene
-from warp_psdr.kernels.surface import point_on
 from warp_psdr.kernels.vertex import PathConfig, PathState, path_from
 from warp_psdr.kernels.visibility import visibility_of
 
@@ -138,6 +138,7 @@ def make_following(config: PathConfig):
     ``smooth``: of the first surface that it meets only what its smooth lobes send.
     """
     path_step = make_path_step(config, False)
+    position, _cross_of = make_position(config.primitives)
 
     @wp.func
     def following(
@@ -149,7 +150,7 @@ def make_following(config: PathConfig):
         r.face = vertex.face
         if vertex.face >= 0:
             tri = scene.triangles[vertex.face]
-            r.x = point_on(tri, vertex.u, vertex.v)
+            r.x = position(tri, vertex.u, vertex.v)
         if smooth and vertex.lobe > LOBE_SMOOTH:
             return r
         while state.alive == 1:
@@ -244,6 +245,7 @@ def make_walk(config: PathConfig):
     visibility = visibility_of(config)
     interaction = make_interaction(config)
     project = make_projection(config.camera)[0]
+    position, _cross_of = make_position(config.primitives)
 
     @wp.func
     def connect(scene: Scene, camera: Camera, walk: Walk, lens: wp.vec2) -> Connection:
@@ -299,7 +301,7 @@ def make_walk(config: PathConfig):
         r.face = hit.face
         r.u = hit.u
         r.v = hit.v
-        r.x = point_on(tri, hit.u, hit.v)
+        r.x = position(tri, hit.u, hit.v)
         r.to = -w
         r.weight = weight
         return r

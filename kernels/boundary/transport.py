@@ -33,12 +33,13 @@ from warp_psdr.kernels.constants import FAR
 from warp_psdr.kernels.invalid import count_invalid, vanishes
 from warp_psdr.kernels.jobs import SampleJob
 from warp_psdr.kernels.notes import NOTE_SENSOR, NOTE_SOURCE, NOTE_WALK, make_note
+from warp_psdr.kernels.primitive.dispatch import make_adjoint_sink, make_position
 from warp_psdr.kernels.rng import Sampler, branch_of, make_sampler
 from warp_psdr.kernels.sensor.camera import make_camera_sink, make_lens
 from warp_psdr.kernels.sensor.projection import make_splat
 from warp_psdr.kernels.step import leaving_step
 from warp_psdr.kernels.structs import Camera, Scene
-from warp_psdr.kernels.surface import VertexAdjoint, make_vertex_sink, point_on
+from warp_psdr.kernels.surface import VertexAdjoint, point_on
 from warp_psdr.kernels.vertex import PathConfig
 
 #: A path goes on from this fraction of a segment's length in front of the light that the segment met, at least.
@@ -117,12 +118,12 @@ def make_source(config: PathConfig, emission: bool = False):
 
 
 @functools.cache
-def make_first_sink(role: str):
+def make_first_sink(role: str, primitives: tuple[int, ...] = ()):
     """Return ``accumulate_first(scene, target, segment, w, by_ray, o, d)`` for the adjoint of x_1.
 
     ``by_ray``: x_1 is where the ray (o, d) meets its triangle, whose adjoint is returned, as (o, d, dot).
     """
-    accumulate_vertex = make_vertex_sink(role, False, False, False, False, False, True)
+    accumulate_vertex = make_adjoint_sink(role, False, False, False, False, False, True, primitives)
 
     @wp.func
     def accumulate_first(
@@ -161,7 +162,8 @@ def make_transport(config: PathConfig, role: str, camera_moves: bool, source: wp
     """
     connect, extend = make_walk(config)
     evaluates = role == "target"
-    accumulate_first = None if evaluates else make_first_sink(role)
+    accumulate_first = None if evaluates else make_first_sink(role, config.primitives)
+    position, _cross_of = make_position(config.primitives)
     accumulate_camera = make_camera_sink(role, config.camera) if camera_moves and not evaluates else None
     splat, gather = make_splat()
     lens_point = make_lens(config.camera)
@@ -189,7 +191,7 @@ def make_transport(config: PathConfig, role: str, camera_moves: bool, source: wp
         walk.face = s.face1
         walk.u = s.u1
         walk.v = s.v1
-        walk.x = point_on(tri, s.u1, s.v1)
+        walk.x = position(tri, s.u1, s.v1)
         walk.to = s.w
         walk.weight = wp.vec3(1.0, 1.0, 1.0)
         lens = lens_point(sample_2d(sampler, SLOT_LENS))

@@ -13,6 +13,7 @@ import warp as wp
 
 from warp_psdr.kernels.constants import EMITTER_AREA
 from warp_psdr.kernels.math import where3
+from warp_psdr.kernels.primitive.affine import is_primitive_at
 from warp_psdr.kernels.step import leaving_step
 from warp_psdr.kernels.structs import Scene
 from warp_psdr.kernels.surface import point_on
@@ -69,8 +70,8 @@ def may_touch(w: ContactWedge, rho_p: wp.float32, rho_q: wp.float32) -> wp.bool:
 
 
 @functools.cache
-def make_contact_weights(backend: str, width: int) -> tuple[wp.Function, wp.Function]:
-    """Return two functions of the weight chi; backend and width as of ``make_visibility``.
+def make_contact_weights(backend: str, width: int, primitives: tuple[int, ...] = ()) -> tuple[wp.Function, wp.Function]:
+    """Return two functions of the weight chi; arguments as of ``make_visibility``. On curved shapes chi is 1.
 
     ``weight_before(scene, vertex)``: of the connection by which a vertex was found.
     ``weight_of_light(scene, vertex, x)``: of that of a vertex, at x, with the light found by next-event estimation.
@@ -127,6 +128,9 @@ def make_contact_weights(backend: str, width: int) -> tuple[wp.Function, wp.Func
     def weight_before(scene: Scene, vertex: PathVertex) -> wp.float32:
         if vertex.face < 0 or vertex.previous_face < 0:
             return 1.0
+        if wp.static(len(primitives) > 0):
+            if is_primitive_at(scene, vertex.face) or is_primitive_at(scene, vertex.previous_face):
+                return 1.0
         x = point_on(scene.triangles[vertex.face], vertex.u, vertex.v)
         return contact_weight(scene, vertex.previous_face, vertex.face, vertex.o, x)
 
@@ -134,6 +138,9 @@ def make_contact_weights(backend: str, width: int) -> tuple[wp.Function, wp.Func
     def weight_of_light(scene: Scene, vertex: PathVertex, x: wp.vec3) -> wp.float32:
         if scene.emitters[vertex.light].kind != EMITTER_AREA:
             return 1.0
+        if wp.static(len(primitives) > 0):
+            if is_primitive_at(scene, vertex.face) or is_primitive_at(scene, vertex.light_face):
+                return 1.0
         y = point_on(scene.triangles[vertex.light_face], vertex.light_u, vertex.light_v)
         return contact_weight(scene, vertex.face, vertex.light_face, x, y)
 

@@ -13,8 +13,9 @@ from warp_psdr.kernels.generated import make_generated
 from warp_psdr.kernels.interior.gradient_request import GradientRequest
 from warp_psdr.kernels.interior.pullback import connection_vjp
 from warp_psdr.kernels.material import slot_at
+from warp_psdr.kernels.primitive.dispatch import make_adjoint_sink, make_position
 from warp_psdr.kernels.structs import Scene
-from warp_psdr.kernels.surface import VertexAdjoint, make_vertex_sink, point_on
+from warp_psdr.kernels.surface import VertexAdjoint
 from warp_psdr.kernels.texture.gradient import make_reader_sink
 from warp_psdr.kernels.texture.texture import make_texture_sink
 from warp_psdr.kernels.vertex import PathConfig, PathVertex
@@ -76,9 +77,10 @@ def make_light_sink(config: PathConfig, wanted: GradientRequest, role: str, link
     accumulate_radiance = (
         make_texture_sink(role, config.area, True, wanted.to_uv, wanted.texcoords) if has_area else None
     )
-    accumulate_vertex = make_vertex_sink(
-        role, config.smooth, config.flat, config.uv, config.tangent, wanted.texcoords, False
+    accumulate_vertex = make_adjoint_sink(
+        role, config.smooth, config.flat, config.uv, config.tangent, wanted.texcoords, False, config.primitives
     )
+    position, cross_of = make_position(config.primitives)
 
     @wp.func
     def radiance_of(scene: Scene, vertex: PathVertex, x: wp.vec3) -> wp.vec3:
@@ -125,8 +127,8 @@ def make_light_sink(config: PathConfig, wanted: GradientRequest, role: str, link
                     adjoint.uv = ta.uv
                 if wp.static(links and wanted.geometry):
                     tri = scene.triangles[face]
-                    y = point_on(tri, vertex.light_u, vertex.light_v)
-                    cross = wp.cross(tri.p1 - tri.p0, tri.p2 - tri.p0)
+                    y = position(tri, vertex.light_u, vertex.light_v)
+                    cross = cross_of(tri, vertex.light_u, vertex.light_v)
                     link = connection_vjp(x, y, cross, vertex.light_wi, a_wo, value, chi)
                     a_x = link.x
                     adjoint.x = -link.x

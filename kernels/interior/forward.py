@@ -24,7 +24,6 @@ from warp_psdr.kernels.interior.tangents import (
     local_jvp,
     log_geometry_jvp,
     make_frame_jvp,
-    make_vertex_jvp,
     normalize_jvp,
 )
 from warp_psdr.kernels.interior.tilts import make_tilts, upright
@@ -32,10 +31,11 @@ from warp_psdr.kernels.interior.transmittance import make_transmittance_sink
 from warp_psdr.kernels.interior.velocities import axis_vec3, make_material_jvp, make_pair, make_texture_jvp
 from warp_psdr.kernels.invalid import count_invalid, finite
 from warp_psdr.kernels.jobs import PixelJob, pixel_of
+from warp_psdr.kernels.primitive.dispatch import make_position
+from warp_psdr.kernels.primitive.velocity import make_velocity
 from warp_psdr.kernels.rng import sampler_at
 from warp_psdr.kernels.sensor.camera import CameraSample, make_camera_ray, make_camera_sink
 from warp_psdr.kernels.structs import Camera, Scene
-from warp_psdr.kernels.surface import point_on
 from warp_psdr.kernels.vertex import PathConfig, PathState, PathVertex
 
 
@@ -60,7 +60,8 @@ def make_forward_kernel(config: PathConfig, wanted: GradientRequest):
     _camera_ray, camera_origin = make_camera_ray(config.camera)
     interaction = make_interaction(config)
     frame_jvp = make_frame_jvp(config.tangent)
-    vertex_jvp = make_vertex_jvp(config.smooth, config.flat, config.uv, config.tangent)
+    vertex_jvp = make_velocity(config.smooth, config.flat, config.uv, config.tangent, config.primitives)
+    position, cross_of = make_position(config.primitives)
     material_jvp = make_material_jvp(config, wanted)
     glossy, still = interaction.bsdf.glossy, make_tilts(config).still
     pair = make_pair(config.bsdfs)
@@ -71,7 +72,7 @@ def make_forward_kernel(config: PathConfig, wanted: GradientRequest):
     through = config.through and has_lights
     transmittance = make_transmittance_sink(config, wanted, "forward") if through else None
     geometry = wanted.geometry
-    weight_before, weight_of_light = make_contact_weights(config.ray_backend, config.ray_width)
+    weight_before, weight_of_light = make_contact_weights(config.ray_backend, config.ray_width, config.primitives)
     accumulate_camera = make_camera_sink("forward", config.camera) if wanted.camera else None
     emission_jvp = (
         make_texture_jvp(config.area, False, wanted.radiance, wanted.to_uv, geometry or wanted.texcoords)
@@ -121,11 +122,11 @@ def make_forward_kernel(config: PathConfig, wanted: GradientRequest):
                 if wp.static(geometry):
                     moved = vertex_jvp(scene, tangents, face, u, v, False, zero, zero, zero, zero)
                     tri = scene.triangles[face]
-                    y = point_on(tri, u, v)
+                    y = position(tri, u, v)
                     r = y - x
                     r_dot = moved.x - x_dot
                     wo = normalize_jvp(vertex.light_wi, wp.length(r), r_dot)
-                    log_g = log_geometry_jvp(wp.cross(tri.p1 - tri.p0, tri.p2 - tri.p0), r, moved.c, r_dot, chi)
+                    log_g = log_geometry_jvp(cross_of(tri, u, v), r, moved.c, r_dot, chi)
                 if wp.static(emission):
                     radiance = emission_jvp(
                         scene, tangents, emitter.texture, face, u, v, light_uv(scene, face, u, v), moved
@@ -240,11 +241,11 @@ def make_forward_kernel(config: PathConfig, wanted: GradientRequest):
                             scene, tangents, following.face, following.u, following.v, False, zero, zero, zero, zero
                         )
                         tri = scene.triangles[following.face]
-                        y = point_on(tri, following.u, following.v)
+                        y = position(tri, following.u, following.v)
                         r = y - following.o
                         r_dot = after.vertex.x - moving.vertex.x
                         wo_world_dot = normalize_jvp(vertex.wo, wp.length(r), r_dot)
-                        cross = wp.cross(tri.p1 - tri.p0, tri.p2 - tri.p0)
+                        cross = cross_of(tri, following.u, following.v)
                         beta_dot = log_geometry_jvp(cross, r, after.vertex.c, r_dot, after.chi) * vertex.beta
                 if wp.static(scatters):
                     wo = enter_frame(frame, vertex.wo)

@@ -14,9 +14,10 @@ from warp_psdr.kernels.interior.gradient_request import GradientRequest
 from warp_psdr.kernels.interior.pullback import connection_vjp, make_frame_vjp
 from warp_psdr.kernels.interior.tilts import make_tilts
 from warp_psdr.kernels.interior.transmittance import make_transmittance_sink
+from warp_psdr.kernels.primitive.dispatch import make_adjoint_sink, make_position
 from warp_psdr.kernels.sensor.camera import CameraSample, make_camera_sink
 from warp_psdr.kernels.structs import Camera, Scene
-from warp_psdr.kernels.surface import VertexAdjoint, make_vertex_sink, normalize_vjp, point_on
+from warp_psdr.kernels.surface import VertexAdjoint, normalize_vjp
 from warp_psdr.kernels.texture.texture import make_texture_sink
 from warp_psdr.kernels.vertex import PathConfig, PathVertex
 
@@ -58,9 +59,10 @@ def make_sweep(config: PathConfig, wanted: GradientRequest, role: str, direct: b
     frame_vjp = make_frame_vjp(config.tangent)
     has_lights = direct and bool(config.area or config.lights) and has_smooth
     radiance_of, accumulate_light = make_light_sink(config, wanted, role) if has_lights else (None, None)
-    accumulate_vertex = make_vertex_sink(
-        role, config.smooth, config.flat, config.uv, config.tangent, wanted.texcoords, True
+    accumulate_vertex = make_adjoint_sink(
+        role, config.smooth, config.flat, config.uv, config.tangent, wanted.texcoords, True, config.primitives
     )
+    position, cross_of = make_position(config.primitives)
     accumulate_camera = make_camera_sink(role, config.camera) if wanted.camera else None
     emission = bool(config.area) and (wanted.radiance or wanted.to_uv or wanted.geometry)
     accumulate_emission = (
@@ -70,7 +72,7 @@ def make_sweep(config: PathConfig, wanted: GradientRequest, role: str, direct: b
     environment_vjp = lights.environment_vjp if lights else None
     environment = environment_vjp is not None and (bool(wanted.lights) or wanted.geometry)
     geometry = wanted.geometry
-    weight_before, weight_of_light = make_contact_weights(config.ray_backend, config.ray_width)
+    weight_before, weight_of_light = make_contact_weights(config.ray_backend, config.ray_width, config.primitives)
     # The direction towards a point, spot or directional light moves with the light.
     aims = geometry or ("pose" in wanted.lights and lights is not None and lights.sample_vjp is not None)
     materials = any(wanted.material) or wanted.to_uv or aims
@@ -205,9 +207,9 @@ def make_sweep(config: PathConfig, wanted: GradientRequest, role: str, direct: b
                             a_wi_world += turned.wi
                             if carry.face >= 0:
                                 tri = scene.triangles[carry.face]
-                                y = point_on(tri, carry.u, carry.v)
+                                y = position(tri, carry.u, carry.v)
                                 value = wp.dot(wp.cw_mul(a_n, vertex.beta), carry.radiance)
-                                cross = wp.cross(tri.p1 - tri.p0, tri.p2 - tri.p0)
+                                cross = cross_of(tri, carry.u, carry.v)
                                 link = connection_vjp(carry.o, y, cross, vertex.wo, turned.wo, value, carry.chi)
                                 adjoint.x += link.x
                                 carry.adjoint.x = carry.adjoint.x - link.x

@@ -94,9 +94,9 @@ def side_by_side(config: PathConfig) -> bool:
     """Whether a scene's paths are traced so: on the CPU, unless what they meet is written down.
 
     Not where shadow rays pass surfaces: each meets as many as there are. Nor beside light paths, which leave the
-    camera's few surfaces. Nor in media, which paths collide in at random.
+    camera's few surfaces. Nor in media, which paths collide in at random. Nor beside shapes without triangles.
     """
-    if config.media is not None:
+    if config.media is not None or config.primitives:
         return False
     return config.ray_backend == "wide" and not (config.noted or config.through or config.delta_first)
 

@@ -21,6 +21,7 @@ from warp_psdr.kernels.vertex import PathVertex
 from warp_psdr.options.integrator import Integrator
 from warp_psdr.plan.integrator import integrator_of
 from warp_psdr.plan.plan import decide
+from warp_psdr.scene.exact import position_of
 
 if TYPE_CHECKING:
     from warp_psdr.scene.parameters import Parameters
@@ -37,7 +38,7 @@ class TracedVertex:
     Attributes:
         shape: name of the shape that the ray meets; "": it leaves the scene.
         bsdf: its scattering model.
-        face: number of the triangle, -1 outside.
+        face: number of the triangle, -1 outside and on shapes without triangles.
         position: (3,) world units.
         direction: (3,) of the ray that arrives.
         throughput: (3,) product of scattering values over densities in front of it.
@@ -70,7 +71,8 @@ class Trace:
     def __str__(self) -> str:
         lines = [f"radiance {numbers(self.radiance)}"]
         for i, v in enumerate(self.vertices):
-            where = f"{v.shape} ({v.bsdf}), triangle {v.face}" if v.shape else "leaves the scene"
+            face = f", triangle {v.face}" if v.face >= 0 else ""
+            where = f"{v.shape} ({v.bsdf}){face}" if v.shape else "leaves the scene"
             lines.append(f"{i + 1}. {where}: position {numbers(v.position)}, ray {numbers(v.direction)}")
             lines.append(f"   throughput {numbers(v.throughput)}, direct {numbers(v.direct)}, beta {numbers(v.beta)}")
         return "\n".join(lines)
@@ -176,6 +178,6 @@ def _vertex(scene: Scene, record: np.void) -> TracedVertex:
         return TracedVertex("", "", face, np.full(3, np.nan, np.float32), *rest)
     tri = scene.triangles.numpy()[face]
     u, v = record["u"], record["v"]
-    position = (1.0 - u - v) * tri["p0"] + u * tri["p1"] + v * tri["p2"] + scene.origin
+    position = position_of(tri, u, v) + scene.origin
     shape = scene.description.shapes[int(tri["shape"])]
-    return TracedVertex(shape.path, shape.bsdf.model, face, position, *rest)
+    return TracedVertex(shape.path, shape.bsdf.model, -1 if shape.primitive else face, position, *rest)

@@ -20,7 +20,7 @@ from warp_psdr.kernels.vertex import PathConfig
 from warp_psdr.options import interior
 from warp_psdr.options.boundary import Connecting, Method, PathSpace
 from warp_psdr.options.integrator import PathIntegrator
-from warp_psdr.plan import guiding, media
+from warp_psdr.plan import guiding, media, primitives
 from warp_psdr.plan.coverage import choose, has_hard_frame, refuse_own_shape, slides_steps, sliding_heights
 from warp_psdr.plan.integrator import Integrator, integrator_of
 from warp_psdr.plan.interior import Kept, Row, row_of
@@ -193,6 +193,7 @@ def decide(
             lines.append(("turned normals", "as they are seen", FLIPPED))
     moving = tuple(_discontinuities(scene, config, names))
     media.refuse_motion(config, moving)
+    primitives.refuse(scene, config, integrator, wanted, names, moving)
     if wanted is not None:
         asked = [slot.name for slot, w in zip(config.material, wanted.material, strict=True) if w]
         if any(name.rsplit("_", 1)[-1] == "opacity" for name in asked):
@@ -246,7 +247,7 @@ def _boundary(
     term = choose(scene, config, integrator, names, moving)
     lines = [("boundary term", term.label, "; ".join(moving))]
     repeated = guiding.automatic(scene, motion(scene, names), sensor, integrator.max_depth)
-    if integrator.boundary == "auto" and repeated.on and isinstance(term, Connecting):
+    if integrator.boundary == "auto" and repeated.on and not config.primitives and isinstance(term, Connecting):
         if isinstance(term, PathSpace) and repeated.method is not None:
             term = replace(term, guiding=repeated.method)
         lines.append(("guiding", "none" if repeated.method is None else "by itself", repeated.said))
@@ -291,10 +292,12 @@ def _config(scene: Scene, integrator: PathIntegrator, sensor: int, lines: list) 
     used = [f"{slot.name}: {' or '.join(TEXTURE_NAMES[k] for k in slot.kinds)}" for slot in material if slot.kinds]
     lines.append(("material values", ", ".join(used) or "none", "texture kinds in use"))
     lines.append(("two-sided", "yes" if b.two_sided else "no", "some material is" if b.two_sided else "no material is"))
-    smooth = any(s.smooth for s in b.shapes)
-    flat = any(not s.smooth for s in b.shapes) or not b.shapes
+    meshes = [s for i, s in enumerate(b.shapes) if i not in b.primitives]
+    smooth = any(s.smooth for s in meshes)
+    flat = any(not s.smooth for s in meshes) or not meshes
     normals = "interpolated and flat" if smooth and flat else "interpolated" if smooth else "flat"
     lines.append(("normals", normals, f"{len(b.shapes)} shapes, {scene.face_count} triangles"))
+    lines += primitives.describe(scene)
     lines.append(("texture coordinates", "yes" if uv else "no", reader if uv else "no bitmap is in use"))
     dp_du = "normals are turned" if any(model.framed for model in models_of(models)) else "two roughnesses"
     lines.append(("anisotropy", "yes" if b.anisotropic else "no", dp_du if b.anisotropic else "isotropic"))
@@ -331,6 +334,7 @@ def _config(scene: Scene, integrator: PathIntegrator, sensor: int, lines: list) 
         camera=camera.kind,
         through=scatter and has_null_lobes(models),
         media=b.media_config,
+        primitives=primitives.kinds(scene),
     )
 
 
@@ -430,7 +434,7 @@ def _discontinuities(scene: Scene, config: PathConfig, names: list[str]) -> list
         uses = scene.parameters[name].uses
         if uses & {POSITIONS, SHAPE_POSE}:
             reasons.append(f"{name} moves silhouettes and shadows")
-        elif CAMERA in uses and scene.face_count:
+        elif CAMERA in uses and (scene.face_count or config.primitives):
             reasons.append(f"{name} moves the silhouettes that the camera sees")
         elif name in lights:
             reasons.append(f"{name} moves {lights[name]}")
@@ -452,7 +456,7 @@ def _bent(scene: Scene, shape: int) -> bool:
 def _moving_lights(scene: Scene) -> dict[str, str]:
     """Parameters that move the light of a light source, and which discontinuity they move."""
     found: dict[str, str] = {}
-    if scene.face_count == 0:
+    if scene.face_count == 0 and not scene.builder.primitives:
         return found
     values = scene.values.numpy()
     for e, record in zip(scene.description.emitters, scene.builder.emitters, strict=True):

@@ -103,6 +103,7 @@ class Builder:
         self.anisotropic: set[int] = set()  #: numbers of materials that need dp/du
         self.bumped: set[int] = set()  #: numbers of materials that read how a texture rises
         self.heights: set[int] = set()  #: numbers of the bitmaps that bump maps read
+        self.primitives: list[int] = []  #: numbers of the shapes without triangles, in the order of their records
         self.prototypes: list[Prototype] = []
         self.pose_of: dict[int, str] = {}  #: shape with a pose -> name of the pose
         self._prototype_index: dict[int, int] = {}
@@ -135,7 +136,9 @@ class Builder:
         # Positions of all shapes first and in one stretch: the ray structure reads them in place.
         self.positions = self.layout.add_values(np.zeros(0))
         for number, s in enumerate(shapes):
-            if s.prototype is not None:
+            if s.primitive:
+                self.primitives.append(number)
+            if s.prototype is not None or s.primitive:
                 offset = self.layout.add_values(s.vertices)
             else:
                 offset = self.layout.add(

@@ -112,7 +112,7 @@ class MediumDescription:
 
 @dataclass(eq=False)
 class ShapeDescription:
-    """A triangle mesh, world space."""
+    """A triangle mesh, world space, or a shape without triangles (``primitive``)."""
 
     path: str
     kind: str  #: plugin name
@@ -137,6 +137,8 @@ class ShapeDescription:
     #: the instance, whose ``to_world`` they have.
     prototype: ShapeDescription | None = None
     instance: str = ""
+    #: Shapes without triangles: the plugin that ``exact`` was said of. ``vertices`` are corners of a box around them.
+    primitive: str = ""
     repairs: dict[str, int] = field(default_factory=dict)  #: e.g. {"zero-area triangles dropped": 3}
 
     @property

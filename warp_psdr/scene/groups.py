@@ -98,6 +98,10 @@ def _member(found: list[ShapeDescription], node: dict, where: str, path: str, co
         )
     if shape.sensor is not None:
         raise error(where, "a sensor on a shape of a 'shapegroup'", "put the shape that measures in the scene")
+    if shape.primitive:
+        raise error(
+            where, f"an exact '{shape.kind}' inside a 'shapegroup'", "leave out 'exact', or put it in the scene itself"
+        )
     # Its own pose is a part of its vertices.
     found.append(dataclasses.replace(shape, to_world=None, local_vertices=None, local_normals=None))
 

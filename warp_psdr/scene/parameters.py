@@ -26,6 +26,13 @@ def parameter_of(scene: Scene, name: str) -> Parameter:
     try:
         return scene.parameters[name]
     except KeyError:
+        base, _dot, kind = str(name).rpartition(".")
+        exact = [s for s in scene.description.shapes if s.primitive and s.path == base]
+        if exact and kind.startswith("vertex_"):
+            raise KeyError(
+                f"{base!r} is an exact {exact[0].kind!r}, which has no vertices: its parameter is '{base}.to_world'; "
+                f"leave out 'exact' to have it as triangles, with {name!r}"
+            ) from None
         close = difflib.get_close_matches(str(name), scene.parameters, n=3, cutoff=0.4)
         all_of_them = "print(params), or 'warp-psdr plan SCENE', lists them all"
         hint = f"did you mean {', '.join(map(repr, close))}?" if close else all_of_them

@@ -24,6 +24,7 @@ from warp_psdr.scene.acceleration import Accelerator
 from warp_psdr.scene.build import Builder
 from warp_psdr.scene.derived_values import sum_of_normals
 from warp_psdr.scene.edits import Edits, State, check_media, has_results
+from warp_psdr.scene.exact import update_record
 from warp_psdr.scene.instances import Instances
 from warp_psdr.scene.layout import BRIGHTNESS, NORMALS, POSITIONS, SHAPE_POSE, Parameter, struct_array
 from warp_psdr.scene.lights import Lights
@@ -112,7 +113,8 @@ class Scene:
         }
         self.instances = Instances(self)
         self._local |= self.instances.local_geometry()
-        self.triangles = wp.zeros(max(self.face_count, 1), dtype=structs.Triangle, device=self.device)
+        records = max(self.face_count + len(builder.primitives), 1)
+        self.triangles = wp.zeros(records, dtype=structs.Triangle, device=self.device)
         self._shapes = struct_array(structs.Shape, builder.shapes, self.device)
         self._bsdfs = struct_array(structs.Bsdf, builder.bsdfs, self.device)
         self._slots = wp.array(builder.slots if builder.slots.size else [-1], dtype=wp.int32, device=self.device)
@@ -403,6 +405,9 @@ class Scene:
     def _update_triangles(self, shapes: Iterable[int]) -> None:
         for shape in shapes:
             record = self.builder.shapes[shape]
+            if self.description.shapes[shape].primitive:
+                update_record(self, shape)
+                continue
             launch(
                 update_triangles,
                 dim=record.face_count,

@@ -9,6 +9,7 @@ import numpy as np
 from . import bsdfs, emitters, media, sensors
 from .description import EmitterDescription, ShapeDescription
 from .errors import ReportedError, error
+from .exact import exact_shape, is_exact
 from .mesh_files import read_mesh
 from .meshes import MeshData, check, check_flat, drop_flat_triangles, in_place, vertex_normals
 from .origin import collapses, moved
@@ -40,8 +41,9 @@ def build(node: dict, where: str, path: str, context: Context) -> ShapeDescripti
     """
     props = Properties(node, where, path, context)
     props.ignore("silhouette_sampling_weight", reason="boundary sampling is set up by the integrator")
+    exact = context.attempt(lambda: is_exact(props), False)
     flip, flat = props.boolean("flip_normals", False), props.boolean("face_normals", False)
-    geometry = context.attempt(lambda: _geometry(props), None)
+    geometry = context.attempt(lambda: _geometry(props, exact), None)
     lights = props.children("emitter")
     meters = props.children("sensor")
     bsdf = _bsdf(props, shines=bool(lights))
@@ -56,22 +58,14 @@ def build(node: dict, where: str, path: str, context: Context) -> ShapeDescripti
         raise ReportedError(where)
     data, to_world, place = geometry
     to_world = moved(to_world, context.origin)
-    analytic = props.type in PRIMITIVES
-    check(data, place)
-    if emitter is not None and emitter.kind == "area" and props.type in CURVED:
-        data.vertices = data.vertices * widening(props.type, data.vertices, data.faces, to_world)
-    flat |= data.face_normals and not props.has("face_normals")
-    if flat:
-        data.normals = None
-    shape = _place(props, data, to_world, bsdf, flat=flat)
+    if exact:
+        _refuse_beside_exact(props, bsdf, emitter is not None, bool(meters), any(sides.values()))
+        shape = exact_shape(props, to_world, bsdf)
+    else:
+        shape = _triangles(props, data, to_world, place, bsdf, emitter, flat)
     # A mirrored sphere is inside out in Mitsuba; its other shapes keep their side.
     mirrored_sphere = props.type == "sphere" and bool(np.linalg.det(to_world[:3, :3]) < 0.0)
     shape.flip_normals = flip != mirrored_sphere
-    shape.attributes = data.attributes
-    if analytic:
-        shape.to_world = to_world.astype(np.float32)
-        shape.local_vertices = data.vertices.astype(np.float32)
-        shape.local_normals = None if data.normals is None else data.normals.astype(np.float32)
     if emitter is not None and emitter.kind == "directionalarea":
         check_flat(shape, lights[0][2])
     shape.emitter = emitter
@@ -79,16 +73,61 @@ def build(node: dict, where: str, path: str, context: Context) -> ShapeDescripti
     shape.interior, shape.exterior = sides["interior"], sides["exterior"]
     if emitter is not None:
         check_attribute(emitter.radiance, shape.attributes, lights[0][2], 0.0, np.inf, False)
-    bsdfs.check_shape(bsdf, shape.attributes, shape.texcoords is not None, where)
+    bsdfs.check_shape(bsdf, shape.attributes, exact or shape.texcoords is not None, where)
     return shape
 
 
-def _geometry(props: Properties) -> tuple[MeshData, np.ndarray, str]:
+def _triangles(
+    props: Properties,
+    data: MeshData,
+    to_world: np.ndarray,
+    place: str,
+    bsdf: bsdfs.BsdfDescription,
+    emitter: EmitterDescription | None,
+    flat: bool,
+) -> ShapeDescription:
+    """Return the shape that a mesh makes in world space; ``place`` is the mesh's, for messages."""
+    check(data, place)
+    if emitter is not None and emitter.kind == "area" and props.type in CURVED:
+        data.vertices = data.vertices * widening(props.type, data.vertices, data.faces, to_world)
+    flat |= data.face_normals and not props.has("face_normals")
+    if flat:
+        data.normals = None
+    shape = _place(props, data, to_world, bsdf, flat=flat)
+    shape.attributes = data.attributes
+    if props.type in PRIMITIVES:
+        shape.to_world = to_world.astype(np.float32)
+        shape.local_vertices = data.vertices.astype(np.float32)
+        shape.local_normals = None if data.normals is None else data.normals.astype(np.float32)
+    return shape
+
+
+def _refuse_beside_exact(
+    props: Properties, bsdf: bsdfs.BsdfDescription, shines: bool, measures: bool, encloses: bool
+) -> None:
+    """Raise for what shapes without triangles do not do yet.
+
+    Raises:
+        ValueError: with what does.
+    """
+    sides = (bsdf, *(() if bsdf.back is None else (bsdf.back,)))
+    found = {
+        "an emitter": shines,
+        "a sensor": measures,
+        "a medium": encloses,
+        "a 'bumpmap'": any("bumpmap" in (side.model, *side.children) for side in sides),
+    }
+    for what in (what for what, there in found.items() if there):
+        problem = f"{what} on an exact '{props.type}'"
+        raise error(props.where, problem, "leave out 'exact': the tessellated shape takes it")
+
+
+def _geometry(props: Properties, exact: bool) -> tuple[MeshData, np.ndarray, str]:
     """Return the object-space mesh, the transformation to world space, and the mesh's place for messages."""
     to_world = props.transform("to_world")
     if props.type in PRIMITIVES:
-        resolution = DEFAULT_RESOLUTION
-        if props.type in CURVED:
+        resolution = MIN_RESOLUTION if exact else DEFAULT_RESOLUTION
+        if props.type in CURVED and not exact:
             resolution = props.integer("resolution", DEFAULT_RESOLUTION, minimum=MIN_RESOLUTION, maximum=MAX_RESOLUTION)
         source = PRIMITIVES[props.type](resolution)
         data = MeshData(source.vertices, source.faces, source.normals, source.texcoords)

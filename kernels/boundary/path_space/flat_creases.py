@@ -19,6 +19,7 @@ from warp_psdr.kernels.constants import FAR
 from warp_psdr.kernels.interaction import enter_frame, leave_frame, make_interaction
 from warp_psdr.kernels.invalid import inverse_pdf, vanishes
 from warp_psdr.kernels.jobs import SampleJob
+from warp_psdr.kernels.primitive.affine import triangle_or_none
 from warp_psdr.kernels.rng import make_sampler, sampler_at
 from warp_psdr.kernels.sampling import mis_weight
 from warp_psdr.kernels.scattering import make_light_sampler, shadow_ray
@@ -112,9 +113,11 @@ def make_flat_creases_kernel(config: PathConfig, role: str, camera_moves: bool):
             o = f.point.x + (apart - 2.0 * apart * wp.float32(i)) * f.m - ahead * f.d
             hit = visibility.seen(scene, o, f.d, 2.0 * ahead, 0)
             seen = o + hit.t * f.d
+            met = hit.face
+            if wp.static(len(config.primitives) > 0):
+                met = triangle_or_none(scene, met)
             if not (
-                own_face(scene, edges, f.point.edge, hit.face)
-                or on_planes(scene, edges, f.point, hit.face, seen, f.step)
+                own_face(scene, edges, f.point.edge, met) or on_planes(scene, edges, f.point, hit.face, seen, f.step)
             ):
                 return
         # A lies on the side that m points away from.

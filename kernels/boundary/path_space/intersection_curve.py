@@ -95,7 +95,7 @@ def make_curve_segment(config: PathConfig):
 def make_intersection_curve_kernel(config: PathConfig, role: str, camera_moves: bool, indirect: bool = False):
     """Return the kernel: one thread a sample (arguments as in ``secondary.py``)."""
     segment_at = make_curve_segment(config)
-    accumulate_segment = make_segment_sink(role, False)
+    accumulate_segment = make_segment_sink(role, False, config.primitives)
     source = make_source(config)
     source = make_indirect(source) if indirect else source
     transport = make_transport(config, role, camera_moves, source)

@@ -26,6 +26,8 @@ from warp_psdr.kernels.boundary.local_form import (
 from warp_psdr.kernels.constants import DELTA_LIGHTS
 from warp_psdr.kernels.interaction import make_interaction
 from warp_psdr.kernels.jobs import SampleJob
+from warp_psdr.kernels.primitive.affine import is_primitive, is_primitive_at, triangle_or_none
+from warp_psdr.kernels.primitive.dispatch import make_normal_at
 from warp_psdr.kernels.rng import sampler_at
 from warp_psdr.kernels.step import leaving_step
 from warp_psdr.kernels.structs import Camera, Scene
@@ -55,6 +57,7 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
     """Return the kernel of the primary boundary term: one thread a sample (arguments as in ``secondary.py``)."""
     surface_at = make_interaction(config).surface
     incident_radiance = make_incident_radiance(config)
+    normal_at = make_normal_at(config.primitives)
     find, accumulate = make_film_edge(config, role, camera_moves)
     has_delta_lights = bool(DELTA_LIGHTS & set(config.lights))
     lit_along = make_lit_along(config) if has_delta_lights else None
@@ -65,6 +68,10 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
         """Number of the shape that a ray meets, from one, negative on the back of its normals; 0: none."""
         if seen.face < 0:
             return 0
+        if wp.static(len(config.primitives) > 0):
+            if is_primitive_at(scene, seen.face):
+                tri = scene.triangles[seen.face]
+                return wp.where(wp.dot(normal_at(tri, seen.x), d) > 0.0, -1, 1) * (1 + tri.shape)
         uv = barycentrics_at(scene.triangles[seen.face], seen.x)
         surface = surface_at(scene, seen.face, uv[0], uv[1])
         return wp.where(wp.dot(surface.n, d) > 0.0, -1, 1) * (1 + surface.shape)
@@ -72,7 +79,7 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
     @wp.func
     def touches(scene: Scene, point: EdgePoint, seen: IncidentRadiance, step: wp.float32) -> wp.bool:
         """Whether what a ray meets beside a point of an edge goes on to that point."""
-        if seen.face < 0:
+        if seen.face < 0 or (wp.static(len(config.primitives) > 0) and is_primitive_at(scene, seen.face)):
             return False
         return on_plane(scene.triangles[seen.face].normal, seen.x - point.x, step)
 
@@ -85,6 +92,9 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
         for i in range(edges.first[point.edge], edges.first[point.edge + 1]):
             if scene.triangles[edges.faces[i]].shape == tri.shape:
                 return OWN
+        if wp.static(len(config.primitives) > 0):
+            if is_primitive(tri):
+                return 0
         sides = edges.sides[face]
         p = tri.p0
         q = tri.p1
@@ -213,7 +223,10 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
             seen = incident_radiance(scene, sampler, o, d, t_max, 0, job.max_depth, job.rr_depth)
             if k < 2:
                 # A face that is seen nearly edge-on is met far away.
-                its = own_face(scene, edges, point.edge, seen.face)
+                met = seen.face
+                if wp.static(len(config.primitives) > 0):
+                    met = triangle_or_none(scene, met)
+                its = own_face(scene, edges, point.edge, met)
                 if narrow:
                     sign = 1.0 - 2.0 * wp.float32(k)
                     own = own or (side * sign >= 0.0 and its)

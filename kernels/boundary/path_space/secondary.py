@@ -33,11 +33,13 @@ from warp_psdr.kernels.emitter.spot import load_column
 from warp_psdr.kernels.invalid import count_invalid, vanishes
 from warp_psdr.kernels.jobs import SampleJob
 from warp_psdr.kernels.notes import NOTE_EDGE, make_note
+from warp_psdr.kernels.primitive.affine import is_primitive_at
+from warp_psdr.kernels.primitive.dispatch import make_adjoint_sink
 from warp_psdr.kernels.rng import make_sampler, sampler_at
 from warp_psdr.kernels.sink import make_sink, make_sink_vec3
 from warp_psdr.kernels.step import leaving_step
 from warp_psdr.kernels.structs import Camera, Scene
-from warp_psdr.kernels.surface import VertexAdjoint, make_vertex_sink
+from warp_psdr.kernels.surface import VertexAdjoint
 from warp_psdr.kernels.vertex import PathConfig
 from warp_psdr.kernels.visibility import visibility_of
 
@@ -149,7 +151,9 @@ def make_segment(config: PathConfig):
         r.step = step
         if r.light >= 0:
             inside = point.x + (step / sine) * r.boundary_normal
-            way = distance_to_plane(scene, r.face1, inside, r.w, behind)
+            way = r.t1 - behind - step
+            if wp.static(not config.primitives) or not is_primitive_at(scene, r.face1):
+                way = distance_to_plane(scene, r.face1, inside, r.w, behind)
             if screened(scene, scene.accel, edges, point, inside, r.w, way, r.face1, behind):
                 return r
             if direction.distance < 0.5 * FAR:
@@ -164,25 +168,19 @@ def make_segment(config: PathConfig):
 
 
 @functools.cache
-def make_segment_sink(role: str, light_pose: bool):
-    """Return ``accumulate_segment(scene, target, edges, point, segment, w) -> float`` for the edge and x_2."""
-    accumulate_edge = make_edge_sink(role)
-    accumulate_vertex = make_vertex_sink(role, False, False, False, False, False, True)
+def make_source_sink(role: str, light_pose: bool, primitives: tuple[int, ...] = ()):
+    """Return ``accumulate_source(scene, target, segment, w, before) -> float`` for x_2 or its light."""
+    accumulate_vertex = make_adjoint_sink(role, False, False, False, False, False, True, primitives)
     sink = make_sink(role)
     sink3 = make_sink_vec3(role)
 
     @wp.func
-    def accumulate_segment(
-        scene: Scene,
-        target: wp.array(dtype=wp.float32),
-        edges: Edges,
-        point: EdgePoint,
-        segment: Segment,
-        w: wp.float32,
+    def accumulate_source(
+        scene: Scene, target: wp.array(dtype=wp.float32), segment: Segment, w: wp.float32, before: wp.float32
     ) -> wp.float32:
         _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
         g = w * segment.boundary_normal
-        total = accumulate_edge(scene, target, edges, point, g)
+        total = wp.float32(before)
         if segment.face2 >= 0:
             adjoint = VertexAdjoint()
             adjoint.x = -segment.tau * g
@@ -204,6 +202,28 @@ def make_segment_sink(role: str, light_pose: bool):
                     for i in range(3):
                         total += sink(target, record.to_world + 4 * i + 3, -segment.tau * g[i])
         return total
+
+    return accumulate_source
+
+
+@functools.cache
+def make_segment_sink(role: str, light_pose: bool, primitives: tuple[int, ...] = ()):
+    """Return ``accumulate_segment(scene, target, edges, point, segment, w) -> float`` for the edge and x_2."""
+    accumulate_edge = make_edge_sink(role)
+    accumulate_source = make_source_sink(role, light_pose, primitives)
+
+    @wp.func
+    def accumulate_segment(
+        scene: Scene,
+        target: wp.array(dtype=wp.float32),
+        edges: Edges,
+        point: EdgePoint,
+        segment: Segment,
+        w: wp.float32,
+    ) -> wp.float32:
+        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
+        total = accumulate_edge(scene, target, edges, point, w * segment.boundary_normal)
+        return accumulate_source(scene, target, segment, w, total)
 
     return accumulate_segment
 
@@ -232,7 +252,7 @@ def make_secondary_kernel(
     """
     evaluates = role == "target"
     segment_at = make_segment(config)
-    accumulate_segment = None if evaluates else make_segment_sink(role, light_pose)
+    accumulate_segment = None if evaluates else make_segment_sink(role, light_pose, config.primitives)
     source = make_source(config, True)
     source = make_indirect(source) if indirect else source
     transport = make_transport(config, role, camera_moves, source)

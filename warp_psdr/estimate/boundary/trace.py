@@ -20,6 +20,7 @@ from warp_psdr.kernels.boundary.local_form import Edges
 from warp_psdr.kernels.invalid import COUNTER_SIZE
 from warp_psdr.kernels.rng import mix_seed
 from warp_psdr.plan.motion import motion
+from warp_psdr.scene.exact import position_of
 
 if TYPE_CHECKING:
     from warp_psdr.plan.plan import Plan
@@ -179,6 +180,8 @@ def _place(scene: Scene, edges, row: np.ndarray) -> TracedPlace:
     index = int(tri["shape"])
     shape = scene.description.shapes[index]
     if what != "edge":
-        position = (1.0 - u - v) * tri["p0"] + u * tri["p1"] + v * tri["p2"] + scene.origin
+        position = position_of(tri, u, v) + scene.origin
+    if shape.primitive:
+        faces = ()
     ends = tuple(i - scene.builder.shapes[index].first_vertex for i in ends)
     return TracedPlace(what, shape.path, shape.bsdf.model, faces, ends, position, vectors[1], vectors[2:])

@@ -20,6 +20,7 @@ from warp_psdr.estimate.boundary.terms import (
     intersection_curve,
     primary,
     secondary,
+    silhouettes,
     terminator,
     through_mirrors,
 )
@@ -27,6 +28,7 @@ from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Ter
 from warp_psdr.estimate.guiding import store
 from warp_psdr.kernels.constants import METERS
 from warp_psdr.options.boundary import EdgeSampling, Method, PathSpace, Projective
+from warp_psdr.plan import primitives
 from warp_psdr.plan.motion import motion
 
 if TYPE_CHECKING:
@@ -36,10 +38,12 @@ if TYPE_CHECKING:
 #: All terms, in the order in which they are estimated.
 ALL: tuple[BoundaryTerm, ...] = (
     primary.TERM,
+    silhouettes.PRIMARY,
     flat_creases.TERM,
     creases.TERM,
     terminator.TERM,
     secondary.TERM,
+    silhouettes.SECONDARY,
     edge_sampling.TERM,
     hard_shadows.TERM,
     intersection_curve.TERM,
@@ -83,4 +87,9 @@ def prepare(scene: Scene, plan: Plan, names: list[str], sensor: int) -> list[wp.
 def launches(term: BoundaryTerm, request: Request) -> list[Term]:
     """Return the launches of one of a method's terms, under its name."""
     found = term.launch(request) if term.applies(request) else None
+    if found is not None and request.config.primitives and not term.exact:
+        raise ValueError(
+            f"the boundary term {term.name!r} does not know exact shapes yet; {primitives.INSTEAD}, or give the meshes "
+            "that move, and those beside them, face_normals"
+        )
     return [] if found is None else [replace(found, kind=term.name)]

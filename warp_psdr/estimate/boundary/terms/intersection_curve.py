@@ -33,4 +33,5 @@ TERM = BoundaryTerm(
     launch=launch,
     applies=applies,
     splits=True,
+    exact=True,
 )

@@ -29,4 +29,5 @@ TERM = BoundaryTerm(
     stream=0,
     methods=(PathSpace, Projective, EdgeSampling),
     launch=launch,
+    exact=True,
 )

@@ -117,6 +117,7 @@ class BoundaryTerm:
         launch: request -> its launch; None: nothing of the kind moves, or exists.
         applies: request -> whether it can have a launch at all, without a look at the scene's edges.
         splits: paths of two vertices behind the camera can be told from longer ones (``kernels/boundary/depth.py``).
+        exact: it knows shapes without triangles (``kernels/primitive``) in the scene around it.
     """
 
     name: str
@@ -126,6 +127,7 @@ class BoundaryTerm:
     launch: Callable[[Request], Term | None]
     applies: Callable[[Request], bool] = lambda _request: True
     splits: bool = False
+    exact: bool = False
 
 
 def term_of(

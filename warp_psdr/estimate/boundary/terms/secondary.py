@@ -52,4 +52,5 @@ TERM = BoundaryTerm(
     launch=launch,
     applies=applies,
     splits=True,
+    exact=True,
 )

@@ -1,0 +1,1 @@
+"""Smooth silhouettes: of shapes without triangles, one kind a file."""

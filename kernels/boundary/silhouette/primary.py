@@ -1,0 +1,145 @@
+"""Primary boundary at smooth silhouettes: the curve at which a camera's rays touch a shape, exactly.
+
+As at edges (``path_space/primary.py``), dI_j = integral h(u - u_j) (L_- - L_+) (u' . N) ds, but the curve is the
+generator of the silhouette from the camera, and only the normal component of its velocity counts: that of the surface.
+
+Derivation: ``docs/theory/implicit.md#primary-silhouettes``.
+"""
+
+import functools
+
+import warp as wp
+
+from warp_psdr.kernels.autodiff import anchor
+from warp_psdr.kernels.boundary.detector import IncidentRadiance, make_incident_radiance
+from warp_psdr.kernels.boundary.film_edge import AHEAD, BESIDE
+from warp_psdr.kernels.boundary.silhouette.dispatch import make_silhouette_sink, make_silhouettes
+from warp_psdr.kernels.constants import CAMERA_ORTHOGRAPHIC, CAMERA_THINLENS
+from warp_psdr.kernels.invalid import count_invalid
+from warp_psdr.kernels.jobs import SampleJob
+from warp_psdr.kernels.notes import NOTE_POINT, make_note
+from warp_psdr.kernels.primitive.affine import step_off_primitive
+from warp_psdr.kernels.rng import make_sampler, sampler_at
+from warp_psdr.kernels.sensor.camera import lens_origin, load_mat44, make_camera_sink, make_lens
+from warp_psdr.kernels.sensor.projection import make_projection, make_splat
+from warp_psdr.kernels.structs import Camera, Scene
+from warp_psdr.kernels.vertex import PathConfig
+from warp_psdr.kernels.visibility import visibility_of
+
+#: Distances from the silhouette at which a ray inside of it is looked for, each over the one before: float32 may miss
+#: the shape at the first.
+WIDER, TRIES = 4.0, 4
+#: Share by which a ray inside starts farther in front of the silhouette than where it meets the shape.
+MARGIN = 3.0
+
+
+@functools.cache
+def make_primary_silhouette_kernel(config: PathConfig, role: str, camera_moves: bool):
+    """Return the kernel: one thread a sample (arguments as in ``path_space/secondary.py``)."""
+    silhouettes = make_silhouettes(config.primitives)
+    accumulate_silhouette = make_silhouette_sink(role)
+    accumulate_camera = make_camera_sink(role, config.camera) if camera_moves else None
+    incident_radiance = make_incident_radiance(config)
+    visibility = visibility_of(config)
+    splat, gather = make_splat()
+    project, film_gradient, film_velocity = make_projection(config.camera)
+    lens_point = make_lens(config.camera)
+    draw = make_sampler(config.sampler)
+    sample_1d = draw.sample_1d
+    sample_2d = draw.sample_2d
+    note_place = make_note(config.noted)
+    distant = config.camera == CAMERA_ORTHOGRAPHIC
+
+    @wp.func
+    def camera_eye(scene: Scene, camera: Camera, lens: wp.vec2) -> wp.vec3:
+        m = load_mat44(scene.values, camera.to_world)
+        if wp.static(distant):
+            return wp.vec3(m[0, 2], m[1, 2], m[2, 2])
+        if wp.static(config.camera == CAMERA_THINLENS):
+            return lens_origin(m, scene.values[camera.aperture_radius], lens)
+        return wp.vec3(m[0, 3], m[1, 3], m[2, 3])
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def primary_silhouette(
+        # Scene:
+        scene: Scene,
+        camera: Camera,
+        faces: wp.array(dtype=wp.int32),
+        # In:
+        job: SampleJob,
+        # Out:
+        target: wp.array(dtype=wp.float32),
+        image_out: wp.array2d(dtype=wp.vec3),
+    ):
+        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
+        number = job.first + wp.tid()
+        sampler = sampler_at(number, 0, job.seed)
+        u = (wp.float64(number) + wp.float64(sample_1d(sampler, 0))) / wp.float64(job.samples)
+        lens = lens_point(sample_2d(sampler, 1))
+        face, along = silhouettes.choose(faces, u)
+        tri = scene.triangles[face]
+        eye = camera_eye(scene, camera, lens)
+        point = silhouettes.seen(tri, face, eye, wp.static(distant), along)
+        if point.valid == 0:
+            return
+        at = project(scene, camera, point.x, lens)
+        if at.valid == 0:
+            return
+        step = step_off_primitive(scene, tri)
+        distance = wp.length(point.x - at.origin)
+        d = (point.x - at.origin) / distance
+        start = point.x + step * point.out
+        back = at.origin - start
+        length = wp.length(back)
+        if length > at.near and visibility.hidden_from_camera(scene, start, back / length, length - at.near):
+            return
+        # ---- The motion of the image ----
+        rate = film_velocity(scene, camera, at, silhouettes.rate(tri, eye, wp.static(distant), point.q))
+        g = film_gradient(scene, camera, at, wp.vec2(rate[1], -rate[0]))
+        if wp.dot(g, point.out) < 0.0:
+            g = -g
+        weight = wp.vec3(1.0, 1.0, 1.0)
+        if wp.static(role != "forward"):
+            weight = gather(camera, at.pixel, job.image_adjoint)
+            if weight[0] == 0.0 and weight[1] == 0.0 and weight[2] == 0.0:
+                return
+        uv = silhouettes.coordinates(point.q)
+        note_place(scene, NOTE_POINT, face, uv[0], uv[1], point.x, d, weight)
+        # ---- The jump: inside less outside ----
+        sampler.index = wp.uint32(1)
+        curvature = silhouettes.curvature(tri, point.q, d)
+        apart = BESIDE * step
+        inside = IncidentRadiance()
+        inside.face = -1
+        k = wp.int32(0)
+        ahead = wp.float32(0.0)
+        while k < TRIES and inside.face != face:
+            # At a depth s below the surface, a ray meets it sqrt(2 s / kappa) in front of the silhouette.
+            ahead = wp.max(AHEAD * step, MARGIN * wp.sqrt(2.0 * apart / curvature))
+            ahead = wp.min(ahead, distance - at.near)
+            o = point.x - apart * point.out - ahead * d
+            t_max = at.far - distance + ahead
+            inside = incident_radiance(scene, sampler, o, d, t_max, 0, job.max_depth, job.rr_depth)
+            apart *= WIDER
+            k += 1
+        if inside.face != face:
+            return
+        o = point.x + apart / WIDER * point.out - ahead * d
+        t_max = at.far - distance + ahead
+        outside = incident_radiance(scene, sampler, o, d, t_max, 0, job.max_depth, job.rr_depth)
+        jump = inside.radiance - outside.radiance
+        # ---- Accumulation ----
+        scale = wp.float32(faces.shape[0]) / wp.float32(job.samples)
+        if wp.static(role != "forward"):
+            scale *= wp.dot(weight, jump)
+        g = scale * g
+        speed = accumulate_silhouette(scene, target, point, g)
+        if wp.static(camera_moves):
+            speed += accumulate_camera(scene, target, camera, at.sample, -g, -distance * g)
+        if wp.static(role == "forward"):
+            splat(scene, sampler, camera, at.pixel, speed * jump, image_out)
+        else:
+            if speed != 0.0:
+                count_invalid(scene, sampler)
+
+    return primary_silhouette

@@ -1,0 +1,99 @@
+"""Velocities of vertices on shapes without triangles: forward mode's counterpart of their adjoints (``affine.py``)."""
+
+import functools
+
+import warp as wp
+
+from warp_psdr.kernels.autodiff import anchor
+from warp_psdr.kernels.interior.tangents import VertexTangent, make_vertex_jvp, normalize_jvp
+from warp_psdr.kernels.primitive.affine import (
+    Kind,
+    cofactor,
+    from_axes,
+    is_primitive_at,
+    primitive_record,
+    to_axes,
+)
+from warp_psdr.kernels.primitive.dispatch import only_kind
+from warp_psdr.kernels.reading import triangle_at
+from warp_psdr.kernels.structs import Scene, Triangle
+
+
+@functools.cache
+def make_affine_jvp(kind: Kind, uv: bool, tangent: bool):
+    """Return ``affine_jvp(tangents, tri, u, v, by_ray, o, d, o_dot, d_dot) -> VertexTangent``."""
+
+    @wp.func
+    def affine_jvp(
+        tangents: wp.array(dtype=wp.float32),
+        tri: Triangle,
+        u: wp.float32,
+        v: wp.float32,
+        by_ray: wp.bool,
+        o: wp.vec3,
+        d: wp.vec3,
+        o_dot: wp.vec3,
+        d_dot: wp.vec3,
+    ) -> VertexTangent:
+        result = VertexTangent()
+        q = kind.point(u, v)
+        m = kind.normal(q)
+        cross = cofactor(tri, m)
+        moved = primitive_record(tangents, tri.i0)  # A' and b'
+        result.x = moved.normal + to_axes(moved, q)
+        m_dot = wp.vec3(0.0, 0.0, 0.0)
+        du_dot = wp.vec3(0.0, 0.0, 0.0)
+        if by_ray:
+            t = wp.dot(tri.normal + to_axes(tri, q) - o, d) / wp.dot(d, d)
+            r = o_dot + t * d_dot - result.x
+            along = r - (wp.dot(cross, r) / wp.dot(cross, d)) * d
+            n_rate, du_rate, uv_rate = kind.rates(q, from_axes(tri, along))
+            m_dot = n_rate
+            du_dot = du_rate
+            result.x += along
+            if wp.static(uv):
+                result.uv = uv_rate
+        c_dot = (
+            cofactor(tri, m_dot)
+            + m[0] * (wp.cross(moved.p1, tri.p2) + wp.cross(tri.p1, moved.p2))
+            + m[1] * (wp.cross(moved.p2, tri.p0) + wp.cross(tri.p2, moved.p0))
+            + m[2] * (wp.cross(moved.p0, tri.p1) + wp.cross(tri.p0, moved.p1))
+        )
+        result.c = wp.float32(tri.i2) * c_dot
+        length = wp.length(cross)
+        result.n = normalize_jvp(wp.float32(tri.i2) * cross / length, length, result.c)
+        if wp.static(tangent):
+            du, _dv = kind.tangents(q)
+            result.tangent = to_axes(moved, du) + to_axes(tri, du_dot)
+        return result
+
+    return affine_jvp
+
+
+@functools.cache
+def make_velocity(smooth: bool, flat: bool, uv: bool, tangent: bool, primitives: tuple[int, ...]):
+    """Return ``make_vertex_jvp``'s function, for vertices on any shape; other arguments as there."""
+    of_triangle = make_vertex_jvp(smooth, flat, uv, tangent)
+    if not primitives:
+        return of_triangle
+    of_primitive = make_affine_jvp(only_kind(primitives), uv or tangent, tangent)
+
+    @wp.func
+    def velocity_of_any(
+        scene: Scene,
+        tangents: wp.array(dtype=wp.float32),
+        face: wp.int32,
+        u: wp.float32,
+        v: wp.float32,
+        by_ray: wp.bool,
+        o: wp.vec3,
+        d: wp.vec3,
+        o_dot: wp.vec3,
+        d_dot: wp.vec3,
+    ) -> VertexTangent:
+        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
+        if is_primitive_at(scene, face):
+            return of_primitive(tangents, triangle_at(scene, face), u, v, by_ray, o, d, o_dot, d_dot)
+        return of_triangle(scene, tangents, face, u, v, by_ray, o, d, o_dot, d_dot)
+
+    return velocity_of_any

@@ -1,0 +1,115 @@
+"""Shapes without triangles: how they are described, and their points.
+
+In place of vertices such a shape has the corners of a box around it, which move with it: whatever asks how large a
+scene is, and where, finds them among the points of the scene. No triangle has them, and no parameter is them.
+"""
+
+from __future__ import annotations
+
+import itertools
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from warp_psdr.device import launch
+from warp_psdr.kernels import constants as c
+from warp_psdr.kernels.primitive.affine import update_primitive
+
+from .description import ShapeDescription
+from .errors import error
+from .transforms import transform_points
+
+if TYPE_CHECKING:
+    from . import bsdfs
+    from .plugins import Properties
+    from .scene import Scene
+
+#: Plugin -> its kind on the device.
+EXACT = {"sphere": c.PRIMITIVE_SPHERE}
+#: Corners of the box around each kind, in its own coordinates.
+CORNERS = np.array(list(itertools.product((-1.0, 1.0), repeat=3)), np.float32)
+#: Volume of the pose over the product of the lengths of its columns, up to which it has no inverse in float32.
+FLAT = 1.0e-6
+
+
+def is_exact(props: Properties) -> bool:
+    """Return whether a plugin asks to be exact.
+
+    Raises:
+        ValueError: it also asks for what only triangles have.
+    """
+    if props.type not in EXACT or not props.boolean("exact", False):
+        return False
+    for key in ("resolution", "face_normals"):
+        if props.has(key):
+            raise error(
+                props.where,
+                f"'exact' beside '{key}'",
+                "an exact shape has no triangles; leave out one of the two",
+            )
+    return True
+
+
+def exact_shape(props: Properties, to_world: np.ndarray, bsdf: bsdfs.BsdfDescription) -> ShapeDescription:
+    """Return the shape, to which its light and its sides are added.
+
+    Raises:
+        ValueError: its pose has no inverse.
+    """
+    reason = singular(to_world)
+    if reason:
+        raise error(props.where, reason, "give it an extent along all axes, or use a 'disk'")
+    return ShapeDescription(
+        path=props.path,
+        kind=props.type,
+        vertices=transform_points(to_world, CORNERS).astype(np.float32),
+        faces=np.zeros((0, 3), np.int32),
+        bsdf=bsdf,
+        to_world=to_world.astype(np.float32),
+        local_vertices=CORNERS,
+        primitive=props.type,
+    )
+
+
+def singular(to_world: np.ndarray) -> str:
+    """Return what is wrong with a pose (4, 4); empty: nothing."""
+    linear = np.asarray(to_world, np.float64)[:3, :3]
+    if not np.isfinite(to_world).all():
+        return f"its to_world is not finite: {np.asarray(to_world).tolist()}"
+    lengths = np.linalg.norm(linear, axis=0)
+    if not (lengths > 0.0).all() or abs(np.linalg.det(linear / np.maximum(lengths, 1e-300))) <= FLAT:
+        return f"its to_world has no inverse: {np.asarray(to_world).tolist()}"
+    return ""
+
+
+def update_record(scene: Scene, shape: int) -> None:
+    """Write the record of a shape of a scene from its pose; these records follow those of the triangles.
+
+    Raises:
+        ValueError: its pose has no inverse.
+    """
+    pose, s = scene.pose_offsets(shape)[0], scene.description.shapes[shape]
+    reason = singular(scene.values[pose : pose + 16].numpy().reshape(4, 4))
+    if reason:
+        raise ValueError(f"{s.path}.to_world: {reason}; restore a pose that has one")
+    place = scene.face_count + scene.builder.primitives.index(shape)
+    inputs = [scene.values, pose, shape, EXACT[s.primitive], scene.builder.shapes[shape].orientation, place]
+    launch(update_primitive, dim=1, inputs=inputs, outputs=[scene.triangles], device=scene.device)
+
+
+def sphere_points(u, v) -> np.ndarray:
+    """Return points (..., 3) of the unit sphere with octahedral coordinates (``kernels/primitive/sphere.py``)."""
+    u, v = np.asarray(u, np.float64), np.asarray(v, np.float64)
+    z = 1.0 - np.abs(u) - np.abs(v)
+    x = np.where(z < 0.0, np.where(u < 0.0, np.abs(v) - 1.0, 1.0 - np.abs(v)), u)
+    y = np.where(z < 0.0, np.where(v < 0.0, np.abs(u) - 1.0, 1.0 - np.abs(u)), v)
+    q = np.stack([x, y, z], axis=-1)
+    return q / np.linalg.norm(q, axis=-1, keepdims=True)
+
+
+def position_of(record: np.void, u: float, v: float) -> np.ndarray:
+    """Return the point (3,) that a vertex holds, in the device's coordinates; ``record`` is that of its face."""
+    if record["i1"] >= 0:
+        return (1.0 - u - v) * record["p0"] + u * record["p1"] + v * record["p2"]
+    q = sphere_points(u, v)
+    return record["normal"] + q[0] * record["p0"] + q[1] * record["p1"] + q[2] * record["p2"]
