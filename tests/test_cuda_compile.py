@@ -358,12 +358,9 @@ FACTORIES = {
         ("samples, simple", (SIMPLE, "samples", False), SLOW),
         ("noted, simple", (NOTED, "reverse", False), SLOW),
     ],
-    "boundary.silhouette.primary.make_primary_silhouette_kernel": [
-        ("reverse, exact", (EXACT, "reverse", True), SLOW),
-        ("forward, exact", (EXACT, "forward", False), SLOW),
-    ],
+    "boundary.silhouette.primary.make_primary_silhouette_kernel": [("reverse", (EXACT, "reverse", True), SLOW)],
     "boundary.silhouette.secondary.make_secondary_silhouette_kernel": [
-        ("reverse, exact", (EXACT, "reverse", True, False), SLOW),
+        ("reverse", (EXACT, "reverse", True, False), SLOW),
         ("indirect, lights", (EXACT_LIGHTS, "forward", False, True, True), SLOW),
     ],
     "boundary.path_space.secondary.make_secondary_kernel": [

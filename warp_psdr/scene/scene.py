@@ -408,20 +408,8 @@ class Scene:
             if self.description.shapes[shape].primitive:
                 update_record(self, shape)
                 continue
-            launch(
-                update_triangles,
-                dim=record.face_count,
-                inputs=[
-                    self.values,
-                    self.positions,
-                    self.indices,
-                    self._face_shape,
-                    self._orientation,
-                    record.first_face,
-                ],
-                outputs=[self.triangles],
-                device=self.device,
-            )
+            mesh = [self.values, self.positions, self.indices, self._face_shape, self._orientation, record.first_face]
+            launch(update_triangles, dim=record.face_count, inputs=mesh, outputs=[self.triangles], device=self.device)
 
     def _update_bounds(self) -> None:
         """Radius of the bounding sphere and length of the step off a surface."""
