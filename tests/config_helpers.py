@@ -1,7 +1,7 @@
 """Configurations of path kernels for tests that load no scene."""
 
 from warp_psdr.kernels import constants as c
-from warp_psdr.kernels.bsdf.dispatch import models_of
+from warp_psdr.kernels.bsdf.dispatch import VARIANTS, models_of
 from warp_psdr.kernels.bsdf.record import merge_values, slot_of
 from warp_psdr.kernels.vertex import PathConfig
 
@@ -27,6 +27,53 @@ SIMPLE = PathConfig(
     hide_emitters=False,
     sampler="sobol",
     filter=c.RFILTER_BOX,
+    ray_backend="warp",
+    ray_width=1,
+)
+
+TEXTURES = (c.TEXTURE_CONSTANT, c.TEXTURE_BITMAP, c.TEXTURE_VERTEX, c.TEXTURE_FACE, c.TEXTURE_CHECKERBOARD)
+LIGHTS = (
+    c.EMITTER_ENVMAP,
+    c.EMITTER_POINT,
+    c.EMITTER_SPOT,
+    c.EMITTER_DIRECTIONAL,
+    c.EMITTER_PROJECTOR,
+    c.EMITTER_DIRECTIONAL_AREA,
+)
+#: All models, all texture kinds in every slot, all lights, smooth and flat shapes, anisotropy.
+EVERYTHING = PathConfig(
+    **materials(*VARIANTS, kinds=TEXTURES),
+    two_sided=True,
+    smooth=True,
+    flat=True,
+    uv=True,
+    tangent=True,
+    area=TEXTURES,
+    lights=LIGHTS,
+    one_light=False,
+    scatter=True,
+    hide_emitters=True,
+    hidden=True,
+    sampler="sobol",
+    filter=c.RFILTER_GAUSSIAN,
+    ray_backend="warp",
+    ray_width=1,
+)
+#: What EVERYTHING excludes: the other light at infinity, the other sampler and filter, smooth shapes alone.
+OTHERS = PathConfig(
+    **materials("roughconductor (beckmann)"),
+    two_sided=False,
+    smooth=True,
+    flat=False,
+    uv=False,
+    tangent=True,
+    area=(),
+    lights=(c.EMITTER_CONSTANT,),
+    one_light=True,
+    scatter=True,
+    hide_emitters=False,
+    sampler="independent",
+    filter=c.RFILTER_TENT,
     ray_backend="warp",
     ray_width=1,
 )

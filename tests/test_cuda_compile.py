@@ -14,7 +14,7 @@ import pytest
 import warp as wp
 
 import warp_psdr.kernels
-from tests.config_helpers import SIMPLE, materials
+from tests.config_helpers import EVERYTHING, LIGHTS, OTHERS, SIMPLE, TEXTURES, materials
 from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.boundary.guiding.projective import BLOCKED_LIGHT, SCATTERED
 from warp_psdr.kernels.bsdf.dispatch import VARIANTS
@@ -39,16 +39,6 @@ MADE_BY = {
     "interior.textbook.make_textbook_kernel": "interior.path_order.make_path_order_kernel",
 }
 
-TEXTURES = (c.TEXTURE_CONSTANT, c.TEXTURE_BITMAP, c.TEXTURE_VERTEX, c.TEXTURE_FACE, c.TEXTURE_CHECKERBOARD)
-LIGHTS = (
-    c.EMITTER_ENVMAP,
-    c.EMITTER_POINT,
-    c.EMITTER_SPOT,
-    c.EMITTER_DIRECTIONAL,
-    c.EMITTER_PROJECTOR,
-    c.EMITTER_DIRECTIONAL_AREA,
-)
-
 
 def wanted(config, *names, **others):
     """Derivatives by named values of the materials, and others."""
@@ -60,43 +50,6 @@ def everything(config, **others):
     return wanted(config, *(slot.name for slot in config.material), **others)
 
 
-#: All models, all texture kinds in every slot, all lights, smooth and flat shapes, anisotropy.
-EVERYTHING = PathConfig(
-    **materials(*VARIANTS, kinds=TEXTURES),
-    two_sided=True,
-    smooth=True,
-    flat=True,
-    uv=True,
-    tangent=True,
-    area=TEXTURES,
-    lights=LIGHTS,
-    one_light=False,
-    scatter=True,
-    hide_emitters=True,
-    hidden=True,
-    sampler="sobol",
-    filter=c.RFILTER_GAUSSIAN,
-    ray_backend="warp",
-    ray_width=1,
-)
-#: What EVERYTHING excludes: the other light at infinity, the other sampler and filter, smooth shapes alone.
-OTHERS = PathConfig(
-    **materials("roughconductor (beckmann)"),
-    two_sided=False,
-    smooth=True,
-    flat=False,
-    uv=False,
-    tangent=True,
-    area=(),
-    lights=(c.EMITTER_CONSTANT,),
-    one_light=True,
-    scatter=True,
-    hide_emitters=False,
-    sampler="independent",
-    filter=c.RFILTER_TENT,
-    ray_backend="warp",
-    ray_width=1,
-)
 EMISSION = PathConfig(**{**vars(SIMPLE), "scatter": False, "material": ()})
 SPLAT = PathConfig(**{**vars(SIMPLE), "filter": c.RFILTER_TENT})
 SPLAT_GAUSSIAN = PathConfig(**{**vars(SIMPLE), "filter": c.RFILTER_GAUSSIAN})
