@@ -1,5 +1,6 @@
-"""The interior term (survey eq. 12 first term, section 3): its methods, one object each."""
+"""The interior term (survey eq. 12 first term, section 3): its methods, one object each, and their comparison."""
 
+from warp_psdr.accuracy.methods import Compared, Comparison, compare
 from warp_psdr.options.interior import (
     Antithetic,
     Attached,
@@ -15,6 +16,8 @@ from warp_psdr.options.interior import (
 __all__ = [
     "Antithetic",
     "Attached",
+    "Compared",
+    "Comparison",
     "DifferentialRatioTracking",
     "LightTracing",
     "Method",
@@ -22,4 +25,5 @@ __all__ = [
     "Replay",
     "Resampled",
     "Textbook",
+    "compare",
 ]
