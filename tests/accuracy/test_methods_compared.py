@@ -41,7 +41,9 @@ def test_what_one_method_alone_estimates_needs_no_pilot():
     params.requires_grad_only("floor.bsdf.reflectance.value")
     found = psdr.interior.compare(scene, params, resampled.adjoint(), integrator=resampled.integrator(REPLAY))
     assert found.best == psdr.interior.Replay() and np.isnan(found.rows[0].seconds)
-    assert [type(row.method).__name__ for row in found.rows[1:]] == ["Resampled", "Antithetic", "Attached"]
+    assert [type(row.method).__name__ for row in found.rows[1:]] == [
+        *("Resampled", "Antithetic", "Attached", "DifferentialRatioTracking")
+    ]
     assert all("interior.Re" in row.refused for row in found.rows[1:])
     assert "shapes of lobes" in str(found)
 

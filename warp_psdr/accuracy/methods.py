@@ -27,6 +27,7 @@ METHODS: tuple[interior.Method, ...] = (
     interior.Resampled(),
     interior.Antithetic(),
     interior.Attached(bsdf="attached", weights="attached"),
+    interior.DifferentialRatioTracking(),
 )
 #: Relative error that times are told for.
 ERROR = 0.01
@@ -92,7 +93,8 @@ def compare(
         params: its parameters; with an adjoint after ``requires_grad``.
         adjoint: derivative of a loss with respect to the image, as ``render_backward`` takes it.
         tangents: instead of an adjoint: as ``render_forward`` takes them.
-        methods: of ``psdr.interior``; default: ``Replay()``, ``Resampled()``, ``Antithetic()``, ``Attached(...)``.
+        methods: of ``psdr.interior``; default: ``Replay()``, ``Resampled()``, ``Antithetic()``,
+            ``Attached(...)``, ``DifferentialRatioTracking()``.
         integrator: as of ``render``; default: what the scene file names. Its own method of the interior is not used.
         sensor: which camera, by its number or its id.
         seed: of the pilots.
