@@ -268,6 +268,10 @@ FACTORIES = {
         ("reverse", (GLOSSY, moving_camera(GLOSSY), "reverse"), SLOW),
         ("forward", (MAPPED, everything(MAPPED, to_uv=True), "forward"), SLOW),
     ],
+    "interior.film_antithetic.make_film_antithetic_kernel": [
+        ("reverse", (SPLAT, all_of(SPLAT), "reverse", 4, True), SLOW),
+        ("forward, one by one", (SPLAT_GAUSSIAN, all_of(SPLAT_GAUSSIAN), "forward", 4, False), SLOW),
+    ],
     "boundary.shading_normals.indirect_terminator.make_indirect_terminator_kernel": [
         ("reverse, materials", (MATERIALS, "reverse", True), SLOW),
         ("forward, textures", (TEXTURED, "forward", False), SLOW),

@@ -274,6 +274,7 @@ def test_slope_of_finite_differences():
     assert abs(slope - 1.0) < SLOPE + 2.0 * noise
 
 
+@pytest.mark.slow
 def test_forward_mode_sums_to_reverse_mode():
     scene, params = load("ball")
     ones = np.ones((SIZE, SIZE, 3), np.float32)
@@ -312,11 +313,11 @@ def test_mean_is_that_of_replay(name, bsdf, weights):
     [
         ("ball", ALPHA, "position", 0.01),
         ("Beckmann", ALPHA, "attached", 0.01),
-        ("plate", SCENES["plate"][1][0], "attached", 0.01),
+        ("plate", SCENES["plate"][1][0], "attached", 0.03),
     ],
 )
 def test_more_slopes_of_finite_differences(name, parameter, weights, step):
-    slope, noise = slope_of(name, parameter, Attached(bsdf="attached", weights=weights), step, batches=64, spp=128)
+    slope, noise = slope_of(name, parameter, Attached(bsdf="attached", weights=weights), step, batches=64, spp=256)
     assert noise < SLOPE / 2.0
     assert abs(slope - 1.0) < SLOPE + 2.0 * noise
 
@@ -360,6 +361,7 @@ def test_directions_that_may_cross_edges_are_refused():
         (description(metal(), floor=floor), "rays that leave 'thing' may meet surfaces"),
         (description(metal(), lamp=lamp), "rays that leave 'thing' may meet surfaces"),
         (description(metal()) | {"thing": smooth}, "interpolated normals"),
+        (description(metal()) | {"thing": smooth | {"exact": True}}, "has no triangles"),
     ):
         text = refused(scene, [ALPHA])
         assert said in text and row.numbers in text and row.reason in text

@@ -91,6 +91,10 @@ _METHODS = MethodTable(
             *("kernels/interior/differential_ratio_tracking.py", "differential_ratio_tracking"),
         ),
         (
+            *("YZN*22", "Mirrored film points", "interior.FilmAntithetic()", "interior"),
+            *("kernels/interior/film_antithetic.py", "film_antithetic"),
+        ),
+        (
             *("ZMY*20", "Path-space boundary sampling", "boundary.PathSpace()", "boundary"),
             *("kernels/boundary/path_space/secondary.py", "path_space"),
         ),

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 ROUGHNESS = frozenset(MATERIAL + name for name in MOVED_BY)
 
 
-def refused_by_attached(method: interior.Method, scene: Scene, names: list[str]) -> str:
+def refused_by_attached(method: interior.Method, scene: Scene, names: list[str], _sensor: int) -> str:
     """Return why a combination cannot estimate what is requested in a scene; empty: it can."""
     assert isinstance(method, interior.Attached)
     choice = method.bsdf, method.emitter, method.weights
@@ -93,6 +93,9 @@ def _other_model(scene: Scene, shape: int, name: str) -> str:
 def _crossed(scene: Scene, shape: int, name: str) -> str:
     """Return what a direction that moves may cross; empty: it leaves the scene, whatever it is."""
     path = scene.description.shapes[shape].path
+    if scene.builder.primitives:
+        exact = scene.description.shapes[scene.builder.primitives[0]].path
+        return f"rays may meet {exact!r}, which has no triangles (leave out 'exact')"
     faces = scene.builder.face_shape == shape
     if (interpolated_faces(scene) & faces).any():
         return (

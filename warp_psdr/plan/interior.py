@@ -19,6 +19,7 @@ from warp_psdr.kernels.constants import DELTA_LIGHTS
 from warp_psdr.kernels.interior.antithetic import make_pair_kernel
 from warp_psdr.kernels.interior.attached import make_attached_kernel
 from warp_psdr.kernels.interior.branch import make_branch_kernel
+from warp_psdr.kernels.interior.film_antithetic import make_film_antithetic_kernel
 from warp_psdr.kernels.interior.forward import make_forward_kernel
 from warp_psdr.kernels.interior.gradient_request import GradientRequest
 from warp_psdr.kernels.interior.media_replay import make_media_replay_kernel
@@ -30,6 +31,7 @@ from warp_psdr.kernels.interior.textbook import make_textbook_kernel
 from warp_psdr.kernels.interior.tilts import tilting_values, tilts
 from warp_psdr.options import boundary, interior
 from warp_psdr.plan.attached import refused_by_attached
+from warp_psdr.plan.film_antithetic import refused_by_film_antithetic, refused_for_what_is_seen
 from warp_psdr.plan.light import refused_by_light_tracing
 
 if TYPE_CHECKING:
@@ -43,6 +45,8 @@ UNBOUNDED_VERTICES = 507
 MOST_VERTICES = 4096
 #: Paths of at most so many vertices have a kernel of their own, which keeps no more.
 SHORT = 4
+#: Most vertices of a path that is kept as a whole whatever its length.
+MOST_KEPT = 64
 
 
 @dataclass(frozen=True)
@@ -57,6 +61,7 @@ class Kept:
         candidates: of a method that draws for derivatives; 0: it does not.
         linear: whether the light that arrives at vertices is not estimated.
         attached: what moves with a parameter; None: the method leaves no choice.
+        mirrored: whether film points are mirrored.
     """
 
     block: int
@@ -66,6 +71,7 @@ class Kept:
     candidates: int = 0
     linear: bool = False
     attached: interior.Attached | None = None
+    mirrored: bool = False
 
     @property
     def longest(self) -> int:
@@ -84,7 +90,8 @@ class Row:
             the paths from the camera.
         beside: likewise, the kernel of the derivatives that it leaves to another method; None: it leaves none.
         refuse: (what the path loop compiles, which derivatives) -> why it cannot estimate them; empty: it claims to.
-        refuse_in: (method, scene, requested names) -> likewise, of what the scene holds.
+        refuse_in: (method, scene, requested names, sensor) -> likewise, of what the scene holds.
+        whole: why its derivative needs no boundary term beside it; empty: it may.
     """
 
     label: str
@@ -92,7 +99,8 @@ class Row:
     make: Callable[[PathConfig, GradientRequest, str, Kept], wp.Kernel]
     beside: Callable[[PathConfig, GradientRequest, str, Kept], wp.Kernel | None] = lambda *_arguments: None
     refuse: Callable[[PathConfig, GradientRequest], str] = lambda _config, _wanted: ""
-    refuse_in: Callable[[interior.Method, Scene, list[str]], str] = lambda *_arguments: ""
+    refuse_in: Callable[[interior.Method, Scene, list[str], int], str] = lambda *_arguments: ""
+    whole: str = ""
 
 
 def row_of(method: interior.Method, term: boundary.Method | None) -> Row:
@@ -288,6 +296,22 @@ def _refused_in_path_order(name: str) -> Callable[[PathConfig, GradientRequest],
     return refuse
 
 
+def _keep_whole_path(method: interior.Method, max_depth: int, _rr_depth: int) -> Kept:
+    assert isinstance(method, interior.FilmAntithetic)
+    if not 1 <= max_depth <= MOST_KEPT:
+        raise ValueError(
+            f"max_depth: got {max_depth}, expected 1 to {MOST_KEPT} for interior.FilmAntithetic(), which keeps whole "
+            "paths"
+        )
+    points = "in mirrored fours" if method.mirrored else "drawn one by one"
+    block = max(SHORT, 1 << (max_depth - 1).bit_length())
+    return Kept(block, 1, f"film points {points}; the whole path fits, one trace", mirrored=method.mirrored)
+
+
+def _make_film_antithetic(config: PathConfig, wanted: GradientRequest, role: str, kept: Kept) -> wp.Kernel:
+    return make_film_antithetic_kernel(config, wanted, role, kept.block, kept.mirrored)
+
+
 def _keep_textbook(_method: interior.Method, _max_depth: int, _rr_depth: int) -> Kept:
     lost = "derivatives of factors that are exactly zero are lost"
     return Kept(0, 1, "nothing is kept: divides by every factor", lost)
@@ -333,6 +357,14 @@ TABLE: dict[tuple[type[interior.Method], type[boundary.Method]], Row] = {
         keep=_keep_blocks,
         make=_make_ratio,
         refuse=_refused_by_ratio_tracking,
+    ),
+    (interior.FilmAntithetic, boundary.Method): Row(
+        label="mirrored film points",
+        keep=_keep_whole_path,
+        make=_make_film_antithetic,
+        refuse=refused_by_film_antithetic,
+        refuse_in=refused_for_what_is_seen,
+        whole="edges stay on surfaces, of which none hides another",
     ),
     (interior.Textbook, boundary.Method): Row(
         label="textbook replay",

@@ -214,7 +214,7 @@ def decide(
     if wanted is not None:
         row = row_of(integrator.interior, term)
         kept = row.keep(integrator.interior, integrator.max_depth, integrator.rr_depth)
-        reason = row.refuse(config, wanted) or row.refuse_in(integrator.interior, scene, names)
+        reason = row.refuse(config, wanted) or row.refuse_in(integrator.interior, scene, names, sensor)
         if reason:
             raise ValueError(reason)
         block = f", K = {kept.block}" if kept.block else ""
@@ -242,6 +242,13 @@ def _boundary(
         return None, []
     if not moving:
         return None, [("boundary term", "not run", "no requested parameter moves a discontinuity")]
+    whole = row_of(integrator.interior, None).whole
+    if whole:
+        if isinstance(integrator.boundary, Method):
+            beside = f"boundary.{type(integrator.boundary).__name__}() beside "
+            name = type(integrator.interior).__name__
+            raise ValueError(f"{beside}interior.{name}(), whose derivative is whole without it; leave boundary out")
+        return None, [("boundary term", "none", whole)]
     if integrator.boundary is None:
         return None, [("boundary term", "left out", "boundary=None was said, although " + "; ".join(moving))]
     term = choose(scene, config, integrator, names, moving)

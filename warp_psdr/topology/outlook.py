@@ -1,4 +1,4 @@
-"""Shapes from which nothing but the sky is seen: no vertex of the scene lies in front of any of their triangles."""
+"""Scenes in which nothing is hidden: shapes that see nothing but the sky, and rooms that are seen as a whole."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from warp_psdr.topology.edges import area_normals
+from warp_psdr.topology.edges import area_normals, scene_adjacency
 
 if TYPE_CHECKING:
     from warp_psdr.scene.scene import Scene
@@ -32,13 +32,31 @@ def sees_others(scene: Scene, shape: int, both: bool) -> bool:
     return kept[1][shape, both]
 
 
-def has_in_front(points: np.ndarray, triangles: np.ndarray, turned: float, both: bool) -> bool:
+def is_room_around(scene: Scene, origin: np.ndarray) -> bool:
+    """Return whether the scene is one closed convex surface around a point, all of which is seen from within.
+
+    Args:
+        scene: a loaded scene.
+        origin: (3,) the point, as ``scene.points`` are.
+    """
+    points, triangles = scene.points.astype(np.float64), scene.builder.indices
+    if not len(triangles) or not (scene_adjacency(scene).count == 2).all():
+        return False
+    normal = area_normals(points, triangles)
+    inwards = np.sign((normal * (origin - points[triangles[:, 0]])).sum(axis=1))
+    if not inwards.all():
+        return False
+    # Turned outwards, no triangle has a vertex in front of it.
+    return not has_in_front(points, triangles, -inwards[:, None], False)
+
+
+def has_in_front(points: np.ndarray, triangles: np.ndarray, turned: float | np.ndarray, both: bool) -> bool:
     """Return whether any point lies in front of any triangle.
 
     Args:
         points: (N, 3) positions.
         triangles: (F, 3) their numbers.
-        turned: 1, or -1 where normals are flipped.
+        turned: 1, or -1 where normals are flipped; (F, 1) for each triangle.
         both: whether behind counts, too.
     """
     normal = turned * area_normals(points, triangles)
