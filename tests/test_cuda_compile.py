@@ -115,7 +115,12 @@ MEDIA = PathConfig(
     }
 )
 #: The same with grids.
-GRIDS = PathConfig(**{**vars(MEDIA), "media": MediaConfig((c.PHASE_ISOTROPIC, c.PHASE_HG), True, True)})
+GRIDS = PathConfig(
+    **{
+        **vars(MEDIA),
+        "media": MediaConfig((c.PHASE_ISOTROPIC, c.PHASE_HG, c.PHASE_RAYLEIGH, c.PHASE_TABLE), True, True),
+    }
+)
 #: What is traced again for ``psdr.trace_sample``.
 NOTED = PathConfig(**{**vars(SIMPLE), "noted": True})
 NOTED_MATERIALS = PathConfig(**{**vars(MATERIALS), "noted": True})

@@ -22,11 +22,10 @@ from warp_psdr.kernels.medium.grid_adjoint import SALT_POINTS, make_grid_adjoint
 from warp_psdr.kernels.medium.passage import MOST_INTERFACES, make_media_passage, medium_towards
 from warp_psdr.kernels.medium.volume import GRID
 from warp_psdr.kernels.path_media import MediaVertex, collision_point
-from warp_psdr.kernels.phase.dispatch import make_phase
+from warp_psdr.kernels.phase.dispatch import make_phase, make_phase_sink
 from warp_psdr.kernels.rng import Sampler, salted
 from warp_psdr.kernels.scattering import samples_lights
-from warp_psdr.kernels.sink import make_sink
-from warp_psdr.kernels.structs import Medium, Scene
+from warp_psdr.kernels.structs import Scene
 from warp_psdr.kernels.surface import VertexAdjoint
 from warp_psdr.kernels.transmittance import other_factors
 from warp_psdr.kernels.vertex import PathConfig
@@ -164,7 +163,7 @@ def make_media_sweep(config: PathConfig, wanted: GradientRequest, role: str, rat
     interaction = make_interaction(config)
     sweep, _finish, _finish_vertex = make_sweep(config, wanted, role, direct=False)
     phase = make_phase(config.media.phases)
-    sink = make_sink(role)
+    accumulate_phase = make_phase_sink(config.media.phases, role)
     _accumulate_extinction, accumulate_flight = make_coefficient_sinks(role, wanted.media)
     _depth, accumulate_tracked, _extinction_at = make_grid_adjoint(role, wanted.media, ratio)
     grids = config.media.grids
@@ -177,16 +176,6 @@ def make_media_sweep(config: PathConfig, wanted: GradientRequest, role: str, rat
     lights = wanted.radiance or wanted.to_uv or bool(wanted.lights)
     segments = explores_density(wanted) or (materials and has_null_lobes(config.bsdfs))
     scattered = PHASE in wanted.media
-
-    @wp.func
-    def accumulate_phase(
-        scene: Scene, target: wp.array(dtype=wp.float32), m: Medium, d: wp.vec3, wo: wp.vec3, w: wp.float32
-    ) -> wp.float32:
-        slope = phase.slope(scene, m, d, wo)
-        dot = wp.float32(0.0)
-        if slope != 0.0:  # others have no g
-            dot = sink(target, m.g, w * slope)
-        return dot
 
     @wp.func
     def surface_value(

@@ -179,6 +179,23 @@ def coloured_smoke():
     )
 
 
+def two_phases():
+    """A cube of air beside one of a medium with a table, under a lamp and a sky."""
+    table = {"type": "tabphase", "values": "0.5, 0.1, 0.2, 0.4, 3.0"}
+    parts = {
+        "sensor": camera(*VIEW),
+        "floor": FLOOR,
+        "air": cube({**medium(1.5, 0.9), "phase": {"type": "rayleigh"}}, scale=0.6, translate=(-0.7, 0.2, 0.0)),
+        "table": cube(
+            {**medium(2.0, (0.9, 0.8, 0.7)), "phase": table}, scale=0.6, translate=(0.7, -0.2, 0.0), turn=20.0
+        ),
+        "lamp": lamp(),
+        "bulb": point([2.0, -1.5, 2.5], (6.0, 7.0, 8.0)),
+        "sky": sky(0.2, 0.3, 0.4),
+    }
+    return whole(integrator=integrator(max_depth=6), **parts)
+
+
 def inside_smoke():
     """The camera in the smoke, which is a room's air."""
     air = {**grids(grid(puffs(12, 1, -0.1), T.translate([-3, -3, -2]) @ T.scale([6, 6, 4])), 0.8), "id": "fog"}

@@ -73,6 +73,20 @@ def sunlit_scene():
     }
 
 
+def table_scene():
+    """Two cubes over a floor, under a sun and a bulb: light is scattered by a table in one, as in air in the other."""
+    table = {"type": "tabphase", "values": [0.6, 0.3, 0.2, 0.5, 2.0]}
+    return {
+        "sensor": camera([3.5, 0.5, 0.2], [0, 0, 0], 25.0, SIZE),
+        "floor": square(-1.2, 3.0, {"type": "diffuse", "reflectance": rgb(0.6, 0.4, 0.2)}),
+        "table": cube({**medium(0.8, 0.8), "phase": table}, scale=0.7, translate=(0, 0.8, 0), turn=20.0),
+        "air": cube({**medium(0.6, 0.7), "phase": {"type": "rayleigh"}}, scale=0.7, translate=(0, -0.8, 0)),
+        "sun": {"type": "directional", "direction": [0.8, -0.2, -0.5], "irradiance": rgb(1.0, 2.0, 3.0)},
+        "bulb": point([2.0, -1.5, 2.5], (4.0, 5.0, 6.0)),
+    }
+
+
+SCENES |= {"table": table_scene}
 SCENES |= {"sunlit": sunlit_scene, "milk": milk_scene, "haze": haze_scene, "ink": ink_scene}
 MILK, FOG, INK, HAZE, THIN = (
     f"{name}medium." for name in ("milk.interior_", "sensor.", "glass.interior_", "haze.interior_", "thin.interior_")
@@ -85,6 +99,7 @@ TOGETHER = {
         *("lamp.emitter.*", "bulb.intensity.value"),
     ),
     "haze": (HAZE + "*", THIN + "*"),
+    "table": ("table.interior_medium.phase_function.values", "air.interior_medium.albedo.value.value"),
     "ink": (INK + "albedo*", INK + "phase*", "glass.bsdf.specular_transmittance.value", "sky.radiance.value"),
 }
 CASES = [
@@ -102,6 +117,8 @@ CASES = [
     Case("haze", HAZE + "scale", ones, 0.25, depth=4, spp=2048, slow=True),
     Case("haze", HAZE + "albedo.value.value", ones, 0.02, depth=4, spp=512, slow=True),
     Case("haze", THIN + "sigma_t.value.value", ones, 0.04, depth=4, spp=4096, slow=True),
+    Case("table", "table.interior_medium.phase_function.values", mixed, 0.1, depth=2, spp=256, slow=True),
+    Case("table", "air.interior_medium.albedo.value.value", ones, 0.05, depth=4, spp=256, slow=True),
     Case("ink", INK + "albedo.value.value", ones, 0.02, depth=6, spp=64, slow=True),
     Case("ink", "glass.bsdf.specular_transmittance.value", mixed, 0.02, depth=6, spp=64, slow=True),
     Case("ink", "sky.radiance.value", mixed, 0.1, depth=6, spp=64, slow=True),

@@ -9,9 +9,11 @@ from tests.path.helpers import assert_same_mean, batches, blocks
 from tests.peer import MITSUBA_ROUNDING, for_mitsuba
 
 CASES = {"fog in a room": scenes.fog_in_a_room, "milk": scenes.milk, "ink in glass": scenes.ink_in_glass}
+CASES["two phases"] = scenes.two_phases
+SLOW = ("ink in glass", "two phases")
 
 
-@pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.slow] * (n == "ink in glass")) for n in CASES])
+@pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.slow] * (n in SLOW)) for n in CASES])
 def test_equals_mitsuba(name):
     """Blocks of 6 x 6 pixels have the mean of Mitsuba's ``volpath``."""
     mi = pytest.importorskip("mitsuba")

@@ -7,21 +7,10 @@ from scipy import stats
 
 from tests.path.helpers import SIGNIFICANCE
 from warp_psdr.kernels import structs
-from warp_psdr.kernels.constants import PHASE_HG
-from warp_psdr.kernels.phase.dispatch import make_phase
-
-PHASE = make_phase((PHASE_HG,))
-
-
-@wp.kernel(enable_backward=False)
-def draw(scene: structs.Scene, d: wp.vec3, u: wp.array(dtype=wp.vec2), wo_out: wp.array(dtype=wp.vec3)):
-    wo_out[wp.tid()] = wp.static(PHASE.sample)(scene, structs.Medium(), d, u[wp.tid()])
-
-
-@wp.kernel(enable_backward=False)
-def evaluate(scene: structs.Scene, d: wp.vec3, wo: wp.array(dtype=wp.vec3), value_out: wp.array2d(dtype=wp.float32)):
-    value_out[wp.tid(), 0] = wp.static(PHASE.eval)(scene, structs.Medium(), d, wo[wp.tid()])
-    value_out[wp.tid(), 1] = wp.static(PHASE.slope)(scene, structs.Medium(), d, wo[wp.tid()])
+from warp_psdr.kernels.constants import PHASE_HG, PHASE_RAYLEIGH, PHASE_TABLE
+from warp_psdr.kernels.phase.dispatch import make_phase, make_phase_sink
+from warp_psdr.kernels.phase.hg import hg_slope
+from warp_psdr.scene.super_grid import integrals
 
 
 @pytest.mark.parametrize("g", [-0.99, -0.5, 0.0, 1e-4, 0.3, 0.9])
@@ -38,7 +27,7 @@ def test_hg_samples_its_density(g):
         scene: structs.Scene, d: wp.vec3, wo: wp.array(dtype=wp.vec3), value_out: wp.array2d(dtype=wp.float32)
     ):
         value_out[wp.tid(), 0] = phase.eval(scene, structs.Medium(), d, wo[wp.tid()])
-        value_out[wp.tid(), 1] = phase.slope(scene, structs.Medium(), d, wo[wp.tid()])
+        value_out[wp.tid(), 1] = hg_slope(scene.values[0], wp.dot(d, wo[wp.tid()]))
 
     scene = structs.Scene()
     scene.values = wp.array([g], dtype=wp.float32)
@@ -77,3 +66,91 @@ def test_hg_samples_its_density(g):
     if abs(g) < 0.95:
         assert 2.0 * np.pi * weights @ slopes == pytest.approx(0.0, abs=1e-4)
         assert 2.0 * np.pi * weights @ (slopes * nodes) == pytest.approx(1.0, abs=1e-4)
+
+
+#: A table with a zero, steep and level parts.
+TABLE = np.array([0.5, 0.5, 0.0, 0.3, 0.1, 2.0, 4.0], np.float32)
+
+
+def scene_with(values):
+    """A scene that holds nothing but a table: its values, and their integrals behind them."""
+    record = structs.Texture()
+    record.offset, record.second, record.width, record.channels = 0, len(values), len(values), 1
+    scene = structs.Scene()
+    scene.values = wp.array(np.concatenate([values, integrals(values)]), dtype=wp.float32)
+    scene.textures = wp.array([record], dtype=structs.Texture)
+    return scene
+
+
+@pytest.fixture(scope="module")
+def kernels():
+    """Samples and values of ``rayleigh`` (number 0) and of a table (1); derivatives by the table's values."""
+    phase = make_phase((PHASE_RAYLEIGH, PHASE_TABLE))
+    accumulate = make_phase_sink((PHASE_RAYLEIGH, PHASE_TABLE), "forward")
+
+    @wp.func
+    def medium(number: wp.int32) -> structs.Medium:
+        m = structs.Medium()
+        m.phase = wp.where(number == 0, PHASE_RAYLEIGH, PHASE_TABLE)
+        return m
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def draw(
+        scene: structs.Scene, number: wp.int32, d: wp.vec3, u: wp.array(dtype=wp.vec2), wo_out: wp.array(dtype=wp.vec3)
+    ):
+        wo_out[wp.tid()] = phase.sample(scene, medium(number), d, u[wp.tid()])
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def evaluate(
+        scene: structs.Scene,
+        tangent: wp.array(dtype=wp.float32),
+        number: wp.int32,
+        d: wp.vec3,
+        wo: wp.array(dtype=wp.vec3),
+        value_out: wp.array2d(dtype=wp.float32),
+    ):
+        i = wp.tid()
+        value_out[i, 0] = phase.eval(scene, medium(number), d, wo[i])
+        value_out[i, 1] = accumulate(scene, tangent, medium(number), d, wo[i], 1.0)
+
+    return draw, evaluate
+
+
+def evaluated(kernels, values, tangent, number, mu):
+    """Values and derivatives at cosines, float64."""
+    wo = np.stack([np.sqrt(1.0 - mu * mu), 0.0 * mu, mu], axis=1)
+    out = wp.zeros((len(mu), 2), dtype=wp.float32)
+    inputs = [scene_with(values), wp.array(tangent, dtype=wp.float32), number, wp.vec3(0.0, 0.0, 1.0)]
+    wp.launch(kernels[1], dim=len(mu), inputs=[*inputs, wp.array(wo, dtype=wp.vec3)], outputs=[out])
+    return out.numpy().astype(np.float64).T
+
+
+@pytest.mark.parametrize("number", [0, 1], ids=["rayleigh", "tabphase"])
+def test_samples_have_the_density(kernels, number):
+    n = 1 << 16
+    wo = wp.zeros(n, dtype=wp.vec3)
+    u = wp.array(np.random.default_rng(3).random((n, 2)).astype(np.float32), dtype=wp.vec2)
+    wp.launch(kernels[0], dim=n, inputs=[scene_with(TABLE), number, wp.vec3(0.0, 0.0, 1.0), u], outputs=[wo])
+    edges = np.linspace(-1.0, 1.0, 43)
+    fine = np.linspace(-1.0, 1.0, 42 * 256 + 1)
+    middle = 0.5 * (fine[1:] + fine[:-1])
+    value, _ = evaluated(kernels, TABLE, np.zeros(14), number, middle)
+    share = 2.0 * np.pi * value.reshape(42, 256).mean(axis=1) * (2.0 / 42.0)
+    assert share.sum() == pytest.approx(1.0, abs=1e-5)
+    if number == 0:
+        np.testing.assert_allclose(value, 3.0 / (16.0 * np.pi) * (1.0 + middle**2), rtol=1e-5)
+    found, _ = np.histogram(wo.numpy()[:, 2], edges)
+    used = share * n > 10.0
+    expected = share[used] * found[used].sum() / share[used].sum()
+    assert stats.chisquare(found[used], expected).pvalue > SIGNIFICANCE
+
+
+def test_derivatives_by_a_table_include_its_integral(kernels):
+    mu = np.linspace(-0.99, 0.99, 60)
+    v = np.random.default_rng(4).normal(size=7).astype(np.float32)
+    tangent = np.concatenate([v, np.zeros(7)])
+    _, slope = evaluated(kernels, TABLE + 0.5, tangent, 1, mu)
+    h = 1e-2
+    high, low = (evaluated(kernels, (TABLE + 0.5 + s * h * v).astype(np.float32), tangent, 1, mu)[0] for s in (1, -1))
+    np.testing.assert_allclose(slope, (high - low) / (2.0 * h), atol=2e-4)
+    assert np.abs(slope).max() > 0.05

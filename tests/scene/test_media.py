@@ -59,6 +59,25 @@ def test_files_references_and_defaults():
     assert psdr.load_string(text).builder.media_config.phases == (0, 1)
 
 
+def test_phase_functions():
+    assert inside(phase={"type": "rayleigh"}).phase.kind == "rayleigh"
+    for values in ("0.5, 1 2", [0.5, 1.0, 2.0], np.array([0.5, 1.0, 2.0])):
+        assert inside(phase={"type": "tabphase", "values": values}).phase.values.tolist() == [0.5, 1.0, 2.0]
+    table = {"type": "homogeneous", "phase": {"type": "tabphase", "values": [0.5, 0.0, 2.0]}}
+    scene = psdr.load_dict(
+        {"type": "scene", "sensor": {"type": "perspective"}, "sky": SKY, "cube": {**CUBE, "interior": table}}
+    )
+    params, name = psdr.traverse(scene), "cube.interior_medium.phase_function.values"
+    with pytest.raises(ValueError, match=r"where it is 0; write a small value in place of each 0"):
+        psdr.plan(scene, names=[name])
+    params[name] = np.ones(3)
+    params.update()
+    assert "tabphase" in str(psdr.plan(scene, names=[name]))
+    params[name] = np.zeros(3)
+    with pytest.raises(ValueError, match="zeros alone after an edit"):
+        params.update()
+
+
 def test_numbers_colours_and_volumes():
     assert inside(sigma_t=3.0).sigma_t.value.tolist() == [3.0]
     assert inside(sigma_t=[1.0, 2.0, 3.0]).sigma_t.value.tolist() == [1.0, 2.0, 3.0]
@@ -76,7 +95,13 @@ def test_numbers_colours_and_volumes():
         ({"albedo": 1.5}, "between 0 and 1"),
         ({"scale": -1.0}, "of at least 0"),
         ({"phase": {"type": "hg", "g": 1.0}}, "between -0.99 and 0.99"),
-        ({"phase": {"type": "sggx"}}, "unsupported phase 'sggx'.*isotropic, hg"),
+        ({"phase": {"type": "sggx"}}, "unsupported phase 'sggx'.*isotropic, hg, rayleigh, tabphase"),
+        ({"phase": {"type": "tabphase"}}, "give from 2 to 4096 numbers"),
+        ({"phase": {"type": "tabphase", "values": "1, two"}}, "give from 2 to 4096 numbers"),
+        ({"phase": {"type": "tabphase", "values": [1.0]}}, "give from 2 to 4096 numbers"),
+        ({"phase": {"type": "tabphase", "values": [1.0, -1.0]}}, "values out of range"),
+        ({"phase": {"type": "tabphase", "values": [0.0, 0.0]}}, "all values are 0"),
+        ({"phase": {"type": "rayleigh", "g": 0.5}}, "no parameter 'g'"),
         ({"phase": {"type": "hg"}, "other": {"type": "isotropic"}}, "2 phase plugins"),
         ({"emission": 1.0}, "no parameter 'emission'"),
     ],

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.medium.coefficients import ALBEDO, PHASE, SCALE, SIGMA_T
 from warp_psdr.options import interior
+from warp_psdr.scene.super_grid import PhaseTable
 
 if TYPE_CHECKING:
     from warp_psdr.kernels.interior.gradient_request import GradientRequest
@@ -15,7 +16,12 @@ if TYPE_CHECKING:
 
 #: What of a medium is differentiated.
 PARAMETERS = (SIGMA_T, ALBEDO, SCALE, PHASE)
-PHASE_NAMES = {c.PHASE_ISOTROPIC: "isotropic", c.PHASE_HG: "hg"}
+PHASE_NAMES = {
+    c.PHASE_ISOTROPIC: "isotropic",
+    c.PHASE_HG: "hg",
+    c.PHASE_RAYLEIGH: "rayleigh",
+    c.PHASE_TABLE: "tabphase",
+}
 
 
 def describe(scene: Scene, config: PathConfig, wanted: GradientRequest | None) -> list[tuple[str, str, str]]:
@@ -62,6 +68,22 @@ def refuse(config: PathConfig, method: interior.Method, wanted: GradientRequest 
         )
     if wanted is not None and (wanted.geometry or "pose" in wanted.lights):
         _refuse_motion(f"derivatives by {', '.join(names)}: path vertices, lights or directions move")
+
+
+def refuse_zeros(scene: Scene, names: list[str]) -> None:
+    """Refuse derivatives by tables of phase functions that hold zeros: no direction is drawn there.
+
+    Raises:
+        ValueError: with what to do instead.
+    """
+    for table in scene.builder.media_followers:
+        if isinstance(table, PhaseTable) and table.parameter in names:
+            values = scene.view(table.parameter).numpy()
+            if not values.all():
+                raise ValueError(
+                    f"the derivative by {table.parameter} would lack the light that is scattered where it is 0; write "
+                    "a small value in place of each 0"
+                )
 
 
 def refuse_motion(config: PathConfig, moving: tuple[str, ...]) -> None:

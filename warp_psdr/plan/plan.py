@@ -182,6 +182,7 @@ def decide(
     wanted = _wanted(scene, config, names, lines) if names else None
     lines += media.describe(scene, config, wanted)
     media.refuse(config, integrator.interior, wanted, names)
+    media.refuse_zeros(scene, names)
     refuse_own_shape(scene, sensor, names)
     if not names:
         lines.append(("derivatives", "none", "no parameter is requested"))

@@ -120,6 +120,7 @@ class Builder:
         self._media = MediaRecords(self.layout, self.textures, self.texture_ranges, description.origin)
         self.media = self._media.records  #: structs.Medium
         self.super_grids = self._media.super_grids
+        self.media_followers = self._media.followers
         #: Of each shape: medium outside and inside, ``medium.structs.Media.sides``; empty where there are no media.
         self.sides = [self._sides(shape) for shape in description.shapes]
         for sensor in description.sensors:

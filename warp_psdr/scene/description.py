@@ -94,8 +94,9 @@ class PhaseDescription:
     """A phase function."""
 
     path: str
-    kind: Literal["isotropic", "hg"]
+    kind: Literal["isotropic", "hg", "rayleigh", "tabphase"]
     g: float = 0.0  #: hg: mean cosine, more than 0 scatters forward
+    values: np.ndarray | None = None  #: tabphase: (N,), at equal distances of the cosine from backwards to forwards
 
 
 @dataclass(eq=False)

@@ -10,6 +10,7 @@ from .bsdfs import lets_through, model_of
 from .description import MediumDescription, PhaseDescription
 from .errors import ReportedError, error
 from .plugins import Properties, category_of, unsupported_plugin
+from .spectra import check_range
 from .volumes import volume
 
 if TYPE_CHECKING:
@@ -20,6 +21,8 @@ if TYPE_CHECKING:
 _SIGMA_T, _ALBEDO, _G = 1.0, 0.75, 0.8
 #: Largest |g|: beyond it a lobe of light is narrower than float32 resolves.
 MOST_G = 0.99
+#: Most values of a ``tabphase``.
+MOST_ENTRIES = 4096
 #: Names of a shape's media.
 _SIDES = ("interior", "exterior")
 
@@ -101,8 +104,26 @@ def _medium(props: Properties) -> MediumDescription:
 
 
 def _phase(props: Properties) -> PhaseDescription:
-    g = 0.0
+    found = PhaseDescription(props.path, cast(Literal["isotropic", "hg", "rayleigh", "tabphase"], props.type))
     if props.type == "hg":
-        g = props.number("g", _G, minimum=-MOST_G, maximum=MOST_G)
+        found.g = props.number("g", _G, minimum=-MOST_G, maximum=MOST_G)
+    elif props.type == "tabphase":
+        found.values = _table(props)
     props.finish()
-    return PhaseDescription(props.path, cast(Literal["isotropic", "hg"], props.type), g)
+    return found
+
+
+def _table(props: Properties) -> np.ndarray:
+    """Take the values of a table: numbers, or a text of them, with commas or spaces between."""
+    given, place = props.take("values"), props.place("values")
+    try:
+        plain = given.replace(",", " ").split() if isinstance(given, str) else given
+        values = np.array(plain.numpy() if hasattr(plain, "numpy") else plain, dtype=np.float32)
+    except (TypeError, ValueError):
+        values = np.empty(0, np.float32)
+    if values.ndim != 1 or not 2 <= values.size <= MOST_ENTRIES:
+        raise error(place, f"got {given!r}", f"give from 2 to {MOST_ENTRIES} numbers, for cosines from -1 to 1")
+    check_range(values, place, 0.0, np.inf, "'values'")
+    if not values.any():
+        raise error(place, "all values are 0", "give a value above 0")
+    return values

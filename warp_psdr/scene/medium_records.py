@@ -15,12 +15,17 @@ from warp_psdr.kernels.vertex import MediaConfig
 from .layout import MEDIUM, Layout
 from .media import MOST_G
 from .origin import moved
-from .super_grid import SuperGrid, super_grid
+from .super_grid import Follower, PhaseTable, SuperGrid, integrals, super_grid
 
 if TYPE_CHECKING:
     from .description import MediumDescription, VolumeDescription
 
-PHASES = {"isotropic": c.PHASE_ISOTROPIC, "hg": c.PHASE_HG}
+PHASES = {
+    "isotropic": c.PHASE_ISOTROPIC,
+    "hg": c.PHASE_HG,
+    "rayleigh": c.PHASE_RAYLEIGH,
+    "tabphase": c.PHASE_TABLE,
+}
 
 
 class MediaRecords:
@@ -35,11 +40,13 @@ class MediaRecords:
     Attributes:
         records: ``structs.Medium``, by number.
         super_grids: Of the extinction of heterogeneous media.
+        followers: What follows edits of values: those, and the integrals of tables of phase functions.
     """
 
     def __init__(self, layout: Layout, textures: list, texture_ranges: list[tuple[int, int]], origin: np.ndarray):
         self.records: list = []
         self.super_grids: list[SuperGrid] = []
+        self.followers: list[Follower] = []
         self._layout = layout
         self._textures = textures
         self._texture_ranges = texture_ranges
@@ -80,7 +87,21 @@ class MediaRecords:
         if m.phase.kind == "hg":
             bounds = (-MOST_G, MOST_G)
             record.g = add(f"{m.phase.path}.g", np.array([m.phase.g]), MEDIUM + PHASE, bounds=bounds)
+        if m.phase.values is not None:
+            record.g = self._table(f"{m.phase.path}.values", m.phase.values)
         return record
+
+    def _table(self, name: str, values: np.ndarray) -> int:
+        """Return the number of the record of a table of a phase function."""
+        record = Texture()
+        record.kind = c.TEXTURE_GRID
+        record.offset = self._layout.add(name, values, MEDIUM + PHASE, bounds=(0.0, np.inf))
+        record.width, record.height, record.first, record.channels = values.size, 1, 1, 1
+        record.second = self._layout.add_values(integrals(values))
+        self.followers.append(PhaseTable(name, record.offset, values.size, record.second))
+        self._textures.append(record)
+        self._texture_ranges.append((record.offset, values.size))
+        return len(self._textures) - 1
 
     def _grid(self, v: VolumeDescription, offset: int, *, tracked: bool) -> int:
         """Return the number of the record of a volume whose values are at a flat offset; a constant is one voxel.
@@ -99,6 +120,7 @@ class MediaRecords:
         if tracked:
             record.second = self._layout.add_values(super_grid(v.value.reshape(shape), v.wrap))
             self.super_grids.append(SuperGrid(v.parameter, offset, shape, v.wrap, record.second))
+            self.followers.append(self.super_grids[-1])
         self._textures.append(record)
         self._texture_ranges.append((offset, v.value.size))
         return len(self._textures) - 1

@@ -340,7 +340,7 @@ class Scene:
             self._update_bounds()
         values = self.values.numpy()
         check_media(changed, values)
-        rebuild(self.builder.super_grids, changed, self.values, values)
+        rebuild(self.builder.media_followers, changed, self.values, values)
         first, size = self.lights.environment_data()
         if any(first <= p.offset < first + size for p in changed):
             self.lights.update_environment(values)

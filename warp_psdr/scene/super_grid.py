@@ -1,4 +1,7 @@
-"""Majorants of the grids of a scene: the largest value in each cell of 8^3 voxels (``kernels/medium/majorant.py``)."""
+"""What follows edits of media: majorants of grids, and integrals of tables of phase functions.
+
+A majorant is the largest value in a cell of 8^3 voxels (``kernels/medium/majorant.py``).
+"""
 
 from __future__ import annotations
 
@@ -62,9 +65,39 @@ class SuperGrid:
         values[self.majorants : self.majorants + majorants.size].assign(majorants)
 
 
-def rebuild(grids: Iterable[SuperGrid], changed: Iterable[Parameter], values: wp.array, held: np.ndarray) -> None:
-    """Let the majorants follow the parameters that have changed."""
+def integrals(values: np.ndarray) -> np.ndarray:
+    """Return the integrals from -1 to each of the cosines of a table (N,), float32, by straight lines."""
+    between = (values[:-1].astype(np.float64) + values[1:]) / (values.size - 1)
+    return np.concatenate([[0.0], np.cumsum(between)]).astype(np.float32)
+
+
+@dataclass(frozen=True)
+class PhaseTable:
+    """Where the values of a phase function and their integrals are."""
+
+    parameter: str
+    offset: int  #: flat, of the values
+    size: int
+    integrals: int  #: flat offset
+
+    def rebuild(self, values: wp.array, held: np.ndarray) -> None:
+        """Write the integrals of the values that are held, flat, on the host.
+
+        Raises:
+            ValueError: all values are 0.
+        """
+        table = held[self.offset : self.offset + self.size]
+        if not table.any():
+            raise ValueError(f"{self.parameter} holds zeros alone after an edit; write a value above 0")
+        values[self.integrals : self.integrals + self.size].assign(integrals(table))
+
+
+Follower = SuperGrid | PhaseTable
+
+
+def rebuild(followers: Iterable[Follower], changed: Iterable[Parameter], values: wp.array, held: np.ndarray) -> None:
+    """Let what follows values follow the parameters that have changed."""
     names = {p.name for p in changed}
-    for grid in grids:
-        if grid.parameter in names:
-            grid.rebuild(values, held)
+    for follower in followers:
+        if follower.parameter in names:
+            follower.rebuild(values, held)
