@@ -92,7 +92,7 @@ def moved_light(values):
 
 CASES = [
     *(
-        Case(f"exact, {light}", BALL, tangent, 0.01, what, 2, 256, 2048)
+        Case(f"exact, {light}", BALL, tangent, 0.01, what, 2, 512, 4096)
         for light in ("sky", "lamp")
         for what, tangent in (
             ("radius", radius),
@@ -103,16 +103,16 @@ CASES = [
         )
     ),
     *(
-        Case(f"exact, {light}", BALL, tangent, 0.01, what, 2, 256, 2048)
+        Case(f"exact, {light}", BALL, tangent, 0.01, what, 2, 512, 4096)
         for light in ("point", "sun", "spot")
         for what, tangent in (("radius", radius), ("x", entry(0, 3)))
     ),
-    Case("exact, lamp", FLOOR, entry(2, 3), 0.01, "the floor moves", 2, 256, 2048),
-    Case("exact, lamp", LAMP, moved_light, 0.01, "the lamp moves", 2, 256, 2048),
-    Case("exact, point", "light.position", moved_light, 0.01, "the lamp moves", 2, 256, 2048),
-    Case("exact, lamp", "sensor.to_world", entry(0, 3), 0.01, "the camera moves", 2, 256, 2048),
-    Case("exact, wall", BALL, radius, 0.01, "radius", 4, 512, 2048),
-    Case("exact, wall", "wall.to_world", entry(0, 3), 0.01, "the wall moves", 4, 512, 2048),
+    Case("exact, lamp", FLOOR, entry(2, 3), 0.01, "the floor moves", 2, 512, 4096),
+    Case("exact, lamp", LAMP, moved_light, 0.01, "the lamp moves", 2, 512, 4096),
+    Case("exact, point", "light.position", moved_light, 0.01, "the lamp moves", 2, 512, 4096),
+    Case("exact, lamp", "sensor.to_world", entry(0, 3), 0.01, "the camera moves", 2, 512, 4096),
+    Case("exact, wall", BALL, radius, 0.01, "radius", 4, 1024, 4096),
+    Case("exact, wall", "wall.to_world", entry(0, 3), 0.01, "the wall moves", 4, 1024, 4096),
 ]
 
 
@@ -230,6 +230,19 @@ def scene_shape(scene) -> tuple[int, int]:
     return camera.crop_height, camera.crop_width
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["primary_silhouette", "secondary_silhouette"])
+def test_samples_are_drawn_again(kind: str) -> None:
+    scene, params = load("exact, lamp")
+    params.requires_grad_only(BALL)
+    options = {"kind": kind, "params": params, "integrator": psdr.PathIntegrator(max_depth=2), "spp": 16}
+    traces = [psdr.trace_sample(scene, sample=n, **options) for n in range(0, 4096, 32)]
+    places = [place for trace in traces for place in trace.places if place.what == "point"]
+    assert len(places) > 8 and "point: ball (diffuse): position" in "".join(map(str, traces))
+    local = np.array([(np.linalg.inv(POSE.matrix) @ np.append(p.position, 1.0))[:3] for p in places])
+    np.testing.assert_allclose(np.linalg.norm(local, axis=1), 1.0, atol=1e-5)
+
+
 @pytest.mark.parametrize(
     ("change", "boundary", "problem"),
     [
@@ -253,3 +266,35 @@ def test_light_tracing_is_refused() -> None:
     scene = psdr.load_dict({"type": "scene", **room("lamp", exact=True)()})
     with pytest.raises(ValueError, match="paths from the lights do not meet it"):
         psdr.plan(scene, integrator=psdr.PathIntegrator(max_depth=2, interior=psdr.interior.LightTracing()))
+
+
+@pytest.mark.parametrize("method", [psdr.interior.Resampled(), psdr.interior.Antithetic()])
+def test_interior_methods_without_it_are_refused(method) -> None:
+    metal = {"type": "roughconductor", "alpha": 0.3}
+    scene = psdr.load_dict({"type": "scene", **room("lamp", exact=True, bsdf=metal)()})
+    integrator = psdr.PathIntegrator(max_depth=2, interior=method)
+    with pytest.raises(ValueError, match=rf"{type(method).__name__}\(\) does not know it"):
+        psdr.plan(scene, names=["ball.bsdf.alpha.value"], integrator=integrator)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", [psdr.interior.Textbook(), psdr.interior.Radiative()])
+def test_interior_methods_agree(method) -> None:
+    """The interior term of the pose, by equal random numbers or in the mean."""
+    scene, params = load("exact, lamp")
+    params.requires_grad_only(BALL, FLOOR)
+    found = []
+    for interior in (psdr.interior.Replay(), method):
+        batches = []
+        for seed in range(8):
+            params.zero_grad()
+            integrator = psdr.PathIntegrator(max_depth=3, rr_depth=99, interior=interior, boundary=None)
+            psdr.render_backward(
+                scene, params, np.ones((*scene_shape(scene), 3)), integrator=integrator, spp=256, seed=seed
+            )
+            batches.append(np.concatenate([params[n].grad.numpy().ravel() for n in (BALL, FLOOR)]))
+        found.append(np.array(batches, np.float64))
+    a, b = found
+    gap, error = a.mean(axis=0) - b.mean(axis=0), np.sqrt((a.var(axis=0, ddof=1) + b.var(axis=0, ddof=1)) / 8.0)
+    assert (np.abs(gap) < 5.0 * error + 1e-4 * np.abs(a.mean(axis=0)).max()).all()
+    assert np.linalg.norm(error) < 0.05 * np.linalg.norm(a.mean(axis=0))

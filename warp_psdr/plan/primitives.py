@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from warp_psdr.options.integrator import PathIntegrator
     from warp_psdr.scene.scene import Scene
 
+#: Methods of the interior term that know such shapes.
+CLAIMED = (interior.Replay, interior.Textbook, interior.Radiative)
 #: What the errors offer.
 INSTEAD = "leave out 'exact', and it is made of triangles, which do"
 
@@ -58,6 +60,8 @@ def refuse(
         reason = "participating media do not know it"
     elif isinstance(integrator.interior, interior.LightTracing):
         reason = "paths from the lights do not meet it; use interior.Replay()"
+    elif wanted is not None and not isinstance(integrator.interior, CLAIMED):
+        reason = f"interior.{type(integrator.interior).__name__}() does not know it; use interior.Replay()"
     elif moving and integrator.boundary is not None:
         reason = _beside_motion(scene, config, integrator, names)
     if reason:

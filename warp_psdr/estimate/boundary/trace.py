@@ -140,7 +140,8 @@ def trace_boundary(
     shape = (camera.crop_height, camera.crop_width)
     if tangents is None:
         asked = adjoint_array(np.ones((*shape, 3)) if adjoint is None else adjoint, camera, scene.device)
-        target = wp.zeros(scene.values.shape[0], dtype=wp.float32, device=scene.device)
+        # Room for float64 sums (``kernels/sink.py``).
+        target = wp.zeros(2 * scene.values.shape[0], dtype=wp.float32, device=scene.device)
     else:
         asked = wp.zeros((1, 1), dtype=wp.vec3, device=scene.device)
         target = flat_tangents(scene, params, tangents)
