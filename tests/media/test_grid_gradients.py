@@ -143,13 +143,13 @@ def test_any_number_of_workers_gives_equal_bits(scene):
 
 
 DENSITIES = {"smoke": 0.6 * puffs(16), "plateau": np.full((8, 8, 8, 1), 0.8, np.float32)}
-#: Of a scene, the direction in which its voxels change.
+#: Of a scene, the direction in which its voxels change, and the step of differences.
 DIRECTIONS = {
-    ("smoke", "all"): lambda values: values,
-    ("smoke", "block"): block,
-    ("smoke", "empty"): lambda values: 1.0 * (values == 0.0),
-    ("plateau", "all"): np.ones_like,
-    ("plateau", "block"): block,
+    ("smoke", "all"): (lambda values: values, 0.25),
+    ("smoke", "block"): (block, 0.25),
+    ("smoke", "empty"): (lambda values: 1.0 * (values == 0.0), 0.1),
+    ("plateau", "all"): (np.ones_like, 0.1),
+    ("plateau", "block"): (block, 0.25),
 }
 
 
@@ -177,7 +177,8 @@ def test_density_against_one_sided_differences(dense, name, part):
     """Of second order, away from zero: where voxels are empty, and where all of them touch their majorant."""
     scene, found = dense(name)
     params, values = psdr.traverse(scene), DENSITIES[name]
-    direction, parameter, step = DIRECTIONS[name, part](values), SMOKE + "sigma_t.data", 0.1
+    along, step = DIRECTIONS[name, part]
+    direction, parameter = along(values), SMOKE + "sigma_t.data"
     integrator = psdr.PathIntegrator(max_depth=3, rr_depth=1 << 20)
     derivatives = (found * direction).sum(axis=(1, 2, 3, 4))
     differences = []
