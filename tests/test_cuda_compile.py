@@ -264,6 +264,7 @@ FACTORIES = {
     "interior.branch.make_branch_kernel": [
         ("reverse", (GLOSSY, shapes_of(GLOSSY), "reverse", 16), SLOW),
         ("forward", (GLOSSY, shapes_of(GLOSSY), "forward", 4), SLOW),
+        ("decomposed", (GLOSSY, shapes_of(GLOSSY), "reverse", 16, True), SLOW),
     ],
     "interior.attached.make_attached_kernel": [
         ("reverse", (GLOSSY, roughness_of(GLOSSY), "reverse", True, "attached"), SLOW),

@@ -4,6 +4,7 @@ from warp_psdr.accuracy.methods import Compared, Comparison, compare
 from warp_psdr.options.interior import (
     Antithetic,
     Attached,
+    Decomposed,
     DifferentialRatioTracking,
     FilmAntithetic,
     LightTracing,
@@ -19,6 +20,7 @@ __all__ = [
     "Attached",
     "Compared",
     "Comparison",
+    "Decomposed",
     "DifferentialRatioTracking",
     "FilmAntithetic",
     "LightTracing",

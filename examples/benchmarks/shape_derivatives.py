@@ -1,8 +1,9 @@
 """Derivatives at glossy surfaces: variance and time of the methods made for them against ``interior.Replay``.
 
-    python examples/benchmarks/shape_derivatives.py [--normals] [--quick] [--output results.jsonl]
+    python examples/benchmarks/shape_derivatives.py [--method resampled] [--quick] [--output results.jsonl]
 
-By the shape of lobes, ``interior.Resampled``; with ``--normals`` by their normals, ``interior.Antithetic``.
+By the shape of lobes, ``interior.Resampled``; by the roughness of metal, ``interior.Decomposed`` beside it; by what
+turns normals, ``interior.Antithetic``.
 
 A glossy ball on a floor under a lamp of some width and an even sky. The variance is that of the derivative image, all
 pixels together, from independent seeds at equal samples; the time that of gradients in reverse mode. What counts is the
@@ -70,10 +71,20 @@ NORMALS = (
     ("metal, alpha 0.05, moves, lamp", metal(0.05), "ball.to_world", ASIDE, 0.7, 24.0, 0.0),
     ("metal, alpha 0.05, moves, wide lamp and sky", metal(0.05), "ball.to_world", ASIDE, 3.0, 24.0, 1.0),
 )
-#: label -> (method, cases).
+BRUSHED = {**metal(0.1), "alpha_u": 0.1, "alpha_v": 0.3}
+del BRUSHED["alpha"]
+BECKMANN = {**metal(0.15), "distribution": "beckmann"}
+#: Those of them by the roughness of metal, and others.
+ROUGHNESSES = (
+    *SHAPES[:6],
+    ("Beckmann, alpha 0.15, wide lamp and sky", BECKMANN, "ball.bsdf.alpha.value", 1.0, 3.0, 24.0, 1.0),
+    ("brushed, alpha_u 0.1 of (0.1, 0.3), wide lamp and sky", BRUSHED, "ball.bsdf.alpha_u.value", 1.0, 3.0, 24.0, 1.0),
+)
+#: label -> (methods, cases, what they differentiate by).
 TABLES = {
-    "resampled": (psdr.interior.Resampled(), SHAPES, "the shape of lobes"),
-    "antithetic": (psdr.interior.Antithetic(), NORMALS, "what turns normals"),
+    "resampled": ((psdr.interior.Resampled(),), SHAPES, "the shape of lobes"),
+    "decomposed": ((psdr.interior.Decomposed(), psdr.interior.Resampled()), ROUGHNESSES, "the roughness of metal"),
+    "antithetic": ((psdr.interior.Antithetic(),), NORMALS, "what turns normals"),
 }
 
 
@@ -105,11 +116,10 @@ def scene_of(material: dict, width: float, power: float, sky: float, size: int) 
 def main() -> None:
     """Run and print the table."""
     parser = arguments(__doc__)
-    parser.add_argument("--normals", action="store_true", help="derivatives by what turns normals")
+    parser.add_argument("--method", choices=TABLES, default="resampled", help="whose table")
     options = parser.parse_args()
-    made = "antithetic" if options.normals else "resampled"
-    method, cases, by = TABLES[made]
-    methods = {"replay": psdr.interior.Replay(), made: method}
+    made, cases, by = TABLES[options.method]
+    methods = {type(method).__name__.lower(): method for method in (psdr.interior.Replay(), *made)}
     size, spp, seeds = (64, 4, 8) if options.quick else (128, 16, 16)
     psdr.set_workers(options.threads)
     report = Report("glossy surfaces", options.output)
@@ -137,9 +147,14 @@ def main() -> None:
             return lambda seed: psdr.render_backward(scene, params, adjoint, integrator=integrator, spp=spp, seed=seed)
 
         times = in_turns({label: gradient(i) for label, i in integrators.items()}, options.repeat or 5)
-        noise, cost = variance["replay"] / variance[made], ratio(times, made, "replay", "cpu")
-        found = {"variance at equal samples": noise, "time of a sample": cost, "variance at equal time": noise / cost}
-        rows.append({"case": name, **found})
+        for label in list(methods)[1:]:
+            noise, cost = variance["replay"] / variance[label], ratio(times, label, "replay", "cpu")
+            found = {
+                "variance at equal samples": noise,
+                "time of a sample": cost,
+                "variance at equal time": noise / cost,
+            }
+            rows.append({"case": name, **({"method": label} if len(methods) > 2 else {}), **found})
     report.table(f"Derivatives by {by}: a ball, {size} × {size} pixels, {spp} samples, depth {DEPTH}", rows)
 
 

@@ -10,7 +10,7 @@ surface the caller flips ``wi.z`` before and ``wo.z`` after the call.
 """
 
 import functools
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import NamedTuple
 
 import warp as wp
@@ -22,6 +22,7 @@ from warp_psdr.kernels.bsdf.blendbsdf import BLEND
 from warp_psdr.kernels.bsdf.bumpmap import BUMP_MAP
 from warp_psdr.kernels.bsdf.composite import Composite, split_key
 from warp_psdr.kernels.bsdf.conductor import CONDUCTOR
+from warp_psdr.kernels.bsdf.decomposition import Split
 from warp_psdr.kernels.bsdf.dielectric import DIELECTRIC
 from warp_psdr.kernels.bsdf.diffuse import DIFFUSE
 from warp_psdr.kernels.bsdf.mask import MASK
@@ -112,6 +113,7 @@ class BsdfFunctions(NamedTuple):
         slopes: ``(model, mat) -> vec2``: of a glossy lobe about the mirror direction; 0: there is none.
         normal: ``(model, mat, wi) -> vec3``: that lobes are about.
         glossy: ``(model) -> bool``: see ``Model``.
+        split: see ``Split``.
     """
 
     record: type
@@ -133,6 +135,7 @@ class BsdfFunctions(NamedTuple):
     slopes: wp.Function | None
     normal: wp.Function | None
     glossy: wp.Function
+    split: Split | None
 
 
 def declaration_of(key: str) -> tuple[Model, str]:
@@ -265,7 +268,27 @@ def make_bsdf(models: tuple[str, ...], selects: bool = False) -> BsdfFunctions:
             "normal", f"{mat}, {wi}", "wp.vec3", "wp.vec3(0.0, 0.0, 1.0)", lambda f: f.normal, of="normal"
         ),
         glossy=_make_test([model.glossy for model in declared]),
+        split=_make_split(chain) if any(f.split is not None for f in functions) else None,
     )  # fmt: skip
+
+
+def _make_split(chain: Callable[..., wp.Function]) -> Split:
+    """Return the functions of all models whose derivative by their roughness is split."""
+    mat, axis = "mat: record, wi: wp.vec3", "axis: wp.int32"
+    above = "wp.vec3(0.0, 0.0, 1.0)"
+    return Split(
+        chain(
+            "split_draw",
+            f"{mat}, {axis}, outer: wp.bool, u: wp.vec3",
+            "wp.vec3",
+            above,
+            lambda f: f.split.draw,
+            of="split",
+        ),
+        chain("split_density", f"{mat}, wo: wp.vec3", "wp.float32", "1.0", lambda f: f.split.density, of="split"),
+        chain("split_mass", f"mat: record, {axis}", "wp.float32", "0.0", lambda f: f.split.mass, of="split"),
+        chain("split_rate", f"{mat}, wo: wp.vec3, {axis}", "wp.float32", "0.0", lambda f: f.split.rate, of="split"),
+    )
 
 
 def _make_chain(

@@ -59,11 +59,13 @@ class Reflection(NamedTuple):
             ``wo`` for a reflectance of one; differentiable.
         pdf: ``(wi, wo, alpha_u, alpha_v) -> float32``: density of ``sample``, solid angle.
         sample: ``(wi, alpha_u, alpha_v, v) -> vec3``: ``wi`` reflected at a visible normal; it may point below.
+        normals: ``(wi, wo, alpha_u, alpha_v) -> float32``: D along the half vector, 1/sr.
     """
 
     value: wp.Function
     pdf: wp.Function
     sample: wp.Function
+    normals: wp.Function
 
 
 class Refraction(NamedTuple):
@@ -169,7 +171,7 @@ def make_reflection(distribution: str) -> Reflection:
         n = visible_normal(wi, alpha_u, alpha_v, v)
         return unit_vector(2.0 * wp.dot(wi, n) * n - wi)
 
-    return Reflection(reflected_value, reflected_pdf, reflected_sample)
+    return Reflection(reflected_value, reflected_pdf, reflected_sample, normals)
 
 
 @wp.func

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import warp as wp
 
+from warp_psdr.kernels.bsdf.decomposition import Split
 from warp_psdr.kernels.constants import LOBE_DELTA_REFLECTION, LOBE_DELTA_TRANSMISSION, LOBE_NULL, LOBE_SMOOTH
 
 #: Where a value comes from: what a texture holds, how it rises along texture coordinates (d/du, d/dv, 0), or the
@@ -360,6 +361,7 @@ class Functions(NamedTuple):
         slopes: ``(material) -> vec2``: root mean square slopes of a glossy lobe about the mirror direction, along the
             tangents. None: there is no such lobe.
         normal: ``(material, wi) -> vec3``: the normal that lobes are about. None: it is that of the surface.
+        split: the derivative by its roughness, split into two lobes of one sign each (``decomposition.py``).
         branches: whether ``sample``, ``eval`` and ``pdf`` branch. Those that do not select among what they compute, of
             any directions, so that they are computed for paths side by side, also for those on other materials.
     """
@@ -372,6 +374,7 @@ class Functions(NamedTuple):
     relative_eta: wp.Function | None = None
     slopes: wp.Function | None = None
     normal: wp.Function | None = None
+    split: Split | None = None
     branches: bool = True
 
 
@@ -390,6 +393,7 @@ class Model:
         brushed: whether lobes follow dp/du whatever its values are; any tangent does on shapes that have none.
         passes: whether a smooth lobe lies behind the surface.
         glossy: whether light is reflected at microfacets that are as many on one side of the normal as on the other.
+        splits: values of the roughness whose derivative is split, see ``Functions.split``.
         tilts: values that the normal of smooth lobes depends on.
         when: name of a parameter. Where a scene file gives it, other than as the number 0, this model serves the plugin
             and not the one of the same name; its variants bear the name.
@@ -404,6 +408,7 @@ class Model:
     brushed: bool = False
     passes: bool = False
     glossy: bool = False
+    splits: tuple[str, ...] = ()
     tilts: tuple[str, ...] = ()
     when: str = ""
 

@@ -9,12 +9,20 @@ import functools
 
 import warp as wp
 
-from warp_psdr.kernels.bsdf.microfacet import MIN_ALPHA, MIN_COSINE, at_least_min, make_reflection, or_upright
+from warp_psdr.kernels.bsdf.decomposition import ACROSS, Split, make_decomposition
+from warp_psdr.kernels.bsdf.microfacet import (
+    MIN_ALPHA,
+    MIN_COSINE,
+    at_least_min,
+    half_slope,
+    make_reflection,
+    or_upright,
+)
 from warp_psdr.kernels.bsdf.model import Accepted, Choice, Color, ComplexIndex, Functions, Model, Roughness
 from warp_psdr.kernels.bsdf.reflected import make_reflected_sample
 from warp_psdr.kernels.constants import LOBE_SMOOTH
 from warp_psdr.kernels.fresnel import fresnel_conductor_rgb
-from warp_psdr.kernels.math import where3
+from warp_psdr.kernels.math import unit_vector, where3
 
 
 @functools.cache
@@ -52,9 +60,40 @@ def make_rough_conductor(record: type, distribution: str) -> Functions:
     def slopes(mat: record) -> wp.vec2:
         return wp.vec2(at_least_min(mat.alpha_u), at_least_min(mat.alpha_v))
 
+    lobes = make_decomposition(distribution)
+
+    @wp.func
+    def split_draw(mat: record, wi: wp.vec3, axis: wp.int32, outer: wp.bool, u: wp.vec3) -> wp.vec3:
+        s = lobes.draw(axis, outer, u)
+        h = unit_vector(wp.vec3(at_least_min(mat.alpha_u) * s[0], at_least_min(mat.alpha_v) * s[1], 1.0))
+        c = wp.dot(wi, h)
+        return where3(c > 0.0, unit_vector(2.0 * c * h - wi), wp.vec3(0.0, 0.0, -1.0))
+
+    @wp.func
+    def split_density(mat: record, wi: wp.vec3, wo: wp.vec3) -> wp.float32:
+        h = wi + wo
+        d = reflection.normals(wi, wo, at_least_min(mat.alpha_u), at_least_min(mat.alpha_v))
+        return 0.5 * d * h[2] / wp.dot(h, h)
+
+    @wp.func
+    def split_mass(mat: record, axis: wp.int32) -> wp.float32:
+        return lobes.mass(axis) / at_least_min(wp.where(axis == ACROSS, mat.alpha_v, mat.alpha_u))
+
+    @wp.func
+    def split_rate(mat: record, wi: wp.vec3, wo: wp.vec3, axis: wp.int32) -> wp.float32:
+        s = half_slope(wi, wo)
+        u = at_least_min(mat.alpha_u)
+        v = at_least_min(mat.alpha_v)
+        return lobes.rate(s[0] / u, s[1] / v, axis) / wp.where(axis == ACROSS, v, u)
+
     rough_conductor_sample = make_reflected_sample(record, draw, rough_conductor_eval, rough_conductor_pdf)
     return Functions(
-        rough_conductor_sample, rough_conductor_eval, rough_conductor_pdf, slopes=slopes, branches=distribution != "ggx"
+        rough_conductor_sample,
+        rough_conductor_eval,
+        rough_conductor_pdf,
+        slopes=slopes,
+        split=Split(split_draw, split_density, split_mass, split_rate),
+        branches=distribution != "ggx",
     )
 
 
@@ -70,4 +109,5 @@ ROUGH_CONDUCTOR = Model(
     (LOBE_SMOOTH,),
     make_rough_conductor,
     glossy=True,
+    splits=("alpha_u", "alpha_v"),
 )

@@ -85,7 +85,7 @@ def make_pair_kernel(config: PathConfig, wanted: GradientRequest, role: str):
     only = make_tilts(config).only
     frame_vjp = make_frame_vjp(config.tangent)
     _sweep, finish, finish_vertex = make_sweep(config, wanted, role)
-    weight_before, weight_of_light = make_contact_weights(config.ray_backend, config.ray_width)
+    weight_before, weight_of_light = make_contact_weights(config.ray_backend, config.ray_width, config.primitives)
     sample_4d = make_sampler(config.sampler).sample_4d
     geometry = wanted.geometry
     forward = role == "forward"

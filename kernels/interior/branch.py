@@ -29,6 +29,7 @@ from warp_psdr.kernels.interior.branch_point import (
     make_branch_point,
 )
 from warp_psdr.kernels.interior.candidates import make_candidates
+from warp_psdr.kernels.interior.decomposed import make_decomposed_directions
 from warp_psdr.kernels.interior.factors import make_material_sink
 from warp_psdr.kernels.interior.gradient_request import GradientRequest
 from warp_psdr.kernels.interior.resampled import make_resampling, one_of
@@ -48,10 +49,13 @@ from warp_psdr.kernels.visibility import visibility_of
 
 
 @functools.cache
-def make_branch_kernel(config: PathConfig, wanted: GradientRequest, role: str, candidates: int):
+def make_branch_kernel(
+    config: PathConfig, wanted: GradientRequest, role: str, candidates: int, decomposed: bool = False
+):
     """Return the kernel of ``interior.Resampled``: the derivative by all values that ``wanted`` holds, complete.
 
-    ``wanted`` holds branched material values and nothing else. Arguments as ``make_replay_kernel``'s.
+    ``wanted`` holds branched material values and nothing else. Arguments as ``make_replay_kernel``'s. ``decomposed``:
+    directions are those of ``interior.Decomposed``.
     """
     # Light behind null lobes is found by paths, not by shadow rays: one of the two complete ways.
     config = replace(config, through=False)
@@ -119,7 +123,7 @@ def make_branch_kernel(config: PathConfig, wanted: GradientRequest, role: str, c
             return lobe_vjp(at, lobe, wo, w), w
 
     @wp.func
-    def from_directions(
+    def from_candidates(
         scene: Scene,
         branch: Sampler,
         at: record,
@@ -154,6 +158,10 @@ def make_branch_kernel(config: PathConfig, wanted: GradientRequest, role: str, c
                 a_material = add_materials(a_material, a)
                 found += d
         return a_material, found
+
+    from_directions = from_candidates
+    if decomposed:
+        from_directions = make_decomposed_directions(config, role, path_radiance, scatter, partial)
 
     @wp.func
     def from_lights(

@@ -57,6 +57,17 @@ def branched_values(config: PathConfig, wanted: GradientRequest) -> tuple[bool, 
     return tuple(w and is_shape(slot, config.bsdfs) for slot, w in zip(config.material, wanted.material, strict=True))
 
 
+def unsplit_values(config: PathConfig, wanted: GradientRequest) -> list[str]:
+    """Return the branched values that some model of the scene has and does not split (``bsdf/decomposition.py``)."""
+    branched = [slot.name for slot, b in zip(config.material, branched_values(config, wanted), strict=True) if b]
+    models = models_of(config.bsdfs)
+    return [
+        name
+        for name in branched
+        if any(name in {value.name for value in m.values} and name not in m.splits for m in models)
+    ]
+
+
 class ShapeParameters(NamedTuple):
     """Functions over the values that a kernel branches; ``slots`` is a material's, see ``slot_at``.
 

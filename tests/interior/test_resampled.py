@@ -54,6 +54,16 @@ SCENES = {
         ["ball.bsdf.weight.value"],
         ["ball.bsdf.bsdf_0.reflectance.value"],
     ),
+    "beckmann metal": (
+        {"type": "roughconductor", "distribution": "beckmann", "alpha": 0.1, "material": "Au"},
+        ["ball.bsdf.alpha.value"],
+        ["ball.bsdf.eta.value"],
+    ),
+    "brushed metal": (
+        {"type": "roughconductor", "distribution": "ggx", "alpha_u": 0.1, "alpha_v": 0.3, "material": "Cu"},
+        ["ball.bsdf.alpha_u.value", "ball.bsdf.alpha_v.value"],
+        ["floor.bsdf.reflectance.value"],
+    ),
     "half mirror": (
         {
             "type": "blendbsdf",

@@ -143,6 +143,15 @@ class Attached(Method):
 
 
 @dataclass(frozen=True, kw_only=True)
+class Decomposed(Method):
+    """The roughness of metal by two lobes of one sign each [BXB*24] (``kernels/interior/decomposed.py``).
+
+    Branched are the roughnesses of `roughconductor`, of either distribution, isotropic or not. All else that is
+    requested is left to ``Replay()``; it refuses other shapes of lobes, which ``Resampled()`` differentiates by.
+    """
+
+
+@dataclass(frozen=True, kw_only=True)
 class Antithetic(Method):
     """Antithetic pairs at glossy surfaces [ZDDZ21] (``kernels/interior/antithetic.py``); the rest: replay.
 

@@ -83,6 +83,10 @@ _METHODS = MethodTable(
             *("kernels/interior/attached.py", "attached"),
         ),
         (
+            *("BXB*24", "Positivisation, in closed form", "interior.Decomposed()", "interior"),
+            *("kernels/interior/decomposed.py", "decomposed"),
+        ),
+        (
             *("ZDDZ21", "Antithetic sampling of scattering functions", "interior.Antithetic()", "interior"),
             *("kernels/interior/antithetic.py", "antithetic"),
         ),

@@ -26,7 +26,7 @@ from warp_psdr.kernels.interior.media_replay import make_media_replay_kernel
 from warp_psdr.kernels.interior.media_sweep import explores_density
 from warp_psdr.kernels.interior.radiative import make_radiative_kernel
 from warp_psdr.kernels.interior.replay import make_replay_kernel
-from warp_psdr.kernels.interior.shape_parameters import branched_values
+from warp_psdr.kernels.interior.shape_parameters import branched_values, unsplit_values
 from warp_psdr.kernels.interior.textbook import make_textbook_kernel
 from warp_psdr.kernels.interior.tilts import tilting_values, tilts
 from warp_psdr.options import boundary, interior
@@ -212,6 +212,29 @@ def _make_beside_attached(config: PathConfig, wanted: GradientRequest, role: str
     return make_attached_kernel(config, GradientRequest(material=own), role, False, "attached")
 
 
+def _keep_lobes(_method: interior.Method, max_depth: int, rr_depth: int) -> Kept:
+    light_points = interior.Resampled().candidates
+    kept = _keep_blocks(interior.Replay(), max_depth, rr_depth)
+    said = f"a lobe of each sign; {light_points} light points; {kept.reason}"
+    return replace(kept, reason=said, candidates=light_points)
+
+
+def _make_decomposed(config: PathConfig, wanted: GradientRequest, role: str, kept: Kept) -> wp.Kernel:
+    branched = GradientRequest(material=branched_values(config, wanted))
+    return make_branch_kernel(config, branched, role, kept.candidates, True)
+
+
+def _refused_by_decomposed(config: PathConfig, wanted: GradientRequest) -> str:
+    unsplit = unsplit_values(config, wanted)
+    if unsplit:
+        models = [m for m in models_of(config.bsdfs) if {v.name for v in m.values} & set(unsplit) - set(m.splits)]
+        return (
+            "interior.Decomposed() knows the lobes of the roughnesses of 'roughconductor' alone, and not those of "
+            f"{', '.join(unsplit)} of {', '.join(sorted({repr(m.plugin) for m in models}))}. Use interior.Resampled()"
+        )
+    return _refused_by_resampled(config, wanted).replace("Resampled()", "Decomposed()")
+
+
 def _keep_pairs(_method: interior.Method, max_depth: int, rr_depth: int) -> Kept:
     kept = _keep_blocks(interior.Replay(), max_depth, rr_depth)
     return replace(kept, reason=f"a pair at one glossy vertex of a path; {kept.reason}")
@@ -344,6 +367,13 @@ TABLE: dict[tuple[type[interior.Method], type[boundary.Method]], Row] = {
         make=_make_attached,
         beside=_make_beside_attached,
         refuse_in=refused_by_attached,
+    ),
+    (interior.Decomposed, boundary.Method): Row(
+        label="decomposed branches, record and sweep",
+        keep=_keep_lobes,
+        make=_make_decomposed,
+        beside=_make_rest,
+        refuse=_refused_by_decomposed,
     ),
     (interior.Antithetic, boundary.Method): Row(
         label="antithetic pairs, record and sweep",
