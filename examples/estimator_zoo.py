@@ -1,8 +1,8 @@
 """Draws one derivative by every method, with its error and the seconds that it took.
 
-How rough a ball of gold is, by all methods of the interior term, and where it stands, by all of the boundary term. All
-methods of a term get about the same time. The error is that of the image, root mean square over its pixels, relative to
-a reference by the first method with other random numbers.
+How rough a ball of gold is, and how its normals tilt, by all methods of the interior term; where it stands, by all of
+the boundary term. All methods of a picture get about the same time. The error is that of the image, root mean square
+over its pixels, relative to a reference by the first method with other random numbers.
 """
 
 from __future__ import annotations
@@ -16,13 +16,14 @@ import warp_psdr as psdr
 
 ROOT = Path(__file__).resolve().parents[1]
 T = psdr.Transform
-#: term -> what moves, and how.
+#: picture -> term, what moves, and how.
 TARGETS = {
-    "interior": ("ball.bsdf.alpha.value", "roughness of the ball"),
-    "boundary": ("ball.to_world", "the ball moves aside"),
+    "interior": ("interior", "ball.bsdf.alpha.value", "roughness of the ball"),
+    "normals": ("interior", "ball.vertex_normals", "the ball's normals tilt aside"),
+    "boundary": ("boundary", "ball.to_world", "the ball moves aside"),
 }
 #: Further choices of methods, for what the first of them refuses here.
-CHOICES = {"interior": ('interior.Attached(weights="attached")',), "boundary": ()}
+CHOICES = {"interior": ('interior.Attached(weights="attached")',), "normals": (), "boundary": ()}
 #: The parameters move along a direction t: values are per unit of t.
 UNIT = "d radiance / dt [W/m²/sr]"
 #: Samples of the first, timed pass, and how much longer the reference takes than a method.
@@ -58,25 +59,29 @@ def scene_of(resolution: int) -> dict:
     }
 
 
-def methods(term: str, depth: int) -> dict[str, psdr.PathIntegrator]:
-    """Return the methods of a term by what asks for them, the default first."""
+def methods(name: str, depth: int) -> dict[str, psdr.PathIntegrator]:
+    """Return the methods of a picture's term by what asks for them, the default first."""
+    term = TARGETS[name][0]
     options = [method.option for method in psdr.methods() if method.term == term]
+    alone = {"boundary": None} if term == "interior" else {}
     return {
-        option: psdr.PathIntegrator(max_depth=depth, **{term: eval(option, vars(psdr))})
-        for option in (*options, *CHOICES[term])
+        option: psdr.PathIntegrator(max_depth=depth, **alone, **{term: eval(option, vars(psdr))})
+        for option in (*options, *CHOICES[name])
     }
 
 
 class Derivative:
     """A derivative image by one method."""
 
-    def __init__(self, scene, term: str, integrator: psdr.PathIntegrator):
+    def __init__(self, scene, name: str, integrator: psdr.PathIntegrator):
         self._scene, self._params = scene, psdr.traverse(scene)
-        tangent = np.ones(1)
-        if term == "boundary":
-            tangent = np.zeros((4, 4))
+        parameter = TARGETS[name][1]
+        tangent = np.zeros(self._params[parameter].numpy().shape)
+        if name == "boundary":
             tangent[0, 3] = 1.0
-        self._tangents, self._integrator = {TARGETS[term][0]: tangent}, integrator
+        else:
+            tangent[..., 0] = 1.0
+        self._tangents, self._integrator = {parameter: tangent}, integrator
 
     def image(self, spp: int, seed: int) -> np.ndarray:
         """Return the image, (H, W, 3)."""
@@ -92,11 +97,11 @@ class Derivative:
         return max(1, round(PILOT * seconds / (time.perf_counter() - start)))
 
 
-def draw(folder: Path, scene, term: str, depth: int, seconds: float) -> list[dict]:
-    """Draw all methods of a term, and return the table's rows."""
+def draw(folder: Path, scene, name: str, depth: int, seconds: float) -> list[dict]:
+    """Draw all methods of a picture, and return the table's rows."""
     rows, pictures, reference = [], {}, None
-    for label, integrator in methods(term, depth).items():
-        derivative = Derivative(scene, term, integrator)
+    for label, integrator in methods(name, depth).items():
+        derivative = Derivative(scene, name, integrator)
         try:
             spp = derivative.samples_in(seconds)
         except ValueError as refusal:
@@ -110,7 +115,7 @@ def draw(folder: Path, scene, term: str, depth: int, seconds: float) -> list[dic
         error = float(np.sqrt(((found - reference) ** 2).sum() / (reference**2).sum()))
         rows.append({"method": label, "samples": spp, "seconds": took, "error": error})
         pictures[f"{label}\n{spp} samples, {took:.2g} s, error {100 * error:.0f} %"] = found
-    picture = folder / f"zoo_{term}.png"
+    picture = folder / f"zoo_{name}.png"
     image = psdr.render(scene, integrator=psdr.PathIntegrator(max_depth=depth), spp=64)
     psdr.plots.side_by_side(
         picture,
@@ -119,7 +124,7 @@ def draw(folder: Path, scene, term: str, depth: int, seconds: float) -> list[dic
         differences={f"reference, {REFERENCE} times as long": reference, **pictures},
         percentile=99.0,
         columns=4,
-        title=f"{TARGETS[term][1]}: every method of the {term} term, about {seconds:g} s each",
+        title=f"{TARGETS[name][2]}: every method of the {TARGETS[name][0]} term, about {seconds:g} s each",
         quantity=UNIT,
     )
     print(f"wrote {picture}")
@@ -131,9 +136,9 @@ def main(
 ) -> dict[str, list[dict]]:
     folder.mkdir(parents=True, exist_ok=True)
     scene = psdr.load_dict(scene_of(resolution))
-    tables = {term: draw(folder, scene, term, depth, seconds) for term in TARGETS}
-    for term, rows in tables.items():
-        print(f"\n{term}")
+    tables = {name: draw(folder, scene, name, depth, seconds) for name in TARGETS}
+    for name, rows in tables.items():
+        print(f"\n{name}")
         for row in rows:
             text = row.get("refused") or f"{row['seconds']:6.2f} s  error {row['error']:.3f}"
             print(f"  {row['method']:54} {text}")
