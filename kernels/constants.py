@@ -65,6 +65,7 @@ NO_INTERFACE = -2
 
 # Shapes without triangles (``kernels/primitive``).
 PRIMITIVE_SPHERE = 0
+PRIMITIVE_SDFGRID = 1
 
 # Cameras (``Camera.kind``).
 CAMERA_PERSPECTIVE = 0

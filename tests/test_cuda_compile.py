@@ -93,6 +93,7 @@ MIRROR_LIGHTS = PathConfig(
 #: Shapes without triangles beside those with.
 EXACT = PathConfig(**{**vars(SIMPLE), "uv": True, "tangent": True, "primitives": (c.PRIMITIVE_SPHERE,)})
 EXACT_LIGHTS = PathConfig(**{**vars(ALL_LIGHTS), "primitives": (c.PRIMITIVE_SPHERE,)})
+DISTANCES = PathConfig(**{**vars(SIMPLE), "tangent": True, "primitives": (c.PRIMITIVE_SPHERE, c.PRIMITIVE_SDFGRID)})
 MIRRORS = PathConfig(**{**vars(SIMPLE), **materials("conductor", "dielectric")})
 MIRRORS_PARALLEL = PathConfig(**{**vars(MIRRORS), "camera": c.CAMERA_ORTHOGRAPHIC})
 MIRRORS_LENS = PathConfig(**{**vars(MIRRORS), "camera": c.CAMERA_THINLENS})
@@ -200,6 +201,7 @@ FACTORIES = {
     ],
     "primal.make_primal_kernel": [
         ("simple", (SIMPLE,), FAST),
+        ("grids of distances", (DISTANCES,), SLOW),
         ("emission", (EMISSION,), SLOW),
         ("orthographic", (ORTHOGRAPHIC,), SLOW),
         ("thin lens", (THIN_LENS,), FAST),

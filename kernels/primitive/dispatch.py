@@ -1,7 +1,8 @@
 """Shapes without triangles beside those with: what a scene's kinds add to ray queries, surfaces and adjoints.
 
 A number of a face that is at least the number of triangles names such a shape. Each function takes the one for
-triangles, and is that one where a scene holds no such shape, so nothing is compiled. A new kind is a file and a row.
+triangles, and is that one where a scene holds no such shape, so nothing is compiled. A new affine kind is a file and a
+row. Grids (``sdfgrid.py``) are the other kind; they rest: no vertex on one has a velocity or sends on an adjoint.
 """
 
 import functools
@@ -10,7 +11,7 @@ import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.bvh.wide import RayHit
-from warp_psdr.kernels.constants import PRIMITIVE_SPHERE
+from warp_psdr.kernels.constants import PRIMITIVE_SDFGRID, PRIMITIVE_SPHERE
 from warp_psdr.kernels.primitive.affine import (
     Kind,
     is_primitive,
@@ -23,6 +24,8 @@ from warp_psdr.kernels.primitive.affine import (
     make_affine_surface,
     step_off_primitive,
 )
+from warp_psdr.kernels.primitive.sdfgrid import sdfgrid_hit
+from warp_psdr.kernels.primitive.sdfgrid_surface import make_sdfgrid_surface
 from warp_psdr.kernels.primitive.sphere import (
     sphere_hit,
     sphere_normal,
@@ -59,11 +62,37 @@ KINDS: dict[int, Kind] = {
 }
 
 
-def only_kind(primitives: tuple[int, ...]) -> Kind:
-    """Return the kind of a scene that holds one kind."""
-    if len(primitives) != 1:
-        raise ValueError(f"kinds of shapes without triangles: got {primitives}, expected one")
-    return KINDS[primitives[0]]
+def affine_kind(primitives: tuple[int, ...]) -> Kind | None:
+    """Return the kind of a scene's affine shapes; None: it holds grids alone."""
+    affine = [KINDS[kind] for kind in primitives if kind != PRIMITIVE_SDFGRID]
+    if len(affine) > 1:
+        raise ValueError(f"kinds of affine shapes without triangles: got {primitives}, expected one")
+    return affine[0] if affine else None
+
+
+@wp.func
+def is_grid(tri: Triangle) -> wp.bool:
+    """Whether the record of a shape without triangles is that of a grid."""
+    return tri.i1 == wp.static(-1 - PRIMITIVE_SDFGRID)
+
+
+@functools.cache
+def make_hit(primitives: tuple[int, ...]):
+    """Return ``hit(scene, tri, o, d, t_max) -> RayHit``; its ``face`` is 0, or -1 for a miss."""
+    affine = affine_kind(primitives)
+    hit_of_affine = make_affine_hit(affine) if affine else None
+    has_grids = PRIMITIVE_SDFGRID in primitives
+
+    @wp.func
+    def hit_of_any(scene: Scene, tri: Triangle, o: wp.vec3, d: wp.vec3, t_max: wp.float32) -> RayHit:
+        if wp.static(has_grids):
+            if wp.static(hit_of_affine is None) or is_grid(tri):
+                return sdfgrid_hit(scene, tri, o, d, t_max)
+        if wp.static(hit_of_affine is not None):
+            return hit_of_affine(tri, o, d, t_max)
+        return RayHit()
+
+    return hit_of_any
 
 
 @functools.cache
@@ -72,14 +101,14 @@ def make_primitive_queries(primitives: tuple[int, ...]):
 
     ``occludes(scene, o, d, t_max) -> bool``: whether one of the shapes lies on a segment.
     """
-    hit_of = make_affine_hit(only_kind(primitives))
+    hit_of = make_hit(primitives)
 
     @wp.func
     def closest_primitive(scene: Scene, o: wp.vec3, d: wp.vec3, hit: RayHit) -> RayHit:
         best = hit
         k = last_primitive(scene)
         while is_primitive_at(scene, k):
-            found = hit_of(triangle_at(scene, k), o, d, best.t)
+            found = hit_of(scene, triangle_at(scene, k), o, d, best.t)
             if found.face >= 0:
                 best = found
                 best.face = k
@@ -90,7 +119,7 @@ def make_primitive_queries(primitives: tuple[int, ...]):
     def occluded_by_primitive(scene: Scene, o: wp.vec3, d: wp.vec3, t_max: wp.float32) -> wp.bool:
         k = last_primitive(scene)
         while is_primitive_at(scene, k):
-            if hit_of(triangle_at(scene, k), o, d, t_max).face >= 0:
+            if hit_of(scene, triangle_at(scene, k), o, d, t_max).face >= 0:
                 return True
             k -= 1
         return False
@@ -104,12 +133,18 @@ def make_surface_at(smooth: bool, flat: bool, uv: bool, tangent: bool, primitive
     surface_of = make_surface_of(smooth, flat, uv, tangent)
     if not primitives:
         return surface_of
-    of_primitive, _partials = make_affine_surface(only_kind(primitives), uv or tangent, tangent)
+    affine = affine_kind(primitives)
+    of_affine = make_affine_surface(affine, uv or tangent, tangent)[0] if affine else None
+    of_grid = make_sdfgrid_surface(tangent) if PRIMITIVE_SDFGRID in primitives else None
 
     @wp.func
     def surface_of_any(scene: Scene, tri: Triangle, u: wp.float32, v: wp.float32) -> Surface:
         if is_primitive(tri):
-            return of_primitive(tri, u, v)
+            if wp.static(of_grid is not None):
+                if wp.static(of_affine is None) or is_grid(tri):
+                    return of_grid(scene, tri, u, v)
+            if wp.static(of_affine is not None):
+                return of_affine(tri, u, v)
         return surface_of(scene, tri, u, v)
 
     return surface_of_any
@@ -117,14 +152,19 @@ def make_surface_at(smooth: bool, flat: bool, uv: bool, tangent: bool, primitive
 
 @functools.cache
 def make_partials(primitives: tuple[int, ...]):
-    """Return ``partials(scene, tri, u, v) -> (dp/du, dp/dv)``."""
-    of_primitive = make_affine_surface(only_kind(primitives), True, True)[1] if primitives else None
+    """Return ``partials(scene, tri, u, v) -> (dp/du, dp/dv)``; those of grids, which have no (u, v), are 0."""
+    affine = affine_kind(primitives)
+    of_affine = make_affine_surface(affine, True, True)[1] if affine else None
+    has_grids = PRIMITIVE_SDFGRID in primitives
 
     @wp.func
     def partials_of_any(scene: Scene, tri: Triangle, u: wp.float32, v: wp.float32) -> tuple[wp.vec3, wp.vec3]:
-        if wp.static(of_primitive is not None):
+        if wp.static(has_grids):
+            if is_grid(tri):
+                return wp.vec3(0.0, 0.0, 0.0), wp.vec3(0.0, 0.0, 0.0)
+        if wp.static(of_affine is not None):
             if is_primitive(tri):
-                p_du, p_dv = of_primitive(tri, u, v)
+                p_du, p_dv = of_affine(tri, u, v)
                 return p_du, p_dv
         dp_du, dp_dv = uv_partials(scene, tri)
         return dp_du, dp_dv
@@ -152,15 +192,17 @@ def make_position(primitives: tuple[int, ...]):
     """Return ``(position, cross)``: ``(tri, u, v) -> vec3``.
 
     A point of a surface, and its normal, which is as long as the area element: of a triangle (p1 - p0) x (p2 - p0).
+    They are asked for where something moves, which plans refuse beside grids.
     """
 
     @wp.func
     def cross_of_edges(tri: Triangle, u: wp.float32, v: wp.float32) -> wp.vec3:
         return wp.cross(tri.p1 - tri.p0, tri.p2 - tri.p0)
 
-    if not primitives:
+    affine = affine_kind(primitives)
+    if affine is None:
         return point_on, cross_of_edges
-    point_of, cross_of = make_affine_point(only_kind(primitives))
+    point_of, cross_of = make_affine_point(affine)
 
     @wp.func
     def position_of_any(tri: Triangle, u: wp.float32, v: wp.float32) -> wp.vec3:
@@ -180,7 +222,8 @@ def make_position(primitives: tuple[int, ...]):
 @functools.cache
 def make_normal_at(primitives: tuple[int, ...]) -> wp.Function | None:
     """Return ``normal(tri, x) -> vec3`` of shapes without triangles (``make_affine_normal``); None: there are none."""
-    return make_affine_normal(only_kind(primitives)) if primitives else None
+    affine = affine_kind(primitives)
+    return make_affine_normal(affine) if affine else None
 
 
 @functools.cache
@@ -198,7 +241,8 @@ def make_adjoint_sink(
     of_triangle = make_vertex_sink(role, smooth, flat, uv, tangent, texcoords, rays)
     if not primitives:
         return of_triangle
-    of_primitive = make_affine_sink(only_kind(primitives), role, uv or tangent, tangent, rays)
+    affine = affine_kind(primitives)
+    of_affine = make_affine_sink(affine, role, uv or tangent, tangent, rays) if affine else None
 
     @wp.func
     def accumulate_any(
@@ -214,7 +258,11 @@ def make_adjoint_sink(
     ) -> RayAdjoint:
         _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
         if is_primitive_at(scene, face):
-            return of_primitive(target, triangle_at(scene, face), u, v, adjoint, by_ray, o, d)
+            if wp.static(of_affine is not None):
+                tri = triangle_at(scene, face)
+                if not is_grid(tri):
+                    return of_affine(target, tri, u, v, adjoint, by_ray, o, d)
+            return RayAdjoint()
         return of_triangle(scene, target, face, u, v, adjoint, by_ray, o, d)
 
     return accumulate_any

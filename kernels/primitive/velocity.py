@@ -14,7 +14,7 @@ from warp_psdr.kernels.primitive.affine import (
     primitive_record,
     to_axes,
 )
-from warp_psdr.kernels.primitive.dispatch import only_kind
+from warp_psdr.kernels.primitive.dispatch import affine_kind, is_grid
 from warp_psdr.kernels.reading import triangle_at
 from warp_psdr.kernels.structs import Scene, Triangle
 
@@ -76,7 +76,8 @@ def make_velocity(smooth: bool, flat: bool, uv: bool, tangent: bool, primitives:
     of_triangle = make_vertex_jvp(smooth, flat, uv, tangent)
     if not primitives:
         return of_triangle
-    of_primitive = make_affine_jvp(only_kind(primitives), uv or tangent, tangent)
+    affine = affine_kind(primitives)
+    of_affine = make_affine_jvp(affine, uv or tangent, tangent) if affine else None
 
     @wp.func
     def velocity_of_any(
@@ -93,7 +94,11 @@ def make_velocity(smooth: bool, flat: bool, uv: bool, tangent: bool, primitives:
     ) -> VertexTangent:
         _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
         if is_primitive_at(scene, face):
-            return of_primitive(tangents, triangle_at(scene, face), u, v, by_ray, o, d, o_dot, d_dot)
+            if wp.static(of_affine is not None):
+                tri = triangle_at(scene, face)
+                if not is_grid(tri):
+                    return of_affine(tangents, tri, u, v, by_ray, o, d, o_dot, d_dot)
+            return VertexTangent()
         return of_triangle(scene, tangents, face, u, v, by_ray, o, d, o_dot, d_dot)
 
     return velocity_of_any

@@ -9,7 +9,9 @@ from warp_psdr.kernels.constants import METERS
 from warp_psdr.options import interior
 from warp_psdr.options.boundary import Method, PathSpace
 from warp_psdr.plan.motion import motion
-from warp_psdr.scene.exact import EXACT
+from warp_psdr.scene.exact import EXACT, KINDS
+from warp_psdr.scene.layout import SHAPE_GRID
+from warp_psdr.scene.sdfgrid import INSTEAD as TRIANGLES
 from warp_psdr.topology.exact_shapes import pierced
 
 if TYPE_CHECKING:
@@ -26,17 +28,24 @@ INSTEAD = "leave out 'exact', and it is made of triangles, which do"
 
 def kinds(scene: Scene) -> tuple[int, ...]:
     """Return the kinds (PRIMITIVE_*) of a scene, for the path loop."""
-    return tuple(sorted({EXACT[scene.description.shapes[i].primitive] for i in scene.builder.primitives}))
+    return tuple(sorted({KINDS[scene.description.shapes[i].primitive] for i in scene.builder.primitives}))
 
 
 def describe(scene: Scene) -> list[tuple[str, str, str]]:
-    """Return the plan's line."""
+    """Return the plan's lines."""
     names: dict[str, list[str]] = {}
     for i in scene.builder.primitives:
         shape = scene.description.shapes[i]
         names.setdefault(shape.primitive, []).append(shape.path)
-    what = ", ".join(f"{len(paths)} {kind}" for kind, paths in names.items())
-    return [("exact shapes", what, "without triangles; every ray is tested against each")] if names else []
+    lines = []
+    exact = ", ".join(f"{len(paths)} {kind}" for kind, paths in names.items() if kind in EXACT)
+    if exact:
+        lines.append(("exact shapes", exact, "without triangles; every ray is tested against each"))
+    grids = [scene.description.shapes[i] for i in scene.builder.primitives if scene.description.shapes[i].grid]
+    if grids:
+        sizes = [" x ".join(str(n) for n in s.grid.values.shape[2::-1]) for s in grids if s.grid is not None]
+        lines.append(("distance grids", ", ".join(sizes), "nodes along x, y, z; rays go from voxel to voxel of each"))
+    return lines
 
 
 def refuse(
@@ -54,7 +63,14 @@ def refuse(
     """
     if not config.primitives:
         return
-    shape = scene.description.shapes[scene.builder.primitives[0]]
+    shapes = [scene.description.shapes[i] for i in scene.builder.primitives]
+    grid = next((s for s in shapes if s.grid is not None), None)
+    if grid is not None:
+        reason = _beside_grid(scene, config, integrator, wanted, names, moving)
+        if reason:
+            raise ValueError(f"{grid.path!r} is a {grid.kind!r}, and {reason}; or {TRIANGLES}")
+        return
+    shape = shapes[0]
     reason = ""
     if config.media is not None:
         reason = "participating media do not know it"
@@ -66,6 +82,33 @@ def refuse(
         reason = _beside_motion(scene, config, integrator, names)
     if reason:
         raise ValueError(f"{shape.path!r} is an exact {shape.kind!r}, and {reason}; or {INSTEAD}")
+
+
+def _beside_grid(
+    scene: Scene,
+    config: PathConfig,
+    integrator: PathIntegrator,
+    wanted: GradientRequest | None,
+    names: list[str],
+    moving: tuple[str, ...],
+) -> str:
+    """Say what is not done beside grids of distances; empty: nothing of what is asked for."""
+    if config.media is not None:
+        return "participating media do not know it; leave out the media"
+    if isinstance(integrator.interior, interior.LightTracing):
+        return "paths from the lights do not meet it; use interior.Replay()"
+    if wanted is not None and not isinstance(integrator.interior, CLAIMED):
+        return f"interior.{type(integrator.interior).__name__}() does not know it; use interior.Replay()"
+    shaped = [name for name in names if SHAPE_GRID in scene.parameters[name].uses]
+    if shaped:
+        return f"derivatives by {shaped[0]!r} are not estimated, neither inside nor at its silhouettes; render the grid"
+    if wanted is not None and (wanted.geometry or moving):
+        what = moving[0] if moving else f"{', '.join(names)} move what paths meet"
+        return (
+            f"{what}, whose derivatives are not estimated beside it, with boundary=None neither; request what moves "
+            "nothing (materials, radiances)"
+        )
+    return ""
 
 
 def _beside_motion(scene: Scene, config: PathConfig, integrator: PathIntegrator, names: list[str]) -> str:

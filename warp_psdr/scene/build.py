@@ -22,12 +22,14 @@ from warp_psdr.scene.layout import (
     NORMALS,
     POSITIONS,
     RADIANCE,
+    SHAPE_GRID,
     SHAPE_POSE,
     TEXCOORDS,
     TO_UV,
     Layout,
 )
 from warp_psdr.scene.medium_records import MediaRecords
+from warp_psdr.scene.sdfgrid import reaches
 from warp_psdr.scene.tables import PlacedTable
 
 if TYPE_CHECKING:
@@ -177,6 +179,12 @@ class Builder:
         if s.to_world is not None:
             self.layout.add(f"{s.path}.to_world", s.to_world, SHAPE_POSE, owner=number, placed=True)
             self.pose_of[number] = f"{s.path}.to_world"
+        if s.grid is not None:
+            # The kernels read both from the offset of the pose (``kernels/primitive/sdfgrid.py``).
+            nodes = s.grid.values.shape
+            self.layout.add_values(np.array([nodes[2], nodes[1], nodes[0], s.grid.smooth]))
+            self.layout.add(f"{s.path}.grid", s.grid.values, SHAPE_GRID, owner=number)
+            self.layout.add_values(reaches(s.grid.values))
 
     def _copy_values(self, s: ShapeDescription, source: ShapeDescription, record, number: int) -> None:
         """Lay out what a copy by an instance has of its own, and what it shares unless another copy has."""

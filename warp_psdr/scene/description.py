@@ -112,6 +112,14 @@ class MediumDescription:
 
 
 @dataclass(eq=False)
+class SdfGrid:
+    """Signed distances at the nodes of a grid in [0, 1]^3."""
+
+    values: np.ndarray  #: (Z, Y, X, 1)
+    smooth: bool  #: shading normals are interpolated between voxels
+
+
+@dataclass(eq=False)
 class ShapeDescription:
     """A triangle mesh, world space, or a shape without triangles (``primitive``)."""
 
@@ -138,8 +146,9 @@ class ShapeDescription:
     #: the instance, whose ``to_world`` they have.
     prototype: ShapeDescription | None = None
     instance: str = ""
-    #: Shapes without triangles: the plugin that ``exact`` was said of. ``vertices`` are corners of a box around them.
+    #: Shapes without triangles: the plugin. ``vertices`` are corners of a box around them.
     primitive: str = ""
+    grid: SdfGrid | None = None
     repairs: dict[str, int] = field(default_factory=dict)  #: e.g. {"zero-area triangles dropped": 3}
 
     @property

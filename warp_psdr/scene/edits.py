@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
-from warp_psdr.scene.layout import BRIGHTNESS, MEDIUM, POSITIONS, Parameter
+from warp_psdr.scene.layout import BRIGHTNESS, MEDIUM, POSITIONS, SHAPE_GRID, Parameter
 
 
 @dataclass(frozen=True)
@@ -21,28 +21,29 @@ class State:
 
 
 def has_results(p: Parameter) -> bool:
-    """Return whether the scene keeps, or checks, what follows from a parameter: triangles, places, power, media."""
-    return p.placed or (p.prototype >= 0 and POSITIONS in p.uses) or bool(p.uses & BRIGHTNESS) or is_medium(p)
+    """Return whether the scene keeps or checks what follows from a parameter: triangles, places, power, media."""
+    return p.placed or (p.prototype >= 0 and POSITIONS in p.uses) or bool(p.uses & BRIGHTNESS) or is_checked(p)
 
 
-def is_medium(p: Parameter) -> bool:
-    """Return whether a parameter belongs to a medium."""
-    return any(use.startswith(MEDIUM) for use in p.uses)
+def is_checked(p: Parameter) -> bool:
+    """Return whether a parameter belongs to a medium, or is a shape's grid."""
+    return any(use.startswith(MEDIUM) or use == SHAPE_GRID for use in p.uses)
 
 
 def check_media(parameters: Iterable[Parameter], values: np.ndarray) -> None:
-    """Raise if a value of a medium is none that a medium can have.
+    """Raise if a value of a medium, or of a shape's grid, is none that it can have.
 
     Raises:
         ValueError: With the parameter and its range.
     """
-    for p in filter(is_medium, parameters):
+    for p in filter(is_checked, parameters):
         low, high = p.bounds
         held = values[p.offset : p.offset + p.size]
         right = np.isfinite(held) & (held >= low) & (held <= high)
         if not right.all():
             wrong = held.tolist() if p.size <= 3 else f"{held[~right][0]:g} in {int((~right).sum())} of {p.size} places"
             limits = f"finite values of at least {low:g}" if np.isinf(high) else f"values between {low:g} and {high:g}"
+            limits = "finite values" if np.isinf(low) else limits
             raise ValueError(f"{p.name} is {wrong} after an edit; write {limits} (psdr.optim keeps to them)")
 
 

@@ -24,8 +24,10 @@ if TYPE_CHECKING:
     from .plugins import Properties
     from .scene import Scene
 
-#: Plugin -> its kind on the device.
+#: Plugin that may be exact -> its kind on the device.
 EXACT = {"sphere": c.PRIMITIVE_SPHERE}
+#: The same of all shapes without triangles.
+KINDS = {**EXACT, "sdfgrid": c.PRIMITIVE_SDFGRID}
 #: Corners of the box around each kind, in its own coordinates.
 CORNERS = np.array(list(itertools.product((-1.0, 1.0), repeat=3)), np.float32)
 #: Volume of the pose over the product of the lengths of its columns, up to which it has no inverse in float32.
@@ -93,7 +95,7 @@ def update_record(scene: Scene, shape: int) -> None:
     if reason:
         raise ValueError(f"{s.path}.to_world: {reason}; restore a pose that has one")
     place = scene.face_count + scene.builder.primitives.index(shape)
-    inputs = [scene.values, pose, shape, EXACT[s.primitive], scene.builder.shapes[shape].orientation, place]
+    inputs = [scene.values, pose, shape, KINDS[s.primitive], scene.builder.shapes[shape].orientation, place]
     launch(update_primitive, dim=1, inputs=inputs, outputs=[scene.triangles], device=scene.device)
 
 
@@ -107,9 +109,19 @@ def sphere_points(u, v) -> np.ndarray:
     return q / np.linalg.norm(q, axis=-1, keepdims=True)
 
 
+def held_points(u, v) -> np.ndarray:
+    """Return the points (..., 3) of a grid's box that pairs of numbers hold (``kernels/primitive/sdfgrid.py``)."""
+    a, b = (np.ascontiguousarray(x, np.float32).view(np.uint32) for x in (u, v))
+    low = ((a >> 21) & 511) | ((a >> 31) << 9)
+    high = ((b >> 21) & 511) | ((b >> 31) << 9)
+    steps = np.stack([a & 0x1FFFFF, b & 0x1FFFFF, low | (high << 10)], axis=-1).astype(np.float64)
+    points = (steps + 0.5) / np.array([2.0**21, 2.0**21, 2.0**20])
+    return points.reshape(*np.shape(u), 3)
+
+
 def position_of(record: np.void, u: float, v: float) -> np.ndarray:
     """Return the point (3,) that a vertex holds, in the device's coordinates; ``record`` is that of its face."""
     if record["i1"] >= 0:
         return (1.0 - u - v) * record["p0"] + u * record["p1"] + v * record["p2"]
-    q = sphere_points(u, v)
+    q = held_points(u, v) if record["i1"] == -1 - c.PRIMITIVE_SDFGRID else sphere_points(u, v)
     return record["normal"] + q[0] * record["p0"] + q[1] * record["p1"] + q[2] * record["p2"]

@@ -98,6 +98,8 @@ def _member(found: list[ShapeDescription], node: dict, where: str, path: str, co
         )
     if shape.sensor is not None:
         raise error(where, "a sensor on a shape of a 'shapegroup'", "put the shape that measures in the scene")
+    if shape.grid is not None:
+        raise error(where, f"a '{shape.kind}' inside a 'shapegroup'", "put it in the scene itself, once for each place")
     if shape.primitive:
         raise error(
             where, f"an exact '{shape.kind}' inside a 'shapegroup'", "leave out 'exact', or put it in the scene itself"

@@ -29,6 +29,11 @@ def parameter_of(scene: Scene, name: str) -> Parameter:
         base, _dot, kind = str(name).rpartition(".")
         exact = [s for s in scene.description.shapes if s.primitive and s.path == base]
         if exact and kind.startswith("vertex_"):
+            if exact[0].grid is not None:
+                raise KeyError(
+                    f"{base!r} is a {exact[0].kind!r}, which has no vertices: its parameters are '{base}.grid' and "
+                    f"'{base}.to_world'"
+                ) from None
             raise KeyError(
                 f"{base!r} is an exact {exact[0].kind!r}, which has no vertices: its parameter is '{base}.to_world'; "
                 f"leave out 'exact' to have it as triangles, with {name!r}"

@@ -29,6 +29,7 @@ from warp_psdr.scene.instances import Instances
 from warp_psdr.scene.layout import BRIGHTNESS, NORMALS, POSITIONS, SHAPE_POSE, Parameter, struct_array
 from warp_psdr.scene.lights import Lights
 from warp_psdr.scene.origin import COLLAPSING
+from warp_psdr.scene.sdfgrid import follow_grids
 from warp_psdr.scene.shading import shades_flat
 from warp_psdr.scene.steps import Boxes, Steps, find_steps, measure, second_width
 from warp_psdr.scene.summary import summary
@@ -341,6 +342,7 @@ class Scene:
         values = self.values.numpy()
         check_media(changed, values)
         rebuild(self.builder.media_followers, changed, self.values, values)
+        follow_grids(self, changed, values)
         first, size = self.lights.environment_data()
         if any(first <= p.offset < first + size for p in changed):
             self.lights.update_environment(values)

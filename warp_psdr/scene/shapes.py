@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from . import bsdfs, emitters, media, sensors
-from .description import EmitterDescription, ShapeDescription
+from .description import EmitterDescription, SdfGrid, ShapeDescription
 from .errors import ReportedError, error
 from .exact import exact_shape, is_exact
 from .mesh_files import read_mesh
@@ -15,6 +15,7 @@ from .meshes import MeshData, check, check_flat, drop_flat_triangles, in_place, 
 from .origin import collapses, moved
 from .plugins import Properties
 from .primitives import CURVED, DEFAULT_RESOLUTION, MAX_RESOLUTION, MIN_RESOLUTION, PRIMITIVES, widening
+from .sdfgrid import INSTEAD, SDFGRID, grid_shape, read_grid
 from .textures import check_attribute
 from .transforms import Transform, transform_normals, transform_points
 
@@ -58,8 +59,11 @@ def build(node: dict, where: str, path: str, context: Context) -> ShapeDescripti
         raise ReportedError(where)
     data, to_world, place = geometry
     to_world = moved(to_world, context.origin)
-    if exact:
+    if exact or isinstance(data, SdfGrid):
         _refuse_beside_exact(props, bsdf, emitter is not None, bool(meters), any(sides.values()))
+    if isinstance(data, SdfGrid):
+        shape = grid_shape(props, data, to_world, bsdf)
+    elif exact:
         shape = exact_shape(props, to_world, bsdf)
     else:
         shape = _triangles(props, data, to_world, place, bsdf, emitter, flat)
@@ -118,13 +122,17 @@ def _refuse_beside_exact(
         "a 'bumpmap'": any("bumpmap" in (side.model, *side.children) for side in sides),
     }
     for what in (what for what, there in found.items() if there):
+        if props.type == SDFGRID:
+            raise error(props.where, f"{what} on a '{SDFGRID}'", INSTEAD)
         problem = f"{what} on an exact '{props.type}'"
         raise error(props.where, problem, "leave out 'exact': the tessellated shape takes it")
 
 
-def _geometry(props: Properties, exact: bool) -> tuple[MeshData, np.ndarray, str]:
-    """Return the object-space mesh, the transformation to world space, and the mesh's place for messages."""
+def _geometry(props: Properties, exact: bool) -> tuple[MeshData | SdfGrid, np.ndarray, str]:
+    """Return the object-space mesh or grid, the transformation to world space, and the mesh's place for messages."""
     to_world = props.transform("to_world")
+    if props.type == SDFGRID:
+        return read_grid(props), to_world, props.where
     if props.type in PRIMITIVES:
         resolution = MIN_RESOLUTION if exact else DEFAULT_RESOLUTION
         if props.type in CURVED and not exact:

@@ -1,0 +1,289 @@
+"""Signed distances on a grid: the surface phi = 0 of what tri-linear interpolation makes of values at nodes.
+
+The nodes fill the corners of [0, 1]^3, in front of the pose ``to_world``. Behind the pose the flat values hold the
+``HEADER``, behind that the grid, x fastest, and then the ``reach`` of each voxel: how many voxels one has to go, along
+the axes or across, to one that the surface may pass; 0 in those. In one voxel phi is a cubic polynomial along a ray.
+
+A point q of [0, 1]^3 is held as two numbers, whose bits are fixed-point coordinates: 21 bits of x, 21 of y, 20 of z.
+
+Derivation: ``docs/theory/implicit.md#grids``.
+"""
+
+import warp as wp
+
+from warp_psdr.kernels.bvh.wide import RayHit
+from warp_psdr.kernels.primitive.affine import from_axes
+from warp_psdr.kernels.reading import load_float
+from warp_psdr.kernels.structs import Scene, Triangle
+
+#: Values between the first one of the pose and the grid: 16 of the pose, the nodes along x, y and z, and whether the
+#: shading normals are smooth.
+HEADER = 20
+#: Components of directions below which a ray does not cross voxels along an axis, voxels a unit of the ray.
+STILL = 1.0e-20
+#: Most steps of a root between its bounds: bisection alone reaches the last bit in fewer.
+ITERATIONS = 48
+#: Steps of the fixed-point coordinates in [0, 1]; those of z are two.
+STEPS = 2097152.0
+
+
+@wp.struct
+class Grid:
+    """Where the values of a grid are."""
+
+    first: wp.int32  # flat offset of the node (0, 0, 0)
+    reach: wp.int32  # the same of the voxels' reaches
+    nx: wp.int32  # nodes
+    ny: wp.int32
+    nz: wp.int32
+    smooth: wp.int32  # 1: shading normals are interpolated
+    cells: wp.vec3  # voxels along the axes
+
+
+@wp.struct
+class Voxel:
+    """The values at the corners of a voxel, named by their x, y, z."""
+
+    v000: wp.float32
+    v100: wp.float32
+    v010: wp.float32
+    v110: wp.float32
+    v001: wp.float32
+    v101: wp.float32
+    v011: wp.float32
+    v111: wp.float32
+
+
+@wp.func
+def grid_of(scene: Scene, tri: Triangle) -> Grid:
+    g = Grid()
+    g.first = tri.i0 + wp.static(HEADER)
+    g.nx = wp.int32(load_float(scene.values, tri.i0 + 16))
+    g.ny = wp.int32(load_float(scene.values, tri.i0 + 17))
+    g.nz = wp.int32(load_float(scene.values, tri.i0 + 18))
+    g.smooth = wp.int32(load_float(scene.values, tri.i0 + 19))
+    g.reach = g.first + g.nx * g.ny * g.nz
+    g.cells = wp.vec3(wp.float32(g.nx - 1), wp.float32(g.ny - 1), wp.float32(g.nz - 1))
+    return g
+
+
+@wp.func
+def voxel_at(scene: Scene, g: Grid, i: wp.int32, j: wp.int32, k: wp.int32) -> Voxel:
+    p = g.first + (k * g.ny + j) * g.nx + i
+    q = p + g.nx * g.ny
+    c = Voxel()
+    c.v000 = load_float(scene.values, p)
+    c.v100 = load_float(scene.values, p + 1)
+    c.v010 = load_float(scene.values, p + g.nx)
+    c.v110 = load_float(scene.values, p + g.nx + 1)
+    c.v001 = load_float(scene.values, q)
+    c.v101 = load_float(scene.values, q + 1)
+    c.v011 = load_float(scene.values, q + g.nx)
+    c.v111 = load_float(scene.values, q + g.nx + 1)
+    return c
+
+
+@wp.func
+def value_and_gradient(c: Voxel, x: wp.vec3) -> wp.vec4:
+    """(gradient, phi) at the place x in a voxel, [0, 1]^3."""
+    x00 = wp.lerp(c.v000, c.v100, x[0])
+    x10 = wp.lerp(c.v010, c.v110, x[0])
+    x01 = wp.lerp(c.v001, c.v101, x[0])
+    x11 = wp.lerp(c.v011, c.v111, x[0])
+    y0 = wp.lerp(x00, x10, x[1])
+    y1 = wp.lerp(x01, x11, x[1])
+    d0 = wp.lerp(c.v100 - c.v000, c.v110 - c.v010, x[1])
+    d1 = wp.lerp(c.v101 - c.v001, c.v111 - c.v011, x[1])
+    return wp.vec4(wp.lerp(d0, d1, x[2]), wp.lerp(x10 - x00, x11 - x01, x[2]), y1 - y0, wp.lerp(y0, y1, x[2]))
+
+
+@wp.func
+def cubic_along(c: Voxel, x: wp.vec3, d: wp.vec3) -> wp.vec4:
+    """Coefficients, constant first, of phi(x + s d) in a voxel."""
+    # phi = a + z b, both of the form (1, x, y, xy) . coefficients.
+    a0 = c.v000
+    a1 = c.v100 - c.v000
+    a2 = c.v010 - c.v000
+    a3 = (c.v110 - c.v010) - a1
+    b0 = c.v001 - c.v000
+    b1 = (c.v101 - c.v001) - a1
+    b2 = (c.v011 - c.v001) - a2
+    b3 = ((c.v111 - c.v011) - (c.v101 - c.v001)) - a3
+    m0 = x[0] * x[1]
+    m1 = x[0] * d[1] + x[1] * d[0]
+    m2 = d[0] * d[1]
+    u0 = a0 + a1 * x[0] + a2 * x[1] + a3 * m0
+    u1 = a1 * d[0] + a2 * d[1] + a3 * m1
+    u2 = a3 * m2
+    w0 = b0 + b1 * x[0] + b2 * x[1] + b3 * m0
+    w1 = b1 * d[0] + b2 * d[1] + b3 * m1
+    w2 = b3 * m2
+    return wp.vec4(u0 + x[2] * w0, u1 + x[2] * w1 + d[2] * w0, u2 + x[2] * w2 + d[2] * w1, d[2] * w2)
+
+
+@wp.func
+def polynomial(c: wp.vec4, s: wp.float32) -> wp.float32:
+    return c[0] + s * (c[1] + s * (c[2] + s * c[3]))
+
+
+@wp.func
+def bracketed(c: wp.vec4, low: wp.float32, high: wp.float32, inside: wp.bool) -> wp.float32:
+    """Where a cubic, monotone in [low, high], becomes negative, or with ``inside`` ceases to be."""
+    a = wp.float32(low)
+    b = wp.float32(high)
+    s = 0.5 * (low + high)
+    for _k in range(wp.static(ITERATIONS)):
+        f = polynomial(c, s)
+        if (f < 0.0) == inside:
+            a = s
+        else:
+            b = s
+        following = s - f / (c[1] + s * (2.0 * c[2] + 3.0 * s * c[3]))
+        # False for NaN, too.
+        if not (following > a and following < b):
+            following = 0.5 * (a + b)
+        if following == s or following == a or following == b:
+            break
+        s = following
+    return s
+
+
+@wp.func
+def first_root(c: wp.vec4, inside: wp.bool) -> wp.float32:
+    """The first s in [0, 1] behind which a cubic is no longer negative (``inside``), or is so; -1: there is none.
+
+    The cubic is monotone between the roots of its derivative.
+    """
+    r0 = wp.float32(1.0)
+    r1 = wp.float32(1.0)
+    discriminant = c[2] * c[2] - 3.0 * c[3] * c[1]
+    if discriminant > 0.0:
+        q = -(c[2] + wp.where(c[2] >= 0.0, 1.0, -1.0) * wp.sqrt(discriminant))
+        # Infinite where the cubic is a parabola; q is not 0.
+        a = q / (3.0 * c[3])
+        b = c[1] / q
+        r0 = wp.clamp(wp.min(a, b), 0.0, 1.0)
+        r1 = wp.clamp(wp.max(a, b), 0.0, 1.0)
+    low = wp.float32(0.0)
+    for piece in range(3):
+        high = wp.where(piece == 0, r0, wp.where(piece == 1, r1, 1.0))
+        if high > low or piece == 2:
+            if (polynomial(c, high) < 0.0) != inside:
+                return bracketed(c, low, high, inside)
+            low = high
+    return -1.0
+
+
+@wp.func
+def pack(q: wp.vec3) -> wp.vec2:
+    """Two numbers whose bits hold a point of [0, 1]^3; both are finite: bit 30 is 0."""
+    x = wp.min(wp.uint32(wp.clamp(q[0], 0.0, 1.0) * wp.static(STEPS)), wp.uint32(2097151))
+    y = wp.min(wp.uint32(wp.clamp(q[1], 0.0, 1.0) * wp.static(STEPS)), wp.uint32(2097151))
+    z = wp.min(wp.uint32(wp.clamp(q[2], 0.0, 1.0) * wp.static(0.5 * STEPS)), wp.uint32(1048575))
+    low = z & wp.uint32(1023)
+    high = z >> wp.uint32(10)
+    a = x | ((low & wp.uint32(511)) << wp.uint32(21)) | ((low >> wp.uint32(9)) << wp.uint32(31))
+    b = y | ((high & wp.uint32(511)) << wp.uint32(21)) | ((high >> wp.uint32(9)) << wp.uint32(31))
+    return wp.vec2(wp.cast(a, wp.float32), wp.cast(b, wp.float32))
+
+
+@wp.func
+def unpack(u: wp.float32, v: wp.float32) -> wp.vec3:
+    """The point that two numbers hold."""
+    a = wp.cast(u, wp.uint32)
+    b = wp.cast(v, wp.uint32)
+    low = ((a >> wp.uint32(21)) & wp.uint32(511)) | ((a >> wp.uint32(31)) << wp.uint32(9))
+    high = ((b >> wp.uint32(21)) & wp.uint32(511)) | ((b >> wp.uint32(31)) << wp.uint32(9))
+    return wp.vec3(
+        (wp.float32(a & wp.uint32(2097151)) + 0.5) * wp.static(1.0 / STEPS),
+        (wp.float32(b & wp.uint32(2097151)) + 0.5) * wp.static(1.0 / STEPS),
+        (wp.float32(low | (high << wp.uint32(10))) + 0.5) * wp.static(2.0 / STEPS),
+    )
+
+
+@wp.func
+def reciprocal(x: wp.float32) -> wp.float32:
+    """1 / x, of a finite number of its sign where x is next to 0."""
+    return 1.0 / wp.where(wp.abs(x) < wp.static(STILL), wp.where(x < 0.0, -wp.static(STILL), wp.static(STILL)), x)
+
+
+@wp.func
+def reach_of(scene: Scene, g: Grid, i: wp.int32, j: wp.int32, k: wp.int32) -> wp.int32:
+    return wp.int32(load_float(scene.values, g.reach + (k * (g.ny - 1) + j) * (g.nx - 1) + i))
+
+
+@wp.func
+def next_voxel(i: wp.int32, forward: wp.int32, more: wp.int32, x: wp.float32, crossed: wp.bool) -> wp.int32:
+    """The index behind a block of ``more`` voxels around the ``i``-th, left at x, whether or not through this axis."""
+    if crossed:
+        return wp.where(forward == 1, i + 1 + more, i - 1 - more)
+    return wp.where(forward == 1, wp.clamp(wp.int32(x), i, i + more), wp.clamp(wp.int32(x), i - more, i))
+
+
+@wp.func
+def sdfgrid_hit(scene: Scene, tri: Triangle, o: wp.vec3, d: wp.vec3, t_max: wp.float32) -> RayHit:
+    """The first point of a ray on the surface, 0 <= t < t_max; ``face`` is -1 if there is none.
+
+    The ray goes from voxel to voxel, over all at once that its reach says are empty. It carries the sign that phi has
+    where it starts, or enters the box, and a voxel is asked where that sign ends, not whether its own two ends differ:
+    no crossing is lost between two voxels. Each step moves on along one axis, and none moves back along any, so there
+    are fewer steps than nodes along the three axes.
+    """
+    hit = RayHit()
+    hit.t = t_max
+    hit.face = -1
+    g = grid_of(scene, tri)
+    start = wp.cw_mul(g.cells, from_axes(tri, o - tri.normal))
+    w = wp.cw_mul(g.cells, from_axes(tri, d))
+    inverse = wp.vec3(reciprocal(w[0]), reciprocal(w[1]), reciprocal(w[2]))
+    a = wp.cw_mul(-start, inverse)
+    b = wp.cw_mul(g.cells - start, inverse)
+    near = wp.max(wp.max(wp.min(a, b)), 0.0)
+    end = wp.min(wp.min(wp.max(a, b)), t_max) - near
+    if not (end > 0.0):
+        return hit
+    # From here distances are counted from where the ray enters the box.
+    p = wp.max(wp.min(start + near * w, g.cells), wp.vec3(0.0, 0.0, 0.0))
+    i = wp.clamp(wp.int32(p[0]), 0, g.nx - 2)
+    j = wp.clamp(wp.int32(p[1]), 0, g.ny - 2)
+    k = wp.clamp(wp.int32(p[2]), 0, g.nz - 2)
+    si = wp.where(inverse[0] > 0.0, 1, 0)
+    sj = wp.where(inverse[1] > 0.0, 1, 0)
+    sk = wp.where(inverse[2] > 0.0, 1, 0)
+    reach = reach_of(scene, g, i, j, k)
+    # A voxel that the surface does not pass has one sign.
+    inside = load_float(scene.values, g.first + (k * g.ny + j) * g.nx + i) < 0.0
+    if reach == 0:
+        cell = wp.vec3(wp.float32(i), wp.float32(j), wp.float32(k))
+        inside = value_and_gradient(voxel_at(scene, g, i, j, k), p - cell)[3] < 0.0
+    s = wp.float32(0.0)
+    while s < end and i >= 0 and j >= 0 and k >= 0 and i < g.nx - 1 and j < g.ny - 1 and k < g.nz - 1:
+        reach = reach_of(scene, g, i, j, k)
+        # Voxels besides this one, to every side, that are passed at once.
+        more = wp.max(reach - 1, 0)
+        tx = (wp.float32(wp.where(si == 1, i + 1 + more, i - more)) - p[0]) * inverse[0]
+        ty = (wp.float32(wp.where(sj == 1, j + 1 + more, j - more)) - p[1]) * inverse[1]
+        tz = (wp.float32(wp.where(sk == 1, k + 1 + more, k - more)) - p[2]) * inverse[2]
+        out = wp.max(wp.min(wp.min(tx, ty), wp.min(tz, end)), s)
+        if reach == 0:
+            voxel = voxel_at(scene, g, i, j, k)
+            cell = wp.vec3(wp.float32(i), wp.float32(j), wp.float32(k))
+            x = p + s * w - cell
+            way = (out - s) * w
+            root = first_root(cubic_along(voxel, x, way), inside)
+            if root >= 0.0:
+                t = near + s + root * (out - s)
+                if t < t_max:
+                    q = pack(wp.cw_div(cell + x + root * way, g.cells))
+                    hit.t = t
+                    hit.u = q[0]
+                    hit.v = q[1]
+                    hit.face = 0
+                return hit
+        s = out
+        along_x = tx <= ty and tx <= tz
+        along_y = not along_x and ty <= tz
+        i = next_voxel(i, si, more, p[0] + s * w[0], along_x)
+        j = next_voxel(j, sj, more, p[1] + s * w[1], along_y)
+        k = next_voxel(k, sk, more, p[2] + s * w[2], not along_x and not along_y)
+    return hit

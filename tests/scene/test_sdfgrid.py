@@ -1,0 +1,139 @@
+"""Grids of signed distances: what loads, what is refused, and how they follow edits."""
+
+import numpy as np
+import pytest
+
+import warp_psdr as psdr
+from warp_psdr.options import boundary, interior
+from warp_psdr.scene.sdfgrid import reaches
+
+T = psdr.Transform
+AT = np.linspace(0.0, 1.0, 6)
+Z, Y, X = np.meshgrid(AT, AT, AT, indexing="ij")
+BALL = (np.sqrt((X - 0.5) ** 2 + (Y - 0.5) ** 2 + (Z - 0.5) ** 2) - 0.4).astype(np.float32)
+FLAT = np.diag([1.0, 1.0, 0.0, 1.0])
+TILES = {"type": "bitmap", "bitmap": np.ones((2, 2, 3))}
+
+
+def described(**properties) -> dict:
+    film = {"type": "hdrfilm", "width": 4, "height": 4}
+    sensor = {"type": "perspective", "to_world": T.look_at([0.5, -3, 0.5], [0.5, 0, 0.5], [0, 0, 1]), "film": film}
+    body = {"type": "sdfgrid", **({} if "filename" in properties else {"grid": BALL}), **properties}
+    return {"type": "scene", "sensor": sensor, "sky": {"type": "constant"}, "body": body}
+
+
+def spoiled(value: float) -> np.ndarray:
+    values = BALL.copy()
+    values[1, 2, 3] = value
+    return values
+
+
+@pytest.mark.parametrize(
+    ("properties", "problem"),
+    [
+        ({"grid": BALL[0]}, r"got the shape \(6, 6\).*give numbers \(Z, Y, X\)"),
+        ({"grid": BALL[:1]}, "2 or more nodes along each axis"),
+        ({"grid": np.stack([BALL, BALL], axis=-1)}, r"got the shape \(6, 6, 6, 2\)"),
+        ({"grid": "ball"}, "no array of numbers"),
+        ({"grid": spoiled(np.nan)}, "1 of 216 values are not finite"),
+        ({"grid": spoiled(np.inf)}, "1 of 216 values are not finite"),
+        ({"normals": "flat"}, "got 'flat'.*give one of: smooth, analytic"),
+        ({"face_normals": True}, "'normals': 'analytic'"),
+        ({"to_world": FLAT}, "singular|no inverse"),
+        ({"filename": "ball.vol", "grid": BALL}, "got filename and grid"),
+        ({"emitter": {"type": "area"}}, "an emitter on a 'sdfgrid'.*'mesh'"),
+        ({"sensor": {"type": "irradiancemeter"}}, "a sensor on a 'sdfgrid'"),
+        ({"interior": {"type": "homogeneous"}, "bsdf": {"type": "null"}}, "a medium on a 'sdfgrid'"),
+        ({"bsdf": {"type": "diffuse", "reflectance": TILES}}, "'bitmap' for 'reflectance'.*no texture coordinates"),
+        ({"bsdf": {"type": "roughconductor", "alpha_u": 0.1, "alpha_v": 0.2}}, "two roughnesses"),
+        (
+            {"bsdf": {"type": "normalmap", "normalmap": TILES, "a": {"type": "diffuse"}}},
+            "no texture coordinates",
+        ),
+    ],
+)
+def test_what_it_does_not_do_is_refused(properties: dict, problem: str) -> None:
+    with pytest.raises(ValueError, match=problem):
+        psdr.load_dict(described(**properties))
+
+
+def test_values_are_needed() -> None:
+    nothing = described()
+    del nothing["body"]["grid"]
+    with pytest.raises(ValueError, match="there are no values; give one of 'filename'"):
+        psdr.load_dict(nothing)
+
+
+def test_it_is_refused_in_groups() -> None:
+    whole = described()
+    whole["group"] = {"type": "shapegroup", "body": whole.pop("body")}
+    whole["copy"] = {"type": "instance", "group": {"type": "ref", "id": "group"}}
+    with pytest.raises(ValueError, match="a 'sdfgrid' inside a 'shapegroup'"):
+        psdr.load_dict(whole)
+
+
+@pytest.mark.parametrize(("sign", "missing"), [(1.0, "negative"), (-1.0, "positive")])
+def test_one_sign_is_empty_and_noted(sign: float, missing: str) -> None:
+    with pytest.warns(psdr.SceneWarning, match=f"no value is {missing}, so the shape is empty"):
+        held = psdr.load_dict(described(grid=sign * (np.abs(BALL) + 0.1)))
+    assert psdr.render(held, spp=4).numpy() == pytest.approx(1.0)
+
+
+def test_parameters_files_and_updates(tmp_path) -> None:
+    mi = pytest.importorskip("mitsuba")
+    mi.set_variant("scalar_rgb")
+    mi.VolumeGrid(BALL[..., None]).write(str(tmp_path / "ball.vol"))
+    held = psdr.load_dict(described(filename=str(tmp_path / "ball.vol")))
+    params = psdr.traverse(held)
+    assert params["body.grid"].shape == (6, 6, 6, 1) and "body.to_world" in params
+    np.testing.assert_array_equal(params["body.grid"].numpy()[..., 0], BALL)
+    with pytest.raises(KeyError, match=r"its parameters are 'body.grid' and 'body.to_world'"):
+        params["body.vertex_positions"]
+    said = str(psdr.plan(held))
+    assert "distance grids" in said and "6 x 6 x 6" in said
+
+    def image() -> np.ndarray:
+        return psdr.render(held, spp=16, seed=3).numpy()
+
+    # A new grid, and a new pose, render as if they had been loaded.
+    for name, value in (("grid", BALL + 0.15), ("to_world", T.translate([0.3, 0.0, 0.0]).scale(0.7).matrix)):
+        before = image()
+        params[f"body.{name}"] = value[..., None] if name == "grid" else value
+        params.update()
+        fresh = psdr.load_dict(described(grid=BALL + 0.15, **({name: value} if name == "to_world" else {})))
+        assert (image() != before).any()
+        np.testing.assert_allclose(image(), psdr.render(fresh, spp=16, seed=3).numpy(), atol=1e-5)
+    params["body.grid"].assign(spoiled(np.nan)[..., None])
+    with pytest.raises(ValueError, match=r"body.grid is nan in 1 of 216 places after an edit; write finite values"):
+        params.update()
+
+
+def test_reaches_are_chessboard_distances() -> None:
+    found = reaches(BALL[..., None])
+    passed = np.argwhere(found == 0.0)
+    for cell in np.ndindex(found.shape):
+        assert found[cell] == np.abs(passed - cell).max(axis=1).min()
+    corners = [(BALL[o : o + 5, p : p + 5, q : q + 5] < 0.0) for o, p, q in np.ndindex(2, 2, 2)]
+    np.testing.assert_array_equal(found == 0.0, np.any(corners, axis=0) & ~np.all(corners, axis=0))
+
+
+@pytest.mark.parametrize("form", ["auto", None, boundary.PathSpace()], ids=["auto", "none", "path space"])
+@pytest.mark.parametrize("name", ["body.grid", "body.to_world", "sensor.to_world", "wall.vertex_positions"])
+def test_what_moves_is_refused(name: str, form) -> None:
+    whole = described()
+    whole["wall"] = {"type": "rectangle"}
+    held = psdr.load_dict(whole)
+    expected = "derivatives by 'body.grid' are not" if name == "body.grid" else "with boundary=None neither"
+    with pytest.raises(ValueError, match=f"'body' is a 'sdfgrid', and .*{expected}.*'mesh'"):
+        psdr.plan(held, integrator=psdr.PathIntegrator(boundary=form), names=[name])
+
+
+def test_other_ways_are_refused() -> None:
+    held = psdr.load_dict(described())
+    with pytest.raises(ValueError, match=r"paths from the lights do not meet it; use interior.Replay\(\)"):
+        psdr.plan(held, integrator=psdr.PathIntegrator(interior=interior.LightTracing()))
+    whole = described()
+    fog = {"type": "homogeneous", "sigma_t": 0.1}
+    whole["box"] = {"type": "cube", "to_world": T.scale(9.0), "bsdf": {"type": "null"}, "interior": fog}
+    with pytest.raises(ValueError, match="participating media do not know it"):
+        psdr.plan(psdr.load_dict(whole))

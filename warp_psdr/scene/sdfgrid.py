@@ -1,0 +1,135 @@
+"""Shapes that are the zero set of a grid of signed distances: how they are read (``kernels/primitive/sdfgrid.py``)."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from scipy.ndimage import distance_transform_cdt
+
+from .bsdfs import BsdfDescription, model_of
+from .description import SdfGrid, ShapeDescription
+from .errors import SceneError, error
+from .exact import singular
+from .layout import SHAPE_GRID, Parameter
+from .transforms import transform_points
+from .volume_files import MOST_VALUES, read_vol
+
+if TYPE_CHECKING:
+    from .plugins import Properties
+    from .scene import Scene
+
+#: The plugin.
+SDFGRID = "sdfgrid"
+#: Corners of its box.
+CORNERS = np.array(list(itertools.product((0.0, 1.0), repeat=3)), np.float32)
+#: What the errors offer.
+INSTEAD = "extract its triangles (wp.MarchingCubes, skimage.measure.marching_cubes) and give them as a 'mesh'"
+#: Textures that are read by texture coordinates.
+_READ_UV = ("bitmap", "checkerboard")
+
+
+def read_grid(props: Properties) -> SdfGrid:
+    """Take the values of a ``sdfgrid`` and how its shading normals are found.
+
+    Raises:
+        ValueError: there are none, they are no grid, or not finite.
+    """
+    if props.has("face_normals"):
+        raise error(props.where, f"'face_normals' on a '{SDFGRID}'", "say 'normals': 'analytic'")
+    normals = props.string("normals", "smooth", ("smooth", "analytic"))
+    given = [key for key in ("filename", "grid") if props.has(key)]
+    sources = {key: props.take(key) for key in ("filename", "grid")}
+    if len(given) != 1:
+        problem = f"got {' and '.join(given)}" if given else "there are no values"
+        raise error(props.where, problem, "give one of 'filename' (a .vol file) and 'grid' (an array (Z, Y, X))")
+    place, value = props.place(given[0]), sources[given[0]]
+    values = _file(props, value, place) if given[0] == "filename" else _array(value)
+    values = values[..., None] if values.ndim == 3 else values
+    if values.ndim != 4 or values.shape[3] != 1 or min(values.shape[:3]) < 2:
+        shape = f"the shape {values.shape}" if values.ndim else "no array of numbers"
+        raise error(place, f"got {shape}", "give numbers (Z, Y, X) or (Z, Y, X, 1), 2 or more nodes along each axis")
+    if values.size > MOST_VALUES:
+        raise error(place, f"got {values.size} values", f"give at most {MOST_VALUES}")
+    props.context.count(values.size, place)
+    wrong = int((~np.isfinite(values)).sum())
+    if wrong:
+        raise error(place, f"{wrong} of {values.size} values are not finite", "give finite signed distances")
+    if (values >= 0.0).all() or (values < 0.0).all():
+        missing = "positive" if values[0, 0, 0, 0] < 0.0 else "negative"
+        props.context.note(f"{place}: no value is {missing}, so the shape is empty")
+    return SdfGrid(np.ascontiguousarray(values), normals == "smooth")
+
+
+def reaches(values: np.ndarray) -> np.ndarray:
+    """Return of each voxel how many voxels it is away from one whose corners differ in sign, (Z, Y, X); 0 in those.
+
+    Args:
+        values: of the nodes, (Z, Y, X, 1).
+    """
+    inside = values[..., 0] < 0.0
+    corners = [
+        inside[tuple(slice(o, n - 1 + o) for o, n in zip(offset, inside.shape, strict=True))]
+        for offset in itertools.product((0, 1), repeat=3)
+    ]
+    passed = np.any(corners, axis=0) & ~np.all(corners, axis=0)
+    if not passed.any():
+        return np.full(passed.shape, float(max(passed.shape)), np.float32)
+    return distance_transform_cdt(~passed, metric="chessboard").astype(np.float32)
+
+
+def follow_grids(scene: Scene, changed: Iterable[Parameter], held: np.ndarray) -> None:
+    """Let the reaches follow the grids that have changed; ``held``: the flat values on the host."""
+    for p in changed:
+        if SHAPE_GRID in p.uses:
+            found = reaches(held[p.offset : p.offset + p.size].reshape(p.shape)).reshape(-1)
+            scene.values[p.offset + p.size : p.offset + p.size + found.size].assign(found)
+
+
+def _file(props: Properties, name: Any, place: str) -> np.ndarray:
+    try:
+        return read_vol(props.context.file(name, place))[0]
+    except SceneError:
+        raise
+    except ValueError as problem:
+        raise SceneError(f"{place}: {problem}") from None
+
+
+def _array(value: Any) -> np.ndarray:
+    try:
+        values = np.asarray(value.numpy() if hasattr(value, "numpy") else value)
+        return values.astype(np.float32) if values.dtype.kind in "iuf" else np.empty((), np.float32)
+    except (TypeError, ValueError):
+        return np.empty((), np.float32)
+
+
+def grid_shape(props: Properties, grid: SdfGrid, to_world: np.ndarray, bsdf: BsdfDescription) -> ShapeDescription:
+    """Return the shape, to which its sides are added.
+
+    Raises:
+        ValueError: its pose has no inverse, or its material reads texture coordinates.
+    """
+    reason = singular(to_world)
+    if reason:
+        raise error(props.where, reason, "give it an extent along all axes")
+    for side in (bsdf, *(() if bsdf.back is None else (bsdf.back,))):
+        for name, texture in side.textures.items():
+            if texture.kind in _READ_UV:
+                problem = f"a '{texture.kind}' for '{name}' on a '{SDFGRID}', which has no texture coordinates"
+                raise error(props.where, problem, f"give a number or a colour, or {INSTEAD}")
+        if any(side.textures.get(u) is not side.textures.get(v) for u, v in model_of(side).axes):
+            problem = f"two roughnesses on a '{SDFGRID}', which has no texture coordinates to align them with"
+            raise error(props.where, problem, "give one 'alpha'")
+    return ShapeDescription(
+        path=props.path,
+        kind=props.type,
+        vertices=transform_points(to_world, CORNERS).astype(np.float32),
+        faces=np.zeros((0, 3), np.int32),
+        bsdf=bsdf,
+        to_world=to_world.astype(np.float32),
+        local_vertices=CORNERS,
+        primitive=SDFGRID,
+        grid=grid,
+    )
