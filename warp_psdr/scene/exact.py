@@ -10,6 +10,7 @@ import itertools
 from typing import TYPE_CHECKING
 
 import numpy as np
+import warp as wp
 
 from warp_psdr.device import launch
 from warp_psdr.kernels import constants as c
@@ -97,6 +98,12 @@ def update_record(scene: Scene, shape: int) -> None:
     place = scene.face_count + scene.builder.primitives.index(shape)
     inputs = [scene.values, pose, shape, KINDS[s.primitive], scene.builder.shapes[shape].orientation, place]
     launch(update_primitive, dim=1, inputs=inputs, outputs=[scene.triangles], device=scene.device)
+
+
+def record_numbers(scene: Scene, shapes: frozenset[int] | None) -> wp.array | None:
+    """Return the numbers of the records of some shapes without triangles (None: of all); None: there are none."""
+    found = [scene.face_count + k for k, i in enumerate(scene.builder.primitives) if shapes is None or i in shapes]
+    return wp.array(np.array(found, np.int32), dtype=wp.int32, device=scene.device) if found else None
 
 
 def sphere_points(u, v) -> np.ndarray:

@@ -19,8 +19,9 @@ from warp_psdr.estimate.boundary.terms import (
     indirect_terminator,
     intersection_curve,
     primary,
+    primary_silhouette,
     secondary,
-    silhouettes,
+    secondary_silhouette,
     terminator,
     through_mirrors,
 )
@@ -38,12 +39,12 @@ if TYPE_CHECKING:
 #: All terms, in the order in which they are estimated.
 ALL: tuple[BoundaryTerm, ...] = (
     primary.TERM,
-    silhouettes.PRIMARY,
+    primary_silhouette.TERM,
     flat_creases.TERM,
     creases.TERM,
     terminator.TERM,
     secondary.TERM,
-    silhouettes.SECONDARY,
+    secondary_silhouette.TERM,
     edge_sampling.TERM,
     hard_shadows.TERM,
     intersection_curve.TERM,

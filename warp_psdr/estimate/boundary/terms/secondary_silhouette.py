@@ -1,0 +1,44 @@
+"""Smooth silhouettes of shapes without triangles between two path vertices."""
+
+from __future__ import annotations
+
+from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term, term_of
+from warp_psdr.kernels.boundary.silhouette.secondary import make_secondary_silhouette_kernel
+from warp_psdr.options.boundary import PathSpace
+from warp_psdr.plan.motion import moving_shapes
+from warp_psdr.scene.exact import record_numbers
+
+#: Share of the segments whose direction is drawn uniformly instead of towards a light, as ``secondary.py``'s; where the
+#: camera sees nothing but lights' own light, and no light is everywhere, those alone count that end on one.
+UNIFORM_SHARE_DIRECT, UNIFORM_SHARE = 0.1, 0.5
+
+
+def applies(r: Request) -> bool:
+    """Whether light is scattered beside such shapes, and anything moves."""
+    lit = r.plan.max_depth != 1 and bool(r.scene.builder.emitters)
+    return bool(r.config.primitives) and lit and r.moves.edges and r.scatters_smoothly
+
+
+def launch(r: Request) -> Term | None:
+    """Return the term of the silhouettes between two path vertices, neither of which need be on a shape that moves."""
+    faces = record_numbers(r.scene, None)
+    if faces is None:
+        return None
+    kernel = make_secondary_silhouette_kernel(r.config, r.role, r.moves.camera, r.moves.light_pose, r.indirect)
+    aimed = r.plan.max_depth == 2 and r.scene.builder.environment < 0
+    share = UNIFORM_SHARE_DIRECT if aimed else UNIFORM_SHARE
+    samples = r.pixels * (r.method.spp_secondary or r.spp)
+    head = [r.scene.data(), r.camera, faces, moving_shapes(r.scene, r.moves), share]
+    return term_of(r, TERM, kernel, head, samples)
+
+
+TERM = BoundaryTerm(
+    name="secondary_silhouette",
+    title="{} silhouettes of exact shapes",
+    stream=10,
+    methods=(PathSpace,),
+    launch=launch,
+    applies=applies,
+    splits=True,
+    exact=True,
+)
