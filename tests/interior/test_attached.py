@@ -361,7 +361,6 @@ def test_directions_that_may_cross_edges_are_refused():
         (description(metal(), floor=floor), "rays that leave 'thing' may meet surfaces"),
         (description(metal(), lamp=lamp), "rays that leave 'thing' may meet surfaces"),
         (description(metal()) | {"thing": smooth}, "interpolated normals"),
-        (description(metal()) | {"thing": smooth | {"exact": True}}, "has no triangles"),
     ):
         text = refused(scene, [ALPHA])
         assert said in text and row.numbers in text and row.reason in text

@@ -202,11 +202,10 @@ def refused(scene, names, said, method=None):
         (lit_by_ceiling(border=False), "sample_border=true"),
         (lit_by_ceiling() | {"ball": {"type": "sphere", "to_world": psdr.Transform.scale(0.2)}}, "flat normals alone"),
         (lit_by_ceiling() | {"box": {"type": "cube", "to_world": psdr.Transform.scale(0.2)}}, "closed convex room"),
-        (lit_by_ceiling() | {"ball": {"type": "sphere", "radius": 0.2, "exact": True}}, "rooms of triangles alone"),
         ({**lit_by_point(), "walls": walls(range(5))}, "closed convex room"),
         (lit_by_point() | {"walls": walls(range(6), bsdf={"type": "conductor"})}, "mirrors, glass and masks"),
     ],
-    ids=["box filter", "cut filters", "smooth", "something inside", "exact", "open", "mirrors"],
+    ids=["box filter", "cut filters", "smooth", "something inside", "open", "mirrors"],
 )
 def test_what_has_other_terms_is_refused(scene, said):
     refused(scene, ["sensor.to_world"], said)

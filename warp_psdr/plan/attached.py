@@ -93,9 +93,6 @@ def _other_model(scene: Scene, shape: int, name: str) -> str:
 def _crossed(scene: Scene, shape: int, name: str) -> str:
     """Return what a direction that moves may cross; empty: it leaves the scene, whatever it is."""
     path = scene.description.shapes[shape].path
-    if scene.builder.primitives:
-        exact = scene.description.shapes[scene.builder.primitives[0]].path
-        return f"rays may meet {exact!r}, which has no triangles (leave out 'exact')"
     faces = scene.builder.face_shape == shape
     if (interpolated_faces(scene) & faces).any():
         return (

@@ -61,9 +61,6 @@ def refused_for_what_is_seen(_method: interior.Method, scene: Scene, names: list
                 f"{NAME} moves a room only if it is one shape, for others leave gaps or hide each other, and {name} "
                 f"moves one of {len(scene.description.shapes)}: {INSTEAD}"
             )
-    if scene.builder.primitives:
-        exact = scene.description.shapes[scene.builder.primitives[0]].path
-        return f"{NAME} knows rooms of triangles alone, and {exact!r} has none; leave out 'exact', or {INSTEAD}"
     if interpolated_faces(scene).any():
         return f"{NAME} knows flat normals alone; give shapes face_normals, or {INSTEAD}"
     pose = scene.values.numpy()[camera.to_world : camera.to_world + 16].reshape(4, 4)
