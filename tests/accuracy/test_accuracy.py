@@ -277,6 +277,7 @@ def test_every_pixel_is_met_as_often_as_its_weight_says(soft):
     assert thinned.samples(2) < 0.6 * 2 * scenes.SIZE**2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("role", ["reverse", "forward"])
 def test_thinned_batches_are_unbiased(soft, role):
     scene, params = soft
@@ -385,6 +386,7 @@ def test_report_is_drawn(report, tmp_path):
         assert word in text
 
 
+@pytest.mark.slow
 def test_image_and_derivative_have_reports(soft):
     scene, params = soft
     image = psdr.accuracy(scene, integrator=INTEGRATOR, seconds=0.3)

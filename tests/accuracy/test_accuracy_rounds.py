@@ -72,7 +72,7 @@ def test_batches_are_small_enough_for_many(monkeypatch):
     assert term.seconds < 2.0 * 4.0 / 64.0
 
 
-@pytest.mark.slow_rows("True-0.87")
+@pytest.mark.slow
 @pytest.mark.parametrize(("heavy", "gain"), [(True, 0.87), (False, 1.0)])
 def test_both_sizes_tell_the_variance(monkeypatch, heavy, gain):
     what = made_up(monkeypatch, (1.0, 0.0), heavy=heavy)

@@ -17,6 +17,7 @@ def test_derivatives_equal_finite_differences(case: Case, mode: str) -> None:
     assert_agrees(derivatives(case, mode), differences(case)[2])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", [c for c in CASES if not c.slow], ids=str)
 def test_the_table_can_tell_a_missing_boundary_term(case: Case) -> None:
     value, error = slope(derivatives(case, "forward", None), differences(case)[2])

@@ -212,6 +212,7 @@ def test_light_next_to_a_round_wall_that_moves() -> None:
     assert_received(of_floor(profile, WIDE, 0.02, True, "forward"), expected, 0.01)
 
 
+@pytest.mark.slow
 def test_a_speck_makes_no_corner_noisy() -> None:
     """The weight follows from the two surfaces that meet, whatever else there is."""
     speck = ball((0.5, 0.5, 1.5), 0.02, diffuse(0.5))

@@ -139,6 +139,7 @@ def test_derivatives_equal_finite_differences(case: Case, mode: str) -> None:
     assert_agrees(derivatives(case, mode), differences(case)[2])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", [c for c in CASES if c.scene == "glowing box" and not c.slow], ids=str)
 def test_the_table_can_tell_missing_curves(case: Case, monkeypatch) -> None:
     rest = tuple(t for t in terms.TERMS[psdr.boundary.PathSpace] if t.name != "intersection_curve")

@@ -40,6 +40,7 @@ CASES = [
 ]
 
 
+@pytest.mark.slow_rows("soft, occluder moves, depth 2-forward")
 @pytest.mark.parametrize("mode", ["forward", "reverse"])
 @pytest.mark.parametrize("case", rows(CASES))
 def test_derivatives_equal_finite_differences(case: Case, mode: str) -> None:

@@ -247,6 +247,7 @@ ROWS = [
 ]
 
 
+@pytest.mark.slow_rows("soft, occluder moves, depth 2-forward-kdtree")
 @pytest.mark.parametrize("name", METHODS)
 @pytest.mark.parametrize("mode", ["forward", "reverse"])
 @pytest.mark.parametrize("case", rows(ROWS))

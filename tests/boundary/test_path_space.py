@@ -23,6 +23,7 @@ def gradients(scene, params, names, adjoint, **options):
     return {n: params[n].grad.numpy().copy() for n in names}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "names"),
     [

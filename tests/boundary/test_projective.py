@@ -72,7 +72,7 @@ def traced(scene, name, kind, paths, depth=2):
     return (edges, *projective._trace(r, edges, neighbours(scene, edges), kind, paths))
 
 
-@pytest.mark.slow_rows("1-0", "1-1")
+@pytest.mark.slow_rows("1-0", "1-1", "5-0")
 @pytest.mark.parametrize(("subdivisions", "kind"), [(1, BLOCKED_LIGHT), (1, SCATTERED), (5, BLOCKED_LIGHT)])
 def test_rays_that_the_occluder_stops_are_projected(subdivisions, kind) -> None:
     """On 20,480 triangles a walk of 30 steps does not reach the silhouette: jumps do."""
@@ -91,6 +91,7 @@ def test_rays_that_the_occluder_stops_are_projected(subdivisions, kind) -> None:
     assert (shapes == 1).sum() > 50
 
 
+@pytest.mark.slow_rows("point-light")
 @pytest.mark.parametrize(
     ("name", "technique"),
     [

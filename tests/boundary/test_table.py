@@ -101,7 +101,7 @@ CASES = [
 ]
 
 
-@pytest.mark.slow_rows("silhouette tent, moves, depth 2-forward")
+@pytest.mark.slow_rows("silhouette tent, moves, depth 2-forward", "silhouette tent, moves, depth 2-reverse")
 @pytest.mark.parametrize("mode", ["forward", "reverse"])
 @pytest.mark.parametrize("case", rows(CASES))
 def test_derivatives_equal_finite_differences(case: Case, mode: str) -> None:

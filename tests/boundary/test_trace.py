@@ -88,6 +88,7 @@ def test_the_first_invalid_sample_leads_to_the_texel_that_made_it(kind: str, mod
     np.testing.assert_array_equal(same.position, edge.position)
 
 
+@pytest.mark.slow
 def test_a_segment_runs_from_the_floor_past_the_edge_to_the_light() -> None:
     scene = psdr.load_dict(scene_dict(lookup="bilinear"))
     params = psdr.traverse(scene)

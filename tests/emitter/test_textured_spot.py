@@ -87,6 +87,7 @@ def test_derivatives_equal_differences(lit, name):
     assert_same_mean(blocks(forward, 4) / scale, blocks(differences, 4) / scale, name, DIFFERENCE_TOLERANCE)
 
 
+@pytest.mark.slow
 def test_reverse_and_forward_agree(lit):
     scene, params, directions = lit
     options = {"integrator": psdr.PathIntegrator(max_depth=2), "spp": 16, "seed": 3}

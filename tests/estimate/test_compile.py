@@ -54,16 +54,19 @@ def test_results_do_not_depend_on_the_cache(cold_and_warm) -> None:
     assert cold[0].split()[1:] == warm[0].split()[1:]
 
 
+@pytest.mark.slow
 def test_compile_names_what_it_has_compiled_and_leaves_nothing_to_do(cold_and_warm) -> None:
     (cold, _), (warm, _) = cold_and_warm
     assert int(cold[0].split()[0]) >= 2 and cold[1] == "0"
     assert int(warm[0].split()[0]) == 0
 
 
+@pytest.mark.slow
 def test_warp_writes_nothing_to_standard_output(cold_and_warm) -> None:
     assert [len(out) for out, _err in cold_and_warm] == [2, 2]  # the program's own lines
 
 
+@pytest.mark.slow
 def test_a_line_says_what_is_compiled_and_only_then(cold_and_warm) -> None:
     (_, cold), (_, warm) = cold_and_warm
     assert cold and all(line.startswith("warp_psdr: compiling ") for line in cold) and warm == []

@@ -128,6 +128,7 @@ def signs(name, parameter, tangent, spp=64):
     return np.sign(forward(name, parameter, tangent, psdr.interior.Antithetic(), 77, spp=spp)).astype(np.float32)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["mapped", *(pytest.param(n, marks=pytest.mark.slow) for n in list(SCENES)[1:])])
 def test_mean_is_that_of_replay(name):
     batches, spp = (32, 16) if name == "mapped" else (64, 32)
@@ -143,6 +144,7 @@ def test_mean_is_that_of_replay(name):
         assert abs(a.mean() - b.mean()) < Z * error, (parameter, a.mean(), b.mean(), error)
 
 
+@pytest.mark.slow
 def test_the_rest_is_replayed_beside_it():
     _ball, _floor, paired, others = SCENES["mapped"]
     first = sum(load("mapped")[1][name].size for name in paired)

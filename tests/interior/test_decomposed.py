@@ -21,6 +21,7 @@ def signs(name, parameter):
     return np.sign(forward(name, {parameter: 1.0}, psdr.interior.Resampled(), 77, spp=256)).astype(np.float32)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["metal", *(pytest.param(n, marks=pytest.mark.slow) for n in METALS[1:])])
 def test_mean_is_that_of_replay(name):
     _material, branched, _others = SCENES[name]
@@ -46,6 +47,7 @@ def test_several_roughnesses_take_turns():
     assert (np.abs(a.mean(0)) > 5.0 * error).all() and (np.abs(a.mean(0) - b.mean(0)) < Z * error).all()
 
 
+@pytest.mark.slow
 def test_the_rest_is_replayed_beside_it():
     _material, branched, others = SCENES["metal"]
     alone = backward("metal", others, psdr.interior.Replay(), [5])[0]
@@ -117,6 +119,7 @@ def test_slope_of_finite_differences(name, parameter, step):
     assert abs(gradient.mean() / slopes.mean() - 1.0) < SLOPE + 2.0 * noise
 
 
+@pytest.mark.slow
 def test_less_noise_than_replay_at_equal_samples():
     def variance(method):
         return np.var([forward("metal", {SCENES["metal"][1][0]: 1.0}, method, s, depth=2) for s in range(12)], 0).sum()

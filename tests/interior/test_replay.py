@@ -277,6 +277,7 @@ def test_other_block_sizes_equal_the_taped_oracle(taped, block):
     assert_equals_oracle(swept(taped, weights, block), taped.oracle(weights))
 
 
+@pytest.mark.slow
 def test_every_pixel_alone_equals_the_taped_oracle(taped):
     compared = 0
     for pixel in range(36):

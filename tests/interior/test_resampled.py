@@ -185,6 +185,7 @@ def test_mean_is_that_of_replay(name):
     assert_equal_means(replay, resampled)
 
 
+@pytest.mark.slow
 def test_the_rest_is_replayed_beside_it():
     _material, branched, others = SCENES["metal"]
     alone = backward("metal", others, psdr.interior.Replay(), [5])[0]
