@@ -12,6 +12,8 @@ import numpy as np
 import pytest
 import warp as wp
 
+from warp_psdr.kernels.bsdf.microfacet import MIN_COSINE, make_reflection
+from warp_psdr.kernels.bsdf.motion import make_reflection_motion
 from warp_psdr.kernels.emitter.directional import directional_dot
 from warp_psdr.kernels.emitter.point import point_dot
 from warp_psdr.kernels.emitter.spot import spot_dot
@@ -37,6 +39,8 @@ EVERY = {
     "tangent_dot": "here", "tangent_frame_dot": "here",
     "weighted_normal_dot": "here", "normalized_dot": "here", "normal_dot": "here",
     "eval_dot": "test_materials.py", "scatter_dot": "test_materials.py",
+    "drawn_dot": "here", "log_density": "here",
+    "film_form": "a point in the camera's plane, or a surface seen edge-on: no film point meets either",
 }  # fmt: skip
 
 
@@ -126,10 +130,34 @@ def frames(tangent: wp.array(dtype=wp.vec3), out: wp.array(dtype=wp.float32)):
     out[i] = total(g_n) + total(g_wi) + total(g_wo) + total(g_t)
 
 
+def motions(distribution: str) -> float:
+    """Directions drawn from a rough mirror, from along its normal to grazing, at the ends of the random numbers."""
+    motion_of = make_reflection_motion(distribution)
+    sample = make_reflection(distribution).sample
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def drawn(at: wp.array(dtype=wp.vec3), numbers: wp.array(dtype=wp.vec2), out: wp.array(dtype=wp.float32)):
+        i = wp.tid()
+        wi = wp.vec3(wp.sin(at[i][0]), 0.0, wp.cos(at[i][0]))
+        wo = sample(wi, at[i][1], at[i][2], numbers[i])
+        if wo[2] > MIN_COSINE:
+            m = motion_of(wi, wo, at[i][1], at[i][2], numbers[i])
+            out[i] = total(m.by_u) + total(m.by_v) + wp.length(m.log_pdf) + total(m.log_pdf_wo)
+
+    angles, alphas, ends = (
+        np.radians([0.0, 1e-3, 45.0, 89.0, 89.99]),
+        [1e-5, 1e-3, 0.3, 1.0],
+        [0.0, 0.5, 1.0 - 2.0**-24],
+    )
+    rows = [(a, u, v, x, y) for a in angles for u in alphas for v in alphas for x in ends for y in ends]
+    at, numbers = np.split(np.array(rows), [3], axis=1)
+    return finite(drawn, at, numbers)
+
+
 def launched(kernel: wp.Kernel, *columns: np.ndarray) -> np.ndarray:
     kinds = {(3,): wp.vec3, (2,): wp.vec2, (4, 4): wp.mat44}
     inputs = [wp.array(np.float32(c), dtype=kinds[np.shape(c)[1:]], device="cpu") for c in columns]
-    out = wp.empty(len(columns[0]), dtype=wp.float32, device="cpu")
+    out = wp.zeros(len(columns[0]), dtype=wp.float32, device="cpu")
     wp.launch(kernel, len(columns[0]), inputs, [out], device="cpu")
     return out.numpy()
 
@@ -175,6 +203,10 @@ CASES = [
          "the angle to the axis has a kink at 0, falloff none of a width", "acos of 1: an infinite derivative"),
     case("metals without indices, or at the critical angle", lambda: finite(metals, np.array(INDICES)),
          "the root of a complex number that is 0", "a root's derivative at 0; 0 / 0"),
+    case("directions that move with a roughness, GGX", lambda: motions("ggx"),
+         "seen along the normal there is no azimuth; the last random number lies at the rim of a cap", "0 / 0"),
+    case("directions that move with a roughness, Beckmann", lambda: motions("beckmann"),
+         "a cumulative distribution that is flat at its ends", "0 / 0 of a Newton step"),
     case("tangents along the normal", lambda: finite(frames, np.array(ALONG)),
          "no part of the tangent lies in the surface", "0 / 0"),
 ]  # fmt: skip

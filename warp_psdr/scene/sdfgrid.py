@@ -7,7 +7,6 @@ from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.ndimage import distance_transform_cdt
 
 from .bsdfs import BsdfDescription, model_of
 from .description import SdfGrid, ShapeDescription
@@ -77,6 +76,8 @@ def reaches(values: np.ndarray) -> np.ndarray:
     passed = np.any(corners, axis=0) & ~np.all(corners, axis=0)
     if not passed.any():
         return np.full(passed.shape, float(max(passed.shape)), np.float32)
+    from scipy.ndimage import distance_transform_cdt
+
     return distance_transform_cdt(~passed, metric="chessboard").astype(np.float32)
 
 
