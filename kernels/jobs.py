@@ -4,6 +4,8 @@ Every kernel takes the scene, what it reads of its own, a job, and where its res
 samples with a seed: disjoint ranges are independent, and what they give adds up.
 """
 
+import functools
+
 import warp as wp
 
 from warp_psdr.kernels.structs import Camera
@@ -55,3 +57,17 @@ def pixel_of(job: PixelJob, camera: Camera, thread: wp.int32) -> Pixel:
     pixel.px = pixel.number % camera.crop_width
     pixel.py = pixel.number // camera.crop_width
     return pixel
+
+
+@functools.cache
+def make_sample_weight(role: str) -> wp.Function:
+    """Return ``weight(job, pixel) -> vec3``: what a sample's derivative counts, in reverse mode by the adjoint."""
+
+    @wp.func
+    def sample_weight(job: PixelJob, pixel: Pixel) -> wp.vec3:
+        weight = wp.vec3(job.scale, job.scale, job.scale)
+        if wp.static(role == "reverse"):
+            weight = job.scale * job.image_adjoint[pixel.py, pixel.px]
+        return weight
+
+    return sample_weight

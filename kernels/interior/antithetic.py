@@ -38,7 +38,7 @@ from warp_psdr.kernels.interior.sweep import Carry, make_sweep
 from warp_psdr.kernels.interior.tilts import make_tilts, tilts
 from warp_psdr.kernels.interior.velocities import axis_vec3
 from warp_psdr.kernels.invalid import count_invalid, finite, inverse_pdf, vanishes
-from warp_psdr.kernels.jobs import PixelJob, pixel_of
+from warp_psdr.kernels.jobs import PixelJob, make_sample_weight, pixel_of
 from warp_psdr.kernels.path import make_path_step
 from warp_psdr.kernels.reading import bsdf_at, shape_at
 from warp_psdr.kernels.rng import Sampler, make_sampler, salted, sampler_at
@@ -87,6 +87,7 @@ def make_pair_kernel(config: PathConfig, wanted: GradientRequest, role: str):
     _sweep, finish, finish_vertex = make_sweep(config, wanted, role)
     weight_before, weight_of_light = make_contact_weights(config.ray_backend, config.ray_width, config.primitives)
     sample_4d = make_sampler(config.sampler).sample_4d
+    sample_weight = make_sample_weight(role)
     geometry = wanted.geometry
     forward = role == "forward"
 
@@ -261,11 +262,9 @@ def make_pair_kernel(config: PathConfig, wanted: GradientRequest, role: str):
         image_out: wp.array2d(dtype=wp.vec3),
     ):
         pixel = pixel_of(job, camera, wp.tid())
-        delta = wp.vec3(job.scale, job.scale, job.scale)
-        if wp.static(not forward):
-            delta = job.scale * job.image_adjoint[pixel.py, pixel.px]
-            if vanishes(delta):
-                return
+        delta = sample_weight(job, pixel)
+        if vanishes(delta):
+            return
         derivative = wp.vec3d()  # in double precision, as the image
         starting = wp.zeros(shape=(wp.static(lanes),), dtype=PathState)
         cameras = wp.zeros(shape=(wp.static(lanes),), dtype=CameraSample)

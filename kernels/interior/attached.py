@@ -26,7 +26,7 @@ from warp_psdr.kernels.interior.gradient_request import GradientRequest
 from warp_psdr.kernels.interior.tangents import VertexTangent
 from warp_psdr.kernels.interior.velocities import axis_vec3, make_material_jvp
 from warp_psdr.kernels.invalid import count_invalid, finite, inverse_pdf, vanishes
-from warp_psdr.kernels.jobs import PixelJob, pixel_of
+from warp_psdr.kernels.jobs import PixelJob, make_sample_weight, pixel_of
 from warp_psdr.kernels.rng import make_sampler, sampler_at
 from warp_psdr.kernels.sampling import mis_weight, sphere_pdf
 from warp_psdr.kernels.scattering import SLOTS_PER_VERTEX, samples_lights
@@ -70,6 +70,7 @@ def make_attached_kernel(config: PathConfig, wanted: GradientRequest, role: str,
     environment = environment_eval_pdf is not None
     emitted = interaction.emitted
     sample_4d = make_sampler(config.sampler).sample_4d
+    sample_weight = make_sample_weight(role)
     forward = role == "forward"
     with_weights = weights == "attached"
 
@@ -238,11 +239,9 @@ def make_attached_kernel(config: PathConfig, wanted: GradientRequest, role: str,
         image_out: wp.array2d(dtype=wp.vec3),
     ):
         pixel = pixel_of(job, camera, wp.tid())
-        delta = wp.vec3(job.scale, job.scale, job.scale)
-        if wp.static(not forward):
-            delta = job.scale * job.image_adjoint[pixel.py, pixel.px]
-            if vanishes(delta):
-                return
+        delta = sample_weight(job, pixel)
+        if vanishes(delta):
+            return
         always = scene.requested_shapes[scene.requested_shapes.shape[0] - 1]
         derivative = wp.vec3d()  # in double precision, as the image
         starting = wp.zeros(shape=(wp.static(lanes),), dtype=PathState)

@@ -36,7 +36,7 @@ from warp_psdr.kernels.interior.resampled import make_resampling, one_of
 from warp_psdr.kernels.interior.shape_parameters import make_shape_parameters
 from warp_psdr.kernels.interior.velocities import axis_vec3
 from warp_psdr.kernels.invalid import count_invalid, finite, vanishes
-from warp_psdr.kernels.jobs import PixelJob, pixel_of
+from warp_psdr.kernels.jobs import PixelJob, make_sample_weight, pixel_of
 from warp_psdr.kernels.path import make_path_radiance
 from warp_psdr.kernels.reading import bsdf_at, shape_at
 from warp_psdr.kernels.rng import Sampler, hashed, make_sampler, salted, sampler_at
@@ -80,6 +80,7 @@ def make_branch_kernel(
     resampling = make_resampling(candidates)
     numbers, choose_two = resampling.numbers, resampling.choose
     sample_4d = make_sampler(config.sampler).sample_4d
+    sample_weight = make_sample_weight(role)
     forward = role == "forward"
 
     @wp.func
@@ -211,11 +212,9 @@ def make_branch_kernel(
         image_out: wp.array2d(dtype=wp.vec3),
     ):
         pixel = pixel_of(job, camera, wp.tid())
-        delta = wp.vec3(job.scale, job.scale, job.scale)
-        if wp.static(not forward):
-            delta = job.scale * job.image_adjoint[pixel.py, pixel.px]
-            if vanishes(delta):
-                return
+        delta = sample_weight(job, pixel)
+        if vanishes(delta):
+            return
         derivative = wp.vec3d()  # in double precision, as the image
         starting = wp.zeros(shape=(wp.static(lanes),), dtype=PathState)
         cameras = wp.zeros(shape=(wp.static(lanes),), dtype=CameraSample)

@@ -19,7 +19,7 @@ from warp_psdr.kernels.interior.gradient_request import GradientRequest
 from warp_psdr.kernels.interior.sweep import Carry, make_sweep
 from warp_psdr.kernels.interior.velocities import axis_vec3
 from warp_psdr.kernels.invalid import count_invalid, finite, vanishes
-from warp_psdr.kernels.jobs import PixelJob, pixel_of
+from warp_psdr.kernels.jobs import PixelJob, make_sample_weight, pixel_of
 from warp_psdr.kernels.path import make_path_step
 from warp_psdr.kernels.rng import make_sampler, sampler_at
 from warp_psdr.kernels.sensor.camera import CameraSample, half_width, load_mat44, make_camera_ray, make_camera_sink
@@ -87,6 +87,7 @@ def make_film_antithetic_kernel(
     sample_filter = make_filter(config.filter)
     slope = make_filter_slope(config.filter)
     sample_4d = make_sampler(config.sampler).sample_4d
+    sample_weight = make_sample_weight(role)
     sink = make_sink(role)
     forward = role == "forward"
     channels = 3 if forward else 1
@@ -155,11 +156,9 @@ def make_film_antithetic_kernel(
         image_out: wp.array2d(dtype=wp.vec3),
     ):
         pixel = pixel_of(job, camera, wp.tid())
-        delta = wp.vec3(job.scale, job.scale, job.scale)
-        if wp.static(not forward):
-            delta = job.scale * job.image_adjoint[pixel.py, pixel.px]
-            if vanishes(delta):
-                return
+        delta = sample_weight(job, pixel)
+        if vanishes(delta):
+            return
         derivative = wp.vec3d()  # in double precision, as the image
         record = wp.zeros(shape=(wp.static(block),), dtype=PathVertex)
         for i in range(job.samples):

@@ -14,7 +14,7 @@ from warp_psdr.kernels.interior.differential_ratio_tracking import Stretch, make
 from warp_psdr.kernels.interior.gradient_request import GradientRequest
 from warp_psdr.kernels.interior.media_sweep import explores_density, make_media_sweep
 from warp_psdr.kernels.invalid import count_invalid, finite, vanishes
-from warp_psdr.kernels.jobs import PixelJob, pixel_of
+from warp_psdr.kernels.jobs import PixelJob, make_sample_weight, pixel_of
 from warp_psdr.kernels.medium.passage import MOST_INTERFACES
 from warp_psdr.kernels.path import make_camera_start
 from warp_psdr.kernels.path_media import MediaState, MediaVertex, make_media_step, media_path_from
@@ -42,6 +42,7 @@ def make_media_replay_kernel(
     media_sweep = make_media_sweep(config, wanted, role, ratio)
     consider_stretch, from_stretch = make_ratio_branch(config, wanted, role) if ratio else (None, None)
     channels = 3 if role == "forward" else 1
+    sample_weight = make_sample_weight(role)
     blocks = -(-(longest + MOST_INTERFACES + 1) // block)
 
     @wp.kernel(module="unique", enable_backward=False)
@@ -56,11 +57,9 @@ def make_media_replay_kernel(
         image_out: wp.array2d(dtype=wp.vec3),
     ):
         pixel = pixel_of(job, camera, wp.tid())
-        delta = wp.vec3(job.scale, job.scale, job.scale)
-        if wp.static(role == "reverse"):
-            delta = job.scale * job.image_adjoint[pixel.py, pixel.px]
-            if vanishes(delta):
-                return
+        delta = sample_weight(job, pixel)
+        if vanishes(delta):
+            return
         derivative = wp.vec3d()  # in double precision, as the image
         record = wp.zeros(shape=(wp.static(block),), dtype=MediaVertex)
         states = wp.zeros(shape=(wp.static(blocks),), dtype=MediaState)

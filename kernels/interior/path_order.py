@@ -20,7 +20,7 @@ from warp_psdr.kernels.interior.contact import make_contact_weights
 from warp_psdr.kernels.interior.gradient_request import GradientRequest
 from warp_psdr.kernels.interior.sweep import Carry, make_sweep
 from warp_psdr.kernels.invalid import count_invalid, finite, vanishes
-from warp_psdr.kernels.jobs import PixelJob, pixel_of
+from warp_psdr.kernels.jobs import PixelJob, make_sample_weight, pixel_of
 from warp_psdr.kernels.rng import sampler_at
 from warp_psdr.kernels.sensor.camera import CameraSample, make_camera_ray, make_camera_sink
 from warp_psdr.kernels.structs import Camera, Scene
@@ -62,6 +62,7 @@ def make_path_order_kernel(config: PathConfig, wanted: GradientRequest, role: st
     geometry = wanted.geometry
     weight_before, _weight_of_light = make_contact_weights(config.ray_backend, config.ray_width, config.primitives)
     channels = 3 if role == "forward" else 1
+    sample_weight = make_sample_weight(role)
 
     @wp.func
     def accumulate(
@@ -95,9 +96,7 @@ def make_path_order_kernel(config: PathConfig, wanted: GradientRequest, role: st
         image_out: wp.array2d(dtype=wp.vec3),
     ):
         pixel = pixel_of(job, camera, wp.tid())
-        delta = wp.vec3(job.scale, job.scale, job.scale)
-        if wp.static(role == "reverse"):
-            delta = job.scale * job.image_adjoint[pixel.py, pixel.px]
+        delta = sample_weight(job, pixel)
         derivative = wp.vec3d()  # in double precision, as the image
         starting = wp.zeros(shape=(wp.static(lanes),), dtype=PathState)
         cameras = wp.zeros(shape=(wp.static(lanes),), dtype=CameraSample)
