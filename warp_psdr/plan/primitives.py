@@ -74,14 +74,21 @@ def refuse(
     reason = ""
     if config.media is not None:
         reason = "participating media do not know it"
-    elif isinstance(integrator.interior, interior.LightTracing):
-        reason = "paths from the lights do not meet it; use interior.Replay()"
-    elif wanted is not None and not isinstance(integrator.interior, CLAIMED):
-        reason = f"interior.{type(integrator.interior).__name__}() does not know it; use interior.Replay()"
-    elif moving and integrator.boundary is not None:
-        reason = _beside_motion(scene, config, integrator, names)
+    else:
+        reason = _of_method(integrator.interior, wanted)
+        if not reason and moving and integrator.boundary is not None:
+            reason = _beside_motion(scene, config, integrator, names)
     if reason:
         raise ValueError(f"{shape.path!r} is an exact {shape.kind!r}, and {reason}; or {INSTEAD}")
+
+
+def _of_method(method: interior.Method, wanted: GradientRequest | None) -> str:
+    """Say why a method of the interior does not do beside shapes without triangles; empty: it does."""
+    if isinstance(method, interior.LightTracing):
+        return "paths from the lights do not meet it; use interior.Replay()"
+    if wanted is not None and not isinstance(method, CLAIMED):
+        return f"interior.{type(method).__name__}() does not know it; use interior.Replay()"
+    return ""
 
 
 def _beside_grid(
@@ -95,10 +102,9 @@ def _beside_grid(
     """Say what is not done beside grids of distances; empty: nothing of what is asked for."""
     if config.media is not None:
         return "participating media do not know it; leave out the media"
-    if isinstance(integrator.interior, interior.LightTracing):
-        return "paths from the lights do not meet it; use interior.Replay()"
-    if wanted is not None and not isinstance(integrator.interior, CLAIMED):
-        return f"interior.{type(integrator.interior).__name__}() does not know it; use interior.Replay()"
+    reason = _of_method(integrator.interior, wanted)
+    if reason:
+        return reason
     shaped = [name for name in names if SHAPE_GRID in scene.parameters[name].uses]
     if shaped:
         return f"derivatives by {shaped[0]!r} are not estimated, neither inside nor at its silhouettes; render the grid"
