@@ -120,7 +120,7 @@ def compare(
         try:
             able[method] = select(scene, params, adjoint, tangents, integrator=chosen, sensor=sensor)
         except ValueError as reason:
-            if not refused and methods is None and isinstance(method, interior.Replay):
+            if methods is None and isinstance(method, interior.Replay):
                 raise  # what replay does not do is no question of the method
             refused.append(Compared(method=method, refused=str(reason)))
     if not able:
