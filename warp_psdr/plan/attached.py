@@ -13,7 +13,6 @@ from warp_psdr.topology.interpolated_normals import interpolated_faces
 from warp_psdr.topology.outlook import sees_others
 
 if TYPE_CHECKING:
-    from warp_psdr.scene.description import BsdfDescription
     from warp_psdr.scene.scene import Scene
 
 #: Uses of a parameter that holds a roughness.
@@ -65,27 +64,21 @@ def _moves_light(scene: Scene, name: str) -> bool:
     return bool(moved) and any(shapes[owner].emitter is not None for owner in parameter.owners)
 
 
-def _sides(scene: Scene, shape: int) -> list[BsdfDescription]:
-    bsdf = scene.description.shapes[shape].bsdf
-    return [side for side in (bsdf, bsdf.back) if side is not None]
-
-
 def _users(scene: Scene, name: str) -> list[int]:
     """Return the shapes whose materials read a parameter, or that own it as an attribute."""
     owners = scene.parameters[name].owners
     return [
-        shape
-        for shape in range(len(scene.description.shapes))
-        if shape in owners or any(t.holds(name) for side in _sides(scene, shape) for t in side.textures.values())
+        i
+        for i, shape in enumerate(scene.description.shapes)
+        if i in owners or any(side.reads(name) for side in shape.bsdf.sides)
     ]
 
 
 def _other_model(scene: Scene, shape: int, name: str) -> str:
     """Return a material of a shape whose directions do not move smoothly and that may read a parameter; empty: none."""
-    for side in _sides(scene, shape):
+    for side in scene.description.shapes[shape].bsdf.sides:
         attribute = any(leaf.kind == "mesh_attribute" for t in side.textures.values() for leaf in t.leaves)
-        reads = attribute or any(t.holds(name) for t in side.textures.values())
-        if reads and key_of(side.model, side.variant, side.children) not in MOVING:
+        if (attribute or side.reads(name)) and key_of(side.model, side.variant, side.children) not in MOVING:
             return side.model
     return ""
 

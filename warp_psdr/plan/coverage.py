@@ -114,8 +114,8 @@ def _uncovered(scene: Scene, config: PathConfig, names: list[str], max_depth: in
         crowded = [
             (shape.path, key_of(bsdf.model, bsdf.variant, bsdf.children))
             for shape in scene.description.shapes
-            for bsdf in (shape.bsdf, shape.bsdf.back)
-            if bsdf is not None and model_of(bsdf).has_delta and len(model_of(bsdf).lobes) > 2
+            for bsdf in shape.bsdf.sides
+            if model_of(bsdf).has_delta and len(model_of(bsdf).lobes) > 2
         ]
         if crowded:
             return (

@@ -356,7 +356,7 @@ def _check_lights(scene: Scene, names: list[str]) -> None:
     points = [e.path for e, record in emitters if record.kind in c.DELTA_LIGHTS]
     if not points:
         return
-    passed = next(s.path for s in shapes for b in (s.bsdf, s.bsdf.back) if b is not None and model_of(b).has_null)
+    passed = next(s.path for s in shapes for b in s.bsdf.sides if model_of(b).has_null)
     raise ValueError(
         f"derivatives by {', '.join(names)}: path vertices or shadows move, light passes shape {passed!r} without "
         f"being turned, and {points[0]!r} is a light of no area, whose light no path finds behind it; make it an area "
@@ -405,10 +405,7 @@ def _shapes(scene: Scene, names: list[str]) -> frozenset[int] | None:
             found.update(parameter.owners)
         elif all(use.startswith(MATERIAL) for use in parameter.uses):
             users = [
-                i
-                for i, shape in enumerate(scene.description.shapes)
-                for bsdf in (shape.bsdf, shape.bsdf.back)
-                if bsdf is not None and any(t.holds(name) for t in bsdf.textures.values())
+                i for i, shape in enumerate(scene.description.shapes) for bsdf in shape.bsdf.sides if bsdf.reads(name)
             ]
             if not users:  # an attribute of a mesh
                 return None
@@ -423,7 +420,7 @@ def _bending(scene: Scene, names: list[str]) -> dict[str, str]:
     """Requested parameters that turn rays at smooth surfaces, and what is seen there: indices, normal and bump maps."""
     found = {}
     for shape in scene.description.shapes:
-        for bsdf in filter(None, (shape.bsdf, shape.bsdf.back)):
+        for bsdf in shape.bsdf.sides:
             for value in model_of(bsdf).turned_by:
                 seen = "through the interface" if value.endswith("ior") else "in a surface with turned normals"
                 for t in bsdf.textures[value].leaves:

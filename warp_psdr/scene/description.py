@@ -61,6 +61,15 @@ class BsdfDescription:
     two_sided: bool = False
     back: BsdfDescription | None = None  #: two_sided with a different model behind
 
+    @property
+    def sides(self) -> tuple[BsdfDescription, ...]:
+        """This model, and a different one behind."""
+        return (self,) if self.back is None else (self, self.back)
+
+    def reads(self, parameter: str) -> bool:
+        """Whether a texture of this side holds a parameter."""
+        return any(t.holds(parameter) for t in self.textures.values())
+
 
 @dataclass(eq=False)
 class EmitterDescription:

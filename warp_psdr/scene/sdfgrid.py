@@ -115,7 +115,7 @@ def grid_shape(props: Properties, grid: SdfGrid, to_world: np.ndarray, bsdf: Bsd
     reason = singular(to_world)
     if reason:
         raise error(props.where, reason, "give it an extent along all axes")
-    for side in (bsdf, *(() if bsdf.back is None else (bsdf.back,))):
+    for side in bsdf.sides:
         for name, texture in side.textures.items():
             if texture.kind in _READ_UV:
                 problem = f"a '{texture.kind}' for '{name}' on a '{SDFGRID}', which has no texture coordinates"

@@ -114,12 +114,11 @@ def _refuse_beside_exact(
     Raises:
         ValueError: with what does.
     """
-    sides = (bsdf, *(() if bsdf.back is None else (bsdf.back,)))
     found = {
         "an emitter": shines,
         "a sensor": measures,
         "a medium": encloses,
-        "a 'bumpmap'": any("bumpmap" in (side.model, *side.children) for side in sides),
+        "a 'bumpmap'": any("bumpmap" in (side.model, *side.children) for side in bsdf.sides),
     }
     for what in (what for what, there in found.items() if there):
         if props.type == SDFGRID:

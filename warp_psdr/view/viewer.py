@@ -170,9 +170,8 @@ def _named_arrays(params: Mapping[str, Any] | None, fields: Any) -> dict[str, np
 
 
 def _surface_textures(shape: ShapeDescription) -> Iterator[TextureDescription]:
-    yield from shape.bsdf.textures.values()
-    if shape.bsdf.back is not None:
-        yield from shape.bsdf.back.textures.values()
+    for side in shape.bsdf.sides:
+        yield from side.textures.values()
     if shape.emitter is not None:
         yield shape.emitter.radiance
 
