@@ -20,7 +20,8 @@ TEXTURE_BITMAP = 1
 TEXTURE_VERTEX = 2
 TEXTURE_FACE = 3
 TEXTURE_CHECKERBOARD = 4
-TEXTURE_GRID = 5  # of voxels, which media read
+TEXTURE_GRID = 5  # of voxels, which media and textures read
+TEXTURE_SCALED = 6  # another one times a number
 #: Textures that read texture coordinates.
 READ_TEXCOORDS = frozenset({TEXTURE_BITMAP, TEXTURE_CHECKERBOARD})
 

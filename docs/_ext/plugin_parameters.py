@@ -31,6 +31,7 @@ NEEDED: dict[str, dict] = {
     "blendbsdf": {"weight": 0.5, "a": {"type": "diffuse"}, "b": {"type": "diffuse"}},
     "bitmap": {"filename": "FILE.png"},
     "mesh_attribute": {"name": "vertex_color"},
+    "volume": {"volume": {"type": "gridvolume", "data": np.full((2, 2, 2), 0.5)}},
     "envmap": {"filename": "FILE.png"},
     "thinlens": {"aperture_radius": 0.1},
     "aov": {"aovs": "d:depth"},
@@ -48,6 +49,7 @@ NEEDED: dict[str, dict] = {
 MORE: dict[str, tuple[dict, ...]] = {
     "roughconductor": ({"alpha_u": 0.1, "alpha_v": 0.2}, {"eta": 1.0, "k": 2.0}),
     "roughdielectric": ({"alpha_u": 0.1, "alpha_v": 0.2},),
+    "mesh_attribute": ({"name": "vertex_color", "scale": 0.5},),
     "conductor": ({"eta": 1.0, "k": 2.0},),
     "abc": ({"A": 0.5, "B": 100.0, "C": 1.5, "eta": 1.0, "k": 2.0},),
     "principled": ({"eta": 1.5, "spec_trans": 0.5},),

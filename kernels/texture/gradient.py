@@ -12,11 +12,12 @@ import functools
 
 import warp as wp
 
-from warp_psdr.kernels.constants import TEXTURE_BITMAP
+from warp_psdr.kernels.constants import TEXTURE_BITMAP, TEXTURE_GRID
 from warp_psdr.kernels.reading import texture_record
 from warp_psdr.kernels.sink import make_sink
 from warp_psdr.kernels.structs import Scene, Texture
 from warp_psdr.kernels.texture.texture import TextureAdjoint, footprint, make_texture, make_texture_sink, texel
+from warp_psdr.kernels.texture.volume import make_volume_texture, make_volume_texture_sink
 
 
 @wp.func
@@ -90,9 +91,14 @@ def make_gradient_sink(role: str, kinds: tuple[int, ...], values: bool):
 
 def make_reader(kinds: tuple[int, ...], rises: bool):
     """Return what reads a value of a material: a texture, or how it ``rises``."""
-    return make_gradient(kinds) if rises else make_texture(kinds)
+    if rises:
+        return make_gradient(kinds)
+    return make_volume_texture(kinds) if TEXTURE_GRID in kinds else make_texture(kinds)
 
 
 def make_reader_sink(role: str, kinds: tuple[int, ...], rises: bool, values: bool, to_uv: bool, slide: bool):
     """Return where the adjoint of ``make_reader`` goes; arguments as of ``make_texture_sink``."""
-    return make_gradient_sink(role, kinds, values) if rises else make_texture_sink(role, kinds, values, to_uv, slide)
+    if rises:
+        return make_gradient_sink(role, kinds, values)
+    make_sink_of = make_volume_texture_sink if TEXTURE_GRID in kinds else make_texture_sink
+    return make_sink_of(role, kinds, values, to_uv, slide)

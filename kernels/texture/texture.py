@@ -6,6 +6,8 @@ first stored row lies at v = 0 (Mitsuba's convention). Bilinear interpolation is
 between texel borders: their derivative with respect to the coordinates is a boundary term, which is why the plan
 refuses sliding nearest-neighbour bitmaps. So is that of a checkerboard, whose fields are half a unit wide: where both
 or none of the fractional parts of the coordinates are above 1/2, it is its first texture, elsewhere its second.
+
+A scaled texture is its first one times the number at its offset (``mesh_attribute`` with a ``scale``).
 """
 
 import functools
@@ -19,6 +21,7 @@ from warp_psdr.kernels.constants import (
     TEXTURE_CHECKERBOARD,
     TEXTURE_CONSTANT,
     TEXTURE_FACE,
+    TEXTURE_SCALED,
     TEXTURE_VERTEX,
     WRAP_CLAMP,
     WRAP_MIRROR,
@@ -153,6 +156,8 @@ def checkerboard_field(scene: Scene, texture: Texture, uv: wp.vec2) -> wp.int32:
 @functools.cache
 def make_texture(kinds: tuple[int, ...]):
     """Return ``texture_at(scene, index, face, u, v, uv) -> vec3`` for the texture kinds that a slot uses."""
+    if TEXTURE_SCALED in kinds:
+        return _make_scaled(kinds)
 
     @wp.func
     def texture_at(scene: Scene, index: wp.int32, face: wp.int32, u: wp.float32, v: wp.float32, uv: wp.vec2) -> wp.vec3:
@@ -179,6 +184,29 @@ def make_texture(kinds: tuple[int, ...]):
 
 
 @functools.cache
+def _make_scaled(kinds: tuple[int, ...]):
+    inner = make_texture(tuple(kind for kind in kinds if kind != TEXTURE_SCALED))
+
+    @wp.func
+    def scaled_texture_at(
+        scene: Scene, index: wp.int32, face: wp.int32, u: wp.float32, v: wp.float32, uv: wp.vec2
+    ) -> wp.vec3:
+        number = wp.int32(index)
+        texture = texture_record(scene, number)
+        if wp.static(TEXTURE_CHECKERBOARD in kinds):
+            if texture.kind == TEXTURE_CHECKERBOARD:
+                number = checkerboard_field(scene, texture, uv)
+                texture = texture_record(scene, number)
+        factor = wp.float32(1.0)
+        if texture.kind == TEXTURE_SCALED:
+            factor = load_float(scene.values, texture.offset)
+            number = texture.first
+        return factor * inner(scene, number, face, u, v, uv)
+
+    return scaled_texture_at
+
+
+@functools.cache
 def make_texture_sink(role: str, kinds: tuple[int, ...], values: bool, to_uv: bool, slide: bool):
     """Return ``accumulate_texture(scene, target, index, face, u, v, uv, w) -> TextureAdjoint``.
 
@@ -189,6 +217,8 @@ def make_texture_sink(role: str, kinds: tuple[int, ...], values: bool, to_uv: bo
         to_uv: scatter to the texture-coordinate transform.
         slide: return the adjoint of the place where the texture is read.
     """
+    if TEXTURE_SCALED in kinds:
+        return _make_scaled_sink(role, kinds, values, to_uv, slide)
     sink = make_sink(role)
     sink_texel = make_sink_texel(role)
 
@@ -285,3 +315,42 @@ def make_texture_sink(role: str, kinds: tuple[int, ...], values: bool, to_uv: bo
         return result
 
     return accumulate_texture
+
+
+@functools.cache
+def _make_scaled_sink(role: str, kinds: tuple[int, ...], values: bool, to_uv: bool, slide: bool):
+    rest = tuple(kind for kind in kinds if kind != TEXTURE_SCALED)
+    inner = make_texture(rest)
+    accumulate_inner = make_texture_sink(role, rest, values, to_uv, slide)
+    sink = make_sink(role)
+
+    @wp.func
+    def accumulate_scaled_texture(
+        scene: Scene,
+        target: wp.array(dtype=wp.float32),
+        index: wp.int32,
+        face: wp.int32,
+        u: wp.float32,
+        v: wp.float32,
+        uv: wp.vec2,
+        w: wp.vec3,
+    ) -> TextureAdjoint:
+        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
+        number = wp.int32(index)
+        texture = texture_record(scene, number)
+        if wp.static(TEXTURE_CHECKERBOARD in kinds):
+            if texture.kind == TEXTURE_CHECKERBOARD:
+                number = checkerboard_field(scene, texture, uv)
+                texture = texture_record(scene, number)
+        factor = wp.float32(1.0)
+        of_factor = wp.float32(0.0)
+        if texture.kind == TEXTURE_SCALED:
+            factor = load_float(scene.values, texture.offset)
+            number = texture.first
+            if wp.static(values):
+                of_factor = sink(target, texture.offset, wp.dot(w, inner(scene, number, face, u, v, uv)))
+        result = accumulate_inner(scene, target, number, face, u, v, uv, factor * w)
+        result.dot += of_factor
+        return result
+
+    return accumulate_scaled_texture

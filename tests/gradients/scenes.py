@@ -182,6 +182,19 @@ def checkered_scene():
     return scene
 
 
+def carved_scene():
+    """``gap`` with a floor whose colours are those of a turned grid of voxels, and a ceiling whose light is scaled."""
+    pose = psdr.Transform.translate([-2.0, -3.2, -1.4]) @ psdr.Transform.rotate([0.3, 0.5, 0.8], 20)
+    voxels = noise(4, 5, 6, 3, low=0.4, seed=8)
+    grid = {"type": "gridvolume", "data": voxels, "to_world": pose @ psdr.Transform.scale([5.5, 6.0, 2.5])}
+    scene = gap_scene({"type": "diffuse", "reflectance": {"type": "volume", "volume": grid}})
+    glow = {"type": "mesh_attribute", "name": "vertex_glow", "scale": 1.7}
+    corners = np.array([[-1.8, -2.1, 1.5], [2.2, -2.1, 1.5], [2.2, 1.9, 1.5], [-1.8, 1.9, 1.5]])
+    ceiling = {"type": "mesh", "vertices": corners, "faces": [[0, 2, 1], [0, 3, 2]], "face_normals": True}
+    shine = {"vertex_glow": noise(4, 3, low=1.0, high=2.0, seed=9), "emitter": {"type": "area", "radiance": glow}}
+    return {**scene, "ceiling": {**ceiling, **shine}}
+
+
 def checkered_metal_scene():
     alpha = {"type": "checkerboard", "color0": 0.5, "color1": 0.3, "to_uv": psdr.Transform.scale([3, 2, 1])}
     return gap_scene({"type": "roughconductor", "material": "Cu", "alpha": alpha})
@@ -339,6 +352,7 @@ SCENES = {
     "brushed ggx": lambda: brushed_scene("ggx"),
     "plastic": plastic_scene,
     "checkered": checkered_scene,
+    "carved": carved_scene,
     "instanced": instanced_scene,
     "checkered metal": checkered_metal_scene,
     "blend": blend_scene,

@@ -240,6 +240,15 @@ def test_attributes_are_drawn_at_vertices_and_faces(draw) -> None:
         assert not red(image[:, :80]).any()
 
 
+def test_boards_and_volumes_have_their_mean_colour(draw) -> None:
+    deep = np.zeros((2, 2, 2, 3), np.float32) + np.array([0.7, 0.05, 0.05], np.float32)
+    volume = TextureDescription("p.reflectance.volume", "volume", deep, to_world=np.eye(4))
+    empty = np.zeros(0, np.float32)
+    board = TextureDescription("p.reflectance", "checkerboard", empty, nested=(volume, constant("b", 0.1, 0.0, 0.0)))
+    for texture in (volume, board):
+        assert red(middle(draw(scene_of(wall(texture))))).all()
+
+
 def test_texture_gradients_lie_where_the_texture_is_read(draw) -> None:
     texture = TextureDescription("p.reflectance", "bitmap", np.full((4, 4, 3), 0.5, np.float32))
     gradient = np.zeros((4, 4, 3))

@@ -16,6 +16,7 @@ from warp_psdr.options.boundary import EdgeSampling, Method, PathSpace
 from warp_psdr.plan.motion import Motion, motion
 from warp_psdr.scene.bsdfs import model_of
 from warp_psdr.scene.layout import NORMALS, POSITIONS, SHAPE_POSE, TEXCOORDS, TO_UV
+from warp_psdr.scene.volume_pose import of
 from warp_psdr.topology.edges import scene_adjacency
 from warp_psdr.topology.intersection_curves import scene_curves
 
@@ -129,7 +130,7 @@ def _uncovered(scene: Scene, config: PathConfig, names: list[str], max_depth: in
             "use a 'dielectric'"
         )
     if any(slides_steps(scene, name) for name in names):
-        return "a texture with steps slides; use a bilinear bitmap or a vertex attribute"
+        return "a texture with steps slides; use a bilinear bitmap, a trilinear volume or a vertex attribute"
     steps = _moving_steps(scene, config, motion(scene, names))
     if steps:
         return f"{steps}, which jumps inside of triangles; use a bilinear bitmap, or hold it still before the camera"
@@ -156,7 +157,7 @@ def _uncovered(scene: Scene, config: PathConfig, names: list[str], max_depth: in
 def has_steps(texture: Texture) -> bool:
     """Whether a texture jumps inside of triangles."""
     return texture.kind == c.TEXTURE_CHECKERBOARD or (
-        texture.kind == c.TEXTURE_BITMAP and texture.filter == c.FILTER_NEAREST
+        texture.kind in (c.TEXTURE_BITMAP, c.TEXTURE_GRID) and texture.filter == c.FILTER_NEAREST
     )
 
 
@@ -166,7 +167,8 @@ def slides_steps(scene: Scene, name: str) -> bool:
     if TEXCOORDS in parameter.uses:
         read = [t for shape in parameter.owners for t in b.textures_of(b.shapes[shape])]
         return any(t.kind == c.TEXTURE_FACE or has_steps(t) for t in read)
-    return TO_UV in parameter.uses and any(has_steps(t) and t.to_uv == parameter.offset for t in b.textures)
+    read_by = {parameter.offset, *(p.inverse for p in of(scene, [name]))}
+    return TO_UV in parameter.uses and any(has_steps(t) and t.to_uv in read_by for t in b.textures)
 
 
 def sliding_heights(scene: Scene, config: PathConfig, names: list[str], geometry: bool) -> str:

@@ -72,6 +72,8 @@ TEXTURE_NAMES = {
     c.TEXTURE_VERTEX: "vertex attribute",
     c.TEXTURE_FACE: "face attribute",
     c.TEXTURE_CHECKERBOARD: "checkerboard",
+    c.TEXTURE_GRID: "volume",
+    c.TEXTURE_SCALED: "scaled",
 }
 #: What gradients leave out under normal and bump maps.
 FLIPPED = "derivatives leave out the jump where a normal turns away from the viewer, and is flipped or black"
@@ -425,8 +427,7 @@ def _bending(scene: Scene, names: list[str]) -> dict[str, str]:
                 seen = "through the interface" if value.endswith("ior") else "in a surface with turned normals"
                 for t in bsdf.textures[value].leaves:
                     name = f"{shape.path}.{t.attribute}" if t.kind == "mesh_attribute" else t.parameter
-                    if name in names:
-                        found[name] = seen
+                    found |= {held: seen for held in (name, t.scale_parameter) if held in names}
     return found
 
 

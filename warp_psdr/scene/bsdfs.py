@@ -187,7 +187,7 @@ def _height_texture(props: Properties, parameter: HeightTexture) -> dict[str, Te
             raise ReportedError(props.where)
         raise error(props.where, f"a '{props.type}' with {got}", "nest exactly one, of heights")
     heights = texture(props, found[0], 0.0, low=-np.inf, scalar=True, path=f"{props.path}.nested_texture")
-    if heights.kind == "mesh_attribute" or heights.nested:
+    if heights.kind in ("mesh_attribute", "volume") or heights.nested:
         raise error(props.place(found[0]), f"a {heights.kind} has no slopes", "give a bitmap")
     if heights.kind == "bitmap" and heights.filter == "nearest":
         raise error(props.place(found[0]), "a bitmap with filter_type 'nearest' has no slopes", "use 'bilinear'")

@@ -25,12 +25,12 @@ from warp_psdr.scene.layout import (
     SHAPE_GRID,
     SHAPE_POSE,
     TEXCOORDS,
-    TO_UV,
     Layout,
 )
 from warp_psdr.scene.medium_records import MediaRecords
 from warp_psdr.scene.sdfgrid import reaches
 from warp_psdr.scene.tables import PlacedTable
+from warp_psdr.scene.texture_records import TextureRecords, reads_mesh
 
 if TYPE_CHECKING:
     from warp_psdr.scene.description import (
@@ -39,12 +39,9 @@ if TYPE_CHECKING:
         SceneDescription,
         SensorDescription,
         ShapeDescription,
-        TextureDescription,
     )
 
 INF = float("inf")
-FILTERS = {"bilinear": c.FILTER_BILINEAR, "nearest": c.FILTER_NEAREST}
-WRAPS = {"repeat": c.WRAP_REPEAT, "mirror": c.WRAP_MIRROR, "clamp": c.WRAP_CLAMP}
 RFILTERS = {"box": c.RFILTER_BOX, "tent": c.RFILTER_TENT, "gaussian": c.RFILTER_GAUSSIAN}
 EMITTERS = {
     "area": c.EMITTER_AREA,
@@ -63,8 +60,6 @@ CAMERAS = {
     "radiancemeter": c.CAMERA_RADIANCEMETER,
     "irradiancemeter": c.CAMERA_IRRADIANCEMETER,
 }
-#: A texture's record and the flat (offset, size) of its values.
-Placed = tuple[structs.Texture, tuple[int, int]]
 
 
 @dataclass(eq=False)
@@ -78,11 +73,6 @@ class Prototype:
     copies: list[int] = field(default_factory=list)
 
 
-def _reads_mesh(t: TextureDescription) -> bool:
-    """Whether a texture reads an attribute of the shape that it is on."""
-    return any(leaf.kind == "mesh_attribute" for leaf in t.leaves)
-
-
 class Builder:
     """Lays a scene out; see the attributes for what it makes."""
 
@@ -91,8 +81,10 @@ class Builder:
         self.layout = Layout()
         self.shapes: list = []  #: structs.Shape
         self.bsdfs: list = []  #: structs.Bsdf
-        self.textures: list = []  #: structs.Texture
-        self.texture_ranges: list[tuple[int, int]] = []  #: flat (offset, size) of a texture's values
+        self.texture_records = TextureRecords(self.layout, description.shapes, self.shapes, description.origin)
+        self.textures = self.texture_records.records
+        self.texture_ranges = self.texture_records.ranges
+        self.volume_poses = self.texture_records.poses
         self.emitters: list = []  #: structs.Emitter
         self.cameras: list = []  #: structs.Camera
         self.environment = -1
@@ -109,8 +101,6 @@ class Builder:
         self.prototypes: list[Prototype] = []
         self.pose_of: dict[int, str] = {}  #: shape with a pose -> name of the pose
         self._prototype_index: dict[int, int] = {}
-        self._texture_index: dict[tuple[int, int], int] = {}
-        self._absent_index: dict[float, int] = {}
         self._bsdf_keys: list[str] = []
         self._bsdf_index: dict[tuple[int, int], int] = {}
         self._geometry()
@@ -225,115 +215,13 @@ class Builder:
         positions, normals, texcoords = offsets
         return Prototype(s, positions, normals, texcoords)
 
-    # -- textures and materials ------------------------------------------------------------------------------------
-
-    def _texture(self, t: TextureDescription, use: str, bounds: tuple[float, float], shape: int = -1) -> int:
-        """Return the number of a texture's record; shared descriptions share it.
-
-        Args:
-            t: the texture.
-            use: what the values are used as; see ``layout``.
-            bounds: valid range of the values.
-            shape: the shape whose attributes a mesh attribute reads.
-        """
-        attribute = t.kind == "mesh_attribute"
-        key = (id(t), shape if _reads_mesh(t) else -1)
-        nested = [self._texture(inner, use, bounds, shape) for inner in t.nested]
-        if key not in self._texture_index:
-            if nested:
-                placed = self._checkerboard(t, nested)
-            else:
-                placed = self._attribute(t, use, bounds, shape) if attribute else self._image(t, use, bounds)
-            self._texture_index[key] = self._add_texture(*placed)
-        if not nested:
-            self.layout.parameters[self._attribute_name(t, shape) if attribute else t.parameter].uses.add(use)
-        return self._texture_index[key]
-
-    def _checkerboard(self, t: TextureDescription, nested: list[int]) -> Placed:
-        """Lay out a checkerboard whose two textures have these numbers; return its record and no values."""
-        record = structs.Texture()
-        record.kind = c.TEXTURE_CHECKERBOARD
-        record.first, record.second = nested
-        name = f"{t.path}.to_uv"
-        # A checkerboard that is read as a scalar, too, has a second record, and one transformation.
-        if name not in self.layout.parameters:
-            self.layout.add(name, t.to_uv, TO_UV)
-        record.to_uv = self.layout.parameters[name].offset
-        return record, (0, 0)
-
-    def kinds_of(self, texture: int) -> set[int]:
-        """Return the kinds of a texture and of those nested in it."""
-        t = self.textures[texture]
-        inner = (t.first, t.second) if t.kind == c.TEXTURE_CHECKERBOARD else ()
-        return {t.kind}.union(*(self.kinds_of(number) for number in inner))
-
-    def textures_of(self, shape: structs.Shape) -> list[structs.Texture]:
-        """Return the records of all textures on a shape: of both sides, of its light, and those nested in them."""
-        sides = (shape.bsdf, self.bsdfs[shape.bsdf].back)
-        numbers = {number for side in sides for number in self.bsdf_textures[side].values()}
-        if shape.emitter >= 0:
-            numbers.add(self.emitters[shape.emitter].texture)
-        found = [self.textures[n] for n in sorted(numbers)]
-        boards = [t for t in found if t.kind == c.TEXTURE_CHECKERBOARD]
-        return [*found, *(self.textures[n] for t in boards for n in (t.first, t.second))]
-
-    def _absent(self, value: float) -> int:
-        """Return the number of the unnamed constant texture that stands in for one that is not given."""
-        if value not in self._absent_index:
-            record = structs.Texture()
-            record.kind, record.channels = c.TEXTURE_CONSTANT, 1
-            record.offset = self.layout.add_values(np.full(1, value))
-            self._absent_index[value] = self._add_texture(record, (record.offset, 1))
-        return self._absent_index[value]
-
-    def _add_texture(self, record: structs.Texture, values: tuple[int, int]) -> int:
-        self.textures.append(record)
-        self.texture_ranges.append(values)
-        return len(self.textures) - 1
-
-    def _image(self, t: TextureDescription, use: str, bounds: tuple[float, float]) -> Placed:
-        """Lay out a constant or a bitmap; return its record and the flat (offset, size) of its values."""
-        record = structs.Texture()
-        # Bitmaps may exceed the range; an optimiser then keeps to what the file has.
-        low, high = bounds
-        bounds = (low, max(high, float(t.value.max())))
-        record.offset = self.layout.add(t.parameter, t.value, use, bounds=bounds)
-        if t.kind == "constant":
-            record.kind, record.channels = c.TEXTURE_CONSTANT, t.value.size
-        else:
-            record.kind = c.TEXTURE_BITMAP
-            record.height, record.width, record.channels = t.value.shape
-            record.filter, record.wrap = FILTERS[t.filter], WRAPS[t.wrap]
-            if use == LIGHT_RADIANCE:  # no parameter: an environment map is read by direction, and others have none
-                record.to_uv = self.layout.add_values(t.to_uv)
-            else:
-                record.to_uv = self.layout.add(f"{t.path}.to_uv", t.to_uv, TO_UV)
-        return record, (record.offset, t.value.size)
-
-    def _attribute(self, t: TextureDescription, use: str, bounds: tuple[float, float], shape: int) -> Placed:
-        """Lay out a shape's attribute, unless another texture has; return as ``_image`` does."""
-        s, placed = self.description.shapes[shape], self.shapes[shape]
-        values = s.attributes[t.attribute]
-        name = self._attribute_name(t, shape)
-        if name not in self.layout.parameters:
-            self.layout.add(name, values, use, bounds=bounds, owner=shape)
-        offset = self.layout.parameters[name].offset
-        per_vertex = t.attribute.startswith("vertex_")
-        record = structs.Texture()
-        record.channels = values.shape[1]
-        record.kind = c.TEXTURE_VERTEX if per_vertex else c.TEXTURE_FACE
-        # Biased, so that it takes global numbers.
-        record.offset = offset - record.channels * (placed.first_vertex if per_vertex else placed.first_face)
-        return record, (offset, values.size)
-
-    def _attribute_name(self, t: TextureDescription, shape: int) -> str:
-        return f"{self.description.shapes[shape].source}.{t.attribute}"
+    # -- materials -------------------------------------------------------------------------------------------------
 
     def _bsdf(self, b: BsdfDescription, shape: int) -> int:
-        reads_mesh = any(_reads_mesh(t) for t in b.textures.values()) or (
-            b.back is not None and any(_reads_mesh(t) for t in b.back.textures.values())
+        on_mesh = any(reads_mesh(t) for t in b.textures.values()) or (
+            b.back is not None and any(reads_mesh(t) for t in b.back.textures.values())
         )
-        key = (id(b), shape if reads_mesh else -1)
+        key = (id(b), shape if on_mesh else -1)
         if key in self._bsdf_index:
             return self._bsdf_index[key]
         record = structs.Bsdf()
@@ -349,7 +237,9 @@ class Builder:
             bounds = (value.low, value.high)
             absent = b.fixed.get(value.name, 1.0)
             textures[value.name] = (
-                self._absent(absent) if t is None else self._texture(t, MATERIAL + value.name, bounds, shape)
+                self.texture_records.absent(absent)
+                if t is None
+                else self.texture_records.number(t, MATERIAL + value.name, bounds, shape)
             )
         for table in model.tables(b.variant):
             textures[table.name] = self._table(table, textures)
@@ -373,7 +263,18 @@ class Builder:
         record.offset = self.layout.add_values(np.zeros(table.size))
         sources = tuple(self.textures[textures[name]].offset for name in table.of)
         self.tables.append(PlacedTable(table.maker, table.variant, record.offset, sources))
-        return self._add_texture(record, (record.offset, table.size))
+        return self.texture_records.add(record, (record.offset, table.size))
+
+    def textures_of(self, shape: structs.Shape) -> list[structs.Texture]:
+        """Return the records of all textures on a shape: of both sides, of its light, and those nested in them."""
+        sides = (shape.bsdf, self.bsdfs[shape.bsdf].back)
+        numbers = {number for side in sides for number in self.bsdf_textures[side].values()}
+        if shape.emitter >= 0:
+            numbers.add(self.emitters[shape.emitter].texture)
+        found = [self.textures[n] for n in sorted(numbers)]
+        for t in found:
+            found += [self.textures[n] for n in self.texture_records.nested_in(t)]
+        return found
 
     def _number_models(self) -> None:
         """Number the models that occur, and lay out their textures alike: one number for each value that any has."""
@@ -392,7 +293,7 @@ class Builder:
         kinds = {value.name: set() for value in self.values}
         for textures in self.bsdf_textures:
             for name, number in textures.items():
-                kinds[name] |= self.kinds_of(number)
+                kinds[name] |= self.texture_records.kinds_of(number)
         return tuple(slot_of(value, tuple(sorted(kinds[value.name]))) for value in self.values)
 
     # -- lights and cameras ----------------------------------------------------------------------------------------
@@ -408,10 +309,10 @@ class Builder:
             record.first_face, record.face_count = self.shapes[shape].first_face, self.shapes[shape].face_count
         if e.kind == "area":
             self.shapes[shape].emitter = number  # what a ray can meet
-            record.texture = self._texture(e.radiance, RADIANCE, bounds, shape)
-            self.radiance_kinds |= self.kinds_of(record.texture)
+            record.texture = self.texture_records.number(e.radiance, RADIANCE, bounds, shape)
+            self.radiance_kinds |= self.texture_records.kinds_of(record.texture)
         else:
-            record.texture = self._texture(e.radiance, LIGHT_RADIANCE, bounds)
+            record.texture = self.texture_records.number(e.radiance, LIGHT_RADIANCE, bounds)
         if e.kind in ("constant", "envmap"):
             self.environment = number
         if e.kind in ("envmap", "projector"):
@@ -424,7 +325,7 @@ class Builder:
             record.to_world = self.layout.add(f"{e.path}.position", e.position, LIGHT_POSE, placed=True)
         if e.projected is not None:
             record.kind = c.EMITTER_TEXTURED_SPOT
-            record.projected = self._texture(e.projected, LIGHT_RADIANCE, bounds)
+            record.projected = self.texture_records.number(e.projected, LIGHT_RADIANCE, bounds)
         if e.kind == "projector":
             fov = np.array([e.x_fov])
             record.cutoff = self.layout.add(f"{e.path}.x_fov", fov, LIGHT_POSE, bounds=(1e-3, 179.0))

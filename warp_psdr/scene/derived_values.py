@@ -1,7 +1,8 @@
-"""From sources to derived values and back: poses to vertices, positions to vertex normals.
+"""From sources to derived values and back: poses to vertices and to inverses, positions to vertex normals.
 
-The rendering kernels know vertex positions and normals only. In reverse mode their gradients are pulled back to what
-they were computed from; in forward mode the tangents of the sources are pushed on before the kernels run.
+The rendering kernels know vertex positions and normals only, and of a volume's pose its inverse. In reverse mode their
+gradients are pulled back to what they were computed from; in forward mode the tangents of the sources are pushed on
+before the kernels run.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from warp_psdr.kernels.shape.normals import (
 )
 from warp_psdr.kernels.shape.transform import add_pose, pose_shape_jvp, pose_shape_vjp
 from warp_psdr.scene.layout import SHAPE_POSE
+from warp_psdr.scene.volume_pose import INVERSE, of, pull_poses, push_poses
 
 if TYPE_CHECKING:
     from warp_psdr.scene.scene import Scene
@@ -50,7 +52,12 @@ def sum_of_normals(
 
 
 def derived_ranges(scene: Scene, names: list[str]) -> list[tuple[int, int]]:
-    """Flat (offset, size) of the vertices and normals whose gradients ``pull_derived`` reads."""
+    """Flat (offset, size) of what is derived and whose gradients ``pull_derived`` reads."""
+    return _geometry_ranges(scene, names) + [(p.inverse, INVERSE) for p in of(scene, names)]
+
+
+def _geometry_ranges(scene: Scene, names: list[str]) -> list[tuple[int, int]]:
+    """Flat (offset, size) of the vertices and normals among them."""
     ranges = []
     for shape in scene.derived_normals(names):
         record = scene.builder.shapes[shape]
@@ -66,7 +73,7 @@ def derived_ranges(scene: Scene, names: list[str]) -> list[tuple[int, int]]:
 
 def pull_kernels(scene: Scene, names: list[str]) -> list[wp.Kernel]:
     """Return kernels of the modules that ``pull_derived`` launches from."""
-    return [normalization_vjp] if derived_ranges(scene, names) else []
+    return [normalization_vjp] if _geometry_ranges(scene, names) else []
 
 
 def pull_derived(scene: Scene, names: list[str], grad: wp.array) -> None:
@@ -78,6 +85,7 @@ def pull_derived(scene: Scene, names: list[str], grad: wp.array) -> None:
         grad: flat gradients, in place.
     """
     device = scene.device
+    pull_poses(scene, names, grad)
     # Poses first: they own their normals, so what positions get through derived normals is not theirs.
     for shape in _posed(scene, names):
         record = scene.builder.shapes[shape]
@@ -122,6 +130,7 @@ def accumulate_derived(scene: Scene, names: list[str], tangent: wp.array) -> Non
         tangent: flat tangents, in place.
     """
     device = scene.device
+    push_poses(scene, names, tangent)
     # Poses last, for the same reason as above.
     for shape in scene.derived_normals(names):
         record = scene.builder.shapes[shape]

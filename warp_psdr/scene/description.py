@@ -17,13 +17,16 @@ class TextureDescription:
     """A value that may vary over a surface (or over directions, for environment maps)."""
 
     path: str  #: e.g. "wall.reflectance"
-    kind: Literal["constant", "bitmap", "mesh_attribute", "checkerboard"]
-    value: np.ndarray  #: constant: (1,) or (3,); bitmap: (H, W, 1 or 3), linear, top row first; others: (0,)
-    filter: Literal["bilinear", "nearest"] = "bilinear"
+    kind: Literal["constant", "bitmap", "mesh_attribute", "checkerboard", "volume"]
+    #: constant: (1,) or (3,); bitmap: (H, W, 1 or 3), linear, top row first; volume: (Z, Y, X, 1 or 3); others: (0,)
+    value: np.ndarray
+    filter: Literal["bilinear", "trilinear", "nearest"] = "bilinear"
     wrap: Literal["repeat", "mirror", "clamp"] = "repeat"
     to_uv: np.ndarray = field(default_factory=lambda: np.eye(3, dtype=np.float32))  #: (3, 3), bitmaps, checkerboards
     attribute: str = ""  #: mesh_attribute: "vertex_color", "face_albedo", ...
+    scale: float | None = None  #: mesh_attribute: what multiplies it; None: not given
     plain: bool = False  #: constant: a bare number of its plugin, listed under ``path`` itself
+    to_world: np.ndarray | None = None  #: (4, 4), volume: where the unit cube that it fills is
     #: checkerboard: the textures of its fields, that of the field at the origin of texture coordinates first
     nested: tuple[TextureDescription, ...] = ()
 
@@ -34,14 +37,19 @@ class TextureDescription:
 
     def holds(self, parameter: str) -> bool:
         """Whether a parameter of this name holds values of the texture."""
-        return any(t.parameter == parameter for t in self.leaves)
+        return any(parameter in (t.parameter, t.scale_parameter) for t in self.leaves)
+
+    @property
+    def scale_parameter(self) -> str:
+        """Name under which the scale of a mesh attribute is listed; empty: it has none."""
+        return "" if self.scale is None else f"{self.path}.scale"
 
     @property
     def parameter(self) -> str:
         """Name under which the values are listed; those of a mesh attribute belong to the shapes that read it."""
         if self.kind == "constant":
             return self.path if self.plain else f"{self.path}.value"
-        return f"{self.path}.data" if self.kind == "bitmap" else ""
+        return f"{self.path}.data" if self.kind in ("bitmap", "volume") else ""
 
 
 @dataclass(eq=False)

@@ -66,9 +66,11 @@ def _area(props: Properties) -> EmitterDescription:
         light = EmitterDescription(props.path, "directionalarea", _uniform(props, "radiance"))
         props.finish()
         return light
-    result = EmitterDescription(props.path, "area", texture(props, "radiance", 1.0, emissive=True))
+    radiance = texture(props, "radiance", 1.0, emissive=True)
+    if any(leaf.kind == "volume" for leaf in radiance.leaves):
+        raise error(props.place("radiance"), "a 'volume'", "lights take colours, bitmaps and mesh attributes; give one")
     props.finish()
-    return result
+    return EmitterDescription(props.path, "area", radiance)
 
 
 def _ignore_weights(props: Properties) -> None:

@@ -146,6 +146,8 @@ class Lights:
         record = self._builder.textures[texture]
         if record.kind == c.TEXTURE_CHECKERBOARD:
             return 0.5 * (self._mean(record.first, values) + self._mean(record.second, values))
+        if record.kind == c.TEXTURE_SCALED:
+            return max(float(values[record.offset]), 0.0) * self._mean(record.first, values)
         offset, size = self._builder.texture_ranges[texture]
         channels = self._builder.textures[texture].channels
         v = values[offset : offset + size].reshape(-1, channels)

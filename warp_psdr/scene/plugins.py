@@ -27,7 +27,7 @@ PLUGINS: dict[str, tuple[str, ...]] = {
     ),
     "bsdf": (*dict.fromkeys(model.plugin for model in (*MODELS, *COMPOSITES)), "twosided"),
     "texture": (
-        *("bitmap", "checkerboard", "mesh_attribute"),
+        *("bitmap", "checkerboard", "mesh_attribute", "volume"),
         *("rgb", "srgb", "spectrum", "uniform", "rawconstant", "d65", "blackbody", "regular", "irregular"),
     ),
     "emitter": ("area", "directionalarea", "constant", "envmap", "point", "spot", "projector", "directional"),

@@ -341,7 +341,7 @@ class Scene:
             self._update_bounds()
         values = self.values.numpy()
         check_media(changed, values)
-        rebuild(self.builder.media_followers, changed, self.values, values)
+        rebuild([*self.builder.media_followers, *self.builder.volume_poses], changed, self.values, values)
         follow_grids(self, changed, values)
         first, size = self.lights.environment_data()
         if any(first <= p.offset < first + size for p in changed):

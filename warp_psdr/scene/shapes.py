@@ -118,6 +118,9 @@ def _refuse_beside_exact(
         "an emitter": shines,
         "a sensor": measures,
         "a medium": encloses,
+        "a 'volume' texture": any(
+            leaf.kind == "volume" for side in bsdf.sides for t in side.textures.values() for leaf in t.leaves
+        ),
         "a 'bumpmap'": any("bumpmap" in (side.model, *side.children) for side in bsdf.sides),
     }
     for what in (what for what, there in found.items() if there):

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 import warp as wp
@@ -92,7 +92,15 @@ class PhaseTable:
         values[self.integrals : self.integrals + self.size].assign(integrals(table))
 
 
-Follower = SuperGrid | PhaseTable
+class Follower(Protocol):
+    """What follows a parameter."""
+
+    @property
+    def parameter(self) -> str:
+        """The parameter's name."""
+
+    def rebuild(self, values: wp.array, held: np.ndarray) -> None:
+        """Follow the values that are held, flat, on the host."""
 
 
 def rebuild(followers: Iterable[Follower], changed: Iterable[Parameter], values: wp.array, held: np.ndarray) -> None:

@@ -1,4 +1,4 @@
-"""Textures: constants, bitmaps, mesh attributes and checkerboards.
+"""Textures: constants, bitmaps, mesh attributes, volumes, and checkerboards of them.
 
 Bitmaps keep their rows as stored, top row first; as in Mitsuba the first row lies at v = 0, and loaders of meshes whose
 format counts v from the bottom flip v instead (``flip_tex_coords``).
@@ -15,9 +15,11 @@ from warp_psdr.image_io import read_image, srgb_to_linear
 
 from .description import TextureDescription
 from .errors import ReportedError, SceneError, error
+from .exact import singular
 from .plugins import Properties, category_of
 from .spectra import COLOR_TYPES, LUMINANCE, check_range, color
 from .transforms import as_matrix
+from .volumes import volume
 
 if TYPE_CHECKING:
     from .context import Context
@@ -77,7 +79,7 @@ def _texture(
         result = dataclasses.replace(result, value=np.atleast_1d(result.value @ LUMINANCE))
         props.context.note(f"{place}: '{name}' is one number, the luminance of the colour that is given")
     for leaf in result.leaves:
-        if leaf is not result or leaf.kind == "bitmap":
+        if leaf is not result or leaf.kind in ("bitmap", "volume"):
             _raise_to(leaf, name, place, props.context, low)
         _check_values(leaf, name, place, props.context, (low, high), scalar, clamped)
     return result
@@ -141,9 +143,11 @@ def _check_values(
     clamped: bool,
 ) -> None:
     low, high = ends
+    if scalar and t.kind == "volume" and t.value.shape[3] != 1:
+        raise error(place, f"a volume of {t.value.shape[3]} channels", f"'{name}' is one number: give one channel")
     if scalar and t.kind == "constant" and t.value.size != 1:
         raise error(place, f"got the colour {t.value.tolist()}", f"'{name}' is one number")
-    if t.kind == "bitmap" and t.value.max() > high:
+    if t.kind in ("bitmap", "volume") and t.value.max() > high:
         # As in Mitsuba, whose scenes hold such bitmaps.
         count = int((t.value > high).sum())
         effect = f"which count as {high:g}" if clamped else "so more light is scattered than arrives"
@@ -182,11 +186,13 @@ def build(
         raise error(
             where,
             f"a '{node.get('type')}' is no texture",
-            "give a colour, a bitmap, a mesh_attribute or a checkerboard",
+            "give a colour, a bitmap, a mesh_attribute, a checkerboard or a volume",
         )
     props = Properties(node, where, path, context)
     if props.type == "checkerboard":
         return _checkerboard(props, emissive, high)
+    if props.type == "volume":
+        return _volume(props)
     return _mesh_attribute(props) if props.type == "mesh_attribute" else _bitmap(props)
 
 
@@ -262,6 +268,23 @@ def _checkerboard(props: Properties, emissive: bool, high: float) -> TextureDesc
     return result
 
 
+def _volume(props: Properties) -> TextureDescription:
+    """Take the volume of a texture; a constant one is a constant texture."""
+    if not props.has("volume"):
+        raise error(props.where, "there is no volume", "nest a 'constvolume' or a 'gridvolume', named 'volume'")
+    held = volume(props, "volume", 1.0, np.inf, grids=True)
+    props.finish()
+    if held.value.ndim == 1:
+        return constant(held.parameter.removesuffix(".value"), held.value)
+    assert held.to_world is not None
+    reason = singular(held.to_world)
+    if reason:
+        raise error(props.place("volume"), reason, "give it an extent along all axes")
+    return TextureDescription(
+        f"{props.path}.volume", "volume", held.value, held.filter, held.wrap, to_world=held.to_world
+    )
+
+
 def _to_uv(props: Properties) -> np.ndarray:
     """Take the (3, 3) transformation of texture coordinates; of a 4x4 one, z is dropped."""
     value, place = props.take("to_uv"), props.place("to_uv")
@@ -284,11 +307,16 @@ def _mesh_attribute(props: Properties) -> TextureDescription:
     name = props.string("name", "")
     if not name.startswith(("vertex_", "face_")):
         raise error(props.place("name"), f"got {name!r}", "name an attribute that starts with 'vertex_' or 'face_'")
+    given = props.has("scale")
     scale = props.number("scale", 1.0)
-    if scale != 1.0:
-        raise error(props.place("scale"), f"got {scale:g}", "only 1 is supported; scale the attribute's values instead")
     props.finish()
-    return TextureDescription(props.path, "mesh_attribute", np.zeros(0, dtype=np.float32), attribute=name)
+    return TextureDescription(
+        props.path,
+        "mesh_attribute",
+        np.zeros(0, dtype=np.float32),
+        attribute=name,
+        scale=scale if given else None,
+    )
 
 
 def check_attribute(
@@ -310,4 +338,7 @@ def check_attribute(
     if values.shape[1] not in ((1,) if scalar else (1, 3)):
         wanted = "1 channel" if scalar else "1 or 3 channels"
         raise error(where, f"attribute '{result.attribute}' has {values.shape[1]} channels", f"give {wanted}")
-    check_range(values, where, low, high, f"attribute '{result.attribute}'")
+    if result.scale is None:
+        check_range(values, where, low, high, f"attribute '{result.attribute}'")
+    else:
+        check_range(result.scale * values, where, low, high, f"attribute '{result.attribute}' times its scale")

@@ -224,7 +224,7 @@ def _panels(
                 data = _reshaped(name, arrays[name], data.shape)
                 add(name, shape.path, mesh_field(vertices, shape.faces, data, on=on, reduce=reduce))
         for texture in dict.fromkeys(_surface_textures(shape)):
-            if texture.kind == "mesh_attribute":
+            if texture.kind in ("mesh_attribute", "volume"):
                 continue
             name = texture.parameter
             drawable.add(name)
@@ -334,10 +334,15 @@ def _draw_shapes(
             mesh = _poly_data(field.vertices, field.faces)
             mesh.active_texture_coordinates = np.asarray(field.uvs, np.float32)
             look = {"texture": _texture(tonemap(data), texture.wrap)}
-        else:
+        elif texture.kind == "mesh_attribute":
             data = as_array(_value(values, f"{shape.path}.{texture.attribute}", shape.attributes[texture.attribute]))
             data = data.reshape(shape.attributes[texture.attribute].shape)
             look = {"scalars": np.round(255.0 * tonemap(data[:, None])[:, 0]).astype(np.uint8), "rgb": True}
+        else:  # a checkerboard or a volume
+            read = [leaf.value for leaf in texture.leaves if leaf.value.size]
+            held = [np.broadcast_to(value.reshape(-1, value.shape[-1]).mean(axis=0), 3) for value in read]
+            data = np.mean(held, axis=0).astype(np.float32) if held else np.full(3, 0.5, np.float32)
+            look = {"color": tuple(tonemap(data.reshape(1, 1, -1))[0, 0])}
         plotter.add_mesh(mesh, ambient=0.3, diffuse=0.7, show_scalar_bar=False, **look)
 
 
