@@ -238,6 +238,7 @@ FACTORIES = {
         ("thin lens", (THIN_LENS, moving_camera(THIN_LENS), 4, 1), SLOW),
         *[(name, (config, all_of(config), 4, 1), SLOW) for name, config in THIRDS.items()],
         ("through", (THROUGH, still(THROUGH), 4, 1), SLOW),
+        ("grids of distances", (DISTANCES, GEOMETRY, 4, 1), SLOW),
     ],
     "interior.forward.make_forward_kernel": [
         ("simple", (SIMPLE, ALBEDO), FAST),
@@ -245,6 +246,7 @@ FACTORIES = {
         ("thin lens", (THIN_LENS, moving_camera(THIN_LENS)), SLOW),
         *[(name, (config, all_of(config)), SLOW) for name, config in THIRDS.items()],
         ("through", (THROUGH, still(THROUGH)), SLOW),
+        ("grids of distances", (DISTANCES, GEOMETRY), SLOW),
     ],
     "interior.media_replay.make_media_replay_kernel": [
         ("reverse", (MEDIA, media(MEDIA), "reverse", 8, 8), SLOW),

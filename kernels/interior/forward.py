@@ -12,7 +12,7 @@ import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.camera_rays import make_camera_paths
-from warp_psdr.kernels.constants import EMITTER_AREA, EMITTER_CONSTANT, EMITTER_ENVMAP, LOBE_SMOOTH
+from warp_psdr.kernels.constants import EMITTER_AREA, EMITTER_CONSTANT, EMITTER_ENVMAP, LOBE_SMOOTH, PRIMITIVE_SDFGRID
 from warp_psdr.kernels.emitter.area import light_uv
 from warp_psdr.kernels.emitter.dispatch import make_lights
 from warp_psdr.kernels.interaction import enter_frame, make_interaction
@@ -31,7 +31,7 @@ from warp_psdr.kernels.interior.transmittance import make_transmittance_sink
 from warp_psdr.kernels.interior.velocities import axis_vec3, make_material_jvp, make_pair, make_texture_jvp
 from warp_psdr.kernels.invalid import count_invalid, finite
 from warp_psdr.kernels.jobs import PixelJob, pixel_of
-from warp_psdr.kernels.primitive.dispatch import make_position
+from warp_psdr.kernels.primitive.dispatch import is_grid, make_position
 from warp_psdr.kernels.primitive.velocity import make_velocity
 from warp_psdr.kernels.rng import sampler_at
 from warp_psdr.kernels.sensor.camera import CameraSample, make_camera_ray, make_camera_sink
@@ -62,6 +62,7 @@ def make_forward_kernel(config: PathConfig, wanted: GradientRequest):
     frame_jvp = make_frame_jvp(config.tangent)
     vertex_jvp = make_velocity(config.smooth, config.flat, config.uv, config.tangent, config.primitives)
     position, cross_of = make_position(config.primitives)
+    has_grids = PRIMITIVE_SDFGRID in config.primitives
     material_jvp = make_material_jvp(config, wanted)
     glossy, still = interaction.bsdf.glossy, make_tilts(config).still
     pair = make_pair(config.bsdfs)
@@ -237,15 +238,29 @@ def make_forward_kernel(config: PathConfig, wanted: GradientRequest):
                 wo_world_dot = wp.vec3(0.0, 0.0, 0.0)
                 if wp.static(geometry):
                     if following.face >= 0:
-                        after.vertex = vertex_jvp(
-                            scene, tangents, following.face, following.u, following.v, False, zero, zero, zero, zero
-                        )
                         tri = scene.triangles[following.face]
                         y = position(tri, following.u, following.v)
                         r = y - following.o
+                        slides = wp.bool(False)
+                        if wp.static(has_grids):
+                            slides = is_grid(tri)
+                        start = VertexTangent()
+                        if slides:
+                            # The ray that finds it starts where x_n is tied to its surface (form S).
+                            start = vertex_jvp(
+                                scene, tangents, vertex.face, vertex.u, vertex.v, False, zero, zero, zero, zero
+                            )
+                        after.vertex = vertex_jvp(
+                            scene, tangents, following.face, following.u, following.v, slides,
+                            following.o, following.d, start.x, zero,
+                        )  # fmt: skip
                         r_dot = after.vertex.x - moving.vertex.x
-                        wo_world_dot = normalize_jvp(vertex.wo, wp.length(r), r_dot)
                         cross = cross_of(tri, following.u, following.v)
+                        if wp.static(has_grids):
+                            if slides:
+                                r_dot = start.x - moving.vertex.x
+                                cross = interaction.surface(scene, following.face, following.u, following.v).ng
+                        wo_world_dot = normalize_jvp(vertex.wo, wp.length(r), r_dot)
                         beta_dot = log_geometry_jvp(cross, r, after.vertex.c, r_dot, after.chi) * vertex.beta
                 if wp.static(scatters):
                     wo = enter_frame(frame, vertex.wo)

@@ -2,7 +2,7 @@
 
 A number of a face that is at least the number of triangles names such a shape. Each function takes the one for
 triangles, and is that one where a scene holds no such shape, so nothing is compiled. A new affine kind is a file and a
-row. Grids (``sdfgrid.py``) are the other kind; they rest: no vertex on one has a velocity or sends on an adjoint.
+row. Grids (``sdfgrid.py``) are the other kind: vertices on them slide along the rays that found them.
 """
 
 import functools
@@ -23,9 +23,11 @@ from warp_psdr.kernels.primitive.affine import (
     make_affine_sink,
     make_affine_surface,
     step_off_primitive,
+    to_axes,
 )
-from warp_psdr.kernels.primitive.sdfgrid import sdfgrid_hit
-from warp_psdr.kernels.primitive.sdfgrid_surface import make_sdfgrid_surface
+from warp_psdr.kernels.primitive.sdfgrid import sdfgrid_hit, unpack
+from warp_psdr.kernels.primitive.sdfgrid_adjoint import make_sdfgrid_sink
+from warp_psdr.kernels.primitive.sdfgrid_surface import make_sdfgrid_surface, sdfgrid_normal
 from warp_psdr.kernels.primitive.sphere import (
     sphere_hit,
     sphere_normal,
@@ -191,8 +193,8 @@ def make_leaving(primitives: tuple[int, ...]):
 def make_position(primitives: tuple[int, ...]):
     """Return ``(position, cross)``: ``(tri, u, v) -> vec3``.
 
-    A point of a surface, and its normal, which is as long as the area element: of a triangle (p1 - p0) x (p2 - p0).
-    They are asked for where something moves, which plans refuse beside grids.
+    A point of a surface, and its normal, which is as long as the area element: of a triangle (p1 - p0) x (p2 - p0). On
+    grids the point is the one that is held, and the normal, which nobody asks for, that of their record.
     """
 
     @wp.func
@@ -200,20 +202,26 @@ def make_position(primitives: tuple[int, ...]):
         return wp.cross(tri.p1 - tri.p0, tri.p2 - tri.p0)
 
     affine = affine_kind(primitives)
-    if affine is None:
+    has_grids = PRIMITIVE_SDFGRID in primitives
+    if not primitives:
         return point_on, cross_of_edges
-    point_of, cross_of = make_affine_point(affine)
+    point_of, cross_of = make_affine_point(affine) if affine else (None, None)
 
     @wp.func
     def position_of_any(tri: Triangle, u: wp.float32, v: wp.float32) -> wp.vec3:
-        if is_primitive(tri):
-            return point_of(tri, u, v)
+        if wp.static(has_grids):
+            if is_grid(tri):
+                return tri.normal + to_axes(tri, unpack(u, v))
+        if wp.static(point_of is not None):
+            if is_primitive(tri):
+                return point_of(tri, u, v)
         return point_on(tri, u, v)
 
     @wp.func
     def cross_of_any(tri: Triangle, u: wp.float32, v: wp.float32) -> wp.vec3:
-        if is_primitive(tri):
-            return cross_of(tri, u, v)
+        if wp.static(cross_of is not None):
+            if is_primitive(tri):
+                return cross_of(tri, u, v)
         return cross_of_edges(tri, u, v)
 
     return position_of_any, cross_of_any
@@ -221,9 +229,23 @@ def make_position(primitives: tuple[int, ...]):
 
 @functools.cache
 def make_normal_at(primitives: tuple[int, ...]) -> wp.Function | None:
-    """Return ``normal(tri, x) -> vec3`` of shapes without triangles (``make_affine_normal``); None: there are none."""
+    """Return ``normal(scene, tri, x) -> vec3`` of shapes without triangles, of any length; None: there are none."""
+    if not primitives:
+        return None
     affine = affine_kind(primitives)
-    return make_affine_normal(affine) if affine else None
+    of_affine = make_affine_normal(affine) if affine else None
+    has_grids = PRIMITIVE_SDFGRID in primitives
+
+    @wp.func
+    def normal_of_any(scene: Scene, tri: Triangle, x: wp.vec3) -> wp.vec3:
+        if wp.static(has_grids):
+            if wp.static(of_affine is None) or is_grid(tri):
+                return sdfgrid_normal(scene, tri, x)
+        if wp.static(of_affine is not None):
+            return of_affine(tri, x)
+        return wp.vec3(0.0, 0.0, 0.0)
+
+    return normal_of_any
 
 
 @functools.cache
@@ -243,6 +265,7 @@ def make_adjoint_sink(
         return of_triangle
     affine = affine_kind(primitives)
     of_affine = make_affine_sink(affine, role, uv or tangent, tangent, rays) if affine else None
+    of_grid = make_sdfgrid_sink(role) if PRIMITIVE_SDFGRID in primitives else None
 
     @wp.func
     def accumulate_any(
@@ -258,11 +281,12 @@ def make_adjoint_sink(
     ) -> RayAdjoint:
         _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
         if is_primitive_at(scene, face):
+            tri = triangle_at(scene, face)
+            if wp.static(of_grid is not None):
+                if wp.static(of_affine is None) or is_grid(tri):
+                    return of_grid(scene, target, tri, u, v, adjoint, by_ray, o, d)
             if wp.static(of_affine is not None):
-                tri = triangle_at(scene, face)
-                if not is_grid(tri):
-                    return of_affine(target, tri, u, v, adjoint, by_ray, o, d)
-            return RayAdjoint()
+                return of_affine(target, tri, u, v, adjoint, by_ray, o, d)
         return of_triangle(scene, target, face, u, v, adjoint, by_ray, o, d)
 
     return accumulate_any

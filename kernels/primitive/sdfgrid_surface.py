@@ -8,8 +8,8 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.math import any_tangent
-from warp_psdr.kernels.primitive.affine import cofactor, to_axes
-from warp_psdr.kernels.primitive.sdfgrid import Grid, grid_of, unpack, value_and_gradient, voxel_at
+from warp_psdr.kernels.primitive.affine import cofactor, from_axes, to_axes
+from warp_psdr.kernels.primitive.sdfgrid import Grid, Voxel, grid_of, unpack, value_and_gradient, voxel_at
 from warp_psdr.kernels.reading import load_float
 from warp_psdr.kernels.structs import Scene, Triangle
 from warp_psdr.kernels.surface import Surface
@@ -91,6 +91,57 @@ def smooth_gradient(scene: Scene, g: Grid, p: wp.vec3, i: wp.int32, j: wp.int32,
     return (1.0 - w) * ((1.0 - v) * n00 + v * n10) + w * ((1.0 - v) * n01 + v * n11)
 
 
+@wp.struct
+class GridPoint:
+    """A point of the surface, in voxels along the axes."""
+
+    p: wp.vec3
+    i: wp.int32  # the voxel
+    j: wp.int32
+    k: wp.int32
+    voxel: Voxel
+    gradient: wp.vec3  # of phi by p
+
+
+@wp.func
+def voxel_corner(i: wp.int32, j: wp.int32, k: wp.int32) -> wp.vec3:
+    return wp.vec3(wp.float32(i), wp.float32(j), wp.float32(k))
+
+
+@wp.func
+def held_point(scene: Scene, g: Grid, u: wp.float32, v: wp.float32) -> GridPoint:
+    """The point that a vertex holds, put back onto the surface."""
+    r = GridPoint()
+    p = wp.cw_mul(g.cells, unpack(u, v))
+    r.i = wp.clamp(wp.int32(p[0]), 0, g.nx - 2)
+    r.j = wp.clamp(wp.int32(p[1]), 0, g.ny - 2)
+    r.k = wp.clamp(wp.int32(p[2]), 0, g.nz - 2)
+    cell = voxel_corner(r.i, r.j, r.k)
+    r.voxel = voxel_at(scene, g, r.i, r.j, r.k)
+    found = value_and_gradient(r.voxel, p - cell)
+    gradient = wp.vec3(found[0], found[1], found[2])
+    # What the fixed-point coordinates cut off: along the gradient.
+    steepest = wp.max(wp.length(gradient), 1.0e-30)
+    limit = wp.static(NEAREST) * wp.max(g.cells)
+    p -= (wp.clamp(found[3] / steepest, -limit, limit) / steepest) * gradient
+    found = value_and_gradient(r.voxel, p - cell)
+    r.p = p
+    r.gradient = wp.vec3(found[0], found[1], found[2])
+    return r
+
+
+@wp.func
+def sdfgrid_normal(scene: Scene, tri: Triangle, x: wp.vec3) -> wp.vec3:
+    """The geometric normal, of any length, at a point of the surface in the world."""
+    g = grid_of(scene, tri)
+    p = wp.cw_mul(g.cells, from_axes(tri, x - tri.normal))
+    i = wp.clamp(wp.int32(p[0]), 0, g.nx - 2)
+    j = wp.clamp(wp.int32(p[1]), 0, g.ny - 2)
+    k = wp.clamp(wp.int32(p[2]), 0, g.nz - 2)
+    found = value_and_gradient(voxel_at(scene, g, i, j, k), p - voxel_corner(i, j, k))
+    return wp.float32(tri.i2) * cofactor(tri, wp.cw_mul(g.cells, wp.vec3(found[0], found[1], found[2])))
+
+
 @functools.cache
 def make_sdfgrid_surface(tangent: bool):
     """Return ``surface_of(scene, tri, u, v) -> Surface``; ``tangent``: any direction in the surface, there is no u."""
@@ -98,27 +149,14 @@ def make_sdfgrid_surface(tangent: bool):
     @wp.func
     def sdfgrid_surface(scene: Scene, tri: Triangle, u: wp.float32, v: wp.float32) -> Surface:
         g = grid_of(scene, tri)
-        p = wp.cw_mul(g.cells, unpack(u, v))
-        i = wp.clamp(wp.int32(p[0]), 0, g.nx - 2)
-        j = wp.clamp(wp.int32(p[1]), 0, g.ny - 2)
-        k = wp.clamp(wp.int32(p[2]), 0, g.nz - 2)
-        cell = wp.vec3(wp.float32(i), wp.float32(j), wp.float32(k))
-        voxel = voxel_at(scene, g, i, j, k)
-        found = value_and_gradient(voxel, p - cell)
-        gradient = wp.vec3(found[0], found[1], found[2])
-        # What the fixed-point coordinates cut off: along the gradient, back onto the surface.
-        steepest = wp.max(wp.length(gradient), 1.0e-30)
-        limit = wp.static(NEAREST) * wp.max(g.cells)
-        p -= (wp.clamp(found[3] / steepest, -limit, limit) / steepest) * gradient
-        found = value_and_gradient(voxel, p - cell)
-        gradient = wp.cw_mul(g.cells, wp.vec3(found[0], found[1], found[2]))
+        at = held_point(scene, g, u, v)
         turn = wp.float32(tri.i2)
         s = Surface()
-        s.x = tri.normal + to_axes(tri, wp.cw_div(p, g.cells))
-        s.ng = turn * wp.normalize(cofactor(tri, gradient))
+        s.x = tri.normal + to_axes(tri, wp.cw_div(at.p, g.cells))
+        s.ng = turn * wp.normalize(cofactor(tri, wp.cw_mul(g.cells, at.gradient)))
         s.n = s.ng
         if g.smooth == 1:
-            n = wp.normalize(cofactor(tri, smooth_gradient(scene, g, p, i, j, k)))
+            n = wp.normalize(cofactor(tri, smooth_gradient(scene, g, at.p, at.i, at.j, at.k)))
             if wp.dot(n, n) > 0.0:
                 s.n = turn * n
         s.shape = tri.shape

@@ -5,6 +5,7 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
+from warp_psdr.kernels.constants import PRIMITIVE_SDFGRID
 from warp_psdr.kernels.interior.tangents import VertexTangent, make_vertex_jvp, normalize_jvp
 from warp_psdr.kernels.primitive.affine import (
     Kind,
@@ -15,8 +16,10 @@ from warp_psdr.kernels.primitive.affine import (
     to_axes,
 )
 from warp_psdr.kernels.primitive.dispatch import affine_kind, is_grid
+from warp_psdr.kernels.primitive.sdfgrid_adjoint import make_sdfgrid_sink
 from warp_psdr.kernels.reading import triangle_at
 from warp_psdr.kernels.structs import Scene, Triangle
+from warp_psdr.kernels.surface import VertexAdjoint
 
 
 @functools.cache
@@ -71,6 +74,48 @@ def make_affine_jvp(kind: Kind, uv: bool, tangent: bool):
 
 
 @functools.cache
+def make_sdfgrid_jvp():
+    """Return ``sdfgrid_jvp(scene, tangents, tri, u, v, by_ray, o, d, o_dot, d_dot) -> VertexTangent``.
+
+    Component by component, by the sink in its forward role. The normal that carries the area element has no velocity:
+    form S has no need of one.
+    """
+    accumulate = make_sdfgrid_sink("forward")
+
+    @wp.func
+    def sdfgrid_jvp(
+        scene: Scene,
+        tangents: wp.array(dtype=wp.float32),
+        tri: Triangle,
+        u: wp.float32,
+        v: wp.float32,
+        by_ray: wp.bool,
+        o: wp.vec3,
+        d: wp.vec3,
+        o_dot: wp.vec3,
+        d_dot: wp.vec3,
+    ) -> VertexTangent:
+        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
+        result = VertexTangent()
+        axis = wp.int32(0)
+        while axis < 3:
+            e = wp.vec3(0.0, 0.0, 0.0)
+            e[axis] = 1.0
+            of_x = VertexAdjoint()
+            of_x.x = e
+            ax = accumulate(scene, tangents, tri, u, v, of_x, by_ray, o, d)
+            of_n = VertexAdjoint()
+            of_n.n = e
+            an = accumulate(scene, tangents, tri, u, v, of_n, by_ray, o, d)
+            result.x[axis] = ax.dot + wp.dot(ax.o, o_dot) + wp.dot(ax.d, d_dot)
+            result.n[axis] = an.dot + wp.dot(an.o, o_dot) + wp.dot(an.d, d_dot)
+            axis += 1
+        return result
+
+    return sdfgrid_jvp
+
+
+@functools.cache
 def make_velocity(smooth: bool, flat: bool, uv: bool, tangent: bool, primitives: tuple[int, ...]):
     """Return ``make_vertex_jvp``'s function, for vertices on any shape; other arguments as there."""
     of_triangle = make_vertex_jvp(smooth, flat, uv, tangent)
@@ -78,6 +123,7 @@ def make_velocity(smooth: bool, flat: bool, uv: bool, tangent: bool, primitives:
         return of_triangle
     affine = affine_kind(primitives)
     of_affine = make_affine_jvp(affine, uv or tangent, tangent) if affine else None
+    of_grid = make_sdfgrid_jvp() if PRIMITIVE_SDFGRID in primitives else None
 
     @wp.func
     def velocity_of_any(
@@ -94,11 +140,12 @@ def make_velocity(smooth: bool, flat: bool, uv: bool, tangent: bool, primitives:
     ) -> VertexTangent:
         _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
         if is_primitive_at(scene, face):
+            tri = triangle_at(scene, face)
+            if wp.static(of_grid is not None):
+                if wp.static(of_affine is None) or is_grid(tri):
+                    return of_grid(scene, tangents, tri, u, v, by_ray, o, d, o_dot, d_dot)
             if wp.static(of_affine is not None):
-                tri = triangle_at(scene, face)
-                if not is_grid(tri):
-                    return of_affine(tangents, tri, u, v, by_ray, o, d, o_dot, d_dot)
-            return VertexTangent()
+                return of_affine(tangents, tri, u, v, by_ray, o, d, o_dot, d_dot)
         return of_triangle(scene, tangents, face, u, v, by_ray, o, d, o_dot, d_dot)
 
     return velocity_of_any

@@ -1,10 +1,10 @@
-"""Derivatives on and around grids of signed distances by what moves nothing, against finite differences."""
+"""Interior derivatives on and around grids of signed distances against finite differences."""
 
 import numpy as np
 import pytest
 
 import warp_psdr as psdr
-from tests.path.test_sdfgrid import DIFFUSE, PLAIN, ROUGH, blob, scene
+from tests.path.test_sdfgrid import DIFFUSE, PLAIN, ROUGH, T, blob, nodes, scene
 
 #: Deviation of the slope against finite differences of the same paths.
 SLOPE = 0.02
@@ -60,4 +60,73 @@ def test_slope_against_finite_differences(form: str, name: str) -> None:
     assert abs(differences) > 1.0
     assert forward / differences == pytest.approx(1.0, abs=SLOPE)
     assert reverse == pytest.approx(first, rel=2e-4)
+    assert not any(psdr.invalid_samples(described).values())
+
+
+def cave() -> psdr.Scene:
+    """A camera and a lamp in an ellipsoid of a grid, where everything is seen from everywhere."""
+    x, y, z = nodes(16)
+    grid = 0.42 - np.sqrt((x - 0.5) ** 2 + (1.1 * (y - 0.5)) ** 2 + (0.95 * (z - 0.5)) ** 2)
+    pose = np.eye(4)
+    pose[:3, :3] = 2.0 * np.array([[1.0, 0.2, 0.0], [-0.1, 0.9, 0.1], [0.0, 0.1, 1.1]])
+    pose[:3, 3] = -0.5 * pose[:3, :3].sum(axis=1)
+    film = {"type": "hdrfilm", "width": 16, "height": 16, "rfilter": {"type": "box"}}
+    view = T.look_at([0.1, -0.5, 0.1], [0.0, 0.3, 0.05], [0, 0, 1])
+    return psdr.load_dict(
+        {
+            "type": "scene",
+            "sensor": {"type": "perspective", "fov": 80.0, "near_clip": 0.01, "to_world": view, "film": film},
+            "light": {"type": "point", "position": [0.15, 0.1, 0.25], "intensity": 1.0},
+            "cave": {"type": "sdfgrid", "grid": grid.astype(np.float32), "to_world": T(pose), "bsdf": DIFFUSE},
+        }
+    )
+
+
+def entry(*place: int) -> np.ndarray:
+    e = np.zeros((4, 4))
+    e[place] = 1.0
+    return e
+
+
+def lumps(count: int) -> np.ndarray:
+    x, _y, z = nodes(count)
+    return (np.sin(4.0 * x) * np.cos(3.0 * z))[..., None]
+
+
+@pytest.mark.parametrize(
+    ("name", "tangent", "step"),
+    [
+        ("cave.grid", lumps(16), 0.003),
+        pytest.param("cave.grid", np.ones((16, 16, 16, 1)), 0.003, marks=pytest.mark.slow),
+        pytest.param("cave.to_world", entry(2, 2), 0.005, marks=pytest.mark.slow),
+        pytest.param("light.position", np.array([1.0, 0.0, 0.0]), 0.005, marks=pytest.mark.slow),
+        pytest.param("sensor.to_world", entry(2, 3), 0.005, marks=pytest.mark.slow),
+    ],
+)
+def test_slope_of_what_moves_where_all_is_seen(name: str, tangent: np.ndarray, step: float) -> None:
+    described = cave()
+    params = psdr.traverse(described)
+    integrator = psdr.PathIntegrator(max_depth=3, rr_depth=100, boundary=None)
+    value = params[name].numpy().astype(np.float64)
+    weights = np.random.default_rng(1).random((16, 16, 3)).astype(np.float32)
+
+    def image(step: float, seed: int) -> float:
+        params[name] = value + step * tangent
+        params.update()
+        found = psdr.render(described, integrator=integrator, spp=256, seed=seed).numpy().astype(np.float64)
+        params[name] = value
+        params.update()
+        return float((weights * found).sum())
+
+    seeds = range(4)
+    differences = np.mean([(image(step, seed) - image(-step, seed)) / (2.0 * step) for seed in seeds])
+    options = {"integrator": integrator, "spp": 256}
+    images = [psdr.render_forward(described, params, {name: tangent}, seed=s, **options).numpy() for s in seeds]
+    forward = [float((weights * image).sum()) for image in images]
+    params.requires_grad(name)
+    psdr.render_backward(described, params, weights, seed=0, **options)
+    reverse = float((params[name].grad.numpy() * tangent).sum())
+    assert abs(differences) > 1.0
+    assert np.mean(forward) / differences == pytest.approx(1.0, abs=SLOPE)
+    assert reverse == pytest.approx(forward[0], rel=2e-4)
     assert not any(psdr.invalid_samples(described).values())

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
-from warp_psdr.scene.layout import CAMERA, LIGHT_POSE, NORMALS, POSITIONS, SHAPE_POSE
+from warp_psdr.scene.layout import CAMERA, LIGHT_POSE, NORMALS, POSITIONS, SHAPE_GRID, SHAPE_POSE
 
 if TYPE_CHECKING:
     from warp_psdr.scene.scene import Scene
@@ -19,7 +19,7 @@ class Motion:
     """What moves discontinuities.
 
     Attributes:
-        shapes: numbers of the shapes whose vertices move.
+        shapes: numbers of the shapes whose surfaces move.
         camera: the camera moves.
         light_pose: a point, spot or directional light moves or turns.
         normals: numbers of the shapes whose vertex normals turn by themselves.
@@ -40,7 +40,7 @@ def motion(scene: Scene, names: list[str]) -> Motion:
     """Return what the named parameters move."""
     uses = [(scene.parameters[n].uses, shape) for n in names for shape in scene.parameters[n].owners]
     return Motion(
-        shapes=frozenset(owner for use, owner in uses if use & {POSITIONS, SHAPE_POSE}),
+        shapes=frozenset(owner for use, owner in uses if use & {POSITIONS, SHAPE_GRID, SHAPE_POSE}),
         camera=any(CAMERA in use for use, _owner in uses),
         light_pose=any(LIGHT_POSE in use for use, _owner in uses),
         normals=frozenset(owner for use, owner in uses if NORMALS in use),

@@ -36,6 +36,7 @@ from warp_psdr.scene.layout import (
     NORMALS,
     POSITIONS,
     RADIANCE,
+    SHAPE_GRID,
     SHAPE_POSE,
     TEXCOORDS,
     TO_UV,
@@ -378,7 +379,7 @@ def _wanted(scene: Scene, config: PathConfig, names: list[str], lines: list) -> 
     wanted = GradientRequest(
         material=tuple(has(MATERIAL + slot.name) for slot in config.material),
         to_uv=has(TO_UV),
-        shapes=has(POSITIONS, NORMALS, SHAPE_POSE),
+        shapes=has(POSITIONS, NORMALS, SHAPE_GRID, SHAPE_POSE),
         texcoords=has(TEXCOORDS),
         radiance=has(RADIANCE),
         lights=tuple(lights),
@@ -403,7 +404,7 @@ def _shapes(scene: Scene, names: list[str]) -> frozenset[int] | None:
     found: set[int] = set()
     for name in names:
         parameter = scene.parameters[name]
-        if parameter.uses <= {POSITIONS, NORMALS, TEXCOORDS, SHAPE_POSE}:
+        if parameter.uses <= {POSITIONS, NORMALS, TEXCOORDS, SHAPE_GRID, SHAPE_POSE}:
             found.update(parameter.owners)
         elif all(use.startswith(MATERIAL) for use in parameter.uses):
             users = [
@@ -438,7 +439,7 @@ def _discontinuities(scene: Scene, config: PathConfig, names: list[str]) -> list
     lights = _moving_lights(scene)
     for name in names:
         uses = scene.parameters[name].uses
-        if uses & {POSITIONS, SHAPE_POSE}:
+        if uses & {POSITIONS, SHAPE_GRID, SHAPE_POSE}:
             reasons.append(f"{name} moves silhouettes and shadows")
         elif CAMERA in uses and (scene.face_count or config.primitives):
             reasons.append(f"{name} moves the silhouettes that the camera sees")

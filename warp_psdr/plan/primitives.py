@@ -10,7 +10,6 @@ from warp_psdr.options import interior
 from warp_psdr.options.boundary import Method, PathSpace
 from warp_psdr.plan.motion import motion
 from warp_psdr.scene.exact import EXACT, KINDS
-from warp_psdr.scene.layout import SHAPE_GRID
 from warp_psdr.scene.sdfgrid import INSTEAD as TRIANGLES
 from warp_psdr.topology.exact_shapes import pierced
 
@@ -105,14 +104,13 @@ def _beside_grid(
     reason = _of_method(integrator.interior, wanted)
     if reason:
         return reason
-    shaped = [name for name in names if SHAPE_GRID in scene.parameters[name].uses]
-    if shaped:
-        return f"derivatives by {shaped[0]!r} are not estimated, neither inside nor at its silhouettes; render the grid"
-    if wanted is not None and (wanted.geometry or moving):
-        what = moving[0] if moving else f"{', '.join(names)} move what paths meet"
+    if wanted is not None and wanted.geometry and not isinstance(integrator.interior, interior.Replay):
+        what = type(integrator.interior).__name__
+        return f"interior.{what}() does not follow what slides along rays; use interior.Replay()"
+    if moving and integrator.boundary is not None:
         return (
-            f"{what}, whose derivatives are not estimated beside it, with boundary=None neither; request what moves "
-            "nothing (materials, radiances)"
+            f"{moving[0]}, at the silhouettes of grids as well, where derivatives are not estimated; "
+            "say PathIntegrator(boundary=None) to get the interior term alone"
         )
     return ""
 

@@ -68,17 +68,22 @@ def reaches(values: np.ndarray) -> np.ndarray:
     Args:
         values: of the nodes, (Z, Y, X, 1).
     """
-    inside = values[..., 0] < 0.0
-    corners = [
-        inside[tuple(slice(o, n - 1 + o) for o, n in zip(offset, inside.shape, strict=True))]
-        for offset in itertools.product((0, 1), repeat=3)
-    ]
-    passed = np.any(corners, axis=0) & ~np.all(corners, axis=0)
+    passed = is_passed(values[..., 0])
     if not passed.any():
         return np.full(passed.shape, float(max(passed.shape)), np.float32)
     from scipy.ndimage import distance_transform_cdt
 
     return distance_transform_cdt(~passed, metric="chessboard").astype(np.float32)
+
+
+def is_passed(values: np.ndarray) -> np.ndarray:
+    """Return of each voxel whether its corners differ in sign; ``values`` of the nodes, (Z, Y, X)."""
+    inside = values < 0.0
+    corners = [
+        inside[tuple(slice(o, n - 1 + o) for o, n in zip(offset, inside.shape, strict=True))]
+        for offset in itertools.product((0, 1), repeat=3)
+    ]
+    return np.any(corners, axis=0) & ~np.all(corners, axis=0)
 
 
 def follow_grids(scene: Scene, changed: Iterable[Parameter], held: np.ndarray) -> None:

@@ -71,7 +71,7 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
         if wp.static(len(config.primitives) > 0):
             if is_primitive_at(scene, seen.face):
                 tri = scene.triangles[seen.face]
-                return wp.where(wp.dot(normal_at(tri, seen.x), d) > 0.0, -1, 1) * (1 + tri.shape)
+                return wp.where(wp.dot(normal_at(scene, tri, seen.x), d) > 0.0, -1, 1) * (1 + tri.shape)
         uv = barycentrics_at(scene.triangles[seen.face], seen.x)
         surface = surface_at(scene, seen.face, uv[0], uv[1])
         return wp.where(wp.dot(surface.n, d) > 0.0, -1, 1) * (1 + surface.shape)
