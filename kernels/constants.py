@@ -74,6 +74,7 @@ CAMERA_ORTHOGRAPHIC = 1
 CAMERA_THINLENS = 2
 CAMERA_RADIANCEMETER = 3
 CAMERA_IRRADIANCEMETER = 4
+CAMERA_BATCH = 5  # no camera, but the film of several
 #: Sensors whose rays are parallel to the third column of their pose.
 PARALLEL_CAMERAS = frozenset({CAMERA_ORTHOGRAPHIC, CAMERA_RADIANCEMETER})
 #: Sensors of one pixel, to which no point of a scene can be connected.

@@ -64,6 +64,11 @@ def render_aov(
     wanted = _wanted(scene, aovs)
     number = scene.description.sensor_number(sensor)
     spp, seed = sample_count(scene, number, spp), checked_seed(seed)
+    parts = scene.description.parts_of(number)
+    if parts:
+        each = [render_aov(scene, wanted, sensor=n, spp=spp, seed=seed, progress=progress) for n in parts]
+        beside = {name: np.concatenate([images[name].numpy() for images in each], axis=1) for name in wanted}
+        return {n: wp.array(beside[n], dtype=each[0][n].dtype, device=scene.device) for n in wanted}
     # At depth 2 a plan asks for the materials, and the camera sees the lights.
     plan = decide(scene, integrator=PathIntegrator(max_depth=2), sensor=number)
     rows = visible(scene, plan, number, spp, mix_seed(seed, STREAM_PRIMAL), progress)

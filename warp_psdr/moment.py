@@ -52,7 +52,7 @@ def render_moment(
     Raises:
         ValueError: an option is out of range, or the camera's filter lets a sample count for several pixels.
     """
-    number = scene.description.sensor_number(sensor)
+    number = scene.description.camera_number(sensor)
     camera = scene.camera(number)
     if splats(camera):
         raise ValueError(

@@ -12,6 +12,7 @@ from warp_psdr import compiler
 from warp_psdr.device import active_tape, launch
 from warp_psdr.estimate import light
 from warp_psdr.estimate.arguments import adjoint_array, checked_seed, flat_tangents, requested, sample_count, samples
+from warp_psdr.estimate.batch import beside, columns
 from warp_psdr.estimate.boundary.drivers import launch_backward, launch_forward
 from warp_psdr.estimate.boundary.terms import Term, terms
 from warp_psdr.estimate.gradient_sums import GradientSums
@@ -108,11 +109,22 @@ def render(
         return _budgeted(what, wanted, seed, progress, reached)
     integrator = integrator_of(scene, integrator)
     spp, seed = sample_count(scene, sensor, spp), checked_seed(seed)
-    plan = decide(scene, integrator=integrator, sensor=sensor)
     gradient_spp = samples("spp_grad", spp_grad if spp_grad is not None else spp)
+    if tape is not None and (params is None or not params.requested):
+        raise ValueError("render(tape=...) differentiates what params.requires_grad(...) names; pass such params")
+    if scene.description.parts_of(sensor):
+        for number in scene.description.parts_of(sensor) if tape is not None else ():
+            decide(scene, params, integrator=integrator, sensor=number)
+
+        def alone(number: int, told: Progress | None) -> Image:
+            return render(scene, sensor=number, integrator=integrator, spp=spp, seed=seed, progress=told)
+
+        image = beside(scene, sensor, alone, progress, requires_grad=tape is not None)
+        if tape is not None and params is not None:
+            _record(tape, image, scene, params, sensor=sensor, integrator=integrator, spp=gradient_spp, seed=seed)
+        return image
+    plan = decide(scene, integrator=integrator, sensor=sensor)
     if tape is not None:
-        if params is None or not params.requested:
-            raise ValueError("render(tape=...) differentiates what params.requires_grad(...) names; pass such params")
         # Says what cannot be differentiated, before the work.
         differentiated = decide(scene, params, integrator=integrator, sensor=sensor)
         kernels = [image_kernel(scene, plan, sensor), *light.kernels(plan)]
@@ -214,8 +226,13 @@ def render_backward(
     integrator = integrator_of(scene, integrator)
     names = requested(scene, params)
     spp, seed = sample_count(scene, sensor, spp), checked_seed(seed)
-    plan = decide(scene, params, integrator=integrator, sensor=sensor)
     adjoint = adjoint_array(adjoint, scene.camera(sensor), scene.device)
+    if scene.description.parts_of(sensor):
+        for number, left, right, told in columns(scene, sensor, progress):
+            own = adjoint.numpy()[:, left:right]
+            render_backward(scene, params, own, sensor=number, integrator=integrator, spp=spp, seed=seed, progress=told)
+        return None
+    plan = decide(scene, params, integrator=integrator, sensor=sensor)
     sums = GradientSums(scene, names)
     compiler.begin(light.gradient_kernels(plan, "reverse"), scene.device)
     if integrator.boundary == "auto" and plan.boundary is not None:
@@ -291,6 +308,14 @@ def render_forward(
     if not tangents:
         raise ValueError("render_forward needs at least one tangent: {'parameter name': direction}")
     spp, seed = sample_count(scene, sensor, spp), checked_seed(seed)
+    if scene.description.parts_of(sensor):
+
+        def draw(number: int, told: Progress | None) -> Image:
+            return render_forward(
+                scene, params, tangents, sensor=number, integrator=integrator, spp=spp, seed=seed, progress=told
+            )
+
+        return beside(scene, sensor, draw, progress, signed=True)
     names = list(tangents)
     target = flat_tangents(scene, params, tangents)
     plan = decide(scene, integrator=integrator, sensor=sensor, names=names)

@@ -34,6 +34,7 @@ NEEDED: dict[str, dict] = {
     "volume": {"volume": {"type": "gridvolume", "data": np.full((2, 2, 2), 0.5)}},
     "envmap": {"filename": "FILE.png"},
     "thinlens": {"aperture_radius": 0.1},
+    "batch": {"left": {"type": "perspective"}, "right": {"type": "orthographic"}},
     "aov": {"aovs": "d:depth"},
     "moment": {"integrator": {"type": "path"}},
     "shapegroup": {"cube": {"type": "cube"}},

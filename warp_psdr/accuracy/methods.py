@@ -113,7 +113,7 @@ def compare(
         raise ValueError("compare takes an adjoint (of a gradient), or tangents (of a derivative image)")
     seed, seconds = checked_seed(seed), positive("seconds", seconds)
     base = dataclasses.replace(integrator_of(scene, integrator), boundary=None)
-    sensor = scene.description.sensor_number(sensor)
+    sensor = scene.description.camera_number(sensor)
     able, refused = {}, []
     for method in METHODS if methods is None else methods:
         chosen = dataclasses.replace(base, interior=method)

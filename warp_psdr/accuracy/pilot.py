@@ -106,7 +106,7 @@ def accuracy(
     if adjoint is not None and tangents is not None:
         raise ValueError("accuracy takes an adjoint (of a gradient) or tangents (of a derivative image), not both")
     integrator = integrator_of(scene, integrator)
-    sensor = scene.description.sensor_number(sensor)
+    sensor = scene.description.camera_number(sensor)
     what = select(scene, params, adjoint, tangents, integrator=integrator, sensor=sensor)
     other = bias.unbiased(integrator, what)
     twin = None if other is None else select(scene, params, adjoint, tangents, integrator=other, sensor=sensor)

@@ -65,7 +65,7 @@ def compile(
     Raises:
         ValueError: as ``render_backward``, of what cannot be differentiated.
     """
-    sensor = scene.description.sensor_number(sensor)
+    sensor = scene.description.camera_number(sensor)
     integrator = integrator_of(scene, integrator)
     start, before = time.perf_counter(), len(compiler.done)
     plan = decide(scene, integrator=integrator, sensor=sensor)

@@ -126,7 +126,7 @@ def trace_sample(
             "lights are not drawn again"
         )
     integrator = integrator_of(scene, integrator)
-    sensor = scene.description.sensor_number(sensor)
+    sensor = scene.description.camera_number(sensor)
     if kind not in TRACED:
         if params is None or pixel is not None:
             raise ValueError(f"kind {kind!r} takes the params of the gradient (or of its tangents) and no pixel")

@@ -176,7 +176,7 @@ def decide(
 ) -> Plan:
     """Return the ``plan`` without what is only told, the shapes in contact: a search over the scene's triangles."""
     integrator = integrator_of(scene, integrator)
-    sensor = scene.description.sensor_number(sensor)
+    sensor = scene.description.camera_number(sensor)
     names = _named(scene, params, names)
     lines: list[tuple[str, str, str]] = []
     config = _config(scene, integrator, sensor, lines)

@@ -59,6 +59,7 @@ CAMERAS = {
     "thinlens": c.CAMERA_THINLENS,
     "radiancemeter": c.CAMERA_RADIANCEMETER,
     "irradiancemeter": c.CAMERA_IRRADIANCEMETER,
+    "batch": c.CAMERA_BATCH,
 }
 
 
@@ -360,6 +361,9 @@ class Builder:
         record.filter_radius, record.filter_stddev = f.filter_radius, f.filter_stddev
         record.sample_border = int(f.sample_border)
         record.near, record.far = s.near_clip, s.far_clip
+        if s.kind == "batch":
+            self.cameras.append(record)
+            return
         if s.kind == "irradiancemeter":
             shape = self.shapes[next(i for i, held in enumerate(self.description.shapes) if held.sensor is s)]
             record.first_face, record.face_count = shape.first_face, shape.face_count

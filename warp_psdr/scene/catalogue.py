@@ -37,7 +37,6 @@ _SKY = (
 )
 #: Plugins that compute something else, or cannot be had, by kind, and what to use instead.
 INSTEAD: dict[str, dict[str, str]] = {
-    "sensor": {"batch": "put its sensors into the scene, render each, and set the images side by side"},
     "emitter": {"sunsky": _SKY, "timed_sunsky": _SKY},
     "integrator": {
         "depth": "give 'path' and call psdr.render_aov(scene, ['depth'])",

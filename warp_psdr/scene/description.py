@@ -195,7 +195,7 @@ class SensorDescription:
     """A camera or a meter. Space convention as in Mitsuba: looks along +z, +y up, +x to the left of the image."""
 
     path: str
-    kind: Literal["perspective", "orthographic", "thinlens", "radiancemeter", "irradiancemeter"]
+    kind: Literal["perspective", "orthographic", "thinlens", "radiancemeter", "irradiancemeter", "batch"]
     #: (4, 4); perspective, thinlens: rigid with optional uniform scale removed; orthographic: any invertible matrix, of
     #: which the first column is half the film's width and the third the direction of view; radiancemeter: the third and
     #: fourth column are those of its ray; irradiancemeter: not used, the shape that holds it counts
@@ -210,6 +210,7 @@ class SensorDescription:
     sampler: Literal["default", "independent", "sobol"] = "default"
     sample_count: int = 4
     medium: MediumDescription | None = None  #: that it is in
+    nested: tuple[SensorDescription, ...] = ()  #: batch: the sensors that share its film, from the left to the right
 
 
 @dataclass(eq=False)
@@ -218,7 +219,7 @@ class SceneDescription:
 
     shapes: list[ShapeDescription]
     emitters: list[EmitterDescription]  #: every light, area lights included
-    sensors: list[SensorDescription]
+    sensors: list[SensorDescription]  #: those of batches after all others
     #: Properties of the integrator that the file names: {"type": "path", "max_depth": 8, "rr_depth": 5,
     #: "hide_emitters": False}; empty when there is none. An ``aov`` is the one nested in it, or {"type": "aov"}, with
     #: "aovs": {name: type}.
@@ -227,6 +228,25 @@ class SceneDescription:
     #: (3,) float64: what was subtracted from all positions, those of matrices included; see ``origin``.
     origin: np.ndarray = field(default_factory=lambda: np.zeros(3))
     notes: list[str] = field(default_factory=list)  #: reported repairs and ignored cosmetic properties
+
+    def parts_of(self, sensor: int) -> list[int]:
+        """Return the numbers of the sensors of a batch, from the left to the right; empty: it is none."""
+        return [next(i for i, s in enumerate(self.sensors) if s is part) for part in self.sensors[sensor].nested]
+
+    def camera_number(self, sensor: int | str) -> int:
+        """Return the number of a sensor that is no batch; as ``sensor_number``.
+
+        Raises:
+            ValueError: There is no such sensor, or it is a batch.
+        """
+        number = self.sensor_number(sensor)
+        names = ", ".join(repr(s.path) for s in self.sensors[number].nested)
+        if names:
+            raise ValueError(
+                f"sensor {self.sensors[number].path!r} is a 'batch', which render, render_backward and render_forward "
+                f"take, with spp; give one of its sensors here: {names}"
+            )
+        return number
 
     def sensor_number(self, sensor: int | str) -> int:
         """Return the number of a sensor, which is given by its number, from the end if negative, or by its id.

@@ -100,6 +100,7 @@ def _build(scene: dict, where: str, context: Context) -> SceneDescription:
         high = np.max([points.max(axis=0) for points in corners], axis=0, initial=-np.inf)
         name = "sensor" if "sensor" not in scene else "default_sensor"
         result.sensors.append(sensors.default(low, high, where, name, context))
+    result.sensors += [part for sensor in result.sensors for part in sensor.nested]
     return result
 
 

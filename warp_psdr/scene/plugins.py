@@ -31,7 +31,7 @@ PLUGINS: dict[str, tuple[str, ...]] = {
         *("rgb", "srgb", "spectrum", "uniform", "rawconstant", "d65", "blackbody", "regular", "irregular"),
     ),
     "emitter": ("area", "directionalarea", "constant", "envmap", "point", "spot", "projector", "directional"),
-    "sensor": ("perspective", "orthographic", "thinlens", "radiancemeter", "irradiancemeter"),
+    "sensor": ("perspective", "orthographic", "thinlens", "radiancemeter", "irradiancemeter", "batch"),
     "film": ("hdrfilm",),
     "rfilter": ("box", "tent", "gaussian"),
     "sampler": ("independent", "sobol", "multijitter", "stratified", "orthogonal", "ldsampler"),

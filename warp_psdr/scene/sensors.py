@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from typing import TYPE_CHECKING, Literal, cast
 
@@ -27,6 +28,9 @@ _WRITTEN = {"file_format": ("openexr", "exr", "rgbe", "pfm"), "component_format"
 _FILM_MAX = 65536
 #: Pixels of a film, 3 GB: images and their gradients are kept as a whole.
 _PIXELS_MAX = 1 << 28
+#: Sensors of a batch, and their kinds.
+_SENSORS_MAX = 1024
+_IN_BATCH = ("perspective", "orthographic", "thinlens")
 #: Radius of a reconstruction filter, pixels: the film grows by it on every side.
 _RADIUS_MAX = 64.0
 
@@ -54,6 +58,8 @@ def build(node: dict, where: str, path: str, context: Context) -> SensorDescript
         )
     if props.type == "radiancemeter":
         return _radiance_meter(props)
+    if props.type == "batch":
+        return _batch(props)
     kind = cast(Literal["perspective", "orthographic", "thinlens"], props.type)
     film = context.attempt(lambda: _film(props), FilmDescription())
     sampler, sample_count = context.attempt(lambda: _sampler(props), _NO_SAMPLER)
@@ -89,6 +95,44 @@ def build(node: dict, where: str, path: str, context: Context) -> SensorDescript
         )
     props.finish()
     return result
+
+
+def _batch(props: Properties) -> SensorDescription:
+    """Return sensors side by side on one film, whose filter, samples and height they have."""
+    film = props.context.attempt(lambda: _film(props), FilmDescription())
+    sampler, sample_count = props.context.attempt(lambda: _sampler(props), _NO_SAMPLER)
+    props.ignore("shutter_open", "shutter_close", reason="there is no motion blur")
+    props.ignore("to_world", reason="every sensor of a batch has its own")
+    nested = []
+    for key, node, where in props.children("sensor", _SENSORS_MAX):
+        if node.get("type") not in _IN_BATCH:
+            problem = f"a '{node.get('type')}' in a 'batch'"
+            raise error(where, problem, f"give it cameras: {', '.join(_IN_BATCH)}")
+        if node is not props.node[key]:
+            raise error(where, "a reference in a 'batch'", "nest the sensor itself, for its film becomes another one")
+        name = node["id"] if isinstance(node.get("id"), str) else key
+        nested.append(build(node, where, f"{props.path}.{name}", props.context))
+    props.finish()
+    if not nested:
+        raise error(props.where, "a 'batch' without sensors", "nest one or more")
+    if (film.crop_width, film.crop_height) != (film.width, film.height):
+        raise error(props.where, "a film with a crop window in a 'batch'", "leave the crop out")
+    width, rest = divmod(film.width, len(nested))
+    if rest:
+        problem = f"a film {film.width} pixels wide for {len(nested)} sensors"
+        raise error(props.where, problem, f"give it a width that {len(nested)} divides")
+    for part in nested:
+        part.film = dataclasses.replace(film, width=width, crop_width=width)
+        part.sampler, part.sample_count = sampler, sample_count
+    return SensorDescription(
+        props.path,
+        "batch",
+        np.eye(4, dtype=np.float32),
+        film=film,
+        sampler=sampler,
+        sample_count=sample_count,
+        nested=tuple(nested),
+    )
 
 
 def build_meter(node: dict, where: str, path: str, context: Context) -> SensorDescription:

@@ -109,7 +109,7 @@ def boundary_samples(
         RuntimeWarning: samples that were not finite were left out (``psdr.invalid_samples``).
     """
     integrator = integrator_of(scene, integrator)
-    number: int = scene.description.sensor_number(sensor)
+    number: int = scene.description.camera_number(sensor)
     names = params.requested
     plan = decide(scene, params, integrator=integrator, sensor=number)
     if plan.boundary is None:
@@ -171,7 +171,7 @@ def edge_density(
     if isinstance(pieces, bool) or not isinstance(pieces, int) or pieces < 1:
         raise ValueError(f"pieces: got {pieces!r}, expected a positive integer")
     integrator = integrator_of(scene, integrator)
-    number: int = scene.description.sensor_number(sensor)
+    number: int = scene.description.camera_number(sensor)
     names = params.requested
     plan = decide(scene, params, integrator=integrator, sensor=number)
     if isinstance(plan.boundary, EdgeSampling):

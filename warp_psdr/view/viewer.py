@@ -94,7 +94,7 @@ def view(
     """
     description: SceneDescription = getattr(scene, "description", scene)
     sensor = (
-        description.sensors[description.sensor_number(camera)] if camera is not None and description.sensors else None
+        description.sensors[description.camera_number(camera)] if camera is not None and description.sensors else None
     )
     values = dict(params) if params is not None else {}
     center, radius = _bounds(description, values)
