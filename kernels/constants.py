@@ -67,6 +67,8 @@ NO_INTERFACE = -2
 # Shapes without triangles (``kernels/primitive``).
 PRIMITIVE_SPHERE = 0
 PRIMITIVE_SDFGRID = 1
+PRIMITIVE_LINEARCURVE = 4
+PRIMITIVE_BSPLINECURVE = 5
 
 # Cameras (``Camera.kind``).
 CAMERA_PERSPECTIVE = 0

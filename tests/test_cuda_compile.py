@@ -94,6 +94,9 @@ MIRROR_LIGHTS = PathConfig(
 EXACT = PathConfig(**{**vars(SIMPLE), "uv": True, "tangent": True, "primitives": (c.PRIMITIVE_SPHERE,)})
 EXACT_LIGHTS = PathConfig(**{**vars(ALL_LIGHTS), "primitives": (c.PRIMITIVE_SPHERE,)})
 DISTANCES = PathConfig(**{**vars(SIMPLE), "tangent": True, "primitives": (c.PRIMITIVE_SPHERE, c.PRIMITIVE_SDFGRID)})
+CURVES = PathConfig(
+    **{**vars(SIMPLE), "tangent": True, "primitives": (c.PRIMITIVE_LINEARCURVE, c.PRIMITIVE_BSPLINECURVE)}
+)
 MIRRORS = PathConfig(**{**vars(SIMPLE), **materials("conductor", "dielectric")})
 MIRRORS_PARALLEL = PathConfig(**{**vars(MIRRORS), "camera": c.CAMERA_ORTHOGRAPHIC})
 MIRRORS_LENS = PathConfig(**{**vars(MIRRORS), "camera": c.CAMERA_THINLENS})
@@ -202,6 +205,7 @@ FACTORIES = {
     "primal.make_primal_kernel": [
         ("simple", (SIMPLE,), FAST),
         ("grids of distances", (DISTANCES,), SLOW),
+        ("curves", (CURVES,), SLOW),
         ("emission", (EMISSION,), SLOW),
         ("orthographic", (ORTHOGRAPHIC,), SLOW),
         ("thin lens", (THIN_LENS,), FAST),

@@ -42,6 +42,8 @@ NEEDED: dict[str, dict] = {
     "gridvolume": {"data": np.ones((2, 2, 2))},
     "tabphase": {"values": [0.5, 1.0, 2.0]},
     "sdfgrid": {"grid": np.arange(8.0).reshape(2, 2, 2) - 3.5},
+    "linearcurve": {"control_points": np.eye(2, 4)},
+    "bsplinecurve": {"control_points": np.eye(4)},
     "merge": {"shape": {"type": "cube"}},
     "mesh": {"vertices": np.eye(3), "faces": [[0, 1, 2]]},
     **{kind: {"filename": f"FILE.{kind}"} for kind in ("obj", "ply", "serialized", "gltf", "glb", "stl", "off")},

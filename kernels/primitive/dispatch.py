@@ -2,7 +2,8 @@
 
 A number of a face that is at least the number of triangles names such a shape. Each function takes the one for
 triangles, and is that one where a scene holds no such shape, so nothing is compiled. A new affine kind is a file and a
-row. Grids (``sdfgrid.py``) are the other kind: vertices on them slide along the rays that found them.
+row. Grids (``sdfgrid.py``) are the other kind: vertices on them slide along the rays that found them. Curves
+(``curves.py``) rest: no vertex on one has a velocity or sends on an adjoint.
 """
 
 import functools
@@ -11,7 +12,12 @@ import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.bvh.wide import RayHit
-from warp_psdr.kernels.constants import PRIMITIVE_SDFGRID, PRIMITIVE_SPHERE
+from warp_psdr.kernels.constants import (
+    PRIMITIVE_BSPLINECURVE,
+    PRIMITIVE_LINEARCURVE,
+    PRIMITIVE_SDFGRID,
+    PRIMITIVE_SPHERE,
+)
 from warp_psdr.kernels.primitive.affine import (
     Kind,
     is_primitive,
@@ -25,6 +31,8 @@ from warp_psdr.kernels.primitive.affine import (
     step_off_primitive,
     to_axes,
 )
+from warp_psdr.kernels.primitive.curves import make_curve_hit
+from warp_psdr.kernels.primitive.curves_surface import make_curve_surface
 from warp_psdr.kernels.primitive.sdfgrid import sdfgrid_hit, unpack
 from warp_psdr.kernels.primitive.sdfgrid_adjoint import make_sdfgrid_sink
 from warp_psdr.kernels.primitive.sdfgrid_surface import make_sdfgrid_surface, sdfgrid_normal
@@ -64,9 +72,13 @@ KINDS: dict[int, Kind] = {
 }
 
 
+#: Kinds of curves.
+CURVES = (PRIMITIVE_LINEARCURVE, PRIMITIVE_BSPLINECURVE)
+
+
 def affine_kind(primitives: tuple[int, ...]) -> Kind | None:
-    """Return the kind of a scene's affine shapes; None: it holds grids alone."""
-    affine = [KINDS[kind] for kind in primitives if kind != PRIMITIVE_SDFGRID]
+    """Return the kind of a scene's affine shapes; None: it holds none."""
+    affine = [KINDS[kind] for kind in primitives if kind in KINDS]
     if len(affine) > 1:
         raise ValueError(f"kinds of affine shapes without triangles: got {primitives}, expected one")
     return affine[0] if affine else None
@@ -78,15 +90,46 @@ def is_grid(tri: Triangle) -> wp.bool:
     return tri.i1 == wp.static(-1 - PRIMITIVE_SDFGRID)
 
 
+@wp.func
+def is_linear(tri: Triangle) -> wp.bool:
+    """Whether the record of a shape without triangles is that of curves of straight segments."""
+    return tri.i1 == wp.static(-1 - PRIMITIVE_LINEARCURVE)
+
+
+@wp.func
+def is_bspline(tri: Triangle) -> wp.bool:
+    """Whether the record of a shape without triangles is that of B-splines."""
+    return tri.i1 == wp.static(-1 - PRIMITIVE_BSPLINECURVE)
+
+
+@wp.func
+def is_curve(tri: Triangle) -> wp.bool:
+    """Whether the record of a shape without triangles is that of curves."""
+    return is_linear(tri) or is_bspline(tri)
+
+
 @functools.cache
-def make_hit(primitives: tuple[int, ...]):
-    """Return ``hit(scene, tri, o, d, t_max) -> RayHit``; its ``face`` is 0, or -1 for a miss."""
+def make_hit(primitives: tuple[int, ...], shadow: bool = False):
+    """Return ``hit(scene, tri, o, d, t_max) -> RayHit``; its ``face`` is 0, or -1 for a miss.
+
+    Args:
+        primitives: the kinds of a scene.
+        shadow: whether there is a hit is all that counts.
+    """
     affine = affine_kind(primitives)
     hit_of_affine = make_affine_hit(affine) if affine else None
     has_grids = PRIMITIVE_SDFGRID in primitives
+    hit_of_linear = make_curve_hit(False, shadow) if PRIMITIVE_LINEARCURVE in primitives else None
+    hit_of_bspline = make_curve_hit(True, shadow) if PRIMITIVE_BSPLINECURVE in primitives else None
 
     @wp.func
     def hit_of_any(scene: Scene, tri: Triangle, o: wp.vec3, d: wp.vec3, t_max: wp.float32) -> RayHit:
+        if wp.static(hit_of_linear is not None):
+            if is_linear(tri):
+                return hit_of_linear(scene, tri, o, d, t_max)
+        if wp.static(hit_of_bspline is not None):
+            if is_bspline(tri):
+                return hit_of_bspline(scene, tri, o, d, t_max)
         if wp.static(has_grids):
             if wp.static(hit_of_affine is None) or is_grid(tri):
                 return sdfgrid_hit(scene, tri, o, d, t_max)
@@ -104,6 +147,7 @@ def make_primitive_queries(primitives: tuple[int, ...]):
     ``occludes(scene, o, d, t_max) -> bool``: whether one of the shapes lies on a segment.
     """
     hit_of = make_hit(primitives)
+    shadow_of = make_hit(primitives, shadow=True) if set(CURVES) & set(primitives) else hit_of
 
     @wp.func
     def closest_primitive(scene: Scene, o: wp.vec3, d: wp.vec3, hit: RayHit) -> RayHit:
@@ -121,7 +165,7 @@ def make_primitive_queries(primitives: tuple[int, ...]):
     def occluded_by_primitive(scene: Scene, o: wp.vec3, d: wp.vec3, t_max: wp.float32) -> wp.bool:
         k = last_primitive(scene)
         while is_primitive_at(scene, k):
-            if hit_of(scene, triangle_at(scene, k), o, d, t_max).face >= 0:
+            if shadow_of(scene, triangle_at(scene, k), o, d, t_max).face >= 0:
                 return True
             k -= 1
         return False
@@ -138,10 +182,18 @@ def make_surface_at(smooth: bool, flat: bool, uv: bool, tangent: bool, primitive
     affine = affine_kind(primitives)
     of_affine = make_affine_surface(affine, uv or tangent, tangent)[0] if affine else None
     of_grid = make_sdfgrid_surface(tangent) if PRIMITIVE_SDFGRID in primitives else None
+    of_linear = make_curve_surface(False, tangent) if PRIMITIVE_LINEARCURVE in primitives else None
+    of_bspline = make_curve_surface(True, tangent) if PRIMITIVE_BSPLINECURVE in primitives else None
 
     @wp.func
     def surface_of_any(scene: Scene, tri: Triangle, u: wp.float32, v: wp.float32) -> Surface:
         if is_primitive(tri):
+            if wp.static(of_linear is not None):
+                if is_linear(tri):
+                    return of_linear(scene, tri, u, v)
+            if wp.static(of_bspline is not None):
+                if is_bspline(tri):
+                    return of_bspline(scene, tri, u, v)
             if wp.static(of_grid is not None):
                 if wp.static(of_affine is None) or is_grid(tri):
                     return of_grid(scene, tri, u, v)
@@ -154,15 +206,15 @@ def make_surface_at(smooth: bool, flat: bool, uv: bool, tangent: bool, primitive
 
 @functools.cache
 def make_partials(primitives: tuple[int, ...]):
-    """Return ``partials(scene, tri, u, v) -> (dp/du, dp/dv)``; those of grids, which have no (u, v), are 0."""
+    """Return ``partials(scene, tri, u, v) -> (dp/du, dp/dv)``; 0 on grids and curves, which bear no bumps."""
     affine = affine_kind(primitives)
     of_affine = make_affine_surface(affine, True, True)[1] if affine else None
-    has_grids = PRIMITIVE_SDFGRID in primitives
+    has_resting = bool({PRIMITIVE_SDFGRID, *CURVES} & set(primitives))
 
     @wp.func
     def partials_of_any(scene: Scene, tri: Triangle, u: wp.float32, v: wp.float32) -> tuple[wp.vec3, wp.vec3]:
-        if wp.static(has_grids):
-            if is_grid(tri):
+        if wp.static(has_resting):
+            if is_grid(tri) or is_curve(tri):
                 return wp.vec3(0.0, 0.0, 0.0), wp.vec3(0.0, 0.0, 0.0)
         if wp.static(of_affine is not None):
             if is_primitive(tri):
@@ -286,7 +338,9 @@ def make_adjoint_sink(
                 if wp.static(of_affine is None) or is_grid(tri):
                     return of_grid(scene, target, tri, u, v, adjoint, by_ray, o, d)
             if wp.static(of_affine is not None):
-                return of_affine(target, tri, u, v, adjoint, by_ray, o, d)
+                if not is_curve(tri):
+                    return of_affine(target, tri, u, v, adjoint, by_ray, o, d)
+            return RayAdjoint()
         return of_triangle(scene, target, face, u, v, adjoint, by_ray, o, d)
 
     return accumulate_any

@@ -1,9 +1,10 @@
-"""Interior derivatives on and around grids of signed distances against finite differences."""
+"""Interior derivatives on and around grids of signed distances, and curves, against finite differences."""
 
 import numpy as np
 import pytest
 
 import warp_psdr as psdr
+from tests.path.test_curves import held as hairy
 from tests.path.test_sdfgrid import DIFFUSE, PLAIN, ROUGH, T, blob, nodes, scene
 
 #: Deviation of the slope against finite differences of the same paths.
@@ -16,10 +17,14 @@ CASES = [
     pytest.param("diffuse", "sky.radiance.value", marks=pytest.mark.slow),
     pytest.param("rough", "body.bsdf.alpha.value", marks=pytest.mark.slow),
     pytest.param("rough", "body.bsdf.specular_reflectance.value", marks=pytest.mark.slow),
+    pytest.param("bsplinecurve", "body.bsdf.reflectance.value", marks=pytest.mark.slow),
+    pytest.param("linearcurve", "body.bsdf.reflectance.value", marks=pytest.mark.slow),
 ]
 
 
 def held(form: str) -> psdr.Scene:
+    if form.endswith("curve"):
+        return psdr.load_dict(hairy(form, DIFFUSE))
     rough = {**ROUGH, "alpha": 0.3, "specular_reflectance": {"type": "rgb", "value": [0.8, 0.7, 0.6]}}
     normals, bsdf = ("smooth", DIFFUSE) if form == "diffuse" else ("analytic", rough)
     return psdr.load_dict(scene(blob(16), PLAIN, normals, bsdf))

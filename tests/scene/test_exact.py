@@ -107,7 +107,7 @@ def test_points_are_on_the_sphere() -> None:
     q = sphere_points(u, v)
     np.testing.assert_allclose(np.linalg.norm(q, axis=1), 1.0, atol=1e-12)
     held = scene(ball=sphere(to_world=POSE))
-    x = position_of(held.triangles.numpy()[0], 0.3, -0.4)
+    x = position_of(held, held.triangles.numpy()[0], 0.3, -0.4)
     local = np.linalg.inv(POSE.matrix) @ np.append(x, 1.0)
     np.testing.assert_allclose(local[:3], sphere_points(0.3, -0.4), atol=1e-6)
 

@@ -151,10 +151,11 @@ def test_kinds(case, check) -> None:
 def test_every_kind_is_listed() -> None:
     """Kinds of files are read as meshes; wrappers and textures have tests of their own.
 
-    Beside a grid of distances nothing may move; ``tests/path/test_sdfgrid.py`` scales it.
+    Beside a grid of distances and curves nothing may move; ``tests/path/test_sdfgrid.py`` scales the former.
     """
+    resting = {"sdfgrid", "linearcurve", "bsplinecurve"}
     files = {"ply", "obj", "stl", "off", "gltf", "glb", "serialized"}
-    assert set(PLUGINS["shape"]) - files - {"shapegroup", "instance", "merge", "sdfgrid"} == set(SHAPES)
+    assert set(PLUGINS["shape"]) - files - resting - {"shapegroup", "instance", "merge"} == set(SHAPES)
     # A map needs texture coordinates; its heights are lengths along them. Beside rough glass and
     # thin sheets nothing may move, nor beside what light passes without a turn, if it comes from a point.
     others = {"normalmap", "bumpmap", "roughdielectric", "principledthin", "thindielectric", "null"}

@@ -178,6 +178,6 @@ def _vertex(scene: Scene, record: np.void) -> TracedVertex:
         return TracedVertex("", "", face, np.full(3, np.nan, np.float32), *rest)
     tri = scene.triangles.numpy()[face]
     u, v = record["u"], record["v"]
-    position = position_of(tri, u, v) + scene.origin
+    position = position_of(scene, tri, u, v) + scene.origin
     shape = scene.description.shapes[int(tri["shape"])]
     return TracedVertex(shape.path, shape.bsdf.model, -1 if shape.primitive else face, position, *rest)

@@ -9,6 +9,7 @@ from warp_psdr.kernels.constants import METERS
 from warp_psdr.options import interior
 from warp_psdr.options.boundary import Method, PathSpace
 from warp_psdr.plan.motion import motion
+from warp_psdr.scene.curves import INSTEAD as TUBES
 from warp_psdr.scene.exact import EXACT, KINDS
 from warp_psdr.scene.sdfgrid import INSTEAD as TRIANGLES
 from warp_psdr.topology.exact_shapes import pierced
@@ -44,6 +45,11 @@ def describe(scene: Scene) -> list[tuple[str, str, str]]:
     if grids:
         sizes = [" x ".join(str(n) for n in s.grid.values.shape[2::-1]) for s in grids if s.grid is not None]
         lines.append(("distance grids", ", ".join(sizes), "nodes along x, y, z; rays go from voxel to voxel of each"))
+    for i in scene.builder.curves:
+        curves = scene.description.shapes[i].curves
+        if curves is not None:
+            pieces = f"{curves.pieces} pieces of each" if curves.cubic else "straight"
+            lines.append((f"curves {scene.description.shapes[i].path}", f"{len(curves.firsts)} segments", pieces))
     return lines
 
 
@@ -63,11 +69,12 @@ def refuse(
     if not config.primitives:
         return
     shapes = [scene.description.shapes[i] for i in scene.builder.primitives]
-    grid = next((s for s in shapes if s.grid is not None), None)
-    if grid is not None:
-        reason = _beside_grid(scene, config, integrator, wanted, names, moving)
+    resting = next((s for s in shapes if s.kind not in EXACT), None)
+    if resting is not None:
+        reason = _beside_resting(scene, config, integrator, wanted, names, moving)
         if reason:
-            raise ValueError(f"{grid.path!r} is a {grid.kind!r}, and {reason}; or {TRIANGLES}")
+            instead = TRIANGLES if resting.grid is not None else TUBES
+            raise ValueError(f"{resting.path!r} is a {resting.kind!r}, and {reason}; or {instead}")
         return
     shape = shapes[0]
     reason = ""
@@ -90,7 +97,7 @@ def _of_method(method: interior.Method, wanted: GradientRequest | None) -> str:
     return ""
 
 
-def _beside_grid(
+def _beside_resting(
     scene: Scene,
     config: PathConfig,
     integrator: PathIntegrator,
@@ -98,12 +105,19 @@ def _beside_grid(
     names: list[str],
     moving: tuple[str, ...],
 ) -> str:
-    """Say what is not done beside grids of distances; empty: nothing of what is asked for."""
+    """Say what is not done beside grids of distances and curves; empty: nothing of what is asked for."""
     if config.media is not None:
         return "participating media do not know it; leave out the media"
     reason = _of_method(integrator.interior, wanted)
     if reason:
         return reason
+    curves = next((scene.description.shapes[i] for i in scene.builder.curves), None)
+    if curves is not None and wanted is not None and (wanted.geometry or moving):
+        what = moving[0] if moving else f"{', '.join(names)} move what paths meet"
+        return (
+            f"{what}, whose derivatives are not estimated beside {curves.path!r}, with boundary=None neither; request "
+            "what moves nothing (materials, radiances)"
+        )
     if wanted is not None and wanted.geometry and not isinstance(integrator.interior, interior.Replay):
         what = type(integrator.interior).__name__
         return f"interior.{what}() does not follow what slides along rays; use interior.Replay()"

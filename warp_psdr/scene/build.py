@@ -14,6 +14,7 @@ from warp_psdr.kernels.bsdf.dispatch import declaration_of, models_of, ordered
 from warp_psdr.kernels.bsdf.model import GEOMETRY, GRADIENT, MadeTable, Value, key_of
 from warp_psdr.kernels.bsdf.record import Slot, merge_values, slot_of
 from warp_psdr.kernels.vertex import MediaConfig
+from warp_psdr.scene.curves import add_curves
 from warp_psdr.scene.layout import (
     CAMERA,
     LIGHT_POSE,
@@ -99,6 +100,7 @@ class Builder:
         self.bumped: set[int] = set()  #: numbers of materials that read how a texture rises
         self.heights: set[int] = set()  #: numbers of the bitmaps that bump maps read
         self.primitives: list[int] = []  #: numbers of the shapes without triangles, in the order of their records
+        self.curves: dict[int, int] = {}  #: shape of curves -> flat offset of what the kernels read of it
         self.prototypes: list[Prototype] = []
         self.pose_of: dict[int, str] = {}  #: shape with a pose -> name of the pose
         self._prototype_index: dict[int, int] = {}
@@ -176,6 +178,8 @@ class Builder:
             self.layout.add_values(np.array([nodes[2], nodes[1], nodes[0], s.grid.smooth]))
             self.layout.add(f"{s.path}.grid", s.grid.values, SHAPE_GRID, owner=number)
             self.layout.add_values(reaches(s.grid.values))
+        if s.curves is not None:
+            self.curves[number] = add_curves(self.layout, s, number)
 
     def _copy_values(self, s: ShapeDescription, source: ShapeDescription, record, number: int) -> None:
         """Lay out what a copy by an instance has of its own, and what it shares unless another copy has."""

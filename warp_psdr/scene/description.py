@@ -137,6 +137,16 @@ class SdfGrid:
 
 
 @dataclass(eq=False)
+class Curves:
+    """Curves with a radius."""
+
+    points: np.ndarray  #: (N, 4) control points: x, y, z, radius
+    firsts: np.ndarray  #: (S,) int32: of each segment, the number of its first control point
+    cubic: bool  #: B-splines of four control points a segment; else straight ones between two
+    pieces: int = 1  #: into which rays see a segment cut
+
+
+@dataclass(eq=False)
 class ShapeDescription:
     """A triangle mesh, world space, or a shape without triangles (``primitive``)."""
 
@@ -166,6 +176,7 @@ class ShapeDescription:
     #: Shapes without triangles: the plugin. ``vertices`` are corners of a box around them.
     primitive: str = ""
     grid: SdfGrid | None = None
+    curves: Curves | None = None
     repairs: dict[str, int] = field(default_factory=dict)  #: e.g. {"zero-area triangles dropped": 3}
 
     @property

@@ -15,6 +15,7 @@ import warp as wp
 from warp_psdr.device import launch
 from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.primitive.affine import update_primitive
+from warp_psdr.kernels.primitive.curves import HEADER, MOST_SEGMENTS
 
 from .description import ShapeDescription
 from .errors import error
@@ -28,7 +29,12 @@ if TYPE_CHECKING:
 #: Plugin that may be exact -> its kind on the device.
 EXACT = {"sphere": c.PRIMITIVE_SPHERE}
 #: The same of all shapes without triangles.
-KINDS = {**EXACT, "sdfgrid": c.PRIMITIVE_SDFGRID}
+KINDS = {
+    **EXACT,
+    "sdfgrid": c.PRIMITIVE_SDFGRID,
+    "linearcurve": c.PRIMITIVE_LINEARCURVE,
+    "bsplinecurve": c.PRIMITIVE_BSPLINECURVE,
+}
 #: Corners of the box around each kind, in its own coordinates.
 CORNERS = np.array(list(itertools.product((-1.0, 1.0), repeat=3)), np.float32)
 #: Volume of the pose over the product of the lengths of its columns, up to which it has no inverse in float32.
@@ -92,7 +98,9 @@ def update_record(scene: Scene, shape: int) -> None:
         ValueError: its pose has no inverse.
     """
     pose, s = scene.pose_offsets(shape)[0], scene.description.shapes[shape]
-    reason = singular(scene.values[pose : pose + 16].numpy().reshape(4, 4))
+    # Of curves the record holds a box around them.
+    pose = scene.builder.curves.get(shape, pose)
+    reason = "" if s.curves is not None else singular(scene.values[pose : pose + 16].numpy().reshape(4, 4))
     if reason:
         raise ValueError(f"{s.path}.to_world: {reason}; restore a pose that has one")
     place = scene.face_count + scene.builder.primitives.index(shape)
@@ -104,6 +112,42 @@ def record_numbers(scene: Scene, shapes: frozenset[int] | None) -> wp.array | No
     """Return the numbers of the records of some shapes without triangles (None: of all); None: there are none."""
     found = [scene.face_count + k for k, i in enumerate(scene.builder.primitives) if shapes is None or i in shapes]
     return wp.array(np.array(found, np.int32), dtype=wp.int32, device=scene.device) if found else None
+
+
+def held_curve_point(scene: Scene, shape: int, held: np.ndarray) -> np.ndarray:
+    """Return the point (3,) of curves that a vertex holds (``kernels/primitive/curves.py``).
+
+    Args:
+        scene: the scene.
+        shape: the number of the curves.
+        held: (3,) place along the segment, turns around it, and its number, as fractions.
+    """
+    curves = scene.description.shapes[shape].curves
+    assert curves is not None
+    first = scene.builder.curves[shape] + HEADER + curves.points.size
+    points = scene.values[first : first + curves.points.size].numpy().astype(np.float64).reshape(-1, 4)
+    k, along, angle = curves.firsts[int(held[2] * MOST_SEGMENTS)], float(held[0]), None
+    if curves.cubic:
+        p = points[k : k + 4]
+        a = [
+            (p[0] + 4 * p[1] + p[2]) / 6,
+            (p[2] - p[0]) / 2,
+            (p[0] - 2 * p[1] + p[2]) / 2,
+            (p[3] - p[0] + 3 * (p[1] - p[2])) / 6,
+        ]
+        c, axis = np.polyval(a[::-1], along), np.polyval([3 * a[3], 2 * a[2], a[1]], along)[:3]
+    else:
+        p0, p1 = points[k : k + 2]
+        axis = (p1 - p0)[:3]
+        touch = np.arccos(np.clip((p0 - p1)[3] / np.linalg.norm(axis), -1.0, 1.0))
+        angle = np.interp(along, [0.0, 0.25, 0.75, 1.0], [np.pi, touch, touch, 0.0])
+        c = p0 + np.clip(2.0 * along - 0.5, 0.0, 1.0) * (p1 - p0)
+    axis = axis / np.linalg.norm(axis)
+    up = np.array([0.0, 0.0, 1.0]) - axis[2] * axis
+    up = up / np.linalg.norm(up) if up @ up > 1.0e-12 else np.array([0.0, 1.0, 0.0])
+    turn = 2.0 * np.pi * held[1]
+    e = np.cos(turn) * np.cross(up, axis) + np.sin(turn) * up
+    return c[:3] + c[3] * (e if angle is None else np.sin(angle) * e + np.cos(angle) * axis)
 
 
 def sphere_points(u, v) -> np.ndarray:
@@ -126,8 +170,10 @@ def held_points(u, v) -> np.ndarray:
     return points.reshape(*np.shape(u), 3)
 
 
-def position_of(record: np.void, u: float, v: float) -> np.ndarray:
+def position_of(scene: Scene, record: np.void, u: float, v: float) -> np.ndarray:
     """Return the point (3,) that a vertex holds, in the device's coordinates; ``record`` is that of its face."""
+    if record["shape"] in scene.builder.curves:
+        return held_curve_point(scene, int(record["shape"]), held_points(u, v))
     if record["i1"] >= 0:
         return (1.0 - u - v) * record["p0"] + u * record["p1"] + v * record["p2"]
     q = held_points(u, v) if record["i1"] == -1 - c.PRIMITIVE_SDFGRID else sphere_points(u, v)

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 PLUGINS: dict[str, tuple[str, ...]] = {
     "scene": ("scene",),
     "shape": (
-        *("rectangle", "cube", "sphere", "disk", "cylinder", "sdfgrid"),
+        *("rectangle", "cube", "sphere", "disk", "cylinder", "sdfgrid", "linearcurve", "bsplinecurve"),
         *("obj", "ply", "serialized", "gltf", "glb", "stl", "off", "mesh"),
         *("shapegroup", "instance", "merge"),
     ),

@@ -22,6 +22,7 @@ from warp_psdr.kernels.structs import Media, Medium
 from warp_psdr.kernels.surface import update_triangles
 from warp_psdr.scene.acceleration import Accelerator
 from warp_psdr.scene.build import Builder
+from warp_psdr.scene.curves import Trees
 from warp_psdr.scene.derived_values import sum_of_normals
 from warp_psdr.scene.edits import Edits, State, check_media, has_results
 from warp_psdr.scene.exact import update_record
@@ -133,6 +134,7 @@ class Scene:
         compiler.begin(self.accelerator.kernels(), self.device)
         for shape in self._local:
             self._pose(shape)
+        self._trees = Trees(self)
         self._update_triangles(range(len(description.shapes)))
         self.accelerator.rebuild()
         self._shades_flat = None
@@ -333,6 +335,7 @@ class Scene:
         if any(p.uses & {POSITIONS, NORMALS, SHAPE_POSE} for p in changed):
             self._shades_flat = None
         moved = {shape for p in changed if p.uses & {POSITIONS, SHAPE_POSE} for shape in p.owners}
+        moved |= self._trees.follow(changed)
         if moved:
             self._update_triangles(sorted(moved))
             self.accelerator.update()

@@ -89,7 +89,7 @@ def is_passed(values: np.ndarray) -> np.ndarray:
 def follow_grids(scene: Scene, changed: Iterable[Parameter], held: np.ndarray) -> None:
     """Let the reaches follow the grids that have changed; ``held``: the flat values on the host."""
     for p in changed:
-        if SHAPE_GRID in p.uses:
+        if SHAPE_GRID in p.uses and scene.description.shapes[p.owner].grid is not None:
             found = reaches(held[p.offset : p.offset + p.size].reshape(p.shape)).reshape(-1)
             scene.values[p.offset + p.size : p.offset + p.size + found.size].assign(found)
 

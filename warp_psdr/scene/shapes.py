@@ -7,7 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from . import bsdfs, emitters, media, sensors
-from .description import EmitterDescription, SdfGrid, ShapeDescription
+from .curves import INSTEAD as TUBES
+from .curves import curve_shape, is_curves, take_curves
+from .description import Curves, EmitterDescription, SdfGrid, ShapeDescription
 from .errors import ReportedError, error
 from .exact import exact_shape, is_exact
 from .mesh_files import read_mesh
@@ -59,10 +61,12 @@ def build(node: dict, where: str, path: str, context: Context) -> ShapeDescripti
         raise ReportedError(where)
     data, to_world, place = geometry
     to_world = moved(to_world, context.origin)
-    if exact or isinstance(data, SdfGrid):
+    if exact or not isinstance(data, MeshData):
         _refuse_beside_exact(props, bsdf, emitter is not None, bool(meters), any(sides.values()))
     if isinstance(data, SdfGrid):
         shape = grid_shape(props, data, to_world, bsdf)
+    elif isinstance(data, Curves):
+        shape = curve_shape(props, data, to_world, bsdf)
     elif exact:
         shape = exact_shape(props, to_world, bsdf)
     else:
@@ -77,7 +81,8 @@ def build(node: dict, where: str, path: str, context: Context) -> ShapeDescripti
     shape.interior, shape.exterior = sides["interior"], sides["exterior"]
     if emitter is not None:
         check_attribute(emitter.radiance, shape.attributes, lights[0][2], 0.0, np.inf, False)
-    bsdfs.check_shape(bsdf, shape.attributes, exact or shape.texcoords is not None, where)
+    has_uv = exact or shape.curves is not None or shape.texcoords is not None
+    bsdfs.check_shape(bsdf, shape.attributes, has_uv, where)
     return shape
 
 
@@ -124,17 +129,19 @@ def _refuse_beside_exact(
         "a 'bumpmap'": any("bumpmap" in (side.model, *side.children) for side in bsdf.sides),
     }
     for what in (what for what, there in found.items() if there):
-        if props.type == SDFGRID:
-            raise error(props.where, f"{what} on a '{SDFGRID}'", INSTEAD)
+        if props.type == SDFGRID or is_curves(props.type):
+            raise error(props.where, f"{what} on a '{props.type}'", INSTEAD if props.type == SDFGRID else TUBES)
         problem = f"{what} on an exact '{props.type}'"
         raise error(props.where, problem, "leave out 'exact': the tessellated shape takes it")
 
 
-def _geometry(props: Properties, exact: bool) -> tuple[MeshData | SdfGrid, np.ndarray, str]:
+def _geometry(props: Properties, exact: bool) -> tuple[MeshData | SdfGrid | Curves, np.ndarray, str]:
     """Return the object-space mesh or grid, the transformation to world space, and the mesh's place for messages."""
     to_world = props.transform("to_world")
     if props.type == SDFGRID:
         return read_grid(props), to_world, props.where
+    if is_curves(props.type):
+        return take_curves(props), to_world, props.where
     if props.type in PRIMITIVES:
         resolution = MIN_RESOLUTION if exact else DEFAULT_RESOLUTION
         if props.type in CURVED and not exact:

@@ -181,7 +181,7 @@ def _place(scene: Scene, edges, row: np.ndarray) -> TracedPlace:
     index = int(tri["shape"])
     shape = scene.description.shapes[index]
     if what != "edge":
-        position = position_of(tri, u, v) + scene.origin
+        position = position_of(scene, tri, u, v) + scene.origin
     if shape.primitive:
         faces = ()
     ends = tuple(i - scene.builder.shapes[index].first_vertex for i in ends)

@@ -1,0 +1,394 @@
+"""Curves with a radius: tubes about cubic B-splines, and cones between spheres.
+
+Behind the pose the flat values hold the ``HEADER``: a box around the curves, how many there are, and the number of a
+tree, ``wp.Bvh``, over boxes of pieces of segments. Then come the control points of the shape, (x, y, z, radius) each,
+the same in the world, with the same radii, and of each segment the number of its first control point.
+
+Surfaces are seen from outside alone, and rays that start inside leave unseen: what counts is where a ray enters.
+
+A vertex holds the segment, the place along it, and the angle around it, as fixed-point numbers in the bits of two
+(``sdfgrid.pack``).
+
+Derivation: ``docs/theory/implicit.md#curves``.
+"""
+
+import functools
+
+import warp as wp
+
+from warp_psdr.kernels.bvh.wide import RayHit
+from warp_psdr.kernels.constants import PI, TWO_PI
+from warp_psdr.kernels.primitive.sdfgrid import pack
+from warp_psdr.kernels.reading import load_float
+from warp_psdr.kernels.structs import Scene, Triangle
+
+#: Values between the first one of the box and the control points: 16 of the box, the numbers of control points, of
+#: segments and of pieces of each, and the two words of the tree's number.
+HEADER = 21
+#: Segments of one shape: as many as 20 bits tell apart.
+MOST_SEGMENTS = 1048576
+#: Rounds in which a ray is carried from cone to cone along a piece. They double the digits; a few suffice.
+ROUNDS = 12
+#: Slope above which a secant is not followed.
+LEAST_FALL = -0.2
+#: Change of the place along a segment, 1 for all of it, at which a round was the last one.
+CLOSE = 2.0e-5
+#: How far behind the ends of a piece a hit still counts, so that nothing passes between two.
+OVERLAP = 1.0e-5
+#: By how much boxes grow, over the distance of the ray's origin from the coordinates' own: rounding.
+GROWTH = 4.0e-7
+#: Share of the square of a direction below which it runs along the axis.
+ALONG = 1.0e-7
+
+
+@wp.struct
+class Curves:
+    """Where the values of a shape are."""
+
+    tree: wp.uint64
+    points: wp.int32  # flat offset of the control points in the world
+    firsts: wp.int32  # flat offset of the segments' first control points
+    segments: wp.int32
+    pieces: wp.int32  # of each segment
+
+
+@wp.struct
+class Spline:
+    """c(v) = a0 + v (a1 + v (a2 + v a3)), (x, y, z, radius), of a segment; 0 <= v <= 1."""
+
+    a0: wp.vec4
+    a1: wp.vec4
+    a2: wp.vec4
+    a3: wp.vec4
+
+
+@wp.func
+def curves_of(scene: Scene, tri: Triangle) -> Curves:
+    g = Curves()
+    count = wp.int32(load_float(scene.values, tri.i0 + 16))
+    g.segments = wp.int32(load_float(scene.values, tri.i0 + 17))
+    g.pieces = wp.int32(load_float(scene.values, tri.i0 + 18))
+    low = wp.uint64(wp.cast(load_float(scene.values, tri.i0 + 19), wp.uint32))
+    high = wp.uint64(wp.cast(load_float(scene.values, tri.i0 + 20), wp.uint32))
+    g.tree = low | (high << wp.uint64(32))
+    g.points = tri.i0 + wp.static(HEADER) + 4 * count
+    g.firsts = g.points + 4 * count
+    return g
+
+
+@wp.func
+def control_point(scene: Scene, g: Curves, i: wp.int32, origin: wp.vec3) -> wp.vec4:
+    """The i-th control point, relative to a place."""
+    at = g.points + 4 * i
+    return wp.vec4(
+        load_float(scene.values, at) - origin[0],
+        load_float(scene.values, at + 1) - origin[1],
+        load_float(scene.values, at + 2) - origin[2],
+        load_float(scene.values, at + 3),
+    )
+
+
+@wp.func
+def first_point(scene: Scene, g: Curves, segment: wp.int32) -> wp.int32:
+    return wp.int32(load_float(scene.values, g.firsts + segment))
+
+
+@wp.func
+def bspline(p0: wp.vec4, p1: wp.vec4, p2: wp.vec4, p3: wp.vec4) -> Spline:
+    """The uniform cubic B-spline of four control points."""
+    s = Spline()
+    s.a0 = wp.static(1.0 / 6.0) * (p0 + 4.0 * p1 + p2)
+    s.a1 = 0.5 * (p2 - p0)
+    s.a2 = 0.5 * ((p0 - p1) + (p2 - p1))
+    s.a3 = wp.static(1.0 / 6.0) * ((p3 - p0) + 3.0 * (p1 - p2))
+    return s
+
+
+@wp.func
+def spline_at(scene: Scene, g: Curves, segment: wp.int32, origin: wp.vec3) -> Spline:
+    i = first_point(scene, g, segment)
+    return bspline(
+        control_point(scene, g, i, origin),
+        control_point(scene, g, i + 1, origin),
+        control_point(scene, g, i + 2, origin),
+        control_point(scene, g, i + 3, origin),
+    )
+
+
+@wp.func
+def place_on(s: Spline, v: wp.float32) -> wp.vec4:
+    return s.a0 + v * (s.a1 + v * (s.a2 + v * s.a3))
+
+
+@wp.func
+def slope_on(s: Spline, v: wp.float32) -> wp.vec4:
+    return s.a1 + v * (2.0 * s.a2 + (3.0 * v) * s.a3)
+
+
+@wp.func
+def xyz(p: wp.vec4) -> wp.vec3:
+    return wp.vec3(p[0], p[1], p[2])
+
+
+@wp.func
+def entry(a: wp.float32, b: wp.float32, c: wp.float32, discriminant: wp.float32) -> wp.float32:
+    """The root of a t^2 + 2 b t + c at which it becomes negative."""
+    root = wp.sqrt(wp.max(discriminant, 0.0))
+    if b < 0.0:
+        return c / (root - b)
+    return -(b + root) / wp.where(a == 0.0, 1.0e-30, a)
+
+
+@wp.struct
+class Approach:
+    """Where a ray enters the cone that touches a tube along one of its circles."""
+
+    t: wp.float32
+    step: wp.float32  # along the segment, from the circle to the point
+    misses: wp.int32  # 1: the ray passes the cone, nearest at t
+
+
+@wp.func
+def enter_cone(q: wp.vec3, d: wp.vec3, c: wp.vec3, radius: wp.float32, slope: wp.float32) -> Approach:
+    """Enter |p - s c| = radius + slope s, s = p . c / |c|^2, with p = q + t d, |d| = 1."""
+    at = Approach()
+    inverse = 1.0 / wp.max(wp.dot(c, c), 1.0e-30)
+    s0 = wp.dot(q, c) * inverse
+    s1 = wp.dot(d, c) * inverse
+    across = d - s1 * c
+    beside = q - s0 * c
+    squared = wp.dot(across, across)
+    # From the point next to the axis on, so that thin tubes keep their digits.
+    t = wp.float32(0.0)
+    if squared > wp.static(ALONG):
+        t = -wp.dot(beside, across) / squared
+    beside += t * across
+    s0 += t * s1
+    r = radius + slope * s0
+    a = squared - s1 * s1 * slope * slope
+    b = wp.dot(beside, across) - s1 * slope * r
+    e = wp.dot(beside, beside) - r * r
+    discriminant = b * b - a * e
+    at.misses = wp.where(discriminant < 0.0, 1, 0)
+    more = entry(a, b, e, discriminant)
+    at.t = t + more
+    at.step = s0 + more * s1
+    return at
+
+
+@wp.func
+def passes(s: Spline, d: wp.vec3, low: wp.float32, size: wp.float32) -> wp.bool:
+    """Whether the line t d, |d| = 1, is farther from the chord of a piece than the tube reaches.
+
+    A cubic leaves its chord by an eighth of the square of its size times its largest second derivative, its radius too.
+    """
+    a = place_on(s, low)
+    b = place_on(s, low + size)
+    bend_a = s.a2 + (3.0 * low) * s.a3
+    bend_b = s.a2 + (3.0 * (low + size)) * s.a3
+    leave = 0.25 * size * size * wp.sqrt(wp.max(wp.dot(bend_a, bend_a), wp.dot(bend_b, bend_b)))
+    reach = 1.0001 * (wp.max(a[3], b[3]) + leave)
+    p = xyz(a)
+    p -= wp.dot(p, d) * d
+    q = xyz(b - a)
+    q -= wp.dot(q, d) * d
+    near = wp.clamp(-wp.dot(p, q) / wp.max(wp.dot(q, q), 1.0e-30), 0.0, 1.0)
+    p += near * q
+    return wp.dot(p, p) > reach * reach
+
+
+@wp.func
+def enter_tube(
+    s: Spline, d: wp.vec3, start: wp.float32, low: wp.float32, high: wp.float32, least: wp.float32, most: wp.float32
+) -> wp.vec2:
+    """Where the ray t d, |d| = 1, enters the tube between two places along it, least < t < most: (t, v), or v = -1.
+
+    From a circle of the tube the ray is carried to the one at the height where it enters the cone that touches there.
+    """
+    v = wp.float32(start)
+    before = wp.float32(start)
+    step_before = wp.float32(0.0)
+    outside = wp.int32(0)
+    margin = 0.5 * (high - low)
+    for k in range(wp.static(ROUNDS)):
+        here = place_on(s, v)
+        slope = slope_on(s, v)
+        at = enter_cone(-xyz(here), d, xyz(slope), here[3], slope[3])
+        # Steps vanish where the ray enters the tube: that place is looked for by secants, as far as they fall.
+        fall = wp.float32(-1.0)
+        if k > 0 and v != before:
+            fall = wp.min((at.step - step_before) / (v - before), wp.static(LEAST_FALL))
+        before = v
+        step_before = at.step
+        step = at.step / -fall
+        if wp.abs(step) < wp.static(CLOSE):
+            v += step
+            inside = v > low - wp.static(OVERLAP) and v < high + wp.static(OVERLAP)
+            if at.misses == 0 and inside and at.t > least and at.t < most and here[3] > 0.0:
+                return wp.vec2(at.t, wp.clamp(v, 0.0, 1.0))
+            return wp.vec2(0.0, -1.0)
+        v += wp.clamp(step, -margin, margin)
+        beyond = wp.where(v < low - margin or v > high + margin, 1, 0)
+        if beyond == 1 and outside == 1:
+            return wp.vec2(0.0, -1.0)
+        outside = beyond
+        v = wp.clamp(v, low - margin, high + margin)
+    return wp.vec2(0.0, -1.0)
+
+
+@wp.func
+def angle_around(axis: wp.vec3, p: wp.vec3) -> wp.float32:
+    """Angle of a direction around an axis, in turns, counted as Mitsuba's texture coordinate."""
+    up = across_axis(axis)
+    return wp.atan2(wp.dot(p, up), wp.dot(p, wp.cross(up, axis))) * wp.static(1.0 / TWO_PI)
+
+
+@wp.func
+def across_axis(axis: wp.vec3) -> wp.vec3:
+    """The unit direction across a unit axis that leans towards +z; along it: y."""
+    up = wp.vec3(0.0, 0.0, 1.0) - axis[2] * axis
+    squared = wp.dot(up, up)
+    if squared > 1.0e-12:
+        return (1.0 / wp.sqrt(squared)) * up
+    return wp.vec3(0.0, 1.0, 0.0)
+
+
+@wp.func
+def hold(hit: RayHit, segment: wp.int32, along: wp.float32, turns: wp.float32) -> RayHit:
+    """A hit whose numbers hold a segment, a place along it, [0, 1], and an angle, turns."""
+    around = turns - wp.floor(turns)
+    number = (wp.float32(segment) + 0.5) * wp.static(1.0 / MOST_SEGMENTS)
+    bits = pack(wp.vec3(along, around, number))
+    held = hit
+    held.u = bits[0]
+    held.v = bits[1]
+    return held
+
+
+@wp.func
+def enter_sphere(p: wp.vec4, d: wp.vec3) -> wp.float32:
+    """Distance at which the ray t d, |d| = 1, enters a sphere; infinite if it passes."""
+    q = xyz(p)
+    along = wp.dot(q, d)
+    beside = q - along * d
+    half = p[3] * p[3] - wp.dot(beside, beside)
+    if half < 0.0:
+        return wp.inf
+    return along - wp.sqrt(half)
+
+
+@wp.func
+def enter_segment(p0: wp.vec4, p1: wp.vec4, d: wp.vec3) -> wp.vec2:
+    """Where the ray t d, |d| = 1, enters the convex hull of two spheres: (t, place v from one to the other).
+
+    v < 0: on the first sphere; v > 1: on the second; t infinite: it passes.
+    """
+    t0 = enter_sphere(p0, d)
+    t1 = enter_sphere(p1, d)
+    best = wp.where(t0 <= t1, wp.vec2(t0, -1.0), wp.vec2(t1, 2.0))
+    b = xyz(p1 - p0)
+    squared = wp.dot(b, b)
+    fall = p0[3] - p1[3]
+    inner = squared - fall * fall
+    if inner > 0.0:
+        # The spheres touch a cone along circles that do not lie above their centres.
+        share = 1.0 / wp.sqrt(inner / squared)
+        at = enter_cone(-xyz(p0), d, b, share * p0[3], -share * fall)
+        v = (at.step * squared - p0[3] * fall) / inner
+        if at.misses == 0 and v >= 0.0 and v <= 1.0 and at.t < best[0]:
+            best = wp.vec2(at.t, v)
+    return best
+
+
+@wp.func
+def widest_angle(b: wp.vec3, p0: wp.vec4, p1: wp.vec4) -> wp.float32:
+    """Angle from the axis at which the cone between two spheres touches both."""
+    length = wp.max(wp.length(b), 1.0e-30)
+    return wp.acos(wp.clamp((p0[3] - p1[3]) / length, -1.0, 1.0))
+
+
+@wp.func
+def hold_segment(hit: RayHit, segment: wp.int32, p0: wp.vec4, p1: wp.vec4, x: wp.vec3, v: wp.float32) -> RayHit:
+    """A hit on a cone with its spheres: a quarter of the place along it is each sphere's, by angle."""
+    b = xyz(p1 - p0)
+    axis = b / wp.max(wp.length(b), 1.0e-30)
+    c = xyz(wp.lerp(p0, p1, wp.clamp(v, 0.0, 1.0)))
+    p = x - c
+    high = wp.dot(p, axis)
+    angle = wp.atan2(wp.length(p - high * axis), high)
+    touch = widest_angle(b, p0, p1)
+    along = 0.25 + 0.5 * v
+    if v < 0.0:
+        along = 0.25 * (wp.static(PI) - angle) / wp.max(wp.static(PI) - touch, 1.0e-6)
+        along = wp.min(along, 0.25)
+    if v > 1.0:
+        along = 1.0 - 0.25 * wp.min(angle / wp.max(touch, 1.0e-6), 1.0)
+    return hold(hit, segment, along, angle_around(axis, p))
+
+
+@functools.cache
+def make_curve_hit(cubic: bool, shadow: bool):
+    """Return ``hit(scene, tri, o, d, t_max) -> RayHit``: where a ray first enters a shape's curves, 0 < t < t_max.
+
+    ``face`` is -1 if it does not.
+
+    Args:
+        cubic: tubes about B-splines; else cones between spheres.
+        shadow: any place will do.
+    """
+
+    @wp.func
+    def curve_hit(scene: Scene, tri: Triangle, o: wp.vec3, d: wp.vec3, t_max: wp.float32) -> RayHit:
+        hit = RayHit()
+        hit.t = t_max
+        hit.face = -1
+        g = curves_of(scene, tri)
+        length = wp.length(d)
+        w = d / length
+        grown = wp.static(GROWTH) * (wp.max(wp.abs(o)) + wp.max(wp.abs(tri.normal)))
+        query = wp.bvh_query_capsule(g.tree, o, d, grown)
+        item = wp.int32(0)
+        while wp.bvh_query_next(query, item, hit.t):
+            if wp.static(cubic):
+                segment = item / g.pieces
+                piece = item - segment * g.pieces
+                size = 1.0 / wp.float32(g.pieces)
+                low = wp.float32(piece) * size
+                i = first_point(scene, g, segment)
+                # From next to the piece on, so that what is far away keeps its digits.
+                middle = 0.5 * xyz(control_point(scene, g, i + 1, o) + control_point(scene, g, i + 2, o))
+                near = wp.dot(middle, w)
+                s = spline_at(scene, g, segment, o + near * w)
+                if passes(s, w, low, size):
+                    continue
+                most = hit.t * length - near
+                first = wp.where(wp.dot(xyz(slope_on(s, low + 0.5 * size)), w) >= 0.0, low, low + size)
+                found = enter_tube(s, w, first, low, low + size, -near, most)
+                if found[1] < 0.0:
+                    found = enter_tube(s, w, 2.0 * low + size - first, low, low + size, -near, most)
+                if found[1] < 0.0:
+                    found = enter_tube(s, w, low + 0.5 * size, low, low + size, -near, most)
+                if found[1] >= 0.0:
+                    hit.t = (near + found[0]) / length
+                    hit.face = 0
+                    if wp.static(shadow):
+                        return hit
+                    axis = wp.normalize(xyz(slope_on(s, found[1])))
+                    turns = angle_around(axis, found[0] * w - xyz(place_on(s, found[1])))
+                    hit = hold(hit, segment, found[1], turns)
+            else:
+                i = first_point(scene, g, item)
+                near = wp.dot(xyz(control_point(scene, g, i, o)), w)
+                place = o + near * w
+                p0 = control_point(scene, g, i, place)
+                p1 = control_point(scene, g, i + 1, place)
+                found = enter_segment(p0, p1, w)
+                if found[0] > -near and found[0] < hit.t * length - near:
+                    hit.t = (near + found[0]) / length
+                    hit.face = 0
+                    if wp.static(shadow):
+                        return hit
+                    hit = hold_segment(hit, item, p0, p1, found[0] * w, found[1])
+        return hit
+
+    return curve_hit
