@@ -47,6 +47,7 @@ def test_wheel_holds_exactly_the_library(wheel_names: set[str]) -> None:
     # kernels/__init__.py is installed in place of the stand-in that finds it in a checkout.
     expected = {f"warp_psdr/kernels/{name}" for name in sources("kernels")}
     expected |= {f"warp_psdr/{name}" for name in sources("warp_psdr")}
+    expected |= {f"warp_psdr/scene/sky_tables.{ending}" for ending in ("npz", "LICENSE")}
     expected.add("warp_psdr/py.typed")  # the annotations are for type checkers of users, too
     assert {name for name in wheel_names if ".dist-info/" not in name} == expected
 

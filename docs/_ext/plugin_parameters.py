@@ -33,6 +33,7 @@ NEEDED: dict[str, dict] = {
     "mesh_attribute": {"name": "vertex_color"},
     "volume": {"volume": {"type": "gridvolume", "data": np.full((2, 2, 2), 0.5)}},
     "envmap": {"filename": "FILE.png"},
+    "sunsky": {"sun_direction": [0.0, 0.0, 1.0]},
     "thinlens": {"aperture_radius": 0.1},
     "batch": {"left": {"type": "perspective"}, "right": {"type": "orthographic"}},
     "aov": {"aovs": "d:depth"},

@@ -33,6 +33,7 @@ TOGETHER = {
     "rough plastic ggx": ("floor.bsdf.*", "floor.vertex_positions"),
     "checkered": ("*.color?.value", "*.color?.data"),
     "carved": ("*",),
+    "sunny": ("sky.*",),
     "checkered metal": ("floor.bsdf.alpha.color?.value",),
     "blend": ("floor.bsdf.*",),
     "gilded": ("*",),
@@ -308,6 +309,14 @@ CARVED = [
     Case("carved", "ceiling.emitter.radiance.scale", ones, 5e-2, depth=4),
     Case("carved", "ceiling.vertex_glow", mixed, 5e-2, depth=4, slow=True),
 ]
+SUNNY = [
+    Case("sunny", "sky.turbidity", ones, 5e-2, depth=2),
+    Case("sunny", "sky.albedo.value", mixed, 5e-2, depth=2),
+    Case("sunny", "sky.sun_direction", mixed, 2e-2, depth=2),
+    Case("sunny", "sky.to_world", turn(0.3, 1.0, 0.5), 2e-2, depth=2, spp=4096, slow=True),
+    Case("sunny", "sky.sky_scale", ones, 5e-2, depth=2),
+    Case("sunny", "sky.sun_scale", ones, 5e-2, depth=2),
+]
 BLEND = [
     Case("blend", "floor.bsdf.weight.value", ones, 2e-2, depth=2, spp=1024),
     Case("blend", "floor.bsdf.bsdf_0.reflectance.value", mixed, 2e-2, depth=2),
@@ -412,6 +421,7 @@ CASES = [
         *GROOVES,
         *CHECKERED,
         *CARVED,
+        *SUNNY,
         *BLEND,
         *TURNED,
         *INSTANCED,

@@ -7,6 +7,7 @@
 """
 
 import functools
+import warnings
 
 import numpy as np
 import trimesh
@@ -195,6 +196,14 @@ def carved_scene():
     return {**scene, "ceiling": {**ceiling, **shine}}
 
 
+def sunny_scene():
+    """A plane before a clear sky and its sun."""
+    sky = {"type": "sunsky", "turbidity": 3.6, "albedo": rgb(0.2, 0.3, 0.5), "sun_direction": [0.5, -0.4, 0.6]}
+    floor = {"type": "rectangle", "to_world": psdr.Transform.scale(4), "bsdf": DIFFUSE}
+    turn = psdr.Transform.rotate([0.3, 0.2, 0.9], 15)
+    return {"sensor": camera([0.3, -0.6, 2.5], [0.1, 0.0, 0.0]), "floor": floor, "sky": {**sky, "to_world": turn}}
+
+
 def checkered_metal_scene():
     alpha = {"type": "checkerboard", "color0": 0.5, "color1": 0.3, "to_uv": psdr.Transform.scale([3, 2, 1])}
     return gap_scene({"type": "roughconductor", "material": "Cu", "alpha": alpha})
@@ -353,6 +362,7 @@ SCENES = {
     "plastic": plastic_scene,
     "checkered": checkered_scene,
     "carved": carved_scene,
+    "sunny": sunny_scene,
     "instanced": instanced_scene,
     "checkered metal": checkered_metal_scene,
     "blend": blend_scene,
@@ -376,8 +386,13 @@ SCENES = {
 }
 
 
+#: Scenes that are noted: a sun without a disk.
+NOTED = ("sunny",)
+
+
 @functools.cache
 def load(name: str):
     """Return a scene and its parameters; every test leaves their values as they were."""
-    scene = psdr.load_dict({"type": "scene", **SCENES[name]()})
+    with warnings.catch_warnings(action="ignore" if name in NOTED else "error", category=psdr.SceneWarning):
+        scene = psdr.load_dict({"type": "scene", **SCENES[name]()})
     return scene, psdr.traverse(scene)

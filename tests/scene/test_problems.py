@@ -58,13 +58,19 @@ def test_dictionaries_name_all_of_it_too_and_a_shared_plugin_once():
     shiny = {"type": "measured"}
     scene = {
         "type": "scene",
-        "sky": {"type": "sunsky"},
+        "sky": {"type": "timed_sunsky"},
         "shiny": shiny,
         "a": {"type": "cube", "bsdf": {"type": "ref", "id": "shiny"}, "wide": 1},
         "b": {"type": "sphere", "radius": -1.0, "center": "here", "bsdf": {"type": "ref", "id": "shiny"}},
     }
     text = "\n".join(problems(lambda: describe_dict(scene)))
-    for words in ("unsupported emitter 'sunsky'", "'wide'", "parameter 'radius'", "parameter 'center'", "5 problems"):
+    for words in (
+        "unsupported emitter 'timed_sunsky'",
+        "'wide'",
+        "parameter 'radius'",
+        "parameter 'center'",
+        "5 problems",
+    ):
         assert words in text
     assert text.count("measured") == 1
 
@@ -73,7 +79,7 @@ def test_dictionaries_name_all_of_it_too_and_a_shared_plugin_once():
     ("scene", "right", "wrong"),
     [
         ({"type": "collimated"}, "supported emitter plugins: area", "prb_projective"),
-        ({"type": "sunsky"}, "let Mitsuba bake it to an 'envmap'", "did you mean"),
+        ({"type": "timed_sunsky"}, "give a 'sunsky' for each time", "did you mean"),
         ({"type": "distant"}, "supported sensor plugins: perspective", "did you mean"),
         ({"type": "difuse"}, "did you mean 'diffuse'", "unsupported emitter"),
         ({"type": "cube", "bsdf": {"type": "measured"}}, "supported bsdf plugins", "did you mean"),

@@ -160,5 +160,5 @@ def test_every_kind_is_listed() -> None:
     # thin sheets nothing may move, nor beside what light passes without a turn, if it comes from a point.
     others = {"normalmap", "bumpmap", "roughdielectric", "principledthin", "thindielectric", "null"}
     assert set(PLUGINS["bsdf"]) - others == set(BSDFS) - {"beckmann"}
-    # Beside the hard edge of its light nothing may move.
-    assert set(PLUGINS["emitter"]) - {"directionalarea"} == set(LIGHTS)
+    # Beside the hard edge of its light nothing may move; a sunsky is two others.
+    assert set(PLUGINS["emitter"]) - {"directionalarea", "sunsky"} == set(LIGHTS)

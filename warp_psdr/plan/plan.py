@@ -468,7 +468,8 @@ def _moving_lights(scene: Scene) -> dict[str, str]:
     values = scene.values.numpy()
     for e, record in zip(scene.description.emitters, scene.builder.emitters, strict=True):
         if e.kind in ("point", "spot", "projector", "directional"):
-            found[f"{e.path}.{'to_world' if e.position is None else 'position'}"] = "hard shadows"
+            pose = "sun_direction" if e.sky is not None else "to_world"
+            found[f"{e.path}.{pose if e.position is None else 'position'}"] = "hard shadows"
         if e.kind == "spot":
             cutoff, beam = values[record.cutoff : record.cutoff + 2].tolist()
             if math.radians(cutoff - beam) <= MIN_FALLOFF:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -30,6 +30,8 @@ from warp_psdr.scene.layout import (
 )
 from warp_psdr.scene.medium_records import MediaRecords
 from warp_psdr.scene.sdfgrid import reaches
+from warp_psdr.scene.sky_model import TURBIDITIES
+from warp_psdr.scene.sunsky import SkyRecord
 from warp_psdr.scene.tables import PlacedTable
 from warp_psdr.scene.texture_records import TextureRecords, reads_mesh
 
@@ -40,6 +42,7 @@ if TYPE_CHECKING:
         SceneDescription,
         SensorDescription,
         ShapeDescription,
+        SkyDescription,
     )
 
 INF = float("inf")
@@ -90,6 +93,7 @@ class Builder:
         self.emitters: list = []  #: structs.Emitter
         self.cameras: list = []  #: structs.Camera
         self.environment = -1
+        self.sky: SkyRecord | None = None  #: of a sunsky
         self.models: tuple[str, ...] = ()  #: keys, ``ordered``
         self.bsdf_textures: list[dict[str, int]] = []  #: of each record: value name -> texture number
         self.tables: list[PlacedTable] = []
@@ -312,6 +316,10 @@ class Builder:
             shape = next(i for i, s in enumerate(self.description.shapes) if s.emitter is e)
             record.shape = shape
             record.first_face, record.face_count = self.shapes[shape].first_face, self.shapes[shape].face_count
+        if e.sky is not None:
+            self._light_of_sky(e, e.sky, record)
+            self.emitters.append(record)
+            return
         if e.kind == "area":
             self.shapes[shape].emitter = number  # what a ray can meet
             record.texture = self.texture_records.number(e.radiance, RADIANCE, bounds, shape)
@@ -340,6 +348,33 @@ class Builder:
             for i, name in enumerate(("cutoff_angle", "beam_width")):
                 self.layout.name(f"{e.path}.{name}", record.cutoff + i, (1,), LIGHT_POSE, bounds=(0.0, 90.0))
         self.emitters.append(record)
+
+    def _light_of_sky(self, e: EmitterDescription, sky: SkyDescription, record: structs.Emitter) -> None:
+        """Lay out the map of a clear sky, with its parameters, or its sun."""
+        t = e.radiance
+        record.texture = self.texture_records.derived(t)
+        if e.kind == "envmap":
+            assert e.to_world is not None
+            self.environment = len(self.emitters)
+            add, path, at = self.layout.add, sky.path, {}
+            record.scale = add(f"{path}.sky_scale", np.array([sky.sky_scale]), LIGHT_RADIANCE, bounds=(0.0, INF))
+            at["pose"] = record.to_world = add(f"{path}.to_world", e.to_world, LIGHT_POSE)
+            self.layout.parameters[f"{path}.to_world"].uses.add(LIGHT_RADIANCE)
+            turbidity = np.array([sky.turbidity])
+            at["turbidity"] = add(f"{path}.turbidity", turbidity, LIGHT_RADIANCE, bounds=TURBIDITIES)
+            at["albedo"] = add(f"{path}.albedo.value", sky.albedo, LIGHT_RADIANCE, bounds=(0.0, 1.0))
+            at["direction"] = add(f"{path}.sun_direction", sky.sun_direction, LIGHT_RADIANCE)
+            at["texels"] = self.textures[record.texture].offset
+            self.sky = SkyRecord(path, channels=sky.albedo.size, sun_scale=-1, irradiance=-1, frame=-1, **at)
+        else:
+            assert e.to_world is not None and self.sky is not None
+            scale = self.layout.add(
+                f"{sky.path}.sun_scale", np.array([sky.sun_scale]), LIGHT_RADIANCE, bounds=(0.0, INF)
+            )
+            record.to_world = self.layout.add_values(e.to_world)
+            irradiance = self.textures[record.texture].offset
+            self.layout.parameters[f"{sky.path}.sun_direction"].uses.add(LIGHT_POSE)
+            self.sky = replace(self.sky, sun_scale=scale, irradiance=irradiance, frame=record.to_world)
 
     # -- media -----------------------------------------------------------------------------------------------------
 

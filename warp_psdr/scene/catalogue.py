@@ -31,13 +31,9 @@ MITSUBA: dict[str, tuple[str, ...]] = {
 }
 
 
-_SKY = (
-    "the tables of its sky (Hosek and Wilkie) cannot be had under a licence that could be stated here; let Mitsuba "
-    "bake it to an 'envmap', as docs/from_mitsuba.md (Skies) shows, and give a 'directional' light for the sun"
-)
 #: Plugins that compute something else, or cannot be had, by kind, and what to use instead.
 INSTEAD: dict[str, dict[str, str]] = {
-    "emitter": {"sunsky": _SKY, "timed_sunsky": _SKY},
+    "emitter": {"timed_sunsky": "give a 'sunsky' for each time, and average its images"},
     "integrator": {
         "depth": "give 'path' and call psdr.render_aov(scene, ['depth'])",
     },

@@ -22,6 +22,7 @@ from warp_psdr.kernels.shape.normals import (
 )
 from warp_psdr.kernels.shape.transform import add_pose, pose_shape_jvp, pose_shape_vjp
 from warp_psdr.scene.layout import SHAPE_POSE
+from warp_psdr.scene.sunsky import pull_sky, push_sky, sky_ranges
 from warp_psdr.scene.volume_pose import INVERSE, of, pull_poses, push_poses
 
 if TYPE_CHECKING:
@@ -53,7 +54,7 @@ def sum_of_normals(
 
 def derived_ranges(scene: Scene, names: list[str]) -> list[tuple[int, int]]:
     """Flat (offset, size) of what is derived and whose gradients ``pull_derived`` reads."""
-    return _geometry_ranges(scene, names) + [(p.inverse, INVERSE) for p in of(scene, names)]
+    return _geometry_ranges(scene, names) + [(p.inverse, INVERSE) for p in of(scene, names)] + sky_ranges(scene, names)
 
 
 def _geometry_ranges(scene: Scene, names: list[str]) -> list[tuple[int, int]]:
@@ -86,6 +87,7 @@ def pull_derived(scene: Scene, names: list[str], grad: wp.array) -> None:
     """
     device = scene.device
     pull_poses(scene, names, grad)
+    pull_sky(scene, names, grad)
     # Poses first: they own their normals, so what positions get through derived normals is not theirs.
     for shape in _posed(scene, names):
         record = scene.builder.shapes[shape]
@@ -131,6 +133,7 @@ def accumulate_derived(scene: Scene, names: list[str], tangent: wp.array) -> Non
     """
     device = scene.device
     push_poses(scene, names, tangent)
+    push_sky(scene, names, tangent)
     # Poses last, for the same reason as above.
     for shape in scene.derived_normals(names):
         record = scene.builder.shapes[shape]

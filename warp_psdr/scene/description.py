@@ -80,6 +80,18 @@ class BsdfDescription:
 
 
 @dataclass(eq=False)
+class SkyDescription:
+    """A clear sky and its sun; what its lights have follows from it."""
+
+    path: str
+    turbidity: float
+    albedo: np.ndarray  #: (1,) or (3,), of the ground
+    sun_direction: np.ndarray  #: (3,) unit, towards the sun, z up
+    sun_scale: float
+    sky_scale: float
+
+
+@dataclass(eq=False)
 class EmitterDescription:
     """A light source. The shape holds area and directional area lights."""
 
@@ -93,6 +105,7 @@ class EmitterDescription:
     beam_width: float = 15.0  #: spot, degrees
     x_fov: float = 0.0  #: projector, degrees, horizontal
     projected: TextureDescription | None = None  #: spot: a bitmap that the cone projects
+    sky: SkyDescription | None = None  #: envmap, directional: the clear sky whose map, or sun, it is
 
 
 @dataclass(eq=False)

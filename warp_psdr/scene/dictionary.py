@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from . import bsdfs, emitters, groups, sensors, textures
+from . import bsdfs, emitters, groups, sensors, sunsky, textures
 from .aovs import parse_aovs
 from .context import Context, Outside
 from .description import SceneDescription
@@ -144,6 +144,8 @@ def _add(result: SceneDescription, node: dict, where: str, name: str, context: C
     elif category == "emitter" and node["type"] == "area":
         light = emitters.build_area(node, where, name, context, shared=True)
         context.area_lights.append((light, where))  # shines from the shape that refers to it
+    elif category == "emitter" and node["type"] == "sunsky":
+        result.emitters += sunsky.build(Properties(node, where, name, context))
     elif category == "emitter":
         result.emitters.append(emitters.build(node, where, name, context))
     elif category == "sensor":

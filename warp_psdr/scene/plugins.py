@@ -30,7 +30,7 @@ PLUGINS: dict[str, tuple[str, ...]] = {
         *("bitmap", "checkerboard", "mesh_attribute", "volume"),
         *("rgb", "srgb", "spectrum", "uniform", "rawconstant", "d65", "blackbody", "regular", "irregular"),
     ),
-    "emitter": ("area", "directionalarea", "constant", "envmap", "point", "spot", "projector", "directional"),
+    "emitter": ("area", "directionalarea", "constant", "envmap", "point", "spot", "projector", "directional", "sunsky"),
     "sensor": ("perspective", "orthographic", "thinlens", "radiancemeter", "irradiancemeter", "batch"),
     "film": ("hdrfilm",),
     "rfilter": ("box", "tent", "gaussian"),

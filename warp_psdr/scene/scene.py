@@ -34,6 +34,7 @@ from warp_psdr.scene.sdfgrid import follow_grids
 from warp_psdr.scene.shading import shades_flat
 from warp_psdr.scene.steps import Boxes, Steps, find_steps, measure, second_width
 from warp_psdr.scene.summary import summary
+from warp_psdr.scene.sunsky import follow_sky
 from warp_psdr.scene.super_grid import rebuild
 from warp_psdr.scene.tables import follow
 from warp_psdr.scene.world import World
@@ -342,12 +343,13 @@ class Scene:
             if self._sight is not None:
                 self._sight.update()
             self._update_bounds()
+        sky = follow_sky(self, changed)
         values = self.values.numpy()
         check_media(changed, values)
         rebuild([*self.builder.media_followers, *self.builder.volume_poses], changed, self.values, values)
         follow_grids(self, changed, values)
         first, size = self.lights.environment_data()
-        if any(first <= p.offset < first + size for p in changed):
+        if sky or any(first <= p.offset < first + size for p in changed):
             self.lights.update_environment(values)
         areas = self.lights.of_shapes(sorted(moved))
         if areas or self.lights.metered(moved):

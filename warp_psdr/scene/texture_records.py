@@ -78,6 +78,17 @@ class TextureRecords:
             self._layout.parameters[t.scale_parameter].uses.add(use)
         return self._numbers[key]
 
+    def derived(self, t: TextureDescription) -> int:
+        """Return the number of the record of a constant or a bitmap whose values are no parameter."""
+        record = structs.Texture()
+        record.offset = self._layout.add_values(t.value)
+        record.kind, record.channels = c.TEXTURE_CONSTANT, t.value.shape[-1]
+        if t.kind == "bitmap":
+            record.kind = c.TEXTURE_BITMAP
+            record.height, record.width = t.value.shape[:2]
+            record.to_uv = self._layout.add_values(t.to_uv)
+        return self.add(record, (record.offset, t.value.size))
+
     def _checkerboard(self, t: TextureDescription, nested: list[int]) -> Placed:
         """Lay out a checkerboard whose two textures have these numbers; return its record and no values."""
         record = structs.Texture()
