@@ -181,6 +181,10 @@ def media(config):
     return everything(config, to_uv=True, radiance=True, lights=("radiance",), media=everywhere)
 
 
+def moving_among_media(config):
+    return wanted(config, shapes=True, texcoords=True, lights=("pose",), camera=True)
+
+
 #: Configurations that together hold every model, texture kind, light, sampler and filter.
 THIRDS = {"materials": MATERIALS, "textures": TEXTURED, "lights": ALL_LIGHTS, "others": OTHERS}
 FAST, SLOW = (), (pytest.mark.slow,)
@@ -257,6 +261,10 @@ FACTORIES = {
         ("forward", (MEDIA, media(MEDIA), "forward", 4, 4), SLOW),
         ("grids", (GRIDS, media(GRIDS), "reverse", 4, 4), SLOW),
         ("ratio tracking", (GRIDS, media(GRIDS), "forward", 4, 4, True), SLOW),
+    ],
+    "interior.media_motion_replay.make_media_motion_kernel": [
+        ("reverse", (MEDIA, moving_among_media(MEDIA), "reverse", 4, 4), SLOW),
+        ("forward", (MEDIA, moving_among_media(MEDIA), "forward", 4, 4), SLOW),
     ],
     "interior.textbook.make_textbook_kernel": [
         ("reverse, simple", (SIMPLE, ALBEDO, "reverse"), FAST),

@@ -7,10 +7,10 @@ import warp as wp
 
 from warp_psdr.kernels.constants import PHASE_HG, PHASE_RAYLEIGH, PHASE_TABLE, TWO_PI
 from warp_psdr.kernels.math import any_tangent, to_world
-from warp_psdr.kernels.phase.hg import hg_cosine, hg_eval, hg_slope
+from warp_psdr.kernels.phase.hg import hg_by_cosine, hg_cosine, hg_eval, hg_slope
 from warp_psdr.kernels.phase.isotropic import isotropic_cosine, isotropic_eval
-from warp_psdr.kernels.phase.rayleigh import rayleigh_cosine, rayleigh_eval
-from warp_psdr.kernels.phase.tabphase import make_table_sink, tabphase_cosine, tabphase_eval
+from warp_psdr.kernels.phase.rayleigh import rayleigh_by_cosine, rayleigh_cosine, rayleigh_eval
+from warp_psdr.kernels.phase.tabphase import make_table_sink, tabphase_by_cosine, tabphase_cosine, tabphase_eval
 from warp_psdr.kernels.reading import load_float
 from warp_psdr.kernels.sink import make_sink
 from warp_psdr.kernels.structs import Medium, Scene
@@ -66,6 +66,29 @@ def make_phase(kinds: tuple[int, ...]) -> PhaseFunctions:
         return to_world(s, wp.cross(d, s), d, wp.vec3(sine * wp.cos(phi), sine * wp.sin(phi), mu))
 
     return PhaseFunctions(phase_eval, phase_sample)
+
+
+@functools.cache
+def make_phase_by_cosine(kinds: tuple[int, ...]):
+    """Return ``by_cosine(scene, m, mu) -> float32``: the derivative of the value by the cosine of the turn."""
+    one = len(kinds) == 1
+    forward, rayleigh, table = (kind in kinds for kind in (PHASE_HG, PHASE_RAYLEIGH, PHASE_TABLE))
+
+    @wp.func
+    def by_cosine(scene: Scene, m: Medium, mu: wp.float32) -> wp.float32:
+        slope = wp.float32(0.0)
+        if wp.static(forward):
+            if wp.static(one) or m.phase == PHASE_HG:
+                slope = hg_by_cosine(load_float(scene.values, m.g), mu)
+        if wp.static(rayleigh):
+            if wp.static(one) or m.phase == PHASE_RAYLEIGH:
+                slope = rayleigh_by_cosine(mu)
+        if wp.static(table):
+            if wp.static(one) or m.phase == PHASE_TABLE:
+                slope = tabphase_by_cosine(scene, m.g, mu)
+        return slope
+
+    return by_cosine
 
 
 @functools.cache

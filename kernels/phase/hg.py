@@ -23,6 +23,12 @@ def hg_slope(g: wp.float32, mu: wp.float32) -> wp.float32:
 
 
 @wp.func
+def hg_by_cosine(g: wp.float32, mu: wp.float32) -> wp.float32:
+    """The derivative by mu, 1/sr."""
+    return 3.0 * g / (1.0 + g * g - 2.0 * g * mu) * hg_eval(g, mu)
+
+
+@wp.func
 def hg_cosine(g: wp.float32, u: wp.float32) -> wp.float32:
     """Cosine of a direction that is drawn by u.
 

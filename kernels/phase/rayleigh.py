@@ -15,6 +15,12 @@ def rayleigh_eval(mu: wp.float32) -> wp.float32:
 
 
 @wp.func
+def rayleigh_by_cosine(mu: wp.float32) -> wp.float32:
+    """The derivative by mu, 1/sr."""
+    return 0.375 * INV_PI * mu
+
+
+@wp.func
 def rayleigh_cosine(u: wp.float32) -> wp.float32:
     """Cosine of a direction that is drawn by u: the root of mu^3 + 3 mu = 4 (2 u - 1), by Cardano's formula."""
     z = 4.0 * u - 2.0

@@ -51,6 +51,15 @@ def tabphase_eval(scene: Scene, number: wp.int32, mu: wp.float32) -> wp.float32:
 
 
 @wp.func
+def tabphase_by_cosine(scene: Scene, number: wp.int32, mu: wp.float32) -> wp.float32:
+    """The derivative by mu, 1/sr."""
+    table = texture_record(scene, number)
+    i = table.offset + entry_at(table, mu).i
+    rise = load_float(scene.values, i + 1) - load_float(scene.values, i)
+    return 0.5 * wp.float32(table.width - 1) * INV_TWO_PI * rise / table_integral(scene, table)
+
+
+@wp.func
 def tabphase_cosine(scene: Scene, number: wp.int32, u: wp.float32) -> wp.float32:
     """Cosine of a direction that is drawn by u."""
     table = texture_record(scene, number)

@@ -143,28 +143,17 @@ def test_a_furnace_by_albedo():
     assert_mean(found, 2.6667, "albedo", 5e-3)
 
 
-@pytest.mark.parametrize(
-    ("name", "words"),
-    [
-        ("cube.vertex_positions", "path vertices, lights or directions move"),
-        ("cube.to_world", "has no derivative in a scene with participating media yet"),
-        ("sensor.to_world", "hold still what moves"),
-        ("sensor.x_fov", "hold still what moves"),
-        ("floor.vertex_texcoords", "hold still what moves"),
-        ("bulb.position", "path vertices, lights or directions move"),
-    ],
-)
-def test_what_moves_is_refused(name, words):
+@pytest.mark.parametrize("name", ["floor.vertex_positions", "sensor.to_world", "sensor.x_fov", "bulb.position"])
+def test_what_moves_discontinuities_is_refused(name):
     parts = scenes.milk()
     parts["bulb"] = point([1.0, 1.0, 2.0])
     scene = psdr.load_dict(parts)
     params = psdr.traverse(scene)
     params.requires_grad(name)
-    for integrator in (psdr.PathIntegrator(), psdr.PathIntegrator(boundary=None)):
-        with pytest.raises(ValueError, match=words):
-            psdr.render_backward(scene, params, np.ones((24, 24, 3)), integrator=integrator)
-        with pytest.raises(ValueError, match=words):
-            psdr.render_forward(scene, params, {name: 1.0}, integrator=integrator)
+    with pytest.raises(ValueError, match="there is none yet"):
+        psdr.render_backward(scene, params, np.ones((24, 24, 3)))
+    with pytest.raises(ValueError, match="there is none yet"):
+        psdr.render_forward(scene, params, {name: 1.0})
 
 
 def test_other_methods_are_refused():
@@ -179,5 +168,5 @@ def test_other_methods_are_refused():
     glass = scenes.ink_in_glass()
     glass["glass"]["bsdf"] = {"type": "dielectric"}
     scene = psdr.load_dict(glass)
-    with pytest.raises(ValueError, match="hold still what moves"):
+    with pytest.raises(ValueError, match="that is not followed through media"):
         psdr.plan(scene, names=["glass.bsdf.eta"])

@@ -22,6 +22,7 @@ from warp_psdr.kernels.interior.branch import make_branch_kernel
 from warp_psdr.kernels.interior.film_antithetic import make_film_antithetic_kernel
 from warp_psdr.kernels.interior.forward import make_forward_kernel
 from warp_psdr.kernels.interior.gradient_request import GradientRequest
+from warp_psdr.kernels.interior.media_motion_replay import make_media_motion_kernel
 from warp_psdr.kernels.interior.media_replay import make_media_replay_kernel
 from warp_psdr.kernels.interior.media_sweep import explores_density
 from warp_psdr.kernels.interior.radiative import make_radiative_kernel
@@ -30,6 +31,7 @@ from warp_psdr.kernels.interior.shape_parameters import branched_values, unsplit
 from warp_psdr.kernels.interior.textbook import make_textbook_kernel
 from warp_psdr.kernels.interior.tilts import tilting_values, tilts
 from warp_psdr.options import boundary, interior
+from warp_psdr.plan import media
 from warp_psdr.plan.attached import refused_by_attached
 from warp_psdr.plan.film_antithetic import refused_by_film_antithetic, refused_for_what_is_seen
 from warp_psdr.plan.light import refused_by_light_tracing
@@ -137,11 +139,30 @@ def _keep_blocks(method: interior.Method, max_depth: int, rr_depth: int) -> Kept
 
 
 def _make_replay(config: PathConfig, wanted: GradientRequest, role: str, kept: Kept) -> wp.Kernel:
+    if config.media is not None and media.moves(wanted):
+        moved = GradientRequest(
+            material=(False,) * len(wanted.material),
+            shapes=wanted.shapes,
+            texcoords=wanted.texcoords,
+            lights=tuple(kind for kind in wanted.lights if kind == "pose"),
+            camera=wanted.camera,
+        )
+        return make_media_motion_kernel(config, moved, role, kept.block, kept.longest)
     if config.media is not None:
         return make_media_replay_kernel(config, wanted, role, kept.block, kept.longest)
     if role == "forward":
         return make_forward_kernel(config, wanted)
     return make_replay_kernel(config, wanted, kept.block, kept.blocks)
+
+
+def _make_beside_motion(config: PathConfig, wanted: GradientRequest, role: str, kept: Kept) -> wp.Kernel | None:
+    """Return the kernel of what moves nothing beside what moves in media, if there is any."""
+    if config.media is None or not media.moves(wanted):
+        return None
+    lights = tuple(kind for kind in wanted.lights if kind != "pose")
+    rest = replace(wanted, shapes=False, texcoords=False, camera=False, lights=lights)
+    nothing = GradientRequest(material=(False,) * len(wanted.material))
+    return None if rest == nothing else _make_replay(config, rest, role, kept)
 
 
 def _make_ratio(config: PathConfig, wanted: GradientRequest, role: str, kept: Kept) -> wp.Kernel:
@@ -353,7 +374,9 @@ def _make_radiative(config: PathConfig, wanted: GradientRequest, role: str, kept
 
 #: (method of the interior term, kind of method of the boundary term) -> row. ``boundary.Method``: every explicit term.
 TABLE: dict[tuple[type[interior.Method], type[boundary.Method]], Row] = {
-    (interior.Replay, boundary.Method): Row(label="record and sweep", keep=_keep_blocks, make=_make_replay),
+    (interior.Replay, boundary.Method): Row(
+        label="record and sweep", keep=_keep_blocks, make=_make_replay, beside=_make_beside_motion
+    ),
     (interior.Resampled, boundary.Method): Row(
         label="resampled branches, record and sweep",
         keep=_keep_candidates,

@@ -5,13 +5,17 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from warp_psdr.kernels import constants as c
+from warp_psdr.kernels.bsdf.dispatch import models_of
+from warp_psdr.kernels.bsdf.null import NULL
 from warp_psdr.kernels.medium.coefficients import ALBEDO, PHASE, SCALE, SIGMA_T
 from warp_psdr.options import interior
+from warp_psdr.scene.bsdfs import model_of
 from warp_psdr.scene.super_grid import PhaseTable
 
 if TYPE_CHECKING:
     from warp_psdr.kernels.interior.gradient_request import GradientRequest
     from warp_psdr.kernels.vertex import PathConfig
+    from warp_psdr.options.integrator import PathIntegrator
     from warp_psdr.scene.scene import Scene
 
 #: What of a medium is differentiated.
@@ -52,8 +56,10 @@ def describe(scene: Scene, config: PathConfig, wanted: GradientRequest | None) -
     return lines
 
 
-def refuse(config: PathConfig, method: interior.Method, wanted: GradientRequest | None, names: list[str]) -> None:
-    """Refuse what there is not in scenes with media: other methods, and derivatives by what moves.
+def refuse(
+    scene: Scene, config: PathConfig, method: interior.Method, wanted: GradientRequest | None, names: list[str]
+) -> None:
+    """Refuse what there is not in scenes with media: other methods, and some derivatives by what moves.
 
     Raises:
         ValueError: with what to do instead.
@@ -66,8 +72,43 @@ def refuse(config: PathConfig, method: interior.Method, wanted: GradientRequest 
             f"interior.{type(method).__name__}() does not know participating media; use interior.Replay(), or leave "
             "them out"
         )
-    if wanted is not None and (wanted.geometry or "pose" in wanted.lights):
-        _refuse_motion(f"derivatives by {', '.join(names)}: path vertices, lights or directions move")
+    if wanted is not None and moves(wanted):
+        reason = _beside_motion(scene, config, method, wanted)
+        if reason:
+            raise ValueError(
+                f"derivatives by {', '.join(names)}: path vertices, lights or directions move, and {reason}"
+            )
+
+
+def moves(wanted: GradientRequest) -> bool:
+    """Whether path vertices, lights or directions move."""
+    return wanted.geometry or "pose" in wanted.lights
+
+
+def _beside_motion(scene: Scene, config: PathConfig, method: interior.Method, wanted: GradientRequest) -> str:
+    """Say what of a scene with media has no derivative by what moves; empty: all has."""
+    if type(method) is not interior.Replay:
+        return f"interior.{type(method).__name__}() does not follow that through media; use interior.Replay()"
+    assert config.media is not None
+    if config.media.grids:
+        return (
+            "densities of 'heterogeneous' media change along what moves; make the media 'homogeneous', or request what "
+            "moves nothing"
+        )
+    if wanted.bends:
+        return "that is not followed through media; request coefficients of media, reflectances or radiances"
+    turning = [model.plugin for model in models_of(config.bsdfs) if model.has_delta and model is not NULL]
+    if turning:
+        return (
+            f"beside media that is not followed through {turning[0]!r}; make mirrors and glass rough, and use meshes "
+            "with holes in place of masks and thin glass"
+        )
+    if c.EMITTER_DIRECTIONAL_AREA in config.lights:
+        return "that is not followed to a 'directionalarea' beside media; use a 'directional' or an 'area' light"
+    for shape in scene.description.shapes:
+        if shape.emitter is not None and any(model_of(side) is NULL for side in shape.bsdf.sides):
+            return f"the light {shape.path!r} has a surface that is not there; give it another bsdf than 'null'"
+    return ""
 
 
 def refuse_zeros(scene: Scene, names: list[str]) -> None:
@@ -86,18 +127,21 @@ def refuse_zeros(scene: Scene, names: list[str]) -> None:
                 )
 
 
-def refuse_motion(config: PathConfig, moving: tuple[str, ...]) -> None:
-    """Refuse what moves a discontinuity in a scene with media.
+def refuse_boundary(config: PathConfig, integrator: PathIntegrator, moving: tuple[str, ...]) -> None:
+    """Refuse what moves a discontinuity in a scene with media, unless the interior term alone is asked for.
 
     Raises:
         ValueError: with what to do instead.
     """
-    if config.media is not None and moving:
-        _refuse_motion("; ".join(moving))
+    if config.media is not None and moving and integrator.boundary is not None:
+        raise ValueError(
+            f"{'; '.join(moving)}: in a scene with participating media that has a boundary term, and there is none "
+            "yet; say PathIntegrator(boundary=None) to get the interior term alone, which is whole where nothing that "
+            "moves hides anything"
+        )
 
 
-def _refuse_motion(what: str) -> None:
-    raise ValueError(
-        f"{what}, which has no derivative in a scene with participating media yet; hold still what moves (coefficients "
-        "of media, phase functions, reflectances, roughnesses and radiances are differentiated), or leave the media out"
-    )
+def only_interfaces(scene: Scene, shapes: tuple[int, ...]) -> bool:
+    """Whether shapes are surfaces that are not there, which hide nothing."""
+    described = [scene.description.shapes[i] for i in shapes]
+    return bool(scene.builder.media) and all(model_of(side) is NULL for shape in described for side in shape.bsdf.sides)

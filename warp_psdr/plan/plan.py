@@ -184,7 +184,7 @@ def decide(
         scene.hide_lights()
     wanted = _wanted(scene, config, names, lines) if names else None
     lines += media.describe(scene, config, wanted)
-    media.refuse(config, integrator.interior, wanted, names)
+    media.refuse(scene, config, integrator.interior, wanted, names)
     media.refuse_zeros(scene, names)
     refuse_own_shape(scene, sensor, names)
     if not names:
@@ -196,13 +196,13 @@ def decide(
         if any(model.framed for model in models_of(config.bsdfs)):
             lines.append(("turned normals", "as they are seen", FLIPPED))
     moving = tuple(_discontinuities(scene, config, names))
-    media.refuse_motion(config, moving)
+    media.refuse_boundary(config, integrator, moving)
     primitives.refuse(scene, config, integrator, wanted, names, moving)
     if wanted is not None:
         asked = [slot.name for slot, w in zip(config.material, wanted.material, strict=True) if w]
         if any(name.rsplit("_", 1)[-1] == "opacity" for name in asked):
             config = replace(config, bsdfs=tuple(map(explored, config.bsdfs)))
-    if config.through and wanted is not None and (wanted.geometry or moving):
+    if config.through and config.media is None and wanted is not None and (wanted.geometry or moving):
         # What moves sees null lobes as other delta lobes, whose crossings are path vertices of their own.
         _check_lights(scene, names)
         config = replace(config, through=False)
@@ -439,6 +439,9 @@ def _discontinuities(scene: Scene, config: PathConfig, names: list[str]) -> list
     lights = _moving_lights(scene)
     for name in names:
         uses = scene.parameters[name].uses
+        moved = uses & {POSITIONS, SHAPE_GRID, SHAPE_POSE, NORMALS}
+        if moved and media.only_interfaces(scene, scene.parameters[name].owners):
+            continue
         if uses & {POSITIONS, SHAPE_GRID, SHAPE_POSE}:
             reasons.append(f"{name} moves silhouettes and shadows")
         elif CAMERA in uses and (scene.face_count or config.primitives):

@@ -1,0 +1,432 @@
+"""The sweep over a path through homogeneous media of what moves: vertices, lights, the camera, interfaces [ZYZ21].
+
+A volume vertex rides as a fraction: on its stretch between two attached crossings of the ray from where its direction
+was drawn, at y, to z, the first surface behind it that is there. So dV = (f G(y, z) J(z)) dA ds times the length of the
+stretch, sigma_s, f_p and T: the connection y -> z is that of surfaces, and no term stands for domains.
+
+Derivation: ``docs/theory/media.md#what-moves``.
+"""
+
+import functools
+from dataclasses import replace
+
+import warp as wp
+
+from warp_psdr.kernels.autodiff import anchor
+from warp_psdr.kernels.constants import (
+    EMITTER_AREA,
+    EMITTER_DIRECTIONAL,
+    EMITTER_POINT,
+    FAR,
+    LOBE_NONE,
+    LOBE_NULL,
+    LOBE_SMOOTH,
+)
+from warp_psdr.kernels.interaction import enter_frame, make_interaction
+from warp_psdr.kernels.interior.factors import make_light_sink
+from warp_psdr.kernels.interior.gradient_request import GradientRequest
+from warp_psdr.kernels.interior.pullback import connection_vjp
+from warp_psdr.kernels.interior.sweep import Carry, make_sweep
+from warp_psdr.kernels.medium.coefficients import coefficients_of
+from warp_psdr.kernels.medium.interface import make_crossing_sink, make_interface
+from warp_psdr.kernels.medium.passage import MOST_INTERFACES, medium_towards
+from warp_psdr.kernels.path_media import MediaVertex, collision_point
+from warp_psdr.kernels.phase.dispatch import make_phase, make_phase_by_cosine
+from warp_psdr.kernels.primitive.dispatch import make_position
+from warp_psdr.kernels.scattering import samples_lights
+from warp_psdr.kernels.sensor.camera import CameraSample, make_camera_sink
+from warp_psdr.kernels.sink import make_sink, make_sink_vec3
+from warp_psdr.kernels.structs import Camera, Scene
+from warp_psdr.kernels.surface import VertexAdjoint, make_vertex_sink, normalize_vjp
+from warp_psdr.kernels.vertex import PathConfig
+from warp_psdr.kernels.visibility import visibility_of
+
+
+@wp.struct
+class MovedStep:
+    """A step of a path, and what its ray is attached to."""
+
+    step: MediaVertex
+    start: wp.vec3  # y: where its direction was drawn
+    before: wp.float32  # distance from there to where its flight starts
+    face: wp.int32  # z: the first surface behind it that is there; -1: none
+    u: wp.float32
+    v: wp.float32
+
+
+@wp.struct
+class MovedCarry:
+    """What the sweep hands from a step to the one before it."""
+
+    #: Radiance, and z: its adjoint, and in ``a_x`` that of y.
+    end: Carry
+    a_w: wp.vec3  # adjoint of the direction of the ray from y
+    a_t: wp.float32  # adjoint of the distance from y to where the step's flight starts
+
+
+@wp.struct
+class ShadowAdjoint:
+    """Adjoint of the ray of a segment to a light: of its start, its direction and its length."""
+
+    o: wp.vec3
+    d: wp.vec3
+    length: wp.float32
+    dot: wp.float32
+
+
+@functools.cache
+def make_shadow_sink(config: PathConfig, role: str):
+    """Return ``accumulate_shadow(scene, target, vertex, w) -> ShadowAdjoint``.
+
+    ``w`` is the adjoint of the logarithm of the transmittance to the vertex's light, by channel. The segment is walked
+    again.
+    """
+    visibility = visibility_of(config)
+    interaction = make_interaction(config)
+    is_interface, _behind = make_interface(config)
+    accumulate_crossing = make_crossing_sink(role)
+
+    @wp.func
+    def thinning(scene: Scene, medium: wp.int32, w: wp.vec3) -> wp.float32:
+        """Adjoint of a length in a medium."""
+        if medium < 0:
+            return 0.0
+        return -wp.dot(coefficients_of(scene, scene.media.records[medium]).sigma_t, w)
+
+    @wp.func
+    def accumulate_shadow(
+        scene: Scene, target: wp.array(dtype=wp.float32), v: MediaVertex, w: wp.vec3
+    ) -> ShadowAdjoint:
+        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
+        r = ShadowAdjoint()
+        start = v.shadow_o
+        inside = v.shadow_medium
+        r.length = thinning(scene, inside, w)
+        crossings = wp.int32(0)
+        while crossings <= MOST_INTERFACES:
+            t = wp.dot(start - v.shadow_o, v.shadow_d)
+            hit = visibility.closest(scene, start, v.shadow_d, v.shadow_t - t)
+            crossings += 1
+            if is_interface(scene, hit.face):
+                at = interaction.at(scene, hit.face, hit.u, hit.v, v.shadow_d)
+                inside = medium_towards(scene, at.shape, at.ng, v.shadow_d, v.shadow_d, inside)
+                beyond = thinning(scene, inside, w)
+                a = accumulate_crossing(scene, target, hit.face, hit.u, hit.v, v.shadow_d, t + hit.t, r.length - beyond)
+                r.o += a.o
+                r.d += a.d
+                r.dot += a.dot
+                r.length = beyond
+                start = interaction.offset(at, v.shadow_d)
+            else:
+                crossings = MOST_INTERFACES + 1
+        if v.shadow_t >= 0.5 * FAR:
+            r.length = 0.0
+        return r
+
+    return accumulate_shadow
+
+
+@functools.cache
+def make_light_end(wanted: GradientRequest, role: str):
+    """Return ``accumulate_end(scene, target, vertex, w) -> (bool, float32)``.
+
+    ``w`` is the adjoint of the point of the vertex's light; False: the light has none.
+    """
+    accumulate_vertex = make_vertex_sink(role, False, False, False, False, False, False)
+    sink = make_sink(role)
+    sink3 = make_sink_vec3(role)
+
+    @wp.func
+    def accumulate_end(
+        scene: Scene, target: wp.array(dtype=wp.float32), v: MediaVertex, w: wp.vec3
+    ) -> tuple[wp.bool, wp.float32]:
+        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
+        emitter = scene.emitters[v.surface.light]
+        total = wp.float32(0.0)
+        if v.surface.light_face >= 0:
+            if wp.static(wanted.geometry):
+                adjoint = VertexAdjoint()
+                adjoint.x = w
+                done = accumulate_vertex(
+                    scene, target, v.surface.light_face, v.surface.light_u, v.surface.light_v, adjoint, False, w, w
+                )
+                total = done.dot
+            return True, total
+        # An environment and a directional light are at infinity.
+        if v.shadow_t >= 0.5 * FAR or emitter.kind == EMITTER_AREA or emitter.kind == EMITTER_DIRECTIONAL:
+            return False, total
+        if wp.static("pose" in wanted.lights):
+            if emitter.kind == EMITTER_POINT:
+                total = sink3(target, emitter.to_world, w)
+            else:
+                for i in range(3):
+                    total += sink(target, emitter.to_world + 4 * i + 3, w[i])
+        return True, total
+
+    return accumulate_end
+
+
+@functools.cache
+def make_moved_sweep(config: PathConfig, wanted: GradientRequest, role: str):
+    """Return ``(moved_sweep, finish)``.
+
+    ``moved_sweep(scene, target, step, delta, carry) -> MovedCarry``; ``end.dot`` of the result is what the sinks of
+    this step returned.
+    ``finish(scene, target, camera, sample, carry) -> float32``: from the first step to the camera.
+    """
+    assert config.media is not None
+    surfaces = replace(config, through=False)  # transmittances are this sweep's
+    sweep, _finish, finish_vertex = make_sweep(surfaces, wanted, role)
+    interaction = make_interaction(surfaces)
+    position, cross_of = make_position(config.primitives)
+    phase = make_phase(config.media.phases)
+    by_cosine = make_phase_by_cosine(config.media.phases)
+    has_lights = bool(config.area or config.lights)
+    smooth = samples_lights(config)
+    radiance_of, accumulate_light = make_light_sink(surfaces, wanted, role) if has_lights else (None, None)
+    accumulate_shadow = make_shadow_sink(config, role)
+    accumulate_end = make_light_end(wanted, role)
+    accumulate_crossing = make_crossing_sink(role)
+    is_interface, _behind = make_interface(config)
+    accumulate_camera = make_camera_sink(role, config.camera) if wanted.camera else None
+    geometry = wanted.geometry
+
+    @wp.func
+    def closed(scene: Scene, carry: MovedCarry) -> Carry:
+        """The end of a ray whose direction is that from y to the material point z."""
+        r = carry.end
+        r.dot = wp.float32(0.0)
+        if r.face >= 0:
+            length = wp.length(position(scene.triangles[r.face], r.u, r.v) - r.o)
+            across = normalize_vjp(r.d, length, carry.a_w)
+            r.adjoint.x = r.adjoint.x + across
+            r.a_x -= across
+        return r
+
+    @wp.func
+    def nearness(
+        scene: Scene, x: wp.vec3, stretch: wp.float32, face: wp.int32, u: wp.float32, v: wp.float32
+    ) -> wp.float32:
+        """The weight chi of the connection of a volume vertex with a surface, by its distance from the plane."""
+        if wp.static(not geometry):
+            return 1.0
+        tri = scene.triangles[face]
+        a = wp.abs(wp.dot(tri.normal, position(tri, u, v) - x))
+        rho = scene.contact_ratio * wp.min(scene.radii[face], stretch)
+        if a >= rho:
+            return 1.0
+        t = a / rho
+        return 3.0 * t * t
+
+    @wp.func
+    def towards_light(
+        scene: Scene,
+        target: wp.array(dtype=wp.float32),
+        v: MediaVertex,
+        x: wp.vec3,
+        w_radiance: wp.vec3,
+        value: wp.float32,
+        a_wo: wp.vec3,
+        chi: wp.float32,
+        w_t: wp.vec3,
+    ) -> tuple[wp.vec3, wp.float32]:
+        """Adjoint of x: arguments as of ``accumulate_light``; ``w_t``: of the logarithm of the transmittance."""
+        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
+        segment = accumulate_shadow(scene, target, v, w_t)
+        a_x, total = accumulate_light(scene, target, v.surface, x, w_radiance, value, a_wo + segment.d, chi)
+        total += segment.dot
+        a_x += segment.o
+        along = segment.length * v.shadow_d
+        ends, dot = accumulate_end(scene, target, v, along)
+        if ends:
+            a_x -= along
+            total += dot
+        return a_x, total
+
+    @wp.func
+    def of_collision(
+        scene: Scene,
+        target: wp.array(dtype=wp.float32),
+        s: MovedStep,
+        a_n: wp.vec3,
+        carry: MovedCarry,
+        stretch: wp.float32,
+    ) -> tuple[wp.vec3, wp.vec3, wp.float32]:
+        """Adjoint of a volume vertex and of the direction in which it is reached; ``stretch``: its longest."""
+        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
+        v = s.step
+        vertex = v.surface
+        x = collision_point(v)
+        m = scene.media.records[v.medium]
+        a_x = wp.vec3(0.0, 0.0, 0.0)
+        a_d = wp.vec3(0.0, 0.0, 0.0)
+        total = wp.float32(0.0)
+        if wp.static(geometry):
+            if vertex.lobe == LOBE_SMOOTH:
+                value = wp.dot(wp.cw_mul(a_n, vertex.beta), carry.end.radiance)
+                w = vertex.inv_pdf * wp.dot(a_n, carry.end.radiance)
+                turned = w * by_cosine(scene, m, wp.dot(vertex.d, vertex.wo))
+                a_d += turned * vertex.wo
+                end = closed(scene, carry)
+                if end.face >= 0:
+                    tri = scene.triangles[end.face]
+                    z = position(tri, end.u, end.v)
+                    cross = cross_of(tri, end.u, end.v)
+                    chi = nearness(scene, x, stretch, end.face, end.u, end.v)
+                    link = connection_vjp(end.o, z, cross, vertex.wo, (chi * turned) * vertex.d, value, chi)
+                    a_x += link.x
+                    end.adjoint.x = end.adjoint.x - link.x
+                    end.adjoint.c = end.adjoint.c + link.c
+                done = finish_vertex(scene, target, end, False)
+                a_x += done.a_x
+                total += done.dot
+        if wp.static(has_lights):
+            if vertex.light >= 0:
+                a_direct = vertex.light_weight * wp.cw_mul(a_n, v.transmittance)
+                radiance = radiance_of(scene, vertex, x)
+                turned = wp.dot(a_direct, radiance) * by_cosine(scene, m, wp.dot(vertex.d, vertex.light_wi))
+                w_radiance = phase.eval(scene, m, vertex.d, vertex.light_wi) * a_direct
+                w_t = wp.cw_mul(w_radiance, radiance)
+                value = w_t[0] + w_t[1] + w_t[2]
+                chi = wp.float32(1.0)
+                if vertex.light_face >= 0:
+                    chi = nearness(scene, x, stretch, vertex.light_face, vertex.light_u, vertex.light_v)
+                a_wo = (chi * turned) * vertex.d
+                lit, dot = towards_light(scene, target, v, x, w_radiance, value, a_wo, chi, w_t)
+                a_d += turned * vertex.light_wi
+                a_x += lit
+                total += dot
+        return a_x, a_d, total
+
+    @wp.func
+    def of_surface(
+        scene: Scene, target: wp.array(dtype=wp.float32), s: MovedStep, delta: wp.vec3, carry: MovedCarry
+    ) -> Carry:
+        """The sweep of a surface, once for E_n and what goes on, once for D_n, which has a transmittance."""
+        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
+        v = s.step
+        vertex = v.surface
+        vertex.o = s.start
+        vertex.light = -1
+        behind = closed(scene, carry)
+        result = Carry()
+        of_light = v.surface.light >= 0
+        count = wp.where(of_light, 2, 1)
+        factor = delta
+        k = wp.int32(0)
+        while k < count:
+            done = sweep(scene, target, vertex, factor, behind)
+            if k == 0:
+                result = done
+            else:
+                result.adjoint.x = result.adjoint.x + done.adjoint.x
+                result.adjoint.n = result.adjoint.n + done.adjoint.n
+                result.adjoint.tangent = result.adjoint.tangent + done.adjoint.tangent
+                result.adjoint.uv = result.adjoint.uv + done.adjoint.uv
+                result.adjoint.u = result.adjoint.u + done.adjoint.u
+                result.adjoint.v = result.adjoint.v + done.adjoint.v
+                result.adjoint.c = result.adjoint.c + done.adjoint.c
+                result.a_x += done.a_x
+                result.dot += done.dot
+            vertex.light = v.surface.light
+            vertex.lobe = LOBE_NONE
+            vertex.e_weight = 0.0
+            factor = wp.cw_mul(delta, v.transmittance)
+            behind = Carry()
+            behind.face = -2
+            k += 1
+        if wp.static(smooth):
+            if of_light:
+                surface = interaction.surface(scene, vertex.face, vertex.u, vertex.v)
+                at = interaction.on(scene, surface, vertex.face, vertex.u, vertex.v, vertex.d)
+                f = interaction.eval(at, enter_frame(at.frame, vertex.light_wi))
+                a_direct = vertex.light_weight * wp.cw_mul(wp.cw_mul(delta, vertex.throughput), v.transmittance)
+                w_t = wp.cw_mul(wp.cw_mul(a_direct, f), radiance_of(scene, vertex, surface.x))
+                none = wp.vec3(0.0, 0.0, 0.0)
+                lit, dot = towards_light(scene, target, v, v.shadow_o, none, 0.0, none, 1.0, w_t)
+                result.adjoint.x = result.adjoint.x + lit
+                result.dot += dot
+        return result
+
+    @wp.func
+    def moved_sweep(
+        scene: Scene, target: wp.array(dtype=wp.float32), s: MovedStep, delta: wp.vec3, carry: MovedCarry
+    ) -> MovedCarry:
+        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
+        v = s.step
+        vertex = v.surface
+        d = vertex.d
+        r = MovedCarry()
+        inner = vertex.direct + wp.cw_mul(vertex.beta, carry.end.radiance)
+        passes = vertex.lobe == LOBE_NULL and not v.collides
+        a_near = wp.float32(0.0)  # adjoint of the distances from y at which the stretch begins and ends
+        a_far = wp.float32(0.0)
+        far = wp.float32(0.0)
+        inv_length = wp.float32(0.0)
+        stretch = wp.float32(0.0)
+        if vertex.face >= 0:
+            far = wp.dot(position(scene.triangles[vertex.face], vertex.u, vertex.v) - s.start, d)
+            # Not the recorded length, which ends a step before the surface: it may be far shorter than what is drawn.
+            stretch = wp.max(far - s.before, v.t)
+            inv_length = 1.0 / stretch
+        if passes:
+            r.end = carry.end
+            r.end.dot = wp.float32(0.0)
+            r.a_w = carry.a_w
+            a_far = carry.a_t
+        elif v.collides:
+            a_n = wp.cw_mul(delta, vertex.throughput)
+            a_x, a_d, dot = of_collision(scene, target, s, a_n, carry, stretch)
+            r.end.face = s.face
+            r.end.u = s.u
+            r.end.v = s.v
+            r.end.o = s.start
+            r.end.d = d
+            r.end.chi = 1.0
+            r.end.a_x = a_x
+            r.end.dot = dot
+            r.a_w = a_d + (s.before + v.t) * a_x
+            a_near = wp.dot(d, a_x)
+            a_far = v.t * inv_length * a_near
+            a_near -= a_far
+        else:
+            r.end = of_surface(scene, target, s, delta, carry)
+        r.end.radiance = wp.cw_mul(v.weight, inner)
+        if wp.static(geometry):
+            if v.medium >= 0 and vertex.face >= 0:
+                w_v = wp.cw_mul(wp.cw_mul(delta, v.before), r.end.radiance)
+                thins = wp.dot(coefficients_of(scene, scene.media.records[v.medium]).sigma_t, w_v)
+                rate = -thins
+                if v.collides:
+                    rate = inv_length * (w_v[0] + w_v[1] + w_v[2] - v.t * thins)
+                a_far += rate
+                a_near -= rate
+            if vertex.face >= 0:
+                if passes or (v.collides and is_interface(scene, vertex.face)):
+                    a = accumulate_crossing(scene, target, vertex.face, vertex.u, vertex.v, d, far, a_far)
+                    r.end.a_x += a.o
+                    r.a_w += a.d
+                    r.end.dot += a.dot
+                else:
+                    r.end.adjoint.x = r.end.adjoint.x + a_far * d
+                    r.end.a_x -= a_far * d
+            r.a_t = a_near
+        return r
+
+    @wp.func
+    def finish(
+        scene: Scene, target: wp.array(dtype=wp.float32), camera: Camera, sample: CameraSample, carry: MovedCarry
+    ) -> wp.float32:
+        if wp.static(not geometry):
+            return 0.0
+        else:
+            _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
+            end = carry.end
+            end.dot = wp.float32(0.0)
+            done = finish_vertex(scene, target, end, True)
+            total = done.dot
+            if wp.static(wanted.camera):
+                total += accumulate_camera(scene, target, camera, sample, done.a_x, done.a_d + carry.a_w)
+            return total
+
+    return moved_sweep, finish

@@ -1,0 +1,151 @@
+"""The interior term of what moves in homogeneous media, by record and sweep, in both modes [ZYZ21].
+
+As ``media_replay.py``, whose kernel has the derivatives by what moves nothing. Kept with each step is where the
+direction of its ray was drawn and the first surface that is there behind it, to which the ray is attached.
+
+Derivation: ``docs/theory/media.md#what-moves``.
+"""
+
+import functools
+
+import warp as wp
+
+from warp_psdr.kernels.bvh.wide import RayHit
+from warp_psdr.kernels.constants import LOBE_NULL
+from warp_psdr.kernels.interior.gradient_request import GradientRequest
+from warp_psdr.kernels.interior.media_motion import MovedCarry, MovedStep, make_moved_sweep
+from warp_psdr.kernels.invalid import count_invalid, finite, vanishes
+from warp_psdr.kernels.jobs import PixelJob, make_sample_weight, pixel_of
+from warp_psdr.kernels.medium.interface import make_interface
+from warp_psdr.kernels.medium.passage import MOST_INTERFACES
+from warp_psdr.kernels.path import make_camera_start
+from warp_psdr.kernels.path_media import MediaState, make_media_step, media_path_from
+from warp_psdr.kernels.rng import sampler_at
+from warp_psdr.kernels.sensor.camera import make_camera_origin
+from warp_psdr.kernels.structs import Camera, Scene
+from warp_psdr.kernels.vertex import PathConfig
+
+
+@wp.struct
+class MovedState:
+    """What one step hands to the next."""
+
+    media: MediaState
+    start: wp.vec3  # where the direction of its ray was drawn
+
+
+@functools.cache
+def make_media_motion_kernel(config: PathConfig, wanted: GradientRequest, role: str, block: int, longest: int):
+    """Return the kernel.
+
+    Args:
+        config: what the scene needs.
+        wanted: what of all that moves is differentiated.
+        role: "reverse" or "forward".
+        block: the number of steps kept at a time.
+        longest: most vertices of a path; the surfaces that it passes without a change of direction come on top.
+    """
+    start = make_camera_start(config)
+    camera_origin = make_camera_origin(config.camera)
+    media_step = make_media_step(config, True)
+    moved_sweep, finish = make_moved_sweep(config, wanted, role)
+    _is_interface, behind_of = make_interface(config)
+    channels = 3 if role == "forward" else 1
+    sample_weight = make_sample_weight(role)
+    blocks = -(-(longest + MOST_INTERFACES + 1) // block)
+
+    @wp.func
+    def channel_of(delta: wp.vec3, channel: wp.int32) -> wp.vec3:
+        if wp.static(role == "reverse"):
+            return delta
+        weight = wp.vec3(0.0, 0.0, 0.0)
+        weight[channel] = delta[channel]
+        return weight
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def media_motion(
+        # Scene:
+        scene: Scene,
+        camera: Camera,
+        # In:
+        job: PixelJob,
+        # Out:
+        target: wp.array(dtype=wp.float32),
+        image_out: wp.array2d(dtype=wp.vec3),
+    ):
+        pixel = pixel_of(job, camera, wp.tid())
+        delta = sample_weight(job, pixel)
+        if vanishes(delta):
+            return
+        derivative = wp.vec3d()  # in double precision, as the image
+        record = wp.zeros(shape=(wp.static(block),), dtype=MovedStep)
+        states = wp.zeros(shape=(wp.static(blocks),), dtype=MovedState)
+        carries = wp.zeros(shape=(wp.static(channels),), dtype=MovedCarry)
+        for i in range(job.samples):
+            sampler = sampler_at(pixel.number, job.first_sample + i, job.seed)
+            started, sample = start(scene, camera, pixel.px, pixel.py, sampler)
+            state = MovedState()
+            state.media = media_path_from(started, camera.medium)
+            state.start = camera_origin(scene, camera, sample)
+            radiance = wp.vec3(0.0, 0.0, 0.0)
+            of_sample = wp.vec3(0.0, 0.0, 0.0)
+            for channel in range(wp.static(channels)):
+                none = MovedCarry()
+                none.end.face = -2
+                carries[channel] = none
+            # Blocks are traced from the first to the last, and swept, and traced again, from the last to the first.
+            b = wp.int32(0)
+            tracing = wp.bool(True)
+            while b >= 0:
+                states[b] = state
+                count = wp.int32(0)
+                while state.media.path.alive == 1 and count < wp.static(block):
+                    path = state.media.path
+                    kept = MovedStep()
+                    kept.start = state.start
+                    kept.before = wp.dot(path.o - state.start, path.d)
+                    vertex, after = media_step(scene, sampler, state.media, job.max_depth, job.rr_depth)
+                    kept.step = vertex
+                    hit = RayHit()
+                    hit.face = vertex.surface.face
+                    hit.u = vertex.surface.u
+                    hit.v = vertex.surface.v
+                    if vertex.collides:
+                        hit = behind_of(scene, hit, path.d, path.t_max, path.depth)
+                    kept.face = hit.face
+                    kept.u = hit.u
+                    kept.v = hit.v
+                    record[count] = kept
+                    count += 1
+                    if vertex.collides or vertex.surface.lobe != LOBE_NULL:
+                        state.start = after.path.o
+                    state.media = after
+                    if tracing:
+                        radiance += wp.cw_mul(vertex.surface.throughput, vertex.surface.direct)
+                if tracing and state.media.path.alive == 1:
+                    b += 1
+                else:
+                    tracing = False
+                    for n in range(count):
+                        kept = record[count - 1 - n]
+                        for channel in range(wp.static(channels)):
+                            weight = channel_of(delta, channel)
+                            carries[channel] = moved_sweep(scene, target, kept, weight, carries[channel])
+                            of_sample[channel] = of_sample[channel] + carries[channel].end.dot
+                    b -= 1
+                    if b >= 0:
+                        state = states[b]
+            for channel in range(wp.static(channels)):
+                of_sample[channel] = of_sample[channel] + finish(scene, target, camera, sample, carries[channel])
+            # In reverse mode it is the number of derivatives dropped.
+            valid = finite(radiance) and finite(of_sample)
+            if wp.static(role == "reverse"):
+                valid = valid and vanishes(of_sample)
+            if not valid:
+                count_invalid(scene, sampler)
+            elif wp.static(role == "forward"):
+                derivative += wp.vec3d(of_sample)
+        if wp.static(role == "forward"):
+            image_out[pixel.py, pixel.px] = image_out[pixel.py, pixel.px] + wp.vec3(derivative)
+
+    return media_motion

@@ -1,0 +1,97 @@
+"""Surfaces that are not there (Mitsuba's ``null``) as they move: what a ray crosses, and what it ends at behind them.
+
+A ray o + t d crosses an interface of the normal n at a point that rides on it with the velocity c', so that
+t' = n . (c' - o' - t d') / (n . d).
+
+Derivation: ``docs/theory/media.md#what-moves``.
+"""
+
+import functools
+
+import warp as wp
+
+from warp_psdr.kernels.autodiff import anchor
+from warp_psdr.kernels.bsdf.dispatch import declaration_of
+from warp_psdr.kernels.bsdf.null import NULL
+from warp_psdr.kernels.bvh.wide import RayHit
+from warp_psdr.kernels.interaction import make_interaction
+from warp_psdr.kernels.medium.passage import MOST_INTERFACES
+from warp_psdr.kernels.structs import Scene
+from warp_psdr.kernels.surface import RayAdjoint, VertexAdjoint, make_vertex_sink
+from warp_psdr.kernels.vertex import PathConfig
+from warp_psdr.kernels.visibility import visibility_of
+
+#: Least cosine at a crossing that is divided by: what is met exactly edge-on.
+EDGE_ON = 1.0e-6
+
+
+def null_model_of(config: PathConfig) -> int:
+    """Return the number of the model of surfaces that are not there; -1: there are none."""
+    return next((i for i, key in enumerate(config.bsdfs) if declaration_of(key)[0] is NULL), -1)
+
+
+@functools.cache
+def make_interface(config: PathConfig):
+    """Return ``(is_interface, behind)``.
+
+    ``is_interface(scene, face) -> bool``: of a surface that is not there, face -1: False.
+    ``behind(scene, hit, d, t_max, depth) -> RayHit``: the first surface that is there, from what a ray along d has met
+    on; ``depth``: path vertices in front of it.
+    """
+    null_model = null_model_of(config)
+    visibility = visibility_of(config)
+    interaction = make_interaction(config)
+
+    @wp.func
+    def is_interface(scene: Scene, face: wp.int32) -> wp.bool:
+        if wp.static(null_model < 0):
+            return False
+        if face < 0:
+            return False
+        return scene.bsdfs[scene.shapes[scene.triangles[face].shape].bsdf].model == null_model
+
+    @wp.func
+    def behind(scene: Scene, hit: RayHit, d: wp.vec3, t_max: wp.float32, depth: wp.int32) -> RayHit:
+        r = hit
+        count = wp.int32(0)
+        while is_interface(scene, r.face) and count <= MOST_INTERFACES:
+            at = interaction.at(scene, r.face, r.u, r.v, d)
+            r = visibility.seen(scene, interaction.offset(at, d), d, t_max, depth)
+            count += 1
+        return r
+
+    return is_interface, behind
+
+
+@functools.cache
+def make_crossing_sink(role: str):
+    """Return ``accumulate_crossing(scene, target, face, u, v, d, t, w) -> RayAdjoint``.
+
+    ``w`` is the adjoint of the distance t at which a ray along the unit vector d crosses a triangle.
+    """
+    accumulate_vertex = make_vertex_sink(role, False, False, False, False, False, False)
+
+    @wp.func
+    def accumulate_crossing(
+        scene: Scene,
+        target: wp.array(dtype=wp.float32),
+        face: wp.int32,
+        u: wp.float32,
+        v: wp.float32,
+        d: wp.vec3,
+        t: wp.float32,
+        w: wp.float32,
+    ) -> RayAdjoint:
+        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
+        r = RayAdjoint()
+        n = scene.triangles[face].normal
+        cosine = wp.dot(n, d)
+        if wp.abs(cosine) > EDGE_ON:
+            adjoint = VertexAdjoint()
+            adjoint.x = (w / cosine) * n
+            r.dot = accumulate_vertex(scene, target, face, u, v, adjoint, False, d, d).dot
+            r.o = -adjoint.x
+            r.d = -t * adjoint.x
+        return r
+
+    return accumulate_crossing
