@@ -93,6 +93,7 @@ MIRROR_LIGHTS = PathConfig(
 #: Shapes without triangles beside those with.
 EXACT = PathConfig(**{**vars(SIMPLE), "uv": True, "tangent": True, "primitives": (c.PRIMITIVE_SPHERE,)})
 EXACT_LIGHTS = PathConfig(**{**vars(ALL_LIGHTS), "primitives": (c.PRIMITIVE_SPHERE,)})
+KINDS = PathConfig(**{**vars(EXACT), "primitives": (c.PRIMITIVE_SPHERE, c.PRIMITIVE_DISK, c.PRIMITIVE_CYLINDER)})
 DISTANCES = PathConfig(**{**vars(SIMPLE), "tangent": True, "primitives": (c.PRIMITIVE_SPHERE, c.PRIMITIVE_SDFGRID)})
 CURVES = PathConfig(
     **{**vars(SIMPLE), "tangent": True, "primitives": (c.PRIMITIVE_LINEARCURVE, c.PRIMITIVE_BSPLINECURVE)}
@@ -337,10 +338,14 @@ FACTORIES = {
         ("samples, simple", (SIMPLE, "samples", False), SLOW),
         ("noted, simple", (NOTED, "reverse", False), SLOW),
     ],
-    "boundary.silhouette.primary.make_primary_silhouette_kernel": [("reverse", (EXACT, "reverse", True), SLOW)],
+    "boundary.silhouette.primary.make_primary_silhouette_kernel": [
+        ("reverse", (EXACT, "reverse", True), SLOW),
+        ("forward, kinds", (KINDS, "forward", False), SLOW),
+    ],
     "boundary.silhouette.secondary.make_secondary_silhouette_kernel": [
         ("reverse", (EXACT, "reverse", True, False), SLOW),
         ("indirect, lights", (EXACT_LIGHTS, "forward", False, True, True), SLOW),
+        ("reverse, kinds", (KINDS, "reverse", True, False), SLOW),
     ],
     "boundary.path_space.secondary.make_secondary_kernel": [
         ("reverse, simple", (SIMPLE, "reverse", False, False), SLOW),

@@ -1,8 +1,8 @@
 """Shapes without triangles beside those with: what a scene's kinds add to ray queries, surfaces and adjoints.
 
 A number of a face that is at least the number of triangles names such a shape. Each function takes the one for
-triangles, and is that one where a scene holds no such shape, so nothing is compiled. A new affine kind is a file and a
-row. Grids (``sdfgrid.py``) are the other kind: vertices on them slide along the rays that found them. Curves
+triangles, and is that one where a scene holds no such shape, so nothing is compiled. Affine shapes are in ``kinds.py``.
+Grids (``sdfgrid.py``) are the other kind: vertices on them slide along the rays that found them. Curves
 (``curves.py``) rest: no vertex on one has a velocity or sends on an adjoint.
 """
 
@@ -12,39 +12,27 @@ import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.bvh.wide import RayHit
-from warp_psdr.kernels.constants import (
-    PRIMITIVE_BSPLINECURVE,
-    PRIMITIVE_LINEARCURVE,
-    PRIMITIVE_SDFGRID,
-    PRIMITIVE_SPHERE,
-)
+from warp_psdr.kernels.constants import PRIMITIVE_BSPLINECURVE, PRIMITIVE_LINEARCURVE, PRIMITIVE_SDFGRID
 from warp_psdr.kernels.primitive.affine import (
-    Kind,
     is_primitive,
     is_primitive_at,
     last_primitive,
-    make_affine_hit,
-    make_affine_normal,
-    make_affine_point,
-    make_affine_sink,
-    make_affine_surface,
     step_off_primitive,
     to_axes,
 )
 from warp_psdr.kernels.primitive.curves import make_curve_hit
 from warp_psdr.kernels.primitive.curves_surface import make_curve_surface
+from warp_psdr.kernels.primitive.kinds import (
+    affine_kinds,
+    make_kinds_hit,
+    make_kinds_normal,
+    make_kinds_point,
+    make_kinds_sink,
+    make_kinds_surface,
+)
 from warp_psdr.kernels.primitive.sdfgrid import sdfgrid_hit, unpack
 from warp_psdr.kernels.primitive.sdfgrid_adjoint import make_sdfgrid_sink
 from warp_psdr.kernels.primitive.sdfgrid_surface import make_sdfgrid_surface, sdfgrid_normal
-from warp_psdr.kernels.primitive.sphere import (
-    sphere_hit,
-    sphere_normal,
-    sphere_point,
-    sphere_pull,
-    sphere_rates,
-    sphere_tangents,
-    sphere_uv,
-)
 from warp_psdr.kernels.reading import triangle_at
 from warp_psdr.kernels.step import step_off_triangle
 from warp_psdr.kernels.structs import Scene, Triangle
@@ -58,30 +46,8 @@ from warp_psdr.kernels.surface import (
     uv_partials,
 )
 
-#: Kind (PRIMITIVE_*) -> its functions.
-KINDS: dict[int, Kind] = {
-    PRIMITIVE_SPHERE: Kind(
-        point=sphere_point,
-        hit=sphere_hit,
-        normal=sphere_normal,
-        tangents=sphere_tangents,
-        uv=sphere_uv,
-        rates=sphere_rates,
-        pull=sphere_pull,
-    )
-}
-
-
 #: Kinds of curves.
 CURVES = (PRIMITIVE_LINEARCURVE, PRIMITIVE_BSPLINECURVE)
-
-
-def affine_kind(primitives: tuple[int, ...]) -> Kind | None:
-    """Return the kind of a scene's affine shapes; None: it holds none."""
-    affine = [KINDS[kind] for kind in primitives if kind in KINDS]
-    if len(affine) > 1:
-        raise ValueError(f"kinds of affine shapes without triangles: got {primitives}, expected one")
-    return affine[0] if affine else None
 
 
 @wp.func
@@ -116,8 +82,7 @@ def make_hit(primitives: tuple[int, ...], shadow: bool = False):
         primitives: the kinds of a scene.
         shadow: whether there is a hit is all that counts.
     """
-    affine = affine_kind(primitives)
-    hit_of_affine = make_affine_hit(affine) if affine else None
+    hit_of_affine = make_kinds_hit(affine_kinds(primitives))
     has_grids = PRIMITIVE_SDFGRID in primitives
     hit_of_linear = make_curve_hit(False, shadow) if PRIMITIVE_LINEARCURVE in primitives else None
     hit_of_bspline = make_curve_hit(True, shadow) if PRIMITIVE_BSPLINECURVE in primitives else None
@@ -179,8 +144,7 @@ def make_surface_at(smooth: bool, flat: bool, uv: bool, tangent: bool, primitive
     surface_of = make_surface_of(smooth, flat, uv, tangent)
     if not primitives:
         return surface_of
-    affine = affine_kind(primitives)
-    of_affine = make_affine_surface(affine, uv or tangent, tangent)[0] if affine else None
+    of_affine = make_kinds_surface(affine_kinds(primitives), uv or tangent, tangent)[0]
     of_grid = make_sdfgrid_surface(tangent) if PRIMITIVE_SDFGRID in primitives else None
     of_linear = make_curve_surface(False, tangent) if PRIMITIVE_LINEARCURVE in primitives else None
     of_bspline = make_curve_surface(True, tangent) if PRIMITIVE_BSPLINECURVE in primitives else None
@@ -207,8 +171,7 @@ def make_surface_at(smooth: bool, flat: bool, uv: bool, tangent: bool, primitive
 @functools.cache
 def make_partials(primitives: tuple[int, ...]):
     """Return ``partials(scene, tri, u, v) -> (dp/du, dp/dv)``; 0 on grids and curves, which bear no bumps."""
-    affine = affine_kind(primitives)
-    of_affine = make_affine_surface(affine, True, True)[1] if affine else None
+    of_affine = make_kinds_surface(affine_kinds(primitives), True, True)[1]
     has_resting = bool({PRIMITIVE_SDFGRID, *CURVES} & set(primitives))
 
     @wp.func
@@ -253,11 +216,10 @@ def make_position(primitives: tuple[int, ...]):
     def cross_of_edges(tri: Triangle, u: wp.float32, v: wp.float32) -> wp.vec3:
         return wp.cross(tri.p1 - tri.p0, tri.p2 - tri.p0)
 
-    affine = affine_kind(primitives)
     has_grids = PRIMITIVE_SDFGRID in primitives
     if not primitives:
         return point_on, cross_of_edges
-    point_of, cross_of = make_affine_point(affine) if affine else (None, None)
+    point_of, cross_of = make_kinds_point(affine_kinds(primitives))
 
     @wp.func
     def position_of_any(tri: Triangle, u: wp.float32, v: wp.float32) -> wp.vec3:
@@ -284,8 +246,7 @@ def make_normal_at(primitives: tuple[int, ...]) -> wp.Function | None:
     """Return ``normal(scene, tri, x) -> vec3`` of shapes without triangles, of any length; None: there are none."""
     if not primitives:
         return None
-    affine = affine_kind(primitives)
-    of_affine = make_affine_normal(affine) if affine else None
+    of_affine = make_kinds_normal(affine_kinds(primitives))
     has_grids = PRIMITIVE_SDFGRID in primitives
 
     @wp.func
@@ -315,8 +276,7 @@ def make_adjoint_sink(
     of_triangle = make_vertex_sink(role, smooth, flat, uv, tangent, texcoords, rays)
     if not primitives:
         return of_triangle
-    affine = affine_kind(primitives)
-    of_affine = make_affine_sink(affine, role, uv or tangent, tangent, rays) if affine else None
+    of_affine = make_kinds_sink(affine_kinds(primitives), role, uv or tangent, tangent, rays)
     of_grid = make_sdfgrid_sink(role) if PRIMITIVE_SDFGRID in primitives else None
 
     @wp.func

@@ -15,7 +15,8 @@ from warp_psdr.kernels.primitive.affine import (
     primitive_record,
     to_axes,
 )
-from warp_psdr.kernels.primitive.dispatch import affine_kind, is_grid
+from warp_psdr.kernels.primitive.dispatch import is_grid
+from warp_psdr.kernels.primitive.kinds import KINDS, affine_kinds, join
 from warp_psdr.kernels.primitive.sdfgrid_adjoint import make_sdfgrid_sink
 from warp_psdr.kernels.reading import triangle_at
 from warp_psdr.kernels.structs import Scene, Triangle
@@ -73,6 +74,26 @@ def make_affine_jvp(kind: Kind, uv: bool, tangent: bool):
     return affine_jvp
 
 
+def _either_jvp(word: int, f: wp.Function, rest: wp.Function) -> wp.Function:
+    @wp.func
+    def jvp_of_kind(
+        tangents: wp.array(dtype=wp.float32),
+        tri: Triangle,
+        u: wp.float32,
+        v: wp.float32,
+        by_ray: wp.bool,
+        o: wp.vec3,
+        d: wp.vec3,
+        o_dot: wp.vec3,
+        d_dot: wp.vec3,
+    ) -> VertexTangent:
+        if tri.i1 == word:
+            return f(tangents, tri, u, v, by_ray, o, d, o_dot, d_dot)
+        return rest(tangents, tri, u, v, by_ray, o, d, o_dot, d_dot)
+
+    return jvp_of_kind
+
+
 @functools.cache
 def make_sdfgrid_jvp():
     """Return ``sdfgrid_jvp(scene, tangents, tri, u, v, by_ray, o, d, o_dot, d_dot) -> VertexTangent``.
@@ -121,8 +142,8 @@ def make_velocity(smooth: bool, flat: bool, uv: bool, tangent: bool, primitives:
     of_triangle = make_vertex_jvp(smooth, flat, uv, tangent)
     if not primitives:
         return of_triangle
-    affine = affine_kind(primitives)
-    of_affine = make_affine_jvp(affine, uv or tangent, tangent) if affine else None
+    kinds = affine_kinds(primitives)
+    of_affine = join(_either_jvp, {kind: make_affine_jvp(KINDS[kind], uv or tangent, tangent) for kind in kinds})
     of_grid = make_sdfgrid_jvp() if PRIMITIVE_SDFGRID in primitives else None
 
     @wp.func

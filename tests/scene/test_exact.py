@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import warp_psdr as psdr
-from warp_psdr.scene.exact import position_of, sphere_points
-from warp_psdr.topology.exact_shapes import least_distance, pierced
+from warp_psdr.scene.exact import POINTS, position_of, sphere_points
+from warp_psdr.topology.exact_shapes import _across, least_distance, pierced
 
 T = psdr.Transform
 #: Flat, for float32.
@@ -123,6 +123,85 @@ def test_shapes_that_run_through_it_are_found() -> None:
     assert pierced(shapes(-0.4, 2.0), frozenset({2})) is None, "neither moves"
     assert pierced(shapes(-0.6, 0.7), None) == (1, 2)
     assert pierced(shapes(-0.6, 0.1), None) is None, "one lies inside of the other"
+
+
+@pytest.mark.parametrize("kind", ["disk", "cylinder"])
+@pytest.mark.parametrize(
+    ("properties", "problem"),
+    [
+        ({"resolution": 16}, "'exact' beside 'resolution'"),
+        ({"emitter": {"type": "area"}}, "an emitter on an exact"),
+        ({"bsdf": BUMPS}, "a 'bumpmap' on an exact"),
+        ({"to_world": SHEARED}, "no inverse.*all three columns"),
+    ],
+)
+def test_what_other_kinds_do_not_do_is_refused(kind: str, properties: dict, problem: str) -> None:
+    with pytest.raises(ValueError, match=problem):
+        scene(shape={"type": kind, "exact": True, **properties})
+
+
+def test_rectangles_and_cubes_stay_triangles() -> None:
+    with pytest.raises(ValueError, match="exact"):
+        scene(shape={"type": "rectangle", "exact": True})
+
+
+def test_other_kinds_have_a_pose_and_a_box() -> None:
+    tube = {"type": "cylinder", "exact": True, "p0": [1.0, 0.0, 0.0], "p1": [1.0, 2.0, 0.0], "radius": 0.25}
+    held = scene(plate={"type": "disk", "exact": True, "to_world": POSE}, tube=tube, ball=sphere(radius=0.1))
+    assert held.face_count == 0
+    assert "1 disk, 1 cylinder, 1 sphere" in str(psdr.plan(held))
+    box = held.points[4:12]  # behind the corners of the plate
+    np.testing.assert_allclose(box.min(axis=0), [0.75, 0.0, -0.25], atol=1e-6)
+    np.testing.assert_allclose(box.max(axis=0), [1.25, 2.0, 0.25], atol=1e-6)
+    records = held.triangles.numpy()
+    for record in records:
+        for u, v in ((0.3, -0.4), (-0.1, 0.5)):
+            q = POINTS[-1 - int(record["i1"])](u, v)
+            linear = np.stack([record["p0"], record["p1"], record["p2"]], axis=1)
+            np.testing.assert_allclose(position_of(held, record, u, v), linear @ q + record["normal"], atol=1e-6)
+
+
+def test_shapes_that_touch_disks_and_cylinders_are_found() -> None:
+    def shapes(z: float = -2.0, **more) -> psdr.Scene:
+        wall = {"type": "rectangle", "to_world": T.translate([0.0, 0.0, z]).scale(0.5)}
+        tube = {"type": "cylinder", "exact": True, "radius": 0.5}
+        return scene(wall=wall, tube=tube, **more)
+
+    def plate(z: float, radius: float = 0.5, x: float = 0.0) -> dict:
+        return {"type": "disk", "exact": True, "to_world": T.translate([x, 0.0, z]).scale(radius)}
+
+    assert pierced(shapes(), None) is None
+    assert pierced(shapes(0.5), None) == (1, 0), "corners of the square are outside"
+    assert pierced(shapes(0.0), None) == (1, 0), "it stands on it"
+    assert pierced(shapes(-0.01), None) is None
+    assert pierced(shapes(cap=plate(1.0)), None) == (1, 2), "a cap touches the rim"
+    assert pierced(shapes(cap=plate(1.0)), frozenset({0})) is None, "neither moves"
+    assert pierced(shapes(cap=plate(0.5, 0.4)), None) is None, "it floats inside"
+    assert pierced(shapes(cap=plate(0.5, 0.4, 0.2)), None) == (1, 2)
+    assert pierced(shapes(ball=sphere(center=[0.0, 0.0, 0.5], radius=0.4)), None) is None
+    assert pierced(shapes(ball=sphere(center=[0.0, 0.0, 0.5], radius=0.6)), None) == (1, 2)
+    assert pierced(shapes(cap=plate(-1.0), ball=sphere(center=[0.0, 0.0, -1.1], radius=0.3)), None) == (2, 3)
+    assert pierced(shapes(cap=plate(-1.0), ball=sphere(center=[0.0, 0.0, -1.4], radius=0.3)), None) is None
+    assert pierced(shapes(cap=plate(-1.0), far=plate(-1.0, 0.2, 0.6)), None) == (2, 3), "in one plane"
+    assert pierced(shapes(cap=plate(-1.0), far=plate(-1.0, 0.2, 0.8)), None) is None
+
+
+def test_parts_of_triangles_between_planes() -> None:
+    random = np.random.default_rng(2)
+    triangles = random.normal(size=(200, 3, 3)) * random.uniform(0.2, 2.0, (200, 1, 1))
+    triangles[:20, :, 2] = triangles[:20, :1, 2]
+    triangles[20:30, 0, 2] = triangles[20:30, 1, 2]
+    points = np.einsum("nk,mki->mni", random.dirichlet((0.5, 0.5, 0.5), 10000), triangles)
+    for low, high in ((-0.1, 1.1), (-0.6, 0.3)):
+        rows, nearest, farthest = _across(triangles, low, high)
+        between = (points[..., 2] >= low) & (points[..., 2] <= high)
+        distance = np.linalg.norm(points[..., :2], axis=2)
+        sampled = np.where(between, distance, np.inf).min(axis=1)
+        assert set(np.flatnonzero(sampled <= 1.0)) <= set(rows)
+        some = between[rows].sum(axis=1) > 200
+        gaps = sampled[rows] - nearest, farthest - np.where(between, distance, 0.0).max(axis=1)[rows]
+        for gap in gaps:
+            assert (gap[some] > -1e-5).all() and (gap[some] < 0.05).all()
 
 
 def test_distances_of_triangles() -> None:

@@ -141,6 +141,7 @@ def _beside_motion(scene: Scene, config: PathConfig, integrator: PathIntegrator,
     moves = motion(scene, names)
     pair = pierced(scene, None if moves.camera else moves.shapes)
     if pair is not None:
-        a, b = (scene.description.shapes[i].path for i in pair)
-        return f"{b!r} runs through the surface of {a!r}, along a curve that moves; move them apart"
+        a, b = (scene.description.shapes[i] for i in pair)
+        touching = "" if "sphere" in (a.primitive, b.primitive) else ", or touches it"
+        return f"{b.path!r} runs through the surface of {a.path!r}{touching}, along a curve that moves; move them apart"
     return ""

@@ -14,6 +14,8 @@ import warp as wp
 
 from warp_psdr.device import launch
 from warp_psdr.kernels import constants as c
+from warp_psdr.kernels.boundary.silhouette.dispatch import OUTLINES
+from warp_psdr.kernels.boundary.silhouette.rim import RIMS
 from warp_psdr.kernels.primitive.affine import update_primitive
 from warp_psdr.kernels.primitive.curves import HEADER, MOST_SEGMENTS
 
@@ -27,7 +29,7 @@ if TYPE_CHECKING:
     from .scene import Scene
 
 #: Plugin that may be exact -> its kind on the device.
-EXACT = {"sphere": c.PRIMITIVE_SPHERE}
+EXACT = {"sphere": c.PRIMITIVE_SPHERE, "disk": c.PRIMITIVE_DISK, "cylinder": c.PRIMITIVE_CYLINDER}
 #: The same of all shapes without triangles.
 KINDS = {
     **EXACT,
@@ -36,7 +38,13 @@ KINDS = {
     "bsplinecurve": c.PRIMITIVE_BSPLINECURVE,
 }
 #: Corners of the box around each kind, in its own coordinates.
-CORNERS = np.array(list(itertools.product((-1.0, 1.0), repeat=3)), np.float32)
+CORNERS = {
+    "sphere": np.array(list(itertools.product((-1.0, 1.0), repeat=3)), np.float32),
+    "disk": np.array(list(itertools.product((-1.0, 1.0), (-1.0, 1.0), (0.0,))), np.float32),
+    "cylinder": np.array(list(itertools.product((-1.0, 1.0), (-1.0, 1.0), (0.0, 1.0))), np.float32),
+}
+#: What a pose has to have.
+INVERTIBLE = "give all three columns an extent; that of a 'disk' along its normal is free"
 #: Volume of the pose over the product of the lengths of its columns, up to which it has no inverse in float32.
 FLAT = 1.0e-6
 
@@ -67,15 +75,16 @@ def exact_shape(props: Properties, to_world: np.ndarray, bsdf: bsdfs.BsdfDescrip
     """
     reason = singular(to_world)
     if reason:
-        raise error(props.where, reason, "give it an extent along all axes, or use a 'disk'")
+        instead = "give it an extent along all axes, or use a 'disk'" if props.type == "sphere" else INVERTIBLE
+        raise error(props.where, reason, instead)
     return ShapeDescription(
         path=props.path,
         kind=props.type,
-        vertices=transform_points(to_world, CORNERS).astype(np.float32),
+        vertices=transform_points(to_world, CORNERS[props.type]).astype(np.float32),
         faces=np.zeros((0, 3), np.int32),
         bsdf=bsdf,
         to_world=to_world.astype(np.float32),
-        local_vertices=CORNERS,
+        local_vertices=CORNERS[props.type],
         primitive=props.type,
     )
 
@@ -108,9 +117,13 @@ def update_record(scene: Scene, shape: int) -> None:
     launch(update_primitive, dim=1, inputs=inputs, outputs=[scene.triangles], device=scene.device)
 
 
-def record_numbers(scene: Scene, shapes: frozenset[int] | None) -> wp.array | None:
-    """Return the numbers of the records of some shapes without triangles (None: of all); None: there are none."""
-    found = [scene.face_count + k for k, i in enumerate(scene.builder.primitives) if shapes is None or i in shapes]
+def outlines(scene: Scene, shapes: frozenset[int] | None) -> wp.array | None:
+    """Return the outlines of some exact shapes (None: of all), as ``silhouette/dispatch.py`` has them; None: none."""
+    found = []
+    for k, i in enumerate(scene.builder.primitives):
+        if shapes is None or i in shapes:
+            kind = KINDS[scene.description.shapes[i].primitive]
+            found += [scene.face_count + k] * (kind in OUTLINES) + [-1 - scene.face_count - k] * (kind in RIMS)
     return wp.array(np.array(found, np.int32), dtype=wp.int32, device=scene.device) if found else None
 
 
@@ -170,11 +183,30 @@ def held_points(u, v) -> np.ndarray:
     return points.reshape(*np.shape(u), 3)
 
 
+def disk_points(u, v) -> np.ndarray:
+    """Return points (..., 3) of the unit disk (``kernels/primitive/disk.py``)."""
+    return np.stack([u, v, np.zeros_like(u)], axis=-1)
+
+
+def cylinder_points(u, v) -> np.ndarray:
+    """Return points (..., 3) of the unit cylinder (``kernels/primitive/cylinder.py``)."""
+    return np.stack([np.cos(u), np.sin(u), v], axis=-1)
+
+
+#: Kind -> its points by the two numbers that a vertex holds.
+POINTS = {
+    c.PRIMITIVE_SPHERE: sphere_points,
+    c.PRIMITIVE_SDFGRID: held_points,
+    c.PRIMITIVE_DISK: disk_points,
+    c.PRIMITIVE_CYLINDER: cylinder_points,
+}
+
+
 def position_of(scene: Scene, record: np.void, u: float, v: float) -> np.ndarray:
     """Return the point (3,) that a vertex holds, in the device's coordinates; ``record`` is that of its face."""
     if record["shape"] in scene.builder.curves:
         return held_curve_point(scene, int(record["shape"]), held_points(u, v))
     if record["i1"] >= 0:
         return (1.0 - u - v) * record["p0"] + u * record["p1"] + v * record["p2"]
-    q = held_points(u, v) if record["i1"] == -1 - c.PRIMITIVE_SDFGRID else sphere_points(u, v)
+    q = POINTS[-1 - int(record["i1"])](u, v)
     return record["normal"] + q[0] * record["p0"] + q[1] * record["p1"] + q[2] * record["p2"]

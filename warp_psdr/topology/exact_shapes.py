@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from warp_psdr.scene.primitives import cylinder, disk
 from warp_psdr.topology.camera_view import camera_view
 
 if TYPE_CHECKING:
@@ -13,6 +14,8 @@ if TYPE_CHECKING:
 
 #: Distance, over the size of a shape, to which what touches it counts as outside, or inside.
 TOUCHING = 1.0e-4
+#: Segments of a disk or cylinder that keeps to it within ``TOUCHING``.
+SEGMENTS = 256
 #: Points of an ellipsoid that are looked at first, and steps from the best of them.
 POINTS, STEPS = 512, 64
 
@@ -27,41 +30,116 @@ def pose(scene: Scene, shape: int) -> tuple[np.ndarray, np.ndarray]:
 def pierced(scene: Scene, shapes: frozenset[int] | None) -> tuple[int, int] | None:
     """Return an exact shape and one that runs through its surface, one of them among ``shapes`` (None: any).
 
-    Triangles are tested exactly; of another ellipsoid the nearest and the farthest point are searched for.
+    Triangles are tested exactly; of another ellipsoid the nearest and the farthest point are searched for, disks and
+    cylinders are tested as triangles that keep to them within ``TOUCHING``. What touches a sphere is none that runs
+    through it; what touches a disk or a cylinder counts as one.
     """
     exact, b = scene.builder.primitives, scene.builder
+    kinds = {i: scene.description.shapes[i].primitive for i in exact}
     corners = scene.points[b.indices].astype(np.float64)
     for i in exact:
         linear, center = pose(scene, i)
         inverse = np.linalg.inv(linear)
-        local = (corners - center) @ inverse.T
-        near = (local.min(axis=1, initial=np.inf) < 1.0).all(axis=1) & (local.max(axis=1, initial=-np.inf) > -1.0).all(
-            axis=1
-        )
-        near &= np.linalg.norm(local, axis=2).max(axis=1, initial=0.0) > 1.0 + TOUCHING
+        crosses = CROSSED[kinds[i]]
+        rows = np.arange(len(corners))
         if shapes is not None and i not in shapes:
-            near &= np.isin(b.face_shape, sorted(shapes))
-        rows = np.flatnonzero(near)
-        hit = rows[least_distance(local[rows]) < 1.0 - TOUCHING]
+            rows = np.flatnonzero(np.isin(b.face_shape, sorted(shapes)))
+        hit = rows[crosses((corners[rows] - center) @ inverse.T)]
         if len(hit):
             return i, int(b.face_shape[hit[0]])
         for j in exact:
-            if j > i and (shapes is None or i in shapes or j in shapes):
-                other, place = pose(scene, j)
+            if j == i or not (shapes is None or i in shapes or j in shapes):
+                continue
+            other, place = pose(scene, j)
+            if kinds[j] != "sphere":
+                found = len(crosses((TRIANGLES[kinds[j]] @ other.T + place - center) @ inverse.T)) > 0
+            elif kinds[i] == "sphere":
                 low, high = _extent(inverse @ other, inverse @ (place - center))
-                if low < 1.0 - TOUCHING and high > 1.0 + TOUCHING:
-                    return i, j
+                found = low < 1.0 - TOUCHING and high > 1.0 + TOUCHING
+            else:
+                continue  # it is found as what runs through the sphere
+            if found:
+                return min(i, j), max(i, j)
     return None
+
+
+def _cross_sphere(local: np.ndarray) -> np.ndarray:
+    """Return the numbers of the triangles (M, 3, 3) that run through the unit sphere."""
+    near = (local.min(axis=1, initial=np.inf) < 1.0).all(axis=1) & (local.max(axis=1, initial=-np.inf) > -1.0).all(
+        axis=1
+    )
+    near &= np.linalg.norm(local, axis=2).max(axis=1, initial=0.0) > 1.0 + TOUCHING
+    rows = np.flatnonzero(near)
+    return rows[least_distance(local[rows]) < 1.0 - TOUCHING]
+
+
+def _cross_disk(local: np.ndarray) -> np.ndarray:
+    """Return the numbers of the triangles (M, 3, 3) that come within ``TOUCHING`` of the unit disk."""
+    rows, nearest, _farthest = _across(local, -TOUCHING, TOUCHING)
+    return rows[nearest < 1.0 + TOUCHING]
+
+
+def _cross_cylinder(local: np.ndarray) -> np.ndarray:
+    """Return the numbers of the triangles (M, 3, 3) that come within ``TOUCHING`` of the open unit cylinder."""
+    rows, nearest, farthest = _across(local, -TOUCHING, 1.0 + TOUCHING)
+    return rows[(nearest < 1.0 + TOUCHING) & (farthest > 1.0 - TOUCHING)]
+
+
+#: Kind -> the triangles that run through it.
+CROSSED = {"sphere": _cross_sphere, "disk": _cross_disk, "cylinder": _cross_cylinder}
+#: Disks and cylinders as triangles, in their own coordinates.
+TRIANGLES = {
+    kind: made.vertices[made.faces] for kind, made in (("disk", disk(SEGMENTS)), ("cylinder", cylinder(SEGMENTS)))
+}
+
+
+def _across(local: np.ndarray, low: float, high: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return which triangles (M, 3, 3) have a part with z in [low, high], and its least and largest distance from z.
+
+    The part is bounded by parts of the sides, and by where the triangle crosses the two planes.
+    """
+    least, most = local.min(axis=1, initial=np.inf), local.max(axis=1, initial=-np.inf)
+    rows = (least < [1.0 + TOUCHING, 1.0 + TOUCHING, high]).all(axis=1)
+    rows = np.flatnonzero(rows & (most > [-1.0 - TOUCHING, -1.0 - TOUCHING, low]).all(axis=1))
+    p = local[rows]
+    q = np.roll(p, -1, axis=1)
+    rise = q[..., 2] - p[..., 2]
+    level = rise == 0.0
+    ends = [(plane - p[..., 2]) / np.where(level, 1.0, rise) for plane in (low, high)]
+    inside = (p[..., 2] >= low) & (p[..., 2] <= high)
+    first = np.where(level, np.where(inside, 0.0, 2.0), np.minimum(*ends).clip(0.0, None))
+    last = np.where(level, np.where(inside, 1.0, -1.0), np.maximum(*ends).clip(None, 1.0))
+    some = first <= last
+    a, b = (p[..., :2] + t[..., None] * (q - p)[..., :2] for t in (first, last))
+    nearest = np.where(some, _segment_distance(a, b), np.inf).min(axis=1, initial=np.inf)
+    farthest = np.where(some, np.maximum(np.linalg.norm(a, axis=2), np.linalg.norm(b, axis=2)), 0.0)
+    for t in ends:
+        crossed = ~level & (t >= 0.0) & (t <= 1.0)
+        order = np.argsort(~crossed, axis=1, kind="stable")[:, :2]
+        points = np.take_along_axis(p[..., :2] + t[..., None] * (q - p)[..., :2], order[..., None], axis=1)
+        both = crossed.sum(axis=1) >= 2
+        nearest = np.where(both, np.minimum(nearest, _segment_distance(points[:, 0], points[:, 1])), nearest)
+    # The z axis itself may run through the part.
+    n = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
+    turns = p[..., 0] * q[..., 1] - p[..., 1] * q[..., 0]
+    covers = ((turns > 0.0).all(axis=1) | (turns < 0.0).all(axis=1)) & (n[:, 2] != 0.0)
+    height = (n * p[:, 0]).sum(axis=1) / np.where(covers, n[:, 2], 1.0)
+    nearest = np.where(covers & (height >= low) & (height <= high), 0.0, nearest)
+    return rows, nearest, farthest.max(axis=1, initial=0.0)
+
+
+def _segment_distance(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Return the distances (...) of segments from a to b (..., D) from the origin."""
+    way = b - a
+    t = np.clip(-(a * way).sum(axis=-1) / np.maximum((way * way).sum(axis=-1), 1e-300), 0.0, 1.0)
+    return np.linalg.norm(a + t[..., None] * way, axis=-1)
 
 
 def least_distance(corners: np.ndarray) -> np.ndarray:
     """Return the distances (M,) of triangles (M, 3, 3) from the origin."""
     found = np.full(len(corners), np.inf)
     for k in range(3):
-        p, q = corners[:, k], corners[:, (k + 1) % 3]
-        way = q - p
-        t = np.clip(-(p * way).sum(axis=1) / np.maximum((way * way).sum(axis=1), 1e-300), 0.0, 1.0)
-        found = np.minimum(found, np.linalg.norm(p + t[:, None] * way, axis=1))
+        found = np.minimum(found, _segment_distance(corners[:, k], corners[:, (k + 1) % 3]))
     p, q, r = corners[:, 0], corners[:, 1], corners[:, 2]
     n = np.cross(q - p, r - p)
     squared = np.maximum((n * n).sum(axis=1), 1e-300)
@@ -105,9 +183,14 @@ def require_uncut(scene: Scene, sensor: int, shapes: frozenset[int] | None) -> N
         if shapes is not None and i not in shapes:
             continue
         linear, center = pose(scene, i)
-        middle, half = float(axis @ (center - view.pose[:3, 3])), float(np.linalg.norm(axis @ linear))
+        middle, half = float(axis @ (center - view.pose[:3, 3])), axis @ linear
+        kind = scene.description.shapes[i].primitive
+        if kind == "cylinder":
+            middle += 0.5 * half[2]
+        reach = np.linalg.norm(half) if kind == "sphere" else np.linalg.norm(half[:2])
+        reach += 0.5 * abs(half[2]) if kind == "cylinder" else 0.0
         for plane in (near, far):
-            if middle - half < plane < middle + half:
+            if middle - reach < plane < middle + reach:
                 raise ValueError(
                     f"a clip plane of sensor {sensor} cuts the exact shape {scene.description.shapes[i].path!r}, and "
                     "the derivative of that border is not estimated; change near_clip or far_clip, move the camera, or "

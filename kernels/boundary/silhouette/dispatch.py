@@ -9,6 +9,15 @@ from typing import NamedTuple
 
 import warp as wp
 
+from warp_psdr.kernels.boundary.silhouette.cylinder import (
+    CYLINDER_AREA,
+    cylinder_bend,
+    cylinder_gradient,
+    cylinder_place,
+    cylinder_silhouette,
+    cylinder_silhouette_rate,
+)
+from warp_psdr.kernels.boundary.silhouette.point import SilhouettePoint
 from warp_psdr.kernels.boundary.silhouette.sphere import (
     SPHERE_AREA,
     sphere_bend,
@@ -17,8 +26,11 @@ from warp_psdr.kernels.boundary.silhouette.sphere import (
     sphere_silhouette,
     sphere_silhouette_rate,
 )
-from warp_psdr.kernels.constants import PRIMITIVE_SPHERE
+from warp_psdr.kernels.constants import PRIMITIVE_CYLINDER, PRIMITIVE_DISK, PRIMITIVE_SPHERE
 from warp_psdr.kernels.primitive.affine import cofactor, determinant, from_axes, make_pose_sink, to_axes
+from warp_psdr.kernels.primitive.cylinder import cylinder_coordinates
+from warp_psdr.kernels.primitive.disk import disk_coordinates
+from warp_psdr.kernels.primitive.kinds import join
 from warp_psdr.kernels.primitive.sphere import sphere_coordinates
 from warp_psdr.kernels.structs import Scene, Triangle
 
@@ -33,7 +45,6 @@ class Outline(NamedTuple):
         place: ``(u: vec2) -> q``, uniform in area.
         gradient: ``(q) -> vec3`` of phi.
         bend: ``(q, w) -> float``: w^T H w.
-        coordinates: ``(q) -> vec2``: what a vertex there would hold.
         area: of the surface.
     """
 
@@ -42,7 +53,6 @@ class Outline(NamedTuple):
     place: wp.Function
     gradient: wp.Function
     bend: wp.Function
-    coordinates: wp.Function
     area: float
 
 
@@ -54,58 +64,91 @@ OUTLINES: dict[int, Outline] = {
         place=sphere_place,
         gradient=sphere_gradient,
         bend=sphere_bend,
-        coordinates=sphere_coordinates,
         area=SPHERE_AREA,
-    )
+    ),
+    PRIMITIVE_CYLINDER: Outline(
+        silhouette=cylinder_silhouette,
+        rate=cylinder_silhouette_rate,
+        place=cylinder_place,
+        gradient=cylinder_gradient,
+        bend=cylinder_bend,
+        area=CYLINDER_AREA,
+    ),
 }
-
-
-@wp.struct
-class SilhouettePoint:
-    """A point of a shape without triangles."""
-
-    valid: wp.int32
-    face: wp.int32  # number of the record
-    q: wp.vec3  # in the shape's coordinates
-    x: wp.vec3
-    out: wp.vec3  # unit normal to the outside
+#: Kind -> ``(q) -> vec2``: what a vertex there would hold.
+COORDINATES: dict[int, wp.Function] = {
+    PRIMITIVE_SPHERE: sphere_coordinates,
+    PRIMITIVE_DISK: disk_coordinates,
+    PRIMITIVE_CYLINDER: cylinder_coordinates,
+}
 
 
 class Silhouettes(NamedTuple):
     """Functions in the world; ``tri`` is the record of a shape.
 
     Attributes:
-        choose: ``(faces, u: float64) -> (int, float)``: one of some shapes, each as likely, and u within it.
         seen: ``(tri, face, eye, distant, u) -> SilhouettePoint`` of the silhouette as seen from the eye.
         rate: ``(tri, eye, distant, q) -> dx/du`` of that point.
         place: ``(tri, face, u: vec2) -> SilhouettePoint`` of the surface.
         density: ``(tri, q) -> float``: of ``place``, per area.
         curvature: ``(tri, q, w) -> float``: kappa_n along the tangent w.
-        coordinates: ``(q) -> vec2``.
     """
 
-    choose: wp.Function
     seen: wp.Function
     rate: wp.Function
     place: wp.Function
     density: wp.Function
     curvature: wp.Function
-    coordinates: wp.Function
+
+
+@wp.func
+def choose_outline(outlines: wp.array(dtype=wp.int32), u: wp.float64) -> tuple[wp.int32, wp.float32]:
+    """One of some outlines, each as likely, and u within it.
+
+    A silhouette is the number of its shape's record, a rim -1 less that.
+    """
+    scaled = u * wp.float64(outlines.shape[0])
+    k = wp.min(wp.int32(scaled), outlines.shape[0] - 1)
+    return outlines[k], wp.clamp(wp.float32(scaled - wp.float64(k)), 0.0, 1.0)
 
 
 @functools.cache
-def make_silhouettes(primitives: tuple[int, ...]) -> Silhouettes:
-    """Return the functions for a scene that holds one kind."""
-    if len(primitives) != 1:
-        raise ValueError(f"kinds of shapes without triangles: got {primitives}, expected one")
-    kind = OUTLINES[primitives[0]]
+def make_silhouettes(primitives: tuple[int, ...]) -> Silhouettes | None:
+    """Return the functions for the kinds of a scene; None: none of them has a smooth silhouette.
 
+    Raises:
+        ValueError: it holds shapes without outlines.
+    """
+    unknown = [kind for kind in primitives if kind not in COORDINATES]
+    if unknown:
+        raise ValueError(f"kinds of shapes without triangles: got {primitives}, expected any of {tuple(COORDINATES)}")
+    made = {kind: _make_outline(OUTLINES[kind]) for kind in primitives if kind in OUTLINES}
+    if not made:
+        return None
+    return Silhouettes(
+        seen=join(_either_outline, {kind: f.seen for kind, f in made.items()}),
+        rate=join(_either_outline_rate, {kind: f.rate for kind, f in made.items()}),
+        place=join(_either_place, {kind: f.place for kind, f in made.items()}),
+        density=join(_either_density, {kind: f.density for kind, f in made.items()}),
+        curvature=join(_either_curvature, {kind: f.curvature for kind, f in made.items()}),
+    )
+
+
+@functools.cache
+def make_coordinates(primitives: tuple[int, ...]) -> wp.Function:
+    """Return ``coordinates(tri, q) -> vec2``: what a vertex would hold at a point of a shape."""
+    return join(_either_coordinates, {kind: _make_coordinates(COORDINATES[kind]) for kind in primitives})
+
+
+def _make_coordinates(f: wp.Function) -> wp.Function:
     @wp.func
-    def choose_shape(faces: wp.array(dtype=wp.int32), u: wp.float64) -> tuple[wp.int32, wp.float32]:
-        scaled = u * wp.float64(faces.shape[0])
-        k = wp.min(wp.int32(scaled), faces.shape[0] - 1)
-        return faces[k], wp.clamp(wp.float32(scaled - wp.float64(k)), 0.0, 1.0)
+    def coordinates_at(tri: Triangle, q: wp.vec3) -> wp.vec2:
+        return f(q)
 
+    return coordinates_at
+
+
+def _make_outline(kind: Outline) -> Silhouettes:
     @wp.func
     def silhouette_point(tri: Triangle, face: wp.int32, q: wp.vec3, valid: wp.bool) -> SilhouettePoint:
         r = SilhouettePoint()
@@ -148,15 +191,67 @@ def make_silhouettes(primitives: tuple[int, ...]) -> Silhouettes:
         slope = wp.length(cofactor(tri, kind.gradient(q))) / wp.abs(determinant(tri))
         return kind.bend(q, from_axes(tri, w)) / slope
 
-    return Silhouettes(
-        choose_shape,
-        silhouette_seen,
-        silhouette_rate,
-        surface_place,
-        place_density,
-        normal_curvature,
-        kind.coordinates,
-    )
+    return Silhouettes(silhouette_seen, silhouette_rate, surface_place, place_density, normal_curvature)
+
+
+def _either_outline(word: int, f: wp.Function, rest: wp.Function) -> wp.Function:
+    @wp.func
+    def seen_of_kind(tri: Triangle, face: wp.int32, eye: wp.vec3, distant: wp.bool, u: wp.float32) -> SilhouettePoint:
+        if tri.i1 == word:
+            return f(tri, face, eye, distant, u)
+        return rest(tri, face, eye, distant, u)
+
+    return seen_of_kind
+
+
+def _either_outline_rate(word: int, f: wp.Function, rest: wp.Function) -> wp.Function:
+    @wp.func
+    def rate_of_kind(tri: Triangle, eye: wp.vec3, distant: wp.bool, q: wp.vec3) -> wp.vec3:
+        if tri.i1 == word:
+            return f(tri, eye, distant, q)
+        return rest(tri, eye, distant, q)
+
+    return rate_of_kind
+
+
+def _either_place(word: int, f: wp.Function, rest: wp.Function) -> wp.Function:
+    @wp.func
+    def place_of_kind(tri: Triangle, face: wp.int32, u: wp.vec2) -> SilhouettePoint:
+        if tri.i1 == word:
+            return f(tri, face, u)
+        return rest(tri, face, u)
+
+    return place_of_kind
+
+
+def _either_density(word: int, f: wp.Function, rest: wp.Function) -> wp.Function:
+    @wp.func
+    def density_of_kind(tri: Triangle, q: wp.vec3) -> wp.float32:
+        if tri.i1 == word:
+            return f(tri, q)
+        return rest(tri, q)
+
+    return density_of_kind
+
+
+def _either_curvature(word: int, f: wp.Function, rest: wp.Function) -> wp.Function:
+    @wp.func
+    def curvature_of_kind(tri: Triangle, q: wp.vec3, w: wp.vec3) -> wp.float32:
+        if tri.i1 == word:
+            return f(tri, q, w)
+        return rest(tri, q, w)
+
+    return curvature_of_kind
+
+
+def _either_coordinates(word: int, f: wp.Function, rest: wp.Function) -> wp.Function:
+    @wp.func
+    def coordinates_of_kind(tri: Triangle, q: wp.vec3) -> wp.vec2:
+        if tri.i1 == word:
+            return f(tri, q)
+        return rest(tri, q)
+
+    return coordinates_of_kind
 
 
 @functools.cache

@@ -1,9 +1,10 @@
-"""Primary boundary at smooth silhouettes: the curve at which a camera's rays touch a shape, exactly.
+"""Primary boundary at smooth silhouettes, the curve at which a camera's rays touch a shape, and at rims, exactly.
 
 As at edges (``path_space/primary.py``), dI_j = integral h(u - u_j) (L_- - L_+) (u' . N) ds, but the curve is the
 generator of the silhouette from the camera, and only the normal component of its velocity counts: that of the surface.
+A rim is a curve of the shape, and moves with it.
 
-Derivation: ``docs/theory/implicit.md#primary-silhouettes``.
+Derivation: ``docs/theory/implicit.md#primary-silhouettes``, ``#rims``.
 """
 
 import functools
@@ -13,7 +14,14 @@ import warp as wp
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.boundary.detector import IncidentRadiance, make_incident_radiance
 from warp_psdr.kernels.boundary.film_edge import AHEAD, BESIDE
-from warp_psdr.kernels.boundary.silhouette.dispatch import make_silhouette_sink, make_silhouettes
+from warp_psdr.kernels.boundary.silhouette.dispatch import (
+    choose_outline,
+    make_coordinates,
+    make_silhouette_sink,
+    make_silhouettes,
+)
+from warp_psdr.kernels.boundary.silhouette.point import SilhouettePoint
+from warp_psdr.kernels.boundary.silhouette.rim import make_rims
 from warp_psdr.kernels.constants import CAMERA_ORTHOGRAPHIC, CAMERA_THINLENS
 from warp_psdr.kernels.invalid import count_invalid
 from warp_psdr.kernels.jobs import SampleJob
@@ -37,6 +45,8 @@ MARGIN = 3.0
 def make_primary_silhouette_kernel(config: PathConfig, role: str, camera_moves: bool):
     """Return the kernel: one thread a sample (arguments as in ``path_space/secondary.py``)."""
     silhouettes = make_silhouettes(config.primitives)
+    rims = make_rims(config.primitives)
+    coordinates = make_coordinates(config.primitives)
     accumulate_silhouette = make_silhouette_sink(role)
     accumulate_camera = make_camera_sink(role, config.camera) if camera_moves else None
     incident_radiance = make_incident_radiance(config)
@@ -64,7 +74,7 @@ def make_primary_silhouette_kernel(config: PathConfig, role: str, camera_moves: 
         # Scene:
         scene: Scene,
         camera: Camera,
-        faces: wp.array(dtype=wp.int32),
+        outlines: wp.array(dtype=wp.int32),
         # In:
         job: SampleJob,
         # Out:
@@ -76,10 +86,18 @@ def make_primary_silhouette_kernel(config: PathConfig, role: str, camera_moves: 
         sampler = sampler_at(number, 0, job.seed)
         u = (wp.float64(number) + wp.float64(sample_1d(sampler, 0))) / wp.float64(job.samples)
         lens = lens_point(sample_2d(sampler, 1))
-        face, along = silhouettes.choose(faces, u)
+        face, along = choose_outline(outlines, u)
+        rim = face < 0
+        face = wp.where(rim, -1 - face, face)
         tri = scene.triangles[face]
         eye = camera_eye(scene, camera, lens)
-        point = silhouettes.seen(tri, face, eye, wp.static(distant), along)
+        point = SilhouettePoint()
+        if wp.static(rims is not None):
+            if rim:
+                point = rims.seen(tri, face, along, eye, wp.static(distant))
+        if wp.static(silhouettes is not None):
+            if not rim:
+                point = silhouettes.seen(tri, face, eye, wp.static(distant), along)
         if point.valid == 0:
             return
         at = project(scene, camera, point.x, lens)
@@ -94,7 +112,14 @@ def make_primary_silhouette_kernel(config: PathConfig, role: str, camera_moves: 
         if length > at.near and visibility.hidden_from_camera(scene, start, back / length, length - at.near):
             return
         # ---- The motion of the image ----
-        rate = film_velocity(scene, camera, at, silhouettes.rate(tri, eye, wp.static(distant), point.q))
+        turn = wp.vec3(0.0, 0.0, 0.0)
+        if wp.static(rims is not None):
+            if rim:
+                turn = rims.rate(tri, point.q)
+        if wp.static(silhouettes is not None):
+            if not rim:
+                turn = silhouettes.rate(tri, eye, wp.static(distant), point.q)
+        rate = film_velocity(scene, camera, at, turn)
         g = film_gradient(scene, camera, at, wp.vec2(rate[1], -rate[0]))
         if wp.dot(g, point.out) < 0.0:
             g = -g
@@ -103,19 +128,34 @@ def make_primary_silhouette_kernel(config: PathConfig, role: str, camera_moves: 
             weight = gather(camera, at.pixel, job.image_adjoint)
             if weight[0] == 0.0 and weight[1] == 0.0 and weight[2] == 0.0:
                 return
-        uv = silhouettes.coordinates(point.q)
+        uv = coordinates(tri, point.q)
         note_place(scene, NOTE_POINT, face, uv[0], uv[1], point.x, d, weight)
         # ---- The jump: inside less outside ----
         sampler.index = wp.uint32(1)
-        curvature = silhouettes.curvature(tri, point.q, d)
+        curvature = wp.float32(0.0)
+        slant = wp.float32(0.0)
+        if wp.static(rims is not None):
+            if rim:
+                slant = rims.slant(tri, point.q, d)
+        if wp.static(silhouettes is not None):
+            if not rim:
+                curvature = silhouettes.curvature(tri, point.q, d)
         apart = BESIDE * step
         inside = IncidentRadiance()
         inside.face = -1
         k = wp.int32(0)
         ahead = wp.float32(0.0)
         while k < TRIES and inside.face != face:
-            # At a depth s below the surface, a ray meets it sqrt(2 s / kappa) in front of the silhouette.
-            ahead = wp.max(AHEAD * step, MARGIN * wp.sqrt(2.0 * apart / curvature))
+            # At a depth s below the surface, a ray meets it sqrt(2 s / kappa) in front of the silhouette; beside a rim,
+            # s over the slant.
+            before = wp.float32(0.0)
+            if wp.static(silhouettes is not None):
+                if not rim:
+                    before = wp.sqrt(2.0 * apart / curvature)
+            if wp.static(rims is not None):
+                if rim:
+                    before = apart / slant
+            ahead = wp.max(AHEAD * step, MARGIN * before)
             ahead = wp.min(ahead, distance - at.near)
             o = point.x - apart * point.out - ahead * d
             t_max = at.far - distance + ahead
@@ -129,7 +169,7 @@ def make_primary_silhouette_kernel(config: PathConfig, role: str, camera_moves: 
         outside = incident_radiance(scene, sampler, o, d, t_max, 0, job.max_depth, job.rr_depth)
         jump = inside.radiance - outside.radiance
         # ---- Accumulation ----
-        scale = wp.float32(faces.shape[0]) / wp.float32(job.samples)
+        scale = wp.float32(outlines.shape[0]) / wp.float32(job.samples)
         if wp.static(role != "forward"):
             scale *= wp.dot(weight, jump)
         g = scale * g

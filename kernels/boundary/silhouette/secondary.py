@@ -1,12 +1,13 @@
-"""Secondary boundary at smooth silhouettes: segments between two path vertices that touch a shape.
+"""Secondary boundary at smooth silhouettes and rims: segments between two path vertices that touch a shape.
 
 The local form (``local_form.py``) at a point x_b of a smooth surface, with a tangent direction at the angle theta, has
 the measure kappa_n dA dtheta in place of sin(phi) dl dsigma, kappa_n the normal curvature along the segment. Two
 techniques are joined by the balance heuristic: uniform in area and theta, and a point of a light with the silhouette
 that it sees, for which kappa_n dA dtheta = |dx/du x w| du dsigma. Of point, spot and directional lights the direction
-is given, and the silhouette alone is drawn.
+is given, and the silhouette alone is drawn. At rims the measure is |dx/du x w| du dsigma for any direction w, which is
+uniform, or leads to a light.
 
-Derivation: ``docs/theory/implicit.md#secondary-silhouettes``.
+Derivation: ``docs/theory/implicit.md#secondary-silhouettes``, ``#rims``.
 """
 
 import functools
@@ -17,9 +18,16 @@ from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.boundary.depth import make_indirect
 from warp_psdr.kernels.boundary.path_space.direction import make_pdf_light
 from warp_psdr.kernels.boundary.path_space.secondary import make_source_sink, moves
-from warp_psdr.kernels.boundary.silhouette.dispatch import SilhouettePoint, make_silhouette_sink, make_silhouettes
+from warp_psdr.kernels.boundary.silhouette.dispatch import (
+    choose_outline,
+    make_coordinates,
+    make_silhouette_sink,
+    make_silhouettes,
+)
+from warp_psdr.kernels.boundary.silhouette.point import SilhouettePoint
+from warp_psdr.kernels.boundary.silhouette.rim import make_rims
 from warp_psdr.kernels.boundary.transport import Segment, make_source, make_transport
-from warp_psdr.kernels.constants import EMITTER_DIRECTIONAL, EMITTER_POINT, FAR, INV_TWO_PI, TWO_PI
+from warp_psdr.kernels.constants import EMITTER_DIRECTIONAL, EMITTER_POINT, FAR, INV_FOUR_PI, INV_TWO_PI, TWO_PI
 from warp_psdr.kernels.emitter.area import make_area
 from warp_psdr.kernels.emitter.dispatch import is_delta_light, make_delta_sample, make_lights
 from warp_psdr.kernels.emitter.spot import load_column
@@ -31,7 +39,7 @@ from warp_psdr.kernels.primitive.affine import step_off_primitive
 from warp_psdr.kernels.primitive.dispatch import make_position
 from warp_psdr.kernels.reading import load_vec3
 from warp_psdr.kernels.rng import make_sampler, sampler_at
-from warp_psdr.kernels.sampling import square_to_triangle
+from warp_psdr.kernels.sampling import square_to_sphere, square_to_triangle
 from warp_psdr.kernels.scattering import make_light_draw
 from warp_psdr.kernels.structs import Camera, Scene, Triangle
 from warp_psdr.kernels.surface import point_on
@@ -96,13 +104,14 @@ def make_light_aim(config: PathConfig):
 
 @functools.cache
 def make_silhouette_segment(config: PathConfig):
-    """Return ``segment(scene, moving, tri, point, aim, share, direct) -> Segment``.
+    """Return ``segment(scene, moving, tri, point, rim, aim, share, direct) -> Segment``.
 
     ``aim.light`` is -1 where its direction is drawn uniformly, as of the fraction ``share`` of the segments; ``direct``
     as in ``path_space/secondary.py``. Its scale is one over the density of what was drawn, in the measure above.
     """
     visibility = visibility_of(config)
     silhouettes = make_silhouettes(config.primitives)
+    rims = make_rims(config.primitives)
     pdf_light = make_pdf_light(config)
     position, _cross_of = make_position(config.primitives)
     emitted = make_area(config.area).emitted if config.area else None
@@ -112,9 +121,26 @@ def make_silhouette_segment(config: PathConfig):
     delta_sample = make_delta_sample(config.lights)
 
     @wp.func
-    def around(tri: Triangle, eye: wp.vec3, distant: wp.bool, q: wp.vec3, w: wp.vec3) -> wp.float32:
-        """|dx/du x w| of the silhouette from an eye."""
-        return wp.length(wp.cross(silhouettes.rate(tri, eye, distant, q), w))
+    def around(tri: Triangle, rim: wp.bool, eye: wp.vec3, distant: wp.bool, q: wp.vec3, w: wp.vec3) -> wp.float32:
+        """|dx/du x w| of the silhouette from an eye, or of a rim."""
+        rate = wp.vec3(0.0, 0.0, 0.0)
+        if wp.static(rims is not None):
+            if rim:
+                rate = rims.rate(tri, q)
+        if wp.static(silhouettes is not None):
+            if not rim:
+                rate = silhouettes.rate(tri, eye, distant, q)
+        return wp.length(wp.cross(rate, w))
+
+    @wp.func
+    def uniform_density(share: wp.float32, tri: Triangle, rim: wp.bool, q: wp.vec3, w: wp.vec3) -> wp.float32:
+        """Density of what is uniform, in area and theta, or in u and the direction, times the share of it."""
+        if wp.static(rims is not None):
+            if rim:
+                return share * INV_FOUR_PI / wp.length(wp.cross(rims.rate(tri, q), w))
+        if wp.static(silhouettes is not None):
+            return share * INV_TWO_PI * silhouettes.density(tri, q) / silhouettes.curvature(tri, q, w)
+        return 0.0
 
     @wp.func
     def segment(
@@ -122,6 +148,7 @@ def make_silhouette_segment(config: PathConfig):
         moving: wp.array(dtype=wp.int32),
         tri: Triangle,
         point: SilhouettePoint,
+        rim: wp.bool,
         aim: TangentAim,
         share: wp.float32,
         direct: wp.bool,
@@ -153,7 +180,7 @@ def make_silhouette_segment(config: PathConfig):
                     r.light = aim.light
                     r.known = 1
                     r.radiance = ls.radiance / emitter.probability
-                    density = (1.0 - share) / around(tri, aim.eye, aim.distant, point.q, r.w)
+                    density = (1.0 - share) / around(tri, rim, aim.eye, aim.distant, point.q, r.w)
         if not delta:
             hit2 = visibility.closest(scene, r.source, r.w, FAR)
             r.face2 = hit2.face
@@ -182,14 +209,13 @@ def make_silhouette_segment(config: PathConfig):
                     r.radiance = environment_eval(scene, r.w)
             if (direct or r.face2 < 0) and vanishes(r.radiance):
                 return r
-            density = share * INV_TWO_PI * silhouettes.density(tri, point.q)
-            density /= silhouettes.curvature(tri, point.q, r.w)
+            density = uniform_density(share, tri, rim, point.q, r.w)
             if share < 1.0:
                 towards = pdf_light(scene, r.face2, r.w, r.t2)
                 if aim.light >= 0 and not towards > 0.0:
                     return r
                 if towards > 0.0:
-                    density += (1.0 - share) * towards / around(tri, y, r.face2 < 0, point.q, r.w)
+                    density += (1.0 - share) * towards / around(tri, rim, y, r.face2 < 0, point.q, r.w)
         # ---- Towards the sensor ----
         hit1 = visibility.closest(scene, r.x, -r.w, FAR)
         if hit1.face < 0 or density <= 0.0:
@@ -220,6 +246,8 @@ def make_secondary_silhouette_kernel(
 ):
     """Return the kernel: one thread a sample (arguments as in ``path_space/secondary.py``)."""
     silhouettes = make_silhouettes(config.primitives)
+    rims = make_rims(config.primitives)
+    coordinates = make_coordinates(config.primitives)
     light_aim = make_light_aim(config) if config.area or config.lights else None
     segment_at = make_silhouette_segment(config)
     accumulate_silhouette = make_silhouette_sink(role)
@@ -245,7 +273,7 @@ def make_secondary_silhouette_kernel(
         # Scene:
         scene: Scene,
         camera: Camera,
-        faces: wp.array(dtype=wp.int32),
+        outlines: wp.array(dtype=wp.int32),
         moving: wp.array(dtype=wp.int32),
         # In:
         share: wp.float32,
@@ -265,34 +293,47 @@ def make_secondary_silhouette_kernel(
             u = u / wp.float64(share)
         else:
             u = (u - wp.float64(share)) / wp.float64(1.0 - share)
-        face, along = silhouettes.choose(faces, u)
+        face, along = choose_outline(outlines, u)
+        rim = face < 0
+        face = wp.where(rim, -1 - face, face)
         tri = scene.triangles[face]
         aim = TangentAim()
         aim.light = -1
         point = SilhouettePoint()
         if uniform:
-            point = silhouettes.place(tri, face, wp.vec2(along, u4[0]))
-            s_axis = any_tangent(point.out)
-            t_axis = wp.cross(point.out, s_axis)
-            theta = TWO_PI * u4[1]
-            aim.w = wp.cos(theta) * s_axis + wp.sin(theta) * t_axis
+            if wp.static(rims is not None):
+                if rim:
+                    aim.w = square_to_sphere(wp.vec2(u4[0], u4[1]))
+                    point = rims.seen(tri, face, along, aim.w, True)
+            if wp.static(silhouettes is not None):
+                if not rim:
+                    point = silhouettes.place(tri, face, wp.vec2(along, u4[0]))
+                    s_axis = any_tangent(point.out)
+                    t_axis = wp.cross(point.out, s_axis)
+                    theta = TWO_PI * u4[1]
+                    aim.w = wp.cos(theta) * s_axis + wp.sin(theta) * t_axis
         else:
             if wp.static(light_aim is not None):
                 aim = light_aim(scene, tri.normal, u4)
                 if aim.valid == 0:
                     return
-                point = silhouettes.seen(tri, face, aim.eye, aim.distant, along)
+                if wp.static(rims is not None):
+                    if rim:
+                        point = rims.seen(tri, face, along, aim.eye, aim.distant)
+                if wp.static(silhouettes is not None):
+                    if not rim:
+                        point = silhouettes.seen(tri, face, aim.eye, aim.distant, along)
                 aim.w = aim.eye
                 if not aim.distant:
                     aim.w = wp.normalize(aim.eye - point.x)
         if point.valid == 0:
             return
-        s = segment_at(scene, moving, tri, point, aim, share, job.max_depth == 2)
+        s = segment_at(scene, moving, tri, point, rim, aim, share, job.max_depth == 2)
         if s.valid == 0:
             return
-        uv = silhouettes.coordinates(point.q)
+        uv = coordinates(tri, point.q)
         note_place(scene, NOTE_POINT, face, uv[0], uv[1], point.x, s.w, s.radiance)
-        s.scale *= wp.float32(faces.shape[0]) / wp.float32(job.samples)
+        s.scale *= wp.float32(outlines.shape[0]) / wp.float32(job.samples)
         rest = wp.float32(0.0)
         if wp.static(role == "forward"):
             rest = accumulate(scene, target, point, s, 1.0)

@@ -1,11 +1,11 @@
-"""Smooth silhouettes of shapes without triangles that the camera sees."""
+"""Smooth silhouettes and rims of shapes without triangles that the camera sees."""
 
 from __future__ import annotations
 
 from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term, term_of
 from warp_psdr.kernels.boundary.silhouette.primary import make_primary_silhouette_kernel
 from warp_psdr.options.boundary import PathSpace
-from warp_psdr.scene.exact import record_numbers
+from warp_psdr.scene.exact import outlines
 from warp_psdr.topology.exact_shapes import require_uncut
 
 
@@ -16,13 +16,13 @@ def applies(r: Request) -> bool:
 
 def launch(r: Request) -> Term | None:
     """Return the term of the silhouettes that the camera sees."""
-    faces = record_numbers(r.scene, None if r.moves.camera else r.moves.shapes)
-    if faces is None:
+    found = outlines(r.scene, None if r.moves.camera else r.moves.shapes)
+    if found is None:
         return None
     require_uncut(r.scene, r.sensor, None if r.moves.camera else r.moves.shapes)
     kernel = make_primary_silhouette_kernel(r.config, r.role, r.moves.camera)
     samples = r.pixels * (r.method.spp_primary or r.spp)
-    return term_of(r, TERM, kernel, [r.scene.data(), r.camera, faces], samples)
+    return term_of(r, TERM, kernel, [r.scene.data(), r.camera, found], samples)
 
 
 TERM = BoundaryTerm(

@@ -1,4 +1,4 @@
-"""Smooth silhouettes of shapes without triangles between two path vertices."""
+"""Smooth silhouettes and rims of shapes without triangles between two path vertices."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Ter
 from warp_psdr.kernels.boundary.silhouette.secondary import make_secondary_silhouette_kernel
 from warp_psdr.options.boundary import PathSpace
 from warp_psdr.plan.motion import moving_shapes
-from warp_psdr.scene.exact import record_numbers
+from warp_psdr.scene.exact import outlines
 
 #: Share of the segments whose direction is drawn uniformly instead of towards a light, as ``secondary.py``'s; where the
 #: camera sees nothing but lights' own light, and no light is everywhere, those alone count that end on one.
@@ -21,14 +21,14 @@ def applies(r: Request) -> bool:
 
 def launch(r: Request) -> Term | None:
     """Return the term of the silhouettes between two path vertices, neither of which need be on a shape that moves."""
-    faces = record_numbers(r.scene, None)
-    if faces is None:
+    found = outlines(r.scene, None)
+    if found is None:
         return None
     kernel = make_secondary_silhouette_kernel(r.config, r.role, r.moves.camera, r.moves.light_pose, r.indirect)
     aimed = r.plan.max_depth == 2 and r.scene.builder.environment < 0
     share = UNIFORM_SHARE_DIRECT if aimed else UNIFORM_SHARE
     samples = r.pixels * (r.method.spp_secondary or r.spp)
-    head = [r.scene.data(), r.camera, faces, moving_shapes(r.scene, r.moves), share]
+    head = [r.scene.data(), r.camera, found, moving_shapes(r.scene, r.moves), share]
     return term_of(r, TERM, kernel, head, samples)
 
 
