@@ -41,6 +41,9 @@ from warp_psdr.kernels.surface import point_on
 from warp_psdr.kernels.texture.texture import make_texture
 from warp_psdr.kernels.vertex import PathConfig
 
+#: The sphere that rays from infinity cover is larger than the scene's by so much, for rounding.
+COVER = 1.0e-4
+
 
 @wp.struct
 class LightRay:
@@ -68,10 +71,16 @@ class AimedDirection:
 
 
 @wp.func
+def cone_height(scene: Scene, emitter: Emitter) -> wp.float32:
+    """1 - cos of the cutoff angle of a spot, without cancellation: its solid angle over two pi."""
+    half_sine = wp.sin(0.5 * RADIANS_PER_DEGREE * scene.values[emitter.cutoff])
+    return 2.0 * half_sine * half_sine
+
+
+@wp.func
 def in_cone(scene: Scene, emitter: Emitter, u: wp.vec2) -> AimedDirection:
     """Uniform in the cone of a spot."""
-    half_sine = wp.sin(0.5 * RADIANS_PER_DEGREE * scene.values[emitter.cutoff])
-    height = 2.0 * half_sine * half_sine  # 1 - cos, without cancellation
+    height = cone_height(scene, emitter)
     below = height * u[1]
     r = wp.sqrt(below * (2.0 - below))
     axis = wp.normalize(load_column(scene.values, emitter.to_world, 2))

@@ -11,9 +11,10 @@ import functools
 
 import warp as wp
 
+from warp_psdr.kernels.bidirectional_path import make_light_walk
 from warp_psdr.kernels.invalid import count_invalid
 from warp_psdr.kernels.jobs import PixelJob
-from warp_psdr.kernels.light_path import light_sampler, make_light_path
+from warp_psdr.kernels.light_path import light_sampler
 from warp_psdr.kernels.modules import SCENE
 from warp_psdr.kernels.sensor.projection import make_splat
 from warp_psdr.kernels.structs import Camera, Scene
@@ -23,7 +24,7 @@ from warp_psdr.kernels.vertex import PathConfig
 @functools.cache
 def make_light_image_kernel(config: PathConfig):
     """Return the kernel: one thread as many light paths as a pixel has samples."""
-    start, step = make_light_path(config, False)
+    _record, start, step = make_light_walk(config, False)
     splat, _gather = make_splat()
 
     @wp.kernel(module="unique", enable_backward=False)

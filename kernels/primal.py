@@ -5,11 +5,14 @@ from typing import NamedTuple
 
 import warp as wp
 
+from warp_psdr.kernels.bidirectional_path import make_camera_walk, walk_from
 from warp_psdr.kernels.camera_rays import (
     Bundle,
     column_of,
+    make_bundled_starts,
     make_camera_paths,
     make_pixel_bundle,
+    rays_together,
     row_of,
     sampler_in,
 )
@@ -77,6 +80,8 @@ def make_image_paths(config: PathConfig, filter_kind: int | None = None) -> Came
 
     if config.media is not None:
         return _make_media_paths(config, filter_kind)
+    if config.connections:
+        return _make_weighted_paths(config, filter_kind)
     width, starts, path_step = make_camera_paths(config, False, filter_kind=filter_kind)
 
     @wp.func
@@ -133,6 +138,40 @@ def _make_media_paths(config: PathConfig, filter_kind: int | None) -> CameraPath
             paths_out[j] = path
 
     return CameraPaths(1, False, trace_media)
+
+
+def _make_weighted_paths(config: PathConfig, filter_kind: int | None) -> CameraPaths:
+    """The same with the weights of bidirectional paths."""
+    width = rays_together(config)
+    starts = make_bundled_starts(config, filter_kind)
+    camera_walk = make_camera_walk(config, False, width > 1)
+
+    @wp.func
+    def trace_weighted(
+        scene: Scene,
+        camera: Camera,
+        pixels: wp.array(dtype=wp.int32),
+        bundle: Bundle,
+        max_depth: wp.int32,
+        rr_depth: wp.int32,
+        paths_out: wp.array(dtype=CameraPath),
+    ):
+        starting = wp.zeros(shape=(wp.static(width),), dtype=PathState)
+        cameras = wp.zeros(shape=(wp.static(width),), dtype=CameraSample)
+        for j in range(bundle.samples):
+            sampler = sampler_in(pixels, bundle, j)
+            px = column_of(bundle, sampler)
+            py = row_of(bundle, sampler)
+            path = CameraPath()
+            state, sample = starts(scene, camera, px, py, sampler, j, bundle.samples, starting, cameras)
+            path.sample = sample
+            walk = walk_from(state, sample)
+            while walk.path.alive == 1:
+                vertex, walk = camera_walk(scene, camera, sampler, walk, max_depth, rr_depth)
+                path.radiance += wp.cw_mul(vertex.throughput, vertex.direct)
+            paths_out[j] = path
+
+    return CameraPaths(width, False, trace_weighted)
 
 
 @functools.cache

@@ -58,6 +58,11 @@ class PathConfig:
     through: bool = False
     #: True: of the camera's first surface only delta lobes count, for the rest is the light paths' (``light_path.py``).
     delta_first: bool = False
+    #: Of bidirectional paths (``bidirectional_path.py``): "light" joins light paths to the camera, "all" to its paths
+    #: too; empty: none are.
+    connections: str = ""
+    #: Most vertices of such a path, where all of it is kept.
+    most_vertices: int = 0
     #: Participating media, whose paths are those of ``path_media.py``; None: there are none.
     media: MediaConfig | None = None
     #: Kinds of shapes without triangles (PRIMITIVE_*, ``primitive/dispatch.py``).

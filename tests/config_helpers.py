@@ -3,6 +3,7 @@
 from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.bsdf.dispatch import VARIANTS, models_of
 from warp_psdr.kernels.bsdf.record import merge_values, slot_of
+from warp_psdr.kernels.interior.gradient_request import GradientRequest
 from warp_psdr.kernels.vertex import PathConfig
 
 
@@ -10,6 +11,21 @@ def materials(*models, kinds=(c.TEXTURE_CONSTANT,)):
     """What is compiled for scattering models, whose values are held by these kinds of textures; keys of a config."""
     values = merge_values(models_of(models))
     return {"bsdfs": models, "material": tuple(slot_of(value, kinds) for value in values)}
+
+
+def joined(connections, *configs):
+    """The same with bidirectional paths."""
+    return [PathConfig(**{**vars(config), "connections": connections, "most_vertices": 4}) for config in configs]
+
+
+def wanted(config, *names, **others):
+    """Derivatives by named values of the materials, and others."""
+    return GradientRequest(material=tuple(slot.name in names for slot in config.material), **others)
+
+
+def everything(config, **others):
+    """Derivatives by all values of the materials, and others."""
+    return wanted(config, *(slot.name for slot in config.material), **others)
 
 
 #: Diffuse walls under an area light.

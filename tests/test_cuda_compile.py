@@ -14,7 +14,7 @@ import pytest
 import warp as wp
 
 import warp_psdr.kernels
-from tests.config_helpers import EVERYTHING, LIGHTS, OTHERS, SIMPLE, TEXTURES, materials
+from tests.config_helpers import EVERYTHING, LIGHTS, OTHERS, SIMPLE, TEXTURES, everything, joined, materials, wanted
 from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.boundary.guiding.projective import BLOCKED_LIGHT, SCATTERED
 from warp_psdr.kernels.bsdf.dispatch import VARIANTS
@@ -38,16 +38,6 @@ MADE_BY = {
     "interior.radiative.make_radiative_kernel": "interior.path_order.make_path_order_kernel",
     "interior.textbook.make_textbook_kernel": "interior.path_order.make_path_order_kernel",
 }
-
-
-def wanted(config, *names, **others):
-    """Derivatives by named values of the materials, and others."""
-    return GradientRequest(material=tuple(slot.name in names for slot in config.material), **others)
-
-
-def everything(config, **others):
-    """Derivatives by all values of the materials, and others."""
-    return wanted(config, *(slot.name for slot in config.material), **others)
 
 
 EMISSION = PathConfig(**{**vars(SIMPLE), "scatter": False, "material": ()})
@@ -111,6 +101,10 @@ THROUGH = PathConfig(
         "through": True,
     }
 )
+#: Bidirectional paths, joined to the camera alone, and to its paths.
+LIT_GLASS = PathConfig(**{**vars(ALL_LIGHTS), **materials("diffuse", "dielectric")})
+JOINED, JOINED_LIGHTS, JOINED_THROUGH = joined("light", SIMPLE, LIT_GLASS, THROUGH)
+CONNECTED, CONNECTED_LIGHTS, CONNECTED_THROUGH = joined("all", SIMPLE, LIT_GLASS, THROUGH)
 #: Media behind surfaces that are not there.
 MEDIA = PathConfig(
     **{
@@ -220,6 +214,20 @@ FACTORIES = {
         ("through", (THROUGH,), SLOW),
         ("media", (MEDIA,), SLOW),
         ("grids", (GRIDS,), SLOW),
+        ("bidirectional", (JOINED_LIGHTS,), SLOW),
+    ],
+    "interior.bidirectional.make_bidirectional_kernel": [
+        ("reverse", (JOINED, ALBEDO, "reverse", 4, 1), FAST),
+        ("lights, blocks", (JOINED_LIGHTS, still(JOINED_LIGHTS), "reverse", 4, 4), SLOW),
+        ("through", (JOINED_THROUGH, still(JOINED_THROUGH), "forward", 4, 1), SLOW),
+    ],
+    "connection.make_connected_image_kernel": [
+        ("lights", (CONNECTED_LIGHTS,), SLOW),
+        ("through", (CONNECTED_THROUGH,), SLOW),
+    ],
+    "interior.connected.make_connected_kernel": [
+        ("reverse", (CONNECTED, ALBEDO, "reverse"), SLOW),
+        ("lights", (CONNECTED_LIGHTS, still(CONNECTED_LIGHTS), "forward"), SLOW),
     ],
     "interior.light_tracing.make_light_replay_kernel": [
         ("simple", (SIMPLE, ALBEDO, 4, 1), FAST),
@@ -238,6 +246,7 @@ FACTORIES = {
         ("thin lens", (THIN_LENS,), SLOW),
         ("materials", (MATERIALS,), SLOW),
         ("through", (THROUGH,), SLOW),
+        ("weighted", (JOINED_THROUGH,), SLOW),
     ],
     "splat.make_splat_kernel": [("tent", (SPLAT,), FAST), ("gaussian", (SPLAT_GAUSSIAN,), SLOW)],
     "interior.replay.make_replay_kernel": [

@@ -4,6 +4,7 @@ from warp_psdr.accuracy.methods import Compared, Comparison, compare
 from warp_psdr.options.interior import (
     Antithetic,
     Attached,
+    Bidirectional,
     Decomposed,
     DifferentialRatioTracking,
     FilmAntithetic,
@@ -18,6 +19,7 @@ from warp_psdr.options.interior import (
 __all__ = [
     "Antithetic",
     "Attached",
+    "Bidirectional",
     "Compared",
     "Comparison",
     "Decomposed",

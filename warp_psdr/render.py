@@ -22,7 +22,6 @@ from warp_psdr.estimate.passes import (
     STREAM_PRIMAL,
     Progress,
     boxed,
-    image_kernel,
     part,
     splats,
     splatted,
@@ -127,13 +126,14 @@ def render(
     if tape is not None:
         # Says what cannot be differentiated, before the work.
         differentiated = decide(scene, params, integrator=integrator, sensor=sensor)
-        kernels = [image_kernel(scene, plan, sensor), *light.kernels(plan)]
+        kernels = light.image_kernels(scene, plan, sensor)
         compiler.begin([*kernels, *light.gradient_kernels(differentiated, "reverse")], scene.device)
     camera = scene.camera(sensor)
     image = Image((camera.crop_height, camera.crop_width), scene.device, requires_grad=tape is not None)
     draw = _render_splatted if splats(camera) else boxed
     first, second = (progress, None) if plan.light is None else (part(progress, 0.0, 0.5), part(progress, 0.5, 0.5))
-    draw(scene, plan, sensor, spp, mix_seed(seed, STREAM_PRIMAL), image, first)
+    if not light.connected(plan):
+        draw(scene, plan, sensor, spp, mix_seed(seed, STREAM_PRIMAL), image, first)
     light.add_image(scene, plan, sensor, spp, mix_seed(seed, STREAM_PRIMAL), image, second)
     if tape is not None and params is not None:
         _record(tape, image, scene, params, sensor=sensor, integrator=integrator, spp=gradient_spp, seed=seed)

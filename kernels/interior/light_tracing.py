@@ -13,6 +13,7 @@ from typing import NamedTuple
 import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
+from warp_psdr.kernels.bidirectional_path import make_light_walk
 from warp_psdr.kernels.constants import DELTA_LIGHTS, LOBE_NONE, LOBE_SMOOTH
 from warp_psdr.kernels.interaction import enter_frame, leave_frame, make_interaction
 from warp_psdr.kernels.interior.factors import make_light_sink, make_material_sink
@@ -20,7 +21,7 @@ from warp_psdr.kernels.interior.gradient_request import GradientRequest
 from warp_psdr.kernels.interior.velocities import axis_vec3
 from warp_psdr.kernels.invalid import count_invalid, finite, vanishes
 from warp_psdr.kernels.jobs import PixelJob
-from warp_psdr.kernels.light_path import LightState, LightVertex, light_sampler, make_light_path
+from warp_psdr.kernels.light_path import LightVertex, light_sampler
 from warp_psdr.kernels.light_ray import LightRay, radiance_scale
 from warp_psdr.kernels.reading import triangle_at
 from warp_psdr.kernels.sensor.projection import make_splat
@@ -132,7 +133,7 @@ def make_light_factors(config: PathConfig, wanted: GradientRequest, role: str) -
 @functools.cache
 def make_light_replay_kernel(config: PathConfig, wanted: GradientRequest, block: int, blocks: int):
     """Return the reverse-mode kernel of ``interior.LightTracing``; arguments as ``make_replay_kernel``'s."""
-    start, step = make_light_path(config, True)
+    walk, start, step = make_light_walk(config, True)
     factors = make_light_factors(config, wanted, "reverse")
     _splat, gather = make_splat()
 
@@ -149,7 +150,7 @@ def make_light_replay_kernel(config: PathConfig, wanted: GradientRequest, block:
     ):
         number = job.pixels[job.first_pixel + wp.tid()]
         record = wp.zeros(shape=(wp.static(block),), dtype=LightVertex)
-        states = wp.zeros(shape=(wp.static(blocks),), dtype=LightState)
+        states = wp.zeros(shape=(wp.static(blocks),), dtype=walk)
         for i in range(job.samples):
             sampler = light_sampler(job, camera, number, i)
             ray, state = start(scene, sphere, sampler)
@@ -210,7 +211,7 @@ def make_light_replay_kernel(config: PathConfig, wanted: GradientRequest, block:
 @functools.cache
 def make_light_forward_kernel(config: PathConfig, wanted: GradientRequest):
     """Return the forward-mode kernel: ``target`` holds the tangents, ``film_out`` receives the derivative."""
-    start, step = make_light_path(config, True)
+    _walk, start, step = make_light_walk(config, True)
     factors = make_light_factors(config, wanted, "forward")
     splat, _gather = make_splat()
 

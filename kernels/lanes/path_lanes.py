@@ -98,7 +98,9 @@ def side_by_side(config: PathConfig) -> bool:
     """
     if config.media is not None or config.primitives:
         return False
-    return config.ray_backend == "wide" and not (config.noted or config.through or config.delta_first)
+    return config.ray_backend == "wide" and not (
+        config.noted or config.through or config.delta_first or config.connections
+    )
 
 
 @functools.cache

@@ -10,7 +10,6 @@ from warp_psdr import compiler
 from warp_psdr.compiler import Compiled
 from warp_psdr.estimate import light
 from warp_psdr.estimate.boundary.terms import prepare
-from warp_psdr.estimate.passes import image_kernel
 from warp_psdr.plan.integrator import integrator_of
 from warp_psdr.plan.plan import decide
 from warp_psdr.scene import load
@@ -69,7 +68,7 @@ def compile(
     integrator = integrator_of(scene, integrator)
     start, before = time.perf_counter(), len(compiler.done)
     plan = decide(scene, integrator=integrator, sensor=sensor)
-    kernels = [image_kernel(scene, plan, sensor), *light.kernels(plan)]
+    kernels = light.image_kernels(scene, plan, sensor)
     compiler.begin(kernels, scene.device)
     if params is not None and params.requested:
         names = params.requested
@@ -90,7 +89,7 @@ def image_ahead(scene: Scene) -> None:
     try:
         if not integrator_of(scene, None).hide_emitters:  # else the plan builds a ray structure
             plan = decide(scene)
-            compiler.begin([image_kernel(scene, plan, 0), *light.kernels(plan)], scene.device)
+            compiler.begin(light.image_kernels(scene, plan, 0), scene.device)
     except Exception:
         return  # whoever renders gets to hear of it
 

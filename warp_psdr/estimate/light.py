@@ -20,12 +20,16 @@ from warp_psdr.estimate.passes import (
     blocks_of,
     camera_gradient_kernels,
     depth_of,
+    image_kernel,
     interior_backward,
     interior_forward,
     launch_pass,
     part,
 )
+from warp_psdr.kernels.connection import make_connected_image_kernel
+from warp_psdr.kernels.interior.connected import make_connected_kernel
 from warp_psdr.kernels.interior.light_tracing import make_light_forward_kernel, make_light_replay_kernel
+from warp_psdr.kernels.light_ray import COVER
 from warp_psdr.kernels.light_tracing import add_splats, collect_splats, make_light_image_kernel
 from warp_psdr.kernels.rng import mix_seed
 
@@ -40,12 +44,22 @@ STREAM_LIGHT = 0x6C696768
 #: Paths over pixels that are summed on a film in float32. They are not spread evenly: a pixel in a caustic counts a
 #: thousand times as many, with a relative rounding error of some 1e-3 at most.
 FILM_PATHS = 1 << 8
-#: The sphere that rays from infinity cover is larger than the scene's by so much, for rounding.
-MARGIN = 1.0e-4
 
 
-def kernels(plan: Plan) -> list[wp.Kernel]:
+def connected(plan: Plan) -> bool:
+    """Whether the pass over light paths draws the camera's too."""
+    return _traces(plan) and plan.light is not None and plan.light.connected
+
+
+def image_kernels(scene: Scene, plan: Plan, sensor: int) -> list[wp.Kernel]:
+    """Return the kernels of a sensor's image, of paths from the camera and of those from the lights."""
+    return [*([] if connected(plan) else [image_kernel(scene, plan, sensor)]), *_kernels(plan)]
+
+
+def _kernels(plan: Plan) -> list[wp.Kernel]:
     """Return the kernel of the image's light paths, if there are any."""
+    if connected(plan):
+        return [make_connected_image_kernel(plan.config)]
     return [make_light_image_kernel(plan.config)] if _traces(plan) else []
 
 
@@ -53,14 +67,14 @@ def add_image(
     scene: Scene, plan: Plan, sensor: int, spp: int, seed: int, image: wp.array, progress: Progress | None = None
 ) -> None:
     """Add what the light paths find to an image; ``seed`` is that of the image's other paths."""
-    if _traces(plan):
-        _splat(scene, plan, make_light_image_kernel(plan.config), sensor, spp, seed, [], image, progress)
+    for kernel in _kernels(plan):
+        _splat(scene, plan, kernel, sensor, spp, seed, [], image, progress)
 
 
 def gradient_kernels(plan: Plan, role: str) -> list[wp.Kernel]:
     """Return the kernels of the interior term, of role "reverse" or "forward": from the camera, and from the lights."""
     found = camera_gradient_kernels(plan, role) if plan.seen_wanted is not None else []
-    return [*found, _gradient_kernel(plan, role)] if _traces(plan) else found
+    return [*found, *_gradient_kernels(plan, role)]
 
 
 def backward(
@@ -77,21 +91,22 @@ def backward(
     first, second = _halves(plan, progress)
     if plan.seen_wanted is not None:
         interior_backward(scene, plan, sensor, spp, seed, adjoint, sums, first)
-    if not _traces(plan):
-        return
     camera = scene.camera(sensor)
     sphere = bounding_sphere(scene)
-    launch_pass(
-        scene,
-        _gradient_kernel(plan, "reverse"),
-        (camera.crop_width, camera.crop_height),
-        replace(_paths(plan, camera, spp, mix_seed(seed, STREAM_INTERIOR)), adjoint=adjoint),
-        camera,
-        lambda shard: [sphere, sums.buffers[shard]],
-        shards=len(sums.buffers),
-        kind="light",
-        progress=second,
-    )
+    # What draws the camera's paths too has a film, which it leaves.
+    unused = [wp.zeros((1, 1), dtype=wp.vec3, device=scene.device)] if connected(plan) else []
+    for kernel in _gradient_kernels(plan, "reverse"):
+        launch_pass(
+            scene,
+            kernel,
+            (camera.crop_width, camera.crop_height),
+            replace(_paths(plan, camera, spp, mix_seed(seed, STREAM_INTERIOR)), adjoint=adjoint),
+            camera,
+            lambda shard: [sphere, sums.buffers[shard], *unused],
+            shards=len(sums.buffers),
+            kind="light",
+            progress=second,
+        )
 
 
 def forward(
@@ -108,9 +123,10 @@ def forward(
     first, second = _halves(plan, progress)
     if plan.seen_wanted is not None:
         interior_forward(scene, plan, sensor, spp, seed, target, image, first)
-    if _traces(plan):
-        kernel = _gradient_kernel(plan, "forward")
-        _splat(scene, plan, kernel, sensor, spp, mix_seed(seed, STREAM_INTERIOR), [target], image, second)
+    found = _gradient_kernels(plan, "forward")
+    for i, kernel in enumerate(found):
+        done = part(second, i / len(found), 1.0 / len(found))
+        _splat(scene, plan, kernel, sensor, spp, mix_seed(seed, STREAM_INTERIOR), [target], image, done)
 
 
 def _halves(plan: Plan, progress: Progress | None) -> tuple[Progress | None, Progress | None]:
@@ -120,12 +136,15 @@ def _halves(plan: Plan, progress: Progress | None) -> tuple[Progress | None, Pro
     return part(progress, 0.0, 0.5), part(progress, 0.5, 0.5)
 
 
-def _gradient_kernel(plan: Plan, role: str) -> wp.Kernel:
-    """Return the kernel of the light paths' derivatives."""
+def _gradient_kernels(plan: Plan, role: str) -> list[wp.Kernel]:
+    """Return the kernels of the light paths' derivatives, if there are any; their results add up."""
+    if not _traces(plan):
+        return []
     assert plan.wanted is not None and plan.kept is not None
+    found = [make_connected_kernel(plan.config, plan.wanted, role)] if connected(plan) else []
     if role == "forward":
-        return make_light_forward_kernel(plan.config, plan.wanted)
-    return make_light_replay_kernel(plan.config, plan.wanted, plan.kept.block, plan.kept.blocks)
+        return [*found, make_light_forward_kernel(plan.config, plan.wanted)]
+    return found or [make_light_replay_kernel(plan.config, plan.wanted, plan.kept.block, plan.kept.blocks)]
 
 
 def _paths(plan: Plan, camera: Camera, spp: int, seed: int) -> PixelSamples:
@@ -178,4 +197,4 @@ def bounding_sphere(scene: Scene) -> wp.vec4:
     points = scene.points
     low, high = (points.min(axis=0), points.max(axis=0)) if len(points) else (np.zeros(3), np.zeros(3))
     center = 0.5 * (low.astype(np.float64) + high)
-    return wp.vec4(*center.tolist(), (1.0 + MARGIN) * scene.radius)
+    return wp.vec4(*center.tolist(), (1.0 + COVER) * scene.radius)

@@ -63,6 +63,44 @@ class LightTracing(Method):
         _check_block(self.block, "")
 
 
+#: Most vertices of a path all of whose vertices are joined: rays grow with their square.
+MOST_CONNECTED = 16
+#: Which ways of drawing a path ``Bidirectional`` weighs against each other.
+CONNECTIONS = ("light", "all")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bidirectional(Method):
+    """Paths from the camera and from the lights, weighted against each other (``kernels/bidirectional_path.py``).
+
+    A path from the camera finds light by hitting it and by next-event estimation, a light path by being joined to the
+    camera; each counts with the balance heuristic over all ways to draw it [Vea97]. It draws the image as well as its
+    derivatives, which are by what ``LightTracing`` differentiates. Samples a pixel are paths from the camera, and as
+    many light paths.
+
+    Attributes:
+        connections: "light": the three ways above; "all": the vertices of the one are joined to those of the other
+            too, of paths of at most 16 vertices.
+        block: K, as of ``Replay``; with "all" the whole path is kept.
+    """
+
+    connections: str = "light"
+    block: int = 8
+
+    def __post_init__(self) -> None:
+        """Validate once.
+
+        Raises:
+            ValueError: ``connections`` is unknown, or ``block`` is not between 1 and 64.
+        """
+        if self.connections not in CONNECTIONS:
+            raise ValueError(f"connections: got {self.connections!r}, expected {' or '.join(map(repr, CONNECTIONS))}")
+        _check_block(self.block, "")
+
+
+#: Methods whose paths start at the lights too.
+FROM_LIGHTS = (LightTracing, Bidirectional)
+
 #: Fewest and most candidates of ``Resampled``.
 LEAST_CANDIDATES, MOST_CANDIDATES = 4, 256
 

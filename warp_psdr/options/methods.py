@@ -75,6 +75,10 @@ _METHODS = MethodTable(
             *("kernels/interior/light_tracing.py", "light_tracing"),
         ),
         (
+            *("VSJ21", "Bidirectional paths, by record and sweep", "interior.Bidirectional()", "interior"),
+            *("kernels/interior/bidirectional.py", "bidirectional"),
+        ),
+        (
             *("BXB*24", "Positivisation, by resampling", "interior.Resampled()", "interior"),
             *("kernels/interior/resampled.py", "resampled"),
         ),

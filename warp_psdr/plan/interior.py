@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import warp as wp
@@ -18,6 +19,7 @@ from warp_psdr.kernels.bsdf.motion import MOVED_BY
 from warp_psdr.kernels.constants import DELTA_LIGHTS
 from warp_psdr.kernels.interior.antithetic import make_pair_kernel
 from warp_psdr.kernels.interior.attached import make_attached_kernel
+from warp_psdr.kernels.interior.bidirectional import make_bidirectional_kernel
 from warp_psdr.kernels.interior.branch import make_branch_kernel
 from warp_psdr.kernels.interior.film_antithetic import make_film_antithetic_kernel
 from warp_psdr.kernels.interior.forward import make_forward_kernel
@@ -34,7 +36,7 @@ from warp_psdr.options import boundary, interior
 from warp_psdr.plan import media
 from warp_psdr.plan.attached import refused_by_attached
 from warp_psdr.plan.film_antithetic import refused_by_film_antithetic, refused_for_what_is_seen
-from warp_psdr.plan.light import refused_by_light_tracing
+from warp_psdr.plan.light import refused_with_light_paths
 
 if TYPE_CHECKING:
     from warp_psdr.kernels.vertex import PathConfig
@@ -116,7 +118,7 @@ def row_of(method: interior.Method, term: boundary.Method | None) -> Row:
 
 
 def _keep_blocks(method: interior.Method, max_depth: int, rr_depth: int) -> Kept:
-    assert isinstance(method, (interior.Replay, interior.LightTracing, interior.DifferentialRatioTracking))
+    assert isinstance(method, (interior.Replay, *interior.FROM_LIGHTS, interior.DifferentialRatioTracking))
     if max_depth < 0:
         max_depth = rr_depth + UNBOUNDED_VERTICES
         if max_depth > MOST_VERTICES:
@@ -163,6 +165,12 @@ def _make_beside_motion(config: PathConfig, wanted: GradientRequest, role: str, 
     rest = replace(wanted, shapes=False, texcoords=False, camera=False, lights=lights)
     nothing = GradientRequest(material=(False,) * len(wanted.material))
     return None if rest == nothing else _make_replay(config, rest, role, kept)
+
+
+def _make_bidirectional(config: PathConfig, wanted: GradientRequest, role: str, kept: Kept) -> wp.Kernel:
+    if not config.connections:
+        return _make_replay(config, wanted, role, kept)
+    return make_bidirectional_kernel(config, wanted, role, kept.block, kept.blocks)
 
 
 def _make_ratio(config: PathConfig, wanted: GradientRequest, role: str, kept: Kept) -> wp.Kernel:
@@ -432,6 +440,15 @@ TABLE: dict[tuple[type[interior.Method], type[boundary.Method]], Row] = {
         refuse=_refused_in_path_order("Radiative()"),
     ),
     (interior.LightTracing, boundary.Method): Row(
-        label="light tracing", keep=_keep_blocks, make=_make_replay, refuse=refused_by_light_tracing
+        label="light tracing",
+        keep=_keep_blocks,
+        make=_make_replay,
+        refuse=partial(refused_with_light_paths, "interior.LightTracing()"),
+    ),
+    (interior.Bidirectional, boundary.Method): Row(
+        label="bidirectional record and sweep",
+        keep=_keep_blocks,
+        make=_make_bidirectional,
+        refuse=partial(refused_with_light_paths, "interior.Bidirectional()"),
     ),
 }

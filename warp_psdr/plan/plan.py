@@ -98,7 +98,7 @@ class Plan:
         lines: (item, decision, reason).
         boundary: method of the boundary term; None: there is none, or it was left out on purpose.
         shapes: numbers of the shapes that all that is requested belongs to; None: to lights too, or to the camera.
-        light: the passes of light tracing; None: all paths start at the camera.
+        light: the passes of methods whose paths start at the lights; None: all paths start at the camera.
     """
 
     config: PathConfig
@@ -230,8 +230,9 @@ def decide(
         met += f" and {len(shapes) - NAMED} more" if len(shapes) > NAMED else ""
         lines.append(("swept", "paths that meet what is requested", met))
     light = None
-    if isinstance(integrator.interior, interior.LightTracing):
-        light = passes(config, wanted)
+    if isinstance(integrator.interior, interior.FROM_LIGHTS):
+        light = passes(config, wanted, integrator.interior, integrator.max_depth)
+        config = light.paths
         lines.append(light.line)
     return Plan(
         config, wanted, integrator.max_depth, integrator.rr_depth, row, kept, moving, tuple(lines), term, shapes, light

@@ -90,7 +90,7 @@ def refuse(
 
 def _of_method(method: interior.Method, wanted: GradientRequest | None) -> str:
     """Say why a method of the interior does not do beside shapes without triangles; empty: it does."""
-    if isinstance(method, interior.LightTracing):
+    if isinstance(method, interior.FROM_LIGHTS):
         return "paths from the lights do not meet it; use interior.Replay()"
     if wanted is not None and not isinstance(method, CLAIMED):
         return f"interior.{type(method).__name__}() does not know it; use interior.Replay()"
