@@ -224,7 +224,7 @@ def make_interaction(config: PathConfig, selects: bool = False) -> Interactions:
     record = make_interaction_record(bsdf.record)
     parts = make_parts(config, record)
     surface_of, _looked_up, look_up, put_together = parts
-    emission = make_area(config.area).emitted if config.area else None
+    emission = make_area(config.area, config.shining).emitted if config.area else None
 
     @wp.func
     def surface_at(scene: Scene, face: wp.int32, u: wp.float32, v: wp.float32) -> Surface:

@@ -13,7 +13,7 @@ from warp_psdr.kernels.bsdf.dispatch import has_smooth_lobes
 from warp_psdr.kernels.bvh.wide import RayHit
 from warp_psdr.kernels.constants import EMITTER_AREA, FAR, LOBE_NONE, LOBE_NULL, LOBE_SMOOTH
 from warp_psdr.kernels.distribution import find_interval
-from warp_psdr.kernels.emitter.area import make_area, pdf_area
+from warp_psdr.kernels.emitter.area import make_area, make_pdf_area, pdf_area
 from warp_psdr.kernels.emitter.dispatch import make_lights
 from warp_psdr.kernels.interaction import enter_frame, leave_frame, make_interaction
 from warp_psdr.kernels.invalid import finite, inverse_pdf, vanishes
@@ -104,7 +104,8 @@ def make_sky_hit(config: PathConfig):
 @functools.cache
 def make_emission_hit(config: PathConfig):
     """Return ``emission_hit(scene, state, hit) -> EmissionHit``."""
-    emitted = make_area(config.area).emitted if config.area else None
+    emitted = make_area(config.area, config.shining).emitted if config.area else None
+    pdf_of_any = make_pdf_area(config.shining)
     sky_hit = make_sky_hit(config)
 
     @wp.func
@@ -122,7 +123,11 @@ def make_emission_hit(config: PathConfig):
                     distance = hit.t
                     if wp.static(config.through):
                         distance += state.seen.t
-                    pdf_light = pdf_area(scene, emitter, hit.face, state.d, distance) * emitter.probability
+                    if wp.static(len(config.shining) > 0):
+                        pdf_light = pdf_of_any(scene, emitter, hit.face, hit.u, hit.v, state.d, distance)
+                    else:
+                        pdf_light = pdf_area(scene, emitter, hit.face, state.d, distance)
+                    pdf_light *= emitter.probability
                     weight = mis_weight(state.pdf, pdf_light)
                 emission.weight = weight
                 emission.direct = weight * emitted(scene, emitter, hit.face, hit.u, hit.v, state.d)
@@ -139,7 +144,7 @@ def make_light_draw(config: PathConfig, left_out: tuple[int, ...] = ()):
     ``draw(scene, emitter, face, tri, x, u: vec2) -> LightSample``, ``tri`` the face's record, or anything.
     ``left_out``: kinds of lights, other than area lights, of which ``draw`` returns anything.
     """
-    area = make_area(config.area) if config.area else None
+    area = make_area(config.area, config.shining) if config.area else None
     kinds = tuple(kind for kind in config.lights if kind not in left_out)
     other = make_lights(kinds, None, ()).sample if kinds else None
 

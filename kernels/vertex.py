@@ -67,6 +67,8 @@ class PathConfig:
     media: MediaConfig | None = None
     #: Kinds of shapes without triangles (PRIMITIVE_*, ``primitive/dispatch.py``).
     primitives: tuple[int, ...] = ()
+    #: Those of them that shine (``primitive/shining.py``).
+    shining: tuple[int, ...] = ()
 
 
 @wp.struct

@@ -81,9 +81,9 @@ MIRROR_LIGHTS = PathConfig(
     }
 )
 #: Shapes without triangles beside those with.
-EXACT = PathConfig(**{**vars(SIMPLE), "uv": True, "tangent": True, "primitives": (c.PRIMITIVE_SPHERE,)})
+KINDS = (c.PRIMITIVE_SPHERE, c.PRIMITIVE_DISK, c.PRIMITIVE_CYLINDER)
+EXACT = PathConfig(**{**vars(SIMPLE), "uv": True, "tangent": True, "primitives": KINDS, "shining": KINDS})
 EXACT_LIGHTS = PathConfig(**{**vars(ALL_LIGHTS), "primitives": (c.PRIMITIVE_SPHERE,)})
-KINDS = PathConfig(**{**vars(EXACT), "primitives": (c.PRIMITIVE_SPHERE, c.PRIMITIVE_DISK, c.PRIMITIVE_CYLINDER)})
 DISTANCES = PathConfig(**{**vars(SIMPLE), "tangent": True, "primitives": (c.PRIMITIVE_SPHERE, c.PRIMITIVE_SDFGRID)})
 CURVES = PathConfig(
     **{**vars(SIMPLE), "tangent": True, "primitives": (c.PRIMITIVE_LINEARCURVE, c.PRIMITIVE_BSPLINECURVE)}
@@ -204,6 +204,7 @@ FACTORIES = {
     "primal.make_primal_kernel": [
         ("simple", (SIMPLE,), FAST),
         ("grids of distances", (DISTANCES,), SLOW),
+        ("exact lights", (EXACT,), SLOW),
         ("curves", (CURVES,), SLOW),
         ("emission", (EMISSION,), SLOW),
         ("orthographic", (ORTHOGRAPHIC,), SLOW),
@@ -257,6 +258,7 @@ FACTORIES = {
         *[(name, (config, all_of(config), 4, 1), SLOW) for name, config in THIRDS.items()],
         ("through", (THROUGH, still(THROUGH), 4, 1), SLOW),
         ("grids of distances", (DISTANCES, GEOMETRY, 4, 1), SLOW),
+        ("exact lights", (EXACT, GEOMETRY, 4, 1), SLOW),
     ],
     "interior.forward.make_forward_kernel": [
         ("simple", (SIMPLE, ALBEDO), FAST),
@@ -347,14 +349,10 @@ FACTORIES = {
         ("samples, simple", (SIMPLE, "samples", False), SLOW),
         ("noted, simple", (NOTED, "reverse", False), SLOW),
     ],
-    "boundary.silhouette.primary.make_primary_silhouette_kernel": [
-        ("reverse", (EXACT, "reverse", True), SLOW),
-        ("forward, kinds", (KINDS, "forward", False), SLOW),
-    ],
+    "boundary.silhouette.primary.make_primary_silhouette_kernel": [("reverse", (EXACT, "reverse", True), SLOW)],
     "boundary.silhouette.secondary.make_secondary_silhouette_kernel": [
         ("reverse", (EXACT, "reverse", True, False), SLOW),
         ("indirect, lights", (EXACT_LIGHTS, "forward", False, True, True), SLOW),
-        ("reverse, kinds", (KINDS, "reverse", True, False), SLOW),
     ],
     "boundary.path_space.secondary.make_secondary_kernel": [
         ("reverse, simple", (SIMPLE, "reverse", False, False), SLOW),

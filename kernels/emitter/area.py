@@ -3,7 +3,8 @@
 A light point is drawn by area over the triangles of one shape: a triangle from the cumulative areas ``Scene.face_cdf``,
 then a uniform point on it. In material form it is (triangle, detached barycentrics): its position, its radiance texture
 and the geometric factor towards it are attached, its pdf is not. With the triangle's stored probability P and area A,
-the pdf in solid angle seen from x is P t^2 / (A |cos|).
+the pdf in solid angle seen from x is P t^2 / (A |cos|). Exact shapes have one record in place of triangles, and points
+uniform in the area of their kind (``primitive/shining.py``).
 """
 
 import functools
@@ -12,6 +13,8 @@ from typing import NamedTuple
 import warp as wp
 
 from warp_psdr.kernels.distribution import find_interval
+from warp_psdr.kernels.primitive.affine import is_primitive, step_off_primitive
+from warp_psdr.kernels.primitive.shining import make_shining
 from warp_psdr.kernels.reading import load_float, load_vec2, shape_at, triangle_at
 from warp_psdr.kernels.sampling import square_to_triangle
 from warp_psdr.kernels.step import step_off_triangle
@@ -53,6 +56,42 @@ def pdf_area(scene: Scene, e: Emitter, face: wp.int32, d: wp.vec3, t: wp.float32
     return area_density(scene, e, face) * t * t / wp.max(wp.abs(wp.dot(scene.triangles[face].normal, d)), 1.0e-12)
 
 
+@functools.cache
+def make_light_uv(shining: tuple[int, ...]):
+    """Return ``light_uv``, for the exact shapes that shine as well; ``shining``: their kinds."""
+    exact = make_shining(shining)
+    if exact is None:
+        return light_uv
+
+    @wp.func
+    def light_uv_of_any(scene: Scene, face: wp.int32, u: wp.float32, v: wp.float32) -> wp.vec2:
+        tri = triangle_at(scene, face)
+        if is_primitive(tri):
+            return exact.uv(tri, u, v)
+        return light_uv(scene, face, u, v)
+
+    return light_uv_of_any
+
+
+@functools.cache
+def make_pdf_area(shining: tuple[int, ...]):
+    """Return ``pdf_area``, which takes u and v behind the face, for the exact shapes that shine as well."""
+    exact = make_shining(shining)
+
+    @wp.func
+    def pdf_of_any(
+        scene: Scene, e: Emitter, face: wp.int32, u: wp.float32, v: wp.float32, d: wp.vec3, t: wp.float32
+    ) -> wp.float32:
+        if wp.static(exact is not None):
+            tri = triangle_at(scene, face)
+            if is_primitive(tri):
+                # |c| cancels: 1 / (S |c|) t^2 / |cos|.
+                return t * t / (exact.area(tri) * wp.max(wp.abs(wp.dot(exact.cross(tri, u, v), d)), 1.0e-30))
+        return pdf_area(scene, e, face, d, t)
+
+    return pdf_of_any
+
+
 class AreaFunctions(NamedTuple):
     """Warp functions of area lights.
 
@@ -69,8 +108,15 @@ class AreaFunctions(NamedTuple):
 
 
 @functools.cache
-def make_area(radiance_kinds: tuple[int, ...]) -> AreaFunctions:
-    """Return the functions of area lights whose radiance textures are of the given kinds."""
+def make_area(radiance_kinds: tuple[int, ...], shining: tuple[int, ...] = ()) -> AreaFunctions:
+    """Return the functions of area lights.
+
+    Args:
+        radiance_kinds: those of their radiance textures.
+        shining: kinds of exact shapes among them.
+    """
+    exact = make_shining(shining)
+    uv_at = make_light_uv(shining)
     texture_at = make_texture(radiance_kinds)
     textured = any(kind != 0 for kind in radiance_kinds)
 
@@ -78,12 +124,17 @@ def make_area(radiance_kinds: tuple[int, ...]) -> AreaFunctions:
     def radiance_at(scene: Scene, e: Emitter, face: wp.int32, u: wp.float32, v: wp.float32) -> wp.vec3:
         uv = wp.vec2(0.0, 0.0)
         if wp.static(textured):
-            uv = light_uv(scene, face, u, v)
+            uv = uv_at(scene, face, u, v)
         return texture_at(scene, e.texture, face, u, v, uv)
 
     @wp.func
     def emitted(scene: Scene, e: Emitter, face: wp.int32, u: wp.float32, v: wp.float32, d: wp.vec3) -> wp.vec3:
-        if wp.dot(scene.triangles[face].normal, d) >= 0.0:
+        facing = wp.dot(scene.triangles[face].normal, d)
+        if wp.static(exact is not None):
+            tri = triangle_at(scene, face)
+            if is_primitive(tri):
+                facing = wp.dot(exact.cross(tri, u, v), d)
+        if facing >= 0.0:
             return wp.vec3(0.0, 0.0, 0.0)
         return radiance_at(scene, e, face, u, v)
 
@@ -110,4 +161,29 @@ def make_area(radiance_kinds: tuple[int, ...]) -> AreaFunctions:
         result.radiance = radiance_at(scene, e, face, result.u, result.v)
         return result
 
-    return AreaFunctions(emitted, select_triangle, sample_point)
+    if exact is None:
+        return AreaFunctions(emitted, select_triangle, sample_point)
+
+    @wp.func
+    def sample_any(scene: Scene, e: Emitter, face: wp.int32, tri: Triangle, x: wp.vec3, u: wp.vec2) -> LightSample:
+        if not is_primitive(tri):
+            return sample_point(scene, e, face, tri, x, u)
+        result = LightSample()
+        at = exact.draw(tri, u)
+        result.face = face
+        result.u = at[0]
+        result.v = at[1]
+        y = exact.position(tri, result.u, result.v)
+        cross = exact.cross(tri, result.u, result.v)
+        result.target = y + step_off_primitive(scene, tri) * wp.normalize(cross)
+        r = y - x
+        squared = wp.dot(r, r)
+        result.distance = wp.sqrt(squared)
+        result.wi = (1.0 / wp.where(squared <= 0.0, 1.0, result.distance)) * r
+        cosine = -wp.dot(cross, result.wi)
+        faces = squared > 0.0 and cosine > 0.0
+        result.pdf = wp.where(faces, squared / (exact.area(tri) * wp.where(faces, cosine, 1.0)), 0.0)
+        result.radiance = radiance_at(scene, e, face, result.u, result.v)
+        return result
+
+    return AreaFunctions(emitted, select_triangle, sample_any)

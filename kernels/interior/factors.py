@@ -7,7 +7,7 @@ import warp as wp
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.bsdf.dispatch import make_bsdf
 from warp_psdr.kernels.constants import EMITTER_AREA, EMITTER_CONSTANT, EMITTER_ENVMAP
-from warp_psdr.kernels.emitter.area import light_uv, make_area
+from warp_psdr.kernels.emitter.area import make_area, make_light_uv
 from warp_psdr.kernels.emitter.dispatch import make_lights
 from warp_psdr.kernels.generated import make_generated
 from warp_psdr.kernels.interior.gradient_request import GradientRequest
@@ -65,7 +65,8 @@ def make_light_sink(config: PathConfig, wanted: GradientRequest, role: str, link
     connection with a point of an area light is the caller's to pull.
     """
     corners = wanted.texcoords or (links and wanted.shapes)
-    emitted = make_area(config.area).emitted if config.area else None
+    light_uv = make_light_uv(config.shining)
+    emitted = make_area(config.area, config.shining).emitted if config.area else None
     lights = make_lights(config.lights, role, wanted.lights) if config.lights else None
     sample = lights.sample if lights else None
     sample_vjp = lights.sample_vjp if lights else None

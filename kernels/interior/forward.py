@@ -13,7 +13,7 @@ import warp as wp
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.camera_rays import make_camera_paths
 from warp_psdr.kernels.constants import EMITTER_AREA, EMITTER_CONSTANT, EMITTER_ENVMAP, LOBE_SMOOTH, PRIMITIVE_SDFGRID
-from warp_psdr.kernels.emitter.area import light_uv
+from warp_psdr.kernels.emitter.area import make_light_uv
 from warp_psdr.kernels.emitter.dispatch import make_lights
 from warp_psdr.kernels.interaction import enter_frame, make_interaction
 from warp_psdr.kernels.interior.contact import make_contact_weights
@@ -62,6 +62,7 @@ def make_forward_kernel(config: PathConfig, wanted: GradientRequest):
     frame_jvp = make_frame_jvp(config.tangent)
     vertex_jvp = make_velocity(config.smooth, config.flat, config.uv, config.tangent, config.primitives)
     position, cross_of = make_position(config.primitives)
+    light_uv = make_light_uv(config.shining)
     has_grids = PRIMITIVE_SDFGRID in config.primitives
     material_jvp = make_material_jvp(config, wanted)
     glossy, still = interaction.bsdf.glossy, make_tilts(config).still

@@ -10,11 +10,7 @@ import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.bvh.wide import RayHit
-from warp_psdr.kernels.constants import (
-    PRIMITIVE_CYLINDER,
-    PRIMITIVE_DISK,
-    PRIMITIVE_SPHERE,
-)
+from warp_psdr.kernels.constants import PRIMITIVE_CYLINDER, PRIMITIVE_DISK, PRIMITIVE_SPHERE
 from warp_psdr.kernels.primitive.affine import (
     Kind,
     make_affine_hit,

@@ -29,7 +29,7 @@ def scene(**shapes) -> psdr.Scene:
     [
         ({"resolution": 16}, "'exact' beside 'resolution'"),
         ({"face_normals": True}, "'exact' beside 'face_normals'"),
-        ({"emitter": {"type": "area"}}, "an emitter on an exact 'sphere'"),
+        ({"emitter": {"type": "directionalarea"}}, "an emitter but 'area' on an exact 'sphere'"),
         ({"sensor": {"type": "irradiancemeter"}}, "a sensor on an exact 'sphere'"),
         ({"interior": {"type": "homogeneous"}, "bsdf": {"type": "null"}}, "a medium on an exact 'sphere'"),
         (
@@ -130,7 +130,7 @@ def test_shapes_that_run_through_it_are_found() -> None:
     ("properties", "problem"),
     [
         ({"resolution": 16}, "'exact' beside 'resolution'"),
-        ({"emitter": {"type": "area"}}, "an emitter on an exact"),
+        ({"emitter": {"type": "directionalarea"}}, "an emitter but 'area' on an exact"),
         ({"bsdf": BUMPS}, "a 'bumpmap' on an exact"),
         ({"to_world": SHEARED}, "no inverse.*all three columns"),
     ],

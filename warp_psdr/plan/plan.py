@@ -347,6 +347,7 @@ def _config(scene: Scene, integrator: PathIntegrator, sensor: int, lines: list) 
         through=scatter and has_null_lobes(models),
         media=b.media_config,
         primitives=primitives.kinds(scene),
+        shining=primitives.shining(scene),
     )
 
 

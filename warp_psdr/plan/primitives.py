@@ -31,6 +31,12 @@ def kinds(scene: Scene) -> tuple[int, ...]:
     return tuple(sorted({KINDS[scene.description.shapes[i].primitive] for i in scene.builder.primitives}))
 
 
+def shining(scene: Scene) -> tuple[int, ...]:
+    """Return those kinds of a scene that shine."""
+    shapes = [scene.description.shapes[i] for i in scene.builder.primitives]
+    return tuple(sorted({KINDS[s.primitive] for s in shapes if s.emitter is not None}))
+
+
 def describe(scene: Scene) -> list[tuple[str, str, str]]:
     """Return the plan's lines."""
     names: dict[str, list[str]] = {}
@@ -76,13 +82,21 @@ def refuse(
             instead = TRIANGLES if resting.grid is not None else TUBES
             raise ValueError(f"{resting.path!r} is a {resting.kind!r}, and {reason}; or {instead}")
         return
-    shape = shapes[0]
+    light = next((s for s in shapes if s.emitter is not None), None)
+    shape = light or shapes[0]
     reason = ""
     if config.media is not None:
         reason = "participating media do not know it"
+    elif light is not None and integrator.hide_emitters:
+        reason = "it shines: hide_emitters does not hide it"
     else:
         reason = _of_method(integrator.interior, wanted)
-        if not reason and moving and integrator.boundary is not None:
+        if not reason and moving and integrator.boundary is not None and light is not None:
+            reason = (
+                f"{moving[0]}, which is not followed where such a shape shines; "
+                "say PathIntegrator(boundary=None) to get the interior term alone"
+            )
+        elif not reason and moving and integrator.boundary is not None:
             reason = _beside_motion(scene, config, integrator, names)
     if reason:
         raise ValueError(f"{shape.path!r} is an exact {shape.kind!r}, and {reason}; or {INSTEAD}")

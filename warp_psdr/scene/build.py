@@ -316,6 +316,8 @@ class Builder:
             shape = next(i for i, s in enumerate(self.description.shapes) if s.emitter is e)
             record.shape = shape
             record.first_face, record.face_count = self.shapes[shape].first_face, self.shapes[shape].face_count
+            if shape in self.primitives:  # its record stands behind those of the triangles
+                record.first_face, record.face_count = len(self.indices) + self.primitives.index(shape), 1
         if e.sky is not None:
             self._light_of_sky(e, e.sky, record)
             self.emitters.append(record)

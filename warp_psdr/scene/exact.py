@@ -21,6 +21,7 @@ from warp_psdr.kernels.primitive.curves import HEADER, MOST_SEGMENTS
 
 from .description import ShapeDescription
 from .errors import error
+from .primitives import PRIMITIVES, surface_area
 from .transforms import transform_points
 
 if TYPE_CHECKING:
@@ -45,6 +46,8 @@ CORNERS = {
 }
 #: What a pose has to have.
 INVERTIBLE = "give all three columns an extent; that of a 'disk' along its normal is free"
+#: Segments of the tessellation whose area stands for that of an exact shape, by which lights are chosen.
+AREA_SEGMENTS = 128
 #: Volume of the pose over the product of the lengths of its columns, up to which it has no inverse in float32.
 FLAT = 1.0e-6
 
@@ -87,6 +90,15 @@ def exact_shape(props: Properties, to_world: np.ndarray, bsdf: bsdfs.BsdfDescrip
         local_vertices=CORNERS[props.type],
         primitive=props.type,
     )
+
+
+def exact_area(kind: str, box: np.ndarray) -> float:
+    """Return the area of an exact shape, to a relative 1e-4; ``box``: the corners around it, (N, 3)."""
+    linear = np.linalg.lstsq(np.pad(CORNERS[kind].astype(np.float64), ((0, 0), (0, 1)), constant_values=1.0), box)[0]
+    pose = np.eye(4)
+    pose[:3, :3] = linear[:3].T
+    source = PRIMITIVES[kind](AREA_SEGMENTS)
+    return surface_area(source.vertices, source.faces, pose)
 
 
 def singular(to_world: np.ndarray) -> str:

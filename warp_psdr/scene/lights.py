@@ -10,6 +10,7 @@ import warp as wp
 from warp_psdr.kernels import constants as c
 from warp_psdr.kernels import structs
 from warp_psdr.scene.build import Builder
+from warp_psdr.scene.exact import exact_area
 from warp_psdr.scene.layout import struct_array
 from warp_psdr.scene.light_sampling import build_env_distribution, cumulative
 from warp_psdr.scene.spectra import LUMINANCE
@@ -66,7 +67,7 @@ class Lights:
         """Follow the geometry of area lights; ``points``: vertex positions of the scene, (N, 3)."""
         for number in numbers:
             e = self._builder.emitters[number]
-            areas = self._face_areas(e, points)
+            areas = self._shape_area(e, points) if e.shape in self._builder.primitives else self._face_areas(e, points)
             self._areas[number] = areas.sum()
             self._area_cdfs[number] = cumulative(areas)
         meters = [camera for camera in self._builder.cameras if camera.kind == c.CAMERA_IRRADIANCEMETER]
@@ -76,6 +77,12 @@ class Lights:
             record.cdf_offset = offset
             offset += len(cdf)
         self.face_cdf = self._array(np.concatenate([*cdfs, np.zeros(1)]))
+
+    def _shape_area(self, e: structs.Emitter, points: np.ndarray) -> np.ndarray:
+        """Area (1,) of an exact shape that shines."""
+        record = self._builder.shapes[e.shape]
+        box = points[record.first_vertex : record.first_vertex + record.vertex_count]
+        return np.array([exact_area(self._builder.description.shapes[e.shape].primitive, box)])
 
     def _face_areas(self, record: structs.Emitter | structs.Camera, points: np.ndarray) -> np.ndarray:
         """Areas of the triangles of a light or a meter."""

@@ -140,15 +140,16 @@ def widening(kind: str, vertices: np.ndarray, faces: np.ndarray, to_world: np.nd
         faces: (M, 3) of the tessellation.
         to_world: (4, 4), under which the areas are compared.
     """
-    coarse, fine = (_area(t.vertices, t.faces, to_world) for t in map(PRIMITIVES[kind], _FINE))
+    coarse, fine = (surface_area(t.vertices, t.faces, to_world) for t in map(PRIMITIVES[kind], _FINE))
     # Richardson's extrapolation.
-    ratio = (fine + (fine - coarse) / ((_FINE[1] / _FINE[0]) ** 2 - 1.0)) / _area(vertices, faces, to_world)
+    ratio = (fine + (fine - coarse) / ((_FINE[1] / _FINE[0]) ** 2 - 1.0)) / surface_area(vertices, faces, to_world)
     if kind == "cylinder":
         return np.array([ratio, ratio, 1.0])
     return np.full(3, np.sqrt(ratio))
 
 
-def _area(vertices: np.ndarray, faces: np.ndarray, to_world: np.ndarray) -> float:
+def surface_area(vertices: np.ndarray, faces: np.ndarray, to_world: np.ndarray) -> float:
+    """Return the area of triangles (M, 3) of vertices (N, 3) under ``to_world`` (4, 4)."""
     corners = (vertices @ to_world[:3, :3].T)[faces]
     return 0.5 * float(
         np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum()

@@ -11,7 +11,7 @@ from .curves import INSTEAD as TUBES
 from .curves import curve_shape, is_curves, take_curves
 from .description import Curves, EmitterDescription, SdfGrid, ShapeDescription
 from .errors import ReportedError, error
-from .exact import exact_shape, is_exact
+from .exact import EXACT, exact_shape, is_exact
 from .mesh_files import read_mesh
 from .meshes import MeshData, check, check_flat, drop_flat_triangles, in_place, vertex_normals
 from .origin import collapses, moved
@@ -62,7 +62,8 @@ def build(node: dict, where: str, path: str, context: Context) -> ShapeDescripti
     data, to_world, place = geometry
     to_world = moved(to_world, context.origin)
     if exact or not isinstance(data, MeshData):
-        _refuse_beside_exact(props, bsdf, emitter is not None, bool(meters), any(sides.values()))
+        shines = emitter is not None and (not exact or emitter.kind != "area")
+        _refuse_beside_exact(props, bsdf, shines, bool(meters), any(sides.values()))
     if isinstance(data, SdfGrid):
         shape = grid_shape(props, data, to_world, bsdf)
     elif isinstance(data, Curves):
@@ -120,7 +121,7 @@ def _refuse_beside_exact(
         ValueError: with what does.
     """
     found = {
-        "an emitter": shines,
+        "an emitter but 'area'" if props.type in EXACT else "an emitter": shines,
         "a sensor": measures,
         "a medium": encloses,
         "a 'volume' texture": any(
