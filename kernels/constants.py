@@ -60,6 +60,7 @@ PHASE_ISOTROPIC = 0
 PHASE_HG = 1
 PHASE_RAYLEIGH = 2
 PHASE_TABLE = 3
+PHASE_BLEND = 4
 #: Numbers that stand for no medium, and on both sides of a shape for one that bounds none.
 NO_MEDIUM = -1
 NO_INTERFACE = -2

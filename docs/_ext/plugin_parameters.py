@@ -41,6 +41,7 @@ NEEDED: dict[str, dict] = {
     "shapegroup": {"cube": {"type": "cube"}},
     "instance": {"shapegroup": {"type": "shapegroup", "cube": {"type": "cube"}}},
     "gridvolume": {"data": np.ones((2, 2, 2))},
+    "blendphase": {"weight": 0.5, "a": {"type": "hg"}, "b": {"type": "isotropic"}},
     "tabphase": {"values": [0.5, 1.0, 2.0]},
     "sdfgrid": {"grid": np.arange(8.0).reshape(2, 2, 2) - 3.5},
     "linearcurve": {"control_points": np.eye(2, 4)},

@@ -5,8 +5,9 @@ from typing import NamedTuple
 
 import warp as wp
 
-from warp_psdr.kernels.constants import PHASE_HG, PHASE_RAYLEIGH, PHASE_TABLE, TWO_PI
+from warp_psdr.kernels.constants import PHASE_BLEND, PHASE_HG, PHASE_RAYLEIGH, PHASE_TABLE, TWO_PI
 from warp_psdr.kernels.math import any_tangent, to_world
+from warp_psdr.kernels.phase.blendphase import make_blend, make_blend_by_cosine, make_blend_sink
 from warp_psdr.kernels.phase.hg import hg_by_cosine, hg_cosine, hg_eval, hg_slope
 from warp_psdr.kernels.phase.isotropic import isotropic_cosine, isotropic_eval
 from warp_psdr.kernels.phase.rayleigh import rayleigh_by_cosine, rayleigh_cosine, rayleigh_eval
@@ -31,6 +32,9 @@ class PhaseFunctions(NamedTuple):
 @functools.cache
 def make_phase(kinds: tuple[int, ...]) -> PhaseFunctions:
     """Return the functions for the kinds (PHASE_*) of a scene."""
+    if PHASE_BLEND in kinds:
+        inner = make_phase(tuple(kind for kind in kinds if kind != PHASE_BLEND))
+        return PhaseFunctions(*make_blend(inner.eval, inner.sample))
     one = len(kinds) == 1
     forward, rayleigh, table = (kind in kinds for kind in (PHASE_HG, PHASE_RAYLEIGH, PHASE_TABLE))
 
@@ -71,6 +75,8 @@ def make_phase(kinds: tuple[int, ...]) -> PhaseFunctions:
 @functools.cache
 def make_phase_by_cosine(kinds: tuple[int, ...]):
     """Return ``by_cosine(scene, m, mu) -> float32``: the derivative of the value by the cosine of the turn."""
+    if PHASE_BLEND in kinds:
+        return make_blend_by_cosine(make_phase_by_cosine(tuple(kind for kind in kinds if kind != PHASE_BLEND)))
     one = len(kinds) == 1
     forward, rayleigh, table = (kind in kinds for kind in (PHASE_HG, PHASE_RAYLEIGH, PHASE_TABLE))
 
@@ -94,6 +100,9 @@ def make_phase_by_cosine(kinds: tuple[int, ...]):
 @functools.cache
 def make_phase_sink(kinds: tuple[int, ...], role: str):
     """Return ``accumulate_phase(scene, target, m, d, wo, w) -> float32``: ``w`` is the adjoint of the value."""
+    if PHASE_BLEND in kinds:
+        rest = tuple(kind for kind in kinds if kind != PHASE_BLEND)
+        return make_blend_sink(make_phase(rest).eval, make_phase_sink(rest, role), role)
     sink = make_sink(role)
     accumulate_table = make_table_sink(role)
     one = len(kinds) == 1

@@ -179,6 +179,16 @@ def coloured_smoke():
     )
 
 
+def blended():
+    """``two_phases`` with a blend in each cube, of a table and of a lobe, both with air."""
+    parts = two_phases()
+    air, lobe = {"type": "rayleigh"}, {"type": "hg", "g": -0.6}
+    table = parts["table"]["interior"]["phase"]
+    parts["table"]["interior"]["phase"] = {"type": "blendphase", "weight": 0.3, "a": table, "b": air}
+    parts["air"]["interior"]["phase"] = {"type": "blendphase", "weight": 0.8, "a": air, "b": lobe}
+    return parts
+
+
 def two_phases():
     """A cube of air beside one of a medium with a table, under a lamp and a sky."""
     table = {"type": "tabphase", "values": "0.5, 0.1, 0.2, 0.4, 3.0"}

@@ -86,11 +86,21 @@ def table_scene():
     }
 
 
-SCENES |= {"table": table_scene}
+def blend_scene():
+    """``table_scene`` with blends: of a lobe and a table, and of air and a lobe that is never drawn."""
+    scene = table_scene()
+    table, lobe = scene["table"]["interior"]["phase"], {"type": "hg", "g": 0.6}
+    scene["table"]["interior"]["phase"] = {"type": "blendphase", "weight": 0.4, "a": lobe, "b": table}
+    scene["air"]["interior"]["phase"] = {"type": "blendphase", "weight": 0.0, "a": {"type": "rayleigh"}, "b": lobe}
+    return scene
+
+
+SCENES |= {"table": table_scene, "blend": blend_scene}
 SCENES |= {"sunlit": sunlit_scene, "milk": milk_scene, "haze": haze_scene, "ink": ink_scene}
 MILK, FOG, INK, HAZE, THIN = (
     f"{name}medium." for name in ("milk.interior_", "sensor.", "glass.interior_", "haze.interior_", "thin.interior_")
 )
+BLEND = "table.interior_medium.phase_function."
 #: Requested together, so that cases share kernels. Without density the same paths are drawn as in the differences.
 TOGETHER = {
     "sunlit": (HAZE + "*", "floor.bsdf.reflectance.value", "sun.irradiance.value"),
@@ -100,6 +110,7 @@ TOGETHER = {
     ),
     "haze": (HAZE + "*", THIN + "*"),
     "table": ("table.interior_medium.phase_function.values", "air.interior_medium.albedo.value.value"),
+    "blend": (BLEND + "*", "air.interior_medium.phase_function.weight.value.value"),
     "ink": (INK + "albedo*", INK + "phase*", "glass.bsdf.specular_transmittance.value", "sky.radiance.value"),
 }
 CASES = [
@@ -119,6 +130,9 @@ CASES = [
     Case("haze", THIN + "sigma_t.value.value", ones, 0.04, depth=4, spp=4096, slow=True),
     Case("table", "table.interior_medium.phase_function.values", mixed, 0.1, depth=2, spp=256, slow=True),
     Case("table", "air.interior_medium.albedo.value.value", ones, 0.05, depth=4, spp=256, slow=True),
+    Case("blend", BLEND + "weight.value.value", ones, 0.05, depth=2, spp=256, slow=True),
+    Case("blend", BLEND + "phase_0.g", ones, 0.02, depth=2, spp=256, slow=True),
+    Case("blend", BLEND + "phase_1.values", mixed, 0.1, depth=2, spp=256, slow=True),
     Case("ink", INK + "albedo.value.value", ones, 0.02, depth=6, spp=64, slow=True),
     Case("ink", "glass.bsdf.specular_transmittance.value", mixed, 0.02, depth=6, spp=64, slow=True),
     Case("ink", "sky.radiance.value", mixed, 0.1, depth=6, spp=64, slow=True),

@@ -7,8 +7,8 @@ from scipy import stats
 
 from tests.path.helpers import SIGNIFICANCE
 from warp_psdr.kernels import structs
-from warp_psdr.kernels.constants import PHASE_HG, PHASE_RAYLEIGH, PHASE_TABLE
-from warp_psdr.kernels.phase.dispatch import make_phase, make_phase_sink
+from warp_psdr.kernels.constants import PHASE_BLEND, PHASE_HG, PHASE_ISOTROPIC, PHASE_RAYLEIGH, PHASE_TABLE
+from warp_psdr.kernels.phase.dispatch import make_phase, make_phase_by_cosine, make_phase_sink
 from warp_psdr.kernels.phase.hg import hg_slope
 from warp_psdr.scene.super_grid import integrals
 
@@ -154,3 +154,64 @@ def test_derivatives_by_a_table_include_its_integral(kernels):
     high, low = (evaluated(kernels, (TABLE + 0.5 + s * h * v).astype(np.float32), tangent, 1, mu)[0] for s in (1, -1))
     np.testing.assert_allclose(slope, (high - low) / (2.0 * h), atol=2e-4)
     assert np.abs(slope).max() > 0.05
+
+
+@pytest.fixture(scope="module")
+def blended():
+    """Samples, values and derivatives by [g, weight] of a blend of an even phase function and of a lobe."""
+    kinds = (PHASE_ISOTROPIC, PHASE_HG, PHASE_BLEND)
+    phase, accumulate = make_phase(kinds), make_phase_sink(kinds, "forward")
+    by_cosine = make_phase_by_cosine(kinds)
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def run(
+        scene: structs.Scene,
+        tangent: wp.array(dtype=wp.float32),
+        kind: wp.int32,
+        u: wp.array(dtype=wp.vec2),
+        wo: wp.array(dtype=wp.vec3),
+        drawn_out: wp.array(dtype=wp.vec3),
+        value_out: wp.array2d(dtype=wp.float32),
+    ):
+        i = wp.tid()
+        m = structs.Medium()
+        m.phase = kind
+        d = wp.vec3(0.0, 0.0, 1.0)
+        drawn_out[i] = phase.sample(scene, m, d, u[i])
+        value_out[i, 0] = phase.eval(scene, m, d, wo[i])
+        value_out[i, 1] = accumulate(scene, tangent, m, d, wo[i], 1.0)
+        value_out[i, 2] = by_cosine(scene, m, wo[i][2])
+
+    def call(weight, kind=PHASE_BLEND, tangent=(0.0, 1.0), n=1 << 16):
+        record = structs.Texture()
+        record.offset, record.width, record.height, record.first, record.second = 1, PHASE_ISOTROPIC, PHASE_HG, 0, 0
+        scene = structs.Scene()
+        scene.values = wp.array([0.7, weight], dtype=wp.float32)
+        scene.textures = wp.array([record], dtype=structs.Texture)
+        u = wp.array(np.random.default_rng(3).random((n, 2)).astype(np.float32), dtype=wp.vec2)
+        mu = (np.arange(n) + 0.5) / (0.5 * n) - 1.0
+        wo = wp.array(np.stack([np.sqrt(1.0 - mu * mu), 0.0 * mu, mu], axis=1), dtype=wp.vec3)
+        drawn, value = wp.zeros(n, dtype=wp.vec3), wp.zeros((n, 3), dtype=wp.float32)
+        inputs = [scene, wp.array(tangent, dtype=wp.float32), kind, u, wo]
+        wp.launch(run, dim=n, inputs=inputs, outputs=[drawn, value])
+        return drawn.numpy()[:, 2], *value.numpy().astype(np.float64).T
+
+    return call
+
+
+@pytest.mark.parametrize("weight", [0.0, 0.3, 1.0])
+def test_a_blend_has_the_sum_of_both_and_is_drawn_from_it(blended, weight):
+    """At the ends samples and values have the bits of the one that is left; the slope is the difference anywhere."""
+    drawn, value, slope, turned = blended(weight)
+    ends = [blended(weight, kind) for kind in (PHASE_ISOTROPIC, PHASE_HG)]
+    np.testing.assert_allclose(value, (1.0 - weight) * ends[0][1] + weight * ends[1][1], rtol=1e-6)
+    np.testing.assert_allclose(slope, ends[1][1] - ends[0][1], atol=1e-6)
+    if weight in (0.0, 1.0):
+        np.testing.assert_array_equal(drawn, ends[int(weight)][0])
+        np.testing.assert_array_equal(value, ends[int(weight)][1])
+    np.testing.assert_allclose(np.cumsum(turned) * 2.0 / len(value), value - value[0], atol=2e-3 * value.max())
+    share = 2.0 * np.pi * value.reshape(64, -1).mean(axis=1) * (2.0 / 64.0)
+    assert share.sum() == pytest.approx(1.0, abs=1e-4)
+    found, _ = np.histogram(drawn, np.linspace(-1.0, 1.0, 65))
+    assert stats.chisquare(found, share * found.sum() / share.sum()).pvalue > SIGNIFICANCE
+    np.testing.assert_allclose(blended(weight, tangent=(1.0, 0.0))[2], weight * blended(1.0, tangent=(1.0, 0.0))[2])

@@ -9,6 +9,8 @@ import warp_psdr as psdr
 from warp_psdr.scene import describe_dict, describe_string
 
 SKY = {"type": "constant"}
+HG = {"type": "hg"}
+WEIGHTS = {"type": "gridvolume", "data": np.full((2, 2, 2), 0.5)}
 CUBE = {"type": "cube", "bsdf": {"type": "null"}}
 
 
@@ -68,7 +70,7 @@ def test_phase_functions():
         {"type": "scene", "sensor": {"type": "perspective"}, "sky": SKY, "cube": {**CUBE, "interior": table}}
     )
     params, name = psdr.traverse(scene), "cube.interior_medium.phase_function.values"
-    with pytest.raises(ValueError, match=r"where it is 0; write a small value in place of each 0"):
+    with pytest.raises(ValueError, match=r"is 0; write a small value in place of each 0"):
         psdr.plan(scene, names=[name])
     params[name] = np.ones(3)
     params.update()
@@ -95,7 +97,15 @@ def test_numbers_colours_and_volumes():
         ({"albedo": 1.5}, "between 0 and 1"),
         ({"scale": -1.0}, "of at least 0"),
         ({"phase": {"type": "hg", "g": 1.0}}, "between -0.99 and 0.99"),
-        ({"phase": {"type": "sggx"}}, "unsupported phase 'sggx'.*isotropic, hg, rayleigh, tabphase"),
+        ({"phase": {"type": "sggx"}}, "unsupported phase 'sggx'.*isotropic, hg, rayleigh, tabphase, blendphase"),
+        ({"phase": {"type": "blendphase", "a": HG, "b": HG}}, "no 'weight'.*from 0 to 1"),
+        ({"phase": {"type": "blendphase", "weight": 1.5, "a": HG, "b": HG}}, "'weight'.*between 0 and 1|range"),
+        ({"phase": {"type": "blendphase", "weight": 0.5, "a": HG}}, "1 phase functions.*nest two"),
+        ({"phase": {"type": "blendphase", "weight": WEIGHTS, "a": HG, "b": HG}}, "a grid of weights.*give a number"),
+        (
+            {"phase": {"type": "blendphase", "weight": 0.5, "a": HG, "b": {"type": "blendphase"}}},
+            "blendphase inside a blendphase",
+        ),
         ({"phase": {"type": "tabphase"}}, "give from 2 to 4096 numbers"),
         ({"phase": {"type": "tabphase", "values": "1, two"}}, "give from 2 to 4096 numbers"),
         ({"phase": {"type": "tabphase", "values": [1.0]}}, "give from 2 to 4096 numbers"),

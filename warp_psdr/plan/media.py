@@ -25,6 +25,7 @@ PHASE_NAMES = {
     c.PHASE_HG: "hg",
     c.PHASE_RAYLEIGH: "rayleigh",
     c.PHASE_TABLE: "tabphase",
+    c.PHASE_BLEND: "blendphase",
 }
 
 
@@ -112,18 +113,22 @@ def _beside_motion(scene: Scene, config: PathConfig, method: interior.Method, wa
 
 
 def refuse_zeros(scene: Scene, names: list[str]) -> None:
-    """Refuse derivatives by tables of phase functions that hold zeros: no direction is drawn there.
+    """Refuse derivatives by tables of phase functions that hold zeros, and by weights of blends of such tables.
+
+    No direction is drawn where a table is zero.
 
     Raises:
         ValueError: with what to do instead.
     """
     for table in scene.builder.media_followers:
-        if isinstance(table, PhaseTable) and table.parameter in names:
-            values = scene.view(table.parameter).numpy()
-            if not values.all():
+        if not isinstance(table, PhaseTable) or scene.view(table.parameter).numpy().all():
+            continue
+        for name in names:
+            blend = name.removesuffix("weight.value.value")
+            if name == table.parameter or (blend != name and table.parameter.startswith(blend)):
                 raise ValueError(
-                    f"the derivative by {table.parameter} would lack the light that is scattered where it is 0; write "
-                    "a small value in place of each 0"
+                    f"the derivative by {name} would lack the light that is scattered where {table.parameter} is 0; "
+                    "write a small value in place of each 0"
                 )
 
 

@@ -124,9 +124,11 @@ class PhaseDescription:
     """A phase function."""
 
     path: str
-    kind: Literal["isotropic", "hg", "rayleigh", "tabphase"]
+    kind: Literal["isotropic", "hg", "rayleigh", "tabphase", "blendphase"]
     g: float = 0.0  #: hg: mean cosine, more than 0 scatters forward
     values: np.ndarray | None = None  #: tabphase: (N,), at equal distances of the cosine from backwards to forwards
+    weight: float = 0.0  #: blendphase: share of the second one of ``nested``
+    nested: tuple[PhaseDescription, ...] = ()  #: blendphase: two
 
 
 @dataclass(eq=False)

@@ -104,6 +104,8 @@ def _medium(props: Properties) -> MediumDescription:
 
 
 def _phase(props: Properties) -> PhaseDescription:
+    if props.type == "blendphase":
+        return _blend(props)
     found = PhaseDescription(props.path, cast(Literal["isotropic", "hg", "rayleigh", "tabphase"], props.type))
     if props.type == "hg":
         found.g = props.number("g", _G, minimum=-MOST_G, maximum=MOST_G)
@@ -111,6 +113,30 @@ def _phase(props: Properties) -> PhaseDescription:
         found.values = _table(props)
     props.finish()
     return found
+
+
+def _blend(props: Properties) -> PhaseDescription:
+    """Take two phase functions and the share of the second."""
+    if not props.has("weight"):
+        raise error(props.where, "there is no 'weight'", "give the share of the second phase function, from 0 to 1")
+    share, place = props.node["weight"], props.place("weight")
+    if isinstance(share, dict) and props.context.resolve(share, place)[0].get("type") == "gridvolume":
+        raise error(place, "a grid of weights", "give a number; two media may have different ones")
+    weight = volume(props, "weight", 0.5, 1.0, grids=False)
+    if weight.value.size != 1:
+        raise error(place, f"got the colour {weight.value.tolist()}", "'weight' is one number")
+    nested = props.children("phase", limit=2)
+    for _key, node, where in nested:
+        if node.get("type") == "blendphase":
+            raise error(where, "a blendphase inside a blendphase", "blend two of isotropic, hg, rayleigh and tabphase")
+    if len(nested) != 2:
+        raise error(props.where, f"{len(nested)} phase functions in a 'blendphase'", "nest two")
+    inner = [
+        _phase(Properties(node, where, f"{props.path}.phase_{i}", props.context))
+        for i, (_key, node, where) in enumerate(nested)
+    ]
+    props.finish()
+    return PhaseDescription(props.path, "blendphase", weight=float(weight.value[0]), nested=tuple(inner))
 
 
 def _table(props: Properties) -> np.ndarray:

@@ -18,13 +18,14 @@ from .origin import moved
 from .super_grid import Follower, PhaseTable, SuperGrid, integrals, super_grid
 
 if TYPE_CHECKING:
-    from .description import MediumDescription, VolumeDescription
+    from .description import MediumDescription, PhaseDescription, VolumeDescription
 
 PHASES = {
     "isotropic": c.PHASE_ISOTROPIC,
     "hg": c.PHASE_HG,
     "rayleigh": c.PHASE_RAYLEIGH,
     "tabphase": c.PHASE_TABLE,
+    "blendphase": c.PHASE_BLEND,
 }
 
 
@@ -52,6 +53,7 @@ class MediaRecords:
         self._texture_ranges = texture_ranges
         self._origin = origin
         self._numbers: dict[int, int] = {}
+        self._phases: set[int] = set()  # PHASE_* that occur, those in blends included
 
     def number(self, m: MediumDescription | None) -> int:
         """Return the number of a medium's record; shared descriptions share it."""
@@ -67,7 +69,7 @@ class MediaRecords:
         """What the media need compiled; None: there are none."""
         if not self.records:
             return None
-        phases = tuple(sorted({m.phase for m in self.records}))
+        phases = tuple(sorted(self._phases))
         grids = [self._textures[m.sigma_t] for m in self.records if m.sigma_t_channels == GRID]
         chromatic = any(m.sigma_t_channels == 3 for m in self.records) or any(g.channels == 3 for g in grids)
         return MediaConfig(phases, chromatic, bool(grids))
@@ -83,13 +85,32 @@ class MediaRecords:
             setattr(record, kind, place)
             setattr(record, f"{kind}_channels", channels)
         record.scale = add(f"{m.path}.scale", np.array([m.scale]), MEDIUM + SCALE, bounds=(0.0, np.inf))
-        record.phase = PHASES[m.phase.kind]
-        if m.phase.kind == "hg":
-            bounds = (-MOST_G, MOST_G)
-            record.g = add(f"{m.phase.path}.g", np.array([m.phase.g]), MEDIUM + PHASE, bounds=bounds)
-        if m.phase.values is not None:
-            record.g = self._table(f"{m.phase.path}.values", m.phase.values)
+        record.phase, record.g = self._phase(m.phase)
         return record
+
+    def _phase(self, p: PhaseDescription) -> tuple[int, int]:
+        """Return the kind of a phase function (PHASE_*), and where its values are (``Medium.g``)."""
+        kind, place = PHASES[p.kind], 0
+        self._phases.add(kind)
+        if p.kind == "hg":
+            bounds = (-MOST_G, MOST_G)
+            place = self._layout.add(f"{p.path}.g", np.array([p.g]), MEDIUM + PHASE, bounds=bounds)
+        if p.values is not None:
+            place = self._table(f"{p.path}.values", p.values)
+        if p.nested:
+            place = self._blend(p)
+        return kind, place
+
+    def _blend(self, p: PhaseDescription) -> int:
+        """Return the number of the record of a blend: its weight, kinds and places of both phase functions."""
+        record, weight = Texture(), np.array([p.weight])
+        record.kind = c.TEXTURE_GRID
+        record.offset = self._layout.add(f"{p.path}.weight.value.value", weight, MEDIUM + PHASE, bounds=(0.0, 1.0))
+        (record.width, record.first), (record.height, record.second) = (self._phase(inner) for inner in p.nested)
+        record.channels = 1
+        self._textures.append(record)
+        self._texture_ranges.append((record.offset, 1))
+        return len(self._textures) - 1
 
     def _table(self, name: str, values: np.ndarray) -> int:
         """Return the number of the record of a table of a phase function."""

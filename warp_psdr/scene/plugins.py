@@ -36,7 +36,7 @@ PLUGINS: dict[str, tuple[str, ...]] = {
     "rfilter": ("box", "tent", "gaussian"),
     "sampler": ("independent", "sobol", "multijitter", "stratified", "orthogonal", "ldsampler"),
     "medium": ("homogeneous", "heterogeneous"),
-    "phase": ("isotropic", "hg", "rayleigh", "tabphase"),
+    "phase": ("isotropic", "hg", "rayleigh", "tabphase", "blendphase"),
     "volume": ("constvolume", "gridvolume"),
     "integrator": (
         *("path", "direct", "prb", "prb_basic", "prb_projective", "direct_projective", "ptracer"),
