@@ -110,6 +110,17 @@ def test_torch_wall_color(example, tmp_path: Path) -> None:
     assert contrast(tmp_path / "torch_wall_color.png") > 0.1
 
 
+@pytest.mark.slow
+def test_material_and_sky_are_recovered(example, tmp_path: Path) -> None:
+    module = example("recover_material")
+    module.PHOTO_SPP = 64
+    report = module.main(tmp_path, resolution=16, steps=64, spp=4)
+    start, found = (report[f"psnr of the kept views{at}, dB"] for at in (" at the start", ""))
+    assert min(np.subtract(found, start)) > 4.0
+    for name in ("result", "textures", "loss"):
+        assert contrast(tmp_path / f"{name}.png") > 0.05
+
+
 def test_a_baked_texture_shows_the_surface(example) -> None:
     module = example("bunny_data")
     texture = module.bake(SQUARE, SQUARE_UVS, SQUARE_FACES, 8, lambda points: points)
