@@ -12,7 +12,7 @@ import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.camera_rays import make_camera_paths
-from warp_psdr.kernels.constants import EMITTER_AREA, EMITTER_CONSTANT, EMITTER_ENVMAP, LOBE_SMOOTH, PRIMITIVE_SDFGRID
+from warp_psdr.kernels.constants import EMITTER_AREA, EMITTER_CONSTANT, EMITTER_ENVMAP, LOBE_SMOOTH
 from warp_psdr.kernels.emitter.area import make_light_uv
 from warp_psdr.kernels.emitter.dispatch import make_lights
 from warp_psdr.kernels.interaction import enter_frame, make_interaction
@@ -31,7 +31,7 @@ from warp_psdr.kernels.interior.transmittance import make_transmittance_sink
 from warp_psdr.kernels.interior.velocities import axis_vec3, make_material_jvp, make_pair, make_texture_jvp
 from warp_psdr.kernels.invalid import count_invalid, finite
 from warp_psdr.kernels.jobs import PixelJob, pixel_of
-from warp_psdr.kernels.primitive.dispatch import is_grid, make_position
+from warp_psdr.kernels.primitive.dispatch import SLIDING, make_position, slides_on
 from warp_psdr.kernels.primitive.velocity import make_velocity
 from warp_psdr.kernels.rng import sampler_at
 from warp_psdr.kernels.sensor.camera import CameraSample, make_camera_ray, make_camera_sink
@@ -63,7 +63,7 @@ def make_forward_kernel(config: PathConfig, wanted: GradientRequest):
     vertex_jvp = make_velocity(config.smooth, config.flat, config.uv, config.tangent, config.primitives)
     position, cross_of = make_position(config.primitives)
     light_uv = make_light_uv(config.shining)
-    has_grids = PRIMITIVE_SDFGRID in config.primitives
+    has_sliding = bool(set(SLIDING) & set(config.primitives))
     material_jvp = make_material_jvp(config, wanted)
     glossy, still = interaction.bsdf.glossy, make_tilts(config).still
     pair = make_pair(config.bsdfs)
@@ -243,8 +243,8 @@ def make_forward_kernel(config: PathConfig, wanted: GradientRequest):
                         y = position(tri, following.u, following.v)
                         r = y - following.o
                         slides = wp.bool(False)
-                        if wp.static(has_grids):
-                            slides = is_grid(tri)
+                        if wp.static(has_sliding):
+                            slides = slides_on(tri)
                         start = VertexTangent()
                         if slides:
                             # The ray that finds it starts where x_n is tied to its surface (form S).
@@ -257,10 +257,12 @@ def make_forward_kernel(config: PathConfig, wanted: GradientRequest):
                         )  # fmt: skip
                         r_dot = after.vertex.x - moving.vertex.x
                         cross = cross_of(tri, following.u, following.v)
-                        if wp.static(has_grids):
+                        if wp.static(has_sliding):
                             if slides:
                                 r_dot = start.x - moving.vertex.x
-                                cross = interaction.surface(scene, following.face, following.u, following.v).ng
+                                found_on = interaction.surface(scene, following.face, following.u, following.v)
+                                r = found_on.x - following.o
+                                cross = found_on.ng
                         wo_world_dot = normalize_jvp(vertex.wo, wp.length(r), r_dot)
                         beta_dot = log_geometry_jvp(cross, r, after.vertex.c, r_dot, after.chi) * vertex.beta
                 if wp.static(scatters):

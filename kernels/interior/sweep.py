@@ -5,7 +5,7 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
-from warp_psdr.kernels.constants import LOBE_NONE, LOBE_SMOOTH, PRIMITIVE_SDFGRID
+from warp_psdr.kernels.constants import LOBE_NONE, LOBE_SMOOTH
 from warp_psdr.kernels.emitter.dispatch import make_lights
 from warp_psdr.kernels.interaction import enter_frame, make_interaction
 from warp_psdr.kernels.interior.contact import make_contact_weights
@@ -14,7 +14,7 @@ from warp_psdr.kernels.interior.gradient_request import GradientRequest
 from warp_psdr.kernels.interior.pullback import connection_vjp, make_frame_vjp
 from warp_psdr.kernels.interior.tilts import make_tilts
 from warp_psdr.kernels.interior.transmittance import make_transmittance_sink
-from warp_psdr.kernels.primitive.dispatch import is_grid, make_adjoint_sink, make_position
+from warp_psdr.kernels.primitive.dispatch import SLIDING, make_adjoint_sink, make_position, slides_on
 from warp_psdr.kernels.sensor.camera import CameraSample, make_camera_sink
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.surface import VertexAdjoint, normalize_vjp
@@ -63,7 +63,7 @@ def make_sweep(config: PathConfig, wanted: GradientRequest, role: str, direct: b
         role, config.smooth, config.flat, config.uv, config.tangent, wanted.texcoords, True, config.primitives
     )
     position, cross_of = make_position(config.primitives)
-    has_grids = PRIMITIVE_SDFGRID in config.primitives
+    has_sliding = bool(set(SLIDING) & set(config.primitives))
     accumulate_camera = make_camera_sink(role, config.camera) if wanted.camera else None
     emission = bool(config.area) and (wanted.radiance or wanted.to_uv or wanted.geometry)
     accumulate_emission = (
@@ -213,10 +213,12 @@ def make_sweep(config: PathConfig, wanted: GradientRequest, role: str, direct: b
                                 y = position(tri, carry.u, carry.v)
                                 value = wp.dot(wp.cw_mul(a_n, vertex.beta), carry.radiance)
                                 cross = cross_of(tri, carry.u, carry.v)
-                                if wp.static(has_grids):
-                                    slides = is_grid(tri)
+                                if wp.static(has_sliding):
+                                    slides = slides_on(tri)
                                     if slides:
-                                        cross = interaction.surface(scene, carry.face, carry.u, carry.v).ng
+                                        found_on = interaction.surface(scene, carry.face, carry.u, carry.v)
+                                        y = found_on.x
+                                        cross = found_on.ng
                                 link = connection_vjp(carry.o, y, cross, vertex.wo, turned.wo, value, carry.chi)
                                 adjoint.x += link.x
                                 tied = link.x
@@ -224,7 +226,7 @@ def make_sweep(config: PathConfig, wanted: GradientRequest, role: str, direct: b
                                     carry.adjoint.x = carry.adjoint.x - link.x
                                     carry.adjoint.c = carry.adjoint.c + link.c
                             carry.dot = wp.float32(0.0)
-                            if wp.static(has_grids):
+                            if wp.static(has_sliding):
                                 if slides:
                                     # The ray that finds it starts where x_n is tied to its surface (form S).
                                     adjoint.x += carry.a_x

@@ -25,6 +25,13 @@ from warp_psdr.kernels.structs import Scene, Triangle
 from warp_psdr.kernels.surface import Surface
 
 
+@wp.func
+def held_on(u: wp.float32, v: wp.float32) -> tuple[wp.int32, wp.float32]:
+    """The segment that two numbers hold, and the place along it, that of spheres at its ends included."""
+    held = unpack(u, v)
+    return wp.int32(held[2] * wp.static(float(MOST_SEGMENTS))), held[0]
+
+
 @functools.cache
 def make_curve_surface(cubic: bool, tangent: bool):
     """Return ``surface_of(scene, tri, u, v) -> Surface``; ``tangent``: along the circles, dp/du."""

@@ -2,8 +2,8 @@
 
 A number of a face that is at least the number of triangles names such a shape. Each function takes the one for
 triangles, and is that one where a scene holds no such shape, so nothing is compiled. Affine shapes are in ``kinds.py``.
-Grids (``sdfgrid.py``) are the other kind: vertices on them slide along the rays that found them. Curves
-(``curves.py``) rest: no vertex on one has a velocity or sends on an adjoint.
+Grids (``sdfgrid.py``) and curves (``curves.py``) are the other kinds: vertices on them slide along the rays that found
+them.
 """
 
 import functools
@@ -21,6 +21,7 @@ from warp_psdr.kernels.primitive.affine import (
     to_axes,
 )
 from warp_psdr.kernels.primitive.curves import make_curve_hit
+from warp_psdr.kernels.primitive.curves_adjoint import make_curve_sink
 from warp_psdr.kernels.primitive.curves_surface import make_curve_surface
 from warp_psdr.kernels.primitive.kinds import (
     affine_kinds,
@@ -46,8 +47,9 @@ from warp_psdr.kernels.surface import (
     uv_partials,
 )
 
-#: Kinds of curves.
+#: Kinds of curves, and all kinds whose vertices slide along rays.
 CURVES = (PRIMITIVE_LINEARCURVE, PRIMITIVE_BSPLINECURVE)
+SLIDING = (PRIMITIVE_SDFGRID, *CURVES)
 
 
 @wp.func
@@ -69,9 +71,9 @@ def is_bspline(tri: Triangle) -> wp.bool:
 
 
 @wp.func
-def is_curve(tri: Triangle) -> wp.bool:
-    """Whether the record of a shape without triangles is that of curves."""
-    return is_linear(tri) or is_bspline(tri)
+def slides_on(tri: Triangle) -> wp.bool:
+    """Whether vertices on what a record is of slide along the rays that found them (form S)."""
+    return is_grid(tri) or is_linear(tri) or is_bspline(tri)
 
 
 @functools.cache
@@ -172,12 +174,12 @@ def make_surface_at(smooth: bool, flat: bool, uv: bool, tangent: bool, primitive
 def make_partials(primitives: tuple[int, ...]):
     """Return ``partials(scene, tri, u, v) -> (dp/du, dp/dv)``; 0 on grids and curves, which bear no bumps."""
     of_affine = make_kinds_surface(affine_kinds(primitives), True, True)[1]
-    has_resting = bool({PRIMITIVE_SDFGRID, *CURVES} & set(primitives))
+    has_sliding = bool(set(SLIDING) & set(primitives))
 
     @wp.func
     def partials_of_any(scene: Scene, tri: Triangle, u: wp.float32, v: wp.float32) -> tuple[wp.vec3, wp.vec3]:
-        if wp.static(has_resting):
-            if is_grid(tri) or is_curve(tri):
+        if wp.static(has_sliding):
+            if slides_on(tri):
                 return wp.vec3(0.0, 0.0, 0.0), wp.vec3(0.0, 0.0, 0.0)
         if wp.static(of_affine is not None):
             if is_primitive(tri):
@@ -278,6 +280,8 @@ def make_adjoint_sink(
         return of_triangle
     of_affine = make_kinds_sink(affine_kinds(primitives), role, uv or tangent, tangent, rays)
     of_grid = make_sdfgrid_sink(role) if PRIMITIVE_SDFGRID in primitives else None
+    of_linear = make_curve_sink(role, False, uv, tangent) if PRIMITIVE_LINEARCURVE in primitives else None
+    of_bspline = make_curve_sink(role, True, uv, tangent) if PRIMITIVE_BSPLINECURVE in primitives else None
 
     @wp.func
     def accumulate_any(
@@ -294,13 +298,17 @@ def make_adjoint_sink(
         _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
         if is_primitive_at(scene, face):
             tri = triangle_at(scene, face)
+            if wp.static(of_linear is not None):
+                if is_linear(tri):
+                    return of_linear(scene, target, tri, u, v, adjoint, by_ray, o, d)
+            if wp.static(of_bspline is not None):
+                if is_bspline(tri):
+                    return of_bspline(scene, target, tri, u, v, adjoint, by_ray, o, d)
             if wp.static(of_grid is not None):
                 if wp.static(of_affine is None) or is_grid(tri):
                     return of_grid(scene, target, tri, u, v, adjoint, by_ray, o, d)
             if wp.static(of_affine is not None):
-                if not is_curve(tri):
-                    return of_affine(target, tri, u, v, adjoint, by_ray, o, d)
-            return RayAdjoint()
+                return of_affine(target, tri, u, v, adjoint, by_ray, o, d)
         return of_triangle(scene, target, face, u, v, adjoint, by_ray, o, d)
 
     return accumulate_any

@@ -5,7 +5,7 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
-from warp_psdr.kernels.constants import PRIMITIVE_SDFGRID
+from warp_psdr.kernels.constants import PRIMITIVE_BSPLINECURVE, PRIMITIVE_LINEARCURVE, PRIMITIVE_SDFGRID
 from warp_psdr.kernels.interior.tangents import VertexTangent, make_vertex_jvp, normalize_jvp
 from warp_psdr.kernels.primitive.affine import (
     Kind,
@@ -15,8 +15,13 @@ from warp_psdr.kernels.primitive.affine import (
     primitive_record,
     to_axes,
 )
+<<<<<<< HEAD
 from warp_psdr.kernels.primitive.dispatch import is_grid
 from warp_psdr.kernels.primitive.kinds import KINDS, affine_kinds, join
+=======
+from warp_psdr.kernels.primitive.curves_adjoint import make_curve_sink
+from warp_psdr.kernels.primitive.dispatch import affine_kind, is_bspline, is_grid, is_linear
+>>>>>>> bd39d77 (interior: derivatives of curves, by their control points, radii and pose (form S))
 from warp_psdr.kernels.primitive.sdfgrid_adjoint import make_sdfgrid_sink
 from warp_psdr.kernels.reading import triangle_at
 from warp_psdr.kernels.structs import Scene, Triangle
@@ -95,16 +100,20 @@ def _either_jvp(word: int, f: wp.Function, rest: wp.Function) -> wp.Function:
 
 
 @functools.cache
-def make_sdfgrid_jvp():
-    """Return ``sdfgrid_jvp(scene, tangents, tri, u, v, by_ray, o, d, o_dot, d_dot) -> VertexTangent``.
+def make_sliding_jvp(accumulate: wp.Function, uv: bool, tangent: bool):
+    """Return ``sliding_jvp(scene, tangents, tri, u, v, by_ray, o, d, o_dot, d_dot) -> VertexTangent``.
 
-    Component by component, by the sink in its forward role. The normal that carries the area element has no velocity:
-    form S has no need of one.
+    Component by component, by the sink of a kind in its forward role. The normal that carries the area element has no
+    velocity: form S has no need of one.
+
+    Args:
+        accumulate: the sink.
+        uv: texture coordinates are read.
+        tangent: dp/du is read.
     """
-    accumulate = make_sdfgrid_sink("forward")
 
     @wp.func
-    def sdfgrid_jvp(
+    def sliding_jvp(
         scene: Scene,
         tangents: wp.array(dtype=wp.float32),
         tri: Triangle,
@@ -130,10 +139,21 @@ def make_sdfgrid_jvp():
             an = accumulate(scene, tangents, tri, u, v, of_n, by_ray, o, d)
             result.x[axis] = ax.dot + wp.dot(ax.o, o_dot) + wp.dot(ax.d, d_dot)
             result.n[axis] = an.dot + wp.dot(an.o, o_dot) + wp.dot(an.d, d_dot)
+            if wp.static(tangent):
+                of_t = VertexAdjoint()
+                of_t.tangent = e
+                at = accumulate(scene, tangents, tri, u, v, of_t, by_ray, o, d)
+                result.tangent[axis] = at.dot + wp.dot(at.o, o_dot) + wp.dot(at.d, d_dot)
+            if wp.static(uv):
+                if axis < 2:
+                    of_uv = VertexAdjoint()
+                    of_uv.uv = wp.vec2(e[0], e[1])
+                    auv = accumulate(scene, tangents, tri, u, v, of_uv, by_ray, o, d)
+                    result.uv[axis] = auv.dot + wp.dot(auv.o, o_dot) + wp.dot(auv.d, d_dot)
             axis += 1
         return result
 
-    return sdfgrid_jvp
+    return sliding_jvp
 
 
 @functools.cache
@@ -142,9 +162,21 @@ def make_velocity(smooth: bool, flat: bool, uv: bool, tangent: bool, primitives:
     of_triangle = make_vertex_jvp(smooth, flat, uv, tangent)
     if not primitives:
         return of_triangle
+<<<<<<< HEAD
     kinds = affine_kinds(primitives)
     of_affine = join(_either_jvp, {kind: make_affine_jvp(KINDS[kind], uv or tangent, tangent) for kind in kinds})
     of_grid = make_sdfgrid_jvp() if PRIMITIVE_SDFGRID in primitives else None
+=======
+    affine = affine_kind(primitives)
+    of_affine = make_affine_jvp(affine, uv or tangent, tangent) if affine else None
+    of_grid, of_linear, of_bspline = None, None, None
+    if PRIMITIVE_SDFGRID in primitives:
+        of_grid = make_sliding_jvp(make_sdfgrid_sink("forward"), False, False)
+    if PRIMITIVE_LINEARCURVE in primitives:
+        of_linear = make_sliding_jvp(make_curve_sink("forward", False, uv, tangent), uv, tangent)
+    if PRIMITIVE_BSPLINECURVE in primitives:
+        of_bspline = make_sliding_jvp(make_curve_sink("forward", True, uv, tangent), uv, tangent)
+>>>>>>> bd39d77 (interior: derivatives of curves, by their control points, radii and pose (form S))
 
     @wp.func
     def velocity_of_any(
@@ -162,6 +194,12 @@ def make_velocity(smooth: bool, flat: bool, uv: bool, tangent: bool, primitives:
         _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
         if is_primitive_at(scene, face):
             tri = triangle_at(scene, face)
+            if wp.static(of_linear is not None):
+                if is_linear(tri):
+                    return of_linear(scene, tangents, tri, u, v, by_ray, o, d, o_dot, d_dot)
+            if wp.static(of_bspline is not None):
+                if is_bspline(tri):
+                    return of_bspline(scene, tangents, tri, u, v, by_ray, o, d, o_dot, d_dot)
             if wp.static(of_grid is not None):
                 if wp.static(of_affine is None) or is_grid(tri):
                     return of_grid(scene, tangents, tri, u, v, by_ray, o, d, o_dot, d_dot)

@@ -125,19 +125,12 @@ def _beside_resting(
     reason = _of_method(integrator.interior, wanted)
     if reason:
         return reason
-    curves = next((scene.description.shapes[i] for i in scene.builder.curves), None)
-    if curves is not None and wanted is not None and (wanted.geometry or moving):
-        what = moving[0] if moving else f"{', '.join(names)} move what paths meet"
-        return (
-            f"{what}, whose derivatives are not estimated beside {curves.path!r}, with boundary=None neither; request "
-            "what moves nothing (materials, radiances)"
-        )
     if wanted is not None and wanted.geometry and not isinstance(integrator.interior, interior.Replay):
         what = type(integrator.interior).__name__
         return f"interior.{what}() does not follow what slides along rays; use interior.Replay()"
     if moving and integrator.boundary is not None:
         return (
-            f"{moving[0]}, at the silhouettes of grids as well, where derivatives are not estimated; "
+            f"{moving[0]}, at the silhouettes of grids and curves as well, where derivatives are not estimated; "
             "say PathIntegrator(boundary=None) to get the interior term alone"
         )
     return ""
