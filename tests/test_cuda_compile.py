@@ -14,15 +14,50 @@ import pytest
 import warp as wp
 
 import warp_psdr.kernels
-from tests.config_helpers import EVERYTHING, LIGHTS, OTHERS, SIMPLE, TEXTURES, everything, joined, materials, wanted
+from tests.config_helpers import EVERYTHING, OTHERS, SIMPLE, everything, wanted
+from tests.cuda_configs import (
+    ALBEDO,
+    ALL_LIGHTS,
+    CONNECTED,
+    CONNECTED_LIGHTS,
+    CONNECTED_THROUGH,
+    CURVES,
+    DISTANCES,
+    EMISSION,
+    EXACT,
+    EXACT_LIGHTS,
+    GEOMETRY,
+    GLOSSY,
+    GRIDS,
+    IRRADIANCE,
+    JOINED,
+    JOINED_LIGHTS,
+    JOINED_THROUGH,
+    MAPPED,
+    MATERIALS,
+    MEDIA,
+    MIRROR_LIGHTS,
+    MIRRORS,
+    MIRRORS_LENS,
+    MIRRORS_PARALLEL,
+    NOTED,
+    NOTED_MATERIALS,
+    ORTHOGRAPHIC,
+    ORTHOGRAPHIC_SMOOTH,
+    SPLAT,
+    SPLAT_GAUSSIAN,
+    TEXTURED,
+    THIN_LENS,
+    THIN_LENS_SMOOTH,
+    THROUGH,
+)
 from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.boundary.guiding.projective import BLOCKED_LIGHT, SCATTERED
-from warp_psdr.kernels.bsdf.dispatch import VARIANTS
 from warp_psdr.kernels.bsdf.motion import MOVED_BY
 from warp_psdr.kernels.interior.gradient_request import GradientRequest
 from warp_psdr.kernels.interior.shape_parameters import branched_values
 from warp_psdr.kernels.loss import relative_squared
-from warp_psdr.kernels.vertex import MediaConfig, PathConfig
+from warp_psdr.kernels.vertex import PathConfig
 
 #: Compute capability 9.0.
 ARCHITECTURE = 90
@@ -38,93 +73,6 @@ MADE_BY = {
     "interior.radiative.make_radiative_kernel": "interior.path_order.make_path_order_kernel",
     "interior.textbook.make_textbook_kernel": "interior.path_order.make_path_order_kernel",
 }
-
-
-EMISSION = PathConfig(**{**vars(SIMPLE), "scatter": False, "material": ()})
-SPLAT = PathConfig(**{**vars(SIMPLE), "filter": c.RFILTER_TENT})
-SPLAT_GAUSSIAN = PathConfig(**{**vars(SIMPLE), "filter": c.RFILTER_GAUSSIAN})
-# The compiler needs over ten minutes for the derivatives of EVERYTHING at once; in these thirds, seconds each.
-MATERIALS = PathConfig(
-    **{
-        **vars(SIMPLE),
-        **materials(*VARIANTS),
-        "two_sided": True,
-        "smooth": True,
-        "tangent": True,
-    }
-)
-TEXTURED = PathConfig(
-    **{
-        **vars(SIMPLE),
-        **materials("diffuse", kinds=TEXTURES),
-        "area": TEXTURES,
-        "uv": True,
-        "smooth": True,
-        "flat": False,
-        "hide_emitters": True,
-        "hidden": True,
-    }
-)
-ALL_LIGHTS = PathConfig(**{**vars(SIMPLE), "lights": LIGHTS, "one_light": False, "filter": c.RFILTER_GAUSSIAN})
-ORTHOGRAPHIC = PathConfig(**{**vars(SIMPLE), "camera": c.CAMERA_ORTHOGRAPHIC})
-IRRADIANCE = PathConfig(**{**vars(SIMPLE), "camera": c.CAMERA_IRRADIANCEMETER})
-THIN_LENS = PathConfig(**{**vars(SIMPLE), "camera": c.CAMERA_THINLENS})
-THIN_LENS_SMOOTH = PathConfig(**{**vars(THIN_LENS), "smooth": True})
-ORTHOGRAPHIC_SMOOTH = PathConfig(**{**vars(ORTHOGRAPHIC), "smooth": True})
-GLOSSY = PathConfig(**{**vars(MATERIALS), **materials("diffuse", "roughconductor (ggx)", "roughconductor (beckmann)")})
-MIRROR_LIGHTS = PathConfig(
-    **{
-        **vars(SIMPLE),
-        **materials("diffuse", "conductor"),
-        "lights": LIGHTS,
-        "one_light": False,
-    }
-)
-#: Shapes without triangles beside those with.
-KINDS = (c.PRIMITIVE_SPHERE, c.PRIMITIVE_DISK, c.PRIMITIVE_CYLINDER)
-EXACT = PathConfig(**{**vars(SIMPLE), "uv": True, "tangent": True, "primitives": KINDS, "shining": KINDS})
-EXACT_LIGHTS = PathConfig(**{**vars(ALL_LIGHTS), "primitives": (c.PRIMITIVE_SPHERE,)})
-DISTANCES = PathConfig(**{**vars(SIMPLE), "tangent": True, "primitives": (c.PRIMITIVE_SPHERE, c.PRIMITIVE_SDFGRID)})
-CURVES = PathConfig(
-    **{**vars(SIMPLE), "tangent": True, "primitives": (c.PRIMITIVE_LINEARCURVE, c.PRIMITIVE_BSPLINECURVE)}
-)
-MIRRORS = PathConfig(**{**vars(SIMPLE), **materials("conductor", "dielectric")})
-MIRRORS_PARALLEL = PathConfig(**{**vars(MIRRORS), "camera": c.CAMERA_ORTHOGRAPHIC})
-MIRRORS_LENS = PathConfig(**{**vars(MIRRORS), "camera": c.CAMERA_THINLENS})
-#: Light passes masks and thin glass.
-THROUGH = PathConfig(
-    **{
-        **vars(SIMPLE),
-        **materials("diffuse", "thindielectric", "mask(plastic) (explored)"),
-        "lights": (c.EMITTER_CONSTANT, c.EMITTER_POINT),
-        "one_light": False,
-        "through": True,
-    }
-)
-#: Bidirectional paths, joined to the camera alone, and to its paths.
-LIT_GLASS = PathConfig(**{**vars(ALL_LIGHTS), **materials("diffuse", "dielectric")})
-JOINED, JOINED_LIGHTS, JOINED_THROUGH = joined("light", SIMPLE, LIT_GLASS, THROUGH)
-CONNECTED, CONNECTED_LIGHTS, CONNECTED_THROUGH = joined("all", SIMPLE, LIT_GLASS, THROUGH)
-#: Media behind surfaces that are not there.
-MEDIA = PathConfig(
-    **{
-        **vars(THROUGH),
-        **materials("diffuse", "null"),
-        "media": MediaConfig((c.PHASE_ISOTROPIC, c.PHASE_HG), True),
-    }
-)
-#: The same with grids.
-GRIDS = PathConfig(
-    **{
-        **vars(MEDIA),
-        "media": MediaConfig((c.PHASE_ISOTROPIC, c.PHASE_HG, c.PHASE_RAYLEIGH, c.PHASE_TABLE), True, True),
-    }
-)
-#: What is traced again for ``psdr.trace_sample``.
-NOTED = PathConfig(**{**vars(SIMPLE), "noted": True})
-NOTED_MATERIALS = PathConfig(**{**vars(MATERIALS), "noted": True})
-ALBEDO = wanted(SIMPLE, "reflectance")
-GEOMETRY = wanted(SIMPLE, "reflectance", shapes=True)
 
 
 def moving_camera(config):
@@ -154,7 +102,6 @@ def still(config):
 
 
 #: Rough metal, and paint with a mirror's reflection, under an area light.
-GLOSSY = PathConfig(**{**vars(SIMPLE), **materials("roughconductor (ggx)", "blendbsdf(diffuse, conductor)")})
 
 
 def roughness_of(config):
@@ -165,9 +112,6 @@ def roughness_of(config):
 def shapes_of(config):
     """The material values that are branched."""
     return GradientRequest(material=branched_values(config, everything(config)))
-
-
-MAPPED = PathConfig(**{**vars(SIMPLE), **materials("normalmap(roughconductor (ggx))"), "tangent": True})
 
 
 def media(config):

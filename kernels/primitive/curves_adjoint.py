@@ -151,7 +151,7 @@ class Pull:
 
 
 @wp.struct
-class Segment:
+class CurveSegment:
     """The control points of a segment in the world, and a place along it."""
 
     p0: wp.vec4
@@ -168,7 +168,7 @@ def make_pull(cubic: bool):
     """Return ``pull(s, x, a_phi, a_n, a_uv, a_tangent) -> Pull``, what v turns with included."""
 
     @wp.func
-    def pull(s: Segment, x: wp.vec3, a_phi: wp.float32, a_n: wp.vec3, a_uv: wp.vec2, a_tangent: wp.vec3) -> Pull:
+    def pull(s: CurveSegment, x: wp.vec3, a_phi: wp.float32, a_n: wp.vec3, a_uv: wp.vec2, a_tangent: wp.vec3) -> Pull:
         r = Pull()
         if wp.static(cubic):
             gx, gv, g0, g1, g2, g3, _a, _b, _c, _d = wp.grad(tube_dot)(
@@ -195,11 +195,11 @@ def make_pull(cubic: bool):
 
 @functools.cache
 def make_segment(cubic: bool):
-    """Return ``segment_at(scene, g, u, v) -> Segment``: what the two numbers of a vertex hold."""
+    """Return ``segment_at(scene, g, u, v) -> CurveSegment``: what the two numbers of a vertex hold."""
 
     @wp.func
-    def segment_at(scene: Scene, g: Curves, u: wp.float32, v: wp.float32) -> Segment:
-        s = Segment()
+    def segment_at(scene: Scene, g: Curves, u: wp.float32, v: wp.float32) -> CurveSegment:
+        s = CurveSegment()
         zero = wp.vec3(0.0, 0.0, 0.0)
         number, along = held_on(u, v)
         s.first = first_point(scene, g, number)
@@ -243,7 +243,7 @@ def make_points_sink(role: str, cubic: bool):
 
     @wp.func
     def accumulate_points(
-        scene: Scene, target: wp.array(dtype=wp.float32), tri: Triangle, s: Segment, r: Pull
+        scene: Scene, target: wp.array(dtype=wp.float32), tri: Triangle, s: CurveSegment, r: Pull
     ) -> wp.float32:
         total = wp.float32(0.0)
         k = wp.int32(0)

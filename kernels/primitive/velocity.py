@@ -15,13 +15,9 @@ from warp_psdr.kernels.primitive.affine import (
     primitive_record,
     to_axes,
 )
-<<<<<<< HEAD
-from warp_psdr.kernels.primitive.dispatch import is_grid
-from warp_psdr.kernels.primitive.kinds import KINDS, affine_kinds, join
-=======
 from warp_psdr.kernels.primitive.curves_adjoint import make_curve_sink
-from warp_psdr.kernels.primitive.dispatch import affine_kind, is_bspline, is_grid, is_linear
->>>>>>> bd39d77 (interior: derivatives of curves, by their control points, radii and pose (form S))
+from warp_psdr.kernels.primitive.dispatch import is_bspline, is_grid, is_linear
+from warp_psdr.kernels.primitive.kinds import KINDS, affine_kinds, join
 from warp_psdr.kernels.primitive.sdfgrid_adjoint import make_sdfgrid_sink
 from warp_psdr.kernels.reading import triangle_at
 from warp_psdr.kernels.structs import Scene, Triangle
@@ -162,13 +158,8 @@ def make_velocity(smooth: bool, flat: bool, uv: bool, tangent: bool, primitives:
     of_triangle = make_vertex_jvp(smooth, flat, uv, tangent)
     if not primitives:
         return of_triangle
-<<<<<<< HEAD
     kinds = affine_kinds(primitives)
     of_affine = join(_either_jvp, {kind: make_affine_jvp(KINDS[kind], uv or tangent, tangent) for kind in kinds})
-    of_grid = make_sdfgrid_jvp() if PRIMITIVE_SDFGRID in primitives else None
-=======
-    affine = affine_kind(primitives)
-    of_affine = make_affine_jvp(affine, uv or tangent, tangent) if affine else None
     of_grid, of_linear, of_bspline = None, None, None
     if PRIMITIVE_SDFGRID in primitives:
         of_grid = make_sliding_jvp(make_sdfgrid_sink("forward"), False, False)
@@ -176,7 +167,6 @@ def make_velocity(smooth: bool, flat: bool, uv: bool, tangent: bool, primitives:
         of_linear = make_sliding_jvp(make_curve_sink("forward", False, uv, tangent), uv, tangent)
     if PRIMITIVE_BSPLINECURVE in primitives:
         of_bspline = make_sliding_jvp(make_curve_sink("forward", True, uv, tangent), uv, tangent)
->>>>>>> bd39d77 (interior: derivatives of curves, by their control points, radii and pose (form S))
 
     @wp.func
     def velocity_of_any(

@@ -40,6 +40,8 @@ EVERY = {
     "weighted_normal_dot": "here", "normalized_dot": "here", "normal_dot": "here",
     "eval_dot": "test_materials.py", "scatter_dot": "test_materials.py",
     "drawn_dot": "here", "log_density": "here",
+    "tube_dot": "no radius, or no direction of the axis: no ray is found to enter", "tube_still": "as tube_dot",
+    "cone_dot": "no radius, or points that coincide: no ray is found to enter", "cone_still": "as cone_dot",
     "film_form": "a point in the camera's plane, or a surface seen edge-on: no film point meets either",
 }  # fmt: skip
 
