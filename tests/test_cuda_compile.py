@@ -203,6 +203,7 @@ FACTORIES = {
         ("through", (THROUGH, still(THROUGH), 4, 1), SLOW),
         ("grids of distances", (DISTANCES, GEOMETRY, 4, 1), SLOW),
         ("exact lights", (EXACT, GEOMETRY, 4, 1), SLOW),
+        ("curves", (CURVES, GEOMETRY, 4, 1), SLOW),
     ],
     "interior.forward.make_forward_kernel": [
         ("simple", (SIMPLE, ALBEDO), FAST),
@@ -211,6 +212,7 @@ FACTORIES = {
         *[(name, (config, all_of(config)), SLOW) for name, config in THIRDS.items()],
         ("through", (THROUGH, still(THROUGH)), SLOW),
         ("grids of distances", (DISTANCES, GEOMETRY), SLOW),
+        ("curves", (CURVES, GEOMETRY), SLOW),
     ],
     "interior.media_replay.make_media_replay_kernel": [
         ("reverse", (MEDIA, media(MEDIA), "reverse", 8, 8), SLOW),
