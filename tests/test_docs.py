@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from warp_psdr import cli
+from warp_psdr import cli, image_io
 from warp_psdr.scene.plugins import PLUGINS
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -128,6 +128,17 @@ def test_every_plugin_is_listed(category: str, monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.syspath_prepend(str(DOCS / "_ext"))
     plugins = importlib.import_module("plugin_parameters").plugins(category)
     assert [plugin.name for plugin in plugins] == list(PLUGINS[category])
+
+
+@pytest.mark.parametrize("kind", ["bsdf", "texture", "emitter"])
+def test_every_material_texture_and_light_has_a_small_picture(kind: str) -> None:
+    """``python docs/_ext/swatches.py`` makes them; spectra are colours, and have none."""
+    spectra = ("rgb", "srgb", "spectrum", "uniform", "rawconstant", "d65", "blackbody", "regular", "irregular")
+    files = {file.stem: file for file in (DOCS / "swatches").glob(f"{kind}_*.png")}
+    assert set(files) == {f"{kind}_{name}" for name in PLUGINS[kind] if name not in spectra}
+    for file in files.values():
+        assert file.stat().st_size < 8000
+        assert image_io.read_image(file, raw=True).std() > 0.02
 
 
 @pytest.mark.slow

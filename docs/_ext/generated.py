@@ -1,9 +1,9 @@
 """Directives whose text is made when the documentation is built: from the code's tables, and from measurements.
 
 ``{methods}`` is ``psdr.methods()``, ``{about-method} OPTION`` one row of it; ``{plugins} KIND`` what the loader reads
-of its plugins; ``{models}`` the declared scattering models; ``{api}`` the public names; ``{measured} NAME`` the tables
-of ``data/NAME.jsonl``, in the form that ``--output`` of the benchmarks writes; ``{combinations}`` what may be attached
-together.
+of its plugins, with the pictures that ``swatches.py`` has made; ``{models}`` the declared scattering models; ``{api}``
+the public names; ``{measured} NAME`` the tables of ``data/NAME.jsonl``, in the form that ``--output`` of the benchmarks
+writes; ``{combinations}`` what may be attached together.
 """
 
 from __future__ import annotations
@@ -33,6 +33,7 @@ LOBES = {
     constants.LOBE_NULL: "passage without a turn",
 }
 DATA = Path(__file__).resolve().parents[1] / "data"
+SWATCHES = DATA.parent / "swatches"
 #: Keys of a measured line that are no columns.
 ABOUT = ("benchmark", "table", "machine", "note")
 
@@ -122,9 +123,15 @@ class Plugins(Generated):
         for plugin in plugin_parameters.plugins(self.arguments[0]):
             read = ", ".join(f"`{p}`" for p in plugin.read) or "–"
             values = ", ".join(f"`{v}`" for v in plugin.values) or "–"
-            rows.setdefault((read, values), []).append(f"`{plugin.name}`")
+            rows.setdefault((read, values), []).append(f"{_swatch(self.arguments[0], plugin.name)}`{plugin.name}`")
         lines += [f"| {', '.join(names)} | {read} | {values} |" for (read, values), names in rows.items()]
         return "\n".join(lines)
+
+
+def _swatch(kind: str, name: str) -> str:
+    """Return the picture of a plugin, if it has one (``swatches.py``)."""
+    file = SWATCHES / f"{kind}_{name}.png"
+    return f"![{name}](/swatches/{file.name}) " if file.exists() else ""
 
 
 class Models(Generated):
