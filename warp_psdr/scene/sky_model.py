@@ -17,6 +17,7 @@ stretches, channel, 4 powers of the elevation above the stretch's beginning).
 
 from __future__ import annotations
 
+import datetime
 import functools
 import math
 from pathlib import Path
@@ -86,3 +87,33 @@ def sun_irradiance(sun: np.ndarray, turbidity: float) -> np.ndarray:
     above = elevation - 0.5 * math.pi * (stretch / _STRETCHES) ** 3
     powers = _at_turbidity(_tables()["sun"], turbidity)[stretch]
     return SUN_UNIT * SOLID_ANGLE * np.maximum(powers @ above ** np.arange(4.0), 0.0)
+
+
+def sun_at(when: datetime.datetime, latitude: float, longitude: float) -> np.ndarray:
+    """Return the direction towards the sun, (3,) float64 unit, z up, x south, y west, to some 0.01 degrees.
+
+    M. Blanco-Muriel et al., "Computing the solar vector", Solar Energy 70(5), 2001.
+
+    Args:
+        when: universal time.
+        latitude: degrees, north is positive.
+        longitude: degrees, east is positive.
+    """
+    hours = (when - datetime.datetime.combine(when.date(), datetime.time())).total_seconds() / 3600.0
+    days = when.date().toordinal() + 1721424.5 + hours / 24.0 - 2451545.0
+    node = 2.1429 - 0.0010394594 * days
+    anomaly = 6.2400600 + 0.0172019699 * days
+    ecliptic = 4.8950630 + 0.017202791698 * days + 0.03341607 * math.sin(anomaly) + 0.00034894 * math.sin(2.0 * anomaly)
+    ecliptic += -0.0001134 - 0.0000203 * math.sin(node)
+    obliquity = 0.4090928 - 6.2140e-9 * days + 0.0000396 * math.cos(node)
+    ascension = math.atan2(math.cos(obliquity) * math.sin(ecliptic), math.cos(ecliptic))
+    declination = math.asin(math.sin(obliquity) * math.sin(ecliptic))
+    sidereal = 6.6974243242 + 0.0657098283 * days + hours
+    turn = math.radians(15.0 * sidereal + longitude) - ascension
+    lat = math.radians(latitude)
+    up = math.cos(lat) * math.cos(turn) * math.cos(declination) + math.sin(declination) * math.sin(lat)
+    zenith = math.acos(min(max(up, -1.0), 1.0))
+    north = math.tan(declination) * math.cos(lat) - math.sin(lat) * math.cos(turn)
+    azimuth = math.atan2(-math.sin(turn), north)  # from north to east
+    zenith += 6371.01 / 149597890.0 * math.sin(zenith)  # parallax
+    return np.array([-math.sin(zenith) * math.cos(azimuth), -math.sin(zenith) * math.sin(azimuth), math.cos(zenith)])

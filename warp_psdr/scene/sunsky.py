@@ -8,6 +8,7 @@ turbidities, where the tables have kinks, the mean of both sides.
 
 from __future__ import annotations
 
+import datetime
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -17,7 +18,7 @@ import warp as wp
 
 from .description import EmitterDescription, SkyDescription, TextureDescription
 from .errors import error
-from .sky_model import TURBIDITIES, sky_radiance, sun_irradiance
+from .sky_model import TURBIDITIES, sky_radiance, sun_at, sun_irradiance
 from .textures import texture
 from .transforms import Transform
 
@@ -32,18 +33,18 @@ ROWS, COLUMNS = 128, 256
 FLAT = 1.0e-6
 #: Step of differences, of numbers of order one.
 _STEP = 1.0e-5
-#: Parameters of a time and a place, in place of the sun's direction.
-_TIME = ("latitude", "longitude", "timezone", "year", "month", "day", "hour", "minute", "second")
+#: Parameters of a time and a place, with Mitsuba's defaults, in place of the sun's direction.
+_PLACE = {"latitude": 35.6894, "longitude": 139.6917, "timezone": 9.0}
+_DATE = {"year": 2010, "month": 7, "day": 10}
+_TIME = {"hour": 15.0, "minute": 0.0, "second": 0.0}
 
 
 def build(props: Properties) -> list[EmitterDescription]:
     """Return the lights that the plugin stands for: the sky, and the sun unless its scale is 0."""
-    given = [name for name in _TIME if props.has(name)]
-    if given or not props.has("sun_direction"):
-        problem = f"got '{given[0]}'" if given else "there is no 'sun_direction'"
-        remedy = "give 'sun_direction', towards the sun (Mitsuba's traverse shows that of a time and a place)"
-        raise error(props.where, problem, remedy)
-    direction = props.vector("sun_direction", (0.0, 0.0, 1.0))
+    to_world = props.transform("to_world").astype(np.float32)
+    if abs(np.linalg.det(to_world[:3, :3])) < FLAT:
+        raise error(props.place("to_world"), "it has no inverse", "give a rotation")
+    direction = _sun_direction(props, to_world)
     length = float(np.linalg.norm(direction))
     if not length > 0.0:
         raise error(props.place("sun_direction"), "it has no length", "give a non-zero direction")
@@ -63,10 +64,7 @@ def build(props: Properties) -> list[EmitterDescription]:
         props.number("sky_scale", 1.0, minimum=0.0),
     )
     props.number("sun_aperture", 0.5358, minimum=0.0, maximum=90.0, exclusive=True)  # of equal irradiance
-    to_world = props.transform("to_world").astype(np.float32)
     props.finish()
-    if abs(np.linalg.det(to_world[:3, :3])) < FLAT:
-        raise error(props.place("to_world"), "it has no inverse", "give a rotation")
     values = values_of(sky, to_world)
     if not values.texels.any():
         place = props.place("sun_direction")
@@ -82,6 +80,24 @@ def build(props: Properties) -> list[EmitterDescription]:
         frame = values.frame.astype(np.float32)
         lights.append(EmitterDescription(props.path, "directional", irradiance, to_world=frame, sky=sky))
     return lights
+
+
+def _sun_direction(props: Properties, to_world: np.ndarray) -> np.ndarray:
+    """Take the sun's direction, (3,), world coordinates: itself, or that of a time and a place."""
+    given = [name for name in (*_PLACE, *_DATE, *_TIME) if props.has(name)]
+    if props.has("sun_direction"):
+        if given:
+            raise error(props.where, f"got both 'sun_direction' and '{given[0]}'", "give one of them")
+        return props.vector("sun_direction", (0.0, 0.0, 1.0))
+    place = {name: props.number(name, default) for name, default in _PLACE.items()}
+    date = {name: props.integer(name, default) for name, default in _DATE.items()}
+    hour, minute, second = (props.number(name, default) for name, default in _TIME.items())
+    try:
+        hours = datetime.timedelta(hours=hour - place["timezone"], minutes=minute, seconds=second)
+        when = datetime.datetime(date["year"], date["month"], date["day"]) + hours
+    except (ValueError, OverflowError) as problem:
+        raise error(props.where, f"no such time: {problem}", "give a year, a month and a day of the calendar") from None
+    return to_world[:3, :3].astype(np.float64) @ sun_at(when, place["latitude"], place["longitude"])
 
 
 @dataclass(frozen=True)
