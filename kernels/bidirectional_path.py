@@ -40,7 +40,7 @@ from warp_psdr.kernels.scattering import (
 )
 from warp_psdr.kernels.sensor.camera import CameraSample
 from warp_psdr.kernels.sensor.projection import make_projection
-from warp_psdr.kernels.structs import Camera, Scene
+from warp_psdr.kernels.structs import Camera, LightSample, Scene
 from warp_psdr.kernels.transmittance import MOST_CROSSINGS, make_passage, most_crossings, transmittance_of
 from warp_psdr.kernels.vertex import PathConfig, PathState, PathVertex
 from warp_psdr.kernels.visibility import visibility_of
@@ -88,24 +88,17 @@ def walk_from(state: PathState, sample: CameraSample) -> CameraWalk:
 
 
 @functools.cache
-def make_camera_walk(config: PathConfig, differential: bool, traced: bool):
-    """Return ``camera_walk(scene, camera, sampler, walk, max_depth, rr_depth) -> (PathVertex, CameraWalk)``.
+def make_camera_cuts(config: PathConfig):
+    """Return ``(cuts_behind, walk_on, share_of_lights)``.
 
-    One vertex, as ``make_path_step``'s function, whose arguments these are.
+    ``cuts_behind(scene, camera, walk, at) -> Cuts`` of the vertex ``at`` that a path meets;
+    ``walk_on(at, walk, cuts, scattered) -> CameraWalk``: what the vertex leaves for the next one;
+    ``share_of_lights(scene, at, cuts, ls, light, crossed) -> float32``: weight of a next-event estimate; ``crossed``:
+    probability of the null lobes that its shadow ray crosses.
     """
-    visibility = visibility_of(config)
     interaction = make_interaction(config)
     record = interaction.record
-    emission_hit = make_emission_hit(config)
-    hit_weight = make_hit_weight(config)
-    scatter = make_scatter(config, differential)
-    has_smooth = interaction.bsdf.has_smooth
-    sample_light = make_light_sampler(config)
-    next_event = make_next_event(config, differential)
     emission_density = make_emission_density(config)
-    sample_4d = make_sampler(config.sampler).sample_4d
-    passage = make_passage(config, differential) if config.through else None
-    through_event = make_through_event(config) if config.through else None
     project = make_projection(config.camera)[0]
     delta_turn = make_delta_turn(config)
 
@@ -121,7 +114,6 @@ def make_camera_walk(config: PathConfig, differential: bool, traced: bool):
 
     @wp.func
     def walk_on(at: record, walk: CameraWalk, cuts: Cuts, scattered: ScatterSample) -> CameraWalk:
-        """What the vertex leaves for the next."""
         after = CameraWalk()
         after.path = scattered.after
         after.lens = walk.lens
@@ -137,6 +129,41 @@ def make_camera_walk(config: PathConfig, differential: bool, traced: bool):
         elif scattered.lobe > LOBE_SMOOTH:
             after.far = cuts_of(Cuts(0.0, cuts.far), delta_turn(at, wo, scattered.lobe), leaving)
         return after
+
+    @wp.func
+    def share_of_lights(
+        scene: Scene, at: record, cuts: Cuts, ls: LightSample, light: wp.int32, crossed: wp.float32
+    ) -> wp.float32:
+        wo = enter_frame(at.frame, ls.wi)
+        turned = at
+        turned.wi = wo
+        by_lights = cuts_of(cuts, interaction.pdf(turned, at.wi), wp.abs(wp.dot(at.ng, ls.wi)))
+        others = by_lights * emission_density(scene, light, ls.face, ls.distance, ls.wi, ls.pdf, at.x)
+        if ls.delta == 0:
+            others += interaction.pdf(at, wo)
+        return 1.0 / (1.0 + crossed * others / (ls.pdf * ls.probability))
+
+    return cuts_behind, walk_on, share_of_lights
+
+
+@functools.cache
+def make_camera_walk(config: PathConfig, differential: bool, traced: bool):
+    """Return ``camera_walk(scene, camera, sampler, walk, max_depth, rr_depth) -> (PathVertex, CameraWalk)``.
+
+    One vertex, as ``make_path_step``'s function, whose arguments these are.
+    """
+    visibility = visibility_of(config)
+    interaction = make_interaction(config)
+    emission_hit = make_emission_hit(config)
+    hit_weight = make_hit_weight(config)
+    scatter = make_scatter(config, differential)
+    has_smooth = interaction.bsdf.has_smooth
+    sample_light = make_light_sampler(config)
+    next_event = make_next_event(config, differential)
+    sample_4d = make_sampler(config.sampler).sample_4d
+    passage = make_passage(config, differential) if config.through else None
+    through_event = make_through_event(config) if config.through else None
+    cuts_behind, walk_on, share_of_lights = make_camera_cuts(config)
 
     @wp.func
     def camera_walk(
@@ -185,14 +212,7 @@ def make_camera_walk(config: PathConfig, differential: bool, traced: bool):
                             count_invalid(scene, sampler)
                     else:
                         unoccluded = not visibility.occluded(scene, event.o, event.d, event.t_max)
-                    wo = enter_frame(at.frame, ls.wi)
-                    turned = at
-                    turned.wi = wo
-                    by_lights = cuts_of(cuts, interaction.pdf(turned, at.wi), wp.abs(wp.dot(at.ng, ls.wi)))
-                    others = by_lights * emission_density(scene, light, ls.face, ls.distance, ls.wi, ls.pdf, at.x)
-                    if ls.delta == 0:
-                        others += interaction.pdf(at, wo)
-                    share = 1.0 / (1.0 + crossed * others / (ls.pdf * ls.probability))
+                    share = share_of_lights(scene, at, cuts, ls, light, crossed)
                     event.weight *= share
                     event.value = share * event.value
         return vertex_of(path, hit, emission, unoccluded, event, scatters, scattered), after
