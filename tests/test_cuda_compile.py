@@ -127,6 +127,7 @@ def moving_among_media(config):
 #: Configurations that together hold every model, texture kind, light, sampler and filter.
 THIRDS = {"materials": MATERIALS, "textures": TEXTURED, "lights": ALL_LIGHTS, "others": OTHERS}
 FAST, SLOW = (), (pytest.mark.slow,)
+SHADED = [(str(shading), (DISTANCES, "reverse", True, shading), SLOW) for shading in (False, True)]
 
 
 def unlit(config):
@@ -295,6 +296,9 @@ FACTORIES = {
         ("samples, simple", (SIMPLE, "samples", False), SLOW),
         ("noted, simple", (NOTED, "reverse", False), SLOW),
     ],
+    "boundary.silhouette.grid_foreground.make_foreground_grid_kernel": SHADED,
+    "boundary.silhouette.grid_primary.make_primary_grid_kernel": SHADED,
+    "boundary.silhouette.grid_secondary.make_secondary_grid_kernel": SHADED,
     "boundary.silhouette.primary.make_primary_silhouette_kernel": [("reverse", (EXACT, "reverse", True), SLOW)],
     "boundary.silhouette.secondary.make_secondary_silhouette_kernel": [
         ("reverse", (EXACT, "reverse", True, False), SLOW),

@@ -29,11 +29,11 @@ from warp_psdr.kernels.boundary.detector import (
     scaled,
     serves_length,
 )
-from warp_psdr.kernels.constants import FAR
+from warp_psdr.kernels.constants import FAR, PRIMITIVE_SDFGRID
 from warp_psdr.kernels.invalid import count_invalid, vanishes
 from warp_psdr.kernels.jobs import SampleJob
 from warp_psdr.kernels.notes import NOTE_SENSOR, NOTE_SOURCE, NOTE_WALK, make_note
-from warp_psdr.kernels.primitive.dispatch import make_adjoint_sink, make_position
+from warp_psdr.kernels.primitive.dispatch import is_grid, make_adjoint_sink, make_position
 from warp_psdr.kernels.rng import Sampler, branch_of, make_sampler
 from warp_psdr.kernels.sensor.camera import make_camera_sink, make_lens
 from warp_psdr.kernels.sensor.projection import make_splat
@@ -145,6 +145,39 @@ def make_first_sink(role: str, primitives: tuple[int, ...] = ()):
 
 
 @functools.cache
+def make_found_sink(role: str, primitives: tuple[int, ...]):
+    """Return ``accumulate_found(scene, target, segment, w, second) -> float``: x_1 behind the walk's second vertex.
+
+    On a grid it slides along the ray from there, which is tied to that vertex' surface (form S); else it is a material
+    point.
+    """
+    accumulate_first = make_first_sink(role, primitives)
+    accumulate_vertex = make_adjoint_sink(role, False, False, False, False, False, True, primitives)
+    has_grids = PRIMITIVE_SDFGRID in primitives
+
+    @wp.func
+    def accumulate_found(
+        scene: Scene, target: wp.array(dtype=wp.float32), segment: Segment, w: wp.float32, second: Walk
+    ) -> wp.float32:
+        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
+        slides = wp.bool(False)
+        if wp.static(has_grids):
+            slides = is_grid(scene.triangles[segment.face1])
+        o, _d, dot = accumulate_first(scene, target, segment, w, slides, second.x, second.to)
+        if wp.static(has_grids):
+            if slides:
+                start = VertexAdjoint()
+                start.x = o
+                started = accumulate_vertex(
+                    scene, target, second.face, second.u, second.v, start, False, second.x, second.to
+                )
+                dot += started.dot
+        return dot
+
+    return accumulate_found
+
+
+@functools.cache
 def make_transport(config: PathConfig, role: str, camera_moves: bool, source: wp.Function, least: int = 1):
     """Return ``transport(scene, camera, sampler, segment, scale, rest, max_depth, ...) -> float``.
 
@@ -163,6 +196,7 @@ def make_transport(config: PathConfig, role: str, camera_moves: bool, source: wp
     connect, extend = make_walk(config)
     evaluates = role == "target"
     accumulate_first = None if evaluates else make_first_sink(role, config.primitives)
+    accumulate_found = None if evaluates else make_found_sink(role, config.primitives)
     position, _cross_of = make_position(config.primitives)
     accumulate_camera = make_camera_sink(role, config.camera) if camera_moves and not evaluates else None
     splat, gather = make_splat()
@@ -195,7 +229,8 @@ def make_transport(config: PathConfig, role: str, camera_moves: bool, source: wp
         walk.to = s.w
         walk.weight = wp.vec3(1.0, 1.0, 1.0)
         lens = lens_point(sample_2d(sampler, SLOT_LENS))
-        # Velocity of x_1 as a material point for a unit weight (forward), or the sum of its weights (reverse).
+        second = Walk()
+        # Velocity of x_1 as the walk finds it for a unit weight (forward), or the sum of its weights (reverse).
         moved = wp.float32(0.0)
         known = wp.int32(0)
         weight = wp.float32(0.0)
@@ -225,8 +260,7 @@ def make_transport(config: PathConfig, role: str, camera_moves: bool, source: wp
                             speed += accumulate_camera(scene, target, camera, seen.at.sample, a_o, a_d)
                     else:
                         if known == 0:
-                            _o, _d, moved_1 = accumulate_first(scene, target, s, 1.0, False, s.x, s.w)
-                            moved = moved_1
+                            moved = accumulate_found(scene, target, s, 1.0, second)
                             known = 1
                         speed = moved
                     speed += rest
@@ -257,13 +291,14 @@ def make_transport(config: PathConfig, role: str, camera_moves: bool, source: wp
             else:
                 u4 = sample_4d(sampler, SLOT_WALK + k)
                 walk = extend(scene, walk, u4, FAR, k >= job.rr_depth)
+                if k == 1:
+                    second = walk
                 if walk.alive == 1:
                     note_place(scene, NOTE_WALK, walk.face, walk.u, walk.v, walk.x, -walk.to, walk.weight)
             k += 1
         if wp.static(role != "forward" and not evaluates):
             if weight != 0.0:
-                _a_o, _a_d, lost = accumulate_first(scene, target, s, weight, False, s.x, s.w)
-                if lost != 0.0:
+                if accumulate_found(scene, target, s, weight, second) != 0.0:
                     count_invalid(scene, sampler)
         return total
 

@@ -118,7 +118,7 @@ def test_reaches_are_chessboard_distances() -> None:
 
 
 @pytest.mark.parametrize("name", ["body.grid", "body.to_world", "sensor.to_world", "wall.vertex_positions"])
-def test_what_moves_has_no_boundary_term(name: str) -> None:
+def test_what_moves_has_no_boundary_term_with_smooth_normals(name: str) -> None:
     whole = described()
     whole["wall"] = {"type": "rectangle"}
     held = psdr.load_dict(whole)

@@ -107,6 +107,10 @@ _METHODS = MethodTable(
             *("kernels/boundary/path_space/secondary.py", "path_space"),
         ),
         (
+            *("ZCM*24", "Boundaries of implicit surfaces", "boundary.PathSpace(guiding=None)", "boundary"),
+            *("kernels/boundary/silhouette/grid_secondary.py", "implicit_surfaces"),
+        ),
+        (
             *("LADL18", "Edge sampling", "boundary.EdgeSampling()", "boundary"),
             *("kernels/boundary/edge_sampling/edge_sampling.py", "edge_sampling"),
         ),

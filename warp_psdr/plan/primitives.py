@@ -13,6 +13,8 @@ from warp_psdr.scene.curves import INSTEAD as TUBES
 from warp_psdr.scene.exact import EXACT, KINDS
 from warp_psdr.scene.sdfgrid import INSTEAD as TRIANGLES
 from warp_psdr.topology.exact_shapes import pierced
+from warp_psdr.topology.grid_contacts import is_open, pierced_grid
+from warp_psdr.topology.grid_silhouettes import grid_shapes, grid_values
 
 if TYPE_CHECKING:
     from warp_psdr.kernels.interior.gradient_request import GradientRequest
@@ -23,6 +25,7 @@ if TYPE_CHECKING:
 #: Methods of the interior term that know such shapes.
 CLAIMED = (interior.Replay, interior.Textbook, interior.Radiative)
 #: What the errors offer.
+ALONE = "say PathIntegrator(boundary=None) to get the interior term alone"
 INSTEAD = "leave out 'exact', and it is made of triangles, which do"
 
 
@@ -129,15 +132,28 @@ def _beside_resting(
         what = type(integrator.interior).__name__
         return f"interior.{what}() does not follow what slides along rays; use interior.Replay()"
     if moving and integrator.boundary is not None:
-        return (
-            f"{moving[0]}, at the silhouettes of grids and curves as well, where derivatives are not estimated; "
-            "say PathIntegrator(boundary=None) to get the interior term alone"
-        )
+        if scene.builder.curves:
+            return f"{moving[0]}, at the silhouettes of curves as well, where derivatives are not estimated; {ALONE}"
+        return _beside_moving_grid(scene, config, integrator, names)
     return ""
 
 
 def _beside_motion(scene: Scene, config: PathConfig, integrator: PathIntegrator, names: list[str]) -> str:
     """Say which boundary term is missing where something moves; empty: none."""
+    reason = _of_boundary(config, integrator)
+    if reason:
+        return reason
+    moves = motion(scene, names)
+    pair = pierced(scene, None if moves.camera else moves.shapes)
+    if pair is not None:
+        a, b = (scene.description.shapes[i] for i in pair)
+        touching = "" if "sphere" in (a.primitive, b.primitive) else ", or touches it"
+        return f"{b.path!r} runs through the surface of {a.path!r}{touching}, along a curve that moves; move them apart"
+    return ""
+
+
+def _of_boundary(config: PathConfig, integrator: PathIntegrator) -> str:
+    """Say why no boundary term is estimated beside shapes without triangles; empty: one is."""
     method = integrator.boundary
     if isinstance(method, Method) and (type(method) is not PathSpace or method.guiding is not None):
         return f"{method.label}() has no terms of it; use boundary.PathSpace() without guiding"
@@ -145,10 +161,30 @@ def _beside_motion(scene: Scene, config: PathConfig, integrator: PathIntegrator,
         return "what moves is not followed from a sensor of one pixel; use a camera"
     if has_delta_lobes(config.bsdfs):
         return "what moves is not followed through smooth mirrors and glass beside it; make them rough"
+    return ""
+
+
+def _beside_moving_grid(scene: Scene, config: PathConfig, integrator: PathIntegrator, names: list[str]) -> str:
+    """The same beside grids of distances."""
+    reason = _of_boundary(config, integrator)
+    if reason:
+        return f"{reason}, or {ALONE}"
+    shapes = scene.description.shapes
+    if len(config.primitives) > 1:
+        exact = next(shapes[i].path for i in scene.builder.primitives if shapes[i].grid is None)
+        return f"the exact shape {exact!r} beside it has no boundary term; leave out its 'exact', or {ALONE}"
+    for i in grid_shapes(scene):
+        grid = shapes[i].grid
+        assert grid is not None
+        if grid.smooth and config.scatter:
+            turned = f"the 'smooth' normals of {shapes[i].path!r} turn away from the viewer beside its silhouettes"
+            return f"{turned}, along curves that move; say 'normals': 'analytic', or {ALONE}"
+        if is_open(grid_values(scene, i)):
+            opened = f"the surface of {shapes[i].path!r} ends at its box, along a curve that moves"
+            return f"{opened}; give positive values all around, or {ALONE}"
     moves = motion(scene, names)
-    pair = pierced(scene, None if moves.camera else moves.shapes)
+    pair = pierced_grid(scene, None if moves.camera else moves.shapes)
     if pair is not None:
-        a, b = (scene.description.shapes[i] for i in pair)
-        touching = "" if "sphere" in (a.primitive, b.primitive) else ", or touches it"
-        return f"{b.path!r} runs through the surface of {a.path!r}{touching}, along a curve that moves; move them apart"
+        a, b = (shapes[i].path for i in pair)
+        return f"{b!r} runs through the surface of {a!r}, along a curve that moves; move them apart, or {ALONE}"
     return ""

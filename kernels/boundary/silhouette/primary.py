@@ -42,6 +42,22 @@ MARGIN = 3.0
 
 
 @functools.cache
+def make_camera_eye(kind: int):
+    """Return ``camera_eye(scene, camera, lens) -> vec3``: where a camera's rays start, or the way they come from."""
+
+    @wp.func
+    def camera_eye(scene: Scene, camera: Camera, lens: wp.vec2) -> wp.vec3:
+        m = load_mat44(scene.values, camera.to_world)
+        if wp.static(kind == CAMERA_ORTHOGRAPHIC):
+            return wp.vec3(m[0, 2], m[1, 2], m[2, 2])
+        if wp.static(kind == CAMERA_THINLENS):
+            return lens_origin(m, scene.values[camera.aperture_radius], lens)
+        return wp.vec3(m[0, 3], m[1, 3], m[2, 3])
+
+    return camera_eye
+
+
+@functools.cache
 def make_primary_silhouette_kernel(config: PathConfig, role: str, camera_moves: bool):
     """Return the kernel: one thread a sample (arguments as in ``path_space/secondary.py``)."""
     silhouettes = make_silhouettes(config.primitives)
@@ -58,16 +74,8 @@ def make_primary_silhouette_kernel(config: PathConfig, role: str, camera_moves: 
     sample_1d = draw.sample_1d
     sample_2d = draw.sample_2d
     note_place = make_note(config.noted)
+    camera_eye = make_camera_eye(config.camera)
     distant = config.camera == CAMERA_ORTHOGRAPHIC
-
-    @wp.func
-    def camera_eye(scene: Scene, camera: Camera, lens: wp.vec2) -> wp.vec3:
-        m = load_mat44(scene.values, camera.to_world)
-        if wp.static(distant):
-            return wp.vec3(m[0, 2], m[1, 2], m[2, 2])
-        if wp.static(config.camera == CAMERA_THINLENS):
-            return lens_origin(m, scene.values[camera.aperture_radius], lens)
-        return wp.vec3(m[0, 3], m[1, 3], m[2, 3])
 
     @wp.kernel(module="unique", enable_backward=False)
     def primary_silhouette(

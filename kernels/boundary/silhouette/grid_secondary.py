@@ -1,0 +1,332 @@
+"""Secondary boundary of grids of signed distances [ZCM*24]: segments between two path vertices that touch one.
+
+At a crease the measure is that of edges, sin(phi) dl dsigma, inside of a voxel kappa_n dA dtheta. Two techniques are
+joined by the balance heuristic: all items with directions in which they are silhouettes, and a point of a light with
+the silhouettes that it sees, of the items that it may see some of. Of point, spot and directional lights the direction
+is given. A grid has no material points (form S), so what its own surface sends past the silhouette counts as well
+(``grid_foreground.py``).
+
+Derivation: ``docs/theory/implicit.md#silhouettes-of-grids``.
+"""
+
+import functools
+
+import warp as wp
+
+from warp_psdr.kernels.autodiff import anchor
+from warp_psdr.kernels.boundary.depth import make_indirect
+from warp_psdr.kernels.boundary.path_space.direction import Wedge, make_pdf_light, pdf_wedge, wedge_direction
+from warp_psdr.kernels.boundary.path_space.secondary import make_source_sink, moves
+from warp_psdr.kernels.boundary.silhouette.grid_points import (
+    VOXEL_ITEM,
+    GridItems,
+    TouchPoint,
+    area_of_voxel_area,
+    choose_item,
+    crease_point,
+    crease_side,
+    curve_density,
+    curve_direction,
+    curve_point,
+    eye_in_voxels,
+    from_voxels,
+    item_parts,
+    make_touch_sink,
+    surface_point,
+    touch_curvature,
+)
+from warp_psdr.kernels.boundary.silhouette.secondary import (
+    NEAR_LIGHT,
+    SLOT_DIRECTION,
+    SLOT_SILHOUETTE,
+    STEPS,
+    TangentAim,
+    make_light_aim,
+)
+from warp_psdr.kernels.boundary.transport import Segment, make_source, make_transport
+from warp_psdr.kernels.constants import FAR, INV_TWO_PI, TWO_PI
+from warp_psdr.kernels.emitter.area import make_area
+from warp_psdr.kernels.emitter.dispatch import is_delta_light, make_delta_sample, make_lights
+from warp_psdr.kernels.invalid import count_invalid, vanishes
+from warp_psdr.kernels.jobs import SampleJob
+from warp_psdr.kernels.math import any_tangent
+from warp_psdr.kernels.notes import NOTE_POINT, make_note
+from warp_psdr.kernels.primitive.affine import step_off_primitive
+from warp_psdr.kernels.primitive.dispatch import make_position
+from warp_psdr.kernels.primitive.sdfgrid import Grid, grid_of, pack
+from warp_psdr.kernels.rng import make_sampler, sampler_at
+from warp_psdr.kernels.structs import Camera, Scene, Triangle
+from warp_psdr.kernels.vertex import PathConfig
+from warp_psdr.kernels.visibility import visibility_of
+
+
+@wp.func
+def crease_wedge(point: TouchPoint) -> Wedge:
+    """Directions in which a crease is a silhouette: those between one sheet and what continues the other."""
+    r = Wedge()
+    r.t = wp.normalize(point.along)
+    r.a = wp.normalize(point.up - wp.dot(point.up, r.t) * r.t)
+    r.b = wp.cross(r.t, r.a)
+    x = wp.dot(point.down, r.a)
+    y = wp.dot(point.down, r.b)
+    r.width = wp.atan2(wp.abs(y), -x)
+    r.start = wp.max(wp.atan2(y, x), 0.0)
+    return r
+
+
+@wp.func
+def own_density(tri: Triangle, g: Grid, point: TouchPoint, curvature: wp.float32) -> wp.float32:
+    """Density of an item's point and of a direction of its own."""
+    if point.crease == 1:
+        return point.density * pdf_wedge(crease_wedge(point))
+    return point.density / area_of_voxel_area(tri, g, point) * INV_TWO_PI / curvature
+
+
+@wp.func
+def own_direction(point: TouchPoint, u: wp.vec2) -> wp.vec3:
+    """A direction in which an item may be a silhouette: uniform in a crease's wedge, or in the tangent plane."""
+    if point.crease == 1:
+        return wedge_direction(crease_wedge(point), u)
+    s_axis = any_tangent(point.out)
+    theta = TWO_PI * u[1]
+    return wp.cos(theta) * s_axis + wp.sin(theta) * wp.cross(point.out, s_axis)
+
+
+@functools.cache
+def make_touching_segment(config: PathConfig):
+    """Return ``segment(scene, moving, found, tri, g, n, point, aim, direct) -> Segment``; n is the item's place.
+
+    ``aim.light`` is -1 where its direction is drawn by itself, ``direct`` as in ``path_space/secondary.py``. The scale
+    is one over the density of what was drawn, in the measures above.
+    """
+    visibility = visibility_of(config)
+    pdf_light = make_pdf_light(config)
+    position, _cross_of = make_position(config.primitives)
+    emitted = make_area(config.area).emitted if config.area else None
+    lights = make_lights(config.lights, None, ()) if config.lights else None
+    environment_eval = lights.environment_eval if lights else None
+    has_environment = environment_eval is not None
+    delta_sample = make_delta_sample(config.lights)
+
+    @wp.func
+    def towards_density(
+        tri: Triangle, g: Grid, point: TouchPoint, y: wp.vec3, distant: wp.bool, w: wp.vec3
+    ) -> wp.float32:
+        """Density of a point of an item that a light's point y sees, but for that of y."""
+        if point.crease == 1:
+            return point.density
+        t = curve_direction(point, eye_in_voxels(tri, g, y, distant), distant)
+        return curve_density(t) / wp.length(wp.cross(from_voxels(tri, g, t), w))
+
+    @wp.func
+    def touching_segment(
+        scene: Scene,
+        moving: wp.array(dtype=wp.int32),
+        found: GridItems,
+        tri: Triangle,
+        g: Grid,
+        n: wp.int32,
+        touched: TouchPoint,
+        aim: TangentAim,
+        direct: wp.bool,
+    ) -> Segment:
+        r = Segment()
+        r.face2 = -1
+        r.light = -1
+        r.w = aim.w
+        point = touched
+        r.step = step_off_primitive(scene, tri)
+        curvature = wp.float32(0.0)
+        r.boundary_normal = -point.out
+        if point.crease == 1:
+            side = crease_side(point, r.w)
+            if side == 0.0:
+                return r
+            r.boundary_normal = side * wp.cross(point.along, r.w)
+            point.out = -wp.normalize(r.boundary_normal)
+        else:
+            curvature = touch_curvature(tri, g, point, r.w)
+            if curvature <= 0.0:
+                return r
+        r.x = point.x + r.step * point.out
+        r.source = r.x
+        any_moves = moves(scene, moving, point.face)
+        shown = wp.float32(found.aimed)
+        density = wp.float32(0.0)
+        to_eye = wp.length(aim.eye - r.x)
+        delta = wp.bool(False)
+        # ---- Towards the source ----
+        if wp.static(delta_sample is not None):
+            if aim.light >= 0:
+                emitter = scene.emitters[aim.light]
+                if is_delta_light(emitter.kind):
+                    delta = True
+                    ls = delta_sample(scene, emitter, point.x, wp.vec2(0.0, 0.0))
+                    if ls.pdf <= 0.0 or vanishes(ls.radiance):
+                        return r
+                    if visibility.occluded(scene, r.source, r.w, wp.where(aim.distant, FAR, to_eye)):
+                        return r
+                    r.light = aim.light
+                    r.known = 1
+                    r.radiance = ls.radiance / emitter.probability
+                    density = (1.0 - found.share) * towards_density(tri, g, point, aim.eye, aim.distant, r.w)
+                    density /= shown
+        if not delta:
+            hit2 = visibility.closest(scene, r.source, r.w, FAR)
+            r.face2 = hit2.face
+            r.u2 = hit2.u
+            r.v2 = hit2.v
+            r.t2 = hit2.t
+            if aim.light >= 0:
+                # A segment that something cuts off from its light is not one that was aimed at what is in the way.
+                if aim.distant != (hit2.face < 0):
+                    return r
+                if hit2.face >= 0:
+                    if scene.shapes[scene.triangles[hit2.face].shape].emitter != aim.light:
+                        return r
+                    if wp.abs(hit2.t - to_eye) > NEAR_LIGHT * to_eye + STEPS * r.step:
+                        return r
+            y = r.w
+            if r.face2 >= 0:
+                any_moves += moves(scene, moving, r.face2)
+                y = position(scene.triangles[r.face2], r.u2, r.v2)
+                if wp.static(bool(config.area)):
+                    own = scene.shapes[scene.triangles[r.face2].shape].emitter
+                    if own >= 0:
+                        r.radiance = emitted(scene, scene.emitters[own], r.face2, r.u2, r.v2, r.w)
+            else:
+                if wp.static(has_environment):
+                    r.radiance = environment_eval(scene, r.w)
+            if (direct or r.face2 < 0) and vanishes(r.radiance):
+                return r
+            density = found.share * own_density(tri, g, point, curvature) / wp.float32(found.items.shape[0])
+            if n < found.aimed:
+                towards = pdf_light(scene, r.face2, r.w, r.t2)
+                if aim.light >= 0 and not towards > 0.0:
+                    return r
+                if towards > 0.0:
+                    towards *= towards_density(tri, g, point, y, r.face2 < 0, r.w) / shown
+                    density += (1.0 - found.share) * towards
+        # ---- Towards the sensor ----
+        hit1 = visibility.closest(scene, r.x, -r.w, FAR)
+        if hit1.face < 0 or density <= 0.0:
+            return r
+        if any_moves + moves(scene, moving, hit1.face) == 0:
+            return r
+        r.t1 = hit1.t
+        if r.t1 <= r.step:
+            return r
+        r.face1 = hit1.face
+        r.u1 = hit1.u
+        r.v1 = hit1.v
+        r.scale = 1.0 / density
+        if delta:
+            if not aim.distant:
+                r.tau = r.t1 / (r.t1 + to_eye)
+        elif r.face2 >= 0:
+            r.tau = r.t1 / (r.t1 + r.t2)
+        r.valid = 1
+        return r
+
+    return touching_segment
+
+
+@functools.cache
+def make_secondary_grid_kernel(
+    config: PathConfig,
+    role: str,
+    camera_moves: bool,
+    light_pose: bool,
+    indirect: bool = False,
+):
+    """Return the kernel: one thread a sample (arguments as in ``path_space/secondary.py``)."""
+    light_aim = make_light_aim(config) if config.area or config.lights else None
+    segment_at = make_touching_segment(config)
+    accumulate_touch = make_touch_sink(role)
+    accumulate_source = make_source_sink(role, light_pose, config.primitives)
+    source = make_source(config, True)
+    source = make_indirect(source) if indirect else source
+    transport = make_transport(config, role, camera_moves, source)
+    draw = make_sampler(config.sampler)
+    sample_1d = draw.sample_1d
+    sample_4d = draw.sample_4d
+    note_place = make_note(config.noted)
+
+    @wp.func
+    def accumulate(
+        scene: Scene, target: wp.array(dtype=wp.float32), point: TouchPoint, s: Segment, w: wp.float32
+    ) -> wp.float32:
+        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
+        total = accumulate_touch(scene, target, point, w * s.boundary_normal)
+        return accumulate_source(scene, target, s, w, total)
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def secondary_grid(
+        # Scene:
+        scene: Scene,
+        camera: Camera,
+        found: GridItems,
+        moving: wp.array(dtype=wp.int32),
+        # In:
+        job: SampleJob,
+        # Out:
+        target: wp.array(dtype=wp.float32),
+        image_out: wp.array2d(dtype=wp.vec3),
+    ):
+        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
+        number = job.first + wp.tid()
+        sampler = sampler_at(number, 0, job.seed)
+        u4 = sample_4d(sampler, SLOT_DIRECTION)
+        jitter = sample_1d(sampler, SLOT_SILHOUETTE)
+        u = (wp.float64(number) + wp.float64(jitter)) / wp.float64(job.samples)
+        by_itself = u < wp.float64(found.share)
+        count = found.items.shape[0]
+        if by_itself:
+            u = u / wp.float64(found.share)
+        else:
+            u = (u - wp.float64(found.share)) / wp.float64(1.0 - found.share)
+            count = found.aimed
+        n, along = choose_item(found, count, u)
+        item = found.items[n]
+        tri = scene.triangles[item[0]]
+        g = grid_of(scene, tri)
+        parts = item_parts(g, item[1])
+        aim = TangentAim()
+        aim.light = -1
+        point = TouchPoint()
+        if parts[3] != VOXEL_ITEM:
+            point = crease_point(scene, tri, g, parts, along)
+        elif by_itself:
+            point = surface_point(scene, tri, g, parts, along, u4[2])
+        if by_itself and point.valid == 1:
+            aim.w = own_direction(point, wp.vec2(u4[0], u4[1]))
+        if wp.static(light_aim is not None):
+            if not by_itself:
+                aim = light_aim(scene, tri.normal, u4)
+                if aim.valid == 0:
+                    return
+                if parts[3] == VOXEL_ITEM:
+                    eye = eye_in_voxels(tri, g, aim.eye, aim.distant)
+                    point = curve_point(scene, tri, g, parts, eye, aim.distant, along)
+                aim.w = aim.eye
+                if not aim.distant:
+                    aim.w = wp.normalize(aim.eye - point.x)
+        if point.valid == 0:
+            return
+        point.face = item[0]
+        s = segment_at(scene, moving, found, tri, g, n, point, aim, job.max_depth == 2)
+        if s.valid == 0:
+            return
+        uv = pack(point.q)
+        note_place(scene, NOTE_POINT, point.face, uv[0], uv[1], point.x, s.w, s.radiance)
+        s.scale /= wp.float32(job.samples)
+        rest = wp.float32(0.0)
+        if wp.static(role == "forward"):
+            rest = accumulate(scene, target, point, s, 1.0)
+        weight = transport(scene, camera, sampler, s, s.scale, rest, job, target, image_out)
+        if wp.static(role != "forward"):
+            if weight != 0.0:
+                if accumulate(scene, target, point, s, weight) != 0.0:
+                    count_invalid(scene, sampler)
+
+    return secondary_grid

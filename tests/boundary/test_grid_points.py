@@ -1,0 +1,237 @@
+"""Samplers of creases and silhouettes of grids against each other, and the étendue that grids block."""
+
+import numpy as np
+import pytest
+import warp as wp
+
+import warp_psdr as psdr
+from tests.path.test_sdfgrid import nodes, sphere
+from warp_psdr.kernels.boundary.silhouette.grid_points import (
+    VOXEL_ITEM,
+    GridItems,
+    TouchPoint,
+    area_of_voxel_area,
+    choose_item,
+    crease_point,
+    crease_side,
+    curve_point,
+    eye_in_voxels,
+    item_parts,
+    make_touch_sink,
+    surface_point,
+    touch_curvature,
+)
+from warp_psdr.kernels.boundary.silhouette.grid_secondary import own_density, own_direction
+from warp_psdr.kernels.constants import PRIMITIVE_SDFGRID
+from warp_psdr.kernels.primitive.dispatch import make_hit
+from warp_psdr.kernels.primitive.sdfgrid import grid_of
+from warp_psdr.kernels.reading import triangle_at
+from warp_psdr.kernels.structs import Scene
+from warp_psdr.topology.grid_silhouettes import Eyes, grid_items, grid_shapes, items_of, may_show
+
+HIT = make_hit((PRIMITIVE_SDFGRID,))
+ACCUMULATE = make_touch_sink("forward")
+#: Samples of each estimate, in batches whose deviation tells its error.
+SAMPLES, BATCHES = 1_000_000, 20
+#: Standard errors of a comparison of two estimates.
+LIMIT = 4.0
+#: The squares of the étendue: heights of receiver and light, half their sides, about (.5, .5).
+LOW, HIGH, HALF = wp.constant(-0.2), wp.constant(1.2), wp.constant(0.6)
+
+
+@wp.func
+def is_free(scene: Scene, x: wp.vec3, out: wp.vec3, w: wp.vec3) -> wp.bool:
+    """Whether a line passes from square to square."""
+    if w[2] <= 1.0e-4:
+        return False
+    up = (HIGH - x[2]) / w[2]
+    down = (x[2] - LOW) / w[2]
+    y = x + up * w
+    z = x - down * w
+    beside = wp.max(wp.max(wp.abs(y[0] - 0.5), wp.abs(y[1] - 0.5)), wp.max(wp.abs(z[0] - 0.5), wp.abs(z[1] - 0.5)))
+    if beside > HALF:
+        return False
+    tri = triangle_at(scene, 0)
+    o = x + 1.0e-5 * out
+    return HIT(scene, tri, o, w, up).face < 0 and HIT(scene, tri, o, -w, down).face < 0
+
+
+@wp.kernel(module="unique", enable_backward=False)
+def touch(
+    scene: Scene,
+    found: GridItems,
+    tangents: wp.array(dtype=wp.float32),
+    towards: wp.int32,
+    seed: wp.int32,
+    out: wp.array2d(dtype=wp.float64),
+):
+    """One line that touches the grid: 1 / density, of creases and in voxels; and what of it is blocked anew."""
+    t = wp.tid()
+    state = wp.rand_init(seed, t)
+    count = found.items.shape[0]
+    n, _along = choose_item(found, count, wp.float64(wp.randf(state)))
+    item = found.items[n]
+    tri = triangle_at(scene, item[0])
+    g = grid_of(scene, tri)
+    parts = item_parts(g, item[1])
+    a = wp.randf(state)
+    b = wp.randf(state)
+    eye = wp.sample_unit_sphere_surface(state)
+    u = wp.randf(state)
+    v = wp.randf(state)
+    point = TouchPoint()
+    if parts[3] != VOXEL_ITEM:
+        point = crease_point(scene, tri, g, parts, u)
+    elif towards == 1:
+        point = curve_point(scene, tri, g, parts, eye_in_voxels(tri, g, eye, True), True, u)
+    else:
+        point = surface_point(scene, tri, g, parts, u, v)
+    if point.valid == 0:
+        return
+    point.face = item[0]
+    w = eye
+    if towards == 0:
+        w = own_direction(point, wp.vec2(a, b))
+    curvature = wp.float32(0.0)
+    normal = point.out
+    size = wp.float32(1.0)
+    measure = wp.float32(0.0)
+    if point.crease == 1:
+        side = crease_side(point, w)
+        if side == 0.0:
+            return
+        normal = -side * wp.cross(point.along, w)
+        size = wp.length(normal)
+        normal /= size
+    else:
+        curvature = touch_curvature(tri, g, point, w)
+        if curvature <= 0.0:
+            return
+    if towards == 1:
+        measure = 4.0 * 3.14159265 / point.density
+        if point.crease == 0:
+            size = wp.length(wp.cross(point.along, w))
+    else:
+        measure = 1.0 / own_density(tri, g, point, curvature)
+    value = wp.float64(wp.float32(count) * measure * size)
+    column = 1 - point.crease
+    out[t, column] = value
+    if towards == 0:
+        out[t, 4] = wp.float64(wp.where(point.crease == 1, 0.0, wp.float32(count) * area_of_voxel_area(tri, g, point)))
+        out[t, 4] = out[t, 4] / wp.float64(point.density)
+        if is_free(scene, point.x, normal, w):
+            out[t, 2 + column] = value * wp.float64(ACCUMULATE(scene, tangents, point, normal))
+
+
+@wp.kernel(module="unique", enable_backward=False)
+def block(more: Scene, less: Scene, seed: wp.int32, out: wp.array(dtype=wp.float64)):
+    t = wp.tid()
+    state = wp.rand_init(seed, t)
+    x = wp.vec3(0.5 + HALF * (2.0 * wp.randf(state) - 1.0), 0.5 + HALF * (2.0 * wp.randf(state) - 1.0), LOW)
+    y = wp.vec3(0.5 + HALF * (2.0 * wp.randf(state) - 1.0), 0.5 + HALF * (2.0 * wp.randf(state) - 1.0), HIGH)
+    length = wp.length(y - x)
+    d = (y - x) / length
+    a = wp.where(HIT(more, triangle_at(more, 0), x, d, length).face >= 0, 1.0, 0.0)
+    b = wp.where(HIT(less, triangle_at(less, 0), x, d, length).face >= 0, 1.0, 0.0)
+    area = 16.0 * HALF * HALF * HALF * HALF
+    out[t] = wp.float64(area * d[2] * d[2] / (length * length) * (a - b))
+
+
+def shapes(count: int) -> np.ndarray:
+    """Two spheres, blended."""
+    x, y, z = nodes(count)
+    a = np.sqrt((x - 0.38) ** 2 + (y - 0.45) ** 2 + (z - 0.5) ** 2) - 0.22
+    b = np.sqrt((x - 0.66) ** 2 + (y - 0.55) ** 2 + (z - 0.5) ** 2) - 0.17
+    return (-0.05 * np.log(np.exp(-a / 0.05) + np.exp(-b / 0.05)))[..., None].astype(np.float32)
+
+
+def growth(count: int) -> np.ndarray:
+    x, y, _z = nodes(count)
+    return -(1.0 + 0.5 * np.sin(5.0 * x) * np.cos(4.0 * y))[..., None]
+
+
+def loaded(grid: np.ndarray, pose: np.ndarray | None = None) -> psdr.Scene:
+    body = {"type": "sdfgrid", "grid": grid, "normals": "analytic"}
+    if pose is not None:
+        body["to_world"] = psdr.Transform(pose)
+    return psdr.load_dict(
+        {"type": "scene", "body": body, "sensor": {"type": "perspective"}, "sky": {"type": "constant"}}
+    )
+
+
+def sums(scene: psdr.Scene, tangents: np.ndarray, towards: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Means and their standard errors, of the columns of ``touch``."""
+    found = grid_items(scene, grid_shapes(scene), None)
+    assert found is not None
+    out = wp.zeros((SAMPLES, 5), dtype=wp.float64, device="cpu")
+    inputs = [scene.data(), found, wp.array(tangents, dtype=wp.float32, device="cpu"), towards, seed]
+    wp.launch(touch, dim=SAMPLES, inputs=inputs, outputs=[out], device="cpu")
+    means = out.numpy().reshape(BATCHES, -1, 5).mean(axis=1)
+    return means.mean(axis=0), means.std(axis=0, ddof=1) / np.sqrt(BATCHES)
+
+
+def test_both_techniques_have_one_measure() -> None:
+    """All lines that touch a grid under an affine map, by directions of items and by directions of the sphere."""
+    pose = np.eye(4)
+    pose[:3, :3] = [[1.5, 0.4, 0.0], [0.0, -0.8, 0.1], [0.2, 0.0, 1.1]]
+    scene = loaded(shapes(10), pose)
+    still = np.zeros(len(scene.values), np.float32)
+    (own, own_error), (towards, error) = (sums(scene, still, k, 7 + k) for k in range(2))
+    gap, limit = np.abs(own - towards)[:2], LIMIT * np.hypot(own_error, error)[:2]
+    assert (gap < limit).all() and (limit < 0.1 * own[:2]).all(), (own, towards, limit)
+
+
+@pytest.mark.parametrize("count", [16, pytest.param(64, marks=pytest.mark.slow)])
+def test_blocked_etendue(count: int) -> None:
+    """By all values of a grid: creases have most of it, also where the grid is fine."""
+    grid, tangent, step = shapes(count), growth(count), 0.002
+    scene = loaded(grid)
+    tangents = np.zeros(len(scene.values), np.float32)
+    p = scene.parameters["body.grid"]
+    tangents[p.offset : p.offset + p.size] = tangent.ravel()
+    found, error = sums(scene, tangents, 0, 3)
+    rays = 2_000_000
+    out = wp.zeros(rays, dtype=wp.float64, device="cpu")
+    more, less = (loaded((grid + k * step * tangent).astype(np.float32)) for k in (1.0, -1.0))
+    wp.launch(block, dim=rays, inputs=[more.data(), less.data(), 5], outputs=[out], device="cpu")
+    batches = out.numpy().reshape(BATCHES, -1).mean(axis=1) / (2.0 * step)
+    expected, deviation = batches.mean(), batches.std(ddof=1) / np.sqrt(BATCHES)
+    total = found[2] + found[3]
+    assert abs(total - expected) < LIMIT * np.sqrt(error[2] ** 2 + error[3] ** 2 + deviation**2)
+    assert max(deviation, error[2]) < 0.03 * expected
+    assert 0.85 < found[2] / total < 0.99
+
+
+def test_area_of_a_sphere() -> None:
+    """The sampler's density on the surface: tri-linear interpolation moves a sphere by parts of a voxel squared."""
+    scene = loaded(sphere(32, 0.4))
+    found, error = sums(scene, np.zeros(len(scene.values), np.float32), 0, 11)
+    assert error[4] < 0.005 * found[4]
+    assert found[4] == pytest.approx(4.0 * np.pi * 0.16, rel=0.015)
+
+
+def test_items_left_out_have_no_silhouette() -> None:
+    """No point of an item that interval arithmetic leaves out is one, seen from anywhere in a box."""
+    rng = np.random.default_rng(2)
+    values = (shapes(12)[..., 0] + 0.01 * rng.standard_normal((12, 12, 12))).astype(np.float64)
+    numbers = items_of(values)
+    low, high = np.array([20.0, -6.0, 14.0]), np.array([22.0, -3.0, 17.0])
+    shown = may_show(values, numbers, low, high, False)
+    assert 0.02 < shown.mean() < 0.6
+    scene = loaded(values[..., None].astype(np.float32))
+    eyes = Eyes(np.array([[20.5, -4.0, 15.0]]) / 11.0, False)
+    found = grid_items(scene, grid_shapes(scene), [eyes])
+    assert found is not None and 0 < found.aimed < shown.sum()
+    node = numbers >> 2
+    corner = np.stack([node % 12, node // 12 % 12, node // 144], axis=1)
+    hidden = np.flatnonzero(~shown & ((numbers & 3) == 3))
+    for i in hidden[:: max(1, len(hidden) // 40)]:
+        signs = set()
+        for _ in range(64):
+            place, eye = rng.random(3), low + rng.random(3) * (high - low)
+            c = values[tuple(slice(a, a + 2) for a in corner[i][::-1])].transpose(2, 1, 0)
+            w = [np.array([1.0 - f, f]) for f in place]
+            rate = np.array([-1.0, 1.0])
+            slope = [np.einsum("ijk,i,j,k", c, *(rate if a == b else w[b] for b in range(3))) for a in range(3)]
+            signs.add(bool(np.dot(slope, corner[i] + place - eye) > 0.0))
+        assert len(signs) == 1

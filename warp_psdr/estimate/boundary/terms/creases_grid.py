@@ -1,0 +1,37 @@
+"""Creases of grids of signed distances that the camera sees from the front: jumps of what the surface sends."""
+
+from __future__ import annotations
+
+from warp_psdr.estimate.boundary.terms import primary_grid
+from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term, term_of
+from warp_psdr.kernels.boundary.silhouette.grid_primary import make_primary_grid_kernel
+from warp_psdr.options.boundary import PathSpace
+from warp_psdr.topology.grid_silhouettes import grid_items, grid_shapes
+
+
+def applies(r: Request) -> bool:
+    """Whether grids scatter light, and they or the camera move."""
+    lit = r.plan.max_depth != 1 and bool(r.scene.builder.emitters)
+    return primary_grid.applies(r) and lit and r.scatters_smoothly
+
+
+def launch(r: Request) -> Term | None:
+    """Return the term of the creases that the camera sees."""
+    shapes = [i for i in grid_shapes(r.scene) if r.moves.camera or i in r.moves.shapes]
+    found = grid_items(r.scene, shapes, [], concave=True)
+    if found is None:
+        return None
+    kernel = make_primary_grid_kernel(r.config, r.role, r.moves.camera, True)
+    samples = r.pixels * (r.method.spp_primary or r.spp)
+    return term_of(r, TERM, kernel, [r.scene.data(), r.camera, found], samples)
+
+
+TERM = BoundaryTerm(
+    name="creases_grid",
+    title="creases of grids",
+    stream=16,
+    methods=(PathSpace,),
+    launch=launch,
+    applies=applies,
+    exact=True,
+)

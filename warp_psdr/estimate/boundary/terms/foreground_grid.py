@@ -1,0 +1,45 @@
+"""What grids of signed distances send past their silhouettes, to other path vertices than the camera."""
+
+from __future__ import annotations
+
+from warp_psdr.estimate.boundary.terms import secondary_grid
+from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term, term_of
+from warp_psdr.kernels.boundary.silhouette.grid_foreground import make_foreground_grid_kernel
+from warp_psdr.options.boundary import PathSpace
+from warp_psdr.plan.motion import moving_shapes
+from warp_psdr.topology.grid_silhouettes import grid_items, grid_shapes
+
+#: Vertices of the shortest path: x_1, one on a grid, and one on a light.
+SHORTEST = 3
+
+
+def applies(r: Request) -> bool:
+    """Whether paths are long enough for light that is scattered by a grid and then by another surface."""
+    return secondary_grid.applies(r) and not 0 <= r.plan.max_depth < SHORTEST
+
+
+def launch_foreground(r: Request, term: BoundaryTerm, shading: bool) -> Term | None:
+    """Return the term of silhouettes, or with ``shading`` of creases that are seen from the front."""
+    found = grid_items(r.scene, grid_shapes(r.scene), [], concave=shading)
+    if found is None:
+        return None
+    kernel = make_foreground_grid_kernel(r.config, r.role, r.moves.camera, shading)
+    samples = r.pixels * (r.method.spp_secondary or r.spp)
+    head = [r.scene.data(), r.camera, found, moving_shapes(r.scene, r.moves)]
+    return term_of(r, term, kernel, head, samples)
+
+
+def launch(r: Request) -> Term | None:
+    """Return the term of what a grid sends beside its silhouettes."""
+    return launch_foreground(r, TERM, False)
+
+
+TERM = BoundaryTerm(
+    name="foreground_grid",
+    title="silhouettes of grids, in front",
+    stream=15,
+    methods=(PathSpace,),
+    launch=launch,
+    applies=applies,
+    exact=True,
+)

@@ -1,0 +1,39 @@
+"""Creases and smooth silhouettes of grids of signed distances that the camera sees."""
+
+from __future__ import annotations
+
+from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term, term_of
+from warp_psdr.kernels.boundary.silhouette.grid_primary import make_primary_grid_kernel
+from warp_psdr.kernels.constants import PRIMITIVE_SDFGRID
+from warp_psdr.options.boundary import PathSpace
+from warp_psdr.topology.grid_contacts import require_uncut_grids
+from warp_psdr.topology.grid_silhouettes import camera_eyes, grid_items, grid_shapes
+
+
+def applies(r: Request) -> bool:
+    """Whether there are grids, and they or the camera move."""
+    return PRIMITIVE_SDFGRID in r.config.primitives and bool(r.moves.shapes or r.moves.camera)
+
+
+def launch(r: Request) -> Term | None:
+    """Return the term of the silhouettes that the camera sees."""
+    shapes = [i for i in grid_shapes(r.scene) if r.moves.camera or i in r.moves.shapes]
+    require_uncut_grids(r.scene, r.sensor, shapes)
+    found = grid_items(r.scene, shapes, [camera_eyes(r.scene, r.sensor)])
+    if found is None or found.aimed == 0:
+        return None
+    found.items = found.items[: found.aimed]
+    kernel = make_primary_grid_kernel(r.config, r.role, r.moves.camera)
+    samples = r.pixels * (r.method.spp_primary or r.spp)
+    return term_of(r, TERM, kernel, [r.scene.data(), r.camera, found], samples)
+
+
+TERM = BoundaryTerm(
+    name="primary_grid",
+    title="primary silhouettes of grids",
+    stream=13,
+    methods=(PathSpace,),
+    launch=launch,
+    applies=applies,
+    exact=True,
+)

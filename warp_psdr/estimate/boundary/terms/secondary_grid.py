@@ -1,0 +1,46 @@
+"""Creases and smooth silhouettes of grids of signed distances between two path vertices."""
+
+from __future__ import annotations
+
+from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term, term_of
+from warp_psdr.kernels.boundary.silhouette.grid_secondary import make_secondary_grid_kernel
+from warp_psdr.kernels.constants import PRIMITIVE_SDFGRID
+from warp_psdr.options.boundary import PathSpace
+from warp_psdr.plan.motion import moving_shapes
+from warp_psdr.topology.grid_silhouettes import grid_items, grid_shapes, light_eyes
+
+#: Share of the segments whose direction is drawn by itself instead of towards a light; ``UNIFORM_SHARE_DIRECT`` as in
+#: ``secondary_silhouette.py``.
+UNIFORM_SHARE_DIRECT, UNIFORM_SHARE = 0.1, 0.5
+
+
+def applies(r: Request) -> bool:
+    """Whether light is scattered beside grids, and anything moves."""
+    lit = r.plan.max_depth != 1 and bool(r.scene.builder.emitters)
+    return PRIMITIVE_SDFGRID in r.config.primitives and lit and r.moves.edges and r.scatters_smoothly
+
+
+def launch(r: Request) -> Term | None:
+    """Return the term of the silhouettes between two path vertices, neither of which need be on what moves."""
+    eyes = light_eyes(r.scene)
+    found = grid_items(r.scene, grid_shapes(r.scene), eyes)
+    if found is None:
+        return None
+    found.share = UNIFORM_SHARE_DIRECT if r.plan.max_depth == 2 and r.scene.builder.environment < 0 else UNIFORM_SHARE
+    if found.aimed == 0 or eyes == []:
+        found.share = 1.0
+    kernel = make_secondary_grid_kernel(r.config, r.role, r.moves.camera, r.moves.light_pose, r.indirect)
+    samples = r.pixels * (r.method.spp_secondary or r.spp)
+    return term_of(r, TERM, kernel, [r.scene.data(), r.camera, found, moving_shapes(r.scene, r.moves)], samples)
+
+
+TERM = BoundaryTerm(
+    name="secondary_grid",
+    title="{} silhouettes of grids",
+    stream=14,
+    methods=(PathSpace,),
+    launch=launch,
+    applies=applies,
+    splits=True,
+    exact=True,
+)

@@ -1,0 +1,144 @@
+"""Grids of signed distances against the rest of a scene: what runs through them, cuts them, or opens them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from warp_psdr.scene.sdfgrid import CORNERS, is_passed
+from warp_psdr.topology.camera_view import camera_view
+from warp_psdr.topology.exact_shapes import pose
+from warp_psdr.topology.grid_silhouettes import grid_shapes, grid_values
+
+if TYPE_CHECKING:
+    from warp_psdr.scene.scene import Scene
+
+#: Points across a voxel at which a triangle that passes it is compared with the surface.
+POINTS = 6
+#: Value over the largest one of a grid up to which a triangle touches the surface instead of running through it.
+TOUCHING = 1.0e-5
+
+
+def is_open(values: np.ndarray) -> bool:
+    """Return whether the surface of a grid (Z, Y, X) ends at a face of its box."""
+    for axis in range(3):
+        for end in (0, -1):
+            inside = np.take(values, end, axis=axis) < 0.0
+            if inside.any() and not inside.all():
+                return True
+    return False
+
+
+def passed_box(values: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+    """Return the ends (x, y, z), in voxels, of a box around the surface; None: there is none."""
+    found = np.argwhere(is_passed(values))[:, ::-1]
+    return (found.min(axis=0), found.max(axis=0) + 1) if len(found) else None
+
+
+def pierced_grid(scene: Scene, shapes: frozenset[int] | None) -> tuple[int, int] | None:
+    """Return a grid and a shape that runs through its surface, one of them among ``shapes`` (None: any).
+
+    Of another grid the boxes around both surfaces are compared.
+    """
+    b, grids = scene.builder, grid_shapes(scene)
+    corners = scene.points[b.indices].astype(np.float64)
+    for n, i in enumerate(grids):
+        values = grid_values(scene, i)
+        box = passed_box(values)
+        if box is None:
+            continue
+        linear, origin = pose(scene, i)
+        cells = np.array(values.shape[::-1]) - 1.0
+        inverse = np.linalg.inv(linear) * cells[:, None]
+        local = (corners - origin) @ inverse.T
+        near = (local.min(axis=1, initial=np.inf) < box[1]).all(axis=1) & (
+            local.max(axis=1, initial=-np.inf) > box[0]
+        ).all(axis=1)
+        if shapes is not None and i not in shapes:
+            near &= np.isin(b.face_shape, sorted(shapes))
+        for row in np.flatnonzero(near):
+            if _runs_through(values, local[row]):
+                return i, int(b.face_shape[row])
+        for j in grids[n + 1 :]:
+            other = passed_box(grid_values(scene, j))
+            if other is None or not (shapes is None or i in shapes or j in shapes):
+                continue
+            turned, place = pose(scene, j)
+            scale = np.array(grid_values(scene, j).shape[::-1]) - 1.0
+            ends = CORNERS * ((other[1] - other[0]) / scale) + other[0] / scale
+            theirs = (ends @ turned.T + place - origin) @ inverse.T
+            if (theirs.min(axis=0) < box[1]).all() and (theirs.max(axis=0) > box[0]).all():
+                return i, j
+    return None
+
+
+def _runs_through(values: np.ndarray, triangle: np.ndarray) -> bool:
+    """Whether phi has both signs on a triangle (3, 3), in voxels: at points of it in voxels that the surface passes."""
+    voxels = np.argwhere(is_passed(values))[:, ::-1]
+    p, e1, e2 = triangle[0], triangle[1] - triangle[0], triangle[2] - triangle[0]
+    n = np.cross(e1, e2)
+    squared = n @ n
+    if squared == 0.0:
+        return False
+    middle = voxels + 0.5
+    voxels = voxels[np.abs((middle - p) @ n) <= 0.5 * np.abs(n).sum()]
+    if not len(voxels):
+        return False
+    across = int(np.argmax(np.abs(n)))
+    others = [k for k in range(3) if k != across]
+    t = (np.arange(POINTS) + 0.5) / POINTS
+    square = np.stack(np.meshgrid(t, t), axis=-1).reshape(-1, 2)
+    points = np.empty((len(voxels), len(square), 3))
+    points[..., others] = voxels[:, None, others] + square
+    points[..., across] = p[across] - ((points[..., others] - p[others]) @ n[others]) / n[across]
+    inside = (points[..., across] >= voxels[:, None, across]) & (points[..., across] <= voxels[:, None, across] + 1)
+    r = points - p
+    u, v = np.cross(r, e2) @ n / squared, np.cross(e1, r) @ n / squared
+    points = points[inside & (u >= 0.0) & (v >= 0.0) & (u + v <= 1.0)]
+    if not len(points):
+        return False
+    found = interpolated(values, points)
+    size = TOUCHING * np.abs(values).max()
+    return bool(found.min() < -size and found.max() > size)
+
+
+def interpolated(values: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Return tri-linear values (N,) of a grid (Z, Y, X) at points (N, 3), in voxels."""
+    cell = np.clip(points.astype(int), 0, np.array(values.shape[::-1]) - 2)
+    f, total = points - cell, np.zeros(len(points))
+    for corner in np.ndindex(2, 2, 2):
+        at = cell + corner
+        weight = np.prod(np.where(corner, f, 1.0 - f), axis=1)
+        total += weight * values[at[:, 2], at[:, 1], at[:, 0]]
+    return total
+
+
+def require_uncut_grids(scene: Scene, sensor: int, shapes: list[int]) -> None:
+    """Raise if a clip plane of a camera runs through the box around a grid's surface.
+
+    Raises:
+        ValueError: the derivative of that border is in no term.
+    """
+    view = camera_view(scene, sensor)
+    axis = np.linalg.inv(view.pose[:3, :3])[2]
+    size = float(np.linalg.norm(view.pose[:3, 2]))
+    near, far = view.camera.near, view.camera.far
+    near, far = (near / size, far / size) if view.finite else (near, near + (far - near) / size)
+    for i in shapes:
+        values = grid_values(scene, i)
+        box = passed_box(values)
+        if box is None:
+            continue
+        linear, origin = pose(scene, i)
+        cells = np.array(values.shape[::-1]) - 1.0
+        ends = (CORNERS * (box[1] - box[0]) + box[0]) / cells
+        depth = (ends @ linear.T + origin - view.pose[:3, 3]) @ axis
+        for plane in (near, far):
+            if depth.min() < plane < depth.max():
+                raise ValueError(
+                    f"a clip plane of sensor {sensor} runs through the box around the surface of the grid "
+                    f"{scene.description.shapes[i].path!r}, and the derivative of a border that it cuts is not "
+                    "estimated; change near_clip or far_clip, move the camera, or say PathIntegrator(boundary=None) to "
+                    "get the interior term alone"
+                )

@@ -1,0 +1,192 @@
+"""Where a grid of signed distances can be touched by segments: its items, and those of which an eye may see some.
+
+An item is a face between two voxels, or a voxel, that the surface passes, numbered as in ``grid_points.py`` of the
+kernels. From an eye the silhouette lies where Psi = grad phi . (x - eye) is zero, or changes its sign across a face.
+Derivatives of phi along an axis are bilinear, so that the differences at the corners bound them, and interval
+arithmetic bounds Psi: what is left out has no silhouette.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import warp as wp
+
+from warp_psdr.kernels import constants as c
+from warp_psdr.kernels.boundary.silhouette.grid_points import GridItems
+from warp_psdr.scene.sdfgrid import is_passed
+from warp_psdr.topology.camera_view import camera_view
+from warp_psdr.topology.exact_shapes import pose
+
+if TYPE_CHECKING:
+    from warp_psdr.scene.scene import Scene
+
+#: Kind of an item that is a voxel.
+VOXEL = 3
+#: Rounding of bounds, over their size.
+ROUNDING = 1.0e-5
+
+
+@dataclass(frozen=True, eq=False)
+class Eyes:
+    """Where rays that touch a shape may come from: a box of points, or of directions, in the device's coordinates."""
+
+    corners: np.ndarray  #: (N, 3)
+    distant: bool
+
+
+def grid_values(scene: Scene, shape: int) -> np.ndarray:
+    """Return the values (Z, Y, X) of a shape that is a grid, as they are now."""
+    p = scene.parameters[f"{scene.description.shapes[shape].path}.grid"]
+    return scene.values.numpy()[p.offset : p.offset + p.size].reshape(p.shape)[..., 0].astype(np.float64)
+
+
+def grid_shapes(scene: Scene) -> list[int]:
+    """Return the numbers of the shapes that are grids."""
+    return [i for i in scene.builder.primitives if scene.description.shapes[i].grid is not None]
+
+
+def items_of(values: np.ndarray, concave: bool = False) -> np.ndarray:
+    """Return the numbers (N,) of the items of a grid (Z, Y, X), without faces whose creases are all concave.
+
+    ``concave``: of faces alone, with those.
+    """
+    node = np.arange(values.size).reshape(values.shape)
+    found = [] if concave else [4 * node[:-1, :-1, :-1][is_passed(values)] + VOXEL]
+    for axis in range(3):
+        along = 2 - axis  # in the array
+        across = [k for k in range(3) if k != along]
+        inside = values < 0.0
+        bend = np.diff(values, 2, axis=along)
+        corners, bends = [], []
+        for offsets in itertools.product((0, 1), repeat=2):
+            at = [slice(1, -1)] * 3
+            for k, o in zip(across, offsets, strict=True):
+                at[k] = slice(o, values.shape[k] - 1 + o)
+            corners.append(inside[tuple(at)])
+            at[along] = slice(None)
+            bends.append(bend[tuple(at)])
+        passed = np.any(corners, axis=0) & ~np.all(corners, axis=0)
+        passed &= (np.max(np.abs(bends) if concave else bends, axis=0)) > 0.0
+        first = [slice(0, -1)] * 3
+        first[along] = slice(1, -1)
+        found.append(4 * node[tuple(first)][passed] + axis)
+    return np.concatenate(found)
+
+
+def may_show(values: np.ndarray, numbers: np.ndarray, low: np.ndarray, high: np.ndarray, distant: bool) -> np.ndarray:
+    """Return which items may hold a silhouette from some eye of a box.
+
+    Args:
+        values: (Z, Y, X).
+        numbers: (N,) of items.
+        low: (3,) least coordinates x, y, z of the eyes, in voxels.
+        high: the greatest ones.
+        distant: the eyes are directions.
+    """
+    _nz, ny, nx = values.shape
+    node, kind = numbers >> 2, numbers & 3
+    corner = np.stack([node % nx, node // nx % ny, node // (nx * ny)], axis=1).astype(np.float64)
+    stride, flat = (1, nx, nx * ny), values.reshape(-1)
+    shown = np.zeros(len(numbers), bool)
+    for k in range(VOXEL + 1):
+        rows = np.flatnonzero(kind == k)
+        place, first = corner[rows], node[rows]
+        extent = np.array([0.0 if axis == k else 1.0 for axis in range(3)])
+        away = (low, high) if distant else (place - high, place + extent - low)
+        terms = []
+        for axis in range(3):
+            free = [stride[other] for other in range(3) if other not in (axis, k)]
+            terms.append(_product(_slopes(flat, first, stride[axis], free), [end[..., axis] for end in away]))
+        sides = [terms]
+        if k < VOXEL:  # the voxel in front of the face
+            free = [stride[other] for other in range(3) if other != k]
+            before = _product(_slopes(flat, first - stride[k], stride[k], free), [end[..., k] for end in away])
+            sides.append([before if axis == k else term for axis, term in enumerate(terms)])
+        above, below = np.ones(len(rows), bool), np.ones(len(rows), bool)
+        for side in sides:
+            slack = ROUNDING * sum(np.maximum(-least, most) for least, most in side)
+            above &= sum(least for least, _most in side) > slack
+            below &= sum(most for _least, most in side) < -slack
+        shown[rows] = ~(above | below)
+    return shown
+
+
+def _slopes(flat: np.ndarray, first: np.ndarray, stride: int, free: list[int]) -> list[np.ndarray]:
+    """Return the least and the greatest difference along an axis at the corners that ``free`` strides lead to."""
+    at = [first + np.dot(offsets, free) for offsets in itertools.product((0, 1), repeat=len(free))]
+    found = np.array([flat[place + stride] - flat[place] for place in at])
+    return [found.min(axis=0), found.max(axis=0)]
+
+
+def _product(a: list[np.ndarray], b: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Return the ends of a product of intervals."""
+    ends = [x * y for x in a for y in b]
+    return np.min(ends, axis=0), np.max(ends, axis=0)
+
+
+def seen_from(scene: Scene, shape: int, values: np.ndarray, numbers: np.ndarray, eyes: Eyes) -> np.ndarray:
+    """Return which items of a shape may hold a silhouette from some eye."""
+    linear, origin = pose(scene, shape)
+    cells = np.array(values.shape[::-1]) - 1.0
+    local = (eyes.corners if eyes.distant else eyes.corners - origin) @ np.linalg.inv(linear).T * cells
+    return may_show(values, numbers, local.min(axis=0), local.max(axis=0), eyes.distant)
+
+
+def camera_eyes(scene: Scene, sensor: int) -> Eyes:
+    """Return where a camera's rays come from."""
+    view = camera_view(scene, sensor)
+    if not view.finite:
+        return Eyes(view.eye[None], True)
+    square = np.array(list(itertools.product((-1.0, 1.0), repeat=2))) * view.radius
+    return Eyes(view.eye + square @ view.pose[:3, :2].T, False)
+
+
+def light_eyes(scene: Scene) -> list[Eyes] | None:
+    """Return where each light is; None: one is everywhere."""
+    found, b, values = [], scene.builder, scene.values.numpy()
+    for number, e in enumerate(b.emitters):
+        if e.kind in (c.EMITTER_AREA, c.EMITTER_DIRECTIONAL_AREA):
+            own = [i for i, shape in enumerate(b.shapes) if shape.emitter == number]
+            corners = scene.points[b.indices[np.isin(b.face_shape, own)].reshape(-1)].astype(np.float64)
+            box = np.array(list(itertools.product(*zip(corners.min(axis=0), corners.max(axis=0), strict=True))))
+            found.append(Eyes(box, False))
+        elif e.kind == c.EMITTER_POINT:
+            found.append(Eyes(values[None, e.to_world : e.to_world + 3].astype(np.float64), False))
+        elif e.kind in (c.EMITTER_CONSTANT, c.EMITTER_ENVMAP):
+            return None
+        else:
+            matrix = values[e.to_world : e.to_world + 16].reshape(4, 4).astype(np.float64)
+            distant = e.kind == c.EMITTER_DIRECTIONAL
+            found.append(Eyes(matrix[None, :3, 2] if distant else matrix[None, :3, 3], distant))
+    return found
+
+
+def grid_items(scene: Scene, shapes: list[int], eyes: list[Eyes] | None, concave: bool = False) -> GridItems | None:
+    """Return the items of some grids, those first that may show a silhouette to an eye (None: eyes are everywhere).
+
+    ``concave`` as of ``items_of``. None: there are no items.
+    """
+    shown, hidden = [], []
+    for shape in shapes:
+        values = grid_values(scene, shape)
+        numbers = items_of(values, concave)
+        seen = np.zeros(len(numbers), bool)
+        for e in eyes or []:
+            seen |= seen_from(scene, shape, values, numbers, e)
+        if eyes is None:
+            seen[:] = True
+        record = scene.face_count + scene.builder.primitives.index(shape)
+        pairs = np.stack([np.full(len(numbers), record), numbers], axis=1).astype(np.int32)
+        shown.append(pairs[seen])
+        hidden.append(pairs[~seen])
+    if not sum(len(pairs) for pairs in (*shown, *hidden)):
+        return None
+    found = GridItems()
+    found.items = wp.array(np.concatenate([*shown, *hidden]), dtype=wp.vec2i, device=scene.device)
+    found.aimed = sum(len(pairs) for pairs in shown)
+    found.share = 1.0
+    return found
