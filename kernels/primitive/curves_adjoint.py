@@ -9,7 +9,7 @@ still depends on,
 
 and texture coordinates, normals and radii turn with v. That is what tapered tubes need: phi' has a part -r' v'.
 
-Derivation: ``docs/theory/implicit.md#form-s-on-curves``.
+Derivation: ``docs/theory/implicit.md#curves``.
 """
 
 import functools
