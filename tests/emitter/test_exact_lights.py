@@ -228,7 +228,7 @@ def test_interior_methods_and_modes_agree(kind: str, method) -> None:
     ("options", "problem"),
     [
         ({}, r"not followed where such a shape shines; say PathIntegrator\(boundary=None\)"),
-        ({"hide_emitters": True}, "hide_emitters does not hide it"),
+        ({"hide_emitters": True}, "hide_emitters does not hide"),
     ],
 )
 def test_what_it_does_not_do_is_refused(options: dict, problem: str) -> None:

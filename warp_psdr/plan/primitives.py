@@ -78,6 +78,9 @@ def refuse(
     if not config.primitives:
         return
     shapes = [scene.description.shapes[i] for i in scene.builder.primitives]
+    light = next((s for s in shapes if s.kind in EXACT and s.emitter is not None), None)
+    if light is not None and integrator.hide_emitters:
+        raise ValueError(f"{light.path!r} is an exact {light.kind!r}, which hide_emitters does not hide; {INSTEAD}")
     resting = next((s for s in shapes if s.kind not in EXACT), None)
     if resting is not None:
         reason = _beside_resting(scene, config, integrator, wanted, names, moving)
@@ -85,13 +88,10 @@ def refuse(
             instead = TRIANGLES if resting.grid is not None else TUBES
             raise ValueError(f"{resting.path!r} is a {resting.kind!r}, and {reason}; or {instead}")
         return
-    light = next((s for s in shapes if s.emitter is not None), None)
     shape = light or shapes[0]
     reason = ""
     if config.media is not None:
         reason = "participating media do not know it"
-    elif light is not None and integrator.hide_emitters:
-        reason = "it shines: hide_emitters does not hide it"
     else:
         reason = _of_method(integrator.interior, wanted)
         if not reason and moving and integrator.boundary is not None and light is not None:
