@@ -21,8 +21,8 @@ MATERIALS = PathConfig(
 TEXTURED = PathConfig(
     **{
         **vars(SIMPLE),
-        **materials("diffuse", kinds=TEXTURES),
-        "area": TEXTURES,
+        **materials("diffuse", kinds=(*TEXTURES, c.TEXTURE_GRID, c.TEXTURE_SCALED)),
+        "area": (*TEXTURES, c.TEXTURE_SCALED),
         "uv": True,
         "smooth": True,
         "flat": False,
@@ -82,7 +82,9 @@ MEDIA = PathConfig(
 GRIDS = PathConfig(
     **{
         **vars(MEDIA),
-        "media": MediaConfig((c.PHASE_ISOTROPIC, c.PHASE_HG, c.PHASE_RAYLEIGH, c.PHASE_TABLE), True, True),
+        "media": MediaConfig(
+            (c.PHASE_ISOTROPIC, c.PHASE_HG, c.PHASE_RAYLEIGH, c.PHASE_TABLE, c.PHASE_BLEND), True, True
+        ),
     }
 )
 #: What is traced again for ``psdr.trace_sample``.
