@@ -5,8 +5,9 @@ import pytest
 
 import warp_psdr as psdr
 
+from .test_sdfgrid import assert_slope, entry
+
 T = psdr.Transform
-SLOPE = 0.02
 #: Along x: texture coordinates count angles from z, and jump between segments that do not lie in a plane across it.
 POINTS = np.array([[0.4 * (k - 3.0), 0.25 * (k - 3.0) ** 2 / 9.0, 0.0, 0.5 - 0.03 * k] for k in range(7)])
 
@@ -35,12 +36,6 @@ def swell() -> np.ndarray:
     return np.hstack([0.2 * np.sin(3.0 * k), 0.4 * np.cos(2.0 * k), 0.0 * k + 0.5, 0.3 * np.cos(k)]).ravel()
 
 
-def entry(*place: int) -> np.ndarray:
-    e = np.zeros((4, 4))
-    e[place] = 1.0
-    return e
-
-
 @pytest.mark.parametrize(
     ("plugin", "name", "tangent", "step"),
     [
@@ -55,29 +50,4 @@ def entry(*place: int) -> np.ndarray:
     ],
 )
 def test_slope_of_what_moves(plugin: str, name: str, tangent: np.ndarray, step: float) -> None:
-    described = room(plugin)
-    params = psdr.traverse(described)
-    integrator = psdr.PathIntegrator(max_depth=3, rr_depth=100, boundary=None)
-    value = params[name].numpy().astype(np.float64)
-    weights = np.random.default_rng(1).random((16, 16, 3)).astype(np.float32)
-
-    def image(step: float, seed: int) -> float:
-        params[name] = value + step * tangent
-        params.update()
-        found = psdr.render(described, integrator=integrator, spp=256, seed=seed).numpy().astype(np.float64)
-        params[name] = value
-        params.update()
-        return float((weights * found).sum())
-
-    seeds = range(4)
-    differences = np.mean([(image(step, seed) - image(-step, seed)) / (2.0 * step) for seed in seeds])
-    options = {"integrator": integrator, "spp": 256}
-    images = [psdr.render_forward(described, params, {name: tangent}, seed=s, **options).numpy() for s in seeds]
-    forward = [float((weights * image).sum()) for image in images]
-    params.requires_grad(name)
-    psdr.render_backward(described, params, weights, seed=0, **options)
-    reverse = float((params[name].grad.numpy() * tangent).sum())
-    assert abs(differences) > 1.0
-    assert np.mean(forward) / differences == pytest.approx(1.0, abs=SLOPE)
-    assert reverse == pytest.approx(forward[0], rel=2e-4)
-    assert not any(psdr.invalid_samples(described).values())
+    assert_slope(room(plugin), name, tangent, step)

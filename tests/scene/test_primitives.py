@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+import warp_psdr as psdr
 from warp_psdr.scene import Transform, describe_dict
 from warp_psdr.scene.primitives import PRIMITIVES
 
@@ -95,6 +96,22 @@ def test_mirroring_keeps_the_side_without_normals_too(kind):
 def test_flip_and_face_normals():
     x = shape("sphere", flip_normals=True, face_normals=True, resolution=8)
     assert x.flip_normals and x.normals is None and x.local_normals is None and not x.normals_computed
+
+
+def test_a_flat_cube_follows_its_pose():
+    held = psdr.load_dict(
+        {
+            "type": "scene",
+            "sensor": {"type": "perspective"},
+            "sky": {"type": "constant"},
+            "c": {"type": "cube", "face_normals": True},
+        }
+    )
+    params = psdr.traverse(held)
+    before = params["c.vertex_positions"].numpy().copy()
+    params["c.to_world"] = Transform.translate([1.0, 0.0, 0.0]).matrix
+    params.update()
+    np.testing.assert_allclose(params["c.vertex_positions"].numpy(), before + np.float32([1.0, 0.0, 0.0]), atol=1e-6)
 
 
 def test_resolution_is_settable():

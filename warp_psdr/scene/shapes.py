@@ -242,7 +242,7 @@ def _place(
         bsdf=bsdf,
         normals=None if world_normals is None else world_normals.astype(np.float32),
         # A cube's normals are those of its sides, so they follow when its vertices are moved, as Mitsuba's do.
-        normals_computed=computed or props.type == "cube",
+        normals_computed=computed or (props.type == "cube" and normals is not None),
         texcoords=None if data.texcoords is None else np.ascontiguousarray(data.texcoords, dtype=np.float32),
         repairs=repairs,
     )
