@@ -55,7 +55,7 @@ def test_image_is_mitsubas(plugin: str, bsdf: dict, tmp_path) -> None:
     assert_mitsubas(theirs, theirs)
 
 
-@pytest.mark.parametrize("plugin", ["bsplinecurve", "linearcurve"])
+@pytest.mark.parametrize("plugin", ["bsplinecurve", pytest.param("linearcurve", marks=pytest.mark.slow)])
 def test_a_straight_tube_covers_its_shadow(plugin: str) -> None:
     """Seen from the side by parallel rays: 2 r L for a tube, and pi r^2 more with its two half spheres."""
     radius, count = 0.2, 8
@@ -78,12 +78,12 @@ def test_a_straight_tube_covers_its_shadow(plugin: str) -> None:
     assert 4.0 * (1.0 - image.mean()) == pytest.approx(expected, rel=2e-3)
 
 
-def test_traced_vertices_lie_on_them() -> None:
-    for plugin in ("bsplinecurve", "linearcurve"):
-        described = psdr.load_dict(held(plugin, DIFFUSE))
-        seen = psdr.render_aov(described, "pp:position, ss:shape_index", spp=1)
-        rows, columns = np.nonzero(seen["ss"].numpy().reshape(32, 32) == 2.0)
-        assert rows.size > 10
-        vertex = psdr.trace_sample(described, pixel=(int(columns[5]), int(rows[5])), sample=0, spp=1).vertices[0]
-        assert vertex.shape == "body" and vertex.face == -1
-        np.testing.assert_allclose(vertex.position, seen["pp"].numpy()[rows[5], columns[5]], atol=1e-4)
+@pytest.mark.parametrize("plugin", ["bsplinecurve", pytest.param("linearcurve", marks=pytest.mark.slow)])
+def test_traced_vertices_lie_on_them(plugin: str) -> None:
+    described = psdr.load_dict(held(plugin, DIFFUSE))
+    seen = psdr.render_aov(described, "pp:position, ss:shape_index", spp=1)
+    rows, columns = np.nonzero(seen["ss"].numpy().reshape(32, 32) == 2.0)
+    assert rows.size > 10
+    vertex = psdr.trace_sample(described, pixel=(int(columns[5]), int(rows[5])), sample=0, spp=1).vertices[0]
+    assert vertex.shape == "body" and vertex.face == -1
+    np.testing.assert_allclose(vertex.position, seen["pp"].numpy()[rows[5], columns[5]], atol=1e-4)
