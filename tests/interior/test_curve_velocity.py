@@ -10,7 +10,7 @@ from warp_psdr.kernels.primitive.dispatch import make_hit, make_surface_at
 from warp_psdr.kernels.primitive.velocity import make_velocity
 from warp_psdr.kernels.reading import triangle_at
 from warp_psdr.kernels.structs import Scene
-from warp_psdr.scene.curves import coefficients
+from warp_psdr.scene.curve_points import coefficients
 
 STEP = 1e-6
 #: Of velocities: float32, on points that are held to some 1e-6 of a segment.

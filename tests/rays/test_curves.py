@@ -9,7 +9,7 @@ from warp_psdr.kernels.constants import PRIMITIVE_BSPLINECURVE, PRIMITIVE_LINEAR
 from warp_psdr.kernels.primitive.dispatch import make_hit, make_surface_at
 from warp_psdr.kernels.reading import triangle_at
 from warp_psdr.kernels.structs import Scene
-from warp_psdr.scene.curves import coefficients
+from warp_psdr.scene.curve_points import coefficients
 
 KINDS = {"linearcurve": PRIMITIVE_LINEARCURVE, "bsplinecurve": PRIMITIVE_BSPLINECURVE}
 #: Rounding of points, over the largest coordinate.

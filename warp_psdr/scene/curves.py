@@ -13,6 +13,7 @@ from warp_psdr.kernels.primitive.curves import HEADER, MOST_SEGMENTS
 
 from .bsdfs import BsdfDescription
 from .curve_files import read_curves
+from .curve_points import coefficients
 from .description import Curves, ShapeDescription
 from .errors import SceneError, error
 from .exact import singular
@@ -149,14 +150,6 @@ def _note_folds(props: Properties, a: np.ndarray, place: str) -> None:
     tight = int((radius * curvature > np.linalg.norm(slope[:, :3], axis=1) ** 3).sum())
     if tight:
         props.context.note(f"{place}: {tight} segments bend more than their radius allows, and run through themselves")
-
-
-def coefficients(points: np.ndarray, firsts: np.ndarray) -> np.ndarray:
-    """Return the coefficients of 1, v, v^2, v^3 of cubic segments, (4, S, 4)."""
-    p0, p1, p2, p3 = (points[firsts + k] for k in range(4))
-    return np.stack(
-        [(p0 + 4.0 * p1 + p2) / 6.0, (p2 - p0) / 2.0, (p0 - 2.0 * p1 + p2) / 2.0, (p3 - p0 + 3.0 * (p1 - p2)) / 6.0]
-    )
 
 
 def hulls(points: np.ndarray, curves: Curves) -> tuple[np.ndarray, np.ndarray]:

@@ -17,8 +17,8 @@ from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.boundary.silhouette.dispatch import OUTLINES
 from warp_psdr.kernels.boundary.silhouette.rim import RIMS
 from warp_psdr.kernels.primitive.affine import update_primitive
-from warp_psdr.kernels.primitive.curves import HEADER, MOST_SEGMENTS
 
+from .curve_points import held_curve_point
 from .description import ShapeDescription
 from .errors import error
 from .primitives import PRIMITIVES, surface_area
@@ -137,42 +137,6 @@ def outlines(scene: Scene, shapes: frozenset[int] | None) -> wp.array | None:
             kind = KINDS[scene.description.shapes[i].primitive]
             found += [scene.face_count + k] * (kind in OUTLINES) + [-1 - scene.face_count - k] * (kind in RIMS)
     return wp.array(np.array(found, np.int32), dtype=wp.int32, device=scene.device) if found else None
-
-
-def held_curve_point(scene: Scene, shape: int, held: np.ndarray) -> np.ndarray:
-    """Return the point (3,) of curves that a vertex holds (``kernels/primitive/curves.py``).
-
-    Args:
-        scene: the scene.
-        shape: the number of the curves.
-        held: (3,) place along the segment, turns around it, and its number, as fractions.
-    """
-    curves = scene.description.shapes[shape].curves
-    assert curves is not None
-    first = scene.builder.curves[shape] + HEADER + curves.points.size
-    points = scene.values[first : first + curves.points.size].numpy().astype(np.float64).reshape(-1, 4)
-    k, along, angle = curves.firsts[int(held[2] * MOST_SEGMENTS)], float(held[0]), None
-    if curves.cubic:
-        p = points[k : k + 4]
-        a = [
-            (p[0] + 4 * p[1] + p[2]) / 6,
-            (p[2] - p[0]) / 2,
-            (p[0] - 2 * p[1] + p[2]) / 2,
-            (p[3] - p[0] + 3 * (p[1] - p[2])) / 6,
-        ]
-        c, axis = np.polyval(a[::-1], along), np.polyval([3 * a[3], 2 * a[2], a[1]], along)[:3]
-    else:
-        p0, p1 = points[k : k + 2]
-        axis = (p1 - p0)[:3]
-        touch = np.arccos(np.clip((p0 - p1)[3] / np.linalg.norm(axis), -1.0, 1.0))
-        angle = np.interp(along, [0.0, 0.25, 0.75, 1.0], [np.pi, touch, touch, 0.0])
-        c = p0 + np.clip(2.0 * along - 0.5, 0.0, 1.0) * (p1 - p0)
-    axis = axis / np.linalg.norm(axis)
-    up = np.array([0.0, 0.0, 1.0]) - axis[2] * axis
-    up = up / np.linalg.norm(up) if up @ up > 1.0e-12 else np.array([0.0, 1.0, 0.0])
-    turn = 2.0 * np.pi * held[1]
-    e = np.cos(turn) * np.cross(up, axis) + np.sin(turn) * up
-    return c[:3] + c[3] * (e if angle is None else np.sin(angle) * e + np.cos(angle) * axis)
 
 
 def sphere_points(u, v) -> np.ndarray:
