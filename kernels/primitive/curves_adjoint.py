@@ -38,12 +38,19 @@ POSE = 16
 
 @differentiable
 @wp.func
+def shares(v: wp.float32) -> wp.vec4:
+    """What four control points have of a uniform cubic B-spline at v."""
+    w = 1.0 - v
+    middle = wp.vec2(3.0 * v * v * (v - 2.0) + 4.0, 3.0 * w * w * (w - 2.0) + 4.0)
+    return wp.static(1.0 / 6.0) * wp.vec4(w * w * w, middle[0], middle[1], v * v * v)
+
+
+@differentiable
+@wp.func
 def weigh(v: wp.float32, p0: wp.vec4, p1: wp.vec4, p2: wp.vec4, p3: wp.vec4) -> wp.vec4:
     """The place c(v) of a uniform cubic B-spline, and its radius."""
-    w = 1.0 - v
-    b1 = 3.0 * v * v * (v - 2.0) + 4.0
-    b2 = 3.0 * w * w * (w - 2.0) + 4.0
-    return wp.static(1.0 / 6.0) * ((w * w * w) * p0 + b1 * p1 + b2 * p2 + (v * v * v) * p3)
+    b = shares(v)
+    return b[0] * p0 + b[1] * p1 + b[2] * p2 + b[3] * p3
 
 
 @differentiable
@@ -140,10 +147,9 @@ def cone_still(x: wp.vec3, v: wp.float32, p0: wp.vec4, p1: wp.vec4) -> wp.float3
 
 @wp.struct
 class Pull:
-    """Adjoints of a point of curves: of the point, of its place along the segment, and of up to four control points."""
+    """Adjoints of a point of curves, and of the control points that it follows from, up to four."""
 
     x: wp.vec3
-    v: wp.float32
     p0: wp.vec4
     p1: wp.vec4
     p2: wp.vec4
@@ -316,11 +322,11 @@ def make_curve_sink(role: str, cubic: bool, uv: bool, tangent: bool):
             along = adjoint.x - share * across
             a = wp.vec4(along[0], along[1], along[2], 0.0)
             if wp.static(cubic):
-                w = 1.0 - s.v
-                r.p0 = wp.static(1.0 / 6.0) * (w * w * w) * a
-                r.p1 = wp.static(1.0 / 6.0) * (3.0 * s.v * s.v * (s.v - 2.0) + 4.0) * a
-                r.p2 = wp.static(1.0 / 6.0) * (3.0 * w * w * (w - 2.0) + 4.0) * a
-                r.p3 = wp.static(1.0 / 6.0) * (s.v * s.v * s.v) * a
+                b = shares(s.v)
+                r.p0 = b[0] * a
+                r.p1 = b[1] * a
+                r.p2 = b[2] * a
+                r.p3 = b[3] * a
             else:
                 r.p0 = (1.0 - s.v) * a
                 r.p1 = s.v * a
