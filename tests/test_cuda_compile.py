@@ -153,7 +153,7 @@ FACTORIES = {
         ("curves", (CURVES,), SLOW),
         ("emission", (EMISSION,), SLOW),
         ("orthographic", (ORTHOGRAPHIC,), SLOW),
-        ("thin lens", (THIN_LENS,), FAST),
+        ("thin lens", (THIN_LENS,), SLOW),
         ("irradiance meter", (IRRADIANCE,), SLOW),
         ("others", (OTHERS,), SLOW),
         ("everything", (EVERYTHING,), SLOW),
@@ -182,7 +182,7 @@ FACTORIES = {
         ("textures", (TEXTURED, everything(TEXTURED, radiance=True, to_uv=True), 4, 1), SLOW),
     ],
     "interior.light_tracing.make_light_forward_kernel": [
-        ("simple", (SIMPLE, ALBEDO), FAST),
+        ("simple", (SIMPLE, ALBEDO), SLOW),
         ("lights", (ALL_LIGHTS, still(ALL_LIGHTS)), SLOW),
         ("materials", (MATERIALS, everything(MATERIALS, radiance=True)), SLOW),
     ],

@@ -178,6 +178,7 @@ def test_terms_add_up_to_the_derivative_image(soft):
     np.testing.assert_allclose(total.reshape(image.shape), image, rtol=1e-4, atol=1e-5 * np.abs(image).max())
 
 
+@pytest.mark.slow_rows("silhouette box")
 @pytest.mark.parametrize("name", ["silhouette box", "soft"])
 def test_an_image_is_one_term(name):
     scene, _params = scenes.load(name)

@@ -232,6 +232,7 @@ def test_without_a_budget_nothing_is_returned(soft):
     assert gradient(soft, spp=1)[0] is None
 
 
+@pytest.mark.slow
 def test_images_reach_the_error(soft):
     scene, params = soft
     long = psdr.render(scene, integrator=INTEGRATOR, spp=2048, seed=77).numpy()

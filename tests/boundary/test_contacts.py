@@ -127,7 +127,7 @@ def test_motions_across_contacts_are_warned_of(name, directions, pair) -> None:
     assert all(repr(shape) in str(found[0].message) for shape in pair)
 
 
-@pytest.mark.slow_rows("coarse ball on floor-directions6", "room sunk-directions5")
+@pytest.mark.slow_rows("coarse ball on floor-directions6", "room sunk-directions5", "fine ball on floor-directions7")
 @pytest.mark.parametrize(("name", "directions"), rows(ALONG))
 def test_motions_along_contacts_are_not(name, directions) -> None:
     with warnings.catch_warnings():

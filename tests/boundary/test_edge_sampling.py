@@ -102,6 +102,7 @@ def test_lights_of_all_kinds_at_once_and_the_scene_stays_as_it_was() -> None:
     assert abs(ours.mean() - theirs.mean()) < 3.5 * error
 
 
+@pytest.mark.slow
 def test_results_do_not_depend_on_the_number_of_workers() -> None:
     scene, params = load("soft")
     options = {"integrator": psdr.PathIntegrator(max_depth=2, boundary=METHOD), "spp": 8, "seed": 5}

@@ -335,6 +335,7 @@ def test_from_a_face_no_edge_in_its_plane_is_a_silhouette() -> None:
     assert (weights(x + 1e-4 * triangles["normal"])[:, in_plane] > 0.0).mean() > 0.6
 
 
+@pytest.mark.slow_rows("False")
 @pytest.mark.parametrize("tree", [True, False])
 def test_the_choice_has_the_probabilities_that_it_divides_by(tree) -> None:
     scene, edges, trees = prepared()

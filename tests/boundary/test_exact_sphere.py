@@ -165,6 +165,7 @@ def light_below(radius: float, height: float, level: float) -> float:
     return float((0.25 * w[:, None] * w * (1.0 - radius**2 * h / (h * h + squared) ** 1.5)).sum())
 
 
+@pytest.mark.slow
 def test_irradiance_below_a_black_sphere() -> None:
     """By radius and height of the sphere, and by the height of the floor that receives the light."""
     film = {"type": "hdrfilm", "width": 8, "height": 8, "rfilter": {"type": "box"}}

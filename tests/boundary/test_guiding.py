@@ -247,7 +247,7 @@ ROWS = [
 ]
 
 
-@pytest.mark.slow_rows("soft, occluder moves, depth 2-forward-kdtree")
+@pytest.mark.slow_rows("soft, occluder moves, depth 2-forward-kdtree", "soft, occluder moves, depth 2-forward-octree")
 @pytest.mark.parametrize("name", METHODS)
 @pytest.mark.parametrize("mode", ["forward", "reverse"])
 @pytest.mark.parametrize("case", rows(ROWS))

@@ -32,6 +32,7 @@ def requested(case):
     return params.requested
 
 
+@pytest.mark.slow_rows("carved-floor.bsdf.reflectance.volume.data-4-reverse", "sunny-sky.albedo.value-2-reverse")
 @pytest.mark.parametrize(("case", "method"), list(rows()))
 def test_derivative_equals_finite_differences(case, method):
     mode, block = METHODS[method]

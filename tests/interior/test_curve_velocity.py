@@ -93,6 +93,7 @@ def follow(points: np.ndarray, first: int, v: float, o: np.ndarray, d: np.ndarra
     return np.concatenate([x, n, tangent, [turns, v]])
 
 
+@pytest.mark.slow_rows("linearcurve")
 @pytest.mark.parametrize("plugin", ["bsplinecurve", pytest.param("linearcurve", marks=pytest.mark.slow)])
 def test_velocities(plugin: str) -> None:
     rng = np.random.default_rng(5)

@@ -30,6 +30,7 @@ def held(form: str) -> psdr.Scene:
     return psdr.load_dict(scene(blob(16), PLAIN, normals, bsdf))
 
 
+@pytest.mark.slow_rows("diffuse-body.bsdf.reflectance.value")
 @pytest.mark.parametrize(("form", "name"), CASES)
 def test_slope_against_finite_differences(form: str, name: str) -> None:
     described = held(form)

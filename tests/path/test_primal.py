@@ -85,6 +85,7 @@ MITSUBA_CASES = {
 SLOW = ("principled", "paper", "principled glass")
 
 
+@pytest.mark.slow_rows("thin glass", "mirror", "rough Beckmann", "anisotropic", "two sides")
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=[pytest.mark.slow] * (name in SLOW)) for name in MITSUBA_CASES]
 )

@@ -92,6 +92,7 @@ def test_nearest_voxels_may_not_slide():
             psdr.plan(loaded, params)
 
 
+@pytest.mark.slow
 def test_a_scale_is_a_factor_and_a_parameter():
     """Twice the attribute is the image of its double, on surfaces and lights, and beside a checkerboard."""
     parts = scene({"type": "mesh_attribute", "name": "face_tint"})["cube"]

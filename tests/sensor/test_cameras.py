@@ -54,6 +54,7 @@ CASES = {
 }
 
 
+@pytest.mark.slow_rows("orthographic")
 @pytest.mark.parametrize("name", CASES)
 def test_equals_mitsuba(name):
     """Blocks of 6 x 6 pixels have the mean of Mitsuba's ``path``."""

@@ -258,6 +258,7 @@ CASES = (
 )  # fmt: skip
 
 
+@pytest.mark.slow_rows("slabs of thickness 1e-3 .. 1e-6")
 @pytest.mark.parametrize("case", parameters(CASES))
 def test_coverage(case, check) -> None:
     check(case)

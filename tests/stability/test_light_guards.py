@@ -130,6 +130,7 @@ LIGHTS = {
 }
 
 
+@pytest.mark.slow_rows("spot", "projector", "sun")
 @pytest.mark.parametrize("name", LIGHTS)
 def test_what_has_no_pose_is_counted(name: str) -> None:
     """A pose that holds NaN makes samples invalid, not a light that is off, a black image or one of a single texel."""

@@ -37,6 +37,7 @@ def adjoint_of(scene) -> np.ndarray:
     return np.random.default_rng(1).normal(size=(camera.crop_height, camera.crop_width, 3)).astype(np.float32)
 
 
+@pytest.mark.slow
 def test_samples_add_up_to_the_boundary_gradient(under_a_light) -> None:
     # The occluder is convex: it casts no shadow on itself, so that only its edges are pulled at.
     scene, params = under_a_light
