@@ -50,6 +50,7 @@ KINDS = (c.PRIMITIVE_SPHERE, c.PRIMITIVE_DISK, c.PRIMITIVE_CYLINDER)
 EXACT = PathConfig(**{**vars(SIMPLE), "uv": True, "tangent": True, "primitives": KINDS, "shining": KINDS})
 EXACT_LIGHTS = PathConfig(**{**vars(ALL_LIGHTS), "primitives": (c.PRIMITIVE_SPHERE,)})
 DISTANCES = PathConfig(**{**vars(SIMPLE), "tangent": True, "primitives": (c.PRIMITIVE_SPHERE, c.PRIMITIVE_SDFGRID)})
+CUBIC = PathConfig(**{**vars(SIMPLE), "primitives": (c.PRIMITIVE_SDFGRID_CUBIC,)})
 CURVES = PathConfig(
     **{**vars(SIMPLE), "tangent": True, "primitives": (c.PRIMITIVE_LINEARCURVE, c.PRIMITIVE_BSPLINECURVE)}
 )

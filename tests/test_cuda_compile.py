@@ -21,6 +21,7 @@ from tests.cuda_configs import (
     CONNECTED,
     CONNECTED_LIGHTS,
     CONNECTED_THROUGH,
+    CUBIC,
     CURVES,
     DISTANCES,
     EMISSION,
@@ -149,6 +150,7 @@ FACTORIES = {
     "primal.make_primal_kernel": [
         ("simple", (SIMPLE,), FAST),
         ("grids of distances", (DISTANCES,), SLOW),
+        ("cubic grids", (CUBIC,), SLOW),
         ("exact lights", (EXACT,), SLOW),
         ("curves", (CURVES,), SLOW),
         ("emission", (EMISSION,), SLOW),
@@ -203,6 +205,7 @@ FACTORIES = {
         *[(name, (config, all_of(config), 4, 1), SLOW) for name, config in THIRDS.items()],
         ("through", (THROUGH, still(THROUGH), 4, 1), SLOW),
         ("grids of distances", (DISTANCES, GEOMETRY, 4, 1), SLOW),
+        ("cubic grids", (CUBIC, GEOMETRY, 4, 1), SLOW),
         ("exact lights", (EXACT, GEOMETRY, 4, 1), SLOW),
         ("curves", (CURVES, GEOMETRY, 4, 1), SLOW),
     ],
@@ -213,6 +216,7 @@ FACTORIES = {
         *[(name, (config, all_of(config)), SLOW) for name, config in THIRDS.items()],
         ("through", (THROUGH, still(THROUGH)), SLOW),
         ("grids of distances", (DISTANCES, GEOMETRY), SLOW),
+        ("cubic grids", (CUBIC, GEOMETRY), SLOW),
         ("curves", (CURVES, GEOMETRY), SLOW),
     ],
     "interior.media_replay.make_media_replay_kernel": [

@@ -2,8 +2,8 @@
 
 A number of a face that is at least the number of triangles names such a shape. Each function takes the one for
 triangles, and is that one where a scene holds no such shape, so nothing is compiled. Affine shapes are in ``kinds.py``.
-Grids (``sdfgrid.py``) and curves (``curves.py``) are the other kinds: vertices on them slide along the rays that found
-them.
+Grids (``sdfgrid.py``, ``sdfgrid_cubic.py``) and curves (``curves.py``) are the other kinds: vertices on them slide
+along the rays that found them.
 """
 
 import functools
@@ -12,7 +12,12 @@ import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.bvh.wide import RayHit
-from warp_psdr.kernels.constants import PRIMITIVE_BSPLINECURVE, PRIMITIVE_LINEARCURVE, PRIMITIVE_SDFGRID
+from warp_psdr.kernels.constants import (
+    PRIMITIVE_BSPLINECURVE,
+    PRIMITIVE_LINEARCURVE,
+    PRIMITIVE_SDFGRID,
+    PRIMITIVE_SDFGRID_CUBIC,
+)
 from warp_psdr.kernels.primitive.affine import (
     is_primitive,
     is_primitive_at,
@@ -33,6 +38,12 @@ from warp_psdr.kernels.primitive.kinds import (
 )
 from warp_psdr.kernels.primitive.sdfgrid import sdfgrid_hit, unpack
 from warp_psdr.kernels.primitive.sdfgrid_adjoint import make_sdfgrid_sink
+from warp_psdr.kernels.primitive.sdfgrid_cubic import sdfgrid_cubic_hit
+from warp_psdr.kernels.primitive.sdfgrid_cubic_surface import (
+    make_sdfgrid_cubic_sink,
+    make_sdfgrid_cubic_surface,
+    sdfgrid_cubic_normal,
+)
 from warp_psdr.kernels.primitive.sdfgrid_surface import make_sdfgrid_surface, sdfgrid_normal
 from warp_psdr.kernels.reading import triangle_at
 from warp_psdr.kernels.step import step_off_triangle
@@ -47,15 +58,22 @@ from warp_psdr.kernels.surface import (
     uv_partials,
 )
 
-#: Kinds of curves, and all kinds whose vertices slide along rays.
+#: Kinds of grids and of curves, and all kinds whose vertices slide along rays.
+GRIDS = (PRIMITIVE_SDFGRID, PRIMITIVE_SDFGRID_CUBIC)
 CURVES = (PRIMITIVE_LINEARCURVE, PRIMITIVE_BSPLINECURVE)
-SLIDING = (PRIMITIVE_SDFGRID, *CURVES)
+SLIDING = (*GRIDS, *CURVES)
+
+
+@wp.func
+def is_cubic(tri: Triangle) -> wp.bool:
+    """Whether the record of a shape without triangles is that of a smooth grid."""
+    return tri.i1 == wp.static(-1 - PRIMITIVE_SDFGRID_CUBIC)
 
 
 @wp.func
 def is_grid(tri: Triangle) -> wp.bool:
-    """Whether the record of a shape without triangles is that of a grid."""
-    return tri.i1 == wp.static(-1 - PRIMITIVE_SDFGRID)
+    """Whether the record of a shape without triangles is that of a grid, smooth or not."""
+    return tri.i1 == wp.static(-1 - PRIMITIVE_SDFGRID) or is_cubic(tri)
 
 
 @wp.func
@@ -86,6 +104,7 @@ def make_hit(primitives: tuple[int, ...], shadow: bool = False):
     """
     hit_of_affine = make_kinds_hit(affine_kinds(primitives))
     has_grids = PRIMITIVE_SDFGRID in primitives
+    has_cubic = PRIMITIVE_SDFGRID_CUBIC in primitives
     hit_of_linear = make_curve_hit(False, shadow) if PRIMITIVE_LINEARCURVE in primitives else None
     hit_of_bspline = make_curve_hit(True, shadow) if PRIMITIVE_BSPLINECURVE in primitives else None
 
@@ -97,6 +116,9 @@ def make_hit(primitives: tuple[int, ...], shadow: bool = False):
         if wp.static(hit_of_bspline is not None):
             if is_bspline(tri):
                 return hit_of_bspline(scene, tri, o, d, t_max)
+        if wp.static(has_cubic):
+            if is_cubic(tri):
+                return sdfgrid_cubic_hit(scene, tri, o, d, t_max)
         if wp.static(has_grids):
             if wp.static(hit_of_affine is None) or is_grid(tri):
                 return sdfgrid_hit(scene, tri, o, d, t_max)
@@ -148,6 +170,7 @@ def make_surface_at(smooth: bool, flat: bool, uv: bool, tangent: bool, primitive
         return surface_of
     of_affine = make_kinds_surface(affine_kinds(primitives), uv or tangent, tangent)[0]
     of_grid = make_sdfgrid_surface(tangent) if PRIMITIVE_SDFGRID in primitives else None
+    of_cubic = make_sdfgrid_cubic_surface(tangent) if PRIMITIVE_SDFGRID_CUBIC in primitives else None
     of_linear = make_curve_surface(False, tangent) if PRIMITIVE_LINEARCURVE in primitives else None
     of_bspline = make_curve_surface(True, tangent) if PRIMITIVE_BSPLINECURVE in primitives else None
 
@@ -160,6 +183,9 @@ def make_surface_at(smooth: bool, flat: bool, uv: bool, tangent: bool, primitive
             if wp.static(of_bspline is not None):
                 if is_bspline(tri):
                     return of_bspline(scene, tri, u, v)
+            if wp.static(of_cubic is not None):
+                if is_cubic(tri):
+                    return of_cubic(scene, tri, u, v)
             if wp.static(of_grid is not None):
                 if wp.static(of_affine is None) or is_grid(tri):
                     return of_grid(scene, tri, u, v)
@@ -218,7 +244,7 @@ def make_position(primitives: tuple[int, ...]):
     def cross_of_edges(tri: Triangle, u: wp.float32, v: wp.float32) -> wp.vec3:
         return wp.cross(tri.p1 - tri.p0, tri.p2 - tri.p0)
 
-    has_grids = PRIMITIVE_SDFGRID in primitives
+    has_grids = bool(set(GRIDS) & set(primitives))
     if not primitives:
         return point_on, cross_of_edges
     point_of, cross_of = make_kinds_point(affine_kinds(primitives))
@@ -250,9 +276,13 @@ def make_normal_at(primitives: tuple[int, ...]) -> wp.Function | None:
         return None
     of_affine = make_kinds_normal(affine_kinds(primitives))
     has_grids = PRIMITIVE_SDFGRID in primitives
+    has_cubic = PRIMITIVE_SDFGRID_CUBIC in primitives
 
     @wp.func
     def normal_of_any(scene: Scene, tri: Triangle, x: wp.vec3) -> wp.vec3:
+        if wp.static(has_cubic):
+            if is_cubic(tri):
+                return sdfgrid_cubic_normal(scene, tri, x)
         if wp.static(has_grids):
             if wp.static(of_affine is None) or is_grid(tri):
                 return sdfgrid_normal(scene, tri, x)
@@ -280,6 +310,7 @@ def make_adjoint_sink(
         return of_triangle
     of_affine = make_kinds_sink(affine_kinds(primitives), role, uv or tangent, tangent, rays)
     of_grid = make_sdfgrid_sink(role) if PRIMITIVE_SDFGRID in primitives else None
+    of_cubic = make_sdfgrid_cubic_sink(role) if PRIMITIVE_SDFGRID_CUBIC in primitives else None
     of_linear = make_curve_sink(role, False, uv, tangent) if PRIMITIVE_LINEARCURVE in primitives else None
     of_bspline = make_curve_sink(role, True, uv, tangent) if PRIMITIVE_BSPLINECURVE in primitives else None
 
@@ -304,6 +335,9 @@ def make_adjoint_sink(
             if wp.static(of_bspline is not None):
                 if is_bspline(tri):
                     return of_bspline(scene, target, tri, u, v, adjoint, by_ray, o, d)
+            if wp.static(of_cubic is not None):
+                if is_cubic(tri):
+                    return of_cubic(scene, target, tri, u, v, adjoint, by_ray, o, d)
             if wp.static(of_grid is not None):
                 if wp.static(of_affine is None) or is_grid(tri):
                     return of_grid(scene, target, tri, u, v, adjoint, by_ray, o, d)

@@ -5,7 +5,12 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
-from warp_psdr.kernels.constants import PRIMITIVE_BSPLINECURVE, PRIMITIVE_LINEARCURVE, PRIMITIVE_SDFGRID
+from warp_psdr.kernels.constants import (
+    PRIMITIVE_BSPLINECURVE,
+    PRIMITIVE_LINEARCURVE,
+    PRIMITIVE_SDFGRID,
+    PRIMITIVE_SDFGRID_CUBIC,
+)
 from warp_psdr.kernels.interior.tangents import VertexTangent, make_vertex_jvp, normalize_jvp
 from warp_psdr.kernels.primitive.affine import (
     Kind,
@@ -16,9 +21,10 @@ from warp_psdr.kernels.primitive.affine import (
     to_axes,
 )
 from warp_psdr.kernels.primitive.curves_adjoint import make_curve_sink
-from warp_psdr.kernels.primitive.dispatch import is_bspline, is_grid, is_linear
+from warp_psdr.kernels.primitive.dispatch import is_bspline, is_cubic, is_grid, is_linear
 from warp_psdr.kernels.primitive.kinds import KINDS, affine_kinds, join
 from warp_psdr.kernels.primitive.sdfgrid_adjoint import make_sdfgrid_sink
+from warp_psdr.kernels.primitive.sdfgrid_cubic_surface import make_sdfgrid_cubic_sink
 from warp_psdr.kernels.reading import triangle_at
 from warp_psdr.kernels.structs import Scene, Triangle
 from warp_psdr.kernels.surface import VertexAdjoint
@@ -160,9 +166,11 @@ def make_velocity(smooth: bool, flat: bool, uv: bool, tangent: bool, primitives:
         return of_triangle
     kinds = affine_kinds(primitives)
     of_affine = join(_either_jvp, {kind: make_affine_jvp(KINDS[kind], uv or tangent, tangent) for kind in kinds})
-    of_grid, of_linear, of_bspline = None, None, None
+    of_grid, of_cubic, of_linear, of_bspline = None, None, None, None
     if PRIMITIVE_SDFGRID in primitives:
         of_grid = make_sliding_jvp(make_sdfgrid_sink("forward"), False, False)
+    if PRIMITIVE_SDFGRID_CUBIC in primitives:
+        of_cubic = make_sliding_jvp(make_sdfgrid_cubic_sink("forward"), False, False)
     if PRIMITIVE_LINEARCURVE in primitives:
         of_linear = make_sliding_jvp(make_curve_sink("forward", False, uv, tangent), uv, tangent)
     if PRIMITIVE_BSPLINECURVE in primitives:
@@ -190,6 +198,9 @@ def make_velocity(smooth: bool, flat: bool, uv: bool, tangent: bool, primitives:
             if wp.static(of_bspline is not None):
                 if is_bspline(tri):
                     return of_bspline(scene, tangents, tri, u, v, by_ray, o, d, o_dot, d_dot)
+            if wp.static(of_cubic is not None):
+                if is_cubic(tri):
+                    return of_cubic(scene, tangents, tri, u, v, by_ray, o, d, o_dot, d_dot)
             if wp.static(of_grid is not None):
                 if wp.static(of_affine is None) or is_grid(tri):
                     return of_grid(scene, tangents, tri, u, v, by_ray, o, d, o_dot, d_dot)

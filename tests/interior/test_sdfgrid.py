@@ -69,7 +69,7 @@ def test_slope_against_finite_differences(form: str, name: str) -> None:
     assert not any(psdr.invalid_samples(described).values())
 
 
-def cave() -> psdr.Scene:
+def cave(interpolation: str = "linear") -> psdr.Scene:
     """A camera and a lamp in an ellipsoid of a grid, where everything is seen from everywhere."""
     x, y, z = nodes(16)
     grid = 0.42 - np.sqrt((x - 0.5) ** 2 + (1.1 * (y - 0.5)) ** 2 + (0.95 * (z - 0.5)) ** 2)
@@ -83,7 +83,13 @@ def cave() -> psdr.Scene:
             "type": "scene",
             "sensor": {"type": "perspective", "fov": 80.0, "near_clip": 0.01, "to_world": view, "film": film},
             "light": {"type": "point", "position": [0.15, 0.1, 0.25], "intensity": 1.0},
-            "cave": {"type": "sdfgrid", "grid": grid.astype(np.float32), "to_world": T(pose), "bsdf": DIFFUSE},
+            "cave": {
+                "type": "sdfgrid",
+                "grid": grid.astype(np.float32),
+                "interpolation": interpolation,
+                "to_world": T(pose),
+                "bsdf": DIFFUSE,
+            },
         }
     )
 
@@ -140,3 +146,18 @@ def lumps(count: int) -> np.ndarray:
 )
 def test_slope_of_what_moves_where_all_is_seen(name: str, tangent: np.ndarray, step: float) -> None:
     assert_slope(cave(), name, tangent, step)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "tangent", "step"),
+    [
+        ("cave.grid", lumps(16), 0.003),
+        ("cave.grid", np.ones((16, 16, 16, 1)), 0.003),
+        ("cave.to_world", entry(2, 2), 0.005),
+        ("light.position", np.array([1.0, 0.0, 0.0]), 0.005),
+        ("sensor.to_world", entry(2, 3), 0.005),
+    ],
+)
+def test_slope_in_a_smooth_cave(name: str, tangent: np.ndarray, step: float) -> None:
+    assert_slope(cave("cubic"), name, tangent, step)

@@ -5,14 +5,16 @@ import pytest
 import warp as wp
 
 import warp_psdr as psdr
-from warp_psdr.kernels.constants import PRIMITIVE_SDFGRID
+from tests.rays.test_sdfgrid_cubic import weights as spline_weights
+from warp_psdr.kernels.constants import PRIMITIVE_SDFGRID, PRIMITIVE_SDFGRID_CUBIC
 from warp_psdr.kernels.primitive.dispatch import make_hit
 from warp_psdr.kernels.primitive.velocity import make_velocity
 from warp_psdr.kernels.reading import triangle_at
 from warp_psdr.kernels.structs import Scene
 
-HIT = make_hit((PRIMITIVE_SDFGRID,))
-VELOCITY = make_velocity(False, True, False, False, (PRIMITIVE_SDFGRID,))
+KINDS = (PRIMITIVE_SDFGRID, PRIMITIVE_SDFGRID_CUBIC)
+HIT = make_hit(KINDS)
+VELOCITY = make_velocity(False, True, False, False, KINDS)
 STEP = 1e-6
 #: Of velocities of size one: float32, and points within 2.4e-7 of the box.
 ROUNDING = 2e-3
@@ -40,12 +42,17 @@ def move(
         out[i, 3] = wp.vec3(hit.t, 0.0, 0.0)
 
 
-def slopes(values: np.ndarray, q: np.ndarray) -> tuple[float, np.ndarray]:
-    """Value and gradient of tri-linear interpolation, both in voxels; ``values`` by x, y, z."""
+def slopes(values: np.ndarray, q: np.ndarray, cubic: bool = False) -> tuple[float, np.ndarray]:
+    """Value and gradient of an interpolation, both in voxels; ``values`` by x, y, z."""
     cell = np.clip(q.astype(int), 0, np.array(values.shape) - 2)
-    f, c = q - cell, values[tuple(slice(a, a + 2) for a in cell)]
-    weights = [np.array([1.0 - x, x]) for x in f]
-    rates = [np.array([-1.0, 1.0])] * 3
+    f = q - cell
+    if cubic:
+        c = np.pad(values, 1, mode="edge")[tuple(slice(a, a + 4) for a in cell)]
+        weights, rates = ([spline_weights(x, order) for x in f] for order in range(2))
+    else:
+        c = values[tuple(slice(a, a + 2) for a in cell)]
+        weights = [np.array([1.0 - x, x]) for x in f]
+        rates = [np.array([-1.0, 1.0])] * 3
     value = np.einsum("ijk,i,j,k", c, *weights)
     return value, np.array([
         np.einsum("ijk,i,j,k", c, *(rates[b] if b == a else weights[b] for b in range(3))) for a in range(3)
@@ -71,18 +78,18 @@ def smooth(values: np.ndarray, q: np.ndarray) -> np.ndarray:
 
 def hit(values, pose, o, d, t, normals):
     """The point that Newton's steps find from t, and its shading normal."""
-    n, inverse = np.array(values.shape) - 1, np.linalg.inv(pose[:3, :3])
+    n, inverse, cubic = np.array(values.shape) - 1, np.linalg.inv(pose[:3, :3]), normals == "cubic"
     for _ in range(4):
         q = inverse @ (o + t * d - pose[:3, 3]) * n
-        value, gradient = slopes(values, q)
+        value, gradient = slopes(values, q, cubic)
         t -= value / ((gradient * n) @ inverse @ d)
     q = inverse @ (o + t * d - pose[:3, 3]) * n
-    m = smooth(values, q) if normals == "smooth" else slopes(values, q)[1] * n
+    m = smooth(values, q) if normals == "smooth" else slopes(values, q, cubic)[1] * n
     m = inverse.T @ m
-    return o + t * d, m / np.linalg.norm(m), inverse.T @ (slopes(values, q)[1] * n)
+    return o + t * d, m / np.linalg.norm(m), inverse.T @ (slopes(values, q, cubic)[1] * n)
 
 
-@pytest.mark.parametrize("normals", ["smooth", "analytic"])
+@pytest.mark.parametrize("normals", ["smooth", "analytic", "cubic"])
 def test_velocities(normals: str) -> None:
     rng = np.random.default_rng(3)
     at = np.linspace(0.0, 1.0, 9)
@@ -91,7 +98,8 @@ def test_velocities(normals: str) -> None:
     grid = grid.astype(np.float32)
     pose = np.eye(4, dtype=np.float32)
     pose[:3] = [[1.5, 0.3, 0.1, -0.8], [-0.2, 1.2, 0.1, -0.6], [0.1, -0.3, 1.4, -0.7]]
-    body = {"type": "sdfgrid", "grid": grid, "normals": normals, "to_world": psdr.Transform(pose)}
+    form = {"interpolation": "cubic"} if normals == "cubic" else {"normals": normals}
+    body = {"type": "sdfgrid", "grid": grid, **form, "to_world": psdr.Transform(pose)}
     scene = psdr.load_dict(
         {"type": "scene", "body": body, "sensor": {"type": "perspective"}, "sky": {"type": "constant"}}
     )

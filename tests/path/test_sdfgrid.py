@@ -130,6 +130,23 @@ def test_a_grid_of_a_sphere_is_the_sphere_but_for_its_voxels() -> None:
     assert (cosines > 1.0 - 1e-3).all()
 
 
+@pytest.mark.slow
+def test_a_cubic_grid_of_a_sphere_is_a_smaller_sphere() -> None:
+    """Smoothing adds h^2 / 6 times the Laplacian, 2 / r, to the distance."""
+    count, radius = 33, 0.4
+    described = scene(sphere(count, radius), T.translate([-0.5, -0.5, 0.0]), "analytic", DIFFUSE)
+    described["body"]["interpolation"] = "cubic"
+    seen = psdr.render_aov(psdr.load_dict(described), "pp:position, nn:sh_normal, ss:shape_index", spp=1)
+    on_it = seen["ss"].numpy().reshape(32, 32) == 2.0
+    assert on_it.sum() > 50
+    towards = seen["pp"].numpy()[on_it].astype(np.float64) - [0.0, 0.0, 0.5]
+    distance = np.linalg.norm(towards, axis=1)
+    smoothed = radius - 1.0 / (3.0 * radius * (count - 1) ** 2)
+    np.testing.assert_allclose(distance, smoothed, atol=2e-5)
+    cosines = (towards / distance[:, None] * seen["nn"].numpy()[on_it]).sum(axis=1)
+    assert (cosines > 1.0 - 1e-6).all()
+
+
 def test_powers_of_two_scale_it_exactly() -> None:
     images = [batches(psdr.load_dict(scaled(2.0**k)), count=1, spp=8, max_depth=4) for k in (0, -13, 20)]
     for image in images[1:]:

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import warp_psdr as psdr
+from tests.rays.test_sdfgrid_cubic import spline
 from warp_psdr.options import boundary, interior
 from warp_psdr.scene.sdfgrid import reaches
 
@@ -39,6 +40,8 @@ def spoiled(value: float) -> np.ndarray:
         ({"grid": spoiled(np.inf)}, "1 of 216 values are not finite"),
         ({"normals": "flat"}, "got 'flat'.*give one of: smooth, analytic"),
         ({"face_normals": True}, "'normals': 'analytic'"),
+        ({"interpolation": "cubical"}, "got 'cubical'.*give one of: linear, cubic"),
+        ({"interpolation": "cubic", "normals": "smooth"}, "'smooth' normals on a cubic 'sdfgrid'.*leave out 'normals'"),
         ({"to_world": FLAT}, "singular|no inverse"),
         ({"filename": "ball.vol", "grid": BALL}, "got filename and grid"),
         ({"emitter": {"type": "area"}}, "an emitter on a 'sdfgrid'.*'mesh'"),
@@ -115,6 +118,25 @@ def test_reaches_are_chessboard_distances() -> None:
         assert found[cell] == np.abs(passed - cell).max(axis=1).min()
     corners = [(BALL[o : o + 5, p : p + 5, q : q + 5] < 0.0) for o, p, q in np.ndindex(2, 2, 2)]
     np.testing.assert_array_equal(found == 0.0, np.any(corners, axis=0) & ~np.all(corners, axis=0))
+
+
+def test_reaches_of_a_spline_are_those_of_its_coefficients() -> None:
+    found = reaches(BALL[..., None], True)
+    rng = np.random.default_rng(0)
+    linear = reaches(BALL[..., None])
+    # As many voxels and a few more; and in the others the sign is that of the middle.
+    assert (linear == 0.0).sum() <= (found == 0.0).sum() <= 1.5 * (linear == 0.0).sum()
+    for k, j, i in np.argwhere(found > 0.0):
+        p = (np.array([i, j, k]) + rng.random((50, 3))) / 5.0
+        assert len(np.unique(spline(BALL.astype(np.float64), p) < 0.0)) == 1
+
+
+def test_a_spline_that_smooths_its_surface_away_is_noted() -> None:
+    lone = np.ones((6, 6, 6), np.float32)
+    lone[3, 3, 3] = -1.0
+    with pytest.warns(psdr.SceneWarning, match="smooths away what differs in sign"):
+        held = psdr.load_dict(described(grid=lone, interpolation="cubic"))
+    assert psdr.render(held, spp=4).numpy() == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize("name", ["body.grid", "body.to_world", "sensor.to_world", "wall.vertex_positions"])

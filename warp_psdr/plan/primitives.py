@@ -52,7 +52,11 @@ def describe(scene: Scene) -> list[tuple[str, str, str]]:
         lines.append(("exact shapes", exact, "without triangles; every ray is tested against each"))
     grids = [scene.description.shapes[i] for i in scene.builder.primitives if scene.description.shapes[i].grid]
     if grids:
-        sizes = [" x ".join(str(n) for n in s.grid.values.shape[2::-1]) for s in grids if s.grid is not None]
+        sizes = [
+            " x ".join(str(n) for n in s.grid.values.shape[2::-1]) + " cubic" * s.grid.cubic
+            for s in grids
+            if s.grid is not None
+        ]
         lines.append(("distance grids", ", ".join(sizes), "nodes along x, y, z; rays go from voxel to voxel of each"))
     for i in scene.builder.curves:
         curves = scene.description.shapes[i].curves
@@ -170,12 +174,14 @@ def _beside_moving_grid(scene: Scene, config: PathConfig, integrator: PathIntegr
     if reason:
         return f"{reason}, or {ALONE}"
     shapes = scene.description.shapes
-    if len(config.primitives) > 1:
-        exact = next(shapes[i].path for i in scene.builder.primitives if shapes[i].grid is None)
+    exact = next((shapes[i].path for i in scene.builder.primitives if shapes[i].grid is None), None)
+    if exact is not None:
         return f"the exact shape {exact!r} beside it has no boundary term; leave out its 'exact', or {ALONE}"
     for i in grid_shapes(scene):
         grid = shapes[i].grid
         assert grid is not None
+        if grid.cubic:
+            return f"the silhouettes of {shapes[i].path!r}, which is cubic, have no boundary term yet; {ALONE}"
         if grid.smooth and config.scatter:
             turned = f"the 'smooth' normals of {shapes[i].path!r} turn away from the viewer beside its silhouettes"
             return f"{turned}, along curves that move; say 'normals': 'analytic', or {ALONE}"

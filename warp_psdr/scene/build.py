@@ -181,7 +181,7 @@ class Builder:
             nodes = s.grid.values.shape
             self.layout.add_values(np.array([nodes[2], nodes[1], nodes[0], s.grid.smooth]))
             self.layout.add(f"{s.path}.grid", s.grid.values, SHAPE_GRID, owner=number)
-            self.layout.add_values(reaches(s.grid.values))
+            self.layout.add_values(reaches(s.grid.values, s.grid.cubic))
         if s.curves is not None:
             self.curves[number] = add_curves(self.layout, s, number)
 

@@ -149,6 +149,7 @@ class SdfGrid:
 
     values: np.ndarray  #: (Z, Y, X, 1)
     smooth: bool  #: shading normals are interpolated between voxels
+    cubic: bool = False  #: the values are coefficients of a B-spline
 
 
 @dataclass(eq=False)

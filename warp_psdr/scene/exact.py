@@ -35,6 +35,7 @@ EXACT = {"sphere": c.PRIMITIVE_SPHERE, "disk": c.PRIMITIVE_DISK, "cylinder": c.P
 KINDS = {
     **EXACT,
     "sdfgrid": c.PRIMITIVE_SDFGRID,
+    "cubic sdfgrid": c.PRIMITIVE_SDFGRID_CUBIC,
     "linearcurve": c.PRIMITIVE_LINEARCURVE,
     "bsplinecurve": c.PRIMITIVE_BSPLINECURVE,
 }
@@ -173,6 +174,7 @@ def cylinder_points(u, v) -> np.ndarray:
 POINTS = {
     c.PRIMITIVE_SPHERE: sphere_points,
     c.PRIMITIVE_SDFGRID: held_points,
+    c.PRIMITIVE_SDFGRID_CUBIC: held_points,
     c.PRIMITIVE_DISK: disk_points,
     c.PRIMITIVE_CYLINDER: cylinder_points,
 }

@@ -26,6 +26,10 @@ SDFGRID = "sdfgrid"
 CORNERS = np.array(list(itertools.product((0.0, 1.0), repeat=3)), np.float32)
 #: What the errors offer.
 INSTEAD = "extract its triangles (wp.MarchingCubes, skimage.measure.marching_cubes) and give them as a 'mesh'"
+#: Bezier coefficients of a piece of a uniform cubic B-spline by its four values.
+BEZIER = np.array([[1, 4, 1, 0], [0, 4, 2, 0], [0, 2, 4, 0], [0, 1, 4, 1]]) / 6.0
+#: Rounding of the device's Bezier coefficients, over the greatest value; and voxels at a time.
+ROUNDING, CHUNK = 1.0e-6, 65536
 #: Textures that are read by texture coordinates.
 _READ_UV = ("bitmap", "checkerboard")
 
@@ -38,7 +42,11 @@ def read_grid(props: Properties) -> SdfGrid:
     """
     if props.has("face_normals"):
         raise error(props.where, f"'face_normals' on a '{SDFGRID}'", "say 'normals': 'analytic'")
-    normals = props.string("normals", "smooth", ("smooth", "analytic"))
+    cubic = props.string("interpolation", "linear", ("linear", "cubic")) == "cubic"
+    normals = props.string("normals", "analytic" if cubic else "smooth", ("smooth", "analytic"))
+    if cubic and normals == "smooth":
+        problem = f"'smooth' normals on a cubic '{SDFGRID}', whose own normals are smooth"
+        raise error(props.where, problem, "leave out 'normals', or say 'analytic'")
     given = [key for key in ("filename", "grid") if props.has(key)]
     sources = {key: props.take(key) for key in ("filename", "grid")}
     if len(given) != 1:
@@ -59,16 +67,19 @@ def read_grid(props: Properties) -> SdfGrid:
     if (values >= 0.0).all() or (values < 0.0).all():
         missing = "positive" if values[0, 0, 0, 0] < 0.0 else "negative"
         props.context.note(f"{place}: no value is {missing}, so the shape is empty")
-    return SdfGrid(np.ascontiguousarray(values), normals == "smooth")
+    elif cubic and not is_passed(values[..., 0], True).any():
+        props.context.note(f"{place}: cubic interpolation smooths away what differs in sign, so the shape is empty")
+    return SdfGrid(np.ascontiguousarray(values), normals == "smooth", cubic)
 
 
-def reaches(values: np.ndarray) -> np.ndarray:
-    """Return of each voxel how many voxels it is away from one whose corners differ in sign, (Z, Y, X); 0 in those.
+def reaches(values: np.ndarray, cubic: bool = False) -> np.ndarray:
+    """Return of each voxel how many voxels it is away from one that the surface may pass, (Z, Y, X); 0 in those.
 
     Args:
         values: of the nodes, (Z, Y, X, 1).
+        cubic: they are coefficients of a B-spline.
     """
-    passed = is_passed(values[..., 0])
+    passed = is_passed(values[..., 0], cubic)
     if not passed.any():
         return np.full(passed.shape, float(max(passed.shape)), np.float32)
     from scipy.ndimage import distance_transform_cdt
@@ -76,8 +87,13 @@ def reaches(values: np.ndarray) -> np.ndarray:
     return distance_transform_cdt(~passed, metric="chessboard").astype(np.float32)
 
 
-def is_passed(values: np.ndarray) -> np.ndarray:
-    """Return of each voxel whether its corners differ in sign; ``values`` of the nodes, (Z, Y, X)."""
+def is_passed(values: np.ndarray, cubic: bool = False) -> np.ndarray:
+    """Return of each voxel whether its corners differ in sign; ``values`` of the nodes, (Z, Y, X).
+
+    ``cubic``: whether the Bezier coefficients of its piece of a B-spline do, between which the piece lies.
+    """
+    if cubic:
+        return _spline_passed(values)
     inside = values < 0.0
     corners = [
         inside[tuple(slice(o, n - 1 + o) for o, n in zip(offset, inside.shape, strict=True))]
@@ -86,11 +102,38 @@ def is_passed(values: np.ndarray) -> np.ndarray:
     return np.any(corners, axis=0) & ~np.all(corners, axis=0)
 
 
+def spline_values(values: np.ndarray, corners: np.ndarray) -> np.ndarray:
+    """Return the 64 values (N, 4, 4, 4), by z, y, x, around voxels (N, 3), z, y, x; the border's go on behind it."""
+    padded = np.pad(values.astype(np.float64), 1, mode="edge")
+    z, y, x = (corners[:, k, None] + np.arange(4) for k in range(3))
+    return padded[z[:, :, None, None], y[:, None, :, None], x[:, None, None, :]]
+
+
+def _spline_passed(values: np.ndarray) -> np.ndarray:
+    low = high = np.pad(values, 1, mode="edge")
+    for axis in range(3):
+        count = values.shape[axis] - 1
+        low, high = (
+            pick.reduce([np.take(ends, np.arange(o, o + count), axis=axis) for o in range(4)])
+            for pick, ends in ((np.minimum, low), (np.maximum, high))
+        )
+    passed = (low < 0.0) & (high >= 0.0)
+    candidates = np.argwhere(passed)
+    for start in range(0, len(candidates), CHUNK):
+        rows = candidates[start : start + CHUNK]
+        around = spline_values(values, rows)
+        bezier = np.einsum("nkji,ck,bj,ai->ncba", around, BEZIER, BEZIER, BEZIER, optimize=True).reshape(len(rows), -1)
+        slack = ROUNDING * np.abs(around).max(axis=(1, 2, 3))
+        passed[tuple(rows.T)] = (bezier.min(axis=1) < slack) & (bezier.max(axis=1) > -slack)
+    return passed
+
+
 def follow_grids(scene: Scene, changed: Iterable[Parameter], held: np.ndarray) -> None:
     """Let the reaches follow the grids that have changed; ``held``: the flat values on the host."""
     for p in changed:
-        if SHAPE_GRID in p.uses and scene.description.shapes[p.owner].grid is not None:
-            found = reaches(held[p.offset : p.offset + p.size].reshape(p.shape)).reshape(-1)
+        grid = scene.description.shapes[p.owner].grid if SHAPE_GRID in p.uses else None
+        if grid is not None:
+            found = reaches(held[p.offset : p.offset + p.size].reshape(p.shape), grid.cubic).reshape(-1)
             scene.values[p.offset + p.size : p.offset + p.size + found.size].assign(found)
 
 
@@ -136,6 +179,6 @@ def grid_shape(props: Properties, grid: SdfGrid, to_world: np.ndarray, bsdf: Bsd
         bsdf=bsdf,
         to_world=to_world.astype(np.float32),
         local_vertices=CORNERS,
-        primitive=SDFGRID,
+        primitive=f"cubic {SDFGRID}" if grid.cubic else SDFGRID,
         grid=grid,
     )
