@@ -8,6 +8,7 @@ import numpy as np
 
 from .description import VolumeDescription
 from .errors import ReportedError, SceneError, error
+from .nanovdb_files import read_nvdb
 from .plugins import Properties, category_of, unsupported_plugin
 from .spectra import COLOR_TYPES, check_range, color
 from .volume_files import MOST_VALUES, read_vol
@@ -17,11 +18,6 @@ if TYPE_CHECKING:
 
 _FILTERS = ("trilinear", "nearest")
 _WRAPS = ("clamp", "repeat", "mirror")
-#: Files of grids that other programs write, and what makes a .vol of them.
-_CONVERT = {
-    ".nvdb": "wp.Volume.load_from_nvdb reads it: give its values as 'data', an array (Z, Y, X)",
-    ".vdb": "pyopenvdb's grid.copyToArray reads it: give its values as 'data', an array (Z, Y, X)",
-}
 
 
 def volume(props: Properties, name: str, default: float, high: float, *, grids: bool) -> VolumeDescription:
@@ -78,7 +74,9 @@ def _grid(props: Properties, name: str, high: float) -> VolumeDescription:
     sources = {key: props.take(key) for key in ("filename", "data", "grid")}
     if len(given) != 1:
         problem = f"got {' and '.join(given)}" if given else "there are no values"
-        raise error(props.where, problem, "give one of 'filename' (a .vol file) and 'data' (an array (Z, Y, X))")
+        raise error(
+            props.where, problem, "give one of 'filename' (a .vol or .nvdb file) and 'data' (an array (Z, Y, X))"
+        )
     place, value = props.place(given[0]), sources[given[0]]
     box = np.eye(4)
     if given[0] == "filename":
@@ -108,12 +106,13 @@ def _grid(props: Properties, name: str, high: float) -> VolumeDescription:
 
 
 def _file(context: Context, name: Any, place: str) -> tuple[np.ndarray, np.ndarray]:
-    for ending, remedy in _CONVERT.items():
-        if isinstance(name, str) and name.lower().endswith(ending):
-            raise error(place, f"'{name}' is a {ending} file, which is not read", f"{remedy}, or write a .vol file")
+    ending = name.lower() if isinstance(name, str) else ""
+    if ending.endswith(".vdb"):
+        remedy = "nanovdb_convert makes a .nvdb file of it; or give its values as 'data', an array (Z, Y, X)"
+        raise error(place, f"'{name}' is a .vdb file, which is not read", remedy)
     file = context.file(name, place)
     try:
-        values, box = read_vol(file)
+        values, box = read_nvdb(file) if ending.endswith(".nvdb") else read_vol(file)
     except ValueError as problem:
         raise SceneError(f"{place}: {problem}") from None
     return _checked(values, place), box
