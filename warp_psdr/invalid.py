@@ -45,6 +45,7 @@ KINDS = (
     "secondary_grid",
     "foreground_grid",
     "shaded_grid",
+    "media_secondary",
     "intersection_curve",
     "indirect_terminator",
     "geometric_horizon",

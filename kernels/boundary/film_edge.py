@@ -21,6 +21,7 @@ from warp_psdr.kernels.boundary.local_form import (
 )
 from warp_psdr.kernels.constants import CAMERA_ORTHOGRAPHIC
 from warp_psdr.kernels.invalid import count_invalid
+from warp_psdr.kernels.medium.line import make_line
 from warp_psdr.kernels.notes import NOTE_EDGE, make_note
 from warp_psdr.kernels.rng import Sampler, make_sampler
 from warp_psdr.kernels.sensor.camera import make_camera_sink, make_lens
@@ -53,6 +54,8 @@ class FilmEdge:
     side: wp.float32  # +1 or -1: all faces lie on that side of the plane; 0: they do not
     step: wp.float32  # ray epsilon at the edge
     g: wp.vec3  # gradient of N . pixel(x), along m
+    medium: wp.int32  # that the edge is seen in, and the transmittance up to there
+    transmittance: wp.vec3
     weight: wp.vec3  # adjoint of the pixels; 1 in forward mode
 
 
@@ -66,6 +69,7 @@ def make_film_edge(config: PathConfig, role: str, camera_moves: bool):
     """
     visibility = visibility_of(config)
     screened = make_screened(config)
+    line = make_line(config)[0] if config.media is not None else None
     accumulate_edge = make_edge_sink(role)
     accumulate_camera = make_camera_sink(role, config.camera) if camera_moves else None
     splat, gather = make_splat()
@@ -107,9 +111,17 @@ def make_film_edge(config: PathConfig, role: str, camera_moves: bool):
         start = point.x - (r.step * r.side) * r.m - edge_behind(scene, r.step) * r.d
         back = at.origin - start
         length = wp.length(back)
-        if length > at.near and visibility.hidden_from_camera(scene, start, back / length, length - at.near):
-            return r
-        if wp.static(config.camera == CAMERA_ORTHOGRAPHIC):
+        if wp.static(config.media is not None):
+            ray = -back / length
+            seen = line(scene, at.origin + at.near * ray, ray, length - at.near, camera.medium, 0)
+            if length > at.near and (seen.face >= 0 or seen.lost):
+                return r
+            r.medium = seen.medium
+            r.transmittance = seen.transmittance
+        else:
+            if length > at.near and visibility.hidden_from_camera(scene, start, back / length, length - at.near):
+                return r
+        if wp.static(config.camera == CAMERA_ORTHOGRAPHIC and config.media is None):
             if r.side != 0.0:
                 inside = point.x + (r.step * r.side) * r.m
                 way = r.distance - at.near

@@ -9,8 +9,13 @@ from warp_psdr.kernels.bsdf.dispatch import models_of
 from warp_psdr.kernels.bsdf.null import NULL
 from warp_psdr.kernels.medium.coefficients import ALBEDO, PHASE, SCALE, SIGMA_T
 from warp_psdr.options import interior
+from warp_psdr.options.boundary import Method, PathSpace
+from warp_psdr.plan.motion import motion
 from warp_psdr.scene.bsdfs import model_of
 from warp_psdr.scene.super_grid import PhaseTable
+from warp_psdr.topology.absent import absent_shapes
+from warp_psdr.topology.edges_there import joined
+from warp_psdr.topology.interpolated_normals import interpolated_faces
 
 if TYPE_CHECKING:
     from warp_psdr.kernels.interior.gradient_request import GradientRequest
@@ -132,18 +137,51 @@ def refuse_zeros(scene: Scene, names: list[str]) -> None:
                 )
 
 
-def refuse_boundary(config: PathConfig, integrator: PathIntegrator, moving: tuple[str, ...]) -> None:
-    """Refuse what moves a discontinuity in a scene with media, unless the interior term alone is asked for.
+def refuse_boundary(
+    scene: Scene, config: PathConfig, integrator: PathIntegrator, names: list[str], moving: tuple[str, ...]
+) -> None:
+    """Refuse what of the boundary term is not estimated in a scene with media.
 
     Raises:
         ValueError: with what to do instead.
     """
-    if config.media is not None and moving and integrator.boundary is not None:
+    if config.media is None or not moving or integrator.boundary is None:
+        return
+    reason = _beyond(scene, config, integrator, names)
+    if reason:
         raise ValueError(
-            f"{'; '.join(moving)}: in a scene with participating media that has a boundary term, and there is none "
-            "yet; say PathIntegrator(boundary=None) to get the interior term alone, which is whole where nothing that "
-            "moves hides anything"
+            f"{'; '.join(moving)}: in a scene with participating media that has a boundary term, and {reason}; or say "
+            "PathIntegrator(boundary=None) to get the interior term alone, which is whole where nothing that moves "
+            "hides anything"
         )
+
+
+def _beyond(scene: Scene, config: PathConfig, integrator: PathIntegrator, names: list[str]) -> str:
+    """Say what keeps the boundary term from being estimated; empty: nothing."""
+    method = integrator.boundary
+    if isinstance(method, Method) and (type(method) is not PathSpace or method.guiding is not None):
+        return f"boundary.{type(method).__name__}() does not know media, nor does guiding; use boundary.PathSpace()"
+    if integrator.max_depth not in (1, 2):
+        return "it is estimated for light that is scattered once; set max_depth to 2"
+    if config.camera in c.METERS or config.camera == c.CAMERA_ORTHOGRAPHIC:
+        return "it is not estimated before parallel rays and sensors of one pixel; use a perspective camera"
+    if config.hidden:
+        return "hide_emitters is not known to it; show the lights"
+    moves = motion(scene, names)
+    absent = absent_shapes(scene)
+    bent = [
+        shape.path
+        for i, shape in enumerate(scene.description.shapes)
+        if not absent[i]
+        and (moves.camera or moves.light_pose or i in moves.shapes | moves.normals)
+        and interpolated_faces(scene)[scene.builder.face_shape == i].any()
+    ]
+    if bent:
+        return f"it does not know interpolated normals, as {bent[0]!r} has; give face_normals"
+    met = joined(scene)
+    if met:
+        return f"{met}; move them apart, by a little"
+    return ""
 
 
 def only_interfaces(scene: Scene, shapes: tuple[int, ...]) -> bool:

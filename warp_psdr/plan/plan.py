@@ -196,7 +196,7 @@ def decide(
         if any(model.framed for model in models_of(config.bsdfs)):
             lines.append(("turned normals", "as they are seen", FLIPPED))
     moving = tuple(_discontinuities(scene, config, names))
-    media.refuse_boundary(config, integrator, moving)
+    media.refuse_boundary(scene, config, integrator, names, moving)
     primitives.refuse(scene, config, integrator, wanted, names, moving)
     if wanted is not None:
         asked = [slot.name for slot, w in zip(config.material, wanted.material, strict=True) if w]
@@ -259,13 +259,14 @@ def _boundary(
     term = choose(scene, config, integrator, names, moving)
     lines = [("boundary term", term.label, "; ".join(moving))]
     repeated = guiding.automatic(scene, motion(scene, names), sensor, integrator.max_depth)
-    if integrator.boundary == "auto" and repeated.on and not config.primitives and isinstance(term, Connecting):
+    plain = not config.primitives and config.media is None
+    if integrator.boundary == "auto" and repeated.on and plain and isinstance(term, Connecting):
         if isinstance(term, PathSpace) and repeated.method is not None:
             term = replace(term, guiding=repeated.method)
         lines.append(("guiding", "none" if repeated.method is None else "by itself", repeated.said))
     if isinstance(term, Connecting) and term.guiding is not None:
         lines.append(("guiding", term.guiding.label, guiding.describe(scene, term.guiding)))
-    if has_delta_lobes(config.bsdfs):
+    if has_delta_lobes(config.bsdfs) and config.media is None:
         searched = "through mirrors and glass: line search"
         lines.append(("boundary term", searched, "no edge can be connected to the camera"))
     return term, lines

@@ -16,6 +16,7 @@ from warp_psdr.kernels.constants import (
     READ_TEXCOORDS,
     TEXTURE_FACE,
 )
+from warp_psdr.topology.absent import absent_faces
 from warp_psdr.topology.camera_view import CameraView, camera_view
 from warp_psdr.topology.edges import (
     COPLANAR,
@@ -112,11 +113,13 @@ def film_edges(
     if kept is not None and kept.every is every and kept.key == key:
         return kept
     edges = without(every, scene.luminous) if hide_emitters else every
+    if scene.builder.media:
+        edges = without(edges, absent_faces(scene))
     asked = np.ones(len(edges.length), bool) if camera_moves else moving_edges(scene, edges, shapes)
     jumps = _jumps(scene, view, edges, asked)
     usable = asked & ~jumps & (edges.wedge > 0.0) & scatters(scene)[_shape(scene, edges)].any(axis=1)
     creases = _seen(view, edges, usable)
-    lit = _facets(scene, view, edges, jumps)
+    lit = _facets(scene, view, edges, jumps) & (not scene.builder.media)
     others, flat_creases = _seen(view, edges, jumps & ~lit), _seen(view, edges, lit)
     weight = flat_creases.length * _sine(edges, flat_creases.keep)
     weight = np.where(_hidden(scene, view, edges, flat_creases.keep), HIDDEN * weight, weight)

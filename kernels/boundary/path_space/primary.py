@@ -23,6 +23,7 @@ from warp_psdr.kernels.boundary.local_form import (
     on_planes,
     own_face,
 )
+from warp_psdr.kernels.boundary.media_radiance import make_media_radiance
 from warp_psdr.kernels.constants import DELTA_LIGHTS
 from warp_psdr.kernels.interaction import make_interaction
 from warp_psdr.kernels.jobs import SampleJob
@@ -56,10 +57,12 @@ ROUNDING, ALONG = 2.0e-7, 10.0
 def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
     """Return the kernel of the primary boundary term: one thread a sample (arguments as in ``secondary.py``)."""
     surface_at = make_interaction(config).surface
-    incident_radiance = make_incident_radiance(config)
+    among_media = config.media is not None
+    media_radiance = make_media_radiance(config) if among_media else None
+    incident_radiance = None if among_media else make_incident_radiance(config)
     normal_at = make_normal_at(config.primitives)
     find, accumulate = make_film_edge(config, role, camera_moves)
-    has_delta_lights = bool(DELTA_LIGHTS & set(config.lights))
+    has_delta_lights = bool(DELTA_LIGHTS & set(config.lights)) and not among_media
     lit_along = make_lit_along(config) if has_delta_lights else None
     shadow_along = make_shadow_along(config) if has_delta_lights else None
 
@@ -220,7 +223,10 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
         looks = wp.int32(2)
         while k < looks:
             o = point.x + wp.where(k % 2 == 0, to_a, to_b) - ahead * d
-            seen = incident_radiance(scene, sampler, o, d, t_max, 0, job.max_depth, job.rr_depth)
+            if wp.static(among_media):
+                seen = media_radiance(scene, sampler, f.medium, o, d, t_max, job.max_depth, job.rr_depth)
+            else:
+                seen = incident_radiance(scene, sampler, o, d, t_max, 0, job.max_depth, job.rr_depth)
             if k < 2:
                 # A face that is seen nearly edge-on is met far away.
                 met = seen.face
@@ -246,6 +252,9 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
         if narrow and not own:
             return
         jump = b.radiance - a.radiance
+        if wp.static(among_media):
+            # What is scattered in front of the edge is common to both sides.
+            jump = wp.cw_mul(f.transmittance, jump)
         if edges.sides.shape[0] > 1 and not curve:
             by_a = whose(scene, edges, point, d, apart, a.face)
             by_b = whose(scene, edges, point, d, apart, b.face)

@@ -20,6 +20,7 @@ from warp_psdr.estimate.boundary.terms import (
     hard_shadows,
     indirect_terminator,
     intersection_curve,
+    media_secondary,
     primary,
     primary_grid,
     primary_silhouette,
@@ -55,6 +56,7 @@ ALL: tuple[BoundaryTerm, ...] = (
     secondary_grid.TERM,
     foreground_grid.TERM,
     shaded_grid.TERM,
+    media_secondary.TERM,
     edge_sampling.TERM,
     hard_shadows.TERM,
     intersection_curve.TERM,
@@ -79,6 +81,8 @@ def terms(scene: Scene, plan: Plan, names: list[str], role: str, sensor: int, sp
     kinds = TERMS[type(request.method)]
     if request.config.camera in METERS:  # what is sampled on a film has measure zero on one ray
         kinds = (edge_sampling.TERM,)
+    if request.config.media is not None:
+        kinds = tuple(term for term in kinds if term.media)
     # The one that may build guiding, with kernels of its own, comes last: all others are compiled meanwhile.
     found = {term.name: launches(term, request) for term in sorted(kinds, key=lambda term: term is secondary.TERM)}
     return [t for term in kinds for t in found[term.name]]

@@ -15,7 +15,8 @@ def launch(r: Request) -> Term | None:
     """Return the term of the edges that the camera sees."""
     require_uncut(r.scene, r.sensor, set(r.moves.shapes), camera_moves=r.moves.camera)
     found = film_edges_of(r)
-    edges = primary_edges(r.scene, found, curves_of(r, camera_moves=r.moves.camera))
+    curves = None if r.config.media is not None else curves_of(r, camera_moves=r.moves.camera)
+    edges = primary_edges(r.scene, found, curves)
     if edges is None:
         return None
     samples = math.ceil(r.pixels * (r.method.spp_primary or r.spp) * (1.0 - found.share))
@@ -30,4 +31,5 @@ TERM = BoundaryTerm(
     methods=(PathSpace, Projective, EdgeSampling),
     launch=launch,
     exact=True,
+    media=True,
 )

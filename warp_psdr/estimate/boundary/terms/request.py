@@ -118,6 +118,7 @@ class BoundaryTerm:
         applies: request -> whether it can have a launch at all, without a look at the scene's edges.
         splits: paths of two vertices behind the camera can be told from longer ones (``kernels/boundary/depth.py``).
         exact: it knows shapes without triangles (``kernels/primitive``) in the scene around it.
+        media: it knows participating media.
     """
 
     name: str
@@ -128,6 +129,7 @@ class BoundaryTerm:
     applies: Callable[[Request], bool] = lambda _request: True
     splits: bool = False
     exact: bool = False
+    media: bool = False
 
 
 def term_of(

@@ -1,0 +1,102 @@
+"""What a straight line through homogeneous media meets: interfaces that are not there change the medium and no more.
+
+Shared by the estimators of the boundary term, which look along lines whose ends are known.
+
+Derivation: ``docs/theory/media.md#boundaries-in-media``.
+"""
+
+import functools
+
+import warp as wp
+
+from warp_psdr.kernels.interaction import make_interaction
+from warp_psdr.kernels.medium.coefficients import coefficients_of, exp_minus
+from warp_psdr.kernels.medium.interface import make_interface
+from warp_psdr.kernels.medium.passage import MOST_INTERFACES, is_lost, medium_towards
+from warp_psdr.kernels.structs import Scene
+from warp_psdr.kernels.vertex import PathConfig
+from warp_psdr.kernels.visibility import visibility_of
+
+
+@wp.struct
+class Line:
+    """A line up to the first surface that is there."""
+
+    face: wp.int32  # of that surface; -1: there is none on the line
+    u: wp.float32
+    v: wp.float32
+    t: wp.float32  # where it is, or the length
+    lost: wp.bool  # it meets a shape that has another medium on this side
+    transmittance: wp.vec3
+    medium: wp.int32  # at its end
+    near: wp.float32  # where the last interface is crossed
+    near_face: wp.int32  # -1: none is
+    near_u: wp.float32
+    near_v: wp.float32
+
+
+@functools.cache
+def make_line(config: PathConfig):
+    """Return ``(line, medium_at)``; directions are unit.
+
+    ``line(scene, o, d, t_max, medium, depth) -> Line`` from o, in a medium, on; ``depth``: path vertices in front.
+    ``medium_at(scene, o, x, medium) -> int32``: the medium at x, from that at o, through all that lies between.
+    """
+    visibility = visibility_of(config)
+    interaction = make_interaction(config)
+    is_interface, _behind = make_interface(config)
+
+    @wp.func
+    def line(scene: Scene, o: wp.vec3, d: wp.vec3, t_max: wp.float32, medium: wp.int32, depth: wp.int32) -> Line:
+        r = Line()
+        r.face = -1
+        r.near_face = -1
+        r.medium = medium
+        r.transmittance = wp.vec3(1.0, 1.0, 1.0)
+        start = o
+        crossings = wp.int32(0)
+        while crossings <= MOST_INTERFACES:
+            before = wp.dot(start - o, d)
+            hit = visibility.seen(scene, start, d, t_max - before, depth)
+            length = wp.where(hit.face >= 0, hit.t, t_max - before)
+            if r.medium >= 0:
+                sigma = coefficients_of(scene, scene.media.records[r.medium]).sigma_t
+                r.transmittance = wp.cw_mul(r.transmittance, exp_minus(sigma, length))
+            r.t = before + length
+            crossings += 1
+            if is_interface(scene, hit.face):
+                at = interaction.at(scene, hit.face, hit.u, hit.v, d)
+                r.lost = r.lost or is_lost(scene, at.shape, at.ng, d, r.medium) or crossings > MOST_INTERFACES
+                r.medium = medium_towards(scene, at.shape, at.ng, d, d, r.medium)
+                r.near = r.t
+                r.near_face = hit.face
+                r.near_u = hit.u
+                r.near_v = hit.v
+                start = interaction.offset(at, d)
+            else:
+                r.face = hit.face
+                r.u = hit.u
+                r.v = hit.v
+                crossings = MOST_INTERFACES + 1
+        return r
+
+    @wp.func
+    def medium_at(scene: Scene, o: wp.vec3, x: wp.vec3, medium: wp.int32) -> wp.int32:
+        way = x - o
+        distance = wp.length(way)
+        d = way / wp.max(distance, 1.0e-30)
+        start = o
+        inside = medium
+        crossings = wp.int32(0)
+        while crossings <= MOST_INTERFACES:
+            hit = visibility.closest(scene, start, d, distance - wp.dot(start - o, d))
+            crossings += 1
+            if hit.face >= 0:
+                at = interaction.at(scene, hit.face, hit.u, hit.v, d)
+                inside = medium_towards(scene, at.shape, at.ng, d, d, inside)
+                start = interaction.offset(at, d)
+            else:
+                crossings = MOST_INTERFACES + 1
+        return inside
+
+    return line, medium_at

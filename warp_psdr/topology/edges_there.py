@@ -1,0 +1,52 @@
+"""The edges of a scene with media: those of surfaces that are there."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from warp_psdr.topology.absent import absent_faces
+from warp_psdr.topology.contacts import along_sides
+from warp_psdr.topology.edges import Adjacency, moving_edges, scene_adjacency, upload, without
+from warp_psdr.topology.intersection_curves import scene_curves
+from warp_psdr.topology.secondary_edges import MOVING_SHARE
+
+if TYPE_CHECKING:
+    from warp_psdr.kernels.boundary.local_form import Edges
+    from warp_psdr.scene.scene import Scene
+
+
+def edges_there(scene: Scene) -> Adjacency:
+    """Return the edges of what is there."""
+    return without(scene_adjacency(scene), absent_faces(scene))
+
+
+def secondary_edges_there(scene: Scene, shapes: set[int]) -> Edges | None:
+    """Return those that can be a silhouette for some path vertex, drawn as in ``secondary_edges.py``; None: none."""
+    edges = edges_there(scene)
+    weight = edges.length * edges.wedge
+    keep = np.flatnonzero(weight > 0.0)
+    if not len(keep):
+        return None
+    p = weight[keep] / weight[keep].sum()
+    of_moving = np.where(moving_edges(scene, edges, shapes)[keep], p, 0.0)
+    if of_moving.sum() > 0.0:
+        p = (1.0 - MOVING_SHARE) * p + MOVING_SHARE * of_moving / of_moving.sum()
+    return upload(scene, edges, keep, p, np.zeros(len(keep)), np.ones(len(keep)))
+
+
+def joined(scene: Scene) -> str:
+    """Say of what is there which shapes run through each other or have edges along each other; empty: none."""
+    absent, of = absent_faces(scene), scene.builder.face_shape
+    curves = scene_curves(scene)
+    for face in curves.faces.reshape(-1, 2).tolist() if len(curves.length) else []:
+        if not absent[face].any():
+            a, b = (scene.description.shapes[of[i]].path for i in face)
+            return f"{a!r} and {b!r} run through each other"
+    for sides in along_sides(scene).tolist():
+        face = [side // 3 for side in sides]
+        if not absent[face].any():
+            a, b = (scene.description.shapes[of[i]].path for i in face)
+            return f"{a!r} and {b!r} have edges along each other"
+    return ""
