@@ -19,7 +19,7 @@ from warp_psdr.kernels.visibility import visibility_of
 
 
 @wp.struct
-class Line:
+class ClearLine:
     """A line up to the first surface that is there."""
 
     face: wp.int32  # of that surface; -1: there is none on the line
@@ -39,7 +39,7 @@ class Line:
 def make_line(config: PathConfig):
     """Return ``(line, medium_at)``; directions are unit.
 
-    ``line(scene, o, d, t_max, medium, depth) -> Line`` from o, in a medium, on; ``depth``: path vertices in front.
+    ``line(scene, o, d, t_max, medium, depth) -> ClearLine`` from o, in a medium, on; ``depth``: path vertices in front.
     ``medium_at(scene, o, x, medium) -> int32``: the medium at x, from that at o, through all that lies between.
     """
     visibility = visibility_of(config)
@@ -47,8 +47,8 @@ def make_line(config: PathConfig):
     is_interface, _behind = make_interface(config)
 
     @wp.func
-    def line(scene: Scene, o: wp.vec3, d: wp.vec3, t_max: wp.float32, medium: wp.int32, depth: wp.int32) -> Line:
-        r = Line()
+    def line(scene: Scene, o: wp.vec3, d: wp.vec3, t_max: wp.float32, medium: wp.int32, depth: wp.int32) -> ClearLine:
+        r = ClearLine()
         r.face = -1
         r.near_face = -1
         r.medium = medium

@@ -27,7 +27,7 @@ from warp_psdr.kernels.jobs import SampleJob
 from warp_psdr.kernels.medium.coefficients import coefficients_of, exp_minus
 from warp_psdr.kernels.medium.flight import make_flight
 from warp_psdr.kernels.medium.interface import make_crossing_sink, make_interface
-from warp_psdr.kernels.medium.line import Line, make_line
+from warp_psdr.kernels.medium.line import ClearLine, make_line
 from warp_psdr.kernels.medium.passage import MOST_INTERFACES, is_lost, medium_towards
 from warp_psdr.kernels.phase.dispatch import make_phase
 from warp_psdr.kernels.primitive.dispatch import make_position
@@ -63,7 +63,7 @@ class Sight:
     at: FilmPoint
     d: wp.vec3  # from the camera
     t: wp.float32  # distance
-    line: Line  # up to x_1, from the near plane on
+    line: ClearLine  # up to x_1, from the near plane on
     far_face: wp.int32  # of a volume vertex: what ends the stretch that it is on; -1: nothing
     far_u: wp.float32
     far_v: wp.float32
@@ -207,7 +207,7 @@ def make_sight_sink(role: str):
 
 @functools.cache
 def make_media_segment(config: PathConfig):
-    """Return ``segment(scene, camera, edges, moving, point, direction) -> (Segment, Line)`` but for its x_1.
+    """Return ``segment(scene, camera, edges, moving, point, direction) -> (Segment, ClearLine)`` but for its x_1.
 
     The line is that from the edge towards the source, its medium that at the edge. ``t1`` of the result is how far
     beyond the edge the ray to x_1 starts, ``known`` is not 0 if what the segment joins moves.
@@ -225,12 +225,12 @@ def make_media_segment(config: PathConfig):
         moving: wp.array(dtype=wp.int32),
         point: EdgePoint,
         direction: Direction,
-    ) -> tuple[Segment, Line]:
+    ) -> tuple[Segment, ClearLine]:
         r = Segment()
         r.face2 = -1
         r.light = -1
         r.w = direction.w
-        ahead = Line()
+        ahead = ClearLine()
         along = wp.normalize(point.p1 - point.p0)
         m = wp.cross(along, r.w)
         side = facing_side(scene, edges, point, along, r.w)
