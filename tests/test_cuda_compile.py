@@ -230,8 +230,8 @@ FACTORIES = {
         ("forward", (MEDIA, moving_among_media(MEDIA), "forward", 4, 4), SLOW),
     ],
     "boundary.path_space.media_secondary.make_media_secondary_kernel": [
-        ("reverse", (MEDIA, "reverse", True, True), SLOW),
-        ("forward", (MEDIA, "forward", True, False), SLOW),
+        ("reverse", (MEDIA, "reverse", True, True, True), SLOW),
+        ("forward", (MEDIA, "forward", True, False, False), SLOW),
     ],
     "interior.textbook.make_textbook_kernel": [
         ("reverse, simple", (SIMPLE, ALBEDO, "reverse"), FAST),

@@ -54,8 +54,6 @@ class FilmEdge:
     side: wp.float32  # +1 or -1: all faces lie on that side of the plane; 0: they do not
     step: wp.float32  # ray epsilon at the edge
     g: wp.vec3  # gradient of N . pixel(x), along m
-    medium: wp.int32  # that the edge is seen in, and the transmittance up to there
-    transmittance: wp.vec3
     weight: wp.vec3  # adjoint of the pixels; 1 in forward mode
 
 
@@ -116,8 +114,6 @@ def make_film_edge(config: PathConfig, role: str, camera_moves: bool):
             seen = line(scene, at.origin + at.near * ray, ray, length - at.near, camera.medium, 0)
             if length > at.near and (seen.face >= 0 or seen.lost):
                 return r
-            r.medium = seen.medium
-            r.transmittance = seen.transmittance
         else:
             if length > at.near and visibility.hidden_from_camera(scene, start, back / length, length - at.near):
                 return r

@@ -1,4 +1,4 @@
-"""The radiance that arrives along a ray through media, for what the camera sees on either side of an edge.
+"""The radiance that arrives along a ray through media: on either side of an edge that the camera sees, and at x_1.
 
 It is that of the path tracer of ``path_media.py``; ``detector.py`` has that without media.
 
@@ -9,7 +9,9 @@ import functools
 
 import warp as wp
 
-from warp_psdr.kernels.boundary.detector import IncidentRadiance
+from warp_psdr.kernels.boundary.detector import NEVER, ROW_COUNT, ROWS, Incident, IncidentRadiance
+from warp_psdr.kernels.constants import FAR, LOBE_NULL
+from warp_psdr.kernels.interaction import make_interaction
 from warp_psdr.kernels.medium.line import make_line
 from warp_psdr.kernels.path_media import make_media_step, media_path_from
 from warp_psdr.kernels.primitive.dispatch import make_position
@@ -51,3 +53,60 @@ def make_media_radiance(config: PathConfig):
         return r
 
     return media_radiance
+
+
+@functools.cache
+def make_media_incident(config: PathConfig):
+    """Return ``media_incident(scene, sampler, medium, o, d, depth, max_depth, rr_depth) -> Incident``.
+
+    As ``detector.make_incident``, but without what the first surface that is there, or the environment, sends unless
+    the path has turned in front of it.
+    """
+    media_step = make_media_step(config, False)
+    emitted = make_interaction(config).emitted
+
+    @wp.func
+    def media_incident(
+        scene: Scene,
+        sampler: Sampler,
+        medium: wp.int32,
+        o: wp.vec3,
+        d: wp.vec3,
+        depth: wp.int32,
+        max_depth: wp.int32,
+        rr_depth: wp.int32,
+    ) -> Incident:
+        r = Incident()
+        r.first = depth
+        r.cut = NEVER
+        rows = ROWS()
+        turned = wp.bool(False)
+        state = media_path_from(path_from(o, d, FAR, depth), medium)
+        while state.path.alive == 1:
+            # Behind first + cut vertices the path ends here.
+            if max_depth >= 0:
+                r.cut = max_depth - 1 - state.path.depth
+            step, state = media_step(scene, sampler, state, max_depth, rr_depth)
+            vertex = step.surface
+            value = wp.cw_mul(vertex.throughput, vertex.direct)
+            own = wp.vec3(0.0, 0.0, 0.0)
+            if not step.collides:
+                if vertex.face < 0:
+                    own = value
+                else:
+                    if wp.static(emitted is not None):
+                        shines = emitted(scene, vertex.face, vertex.u, vertex.v, vertex.d)
+                        own = vertex.e_weight * wp.cw_mul(vertex.throughput, shines)
+            if not turned:
+                value -= own
+                own = wp.vec3(0.0, 0.0, 0.0)
+            turned = turned or step.collides or vertex.lobe != LOBE_NULL
+            if max_depth >= 0 and r.cut < ROW_COUNT:
+                last = r.total + own
+                for c in range(3):
+                    rows[r.cut, c] = last[c]
+            r.total += value
+        r.rows = rows
+        return r
+
+    return media_incident

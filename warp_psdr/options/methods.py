@@ -111,6 +111,10 @@ _METHODS = MethodTable(
             *("kernels/boundary/silhouette/grid_secondary.py", "implicit_surfaces"),
         ),
         (
+            *("ZYZ21", "Path-space boundaries in media", "boundary.PathSpace(spp_secondary=None)", "boundary"),
+            *("kernels/boundary/path_space/media_secondary.py", "path_space_media"),
+        ),
+        (
             *("LADL18", "Edge sampling", "boundary.EdgeSampling()", "boundary"),
             *("kernels/boundary/edge_sampling/edge_sampling.py", "edge_sampling"),
         ),

@@ -27,6 +27,7 @@ from warp_psdr.kernels.boundary.media_radiance import make_media_radiance
 from warp_psdr.kernels.constants import DELTA_LIGHTS
 from warp_psdr.kernels.interaction import make_interaction
 from warp_psdr.kernels.jobs import SampleJob
+from warp_psdr.kernels.medium.line import make_line
 from warp_psdr.kernels.primitive.affine import is_primitive, is_primitive_at, triangle_or_none
 from warp_psdr.kernels.primitive.dispatch import make_normal_at
 from warp_psdr.kernels.rng import sampler_at
@@ -59,6 +60,7 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
     surface_at = make_interaction(config).surface
     among_media = config.media is not None
     media_radiance = make_media_radiance(config) if among_media else None
+    line = make_line(config)[0] if among_media else None
     incident_radiance = None if among_media else make_incident_radiance(config)
     normal_at = make_normal_at(config.primitives)
     find, accumulate = make_film_edge(config, role, camera_moves)
@@ -214,6 +216,9 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
         # Of a face that is seen exactly edge-on, the near plane.
         ahead = wp.min(ahead, distance - at.near)
         t_max = at.far - distance + ahead
+        if wp.static(among_media):
+            # Up to where both rays start: beyond it the edge's transmittance is theirs.
+            before = line(scene, at.origin + at.near * d, d, distance - ahead - at.near, camera.medium, 0)
         own = wp.bool(False)
         a = IncidentRadiance()
         b = IncidentRadiance()
@@ -224,7 +229,7 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
         while k < looks:
             o = point.x + wp.where(k % 2 == 0, to_a, to_b) - ahead * d
             if wp.static(among_media):
-                seen = media_radiance(scene, sampler, f.medium, o, d, t_max, job.max_depth, job.rr_depth)
+                seen = media_radiance(scene, sampler, before.medium, o, d, t_max, job.max_depth, job.rr_depth)
             else:
                 seen = incident_radiance(scene, sampler, o, d, t_max, 0, job.max_depth, job.rr_depth)
             if k < 2:
@@ -254,7 +259,7 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
         jump = b.radiance - a.radiance
         if wp.static(among_media):
             # What is scattered in front of the edge is common to both sides.
-            jump = wp.cw_mul(f.transmittance, jump)
+            jump = wp.cw_mul(before.transmittance, jump)
         if edges.sides.shape[0] > 1 and not curve:
             by_a = whose(scene, edges, point, d, apart, a.face)
             by_b = whose(scene, edges, point, d, apart, b.face)

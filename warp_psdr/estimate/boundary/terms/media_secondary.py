@@ -21,7 +21,7 @@ def launch(r: Request) -> Term | None:
     edges = secondary_edges_there(r.scene, set(r.moves.shapes))
     if edges is None:
         return None
-    kernel = make_media_secondary_kernel(r.config, r.role, r.moves.camera, r.moves.light_pose)
+    kernel = make_media_secondary_kernel(r.config, r.role, r.moves.camera, r.moves.light_pose, r.plan.max_depth != 2)
     guide = Guide()
     guide.share = WEDGE_SHARE if r.scene.builder.environment >= 0 else WEDGE_SHARE_DIRECT
     samples = r.pixels * (r.method.spp_secondary or r.spp)

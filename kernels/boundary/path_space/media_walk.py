@@ -1,0 +1,384 @@
+"""The walk from a boundary segment's x_1 towards the camera in homogeneous media, and what its vertices ride on.
+
+As ``detector.py``, whose vertices are surface points. A volume vertex has sigma_s f_p for f_s and no cosine; it keeps
+its fraction of the ray from the vertex that is next towards the camera, or of the camera's.
+
+Derivation: ``docs/theory/media.md#boundaries-in-media``.
+"""
+
+import functools
+
+import warp as wp
+
+from warp_psdr.kernels.autodiff import anchor
+from warp_psdr.kernels.boundary.detector import MIN_COSINE
+from warp_psdr.kernels.bvh.wide import RayHit
+from warp_psdr.kernels.constants import FAR, LOBE_SMOOTH
+from warp_psdr.kernels.interaction import enter_frame, leave_frame, make_interaction
+from warp_psdr.kernels.invalid import vanishes
+from warp_psdr.kernels.medium.coefficients import coefficients_of, exp_minus
+from warp_psdr.kernels.medium.flight import forced_density, forced_distance, make_flight, mean_of
+from warp_psdr.kernels.medium.interface import make_crossing_sink, make_interface
+from warp_psdr.kernels.medium.line import ClearLine, make_line
+from warp_psdr.kernels.medium.passage import MOST_INTERFACES, is_lost, medium_towards
+from warp_psdr.kernels.path_media import GRAZING
+from warp_psdr.kernels.phase.dispatch import make_phase
+from warp_psdr.kernels.primitive.dispatch import make_position
+from warp_psdr.kernels.rng import Sampler, make_sampler
+from warp_psdr.kernels.scattering import ROULETTE_MAX
+from warp_psdr.kernels.sensor.projection import FilmPoint, make_projection
+from warp_psdr.kernels.step import leaving_step, step_beside
+from warp_psdr.kernels.structs import Camera, Medium, Scene
+from warp_psdr.kernels.surface import RayAdjoint, VertexAdjoint, make_vertex_sink, normalize_vjp
+from warp_psdr.kernels.vertex import PathConfig
+from warp_psdr.kernels.visibility import visibility_of
+
+#: Least probability with which x_1 is beyond a stretch of a medium: fog in front of an edge that hides it is lit, too.
+PASSES = 1.0 / 3.0
+#: Sample slots of a vertex of the walk: its scattering, and the flights to it.
+SLOT_WALK, SLOTS_PER_VERTEX = 4, MOST_INTERFACES + 2
+
+
+@wp.struct
+class MediaWalk:
+    """A vertex of the walk, a surface point or a volume vertex, and the ray on which it was found."""
+
+    alive: wp.int32
+    collides: wp.bool
+    face: wp.int32  # of a surface
+    u: wp.float32
+    v: wp.float32
+    x: wp.vec3
+    to: wp.vec3  # direction towards the vertex before
+    medium: wp.int32  # that the segment from there arrives through
+    weight: wp.vec3  # of a volume vertex sigma_s, too
+    transmittance: wp.vec3  # of x_1: from the edge, in ``weight`` otherwise
+    near: wp.float32  # where the way from the vertex before crosses its first interface: distance from there
+    near_face: wp.int32  # -1: it crosses none
+    near_u: wp.float32
+    near_v: wp.float32
+
+
+@wp.struct
+class Sight:
+    """A vertex of the walk as the camera sees it."""
+
+    weight: wp.vec3  # 0: not seen
+    at: FilmPoint
+    d: wp.vec3  # from the camera
+    t: wp.float32  # distance
+    line: ClearLine  # up to the vertex, from the near plane on
+
+
+@wp.struct
+class Flown:
+    """Where a stretch of the ray to x_1 ends: in the medium, or beyond."""
+
+    collides: wp.bool
+    t: wp.float32
+    inv_p: wp.float32  # 1 / p, or 1 / P
+
+
+@functools.cache
+def make_flown(config: PathConfig):
+    """Return ``flown(scene, m, length, open, u) -> Flown``: for x_1, some of which lie in front of thick fog."""
+    chromatic = config.media is not None and config.media.chromatic
+
+    @wp.func
+    def density(sigma: wp.float32, t: wp.float32, length: wp.float32, open: wp.bool) -> wp.float32:
+        if open:
+            return sigma * wp.exp(-sigma * t)
+        return forced_density(sigma, t, length, 0.0, False)
+
+    @wp.func
+    def flown(scene: Scene, m: Medium, length: wp.float32, open: wp.bool, u: wp.vec4) -> Flown:
+        c = coefficients_of(scene, m)
+        r = Flown()
+        r.t = length
+        inv_extent = 1.0 / scene.media.extent
+        passing = wp.float32(0.0)
+        if not open or wp.max(c.sigma_t) <= 0.0:
+            passing = wp.max(mean_of(exp_minus(c.sigma_t, length)), PASSES)
+        if u[0] < passing:
+            r.inv_p = 1.0 / passing
+            return r
+        r.collides = True
+        rate = c.sigma_t[wp.min(wp.int32(3.0 * u[3]), 2)]
+        if u[1] < 0.5:
+            r.t = forced_distance(0.0, length, inv_extent, open, u[2])
+        elif open:
+            r.t = wp.min(-wp.log(wp.max(1.0 - u[2], 1.0e-30)) / wp.max(rate, 1.0e-30), length)
+        else:
+            r.t = forced_distance(rate, length, inv_extent, False, u[2])
+        p = density(c.sigma_t[0], r.t, length, open)
+        if wp.static(chromatic):
+            p += density(c.sigma_t[1], r.t, length, open)
+            p += density(c.sigma_t[2], r.t, length, open)
+            p *= 1.0 / 3.0
+        p = 0.5 * p + 0.5 * forced_density(0.0, r.t, length, inv_extent, open)
+        r.inv_p = 1.0 / ((1.0 - passing) * p)
+        return r
+
+    return flown
+
+
+@functools.cache
+def make_media_walk(config: PathConfig):
+    """Return ``(first_vertex, sight, extend)``.
+
+    ``first_vertex(scene, sampler, o, d, medium) -> MediaWalk``: x_1, drawn along a ray from an edge.
+    ``sight(scene, camera, walk, lens) -> Sight``.
+    ``extend(scene, sampler, walk, k, roulette) -> MediaWalk``: the vertex behind the k-th.
+    """
+    assert config.media is not None
+    visibility = visibility_of(config)
+    interaction = make_interaction(config)
+    is_interface, _behind = make_interface(config)
+    line, _medium_at = make_line(config)
+    flown = make_flown(config)
+    flight = make_flight(config.media, False)
+    phase = make_phase(config.media.phases)
+    sample_4d = make_sampler(config.sampler).sample_4d
+    project = make_projection(config.camera)[0]
+    position, _cross_of = make_position(config.primitives)
+    scatters = interaction.eval is not None
+
+    @wp.func
+    def last_point(scene: Scene, hit: RayHit, d: wp.vec3) -> wp.float32:
+        """Where collisions end: as far before a surface as rays start off it."""
+        if hit.face < 0:
+            return FAR
+        cosine = wp.max(wp.abs(wp.dot(scene.triangles[hit.face].normal, d)), GRAZING)
+        return wp.max(hit.t - leaving_step(scene, hit.face) / cosine, 0.0)
+
+    @wp.func
+    def found(
+        scene: Scene,
+        sampler: Sampler,
+        walk: MediaWalk,
+        o: wp.vec3,
+        d: wp.vec3,
+        slot: wp.int32,
+        first: wp.bool,
+    ) -> MediaWalk:
+        """The next vertex on a ray, through interfaces; ``first``: it is x_1."""
+        r = walk
+        r.alive = 0
+        r.to = -d
+        r.near_face = -1
+        r.transmittance = wp.vec3(1.0, 1.0, 1.0)
+        start = o
+        crossings = wp.int32(0)
+        while crossings <= MOST_INTERFACES:
+            hit = visibility.closest(scene, start, d, FAR)
+            length = wp.where(hit.face >= 0, hit.t, FAR)
+            if r.medium >= 0:
+                m = scene.media.records[r.medium]
+                c = coefficients_of(scene, m)
+                u4 = sample_4d(sampler, slot + crossings)
+                collides = wp.bool(False)
+                t = wp.float32(0.0)
+                end = last_point(scene, hit, d)
+                if first:
+                    f = flown(scene, m, length, hit.face < 0, u4)
+                    collides = f.collides
+                    t = wp.min(f.t, end)
+                    r.weight *= f.inv_p
+                    if collides:
+                        r.weight = wp.cw_mul(r.weight, wp.cw_mul(c.albedo, c.sigma_t))
+                    r.transmittance = wp.cw_mul(r.transmittance, exp_minus(c.sigma_t, t))
+                else:
+                    g = flight(scene, m, length, end, hit.face < 0, u4, crossings, True)
+                    collides = g.collides
+                    t = g.t
+                    r.weight = wp.cw_mul(r.weight, g.weight)
+                if collides:
+                    r.x = start + t * d
+                    r.collides = True
+                    r.face = -1
+                    r.alive = 1
+                    return r
+            if hit.face < 0:
+                return r
+            crossings += 1
+            if is_interface(scene, hit.face):
+                at = interaction.at(scene, hit.face, hit.u, hit.v, d)
+                if is_lost(scene, at.shape, at.ng, d, r.medium):
+                    return r
+                r.medium = medium_towards(scene, at.shape, at.ng, d, d, r.medium)
+                if crossings == 1:
+                    r.near = hit.t
+                    r.near_face = hit.face
+                    r.near_u = hit.u
+                    r.near_v = hit.v
+                start = interaction.offset(at, d)
+            else:
+                r.collides = False
+                r.face = hit.face
+                r.u = hit.u
+                r.v = hit.v
+                r.x = position(scene.triangles[hit.face], hit.u, hit.v)
+                r.alive = 1
+                return r
+        return r
+
+    @wp.func
+    def first_vertex(scene: Scene, sampler: Sampler, o: wp.vec3, d: wp.vec3, medium: wp.int32) -> MediaWalk:
+        walk = MediaWalk()
+        walk.medium = medium
+        walk.weight = wp.vec3(1.0, 1.0, 1.0)
+        return found(scene, sampler, walk, o, d, SLOT_WALK, True)
+
+    @wp.func
+    def sight(scene: Scene, camera: Camera, walk: MediaWalk, lens: wp.vec2) -> Sight:
+        r = Sight()
+        r.at = project(scene, camera, walk.x, lens)
+        if r.at.valid == 0:
+            return r
+        r.t = wp.length(walk.x - r.at.origin)
+        r.d = (walk.x - r.at.origin) / r.t
+        end = walk.x
+        value = wp.vec3(0.0, 0.0, 0.0)
+        if walk.collides:
+            m = scene.media.records[walk.medium]
+            value = wp.vec3(1.0, 1.0, 1.0) * phase.eval(scene, m, r.d, walk.to)
+        else:
+            if wp.static(scatters):
+                here = interaction.at(scene, walk.face, walk.u, walk.v, r.d)
+                cosine = wp.abs(wp.dot(here.ng, walk.to))
+                if cosine >= MIN_COSINE:
+                    f = interaction.eval(here, enter_frame(here.frame, walk.to))
+                    value = (wp.abs(wp.dot(here.ng, r.d)) / cosine) * f
+                end = step_beside(walk.x, here.ng, -r.d, here.step)
+        if vanishes(value):
+            return r
+        ray = end - r.at.origin
+        length = wp.length(ray)
+        ray = ray / length
+        r.line = line(scene, r.at.origin + r.at.near * ray, ray, length - r.at.near, camera.medium, 0)
+        if r.line.face >= 0 or r.line.lost or (walk.collides and r.line.medium != walk.medium):
+            return r
+        r.weight = r.at.per_area * wp.cw_mul(r.line.transmittance, wp.cw_mul(value, walk.weight))
+        return r
+
+    @wp.func
+    def extend(scene: Scene, sampler: Sampler, walk: MediaWalk, k: wp.int32, roulette: wp.bool) -> MediaWalk:
+        r = walk
+        r.alive = 0
+        slot = SLOT_WALK + k * SLOTS_PER_VERTEX
+        u4 = sample_4d(sampler, slot)
+        o = walk.x
+        w = wp.vec3(0.0, 0.0, 0.0)
+        if walk.collides:
+            w = phase.sample(scene, scene.media.records[walk.medium], -walk.to, wp.vec2(u4[2], u4[3]))
+        else:
+            if wp.static(scatters):
+                here = interaction.at(scene, walk.face, walk.u, walk.v, -walk.to)
+                bs = interaction.sample(here, u4[0], wp.vec2(u4[2], u4[3]))
+                cosine = wp.abs(wp.dot(here.ng, walk.to))
+                if bs.pdf <= 0.0 or bs.lobe != LOBE_SMOOTH or cosine < MIN_COSINE:
+                    return r
+                w = leave_frame(here.frame, bs.wo)
+                # Importance: light comes from ``to`` and leaves along the new direction.
+                to = here.wi
+                here.wi = bs.wo
+                f = interaction.eval(here, to)
+                r.weight = wp.cw_mul(walk.weight, (wp.abs(wp.dot(here.ng, w)) / (cosine * bs.pdf)) * f)
+                o = step_beside(walk.x, here.ng, w, here.step)
+                r.medium = medium_towards(scene, here.shape, here.ng, -walk.to, w, walk.medium)
+            else:
+                return r
+        if vanishes(r.weight):
+            return r
+        if roulette:
+            survival = wp.min(wp.max(r.weight), ROULETTE_MAX)
+            if u4[1] >= survival:
+                return r
+            r.weight /= survival
+        return found(scene, sampler, r, o, w, slot + 1, False)
+
+    return first_vertex, sight, extend
+
+
+@functools.cache
+def make_ride(config: PathConfig, role: str):
+    """Return ``(ride, ride_sight)``, which take the adjoint g of a volume vertex.
+
+    ``ride(scene, target, walk, after, g) -> (vec3, float32)``: it keeps its fraction of the ray from the vertex
+    ``after`` it, whose adjoint is returned.
+    ``ride_sight(scene, target, walk, sight, g) -> RayAdjoint``: of the camera's ray, whose adjoint is returned.
+    """
+    accumulate_crossing = make_crossing_sink(role)
+    accumulate_vertex = make_vertex_sink(role, False, False, False, False, False, False)
+    is_interface, behind = make_interface(config)
+    visibility = visibility_of(config)
+    position, _cross_of = make_position(config.primitives)
+
+    @wp.func
+    def ride(
+        scene: Scene, target: wp.array(dtype=wp.float32), walk: MediaWalk, after: MediaWalk, g: wp.vec3
+    ) -> tuple[wp.vec3, wp.float32]:
+        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
+        d = after.to
+        y = after.x
+        t = wp.dot(walk.x - y, d)
+        hit = visibility.closest(scene, walk.x, d, FAR)
+        z = behind(scene, hit, d, FAR, 1)
+        a_y = g
+        a_w = t * g
+        a_near = wp.dot(d, g)
+        a_far = wp.float32(0.0)
+        near = wp.float32(0.0)
+        total = wp.float32(0.0)
+        if after.near_face >= 0:
+            near = t - after.near
+        if hit.face >= 0:
+            far = t + hit.t
+            a_far = (t - near) / wp.max(far - near, t - near) * a_near
+            a_near -= a_far
+            if is_interface(scene, hit.face):
+                a = accumulate_crossing(scene, target, hit.face, hit.u, hit.v, d, far, a_far)
+                a_y += a.o
+                a_w += a.d
+                total += a.dot
+                a_far = 0.0
+        if after.near_face >= 0:
+            a = accumulate_crossing(scene, target, after.near_face, after.near_u, after.near_v, d, near, a_near)
+            a_y += a.o
+            a_w += a.d
+            total += a.dot
+        if z.face >= 0:
+            length = wp.length(position(scene.triangles[z.face], z.u, z.v) - y)
+            adjoint = VertexAdjoint()
+            adjoint.x = a_far * d + normalize_vjp(d, length, a_w)
+            a_y -= adjoint.x
+            total += accumulate_vertex(scene, target, z.face, z.u, z.v, adjoint, False, d, d).dot
+        return a_y, total
+
+    @wp.func
+    def ride_sight(
+        scene: Scene, target: wp.array(dtype=wp.float32), walk: MediaWalk, s: Sight, g: wp.vec3
+    ) -> RayAdjoint:
+        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
+        r = RayAdjoint()
+        r.o = g
+        r.d = s.t * g
+        near = s.at.near + s.line.near
+        a_near = wp.dot(s.d, g)
+        hit = visibility.closest(scene, walk.x, s.d, FAR)
+        if hit.face >= 0:
+            far = s.t + hit.t
+            a_far = (s.t - near) / wp.max(far - near, s.t - near) * a_near
+            a_near -= a_far
+            a = accumulate_crossing(scene, target, hit.face, hit.u, hit.v, s.d, far, a_far)
+            r.o += a.o
+            r.d += a.d
+            r.dot += a.dot
+        if s.line.near_face >= 0:
+            a = accumulate_crossing(scene, target, s.line.near_face, s.line.near_u, s.line.near_v, s.d, near, a_near)
+            r.o += a.o
+            r.d += a.d
+            r.dot += a.dot
+        return r
+
+    return ride, ride_sight
