@@ -1,7 +1,8 @@
 """One step of a path in a scene with media: a flight, and the vertex that it ends at (``path.py`` has that without).
 
-At every step L_n = V_n (E_n + D_n + beta_n L_{n+1}): V_n is the factor of the flight through the medium that the ray
-is in, over its density; the vertex behind it is a collision (E_n = 0), a surface, or what lies behind the scene.
+At every step L_n = M_n + V_n (E_n + D_n + beta_n L_{n+1}): V_n is the factor of the flight through the medium that the
+ray is in, over its density, M_n what the medium emits along it; the vertex behind it is a collision (E_n = 0), a
+surface, or what lies behind the scene.
 Surfaces that let light pass without turning it are steps, but do not count as depth; collisions do, as in Mitsuba's
 ``volpath``.
 
@@ -18,6 +19,7 @@ from warp_psdr.kernels.constants import FAR, LOBE_NONE, LOBE_NULL, LOBE_SMOOTH
 from warp_psdr.kernels.interaction import make_interaction
 from warp_psdr.kernels.invalid import count_invalid, finite, inverse_pdf, vanishes
 from warp_psdr.kernels.math import where3
+from warp_psdr.kernels.medium.emission import emitted_along
 from warp_psdr.kernels.medium.flight import Flight, make_flight
 from warp_psdr.kernels.medium.passage import MOST_INTERFACES, is_lost, make_media_passage, medium_towards
 from warp_psdr.kernels.medium.tracking import make_tracking
@@ -73,6 +75,8 @@ class MediaVertex:
     collides: wp.bool
     medium: wp.int32  # of the flight
     t: wp.float32  # its length
+    stretch: wp.float32  # up to the surface behind it
+    emitted: wp.vec3  # M, of the whole stretch
     length: wp.float32  # as long as it could have been and collided
     inv_p: wp.float32  # 1 / p, or 1 / P
     passed: wp.vec3  # in grids: the weight without a sigma
@@ -93,6 +97,12 @@ def media_path_from(path: PathState, medium: wp.int32) -> MediaState:
     state.path = path
     state.medium = medium
     return state
+
+
+@wp.func
+def radiance_of_step(v: MediaVertex) -> wp.vec3:
+    """What a step adds to the radiance of its path."""
+    return wp.cw_mul(v.before, v.emitted) + wp.cw_mul(v.surface.throughput, v.surface.direct)
 
 
 @wp.func
@@ -210,6 +220,7 @@ def make_media_step(config: PathConfig, differential: bool, explores: bool = Fal
     flight = make_flight(config.media, explores)
     tracked_flight, _tracked_transmittance = make_tracking(config.media, explores and clocked)
     grids = config.media.grids
+    emissive = config.media.emissive
     collide = make_collision(config, differential)
     passage = make_media_passage(config, differential)
     emission_hit = make_emission_hit(config)
@@ -255,6 +266,9 @@ def make_media_step(config: PathConfig, differential: bool, explores: bool = Fal
                 cosine = wp.max(wp.abs(wp.dot(tri.normal, path.d)), GRAZING)
                 end = hit.t - step_off_triangle(scene, tri) / cosine
             vertex.length = wp.max(end, 0.0)
+            if wp.static(emissive):
+                vertex.stretch = length
+                vertex.emitted = emitted_along(scene, scene.media.records[state.medium], length)
             u = sample_4d(sampler, slot)
             m = scene.media.records[state.medium]
             f = Flight()

@@ -20,7 +20,7 @@ from warp_psdr.kernels.invalid import count_invalid, finite
 from warp_psdr.kernels.jobs import PixelJob
 from warp_psdr.kernels.lanes.path_lanes import make_lane_paths, side_by_side
 from warp_psdr.kernels.path import make_camera_start
-from warp_psdr.kernels.path_media import make_media_step, media_path_from
+from warp_psdr.kernels.path_media import make_media_step, media_path_from, radiance_of_step
 from warp_psdr.kernels.rng import sampler_at
 from warp_psdr.kernels.sensor.camera import CameraSample
 from warp_psdr.kernels.structs import Camera, Scene
@@ -134,7 +134,7 @@ def _make_media_paths(config: PathConfig, filter_kind: int | None) -> CameraPath
             path.sample = sample
             while state.path.alive == 1:
                 vertex, state = media_step(scene, sampler, state, max_depth, rr_depth)
-                path.radiance += wp.cw_mul(vertex.surface.throughput, vertex.surface.direct)
+                path.radiance += radiance_of_step(vertex)
             paths_out[j] = path
 
     return CameraPaths(1, False, trace_media)

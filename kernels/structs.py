@@ -127,6 +127,8 @@ class Medium:
     albedo: wp.int32  # flat offset of the single-scattering albedo
     albedo_channels: wp.int32
     scale: wp.int32  # flat offset of what multiplies sigma_t
+    emission: wp.int32  # flat offset of the radiance emitted per unit length, -1: none
+    emission_channels: wp.int32
     phase: wp.int32  # PHASE_*
     g: wp.int32  # hg: flat offset of the mean cosine
 

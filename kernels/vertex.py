@@ -20,6 +20,8 @@ class MediaConfig:
     chromatic: bool
     #: Some media are ``heterogeneous``.
     grids: bool = False
+    #: Some media emit light.
+    emissive: bool = False
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from warp_psdr.kernels.invalid import count_invalid, finite, vanishes
 from warp_psdr.kernels.jobs import PixelJob, make_sample_weight, pixel_of
 from warp_psdr.kernels.medium.passage import MOST_INTERFACES
 from warp_psdr.kernels.path import make_camera_start
-from warp_psdr.kernels.path_media import MediaState, MediaVertex, make_media_step, media_path_from
+from warp_psdr.kernels.path_media import MediaState, MediaVertex, make_media_step, media_path_from, radiance_of_step
 from warp_psdr.kernels.rng import sampler_at
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.vertex import PathConfig
@@ -87,7 +87,7 @@ def make_media_replay_kernel(
                     if tracing:
                         if wp.static(ratio):
                             stretch = consider_stretch(scene, sampler, stretch, before, vertex, delta, job.max_depth)
-                        radiance += wp.cw_mul(vertex.surface.throughput, vertex.surface.direct)
+                        radiance += radiance_of_step(vertex)
                 if tracing and state.path.alive == 1:
                     b += 1
                 else:

@@ -1,7 +1,8 @@
 """The backward sweep over the steps of a path through media: one step's factors, differentiated.
 
-A step is L_n = V_n (E_n + D_n + beta_n L_{n+1}). V_n, D_n and the phase function are differentiated here, the rest of a
-surface by its own sweep (``sweep.py``). Nothing moves: distances, directions and densities are detached.
+A step is L_n = M_n + V_n (E_n + D_n + beta_n L_{n+1}). M_n, V_n, D_n and the phase function are differentiated
+here, the rest of a surface by its own sweep (``sweep.py``). Nothing moves: distances, directions and densities are
+detached.
 
 Derivation: ``docs/theory/media.md#derivatives``.
 """
@@ -17,7 +18,8 @@ from warp_psdr.kernels.interaction import enter_frame, make_interaction
 from warp_psdr.kernels.interior.factors import make_light_sink, make_material_sink
 from warp_psdr.kernels.interior.gradient_request import GradientRequest
 from warp_psdr.kernels.interior.sweep import Carry, make_sweep
-from warp_psdr.kernels.medium.coefficients import PHASE, SCALE, SIGMA_T, make_coefficient_sinks
+from warp_psdr.kernels.medium.coefficients import EMISSION, PHASE, SCALE, SIGMA_T, make_coefficient_sinks
+from warp_psdr.kernels.medium.emission import make_emission_sink
 from warp_psdr.kernels.medium.grid_adjoint import SALT_POINTS, make_grid_adjoint
 from warp_psdr.kernels.medium.passage import MOST_INTERFACES, make_media_passage, medium_towards
 from warp_psdr.kernels.medium.volume import GRID
@@ -167,6 +169,8 @@ def make_media_sweep(config: PathConfig, wanted: GradientRequest, role: str, rat
     _accumulate_extinction, accumulate_flight = make_coefficient_sinks(role, wanted.media)
     _depth, accumulate_tracked, _extinction_at = make_grid_adjoint(role, wanted.media, ratio)
     grids = config.media.grids
+    emissive = config.media.emissive and bool({SIGMA_T, SCALE, EMISSION} & set(wanted.media))
+    accumulate_emission = make_emission_sink(role, wanted.media)
     accumulate_segment = make_segment_sink(config, wanted, role)
     accumulate_material = make_material_sink(config, wanted, role)
     has_lights = bool(config.area or config.lights)
@@ -278,6 +282,8 @@ def make_media_sweep(config: PathConfig, wanted: GradientRequest, role: str, rat
                     )
             if not in_grid:
                 total += accumulate_flight(scene, target, m, v.t, v.collides, w_v)
-        return wp.cw_mul(v.weight, inner), total
+            if wp.static(emissive):
+                total += accumulate_emission(scene, target, m, v.stretch, wp.cw_mul(delta, v.before))
+        return v.emitted + wp.cw_mul(v.weight, inner), total
 
     return media_sweep

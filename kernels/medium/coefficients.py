@@ -20,6 +20,7 @@ from warp_psdr.kernels.structs import Medium, Scene
 SIGMA_T = "sigma_t"
 ALBEDO = "albedo"
 SCALE = "scale"
+EMISSION = "emission"
 PHASE = "phase"
 
 

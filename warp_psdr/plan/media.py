@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.bsdf.dispatch import models_of
 from warp_psdr.kernels.bsdf.null import NULL
-from warp_psdr.kernels.medium.coefficients import ALBEDO, PHASE, SCALE, SIGMA_T
+from warp_psdr.kernels.medium.coefficients import ALBEDO, EMISSION, PHASE, SCALE, SIGMA_T
 from warp_psdr.options import interior
 from warp_psdr.options.boundary import Method, PathSpace
 from warp_psdr.plan.motion import motion
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from warp_psdr.scene.scene import Scene
 
 #: What of a medium is differentiated.
-PARAMETERS = (SIGMA_T, ALBEDO, SCALE, PHASE)
+PARAMETERS = (SIGMA_T, ALBEDO, SCALE, EMISSION, PHASE)
 PHASE_NAMES = {
     c.PHASE_ISOTROPIC: "isotropic",
     c.PHASE_HG: "hg",
@@ -49,6 +49,8 @@ def describe(scene: Scene, config: PathConfig, wanted: GradientRequest | None) -
         ("phase functions", phases, "those of the media"),
         ("extinction", "by channel" if config.media.chromatic else "grey", chromatic),
     ]
+    if config.media.emissive:
+        lines.append(("emission", "by media", "of each stretch in closed form, without a draw"))
     for grid in scene.builder.super_grids:
         voxels, cells = (" x ".join(str(n) for n in size) for size in (grid.voxels, grid.cells))
         tracked = f"majorants of {cells} cells; delta tracking, and ratio tracking for shadow rays"
@@ -78,6 +80,11 @@ def refuse(
             f"interior.{type(method).__name__}() does not know participating media; use interior.Replay(), or leave "
             "them out"
         )
+    if config.media.emissive and type(method) is not interior.Replay and names:
+        raise ValueError(
+            f"interior.{type(method).__name__}() does not know media that emit light; use interior.Replay(), or leave "
+            "'emission' out"
+        )
     if wanted is not None and moves(wanted):
         reason = _beside_motion(scene, config, method, wanted)
         if reason:
@@ -101,6 +108,8 @@ def _beside_motion(scene: Scene, config: PathConfig, method: interior.Method, wa
             "densities of 'heterogeneous' media change along what moves; make the media 'homogeneous', or request what "
             "moves nothing"
         )
+    if config.media.emissive:
+        return "that is not followed through media that emit light; leave 'emission' out, or request what moves nothing"
     if wanted.bends:
         return "that is not followed through media; request coefficients of media, reflectances or radiances"
     turning = [model.plugin for model in models_of(config.bsdfs) if model.has_delta and model is not NULL]

@@ -141,6 +141,7 @@ class MediumDescription:
     scale: float
     phase: PhaseDescription
     grids: bool = False  #: heterogeneous
+    emission: VolumeDescription | None = None  #: radiance per unit length
 
 
 @dataclass(eq=False)

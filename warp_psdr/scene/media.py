@@ -88,6 +88,14 @@ def _medium(props: Properties) -> MediumDescription:
     sigma_t = volume(props, "sigma_t", _SIGMA_T, np.inf, grids=grids)
     albedo = volume(props, "albedo", _ALBEDO, 1.0, grids=grids)
     scale = props.number("scale", 1.0, minimum=0.0)
+    emission = None
+    if props.has("emission"):
+        if grids:
+            place = props.place("emission")
+            props.take("emission")
+            props.context.report(error(place, "a 'heterogeneous' medium that emits light", "make it 'homogeneous'"))
+        else:
+            emission = volume(props, "emission", 0.0, np.inf, grids=False)
     for hint in ("sample_emitters", "has_spectral_extinction"):
         if not props.boolean(hint, True):
             props.context.note(f"{props.place(hint)} is ignored: it changes noise, not the image")
@@ -100,7 +108,7 @@ def _medium(props: Properties) -> MediumDescription:
     else:
         phase = PhaseDescription(f"{props.path}.phase_function", "isotropic")
     props.finish()
-    return MediumDescription(props.path, sigma_t, albedo, scale, phase, grids)
+    return MediumDescription(props.path, sigma_t, albedo, scale, phase, grids, emission)
 
 
 def _phase(props: Properties) -> PhaseDescription:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warp_psdr.kernels import constants as c
-from warp_psdr.kernels.medium.coefficients import ALBEDO, PHASE, SCALE, SIGMA_T
+from warp_psdr.kernels.medium.coefficients import ALBEDO, EMISSION, PHASE, SCALE, SIGMA_T
 from warp_psdr.kernels.medium.volume import GRID
 from warp_psdr.kernels.structs import Medium, Texture
 from warp_psdr.kernels.vertex import MediaConfig
@@ -72,7 +72,8 @@ class MediaRecords:
         phases = tuple(sorted(self._phases))
         grids = [self._textures[m.sigma_t] for m in self.records if m.sigma_t_channels == GRID]
         chromatic = any(m.sigma_t_channels == 3 for m in self.records) or any(g.channels == 3 for g in grids)
-        return MediaConfig(phases, chromatic, bool(grids))
+        emissive = any(m.emission >= 0 for m in self.records)
+        return MediaConfig(phases, chromatic, bool(grids), emissive)
 
     def _record(self, m: MediumDescription) -> Medium:
         add, record = self._layout.add, Medium()
@@ -85,6 +86,11 @@ class MediaRecords:
             setattr(record, kind, place)
             setattr(record, f"{kind}_channels", channels)
         record.scale = add(f"{m.path}.scale", np.array([m.scale]), MEDIUM + SCALE, bounds=(0.0, np.inf))
+        record.emission = -1
+        if m.emission is not None:
+            record.emission_channels = m.emission.value.size
+            bounds = (0.0, np.inf)
+            record.emission = add(m.emission.parameter, m.emission.value, MEDIUM + EMISSION, bounds=bounds)
         record.phase, record.g = self._phase(m.phase)
         return record
 
