@@ -233,6 +233,10 @@ FACTORIES = {
         ("reverse", (MEDIA, "reverse", True, True, True), SLOW),
         ("forward", (MEDIA, "forward", True, False, False), SLOW),
     ],
+    "transfer.radiative_transfer.make_transfer_kernel": [
+        ("reverse", (MEDIA, moving_among_media(MEDIA), "reverse", 4, 4, True), SLOW),
+        ("forward, no edges", (MEDIA, moving_among_media(MEDIA), "forward", 4, 4, False), SLOW),
+    ],
     "interior.textbook.make_textbook_kernel": [
         ("reverse, simple", (SIMPLE, ALBEDO, "reverse"), FAST),
         ("forward, simple", (SIMPLE, ALBEDO, "forward"), SLOW),

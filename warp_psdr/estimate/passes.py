@@ -6,7 +6,7 @@ Each runs over a raster, or over some of its pixels, and adds to what it is give
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -168,6 +168,7 @@ def interior_backward(
             progress=part(progress, i / len(kernels), 1.0 / len(kernels)),
             listed=pixels,
             fields=_patches(scene, plan) | {"requested_shapes": _mask(scene, plan.shapes)},
+            reads=_read(scene, plan) if i == 0 else [],
         )
 
 
@@ -199,6 +200,7 @@ def interior_forward(
             progress=part(progress, i / len(kernels), 1.0 / len(kernels)),
             listed=pixels,
             fields=_patches(scene, plan) | {"requested_shapes": _mask(scene, plan.shapes)},
+            reads=_read(scene, plan) if i == 0 else [],
         )
 
 
@@ -213,6 +215,12 @@ def camera_gradient_kernels(plan: Plan, role: str) -> list[wp.Kernel]:
     what = plan.seen, plan.seen_wanted, role, plan.kept
     beside = plan.interior.beside(*what)
     return [plan.interior.make(*what), *([] if beside is None else [beside])]
+
+
+def _read(scene: Scene, plan: Plan) -> list:
+    """Return what the first kernel of the interior term reads of the scene besides its record."""
+    assert plan.interior is not None and plan.seen_wanted is not None and plan.kept is not None
+    return plan.interior.reads(scene, plan.seen_wanted, plan.kept)
 
 
 def _mask(scene: Scene, shapes: frozenset[int] | None) -> wp.array:
@@ -253,11 +261,12 @@ def launch_pass(
     progress: Progress | None = None,
     listed: wp.array | None = None,
     fields: dict[str, wp.array] | None = None,
+    reads: Sequence = (),
 ) -> None:
     """Run a kernel over a raster (width, height): in one launch on CUDA, in shards on worker threads on the CPU.
 
     ``kind``: what its samples are. ``outputs``: of a shard. ``listed``: numbers of the raster's pixels, instead of all
-    of them. ``fields``: of ``structs.Scene``, those of this pass.
+    of them. ``fields``: of ``structs.Scene``, those of this pass. ``reads``: what the kernel takes in front of its job.
     """
     data = scene.data()
     for name, values in (fields or {}).items():
@@ -275,6 +284,6 @@ def launch_pass(
         def arguments(first: int, n: int, shard: int) -> tuple[list, list]:
             job = jobs[shard]
             job.first_pixel, job.pixel_count = first, n
-            return [of_shard(data, shard), camera, job], outputs(shard)
+            return [of_shard(data, shard), camera, *reads, job], outputs(shard)
 
         launch_shards(kernel, count, arguments, shards=shards, device=scene.device, progress=progress)

@@ -222,6 +222,33 @@ class DifferentialRatioTracking(Method):
 
 
 @dataclass(frozen=True, kw_only=True)
+class RadiativeTransfer(Method):
+    """Differential radiative transfer [ZWZ*19] (``kernels/transfer/radiative_transfer.py``), for comparison.
+
+    For small scenes with homogeneous media. Directions and distances are fixed in the world, unlike in ``Replay()``.
+    Ends of flights that move, and edges that vertices of a path see, on surfaces and in the medium, have terms that are
+    estimated with it: there is no method of the boundary term beside it. All that moves nothing is as in ``Replay()``.
+
+    Attributes:
+        edges: sample the edges that path vertices see; False leaves them out.
+        block: K, as of ``Replay``.
+    """
+
+    edges: bool = True
+    block: int = 8
+
+    def __post_init__(self) -> None:
+        """Validate once.
+
+        Raises:
+            ValueError: ``edges`` is no bool, or ``block`` is not between 1 and 64.
+        """
+        if not isinstance(self.edges, bool):
+            raise ValueError(f"edges: got {self.edges!r}, expected True or False")
+        _check_block(self.block, "")
+
+
+@dataclass(frozen=True, kw_only=True)
 class FilmAntithetic(Method):
     """First vertices that stay on surfaces, and film points in mirrored fours [YZN*22], for moving cameras and rooms.
 

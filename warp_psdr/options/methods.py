@@ -99,6 +99,10 @@ _METHODS = MethodTable(
             *("kernels/interior/differential_ratio_tracking.py", "differential_ratio_tracking"),
         ),
         (
+            *("ZWZ*19", "Differential radiative transfer", "interior.RadiativeTransfer()", "interior"),
+            *("kernels/transfer/radiative_transfer.py", "radiative_transfer"),
+        ),
+        (
             *("YZN*22", "Mirrored film points", "interior.FilmAntithetic()", "interior"),
             *("kernels/interior/film_antithetic.py", "film_antithetic"),
         ),

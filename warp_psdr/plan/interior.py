@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 import warp as wp
 
+from warp_psdr.kernels.boundary.local_form import Edges
 from warp_psdr.kernels.bsdf.dispatch import has_delta_lobes, has_glossy_lobes, has_null_lobes, models_of, passing
 from warp_psdr.kernels.bsdf.motion import MOVED_BY
 from warp_psdr.kernels.constants import DELTA_LIGHTS
@@ -32,11 +33,13 @@ from warp_psdr.kernels.interior.replay import make_replay_kernel
 from warp_psdr.kernels.interior.shape_parameters import branched_values, unsplit_values
 from warp_psdr.kernels.interior.textbook import make_textbook_kernel
 from warp_psdr.kernels.interior.tilts import tilting_values, tilts
+from warp_psdr.kernels.transfer.radiative_transfer import make_transfer_kernel
 from warp_psdr.options import boundary, interior
 from warp_psdr.plan import media
 from warp_psdr.plan.attached import refused_by_attached
 from warp_psdr.plan.film_antithetic import refused_by_film_antithetic, refused_for_what_is_seen
 from warp_psdr.plan.light import refused_with_light_paths
+from warp_psdr.plan.transfer import refused_by_transfer, refused_in_scene, sphere_edges
 
 if TYPE_CHECKING:
     from warp_psdr.kernels.vertex import PathConfig
@@ -66,6 +69,7 @@ class Kept:
         linear: whether the light that arrives at vertices is not estimated.
         attached: what moves with a parameter; None: the method leaves no choice.
         mirrored: whether film points are mirrored.
+        sees_edges: whether path vertices sample edges.
     """
 
     block: int
@@ -76,6 +80,7 @@ class Kept:
     linear: bool = False
     attached: interior.Attached | None = None
     mirrored: bool = False
+    sees_edges: bool = False
 
     @property
     def longest(self) -> int:
@@ -96,6 +101,7 @@ class Row:
         refuse: (what the path loop compiles, which derivatives) -> why it cannot estimate them; empty: it claims to.
         refuse_in: (method, scene, requested names, sensor) -> likewise, of what the scene holds.
         whole: why its derivative needs no boundary term beside it; empty: it may.
+        reads: (scene, which derivatives, what is kept) -> what the kernel reads of the scene besides its record.
     """
 
     label: str
@@ -105,6 +111,7 @@ class Row:
     refuse: Callable[[PathConfig, GradientRequest], str] = lambda _config, _wanted: ""
     refuse_in: Callable[[interior.Method, Scene, list[str], int], str] = lambda *_arguments: ""
     whole: str = ""
+    reads: Callable[[Scene, GradientRequest, Kept], list] = lambda *_arguments: []
 
 
 def row_of(method: interior.Method, term: boundary.Method | None) -> Row:
@@ -140,16 +147,20 @@ def _keep_blocks(method: interior.Method, max_depth: int, rr_depth: int) -> Kept
     return Kept(block, blocks, whole if blocks == 1 else f"longer paths are replayed in at most {blocks} blocks")
 
 
+def _moved(wanted: GradientRequest) -> GradientRequest:
+    """Return what of a request moves in media."""
+    return GradientRequest(
+        material=(False,) * len(wanted.material),
+        shapes=wanted.shapes,
+        texcoords=wanted.texcoords,
+        lights=tuple(kind for kind in wanted.lights if kind == "pose"),
+        camera=wanted.camera,
+    )
+
+
 def _make_replay(config: PathConfig, wanted: GradientRequest, role: str, kept: Kept) -> wp.Kernel:
     if config.media is not None and media.moves(wanted):
-        moved = GradientRequest(
-            material=(False,) * len(wanted.material),
-            shapes=wanted.shapes,
-            texcoords=wanted.texcoords,
-            lights=tuple(kind for kind in wanted.lights if kind == "pose"),
-            camera=wanted.camera,
-        )
-        return make_media_motion_kernel(config, moved, role, kept.block, kept.longest)
+        return make_media_motion_kernel(config, _moved(wanted), role, kept.block, kept.longest)
     if config.media is not None:
         return make_media_replay_kernel(config, wanted, role, kept.block, kept.longest)
     if role == "forward":
@@ -165,6 +176,25 @@ def _make_beside_motion(config: PathConfig, wanted: GradientRequest, role: str, 
     rest = replace(wanted, shapes=False, texcoords=False, camera=False, lights=lights)
     nothing = GradientRequest(material=(False,) * len(wanted.material))
     return None if rest == nothing else _make_replay(config, rest, role, kept)
+
+
+def _keep_transfer(method: interior.Method, max_depth: int, rr_depth: int) -> Kept:
+    assert isinstance(method, interior.RadiativeTransfer)
+    kept = _keep_blocks(interior.Replay(block=method.block), max_depth, rr_depth)
+    seen = "an edge from every vertex" if method.edges else "no edges"
+    return replace(kept, reason=f"moving ends of flights, {seen}; {kept.reason}", sees_edges=method.edges)
+
+
+def _make_transfer(config: PathConfig, wanted: GradientRequest, role: str, kept: Kept) -> wp.Kernel:
+    if not media.moves(wanted):
+        return _make_replay(config, wanted, role, kept)
+    return make_transfer_kernel(config, _moved(wanted), role, kept.block, kept.longest, kept.sees_edges)
+
+
+def _read_by_transfer(scene: Scene, wanted: GradientRequest, kept: Kept) -> list:
+    if not media.moves(wanted):
+        return []
+    return [sphere_edges(scene) if kept.sees_edges else Edges()]
 
 
 def _make_bidirectional(config: PathConfig, wanted: GradientRequest, role: str, kept: Kept) -> wp.Kernel:
@@ -418,6 +448,16 @@ TABLE: dict[tuple[type[interior.Method], type[boundary.Method]], Row] = {
         keep=_keep_blocks,
         make=_make_ratio,
         refuse=_refused_by_ratio_tracking,
+    ),
+    (interior.RadiativeTransfer, boundary.Method): Row(
+        label="differential radiative transfer, record and sweep",
+        keep=_keep_transfer,
+        make=_make_transfer,
+        beside=_make_beside_motion,
+        refuse=refused_by_transfer,
+        refuse_in=refused_in_scene,
+        whole="the equation has its own, estimated with it",
+        reads=_read_by_transfer,
     ),
     (interior.FilmAntithetic, boundary.Method): Row(
         label="mirrored film points",

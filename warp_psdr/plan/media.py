@@ -74,7 +74,7 @@ def refuse(
     """
     if config.media is None:
         return
-    known = (interior.Replay, interior.DifferentialRatioTracking)
+    known = (interior.Replay, interior.DifferentialRatioTracking, interior.RadiativeTransfer)
     if type(method) not in known and (names or isinstance(method, interior.FROM_LIGHTS)):
         raise ValueError(
             f"interior.{type(method).__name__}() does not know participating media; use interior.Replay(), or leave "
@@ -100,7 +100,7 @@ def moves(wanted: GradientRequest) -> bool:
 
 def _beside_motion(scene: Scene, config: PathConfig, method: interior.Method, wanted: GradientRequest) -> str:
     """Say what of a scene with media has no derivative by what moves; empty: all has."""
-    if type(method) is not interior.Replay:
+    if type(method) not in (interior.Replay, interior.RadiativeTransfer):
         return f"interior.{type(method).__name__}() does not follow that through media; use interior.Replay()"
     assert config.media is not None
     if config.media.grids:
@@ -154,7 +154,8 @@ def refuse_boundary(
     Raises:
         ValueError: with what to do instead.
     """
-    if config.media is None or not moving or integrator.boundary is None:
+    whole = isinstance(integrator.interior, interior.RadiativeTransfer)
+    if config.media is None or not moving or integrator.boundary is None or whole:
         return
     reason = _beyond(scene, config, integrator, names)
     if reason:

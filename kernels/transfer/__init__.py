@@ -1,0 +1,1 @@
+"""The differential radiative transfer equation: interior and boundary terms in one."""
