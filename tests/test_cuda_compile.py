@@ -311,6 +311,11 @@ FACTORIES = {
     "boundary.silhouette.grid_foreground.make_foreground_grid_kernel": SHADED,
     "boundary.silhouette.grid_primary.make_primary_grid_kernel": SHADED,
     "boundary.silhouette.grid_secondary.make_secondary_grid_kernel": SHADED,
+    "boundary.silhouette.tube_foreground.make_foreground_tube_kernel": [("curves", (CURVES, "reverse", True), SLOW)],
+    "boundary.silhouette.tube_primary.make_primary_tube_kernel": [("curves", (CURVES, "reverse", True), SLOW)],
+    "boundary.silhouette.tube_secondary.make_secondary_tube_kernel": [
+        ("curves", (CURVES, "reverse", True, False), SLOW)
+    ],
     "boundary.silhouette.primary.make_primary_silhouette_kernel": [("reverse", (EXACT, "reverse", True), SLOW)],
     "boundary.silhouette.secondary.make_secondary_silhouette_kernel": [
         ("reverse", (EXACT, "reverse", True, False), SLOW),

@@ -14,7 +14,7 @@ from warp_psdr.kernels.constants import LOBE_SMOOTH
 from warp_psdr.kernels.interaction import enter_frame, leave_frame, make_interaction
 from warp_psdr.kernels.invalid import vanishes
 from warp_psdr.kernels.path import make_path_step
-from warp_psdr.kernels.primitive.dispatch import make_position
+from warp_psdr.kernels.primitive.dispatch import make_point_at
 from warp_psdr.kernels.rng import Sampler
 from warp_psdr.kernels.scattering import ROULETTE_MAX
 from warp_psdr.kernels.sensor.projection import FilmPoint, make_projection
@@ -138,7 +138,7 @@ def make_following(config: PathConfig):
     ``smooth``: of the first surface that it meets only what its smooth lobes send.
     """
     path_step = make_path_step(config, False)
-    position, _cross_of = make_position(config.primitives)
+    point_at = make_point_at(config.primitives)
 
     @wp.func
     def following(
@@ -150,7 +150,7 @@ def make_following(config: PathConfig):
         r.face = vertex.face
         if vertex.face >= 0:
             tri = scene.triangles[vertex.face]
-            r.x = position(tri, vertex.u, vertex.v)
+            r.x = point_at(scene, tri, vertex.u, vertex.v)
         if smooth and vertex.lobe > LOBE_SMOOTH:
             return r
         while state.alive == 1:
@@ -245,7 +245,7 @@ def make_walk(config: PathConfig):
     visibility = visibility_of(config)
     interaction = make_interaction(config)
     project = make_projection(config.camera)[0]
-    position, _cross_of = make_position(config.primitives)
+    point_at = make_point_at(config.primitives)
 
     @wp.func
     def connect(scene: Scene, camera: Camera, walk: Walk, lens: wp.vec2) -> Connection:
@@ -301,7 +301,7 @@ def make_walk(config: PathConfig):
         r.face = hit.face
         r.u = hit.u
         r.v = hit.v
-        r.x = position(tri, hit.u, hit.v)
+        r.x = point_at(scene, tri, hit.u, hit.v)
         r.to = -w
         r.weight = weight
         return r

@@ -29,11 +29,11 @@ from warp_psdr.kernels.boundary.detector import (
     scaled,
     serves_length,
 )
-from warp_psdr.kernels.constants import FAR, PRIMITIVE_SDFGRID
+from warp_psdr.kernels.constants import FAR
 from warp_psdr.kernels.invalid import count_invalid, vanishes
 from warp_psdr.kernels.jobs import SampleJob
 from warp_psdr.kernels.notes import NOTE_SENSOR, NOTE_SOURCE, NOTE_WALK, make_note
-from warp_psdr.kernels.primitive.dispatch import is_grid, make_adjoint_sink, make_position
+from warp_psdr.kernels.primitive.dispatch import SLIDING, make_adjoint_sink, make_point_at, slides_on
 from warp_psdr.kernels.rng import Sampler, branch_of, make_sampler
 from warp_psdr.kernels.sensor.camera import make_camera_sink, make_lens
 from warp_psdr.kernels.sensor.projection import make_splat
@@ -148,12 +148,12 @@ def make_first_sink(role: str, primitives: tuple[int, ...] = ()):
 def make_found_sink(role: str, primitives: tuple[int, ...]):
     """Return ``accumulate_found(scene, target, segment, w, second) -> float``: x_1 behind the walk's second vertex.
 
-    On a grid it slides along the ray from there, which is tied to that vertex' surface (form S); else it is a material
-    point.
+    On grids and curves it slides along the ray from there, which is tied to that vertex' surface (form S); else it is a
+    material point.
     """
     accumulate_first = make_first_sink(role, primitives)
     accumulate_vertex = make_adjoint_sink(role, False, False, False, False, False, True, primitives)
-    has_grids = PRIMITIVE_SDFGRID in primitives
+    has_sliding = bool(set(SLIDING) & set(primitives))
 
     @wp.func
     def accumulate_found(
@@ -161,10 +161,10 @@ def make_found_sink(role: str, primitives: tuple[int, ...]):
     ) -> wp.float32:
         _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
         slides = wp.bool(False)
-        if wp.static(has_grids):
-            slides = is_grid(scene.triangles[segment.face1])
+        if wp.static(has_sliding):
+            slides = slides_on(scene.triangles[segment.face1])
         o, _d, dot = accumulate_first(scene, target, segment, w, slides, second.x, second.to)
-        if wp.static(has_grids):
+        if wp.static(has_sliding):
             if slides:
                 start = VertexAdjoint()
                 start.x = o
@@ -197,7 +197,7 @@ def make_transport(config: PathConfig, role: str, camera_moves: bool, source: wp
     evaluates = role == "target"
     accumulate_first = None if evaluates else make_first_sink(role, config.primitives)
     accumulate_found = None if evaluates else make_found_sink(role, config.primitives)
-    position, _cross_of = make_position(config.primitives)
+    point_at = make_point_at(config.primitives)
     accumulate_camera = make_camera_sink(role, config.camera) if camera_moves and not evaluates else None
     splat, gather = make_splat()
     lens_point = make_lens(config.camera)
@@ -225,7 +225,7 @@ def make_transport(config: PathConfig, role: str, camera_moves: bool, source: wp
         walk.face = s.face1
         walk.u = s.u1
         walk.v = s.v1
-        walk.x = position(tri, s.u1, s.v1)
+        walk.x = point_at(scene, tri, s.u1, s.v1)
         walk.to = s.w
         walk.weight = wp.vec3(1.0, 1.0, 1.0)
         lens = lens_point(sample_2d(sampler, SLOT_LENS))

@@ -33,6 +33,9 @@ ROUNDS = 12
 LEAST_FALL = -0.2
 #: Change of the place along a segment, 1 for all of it, at which a round was the last one.
 CLOSE = 2.0e-5
+#: Distance along a segment from the circle to where the ray enters its cone, up to which the two are one: where the ray
+#: grazes, that distance jumps, and steps are small far from the tube as well.
+ON_CIRCLE = 1.0e-3
 #: How far behind the ends of a piece a hit still counts, so that nothing passes between two.
 OVERLAP = 1.0e-5
 #: By how much boxes grow, over the distance of the ray's origin from the coordinates' own: rounding.
@@ -221,7 +224,7 @@ def enter_tube(
         before = v
         step_before = at.step
         step = at.step / -fall
-        if wp.abs(step) < wp.static(CLOSE):
+        if wp.abs(step) < wp.static(CLOSE) and wp.abs(at.step) < wp.static(ON_CIRCLE):
             v += step
             inside = v > low - wp.static(OVERLAP) and v < high + wp.static(OVERLAP)
             if at.misses == 0 and inside and at.t > least and at.t < most and here[3] > 0.0:

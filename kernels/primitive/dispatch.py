@@ -237,7 +237,8 @@ def make_position(primitives: tuple[int, ...]):
     """Return ``(position, cross)``: ``(tri, u, v) -> vec3``.
 
     A point of a surface, and its normal, which is as long as the area element: of a triangle (p1 - p0) x (p2 - p0). On
-    grids the point is the one that is held, and the normal, which nobody asks for, that of their record.
+    grids the point is the one that is held, and the normal, which nobody asks for, that of their record. On curves
+    neither is meant (``make_point_at``).
     """
 
     @wp.func
@@ -270,8 +271,31 @@ def make_position(primitives: tuple[int, ...]):
 
 
 @functools.cache
+def make_point_at(primitives: tuple[int, ...]):
+    """Return ``point(scene, tri, u, v) -> vec3``: ``make_position``'s, on curves as well."""
+    position, _cross_of = make_position(primitives)
+    of_linear = make_curve_surface(False, False) if PRIMITIVE_LINEARCURVE in primitives else None
+    of_bspline = make_curve_surface(True, False) if PRIMITIVE_BSPLINECURVE in primitives else None
+
+    @wp.func
+    def point_of_any(scene: Scene, tri: Triangle, u: wp.float32, v: wp.float32) -> wp.vec3:
+        if wp.static(of_linear is not None):
+            if is_linear(tri):
+                return of_linear(scene, tri, u, v).x
+        if wp.static(of_bspline is not None):
+            if is_bspline(tri):
+                return of_bspline(scene, tri, u, v).x
+        return position(tri, u, v)
+
+    return point_of_any
+
+
+@functools.cache
 def make_normal_at(primitives: tuple[int, ...]) -> wp.Function | None:
-    """Return ``normal(scene, tri, x) -> vec3`` of shapes without triangles, of any length; None: there are none."""
+    """Return ``normal(scene, tri, x) -> vec3`` of shapes without triangles, of any length; None: there are none.
+
+    It is 0 on curves, which are seen from outside alone.
+    """
     if not primitives:
         return None
     of_affine = make_kinds_normal(affine_kinds(primitives))

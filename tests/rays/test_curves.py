@@ -163,3 +163,28 @@ def test_no_ray_passes_a_curve(plugin: str, radius: float, curl: float, count: i
     some = rng.permutation(hit.sum())[:3000]
     assert distance_of(points, curves.firsts, plugin, place[some]).max() < ROUNDING
     assert found[hit, 7:].min() >= 0.0 and found[hit, 7:].max() <= 1.0
+
+
+def test_rays_beside_a_bend_pass() -> None:
+    """What passes a tube of constant radius next to its silhouette meets nothing, however little it bends there."""
+    rng = np.random.default_rng(4)
+    k = np.linspace(0.0, 1.0, 8)
+    points = np.column_stack([2.4 * k - 1.2, 0.4 * np.cos(7.0 * k), 0.4 * np.sin(7.0 * k), 0.0 * k + 0.16])
+    scene = load("bsplinecurve", points, [0])
+    a = coefficients(points, np.arange(5))
+    v = np.linspace(0.0, 1.0, 200)[:, None, None]
+    axis = (a[0] + v * (a[1] + v * (a[2] + v * a[3])))[..., :3].reshape(-1, 3)
+    x, n = on_tubes(rng, points, np.arange(5), 2000)
+    d = np.cross(n, rng.standard_normal(x.shape))
+    d /= np.linalg.norm(d, axis=1)[:, None]
+    o, beside = x + 3e-4 * n - 0.4 * d, 1e-4
+    t = np.linspace(0.0, 0.8, 400)[:, None]
+    distance = np.array([np.linalg.norm((p + t * w)[:, None] - axis, axis=2).min() for p, w in zip(o, d, strict=True)])
+    passes = distance > 0.16 + beside
+    assert passes.sum() > 400
+    arrays = [wp.array(y - s, dtype=wp.vec3, device=scene.device) for y, s in ((o, scene.origin), (d, 0.0))]
+    out = wp.zeros((len(x), 9), dtype=wp.float32, device=scene.device)
+    trace = make_trace(PRIMITIVE_BSPLINECURVE)
+    wp.launch(trace, dim=len(x), inputs=[scene.data(), *arrays], outputs=[out], device=scene.device)
+    met = out.numpy()[:, 0]
+    assert ((met < 0.0) | (met > 0.8))[passes].all()

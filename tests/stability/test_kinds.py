@@ -151,8 +151,8 @@ def test_kinds(case, check) -> None:
 def test_every_kind_is_listed() -> None:
     """Kinds of files are read as meshes; wrappers and textures have tests of their own.
 
-    Beside curves nothing may move. Grids of distances move in ``tests/boundary/test_sdfgrid.py``;
-    ``tests/path/test_sdfgrid.py`` scales them.
+    Curves move in ``tests/boundary/test_tubes.py``, grids of distances in ``tests/boundary/test_sdfgrid.py``, and
+    ``tests/path/test_sdfgrid.py`` scales those.
     """
     resting = {"sdfgrid", "linearcurve", "bsplinecurve"}
     files = {"ply", "obj", "stl", "off", "gltf", "glb", "serialized"}

@@ -15,6 +15,7 @@ from warp_psdr.scene.sdfgrid import INSTEAD as TRIANGLES
 from warp_psdr.topology.exact_shapes import pierced
 from warp_psdr.topology.grid_contacts import is_open, pierced_grid
 from warp_psdr.topology.grid_silhouettes import grid_shapes, grid_values
+from warp_psdr.topology.tube_contacts import pierced_tubes
 
 if TYPE_CHECKING:
     from warp_psdr.kernels.interior.gradient_request import GradientRequest
@@ -137,7 +138,7 @@ def _beside_resting(
         return f"interior.{what}() does not follow what slides along rays; use interior.Replay()"
     if moving and integrator.boundary is not None:
         if scene.builder.curves:
-            return f"{moving[0]}, at the silhouettes of curves as well, where derivatives are not estimated; {ALONE}"
+            return _beside_moving_curves(scene, config, integrator, names)
         return _beside_moving_grid(scene, config, integrator, names)
     return ""
 
@@ -165,6 +166,24 @@ def _of_boundary(config: PathConfig, integrator: PathIntegrator) -> str:
         return "what moves is not followed from a sensor of one pixel; use a camera"
     if has_delta_lobes(config.bsdfs):
         return "what moves is not followed through smooth mirrors and glass beside it; make them rough"
+    return ""
+
+
+def _beside_moving_curves(scene: Scene, config: PathConfig, integrator: PathIntegrator, names: list[str]) -> str:
+    """The same beside curves."""
+    reason = _of_boundary(config, integrator)
+    if reason:
+        return f"{reason}, or {ALONE}"
+    shapes = scene.description.shapes
+    other = next((shapes[i] for i in scene.builder.primitives if shapes[i].curves is None), None)
+    if other is not None:
+        return f"{other.path!r}, a {other.kind!r}, beside it has no boundary term there; leave it out, or {ALONE}"
+    moves = motion(scene, names)
+    pair = pierced_tubes(scene, None if moves.camera else moves.shapes)
+    if pair is not None:
+        a, b = (shapes[i].path for i in pair)
+        what = f"{b!r} runs through the tubes of {a!r}" if a != b else f"tubes of {a!r} run through each other"
+        return f"{what}, along a curve that moves; move them apart, or {ALONE}"
     return ""
 
 

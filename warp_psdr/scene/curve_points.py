@@ -20,6 +20,14 @@ def coefficients(points: np.ndarray, firsts: np.ndarray) -> np.ndarray:
     )
 
 
+def world_points(scene: Scene, shape: int) -> np.ndarray:
+    """Return the control points (P, 4) of curves in the device's coordinates, float64."""
+    curves = scene.description.shapes[shape].curves
+    assert curves is not None
+    first = scene.builder.curves[shape] + HEADER + curves.points.size
+    return scene.values[first : first + curves.points.size].numpy().astype(np.float64).reshape(-1, 4)
+
+
 def held_curve_point(scene: Scene, shape: int, held: np.ndarray) -> np.ndarray:
     """Return the point (3,) of curves that a vertex holds (``kernels/primitive/curves.py``).
 
@@ -30,8 +38,7 @@ def held_curve_point(scene: Scene, shape: int, held: np.ndarray) -> np.ndarray:
     """
     curves = scene.description.shapes[shape].curves
     assert curves is not None
-    first = scene.builder.curves[shape] + HEADER + curves.points.size
-    points = scene.values[first : first + curves.points.size].numpy().astype(np.float64).reshape(-1, 4)
+    points = world_points(scene, shape)
     k, along, angle = curves.firsts[int(held[2] * MOST_SEGMENTS)], float(held[0]), None
     if curves.cubic:
         a = coefficients(points, np.array([k]))[:, 0]

@@ -25,7 +25,7 @@ from warp_psdr.kernels.boundary.local_form import (
 )
 from warp_psdr.kernels.boundary.path_space.direction import Direction, wedge_at
 from warp_psdr.kernels.boundary.transport import Segment, make_source, make_transport
-from warp_psdr.kernels.constants import EMITTER_DIRECTIONAL, EMITTER_POINT, FAR, PRIMITIVE_SDFGRID
+from warp_psdr.kernels.constants import EMITTER_DIRECTIONAL, EMITTER_POINT, FAR
 from warp_psdr.kernels.emitter.area import make_area
 from warp_psdr.kernels.emitter.directional import directional_dot
 from warp_psdr.kernels.emitter.dispatch import make_lights
@@ -34,7 +34,7 @@ from warp_psdr.kernels.invalid import count_invalid, vanishes
 from warp_psdr.kernels.jobs import SampleJob
 from warp_psdr.kernels.notes import NOTE_EDGE, make_note
 from warp_psdr.kernels.primitive.affine import is_primitive_at
-from warp_psdr.kernels.primitive.dispatch import is_grid, make_adjoint_sink
+from warp_psdr.kernels.primitive.dispatch import SLIDING, make_adjoint_sink, slides_on
 from warp_psdr.kernels.rng import make_sampler, sampler_at
 from warp_psdr.kernels.sink import make_sink, make_sink_vec3
 from warp_psdr.kernels.step import leaving_step
@@ -171,10 +171,10 @@ def make_segment(config: PathConfig):
 def make_source_sink(role: str, light_pose: bool, primitives: tuple[int, ...] = ()):
     """Return ``accumulate_source(scene, target, segment, w, before) -> float`` for x_2 or its light.
 
-    On a grid x_2 slides along the segment, and across it moves as what the segment is tied to at x_1 (form S).
+    On grids and curves x_2 slides along the segment, and across it moves as what that is tied to at x_1 (form S).
     """
     accumulate_vertex = make_adjoint_sink(role, False, False, False, False, False, True, primitives)
-    has_grids = PRIMITIVE_SDFGRID in primitives
+    has_sliding = bool(set(SLIDING) & set(primitives))
     sink = make_sink(role)
     sink3 = make_sink_vec3(role)
 
@@ -191,8 +191,8 @@ def make_source_sink(role: str, light_pose: bool, primitives: tuple[int, ...] = 
             face = segment.face2
             u = segment.u2
             v = segment.v2
-            if wp.static(has_grids):
-                if is_grid(scene.triangles[face]):
+            if wp.static(has_sliding):
+                if slides_on(scene.triangles[face]):
                     face = segment.face1
                     u = segment.u1
                     v = segment.v1
