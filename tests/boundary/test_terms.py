@@ -6,6 +6,7 @@ from importlib import import_module
 
 import warp_psdr as psdr
 from warp_psdr.estimate.boundary import terms
+from warp_psdr.options.boundary import FilmEdges
 from warp_psdr.plan.motion import motion
 
 from .scenes import load
@@ -22,8 +23,10 @@ def test_every_file_declares_a_term_that_is_in_the_list() -> None:
 
 
 def test_the_terms_of_a_method_have_random_numbers_of_their_own() -> None:
-    assert set(terms.TERMS) == {psdr.boundary.EdgeSampling, psdr.boundary.PathSpace, psdr.boundary.Projective}
-    for found in terms.TERMS.values():
+    named = {psdr.boundary.EdgeSampling, psdr.boundary.PathSpace, psdr.boundary.Projective}
+    assert set(terms.TERMS) == named | {FilmEdges}
+    assert [term.name for term in terms.TERMS[FilmEdges]] == ["primary"]
+    for found in (terms.TERMS[method] for method in named):
         assert len({term.stream for term in found}) == len(found) > 3
 
 

@@ -28,13 +28,13 @@ WIDTH = 2e-3
 Z, NOISE = 4.0, 0.05
 
 
-def fog_scene(radiance=1.0, lamp=None, leaf=None, paint=BLACK, fog=None, **more):
+def fog_scene(radiance=1.0, lamp=None, leaf=None, paint=BLACK, fog=None, fov=0.05, **more):
     """Fog under a sky, seen along +y through the middle; a lamp that faces the camera, and a leaf above the ray."""
     light = {"type": "area", "radiance": 0.0 if lamp is None else lamp}
     facing = T.rotate([1, 0, 0], 90.0) @ T.scale(HALF)
     pose = T.translate([0, 9, -9]) if lamp is None else T.translate([0, PLACE, 0])
     return whole(
-        sensor=camera([0, -6, 0], [0, 0, 0], 0.05, SIZE),
+        sensor=camera([0, -6, 0], [0, 0, 0], fov, SIZE),
         fog=cube(fog or medium(SIGMA, A)),
         lamp={"type": "rectangle", "to_world": pose @ facing, "bsdf": paint, "emitter": light},
         leaf={
@@ -162,13 +162,17 @@ def test_what_moves_nothing_is_replayed():
 
 GREY = {"type": "diffuse", "reflectance": rgb(0.6, 0.5, 0.3)}
 COLOURS = medium((0.8, 0.6, 1.0), (0.9, 0.8, 0.7), g=0.4)
-#: What moves, how, by steps of which length; under a sky and, where True, beside a lamp.
+#: A leaf, and how far the camera opens, so that its edges, those of the lamp and all of the fog are on the film.
+SEEN = {"leaf": T.translate([0.2, -0.4, 0.1]) @ T.rotate([1.0, 0.3, 0.0], 70.0), "fov": 20.0}
+#: What moves, how, and the scene: under a sky, some beside a lamp.
 MOVES = {
-    "leaf, normal": ("leaf.to_world", shift(0.42, 0.0, 0.91), False),
-    "leaf, in plane": ("leaf.to_world", shift(0.91, 0.1, -0.42), True),
-    "leaf, turned": ("leaf.to_world", turning, False),
-    "wall": ("lamp.to_world", shift(0.0, 1.0, 0.0), True),
-    "fog": ("fog.to_world", shift(0.2, 0.3, 1.0), True),
+    "leaf, normal": ("leaf.to_world", shift(0.42, 0.0, 0.91), {}),
+    "leaf, in plane": ("leaf.to_world", shift(0.91, 0.1, -0.42), {"lamp": 1.0}),
+    "leaf, turned": ("leaf.to_world", turning, {}),
+    "leaf, seen": ("leaf.to_world", MOTIONS["scaled"], {"lamp": 1.0, **SEEN}),
+    "wall": ("lamp.to_world", shift(0.0, 1.0, 0.0), {"lamp": 1.0}),
+    "wall, seen": ("lamp.to_world", shift(0.0, 1.0, 0.2), {"lamp": 1.0, **SEEN}),
+    "fog": ("fog.to_world", shift(0.2, 0.3, 1.0), {"lamp": 1.0}),
 }
 
 
@@ -176,8 +180,8 @@ MOVES = {
 @pytest.mark.parametrize("move", MOVES)
 def test_derivative_equals_finite_differences(move):
     """Light scattered up to three times, on surfaces and in fog, from the same random numbers on both sides."""
-    name, motion, shines = MOVES[move]
-    scene = psdr.load_dict(fog_scene(1.0, 1.0 if shines else None, paint=GREY, fog=COLOURS))
+    name, motion, options = MOVES[move]
+    scene = psdr.load_dict(fog_scene(paint=GREY, fog=COLOURS, **options))
     params = psdr.traverse(scene)
     values = params[name].numpy()
     tangent = motion(values.reshape(params[name].shape)).reshape(values.shape)
@@ -245,12 +249,12 @@ def test_forward_and_reverse_mode_are_adjoint():
     ("parts", "name", "words"),
     [
         ({"bulb": point([1, 1, 2])}, "leaf.to_world", "shadows of lights without an area"),
-        ({"leaf": square(0.0, 0.2, GREY)}, "leaf.to_world", "edges that move on the film, as those of 'leaf'"),
+        ({"sensor": {"type": "orthographic"}}, "leaf.to_world", "use a perspective camera"),
         ({"other": {**square(0.5, 1.0, GREY)}}, "leaf.to_world", "edges in which shapes meet"),
         ({"ball": {"type": "sphere"}}, "leaf.to_world", "'ball' interpolates them"),
         ({}, "lamp.vertex_texcoords", "textures would"),
     ],
-    ids=["bulb", "film", "meets", "normals", "texture"],
+    ids=["bulb", "parallel", "meets", "normals", "texture"],
 )
 def test_what_is_not_estimated_is_refused(parts, name, words):
     scene = psdr.load_dict(fog_scene() | parts)

@@ -135,6 +135,11 @@ class EdgeSampling(Method):
 
 
 @dataclass(frozen=True, kw_only=True)
+class FilmEdges(Method):
+    """Edges that the camera sees, and no others: what ``interior.RadiativeTransfer()`` has beside it, unnamed."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class Projective(Connecting):
     """Projective sampling [ZRJ23]: where boundary segments carry light is learnt from ordinary paths.
 

@@ -39,7 +39,7 @@ from warp_psdr.plan import media
 from warp_psdr.plan.attached import refused_by_attached
 from warp_psdr.plan.film_antithetic import refused_by_film_antithetic, refused_for_what_is_seen
 from warp_psdr.plan.light import refused_with_light_paths
-from warp_psdr.plan.transfer import refused_by_transfer, refused_in_scene, sphere_edges
+from warp_psdr.plan.transfer import has_film_edges, refused_by_transfer, refused_in_scene, sphere_edges
 
 if TYPE_CHECKING:
     from warp_psdr.kernels.vertex import PathConfig
@@ -100,7 +100,8 @@ class Row:
         beside: likewise, the kernel of the derivatives that it leaves to another method; None: it leaves none.
         refuse: (what the path loop compiles, which derivatives) -> why it cannot estimate them; empty: it claims to.
         refuse_in: (method, scene, requested names, sensor) -> likewise, of what the scene holds.
-        whole: why its derivative needs no boundary term beside it; empty: it may.
+        whole: why its derivative needs no boundary term beside it, but that of the film; empty: it may.
+        film: (method, config) -> whether edges that the camera sees have a term beside it, of those that are whole.
         reads: (scene, which derivatives, what is kept) -> what the kernel reads of the scene besides its record.
     """
 
@@ -111,6 +112,7 @@ class Row:
     refuse: Callable[[PathConfig, GradientRequest], str] = lambda _config, _wanted: ""
     refuse_in: Callable[[interior.Method, Scene, list[str], int], str] = lambda *_arguments: ""
     whole: str = ""
+    film: Callable[[interior.Method, PathConfig], bool] = lambda _method, _config: False
     reads: Callable[[Scene, GradientRequest, Kept], list] = lambda *_arguments: []
 
 
@@ -456,7 +458,8 @@ TABLE: dict[tuple[type[interior.Method], type[boundary.Method]], Row] = {
         beside=_make_beside_motion,
         refuse=refused_by_transfer,
         refuse_in=refused_in_scene,
-        whole="the equation has its own, estimated with it",
+        whole="edges that path vertices see are sampled with it",
+        film=has_film_edges,
         reads=_read_by_transfer,
     ),
     (interior.FilmAntithetic, boundary.Method): Row(

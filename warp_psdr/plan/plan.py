@@ -18,7 +18,7 @@ from warp_psdr.kernels.emitter.spot import MIN_FALLOFF
 from warp_psdr.kernels.interior.gradient_request import GradientRequest
 from warp_psdr.kernels.vertex import PathConfig
 from warp_psdr.options import interior
-from warp_psdr.options.boundary import Connecting, Method, PathSpace
+from warp_psdr.options.boundary import Connecting, FilmEdges, Method, PathSpace
 from warp_psdr.options.integrator import PathIntegrator
 from warp_psdr.plan import guiding, media, primitives
 from warp_psdr.plan.coverage import choose, has_hard_frame, refuse_own_shape, slides_steps, sliding_heights
@@ -253,6 +253,8 @@ def _boundary(
             beside = f"boundary.{type(integrator.boundary).__name__}() beside "
             name = type(integrator.interior).__name__
             raise ValueError(f"{beside}interior.{name}(), whose derivative is whole without it; leave boundary out")
+        if row_of(integrator.interior, None).film(integrator.interior, config):
+            return FilmEdges(), [("boundary term", "of the film alone", whole)]
         return None, [("boundary term", "none", whole)]
     if integrator.boundary is None:
         return None, [("boundary term", "left out", "boundary=None was said, although " + "; ".join(moving))]

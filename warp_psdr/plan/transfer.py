@@ -14,7 +14,6 @@ from warp_psdr.plan.motion import motion
 from warp_psdr.topology.absent import absent_faces
 from warp_psdr.topology.edges import upload
 from warp_psdr.topology.edges_there import edges_there, joined
-from warp_psdr.topology.film_edges import film_edges
 from warp_psdr.topology.interpolated_normals import interpolated_faces
 
 if TYPE_CHECKING:
@@ -32,6 +31,8 @@ def refused_by_transfer(config: PathConfig, wanted: GradientRequest) -> str:
         return f"{NAME} is for scenes with participating media; use interior.Replay() and a method of psdr.boundary"
     if not moves(wanted):
         return ""
+    if config.hidden:
+        return f"{NAME} does not know hide_emitters where something moves; show the lights"
     kinds = {kind for slot in config.material for kind in slot.kinds} | set(config.area)
     if wanted.texcoords or kinds - {c.TEXTURE_CONSTANT}:
         return f"{NAME} lets points slide over what moves, and textures would; give constant values"
@@ -60,27 +61,16 @@ def refused_in_scene(method: interior.Method, scene: Scene, names: list[str], se
     met = joined(scene)
     if met:
         return f"{NAME} does not know edges in which shapes meet, and {met}; move them apart a little"
-    return _seen_by_camera(scene, sensor, moving.shapes, moving.camera)
-
-
-def _seen_by_camera(scene: Scene, sensor: int, shapes: frozenset[int], camera_moves: bool) -> str:
-    """Say which edges move on the film, whose term is not estimated; empty: none does."""
     kind = scene.camera(sensor).kind
-    if kind == c.CAMERA_RADIANCEMETER:
-        return ""
-    if kind == c.CAMERA_IRRADIANCEMETER:
-        return f"{NAME} does not know what moves before an irradiancemeter; use a camera or a radiancemeter"
-    found = film_edges(scene, sensor, set(shapes), camera_moves=camera_moves)
-    absent = absent_faces(scene)
-    for seen in (found.others, found.flat_creases):
-        first = found.edges.faces[found.edges.first[seen.keep]]
-        if (~absent[first]).any():
-            shape = scene.description.shapes[scene.builder.face_shape[first[~absent[first]][0]]]
-            return (
-                f"{NAME} has no term for edges that move on the film, as those of {shape.path!r} do; keep them out of "
-                "sight, use a radiancemeter, which sees none, or interior.Replay()"
-            )
+    if kind == c.CAMERA_IRRADIANCEMETER or kind == c.CAMERA_ORTHOGRAPHIC:
+        return f"{NAME} does not know what moves before such a sensor; use a perspective camera or a radiancemeter"
     return ""
+
+
+def has_film_edges(method: interior.Method, config: PathConfig) -> bool:
+    """Whether edges that the camera sees have a term: a radiance meter has one ray, across which they move."""
+    assert isinstance(method, interior.RadiativeTransfer)
+    return method.edges and config.camera not in c.METERS
 
 
 def sphere_edges(scene: Scene) -> Edges:

@@ -37,7 +37,7 @@ from warp_psdr.estimate.boundary.terms import (
 from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term
 from warp_psdr.estimate.guiding import store
 from warp_psdr.kernels.constants import METERS
-from warp_psdr.options.boundary import EdgeSampling, Method, PathSpace, Projective
+from warp_psdr.options.boundary import EdgeSampling, FilmEdges, Method, PathSpace, Projective
 from warp_psdr.plan import primitives
 from warp_psdr.plan.motion import motion
 
@@ -72,7 +72,8 @@ ALL: tuple[BoundaryTerm, ...] = (
 )
 #: What each method consists of.
 TERMS: dict[type[Method], tuple[BoundaryTerm, ...]] = {
-    method: tuple(term for term in ALL if method in term.methods) for method in (PathSpace, Projective, EdgeSampling)
+    method: tuple(term for term in ALL if method in term.methods)
+    for method in (PathSpace, Projective, EdgeSampling, FilmEdges)
 }
 
 
