@@ -144,16 +144,13 @@ def test_a_furnace_by_albedo():
 
 
 @pytest.mark.parametrize("name", ["floor.vertex_positions", "sensor.to_world", "sensor.x_fov", "bulb.position"])
-def test_what_moves_discontinuities_is_refused(name):
+def test_what_moves_discontinuities_has_a_boundary_term(name):
     parts = scenes.milk()
     parts["bulb"] = point([1.0, 1.0, 2.0])
     scene = psdr.load_dict(parts)
-    params = psdr.traverse(scene)
-    params.requires_grad(name)
-    with pytest.raises(ValueError, match="set max_depth to 2"):
-        psdr.render_backward(scene, params, np.ones((24, 24, 3)))
-    with pytest.raises(ValueError, match="set max_depth to 2"):
-        psdr.render_forward(scene, params, {name: 1.0})
+    assert "in media: volume vertices" in str(psdr.plan(scene, names=[name]))
+    grey = str(psdr.plan(scene, names=["bulb.intensity.value"]))
+    assert "in media: volume vertices" not in grey
 
 
 def test_other_methods_are_refused():

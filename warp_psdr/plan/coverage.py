@@ -109,7 +109,8 @@ def refuse_own_shape(scene: Scene, sensor: int, names: list[str]) -> None:
 
 def _uncovered(scene: Scene, config: PathConfig, names: list[str], max_depth: int) -> str:
     """Say why the boundary term cannot be estimated; empty: it can."""
-    if has_delta_lobes(config.bsdfs):
+    # Beside media no mirror or glass is, and null lobes turn no ray (``plan/media.py``).
+    if has_delta_lobes(config.bsdfs) and config.media is None:
         if not 0 < max_depth <= MAX_DEPTH:
             return f"discontinuities are searched through mirrors to some depth; set max_depth to {MAX_DEPTH} or less"
         crowded = [

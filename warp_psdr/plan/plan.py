@@ -268,7 +268,11 @@ def _boundary(
         lines.append(("guiding", "none" if repeated.method is None else "by itself", repeated.said))
     if isinstance(term, Connecting) and term.guiding is not None:
         lines.append(("guiding", term.guiding.label, guiding.describe(scene, term.guiding)))
-    if has_delta_lobes(config.bsdfs) and config.media is None:
+    if config.media is not None:
+        lines.append(
+            ("boundary term", "in media: volume vertices ride as fractions of rays", "interfaces are no edges")
+        )
+    elif has_delta_lobes(config.bsdfs):
         searched = "through mirrors and glass: line search"
         lines.append(("boundary term", searched, "no edge can be connected to the camera"))
     return term, lines

@@ -41,7 +41,7 @@ from warp_psdr.kernels.vertex import PathConfig
 
 @functools.cache
 def make_media_segment(config: PathConfig, deep: bool):
-    """Return ``segment(scene, camera, edges, moving, point, direction) -> (Segment, ClearLine)`` but for its x_1.
+    """Return ``segment(scene, camera, edges, moving, point, direction, eye) -> (Segment, ClearLine)`` but for its x_1.
 
     The line is that from the edge towards the source, its medium that at the edge. ``t1`` of the result is how far
     beyond the edge the ray to x_1 starts, ``known`` is not 0 if what the segment joins moves.
@@ -59,6 +59,7 @@ def make_media_segment(config: PathConfig, deep: bool):
         moving: wp.array(dtype=wp.int32),
         point: EdgePoint,
         direction: Direction,
+        eye: wp.vec3,
     ) -> tuple[Segment, ClearLine]:
         r = Segment()
         r.face2 = -1
@@ -79,9 +80,6 @@ def make_media_segment(config: PathConfig, deep: bool):
             r.known += moves(scene, moving, edges.faces[i])
         r.source = r.x - behind * r.w
         r.t1 = behind
-        eye = wp.vec3(
-            scene.values[camera.to_world + 3], scene.values[camera.to_world + 7], scene.values[camera.to_world + 11]
-        )
         medium = medium_at(scene, eye, r.x, camera.medium)
         # Towards the source, as in ``secondary.py``.
         reach = wp.float32(FAR)
@@ -213,11 +211,14 @@ def make_media_secondary_kernel(config: PathConfig, role: str, camera_moves: boo
         point.sample = number
         if aim.direction.valid == 0:
             return
-        s, ahead = segment_at(scene, camera, edges, moving, point, aim.direction)
+        eye = wp.vec3(
+            scene.values[camera.to_world + 3], scene.values[camera.to_world + 7], scene.values[camera.to_world + 11]
+        )
+        s, ahead = segment_at(scene, camera, edges, moving, point, aim.direction, eye)
         if s.valid == 0:
             return
         pdf = density(scene, edges, guide, wedge_at(scene, edges, point), aim, s.face2, s.u2, s.v2, s.t2)
-        first = first_vertex(scene, sampler, s.x + s.t1 * s.w, -s.w, ahead.medium)
+        first = first_vertex(scene, sampler, s.x + s.t1 * s.w, -s.w, eye, ahead.medium)
         if first.alive == 0:
             return
         s.t1 = wp.dot(s.x - first.x, s.w)
@@ -286,7 +287,7 @@ def make_media_secondary_kernel(config: PathConfig, role: str, camera_moves: boo
                 if wp.static(deep):
                     after = MediaWalk()
                     if job.max_depth < 0 or k + 2 <= job.max_depth:
-                        after = extend(scene, sampler, walk, k, k >= job.rr_depth)
+                        after = extend(scene, sampler, walk, eye, k, k >= job.rr_depth)
                     if after.alive == 1 and sweep == 1 and not vanishes(g):
                         weight = wp.float32(1.0)
                         if wp.static(not forward):

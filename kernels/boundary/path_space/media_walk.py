@@ -17,7 +17,7 @@ from warp_psdr.kernels.constants import FAR, LOBE_SMOOTH
 from warp_psdr.kernels.interaction import enter_frame, leave_frame, make_interaction
 from warp_psdr.kernels.invalid import vanishes
 from warp_psdr.kernels.medium.coefficients import coefficients_of, exp_minus
-from warp_psdr.kernels.medium.flight import forced_density, forced_distance, make_flight, mean_of
+from warp_psdr.kernels.medium.flight import forced_density, forced_distance, mean_of
 from warp_psdr.kernels.medium.interface import make_crossing_sink, make_interface
 from warp_psdr.kernels.medium.line import ClearLine, make_line
 from warp_psdr.kernels.medium.passage import MOST_INTERFACES, is_lost, medium_towards
@@ -35,6 +35,9 @@ from warp_psdr.kernels.visibility import visibility_of
 
 #: Least probability with which x_1 is beyond a stretch of a medium: fog in front of an edge that hides it is lit, too.
 PASSES = 1.0 / 3.0
+#: Least width of the density of distances that the camera is near to: over the distance of the stretch from where it is
+#: nearest, and over the extent of the scene. Length of a stretch over that width below which the density is even.
+FLAT, SHARPEST, SHORT = 0.25, 1.0e-4, 0.01
 #: Sample slots of a vertex of the walk: its scattering, and the flights to it.
 SLOT_WALK, SLOTS_PER_VERTEX = 4, MOST_INTERFACES + 2
 
@@ -52,7 +55,7 @@ class MediaWalk:
     to: wp.vec3  # direction towards the vertex before
     medium: wp.int32  # that the segment from there arrives through
     weight: wp.vec3  # of a volume vertex sigma_s, too
-    transmittance: wp.vec3  # of x_1: from the edge, in ``weight`` otherwise
+    transmittance: wp.vec3  # of x_1: from the edge; else it is in ``weight``
     near: wp.float32  # where the way from the vertex before crosses its first interface: distance from there
     near_face: wp.int32  # -1: it crosses none
     near_u: wp.float32
@@ -72,16 +75,54 @@ class Sight:
 
 @wp.struct
 class Flown:
-    """Where a stretch of the ray to x_1 ends: in the medium, or beyond."""
+    """Where a flight ends: on its stretch of a medium, or beyond."""
 
     collides: wp.bool
     t: wp.float32
     inv_p: wp.float32  # 1 / p, or 1 / P
 
 
+@wp.struct
+class Bell:
+    """A density of distances on a stretch, 1 / (h^2 + (t - t0)^2): that at which the camera sees them."""
+
+    t0: wp.float32
+    h: wp.float32
+    start: wp.float32  # angles of its two ends
+    width: wp.float32
+    even: wp.bool  # instead: the stretch is short
+
+
+@wp.func
+def bell_on(way: wp.vec3, d: wp.vec3, length: wp.float32, extent: wp.float32) -> Bell:
+    """``way``: from the start of the stretch to the camera."""
+    r = Bell()
+    r.t0 = wp.dot(way, d)
+    outside = wp.max(wp.max(-r.t0, r.t0 - length), 0.0)
+    r.h = wp.max(wp.max(wp.length(way - r.t0 * d), FLAT * outside), SHARPEST * extent)
+    r.even = length < SHORT * r.h
+    r.start = wp.atan2(-r.t0, r.h)
+    r.width = wp.atan2(length - r.t0, r.h) - r.start
+    return r
+
+
+@wp.func
+def bell_distance(b: Bell, length: wp.float32, u: wp.float32) -> wp.float32:
+    if b.even:
+        return u * length
+    return wp.clamp(b.t0 + b.h * wp.tan(b.start + u * b.width), 0.0, length)
+
+
+@wp.func
+def bell_density(b: Bell, length: wp.float32, t: wp.float32) -> wp.float32:
+    if b.even:
+        return 1.0 / length
+    return b.h / (b.width * (b.h * b.h + (t - b.t0) * (t - b.t0)))
+
+
 @functools.cache
 def make_flown(config: PathConfig):
-    """Return ``flown(scene, m, length, open, u) -> Flown``: for x_1, some of which lie in front of thick fog."""
+    """Return ``flown(scene, m, way, d, length, open, u) -> Flown``; ``way``: from the start to the camera."""
     chromatic = config.media is not None and config.media.chromatic
 
     @wp.func
@@ -91,11 +132,12 @@ def make_flown(config: PathConfig):
         return forced_density(sigma, t, length, 0.0, False)
 
     @wp.func
-    def flown(scene: Scene, m: Medium, length: wp.float32, open: wp.bool, u: wp.vec4) -> Flown:
+    def flown(
+        scene: Scene, m: Medium, way: wp.vec3, d: wp.vec3, length: wp.float32, open: wp.bool, u: wp.vec4
+    ) -> Flown:
         c = coefficients_of(scene, m)
         r = Flown()
         r.t = length
-        inv_extent = 1.0 / scene.media.extent
         passing = wp.float32(0.0)
         if not open or wp.max(c.sigma_t) <= 0.0:
             passing = wp.max(mean_of(exp_minus(c.sigma_t, length)), PASSES)
@@ -104,18 +146,19 @@ def make_flown(config: PathConfig):
             return r
         r.collides = True
         rate = c.sigma_t[wp.min(wp.int32(3.0 * u[3]), 2)]
+        bell = bell_on(way, d, length, scene.media.extent)
         if u[1] < 0.5:
-            r.t = forced_distance(0.0, length, inv_extent, open, u[2])
+            r.t = bell_distance(bell, length, u[2])
         elif open:
             r.t = wp.min(-wp.log(wp.max(1.0 - u[2], 1.0e-30)) / wp.max(rate, 1.0e-30), length)
         else:
-            r.t = forced_distance(rate, length, inv_extent, False, u[2])
+            r.t = forced_distance(rate, length, 0.0, False, u[2])
         p = density(c.sigma_t[0], r.t, length, open)
         if wp.static(chromatic):
             p += density(c.sigma_t[1], r.t, length, open)
             p += density(c.sigma_t[2], r.t, length, open)
             p *= 1.0 / 3.0
-        p = 0.5 * p + 0.5 * forced_density(0.0, r.t, length, inv_extent, open)
+        p = 0.5 * p + 0.5 * bell_density(bell, length, r.t)
         r.inv_p = 1.0 / ((1.0 - passing) * p)
         return r
 
@@ -126,9 +169,10 @@ def make_flown(config: PathConfig):
 def make_media_walk(config: PathConfig):
     """Return ``(first_vertex, sight, extend)``.
 
-    ``first_vertex(scene, sampler, o, d, medium) -> MediaWalk``: x_1, drawn along a ray from an edge.
+    ``first_vertex(scene, sampler, o, d, eye, medium) -> MediaWalk``: x_1, drawn along a ray from an edge.
     ``sight(scene, camera, walk, lens) -> Sight``.
-    ``extend(scene, sampler, walk, k, roulette) -> MediaWalk``: the vertex behind the k-th.
+    ``extend(scene, sampler, walk, eye, k, roulette) -> MediaWalk``: the vertex behind the k-th.
+    ``eye``: the camera's position, which flights turn to.
     """
     assert config.media is not None
     visibility = visibility_of(config)
@@ -136,7 +180,6 @@ def make_media_walk(config: PathConfig):
     is_interface, _behind = make_interface(config)
     line, _medium_at = make_line(config)
     flown = make_flown(config)
-    flight = make_flight(config.media, False)
     phase = make_phase(config.media.phases)
     sample_4d = make_sampler(config.sampler).sample_4d
     project = make_projection(config.camera)[0]
@@ -158,10 +201,10 @@ def make_media_walk(config: PathConfig):
         walk: MediaWalk,
         o: wp.vec3,
         d: wp.vec3,
+        eye: wp.vec3,
         slot: wp.int32,
-        first: wp.bool,
     ) -> MediaWalk:
-        """The next vertex on a ray, through interfaces; ``first``: it is x_1."""
+        """The next vertex on a ray, through interfaces."""
         r = walk
         r.alive = 0
         r.to = -d
@@ -176,23 +219,12 @@ def make_media_walk(config: PathConfig):
                 m = scene.media.records[r.medium]
                 c = coefficients_of(scene, m)
                 u4 = sample_4d(sampler, slot + crossings)
-                collides = wp.bool(False)
-                t = wp.float32(0.0)
-                end = last_point(scene, hit, d)
-                if first:
-                    f = flown(scene, m, length, hit.face < 0, u4)
-                    collides = f.collides
-                    t = wp.min(f.t, end)
-                    r.weight *= f.inv_p
-                    if collides:
-                        r.weight = wp.cw_mul(r.weight, wp.cw_mul(c.albedo, c.sigma_t))
-                    r.transmittance = wp.cw_mul(r.transmittance, exp_minus(c.sigma_t, t))
-                else:
-                    g = flight(scene, m, length, end, hit.face < 0, u4, crossings, True)
-                    collides = g.collides
-                    t = g.t
-                    r.weight = wp.cw_mul(r.weight, g.weight)
-                if collides:
+                f = flown(scene, m, eye - start, d, length, hit.face < 0, u4)
+                t = wp.min(f.t, last_point(scene, hit, d))
+                r.weight *= f.inv_p
+                r.transmittance = wp.cw_mul(r.transmittance, exp_minus(c.sigma_t, t))
+                if f.collides:
+                    r.weight = wp.cw_mul(r.weight, wp.cw_mul(c.albedo, c.sigma_t))
                     r.x = start + t * d
                     r.collides = True
                     r.face = -1
@@ -223,11 +255,13 @@ def make_media_walk(config: PathConfig):
         return r
 
     @wp.func
-    def first_vertex(scene: Scene, sampler: Sampler, o: wp.vec3, d: wp.vec3, medium: wp.int32) -> MediaWalk:
+    def first_vertex(
+        scene: Scene, sampler: Sampler, o: wp.vec3, d: wp.vec3, eye: wp.vec3, medium: wp.int32
+    ) -> MediaWalk:
         walk = MediaWalk()
         walk.medium = medium
         walk.weight = wp.vec3(1.0, 1.0, 1.0)
-        return found(scene, sampler, walk, o, d, SLOT_WALK, True)
+        return found(scene, sampler, walk, o, d, eye, SLOT_WALK)
 
     @wp.func
     def sight(scene: Scene, camera: Camera, walk: MediaWalk, lens: wp.vec2) -> Sight:
@@ -262,7 +296,9 @@ def make_media_walk(config: PathConfig):
         return r
 
     @wp.func
-    def extend(scene: Scene, sampler: Sampler, walk: MediaWalk, k: wp.int32, roulette: wp.bool) -> MediaWalk:
+    def extend(
+        scene: Scene, sampler: Sampler, walk: MediaWalk, eye: wp.vec3, k: wp.int32, roulette: wp.bool
+    ) -> MediaWalk:
         r = walk
         r.alive = 0
         slot = SLOT_WALK + k * SLOTS_PER_VERTEX
@@ -295,7 +331,9 @@ def make_media_walk(config: PathConfig):
             if u4[1] >= survival:
                 return r
             r.weight /= survival
-        return found(scene, sampler, r, o, w, slot + 1, False)
+        r = found(scene, sampler, r, o, w, eye, slot + 1)
+        r.weight = wp.cw_mul(r.weight, r.transmittance)
+        return r
 
     return first_vertex, sight, extend
 
