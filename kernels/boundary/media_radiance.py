@@ -13,7 +13,7 @@ from warp_psdr.kernels.boundary.detector import NEVER, ROW_COUNT, ROWS, Incident
 from warp_psdr.kernels.constants import FAR, LOBE_NULL
 from warp_psdr.kernels.interaction import make_interaction
 from warp_psdr.kernels.medium.line import make_line
-from warp_psdr.kernels.path_media import make_media_step, media_path_from
+from warp_psdr.kernels.path_media import make_media_step, media_path_from, radiance_of_step
 from warp_psdr.kernels.primitive.dispatch import make_position
 from warp_psdr.kernels.rng import Sampler
 from warp_psdr.kernels.structs import Scene
@@ -49,7 +49,7 @@ def make_media_radiance(config: PathConfig):
         state = media_path_from(path_from(o, d, t_max, 0), medium)
         while state.path.alive == 1:
             vertex, state = media_step(scene, sampler, state, max_depth, rr_depth)
-            r.radiance += wp.cw_mul(vertex.surface.throughput, vertex.surface.direct)
+            r.radiance += radiance_of_step(vertex)
         return r
 
     return media_radiance
@@ -88,11 +88,11 @@ def make_media_incident(config: PathConfig):
                 r.cut = max_depth - 1 - state.path.depth
             step, state = media_step(scene, sampler, state, max_depth, rr_depth)
             vertex = step.surface
-            value = wp.cw_mul(vertex.throughput, vertex.direct)
+            value = radiance_of_step(step)
             own = wp.vec3(0.0, 0.0, 0.0)
             if not step.collides:
                 if vertex.face < 0:
-                    own = value
+                    own = wp.cw_mul(vertex.throughput, vertex.direct)
                 else:
                     if wp.static(emitted is not None):
                         shines = emitted(scene, vertex.face, vertex.u, vertex.v, vertex.d)
