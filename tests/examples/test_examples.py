@@ -121,6 +121,18 @@ def test_material_and_sky_are_recovered(example, tmp_path: Path) -> None:
         assert contrast(tmp_path / f"{name}.png") > 0.05
 
 
+@pytest.mark.slow
+def test_smoke_is_recovered_from_nothing(example, tmp_path: Path) -> None:
+    module = example("recover_smoke")
+    module.PHOTO_SPP = 64
+    report = module.main(tmp_path, voxels=16, resolution=16, steps=(32, 32))
+    start, found = (report[f"psnr of the kept views{at}, dB"] for at in (" at the start", ""))
+    assert min(np.subtract(found, start)) > 6.0
+    assert report["largest derivative by a voxel at density 0"] > 1e-5
+    for name in ("result", "slices", "loss"):
+        assert contrast(tmp_path / f"{name}.png") > 0.05
+
+
 def test_a_baked_texture_shows_the_surface(example) -> None:
     module = example("bunny_data")
     texture = module.bake(SQUARE, SQUARE_UVS, SQUARE_FACES, 8, lambda points: points)
