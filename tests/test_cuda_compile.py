@@ -129,6 +129,7 @@ def moving_among_media(config):
 THIRDS = {"materials": MATERIALS, "textures": TEXTURED, "lights": ALL_LIGHTS, "others": OTHERS}
 FAST, SLOW = (), (pytest.mark.slow,)
 SHADED = [(str(shading), (DISTANCES, "reverse", True, shading), SLOW) for shading in (False, True)]
+SMOOTH = ("cubic", (CUBIC, "reverse", True, False, True), SLOW)
 
 
 def unlit(config):
@@ -308,9 +309,12 @@ FACTORIES = {
         ("samples, simple", (SIMPLE, "samples", False), SLOW),
         ("noted, simple", (NOTED, "reverse", False), SLOW),
     ],
-    "boundary.silhouette.grid_foreground.make_foreground_grid_kernel": SHADED,
-    "boundary.silhouette.grid_primary.make_primary_grid_kernel": SHADED,
-    "boundary.silhouette.grid_secondary.make_secondary_grid_kernel": SHADED,
+    "boundary.silhouette.grid_foreground.make_foreground_grid_kernel": [*SHADED, SMOOTH],
+    "boundary.silhouette.grid_primary.make_primary_grid_kernel": [*SHADED, SMOOTH],
+    "boundary.silhouette.grid_secondary.make_secondary_grid_kernel": [
+        *SHADED,
+        ("cubic", (CUBIC, "reverse", True, True, False, True), SLOW),
+    ],
     "boundary.silhouette.tube_foreground.make_foreground_tube_kernel": [("curves", (CURVES, "reverse", True), SLOW)],
     "boundary.silhouette.tube_primary.make_primary_tube_kernel": [("curves", (CURVES, "reverse", True), SLOW)],
     "boundary.silhouette.tube_secondary.make_secondary_tube_kernel": [

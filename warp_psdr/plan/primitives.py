@@ -199,12 +199,10 @@ def _beside_moving_grid(scene: Scene, config: PathConfig, integrator: PathIntegr
     for i in grid_shapes(scene):
         grid = shapes[i].grid
         assert grid is not None
-        if grid.cubic:
-            return f"the silhouettes of {shapes[i].path!r}, which is cubic, have no boundary term yet; {ALONE}"
         if grid.smooth and config.scatter:
             turned = f"the 'smooth' normals of {shapes[i].path!r} turn away from the viewer beside its silhouettes"
             return f"{turned}, along curves that move; say 'normals': 'analytic', or {ALONE}"
-        if is_open(grid_values(scene, i)):
+        if is_open(grid_values(scene, i), grid.cubic):
             opened = f"the surface of {shapes[i].path!r} ends at its box, along a curve that moves"
             return f"{opened}; give positive values all around, or {ALONE}"
     moves = motion(scene, names)

@@ -109,6 +109,11 @@ def spline_values(values: np.ndarray, corners: np.ndarray) -> np.ndarray:
     return padded[z[:, :, None, None], y[:, None, :, None], x[:, None, None, :]]
 
 
+def bezier_values(around: np.ndarray) -> np.ndarray:
+    """Return the Bezier coefficients (N, 4, 4, 4) of pieces of splines with the values (N, 4, 4, 4)."""
+    return np.einsum("nkji,ck,bj,ai->ncba", around, BEZIER, BEZIER, BEZIER, optimize=True)
+
+
 def _spline_passed(values: np.ndarray) -> np.ndarray:
     low = high = np.pad(values, 1, mode="edge")
     for axis in range(3):
@@ -122,7 +127,7 @@ def _spline_passed(values: np.ndarray) -> np.ndarray:
     for start in range(0, len(candidates), CHUNK):
         rows = candidates[start : start + CHUNK]
         around = spline_values(values, rows)
-        bezier = np.einsum("nkji,ck,bj,ai->ncba", around, BEZIER, BEZIER, BEZIER, optimize=True).reshape(len(rows), -1)
+        bezier = bezier_values(around).reshape(len(rows), -1)
         slack = ROUNDING * np.abs(around).max(axis=(1, 2, 3))
         passed[tuple(rows.T)] = (bezier.min(axis=1) < slack) & (bezier.max(axis=1) > -slack)
     return passed

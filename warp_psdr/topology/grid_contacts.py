@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from warp_psdr.scene.sdfgrid import CORNERS, is_passed
+from warp_psdr.scene.sdfgrid import CORNERS, is_passed, spline_values
 from warp_psdr.topology.camera_view import camera_view
 from warp_psdr.topology.exact_shapes import pose
-from warp_psdr.topology.grid_silhouettes import grid_shapes, grid_values
+from warp_psdr.topology.grid_silhouettes import grid_shapes, grid_values, is_smooth_grid
 
 if TYPE_CHECKING:
     from warp_psdr.scene.scene import Scene
@@ -20,19 +20,23 @@ POINTS = 6
 TOUCHING = 1.0e-5
 
 
-def is_open(values: np.ndarray) -> bool:
-    """Return whether the surface of a grid (Z, Y, X) ends at a face of its box."""
+def is_open(values: np.ndarray, cubic: bool = False) -> bool:
+    """Return whether the surface of a grid (Z, Y, X) ends at a face of its box; if ``cubic``, whether it may."""
     for axis in range(3):
-        for end in (0, -1):
-            inside = np.take(values, end, axis=axis) < 0.0
+        for end, inner in ((0, 1), (-1, -2)):
+            face = np.take(values, end, axis=axis)
+            if cubic:
+                # The coefficients of the spline in the face, whose outermost values go on behind it.
+                face = (5.0 * face + np.take(values, inner, axis=axis)) / 6.0
+            inside = face < 0.0
             if inside.any() and not inside.all():
                 return True
     return False
 
 
-def passed_box(values: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+def passed_box(values: np.ndarray, cubic: bool) -> tuple[np.ndarray, np.ndarray] | None:
     """Return the ends (x, y, z), in voxels, of a box around the surface; None: there is none."""
-    found = np.argwhere(is_passed(values))[:, ::-1]
+    found = np.argwhere(is_passed(values, cubic))[:, ::-1]
     return (found.min(axis=0), found.max(axis=0) + 1) if len(found) else None
 
 
@@ -44,8 +48,8 @@ def pierced_grid(scene: Scene, shapes: frozenset[int] | None) -> tuple[int, int]
     b, grids = scene.builder, grid_shapes(scene)
     corners = scene.points[b.indices].astype(np.float64)
     for n, i in enumerate(grids):
-        values = grid_values(scene, i)
-        box = passed_box(values)
+        values, cubic = grid_values(scene, i), is_smooth_grid(scene, i)
+        box = passed_box(values, cubic)
         if box is None:
             continue
         linear, origin = pose(scene, i)
@@ -58,10 +62,10 @@ def pierced_grid(scene: Scene, shapes: frozenset[int] | None) -> tuple[int, int]
         if shapes is not None and i not in shapes:
             near &= np.isin(b.face_shape, sorted(shapes))
         for row in np.flatnonzero(near):
-            if _runs_through(values, local[row]):
+            if _runs_through(values, local[row], cubic):
                 return i, int(b.face_shape[row])
         for j in grids[n + 1 :]:
-            other = passed_box(grid_values(scene, j))
+            other = passed_box(grid_values(scene, j), is_smooth_grid(scene, j))
             if other is None or not (shapes is None or i in shapes or j in shapes):
                 continue
             turned, place = pose(scene, j)
@@ -73,9 +77,9 @@ def pierced_grid(scene: Scene, shapes: frozenset[int] | None) -> tuple[int, int]
     return None
 
 
-def _runs_through(values: np.ndarray, triangle: np.ndarray) -> bool:
+def _runs_through(values: np.ndarray, triangle: np.ndarray, cubic: bool) -> bool:
     """Whether phi has both signs on a triangle (3, 3), in voxels: at points of it in voxels that the surface passes."""
-    voxels = np.argwhere(is_passed(values))[:, ::-1]
+    voxels = np.argwhere(is_passed(values, cubic))[:, ::-1]
     p, e1, e2 = triangle[0], triangle[1] - triangle[0], triangle[2] - triangle[0]
     n = np.cross(e1, e2)
     squared = n @ n
@@ -98,7 +102,7 @@ def _runs_through(values: np.ndarray, triangle: np.ndarray) -> bool:
     points = points[inside & (u >= 0.0) & (v >= 0.0) & (u + v <= 1.0)]
     if not len(points):
         return False
-    found = interpolated(values, points)
+    found = spline_interpolated(values, points) if cubic else interpolated(values, points)
     size = TOUCHING * np.abs(values).max()
     return bool(found.min() < -size and found.max() > size)
 
@@ -114,6 +118,16 @@ def interpolated(values: np.ndarray, points: np.ndarray) -> np.ndarray:
     return total
 
 
+def spline_interpolated(values: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Return the values (N,) of the cubic B-spline of a grid (Z, Y, X) at points (N, 3), in voxels."""
+    cell = np.clip(points.astype(int), 0, np.array(values.shape[::-1]) - 2)
+    x = points - cell
+    y = 1.0 - x
+    weights = np.stack([y**3, 4.0 + x * x * (3.0 * x - 6.0), 4.0 + y * y * (3.0 * y - 6.0), x**3], axis=-1) / 6.0
+    around = spline_values(values, cell[:, ::-1])
+    return np.einsum("nkji,ni,nj,nk->n", around, weights[:, 0], weights[:, 1], weights[:, 2], optimize=True)
+
+
 def require_uncut_grids(scene: Scene, sensor: int, shapes: list[int]) -> None:
     """Raise if a clip plane of a camera runs through the box around a grid's surface.
 
@@ -127,7 +141,7 @@ def require_uncut_grids(scene: Scene, sensor: int, shapes: list[int]) -> None:
     near, far = (near / size, far / size) if view.finite else (near, near + (far - near) / size)
     for i in shapes:
         values = grid_values(scene, i)
-        box = passed_box(values)
+        box = passed_box(values, is_smooth_grid(scene, i))
         if box is None:
             continue
         linear, origin = pose(scene, i)

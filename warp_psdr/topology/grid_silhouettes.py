@@ -17,7 +17,7 @@ import warp as wp
 
 from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.boundary.silhouette.grid_points import GridItems
-from warp_psdr.scene.sdfgrid import is_passed
+from warp_psdr.scene.sdfgrid import bezier_values, is_passed, spline_values
 from warp_psdr.topology.camera_view import camera_view
 from warp_psdr.topology.exact_shapes import pose
 
@@ -44,17 +44,26 @@ def grid_values(scene: Scene, shape: int) -> np.ndarray:
     return scene.values.numpy()[p.offset : p.offset + p.size].reshape(p.shape)[..., 0].astype(np.float64)
 
 
-def grid_shapes(scene: Scene) -> list[int]:
-    """Return the numbers of the shapes that are grids."""
-    return [i for i in scene.builder.primitives if scene.description.shapes[i].grid is not None]
+def is_smooth_grid(scene: Scene, shape: int) -> bool:
+    """Return whether a shape is a grid whose interpolation is cubic."""
+    grid = scene.description.shapes[shape].grid
+    return grid is not None and grid.cubic
 
 
-def items_of(values: np.ndarray, concave: bool = False) -> np.ndarray:
+def grid_shapes(scene: Scene, cubic: bool | None = None) -> list[int]:
+    """Return the numbers of the shapes that are grids, of one interpolation or (None) of both."""
+    found = [i for i in scene.builder.primitives if scene.description.shapes[i].grid is not None]
+    return [i for i in found if cubic is None or is_smooth_grid(scene, i) == cubic]
+
+
+def items_of(values: np.ndarray, concave: bool = False, cubic: bool = False) -> np.ndarray:
     """Return the numbers (N,) of the items of a grid (Z, Y, X), without faces whose creases are all concave.
 
-    ``concave``: of faces alone, with those.
+    ``concave``: of faces alone, with those. ``cubic``: of a smooth grid, whose items are voxels.
     """
     node = np.arange(values.size).reshape(values.shape)
+    if cubic:
+        return 4 * node[:-1, :-1, :-1][is_passed(values, True)] + VOXEL
     found = [] if concave else [4 * node[:-1, :-1, :-1][is_passed(values)] + VOXEL]
     for axis in range(3):
         along = 2 - axis  # in the array
@@ -115,6 +124,29 @@ def may_show(values: np.ndarray, numbers: np.ndarray, low: np.ndarray, high: np.
     return shown
 
 
+def spline_may_show(
+    values: np.ndarray, numbers: np.ndarray, low: np.ndarray, high: np.ndarray, distant: bool
+) -> np.ndarray:
+    """Return the same of the voxels of a smooth grid; arguments as of ``may_show``.
+
+    Derivatives along an axis lie between the least and the greatest of three times the differences of Bezier
+    coefficients.
+    """
+    _nz, ny, nx = values.shape
+    node = numbers >> 2
+    place = np.stack([node % nx, node // nx % ny, node // (nx * ny)], axis=1).astype(np.float64)
+    bezier = bezier_values(spline_values(values, place[:, ::-1].astype(int)))
+    away = (low, high) if distant else (place - high, place + 1.0 - low)
+    terms = []
+    for axis in range(3):
+        slopes = np.diff(bezier, axis=3 - axis).reshape(len(numbers), -1)
+        bounds = [slopes.min(axis=1), slopes.max(axis=1)] if len(numbers) else [np.zeros(0)] * 2
+        terms.append(_product(bounds, [end[..., axis] for end in away]))
+    slack = ROUNDING * sum(np.maximum(-least, most) for least, most in terms)
+    above = sum(least for least, _most in terms) > slack
+    return ~(above | (sum(most for _least, most in terms) < -slack))
+
+
 def _slopes(flat: np.ndarray, first: np.ndarray, stride: int, free: list[int]) -> list[np.ndarray]:
     """Return the least and the greatest difference along an axis at the corners that ``free`` strides lead to."""
     at = [first + np.dot(offsets, free) for offsets in itertools.product((0, 1), repeat=len(free))]
@@ -133,7 +165,8 @@ def seen_from(scene: Scene, shape: int, values: np.ndarray, numbers: np.ndarray,
     linear, origin = pose(scene, shape)
     cells = np.array(values.shape[::-1]) - 1.0
     local = (eyes.corners if eyes.distant else eyes.corners - origin) @ np.linalg.inv(linear).T * cells
-    return may_show(values, numbers, local.min(axis=0), local.max(axis=0), eyes.distant)
+    may = spline_may_show if is_smooth_grid(scene, shape) else may_show
+    return may(values, numbers, local.min(axis=0), local.max(axis=0), eyes.distant)
 
 
 def camera_eyes(scene: Scene, sensor: int) -> Eyes:
@@ -173,7 +206,7 @@ def grid_items(scene: Scene, shapes: list[int], eyes: list[Eyes] | None, concave
     shown, hidden = [], []
     for shape in shapes:
         values = grid_values(scene, shape)
-        numbers = items_of(values, concave)
+        numbers = items_of(values, concave, is_smooth_grid(scene, shape))
         seen = np.zeros(len(numbers), bool)
         for e in eyes or []:
             seen |= seen_from(scene, shape, values, numbers, e)

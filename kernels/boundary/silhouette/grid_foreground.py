@@ -35,6 +35,7 @@ from warp_psdr.kernels.boundary.silhouette.grid_primary import FRONT
 from warp_psdr.kernels.boundary.silhouette.grid_secondary import crease_wedge, own_density, own_direction
 from warp_psdr.kernels.boundary.silhouette.primary import MARGIN, TRIES, WIDER
 from warp_psdr.kernels.boundary.silhouette.secondary import SLOT_DIRECTION, SLOT_SILHOUETTE
+from warp_psdr.kernels.boundary.silhouette.spline_points import SLOT_ROOT, spline_curvature, spline_surface_point
 from warp_psdr.kernels.boundary.transport import Segment, make_source, make_transport
 from warp_psdr.kernels.constants import FAR, PI
 from warp_psdr.kernels.invalid import count_invalid
@@ -51,10 +52,11 @@ from warp_psdr.kernels.visibility import visibility_of
 
 
 @functools.cache
-def make_foreground_grid_kernel(config: PathConfig, role: str, camera_moves: bool, shading: bool):
-    """Return the kernel: one thread a sample (arguments as in ``path_space/secondary.py``)."""
+def make_foreground_grid_kernel(config: PathConfig, role: str, camera_moves: bool, shading: bool, cubic: bool = False):
+    """Return the kernel: one thread a sample (arguments as in ``path_space/secondary.py``); ``cubic``: smooth grids."""
     visibility = visibility_of(config)
-    accumulate_touch = make_touch_sink(role)
+    accumulate_touch = make_touch_sink(role, cubic)
+    curvature_of = spline_curvature if cubic else touch_curvature
     accumulate_vertex = make_adjoint_sink(role, False, False, False, False, False, True, config.primitives)
     incident = make_incident(config)
 
@@ -128,7 +130,10 @@ def make_foreground_grid_kernel(config: PathConfig, role: str, camera_moves: boo
         g = grid_of(scene, tri)
         parts = item_parts(g, item[1])
         point = TouchPoint()
-        if parts[3] != VOXEL_ITEM:
+        if wp.static(cubic):
+            choice = sample_1d(sampler, wp.static(SLOT_ROOT))
+            point = spline_surface_point(scene, tri, g, parts, along, u4[2], choice)
+        elif parts[3] != VOXEL_ITEM:
             point = crease_point(scene, tri, g, parts, along)
         else:
             if wp.static(not shading):
@@ -169,7 +174,7 @@ def make_foreground_grid_kernel(config: PathConfig, role: str, camera_moves: boo
                 s.boundary_normal = side * wp.cross(point.along, s.w)
                 out = -wp.normalize(s.boundary_normal)
             else:
-                curvature = touch_curvature(tri, g, point, s.w)
+                curvature = curvature_of(tri, g, point, s.w)
                 if curvature <= 0.0:
                     return
                 s.boundary_normal = -out
@@ -200,6 +205,8 @@ def make_foreground_grid_kernel(config: PathConfig, role: str, camera_moves: boo
         s.scale = wp.float32(count) / (density * wp.float32(job.samples))
         if wp.static(not shading):
             s.scale = -s.scale
+        if wp.static(cubic):
+            s.scale *= point.roots
         uv = pack(point.q)
         note_place(scene, NOTE_POINT, point.face, uv[0], uv[1], point.x, s.w, s.radiance)
         rest = wp.float32(0.0)

@@ -16,6 +16,7 @@ from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.primitive.affine import cofactor, determinant, from_axes, make_pose_sink, to_axes
 from warp_psdr.kernels.primitive.sdfgrid import Grid, Voxel, grid_of, value_and_gradient, voxel_at
 from warp_psdr.kernels.primitive.sdfgrid_adjoint import bend_of, make_voxel_sink, mixed_differences
+from warp_psdr.kernels.primitive.sdfgrid_cubic_surface import make_spline_sink
 from warp_psdr.kernels.primitive.sdfgrid_surface import voxel_corner
 from warp_psdr.kernels.structs import Scene, Triangle
 
@@ -54,6 +55,8 @@ class TouchPoint:
     x: wp.vec3
     gradient: wp.vec3  # of phi, in voxels; of a crease: in the face
     mixed: wp.vec3  # second derivatives (``mixed_differences``)
+    pure: wp.vec3  # those by x, y and z alone, of smooth grids
+    roots: wp.float32  # of smooth grids: points of a line or a slice that this one stands for
     density: wp.float32  # per length of the curve, or area of the surface, in voxels
     along: wp.vec3  # tangent of the curve, one voxel long
     out: wp.vec3  # unit normal to the outside, not of creases
@@ -363,14 +366,14 @@ def choose_item(found: GridItems, count: wp.int32, u: wp.float64) -> tuple[wp.in
 
 
 @functools.cache
-def make_touch_sink(role: str):
-    """Return ``accumulate(scene, target, point, g) -> float``: the adjoint g of a point.
+def make_touch_sink(role: str, cubic: bool = False):
+    """Return ``accumulate(scene, target, point, g) -> float``: the adjoint g of a point; ``cubic``: of a smooth grid.
 
     g is across the curve, or the surface. The velocity is A' q + b' + A q', q' = -phi' gradient / |gradient|^2, of
     creases in the face (``docs/theory/implicit.md#creases``).
     """
     accumulate_pose = make_pose_sink(role)
-    accumulate_voxel = make_voxel_sink(role)
+    accumulate_voxel = make_spline_sink(role) if cubic else make_voxel_sink(role)
 
     @wp.func
     def accumulate_touch(scene: Scene, target: wp.array(dtype=wp.float32), point: TouchPoint, a: wp.vec3) -> wp.float32:

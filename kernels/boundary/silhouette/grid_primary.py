@@ -32,6 +32,7 @@ from warp_psdr.kernels.boundary.silhouette.grid_points import (
     touch_curvature,
 )
 from warp_psdr.kernels.boundary.silhouette.primary import MARGIN, TRIES, WIDER, make_camera_eye
+from warp_psdr.kernels.boundary.silhouette.spline_points import SLOT_ROOT, spline_curvature, spline_curve_point
 from warp_psdr.kernels.constants import CAMERA_ORTHOGRAPHIC
 from warp_psdr.kernels.invalid import count_invalid
 from warp_psdr.kernels.jobs import SampleJob
@@ -50,9 +51,12 @@ FRONT = 20.0
 
 
 @functools.cache
-def make_primary_grid_kernel(config: PathConfig, role: str, camera_moves: bool, shading: bool = False):
-    """Return the kernel: one thread a sample (arguments as in ``path_space/secondary.py``)."""
-    accumulate_touch = make_touch_sink(role)
+def make_primary_grid_kernel(
+    config: PathConfig, role: str, camera_moves: bool, shading: bool = False, cubic: bool = False
+):
+    """Return the kernel: one thread a sample (arguments as in ``path_space/secondary.py``); ``cubic``: smooth grids."""
+    accumulate_touch = make_touch_sink(role, cubic)
+    curvature_of = spline_curvature if cubic else touch_curvature
     accumulate_camera = make_camera_sink(role, config.camera) if camera_moves else None
     incident_radiance = make_incident_radiance(config)
     visibility = visibility_of(config)
@@ -91,7 +95,11 @@ def make_primary_grid_kernel(config: PathConfig, role: str, camera_moves: bool, 
         parts = item_parts(g, item[1])
         eye = camera_eye(scene, camera, lens)
         point = TouchPoint()
-        if parts[3] == VOXEL_ITEM:
+        if wp.static(cubic):
+            seen = eye_in_voxels(tri, g, eye, wp.static(distant))
+            choice = sample_1d(sampler, wp.static(SLOT_ROOT))
+            point = spline_curve_point(scene, tri, g, parts, seen, wp.static(distant), along, choice)
+        elif parts[3] == VOXEL_ITEM:
             if wp.static(not shading):
                 seen_from = eye_in_voxels(tri, g, eye, wp.static(distant))
                 point = curve_point(scene, tri, g, parts, seen_from, wp.static(distant), along)
@@ -123,7 +131,7 @@ def make_primary_grid_kernel(config: PathConfig, role: str, camera_moves: bool, 
                 out = -side * across
                 start += step * out
         else:
-            curvature = touch_curvature(tri, g, point, d)
+            curvature = curvature_of(tri, g, point, d)
             if curvature <= 0.0:
                 return
             start += step * out
@@ -173,6 +181,8 @@ def make_primary_grid_kernel(config: PathConfig, role: str, camera_moves: bool, 
         jump = inside.radiance - outside.radiance
         # ---- Accumulation ----
         scale = wp.float32(count) / (point.density * wp.float32(job.samples))
+        if wp.static(cubic):
+            scale *= point.roots
         if wp.static(role != "forward"):
             scale *= wp.dot(weight, jump)
         a = scale * a

@@ -43,6 +43,14 @@ from warp_psdr.kernels.boundary.silhouette.secondary import (
     TangentAim,
     make_light_aim,
 )
+from warp_psdr.kernels.boundary.silhouette.spline_points import (
+    SLOT_ROOT,
+    spline_curvature,
+    spline_curve_density,
+    spline_curve_point,
+    spline_direction,
+    spline_surface_point,
+)
 from warp_psdr.kernels.boundary.transport import Segment, make_source, make_transport
 from warp_psdr.kernels.constants import FAR, INV_TWO_PI, TWO_PI
 from warp_psdr.kernels.emitter.area import make_area
@@ -93,11 +101,11 @@ def own_direction(point: TouchPoint, u: wp.vec2) -> wp.vec3:
 
 
 @functools.cache
-def make_touching_segment(config: PathConfig):
+def make_touching_segment(config: PathConfig, cubic: bool = False):
     """Return ``segment(scene, moving, found, tri, g, n, point, aim, direct) -> Segment``; n is the item's place.
 
-    ``aim.light`` is -1 where its direction is drawn by itself, ``direct`` as in ``path_space/secondary.py``. The scale
-    is one over the density of what was drawn, in the measures above.
+    ``cubic``: of smooth grids. ``aim.light`` is -1 where its direction is drawn by itself, ``direct`` as in
+    ``path_space/secondary.py``. The scale is one over the density of what was drawn, in the measures above.
     """
     visibility = visibility_of(config)
     pdf_light = make_pdf_light(config)
@@ -107,6 +115,9 @@ def make_touching_segment(config: PathConfig):
     environment_eval = lights.environment_eval if lights else None
     has_environment = environment_eval is not None
     delta_sample = make_delta_sample(config.lights)
+    curvature_of = spline_curvature if cubic else touch_curvature
+    direction_of = spline_direction if cubic else curve_direction
+    density_of = spline_curve_density if cubic else curve_density
 
     @wp.func
     def towards_density(
@@ -115,8 +126,8 @@ def make_touching_segment(config: PathConfig):
         """Density of a point of an item that a light's point y sees, but for that of y."""
         if point.crease == 1:
             return point.density
-        t = curve_direction(point, eye_in_voxels(tri, g, y, distant), distant)
-        return curve_density(t) / wp.length(wp.cross(from_voxels(tri, g, t), w))
+        t = direction_of(point, eye_in_voxels(tri, g, y, distant), distant)
+        return density_of(t) / wp.length(wp.cross(from_voxels(tri, g, t), w))
 
     @wp.func
     def touching_segment(
@@ -145,7 +156,7 @@ def make_touching_segment(config: PathConfig):
             r.boundary_normal = side * wp.cross(point.along, r.w)
             point.out = -wp.normalize(r.boundary_normal)
         else:
-            curvature = touch_curvature(tri, g, point, r.w)
+            curvature = curvature_of(tri, g, point, r.w)
             if curvature <= 0.0:
                 return r
         r.x = point.x + r.step * point.out
@@ -238,11 +249,12 @@ def make_secondary_grid_kernel(
     camera_moves: bool,
     light_pose: bool,
     indirect: bool = False,
+    cubic: bool = False,
 ):
-    """Return the kernel: one thread a sample (arguments as in ``path_space/secondary.py``)."""
+    """Return the kernel: one thread a sample (arguments as in ``path_space/secondary.py``); ``cubic``: smooth grids."""
     light_aim = make_light_aim(config) if config.area or config.lights else None
-    segment_at = make_touching_segment(config)
-    accumulate_touch = make_touch_sink(role)
+    segment_at = make_touching_segment(config, cubic)
+    accumulate_touch = make_touch_sink(role, cubic)
     accumulate_source = make_source_sink(role, light_pose, config.primitives)
     source = make_source(config, True)
     source = make_indirect(source) if indirect else source
@@ -294,7 +306,12 @@ def make_secondary_grid_kernel(
         aim = TangentAim()
         aim.light = -1
         point = TouchPoint()
-        if parts[3] != VOXEL_ITEM:
+        choice = wp.float32(0.0)
+        if wp.static(cubic):
+            choice = sample_1d(sampler, wp.static(SLOT_ROOT))
+            if by_itself:
+                point = spline_surface_point(scene, tri, g, parts, along, u4[2], choice)
+        elif parts[3] != VOXEL_ITEM:
             point = crease_point(scene, tri, g, parts, along)
         elif by_itself:
             point = surface_point(scene, tri, g, parts, along, u4[2])
@@ -305,7 +322,10 @@ def make_secondary_grid_kernel(
                 aim = light_aim(scene, tri.normal, u4)
                 if aim.valid == 0:
                     return
-                if parts[3] == VOXEL_ITEM:
+                if wp.static(cubic):
+                    seen = eye_in_voxels(tri, g, aim.eye, aim.distant)
+                    point = spline_curve_point(scene, tri, g, parts, seen, aim.distant, along, choice)
+                elif parts[3] == VOXEL_ITEM:
                     eye = eye_in_voxels(tri, g, aim.eye, aim.distant)
                     point = curve_point(scene, tri, g, parts, eye, aim.distant, along)
                 aim.w = aim.eye
@@ -320,6 +340,8 @@ def make_secondary_grid_kernel(
         uv = pack(point.q)
         note_place(scene, NOTE_POINT, point.face, uv[0], uv[1], point.x, s.w, s.radiance)
         s.scale /= wp.float32(job.samples)
+        if wp.static(cubic):
+            s.scale *= point.roots
         rest = wp.float32(0.0)
         if wp.static(role == "forward"):
             rest = accumulate(scene, target, point, s, 1.0)

@@ -17,7 +17,7 @@ def applies(r: Request) -> bool:
 
 def launch(r: Request) -> Term | None:
     """Return the term of the creases that the camera sees."""
-    shapes = [i for i in grid_shapes(r.scene) if r.moves.camera or i in r.moves.shapes]
+    shapes = [i for i in grid_shapes(r.scene, False) if r.moves.camera or i in r.moves.shapes]
     found = grid_items(r.scene, shapes, [], concave=True)
     if found is None:
         return None

@@ -18,12 +18,12 @@ def applies(r: Request) -> bool:
     return secondary_grid.applies(r) and not 0 <= r.plan.max_depth < SHORTEST
 
 
-def launch_foreground(r: Request, term: BoundaryTerm, shading: bool) -> Term | None:
+def launch_foreground(r: Request, term: BoundaryTerm, shading: bool, cubic: bool = False) -> Term | None:
     """Return the term of silhouettes, or with ``shading`` of creases that are seen from the front."""
-    found = grid_items(r.scene, grid_shapes(r.scene), [], concave=shading)
+    found = grid_items(r.scene, grid_shapes(r.scene, cubic), [], concave=shading)
     if found is None:
         return None
-    kernel = make_foreground_grid_kernel(r.config, r.role, r.moves.camera, shading)
+    kernel = make_foreground_grid_kernel(r.config, r.role, r.moves.camera, shading, cubic)
     samples = r.pixels * (r.method.spp_secondary or r.spp)
     head = [r.scene.data(), r.camera, found, moving_shapes(r.scene, r.moves)]
     return term_of(r, term, kernel, head, samples)

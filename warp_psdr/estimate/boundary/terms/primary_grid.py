@@ -15,17 +15,22 @@ def applies(r: Request) -> bool:
     return PRIMITIVE_SDFGRID in r.config.primitives and bool(r.moves.shapes or r.moves.camera)
 
 
-def launch(r: Request) -> Term | None:
-    """Return the term of the silhouettes that the camera sees."""
-    shapes = [i for i in grid_shapes(r.scene) if r.moves.camera or i in r.moves.shapes]
+def launch_silhouettes(r: Request, term: BoundaryTerm, cubic: bool) -> Term | None:
+    """Return the term of linear grids, or of cubic ones."""
+    shapes = [i for i in grid_shapes(r.scene, cubic) if r.moves.camera or i in r.moves.shapes]
     require_uncut_grids(r.scene, r.sensor, shapes)
     found = grid_items(r.scene, shapes, [camera_eyes(r.scene, r.sensor)])
     if found is None or found.aimed == 0:
         return None
     found.items = found.items[: found.aimed]
-    kernel = make_primary_grid_kernel(r.config, r.role, r.moves.camera)
+    kernel = make_primary_grid_kernel(r.config, r.role, r.moves.camera, cubic=cubic)
     samples = r.pixels * (r.method.spp_primary or r.spp)
-    return term_of(r, TERM, kernel, [r.scene.data(), r.camera, found], samples)
+    return term_of(r, term, kernel, [r.scene.data(), r.camera, found], samples)
+
+
+def launch(r: Request) -> Term | None:
+    """Return the term of the silhouettes that the camera sees."""
+    return launch_silhouettes(r, TERM, False)
 
 
 TERM = BoundaryTerm(

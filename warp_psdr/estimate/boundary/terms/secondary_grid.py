@@ -20,18 +20,23 @@ def applies(r: Request) -> bool:
     return PRIMITIVE_SDFGRID in r.config.primitives and lit and r.moves.edges and r.scatters_smoothly
 
 
-def launch(r: Request) -> Term | None:
-    """Return the term of the silhouettes between two path vertices, neither of which need be on what moves."""
+def launch_segments(r: Request, term: BoundaryTerm, cubic: bool) -> Term | None:
+    """Return the term of linear grids, or of cubic ones."""
     eyes = light_eyes(r.scene)
-    found = grid_items(r.scene, grid_shapes(r.scene), eyes)
+    found = grid_items(r.scene, grid_shapes(r.scene, cubic), eyes)
     if found is None:
         return None
     found.share = UNIFORM_SHARE_DIRECT if r.plan.max_depth == 2 and r.scene.builder.environment < 0 else UNIFORM_SHARE
     if found.aimed == 0 or eyes == []:
         found.share = 1.0
-    kernel = make_secondary_grid_kernel(r.config, r.role, r.moves.camera, r.moves.light_pose, r.indirect)
+    kernel = make_secondary_grid_kernel(r.config, r.role, r.moves.camera, r.moves.light_pose, r.indirect, cubic)
     samples = r.pixels * (r.method.spp_secondary or r.spp)
-    return term_of(r, TERM, kernel, [r.scene.data(), r.camera, found, moving_shapes(r.scene, r.moves)], samples)
+    return term_of(r, term, kernel, [r.scene.data(), r.camera, found, moving_shapes(r.scene, r.moves)], samples)
+
+
+def launch(r: Request) -> Term | None:
+    """Return the term of the silhouettes between two path vertices, neither of which need be on what moves."""
+    return launch_segments(r, TERM, False)
 
 
 TERM = BoundaryTerm(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term, term_of
 from warp_psdr.kernels.boundary.silhouette.secondary import make_secondary_silhouette_kernel
-from warp_psdr.kernels.constants import PRIMITIVE_SDFGRID
+from warp_psdr.kernels.primitive.dispatch import GRIDS
 from warp_psdr.options.boundary import PathSpace
 from warp_psdr.plan.motion import moving_shapes
 from warp_psdr.scene.exact import outlines
@@ -17,7 +17,7 @@ UNIFORM_SHARE_DIRECT, UNIFORM_SHARE = 0.1, 0.5
 def applies(r: Request) -> bool:
     """Whether light is scattered beside such shapes, and anything moves."""
     lit = r.plan.max_depth != 1 and bool(r.scene.builder.emitters)
-    return bool(set(r.config.primitives) - {PRIMITIVE_SDFGRID}) and lit and r.moves.edges and r.scatters_smoothly
+    return bool(set(r.config.primitives) - set(GRIDS)) and lit and r.moves.edges and r.scatters_smoothly
 
 
 def launch(r: Request) -> Term | None:

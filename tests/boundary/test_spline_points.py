@@ -1,0 +1,199 @@
+"""Samplers of silhouettes of smooth grids against each other, closed forms, and the étendue that a grid blocks."""
+
+import numpy as np
+import pytest
+import warp as wp
+
+import warp_psdr as psdr
+from tests.path.test_sdfgrid import sphere
+from warp_psdr.kernels.boundary.silhouette.grid_points import (
+    GridItems,
+    TouchPoint,
+    area_of_voxel_area,
+    choose_item,
+    eye_in_voxels,
+    item_parts,
+    make_touch_sink,
+)
+from warp_psdr.kernels.boundary.silhouette.grid_secondary import own_density, own_direction
+from warp_psdr.kernels.boundary.silhouette.spline_points import (
+    spline_curvature,
+    spline_curve_point,
+    spline_surface_point,
+)
+from warp_psdr.kernels.constants import PRIMITIVE_SDFGRID_CUBIC
+from warp_psdr.kernels.primitive.dispatch import make_hit
+from warp_psdr.kernels.primitive.sdfgrid import grid_of
+from warp_psdr.kernels.reading import triangle_at
+from warp_psdr.kernels.structs import Scene
+from warp_psdr.topology.grid_contacts import spline_interpolated
+from warp_psdr.topology.grid_silhouettes import grid_items, grid_shapes, items_of, spline_may_show
+
+from .test_grid_points import BATCHES, HALF, HIGH, LIMIT, LOW, growth, shapes
+
+HIT = make_hit((PRIMITIVE_SDFGRID_CUBIC,))
+ACCUMULATE = make_touch_sink("forward", True)
+SAMPLES = 400_000
+
+
+@wp.func
+def is_free_of_it(scene: Scene, x: wp.vec3, out: wp.vec3, w: wp.vec3) -> wp.bool:
+    """Whether a line passes from square to square."""
+    if w[2] <= 1.0e-4:
+        return False
+    up = (HIGH - x[2]) / w[2]
+    down = (x[2] - LOW) / w[2]
+    y = x + up * w
+    z = x - down * w
+    beside = wp.max(wp.max(wp.abs(y[0] - 0.5), wp.abs(y[1] - 0.5)), wp.max(wp.abs(z[0] - 0.5), wp.abs(z[1] - 0.5)))
+    if beside > HALF:
+        return False
+    tri = triangle_at(scene, 0)
+    o = x + 1.0e-5 * out
+    return HIT(scene, tri, o, w, up).face < 0 and HIT(scene, tri, o, -w, down).face < 0
+
+
+@wp.kernel(module="unique", enable_backward=False)
+def touch_smoothly(
+    scene: Scene,
+    found: GridItems,
+    tangents: wp.array(dtype=wp.float32),
+    towards: wp.int32,
+    seed: wp.int32,
+    out: wp.array2d(dtype=wp.float64),
+):
+    """One line that touches the grid: its measure, times the speed, of those that pass, and an element of area."""
+    t = wp.tid()
+    state = wp.rand_init(seed, t)
+    count = found.items.shape[0]
+    n, _along = choose_item(found, count, wp.float64(wp.randf(state)))
+    item = found.items[n]
+    tri = triangle_at(scene, item[0])
+    g = grid_of(scene, tri)
+    parts = item_parts(g, item[1])
+    a = wp.randf(state)
+    b = wp.randf(state)
+    eye = wp.sample_unit_sphere_surface(state)
+    u = wp.randf(state)
+    v = wp.randf(state)
+    choice = wp.randf(state)
+    point = TouchPoint()
+    if towards == 1:
+        point = spline_curve_point(scene, tri, g, parts, eye_in_voxels(tri, g, eye, True), True, u, choice)
+    else:
+        point = spline_surface_point(scene, tri, g, parts, u, v, choice)
+    if point.valid == 0:
+        return
+    point.face = item[0]
+    each = wp.float32(count) * point.roots
+    w = eye
+    if towards == 0:
+        w = own_direction(point, wp.vec2(a, b))
+        out[t, 3] = wp.float64(each * area_of_voxel_area(tri, g, point) / point.density)
+    curvature = spline_curvature(tri, g, point, w)
+    if curvature <= 0.0:
+        return
+    measure = wp.float32(0.0)
+    if towards == 1:
+        measure = 4.0 * 3.14159265 / point.density * wp.length(wp.cross(point.along, w))
+    else:
+        measure = 1.0 / own_density(tri, g, point, curvature)
+    out[t, 0] = wp.float64(each * measure)
+    if towards == 0:
+        speed = ACCUMULATE(scene, tangents, point, point.out)
+        out[t, 1] = wp.float64(each * measure * speed)
+        if is_free_of_it(scene, point.x, point.out, w):
+            out[t, 2] = out[t, 1]
+
+
+@wp.kernel(module="unique", enable_backward=False)
+def block_smoothly(more: Scene, less: Scene, seed: wp.int32, out: wp.array(dtype=wp.float64)):
+    t = wp.tid()
+    state = wp.rand_init(seed, t)
+    x = wp.vec3(0.5 + HALF * (2.0 * wp.randf(state) - 1.0), 0.5 + HALF * (2.0 * wp.randf(state) - 1.0), LOW)
+    y = wp.vec3(0.5 + HALF * (2.0 * wp.randf(state) - 1.0), 0.5 + HALF * (2.0 * wp.randf(state) - 1.0), HIGH)
+    length = wp.length(y - x)
+    d = (y - x) / length
+    a = wp.where(HIT(more, triangle_at(more, 0), x, d, length).face >= 0, 1.0, 0.0)
+    b = wp.where(HIT(less, triangle_at(less, 0), x, d, length).face >= 0, 1.0, 0.0)
+    area = 16.0 * HALF * HALF * HALF * HALF
+    out[t] = wp.float64(area * d[2] * d[2] / (length * length) * (a - b))
+
+
+def loaded(grid: np.ndarray, pose: np.ndarray | None = None) -> psdr.Scene:
+    body = {"type": "sdfgrid", "grid": grid, "interpolation": "cubic"}
+    if pose is not None:
+        body["to_world"] = psdr.Transform(pose)
+    return psdr.load_dict(
+        {"type": "scene", "body": body, "sensor": {"type": "perspective"}, "sky": {"type": "constant"}}
+    )
+
+
+def sums(scene: psdr.Scene, tangent: np.ndarray, towards: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Means and their standard errors, of the columns of ``touch_smoothly``."""
+    tangents = np.zeros(len(scene.values), np.float32)
+    p = scene.parameters["body.grid"]
+    tangents[p.offset : p.offset + p.size] = tangent.ravel()
+    found = grid_items(scene, grid_shapes(scene), None)
+    assert found is not None
+    out = wp.zeros((SAMPLES, 4), dtype=wp.float64, device="cpu")
+    inputs = [scene.data(), found, wp.array(tangents, dtype=wp.float32, device="cpu"), towards, seed]
+    wp.launch(touch_smoothly, dim=SAMPLES, inputs=inputs, outputs=[out], device="cpu")
+    means = out.numpy().reshape(BATCHES, -1, 4).mean(axis=1)
+    return means.mean(axis=0), means.std(axis=0, ddof=1) / np.sqrt(BATCHES)
+
+
+def test_lines_that_touch_a_sphere() -> None:
+    """The integral of kappa_n dA dtheta is pi dS/dr = 8 pi^2 r, and the density of points gives the area."""
+    count, radius = 24, 0.4
+    found, error = sums(loaded(sphere(count, radius)), -np.ones((count, count, count)), 0, 11)
+    smoothed = radius - 1.0 / (3.0 * radius * (count - 1) ** 2)
+    assert (error[[1, 3]] < 0.003 * found[[1, 3]]).all()
+    assert found[1] == pytest.approx(8.0 * np.pi**2 * smoothed, rel=0.01)
+    assert found[3] == pytest.approx(4.0 * np.pi * smoothed**2, rel=0.01)
+
+
+def test_both_techniques_have_one_measure() -> None:
+    """All lines that touch a grid under an affine map, by directions of items and by directions of the sphere."""
+    pose = np.eye(4)
+    pose[:3, :3] = [[1.5, 0.4, 0.0], [0.0, -0.8, 0.1], [0.2, 0.0, 1.1]]
+    scene = loaded(shapes(10), pose)
+    (own, own_error), (towards, error) = (sums(scene, np.zeros((10, 10, 10)), k, 7 + k) for k in range(2))
+    limit = LIMIT * np.hypot(own_error, error)[0]
+    assert abs(own - towards)[0] < limit < 0.05 * own[0], (own, towards, limit)
+
+
+@pytest.mark.slow
+def test_blocked_etendue() -> None:
+    """By all values of a grid, of two spheres that are blended, with a neck that curves both ways."""
+    grid, tangent, step = shapes(16), growth(16), 0.002
+    found, error = sums(loaded(grid), tangent, 0, 3)
+    rays = 2_000_000
+    out = wp.zeros(rays, dtype=wp.float64, device="cpu")
+    more, less = (loaded((grid + k * step * tangent).astype(np.float32)) for k in (1.0, -1.0))
+    wp.launch(block_smoothly, dim=rays, inputs=[more.data(), less.data(), 5], outputs=[out], device="cpu")
+    batches = out.numpy().reshape(BATCHES, -1).mean(axis=1) / (2.0 * step)
+    expected, deviation = batches.mean(), batches.std(ddof=1) / np.sqrt(BATCHES)
+    assert abs(found[2] - expected) < LIMIT * np.hypot(error[2], deviation), (found, error, expected, deviation)
+    assert max(deviation, error[2]) < 0.03 * expected
+
+
+def test_items_left_out_have_no_silhouette() -> None:
+    """No point of a voxel that interval arithmetic leaves out is one, seen from anywhere in a box."""
+    rng = np.random.default_rng(2)
+    values = (shapes(12)[..., 0] + 0.003 * rng.standard_normal((12, 12, 12))).astype(np.float64)
+    numbers = items_of(values, cubic=True)
+    low, high = np.array([24.0, -16.0, 14.0]), np.array([25.0, -15.0, 15.0])
+    shown = spline_may_show(values, numbers, low, high, False)
+    assert 0.02 < shown.mean() < 0.9
+    node, step = numbers >> 2, 1e-5
+    corner = np.stack([node % 12, node // 12 % 12, node // 144], axis=1)
+    for i in np.flatnonzero(~shown)[::7]:
+        points = corner[i] + rng.uniform(0.001, 0.999, (64, 3))
+        eyes = low + rng.random((64, 3)) * (high - low)
+        slope = [
+            spline_interpolated(values, points + step * e) - spline_interpolated(values, points - step * e)
+            for e in np.eye(3)
+        ]
+        facing = (np.stack(slope, axis=1) * (points - eyes)).sum(axis=1)
+        assert (facing > 0.0).all() or (facing < 0.0).all()
