@@ -26,7 +26,7 @@ HOST_LAYERS = (
     {"topology"},
     {"plan"},
     {"estimate"},
-    {"accuracy", "boundary", "guiding", "interior", "optim", "view"},
+    {"accuracy", "boundary", "guiding", "interior", "optim", "sdf", "view"},
     {"render"},
     {"torch", "__init__"},
     {"fit"},

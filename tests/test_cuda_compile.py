@@ -141,6 +141,8 @@ def unlit(config):
 FACTORIES = {
     "adam.make_adam": [("masked", (True,), FAST), ("plain", (False,), FAST)],
     "adam.make_count_unusable": [("", (), FAST)],
+    "primitive.redistance.make_sweep_kernel": [("", (), FAST)],
+    "primitive.redistance.make_mesh_distance_kernel": [("", (), FAST)],
     "loss.make_terms": [("relative", (relative_squared,), FAST)],
     "loss.make_sums": [("", (), FAST)],
     "aov.make_aov_kernel": [("textures", (TEXTURED,), FAST), ("materials", (MATERIALS,), SLOW)],

@@ -27,7 +27,7 @@ from warp_psdr.view.viewer import view
 from warp_psdr.workers import set_workers
 
 if TYPE_CHECKING:
-    from warp_psdr import fit, image_io, plots
+    from warp_psdr import fit, image_io, plots, sdf
     from warp_psdr import torch as torch
     from warp_psdr.image_io import read_image, write_image
     from warp_psdr.scene.scene import Scene
@@ -68,6 +68,7 @@ __all__ = [
     "render_backward",
     "render_forward",
     "render_moment",
+    "sdf",
     "set_ray_backend",
     "set_workers",
     "trace_sample",
@@ -78,7 +79,7 @@ __all__ = [
 
 #: Modules that need more than Warp and NumPy; each is loaded when it is first used. ``torch`` is not in ``__all__``: a
 #: star import would ask for PyTorch.
-_LAZY_MODULES = ("fit", "image_io", "plots", "torch")
+_LAZY_MODULES = ("fit", "image_io", "plots", "sdf", "torch")
 _LAZY_NAMES = {
     "Scene": "warp_psdr.scene.scene",
     "read_image": "warp_psdr.image_io",

@@ -71,16 +71,16 @@ def right_sphere(grid):
 
 STEP = 0.003
 CASES = [
-    Case("cubic, lamp", GRID, one_half, STEP, "one half", 2, 512, 2048, slow=False),
+    Case("cubic, lamp", GRID, one_half, STEP, "one half", 2, 768, 2560, slow=False),
     *(
         Case(f"cubic, {light}", GRID, tangent, STEP, what, 2, spp, 4 * spp)
-        for light, spp in (("sky", 1024), ("lamp", 512), ("point", 512), ("sun", 512), ("spot", 512))
+        for light, spp in (("sky", 2048), ("lamp", 768), ("point", 512), ("sun", 512), ("spot", 512))
         for what, tangent in (("all values", all_values), ("one half", one_half))
         if (light, what) != ("lamp", "one half")
     ),
     *(
         Case(f"cubic, {light}", POSE, tangent, 0.01, what, 2, spp, 4 * spp)
-        for light, spp in (("sky", 1024), ("lamp", 512), ("point", 512))
+        for light, spp in (("sky", 2048), ("lamp", 768), ("point", 512))
         for what, tangent in (("x", entry(0, 3)), ("z", entry(2, 3)))
     ),
     *(
@@ -88,13 +88,13 @@ CASES = [
         for light in ("sky", "lamp")
         for what, tangent in (("rotation", ROTATION), ("shear", SHEAR))
     ),
-    Case("cubic, lamp", FLOOR, entry(2, 3), 0.01, "the floor moves", 2, 512, 2048),
-    Case("cubic, lamp", LAMP, moved_light, 0.01, "the lamp moves", 2, 512, 2048),
+    Case("cubic, lamp", FLOOR, entry(2, 3), 0.01, "the floor moves", 2, 1024, 3072),
+    Case("cubic, lamp", LAMP, moved_light, 0.01, "the lamp moves", 2, 1024, 3072),
     Case("cubic, point", "light.position", moved_light, 0.01, "the lamp moves", 2, 512, 2048),
-    Case("cubic, lamp", "sensor.to_world", entry(0, 3), 0.01, "the camera moves", 2, 512, 2048),
-    Case("bumpy cubic, lamp", GRID, all_values, 0.002, "all values", 2, 512, 2048),
-    Case("neck, lamp", GRID, all_values, STEP, "all values", 2, 512, 2048),
-    Case("neck, lamp", GRID, right_sphere, STEP, "one sphere", 2, 512, 2048),
+    Case("cubic, lamp", "sensor.to_world", entry(0, 3), 0.01, "the camera moves", 2, 1024, 3072),
+    Case("bumpy cubic, lamp", GRID, all_values, 0.002, "all values", 2, 1024, 3072),
+    Case("neck, lamp", GRID, all_values, STEP, "all values", 2, 2048, 4096),
+    Case("neck, lamp", GRID, right_sphere, STEP, "one sphere", 2, 2048, 4096),
     Case("cubic, wall", GRID, all_values, STEP, "all values", 4, 1024, 4096),
     Case("cubic, wall", WALL, entry(0, 3), 0.01, "the wall moves", 4, 1024, 4096),
 ]
