@@ -48,6 +48,9 @@ MIRROR_LIGHTS = PathConfig(
 #: Shapes without triangles beside those with.
 KINDS = (c.PRIMITIVE_SPHERE, c.PRIMITIVE_DISK, c.PRIMITIVE_CYLINDER)
 EXACT = PathConfig(**{**vars(SIMPLE), "uv": True, "tangent": True, "primitives": KINDS, "shining": KINDS})
+#: A sphere beside triangles, whose silhouettes rays move with.
+SPHERE = PathConfig(**{**vars(SIMPLE), "primitives": (c.PRIMITIVE_SPHERE,)})
+SPLINE = PathConfig(**{**vars(SIMPLE), "primitives": (c.PRIMITIVE_SDFGRID_CUBIC,)})
 EXACT_LIGHTS = PathConfig(**{**vars(ALL_LIGHTS), "primitives": (c.PRIMITIVE_SPHERE,)})
 DISTANCES = PathConfig(**{**vars(SIMPLE), "tangent": True, "primitives": (c.PRIMITIVE_SPHERE, c.PRIMITIVE_SDFGRID)})
 CUBIC = PathConfig(**{**vars(SIMPLE), "primitives": (c.PRIMITIVE_SDFGRID_CUBIC,)})

@@ -45,8 +45,10 @@ from tests.cuda_configs import (
     NOTED_MATERIALS,
     ORTHOGRAPHIC,
     ORTHOGRAPHIC_SMOOTH,
+    SPHERE,
     SPLAT,
     SPLAT_GAUSSIAN,
+    SPLINE,
     TEXTURED,
     THIN_LENS,
     THIN_LENS_SMOOTH,
@@ -54,6 +56,7 @@ from tests.cuda_configs import (
 )
 from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.boundary.guiding.projective import BLOCKED_LIGHT, SCATTERED
+from warp_psdr.kernels.boundary.signed_distance.warp_field import WarpOptions
 from warp_psdr.kernels.bsdf.motion import MOVED_BY
 from warp_psdr.kernels.interior.gradient_request import GradientRequest
 from warp_psdr.kernels.interior.shape_parameters import branched_values
@@ -78,6 +81,10 @@ MADE_BY = {
 
 def moving_camera(config):
     return wanted(config, camera=True)
+
+
+def moving_shapes(config):
+    return wanted(config, shapes=True)
 
 
 def moving(config):
@@ -321,6 +328,14 @@ FACTORIES = {
     "boundary.silhouette.tube_primary.make_primary_tube_kernel": [("curves", (CURVES, "reverse", True), SLOW)],
     "boundary.silhouette.tube_secondary.make_secondary_tube_kernel": [
         ("curves", (CURVES, "reverse", True, False), SLOW)
+    ],
+    "boundary.signed_distance.reparametrised.make_reparametrised_kernel": [
+        ("reverse", (SPHERE, moving_shapes(SPHERE), "reverse", WarpOptions()), SLOW),
+        ("forward, neural, grid", (SPLINE, moving_shapes(SPLINE), "forward", WarpOptions(neural=True)), SLOW),
+    ],
+    "boundary.signed_distance.film_border.make_film_border_kernel": [
+        ("reverse", (SPHERE, "reverse", WarpOptions()), SLOW),
+        ("forward, neural", (SPHERE, "forward", WarpOptions(neural=True)), SLOW),
     ],
     "boundary.silhouette.primary.make_primary_silhouette_kernel": [("reverse", (EXACT, "reverse", True), SLOW)],
     "boundary.silhouette.secondary.make_secondary_silhouette_kernel": [

@@ -1,5 +1,12 @@
 """The boundary term (survey eq. 12 second term, sections 2.1, 2.2 and 4): its methods, one object each."""
 
-from warp_psdr.options.boundary import EdgeSampling, Method, PathSpace, Projective
+from warp_psdr.options.boundary import (
+    EdgeSampling,
+    Method,
+    NeuralSignedDistance,
+    PathSpace,
+    Projective,
+    SignedDistance,
+)
 
-__all__ = ["EdgeSampling", "Method", "PathSpace", "Projective"]
+__all__ = ["EdgeSampling", "Method", "NeuralSignedDistance", "PathSpace", "Projective", "SignedDistance"]

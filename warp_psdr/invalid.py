@@ -58,6 +58,7 @@ KINDS = (
     "edge_sampling",
     "hard_shadows",
     "through_mirrors",
+    "film_border",
     "guiding",
     "light",
 )

@@ -58,6 +58,23 @@ def spread_density(camera: Camera, x: wp.float32) -> wp.float32:
 
 
 @functools.cache
+def make_spread_offset(kind: int):
+    """Return ``spread_offset(camera, u: vec4) -> vec2``: from a pixel's centre, by ``spread_density`` on both axes."""
+    sample_filter = make_filter(kind)
+
+    @wp.func
+    def spread_offset(camera: Camera, u: wp.vec4) -> wp.vec2:
+        by_filter = sample_filter(wp.vec2(u[0], u[1]), camera.filter_radius, camera.filter_stddev)
+        r = filter_extent(camera)
+        return wp.vec2(
+            wp.where(u[2] < 0.5, by_filter[0], r * (2.0 * u[0] - 1.0)),
+            wp.where(u[3] < 0.5, by_filter[1], r * (2.0 * u[1] - 1.0)),
+        )
+
+    return spread_offset
+
+
+@functools.cache
 def make_filter_slope(kind: int):
     """Return ``slope(camera, x) -> float32``: the derivative of ``filter_1d`` [1 / pixel^2]."""
 
@@ -84,23 +101,13 @@ def make_film_antithetic_kernel(
     camera_ray, camera_origin = make_camera_ray(config.camera)
     sweep, _finish, finish_vertex = make_sweep(config, wanted, role)
     accumulate_camera = make_camera_sink(role, config.camera) if wanted.camera else None
-    sample_filter = make_filter(config.filter)
+    spread_offset = make_spread_offset(config.filter)
     slope = make_filter_slope(config.filter)
     sample_4d = make_sampler(config.sampler).sample_4d
     sample_weight = make_sample_weight(role)
     sink = make_sink(role)
     forward = role == "forward"
     channels = 3 if forward else 1
-
-    @wp.func
-    def spread_offset(camera: Camera, u: wp.vec4) -> wp.vec2:
-        """Offset from a pixel's centre, with ``spread_density`` along each axis."""
-        by_filter = sample_filter(wp.vec2(u[0], u[1]), camera.filter_radius, camera.filter_stddev)
-        r = filter_extent(camera)
-        return wp.vec2(
-            wp.where(u[2] < 0.5, by_filter[0], r * (2.0 * u[0] - 1.0)),
-            wp.where(u[3] < 0.5, by_filter[1], r * (2.0 * u[1] - 1.0)),
-        )
 
     @wp.func
     def finish_point(

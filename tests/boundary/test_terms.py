@@ -23,11 +23,14 @@ def test_every_file_declares_a_term_that_is_in_the_list() -> None:
 
 
 def test_the_terms_of_a_method_have_random_numbers_of_their_own() -> None:
-    named = {psdr.boundary.EdgeSampling, psdr.boundary.PathSpace, psdr.boundary.Projective}
-    assert set(terms.TERMS) == named | {FilmEdges}
+    explicit = {psdr.boundary.EdgeSampling, psdr.boundary.PathSpace, psdr.boundary.Projective}
+    moving = {psdr.boundary.SignedDistance, psdr.boundary.NeuralSignedDistance}
+    assert set(terms.TERMS) == explicit | moving | {FilmEdges}
     assert [term.name for term in terms.TERMS[FilmEdges]] == ["primary"]
-    for found in (terms.TERMS[method] for method in named):
+    for found in (terms.TERMS[method] for method in explicit):
         assert len({term.stream for term in found}) == len(found) > 3
+    for method in moving:
+        assert terms.TERMS[method] == (terms.film_border.TERM,)
 
 
 def test_what_does_not_apply_is_not_looked_for() -> None:

@@ -32,7 +32,7 @@ class Method(ABC):  # noqa: B024
             TypeError: this is no method.
             ValueError: a sample count is not a positive integer.
         """
-        if type(self) in (Method, Connecting):
+        if type(self) in (Method, Connecting, Reparametrised):
             raise TypeError(f"boundary.{type(self).__name__} is what methods have in common; make one of them")
         for name in self._counts():
             value = getattr(self, name)
@@ -167,3 +167,59 @@ class Projective(Connecting):
         super().__post_init__()
         if isinstance(self.paths, bool) or not isinstance(self.paths, int) or self.paths < 1:
             raise ValueError(f"paths: got {self.paths!r}, expected a positive integer")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reparametrised(Method):
+    """What methods have in common whose rays move with silhouettes: no silhouette is sampled.
+
+    Interior and boundary term are one integral, with the samples of the interior. Only the borders of pixels, where a
+    filter jumps, have samples of their own, ``spp_primary``.
+
+    Attributes:
+        max_steps: steps of sphere tracing after which a ray's motion is decided. None: rays go on until they arrive or
+            leave. A limit is a bias: rays next to silhouettes take the most steps.
+        step_scale: share of the distance that a step takes, in (0, 1]. Fields that are steeper than a distance, by the
+            factor k, need 1 / k at most.
+    """
+
+    max_steps: int | None = None
+    step_scale: float = 1.0
+
+    def __post_init__(self) -> None:
+        """Validate once.
+
+        Raises:
+            ValueError: an option out of range.
+        """
+        super().__post_init__()
+        if self.spp_secondary is not None:
+            raise ValueError(
+                f"spp_secondary: got {self.spp_secondary!r}, expected None: {self.label}() samples no shadow edges; "
+                "its paths are those of the interior term, whose number is spp"
+            )
+        value = self.max_steps
+        if value is not None and (isinstance(value, bool) or not isinstance(value, int) or value < 1):
+            raise ValueError(f"max_steps: got {value!r}, expected a positive integer, or None")
+        scale = self.step_scale
+        if isinstance(scale, bool) or not isinstance(scale, (int, float)) or not 0.0 < scale <= 1.0:
+            raise ValueError(f"step_scale: got {scale!r}, expected a number in (0, 1]")
+
+
+@dataclass(frozen=True, kw_only=True)
+class SignedDistance(Reparametrised):
+    """Rays that move with the silhouettes of a signed distance function [VSJ22], each evaluated at one place.
+
+    Unbiased without ``max_steps``, for one exact sphere or one ``sdfgrid`` with cubic interpolation that moves or
+    changes, alone under a sky or with flat surfaces around it under a flat area light; direct light (``max_depth`` 1 or
+    2). What else moves, and discontinuities of other shapes within sight, are refused
+    (``warp_psdr/plan/reparametrised.py``).
+    """
+
+
+@dataclass(frozen=True, kw_only=True)
+class NeuralSignedDistance(Reparametrised):
+    """Rays that move with the silhouettes of a signed distance function, evaluated at every step [BGL*22].
+
+    Covers what ``SignedDistance`` covers. The paper's fields are networks; the weights serve any signed distance.
+    """

@@ -127,6 +127,14 @@ _METHODS = MethodTable(
             *("kernels/boundary/guiding/projective.py", "projective"),
         ),
         (
+            *("VSJ22", "Rays that move with silhouettes", "boundary.SignedDistance()", "boundary"),
+            *("kernels/boundary/signed_distance/reparametrised.py", "signed_distance"),
+        ),
+        (
+            *("BGL*22", "The same, with the weights of neural fields", "boundary.NeuralSignedDistance()", "boundary"),
+            *("kernels/boundary/signed_distance/march.py", "signed_distance"),
+        ),
+        (
             *("ZMY*20", "Grid of photons and importons", "guiding.Grid()", "guiding"),
             *("warp_psdr/estimate/guiding/grid.py", "grid"),
         ),

@@ -39,6 +39,7 @@ from warp_psdr.plan import media
 from warp_psdr.plan.attached import refused_by_attached
 from warp_psdr.plan.film_antithetic import refused_by_film_antithetic, refused_for_what_is_seen
 from warp_psdr.plan.light import refused_with_light_paths
+from warp_psdr.plan.reparametrised import WarpOptions, make_reparametrised
 from warp_psdr.plan.transfer import has_film_edges, refused_by_transfer, refused_in_scene, sphere_edges
 
 if TYPE_CHECKING:
@@ -70,6 +71,7 @@ class Kept:
         attached: what moves with a parameter; None: the method leaves no choice.
         mirrored: whether film points are mirrored.
         sees_edges: whether path vertices sample edges.
+        warp: of a boundary method whose rays move; None: they stay.
     """
 
     block: int
@@ -81,6 +83,7 @@ class Kept:
     attached: interior.Attached | None = None
     mirrored: bool = False
     sees_edges: bool = False
+    warp: WarpOptions | None = None
 
     @property
     def longest(self) -> int:
@@ -342,8 +345,7 @@ def _refused_by_antithetic(config: PathConfig, wanted: GradientRequest) -> str:
             f"{name} draws pairs for what turns the normals of glossy surfaces (normal and bump maps, vertex normals, "
             "what moves), and no parameter that is requested does. Use interior.Replay()"
         )
-    refused = _refused_in_path_order(name)(config, wanted)
-    if refused:
+    if refused := _refused_in_path_order(name)(config, wanted):
         return refused
     if has_null_lobes(config.bsdfs) and DELTA_LIGHTS & set(config.lights):
         return (
@@ -417,6 +419,7 @@ TABLE: dict[tuple[type[interior.Method], type[boundary.Method]], Row] = {
     (interior.Replay, boundary.Method): Row(
         label="record and sweep", keep=_keep_blocks, make=_make_replay, beside=_make_beside_motion
     ),
+    (interior.Replay, boundary.Reparametrised): Row(label="rays move", keep=_keep_blocks, make=make_reparametrised),
     (interior.Resampled, boundary.Method): Row(
         label="resampled branches, record and sweep",
         keep=_keep_candidates,

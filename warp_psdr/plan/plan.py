@@ -20,7 +20,7 @@ from warp_psdr.kernels.vertex import PathConfig
 from warp_psdr.options import interior
 from warp_psdr.options.boundary import Connecting, FilmEdges, Method, PathSpace
 from warp_psdr.options.integrator import PathIntegrator
-from warp_psdr.plan import guiding, media, primitives
+from warp_psdr.plan import guiding, media, primitives, reparametrised
 from warp_psdr.plan.coverage import choose, has_hard_frame, refuse_own_shape, slides_steps, sliding_heights
 from warp_psdr.plan.integrator import Integrator, integrator_of
 from warp_psdr.plan.interior import Kept, Row, row_of
@@ -218,6 +218,7 @@ def decide(
     if wanted is not None:
         row = row_of(integrator.interior, term)
         kept = row.keep(integrator.interior, integrator.max_depth, integrator.rr_depth)
+        kept = replace(kept, warp=reparametrised.compiled(term))
         reason = row.refuse(config, wanted) or row.refuse_in(integrator.interior, scene, names, sensor)
         if reason:
             raise ValueError(reason)
@@ -225,7 +226,7 @@ def decide(
         lines.append(("interior", f"{row.label}{block}", "; ".join(filter(None, (kept.reason, kept.bias)))))
     lines += told
     shapes = _shapes(scene, names) if config.media is None else None
-    if kept is not None and kept.block and shapes is not None:
+    if kept is not None and kept.block and kept.warp is None and shapes is not None:
         met = ", ".join(scene.description.shapes[i].path for i in sorted(shapes)[:NAMED])
         met += f" and {len(shapes) - NAMED} more" if len(shapes) > NAMED else ""
         lines.append(("swept", "paths that meet what is requested", met))
@@ -259,6 +260,7 @@ def _boundary(
     if integrator.boundary is None:
         return None, [("boundary term", "left out", "boundary=None was said, although " + "; ".join(moving))]
     term = choose(scene, config, integrator, names, moving)
+    reparametrised.refuse(scene, config, integrator, term, names, sensor)
     lines = [("boundary term", term.label, "; ".join(moving))]
     repeated = guiding.automatic(scene, motion(scene, names), sensor, integrator.max_depth)
     plain = not config.primitives and config.media is None
@@ -268,6 +270,7 @@ def _boundary(
         lines.append(("guiding", "none" if repeated.method is None else "by itself", repeated.said))
     if isinstance(term, Connecting) and term.guiding is not None:
         lines.append(("guiding", term.guiding.label, guiding.describe(scene, term.guiding)))
+    lines += reparametrised.describe(term)
     if config.media is not None:
         lines.append(
             ("boundary term", "in media: volume vertices ride as fractions of rays", "interfaces are no edges")

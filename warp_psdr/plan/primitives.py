@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from warp_psdr.kernels.bsdf.dispatch import has_delta_lobes
 from warp_psdr.kernels.constants import METERS
 from warp_psdr.options import interior
-from warp_psdr.options.boundary import Method, PathSpace
+from warp_psdr.options.boundary import Method, PathSpace, Reparametrised
 from warp_psdr.plan.motion import motion
 from warp_psdr.scene.curves import INSTEAD as TUBES
 from warp_psdr.scene.exact import EXACT, KINDS
@@ -160,7 +160,9 @@ def _beside_motion(scene: Scene, config: PathConfig, integrator: PathIntegrator,
 def _of_boundary(config: PathConfig, integrator: PathIntegrator) -> str:
     """Say why no boundary term is estimated beside shapes without triangles; empty: one is."""
     method = integrator.boundary
-    if isinstance(method, Method) and (type(method) is not PathSpace or method.guiding is not None):
+    if isinstance(method, Reparametrised):
+        pass  # it knows them alone (``plan/reparametrised.py``)
+    elif isinstance(method, Method) and (type(method) is not PathSpace or method.guiding is not None):
         return f"{method.label}() has no terms of it; use boundary.PathSpace() without guiding"
     if config.camera in METERS:
         return "what moves is not followed from a sensor of one pixel; use a camera"
@@ -192,6 +194,8 @@ def _beside_moving_grid(scene: Scene, config: PathConfig, integrator: PathIntegr
     reason = _of_boundary(config, integrator)
     if reason:
         return f"{reason}, or {ALONE}"
+    if isinstance(integrator.boundary, Reparametrised):
+        return ""  # ``plan/reparametrised.py`` says what it does
     shapes = scene.description.shapes
     exact = next((shapes[i].path for i in scene.builder.primitives if shapes[i].grid is None), None)
     if exact is not None:

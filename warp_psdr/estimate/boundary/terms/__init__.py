@@ -14,6 +14,7 @@ from warp_psdr.estimate.boundary.terms import (
     creases,
     creases_grid,
     edge_sampling,
+    film_border,
     flat_creases,
     foreground_cubic,
     foreground_grid,
@@ -40,7 +41,15 @@ from warp_psdr.estimate.boundary.terms import (
 from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term
 from warp_psdr.estimate.guiding import store
 from warp_psdr.kernels.constants import METERS
-from warp_psdr.options.boundary import EdgeSampling, FilmEdges, Method, PathSpace, Projective
+from warp_psdr.options.boundary import (
+    EdgeSampling,
+    FilmEdges,
+    Method,
+    NeuralSignedDistance,
+    PathSpace,
+    Projective,
+    SignedDistance,
+)
 from warp_psdr.plan import primitives
 from warp_psdr.plan.motion import motion
 
@@ -75,11 +84,12 @@ ALL: tuple[BoundaryTerm, ...] = (
     indirect_terminator.TERM,
     geometric_horizon.TERM,
     through_mirrors.TERM,
+    film_border.TERM,
 )
 #: What each method consists of.
 TERMS: dict[type[Method], tuple[BoundaryTerm, ...]] = {
     method: tuple(term for term in ALL if method in term.methods)
-    for method in (PathSpace, Projective, EdgeSampling, FilmEdges)
+    for method in (PathSpace, Projective, EdgeSampling, SignedDistance, NeuralSignedDistance, FilmEdges)
 }
 
 

@@ -1,0 +1,1 @@
+"""Reparameterised rays near the silhouettes of signed distance functions."""

@@ -1,0 +1,34 @@
+"""What rays that move with silhouettes carry across the borders of pixels."""
+
+from __future__ import annotations
+
+from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term, term_of
+from warp_psdr.kernels.boundary.signed_distance.film_border import make_film_border_kernel
+from warp_psdr.kernels.constants import RFILTER_BOX
+from warp_psdr.options.boundary import NeuralSignedDistance, SignedDistance
+from warp_psdr.plan.reparametrised import compiled
+
+
+def applies(r: Request) -> bool:
+    """Whether pixels, or the film, have a border at which a filter jumps."""
+    return bool(r.moves.shapes) and (r.camera.filter == RFILTER_BOX or not r.camera.sample_border)
+
+
+def launch(r: Request) -> Term:
+    """Return the term."""
+    options = compiled(r.method)
+    assert options is not None
+    kernel = make_film_border_kernel(r.config, r.role, options)
+    samples = r.pixels * (r.method.spp_primary or r.spp)
+    return term_of(r, TERM, kernel, [r.scene.data(), r.camera], samples)
+
+
+TERM = BoundaryTerm(
+    name="film_border",
+    title="borders of pixels",
+    stream=40,
+    methods=(SignedDistance, NeuralSignedDistance),
+    launch=launch,
+    applies=applies,
+    exact=True,
+)
