@@ -128,14 +128,6 @@ def test_parameters_and_updates() -> None:
         params.update()
 
 
-@pytest.mark.parametrize("name", ["body.control_points", "body.to_world", "sensor.to_world"])
-def test_what_moves_asks_for_the_interior_alone(name: str) -> None:
-    held = psdr.load_dict(described())
-    with pytest.raises(ValueError, match=r"'body' is a 'bsplinecurve', and .*PathIntegrator\(boundary=None\).*'mesh'"):
-        psdr.plan(held, names=[name])
-    psdr.plan(held, integrator=psdr.PathIntegrator(boundary=None), names=[name])
-
-
 def test_other_ways_are_refused() -> None:
     held = psdr.load_dict(described())
     with pytest.raises(ValueError, match=r"paths from the lights do not meet it; use interior.Replay\(\)"):
