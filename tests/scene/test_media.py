@@ -113,7 +113,7 @@ def test_numbers_colours_and_volumes():
         ({"phase": {"type": "tabphase", "values": [0.0, 0.0]}}, "all values are 0"),
         ({"phase": {"type": "rayleigh", "g": 0.5}}, "no parameter 'g'"),
         ({"phase": {"type": "hg"}, "other": {"type": "isotropic"}}, "2 phase plugins"),
-        ({"emission": 1.0}, "no parameter 'emission'"),
+        ({"phase": {"type": "hg", "emission": 1.0}}, "no parameter 'emission'"),
     ],
 )
 def test_what_is_wrong_is_named(medium, words):
