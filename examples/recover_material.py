@@ -24,7 +24,6 @@ import warp as wp
 
 import warp_psdr as psdr
 from warp_psdr import plots
-from warp_psdr.fit.report import psnr
 
 ROOT = Path(__file__).resolve().parents[1]
 INTEGRATOR = psdr.PathIntegrator(max_depth=2)
@@ -133,13 +132,11 @@ def main(folder: Path = ROOT / "out" / "material", *, resolution: int = 40, step
             print(f"step {step + 1}: loss {np.mean(losses[-40:]):.5f}", flush=True)
     found = photographs(PHOTO_SEED + 200)
     recovered = {name: params[name].numpy().copy() for name in RATES}
-    draw(folder, photos, before, found, sought, recovered)
+    draw(folder, sought, recovered)
     smooth = np.convolve(losses, np.ones(GIVEN) / GIVEN, mode="valid")
     plots.loss_curve(folder / "loss.png", {"mean over eight photographs": smooth}, title="loss", ylabel="Huber loss")
     report = {
-        "psnr of the given views, dB": [round(psnr(found[i], photos[i]), 2) for i in range(GIVEN)],
-        "psnr of the kept views, dB": [round(psnr(found[i], photos[i]), 2) for i in views[GIVEN:]],
-        "psnr of the kept views at the start, dB": [round(psnr(before[i], photos[i]), 2) for i in views[GIVEN:]],
+        **recovery.view_report(folder, photos, before, found, GIVEN),
         "mean absolute errors": {n: round(float(np.abs(recovered[n] - sought[n]).mean()), 3) for n in RATES},
         "steps": steps,
         "seconds": round(time.perf_counter() - began),
@@ -148,13 +145,8 @@ def main(folder: Path = ROOT / "out" / "material", *, resolution: int = 40, step
     return report
 
 
-def draw(folder: Path, photos, before, found, sought, recovered) -> None:
-    """Write the pictures."""
-    shown = (0, 3, GIVEN, GIVEN + 1)
-    rows = [images[i] for images in (photos, before, found) for i in shown]
-    titles = [f"photograph {i}" + (", not given" if i >= GIVEN else "") for i in shown] + ["start"] * len(shown)
-    titles += [f"recovered, {psnr(found[i], photos[i]):.1f} dB" for i in shown]
-    plots.side_by_side(folder / "result.png", rows, titles, columns=len(shown))
+def draw(folder: Path, sought, recovered) -> None:
+    """Write the picture of the textures and the sky."""
     names = {BASE: "base colour", ROUGHNESS: "roughness", METALLIC: "metalness", SKY: "sky"}
     images = [values[name] for values in (sought, recovered) for name in names]
     titles = [f"{what}, {which}" for which in ("truth", "recovered") for what in names.values()]

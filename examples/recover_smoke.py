@@ -28,7 +28,6 @@ import warp as wp
 
 import warp_psdr as psdr
 from warp_psdr import plots
-from warp_psdr.fit.report import psnr
 
 ROOT = Path(__file__).resolve().parents[1]
 INTEGRATOR = psdr.PathIntegrator(max_depth=6)
@@ -42,12 +41,12 @@ EPSILON = 0.05
 BOX = psdr.Transform.translate([-1.0, -1.0, -1.0]) @ psdr.Transform.scale(2.0)
 #: What Mitsuba takes for the derivative at the start; prints the largest of all voxels.
 MITSUBA = """
-import sys
+import json, sys
 import numpy as np
 import mitsuba as mi
 mi.set_variant("llvm_ad_rgb")
 import drjit as dr
-n, size, origin, photo = int(sys.argv[1]), int(sys.argv[2]), eval(sys.argv[3]), np.load(sys.argv[4])
+n, size, origin, photo = int(sys.argv[1]), int(sys.argv[2]), json.loads(sys.argv[3]), np.load(sys.argv[4])
 box = mi.ScalarTransform4f().translate([-1, -1, -1]).scale(2)
 grid = lambda c: {"type": "gridvolume", "grid": mi.VolumeGrid(np.zeros((n, n, n, c), np.float32)), "to_world": box}
 scene = mi.load_dict({
@@ -144,7 +143,15 @@ def derivative_at_zero(scene: psdr.Scene, photo: np.ndarray) -> float:
 def mitsubas_derivative_at_zero(folder: Path, n: int, resolution: int, photo: np.ndarray) -> float | str:
     """Return the same from Mitsuba's ``prbvolpath``, or why it says nothing."""
     np.save(folder / "photo.npy", photo)
-    command = [sys.executable, "-c", MITSUBA, str(n), str(resolution), str(origin_of(0)), str(folder / "photo.npy")]
+    command = [
+        sys.executable,
+        "-c",
+        MITSUBA,
+        str(n),
+        str(resolution),
+        json.dumps(origin_of(0)),
+        str(folder / "photo.npy"),
+    ]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     (folder / "photo.npy").unlink()
     return float(done.stdout) if done.returncode == 0 else f"does not run: {done.stderr.strip().splitlines()[-1]}"
@@ -192,16 +199,12 @@ def main(
         density, albedo = params[DENSITY].numpy().copy(), params[ALBEDO].numpy().copy()
         print(f"{size} voxels an axis: loss {np.mean(losses[-4 * GIVEN :]):.5f}", flush=True)
     found = photographs(scene, PHOTO_SEED + 200)
-    draw(folder, photos, before, found, sought, (density, albedo))
+    draw(folder, sought, (density, albedo))
     smooth = np.convolve(losses, np.ones(GIVEN) / GIVEN, mode="valid")
     curves = {"mean over eight photographs": smooth}
     plots.loss_curve(folder / "loss.png", curves, title="loss", ylabel="mean squared error")
     report = {
-        "psnr of the given views, dB": [round(psnr(found[i], photos[i]), 2) for i in range(GIVEN)],
-        "psnr of the kept views, dB": [round(psnr(found[i], photos[i]), 2) for i in range(GIVEN, GIVEN + KEPT)],
-        "psnr of the kept views at the start, dB": [
-            round(psnr(before[i], photos[i]), 2) for i in range(GIVEN, GIVEN + KEPT)
-        ],
+        **recovery.view_report(folder, photos, before, found, GIVEN),
         "largest derivative by a voxel at density 0": at_zero,
         "the same by Mitsuba's prbvolpath": theirs,
         "voxels": voxels,
@@ -212,13 +215,8 @@ def main(
     return report
 
 
-def draw(folder: Path, photos, before, found, sought, recovered) -> None:
-    """Write the pictures; the albedo where nothing is does not matter, and is shown black."""
-    shown = (0, 3, GIVEN, GIVEN + 1)
-    rows = [images[i] for images in (photos, before, found) for i in shown]
-    titles = [f"photograph {i}" + (", not given" if i >= GIVEN else "") for i in shown] + ["start"] * len(shown)
-    titles += [f"recovered, {psnr(found[i], photos[i]):.1f} dB" for i in shown]
-    plots.side_by_side(folder / "result.png", rows, titles, columns=len(shown))
+def draw(folder: Path, sought, recovered) -> None:
+    """Write the picture of slices; the albedo where nothing is does not matter, and is shown black."""
     images, titles = [], []
     for name, (density, albedo) in (("truth", sought), ("recovered", recovered)):
         for cut in (3, 5):

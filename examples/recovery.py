@@ -1,4 +1,4 @@
-"""What the examples that recover a shape or a pose share: their command line and the report they leave."""
+"""What the examples that recover a shape or a pose share: their command line and the reports they leave."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import numpy as np
 import warp as wp
 
 from warp_psdr import plots
+from warp_psdr.fit.report import psnr
 
 
 def run(
@@ -32,6 +33,32 @@ def run(
         for name, value in main(**options).items():
             print(f"{name}: {value}")
     print(f"pictures in {main.__defaults__[0]}")
+
+
+def view_report(folder: Path, photos: list, before: list, found: list, given: int) -> dict:
+    """Draw four photographs beside the start and what was recovered, and compare all of them.
+
+    Args:
+        folder: gets ``result.png``.
+        photos: photographs (H, W, 3), those first that were given, then two or more that were kept.
+        before: the same views at the start.
+        found: the same of what was recovered.
+        given: how many were given.
+
+    Returns:
+        Lines of a report.
+    """
+    shown = (0, 3, given, given + 1)
+    rows = [images[i] for images in (photos, before, found) for i in shown]
+    titles = [f"photograph {i}" + (", not given" if i >= given else "") for i in shown] + ["start"] * len(shown)
+    titles += [f"recovered, {psnr(found[i], photos[i]):.1f} dB" for i in shown]
+    plots.side_by_side(folder / "result.png", rows, titles, columns=len(shown))
+    kept = range(given, len(photos))
+    return {
+        "psnr of the given views, dB": [round(psnr(found[i], photos[i]), 2) for i in range(given)],
+        "psnr of the kept views, dB": [round(psnr(found[i], photos[i]), 2) for i in kept],
+        "psnr of the kept views at the start, dB": [round(psnr(before[i], photos[i]), 2) for i in kept],
+    }
 
 
 def pose_report(folder: Path, history: list[tuple[float, float]], began: float) -> dict:
