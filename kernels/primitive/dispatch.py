@@ -36,15 +36,14 @@ from warp_psdr.kernels.primitive.kinds import (
     make_kinds_sink,
     make_kinds_surface,
 )
-from warp_psdr.kernels.primitive.sdfgrid import sdfgrid_hit, unpack
+from warp_psdr.kernels.primitive.sdfgrid import unpack
 from warp_psdr.kernels.primitive.sdfgrid_adjoint import make_sdfgrid_sink
-from warp_psdr.kernels.primitive.sdfgrid_cubic import sdfgrid_cubic_hit
 from warp_psdr.kernels.primitive.sdfgrid_cubic_surface import (
-    make_sdfgrid_cubic_sink,
     make_sdfgrid_cubic_surface,
     sdfgrid_cubic_normal,
 )
 from warp_psdr.kernels.primitive.sdfgrid_surface import make_sdfgrid_surface, sdfgrid_normal
+from warp_psdr.kernels.primitive.sdfgrid_walk import make_sdfgrid_hit
 from warp_psdr.kernels.reading import triangle_at
 from warp_psdr.kernels.step import step_off_triangle
 from warp_psdr.kernels.structs import Scene, Triangle
@@ -103,8 +102,8 @@ def make_hit(primitives: tuple[int, ...], shadow: bool = False):
         shadow: whether there is a hit is all that counts.
     """
     hit_of_affine = make_kinds_hit(affine_kinds(primitives))
-    has_grids = PRIMITIVE_SDFGRID in primitives
-    has_cubic = PRIMITIVE_SDFGRID_CUBIC in primitives
+    hit_of_grid = make_sdfgrid_hit(False) if PRIMITIVE_SDFGRID in primitives else None
+    hit_of_cubic = make_sdfgrid_hit(True) if PRIMITIVE_SDFGRID_CUBIC in primitives else None
     hit_of_linear = make_curve_hit(False, shadow) if PRIMITIVE_LINEARCURVE in primitives else None
     hit_of_bspline = make_curve_hit(True, shadow) if PRIMITIVE_BSPLINECURVE in primitives else None
 
@@ -116,12 +115,12 @@ def make_hit(primitives: tuple[int, ...], shadow: bool = False):
         if wp.static(hit_of_bspline is not None):
             if is_bspline(tri):
                 return hit_of_bspline(scene, tri, o, d, t_max)
-        if wp.static(has_cubic):
+        if wp.static(hit_of_cubic is not None):
             if is_cubic(tri):
-                return sdfgrid_cubic_hit(scene, tri, o, d, t_max)
-        if wp.static(has_grids):
+                return hit_of_cubic(scene, tri, o, d, t_max)
+        if wp.static(hit_of_grid is not None):
             if wp.static(hit_of_affine is None) or is_grid(tri):
-                return sdfgrid_hit(scene, tri, o, d, t_max)
+                return hit_of_grid(scene, tri, o, d, t_max)
         if wp.static(hit_of_affine is not None):
             return hit_of_affine(tri, o, d, t_max)
         return RayHit()
@@ -334,7 +333,7 @@ def make_adjoint_sink(
         return of_triangle
     of_affine = make_kinds_sink(affine_kinds(primitives), role, uv or tangent, tangent, rays)
     of_grid = make_sdfgrid_sink(role) if PRIMITIVE_SDFGRID in primitives else None
-    of_cubic = make_sdfgrid_cubic_sink(role) if PRIMITIVE_SDFGRID_CUBIC in primitives else None
+    of_cubic = make_sdfgrid_sink(role, True) if PRIMITIVE_SDFGRID_CUBIC in primitives else None
     of_linear = make_curve_sink(role, False, uv, tangent) if PRIMITIVE_LINEARCURVE in primitives else None
     of_bspline = make_curve_sink(role, True, uv, tangent) if PRIMITIVE_BSPLINECURVE in primitives else None
 

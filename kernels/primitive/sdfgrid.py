@@ -11,16 +11,12 @@ Derivation: ``docs/theory/implicit.md#grids``.
 
 import warp as wp
 
-from warp_psdr.kernels.bvh.wide import RayHit
-from warp_psdr.kernels.primitive.affine import from_axes
 from warp_psdr.kernels.reading import load_float
 from warp_psdr.kernels.structs import Scene, Triangle
 
 #: Values between the first one of the pose and the grid: 16 of the pose, the nodes along x, y and z, and whether the
 #: shading normals are smooth.
 HEADER = 20
-#: Components of directions below which a ray does not cross voxels along an axis, voxels a unit of the ray.
-STILL = 1.0e-20
 #: Most steps of a root between its bounds: bisection alone reaches the last bit in fewer.
 ITERATIONS = 48
 #: Steps of the fixed-point coordinates in [0, 1]; those of z are two.
@@ -199,91 +195,3 @@ def unpack(u: wp.float32, v: wp.float32) -> wp.vec3:
         (wp.float32(b & wp.uint32(2097151)) + 0.5) * wp.static(1.0 / STEPS),
         (wp.float32(low | (high << wp.uint32(10))) + 0.5) * wp.static(2.0 / STEPS),
     )
-
-
-@wp.func
-def reciprocal(x: wp.float32) -> wp.float32:
-    """1 / x, of a finite number of its sign where x is next to 0."""
-    return 1.0 / wp.where(wp.abs(x) < wp.static(STILL), wp.where(x < 0.0, -wp.static(STILL), wp.static(STILL)), x)
-
-
-@wp.func
-def reach_of(scene: Scene, g: Grid, i: wp.int32, j: wp.int32, k: wp.int32) -> wp.int32:
-    return wp.int32(load_float(scene.values, g.reach + (k * (g.ny - 1) + j) * (g.nx - 1) + i))
-
-
-@wp.func
-def next_voxel(i: wp.int32, forward: wp.int32, more: wp.int32, x: wp.float32, crossed: wp.bool) -> wp.int32:
-    """The index behind a block of ``more`` voxels around the ``i``-th, left at x, whether or not through this axis."""
-    if crossed:
-        return wp.where(forward == 1, i + 1 + more, i - 1 - more)
-    return wp.where(forward == 1, wp.clamp(wp.int32(x), i, i + more), wp.clamp(wp.int32(x), i - more, i))
-
-
-@wp.func
-def sdfgrid_hit(scene: Scene, tri: Triangle, o: wp.vec3, d: wp.vec3, t_max: wp.float32) -> RayHit:
-    """The first point of a ray on the surface, 0 <= t < t_max; ``face`` is -1 if there is none.
-
-    The ray goes from voxel to voxel, over all at once that its reach says are empty. It carries the sign that phi has
-    where it starts, or enters the box, and a voxel is asked where that sign ends, not whether its own two ends differ:
-    no crossing is lost between two voxels. Each step moves on along one axis, and none moves back along any, so there
-    are fewer steps than nodes along the three axes.
-    """
-    hit = RayHit()
-    hit.t = t_max
-    hit.face = -1
-    g = grid_of(scene, tri)
-    start = wp.cw_mul(g.cells, from_axes(tri, o - tri.normal))
-    w = wp.cw_mul(g.cells, from_axes(tri, d))
-    inverse = wp.vec3(reciprocal(w[0]), reciprocal(w[1]), reciprocal(w[2]))
-    a = wp.cw_mul(-start, inverse)
-    b = wp.cw_mul(g.cells - start, inverse)
-    near = wp.max(wp.max(wp.min(a, b)), 0.0)
-    end = wp.min(wp.min(wp.max(a, b)), t_max) - near
-    if not (end > 0.0):
-        return hit
-    # From here distances are counted from where the ray enters the box.
-    p = wp.max(wp.min(start + near * w, g.cells), wp.vec3(0.0, 0.0, 0.0))
-    i = wp.clamp(wp.int32(p[0]), 0, g.nx - 2)
-    j = wp.clamp(wp.int32(p[1]), 0, g.ny - 2)
-    k = wp.clamp(wp.int32(p[2]), 0, g.nz - 2)
-    si = wp.where(inverse[0] > 0.0, 1, 0)
-    sj = wp.where(inverse[1] > 0.0, 1, 0)
-    sk = wp.where(inverse[2] > 0.0, 1, 0)
-    reach = reach_of(scene, g, i, j, k)
-    # A voxel that the surface does not pass has one sign.
-    inside = load_float(scene.values, g.first + (k * g.ny + j) * g.nx + i) < 0.0
-    if reach == 0:
-        cell = wp.vec3(wp.float32(i), wp.float32(j), wp.float32(k))
-        inside = value_and_gradient(voxel_at(scene, g, i, j, k), p - cell)[3] < 0.0
-    s = wp.float32(0.0)
-    while s < end and i >= 0 and j >= 0 and k >= 0 and i < g.nx - 1 and j < g.ny - 1 and k < g.nz - 1:
-        reach = reach_of(scene, g, i, j, k)
-        # Voxels besides this one, to every side, that are passed at once.
-        more = wp.max(reach - 1, 0)
-        tx = (wp.float32(wp.where(si == 1, i + 1 + more, i - more)) - p[0]) * inverse[0]
-        ty = (wp.float32(wp.where(sj == 1, j + 1 + more, j - more)) - p[1]) * inverse[1]
-        tz = (wp.float32(wp.where(sk == 1, k + 1 + more, k - more)) - p[2]) * inverse[2]
-        out = wp.max(wp.min(wp.min(tx, ty), wp.min(tz, end)), s)
-        if reach == 0:
-            voxel = voxel_at(scene, g, i, j, k)
-            cell = wp.vec3(wp.float32(i), wp.float32(j), wp.float32(k))
-            x = p + s * w - cell
-            way = (out - s) * w
-            root = first_root(cubic_along(voxel, x, way), inside)
-            if root >= 0.0:
-                t = near + s + root * (out - s)
-                if t < t_max:
-                    q = pack(wp.cw_div(cell + x + root * way, g.cells))
-                    hit.t = t
-                    hit.u = q[0]
-                    hit.v = q[1]
-                    hit.face = 0
-                return hit
-        s = out
-        along_x = tx <= ty and tx <= tz
-        along_y = not along_x and ty <= tz
-        i = next_voxel(i, si, more, p[0] + s * w[0], along_x)
-        j = next_voxel(j, sj, more, p[1] + s * w[1], along_y)
-        k = next_voxel(k, sk, more, p[2] + s * w[2], not along_x and not along_y)
-    return hit

@@ -21,6 +21,8 @@ import warp as wp
 
 from warp_psdr.kernels.primitive.affine import cofactor, determinant, make_pose_sink, to_axes
 from warp_psdr.kernels.primitive.sdfgrid import Grid, Voxel, grid_of
+from warp_psdr.kernels.primitive.sdfgrid_cubic import spline_hessian
+from warp_psdr.kernels.primitive.sdfgrid_cubic_surface import make_spline_sink, spline_point
 from warp_psdr.kernels.primitive.sdfgrid_surface import (
     blend,
     held_point,
@@ -248,14 +250,16 @@ def make_smooth_sink(role: str):
 
 
 @functools.cache
-def make_sdfgrid_sink(role: str):
+def make_sdfgrid_sink(role: str, cubic: bool = False):
     """Return ``accumulate(scene, target, tri, u, v, adjoint, by_ray, o, d) -> RayAdjoint``, as ``make_vertex_sink``'s.
 
     ``by_ray``: of the vertex that the ray (o, d) finds; otherwise the adjoint is that of c, and has a place alone.
+    ``cubic``: of a smooth grid, whose normal is the gradient's, and turns with the place by the Hessian.
     """
     accumulate_pose = make_pose_sink(role)
-    accumulate_voxel = make_voxel_sink(role)
-    accumulate_smooth = make_smooth_sink(role)
+    point_at = spline_point if cubic else held_point
+    accumulate_field = make_spline_sink(role) if cubic else make_voxel_sink(role)
+    accumulate_smooth = None if cubic else make_smooth_sink(role)
 
     @wp.func
     def sdfgrid_sink(
@@ -272,7 +276,7 @@ def make_sdfgrid_sink(role: str):
         result = RayAdjoint()
         total = wp.float32(0.0)
         g = grid_of(scene, tri)
-        at = held_point(scene, g, u, v)
+        at = point_at(scene, g, u, v)
         x = at.p - voxel_corner(at.i, at.j, at.k)
         q = wp.cw_div(at.p, g.cells)
         det = determinant(tri)
@@ -281,7 +285,7 @@ def make_sdfgrid_sink(role: str):
         zero = wp.vec3(0.0, 0.0, 0.0)
         if not by_ray:
             away = wp.dot(adjoint.x, across) / wp.max(wp.dot(across, across), 1.0e-30)
-            total += accumulate_voxel(target, g, at.i, at.j, at.k, x, -away, zero)
+            total += accumulate_field(target, g, at.i, at.j, at.k, x, -away, zero)
             pull = adjoint.x
             total += accumulate_pose(target, tri, q[0] * pull, q[1] * pull, q[2] * pull, pull)
             result.dot = total
@@ -295,11 +299,12 @@ def make_sdfgrid_sink(role: str):
         if wp.dot(adjoint.n, adjoint.n) > 0.0:
             m = slope
             is_smooth = wp.bool(False)
-            if g.smooth == 1:
-                interpolated = smooth_gradient(scene, g, at.p, at.i, at.j, at.k)
-                if wp.dot(interpolated, interpolated) > 0.0:
-                    m = interpolated
-                    is_smooth = True
+            if wp.static(accumulate_smooth is not None):
+                if g.smooth == 1:
+                    interpolated = smooth_gradient(scene, g, at.p, at.i, at.j, at.k)
+                    if wp.dot(interpolated, interpolated) > 0.0:
+                        m = interpolated
+                        is_smooth = True
             c = cofactor(tri, m)
             length = wp.length(c)
             a_c = normalize_vjp((1.0 / wp.where(length > 0.0, length, 1.0)) * c, length, wp.float32(tri.i2) * adjoint.n)
@@ -312,13 +317,17 @@ def make_sdfgrid_sink(role: str):
                 wp.dot(a_c, wp.cross(tri.p0, tri.p1)),
             )
             a_p = wp.vec3(0.0, 0.0, 0.0)
-            if is_smooth:
-                moved, dot = accumulate_smooth(scene, target, g, at.p, at.i, at.j, at.k, a_m)
-                a_p = moved
-                total += dot
-            else:
+            if wp.static(accumulate_smooth is not None):
+                if is_smooth:
+                    moved, dot = accumulate_smooth(scene, target, g, at.p, at.i, at.j, at.k, a_m)
+                    a_p = moved
+                    total += dot
+            if not is_smooth:
                 a_gradient = wp.cw_mul(g.cells, a_m)
-                a_p = bend_of(mixed_differences(at.voxel, x), a_gradient)
+                if wp.static(cubic):
+                    a_p = spline_hessian(scene, g, at.i, at.j, at.k, x) * a_gradient
+                else:
+                    a_p = bend_of(mixed_differences(at.voxel, x), a_gradient)
             # q = A^-1 (x - b).
             h = (1.0 / det) * cofactor(tri, wp.cw_mul(g.cells, a_p))
         # ---- The place, which slides along the ray ----
@@ -326,7 +335,7 @@ def make_sdfgrid_sink(role: str):
         facing = wp.dot(across, d)
         share = wp.dot(a_x, d) / wp.where(facing == 0.0, 1.0, facing)
         pulled = share * across - h
-        total += accumulate_voxel(target, g, at.i, at.j, at.k, x, -share, a_gradient)
+        total += accumulate_field(target, g, at.i, at.j, at.k, x, -share, a_gradient)
         total += accumulate_pose(target, tri, g0 + q[0] * pulled, g1 + q[1] * pulled, g2 + q[2] * pulled, pulled)
         k = a_x - share * across
         t = wp.dot(tri.normal + to_axes(tri, q) - o, d) / wp.dot(d, d)

@@ -10,11 +10,9 @@ Derivation: ``docs/theory/implicit.md#cubic-grids``.
 
 import warp as wp
 
-from warp_psdr.kernels.bvh.wide import RayHit
-from warp_psdr.kernels.primitive.affine import from_axes
-from warp_psdr.kernels.primitive.sdfgrid import ITERATIONS, Grid, grid_of, next_voxel, pack, reach_of, reciprocal
+from warp_psdr.kernels.primitive.sdfgrid import ITERATIONS, Grid
 from warp_psdr.kernels.reading import load_float
-from warp_psdr.kernels.structs import Scene, Triangle
+from warp_psdr.kernels.structs import Scene
 
 #: Degree of phi along a ray in a voxel.
 DEGREE = wp.constant(9)
@@ -285,68 +283,3 @@ def first_crossing(p: BERNSTEIN, size: wp.float32, inside: wp.bool) -> wp.float3
             if level == 0:
                 level = -1
     return -1.0
-
-
-@wp.func
-def sdfgrid_cubic_hit(scene: Scene, tri: Triangle, o: wp.vec3, d: wp.vec3, t_max: wp.float32) -> RayHit:
-    """The first point of a ray on the surface, found as by ``sdfgrid_hit``: voxel by voxel, with a carried sign."""
-    hit = RayHit()
-    hit.t = t_max
-    hit.face = -1
-    g = grid_of(scene, tri)
-    start = wp.cw_mul(g.cells, from_axes(tri, o - tri.normal))
-    w = wp.cw_mul(g.cells, from_axes(tri, d))
-    inverse = wp.vec3(reciprocal(w[0]), reciprocal(w[1]), reciprocal(w[2]))
-    a = wp.cw_mul(-start, inverse)
-    b = wp.cw_mul(g.cells - start, inverse)
-    near = wp.max(wp.max(wp.min(a, b)), 0.0)
-    end = wp.min(wp.min(wp.max(a, b)), t_max) - near
-    if not (end > 0.0):
-        return hit
-    p = wp.max(wp.min(start + near * w, g.cells), wp.vec3(0.0, 0.0, 0.0))
-    i = wp.clamp(wp.int32(p[0]), 0, g.nx - 2)
-    j = wp.clamp(wp.int32(p[1]), 0, g.ny - 2)
-    k = wp.clamp(wp.int32(p[2]), 0, g.nz - 2)
-    si = wp.where(inverse[0] > 0.0, 1, 0)
-    sj = wp.where(inverse[1] > 0.0, 1, 0)
-    sk = wp.where(inverse[2] > 0.0, 1, 0)
-    reach = reach_of(scene, g, i, j, k)
-    inside = wp.bool(False)
-    if reach > 0:
-        cell = wp.vec3(wp.float32(i), wp.float32(j), wp.float32(k))
-        inside = spline_field(scene, g, i, j, k, p - cell)[3] < 0.0
-    starts = reach == 0
-    s = wp.float32(0.0)
-    while s < end and i >= 0 and j >= 0 and k >= 0 and i < g.nx - 1 and j < g.ny - 1 and k < g.nz - 1:
-        reach = reach_of(scene, g, i, j, k)
-        more = wp.max(reach - 1, 0)
-        tx = (wp.float32(wp.where(si == 1, i + 1 + more, i - more)) - p[0]) * inverse[0]
-        ty = (wp.float32(wp.where(sj == 1, j + 1 + more, j - more)) - p[1]) * inverse[1]
-        tz = (wp.float32(wp.where(sk == 1, k + 1 + more, k - more)) - p[2]) * inverse[2]
-        out = wp.max(wp.min(wp.min(tx, ty), wp.min(tz, end)), s)
-        if reach == 0:
-            cell = wp.vec3(wp.float32(i), wp.float32(j), wp.float32(k))
-            x = p + s * w - cell
-            way = (out - s) * w
-            along, size = spline_along(scene, g, i, j, k, x, way)
-            if starts:
-                # By the same arithmetic as what follows.
-                inside = along[0] < 0.0
-                starts = False
-            root = first_crossing(along, size, inside)
-            if root >= 0.0:
-                t = near + s + root * (out - s)
-                if t < t_max:
-                    q = pack(wp.cw_div(cell + x + root * way, g.cells))
-                    hit.t = t
-                    hit.u = q[0]
-                    hit.v = q[1]
-                    hit.face = 0
-                return hit
-        s = out
-        along_x = tx <= ty and tx <= tz
-        along_y = not along_x and ty <= tz
-        i = next_voxel(i, si, more, p[0] + s * w[0], along_x)
-        j = next_voxel(j, sj, more, p[1] + s * w[1], along_y)
-        k = next_voxel(k, sk, more, p[2] + s * w[2], not along_x and not along_y)
-    return hit

@@ -1,4 +1,4 @@
-"""The point of a smooth grid of signed distances that a vertex holds, its normal, and where their adjoints go.
+"""The point of a smooth grid of signed distances that a vertex holds, its normal, and where adjoints of phi go.
 
 A vertex slides along the ray that found it, and a ray that leaves is tied to the surface, as on other grids (form S,
 ``sdfgrid_adjoint.py``); the normal is the gradient's alone, and turns with the place by the Hessian.
@@ -11,13 +11,13 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.math import any_tangent
-from warp_psdr.kernels.primitive.affine import cofactor, determinant, from_axes, make_pose_sink, to_axes
+from warp_psdr.kernels.primitive.affine import cofactor, from_axes, to_axes
 from warp_psdr.kernels.primitive.sdfgrid import Grid, grid_of, unpack
-from warp_psdr.kernels.primitive.sdfgrid_cubic import spline_field, spline_hessian, spline_rates, spline_weights
+from warp_psdr.kernels.primitive.sdfgrid_cubic import spline_field, spline_rates, spline_weights
 from warp_psdr.kernels.primitive.sdfgrid_surface import NEAREST, voxel_corner
 from warp_psdr.kernels.sink import make_sink
 from warp_psdr.kernels.structs import Scene, Triangle
-from warp_psdr.kernels.surface import RayAdjoint, Surface, VertexAdjoint, normalize_vjp
+from warp_psdr.kernels.surface import Surface
 
 
 @wp.struct
@@ -127,80 +127,3 @@ def make_spline_sink(role: str):
         return total
 
     return accumulate_spline
-
-
-@functools.cache
-def make_sdfgrid_cubic_sink(role: str):
-    """Return ``accumulate(scene, target, tri, u, v, adjoint, by_ray, o, d) -> RayAdjoint``, as ``make_vertex_sink``'s.
-
-    ``by_ray``: of the vertex that the ray (o, d) finds; otherwise the adjoint is that of c, and has a place alone.
-    """
-    accumulate_pose = make_pose_sink(role)
-    accumulate_spline = make_spline_sink(role)
-
-    @wp.func
-    def sdfgrid_cubic_sink(
-        scene: Scene,
-        target: wp.array(dtype=wp.float32),
-        tri: Triangle,
-        u: wp.float32,
-        v: wp.float32,
-        adjoint: VertexAdjoint,
-        by_ray: wp.bool,
-        o: wp.vec3,
-        d: wp.vec3,
-    ) -> RayAdjoint:
-        result = RayAdjoint()
-        total = wp.float32(0.0)
-        g = grid_of(scene, tri)
-        at = spline_point(scene, g, u, v)
-        x = at.p - voxel_corner(at.i, at.j, at.k)
-        q = wp.cw_div(at.p, g.cells)
-        det = determinant(tri)
-        m = wp.cw_mul(g.cells, at.gradient)
-        across = (1.0 / det) * cofactor(tri, m)  # grad Phi
-        zero = wp.vec3(0.0, 0.0, 0.0)
-        if not by_ray:
-            away = wp.dot(adjoint.x, across) / wp.max(wp.dot(across, across), 1.0e-30)
-            total += accumulate_spline(target, g, at.i, at.j, at.k, x, -away, zero)
-            pull = adjoint.x
-            total += accumulate_pose(target, tri, q[0] * pull, q[1] * pull, q[2] * pull, pull)
-            result.dot = total
-            return result
-        a_gradient = wp.vec3(0.0, 0.0, 0.0)
-        g0 = wp.vec3(0.0, 0.0, 0.0)
-        g1 = wp.vec3(0.0, 0.0, 0.0)
-        g2 = wp.vec3(0.0, 0.0, 0.0)
-        h = wp.vec3(0.0, 0.0, 0.0)
-        # ---- The normal, cof(A) m over its length ----
-        if wp.dot(adjoint.n, adjoint.n) > 0.0:
-            c = cofactor(tri, m)
-            length = wp.length(c)
-            a_c = normalize_vjp((1.0 / wp.where(length > 0.0, length, 1.0)) * c, length, wp.float32(tri.i2) * adjoint.n)
-            g0 = wp.cross(m[2] * tri.p1 - m[1] * tri.p2, a_c)
-            g1 = wp.cross(m[0] * tri.p2 - m[2] * tri.p0, a_c)
-            g2 = wp.cross(m[1] * tri.p0 - m[0] * tri.p1, a_c)
-            a_m = wp.vec3(
-                wp.dot(a_c, wp.cross(tri.p1, tri.p2)),
-                wp.dot(a_c, wp.cross(tri.p2, tri.p0)),
-                wp.dot(a_c, wp.cross(tri.p0, tri.p1)),
-            )
-            a_gradient = wp.cw_mul(g.cells, a_m)
-            a_p = spline_hessian(scene, g, at.i, at.j, at.k, x) * a_gradient
-            # q = A^-1 (x - b).
-            h = (1.0 / det) * cofactor(tri, wp.cw_mul(g.cells, a_p))
-        # ---- The place, which slides along the ray ----
-        a_x = adjoint.x + h
-        facing = wp.dot(across, d)
-        share = wp.dot(a_x, d) / wp.where(facing == 0.0, 1.0, facing)
-        pulled = share * across - h
-        total += accumulate_spline(target, g, at.i, at.j, at.k, x, -share, a_gradient)
-        total += accumulate_pose(target, tri, g0 + q[0] * pulled, g1 + q[1] * pulled, g2 + q[2] * pulled, pulled)
-        pushed = a_x - share * across
-        t = wp.dot(tri.normal + to_axes(tri, q) - o, d) / wp.dot(d, d)
-        result.o = pushed
-        result.d = t * pushed
-        result.dot = total
-        return result
-
-    return sdfgrid_cubic_sink

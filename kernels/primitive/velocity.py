@@ -24,7 +24,6 @@ from warp_psdr.kernels.primitive.curves_adjoint import make_curve_sink
 from warp_psdr.kernels.primitive.dispatch import is_bspline, is_cubic, is_grid, is_linear
 from warp_psdr.kernels.primitive.kinds import KINDS, affine_kinds, join
 from warp_psdr.kernels.primitive.sdfgrid_adjoint import make_sdfgrid_sink
-from warp_psdr.kernels.primitive.sdfgrid_cubic_surface import make_sdfgrid_cubic_sink
 from warp_psdr.kernels.reading import triangle_at
 from warp_psdr.kernels.structs import Scene, Triangle
 from warp_psdr.kernels.surface import VertexAdjoint
@@ -170,7 +169,7 @@ def make_velocity(smooth: bool, flat: bool, uv: bool, tangent: bool, primitives:
     if PRIMITIVE_SDFGRID in primitives:
         of_grid = make_sliding_jvp(make_sdfgrid_sink("forward"), False, False)
     if PRIMITIVE_SDFGRID_CUBIC in primitives:
-        of_cubic = make_sliding_jvp(make_sdfgrid_cubic_sink("forward"), False, False)
+        of_cubic = make_sliding_jvp(make_sdfgrid_sink("forward", True), False, False)
     if PRIMITIVE_LINEARCURVE in primitives:
         of_linear = make_sliding_jvp(make_curve_sink("forward", False, uv, tangent), uv, tangent)
     if PRIMITIVE_BSPLINECURVE in primitives:

@@ -1,19 +1,22 @@
 """Rays through grids of signed distances against float64: none passes the surface, and points are on it."""
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 import warp as wp
 
 import warp_psdr as psdr
-from warp_psdr.kernels.constants import PRIMITIVE_SDFGRID
+from warp_psdr.kernels.constants import PRIMITIVE_SDFGRID, PRIMITIVE_SDFGRID_CUBIC
 from warp_psdr.kernels.primitive.dispatch import make_hit, make_surface_at
 from warp_psdr.kernels.primitive.sdfgrid import pack, unpack
 from warp_psdr.kernels.reading import triangle_at
 from warp_psdr.kernels.structs import Scene
 from warp_psdr.scene.exact import held_points
 
-HIT = make_hit((PRIMITIVE_SDFGRID,))
-SURFACE = make_surface_at(False, True, False, False, (PRIMITIVE_SDFGRID,))
+KINDS = (PRIMITIVE_SDFGRID, PRIMITIVE_SDFGRID_CUBIC)
+HIT = make_hit(KINDS)
+SURFACE = make_surface_at(False, True, False, False, KINDS)
 #: Rounding of points of the unit cube, and of distances along rays.
 ROUNDING = 1e-6
 
@@ -87,11 +90,9 @@ def rough_grid(rng: np.random.Generator) -> np.ndarray:
     return (smooth + 0.02 * rng.standard_normal(smooth.shape)).astype(np.float32)
 
 
-@pytest.mark.parametrize("count", [4000, pytest.param(100_000, marks=pytest.mark.slow)])
-def test_no_ray_passes_the_surface(count: int) -> None:
-    rng = np.random.default_rng(count)
-    grid = rough_grid(rng)
-    body = {"type": "sdfgrid", "grid": grid}
+def check_rays(body: dict, rng: np.random.Generator, count: int, field: Callable[..., np.ndarray]) -> None:
+    """Rays against samples of ``field(grid, points)``, float64: none passes the surface, and points are on it."""
+    grid = body["grid"]
     held = psdr.load_dict(
         {"type": "scene", "sensor": {"type": "perspective"}, "sky": {"type": "constant"}, "body": body}
     )
@@ -107,19 +108,25 @@ def test_no_ray_passes_the_surface(count: int) -> None:
         part = slice(start, start + 2000)
         a, b, row = o[part].astype(np.float64), d[part].astype(np.float64), found[part]
         t, meets = samples(grid.shape, a, b)
-        phi = interpolated(exact, a[:, None] + t[..., None] * b[:, None])
+        phi = field(exact, a[:, None] + t[..., None] * b[:, None])
         hit = row[:, 0] >= 0.0
         ends = np.where(hit, row[:, 0], np.inf)[:, None] - ROUNDING * (1.0 + np.abs(a).max(axis=1))[:, None]
         # In front of the hit, and everywhere on rays without one, the sign is that of the start.
         crossed = ((phi < 0.0) != (phi[:, :1] < 0.0)) & (t < ends) & meets[:, None]
         assert np.abs(phi[crossed]).max(initial=0.0) < ROUNDING
         x = row[hit, 1:4]
-        assert np.abs(interpolated(exact, x)).max() < ROUNDING
+        assert np.abs(field(exact, x)).max() < ROUNDING
         assert np.abs(x - (a + row[:, :1] * b)[hit]).max() < 5e-6
         step = 1e-4 * row[hit, 4:7]
-        assert (interpolated(exact, x + step) > interpolated(exact, x - step)).mean() > 0.999
+        assert (field(exact, x + step) > field(exact, x - step)).mean() > 0.999
         hits += hit.sum()
     assert hits > count // 4
+
+
+@pytest.mark.parametrize("count", [4000, pytest.param(100_000, marks=pytest.mark.slow)])
+def test_no_ray_passes_the_surface(count: int) -> None:
+    rng = np.random.default_rng(count)
+    check_rays({"type": "sdfgrid", "grid": rough_grid(rng)}, rng, count, interpolated)
 
 
 def test_two_numbers_hold_a_point() -> None:

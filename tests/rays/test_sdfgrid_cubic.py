@@ -4,32 +4,9 @@ import numpy as np
 import pytest
 import warp as wp
 
-import warp_psdr as psdr
-from warp_psdr.kernels.constants import PRIMITIVE_SDFGRID_CUBIC
-from warp_psdr.kernels.primitive.dispatch import make_hit, make_surface_at
 from warp_psdr.kernels.primitive.sdfgrid_cubic import BERNSTEIN, first_crossing
-from warp_psdr.kernels.reading import triangle_at
-from warp_psdr.kernels.structs import Scene
 
-from .test_sdfgrid import ROUNDING, rays, rough_grid, samples
-
-HIT = make_hit((PRIMITIVE_SDFGRID_CUBIC,))
-SURFACE = make_surface_at(False, True, False, False, (PRIMITIVE_SDFGRID_CUBIC,))
-
-
-@wp.kernel(module="unique", enable_backward=False)
-def trace(
-    scene: Scene, o: wp.array(dtype=wp.vec3), d: wp.array(dtype=wp.vec3), out: wp.array(dtype=wp.float32, ndim=2)
-):
-    i = wp.tid()
-    tri = triangle_at(scene, 0)
-    hit = HIT(scene, tri, o[i], d[i], 1.0e30)
-    out[i, 0] = wp.where(hit.face < 0, -1.0, hit.t)
-    if hit.face >= 0:
-        surface = SURFACE(scene, tri, hit.u, hit.v)
-        for k in range(3):
-            out[i, 1 + k] = surface.x[k]
-            out[i, 4 + k] = surface.ng[k]
+from .test_sdfgrid import check_rays, rough_grid
 
 
 @wp.kernel(module="unique", enable_backward=False)
@@ -70,34 +47,7 @@ def test_no_ray_passes_the_surface(count: int) -> None:
     rng = np.random.default_rng(count)
     # The spline takes noise away: more of it.
     grid = rough_grid(rng) + 0.06 * rng.standard_normal((9, 16, 12)).astype(np.float32)
-    body = {"type": "sdfgrid", "grid": grid, "interpolation": "cubic"}
-    held = psdr.load_dict(
-        {"type": "scene", "sensor": {"type": "perspective"}, "sky": {"type": "constant"}, "body": body}
-    )
-    o, d = rays(rng, count)
-    given = [wp.array(x, dtype=wp.vec3, device=held.device) for x in (o, d)]
-    out = wp.zeros((count, 7), dtype=wp.float32, device=held.device)
-    wp.launch(trace, count, inputs=[held.data(), *given], outputs=[out], device=held.device)
-    found = out.numpy().astype(np.float64)
-    found[:, 1:4] += held.origin
-    exact = grid.astype(np.float64)
-    hits = 0
-    for start in range(0, count, 2000):
-        part = slice(start, start + 2000)
-        a, b, row = o[part].astype(np.float64), d[part].astype(np.float64), found[part]
-        t, meets = samples(grid.shape, a, b)
-        phi = spline(exact, a[:, None] + t[..., None] * b[:, None])
-        hit = row[:, 0] >= 0.0
-        ends = np.where(hit, row[:, 0], np.inf)[:, None] - ROUNDING * (1.0 + np.abs(a).max(axis=1))[:, None]
-        crossed = ((phi < 0.0) != (phi[:, :1] < 0.0)) & (t < ends) & meets[:, None]
-        assert np.abs(phi[crossed]).max(initial=0.0) < ROUNDING
-        x = row[hit, 1:4]
-        assert np.abs(spline(exact, x)).max() < ROUNDING
-        assert np.abs(x - (a + row[:, :1] * b)[hit]).max() < 5e-6
-        step = 1e-4 * row[hit, 4:7]
-        assert (spline(exact, x + step) > spline(exact, x - step)).mean() > 0.999
-        hits += hit.sum()
-    assert hits > count // 4
+    check_rays({"type": "sdfgrid", "grid": grid, "interpolation": "cubic"}, rng, count, spline)
 
 
 def test_first_crossing_of_polynomials() -> None:
