@@ -16,6 +16,8 @@ from warp_psdr.kernels.boundary.detector import Incident, difference, make_incid
 from warp_psdr.kernels.boundary.film_edge import AHEAD, BESIDE
 from warp_psdr.kernels.boundary.path_space.direction import pdf_wedge, wedge_direction
 from warp_psdr.kernels.boundary.path_space.secondary import moves
+from warp_psdr.kernels.boundary.silhouette.aim import SLOT_DIRECTION, SLOT_SILHOUETTE
+from warp_psdr.kernels.boundary.silhouette.ends import make_sensor_end
 from warp_psdr.kernels.boundary.silhouette.grid_points import (
     VOXEL_ITEM,
     GridItems,
@@ -34,7 +36,6 @@ from warp_psdr.kernels.boundary.silhouette.grid_points import (
 from warp_psdr.kernels.boundary.silhouette.grid_primary import FRONT
 from warp_psdr.kernels.boundary.silhouette.grid_secondary import crease_wedge, own_density, own_direction
 from warp_psdr.kernels.boundary.silhouette.primary import MARGIN, TRIES, WIDER
-from warp_psdr.kernels.boundary.silhouette.secondary import SLOT_DIRECTION, SLOT_SILHOUETTE
 from warp_psdr.kernels.boundary.silhouette.spline_points import SLOT_ROOT, spline_curvature, spline_surface_point
 from warp_psdr.kernels.boundary.transport import Segment, make_source, make_transport
 from warp_psdr.kernels.constants import FAR, PI
@@ -55,6 +56,7 @@ from warp_psdr.kernels.visibility import visibility_of
 def make_foreground_grid_kernel(config: PathConfig, role: str, camera_moves: bool, shading: bool, cubic: bool = False):
     """Return the kernel: one thread a sample (arguments as in ``path_space/secondary.py``); ``cubic``: smooth grids."""
     visibility = visibility_of(config)
+    sensor_end = make_sensor_end(config)
     accumulate_touch = make_touch_sink(role, cubic)
     curvature_of = spline_curvature if cubic else touch_curvature
     accumulate_vertex = make_adjoint_sink(role, False, False, False, False, False, True, config.primitives)
@@ -181,17 +183,11 @@ def make_foreground_grid_kernel(config: PathConfig, role: str, camera_moves: boo
             density = own_density(tri, g, point, curvature)
             s.x = point.x + s.step * out
         # ---- Towards the sensor ----
-        hit1 = visibility.closest(scene, s.x, -s.w, FAR)
-        if hit1.face < 0 or not density > 0.0:
+        if not density > 0.0:
             return
-        if moves(scene, moving, point.face) + moves(scene, moving, hit1.face) == 0:
+        s = sensor_end(scene, moving, s, moves(scene, moving, point.face))
+        if s.valid == 0:
             return
-        s.t1 = hit1.t
-        if s.t1 <= s.step:
-            return
-        s.face1 = hit1.face
-        s.u1 = hit1.u
-        s.v1 = hit1.v
         # ---- Towards the source ----
         below, met = start_beside(scene, point, out, -1.0, s, curvature)
         s.source = below
@@ -201,7 +197,6 @@ def make_foreground_grid_kernel(config: PathConfig, role: str, camera_moves: boo
             met = met and also
         if not met:
             return
-        s.valid = 1
         s.scale = wp.float32(count) / (density * wp.float32(job.samples))
         if wp.static(not shading):
             s.scale = -s.scale

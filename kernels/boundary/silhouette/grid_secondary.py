@@ -15,8 +15,10 @@ import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.boundary.depth import make_indirect
-from warp_psdr.kernels.boundary.path_space.direction import Wedge, make_pdf_light, pdf_wedge, wedge_direction
-from warp_psdr.kernels.boundary.path_space.secondary import make_source_sink, moves
+from warp_psdr.kernels.boundary.path_space.direction import Wedge, pdf_wedge, wedge_direction
+from warp_psdr.kernels.boundary.path_space.secondary import make_source_sink
+from warp_psdr.kernels.boundary.silhouette.aim import SLOT_DIRECTION, SLOT_SILHOUETTE, TangentAim, make_light_aim
+from warp_psdr.kernels.boundary.silhouette.ends import make_sensor_end, make_source_end, with_density
 from warp_psdr.kernels.boundary.silhouette.grid_points import (
     VOXEL_ITEM,
     GridItems,
@@ -35,14 +37,6 @@ from warp_psdr.kernels.boundary.silhouette.grid_points import (
     surface_point,
     touch_curvature,
 )
-from warp_psdr.kernels.boundary.silhouette.secondary import (
-    NEAR_LIGHT,
-    SLOT_DIRECTION,
-    SLOT_SILHOUETTE,
-    STEPS,
-    TangentAim,
-    make_light_aim,
-)
 from warp_psdr.kernels.boundary.silhouette.spline_points import (
     SLOT_ROOT,
     spline_curvature,
@@ -52,20 +46,16 @@ from warp_psdr.kernels.boundary.silhouette.spline_points import (
     spline_surface_point,
 )
 from warp_psdr.kernels.boundary.transport import Segment, make_source, make_transport
-from warp_psdr.kernels.constants import FAR, INV_TWO_PI, TWO_PI
-from warp_psdr.kernels.emitter.area import make_area
-from warp_psdr.kernels.emitter.dispatch import is_delta_light, make_delta_sample, make_lights
-from warp_psdr.kernels.invalid import count_invalid, vanishes
+from warp_psdr.kernels.constants import INV_TWO_PI, TWO_PI
+from warp_psdr.kernels.invalid import count_invalid
 from warp_psdr.kernels.jobs import SampleJob
 from warp_psdr.kernels.math import any_tangent
 from warp_psdr.kernels.notes import NOTE_POINT, make_note
 from warp_psdr.kernels.primitive.affine import step_off_primitive
-from warp_psdr.kernels.primitive.dispatch import make_position
 from warp_psdr.kernels.primitive.sdfgrid import Grid, grid_of, pack
 from warp_psdr.kernels.rng import make_sampler, sampler_at
 from warp_psdr.kernels.structs import Camera, Scene, Triangle
 from warp_psdr.kernels.vertex import PathConfig
-from warp_psdr.kernels.visibility import visibility_of
 
 
 @wp.func
@@ -107,14 +97,8 @@ def make_touching_segment(config: PathConfig, cubic: bool = False):
     ``cubic``: of smooth grids. ``aim.light`` is -1 where its direction is drawn by itself, ``direct`` as in
     ``path_space/secondary.py``. The scale is one over the density of what was drawn, in the measures above.
     """
-    visibility = visibility_of(config)
-    pdf_light = make_pdf_light(config)
-    position, _cross_of = make_position(config.primitives)
-    emitted = make_area(config.area).emitted if config.area else None
-    lights = make_lights(config.lights, None, ()) if config.lights else None
-    environment_eval = lights.environment_eval if lights else None
-    has_environment = environment_eval is not None
-    delta_sample = make_delta_sample(config.lights)
+    source_end = make_source_end(config)
+    sensor_end = make_sensor_end(config)
     curvature_of = spline_curvature if cubic else touch_curvature
     direction_of = spline_direction if cubic else curve_direction
     density_of = spline_curve_density if cubic else curve_density
@@ -142,8 +126,6 @@ def make_touching_segment(config: PathConfig, cubic: bool = False):
         direct: wp.bool,
     ) -> Segment:
         r = Segment()
-        r.face2 = -1
-        r.light = -1
         r.w = aim.w
         point = touched
         r.step = step_off_primitive(scene, tri)
@@ -161,83 +143,23 @@ def make_touching_segment(config: PathConfig, cubic: bool = False):
                 return r
         r.x = point.x + r.step * point.out
         r.source = r.x
-        any_moves = moves(scene, moving, point.face)
+        end = source_end(scene, moving, r, point.face, point.x, aim, n < found.aimed, direct)
+        if end.valid == 0:
+            return r
         shown = wp.float32(found.aimed)
         density = wp.float32(0.0)
-        to_eye = wp.length(aim.eye - r.x)
-        delta = wp.bool(False)
-        # ---- Towards the source ----
-        if wp.static(delta_sample is not None):
-            if aim.light >= 0:
-                emitter = scene.emitters[aim.light]
-                if is_delta_light(emitter.kind):
-                    delta = True
-                    ls = delta_sample(scene, emitter, point.x, wp.vec2(0.0, 0.0))
-                    if ls.pdf <= 0.0 or vanishes(ls.radiance):
-                        return r
-                    if visibility.occluded(scene, r.source, r.w, wp.where(aim.distant, FAR, to_eye)):
-                        return r
-                    r.light = aim.light
-                    r.known = 1
-                    r.radiance = ls.radiance / emitter.probability
-                    density = (1.0 - found.share) * towards_density(tri, g, point, aim.eye, aim.distant, r.w)
-                    density /= shown
-        if not delta:
-            hit2 = visibility.closest(scene, r.source, r.w, FAR)
-            r.face2 = hit2.face
-            r.u2 = hit2.u
-            r.v2 = hit2.v
-            r.t2 = hit2.t
-            if aim.light >= 0:
-                # A segment that something cuts off from its light is not one that was aimed at what is in the way.
-                if aim.distant != (hit2.face < 0):
-                    return r
-                if hit2.face >= 0:
-                    if scene.shapes[scene.triangles[hit2.face].shape].emitter != aim.light:
-                        return r
-                    if wp.abs(hit2.t - to_eye) > NEAR_LIGHT * to_eye + STEPS * r.step:
-                        return r
-            y = r.w
-            if r.face2 >= 0:
-                any_moves += moves(scene, moving, r.face2)
-                y = position(scene.triangles[r.face2], r.u2, r.v2)
-                if wp.static(bool(config.area)):
-                    own = scene.shapes[scene.triangles[r.face2].shape].emitter
-                    if own >= 0:
-                        r.radiance = emitted(scene, scene.emitters[own], r.face2, r.u2, r.v2, r.w)
-            else:
-                if wp.static(has_environment):
-                    r.radiance = environment_eval(scene, r.w)
-            if (direct or r.face2 < 0) and vanishes(r.radiance):
-                return r
+        if end.delta:
+            density = (1.0 - found.share) * towards_density(tri, g, point, aim.eye, aim.distant, r.w)
+            density /= shown
+        else:
             density = found.share * own_density(tri, g, point, curvature) / wp.float32(found.items.shape[0])
-            if n < found.aimed:
-                towards = pdf_light(scene, r.face2, r.w, r.t2)
-                if aim.light >= 0 and not towards > 0.0:
-                    return r
-                if towards > 0.0:
-                    towards *= towards_density(tri, g, point, y, r.face2 < 0, r.w) / shown
-                    density += (1.0 - found.share) * towards
-        # ---- Towards the sensor ----
-        hit1 = visibility.closest(scene, r.x, -r.w, FAR)
-        if hit1.face < 0 or density <= 0.0:
+            if end.towards > 0.0:
+                distant = end.segment.face2 < 0
+                towards = end.towards * (towards_density(tri, g, point, end.y, distant, r.w) / shown)
+                density += (1.0 - found.share) * towards
+        if density <= 0.0:
             return r
-        if any_moves + moves(scene, moving, hit1.face) == 0:
-            return r
-        r.t1 = hit1.t
-        if r.t1 <= r.step:
-            return r
-        r.face1 = hit1.face
-        r.u1 = hit1.u
-        r.v1 = hit1.v
-        r.scale = 1.0 / density
-        if delta:
-            if not aim.distant:
-                r.tau = r.t1 / (r.t1 + to_eye)
-        elif r.face2 >= 0:
-            r.tau = r.t1 / (r.t1 + r.t2)
-        r.valid = 1
-        return r
+        return with_density(sensor_end(scene, moving, end.segment, end.any_moves), end, aim, density)
 
     return touching_segment
 

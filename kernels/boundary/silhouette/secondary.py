@@ -16,90 +16,28 @@ import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.boundary.depth import make_indirect
-from warp_psdr.kernels.boundary.path_space.direction import make_pdf_light
-from warp_psdr.kernels.boundary.path_space.secondary import make_source_sink, moves
+from warp_psdr.kernels.boundary.path_space.secondary import make_source_sink
+from warp_psdr.kernels.boundary.silhouette.aim import SLOT_DIRECTION, SLOT_SILHOUETTE, TangentAim, make_light_aim
 from warp_psdr.kernels.boundary.silhouette.dispatch import (
     choose_outline,
     make_coordinates,
     make_silhouette_sink,
     make_silhouettes,
 )
+from warp_psdr.kernels.boundary.silhouette.ends import make_sensor_end, make_source_end, with_density
 from warp_psdr.kernels.boundary.silhouette.point import SilhouettePoint
 from warp_psdr.kernels.boundary.silhouette.rim import make_rims
 from warp_psdr.kernels.boundary.transport import Segment, make_source, make_transport
-from warp_psdr.kernels.constants import EMITTER_DIRECTIONAL, EMITTER_POINT, FAR, INV_FOUR_PI, INV_TWO_PI, TWO_PI
-from warp_psdr.kernels.emitter.area import make_area
-from warp_psdr.kernels.emitter.dispatch import is_delta_light, make_delta_sample, make_lights
-from warp_psdr.kernels.emitter.spot import load_column
-from warp_psdr.kernels.invalid import count_invalid, vanishes
+from warp_psdr.kernels.constants import INV_FOUR_PI, INV_TWO_PI, TWO_PI
+from warp_psdr.kernels.invalid import count_invalid
 from warp_psdr.kernels.jobs import SampleJob
 from warp_psdr.kernels.math import any_tangent
 from warp_psdr.kernels.notes import NOTE_POINT, make_note
 from warp_psdr.kernels.primitive.affine import step_off_primitive
-from warp_psdr.kernels.primitive.dispatch import make_position
-from warp_psdr.kernels.reading import load_vec3
 from warp_psdr.kernels.rng import make_sampler, sampler_at
-from warp_psdr.kernels.sampling import square_to_sphere, square_to_triangle
-from warp_psdr.kernels.scattering import make_light_draw
+from warp_psdr.kernels.sampling import square_to_sphere
 from warp_psdr.kernels.structs import Camera, Scene, Triangle
-from warp_psdr.kernels.surface import point_on
 from warp_psdr.kernels.vertex import PathConfig
-from warp_psdr.kernels.visibility import visibility_of
-
-#: Sample slots of a segment; those of the walk follow (``transport.py``).
-SLOT_SILHOUETTE, SLOT_DIRECTION = 0, 1
-#: How far from the point of a light that a segment was aimed at it may meet the light: over the distance, and in steps.
-NEAR_LIGHT, STEPS = 1.0e-3, 20.0
-
-
-@wp.struct
-class TangentAim:
-    """Where a segment that touches a shape leads to."""
-
-    valid: wp.int32
-    w: wp.vec3
-    light: wp.int32  # emitter that it was aimed at, -1: none
-    eye: wp.vec3  # its point, or the direction towards it
-    distant: wp.bool
-    u: wp.float32  # fraction of the way around the silhouette
-
-
-@functools.cache
-def make_light_aim(config: PathConfig):
-    """Return ``aim(scene, x, u4) -> TangentAim``: a point of a light, or its direction; x is where the shape is."""
-    pick, draw = make_light_draw(config)
-    area = bool(config.area)
-    deltas = make_delta_sample(config.lights) is not None
-
-    @wp.func
-    def light_aim(scene: Scene, x: wp.vec3, u4: wp.vec4) -> TangentAim:
-        r = TangentAim()
-        index, face = pick(scene, wp.vec2(u4[0], u4[1]))
-        r.light = index
-        r.valid = 1
-        if wp.static(area):
-            if face >= 0:
-                uv = square_to_triangle(wp.vec2(u4[2], u4[3]))
-                r.eye = point_on(scene.triangles[face], uv[0], uv[1])
-                return r
-        emitter = scene.emitters[index]
-        if wp.static(deltas):
-            if is_delta_light(emitter.kind):
-                if emitter.kind == EMITTER_DIRECTIONAL:
-                    r.eye = -wp.normalize(load_column(scene.values, emitter.to_world, 2))
-                    r.distant = True
-                elif emitter.kind == EMITTER_POINT:
-                    r.eye = load_vec3(scene.values, emitter.to_world)
-                else:
-                    r.eye = load_column(scene.values, emitter.to_world, 3)
-                return r
-        ls = draw(scene, index, -1, Triangle(), x, wp.vec2(u4[2], u4[3]))
-        r.eye = ls.wi
-        r.distant = True
-        r.valid = wp.where(ls.pdf > 0.0, 1, 0)
-        return r
-
-    return light_aim
 
 
 @functools.cache
@@ -109,16 +47,10 @@ def make_silhouette_segment(config: PathConfig):
     ``aim.light`` is -1 where its direction is drawn uniformly, as of the fraction ``share`` of the segments; ``direct``
     as in ``path_space/secondary.py``. Its scale is one over the density of what was drawn, in the measure above.
     """
-    visibility = visibility_of(config)
     silhouettes = make_silhouettes(config.primitives)
     rims = make_rims(config.primitives)
-    pdf_light = make_pdf_light(config)
-    position, _cross_of = make_position(config.primitives)
-    emitted = make_area(config.area).emitted if config.area else None
-    lights = make_lights(config.lights, None, ()) if config.lights else None
-    environment_eval = lights.environment_eval if lights else None
-    has_environment = environment_eval is not None
-    delta_sample = make_delta_sample(config.lights)
+    source_end = make_source_end(config)
+    sensor_end = make_sensor_end(config)
 
     @wp.func
     def around(tri: Triangle, rim: wp.bool, eye: wp.vec3, distant: wp.bool, q: wp.vec3, w: wp.vec3) -> wp.float32:
@@ -154,88 +86,24 @@ def make_silhouette_segment(config: PathConfig):
         direct: wp.bool,
     ) -> Segment:
         r = Segment()
-        r.face2 = -1
-        r.light = -1
         r.w = aim.w
         r.boundary_normal = -point.out
         r.step = step_off_primitive(scene, tri)
         r.x = point.x + r.step * point.out
         r.source = r.x
-        any_moves = moves(scene, moving, point.face)
-        # ---- Towards the source ----
-        to_eye = wp.length(aim.eye - r.x)
+        end = source_end(scene, moving, r, point.face, point.x, aim, share < 1.0, direct)
+        if end.valid == 0:
+            return r
         density = wp.float32(0.0)
-        delta = wp.bool(False)
-        if wp.static(delta_sample is not None):
-            if aim.light >= 0:
-                emitter = scene.emitters[aim.light]
-                if is_delta_light(emitter.kind):
-                    delta = True
-                    ls = delta_sample(scene, emitter, point.x, wp.vec2(0.0, 0.0))
-                    if ls.pdf <= 0.0 or vanishes(ls.radiance):
-                        return r
-                    reach = wp.where(aim.distant, FAR, to_eye)
-                    if visibility.occluded(scene, r.source, r.w, reach):
-                        return r
-                    r.light = aim.light
-                    r.known = 1
-                    r.radiance = ls.radiance / emitter.probability
-                    density = (1.0 - share) / around(tri, rim, aim.eye, aim.distant, point.q, r.w)
-        if not delta:
-            hit2 = visibility.closest(scene, r.source, r.w, FAR)
-            r.face2 = hit2.face
-            r.u2 = hit2.u
-            r.v2 = hit2.v
-            r.t2 = hit2.t
-            if aim.light >= 0:
-                # A segment that something cuts off from its light is not one that was aimed at what is in the way.
-                if aim.distant != (hit2.face < 0):
-                    return r
-                if hit2.face >= 0:
-                    if scene.shapes[scene.triangles[hit2.face].shape].emitter != aim.light:
-                        return r
-                    if wp.abs(hit2.t - to_eye) > NEAR_LIGHT * to_eye + STEPS * r.step:
-                        return r
-            y = r.w
-            if r.face2 >= 0:
-                any_moves += moves(scene, moving, r.face2)
-                y = position(scene.triangles[r.face2], r.u2, r.v2)
-                if wp.static(bool(config.area)):
-                    own = scene.shapes[scene.triangles[r.face2].shape].emitter
-                    if own >= 0:
-                        r.radiance = emitted(scene, scene.emitters[own], r.face2, r.u2, r.v2, r.w)
-            else:
-                if wp.static(has_environment):
-                    r.radiance = environment_eval(scene, r.w)
-            if (direct or r.face2 < 0) and vanishes(r.radiance):
-                return r
+        if end.delta:
+            density = (1.0 - share) / around(tri, rim, aim.eye, aim.distant, point.q, r.w)
+        else:
             density = uniform_density(share, tri, rim, point.q, r.w)
-            if share < 1.0:
-                towards = pdf_light(scene, r.face2, r.w, r.t2)
-                if aim.light >= 0 and not towards > 0.0:
-                    return r
-                if towards > 0.0:
-                    density += (1.0 - share) * towards / around(tri, rim, y, r.face2 < 0, point.q, r.w)
-        # ---- Towards the sensor ----
-        hit1 = visibility.closest(scene, r.x, -r.w, FAR)
-        if hit1.face < 0 or density <= 0.0:
+            if end.towards > 0.0:
+                density += (1.0 - share) * end.towards / around(tri, rim, end.y, end.segment.face2 < 0, point.q, r.w)
+        if density <= 0.0:
             return r
-        if any_moves + moves(scene, moving, hit1.face) == 0:
-            return r
-        r.t1 = hit1.t
-        if r.t1 <= r.step:
-            return r
-        r.face1 = hit1.face
-        r.u1 = hit1.u
-        r.v1 = hit1.v
-        if delta:
-            if not aim.distant:
-                r.tau = r.t1 / (r.t1 + to_eye)
-        elif r.face2 >= 0:
-            r.tau = r.t1 / (r.t1 + r.t2)
-        r.scale = 1.0 / density
-        r.valid = 1
-        return r
+        return with_density(sensor_end(scene, moving, end.segment, end.any_moves), end, aim, density)
 
     return segment
 

@@ -15,9 +15,10 @@ from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.boundary.detector import Incident, difference, make_incident
 from warp_psdr.kernels.boundary.film_edge import AHEAD, BESIDE
 from warp_psdr.kernels.boundary.path_space.secondary import moves
+from warp_psdr.kernels.boundary.silhouette.aim import SLOT_DIRECTION, SLOT_SILHOUETTE
+from warp_psdr.kernels.boundary.silhouette.ends import make_sensor_end
 from warp_psdr.kernels.boundary.silhouette.grid_primary import FRONT
 from warp_psdr.kernels.boundary.silhouette.primary import MARGIN, WIDER
-from warp_psdr.kernels.boundary.silhouette.secondary import SLOT_DIRECTION, SLOT_SILHOUETTE
 from warp_psdr.kernels.boundary.silhouette.tube_points import (
     LOOKS,
     PART_CREASE,
@@ -51,6 +52,7 @@ from warp_psdr.kernels.visibility import visibility_of
 def make_foreground_tube_kernel(config: PathConfig, role: str, camera_moves: bool):
     """Return the kernel: one thread a sample (arguments as in ``path_space/secondary.py``)."""
     visibility = visibility_of(config)
+    sensor_end = make_sensor_end(config)
     sees = make_sees(config)
     accumulate_tube = make_tube_sink(role, config.primitives)
     accumulate_vertex = make_adjoint_sink(role, False, False, False, False, False, True, config.primitives)
@@ -147,17 +149,11 @@ def make_foreground_tube_kernel(config: PathConfig, role: str, camera_moves: boo
         s.boundary_normal = out
         # ---- Towards the sensor ----
         density = chance * own_touch_density(point, s.w, curvature)
-        hit1 = visibility.closest(scene, s.x, -s.w, FAR)
-        if hit1.face < 0 or not density > 0.0:
+        if not density > 0.0:
             return
-        if moves(scene, moving, point.face) + moves(scene, moving, hit1.face) == 0:
+        s = sensor_end(scene, moving, s, moves(scene, moving, point.face))
+        if s.valid == 0 or not sees(scene, s.x, s.w, s.t1):
             return
-        s.t1 = hit1.t
-        if s.t1 <= s.step or not sees(scene, s.x, s.w, s.t1):
-            return
-        s.face1 = hit1.face
-        s.u1 = hit1.u
-        s.v1 = hit1.v
         # ---- Towards the source ----
         below, met = start_at(scene, point, out, -1.0, s, curvature)
         s.source = below
@@ -168,7 +164,6 @@ def make_foreground_tube_kernel(config: PathConfig, role: str, camera_moves: boo
                 met = met and also
         if not met:
             return
-        s.valid = 1
         s.scale = 1.0 / (density * wp.float32(job.samples))
         uv = tube_coordinates(point)
         note_place(scene, NOTE_POINT, point.face, uv[0], uv[1], point.x, s.w, s.radiance)

@@ -13,16 +13,9 @@ import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.boundary.depth import make_indirect
-from warp_psdr.kernels.boundary.path_space.direction import make_pdf_light
-from warp_psdr.kernels.boundary.path_space.secondary import make_source_sink, moves
-from warp_psdr.kernels.boundary.silhouette.secondary import (
-    NEAR_LIGHT,
-    SLOT_DIRECTION,
-    SLOT_SILHOUETTE,
-    STEPS,
-    TangentAim,
-    make_light_aim,
-)
+from warp_psdr.kernels.boundary.path_space.secondary import make_source_sink
+from warp_psdr.kernels.boundary.silhouette.aim import SLOT_DIRECTION, SLOT_SILHOUETTE, TangentAim, make_light_aim
+from warp_psdr.kernels.boundary.silhouette.ends import make_sensor_end, make_source_end, with_density
 from warp_psdr.kernels.boundary.silhouette.tube_points import (
     TubeItems,
     TubePoint,
@@ -41,14 +34,11 @@ from warp_psdr.kernels.boundary.silhouette.tube_sampling import (
 )
 from warp_psdr.kernels.boundary.silhouette.tube_sink import make_tube_sink
 from warp_psdr.kernels.boundary.transport import Segment, make_source, make_transport
-from warp_psdr.kernels.constants import FAR, PRIMITIVE_LINEARCURVE
-from warp_psdr.kernels.emitter.area import make_area
-from warp_psdr.kernels.emitter.dispatch import is_delta_light, make_delta_sample, make_lights
-from warp_psdr.kernels.invalid import count_invalid, vanishes
+from warp_psdr.kernels.constants import PRIMITIVE_LINEARCURVE
+from warp_psdr.kernels.invalid import count_invalid
 from warp_psdr.kernels.jobs import SampleJob
 from warp_psdr.kernels.notes import NOTE_POINT, make_note
 from warp_psdr.kernels.primitive.affine import step_off_primitive
-from warp_psdr.kernels.primitive.dispatch import make_point_at
 from warp_psdr.kernels.rng import make_sampler, sampler_at
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.vertex import PathConfig
@@ -86,15 +76,9 @@ def make_tube_segment(config: PathConfig):
     ``aim.light`` is -1 where its direction is its own, as of the fraction ``share`` of the segments; ``direct`` as in
     ``path_space/secondary.py``. The scale is one over the density of what was drawn.
     """
-    visibility = visibility_of(config)
     sees = make_sees(config)
-    pdf_light = make_pdf_light(config)
-    point_at = make_point_at(config.primitives)
-    emitted = make_area(config.area).emitted if config.area else None
-    lights = make_lights(config.lights, None, ()) if config.lights else None
-    environment_eval = lights.environment_eval if lights else None
-    has_environment = environment_eval is not None
-    delta_sample = make_delta_sample(config.lights)
+    source_end = make_source_end(config)
+    sensor_end = make_sensor_end(config)
 
     @wp.func
     def tube_segment(
@@ -107,8 +91,6 @@ def make_tube_segment(config: PathConfig):
         direct: wp.bool,
     ) -> Segment:
         r = Segment()
-        r.face2 = -1
-        r.light = -1
         r.w = aim.w
         curvature = tube_curvature(point, r.w)
         if not in_front(point, r.w, curvature):
@@ -117,79 +99,22 @@ def make_tube_segment(config: PathConfig):
         r.step = beside_tube(point, step_off_primitive(scene, scene.triangles[point.face]))
         r.x = point.x + r.step * point.out
         r.source = r.x
-        any_moves = moves(scene, moving, point.face)
+        end = source_end(scene, moving, r, point.face, point.x, aim, share < 1.0, direct)
+        if end.valid == 0:
+            return r
         density = wp.float32(0.0)
-        to_eye = wp.length(aim.eye - r.x)
-        delta = wp.bool(False)
-        # ---- Towards the source ----
-        if wp.static(delta_sample is not None):
-            if aim.light >= 0:
-                emitter = scene.emitters[aim.light]
-                if is_delta_light(emitter.kind):
-                    delta = True
-                    ls = delta_sample(scene, emitter, point.x, wp.vec2(0.0, 0.0))
-                    if ls.pdf <= 0.0 or vanishes(ls.radiance):
-                        return r
-                    if visibility.occluded(scene, r.source, r.w, wp.where(aim.distant, FAR, to_eye)):
-                        return r
-                    r.light = aim.light
-                    r.known = 1
-                    r.radiance = ls.radiance / emitter.probability
-                    density = (1.0 - share) * chance * seen_touch_density(point, aim.eye, aim.distant, r.w)
-        if not delta:
-            hit2 = visibility.closest(scene, r.source, r.w, FAR)
-            r.face2 = hit2.face
-            r.u2 = hit2.u
-            r.v2 = hit2.v
-            r.t2 = hit2.t
-            if aim.light >= 0:
-                # A segment that something cuts off from its light is not one that was aimed at what is in the way.
-                if aim.distant != (hit2.face < 0):
-                    return r
-                if hit2.face >= 0:
-                    if scene.shapes[scene.triangles[hit2.face].shape].emitter != aim.light:
-                        return r
-                    if wp.abs(hit2.t - to_eye) > NEAR_LIGHT * to_eye + STEPS * r.step:
-                        return r
-            y = r.w
-            if r.face2 >= 0:
-                any_moves += moves(scene, moving, r.face2)
-                y = point_at(scene, scene.triangles[r.face2], r.u2, r.v2)
-                if wp.static(bool(config.area)):
-                    own = scene.shapes[scene.triangles[r.face2].shape].emitter
-                    if own >= 0:
-                        r.radiance = emitted(scene, scene.emitters[own], r.face2, r.u2, r.v2, r.w)
-            else:
-                if wp.static(has_environment):
-                    r.radiance = environment_eval(scene, r.w)
-            if (direct or r.face2 < 0) and vanishes(r.radiance):
-                return r
+        if end.delta:
+            density = (1.0 - share) * chance * seen_touch_density(point, aim.eye, aim.distant, r.w)
+        else:
             density = share * chance * own_touch_density(point, r.w, curvature)
-            if share < 1.0:
-                towards = pdf_light(scene, r.face2, r.w, r.t2)
-                if aim.light >= 0 and not towards > 0.0:
-                    return r
-                if towards > 0.0:
-                    density += (1.0 - share) * chance * towards * seen_touch_density(point, y, r.face2 < 0, r.w)
-        # ---- Towards the sensor ----
-        hit1 = visibility.closest(scene, r.x, -r.w, FAR)
-        if hit1.face < 0 or not density > 0.0:
+            if end.towards > 0.0:
+                seen = seen_touch_density(point, end.y, end.segment.face2 < 0, r.w)
+                density += (1.0 - share) * chance * end.towards * seen
+        if not density > 0.0:
             return r
-        if any_moves + moves(scene, moving, hit1.face) == 0:
-            return r
-        r.t1 = hit1.t
-        if r.t1 <= r.step or not sees(scene, r.x, r.w, r.t1):
-            return r
-        r.face1 = hit1.face
-        r.u1 = hit1.u
-        r.v1 = hit1.v
-        r.scale = 1.0 / density
-        if delta:
-            if not aim.distant:
-                r.tau = r.t1 / (r.t1 + to_eye)
-        elif r.face2 >= 0:
-            r.tau = r.t1 / (r.t1 + r.t2)
-        r.valid = 1
+        r = with_density(sensor_end(scene, moving, end.segment, end.any_moves), end, aim, density)
+        if r.valid == 1 and not sees(scene, r.x, r.w, r.t1):
+            r.valid = 0
         return r
 
     return tube_segment

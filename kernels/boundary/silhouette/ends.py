@@ -1,0 +1,163 @@
+"""The two ends of a segment that touches a shape without triangles: what it meets towards the source and the sensor.
+
+A kind says where its segment touches it and with what density; both ends are found alike for all kinds.
+"""
+
+import functools
+
+import warp as wp
+
+from warp_psdr.kernels.boundary.path_space.direction import make_pdf_light
+from warp_psdr.kernels.boundary.path_space.secondary import moves
+from warp_psdr.kernels.boundary.silhouette.aim import TangentAim
+from warp_psdr.kernels.boundary.transport import Segment
+from warp_psdr.kernels.constants import FAR
+from warp_psdr.kernels.emitter.area import make_area
+from warp_psdr.kernels.emitter.dispatch import is_delta_light, make_delta_sample, make_lights
+from warp_psdr.kernels.invalid import vanishes
+from warp_psdr.kernels.primitive.dispatch import make_point_at
+from warp_psdr.kernels.structs import Scene
+from warp_psdr.kernels.vertex import PathConfig
+from warp_psdr.kernels.visibility import visibility_of
+
+#: How far from the point of a light that a segment was aimed at it may meet the light: over the distance, and in steps.
+NEAR_LIGHT, STEPS = 1.0e-3, 20.0
+
+
+@wp.struct
+class SourceEnd:
+    """What a segment meets towards the source."""
+
+    valid: wp.int32
+    segment: Segment
+    any_moves: wp.int32  # of the shapes met so far, that which is touched included
+    delta: wp.bool  # a light without area, which ``aim`` says the place of
+    y: wp.vec3  # the point that is met, or the direction of what lies behind the scene
+    towards: wp.float32  # density of the direction as of a point of a light, 0: none of the techniques aims there
+    to_eye: wp.float32  # distance to what the segment was aimed at
+
+
+@functools.cache
+def make_source_end(config: PathConfig):
+    """Return ``source_end(scene, moving, s, face, x, aim, aims, direct) -> SourceEnd``.
+
+    ``s`` holds w, step, x and source; ``face`` and ``x`` are those of the touched point, ``aims``: its item is aimed at
+    lights as well, ``direct`` as in ``path_space/secondary.py``.
+    """
+    visibility = visibility_of(config)
+    pdf_light = make_pdf_light(config)
+    point_at = make_point_at(config.primitives)
+    emitted = make_area(config.area).emitted if config.area else None
+    lights = make_lights(config.lights, None, ()) if config.lights else None
+    environment_eval = lights.environment_eval if lights else None
+    has_environment = environment_eval is not None
+    delta_sample = make_delta_sample(config.lights)
+
+    @wp.func
+    def source_end(
+        scene: Scene,
+        moving: wp.array(dtype=wp.int32),
+        s: Segment,
+        face: wp.int32,
+        x: wp.vec3,
+        aim: TangentAim,
+        aims: wp.bool,
+        direct: wp.bool,
+    ) -> SourceEnd:
+        end = SourceEnd()
+        r = s
+        r.face2 = -1
+        r.light = -1
+        end.any_moves = moves(scene, moving, face)
+        end.to_eye = wp.length(aim.eye - r.x)
+        if wp.static(delta_sample is not None):
+            if aim.light >= 0:
+                emitter = scene.emitters[aim.light]
+                if is_delta_light(emitter.kind):
+                    end.delta = True
+                    ls = delta_sample(scene, emitter, x, wp.vec2(0.0, 0.0))
+                    if ls.pdf <= 0.0 or vanishes(ls.radiance):
+                        return end
+                    if visibility.occluded(scene, r.source, r.w, wp.where(aim.distant, FAR, end.to_eye)):
+                        return end
+                    r.light = aim.light
+                    r.known = 1
+                    r.radiance = ls.radiance / emitter.probability
+        if not end.delta:
+            hit2 = visibility.closest(scene, r.source, r.w, FAR)
+            r.face2 = hit2.face
+            r.u2 = hit2.u
+            r.v2 = hit2.v
+            r.t2 = hit2.t
+            if aim.light >= 0:
+                # A segment that something cuts off from its light is not one that was aimed at what is in the way.
+                if aim.distant != (hit2.face < 0):
+                    return end
+                if hit2.face >= 0:
+                    if scene.shapes[scene.triangles[hit2.face].shape].emitter != aim.light:
+                        return end
+                    if wp.abs(hit2.t - end.to_eye) > NEAR_LIGHT * end.to_eye + STEPS * r.step:
+                        return end
+            end.y = r.w
+            if r.face2 >= 0:
+                end.any_moves += moves(scene, moving, r.face2)
+                end.y = point_at(scene, scene.triangles[r.face2], r.u2, r.v2)
+                if wp.static(bool(config.area)):
+                    own = scene.shapes[scene.triangles[r.face2].shape].emitter
+                    if own >= 0:
+                        r.radiance = emitted(scene, scene.emitters[own], r.face2, r.u2, r.v2, r.w)
+            else:
+                if wp.static(has_environment):
+                    r.radiance = environment_eval(scene, r.w)
+            if (direct or r.face2 < 0) and vanishes(r.radiance):
+                return end
+            if aims:
+                end.towards = pdf_light(scene, r.face2, r.w, r.t2)
+                if aim.light >= 0 and not end.towards > 0.0:
+                    return end
+        end.segment = r
+        end.valid = 1
+        return end
+
+    return source_end
+
+
+@functools.cache
+def make_sensor_end(config: PathConfig):
+    """Return ``sensor_end(scene, moving, s, any_moves) -> Segment``, valid if it ends on a surface and anything moves.
+
+    ``any_moves`` counts what moves of all that was met before.
+    """
+    visibility = visibility_of(config)
+
+    @wp.func
+    def sensor_end(scene: Scene, moving: wp.array(dtype=wp.int32), s: Segment, any_moves: wp.int32) -> Segment:
+        r = s
+        hit1 = visibility.closest(scene, r.x, -r.w, FAR)
+        if hit1.face < 0:
+            return r
+        if any_moves + moves(scene, moving, hit1.face) == 0:
+            return r
+        r.t1 = hit1.t
+        if r.t1 <= r.step:
+            return r
+        r.face1 = hit1.face
+        r.u1 = hit1.u
+        r.v1 = hit1.v
+        r.valid = 1
+        return r
+
+    return sensor_end
+
+
+@wp.func
+def with_density(s: Segment, end: SourceEnd, aim: TangentAim, density: wp.float32) -> Segment:
+    """A segment with both ends, its scale one over the density, and the share of it that lies before the shape."""
+    r = s
+    r.scale = 1.0 / density
+    if end.delta:
+        if not aim.distant:
+            r.tau = r.t1 / (r.t1 + end.to_eye)
+    elif r.face2 >= 0:
+        r.tau = r.t1 / (r.t1 + r.t2)
+    return r
