@@ -235,6 +235,45 @@ def make_incident(config: PathConfig):
     return incident
 
 
+@wp.struct
+class Turn:
+    """How a walk of importance leaves a surface."""
+
+    valid: wp.int32
+    w: wp.vec3
+    o: wp.vec3  # where the ray starts
+    weight: wp.vec3  # f over the density of w, with the cosines of shading normals
+    ng: wp.vec3
+    shape: wp.int32
+
+
+@functools.cache
+def make_turn(config: PathConfig):
+    """Return ``turn(scene, face, u, v, x, to, u4) -> Turn``: a direction drawn at x; light comes from ``to``."""
+    interaction = make_interaction(config)
+
+    @wp.func
+    def turn(scene: Scene, face: wp.int32, u: wp.float32, v: wp.float32, x: wp.vec3, to: wp.vec3, u4: wp.vec4) -> Turn:
+        r = Turn()
+        here = interaction.at(scene, face, u, v, -to)
+        bs = interaction.sample(here, u4[0], wp.vec2(u4[2], u4[3]))
+        cosine = wp.abs(wp.dot(here.ng, to))
+        if bs.pdf <= 0.0 or bs.lobe != LOBE_SMOOTH or cosine < MIN_COSINE:
+            return r
+        r.w = leave_frame(here.frame, bs.wo)
+        # Importance leaves along the new direction.
+        arrives = here.wi
+        here.wi = bs.wo
+        r.weight = (wp.abs(wp.dot(here.ng, r.w)) / (cosine * bs.pdf)) * interaction.eval(here, arrives)
+        r.o = step_beside(x, here.ng, r.w, here.step)
+        r.ng = here.ng
+        r.shape = here.shape
+        r.valid = 1
+        return r
+
+    return turn
+
+
 @functools.cache
 def make_walk(config: PathConfig):
     """Return ``(connect, extend)``.
@@ -246,6 +285,7 @@ def make_walk(config: PathConfig):
     interaction = make_interaction(config)
     project = make_projection(config.camera)[0]
     point_at = make_point_at(config.primitives)
+    turn = make_turn(config)
 
     @wp.func
     def connect(scene: Scene, camera: Camera, walk: Walk, lens: wp.vec2) -> Connection:
@@ -275,17 +315,10 @@ def make_walk(config: PathConfig):
     @wp.func
     def extend(scene: Scene, walk: Walk, u4: wp.vec4, t_max: wp.float32, roulette: wp.bool) -> Walk:
         r = Walk()
-        here = interaction.at(scene, walk.face, walk.u, walk.v, -walk.to)
-        bs = interaction.sample(here, u4[0], wp.vec2(u4[2], u4[3]))
-        cosine = wp.abs(wp.dot(here.ng, walk.to))
-        if bs.pdf <= 0.0 or bs.lobe != LOBE_SMOOTH or cosine < MIN_COSINE:
+        left = turn(scene, walk.face, walk.u, walk.v, walk.x, walk.to, u4)
+        if left.valid == 0:
             return r
-        w = leave_frame(here.frame, bs.wo)
-        # Importance: light comes from ``to`` and leaves along the new direction.
-        to = here.wi
-        here.wi = bs.wo
-        f = interaction.eval(here, to)
-        weight = wp.cw_mul(walk.weight, (wp.abs(wp.dot(here.ng, w)) / (cosine * bs.pdf)) * f)
+        weight = wp.cw_mul(walk.weight, left.weight)
         if vanishes(weight):
             return r
         if roulette:
@@ -293,7 +326,7 @@ def make_walk(config: PathConfig):
             if u4[1] >= survival:
                 return r
             weight /= survival
-        hit = visibility.closest(scene, step_beside(walk.x, here.ng, w, here.step), w, t_max)
+        hit = visibility.closest(scene, left.o, left.w, t_max)
         if hit.face < 0:
             return r
         tri = scene.triangles[hit.face]
@@ -302,7 +335,7 @@ def make_walk(config: PathConfig):
         r.u = hit.u
         r.v = hit.v
         r.x = point_at(scene, tri, hit.u, hit.v)
-        r.to = -w
+        r.to = -left.w
         r.weight = weight
         return r
 

@@ -11,10 +11,10 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
-from warp_psdr.kernels.boundary.detector import MIN_COSINE
+from warp_psdr.kernels.boundary.detector import MIN_COSINE, make_turn
 from warp_psdr.kernels.bvh.wide import RayHit
-from warp_psdr.kernels.constants import FAR, LOBE_SMOOTH
-from warp_psdr.kernels.interaction import enter_frame, leave_frame, make_interaction
+from warp_psdr.kernels.constants import FAR
+from warp_psdr.kernels.interaction import enter_frame, make_interaction
 from warp_psdr.kernels.invalid import vanishes
 from warp_psdr.kernels.medium.coefficients import coefficients_of, exp_minus
 from warp_psdr.kernels.medium.flight import forced_density, forced_distance, mean_of
@@ -185,6 +185,7 @@ def make_media_walk(config: PathConfig):
     project = make_projection(config.camera)[0]
     position, _cross_of = make_position(config.primitives)
     scatters = interaction.eval is not None
+    turn = make_turn(config) if scatters else None
 
     @wp.func
     def last_point(scene: Scene, hit: RayHit, d: wp.vec3) -> wp.float32:
@@ -309,19 +310,13 @@ def make_media_walk(config: PathConfig):
             w = phase.sample(scene, scene.media.records[walk.medium], -walk.to, wp.vec2(u4[2], u4[3]))
         else:
             if wp.static(scatters):
-                here = interaction.at(scene, walk.face, walk.u, walk.v, -walk.to)
-                bs = interaction.sample(here, u4[0], wp.vec2(u4[2], u4[3]))
-                cosine = wp.abs(wp.dot(here.ng, walk.to))
-                if bs.pdf <= 0.0 or bs.lobe != LOBE_SMOOTH or cosine < MIN_COSINE:
+                left = turn(scene, walk.face, walk.u, walk.v, walk.x, walk.to, u4)
+                if left.valid == 0:
                     return r
-                w = leave_frame(here.frame, bs.wo)
-                # Importance: light comes from ``to`` and leaves along the new direction.
-                to = here.wi
-                here.wi = bs.wo
-                f = interaction.eval(here, to)
-                r.weight = wp.cw_mul(walk.weight, (wp.abs(wp.dot(here.ng, w)) / (cosine * bs.pdf)) * f)
-                o = step_beside(walk.x, here.ng, w, here.step)
-                r.medium = medium_towards(scene, here.shape, here.ng, -walk.to, w, walk.medium)
+                w = left.w
+                o = left.o
+                r.weight = wp.cw_mul(walk.weight, left.weight)
+                r.medium = medium_towards(scene, left.shape, left.ng, -walk.to, w, walk.medium)
             else:
                 return r
         if vanishes(r.weight):
