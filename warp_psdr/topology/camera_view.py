@@ -61,6 +61,17 @@ class CameraView:
         """Return vectors (..., 3) from points to the eye; unscaled, and the same everywhere, if it is at infinity."""
         return self.eye - self.finite * points
 
+    def depth(self, points: np.ndarray) -> np.ndarray:
+        """Return how far points (..., 3) lie in front of the camera, in units of its axis."""
+        return (points - self.pose[:3, 3]) @ np.linalg.inv(self.pose[:3, :3])[2]
+
+    def clip_depths(self) -> tuple[float, float]:
+        """Return the depths of the clip planes."""
+        size = float(np.linalg.norm(self.pose[:3, 2]))
+        near, far = self.camera.near, self.camera.far
+        # Along the axis of an orthographic camera; see ``kernels/sensor/camera.py``.
+        return (near / size, far / size) if self.finite else (near, near + (far - near) / size)
+
     def spread(self, v: np.ndarray) -> np.ndarray:
         """Return the largest change of v . eye over the lens; v has shape (..., 3)."""
         return self.radius * np.linalg.norm(v @ self.pose[:3, :2], axis=-1)

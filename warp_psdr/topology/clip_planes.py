@@ -30,7 +30,7 @@ def require_uncut(scene: Scene, sensor: int, shapes: set[int], *, camera_moves: 
     """
     points, view = scene.points, camera_view(scene, sensor)
     moving = [s for i, s in enumerate(scene.builder.shapes) if camera_moves or i in shapes]
-    depths = [_depth(view, points[s.first_vertex : s.first_vertex + s.vertex_count]) for s in moving]
+    depths = [view.depth(points[s.first_vertex : s.first_vertex + s.vertex_count]) for s in moving]
     near, far = _planes(view)
     if all(near < depth.min(initial=far) and depth.max(initial=near) < far for depth in depths):
         return  # as nearly always, and quickly found
@@ -53,7 +53,7 @@ def visible_cuts(view: CameraView, corners: np.ndarray) -> np.ndarray:
         view: the camera.
         corners: (M, 3, 3) corners of triangles, in the coordinates of ``view``.
     """
-    depth = _depth(view, corners)
+    depth = view.depth(corners)
     found = np.zeros(len(corners), bool)
     for plane in _planes(view):
         front = depth > plane
@@ -68,15 +68,7 @@ def visible_cuts(view: CameraView, corners: np.ndarray) -> np.ndarray:
     return found
 
 
-def _depth(view: CameraView, points: np.ndarray) -> np.ndarray:
-    """Return how far points (..., 3) lie in front of a camera."""
-    return (points - view.pose[:3, 3]) @ np.linalg.inv(view.pose[:3, :3])[2]
-
-
 def _planes(view: CameraView) -> tuple[float, float]:
     """Return the depths at which cuts are looked for."""
-    size = float(np.linalg.norm(view.pose[:3, 2]))
-    near, far = view.camera.near, view.camera.far
-    # Along the axis of an orthographic camera; see ``kernels/sensor/camera.py``.
-    near, far = (near / size, far / size) if view.finite else (near, near + (far - near) / size)
+    near, far = view.clip_depths()
     return near * (1.0 + INSIDE), far * (1.0 - INSIDE)

@@ -176,20 +176,17 @@ def require_uncut(scene: Scene, sensor: int, shapes: frozenset[int] | None) -> N
     """
     view = camera_view(scene, sensor)
     axis = np.linalg.inv(view.pose[:3, :3])[2]
-    size = float(np.linalg.norm(view.pose[:3, 2]))
-    near, far = view.camera.near, view.camera.far
-    near, far = (near / size, far / size) if view.finite else (near, near + (far - near) / size)
     for i in scene.builder.primitives:
         if shapes is not None and i not in shapes:
             continue
         linear, center = pose(scene, i)
-        middle, half = float(axis @ (center - view.pose[:3, 3])), axis @ linear
+        middle, half = float(view.depth(center)), axis @ linear
         kind = scene.description.shapes[i].primitive
         if kind == "cylinder":
             middle += 0.5 * half[2]
         reach = np.linalg.norm(half) if kind == "sphere" else np.linalg.norm(half[:2])
         reach += 0.5 * abs(half[2]) if kind == "cylinder" else 0.0
-        for plane in (near, far):
+        for plane in view.clip_depths():
             if middle - reach < plane < middle + reach:
                 raise ValueError(
                     f"a clip plane of sensor {sensor} cuts the exact shape {scene.description.shapes[i].path!r}, and "

@@ -135,10 +135,6 @@ def require_uncut_grids(scene: Scene, sensor: int, shapes: list[int]) -> None:
         ValueError: the derivative of that border is in no term.
     """
     view = camera_view(scene, sensor)
-    axis = np.linalg.inv(view.pose[:3, :3])[2]
-    size = float(np.linalg.norm(view.pose[:3, 2]))
-    near, far = view.camera.near, view.camera.far
-    near, far = (near / size, far / size) if view.finite else (near, near + (far - near) / size)
     for i in shapes:
         values = grid_values(scene, i)
         box = passed_box(values, is_smooth_grid(scene, i))
@@ -147,8 +143,8 @@ def require_uncut_grids(scene: Scene, sensor: int, shapes: list[int]) -> None:
         linear, origin = pose(scene, i)
         cells = np.array(values.shape[::-1]) - 1.0
         ends = (CORNERS * (box[1] - box[0]) + box[0]) / cells
-        depth = (ends @ linear.T + origin - view.pose[:3, 3]) @ axis
-        for plane in (near, far):
+        depth = view.depth(ends @ linear.T + origin)
+        for plane in view.clip_depths():
             if depth.min() < plane < depth.max():
                 raise ValueError(
                     f"a clip plane of sensor {sensor} runs through the box around the surface of the grid "

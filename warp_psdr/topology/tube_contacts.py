@@ -147,14 +147,11 @@ def require_uncut_tubes(scene: Scene, sensor: int, shapes: list[int]) -> None:
     """
     view = camera_view(scene, sensor)
     axis = np.linalg.inv(view.pose[:3, :3])[2]
-    size = float(np.linalg.norm(view.pose[:3, 2]))
-    near, far = view.camera.near, view.camera.far
-    near, far = (near / size, far / size) if view.finite else (near, near + (far - near) / size)
     for i in shapes:
         cones, _place = _cones(scene, i)
-        depth = (cones[..., :3] - view.pose[:3, 3]) @ axis
+        depth = view.depth(cones[..., :3])
         reach = cones[..., 3] * np.linalg.norm(axis)
-        for plane in (near, far):
+        for plane in view.clip_depths():
             if (((depth - reach).min(axis=1) < plane) & ((depth + reach).max(axis=1) > plane)).any():
                 raise ValueError(
                     f"a clip plane of sensor {sensor} cuts the curves {scene.description.shapes[i].path!r}, and the "

@@ -11,8 +11,7 @@ from warp_psdr.topology.grid_silhouettes import grid_items, grid_shapes
 
 def applies(r: Request) -> bool:
     """Whether grids scatter light, and they or the camera move."""
-    lit = r.plan.max_depth != 1 and bool(r.scene.builder.emitters)
-    return primary_grid.applies(r) and lit and r.scatters_smoothly
+    return primary_grid.applies(r) and r.lit and r.scatters_smoothly
 
 
 def launch(r: Request) -> Term | None:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term, term_of
-from warp_psdr.estimate.boundary.terms.secondary import WEDGE_SHARE, WEDGE_SHARE_DIRECT
+from warp_psdr.estimate.boundary.terms.request import OWN_SHARE, OWN_SHARE_DIRECT, BoundaryTerm, Request, Term, term_of
 from warp_psdr.kernels.boundary.guiding.techniques import Guide
 from warp_psdr.kernels.boundary.path_space.media_secondary import make_media_secondary_kernel
 from warp_psdr.options.boundary import PathSpace
@@ -13,7 +12,7 @@ from warp_psdr.topology.edges_there import secondary_edges_there
 
 def applies(r: Request) -> bool:
     """Whether light is scattered, and edges, lights or the camera move."""
-    return r.config.media is not None and r.plan.max_depth != 1 and bool(r.scene.builder.emitters) and r.moves.edges
+    return r.config.media is not None and r.lit and r.moves.edges
 
 
 def launch(r: Request) -> Term | None:
@@ -23,7 +22,7 @@ def launch(r: Request) -> Term | None:
         return None
     kernel = make_media_secondary_kernel(r.config, r.role, r.moves.camera, r.moves.light_pose, r.plan.max_depth != 2)
     guide = Guide()
-    guide.share = WEDGE_SHARE if r.scene.builder.environment >= 0 else WEDGE_SHARE_DIRECT
+    guide.share = OWN_SHARE if r.scene.builder.environment >= 0 else OWN_SHARE_DIRECT
     samples = r.pixels * (r.method.spp_secondary or r.spp)
     return term_of(r, TERM, kernel, [r.scene.data(), r.camera, edges, moving_shapes(r.scene, r.moves), guide], samples)
 

@@ -29,6 +29,9 @@ if TYPE_CHECKING:
 #: Roulette ends paths behind a discontinuity so many vertices earlier than those of the image: their first vertices are
 #: what makes boundary samples differ. By default, from the first one on.
 ROULETTE_EARLIER = 4
+#: Share of the segments whose direction is drawn for what they touch (an edge's wedge, a tangent plane) instead of
+#: towards a light. With direct light of lights that are not at infinity, what is not a light contributes nothing.
+OWN_SHARE_DIRECT, OWN_SHARE = 0.1, 0.5
 
 
 @dataclass(frozen=True)
@@ -91,6 +94,17 @@ class Request:
     def config(self) -> PathConfig:
         """The path loop's: the estimators stratify what they sample first; everything else is independent."""
         return replace(self.plan.config, sampler="independent")
+
+    @property
+    def lit(self) -> bool:
+        """Whether there are lights, and paths that reach them by way of a vertex."""
+        return self.plan.max_depth != 1 and bool(self.scene.builder.emitters)
+
+    @property
+    def own_share(self) -> float:
+        """The share of segments that are not aimed at lights."""
+        direct = self.plan.max_depth == 2 and self.scene.builder.environment < 0
+        return OWN_SHARE_DIRECT if direct else OWN_SHARE
 
     @property
     def scatters_smoothly(self) -> bool:

@@ -12,14 +12,10 @@ from warp_psdr.options.boundary import PathSpace, Projective
 from warp_psdr.plan.motion import moving_shapes
 from warp_psdr.topology.secondary_edges import secondary_edges
 
-#: Share of the segments whose direction is drawn from the wedge instead of towards a light. With direct light of lights
-#: that are not at infinity, what is not a light contributes nothing.
-WEDGE_SHARE_DIRECT, WEDGE_SHARE = 0.1, 0.5
-
 
 def applies(r: Request) -> bool:
     """Whether light is scattered, and edges, lights or the camera move."""
-    return r.plan.max_depth != 1 and bool(r.scene.builder.emitters) and r.moves.edges and r.scatters_smoothly
+    return r.lit and r.moves.edges and r.scatters_smoothly
 
 
 def launch(r: Request) -> Term | None:
@@ -30,8 +26,7 @@ def launch(r: Request) -> Term | None:
     )
     if guiding is None:
         edges, guide = secondary_edges(r.scene, set(r.moves.shapes)), Guide()
-        aimed = r.plan.max_depth == 2 and r.scene.builder.environment < 0
-        guide.share = WEDGE_SHARE_DIRECT if aimed else WEDGE_SHARE
+        guide.share = r.own_share
         if isinstance(r.method, Projective):
             guide.share = projective.uniform_share(r)
     else:

@@ -10,8 +10,7 @@ from warp_psdr.options.boundary import PathSpace
 
 def applies(r: Request) -> bool:
     """Whether light is scattered beside such grids, and anything moves."""
-    lit = r.plan.max_depth != 1 and bool(r.scene.builder.emitters)
-    return PRIMITIVE_SDFGRID_CUBIC in r.config.primitives and lit and r.moves.edges and r.scatters_smoothly
+    return PRIMITIVE_SDFGRID_CUBIC in r.config.primitives and r.lit and r.moves.edges and r.scatters_smoothly
 
 
 def launch(r: Request) -> Term | None:

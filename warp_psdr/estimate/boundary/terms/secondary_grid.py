@@ -9,15 +9,10 @@ from warp_psdr.options.boundary import PathSpace
 from warp_psdr.plan.motion import moving_shapes
 from warp_psdr.topology.grid_silhouettes import grid_items, grid_shapes, light_eyes
 
-#: Share of the segments whose direction is drawn by itself instead of towards a light; ``UNIFORM_SHARE_DIRECT`` as in
-#: ``secondary_silhouette.py``.
-UNIFORM_SHARE_DIRECT, UNIFORM_SHARE = 0.1, 0.5
-
 
 def applies(r: Request) -> bool:
     """Whether light is scattered beside grids, and anything moves."""
-    lit = r.plan.max_depth != 1 and bool(r.scene.builder.emitters)
-    return PRIMITIVE_SDFGRID in r.config.primitives and lit and r.moves.edges and r.scatters_smoothly
+    return PRIMITIVE_SDFGRID in r.config.primitives and r.lit and r.moves.edges and r.scatters_smoothly
 
 
 def launch_segments(r: Request, term: BoundaryTerm, cubic: bool) -> Term | None:
@@ -26,9 +21,7 @@ def launch_segments(r: Request, term: BoundaryTerm, cubic: bool) -> Term | None:
     found = grid_items(r.scene, grid_shapes(r.scene, cubic), eyes)
     if found is None:
         return None
-    found.share = UNIFORM_SHARE_DIRECT if r.plan.max_depth == 2 and r.scene.builder.environment < 0 else UNIFORM_SHARE
-    if found.aimed == 0 or eyes == []:
-        found.share = 1.0
+    found.share = 1.0 if found.aimed == 0 or eyes == [] else r.own_share
     kernel = make_secondary_grid_kernel(r.config, r.role, r.moves.camera, r.moves.light_pose, r.indirect, cubic)
     samples = r.pixels * (r.method.spp_secondary or r.spp)
     return term_of(r, term, kernel, [r.scene.data(), r.camera, found, moving_shapes(r.scene, r.moves)], samples)

@@ -9,15 +9,10 @@ from warp_psdr.options.boundary import PathSpace
 from warp_psdr.plan.motion import moving_shapes
 from warp_psdr.scene.exact import outlines
 
-#: Share of the segments whose direction is drawn uniformly instead of towards a light, as ``secondary.py``'s; where the
-#: camera sees nothing but lights' own light, and no light is everywhere, those alone count that end on one.
-UNIFORM_SHARE_DIRECT, UNIFORM_SHARE = 0.1, 0.5
-
 
 def applies(r: Request) -> bool:
     """Whether light is scattered beside such shapes, and anything moves."""
-    lit = r.plan.max_depth != 1 and bool(r.scene.builder.emitters)
-    return bool(set(r.config.primitives) - set(GRIDS)) and lit and r.moves.edges and r.scatters_smoothly
+    return bool(set(r.config.primitives) - set(GRIDS)) and r.lit and r.moves.edges and r.scatters_smoothly
 
 
 def launch(r: Request) -> Term | None:
@@ -26,10 +21,8 @@ def launch(r: Request) -> Term | None:
     if found is None:
         return None
     kernel = make_secondary_silhouette_kernel(r.config, r.role, r.moves.camera, r.moves.light_pose, r.indirect)
-    aimed = r.plan.max_depth == 2 and r.scene.builder.environment < 0
-    share = UNIFORM_SHARE_DIRECT if aimed else UNIFORM_SHARE
     samples = r.pixels * (r.method.spp_secondary or r.spp)
-    head = [r.scene.data(), r.camera, found, moving_shapes(r.scene, r.moves), share]
+    head = [r.scene.data(), r.camera, found, moving_shapes(r.scene, r.moves), r.own_share]
     return term_of(r, TERM, kernel, head, samples)
 
 

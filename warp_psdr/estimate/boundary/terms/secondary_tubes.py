@@ -9,14 +9,10 @@ from warp_psdr.options.boundary import PathSpace
 from warp_psdr.plan.motion import moving_shapes
 from warp_psdr.topology.tubes import curve_shapes, tube_items
 
-#: Share of the segments whose direction is drawn by itself instead of towards a light, as of other silhouettes.
-OWN_SHARE_DIRECT, OWN_SHARE = 0.1, 0.5
-
 
 def applies(r: Request) -> bool:
     """Whether light is scattered beside curves, and anything moves."""
-    lit = r.plan.max_depth != 1 and bool(r.scene.builder.emitters)
-    return bool(set(CURVES) & set(r.config.primitives)) and lit and r.moves.edges and r.scatters_smoothly
+    return bool(set(CURVES) & set(r.config.primitives)) and r.lit and r.moves.edges and r.scatters_smoothly
 
 
 def launch(r: Request) -> Term | None:
@@ -24,7 +20,7 @@ def launch(r: Request) -> Term | None:
     found = tube_items(r.scene, curve_shapes(r.scene), creases=False)
     if found is None:
         return None
-    found.share = OWN_SHARE_DIRECT if r.plan.max_depth == 2 and r.scene.builder.environment < 0 else OWN_SHARE
+    found.share = r.own_share
     kernel = make_secondary_tube_kernel(r.config, r.role, r.moves.camera, r.moves.light_pose, r.indirect)
     samples = r.pixels * (r.method.spp_secondary or r.spp)
     return term_of(r, TERM, kernel, [r.scene.data(), r.camera, found, moving_shapes(r.scene, r.moves)], samples)
