@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 import warp as wp
 
-import warp_psdr as psdr
-from tests.path.test_sdfgrid import nodes, sphere
+from tests.path.test_sdfgrid import sphere
 from warp_psdr.kernels.boundary.silhouette.grid_points import (
     VOXEL_ITEM,
     GridItems,
@@ -22,38 +21,16 @@ from warp_psdr.kernels.boundary.silhouette.grid_points import (
     touch_curvature,
 )
 from warp_psdr.kernels.boundary.silhouette.grid_secondary import own_density, own_direction
-from warp_psdr.kernels.constants import PRIMITIVE_SDFGRID
-from warp_psdr.kernels.primitive.dispatch import make_hit
 from warp_psdr.kernels.primitive.sdfgrid import grid_of
 from warp_psdr.kernels.reading import triangle_at
 from warp_psdr.kernels.structs import Scene
 from warp_psdr.topology.grid_silhouettes import Eyes, grid_items, grid_shapes, items_of, may_show
 
-HIT = make_hit((PRIMITIVE_SDFGRID,))
+from .etendue import LIMIT, blocked, growth, is_free, loaded, shapes, sums
+
 ACCUMULATE = make_touch_sink("forward")
-#: Samples of each estimate, in batches whose deviation tells its error.
-SAMPLES, BATCHES = 1_000_000, 20
-#: Standard errors of a comparison of two estimates.
-LIMIT = 4.0
-#: The squares of the étendue: heights of receiver and light, half their sides, about (.5, .5).
-LOW, HIGH, HALF = wp.constant(-0.2), wp.constant(1.2), wp.constant(0.6)
-
-
-@wp.func
-def is_free(scene: Scene, x: wp.vec3, out: wp.vec3, w: wp.vec3) -> wp.bool:
-    """Whether a line passes from square to square."""
-    if w[2] <= 1.0e-4:
-        return False
-    up = (HIGH - x[2]) / w[2]
-    down = (x[2] - LOW) / w[2]
-    y = x + up * w
-    z = x - down * w
-    beside = wp.max(wp.max(wp.abs(y[0] - 0.5), wp.abs(y[1] - 0.5)), wp.max(wp.abs(z[0] - 0.5), wp.abs(z[1] - 0.5)))
-    if beside > HALF:
-        return False
-    tri = triangle_at(scene, 0)
-    o = x + 1.0e-5 * out
-    return HIT(scene, tri, o, w, up).face < 0 and HIT(scene, tri, o, -w, down).face < 0
+SAMPLES = 1_000_000
+ANALYTIC = {"normals": "analytic"}
 
 
 @wp.kernel(module="unique", enable_backward=False)
@@ -123,60 +100,12 @@ def touch(
             out[t, 2 + column] = value * wp.float64(ACCUMULATE(scene, tangents, point, normal))
 
 
-@wp.kernel(module="unique", enable_backward=False)
-def block(more: Scene, less: Scene, seed: wp.int32, out: wp.array(dtype=wp.float64)):
-    t = wp.tid()
-    state = wp.rand_init(seed, t)
-    x = wp.vec3(0.5 + HALF * (2.0 * wp.randf(state) - 1.0), 0.5 + HALF * (2.0 * wp.randf(state) - 1.0), LOW)
-    y = wp.vec3(0.5 + HALF * (2.0 * wp.randf(state) - 1.0), 0.5 + HALF * (2.0 * wp.randf(state) - 1.0), HIGH)
-    length = wp.length(y - x)
-    d = (y - x) / length
-    a = wp.where(HIT(more, triangle_at(more, 0), x, d, length).face >= 0, 1.0, 0.0)
-    b = wp.where(HIT(less, triangle_at(less, 0), x, d, length).face >= 0, 1.0, 0.0)
-    area = 16.0 * HALF * HALF * HALF * HALF
-    out[t] = wp.float64(area * d[2] * d[2] / (length * length) * (a - b))
-
-
-def shapes(count: int) -> np.ndarray:
-    """Two spheres, blended."""
-    x, y, z = nodes(count)
-    a = np.sqrt((x - 0.38) ** 2 + (y - 0.45) ** 2 + (z - 0.5) ** 2) - 0.22
-    b = np.sqrt((x - 0.66) ** 2 + (y - 0.55) ** 2 + (z - 0.5) ** 2) - 0.17
-    return (-0.05 * np.log(np.exp(-a / 0.05) + np.exp(-b / 0.05)))[..., None].astype(np.float32)
-
-
-def growth(count: int) -> np.ndarray:
-    x, y, _z = nodes(count)
-    return -(1.0 + 0.5 * np.sin(5.0 * x) * np.cos(4.0 * y))[..., None]
-
-
-def loaded(grid: np.ndarray, pose: np.ndarray | None = None) -> psdr.Scene:
-    body = {"type": "sdfgrid", "grid": grid, "normals": "analytic"}
-    if pose is not None:
-        body["to_world"] = psdr.Transform(pose)
-    return psdr.load_dict(
-        {"type": "scene", "body": body, "sensor": {"type": "perspective"}, "sky": {"type": "constant"}}
-    )
-
-
-def sums(scene: psdr.Scene, tangents: np.ndarray, towards: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Means and their standard errors, of the columns of ``touch``."""
-    found = grid_items(scene, grid_shapes(scene), None)
-    assert found is not None
-    out = wp.zeros((SAMPLES, 5), dtype=wp.float64, device="cpu")
-    inputs = [scene.data(), found, wp.array(tangents, dtype=wp.float32, device="cpu"), towards, seed]
-    wp.launch(touch, dim=SAMPLES, inputs=inputs, outputs=[out], device="cpu")
-    means = out.numpy().reshape(BATCHES, -1, 5).mean(axis=1)
-    return means.mean(axis=0), means.std(axis=0, ddof=1) / np.sqrt(BATCHES)
-
-
 def test_both_techniques_have_one_measure() -> None:
     """All lines that touch a grid under an affine map, by directions of items and by directions of the sphere."""
     pose = np.eye(4)
     pose[:3, :3] = [[1.5, 0.4, 0.0], [0.0, -0.8, 0.1], [0.2, 0.0, 1.1]]
-    scene = loaded(shapes(10), pose)
-    still = np.zeros(len(scene.values), np.float32)
-    (own, own_error), (towards, error) = (sums(scene, still, k, 7 + k) for k in range(2))
+    scene = loaded(shapes(10), pose, **ANALYTIC)
+    (own, own_error), (towards, error) = (sums(touch, (SAMPLES, 5), scene, 0.0, k, 7 + k) for k in range(2))
     gap, limit = np.abs(own - towards)[:2], LIMIT * np.hypot(own_error, error)[:2]
     assert (gap < limit).all() and (limit < 0.1 * own[:2]).all(), (own, towards, limit)
 
@@ -184,18 +113,9 @@ def test_both_techniques_have_one_measure() -> None:
 @pytest.mark.parametrize("count", [16, pytest.param(64, marks=pytest.mark.slow)])
 def test_blocked_etendue(count: int) -> None:
     """By all values of a grid: creases have most of it, also where the grid is fine."""
-    grid, tangent, step = shapes(count), growth(count), 0.002
-    scene = loaded(grid)
-    tangents = np.zeros(len(scene.values), np.float32)
-    p = scene.parameters["body.grid"]
-    tangents[p.offset : p.offset + p.size] = tangent.ravel()
-    found, error = sums(scene, tangents, 0, 3)
-    rays = 2_000_000
-    out = wp.zeros(rays, dtype=wp.float64, device="cpu")
-    more, less = (loaded((grid + k * step * tangent).astype(np.float32)) for k in (1.0, -1.0))
-    wp.launch(block, dim=rays, inputs=[more.data(), less.data(), 5], outputs=[out], device="cpu")
-    batches = out.numpy().reshape(BATCHES, -1).mean(axis=1) / (2.0 * step)
-    expected, deviation = batches.mean(), batches.std(ddof=1) / np.sqrt(BATCHES)
+    grid, tangent = shapes(count), growth(count)
+    found, error = sums(touch, (SAMPLES, 5), loaded(grid, **ANALYTIC), tangent, 0, 3)
+    expected, deviation = blocked(grid, tangent, **ANALYTIC)
     total = found[2] + found[3]
     assert abs(total - expected) < LIMIT * np.sqrt(error[2] ** 2 + error[3] ** 2 + deviation**2)
     assert max(deviation, error[2]) < 0.03 * expected
@@ -204,8 +124,7 @@ def test_blocked_etendue(count: int) -> None:
 
 def test_area_of_a_sphere() -> None:
     """The sampler's density on the surface: tri-linear interpolation moves a sphere by parts of a voxel squared."""
-    scene = loaded(sphere(32, 0.4))
-    found, error = sums(scene, np.zeros(len(scene.values), np.float32), 0, 11)
+    found, error = sums(touch, (SAMPLES, 5), loaded(sphere(32, 0.4), **ANALYTIC), 0.0, 0, 11)
     assert error[4] < 0.005 * found[4]
     assert found[4] == pytest.approx(4.0 * np.pi * 0.16, rel=0.015)
 
@@ -218,7 +137,7 @@ def test_items_left_out_have_no_silhouette() -> None:
     low, high = np.array([20.0, -6.0, 14.0]), np.array([22.0, -3.0, 17.0])
     shown = may_show(values, numbers, low, high, False)
     assert 0.02 < shown.mean() < 0.6
-    scene = loaded(values[..., None].astype(np.float32))
+    scene = loaded(values[..., None].astype(np.float32), **ANALYTIC)
     eyes = Eyes(np.array([[20.5, -4.0, 15.0]]) / 11.0, False)
     found = grid_items(scene, grid_shapes(scene), [eyes])
     assert found is not None and 0 < found.aimed < shown.sum()

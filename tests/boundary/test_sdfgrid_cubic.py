@@ -9,7 +9,7 @@ from tests.path.test_sdfgrid import nodes
 from .measure import MODES, Case, assert_agrees, assert_transposes, derivatives, differences, rows
 from .scenes import T, diffuse, floor, load, register
 from .test_exact_sphere import LIGHTS, ROTATION, SHEAR, VIEW, entry, moved_light
-from .test_sdfgrid import MATRIX, all_values, one_half, values
+from .test_sdfgrid import MATRIX, all_values, ball_on_the_film, one_half, values
 
 GRID, POSE, FLOOR, LAMP, WALL = (
     "body.grid",
@@ -120,29 +120,7 @@ def test_the_limit_is_the_exact_sphere() -> None:
     # Values whose spline has this radius.
     x, y, z = nodes(count)
     grid = np.sqrt((x - 0.5) ** 2 + (y - 0.5) ** 2 + (z - 0.5) ** 2) - radius - 1.0 / (3.0 * radius * (count - 1) ** 2)
-    side = 0.5 / radius
-    pose = np.eye(4)
-    pose[:3, :3] *= side
-    pose[:3, 3] = np.array([0.0, 0.0, 2.0]) - 0.5 * side
-    film = {"type": "hdrfilm", "width": 32, "height": 32, "rfilter": {"type": "box"}}
-    view = T.look_at([0, 0, 0], [0, 0, 1], [0, 1, 0])
-    ball = {"type": "sdfgrid", "grid": grid, "interpolation": "cubic", "to_world": T(pose), "bsdf": diffuse(0.0)}
-    scene = psdr.load_dict(
-        {
-            "type": "scene",
-            "sensor": {"type": "perspective", "fov": 60.0, "to_world": view, "film": film},
-            "sky": {"type": "constant", "radiance": 1.0},
-            "ball": ball,
-        }
-    )
-    params = psdr.traverse(scene)
-    params.requires_grad("ball.grid", "ball.to_world")
-    integrator = psdr.PathIntegrator(max_depth=1)
-    psdr.render_backward(scene, params, np.ones((32, 32, 3)) / 3.0, spp=1024, integrator=integrator)
-    pixel = (2.0 * np.tan(np.radians(30.0)) / 32.0) ** 2
-    by_radius = pixel * params["ball.grid"].grad.numpy().sum() / side
-    by_distance = -pixel * params["ball.to_world"].grad.numpy().reshape(4, 4)[2, 3]
-    np.testing.assert_allclose([by_radius, by_distance], [0.893609, -0.223402], rtol=0.005)
+    np.testing.assert_allclose(ball_on_the_film(grid, interpolation="cubic"), [0.893609, -0.223402], rtol=0.005)
 
 
 @pytest.mark.parametrize(

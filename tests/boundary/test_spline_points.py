@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 import warp as wp
 
-import warp_psdr as psdr
 from tests.path.test_sdfgrid import sphere
 from warp_psdr.kernels.boundary.silhouette.grid_points import (
     GridItems,
@@ -21,36 +20,17 @@ from warp_psdr.kernels.boundary.silhouette.spline_points import (
     spline_curve_point,
     spline_surface_point,
 )
-from warp_psdr.kernels.constants import PRIMITIVE_SDFGRID_CUBIC
-from warp_psdr.kernels.primitive.dispatch import make_hit
 from warp_psdr.kernels.primitive.sdfgrid import grid_of
 from warp_psdr.kernels.reading import triangle_at
 from warp_psdr.kernels.structs import Scene
 from warp_psdr.topology.grid_contacts import spline_interpolated
-from warp_psdr.topology.grid_silhouettes import grid_items, grid_shapes, items_of, spline_may_show
+from warp_psdr.topology.grid_silhouettes import items_of, spline_may_show
 
-from .test_grid_points import BATCHES, HALF, HIGH, LIMIT, LOW, growth, shapes
+from .etendue import LIMIT, blocked, growth, is_free, loaded, shapes, sums
 
-HIT = make_hit((PRIMITIVE_SDFGRID_CUBIC,))
 ACCUMULATE = make_touch_sink("forward", True)
 SAMPLES = 400_000
-
-
-@wp.func
-def is_free_of_it(scene: Scene, x: wp.vec3, out: wp.vec3, w: wp.vec3) -> wp.bool:
-    """Whether a line passes from square to square."""
-    if w[2] <= 1.0e-4:
-        return False
-    up = (HIGH - x[2]) / w[2]
-    down = (x[2] - LOW) / w[2]
-    y = x + up * w
-    z = x - down * w
-    beside = wp.max(wp.max(wp.abs(y[0] - 0.5), wp.abs(y[1] - 0.5)), wp.max(wp.abs(z[0] - 0.5), wp.abs(z[1] - 0.5)))
-    if beside > HALF:
-        return False
-    tri = triangle_at(scene, 0)
-    o = x + 1.0e-5 * out
-    return HIT(scene, tri, o, w, up).face < 0 and HIT(scene, tri, o, -w, down).face < 0
+CUBIC = {"interpolation": "cubic"}
 
 
 @wp.kernel(module="unique", enable_backward=False)
@@ -102,51 +82,14 @@ def touch_smoothly(
     if towards == 0:
         speed = ACCUMULATE(scene, tangents, point, point.out)
         out[t, 1] = wp.float64(each * measure * speed)
-        if is_free_of_it(scene, point.x, point.out, w):
+        if is_free(scene, point.x, point.out, w):
             out[t, 2] = out[t, 1]
-
-
-@wp.kernel(module="unique", enable_backward=False)
-def block_smoothly(more: Scene, less: Scene, seed: wp.int32, out: wp.array(dtype=wp.float64)):
-    t = wp.tid()
-    state = wp.rand_init(seed, t)
-    x = wp.vec3(0.5 + HALF * (2.0 * wp.randf(state) - 1.0), 0.5 + HALF * (2.0 * wp.randf(state) - 1.0), LOW)
-    y = wp.vec3(0.5 + HALF * (2.0 * wp.randf(state) - 1.0), 0.5 + HALF * (2.0 * wp.randf(state) - 1.0), HIGH)
-    length = wp.length(y - x)
-    d = (y - x) / length
-    a = wp.where(HIT(more, triangle_at(more, 0), x, d, length).face >= 0, 1.0, 0.0)
-    b = wp.where(HIT(less, triangle_at(less, 0), x, d, length).face >= 0, 1.0, 0.0)
-    area = 16.0 * HALF * HALF * HALF * HALF
-    out[t] = wp.float64(area * d[2] * d[2] / (length * length) * (a - b))
-
-
-def loaded(grid: np.ndarray, pose: np.ndarray | None = None) -> psdr.Scene:
-    body = {"type": "sdfgrid", "grid": grid, "interpolation": "cubic"}
-    if pose is not None:
-        body["to_world"] = psdr.Transform(pose)
-    return psdr.load_dict(
-        {"type": "scene", "body": body, "sensor": {"type": "perspective"}, "sky": {"type": "constant"}}
-    )
-
-
-def sums(scene: psdr.Scene, tangent: np.ndarray, towards: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Means and their standard errors, of the columns of ``touch_smoothly``."""
-    tangents = np.zeros(len(scene.values), np.float32)
-    p = scene.parameters["body.grid"]
-    tangents[p.offset : p.offset + p.size] = tangent.ravel()
-    found = grid_items(scene, grid_shapes(scene), None)
-    assert found is not None
-    out = wp.zeros((SAMPLES, 4), dtype=wp.float64, device="cpu")
-    inputs = [scene.data(), found, wp.array(tangents, dtype=wp.float32, device="cpu"), towards, seed]
-    wp.launch(touch_smoothly, dim=SAMPLES, inputs=inputs, outputs=[out], device="cpu")
-    means = out.numpy().reshape(BATCHES, -1, 4).mean(axis=1)
-    return means.mean(axis=0), means.std(axis=0, ddof=1) / np.sqrt(BATCHES)
 
 
 def test_lines_that_touch_a_sphere() -> None:
     """The integral of kappa_n dA dtheta is pi dS/dr = 8 pi^2 r, and the density of points gives the area."""
     count, radius = 24, 0.4
-    found, error = sums(loaded(sphere(count, radius)), -np.ones((count, count, count)), 0, 11)
+    found, error = sums(touch_smoothly, (SAMPLES, 4), loaded(sphere(count, radius), **CUBIC), -1.0, 0, 11)
     smoothed = radius - 1.0 / (3.0 * radius * (count - 1) ** 2)
     assert (error[[1, 3]] < 0.003 * found[[1, 3]]).all()
     assert found[1] == pytest.approx(8.0 * np.pi**2 * smoothed, rel=0.01)
@@ -157,8 +100,8 @@ def test_both_techniques_have_one_measure() -> None:
     """All lines that touch a grid under an affine map, by directions of items and by directions of the sphere."""
     pose = np.eye(4)
     pose[:3, :3] = [[1.5, 0.4, 0.0], [0.0, -0.8, 0.1], [0.2, 0.0, 1.1]]
-    scene = loaded(shapes(10), pose)
-    (own, own_error), (towards, error) = (sums(scene, np.zeros((10, 10, 10)), k, 7 + k) for k in range(2))
+    scene = loaded(shapes(10), pose, **CUBIC)
+    (own, own_error), (towards, error) = (sums(touch_smoothly, (SAMPLES, 4), scene, 0.0, k, 7 + k) for k in range(2))
     limit = LIMIT * np.hypot(own_error, error)[0]
     assert abs(own - towards)[0] < limit < 0.05 * own[0], (own, towards, limit)
 
@@ -166,14 +109,9 @@ def test_both_techniques_have_one_measure() -> None:
 @pytest.mark.slow
 def test_blocked_etendue() -> None:
     """By all values of a grid, of two spheres that are blended, with a neck that curves both ways."""
-    grid, tangent, step = shapes(16), growth(16), 0.002
-    found, error = sums(loaded(grid), tangent, 0, 3)
-    rays = 2_000_000
-    out = wp.zeros(rays, dtype=wp.float64, device="cpu")
-    more, less = (loaded((grid + k * step * tangent).astype(np.float32)) for k in (1.0, -1.0))
-    wp.launch(block_smoothly, dim=rays, inputs=[more.data(), less.data(), 5], outputs=[out], device="cpu")
-    batches = out.numpy().reshape(BATCHES, -1).mean(axis=1) / (2.0 * step)
-    expected, deviation = batches.mean(), batches.std(ddof=1) / np.sqrt(BATCHES)
+    grid, tangent = shapes(16), growth(16)
+    found, error = sums(touch_smoothly, (SAMPLES, 4), loaded(grid, **CUBIC), tangent, 0, 3)
+    expected, deviation = blocked(grid, tangent, **CUBIC)
     assert abs(found[2] - expected) < LIMIT * np.hypot(error[2], deviation), (found, error, expected, deviation)
     assert max(deviation, error[2]) < 0.03 * expected
 
