@@ -178,22 +178,30 @@ def make_reparametrised_kernel(
         """The rays behind the first vertex: to what next-event estimation found, and to what the path met."""
         _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
         r = WarpAdjoint()
-        if first.light >= 0:
-            surface = interaction.surface(scene, first.face, first.u, first.v)
-            light = radiance_of(scene, first, surface.x)
-            face = wp.int32(-1)
-            if scene.emitters[first.light].kind == EMITTER_AREA:
-                face = first.light_face
-            r = pull_light(
-                scene, target, first, first.light_wi, first.light_weight * weight, light,
-                face, first.light_u, first.light_v,
-            )  # fmt: skip
-        if first.lobe == LOBE_SMOOTH and not vanishes(second.direct):
-            found = pull_light(
-                scene, target, first, first.wo, first.inv_pdf * weight, second.direct, second.face, second.u, second.v
-            )
-            r.o += found.o
-            r.dot += found.dot
+        technique = wp.int32(0)
+        while technique < 2:  # one copy of what is called, which takes minutes to compile for CUDA
+            w = first.wo
+            scale = first.inv_pdf * weight
+            light = second.direct
+            face = second.face
+            u = second.u
+            v = second.v
+            found_light = first.lobe == LOBE_SMOOTH and not vanishes(light)
+            if technique == 0:
+                found_light = first.light >= 0
+                if found_light:
+                    surface = interaction.surface(scene, first.face, first.u, first.v)
+                    w = first.light_wi
+                    scale = first.light_weight * weight
+                    light = radiance_of(scene, first, surface.x)
+                    face = wp.where(scene.emitters[first.light].kind == EMITTER_AREA, first.light_face, -1)
+                    u = first.light_u
+                    v = first.light_v
+            if found_light:
+                found = pull_light(scene, target, first, w, scale, light, face, u, v)
+                r.o += found.o
+                r.dot += found.dot
+            technique += 1
         return r
 
     @wp.kernel(module="unique", enable_backward=False)
@@ -230,7 +238,8 @@ def make_reparametrised_kernel(
             seen = moved.trace(scene, origin, ray.d)
             turned = turn(scene, camera, origin, ray.d, film.h, film.slope)
             of_sample = wp.vec3(0.0, 0.0, 0.0)
-            for channel in range(wp.static(channels)):
+            channel = wp.int32(0)
+            while channel < wp.static(channels):  # not unrolled, for the same reason
                 weight = delta
                 if wp.static(forward):
                     weight = delta[channel] * axis_vec3(channel)
@@ -253,6 +262,7 @@ def make_reparametrised_kernel(
                 )  # fmt: skip
                 total += done.dot + moves.dot
                 of_sample += total * axis_vec3(channel)
+                channel += 1
             valid = finite(of_sample)
             if wp.static(not forward):
                 valid = valid and vanishes(of_sample)
