@@ -174,14 +174,9 @@ def test_what_has_no_terms_is_refused(change: dict, boundary, problem: str) -> N
 
 
 def test_neighbours_that_have_no_terms_are_refused() -> None:
-    ball = {"type": "sphere", "exact": True, "center": [1.5, 0.0, 0.5], "radius": 0.2}
-    for more, problem in (
-        ({"ball": ball}, "the exact shape 'ball' beside it"),
-        ({"other": body()}, "'other' runs through the surface of 'body'"),
-    ):
-        scene = psdr.load_dict({"type": "scene", **room("lamp")(), **more})
-        with pytest.raises(ValueError, match=problem):
-            psdr.plan(scene, names=["sensor.to_world"], integrator=psdr.PathIntegrator(max_depth=2))
+    scene = psdr.load_dict({"type": "scene", **room("lamp")(), "other": body()})
+    with pytest.raises(ValueError, match="'other' runs through the surface of 'body'"):
+        psdr.plan(scene, names=["sensor.to_world"], integrator=psdr.PathIntegrator(max_depth=2))
     near = camera((0.3, -3.0, 2.0), (0.0, 0.0, 0.4), fov=45.0) | {"near_clip": 3.1}
     scene = psdr.load_dict({"type": "scene", "sensor": near, "sky": sky(), "body": body()})
     params = psdr.traverse(scene)

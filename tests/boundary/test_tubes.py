@@ -168,7 +168,3 @@ def test_what_cuts_them_is_refused() -> None:
     params.requires_grad(POINTS)
     with pytest.raises(ValueError, match="cuts the curves 'body'"):
         psdr.render_backward(scene, params, np.ones((16, 16, 3)), spp=1, integrator=psdr.PathIntegrator(max_depth=1))
-    ball = {"type": "sphere", "exact": True, "center": [1.5, 0.0, 0.5], "radius": 0.2}
-    scene = psdr.load_dict({"type": "scene", **room("lamp", "straight")(), "ball": ball})
-    with pytest.raises(ValueError, match="'ball', a 'sphere', beside it"):
-        psdr.plan(scene, names=["sensor.to_world"], integrator=psdr.PathIntegrator(max_depth=2))

@@ -100,14 +100,15 @@ def refuse(
     else:
         reason = _of_method(integrator.interior, wanted)
         if not reason and moving and integrator.boundary is not None and light is not None:
-            reason = (
-                f"{moving[0]}, which is not followed where such a shape shines; "
-                "say PathIntegrator(boundary=None) to get the interior term alone"
-            )
+            reason = _where_it_shines(moving)
         elif not reason and moving and integrator.boundary is not None:
             reason = _beside_motion(scene, config, integrator, names)
     if reason:
         raise ValueError(f"{shape.path!r} is an exact {shape.kind!r}, and {reason}; or {INSTEAD}")
+
+
+def _where_it_shines(moving: tuple[str, ...]) -> str:
+    return f"{moving[0]}, which is not followed where such a shape shines; {ALONE}"
 
 
 def _of_method(method: interior.Method, wanted: GradientRequest | None) -> str:
@@ -137,9 +138,11 @@ def _beside_resting(
         what = type(integrator.interior).__name__
         return f"interior.{what}() does not follow what slides along rays; use interior.Replay()"
     if moving and integrator.boundary is not None:
-        if scene.builder.curves:
-            return _beside_moving_curves(scene, config, integrator, names)
-        return _beside_moving_grid(scene, config, integrator, names)
+        shapes = [scene.description.shapes[i] for i in scene.builder.primitives]
+        light = next((s for s in shapes if s.kind in EXACT and s.emitter is not None), None)
+        if light is not None:
+            return f"beside it {light.path!r} is an exact {light.kind!r}: {_where_it_shines(moving)}"
+        return _beside_moving_kinds(scene, config, integrator, names)
     return ""
 
 
@@ -171,35 +174,14 @@ def _of_boundary(config: PathConfig, integrator: PathIntegrator) -> str:
     return ""
 
 
-def _beside_moving_curves(scene: Scene, config: PathConfig, integrator: PathIntegrator, names: list[str]) -> str:
-    """The same beside curves."""
-    reason = _of_boundary(config, integrator)
-    if reason:
-        return f"{reason}, or {ALONE}"
-    shapes = scene.description.shapes
-    other = next((shapes[i] for i in scene.builder.primitives if shapes[i].curves is None), None)
-    if other is not None:
-        return f"{other.path!r}, a {other.kind!r}, beside it has no boundary term there; leave it out, or {ALONE}"
-    moves = motion(scene, names)
-    pair = pierced_tubes(scene, None if moves.camera else moves.shapes)
-    if pair is not None:
-        a, b = (shapes[i].path for i in pair)
-        what = f"{b!r} runs through the tubes of {a!r}" if a != b else f"tubes of {a!r} run through each other"
-        return f"{what}, along a curve that moves; move them apart, or {ALONE}"
-    return ""
-
-
-def _beside_moving_grid(scene: Scene, config: PathConfig, integrator: PathIntegrator, names: list[str]) -> str:
-    """The same beside grids of distances."""
+def _beside_moving_kinds(scene: Scene, config: PathConfig, integrator: PathIntegrator, names: list[str]) -> str:
+    """The same beside grids of distances and curves, and exact shapes among them."""
     reason = _of_boundary(config, integrator)
     if reason:
         return f"{reason}, or {ALONE}"
     if isinstance(integrator.boundary, Reparametrised):
         return ""  # ``plan/reparametrised.py`` says what it does
     shapes = scene.description.shapes
-    exact = next((shapes[i].path for i in scene.builder.primitives if shapes[i].grid is None), None)
-    if exact is not None:
-        return f"the exact shape {exact!r} beside it has no boundary term; leave out its 'exact', or {ALONE}"
     for i in grid_shapes(scene):
         grid = shapes[i].grid
         assert grid is not None
@@ -210,8 +192,11 @@ def _beside_moving_grid(scene: Scene, config: PathConfig, integrator: PathIntegr
             opened = f"the surface of {shapes[i].path!r} ends at its box, along a curve that moves"
             return f"{opened}; give positive values all around, or {ALONE}"
     moves = motion(scene, names)
-    pair = pierced_grid(scene, None if moves.camera else moves.shapes)
-    if pair is not None:
-        a, b = (shapes[i].path for i in pair)
-        return f"{b!r} runs through the surface of {a!r}, along a curve that moves; move them apart, or {ALONE}"
+    moved = None if moves.camera else moves.shapes
+    for find, surface in ((pierced, "surface"), (pierced_grid, "surface"), (pierced_tubes, "tubes")):
+        pair = find(scene, moved)
+        if pair is not None:
+            a, b = (shapes[i].path for i in pair)
+            what = f"{b!r} runs through the {surface} of {a!r}" if a != b else f"tubes of {a!r} run through each other"
+            return f"{what}, along a curve that moves; move them apart, or {ALONE}"
     return ""

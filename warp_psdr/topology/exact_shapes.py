@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from warp_psdr.scene.primitives import cylinder, disk
+from warp_psdr.scene.exact import EXACT
+from warp_psdr.scene.primitives import cylinder, disk, sphere
 from warp_psdr.topology.camera_view import camera_view
 
 if TYPE_CHECKING:
@@ -16,6 +17,8 @@ if TYPE_CHECKING:
 TOUCHING = 1.0e-4
 #: Segments of a disk or cylinder that keeps to it within ``TOUCHING``.
 SEGMENTS = 256
+#: The same of a sphere that stands for one beside grids and curves: within a thousandth of its radius.
+COARSE = 128
 #: Points of an ellipsoid that are looked at first, and steps from the best of them.
 POINTS, STEPS = 512, 64
 
@@ -34,8 +37,9 @@ def pierced(scene: Scene, shapes: frozenset[int] | None) -> tuple[int, int] | No
     cylinders are tested as triangles that keep to them within ``TOUCHING``. What touches a sphere is none that runs
     through it; what touches a disk or a cylinder counts as one.
     """
-    exact, b = scene.builder.primitives, scene.builder
-    kinds = {i: scene.description.shapes[i].primitive for i in exact}
+    b, all_kinds = scene.builder, {i: scene.description.shapes[i].primitive for i in scene.builder.primitives}
+    kinds = {i: kind for i, kind in all_kinds.items() if kind in EXACT}
+    exact = tuple(kinds)
     corners = scene.points[b.indices].astype(np.float64)
     for i in exact:
         linear, center = pose(scene, i)
@@ -89,8 +93,21 @@ def _cross_cylinder(local: np.ndarray) -> np.ndarray:
 CROSSED = {"sphere": _cross_sphere, "disk": _cross_disk, "cylinder": _cross_cylinder}
 #: Disks and cylinders as triangles, in their own coordinates.
 TRIANGLES = {
-    kind: made.vertices[made.faces] for kind, made in (("disk", disk(SEGMENTS)), ("cylinder", cylinder(SEGMENTS)))
+    kind: made.vertices[made.faces]
+    for kind, made in (("disk", disk(SEGMENTS)), ("cylinder", cylinder(SEGMENTS)), ("sphere", sphere(COARSE)))
 }
+
+
+def with_exact_shapes(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+    """Return the triangles (M, 3, 3) of a scene and those that stand for its exact shapes, and their shapes (M,)."""
+    corners, owners = [scene.points[scene.builder.indices].astype(np.float64)], [scene.builder.face_shape]
+    for i in scene.builder.primitives:
+        kind = scene.description.shapes[i].primitive
+        if kind in EXACT:
+            linear, center = pose(scene, i)
+            corners.append(TRIANGLES[kind] @ linear.T + center)
+            owners.append(np.full(len(corners[-1]), i))
+    return np.concatenate(corners), np.concatenate(owners)
 
 
 def _across(local: np.ndarray, low: float, high: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -179,9 +196,11 @@ def require_uncut(scene: Scene, sensor: int, shapes: frozenset[int] | None) -> N
     for i in scene.builder.primitives:
         if shapes is not None and i not in shapes:
             continue
+        kind = scene.description.shapes[i].primitive
+        if kind not in EXACT:
+            continue
         linear, center = pose(scene, i)
         middle, half = float(view.depth(center)), axis @ linear
-        kind = scene.description.shapes[i].primitive
         if kind == "cylinder":
             middle += 0.5 * half[2]
         reach = np.linalg.norm(half) if kind == "sphere" else np.linalg.norm(half[:2])

@@ -8,7 +8,7 @@ import numpy as np
 
 from warp_psdr.scene.sdfgrid import CORNERS, is_passed, spline_values
 from warp_psdr.topology.camera_view import camera_view
-from warp_psdr.topology.exact_shapes import pose
+from warp_psdr.topology.exact_shapes import pose, with_exact_shapes
 from warp_psdr.topology.grid_silhouettes import grid_shapes, grid_values, is_smooth_grid
 
 if TYPE_CHECKING:
@@ -45,8 +45,8 @@ def pierced_grid(scene: Scene, shapes: frozenset[int] | None) -> tuple[int, int]
 
     Of another grid the boxes around both surfaces are compared.
     """
-    b, grids = scene.builder, grid_shapes(scene)
-    corners = scene.points[b.indices].astype(np.float64)
+    grids = grid_shapes(scene)
+    corners, owners = with_exact_shapes(scene)
     for n, i in enumerate(grids):
         values, cubic = grid_values(scene, i), is_smooth_grid(scene, i)
         box = passed_box(values, cubic)
@@ -60,10 +60,10 @@ def pierced_grid(scene: Scene, shapes: frozenset[int] | None) -> tuple[int, int]
             local.max(axis=1, initial=-np.inf) > box[0]
         ).all(axis=1)
         if shapes is not None and i not in shapes:
-            near &= np.isin(b.face_shape, sorted(shapes))
+            near &= np.isin(owners, sorted(shapes))
         for row in np.flatnonzero(near):
             if _runs_through(values, local[row], cubic):
-                return i, int(b.face_shape[row])
+                return i, int(owners[row])
         for j in grids[n + 1 :]:
             other = passed_box(grid_values(scene, j), is_smooth_grid(scene, j))
             if other is None or not (shapes is None or i in shapes or j in shapes):

@@ -11,8 +11,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warp_psdr.scene.curve_points import coefficients, world_points
+from warp_psdr.scene.sdfgrid import is_passed
 from warp_psdr.topology.camera_view import camera_view
-from warp_psdr.topology.exact_shapes import least_distance
+from warp_psdr.topology.exact_shapes import least_distance, pose, with_exact_shapes
+from warp_psdr.topology.grid_silhouettes import grid_shapes, grid_values, is_smooth_grid
 from warp_psdr.topology.tubes import curve_shapes, follows
 
 if TYPE_CHECKING:
@@ -30,17 +32,19 @@ CHUNK = 512
 
 def pierced_tubes(scene: Scene, shapes: frozenset[int] | None) -> tuple[int, int] | None:
     """Return curves and a shape that runs through them, one of them among ``shapes`` (None: any)."""
-    b = scene.builder
-    corners = scene.points[b.indices].astype(np.float64)
+    corners, owners = with_exact_shapes(scene)
     found = [(shape, *_cones(scene, shape)) for shape in curve_shapes(scene)]
     for i, cones, place in found:
         rows = np.arange(len(corners))
         if shapes is not None and i not in shapes:
-            rows = rows[np.isin(b.face_shape, sorted(shapes))]
+            rows = rows[np.isin(owners, sorted(shapes))]
         for own, theirs in _near(cones, corners[rows].min(axis=1), corners[rows].max(axis=1)):
             hit = _depth_of_triangles(cones[own], corners[rows[theirs]]) > TOUCHING
             if hit.any():
-                return i, int(b.face_shape[rows[theirs[hit.argmax()]]])
+                return i, int(owners[rows[theirs[hit.argmax()]]])
+        for j in grid_shapes(scene):
+            if (shapes is None or i in shapes or j in shapes) and _meets_grid(scene, cones, j):
+                return i, j
         for j, others, _theirs in found:
             if j < i or not (shapes is None or i in shapes or j in shapes):
                 continue
@@ -91,6 +95,22 @@ def _near(cones: np.ndarray, low: np.ndarray, high: np.ndarray):
         a, b = np.nonzero(over)
         if len(a):
             yield own[a], theirs[b]
+
+
+def _meets_grid(scene: Scene, cones: np.ndarray, grid: int) -> bool:
+    """Whether cones come so near to the middle of a voxel that a grid's surface passes that they may enter it."""
+    values = grid_values(scene, grid)
+    linear, origin = pose(scene, grid)
+    edges = linear / (np.array(values.shape[::-1]) - 1.0)
+    middles = (np.argwhere(is_passed(values, is_smooth_grid(scene, grid)))[:, ::-1] + 0.5) @ edges.T + origin
+    reach = 0.5 * np.linalg.norm(edges, axis=0).sum()
+    for own, theirs in _near(cones, middles - reach, middles + reach):
+        axis = cones[own, 1, :3] - cones[own, 0, :3]
+        way = middles[theirs] - cones[own, 0, :3]
+        v = np.clip((way * axis).sum(1) / np.maximum((axis * axis).sum(1), 1e-300), 0.0, 1.0)
+        if (np.linalg.norm(way - v[:, None] * axis, axis=1) < _radius(cones[own], v) + reach).any():
+            return True
+    return False
 
 
 def _depth_of_cones(a: np.ndarray, b: np.ndarray) -> np.ndarray:

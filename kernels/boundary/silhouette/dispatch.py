@@ -30,7 +30,7 @@ from warp_psdr.kernels.constants import PRIMITIVE_CYLINDER, PRIMITIVE_DISK, PRIM
 from warp_psdr.kernels.primitive.affine import cofactor, determinant, from_axes, make_pose_sink, to_axes
 from warp_psdr.kernels.primitive.cylinder import cylinder_coordinates
 from warp_psdr.kernels.primitive.disk import disk_coordinates
-from warp_psdr.kernels.primitive.kinds import join
+from warp_psdr.kernels.primitive.kinds import affine_kinds, join
 from warp_psdr.kernels.primitive.sphere import sphere_coordinates
 from warp_psdr.kernels.structs import Scene, Triangle
 
@@ -114,14 +114,7 @@ def choose_outline(outlines: wp.array(dtype=wp.int32), u: wp.float64) -> tuple[w
 
 @functools.cache
 def make_silhouettes(primitives: tuple[int, ...]) -> Silhouettes | None:
-    """Return the functions for the kinds of a scene; None: none of them has a smooth silhouette.
-
-    Raises:
-        ValueError: it holds shapes without outlines.
-    """
-    unknown = [kind for kind in primitives if kind not in COORDINATES]
-    if unknown:
-        raise ValueError(f"kinds of shapes without triangles: got {primitives}, expected any of {tuple(COORDINATES)}")
+    """Return the functions for the affine kinds of a scene; None: none of them has a smooth silhouette."""
     made = {kind: _make_outline(OUTLINES[kind]) for kind in primitives if kind in OUTLINES}
     if not made:
         return None
@@ -137,7 +130,7 @@ def make_silhouettes(primitives: tuple[int, ...]) -> Silhouettes | None:
 @functools.cache
 def make_coordinates(primitives: tuple[int, ...]) -> wp.Function:
     """Return ``coordinates(tri, q) -> vec2``: what a vertex would hold at a point of a shape."""
-    return join(_either_coordinates, {kind: _make_coordinates(COORDINATES[kind]) for kind in primitives})
+    return join(_either_coordinates, {kind: _make_coordinates(COORDINATES[kind]) for kind in affine_kinds(primitives)})
 
 
 def _make_coordinates(f: wp.Function) -> wp.Function:

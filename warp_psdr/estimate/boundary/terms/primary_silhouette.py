@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term, term_of
 from warp_psdr.kernels.boundary.silhouette.primary import make_primary_silhouette_kernel
-from warp_psdr.kernels.primitive.dispatch import GRIDS
+from warp_psdr.kernels.primitive.kinds import affine_kinds
 from warp_psdr.options.boundary import PathSpace
 from warp_psdr.scene.exact import outlines
 from warp_psdr.topology.exact_shapes import require_uncut
@@ -12,7 +12,7 @@ from warp_psdr.topology.exact_shapes import require_uncut
 
 def applies(r: Request) -> bool:
     """Whether there are such shapes, and they or the camera move."""
-    return bool(set(r.config.primitives) - set(GRIDS)) and bool(r.moves.shapes or r.moves.camera)
+    return bool(affine_kinds(r.config.primitives)) and bool(r.moves.shapes or r.moves.camera)
 
 
 def launch(r: Request) -> Term | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term, term_of
 from warp_psdr.kernels.boundary.silhouette.secondary import make_secondary_silhouette_kernel
-from warp_psdr.kernels.primitive.dispatch import GRIDS
+from warp_psdr.kernels.primitive.kinds import affine_kinds
 from warp_psdr.options.boundary import PathSpace
 from warp_psdr.plan.motion import moving_shapes
 from warp_psdr.scene.exact import outlines
@@ -12,7 +12,7 @@ from warp_psdr.scene.exact import outlines
 
 def applies(r: Request) -> bool:
     """Whether light is scattered beside such shapes, and anything moves."""
-    return bool(set(r.config.primitives) - set(GRIDS)) and r.lit and r.moves.edges and r.scatters_smoothly
+    return bool(affine_kinds(r.config.primitives)) and r.lit and r.moves.edges and r.scatters_smoothly
 
 
 def launch(r: Request) -> Term | None:
