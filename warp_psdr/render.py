@@ -10,7 +10,7 @@ import warp as wp
 
 from warp_psdr import compiler
 from warp_psdr.device import active_tape, launch
-from warp_psdr.estimate import light
+from warp_psdr.estimate import choice, light
 from warp_psdr.estimate.arguments import adjoint_array, checked_seed, flat_tangents, requested, sample_count, samples
 from warp_psdr.estimate.batch import beside, columns
 from warp_psdr.estimate.boundary.drivers import launch_backward, launch_forward
@@ -235,6 +235,7 @@ def render_backward(
     plan = decide(scene, params, integrator=integrator, sensor=sensor)
     sums = GradientSums(scene, names)
     compiler.begin(light.gradient_kernels(plan, "reverse"), scene.device)
+    plan = choice.choose(scene, plan, names, "reverse", sensor, spp, seed, adjoint)
     if integrator.boundary == "auto" and plan.boundary is not None:
         plan = automatic.choose(scene, plan, names, "reverse", sensor, spp, seed, adjoint)
     boundary = _boundary(scene, plan, names, "reverse", sensor, spp, seed)
@@ -324,6 +325,7 @@ def render_forward(
         contacts.warn(scene, target.numpy())
     image = Image((camera.crop_height, camera.crop_width), scene.device, signed=True)
     compiler.begin(light.gradient_kernels(plan, "forward"), scene.device)
+    plan = choice.choose(scene, plan, names, "forward", sensor, spp, seed, target)
     if integrator.boundary == "auto" and plan.boundary is not None:
         plan = automatic.choose(scene, plan, names, "forward", sensor, spp, seed, target)
     boundary = _boundary(scene, plan, names, "forward", sensor, spp, seed)

@@ -44,11 +44,12 @@ class GradientSums:
         ranges = [(scene.parameters[n].offset, scene.parameters[n].size) for n in names]
         self._ranges = list(dict.fromkeys(ranges + derived_ranges(scene, names)))
 
-    def result(self) -> wp.array:
-        """Return the flat gradient, (values,) float32, pulled back to poses and positions."""
+    def result(self, shard: int | None = None) -> wp.array:
+        """Return the flat gradient, or what one shard adds to it: (values,) float32, pulled to poses and positions."""
+        sums = self._sums if shard is None else self._sums[shard : shard + 1]
         flat = _zeros((self._sums.shape[1],), np.float32, self._scene.device)
         for offset, size in self._ranges:
-            launch(add_lanes, dim=size, inputs=[self._sums, offset], outputs=[flat], device=self._scene.device)
+            launch(add_lanes, dim=size, inputs=[sums, offset], outputs=[flat], device=self._scene.device)
         pull_derived(self._scene, self._names, flat)
         return flat
 

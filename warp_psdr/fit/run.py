@@ -28,6 +28,7 @@ from warp_psdr.arrays import read_array
 from warp_psdr.files import held
 from warp_psdr.fit import checkpoint
 from warp_psdr.fit.config import FitConfig, Unknown, integrator_options
+from warp_psdr.plan import choice
 from warp_psdr.plan.integrator import from_description
 from warp_psdr.progress import progress
 from warp_psdr.topology.mesh_checks import MeshWatch
@@ -233,7 +234,9 @@ def load_problem(config: FitConfig) -> Problem:
             )
         film = sensors[sensor].film
         targets.append(read_target(file, (film.crop_height, film.crop_width)))
-    psdr.guiding.set_automatic(scene, False)  # a resumed fit has the bits of one that was not interrupted
+    # A resumed fit has the bits of one that was not interrupted: checkpoints keep which methods were chosen.
+    psdr.guiding.set_automatic(scene, False)
+    choice.set_on(scene, True)
     params = psdr.traverse(scene)
     for name, unknown in config.parameters.items():
         if name not in params:
@@ -363,7 +366,7 @@ def _save(path: Path, problem: Problem, adam: optim.Adam, run: dict[str, Any], h
     if problem.scene.origin.any():
         arrays |= {f"stored/{name}": problem.stored(name).numpy() for name in problem.config.parameters}
     arrays["losses"] = np.array(history, dtype=np.float64)
-    checkpoint.save(path, arrays, {"run": run, "invalid": problem.invalid()})
+    checkpoint.save(path, arrays, {"run": run, "invalid": problem.invalid(), "interior": choice.stored(problem.scene)})
 
 
 def _restore(path: Path, problem: Problem, adam: optim.Adam, run: dict[str, Any]) -> list[float]:
@@ -391,6 +394,7 @@ def _restore(path: Path, problem: Problem, adam: optim.Adam, run: dict[str, Any]
                     raise ValueError(f"'stored/{name}' has shape {stored.shape}, or is not finite")
                 problem.stored(name).assign(stored.astype(np.float32))
         problem.dropped = {str(kind): int(count) for kind, count in dict(values.get("invalid", {})).items()}
+        choice.restore(problem.scene, values.get("interior", []))
         adam.load_state_dict({key.removeprefix("adam/"): v for key, v in arrays.items() if key.startswith("adam/")})
     except KeyError as error:
         raise ValueError(f"{path} lacks {error}; start again (--overwrite)") from error

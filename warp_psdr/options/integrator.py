@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -24,17 +24,19 @@ class PathIntegrator:
             large: never.
         hide_emitters: lights are invisible to the camera.
         sampler: "sobol" (Owen-scrambled), "independent", or "auto": what the scene file says, else Sobol.
-        interior: method of the interior term.
+        interior: method of the interior term; "auto": ``Replay()``, and from a repeated gradient of a scene on
+            ``Resampled()`` or ``Decomposed()`` for shapes of lobes and ``Antithetic()`` for normals beside it, where a
+            pilot says that it pays.
         boundary: method of the boundary term; "auto": ``PathSpace()``, whose shadow edges are guided from a repeated
-            gradient of a scene on if a pilot says that it pays (``psdr.guiding.set_automatic``, ``reset``); None: left
-            out on purpose (the gradient then misses moving discontinuities).
+            gradient of a scene on if a pilot says that it pays; None: left out on purpose (the gradient then misses
+            moving discontinuities). ``psdr.guiding.set_automatic`` and ``reset`` serve both methods.
     """
 
     max_depth: int = -1
     rr_depth: int = 5
     hide_emitters: bool = False
     sampler: Literal["auto", "sobol", "independent"] = "auto"
-    interior: interior_methods.Method = field(default_factory=interior_methods.Replay)
+    interior: interior_methods.Method | Literal["auto"] = "auto"
     boundary: boundary_methods.Method | Literal["auto"] | None = "auto"
 
     def __post_init__(self) -> None:
@@ -58,10 +60,10 @@ class PathIntegrator:
             raise ValueError(f"hide_emitters: got {self.hide_emitters!r}, expected True or False")
         if self.sampler not in ("auto", "sobol", "independent"):
             raise ValueError(f"sampler: got {self.sampler!r}, expected 'auto', 'sobol' or 'independent'")
-        if not isinstance(self.interior, interior_methods.Method):
+        if not isinstance(self.interior, interior_methods.Method) and self.interior != "auto":
             raise ValueError(
-                f"interior: got {self.interior!r}, expected a method of psdr.interior, "
-                "for example psdr.interior.Replay()"
+                f"interior: got {self.interior!r}, expected a method of psdr.interior, for example "
+                "psdr.interior.Replay(), or 'auto'"
             )
         if not isinstance(self.boundary, boundary_methods.Method) and self.boundary not in ("auto", None):
             raise ValueError(

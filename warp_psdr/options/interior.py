@@ -200,6 +200,19 @@ class Antithetic(Method):
 
 
 @dataclass(frozen=True, kw_only=True)
+class Branches(Method):
+    """What ``PathIntegrator(interior="auto")`` chooses: several methods side by side, and ``Replay()`` of the rest.
+
+    Attributes:
+        shapes: "resampled" or "decomposed": shapes of lobes are ``Resampled()``'s or ``Decomposed()``'s; "": replayed.
+        normals: whether normals are ``Antithetic()``'s.
+    """
+
+    shapes: str = ""
+    normals: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
 class DifferentialRatioTracking(Method):
     """Differential ratio tracking [NDMKJ22] in grids of density (``kernels/interior/differential_ratio_tracking.py``).
 

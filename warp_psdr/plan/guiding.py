@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from warp_psdr.options.guiding import Method
+from warp_psdr.plan import choice
 
 if TYPE_CHECKING:
     from warp_psdr.plan.motion import Motion
@@ -47,20 +48,23 @@ def automatic(scene: Scene, moves: Motion, sensor: int, max_depth: int) -> Autom
 
 
 def set_automatic(scene: Scene, on: bool) -> None:
-    """Let ``boundary="auto"`` guide repeated gradients of a scene, as it does by default, or not.
+    """Let ``"auto"`` change how repeated gradients of a scene are sampled, as it does by default, or not.
 
-    Guided gradients depend on the calls before; without guiding, equal seeds and values give equal bits whatever was
-    computed before. Fits (``psdr.fit``), which resume with equal bits, switch it off.
+    That is guiding (``boundary="auto"``) and the choice of an interior method (``interior="auto"``). Both depend on the
+    calls before; without them equal seeds and values give equal bits whatever was computed before. Fits
+    (``psdr.fit``), which resume with equal bits, do not guide, and keep the choice in their checkpoints.
     """
     if not isinstance(on, bool):
         raise ValueError(f"on: got {on!r}, expected True or False")
     scene.__dict__["_guides"] = on
+    choice.set_on(scene, on)
 
 
 def reset(scene: Scene) -> None:
-    """Forget what guiding has built for a scene, and what pilots said of it."""
+    """Forget what guiding has built for a scene, what pilots said of it, and which interior methods they chose."""
     kept(scene).clear()
     scene.__dict__.pop("_automatic", None)
+    choice.reset(scene)
 
 
 def describe(scene: Scene, method: Method) -> str:

@@ -7,10 +7,9 @@ nor compile time.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from warp_psdr import html
 from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.bsdf.dispatch import has_delta_lobes, has_null_lobes, models_of
 from warp_psdr.kernels.bsdf.mask import explored
@@ -20,12 +19,14 @@ from warp_psdr.kernels.vertex import PathConfig
 from warp_psdr.options import interior
 from warp_psdr.options.boundary import Connecting, FilmEdges, Method, PathSpace
 from warp_psdr.options.integrator import PathIntegrator
-from warp_psdr.plan import guiding, media, primitives, reparametrised
+from warp_psdr.plan import choice, guiding, media, primitives, reparametrised
 from warp_psdr.plan.coverage import choose, has_hard_frame, refuse_own_shape, slides_steps, sliding_heights
 from warp_psdr.plan.integrator import Integrator, integrator_of
-from warp_psdr.plan.interior import Kept, Row, row_of
-from warp_psdr.plan.light import LightTracing, passes
+from warp_psdr.plan.interior import row_of
+from warp_psdr.plan.light import passes
 from warp_psdr.plan.motion import motion
+from warp_psdr.plan.record import Plan
+from warp_psdr.plan.words import CAMERA_NAMES, EMITTER_NAMES, TEXTURE_NAMES
 from warp_psdr.scene.bsdfs import model_of
 from warp_psdr.scene.layout import (
     CAMERA,
@@ -49,89 +50,11 @@ if TYPE_CHECKING:
     from warp_psdr.scene.parameters import Parameters
     from warp_psdr.scene.scene import Scene
 
-EMITTER_NAMES = {
-    c.EMITTER_AREA: "area",
-    c.EMITTER_DIRECTIONAL_AREA: "directionalarea",
-    c.EMITTER_CONSTANT: "constant",
-    c.EMITTER_ENVMAP: "envmap",
-    c.EMITTER_POINT: "point",
-    c.EMITTER_SPOT: "spot",
-    c.EMITTER_TEXTURED_SPOT: "spot with a texture",
-    c.EMITTER_PROJECTOR: "projector",
-    c.EMITTER_DIRECTIONAL: "directional",
-}
-CAMERA_NAMES = {
-    c.CAMERA_PERSPECTIVE: "perspective",
-    c.CAMERA_ORTHOGRAPHIC: "orthographic",
-    c.CAMERA_THINLENS: "thinlens",
-    c.CAMERA_RADIANCEMETER: "radiancemeter",
-    c.CAMERA_IRRADIANCEMETER: "irradiancemeter",
-}
-TEXTURE_NAMES = {
-    c.TEXTURE_CONSTANT: "constant",
-    c.TEXTURE_BITMAP: "bitmap",
-    c.TEXTURE_VERTEX: "vertex attribute",
-    c.TEXTURE_FACE: "face attribute",
-    c.TEXTURE_CHECKERBOARD: "checkerboard",
-    c.TEXTURE_GRID: "volume",
-    c.TEXTURE_SCALED: "scaled",
-}
 #: What gradients leave out under normal and bump maps.
 FLIPPED = "derivatives leave out the jump where a normal turns away from the viewer, and is flipped or black"
 HOLD_STILL = "hold the shape and the camera still before it, or use a normal map"
 #: Shapes that a line of the plan names.
 NAMED = 3
-
-
-@dataclass(frozen=True)
-class Plan:
-    """Decisions and their reasons; ``print(plan)`` shows them.
-
-    Attributes:
-        config: what the path loop compiles.
-        wanted: which derivatives are compiled; None: primal only.
-        max_depth: most vertices of a path, -1: no limit.
-        rr_depth: depth at which Russian roulette starts.
-        interior: method of the interior term (``interior.py``); None: primal only.
-        kept: what of a path it keeps.
-        discontinuities: why the requested parameters move discontinuities; empty: they do not.
-        lines: (item, decision, reason).
-        boundary: method of the boundary term; None: there is none, or it was left out on purpose.
-        shapes: numbers of the shapes that all that is requested belongs to; None: to lights too, or to the camera.
-        light: the passes of methods whose paths start at the lights; None: all paths start at the camera.
-    """
-
-    config: PathConfig
-    wanted: GradientRequest | None
-    max_depth: int
-    rr_depth: int
-    interior: Row | None
-    kept: Kept | None
-    discontinuities: tuple[str, ...]
-    lines: tuple[tuple[str, str, str], ...]
-    boundary: Method | None = None
-    shapes: frozenset[int] | None = None
-    light: LightTracing | None = None
-
-    @property
-    def seen(self) -> PathConfig:
-        """What paths from the camera compile."""
-        return self.config if self.light is None else self.light.camera
-
-    @property
-    def seen_wanted(self) -> GradientRequest | None:
-        """Which derivatives paths from the camera compute; None: none."""
-        return self.wanted if self.light is None else self.light.wanted
-
-    def __str__(self) -> str:
-        """Return a table."""
-        w0 = max(len(line[0]) for line in self.lines)
-        w1 = max(len(line[1]) for line in self.lines)
-        return "\n".join(f"{a:<{w0}}  {b:<{w1}}  {r}" for a, b, r in self.lines)
-
-    def _repr_html_(self) -> str:
-        """Return the table that a notebook shows."""
-        return html.table(("", "decision", "reason"), self.lines)
 
 
 def plan(
@@ -176,6 +99,9 @@ def decide(
 ) -> Plan:
     """Return the ``plan`` without what is only told, the shapes in contact: a search over the scene's triangles."""
     integrator = integrator_of(scene, integrator)
+    automatic = integrator.interior == "auto"
+    method = choice.named(integrator)
+    integrator = replace(integrator, interior=method)
     sensor = scene.description.camera_number(sensor)
     names = _named(scene, params, names)
     lines: list[tuple[str, str, str]] = []
@@ -184,7 +110,7 @@ def decide(
         scene.hide_lights()
     wanted = _wanted(scene, config, names, lines) if names else None
     lines += media.describe(scene, config, wanted)
-    media.refuse(scene, config, integrator.interior, wanted, names)
+    media.refuse(scene, config, method, wanted, names)
     media.refuse_zeros(scene, names)
     refuse_own_shape(scene, sensor, names)
     if not names:
@@ -215,28 +141,49 @@ def decide(
         lines.append(("interpolated normals", "not read", "they are those of the triangles"))
     term, told = _boundary(scene, config, integrator, names, moving, sensor)
     row = kept = None
+    offered: tuple[str, ...] = ()
+    more: list[tuple[str, str, str]] = []
     if wanted is not None:
-        row = row_of(integrator.interior, term)
-        kept = row.keep(integrator.interior, integrator.max_depth, integrator.rr_depth)
+        row = row_of(method, term)
+        kept = row.keep(method, integrator.max_depth, integrator.rr_depth)
         kept = replace(kept, warp=reparametrised.compiled(term))
-        reason = row.refuse(config, wanted) or row.refuse_in(integrator.interior, scene, names, sensor)
+        reason = row.refuse(config, wanted) or row.refuse_in(method, scene, names, sensor)
         if reason:
             raise ValueError(reason)
+        if automatic and choice.is_on(scene):
+            offered = choice.offered(config, wanted, term is not None)
+        if offered:
+            known = choice.known(scene, names, integrator.max_depth)
+            more = choice.describe(scene, config, wanted, names, offered, known)
+            if known.method is not None:
+                row = row_of(known.method, term)
+                kept = row.keep(known.method, integrator.max_depth, integrator.rr_depth)
         block = f", K = {kept.block}" if kept.block else ""
         lines.append(("interior", f"{row.label}{block}", "; ".join(filter(None, (kept.reason, kept.bias)))))
-    lines += told
+    lines += more + told
     shapes = _shapes(scene, names) if config.media is None else None
     if kept is not None and kept.block and kept.warp is None and shapes is not None:
         met = ", ".join(scene.description.shapes[i].path for i in sorted(shapes)[:NAMED])
         met += f" and {len(shapes) - NAMED} more" if len(shapes) > NAMED else ""
         lines.append(("swept", "paths that meet what is requested", met))
     light = None
-    if isinstance(integrator.interior, interior.FROM_LIGHTS):
-        light = passes(config, wanted, integrator.interior, integrator.max_depth)
+    if isinstance(method, interior.FROM_LIGHTS):
+        light = passes(config, wanted, method, integrator.max_depth)
         config = light.paths
         lines.append(light.line)
     return Plan(
-        config, wanted, integrator.max_depth, integrator.rr_depth, row, kept, moving, tuple(lines), term, shapes, light
+        config,
+        wanted,
+        integrator.max_depth,
+        integrator.rr_depth,
+        row,
+        kept,
+        moving,
+        tuple(lines),
+        term,
+        shapes,
+        light,
+        offered,
     )
 
 
@@ -248,13 +195,14 @@ def _boundary(
         return None, []
     if not moving:
         return None, [("boundary term", "not run", "no requested parameter moves a discontinuity")]
-    whole = row_of(integrator.interior, None).whole
+    method = choice.named(integrator)
+    whole = row_of(method, None).whole
     if whole:
         if isinstance(integrator.boundary, Method):
             beside = f"boundary.{type(integrator.boundary).__name__}() beside "
-            name = type(integrator.interior).__name__
+            name = type(method).__name__
             raise ValueError(f"{beside}interior.{name}(), whose derivative is whole without it; leave boundary out")
-        if row_of(integrator.interior, None).film(integrator.interior, config):
+        if row_of(method, None).film(method, config):
             return FilmEdges(), [("boundary term", "of the film alone", whole)]
         return None, [("boundary term", "none", whole)]
     if integrator.boundary is None:

@@ -111,7 +111,7 @@ def _where_it_shines(moving: tuple[str, ...]) -> str:
     return f"{moving[0]}, which is not followed where such a shape shines; {ALONE}"
 
 
-def _of_method(method: interior.Method, wanted: GradientRequest | None) -> str:
+def _of_method(method: interior.Method | str, wanted: GradientRequest | None) -> str:
     """Say why a method of the interior does not do beside shapes without triangles; empty: it does."""
     if isinstance(method, interior.FROM_LIGHTS):
         return "paths from the lights do not meet it; use interior.Replay()"

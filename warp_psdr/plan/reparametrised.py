@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from warp_psdr.kernels.interior.gradient_request import GradientRequest
     from warp_psdr.kernels.vertex import PathConfig
     from warp_psdr.options.integrator import PathIntegrator
-    from warp_psdr.plan.interior import Kept
+    from warp_psdr.plan.replay import Kept
     from warp_psdr.scene.scene import Scene
 
 #: Difference of the lengths of a pose's axes, over their length, up to which it is a similarity.

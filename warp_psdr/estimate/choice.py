@@ -1,0 +1,146 @@
+"""The pilot of ``interior="auto"``: whether what a request may draw for pays, told by variance times cost.
+
+A pilot compiles the kernels of what it compares, which takes as long as many gradients of a small scene: it waits until
+a request has spent ``SPENT`` samples. Then every method draws ``BATCHES`` batches of some pixels with equal random
+numbers. Launches on the CPU keep sums of blocks of pixels apart, whose variances add up. Costs are fixed factors, never
+timed, so that equal calls in equal order choose alike, with any number of workers. A call that was replayed is replayed
+when it is repeated with the same seed and values.
+
+Derivation: ``docs/theory/interior.md#which-method``.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import warp as wp
+
+from warp_psdr import compiler, workers
+from warp_psdr.estimate.gradient_sums import GradientSums
+from warp_psdr.estimate.passes import camera_gradient_kernels, interior_backward, interior_forward
+from warp_psdr.kernels.rng import mix_seed
+from warp_psdr.plan import choice
+from warp_psdr.plan.choice import Choice
+from warp_psdr.scene.edits import checksum
+
+if TYPE_CHECKING:
+    from warp_psdr.plan.plan import Plan
+    from warp_psdr.scene.scene import Scene
+
+#: Samples of a request's gradients after which there is a pilot.
+SPENT = 1 << 21
+#: Samples a pixel of a batch, pixels at most, and batches; of one that keeps no sums apart, so many more.
+SPP, PIXELS, BATCHES, WHOLE = 2, 1024, 12, 8
+#: Numbers whose variances tell enough without sums apart.
+MANY = 4096
+#: Least gain that pays: it is told with a noise of some ten percent.
+PAYS = 1.1
+#: Stream of the pilot's random numbers.
+PILOT = 0x63686F69
+#: Calls whose random numbers are remembered.
+REMEMBERED = 4096
+
+
+def choose(
+    scene: Scene, plan: Plan, names: list[str], role: str, sensor: int, spp: int, seed: int, given: wp.array
+) -> Plan:
+    """Return the plan of a gradient whose method of the interior is left to the plan.
+
+    Args:
+        scene: the scene.
+        plan: of the gradient.
+        names: what is differentiated.
+        role: "reverse" or "forward".
+        sensor: which camera.
+        spp: samples a pixel.
+        seed: of the call.
+        given: the adjoint, (H, W) of vec3, or the flat tangents.
+    """
+    if not plan.offered:
+        return plan
+    found = choice.known(scene, names, plan.max_depth)
+    call = (seed, checksum(scene.values))
+    if call in found.plain:
+        return choice.by(plan, None)
+    if not found.decided and found.spent >= SPENT:
+        decide(found, scene, plan, names, role, sensor, seed, given)
+    if found.method is not None:
+        return choice.by(plan, found.method)
+    if not found.decided:
+        camera = scene.camera(sensor)
+        found.spent += float(spp) * camera.crop_width * camera.crop_height
+        if len(found.plain) < REMEMBERED:
+            found.plain.add(call)
+    return choice.by(plan, None)
+
+
+def decide(
+    found: Choice, scene: Scene, plan: Plan, names: list[str], role: str, sensor: int, seed: int, given: wp.array
+) -> None:
+    """Run the pilot and keep what it says."""
+    assert plan.wanted is not None
+    methods = choice.candidates(scene, plan, names)
+    plans = [choice.by(plan, method) for method in (None, *methods)]
+    compiler.begin([k for p in plans for k in camera_gradient_kernels(p, role)], scene.device)
+    variances = np.array([variance(scene, p, names, role, sensor, mix_seed(seed, PILOT), given) for p in plans])
+    found.decided = True
+    told = (variances > 0.0).all(axis=0)
+    if not told.any():
+        return
+    gains = np.log(variances[0, told] / variances[1:, told]).mean(axis=-1)
+    costs = [choice.cost_of(method, plan.config, plan.wanted) for method in methods]
+    for kind, gain, cost in zip(plan.offered, gains, costs, strict=True):
+        found.gains[kind], found.costs[kind] = float(np.exp(gain)), cost
+    # Each draws for parameters of its own: side by side their gains multiply.
+    best = np.log(PAYS)
+    for chosen in range(1, 1 << len(methods)):
+        taken = [k for k in range(len(methods)) if chosen >> k & 1]
+        method = choice.both(tuple(methods[k] for k in taken))
+        worth = sum(gains[k] for k in taken) - np.log(choice.cost_of(method, plan.config, plan.wanted))
+        if worth > best:
+            best, found.method = worth, method
+
+
+def variance(
+    scene: Scene, plan: Plan, names: list[str], role: str, sensor: int, seed: int, given: wp.array
+) -> list[float]:
+    """Return the variance of the gradient by every parameter, summed over its numbers; of an image over all of it."""
+    camera = scene.camera(sensor)
+    order = workers.pixel_order(camera.crop_width, camera.crop_height)
+    if role == "reverse":
+        order = order[given.numpy().reshape(-1, 3).any(axis=-1)[order]]
+    step = max(len(order) // PIXELS, 1)
+    pixels = wp.array(order[step // 2 :: step][:PIXELS], dtype=wp.int32, device=scene.device)
+    batches = BATCHES if scene.device.is_cpu or role == "forward" else WHOLE * BATCHES
+    draw = _image if role == "forward" else _sums
+    total = squares = np.zeros(())
+    for number in range(batches):
+        values = draw(scene, plan, names, sensor, mix_seed(seed, number), given, pixels)
+        total, squares = total + values, squares + values * values
+    found = np.maximum(squares - total * total / batches, 0.0) / (batches - 1)
+    if role == "forward":
+        return [float(found.sum())]
+    ends = np.cumsum([scene.parameters[name].size for name in names])[:-1]
+    return [float(part.sum()) for part in np.split(found, ends, axis=1)]
+
+
+def _image(scene: Scene, plan: Plan, _names, sensor: int, seed: int, given: wp.array, pixels: wp.array) -> np.ndarray:
+    camera = scene.camera(sensor)
+    image = wp.zeros((camera.crop_height, camera.crop_width), dtype=wp.vec3, device=scene.device)
+    interior_forward(scene, plan, sensor, SPP, seed, given, image, pixels=pixels)
+    return image.numpy().astype(np.float64).reshape(-1)
+
+
+def _sums(
+    scene: Scene, plan: Plan, names: list[str], sensor: int, seed: int, given: wp.array, pixels: wp.array
+) -> np.ndarray:
+    """Return what a batch adds to the gradient, (blocks of pixels, numbers); of many numbers in one block."""
+    sums = GradientSums(scene, names)
+    interior_backward(scene, plan, sensor, SPP, seed, given, sums, pixels=pixels)
+    parameters = [scene.parameters[name] for name in names]
+    many = sum(p.size for p in parameters) > MANY
+    rows = [sums.result(shard).numpy() for shard in ((None,) if many else range(len(sums.buffers)))]
+    return np.stack([np.concatenate([row[p.offset : p.offset + p.size] for p in parameters]) for row in rows]).astype(
+        np.float64
+    )

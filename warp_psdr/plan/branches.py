@@ -1,0 +1,188 @@
+"""Branches: which derivatives the methods draw for, which they refuse, and the kernels of both and of the rest."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import warp as wp
+
+from warp_psdr.kernels.bsdf.dispatch import has_delta_lobes, has_glossy_lobes, has_null_lobes, models_of, passing
+from warp_psdr.kernels.constants import DELTA_LIGHTS
+from warp_psdr.kernels.interior.antithetic import make_pair_kernel
+from warp_psdr.kernels.interior.branch import make_branch_kernel
+from warp_psdr.kernels.interior.gradient_request import GradientRequest
+from warp_psdr.kernels.interior.shape_parameters import branched_values, unsplit_values
+from warp_psdr.kernels.interior.tilts import tilting_values, tilts
+from warp_psdr.options import interior
+from warp_psdr.plan.replay import Kept, keep_blocks, replayed, without
+
+if TYPE_CHECKING:
+    from warp_psdr.kernels.vertex import PathConfig
+
+
+def keep_candidates(method: interior.Method, max_depth: int, rr_depth: int) -> Kept:
+    """Return what resampled branches keep."""
+    assert isinstance(method, interior.Resampled)
+    kept = keep_blocks(interior.Replay(), max_depth, rr_depth)
+    return replace(kept, reason=f"{method.candidates} candidates; {kept.reason}", candidates=method.candidates)
+
+
+def make_resampled(config: PathConfig, wanted: GradientRequest, role: str, kept: Kept) -> wp.Kernel:
+    """Return the kernel of resampled branches."""
+    return make_branch_kernel(config, GradientRequest(material=branched_values(config, wanted)), role, kept.candidates)
+
+
+def beside_branches(config: PathConfig, wanted: GradientRequest, role: str, kept: Kept) -> list[wp.Kernel]:
+    """Return the kernel of what is not branched, if there is any."""
+    return replayed(config, without(wanted, branched_values(config, wanted)), role, kept)
+
+
+def keep_lobes(_method: interior.Method, max_depth: int, rr_depth: int) -> Kept:
+    """Return what decomposed branches keep."""
+    light_points = interior.Resampled().candidates
+    kept = keep_blocks(interior.Replay(), max_depth, rr_depth)
+    said = f"a lobe of each sign; {light_points} light points; {kept.reason}"
+    return replace(kept, reason=said, candidates=light_points)
+
+
+def make_decomposed(config: PathConfig, wanted: GradientRequest, role: str, kept: Kept) -> wp.Kernel:
+    """Return the kernel of decomposed branches."""
+    branched = GradientRequest(material=branched_values(config, wanted))
+    return make_branch_kernel(config, branched, role, kept.candidates, True)
+
+
+def refused_by_decomposed(config: PathConfig, wanted: GradientRequest) -> str:
+    """Return why lobes of one sign are not known; empty: they are."""
+    unsplit = unsplit_values(config, wanted)
+    if unsplit:
+        models = [m for m in models_of(config.bsdfs) if {v.name for v in m.values} & set(unsplit) - set(m.splits)]
+        return (
+            "interior.Decomposed() knows the lobes of the roughnesses of 'roughconductor' alone, and not those of "
+            f"{', '.join(unsplit)} of {', '.join(sorted({repr(m.plugin) for m in models}))}. Use interior.Resampled()"
+        )
+    return refused_by_resampled(config, wanted).replace("Resampled()", "Decomposed()")
+
+
+def keep_pairs(_method: interior.Method, max_depth: int, rr_depth: int) -> Kept:
+    """Return what antithetic pairs keep."""
+    kept = keep_blocks(interior.Replay(), max_depth, rr_depth)
+    return replace(kept, reason=f"a pair at one glossy vertex of a path; {kept.reason}")
+
+
+def make_pairs(config: PathConfig, wanted: GradientRequest, role: str, _kept: Kept) -> wp.Kernel:
+    """Return the kernel of antithetic pairs."""
+    turned = GradientRequest(
+        material=tilting_values(config, wanted),
+        to_uv=wanted.to_uv,
+        shapes=wanted.shapes,
+        texcoords=wanted.texcoords,
+        camera=wanted.camera,
+    )
+    return make_pair_kernel(config, turned, role)
+
+
+def unpaired(config: PathConfig, wanted: GradientRequest) -> GradientRequest:
+    """Return what of a request is not paired: all but the normals of glossy surfaces."""
+    kept_still = {name for model in models_of(config.bsdfs) if not model.glossy for name in model.tilts}
+    turned = tilting_values(config, wanted)
+    own = tuple(t and slot.name not in kept_still for t, slot in zip(turned, config.material, strict=True))
+    return replace(without(wanted, own), paired=True)
+
+
+def beside_pairs(config: PathConfig, wanted: GradientRequest, role: str, kept: Kept) -> list[wp.Kernel]:
+    """Return the kernel of what is not paired, if there is any."""
+    return replayed(config, unpaired(config, wanted), role, kept)
+
+
+def refused_by_antithetic(config: PathConfig, wanted: GradientRequest) -> str:
+    """Return why nothing is paired; empty: something is."""
+    name = "interior.Antithetic()"
+    if not has_glossy_lobes(config.bsdfs):
+        through = passing(config.bsdfs)
+        why = f", and of '{through}' it does not know the mirrored directions" if through else ""
+        return f"{name} draws pairs at glossy surfaces, and the scene has none that reflect{why}. Use interior.Replay()"
+    slides = wanted.to_uv and any(tilts(slot, config.bsdfs) for slot in config.material)
+    if not wanted.geometry and not slides and not any(tilting_values(config, wanted)):
+        if any(branched_values(config, wanted)):
+            return (
+                f"{name} draws pairs for what turns the normals of glossy surfaces; derivatives by the shape of a lobe "
+                "are alike on both sides of it, and gain nothing. Use interior.Resampled()"
+            )
+        return (
+            f"{name} draws pairs for what turns the normals of glossy surfaces (normal and bump maps, vertex normals, "
+            "what moves), and no parameter that is requested does. Use interior.Replay()"
+        )
+    if refused := refused_in_path_order(name)(config, wanted):
+        return refused
+    if has_null_lobes(config.bsdfs) and DELTA_LIGHTS & set(config.lights):
+        return (
+            f"{name} does not let shadow rays pass masks, thin glass and 'null', and lights of no area are found by "
+            "nothing else behind them. Use interior.Replay(), or area lights"
+        )
+    return ""
+
+
+def refused_by_resampled(config: PathConfig, wanted: GradientRequest) -> str:
+    """Return why nothing is branched; empty: something is."""
+    if not any(branched_values(config, wanted)):
+        return (
+            "interior.Resampled() draws directions for the shapes of lobes, and no parameter that is requested is one "
+            "(a roughness, an exponent, an index of refraction or a weight of a material with a smooth lobe). Use "
+            "interior.Replay()"
+        )
+    if has_null_lobes(config.bsdfs) and DELTA_LIGHTS & set(config.lights):
+        return (
+            "interior.Resampled() does not let shadow rays pass masks, thin glass and 'null', and lights of no area "
+            "are found by nothing else behind them. Use interior.Replay(), or area lights"
+        )
+    return ""
+
+
+def refused_in_path_order(name: str) -> Callable[[PathConfig, GradientRequest], str]:
+    """Return what refuses moving vertices behind mirrors and glass."""
+
+    def refuse(config: PathConfig, wanted: GradientRequest) -> str:
+        if wanted.geometry and has_delta_lobes(config.bsdfs):
+            return (
+                f"interior.{name} cannot differentiate moving vertices behind smooth mirrors or glass: the adjoint of "
+                "a ray has to be carried backwards. Use interior.Replay()"
+            )
+        return ""
+
+    return refuse
+
+
+def keep_branches(method: interior.Method, max_depth: int, rr_depth: int) -> Kept:
+    """Return what several methods side by side keep."""
+    assert isinstance(method, interior.Branches)
+    candidates = interior.Resampled().candidates if method.shapes else 0
+    kept = keep_blocks(interior.Replay(), max_depth, rr_depth)
+    said = [f"{method.shapes} branches for shapes of lobes"] if method.shapes else []
+    said += ["antithetic pairs for normals"] if method.normals else []
+    return replace(kept, reason="; ".join((*said, kept.reason)), candidates=candidates, branches=method)
+
+
+def make_branches(config: PathConfig, wanted: GradientRequest, role: str, kept: Kept) -> wp.Kernel:
+    """Return the first kernel of several methods side by side."""
+    return _kernels(config, wanted, role, kept)[0]
+
+
+def beside_first(config: PathConfig, wanted: GradientRequest, role: str, kept: Kept) -> list[wp.Kernel]:
+    """Return the others, and that of the rest, if there is any."""
+    assert kept.branches is not None
+    rest = rest_of(kept.branches, config, wanted)
+    return _kernels(config, wanted, role, kept)[1:] + replayed(config, rest, role, kept)
+
+
+def _kernels(config: PathConfig, wanted: GradientRequest, role: str, kept: Kept) -> list[wp.Kernel]:
+    assert kept.branches is not None
+    make = {"": [], "resampled": [make_resampled], "decomposed": [make_decomposed]}[kept.branches.shapes]
+    return [m(config, wanted, role, kept) for m in (*make, *([make_pairs] if kept.branches.normals else []))]
+
+
+def rest_of(method: interior.Branches, config: PathConfig, wanted: GradientRequest) -> GradientRequest:
+    """Return what of a request is replayed beside several methods."""
+    rest = unpaired(config, wanted) if method.normals else wanted
+    return without(rest, branched_values(config, wanted)) if method.shapes else rest

@@ -1,0 +1,69 @@
+"""The plan's record: decisions and their reasons."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from warp_psdr import html
+
+if TYPE_CHECKING:
+    from warp_psdr.kernels.interior.gradient_request import GradientRequest
+    from warp_psdr.kernels.vertex import PathConfig
+    from warp_psdr.options.boundary import Method
+    from warp_psdr.plan.interior import Row
+    from warp_psdr.plan.light import LightTracing
+    from warp_psdr.plan.replay import Kept
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Decisions and their reasons; ``print(plan)`` shows them.
+
+    Attributes:
+        config: what the path loop compiles.
+        wanted: which derivatives are compiled; None: primal only.
+        max_depth: most vertices of a path, -1: no limit.
+        rr_depth: depth at which Russian roulette starts.
+        interior: method of the interior term (``interior.py``); None: primal only.
+        kept: what of a path it keeps.
+        discontinuities: why the requested parameters move discontinuities; empty: they do not.
+        lines: (item, decision, reason).
+        boundary: method of the boundary term; None: there is none, or it was left out on purpose.
+        shapes: numbers of the shapes that all that is requested belongs to; None: to lights too, or to the camera.
+        light: the passes of methods whose paths start at the lights; None: all paths start at the camera.
+        offered: what may be drawn for where the method of the interior is left to the plan (``choice.py``).
+    """
+
+    config: PathConfig
+    wanted: GradientRequest | None
+    max_depth: int
+    rr_depth: int
+    interior: Row | None
+    kept: Kept | None
+    discontinuities: tuple[str, ...]
+    lines: tuple[tuple[str, str, str], ...]
+    boundary: Method | None = None
+    shapes: frozenset[int] | None = None
+    light: LightTracing | None = None
+    offered: tuple[str, ...] = ()
+
+    @property
+    def seen(self) -> PathConfig:
+        """What paths from the camera compile."""
+        return self.config if self.light is None else self.light.camera
+
+    @property
+    def seen_wanted(self) -> GradientRequest | None:
+        """Which derivatives paths from the camera compute; None: none."""
+        return self.wanted if self.light is None else self.light.wanted
+
+    def __str__(self) -> str:
+        """Return a table."""
+        w0 = max(len(line[0]) for line in self.lines)
+        w1 = max(len(line[1]) for line in self.lines)
+        return "\n".join(f"{a:<{w0}}  {b:<{w1}}  {r}" for a, b, r in self.lines)
+
+    def _repr_html_(self) -> str:
+        """Return the table that a notebook shows."""
+        return html.table(("", "decision", "reason"), self.lines)
