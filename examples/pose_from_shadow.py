@@ -4,7 +4,7 @@
     python examples/pose_from_shadow.py --quick    # smaller and rougher
 
 The camera sees a floor and the soft shadows of two lamps on it, not the bunny. All that the image says about the pose
-lies in the boundaries of these shadows. The pose is a rotation vector and a translation; a Warp kernel of this file
+lies in the boundaries of these shadows. The pose is a rotation vector and a translation; the kernel ``recovery.place``
 turns it into vertex positions, on the same tape as the rendering, so that the gradient reaches the six numbers.
 
 Leaves in ``out/shadow/``: ``result.png`` (what the camera sees, and the scene from further back: photograph, start,
@@ -39,25 +39,6 @@ CONSTANT, FALL = 0.5, 0.02
 GIVEN, OVERVIEW = 0, 1
 
 
-@wp.kernel
-def place(
-    # In:
-    local: wp.array(dtype=wp.vec3),
-    rotation: wp.array(dtype=wp.vec3),
-    translation: wp.array(dtype=wp.vec3),
-    # Out:
-    world_out: wp.array(dtype=wp.vec3),
-):
-    """Turn by a rotation vector (Rodrigues' formula), then move."""
-    i = wp.tid()
-    w = rotation[0]
-    angle = wp.sqrt(wp.dot(w, w) + 1.0e-12)
-    half = wp.sin(0.5 * angle) / angle
-    across = wp.cross(w, local[i])
-    turned = local[i] + (wp.sin(angle) / angle) * across + (2.0 * half * half) * wp.cross(w, across)
-    world_out[i] = turned + translation[0]
-
-
 def load(vertices: np.ndarray, faces: np.ndarray, width: int) -> psdr.Parameters:
     """Return the parameters of a scene with a floor, two lamps, and a mesh that hangs above the camera's view."""
     t = psdr.Transform
@@ -90,19 +71,6 @@ def load(vertices: np.ndarray, faces: np.ndarray, width: int) -> psdr.Parameters
     return params
 
 
-def matrix(rotation: np.ndarray) -> np.ndarray:
-    """Return the rotation matrix of a rotation vector."""
-    from scipy.spatial.transform import Rotation
-
-    return Rotation.from_rotvec(np.asarray(rotation, np.float64)).as_matrix()
-
-
-def errors(rotation: np.ndarray, translation: np.ndarray) -> tuple[float, float]:
-    """Return the angle (degrees) and the distance (world units) between a pose and the sought one."""
-    cosine = 0.5 * (np.trace(matrix(TRUTH[0]).T @ matrix(rotation)) - 1.0)
-    return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))), float(np.linalg.norm(translation - TRUTH[1]))
-
-
 def main(folder: Path = ROOT / "out" / "shadow", *, width: int = 96, steps: int = 200, spp: int = 16) -> dict:
     """Recover the pose, write the pictures and return the report."""
     began = time.perf_counter()
@@ -115,7 +83,7 @@ def main(folder: Path = ROOT / "out" / "shadow", *, width: int = 96, steps: int 
     rotation, translation = (wp.zeros(1, dtype=wp.vec3, device="cpu", requires_grad=True) for _ in range(2))
 
     def move() -> None:
-        wp.launch(place, len(local), [local, rotation, translation], [params[POSITIONS]], device="cpu")
+        wp.launch(recovery.place, len(local), [local, rotation, translation], [params[POSITIONS]], device="cpu")
         params.update(POSITIONS)
 
     def pose(values) -> None:
@@ -135,7 +103,7 @@ def main(folder: Path = ROOT / "out" / "shadow", *, width: int = 96, steps: int 
     images.insert(2, overview)
     optimisers = Adam([rotation], lr=0.04, betas=(0.9, 0.95)), Adam([translation], lr=0.015, betas=(0.9, 0.95))
     rates = [o.lr for o in optimisers]
-    history = [errors(*START)]
+    history = [recovery.pose_errors(START, TRUTH)]
     for step in range(steps):
         tape = wp.Tape()
         with tape:
@@ -147,7 +115,7 @@ def main(folder: Path = ROOT / "out" / "shadow", *, width: int = 96, steps: int 
             optimiser.lr = rate * FALL ** (max(step / steps - CONSTANT, 0.0) / (1.0 - CONSTANT))
             optimiser.step([array.grad])
         tape.zero()
-        history.append(errors(rotation.numpy()[0], translation.numpy()[0]))
+        history.append(recovery.pose_errors((rotation.numpy()[0], translation.numpy()[0]), TRUTH))
         if (step + 1) % REPORT_EVERY == 0:
             degrees, units = history[-1]
             print(f"step {step + 1}: loss {loss.numpy()[0]:.2e}, {degrees:.2f} degrees, {units:.4f} units", flush=True)

@@ -1,4 +1,4 @@
-"""What the examples that recover a shape or a pose share: their command line and the reports they leave."""
+"""What the examples that recover a shape or a pose share: their command line, poses and the reports they leave."""
 
 from __future__ import annotations
 
@@ -33,6 +33,39 @@ def run(
         for name, value in main(**options).items():
             print(f"{name}: {value}")
     print(f"pictures in {main.__defaults__[0]}")
+
+
+@wp.kernel
+def place(
+    # In:
+    local: wp.array(dtype=wp.vec3),
+    rotation: wp.array(dtype=wp.vec3),
+    translation: wp.array(dtype=wp.vec3),
+    # Out:
+    world_out: wp.array(dtype=wp.vec3),
+):
+    """Turn by a rotation vector (Rodrigues' formula), then move."""
+    i = wp.tid()
+    w = rotation[0]
+    angle = wp.sqrt(wp.dot(w, w) + 1.0e-12)
+    half = wp.sin(0.5 * angle) / angle
+    across = wp.cross(w, local[i])
+    turned = local[i] + (wp.sin(angle) / angle) * across + (2.0 * half * half) * wp.cross(w, across)
+    world_out[i] = turned + translation[0]
+
+
+def pose_errors(pose: tuple[np.ndarray, np.ndarray], truth: tuple[np.ndarray, np.ndarray]) -> tuple[float, float]:
+    """Return the angle (degrees) and the distance (world units) between two poses.
+
+    Args:
+        pose: rotation vector (radians) and translation (world units).
+        truth: the same of what is sought.
+    """
+    from scipy.spatial.transform import Rotation
+
+    turned, sought = (Rotation.from_rotvec(np.asarray(p[0], np.float64)).as_matrix() for p in (pose, truth))
+    cosine = 0.5 * (np.trace(sought.T @ turned) - 1.0)
+    return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))), float(np.linalg.norm(pose[1] - truth[1]))
 
 
 def view_report(folder: Path, photos: list, before: list, found: list, given: int) -> dict:

@@ -107,6 +107,29 @@ def test_pose_is_found_from_the_shadow(example, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+def test_pose_and_fog_are_found_from_the_shadow(example, tmp_path: Path) -> None:
+    module = example("see_through_fog")
+    report = module.main(tmp_path, width=24, steps=220, spp=16)
+    degrees = report["rotation error, degrees: start, found"]
+    units = report["translation error, units: start, found"]
+    assert degrees[1] < degrees[0] / 4.0
+    assert units[1] < units[0] / 6.0
+    sought, start, found = report["density: sought, start, found"]
+    assert abs(found - sought) < 0.1 * abs(start - sought)
+    # Neither camera sees anything of the plate: painting it changes no pixel.
+    params = module.load(*module.plate(), 24)
+    params[module.POSITIONS] = module.plate()[0] + module.START[1]
+    images = []
+    for albedo in (0.0, 1.0):
+        params["plate.bsdf.reflectance.value"] = albedo
+        params.update()
+        images.append(psdr.render(params.scene, integrator=module.INTEGRATOR, spp=4).numpy())
+    np.testing.assert_array_equal(*images)
+    for name in ("result", "derivatives", "error"):
+        assert contrast(tmp_path / f"{name}.png") > 0.05
+
+
+@pytest.mark.slow
 def test_a_users_kernel_and_the_rendering_share_a_tape(example) -> None:
     # What the library launches itself, such as the refit of the ray structure, stays off the tape.
     import warp as wp
@@ -126,7 +149,7 @@ def test_a_users_kernel_and_the_rendering_share_a_tape(example) -> None:
     tape = wp.Tape()
     with tape:
         outputs = [params[module.POSITIONS]]
-        wp.launch(module.place, len(points), [points, rotation, translation], outputs, device="cpu")
+        wp.launch(module.recovery.place, len(points), [points, rotation, translation], outputs, device="cpu")
         params.update(module.POSITIONS)
         assert len(tape.launches) == 1
         loss = psdr.losses.l2(psdr.render(params.scene, params, tape=tape, **options), target)
