@@ -238,6 +238,7 @@ FACTORIES = {
     "interior.media_motion_replay.make_media_motion_kernel": [
         ("reverse", (MEDIA, moving_among_media(MEDIA), "reverse", 4, 4), SLOW),
         ("forward", (MEDIA, moving_among_media(MEDIA), "forward", 4, 4), SLOW),
+        ("grids", (GRIDS, wanted(GRIDS, shapes=True, camera=True, media=("pose",)), "reverse", 4, 4), SLOW),
     ],
     "boundary.path_space.media_secondary.make_media_secondary_kernel": [
         ("reverse", (MEDIA, "reverse", True, True, True), SLOW),

@@ -1,8 +1,9 @@
-"""The sweep over a path through homogeneous media of what moves: vertices, lights, the camera, interfaces [ZYZ21].
+"""The sweep over a path through media of what moves: vertices, lights, the camera, interfaces [ZYZ21].
 
 A volume vertex rides as a fraction: on its stretch between two attached crossings of the ray from where its direction
 was drawn, at y, to z, the first surface behind it that is there. So dV = (f G(y, z) J(z)) dA ds times the length of the
-stretch, sigma_s, f_p and T: the connection y -> z is that of surfaces, and no term stands for domains.
+stretch, sigma_s, f_p and T: the connection y -> z is that of surfaces, and no term stands for domains. Grids add how
+their density varies (``grid_motion.py``).
 
 Derivation: ``docs/theory/media.md#what-moves``.
 """
@@ -13,33 +14,30 @@ from dataclasses import replace
 import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
-from warp_psdr.kernels.constants import (
-    EMITTER_AREA,
-    EMITTER_DIRECTIONAL,
-    EMITTER_POINT,
-    FAR,
-    LOBE_NONE,
-    LOBE_NULL,
-    LOBE_SMOOTH,
-)
+from warp_psdr.kernels.constants import FAR, LOBE_NONE, LOBE_NULL, LOBE_SMOOTH
 from warp_psdr.kernels.interaction import enter_frame, make_interaction
 from warp_psdr.kernels.interior.factors import make_light_sink
 from warp_psdr.kernels.interior.gradient_request import GradientRequest
+from warp_psdr.kernels.interior.grid_motion import make_grid_flight_sink, make_grid_shadow_sink, span_length
+from warp_psdr.kernels.interior.media_sweep import number_of
 from warp_psdr.kernels.interior.pullback import connection_vjp
+from warp_psdr.kernels.interior.shadow_motion import make_light_end, make_shadow_sink
 from warp_psdr.kernels.interior.sweep import Carry, make_sweep
-from warp_psdr.kernels.medium.coefficients import coefficients_of
+from warp_psdr.kernels.medium.coefficients import POSE, coefficients_of
+from warp_psdr.kernels.medium.grid_adjoint import SALT_POINTS
+from warp_psdr.kernels.medium.grid_span import Span, span_of
 from warp_psdr.kernels.medium.interface import make_crossing_sink, make_interface
-from warp_psdr.kernels.medium.passage import MOST_INTERFACES, medium_towards
+from warp_psdr.kernels.medium.volume import GRID
 from warp_psdr.kernels.path_media import MediaVertex, collision_point
 from warp_psdr.kernels.phase.dispatch import make_phase, make_phase_by_cosine
 from warp_psdr.kernels.primitive.dispatch import make_position
+from warp_psdr.kernels.reading import texture_record
+from warp_psdr.kernels.rng import Sampler, salted
 from warp_psdr.kernels.scattering import samples_lights
 from warp_psdr.kernels.sensor.camera import CameraSample, make_camera_sink
-from warp_psdr.kernels.sink import make_sink, make_sink_vec3
 from warp_psdr.kernels.structs import Camera, Scene
-from warp_psdr.kernels.surface import VertexAdjoint, make_vertex_sink, normalize_vjp
+from warp_psdr.kernels.surface import normalize_vjp
 from warp_psdr.kernels.vertex import PathConfig
-from warp_psdr.kernels.visibility import visibility_of
 
 
 @wp.struct
@@ -64,114 +62,12 @@ class MovedCarry:
     a_t: wp.float32  # adjoint of the distance from y to where the step's flight starts
 
 
-@wp.struct
-class ShadowAdjoint:
-    """Adjoint of the ray of a segment to a light: of its start, its direction and its length."""
-
-    o: wp.vec3
-    d: wp.vec3
-    length: wp.float32
-    dot: wp.float32
-
-
-@functools.cache
-def make_shadow_sink(config: PathConfig, role: str):
-    """Return ``accumulate_shadow(scene, target, vertex, w) -> ShadowAdjoint``.
-
-    ``w`` is the adjoint of the logarithm of the transmittance to the vertex's light, by channel. The segment is walked
-    again.
-    """
-    visibility = visibility_of(config)
-    interaction = make_interaction(config)
-    is_interface, _behind = make_interface(config)
-    accumulate_crossing = make_crossing_sink(role)
-
-    @wp.func
-    def thinning(scene: Scene, medium: wp.int32, w: wp.vec3) -> wp.float32:
-        """Adjoint of a length in a medium."""
-        if medium < 0:
-            return 0.0
-        return -wp.dot(coefficients_of(scene, scene.media.records[medium]).sigma_t, w)
-
-    @wp.func
-    def accumulate_shadow(
-        scene: Scene, target: wp.array(dtype=wp.float32), v: MediaVertex, w: wp.vec3
-    ) -> ShadowAdjoint:
-        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
-        r = ShadowAdjoint()
-        start = v.shadow_o
-        inside = v.shadow_medium
-        r.length = thinning(scene, inside, w)
-        crossings = wp.int32(0)
-        while crossings <= MOST_INTERFACES:
-            t = wp.dot(start - v.shadow_o, v.shadow_d)
-            hit = visibility.closest(scene, start, v.shadow_d, v.shadow_t - t)
-            crossings += 1
-            if is_interface(scene, hit.face):
-                at = interaction.at(scene, hit.face, hit.u, hit.v, v.shadow_d)
-                inside = medium_towards(scene, at.shape, at.ng, v.shadow_d, v.shadow_d, inside)
-                beyond = thinning(scene, inside, w)
-                a = accumulate_crossing(scene, target, hit.face, hit.u, hit.v, v.shadow_d, t + hit.t, r.length - beyond)
-                r.o += a.o
-                r.d += a.d
-                r.dot += a.dot
-                r.length = beyond
-                start = interaction.offset(at, v.shadow_d)
-            else:
-                crossings = MOST_INTERFACES + 1
-        if v.shadow_t >= 0.5 * FAR:
-            r.length = 0.0
-        return r
-
-    return accumulate_shadow
-
-
-@functools.cache
-def make_light_end(wanted: GradientRequest, role: str):
-    """Return ``accumulate_end(scene, target, vertex, w) -> (bool, float32)``.
-
-    ``w`` is the adjoint of the point of the vertex's light; False: the light has none.
-    """
-    accumulate_vertex = make_vertex_sink(role, False, False, False, False, False, False)
-    sink = make_sink(role)
-    sink3 = make_sink_vec3(role)
-
-    @wp.func
-    def accumulate_end(
-        scene: Scene, target: wp.array(dtype=wp.float32), v: MediaVertex, w: wp.vec3
-    ) -> tuple[wp.bool, wp.float32]:
-        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
-        emitter = scene.emitters[v.surface.light]
-        total = wp.float32(0.0)
-        if v.surface.light_face >= 0:
-            if wp.static(wanted.geometry):
-                adjoint = VertexAdjoint()
-                adjoint.x = w
-                done = accumulate_vertex(
-                    scene, target, v.surface.light_face, v.surface.light_u, v.surface.light_v, adjoint, False, w, w
-                )
-                total = done.dot
-            return True, total
-        # An environment and a directional light are at infinity.
-        if v.shadow_t >= 0.5 * FAR or emitter.kind == EMITTER_AREA or emitter.kind == EMITTER_DIRECTIONAL:
-            return False, total
-        if wp.static("pose" in wanted.lights):
-            if emitter.kind == EMITTER_POINT:
-                total = sink3(target, emitter.to_world, w)
-            else:
-                for i in range(3):
-                    total += sink(target, emitter.to_world + 4 * i + 3, w[i])
-        return True, total
-
-    return accumulate_end
-
-
 @functools.cache
 def make_moved_sweep(config: PathConfig, wanted: GradientRequest, role: str):
     """Return ``(moved_sweep, finish)``.
 
-    ``moved_sweep(scene, target, step, delta, carry) -> MovedCarry``; ``end.dot`` of the result is what the sinks of
-    this step returned.
+    ``moved_sweep(scene, target, sampler, step, delta, carry) -> MovedCarry``; ``end.dot`` of the result is what the
+    sinks of this step returned, ``sampler`` is the path's.
     ``finish(scene, target, camera, sample, carry) -> float32``: from the first step to the camera.
     """
     assert config.media is not None
@@ -184,7 +80,10 @@ def make_moved_sweep(config: PathConfig, wanted: GradientRequest, role: str):
     has_lights = bool(config.area or config.lights)
     smooth = samples_lights(config)
     radiance_of, accumulate_light = make_light_sink(surfaces, wanted, role) if has_lights else (None, None)
-    accumulate_shadow = make_shadow_sink(config, role)
+    grids = config.media.grids
+    grids_move = POSE in wanted.media
+    accumulate_shadow = make_grid_shadow_sink(config, role, grids_move) if grids else make_shadow_sink(config, role)
+    accumulate_grid_flight = make_grid_flight_sink(role, grids_move) if grids else None
     accumulate_end = make_light_end(wanted, role)
     accumulate_crossing = make_crossing_sink(role)
     is_interface, _behind = make_interface(config)
@@ -222,6 +121,7 @@ def make_moved_sweep(config: PathConfig, wanted: GradientRequest, role: str):
     def towards_light(
         scene: Scene,
         target: wp.array(dtype=wp.float32),
+        sampler: Sampler,
         v: MediaVertex,
         x: wp.vec3,
         w_radiance: wp.vec3,
@@ -232,7 +132,7 @@ def make_moved_sweep(config: PathConfig, wanted: GradientRequest, role: str):
     ) -> tuple[wp.vec3, wp.float32]:
         """Adjoint of x: arguments as of ``accumulate_light``; ``w_t``: of the logarithm of the transmittance."""
         _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
-        segment = accumulate_shadow(scene, target, v, w_t)
+        segment = accumulate_shadow(scene, target, sampler, v, w_t)
         a_x, total = accumulate_light(scene, target, v.surface, x, w_radiance, value, a_wo + segment.d, chi)
         total += segment.dot
         a_x += segment.o
@@ -247,6 +147,7 @@ def make_moved_sweep(config: PathConfig, wanted: GradientRequest, role: str):
     def of_collision(
         scene: Scene,
         target: wp.array(dtype=wp.float32),
+        sampler: Sampler,
         s: MovedStep,
         a_n: wp.vec3,
         carry: MovedCarry,
@@ -292,7 +193,7 @@ def make_moved_sweep(config: PathConfig, wanted: GradientRequest, role: str):
                 if vertex.light_face >= 0:
                     chi = nearness(scene, x, stretch, vertex.light_face, vertex.light_u, vertex.light_v)
                 a_wo = (chi * turned) * vertex.d
-                lit, dot = towards_light(scene, target, v, x, w_radiance, value, a_wo, chi, w_t)
+                lit, dot = towards_light(scene, target, sampler, v, x, w_radiance, value, a_wo, chi, w_t)
                 a_d += turned * vertex.light_wi
                 a_x += lit
                 total += dot
@@ -300,7 +201,12 @@ def make_moved_sweep(config: PathConfig, wanted: GradientRequest, role: str):
 
     @wp.func
     def of_surface(
-        scene: Scene, target: wp.array(dtype=wp.float32), s: MovedStep, delta: wp.vec3, carry: MovedCarry
+        scene: Scene,
+        target: wp.array(dtype=wp.float32),
+        sampler: Sampler,
+        s: MovedStep,
+        delta: wp.vec3,
+        carry: MovedCarry,
     ) -> Carry:
         """The sweep of a surface, once for E_n and what goes on, once for D_n, which has a transmittance."""
         _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
@@ -343,14 +249,19 @@ def make_moved_sweep(config: PathConfig, wanted: GradientRequest, role: str):
                 a_direct = vertex.light_weight * wp.cw_mul(wp.cw_mul(delta, vertex.throughput), v.transmittance)
                 w_t = wp.cw_mul(wp.cw_mul(a_direct, f), radiance_of(scene, vertex, surface.x))
                 none = wp.vec3(0.0, 0.0, 0.0)
-                lit, dot = towards_light(scene, target, v, v.shadow_o, none, 0.0, none, 1.0, w_t)
+                lit, dot = towards_light(scene, target, sampler, v, v.shadow_o, none, 0.0, none, 1.0, w_t)
                 result.adjoint.x = result.adjoint.x + lit
                 result.dot += dot
         return result
 
     @wp.func
     def moved_sweep(
-        scene: Scene, target: wp.array(dtype=wp.float32), s: MovedStep, delta: wp.vec3, carry: MovedCarry
+        scene: Scene,
+        target: wp.array(dtype=wp.float32),
+        sampler: Sampler,
+        s: MovedStep,
+        delta: wp.vec3,
+        carry: MovedCarry,
     ) -> MovedCarry:
         _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
         v = s.step
@@ -369,6 +280,19 @@ def make_moved_sweep(config: PathConfig, wanted: GradientRequest, role: str):
             # Not the recorded length, which ends a step before the surface: it may be far shorter than what is drawn.
             stretch = wp.max(far - s.before, v.t)
             inv_length = 1.0 / stretch
+        in_grid = wp.bool(False)
+        if wp.static(grids):
+            a_point = wp.vec3(0.0, 0.0, 0.0)
+            # The ray that was tracked: behind an interface it is beside that from y, by the step off the surface.
+            y = vertex.o - s.before * d
+            span = Span()
+            if v.medium >= 0:
+                m = scene.media.records[v.medium]
+                in_grid = m.sigma_t_channels == GRID
+                if in_grid:
+                    ends = wp.where(vertex.face >= 0, s.before + stretch, FAR)
+                    span = span_of(scene, texture_record(scene, m.sigma_t), y, d, s.before, ends)
+                    stretch = span_length(span)
         if passes:
             r.end = carry.end
             r.end.dot = wp.float32(0.0)
@@ -376,24 +300,42 @@ def make_moved_sweep(config: PathConfig, wanted: GradientRequest, role: str):
             a_far = carry.a_t
         elif v.collides:
             a_n = wp.cw_mul(delta, vertex.throughput)
-            a_x, a_d, dot = of_collision(scene, target, s, a_n, carry, stretch)
+            a_x, a_d, dot = of_collision(scene, target, sampler, s, a_n, carry, stretch)
             r.end.face = s.face
             r.end.u = s.u
             r.end.v = s.v
             r.end.o = s.start
             r.end.d = d
             r.end.chi = 1.0
-            r.end.a_x = a_x
             r.end.dot = dot
-            r.a_w = a_d + (s.before + v.t) * a_x
-            a_near = wp.dot(d, a_x)
-            a_far = v.t * inv_length * a_near
-            a_near -= a_far
+            r.a_w = a_d
+            if wp.static(grids):
+                a_point = a_x
+            if not in_grid:
+                r.end.a_x = a_x
+                r.a_w += (s.before + v.t) * a_x
+                a_near = wp.dot(d, a_x)
+                a_far = v.t * inv_length * a_near
+                a_near -= a_far
         else:
-            r.end = of_surface(scene, target, s, delta, carry)
+            r.end = of_surface(scene, target, sampler, s, delta, carry)
         r.end.radiance = wp.cw_mul(v.weight, inner)
         if wp.static(geometry):
-            if v.medium >= 0 and vertex.face >= 0:
+            if wp.static(grids):
+                if in_grid:
+                    m = scene.media.records[v.medium]
+                    w_v = wp.cw_mul(wp.cw_mul(delta, v.before), r.end.radiance)
+                    w_at = wp.cw_mul(wp.cw_mul(delta, v.before), wp.cw_mul(v.passed, inner))
+                    stream = salted(sampler, SALT_POINTS, number_of(v))
+                    a_flight = accumulate_grid_flight(
+                        scene, target, m, span, y, d, s.before + v.t, v.collides, stream, w_v, w_at, a_point
+                    )
+                    r.end.a_x += a_flight.o
+                    r.a_w += a_flight.d
+                    r.end.dot += a_flight.dot
+                    a_far += a_flight.far
+                    a_near += a_flight.near
+            if v.medium >= 0 and vertex.face >= 0 and not in_grid:
                 w_v = wp.cw_mul(wp.cw_mul(delta, v.before), r.end.radiance)
                 thins = wp.dot(coefficients_of(scene, scene.media.records[v.medium]).sigma_t, w_v)
                 rate = -thins

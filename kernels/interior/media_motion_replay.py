@@ -1,4 +1,4 @@
-"""The interior term of what moves in homogeneous media, by record and sweep, in both modes [ZYZ21].
+"""The interior term of what moves in media, by record and sweep, in both modes [ZYZ21].
 
 As ``media_replay.py``, whose kernel has the derivatives by what moves nothing. Kept with each step is where the
 direction of its ray was drawn and the first surface that is there behind it, to which the ray is attached.
@@ -47,7 +47,9 @@ def make_media_motion_kernel(config: PathConfig, wanted: GradientRequest, role: 
     """
     start = make_camera_start(config)
     camera_origin = make_camera_origin(config.camera)
-    media_step = make_media_step(config, True)
+    assert config.media is not None
+    # In grids the slope of the density is divided by what is drawn, which has to stay away from 0.
+    media_step = make_media_step(config, True, config.media.grids)
     moved_sweep, finish = make_moved_sweep(config, wanted, role)
     _is_interface, behind_of = make_interface(config)
     channels = 3 if role == "forward" else 1
@@ -130,7 +132,7 @@ def make_media_motion_kernel(config: PathConfig, wanted: GradientRequest, role: 
                         kept = record[count - 1 - n]
                         for channel in range(wp.static(channels)):
                             weight = channel_of(delta, channel)
-                            carries[channel] = moved_sweep(scene, target, kept, weight, carries[channel])
+                            carries[channel] = moved_sweep(scene, target, sampler, kept, weight, carries[channel])
                             of_sample[channel] = of_sample[channel] + carries[channel].end.dot
                     b -= 1
                     if b >= 0:

@@ -22,6 +22,7 @@ ALBEDO = "albedo"
 SCALE = "scale"
 EMISSION = "emission"
 PHASE = "phase"
+POSE = "pose"  # where grids are
 
 
 @wp.struct

@@ -77,7 +77,8 @@ def test_mitsuba_writes_the_same_files_and_lists_the_same_names(tmp_path):
     scene = whole(sigma_t=given(filename=file), albedo=0.5, phase={"type": "hg"})
     theirs = {name for name in mi.traverse(mi.load_dict(scene)).keys() if "medium" in name}
     ours = psdr.traverse(psdr.load_dict(scene))
-    assert theirs == {name for name in ours if "medium" in name}
+    # Where a grid is has no parameter there.
+    assert theirs == {name for name in ours if "medium" in name and not name.endswith("sigma_t.to_world")}
     assert ours["cube.interior_medium.sigma_t.data"].shape == (2, 3, 4, 1)
     values = inside(sigma_t=given(grid=mi.VolumeGrid(VALUES))).sigma_t.value
     np.testing.assert_array_equal(values.reshape(VALUES.shape), VALUES)

@@ -7,14 +7,16 @@ from typing import TYPE_CHECKING
 from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.bsdf.dispatch import models_of
 from warp_psdr.kernels.bsdf.null import NULL
-from warp_psdr.kernels.medium.coefficients import ALBEDO, EMISSION, PHASE, SCALE, SIGMA_T
+from warp_psdr.kernels.medium.coefficients import ALBEDO, EMISSION, PHASE, POSE, SCALE, SIGMA_T
+from warp_psdr.kernels.medium.volume import GRID
 from warp_psdr.options import interior
 from warp_psdr.options.boundary import Method, PathSpace
 from warp_psdr.plan.motion import motion
 from warp_psdr.scene.bsdfs import model_of
+from warp_psdr.scene.layout import MEDIUM, NORMALS, POSITIONS, SHAPE_GRID, SHAPE_POSE
 from warp_psdr.scene.super_grid import PhaseTable
 from warp_psdr.topology.absent import absent_shapes
-from warp_psdr.topology.edges_there import joined
+from warp_psdr.topology.edges_there import edges_there, joined
 from warp_psdr.topology.interpolated_normals import interpolated_faces
 
 if TYPE_CHECKING:
@@ -24,7 +26,7 @@ if TYPE_CHECKING:
     from warp_psdr.scene.scene import Scene
 
 #: What of a medium is differentiated.
-PARAMETERS = (SIGMA_T, ALBEDO, SCALE, EMISSION, PHASE)
+PARAMETERS = (SIGMA_T, ALBEDO, SCALE, EMISSION, PHASE, POSE)
 PHASE_NAMES = {
     c.PHASE_ISOTROPIC: "isotropic",
     c.PHASE_HG: "hg",
@@ -94,8 +96,8 @@ def refuse(
 
 
 def moves(wanted: GradientRequest) -> bool:
-    """Whether path vertices, lights or directions move."""
-    return wanted.geometry or "pose" in wanted.lights
+    """Whether path vertices, lights, directions or grids move."""
+    return wanted.geometry or "pose" in wanted.lights or POSE in wanted.media
 
 
 def _beside_motion(scene: Scene, config: PathConfig, method: interior.Method, wanted: GradientRequest) -> str:
@@ -103,11 +105,11 @@ def _beside_motion(scene: Scene, config: PathConfig, method: interior.Method, wa
     if type(method) not in (interior.Replay, interior.RadiativeTransfer):
         return f"interior.{type(method).__name__}() does not follow that through media; use interior.Replay()"
     assert config.media is not None
-    if config.media.grids:
-        return (
-            "densities of 'heterogeneous' media change along what moves; make the media 'homogeneous', or request what "
-            "moves nothing"
-        )
+    if config.media.grids and type(method) is interior.RadiativeTransfer:
+        return "interior.RadiativeTransfer() does not follow that through 'heterogeneous' media; use interior.Replay()"
+    stepped = _stepped_grid(scene)
+    if stepped:
+        return f"the voxels of {stepped!r} are 'nearest', so that it jumps along them; make its filter 'trilinear'"
     if config.media.emissive:
         return "that is not followed through media that emit light; leave 'emission' out, or request what moves nothing"
     if wanted.bends:
@@ -123,6 +125,19 @@ def _beside_motion(scene: Scene, config: PathConfig, method: interior.Method, wa
     for shape in scene.description.shapes:
         if shape.emitter is not None and any(model_of(side) is NULL for side in shape.bsdf.sides):
             return f"the light {shape.path!r} has a surface that is not there; give it another bsdf than 'null'"
+    return ""
+
+
+def _stepped_grid(scene: Scene) -> str:
+    """Return the name of a grid of a medium that is not interpolated; empty: there is none."""
+    names = {p.offset: name for name, p in scene.parameters.items()}
+    b = scene.builder
+    for m in b.media:
+        for number, channels in ((m.sigma_t, m.sigma_t_channels), (m.albedo, m.albedo_channels)):
+            if channels == GRID and m.sigma_t_channels == GRID:
+                g = b.textures[number]
+                if g.filter == c.FILTER_NEAREST and g.width * g.height * g.first > 1:
+                    return names[g.offset]
     return ""
 
 
@@ -171,6 +186,9 @@ def _beyond(scene: Scene, config: PathConfig, integrator: PathIntegrator, names:
     method = integrator.boundary
     if isinstance(method, Method) and (type(method) is not PathSpace or method.guiding is not None):
         return f"boundary.{type(method).__name__}() does not know media, nor does guiding; use boundary.PathSpace()"
+    assert config.media is not None
+    if config.media.grids:
+        return "it is not estimated beside 'heterogeneous' media; make them 'homogeneous'"
     if config.camera in c.METERS or config.camera == c.CAMERA_ORTHOGRAPHIC:
         return "it is not estimated before parallel rays and sensors of one pixel; use a perspective camera"
     if config.hidden:
@@ -192,7 +210,17 @@ def _beyond(scene: Scene, config: PathConfig, integrator: PathIntegrator, names:
     return ""
 
 
-def only_interfaces(scene: Scene, shapes: tuple[int, ...]) -> bool:
-    """Whether shapes are surfaces that are not there, which hide nothing."""
-    described = [scene.description.shapes[i] for i in shapes]
-    return bool(scene.builder.media) and all(model_of(side) is NULL for shape in described for side in shape.bsdf.sides)
+def moves_media_alone(scene: Scene, name: str) -> bool:
+    """Whether a parameter moves a grid, or shapes that are surfaces which are not there: they hide nothing."""
+    parameter = scene.parameters[name]
+    if MEDIUM + POSE in parameter.uses:
+        return True
+    if not scene.builder.media or not parameter.uses & {POSITIONS, SHAPE_GRID, SHAPE_POSE, NORMALS}:
+        return False
+    described = [scene.description.shapes[i] for i in parameter.owners]
+    return all(model_of(side) is NULL for shape in described for side in shape.bsdf.sides)
+
+
+def hides(scene: Scene) -> bool:
+    """Whether anything casts shadows in a medium."""
+    return len(edges_there(scene).length) > 0

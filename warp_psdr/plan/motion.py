@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
-from warp_psdr.scene.layout import CAMERA, LIGHT_POSE, NORMALS, POSITIONS, SHAPE_GRID, SHAPE_POSE
+from warp_psdr.kernels.medium.coefficients import POSE
+from warp_psdr.scene.layout import CAMERA, LIGHT_POSE, MEDIUM, NORMALS, POSITIONS, SHAPE_GRID, SHAPE_POSE
 
 if TYPE_CHECKING:
     from warp_psdr.scene.scene import Scene
@@ -23,17 +24,19 @@ class Motion:
         camera: the camera moves.
         light_pose: a point, spot or directional light moves or turns.
         normals: numbers of the shapes whose vertex normals turn by themselves.
+        grids: a grid of a medium moves, and the points of the medium with it.
     """
 
     shapes: frozenset[int]
     camera: bool
     light_pose: bool
     normals: frozenset[int] = frozenset()
+    grids: bool = False
 
     @property
     def edges(self) -> bool:
         """Whether edges move against the path vertices beside them, or lights against both."""
-        return bool(self.shapes or self.camera or self.light_pose)
+        return bool(self.shapes or self.camera or self.light_pose or self.grids)
 
 
 def motion(scene: Scene, names: list[str]) -> Motion:
@@ -44,6 +47,7 @@ def motion(scene: Scene, names: list[str]) -> Motion:
         camera=any(CAMERA in use for use, _owner in uses),
         light_pose=any(LIGHT_POSE in use for use, _owner in uses),
         normals=frozenset(owner for use, owner in uses if NORMALS in use),
+        grids=any(MEDIUM + POSE in use for use, _owner in uses),
     )
 
 

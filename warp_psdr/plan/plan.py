@@ -399,8 +399,9 @@ def _discontinuities(scene: Scene, config: PathConfig, names: list[str]) -> list
     lights = _moving_lights(scene)
     for name in names:
         uses = scene.parameters[name].uses
-        moved = uses & {POSITIONS, SHAPE_GRID, SHAPE_POSE, NORMALS}
-        if moved and media.only_interfaces(scene, scene.parameters[name].owners):
+        if media.moves_media_alone(scene, name):
+            if media.hides(scene):
+                reasons.append(f"{name} moves points of a medium past what hides light from them")
             continue
         if uses & {POSITIONS, SHAPE_GRID, SHAPE_POSE}:
             reasons.append(f"{name} moves silhouettes and shadows")

@@ -12,6 +12,7 @@ from warp_psdr.kernels.interior.gradient_request import GradientRequest
 from warp_psdr.kernels.interior.media_motion_replay import make_media_motion_kernel
 from warp_psdr.kernels.interior.media_replay import make_media_replay_kernel
 from warp_psdr.kernels.interior.replay import make_replay_kernel
+from warp_psdr.kernels.medium.coefficients import POSE
 from warp_psdr.options import interior
 from warp_psdr.plan import media
 
@@ -91,13 +92,14 @@ def keep_blocks(method: interior.Method, max_depth: int, rr_depth: int) -> Kept:
 
 
 def moved_request(wanted: GradientRequest) -> GradientRequest:
-    """Return what of a request moves in media."""
+    """Return what of a request moves in media; points of a medium ride on the boxes of its grids."""
     return GradientRequest(
         material=(False,) * len(wanted.material),
-        shapes=wanted.shapes,
+        shapes=wanted.shapes or POSE in wanted.media,
         texcoords=wanted.texcoords,
         lights=tuple(kind for kind in wanted.lights if kind == "pose"),
         camera=wanted.camera,
+        media=tuple(kind for kind in wanted.media if kind == POSE),
     )
 
 
@@ -117,7 +119,8 @@ def beside_motion(config: PathConfig, wanted: GradientRequest, role: str, kept: 
     if config.media is None or not media.moves(wanted):
         return []
     lights = tuple(kind for kind in wanted.lights if kind != "pose")
-    rest = replace(wanted, shapes=False, texcoords=False, camera=False, lights=lights)
+    of_media = tuple(kind for kind in wanted.media if kind != POSE)
+    rest = replace(wanted, shapes=False, texcoords=False, camera=False, lights=lights, media=of_media)
     return replayed(config, rest, role, kept)
 
 

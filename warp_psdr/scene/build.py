@@ -116,7 +116,9 @@ class Builder:
         self._number_models()
         for emitter in description.emitters:
             self._emitter(emitter)
-        self._media = MediaRecords(self.layout, self.textures, self.texture_ranges, description.origin)
+        self._media = MediaRecords(
+            self.layout, self.textures, self.texture_ranges, self.volume_poses, description.origin
+        )
         self.media = self._media.records  #: structs.Medium
         self.super_grids = self._media.super_grids
         self.media_followers = self._media.followers

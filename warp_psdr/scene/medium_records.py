@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warp_psdr.kernels import constants as c
-from warp_psdr.kernels.medium.coefficients import ALBEDO, EMISSION, PHASE, SCALE, SIGMA_T
+from warp_psdr.kernels.medium.coefficients import ALBEDO, EMISSION, PHASE, POSE, SCALE, SIGMA_T
 from warp_psdr.kernels.medium.volume import GRID
 from warp_psdr.kernels.structs import Medium, Texture
 from warp_psdr.kernels.vertex import MediaConfig
@@ -16,6 +16,7 @@ from .layout import MEDIUM, Layout
 from .media import MOST_G
 from .origin import moved
 from .super_grid import Follower, PhaseTable, SuperGrid, integrals, super_grid
+from .volume_pose import VolumePose, inverse_of
 
 if TYPE_CHECKING:
     from .description import MediumDescription, PhaseDescription, VolumeDescription
@@ -36,6 +37,7 @@ class MediaRecords:
         layout: Takes their values.
         textures: Records of the scene's textures, which grids join.
         texture_ranges: Flat (offset, size) of their values.
+        poses: Of the scene's volumes, which those of grids join.
         origin: (3,) float64: where the device's coordinates start.
 
     Attributes:
@@ -44,13 +46,21 @@ class MediaRecords:
         followers: What follows edits of values: those, and the integrals of tables of phase functions.
     """
 
-    def __init__(self, layout: Layout, textures: list, texture_ranges: list[tuple[int, int]], origin: np.ndarray):
+    def __init__(
+        self,
+        layout: Layout,
+        textures: list,
+        texture_ranges: list[tuple[int, int]],
+        poses: list[VolumePose],
+        origin: np.ndarray,
+    ):
         self.records: list = []
         self.super_grids: list[SuperGrid] = []
         self.followers: list[Follower] = []
         self._layout = layout
         self._textures = textures
         self._texture_ranges = texture_ranges
+        self._poses = poses
         self._origin = origin
         self._numbers: dict[int, int] = {}
         self._phases: set[int] = set()  # PHASE_* that occur, those in blends included
@@ -143,7 +153,10 @@ class MediaRecords:
         record.first, record.height, record.width, record.channels = shape
         record.filter = c.FILTER_NEAREST if v.filter == "nearest" else c.FILTER_BILINEAR
         record.wrap = {"repeat": c.WRAP_REPEAT, "mirror": c.WRAP_MIRROR, "clamp": c.WRAP_CLAMP}[v.wrap]
-        record.to_uv = self._layout.add_values(np.linalg.inv(moved(v.to_world, self._origin))[:3])
+        pose = moved(v.to_world, self._origin)
+        name = f"{v.parameter.removesuffix('.data').removesuffix('.value.value')}.to_world"
+        self._poses.append(VolumePose(name, self._layout.add(name, pose, MEDIUM + POSE, placed=True)))
+        record.to_uv = self._layout.add_values(inverse_of(pose))
         if tracked:
             record.second = self._layout.add_values(super_grid(v.value.reshape(shape), v.wrap))
             self.super_grids.append(SuperGrid(v.parameter, offset, shape, v.wrap, record.second))

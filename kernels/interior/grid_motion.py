@@ -1,0 +1,162 @@
+"""What of a path through grids of voxels moves beside ``media_motion.py``: densities along rays, and at collisions.
+
+A collision keeps its fraction of what its stretch has in the grid's box. Its coefficients change by
+grad(a sigma) . dx, the transmittance to it by the density along the ray, whether or not tracking met it there.
+
+Derivation: ``docs/theory/media.md#grids-beside-what-moves``.
+"""
+
+import functools
+
+import warp as wp
+
+from warp_psdr.kernels.autodiff import anchor
+from warp_psdr.kernels.constants import FAR
+from warp_psdr.kernels.interaction import make_interaction
+from warp_psdr.kernels.interior.media_sweep import number_of
+from warp_psdr.kernels.interior.shadow_motion import ShadowAdjoint, thinning
+from warp_psdr.kernels.medium.coefficients import albedo_at
+from warp_psdr.kernels.medium.grid_adjoint import SALT_POINTS
+from warp_psdr.kernels.medium.grid_span import Span, SpanAdjoint, make_grid_span, span_of
+from warp_psdr.kernels.medium.interface import make_crossing_sink, make_interface
+from warp_psdr.kernels.medium.passage import MOST_INTERFACES, medium_towards
+from warp_psdr.kernels.medium.volume import GRID, grid_point, grid_value
+from warp_psdr.kernels.path_media import MediaVertex
+from warp_psdr.kernels.reading import load_float, texture_record
+from warp_psdr.kernels.rng import Sampler, salted
+from warp_psdr.kernels.structs import Medium, Scene
+from warp_psdr.kernels.texture.volume import trilinear_slope
+from warp_psdr.kernels.vertex import PathConfig
+from warp_psdr.kernels.visibility import visibility_of
+
+#: Least length of a span that is divided by, relative to its distance.
+SHORT_SPAN = 1.0e-6
+
+
+@wp.func
+def span_length(span: Span) -> wp.float32:
+    return wp.max(span.far - span.near, SHORT_SPAN * wp.max(span.near, 1.0e-20))
+
+
+@functools.cache
+def make_grid_flight_sink(role: str, pose: bool):
+    """Return ``accumulate_grid_flight(scene, target, m, span, y, d, t, collides, stream, w, w_at, a_x)``.
+
+    Of a flight along the ray from y that ends at the distance t, ``w`` is the adjoint of the logarithm of its factor,
+    ``w_at`` that of the product a sigma where it collides, and ``a_x`` what else pulls at that point.
+    ``pose``: grids move.
+    """
+    accumulate_point, accumulate_depth, accumulate_ends = make_grid_span(role, pose)
+
+    @wp.func
+    def accumulate_grid_flight(
+        scene: Scene,
+        target: wp.array(dtype=wp.float32),
+        m: Medium,
+        span: Span,
+        y: wp.vec3,
+        d: wp.vec3,
+        t: wp.float32,
+        collides: wp.bool,
+        stream: Sampler,
+        w: wp.vec3,
+        w_at: wp.vec3,
+        a_x: wp.vec3,
+    ) -> SpanAdjoint:
+        g = texture_record(scene, m.sigma_t)
+        r = accumulate_depth(scene, target, m, span, y, d, wp.where(collides, t, span.far), stream, -w)
+        if collides:
+            x = y + t * d
+            p = span.o + t * span.d
+            scale = load_float(scene.values, m.scale)
+            w_sigma = scale * wp.cw_mul(w_at, albedo_at(scene, m, x))
+            pulled, dot = accumulate_point(scene, target, g, x, trilinear_slope(scene, g, p, w_sigma))
+            a_point = a_x + pulled
+            r.dot += dot
+            if m.albedo_channels == GRID:
+                g_albedo = texture_record(scene, m.albedo)
+                w_albedo = scale * wp.cw_mul(w_at, grid_value(scene.values, g, p))
+                slope = trilinear_slope(scene, g_albedo, grid_point(scene, g_albedo, x), w_albedo)
+                slid, dot_albedo = accumulate_point(scene, target, g_albedo, x, slope)
+                a_point += slid
+                r.dot += dot_albedo
+            length = span_length(span)  # of what is tracked: where rounding leaves none, the factor is as small
+            share = wp.clamp((t - span.near) / length, 0.0, 1.0)
+            longer = (w[0] + w[1] + w[2]) / length
+            a_t = r.far + wp.dot(d, a_point)
+            r.o += a_point
+            r.d += t * a_point
+            r.far = share * a_t + longer
+            r.near += (1.0 - share) * a_t - longer
+        return accumulate_ends(scene, target, g, span, y, d, r)
+
+    return accumulate_grid_flight
+
+
+@functools.cache
+def make_grid_shadow_sink(config: PathConfig, role: str, pose: bool):
+    """Return ``accumulate_shadow`` as ``make_shadow_sink`` does, of segments that may pass grids."""
+    visibility = visibility_of(config)
+    interaction = make_interaction(config)
+    is_interface, _behind = make_interface(config)
+    accumulate_crossing = make_crossing_sink(role)
+    _point, accumulate_depth, accumulate_ends = make_grid_span(role, pose)
+
+    @wp.func
+    def accumulate_shadow(
+        scene: Scene, target: wp.array(dtype=wp.float32), sampler: Sampler, v: MediaVertex, w: wp.vec3
+    ) -> ShadowAdjoint:
+        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
+        r = ShadowAdjoint()
+        d = v.shadow_d
+        start = v.shadow_o
+        inside = v.shadow_medium
+        face = wp.int32(-1)  # the interface where the stretch begins
+        u = wp.float32(0.0)
+        v_face = wp.float32(0.0)
+        near = wp.float32(0.0)
+        a_near = wp.float32(0.0)
+        crossings = wp.int32(0)
+        while crossings <= MOST_INTERFACES:
+            t = wp.dot(start - v.shadow_o, d)
+            hit = visibility.closest(scene, start, d, v.shadow_t - t)
+            far = wp.where(hit.face >= 0, t + hit.t, v.shadow_t)
+            a_far = wp.float32(0.0)
+            if inside >= 0:
+                m = scene.media.records[inside]
+                if m.sigma_t_channels == GRID:
+                    g = texture_record(scene, m.sigma_t)
+                    o = start - t * d  # the ray that was tracked
+                    span = span_of(scene, g, o, d, near, far)
+                    stream = salted(sampler, SALT_POINTS, number_of(v) + 1 + crossings)
+                    a = accumulate_depth(scene, target, m, span, o, d, span.far, stream, -w)
+                    a = accumulate_ends(scene, target, g, span, o, d, a)
+                    r.o += a.o
+                    r.d += a.d
+                    r.dot += a.dot
+                    a_near += a.near
+                    a_far = a.far
+                else:
+                    a_far = thinning(scene, inside, w)
+                    a_near -= a_far
+            if face >= 0:
+                crossed = accumulate_crossing(scene, target, face, u, v_face, d, near, a_near)
+                r.o += crossed.o
+                r.d += crossed.d
+                r.dot += crossed.dot
+            a_near = a_far
+            crossings += 1
+            if is_interface(scene, hit.face):
+                at = interaction.at(scene, hit.face, hit.u, hit.v, d)
+                inside = medium_towards(scene, at.shape, at.ng, d, d, inside)
+                start = interaction.offset(at, d)
+                face = hit.face
+                u = hit.u
+                v_face = hit.v
+                near = far
+            else:
+                crossings = MOST_INTERFACES + 1
+        r.length = wp.where(v.shadow_t >= 0.5 * FAR, 0.0, a_near)
+        return r
+
+    return accumulate_shadow

@@ -1,0 +1,126 @@
+"""Segments to lights through media, as what they join moves: their transmittance, and the point of the light.
+
+Derivation: ``docs/theory/media.md#what-moves``.
+"""
+
+import functools
+
+import warp as wp
+
+from warp_psdr.kernels.autodiff import anchor
+from warp_psdr.kernels.constants import EMITTER_AREA, EMITTER_DIRECTIONAL, EMITTER_POINT, FAR
+from warp_psdr.kernels.interaction import make_interaction
+from warp_psdr.kernels.interior.gradient_request import GradientRequest
+from warp_psdr.kernels.medium.coefficients import coefficients_of
+from warp_psdr.kernels.medium.interface import make_crossing_sink, make_interface
+from warp_psdr.kernels.medium.passage import MOST_INTERFACES, medium_towards
+from warp_psdr.kernels.path_media import MediaVertex
+from warp_psdr.kernels.rng import Sampler
+from warp_psdr.kernels.sink import make_sink, make_sink_vec3
+from warp_psdr.kernels.structs import Scene
+from warp_psdr.kernels.surface import VertexAdjoint, make_vertex_sink
+from warp_psdr.kernels.vertex import PathConfig
+from warp_psdr.kernels.visibility import visibility_of
+
+
+@wp.struct
+class ShadowAdjoint:
+    """Adjoint of the ray of a segment to a light: of its start, its direction and its length."""
+
+    o: wp.vec3
+    d: wp.vec3
+    length: wp.float32
+    dot: wp.float32
+
+
+@wp.func
+def thinning(scene: Scene, medium: wp.int32, w: wp.vec3) -> wp.float32:
+    """Adjoint of a length in a medium."""
+    if medium < 0:
+        return 0.0
+    return -wp.dot(coefficients_of(scene, scene.media.records[medium]).sigma_t, w)
+
+
+@functools.cache
+def make_shadow_sink(config: PathConfig, role: str):
+    """Return ``accumulate_shadow(scene, target, sampler, vertex, w) -> ShadowAdjoint``.
+
+    ``w`` is the adjoint of the logarithm of the transmittance to the vertex's light, by channel. The segment is walked
+    again.
+    """
+    visibility = visibility_of(config)
+    interaction = make_interaction(config)
+    is_interface, _behind = make_interface(config)
+    accumulate_crossing = make_crossing_sink(role)
+
+    @wp.func
+    def accumulate_shadow(
+        scene: Scene, target: wp.array(dtype=wp.float32), sampler: Sampler, v: MediaVertex, w: wp.vec3
+    ) -> ShadowAdjoint:
+        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
+        r = ShadowAdjoint()
+        start = v.shadow_o
+        inside = v.shadow_medium
+        r.length = thinning(scene, inside, w)
+        crossings = wp.int32(0)
+        while crossings <= MOST_INTERFACES:
+            t = wp.dot(start - v.shadow_o, v.shadow_d)
+            hit = visibility.closest(scene, start, v.shadow_d, v.shadow_t - t)
+            crossings += 1
+            if is_interface(scene, hit.face):
+                at = interaction.at(scene, hit.face, hit.u, hit.v, v.shadow_d)
+                inside = medium_towards(scene, at.shape, at.ng, v.shadow_d, v.shadow_d, inside)
+                beyond = thinning(scene, inside, w)
+                a = accumulate_crossing(scene, target, hit.face, hit.u, hit.v, v.shadow_d, t + hit.t, r.length - beyond)
+                r.o += a.o
+                r.d += a.d
+                r.dot += a.dot
+                r.length = beyond
+                start = interaction.offset(at, v.shadow_d)
+            else:
+                crossings = MOST_INTERFACES + 1
+        if v.shadow_t >= 0.5 * FAR:
+            r.length = 0.0
+        return r
+
+    return accumulate_shadow
+
+
+@functools.cache
+def make_light_end(wanted: GradientRequest, role: str):
+    """Return ``accumulate_end(scene, target, vertex, w) -> (bool, float32)``.
+
+    ``w`` is the adjoint of the point of the vertex's light; False: the light has none.
+    """
+    accumulate_vertex = make_vertex_sink(role, False, False, False, False, False, False)
+    sink = make_sink(role)
+    sink3 = make_sink_vec3(role)
+
+    @wp.func
+    def accumulate_end(
+        scene: Scene, target: wp.array(dtype=wp.float32), v: MediaVertex, w: wp.vec3
+    ) -> tuple[wp.bool, wp.float32]:
+        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
+        emitter = scene.emitters[v.surface.light]
+        total = wp.float32(0.0)
+        if v.surface.light_face >= 0:
+            if wp.static(wanted.geometry):
+                adjoint = VertexAdjoint()
+                adjoint.x = w
+                done = accumulate_vertex(
+                    scene, target, v.surface.light_face, v.surface.light_u, v.surface.light_v, adjoint, False, w, w
+                )
+                total = done.dot
+            return True, total
+        # An environment and a directional light are at infinity.
+        if v.shadow_t >= 0.5 * FAR or emitter.kind == EMITTER_AREA or emitter.kind == EMITTER_DIRECTIONAL:
+            return False, total
+        if wp.static("pose" in wanted.lights):
+            if emitter.kind == EMITTER_POINT:
+                total = sink3(target, emitter.to_world, w)
+            else:
+                for i in range(3):
+                    total += sink(target, emitter.to_world + 4 * i + 3, w[i])
+        return True, total
+
+    return accumulate_end
