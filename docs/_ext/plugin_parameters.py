@@ -21,6 +21,13 @@ import warp_psdr as psdr
 from warp_psdr import image_io
 from warp_psdr.scene import plugins as loader
 
+#: A network of two layers, whose surface is next to a corner of its box.
+NETWORK = {
+    "layer0.weight": np.eye(3),
+    "layer0.bias": np.zeros(3),
+    "layer1.weight": np.ones((1, 3)),
+    "layer1.bias": np.array([-2.5]),
+}
 #: Parameters without which a plugin cannot be loaded; "FILE.obj" and the like stand for files that are made.
 NEEDED: dict[str, dict] = {
     "twosided": {"bsdf": {"type": "diffuse"}},
@@ -43,6 +50,7 @@ NEEDED: dict[str, dict] = {
     "blendphase": {"weight": 0.5, "a": {"type": "hg"}, "b": {"type": "isotropic"}},
     "tabphase": {"values": [0.5, 1.0, 2.0]},
     "sdfgrid": {"grid": np.arange(8.0).reshape(2, 2, 2) - 3.5},
+    "neuralsdf": NETWORK,
     "linearcurve": {"control_points": np.eye(2, 4)},
     "bsplinecurve": {"control_points": np.eye(4)},
     "merge": {"shape": {"type": "cube"}},
@@ -54,6 +62,10 @@ MORE: dict[str, tuple[dict, ...]] = {
     "roughconductor": ({"alpha_u": 0.1, "alpha_v": 0.2}, {"eta": 1.0, "k": 2.0}),
     "roughdielectric": ({"alpha_u": 0.1, "alpha_v": 0.2},),
     "mesh_attribute": ({"name": "vertex_color", "scale": 0.5},),
+    "neuralsdf": (
+        {"activation": "softplus", "beta": 1.0, **NETWORK},
+        {"activation": "sine", "omega": 1.0, **NETWORK},
+    ),
     "conductor": ({"eta": 1.0, "k": 2.0},),
     "abc": ({"A": 0.5, "B": 100.0, "C": 1.5, "eta": 1.0, "k": 2.0},),
     "principled": ({"eta": 1.5, "spec_trans": 0.5},),

@@ -2,8 +2,8 @@
 
 A number of a face that is at least the number of triangles names such a shape. Each function takes the one for
 triangles, and is that one where a scene holds no such shape, so nothing is compiled. Affine shapes are in ``kinds.py``.
-Grids (``sdfgrid.py``, ``sdfgrid_cubic.py``) and curves (``curves.py``) are the other kinds: vertices on them slide
-along the rays that found them.
+Grids (``sdfgrid.py``, ``sdfgrid_cubic.py``), networks (``network.py``) and curves (``curves.py``) are the other kinds:
+vertices on them slide along the rays that found them.
 """
 
 import functools
@@ -15,6 +15,7 @@ from warp_psdr.kernels.bvh.wide import RayHit
 from warp_psdr.kernels.constants import (
     PRIMITIVE_BSPLINECURVE,
     PRIMITIVE_LINEARCURVE,
+    PRIMITIVE_NEURALSDF,
     PRIMITIVE_SDFGRID,
     PRIMITIVE_SDFGRID_CUBIC,
 )
@@ -36,6 +37,8 @@ from warp_psdr.kernels.primitive.kinds import (
     make_kinds_sink,
     make_kinds_surface,
 )
+from warp_psdr.kernels.primitive.network import step_off_network
+from warp_psdr.kernels.primitive.network_surface import make_network_surface, network_normal
 from warp_psdr.kernels.primitive.sdfgrid import unpack
 from warp_psdr.kernels.primitive.sdfgrid_adjoint import make_sdfgrid_sink
 from warp_psdr.kernels.primitive.sdfgrid_cubic_surface import (
@@ -60,7 +63,9 @@ from warp_psdr.kernels.surface import (
 #: Kinds of grids and of curves, and all kinds whose vertices slide along rays.
 GRIDS = (PRIMITIVE_SDFGRID, PRIMITIVE_SDFGRID_CUBIC)
 CURVES = (PRIMITIVE_LINEARCURVE, PRIMITIVE_BSPLINECURVE)
-SLIDING = (*GRIDS, *CURVES)
+SLIDING = (*GRIDS, PRIMITIVE_NEURALSDF, *CURVES)
+#: Kinds whose vertices hold a point of a box.
+BOXED = (*GRIDS, PRIMITIVE_NEURALSDF)
 
 
 @wp.func
@@ -88,9 +93,15 @@ def is_bspline(tri: Triangle) -> wp.bool:
 
 
 @wp.func
+def is_network(tri: Triangle) -> wp.bool:
+    """Whether the record of a shape without triangles is that of a network."""
+    return tri.i1 == wp.static(-1 - PRIMITIVE_NEURALSDF)
+
+
+@wp.func
 def slides_on(tri: Triangle) -> wp.bool:
     """Whether vertices on what a record is of slide along the rays that found them (form S)."""
-    return is_grid(tri) or is_linear(tri) or is_bspline(tri)
+    return is_grid(tri) or is_linear(tri) or is_bspline(tri) or is_network(tri)
 
 
 @functools.cache
@@ -104,6 +115,7 @@ def make_hit(primitives: tuple[int, ...], shadow: bool = False):
     hit_of_affine = make_kinds_hit(affine_kinds(primitives))
     hit_of_grid = make_sdfgrid_hit(False) if PRIMITIVE_SDFGRID in primitives else None
     hit_of_cubic = make_sdfgrid_hit(True) if PRIMITIVE_SDFGRID_CUBIC in primitives else None
+    hit_of_network = make_sdfgrid_hit(False, True) if PRIMITIVE_NEURALSDF in primitives else None
     hit_of_linear = make_curve_hit(False, shadow) if PRIMITIVE_LINEARCURVE in primitives else None
     hit_of_bspline = make_curve_hit(True, shadow) if PRIMITIVE_BSPLINECURVE in primitives else None
 
@@ -115,6 +127,9 @@ def make_hit(primitives: tuple[int, ...], shadow: bool = False):
         if wp.static(hit_of_bspline is not None):
             if is_bspline(tri):
                 return hit_of_bspline(scene, tri, o, d, t_max)
+        if wp.static(hit_of_network is not None):
+            if is_network(tri):
+                return hit_of_network(scene, tri, o, d, t_max)
         if wp.static(hit_of_cubic is not None):
             if is_cubic(tri):
                 return hit_of_cubic(scene, tri, o, d, t_max)
@@ -170,6 +185,7 @@ def make_surface_at(smooth: bool, flat: bool, uv: bool, tangent: bool, primitive
     of_affine = make_kinds_surface(affine_kinds(primitives), uv or tangent, tangent)[0]
     of_grid = make_sdfgrid_surface(tangent) if PRIMITIVE_SDFGRID in primitives else None
     of_cubic = make_sdfgrid_cubic_surface(tangent) if PRIMITIVE_SDFGRID_CUBIC in primitives else None
+    of_network = make_network_surface(tangent) if PRIMITIVE_NEURALSDF in primitives else None
     of_linear = make_curve_surface(False, tangent) if PRIMITIVE_LINEARCURVE in primitives else None
     of_bspline = make_curve_surface(True, tangent) if PRIMITIVE_BSPLINECURVE in primitives else None
 
@@ -182,6 +198,9 @@ def make_surface_at(smooth: bool, flat: bool, uv: bool, tangent: bool, primitive
             if wp.static(of_bspline is not None):
                 if is_bspline(tri):
                     return of_bspline(scene, tri, u, v)
+            if wp.static(of_network is not None):
+                if is_network(tri):
+                    return of_network(scene, tri, u, v)
             if wp.static(of_cubic is not None):
                 if is_cubic(tri):
                     return of_cubic(scene, tri, u, v)
@@ -222,8 +241,13 @@ def make_leaving(primitives: tuple[int, ...]):
     if not primitives:
         return step_off_triangle
 
+    has_networks = PRIMITIVE_NEURALSDF in primitives
+
     @wp.func
     def step_off_any(scene: Scene, tri: Triangle) -> wp.float32:
+        if wp.static(has_networks):
+            if is_network(tri):
+                return step_off_network(scene, tri)
         if is_primitive(tri):
             return step_off_primitive(scene, tri)
         return step_off_triangle(scene, tri)
@@ -244,15 +268,15 @@ def make_position(primitives: tuple[int, ...]):
     def cross_of_edges(tri: Triangle, u: wp.float32, v: wp.float32) -> wp.vec3:
         return wp.cross(tri.p1 - tri.p0, tri.p2 - tri.p0)
 
-    has_grids = bool(set(GRIDS) & set(primitives))
+    has_boxes = bool(set(BOXED) & set(primitives))
     if not primitives:
         return point_on, cross_of_edges
     point_of, cross_of = make_kinds_point(affine_kinds(primitives))
 
     @wp.func
     def position_of_any(tri: Triangle, u: wp.float32, v: wp.float32) -> wp.vec3:
-        if wp.static(has_grids):
-            if is_grid(tri):
+        if wp.static(has_boxes):
+            if is_grid(tri) or is_network(tri):
                 return tri.normal + to_axes(tri, unpack(u, v))
         if wp.static(point_of is not None):
             if is_primitive(tri):
@@ -300,9 +324,13 @@ def make_normal_at(primitives: tuple[int, ...]) -> wp.Function | None:
     of_affine = make_kinds_normal(affine_kinds(primitives))
     has_grids = PRIMITIVE_SDFGRID in primitives
     has_cubic = PRIMITIVE_SDFGRID_CUBIC in primitives
+    has_networks = PRIMITIVE_NEURALSDF in primitives
 
     @wp.func
     def normal_of_any(scene: Scene, tri: Triangle, x: wp.vec3) -> wp.vec3:
+        if wp.static(has_networks):
+            if is_network(tri):
+                return network_normal(scene, tri, x)
         if wp.static(has_cubic):
             if is_cubic(tri):
                 return sdfgrid_cubic_normal(scene, tri, x)
@@ -334,6 +362,7 @@ def make_adjoint_sink(
     of_affine = make_kinds_sink(affine_kinds(primitives), role, uv or tangent, tangent, rays)
     of_grid = make_sdfgrid_sink(role) if PRIMITIVE_SDFGRID in primitives else None
     of_cubic = make_sdfgrid_sink(role, True) if PRIMITIVE_SDFGRID_CUBIC in primitives else None
+    of_network = make_sdfgrid_sink(role, False, True) if PRIMITIVE_NEURALSDF in primitives else None
     of_linear = make_curve_sink(role, False, uv, tangent) if PRIMITIVE_LINEARCURVE in primitives else None
     of_bspline = make_curve_sink(role, True, uv, tangent) if PRIMITIVE_BSPLINECURVE in primitives else None
 
@@ -358,6 +387,9 @@ def make_adjoint_sink(
             if wp.static(of_bspline is not None):
                 if is_bspline(tri):
                     return of_bspline(scene, target, tri, u, v, adjoint, by_ray, o, d)
+            if wp.static(of_network is not None):
+                if is_network(tri):
+                    return of_network(scene, target, tri, u, v, adjoint, by_ray, o, d)
             if wp.static(of_cubic is not None):
                 if is_cubic(tri):
                     return of_cubic(scene, target, tri, u, v, adjoint, by_ray, o, d)

@@ -20,6 +20,8 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.primitive.affine import cofactor, determinant, make_pose_sink, to_axes
+from warp_psdr.kernels.primitive.network import network_of
+from warp_psdr.kernels.primitive.network_surface import make_cell_sink, network_bend, network_point
 from warp_psdr.kernels.primitive.sdfgrid import Grid, Voxel, grid_of
 from warp_psdr.kernels.primitive.sdfgrid_cubic import spline_hessian
 from warp_psdr.kernels.primitive.sdfgrid_cubic_surface import make_spline_sink, spline_point
@@ -250,16 +252,22 @@ def make_smooth_sink(role: str):
 
 
 @functools.cache
-def make_sdfgrid_sink(role: str, cubic: bool = False):
+def make_sdfgrid_sink(role: str, cubic: bool = False, network: bool = False):
     """Return ``accumulate(scene, target, tri, u, v, adjoint, by_ray, o, d) -> RayAdjoint``, as ``make_vertex_sink``'s.
 
     ``by_ray``: of the vertex that the ray (o, d) finds; otherwise the adjoint is that of c, and has a place alone.
-    ``cubic``: of a smooth grid, whose normal is the gradient's, and turns with the place by the Hessian.
+
+    Args:
+        role: of the sinks.
+        cubic: of a smooth grid, whose normal is the gradient's, and turns with the place by the Hessian.
+        network: of a network, whose normal does the same.
     """
     accumulate_pose = make_pose_sink(role)
-    point_at = spline_point if cubic else held_point
+    record_of = network_of if network else grid_of
+    point_at = network_point if network else spline_point if cubic else held_point
     accumulate_field = make_spline_sink(role) if cubic else make_voxel_sink(role)
-    accumulate_smooth = None if cubic else make_smooth_sink(role)
+    accumulate_smooth = None if cubic or network else make_smooth_sink(role)
+    accumulate_cell = make_cell_sink(role) if network else None
 
     @wp.func
     def sdfgrid_sink(
@@ -275,7 +283,7 @@ def make_sdfgrid_sink(role: str, cubic: bool = False):
     ) -> RayAdjoint:
         result = RayAdjoint()
         total = wp.float32(0.0)
-        g = grid_of(scene, tri)
+        g = record_of(scene, tri)
         at = point_at(scene, g, u, v)
         x = at.p - voxel_corner(at.i, at.j, at.k)
         q = wp.cw_div(at.p, g.cells)
@@ -285,7 +293,10 @@ def make_sdfgrid_sink(role: str, cubic: bool = False):
         zero = wp.vec3(0.0, 0.0, 0.0)
         if not by_ray:
             away = wp.dot(adjoint.x, across) / wp.max(wp.dot(across, across), 1.0e-30)
-            total += accumulate_field(target, g, at.i, at.j, at.k, x, -away, zero)
+            if wp.static(accumulate_cell is not None):
+                total += accumulate_cell(scene, target, g, at.p, -away, zero)
+            else:
+                total += accumulate_field(target, g, at.i, at.j, at.k, x, -away, zero)
             pull = adjoint.x
             total += accumulate_pose(target, tri, q[0] * pull, q[1] * pull, q[2] * pull, pull)
             result.dot = total
@@ -324,7 +335,9 @@ def make_sdfgrid_sink(role: str, cubic: bool = False):
                     total += dot
             if not is_smooth:
                 a_gradient = wp.cw_mul(g.cells, a_m)
-                if wp.static(cubic):
+                if wp.static(network):
+                    a_p = network_bend(scene, g, at.p, a_gradient)
+                elif wp.static(cubic):
                     a_p = spline_hessian(scene, g, at.i, at.j, at.k, x) * a_gradient
                 else:
                     a_p = bend_of(mixed_differences(at.voxel, x), a_gradient)
@@ -335,7 +348,10 @@ def make_sdfgrid_sink(role: str, cubic: bool = False):
         facing = wp.dot(across, d)
         share = wp.dot(a_x, d) / wp.where(facing == 0.0, 1.0, facing)
         pulled = share * across - h
-        total += accumulate_field(target, g, at.i, at.j, at.k, x, -share, a_gradient)
+        if wp.static(accumulate_cell is not None):
+            total += accumulate_cell(scene, target, g, at.p, -share, a_gradient)
+        else:
+            total += accumulate_field(target, g, at.i, at.j, at.k, x, -share, a_gradient)
         total += accumulate_pose(target, tri, g0 + q[0] * pulled, g1 + q[1] * pulled, g2 + q[2] * pulled, pulled)
         k = a_x - share * across
         t = wp.dot(tri.normal + to_axes(tri, q) - o, d) / wp.dot(d, d)

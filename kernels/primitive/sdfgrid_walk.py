@@ -14,6 +14,8 @@ import warp as wp
 
 from warp_psdr.kernels.bvh.wide import RayHit
 from warp_psdr.kernels.primitive.affine import from_axes
+from warp_psdr.kernels.primitive.network import network_cell, network_of, phi_along
+from warp_psdr.kernels.primitive.network_roots import make_network_root
 from warp_psdr.kernels.primitive.sdfgrid import (
     Grid,
     cubic_along,
@@ -50,19 +52,29 @@ def next_voxel(i: wp.int32, forward: wp.int32, more: wp.int32, x: wp.float32, cr
     return wp.where(forward == 1, wp.clamp(wp.int32(x), i, i + more), wp.clamp(wp.int32(x), i - more, i))
 
 
+@wp.func
+def network_reach(scene: Scene, g: Grid, i: wp.int32, j: wp.int32, k: wp.int32) -> wp.int32:
+    return wp.max(wp.int32(network_cell(scene, g, i, j, k)), 0)
+
+
 @functools.cache
-def make_sdfgrid_hit(cubic: bool):
+def make_sdfgrid_hit(cubic: bool, network: bool = False):
     """Return ``hit(scene, tri, o, d, t_max) -> RayHit``, 0 <= t < t_max; ``face`` is -1 if there is none.
 
-    ``cubic``: of a smooth grid.
+    Args:
+        cubic: of a smooth grid.
+        network: of a network, whose cells are voxels.
     """
+    record_of = network_of if network else grid_of
+    reach_at = network_reach if network else reach_of
+    first_of_network = make_network_root(False) if network else None
 
     @wp.func
     def sdfgrid_hit(scene: Scene, tri: Triangle, o: wp.vec3, d: wp.vec3, t_max: wp.float32) -> RayHit:
         hit = RayHit()
         hit.t = t_max
         hit.face = -1
-        g = grid_of(scene, tri)
+        g = record_of(scene, tri)
         start = wp.cw_mul(g.cells, from_axes(tri, o - tri.normal))
         w = wp.cw_mul(g.cells, from_axes(tri, d))
         inverse = wp.vec3(reciprocal(w[0]), reciprocal(w[1]), reciprocal(w[2]))
@@ -80,12 +92,14 @@ def make_sdfgrid_hit(cubic: bool):
         si = wp.where(inverse[0] > 0.0, 1, 0)
         sj = wp.where(inverse[1] > 0.0, 1, 0)
         sk = wp.where(inverse[2] > 0.0, 1, 0)
-        reach = reach_of(scene, g, i, j, k)
+        reach = reach_at(scene, g, i, j, k)
         # A voxel that the surface does not pass has one sign.
         inside = wp.bool(False)
         starts = wp.bool(False)
         cell = wp.vec3(wp.float32(i), wp.float32(j), wp.float32(k))
-        if wp.static(cubic):
+        if wp.static(network):
+            starts = wp.bool(True)
+        elif wp.static(cubic):
             starts = reach == 0
             if reach > 0:
                 inside = spline_field(scene, g, i, j, k, p - cell)[3] < 0.0
@@ -95,7 +109,7 @@ def make_sdfgrid_hit(cubic: bool):
                 inside = value_and_gradient(voxel_at(scene, g, i, j, k), p - cell)[3] < 0.0
         s = wp.float32(0.0)
         while s < end and i >= 0 and j >= 0 and k >= 0 and i < g.nx - 1 and j < g.ny - 1 and k < g.nz - 1:
-            reach = reach_of(scene, g, i, j, k)
+            reach = reach_at(scene, g, i, j, k)
             # Voxels besides this one, to every side, that are passed at once.
             more = wp.max(reach - 1, 0)
             tx = (wp.float32(wp.where(si == 1, i + 1 + more, i - more)) - p[0]) * inverse[0]
@@ -107,7 +121,17 @@ def make_sdfgrid_hit(cubic: bool):
                 x = p + s * w - cell
                 way = (out - s) * w
                 root = wp.float32(-1.0)
-                if wp.static(cubic):
+                if wp.static(network):
+                    at = wp.cw_div(p + s * w, g.cells)
+                    over = wp.cw_div(way, g.cells)
+                    if starts:
+                        # Up to here phi has one sign.
+                        inside = phi_along(scene.values, g.first, at, over)[0] < 0.0
+                        starts = False
+                    bend = -wp.dot(over, over) * network_cell(scene, g, i, j, k)
+                    first, _count = first_of_network(scene, g.first, at, over, bend, inside, 0.0)
+                    root = first
+                elif wp.static(cubic):
                     along, size = spline_along(scene, g, i, j, k, x, way)
                     if starts:
                         # By the same arithmetic as what follows.

@@ -8,6 +8,7 @@ from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.constants import (
     PRIMITIVE_BSPLINECURVE,
     PRIMITIVE_LINEARCURVE,
+    PRIMITIVE_NEURALSDF,
     PRIMITIVE_SDFGRID,
     PRIMITIVE_SDFGRID_CUBIC,
 )
@@ -21,7 +22,7 @@ from warp_psdr.kernels.primitive.affine import (
     to_axes,
 )
 from warp_psdr.kernels.primitive.curves_adjoint import make_curve_sink
-from warp_psdr.kernels.primitive.dispatch import is_bspline, is_cubic, is_grid, is_linear
+from warp_psdr.kernels.primitive.dispatch import is_bspline, is_cubic, is_grid, is_linear, is_network
 from warp_psdr.kernels.primitive.kinds import KINDS, affine_kinds, join
 from warp_psdr.kernels.primitive.sdfgrid_adjoint import make_sdfgrid_sink
 from warp_psdr.kernels.reading import triangle_at
@@ -165,7 +166,9 @@ def make_velocity(smooth: bool, flat: bool, uv: bool, tangent: bool, primitives:
         return of_triangle
     kinds = affine_kinds(primitives)
     of_affine = join(_either_jvp, {kind: make_affine_jvp(KINDS[kind], uv or tangent, tangent) for kind in kinds})
-    of_grid, of_cubic, of_linear, of_bspline = None, None, None, None
+    of_grid, of_cubic, of_linear, of_bspline, of_network = None, None, None, None, None
+    if PRIMITIVE_NEURALSDF in primitives:
+        of_network = make_sliding_jvp(make_sdfgrid_sink("forward", False, True), False, False)
     if PRIMITIVE_SDFGRID in primitives:
         of_grid = make_sliding_jvp(make_sdfgrid_sink("forward"), False, False)
     if PRIMITIVE_SDFGRID_CUBIC in primitives:
@@ -197,6 +200,9 @@ def make_velocity(smooth: bool, flat: bool, uv: bool, tangent: bool, primitives:
             if wp.static(of_bspline is not None):
                 if is_bspline(tri):
                     return of_bspline(scene, tangents, tri, u, v, by_ray, o, d, o_dot, d_dot)
+            if wp.static(of_network is not None):
+                if is_network(tri):
+                    return of_network(scene, tangents, tri, u, v, by_ray, o, d, o_dot, d_dot)
             if wp.static(of_cubic is not None):
                 if is_cubic(tri):
                     return of_cubic(scene, tangents, tri, u, v, by_ray, o, d, o_dot, d_dot)

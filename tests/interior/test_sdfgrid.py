@@ -94,7 +94,7 @@ def cave(interpolation: str = "linear") -> psdr.Scene:
     )
 
 
-def assert_slope(described: psdr.Scene, name: str, tangent: np.ndarray, step: float) -> None:
+def assert_slope(described: psdr.Scene, name: str, tangent: np.ndarray, step: float, spp: int = 256) -> None:
     """Compare both modes with central differences of the same paths, on films of 16^2 at depth 3."""
     params = psdr.traverse(described)
     integrator = psdr.PathIntegrator(max_depth=3, rr_depth=100, boundary=None)
@@ -104,14 +104,14 @@ def assert_slope(described: psdr.Scene, name: str, tangent: np.ndarray, step: fl
     def image(step: float, seed: int) -> float:
         params[name] = value + step * tangent
         params.update()
-        found = psdr.render(described, integrator=integrator, spp=256, seed=seed).numpy().astype(np.float64)
+        found = psdr.render(described, integrator=integrator, spp=spp, seed=seed).numpy().astype(np.float64)
         params[name] = value
         params.update()
         return float((weights * found).sum())
 
     seeds = range(4)
     differences = np.mean([(image(step, seed) - image(-step, seed)) / (2.0 * step) for seed in seeds])
-    options = {"integrator": integrator, "spp": 256}
+    options = {"integrator": integrator, "spp": spp}
     images = [psdr.render_forward(described, params, {name: tangent}, seed=s, **options).numpy() for s in seeds]
     forward = [float((weights * image).sum()) for image in images]
     params.requires_grad(name)

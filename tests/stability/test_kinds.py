@@ -152,9 +152,9 @@ def test_every_kind_is_listed() -> None:
     """Kinds of files are read as meshes; wrappers and textures have tests of their own.
 
     Curves move in ``tests/boundary/test_tubes.py``, grids of distances in ``tests/boundary/test_sdfgrid.py``, and
-    ``tests/path/test_sdfgrid.py`` scales those.
+    ``tests/path/test_sdfgrid.py`` scales those; networks move in ``tests/interior/test_neuralsdf.py``.
     """
-    resting = {"sdfgrid", "linearcurve", "bsplinecurve"}
+    resting = {"sdfgrid", "linearcurve", "bsplinecurve", "neuralsdf"}
     files = {"ply", "obj", "stl", "off", "gltf", "glb", "serialized"}
     assert set(PLUGINS["shape"]) - files - resting - {"shapegroup", "instance", "merge"} == set(SHAPES)
     # A map needs texture coordinates; its heights are lengths along them. Beside rough glass and

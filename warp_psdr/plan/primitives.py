@@ -11,6 +11,7 @@ from warp_psdr.options.boundary import Method, PathSpace, Reparametrised
 from warp_psdr.plan.motion import motion
 from warp_psdr.scene.curves import INSTEAD as TUBES
 from warp_psdr.scene.exact import EXACT, KINDS
+from warp_psdr.scene.network import INSTEAD as GRIDDED
 from warp_psdr.scene.sdfgrid import INSTEAD as TRIANGLES
 from warp_psdr.topology.exact_shapes import pierced
 from warp_psdr.topology.grid_contacts import is_open, pierced_grid
@@ -59,6 +60,13 @@ def describe(scene: Scene) -> list[tuple[str, str, str]]:
             if s.grid is not None
         ]
         lines.append(("distance grids", ", ".join(sizes), "nodes along x, y, z; rays go from voxel to voxel of each"))
+    for i in scene.builder.primitives:
+        network = scene.description.shapes[i].network
+        if network is not None:
+            widths = [str(network.layers[0][0].shape[1]), *(str(w.shape[0]) for w, _b in network.layers)]
+            activation = f"{'sine, omega' if network.sine else 'softplus, beta'} {network.scale:g}"
+            why = f"{activation}; rays go from cell to cell, and by bounds of its second derivatives in each"
+            lines.append((f"network {scene.description.shapes[i].path}", " - ".join(widths), why))
     for i in scene.builder.curves:
         curves = scene.description.shapes[i].curves
         if curves is not None:
@@ -90,7 +98,7 @@ def refuse(
     if resting is not None:
         reason = _beside_resting(scene, config, integrator, wanted, names, moving)
         if reason:
-            instead = TRIANGLES if resting.grid is not None else TUBES
+            instead = TRIANGLES if resting.grid is not None else GRIDDED if resting.network is not None else TUBES
             raise ValueError(f"{resting.path!r} is a {resting.kind!r}, and {reason}; or {instead}")
         return
     shape = light or shapes[0]
@@ -138,6 +146,9 @@ def _beside_resting(
         what = type(integrator.interior).__name__
         return f"interior.{what}() does not follow what slides along rays; use interior.Replay()"
     if moving and integrator.boundary is not None:
+        network = next((s for i in scene.builder.primitives if (s := scene.description.shapes[i]).network), None)
+        if network is not None:
+            return f"{moving[0]}, which has no boundary term beside it; {ALONE}"
         shapes = [scene.description.shapes[i] for i in scene.builder.primitives]
         light = next((s for s in shapes if s.kind in EXACT and s.emitter is not None), None)
         if light is not None:

@@ -29,6 +29,7 @@ from warp_psdr.scene.layout import (
     Layout,
 )
 from warp_psdr.scene.medium_records import MediaRecords
+from warp_psdr.scene.network import add_network
 from warp_psdr.scene.sdfgrid import reaches
 from warp_psdr.scene.sky_model import TURBIDITIES
 from warp_psdr.scene.sunsky import SkyRecord
@@ -184,6 +185,8 @@ class Builder:
             self.layout.add_values(np.array([nodes[2], nodes[1], nodes[0], s.grid.smooth]))
             self.layout.add(f"{s.path}.grid", s.grid.values, SHAPE_GRID, owner=number)
             self.layout.add_values(reaches(s.grid.values, s.grid.cubic))
+        if s.network is not None:
+            add_network(self.layout, s, number)
         if s.curves is not None:
             self.curves[number] = add_curves(self.layout, s, number)
 

@@ -154,6 +154,18 @@ class SdfGrid:
 
 
 @dataclass(eq=False)
+class Network:
+    """Signed distances in [0, 1]^3 by a multi-layer perceptron."""
+
+    layers: list[tuple[np.ndarray, np.ndarray]]  #: weights (out, in) and biases (out,), float64
+    frequencies: int  #: of the sines and cosines of 2^k pi x that the first layer takes beside x
+    sine: bool  #: the activation is a sine; else softplus
+    scale: float  #: its omega, or beta
+    count: int  #: cells of the box along an axis
+    cells: np.ndarray | None = None  #: (Z, Y, X) what is known of cells of the box, as the kernels read it
+
+
+@dataclass(eq=False)
 class Curves:
     """Curves with a radius."""
 
@@ -193,6 +205,7 @@ class ShapeDescription:
     #: Shapes without triangles: the plugin. ``vertices`` are corners of a box around them.
     primitive: str = ""
     grid: SdfGrid | None = None
+    network: Network | None = None
     curves: Curves | None = None
     repairs: dict[str, int] = field(default_factory=dict)  #: e.g. {"zero-area triangles dropped": 3}
 

@@ -38,6 +38,7 @@ KINDS = {
     "cubic sdfgrid": c.PRIMITIVE_SDFGRID_CUBIC,
     "linearcurve": c.PRIMITIVE_LINEARCURVE,
     "bsplinecurve": c.PRIMITIVE_BSPLINECURVE,
+    "neuralsdf": c.PRIMITIVE_NEURALSDF,
 }
 #: Corners of the box around each kind, in its own coordinates.
 CORNERS = {
@@ -175,6 +176,7 @@ POINTS = {
     c.PRIMITIVE_SPHERE: sphere_points,
     c.PRIMITIVE_SDFGRID: held_points,
     c.PRIMITIVE_SDFGRID_CUBIC: held_points,
+    c.PRIMITIVE_NEURALSDF: held_points,
     c.PRIMITIVE_DISK: disk_points,
     c.PRIMITIVE_CYLINDER: cylinder_points,
 }

@@ -98,7 +98,7 @@ def _member(found: list[ShapeDescription], node: dict, where: str, path: str, co
         )
     if shape.sensor is not None:
         raise error(where, "a sensor on a shape of a 'shapegroup'", "put the shape that measures in the scene")
-    if shape.grid is not None or shape.curves is not None:
+    if shape.grid is not None or shape.network is not None or shape.curves is not None:
         raise error(where, f"a '{shape.kind}' inside a 'shapegroup'", "put it in the scene itself, once for each place")
     if shape.primitive:
         raise error(

@@ -29,8 +29,9 @@ def parameter_of(scene: Scene, name: str) -> Parameter:
         base, _dot, kind = str(name).rpartition(".")
         exact = [s for s in scene.description.shapes if s.primitive and s.path == base]
         if exact and kind.startswith("vertex_"):
-            if exact[0].grid is not None or exact[0].curves is not None:
+            if exact[0].grid is not None or exact[0].network is not None or exact[0].curves is not None:
                 values = "grid" if exact[0].curves is None else "control_points"
+                values = values if exact[0].network is None else "layer0.weight"
                 raise KeyError(
                     f"{base!r} is a {exact[0].kind!r}, which has no vertices: its parameters are '{base}.{values}' and "
                     f"'{base}.to_world'"

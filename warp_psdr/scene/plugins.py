@@ -22,6 +22,7 @@ PLUGINS: dict[str, tuple[str, ...]] = {
     "scene": ("scene",),
     "shape": (
         *("rectangle", "cube", "sphere", "disk", "cylinder", "sdfgrid", "linearcurve", "bsplinecurve"),
+        *("neuralsdf",),
         *("obj", "ply", "serialized", "gltf", "glb", "stl", "off", "mesh"),
         *("shapegroup", "instance", "merge"),
     ),

@@ -29,6 +29,7 @@ from warp_psdr.scene.exact import update_record
 from warp_psdr.scene.instances import Instances
 from warp_psdr.scene.layout import BRIGHTNESS, NORMALS, POSITIONS, SHAPE_POSE, Parameter, struct_array
 from warp_psdr.scene.lights import Lights
+from warp_psdr.scene.network import follow_networks
 from warp_psdr.scene.origin import COLLAPSING
 from warp_psdr.scene.sdfgrid import follow_grids
 from warp_psdr.scene.shading import shades_flat
@@ -348,6 +349,7 @@ class Scene:
         check_media(changed, values)
         rebuild([*self.builder.media_followers, *self.builder.volume_poses], changed, self.values, values)
         follow_grids(self, changed, values)
+        follow_networks(self, changed, values)
         first, size = self.lights.environment_data()
         if sky or any(first <= p.offset < first + size for p in changed):
             self.lights.update_environment(values)

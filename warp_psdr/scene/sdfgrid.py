@@ -159,6 +159,22 @@ def _array(value: Any) -> np.ndarray:
         return np.empty((), np.float32)
 
 
+def refuse_textures(props: Properties, bsdf: BsdfDescription, instead: str) -> None:
+    """Raise for a material that reads texture coordinates, which there are none of.
+
+    Raises:
+        ValueError: with ``instead``.
+    """
+    for side in bsdf.sides:
+        for name, texture in side.textures.items():
+            if texture.kind in _READ_UV:
+                problem = f"a '{texture.kind}' for '{name}' on a '{props.type}', which has no texture coordinates"
+                raise error(props.where, problem, f"give a number or a colour, or {instead}")
+        if any(side.textures.get(u) is not side.textures.get(v) for u, v in model_of(side).axes):
+            problem = f"two roughnesses on a '{props.type}', which has no texture coordinates to align them with"
+            raise error(props.where, problem, "give one 'alpha'")
+
+
 def grid_shape(props: Properties, grid: SdfGrid, to_world: np.ndarray, bsdf: BsdfDescription) -> ShapeDescription:
     """Return the shape, to which its sides are added.
 
@@ -168,14 +184,7 @@ def grid_shape(props: Properties, grid: SdfGrid, to_world: np.ndarray, bsdf: Bsd
     reason = singular(to_world)
     if reason:
         raise error(props.where, reason, "give it an extent along all axes")
-    for side in bsdf.sides:
-        for name, texture in side.textures.items():
-            if texture.kind in _READ_UV:
-                problem = f"a '{texture.kind}' for '{name}' on a '{SDFGRID}', which has no texture coordinates"
-                raise error(props.where, problem, f"give a number or a colour, or {INSTEAD}")
-        if any(side.textures.get(u) is not side.textures.get(v) for u, v in model_of(side).axes):
-            problem = f"two roughnesses on a '{SDFGRID}', which has no texture coordinates to align them with"
-            raise error(props.where, problem, "give one 'alpha'")
+    refuse_textures(props, bsdf, INSTEAD)
     return ShapeDescription(
         path=props.path,
         kind=props.type,

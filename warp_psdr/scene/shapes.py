@@ -9,11 +9,13 @@ import numpy as np
 from . import bsdfs, emitters, media, sensors
 from .curves import INSTEAD as TUBES
 from .curves import curve_shape, is_curves, take_curves
-from .description import Curves, EmitterDescription, SdfGrid, ShapeDescription
+from .description import Curves, EmitterDescription, Network, SdfGrid, ShapeDescription
 from .errors import ReportedError, error
 from .exact import EXACT, exact_shape, is_exact
 from .mesh_files import read_mesh
 from .meshes import MeshData, check, check_flat, drop_flat_triangles, in_place, vertex_normals
+from .network import INSTEAD as GRIDDED
+from .network import NEURALSDF, network_shape, read_network
 from .origin import collapses, moved
 from .plugins import Properties
 from .primitives import CURVED, DEFAULT_RESOLUTION, MAX_RESOLUTION, MIN_RESOLUTION, PRIMITIVES, widening
@@ -66,6 +68,8 @@ def build(node: dict, where: str, path: str, context: Context) -> ShapeDescripti
         _refuse_beside_exact(props, bsdf, shines, bool(meters), any(sides.values()))
     if isinstance(data, SdfGrid):
         shape = grid_shape(props, data, to_world, bsdf)
+    elif isinstance(data, Network):
+        shape = network_shape(props, data, to_world, bsdf)
     elif isinstance(data, Curves):
         shape = curve_shape(props, data, to_world, bsdf)
     elif exact:
@@ -130,17 +134,20 @@ def _refuse_beside_exact(
         "a 'bumpmap'": any("bumpmap" in (side.model, *side.children) for side in bsdf.sides),
     }
     for what in (what for what, there in found.items() if there):
-        if props.type == SDFGRID or is_curves(props.type):
-            raise error(props.where, f"{what} on a '{props.type}'", INSTEAD if props.type == SDFGRID else TUBES)
+        if props.type in (SDFGRID, NEURALSDF) or is_curves(props.type):
+            instead = {SDFGRID: INSTEAD, NEURALSDF: GRIDDED}.get(props.type, TUBES)
+            raise error(props.where, f"{what} on a '{props.type}'", instead)
         problem = f"{what} on an exact '{props.type}'"
         raise error(props.where, problem, "leave out 'exact': the tessellated shape takes it")
 
 
-def _geometry(props: Properties, exact: bool) -> tuple[MeshData | SdfGrid | Curves, np.ndarray, str]:
-    """Return the object-space mesh or grid, the transformation to world space, and the mesh's place for messages."""
+def _geometry(props: Properties, exact: bool) -> tuple[MeshData | SdfGrid | Network | Curves, np.ndarray, str]:
+    """Return the object-space geometry, the transformation to world space, and the mesh's place for messages."""
     to_world = props.transform("to_world")
     if props.type == SDFGRID:
         return read_grid(props), to_world, props.where
+    if props.type == NEURALSDF:
+        return read_network(props), to_world, props.where
     if is_curves(props.type):
         return take_curves(props), to_world, props.where
     if props.type in PRIMITIVES:
