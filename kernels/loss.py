@@ -1,4 +1,4 @@
-"""Image losses: one kernel for the terms, two for their sum in a fixed order.
+"""Losses of images and regularisers of grids: one kernel for the terms, two for their sum in a fixed order.
 
 Warp differentiates these kernels itself. That is safe here, unlike in a path's bounce loop: the terms are free of
 loops, and the loops of the sums carry nothing but the sum, whose adjoint needs none of its earlier values.
@@ -55,6 +55,77 @@ def make_terms(term):
         )
 
     return terms
+
+
+@functools.cache
+def make_grid_terms():
+    """Make the kernels of the terms of grids (Z, Y, X): how far slopes are from 1, and the squared Laplacian."""
+
+    @wp.kernel(module="warp_psdr.grid_loss")
+    def eikonal_terms(
+        # In:
+        grid: wp.array3d(dtype=wp.float32),
+        inverse: wp.vec3,
+        # Out:
+        terms_out: wp.array2d(dtype=wp.float32),
+    ):
+        z, y, x = wp.tid()
+        # The slope at the middle of a voxel: a mean of four differences along each axis.
+        a = grid[z, y, x]
+        b = grid[z, y, x + 1]
+        c = grid[z, y + 1, x]
+        d = grid[z, y + 1, x + 1]
+        e = grid[z + 1, y, x]
+        f = grid[z + 1, y, x + 1]
+        g = grid[z + 1, y + 1, x]
+        h = grid[z + 1, y + 1, x + 1]
+        along_x = (b - a) + (d - c) + (f - e) + (h - g)
+        along_y = (c - a) + (d - b) + (g - e) + (h - f)
+        along_z = (e - a) + (f - b) + (g - c) + (h - d)
+        slope = wp.vec3(along_x * inverse[0], along_y * inverse[1], along_z * inverse[2]) * 0.25
+        # A slope of zero has no direction; the square keeps its derivative finite, and away from zero changes nothing.
+        excess = wp.sqrt(wp.dot(slope, slope) + 1.0e-12) - 1.0
+        terms_out[z * (grid.shape[1] - 1) + y, x] = excess * excess
+
+    @wp.kernel(module="warp_psdr.grid_loss")
+    def laplacian_terms(
+        # In:
+        grid: wp.array3d(dtype=wp.float32),
+        inverse: wp.vec3,
+        # Out:
+        terms_out: wp.array2d(dtype=wp.float32),
+    ):
+        z, y, x = wp.tid()
+        # The border's values go on behind it.
+        here = grid[z, y, x]
+        before, behind = wp.max(x - 1, 0), wp.min(x + 1, grid.shape[2] - 1)
+        along_x = (grid[z, y, before] - here) + (grid[z, y, behind] - here)
+        before, behind = wp.max(y - 1, 0), wp.min(y + 1, grid.shape[1] - 1)
+        along_y = (grid[z, before, x] - here) + (grid[z, behind, x] - here)
+        before, behind = wp.max(z - 1, 0), wp.min(z + 1, grid.shape[0] - 1)
+        along_z = (grid[before, y, x] - here) + (grid[behind, y, x] - here)
+        bent = along_x * inverse[0] * inverse[0] + along_y * inverse[1] * inverse[1] + along_z * inverse[2] * inverse[2]
+        terms_out[z * grid.shape[1] + y, x] = bent * bent
+
+    return eikonal_terms, laplacian_terms
+
+
+@functools.cache
+def make_total():
+    """Make the kernel that adds a weighted loss to a sum of losses."""
+
+    @wp.kernel(module="warp_psdr.grid_loss")
+    def add_weighted(
+        # In:
+        loss: wp.array(dtype=wp.float32),
+        weight: wp.float32,
+        before: wp.array(dtype=wp.float32),
+        # Out:
+        total_out: wp.array(dtype=wp.float32),
+    ):
+        total_out[0] = before[0] + weight * loss[0]
+
+    return add_weighted
 
 
 @functools.cache

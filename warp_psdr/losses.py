@@ -1,7 +1,8 @@
-"""Losses that compare a rendered image with a target, as Warp kernels that a tape records.
+"""Losses that compare a rendered image with a target, and regularisers of grids, as Warp kernels that a tape records.
 
-Every loss is a mean over all pixels and channels, an array of shape ``(1,)`` for ``tape.backward(loss)``, and adds up
-in a fixed order, so that equal images give equal bits. The derivative reaches ``image.grad``; the target is a constant.
+Every loss of an image is a mean over all pixels and channels, an array of shape ``(1,)`` for ``tape.backward(loss)``,
+and adds up in a fixed order, so that equal images give equal bits. The derivative reaches ``image.grad``; the target is
+a constant. ``eikonal`` and ``laplacian`` are means over a grid of signed distances, and ``total`` adds losses up.
 
 A rendered image is noisy, and these losses are not linear in it: the mean of ``l2`` over many seeds is the loss of the
 mean image plus the mean variance of a pixel. Its *gradient* stays unbiased because ``render`` draws the samples of the
@@ -19,7 +20,7 @@ import warp as wp
 from warp_psdr import compiler
 from warp_psdr.kernels import loss as kernels
 
-__all__ = ["huber", "l1", "l2", "relative_l2"]
+__all__ = ["eikonal", "huber", "l1", "l2", "laplacian", "relative_l2", "total"]
 
 CHANNELS = 3
 
@@ -96,6 +97,93 @@ def relative_l2(image: wp.array, target: wp.array | np.ndarray, *, epsilon: floa
     return _mean(kernels.relative_squared, image, target, _positive("epsilon", epsilon))
 
 
+def eikonal(grid: wp.array, lengths: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> wp.array:
+    """Return how far a grid is from one of distances, the mean of ``(|grad| - 1)^2`` over its voxels.
+
+    The slope is that of tri-linear interpolation at the middle of a voxel.
+
+    Args:
+        grid: Values of a ``sdfgrid``, (Z, Y, X, 1) or (Z, Y, X), float32; differentiable.
+        lengths: Of its box along x, y and z, in the unit of the values: of the columns of its ``to_world``.
+
+    Returns:
+        Array of shape ``(1,)``, float32, on the grid's device.
+
+    Raises:
+        TypeError: If ``grid`` is no such array.
+        ValueError: If a length is not positive.
+    """
+    return _grid_mean(0, 1, grid, lengths)
+
+
+def laplacian(grid: wp.array, lengths: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> wp.array:
+    """Return the mean of the squared Laplacian over the nodes of a grid, by second differences; less is smoother.
+
+    Of distances it is the squared sum of the surface's curvatures, in 1 / unit^2. The border's values go on behind it.
+
+    Args:
+        grid: As for :func:`eikonal`.
+        lengths: As for :func:`eikonal`.
+
+    Returns:
+        Array of shape ``(1,)``, float32, on the grid's device.
+
+    Raises:
+        TypeError: If ``grid`` is no such array.
+        ValueError: If a length is not positive.
+    """
+    return _grid_mean(1, 0, grid, lengths)
+
+
+def total(loss: wp.array, *terms: tuple[float, wp.array]) -> wp.array:
+    """Return a loss plus weighted ones, for ``tape.backward(total(loss, (0.1, regulariser)))``.
+
+    Args:
+        loss: Array of shape ``(1,)``, float32.
+        terms: Pairs of a weight and such an array.
+
+    Returns:
+        Array of shape ``(1,)``, float32, on the device of ``loss``.
+
+    Raises:
+        TypeError: If a loss is no such array.
+        ValueError: If a weight is not finite.
+    """
+    kernel = kernels.make_total()
+    for name, value in (("loss", loss), *((f"terms[{i}][1]", value) for i, (_weight, value) in enumerate(terms))):
+        if not isinstance(value, wp.array) or value.shape != (1,) or value.dtype != wp.float32:
+            raise TypeError(f"{name}: got {_describe(value)}, expected a loss: wp.array of float32, shape (1,)")
+    for i, (weight, _value) in enumerate(terms):
+        if not math.isfinite(weight):
+            raise ValueError(f"terms[{i}][0]: got {weight}, expected a finite weight")
+    compiler.ensure([kernel], loss.device)
+    for weight, value in terms:
+        differentiable = bool(loss.requires_grad or value.requires_grad)
+        after = wp.empty(1, dtype=wp.float32, device=loss.device, requires_grad=differentiable)
+        wp.launch(kernel, dim=1, inputs=[value, float(weight), loss], outputs=[after], device=loss.device)
+        loss = after
+    return loss
+
+
+def _grid_mean(which: int, less: int, grid: wp.array, lengths: tuple[float, float, float]) -> wp.array:
+    """The mean of terms of a grid; ``less``: by how many there are fewer terms along an axis than nodes."""
+    shape = grid.shape[:3] if isinstance(grid, wp.array) and grid.ndim in (3, 4) else ()
+    if not shape or grid.dtype != wp.float32 or (grid.ndim == 4 and grid.shape[3] != 1) or min(shape) < 2:
+        raise TypeError(
+            f"grid: got {_describe(grid)}, expected wp.array of float32, (Z, Y, X, 1), 2 or more along each"
+        )
+    if len(lengths) != 3 or not all(math.isfinite(x) and x > 0.0 for x in lengths):
+        raise ValueError(f"lengths: got {lengths}, expected three positive numbers")
+    inverse = wp.vec3(*((n - 1) / length for n, length in zip(shape[::-1], lengths, strict=True)))
+    nz, ny, nx = (n - less for n in shape)
+    terms = wp.empty((nz * ny, nx), dtype=wp.float32, device=grid.device, requires_grad=bool(grid.requires_grad))
+    inputs = [grid.reshape(shape), inverse]
+    kernel = kernels.make_grid_terms()[which]
+    compiler.ensure([kernel, kernels.make_sums()[0]], grid.device)
+    wp.launch(kernel, dim=(nz, ny, nx), inputs=inputs, outputs=[terms], device=grid.device)
+    return _mean_of(terms, 1.0 / terms.size)
+
+
 def _mean(term: wp.Function, image: wp.array, target: wp.array | np.ndarray, parameter: float = 0.0) -> wp.array:
     if not isinstance(image, wp.array) or image.ndim != 2 or image.dtype != wp.vec3:
         raise TypeError(
@@ -105,11 +193,8 @@ def _mean(term: wp.Function, image: wp.array, target: wp.array | np.ndarray, par
     height, width = image.shape
     differentiable = bool(image.requires_grad)
     terms = wp.empty((height, width), dtype=wp.float32, device=image.device, requires_grad=differentiable)
-    rows = wp.empty(height, dtype=wp.float64, device=image.device, requires_grad=differentiable)
-    mean = wp.empty(1, dtype=wp.float32, device=image.device, requires_grad=differentiable)
-    sum_rows, mean_of_rows = kernels.make_sums()
     terms_kernel = kernels.make_terms(term)
-    compiler.ensure([terms_kernel, sum_rows], image.device)
+    compiler.ensure([terms_kernel, kernels.make_sums()[0]], image.device)
     wp.launch(
         terms_kernel,
         dim=(height, width),
@@ -117,9 +202,17 @@ def _mean(term: wp.Function, image: wp.array, target: wp.array | np.ndarray, par
         outputs=[terms],
         device=image.device,
     )
-    wp.launch(sum_rows, dim=height, inputs=[terms], outputs=[rows], device=image.device)
-    scale = wp.float64(1.0 / (height * width * CHANNELS))
-    wp.launch(mean_of_rows, dim=1, inputs=[rows, scale], outputs=[mean], device=image.device)
+    return _mean_of(terms, 1.0 / (height * width * CHANNELS))
+
+
+def _mean_of(terms: wp.array, scale: float) -> wp.array:
+    """The sum of terms in a fixed order, times a factor."""
+    device, differentiable = terms.device, bool(terms.requires_grad)
+    rows = wp.empty(terms.shape[0], dtype=wp.float64, device=device, requires_grad=differentiable)
+    mean = wp.empty(1, dtype=wp.float32, device=device, requires_grad=differentiable)
+    sum_rows, mean_of_rows = kernels.make_sums()
+    wp.launch(sum_rows, dim=rows.shape, inputs=[terms], outputs=[rows], device=device)
+    wp.launch(mean_of_rows, dim=1, inputs=[rows, wp.float64(scale)], outputs=[mean], device=device)
     return mean
 
 

@@ -11,11 +11,11 @@ import warp as wp
 
 from warp_psdr import compiler
 from warp_psdr.kernels import adam as kernels
-from warp_psdr.scene.layout import POSITIONS
+from warp_psdr.scene.layout import POSITIONS, SHAPE_GRID
 from warp_psdr.scene.parameters import check_independent
 
 if TYPE_CHECKING:
-    from warp_psdr.topology.laplacian import Smoother
+    from warp_psdr.topology.laplacian import GridSmoother, Smoother
 
 __all__ = ["Adam", "LargeSteps"]
 
@@ -196,7 +196,7 @@ class Adam:
 
 
 class LargeSteps(Adam):
-    """Vertex positions in the preconditioned space of [NJJ21], with AdamUniform; all other parameters with Adam.
+    """Positions and grids in the preconditioned space of [NJJ21], with AdamUniform; all other parameters with Adam.
 
     Positions v are written as v = (I + lambda L)^-1 u, L the combinatorial Laplacian of the mesh on position-welded
     vertices (``warp_psdr/topology/laplacian.py``), and u is optimised: its gradient is (I + lambda L)^-1 dv, v's
@@ -205,12 +205,15 @@ class LargeSteps(Adam):
     square of an entry, so that a direction is not bent. Since v is linear in u, u is never stored: v moves by (I +
     lambda L)^-1 du, and what else edits v between two steps is kept.
 
-    The matrix is factorised once, in double precision, from the positions that the scene was loaded with.
+    The matrix is factorised once, in double precision, from the positions that the scene was loaded with. The ``grid``
+    of an ``sdfgrid`` is smoothed likewise, L the Laplacian of its nodes: what light says about the few voxels that the
+    surface passes moves the distances around them, too, and what one step adds is band-limited.
 
     Args:
         params: Parameters of a scene, from ``psdr.traverse``; those to optimise had ``params.requires_grad(name)``.
         lr: Learning rate, the same for every parameter that requires a gradient, or one per name. For positions roughly
-            the largest move of a vertex in one step, in world units, where neighbours move alike.
+            the largest move of a vertex in one step, in world units, where neighbours move alike; for grids in their
+            own unit.
         lambda_: Weight of the Laplacian, > 0; larger is smoother: the step spreads over some sqrt(lambda) edges.
             Default 19.
         alpha: The same in (0, 1): lambda = alpha / (1 - alpha). Give one of the two.
@@ -220,8 +223,8 @@ class LargeSteps(Adam):
         mask_updates: As in ``Adam``, for the other parameters; positions of a mesh move together.
 
     Raises:
-        ValueError: If a name is unknown or requires no gradient, no vertex positions are among the names, a number is
-            out of range, or ``fixed`` does not fit.
+        ValueError: If a name is unknown or requires no gradient, neither vertex positions nor grids are among the
+            names, a number is out of range, or ``fixed`` does not fit.
     """
 
     def __init__(
@@ -236,21 +239,27 @@ class LargeSteps(Adam):
         epsilon: float = 1e-8,
         mask_updates: bool = False,
     ):
-        from warp_psdr.topology.laplacian import Smoother
+        from warp_psdr.topology.laplacian import GridSmoother, Smoother
 
         super().__init__(params, lr, betas=betas, epsilon=epsilon, mask_updates=mask_updates)
         self.lambda_ = _laplacian_weight(lambda_, alpha)
         scene = params.scene
-        owners = {n: scene.parameters[n].owner for n in self.lr if POSITIONS in scene.parameters[n].uses}
-        if not owners:
+        found = {n: scene.parameters[n] for n in self.lr}
+        owners = {n: p.owner for n, p in found.items() if POSITIONS in p.uses}
+        shapes = scene.description.shapes
+        grids = {n: p.shape for n, p in found.items() if SHAPE_GRID in p.uses and shapes[p.owner].grid is not None}
+        if not owners and not grids:
             raise ValueError(
-                f"LargeSteps: none of {list(self.lr)} are vertex positions, which it is for; use psdr.optim.Adam"
+                f"LargeSteps: none of {list(self.lr)} are vertex positions or a grid, which it is for; use "
+                "psdr.optim.Adam"
             )
         fixed = dict(fixed or {})
         for name in fixed:
             if name not in owners:
                 raise ValueError(f"fixed: {name!r} is none of the optimised vertex positions {list(owners)}")
-        self._smoothers: dict[str, Smoother] = {}
+        self._smoothers: dict[str, Smoother | GridSmoother] = {
+            n: GridSmoother(tuple(shape[:3]), self.lambda_) for n, shape in grids.items()
+        }
         for name, owner in owners.items():
             # What was loaded, not what is there now: an optimiser that resumes must weld the same vertices.
             shape = scene.description.shapes[owner]
@@ -284,7 +293,8 @@ class LargeSteps(Adam):
         size = rate / (1.0 - beta_1**self.steps) / (math.sqrt(largest) + self._epsilon)
         nodes = smoother.gather(m.astype(np.float64)) / smoother.copies[:, None]
         move = smoother.scatter(smoother.solve(size * nodes))
-        parameter.assign((parameter.numpy() - move).astype(np.float32))
+        before = parameter.numpy()
+        parameter.assign((before - move.reshape(before.shape)).astype(np.float32))
 
 
 def _laplacian_weight(lambda_: float | None, alpha: float | None) -> float:

@@ -6,7 +6,7 @@ import trimesh
 
 import warp_psdr as psdr
 from warp_psdr import optim
-from warp_psdr.topology.laplacian import Smoother
+from warp_psdr.topology.laplacian import GridSmoother, Smoother
 
 #: Optimisers alone: there is no light.
 pytestmark = pytest.mark.filterwarnings("ignore::warp_psdr.SceneWarning")
@@ -124,6 +124,27 @@ def test_steps_are_adam_uniform_in_u() -> None:
     np.testing.assert_allclose(params[NAME].numpy(), expected, atol=ROUNDING)
     assert np.abs(expected - BALL.vertices).max() > 0.01
     assert np.all(params[NAME].grad.numpy() == 0.0)
+
+
+def test_grids_move_by_adam_uniform_in_u() -> None:
+    shape, weight = (3, 4, 2), 2.0
+    path = lambda n: 2.0 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1) - np.diag(np.eye(n)[0] + np.eye(n)[-1])  # noqa: E731
+    a, b, c = (np.eye(n) for n in shape)
+    matrix = np.kron(np.kron(path(3), b), c) + np.kron(np.kron(a, path(4)), c) + np.kron(np.kron(a, b), path(2))
+    matrix = np.eye(24) + weight * matrix
+    rng = np.random.default_rng(4)
+    values = rng.normal(size=24)
+    np.testing.assert_allclose(matrix @ GridSmoother(shape, weight).solve(values[:, None])[:, 0], values, atol=SOLVE)
+    grid = rng.normal(size=(*shape, 1)).astype(np.float32)
+    scene = {"type": "scene", "sensor": {"type": "perspective"}, "shape": {"type": "sdfgrid", "grid": grid}}
+    params = psdr.traverse(psdr.load_dict(scene))
+    params.requires_grad("shape.grid")
+    some = rng.normal(size=(6, *shape, 1)).astype(np.float32)
+    options = {"lambda_": weight, "betas": BETAS, "epsilon": EPSILON}
+    advance(params, optim.LargeSteps(params, 0.03, **options), "shape.grid", some)
+    expected = reference(grid.reshape(-1, 1), matrix, some.reshape(6, -1, 1), 0.03)
+    np.testing.assert_allclose(params["shape.grid"].numpy().reshape(-1, 1), expected, atol=ROUNDING)
+    assert np.abs(expected - grid.reshape(-1, 1)).max() > 0.01
 
 
 def test_alpha_is_another_name_of_lambda() -> None:

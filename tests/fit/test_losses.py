@@ -147,3 +147,76 @@ def test_what_is_no_number_is_no_loss_either(name: str) -> None:
     b[2, 3, 1] = np.nan
     image = wp.array(a, dtype=wp.vec3, device="cpu")
     assert np.isnan(CASES[name][0](image, b).numpy()[0])
+
+
+def slopes(grid, inverse):
+    """Slopes at the middles of voxels, (3, Z - 1, Y - 1, X - 1), along x, y and z."""
+    found = []
+    for axis in (2, 1, 0):
+        along = np.diff(grid, axis=axis)
+        for other in {0, 1, 2} - {axis}:
+            low, high = (np.take(along, range(o, grid.shape[other] - 1 + o), axis=other) for o in (0, 1))
+            along = 0.5 * (low + high)
+        found.append(along * inverse[2 - axis])
+    return np.stack(found)
+
+
+def bends(grid, inverse):
+    """Sums of second differences at the nodes, the border's values going on."""
+    padded = np.pad(grid, 1, mode="edge")
+    inner = padded[1:-1, 1:-1, 1:-1]
+    return sum(
+        (np.roll(padded, 1, axis)[1:-1, 1:-1, 1:-1] + np.roll(padded, -1, axis)[1:-1, 1:-1, 1:-1] - 2.0 * inner)
+        * inverse[2 - axis] ** 2
+        for axis in range(3)
+    )
+
+
+GRID_LOSSES = {
+    "eikonal": (losses.eikonal, lambda g, k: ((np.sqrt((slopes(g, k) ** 2).sum(axis=0)) - 1.0) ** 2).mean()),
+    "laplacian": (losses.laplacian, lambda g, k: (bends(g, k) ** 2).mean()),
+}
+
+
+@pytest.mark.parametrize("name", GRID_LOSSES)
+def test_regularisers_of_grids_and_their_sum_with_a_loss(name: str, device: str) -> None:
+    regulariser, expected = GRID_LOSSES[name]
+    lengths, weight = (2.0, 1.5, 1.0), 0.25
+    values = np.random.default_rng(2).normal(size=(4, 3, 5)).astype(np.float32)
+    inverse = [(n - 1) / x for n, x in zip((5, 3, 4), lengths, strict=True)]
+    a, b = images()
+    image = wp.array(a, dtype=wp.vec3, requires_grad=True, device=device)
+    grid = wp.array(values[..., None], dtype=wp.float32, requires_grad=True, device=device)
+    with wp.Tape() as tape:
+        part = regulariser(grid, lengths)
+        loss = losses.total(losses.l2(image, b), (weight, part))
+    tape.backward(loss)
+    exact = values.astype(np.float64)
+    np.testing.assert_allclose(part.numpy()[0], expected(exact, inverse), rtol=1e-5)
+    difference = a.astype(np.float64) - b
+    np.testing.assert_allclose(loss.numpy()[0], (difference**2).mean() + weight * part.numpy()[0], rtol=1e-5)
+    np.testing.assert_allclose(image.grad.numpy(), 2.0 * difference / difference.size, rtol=1e-5, atol=1e-9)
+    found, step = grid.grad.numpy()[..., 0], 1e-6
+    for node in [(0, 0, 0), (1, 1, 2), (3, 2, 4), (2, 0, 3)]:
+        moved = np.zeros_like(exact)
+        moved[node] = step
+        slope = (expected(exact + moved, inverse) - expected(exact - moved, inverse)) / (2.0 * step)
+        np.testing.assert_allclose(found[node], weight * slope, rtol=2e-4)
+
+
+def test_grids_of_distances_have_no_eikonal_loss_and_planes_no_laplacian_inside() -> None:
+    z, y, x = np.meshgrid(*(np.linspace(0.0, length, 9) for length in (1.0, 2.0, 4.0)), indexing="ij")
+    plane = wp.array(((2.0 * x - y + 2.0 * z) / 3.0)[..., None], dtype=wp.float32)
+    assert losses.eikonal(plane, (4.0, 2.0, 1.0)).numpy()[0] < 1e-9
+    assert losses.eikonal(plane, (1.0, 1.0, 1.0)).numpy()[0] > 1.0  # in other units its slopes are not 1
+
+
+def test_no_grid_no_regulariser() -> None:
+    with pytest.raises(TypeError, match=r"expected wp.array of float32, \(Z, Y, X, 1\)"):
+        losses.eikonal(wp.zeros((4, 4, 4, 3)))
+    with pytest.raises(ValueError, match="three positive numbers"):
+        losses.laplacian(wp.zeros((4, 4, 4)), (1.0, 0.0, 1.0))
+    with pytest.raises(TypeError, match=r"terms\[0\]\[1\]: got float"):
+        losses.total(wp.zeros(1), (0.1, 0.2))
+    with pytest.raises(ValueError, match="finite weight"):
+        losses.total(wp.zeros(1), (np.nan, wp.zeros(1)))

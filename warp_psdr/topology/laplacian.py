@@ -1,4 +1,4 @@
-"""The preconditioner of a mesh: (I + lambda L)^-1 on position-welded vertices [NJJ21].
+"""Preconditioners (I + lambda L)^-1 [NJJ21]: of a mesh on position-welded vertices, and of a grid.
 
 [NJJ21] B. Nicolet, A. Jacobson, W. Jakob: Large Steps in Inverse Rendering of Geometry. ACM Trans. Graph. 40(6), 2021.
 """
@@ -9,7 +9,7 @@ import numpy as np
 
 from warp_psdr.topology.edges import WELD, weld
 
-__all__ = ["Smoother"]
+__all__ = ["GridSmoother", "Smoother"]
 
 
 class Smoother:
@@ -75,3 +75,40 @@ class Smoother:
         result = np.zeros(values.shape)
         result[self._free] = self._factor.solve(np.ascontiguousarray(values[self._free], np.float64))
         return result
+
+
+class GridSmoother:
+    """Solves (I + lambda L) x = b for values at the nodes of a grid, L the Laplacian of neighbours along its axes.
+
+    As for meshes L = D - A of a graph, here of a grid whose border has no neighbours beyond: the discrete cosine
+    transform turns it into factors 2 - 2 cos(pi k / n) along each axis, so it is solved exactly, without a matrix.
+
+    Args:
+        shape: of the grid, (Z, Y, X).
+        weight: lambda, >= 0, without unit.
+    """
+
+    def __init__(self, shape: tuple[int, ...], weight: float):
+        self._shape = shape
+        #: (count, ) one: every node is itself.
+        self.copies = np.ones(int(np.prod(shape)))
+        factors = np.zeros(shape)
+        for axis, n in enumerate(shape):
+            along = 2.0 - 2.0 * np.cos(np.pi * np.arange(n) / n)
+            factors += along.reshape([-1 if k == axis else 1 for k in range(len(shape))])
+        self._factors = 1.0 / (1.0 + weight * factors)
+
+    def gather(self, values: np.ndarray) -> np.ndarray:
+        """Return values of the nodes in one column, (count, 1), float64."""
+        return np.asarray(values, np.float64).reshape(-1, 1)
+
+    def scatter(self, values: np.ndarray) -> np.ndarray:
+        """Return the values of the nodes, in one column as they are."""
+        return values
+
+    def solve(self, values: np.ndarray) -> np.ndarray:
+        """Return (I + lambda L)^-1 of values at the nodes (count, 1); float64."""
+        from scipy.fft import dctn, idctn
+
+        modes = dctn(values.reshape(self._shape), type=2, norm="ortho")
+        return np.asarray(idctn(modes * self._factors, type=2, norm="ortho")).reshape(-1, 1)
