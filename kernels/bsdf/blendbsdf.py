@@ -135,4 +135,12 @@ def refuse_blend(children: tuple[Child, ...]) -> str:
     return ""
 
 
-BLEND = Composite("blendbsdf", (Number("weight"),), ("first", "second"), ("bsdf_0", "bsdf_1"), make_blend, refuse_blend)
+BLEND = Composite(
+    "blendbsdf",
+    (Number("weight"),),
+    ("first", "second"),
+    ("bsdf_0", "bsdf_1"),
+    make_blend,
+    refuse_blend,
+    mixes=("weight",),
+)

@@ -130,6 +130,7 @@ class Composite:
         places: the children's names in ``psdr.traverse``.
         make: ``(record, variant, children) -> Functions``.
         refuse: ``(children) -> str``: why these cannot be nested in it, and what can; empty: they can.
+        mixes: own values that all lobes are linear in.
         turns: own values that the normal depends on, and with it the direction of a delta lobe.
         framed: whether it needs dp/du.
         adds: lobes that it has beside its children's.
@@ -142,6 +143,7 @@ class Composite:
     places: tuple[str, ...]
     make: Callable[[type, str, tuple[Child, ...]], Functions]
     refuse: Callable[[tuple[Child, ...]], str]
+    mixes: tuple[str, ...] = ()
     turns: tuple[str, ...] = ()
     framed: bool = False
     adds: tuple[int, ...] = ()
@@ -162,6 +164,7 @@ class Composite:
             brushed=any(child.model.brushed for child in children),
             passes=any(child.model.passes for child in children),
             glossy=any(child.model.glossy for child in children),
+            mixes=(*self.mixes, *(nested_name(c.prefix, name) for c in children for name in c.model.mixes)),
             tilts=(*self.turns, *(nested_name(c.prefix, name) for c in children for name in c.model.tilts)),
         )
 

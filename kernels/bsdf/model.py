@@ -394,6 +394,7 @@ class Model:
         passes: whether a smooth lobe lies behind the surface.
         glossy: whether light is reflected at microfacets that are as many on one side of the normal as on the other.
         splits: values of the roughness whose derivative is split, see ``Functions.split``.
+        mixes: values that ``eval`` and ``scatter`` are linear in.
         tilts: values that the normal of smooth lobes depends on.
         when: name of a parameter. Where a scene file gives it, other than as the number 0, this model serves the plugin
             and not the one of the same name; its variants bear the name.
@@ -409,6 +410,7 @@ class Model:
     passes: bool = False
     glossy: bool = False
     splits: tuple[str, ...] = ()
+    mixes: tuple[str, ...] = ()
     tilts: tuple[str, ...] = ()
     when: str = ""
 

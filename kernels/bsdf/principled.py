@@ -347,9 +347,17 @@ _REFLECTING = (
     Rate("clearcoat_sampling_rate", 1.0),
     Rate("diffuse_reflectance_sampling_rate", 1.0),
 )
+#: What the value is linear in.
+MIXES = ("metallic", "spec_tint", "sheen", "sheen_tint", "flatness", "clearcoat")
 #: Without ``spec_trans``, or with the number 0: nothing passes.
 PRINCIPLED = Model(
-    "principled", (*_REFLECTING, SpecularIndex(0.5)), (LOBE_SMOOTH,), make_principled, brushed=True, glossy=True
+    "principled",
+    (*_REFLECTING, SpecularIndex(0.5)),
+    (LOBE_SMOOTH,),
+    make_principled,
+    brushed=True,
+    glossy=True,
+    mixes=MIXES,
 )
 TRANSMITTING_PRINCIPLED = Model(
     "principled",
@@ -359,5 +367,6 @@ TRANSMITTING_PRINCIPLED = Model(
     brushed=True,
     passes=True,
     glossy=True,
+    mixes=(*MIXES, "spec_trans"),
     when="spec_trans",
 )

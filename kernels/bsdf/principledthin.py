@@ -160,4 +160,5 @@ PRINCIPLED_THIN = Model(
     make_principled_thin,
     brushed=True,
     passes=True,
+    mixes=("spec_trans", "spec_tint", "sheen", "sheen_tint", "flatness", "diff_trans"),
 )

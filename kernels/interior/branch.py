@@ -162,7 +162,7 @@ def make_branch_kernel(
 
     from_directions = from_candidates
     if decomposed:
-        from_directions = make_decomposed_directions(config, role, path_radiance, scatter, partial)
+        from_directions = make_decomposed_directions(config, wanted, role, path_radiance, scatter, partial)
 
     @wp.func
     def from_lights(

@@ -16,6 +16,8 @@ from warp_psdr.kernels.bsdf.decomposition import ACROSS, ALONG, BOTH
 from warp_psdr.kernels.constants import FAR
 from warp_psdr.kernels.interaction import enter_frame, leave_frame, make_interaction
 from warp_psdr.kernels.interior.branch_point import DIRECTION_SLOT, NO_ROULETTE, VERTEX_SLOT, BranchPoint
+from warp_psdr.kernels.interior.gradient_request import GradientRequest
+from warp_psdr.kernels.interior.mixtures import make_mixture, make_mixture_directions, mixed_values
 from warp_psdr.kernels.rng import Sampler, hashed, make_sampler, unit_float
 from warp_psdr.kernels.structs import Scene
 from warp_psdr.kernels.vertex import PathConfig, path_from
@@ -52,9 +54,51 @@ def axis_of(alpha_u: wp.float32, alpha_v: wp.float32, du: wp.float32, dv: wp.flo
 
 
 def make_decomposed_directions(
+    config: PathConfig,
+    wanted: GradientRequest,
+    role: str,
+    path_radiance: wp.Function,
+    scatter: wp.Function,
+    partial: wp.Function,
+) -> wp.Function:
+    """Return ``from_directions`` of ``branch.py``: a vertex has roughnesses that are split, or weights of mixtures."""
+    mixed = mixed_values(config, wanted)
+    if not mixed:
+        return make_lobe_directions(config, role, path_radiance, scatter, partial)
+    from_ends = make_mixture_directions(config, wanted, role, path_radiance, scatter)
+    if sum(wanted.material) == len(mixed):
+        return from_ends
+    from_lobes = make_lobe_directions(config, role, path_radiance, scatter, partial)
+    interaction = make_interaction(config)
+    record, material_record = interaction.record, interaction.bsdf.record
+    count_of = make_mixture(config, wanted)[0]
+
+    @wp.func
+    def from_either(
+        scene: Scene,
+        branch: Sampler,
+        at: record,
+        point: BranchPoint,
+        direction: material_record,
+        moved: material_record,
+        a_n: wp.vec3,
+        u: wp.vec2,
+        max_depth: wp.int32,
+        rr_depth: wp.int32,
+        t: wp.array(dtype=wp.float32),
+    ) -> tuple[material_record, wp.vec3]:
+        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
+        if count_of(direction) > 0:
+            return from_ends(scene, branch, at, point, direction, moved, a_n, u, max_depth, rr_depth, t)
+        return from_lobes(scene, branch, at, point, direction, moved, a_n, u, max_depth, rr_depth, t)
+
+    return from_either
+
+
+def make_lobe_directions(
     config: PathConfig, role: str, path_radiance: wp.Function, scatter: wp.Function, partial: wp.Function
 ) -> wp.Function:
-    """Return ``from_directions`` of ``branch.py`` for scenes whose branched values are roughnesses that are split."""
+    """Return ``from_directions`` of ``branch.py`` for vertices whose branched values are roughnesses that are split."""
     interaction = make_interaction(config)
     record, bsdf = interaction.record, interaction.bsdf
     material_record, add_materials = bsdf.record, bsdf.algebra.add

@@ -220,6 +220,36 @@ def test_samples_follow_the_pdf(bsdf: Launcher, key: str, mat: dict, wi: np.ndar
     assert sampler_p(bsdf, key, mat, wi, mat) > SIGNIFICANCE / len(LOBES)
 
 
+#: Models with values that lobes are linear in, which branches draw from the ends of.
+MIXTURES = [key for key in ALL_MODELS if declaration_of(key)[0].mixes]
+
+
+@pytest.mark.parametrize("key", MIXTURES)
+def test_values_are_linear_in_weights_and_drawn_at_their_ends(bsdf: Launcher, key: str) -> None:
+    """At both ends samples follow the pdf, which is positive where the value is; in between the value is their mix."""
+    model = declaration_of(key)[0]
+    mat = EXAMPLES[key].materials[0]
+    ranges = {value.name: (value.low, value.high) for value in model.values}
+    wi = direction(40.0)
+    wo = np.random.default_rng(seed(key)).normal(size=(2000, 3))
+    wo[:, 2] = np.abs(wo[:, 2]) * (1.0 if not passes(key) else np.where(np.arange(2000) % 2, 1.0, -1.0))
+    wo /= np.linalg.norm(wo, axis=1, keepdims=True)
+    for name in model.mixes:
+        low, high = ranges[name]
+        ends = [mat | {name: end} for end in (low, high)]
+        middle = low + 0.3 * (high - low)
+        if model.has_smooth:
+            (f0, p0), (f1, p1), (f, _) = (bsdf.eval_pdf(key, m, wi, wo) for m in (*ends, mat | {name: middle}))
+            np.testing.assert_allclose(f, 0.7 * f0 + 0.3 * f1, rtol=1e-4, atol=FLOAT32 * np.abs(f).max())
+            assert ((f0 == 0.0).all(axis=1) | (p0 > 0.0)).all() and ((f1 == 0.0).all(axis=1) | (p1 > 0.0)).all()
+            for end in ends:
+                assert sampler_p(bsdf, key, end, wi, end) > SIGNIFICANCE / (2 * len(MIXTURES) * len(model.mixes)), name
+        for lobe in model.lobes if model.has_delta else ():
+            if lobe != LOBE_SMOOTH:
+                d0, d1, d = (bsdf.scatter(key, m, wi, lobe)["value"] for m in (*ends, mat | {name: middle}))
+                np.testing.assert_allclose(d, 0.7 * d0 + 0.3 * d1, rtol=1e-4, atol=1e-6)
+
+
 @pytest.mark.parametrize("key", [GGX, BECKMANN])
 @pytest.mark.parametrize("angle", [0.0, 75.0])
 def test_the_chi_square_test_notices_a_slightly_wrong_roughness(bsdf: Launcher, key: str, angle: float) -> None:

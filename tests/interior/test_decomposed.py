@@ -8,6 +8,12 @@ from tests.gradients.measure import shared_random_numbers
 from tests.interior.test_resampled import DIFFERENCES, ROUNDING, SCENES, SIZE, SLOPE, Z, backward, integrator, load
 
 METALS = ["metal", "beckmann metal", "brushed metal"]
+#: Scene -> weights of mixtures: two smooth models, a mirror and paint, and lobes of one model.
+MIXTURES = {
+    "blend": ["ball.bsdf.weight.value"],
+    "half mirror": ["ball.bsdf.weight.value"],
+    "principled": ["ball.bsdf.metallic.value", "ball.bsdf.clearcoat.value"],
+}
 
 
 def forward(name, tangents, method, seed, *, spp=4, depth=3):
@@ -35,6 +41,38 @@ def test_mean_is_that_of_replay(name):
         error = np.sqrt(a.var(ddof=1) / batches + b.var(ddof=1) / batches)
         assert abs(a.mean()) > 5.0 * error > 0.0, "there is a derivative to compare"
         assert abs(a.mean() - b.mean()) < Z * error, (parameter, a.mean(), b.mean(), error)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", MIXTURES)
+def test_mean_by_weights_is_that_of_replay(name):
+    for parameter in MIXTURES[name]:
+        weights = signs(name, parameter)
+        a = backward(name, [parameter], psdr.interior.Replay(), range(64), spp=16, weights=weights)[:, 0]
+        b = backward(name, [parameter], psdr.interior.Decomposed(), range(900, 964), spp=32, weights=weights)[:, 0]
+        error = np.sqrt(a.var(ddof=1) / 64 + b.var(ddof=1) / 64)
+        assert abs(a.mean()) > 5.0 * error > 0.0, "there is a derivative to compare"
+        assert abs(a.mean() - b.mean()) < Z * error, (parameter, a.mean(), b.mean(), error)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["blend", "principled"])
+def test_forward_mode_by_weights_sums_to_reverse_mode(name):
+    """One weight has the samples of reverse mode; several at once have the sum of their derivatives."""
+    grey = np.random.default_rng(4).normal(size=(SIZE, SIZE, 1)).astype(np.float32) * np.ones(3, np.float32)
+    method, names = psdr.interior.Decomposed(), MIXTURES[name]
+    if len(names) == 1:
+        reverse = backward(name, names, method, [11], weights=grey)[0, 0]
+        found = grey * forward(name, {names[0]: 1.0}, method, 11)
+        scale = np.abs(found).sum()
+        assert abs(found.sum() - reverse) <= ROUNDING * scale and abs(reverse) > 10.0 * ROUNDING * scale
+        return
+    weights = signs(name, names[0])
+    tangents = {names[0]: 1.0, names[1]: -0.7}
+    a = backward(name, names, method, range(32), spp=16, weights=weights) @ [1.0, -0.7]
+    b = np.array([(weights * forward(name, tangents, method, 900 + s, spp=16)).sum() for s in range(32)])
+    error = np.sqrt(a.var(ddof=1) / 32 + b.var(ddof=1) / 32)
+    assert abs(a.mean()) > 5.0 * error and abs(a.mean() - b.mean()) < Z * error
 
 
 @pytest.mark.slow
@@ -94,7 +132,11 @@ def test_equal_bits_for_any_number_of_workers():
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "parameter", "step"),
-    [("metal", "ball.bsdf.alpha.value", 0.01), ("brushed metal", "ball.bsdf.alpha_v.value", 0.02)],
+    [
+        ("metal", "ball.bsdf.alpha.value", 0.01),
+        ("brushed metal", "ball.bsdf.alpha_v.value", 0.02),
+        ("blend", "ball.bsdf.weight.value", 0.05),
+    ],
 )
 def test_slope_of_finite_differences(name, parameter, step):
     scene, params = load(name)
@@ -131,7 +173,7 @@ def test_less_noise_than_replay_at_equal_samples():
     ("name", "parameter", "message"),
     [
         ("plastic", "ball.bsdf.alpha", r"not those of alpha of 'roughplastic'\. Use interior\.Resampled\(\)"),
-        ("blend", "ball.bsdf.weight.value", r"weight of 'blendbsdf'\. Use interior\.Resampled\(\)"),
+        ("principled", "ball.bsdf.roughness.value", r"roughness of 'principled'\. Use interior\.Resampled\(\)"),
         ("metal", "ball.bsdf.eta.value", r"eta of 'roughconductor'\. Use interior\.Resampled\(\)"),
         ("metal", "floor.bsdf.reflectance.value", r"Decomposed\(\) draws .* no parameter .* Use interior\.Replay\(\)"),
     ],

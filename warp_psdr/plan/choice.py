@@ -13,6 +13,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
+from warp_psdr.kernels.interior.mixtures import mixed_values
 from warp_psdr.kernels.interior.shape_parameters import branched_values, unsplit_values
 from warp_psdr.kernels.interior.tilts import tilting_values
 from warp_psdr.options.interior import Branches, Method, Replay
@@ -138,7 +139,7 @@ def candidates(scene: Scene, plan: Plan, names: list[str]) -> tuple[Branches, ..
 
 def _shapes(scene: Scene, config: PathConfig, wanted: GradientRequest, names: list[str]) -> str:
     """Return which branches shapes of lobes get: in closed form those of narrow lobes, where it is known."""
-    if unsplit_values(config, wanted):
+    if unsplit_values(config, wanted) or mixed_values(config, wanted):
         return "resampled"
     if all("ggx" not in key for key in config.bsdfs if key.startswith("roughconductor")):
         return "decomposed"
