@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
+from warp_psdr.estimate import light
 from warp_psdr.estimate.arguments import checked_seed, sample_count
 from warp_psdr.estimate.passes import STREAM_PRIMAL, Progress, boxed, splats
 from warp_psdr.image import Image
 from warp_psdr.invalid import warns
 from warp_psdr.kernels.rng import mix_seed
 from warp_psdr.plan.integrator import integrator_of
-from warp_psdr.plan.light import refuse_light_paths
 from warp_psdr.plan.plan import decide
 
 if TYPE_CHECKING:
@@ -35,7 +35,8 @@ def render_moment(
 
     With the image m and the second moment q of N samples a pixel, (q - m^2) / (N - 1) estimates the variance of m.
     Samples are independent: those of one pixel are not stratified, so the image itself is noisier than that of
-    ``render``. Each is a pass of its own over the image, which takes longer for small images.
+    ``render``. Each is a pass of its own over the image, which takes longer for small images. Where paths start at the
+    lights, what a pass finds in a pixel counts as one sample.
 
     Args:
         scene: a loaded scene.
@@ -61,12 +62,13 @@ def render_moment(
         )
     spp, stream = sample_count(scene, number, spp), mix_seed(checked_seed(seed), STREAM_PRIMAL)
     plan = decide(scene, integrator=integrator_of(scene, integrator), sensor=number)
-    refuse_light_paths(plan, "render_moment")
     shape = (camera.crop_height, camera.crop_width)
     sums = np.zeros((2, *shape, 3))
     for n in range(spp):
         one = Image(shape, scene.device)
-        boxed(scene, plan, number, 1, mix_seed(stream, n), one)
+        if not light.connected(plan):
+            boxed(scene, plan, number, 1, mix_seed(stream, n), one)
+        light.add_image(scene, plan, number, 1, mix_seed(stream, n), one)
         values = one.numpy().astype(np.float64)
         sums += values, values * values
         if progress is not None:

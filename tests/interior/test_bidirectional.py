@@ -200,8 +200,9 @@ def test_what_it_does_not_know_is_refused_by_name():
     for name in ("floor.vertex_positions", "camera.to_world", "matte.bsdf.eta"):
         with pytest.raises(ValueError, match=r"Bidirectional\(\) differentiates what moves no vertices.*Replay"):
             psdr.plan(glass, names=[name], integrator=integrator)
-    with pytest.raises(ValueError, match=r"render_moment draws samples of pixels.*interior\.Bidirectional"):
-        psdr.render_moment(psdr.load_dict(IMAGES["box filter"]()), integrator=integrator, spp=1)
+    together = psdr.PathIntegrator(interior=psdr.interior.Bidirectional(connections="all"), max_depth=4)
+    with pytest.raises(ValueError, match=r"target_error.*draws them together; use connections='light'"):
+        psdr.render(psdr.load_dict(IMAGES["box filter"]()), integrator=together, target_error=0.1)
     for depth in (-1, 17):
         with pytest.raises(ValueError, match=r"max_depth: got .*expected 1 to 16; or use connections='light'"):
             psdr.plan(scene, integrator=psdr.PathIntegrator(interior=CONNECTED, max_depth=depth))

@@ -192,10 +192,6 @@ def test_what_it_does_not_draw_is_refused_by_name():
     with pytest.raises(ValueError, match=r"joins points to a film.*'orthographic'.*a meter has none.*Replay"):
         psdr.render(scene, integrator="ptracer", spp=1)
     scene = psdr.load_dict(ROOMS["box filter"]())
-    with pytest.raises(ValueError, match=r"render_moment draws samples of pixels.*belong to none"):
-        psdr.render_moment(scene, integrator="ptracer", spp=1)
-    with pytest.raises(ValueError, match=r"target_error.*belong to none.*interior\.Replay"):
-        psdr.render(scene, integrator="ptracer", target_error=0.1)
     for block in (0, 65, True):
         with pytest.raises(ValueError, match="expected an integer from 1 to 64"):
             psdr.interior.LightTracing(block=block)

@@ -14,6 +14,7 @@ import numpy as np
 import warp as wp
 
 from warp_psdr.accuracy.tiles import Tiling, uniform
+from warp_psdr.estimate import light
 from warp_psdr.estimate.arguments import adjoint_array, flat_tangents, requested
 from warp_psdr.estimate.boundary.drivers import launch_backward, launch_forward
 from warp_psdr.estimate.boundary.terms import TERMS, BoundaryTerm, Request, launches
@@ -32,7 +33,7 @@ from warp_psdr.estimate.passes import (
 from warp_psdr.kernels.rng import mix_seed
 from warp_psdr.options.integrator import Integrator
 from warp_psdr.plan.integrator import integrator_of
-from warp_psdr.plan.light import refuse_light_paths
+from warp_psdr.plan.light import refuse_connected
 from warp_psdr.plan.motion import motion
 from warp_psdr.plan.plan import Plan, decide
 from warp_psdr.topology import contacts
@@ -114,7 +115,7 @@ def image(scene: Scene, *, integrator: Integrator | None, sensor: int) -> Quanti
     integrator = integrator_of(scene, integrator)
     camera = scene.camera(sensor)
     plan = decide(scene, integrator=integrator, sensor=sensor)
-    refuse_light_paths(plan, BUDGETS)
+    refuse_connected(plan, BUDGETS)
     shape = (camera.crop_height, camera.crop_width)
 
     def box_batch(spp: int, seed: int, tiling: Tiling) -> np.ndarray:
@@ -123,25 +124,32 @@ def image(scene: Scene, *, integrator: Integrator | None, sensor: int) -> Quanti
             boxed(scene, plan, sensor, count, mix_seed(seed, STREAM_PRIMAL), out, pixels=pixels)
         return out.numpy().astype(np.float64).reshape(-1)
 
+    def light_batch(spp: int, seed: int) -> np.ndarray:
+        out = wp.zeros(shape, dtype=wp.vec3, device=scene.device)
+        light.add_image(scene, plan, sensor, spp, mix_seed(seed, STREAM_PRIMAL), out)
+        found = out.numpy().astype(np.float64).reshape(-1)
+        return found if box else np.concatenate([np.zeros(film_size), found])
+
     def splat_batch(spp: int, seed: int, tiling: Tiling) -> np.ndarray:
         total = np.zeros((*shape, 4))
         for pixels, count, _weight in tiling.launches(spp, seed, scene.device):
             film = splatted(scene, plan, sensor, count, mix_seed(seed, STREAM_PRIMAL), pixels=pixels)
             # Weighted by area: where tiles differ in their samples, a filter that reaches into both stays itself.
             total += film.numpy() / count
-        return total.reshape(-1)
+        return np.concatenate([total.reshape(-1), np.zeros(3 * film_size // 4 if light.traces(plan) else 0)])
 
     def quotient(raw: np.ndarray) -> np.ndarray:
-        film = raw.reshape(-1, 4)
-        return (film[:, :3] / np.where(film[:, 3:] > 0.0, film[:, 3:], 1.0)).reshape(-1)
+        film, splats_of_light = raw[:film_size].reshape(-1, 4), raw[film_size:]
+        seen = (film[:, :3] / np.where(film[:, 3:] > 0.0, film[:, 3:], 1.0)).reshape(-1)
+        return seen + splats_of_light if splats_of_light.size else seen
 
-    box = not splats(scene.camera(sensor))
+    box, film_size = not splats(scene.camera(sensor)), 4 * shape[0] * shape[1]
     over_pixels = box_batch if box else splat_batch
     found = Quantity(
         scene, plan, "primal", sensor, (), {IMAGE: slice(0, 3 * shape[0] * shape[1])}, over_pixels,
         finish=None if box else quotient,
     )  # fmt: skip
-    return _with(found, IMAGE, ())
+    return _with(found, IMAGE, _light_parts(plan, light_batch))
 
 
 def derivative(
@@ -157,15 +165,20 @@ def derivative(
     integrator = integrator_of(scene, integrator)
     target = flat_tangents(scene, params, tangents)
     plan = decide(scene, integrator=integrator, sensor=sensor, names=list(tangents))
-    refuse_light_paths(plan, BUDGETS)
+    refuse_connected(plan, BUDGETS)
     if plan.boundary is not None:
         contacts.warn(scene, target.numpy())
     camera = scene.camera(sensor)
     shape = (camera.crop_height, camera.crop_width)
 
+    def light_batch(spp: int, seed: int) -> np.ndarray:
+        out = wp.zeros(shape, dtype=wp.vec3, device=scene.device)
+        light.light_forward(scene, plan, sensor, spp, seed, target, out)
+        return out.numpy().astype(np.float64).reshape(-1)
+
     def over_pixels(spp: int, seed: int, tiling: Tiling) -> np.ndarray:
         out = wp.zeros(shape, dtype=wp.vec3, device=scene.device)
-        for pixels, count, weight in tiling.launches(spp, seed, scene.device):
+        for pixels, count, weight in tiling.launches(spp, seed, scene.device) if plan.seen_wanted is not None else ():
             interior_forward(scene, plan, sensor, count, seed, target, out, pixels=pixels, weight=weight)
         return out.numpy().astype(np.float64).reshape(-1)
 
@@ -176,7 +189,8 @@ def derivative(
 
     blocks = {IMAGE: slice(0, 3 * shape[0] * shape[1])}
     found = Quantity(scene, plan, "forward", sensor, (), blocks, over_pixels)
-    return _with(found, "interior", _boundary_parts(found, list(tangents), boundary))
+    more = _light_parts(plan, light_batch) + _boundary_parts(found, list(tangents), boundary)
+    return _with(found, "interior", more)
 
 
 def gradient(scene: Scene, params: Parameters, adjoint, *, integrator: Integrator | None, sensor: int) -> Quantity:
@@ -188,7 +202,7 @@ def gradient(scene: Scene, params: Parameters, adjoint, *, integrator: Integrato
     names = requested(scene, params)
     integrator = integrator_of(scene, integrator)
     plan = decide(scene, params, integrator=integrator, sensor=sensor)
-    refuse_light_paths(plan, BUDGETS)
+    refuse_connected(plan, BUDGETS)
     array = adjoint_array(adjoint, scene.camera(sensor), scene.device)
     records = [scene.parameters[name] for name in names]
     ends = np.cumsum([0, *(p.size for p in records)]).tolist()
@@ -198,9 +212,14 @@ def gradient(scene: Scene, params: Parameters, adjoint, *, integrator: Integrato
         flat = sums.result().numpy().astype(np.float64)
         return np.concatenate([flat[p.offset : p.offset + p.size] for p in records])
 
+    def light_batch(spp: int, seed: int) -> np.ndarray:
+        sums = GradientSums(scene, names)
+        light.light_backward(scene, plan, sensor, spp, seed, array, sums)
+        return collected(sums)
+
     def over_pixels(spp: int, seed: int, tiling: Tiling) -> np.ndarray:
         sums = GradientSums(scene, names)
-        for pixels, count, weight in tiling.launches(spp, seed, scene.device):
+        for pixels, count, weight in tiling.launches(spp, seed, scene.device) if plan.seen_wanted is not None else ():
             interior_backward(scene, plan, sensor, count, seed, array, sums, pixels=pixels, weight=weight)
         return collected(sums)
 
@@ -210,7 +229,12 @@ def gradient(scene: Scene, params: Parameters, adjoint, *, integrator: Integrato
         return collected(sums)
 
     found = Quantity(scene, plan, "reverse", sensor, (), blocks, over_pixels, adjoint=array.numpy())
-    return _with(found, "interior", _boundary_parts(found, names, boundary))
+    return _with(found, "interior", _light_parts(plan, light_batch) + _boundary_parts(found, names, boundary))
+
+
+def _light_parts(plan: Plan, run: Callable[[int, int], np.ndarray]) -> tuple[Part, ...]:
+    """Return the term of paths from the lights, if there are any."""
+    return (Part("light paths", run),) if light.traces(plan) else ()
 
 
 def _with(quantity: Quantity, title: str, more: tuple[Part, ...]) -> Quantity:

@@ -48,7 +48,7 @@ FILM_PATHS = 1 << 8
 
 def connected(plan: Plan) -> bool:
     """Whether the pass over light paths draws the camera's too."""
-    return _traces(plan) and plan.light is not None and plan.light.connected
+    return traces(plan) and plan.light is not None and plan.light.connected
 
 
 def image_kernels(scene: Scene, plan: Plan, sensor: int) -> list[wp.Kernel]:
@@ -60,7 +60,7 @@ def _kernels(plan: Plan) -> list[wp.Kernel]:
     """Return the kernel of the image's light paths, if there are any."""
     if connected(plan):
         return [make_connected_image_kernel(plan.config)]
-    return [make_light_image_kernel(plan.config)] if _traces(plan) else []
+    return [make_light_image_kernel(plan.config)] if traces(plan) else []
 
 
 def add_image(
@@ -91,6 +91,20 @@ def backward(
     first, second = _halves(plan, progress)
     if plan.seen_wanted is not None:
         interior_backward(scene, plan, sensor, spp, seed, adjoint, sums, first)
+    light_backward(scene, plan, sensor, spp, seed, adjoint, sums, second)
+
+
+def light_backward(
+    scene: Scene,
+    plan: Plan,
+    sensor: int,
+    spp: int,
+    seed: int,
+    adjoint: wp.array,
+    sums: GradientSums,
+    progress: Progress | None = None,
+) -> None:
+    """Add the gradient of what the light paths find."""
     camera = scene.camera(sensor)
     sphere = bounding_sphere(scene)
     # What draws the camera's paths too has a film, which it leaves.
@@ -105,7 +119,7 @@ def backward(
             lambda shard: [sphere, sums.buffers[shard], *unused],
             shards=len(sums.buffers),
             kind="light",
-            progress=second,
+            progress=progress,
         )
 
 
@@ -123,9 +137,23 @@ def forward(
     first, second = _halves(plan, progress)
     if plan.seen_wanted is not None:
         interior_forward(scene, plan, sensor, spp, seed, target, image, first)
+    light_forward(scene, plan, sensor, spp, seed, target, image, second)
+
+
+def light_forward(
+    scene: Scene,
+    plan: Plan,
+    sensor: int,
+    spp: int,
+    seed: int,
+    target: wp.array,
+    image: wp.array,
+    progress: Progress | None = None,
+) -> None:
+    """Add the derivative of what the light paths find, along flat tangents."""
     found = _gradient_kernels(plan, "forward")
     for i, kernel in enumerate(found):
-        done = part(second, i / len(found), 1.0 / len(found))
+        done = part(progress, i / len(found), 1.0 / len(found))
         _splat(scene, plan, kernel, sensor, spp, mix_seed(seed, STREAM_INTERIOR), [target], image, done)
 
 
@@ -138,7 +166,7 @@ def _halves(plan: Plan, progress: Progress | None) -> tuple[Progress | None, Pro
 
 def _gradient_kernels(plan: Plan, role: str) -> list[wp.Kernel]:
     """Return the kernels of the light paths' derivatives, if there are any; their results add up."""
-    if not _traces(plan):
+    if not traces(plan):
         return []
     assert plan.wanted is not None and plan.kept is not None
     found = [make_connected_kernel(plan.config, plan.wanted, role)] if connected(plan) else []
@@ -153,7 +181,8 @@ def _paths(plan: Plan, camera: Camera, spp: int, seed: int) -> PixelSamples:
     return PixelSamples(spp, mix_seed(seed, STREAM_LIGHT), depth_of(plan), plan.rr_depth, scale=scale)
 
 
-def _traces(plan: Plan) -> bool:
+def traces(plan: Plan) -> bool:
+    """Whether there is a pass over light paths."""
     return plan.light is not None and plan.light.joins and plan.max_depth != 1
 
 

@@ -111,15 +111,15 @@ def refused_with_light_paths(name: str, config: PathConfig, wanted: GradientRequ
     return ""
 
 
-def refuse_light_paths(plan: Plan, who: str) -> None:
-    """Raise if a plan has light paths, for who spreads samples over pixels.
+def refuse_connected(plan: Plan, who: str) -> None:
+    """Raise if paths from the camera and from lights are drawn together, for who draws them apart.
 
     Raises:
         ValueError: with what to do instead.
     """
-    if plan.light is not None:
-        name = type(plan.light.method).__name__
+    if plan.light is not None and plan.light.connected:
         raise ValueError(
-            f"{who} draws samples of pixels, and the light paths of interior.{name}() belong to none; call psdr.render "
-            "with spp and seeds of your own, or use interior.Replay()"
+            f"{who} draws paths from the camera and paths from the lights apart, and "
+            "interior.Bidirectional(connections='all') draws them together; use connections='light', or call "
+            "psdr.render with spp and seeds of your own"
         )
