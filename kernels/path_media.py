@@ -21,6 +21,7 @@ from warp_psdr.kernels.invalid import count_invalid, finite, inverse_pdf, vanish
 from warp_psdr.kernels.math import where3
 from warp_psdr.kernels.medium.emission import emitted_along
 from warp_psdr.kernels.medium.flight import Flight, make_flight
+from warp_psdr.kernels.medium.grid_emission import make_grid_emission
 from warp_psdr.kernels.medium.passage import MOST_INTERFACES, is_lost, make_media_passage, medium_towards
 from warp_psdr.kernels.medium.tracking import make_tracking
 from warp_psdr.kernels.medium.volume import GRID
@@ -221,6 +222,7 @@ def make_media_step(config: PathConfig, differential: bool, explores: bool = Fal
     tracked_flight, _tracked_transmittance = make_tracking(config.media, explores and clocked)
     grids = config.media.grids
     emissive = config.media.emissive
+    emitted_in_grid = make_grid_emission(config.media) if emissive and grids else None
     collide = make_collision(config, differential)
     passage = make_media_passage(config, differential)
     emission_hit = make_emission_hit(config)
@@ -268,7 +270,14 @@ def make_media_step(config: PathConfig, differential: bool, explores: bool = Fal
             vertex.length = wp.max(end, 0.0)
             if wp.static(emissive):
                 vertex.stretch = length
-                vertex.emitted = emitted_along(scene, scene.media.records[state.medium], length)
+                shining = scene.media.records[state.medium]
+                if wp.static(grids):
+                    if shining.sigma_t_channels == GRID:
+                        vertex.emitted = emitted_in_grid(scene, shining, path.o, path.d, length, sampler, state.steps)
+                    else:
+                        vertex.emitted = emitted_along(scene, shining, length)
+                else:
+                    vertex.emitted = emitted_along(scene, shining, length)
             u = sample_4d(sampler, slot)
             m = scene.media.records[state.medium]
             f = Flight()

@@ -21,6 +21,7 @@ from warp_psdr.kernels.interior.sweep import Carry, make_sweep
 from warp_psdr.kernels.medium.coefficients import EMISSION, PHASE, SCALE, SIGMA_T, make_coefficient_sinks
 from warp_psdr.kernels.medium.emission import make_emission_sink
 from warp_psdr.kernels.medium.grid_adjoint import SALT_POINTS, make_grid_adjoint
+from warp_psdr.kernels.medium.grid_emission import make_grid_emission_sink
 from warp_psdr.kernels.medium.passage import MOST_INTERFACES, make_media_passage, medium_towards
 from warp_psdr.kernels.medium.volume import GRID
 from warp_psdr.kernels.path_media import MediaVertex, collision_point
@@ -171,6 +172,7 @@ def make_media_sweep(config: PathConfig, wanted: GradientRequest, role: str, rat
     grids = config.media.grids
     emissive = config.media.emissive and bool({SIGMA_T, SCALE, EMISSION} & set(wanted.media))
     accumulate_emission = make_emission_sink(role, wanted.media)
+    accumulate_grid_emission = make_grid_emission_sink(config.media, role, wanted.media) if emissive and grids else None
     accumulate_segment = make_segment_sink(config, wanted, role)
     accumulate_material = make_material_sink(config, wanted, role)
     has_lights = bool(config.area or config.lights)
@@ -283,7 +285,14 @@ def make_media_sweep(config: PathConfig, wanted: GradientRequest, role: str, rat
             if not in_grid:
                 total += accumulate_flight(scene, target, m, v.t, v.collides, w_v)
             if wp.static(emissive):
-                total += accumulate_emission(scene, target, m, v.stretch, wp.cw_mul(delta, v.before))
+                w_emitted = wp.cw_mul(delta, v.before)
+                if wp.static(grids):
+                    if in_grid:
+                        total += accumulate_grid_emission(
+                            scene, target, m, vertex.o, vertex.d, v.stretch, sampler, v.step, v.emitted, w_emitted
+                        )
+                if not in_grid:
+                    total += accumulate_emission(scene, target, m, v.stretch, w_emitted)
         return v.emitted + wp.cw_mul(v.weight, inner), total
 
     return media_sweep

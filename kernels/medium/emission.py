@@ -4,7 +4,7 @@ A medium emits the radiance epsilon per unit length (W / (m^2 sr m)). A stretch 
 E = epsilon w(sigma, l), w = (1 - exp(-sigma l)) / sigma, to its beginning: a closed form, without a draw, and l where
 there is no extinction. Nothing moves here.
 
-Derivation: ``docs/theory/media.md#emission``.
+Grids have a file of their own (``grid_emission.py``). Derivation: ``docs/theory/media.md#emission``.
 """
 
 import functools

@@ -52,7 +52,8 @@ def describe(scene: Scene, config: PathConfig, wanted: GradientRequest | None) -
         ("extinction", "by channel" if config.media.chromatic else "grey", chromatic),
     ]
     if config.media.emissive:
-        lines.append(("emission", "by media", "of each stretch in closed form, without a draw"))
+        drawn = "; in grids at four points of each stretch" if of_grids else ""
+        lines.append(("emission", "by media", f"of each stretch in closed form, without a draw{drawn}"))
     for grid in scene.builder.super_grids:
         voxels, cells = (" x ".join(str(n) for n in size) for size in (grid.voxels, grid.cells))
         tracked = f"majorants of {cells} cells; delta tracking, and ratio tracking for shadow rays"

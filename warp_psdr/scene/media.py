@@ -90,12 +90,7 @@ def _medium(props: Properties) -> MediumDescription:
     scale = props.number("scale", 1.0, minimum=0.0)
     emission = None
     if props.has("emission"):
-        if grids:
-            place = props.place("emission")
-            props.take("emission")
-            props.context.report(error(place, "a 'heterogeneous' medium that emits light", "make it 'homogeneous'"))
-        else:
-            emission = volume(props, "emission", 0.0, np.inf, grids=False)
+        emission = volume(props, "emission", 0.0, np.inf, grids=grids)
     for hint in ("sample_emitters", "has_spectral_extinction"):
         if not props.boolean(hint, True):
             props.context.note(f"{props.place(hint)} is ignored: it changes noise, not the image")

@@ -98,9 +98,11 @@ class MediaRecords:
         record.scale = add(f"{m.path}.scale", np.array([m.scale]), MEDIUM + SCALE, bounds=(0.0, np.inf))
         record.emission = -1
         if m.emission is not None:
-            record.emission_channels = m.emission.value.size
-            bounds = (0.0, np.inf)
-            record.emission = add(m.emission.parameter, m.emission.value, MEDIUM + EMISSION, bounds=bounds)
+            place = add(m.emission.parameter, m.emission.value, MEDIUM + EMISSION, bounds=(0.0, np.inf))
+            channels = m.emission.value.size
+            if m.emission.value.ndim == 4:
+                place, channels = self._grid(m.emission, place, tracked=False), GRID
+            record.emission, record.emission_channels = place, channels
         record.phase, record.g = self._phase(m.phase)
         return record
 
