@@ -61,6 +61,7 @@ PHASE_HG = 1
 PHASE_RAYLEIGH = 2
 PHASE_TABLE = 3
 PHASE_BLEND = 4
+PHASE_SGGX = 5
 #: Numbers that stand for no medium, and on both sides of a shape for one that bounds none.
 NO_MEDIUM = -1
 NO_INTERFACE = -2

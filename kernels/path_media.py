@@ -15,7 +15,7 @@ import warp as wp
 
 from warp_psdr.kernels.bsdf.dispatch import declaration_of, has_null_lobes
 from warp_psdr.kernels.bsdf.null import NULL
-from warp_psdr.kernels.constants import FAR, LOBE_NONE, LOBE_NULL, LOBE_SMOOTH
+from warp_psdr.kernels.constants import FAR, LOBE_NONE, LOBE_NULL, LOBE_SMOOTH, PHASE_SGGX
 from warp_psdr.kernels.interaction import make_interaction
 from warp_psdr.kernels.invalid import count_invalid, finite, inverse_pdf, vanishes
 from warp_psdr.kernels.math import where3
@@ -27,6 +27,7 @@ from warp_psdr.kernels.medium.tracking import make_tracking
 from warp_psdr.kernels.medium.volume import GRID
 from warp_psdr.kernels.path import vertex_of
 from warp_psdr.kernels.phase.dispatch import make_phase
+from warp_psdr.kernels.phase.sggx import make_flake_length
 from warp_psdr.kernels.reading import triangle_at
 from warp_psdr.kernels.rng import Sampler, make_sampler
 from warp_psdr.kernels.sampling import mis_weight
@@ -221,6 +222,8 @@ def make_media_step(config: PathConfig, differential: bool, explores: bool = Fal
     flight = make_flight(config.media, explores)
     tracked_flight, _tracked_transmittance = make_tracking(config.media, explores and clocked)
     grids = config.media.grids
+    flakes = PHASE_SGGX in config.media.phases
+    flake_length = make_flake_length(config.media.phases)
     emissive = config.media.emissive
     emitted_in_grid = make_grid_emission(config.media) if emissive and grids else None
     collide = make_collision(config, differential)
@@ -287,7 +290,13 @@ def make_media_step(config: PathConfig, differential: bool, explores: bool = Fal
                 if in_grid:
                     f = tracked_flight(scene, m, path.o, path.d, length, end, sampler, state.steps, scatters)
             if not in_grid:
-                f = flight(scene, m, length, end, hit.face < 0, u, state.steps, scatters)
+                if wp.static(flakes):
+                    optical = flake_length(scene, m, path.d, 1.0)
+                    optical_length = flake_length(scene, m, path.d, length)
+                    f = flight(scene, m, optical_length, optical * end, hit.face < 0, u, state.steps, scatters)
+                    f.t = wp.where(f.collides, wp.min(f.t / optical, end), length)
+                else:
+                    f = flight(scene, m, length, end, hit.face < 0, u, state.steps, scatters)
             vertex.passed = f.passed
             vertex.t = f.t
             vertex.inv_p = f.inv_p

@@ -29,6 +29,7 @@ from tests.cuda_configs import (
     EXACT_LIGHTS,
     GEOMETRY,
     GLOSSY,
+    GLOWING,
     GRIDS,
     IRRADIANCE,
     JOINED,
@@ -124,7 +125,7 @@ def shapes_of(config):
 
 def media(config):
     """All of media, and what does not move beside them."""
-    everywhere = ("sigma_t", "albedo", "scale", "phase")
+    everywhere = ("sigma_t", "albedo", "scale", "emission", "phase")
     return everything(config, to_uv=True, radiance=True, lights=("radiance",), media=everywhere)
 
 
@@ -233,6 +234,7 @@ FACTORIES = {
         ("reverse", (MEDIA, media(MEDIA), "reverse", 8, 8), SLOW),
         ("forward", (MEDIA, media(MEDIA), "forward", 4, 4), SLOW),
         ("grids", (GRIDS, media(GRIDS), "reverse", 4, 4), SLOW),
+        ("emission and microflakes", (GLOWING, media(GLOWING), "reverse", 4, 4), SLOW),
         ("ratio tracking", (GRIDS, media(GRIDS), "forward", 4, 4, True), SLOW),
     ],
     "interior.media_motion_replay.make_media_motion_kernel": [

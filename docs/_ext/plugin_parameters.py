@@ -49,6 +49,7 @@ NEEDED: dict[str, dict] = {
     "gridvolume": {"data": np.ones((2, 2, 2))},
     "blendphase": {"weight": 0.5, "a": {"type": "hg"}, "b": {"type": "isotropic"}},
     "tabphase": {"values": [0.5, 1.0, 2.0]},
+    "sggx": {"S": [1.0, 1.0, 0.2, 0.0, 0.0, 0.1]},
     "sdfgrid": {"grid": np.arange(8.0).reshape(2, 2, 2) - 3.5},
     "neuralsdf": NETWORK,
     "linearcurve": {"control_points": np.eye(2, 4)},
@@ -170,7 +171,8 @@ def _scene(category: str, plugin: dict) -> dict:
     elif category == "texture":
         shape["bsdf"] = {"type": "diffuse", "reflectance": plugin}
     elif category in ("medium", "phase", "volume"):
-        medium = plugin if category == "medium" else {"type": "heterogeneous", NESTED[category]: plugin}
+        kind = "homogeneous" if plugin["type"] == "sggx" else "heterogeneous"
+        medium = plugin if category == "medium" else {"type": kind, NESTED[category]: plugin}
         shape |= {"bsdf": {"type": "null"}, "interior": medium}
     elif plugin["type"] in ("area", "directionalarea"):
         shape["emitter"] = plugin

@@ -13,12 +13,20 @@ import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.bsdf.dispatch import has_null_lobes
-from warp_psdr.kernels.constants import FAR, LOBE_NULL, LOBE_SMOOTH
+from warp_psdr.kernels.constants import FAR, LOBE_NULL, LOBE_SMOOTH, PHASE_SGGX
 from warp_psdr.kernels.interaction import enter_frame, make_interaction
 from warp_psdr.kernels.interior.factors import make_light_sink, make_material_sink
 from warp_psdr.kernels.interior.gradient_request import GradientRequest
 from warp_psdr.kernels.interior.sweep import Carry, make_sweep
-from warp_psdr.kernels.medium.coefficients import EMISSION, PHASE, SCALE, SIGMA_T, make_coefficient_sinks
+from warp_psdr.kernels.medium.coefficients import (
+    EMISSION,
+    PHASE,
+    SCALE,
+    SIGMA_T,
+    coefficients_of,
+    exp_minus,
+    make_coefficient_sinks,
+)
 from warp_psdr.kernels.medium.emission import make_emission_sink
 from warp_psdr.kernels.medium.grid_adjoint import SALT_POINTS, make_grid_adjoint
 from warp_psdr.kernels.medium.grid_emission import make_grid_emission_sink
@@ -26,6 +34,7 @@ from warp_psdr.kernels.medium.passage import MOST_INTERFACES, make_media_passage
 from warp_psdr.kernels.medium.volume import GRID
 from warp_psdr.kernels.path_media import MediaVertex, collision_point
 from warp_psdr.kernels.phase.dispatch import make_phase, make_phase_sink
+from warp_psdr.kernels.phase.sggx import make_flake_length, make_flake_sinks
 from warp_psdr.kernels.rng import Sampler, salted
 from warp_psdr.kernels.scattering import samples_lights
 from warp_psdr.kernels.structs import Scene
@@ -38,6 +47,12 @@ from warp_psdr.kernels.visibility import visibility_of
 def explores_density(wanted: GradientRequest) -> bool:
     """Whether flights have to collide where there is no density, too."""
     return SIGMA_T in wanted.media or SCALE in wanted.media
+
+
+def turns_flakes(config: PathConfig, wanted: GradientRequest) -> bool:
+    """Whether the extinction of what flies along a direction is differentiated by S (``phase/sggx.py``)."""
+    assert config.media is not None
+    return PHASE in wanted.media and PHASE_SGGX in config.media.phases
 
 
 @wp.func
@@ -61,6 +76,10 @@ def make_segment_sink(config: PathConfig, wanted: GradientRequest, role: str):
     accumulate_depth, _tracked, _extinction_at = make_grid_adjoint(role, wanted.media)
     grids = config.media.grids
     density = explores_density(wanted)
+    flakes = PHASE_SGGX in config.media.phases
+    turned = turns_flakes(config, wanted)
+    flake_length = make_flake_length(config.media.phases)
+    _value, accumulate_area = make_flake_sinks(role)
     materials = any(wanted.material) or wanted.to_uv
 
     @wp.func
@@ -84,6 +103,16 @@ def make_segment_sink(config: PathConfig, wanted: GradientRequest, role: str):
                     stream = salted(sampler, SALT_POINTS, number)
                     w_depth = -wp.cw_mul(w, transmittance)
                     return accumulate_depth(scene, target, m, o, d, length, stream, w_depth)
+        optical = length
+        if wp.static(flakes):
+            if medium >= 0:
+                optical = flake_length(scene, scene.media.records[medium], d, length)
+        if wp.static(turned):
+            if medium >= 0 and length < FAR:
+                m_flakes = scene.media.records[medium]
+                if m_flakes.phase == PHASE_SGGX:
+                    w_sigma = wp.dot(coefficients_of(scene, m_flakes).sigma_t, wp.cw_mul(w, transmittance))
+                    total += accumulate_area(scene, target, m_flakes, d, -optical * w_sigma)
         if wp.static(density):
             if medium >= 0:
                 a_sigma = wp.vec3(0.0, 0.0, 0.0)
@@ -91,8 +120,8 @@ def make_segment_sink(config: PathConfig, wanted: GradientRequest, role: str):
                     value = w[k] * transmittance[k]
                     if value != 0.0:
                         # Without an end the transmittance falls from 1 to 0 as soon as there is any density.
-                        a_sigma[k] = wp.where(length < FAR, -length * value, -wp.INF)
-                total = accumulate_extinction(scene, target, scene.media.records[medium], a_sigma)
+                        a_sigma[k] = wp.where(length < FAR, -optical * value, -wp.INF)
+                total += accumulate_extinction(scene, target, scene.media.records[medium], a_sigma)
         return total
 
     if not has_null_lobes(config.bsdfs):
@@ -180,7 +209,11 @@ def make_media_sweep(config: PathConfig, wanted: GradientRequest, role: str, rat
     radiance_of, accumulate_light = make_light_sink(config, wanted, role) if has_lights else (None, None)
     materials = any(wanted.material) or wanted.to_uv
     lights = wanted.radiance or wanted.to_uv or bool(wanted.lights)
-    segments = explores_density(wanted) or (materials and has_null_lobes(config.bsdfs))
+    flakes = PHASE_SGGX in config.media.phases
+    turned = turns_flakes(config, wanted)
+    flake_length = make_flake_length(config.media.phases)
+    _value, accumulate_area = make_flake_sinks(role)
+    segments = explores_density(wanted) or turned or (materials and has_null_lobes(config.bsdfs))
     scattered = PHASE in wanted.media
 
     @wp.func
@@ -283,7 +316,20 @@ def make_media_sweep(config: PathConfig, wanted: GradientRequest, role: str, rat
                         scene, target, m, vertex.o, vertex.d, v.t, v.collides, v.passed, stream, w_v
                     )
             if not in_grid:
-                total += accumulate_flight(scene, target, m, v.t, v.collides, w_v)
+                optical = v.t
+                if wp.static(flakes):
+                    optical = flake_length(scene, m, vertex.d, v.t)
+                total += accumulate_flight(scene, target, m, optical, v.collides, w_v)
+                if wp.static(turned):
+                    if m.phase == PHASE_SGGX and v.t < FAR:
+                        c = coefficients_of(scene, m)
+                        depth = optical * c.sigma_t
+                        slope = wp.cw_mul(-depth, exp_minus(c.sigma_t, optical))
+                        if v.collides:
+                            ones = wp.vec3(1.0, 1.0, 1.0)
+                            slope = wp.cw_mul(ones - depth, exp_minus(c.sigma_t, optical))
+                            slope = wp.cw_mul(wp.cw_mul(c.albedo, c.sigma_t), slope)
+                        total += accumulate_area(scene, target, m, vertex.d, wp.dot(w_v, slope))
             if wp.static(emissive):
                 w_emitted = wp.cw_mul(delta, v.before)
                 if wp.static(grids):

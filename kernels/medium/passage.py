@@ -11,13 +11,14 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.bsdf.dispatch import has_null_lobes
-from warp_psdr.kernels.constants import LOBE_NULL, NO_INTERFACE
+from warp_psdr.kernels.constants import LOBE_NULL, NO_INTERFACE, PHASE_SGGX
 from warp_psdr.kernels.interaction import make_interaction
 from warp_psdr.kernels.invalid import vanishes
 from warp_psdr.kernels.medium.coefficients import coefficients_of, exp_minus
 from warp_psdr.kernels.medium.flight import mean_of
 from warp_psdr.kernels.medium.tracking import make_tracking
 from warp_psdr.kernels.medium.volume import GRID
+from warp_psdr.kernels.phase.sggx import make_flake_length
 from warp_psdr.kernels.rng import Sampler
 from warp_psdr.kernels.structs import Scene
 from warp_psdr.kernels.transmittance import Passage, passage_behind, transmittance_of
@@ -62,6 +63,8 @@ def make_media_passage(config: PathConfig, differential: bool):
     bsdf = interaction.bsdf
     chromatic = config.media.chromatic
     grids = config.media.grids
+    flakes = PHASE_SGGX in config.media.phases
+    flake_length = make_flake_length(config.media.phases)
     _tracked_flight, tracked_transmittance = make_tracking(config.media, False)
 
     @wp.func
@@ -85,7 +88,10 @@ def make_media_passage(config: PathConfig, differential: bool):
                     r.product = wp.cw_mul(r.product, tracked_transmittance(scene, m, o, d, length, sampler, number))
                     return r
         if medium >= 0:
-            passed = exp_minus(coefficients_of(scene, scene.media.records[medium]).sigma_t, length)
+            optical = length
+            if wp.static(flakes):
+                optical = flake_length(scene, scene.media.records[medium], d, length)
+            passed = exp_minus(coefficients_of(scene, scene.media.records[medium]).sigma_t, optical)
             r.product = wp.cw_mul(r.product, passed)
             if draws:
                 if wp.static(chromatic):

@@ -5,12 +5,13 @@ from typing import NamedTuple
 
 import warp as wp
 
-from warp_psdr.kernels.constants import PHASE_BLEND, PHASE_HG, PHASE_RAYLEIGH, PHASE_TABLE, TWO_PI
+from warp_psdr.kernels.constants import PHASE_BLEND, PHASE_HG, PHASE_RAYLEIGH, PHASE_SGGX, PHASE_TABLE, TWO_PI
 from warp_psdr.kernels.math import any_tangent, to_world
 from warp_psdr.kernels.phase.blendphase import make_blend, make_blend_by_cosine, make_blend_sink
 from warp_psdr.kernels.phase.hg import hg_by_cosine, hg_cosine, hg_eval, hg_slope
 from warp_psdr.kernels.phase.isotropic import isotropic_cosine, isotropic_eval
 from warp_psdr.kernels.phase.rayleigh import rayleigh_by_cosine, rayleigh_cosine, rayleigh_eval
+from warp_psdr.kernels.phase.sggx import flakes_of, make_flake_sinks, sggx_eval, sggx_sample
 from warp_psdr.kernels.phase.tabphase import make_table_sink, tabphase_by_cosine, tabphase_cosine, tabphase_eval
 from warp_psdr.kernels.reading import load_float
 from warp_psdr.kernels.sink import make_sink
@@ -37,6 +38,7 @@ def make_phase(kinds: tuple[int, ...]) -> PhaseFunctions:
         return PhaseFunctions(*make_blend(inner.eval, inner.sample))
     one = len(kinds) == 1
     forward, rayleigh, table = (kind in kinds for kind in (PHASE_HG, PHASE_RAYLEIGH, PHASE_TABLE))
+    flakes = PHASE_SGGX in kinds
 
     @wp.func
     def phase_eval(scene: Scene, m: Medium, d: wp.vec3, wo: wp.vec3) -> wp.float32:
@@ -50,10 +52,16 @@ def make_phase(kinds: tuple[int, ...]) -> PhaseFunctions:
         if wp.static(table):
             if wp.static(one) or m.phase == PHASE_TABLE:
                 value = tabphase_eval(scene, m.g, wp.dot(d, wo))
+        if wp.static(flakes):
+            if wp.static(one) or m.phase == PHASE_SGGX:
+                value = sggx_eval(flakes_of(scene, m.g), d, wo)
         return value
 
     @wp.func
     def phase_sample(scene: Scene, m: Medium, d: wp.vec3, u: wp.vec2) -> wp.vec3:
+        if wp.static(flakes):
+            if wp.static(one) or m.phase == PHASE_SGGX:
+                return sggx_sample(flakes_of(scene, m.g), d, u)
         mu = isotropic_cosine(u[0])
         if wp.static(forward):
             if wp.static(one) or m.phase == PHASE_HG:
@@ -74,7 +82,10 @@ def make_phase(kinds: tuple[int, ...]) -> PhaseFunctions:
 
 @functools.cache
 def make_phase_by_cosine(kinds: tuple[int, ...]):
-    """Return ``by_cosine(scene, m, mu) -> float32``: the derivative of the value by the cosine of the turn."""
+    """Return ``by_cosine(scene, m, mu) -> float32``: the derivative of the value by the cosine of the turn.
+
+    What does not depend on that alone, ``sggx``, is refused beside motion.
+    """
     if PHASE_BLEND in kinds:
         return make_blend_by_cosine(make_phase_by_cosine(tuple(kind for kind in kinds if kind != PHASE_BLEND)))
     one = len(kinds) == 1
@@ -105,8 +116,9 @@ def make_phase_sink(kinds: tuple[int, ...], role: str):
         return make_blend_sink(make_phase(rest).eval, make_phase_sink(rest, role), role)
     sink = make_sink(role)
     accumulate_table = make_table_sink(role)
+    accumulate_sggx, _area = make_flake_sinks(role)
     one = len(kinds) == 1
-    forward, table = (kind in kinds for kind in (PHASE_HG, PHASE_TABLE))
+    forward, table, flakes = (kind in kinds for kind in (PHASE_HG, PHASE_TABLE, PHASE_SGGX))
 
     @wp.func
     def accumulate_phase(
@@ -120,6 +132,9 @@ def make_phase_sink(kinds: tuple[int, ...], role: str):
         if wp.static(table):
             if wp.static(one) or m.phase == PHASE_TABLE:
                 dot = accumulate_table(scene, target, m.g, wp.dot(d, wo), w)
+        if wp.static(flakes):
+            if wp.static(one) or m.phase == PHASE_SGGX:
+                dot = accumulate_sggx(scene, target, m, d, wo, w)
         return dot
 
     return accumulate_phase

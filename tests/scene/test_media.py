@@ -97,7 +97,11 @@ def test_numbers_colours_and_volumes():
         ({"albedo": 1.5}, "between 0 and 1"),
         ({"scale": -1.0}, "of at least 0"),
         ({"phase": {"type": "hg", "g": 1.0}}, "between -0.99 and 0.99"),
-        ({"phase": {"type": "sggx"}}, "unsupported phase 'sggx'.*isotropic, hg, rayleigh, tabphase, blendphase"),
+        ({"phase": {"type": "mie"}}, "unsupported plugin 'mie'.*isotropic, hg, rayleigh, tabphase, blendphase, sggx"),
+        (
+            {"phase": {"type": "blendphase", "weight": 0.5, "a": HG, "b": {"type": "sggx"}}},
+            "sggx inside a blendphase",
+        ),
         ({"phase": {"type": "blendphase", "a": HG, "b": HG}}, "no 'weight'.*from 0 to 1"),
         ({"phase": {"type": "blendphase", "weight": 1.5, "a": HG, "b": HG}}, "'weight'.*between 0 and 1|range"),
         ({"phase": {"type": "blendphase", "weight": 0.5, "a": HG}}, "1 phase functions.*nest two"),

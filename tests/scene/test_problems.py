@@ -17,7 +17,7 @@ def problems(load):
 
 
 def test_all_unsupported_plugins_and_parameters_are_named_with_their_lines():
-    body = """<medium type="homogeneous" id="fog"><phase type="sggx"/></medium>
+    body = """<medium type="homogeneous" id="fog"><phase type="mie"/></medium>
 <emitter type="collimated"/>
 <bsdf type="measured" id="shiny"><texture type="wireframe" name="diffuse_reflectance"/></bsdf>
 <shape type="sphere"><ref id="shiny"/><ref id="fog" name="interior"/><float name="radios" value="1"/></shape>
@@ -30,7 +30,7 @@ def test_all_unsupported_plugins_and_parameters_are_named_with_their_lines():
     found = sorted(re.findall(r"string:(\d+) <\w+[^>]*>[^:]*: .*?(?:'[\w.]+'|<\w+>)", "\n".join(rest)), key=int)
     assert first == "string: 11 problems:" and len(rest) == 11
     expected = {
-        4: "unsupported phase 'sggx'",
+        4: "unsupported phase 'mie'",
         5: "unsupported emitter 'collimated'",
         6: "unsupported bsdf 'measured'",
         7: "no parameter 'radios' (did you mean 'radius'?)",

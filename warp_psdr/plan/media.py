@@ -33,6 +33,7 @@ PHASE_NAMES = {
     c.PHASE_RAYLEIGH: "rayleigh",
     c.PHASE_TABLE: "tabphase",
     c.PHASE_BLEND: "blendphase",
+    c.PHASE_SGGX: "sggx",
 }
 
 
@@ -83,6 +84,11 @@ def refuse(
             f"interior.{type(method).__name__}() does not know participating media; use interior.Replay(), or leave "
             "them out"
         )
+    if c.PHASE_SGGX in config.media.phases and type(method) is not interior.Replay and names:
+        raise ValueError(
+            f"interior.{type(method).__name__}() does not know 'sggx', whose extinction varies with direction; use "
+            "interior.Replay()"
+        )
     if config.media.emissive and type(method) is not interior.Replay and names:
         raise ValueError(
             f"interior.{type(method).__name__}() does not know media that emit light; use interior.Replay(), or leave "
@@ -111,6 +117,8 @@ def _beside_motion(scene: Scene, config: PathConfig, method: interior.Method, wa
     stepped = _stepped_grid(scene)
     if stepped:
         return f"the voxels of {stepped!r} are 'nearest', so that it jumps along them; make its filter 'trilinear'"
+    if c.PHASE_SGGX in config.media.phases:
+        return "'sggx' has an extinction by direction, which does not follow that; take another phase function"
     if config.media.emissive:
         return "that is not followed through media that emit light; leave 'emission' out, or request what moves nothing"
     if wanted.bends:

@@ -11,7 +11,7 @@ from .description import MediumDescription, PhaseDescription
 from .errors import ReportedError, error
 from .plugins import Properties, category_of, unsupported_plugin
 from .spectra import check_range
-from .volumes import volume
+from .volumes import flakes, volume
 
 if TYPE_CHECKING:
     from .context import Context
@@ -102,6 +102,10 @@ def _medium(props: Properties) -> MediumDescription:
         raise ReportedError(props.where)
     else:
         phase = PhaseDescription(f"{props.path}.phase_function", "isotropic")
+    if phase.kind == "sggx" and (grids or emission is not None):
+        what = "a 'heterogeneous' medium" if grids else "a medium that emits light"
+        remedy = "make it 'homogeneous'" if grids else "leave 'emission' out"
+        raise error(props.where, f"microflakes ('sggx') in {what}, where extinction varies with direction", remedy)
     props.finish()
     return MediumDescription(props.path, sigma_t, albedo, scale, phase, grids, emission)
 
@@ -109,11 +113,13 @@ def _medium(props: Properties) -> MediumDescription:
 def _phase(props: Properties) -> PhaseDescription:
     if props.type == "blendphase":
         return _blend(props)
-    found = PhaseDescription(props.path, cast(Literal["isotropic", "hg", "rayleigh", "tabphase"], props.type))
+    found = PhaseDescription(props.path, cast(Literal["isotropic", "hg", "rayleigh", "tabphase", "sggx"], props.type))
     if props.type == "hg":
         found.g = props.number("g", _G, minimum=-MOST_G, maximum=MOST_G)
     elif props.type == "tabphase":
         found.values = _table(props)
+    elif props.type == "sggx":
+        found.flakes = flakes(props)
     props.finish()
     return found
 
@@ -130,8 +136,9 @@ def _blend(props: Properties) -> PhaseDescription:
         raise error(place, f"got the colour {weight.value.tolist()}", "'weight' is one number")
     nested = props.children("phase", limit=2)
     for _key, node, where in nested:
-        if node.get("type") == "blendphase":
-            raise error(where, "a blendphase inside a blendphase", "blend two of isotropic, hg, rayleigh and tabphase")
+        if node.get("type") in ("blendphase", "sggx"):
+            problem = f"a {node['type']} inside a blendphase"
+            raise error(where, problem, "blend two of isotropic, hg, rayleigh and tabphase")
     if len(nested) != 2:
         raise error(props.where, f"{len(nested)} phase functions in a 'blendphase'", "nest two")
     inner = [

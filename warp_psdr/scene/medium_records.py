@@ -15,7 +15,7 @@ from warp_psdr.kernels.vertex import MediaConfig
 from .layout import MEDIUM, Layout
 from .media import MOST_G
 from .origin import moved
-from .super_grid import Follower, PhaseTable, SuperGrid, integrals, super_grid
+from .super_grid import FlakeCheck, Follower, PhaseTable, SuperGrid, integrals, super_grid
 from .volume_pose import VolumePose, inverse_of
 
 if TYPE_CHECKING:
@@ -27,6 +27,7 @@ PHASES = {
     "rayleigh": c.PHASE_RAYLEIGH,
     "tabphase": c.PHASE_TABLE,
     "blendphase": c.PHASE_BLEND,
+    "sggx": c.PHASE_SGGX,
 }
 
 
@@ -117,6 +118,9 @@ class MediaRecords:
             place = self._table(f"{p.path}.values", p.values)
         if p.nested:
             place = self._blend(p)
+        if p.flakes is not None:
+            place = self._layout.add(p.flakes.parameter, p.flakes.value, MEDIUM + PHASE)
+            self.followers.append(FlakeCheck(p.flakes.parameter, place))
         return kind, place
 
     def _blend(self, p: PhaseDescription) -> int:

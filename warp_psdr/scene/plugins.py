@@ -37,7 +37,7 @@ PLUGINS: dict[str, tuple[str, ...]] = {
     "rfilter": ("box", "tent", "gaussian"),
     "sampler": ("independent", "sobol", "multijitter", "stratified", "orthogonal", "ldsampler"),
     "medium": ("homogeneous", "heterogeneous"),
-    "phase": ("isotropic", "hg", "rayleigh", "tabphase", "blendphase"),
+    "phase": ("isotropic", "hg", "rayleigh", "tabphase", "blendphase", "sggx"),
     "volume": ("constvolume", "gridvolume"),
     "integrator": (
         *("path", "direct", "prb", "prb_basic", "prb_projective", "direct_projective", "ptracer"),

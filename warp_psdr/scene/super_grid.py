@@ -1,4 +1,4 @@
-"""What follows edits of media: majorants of grids, and integrals of tables of phase functions.
+"""What follows edits of media: majorants of grids, integrals of tables of phase functions, checks of microflakes.
 
 A majorant is the largest value in a cell of 8^3 voxels (``kernels/medium/majorant.py``).
 """
@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 #: Neighbours of the first and of the last voxel along an axis, by wrap mode, as NumPy pads.
 _PADDING = {"clamp": "edge", "repeat": "wrap", "mirror": "symmetric"}
+#: Least eigenvalue of a matrix of microflakes, relative to the largest: below, float32 finds it singular.
+_FLATTEST = 1e-5
 #: What rounding can add to an interpolated value, relative.
 _ROUNDING = 1e-6
 
@@ -90,6 +92,33 @@ class PhaseTable:
         if not table.any():
             raise ValueError(f"{self.parameter} holds zeros alone after an edit; write a value above 0")
         values[self.integrals : self.integrals + self.size].assign(integrals(table))
+
+
+def not_definite(values: np.ndarray) -> str:
+    """Return what is wrong with the matrix of microflakes of six numbers (S_xx, S_yy, S_zz, S_xy, S_xz, S_yz)."""
+    if not np.isfinite(values).all():
+        return "the matrix holds NaN or infinite numbers"
+    xx, yy, zz, xy, xz, yz = values.astype(np.float64).reshape(6)
+    least, _middle, most = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    return "" if least > _FLATTEST * most else f"the matrix has eigenvalues from {least:.3g} to {most:.3g}"
+
+
+@dataclass(frozen=True)
+class FlakeCheck:
+    """Where the matrix of microflakes is."""
+
+    parameter: str
+    offset: int  #: flat
+
+    def rebuild(self, values: wp.array, held: np.ndarray) -> None:
+        """Check the values that are held, flat, on the host.
+
+        Raises:
+            ValueError: they are not positive definite.
+        """
+        problem = not_definite(held[self.offset : self.offset + 6])
+        if problem:
+            raise ValueError(f"{self.parameter}: after an edit {problem}; write a positive definite one")
 
 
 class Follower(Protocol):

@@ -11,6 +11,7 @@ from .errors import ReportedError, SceneError, error
 from .nanovdb_files import read_nvdb
 from .plugins import Properties, category_of, unsupported_plugin
 from .spectra import COLOR_TYPES, check_range, color
+from .super_grid import not_definite
 from .volume_files import MOST_VALUES, read_vol
 
 if TYPE_CHECKING:
@@ -70,6 +71,59 @@ def _constant(props: Properties, name: str, high: float, *, grids: bool) -> Volu
 
 
 def _grid(props: Properties, name: str, high: float) -> VolumeDescription:
+    values, matrix, place = _voxels(props, (1, 3))
+    check_range(values, place, 0.0, high, f"'{name}'")
+    most = props.number("max_value", np.inf, minimum=-np.inf) if props.has("max_value") else np.inf
+    if values.max() > most:
+        raise error(
+            props.place("max_value"),
+            f"got {most:g}, and the grid has values up to {values.max():g}, where tracking would be wrong",
+            "leave it out",
+        )
+    filter_type = cast(Literal["trilinear", "nearest"], props.string("filter_type", "trilinear", _FILTERS))
+    wrap = cast(Literal["clamp", "repeat", "mirror"], props.string("wrap_mode", "clamp", _WRAPS))
+    props.finish()
+    return VolumeDescription(f"{props.path}.data", values, matrix, filter_type, wrap)
+
+
+def flakes(props: Properties) -> VolumeDescription:
+    """Take the six numbers of a ``sggx``: as they are, in a text, or as a ``gridvolume`` of one voxel.
+
+    Raises:
+        ValueError: there are others, or their matrix is not positive definite.
+    """
+    if not props.has("S"):
+        raise error(props.where, "there is no 'S'", "give S_xx, S_yy, S_zz, S_xy, S_xz, S_yz")
+    given, place = props.take("S"), props.place("S")
+    name = f"{props.path}.S"
+    if isinstance(given, dict):
+        given, place = props.context.resolve(given, props.context.inside(props.where, "S", given))
+        if given.get("type") != "gridvolume":
+            raise error(place, f"a '{given.get('type')}' for 'S'", "give six numbers, or a 'gridvolume' of one voxel")
+        inner = Properties(given, place, name, props.context)
+        values, _matrix, place = _voxels(inner, (6,))
+        for key in ("max_value", "filter_type", "wrap_mode"):
+            inner.ignore(key, reason="there is one voxel")
+        inner.finish()
+        if values.size != 6:
+            raise error(place, f"a grid of {values.size // 6} voxels", "give one; two media may have different ones")
+        name += ".data"
+    else:
+        try:
+            plain = given.replace(",", " ").split() if isinstance(given, str) else given
+            values = np.asarray(plain.numpy() if hasattr(plain, "numpy") else plain, dtype=np.float32)
+        except (TypeError, ValueError):
+            values = np.empty(0, np.float32)
+        if values.shape != (6,):
+            raise error(place, f"got {given!r}", "give six numbers: S_xx, S_yy, S_zz, S_xy, S_xz, S_yz")
+    problem = not_definite(values)
+    if problem:
+        raise error(place, problem, "give a symmetric, positive definite matrix, such as 1, 1, 1, 0, 0, 0")
+    return VolumeDescription(name, values)
+
+
+def _voxels(props: Properties, channels: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray, str]:
+    """Take the values of a grid, where it is, and the place of its values."""
     given = [key for key in ("filename", "data", "grid") if props.has(key)]
     sources = {key: props.take(key) for key in ("filename", "data", "grid")}
     if len(given) != 1:
@@ -83,26 +137,15 @@ def _grid(props: Properties, name: str, high: float) -> VolumeDescription:
         values, box = _file(props.context, value, place)
     else:
         values = _array(value, place)
+    values = _checked(values, place, channels)
     props.context.count(values.size, place)
-    check_range(values, place, 0.0, high, f"'{name}'")
-    most = props.number("max_value", np.inf, minimum=-np.inf) if props.has("max_value") else np.inf
-    if values.max() > most:
-        raise error(
-            props.place("max_value"),
-            f"got {most:g}, and the grid has values up to {values.max():g}, where tracking would be wrong",
-            "leave it out",
-        )
     if not props.boolean("use_grid_bbox", False):
         box = np.eye(4)
     elif given[0] != "filename":
         props.context.note(f"{props.place('use_grid_bbox')} is ignored: an array has no box")
     props.ignore("accel", reason="grids are kept as 32-bit floats")
     props.boolean("raw", False)  # no colour of a medium is converted
-    matrix = props.transform("to_world") @ box
-    filter_type = cast(Literal["trilinear", "nearest"], props.string("filter_type", "trilinear", _FILTERS))
-    wrap = cast(Literal["clamp", "repeat", "mirror"], props.string("wrap_mode", "clamp", _WRAPS))
-    props.finish()
-    return VolumeDescription(f"{props.path}.data", values, matrix, filter_type, wrap)
+    return values, props.transform("to_world") @ box, place
 
 
 def _file(context: Context, name: Any, place: str) -> tuple[np.ndarray, np.ndarray]:
@@ -115,7 +158,7 @@ def _file(context: Context, name: Any, place: str) -> tuple[np.ndarray, np.ndarr
         values, box = read_nvdb(file) if ending.endswith(".nvdb") else read_vol(file)
     except ValueError as problem:
         raise SceneError(f"{place}: {problem}") from None
-    return _checked(values, place), box
+    return values, box
 
 
 def _array(value: Any, place: str) -> np.ndarray:
@@ -124,14 +167,15 @@ def _array(value: Any, place: str) -> np.ndarray:
         values = values.astype(np.float32) if values.dtype.kind in "iuf" else np.empty(0, np.float32)
     except (TypeError, ValueError):
         values = np.empty(0, np.float32)
-    return _checked(values, place)
+    return values
 
 
-def _checked(given: np.ndarray, place: str) -> np.ndarray:
+def _checked(given: np.ndarray, place: str, channels: tuple[int, ...]) -> np.ndarray:
     values = given[..., None] if given.ndim == 3 else given
-    if values.ndim != 4 or 0 in values.shape or values.shape[3] not in (1, 3):
+    if values.ndim != 4 or 0 in values.shape or values.shape[3] not in channels:
         shape = f"the shape {given.shape}" if given.ndim else "no array"
-        raise error(place, f"got {shape}", "give numbers (Z, Y, X), (Z, Y, X, 1) or (Z, Y, X, 3)")
+        expected = "(Z, Y, X), (Z, Y, X, 1) or (Z, Y, X, 3)" if 1 in channels else "(1, 1, 1, 6)"
+        raise error(place, f"got {shape}", f"give numbers {expected}")
     if values.size > MOST_VALUES:
         raise error(place, f"got {values.size} values", f"give at most {MOST_VALUES}")
     return np.ascontiguousarray(values)

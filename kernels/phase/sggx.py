@@ -1,0 +1,172 @@
+"""Microflakes with the normals of an ellipsoid (Mitsuba's ``sggx``) [Heitz et al. 2015].
+
+A symmetric, positive definite S says how flakes are turned: towards w they have the projected area A(w) =
+sqrt(w^T S w) each, and their normals the density D(h) = 1 / (pi sqrt|S| (h^T S^-1 h)^2). Flakes are mirrors, so with h
+the half vector of -d and wo, f_p = D(h) / (4 A(d)), and a ray along d meets sigma_t A(d) of them a unit length. All of
+homogeneous media is computed with that number of flakes for a length: A(d) t (``flake_length``).
+
+S is six numbers, S_xx, S_yy, S_zz, S_xy, S_xz, S_yz. Normals are drawn from those that are seen from -d: with S = L L^T
+L m has their density, normalised, if m is drawn about L^T (-d) by the cosine.
+
+Derivation: ``docs/theory/media.md#microflakes``.
+"""
+
+import functools
+
+import warp as wp
+
+from warp_psdr.kernels.constants import FAR, INV_PI, PHASE_SGGX, TWO_PI
+from warp_psdr.kernels.math import any_tangent, to_world
+from warp_psdr.kernels.reading import load_float
+from warp_psdr.kernels.sink import make_sink
+from warp_psdr.kernels.structs import Medium, Scene
+
+#: Least square of a half vector before it is normalised; a ray that is not turned has none.
+SAME_DIRECTION = 1.0e-24
+#: Least projected area, squared, relative to nothing: only a direction that rounding has left without any has less.
+NO_AREA = 1.0e-30
+
+
+@wp.struct
+class Flakes:
+    """S by its rows."""
+
+    x: wp.vec3
+    y: wp.vec3
+    z: wp.vec3
+
+
+@wp.func
+def flakes_of(scene: Scene, offset: wp.int32) -> Flakes:
+    s = Flakes()
+    xy = load_float(scene.values, offset + 3)
+    xz = load_float(scene.values, offset + 4)
+    yz = load_float(scene.values, offset + 5)
+    s.x = wp.vec3(load_float(scene.values, offset), xy, xz)
+    s.y = wp.vec3(xy, load_float(scene.values, offset + 1), yz)
+    s.z = wp.vec3(xz, yz, load_float(scene.values, offset + 2))
+    return s
+
+
+@wp.func
+def flake_area(s: Flakes, w: wp.vec3) -> wp.float32:
+    """A(w)."""
+    across = wp.vec3(wp.dot(s.x, w), wp.dot(s.y, w), wp.dot(s.z, w))
+    return wp.sqrt(wp.max(wp.dot(w, across), NO_AREA))
+
+
+@wp.func
+def half_vector(d: wp.vec3, wo: wp.vec3) -> wp.vec3:
+    """h, unit; any normal that is seen edge-on where the ray is not turned."""
+    v = wo - d
+    squared = wp.dot(v, v)
+    if squared < SAME_DIRECTION:
+        return any_tangent(d)
+    return v / wp.sqrt(squared)
+
+
+@wp.func
+def adjugate_times(s: Flakes, w: wp.vec3) -> wp.vec3:
+    """|S| S^-1 w."""
+    return wp.vec3(
+        wp.dot(wp.cross(s.y, s.z), w),
+        wp.dot(wp.cross(s.z, s.x), w),
+        wp.dot(wp.cross(s.x, s.y), w),
+    )
+
+
+@wp.func
+def sggx_eval(s: Flakes, d: wp.vec3, wo: wp.vec3) -> wp.float32:
+    """Value and density, 1/sr."""
+    h = half_vector(d, wo)
+    determinant = wp.dot(s.x, wp.cross(s.y, s.z))
+    stretch = wp.dot(h, adjugate_times(s, h)) / determinant  # h^T S^-1 h
+    return 0.25 * INV_PI / (wp.sqrt(determinant) * stretch * stretch * flake_area(s, d))
+
+
+@wp.func
+def sggx_sample(s: Flakes, d: wp.vec3, u: wp.vec2) -> wp.vec3:
+    """A new direction: mirrored by a normal of those that are seen."""
+    # ---- L, S = L L^T ----
+    xx = wp.sqrt(s.x[0])
+    yx = s.x[1] / xx
+    zx = s.x[2] / xx
+    yy = wp.sqrt(wp.max(s.y[1] - yx * yx, NO_AREA))
+    zy = (s.y[2] - zx * yx) / yy
+    zz = wp.sqrt(wp.max(s.z[2] - zx * zx - zy * zy, 0.0))
+    # ---- m about L^T (-d), by the cosine ----
+    c = -wp.normalize(wp.vec3(xx * d[0] + yx * d[1] + zx * d[2], yy * d[1] + zy * d[2], zz * d[2]))
+    a = any_tangent(c)
+    r = wp.sqrt(u[0])
+    phi = TWO_PI * u[1]
+    cosine = wp.sqrt(wp.max(0.0, 1.0 - u[0]))
+    m = to_world(a, wp.cross(c, a), c, wp.vec3(r * wp.cos(phi), r * wp.sin(phi), cosine))
+    h = wp.normalize(wp.vec3(xx * m[0], yx * m[0] + yy * m[1], zx * m[0] + zy * m[1] + zz * m[2]))
+    return wp.normalize(d - 2.0 * wp.dot(d, h) * h)
+
+
+@functools.cache
+def make_flake_length(kinds: tuple[int, ...]):
+    """Return ``flake_length(scene, m, d, length) -> float32``: A(d) times a length; the length without microflakes."""
+    one = len(kinds) == 1
+
+    @wp.func
+    def flake_length(scene: Scene, m: Medium, d: wp.vec3, length: wp.float32) -> wp.float32:
+        if (wp.static(one) or m.phase == PHASE_SGGX) and length < FAR:
+            return flake_area(flakes_of(scene, m.g), d) * length
+        return length
+
+    return flake_length
+
+
+@functools.cache
+def make_flake_sinks(role: str):
+    """Return ``(accumulate_sggx, accumulate_area)``.
+
+    ``accumulate_sggx(scene, target, m, d, wo, w) -> float32``: ``w`` is the adjoint of the value.
+    ``accumulate_area(scene, target, m, d, w) -> float32``: ``w`` is A(d) times its own adjoint.
+    """
+    sink = make_sink(role)
+
+    @wp.func
+    def accumulate_outer(target: wp.array(dtype=wp.float32), offset: wp.int32, v: wp.vec3, w: wp.float32) -> wp.float32:
+        """``w`` is the adjoint of v^T S v."""
+        total = sink(target, offset, w * v[0] * v[0])
+        total += sink(target, offset + 1, w * v[1] * v[1])
+        total += sink(target, offset + 2, w * v[2] * v[2])
+        total += sink(target, offset + 3, 2.0 * w * v[0] * v[1])
+        total += sink(target, offset + 4, 2.0 * w * v[0] * v[2])
+        total += sink(target, offset + 5, 2.0 * w * v[1] * v[2])
+        return total
+
+    @wp.func
+    def accumulate_area(
+        scene: Scene, target: wp.array(dtype=wp.float32), m: Medium, d: wp.vec3, w: wp.float32
+    ) -> wp.float32:
+        area = flake_area(flakes_of(scene, m.g), d)
+        return accumulate_outer(target, m.g, d, 0.5 * w / (area * area))
+
+    @wp.func
+    def accumulate_sggx(
+        scene: Scene, target: wp.array(dtype=wp.float32), m: Medium, d: wp.vec3, wo: wp.vec3, w: wp.float32
+    ) -> wp.float32:
+        s = flakes_of(scene, m.g)
+        a_log = w * sggx_eval(s, d, wo)
+        h = half_vector(d, wo)
+        inverse = 1.0 / wp.dot(s.x, wp.cross(s.y, s.z))
+        b = inverse * adjugate_times(s, h)
+        # d ln f = 2 (S^-1 h)^T dS (S^-1 h) / (h^T S^-1 h) - tr(S^-1 dS) / 2 - d ln A
+        total = accumulate_outer(target, m.g, b, 2.0 * a_log / wp.dot(h, b))
+        total += accumulate_area(scene, target, m, d, -a_log)
+        trace = -0.5 * inverse * a_log
+        yz = wp.cross(s.y, s.z)
+        zx = wp.cross(s.z, s.x)
+        total += sink(target, m.g, trace * yz[0])
+        total += sink(target, m.g + 1, trace * zx[1])
+        total += sink(target, m.g + 2, trace * wp.cross(s.x, s.y)[2])
+        total += sink(target, m.g + 3, 2.0 * trace * yz[1])
+        total += sink(target, m.g + 4, 2.0 * trace * yz[2])
+        total += sink(target, m.g + 5, 2.0 * trace * zx[2])
+        return total
+
+    return accumulate_sggx, accumulate_area
