@@ -133,6 +133,20 @@ def test_smoke_is_recovered_from_nothing(example, tmp_path: Path) -> None:
         assert contrast(tmp_path / f"{name}.png") > 0.05
 
 
+@pytest.mark.slow
+def test_the_hole_of_a_link_opens(example, tmp_path: Path) -> None:
+    module = example("recover_genus")
+    module.PHOTO_SPP = 64
+    report = module.main(tmp_path, sizes=(25,), resolution=40, steps=(160,))
+    start, found, sought = report["Euler number: start, recovered, sought"]
+    assert start >= 40 and found == sought == 0
+    before, after = (report[f"psnr of the kept views{at}, dB"] for at in (" at the start", ""))
+    assert min(np.subtract(after, before)) > 15.0
+    assert report["mean distance of the surfaces in voxels"] < 0.5
+    for name in ("result", "steps", "loss"):
+        assert contrast(tmp_path / f"{name}.png") > 0.05
+
+
 def test_a_baked_texture_shows_the_surface(example) -> None:
     module = example("bunny_data")
     texture = module.bake(SQUARE, SQUARE_UVS, SQUARE_FACES, 8, lambda points: points)
