@@ -340,6 +340,11 @@ FACTORIES = {
         ("reverse", (SPHERE, "reverse", WarpOptions()), SLOW),
         ("forward, neural", (SPHERE, "forward", WarpOptions(neural=True)), SLOW),
     ],
+    "boundary.crossing.film.make_film_crossing_kernel": [("reverse", (EXACT, "reverse", True), SLOW)],
+    "boundary.crossing.vertex.make_vertex_crossing_kernel": [
+        ("reverse", (EXACT, "reverse", True), SLOW),
+        ("indirect, lights", (EXACT_LIGHTS, "forward", False, True), SLOW),
+    ],
     "boundary.silhouette.primary.make_primary_silhouette_kernel": [("reverse", (EXACT, "reverse", True), SLOW)],
     "boundary.silhouette.secondary.make_secondary_silhouette_kernel": [
         ("reverse", (EXACT, "reverse", True, False), SLOW),

@@ -53,6 +53,8 @@ KINDS = (
     "secondary_cubic",
     "foreground_cubic",
     "intersection_curve",
+    "film_crossing",
+    "vertex_crossing",
     "indirect_terminator",
     "geometric_horizon",
     "edge_sampling",

@@ -250,7 +250,6 @@ def test_samples_are_drawn_again(kind: str) -> None:
         ({}, psdr.boundary.EdgeSampling(), "no terms of it"),
         ({}, psdr.boundary.PathSpace(guiding=psdr.guiding.KdTree()), "without guiding"),
         ({"ball": ellipsoid(exact=True, bsdf={"type": "dielectric"})}, "auto", "smooth mirrors and glass"),
-        ({"ball": ellipsoid(exact=True, to_world=T.scale(0.5))}, "auto", "'floor' runs through the surface of 'ball'"),
     ],
 )
 def test_what_has_no_terms_is_refused(change: dict, boundary, problem: str) -> None:

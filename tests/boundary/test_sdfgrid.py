@@ -14,7 +14,6 @@ GRID, POSE, FLOOR, LAMP = "body.grid", "body.to_world", "floor.to_world", "light
 MATRIX = np.eye(4)
 MATRIX[:3, :3] = 1.4 * np.array([[1.0, 0.2, 0.0], [-0.1, 0.9, 0.1], [0.0, 0.1, 1.0]])
 MATRIX[:3, 3] = np.array([0.05, 0.0, 0.75]) - 0.5 * MATRIX[:3, :3].sum(axis=1)
-LOWER = T.translate([0, 0, -0.4]).matrix
 
 
 def values(count: int = 17, noise: float = 0.0, hole: float = 0.0) -> np.ndarray:
@@ -156,11 +155,6 @@ def test_the_limit_is_the_exact_sphere() -> None:
         ({}, psdr.boundary.PathSpace(guiding=psdr.guiding.KdTree()), "without guiding"),
         ({"normals": "smooth"}, "auto", "'smooth' normals of 'body'.*'normals': 'analytic'"),
         ({"bsdf": {"type": "dielectric"}}, "auto", "smooth mirrors and glass"),
-        (
-            {"to_world": T(LOWER @ MATRIX)},
-            "auto",
-            "'floor' runs through the surface of 'body'",
-        ),
         ({"grid": values() - 0.2}, "auto", "the surface of 'body' ends at its box"),
     ],
 )

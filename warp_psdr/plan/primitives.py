@@ -13,7 +13,8 @@ from warp_psdr.scene.curves import INSTEAD as TUBES
 from warp_psdr.scene.exact import EXACT, KINDS
 from warp_psdr.scene.network import INSTEAD as GRIDDED
 from warp_psdr.scene.sdfgrid import INSTEAD as TRIANGLES
-from warp_psdr.topology.exact_shapes import pierced
+from warp_psdr.topology.crossing_curves import crossed_cubic, crossed_light, touched
+from warp_psdr.topology.crossing_pairs import touching_pair
 from warp_psdr.topology.grid_contacts import is_open, pierced_grid
 from warp_psdr.topology.grid_silhouettes import grid_shapes, grid_values
 from warp_psdr.topology.tube_contacts import pierced_tubes
@@ -162,12 +163,24 @@ def _beside_motion(scene: Scene, config: PathConfig, integrator: PathIntegrator,
     reason = _of_boundary(config, integrator)
     if reason:
         return reason
+    return _of_exact(scene, integrator, names)
+
+
+def _of_exact(scene: Scene, integrator: PathIntegrator, names: list[str]) -> str:
+    """Say what exact shapes run through, or touch, along a curve without a term; empty: nothing."""
     moves = motion(scene, names)
-    pair = pierced(scene, None if moves.camera else moves.shapes)
+    moved = None if moves.camera else moves.shapes
+    pair = touching_pair(scene, moved) or touched(scene, moved)
     if pair is not None:
         a, b = (scene.description.shapes[i] for i in pair)
-        touching = "" if "sphere" in (a.primitive, b.primitive) else ", or touches it"
-        return f"{b.path!r} runs through the surface of {a.path!r}{touching}, along a curve that moves; move them apart"
+        return (
+            f"{b.path!r} touches {a.path!r} along a line that moves; lift one off the other, or let one reach into the "
+            "other"
+        )
+    pair = crossed_light(scene) if integrator.hide_emitters else None
+    if pair is not None:
+        a, b = (scene.description.shapes[i] for i in pair)
+        return f"{b.path!r}, a light that hide_emitters hides, runs through the surface of {a.path!r}; move them apart"
     return ""
 
 
@@ -202,9 +215,12 @@ def _beside_moving_kinds(scene: Scene, config: PathConfig, integrator: PathInteg
         if is_open(grid_values(scene, i), grid.cubic):
             opened = f"the surface of {shapes[i].path!r} ends at its box, along a curve that moves"
             return f"{opened}; give positive values all around, or {ALONE}"
+    reason = _of_exact(scene, integrator, names)
+    if reason:
+        return f"{reason}, or {ALONE}"
     moves = motion(scene, names)
     moved = None if moves.camera else moves.shapes
-    for find, surface in ((pierced, "surface"), (pierced_grid, "surface"), (pierced_tubes, "tubes")):
+    for find, surface in ((pierced_grid, "surface"), (crossed_cubic, "surface"), (pierced_tubes, "tubes")):
         pair = find(scene, moved)
         if pair is not None:
             a, b = (shapes[i].path for i in pair)

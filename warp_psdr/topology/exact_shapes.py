@@ -30,41 +30,42 @@ def pose(scene: Scene, shape: int) -> tuple[np.ndarray, np.ndarray]:
     return matrix[:3, :3], matrix[:3, 3]
 
 
-def pierced(scene: Scene, shapes: frozenset[int] | None) -> tuple[int, int] | None:
-    """Return an exact shape and one that runs through its surface, one of them among ``shapes`` (None: any).
+def crossed_faces(scene: Scene, shape: int, shapes: frozenset[int] | None) -> np.ndarray:
+    """Return the numbers of the triangles that run through an exact shape, one of both among ``shapes`` (None: any).
 
-    Triangles are tested exactly; of another ellipsoid the nearest and the farthest point are searched for, disks and
-    cylinders are tested as triangles that keep to them within ``TOUCHING``. What touches a sphere is none that runs
-    through it; what touches a disk or a cylinder counts as one.
+    What touches a sphere does not run through it; what touches a disk or a cylinder is counted.
     """
-    b, all_kinds = scene.builder, {i: scene.description.shapes[i].primitive for i in scene.builder.primitives}
-    kinds = {i: kind for i, kind in all_kinds.items() if kind in EXACT}
-    exact = tuple(kinds)
-    corners = scene.points[b.indices].astype(np.float64)
-    for i in exact:
-        linear, center = pose(scene, i)
-        inverse = np.linalg.inv(linear)
-        crosses = CROSSED[kinds[i]]
-        rows = np.arange(len(corners))
-        if shapes is not None and i not in shapes:
-            rows = np.flatnonzero(np.isin(b.face_shape, sorted(shapes)))
-        hit = rows[crosses((corners[rows] - center) @ inverse.T)]
-        if len(hit):
-            return i, int(b.face_shape[hit[0]])
-        for j in exact:
-            if j == i or not (shapes is None or i in shapes or j in shapes):
-                continue
-            other, place = pose(scene, j)
-            if kinds[j] != "sphere":
-                found = len(crosses((TRIANGLES[kinds[j]] @ other.T + place - center) @ inverse.T)) > 0
-            elif kinds[i] == "sphere":
-                low, high = _extent(inverse @ other, inverse @ (place - center))
-                found = low < 1.0 - TOUCHING and high > 1.0 + TOUCHING
-            else:
-                continue  # it is found as what runs through the sphere
-            if found:
-                return min(i, j), max(i, j)
-    return None
+    linear, center = pose(scene, shape)
+    corners = scene.points[scene.builder.indices].astype(np.float64)
+    rows = np.arange(len(corners))
+    if shapes is not None and shape not in shapes:
+        rows = np.flatnonzero(np.isin(scene.builder.face_shape, sorted(shapes)))
+    crosses = CROSSED[scene.description.shapes[shape].primitive]
+    return rows[crosses((corners[rows] - center) @ np.linalg.inv(linear).T)]
+
+
+def exact_shapes(scene: Scene) -> list[int]:
+    """Return the numbers of the shapes that are exact."""
+    return [i for i in scene.builder.primitives if scene.description.shapes[i].primitive in EXACT]
+
+
+def runs_through(scene: Scene, i: int, j: int) -> bool:
+    """Return whether an exact shape runs through another one, or may touch it.
+
+    Of an ellipsoid the nearest and the farthest point are searched for, disks and cylinders are tested as triangles
+    that keep to them within ``TOUCHING``. What touches a sphere is none that runs through it; what touches a disk or a
+    cylinder counts as one.
+    """
+    kinds = [scene.description.shapes[k].primitive for k in (i, j)]
+    if kinds[1] == "sphere" and kinds[0] != "sphere":
+        i, j, kinds = j, i, kinds[::-1]
+    linear, center = pose(scene, i)
+    inverse = np.linalg.inv(linear)
+    other, place = pose(scene, j)
+    if kinds[1] != "sphere":
+        return len(CROSSED[kinds[0]]((TRIANGLES[kinds[1]] @ other.T + place - center) @ inverse.T)) > 0
+    low, high = _extent(inverse @ other, inverse @ (place - center))
+    return low < 1.0 - TOUCHING and high > 1.0 + TOUCHING
 
 
 def _cross_sphere(local: np.ndarray) -> np.ndarray:
@@ -101,12 +102,10 @@ TRIANGLES = {
 def with_exact_shapes(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     """Return the triangles (M, 3, 3) of a scene and those that stand for its exact shapes, and their shapes (M,)."""
     corners, owners = [scene.points[scene.builder.indices].astype(np.float64)], [scene.builder.face_shape]
-    for i in scene.builder.primitives:
-        kind = scene.description.shapes[i].primitive
-        if kind in EXACT:
-            linear, center = pose(scene, i)
-            corners.append(TRIANGLES[kind] @ linear.T + center)
-            owners.append(np.full(len(corners[-1]), i))
+    for i in exact_shapes(scene):
+        linear, center = pose(scene, i)
+        corners.append(TRIANGLES[scene.description.shapes[i].primitive] @ linear.T + center)
+        owners.append(np.full(len(corners[-1]), i))
     return np.concatenate(corners), np.concatenate(owners)
 
 
@@ -193,12 +192,10 @@ def require_uncut(scene: Scene, sensor: int, shapes: frozenset[int] | None) -> N
     """
     view = camera_view(scene, sensor)
     axis = np.linalg.inv(view.pose[:3, :3])[2]
-    for i in scene.builder.primitives:
+    for i in exact_shapes(scene):
         if shapes is not None and i not in shapes:
             continue
         kind = scene.description.shapes[i].primitive
-        if kind not in EXACT:
-            continue
         linear, center = pose(scene, i)
         middle, half = float(view.depth(center)), axis @ linear
         if kind == "cylinder":

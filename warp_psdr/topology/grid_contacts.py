@@ -41,12 +41,13 @@ def passed_box(values: np.ndarray, cubic: bool) -> tuple[np.ndarray, np.ndarray]
 
 
 def pierced_grid(scene: Scene, shapes: frozenset[int] | None) -> tuple[int, int] | None:
-    """Return a grid and a shape that runs through its surface, one of them among ``shapes`` (None: any).
+    """Return a grid and another one, or an exact shape, that runs through it, one of them in ``shapes`` (None: any).
 
     Of another grid the boxes around both surfaces are compared.
     """
     grids = grid_shapes(scene)
     corners, owners = with_exact_shapes(scene)
+    corners, owners = corners[scene.face_count :], owners[scene.face_count :]
     for n, i in enumerate(grids):
         values, cubic = grid_values(scene, i), is_smooth_grid(scene, i)
         box = passed_box(values, cubic)

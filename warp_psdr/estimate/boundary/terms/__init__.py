@@ -15,6 +15,7 @@ from warp_psdr.estimate.boundary.terms import (
     creases_grid,
     edge_sampling,
     film_border,
+    film_crossing,
     flat_creases,
     foreground_cubic,
     foreground_grid,
@@ -37,6 +38,7 @@ from warp_psdr.estimate.boundary.terms import (
     shaded_grid,
     terminator,
     through_mirrors,
+    vertex_crossing,
 )
 from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term
 from warp_psdr.estimate.guiding import store
@@ -81,6 +83,8 @@ ALL: tuple[BoundaryTerm, ...] = (
     edge_sampling.TERM,
     hard_shadows.TERM,
     intersection_curve.TERM,
+    film_crossing.TERM,
+    vertex_crossing.TERM,
     indirect_terminator.TERM,
     geometric_horizon.TERM,
     through_mirrors.TERM,

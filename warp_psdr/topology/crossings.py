@@ -1,0 +1,52 @@
+"""All curves in which shapes without triangles and other surfaces run through each other, on the device."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import warp as wp
+
+from warp_psdr.kernels.boundary.crossing.curve import CrossingCurves
+from warp_psdr.scene.light_sampling import cumulative
+from warp_psdr.topology.crossing_curves import Chords, cut, cut_grid
+from warp_psdr.topology.crossing_fields import exact_field
+from warp_psdr.topology.crossing_pairs import cut_pair, exact_pairs
+from warp_psdr.topology.exact_shapes import crossed_faces, exact_shapes
+from warp_psdr.topology.grid_silhouettes import grid_shapes
+
+if TYPE_CHECKING:
+    from warp_psdr.scene.scene import Scene
+
+
+def crossings(scene: Scene, shapes: frozenset[int] | None) -> CrossingCurves | None:
+    """Return where shapes without triangles are run through, one of a pair in ``shapes`` (None: any); None: nowhere."""
+    found = []
+    corners = scene.points[scene.builder.indices].astype(np.float64)
+    for i in exact_shapes(scene):
+        rows = crossed_faces(scene, i, shapes)
+        found.append((i, cut(exact_field(scene, i), corners[rows], rows)))
+    for i in grid_shapes(scene):
+        found.append((i, cut_grid(scene, i, shapes)))
+    found += [(j, cut_pair(scene, i, j)) for i, j in exact_pairs(scene, shapes)]
+    return _upload(scene, found)
+
+
+def _upload(scene: Scene, found: list[tuple[int, Chords]]) -> CrossingCurves | None:
+    """Return chords on shapes, by their numbers, on the device; None: there are none."""
+    found = [(shape, chords) for shape, chords in found if len(chords.faces)]
+    if not found:
+        return None
+    records = [np.full(len(c.faces), scene.face_count + scene.builder.primitives.index(i)) for i, c in found]
+    faces = np.stack([np.concatenate([c.faces for _i, c in found]), np.concatenate(records)], axis=1)
+    points = np.concatenate([c.points for _i, c in found])
+    spans = np.concatenate([c.spans for _i, c in found]).astype(np.float32)
+    curves = CrossingCurves()
+    length = np.linalg.norm(points[:, 1] - points[:, 0], axis=1) * (spans[:, 1] - spans[:, 0])
+    curves.cdf = wp.array(cumulative(length), dtype=wp.float32, device=scene.device)
+    curves.points = wp.array(points.astype(np.float32), dtype=wp.vec3, device=scene.device, ndim=2)
+    curves.faces = wp.array(faces.astype(np.int32), dtype=wp.vec2i, device=scene.device)
+    curves.low, curves.high = (
+        wp.array(np.ascontiguousarray(spans[:, e]), dtype=wp.float32, device=scene.device) for e in (0, 1)
+    )
+    return curves
