@@ -5,6 +5,7 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.path import make_camera_start, make_path_step
+from warp_psdr.kernels.path_media import MediaVertex, make_media_step, media_path_from
 from warp_psdr.kernels.rng import sampler_at
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.vertex import PathConfig, PathVertex
@@ -50,3 +51,45 @@ def make_trace_kernel(config: PathConfig, differential: bool, filter_kind: int |
         count_out[0] = count
 
     return trace
+
+
+@functools.cache
+def make_media_trace_kernel(
+    config: PathConfig, differential: bool, explores: bool, clocked: bool, filter_kind: int | None
+):
+    """Return the kernel that writes the steps of a path through media, as ``make_trace_kernel``'s does vertices.
+
+    ``differential``, ``explores`` and ``clocked``: as ``make_media_step``'s.
+    """
+    media_step = make_media_step(config, differential, explores, clocked)
+    start = make_camera_start(config, filter_kind)
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def media_trace(
+        # Scene:
+        scene: Scene,
+        camera: Camera,
+        # In:
+        px: wp.int32,
+        py: wp.int32,
+        pixel: wp.int32,
+        sample: wp.int32,
+        seed: wp.uint32,
+        max_depth: wp.int32,
+        rr_depth: wp.int32,
+        # Out:
+        steps_out: wp.array(dtype=MediaVertex),
+        count_out: wp.array(dtype=wp.int32),
+    ):
+        sampler = sampler_at(pixel, sample, seed)
+        started, _sample = start(scene, camera, px, py, sampler)
+        state = media_path_from(started, camera.medium)
+        count = wp.int32(0)
+        while state.path.alive == 1:
+            step, state = media_step(scene, sampler, state, max_depth, rr_depth)
+            if count < steps_out.shape[0]:
+                steps_out[count] = step
+            count += 1
+        count_out[0] = count
+
+    return media_trace

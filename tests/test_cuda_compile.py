@@ -245,6 +245,7 @@ FACTORIES = {
     "boundary.path_space.media_secondary.make_media_secondary_kernel": [
         ("reverse", (MEDIA, "reverse", True, True, True), SLOW),
         ("forward", (MEDIA, "forward", True, False, False), SLOW),
+        ("grids", (GRIDS, "reverse", True, False, True, True), SLOW),
     ],
     "transfer.radiative_transfer.make_transfer_kernel": [
         ("reverse", (MEDIA, moving_among_media(MEDIA), "reverse", 4, 4, True), SLOW),

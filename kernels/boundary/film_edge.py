@@ -111,7 +111,7 @@ def make_film_edge(config: PathConfig, role: str, camera_moves: bool):
         length = wp.length(back)
         if wp.static(config.media is not None):
             ray = -back / length
-            seen = line(scene, at.origin + at.near * ray, ray, length - at.near, camera.medium, 0)
+            seen = line(scene, sampler, -1, at.origin + at.near * ray, ray, length - at.near, camera.medium, 0)
             if length > at.near and (seen.face >= 0 or seen.lost):
                 return r
         else:

@@ -42,7 +42,7 @@ def make_media_radiance(config: PathConfig):
         rr_depth: wp.int32,
     ) -> IncidentRadiance:
         r = IncidentRadiance()
-        seen = line(scene, o, d, t_max, medium, 0)
+        seen = line(scene, sampler, -1, o, d, t_max, medium, 0)
         r.face = seen.face
         if seen.face >= 0:
             r.x = position(scene.triangles[seen.face], seen.u, seen.v)

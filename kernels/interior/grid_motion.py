@@ -17,7 +17,7 @@ from warp_psdr.kernels.interior.media_sweep import number_of
 from warp_psdr.kernels.interior.shadow_motion import ShadowAdjoint, thinning
 from warp_psdr.kernels.medium.coefficients import albedo_at
 from warp_psdr.kernels.medium.grid_adjoint import SALT_POINTS
-from warp_psdr.kernels.medium.grid_span import Span, SpanAdjoint, make_grid_span, span_of
+from warp_psdr.kernels.medium.grid_span import Span, SpanAdjoint, make_grid_span, span_length, span_of
 from warp_psdr.kernels.medium.interface import make_crossing_sink, make_interface
 from warp_psdr.kernels.medium.passage import MOST_INTERFACES, medium_towards
 from warp_psdr.kernels.medium.volume import GRID, grid_point, grid_value
@@ -28,14 +28,6 @@ from warp_psdr.kernels.structs import Medium, Scene
 from warp_psdr.kernels.texture.volume import trilinear_slope
 from warp_psdr.kernels.vertex import PathConfig
 from warp_psdr.kernels.visibility import visibility_of
-
-#: Least length of a span that is divided by, relative to its distance.
-SHORT_SPAN = 1.0e-6
-
-
-@wp.func
-def span_length(span: Span) -> wp.float32:
-    return wp.max(span.far - span.near, SHORT_SPAN * wp.max(span.near, 1.0e-20))
 
 
 @functools.cache

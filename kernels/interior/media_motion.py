@@ -18,14 +18,14 @@ from warp_psdr.kernels.constants import FAR, LOBE_NONE, LOBE_NULL, LOBE_SMOOTH
 from warp_psdr.kernels.interaction import enter_frame, make_interaction
 from warp_psdr.kernels.interior.factors import make_light_sink
 from warp_psdr.kernels.interior.gradient_request import GradientRequest
-from warp_psdr.kernels.interior.grid_motion import make_grid_flight_sink, make_grid_shadow_sink, span_length
+from warp_psdr.kernels.interior.grid_motion import make_grid_flight_sink, make_grid_shadow_sink
 from warp_psdr.kernels.interior.media_sweep import number_of
 from warp_psdr.kernels.interior.pullback import connection_vjp
 from warp_psdr.kernels.interior.shadow_motion import make_light_end, make_shadow_sink
 from warp_psdr.kernels.interior.sweep import Carry, make_sweep
 from warp_psdr.kernels.medium.coefficients import POSE, coefficients_of
 from warp_psdr.kernels.medium.grid_adjoint import SALT_POINTS
-from warp_psdr.kernels.medium.grid_span import Span, span_of
+from warp_psdr.kernels.medium.grid_span import Span, span_length, span_of
 from warp_psdr.kernels.medium.interface import make_crossing_sink, make_interface
 from warp_psdr.kernels.medium.volume import GRID
 from warp_psdr.kernels.path_media import MediaVertex, collision_point

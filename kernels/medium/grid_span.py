@@ -28,6 +28,8 @@ from warp_psdr.kernels.texture.volume import trilinear_slope
 
 #: How near to a plane of the box an interface stands in for it, relative to the ray's way through the box.
 TIE = 1.0e-4
+#: Least length of a span that is divided by, relative to its distance.
+SHORT_SPAN = 1.0e-6
 
 
 @wp.struct
@@ -89,6 +91,11 @@ def span_of(scene: Scene, g: Texture, y: wp.vec3, d: wp.vec3, near: wp.float32, 
         r.far = leaves
         r.far_axis = leaves_axis
     return r
+
+
+@wp.func
+def span_length(span: Span) -> wp.float32:
+    return wp.max(span.far - span.near, SHORT_SPAN * wp.max(span.near, 1.0e-20))
 
 
 @functools.cache

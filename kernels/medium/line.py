@@ -1,6 +1,7 @@
-"""What a straight line through homogeneous media meets: interfaces that are not there change the medium and no more.
+"""What a straight line through media meets: interfaces that are not there change the medium and no more.
 
-Shared by the estimators of the boundary term, which look along lines whose ends are known.
+Shared by the estimators of the boundary term, which look along lines whose ends are known. The transmittance of grids
+is an estimate, by ratio tracking.
 
 Derivation: ``docs/theory/media.md#boundaries-in-media``.
 """
@@ -13,9 +14,17 @@ from warp_psdr.kernels.interaction import make_interaction
 from warp_psdr.kernels.medium.coefficients import coefficients_of, exp_minus
 from warp_psdr.kernels.medium.interface import make_interface
 from warp_psdr.kernels.medium.passage import MOST_INTERFACES, is_lost, medium_towards
+from warp_psdr.kernels.medium.tracking import make_tracking
+from warp_psdr.kernels.medium.volume import GRID
+from warp_psdr.kernels.rng import Sampler, salted
 from warp_psdr.kernels.structs import Scene
 from warp_psdr.kernels.vertex import PathConfig
 from warp_psdr.kernels.visibility import visibility_of
+
+#: Salt of the numbers that estimate the transmittance of lines.
+SALT_LINE = wp.constant(wp.uint32(0x1B56C4E9))
+#: Lines of a sample: that to a light, that from the near plane, and those from there to the vertices of a walk.
+AHEAD, BEFORE, SIGHT = wp.constant(0), wp.constant(1), wp.constant(2)
 
 
 @wp.struct
@@ -39,15 +48,28 @@ class ClearLine:
 def make_line(config: PathConfig):
     """Return ``(line, medium_at)``; directions are unit.
 
-    ``line(scene, o, d, t_max, medium, depth) -> ClearLine`` from o, in a medium, on; ``depth``: path vertices in front.
+    ``line(scene, sampler, number, o, d, t_max, medium, depth) -> ClearLine`` from o, in a medium, on; ``depth``: path
+    vertices in front; ``number``: that of the line in its sample, -1: the transmittance of grids is not asked for.
     ``medium_at(scene, o, x, medium) -> int32``: the medium at x, from that at o, through all that lies between.
     """
     visibility = visibility_of(config)
     interaction = make_interaction(config)
     is_interface, _behind = make_interface(config)
+    assert config.media is not None
+    grids = config.media.grids
+    _tracked_flight, tracked_transmittance = make_tracking(config.media, False)
 
     @wp.func
-    def line(scene: Scene, o: wp.vec3, d: wp.vec3, t_max: wp.float32, medium: wp.int32, depth: wp.int32) -> ClearLine:
+    def line(
+        scene: Scene,
+        sampler: Sampler,
+        number: wp.int32,
+        o: wp.vec3,
+        d: wp.vec3,
+        t_max: wp.float32,
+        medium: wp.int32,
+        depth: wp.int32,
+    ) -> ClearLine:
         r = ClearLine()
         r.face = -1
         r.near_face = -1
@@ -59,7 +81,16 @@ def make_line(config: PathConfig):
             before = wp.dot(start - o, d)
             hit = visibility.seen(scene, start, d, t_max - before, depth)
             length = wp.where(hit.face >= 0, hit.t, t_max - before)
-            if r.medium >= 0:
+            in_grid = wp.bool(False)
+            if wp.static(grids):
+                if r.medium >= 0:
+                    m = scene.media.records[r.medium]
+                    in_grid = m.sigma_t_channels == GRID
+                    if in_grid and number >= 0:
+                        stream = salted(sampler, SALT_LINE, number)
+                        passed = tracked_transmittance(scene, m, start, d, length, stream, crossings)
+                        r.transmittance = wp.cw_mul(r.transmittance, passed)
+            if r.medium >= 0 and not in_grid:
                 sigma = coefficients_of(scene, scene.media.records[r.medium]).sigma_t
                 r.transmittance = wp.cw_mul(r.transmittance, exp_minus(sigma, length))
             r.t = before + length

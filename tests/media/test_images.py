@@ -68,7 +68,35 @@ def test_the_plan_names_media_and_others_have_none():
     assert psdr.plan(psdr.load_dict(psdr.cornell_box())).config.media is None
 
 
-def test_paths_through_media_are_not_traced():
-    scene = psdr.load_dict(scenes.milk())
-    with pytest.raises(ValueError, match="no paths through participating media"):
-        psdr.trace_sample(scene, pixel=(3, 3), sample=0)
+@pytest.mark.parametrize("name", ["milk", pytest.param("smoke", marks=pytest.mark.slow)])
+def test_paths_through_media_are_traced(name):
+    """Their sum is the pixel, and what scatters in the medium is among their vertices."""
+    scene = psdr.load_dict(getattr(scenes, name)())
+    image = psdr.render(scene, spp=8, seed=3).numpy()
+    x, y = 12, 11
+    traces = [psdr.trace_sample(scene, pixel=(x, y), sample=i, seed=3) for i in range(8)]
+    np.testing.assert_allclose(sum(trace.radiance for trace in traces) / 8, image[y, x], rtol=1e-4)
+    scattered = [v for trace in traces for v in trace.vertices if v.collides]
+    assert scattered and {v.medium for v in scattered} == {"cube.interior_medium"}
+    assert all(np.abs(v.position).max() < 1.5 for v in scattered)
+    assert "in cube.interior_medium: position" in "".join(map(str, traces))
+    with pytest.raises(ValueError, match="takes the params of the gradient"):
+        psdr.trace_sample(scene, pixel=(x, y), sample=0, kind="interior")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["cube.interior_medium.scale", "floor.to_world"])
+def test_the_path_of_a_gradient_is_that_of_what_is_requested(name):
+    """Some flights are made to collide: forward mode drops what the trace shows to be broken."""
+    scene = psdr.load_dict(scenes.smoke())
+    params = psdr.traverse(scene)
+    params.requires_grad_only(name)
+    integrator = psdr.PathIntegrator(max_depth=3, boundary=None)
+    how = {"integrator": integrator, "kind": "interior", "params": params, "pixel": (12, 11)}
+    forced = [psdr.trace_sample(scene, sample=i, **how) for i in range(64)]
+    params.requires_grad_only("floor.bsdf.reflectance.value")
+    free = [psdr.trace_sample(scene, sample=i, **how) for i in range(64)]
+    count = [
+        sum(trace.vertices[min(1, len(trace.vertices) - 1)].collides for trace in traces) for traces in (forced, free)
+    ]
+    assert count[0] > count[1] > 0

@@ -195,9 +195,6 @@ def _beyond(scene: Scene, config: PathConfig, integrator: PathIntegrator, names:
     method = integrator.boundary
     if isinstance(method, Method) and (type(method) is not PathSpace or method.guiding is not None):
         return f"boundary.{type(method).__name__}() does not know media, nor does guiding; use boundary.PathSpace()"
-    assert config.media is not None
-    if config.media.grids:
-        return "it is not estimated beside 'heterogeneous' media; make them 'homogeneous'"
     if config.camera in c.METERS or config.camera == c.CAMERA_ORTHOGRAPHIC:
         return "it is not estimated before parallel rays and sensors of one pixel; use a perspective camera"
     if config.hidden:

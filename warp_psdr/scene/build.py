@@ -121,6 +121,7 @@ class Builder:
             self.layout, self.textures, self.texture_ranges, self.volume_poses, description.origin
         )
         self.media = self._media.records  #: structs.Medium
+        self.medium_names = self._media.names
         self.super_grids = self._media.super_grids
         self.media_followers = self._media.followers
         #: Of each shape: medium outside and inside, ``medium.structs.Media.sides``; empty where there are no media.

@@ -43,6 +43,7 @@ class MediaRecords:
 
     Attributes:
         records: ``structs.Medium``, by number.
+        names: Of them.
         super_grids: Of the extinction of heterogeneous media.
         followers: What follows edits of values: those, and the integrals of tables of phase functions.
     """
@@ -56,6 +57,7 @@ class MediaRecords:
         origin: np.ndarray,
     ):
         self.records: list = []
+        self.names: list[str] = []
         self.super_grids: list[SuperGrid] = []
         self.followers: list[Follower] = []
         self._layout = layout
@@ -73,6 +75,7 @@ class MediaRecords:
         if id(m) not in self._numbers:
             self._numbers[id(m)] = len(self.records)
             self.records.append(self._record(m))
+            self.names.append(m.path)
         return self._numbers[id(m)]
 
     @property

@@ -1,4 +1,4 @@
-"""Secondary boundary in homogeneous media: discontinuities between two path vertices [ZYZ21], in the local form.
+"""Secondary boundary in media: discontinuities between two path vertices [ZYZ21], in the local form.
 
 As ``secondary.py``. x_1 is drawn along the ray from the edge point, a surface or a volume vertex, whose W_1 has the
 measure dt_1 more, and importance is carried on from there (``media_walk.py``). L_full is the radiance at x_1 of all of
@@ -27,10 +27,11 @@ from warp_psdr.kernels.emitter.dispatch import make_lights
 from warp_psdr.kernels.invalid import count_invalid, vanishes
 from warp_psdr.kernels.jobs import SampleJob
 from warp_psdr.kernels.medium.coefficients import coefficients_of, exp_minus
-from warp_psdr.kernels.medium.line import ClearLine, make_line
+from warp_psdr.kernels.medium.line import AHEAD, SIGHT, ClearLine, make_line
+from warp_psdr.kernels.medium.volume import GRID
 from warp_psdr.kernels.path_media import GRAZING
 from warp_psdr.kernels.primitive.dispatch import make_adjoint_sink
-from warp_psdr.kernels.rng import branch_of, make_sampler, sampler_at
+from warp_psdr.kernels.rng import Sampler, branch_of, make_sampler, sampler_at
 from warp_psdr.kernels.sensor.camera import make_camera_sink, make_lens
 from warp_psdr.kernels.sensor.projection import make_splat
 from warp_psdr.kernels.step import leaving_step
@@ -41,12 +42,14 @@ from warp_psdr.kernels.vertex import PathConfig
 
 @functools.cache
 def make_media_segment(config: PathConfig, deep: bool):
-    """Return ``segment(scene, camera, edges, moving, point, direction, eye) -> (Segment, ClearLine)`` but for its x_1.
+    """Return ``segment(scene, camera, edges, moving, sampler, point, direction, eye)``.
 
-    The line is that from the edge towards the source, its medium that at the edge. ``t1`` of the result is how far
-    beyond the edge the ray to x_1 starts, ``known`` is not 0 if what the segment joins moves.
+    The results are a Segment but for its x_1, and the line from the edge towards the source, whose medium is that at
+    the edge. ``t1`` of the Segment is how far beyond the edge the ray to x_1 starts, ``known`` is not 0 if what the
+    segment joins moves.
     """
     line, medium_at = make_line(config)
+    grids = config.media is not None and config.media.grids
     emitted = make_area(config.area).emitted if config.area else None
     lights = make_lights(config.lights, None, ()) if config.lights else None
     environment_eval = lights.environment_eval if lights else None
@@ -57,6 +60,7 @@ def make_media_segment(config: PathConfig, deep: bool):
         camera: Camera,
         edges: Edges,
         moving: wp.array(dtype=wp.int32),
+        sampler: Sampler,
         point: EdgePoint,
         direction: Direction,
         eye: wp.vec3,
@@ -90,7 +94,7 @@ def make_media_segment(config: PathConfig, deep: bool):
             shift = wp.dot(plane, point.x - r.x) / wp.dot(plane, r.w)
             margin = (r.step + leaving_step(scene, direction.face)) / wp.abs(wp.dot(plane, r.w))
             reach = wp.max(direction.distance + shift - margin, 0.0) + behind
-        ahead = line(scene, r.source, r.w, reach, medium, 1)
+        ahead = line(scene, sampler, AHEAD, r.source, r.w, reach, medium, 1)
         if ahead.lost:
             return r, ahead
         if direction.light >= 0 or direction.aimed == 1:
@@ -122,8 +126,12 @@ def make_media_segment(config: PathConfig, deep: bool):
                 if wp.static(environment_eval is not None):
                     r.radiance = environment_eval(scene, r.w)
         ahead.medium = medium  # that at the edge
-        if medium >= 0:
-            # From r.source to where the ray to x_1 starts both have the transmittance.
+        in_grid = wp.bool(False)
+        if wp.static(grids):
+            if medium >= 0:
+                in_grid = scene.media.records[medium].sigma_t_channels == GRID
+        if medium >= 0 and not in_grid:
+            # From r.source to where the ray to x_1 starts both have the transmittance, 1 in grids but for rounding.
             twice = exp_minus(coefficients_of(scene, scene.media.records[medium]).sigma_t, -(r.t1 + behind))
             ahead.transmittance = wp.cw_mul(ahead.transmittance, twice)
         r.radiance = wp.cw_mul(ahead.transmittance, r.radiance)
@@ -135,14 +143,16 @@ def make_media_segment(config: PathConfig, deep: bool):
 
 
 @functools.cache
-def make_media_secondary_kernel(config: PathConfig, role: str, camera_moves: bool, light_pose: bool, deep: bool):
+def make_media_secondary_kernel(
+    config: PathConfig, role: str, camera_moves: bool, light_pose: bool, deep: bool, grids_move: bool = False
+):
     """Return the kernel: one thread a sample (arguments as in ``secondary.py``, "reverse" or "forward").
 
-    ``deep``: paths may have more than two vertices behind the camera.
+    ``deep``: paths may have more than two vertices behind the camera. ``grids_move``: grids of media have derivatives.
     """
     segment_at = make_media_segment(config, deep)
     first_vertex, sight_of, extend = make_media_walk(config)
-    ride, ride_sight = make_ride(config, role)
+    ride, ride_sight = make_ride(config, role, grids_move)
     media_incident = make_media_incident(config) if deep else None
     accumulate_segment = make_segment_sink(role, light_pose)
     accumulate_vertex = make_adjoint_sink(role, False, False, False, False, False, True, config.primitives)
@@ -214,7 +224,7 @@ def make_media_secondary_kernel(config: PathConfig, role: str, camera_moves: boo
         eye = wp.vec3(
             scene.values[camera.to_world + 3], scene.values[camera.to_world + 7], scene.values[camera.to_world + 11]
         )
-        s, ahead = segment_at(scene, camera, edges, moving, point, aim.direction, eye)
+        s, ahead = segment_at(scene, camera, edges, moving, sampler, point, aim.direction, eye)
         if s.valid == 0:
             return
         pdf = density(scene, edges, guide, wedge_at(scene, edges, point), aim, s.face2, s.u2, s.v2, s.t2)
@@ -252,7 +262,7 @@ def make_media_secondary_kernel(config: PathConfig, role: str, camera_moves: boo
             g = (s.tau - 1.0) * s.boundary_normal
             k = wp.int32(1)
             while walk.alive == 1:
-                seen = sight_of(scene, camera, walk, lens)
+                seen = sight_of(scene, camera, sampler, SIGHT + k, walk, lens)
                 counts = not vanishes(seen.weight)
                 if k == 1 and s.light >= 0:
                     counts = counts and not pass_together(seen.at.origin - walk.x, s.w, s.t1, s.step)

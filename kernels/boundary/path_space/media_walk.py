@@ -1,4 +1,4 @@
-"""The walk from a boundary segment's x_1 towards the camera in homogeneous media, and what its vertices ride on.
+"""The walk from a boundary segment's x_1 towards the camera in media, and what its vertices ride on.
 
 As ``detector.py``, whose vertices are surface points. A volume vertex has sigma_s f_p for f_s and no cosine; it keeps
 its fraction of the ray from the vertex that is next towards the camera, or of the camera's.
@@ -12,32 +12,30 @@ import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.boundary.detector import MIN_COSINE, make_turn
+from warp_psdr.kernels.boundary.path_space.walk_flight import Flown, make_flown, make_flown_in_grid
 from warp_psdr.kernels.bvh.wide import RayHit
 from warp_psdr.kernels.constants import FAR
 from warp_psdr.kernels.interaction import enter_frame, make_interaction
 from warp_psdr.kernels.invalid import vanishes
-from warp_psdr.kernels.medium.coefficients import coefficients_of, exp_minus
-from warp_psdr.kernels.medium.flight import forced_density, forced_distance, mean_of
+from warp_psdr.kernels.medium.coefficients import Coefficients, coefficients_of, exp_minus
+from warp_psdr.kernels.medium.grid_span import SpanAdjoint, make_grid_span, span_length, span_of
 from warp_psdr.kernels.medium.interface import make_crossing_sink, make_interface
 from warp_psdr.kernels.medium.line import ClearLine, make_line
 from warp_psdr.kernels.medium.passage import MOST_INTERFACES, is_lost, medium_towards
+from warp_psdr.kernels.medium.volume import GRID
 from warp_psdr.kernels.path_media import GRAZING
 from warp_psdr.kernels.phase.dispatch import make_phase
 from warp_psdr.kernels.primitive.dispatch import make_position
+from warp_psdr.kernels.reading import texture_record
 from warp_psdr.kernels.rng import Sampler, make_sampler
 from warp_psdr.kernels.scattering import ROULETTE_MAX
 from warp_psdr.kernels.sensor.projection import FilmPoint, make_projection
 from warp_psdr.kernels.step import leaving_step, step_beside
-from warp_psdr.kernels.structs import Camera, Medium, Scene
+from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.surface import RayAdjoint, VertexAdjoint, make_vertex_sink, normalize_vjp
 from warp_psdr.kernels.vertex import PathConfig
 from warp_psdr.kernels.visibility import visibility_of
 
-#: Least probability with which x_1 is beyond a stretch of a medium: fog in front of an edge that hides it is lit, too.
-PASSES = 1.0 / 3.0
-#: Least width of the density of distances that the camera is near to: over the distance of the stretch from where it is
-#: nearest, and over the extent of the scene. Length of a stretch over that width below which the density is even.
-FLAT, SHARPEST, SHORT = 0.25, 1.0e-4, 0.01
 #: Sample slots of a vertex of the walk: its scattering, and the flights to it.
 SLOT_WALK, SLOTS_PER_VERTEX = 4, MOST_INTERFACES + 2
 
@@ -73,104 +71,12 @@ class Sight:
     line: ClearLine  # up to the vertex, from the near plane on
 
 
-@wp.struct
-class Flown:
-    """Where a flight ends: on its stretch of a medium, or beyond."""
-
-    collides: wp.bool
-    t: wp.float32
-    inv_p: wp.float32  # 1 / p, or 1 / P
-
-
-@wp.struct
-class Bell:
-    """A density of distances on a stretch, 1 / (h^2 + (t - t0)^2): that at which the camera sees them."""
-
-    t0: wp.float32
-    h: wp.float32
-    start: wp.float32  # angles of its two ends
-    width: wp.float32
-    even: wp.bool  # instead: the stretch is short
-
-
-@wp.func
-def bell_on(way: wp.vec3, d: wp.vec3, length: wp.float32, extent: wp.float32) -> Bell:
-    """``way``: from the start of the stretch to the camera."""
-    r = Bell()
-    r.t0 = wp.dot(way, d)
-    outside = wp.max(wp.max(-r.t0, r.t0 - length), 0.0)
-    r.h = wp.max(wp.max(wp.length(way - r.t0 * d), FLAT * outside), SHARPEST * extent)
-    r.even = length < SHORT * r.h
-    r.start = wp.atan2(-r.t0, r.h)
-    r.width = wp.atan2(length - r.t0, r.h) - r.start
-    return r
-
-
-@wp.func
-def bell_distance(b: Bell, length: wp.float32, u: wp.float32) -> wp.float32:
-    if b.even:
-        return u * length
-    return wp.clamp(b.t0 + b.h * wp.tan(b.start + u * b.width), 0.0, length)
-
-
-@wp.func
-def bell_density(b: Bell, length: wp.float32, t: wp.float32) -> wp.float32:
-    if b.even:
-        return 1.0 / length
-    return b.h / (b.width * (b.h * b.h + (t - b.t0) * (t - b.t0)))
-
-
-@functools.cache
-def make_flown(config: PathConfig):
-    """Return ``flown(scene, m, way, d, length, open, u) -> Flown``; ``way``: from the start to the camera."""
-    chromatic = config.media is not None and config.media.chromatic
-
-    @wp.func
-    def density(sigma: wp.float32, t: wp.float32, length: wp.float32, open: wp.bool) -> wp.float32:
-        if open:
-            return sigma * wp.exp(-sigma * t)
-        return forced_density(sigma, t, length, 0.0, False)
-
-    @wp.func
-    def flown(
-        scene: Scene, m: Medium, way: wp.vec3, d: wp.vec3, length: wp.float32, open: wp.bool, u: wp.vec4
-    ) -> Flown:
-        c = coefficients_of(scene, m)
-        r = Flown()
-        r.t = length
-        passing = wp.float32(0.0)
-        if not open or wp.max(c.sigma_t) <= 0.0:
-            passing = wp.max(mean_of(exp_minus(c.sigma_t, length)), PASSES)
-        if u[0] < passing:
-            r.inv_p = 1.0 / passing
-            return r
-        r.collides = True
-        rate = c.sigma_t[wp.min(wp.int32(3.0 * u[3]), 2)]
-        bell = bell_on(way, d, length, scene.media.extent)
-        if u[1] < 0.5:
-            r.t = bell_distance(bell, length, u[2])
-        elif open:
-            r.t = wp.min(-wp.log(wp.max(1.0 - u[2], 1.0e-30)) / wp.max(rate, 1.0e-30), length)
-        else:
-            r.t = forced_distance(rate, length, 0.0, False, u[2])
-        p = density(c.sigma_t[0], r.t, length, open)
-        if wp.static(chromatic):
-            p += density(c.sigma_t[1], r.t, length, open)
-            p += density(c.sigma_t[2], r.t, length, open)
-            p *= 1.0 / 3.0
-        p = 0.5 * p + 0.5 * bell_density(bell, length, r.t)
-        r.inv_p = 1.0 / ((1.0 - passing) * p)
-        return r
-
-    return flown
-
-
 @functools.cache
 def make_media_walk(config: PathConfig):
     """Return ``(first_vertex, sight, extend)``.
 
     ``first_vertex(scene, sampler, o, d, eye, medium) -> MediaWalk``: x_1, drawn along a ray from an edge.
-    ``sight(scene, camera, walk, lens) -> Sight``.
+    ``sight(scene, camera, sampler, number, walk, lens) -> Sight``, ``number`` as of ``make_line``.
     ``extend(scene, sampler, walk, eye, k, roulette) -> MediaWalk``: the vertex behind the k-th.
     ``eye``: the camera's position, which flights turn to.
     """
@@ -180,6 +86,8 @@ def make_media_walk(config: PathConfig):
     is_interface, _behind = make_interface(config)
     line, _medium_at = make_line(config)
     flown = make_flown(config)
+    grids = config.media.grids
+    flown_in_grid = make_flown_in_grid(config) if grids else None
     phase = make_phase(config.media.phases)
     sample_4d = make_sampler(config.sampler).sample_4d
     project = make_projection(config.camera)[0]
@@ -218,12 +126,26 @@ def make_media_walk(config: PathConfig):
             length = wp.where(hit.face >= 0, hit.t, FAR)
             if r.medium >= 0:
                 m = scene.media.records[r.medium]
-                c = coefficients_of(scene, m)
+                c = Coefficients()
+                f = Flown()
+                passed = wp.vec3(1.0, 1.0, 1.0)
                 u4 = sample_4d(sampler, slot + crossings)
-                f = flown(scene, m, eye - start, d, length, hit.face < 0, u4)
-                t = wp.min(f.t, last_point(scene, hit, d))
+                in_grid = wp.bool(False)
+                if wp.static(grids):
+                    in_grid = m.sigma_t_channels == GRID
+                    if in_grid:
+                        last = wp.min(last_point(scene, hit, d), length)
+                        f, c, passed = flown_in_grid(
+                            scene, m, start, eye - start, d, last, u4, sampler, slot + crossings
+                        )
+                t = f.t
+                if not in_grid:
+                    c = coefficients_of(scene, m)
+                    f = flown(scene, m, eye - start, d, length, hit.face < 0, u4)
+                    t = wp.min(f.t, last_point(scene, hit, d))
+                    passed = exp_minus(c.sigma_t, t)
                 r.weight *= f.inv_p
-                r.transmittance = wp.cw_mul(r.transmittance, exp_minus(c.sigma_t, t))
+                r.transmittance = wp.cw_mul(r.transmittance, passed)
                 if f.collides:
                     r.weight = wp.cw_mul(r.weight, wp.cw_mul(c.albedo, c.sigma_t))
                     r.x = start + t * d
@@ -265,7 +187,9 @@ def make_media_walk(config: PathConfig):
         return found(scene, sampler, walk, o, d, eye, SLOT_WALK)
 
     @wp.func
-    def sight(scene: Scene, camera: Camera, walk: MediaWalk, lens: wp.vec2) -> Sight:
+    def sight(
+        scene: Scene, camera: Camera, sampler: Sampler, number: wp.int32, walk: MediaWalk, lens: wp.vec2
+    ) -> Sight:
         r = Sight()
         r.at = project(scene, camera, walk.x, lens)
         if r.at.valid == 0:
@@ -290,7 +214,8 @@ def make_media_walk(config: PathConfig):
         ray = end - r.at.origin
         length = wp.length(ray)
         ray = ray / length
-        r.line = line(scene, r.at.origin + r.at.near * ray, ray, length - r.at.near, camera.medium, 0)
+        start = r.at.origin + r.at.near * ray
+        r.line = line(scene, sampler, number, start, ray, length - r.at.near, camera.medium, 0)
         if r.line.face >= 0 or r.line.lost or (walk.collides and r.line.medium != walk.medium):
             return r
         r.weight = r.at.per_area * wp.cw_mul(r.line.transmittance, wp.cw_mul(value, walk.weight))
@@ -334,7 +259,7 @@ def make_media_walk(config: PathConfig):
 
 
 @functools.cache
-def make_ride(config: PathConfig, role: str):
+def make_ride(config: PathConfig, role: str, grids_move: bool):
     """Return ``(ride, ride_sight)``, which take the adjoint g of a volume vertex.
 
     ``ride(scene, target, walk, after, g) -> (vec3, float32)``: it keeps its fraction of the ray from the vertex
@@ -346,6 +271,39 @@ def make_ride(config: PathConfig, role: str):
     is_interface, behind = make_interface(config)
     visibility = visibility_of(config)
     position, _cross_of = make_position(config.primitives)
+    grids = config.media is not None and config.media.grids
+    _point, _depth, accumulate_ends = make_grid_span(role, grids_move) if grids else (None, None, None)
+
+    @wp.func
+    def along(
+        scene: Scene,
+        target: wp.array(dtype=wp.float32),
+        walk: MediaWalk,
+        d: wp.vec3,
+        t: wp.float32,
+        near: wp.float32,
+        far: wp.float32,
+        g: wp.vec3,
+    ) -> SpanAdjoint:
+        """A vertex at a fraction of a stretch of the ray along d, or, in a grid, of its span in the grid's box."""
+        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
+        r = SpanAdjoint()
+        r.o = g
+        r.d = t * g
+        r.near = wp.dot(d, g)
+        if wp.static(grids):
+            m = scene.media.records[walk.medium]
+            if m.sigma_t_channels == GRID:
+                grid = texture_record(scene, m.sigma_t)
+                o = walk.x - t * d
+                span = span_of(scene, grid, o, d, near, far)
+                r.far = wp.clamp((t - span.near) / span_length(span), 0.0, 1.0) * r.near
+                r.near -= r.far
+                return accumulate_ends(scene, target, grid, span, o, d, r)
+        if far < FAR:
+            r.far = (t - near) / wp.max(far - near, t - near) * r.near
+            r.near -= r.far
+        return r
 
     @wp.func
     def ride(
@@ -357,18 +315,19 @@ def make_ride(config: PathConfig, role: str):
         t = wp.dot(walk.x - y, d)
         hit = visibility.closest(scene, walk.x, d, FAR)
         z = behind(scene, hit, d, FAR, 1)
-        a_y = g
-        a_w = t * g
-        a_near = wp.dot(d, g)
-        a_far = wp.float32(0.0)
         near = wp.float32(0.0)
-        total = wp.float32(0.0)
         if after.near_face >= 0:
             near = t - after.near
+        far = wp.float32(FAR)
         if hit.face >= 0:
             far = t + hit.t
-            a_far = (t - near) / wp.max(far - near, t - near) * a_near
-            a_near -= a_far
+        rides = along(scene, target, walk, d, t, near, far, g)
+        a_y = rides.o
+        a_w = rides.d
+        a_near = rides.near
+        a_far = rides.far
+        total = rides.dot
+        if hit.face >= 0:
             if is_interface(scene, hit.face):
                 a = accumulate_crossing(scene, target, hit.face, hit.u, hit.v, d, far, a_far)
                 a_y += a.o
@@ -394,16 +353,18 @@ def make_ride(config: PathConfig, role: str):
     ) -> RayAdjoint:
         _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
         r = RayAdjoint()
-        r.o = g
-        r.d = s.t * g
         near = s.at.near + s.line.near
-        a_near = wp.dot(s.d, g)
         hit = visibility.closest(scene, walk.x, s.d, FAR)
+        far = wp.float32(FAR)
         if hit.face >= 0:
             far = s.t + hit.t
-            a_far = (s.t - near) / wp.max(far - near, s.t - near) * a_near
-            a_near -= a_far
-            a = accumulate_crossing(scene, target, hit.face, hit.u, hit.v, s.d, far, a_far)
+        rides = along(scene, target, walk, s.d, s.t, near, far, g)
+        r.o = rides.o
+        r.d = rides.d
+        r.dot = rides.dot
+        a_near = rides.near
+        if hit.face >= 0:
+            a = accumulate_crossing(scene, target, hit.face, hit.u, hit.v, s.d, far, rides.far)
             r.o += a.o
             r.d += a.d
             r.dot += a.dot

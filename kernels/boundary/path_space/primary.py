@@ -27,7 +27,7 @@ from warp_psdr.kernels.boundary.media_radiance import make_media_radiance
 from warp_psdr.kernels.constants import DELTA_LIGHTS
 from warp_psdr.kernels.interaction import make_interaction
 from warp_psdr.kernels.jobs import SampleJob
-from warp_psdr.kernels.medium.line import make_line
+from warp_psdr.kernels.medium.line import BEFORE, make_line
 from warp_psdr.kernels.primitive.affine import is_primitive, is_primitive_at, triangle_or_none
 from warp_psdr.kernels.primitive.dispatch import make_normal_at
 from warp_psdr.kernels.rng import sampler_at
@@ -218,7 +218,8 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
         t_max = at.far - distance + ahead
         if wp.static(among_media):
             # Up to where both rays start: beyond it the edge's transmittance is theirs.
-            before = line(scene, at.origin + at.near * d, d, distance - ahead - at.near, camera.medium, 0)
+            length = distance - ahead - at.near
+            before = line(scene, sampler, BEFORE, at.origin + at.near * d, d, length, camera.medium, 0)
         own = wp.bool(False)
         a = IncidentRadiance()
         b = IncidentRadiance()

@@ -1,4 +1,4 @@
-"""Shadow edges in homogeneous media, of paths of two vertices: surfaces, and points of the medium, lose a light."""
+"""Shadow edges in media: surfaces, and points of the medium, lose light."""
 
 from __future__ import annotations
 
@@ -20,7 +20,8 @@ def launch(r: Request) -> Term | None:
     edges = secondary_edges_there(r.scene, set(r.moves.shapes))
     if edges is None:
         return None
-    kernel = make_media_secondary_kernel(r.config, r.role, r.moves.camera, r.moves.light_pose, r.plan.max_depth != 2)
+    deep = r.plan.max_depth != 2
+    kernel = make_media_secondary_kernel(r.config, r.role, r.moves.camera, r.moves.light_pose, deep, r.moves.grids)
     guide = Guide()
     guide.share = OWN_SHARE if r.scene.builder.environment >= 0 else OWN_SHARE_DIRECT
     samples = r.pixels * (r.method.spp_secondary or r.spp)
