@@ -153,6 +153,8 @@ FACTORIES = {
     "primitive.redistance.make_mesh_distance_kernel": [("", (), FAST)],
     "loss.make_terms": [("relative", (relative_squared,), FAST)],
     "loss.make_sums": [("", (), FAST)],
+    "loss.make_grid_terms": [("", (), SLOW)],
+    "loss.make_total": [("", (), SLOW)],
     "aov.make_aov_kernel": [("textures", (TEXTURED,), FAST), ("materials", (MATERIALS,), SLOW)],
     "trace.make_trace_kernel": [
         ("image", (SIMPLE, False, c.RFILTER_BOX), FAST),
