@@ -1,8 +1,9 @@
 """Draws one derivative by every method, with its error and the seconds that it took.
 
 How rough a ball of gold is, and how its normals tilt, by all methods of the interior term; where it stands, by all of
-the boundary term. All methods of a picture get about the same time. The error is that of the image, root mean square
-over its pixels, relative to a reference by the first method with other random numbers.
+the boundary term. All methods of a picture get about the same processor time. The error is that of the image, root mean
+square over its pixels, relative to a reference by the first method with other random numbers. Of the roughness there is
+one more picture, the derivative along a line through the highlight, with the spread of single images as error bars.
 """
 
 from __future__ import annotations
@@ -26,6 +27,8 @@ TARGETS = {
 CHOICES = {"interior": ('interior.Attached(weights="attached")',), "normals": (), "boundary": ()}
 #: The parameters move along a direction t: values are per unit of t.
 UNIT = "d radiance / dt [W/m²/sr]"
+#: Images of a method of the interior term, whose spread the error bars are, and their share of a picture's time.
+RUNS, SHARE = 16, 1.0 / 16.0
 #: Samples of the first, timed pass, and how much longer the reference takes than a method.
 PILOT, REFERENCE = 4, 24
 
@@ -92,14 +95,15 @@ class Derivative:
     def samples_in(self, seconds: float) -> int:
         """Return how many samples a pixel take about that long; what has to be compiled is."""
         self.image(1, 0)
-        start = time.perf_counter()
+        start = time.process_time()
         self.image(PILOT, 0)
-        return max(1, round(PILOT * seconds / (time.perf_counter() - start)))
+        return max(1, round(PILOT * seconds / (time.process_time() - start)))
 
 
 def draw(folder: Path, scene, name: str, depth: int, seconds: float) -> list[dict]:
     """Draw all methods of a picture, and return the table's rows."""
     rows, pictures, reference = [], {}, None
+    images: dict[str, list[np.ndarray]] = {}
     for label, integrator in methods(name, depth).items():
         derivative = Derivative(scene, name, integrator)
         try:
@@ -109,11 +113,14 @@ def draw(folder: Path, scene, name: str, depth: int, seconds: float) -> list[dic
             continue
         if reference is None:
             reference = derivative.image(REFERENCE * spp, seed=1)
-        start = time.perf_counter()
+        start = time.process_time()
         found = derivative.image(spp, seed=2)
-        took = time.perf_counter() - start
+        took = time.process_time() - start
         error = float(np.sqrt(((found - reference) ** 2).sum() / (reference**2).sum()))
         rows.append({"method": label, "samples": spp, "seconds": took, "error": error})
+        if name == "interior":
+            few = max(1, round(SHARE * spp))
+            images[label] = [derivative.image(few, seed=3 + run) for run in range(RUNS)]
         pictures[f"{label}\n{spp} samples, {took:.2g} s, error {100 * error:.0f} %"] = found
     picture = folder / f"zoo_{name}.png"
     image = psdr.render(scene, integrator=psdr.PathIntegrator(max_depth=depth), spp=64)
@@ -124,11 +131,47 @@ def draw(folder: Path, scene, name: str, depth: int, seconds: float) -> list[dic
         differences={f"reference, {REFERENCE} times as long": reference, **pictures},
         percentile=99.0,
         columns=4,
-        title=f"{TARGETS[name][2]}: every method of the {TARGETS[name][0]} term, about {seconds:g} s each",
+        title=f"{TARGETS[name][2]}: every method of the {TARGETS[name][0]} term, about {seconds:g} s of processor each",
         quantity=UNIT,
     )
     print(f"wrote {picture}")
+    if images:
+        draw_highlight(folder / "zoo_highlight.png", reference, images, SHARE * seconds)
     return rows
+
+
+def draw_highlight(picture: Path, reference: np.ndarray, images: dict[str, list[np.ndarray]], seconds: float) -> None:
+    """Draw the derivative along the row of pixels where it is largest: means, and the spread of single images."""
+    from matplotlib.figure import Figure
+
+    row = int(np.abs(reference.mean(axis=-1)).sum(axis=1).argmax())
+    line = reference[row].mean(axis=-1)
+    (seen,) = np.nonzero(np.abs(line) > 0.02 * np.abs(line).max())
+    shown = slice(max(int(seen[0]) - 3, 0), int(seen[-1]) + 4)
+    x = np.arange(len(line))[shown]
+    columns = 3
+    rows = -(-len(images) // columns)
+    figure = Figure(figsize=(4.2 * columns, 2.6 * rows), layout="constrained")
+    panels = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
+    for panel, (label, found) in zip(panels.flat, images.items(), strict=False):
+        lines = np.array(found)[:, row, shown].mean(axis=-1)
+        spread = lines.std(axis=0, ddof=1)
+        panel.plot(x, line[shown], color="0.5", lw=1.0, label="reference")
+        panel.errorbar(x, lines.mean(axis=0), spread, fmt=".", ms=3.0, lw=0.8, color="tab:blue", label="± one image")
+        panel.set_title(
+            f"{label}\nmean spread {np.sqrt((spread**2).mean()) / np.abs(line).max():.3f} of the largest", fontsize=8
+        )
+        panel.axhline(0.0, color="0.8", lw=0.5, zorder=0)
+    for panel in panels.flat[len(images) :]:
+        panel.set_visible(False)
+    room = 0.4 * np.ptp(line)
+    panels[0, 0].set_ylim(line.min() - room, line.max() + room)
+    panels[0, 0].legend(fontsize=7)
+    figure.supxlabel(f"pixel of row {row}, through the highlight")
+    figure.supylabel(UNIT)
+    figure.suptitle(f"The derivative of a highlight by its roughness, about {seconds:.2g} processor seconds an image")
+    figure.savefig(picture, dpi=110)
+    print(f"wrote {picture}")
 
 
 def main(

@@ -185,6 +185,15 @@ def test_a_point_light_behind_glass_is_what_a_quadrature_says():
     np.testing.assert_array_equal(psdr.render(scene, integrator=path, spp=16).numpy(), 0.0)
 
 
+def test_the_plan_says_what_no_path_from_the_camera_finds():
+    scene = psdr.load_dict(under_water())
+    said = [line for line in psdr.plan(scene, integrator=psdr.PathIntegrator(max_depth=3)).lines if "left out" in line]
+    assert len(said) == 1 and "interior.LightTracing()" in said[0][2]
+    for other, method in ((scene, LIGHT_TRACING), (psdr.load_dict(ROOMS["area"]()), "auto")):
+        lines = psdr.plan(other, integrator=psdr.PathIntegrator(interior=method)).lines
+        assert not [line for line in lines if "left out" in line]
+
+
 def test_what_it_does_not_draw_is_refused_by_name():
     film = {"type": "hdrfilm", "width": 1, "height": 1, "rfilter": {"type": "box"}}
     meter = {"type": "radiancemeter", "origin": [0.0, -4.0, 1.5], "direction": [0.0, 1.0, 0.0], "film": film}

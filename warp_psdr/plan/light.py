@@ -5,8 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from warp_psdr.kernels.bsdf.dispatch import has_delta_lobes
-from warp_psdr.kernels.constants import DELTA_LIGHTS, EMITTER_CONSTANT, EMITTER_ENVMAP, METERS
+from warp_psdr.kernels.bsdf.dispatch import has_delta_lobes, models_of
+from warp_psdr.kernels.constants import (
+    DELTA_LIGHTS,
+    EMITTER_CONSTANT,
+    EMITTER_ENVMAP,
+    LOBE_DELTA_TRANSMISSION,
+    METERS,
+)
 from warp_psdr.kernels.scattering import samples_lights
 from warp_psdr.options import interior
 
@@ -109,6 +115,19 @@ def refused_with_light_paths(name: str, config: PathConfig, wanted: GradientRequ
             "interior.Replay()"
         )
     return ""
+
+
+def left_out(config: PathConfig) -> list[tuple[str, str, str]]:
+    """Return the plan's line of light that no path from the camera finds, if there is any.
+
+    Lights of no area shine through glass and by mirrors, and next-event estimation never meets these. Derivatives are
+    those of the image, so that no method of theirs finds it where the image does not.
+    """
+    turns = any(model.mirrors or LOBE_DELTA_TRANSMISSION in model.lobes for model in models_of(config.bsdfs))
+    if not (turns and DELTA_LIGHTS & set(config.lights)):
+        return []
+    reason = "a light has no area: interior.LightTracing() or interior.Bidirectional() finds it, image and derivatives"
+    return [("light by mirrors and glass", "left out", reason)]
 
 
 def refuse_connected(plan: Plan, who: str) -> None:
