@@ -42,6 +42,7 @@ from tests.cuda_configs import (
     MIRRORS,
     MIRRORS_LENS,
     MIRRORS_PARALLEL,
+    NETWORKS,
     NOTED,
     NOTED_MATERIALS,
     ORTHOGRAPHIC,
@@ -138,6 +139,7 @@ THIRDS = {"materials": MATERIALS, "textures": TEXTURED, "lights": ALL_LIGHTS, "o
 FAST, SLOW = (), (pytest.mark.slow,)
 SHADED = [(str(shading), (DISTANCES, "reverse", True, shading), SLOW) for shading in (False, True)]
 SMOOTH = ("cubic", (CUBIC, "reverse", True, False, True), SLOW)
+NEURAL = ("networks", (NETWORKS, "reverse", True, False, True, True), SLOW)
 
 
 def unlit(config):
@@ -164,6 +166,7 @@ FACTORIES = {
         ("simple", (SIMPLE,), FAST),
         ("grids of distances", (DISTANCES,), SLOW),
         ("cubic grids", (CUBIC,), SLOW),
+        ("networks", (NETWORKS,), SLOW),
         ("exact lights", (EXACT,), SLOW),
         ("curves", (CURVES,), SLOW),
         ("emission", (EMISSION,), SLOW),
@@ -219,6 +222,7 @@ FACTORIES = {
         ("through", (THROUGH, still(THROUGH), 4, 1), SLOW),
         ("grids of distances", (DISTANCES, GEOMETRY, 4, 1), SLOW),
         ("cubic grids", (CUBIC, GEOMETRY, 4, 1), SLOW),
+        ("networks", (NETWORKS, GEOMETRY, 4, 1), SLOW),
         ("exact lights", (EXACT, GEOMETRY, 4, 1), SLOW),
         ("curves", (CURVES, GEOMETRY, 4, 1), SLOW),
     ],
@@ -230,6 +234,7 @@ FACTORIES = {
         ("through", (THROUGH, still(THROUGH)), SLOW),
         ("grids of distances", (DISTANCES, GEOMETRY), SLOW),
         ("cubic grids", (CUBIC, GEOMETRY), SLOW),
+        ("networks", (NETWORKS, GEOMETRY), SLOW),
         ("curves", (CURVES, GEOMETRY), SLOW),
     ],
     "interior.media_replay.make_media_replay_kernel": [
@@ -324,11 +329,12 @@ FACTORIES = {
         ("samples, simple", (SIMPLE, "samples", False), SLOW),
         ("noted, simple", (NOTED, "reverse", False), SLOW),
     ],
-    "boundary.silhouette.grid_foreground.make_foreground_grid_kernel": [*SHADED, SMOOTH],
-    "boundary.silhouette.grid_primary.make_primary_grid_kernel": [*SHADED, SMOOTH],
+    "boundary.silhouette.grid_foreground.make_foreground_grid_kernel": [*SHADED, SMOOTH, NEURAL],
+    "boundary.silhouette.grid_primary.make_primary_grid_kernel": [*SHADED, SMOOTH, NEURAL],
     "boundary.silhouette.grid_secondary.make_secondary_grid_kernel": [
         *SHADED,
         ("cubic", (CUBIC, "reverse", True, True, False, True), SLOW),
+        ("networks", (NETWORKS, "reverse", True, True, False, True, True), SLOW),
     ],
     "boundary.silhouette.tube_foreground.make_foreground_tube_kernel": [("curves", (CURVES, "reverse", True), SLOW)],
     "boundary.silhouette.tube_primary.make_primary_tube_kernel": [("curves", (CURVES, "reverse", True), SLOW)],

@@ -131,10 +131,17 @@ def test_parameters_plan_and_updates() -> None:
 @pytest.mark.parametrize("name", ["body.layer1.weight", "body.to_world", "sensor.to_world"])
 def test_what_moves_beside_it(name: str) -> None:
     held = psdr.load_dict(described())
-    for form in ("auto", boundary.PathSpace()):
+    for form in (boundary.Projective(), boundary.EdgeSampling()):
         with pytest.raises(ValueError, match=r"'body' is a 'neuralsdf', and .*boundary=None.*'sdfgrid'"):
             psdr.plan(held, integrator=psdr.PathIntegrator(boundary=form), names=[name])
     psdr.plan(held, integrator=psdr.PathIntegrator(boundary=None), names=[name])
     for method in (interior.Textbook(), interior.Radiative(), interior.LightTracing()):
         with pytest.raises(ValueError, match=r"use interior.Replay\(\)"):
             psdr.plan(held, integrator=psdr.PathIntegrator(boundary=None, interior=method), names=[name])
+
+
+@pytest.mark.parametrize("form", [boundary.SignedDistance(), boundary.NeuralSignedDistance()])
+def test_rays_that_move_refuse_it(form: boundary.Method) -> None:
+    held = psdr.load_dict(described())
+    with pytest.raises(ValueError, match="a 'neuralsdf' has no signed distance here"):
+        psdr.plan(held, integrator=psdr.PathIntegrator(max_depth=2, boundary=form), names=["body.layer1.weight"])

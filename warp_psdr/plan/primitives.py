@@ -17,6 +17,7 @@ from warp_psdr.topology.crossing_curves import crossed_cubic, crossed_light, tou
 from warp_psdr.topology.crossing_pairs import touching_pair
 from warp_psdr.topology.grid_contacts import is_open, pierced_grid
 from warp_psdr.topology.grid_silhouettes import grid_shapes, grid_values
+from warp_psdr.topology.network_silhouettes import is_open_network, network_and_cells, network_shapes
 from warp_psdr.topology.tube_contacts import pierced_tubes
 
 if TYPE_CHECKING:
@@ -147,9 +148,6 @@ def _beside_resting(
         what = type(integrator.interior).__name__
         return f"interior.{what}() does not follow what slides along rays; use interior.Replay()"
     if moving and integrator.boundary is not None:
-        network = next((s for i in scene.builder.primitives if (s := scene.description.shapes[i]).network), None)
-        if network is not None:
-            return f"{moving[0]}, which has no boundary term beside it; {ALONE}"
         shapes = [scene.description.shapes[i] for i in scene.builder.primitives]
         light = next((s for s in shapes if s.kind in EXACT and s.emitter is not None), None)
         if light is not None:
@@ -218,6 +216,12 @@ def _beside_moving_kinds(scene: Scene, config: PathConfig, integrator: PathInteg
     reason = _of_exact(scene, integrator, names)
     if reason:
         return f"{reason}, or {ALONE}"
+    for i in network_shapes(scene):
+        if is_open_network(*network_and_cells(scene, i)):
+            opened = f"the surface of {shapes[i].path!r} may end at its box, along a curve that moves"
+            return f"{opened}; keep phi positive all around, or {ALONE}"
+        if scene.builder.curves:
+            return f"beside {shapes[i].path!r} curves have no boundary term; leave them out, or {ALONE}"
     moves = motion(scene, names)
     moved = None if moves.camera else moves.shapes
     for find, surface in ((pierced_grid, "surface"), (crossed_cubic, "surface"), (pierced_tubes, "tubes")):

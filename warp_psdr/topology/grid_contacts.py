@@ -1,15 +1,20 @@
-"""Grids of signed distances against the rest of a scene: what runs through them, cuts them, or opens them."""
+"""Grids and networks of signed distances against the rest of a scene: what runs through, cuts, or opens them."""
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from warp_psdr.scene.network_bounds import values_of
 from warp_psdr.scene.sdfgrid import CORNERS, is_passed, spline_values
 from warp_psdr.topology.camera_view import camera_view
 from warp_psdr.topology.exact_shapes import pose, with_exact_shapes
 from warp_psdr.topology.grid_silhouettes import grid_shapes, grid_values, is_smooth_grid
+from warp_psdr.topology.network_silhouettes import network_and_cells, network_shapes, passed_cells
 
 if TYPE_CHECKING:
     from warp_psdr.scene.scene import Scene
@@ -34,53 +39,82 @@ def is_open(values: np.ndarray, cubic: bool = False) -> bool:
     return False
 
 
-def passed_box(values: np.ndarray, cubic: bool) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return the ends (x, y, z), in voxels, of a box around the surface; None: there is none."""
-    found = np.argwhere(is_passed(values, cubic))[:, ::-1]
-    return (found.min(axis=0), found.max(axis=0) + 1) if len(found) else None
+@dataclass(frozen=True, eq=False)
+class Passed:
+    """Where a surface passes a grid of voxels, or the cells of a network."""
+
+    voxels: np.ndarray  #: (N, 3), x, y, z
+    cells: np.ndarray  #: (3,) voxels along the axes
+    field: Callable[[np.ndarray], np.ndarray]  #: phi (M,) at points (M, 3), in voxels
+    size: float  #: values of phi up to which something touches the surface
+
+    @property
+    def box(self) -> tuple[np.ndarray, np.ndarray] | None:
+        """The ends (x, y, z), in voxels, of a box around the surface; None: there is none."""
+        return (self.voxels.min(axis=0), self.voxels.max(axis=0) + 1) if len(self.voxels) else None
+
+
+def passed_by(scene: Scene, shape: int) -> Passed:
+    """Return where the surface of a grid or of a network passes."""
+    if scene.description.shapes[shape].network is not None:
+        network, found = network_and_cells(scene, shape)
+        at, n = passed_cells(found), float(network.count)
+        slopes = np.linalg.norm(values_of(network, (at + 0.5) / n)[1], axis=1)
+        size = TOUCHING * slopes.max(initial=0.0)
+        return Passed(at, np.full(3, n), lambda points: values_of(network, points / n)[0], size)
+    values, cubic = grid_values(scene, shape), is_smooth_grid(scene, shape)
+    field = spline_interpolated if cubic else interpolated
+    return Passed(
+        np.argwhere(is_passed(values, cubic))[:, ::-1],
+        np.array(values.shape[::-1]) - 1.0,
+        functools.partial(field, values),
+        TOUCHING * float(np.abs(values).max()),
+    )
 
 
 def pierced_grid(scene: Scene, shapes: frozenset[int] | None) -> tuple[int, int] | None:
     """Return a grid and another one, or an exact shape, that runs through it, one of them in ``shapes`` (None: any).
 
-    Of another grid the boxes around both surfaces are compared.
+    Through a network meshes run, too. Of another grid or network the boxes around both surfaces are compared.
     """
-    grids = grid_shapes(scene)
+    grids = sorted([*grid_shapes(scene), *network_shapes(scene)])
+    if not grids:
+        return None
     corners, owners = with_exact_shapes(scene)
-    corners, owners = corners[scene.face_count :], owners[scene.face_count :]
+    surfaces = {i: passed_by(scene, i) for i in grids}
     for n, i in enumerate(grids):
-        values, cubic = grid_values(scene, i), is_smooth_grid(scene, i)
-        box = passed_box(values, cubic)
+        own = surfaces[i]
+        box = own.box
         if box is None:
             continue
         linear, origin = pose(scene, i)
-        cells = np.array(values.shape[::-1]) - 1.0
-        inverse = np.linalg.inv(linear) * cells[:, None]
+        inverse = np.linalg.inv(linear) * own.cells[:, None]
         local = (corners - origin) @ inverse.T
         near = (local.min(axis=1, initial=np.inf) < box[1]).all(axis=1) & (
             local.max(axis=1, initial=-np.inf) > box[0]
         ).all(axis=1)
         if shapes is not None and i not in shapes:
             near &= np.isin(owners, sorted(shapes))
+        if scene.description.shapes[i].network is None:
+            near[: scene.face_count] = False  # meshes: ``crossing_curves.py``
         for row in np.flatnonzero(near):
-            if _runs_through(values, local[row], cubic):
+            if _runs_through(own, local[row]):
                 return i, int(owners[row])
         for j in grids[n + 1 :]:
-            other = passed_box(grid_values(scene, j), is_smooth_grid(scene, j))
+            other = surfaces[j].box
             if other is None or not (shapes is None or i in shapes or j in shapes):
                 continue
             turned, place = pose(scene, j)
-            scale = np.array(grid_values(scene, j).shape[::-1]) - 1.0
-            ends = CORNERS * ((other[1] - other[0]) / scale) + other[0] / scale
+            ends = CORNERS * ((other[1] - other[0]) / surfaces[j].cells) + other[0] / surfaces[j].cells
             theirs = (ends @ turned.T + place - origin) @ inverse.T
             if (theirs.min(axis=0) < box[1]).all() and (theirs.max(axis=0) > box[0]).all():
                 return i, j
     return None
 
 
-def _runs_through(values: np.ndarray, triangle: np.ndarray, cubic: bool) -> bool:
+def _runs_through(surface: Passed, triangle: np.ndarray) -> bool:
     """Whether phi has both signs on a triangle (3, 3), in voxels: at points of it in voxels that the surface passes."""
-    voxels = np.argwhere(is_passed(values, cubic))[:, ::-1]
+    voxels = surface.voxels
     p, e1, e2 = triangle[0], triangle[1] - triangle[0], triangle[2] - triangle[0]
     n = np.cross(e1, e2)
     squared = n @ n
@@ -103,9 +137,8 @@ def _runs_through(values: np.ndarray, triangle: np.ndarray, cubic: bool) -> bool
     points = points[inside & (u >= 0.0) & (v >= 0.0) & (u + v <= 1.0)]
     if not len(points):
         return False
-    found = spline_interpolated(values, points) if cubic else interpolated(values, points)
-    size = TOUCHING * np.abs(values).max()
-    return bool(found.min() < -size and found.max() > size)
+    found = surface.field(points)
+    return bool(found.min() < -surface.size and found.max() > surface.size)
 
 
 def interpolated(values: np.ndarray, points: np.ndarray) -> np.ndarray:
@@ -130,25 +163,24 @@ def spline_interpolated(values: np.ndarray, points: np.ndarray) -> np.ndarray:
 
 
 def require_uncut_grids(scene: Scene, sensor: int, shapes: list[int]) -> None:
-    """Raise if a clip plane of a camera runs through the box around a grid's surface.
+    """Raise if a clip plane of a camera runs through the box around the surface of a grid or network.
 
     Raises:
         ValueError: the derivative of that border is in no term.
     """
     view = camera_view(scene, sensor)
     for i in shapes:
-        values = grid_values(scene, i)
-        box = passed_box(values, is_smooth_grid(scene, i))
+        passed = passed_by(scene, i)
+        box = passed.box
         if box is None:
             continue
         linear, origin = pose(scene, i)
-        cells = np.array(values.shape[::-1]) - 1.0
-        ends = (CORNERS * (box[1] - box[0]) + box[0]) / cells
+        ends = (CORNERS * (box[1] - box[0]) + box[0]) / passed.cells
         depth = view.depth(ends @ linear.T + origin)
         for plane in view.clip_depths():
             if depth.min() < plane < depth.max():
                 raise ValueError(
-                    f"a clip plane of sensor {sensor} runs through the box around the surface of the grid "
+                    f"a clip plane of sensor {sensor} runs through the box around the surface of "
                     f"{scene.description.shapes[i].path!r}, and the derivative of a border that it cuts is not "
                     "estimated; change near_clip or far_clip, move the camera, or say PathIntegrator(boundary=None) to "
                     "get the interior term alone"

@@ -203,15 +203,21 @@ def grid_items(scene: Scene, shapes: list[int], eyes: list[Eyes] | None, concave
 
     ``concave`` as of ``items_of``. None: there are no items.
     """
-    shown, hidden = [], []
+    listed = []
     for shape in shapes:
         values = grid_values(scene, shape)
         numbers = items_of(values, concave, is_smooth_grid(scene, shape))
-        seen = np.zeros(len(numbers), bool)
+        seen = np.full(len(numbers), eyes is None)
         for e in eyes or []:
             seen |= seen_from(scene, shape, values, numbers, e)
-        if eyes is None:
-            seen[:] = True
+        listed.append((shape, numbers, seen))
+    return gathered(scene, listed)
+
+
+def gathered(scene: Scene, listed: list[tuple[int, np.ndarray, np.ndarray]]) -> GridItems | None:
+    """Return items, those first that are seen, of shapes with the numbers (N,) of theirs and which are seen (N,)."""
+    shown, hidden = [], []
+    for shape, numbers, seen in listed:
         record = scene.face_count + scene.builder.primitives.index(shape)
         pairs = np.stack([np.full(len(numbers), record), numbers], axis=1).astype(np.int32)
         shown.append(pairs[seen])

@@ -35,6 +35,7 @@ from warp_psdr.kernels.boundary.silhouette.grid_points import (
 )
 from warp_psdr.kernels.boundary.silhouette.grid_primary import FRONT
 from warp_psdr.kernels.boundary.silhouette.grid_secondary import crease_wedge, own_density, own_direction
+from warp_psdr.kernels.boundary.silhouette.network_points import network_surface_point
 from warp_psdr.kernels.boundary.silhouette.primary import MARGIN, TRIES, WIDER
 from warp_psdr.kernels.boundary.silhouette.spline_points import SLOT_ROOT, spline_curvature, spline_surface_point
 from warp_psdr.kernels.boundary.transport import Segment, make_source, make_transport
@@ -44,6 +45,7 @@ from warp_psdr.kernels.jobs import SampleJob
 from warp_psdr.kernels.notes import NOTE_POINT, make_note
 from warp_psdr.kernels.primitive.affine import step_off_primitive
 from warp_psdr.kernels.primitive.dispatch import make_adjoint_sink
+from warp_psdr.kernels.primitive.network import network_of
 from warp_psdr.kernels.primitive.sdfgrid import grid_of, pack
 from warp_psdr.kernels.rng import Sampler, make_sampler, sampler_at
 from warp_psdr.kernels.structs import Camera, Scene
@@ -53,11 +55,18 @@ from warp_psdr.kernels.visibility import visibility_of
 
 
 @functools.cache
-def make_foreground_grid_kernel(config: PathConfig, role: str, camera_moves: bool, shading: bool, cubic: bool = False):
-    """Return the kernel: one thread a sample (arguments as in ``path_space/secondary.py``); ``cubic``: smooth grids."""
+def make_foreground_grid_kernel(
+    config: PathConfig, role: str, camera_moves: bool, shading: bool, cubic: bool = False, network: bool = False
+):
+    """Return the kernel: one thread a sample (arguments as in ``path_space/secondary.py``); ``cubic``: smooth grids.
+
+    ``network`` beside ``cubic``: networks, whose cells are the voxels of smooth grids.
+    """
     visibility = visibility_of(config)
     sensor_end = make_sensor_end(config)
-    accumulate_touch = make_touch_sink(role, cubic)
+    accumulate_touch = make_touch_sink(role, cubic, network)
+    record_of = network_of if network else grid_of
+    smooth_surface_point = network_surface_point if network else spline_surface_point
     curvature_of = spline_curvature if cubic else touch_curvature
     accumulate_vertex = make_adjoint_sink(role, False, False, False, False, False, True, config.primitives)
     incident = make_incident(config)
@@ -129,12 +138,12 @@ def make_foreground_grid_kernel(config: PathConfig, role: str, camera_moves: boo
         n, along = choose_item(found, count, u)
         item = found.items[n]
         tri = scene.triangles[item[0]]
-        g = grid_of(scene, tri)
+        g = record_of(scene, tri)
         parts = item_parts(g, item[1])
         point = TouchPoint()
         if wp.static(cubic):
             choice = sample_1d(sampler, wp.static(SLOT_ROOT))
-            point = spline_surface_point(scene, tri, g, parts, along, u4[2], choice)
+            point = smooth_surface_point(scene, tri, g, parts, along, u4[2], choice)
         elif parts[3] != VOXEL_ITEM:
             point = crease_point(scene, tri, g, parts, along)
         else:

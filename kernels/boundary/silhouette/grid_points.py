@@ -14,6 +14,8 @@ import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.primitive.affine import cofactor, determinant, from_axes, make_pose_sink, to_axes
+from warp_psdr.kernels.primitive.network import network_of
+from warp_psdr.kernels.primitive.network_surface import make_cell_sink
 from warp_psdr.kernels.primitive.sdfgrid import Grid, Voxel, grid_of, value_and_gradient, voxel_at
 from warp_psdr.kernels.primitive.sdfgrid_adjoint import bend_of, make_voxel_sink, mixed_differences
 from warp_psdr.kernels.primitive.sdfgrid_cubic_surface import make_spline_sink
@@ -366,25 +368,32 @@ def choose_item(found: GridItems, count: wp.int32, u: wp.float64) -> tuple[wp.in
 
 
 @functools.cache
-def make_touch_sink(role: str, cubic: bool = False):
+def make_touch_sink(role: str, cubic: bool = False, network: bool = False):
     """Return ``accumulate(scene, target, point, g) -> float``: the adjoint g of a point; ``cubic``: of a smooth grid.
 
     g is across the curve, or the surface. The velocity is A' q + b' + A q', q' = -phi' gradient / |gradient|^2, of
-    creases in the face (``docs/theory/implicit.md#creases``).
+    creases in the face (``docs/theory/implicit.md#creases``). ``network``: of a network, with cells for voxels.
     """
     accumulate_pose = make_pose_sink(role)
     accumulate_voxel = make_spline_sink(role) if cubic else make_voxel_sink(role)
+    accumulate_cell = make_cell_sink(role) if network else None
+    record_of = network_of if network else grid_of
 
     @wp.func
     def accumulate_touch(scene: Scene, target: wp.array(dtype=wp.float32), point: TouchPoint, a: wp.vec3) -> wp.float32:
         _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
         tri = scene.triangles[point.face]
-        g = grid_of(scene, tri)
+        g = record_of(scene, tri)
         # A^T a in voxels: x = A p / cells + b.
         pulled = wp.cw_div(wp.vec3(wp.dot(tri.p0, a), wp.dot(tri.p1, a), wp.dot(tri.p2, a)), g.cells)
         a_phi = -wp.dot(pulled, point.gradient) / wp.length_sq(point.gradient)
         zero = wp.vec3(0.0, 0.0, 0.0)
-        total = accumulate_voxel(target, g, point.i, point.j, point.k, point.place, a_phi, zero)
+        total = wp.float32(0.0)
+        if wp.static(accumulate_cell is not None):
+            p = voxel_corner(point.i, point.j, point.k) + point.place
+            total += accumulate_cell(scene, target, g, p, a_phi, zero)
+        else:
+            total += accumulate_voxel(target, g, point.i, point.j, point.k, point.place, a_phi, zero)
         return total + accumulate_pose(target, tri, point.q[0] * a, point.q[1] * a, point.q[2] * a, a)
 
     return accumulate_touch

@@ -31,6 +31,7 @@ from warp_psdr.kernels.boundary.silhouette.grid_points import (
     shows_both_sheets,
     touch_curvature,
 )
+from warp_psdr.kernels.boundary.silhouette.network_points import network_curve_point
 from warp_psdr.kernels.boundary.silhouette.primary import MARGIN, TRIES, WIDER, make_camera_eye
 from warp_psdr.kernels.boundary.silhouette.spline_points import SLOT_ROOT, spline_curvature, spline_curve_point
 from warp_psdr.kernels.constants import CAMERA_ORTHOGRAPHIC
@@ -38,6 +39,7 @@ from warp_psdr.kernels.invalid import count_invalid
 from warp_psdr.kernels.jobs import SampleJob
 from warp_psdr.kernels.notes import NOTE_POINT, make_note
 from warp_psdr.kernels.primitive.affine import step_off_primitive
+from warp_psdr.kernels.primitive.network import network_of
 from warp_psdr.kernels.primitive.sdfgrid import grid_of, pack
 from warp_psdr.kernels.rng import make_sampler, sampler_at
 from warp_psdr.kernels.sensor.camera import make_camera_sink, make_lens
@@ -52,10 +54,15 @@ FRONT = 20.0
 
 @functools.cache
 def make_primary_grid_kernel(
-    config: PathConfig, role: str, camera_moves: bool, shading: bool = False, cubic: bool = False
+    config: PathConfig, role: str, camera_moves: bool, shading: bool = False, cubic: bool = False, network: bool = False
 ):
-    """Return the kernel: one thread a sample (arguments as in ``path_space/secondary.py``); ``cubic``: smooth grids."""
-    accumulate_touch = make_touch_sink(role, cubic)
+    """Return the kernel: one thread a sample (arguments as in ``path_space/secondary.py``); ``cubic``: smooth grids.
+
+    ``network`` beside ``cubic``: networks, whose cells are the voxels of smooth grids.
+    """
+    accumulate_touch = make_touch_sink(role, cubic, network)
+    record_of = network_of if network else grid_of
+    smooth_curve_point = network_curve_point if network else spline_curve_point
     curvature_of = spline_curvature if cubic else touch_curvature
     accumulate_camera = make_camera_sink(role, config.camera) if camera_moves else None
     incident_radiance = make_incident_radiance(config)
@@ -91,14 +98,14 @@ def make_primary_grid_kernel(
         n, along = choose_item(found, count, u)
         item = found.items[n]
         tri = scene.triangles[item[0]]
-        g = grid_of(scene, tri)
+        g = record_of(scene, tri)
         parts = item_parts(g, item[1])
         eye = camera_eye(scene, camera, lens)
         point = TouchPoint()
         if wp.static(cubic):
             seen = eye_in_voxels(tri, g, eye, wp.static(distant))
             choice = sample_1d(sampler, wp.static(SLOT_ROOT))
-            point = spline_curve_point(scene, tri, g, parts, seen, wp.static(distant), along, choice)
+            point = smooth_curve_point(scene, tri, g, parts, seen, wp.static(distant), along, choice)
         elif parts[3] == VOXEL_ITEM:
             if wp.static(not shading):
                 seen_from = eye_in_voxels(tri, g, eye, wp.static(distant))

@@ -37,6 +37,7 @@ from warp_psdr.kernels.boundary.silhouette.grid_points import (
     surface_point,
     touch_curvature,
 )
+from warp_psdr.kernels.boundary.silhouette.network_points import network_curve_point, network_surface_point
 from warp_psdr.kernels.boundary.silhouette.spline_points import (
     SLOT_ROOT,
     spline_curvature,
@@ -52,6 +53,7 @@ from warp_psdr.kernels.jobs import SampleJob
 from warp_psdr.kernels.math import any_tangent
 from warp_psdr.kernels.notes import NOTE_POINT, make_note
 from warp_psdr.kernels.primitive.affine import step_off_primitive
+from warp_psdr.kernels.primitive.network import network_of
 from warp_psdr.kernels.primitive.sdfgrid import Grid, grid_of, pack
 from warp_psdr.kernels.rng import make_sampler, sampler_at
 from warp_psdr.kernels.structs import Camera, Scene, Triangle
@@ -172,11 +174,18 @@ def make_secondary_grid_kernel(
     light_pose: bool,
     indirect: bool = False,
     cubic: bool = False,
+    network: bool = False,
 ):
-    """Return the kernel: one thread a sample (arguments as in ``path_space/secondary.py``); ``cubic``: smooth grids."""
+    """Return the kernel: one thread a sample (arguments as in ``path_space/secondary.py``); ``cubic``: smooth grids.
+
+    ``network`` beside ``cubic``: networks, whose cells are the voxels of smooth grids.
+    """
     light_aim = make_light_aim(config) if config.area or config.lights else None
     segment_at = make_touching_segment(config, cubic)
-    accumulate_touch = make_touch_sink(role, cubic)
+    accumulate_touch = make_touch_sink(role, cubic, network)
+    record_of = network_of if network else grid_of
+    smooth_curve_point = network_curve_point if network else spline_curve_point
+    smooth_surface_point = network_surface_point if network else spline_surface_point
     accumulate_source = make_source_sink(role, light_pose, config.primitives)
     source = make_source(config, True)
     source = make_indirect(source) if indirect else source
@@ -223,7 +232,7 @@ def make_secondary_grid_kernel(
         n, along = choose_item(found, count, u)
         item = found.items[n]
         tri = scene.triangles[item[0]]
-        g = grid_of(scene, tri)
+        g = record_of(scene, tri)
         parts = item_parts(g, item[1])
         aim = TangentAim()
         aim.light = -1
@@ -232,7 +241,7 @@ def make_secondary_grid_kernel(
         if wp.static(cubic):
             choice = sample_1d(sampler, wp.static(SLOT_ROOT))
             if by_itself:
-                point = spline_surface_point(scene, tri, g, parts, along, u4[2], choice)
+                point = smooth_surface_point(scene, tri, g, parts, along, u4[2], choice)
         elif parts[3] != VOXEL_ITEM:
             point = crease_point(scene, tri, g, parts, along)
         elif by_itself:
@@ -246,7 +255,7 @@ def make_secondary_grid_kernel(
                     return
                 if wp.static(cubic):
                     seen = eye_in_voxels(tri, g, aim.eye, aim.distant)
-                    point = spline_curve_point(scene, tri, g, parts, seen, aim.distant, along, choice)
+                    point = smooth_curve_point(scene, tri, g, parts, seen, aim.distant, along, choice)
                 elif parts[3] == VOXEL_ITEM:
                     eye = eye_in_voxels(tri, g, aim.eye, aim.distant)
                     point = curve_point(scene, tri, g, parts, eye, aim.distant, along)

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import warp as wp
+
 from warp_psdr.estimate.boundary.terms import secondary_grid
 from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term, term_of
 from warp_psdr.kernels.boundary.silhouette.grid_foreground import make_foreground_grid_kernel
+from warp_psdr.kernels.boundary.silhouette.grid_points import GridItems
 from warp_psdr.options.boundary import PathSpace
 from warp_psdr.plan.motion import moving_shapes
 from warp_psdr.topology.grid_silhouettes import grid_items, grid_shapes
@@ -20,10 +23,14 @@ def applies(r: Request) -> bool:
 
 def launch_foreground(r: Request, term: BoundaryTerm, shading: bool, cubic: bool = False) -> Term | None:
     """Return the term of silhouettes, or with ``shading`` of creases that are seen from the front."""
-    found = grid_items(r.scene, grid_shapes(r.scene, cubic), [], concave=shading)
+    kernel = make_foreground_grid_kernel(r.config, r.role, r.moves.camera, shading, cubic)
+    return launch_items(r, term, kernel, grid_items(r.scene, grid_shapes(r.scene, cubic), [], concave=shading))
+
+
+def launch_items(r: Request, term: BoundaryTerm, kernel: wp.Kernel, found: GridItems | None) -> Term | None:
+    """Return the term of items."""
     if found is None:
         return None
-    kernel = make_foreground_grid_kernel(r.config, r.role, r.moves.camera, shading, cubic)
     samples = r.pixels * (r.method.spp_secondary or r.spp)
     head = [r.scene.data(), r.camera, found, moving_shapes(r.scene, r.moves)]
     return term_of(r, term, kernel, head, samples)

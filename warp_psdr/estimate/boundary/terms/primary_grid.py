@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import warp as wp
+
 from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term, term_of
+from warp_psdr.kernels.boundary.silhouette.grid_points import GridItems
 from warp_psdr.kernels.boundary.silhouette.grid_primary import make_primary_grid_kernel
 from warp_psdr.kernels.constants import PRIMITIVE_SDFGRID
 from warp_psdr.options.boundary import PathSpace
@@ -19,11 +22,15 @@ def launch_silhouettes(r: Request, term: BoundaryTerm, cubic: bool) -> Term | No
     """Return the term of linear grids, or of cubic ones."""
     shapes = [i for i in grid_shapes(r.scene, cubic) if r.moves.camera or i in r.moves.shapes]
     require_uncut_grids(r.scene, r.sensor, shapes)
-    found = grid_items(r.scene, shapes, [camera_eyes(r.scene, r.sensor)])
+    kernel = make_primary_grid_kernel(r.config, r.role, r.moves.camera, cubic=cubic)
+    return launch_items(r, term, kernel, grid_items(r.scene, shapes, [camera_eyes(r.scene, r.sensor)]))
+
+
+def launch_items(r: Request, term: BoundaryTerm, kernel: wp.Kernel, found: GridItems | None) -> Term | None:
+    """Return the term of those items that the camera may see a silhouette of."""
     if found is None or found.aimed == 0:
         return None
     found.items = found.items[: found.aimed]
-    kernel = make_primary_grid_kernel(r.config, r.role, r.moves.camera, cubic=cubic)
     samples = r.pixels * (r.method.spp_primary or r.spp)
     return term_of(r, term, kernel, [r.scene.data(), r.camera, found], samples)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term, term_of
+from warp_psdr.kernels.boundary.silhouette.grid_points import GridItems
 from warp_psdr.kernels.boundary.silhouette.grid_secondary import make_secondary_grid_kernel
 from warp_psdr.kernels.constants import PRIMITIVE_SDFGRID
 from warp_psdr.options.boundary import PathSpace
@@ -18,11 +19,18 @@ def applies(r: Request) -> bool:
 def launch_segments(r: Request, term: BoundaryTerm, cubic: bool) -> Term | None:
     """Return the term of linear grids, or of cubic ones."""
     eyes = light_eyes(r.scene)
-    found = grid_items(r.scene, grid_shapes(r.scene, cubic), eyes)
+    return launch_items(r, term, grid_items(r.scene, grid_shapes(r.scene, cubic), eyes), eyes == [], cubic)
+
+
+def launch_items(
+    r: Request, term: BoundaryTerm, found: GridItems | None, unlit: bool, cubic: bool, network: bool = False
+) -> Term | None:
+    """Return the term of items; ``unlit``: there is no light to aim at."""
     if found is None:
         return None
-    found.share = 1.0 if found.aimed == 0 or eyes == [] else r.own_share
-    kernel = make_secondary_grid_kernel(r.config, r.role, r.moves.camera, r.moves.light_pose, r.indirect, cubic)
+    found.share = 1.0 if found.aimed == 0 or unlit else r.own_share
+    moves = r.moves
+    kernel = make_secondary_grid_kernel(r.config, r.role, moves.camera, moves.light_pose, r.indirect, cubic, network)
     samples = r.pixels * (r.method.spp_secondary or r.spp)
     return term_of(r, term, kernel, [r.scene.data(), r.camera, found, moving_shapes(r.scene, r.moves)], samples)
 
