@@ -179,8 +179,9 @@ def require_uncut_grids(scene: Scene, sensor: int, shapes: list[int]) -> None:
         depth = view.depth(ends @ linear.T + origin)
         for plane in view.clip_depths():
             if depth.min() < plane < depth.max():
+                kind = "grid" if scene.description.shapes[i].network is None else "network"
                 raise ValueError(
-                    f"a clip plane of sensor {sensor} runs through the box around the surface of "
+                    f"a clip plane of sensor {sensor} runs through the box around the surface of the {kind} "
                     f"{scene.description.shapes[i].path!r}, and the derivative of a border that it cuts is not "
                     "estimated; change near_clip or far_clip, move the camera, or say PathIntegrator(boundary=None) to "
                     "get the interior term alone"
