@@ -53,8 +53,7 @@ SPHERE = PathConfig(**{**vars(SIMPLE), "primitives": (c.PRIMITIVE_SPHERE,)})
 SPLINE = PathConfig(**{**vars(SIMPLE), "primitives": (c.PRIMITIVE_SDFGRID_CUBIC,)})
 EXACT_LIGHTS = PathConfig(**{**vars(ALL_LIGHTS), "primitives": (c.PRIMITIVE_SPHERE,)})
 DISTANCES = PathConfig(**{**vars(SIMPLE), "tangent": True, "primitives": (c.PRIMITIVE_SPHERE, c.PRIMITIVE_SDFGRID)})
-CUBIC = PathConfig(**{**vars(SIMPLE), "primitives": (c.PRIMITIVE_SDFGRID_CUBIC,)})
-NETWORKS = PathConfig(**{**vars(SIMPLE), "primitives": (c.PRIMITIVE_NEURALSDF,)})
+CUBIC = PathConfig(**{**vars(SIMPLE), "primitives": (c.PRIMITIVE_SDFGRID_CUBIC, c.PRIMITIVE_NEURALSDF)})
 CURVES = PathConfig(
     **{**vars(SIMPLE), "tangent": True, "primitives": (c.PRIMITIVE_LINEARCURVE, c.PRIMITIVE_BSPLINECURVE)}
 )

@@ -42,7 +42,6 @@ from tests.cuda_configs import (
     MIRRORS,
     MIRRORS_LENS,
     MIRRORS_PARALLEL,
-    NETWORKS,
     NOTED,
     NOTED_MATERIALS,
     ORTHOGRAPHIC,
@@ -139,7 +138,7 @@ THIRDS = {"materials": MATERIALS, "textures": TEXTURED, "lights": ALL_LIGHTS, "o
 FAST, SLOW = (), (pytest.mark.slow,)
 SHADED = [(str(shading), (DISTANCES, "reverse", True, shading), SLOW) for shading in (False, True)]
 SMOOTH = ("cubic", (CUBIC, "reverse", True, False, True), SLOW)
-NEURAL = ("networks", (NETWORKS, "reverse", True, False, True, True), SLOW)
+NEURAL = ("networks", (CUBIC, "reverse", True, False, True, True), SLOW)
 
 
 def unlit(config):
@@ -165,8 +164,7 @@ FACTORIES = {
     "primal.make_primal_kernel": [
         ("simple", (SIMPLE,), FAST),
         ("grids of distances", (DISTANCES,), SLOW),
-        ("cubic grids", (CUBIC,), SLOW),
-        ("networks", (NETWORKS,), SLOW),
+        ("cubic grids, networks", (CUBIC,), SLOW),
         ("exact lights", (EXACT,), SLOW),
         ("curves", (CURVES,), SLOW),
         ("emission", (EMISSION,), SLOW),
@@ -221,8 +219,7 @@ FACTORIES = {
         *[(name, (config, all_of(config), 4, 1), SLOW) for name, config in THIRDS.items()],
         ("through", (THROUGH, still(THROUGH), 4, 1), SLOW),
         ("grids of distances", (DISTANCES, GEOMETRY, 4, 1), SLOW),
-        ("cubic grids", (CUBIC, GEOMETRY, 4, 1), SLOW),
-        ("networks", (NETWORKS, GEOMETRY, 4, 1), SLOW),
+        ("cubic grids, networks", (CUBIC, GEOMETRY, 4, 1), SLOW),
         ("exact lights", (EXACT, GEOMETRY, 4, 1), SLOW),
         ("curves", (CURVES, GEOMETRY, 4, 1), SLOW),
     ],
@@ -233,8 +230,7 @@ FACTORIES = {
         *[(name, (config, all_of(config)), SLOW) for name, config in THIRDS.items()],
         ("through", (THROUGH, still(THROUGH)), SLOW),
         ("grids of distances", (DISTANCES, GEOMETRY), SLOW),
-        ("cubic grids", (CUBIC, GEOMETRY), SLOW),
-        ("networks", (NETWORKS, GEOMETRY), SLOW),
+        ("cubic grids, networks", (CUBIC, GEOMETRY), SLOW),
         ("curves", (CURVES, GEOMETRY), SLOW),
     ],
     "interior.media_replay.make_media_replay_kernel": [
@@ -334,7 +330,7 @@ FACTORIES = {
     "boundary.silhouette.grid_secondary.make_secondary_grid_kernel": [
         *SHADED,
         ("cubic", (CUBIC, "reverse", True, True, False, True), SLOW),
-        ("networks", (NETWORKS, "reverse", True, True, False, True, True), SLOW),
+        ("networks", (CUBIC, "reverse", True, True, False, True, True), SLOW),
     ],
     "boundary.silhouette.tube_foreground.make_foreground_tube_kernel": [("curves", (CURVES, "reverse", True), SLOW)],
     "boundary.silhouette.tube_primary.make_primary_tube_kernel": [("curves", (CURVES, "reverse", True), SLOW)],
