@@ -13,6 +13,7 @@ TYPES = """
 #define CONVERT(x, type) ((type)(x))
 #define WHERE(x, a, b) ((x) ? (a) : (b))
 #define STEP 1
+#define BITS(x) __int_as_float(x)
 #define FIRST(x) (x)
 #else
     typedef float row __attribute__((ext_vector_type($BLOCK), aligned(4), may_alias));
@@ -20,6 +21,7 @@ TYPES = """
 #define CONVERT(x, type) __builtin_convertvector(x, type)
 #define WHERE(x, a, b) ((x) ? row(a) : row(b))
 #define STEP $BLOCK
+#define BITS(x) __builtin_bit_cast(row, x)
 #define FIRST(x) (x)[0]
 #endif
     struct Net {
@@ -34,7 +36,7 @@ TYPES = """
             p = p * r + 1.6666665459e-1f;
             p = p * r + 5.0000001201e-1f;
             const int_row bits = (n + 127) << 23;
-            return (p * r * r + r + 1.0f) * __builtin_bit_cast(row, bits);
+            return (p * r * r + r + 1.0f) * BITS(bits);
         }
         // log(1 + x) of x in [0, 1].
         static inline row logarithm(row x) {
@@ -266,7 +268,7 @@ SINKS = {
             for (int j = 0; j <= in; ++j) {
                 const float value = j < in ? p * a[l][j] + r * b[l][j] : p;
                 double* sum = j < in ? moved + j : sums + $HEADER + size + out * in + i;
-                if (!(__builtin_fabsf(value) <= 3.0e38f)) {
+                if (!(value <= 3.0e38f && value >= -3.0e38f)) {
                     lost += 1.0f;
                     continue;
                 }
