@@ -1,0 +1,378 @@
+"""With which arguments the factories of kernels are compiled for CUDA: a row each, or ``MADE_BY``."""
+
+import pytest
+
+from tests.config_helpers import EVERYTHING, OTHERS, SIMPLE, everything, wanted
+from tests.cuda_configs import (
+    ALBEDO,
+    ALL_LIGHTS,
+    CONNECTED,
+    CONNECTED_LIGHTS,
+    CONNECTED_THROUGH,
+    CUBIC,
+    CURVES,
+    DISTANCES,
+    EMISSION,
+    EXACT,
+    EXACT_LIGHTS,
+    GEOMETRY,
+    GLOSSY,
+    GLOWING,
+    GRIDS,
+    IRRADIANCE,
+    JOINED,
+    JOINED_LIGHTS,
+    JOINED_THROUGH,
+    MAPPED,
+    MATERIALS,
+    MEDIA,
+    MIRROR_LIGHTS,
+    MIRRORS,
+    MIRRORS_LENS,
+    MIRRORS_PARALLEL,
+    NOTED,
+    NOTED_MATERIALS,
+    ORTHOGRAPHIC,
+    ORTHOGRAPHIC_SMOOTH,
+    SPHERE,
+    SPLAT,
+    SPLAT_GAUSSIAN,
+    SPLINE,
+    TEXTURED,
+    THIN_LENS,
+    THIN_LENS_SMOOTH,
+    THROUGH,
+)
+from warp_psdr.kernels import constants as c
+from warp_psdr.kernels.boundary.guiding.projective import BLOCKED_LIGHT, SCATTERED
+from warp_psdr.kernels.boundary.signed_distance.warp_field import WarpOptions
+from warp_psdr.kernels.bsdf.motion import MOVED_BY
+from warp_psdr.kernels.interior.gradient_request import GradientRequest
+from warp_psdr.kernels.interior.shape_parameters import branched_values
+from warp_psdr.kernels.loss import relative_squared
+from warp_psdr.kernels.vertex import PathConfig
+
+#: Factories that another one makes their kernels for.
+MADE_BY = {
+    "interior.radiative.make_radiative_kernel": "interior.path_order.make_path_order_kernel",
+    "interior.textbook.make_textbook_kernel": "interior.path_order.make_path_order_kernel",
+}
+
+
+def moving_camera(config):
+    return wanted(config, camera=True)
+
+
+def moving_shapes(config):
+    return wanted(config, shapes=True)
+
+
+def moving(config):
+    return wanted(config, "ior", shapes=True, camera=True, bends=True)
+
+
+def all_of(config):
+    return everything(
+        config,
+        to_uv=True,
+        shapes=True,
+        texcoords=True,
+        radiance=True,
+        lights=("radiance", "pose"),
+        camera=True,
+        bends=True,
+    )
+
+
+def still(config):
+    """Textbook replay takes no moving vertices behind delta lobes."""
+    return everything(config, radiance=True, lights=("radiance", "pose"))
+
+
+def roughness_of(config):
+    """The roughnesses of metal."""
+    return GradientRequest(material=tuple(slot.name in MOVED_BY for slot in config.material))
+
+
+def shapes_of(config):
+    """The material values that are branched."""
+    return GradientRequest(material=branched_values(config, everything(config)))
+
+
+def media(config):
+    """All of media, and what does not move beside them."""
+    everywhere = ("sigma_t", "albedo", "scale", "emission", "phase")
+    return everything(config, to_uv=True, radiance=True, lights=("radiance",), media=everywhere)
+
+
+def moving_among_media(config):
+    return wanted(config, shapes=True, texcoords=True, lights=("pose",), camera=True)
+
+
+#: Configurations that together hold every model, texture kind, light, sampler and filter.
+THIRDS = {"materials": MATERIALS, "textures": TEXTURED, "lights": ALL_LIGHTS, "others": OTHERS}
+FAST, SLOW = (), (pytest.mark.slow,)
+SHADED = [(str(shading), (DISTANCES, "reverse", True, shading), SLOW) for shading in (False, True)]
+SMOOTH = ("cubic", (CUBIC, "reverse", True, False, True), SLOW)
+NEURAL = ("networks", (CUBIC, "reverse", True, False, True, True), SLOW)
+
+
+def unlit(config):
+    """The camera paths of edge sampling look for no light."""
+    return PathConfig(**{**vars(config), "area": (), "lights": ()})
+
+
+#: factory: (label, arguments, marks)
+FACTORIES = {
+    "adam.make_adam": [("masked", (True,), FAST), ("plain", (False,), FAST)],
+    "adam.make_count_unusable": [("", (), FAST)],
+    "primitive.redistance.make_sweep_kernel": [("", (), FAST)],
+    "primitive.redistance.make_mesh_distance_kernel": [("", (), FAST)],
+    "loss.make_terms": [("relative", (relative_squared,), FAST)],
+    "loss.make_sums": [("", (), FAST)],
+    "loss.make_grid_terms": [("", (), SLOW)],
+    "loss.make_total": [("", (), SLOW)],
+    "aov.make_aov_kernel": [("textures", (TEXTURED,), FAST), ("materials", (MATERIALS,), SLOW)],
+    "trace.make_trace_kernel": [
+        ("image", (SIMPLE, False, c.RFILTER_BOX), FAST),
+        ("interior", (SIMPLE, True, None), SLOW),
+    ],
+    "trace.make_media_trace_kernel": [
+        ("image", (MEDIA, False, False, False, c.RFILTER_BOX), SLOW),
+        ("interior", (GRIDS, True, True, False, None), SLOW),
+    ],
+    "primal.make_primal_kernel": [
+        ("simple", (SIMPLE,), FAST),
+        ("grids of distances", (DISTANCES,), SLOW),
+        ("cubic grids, networks", (CUBIC,), SLOW),
+        ("exact lights", (EXACT,), SLOW),
+        ("curves", (CURVES,), SLOW),
+        ("emission", (EMISSION,), SLOW),
+        ("orthographic", (ORTHOGRAPHIC,), SLOW),
+        ("thin lens", (THIN_LENS,), SLOW),
+        ("irradiance meter", (IRRADIANCE,), SLOW),
+        ("others", (OTHERS,), SLOW),
+        ("everything", (EVERYTHING,), SLOW),
+        ("through", (THROUGH,), SLOW),
+        ("media", (MEDIA,), SLOW),
+        ("grids", (GRIDS,), SLOW),
+        ("bidirectional", (JOINED_LIGHTS,), SLOW),
+    ],
+    "interior.bidirectional.make_bidirectional_kernel": [
+        ("reverse", (JOINED, ALBEDO, "reverse", 4, 1), FAST),
+        ("lights, blocks", (JOINED_LIGHTS, still(JOINED_LIGHTS), "reverse", 4, 4), SLOW),
+        ("through", (JOINED_THROUGH, still(JOINED_THROUGH), "forward", 4, 1), SLOW),
+    ],
+    "connection.make_connected_image_kernel": [
+        ("lights", (CONNECTED_LIGHTS,), SLOW),
+        ("through", (CONNECTED_THROUGH,), SLOW),
+    ],
+    "interior.connected.make_connected_kernel": [
+        ("reverse", (CONNECTED, ALBEDO, "reverse"), SLOW),
+        ("lights", (CONNECTED_LIGHTS, still(CONNECTED_LIGHTS), "forward"), SLOW),
+    ],
+    "interior.light_tracing.make_light_replay_kernel": [
+        ("simple", (SIMPLE, ALBEDO, 4, 1), FAST),
+        ("blocks, lights", (ALL_LIGHTS, still(ALL_LIGHTS), 4, 4), SLOW),
+        ("materials", (MATERIALS, everything(MATERIALS, radiance=True), 4, 1), SLOW),
+        ("textures", (TEXTURED, everything(TEXTURED, radiance=True, to_uv=True), 4, 1), SLOW),
+    ],
+    "interior.light_tracing.make_light_forward_kernel": [
+        ("simple", (SIMPLE, ALBEDO), SLOW),
+        ("lights", (ALL_LIGHTS, still(ALL_LIGHTS)), SLOW),
+        ("materials", (MATERIALS, everything(MATERIALS, radiance=True)), SLOW),
+    ],
+    "light_tracing.make_light_image_kernel": [
+        ("simple", (SIMPLE,), FAST),
+        ("lights", (ALL_LIGHTS,), SLOW),
+        ("thin lens", (THIN_LENS,), SLOW),
+        ("materials", (MATERIALS,), SLOW),
+        ("through", (THROUGH,), SLOW),
+        ("weighted", (JOINED_THROUGH,), SLOW),
+    ],
+    "splat.make_splat_kernel": [("tent", (SPLAT,), FAST), ("gaussian", (SPLAT_GAUSSIAN,), SLOW)],
+    "interior.replay.make_replay_kernel": [
+        ("simple", (SIMPLE, GEOMETRY, 8, 1), FAST),
+        ("blocks", (SIMPLE, ALBEDO, 8, 4), SLOW),
+        ("orthographic", (ORTHOGRAPHIC, moving_camera(ORTHOGRAPHIC), 4, 1), SLOW),
+        ("thin lens", (THIN_LENS, moving_camera(THIN_LENS), 4, 1), SLOW),
+        *[(name, (config, all_of(config), 4, 1), SLOW) for name, config in THIRDS.items()],
+        ("through", (THROUGH, still(THROUGH), 4, 1), SLOW),
+        ("grids of distances", (DISTANCES, GEOMETRY, 4, 1), SLOW),
+        ("cubic grids, networks", (CUBIC, GEOMETRY, 4, 1), SLOW),
+        ("exact lights", (EXACT, GEOMETRY, 4, 1), SLOW),
+        ("curves", (CURVES, GEOMETRY, 4, 1), SLOW),
+    ],
+    "interior.forward.make_forward_kernel": [
+        ("simple", (SIMPLE, ALBEDO), FAST),
+        ("orthographic", (ORTHOGRAPHIC, moving_camera(ORTHOGRAPHIC)), SLOW),
+        ("thin lens", (THIN_LENS, moving_camera(THIN_LENS)), SLOW),
+        *[(name, (config, all_of(config)), SLOW) for name, config in THIRDS.items()],
+        ("through", (THROUGH, still(THROUGH)), SLOW),
+        ("grids of distances", (DISTANCES, GEOMETRY), SLOW),
+        ("cubic grids, networks", (CUBIC, GEOMETRY), SLOW),
+        ("curves", (CURVES, GEOMETRY), SLOW),
+    ],
+    "interior.media_replay.make_media_replay_kernel": [
+        ("reverse", (MEDIA, media(MEDIA), "reverse", 8, 8), SLOW),
+        ("forward", (MEDIA, media(MEDIA), "forward", 4, 4), SLOW),
+        ("grids", (GRIDS, media(GRIDS), "reverse", 4, 4), SLOW),
+        ("emission and microflakes", (GLOWING, media(GLOWING), "reverse", 4, 4), SLOW),
+        ("ratio tracking", (GRIDS, media(GRIDS), "forward", 4, 4, True), SLOW),
+    ],
+    "interior.media_motion_replay.make_media_motion_kernel": [
+        ("reverse", (MEDIA, moving_among_media(MEDIA), "reverse", 4, 4), SLOW),
+        ("forward", (MEDIA, moving_among_media(MEDIA), "forward", 4, 4), SLOW),
+        ("grids", (GRIDS, wanted(GRIDS, shapes=True, camera=True, media=("pose",)), "reverse", 4, 4), SLOW),
+    ],
+    "boundary.path_space.media_secondary.make_media_secondary_kernel": [
+        ("reverse", (MEDIA, "reverse", True, True, True), SLOW),
+        ("forward", (MEDIA, "forward", True, False, False), SLOW),
+        ("grids", (GRIDS, "reverse", True, False, True, True), SLOW),
+    ],
+    "transfer.radiative_transfer.make_transfer_kernel": [
+        ("reverse", (MEDIA, moving_among_media(MEDIA), "reverse", 4, 4, True), SLOW),
+        ("forward, no edges", (MEDIA, moving_among_media(MEDIA), "forward", 4, 4, False), SLOW),
+    ],
+    "interior.textbook.make_textbook_kernel": [
+        ("reverse, simple", (SIMPLE, ALBEDO, "reverse"), FAST),
+        ("forward, simple", (SIMPLE, ALBEDO, "forward"), SLOW),
+        ("reverse, materials", (MATERIALS, still(MATERIALS), "reverse"), SLOW),
+        ("reverse, lights", (ALL_LIGHTS, all_of(ALL_LIGHTS), "reverse"), SLOW),
+    ],
+    "interior.radiative.make_radiative_kernel": [
+        ("reverse, simple", (SIMPLE, ALBEDO, "reverse", False), SLOW),
+        ("forward, lights", (ALL_LIGHTS, all_of(ALL_LIGHTS), "forward", False), SLOW),
+        ("linear, materials", (MATERIALS, still(MATERIALS), "reverse", True), SLOW),
+    ],
+    "interior.branch.make_branch_kernel": [
+        ("reverse", (GLOSSY, shapes_of(GLOSSY), "reverse", 16), SLOW),
+        ("forward", (GLOSSY, shapes_of(GLOSSY), "forward", 4), SLOW),
+        ("decomposed", (GLOSSY, shapes_of(GLOSSY), "reverse", 16, True), SLOW),
+    ],
+    "interior.attached.make_attached_kernel": [
+        ("reverse", (GLOSSY, roughness_of(GLOSSY), "reverse", True, "attached"), SLOW),
+        ("forward, weights", (GLOSSY, roughness_of(GLOSSY), "forward", False, "attached"), SLOW),
+    ],
+    "interior.antithetic.make_pair_kernel": [
+        ("reverse", (GLOSSY, moving_camera(GLOSSY), "reverse"), SLOW),
+        ("forward", (MAPPED, everything(MAPPED, to_uv=True), "forward"), SLOW),
+    ],
+    "interior.film_antithetic.make_film_antithetic_kernel": [
+        ("reverse", (SPLAT, all_of(SPLAT), "reverse", 4, True), SLOW),
+        ("forward, one by one", (SPLAT_GAUSSIAN, all_of(SPLAT_GAUSSIAN), "forward", 4, False), SLOW),
+    ],
+    "boundary.shading_normals.indirect_terminator.make_indirect_terminator_kernel": [
+        ("reverse, materials", (MATERIALS, "reverse", True), SLOW),
+        ("forward, textures", (TEXTURED, "forward", False), SLOW),
+    ],
+    "boundary.path_space.intersection_curve.make_intersection_curve_kernel": [
+        ("reverse, simple", (SIMPLE, "reverse", False), SLOW),
+        ("forward, textures", (TEXTURED, "forward", True), SLOW),
+        ("reverse, lights", (ALL_LIGHTS, "reverse", False), SLOW),
+        ("indirect, lights", (ALL_LIGHTS, "reverse", False, True), SLOW),
+        ("noted, simple", (NOTED, "forward", False), SLOW),
+    ],
+    "boundary.shading_normals.geometric_horizon.make_geometric_horizon_kernel": [
+        ("reverse, materials", (MATERIALS, "reverse", True), SLOW),
+        ("forward, textures", (TEXTURED, "forward", False), SLOW),
+        ("indirect, materials", (MATERIALS, "reverse", False, True), SLOW),
+    ],
+    "boundary.specular.line_search.make_line_search_kernel": [
+        ("reverse, materials", (MATERIALS, moving(MATERIALS), "reverse", False), SLOW),
+        ("forward, mirror under lights", (MIRROR_LIGHTS, moving(MIRROR_LIGHTS), "forward", True), SLOW),
+        ("reverse, mirrors alone", (MIRRORS, moving(MIRRORS), "reverse", False), SLOW),
+        ("reverse, mirrors, orthographic", (MIRRORS_PARALLEL, moving_camera(MIRRORS_PARALLEL), "reverse", False), SLOW),
+        ("forward, mirrors, thin lens", (MIRRORS_LENS, moving_camera(MIRRORS_LENS), "forward", False), SLOW),
+        ("noted, materials", (NOTED_MATERIALS, moving(NOTED_MATERIALS), "reverse", False), SLOW),
+    ],
+    "boundary.path_space.primary.make_primary_kernel": [
+        ("reverse, simple", (SIMPLE, "reverse", False), FAST),
+        ("forward, materials", (MATERIALS, "forward", True), SLOW),
+        ("reverse, textures", (TEXTURED, "reverse", True), SLOW),
+        ("reverse, orthographic", (ORTHOGRAPHIC, "reverse", True), SLOW),
+        ("forward, thin lens", (THIN_LENS, "forward", True), SLOW),
+        ("samples, simple", (SIMPLE, "samples", False), SLOW),
+        ("noted, simple", (NOTED, "reverse", False), SLOW),
+    ],
+    "boundary.path_space.flat_creases.make_flat_creases_kernel": [
+        ("reverse, simple", (SIMPLE, "reverse", False), SLOW),
+        ("forward, materials", (GLOSSY, "forward", True), SLOW),
+        ("reverse, textures", (TEXTURED, "reverse", True), SLOW),
+        ("reverse, lights", (ALL_LIGHTS, "reverse", False), SLOW),
+        ("reverse, orthographic", (ORTHOGRAPHIC, "reverse", True), SLOW),
+        ("forward, thin lens", (THIN_LENS, "forward", True), SLOW),
+        ("samples, simple", (SIMPLE, "samples", False), SLOW),
+        ("noted, simple", (NOTED, "reverse", False), SLOW),
+    ],
+    "boundary.silhouette.grid_foreground.make_foreground_grid_kernel": [*SHADED, SMOOTH, NEURAL],
+    "boundary.silhouette.grid_primary.make_primary_grid_kernel": [*SHADED, SMOOTH, NEURAL],
+    "boundary.silhouette.grid_secondary.make_secondary_grid_kernel": [
+        *SHADED,
+        ("cubic", (CUBIC, "reverse", True, True, False, True), SLOW),
+        ("networks", (CUBIC, "reverse", True, True, False, True, True), SLOW),
+    ],
+    "boundary.silhouette.tube_foreground.make_foreground_tube_kernel": [("curves", (CURVES, "reverse", True), SLOW)],
+    "boundary.silhouette.tube_primary.make_primary_tube_kernel": [("curves", (CURVES, "reverse", True), SLOW)],
+    "boundary.silhouette.tube_secondary.make_secondary_tube_kernel": [
+        ("curves", (CURVES, "reverse", True, False), SLOW)
+    ],
+    "boundary.signed_distance.reparametrised.make_reparametrised_kernel": [
+        ("reverse", (SPHERE, moving_shapes(SPHERE), "reverse", WarpOptions()), SLOW),
+        ("forward, neural, grid", (SPLINE, moving_shapes(SPLINE), "forward", WarpOptions(neural=True)), SLOW),
+    ],
+    "boundary.signed_distance.film_border.make_film_border_kernel": [
+        ("reverse", (SPHERE, "reverse", WarpOptions()), SLOW),
+        ("forward, neural", (SPHERE, "forward", WarpOptions(neural=True)), SLOW),
+    ],
+    "boundary.crossing.film.make_film_crossing_kernel": [("reverse", (EXACT, "reverse", True), SLOW)],
+    "boundary.crossing.vertex.make_vertex_crossing_kernel": [
+        ("reverse", (EXACT, "reverse", True), SLOW),
+        ("indirect, lights", (EXACT_LIGHTS, "forward", False, True), SLOW),
+    ],
+    "boundary.silhouette.primary.make_primary_silhouette_kernel": [("reverse", (EXACT, "reverse", True), SLOW)],
+    "boundary.silhouette.secondary.make_secondary_silhouette_kernel": [
+        ("reverse", (EXACT, "reverse", True, False), SLOW),
+        ("indirect, lights", (EXACT_LIGHTS, "forward", False, True, True), SLOW),
+    ],
+    "boundary.path_space.secondary.make_secondary_kernel": [
+        ("reverse, simple", (SIMPLE, "reverse", False, False), SLOW),
+        ("forward, textures", (TEXTURED, "forward", True, False), SLOW),
+        ("reverse, lights", (ALL_LIGHTS, "reverse", True, True), SLOW),
+        ("reverse, guided, lights", (ALL_LIGHTS, "reverse", False, False, True), SLOW),
+        ("target, textures", (TEXTURED, "target", False, False), SLOW),
+        ("forward, orthographic", (ORTHOGRAPHIC, "forward", True, False), SLOW),
+        ("reverse, thin lens", (THIN_LENS, "reverse", True, False), SLOW),
+        ("samples, simple", (SIMPLE, "samples", False, False), SLOW),
+        ("indirect, simple", (SIMPLE, "reverse", False, False, False, True), SLOW),
+        ("indirect, guided, lights", (ALL_LIGHTS, "forward", True, True, True, True), SLOW),
+        ("indirect target, textures", (TEXTURED, "target", False, False, False, True), SLOW),
+        ("noted, simple", (NOTED, "reverse", False, False), SLOW),
+    ],
+    "boundary.guiding.projective.make_seeds_kernel": [
+        ("blocked, simple", (SIMPLE, BLOCKED_LIGHT), SLOW),
+        ("blocked, lights", (ALL_LIGHTS, BLOCKED_LIGHT), SLOW),
+        ("scattered, materials", (MATERIALS, SCATTERED), SLOW),
+    ],
+    "boundary.guiding.ends.make_ends_kernel": [("simple", (SIMPLE,), SLOW), ("lights", (ALL_LIGHTS,), SLOW)],
+    "boundary.guiding.facing.make_facing_kernel": [("simple", (SIMPLE,), SLOW), ("lights", (ALL_LIGHTS,), SLOW)],
+    "boundary.guiding.photons.make_importons_kernel": [("simple", (SIMPLE,), SLOW), ("materials", (MATERIALS,), SLOW)],
+    "boundary.guiding.photons.make_photons_kernel": [("simple", (SIMPLE,), SLOW), ("lights", (ALL_LIGHTS,), SLOW)],
+    "boundary.shading_normals.terminator.make_terminator_kernel": [
+        ("reverse, materials", (MATERIALS, "reverse", True), SLOW),
+        ("reverse, orthographic", (ORTHOGRAPHIC_SMOOTH, "reverse", True), SLOW),
+        ("forward, thin lens", (THIN_LENS_SMOOTH, "forward", True), SLOW),
+        ("noted, materials", (NOTED_MATERIALS, "reverse", False), SLOW),
+    ],
+    "boundary.edge_sampling.edge_sampling.make_edge_sampling_kernel": [
+        ("reverse, simple", (SIMPLE, unlit(SIMPLE), "reverse", False, True, 16), SLOW),
+        ("forward, flat", (SIMPLE, unlit(SIMPLE), "forward", True, False, 64), SLOW),
+        ("forward, materials", (GLOSSY, unlit(GLOSSY), "forward", True, True, 16), SLOW),
+        ("reverse, textures", (TEXTURED, unlit(TEXTURED), "reverse", True, True, 16), SLOW),
+        ("forward, orthographic", (ORTHOGRAPHIC, unlit(ORTHOGRAPHIC), "forward", True, True, 16), SLOW),
+        ("reverse, thin lens", (THIN_LENS, unlit(THIN_LENS), "reverse", True, True, 16), SLOW),
+        ("reverse, lights", (ALL_LIGHTS, unlit(ALL_LIGHTS), "reverse", False, True, 16), SLOW),
+        ("indirect, lights", (ALL_LIGHTS, unlit(ALL_LIGHTS), "reverse", False, True, 16, True), SLOW),
+        ("noted, simple", (NOTED, unlit(NOTED), "reverse", False, True, 16), SLOW),
+    ],
+}
