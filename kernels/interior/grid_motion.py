@@ -87,7 +87,7 @@ def make_grid_flight_sink(role: str, pose: bool):
 
 @functools.cache
 def make_grid_shadow_sink(config: PathConfig, role: str, pose: bool):
-    """Return ``accumulate_shadow`` as ``make_shadow_sink`` does, of segments that may pass grids."""
+    """Return ``accumulate_shadow(scene, target, sampler, vertex, w)`` as ``make_shadow_sink`` does, through grids."""
     visibility = visibility_of(config)
     interaction = make_interaction(config)
     is_interface, _behind = make_interface(config)

@@ -132,7 +132,10 @@ def make_moved_sweep(config: PathConfig, wanted: GradientRequest, role: str):
     ) -> tuple[wp.vec3, wp.float32]:
         """Adjoint of x: arguments as of ``accumulate_light``; ``w_t``: of the logarithm of the transmittance."""
         _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
-        segment = accumulate_shadow(scene, target, sampler, v, w_t)
+        if wp.static(grids):
+            segment = accumulate_shadow(scene, target, sampler, v, w_t)
+        else:
+            segment = accumulate_shadow(scene, target, v, w_t)
         a_x, total = accumulate_light(scene, target, v.surface, x, w_radiance, value, a_wo + segment.d, chi)
         total += segment.dot
         a_x += segment.o

@@ -15,7 +15,6 @@ from warp_psdr.kernels.medium.coefficients import coefficients_of
 from warp_psdr.kernels.medium.interface import make_crossing_sink, make_interface
 from warp_psdr.kernels.medium.passage import MOST_INTERFACES, medium_towards
 from warp_psdr.kernels.path_media import MediaVertex
-from warp_psdr.kernels.rng import Sampler
 from warp_psdr.kernels.sink import make_sink, make_sink_vec3
 from warp_psdr.kernels.structs import Scene
 from warp_psdr.kernels.surface import VertexAdjoint, make_vertex_sink
@@ -43,7 +42,7 @@ def thinning(scene: Scene, medium: wp.int32, w: wp.vec3) -> wp.float32:
 
 @functools.cache
 def make_shadow_sink(config: PathConfig, role: str):
-    """Return ``accumulate_shadow(scene, target, sampler, vertex, w) -> ShadowAdjoint``.
+    """Return ``accumulate_shadow(scene, target, vertex, w) -> ShadowAdjoint``.
 
     ``w`` is the adjoint of the logarithm of the transmittance to the vertex's light, by channel. The segment is walked
     again.
@@ -55,7 +54,7 @@ def make_shadow_sink(config: PathConfig, role: str):
 
     @wp.func
     def accumulate_shadow(
-        scene: Scene, target: wp.array(dtype=wp.float32), sampler: Sampler, v: MediaVertex, w: wp.vec3
+        scene: Scene, target: wp.array(dtype=wp.float32), v: MediaVertex, w: wp.vec3
     ) -> ShadowAdjoint:
         _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
         r = ShadowAdjoint()

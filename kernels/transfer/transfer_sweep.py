@@ -26,8 +26,8 @@ from warp_psdr.kernels.emitter.dispatch import make_lights
 from warp_psdr.kernels.interaction import enter_frame, make_interaction
 from warp_psdr.kernels.interior.factors import make_light_sink
 from warp_psdr.kernels.interior.gradient_request import GradientRequest
-from warp_psdr.kernels.interior.media_motion import make_light_end, make_shadow_sink
 from warp_psdr.kernels.interior.pullback import make_frame_vjp
+from warp_psdr.kernels.interior.shadow_motion import make_light_end, make_shadow_sink
 from warp_psdr.kernels.medium.coefficients import coefficients_of
 from warp_psdr.kernels.medium.interface import make_crossing_sink
 from warp_psdr.kernels.path_media import MediaVertex, collision_point
