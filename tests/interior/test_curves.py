@@ -39,7 +39,7 @@ def swell() -> np.ndarray:
 @pytest.mark.parametrize(
     ("plugin", "name", "tangent", "step"),
     [
-        ("bsplinecurve", "tube.control_points", swell(), 0.004),
+        pytest.param("bsplinecurve", "tube.control_points", swell(), 0.004, marks=pytest.mark.slow),
         pytest.param("bsplinecurve", "tube.to_world", entry(1, 0) + entry(2, 1), 0.01, marks=pytest.mark.slow),
         pytest.param("bsplinecurve", "tube.to_world", entry(1, 3), 0.01, marks=pytest.mark.slow),
         pytest.param("bsplinecurve", "room.to_world", entry(1, 3), 0.01, marks=pytest.mark.slow),

@@ -137,7 +137,7 @@ def lumps(count: int) -> np.ndarray:
 @pytest.mark.parametrize(
     ("name", "tangent", "step"),
     [
-        ("cave.grid", lumps(16), 0.003),
+        pytest.param("cave.grid", lumps(16), 0.003, marks=pytest.mark.slow),
         pytest.param("cave.grid", np.ones((16, 16, 16, 1)), 0.003, marks=pytest.mark.slow),
         pytest.param("cave.to_world", entry(2, 2), 0.005, marks=pytest.mark.slow),
         pytest.param("light.position", np.array([1.0, 0.0, 0.0]), 0.005, marks=pytest.mark.slow),

@@ -78,6 +78,7 @@ def assert_mean(samples, expected, error=0.0, noise=0.02):
     assert spread < noise * abs(expected), "too noisy to tell"
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:samples that were not finite")  # rays through the cube's own edges
 def test_a_bulb_moves_above_a_square_that_grows_and_turns():
     """Against quadrature; where the square grows, both boundaries are twice as large as their sum."""
