@@ -5,7 +5,7 @@ import pytest
 
 import warp_psdr as psdr
 from warp_psdr.scene.exact import POINTS, position_of, sphere_points
-from warp_psdr.topology.exact_shapes import _across, least_distance, pierced
+from warp_psdr.topology.exact_shapes import _across, crossed_faces, exact_shapes, least_distance, runs_through
 
 T = psdr.Transform
 #: Flat, for float32.
@@ -110,6 +110,19 @@ def test_points_are_on_the_sphere() -> None:
     x = position_of(held, held.triangles.numpy()[0], 0.3, -0.4)
     local = np.linalg.inv(POSE.matrix) @ np.append(x, 1.0)
     np.testing.assert_allclose(local[:3], sphere_points(0.3, -0.4), atol=1e-6)
+
+
+def pierced(held: psdr.Scene, shapes: frozenset[int] | None) -> tuple[int, int] | None:
+    """The first exact shape and one that runs through it, one of both among ``shapes`` (None: any)."""
+    exact = exact_shapes(held)
+    for i in exact:
+        faces = crossed_faces(held, i, shapes)
+        if len(faces):
+            return i, int(held.builder.face_shape[faces[0]])
+        for j in exact:
+            if j != i and (shapes is None or shapes & {i, j}) and runs_through(held, i, j):
+                return min(i, j), max(i, j)
+    return None
 
 
 def test_shapes_that_run_through_it_are_found() -> None:
