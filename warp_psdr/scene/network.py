@@ -10,14 +10,10 @@ import numpy as np
 
 from warp_psdr.kernels.primitive.network import BLOCK, CELLS_WORD, HEAD, MOST_LAYERS, MOST_WIDTH, POSE, STEP_WORD
 
-from .bsdfs import BsdfDescription
 from .description import Network, ShapeDescription
 from .errors import SceneError, error
-from .exact import singular
 from .layout import SHAPE_GRID, Layout, Parameter
 from .network_bounds import cells_of, single, values_of
-from .sdfgrid import CORNERS, refuse_textures
-from .transforms import transform_points
 
 if TYPE_CHECKING:
     from .plugins import Properties
@@ -161,29 +157,6 @@ def overflow(network: Network) -> str:
             if network.sine:
                 size = np.maximum(np.minimum(size, 1.0), network.scale * size)
     return ""
-
-
-def network_shape(props: Properties, network: Network, to_world: np.ndarray, bsdf: BsdfDescription) -> ShapeDescription:
-    """Return the shape, to which its sides are added.
-
-    Raises:
-        ValueError: its pose has no inverse, or its material reads texture coordinates.
-    """
-    reason = singular(to_world)
-    if reason:
-        raise error(props.where, reason, "give it an extent along all axes")
-    refuse_textures(props, bsdf, INSTEAD)
-    return ShapeDescription(
-        path=props.path,
-        kind=props.type,
-        vertices=transform_points(to_world, CORNERS).astype(np.float32),
-        faces=np.zeros((0, 3), np.int32),
-        bsdf=bsdf,
-        to_world=to_world.astype(np.float32),
-        local_vertices=CORNERS,
-        primitive=NEURALSDF,
-        network=network,
-    )
 
 
 def packed(network: Network) -> np.ndarray:

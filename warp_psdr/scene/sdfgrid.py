@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .bsdfs import BsdfDescription, model_of
-from .description import SdfGrid, ShapeDescription
+from .description import Network, SdfGrid, ShapeDescription
 from .errors import SceneError, error
 from .exact import singular
 from .layout import SHAPE_GRID, Parameter
@@ -175,8 +175,12 @@ def refuse_textures(props: Properties, bsdf: BsdfDescription, instead: str) -> N
             raise error(props.where, problem, "give one 'alpha'")
 
 
-def grid_shape(props: Properties, grid: SdfGrid, to_world: np.ndarray, bsdf: BsdfDescription) -> ShapeDescription:
-    """Return the shape, to which its sides are added.
+def field_shape(
+    props: Properties, held: SdfGrid | Network, to_world: np.ndarray, bsdf: BsdfDescription, instead: str
+) -> ShapeDescription:
+    """Return the shape that is the zero set of a grid or of a network, to which its sides are added.
+
+    ``instead``: what an error offers.
 
     Raises:
         ValueError: its pose has no inverse, or its material reads texture coordinates.
@@ -184,8 +188,8 @@ def grid_shape(props: Properties, grid: SdfGrid, to_world: np.ndarray, bsdf: Bsd
     reason = singular(to_world)
     if reason:
         raise error(props.where, reason, "give it an extent along all axes")
-    refuse_textures(props, bsdf, INSTEAD)
-    return ShapeDescription(
+    refuse_textures(props, bsdf, instead)
+    shape = ShapeDescription(
         path=props.path,
         kind=props.type,
         vertices=transform_points(to_world, CORNERS).astype(np.float32),
@@ -193,6 +197,11 @@ def grid_shape(props: Properties, grid: SdfGrid, to_world: np.ndarray, bsdf: Bsd
         bsdf=bsdf,
         to_world=to_world.astype(np.float32),
         local_vertices=CORNERS,
-        primitive=f"cubic {SDFGRID}" if grid.cubic else SDFGRID,
-        grid=grid,
+        primitive=props.type,
     )
+    if isinstance(held, SdfGrid):
+        shape.grid = held
+        shape.primitive = f"cubic {SDFGRID}" if held.cubic else SDFGRID
+    else:
+        shape.network = held
+    return shape

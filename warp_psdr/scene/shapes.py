@@ -15,11 +15,11 @@ from .exact import EXACT, exact_shape, is_exact
 from .mesh_files import read_mesh
 from .meshes import MeshData, check, check_flat, drop_flat_triangles, in_place, vertex_normals
 from .network import INSTEAD as GRIDDED
-from .network import NEURALSDF, network_shape, read_network
+from .network import NEURALSDF, read_network
 from .origin import collapses, moved
 from .plugins import Properties
 from .primitives import CURVED, DEFAULT_RESOLUTION, MAX_RESOLUTION, MIN_RESOLUTION, PRIMITIVES, widening
-from .sdfgrid import INSTEAD, SDFGRID, grid_shape, read_grid
+from .sdfgrid import INSTEAD, SDFGRID, field_shape, read_grid
 from .textures import check_attribute
 from .transforms import Transform, transform_normals, transform_points
 
@@ -66,10 +66,8 @@ def build(node: dict, where: str, path: str, context: Context) -> ShapeDescripti
     if exact or not isinstance(data, MeshData):
         shines = emitter is not None and (not exact or emitter.kind != "area")
         _refuse_beside_exact(props, bsdf, shines, bool(meters), any(sides.values()))
-    if isinstance(data, SdfGrid):
-        shape = grid_shape(props, data, to_world, bsdf)
-    elif isinstance(data, Network):
-        shape = network_shape(props, data, to_world, bsdf)
+    if isinstance(data, SdfGrid | Network):
+        shape = field_shape(props, data, to_world, bsdf, INSTEAD if isinstance(data, SdfGrid) else GRIDDED)
     elif isinstance(data, Curves):
         shape = curve_shape(props, data, to_world, bsdf)
     elif exact:
