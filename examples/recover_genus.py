@@ -93,19 +93,12 @@ def build(grid: np.ndarray, resolution: int) -> psdr.Scene:
         },
         "sky": {"type": "constant", "radiance": {"type": "rgb", "value": [0.3, 0.45, 0.65]}},
     }
-    for i in range(GIVEN + KEPT):
-        scene[f"camera_{i}"] = {
-            "type": "perspective",
-            "fov": 27.0,
-            "to_world": psdr.Transform.look_at(origin_of(i), [0, 0, 0], [0, 1, 0]),
-            "film": {"type": "hdrfilm", "width": resolution, "height": resolution, "rfilter": {"type": "box"}},
-        }
+    scene |= recovery.cameras([origin_of(i) for i in range(GIVEN + KEPT)], 27.0, resolution)
     return psdr.load_dict(scene)
 
 
 def photographs(scene: psdr.Scene, seed: int) -> list[np.ndarray]:
-    views = range(GIVEN + KEPT)
-    return [psdr.render(scene, sensor=i, integrator=INTEGRATOR, spp=PHOTO_SPP, seed=seed + i).numpy() for i in views]
+    return recovery.photographs(scene, GIVEN + KEPT, INTEGRATOR, PHOTO_SPP, seed)
 
 
 def finer(values: np.ndarray, n: int) -> np.ndarray:

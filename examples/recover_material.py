@@ -78,16 +78,12 @@ def build(resolution: int) -> psdr.Scene:
         "ball": {"type": "sphere", "bsdf": {"type": "principled", "specular": 0.5, **bitmaps}},
         "sky": {"type": "envmap", "bitmap": np.full((*SKY_TEXELS, 3), START[SKY], np.float32)},
     }
+    origins = []
     for i in range(GIVEN + KEPT):
         angle = 2.0 * np.pi * (i / GIVEN if i < GIVEN else (i - GIVEN) * 0.5 + 0.0625)
         height = (1.1 if i % 2 else -1.1) if i < GIVEN else 0.2
-        origin = [2.6 * np.sin(angle), height, 2.6 * np.cos(angle)]
-        scene[f"camera_{i}"] = {
-            "type": "perspective",
-            "fov": 70.0,
-            "to_world": psdr.Transform.look_at(origin, [0, 0, 0], [0, 1, 0]),
-            "film": {"type": "hdrfilm", "width": resolution, "height": resolution, "rfilter": {"type": "box"}},
-        }
+        origins.append([2.6 * np.sin(angle), height, 2.6 * np.cos(angle)])
+    scene |= recovery.cameras(origins, 70.0, resolution)
     return psdr.load_dict(scene)
 
 
@@ -102,13 +98,11 @@ def main(folder: Path = ROOT / "out" / "material", *, resolution: int = 40, step
     began = time.perf_counter()
     folder.mkdir(parents=True, exist_ok=True)
     scene = build(resolution)
-    params, views = psdr.traverse(scene), range(GIVEN + KEPT)
+    params = psdr.traverse(scene)
     start, sought = {name: params[name].numpy().copy() for name in RATES}, truth()
 
     def photographs(seed: int) -> list[np.ndarray]:
-        return [
-            psdr.render(scene, sensor=i, integrator=INTEGRATOR, spp=PHOTO_SPP, seed=seed + i).numpy() for i in views
-        ]
+        return recovery.photographs(scene, GIVEN + KEPT, INTEGRATOR, PHOTO_SPP, seed)
 
     set_values(params, sought)
     photos = photographs(PHOTO_SEED)

@@ -105,19 +105,12 @@ def build(density: np.ndarray, albedo: np.ndarray, resolution: int) -> psdr.Scen
         "sky": {"type": "constant", "radiance": 0.8},
         "sun": {"type": "directional", "direction": [0.3, -1.0, -0.2], "irradiance": 2.0},
     }
-    for i in range(GIVEN + KEPT):
-        scene[f"camera_{i}"] = {
-            "type": "perspective",
-            "fov": 40.0,
-            "to_world": psdr.Transform.look_at(origin_of(i), [0, 0, 0], [0, 1, 0]),
-            "film": {"type": "hdrfilm", "width": resolution, "height": resolution, "rfilter": {"type": "box"}},
-        }
+    scene |= recovery.cameras([origin_of(i) for i in range(GIVEN + KEPT)], 40.0, resolution)
     return psdr.load_dict(scene)
 
 
 def photographs(scene: psdr.Scene, seed: int) -> list[np.ndarray]:
-    views = range(GIVEN + KEPT)
-    return [psdr.render(scene, sensor=i, integrator=INTEGRATOR, spp=PHOTO_SPP, seed=seed + i).numpy() for i in views]
+    return recovery.photographs(scene, GIVEN + KEPT, INTEGRATOR, PHOTO_SPP, seed)
 
 
 def finer(values: np.ndarray, n: int) -> np.ndarray:

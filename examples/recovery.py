@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import warp as wp
 
+import warp_psdr as psdr
 from warp_psdr import plots
 from warp_psdr.fit.report import psnr
 
@@ -66,6 +67,27 @@ def pose_errors(pose: tuple[np.ndarray, np.ndarray], truth: tuple[np.ndarray, np
     turned, sought = (Rotation.from_rotvec(np.asarray(p[0], np.float64)).as_matrix() for p in (pose, truth))
     cosine = 0.5 * (np.trace(sought.T @ turned) - 1.0)
     return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))), float(np.linalg.norm(pose[1] - truth[1]))
+
+
+def cameras(origins: list[list[float]], fov: float, resolution: int) -> dict:
+    """Return square cameras ``camera_0``, ... of a scene, at the origins, that look at the centre of the world."""
+    film = {"type": "hdrfilm", "width": resolution, "height": resolution, "rfilter": {"type": "box"}}
+    return {
+        f"camera_{i}": {
+            "type": "perspective",
+            "fov": fov,
+            "to_world": psdr.Transform.look_at(origin, [0, 0, 0], [0, 1, 0]),
+            "film": film,
+        }
+        for i, origin in enumerate(origins)
+    }
+
+
+def photographs(
+    scene: psdr.Scene, count: int, integrator: psdr.PathIntegrator, spp: int, seed: int
+) -> list[np.ndarray]:
+    """Return what the first cameras see, (H, W, 3) each, with a seed of its own."""
+    return [psdr.render(scene, sensor=i, integrator=integrator, spp=spp, seed=seed + i).numpy() for i in range(count)]
 
 
 def view_report(folder: Path, photos: list, before: list, found: list, given: int) -> dict:
