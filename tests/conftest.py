@@ -8,6 +8,9 @@ try:
 except ImportError:  # without -n there is nothing to schedule
     LoadFileScheduling = None
 
+#: Folders whose files share their kernels: one worker has them all.
+TOGETHER = ("tests/accuracy/",)
+
 
 def _has_cuda() -> bool:
     return wp.get_cuda_device_count() > 0
@@ -61,7 +64,13 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> object:
     if config.getvalue("dist") != "load":
         return None
     config.option.loadscopereorder = False  # xdist would leave files of few tests, some of them long, to the end
-    return LoadFileScheduling(config, log)
+
+    class Scheduling(LoadFileScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            file = nodeid.partition("::")[0]
+            return next((folder for folder in TOGETHER if file.startswith(folder)), file)
+
+    return Scheduling(config, log)
 
 
 @pytest.fixture(params=["cpu", pytest.param("cuda:0", marks=pytest.mark.gpu)])

@@ -159,7 +159,7 @@ FACTORIES = {
         ("bidirectional", (JOINED_LIGHTS,), SLOW),
     ],
     "interior.bidirectional.make_bidirectional_kernel": [
-        ("reverse", (JOINED, ALBEDO, "reverse", 4, 1), FAST),
+        ("reverse", (JOINED, ALBEDO, "reverse", 4, 1), SLOW),
         ("lights, blocks", (JOINED_LIGHTS, still(JOINED_LIGHTS), "reverse", 4, 4), SLOW),
         ("through", (JOINED_THROUGH, still(JOINED_THROUGH), "forward", 4, 1), SLOW),
     ],
@@ -172,7 +172,7 @@ FACTORIES = {
         ("lights", (CONNECTED_LIGHTS, still(CONNECTED_LIGHTS), "forward"), SLOW),
     ],
     "interior.light_tracing.make_light_replay_kernel": [
-        ("simple", (SIMPLE, ALBEDO, 4, 1), FAST),
+        ("simple", (SIMPLE, ALBEDO, 4, 1), SLOW),
         ("blocks, lights", (ALL_LIGHTS, still(ALL_LIGHTS), 4, 4), SLOW),
         ("materials", (MATERIALS, everything(MATERIALS, radiance=True), 4, 1), SLOW),
         ("textures", (TEXTURED, everything(TEXTURED, radiance=True, to_uv=True), 4, 1), SLOW),
@@ -183,14 +183,14 @@ FACTORIES = {
         ("materials", (MATERIALS, everything(MATERIALS, radiance=True)), SLOW),
     ],
     "light_tracing.make_light_image_kernel": [
-        ("simple", (SIMPLE,), FAST),
+        ("simple", (SIMPLE,), SLOW),
         ("lights", (ALL_LIGHTS,), SLOW),
         ("thin lens", (THIN_LENS,), SLOW),
         ("materials", (MATERIALS,), SLOW),
         ("through", (THROUGH,), SLOW),
         ("weighted", (JOINED_THROUGH,), SLOW),
     ],
-    "splat.make_splat_kernel": [("tent", (SPLAT,), FAST), ("gaussian", (SPLAT_GAUSSIAN,), SLOW)],
+    "splat.make_splat_kernel": [("tent", (SPLAT,), SLOW), ("gaussian", (SPLAT_GAUSSIAN,), SLOW)],
     "interior.replay.make_replay_kernel": [
         ("simple", (SIMPLE, GEOMETRY, 8, 1), FAST),
         ("blocks", (SIMPLE, ALBEDO, 8, 4), SLOW),
@@ -235,7 +235,7 @@ FACTORIES = {
         ("forward, no edges", (MEDIA, moving_among_media(MEDIA), "forward", 4, 4, False), SLOW),
     ],
     "interior.textbook.make_textbook_kernel": [
-        ("reverse, simple", (SIMPLE, ALBEDO, "reverse"), FAST),
+        ("reverse, simple", (SIMPLE, ALBEDO, "reverse"), SLOW),
         ("forward, simple", (SIMPLE, ALBEDO, "forward"), SLOW),
         ("reverse, materials", (MATERIALS, still(MATERIALS), "reverse"), SLOW),
         ("reverse, lights", (ALL_LIGHTS, all_of(ALL_LIGHTS), "reverse"), SLOW),

@@ -70,6 +70,7 @@ def test_forward_gradient_along_a_file(scene: str) -> None:
     assert np.all(derivative[..., 1:] == 0.0)
 
 
+@pytest.mark.slow
 def test_forward_gradient_of_a_translation(scene: str) -> None:
     arguments = ["gradient", scene, "--param", POSITIONS, "--translate", "0", "0", "1", "--spp", "4", "-o", "d"]
     assert main([*arguments, "--boundary", "none"]) == 0

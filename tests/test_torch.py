@@ -69,7 +69,7 @@ def test_two_images_of_one_scene_do_not_mix(scene) -> None:
     np.testing.assert_array_equal(psdr.traverse(scene)[WALL].numpy(), np.float32([0.7, 0.7, 0.7]))
 
 
-@pytest.mark.parametrize("asked", [WALL, POSE, VERTICES])
+@pytest.mark.parametrize("asked", [WALL, *(pytest.param(n, marks=pytest.mark.slow) for n in (POSE, VERTICES))])
 def test_gradients_are_those_of_the_values_that_were_rendered(scene, asked) -> None:
     """A posed shape's vertices are values of their own: an edit between the image and its gradient does not count."""
     torch = pytest.importorskip("torch")
@@ -168,6 +168,7 @@ def test_tensors_of_any_floating_type_may_change_in_place_afterwards(scene) -> N
     assert albedo.grad.float().min() > 0.0
 
 
+@pytest.mark.slow
 def test_only_an_image_is_wanted_without_grad(scene) -> None:
     """What cannot be differentiated can be rendered."""
     torch = pytest.importorskip("torch")
@@ -187,6 +188,7 @@ def test_only_an_image_is_wanted_without_grad(scene) -> None:
         assert not psdr.torch.render(mirror, {POSE: pose}, **options).requires_grad
 
 
+@pytest.mark.slow
 def test_only_what_requires_a_gradient_gets_one(scene) -> None:
     torch = pytest.importorskip("torch")
     albedo, sky = torch.full((3,), 0.5), torch.ones(3, requires_grad=True)

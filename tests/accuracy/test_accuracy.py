@@ -178,7 +178,7 @@ def test_terms_add_up_to_the_derivative_image(soft):
     np.testing.assert_allclose(total.reshape(image.shape), image, rtol=1e-4, atol=1e-5 * np.abs(image).max())
 
 
-@pytest.mark.slow_rows("silhouette box")
+@pytest.mark.slow_rows("soft", "silhouette box")
 @pytest.mark.parametrize("name", ["silhouette box", "soft"])
 def test_an_image_is_one_term(name):
     scene, _params = scenes.load(name)
@@ -217,6 +217,7 @@ def test_tiles_leave_gradients_unbiased(soft):
     means_agree(*batches)
 
 
+@pytest.mark.slow_rows("silhouette box")
 @pytest.mark.parametrize("name", ["silhouette box", "soft"])
 def test_tiles_leave_images_unbiased(name):
     # Under the tent filter of the second, neighbouring tiles share samples.
@@ -411,6 +412,7 @@ def rounds_of_a_pilot(soft, monkeypatch, *, uncertain=0.0, error=None):
     return found.batches, found
 
 
+@pytest.mark.slow
 def test_an_uncertain_pilot_goes_on(soft, monkeypatch):
     enough, report = rounds_of_a_pilot(soft, monkeypatch, uncertain=math.inf)
     assert 4 <= enough < 12

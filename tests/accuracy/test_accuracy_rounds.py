@@ -91,6 +91,7 @@ def test_both_sizes_tell_the_variance(monkeypatch, heavy, gain):
     assert both.std() < gain * own.std()
 
 
+@pytest.mark.slow_rows("6")
 @pytest.mark.parametrize("components", [1, 6])
 def test_a_spread_is_how_far_predictions_lie_apart(monkeypatch, components):
     # A few batches lie close to one another by chance, and say that they are certain: none is more than normal ones.

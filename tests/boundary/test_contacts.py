@@ -179,6 +179,7 @@ def test_contacts_follow_edits() -> None:
         forward("room", {BOX: UP})
 
 
+@pytest.mark.slow
 def test_what_is_warned_of_has_two_derivatives() -> None:
     """The sum of the image as a wall of a room is moved in, over the floor's end, and out, which opens a gap."""
     scene, params = load("room")

@@ -90,6 +90,7 @@ def cylinder_area(radius: float, length: float, angle: float) -> float:
     return 2.0 * radius * length * np.sin(angle) + np.cos(angle) * (np.pi * radius**2 - through)
 
 
+@pytest.mark.slow
 def test_areas_on_the_film() -> None:
     """Orthographic: a cylinder that is seen through by radius, length and angle, and two disks one behind the other."""
     radius, length, angle, apart = 0.4, 0.4, 0.9, 0.6

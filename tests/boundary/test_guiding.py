@@ -90,6 +90,7 @@ def samples(cells, n=SAMPLES):
     return u.numpy(), pdf.numpy()
 
 
+@pytest.mark.slow_rows("kdtree-1.0", "octree-1.0")
 @pytest.mark.parametrize("floor_share", [0.2, 1.0])
 @pytest.mark.parametrize("name", METHODS)
 def test_cells_are_sampled_with_their_density(name, floor_share) -> None:
@@ -247,7 +248,11 @@ ROWS = [
 ]
 
 
-@pytest.mark.slow_rows("soft, occluder moves, depth 2-forward-kdtree", "soft, occluder moves, depth 2-forward-octree")
+@pytest.mark.slow_rows(
+    "soft, occluder moves, depth 2-reverse-octree",
+    "soft, occluder moves, depth 2-forward-kdtree",
+    "soft, occluder moves, depth 2-forward-octree",
+)
 @pytest.mark.parametrize("name", METHODS)
 @pytest.mark.parametrize("mode", ["forward", "reverse"])
 @pytest.mark.parametrize("case", rows(ROWS))

@@ -74,6 +74,7 @@ def test_derivatives_equal_finite_differences(case: Case, mode: str) -> None:
     assert_agrees(derivatives(case, mode), differences(case)[2])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("case", "left_out"),
     [(CASES[0], "geometric_horizon"), (CASES[4], "creases")],

@@ -71,7 +71,7 @@ def right_sphere(grid):
 
 STEP = 0.003
 CASES = [
-    Case("cubic, lamp", GRID, one_half, STEP, "one half", 2, 768, 2560, slow=False),
+    Case("cubic, lamp", GRID, one_half, STEP, "one half", 2, 768, 2560),
     *(
         Case(f"cubic, {light}", GRID, tangent, STEP, what, 2, spp, 4 * spp)
         for light, spp in (("sky", 2048), ("lamp", 768), ("point", 512), ("sun", 512), ("spot", 512))

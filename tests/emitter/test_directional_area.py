@@ -44,6 +44,7 @@ def test_irradiance_is_the_radiance_wherever_the_light_falls(tilt):
     assert (share[..., 0] == 0.0).sum() > 100
 
 
+@pytest.mark.slow
 @pytest.mark.slow_rows("rectangle")
 @pytest.mark.parametrize("shape", ["rectangle", "disk"])
 def test_the_lit_area_is_that_of_the_shape(shape):

@@ -161,7 +161,7 @@ def test_the_boundary_term_and_its_guiding(mode: str) -> None:
     assert all(counts[kind] > 0 for kind in ("primary", "secondary", "guiding"))
 
 
-@pytest.mark.slow_rows("gaussian-image")
+@pytest.mark.slow_rows("box-interior", "gaussian-image")
 @pytest.mark.parametrize(("rfilter", "kind"), [("box", "image"), ("gaussian", "image"), ("box", "interior")])
 def test_the_path_of_the_first_can_be_drawn_again(rfilter: str, kind: str) -> None:
     scene = broken(rfilter)

@@ -12,7 +12,7 @@ from .scenes import SIZE, load
 #: Forward mode of the fast subset: ``test_adjoint_identity.py``.
 FAST_METHODS = ("reverse",)
 #: Scenes of the fast subset; kernels of every scene take some twenty seconds to compile.
-FAST_SCENES = ("plane", "gap", "carved", "sunny", "rough", "mirror", "glass")
+FAST_SCENES = ("plane", "gap", "rough", "mirror", "glass")
 #: Its rows are among the handful of ``-m smoke``.
 SMOKE_SCENE = "dome"
 
@@ -32,7 +32,6 @@ def requested(case):
     return params.requested
 
 
-@pytest.mark.slow_rows("carved-floor.bsdf.reflectance.volume.data-4-reverse", "sunny-sky.albedo.value-2-reverse")
 @pytest.mark.parametrize(("case", "method"), list(rows()))
 def test_derivative_equals_finite_differences(case, method):
     mode, block = METHODS[method]

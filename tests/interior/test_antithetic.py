@@ -153,6 +153,7 @@ def test_the_rest_is_replayed_beside_it():
     np.testing.assert_allclose(beside[first:], replay[first:], rtol=ROUNDING)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["mapped", *(pytest.param(n, marks=pytest.mark.slow) for n in list(SCENES)[1:])])
 def test_forward_mode_sums_to_reverse_mode(name):
     # Grey: forward mode chooses vertices by the colours alike.
@@ -208,6 +209,7 @@ def test_slope_of_finite_differences(name, parameter, tangent, step, differences
     assert abs(gradient.mean() / slopes.mean() - 1.0) < SLOPE + 2.0 * noise_of_both
 
 
+@pytest.mark.slow
 def test_less_noise_than_replay_at_equal_samples():
     parameter, tangent = next(directions(load("mapped")[1], "mapped"))
 

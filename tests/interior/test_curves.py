@@ -36,6 +36,7 @@ def swell() -> np.ndarray:
     return np.hstack([0.2 * np.sin(3.0 * k), 0.4 * np.cos(2.0 * k), 0.0 * k + 0.5, 0.3 * np.cos(k)]).ravel()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("plugin", "name", "tangent", "step"),
     [

@@ -93,6 +93,7 @@ def test_the_rest_is_replayed_beside_it():
     np.testing.assert_allclose(beside[1:], alone, rtol=ROUNDING)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["metal", *(pytest.param(n, marks=pytest.mark.slow) for n in METALS[1:])])
 def test_forward_mode_sums_to_reverse_mode(name):
     # Grey: forward mode chooses vertices by the colours alike.

@@ -107,7 +107,9 @@ def direction(shape: tuple[int, ...], size: float) -> np.ndarray:
     return size * np.random.default_rng(5).standard_normal(shape)
 
 
-@pytest.mark.slow_rows("cave.layer0.weight", "cave.layer2.bias", "cave.to_world", "sensor.to_world")
+@pytest.mark.slow_rows(
+    "cave.layer1.weight", "cave.layer0.weight", "cave.layer2.bias", "cave.to_world", "sensor.to_world"
+)
 @pytest.mark.parametrize(
     ("name", "tangent", "step"),
     [

@@ -58,6 +58,7 @@ KS = (1, 2, 3, 8, 16)
 FAST_PAIRS = {(1, 8), (2, 1), (5, 1), (5, 2), (16, 8), (64, 8)}
 
 
+@pytest.mark.slow
 @pytest.mark.slow_rows("1-8", "5-1", "5-2", "16-8", "64-8")
 @pytest.mark.parametrize(
     ("depth", "block"),
@@ -158,6 +159,7 @@ def test_textbook_replay_agrees_on_moving_vertices(name):
         np.testing.assert_allclose(g, expected, rtol=0.0, atol=CANCELLATION * max(np.abs(expected).max(), 1e-6))
 
 
+@pytest.mark.slow
 def test_memory_depends_neither_on_depth_nor_on_samples(closed):
     scene, params = closed
     params.requires_grad_only("room.bsdf.reflectance.value", "room.emitter.radiance.value")

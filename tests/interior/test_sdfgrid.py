@@ -134,6 +134,7 @@ def lumps(count: int) -> np.ndarray:
     return (np.sin(4.0 * x) * np.cos(3.0 * z))[..., None]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "tangent", "step"),
     [

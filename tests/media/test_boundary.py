@@ -154,6 +154,7 @@ def room(inside):
 ALL = [SQUARE, "floor.to_world", "lamp.to_world", "sensor.to_world", "fog.to_world"]
 
 
+@pytest.mark.slow
 def test_nothing_changes_where_all_moves_together():
     """Sample by sample, whatever vertices in the fog ride on, and at any depth."""
     scene = room(inside=True)

@@ -64,6 +64,7 @@ def test_a_slab_shines(slab, sigma, value, slope):
         np.testing.assert_allclose(forward(scene, params, name, 1), derivative, rtol=2e-3)
 
 
+@pytest.mark.slow
 def test_in_equilibrium_nothing_is_seen(slab):
     """What is absorbed is emitted: with epsilon = sigma (1 - albedo) L all is L, and stays so along that constraint."""
     sigma, albedo = np.array([0.4, 1.5, 4.0]), np.array([0.9, 0.5, 0.7])

@@ -189,6 +189,7 @@ def test_forward_and_reverse_mode_are_adjoint(sunlit):
         assert found.any() and abs(left - right) <= bound, (name, left, right, bound)
 
 
+@pytest.mark.slow
 def test_any_number_of_workers_gives_equal_bits(sunlit):
     first = gradient(sunlit)
     before = psdr.set_workers(1)

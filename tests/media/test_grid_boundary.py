@@ -55,6 +55,7 @@ def smoke():
     return grids(grid(DENSITY), grid(ALBEDO), g=0.3)
 
 
+@pytest.mark.slow
 def test_nothing_changes_where_all_moves_together():
     """Sample by sample, also what rides on the box of the grid."""
     scene = curtain(smoke(), "area")

@@ -92,6 +92,7 @@ def test_a_slab_of_layers(scene, scale, background):
     assert not found[ALBEDO].any() and np.abs(found[EMISSION]).sum() > 0.1
 
 
+@pytest.mark.slow
 def test_in_equilibrium_nothing_is_seen(scene):
     """With epsilon = sigma (1 - albedo) L all is L at any depth, and stays so along that constraint."""
     albedo = np.array([0.9, 0.5, 0.7])

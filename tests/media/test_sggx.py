@@ -145,6 +145,7 @@ def slab():
     return scene, psdr.traverse(scene)
 
 
+@pytest.mark.slow
 def test_a_slab_lets_pass_by_direction(slab):
     """exp(-sigma A(d) l), and its derivatives by each number of S."""
     scene, params = slab
@@ -223,6 +224,7 @@ def test_forward_and_reverse_mode_are_adjoint(slab):
         assert found.any() and abs(left - right) <= bound, (name, left, right, bound)
 
 
+@pytest.mark.slow
 def test_a_furnace_is_not_seen(slab):
     """Albedo 1 under a sky of 1: 1 at any depth, whatever S, sigma and how flakes are turned."""
     scene, params = slab

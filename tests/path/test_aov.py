@@ -127,6 +127,7 @@ def sky(**integrator):
     return psdr.load_dict({"type": "scene", "sensor": sensor, "sky": {"type": "constant"}, **more})
 
 
+@pytest.mark.slow
 def test_a_file_that_asks_for_channels_alone_has_no_image() -> None:
     alone = sky(type="aov", aovs="d:depth")
     with pytest.raises(ValueError, match=r"psdr\.render_aov\(scene\)"):

@@ -30,7 +30,9 @@ def expected_image(case, shape):
     return np.array(case["pixels"]) if "pixels" in case else np.broadcast_to(case["radiance"], shape)
 
 
-@pytest.mark.slow_rows("spot_axis", "directional", "two_sided_front", "furnace_glass", "hidden_light")
+@pytest.mark.slow_rows(
+    "spot_falloff", "two_sided_back", "spot_axis", "directional", "two_sided_front", "furnace_glass", "hidden_light"
+)
 @pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.smoke] * (n in SMOKE)) for n in CASES])
 def test_radiance(name):
     stem, case = CASES[name]

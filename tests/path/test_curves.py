@@ -79,6 +79,7 @@ def test_a_straight_tube_covers_its_shadow(plugin: str) -> None:
     assert 4.0 * (1.0 - image.mean()) == pytest.approx(expected, rel=2e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("plugin", ["bsplinecurve", pytest.param("linearcurve", marks=pytest.mark.slow)])
 def test_traced_vertices_lie_on_them(plugin: str) -> None:
     described = psdr.load_dict(held(plugin, DIFFUSE))

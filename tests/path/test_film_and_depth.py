@@ -213,6 +213,7 @@ def test_mitsuba_ends_filters_alike(rfilter, border, cropped):
     assert_same_mean(ours, theirs, f"{rfilter}, {border}", rounding=5e-3)  # Mitsuba's Gaussian is a polynomial
 
 
+@pytest.mark.slow
 @pytest.mark.slow_rows("to_world0")
 @pytest.mark.parametrize("to_world", [np.diag([2.0, 1.0, 1.0, 1.0]), np.diag([1.0, -3.0, 0.5, 1.0])])
 def test_a_stretched_environment_lights_a_floor_as_one_that_is_not(to_world) -> None:

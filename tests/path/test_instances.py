@@ -112,6 +112,7 @@ def test_images_equal_mitsubas():
 # -- edits ------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("by", ["assignment", "kernel"])
 def test_copies_follow_the_vertices_of_the_group_and_the_poses(by):
     shapes = {"ball": mesh(), "flat": mesh(face_normals=True, to_world=T.translate([0, 0, 1.0]))}

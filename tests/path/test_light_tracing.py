@@ -120,6 +120,7 @@ def test_the_image_is_that_of_the_path_tracer(name):
     np.testing.assert_allclose(light.mean(), path.mean(), rtol=0.03)
 
 
+@pytest.mark.slow
 def test_a_scene_file_asks_for_it_by_mitsubas_name_and_the_workers_do_not_matter():
     described = {**ROOMS["area"](), "integrator": {"type": "ptracer", "max_depth": 5}}
     scene = psdr.load_dict(described)

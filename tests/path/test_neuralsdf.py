@@ -46,6 +46,7 @@ def test_image_is_that_of_a_spline(net: tuple, pose: psdr.Transform, bsdf: dict)
     assert np.abs(mean_a / mean_b - 1.0).max() < 0.04
 
 
+@pytest.mark.slow
 def test_traced_vertices_lie_on_it() -> None:
     net = fitted()
     held = psdr.load_dict(of_network(net, TURNED, DIFFUSE))

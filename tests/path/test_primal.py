@@ -85,7 +85,9 @@ MITSUBA_CASES = {
 SLOW = ("principled", "paper", "principled glass")
 
 
-@pytest.mark.slow_rows("thin glass", "mirror", "rough Beckmann", "anisotropic", "two sides")
+@pytest.mark.slow_rows(
+    "hidden emitters", "point, spot and sun", "thin glass", "mirror", "rough Beckmann", "anisotropic", "two sides"
+)
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=[pytest.mark.slow] * (name in SLOW)) for name in MITSUBA_CASES]
 )
@@ -128,6 +130,7 @@ def test_russian_roulette_keeps_the_mean(rr_depth):
     assert not np.array_equal(with_roulette, without)
 
 
+@pytest.mark.slow
 def test_roulette_through_glass_keeps_the_mean():
     """Radiance grows by the squared index inside glass; the survival probability must not depend on that."""
     scene = psdr.load_string(MITSUBA_CASES["glass"])

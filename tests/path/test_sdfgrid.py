@@ -153,6 +153,7 @@ def test_powers_of_two_scale_it_exactly() -> None:
         np.testing.assert_array_equal(image, images[0])
 
 
+@pytest.mark.slow
 def test_traced_vertices_lie_on_it() -> None:
     held = psdr.load_dict(scene(sphere(17, 0.4), TURNED, "smooth", DIFFUSE))
     vertex = psdr.trace_sample(held, pixel=(16, 14), sample=0).vertices[0]

@@ -57,6 +57,7 @@ def test_a_flat_map_changes_nothing() -> None:
         np.testing.assert_allclose(lit_plane(flat), plain, rtol=FLOAT32)
 
 
+@pytest.mark.slow
 def test_a_tilted_map_is_a_turned_plane() -> None:
     n = np.array([np.sin(0.4), 0.0, np.cos(0.4)])
     np.testing.assert_allclose(lit_plane(normal_map(n, **PLAIN)), np.tile(expected(n), (16, 1)), rtol=FLOAT32)

@@ -38,6 +38,7 @@ def test_turned_cube_turns_its_normals():
     np.testing.assert_allclose(params["box.vertex_normals"].numpy(), before @ turn.T, atol=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "names", [("box.vertex_positions",), ("box.to_world",), ("box.vertex_positions", "box.to_world")]
 )

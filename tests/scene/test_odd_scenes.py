@@ -135,6 +135,7 @@ def test_a_camera_on_a_surface_and_one_behind_everything() -> None:
     assert not image.any()
 
 
+@pytest.mark.slow
 def test_a_light_of_zero_radiance_has_its_derivative() -> None:
     _, dark = all_passes(load({"a": ball(**lamp(0.0)), "b": FLOOR}))
     _, bright = all_passes(load({"a": ball(**lamp(3.0)), "b": FLOOR}))
@@ -144,6 +145,7 @@ def test_a_light_of_zero_radiance_has_its_derivative() -> None:
     np.testing.assert_allclose(dark[name], bright[name], rtol=1e-4)
 
 
+@pytest.mark.slow
 def test_a_black_surface_has_its_derivative() -> None:
     black = {"a": FLOOR | {"bsdf": {"type": "diffuse", "reflectance": 0.0}}, "lamp": POINT}
     _, gradients = all_passes(load(black))

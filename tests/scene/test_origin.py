@@ -134,6 +134,7 @@ def test_coarse_edits_in_place_warn_once() -> None:
     params.update("mesh.vertex_positions")
 
 
+@pytest.mark.slow
 def test_gradients_need_no_conversion(pair) -> None:
     gradients = []
     for loaded in pair:

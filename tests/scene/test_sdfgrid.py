@@ -131,6 +131,7 @@ def test_reaches_of_a_spline_are_those_of_its_coefficients() -> None:
         assert len(np.unique(spline(BALL.astype(np.float64), p) < 0.0)) == 1
 
 
+@pytest.mark.slow
 def test_a_spline_that_smooths_its_surface_away_is_noted() -> None:
     lone = np.ones((6, 6, 6), np.float32)
     lone[3, 3, 3] = -1.0

@@ -85,6 +85,7 @@ def test_forward_mode_too(together, alone):
     np.testing.assert_array_equal(forward[:, 12:], other)
 
 
+@pytest.mark.slow
 def test_a_tape_records_the_whole_film(together):
     params = psdr.traverse(together)
     params.requires_grad_only("cube.bsdf.reflectance.value")

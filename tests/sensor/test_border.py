@@ -58,7 +58,9 @@ def share(name: str, low: float, high: float, border: bool, first: int, size: in
     return within(max(low, first), min(high, first + size)) / within(first, first + size)
 
 
-@pytest.mark.slow_rows("box-None", "gaussian-None", "box-False", "tent-None")
+@pytest.mark.slow_rows(
+    "tent-False", "wide tent-None", "wide tent-False", "box-None", "gaussian-None", "box-False", "tent-None"
+)
 @pytest.mark.parametrize("border", [None, False])
 @pytest.mark.parametrize("name", NAMES)
 def test_a_white_square_that_fills_the_film_is_white(name: str, border: bool | None) -> None:

@@ -270,6 +270,7 @@ def test_where_a_box_sinks_into_the_floor_segments_end_at_its_edge() -> None:
     assert tau.numpy().min() >= 0.0 and tau.numpy().max() == 1.0
 
 
+@pytest.mark.slow
 def test_points_close_to_an_edge_see_it_from_where_they_are() -> None:
     """As near as rays start off edges, which else started behind the point; of an edge in a wall tau is 1."""
     scene = sunk()

@@ -130,7 +130,7 @@ LIGHTS = {
 }
 
 
-@pytest.mark.slow_rows("spot", "projector", "sun")
+@pytest.mark.slow_rows("map", "camera and map", "spot without an axis", "camera and sky", "spot", "projector", "sun")
 @pytest.mark.parametrize("name", LIGHTS)
 def test_what_has_no_pose_is_counted(name: str) -> None:
     """A pose that holds NaN makes samples invalid, not a light that is off, a black image or one of a single texel."""
@@ -149,6 +149,7 @@ def test_what_has_no_pose_is_counted(name: str) -> None:
     assert psdr.invalid_samples(scene)["image"] == expected > 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sky", [{}, {"lamp": MAP}, {"lamp": {"type": "constant"}}], ids=["none", "map", "even"])
 def test_rays_that_are_none_meet_nan(sky: dict) -> None:
     """Neither a surface nor the sky nor the dark: of rays from no place, and of those in no direction."""
