@@ -16,7 +16,7 @@ import functools
 
 import warp as wp
 
-from warp_psdr.kernels.constants import CAMERA_THINLENS, FAR, LOBE_SMOOTH
+from warp_psdr.kernels.constants import CAMERA_IRRADIANCEMETER, CAMERA_THINLENS, FAR, LOBE_SMOOTH
 from warp_psdr.kernels.interaction import enter_frame, leave_frame, make_interaction
 from warp_psdr.kernels.invalid import finite, vanishes
 from warp_psdr.kernels.jobs import PixelJob
@@ -178,7 +178,7 @@ def make_light_path(config: PathConfig, differential: bool):
         vertex.v = hit.v
         slot = SLOT_FIRST + SLOTS_PER_LIGHT_VERTEX * state.depth
         lens = wp.vec2(0.0, 0.0)
-        if wp.static(config.camera == CAMERA_THINLENS):
+        if wp.static(config.camera in (CAMERA_THINLENS, CAMERA_IRRADIANCEMETER)):
             lens = lens_point(sample_2d(sampler, slot + 1))
         vertex = join(scene, camera, vertex, at.x, cosine, lens)
         if max_depth >= 0 and state.depth + 3 > max_depth:

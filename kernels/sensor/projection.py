@@ -11,6 +11,7 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.constants import (
+    CAMERA_IRRADIANCEMETER,
     CAMERA_ORTHOGRAPHIC,
     CAMERA_THINLENS,
     RFILTER_BOX,
@@ -27,6 +28,7 @@ from warp_psdr.kernels.sensor.film import (
     filter_margin,
     filter_share,
 )
+from warp_psdr.kernels.sensor.meter import meter_face, meter_origin
 from warp_psdr.kernels.structs import Camera, Scene
 
 #: Pixels beside each other for which the filter is evaluated once and not for every row: all under most filters.
@@ -90,7 +92,8 @@ def counts(camera: Camera, at: wp.vec2) -> wp.bool:
 def make_projection(kind: int):
     """Return ``(project, film_gradient, film_velocity)`` of a kind of camera.
 
-    ``project(scene, camera, x, lens) -> FilmPoint``, ``lens`` from ``camera.make_lens``;
+    ``project(scene, camera, x, lens) -> FilmPoint``, ``lens`` from ``camera.make_lens``; of an irradiance meter
+    uniform numbers that choose a point of its shape, and it has none of the other two functions;
     ``film_gradient(scene, camera, at, n) -> vec3``: gradient of n . pixel(x) with respect to x;
     ``film_velocity(scene, camera, at, v) -> vec2``: velocity of pixel(x) for a velocity v of x.
     """
@@ -99,6 +102,18 @@ def make_projection(kind: int):
     def project(scene: Scene, camera: Camera, x: wp.vec3, lens: wp.vec2) -> FilmPoint:
         r = FilmPoint()
         r.sample.lens = lens
+        if wp.static(kind == CAMERA_IRRADIANCEMETER):
+            # The point of the shape that ``lens`` chooses receives it; one pixel without a filter.
+            r.origin = meter_origin(scene, camera, lens)
+            n = scene.triangles[camera.first_face + meter_face(scene, camera, lens[0])].normal
+            away = x - r.origin
+            height = wp.dot(n, away)
+            if height > 0.0:
+                square = wp.length_sq(away)
+                r.valid = 1
+                r.pixel = wp.vec2(0.5, 0.5)
+                r.per_area = height / (square * wp.sqrt(square))
+            return r
         m = load_mat44(scene.values, camera.to_world)
         block = camera_block(scene, camera)
         axis = wp.vec3(m[0, 2], m[1, 2], m[2, 2])

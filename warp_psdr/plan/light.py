@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING
 
 from warp_psdr.kernels.bsdf.dispatch import has_delta_lobes, models_of
 from warp_psdr.kernels.constants import (
+    CAMERA_IRRADIANCEMETER,
+    CAMERA_RADIANCEMETER,
     DELTA_LIGHTS,
     EMITTER_CONSTANT,
     EMITTER_ENVMAP,
     LOBE_DELTA_TRANSMISSION,
-    METERS,
 )
 from warp_psdr.kernels.scattering import samples_lights
 from warp_psdr.options import interior
@@ -62,14 +63,18 @@ def passes(config: PathConfig, wanted: GradientRequest | None, method: interior.
     """Return the passes for what a scene needs.
 
     Raises:
-        ValueError: the sensor has no film that a point could be joined to, lights are hidden, or paths are too long to
-            be kept.
+        ValueError: no point can be joined to the sensor, lights are hidden, or paths are too long to be kept.
     """
     name = type(method).__name__
-    if config.camera in METERS:
+    if config.camera == CAMERA_RADIANCEMETER:
         raise ValueError(
-            f"interior.{name}() joins points to a film: a 'perspective', 'thinlens' or 'orthographic' camera; a "
-            "meter has none. Use interior.Replay()"
+            f"interior.{name}() joins points to a film, or to the shape of an 'irradiancemeter'; the one ray of a "
+            "'radiancemeter' meets none of them. Use interior.Replay()"
+        )
+    if config.camera == CAMERA_IRRADIANCEMETER and isinstance(method, interior.Bidirectional):
+        raise ValueError(
+            "interior.Bidirectional() weighs paths by the pixels that they may reach, and a meter has none; use "
+            "interior.LightTracing() or interior.Replay()"
         )
     joins = config.scatter and samples_lights(config)
     if isinstance(method, interior.Bidirectional):
