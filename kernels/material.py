@@ -30,8 +30,15 @@ def address_of(values: wp.array(dtype=wp.float32), offset: wp.int32) -> wp.uint6
 
 @wp.func
 def table_address(scene: Scene, index: wp.int32) -> wp.uint64:
-    """Address of a material's table, see ``bsdf/model.py``."""
-    return address_of(scene.values, texture_record(scene, index).offset)
+    """Address of a material's table, see ``bsdf/model.py``.
+
+    Where a material has none, ``index`` is -1, the address is that of values of the scene, which are as many as those
+    of a table at least: paths side by side read it for all materials.
+    """
+    offset = wp.int32(0)
+    if index >= 0:
+        offset = texture_record(scene, index).offset
+    return address_of(scene.values, offset)
 
 
 @functools.cache
@@ -49,7 +56,7 @@ def make_material(models: tuple[str, ...], material: tuple[Slot, ...]):
             continue
         lines.append(f"    i{k} = slot_at(scene, slots, {k})")
         if slot.table:
-            lines += [f"    if i{k} >= 0:", f"        m.{slot.name} = table_address(scene, i{k})"]
+            lines.append(f"    m.{slot.name} = table_address(scene, i{k})")
             continue
         scope[f"texture_{k}"] = make_reader(slot.kinds, slot.rises)
         value = f"texture_{k}(scene, i{k}, face, u, v, uv)" + ("" if slot.color else "[0]")

@@ -22,7 +22,7 @@ import warp as wp
 from warp_psdr.kernels.bsdf.composite import Child
 from warp_psdr.kernels.bsdf.model import Flag, Functions
 from warp_psdr.kernels.constants import LOBE_NONE, LOBE_NULL, LOBE_SMOOTH
-from warp_psdr.kernels.math import aligned_tangent, to_local, to_world
+from warp_psdr.kernels.math import aligned_tangent, to_local, to_world, where3
 from warp_psdr.kernels.structs import BsdfSample, Scattered
 
 FLIP = Flag("flip_invalid_normals", True)
@@ -144,18 +144,22 @@ def make_frame_map(
         frame = frame_map_frame(mat, wi)
         s = nested.sample(mat, to_perturbed(frame, wi), u, v)
         inner = s.wo
-        s.wo = from_perturbed(frame, inner)
-        if s.lobe == LOBE_SMOOTH:
+        wo = from_perturbed(frame, inner)
+        pdf = agree(wo[2], inner[2]) * s.pdf
+        value = s.value
+        if wp.static(model.has_delta):
+            value = frame_map_scatter(mat, wi, s.lobe).value
+        if wp.static(model.has_smooth):
             # Of the direction as it is rounded, as for directions that come from elsewhere.
-            s.pdf = frame_map_pdf(mat, wi, s.wo)
-            s.value = frame_map_eval(mat, wi, s.wo)
-        elif s.lobe != LOBE_NONE:
-            s.value = frame_map_scatter(mat, wi, s.lobe).value
-            s.pdf = agree(s.wo[2], inner[2]) * s.pdf
-        if not s.pdf > 0.0:
-            s = BsdfSample()
-            s.eta = 1.0
-            s.lobe = LOBE_NONE
+            smooth = s.lobe == LOBE_SMOOTH
+            pdf = wp.where(smooth, frame_map_pdf(mat, wi, wo), pdf)
+            value = where3(smooth, frame_map_eval(mat, wi, wo), value)
+        drawn = pdf > 0.0
+        s.wo = where3(drawn, wo, wp.vec3(0.0, 0.0, 0.0))
+        s.value = where3(drawn, value, wp.vec3(0.0, 0.0, 0.0))
+        s.pdf = wp.where(drawn, pdf, 0.0)
+        s.eta = wp.where(drawn, s.eta, 1.0)
+        s.lobe = wp.where(drawn, s.lobe, LOBE_NONE)
         return s
 
     @wp.func
@@ -174,6 +178,7 @@ def make_frame_map(
         frame_map_probability if model.has_delta else None,
         relative_eta=frame_map_relative_eta if nested.own.relative_eta is not None else None,
         normal=frame_map_normal,
+        branches=nested.own.branches,
     )
 
 

@@ -19,6 +19,7 @@ from warp_psdr.kernels.bsdf.microfacet import (
     at_least_min,
     make_microfacet,
     make_reflection,
+    visible_below,
 )
 from warp_psdr.kernels.bsdf.model import key_of
 from warp_psdr.kernels.generated import make_generated
@@ -43,12 +44,6 @@ class SampleMotion:
     by_v: wp.vec3
     log_pdf: wp.vec2  # d ln p / d (alpha_u, alpha_v) while wo stays
     log_pdf_wo: wp.vec3  # d ln p / d wo while the roughness stays
-
-
-@wp.func
-def visible_below(x: wp.float32, z: wp.float32, r: wp.float32) -> wp.float32:
-    """C(x) of ``microfacet._beckmann_sample_visible``: visible slopes up to x, unnormalised."""
-    return 0.5 * (z * wp.erfc(-x) + INV_SQRT_PI * r * wp.exp(-x * x))
 
 
 @wp.func

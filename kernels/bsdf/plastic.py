@@ -17,7 +17,7 @@ from warp_psdr.kernels.bsdf.diffuse import diffuse_pdf
 from warp_psdr.kernels.bsdf.model import Color, Flag, Functions, Model, RelativeIndex
 from warp_psdr.kernels.constants import INV_PI, LOBE_DELTA_REFLECTION, LOBE_NONE, LOBE_SMOOTH
 from warp_psdr.kernels.fresnel import coat_reflectance, coat_transmittance
-from warp_psdr.kernels.math import reflect_local
+from warp_psdr.kernels.math import reflect_local, where3
 from warp_psdr.kernels.sampling import square_to_cosine_hemisphere
 from warp_psdr.kernels.structs import BsdfSample, Scattered
 
@@ -42,9 +42,8 @@ def share_of_coat(specular: wp.vec3, diffuse: wp.vec3, reflectance: wp.float32) 
     """Probability of the coat's lobe, whose share of the light is ``reflectance``, beside that of the base."""
     s = specular[0] + specular[1] + specular[2]
     d = diffuse[0] + diffuse[1] + diffuse[2]
-    weight = wp.float32(0.5)
-    if d + s > 0.0:
-        weight = wp.clamp(s / (d + s), MIN_SHARE, 1.0 - MIN_SHARE)
+    some = d + s > 0.0
+    weight = wp.where(some, wp.clamp(s / wp.where(some, d + s, 1.0), MIN_SHARE, 1.0 - MIN_SHARE), 0.5)
     coat = reflectance * weight
     return coat / (coat + (1.0 - reflectance) * (1.0 - weight))
 
@@ -57,58 +56,53 @@ def make_plastic(record: type, variant: str) -> Functions:
     @wp.func
     def specular_share(mat: record, wi: wp.vec3) -> wp.float32:
         """Probability of the mirror reflection."""
-        return share_of_coat(mat.specular_reflectance, mat.diffuse_reflectance, coat_reflectance(wi[2], mat.ior))
+        c = wp.where(wi[2] > 0.0, wi[2], 1.0)
+        return share_of_coat(mat.specular_reflectance, mat.diffuse_reflectance, coat_reflectance(c, mat.ior))
 
     @wp.func
     def plastic_eval(mat: record, wi: wp.vec3, wo: wp.vec3) -> wp.vec3:
         """f_s of the base times the cosine of ``wo``, 1/sr."""
-        if wi[2] <= 0.0 or wo[2] <= 0.0:
-            return wp.vec3(0.0, 0.0, 0.0)
+        above = not (wi[2] <= 0.0 or wo[2] <= 0.0)
+        i = wp.where(above, wi[2], 1.0)
+        o = wp.where(above, wo[2], 1.0)
         inside = diffuse_fresnel(1.0 / mat.ior)
         rho = mat.diffuse_reflectance
-        through = coat_transmittance(wi[2], mat.ior) * coat_transmittance(wo[2], mat.ior) / (mat.ior * mat.ior)
-        scale = INV_PI * wo[2] * through
+        through = coat_transmittance(i, mat.ior) * coat_transmittance(o, mat.ior) / (mat.ior * mat.ior)
+        scale = INV_PI * o * through
         if wp.static(nonlinear):
-            return scale * wp.vec3(
+            base = scale * wp.vec3(
                 rho[0] / (1.0 - rho[0] * inside), rho[1] / (1.0 - rho[1] * inside), rho[2] / (1.0 - rho[2] * inside)
             )
-        return (scale / (1.0 - inside)) * rho
+        else:
+            base = (scale / (1.0 - inside)) * rho
+        return where3(above, base, wp.vec3(0.0, 0.0, 0.0))
 
     @wp.func
     def plastic_pdf(mat: record, wi: wp.vec3, wo: wp.vec3) -> wp.float32:
         """Density of the base's directions, solid angle."""
-        if wi[2] <= 0.0:
-            return 0.0
         return (1.0 - specular_share(mat, wi)) * diffuse_pdf(wi, wo)
 
     @wp.func
     def plastic_scatter(mat: record, wi: wp.vec3, lobe: wp.int32) -> Scattered:
         """Mirror direction and its weight; differentiable."""
-        value = wp.vec3(0.0, 0.0, 0.0)
-        if wi[2] > 0.0:
-            value = coat_reflectance(wi[2], mat.ior) * mat.specular_reflectance
-        return Scattered(reflect_local(wi), value)
+        above = wi[2] > 0.0
+        value = coat_reflectance(wp.where(above, wi[2], 1.0), mat.ior) * mat.specular_reflectance
+        return Scattered(reflect_local(wi), where3(above, value, wp.vec3(0.0, 0.0, 0.0)))
 
     @wp.func
     def plastic_sample(mat: record, wi: wp.vec3, u: wp.float32, v: wp.vec2) -> BsdfSample:
         """Choose the mirror reflection or the base by ``u``, and a direction of the latter by ``v``."""
+        share = specular_share(mat, wi)
+        coat = u < share
+        mirror = plastic_scatter(mat, wi, LOBE_DELTA_REFLECTION)
         s = BsdfSample()
         s.eta = 1.0
-        s.lobe = LOBE_NONE
-        if wi[2] > 0.0:
-            share = specular_share(mat, wi)
-            if u < share:
-                scattered = plastic_scatter(mat, wi, LOBE_DELTA_REFLECTION)
-                s.wo = scattered.wo
-                s.value = scattered.value
-                s.pdf = share
-                s.lobe = LOBE_DELTA_REFLECTION
-            else:
-                s.wo = square_to_cosine_hemisphere(v)
-                s.pdf = plastic_pdf(mat, wi, s.wo)
-                if s.pdf > 0.0:
-                    s.value = plastic_eval(mat, wi, s.wo)
-                    s.lobe = LOBE_SMOOTH
+        s.wo = where3(coat, mirror.wo, square_to_cosine_hemisphere(v))
+        s.pdf = wp.where(coat, share, plastic_pdf(mat, wi, s.wo))
+        s.pdf = wp.where(wi[2] > 0.0, s.pdf, 0.0)
+        drawn = s.pdf > 0.0
+        s.value = where3(drawn, where3(coat, mirror.value, plastic_eval(mat, wi, s.wo)), wp.vec3(0.0, 0.0, 0.0))
+        s.lobe = wp.where(drawn, wp.where(coat, LOBE_DELTA_REFLECTION, LOBE_SMOOTH), LOBE_NONE)
         return s
 
     @wp.func
@@ -118,7 +112,7 @@ def make_plastic(record: type, variant: str) -> Functions:
             share = specular_share(mat, wi)
         return share
 
-    return Functions(plastic_sample, plastic_eval, plastic_pdf, plastic_scatter, plastic_probability)
+    return Functions(plastic_sample, plastic_eval, plastic_pdf, plastic_scatter, plastic_probability, branches=False)
 
 
 PLASTIC = Model(

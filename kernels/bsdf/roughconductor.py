@@ -93,7 +93,7 @@ def make_rough_conductor(record: type, distribution: str) -> Functions:
         rough_conductor_pdf,
         slopes=slopes,
         split=Split(split_draw, split_density, split_mass, split_rate),
-        branches=distribution != "ggx",
+        branches=False,
     )
 
 

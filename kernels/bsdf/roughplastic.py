@@ -18,7 +18,7 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.bsdf.diffuse import diffuse_pdf
-from warp_psdr.kernels.bsdf.microfacet import MIN_ALPHA, MIN_COSINE, at_least_min, make_reflection
+from warp_psdr.kernels.bsdf.microfacet import MIN_ALPHA, MIN_COSINE, at_least_min, make_reflection, or_upright
 from warp_psdr.kernels.bsdf.model import (
     Accepted,
     Choice,
@@ -35,6 +35,7 @@ from warp_psdr.kernels.bsdf.plastic import share_of_coat
 from warp_psdr.kernels.bsdf.reflected import make_reflected_sample
 from warp_psdr.kernels.constants import INV_PI, LOBE_SMOOTH
 from warp_psdr.kernels.fresnel import coat_reflectance
+from warp_psdr.kernels.math import where3
 from warp_psdr.kernels.sampling import square_to_cosine_hemisphere
 
 #: Cosines at which the transmittance is tabulated, 0 to 1.
@@ -85,40 +86,43 @@ def make_rough_plastic(record: type, variant: str) -> Functions:
     @wp.func
     def rough_plastic_eval(mat: record, wi: wp.vec3, wo: wp.vec3) -> wp.vec3:
         """f_s times the cosine of ``wo``, 1/sr."""
-        if wi[2] <= MIN_COSINE or wo[2] <= MIN_COSINE:
-            return wp.vec3(0.0, 0.0, 0.0)
+        above = not (wi[2] <= MIN_COSINE or wo[2] <= MIN_COSINE)
+        i = or_upright(above, wi)
+        o = or_upright(above, wo)
         alpha = at_least_min(mat.alpha)
-        h = wi + wo
+        h = i + o
         fresnel = coat_reflectance(0.5 * wp.sqrt(wp.dot(h, h)), mat.ior)
-        coat = (fresnel * reflection.value(wi, wo, alpha, alpha)) * mat.specular_reflectance
+        coat = (fresnel * reflection.value(i, o, alpha, alpha)) * mat.specular_reflectance
         table = mat.transmittance
         inside = entry_near(table, 3, mat.alpha, mat.ior)
         rho = mat.diffuse_reflectance
-        through = rough_through(table, wi[2], mat.alpha, mat.ior) * rough_through(table, wo[2], mat.alpha, mat.ior)
-        scale = INV_PI * wo[2] * through / (mat.ior * mat.ior)
+        through = rough_through(table, i[2], mat.alpha, mat.ior) * rough_through(table, o[2], mat.alpha, mat.ior)
+        scale = INV_PI * o[2] * through / (mat.ior * mat.ior)
         if wp.static(nonlinear):
-            return coat + scale * wp.vec3(
+            base = scale * wp.vec3(
                 rho[0] / (1.0 - rho[0] * inside), rho[1] / (1.0 - rho[1] * inside), rho[2] / (1.0 - rho[2] * inside)
             )
-        return coat + (scale / (1.0 - inside)) * rho
+        else:
+            base = (scale / (1.0 - inside)) * rho
+        return where3(above, coat + base, wp.vec3(0.0, 0.0, 0.0))
 
     @wp.func
     def rough_plastic_pdf(mat: record, wi: wp.vec3, wo: wp.vec3) -> wp.float32:
         """Density of the sampled directions, solid angle."""
-        if wi[2] <= MIN_COSINE or wo[2] <= MIN_COSINE:
-            return 0.0
+        above = not (wi[2] <= MIN_COSINE or wo[2] <= MIN_COSINE)
+        i = or_upright(above, wi)
+        o = or_upright(above, wo)
         alpha = at_least_min(mat.alpha)
-        share = rough_share(mat, wi)
-        return share * reflection.pdf(wi, wo, alpha, alpha) + (1.0 - share) * diffuse_pdf(wi, wo)
+        share = rough_share(mat, i)
+        density = share * reflection.pdf(i, o, alpha, alpha) + (1.0 - share) * diffuse_pdf(i, o)
+        return wp.where(above, density, 0.0)
 
     @wp.func
     def draw(mat: record, wi: wp.vec3, u: wp.float32, v: wp.vec2) -> wp.vec3:
         """Choose the coat or the base by ``u``, and a direction by ``v``."""
-        wo = square_to_cosine_hemisphere(v)
-        if u < rough_share(mat, wi):
-            alpha = at_least_min(mat.alpha)
-            wo = reflection.sample(wi, alpha, alpha, v)
-        return wo
+        alpha = at_least_min(mat.alpha)
+        coat = u < rough_share(mat, wi)
+        return where3(coat, reflection.sample(wi, alpha, alpha, v), square_to_cosine_hemisphere(v))
 
     @wp.func
     def slopes(mat: record) -> wp.vec2:
@@ -126,7 +130,7 @@ def make_rough_plastic(record: type, variant: str) -> Functions:
         return wp.vec2(wide, wide)
 
     rough_plastic_sample = make_reflected_sample(record, draw, rough_plastic_eval, rough_plastic_pdf)
-    return Functions(rough_plastic_sample, rough_plastic_eval, rough_plastic_pdf, slopes=slopes)
+    return Functions(rough_plastic_sample, rough_plastic_eval, rough_plastic_pdf, slopes=slopes, branches=False)
 
 
 ROUGH_PLASTIC = Model(

@@ -29,7 +29,7 @@ KERNELS = (
 )
 #: Loops over lanes in a kernel: camera rays, random numbers, surfaces, places, lights, estimates, directions, sums and
 #: what is found out on the way; what is kept, and the sweep over it. Of eight lanes short loops are unrolled instead.
-LOOPS = {"primal": {8: 10, 16: 12}, "replay": {8: 15, 16: 18}, "gold": {8: 10, 16: 12}}
+LOOPS = {"primal": {8: 10, 16: 12}, "replay": {8: 15, 16: 18}, "gold": {8: 10, 16: 12}, "coat": {8: 9, 16: 11}}
 #: What float32 sums in another order differ by, relative to the largest entry of a gradient.
 SUMMED = 1.0e-5
 
@@ -89,7 +89,7 @@ def sky_and_lamps():
 
 
 def sky_map_and_models():
-    """An image sky with a small sun beside a lamp, and spheres of metal, glass, a mirror and a coat on a floor."""
+    """An image sky with a small sun beside a lamp, and spheres of metal, glass, a mirror and coats on a floor."""
     texels = np.random.default_rng(3).random((5, 8, 3)).astype(np.float32)
     texels[1, 2] = 20.0
     models = {
@@ -98,6 +98,7 @@ def sky_map_and_models():
         "glass": {"type": "dielectric"},
         "mirror": {"type": "conductor", "material": "Ag"},
         "coat": {"type": "plastic"},
+        "rough coat": {"type": "roughplastic"},
     }
     balls = {
         name: {"type": "sphere", "center": [0.4 * i - 0.8, 0.0, 0.15], "radius": 0.15, "resolution": 8, "bsdf": bsdf}
@@ -111,7 +112,21 @@ def sky_map_and_models():
     }
 
 
+def coats():
+    """A floor with a rough coat under a map of normals, and a ball with a smooth one: models that do not branch."""
+    normals = np.random.default_rng(4).random((6, 4, 3)).astype(np.float32)
+    normals[..., 2] = 1.0
+    waves = {"type": "normalmap", "normalmap": {"type": "bitmap", "data": normals, "raw": True}}
+    base = sky_map_and_models()
+    return {
+        **{name: base[name] for name in ("type", "sensor", "lamp", "sky")},
+        "floor": {"type": "rectangle", "bsdf": {**waves, "bsdf": {"type": "roughplastic", "nonlinear": True}}},
+        "ball": {"type": "sphere", "center": [0.0, 0.0, 0.2], "radius": 0.2, "bsdf": {"type": "plastic"}},
+    }
+
+
 SCENES = {
+    "smooth coat, rough coat under a map of normals": coats,
     "image sky, lamp, metal, glass, mirror and coat": sky_map_and_models,
     "sky and two lamps": sky_and_lamps,
     "area light, two-sided, textured by vertices": lambda: {"type": "scene", **scenes.gap_scene()},
@@ -142,6 +157,7 @@ def cases():
     Each of them compiles four kernels, so they share out what is asked for.
     """
     quick = {
+        ("smooth coat, rough coat under a map of normals", "values", 3),
         ("image sky, lamp, metal, glass, mirror and coat", "values", 3),
         ("sky and two lamps", "values", 3),
         ("area light, two-sided, textured by vertices", "all", 3),
@@ -154,6 +170,7 @@ def cases():
 
 
 @pytest.mark.slow_rows(
+    "smooth coat, rough coat under a map of normals-3-values",
     "image sky, lamp, metal, glass, mirror and coat-3-values",
     "area light, two-sided, textured by vertices-3-all",
     "sky, point, spot and sun, a bitmap-19-values",
@@ -286,6 +303,7 @@ def test_records_come_back_from_their_rows(width):
 
 COMPILE = """
 import sys
+import numpy as np
 import warp as wp
 wp.config.log_level = wp.LOG_ERROR
 wp.config.kernel_cache_dir = sys.argv[2]
@@ -299,6 +317,14 @@ if sys.argv[3] == "gold":
     lamp = {"type": "sphere", "emitter": {"type": "area"}, "bsdf": {"type": "diffuse"}}
     scene = psdr.load_dict({"type": "scene", "sensor": {"type": "perspective"}, "lamp": lamp,
                             "floor": {"type": "rectangle", "bsdf": gold}})
+if sys.argv[3] == "coat":
+    texels = np.full((2, 2, 3), 0.5, np.float32)
+    waves = {"type": "normalmap", "normalmap": {"type": "bitmap", "data": texels, "raw": True},
+             "bsdf": {"type": "roughplastic"}}
+    lamp = {"type": "sphere", "emitter": {"type": "area"}, "bsdf": {"type": "diffuse"}}
+    scene = psdr.load_dict({"type": "scene", "sensor": {"type": "perspective"}, "lamp": lamp,
+                            "floor": {"type": "rectangle", "bsdf": waves},
+                            "ball": {"type": "sphere", "bsdf": {"type": "plastic"}}})
 names = [name for name in scene.parameters if name.endswith(("reflectance.value", "vertex_positions"))]
 plan = psdr.plan(scene, names=names, integrator=psdr.PathIntegrator(max_depth=6, boundary=None))
 replay = sys.argv[3] == "replay"
@@ -309,7 +335,10 @@ wp.load_module(kernel.module, device="cpu")
 
 @pytest.mark.slow_rows("replay")
 @pytest.mark.skipif(acceleration.host_width() < 8, reason="narrow vectors: the compiler may find SIMD not worth it")
-@pytest.mark.parametrize("kernel", ["primal", "replay", pytest.param("gold", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "kernel",
+    ["primal", "replay", *(pytest.param(name, marks=pytest.mark.slow) for name in ("gold", "coat"))],
+)
 def test_loops_over_lanes_become_simd(kernel, tmp_path):
     """Without it nothing would be wrong, and all of it slow; a refusal's reason is told by ``-Rpass-analysis``."""
     result = subprocess.run(
