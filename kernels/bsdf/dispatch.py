@@ -178,7 +178,7 @@ def has_delta_lobes(keys: Iterable[str]) -> bool:
 
 
 def has_glossy_lobes(keys: Iterable[str]) -> bool:
-    """Whether any of the models reflects at microfacets."""
+    """Whether any of the models scatters at microfacets."""
     return any(model.glossy for model in models_of(keys))
 
 

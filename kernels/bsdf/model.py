@@ -392,7 +392,7 @@ class Model:
         framed: whether the model needs dp/du whatever its values are, and shapes texture coordinates for it.
         brushed: whether lobes follow dp/du whatever its values are; any tangent does on shapes that have none.
         passes: whether a smooth lobe lies behind the surface.
-        glossy: whether light is reflected at microfacets that are as many on one side of the normal as on the other.
+        glossy: whether light is scattered at microfacets that are as many on one side of the normal as on the other.
         splits: values of the roughness whose derivative is split, see ``Functions.split``.
         mixes: values that ``eval`` and ``scatter`` are linear in.
         tilts: values that the normal of smooth lobes depends on.

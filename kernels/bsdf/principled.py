@@ -335,7 +335,12 @@ def make_principled(record: type, variant: str) -> Functions:
         alphas = principled_alphas(mat.roughness, mat.anisotropic)
         return wp.vec2(wp.max(alphas[0], WIDE_SLOPE), wp.max(alphas[1], WIDE_SLOPE))
 
-    return Functions(principled_sample, principled_eval, principled_pdf, slopes=slopes)
+    @wp.func
+    def principled_relative_eta(mat: record, wi: wp.vec3) -> wp.float32:
+        return index_behind(principled_index(mat.ior, mat.specular), wi[2])
+
+    behind = principled_relative_eta if transmits else None
+    return Functions(principled_sample, principled_eval, principled_pdf, relative_eta=behind, slopes=slopes)
 
 
 _REFLECTING = (

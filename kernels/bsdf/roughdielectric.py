@@ -124,7 +124,16 @@ def make_rough_dielectric(record: type, distribution: str) -> Functions:
                     s.lobe = LOBE_SMOOTH
         return s
 
-    return Functions(rough_dielectric_sample, rough_dielectric_eval, rough_dielectric_pdf)
+    @wp.func
+    def rough_dielectric_relative_eta(mat: record, wi: wp.vec3) -> wp.float32:
+        return index_behind(mat.ior, wi[2])
+
+    return Functions(
+        rough_dielectric_sample,
+        rough_dielectric_eval,
+        rough_dielectric_pdf,
+        relative_eta=rough_dielectric_relative_eta,
+    )
 
 
 ROUGH_DIELECTRIC = Model(
@@ -140,4 +149,5 @@ ROUGH_DIELECTRIC = Model(
     (LOBE_SMOOTH,),
     make_rough_dielectric,
     passes=True,
+    glossy=True,
 )

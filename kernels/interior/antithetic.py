@@ -73,7 +73,7 @@ def make_pair_kernel(config: PathConfig, wanted: GradientRequest, role: str):
     record, bsdf = interaction.record, interaction.bsdf
     material_record, add_materials = bsdf.record, bsdf.algebra.add
     glossy, normal, has_normal = bsdf.glossy, bsdf.normal, bsdf.normal is not None
-    eval_vjp = interaction.eval_vjp
+    eval_vjp, relative_eta = interaction.eval_vjp, bsdf.relative_eta
     scatter = make_scatter(config, True)
     has_lights = samples_lights(config)
     sample_light = make_light_sampler(config) if has_lights else None
@@ -147,7 +147,10 @@ def make_pair_kernel(config: PathConfig, wanted: GradientRequest, role: str):
             m = wp.vec3(0.0, 0.0, 1.0)
             if wp.static(has_normal):
                 m = normal(at.model, at.material, at.wi)
-            partner = mirrored(at.wi, wo, m)
+            eta = wp.float32(1.0)
+            if wp.static(relative_eta is not None):
+                eta = relative_eta(at.model, at.material, at.wi)
+            partner = mirrored(at.wi, wo, m, eta)
             density = partner.own * interaction.pdf(at, wo)
             of_partner = wp.float32(0.0)
             if partner.other > 0.0:

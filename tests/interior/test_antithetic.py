@@ -58,6 +58,12 @@ SCENES = {
         {"ball.bsdf.nested_texture.data": (random_heights,), "floor.to_world": (turn(1.0, 0.0, 0.0),)},
         ["floor.bsdf.base_color.value"],
     ),
+    "glass": (
+        {"type": "roughdielectric", "alpha": 0.15},
+        WHITE,
+        {"ball.vertex_normals": (tilted(1.0, 0.0, 0.0), tilted(0.0, 1.0, 0.3))},
+        ["floor.bsdf.reflectance.value"],
+    ),
 }
 
 
@@ -223,20 +229,22 @@ def test_less_noise_than_replay_at_equal_samples():
 def mirror_them(
     wi: wp.vec3,
     m: wp.vec3,
+    eta: wp.float32,
     wo: wp.array(dtype=wp.vec3),
     wo_out: wp.array(dtype=wp.vec3),
     j_out: wp.array(dtype=wp.vec2),
 ):
     i = wp.tid()
-    r = mirrored(wi, wo[i], m)
+    r = mirrored(wi, wo[i], m, eta)
     wo_out[i] = r.wo
     j_out[i] = wp.vec2(r.own, r.other)
 
 
-def mirror(wi, wo, m):
+def reflected(wi, wo, m, eta=1.0):
     count = len(wo)
     found, factors = wp.zeros(count, dtype=wp.vec3, device="cpu"), wp.zeros(count, dtype=wp.vec2, device="cpu")
-    inputs = [wp.vec3(*wi), wp.vec3(*m), wp.array(wo.astype(np.float32), dtype=wp.vec3, device="cpu"), found, factors]
+    directions = wp.array(wo.astype(np.float32), dtype=wp.vec3, device="cpu")
+    inputs = [wp.vec3(*wi), wp.vec3(*m), eta, directions, found, factors]
     wp.launch(mirror_them, dim=count, inputs=inputs, device="cpu")
     return found.numpy().astype(np.float64), factors.numpy().astype(np.float64)
 
@@ -245,31 +253,39 @@ def unit(v):
     return np.asarray(v) / np.linalg.norm(v, axis=-1, keepdims=True)
 
 
+@pytest.mark.parametrize("eta", [1.0, 1.5, 1.0 / 1.5, -1.5])
 @pytest.mark.parametrize("theta", [0.1, 0.8, 1.3])
-def test_partners_are_partners_and_keep_the_measure_of_half_vectors(theta):
+def test_partners_are_partners_and_keep_the_measure_of_half_vectors(theta, eta):
+    """A negative index: from below."""
     m = unit([0.1, -0.2, 1.0])
-    wi = unit([np.sin(theta), 0.1, np.cos(theta)])
+    wi = unit([np.sin(theta), 0.1, np.cos(theta) * np.sign(eta)])
+    mirror = functools.partial(reflected, eta=abs(eta))
     wo = unit(np.random.default_rng(5).normal(size=(4000, 3)))
     partner, factors = mirror(wi, wo, m)
+    if eta != 1.0:
+        through = factors[:, 1] * (wi @ m) * (wo @ m) < 0.0
+        # In the denser medium, beyond the critical angle, the partner of a facet that refracts reflects all.
+        assert through.sum() > 100 or (abs(eta) < 1.0 and theta > 0.7)
     there = factors[:, 1] > 0.0
     assert there.any() and not there.all()
     back, again = mirror(wi, partner[there], m)
     np.testing.assert_allclose(back, wo[there], atol=2e-4)
-    np.testing.assert_allclose(again[:, ::-1], factors[there], rtol=1e-3, atol=1e-4)
+    plain = factors[there].max(axis=1) < 20.0  # those of what leaves along the facet are ill-conditioned
+    np.testing.assert_allclose(again[plain, ::-1], factors[there][plain], rtol=1e-3, atol=1e-4)
     # Where it is smooth: dw' / dw by differences of tangent vectors is the ratio of the factors.
-    pick = np.flatnonzero(there & (factors.min(1) > 0.5))[:200]
+    pick = np.flatnonzero(there & (factors.min(1) > 0.5) & (factors.max(1) < 20.0))[:200]
     s = unit(np.cross(wo[pick], [0.3, 1.0, 0.2]))
     t = np.cross(wo[pick], s)
     step = 4e-3
     ends = [mirror(wi, unit(wo[pick] + sign * step * e), m) for e in (s, t) for sign in (1.0, -1.0)]
     area = np.linalg.norm(np.cross(ends[0][0] - ends[1][0], ends[2][0] - ends[3][0]), axis=1) / (2.0 * step) ** 2
     inside = np.all([factors_there[:, 1] > 0.0 for _wo, factors_there in ends], axis=0)
-    assert inside.sum() > 100
-    np.testing.assert_allclose(area[inside], (factors[pick, 1] / factors[pick, 0])[inside], rtol=1e-2)
+    assert inside.sum() > 80
+    np.testing.assert_allclose(area[inside], (factors[pick, 1] / factors[pick, 0])[inside], rtol=2e-2)
 
 
-def test_what_is_refracted_is_its_own_partner():
-    _partner, factors = mirror(unit([0.5, 0.0, 1.0]), unit(np.array([[0.2, 0.1, -1.0]])), [0.0, 0.0, 1.0])
+def test_what_passes_without_an_index_is_its_own_partner():
+    _partner, factors = reflected(unit([0.5, 0.0, 1.0]), unit(np.array([[0.2, 0.1, -1.0]])), [0.0, 0.0, 1.0])
     assert factors.tolist() == [[1.0, 0.0]]
 
 
@@ -291,8 +307,7 @@ def plan_of(bsdf, names, **more):
     [
         (metal(0.1), ["ball.bsdf.alpha.value"], {}, r"gain nothing\. Use interior\.Resampled\(\)"),
         (metal(0.1), ["ball.bsdf.specular_reflectance.value"], {}, r"no parameter .* Use interior\.Replay\(\)"),
-        (WHITE, ["ball.to_world"], {}, r"the scene has none that reflect\. Use interior\.Replay\(\)"),
-        ({"type": "roughdielectric"}, ["ball.to_world"], {}, r"'roughdielectric' it does not know .*Use interior\.Re"),
+        (WHITE, ["ball.to_world"], {}, r"the scene has none\. Use interior\.Replay\(\)"),
         (
             metal(0.1),
             ["ball.to_world"],

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import warp as wp
 
-from warp_psdr.kernels.bsdf.dispatch import has_delta_lobes, has_glossy_lobes, has_null_lobes, models_of, passing
+from warp_psdr.kernels.bsdf.dispatch import has_delta_lobes, has_glossy_lobes, has_null_lobes, models_of
 from warp_psdr.kernels.constants import DELTA_LIGHTS
 from warp_psdr.kernels.interior.antithetic import make_pair_kernel
 from warp_psdr.kernels.interior.branch import make_branch_kernel
@@ -101,9 +101,7 @@ def refused_by_antithetic(config: PathConfig, wanted: GradientRequest) -> str:
     """Return why nothing is paired; empty: something is."""
     name = "interior.Antithetic()"
     if not has_glossy_lobes(config.bsdfs):
-        through = passing(config.bsdfs)
-        why = f", and of '{through}' it does not know the mirrored directions" if through else ""
-        return f"{name} draws pairs at glossy surfaces, and the scene has none that reflect{why}. Use interior.Replay()"
+        return f"{name} draws pairs at glossy surfaces, and the scene has none. Use interior.Replay()"
     slides = wanted.to_uv and any(tilts(slot, config.bsdfs) for slot in config.material)
     if not wanted.geometry and not slides and not any(tilting_values(config, wanted)):
         if any(branched_values(config, wanted)):
