@@ -46,6 +46,7 @@ from tests.cuda_configs import (
 from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.boundary.guiding.projective import BLOCKED_LIGHT, SCATTERED
 from warp_psdr.kernels.boundary.signed_distance.warp_field import WarpOptions
+from warp_psdr.kernels.boundary.warped_area.auxiliary import WarpedOptions
 from warp_psdr.kernels.bsdf.motion import MOVED_BY
 from warp_psdr.kernels.interior.gradient_request import GradientRequest
 from warp_psdr.kernels.interior.shape_parameters import branched_values
@@ -324,6 +325,11 @@ FACTORIES = {
     "boundary.signed_distance.film_border.make_film_border_kernel": [
         ("reverse", (SPHERE, "reverse", WarpOptions()), SLOW),
         ("forward, neural", (SPHERE, "forward", WarpOptions(neural=True)), SLOW),
+        ("reverse, meshes", (SIMPLE, "reverse", WarpedOptions()), SLOW),
+    ],
+    "boundary.warped_area.warped_area.make_warped_area_kernel": [
+        ("reverse", (SIMPLE, moving_shapes(SIMPLE), "reverse", WarpedOptions(), 4), SLOW),
+        ("forward, biased", (SIMPLE, moving_shapes(SIMPLE), "forward", WarpedOptions(debias=False), 4), SLOW),
     ],
     "boundary.crossing.film.make_film_crossing_kernel": [("reverse", (EXACT, "reverse", True), SLOW)],
     "boundary.crossing.vertex.make_vertex_crossing_kernel": [

@@ -7,6 +7,15 @@ from warp_psdr.options.boundary import (
     PathSpace,
     Projective,
     SignedDistance,
+    WarpedArea,
 )
 
-__all__ = ["EdgeSampling", "Method", "NeuralSignedDistance", "PathSpace", "Projective", "SignedDistance"]
+__all__ = [
+    "EdgeSampling",
+    "Method",
+    "NeuralSignedDistance",
+    "PathSpace",
+    "Projective",
+    "SignedDistance",
+    "WarpedArea",
+]

@@ -69,6 +69,18 @@ def may_touch(w: ContactWedge, rho_p: wp.float32, rho_q: wp.float32) -> wp.bool:
     return not (w.t >= rho_p or w.t >= REACH * rho_q or w.sine < PARALLEL)
 
 
+@wp.func
+def no_weight_before(scene: Scene, vertex: PathVertex) -> wp.float32:
+    """The weight of a vertex that its ray finds: such connections have no fireflies."""
+    return 1.0
+
+
+@wp.func
+def no_weight_of_light(scene: Scene, vertex: PathVertex, x: wp.vec3) -> wp.float32:
+    """The same of a light."""
+    return 1.0
+
+
 @functools.cache
 def make_contact_weights(backend: str, width: int, primitives: tuple[int, ...] = ()) -> tuple[wp.Function, wp.Function]:
     """Return two functions of the weight chi; arguments as of ``make_visibility``. On curved shapes chi is 1.

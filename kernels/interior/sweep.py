@@ -8,7 +8,7 @@ from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.constants import LOBE_NONE, LOBE_SMOOTH
 from warp_psdr.kernels.emitter.dispatch import make_lights
 from warp_psdr.kernels.interaction import enter_frame, make_interaction
-from warp_psdr.kernels.interior.contact import make_contact_weights
+from warp_psdr.kernels.interior.contact import make_contact_weights, no_weight_before, no_weight_of_light
 from warp_psdr.kernels.interior.factors import make_light_sink, make_material_sink
 from warp_psdr.kernels.interior.gradient_request import GradientRequest
 from warp_psdr.kernels.interior.pullback import connection_vjp, make_frame_vjp
@@ -40,8 +40,10 @@ class Carry:
 
 
 @functools.cache
-def make_sweep(config: PathConfig, wanted: GradientRequest, role: str, direct: bool = True):
+def make_sweep(config: PathConfig, wanted: GradientRequest, role: str, direct: bool = True, links: bool = True):
     """Return ``(sweep, finish, finish_vertex)``. ``direct=False``: D_n is the caller's to differentiate.
+
+    ``links=False``: light points are found by directions that rest, and contacts weigh nothing.
 
     ``sweep(scene, target, vertex, delta, carry) -> Carry``: the step from vertex n + 1 to vertex n.
     ``finish(scene, target, camera, sample, carry) -> float``: the last one, from vertex 1 to the camera; in forward
@@ -58,7 +60,7 @@ def make_sweep(config: PathConfig, wanted: GradientRequest, role: str, direct: b
     accumulate_material = make_material_sink(config, wanted, role)
     frame_vjp = make_frame_vjp(config.tangent)
     has_lights = direct and bool(config.area or config.lights) and has_smooth
-    radiance_of, accumulate_light = make_light_sink(config, wanted, role) if has_lights else (None, None)
+    radiance_of, accumulate_light = make_light_sink(config, wanted, role, links) if has_lights else (None, None)
     accumulate_vertex = make_adjoint_sink(
         role, config.smooth, config.flat, config.uv, config.tangent, wanted.texcoords, True, config.primitives
     )
@@ -73,7 +75,11 @@ def make_sweep(config: PathConfig, wanted: GradientRequest, role: str, direct: b
     environment_vjp = lights.environment_vjp if lights else None
     environment = environment_vjp is not None and (bool(wanted.lights) or wanted.geometry)
     geometry = wanted.geometry
-    weight_before, weight_of_light = make_contact_weights(config.ray_backend, config.ray_width, config.primitives)
+    weight_before, weight_of_light = (
+        make_contact_weights(config.ray_backend, config.ray_width, config.primitives)
+        if links
+        else (no_weight_before, no_weight_of_light)
+    )
     # The direction towards a point, spot or directional light moves with the light.
     aims = geometry or ("pose" in wanted.lights and lights is not None and lights.sample_vjp is not None)
     materials = any(wanted.material) or wanted.to_uv or aims

@@ -11,6 +11,8 @@ from warp_psdr.options import guiding as guiding_methods
 
 #: Candidates without the hierarchies: [LADL18] take 64; more than 1024 cost more than they tell.
 DEFAULT_CANDIDATES, MAX_CANDIDATES = 64, 1024
+#: Most auxiliary rays of a net, and the range of the concentration of their weights: float32 knows the angles between.
+MAX_RAYS, KAPPA_RANGE = 1024, (10.0, 1.0e5)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,7 +34,7 @@ class Method(ABC):  # noqa: B024
             TypeError: this is no method.
             ValueError: a sample count is not a positive integer.
         """
-        if type(self) in (Method, Connecting, Reparametrised):
+        if type(self) in (Method, Connecting, Reparametrised, Distances):
             raise TypeError(f"boundary.{type(self).__name__} is what methods have in common; make one of them")
         for name in self._counts():
             value = getattr(self, name)
@@ -171,10 +173,29 @@ class Projective(Connecting):
 
 @dataclass(frozen=True, kw_only=True)
 class Reparametrised(Method):
-    """What methods have in common whose rays move with silhouettes: no silhouette is sampled.
+    """What methods have in common whose rays move with discontinuities: none is sampled.
 
     Interior and boundary term are one integral, with the samples of the interior. Only the borders of pixels, where a
     filter jumps, have samples of their own, ``spp_primary``.
+    """
+
+    def __post_init__(self) -> None:
+        """Validate once.
+
+        Raises:
+            ValueError: an option out of range.
+        """
+        super().__post_init__()
+        if self.spp_secondary is not None:
+            raise ValueError(
+                f"spp_secondary: got {self.spp_secondary!r}, expected None: {self.label}() samples no shadow edges; "
+                "its paths are those of the interior term, whose number is spp"
+            )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Distances(Reparametrised):
+    """What methods have in common whose rays move with the silhouettes of a signed distance.
 
     Attributes:
         max_steps: steps of sphere tracing after which a ray's motion is decided. None: rays go on until they arrive or
@@ -193,11 +214,6 @@ class Reparametrised(Method):
             ValueError: an option out of range.
         """
         super().__post_init__()
-        if self.spp_secondary is not None:
-            raise ValueError(
-                f"spp_secondary: got {self.spp_secondary!r}, expected None: {self.label}() samples no shadow edges; "
-                "its paths are those of the interior term, whose number is spp"
-            )
         value = self.max_steps
         if value is not None and (isinstance(value, bool) or not isinstance(value, int) or value < 1):
             raise ValueError(f"max_steps: got {value!r}, expected a positive integer, or None")
@@ -207,7 +223,7 @@ class Reparametrised(Method):
 
 
 @dataclass(frozen=True, kw_only=True)
-class SignedDistance(Reparametrised):
+class SignedDistance(Distances):
     """Rays that move with the silhouettes of a signed distance function [VSJ22], each evaluated at one place.
 
     Unbiased without ``max_steps``, for one exact sphere or one ``sdfgrid`` with cubic interpolation that moves or
@@ -218,8 +234,46 @@ class SignedDistance(Reparametrised):
 
 
 @dataclass(frozen=True, kw_only=True)
-class NeuralSignedDistance(Reparametrised):
+class NeuralSignedDistance(Distances):
     """Rays that move with the silhouettes of a signed distance function, evaluated at every step [BGL*22].
 
     Covers what ``SignedDistance`` covers. The paper's fields are networks; the weights serve any signed distance.
     """
+
+
+@dataclass(frozen=True, kw_only=True)
+class WarpedArea(Reparametrised):
+    """Rays that move with the edges of meshes: warped-area sampling [BLD20].
+
+    Auxiliary rays about every ray of a path see what moves there; their weighted mean is the motion of the ray.
+    Unbiased with ``debias``, for triangle meshes without interpolated normals that move under area lights and skies
+    before a perspective camera at rest, at most 16 path vertices. Hard shadows, mirrors and glass, media, shapes
+    without triangles, shapes that touch or run through each other, and textures with steps are refused
+    (``warp_psdr/plan/warped_area.py``).
+
+    Attributes:
+        rays: K, auxiliary rays about each ray, a power of two.
+        kappa: concentration of their weights: rays count up to an angle of some kappa^-1/2 radians.
+        debias: double their number at random, so that the mean is that of infinitely many: 2.3 K rays in the mean.
+            False: K rays, whose quotient of sums has a bias; it falls with K.
+    """
+
+    rays: int = 16
+    kappa: float = 1000.0
+    debias: bool = True
+
+    def __post_init__(self) -> None:
+        """Validate once.
+
+        Raises:
+            ValueError: an option out of range.
+        """
+        super().__post_init__()
+        k = self.rays
+        if isinstance(k, bool) or not isinstance(k, int) or not 2 <= k <= MAX_RAYS or k & (k - 1):
+            raise ValueError(f"rays: got {k!r}, expected a power of two from 2 to {MAX_RAYS}")
+        low, high = KAPPA_RANGE
+        if isinstance(self.kappa, bool) or not isinstance(self.kappa, (int, float)) or not low <= self.kappa <= high:
+            raise ValueError(f"kappa: got {self.kappa!r}, expected a number from {low:g} to {high:g}")
+        if not isinstance(self.debias, bool):
+            raise ValueError(f"debias: got {self.debias!r}, expected True or False")

@@ -135,6 +135,10 @@ _METHODS = MethodTable(
             *("kernels/boundary/signed_distance/march.py", "signed_distance"),
         ),
         (
+            *("BLD20", "Warped-area sampling", "boundary.WarpedArea()", "boundary"),
+            *("kernels/boundary/warped_area/warped_area.py", "warped_area"),
+        ),
+        (
             *("ZMY*20", "Grid of photons and importons", "guiding.Grid()", "guiding"),
             *("warp_psdr/estimate/guiding/grid.py", "grid"),
         ),

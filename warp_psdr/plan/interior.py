@@ -60,6 +60,7 @@ from warp_psdr.plan.replay import (
     without,
 )
 from warp_psdr.plan.transfer import has_film_edges, refused_by_transfer, refused_in_scene, sphere_edges
+from warp_psdr.plan.warped_area import keep_warped, make_warped
 
 if TYPE_CHECKING:
     from warp_psdr.kernels.vertex import PathConfig
@@ -210,7 +211,10 @@ TABLE: dict[tuple[type[interior.Method], type[boundary.Method]], Row] = {
     (interior.Replay, boundary.Method): Row(
         label="record and sweep", keep=keep_blocks, make=make_replay, beside=beside_motion
     ),
-    (interior.Replay, boundary.Reparametrised): Row(label="rays move", keep=keep_blocks, make=make_reparametrised),
+    (interior.Replay, boundary.Distances): Row(label="rays move", keep=keep_blocks, make=make_reparametrised),
+    (interior.Replay, boundary.WarpedArea): Row(
+        label="rays move, record and sweep", keep=keep_warped, make=make_warped
+    ),
     (interior.Resampled, boundary.Method): Row(
         label="resampled branches, record and sweep",
         keep=keep_candidates,

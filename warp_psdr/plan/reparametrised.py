@@ -16,8 +16,10 @@ import warp as wp
 from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.boundary.signed_distance.reparametrised import make_reparametrised_kernel
 from warp_psdr.kernels.boundary.signed_distance.warp_field import WarpOptions
+from warp_psdr.kernels.boundary.warped_area.auxiliary import WarpedOptions
 from warp_psdr.options import interior
-from warp_psdr.options.boundary import Method, NeuralSignedDistance, Reparametrised
+from warp_psdr.options.boundary import Distances, Method, NeuralSignedDistance, WarpedArea
+from warp_psdr.plan import warped_area
 from warp_psdr.plan.coverage import REMEDY, has_steps
 from warp_psdr.plan.motion import motion
 from warp_psdr.scene.sdfgrid import CORNERS
@@ -44,22 +46,26 @@ MOST_TRIANGLES = 16
 INSTEAD = "use boundary.PathSpace()"
 
 
-def compiled(method: Method | None) -> WarpOptions | None:
+def compiled(method: Method | None) -> WarpOptions | WarpedOptions | None:
     """Return what of a method is compiled; None: its rays stay."""
-    if not isinstance(method, Reparametrised):
+    if isinstance(method, WarpedArea):
+        return warped_area.compiled(method)
+    if not isinstance(method, Distances):
         return None
     return WarpOptions(isinstance(method, NeuralSignedDistance), method.max_steps or 0, float(method.step_scale))
 
 
 def make_reparametrised(config: PathConfig, wanted: GradientRequest, role: str, kept: Kept) -> wp.Kernel:
     """Return the kernel of interior and boundary term, a row's ``make``."""
-    assert kept.warp is not None
+    assert isinstance(kept.warp, WarpOptions)
     return make_reparametrised_kernel(config, wanted, role, kept.warp)
 
 
 def describe(method: Method) -> list[tuple[str, str, str]]:
     """Return the plan's lines; none of a method whose rays stay."""
-    if not isinstance(method, Reparametrised):
+    if isinstance(method, WarpedArea):
+        return warped_area.describe(method)
+    if not isinstance(method, Distances):
         return []
     steps = "until they arrive or leave"
     if method.max_steps is not None:
@@ -80,15 +86,18 @@ def refuse(
     Raises:
         ValueError: with the reason, and what to do.
     """
-    if not isinstance(method, Reparametrised):
+    if isinstance(method, WarpedArea):
+        reason = warped_area.refused(scene, config, integrator, names, sensor)
+    elif isinstance(method, Distances):
+        reason = (
+            _of_request(scene, config, integrator, names)
+            or _of_camera(scene, config, sensor)
+            or _of_light(scene, config)
+            or _of_film(scene, config, sensor)
+            or _of_shadows(scene, config)
+        )
+    else:
         return
-    reason = (
-        _of_request(scene, config, integrator, names)
-        or _of_camera(scene, config, sensor)
-        or _of_light(scene, config)
-        or _of_film(scene, config, sensor)
-        or _of_shadows(scene, config)
-    )
     if reason:
         raise ValueError(f"{method.label}() cannot move its rays here: {reason}; or {REMEDY}")
 

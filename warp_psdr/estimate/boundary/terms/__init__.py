@@ -54,6 +54,7 @@ from warp_psdr.options.boundary import (
     PathSpace,
     Projective,
     SignedDistance,
+    WarpedArea,
 )
 from warp_psdr.plan import primitives
 from warp_psdr.plan.motion import motion
@@ -99,7 +100,7 @@ ALL: tuple[BoundaryTerm, ...] = (
 #: What each method consists of.
 TERMS: dict[type[Method], tuple[BoundaryTerm, ...]] = {
     method: tuple(term for term in ALL if method in term.methods)
-    for method in (PathSpace, Projective, EdgeSampling, SignedDistance, NeuralSignedDistance, FilmEdges)
+    for method in (PathSpace, Projective, EdgeSampling, SignedDistance, NeuralSignedDistance, WarpedArea, FilmEdges)
 }
 
 

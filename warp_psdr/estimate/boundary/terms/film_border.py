@@ -5,7 +5,7 @@ from __future__ import annotations
 from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term, term_of
 from warp_psdr.kernels.boundary.signed_distance.film_border import make_film_border_kernel
 from warp_psdr.kernels.constants import RFILTER_BOX
-from warp_psdr.options.boundary import NeuralSignedDistance, SignedDistance
+from warp_psdr.options.boundary import NeuralSignedDistance, SignedDistance, WarpedArea
 from warp_psdr.plan.reparametrised import compiled
 
 
@@ -27,7 +27,7 @@ TERM = BoundaryTerm(
     name="film_border",
     title="borders of pixels",
     stream=40,
-    methods=(SignedDistance, NeuralSignedDistance),
+    methods=(SignedDistance, NeuralSignedDistance, WarpedArea),
     launch=launch,
     applies=applies,
     exact=True,

@@ -1,0 +1,1 @@
+"""Warped-area sampling: rays that move with the silhouettes of meshes."""

@@ -1,0 +1,198 @@
+"""Derivatives whose rays move with the edges of meshes: warped-area sampling [BLD20] (survey eq. 32).
+
+Where the directions w of a path's rays move by a field V(w) that is continuous and moves with every edge, what they
+meet has no moving discontinuity. Of the integral of f L over the directions from a vertex the derivative is d(f L) with
+the ray attached to w' = V, plus f L div V. So record and sweep (``interior/sweep.py``) finds every vertex by the ray
+from the one before it, lights included, and its adjoint of the ray's direction goes to the auxiliary rays about it.
+
+Derivation: ``docs/theory/reparameterisation.md``.
+"""
+
+import functools
+
+import warp as wp
+
+from warp_psdr.kernels.autodiff import anchor
+from warp_psdr.kernels.boundary.signed_distance.reparametrised import make_film_point, make_turn
+from warp_psdr.kernels.boundary.signed_distance.warp_field import WarpAdjoint
+from warp_psdr.kernels.boundary.warped_area.auxiliary import AuxiliaryBundle, WarpedOptions
+from warp_psdr.kernels.boundary.warped_area.warp_motion import make_warp_motion
+from warp_psdr.kernels.constants import EMITTER_AREA, LOBE_SMOOTH
+from warp_psdr.kernels.emitter.dispatch import make_lights
+from warp_psdr.kernels.interaction import enter_frame, leave_frame, make_interaction
+from warp_psdr.kernels.interior.factors import make_light_sink
+from warp_psdr.kernels.interior.gradient_request import GradientRequest
+from warp_psdr.kernels.interior.sweep import Carry, make_sweep
+from warp_psdr.kernels.interior.velocities import axis_vec3
+from warp_psdr.kernels.invalid import count_invalid, finite, vanishes
+from warp_psdr.kernels.jobs import PixelJob, make_sample_weight, pixel_of
+from warp_psdr.kernels.path import make_path_step
+from warp_psdr.kernels.rng import Sampler, make_sampler, sampler_at
+from warp_psdr.kernels.scattering import samples_lights
+from warp_psdr.kernels.sensor.camera import CameraSample, make_camera_ray
+from warp_psdr.kernels.structs import Camera, Scene
+from warp_psdr.kernels.vertex import PathConfig, PathVertex, film_position, path_from
+
+
+@functools.cache
+def make_warped_area_kernel(
+    config: PathConfig, wanted: GradientRequest, role: str, options: WarpedOptions, most: int
+) -> wp.Kernel:
+    """Return the kernel, one thread a pixel; ``most``: vertices of a path; others as of ``make_replay_kernel``."""
+    path_step = make_path_step(config, True)
+    camera_ray, camera_origin = make_camera_ray(config.camera)
+    sweep, _finish, finish_vertex = make_sweep(config, wanted, role, links=False)
+    moved = make_warp_motion(config, options, role)
+    draw_point, weigh_point = make_film_point(config.filter)
+    turn = make_turn(config.camera)
+    interaction = make_interaction(config)
+    has_lights = config.scatter and samples_lights(config)
+    radiance_of = make_light_sink(config, wanted, role)[0] if has_lights else None
+    lights = make_lights(config.lights, role, ()) if config.lights else None
+    environment_vjp = lights.environment_vjp if lights else None
+    sample_4d = make_sampler(config.sampler).sample_4d
+    sample_weight = make_sample_weight(role)
+    forward = role == "forward"
+    channels = 3 if forward else 1
+
+    @wp.func
+    def pull_directions(
+        scene: Scene,
+        target: wp.array(dtype=wp.float32),
+        sampler: Sampler,
+        n: wp.int32,
+        a_n: wp.vec3,
+        vertex: PathVertex,
+        radiance: wp.vec3,
+        a_d: wp.vec3,
+    ) -> WarpAdjoint:
+        """The rays from vertex n: to the light that was sampled, and the one along which the path goes on.
+
+        ``radiance`` is what the latter finds, and ``a_d`` the adjoint of its direction behind n.
+        """
+        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
+        r = WarpAdjoint()
+        surface = interaction.surface(scene, vertex.face, vertex.u, vertex.v)
+        at = interaction.on(scene, surface, vertex.face, vertex.u, vertex.v, vertex.d)
+        technique = wp.int32(0)
+        while technique < 2:  # one copy of what is called, which takes minutes to compile for CUDA
+            w = vertex.wo
+            scale = vertex.inv_pdf * a_n
+            light = radiance
+            a_w = a_d
+            moves = vertex.lobe == LOBE_SMOOTH and not (vanishes(light) and vanishes(a_d))
+            if technique == 0:
+                moves = wp.bool(False)
+                if wp.static(has_lights):
+                    moves = vertex.light >= 0
+                    if moves:
+                        w = vertex.light_wi
+                        scale = vertex.light_weight * a_n
+                        light = radiance_of(scene, vertex, surface.x)
+                        a_w = wp.vec3(0.0, 0.0, 0.0)
+            if moves:
+                wo = enter_frame(at.frame, w)
+                f = interaction.eval(at, wo)
+                if wp.static(has_lights and environment_vjp is not None):
+                    if technique == 0 and scene.emitters[vertex.light].kind != EMITTER_AREA:
+                        a_w = environment_vjp(scene, target, w, wp.cw_mul(scale, f)).x
+                of_light = wp.cw_mul(scale, light)
+                a_w += leave_frame(at.frame, interaction.eval_vjp(at, wo, of_light).wo)
+                bundle = AuxiliaryBundle()
+                bundle.o = at.x
+                bundle.start = interaction.offset(at, w)
+                bundle.n = at.ng
+                bundle.w = w
+                bundle.depth = n + 1
+                motion = moved.trace(scene, sampler, 1 + 2 * n + technique, bundle)
+                found = moved.pull(scene, target, motion, wp.dot(of_light, f), a_w)
+                r.o += found.o
+                r.dot += found.dot
+            technique += 1
+        return r
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def warped_area(
+        # Scene:
+        scene: Scene,
+        camera: Camera,
+        # In:
+        job: PixelJob,
+        # Out:
+        target: wp.array(dtype=wp.float32),
+        image_out: wp.array2d(dtype=wp.vec3),
+    ):
+        pixel = pixel_of(job, camera, wp.tid())
+        delta = sample_weight(job, pixel)
+        if vanishes(delta):
+            return
+        record = wp.zeros(shape=(wp.static(most),), dtype=PathVertex)
+        derivative = wp.vec3d()  # in double precision, as the image
+        for i in range(job.samples):
+            sampler = sampler_at(pixel.number, job.first_sample + i, job.seed)
+            # ---- The path ----
+            offset = draw_point(camera, pixel.px, pixel.py, sample_4d(sampler, 0))
+            film = weigh_point(camera, pixel.px, pixel.py, offset)
+            sample = CameraSample()
+            sample.film = film_position(camera, pixel.px, pixel.py, offset)
+            ray = camera_ray(scene, camera, sample)
+            origin = camera_origin(scene, camera, sample)
+            state = path_from(ray.o + ray.t_min * ray.d, ray.d, ray.t_max - ray.t_min, 0)
+            count = wp.int32(0)
+            while state.alive == 1 and count < wp.static(most):
+                vertex, state = path_step(scene, sampler, state, job.max_depth, job.rr_depth)
+                if count == 0:
+                    vertex.o = origin
+                record[count] = vertex
+                count += 1
+            bundle = AuxiliaryBundle()
+            bundle.o = origin
+            bundle.start = ray.o + ray.t_min * ray.d
+            bundle.w = ray.d
+            seen = moved.trace(scene, sampler, 0, bundle)
+            turned = turn(scene, camera, origin, ray.d, film.h, film.slope)
+            # ---- Its derivative ----
+            of_sample = wp.vec3(0.0, 0.0, 0.0)
+            channel = wp.int32(0)
+            while channel < wp.static(channels):  # not unrolled, for the same reason
+                weight = delta
+                if wp.static(forward):
+                    weight = delta[channel] * axis_vec3(channel)
+                carry = Carry()
+                carry.face = -2
+                n = count - 1
+                while n >= 0:
+                    vertex = record[n]
+                    found = finish_vertex(scene, target, carry, True)
+                    onward = Carry()  # of vertex n + 1 there is the light that it sends, along a direction that rests
+                    onward.face = -2
+                    onward.chi = 1.0
+                    onward.radiance = carry.radiance
+                    onward.dot = found.dot
+                    carry = sweep(scene, target, vertex, film.h * weight, onward)
+                    if wp.static(config.scatter):
+                        if vertex.face >= 0:
+                            a_n = film.h * wp.cw_mul(weight, vertex.throughput)
+                            behind = pull_directions(
+                                scene, target, sampler, n, a_n, vertex, onward.radiance, found.a_d
+                            )  # fmt: skip
+                            carry.adjoint.x += found.a_x + behind.o
+                            carry.dot += behind.dot
+                    n -= 1
+                radiance = wp.dot(weight, carry.radiance)
+                done = finish_vertex(scene, target, carry, True)
+                a_w = done.a_d + radiance * turned
+                moves = moved.pull(scene, target, seen, film.h * radiance, a_w)
+                of_sample += (done.dot + moves.dot) * axis_vec3(channel)
+                channel += 1
+            valid = finite(of_sample)
+            if wp.static(not forward):
+                valid = valid and vanishes(of_sample)
+            if not valid:
+                count_invalid(scene, sampler)
+            elif wp.static(forward):
+                derivative += wp.vec3d(of_sample)
+        if wp.static(forward):
+            image_out[pixel.py, pixel.px] = image_out[pixel.py, pixel.px] + wp.vec3(derivative)
+
+    return warped_area

@@ -1,0 +1,136 @@
+"""Warped-area sampling: which scenes its rays move rightly in.
+
+The motion of a ray has to meet every discontinuity about it with that one's speed. Auxiliary rays know the edges of the
+triangles that they meet. All that jumps elsewhere is refused.
+
+Derivation: ``docs/theory/reparameterisation.md#what-is-refused``.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import warp as wp
+
+from warp_psdr.kernels import constants as c
+from warp_psdr.kernels.boundary.warped_area.auxiliary import WarpedOptions
+from warp_psdr.kernels.boundary.warped_area.warped_area import make_warped_area_kernel
+from warp_psdr.kernels.bsdf.dispatch import has_delta_lobes, has_null_lobes, models_of
+from warp_psdr.options import interior
+from warp_psdr.options.boundary import WarpedArea
+from warp_psdr.plan.coverage import has_steps
+from warp_psdr.plan.motion import motion
+from warp_psdr.plan.replay import Kept
+from warp_psdr.topology import contacts
+from warp_psdr.topology.camera_view import camera_view
+from warp_psdr.topology.clip_planes import require_uncut
+from warp_psdr.topology.intersection_curves import scene_curves
+
+if TYPE_CHECKING:
+    from warp_psdr.kernels.interior.gradient_request import GradientRequest
+    from warp_psdr.kernels.vertex import PathConfig
+    from warp_psdr.options.integrator import PathIntegrator
+    from warp_psdr.scene.scene import Scene
+
+#: Most path vertices, which are kept as a whole.
+MOST_VERTICES = 16
+INSTEAD = "use boundary.PathSpace()"
+#: Lights whose light arrives from an extended set of directions.
+EXTENDED = {c.EMITTER_AREA, c.EMITTER_CONSTANT, c.EMITTER_ENVMAP}
+
+
+def compiled(method: WarpedArea) -> WarpedOptions:
+    """Return what of a method is compiled."""
+    return WarpedOptions(method.rays, float(method.kappa), method.debias)
+
+
+def describe(method: WarpedArea) -> list[tuple[str, str, str]]:
+    """Return the plan's lines."""
+    rays = f"{method.rays} auxiliary rays about each ray"
+    why = f"{rays}, doubled at random: unbiased" if method.debias else f"{rays}: biased, debias=False"
+    return [("edges", "rays move with them", why)]
+
+
+def keep_warped(_method: interior.Method, max_depth: int, _rr_depth: int) -> Kept:
+    """Return what is kept of a path."""
+    most = 4
+    while most < max_depth:
+        most *= 2
+    return Kept(most, 1, "every vertex is found by the ray before it; the whole path fits, one trace")
+
+
+def make_warped(config: PathConfig, wanted: GradientRequest, role: str, kept: Kept) -> wp.Kernel:
+    """Return the kernel of interior and boundary term, a row's ``make``."""
+    assert isinstance(kept.warp, WarpedOptions)
+    return make_warped_area_kernel(config, wanted, role, kept.warp, kept.longest)
+
+
+def refused(scene: Scene, config: PathConfig, integrator: PathIntegrator, names: list[str], sensor: int) -> str:
+    """Say why rays cannot move rightly; empty: they can."""
+    return (
+        _of_request(scene, integrator, names)
+        or _of_camera(scene, config, names, sensor)
+        or _of_surfaces(scene, config, names)
+        or _of_light(scene, config)
+    )
+
+
+def _of_request(scene: Scene, integrator: PathIntegrator, names: list[str]) -> str:
+    """Say what moves whose discontinuities are not followed; empty: nothing."""
+    if not isinstance(integrator.interior, (str, interior.Replay)):
+        return f"it is beside interior.Replay() alone, got interior.{type(integrator.interior).__name__}()"
+    moves = motion(scene, names)
+    if moves.camera:
+        return f"the camera moves; {INSTEAD}"
+    if moves.light_pose:
+        return f"a light without a surface moves; {INSTEAD}"
+    if not 1 <= integrator.max_depth <= MOST_VERTICES:
+        return f"max_depth is {integrator.max_depth}, and it keeps whole paths; say 1 to {MOST_VERTICES}, or {INSTEAD}"
+    return ""
+
+
+def _of_camera(scene: Scene, config: PathConfig, names: list[str], sensor: int) -> str:
+    """Say why a camera's rays cannot move; empty: they can."""
+    if config.camera != c.CAMERA_PERSPECTIVE:
+        return f"the camera is none of type 'perspective'; take one, or {INSTEAD}"
+    film = camera_view(scene, sensor).camera
+    if film.filter == c.RFILTER_BOX and film.filter_radius != 0.5:
+        return f"a box filter of the radius {film.filter_radius} overlaps its neighbours; give it 0.5"
+    require_uncut(scene, sensor, set(motion(scene, names).shapes), camera_moves=False)
+    return ""
+
+
+def _of_surfaces(scene: Scene, config: PathConfig, names: list[str]) -> str:
+    """Say which surfaces have discontinuities beside the edges of their triangles; empty: none."""
+    shapes = scene.description.shapes
+    if config.media is not None:
+        return f"the scene has participating media; {INSTEAD}"
+    if config.primitives:
+        found = ", ".join(repr(shapes[i].path) for i in scene.builder.primitives)
+        return f"{found} has no triangles, and its silhouettes no edges; {INSTEAD}, or boundary.SignedDistance()"
+    if has_null_lobes(config.bsdfs):
+        return f"a mask or a null interface lets rays pass, which do not move behind it; {INSTEAD}"
+    if has_delta_lobes(config.bsdfs):
+        return f"a ray that a smooth mirror or glass has turned does not move; make it rough, or {INSTEAD}"
+    if any(model.framed for model in models_of(config.bsdfs)):
+        return f"a normal or bump map turns the shading frame; {INSTEAD}"
+    if config.smooth and not scene.shades_flat:
+        return f"interpolated normals turn away from the light along curves; give face_normals, or {INSTEAD}"
+    if any(has_steps(t) or t.kind == c.TEXTURE_FACE for t in scene.builder.textures):
+        return f"a texture has steps, which are no edges; take bilinear bitmaps, or {INSTEAD}"
+    if len(scene_curves(scene).length):
+        return f"shapes run through each other along a curve that is no edge; move them apart, or {INSTEAD}"
+    touching = contacts.describe(scene, motion(scene, names).shapes)
+    if touching:
+        return f"{touching} touch, and rays next to the contact would be arbitrarily fast; leave a gap, or {INSTEAD}"
+    return ""
+
+
+def _of_light(scene: Scene, config: PathConfig) -> str:
+    """Say which lights have shadows that no ray moves with; empty: none."""
+    kinds = {e.kind for e in scene.builder.emitters}
+    if config.scatter and kinds - EXTENDED:
+        return f"lights other than area lights and skies have hard shadows, which are met by no ray; {INSTEAD}"
+    if config.scatter and c.EMITTER_AREA in kinds and scene.builder.radiance_kinds - {c.TEXTURE_CONSTANT}:
+        return f"an area light has a texture, past which sampled points would move; give it one radiance, or {INSTEAD}"
+    return ""
