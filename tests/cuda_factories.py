@@ -339,7 +339,10 @@ FACTORIES = {
     "boundary.silhouette.primary.make_primary_silhouette_kernel": [("reverse", (EXACT, "reverse", True), SLOW)],
     "boundary.silhouette.secondary.make_secondary_silhouette_kernel": [
         ("reverse", (EXACT, "reverse", True, False), SLOW),
-        ("indirect, lights", (EXACT_LIGHTS, "forward", False, True, True), SLOW),
+        ("indirect, lights", (EXACT_LIGHTS, "forward", False, True, False, True), SLOW),
+        ("guided", (EXACT_LIGHTS, "reverse", False, True, True), SLOW),
+        ("target", (EXACT_LIGHTS, "target", False, False), SLOW),
+        ("ends", (EXACT_LIGHTS, "ends", False, False), SLOW),
     ],
     "boundary.path_space.secondary.make_secondary_kernel": [
         ("reverse, simple", (SIMPLE, "reverse", False, False), SLOW),

@@ -248,7 +248,6 @@ def test_samples_are_drawn_again(kind: str) -> None:
     [
         ({}, psdr.boundary.Projective(), "no terms of it"),
         ({}, psdr.boundary.EdgeSampling(), "no terms of it"),
-        ({}, psdr.boundary.PathSpace(guiding=psdr.guiding.KdTree()), "without guiding"),
         ({"ball": ellipsoid(exact=True, bsdf={"type": "dielectric"})}, "auto", "smooth mirrors and glass"),
     ],
 )

@@ -11,7 +11,7 @@ import warp_psdr as psdr
 from warp_psdr.estimate.guiding import edge_chains
 from warp_psdr.estimate.guiding.build import Growth, Target, volume
 from warp_psdr.estimate.guiding.methods import build
-from warp_psdr.estimate.guiding.store import whole
+from warp_psdr.estimate.guiding.structure import whole
 from warp_psdr.kernels.boundary.guiding.cells import Cells, pdf_cells, sample_cells
 from warp_psdr.kernels.boundary.guiding.light_square import make_light_square
 from warp_psdr.kernels.boundary.local_form import Edges, edge_at

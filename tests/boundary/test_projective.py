@@ -12,6 +12,7 @@ from warp_psdr.boundary import PathSpace, Projective
 from warp_psdr.estimate.boundary import projective
 from warp_psdr.estimate.boundary.terms import Request, named
 from warp_psdr.estimate.guiding import store
+from warp_psdr.estimate.guiding.structure import Evaluator
 from warp_psdr.kernels.boundary.guiding.projective import BLOCKED_LIGHT, SCATTERED
 from warp_psdr.plan.motion import motion
 from warp_psdr.topology.edges import scene_adjacency
@@ -111,7 +112,7 @@ def test_seeds_carry_light(name, technique) -> None:
     (built,) = guiding.structures(scene)
     seeds = projective.seeds(r, built.edges, 8192)[technique]
     assert len(seeds) > 100
-    evaluate = store._Evaluator(r, built, technique).at
+    evaluate = Evaluator(r, built, store.edge_space(r, built), technique).at
     random = np.random.default_rng(2).random((8192, 3))
     assert (evaluate(seeds) > 0.0).mean() > max(0.4, 3.0 * (evaluate(random) > 0.0).mean())
 
@@ -122,7 +123,7 @@ def drawn(scene, r, built, technique, count):
     random = np.random.default_rng(3)
     which = random.choice(len(leaves.low), count, p=leaves.mass / leaves.mass.sum())
     low, high = leaves.low[which].astype(float), leaves.high[which].astype(float)
-    evaluate = store._Evaluator(r, built, technique).at
+    evaluate = Evaluator(r, built, store.edge_space(r, built), technique).at
     guided = evaluate(low + random.random((count, 3)) * (high - low))
     return (guided > 0.0).mean(), (evaluate(random.random((count, 3))) > 0.0).mean()
 

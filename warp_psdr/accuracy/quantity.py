@@ -272,11 +272,11 @@ def _boundary_parts(quantity: Quantity, names: list[str], run: Callable[..., np.
 
         def prepare() -> None:
             assert guiding is not None
-            store.forget(request(1, 0), guiding)
+            store.forget(request(1, 0), guiding, term.name)
             launches(term, request(1, 0))
 
         # What was built before is kept, for whoever built it.
-        fresh = guiding is not None and term.name == "secondary" and not store.built(request(1, 0), guiding)
+        fresh = guiding is not None and term.guided and not store.built(request(1, 0), guiding, term.name)
         if not launches(term, request(1, 0)):
             return None
         return Part(term.title.format(kind), one, prepare if fresh else None)

@@ -13,9 +13,9 @@ from warp_psdr.kernels.boundary.guiding.techniques import Guide, make_techniques
 from warp_psdr.kernels.boundary.local_form import Edges
 from warp_psdr.kernels.boundary.path_space.direction import wedge_at
 from warp_psdr.kernels.boundary.path_space.secondary import make_segment
+from warp_psdr.kernels.primitive.dispatch import make_point_at
 from warp_psdr.kernels.reading import triangle_at
 from warp_psdr.kernels.structs import Scene
-from warp_psdr.kernels.surface import point_on
 from warp_psdr.kernels.vertex import PathConfig
 
 
@@ -23,6 +23,7 @@ from warp_psdr.kernels.vertex import PathConfig
 def make_ends_kernel(config: PathConfig):
     """Return the kernel: one thread a point of the cube; a scale of 0 says that no boundary segment is there."""
     segment_at = make_segment(config)
+    point_at = make_point_at(config.primitives)
     _sample, density, place = make_techniques(config, False)
 
     @wp.kernel(module="unique", enable_backward=False)
@@ -57,10 +58,10 @@ def make_ends_kernel(config: PathConfig):
         scale_out[number] = (
             wp.length(s.boundary_normal) * wp.length(aim.point.p1 - aim.point.p0) / (aim.point.pdf * pdf)
         )
-        x1_out[number] = point_on(triangle_at(scene, s.face1), s.u1, s.v1)
+        x1_out[number] = point_at(scene, triangle_at(scene, s.face1), s.u1, s.v1)
         emitted_out[number] = s.radiance[0] + s.radiance[1] + s.radiance[2]
         if s.light < 0 and s.face2 >= 0:
-            x2_out[number] = point_on(triangle_at(scene, s.face2), s.u2, s.v2)
+            x2_out[number] = point_at(scene, triangle_at(scene, s.face2), s.u2, s.v2)
             scatters_out[number] = 1
 
     return ends

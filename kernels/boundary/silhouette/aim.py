@@ -4,7 +4,9 @@ import functools
 
 import warp as wp
 
-from warp_psdr.kernels.constants import EMITTER_DIRECTIONAL, EMITTER_POINT
+from warp_psdr.kernels.boundary.guiding.light_square import within
+from warp_psdr.kernels.constants import EMITTER_AREA, EMITTER_DIRECTIONAL, EMITTER_POINT
+from warp_psdr.kernels.distribution import find_interval_64
 from warp_psdr.kernels.emitter.dispatch import is_delta_light, make_delta_sample
 from warp_psdr.kernels.emitter.spot import load_column
 from warp_psdr.kernels.reading import load_vec3
@@ -31,21 +33,23 @@ class TangentAim:
 
 
 @functools.cache
-def make_light_aim(config: PathConfig):
-    """Return ``aim(scene, x, u4) -> TangentAim``: a point of a light, or its direction; x is where the shape is."""
-    pick, draw = make_light_draw(config)
+def make_light_point(config: PathConfig):
+    """Return ``point(scene, x, index, face, u) -> TangentAim``: of a light, or its direction; face -1: no area light.
+
+    x is where the shape is.
+    """
+    _pick, draw = make_light_draw(config)
     area = bool(config.area)
     deltas = make_delta_sample(config.lights) is not None
 
     @wp.func
-    def light_aim(scene: Scene, x: wp.vec3, u4: wp.vec4) -> TangentAim:
+    def light_point(scene: Scene, x: wp.vec3, index: wp.int32, face: wp.int32, u: wp.vec2) -> TangentAim:
         r = TangentAim()
-        index, face = pick(scene, wp.vec2(u4[0], u4[1]))
         r.light = index
         r.valid = 1
         if wp.static(area):
             if face >= 0:
-                uv = square_to_triangle(wp.vec2(u4[2], u4[3]))
+                uv = square_to_triangle(u)
                 r.eye = point_on(scene.triangles[face], uv[0], uv[1])
                 return r
         emitter = scene.emitters[index]
@@ -59,10 +63,48 @@ def make_light_aim(config: PathConfig):
                 else:
                     r.eye = load_column(scene.values, emitter.to_world, 3)
                 return r
-        ls = draw(scene, index, -1, Triangle(), x, wp.vec2(u4[2], u4[3]))
+        ls = draw(scene, index, -1, Triangle(), x, u)
         r.eye = ls.wi
         r.distant = True
         r.valid = wp.where(ls.pdf > 0.0, 1, 0)
         return r
 
+    return light_point
+
+
+@functools.cache
+def make_light_aim(config: PathConfig):
+    """Return ``aim(scene, x, u4) -> TangentAim``: a point of a light, or its direction; x is where the shape is."""
+    pick, _draw = make_light_draw(config)
+    light_point = make_light_point(config)
+
+    @wp.func
+    def light_aim(scene: Scene, x: wp.vec3, u4: wp.vec4) -> TangentAim:
+        index, face = pick(scene, wp.vec2(u4[0], u4[1]))
+        return light_point(scene, x, index, face, wp.vec2(u4[2], u4[3]))
+
     return light_aim
+
+
+@functools.cache
+def make_square_aim(config: PathConfig):
+    """Return ``aim(scene, x, u1, u2) -> TangentAim``: as ``make_light_aim``'s, of a point of the unit square.
+
+    What is left of u1 after the choice of a light chooses a triangle of it, and what is left again is a coordinate.
+    """
+    light_point = make_light_point(config)
+
+    @wp.func
+    def square_aim(scene: Scene, x: wp.vec3, u1: wp.float64, u2: wp.float64) -> TangentAim:
+        index = find_interval_64(scene.emitter_cdf, 0, scene.emitters.shape[0], u1)
+        rest = within(scene.emitter_cdf, index, u1)
+        face = wp.int32(-1)
+        if wp.static(bool(config.area)):
+            emitter = scene.emitters[index]
+            if emitter.kind == EMITTER_AREA:
+                k = find_interval_64(scene.face_cdf, emitter.cdf_offset, emitter.face_count, rest)
+                rest = within(scene.face_cdf, emitter.cdf_offset + k, rest)
+                face = emitter.first_face + k
+        return light_point(scene, x, index, face, wp.vec2(wp.float32(rest), wp.float32(u2)))
+
+    return square_aim

@@ -16,8 +16,16 @@ import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.boundary.depth import make_indirect
+from warp_psdr.kernels.boundary.guiding.cube import make_cube, make_ends
+from warp_psdr.kernels.boundary.guiding.techniques import Guide
 from warp_psdr.kernels.boundary.path_space.secondary import make_source_sink
-from warp_psdr.kernels.boundary.silhouette.aim import SLOT_DIRECTION, SLOT_SILHOUETTE, TangentAim, make_light_aim
+from warp_psdr.kernels.boundary.silhouette.aim import (
+    SLOT_DIRECTION,
+    SLOT_SILHOUETTE,
+    TangentAim,
+    make_light_aim,
+    make_square_aim,
+)
 from warp_psdr.kernels.boundary.silhouette.dispatch import (
     choose_outline,
     make_coordinates,
@@ -38,6 +46,14 @@ from warp_psdr.kernels.rng import make_sampler, sampler_at
 from warp_psdr.kernels.sampling import square_to_sphere
 from warp_psdr.kernels.structs import Camera, Scene, Triangle
 from warp_psdr.kernels.vertex import PathConfig
+
+
+@wp.struct
+class OutlineItems:
+    """Outlines as ``choose_outline`` takes them. ``share``: of the segments that are not drawn towards lights."""
+
+    items: wp.array(dtype=wp.int32)
+    share: wp.float32
 
 
 @functools.cache
@@ -110,19 +126,33 @@ def make_silhouette_segment(config: PathConfig):
 
 @functools.cache
 def make_secondary_silhouette_kernel(
-    config: PathConfig, role: str, camera_moves: bool, light_pose: bool, indirect: bool = False
+    config: PathConfig,
+    role: str,
+    camera_moves: bool,
+    light_pose: bool,
+    guided: bool = False,
+    indirect: bool = False,
 ):
-    """Return the kernel: one thread a sample (arguments as in ``path_space/secondary.py``)."""
+    """Return the kernel: one thread a sample (arguments as in ``path_space/secondary.py``).
+
+    There is a role more, "ends": ``target`` receives what the ends of segments are (``guiding/cube.py``).
+    """
+    evaluates = role in ("target", "ends")
+    in_cube = guided or evaluates
     silhouettes = make_silhouettes(config.primitives)
     rims = make_rims(config.primitives)
     coordinates = make_coordinates(config.primitives)
-    light_aim = make_light_aim(config) if config.area or config.lights else None
+    lit = bool(config.area or config.lights)
+    light_aim = make_light_aim(config) if lit and not in_cube else None
+    square_aim = make_square_aim(config) if lit and in_cube else None
+    cube = make_cube(evaluates) if in_cube else None
+    write_ends = make_ends(config.primitives) if role == "ends" else None
     segment_at = make_silhouette_segment(config)
-    accumulate_silhouette = make_silhouette_sink(role)
-    accumulate_source = make_source_sink(role, light_pose, config.primitives)
+    accumulate_silhouette = None if evaluates else make_silhouette_sink(role)
+    accumulate_source = None if evaluates else make_source_sink(role, light_pose, config.primitives)
     source = make_source(config, True)
     source = make_indirect(source) if indirect else source
-    transport = make_transport(config, role, camera_moves, source)
+    transport = make_transport(config, role, camera_moves, source) if role != "ends" else None
     draw = make_sampler(config.sampler)
     sample_1d = draw.sample_1d
     sample_4d = draw.sample_4d
@@ -141,10 +171,10 @@ def make_secondary_silhouette_kernel(
         # Scene:
         scene: Scene,
         camera: Camera,
-        outlines: wp.array(dtype=wp.int32),
+        found: OutlineItems,
         moving: wp.array(dtype=wp.int32),
+        guide: Guide,
         # In:
-        share: wp.float32,
         job: SampleJob,
         # Out:
         target: wp.array(dtype=wp.float32),
@@ -154,14 +184,21 @@ def make_secondary_silhouette_kernel(
         number = job.first + wp.tid()
         sampler = sampler_at(number, 0, job.seed)
         u4 = sample_4d(sampler, SLOT_DIRECTION)
-        jitter = sample_1d(sampler, SLOT_SILHOUETTE)
-        u = (wp.float64(number) + wp.float64(jitter)) / wp.float64(job.samples)
-        uniform = u < wp.float64(share)
-        if uniform:
-            u = u / wp.float64(share)
+        uv = wp.vec2(u4[0], u4[1])
+        if wp.static(in_cube):
+            at = cube(guide, found.share, number, job.samples, u4)
+            u = at.u[0]
+            uniform = at.own
+            uv = wp.vec2(wp.float32(at.u[1]), wp.float32(at.u[2]))
         else:
-            u = (u - wp.float64(share)) / wp.float64(1.0 - share)
-        face, along = choose_outline(outlines, u)
+            jitter = sample_1d(sampler, SLOT_SILHOUETTE)
+            u = (wp.float64(number) + wp.float64(jitter)) / wp.float64(job.samples)
+            uniform = u < wp.float64(found.share)
+            if uniform:
+                u = u / wp.float64(found.share)
+            else:
+                u = (u - wp.float64(found.share)) / wp.float64(1.0 - found.share)
+        face, along = choose_outline(found.items, u)
         rim = face < 0
         face = wp.where(rim, -1 - face, face)
         tri = scene.triangles[face]
@@ -171,18 +208,21 @@ def make_secondary_silhouette_kernel(
         if uniform:
             if wp.static(rims is not None):
                 if rim:
-                    aim.w = square_to_sphere(wp.vec2(u4[0], u4[1]))
+                    aim.w = square_to_sphere(uv)
                     point = rims.seen(tri, face, along, aim.w, True)
             if wp.static(silhouettes is not None):
                 if not rim:
-                    point = silhouettes.place(tri, face, wp.vec2(along, u4[0]))
+                    point = silhouettes.place(tri, face, wp.vec2(along, uv[0]))
                     s_axis = any_tangent(point.out)
                     t_axis = wp.cross(point.out, s_axis)
-                    theta = TWO_PI * u4[1]
+                    theta = TWO_PI * uv[1]
                     aim.w = wp.cos(theta) * s_axis + wp.sin(theta) * t_axis
         else:
-            if wp.static(light_aim is not None):
-                aim = light_aim(scene, tri.normal, u4)
+            if wp.static(lit):
+                if wp.static(in_cube):
+                    aim = square_aim(scene, tri.normal, at.u[1], at.u[2])
+                else:
+                    aim = light_aim(scene, tri.normal, u4)
                 if aim.valid == 0:
                     return
                 if wp.static(rims is not None):
@@ -196,19 +236,29 @@ def make_secondary_silhouette_kernel(
                     aim.w = wp.normalize(aim.eye - point.x)
         if point.valid == 0:
             return
-        s = segment_at(scene, moving, tri, point, rim, aim, share, job.max_depth == 2)
+        s = segment_at(scene, moving, tri, point, rim, aim, found.share, job.max_depth == 2)
         if s.valid == 0:
             return
-        uv = coordinates(tri, point.q)
-        note_place(scene, NOTE_POINT, face, uv[0], uv[1], point.x, s.w, s.radiance)
-        s.scale *= wp.float32(outlines.shape[0]) / wp.float32(job.samples)
-        rest = wp.float32(0.0)
-        if wp.static(role == "forward"):
-            rest = accumulate(scene, target, point, s, 1.0)
-        weight = transport(scene, camera, sampler, s, s.scale, rest, job, target, image_out)
-        if wp.static(role != "forward"):
-            if weight != 0.0:
-                if accumulate(scene, target, point, s, weight) != 0.0:
-                    count_invalid(scene, sampler)
+        held = coordinates(tri, point.q)
+        note_place(scene, NOTE_POINT, face, held[0], held[1], point.x, s.w, s.radiance)
+        if wp.static(evaluates):
+            s.scale *= wp.float32(found.items.shape[0])
+        else:
+            s.scale *= wp.float32(found.items.shape[0]) / wp.float32(job.samples)
+        if wp.static(in_cube):
+            s.scale *= at.weight
+        if wp.static(role == "ends"):
+            write_ends(scene, target, number, s, s.scale)
+        else:
+            rest = wp.float32(0.0)
+            if wp.static(role == "forward"):
+                rest = accumulate(scene, target, point, s, 1.0)
+            weight = transport(scene, camera, sampler, s, s.scale, rest, job, target, image_out)
+            if wp.static(role == "target"):
+                target[number] = weight
+            elif wp.static(role != "forward"):
+                if weight != 0.0:
+                    if accumulate(scene, target, point, s, weight) != 0.0:
+                        count_invalid(scene, sampler)
 
     return secondary_silhouette

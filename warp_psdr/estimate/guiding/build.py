@@ -12,6 +12,7 @@ split, by ``PRIOR`` samples; of a leaf that met nothing something remains.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Protocol
 
@@ -23,7 +24,7 @@ from warp_psdr.scene.light_sampling import cumulative
 
 if TYPE_CHECKING:
     from warp_psdr.estimate.boundary.terms import Request
-    from warp_psdr.kernels.boundary.local_form import Edges
+    from warp_psdr.estimate.guiding.grid import Ends
 
 #: Weight, in samples, of what is known from the leaf that was split.
 PRIOR = 2.0
@@ -66,7 +67,7 @@ class Target:
         seeds: (N, 3) points near which the integrand is large; None: not known.
         random: generator for points of one's own.
         request: the boundary term.
-        edges: the device's record, in the order of the first coordinate.
+        ends: technique, points (N, 3) of the cube -> what the ends of their segments are.
         shared: what a method keeps from one technique of a build to the next.
     """
 
@@ -77,7 +78,7 @@ class Target:
     seeds: np.ndarray | None
     random: np.random.Generator
     request: Request
-    edges: Edges
+    ends: Callable[[str, np.ndarray], Ends]
     shared: dict = field(default_factory=dict)
 
 

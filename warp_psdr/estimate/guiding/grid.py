@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
 import numpy as np
 import warp as wp
 
@@ -9,16 +12,24 @@ from warp_psdr import workers
 from warp_psdr.device import launch_shards
 from warp_psdr.estimate.guiding.build import QUANTUM, Growth, Leaves, Target
 from warp_psdr.estimate.guiding.photons import PhotonMap, importon_map, photon_map
+from warp_psdr.estimate.jobs import sample_job
+from warp_psdr.kernels.boundary.guiding.cube import END_NUMBERS
 from warp_psdr.kernels.boundary.guiding.ends import make_ends_kernel
 from warp_psdr.kernels.boundary.guiding.techniques import Guide
 from warp_psdr.kernels.rng import mix_seed
 from warp_psdr.options.guiding import Grid
 from warp_psdr.plan.motion import moving_shapes
 
+if TYPE_CHECKING:
+    from warp_psdr.estimate.boundary.terms import Request
+    from warp_psdr.kernels.boundary.local_form import Edges
+
 #: Vertices of a photon's or importon's path where the depth has no limit: deeper ones are spread out anyway.
 UNBOUNDED_VERTICES = 8
 #: Sub-streams of the two maps.
 PHOTONS, IMPORTONS = 10, 11
+#: Sub-stream of what a segment's ends need random numbers for.
+ENDS = 12
 
 
 def build(method: Grid, target: Target) -> Leaves:
@@ -43,7 +54,7 @@ def _integrand(method: Grid, target: Target, points: np.ndarray) -> np.ndarray:
         # x_2 is at least the second vertex, and light that it scatters takes another.
         target.shared["photons"] = photon_map(r.scene, r.config, method.photons, bounces - 1, seeds[1])
     importons, photons = target.shared["importons"], target.shared["photons"]
-    return _Ends(target, points).integrand(importons, photons, method.neighbours)
+    return target.ends(target.technique, points).integrand(importons, photons, method.neighbours)
 
 
 def regular(growth: Growth, shape: tuple[int, int, int]) -> np.ndarray:
@@ -63,34 +74,26 @@ def regular(growth: Growth, shape: tuple[int, int, int]) -> np.ndarray:
     return growth.leaves()
 
 
-class _Ends:
-    """End points of the segments at points of the cube (``kernels/boundary/guiding/ends.py``)."""
+@dataclass(frozen=True, eq=False)
+class Ends:
+    """End points of the segments at N points of the cube (``kernels/boundary/guiding/ends.py``).
 
-    def __init__(self, target: Target, points: np.ndarray):
-        r, count = target.request, len(points)
-        device = r.scene.device
-        guide = Guide()
-        guide.share = 0.5
-        guide.points = wp.array(np.ascontiguousarray(points, np.float64), dtype=wp.vec3d, device=device)
-        x1, x2 = (wp.zeros(count, dtype=wp.vec3, device=device) for _ in range(2))
-        emitted, scale = (wp.zeros(count, dtype=wp.float32, device=device) for _ in range(2))
-        scatters = wp.zeros(count, dtype=wp.int32, device=device)
-        moving = moving_shapes(r.scene, r.moves)
-        technique = 1 if target.technique == "wedge" else 0
-        head = [r.scene.data(), target.edges, moving, guide]
-        outputs = [x1, x2, emitted, scatters, scale]
-        launch_shards(
-            make_ends_kernel(r.config),
-            count,
-            lambda first, _n, _shard: ([*head, first, technique, r.plan.max_depth == 2], outputs),
-            shards=workers.SHARDS,
-            device=device,
-        )
-        self.scale = r.scene.invalid.drop("guiding", scale.numpy().astype(np.float64))
-        self.x1, self.x2 = x1.numpy().astype(np.float64), x2.numpy().astype(np.float64)
-        self.emitted, self.scatters = emitted.numpy().astype(np.float64), scatters.numpy() == 1
+    Attributes:
+        scale: (N,) the measure over the density; 0: there is no segment.
+        emitted: (N,) what x_2 emits.
+        scatters: (N,) whether x_2 scatters light.
+        x1: (N, 3) the end towards the camera.
+        x2: (N, 3) that towards the light.
+    """
+
+    scale: np.ndarray
+    emitted: np.ndarray
+    scatters: np.ndarray
+    x1: np.ndarray
+    x2: np.ndarray
 
     def integrand(self, importons: PhotonMap, photons: PhotonMap, neighbours: int) -> np.ndarray:
+        """Return radiance times importance times the measure (N,)."""
         used = self.scale > 0.0
         radiance = self.emitted.copy()
         far = used & self.scatters
@@ -99,3 +102,60 @@ class _Ends:
         values = np.zeros(len(used))
         values[used] = self.scale[used] * radiance[used] * importons.leaving(self.x1[used], neighbours)
         return values
+
+
+def edge_ends(r: Request, edges: Edges, technique: str, points: np.ndarray) -> Ends:
+    """Return the ends of segments at edges, of points (N, 3) of the cube."""
+    count, device = len(points), r.scene.device
+    guide = Guide()
+    guide.share = 0.5
+    guide.points = wp.array(np.ascontiguousarray(points, np.float64), dtype=wp.vec3d, device=device)
+    x1, x2 = (wp.zeros(count, dtype=wp.vec3, device=device) for _ in range(2))
+    emitted, scale = (wp.zeros(count, dtype=wp.float32, device=device) for _ in range(2))
+    scatters = wp.zeros(count, dtype=wp.int32, device=device)
+    head = [r.scene.data(), edges, moving_shapes(r.scene, r.moves), guide]
+    outputs = [x1, x2, emitted, scatters, scale]
+    number = 1 if technique == "wedge" else 0
+    launch_shards(
+        make_ends_kernel(r.config),
+        count,
+        lambda first, _n, _shard: ([*head, first, number, r.plan.max_depth == 2], outputs),
+        shards=workers.SHARDS,
+        device=device,
+    )
+    return Ends(
+        scale=r.scene.invalid.drop("guiding", scale.numpy().astype(np.float64)),
+        emitted=emitted.numpy().astype(np.float64),
+        scatters=scatters.numpy() == 1,
+        x1=x1.numpy().astype(np.float64),
+        x2=x2.numpy().astype(np.float64),
+    )
+
+
+def surface_ends(r: Request, kernel: wp.Kernel, head: list, technique: str, points: np.ndarray) -> Ends:
+    """Return the ends of segments that touch shapes without triangles, by a kernel of the role "ends"."""
+    count, device = len(points), r.scene.device
+    guide = Guide()
+    guide.points = wp.array(np.ascontiguousarray(points, np.float64), dtype=wp.vec3d, device=device)
+    guide.technique = 1 if technique == "wedge" else 0
+    out = wp.zeros(END_NUMBERS * count, dtype=wp.float32, device=device)
+    none = wp.zeros((1, 1), dtype=wp.vec3, device=device)
+    seed = mix_seed(r.seed, ENDS)
+    launch_shards(
+        kernel,
+        count,
+        lambda first, _n, _shard: (
+            [*head, guide, sample_job(first, 1, seed, r.plan.max_depth, r.rr_depth, none)],
+            [out, none],
+        ),
+        shards=workers.SHARDS,
+        device=device,
+    )
+    found = out.numpy().reshape(count, END_NUMBERS).astype(np.float64)
+    return Ends(
+        scale=r.scene.invalid.drop("guiding", found[:, 0]),
+        emitted=found[:, 1],
+        scatters=found[:, 2] == 1.0,
+        x1=found[:, 3:6],
+        x2=found[:, 6:9],
+    )

@@ -117,8 +117,8 @@ def terms(scene: Scene, plan: Plan, names: list[str], role: str, sensor: int, sp
         kinds = (edge_sampling.TERM,)
     if request.config.media is not None:
         kinds = tuple(term for term in kinds if term.media)
-    # The one that may build guiding, with kernels of its own, comes last: all others are compiled meanwhile.
-    found = {term.name: launches(term, request) for term in sorted(kinds, key=lambda term: term is secondary.TERM)}
+    # Those that may build guiding, with kernels of their own, come last: all others are compiled meanwhile.
+    found = {term.name: launches(term, request) for term in sorted(kinds, key=lambda term: term.guided)}
     return [t for term in kinds for t in found[term.name]]
 
 
@@ -126,10 +126,11 @@ def prepare(scene: Scene, plan: Plan, names: list[str], sensor: int) -> list[wp.
     """Return the kernels of the terms; those that build guiding are run once, and what they built is forgotten."""
     request = Request(scene, plan, motion(scene, names), "reverse", sensor, 1, 0)
     guiding = getattr(request.method, "guiding", None)
-    built = guiding is None or store.built(request, guiding)
+    fresh = [t.name for t in ALL if t.guided and guiding is not None and not store.built(request, guiding, t.name)]
     kernels = [term.kernel for term in terms(scene, plan, names, "reverse", sensor, 1, 0)]
-    if guiding is not None and not built:
-        store.forget(request, guiding)
+    for name in fresh:
+        assert guiding is not None
+        store.forget(request, guiding, name)
     return kernels
 
 

@@ -131,6 +131,7 @@ class BoundaryTerm:
         launch: request -> its launch; None: nothing of the kind moves, or exists.
         applies: request -> whether it can have a launch at all, without a look at the scene's edges.
         splits: paths of two vertices behind the camera can be told from longer ones (``kernels/boundary/depth.py``).
+        guided: a method's guiding, where there is one, guides it.
         exact: it knows shapes without triangles (``kernels/primitive``) in the scene around it.
         media: it knows participating media.
     """
@@ -142,6 +143,7 @@ class BoundaryTerm:
     launch: Callable[[Request], Term | None]
     applies: Callable[[Request], bool] = lambda _request: True
     splits: bool = False
+    guided: bool = False
     exact: bool = False
     media: bool = False
 

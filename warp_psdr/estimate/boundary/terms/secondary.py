@@ -47,5 +47,6 @@ TERM = BoundaryTerm(
     launch=launch,
     applies=applies,
     splits=True,
+    guided=True,
     exact=True,
 )

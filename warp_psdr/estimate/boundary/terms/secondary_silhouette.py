@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import warp as wp
+
 from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term, term_of
-from warp_psdr.kernels.boundary.silhouette.secondary import make_secondary_silhouette_kernel
+from warp_psdr.estimate.boundary.touching import guided_kernel
+from warp_psdr.kernels.boundary.silhouette.secondary import OutlineItems, make_secondary_silhouette_kernel
 from warp_psdr.kernels.primitive.kinds import affine_kinds
 from warp_psdr.options.boundary import PathSpace
 from warp_psdr.plan.motion import moving_shapes
@@ -20,10 +23,15 @@ def launch(r: Request) -> Term | None:
     found = outlines(r.scene, None)
     if found is None:
         return None
-    kernel = make_secondary_silhouette_kernel(r.config, r.role, r.moves.camera, r.moves.light_pose, r.indirect)
-    samples = r.pixels * (r.method.spp_secondary or r.spp)
-    head = [r.scene.data(), r.camera, found, moving_shapes(r.scene, r.moves), r.own_share]
-    return term_of(r, TERM, kernel, head, samples)
+    items = OutlineItems()
+    items.items, items.share = found, r.own_share
+    head = [r.scene.data(), r.camera, items, moving_shapes(r.scene, r.moves)]
+
+    def make(role: str, camera_moves: bool, light_pose: bool, guided: bool) -> wp.Kernel:
+        return make_secondary_silhouette_kernel(r.config, role, camera_moves, light_pose, guided, r.indirect)
+
+    kernel, guide = guided_kernel(r, TERM.name, make, head, found.shape[0])
+    return term_of(r, TERM, kernel, [*head, guide], r.pixels * (r.method.spp_secondary or r.spp))
 
 
 TERM = BoundaryTerm(
@@ -34,5 +42,6 @@ TERM = BoundaryTerm(
     launch=launch,
     applies=applies,
     splits=True,
+    guided=True,
     exact=True,
 )
