@@ -9,23 +9,20 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+import warp as wp
 
+from warp_psdr.device import launch
+from warp_psdr.kernels.primitive.curves_overlap import FINER, TOUCHING, find_overlaps
 from warp_psdr.scene.curve_points import coefficients, world_points
 from warp_psdr.scene.sdfgrid import is_passed
 from warp_psdr.topology.camera_view import camera_view
 from warp_psdr.topology.exact_shapes import least_distance, pose, with_exact_shapes
 from warp_psdr.topology.grid_silhouettes import grid_shapes, grid_values, is_smooth_grid
-from warp_psdr.topology.tubes import curve_shapes, follows
+from warp_psdr.topology.tubes import curve_shapes
 
 if TYPE_CHECKING:
     from warp_psdr.scene.scene import Scene
 
-#: Cones that stand for a piece of a cubic segment.
-FINER = 2
-#: Depth, over the radius, up to which what runs into a tube only touches it.
-TOUCHING = 1.0e-2
-#: Distance along a curve, over the radius, up to which its own parts are next to each other.
-APART = 4.0
 #: Boxes that are compared with others at once.
 CHUNK = 512
 
@@ -33,36 +30,46 @@ CHUNK = 512
 def pierced_tubes(scene: Scene, shapes: frozenset[int] | None) -> tuple[int, int] | None:
     """Return curves and a shape that runs through them, one of them among ``shapes`` (None: any)."""
     corners, owners = with_exact_shapes(scene)
-    found = [(shape, *_cones(scene, shape)) for shape in curve_shapes(scene)]
-    for i, cones, place in found:
+    found = curve_shapes(scene)
+    for number, i in enumerate(found):
         rows = np.arange(len(corners))
         if shapes is not None and i not in shapes:
             rows = rows[np.isin(owners, sorted(shapes))]
+        low, high = _bounds(scene, i)
+        rows = rows[((corners[rows].min(axis=1) < high) & (corners[rows].max(axis=1) > low)).all(axis=1)]
+        grids = [j for j in grid_shapes(scene) if shapes is None or i in shapes or j in shapes]
+        cones = _cones(scene, i) if len(rows) or grids else np.zeros((0, 2, 4))
         for own, theirs in _near(cones, corners[rows].min(axis=1), corners[rows].max(axis=1)):
             hit = _depth_of_triangles(cones[own], corners[rows[theirs]]) > TOUCHING
             if hit.any():
                 return i, int(owners[rows[theirs[hit.argmax()]]])
-        for j in grid_shapes(scene):
-            if (shapes is None or i in shapes or j in shapes) and _meets_grid(scene, cones, j):
+        for j in grids:
+            if _meets_grid(scene, cones, j):
                 return i, j
-        for j, others, _theirs in found:
-            if j < i or not (shapes is None or i in shapes or j in shapes):
-                continue
-            low, high = _boxes(others)
-            for own, theirs in _near(cones, low, high):
-                keep = np.ones(len(own), bool)
-                if i == j:
-                    radius = np.maximum(cones[own][..., 3].max(axis=1), cones[theirs][..., 3].max(axis=1))
-                    same = place[theirs, 0] == place[own, 0]
-                    keep = (theirs > own) & ~(same & (place[theirs, 1] - place[own, 2] < APART * radius))
-                own, theirs = own[keep], theirs[keep]
-                if (_depth_of_cones(cones[own], others[theirs]) > TOUCHING).any():
-                    return i, j
+        for j in found[number:]:
+            if (shapes is None or i in shapes or j in shapes) and _overlap(scene, i, j):
+                return i, j
     return None
 
 
-def _cones(scene: Scene, shape: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return cones (N, 2, 4) along curves, and of each the number of its curve, and its ends along it, (N, 3)."""
+def _overlap(scene: Scene, shape: int, other: int) -> bool:
+    """Whether curves of a shape run through those of another, or through each other."""
+    curves = scene.description.shapes[shape].curves
+    assert curves is not None
+    records = [scene.face_count + scene.builder.primitives.index(i) for i in (shape, other)]
+    found = wp.zeros(1, dtype=wp.int32, device=scene.device)
+    launch(find_overlaps, len(curves.firsts), [scene.data(), *records], [found], device=scene.device)
+    return bool(found.numpy()[0])
+
+
+def _bounds(scene: Scene, shape: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the corners (3,) of a box around the tubes of a shape."""
+    points = world_points(scene, shape)
+    return (points[:, :3] - points[:, 3:]).min(axis=0), (points[:, :3] + points[:, 3:]).max(axis=0)
+
+
+def _cones(scene: Scene, shape: int) -> np.ndarray:
+    """Return cones (N, 2, 4) along curves."""
     curves = scene.description.shapes[shape].curves
     assert curves is not None
     points = world_points(scene, shape)
@@ -73,10 +80,7 @@ def _cones(scene: Scene, shape: int) -> tuple[np.ndarray, np.ndarray]:
         places = np.moveaxis(a[0] + v * (a[1] + v * (a[2] + v * a[3])), 0, 1)
     else:
         places = np.stack([points[curves.firsts], points[curves.firsts + 1]], axis=1)
-    cones = np.stack([places[:, :-1], places[:, 1:]], axis=2).reshape(-1, 2, 4)
-    number = np.cumsum(np.append(0, ~follows(curves.firsts)[:-1]))
-    length = np.linalg.norm(cones[:, 1, :3] - cones[:, 0, :3], axis=1)
-    return cones, np.column_stack([np.repeat(number, count), np.cumsum(length) - length, np.cumsum(length)])
+    return np.stack([places[:, :-1], places[:, 1:]], axis=2).reshape(-1, 2, 4)
 
 
 def _boxes(cones: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -111,16 +115,6 @@ def _meets_grid(scene: Scene, cones: np.ndarray, grid: int) -> bool:
         if (np.linalg.norm(way - v[:, None] * axis, axis=1) < _radius(cones[own], v) + reach).any():
             return True
     return False
-
-
-def _depth_of_cones(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Return how deep cones (N, 2, 4) run into others, over the smaller radius."""
-    p, d = a[:, 0, :3], a[:, 1, :3] - a[:, 0, :3]
-    q, e = b[:, 0, :3], b[:, 1, :3] - b[:, 0, :3]
-    s, t = _closest(p, d, q, e)
-    apart = np.linalg.norm(p + s[:, None] * d - q - t[:, None] * e, axis=1)
-    first, second = _radius(a, s), _radius(b, t)
-    return (first + second - apart) / np.maximum(np.minimum(first, second), 1e-300)
 
 
 def _radius(cones: np.ndarray, v: np.ndarray) -> np.ndarray:
@@ -168,7 +162,7 @@ def require_uncut_tubes(scene: Scene, sensor: int, shapes: list[int]) -> None:
     view = camera_view(scene, sensor)
     axis = np.linalg.inv(view.pose[:3, :3])[2]
     for i in shapes:
-        cones, _place = _cones(scene, i)
+        cones = _cones(scene, i)
         depth = view.depth(cones[..., :3])
         reach = cones[..., 3] * np.linalg.norm(axis)
         for plane in view.clip_depths():

@@ -29,6 +29,7 @@ from warp_psdr.scene.bsdfs import lets_through, model_of
 from warp_psdr.scene.description import SceneDescription, SensorDescription, ShapeDescription, TextureDescription
 from warp_psdr.view.fields import Arrows, Field, arrows, environment_field, mesh_field, texture_field, vertex_normals
 from warp_psdr.view.panels import arrangement, draw_labels
+from warp_psdr.view.tubes import tube_field, tube_mesh
 from warp_psdr.view.vtk_window import open_plotter
 
 _BACKGROUND = (0.86, 0.87, 0.88)  # not white, which means zero
@@ -45,6 +46,7 @@ _UNITS = {
     "vertex_positions": "world unit",
     "vertex_texcoords": "unit of u or v",
     "vertex_normals": "unit of the normal",
+    "control_points": "world unit",
 }
 
 
@@ -67,9 +69,10 @@ def view(
     """Draw a scene, and gradients on its surfaces.
 
     Positions and normals are drawn as arrows (the direction in which the value grows) and as the component along the
-    vertex normal; textures through their texture coordinates; attributes, constants and the two texture coordinates as
-    colours; environment maps on a sphere around the scene, seen from outside in two panels, towards and against the
-    camera's direction. Parameters of one kind, such as the positions of all shapes, share a panel and a scale.
+    vertex normal, control points of curves on their tubes; textures through their texture coordinates; attributes,
+    constants and the two texture coordinates as colours; environment maps on a sphere around the scene, seen from
+    outside in two panels, towards and against the camera's direction. Parameters of one kind, such as the positions of
+    all shapes, share a panel and a scale.
 
     Args:
         scene: A scene, or its ``SceneDescription``.
@@ -210,6 +213,12 @@ def _panels(
                 normals = vertex_normals(vertices, shape.faces) * (-1.0 if shape.flip_normals else 1.0)
                 field = mesh_field(vertices, shape.faces, vectors, vectors=True, normals=normals)
                 add(name, shape.path, field, vectors, normals)
+        name = f"{shape.path}.control_points"
+        if shape.curves is not None:
+            drawable.add(name)
+            if name in arrays:
+                array = _reshaped(name, arrays[name], shape.curves.points.shape)
+                add(name, shape.path, *tube_field(shape.curves, *_control_points(values, shape), array))
         name = f"{shape.path}.vertex_texcoords"
         if shape.texcoords is not None:
             drawable.add(name)
@@ -279,6 +288,13 @@ def _vertices(values: Mapping[str, Any], shape: ShapeDescription) -> np.ndarray:
     return local @ pose[:3, :3].T + pose[:3, 3]
 
 
+def _control_points(values: Mapping[str, Any], shape: ShapeDescription) -> tuple[np.ndarray, np.ndarray]:
+    """Return the control points (P, 4) of curves, in their own coordinates, and their pose (4, 4)."""
+    assert shape.curves is not None
+    points = as_array(_value(values, f"{shape.path}.control_points", shape.curves.points)).reshape(-1, 4)
+    return points, as_array(_value(values, f"{shape.path}.to_world", shape.to_world)).reshape(4, 4)
+
+
 def _bounds(description: SceneDescription, values: Mapping[str, Any]) -> tuple[np.ndarray, float]:
     """Return centre and radius of a sphere around all shapes."""
     corners = [
@@ -314,7 +330,10 @@ def _draw_shapes(
     for shape in description.shapes:
         if shape.path in panel.shapes or (shape.emitter is not None and not show_emitters):
             continue
-        mesh = _poly_data(_vertices(values, shape), shape.faces)
+        vertices, faces = _vertices(values, shape), shape.faces
+        if shape.curves is not None:
+            vertices, faces, _out = tube_mesh(shape.curves, *_control_points(values, shape))
+        mesh = _poly_data(vertices, faces)
         look: dict[str, Any] = {"color": _PLAIN}
         texture = shape.bsdf.textures.get("reflectance")
         if shape.emitter is not None:

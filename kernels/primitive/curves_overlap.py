@@ -1,0 +1,197 @@
+"""Which curves run through each other: every segment is compared with the pieces whose boxes meet its own.
+
+A piece is looked at as ``FINER`` cones between spheres along its axis; those at the ends of curves count as well. Most
+pairs are told apart by the chords of their pieces, from which a tube leaves by no more than ``Chord.reach``. Parts of
+one curve that are next to each other along it do not count.
+"""
+
+import warp as wp
+
+from warp_psdr.kernels.constants import PRIMITIVE_BSPLINECURVE
+from warp_psdr.kernels.primitive.curves import (
+    Curves,
+    Spline,
+    control_point,
+    curves_of,
+    first_point,
+    place_on,
+    spline_at,
+    xyz,
+)
+from warp_psdr.kernels.reading import triangle_at
+from warp_psdr.kernels.structs import Scene
+
+#: Cones that stand for a piece of a cubic segment.
+FINER = 2
+#: Depth, over the smaller radius, up to which what runs into a tube only touches it.
+TOUCHING = 1.0e-2
+#: Distance along a curve, over the radius, up to which its own parts are next to each other.
+APART = 4.0
+
+
+@wp.struct
+class Chord:
+    """A part of a curve: its ends, with radii, and how far from the line between them its tube reaches."""
+
+    start: wp.vec4
+    end: wp.vec4
+    reach: wp.float32
+
+
+@wp.func
+def axis_of(scene: Scene, g: Curves, cubic: wp.bool, segment: wp.int32, origin: wp.vec3) -> Spline:
+    """The axis of a segment, straight ones too."""
+    if cubic:
+        return spline_at(scene, g, segment, origin)
+    i = first_point(scene, g, segment)
+    s = Spline()
+    s.a0 = control_point(scene, g, i, origin)
+    s.a1 = control_point(scene, g, i + 1, origin) - s.a0
+    return s
+
+
+@wp.func
+def chord_of(s: Spline, low: wp.float32, high: wp.float32) -> Chord:
+    """A cubic leaves its chord by an eighth of the square of its size times its largest second derivative."""
+    c = Chord()
+    c.start = place_on(s, low)
+    c.end = place_on(s, high)
+    bend_a = s.a2 + (3.0 * low) * s.a3
+    bend_b = s.a2 + (3.0 * high) * s.a3
+    size = high - low
+    leave = 0.25 * size * size * wp.sqrt(wp.max(wp.dot(bend_a, bend_a), wp.dot(bend_b, bend_b)))
+    c.reach = 1.0001 * (wp.max(c.start[3], c.end[3]) + leave)
+    return c
+
+
+@wp.func
+def chord_length(c: Chord) -> wp.float32:
+    return wp.length(xyz(c.end - c.start))
+
+
+@wp.func
+def nearest_places(a: Chord, b: Chord) -> wp.vec2:
+    """The places, 0 to 1, at which two line segments are next to each other."""
+    d = xyz(a.end - a.start)
+    e = xyz(b.end - b.start)
+    r = xyz(a.start - b.start)
+    dd = wp.dot(d, d)
+    de = wp.dot(d, e)
+    ee = wp.dot(e, e)
+    dr = wp.dot(d, r)
+    er = wp.dot(e, r)
+    s = wp.clamp((de * er - ee * dr) / wp.max(dd * ee - de * de, 1.0e-12 * dd * ee + 1.0e-30), 0.0, 1.0)
+    t = wp.clamp((de * s + er) / wp.max(ee, 1.0e-30), 0.0, 1.0)
+    return wp.vec2(wp.clamp((de * t - dr) / wp.max(dd, 1.0e-30), 0.0, 1.0), t)
+
+
+@wp.func
+def between(a: Chord, b: Chord) -> wp.vec3:
+    """Distance between two line segments, and the radii there."""
+    v = nearest_places(a, b)
+    p = wp.lerp(a.start, a.end, v[0])
+    q = wp.lerp(b.start, b.end, v[1])
+    return wp.vec3(wp.length(xyz(p - q)), p[3], q[3])
+
+
+@wp.func
+def way_along(
+    scene: Scene, g: Curves, cubic: wp.bool, first: wp.int32, last: wp.int32, origin: wp.vec3, most: wp.float32
+) -> wp.float32:
+    """Length of the pieces of a curve between two of its pieces; where it exceeds ``most``, any such number."""
+    total = wp.float32(0.0)
+    k = first + 1
+    while k < last and total < most:
+        s = axis_of(scene, g, cubic, k / g.pieces, origin)
+        low = wp.float32(k % g.pieces) / wp.float32(g.pieces)
+        total += chord_length(chord_of(s, low, low + 1.0 / wp.float32(g.pieces)))
+        k += 1
+    return total
+
+
+@wp.func
+def cones_overlap(
+    s: Spline, t: Spline, low: wp.vec2, size: wp.vec2, apart: wp.float32, length: wp.vec2, connected: wp.bool
+) -> wp.bool:
+    """Whether the cones of two pieces run into each other; ``connected``: of one curve, ``apart`` along it."""
+    for k in range(wp.static(FINER)):
+        start = low[0] + size[0] * (wp.float32(k) / wp.static(float(FINER)))
+        a = chord_of(s, start, start + size[0] / wp.static(float(FINER)))
+        for m in range(wp.static(FINER)):
+            start_m = low[1] + size[1] * (wp.float32(m) / wp.static(float(FINER)))
+            b = chord_of(t, start_m, start_m + size[1] / wp.static(float(FINER)))
+            way = apart + wp.float32(wp.static(FINER) - 1 - k) * length[0] + wp.float32(m) * length[1]
+            radius = wp.max(wp.max(a.start[3], a.end[3]), wp.max(b.start[3], b.end[3]))
+            if not connected or way >= wp.static(APART) * radius:
+                near = between(a, b)
+                if near[1] + near[2] - near[0] > wp.static(TOUCHING) * wp.min(near[1], near[2]):
+                    return True
+    return False
+
+
+@wp.kernel(module="unique", enable_backward=False)
+def find_overlaps(
+    # Scene:
+    scene: Scene,
+    # In:
+    record: wp.int32,
+    other: wp.int32,
+    # Out:
+    found_out: wp.array(dtype=wp.int32),
+):
+    """One thread a segment of the shape of a record: whether it runs through another's curves.
+
+    Args:
+        scene: the scene.
+        record: number of the record of a shape of curves.
+        other: that of another, or the same.
+        found_out: (1,) set to 1 if one does.
+    """
+    own = wp.tid()
+    if found_out[0] != 0:
+        return
+    tri = triangle_at(scene, record)
+    tri_b = triangle_at(scene, other)
+    g = curves_of(scene, tri)
+    h = curves_of(scene, tri_b)
+    cubic = tri.i1 == wp.static(-1 - PRIMITIVE_BSPLINECURVE)
+    cubic_b = tri_b.i1 == wp.static(-1 - PRIMITIVE_BSPLINECURVE)
+    i = first_point(scene, g, own)
+    # Relative to its own first point, so that thin tubes keep their digits.
+    origin = xyz(control_point(scene, g, i, wp.vec3(0.0, 0.0, 0.0)))
+    s = axis_of(scene, g, cubic, own, origin)
+    whole = chord_of(s, 0.0, 1.0)
+    size = 1.0 / wp.float32(g.pieces)
+    size_b = 1.0 / wp.float32(h.pieces)
+    grow = wp.vec3(whole.reach, whole.reach, whole.reach)
+    query = wp.bvh_query_aabb(
+        h.tree,
+        origin + wp.min(xyz(whole.start), xyz(whole.end)) - grow,
+        origin + wp.max(xyz(whole.start), xyz(whole.end)) + grow,
+    )
+    item = wp.int32(0)
+    while wp.bvh_query_next(query, item):
+        segment = item / h.pieces
+        if record == other and segment < own:
+            continue
+        connected = record == other and first_point(scene, h, segment) - i == segment - own
+        t = axis_of(scene, h, cubic_b, segment, origin)
+        low_b = wp.float32(item - segment * h.pieces) * size_b
+        b = chord_of(t, low_b, low_b + size_b)
+        if between(whole, b)[0] > whole.reach + b.reach:
+            continue
+        for k in range(g.pieces):
+            if connected and own * g.pieces + k >= item:
+                break
+            low = wp.float32(k) * size
+            a = chord_of(s, low, low + size)
+            if between(a, b)[0] > a.reach + b.reach:
+                continue
+            apart = wp.float32(0.0)
+            if connected:
+                most = wp.static(APART) * wp.max(a.reach, b.reach)
+                apart = way_along(scene, g, cubic, own * g.pieces + k, item, origin, most)
+            lengths = wp.vec2(chord_length(a), chord_length(b)) / wp.static(float(FINER))
+            if cones_overlap(s, t, wp.vec2(low, low_b), wp.vec2(size, size_b), apart, lengths, connected):
+                found_out[0] = 1
+                return
