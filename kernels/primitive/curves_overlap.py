@@ -1,8 +1,9 @@
-"""Which curves run through each other: every segment is compared with the pieces whose boxes meet its own.
+"""Which curves run through each other, and which triangles through curves.
 
-A piece is looked at as ``FINER`` cones between spheres along its axis; those at the ends of curves count as well. Most
-pairs are told apart by the chords of their pieces, from which a tube leaves by no more than ``Chord.reach``. Parts of
-one curve that are next to each other along it do not count.
+Every segment, or triangle, is compared with the pieces whose boxes meet its own. A piece is looked at as ``FINER``
+cones between spheres along its axis; those at the ends of curves count as well. Most pairs of pieces are told apart by
+their chords, from which a tube leaves by no more than ``Chord.reach``. Parts of one curve that are next to each other
+along it do not count.
 """
 
 import warp as wp
@@ -39,7 +40,7 @@ class Chord:
 
 
 @wp.func
-def axis_of(scene: Scene, g: Curves, cubic: wp.bool, segment: wp.int32, origin: wp.vec3) -> Spline:
+def curve_axis(scene: Scene, g: Curves, cubic: wp.bool, segment: wp.int32, origin: wp.vec3) -> Spline:
     """The axis of a segment, straight ones too."""
     if cubic:
         return spline_at(scene, g, segment, origin)
@@ -86,7 +87,7 @@ def nearest_places(a: Chord, b: Chord) -> wp.vec2:
 
 
 @wp.func
-def between(a: Chord, b: Chord) -> wp.vec3:
+def chords_apart(a: Chord, b: Chord) -> wp.vec3:
     """Distance between two line segments, and the radii there."""
     v = nearest_places(a, b)
     p = wp.lerp(a.start, a.end, v[0])
@@ -102,7 +103,7 @@ def way_along(
     total = wp.float32(0.0)
     k = first + 1
     while k < last and total < most:
-        s = axis_of(scene, g, cubic, k / g.pieces, origin)
+        s = curve_axis(scene, g, cubic, k / g.pieces, origin)
         low = wp.float32(k % g.pieces) / wp.float32(g.pieces)
         total += chord_length(chord_of(s, low, low + 1.0 / wp.float32(g.pieces)))
         k += 1
@@ -123,10 +124,47 @@ def cones_overlap(
             way = apart + wp.float32(wp.static(FINER) - 1 - k) * length[0] + wp.float32(m) * length[1]
             radius = wp.max(wp.max(a.start[3], a.end[3]), wp.max(b.start[3], b.end[3]))
             if not connected or way >= wp.static(APART) * radius:
-                near = between(a, b)
+                near = chords_apart(a, b)
                 if near[1] + near[2] - near[0] > wp.static(TOUCHING) * wp.min(near[1], near[2]):
                     return True
     return False
+
+
+@wp.func
+def depth_at(c: Chord, v: wp.float32, apart: wp.float32) -> wp.float32:
+    """How deep something at a distance from a place of a chord runs into its cone, over the radius there."""
+    return 1.0 - apart / wp.max(wp.lerp(c.start[3], c.end[3], v), 1.0e-30)
+
+
+@wp.func
+def side_depth(c: Chord, p: wp.vec3, q: wp.vec3) -> wp.float32:
+    """The same of a line segment."""
+    side = Chord()
+    side.start = wp.vec4(p[0], p[1], p[2], 0.0)
+    side.end = wp.vec4(q[0], q[1], q[2], 0.0)
+    v = nearest_places(c, side)
+    place = xyz(wp.lerp(c.start, c.end, v[0]))
+    return depth_at(c, v[0], wp.length(place - wp.lerp(p, q, v[1])))
+
+
+@wp.func
+def face_depth(c: Chord, p: wp.vec3, q: wp.vec3, r: wp.vec3) -> wp.float32:
+    """The same of the inside of a triangle, at the ends of a chord and where it passes the triangle's plane."""
+    n = wp.cross(q - p, r - p)
+    squared = wp.max(wp.dot(n, n), 1.0e-30)
+    start = xyz(c.start)
+    along = xyz(c.end) - start
+    fall = wp.dot(n, along)
+    passes_at = wp.clamp(wp.dot(p - start, n) / wp.where(fall == 0.0, 1.0, fall), 0.0, 1.0)
+    deepest = wp.float32(-1.0e30)
+    for k in range(3):
+        v = wp.where(k == 0, 0.0, wp.where(k == 1, 1.0, passes_at))
+        place = start + v * along
+        foot = place - (wp.dot(place - p, n) / squared) * n
+        low = wp.min(wp.dot(wp.cross(q - p, foot - p), n), wp.dot(wp.cross(r - q, foot - q), n))
+        if wp.min(low, wp.dot(wp.cross(p - r, foot - r), n)) >= 0.0:
+            deepest = wp.max(deepest, depth_at(c, v, wp.length(place - foot)))
+    return deepest
 
 
 @wp.kernel(module="unique", enable_backward=False)
@@ -159,7 +197,7 @@ def find_overlaps(
     i = first_point(scene, g, own)
     # Relative to its own first point, so that thin tubes keep their digits.
     origin = xyz(control_point(scene, g, i, wp.vec3(0.0, 0.0, 0.0)))
-    s = axis_of(scene, g, cubic, own, origin)
+    s = curve_axis(scene, g, cubic, own, origin)
     whole = chord_of(s, 0.0, 1.0)
     size = 1.0 / wp.float32(g.pieces)
     size_b = 1.0 / wp.float32(h.pieces)
@@ -175,17 +213,17 @@ def find_overlaps(
         if record == other and segment < own:
             continue
         connected = record == other and first_point(scene, h, segment) - i == segment - own
-        t = axis_of(scene, h, cubic_b, segment, origin)
+        t = curve_axis(scene, h, cubic_b, segment, origin)
         low_b = wp.float32(item - segment * h.pieces) * size_b
         b = chord_of(t, low_b, low_b + size_b)
-        if between(whole, b)[0] > whole.reach + b.reach:
+        if chords_apart(whole, b)[0] > whole.reach + b.reach:
             continue
         for k in range(g.pieces):
             if connected and own * g.pieces + k >= item:
                 break
             low = wp.float32(k) * size
             a = chord_of(s, low, low + size)
-            if between(a, b)[0] > a.reach + b.reach:
+            if chords_apart(a, b)[0] > a.reach + b.reach:
                 continue
             apart = wp.float32(0.0)
             if connected:
@@ -195,3 +233,47 @@ def find_overlaps(
             if cones_overlap(s, t, wp.vec2(low, low_b), wp.vec2(size, size_b), apart, lengths, connected):
                 found_out[0] = 1
                 return
+
+
+@wp.kernel(module="unique", enable_backward=False)
+def find_pierced(
+    # Scene:
+    scene: Scene,
+    # In:
+    record: wp.int32,
+    corners: wp.array(dtype=wp.vec3, ndim=2),
+    # Out:
+    found_out: wp.array(dtype=wp.int32),
+):
+    """One thread a triangle: whether it runs through the curves of the shape of a record.
+
+    Args:
+        scene: the scene.
+        record: number of the record of a shape of curves.
+        corners: (M, 3).
+        found_out: (1,) the largest number of a triangle that does; -1 before.
+    """
+    i = wp.tid()
+    tri = triangle_at(scene, record)
+    g = curves_of(scene, tri)
+    cubic = tri.i1 == wp.static(-1 - PRIMITIVE_BSPLINECURVE)
+    a = corners[i, 0]
+    b = corners[i, 1]
+    c = corners[i, 2]
+    size = 1.0 / wp.float32(g.pieces * wp.static(FINER))
+    query = wp.bvh_query_aabb(g.tree, wp.min(a, wp.min(b, c)), wp.max(a, wp.max(b, c)))
+    item = wp.int32(0)
+    while wp.bvh_query_next(query, item):
+        segment = item / g.pieces
+        # Relative to a point of the segment, so that thin tubes keep their digits.
+        origin = xyz(control_point(scene, g, first_point(scene, g, segment), wp.vec3(0.0, 0.0, 0.0)))
+        s = curve_axis(scene, g, cubic, segment, origin)
+        p = a - origin
+        q = b - origin
+        r = c - origin
+        for k in range(wp.static(FINER)):
+            low = wp.float32((item - segment * g.pieces) * wp.static(FINER) + k) * size
+            cone = chord_of(s, low, low + size)
+            depth = wp.max(side_depth(cone, p, q), wp.max(side_depth(cone, q, r), side_depth(cone, r, p)))
+            if wp.max(depth, face_depth(cone, p, q, r)) > wp.static(TOUCHING):
+                wp.atomic_max(found_out, 0, i)

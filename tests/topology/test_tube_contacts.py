@@ -1,4 +1,4 @@
-"""Which curves run through each other, against dense rows of points along them, in float64."""
+"""What runs through curves, against dense rows of points along them, in float64."""
 
 import numpy as np
 import pytest
@@ -6,6 +6,7 @@ import pytest
 import warp_psdr as psdr
 from warp_psdr.kernels.primitive.curves_overlap import TOUCHING
 from warp_psdr.scene.curve_points import coefficients
+from warp_psdr.topology.exact_shapes import least_distance
 from warp_psdr.topology.tube_contacts import pierced_tubes
 
 #: Points of a segment in the rows, and how far these may miss the largest depth, over the radius.
@@ -84,3 +85,32 @@ def test_a_curve_that_runs_through_itself_is_found(plugin: str) -> None:
         loop = np.column_stack([np.cos(turn), np.sin(turn), rise * turn / (2.0 * np.pi), 0.1 + 0.0 * turn])
         loop = np.concatenate([loop, np.add(loop[1:6], [0.0, 0.0, rise, 0.0])])
         assert (pierced_tubes(load(plugin, loop), None) is not None) == runs_through
+
+
+@pytest.mark.parametrize("plugin", ["bsplinecurve", "linearcurve"])
+def test_triangles_that_run_through_curves_are_found_and_no_others(plugin: str) -> None:
+    rng = np.random.default_rng(4)
+    counts = {True: 0, False: 0}
+    for radius in (0.1, 0.02):
+        for trial in range(12):
+            points = wander(rng, radius)
+            spheres = row(plugin, points)
+            triangle = rng.normal(0.0, rng.choice([0.05, 0.5, 5.0]), (3, 3)).astype(np.float32)
+            # Move it so that it nearly touches, this side or the other.
+            for _round in range(8):
+                gap = least_distance(triangle - spheres[:, None, :3]) / spheres[:, 3]
+                k = gap.argmin()
+                middle = triangle.mean(axis=0) - spheres[k, :3]
+                step = ((0.9 if trial % 2 else 1.1) - gap[k]) * spheres[k, 3] / np.linalg.norm(middle)
+                triangle = (triangle + step * middle).astype(np.float32)
+            gap = least_distance(triangle - spheres[:, None, :3]) / spheres[:, 3]
+            deep = 1.0 - min(gap)
+            if abs(deep - TOUCHING) < 0.05:
+                continue
+            scene = {"type": "scene", "sensor": {"type": "perspective"}, "sky": {"type": "constant"}}
+            scene["body"] = {"type": plugin, "control_points": points.astype(np.float32)}
+            scene["plate"] = {"type": "mesh", "vertices": triangle, "faces": np.array([[0, 1, 2]], np.int32)}
+            found = pierced_tubes(psdr.load_dict(scene), None)
+            assert found == ((0, 1) if deep > TOUCHING else None), (radius, deep)
+            counts[deep > TOUCHING] += 1
+    assert min(counts.values()) > 3

@@ -12,11 +12,11 @@ import numpy as np
 import warp as wp
 
 from warp_psdr.device import launch
-from warp_psdr.kernels.primitive.curves_overlap import FINER, TOUCHING, find_overlaps
+from warp_psdr.kernels.primitive.curves_overlap import FINER, find_overlaps, find_pierced
 from warp_psdr.scene.curve_points import coefficients, world_points
 from warp_psdr.scene.sdfgrid import is_passed
 from warp_psdr.topology.camera_view import camera_view
-from warp_psdr.topology.exact_shapes import least_distance, pose, with_exact_shapes
+from warp_psdr.topology.exact_shapes import pose, with_exact_shapes
 from warp_psdr.topology.grid_silhouettes import grid_shapes, grid_values, is_smooth_grid
 from warp_psdr.topology.tubes import curve_shapes
 
@@ -35,14 +35,11 @@ def pierced_tubes(scene: Scene, shapes: frozenset[int] | None) -> tuple[int, int
         rows = np.arange(len(corners))
         if shapes is not None and i not in shapes:
             rows = rows[np.isin(owners, sorted(shapes))]
-        low, high = _bounds(scene, i)
-        rows = rows[((corners[rows].min(axis=1) < high) & (corners[rows].max(axis=1) > low)).all(axis=1)]
+        pierced = _pierced(scene, i, corners[rows])
+        if pierced >= 0:
+            return i, int(owners[rows[pierced]])
         grids = [j for j in grid_shapes(scene) if shapes is None or i in shapes or j in shapes]
-        cones = _cones(scene, i) if len(rows) or grids else np.zeros((0, 2, 4))
-        for own, theirs in _near(cones, corners[rows].min(axis=1), corners[rows].max(axis=1)):
-            hit = _depth_of_triangles(cones[own], corners[rows[theirs]]) > TOUCHING
-            if hit.any():
-                return i, int(owners[rows[theirs[hit.argmax()]]])
+        cones = _cones(scene, i) if grids else np.zeros((0, 2, 4))
         for j in grids:
             if _meets_grid(scene, cones, j):
                 return i, j
@@ -62,10 +59,19 @@ def _overlap(scene: Scene, shape: int, other: int) -> bool:
     return bool(found.numpy()[0])
 
 
-def _bounds(scene: Scene, shape: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the corners (3,) of a box around the tubes of a shape."""
+def _pierced(scene: Scene, shape: int, corners: np.ndarray) -> int:
+    """Return the number of one of the triangles (M, 3, 3) that runs through curves of a shape, or -1."""
     points = world_points(scene, shape)
-    return (points[:, :3] - points[:, 3:]).min(axis=0), (points[:, :3] + points[:, 3:]).max(axis=0)
+    low, high = (points[:, :3] - points[:, 3:]).min(axis=0), (points[:, :3] + points[:, 3:]).max(axis=0)
+    near = np.flatnonzero(((corners.min(axis=1) < high) & (corners.max(axis=1) > low)).all(axis=1))
+    if not len(near):
+        return -1
+    record = scene.face_count + scene.builder.primitives.index(shape)
+    found = wp.full(1, -1, dtype=wp.int32, device=scene.device)
+    triangles = wp.array(corners[near].astype(np.float32), dtype=wp.vec3, device=scene.device)
+    launch(find_pierced, len(near), [scene.data(), record, triangles], [found], device=scene.device)
+    number = int(found.numpy()[0])
+    return int(near[number]) if number >= 0 else -1
 
 
 def _cones(scene: Scene, shape: int) -> np.ndarray:
@@ -119,38 +125,6 @@ def _meets_grid(scene: Scene, cones: np.ndarray, grid: int) -> bool:
 
 def _radius(cones: np.ndarray, v: np.ndarray) -> np.ndarray:
     return (1.0 - v) * cones[:, 0, 3] + v * cones[:, 1, 3]
-
-
-def _closest(p: np.ndarray, d: np.ndarray, q: np.ndarray, e: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the places (N,), 0 to 1, at which the segments p + s d and q + t e are next to each other."""
-    r = p - q
-    a, b, c = (d * d).sum(1), (d * e).sum(1), (e * e).sum(1)
-    f, g = (d * r).sum(1), (e * r).sum(1)
-    tiny = 1e-300
-    s = np.clip((b * g - c * f) / np.maximum(a * c - b * b, 1e-12 * a * c + tiny), 0.0, 1.0)
-    t = np.clip((b * s + g) / np.maximum(c, tiny), 0.0, 1.0)
-    return np.clip((b * t - f) / np.maximum(a, tiny), 0.0, 1.0), t
-
-
-def _depth_of_triangles(cones: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """Return how deep triangles (N, 3, 3) run into cones (N, 2, 4), over the radius."""
-    p, d = cones[:, 0, :3], cones[:, 1, :3] - cones[:, 0, :3]
-    deepest = np.full(len(cones), -np.inf)
-
-    def meet(apart: np.ndarray, v: np.ndarray) -> None:
-        radius = _radius(cones, v)
-        np.maximum(deepest, 1.0 - apart / np.maximum(radius, 1e-300), out=deepest)
-
-    for k in range(3):
-        q, e = corners[:, k], corners[:, (k + 1) % 3] - corners[:, k]
-        s, t = _closest(p, d, q, e)
-        meet(np.linalg.norm(p + s[:, None] * d - q - t[:, None] * e, axis=1), s)
-    n = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    fall = (n * d).sum(1)
-    crossing = np.clip(((corners[:, 0] - p) * n).sum(1) / np.where(fall == 0.0, 1.0, fall), 0.0, 1.0)
-    for v in (np.zeros(len(cones)), crossing, np.ones(len(cones))):
-        meet(least_distance(corners - (p + v[:, None] * d)[:, None]), v)
-    return deepest
 
 
 def require_uncut_tubes(scene: Scene, sensor: int, shapes: list[int]) -> None:
