@@ -64,6 +64,7 @@ def make_media_incident(config: PathConfig):
     """
     media_step = make_media_step(config, False)
     emitted = make_interaction(config).emitted
+    emissive = config.media is not None and config.media.emissive
 
     @wp.func
     def media_incident(
@@ -103,6 +104,8 @@ def make_media_incident(config: PathConfig):
             turned = turned or step.collides or vertex.lobe != LOBE_NULL
             if max_depth >= 0 and r.cut < ROW_COUNT:
                 last = r.total + own
+                if wp.static(emissive):
+                    last += wp.cw_mul(step.before, step.emitted)
                 for c in range(3):
                     rows[r.cut, c] = last[c]
             r.total += value

@@ -11,22 +11,26 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
-from warp_psdr.kernels.constants import FAR
+from warp_psdr.kernels.constants import FAR, PHASE_SGGX
 from warp_psdr.kernels.interaction import make_interaction
 from warp_psdr.kernels.interior.media_sweep import number_of
-from warp_psdr.kernels.interior.shadow_motion import ShadowAdjoint, thinning
+from warp_psdr.kernels.interior.shadow_motion import ShadowAdjoint, make_thinning
 from warp_psdr.kernels.medium.coefficients import albedo_at
 from warp_psdr.kernels.medium.grid_adjoint import SALT_POINTS
+from warp_psdr.kernels.medium.grid_emission import POINTS as EMISSION_POINTS
+from warp_psdr.kernels.medium.grid_emission import SALT_EMISSION, emission_at, emission_point
 from warp_psdr.kernels.medium.grid_span import Span, SpanAdjoint, make_grid_span, span_length, span_of
 from warp_psdr.kernels.medium.interface import make_crossing_sink, make_interface
+from warp_psdr.kernels.medium.majorant import grid_ray
 from warp_psdr.kernels.medium.passage import MOST_INTERFACES, medium_towards
+from warp_psdr.kernels.medium.tracking import make_tracking
 from warp_psdr.kernels.medium.volume import GRID, grid_point, grid_value
 from warp_psdr.kernels.path_media import MediaVertex
 from warp_psdr.kernels.reading import load_float, texture_record
-from warp_psdr.kernels.rng import Sampler, salted
+from warp_psdr.kernels.rng import Sampler, independent_1d, salted
 from warp_psdr.kernels.structs import Medium, Scene
 from warp_psdr.kernels.texture.volume import trilinear_slope
-from warp_psdr.kernels.vertex import PathConfig
+from warp_psdr.kernels.vertex import MediaConfig, PathConfig
 from warp_psdr.kernels.visibility import visibility_of
 
 
@@ -86,6 +90,81 @@ def make_grid_flight_sink(role: str, pose: bool):
 
 
 @functools.cache
+def make_grid_emission_motion(config: MediaConfig, role: str, pose: bool):
+    """Return ``accumulate_glow(scene, target, m, span, before, v, sampler, w) -> SpanAdjoint``.
+
+    ``w`` is the adjoint of what a step's stretch emits (``medium/grid_emission.py``), whose points keep their fractions
+    of the span; ``before``: distance from y to where the step starts. ``pose``: grids move.
+    """
+    accumulate_point, _depth, accumulate_ends = make_grid_span(role, pose)
+    _flight, transmittance = make_tracking(config, False)
+
+    @wp.func
+    def accumulate_glow(
+        scene: Scene,
+        target: wp.array(dtype=wp.float32),
+        m: Medium,
+        span: Span,
+        before: wp.float32,
+        v: MediaVertex,
+        sampler: Sampler,
+        w: wp.vec3,
+    ) -> SpanAdjoint:
+        r = SpanAdjoint()
+        g = texture_record(scene, m.sigma_t)
+        o = v.surface.o
+        d = v.surface.d
+        ray = grid_ray(scene, g, o, d, v.stretch)
+        if m.emission < 0 or not ray.t0 < ray.t1:
+            return r
+        y = o - before * d
+        scale = load_float(scene.values, m.scale)
+        stream = salted(sampler, SALT_EMISSION, v.step)
+        share = (ray.t1 - ray.t0) * (1.0 / float(EMISSION_POINTS))
+        length = span_length(span)
+        passed = wp.vec3(1.0, 1.0, 1.0)
+        behind = v.emitted  # what is emitted from this point on
+        start = ray.t0
+        points = wp.int32(EMISSION_POINTS)
+        for i in range(points):
+            t = emission_point(ray, stream, i)
+            # ---- T, between this point and the one before ----
+            between = wp.lerp(start, t, independent_1d(stream, points + i))
+            thins = (start - t) * scale * wp.cw_mul(w, behind)
+            slope = trilinear_slope(scene, g, ray.o + between * ray.d, thins)
+            a_between, dot_between = accumulate_point(scene, target, g, o + between * d, slope)
+            r.o += a_between
+            r.d += (before + between) * a_between
+            r.dot += dot_between
+            # ---- epsilon at the point ----
+            passed = wp.cw_mul(passed, transmittance(scene, m, o + start * d, d, t - start, stream, i))
+            x = o + t * d
+            sent = share * wp.cw_mul(passed, emission_at(scene, m, x))
+            behind -= sent
+            a_t = -scale * wp.dot(wp.cw_mul(w, sent), grid_value(scene.values, g, ray.o + t * ray.d))
+            if m.emission_channels == GRID:
+                g_emission = texture_record(scene, m.emission)
+                w_point = share * wp.cw_mul(w, passed)
+                slope = trilinear_slope(scene, g_emission, grid_point(scene, g_emission, x), w_point)
+                a_x, dot = accumulate_point(scene, target, g_emission, x, slope)
+                a_t += wp.dot(d, a_x)
+                r.o += a_x
+                r.d += (before + t) * a_x
+                r.dot += dot
+            fraction = wp.clamp((before + t - span.near) / length, 0.0, 1.0)
+            r.far += fraction * a_t
+            r.near += (1.0 - fraction) * a_t
+            start = t
+        w_all = wp.cw_mul(w, v.emitted)
+        longer = (w_all[0] + w_all[1] + w_all[2]) / length
+        r.far += longer
+        r.near += scale * wp.dot(w_all, grid_value(scene.values, g, span.o + span.near * span.d)) - longer
+        return accumulate_ends(scene, target, g, span, y, d, r)
+
+    return accumulate_glow
+
+
+@functools.cache
 def make_grid_shadow_sink(config: PathConfig, role: str, pose: bool):
     """Return ``accumulate_shadow(scene, target, sampler, vertex, w)`` as ``make_shadow_sink`` does, through grids."""
     visibility = visibility_of(config)
@@ -93,6 +172,9 @@ def make_grid_shadow_sink(config: PathConfig, role: str, pose: bool):
     is_interface, _behind = make_interface(config)
     accumulate_crossing = make_crossing_sink(role)
     _point, accumulate_depth, accumulate_ends = make_grid_span(role, pose)
+    assert config.media is not None
+    flakes = PHASE_SGGX in config.media.phases
+    thinning, turning = make_thinning(config.media.phases)
 
     @wp.func
     def accumulate_shadow(
@@ -129,8 +211,10 @@ def make_grid_shadow_sink(config: PathConfig, role: str, pose: bool):
                     a_near += a.near
                     a_far = a.far
                 else:
-                    a_far = thinning(scene, inside, w)
+                    a_far = thinning(scene, inside, d, w)
                     a_near -= a_far
+                    if wp.static(flakes):
+                        r.d += turning(scene, inside, d, far - near, w)
             if face >= 0:
                 crossed = accumulate_crossing(scene, target, face, u, v_face, d, near, a_near)
                 r.o += crossed.o

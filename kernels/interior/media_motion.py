@@ -3,7 +3,7 @@
 A volume vertex rides as a fraction: on its stretch between two attached crossings of the ray from where its direction
 was drawn, at y, to z, the first surface behind it that is there. So dV = (f G(y, z) J(z)) dA ds times the length of the
 stretch, sigma_s, f_p and T: the connection y -> z is that of surfaces, and no term stands for domains. Grids add how
-their density varies (``grid_motion.py``).
+their density varies (``grid_motion.py``). What a medium emits along a stretch changes with the stretch's length.
 
 Derivation: ``docs/theory/media.md#what-moves``.
 """
@@ -14,22 +14,28 @@ from dataclasses import replace
 import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
-from warp_psdr.kernels.constants import FAR, LOBE_NONE, LOBE_NULL, LOBE_SMOOTH
+from warp_psdr.kernels.constants import FAR, LOBE_NONE, LOBE_NULL, LOBE_SMOOTH, PHASE_SGGX
 from warp_psdr.kernels.interaction import enter_frame, make_interaction
 from warp_psdr.kernels.interior.factors import make_light_sink
 from warp_psdr.kernels.interior.gradient_request import GradientRequest
-from warp_psdr.kernels.interior.grid_motion import make_grid_flight_sink, make_grid_shadow_sink
+from warp_psdr.kernels.interior.grid_motion import (
+    make_grid_emission_motion,
+    make_grid_flight_sink,
+    make_grid_shadow_sink,
+)
 from warp_psdr.kernels.interior.media_sweep import number_of
 from warp_psdr.kernels.interior.pullback import connection_vjp
 from warp_psdr.kernels.interior.shadow_motion import make_light_end, make_shadow_sink
 from warp_psdr.kernels.interior.sweep import Carry, make_sweep
-from warp_psdr.kernels.medium.coefficients import POSE, coefficients_of
+from warp_psdr.kernels.medium.coefficients import POSE, exp_minus
+from warp_psdr.kernels.medium.emission import emission_of
 from warp_psdr.kernels.medium.grid_adjoint import SALT_POINTS
 from warp_psdr.kernels.medium.grid_span import Span, span_length, span_of
 from warp_psdr.kernels.medium.interface import make_crossing_sink, make_interface
 from warp_psdr.kernels.medium.volume import GRID
 from warp_psdr.kernels.path_media import MediaVertex, collision_point
 from warp_psdr.kernels.phase.dispatch import make_phase, make_phase_by_cosine
+from warp_psdr.kernels.phase.sggx import flake_area_slope, flakes_of, make_extinction_along, sggx_slopes
 from warp_psdr.kernels.primitive.dispatch import make_position
 from warp_psdr.kernels.reading import texture_record
 from warp_psdr.kernels.rng import Sampler, salted
@@ -77,6 +83,8 @@ def make_moved_sweep(config: PathConfig, wanted: GradientRequest, role: str):
     position, cross_of = make_position(config.primitives)
     phase = make_phase(config.media.phases)
     by_cosine = make_phase_by_cosine(config.media.phases)
+    flakes = PHASE_SGGX in config.media.phases
+    extinction_along = make_extinction_along(config.media.phases)
     has_lights = bool(config.area or config.lights)
     smooth = samples_lights(config)
     radiance_of, accumulate_light = make_light_sink(surfaces, wanted, role) if has_lights else (None, None)
@@ -84,6 +92,8 @@ def make_moved_sweep(config: PathConfig, wanted: GradientRequest, role: str):
     grids_move = POSE in wanted.media
     accumulate_shadow = make_grid_shadow_sink(config, role, grids_move) if grids else make_shadow_sink(config, role)
     accumulate_grid_flight = make_grid_flight_sink(role, grids_move) if grids else None
+    emissive = config.media.emissive
+    accumulate_glow = make_grid_emission_motion(config.media, role, grids_move) if emissive and grids else None
     accumulate_end = make_light_end(wanted, role)
     accumulate_crossing = make_crossing_sink(role)
     is_interface, _behind = make_interface(config)
@@ -171,13 +181,23 @@ def make_moved_sweep(config: PathConfig, wanted: GradientRequest, role: str):
                 w = vertex.inv_pdf * wp.dot(a_n, carry.end.radiance)
                 turned = w * by_cosine(scene, m, wp.dot(vertex.d, vertex.wo))
                 a_d += turned * vertex.wo
+                a_wo = turned * vertex.d
+                if wp.static(flakes):
+                    if m.phase == PHASE_SGGX:
+                        slope_d, slope_wo = sggx_slopes(flakes_of(scene, m.g), vertex.d, vertex.wo)
+                        a_d += w * slope_d
+                        a_wo = w * slope_wo
                 end = closed(scene, carry)
                 if end.face >= 0:
                     tri = scene.triangles[end.face]
                     z = position(tri, end.u, end.v)
                     cross = cross_of(tri, end.u, end.v)
                     chi = nearness(scene, x, stretch, end.face, end.u, end.v)
-                    link = connection_vjp(end.o, z, cross, vertex.wo, (chi * turned) * vertex.d, value, chi)
+                    if wp.static(flakes):
+                        a_wo = chi * a_wo
+                    else:
+                        a_wo = (chi * turned) * vertex.d
+                    link = connection_vjp(end.o, z, cross, vertex.wo, a_wo, value, chi)
                     a_x += link.x
                     end.adjoint.x = end.adjoint.x - link.x
                     end.adjoint.c = end.adjoint.c + link.c
@@ -196,6 +216,12 @@ def make_moved_sweep(config: PathConfig, wanted: GradientRequest, role: str):
                 if vertex.light_face >= 0:
                     chi = nearness(scene, x, stretch, vertex.light_face, vertex.light_u, vertex.light_v)
                 a_wo = (chi * turned) * vertex.d
+                if wp.static(flakes):
+                    if m.phase == PHASE_SGGX:
+                        slope_d, slope_wo = sggx_slopes(flakes_of(scene, m.g), vertex.d, vertex.light_wi)
+                        w_f = wp.dot(a_direct, radiance)
+                        a_d += w_f * slope_d
+                        a_wo = (chi * w_f) * slope_wo
                 lit, dot = towards_light(scene, target, sampler, v, x, w_radiance, value, a_wo, chi, w_t)
                 a_d += turned * vertex.light_wi
                 a_x += lit
@@ -340,12 +366,38 @@ def make_moved_sweep(config: PathConfig, wanted: GradientRequest, role: str):
                     a_near += a_flight.near
             if v.medium >= 0 and vertex.face >= 0 and not in_grid:
                 w_v = wp.cw_mul(wp.cw_mul(delta, v.before), r.end.radiance)
-                thins = wp.dot(coefficients_of(scene, scene.media.records[v.medium]).sigma_t, w_v)
+                thins = wp.dot(extinction_along(scene, scene.media.records[v.medium], d).sigma_t, w_v)
                 rate = -thins
                 if v.collides:
                     rate = inv_length * (w_v[0] + w_v[1] + w_v[2] - v.t * thins)
                 a_far += rate
                 a_near -= rate
+            if wp.static(flakes):
+                if v.medium >= 0 and not in_grid and v.t < FAR:
+                    m = scene.media.records[v.medium]
+                    if m.phase == PHASE_SGGX:
+                        w_v = wp.cw_mul(wp.cw_mul(delta, v.before), r.end.radiance)
+                        rate = -v.t * wp.dot(extinction_along(scene, m, d).sigma_t, w_v)
+                        if v.collides:
+                            rate += w_v[0] + w_v[1] + w_v[2]
+                        r.a_w += rate * flake_area_slope(flakes_of(scene, m.g), d)
+            if wp.static(emissive):
+                if v.medium >= 0:
+                    m = scene.media.records[v.medium]
+                    w_m = wp.cw_mul(delta, v.before)
+                    if wp.static(grids):
+                        if in_grid:
+                            a_glow = accumulate_glow(scene, target, m, span, s.before, v, sampler, w_m)
+                            r.end.a_x += a_glow.o
+                            r.a_w += a_glow.d
+                            r.end.dot += a_glow.dot
+                            a_far += a_glow.far
+                            a_near += a_glow.near
+                    if vertex.face >= 0 and not in_grid:
+                        left = exp_minus(extinction_along(scene, m, d).sigma_t, v.stretch)
+                        longer = wp.dot(w_m, wp.cw_mul(left, emission_of(scene, m)))
+                        a_far += longer
+                        a_near -= longer
             if vertex.face >= 0:
                 if passes or (v.collides and is_interface(scene, vertex.face)):
                     a = accumulate_crossing(scene, target, vertex.face, vertex.u, vertex.v, d, far, a_far)
@@ -356,6 +408,8 @@ def make_moved_sweep(config: PathConfig, wanted: GradientRequest, role: str):
                     r.end.adjoint.x = r.end.adjoint.x + a_far * d
                     r.end.a_x -= a_far * d
             r.a_t = a_near
+        if wp.static(emissive):
+            r.end.radiance = r.end.radiance + v.emitted
         return r
 
     @wp.func

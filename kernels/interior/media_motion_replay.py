@@ -50,6 +50,7 @@ def make_media_motion_kernel(config: PathConfig, wanted: GradientRequest, role: 
     assert config.media is not None
     # In grids the slope of the density is divided by what is drawn, which has to stay away from 0.
     media_step = make_media_step(config, True, config.media.grids)
+    emissive = config.media.emissive
     moved_sweep, finish = make_moved_sweep(config, wanted, role)
     _is_interface, behind_of = make_interface(config)
     channels = 3 if role == "forward" else 1
@@ -124,6 +125,8 @@ def make_media_motion_kernel(config: PathConfig, wanted: GradientRequest, role: 
                     state.media = after
                     if tracing:
                         radiance += wp.cw_mul(vertex.surface.throughput, vertex.surface.direct)
+                        if wp.static(emissive):
+                            radiance += wp.cw_mul(vertex.before, vertex.emitted)
                 if tracing and state.media.path.alive == 1:
                     b += 1
                 else:

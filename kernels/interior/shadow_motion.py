@@ -8,13 +8,13 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
-from warp_psdr.kernels.constants import EMITTER_AREA, EMITTER_DIRECTIONAL, EMITTER_POINT, FAR
+from warp_psdr.kernels.constants import EMITTER_AREA, EMITTER_DIRECTIONAL, EMITTER_POINT, FAR, PHASE_SGGX
 from warp_psdr.kernels.interaction import make_interaction
 from warp_psdr.kernels.interior.gradient_request import GradientRequest
-from warp_psdr.kernels.medium.coefficients import coefficients_of
 from warp_psdr.kernels.medium.interface import make_crossing_sink, make_interface
 from warp_psdr.kernels.medium.passage import MOST_INTERFACES, medium_towards
 from warp_psdr.kernels.path_media import MediaVertex
+from warp_psdr.kernels.phase.sggx import flake_area_slope, flakes_of, make_extinction_along
 from warp_psdr.kernels.sink import make_sink, make_sink_vec3
 from warp_psdr.kernels.structs import Scene
 from warp_psdr.kernels.surface import VertexAdjoint, make_vertex_sink
@@ -32,12 +32,31 @@ class ShadowAdjoint:
     dot: wp.float32
 
 
-@wp.func
-def thinning(scene: Scene, medium: wp.int32, w: wp.vec3) -> wp.float32:
-    """Adjoint of a length in a medium."""
-    if medium < 0:
-        return 0.0
-    return -wp.dot(coefficients_of(scene, scene.media.records[medium]).sigma_t, w)
+@functools.cache
+def make_thinning(kinds: tuple[int, ...]):
+    """Return ``(thinning, turning)`` for the kinds of phase functions of a scene.
+
+    ``thinning(scene, medium, d, w) -> float32``: adjoint of a length along d in a medium, ``w`` as of
+    ``make_shadow_sink``.
+    ``turning(scene, medium, d, length, w) -> vec3``: adjoint of d, on which the extinction of microflakes depends.
+    """
+    extinction_along = make_extinction_along(kinds)
+
+    @wp.func
+    def thinning(scene: Scene, medium: wp.int32, d: wp.vec3, w: wp.vec3) -> wp.float32:
+        if medium < 0:
+            return 0.0
+        return -wp.dot(extinction_along(scene, scene.media.records[medium], d).sigma_t, w)
+
+    @wp.func
+    def turning(scene: Scene, medium: wp.int32, d: wp.vec3, length: wp.float32, w: wp.vec3) -> wp.vec3:
+        if medium >= 0 and length < FAR:
+            m = scene.media.records[medium]
+            if m.phase == PHASE_SGGX:
+                return length * thinning(scene, medium, d, w) * flake_area_slope(flakes_of(scene, m.g), d)
+        return wp.vec3(0.0, 0.0, 0.0)
+
+    return thinning, turning
 
 
 @functools.cache
@@ -51,6 +70,9 @@ def make_shadow_sink(config: PathConfig, role: str):
     interaction = make_interaction(config)
     is_interface, _behind = make_interface(config)
     accumulate_crossing = make_crossing_sink(role)
+    assert config.media is not None
+    flakes = PHASE_SGGX in config.media.phases
+    thinning, turning = make_thinning(config.media.phases)
 
     @wp.func
     def accumulate_shadow(
@@ -60,16 +82,19 @@ def make_shadow_sink(config: PathConfig, role: str):
         r = ShadowAdjoint()
         start = v.shadow_o
         inside = v.shadow_medium
-        r.length = thinning(scene, inside, w)
+        r.length = thinning(scene, inside, v.shadow_d, w)
         crossings = wp.int32(0)
         while crossings <= MOST_INTERFACES:
             t = wp.dot(start - v.shadow_o, v.shadow_d)
             hit = visibility.closest(scene, start, v.shadow_d, v.shadow_t - t)
             crossings += 1
+            if wp.static(flakes):
+                rest = wp.where(hit.face >= 0, hit.t, v.shadow_t - t)
+                r.d += turning(scene, inside, v.shadow_d, rest, w)
             if is_interface(scene, hit.face):
                 at = interaction.at(scene, hit.face, hit.u, hit.v, v.shadow_d)
                 inside = medium_towards(scene, at.shape, at.ng, v.shadow_d, v.shadow_d, inside)
-                beyond = thinning(scene, inside, w)
+                beyond = thinning(scene, inside, v.shadow_d, w)
                 a = accumulate_crossing(scene, target, hit.face, hit.u, hit.v, v.shadow_d, t + hit.t, r.length - beyond)
                 r.o += a.o
                 r.d += a.d

@@ -11,11 +11,12 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.interaction import make_interaction
-from warp_psdr.kernels.medium.coefficients import coefficients_of, exp_minus
+from warp_psdr.kernels.medium.coefficients import exp_minus
 from warp_psdr.kernels.medium.interface import make_interface
 from warp_psdr.kernels.medium.passage import MOST_INTERFACES, is_lost, medium_towards
 from warp_psdr.kernels.medium.tracking import make_tracking
 from warp_psdr.kernels.medium.volume import GRID
+from warp_psdr.kernels.phase.sggx import make_extinction_along
 from warp_psdr.kernels.rng import Sampler, salted
 from warp_psdr.kernels.structs import Scene
 from warp_psdr.kernels.vertex import PathConfig
@@ -57,6 +58,7 @@ def make_line(config: PathConfig):
     is_interface, _behind = make_interface(config)
     assert config.media is not None
     grids = config.media.grids
+    extinction_along = make_extinction_along(config.media.phases)
     _tracked_flight, tracked_transmittance = make_tracking(config.media, False)
 
     @wp.func
@@ -91,7 +93,7 @@ def make_line(config: PathConfig):
                         passed = tracked_transmittance(scene, m, start, d, length, stream, crossings)
                         r.transmittance = wp.cw_mul(r.transmittance, passed)
             if r.medium >= 0 and not in_grid:
-                sigma = coefficients_of(scene, scene.media.records[r.medium]).sigma_t
+                sigma = extinction_along(scene, scene.media.records[r.medium], d).sigma_t
                 r.transmittance = wp.cw_mul(r.transmittance, exp_minus(sigma, length))
             r.t = before + length
             crossings += 1

@@ -84,7 +84,7 @@ def make_phase(kinds: tuple[int, ...]) -> PhaseFunctions:
 def make_phase_by_cosine(kinds: tuple[int, ...]):
     """Return ``by_cosine(scene, m, mu) -> float32``: the derivative of the value by the cosine of the turn.
 
-    What does not depend on that alone, ``sggx``, is refused beside motion.
+    That of ``sggx`` does not depend on that alone (``sggx_slopes``), and is 0 here.
     """
     if PHASE_BLEND in kinds:
         return make_blend_by_cosine(make_phase_by_cosine(tuple(kind for kind in kinds if kind != PHASE_BLEND)))

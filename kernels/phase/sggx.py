@@ -17,6 +17,7 @@ import warp as wp
 
 from warp_psdr.kernels.constants import FAR, INV_PI, PHASE_SGGX, TWO_PI
 from warp_psdr.kernels.math import any_tangent, to_world
+from warp_psdr.kernels.medium.coefficients import Coefficients, coefficients_of
 from warp_psdr.kernels.reading import load_float
 from warp_psdr.kernels.sink import make_sink
 from warp_psdr.kernels.structs import Medium, Scene
@@ -56,6 +57,13 @@ def flake_area(s: Flakes, w: wp.vec3) -> wp.float32:
 
 
 @wp.func
+def flake_area_slope(s: Flakes, w: wp.vec3) -> wp.vec3:
+    """The derivative of ln A(w) by w: S w / A^2."""
+    across = wp.vec3(wp.dot(s.x, w), wp.dot(s.y, w), wp.dot(s.z, w))
+    return across / wp.max(wp.dot(w, across), NO_AREA)
+
+
+@wp.func
 def half_vector(d: wp.vec3, wo: wp.vec3) -> wp.vec3:
     """h, unit; any normal that is seen edge-on where the ray is not turned."""
     v = wo - d
@@ -82,6 +90,21 @@ def sggx_eval(s: Flakes, d: wp.vec3, wo: wp.vec3) -> wp.float32:
     determinant = wp.dot(s.x, wp.cross(s.y, s.z))
     stretch = wp.dot(h, adjugate_times(s, h)) / determinant  # h^T S^-1 h
     return 0.25 * INV_PI / (wp.sqrt(determinant) * stretch * stretch * flake_area(s, d))
+
+
+@wp.func
+def sggx_slopes(s: Flakes, d: wp.vec3, wo: wp.vec3) -> tuple[wp.vec3, wp.vec3]:
+    """Derivatives of the value by d and by wo; 0 where the ray is not turned."""
+    value = sggx_eval(s, d, wo)
+    a_d = -value * flake_area_slope(s, d)
+    a_wo = wp.vec3(0.0, 0.0, 0.0)
+    v = wo - d
+    squared = wp.dot(v, v)
+    if squared >= SAME_DIRECTION:
+        b = adjugate_times(s, v)
+        a_wo = (4.0 * value) * (v / squared - b / wp.dot(v, b))
+        a_d -= a_wo
+    return a_d, a_wo
 
 
 @wp.func
@@ -117,6 +140,22 @@ def make_flake_length(kinds: tuple[int, ...]):
         return length
 
     return flake_length
+
+
+@functools.cache
+def make_extinction_along(kinds: tuple[int, ...]):
+    """Return ``extinction_along(scene, m, d) -> Coefficients``: those of a ray along d; of microflakes A(d) sigma_t."""
+    flakes, one = PHASE_SGGX in kinds, len(kinds) == 1
+
+    @wp.func
+    def extinction_along(scene: Scene, m: Medium, d: wp.vec3) -> Coefficients:
+        c = coefficients_of(scene, m)
+        if wp.static(flakes):
+            if wp.static(one) or m.phase == PHASE_SGGX:
+                c.sigma_t = flake_area(flakes_of(scene, m.g), d) * c.sigma_t
+        return c
+
+    return extinction_along
 
 
 @functools.cache

@@ -1,4 +1,7 @@
-"""Media that emit light: closed forms of a slab, thermal equilibrium in a furnace, and what is refused."""
+"""Media that emit light: closed forms of a slab, thermal equilibrium in a furnace, and what is refused.
+
+What moves beside them: ``test_glow_boundary.py``.
+"""
 
 import numpy as np
 import pytest
@@ -97,12 +100,21 @@ def test_what_is_wrong_is_named(media, words):
         psdr.load_dict(whole(sensor=camera([0, 0, 5], [0, 0, 0], up=(0, 1, 0)), slab=cube(media), sky=sky(1, 1, 1)))
 
 
-def test_what_moves_beside_it_is_refused(slab):
-    scene, params = slab
+def test_a_slab_that_grows(slab):
+    """Along the rays: more of it shines, and less of the sky is seen through it."""
+    sigma, emission, radiance = np.array([0.0, 0.3, 1.2]), np.array([0.7, 0.2, 1.0]), np.array([0.5, 1.0, 0.1])
+    scene, params = filled(slab, sigma, 0.0, emission, radiance)
     params.requires_grad_only("slab.to_world")
+    adjoint = np.broadcast_to(np.float32([1.0, 2.0, -1.5]) / 16, (4, 4, 3)).copy()
+    psdr.render_backward(scene, params, adjoint, integrator=psdr.PathIntegrator(max_depth=1), spp=64)
+    found = params["slab.to_world"].grad.numpy().reshape(4, 4)[2, 2]
+    expected = 2.0 * np.exp(-2.0 * sigma) * (emission - sigma * radiance) @ [1.0, 2.0, -1.5]
+    np.testing.assert_allclose(found, expected, rtol=WIDTH)
+
+
+def test_methods_that_do_not_know_it_are_refused(slab):
+    scene, params = slab
     adjoint = np.ones((4, 4, 3), np.float32)
-    with pytest.raises(ValueError, match="media that emit light; leave 'emission' out"):
-        psdr.render_backward(scene, params, adjoint, integrator=psdr.PathIntegrator(boundary=None), spp=4)
     params.requires_grad_only(SIGMA)
     method = psdr.interior.DifferentialRatioTracking()
     with pytest.raises(ValueError, match=r"does not know media that emit light; use interior.Replay\(\)"):

@@ -57,11 +57,13 @@ def smoke():
 
 @pytest.mark.slow
 def test_nothing_changes_where_all_moves_together():
-    """Sample by sample, also what rides on the box of the grid."""
-    scene = curtain(smoke(), "area")
+    """Sample by sample, also what rides on the box of the grid, and what the smoke emits."""
+    shining = grid(np.random.default_rng(2).uniform(0.0, 2.0, (3, 3, 4, 3)))
+    scene = curtain({**smoke(), "emission": shining}, "area")
+    names = [*ALL, "smoke.interior_medium.emission.to_world"]
     motion = shift(0.3, -0.5, 0.8)
     adjoint = np.ones((SIZE, SIZE, 3), np.float32)
-    parts = [(g * motion(g)).sum() for g in derivatives(scene, ALL, adjoint, spp=16, depth=3, batches=1)[0]]
+    parts = [(g * motion(g)).sum() for g in derivatives(scene, names, adjoint, spp=16, depth=3, batches=1)[0]]
     assert min(map(abs, parts)) > 0.0
     assert abs(sum(parts)) < 2e-4 * max(map(abs, parts)), parts
 

@@ -117,10 +117,6 @@ def _beside_motion(scene: Scene, config: PathConfig, method: interior.Method, wa
     stepped = _stepped_grid(scene)
     if stepped:
         return f"the voxels of {stepped!r} are 'nearest', so that it jumps along them; make its filter 'trilinear'"
-    if c.PHASE_SGGX in config.media.phases:
-        return "'sggx' has an extinction by direction, which does not follow that; take another phase function"
-    if config.media.emissive:
-        return "that is not followed through media that emit light; leave 'emission' out, or request what moves nothing"
     if wanted.bends:
         return "that is not followed through media; request coefficients of media, reflectances or radiances"
     turning = [model.plugin for model in models_of(config.bsdfs) if model.has_delta and model is not NULL]
@@ -142,7 +138,8 @@ def _stepped_grid(scene: Scene) -> str:
     names = {p.offset: name for name, p in scene.parameters.items()}
     b = scene.builder
     for m in b.media:
-        for number, channels in ((m.sigma_t, m.sigma_t_channels), (m.albedo, m.albedo_channels)):
+        volumes = ((m.sigma_t, m.sigma_t_channels), (m.albedo, m.albedo_channels), (m.emission, m.emission_channels))
+        for number, channels in volumes:
             if channels == GRID and m.sigma_t_channels == GRID:
                 g = b.textures[number]
                 if g.filter == c.FILTER_NEAREST and g.width * g.height * g.first > 1:

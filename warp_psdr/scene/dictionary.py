@@ -236,5 +236,6 @@ def _check(result: SceneDescription, where: str) -> None:
         raise error(where, f"{len(environments)} environment lights ({names})", "keep one 'constant' or 'envmap'")
     if not result.shapes and not environments:
         raise error(where, "there are no shapes and no environment light", "add a shape; nothing is visible")
-    if not result.emitters:
+    media = [m for shape in result.shapes for m in (shape.interior, shape.exterior)]
+    if not result.emitters and all(m is None or m.emission is None for m in media):
         result.notes.append(f"{where}: there is no light; images are black")

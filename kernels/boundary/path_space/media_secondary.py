@@ -26,10 +26,11 @@ from warp_psdr.kernels.emitter.area import make_area
 from warp_psdr.kernels.emitter.dispatch import make_lights
 from warp_psdr.kernels.invalid import count_invalid, vanishes
 from warp_psdr.kernels.jobs import SampleJob
-from warp_psdr.kernels.medium.coefficients import coefficients_of, exp_minus
+from warp_psdr.kernels.medium.coefficients import exp_minus
 from warp_psdr.kernels.medium.line import AHEAD, SIGHT, ClearLine, make_line
 from warp_psdr.kernels.medium.volume import GRID
 from warp_psdr.kernels.path_media import GRAZING
+from warp_psdr.kernels.phase.sggx import make_extinction_along
 from warp_psdr.kernels.primitive.dispatch import make_adjoint_sink
 from warp_psdr.kernels.rng import Sampler, branch_of, make_sampler, sampler_at
 from warp_psdr.kernels.sensor.camera import make_camera_sink, make_lens
@@ -44,12 +45,16 @@ from warp_psdr.kernels.vertex import PathConfig
 def make_media_segment(config: PathConfig, deep: bool):
     """Return ``segment(scene, camera, edges, moving, sampler, point, direction, eye)``.
 
+    ``deep``: light may come from more than what is at the segment's end.
+
     The results are a Segment but for its x_1, and the line from the edge towards the source, whose medium is that at
     the edge. ``t1`` of the Segment is how far beyond the edge the ray to x_1 starts, ``known`` is not 0 if what the
     segment joins moves.
     """
     line, medium_at = make_line(config)
-    grids = config.media is not None and config.media.grids
+    assert config.media is not None
+    grids = config.media.grids
+    extinction_along = make_extinction_along(config.media.phases)
     emitted = make_area(config.area).emitted if config.area else None
     lights = make_lights(config.lights, None, ()) if config.lights else None
     environment_eval = lights.environment_eval if lights else None
@@ -132,7 +137,7 @@ def make_media_segment(config: PathConfig, deep: bool):
                 in_grid = scene.media.records[medium].sigma_t_channels == GRID
         if medium >= 0 and not in_grid:
             # From r.source to where the ray to x_1 starts both have the transmittance, 1 in grids but for rounding.
-            twice = exp_minus(coefficients_of(scene, scene.media.records[medium]).sigma_t, -(r.t1 + behind))
+            twice = exp_minus(extinction_along(scene, scene.media.records[medium], r.w).sigma_t, -(r.t1 + behind))
             ahead.transmittance = wp.cw_mul(ahead.transmittance, twice)
         r.radiance = wp.cw_mul(ahead.transmittance, r.radiance)
         if (wp.static(deep) and r.light < 0) or not vanishes(r.radiance):
@@ -150,10 +155,13 @@ def make_media_secondary_kernel(
 
     ``deep``: paths may have more than two vertices behind the camera. ``grids_move``: grids of media have derivatives.
     """
-    segment_at = make_media_segment(config, deep)
+    # A medium that shines does so in front of the first surface, too.
+    emissive = config.media is not None and config.media.emissive
+    traces = deep or emissive
+    segment_at = make_media_segment(config, traces)
     first_vertex, sight_of, extend = make_media_walk(config)
     ride, ride_sight = make_ride(config, role, grids_move)
-    media_incident = make_media_incident(config) if deep else None
+    media_incident = make_media_incident(config) if traces else None
     accumulate_segment = make_segment_sink(role, light_pose)
     accumulate_vertex = make_adjoint_sink(role, False, False, False, False, False, True, config.primitives)
     accumulate_camera = make_camera_sink(role, config.camera) if camera_moves else None
@@ -274,8 +282,8 @@ def make_media_secondary_kernel(
                 w = wp.float32(0.0)
                 if counts:
                     radiance = sent
-                    if wp.static(deep):
-                        if s.light < 0 and (job.max_depth < 0 or k + 2 <= job.max_depth):
+                    if wp.static(traces):
+                        if s.light < 0 and (wp.static(emissive) or job.max_depth < 0 or k + 2 <= job.max_depth):
                             if incident.first > k or not serves_length(incident, k):
                                 o = s.x - (s.t1 - beyond) * s.w
                                 branch = branch_of(sampler, k)

@@ -14,10 +14,10 @@ from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.boundary.detector import MIN_COSINE, make_turn
 from warp_psdr.kernels.boundary.path_space.walk_flight import Flown, make_flown, make_flown_in_grid
 from warp_psdr.kernels.bvh.wide import RayHit
-from warp_psdr.kernels.constants import FAR
+from warp_psdr.kernels.constants import FAR, PHASE_SGGX
 from warp_psdr.kernels.interaction import enter_frame, make_interaction
 from warp_psdr.kernels.invalid import vanishes
-from warp_psdr.kernels.medium.coefficients import Coefficients, coefficients_of, exp_minus
+from warp_psdr.kernels.medium.coefficients import Coefficients, exp_minus
 from warp_psdr.kernels.medium.grid_span import SpanAdjoint, make_grid_span, span_length, span_of
 from warp_psdr.kernels.medium.interface import make_crossing_sink, make_interface
 from warp_psdr.kernels.medium.line import ClearLine, make_line
@@ -25,6 +25,7 @@ from warp_psdr.kernels.medium.passage import MOST_INTERFACES, is_lost, medium_to
 from warp_psdr.kernels.medium.volume import GRID
 from warp_psdr.kernels.path_media import GRAZING
 from warp_psdr.kernels.phase.dispatch import make_phase
+from warp_psdr.kernels.phase.sggx import make_extinction_along
 from warp_psdr.kernels.primitive.dispatch import make_position
 from warp_psdr.kernels.reading import texture_record
 from warp_psdr.kernels.rng import Sampler, make_sampler
@@ -89,6 +90,8 @@ def make_media_walk(config: PathConfig):
     grids = config.media.grids
     flown_in_grid = make_flown_in_grid(config) if grids else None
     phase = make_phase(config.media.phases)
+    flakes = PHASE_SGGX in config.media.phases
+    extinction_along = make_extinction_along(config.media.phases)
     sample_4d = make_sampler(config.sampler).sample_4d
     project = make_projection(config.camera)[0]
     position, _cross_of = make_position(config.primitives)
@@ -140,7 +143,7 @@ def make_media_walk(config: PathConfig):
                         )
                 t = f.t
                 if not in_grid:
-                    c = coefficients_of(scene, m)
+                    c = extinction_along(scene, m, d)
                     f = flown(scene, m, eye - start, d, length, hit.face < 0, u4)
                     t = wp.min(f.t, last_point(scene, hit, d))
                     passed = exp_minus(c.sigma_t, t)
@@ -200,7 +203,11 @@ def make_media_walk(config: PathConfig):
         value = wp.vec3(0.0, 0.0, 0.0)
         if walk.collides:
             m = scene.media.records[walk.medium]
-            value = wp.vec3(1.0, 1.0, 1.0) * phase.eval(scene, m, r.d, walk.to)
+            if wp.static(flakes):
+                # ``weight`` has their area along ``to``: A f_p is reciprocal, f_p is not.
+                value = wp.vec3(1.0, 1.0, 1.0) * phase.eval(scene, m, -walk.to, -r.d)
+            else:
+                value = wp.vec3(1.0, 1.0, 1.0) * phase.eval(scene, m, r.d, walk.to)
         else:
             if wp.static(scatters):
                 here = interaction.at(scene, walk.face, walk.u, walk.v, r.d)

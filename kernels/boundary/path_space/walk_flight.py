@@ -10,11 +10,12 @@ import functools
 
 import warp as wp
 
-from warp_psdr.kernels.medium.coefficients import Coefficients, albedo_at, coefficients_of, exp_minus
+from warp_psdr.kernels.medium.coefficients import Coefficients, albedo_at, exp_minus
 from warp_psdr.kernels.medium.flight import forced_density, forced_distance, mean_of
 from warp_psdr.kernels.medium.majorant import grid_ray
 from warp_psdr.kernels.medium.tracking import make_tracking
 from warp_psdr.kernels.medium.volume import grid_value, grid_value_at
+from warp_psdr.kernels.phase.sggx import make_extinction_along
 from warp_psdr.kernels.reading import load_float, texture_record
 from warp_psdr.kernels.rng import Sampler
 from warp_psdr.kernels.structs import Medium, Scene
@@ -80,7 +81,9 @@ def bell_density(b: Bell, length: wp.float32, t: wp.float32) -> wp.float32:
 @functools.cache
 def make_flown(config: PathConfig):
     """Return ``flown(scene, m, way, d, length, open, u) -> Flown``; ``way``: from the start to the camera."""
-    chromatic = config.media is not None and config.media.chromatic
+    assert config.media is not None
+    chromatic = config.media.chromatic
+    extinction_along = make_extinction_along(config.media.phases)
 
     @wp.func
     def density(sigma: wp.float32, t: wp.float32, length: wp.float32, open: wp.bool) -> wp.float32:
@@ -92,7 +95,7 @@ def make_flown(config: PathConfig):
     def flown(
         scene: Scene, m: Medium, way: wp.vec3, d: wp.vec3, length: wp.float32, open: wp.bool, u: wp.vec4
     ) -> Flown:
-        c = coefficients_of(scene, m)
+        c = extinction_along(scene, m, d)
         r = Flown()
         r.t = length
         passing = wp.float32(0.0)

@@ -11,8 +11,10 @@ from warp_psdr.topology.edges_there import secondary_edges_there
 
 
 def applies(r: Request) -> bool:
-    """Whether light is scattered, and edges, lights or the camera move."""
-    return r.config.media is not None and r.lit and r.moves.edges
+    """Whether light is scattered, or a medium shines on what scatters it, and edges, lights or the camera move."""
+    media = r.config.media
+    shines = media is not None and media.emissive and r.plan.max_depth != 1
+    return media is not None and (r.lit or shines) and r.moves.edges
 
 
 def launch(r: Request) -> Term | None:
@@ -23,7 +25,11 @@ def launch(r: Request) -> Term | None:
     deep = r.plan.max_depth != 2
     kernel = make_media_secondary_kernel(r.config, r.role, r.moves.camera, r.moves.light_pose, deep, r.moves.grids)
     guide = Guide()
-    guide.share = OWN_SHARE if r.scene.builder.environment >= 0 else OWN_SHARE_DIRECT
+    assert r.config.media is not None
+    spread = r.scene.builder.environment >= 0 or r.config.media.emissive  # light comes from everywhere
+    guide.share = OWN_SHARE if spread else OWN_SHARE_DIRECT
+    if not r.scene.builder.emitters:
+        guide.share = 1.0
     samples = r.pixels * (r.method.spp_secondary or r.spp)
     return term_of(r, TERM, kernel, [r.scene.data(), r.camera, edges, moving_shapes(r.scene, r.moves), guide], samples)
 
