@@ -35,7 +35,7 @@ def room(turned: bool, size: int) -> dict:
 def main() -> None:
     """Run and print the table."""
     options = arguments(__doc__).parse_args()
-    size, spp = (48, 64) if options.quick else (96, 64)
+    size, spp = (48, 16) if options.quick else (96, 64)
     psdr.set_workers(1)
     report = Report("bidirectional", options.output)
     scenes = {
