@@ -5,7 +5,7 @@ import pytest
 
 import warp_psdr as psdr
 
-from .measure import MODES, Case, assert_agrees, assert_transposes, derivatives, differences, rows
+from .measure import MODES, Case, assert_agrees, assert_transposes, derivatives, differences, rows, slope
 from .scenes import T, diffuse, floor, load, register
 from .test_crossing import VIEW
 from .test_exact_sphere import LIGHTS, entry
@@ -25,7 +25,7 @@ def sunk(light: str, interpolation: str):
     return lambda: {"sensor": VIEW, "floor": floor(half=2.0), "body": body, **LIGHTS[light]()}
 
 
-KINDS = ("linear",)
+KINDS = ("linear", "cubic")
 register({f"sunk {kind}, {light}": sunk(light, kind) for kind in KINDS for light in LIGHTS})
 MOTIONS = (
     ("all values", GRID, all_values, 0.002),
@@ -53,3 +53,29 @@ def test_reverse_mode_is_the_transpose(kind: str) -> None:
     scene, params = load(f"sunk {kind}, lamp")
     options = {"integrator": psdr.PathIntegrator(max_depth=3), "spp": 4, "seed": 1}
     assert_transposes(scene, params, [GRID, POSE, FLOOR], options)
+
+
+@pytest.mark.slow
+def test_the_floor_below_an_overhang() -> None:
+    """What the floor receives has no slope next to the curve: with all segments that start there it counted twice."""
+    scene, params = load("sunk cubic, lamp")
+    integrator, step = psdr.PathIntegrator(max_depth=2), 0.004
+    base = params[GRID].numpy().copy()
+    given = {GRID: np.ones_like(base)}
+
+    def front(image) -> float:
+        return float(image.numpy()[9:12, 6:11].sum())
+
+    def shown(shift: float, seed: int) -> float:
+        params[GRID] = base + np.float32(shift)
+        params.update()
+        return front(psdr.render(scene, integrator=integrator, spp=2048, seed=seed))
+
+    expected = np.array([(shown(step, s) - shown(-step, s)) / (2.0 * step) for s in range(8)])
+    params[GRID] = base
+    params.update()
+    options = {"integrator": integrator, "spp": 512}
+    found = np.array([front(psdr.render_forward(scene, params, given, seed=s, **options)) for s in range(8)])
+    value, error = slope(found, expected)
+    assert error < 0.02
+    assert abs(value - 1.0) < 3.0 * error, (value, error)

@@ -127,7 +127,7 @@ def test_the_limit_is_the_exact_sphere() -> None:
     ("change", "problem"),
     [
         ({"grid": values() - 0.2}, "the surface of 'body' ends at its box"),
-        ({"to_world": T(T.translate([0, 0, -0.4]).matrix @ MATRIX)}, "'floor' runs through the surface of 'body'"),
+        ({"bsdf": {"type": "dielectric"}}, "smooth mirrors and glass"),
     ],
 )
 def test_what_has_no_terms_is_refused(change: dict, problem: str) -> None:

@@ -13,7 +13,7 @@ from warp_psdr.scene.curves import INSTEAD as TUBES
 from warp_psdr.scene.exact import EXACT, KINDS
 from warp_psdr.scene.network import INSTEAD as GRIDDED
 from warp_psdr.scene.sdfgrid import INSTEAD as TRIANGLES
-from warp_psdr.topology.crossing_curves import crossed_cubic, crossed_light, touched
+from warp_psdr.topology.crossing_curves import crossed_light, touched
 from warp_psdr.topology.crossing_pairs import touching_pair
 from warp_psdr.topology.grid_contacts import is_open, pierced_grid
 from warp_psdr.topology.grid_silhouettes import grid_shapes, grid_values
@@ -228,7 +228,7 @@ def _beside_moving_kinds(scene: Scene, config: PathConfig, integrator: PathInteg
             return f"beside {shapes[i].path!r} curves have no boundary term; leave them out, or {ALONE}"
     moves = motion(scene, names)
     moved = None if moves.camera else moves.shapes
-    for find, surface in ((pierced_grid, "surface"), (crossed_cubic, "surface"), (pierced_tubes, "tubes")):
+    for find, surface in ((pierced_grid, "surface"), (pierced_tubes, "tubes")):
         pair = find(scene, moved)
         if pair is not None:
             a, b = (shapes[i].path for i in pair)

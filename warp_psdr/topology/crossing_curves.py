@@ -223,15 +223,6 @@ def _slant(field: Field, chords: Chords, corners: np.ndarray) -> float:
     return float((sine / (np.linalg.norm(slope, axis=1) * np.linalg.norm(n, axis=1))).min(initial=1.0))
 
 
-def crossed_cubic(scene: Scene, shapes: frozenset[int] | None) -> tuple[int, int] | None:
-    """Return a cubic grid and a mesh that runs through it, one of them among ``shapes`` (None: any)."""
-    for i in grid_shapes(scene, True):
-        faces = cut_grid(scene, i, shapes).faces
-        if len(faces):
-            return i, int(scene.builder.face_shape[faces[0]])
-    return None
-
-
 def crossed_light(scene: Scene) -> tuple[int, int] | None:
     """Return a shape without triangles and a mesh that shines and runs through it."""
     hit = [(i, crossed_faces(scene, i, None)) for i in exact_shapes(scene)]

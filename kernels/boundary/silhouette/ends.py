@@ -7,6 +7,7 @@ import functools
 
 import warp as wp
 
+from warp_psdr.kernels.boundary.crossing.curve import OFF
 from warp_psdr.kernels.boundary.path_space.direction import make_pdf_light
 from warp_psdr.kernels.boundary.path_space.secondary import moves
 from warp_psdr.kernels.boundary.silhouette.aim import TangentAim
@@ -148,6 +149,17 @@ def make_sensor_end(config: PathConfig):
         return r
 
     return sensor_end
+
+
+@wp.func
+def is_beside_curve(scene: Scene, s: Segment, face: wp.int32, curvature: wp.float32) -> wp.bool:
+    """Whether x_1, on another shape, is closer to the touched one than where the terms of their common curve look.
+
+    Those count all that changes up to there (``docs/theory/implicit.md#next-to-curves-of-intersection``).
+    """
+    if scene.triangles[s.face1].shape == scene.triangles[face].shape:
+        return False
+    return 0.5 * curvature * s.t1 * s.t1 < OFF * s.step
 
 
 @wp.func

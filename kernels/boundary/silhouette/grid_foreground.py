@@ -17,7 +17,7 @@ from warp_psdr.kernels.boundary.film_edge import AHEAD, BESIDE
 from warp_psdr.kernels.boundary.path_space.direction import pdf_wedge, wedge_direction
 from warp_psdr.kernels.boundary.path_space.secondary import moves
 from warp_psdr.kernels.boundary.silhouette.aim import SLOT_DIRECTION, SLOT_SILHOUETTE
-from warp_psdr.kernels.boundary.silhouette.ends import make_sensor_end
+from warp_psdr.kernels.boundary.silhouette.ends import is_beside_curve, make_sensor_end
 from warp_psdr.kernels.boundary.silhouette.grid_points import (
     VOXEL_ITEM,
     GridItems,
@@ -197,6 +197,9 @@ def make_foreground_grid_kernel(
         s = sensor_end(scene, moving, s, moves(scene, moving, point.face))
         if s.valid == 0:
             return
+        if wp.static(not shading):
+            if point.crease == 0 and is_beside_curve(scene, s, point.face, curvature):
+                return
         # ---- Towards the source ----
         below, met = start_beside(scene, point, out, -1.0, s, curvature)
         s.source = below

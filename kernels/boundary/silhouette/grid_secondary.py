@@ -18,7 +18,7 @@ from warp_psdr.kernels.boundary.depth import make_indirect
 from warp_psdr.kernels.boundary.path_space.direction import Wedge, pdf_wedge, wedge_direction
 from warp_psdr.kernels.boundary.path_space.secondary import make_source_sink
 from warp_psdr.kernels.boundary.silhouette.aim import SLOT_DIRECTION, SLOT_SILHOUETTE, TangentAim, make_light_aim
-from warp_psdr.kernels.boundary.silhouette.ends import make_sensor_end, make_source_end, with_density
+from warp_psdr.kernels.boundary.silhouette.ends import is_beside_curve, make_sensor_end, make_source_end, with_density
 from warp_psdr.kernels.boundary.silhouette.grid_points import (
     VOXEL_ITEM,
     GridItems,
@@ -161,7 +161,11 @@ def make_touching_segment(config: PathConfig, cubic: bool = False):
                 density += (1.0 - found.share) * towards
         if density <= 0.0:
             return r
-        return with_density(sensor_end(scene, moving, end.segment, end.any_moves), end, aim, density)
+        r = with_density(sensor_end(scene, moving, end.segment, end.any_moves), end, aim, density)
+        if r.valid == 1 and point.crease == 0:
+            if is_beside_curve(scene, r, point.face, curvature):
+                r.valid = 0
+        return r
 
     return touching_segment
 

@@ -32,7 +32,7 @@ from warp_psdr.kernels.boundary.silhouette.dispatch import (
     make_silhouette_sink,
     make_silhouettes,
 )
-from warp_psdr.kernels.boundary.silhouette.ends import make_sensor_end, make_source_end, with_density
+from warp_psdr.kernels.boundary.silhouette.ends import is_beside_curve, make_sensor_end, make_source_end, with_density
 from warp_psdr.kernels.boundary.silhouette.point import SilhouettePoint
 from warp_psdr.kernels.boundary.silhouette.rim import make_rims
 from warp_psdr.kernels.boundary.transport import Segment, make_source, make_transport
@@ -119,7 +119,12 @@ def make_silhouette_segment(config: PathConfig):
                 density += (1.0 - share) * end.towards / around(tri, rim, end.y, end.segment.face2 < 0, point.q, r.w)
         if density <= 0.0:
             return r
-        return with_density(sensor_end(scene, moving, end.segment, end.any_moves), end, aim, density)
+        r = with_density(sensor_end(scene, moving, end.segment, end.any_moves), end, aim, density)
+        if wp.static(silhouettes is not None):
+            if r.valid == 1 and not rim:
+                if is_beside_curve(scene, r, point.face, silhouettes.curvature(tri, point.q, r.w)):
+                    r.valid = 0
+        return r
 
     return segment
 
