@@ -331,6 +331,9 @@ FACTORIES = {
         ("reverse", (SIMPLE, moving_shapes(SIMPLE), "reverse", WarpedOptions(), 4), SLOW),
         ("forward, biased", (SIMPLE, moving_shapes(SIMPLE), "forward", WarpedOptions(debias=False), 4), SLOW),
     ],
+    "boundary.warped_area.path_warped_area.make_path_warped_area_kernel": [
+        ("reverse", (SIMPLE, moving_shapes(SIMPLE), "reverse", WarpedOptions(), 4), SLOW),
+    ],
     "boundary.crossing.film.make_film_crossing_kernel": [("reverse", (EXACT, "reverse", True), SLOW)],
     "boundary.crossing.vertex.make_vertex_crossing_kernel": [
         ("reverse", (EXACT, "reverse", True), SLOW),

@@ -64,6 +64,7 @@ KINDS = (
     "hard_shadows",
     "through_mirrors",
     "film_border",
+    "path_warped_area",
     "guiding",
     "light",
 )

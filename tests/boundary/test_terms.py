@@ -25,12 +25,14 @@ def test_every_file_declares_a_term_that_is_in_the_list() -> None:
 def test_the_terms_of_a_method_have_random_numbers_of_their_own() -> None:
     explicit = {psdr.boundary.EdgeSampling, psdr.boundary.PathSpace, psdr.boundary.Projective}
     moving = {psdr.boundary.SignedDistance, psdr.boundary.NeuralSignedDistance, psdr.boundary.WarpedArea}
-    assert set(terms.TERMS) == explicit | moving | {FilmEdges}
+    assert set(terms.TERMS) == explicit | moving | {psdr.boundary.PathWarpedArea, FilmEdges}
     assert [term.name for term in terms.TERMS[FilmEdges]] == ["primary"]
     for found in (terms.TERMS[method] for method in explicit):
         assert len({term.stream for term in found}) == len(found) > 3
     for method in moving:
         assert terms.TERMS[method] == (terms.film_border.TERM,)
+    own = terms.TERMS[psdr.boundary.PathWarpedArea]
+    assert [term.name for term in own] == ["path_warped_area", "film_border"] and own[0].stream != own[1].stream
 
 
 def test_what_does_not_apply_is_not_looked_for() -> None:

@@ -34,7 +34,7 @@ class Method(ABC):  # noqa: B024
             TypeError: this is no method.
             ValueError: a sample count is not a positive integer.
         """
-        if type(self) in (Method, Connecting, Reparametrised, Distances):
+        if type(self) in (Method, Connecting, Reparametrised, Distances, AuxiliaryRays):
             raise TypeError(f"boundary.{type(self).__name__} is what methods have in common; make one of them")
         for name in self._counts():
             value = getattr(self, name)
@@ -242,14 +242,8 @@ class NeuralSignedDistance(Distances):
 
 
 @dataclass(frozen=True, kw_only=True)
-class WarpedArea(Reparametrised):
-    """Rays that move with the edges of meshes: warped-area sampling [BLD20].
-
-    Auxiliary rays about every ray of a path see what moves there; their weighted mean is the motion of the ray.
-    Unbiased with ``debias``, for triangle meshes without interpolated normals that move under area lights and skies
-    before a perspective camera at rest, at most 16 path vertices. Hard shadows, mirrors and glass, media, shapes
-    without triangles, shapes that touch or run through each other, and textures with steps are refused
-    (``warp_psdr/plan/warped_area.py``).
+class AuxiliaryRays(Method):
+    """What methods have in common whose auxiliary rays see what moves about a ray.
 
     Attributes:
         rays: K, auxiliary rays about each ray, a power of two.
@@ -277,3 +271,24 @@ class WarpedArea(Reparametrised):
             raise ValueError(f"kappa: got {self.kappa!r}, expected a number from {low:g} to {high:g}")
         if not isinstance(self.debias, bool):
             raise ValueError(f"debias: got {self.debias!r}, expected True or False")
+
+
+@dataclass(frozen=True, kw_only=True)
+class WarpedArea(Reparametrised, AuxiliaryRays):
+    """Rays that move with the edges of meshes: warped-area sampling [BLD20].
+
+    The weighted mean of what auxiliary rays about a ray of a path see move is the motion of that ray. Unbiased with
+    ``debias``, for triangle meshes without interpolated normals that move under area lights and skies before a
+    perspective camera at rest, at most 16 path vertices. Hard shadows, mirrors and glass, media, shapes without
+    triangles, shapes that touch or run through each other, and textures with steps are refused
+    (``warp_psdr/plan/warped_area.py``).
+    """
+
+
+@dataclass(frozen=True, kw_only=True)
+class PathWarpedArea(AuxiliaryRays):
+    """Warped-area sampling of path space's boundary term [XBLZ23], beside its interior term as it is.
+
+    Rays move against the points that they find, along camera paths of their own, ``spp_secondary`` a pixel; samples of
+    the borders of pixels, where a filter jumps, are ``spp_primary``. Covers what ``WarpedArea`` covers.
+    """

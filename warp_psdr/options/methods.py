@@ -139,6 +139,10 @@ _METHODS = MethodTable(
             *("kernels/boundary/warped_area/warped_area.py", "warped_area"),
         ),
         (
+            *("XBLZ23", "The same beside path space's interior", "boundary.PathWarpedArea()", "boundary"),
+            *("kernels/boundary/warped_area/path_warped_area.py", "warped_area"),
+        ),
+        (
             *("ZMY*20", "Grid of photons and importons", "guiding.Grid()", "guiding"),
             *("warp_psdr/estimate/guiding/grid.py", "grid"),
         ),

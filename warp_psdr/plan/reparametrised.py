@@ -18,7 +18,7 @@ from warp_psdr.kernels.boundary.signed_distance.reparametrised import make_repar
 from warp_psdr.kernels.boundary.signed_distance.warp_field import WarpOptions
 from warp_psdr.kernels.boundary.warped_area.auxiliary import WarpedOptions
 from warp_psdr.options import interior
-from warp_psdr.options.boundary import Distances, Method, NeuralSignedDistance, WarpedArea
+from warp_psdr.options.boundary import AuxiliaryRays, Distances, Method, NeuralSignedDistance, WarpedArea
 from warp_psdr.plan import warped_area
 from warp_psdr.plan.coverage import REMEDY, has_steps
 from warp_psdr.plan.motion import motion
@@ -63,7 +63,7 @@ def make_reparametrised(config: PathConfig, wanted: GradientRequest, role: str, 
 
 def describe(method: Method) -> list[tuple[str, str, str]]:
     """Return the plan's lines; none of a method whose rays stay."""
-    if isinstance(method, WarpedArea):
+    if isinstance(method, AuxiliaryRays):
         return warped_area.describe(method)
     if not isinstance(method, Distances):
         return []
@@ -86,8 +86,8 @@ def refuse(
     Raises:
         ValueError: with the reason, and what to do.
     """
-    if isinstance(method, WarpedArea):
-        reason = warped_area.refused(scene, config, integrator, names, sensor)
+    if isinstance(method, AuxiliaryRays):
+        reason = warped_area.refused(scene, config, integrator, method, names, sensor)
     elif isinstance(method, Distances):
         reason = (
             _of_request(scene, config, integrator, names)

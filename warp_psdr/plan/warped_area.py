@@ -17,7 +17,7 @@ from warp_psdr.kernels.boundary.warped_area.auxiliary import WarpedOptions
 from warp_psdr.kernels.boundary.warped_area.warped_area import make_warped_area_kernel
 from warp_psdr.kernels.bsdf.dispatch import has_delta_lobes, has_null_lobes, models_of
 from warp_psdr.options import interior
-from warp_psdr.options.boundary import WarpedArea
+from warp_psdr.options.boundary import AuxiliaryRays, WarpedArea
 from warp_psdr.plan.coverage import has_steps
 from warp_psdr.plan.motion import motion
 from warp_psdr.plan.replay import Kept
@@ -39,24 +39,30 @@ INSTEAD = "use boundary.PathSpace()"
 EXTENDED = {c.EMITTER_AREA, c.EMITTER_CONSTANT, c.EMITTER_ENVMAP}
 
 
-def compiled(method: WarpedArea) -> WarpedOptions:
+def compiled(method: AuxiliaryRays) -> WarpedOptions:
     """Return what of a method is compiled."""
     return WarpedOptions(method.rays, float(method.kappa), method.debias)
 
 
-def describe(method: WarpedArea) -> list[tuple[str, str, str]]:
+def describe(method: AuxiliaryRays) -> list[tuple[str, str, str]]:
     """Return the plan's lines."""
     rays = f"{method.rays} auxiliary rays about each ray"
     why = f"{rays}, doubled at random: unbiased" if method.debias else f"{rays}: biased, debias=False"
     return [("edges", "rays move with them", why)]
 
 
-def keep_warped(_method: interior.Method, max_depth: int, _rr_depth: int) -> Kept:
-    """Return what is kept of a path."""
+def kept_vertices(max_depth: int) -> int:
+    """Return how many vertices of a path are kept: few kernel variants."""
     most = 4
     while most < max_depth:
         most *= 2
-    return Kept(most, 1, "every vertex is found by the ray before it; the whole path fits, one trace")
+    return most
+
+
+def keep_warped(_method: interior.Method, max_depth: int, _rr_depth: int) -> Kept:
+    """Return what is kept of a path."""
+    said = "every vertex is found by the ray before it; the whole path fits, one trace"
+    return Kept(kept_vertices(max_depth), 1, said)
 
 
 def make_warped(config: PathConfig, wanted: GradientRequest, role: str, kept: Kept) -> wp.Kernel:
@@ -65,19 +71,21 @@ def make_warped(config: PathConfig, wanted: GradientRequest, role: str, kept: Ke
     return make_warped_area_kernel(config, wanted, role, kept.warp, kept.longest)
 
 
-def refused(scene: Scene, config: PathConfig, integrator: PathIntegrator, names: list[str], sensor: int) -> str:
+def refused(
+    scene: Scene, config: PathConfig, integrator: PathIntegrator, method: AuxiliaryRays, names: list[str], sensor: int
+) -> str:
     """Say why rays cannot move rightly; empty: they can."""
     return (
-        _of_request(scene, integrator, names)
+        _of_request(scene, integrator, method, names)
         or _of_camera(scene, config, names, sensor)
         or _of_surfaces(scene, config, names)
         or _of_light(scene, config)
     )
 
 
-def _of_request(scene: Scene, integrator: PathIntegrator, names: list[str]) -> str:
+def _of_request(scene: Scene, integrator: PathIntegrator, method: AuxiliaryRays, names: list[str]) -> str:
     """Say what moves whose discontinuities are not followed; empty: nothing."""
-    if not isinstance(integrator.interior, (str, interior.Replay)):
+    if isinstance(method, WarpedArea) and not isinstance(integrator.interior, (str, interior.Replay)):
         return f"it is beside interior.Replay() alone, got interior.{type(integrator.interior).__name__}()"
     moves = motion(scene, names)
     if moves.camera:

@@ -26,6 +26,7 @@ from warp_psdr.estimate.boundary.terms import (
     indirect_terminator,
     intersection_curve,
     media_secondary,
+    path_warped_area,
     primary,
     primary_cubic,
     primary_grid,
@@ -52,6 +53,7 @@ from warp_psdr.options.boundary import (
     Method,
     NeuralSignedDistance,
     PathSpace,
+    PathWarpedArea,
     Projective,
     SignedDistance,
     WarpedArea,
@@ -95,12 +97,23 @@ ALL: tuple[BoundaryTerm, ...] = (
     indirect_terminator.TERM,
     geometric_horizon.TERM,
     through_mirrors.TERM,
+    path_warped_area.TERM,
     film_border.TERM,
+)
+#: The methods that have terms.
+METHODS = (
+    PathSpace,
+    Projective,
+    EdgeSampling,
+    SignedDistance,
+    NeuralSignedDistance,
+    WarpedArea,
+    PathWarpedArea,
+    FilmEdges,
 )
 #: What each method consists of.
 TERMS: dict[type[Method], tuple[BoundaryTerm, ...]] = {
-    method: tuple(term for term in ALL if method in term.methods)
-    for method in (PathSpace, Projective, EdgeSampling, SignedDistance, NeuralSignedDistance, WarpedArea, FilmEdges)
+    method: tuple(term for term in ALL if method in term.methods) for method in METHODS
 }
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term, term_of
 from warp_psdr.kernels.boundary.signed_distance.film_border import make_film_border_kernel
 from warp_psdr.kernels.constants import RFILTER_BOX
-from warp_psdr.options.boundary import NeuralSignedDistance, SignedDistance, WarpedArea
-from warp_psdr.plan.reparametrised import compiled
+from warp_psdr.options.boundary import AuxiliaryRays, NeuralSignedDistance, PathWarpedArea, SignedDistance, WarpedArea
+from warp_psdr.plan import reparametrised, warped_area
 
 
 def applies(r: Request) -> bool:
@@ -16,7 +16,10 @@ def applies(r: Request) -> bool:
 
 def launch(r: Request) -> Term:
     """Return the term."""
-    options = compiled(r.method)
+    if isinstance(r.method, AuxiliaryRays):
+        options = warped_area.compiled(r.method)
+    else:
+        options = reparametrised.compiled(r.method)
     assert options is not None
     kernel = make_film_border_kernel(r.config, r.role, options)
     samples = r.pixels * (r.method.spp_primary or r.spp)
@@ -27,7 +30,7 @@ TERM = BoundaryTerm(
     name="film_border",
     title="borders of pixels",
     stream=40,
-    methods=(SignedDistance, NeuralSignedDistance, WarpedArea),
+    methods=(SignedDistance, NeuralSignedDistance, WarpedArea, PathWarpedArea),
     launch=launch,
     applies=applies,
     exact=True,

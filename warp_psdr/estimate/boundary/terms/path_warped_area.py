@@ -1,0 +1,27 @@
+"""How far the rays of paths move against the points that they find [XBLZ23]."""
+
+from __future__ import annotations
+
+from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term, term_of
+from warp_psdr.kernels.boundary.warped_area.path_warped_area import make_path_warped_area_kernel
+from warp_psdr.options.boundary import PathWarpedArea
+from warp_psdr.plan.replay import moved_request
+from warp_psdr.plan.warped_area import compiled, kept_vertices
+
+
+def launch(r: Request) -> Term:
+    """Return the term."""
+    assert isinstance(r.method, PathWarpedArea) and r.plan.wanted is not None
+    most = kept_vertices(r.plan.max_depth)
+    kernel = make_path_warped_area_kernel(r.config, moved_request(r.plan.wanted), r.role, compiled(r.method), most)
+    spp = r.method.spp_secondary or r.spp
+    return term_of(r, TERM, kernel, [r.scene.data(), r.camera], r.pixels * spp, count=spp)
+
+
+TERM = BoundaryTerm(
+    name="path_warped_area",
+    title="rays that move",
+    stream=41,
+    methods=(PathWarpedArea,),
+    launch=launch,
+)
