@@ -1,8 +1,9 @@
 """Curves with a radius: tubes about cubic B-splines, and cones between spheres.
 
-Behind the pose the flat values hold the ``HEADER``: a box around the curves, how many there are, and the number of a
-tree, ``wp.Bvh``, over boxes of pieces of segments. Then come the control points of the shape, (x, y, z, radius) each,
-the same in the world, with the same radii, and of each segment the number of its first control point.
+Behind the pose the flat values hold the ``HEADER``: a box around the curves, how many there are, the number of a tree,
+``wp.Bvh``, over boxes of pieces of segments, and where the CPU's tree lies (``curves_walk.py``). Then come the control
+points of the shape, (x, y, z, radius) each, the same in the world, with the same radii, and of each segment the number
+of its first control point.
 
 Surfaces are seen from outside alone, and rays that start inside leave unseen: what counts is where a ray enters.
 
@@ -18,13 +19,14 @@ import warp as wp
 
 from warp_psdr.kernels.bvh.wide import RayHit
 from warp_psdr.kernels.constants import PI, TWO_PI
+from warp_psdr.kernels.primitive.curves_walk import BATCH, PIECES_AHEAD, PieceTree, walks_packets
 from warp_psdr.kernels.primitive.sdfgrid import pack
-from warp_psdr.kernels.reading import load_float
+from warp_psdr.kernels.reading import load_float, load_vec3
 from warp_psdr.kernels.structs import Scene, Triangle
 
 #: Values between the first one of the box and the control points: 16 of the box, the numbers of control points, of
-#: segments and of pieces of each, and the two words of the tree's number.
-HEADER = 21
+#: segments and of pieces of each, the two words of the tree's number, and the eight of a ``PieceTree``.
+HEADER = 29
 #: Segments of one shape: as many as 20 bits tell apart.
 MOST_SEGMENTS = 1048576
 #: Rounds in which a ray is carried from cone to cone along a piece. They double the digits; a few suffice.
@@ -66,17 +68,34 @@ class Spline:
 
 
 @wp.func
+def address(scene: Scene, at: wp.int32) -> wp.uint64:
+    """A number of 64 bits in two words."""
+    low = wp.uint64(wp.cast(load_float(scene.values, at), wp.uint32))
+    high = wp.uint64(wp.cast(load_float(scene.values, at + 1), wp.uint32))
+    return low | (high << wp.uint64(32))
+
+
+@wp.func
 def curves_of(scene: Scene, tri: Triangle) -> Curves:
     g = Curves()
     count = wp.int32(load_float(scene.values, tri.i0 + 16))
     g.segments = wp.int32(load_float(scene.values, tri.i0 + 17))
     g.pieces = wp.int32(load_float(scene.values, tri.i0 + 18))
-    low = wp.uint64(wp.cast(load_float(scene.values, tri.i0 + 19), wp.uint32))
-    high = wp.uint64(wp.cast(load_float(scene.values, tri.i0 + 20), wp.uint32))
-    g.tree = low | (high << wp.uint64(32))
+    g.tree = address(scene, tri.i0 + 19)
     g.points = tri.i0 + wp.static(HEADER) + 4 * count
     g.firsts = g.points + 4 * count
     return g
+
+
+@wp.func
+def piece_tree(scene: Scene, tri: Triangle) -> PieceTree:
+    at = tri.i0 + 21
+    tree = PieceTree()
+    tree.nodes = address(scene, at)
+    tree.packets = address(scene, at + 2)
+    tree.center = load_vec3(scene.values, at + 4)
+    tree.extent = load_float(scene.values, at + 7)
+    return tree
 
 
 @wp.func
@@ -341,6 +360,52 @@ def make_curve_hit(cubic: bool, shadow: bool):
     """
 
     @wp.func
+    def meet(
+        scene: Scene, g: Curves, item: wp.int32, o: wp.vec3, w: wp.vec3, length: wp.float32, hit: RayHit
+    ) -> RayHit:
+        """What a ray meets first, of what it has met and a piece; w = d / |d|."""
+        met = hit
+        if wp.static(cubic):
+            segment = item / g.pieces
+            piece = item - segment * g.pieces
+            size = 1.0 / wp.float32(g.pieces)
+            low = wp.float32(piece) * size
+            i = first_point(scene, g, segment)
+            # From next to the piece on, so that what is far away keeps its digits.
+            middle = 0.5 * xyz(control_point(scene, g, i + 1, o) + control_point(scene, g, i + 2, o))
+            near = wp.dot(middle, w)
+            s = spline_at(scene, g, segment, o + near * w)
+            if passes(s, w, low, size):
+                return met
+            most = hit.t * length - near
+            first = wp.where(wp.dot(xyz(slope_on(s, low + 0.5 * size)), w) >= 0.0, low, low + size)
+            found = enter_tube(s, w, first, low, low + size, -near, most)
+            if found[1] < 0.0:
+                found = enter_tube(s, w, 2.0 * low + size - first, low, low + size, -near, most)
+            if found[1] < 0.0:
+                found = enter_tube(s, w, low + 0.5 * size, low, low + size, -near, most)
+            if found[1] >= 0.0:
+                met.t = (near + found[0]) / length
+                met.face = 0
+                if wp.static(not shadow):
+                    axis = wp.normalize(xyz(slope_on(s, found[1])))
+                    turns = angle_around(axis, found[0] * w - xyz(place_on(s, found[1])))
+                    met = hold(met, segment, found[1], turns)
+        else:
+            i = first_point(scene, g, item)
+            near = wp.dot(xyz(control_point(scene, g, i, o)), w)
+            place = o + near * w
+            p0 = control_point(scene, g, i, place)
+            p1 = control_point(scene, g, i + 1, place)
+            found = enter_segment(p0, p1, w)
+            if found[0] > -near and found[0] < hit.t * length - near:
+                met.t = (near + found[0]) / length
+                met.face = 0
+                if wp.static(not shadow):
+                    met = hold_segment(met, item, p0, p1, found[0] * w, found[1])
+        return met
+
+    @wp.func
     def curve_hit(scene: Scene, tri: Triangle, o: wp.vec3, d: wp.vec3, t_max: wp.float32) -> RayHit:
         hit = RayHit()
         hit.t = t_max
@@ -348,50 +413,32 @@ def make_curve_hit(cubic: bool, shadow: bool):
         g = curves_of(scene, tri)
         length = wp.length(d)
         w = d / length
-        grown = wp.static(GROWTH) * (wp.max(wp.abs(o)) + wp.max(wp.abs(tri.normal)))
-        query = wp.bvh_query_capsule(g.tree, o, d, grown)
         item = wp.int32(0)
-        while wp.bvh_query_next(query, item, hit.t):
-            if wp.static(cubic):
-                segment = item / g.pieces
-                piece = item - segment * g.pieces
-                size = 1.0 / wp.float32(g.pieces)
-                low = wp.float32(piece) * size
-                i = first_point(scene, g, segment)
-                # From next to the piece on, so that what is far away keeps its digits.
-                middle = 0.5 * xyz(control_point(scene, g, i + 1, o) + control_point(scene, g, i + 2, o))
-                near = wp.dot(middle, w)
-                s = spline_at(scene, g, segment, o + near * w)
-                if passes(s, w, low, size):
-                    continue
-                most = hit.t * length - near
-                first = wp.where(wp.dot(xyz(slope_on(s, low + 0.5 * size)), w) >= 0.0, low, low + size)
-                found = enter_tube(s, w, first, low, low + size, -near, most)
-                if found[1] < 0.0:
-                    found = enter_tube(s, w, 2.0 * low + size - first, low, low + size, -near, most)
-                if found[1] < 0.0:
-                    found = enter_tube(s, w, low + 0.5 * size, low, low + size, -near, most)
-                if found[1] >= 0.0:
-                    hit.t = (near + found[0]) / length
-                    hit.face = 0
+        if walks_packets():
+            tree = piece_tree(scene, tri)
+            after = wp.float32(-1.0)
+            count = wp.int32(wp.static(BATCH))
+            while count == wp.static(BATCH):
+                pieces = PIECES_AHEAD(tree, o, d, hit.t, after, item)
+                count = pieces.count
+                for k in range(pieces.count):
+                    after = pieces.enter[k]
+                    if after > hit.t:
+                        count = 0
+                        break
+                    item = pieces.items[k]
+                    hit = meet(scene, g, item, o, w, length, hit)
                     if wp.static(shadow):
+                        if hit.face >= 0:
+                            return hit
+        else:
+            grown = wp.static(GROWTH) * (wp.max(wp.abs(o)) + wp.max(wp.abs(tri.normal)))
+            query = wp.bvh_query_capsule(g.tree, o, d, grown)
+            while wp.bvh_query_next(query, item, hit.t):
+                hit = meet(scene, g, item, o, w, length, hit)
+                if wp.static(shadow):
+                    if hit.face >= 0:
                         return hit
-                    axis = wp.normalize(xyz(slope_on(s, found[1])))
-                    turns = angle_around(axis, found[0] * w - xyz(place_on(s, found[1])))
-                    hit = hold(hit, segment, found[1], turns)
-            else:
-                i = first_point(scene, g, item)
-                near = wp.dot(xyz(control_point(scene, g, i, o)), w)
-                place = o + near * w
-                p0 = control_point(scene, g, i, place)
-                p1 = control_point(scene, g, i + 1, place)
-                found = enter_segment(p0, p1, w)
-                if found[0] > -near and found[0] < hit.t * length - near:
-                    hit.t = (near + found[0]) / length
-                    hit.face = 0
-                    if wp.static(shadow):
-                        return hit
-                    hit = hold_segment(hit, item, p0, p1, found[0] * w, found[1])
         return hit
 
     return curve_hit

@@ -188,3 +188,25 @@ def test_rays_beside_a_bend_pass() -> None:
     wp.launch(trace, dim=len(x), inputs=[scene.data(), *arrays], outputs=[out], device=scene.device)
     met = out.numpy()[:, 0]
     assert ((met < 0.0) | (met > 0.8))[passes].all()
+
+
+@pytest.mark.parametrize("plugin", list(KINDS))
+def test_rays_follow_an_edit(plugin: str) -> None:
+    rng = np.random.default_rng(7)
+    points, starts = hair(rng, plugin, 0.05, 0.03)
+    moved = hair(rng, plugin, 0.08, 0.05)[0]
+    o = rng.uniform(-1.0, 1.0, (2000, 3)).astype(np.float32) * 3.0
+    d = rng.uniform(-0.7, 0.7, (2000, 3)).astype(np.float32) - o
+    found = []
+    edited, fresh = load(plugin, points, starts), load(plugin, moved, starts)
+    params = psdr.traverse(edited)
+    params["body.control_points"] = moved.reshape(-1)
+    params.update("body.control_points")
+    for scene in (edited, fresh):
+        given = [wp.array(a, dtype=wp.vec3, device=scene.device) for a in (o - scene.origin.astype(np.float32), d)]
+        out = wp.zeros((len(o), 9), dtype=wp.float32, device=scene.device)
+        wp.launch(make_trace(KINDS[plugin]), len(o), inputs=[scene.data(), *given], outputs=[out], device=scene.device)
+        found.append(out.numpy()[:, 0])
+    assert (found[0] > 0.0).mean() > 0.2
+    # Rays that graze may differ by rounding about another origin.
+    assert (np.abs(found[0] - found[1]) > ROUNDING).mean() < 2e-3

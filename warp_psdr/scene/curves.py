@@ -10,7 +10,9 @@ import numpy as np
 import warp as wp
 
 from warp_psdr.kernels.primitive.curves import HEADER, MOST_SEGMENTS
+from warp_psdr.kernels.primitive.curves_walk import WIDTH
 
+from .acceleration import Accelerator
 from .bsdfs import BsdfDescription
 from .curve_files import read_curves
 from .curve_points import coefficients
@@ -232,7 +234,7 @@ def add_curves(layout: Layout, shape: ShapeDescription, number: int) -> int:
     assert curves is not None
     count, segments = len(curves.points), len(curves.firsts)
     offset = layout.add_values(np.zeros(16))
-    layout.add_values(np.array([count, segments, curves.pieces, 0.0, 0.0]))
+    layout.add_values(np.array([count, segments, curves.pieces] + [0.0] * (HEADER - 19)))
     layout.add(f"{shape.path}.control_points", curves.points.reshape(-1), SHAPE_GRID, owner=number)
     layout.add_values(np.zeros(4 * count))
     layout.add_values(curves.firsts)
@@ -248,6 +250,7 @@ class Trees:
     def __init__(self, scene: Scene):
         self._scene = scene
         self._trees: dict[int, wp.Bvh] = {}
+        self._packets: dict[int, Packets] = {}
         for shape in scene.builder.curves:
             self._renew(shape)
 
@@ -277,15 +280,22 @@ class Trees:
         world = np.concatenate([transform_points(to_world, local[:, :3]), local[:, 3:]], axis=1).astype(np.float32)
         scene.values[first + size : first + 2 * size].assign(world.reshape(-1))
         low, high = (x.astype(np.float32) for x in hulls(world.astype(np.float64), curves))
+        number = place + 19
         if shape in self._trees:
             self._trees[shape].lowers.assign(low)
             self._trees[shape].uppers.assign(high)
-            self._trees[shape].rebuild()
+            if scene.device.is_cpu:  # rays do not walk it there
+                self._trees[shape].refit()
+            else:
+                self._trees[shape].rebuild()
         else:
             low_boxes, high_boxes = (wp.array(x, dtype=wp.vec3, device=scene.device) for x in (low, high))
             self._trees[shape] = wp.Bvh(low_boxes, high_boxes, leaf_size=LEAF)
-            number = np.array([self._trees[shape].id], np.uint64).view(np.float32)
-            scene.values[first - 2 : first].assign(number)
+            scene.values[number : number + 2].assign(np.array([self._trees[shape].id], np.uint64).view(np.float32))
+            if scene.device.is_cpu:
+                self._packets[shape] = Packets(len(low))
+        if scene.device.is_cpu:
+            scene.values[number + 2 : first].assign(self._packets[shape].follow(low, high))
         box = np.eye(4)
         box[:3, :3] = np.diag(0.5 * (high.max(axis=0) - low.min(axis=0)))
         box[:3, 3] = 0.5 * (high.max(axis=0) + low.min(axis=0))
@@ -295,3 +305,26 @@ class Trees:
         moved = transform_points(to_world, corners).astype(np.float32).reshape(-1)
         positions = scene.pose_offsets(shape)[1]
         scene.values[positions : positions + moved.size].assign(moved)
+
+
+class Packets:
+    """The tree that rays walk on the CPU (``kernels/primitive/curves_walk.py``) over the boxes of pieces."""
+
+    def __init__(self, count: int):
+        self._corners = wp.zeros(3 * count, dtype=wp.vec3, device="cpu")
+        self._indices = wp.array(np.arange(3 * count, dtype=np.int32), device="cpu")
+        self._tree: Accelerator | None = None
+
+    def follow(self, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+        """Build the tree, or bring it up to date, and return the words of a ``PieceTree``, (8,)."""
+        # Triangles with an area, whose boxes are those of the pieces.
+        high = np.maximum(high, np.nextafter(low, np.float32(np.inf)))
+        third = np.stack([low[:, 0], high[:, 1], low[:, 2]], axis=1)
+        self._corners.assign(np.stack([low, high, third], axis=1).reshape(-1, 3))
+        if self._tree is None:
+            self._tree = Accelerator(self._corners, self._indices, "cpu", "wide", width=WIDTH)
+        else:
+            self._tree.update()
+        data = self._tree.data
+        addresses = np.array([data.nodes, data.packets], np.uint64).view(np.float32)
+        return np.concatenate([addresses, np.array([*data.center, data.extent], np.float32)])
