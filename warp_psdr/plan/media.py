@@ -10,7 +10,8 @@ from warp_psdr.kernels.bsdf.null import NULL
 from warp_psdr.kernels.medium.coefficients import ALBEDO, EMISSION, PHASE, POSE, SCALE, SIGMA_T
 from warp_psdr.kernels.medium.volume import GRID
 from warp_psdr.options import interior
-from warp_psdr.options.boundary import Method, PathSpace
+from warp_psdr.options.boundary import EdgeSampling, Method, PathSpace, Projective
+from warp_psdr.options.guiding import Grid
 from warp_psdr.plan.motion import motion
 from warp_psdr.scene.bsdfs import model_of
 from warp_psdr.scene.layout import MEDIUM, NORMALS, POSITIONS, SHAPE_GRID, SHAPE_POSE
@@ -25,6 +26,11 @@ if TYPE_CHECKING:
     from warp_psdr.options.integrator import PathIntegrator
     from warp_psdr.scene.scene import Scene
 
+#: Why boundary methods are refused.
+UNKNOWN = {
+    EdgeSampling: "samples edges as vertices on surfaces see them, and vertices in media move with what is behind",
+    Projective: "projects segments to silhouettes of the surfaces that end them, and scattered light ends in media",
+}
 #: What of a medium is differentiated.
 PARAMETERS = (SIGMA_T, ALBEDO, SCALE, EMISSION, PHASE, POSE)
 PHASE_NAMES = {
@@ -190,8 +196,16 @@ def refuse_boundary(
 def _beyond(scene: Scene, config: PathConfig, integrator: PathIntegrator, names: list[str]) -> str:
     """Say what keeps the boundary term from being estimated; empty: nothing."""
     method = integrator.boundary
-    if isinstance(method, Method) and (type(method) is not PathSpace or method.guiding is not None):
-        return f"boundary.{type(method).__name__}() does not know media, nor does guiding; use boundary.PathSpace()"
+    if isinstance(method, Method) and type(method) is not PathSpace:
+        return f"{method.label}() {UNKNOWN.get(type(method), 'does not know media')}; use boundary.PathSpace()"
+    if isinstance(method, PathSpace) and method.guiding is not None:
+        if isinstance(method.guiding, Grid):
+            return (
+                "guiding.Grid() follows photons and importons on surfaces, not in media; use guiding.KdTree() or "
+                "guiding.Octree()"
+            )
+        if config.media is not None and config.media.emissive:
+            return "guiding follows lights, not media that emit light; leave guiding out"
     if config.camera in c.METERS or config.camera == c.CAMERA_ORTHOGRAPHIC:
         return "it is not estimated before parallel rays and sensors of one pixel; use a perspective camera"
     if config.hidden:

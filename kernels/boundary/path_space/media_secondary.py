@@ -14,7 +14,7 @@ import warp as wp
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.boundary.coincident import pass_together
 from warp_psdr.kernels.boundary.detector import Incident, radiance_behind, serves_length
-from warp_psdr.kernels.boundary.guiding.techniques import Guide, make_techniques
+from warp_psdr.kernels.boundary.guiding.techniques import Guide, make_techniques, octant_point
 from warp_psdr.kernels.boundary.local_form import EdgePoint, Edges, edge_behind, edge_step, facing_side
 from warp_psdr.kernels.boundary.media_radiance import make_media_incident
 from warp_psdr.kernels.boundary.path_space.direction import Direction, wedge_at
@@ -149,25 +149,34 @@ def make_media_segment(config: PathConfig, deep: bool):
 
 @functools.cache
 def make_media_secondary_kernel(
-    config: PathConfig, role: str, camera_moves: bool, light_pose: bool, deep: bool, grids_move: bool = False
+    config: PathConfig,
+    role: str,
+    camera_moves: bool,
+    light_pose: bool,
+    deep: bool,
+    grids_move: bool = False,
+    guided: bool = False,
 ):
-    """Return the kernel: one thread a sample (arguments as in ``secondary.py``, "reverse" or "forward").
+    """Return the kernel: one thread a sample (arguments as in ``secondary.py``, "reverse", "forward" or "target").
 
     ``deep``: paths may have more than two vertices behind the camera. ``grids_move``: grids of media have derivatives.
     """
+    evaluates = role == "target"
     # A medium that shines does so in front of the first surface, too.
     emissive = config.media is not None and config.media.emissive
     traces = deep or emissive
     segment_at = make_media_segment(config, traces)
     first_vertex, sight_of, extend = make_media_walk(config)
-    ride, ride_sight = make_ride(config, role, grids_move)
+    ride, ride_sight = (None, None) if evaluates else make_ride(config, role, grids_move)
     media_incident = make_media_incident(config) if traces else None
-    accumulate_segment = make_segment_sink(role, light_pose)
-    accumulate_vertex = make_adjoint_sink(role, False, False, False, False, False, True, config.primitives)
+    accumulate_segment = None if evaluates else make_segment_sink(role, light_pose)
+    accumulate_vertex = (
+        None if evaluates else make_adjoint_sink(role, False, False, False, False, False, True, config.primitives)
+    )
     accumulate_camera = make_camera_sink(role, config.camera) if camera_moves else None
     splat, gather = make_splat()
     lens_point = make_lens(config.camera)
-    sample_aim, density, _place = make_techniques(config, False)
+    sample_aim, density, place = make_techniques(config, guided)
     draw = make_sampler(config.sampler)
     sample_1d = draw.sample_1d
     sample_2d = draw.sample_2d
@@ -223,8 +232,19 @@ def make_media_secondary_kernel(
         number = job.first + wp.tid()
         sampler = sampler_at(number, 0, job.seed)
         u4 = sample_4d(sampler, SLOT_DIRECTION)
-        u = (wp.float64(number) + wp.float64(sample_1d(sampler, SLOT_EDGE))) / wp.float64(job.samples)
-        aim = sample_aim(scene, edges, guide, u, u4)
+        if wp.static(evaluates):
+            if guide.points.shape[0] > 0:
+                aim = place(scene, edges, guide.points[number], guide.technique)
+            else:
+                box = number // job.samples
+                at = octant_point(guide.low[box], guide.high[box], (number - box * job.samples) % 8, u4)
+                aim = place(scene, edges, at, guide.technique)
+        else:
+            jitter = u4[0]
+            if wp.static(not guided):
+                jitter = sample_1d(sampler, SLOT_EDGE)
+            u = (wp.float64(number) + wp.float64(jitter)) / wp.float64(job.samples)
+            aim = sample_aim(scene, edges, guide, u, u4)
         point = aim.point
         point.sample = number
         if aim.direction.valid == 0:
@@ -254,7 +274,10 @@ def make_media_secondary_kernel(
         if s.face2 >= 0 or (s.light >= 0 and distance < 0.5 * FAR):
             s.tau = s.t1 / (s.t1 + distance)
         sent = wp.cw_mul(first.transmittance, s.radiance)
-        scale = wp.length(point.p1 - point.p0) / (point.pdf * pdf * wp.float32(job.samples))
+        if wp.static(evaluates):
+            scale = wp.length(s.boundary_normal) * wp.length(point.p1 - point.p0) / (point.pdf * pdf)
+        else:
+            scale = wp.length(point.p1 - point.p0) / (point.pdf * pdf * wp.float32(job.samples))
         lens = lens_point(sample_2d(sampler, SLOT_LENS))
         incident = Incident()
         total = wp.float32(0.0)  # the sum of the w_k
@@ -264,7 +287,7 @@ def make_media_secondary_kernel(
         if wp.static(forward):
             speed = accumulate_segment(scene, target, edges, point, s, 1.0)
         # In reverse mode twice: once for the sum of the w_k, once to scatter.
-        sweep = wp.int32(wp.static(1 if forward else 0))
+        sweep = wp.int32(wp.static(1 if forward or evaluates else 0))
         while sweep < 2:
             walk = first
             g = (s.tau - 1.0) * s.boundary_normal
@@ -275,7 +298,7 @@ def make_media_secondary_kernel(
                 if k == 1 and s.light >= 0:
                     counts = counts and not pass_together(seen.at.origin - walk.x, s.w, s.t1, s.step)
                 asked = wp.vec3(0.0, 0.0, 0.0)
-                if wp.static(not forward):
+                if wp.static(not forward and not evaluates):
                     if counts:
                         asked = gather(camera, seen.at.pixel, job.image_adjoint)
                         counts = wp.max(wp.abs(asked)) > 0.0
@@ -292,7 +315,9 @@ def make_media_secondary_kernel(
                                 )
                             radiance += radiance_behind(incident, k)
                     value = scale * wp.cw_mul(seen.weight, radiance)
-                    if wp.static(forward):
+                    if wp.static(evaluates):
+                        total += value[0] + value[1] + value[2]
+                    elif wp.static(forward):
                         v = speed + by_camera(scene, camera, target, walk, seen, g)
                         splat(scene, sampler, camera, seen.at.pixel, v * value, image_out)
                     else:
@@ -306,17 +331,18 @@ def make_media_secondary_kernel(
                     after = MediaWalk()
                     if job.max_depth < 0 or k + 2 <= job.max_depth:
                         after = extend(scene, sampler, walk, eye, k, k >= job.rr_depth)
-                    if after.alive == 1 and sweep == 1 and not vanishes(g):
-                        weight = wp.float32(1.0)
-                        if wp.static(not forward):
-                            weight = later
-                        if weight != 0.0:
-                            a_y, dot = by_surface(scene, target, walk, after, weight * g)
-                            g = a_y / weight
-                            if wp.static(forward):
-                                speed += dot
-                            else:
-                                dropped += dot
+                    if wp.static(not evaluates):
+                        if after.alive == 1 and sweep == 1 and not vanishes(g):
+                            weight = wp.float32(1.0)
+                            if wp.static(not forward):
+                                weight = later
+                            if weight != 0.0:
+                                a_y, dot = by_surface(scene, target, walk, after, weight * g)
+                                g = a_y / weight
+                                if wp.static(forward):
+                                    speed += dot
+                                else:
+                                    dropped += dot
                     walk = after
                 else:
                     walk.alive = 0
@@ -325,7 +351,9 @@ def make_media_secondary_kernel(
             sweep += 1
             if total == 0.0:
                 sweep = 2
-        if wp.static(not forward):
+        if wp.static(evaluates):
+            target[number] = total
+        elif wp.static(not forward):
             if total != 0.0:
                 dropped += accumulate_segment(scene, target, edges, point, s, total)
                 if dropped != 0.0:

@@ -1,4 +1,4 @@
-"""Segments that touch shapes without triangles, between two path vertices: guided, or as they are drawn without."""
+"""Segments between two path vertices that touch shapes without triangles, or edges in media: guided, or not."""
 
 from __future__ import annotations
 
@@ -29,8 +29,10 @@ class Maker(Protocol):
         """Return the kernel."""
 
 
-def guided_kernel(r: Request, name: str, make: Maker, head: list, items: int) -> tuple[wp.Kernel, Guide]:
-    """Return the kernel of a term of shapes without triangles, and what guides it.
+def guided_kernel(
+    r: Request, name: str, make: Maker, head: list, items: int, cdf: np.ndarray | None = None
+) -> tuple[wp.Kernel, Guide]:
+    """Return the kernel of a term of shapes without triangles, or of edges in media, and what guides it.
 
     Args:
         r: what is asked for.
@@ -38,6 +40,7 @@ def guided_kernel(r: Request, name: str, make: Maker, head: list, items: int) ->
         make: its kernels.
         head: their arguments in front of the guide.
         items: among which the first coordinate chooses.
+        cdf: (items + 1,) where they begin along it; None: all have the same share of it.
     """
     guiding = getattr(r.method, "guiding", None)
     kernel = make(r.role, r.moves.camera, r.moves.light_pose, guiding is not None)
@@ -49,7 +52,7 @@ def guided_kernel(r: Request, name: str, make: Maker, head: list, items: int) ->
     space = Space(
         kernel=evaluating[0],
         head=head,
-        cdf=np.linspace(0.0, 1.0, pieces + 1),
+        cdf=np.linspace(0.0, 1.0, pieces + 1) if cdf is None else cdf,
         facing=None,
         ends=lambda technique, points: surface_ends(r, evaluating[-1], head, technique, points),
     )

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import numpy as np
+import warp as wp
+
 from warp_psdr.estimate.boundary.terms.request import OWN_SHARE, OWN_SHARE_DIRECT, BoundaryTerm, Request, Term, term_of
-from warp_psdr.kernels.boundary.guiding.techniques import Guide
+from warp_psdr.estimate.boundary.touching import guided_kernel
 from warp_psdr.kernels.boundary.path_space.media_secondary import make_media_secondary_kernel
 from warp_psdr.options.boundary import PathSpace
 from warp_psdr.plan.motion import moving_shapes
@@ -23,15 +26,21 @@ def launch(r: Request) -> Term | None:
     if edges is None:
         return None
     deep = r.plan.max_depth != 2
-    kernel = make_media_secondary_kernel(r.config, r.role, r.moves.camera, r.moves.light_pose, deep, r.moves.grids)
-    guide = Guide()
     assert r.config.media is not None
-    spread = r.scene.builder.environment >= 0 or r.config.media.emissive  # light comes from everywhere
-    guide.share = OWN_SHARE if spread else OWN_SHARE_DIRECT
-    if not r.scene.builder.emitters:
-        guide.share = 1.0
-    samples = r.pixels * (r.method.spp_secondary or r.spp)
-    return term_of(r, TERM, kernel, [r.scene.data(), r.camera, edges, moving_shapes(r.scene, r.moves), guide], samples)
+    head = [r.scene.data(), r.camera, edges, moving_shapes(r.scene, r.moves)]
+
+    def make(role: str, camera_moves: bool, light_pose: bool, guided: bool) -> wp.Kernel:
+        moved = r.moves.grids and role != "target"
+        return make_media_secondary_kernel(r.config, role, camera_moves, light_pose, deep, moved, guided)
+
+    cdf = edges.cdf.numpy().astype(np.float64)
+    kernel, guide = guided_kernel(r, TERM.name, make, head, len(cdf) - 1, cdf)
+    if getattr(r.method, "guiding", None) is None:
+        spread = r.scene.builder.environment >= 0 or r.config.media.emissive  # light comes from everywhere
+        guide.share = OWN_SHARE if spread else OWN_SHARE_DIRECT
+        if not r.scene.builder.emitters:
+            guide.share = 1.0
+    return term_of(r, TERM, kernel, [*head, guide], r.pixels * (r.method.spp_secondary or r.spp))
 
 
 TERM = BoundaryTerm(
@@ -41,5 +50,6 @@ TERM = BoundaryTerm(
     methods=(PathSpace,),
     launch=launch,
     applies=applies,
+    guided=True,
     media=True,
 )
