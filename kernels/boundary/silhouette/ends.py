@@ -155,7 +155,7 @@ def make_sensor_end(config: PathConfig):
 def is_beside_curve(scene: Scene, s: Segment, face: wp.int32, curvature: wp.float32) -> wp.bool:
     """Whether x_1, on another shape, is closer to the touched one than where the terms of their common curve look.
 
-    Those count all that changes up to there (``docs/theory/implicit.md#next-to-curves-of-intersection``).
+    Those count all that changes up to there (``docs/theory/implicit.md#curves-of-intersection``).
     """
     if scene.triangles[s.face1].shape == scene.triangles[face].shape:
         return False
