@@ -16,6 +16,7 @@ from warp_psdr.invalid import invalid_samples
 from warp_psdr.moment import render_moment
 from warp_psdr.options.integrator import PathIntegrator
 from warp_psdr.options.methods import methods
+from warp_psdr.parts import render_parts
 from warp_psdr.plan.plan import Plan, plan
 from warp_psdr.render import render, render_backward, render_forward
 from warp_psdr.scene.acceleration import set_ray_backend
@@ -68,6 +69,7 @@ __all__ = [
     "render_backward",
     "render_forward",
     "render_moment",
+    "render_parts",
     "sdf",
     "set_ray_backend",
     "set_workers",

@@ -69,10 +69,10 @@ def touch_network(scene: Scene, found: GridItems, towards: wp.int32, seed: wp.in
     out[t, 0] = wp.float64(each * measure)
 
 
-def measured(scene: psdr.Scene, towards: int) -> tuple[np.ndarray, np.ndarray]:
+def measured(scene: psdr.Scene, towards: int, samples: int = SAMPLES) -> tuple[np.ndarray, np.ndarray]:
     found = network_items(scene, network_shapes(scene), None)
-    out = wp.zeros((SAMPLES, 2), dtype=wp.float64, device=scene.device)
-    wp.launch(touch_network, SAMPLES, inputs=[scene.data(), found, towards, 3 + towards], outputs=[out])
+    out = wp.zeros((samples, 2), dtype=wp.float64, device=scene.device)
+    wp.launch(touch_network, samples, inputs=[scene.data(), found, towards, 3 + towards], outputs=[out])
     return spread(out.numpy())
 
 
@@ -87,6 +87,28 @@ def test_both_techniques_have_one_measure() -> None:
     (own, own_error), (towards, error) = (measured(scene, k) for k in range(2))
     limit = LIMIT * np.hypot(own_error, error)[0]
     assert abs(own - towards)[0] < limit < 0.1 * own[0], (own, towards, limit)
+
+
+@pytest.mark.slow
+def test_lines_that_touch_a_ball() -> None:
+    """Their integral is 8 pi^2 r, also where rounding of phi is large: values of some 6 / omega^2 are subtracted."""
+    omega, radius = 0.6, 1.0 / 3.0
+    ball = {
+        "type": "neuralsdf",
+        "activation": "sine",
+        "omega": omega,
+        "layer0.weight": np.eye(3),
+        "layer0.bias": np.full(3, 0.5 * np.pi / omega - 0.5),
+        "layer1.weight": np.full((1, 3), -2.0 / omega**2),
+        "layer1.bias": np.array([6.0 / omega**2 - radius**2]),
+    }
+    scene = psdr.load_dict(
+        {"type": "scene", "body": ball, "sensor": {"type": "perspective"}, "sky": {"type": "constant"}}
+    )
+    found, error = measured(scene, 1, 16 * SAMPLES)
+    expected = 8.0 * np.pi**2 * radius
+    assert error[0] < 0.01 * expected
+    assert abs(found[0] - expected) < 3.0 * error[0], (found, error, expected)
 
 
 @pytest.mark.parametrize("distant", [False, True])

@@ -148,6 +148,16 @@ def test_the_hole_of_a_link_opens(example, tmp_path: Path) -> None:
         assert contrast(tmp_path / f"{name}.png") > 0.05
 
 
+@pytest.mark.slow
+def test_a_ball_has_one_derivative_however_it_is_held(example, tmp_path: Path) -> None:
+    module = example("implicit_gradients")
+    slopes = module.main(tmp_path, resolution=16, spp=64, difference_spp=256, only=("linear grid", "exact sphere"))
+    assert len(slopes) == 2
+    for value, error in slopes.values():
+        assert error < 0.1 and abs(value - 1.0) < 4.0 * error
+    assert contrast(tmp_path / "implicit_gradients.png") > 0.05
+
+
 def test_a_baked_texture_shows_the_surface(example) -> None:
     module = example("bunny_data")
     texture = module.bake(SQUARE, SQUARE_UVS, SQUARE_FACES, 8, lambda points: points)

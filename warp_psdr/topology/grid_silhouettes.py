@@ -16,7 +16,7 @@ import numpy as np
 import warp as wp
 
 from warp_psdr.kernels import constants as c
-from warp_psdr.kernels.boundary.silhouette.grid_points import GridItems
+from warp_psdr.kernels.boundary.silhouette.grid_points import VOXEL_ITEM, GridItems
 from warp_psdr.scene.sdfgrid import bezier_values, is_passed, spline_values
 from warp_psdr.topology.camera_view import camera_view
 from warp_psdr.topology.exact_shapes import pose
@@ -212,6 +212,21 @@ def grid_items(scene: Scene, shapes: list[int], eyes: list[Eyes] | None, concave
             seen |= seen_from(scene, shape, values, numbers, e)
         listed.append((shape, numbers, seen))
     return gathered(scene, listed)
+
+
+def only(found: GridItems | None, creases: bool) -> GridItems | None:
+    """Return the items that are creases, or those that are not; None: there are none."""
+    if found is None:
+        return None
+    items = found.items.numpy()
+    kept = ((items[:, 1] & 3) != int(VOXEL_ITEM)) == creases
+    if not kept.any():
+        return None
+    left = GridItems()
+    left.items = wp.array(items[kept], dtype=wp.vec2i, device=found.items.device)
+    left.aimed = int(kept[: found.aimed].sum())
+    left.share = found.share
+    return left
 
 
 def gathered(scene: Scene, listed: list[tuple[int, np.ndarray, np.ndarray]]) -> GridItems | None:

@@ -29,8 +29,9 @@ from warp_psdr.kernels.structs import Scene, Triangle
 ANY_ROOT = make_network_root(True)
 #: Halvings of a slice, after which a square holds one point of a silhouette, as of smooth grids.
 FINEST_SQUARE = 5
-#: Newton's steps from the middle of such a square, the last one of those that count, and one that is the last.
-STEPS_MOST, STEP_COUNTS, STEP_LAST = 8, 1.0e-4, 1.0e-6
+#: Newton's steps from the middle of such a square, the last one of those that count, and one that is the last. Rounding
+#: of phi keeps steps at some 1e-4 cells: points that end there count.
+STEPS_MOST, STEP_COUNTS, STEP_LAST = 8, 2.0e-3, 1.0e-6
 
 
 @wp.func

@@ -125,14 +125,31 @@ def named(name: str) -> BoundaryTerm:
 def terms(scene: Scene, plan: Plan, names: list[str], role: str, sensor: int, spp: int, seed: int) -> list[Term]:
     """Return the launches that estimate the boundary term of the named parameters."""
     request = Request(scene, plan, motion(scene, names), role, sensor, spp, seed)
-    kinds = TERMS[type(request.method)]
-    if request.config.camera in METERS:  # what is sampled on a film has measure zero on one ray
-        kinds = (edge_sampling.TERM,)
-    if request.config.media is not None:
-        kinds = tuple(term for term in kinds if term.media)
+    kinds = _kinds(request)
     # Those that may build guiding, with kernels of their own, come last: all others are compiled meanwhile.
     found = {term.name: launches(term, request) for term in sorted(kinds, key=lambda term: term.guided)}
     return [t for term in kinds for t in found[term.name]]
+
+
+def _kinds(request: Request) -> tuple[BoundaryTerm, ...]:
+    """Return the terms that a method consists of before a sensor and in a scene."""
+    if request.config.camera in METERS:  # what is sampled on a film has measure zero on one ray
+        return (edge_sampling.TERM,)
+    kinds = TERMS[type(request.method)]
+    return kinds if request.config.media is None else tuple(term for term in kinds if term.media)
+
+
+def by_parts(scene: Scene, plan: Plan, names: list[str], sensor: int, spp: int, seed: int) -> dict[str, list[Term]]:
+    """Return the launches of forward mode of "smooth" silhouettes, and those of "edges" and creases."""
+    request = Request(scene, plan, motion(scene, names), "forward", sensor, spp, seed)
+    found: dict[str, list[Term]] = {"smooth": [], "edges": []}
+    for term in _kinds(request):
+        for part, launched in found.items():
+            if term.part == "both":
+                launched += launches(term, replace(request, creases=part == "edges"))
+            elif term.part == part:
+                launched += launches(term, request)
+    return found
 
 
 def prepare(scene: Scene, plan: Plan, names: list[str], sensor: int) -> list[wp.Kernel]:

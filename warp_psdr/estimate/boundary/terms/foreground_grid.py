@@ -10,7 +10,7 @@ from warp_psdr.kernels.boundary.silhouette.grid_foreground import make_foregroun
 from warp_psdr.kernels.boundary.silhouette.grid_points import GridItems
 from warp_psdr.options.boundary import PathSpace
 from warp_psdr.plan.motion import moving_shapes
-from warp_psdr.topology.grid_silhouettes import grid_items, grid_shapes
+from warp_psdr.topology.grid_silhouettes import grid_items, grid_shapes, only
 
 #: Vertices of the shortest path: x_1, one on a grid, and one on a light.
 SHORTEST = 3
@@ -24,7 +24,8 @@ def applies(r: Request) -> bool:
 def launch_foreground(r: Request, term: BoundaryTerm, shading: bool, cubic: bool = False) -> Term | None:
     """Return the term of silhouettes, or with ``shading`` of creases that are seen from the front."""
     kernel = make_foreground_grid_kernel(r.config, r.role, r.moves.camera, shading, cubic)
-    return launch_items(r, term, kernel, grid_items(r.scene, grid_shapes(r.scene, cubic), [], concave=shading))
+    found = grid_items(r.scene, grid_shapes(r.scene, cubic), [], concave=shading)
+    return launch_items(r, term, kernel, found if r.creases is None else only(found, r.creases))
 
 
 def launch_items(r: Request, term: BoundaryTerm, kernel: wp.Kernel, found: GridItems | None) -> Term | None:
@@ -49,4 +50,5 @@ TERM = BoundaryTerm(
     launch=launch,
     applies=applies,
     exact=True,
+    part="both",
 )

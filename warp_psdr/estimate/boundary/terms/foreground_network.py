@@ -28,4 +28,5 @@ TERM = BoundaryTerm(
     launch=launch,
     applies=applies,
     exact=True,
+    part="smooth",
 )

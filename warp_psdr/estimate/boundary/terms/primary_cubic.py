@@ -26,4 +26,5 @@ TERM = BoundaryTerm(
     launch=launch,
     applies=applies,
     exact=True,
+    part="smooth",
 )

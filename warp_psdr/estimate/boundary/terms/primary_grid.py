@@ -10,7 +10,7 @@ from warp_psdr.kernels.boundary.silhouette.grid_primary import make_primary_grid
 from warp_psdr.kernels.constants import PRIMITIVE_SDFGRID
 from warp_psdr.options.boundary import PathSpace
 from warp_psdr.topology.grid_contacts import require_uncut_grids
-from warp_psdr.topology.grid_silhouettes import camera_eyes, grid_items, grid_shapes
+from warp_psdr.topology.grid_silhouettes import camera_eyes, grid_items, grid_shapes, only
 
 
 def applies(r: Request) -> bool:
@@ -23,7 +23,8 @@ def launch_silhouettes(r: Request, term: BoundaryTerm, cubic: bool) -> Term | No
     shapes = [i for i in grid_shapes(r.scene, cubic) if r.moves.camera or i in r.moves.shapes]
     require_uncut_grids(r.scene, r.sensor, shapes)
     kernel = make_primary_grid_kernel(r.config, r.role, r.moves.camera, cubic=cubic)
-    return launch_items(r, term, kernel, grid_items(r.scene, shapes, [camera_eyes(r.scene, r.sensor)]))
+    found = grid_items(r.scene, shapes, [camera_eyes(r.scene, r.sensor)])
+    return launch_items(r, term, kernel, found if r.creases is None else only(found, r.creases))
 
 
 def launch_items(r: Request, term: BoundaryTerm, kernel: wp.Kernel, found: GridItems | None) -> Term | None:
@@ -48,4 +49,5 @@ TERM = BoundaryTerm(
     launch=launch,
     applies=applies,
     exact=True,
+    part="both",
 )

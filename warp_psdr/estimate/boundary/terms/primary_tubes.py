@@ -37,4 +37,5 @@ TERM = BoundaryTerm(
     launch=launch,
     applies=applies,
     exact=True,
+    part="smooth",
 )

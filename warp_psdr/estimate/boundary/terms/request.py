@@ -64,6 +64,7 @@ class Request:
         spp: samples a pixel of the interior term.
         seed: of the boundary term's stream.
         indirect: paths of two vertices are left out, of the terms that split.
+        creases: of the terms of both parts, those of creases alone (True), or of all else (False); None: all.
     """
 
     scene: Scene
@@ -74,6 +75,7 @@ class Request:
     spp: int
     seed: int
     indirect: bool = False
+    creases: bool | None = None
 
     @property
     def camera(self) -> Camera:
@@ -134,6 +136,8 @@ class BoundaryTerm:
         guided: a method's guiding, where there is one, guides it.
         exact: it knows shapes without triangles (``kernels/primitive``) in the scene around it.
         media: it knows participating media.
+        part: of the boundary term that it belongs to (``parts``): "smooth", "edges", or "both" ("creases" of the
+            request tells the two apart).
     """
 
     name: str
@@ -146,6 +150,7 @@ class BoundaryTerm:
     guided: bool = False
     exact: bool = False
     media: bool = False
+    part: str = "edges"
 
 
 def term_of(

@@ -27,4 +27,5 @@ TERM = BoundaryTerm(
     applies=applies,
     splits=True,
     exact=True,
+    part="smooth",
 )

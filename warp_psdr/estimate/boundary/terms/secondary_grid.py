@@ -8,7 +8,7 @@ from warp_psdr.kernels.boundary.silhouette.grid_secondary import make_secondary_
 from warp_psdr.kernels.constants import PRIMITIVE_SDFGRID
 from warp_psdr.options.boundary import PathSpace
 from warp_psdr.plan.motion import moving_shapes
-from warp_psdr.topology.grid_silhouettes import grid_items, grid_shapes, light_eyes
+from warp_psdr.topology.grid_silhouettes import grid_items, grid_shapes, light_eyes, only
 
 
 def applies(r: Request) -> bool:
@@ -19,7 +19,8 @@ def applies(r: Request) -> bool:
 def launch_segments(r: Request, term: BoundaryTerm, cubic: bool) -> Term | None:
     """Return the term of linear grids, or of cubic ones."""
     eyes = light_eyes(r.scene)
-    return launch_items(r, term, grid_items(r.scene, grid_shapes(r.scene, cubic), eyes), eyes == [], cubic)
+    found = grid_items(r.scene, grid_shapes(r.scene, cubic), eyes)
+    return launch_items(r, term, found if r.creases is None else only(found, r.creases), eyes == [], cubic)
 
 
 def launch_items(
@@ -49,4 +50,5 @@ TERM = BoundaryTerm(
     applies=applies,
     splits=True,
     exact=True,
+    part="both",
 )

@@ -31,4 +31,5 @@ TERM = BoundaryTerm(
     applies=applies,
     splits=True,
     exact=True,
+    part="smooth",
 )

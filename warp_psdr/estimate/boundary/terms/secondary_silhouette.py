@@ -44,4 +44,5 @@ TERM = BoundaryTerm(
     splits=True,
     guided=True,
     exact=True,
+    part="smooth",
 )

@@ -35,4 +35,5 @@ TERM = BoundaryTerm(
     applies=applies,
     splits=True,
     exact=True,
+    part="smooth",
 )
