@@ -310,8 +310,8 @@ FACTORIES = {
     "boundary.silhouette.grid_primary.make_primary_grid_kernel": [*SHADED, SMOOTH, NEURAL],
     "boundary.silhouette.grid_secondary.make_secondary_grid_kernel": [
         *SHADED,
-        ("cubic", (CUBIC, "reverse", True, True, False, True), SLOW),
-        ("networks", (CUBIC, "reverse", True, True, False, True, True), SLOW),
+        ("cubic", (CUBIC, "reverse", True, True, False, False, True), SLOW),
+        ("networks", (CUBIC, "reverse", True, True, False, False, True, True), SLOW),
     ],
     "boundary.silhouette.tube_foreground.make_foreground_tube_kernel": [("curves", (CURVES, "reverse", True), SLOW)],
     "boundary.silhouette.tube_primary.make_primary_tube_kernel": [("curves", (CURVES, "reverse", True), SLOW)],

@@ -12,6 +12,7 @@ from warp_psdr.estimate.boundary import terms
 from warp_psdr.estimate.boundary.drivers import launch_forward
 from warp_psdr.plan.motion import motion
 
+from . import test_neuralsdf, test_sdfgrid, test_sdfgrid_cubic, test_tubes
 from .measure import assert_transposes
 from .scenes import diffuse, floor, load, panel, register
 from .test_exact_kinds import NAME as SHAPE
@@ -39,6 +40,8 @@ def crowd():
 
 
 register({"exact, crowd": crowd})
+#: They register scenes.
+SCENES = (test_neuralsdf, test_sdfgrid, test_sdfgrid_cubic, test_tubes)
 SILHOUETTES = "secondary_silhouette"
 
 
@@ -68,6 +71,13 @@ def assert_equal(a: np.ndarray, b: np.ndarray) -> None:
     seen = spread > 0.0
     z = (a.mean(axis=0) - b.mean(axis=0))[seen] / spread[seen]
     assert np.abs(z).max() < MOST_SIGMAS and np.sqrt((z**2).mean()) < MOST_RMS
+
+
+def radii(points):
+    """All radii of curves grow."""
+    r = 0.0 * points
+    r[3::4] = 1.0
+    return r
 
 
 def guided(method) -> psdr.boundary.PathSpace:
@@ -109,6 +119,54 @@ def test_it_lowers_the_variance_where_most_shapes_are_out_of_sight() -> None:
     found = batches(*case, guided(SMALL["kdtree"]))
     assert_equal(plain, found)
     assert found.var(axis=0).sum() < 0.1 * plain.var(axis=0).sum()
+
+
+SURFACES = [
+    ("grid, lamp", "body.grid", np.ones_like, 2, "secondary_grid"),
+    ("cubic, lamp", "body.grid", np.ones_like, 2, "secondary_cubic"),
+    ("network, lamp", "body.to_world", entry(0, 3), 2, "secondary_network"),
+    ("helix tube, lamp", "body.control_points", radii, 2, "secondary_tubes"),
+    ("helix cones, lamp", "body.control_points", radii, 2, "secondary_tubes"),
+    ("grid, wall", "body.grid", np.ones_like, 4, "secondary_grid"),
+    ("cubic, sky", "body.to_world", entry(0, 3), 2, "secondary_cubic"),
+    ("helix tube, wall", "body.control_points", radii, 4, "secondary_tubes"),
+    ("grid, point", "body.grid", np.ones_like, 2, "secondary_grid"),
+    ("helix tube, sun", "body.to_world", entry(0, 3), 2, "secondary_tubes"),
+]
+
+
+@pytest.mark.parametrize(("name", "parameter", "tangent", "depth", "term", "method"), of_methods(SURFACES))
+def test_guided_estimates_on_grids_networks_and_curves_equal_others(
+    name, parameter, tangent, depth, term, method
+) -> None:
+    psdr.guiding.reset(load(name)[0])
+    options = {"term": term, "depth": depth}
+    plain = batches(name, parameter, tangent, psdr.boundary.PathSpace(), **options)
+    assert_equal(plain, batches(name, parameter, tangent, guided(SMALL[method]), **options))
+
+
+def test_masses_follow_voxels_that_come_and_go() -> None:
+    """After a step of a fifth of a voxel the structure still serves, for other voxels, and is still right."""
+    name, term = "grid, lamp", "secondary_grid"
+    scene, params = load(name)
+    before = params["body.grid"].numpy().copy()
+    psdr.guiding.reset(scene)
+    case = (name, "body.grid", np.ones_like)
+    batches(*case, guided(SMALL["kdtree"]), term=term, spp=1)
+    (kept,) = psdr.guiding.structures(scene)
+    old = {t: i.names for t, i in kept.intervals.items()}
+    try:
+        params["body.grid"] = before - 0.2 / 23.0
+        params.update()
+        found = batches(*case, guided(SMALL["kdtree"]), term=term)
+        assert kept.builds == 1
+        for technique, intervals in kept.intervals.items():
+            stay = np.isin(intervals.names, old[technique])
+            assert 0.5 < stay.mean() < 1.0
+        assert_equal(batches(*case, psdr.boundary.PathSpace(), term=term), found)
+    finally:
+        params["body.grid"] = before
+        params.update()
 
 
 @pytest.mark.slow

@@ -152,7 +152,6 @@ def test_the_limit_is_the_exact_sphere() -> None:
     ("change", "boundary", "problem"),
     [
         ({}, psdr.boundary.Projective(), "no terms of it"),
-        ({}, psdr.boundary.PathSpace(guiding=psdr.guiding.KdTree()), "without guiding"),
         ({"normals": "smooth"}, "auto", "'smooth' normals of 'body'.*'normals': 'analytic'"),
         ({"bsdf": {"type": "dielectric"}}, "auto", "smooth mirrors and glass"),
         ({"grid": values() - 0.2}, "auto", "the surface of 'body' ends at its box"),

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from warp_psdr.kernels.bsdf.dispatch import has_delta_lobes
-from warp_psdr.kernels.constants import METERS, PRIMITIVE_CYLINDER, PRIMITIVE_DISK, PRIMITIVE_SPHERE
+from warp_psdr.kernels.constants import METERS
 from warp_psdr.options import interior
 from warp_psdr.options.boundary import Method, PathSpace, Reparametrised
 from warp_psdr.plan.motion import motion
@@ -28,8 +28,6 @@ if TYPE_CHECKING:
 
 #: Methods of the interior term that know such shapes.
 CLAIMED = (interior.Replay, interior.Textbook, interior.Radiative)
-#: Kinds at whose silhouettes and rims segments can be guided.
-KINDS_GUIDED = (PRIMITIVE_SPHERE, PRIMITIVE_CYLINDER, PRIMITIVE_DISK)
 #: What the errors offer.
 ALONE = "say PathIntegrator(boundary=None) to get the interior term alone"
 INSTEAD = "leave out 'exact', and it is made of triangles, which do"
@@ -191,8 +189,6 @@ def _of_boundary(config: PathConfig, integrator: PathIntegrator) -> str:
         pass  # it knows them alone (``plan/reparametrised.py``)
     elif isinstance(method, Method) and type(method) is not PathSpace:
         return f"{method.label}() has no terms of it; use boundary.PathSpace()"
-    elif isinstance(method, Method) and method.guiding is not None and not set(config.primitives) <= set(KINDS_GUIDED):
-        return f"{method.guiding.label}() does not know where it is touched; use boundary.PathSpace() without guiding"
     if config.camera in METERS:
         return "what moves is not followed from a sensor of one pixel; use a camera"
     if has_delta_lobes(config.bsdfs):

@@ -13,6 +13,7 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
+from warp_psdr.kernels.boundary.guiding.slots import Slots
 from warp_psdr.kernels.primitive.affine import cofactor, determinant, from_axes, make_pose_sink, to_axes
 from warp_psdr.kernels.primitive.network import network_of
 from warp_psdr.kernels.primitive.network_surface import make_cell_sink
@@ -33,12 +34,13 @@ class GridItems:
     """Items of grids, by record and number.
 
     With the first ``aimed`` of them segments are drawn towards lights, with all a fraction ``share`` of the segments in
-    directions of their own.
+    directions of their own. ``slots`` are read by guided kernels.
     """
 
     items: wp.array(dtype=wp.vec2i)
     aimed: wp.int32
     share: wp.float32
+    slots: Slots
 
 
 @wp.struct

@@ -15,9 +15,18 @@ import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.boundary.depth import make_indirect
+from warp_psdr.kernels.boundary.guiding.cube import make_cube, make_ends
+from warp_psdr.kernels.boundary.guiding.slots import choose_slot
+from warp_psdr.kernels.boundary.guiding.techniques import Guide
 from warp_psdr.kernels.boundary.path_space.direction import Wedge, pdf_wedge, wedge_direction
 from warp_psdr.kernels.boundary.path_space.secondary import make_source_sink
-from warp_psdr.kernels.boundary.silhouette.aim import SLOT_DIRECTION, SLOT_SILHOUETTE, TangentAim, make_light_aim
+from warp_psdr.kernels.boundary.silhouette.aim import (
+    SLOT_DIRECTION,
+    SLOT_SILHOUETTE,
+    TangentAim,
+    make_light_aim,
+    make_square_aim,
+)
 from warp_psdr.kernels.boundary.silhouette.ends import is_beside_curve, make_sensor_end, make_source_end, with_density
 from warp_psdr.kernels.boundary.silhouette.grid_points import (
     VOXEL_ITEM,
@@ -176,24 +185,31 @@ def make_secondary_grid_kernel(
     role: str,
     camera_moves: bool,
     light_pose: bool,
+    guided: bool = False,
     indirect: bool = False,
     cubic: bool = False,
     network: bool = False,
 ):
-    """Return the kernel: one thread a sample (arguments as in ``path_space/secondary.py``); ``cubic``: smooth grids.
+    """Return the kernel: one thread a sample (arguments as in ``silhouette/secondary.py``); ``cubic``: smooth grids.
 
     ``network`` beside ``cubic``: networks, whose cells are the voxels of smooth grids.
     """
-    light_aim = make_light_aim(config) if config.area or config.lights else None
+    evaluates = role in ("target", "ends")
+    in_cube = guided or evaluates
+    lit = bool(config.area or config.lights)
+    light_aim = make_light_aim(config) if lit and not in_cube else None
+    square_aim = make_square_aim(config) if lit and in_cube else None
+    cube = make_cube(evaluates) if in_cube else None
+    write_ends = make_ends(config.primitives) if role == "ends" else None
     segment_at = make_touching_segment(config, cubic)
-    accumulate_touch = make_touch_sink(role, cubic, network)
+    accumulate_touch = None if evaluates else make_touch_sink(role, cubic, network)
     record_of = network_of if network else grid_of
     smooth_curve_point = network_curve_point if network else spline_curve_point
     smooth_surface_point = network_surface_point if network else spline_surface_point
-    accumulate_source = make_source_sink(role, light_pose, config.primitives)
+    accumulate_source = None if evaluates else make_source_sink(role, light_pose, config.primitives)
     source = make_source(config, True)
     source = make_indirect(source) if indirect else source
-    transport = make_transport(config, role, camera_moves, source)
+    transport = make_transport(config, role, camera_moves, source) if role != "ends" else None
     draw = make_sampler(config.sampler)
     sample_1d = draw.sample_1d
     sample_4d = draw.sample_4d
@@ -214,6 +230,7 @@ def make_secondary_grid_kernel(
         camera: Camera,
         found: GridItems,
         moving: wp.array(dtype=wp.int32),
+        guide: Guide,
         # In:
         job: SampleJob,
         # Out:
@@ -224,16 +241,28 @@ def make_secondary_grid_kernel(
         number = job.first + wp.tid()
         sampler = sampler_at(number, 0, job.seed)
         u4 = sample_4d(sampler, SLOT_DIRECTION)
-        jitter = sample_1d(sampler, SLOT_SILHOUETTE)
-        u = (wp.float64(number) + wp.float64(jitter)) / wp.float64(job.samples)
-        by_itself = u < wp.float64(found.share)
-        count = found.items.shape[0]
-        if by_itself:
-            u = u / wp.float64(found.share)
+        # Of creases the direction, of voxels a coordinate of the place and theta.
+        uv = wp.vec2(u4[0], u4[1])
+        across = u4[2]
+        factor = wp.float32(1.0)
+        if wp.static(in_cube):
+            at = cube(guide, found.share, number, job.samples, u4)
+            by_itself = at.own
+            uv = wp.vec2(wp.float32(at.u[1]), wp.float32(at.u[2]))
+            across = uv[0]
+            n, along, size = choose_slot(found.slots, by_itself, at.u[0])
+            factor = at.weight / (size * wp.float32(wp.where(by_itself, found.items.shape[0], found.aimed)))
         else:
-            u = (u - wp.float64(found.share)) / wp.float64(1.0 - found.share)
-            count = found.aimed
-        n, along = choose_item(found, count, u)
+            jitter = sample_1d(sampler, SLOT_SILHOUETTE)
+            u = (wp.float64(number) + wp.float64(jitter)) / wp.float64(job.samples)
+            by_itself = u < wp.float64(found.share)
+            count = found.items.shape[0]
+            if by_itself:
+                u = u / wp.float64(found.share)
+            else:
+                u = (u - wp.float64(found.share)) / wp.float64(1.0 - found.share)
+                count = found.aimed
+            n, along = choose_item(found, count, u)
         item = found.items[n]
         tri = scene.triangles[item[0]]
         g = record_of(scene, tri)
@@ -245,16 +274,19 @@ def make_secondary_grid_kernel(
         if wp.static(cubic):
             choice = sample_1d(sampler, wp.static(SLOT_ROOT))
             if by_itself:
-                point = smooth_surface_point(scene, tri, g, parts, along, u4[2], choice)
+                point = smooth_surface_point(scene, tri, g, parts, along, across, choice)
         elif parts[3] != VOXEL_ITEM:
             point = crease_point(scene, tri, g, parts, along)
         elif by_itself:
-            point = surface_point(scene, tri, g, parts, along, u4[2])
+            point = surface_point(scene, tri, g, parts, along, across)
         if by_itself and point.valid == 1:
-            aim.w = own_direction(point, wp.vec2(u4[0], u4[1]))
-        if wp.static(light_aim is not None):
+            aim.w = own_direction(point, uv)
+        if wp.static(lit):
             if not by_itself:
-                aim = light_aim(scene, tri.normal, u4)
+                if wp.static(in_cube):
+                    aim = square_aim(scene, tri.normal, at.u[1], at.u[2])
+                else:
+                    aim = light_aim(scene, tri.normal, u4)
                 if aim.valid == 0:
                     return
                 if wp.static(cubic):
@@ -272,18 +304,28 @@ def make_secondary_grid_kernel(
         s = segment_at(scene, moving, found, tri, g, n, point, aim, job.max_depth == 2)
         if s.valid == 0:
             return
-        uv = pack(point.q)
-        note_place(scene, NOTE_POINT, point.face, uv[0], uv[1], point.x, s.w, s.radiance)
-        s.scale /= wp.float32(job.samples)
+        held = pack(point.q)
+        note_place(scene, NOTE_POINT, point.face, held[0], held[1], point.x, s.w, s.radiance)
+        if wp.static(evaluates):
+            s.scale *= factor * wp.length(s.boundary_normal)
+        else:
+            s.scale /= wp.float32(job.samples)
+        if wp.static(guided):
+            s.scale *= factor
         if wp.static(cubic):
             s.scale *= point.roots
-        rest = wp.float32(0.0)
-        if wp.static(role == "forward"):
-            rest = accumulate(scene, target, point, s, 1.0)
-        weight = transport(scene, camera, sampler, s, s.scale, rest, job, target, image_out)
-        if wp.static(role != "forward"):
-            if weight != 0.0:
-                if accumulate(scene, target, point, s, weight) != 0.0:
-                    count_invalid(scene, sampler)
+        if wp.static(role == "ends"):
+            write_ends(scene, target, number, s, s.scale)
+        else:
+            rest = wp.float32(0.0)
+            if wp.static(role == "forward"):
+                rest = accumulate(scene, target, point, s, 1.0)
+            weight = transport(scene, camera, sampler, s, s.scale, rest, job, target, image_out)
+            if wp.static(role == "target"):
+                target[number] = weight
+            elif wp.static(role != "forward"):
+                if weight != 0.0:
+                    if accumulate(scene, target, point, s, weight) != 0.0:
+                        count_invalid(scene, sampler)
 
     return secondary_grid

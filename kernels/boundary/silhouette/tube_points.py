@@ -10,6 +10,7 @@ Derivation: ``docs/theory/implicit.md#silhouettes-of-tubes``, ``#joints``.
 
 import warp as wp
 
+from warp_psdr.kernels.boundary.guiding.slots import Slots
 from warp_psdr.kernels.boundary.silhouette.sphere import sphere_silhouette, sphere_silhouette_rate
 from warp_psdr.kernels.boundary.silhouette.tube_roots import CircleRoots, circle_roots
 from warp_psdr.kernels.bvh.wide import RayHit
@@ -44,11 +45,15 @@ LOOKS, GRAZING = 7, 2.0e-5
 
 @wp.struct
 class TubeItems:
-    """Items of curves, and where in [0, 1] each begins: by length, of which all ends have a share."""
+    """Items of curves, and where in [0, 1] each begins: by length, of which all ends have a share.
+
+    ``slots`` are read by guided kernels.
+    """
 
     items: wp.array(dtype=wp.vec2i)
     cdf: wp.array(dtype=wp.float64)
     share: wp.float32  # of segments whose directions are not towards lights
+    slots: Slots
 
 
 @wp.struct

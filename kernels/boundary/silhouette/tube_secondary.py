@@ -13,8 +13,17 @@ import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.boundary.depth import make_indirect
+from warp_psdr.kernels.boundary.guiding.cube import make_cube, make_ends
+from warp_psdr.kernels.boundary.guiding.slots import choose_slot
+from warp_psdr.kernels.boundary.guiding.techniques import Guide
 from warp_psdr.kernels.boundary.path_space.secondary import make_source_sink
-from warp_psdr.kernels.boundary.silhouette.aim import SLOT_DIRECTION, SLOT_SILHOUETTE, TangentAim, make_light_aim
+from warp_psdr.kernels.boundary.silhouette.aim import (
+    SLOT_DIRECTION,
+    SLOT_SILHOUETTE,
+    TangentAim,
+    make_light_aim,
+    make_square_aim,
+)
 from warp_psdr.kernels.boundary.silhouette.ends import make_sensor_end, make_source_end, with_density
 from warp_psdr.kernels.boundary.silhouette.tube_points import (
     TubeItems,
@@ -122,16 +131,27 @@ def make_tube_segment(config: PathConfig):
 
 @functools.cache
 def make_secondary_tube_kernel(
-    config: PathConfig, role: str, camera_moves: bool, light_pose: bool, indirect: bool = False
+    config: PathConfig,
+    role: str,
+    camera_moves: bool,
+    light_pose: bool,
+    guided: bool = False,
+    indirect: bool = False,
 ):
-    """Return the kernel: one thread a sample (arguments as in ``path_space/secondary.py``)."""
-    light_aim = make_light_aim(config) if config.area or config.lights else None
+    """Return the kernel: one thread a sample (arguments as in ``silhouette/secondary.py``)."""
+    evaluates = role in ("target", "ends")
+    in_cube = guided or evaluates
+    lit = bool(config.area or config.lights)
+    light_aim = make_light_aim(config) if lit and not in_cube else None
+    square_aim = make_square_aim(config) if lit and in_cube else None
+    cube = make_cube(evaluates) if in_cube else None
+    write_ends = make_ends(config.primitives) if role == "ends" else None
     segment_at = make_tube_segment(config)
-    accumulate_tube = make_tube_sink(role, config.primitives)
-    accumulate_source = make_source_sink(role, light_pose, config.primitives)
+    accumulate_tube = None if evaluates else make_tube_sink(role, config.primitives)
+    accumulate_source = None if evaluates else make_source_sink(role, light_pose, config.primitives)
     source = make_source(config, True)
     source = make_indirect(source) if indirect else source
-    transport = make_transport(config, role, camera_moves, source)
+    transport = make_transport(config, role, camera_moves, source) if role != "ends" else None
     draw = make_sampler(config.sampler)
     sample_1d = draw.sample_1d
     sample_4d = draw.sample_4d
@@ -152,6 +172,7 @@ def make_secondary_tube_kernel(
         camera: Camera,
         found: TubeItems,
         moving: wp.array(dtype=wp.int32),
+        guide: Guide,
         # In:
         job: SampleJob,
         # Out:
@@ -162,25 +183,39 @@ def make_secondary_tube_kernel(
         number = job.first + wp.tid()
         sampler = sampler_at(number, 0, job.seed)
         u4 = sample_4d(sampler, SLOT_DIRECTION)
-        jitter = sample_1d(sampler, SLOT_SILHOUETTE)
-        u = (wp.float64(number) + wp.float64(jitter)) / wp.float64(job.samples)
-        by_itself = u < wp.float64(found.share)
-        if by_itself:
-            u = u / wp.float64(found.share)
+        # The direction on rims and creases, theta and an angle or a height elsewhere.
+        uvw = wp.vec3(u4[0], u4[1], u4[2])
+        factor = wp.float32(1.0)
+        if wp.static(in_cube):
+            at = cube(guide, found.share, number, job.samples, u4)
+            by_itself = at.own
+            uvw = wp.vec3(wp.float32(at.u[1]), wp.float32(at.u[2]), wp.float32(at.u[1]))
+            n, along, size = choose_slot(found.slots, by_itself, at.u[0])
+            chance = wp.float32(found.cdf[n + 1] - found.cdf[n])
+            factor = at.weight * chance / size
         else:
-            u = (u - wp.float64(found.share)) / wp.float64(1.0 - found.share)
-        n, along, chance = choose_tube(found, u)
+            jitter = sample_1d(sampler, SLOT_SILHOUETTE)
+            u = (wp.float64(number) + wp.float64(jitter)) / wp.float64(job.samples)
+            by_itself = u < wp.float64(found.share)
+            if by_itself:
+                u = u / wp.float64(found.share)
+            else:
+                u = (u - wp.float64(found.share)) / wp.float64(1.0 - found.share)
+            n, along, chance = choose_tube(found, u)
         item = found.items[n]
         tri = scene.triangles[item[0]]
         aim = TangentAim()
         aim.light = -1
         touch = TubeTouch()
         if by_itself:
-            touch = own_touch(scene, tri, item[0], item[1], along, wp.vec3(u4[0], u4[1], u4[2]))
+            touch = own_touch(scene, tri, item[0], item[1], along, uvw)
             aim.w = touch.w
-        if wp.static(light_aim is not None):
+        if wp.static(lit):
             if not by_itself:
-                aim = light_aim(scene, tri.normal, u4)
+                if wp.static(in_cube):
+                    aim = square_aim(scene, tri.normal, at.u[1], at.u[2])
+                else:
+                    aim = light_aim(scene, tri.normal, u4)
                 if aim.valid == 0:
                     return
                 root = sample_1d(sampler, SLOT_ROOT)
@@ -196,14 +231,24 @@ def make_secondary_tube_kernel(
             return
         uv = tube_coordinates(point)
         note_place(scene, NOTE_POINT, point.face, uv[0], uv[1], point.x, s.w, s.radiance)
-        s.scale /= wp.float32(job.samples)
-        rest = wp.float32(0.0)
-        if wp.static(role == "forward"):
-            rest = accumulate(scene, target, point, s, 1.0)
-        weight = transport(scene, camera, sampler, s, s.scale, rest, job, target, image_out)
-        if wp.static(role != "forward"):
-            if weight != 0.0:
-                if accumulate(scene, target, point, s, weight) != 0.0:
-                    count_invalid(scene, sampler)
+        if wp.static(evaluates):
+            s.scale *= factor * wp.length(s.boundary_normal)
+        else:
+            s.scale /= wp.float32(job.samples)
+        if wp.static(guided):
+            s.scale *= factor
+        if wp.static(role == "ends"):
+            write_ends(scene, target, number, s, s.scale)
+        else:
+            rest = wp.float32(0.0)
+            if wp.static(role == "forward"):
+                rest = accumulate(scene, target, point, s, 1.0)
+            weight = transport(scene, camera, sampler, s, s.scale, rest, job, target, image_out)
+            if wp.static(role == "target"):
+                target[number] = weight
+            elif wp.static(role != "forward"):
+                if weight != 0.0:
+                    if accumulate(scene, target, point, s, weight) != 0.0:
+                        count_invalid(scene, sampler)
 
     return secondary_tube

@@ -17,6 +17,8 @@ import numpy as np
 import warp as wp
 
 from warp_psdr.estimate.guiding.grid import edge_ends
+from warp_psdr.estimate.guiding.intervals import Intervals, Listing, begin
+from warp_psdr.estimate.guiding.intervals import follow as follow_items
 from warp_psdr.estimate.guiding.ordering import follow, ordered_edges
 from warp_psdr.estimate.guiding.structure import (
     MOST_DRIFTS,
@@ -27,6 +29,7 @@ from warp_psdr.estimate.guiding.structure import (
     renew,
     run,
     samples_of,
+    stays,
 )
 from warp_psdr.kernels.boundary.guiding.facing import make_facing_kernel
 from warp_psdr.kernels.boundary.guiding.techniques import Guide
@@ -137,21 +140,43 @@ def edge_space(r: Request, found: Guiding, seeds: Seeds | None = None) -> Space:
     return Space(
         kernel=kernel,
         head=[r.scene.data(), r.camera, edges, moving_shapes(r.scene, r.moves)],
-        cdf=edges.cdf.numpy().astype(np.float64),
+        cdf=dict.fromkeys(TECHNIQUES, edges.cdf.numpy().astype(np.float64)),
         facing=found.facing,
         ends=lambda technique, points: edge_ends(r, edges, technique, points),
         seeds=None if seeds is None else lambda technique: seeds(technique, edges),
     )
 
 
-def guide_surfaces(r: Request, method: Method, name: str, space: Space) -> Guide:
-    """Return the structures that guide the term of shapes without triangles of a name."""
+def guide_surfaces(
+    r: Request,
+    method: Method,
+    name: str,
+    space_of: Callable[[dict[str, Intervals]], Space],
+    listed: dict[str, Listing],
+) -> Guide:
+    """Return the structures that guide the term of shapes without triangles of a name.
+
+    Args:
+        r: the boundary term.
+        method: how to guide it.
+        name: of the term.
+        space_of: the intervals of items that come and go -> the cube.
+        listed: technique -> its items, where they come and go.
+    """
     scene = r.scene
     values = scene.values.numpy()
     empty = Structure(leaves={}, built=values.copy(), seen=values.copy(), guide=Guide())
     found = kept(scene).setdefault(_key(r, method, name), empty)
-    if not found.leaves or not np.array_equal(found.seen, values, equal_nan=True):
-        renew(r, method, found, space, drift(r, found.built, values) <= MOST_DRIFTS * method.drift)
+    changed = not found.leaves or not np.array_equal(found.seen, values, equal_nan=True)
+    serves = False
+    if changed:
+        serves = stays(r, method, found) and drift(r, found.built, values) <= MOST_DRIFTS * method.drift
+        now = {t: follow_items(found.intervals[t], items) for t, items in listed.items()} if serves else {}
+        serves &= all(intervals is not None for intervals in now.values())
+        found.intervals = {t: (now[t] if serves else None) or begin(items) for t, items in listed.items()}
+    space = space_of(found.intervals)
+    if changed:
+        renew(r, method, found, space, serves)
         found.seen = values.copy()
     found.guided += samples_of(r)
     return found.guide

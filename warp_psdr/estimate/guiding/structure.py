@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,12 +13,13 @@ import warp as wp
 from warp_psdr import workers
 from warp_psdr.device import launch_shards
 from warp_psdr.estimate.guiding.build import NODE, Leaves, Target
+from warp_psdr.estimate.guiding.intervals import Intervals
 from warp_psdr.estimate.guiding.methods import build
 from warp_psdr.estimate.jobs import sample_job
 from warp_psdr.kernels.boundary.guiding.techniques import Guide
 from warp_psdr.kernels.rng import mix_seed
 from warp_psdr.options.guiding import Method
-from warp_psdr.scene.layout import CAMERA, LIGHT_POSE, SHAPE_POSE
+from warp_psdr.scene.layout import CAMERA, LIGHT_POSE, SHAPE_GRID, SHAPE_POSE
 
 if TYPE_CHECKING:
     from warp_psdr.estimate.boundary.terms import Request
@@ -46,18 +47,20 @@ class Space:
     Attributes:
         kernel: evaluates the integrand (role "target").
         head: its arguments in front of the guide.
-        cdf: (E + 1,) where the items, edges for example, begin along the first coordinate.
+        cdf: technique -> (E + 1,) where the items, edges for example, begin along the first coordinate.
         facing: (E,) root mean square of the share of the lights for which an item is a silhouette; None: not known.
         ends: technique, points (N, 3) of the cube -> what the ends of their segments are.
         seeds: technique -> (N, 3) points near which the integrand is large; None: not known.
+        unlit: there is no light to aim at, and all samples are of the technique "wedge".
     """
 
     kernel: wp.Kernel
     head: list
-    cdf: np.ndarray
+    cdf: dict[str, np.ndarray]
     facing: np.ndarray | None
     ends: Callable[[str, np.ndarray], Ends]
     seeds: Callable[[str], np.ndarray] | None = None
+    unlit: bool = False
 
 
 @dataclass(eq=False, kw_only=True)
@@ -74,6 +77,7 @@ class Structure:
         build_evaluations: those of the last build.
         guided: samples since.
         turn: number of the refresh.
+        intervals: technique -> those of items that come and go; of others there are none.
     """
 
     leaves: dict[str, Leaves]
@@ -85,6 +89,7 @@ class Structure:
     build_evaluations: int = 0
     guided: int = 0
     turn: int = 0
+    intervals: dict[str, Intervals] = field(default_factory=dict)
 
     @property
     def memory(self) -> int:
@@ -102,26 +107,33 @@ def samples_of(r: Request) -> int:
     return r.pixels * (r.method.spp_secondary or r.spp)
 
 
+def stays(r: Request, method: Method, found: Structure) -> bool:
+    """Return whether the cells of a structure are kept: they are near, or dear."""
+    if not found.leaves:
+        return False
+    near = drift(r, found.built, r.scene.values.numpy()) <= method.drift
+    return near or found.build_evaluations > REBUILD_SHARE * found.guided
+
+
 def renew(r: Request, method: Method, found: Structure, space: Space, serves: bool = True) -> None:
     """Measure a structure again for the values of the scene, or build it: anew where they are too far away.
 
     ``serves``: the structure need not be built anew at once.
     """
-    way = drift(r, found.built, r.scene.values.numpy())
-    if found.leaves and serves and (way <= method.drift or found.build_evaluations > REBUILD_SHARE * found.guided):
+    if serves and stays(r, method, found):
         _refresh(r, method, found, space)
     else:
         _build(r, method, found, space)
 
 
 def drift(r: Request, a: np.ndarray, b: np.ndarray) -> float:
-    """Largest way of a vertex, light or camera, in scene radii; turns in radians, what else a camera has as shares."""
+    """Largest way of a vertex, light or camera, in scene radii; turns in radians, the rest as shares."""
     scene = r.scene
     rows = slice(scene.positions, scene.positions + 3 * scene.vertex_count)
     found = float(np.abs(b[rows] - a[rows]).max(initial=0.0)) / scene.radius
     exact = set(scene.builder.primitives)
     for p in scene.parameters.values():
-        if not p.uses & {LIGHT_POSE, CAMERA} and not (SHAPE_POSE in p.uses and exact & set(p.owners)):
+        if not p.uses & {LIGHT_POSE, CAMERA, SHAPE_GRID} and not (SHAPE_POSE in p.uses and exact & set(p.owners)):
             continue
         old, new = (x[p.offset : p.offset + p.size].astype(np.float64) for x in (a, b))
         if p.shape == (4, 4):
@@ -131,7 +143,8 @@ def drift(r: Request, a: np.ndarray, b: np.ndarray) -> float:
         elif p.placed:
             found = max(found, np.abs(new - old).max() / scene.radius)
         else:
-            found = max(found, np.abs(new - old).max() / max(np.abs(old).max(), LEAST_SIZE))
+            least = LEAST_SIZE if CAMERA in p.uses else 1.0e-30
+            found = max(found, np.abs(new - old).max() / max(np.abs(old).max(), least))
     return float(found)
 
 
@@ -142,7 +155,7 @@ def _build(r: Request, method: Method, found: Structure, space: Space) -> None:
         target = Target(
             technique=technique,
             integrand=Evaluator(r, found, space, technique),
-            edge_cdf=space.cdf,
+            edge_cdf=space.cdf[technique],
             facing=space.facing if technique == "light" else None,
             seeds=None,
             random=np.random.default_rng((r.seed, number)),
@@ -150,7 +163,7 @@ def _build(r: Request, method: Method, found: Structure, space: Space) -> None:
             ends=space.ends,
             shared=shared,
         )
-        if technique == "wedge" and _aimed(r):
+        if technique == ("light" if space.unlit else "wedge") and (space.unlit or _aimed(r)):
             found.leaves[technique] = whole()
         else:
             found.leaves[technique] = build(method, _seeded(target, space))
@@ -161,7 +174,7 @@ def _build(r: Request, method: Method, found: Structure, space: Space) -> None:
     # A grid evaluates by maps: the points that it asks for count instead.
     found.build_evaluations = max(found.evaluations - before, found.leaf_count * method.samples)
     found.guided = 0
-    _finish(r, method, found)
+    _finish(r, method, found, space)
 
 
 def _aimed(r: Request) -> bool:
@@ -201,10 +214,10 @@ def _refresh(r: Request, method: Method, found: Structure, space: Space) -> None
             values = Evaluator(r, found, space, technique).within(leaves.low[which], leaves.high[which], count)
             leaves.square[which] = (1.0 - weight) * leaves.square[which] + weight * (values**2).mean(axis=1)
     found.turn += 1
-    _finish(r, method, found)
+    _finish(r, method, found, space)
 
 
-def _finish(r: Request, method: Method, found: Structure) -> None:
+def _finish(r: Request, method: Method, found: Structure, space: Space) -> None:
     mass = {technique: float(leaves.mass.sum()) for technique, leaves in found.leaves.items()}
     total = sum(mass.values())
     share = mass["wedge"] / total if total > 0.0 else 0.5
@@ -214,7 +227,7 @@ def _finish(r: Request, method: Method, found: Structure) -> None:
     found.guide = Guide()
     found.guide.wedge = found.leaves["wedge"].upload(method.floor, r.scene.device)
     found.guide.light = found.leaves["light"].upload(method.floor, r.scene.device)
-    found.guide.share = min(max(share, least["wedge"]), 1.0 - least["light"])
+    found.guide.share = 1.0 if space.unlit else min(max(share, least["wedge"]), 1.0 - least["light"])
 
 
 class Evaluator:

@@ -26,6 +26,7 @@ TERM = BoundaryTerm(
     launch=launch,
     applies=applies,
     splits=True,
+    guided=True,
     exact=True,
     part="smooth",
 )

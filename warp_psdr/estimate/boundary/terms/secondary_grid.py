@@ -2,13 +2,23 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
+import numpy as np
+import warp as wp
+
 from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term, term_of
+from warp_psdr.estimate.boundary.touching import Touched, guided_kernel
+from warp_psdr.estimate.guiding.intervals import Listing, grid_names
 from warp_psdr.kernels.boundary.silhouette.grid_points import GridItems
 from warp_psdr.kernels.boundary.silhouette.grid_secondary import make_secondary_grid_kernel
 from warp_psdr.kernels.constants import PRIMITIVE_SDFGRID
 from warp_psdr.options.boundary import PathSpace
 from warp_psdr.plan.motion import moving_shapes
 from warp_psdr.topology.grid_silhouettes import grid_items, grid_shapes, light_eyes, only
+
+if TYPE_CHECKING:
+    from warp_psdr.scene.scene import Scene
 
 
 def applies(r: Request) -> bool:
@@ -30,10 +40,36 @@ def launch_items(
     if found is None:
         return None
     found.share = 1.0 if found.aimed == 0 or unlit else r.own_share
-    moves = r.moves
-    kernel = make_secondary_grid_kernel(r.config, r.role, moves.camera, moves.light_pose, r.indirect, cubic, network)
+
+    def make(role: str, camera_moves: bool, light_pose: bool, guided: bool) -> wp.Kernel:
+        options = (guided, r.indirect, cubic, network)
+        return make_secondary_grid_kernel(r.config, role, camera_moves, light_pose, *options)
+
+    listed = _listed(r.scene, found) if getattr(r.method, "guiding", None) is not None else {}
+    head = [r.scene.data(), r.camera, found, moving_shapes(r.scene, r.moves)]
+    touched = Touched(record=found, listed=listed, unlit=found.share == 1.0)
+    kernel, guide = guided_kernel(r, term.name, make, head, found.items.shape[0], touched=touched)
     samples = r.pixels * (r.method.spp_secondary or r.spp)
-    return term_of(r, term, kernel, [r.scene.data(), r.camera, found, moving_shapes(r.scene, r.moves)], samples)
+    return term_of(r, term, kernel, [*head, guide], samples)
+
+
+def _listed(scene: Scene, found: GridItems) -> dict[str, Listing]:
+    """Return the items of either technique."""
+    items = found.items.numpy()
+    nodes = {
+        int(record): _nodes(scene, scene.builder.primitives[record - scene.face_count]) for record in set(items[:, 0])
+    }
+    names = grid_names(items, nodes)
+    return {t: Listing(names[:n], np.ones(n)) for t, n in (("wedge", len(names)), ("light", found.aimed))}
+
+
+def _nodes(scene: Scene, shape: int) -> tuple[int, int]:
+    """Return the numbers of nodes of a grid, or of a network's cells, along x and y."""
+    grid, network = scene.description.shapes[shape].grid, scene.description.shapes[shape].network
+    if grid is not None:
+        return grid.values.shape[2], grid.values.shape[1]
+    assert network is not None
+    return network.count + 1, network.count + 1
 
 
 def launch(r: Request) -> Term | None:
@@ -49,6 +85,7 @@ TERM = BoundaryTerm(
     launch=launch,
     applies=applies,
     splits=True,
+    guided=True,
     exact=True,
     part="both",
 )

@@ -2,7 +2,13 @@
 
 from __future__ import annotations
 
+import numpy as np
+import warp as wp
+
 from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term, term_of
+from warp_psdr.estimate.boundary.touching import Touched, guided_kernel
+from warp_psdr.estimate.guiding.intervals import Listing, curve_names
+from warp_psdr.estimate.guiding.structure import TECHNIQUES
 from warp_psdr.kernels.boundary.silhouette.tube_secondary import make_secondary_tube_kernel
 from warp_psdr.kernels.primitive.dispatch import CURVES
 from warp_psdr.options.boundary import PathSpace
@@ -21,9 +27,18 @@ def launch(r: Request) -> Term | None:
     if found is None:
         return None
     found.share = r.own_share
-    kernel = make_secondary_tube_kernel(r.config, r.role, r.moves.camera, r.moves.light_pose, r.indirect)
+
+    def make(role: str, camera_moves: bool, light_pose: bool, guided: bool) -> wp.Kernel:
+        return make_secondary_tube_kernel(r.config, role, camera_moves, light_pose, guided, r.indirect)
+
+    listed = {}
+    if getattr(r.method, "guiding", None) is not None:
+        listed = dict.fromkeys(TECHNIQUES, Listing(curve_names(found.items.numpy()), np.diff(found.cdf.numpy())))
+    head = [r.scene.data(), r.camera, found, moving_shapes(r.scene, r.moves)]
+    touched = Touched(record=found, listed=listed)
+    kernel, guide = guided_kernel(r, TERM.name, make, head, found.items.shape[0], touched=touched)
     samples = r.pixels * (r.method.spp_secondary or r.spp)
-    return term_of(r, TERM, kernel, [r.scene.data(), r.camera, found, moving_shapes(r.scene, r.moves)], samples)
+    return term_of(r, TERM, kernel, [*head, guide], samples)
 
 
 TERM = BoundaryTerm(
@@ -34,6 +49,7 @@ TERM = BoundaryTerm(
     launch=launch,
     applies=applies,
     splits=True,
+    guided=True,
     exact=True,
     part="smooth",
 )

@@ -1,0 +1,97 @@
+"""Items of grids, networks and curves along the first coordinate of a cube, and how they are followed.
+
+Cells are boxes of coordinates, so an item keeps its masses if it keeps its interval. Where the surface reaches another
+voxel, that one shares the interval of the item before it in the order; where it leaves one, the item before it takes
+the interval over. Nothing is left without an interval, and the density of a point is always known.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+#: Bits of a coordinate of a voxel, and of an item's number below its shape's record.
+COORDINATE_BITS, ITEM_BITS = 13, 42
+
+
+@dataclass(frozen=True, eq=False)
+class Intervals:
+    """Items in ascending order of their names.
+
+    Attributes:
+        names: (n,) int64.
+        cdf: (n + 1,) where their intervals begin, from 0 to 1.
+    """
+
+    names: np.ndarray
+    cdf: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Listing:
+    """Items of a technique.
+
+    Attributes:
+        names: (n,) int64, which stay the same from step to step and are near to each other where items are.
+        weight: (n,) how long their intervals are in the beginning, relative to each other.
+    """
+
+    names: np.ndarray
+    weight: np.ndarray
+
+    def order(self) -> np.ndarray:
+        """Return the numbers of the items in the order of their intervals."""
+        return np.argsort(self.names, kind="stable")
+
+
+def begin(listing: Listing) -> Intervals:
+    """Return intervals as long as the items' weights say."""
+    order = listing.order()
+    sums = np.append(0.0, np.cumsum(listing.weight[order]))
+    return Intervals(listing.names[order], sums / max(sums[-1], 1e-300))
+
+
+def follow(old: Intervals, listing: Listing) -> Intervals | None:
+    """Return the intervals of what is there now; None: nothing is left of what was there."""
+    names = np.sort(listing.names)
+    place = np.minimum(np.searchsorted(old.names, names), max(len(old.names) - 1, 0))
+    if not len(names) or not len(old.names):
+        return None
+    kept = old.names[place] == names
+    if not kept.any():
+        return None
+    # Every item belongs to the last kept one that is not behind it; those in front of all of them to the first.
+    group = np.maximum(np.cumsum(kept) - 1, 0)
+    starts = old.cdf[place[kept]]
+    starts[0] = 0.0
+    ends = np.append(starts[1:], 1.0)
+    size = np.bincount(group)
+    first = np.append(0, np.cumsum(size))[group]
+    rank = np.arange(len(names)) - first
+    low = starts[group] + (ends - starts)[group] * (rank / size[group])
+    return Intervals(names, np.append(low, 1.0))
+
+
+def grid_names(items: np.ndarray, shape: dict[int, tuple[int, int]]) -> np.ndarray:
+    """Return names of items of grids: voxels beside each other have near ones (Morton order).
+
+    Args:
+        items: (n, 2) records and numbers, as ``grid_points.py`` of the kernels has them.
+        shape: record -> numbers of nodes along x and y.
+    """
+    found = np.zeros(len(items), np.int64)
+    for record, (nx, ny) in shape.items():
+        rows = items[:, 0] == record
+        node, kind = items[rows, 1].astype(np.int64) >> 2, items[rows, 1].astype(np.int64) & 3
+        code = np.zeros(len(node), np.int64)
+        for axis, place in enumerate((node % nx, node // nx % ny, node // (nx * ny))):
+            for bit in range(COORDINATE_BITS):
+                code |= (place >> bit & 1) << (3 * bit + axis)
+        found[rows] = (np.int64(record) << ITEM_BITS) | (code << 2) | kind
+    return found
+
+
+def curve_names(items: np.ndarray) -> np.ndarray:
+    """Return names of items (n, 2) of curves: in their order along them."""
+    return (items[:, 0].astype(np.int64) << ITEM_BITS) | items[:, 1]
