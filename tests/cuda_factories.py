@@ -366,6 +366,10 @@ FACTORIES = {
         ("blocked, lights", (ALL_LIGHTS, BLOCKED_LIGHT), SLOW),
         ("scattered, materials", (MATERIALS, SCATTERED), SLOW),
     ],
+    "boundary.guiding.projective_exact.make_exact_seeds_kernel": [
+        ("blocked lights", (EXACT_LIGHTS, BLOCKED_LIGHT), SLOW),
+        ("scattered", (EXACT, SCATTERED), SLOW),
+    ],
     "boundary.guiding.ends.make_ends_kernel": [("simple", (SIMPLE,), SLOW), ("lights", (ALL_LIGHTS,), SLOW)],
     "boundary.guiding.facing.make_facing_kernel": [("simple", (SIMPLE,), SLOW), ("lights", (ALL_LIGHTS,), SLOW)],
     "boundary.guiding.photons.make_importons_kernel": [("simple", (SIMPLE,), SLOW), ("materials", (MATERIALS,), SLOW)],

@@ -246,7 +246,6 @@ def test_samples_are_drawn_again(kind: str) -> None:
 @pytest.mark.parametrize(
     ("change", "boundary", "problem"),
     [
-        ({}, psdr.boundary.Projective(), "no terms of it"),
         ({}, psdr.boundary.EdgeSampling(), "no terms of it"),
         ({"ball": ellipsoid(exact=True, bsdf={"type": "dielectric"})}, "auto", "smooth mirrors and glass"),
     ],

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from warp_psdr.kernels.bsdf.dispatch import has_delta_lobes
 from warp_psdr.kernels.constants import METERS
 from warp_psdr.options import interior
-from warp_psdr.options.boundary import Method, PathSpace, Reparametrised
+from warp_psdr.options.boundary import Method, PathSpace, Projective, Reparametrised
 from warp_psdr.plan.motion import motion
 from warp_psdr.scene.curves import INSTEAD as TUBES
 from warp_psdr.scene.exact import EXACT, KINDS
@@ -187,6 +187,8 @@ def _of_boundary(config: PathConfig, integrator: PathIntegrator) -> str:
     method = integrator.boundary
     if isinstance(method, Reparametrised):
         pass  # it knows them alone (``plan/reparametrised.py``)
+    elif isinstance(method, Projective) and set(config.primitives) <= set(EXACT.values()):
+        pass
     elif isinstance(method, Method) and type(method) is not PathSpace:
         return f"{method.label}() has no terms of it; use boundary.PathSpace()"
     if config.camera in METERS:

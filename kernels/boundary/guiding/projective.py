@@ -17,8 +17,9 @@ from warp_psdr.kernels.boundary.path_space.direction import wedge_at, wedge_squa
 from warp_psdr.kernels.constants import FAR, LOBE_SMOOTH
 from warp_psdr.kernels.interaction import enter_frame, make_interaction
 from warp_psdr.kernels.path import make_camera_start, make_path_step
+from warp_psdr.kernels.primitive.affine import is_primitive_at
 from warp_psdr.kernels.reading import load_vec3
-from warp_psdr.kernels.rng import make_sampler, sampler_at
+from warp_psdr.kernels.rng import Sampler, make_sampler, sampler_at
 from warp_psdr.kernels.scattering import make_light_sampler
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.vertex import PathConfig, PathVertex
@@ -269,6 +270,67 @@ def make_light_seed(config: PathConfig):
     return light_seed
 
 
+@wp.func
+def seed_sampler(camera: Camera, number: wp.int32, seed: wp.uint32) -> tuple[Sampler, wp.int32]:
+    """Random numbers of a path, and its pixel."""
+    pixels = camera.crop_width * camera.crop_height
+    pixel = number % pixels
+    return sampler_at(pixel, number // pixels, seed), pixel
+
+
+@functools.cache
+def make_candidate(config: PathConfig, kind: int):
+    """Return ``candidate(scene, camera, radius, number, seed, max_depth, rr_depth) -> (Candidate, total)``.
+
+    Of the segments of a camera path, and the sum of all their weights (arguments as in ``make_seeds_kernel``).
+    """
+    visibility = visibility_of(config)
+    path_step = make_path_step(config, False)
+    start = make_camera_start(config)
+    to_light = kind == BLOCKED_LIGHT
+    blocked_light = make_blocked_light(config) if to_light else None
+    draw = make_sampler(config.sampler)
+    sample_1d = draw.sample_1d
+    sample_4d = draw.sample_4d
+
+    @wp.func
+    def candidate(
+        scene: Scene,
+        camera: Camera,
+        radius: wp.float32,
+        number: wp.int32,
+        seed: wp.uint32,
+        max_depth: wp.int32,
+        rr_depth: wp.int32,
+    ) -> tuple[Candidate, wp.float32]:
+        sampler, pixel = seed_sampler(camera, number, seed)
+        state, _film = start(scene, camera, pixel % camera.crop_width, pixel // camera.crop_width, sampler)
+        total = wp.float32(0.0)
+        kept = Candidate()
+        while state.alive == 1:
+            depth = state.depth
+            vertex, state = path_step(scene, sampler, state, max_depth, rr_depth)
+            found = Candidate()
+            if wp.static(to_light):
+                if vertex.face >= 0 and (max_depth < 0 or depth + 2 <= max_depth):
+                    found = blocked_light(scene, vertex, radius, sample_4d(sampler, SLOT_SEED + 2 * depth))
+            else:
+                if state.alive == 1 and vertex.lobe == LOBE_SMOOTH:
+                    hit = visibility.closest(scene, state.o, state.d, FAR)
+                    if hit.face >= 0:
+                        found.weight = wp.max(state.throughput)
+                        found.face = hit.face
+                        found.o = state.o
+                        found.d = state.d
+            if found.weight > 0.0:
+                total += found.weight
+                if sample_1d(sampler, SLOT_SEED + 2 * depth + 1) * total <= found.weight:
+                    kept = found
+        return kept, total
+
+    return candidate
+
+
 @functools.cache
 def make_seeds_kernel(config: PathConfig, kind: int):
     """Return the kernel: one thread a camera path and its seed.
@@ -279,15 +341,12 @@ def make_seeds_kernel(config: PathConfig, kind: int):
             latter of the wedge alone.
     """
     visibility = visibility_of(config)
-    path_step = make_path_step(config, False)
-    start = make_camera_start(config)
+    candidate = make_candidate(config, kind)
     to_silhouette = make_projection(config.ray_backend, config.ray_width)
     to_light = kind == BLOCKED_LIGHT
-    blocked_light = make_blocked_light(config) if to_light else None
     light_seed = make_light_seed(config) if to_light else None
-    draw = make_sampler(config.sampler)
-    sample_1d = draw.sample_1d
-    sample_4d = draw.sample_4d
+    sample_1d = make_sampler(config.sampler).sample_1d
+    has_primitives = bool(config.primitives)
 
     @wp.kernel(module="unique", enable_backward=False)
     def seeds(
@@ -312,43 +371,23 @@ def make_seeds_kernel(config: PathConfig, kind: int):
         weight_out[number] = 0.0
         wedge_out[number] = outside
         light_out[number] = outside
-        pixel = number % (camera.crop_width * camera.crop_height)
-        sampler = sampler_at(pixel, number // (camera.crop_width * camera.crop_height), seed)
-        state, _film = start(scene, camera, pixel % camera.crop_width, pixel // camera.crop_width, sampler)
-        total = wp.float32(0.0)
-        kept = Candidate()
-        while state.alive == 1:
-            depth = state.depth
-            vertex, state = path_step(scene, sampler, state, max_depth, rr_depth)
-            found = Candidate()
-            if wp.static(to_light):
-                if vertex.face >= 0 and (max_depth < 0 or depth + 2 <= max_depth):
-                    found = blocked_light(scene, vertex, radius, sample_4d(sampler, SLOT_SEED + 2 * depth))
-            else:
-                if state.alive == 1 and vertex.lobe == LOBE_SMOOTH:
-                    hit = visibility.closest(scene, state.o, state.d, FAR)
-                    if hit.face >= 0:
-                        found.weight = wp.max(state.throughput)
-                        found.face = hit.face
-                        found.o = state.o
-                        found.d = state.d
-            if found.weight > 0.0:
-                total += found.weight
-                if sample_1d(sampler, SLOT_SEED + 2 * depth + 1) * total <= found.weight:
-                    kept = found
+        kept, total = candidate(scene, camera, radius, number, seed, max_depth, rr_depth)
         weight_out[number] = total
         if total <= 0.0:
             return
-        seen = to_silhouette(scene, edges, neighbours, kept.face, kept.o, kept.d)
-        if seen.edge >= 0:
-            wedge_out[number] = wedge_seed(scene, edges, seen)
+        if wp.static(not has_primitives) or not is_primitive_at(scene, kept.face):
+            seen = to_silhouette(scene, edges, neighbours, kept.face, kept.o, kept.d)
+            if seen.edge >= 0:
+                wedge_out[number] = wedge_seed(scene, edges, seen)
         if wp.static(to_light):
+            sampler, _pixel = seed_sampler(camera, number, seed)
             back = wp.normalize(kept.o - kept.light)
             apart = wp.length(kept.o - kept.light)
             hit = visibility.closest(scene, kept.light + (1.0 - BLOCKED) * apart * back, back, apart)
             if hit.face >= 0:
-                lit = to_silhouette(scene, edges, neighbours, hit.face, kept.light, back)
-                if lit.edge >= 0:
-                    light_out[number] = light_seed(scene, edges, lit, kept, sample_1d(sampler, SLOT_SEED - 1))
+                if wp.static(not has_primitives) or not is_primitive_at(scene, hit.face):
+                    lit = to_silhouette(scene, edges, neighbours, hit.face, kept.light, back)
+                    if lit.edge >= 0:
+                        light_out[number] = light_seed(scene, edges, lit, kept, sample_1d(sampler, SLOT_SEED - 1))
 
     return seeds

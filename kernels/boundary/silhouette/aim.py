@@ -4,8 +4,15 @@ import functools
 
 import warp as wp
 
-from warp_psdr.kernels.boundary.guiding.light_square import within
-from warp_psdr.kernels.constants import EMITTER_AREA, EMITTER_DIRECTIONAL, EMITTER_POINT
+from warp_psdr.kernels.boundary.guiding.light_square import envmap_to_square, outside_of, sphere_to_square, within
+from warp_psdr.kernels.boundary.guiding.stripe import triangle_to_square
+from warp_psdr.kernels.constants import (
+    EMITTER_AREA,
+    EMITTER_CONSTANT,
+    EMITTER_DIRECTIONAL,
+    EMITTER_ENVMAP,
+    EMITTER_POINT,
+)
 from warp_psdr.kernels.distribution import find_interval_64
 from warp_psdr.kernels.emitter.dispatch import is_delta_light, make_delta_sample
 from warp_psdr.kernels.emitter.spot import load_column
@@ -108,3 +115,39 @@ def make_square_aim(config: PathConfig):
         return light_point(scene, x, index, face, wp.vec2(wp.float32(rest), wp.float32(u2)))
 
     return square_aim
+
+
+@functools.cache
+def make_aim_square(config: PathConfig):
+    """Return ``square(scene, face, u, v, w) -> vec2d``: what ``make_square_aim``'s function is given for a point.
+
+    (face, u, v) of an area light, or for face < 0 the direction w towards the environment; negative: no light is there.
+    """
+    has_area = bool(config.area)
+    constant = EMITTER_CONSTANT in config.lights
+    envmap = EMITTER_ENVMAP in config.lights
+
+    @wp.func
+    def aim_square(scene: Scene, face: wp.int32, u: wp.float32, v: wp.float32, w: wp.vec3) -> wp.vec2d:
+        r = wp.vec2d(wp.float64(-1.0), wp.float64(-1.0))
+        if face >= 0:
+            if wp.static(has_area):
+                index = scene.shapes[scene.triangles[face].shape].emitter
+                if index >= 0:
+                    emitter = scene.emitters[index]
+                    at = triangle_to_square(u, v)
+                    k = emitter.cdf_offset + face - emitter.first_face
+                    rest = outside_of(scene.face_cdf, k, wp.float64(at[0]))
+                    r = wp.vec2d(outside_of(scene.emitter_cdf, index, rest), wp.float64(at[1]))
+        else:
+            if wp.static(constant or envmap):
+                if scene.environment >= 0:
+                    if wp.static(envmap):
+                        at = envmap_to_square(scene, scene.emitters[scene.environment], w)
+                    else:
+                        at = sphere_to_square(w)
+                    first = outside_of(scene.emitter_cdf, scene.environment, wp.float64(at[0]))
+                    r = wp.vec2d(first, wp.float64(at[1]))
+        return r
+
+    return aim_square

@@ -10,7 +10,10 @@ import warp as wp
 
 from warp_psdr import workers
 from warp_psdr.device import launch_shards
+from warp_psdr.estimate.jobs import sample_job
 from warp_psdr.kernels.boundary.guiding.projective import BLOCKED_LIGHT, SCATTERED, make_seeds_kernel
+from warp_psdr.kernels.boundary.guiding.projective_exact import make_exact_seeds_kernel
+from warp_psdr.kernels.boundary.silhouette.secondary import OutlineItems
 from warp_psdr.kernels.constants import DELTA_LIGHTS
 from warp_psdr.kernels.rng import mix_seed
 from warp_psdr.options.boundary import Projective
@@ -18,7 +21,6 @@ from warp_psdr.topology.neighbours import neighbours
 
 if TYPE_CHECKING:
     from warp_psdr.estimate.boundary.terms import Request
-    from warp_psdr.kernels.boundary.guiding.projective import Neighbours
     from warp_psdr.kernels.boundary.local_form import Edges
 
 #: Share of the uniform wedge beside point, spot and directional lights.
@@ -27,6 +29,8 @@ POINT_LIKE_SHARE = 0.5
 SEEDS = 4
 #: Largest share of all seeds that one path's segment may make up: a few paths of large weight must not hide the others.
 MOST_COPIES = 0.01
+#: Weights (N,) of paths, and the points (N, 3) of the cubes of the two techniques that their segments are projected to.
+Traced = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 def uniform_share(r: Request) -> float:
@@ -58,29 +62,65 @@ def seeds(r: Request, edges: Edges, paths: int) -> dict[str, np.ndarray]:
     Returns:
         technique -> (N, 3) points of its cube, repeated in proportion to the weight of their paths.
     """
+    head = [r.scene.data(), r.camera, edges, neighbours(r.scene, edges), r.scene.radius]
+
+    def trace(kind: int) -> Traced:
+        tail = [mix_seed(r.seed, SEEDS + kind), r.plan.max_depth, r.rr_depth]
+        return _trace(r, make_seeds_kernel(r.config, kind), paths, lambda first: [*head, first, *tail])
+
+    return _both(r, trace)
+
+
+def exact_asker(r: Request, items: OutlineItems) -> Callable[[str], np.ndarray]:
+    """Return what guiding asks for the seeds of a technique at exact shapes; paths are traced once, at the first."""
+    found: dict[str, np.ndarray] = {}
+
+    def ask(technique: str) -> np.ndarray:
+        if not found:
+            found.update(exact_seeds(r, items))
+        return found[technique]
+
+    return ask
+
+
+def exact_seeds(r: Request, items: OutlineItems) -> dict[str, np.ndarray]:
+    """Trace camera paths and project their segments to the outlines of exact shapes, as ``seeds`` to edges."""
+    assert isinstance(r.method, Projective)
+    paths = r.method.paths
+    head = [r.scene.data(), r.camera, items, r.scene.radius]
+    none = wp.zeros((1, 1), dtype=wp.vec3, device=r.scene.device)
+
+    def trace(kind: int) -> Traced:
+        seed = mix_seed(r.seed, SEEDS + kind)
+
+        def inputs(first: int) -> list:
+            return [*head, sample_job(first, paths, seed, r.plan.max_depth, r.rr_depth, none)]
+
+        return _trace(r, make_exact_seeds_kernel(r.config, kind), paths, inputs)
+
+    return _both(r, trace)
+
+
+def _both(r: Request, trace: Callable[[int], Traced]) -> dict[str, np.ndarray]:
+    """Return the seeds of both techniques."""
     random = np.random.default_rng((r.seed, SEEDS))
-    around = neighbours(r.scene, edges)
-    blocked = _trace(r, edges, around, BLOCKED_LIGHT, paths)
+    blocked = trace(BLOCKED_LIGHT)
     wedge = [_resampled(blocked[0], blocked[1], random)]
     # Aiming at lights finds all direct light but what comes from infinity.
     if r.plan.max_depth != 2 or r.scene.builder.environment >= 0:
-        scattered = _trace(r, edges, around, SCATTERED, paths)
+        scattered = trace(SCATTERED)
         wedge.append(_resampled(scattered[0], scattered[1], random))
     return {"wedge": np.concatenate(wedge), "light": _resampled(blocked[0], blocked[2], random)}
 
 
-def _trace(
-    r: Request, edges: Edges, around: Neighbours, kind: int, paths: int
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _trace(r: Request, kernel: wp.Kernel, paths: int, inputs: Callable[[int], list]) -> Traced:
     device = r.scene.device
     weight = wp.zeros(paths, dtype=wp.float32, device=device)
     wedge, light = (wp.zeros(paths, dtype=wp.vec3d, device=device) for _ in range(2))
-    head = [r.scene.data(), r.camera, edges, around, r.scene.radius]
-    tail = [mix_seed(r.seed, SEEDS + kind), r.plan.max_depth, r.rr_depth]
     launch_shards(
-        make_seeds_kernel(r.config, kind),
+        kernel,
         paths,
-        lambda first, _n, _shard: ([*head, first, *tail], [weight, wedge, light]),
+        lambda first, _n, _shard: (inputs(first), [weight, wedge, light]),
         shards=workers.SHARDS,
         device=device,
     )

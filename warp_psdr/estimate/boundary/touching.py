@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -39,11 +40,13 @@ class Touched:
     Attributes:
         record: the device's, which receives the slots of items that come and go.
         listed: technique -> its items, where they come and go: grids and curves.
+        seeds: technique -> (N, 3) points of the cube near which segments carry light; None: not known.
         unlit: there is no light to aim at.
     """
 
     record: Any = None
     listed: dict[str, Listing] = field(default_factory=dict)
+    seeds: Callable[[str], np.ndarray] | None = None
     unlit: bool = False
 
 
@@ -85,6 +88,7 @@ def guided_kernel(
             cdf={t: _pieces(intervals[t].cdf) if t in intervals else regular for t in TECHNIQUES},
             facing=None,
             ends=lambda technique, points: surface_ends(r, evaluating[-1], head, technique, points),
+            seeds=known.seeds,
             unlit=known.unlit,
         )
 

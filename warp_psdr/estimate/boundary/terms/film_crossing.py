@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term, term_of
 from warp_psdr.kernels.boundary.crossing.film import make_film_crossing_kernel
-from warp_psdr.options.boundary import PathSpace
+from warp_psdr.options.boundary import PathSpace, Projective
 from warp_psdr.topology.crossings import crossings
 
 
@@ -27,7 +27,7 @@ TERM = BoundaryTerm(
     name="film_crossing",
     title="curves of intersection of shapes without triangles",
     stream=50,
-    methods=(PathSpace,),
+    methods=(PathSpace, Projective),
     launch=launch,
     applies=applies,
     exact=True,

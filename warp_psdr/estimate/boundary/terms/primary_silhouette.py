@@ -5,7 +5,7 @@ from __future__ import annotations
 from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term, term_of
 from warp_psdr.kernels.boundary.silhouette.primary import make_primary_silhouette_kernel
 from warp_psdr.kernels.primitive.kinds import affine_kinds
-from warp_psdr.options.boundary import PathSpace
+from warp_psdr.options.boundary import PathSpace, Projective
 from warp_psdr.scene.exact import outlines
 from warp_psdr.topology.exact_shapes import require_uncut
 
@@ -30,7 +30,7 @@ TERM = BoundaryTerm(
     name="primary_silhouette",
     title="primary silhouettes of exact shapes",
     stream=9,
-    methods=(PathSpace,),
+    methods=(PathSpace, Projective),
     launch=launch,
     applies=applies,
     exact=True,

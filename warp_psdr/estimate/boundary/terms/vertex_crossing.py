@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term, term_of
 from warp_psdr.kernels.boundary.crossing.vertex import make_vertex_crossing_kernel
-from warp_psdr.options.boundary import PathSpace
+from warp_psdr.options.boundary import PathSpace, Projective
 from warp_psdr.plan.motion import moving_shapes
 from warp_psdr.topology.crossings import crossings
 
@@ -31,7 +31,7 @@ TERM = BoundaryTerm(
     name="vertex_crossing",
     title="{} curves of intersection of shapes without triangles",
     stream=51,
-    methods=(PathSpace,),
+    methods=(PathSpace, Projective),
     launch=launch,
     applies=applies,
     splits=True,
