@@ -72,7 +72,7 @@ def test_first_gradients_are_replayed_and_a_pilot_waits(metal, told):
     assert drawn_for(scene, [ALPHA]) == [
         ("nothing: replayed", f"{ALPHA}: shape of a lobe, or weight of a mixture; {choice.WAITS}")
     ]
-    told += [[10.0], [1.0]]
+    told += [[10.0], [2.0], [1.0]]
     (plan,) = calls(scene, [ALPHA], 1, first=needed)
     assert plan.kept.branches == Branches(shapes="decomposed") and not told
     decision, reason = drawn_for(scene, [ALPHA])[0]
@@ -89,12 +89,14 @@ def test_first_gradients_are_replayed_and_a_pilot_waits(metal, told):
 @pytest.mark.parametrize(
     ("names", "variances", "expected"),
     [
-        ([ALPHA], [[3.5], [1.0]], Branches(shapes="decomposed")),
-        ([ALPHA], [[2.5], [1.0]], None),
-        ([ALPHA], [[0.0], [0.0]], None),
+        # By replay, resampled, in closed form.
+        ([ALPHA], [[3.5], [1.5], [1.0]], Branches(shapes="decomposed")),
+        ([ALPHA], [[3.5], [1.0], [1.5]], Branches(shapes="resampled")),
+        ([ALPHA], [[2.5], [1.0], [1.0]], None),
+        ([ALPHA], [[0.0], [0.0], [0.0]], None),
         # Half of the gain, for what is replayed beside it.
-        ([ALPHA, FLOOR], [[9.0, 1.0], [1.0, 1.0]], None),
-        ([ALPHA, FLOOR], [[20.0, 1.0], [1.0, 1.0]], Branches(shapes="decomposed")),
+        ([ALPHA, FLOOR], [[9.0, 1.0], [2.0, 1.0], [1.0, 1.0]], None),
+        ([ALPHA, FLOOR], [[20.0, 1.0], [2.0, 1.0], [1.0, 1.0]], Branches(shapes="decomposed")),
     ],
 )
 def test_the_pilot_weighs_variance_and_cost(metal, told, monkeypatch, names, variances, expected):
@@ -106,22 +108,14 @@ def test_the_pilot_weighs_variance_and_cost(metal, told, monkeypatch, names, var
     assert choice.known(scene, names, 3).method == expected and choice.known(scene, names, 3).decided
 
 
-def test_wide_lobes_and_other_models_are_resampled(metal):
-    scene, params = metal
+def test_what_has_no_closed_form_is_resampled(metal):
+    scene, _params = metal
 
     def shapes(loaded, names):
         plan = psdr.plan(loaded, names=names, integrator=integrator())
-        return [method.shapes for method in choice.candidates(loaded, plan, names)]
+        return [method.shapes for kind, method in choice.candidates(plan) if kind == "shapes"]
 
-    before = params[ALPHA].numpy()
-    assert shapes(scene, [ALPHA]) == ["decomposed"]
-    params[ALPHA] = 0.4
-    params.update()
-    try:
-        assert shapes(scene, [ALPHA]) == ["resampled"]
-    finally:
-        params[ALPHA] = before
-        params.update()
+    assert shapes(scene, [ALPHA]) == ["resampled", "decomposed"]
     plastic, _params = resampled.load("plastic")
     assert shapes(plastic, ["ball.bsdf.alpha"]) == ["resampled"]
 

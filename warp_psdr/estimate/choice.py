@@ -11,6 +11,7 @@ Derivation: ``docs/theory/interior.md#which-method``.
 
 from __future__ import annotations
 
+from itertools import combinations
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,6 +21,7 @@ from warp_psdr import compiler, workers
 from warp_psdr.estimate.gradient_sums import GradientSums
 from warp_psdr.estimate.passes import camera_gradient_kernels, interior_backward, interior_forward
 from warp_psdr.kernels.rng import mix_seed
+from warp_psdr.options.interior import Branches
 from warp_psdr.plan import choice
 from warp_psdr.plan.choice import Choice
 from warp_psdr.scene.edits import checksum
@@ -83,8 +85,8 @@ def decide(
 ) -> None:
     """Run the pilot and keep what it says."""
     assert plan.wanted is not None
-    methods = choice.candidates(scene, plan, names)
-    plans = [choice.by(plan, method) for method in (None, *methods)]
+    methods = choice.candidates(plan)
+    plans = [choice.by(plan, method) for method in (None, *(method for _kind, method in methods))]
     compiler.begin([k for p in plans for k in camera_gradient_kernels(p, role)], scene.device)
     variances = np.array([variance(scene, p, names, role, sensor, mix_seed(seed, PILOT), given) for p in plans])
     found.decided = True
@@ -92,17 +94,19 @@ def decide(
     if not told.any():
         return
     gains = np.log(variances[0, told] / variances[1:, told]).mean(axis=-1)
-    costs = [choice.cost_of(method, plan.config, plan.wanted) for method in methods]
-    for kind, gain, cost in zip(plan.offered, gains, costs, strict=True):
-        found.gains[kind], found.costs[kind] = float(np.exp(gain)), cost
-    # Each draws for parameters of its own: side by side their gains multiply.
+    # Of each kind the best one. Each draws for parameters of its own: side by side their gains multiply.
+    taken: dict[str, tuple[float, Branches]] = {}
+    for (kind, method), gain in zip(methods, gains, strict=True):
+        cost = choice.cost_of(method, plan.config, plan.wanted)
+        if kind not in taken or np.exp(gain) / cost > found.gains[kind] / found.costs[kind]:
+            found.gains[kind], found.costs[kind], taken[kind] = float(np.exp(gain)), cost, (gain, method)
     best = np.log(PAYS)
-    for chosen in range(1, 1 << len(methods)):
-        taken = [k for k in range(len(methods)) if chosen >> k & 1]
-        method = choice.both(tuple(methods[k] for k in taken))
-        worth = sum(gains[k] for k in taken) - np.log(choice.cost_of(method, plan.config, plan.wanted))
-        if worth > best:
-            best, found.method = worth, method
+    for count in range(1, len(taken) + 1):
+        for some in combinations(taken.values(), count):
+            method = choice.both(tuple(method for _gain, method in some))
+            worth = sum(gain for gain, _method in some) - np.log(choice.cost_of(method, plan.config, plan.wanted))
+            if worth > best:
+                best, found.method = worth, method
 
 
 def variance(

@@ -13,7 +13,6 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
-from warp_psdr.kernels.interior.mixtures import mixed_values
 from warp_psdr.kernels.interior.shape_parameters import branched_values, unsplit_values
 from warp_psdr.kernels.interior.tilts import tilting_values
 from warp_psdr.options.interior import Branches, Method, Replay
@@ -33,10 +32,7 @@ if TYPE_CHECKING:
 #: of antithetic pairs. It is no clock that chooses, so that equal calls choose alike.
 SHAPES_COST = {"resampled": 2.9, "decomposed": 2.7}
 NORMALS_COST = 1.4
-#: Roughness up to which the lobes of one sign are drawn in closed form, measured with GGX; Beckmann's always are.
-NARROW = 0.2
-#: What holds them, and what turns normals besides maps.
-ROUGHNESSES = (MATERIAL + "alpha_u", MATERIAL + "alpha_v")
+#: What turns normals besides maps.
 TURNING = {CAMERA, NORMALS, POSITIONS, SHAPE_POSE, TEXCOORDS, TO_UV}
 #: Parameters that a line of the plan names.
 NAMED = 3
@@ -130,23 +126,17 @@ def offered(config: PathConfig, wanted: GradientRequest, moves_edges: bool) -> t
     return tuple(found)
 
 
-def candidates(scene: Scene, plan: Plan, names: list[str]) -> tuple[Branches, ...]:
-    """Return the methods that a pilot compares with replay, each of what is offered alone."""
+def candidates(plan: Plan) -> list[tuple[str, Branches]]:
+    """Return the methods that a pilot compares with replay, each with the kind of what is offered that it draws for."""
     assert plan.wanted is not None
-    shapes = Branches(shapes=_shapes(scene, plan.config, plan.wanted, names))
-    return tuple(shapes if kind == "shapes" else Branches(normals=True) for kind in plan.offered)
-
-
-def _shapes(scene: Scene, config: PathConfig, wanted: GradientRequest, names: list[str]) -> str:
-    """Return which branches shapes of lobes get: in closed form those of narrow lobes, where it is known."""
-    if unsplit_values(config, wanted) or mixed_values(config, wanted):
-        return "resampled"
-    if all("ggx" not in key for key in config.bsdfs if key.startswith("roughconductor")):
-        return "decomposed"
-    held = [scene.parameters[name] for name in names if scene.has_use([name], *ROUGHNESSES)]
-    values = scene.values.numpy()
-    narrow = all(float(values[p.offset : p.offset + p.size].mean()) <= NARROW for p in held)
-    return "decomposed" if narrow else "resampled"
+    found = []
+    if "shapes" in plan.offered:
+        found.append(("shapes", Branches(shapes="resampled")))
+        if not unsplit_values(plan.config, plan.wanted):
+            found.append(("shapes", Branches(shapes="decomposed")))
+    if "normals" in plan.offered:
+        found.append(("normals", Branches(normals=True)))
+    return found
 
 
 def both(found: tuple[Branches, ...]) -> Branches:
