@@ -58,18 +58,18 @@ def derivatives(scene, names, adjoint, boundary="auto", spp=512, depth=2, batche
     return found
 
 
-def difference(scene, name, tangent, depth, spp, seed):
+def difference(scene, name, tangent, depth, spp, seed, step=STEP):
     """Return the central difference of the image, float64."""
     params = psdr.traverse(scene)
     base = params[name].numpy().copy()
     images = []
     for side in (1.0, -1.0):
-        params[name] = (base + side * STEP * tangent).astype(np.float32)
+        params[name] = (base + side * step * tangent).astype(np.float32)
         params.update()
         images.append(psdr.render(scene, integrator=psdr.PathIntegrator(max_depth=depth), spp=spp, seed=seed).numpy())
     params[name] = base
     params.update()
-    return (images[0].astype(np.float64) - images[1]) / (2.0 * STEP)
+    return (images[0].astype(np.float64) - images[1]) / (2.0 * step)
 
 
 def assert_mean(samples, expected, error=0.0, noise=0.02):
