@@ -6,6 +6,7 @@ from importlib import import_module
 
 import warp_psdr as psdr
 from warp_psdr.estimate.boundary import terms
+from warp_psdr.invalid import KINDS
 from warp_psdr.options.boundary import FilmEdges
 from warp_psdr.plan.motion import motion
 
@@ -20,6 +21,7 @@ def test_every_file_declares_a_term_that_is_in_the_list() -> None:
     assert {term.name for term in terms.ALL} == files and len(terms.ALL) == len(files)
     assert all(declared[term.name] is term and terms.named(term.name) is term for term in terms.ALL)
     assert all(("{}" in term.title) == term.splits for term in terms.ALL)
+    assert files <= set(KINDS), "samples of every term are counted"
 
 
 def test_the_terms_of_a_method_have_random_numbers_of_their_own() -> None:
