@@ -52,7 +52,16 @@ NAME, FLOOR = "shape.to_world", "floor.to_world"
 MOTIONS = (("radius", NAME, radius), ("z", NAME, entry(2, 3)), ("x", NAME, entry(0, 3)))
 CASES = [
     *(
-        Case(f"sunk {kind}, {light}", name, tangent, 0.005, what, 2, 1024, 4096)
+        Case(
+            f"sunk {kind}, {light}",
+            name,
+            tangent,
+            0.005,
+            what,
+            2,
+            1024,
+            16384 if (light, what) == ("sky", "x") else 4096,
+        )
         for kind in POSES
         for light in ("sky", "lamp", "point", "sun")
         for what, name, tangent in MOTIONS
