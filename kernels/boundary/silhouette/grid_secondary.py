@@ -27,6 +27,7 @@ from warp_psdr.kernels.boundary.silhouette.aim import (
     make_light_aim,
     make_square_aim,
 )
+from warp_psdr.kernels.boundary.silhouette.delivery import make_delivery
 from warp_psdr.kernels.boundary.silhouette.ends import is_beside_curve, make_sensor_end, make_source_end, with_density
 from warp_psdr.kernels.boundary.silhouette.grid_points import (
     VOXEL_ITEM,
@@ -57,7 +58,6 @@ from warp_psdr.kernels.boundary.silhouette.spline_points import (
 )
 from warp_psdr.kernels.boundary.transport import Segment, make_source, make_transport
 from warp_psdr.kernels.constants import INV_TWO_PI, TWO_PI
-from warp_psdr.kernels.invalid import count_invalid
 from warp_psdr.kernels.jobs import SampleJob
 from warp_psdr.kernels.math import any_tangent
 from warp_psdr.kernels.notes import NOTE_POINT, make_note
@@ -215,13 +215,7 @@ def make_secondary_grid_kernel(
     sample_4d = draw.sample_4d
     note_place = make_note(config.noted)
 
-    @wp.func
-    def accumulate(
-        scene: Scene, target: wp.array(dtype=wp.float32), point: TouchPoint, s: Segment, w: wp.float32
-    ) -> wp.float32:
-        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
-        total = accumulate_touch(scene, target, point, w * s.boundary_normal)
-        return accumulate_source(scene, target, s, w, total)
+    deliver = make_delivery(role, TouchPoint, transport, accumulate_touch, accumulate_source, write_ends)
 
     @wp.kernel(module="unique", enable_backward=False)
     def secondary_grid(
@@ -314,18 +308,6 @@ def make_secondary_grid_kernel(
             s.scale *= factor
         if wp.static(cubic):
             s.scale *= point.roots
-        if wp.static(role == "ends"):
-            write_ends(scene, target, number, s, s.scale)
-        else:
-            rest = wp.float32(0.0)
-            if wp.static(role == "forward"):
-                rest = accumulate(scene, target, point, s, 1.0)
-            weight = transport(scene, camera, sampler, s, s.scale, rest, job, target, image_out)
-            if wp.static(role == "target"):
-                target[number] = weight
-            elif wp.static(role != "forward"):
-                if weight != 0.0:
-                    if accumulate(scene, target, point, s, weight) != 0.0:
-                        count_invalid(scene, sampler)
+        deliver(scene, camera, sampler, number, job, point, s, target, image_out)
 
     return secondary_grid

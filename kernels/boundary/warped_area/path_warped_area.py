@@ -15,12 +15,11 @@ import warp as wp
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.boundary.signed_distance.reparametrised import make_film_point, make_turn
 from warp_psdr.kernels.boundary.warped_area.auxiliary import AuxiliaryBundle, WarpedOptions
+from warp_psdr.kernels.boundary.warped_area.directions import make_direction_from
 from warp_psdr.kernels.boundary.warped_area.material_motion import make_material_motion
 from warp_psdr.kernels.boundary.warped_area.warp_motion import make_warp_motion
-from warp_psdr.kernels.constants import EMITTER_AREA, LOBE_SMOOTH
-from warp_psdr.kernels.emitter.dispatch import make_lights
-from warp_psdr.kernels.interaction import enter_frame, leave_frame, make_interaction
-from warp_psdr.kernels.interior.factors import make_light_sink
+from warp_psdr.kernels.constants import EMITTER_AREA
+from warp_psdr.kernels.interaction import make_interaction
 from warp_psdr.kernels.interior.gradient_request import GradientRequest
 from warp_psdr.kernels.interior.sweep import Carry, make_sweep
 from warp_psdr.kernels.interior.velocities import axis_vec3
@@ -29,7 +28,6 @@ from warp_psdr.kernels.jobs import SampleJob
 from warp_psdr.kernels.path import make_path_step
 from warp_psdr.kernels.primitive.dispatch import make_adjoint_sink
 from warp_psdr.kernels.rng import Sampler, make_sampler, sampler_at
-from warp_psdr.kernels.scattering import samples_lights
 from warp_psdr.kernels.sensor.camera import CameraSample, make_camera_ray
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.surface import VertexAdjoint
@@ -53,10 +51,7 @@ def make_path_warped_area_kernel(
     draw_point, weigh_point = make_film_point(config.filter)
     turn = make_turn(config.camera)
     interaction = make_interaction(config)
-    has_lights = config.scatter and samples_lights(config)
-    radiance_of = make_light_sink(config, wanted, "samples")[0] if has_lights else None
-    lights = make_lights(config.lights, "samples", ()) if config.lights else None
-    environment_vjp = lights.environment_vjp if lights else None
+    direction_from = make_direction_from(config, wanted, "samples")
     sample_4d = make_sampler(config.sampler).sample_4d
     forward = role == "forward"
     channels = 3 if forward else 1
@@ -80,47 +75,21 @@ def make_path_warped_area_kernel(
         at = interaction.on(scene, surface, vertex.face, vertex.u, vertex.v, vertex.d)
         technique = wp.int32(0)
         while technique < 2:  # one copy of what is called, which takes minutes to compile for CUDA
-            w = vertex.wo
-            scale = vertex.inv_pdf * a_n
-            light = onward.radiance
-            face = wp.int32(onward.face)
-            u = wp.float32(onward.u)
-            v = wp.float32(onward.v)
-            a_w = a_d
-            moves = vertex.lobe == LOBE_SMOOTH and not (vanishes(light) and vanishes(a_d))
-            if technique == 0:
-                moves = wp.bool(False)
-                if wp.static(has_lights):
-                    moves = vertex.light >= 0
-                    if moves:
-                        w = vertex.light_wi
-                        scale = vertex.light_weight * a_n
-                        light = radiance_of(scene, vertex, surface.x)
-                        face = wp.where(scene.emitters[vertex.light].kind == EMITTER_AREA, vertex.light_face, -1)
-                        u = vertex.light_u
-                        v = vertex.light_v
-                        a_w = wp.vec3(0.0, 0.0, 0.0)
-            if moves:
-                wo = enter_frame(at.frame, w)
-                f = interaction.eval(at, wo)
-                if wp.static(has_lights and environment_vjp is not None):
-                    if technique == 0 and face < 0:
-                        a_w = environment_vjp(scene, target, w, wp.cw_mul(scale, f)).x
-                of_light = wp.cw_mul(scale, light)
-                value = wp.dot(of_light, f)
-                a_w += leave_frame(at.frame, interaction.eval_vjp(at, wo, of_light).wo)
-                bundle = AuxiliaryBundle()
-                bundle.o = at.x
-                bundle.start = interaction.offset(at, w)
-                bundle.n = at.ng
-                bundle.w = w
-                bundle.depth = n + 1
-                motion = moved.trace(scene, sampler, 1 + 2 * n + technique, bundle)
-                found = moved.pull(scene, target, motion, value, a_w)
+            ask = direction_from(scene, target, technique, n, a_n, vertex, at, onward.radiance, a_d)
+            if ask.moves == 1:
+                face = wp.int32(onward.face)
+                u = wp.float32(onward.u)
+                v = wp.float32(onward.v)
+                if technique == 0:
+                    face = wp.where(scene.emitters[vertex.light].kind == EMITTER_AREA, vertex.light_face, -1)
+                    u = vertex.light_u
+                    v = vertex.light_v
+                motion = moved.trace(scene, sampler, 1 + 2 * n + technique, ask.bundle)
+                found = moved.pull(scene, target, motion, ask.value, ask.a_w)
                 a_x += found.o
                 total += found.dot
                 if face >= 0:
-                    material = pull_material(scene, target, face, u, v, at.x, w, -value, -a_w)
+                    material = pull_material(scene, target, face, u, v, at.x, ask.bundle.w, -ask.value, -ask.a_w)
                     a_x += material.o
                     total += material.dot
             technique += 1

@@ -16,11 +16,9 @@ from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.boundary.signed_distance.reparametrised import make_film_point, make_turn
 from warp_psdr.kernels.boundary.signed_distance.warp_field import WarpAdjoint
 from warp_psdr.kernels.boundary.warped_area.auxiliary import AuxiliaryBundle, WarpedOptions
+from warp_psdr.kernels.boundary.warped_area.directions import make_direction_from
 from warp_psdr.kernels.boundary.warped_area.warp_motion import make_warp_motion
-from warp_psdr.kernels.constants import EMITTER_AREA, LOBE_SMOOTH
-from warp_psdr.kernels.emitter.dispatch import make_lights
-from warp_psdr.kernels.interaction import enter_frame, leave_frame, make_interaction
-from warp_psdr.kernels.interior.factors import make_light_sink
+from warp_psdr.kernels.interaction import make_interaction
 from warp_psdr.kernels.interior.gradient_request import GradientRequest
 from warp_psdr.kernels.interior.sweep import Carry, make_sweep
 from warp_psdr.kernels.interior.velocities import axis_vec3
@@ -28,7 +26,6 @@ from warp_psdr.kernels.invalid import count_invalid, finite, vanishes
 from warp_psdr.kernels.jobs import PixelJob, make_sample_weight, pixel_of
 from warp_psdr.kernels.path import make_path_step
 from warp_psdr.kernels.rng import Sampler, make_sampler, sampler_at
-from warp_psdr.kernels.scattering import samples_lights
 from warp_psdr.kernels.sensor.camera import CameraSample, make_camera_ray
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.vertex import PathConfig, PathVertex, film_position, path_from
@@ -46,10 +43,7 @@ def make_warped_area_kernel(
     draw_point, weigh_point = make_film_point(config.filter)
     turn = make_turn(config.camera)
     interaction = make_interaction(config)
-    has_lights = config.scatter and samples_lights(config)
-    radiance_of = make_light_sink(config, wanted, role)[0] if has_lights else None
-    lights = make_lights(config.lights, role, ()) if config.lights else None
-    environment_vjp = lights.environment_vjp if lights else None
+    direction_from = make_direction_from(config, wanted, role)
     sample_4d = make_sampler(config.sampler).sample_4d
     sample_weight = make_sample_weight(role)
     forward = role == "forward"
@@ -76,36 +70,10 @@ def make_warped_area_kernel(
         at = interaction.on(scene, surface, vertex.face, vertex.u, vertex.v, vertex.d)
         technique = wp.int32(0)
         while technique < 2:  # one copy of what is called, which takes minutes to compile for CUDA
-            w = vertex.wo
-            scale = vertex.inv_pdf * a_n
-            light = radiance
-            a_w = a_d
-            moves = vertex.lobe == LOBE_SMOOTH and not (vanishes(light) and vanishes(a_d))
-            if technique == 0:
-                moves = wp.bool(False)
-                if wp.static(has_lights):
-                    moves = vertex.light >= 0
-                    if moves:
-                        w = vertex.light_wi
-                        scale = vertex.light_weight * a_n
-                        light = radiance_of(scene, vertex, surface.x)
-                        a_w = wp.vec3(0.0, 0.0, 0.0)
-            if moves:
-                wo = enter_frame(at.frame, w)
-                f = interaction.eval(at, wo)
-                if wp.static(has_lights and environment_vjp is not None):
-                    if technique == 0 and scene.emitters[vertex.light].kind != EMITTER_AREA:
-                        a_w = environment_vjp(scene, target, w, wp.cw_mul(scale, f)).x
-                of_light = wp.cw_mul(scale, light)
-                a_w += leave_frame(at.frame, interaction.eval_vjp(at, wo, of_light).wo)
-                bundle = AuxiliaryBundle()
-                bundle.o = at.x
-                bundle.start = interaction.offset(at, w)
-                bundle.n = at.ng
-                bundle.w = w
-                bundle.depth = n + 1
-                motion = moved.trace(scene, sampler, 1 + 2 * n + technique, bundle)
-                found = moved.pull(scene, target, motion, wp.dot(of_light, f), a_w)
+            ask = direction_from(scene, target, technique, n, a_n, vertex, at, radiance, a_d)
+            if ask.moves == 1:
+                motion = moved.trace(scene, sampler, 1 + 2 * n + technique, ask.bundle)
+                found = moved.pull(scene, target, motion, ask.value, ask.a_w)
                 r.o += found.o
                 r.dot += found.dot
             technique += 1
