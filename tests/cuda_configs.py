@@ -1,8 +1,11 @@
 """Configurations of kernels that are compiled for CUDA (``test_cuda_compile.py``)."""
 
+from dataclasses import replace
+
 from tests.config_helpers import LIGHTS, SIMPLE, TEXTURES, joined, materials, wanted
 from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.bsdf.dispatch import VARIANTS
+from warp_psdr.kernels.sensor.time_gate import PULSE_BOX, PULSE_GAUSSIAN
 from warp_psdr.kernels.vertex import MediaConfig, PathConfig
 
 EMISSION = PathConfig(**{**vars(SIMPLE), "scatter": False, "material": ()})
@@ -97,5 +100,10 @@ GLOWING = PathConfig(**{**vars(GRIDS), "media": MediaConfig((c.PHASE_HG, c.PHASE
 NOTED = PathConfig(**{**vars(SIMPLE), "noted": True})
 NOTED_MATERIALS = PathConfig(**{**vars(MATERIALS), "noted": True})
 ALBEDO = wanted(SIMPLE, "reflectance")
+#: Before a transient film.
+TIMED = PathConfig(
+    **{**vars(SIMPLE), "lights": (c.EMITTER_POINT, c.EMITTER_SPOT), "one_light": False, "pulse": PULSE_BOX}
+)
+TIMED_GAUSSIAN = replace(TIMED, pulse=PULSE_GAUSSIAN)
 GEOMETRY = wanted(SIMPLE, "reflectance", shapes=True)
 MAPPED = PathConfig(**{**vars(SIMPLE), **materials("normalmap(roughconductor (ggx))"), "tangent": True})

@@ -42,6 +42,8 @@ from tests.cuda_configs import (
     THIN_LENS,
     THIN_LENS_SMOOTH,
     THROUGH,
+    TIMED,
+    TIMED_GAUSSIAN,
 )
 from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.boundary.guiding.projective import BLOCKED_LIGHT, SCATTERED
@@ -53,6 +55,8 @@ from warp_psdr.kernels.interior.shape_parameters import branched_values
 from warp_psdr.kernels.loss import relative_squared
 from warp_psdr.kernels.vertex import PathConfig
 
+#: Factories whose kernels another one returns for scenes before a transient film, in a row of its own.
+FOR_FILMS = {"interior.time_gated_forward.make_time_gated_forward_kernel"}
 #: Factories that another one makes their kernels for.
 MADE_BY = {
     "interior.radiative.make_radiative_kernel": "interior.path_order.make_path_order_kernel",
@@ -192,6 +196,10 @@ FACTORIES = {
         ("weighted", (JOINED_THROUGH,), SLOW),
     ],
     "splat.make_splat_kernel": [("tent", (SPLAT,), SLOW), ("gaussian", (SPLAT_GAUSSIAN,), SLOW)],
+    "transient.make_transient_kernel": [("box", (TIMED,), SLOW), ("gaussian", (TIMED_GAUSSIAN,), SLOW)],
+    "interior.time_gated.make_time_gated_kernel": [
+        ("lights and shapes", (TIMED, wanted(TIMED, shapes=True, lights=("pose",)), 4), SLOW),
+    ],
     "interior.replay.make_replay_kernel": [
         ("simple", (SIMPLE, GEOMETRY, 8, 1), FAST),
         ("blocks", (SIMPLE, ALBEDO, 8, 4), SLOW),
@@ -206,6 +214,7 @@ FACTORIES = {
     ],
     "interior.forward.make_forward_kernel": [
         ("simple", (SIMPLE, ALBEDO), FAST),
+        ("time bins", (TIMED, wanted(TIMED, shapes=True, lights=("pose",))), SLOW),
         ("orthographic", (ORTHOGRAPHIC, moving_camera(ORTHOGRAPHIC)), SLOW),
         ("thin lens", (THIN_LENS, moving_camera(THIN_LENS)), SLOW),
         *[(name, (config, all_of(config)), SLOW) for name, config in THIRDS.items()],

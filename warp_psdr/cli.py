@@ -384,6 +384,7 @@ def _load(arguments: argparse.Namespace) -> tuple[Any, Any]:
 
     import warp_psdr as psdr
     from warp_psdr.plan.integrator import from_description
+    from warp_psdr.plan.transient import require_steady
 
     psdr.set_workers(arguments.workers)
     defaults = {}
@@ -395,6 +396,8 @@ def _load(arguments: argparse.Namespace) -> tuple[Any, Any]:
     outside = arguments.allow_outside
     scene = psdr.load_file(arguments.scene, device=arguments.device, allow_outside=outside, **defaults)
     arguments.sensor = scene.description.sensor_number(arguments.sensor)
+    if getattr(arguments, "run", None) is not _plan:
+        require_steady(scene, arguments.sensor, "the command line")
     changes: dict[str, Any] = {}
     if arguments.max_depth is not None:
         changes["max_depth"] = arguments.max_depth

@@ -14,16 +14,18 @@ _SHOWN = 192
 class Image(wp.array):
     """An image on its device: a ``wp.array2d`` of vec3, shape (H, W), top row first; notebooks show it.
 
+    That of a transient film has the shape (H, W, bins), and notebooks show the sum over its bins.
+
     It is a Warp array in everything else: kernels, tapes, ``numpy()`` and PyTorch take it as one.
 
     Args:
-        shape: (H, W).
+        shape: (H, W), or (H, W, bins) of a transient film.
         device: Warp device.
         requires_grad: with an array for its gradient.
         signed: a derivative, which is shown in two hues with a colour bar instead of as radiance.
     """
 
-    def __init__(self, shape: tuple[int, int], device: Any, *, requires_grad: bool = False, signed: bool = False):
+    def __init__(self, shape: tuple[int, ...], device: Any, *, requires_grad: bool = False, signed: bool = False):
         super().__init__(shape=shape, dtype=wp.vec3, device=device, requires_grad=requires_grad)
         self.signed = signed
         self.zero_()
@@ -34,7 +36,7 @@ class Image(wp.array):
 
         from warp_psdr.image_io import linear_to_srgb
 
-        values = self.numpy()
+        values = self.numpy() if self.ndim == 2 else self.numpy().sum(axis=2)
         stream = io.BytesIO()
         if self.signed:
             from warp_psdr.plots import RADIANCE_DERIVATIVE, derivative_image
@@ -42,6 +44,6 @@ class Image(wp.array):
             derivative_image(stream, values, unit=RADIANCE_DERIVATIVE)
             return stream.getvalue()
         pixels = (255.0 * linear_to_srgb(values)).round().astype("uint8")
-        factor = max(-(-_SHOWN // max(min(self.shape), 1)), 1)
+        factor = max(-(-_SHOWN // max(min(self.shape[:2]), 1)), 1)
         Picture.fromarray(pixels.repeat(factor, axis=0).repeat(factor, axis=1)).save(stream, "PNG")
         return stream.getvalue()

@@ -88,7 +88,8 @@ def write_image(path: str | os.PathLike[str], image: Any, *, half: bool = False)
     if array.ndim != 3 or array.shape[2] not in (1, 3, 4) or 0 in array.shape:
         raise ValueError(
             f"cannot write an image of shape {np.shape(array)} to '{file}'; "
-            "expected (H, W), (H, W, 1), (H, W, 3) or (H, W, 4) with H and W of at least 1"
+            "expected (H, W), (H, W, 1), (H, W, 3) or (H, W, 4) with H and W of at least 1; of a transient image give "
+            "one bin: image.numpy()[:, :, bin]"
         )
     if not file.parent.is_dir():
         raise FileNotFoundError(f"cannot write '{file}': there is no folder '{file.parent}'; make it first")

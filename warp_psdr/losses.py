@@ -29,7 +29,7 @@ def l2(image: wp.array, target: wp.array | np.ndarray) -> wp.array:
     """Return the mean squared difference, ``mean((image - target)^2)``.
 
     Args:
-        image: Rendered image, ``wp.array2d[vec3]`` of shape ``(H, W)``; differentiable.
+        image: Rendered image, ``wp.array2d[vec3]`` of shape ``(H, W)``, or ``(H, W, bins)``; differentiable.
         target: Image of the same shape, or a NumPy array ``(H, W, 3)``; a constant.
 
     Returns:
@@ -185,11 +185,15 @@ def _grid_mean(which: int, less: int, grid: wp.array, lengths: tuple[float, floa
 
 
 def _mean(term: wp.Function, image: wp.array, target: wp.array | np.ndarray, parameter: float = 0.0) -> wp.array:
-    if not isinstance(image, wp.array) or image.ndim != 2 or image.dtype != wp.vec3:
+    if not isinstance(image, wp.array) or image.ndim not in (2, 3) or image.dtype != wp.vec3:
         raise TypeError(
-            f"image: got {_describe(image)}, expected wp.array2d[vec3] of shape (H, W), as render returns it"
+            f"image: got {_describe(image)}, expected wp.array2d[vec3] of shape (H, W), or (H, W, bins) of a transient "
+            "film, as render returns it"
         )
     target = _as_image(target, image)
+    if image.ndim == 3:
+        flat = (image.shape[0], image.shape[1] * image.shape[2])
+        image, target = image.reshape(flat), target.reshape(flat)
     height, width = image.shape
     differentiable = bool(image.requires_grad)
     terms = wp.empty((height, width), dtype=wp.float32, device=image.device, requires_grad=differentiable)
@@ -220,8 +224,8 @@ def _as_image(target: wp.array | np.ndarray, image: wp.array) -> wp.array:
     """Return ``target`` as a Warp image on the device of ``image`` and of its shape, which has no gradient."""
     shape = (*image.shape, CHANNELS)
     if isinstance(target, wp.array):
-        if target.dtype != wp.vec3 or target.ndim != 2:
-            raise TypeError(f"target: got {_describe(target)}, expected wp.array2d[vec3] or a NumPy array {shape}")
+        if target.dtype != wp.vec3 or target.ndim != image.ndim:
+            raise TypeError(f"target: got {_describe(target)}, expected an array of vec3 or a NumPy array {shape}")
         if target.shape != image.shape:
             raise ValueError(
                 f"target: got shape {target.shape}, expected the image's {image.shape}; resize one of them"

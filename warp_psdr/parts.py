@@ -14,6 +14,7 @@ from warp_psdr.kernels.rng import mix_seed
 from warp_psdr.options.integrator import Integrator
 from warp_psdr.plan.integrator import integrator_of
 from warp_psdr.plan.plan import decide
+from warp_psdr.plan.transient import require_steady
 
 if TYPE_CHECKING:
     from warp_psdr.scene.parameters import Parameters
@@ -50,6 +51,7 @@ def render_parts(
         ValueError: as of ``render_forward``, or a batch of sensors.
     """
     number = scene.description.sensor_number(sensor)
+    require_steady(scene, number, "render_parts")
     if scene.description.parts_of(number):
         raise ValueError(f"render_parts got sensor {sensor!r}, a batch; name one of its sensors")
     if not tangents:

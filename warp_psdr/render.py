@@ -11,7 +11,15 @@ import warp as wp
 from warp_psdr import compiler
 from warp_psdr.device import active_tape, launch
 from warp_psdr.estimate import choice, light
-from warp_psdr.estimate.arguments import adjoint_array, checked_seed, flat_tangents, requested, sample_count, samples
+from warp_psdr.estimate.arguments import (
+    adjoint_array,
+    checked_seed,
+    flat,
+    flat_tangents,
+    requested,
+    sample_count,
+    samples,
+)
 from warp_psdr.estimate.batch import beside, columns
 from warp_psdr.estimate.boundary.drivers import launch_backward, launch_forward
 from warp_psdr.estimate.boundary.terms import Term, terms
@@ -25,6 +33,7 @@ from warp_psdr.estimate.passes import (
     part,
     splats,
     splatted,
+    timed,
 )
 from warp_psdr.image import Image
 from warp_psdr.invalid import warns
@@ -34,6 +43,7 @@ from warp_psdr.kernels.splat import resolve
 from warp_psdr.options.integrator import Integrator
 from warp_psdr.plan.integrator import integrator_of
 from warp_psdr.plan.plan import Plan, decide
+from warp_psdr.plan.transient import shape_of
 from warp_psdr.scene.derived_values import pull_kernels
 from warp_psdr.scene.edits import checksum
 from warp_psdr.topology import contacts
@@ -86,7 +96,8 @@ def render(
 
     Returns:
         ``wp.array2d`` of vec3, shape (H, W) of the crop window: radiance in W/m^2/sr, averaged under the pixel filter
-            (``psdr.Image``, which notebooks show).
+            (``psdr.Image``, which notebooks show). Of a ``transient_hdr_film``: (H, W, bins), the radiance of light
+            that arrives within each bin, whose sum is the image of light of all those lengths.
 
     Raises:
         ValueError: an option out of range, or two that exclude each other; with a tape: parameters are missing, or
@@ -128,12 +139,11 @@ def render(
         differentiated = decide(scene, params, integrator=integrator, sensor=sensor)
         kernels = light.image_kernels(scene, plan, sensor)
         compiler.begin([*kernels, *light.gradient_kernels(differentiated, "reverse")], scene.device)
-    camera = scene.camera(sensor)
-    image = Image((camera.crop_height, camera.crop_width), scene.device, requires_grad=tape is not None)
-    draw = _render_splatted if splats(camera) else boxed
+    image = Image(shape_of(scene, sensor), scene.device, requires_grad=tape is not None)
+    draw = timed if plan.times is not None else _render_splatted if splats(scene.camera(sensor)) else boxed
     first, second = (progress, None) if plan.light is None else (part(progress, 0.0, 0.5), part(progress, 0.5, 0.5))
     if not light.connected(plan):
-        draw(scene, plan, sensor, spp, mix_seed(seed, STREAM_PRIMAL), image, first)
+        draw(scene, plan, sensor, spp, mix_seed(seed, STREAM_PRIMAL), flat(image), first)
     light.add_image(scene, plan, sensor, spp, mix_seed(seed, STREAM_PRIMAL), image, second)
     if tape is not None and params is not None:
         _record(tape, image, scene, params, sensor=sensor, integrator=integrator, spp=gradient_spp, seed=seed)
@@ -193,7 +203,8 @@ def render_backward(
     Args:
         scene: a loaded scene.
         params: its parameters, after ``requires_grad``.
-        adjoint: derivative of a loss with respect to the image, NumPy (H, W, 3) or Warp (H, W) of vec3.
+        adjoint: derivative of a loss with respect to the image, NumPy (H, W, 3) or Warp (H, W) of vec3; of a
+            ``transient_hdr_film`` (H, W, bins, 3) or (H, W, bins) of vec3.
         sensor: which camera, by its number or its id.
         integrator: as of ``render``; default: what the scene file names.
         spp: samples a pixel; default: the sensor's sample count.
@@ -226,7 +237,7 @@ def render_backward(
     integrator = integrator_of(scene, integrator)
     names = requested(scene, params)
     spp, seed = sample_count(scene, sensor, spp), checked_seed(seed)
-    adjoint = adjoint_array(adjoint, scene.camera(sensor), scene.device)
+    adjoint = adjoint_array(adjoint, scene, sensor)
     if scene.description.parts_of(sensor):
         for number, left, right, told in columns(scene, sensor, progress):
             own = adjoint.numpy()[:, left:right]
@@ -292,7 +303,8 @@ def render_forward(
         reached: called with what a budget bought (``accuracy.Reached``), for example ``print``.
 
     Returns:
-        ``wp.array2d`` of vec3, shape (H, W): d image / d t for parameters + t * tangents.
+        ``wp.array2d`` of vec3, shape (H, W): d image / d t for parameters + t * tangents; (H, W, bins) of a
+            ``transient_hdr_film``.
 
     Raises:
         ValueError: no or wrong tangents, an option out of range or two that exclude each other, or a moving
@@ -320,19 +332,18 @@ def render_forward(
     names = list(tangents)
     target = flat_tangents(scene, params, tangents)
     plan = decide(scene, integrator=integrator, sensor=sensor, names=names)
-    camera = scene.camera(sensor)
     if plan.boundary is not None:
         contacts.warn(scene, target.numpy())
-    image = Image((camera.crop_height, camera.crop_width), scene.device, signed=True)
+    image = Image(shape_of(scene, sensor), scene.device, signed=True)
     compiler.begin(light.gradient_kernels(plan, "forward"), scene.device)
     plan = choice.choose(scene, plan, names, "forward", sensor, spp, seed, target)
     if integrator.boundary == "auto" and plan.boundary is not None:
         plan = automatic.choose(scene, plan, names, "forward", sensor, spp, seed, target)
     boundary = _boundary(scene, plan, names, "forward", sensor, spp, seed)
     first, second = _shares(progress, image.size * spp, boundary)
-    light.forward(scene, plan, sensor, spp, seed, target, image, first)
+    light.forward(scene, plan, sensor, spp, seed, target, flat(image), first)
     if boundary:
-        launch_forward(scene, boundary, target, image, second)
+        launch_forward(scene, boundary, target, flat(image), second)
     return image
 
 

@@ -27,6 +27,7 @@ from warp_psdr.kernels.interior.tangents import (
     normalize_jvp,
 )
 from warp_psdr.kernels.interior.tilts import make_tilts, upright
+from warp_psdr.kernels.interior.time_gated_forward import make_time_gated_forward_kernel
 from warp_psdr.kernels.interior.transmittance import make_transmittance_sink
 from warp_psdr.kernels.interior.velocities import axis_vec3, make_material_jvp, make_pair, make_texture_jvp
 from warp_psdr.kernels.invalid import count_invalid, finite
@@ -54,7 +55,8 @@ class Moving:
 def make_forward_kernel(config: PathConfig, wanted: GradientRequest):
     """Return the forward-mode kernel of ``interior.Replay``.
 
-    Arguments as ``make_replay_kernel``'s; ``target`` holds the tangents, ``image_out`` receives the derivative.
+    Arguments as ``make_replay_kernel``'s; ``target`` holds the tangents, ``image_out`` receives the derivative. Before
+    a transient film it is that of ``time_gated_forward.py``.
     """
     lanes, starts, path_step = make_camera_paths(config, True)
     _camera_ray, camera_origin = make_camera_ray(config.camera)
@@ -326,6 +328,9 @@ def make_forward_kernel(config: PathConfig, wanted: GradientRequest):
                     scene, tangents, vertex.face, vertex.u, vertex.v, True, vertex.o, vertex.d, result.o, result.d
                 )
         return result
+
+    if config.pulse:
+        return make_time_gated_forward_kernel(config, wanted, advance, first_moving)
 
     @wp.kernel(module="unique", enable_backward=False)
     def forward(

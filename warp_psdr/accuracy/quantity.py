@@ -36,6 +36,7 @@ from warp_psdr.plan.integrator import integrator_of
 from warp_psdr.plan.light import refuse_connected
 from warp_psdr.plan.motion import motion
 from warp_psdr.plan.plan import Plan, decide
+from warp_psdr.plan.transient import require_steady
 from warp_psdr.topology import contacts
 
 if TYPE_CHECKING:
@@ -112,6 +113,7 @@ class Quantity:
 
 def image(scene: Scene, *, integrator: Integrator | None, sensor: int) -> Quantity:
     """Return the image as a quantity."""
+    require_steady(scene, sensor, BUDGETS)
     integrator = integrator_of(scene, integrator)
     camera = scene.camera(sensor)
     plan = decide(scene, integrator=integrator, sensor=sensor)
@@ -162,6 +164,7 @@ def derivative(
     """
     if not tangents:
         raise ValueError("tangents: got none; expected at least one, {'parameter name': direction}")
+    require_steady(scene, sensor, BUDGETS)
     integrator = integrator_of(scene, integrator)
     target = flat_tangents(scene, params, tangents)
     plan = decide(scene, integrator=integrator, sensor=sensor, names=list(tangents))
@@ -199,11 +202,12 @@ def gradient(scene: Scene, params: Parameters, adjoint, *, integrator: Integrato
     Raises:
         ValueError: nothing is requested, a wrong adjoint, or what the methods do not cover.
     """
+    require_steady(scene, sensor, BUDGETS)
     names = requested(scene, params)
     integrator = integrator_of(scene, integrator)
     plan = decide(scene, params, integrator=integrator, sensor=sensor)
     refuse_connected(plan, BUDGETS)
-    array = adjoint_array(adjoint, scene.camera(sensor), scene.device)
+    array = adjoint_array(adjoint, scene, sensor)
     records = [scene.parameters[name] for name in names]
     ends = np.cumsum([0, *(p.size for p in records)]).tolist()
     blocks = {name: slice(a, b) for name, a, b in zip(names, ends[:-1], ends[1:], strict=True)}

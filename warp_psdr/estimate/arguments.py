@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
+from warp_psdr.plan.transient import shape_of
 from warp_psdr.scene.derived_values import accumulate_derived
 from warp_psdr.scene.parameters import check_owner
 
@@ -48,19 +49,24 @@ def requested(scene: Scene, params: Parameters) -> list[str]:
     return params.requested
 
 
-def adjoint_array(adjoint, camera, device) -> wp.array:
-    """Return the adjoint of an image as an array of vec3, checked."""
-    shape = (camera.crop_height, camera.crop_width)
+def adjoint_array(adjoint, scene: Scene, sensor: int) -> wp.array:
+    """Return the adjoint of an image as an array of vec3, checked; (H, W), or ``flat`` of a transient film."""
+    shape, device = shape_of(scene, sensor), scene.device
     if isinstance(adjoint, wp.array) and adjoint.dtype is wp.vec3:
         if adjoint.shape != shape:
             raise ValueError(f"adjoint: got shape {adjoint.shape} of vec3, expected the image's {shape}")
         _check_finite(adjoint.numpy())
-        return adjoint if adjoint.device == device else adjoint.to(device)
+        return flat(adjoint if adjoint.device == device else adjoint.to(device))
     array = np.asarray(adjoint.numpy() if isinstance(adjoint, wp.array) else adjoint, dtype=np.float32)
     if array.shape != (*shape, 3):
         raise ValueError(f"adjoint: got shape {array.shape}, expected the image's {(*shape, 3)}")
     _check_finite(array)
-    return wp.array(np.ascontiguousarray(array), dtype=wp.vec3, device=device)
+    return flat(wp.array(np.ascontiguousarray(array), dtype=wp.vec3, device=device))
+
+
+def flat(image: wp.array) -> wp.array:
+    """Return an image as kernels take it: that of a transient film, (H, W, bins), as (H, W bins); the same memory."""
+    return image if image.ndim == 2 else image.reshape((image.shape[0], image.shape[1] * image.shape[2]))
 
 
 def _check_finite(adjoint: np.ndarray) -> None:

@@ -19,9 +19,12 @@ from warp_psdr.estimate.jobs import PixelSamples
 from warp_psdr.invalid import counting
 from warp_psdr.kernels.aov import ROW, make_aov_kernel
 from warp_psdr.kernels.constants import RFILTER_BOX
+from warp_psdr.kernels.light_tracing import add_splats
 from warp_psdr.kernels.primal import make_primal_kernel
 from warp_psdr.kernels.rng import mix_seed
 from warp_psdr.kernels.splat import collect, make_splat_kernel
+from warp_psdr.kernels.transient import make_transient_kernel
+from warp_psdr.plan.transient import gates_of
 from warp_psdr.topology.patches import patch_radii
 
 if TYPE_CHECKING:
@@ -47,6 +50,8 @@ def splats(camera: Camera) -> bool:
 
 def image_kernel(scene: Scene, plan: Plan, sensor: int) -> wp.Kernel:
     """Return the kernel of a sensor's image."""
+    if plan.times is not None:
+        return make_transient_kernel(plan.seen)
     make = make_splat_kernel if splats(scene.camera(sensor)) else make_primal_kernel
     return make(plan.seen)
 
@@ -113,6 +118,32 @@ def splatted(
     return total
 
 
+def timed(
+    scene: Scene, plan: Plan, sensor: int, spp: int, seed: int, image: wp.array, progress: Progress | None = None
+) -> None:
+    """Add the mean of ``spp`` samples to the bins of every pixel, (H, W bins); a sample counts in its own pixel."""
+    camera = scene.camera(sensor)
+    film = wp.zeros(image.shape, dtype=wp.vec3d, device=scene.device)
+    launch_pass(
+        scene,
+        image_kernel(scene, plan, sensor),
+        (camera.crop_width, camera.crop_height),
+        PixelSamples(spp, seed, plan.max_depth, plan.rr_depth, scale=1.0 / spp),
+        camera,
+        lambda _shard: [film],
+        shards=workers.SHARDS,
+        kind="image",
+        progress=progress,
+        reads=_gates(plan),
+    )
+    launch(add_splats, dim=image.shape, inputs=[film], outputs=[image], device=scene.device)
+
+
+def _gates(plan: Plan) -> list:
+    """Return what the kernels of transient films take in front of their jobs."""
+    return [] if plan.times is None else [gates_of(plan.times)]
+
+
 def visible(scene: Scene, plan: Plan, sensor: int, spp: int, seed: int, progress: Progress | None = None) -> np.ndarray:
     """Return what the camera sees first, (H, W, ``kernels.aov.ROW``) float32: means over ``spp`` samples a pixel."""
     camera = scene.camera(sensor)
@@ -168,7 +199,7 @@ def interior_backward(
             progress=part(progress, i / len(kernels), 1.0 / len(kernels)),
             listed=pixels,
             fields=_patches(scene, plan) | {"requested_shapes": _mask(scene, plan.shapes)},
-            reads=_read(scene, plan) if i == 0 else [],
+            reads=[*_gates(plan), *(_read(scene, plan) if i == 0 else [])],
         )
 
 
@@ -200,7 +231,7 @@ def interior_forward(
             progress=part(progress, i / len(kernels), 1.0 / len(kernels)),
             listed=pixels,
             fields=_patches(scene, plan) | {"requested_shapes": _mask(scene, plan.shapes)},
-            reads=_read(scene, plan) if i == 0 else [],
+            reads=[*_gates(plan), *(_read(scene, plan) if i == 0 else [])],
         )
 
 

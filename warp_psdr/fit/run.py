@@ -30,6 +30,7 @@ from warp_psdr.fit import checkpoint
 from warp_psdr.fit.config import FitConfig, Unknown, integrator_options
 from warp_psdr.plan import choice
 from warp_psdr.plan.integrator import from_description
+from warp_psdr.plan.transient import require_steady
 from warp_psdr.progress import progress
 from warp_psdr.topology.mesh_checks import MeshWatch
 
@@ -232,6 +233,7 @@ def load_problem(config: FitConfig) -> Problem:
                 f"fit config: {file.name} is the target of sensor {sensor}, but {config.scene} has {len(sensors)} "
                 f"sensors; list the sensors of the targets in 'sensors'"
             )
+        require_steady(scene, sensor, "a fit config")
         film = sensors[sensor].film
         targets.append(read_target(file, (film.crop_height, film.crop_width)))
     # A resumed fit has the bits of one that was not interrupted: checkpoints keep which methods were chosen.

@@ -59,6 +59,8 @@ def choose(scene: Scene, config: PathConfig, integrator: PathIntegrator, names: 
 
 def _beyond(method: Method, config: PathConfig) -> str:
     """Say what this method leaves to others; empty: nothing."""
+    if config.pulse:
+        return "it does not know the time bins of a 'transient_hdr_film'"
     if isinstance(method, EdgeSampling) and has_delta_lobes(config.bsdfs):
         return "it does not follow edges through smooth mirrors or glass; use boundary.PathSpace()"
     return ""

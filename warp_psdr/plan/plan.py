@@ -19,7 +19,7 @@ from warp_psdr.kernels.vertex import PathConfig
 from warp_psdr.options import interior
 from warp_psdr.options.boundary import Connecting, FilmEdges, Method, PathSpace
 from warp_psdr.options.integrator import PathIntegrator
-from warp_psdr.plan import choice, guiding, media, primitives, reparametrised
+from warp_psdr.plan import choice, guiding, media, primitives, reparametrised, transient
 from warp_psdr.plan.coverage import choose, has_hard_frame, refuse_own_shape, slides_steps, sliding_heights
 from warp_psdr.plan.integrator import Integrator, integrator_of
 from warp_psdr.plan.interior import row_of
@@ -111,6 +111,7 @@ def decide(
     wanted = _wanted(scene, config, names, lines) if names else None
     lines += media.describe(scene, config, wanted)
     media.refuse(scene, config, method, wanted, names)
+    transient.refuse(scene, config, integrator, method, wanted, names, sensor)
     media.refuse_zeros(scene, names)
     refuse_own_shape(scene, sensor, names)
     if not names:
@@ -150,7 +151,7 @@ def decide(
         reason = row.refuse(config, wanted) or row.refuse_in(method, scene, names, sensor)
         if reason:
             raise ValueError(reason)
-        if automatic and choice.is_on(scene):
+        if automatic and choice.is_on(scene) and not config.pulse:
             offered = choice.offered(config, wanted, term is not None)
         if offered:
             known = choice.known(scene, names, integrator.max_depth)
@@ -186,6 +187,7 @@ def decide(
         shapes,
         light,
         offered,
+        transient.times_of(scene, sensor),
     )
 
 
@@ -213,7 +215,7 @@ def _boundary(
     reparametrised.refuse(scene, config, integrator, term, names, sensor)
     lines = [("boundary term", term.label, "; ".join(moving))]
     repeated = guiding.automatic(scene, motion(scene, names), sensor, integrator.max_depth)
-    plain = not config.primitives and config.media is None
+    plain = not config.primitives and config.media is None and not config.pulse
     if integrator.boundary == "auto" and repeated.on and plain and isinstance(term, Connecting):
         if isinstance(term, PathSpace) and repeated.method is not None:
             term = replace(term, guiding=repeated.method)
@@ -283,6 +285,8 @@ def _config(scene: Scene, integrator: PathIntegrator, sensor: int, lines: list) 
     lines.append(("depth", str(depth), reason))
     kind = CAMERA_NAMES[camera.kind]
     lines.append(("camera", kind, "two random numbers a sample for the lens" if kind == "thinlens" else "no lens"))
+    times = transient.times_of(scene, sensor)
+    lines += transient.describe(times)
     lines.append(("sampler", sampler, "Owen-scrambled, padded pairs" if sampler == "sobol" else "hashed counters"))
     lines.append(("ray queries", scene.accelerator.backend, f"{scene.accelerator.width} lanes"))
     return PathConfig(
@@ -308,6 +312,7 @@ def _config(scene: Scene, integrator: PathIntegrator, sensor: int, lines: list) 
         media=b.media_config,
         primitives=primitives.kinds(scene),
         shining=primitives.shining(scene),
+        pulse=transient.pulse_of(times),
     )
 
 

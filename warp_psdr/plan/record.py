@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from warp_psdr.plan.interior import Row
     from warp_psdr.plan.light import LightTracing
     from warp_psdr.plan.replay import Kept
+    from warp_psdr.scene.description import TimeBins
 
 
 @dataclass(frozen=True)
@@ -33,6 +34,7 @@ class Plan:
         shapes: numbers of the shapes that all that is requested belongs to; None: to lights too, or to the camera.
         light: the passes of methods whose paths start at the lights; None: all paths start at the camera.
         offered: what may be drawn for where the method of the interior is left to the plan (``choice.py``).
+        times: time bins of the film; None: it has none.
     """
 
     config: PathConfig
@@ -47,6 +49,7 @@ class Plan:
     shapes: frozenset[int] | None = None
     light: LightTracing | None = None
     offered: tuple[str, ...] = ()
+    times: TimeBins | None = None
 
     @property
     def seen(self) -> PathConfig:

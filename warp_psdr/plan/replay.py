@@ -12,6 +12,7 @@ from warp_psdr.kernels.interior.gradient_request import GradientRequest
 from warp_psdr.kernels.interior.media_motion_replay import make_media_motion_kernel
 from warp_psdr.kernels.interior.media_replay import make_media_replay_kernel
 from warp_psdr.kernels.interior.replay import make_replay_kernel
+from warp_psdr.kernels.interior.time_gated import make_time_gated_kernel
 from warp_psdr.kernels.medium.coefficients import POSE
 from warp_psdr.options import interior
 from warp_psdr.plan import media
@@ -111,6 +112,8 @@ def make_replay(config: PathConfig, wanted: GradientRequest, role: str, kept: Ke
         return make_media_replay_kernel(config, wanted, role, kept.block, kept.longest)
     if role == "forward":
         return make_forward_kernel(config, wanted)
+    if config.pulse:
+        return make_time_gated_kernel(config, wanted, kept.longest)
     return make_replay_kernel(config, wanted, kept.block, kept.blocks)
 
 

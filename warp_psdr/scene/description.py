@@ -216,6 +216,18 @@ class ShapeDescription:
         return self.path if self.prototype is None else self.prototype.path
 
 
+@dataclass(frozen=True)
+class TimeBins:
+    """The time bins of a transient film; lengths are optical path lengths, world units."""
+
+    count: int
+    width: float  #: of a bin
+    start: float  #: of the first bin
+    pulse: Literal["box", "gaussian"]  #: shape of the light's pulse
+    pulse_length: float  #: box: its width; gaussian: its standard deviation; 0: all light leaves at once
+    unwarp: bool  #: lengths count from the first surface on, not from the camera
+
+
 @dataclass(eq=False)
 class FilmDescription:
     """The image raster."""
@@ -230,6 +242,7 @@ class FilmDescription:
     filter_radius: float = 2.0  #: pixels
     filter_stddev: float = 0.5  #: pixels, gaussian
     sample_border: bool = False  #: whether pixels see what lies beyond the crop window, under wide filters
+    times: TimeBins | None = None  #: of a transient film
 
 
 @dataclass(eq=False)

@@ -33,7 +33,7 @@ PLUGINS: dict[str, tuple[str, ...]] = {
     ),
     "emitter": ("area", "directionalarea", "constant", "envmap", "point", "spot", "projector", "directional", "sunsky"),
     "sensor": ("perspective", "orthographic", "thinlens", "radiancemeter", "irradiancemeter", "batch"),
-    "film": ("hdrfilm",),
+    "film": ("hdrfilm", "transient_hdr_film"),
     "rfilter": ("box", "tent", "gaussian"),
     "sampler": ("independent", "sobol", "multijitter", "stratified", "orthogonal", "ldsampler"),
     "medium": ("homogeneous", "heterogeneous"),

@@ -10,7 +10,7 @@ import numpy as np
 
 from warp_psdr.kernels.constants import FAR
 
-from .description import FilmDescription, SensorDescription
+from .description import FilmDescription, SensorDescription, TimeBins
 from .errors import error
 from .media import take_medium
 from .origin import moved
@@ -31,6 +31,8 @@ _PIXELS_MAX = 1 << 28
 #: Sensors of a batch, and their kinds.
 _SENSORS_MAX = 1024
 _IN_BATCH = ("perspective", "orthographic", "thinlens")
+#: Shapes of the light's pulse before a transient film.
+_PULSES = ("box", "gaussian")
 #: Radius of a reconstruction filter, pixels: the film grows by it on every side.
 _RADIUS_MAX = 64.0
 
@@ -115,6 +117,8 @@ def _batch(props: Properties) -> SensorDescription:
     props.finish()
     if not nested:
         raise error(props.where, "a 'batch' without sensors", "nest one or more")
+    if film.times is not None:
+        raise error(props.where, "a 'transient_hdr_film' in a 'batch'", "give each camera a film, and no 'batch'")
     if (film.crop_width, film.crop_height) != (film.width, film.height):
         raise error(props.where, "a film with a crop window in a 'batch'", "leave the crop out")
     width, rest = divmod(film.width, len(nested))
@@ -169,6 +173,8 @@ def _radiance_meter(props: Properties) -> SensorDescription:
 def _meter(props: Properties, kind: Literal["radiancemeter", "irradiancemeter"], pose: np.ndarray) -> SensorDescription:
     """Return a sensor of one pixel, which is a mean over rays without a pixel filter."""
     film = props.context.attempt(lambda: _film(props), FilmDescription(1, 1, 0, 0, 1, 1))
+    if film.times is not None:
+        raise error(props.where, f"a 'transient_hdr_film' of a '{kind}'", "give it to a camera")
     if (film.width, film.height) != (1, 1):
         size = f"a film of {film.width}x{film.height} pixels"
         raise error(props.where, size, f"a '{kind}' shows one number; give its film a width and a height of 1")
@@ -254,8 +260,30 @@ def _film(sensor: Properties) -> FilmDescription:
     sample_border = props.boolean("sample_border", False)
     props.ignore("high_quality_edges", "compensate", reason="it does not apply to this film")
     name, radius, stddev = props.context.attempt(lambda: _filter(props), _GAUSSIAN)
+    times = _time_bins(props, crop_width * crop_height) if props.type == "transient_hdr_film" else None
     props.finish()
-    return FilmDescription(width, height, crop_x, crop_y, crop_width, crop_height, name, radius, stddev, sample_border)
+    return FilmDescription(
+        width, height, crop_x, crop_y, crop_width, crop_height, name, radius, stddev, sample_border, times
+    )
+
+
+def _time_bins(film: Properties, pixels: int) -> TimeBins:
+    """Return the bins of a transient film, by mitransient's names, and the pulse that they are convolved with."""
+    count = film.integer("temporal_bins", 2048, minimum=1)
+    if count * pixels > _PIXELS_MAX:
+        problem = f"{pixels} pixels with {count} bins each"
+        raise error(film.where, problem, f"give at most {_PIXELS_MAX} altogether")
+    width = film.number("bin_width_opl", 0.003, minimum=0.0, exclusive=True)
+    start = film.number("start_opl", 0.0)
+    pulse = film.string("pulse", "box", _PULSES)
+    names = {"box": "pulse_width_opl", "gaussian": "pulse_stddev_opl"}
+    given = {kind: name for kind, name in names.items() if film.has(name)}
+    if set(given) - {pulse}:
+        other = next(name for kind, name in given.items() if kind != pulse)
+        raise error(film.place(other), f"the pulse is '{pulse}'", f"give '{names[pulse]}' instead")
+    length = film.number(names[pulse], width if pulse == "box" else 0.5 * width, minimum=0.0)
+    unwarp = film.boolean("camera_unwarp", False)
+    return TimeBins(count, width, start, cast(Literal["box", "gaussian"], pulse), length, unwarp)
 
 
 def _format(props: Properties, name: str, choices: tuple[str, ...]) -> str:

@@ -25,6 +25,7 @@ from warp_psdr.options.integrator import Integrator
 from warp_psdr.plan.integrator import integrator_of
 from warp_psdr.plan.motion import motion
 from warp_psdr.plan.plan import decide
+from warp_psdr.plan.transient import require_steady
 from warp_psdr.plots import as_array
 from warp_psdr.topology.secondary_edges import secondary_edges
 
@@ -110,6 +111,7 @@ def boundary_samples(
     """
     integrator = integrator_of(scene, integrator)
     number: int = scene.description.camera_number(sensor)
+    require_steady(scene, number, "psdr.view of edges")
     names = params.requested
     plan = decide(scene, params, integrator=integrator, sensor=number)
     if plan.boundary is None:
@@ -172,6 +174,7 @@ def edge_density(
         raise ValueError(f"pieces: got {pieces!r}, expected a positive integer")
     integrator = integrator_of(scene, integrator)
     number: int = scene.description.camera_number(sensor)
+    require_steady(scene, number, "psdr.view of edges")
     names = params.requested
     plan = decide(scene, params, integrator=integrator, sensor=number)
     if isinstance(plan.boundary, EdgeSampling):

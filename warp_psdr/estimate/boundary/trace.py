@@ -20,6 +20,7 @@ from warp_psdr.kernels.boundary.local_form import Edges
 from warp_psdr.kernels.invalid import COUNTER_SIZE
 from warp_psdr.kernels.rng import mix_seed
 from warp_psdr.plan.motion import motion
+from warp_psdr.plan.transient import require_steady
 from warp_psdr.scene.exact import position_of
 
 if TYPE_CHECKING:
@@ -127,6 +128,7 @@ def trace_boundary(
     role = "reverse" if tangents is None else "forward"
     if plan.boundary is None:
         raise ValueError(f"kind: got {kind!r}, but there is no boundary term: nothing named moves a discontinuity")
+    require_steady(scene, sensor, f"kind={kind!r}")
     noted = replace(plan, config=replace(plan.config, noted=True))
     stream = mix_seed(seed, STREAM_BOUNDARY)
     request = Request(scene, noted, motion(scene, names), role, sensor, spp, stream)
@@ -139,7 +141,7 @@ def trace_boundary(
     camera = scene.camera(sensor)
     shape = (camera.crop_height, camera.crop_width)
     if tangents is None:
-        asked = adjoint_array(np.ones((*shape, 3)) if adjoint is None else adjoint, camera, scene.device)
+        asked = adjoint_array(np.ones((*shape, 3)) if adjoint is None else adjoint, scene, sensor)
         # Room for float64 sums (``kernels/sink.py``).
         target = wp.zeros(2 * scene.values.shape[0], dtype=wp.float32, device=scene.device)
     else:
