@@ -155,9 +155,10 @@ def make_branch_kernel(
                 goes_on = scatter(at, point.state, point.face, numbers(r4, k), NO_ROULETTE)
                 radiance = path_radiance(scene, branch, goes_on.after, max_depth, rr_depth)
                 w = (weight * goes_on.inv_pdf) * wp.cw_mul(a_n, radiance)
-                a, d = partial(at, goes_on.lobe, enter_frame(at.frame, goes_on.wo), w, direction)
-                a_material = add_materials(a_material, a)
-                found += d
+                if not vanishes(w):
+                    a, d = partial(at, goes_on.lobe, enter_frame(at.frame, goes_on.wo), w, direction)
+                    a_material = add_materials(a_material, a)
+                    found += d
         return a_material, found
 
     from_directions = from_candidates

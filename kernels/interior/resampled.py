@@ -86,30 +86,35 @@ def make_resampling(candidates: int) -> Resampling:
         if not total <= LARGEST:
             chosen.first_weight = wp.NAN
             return chosen
-        # One ray for each sign; or, by a rule that looks at the candidates alone, systematic resampling of all.
+        # One ray for each sign; or, by a rule that looks at the candidates alone, systematic resampling of all, the
+        # negative ones first.
         each = wp.min(negative, positive) >= LEAST_SHARE * wp.max(negative, positive)
         first_at = wp.where(each, u[0] * negative, 0.5 * u[0] * total)
         second_at = wp.where(each, negative + u[1] * positive, 0.5 * (u[0] + 1.0) * total)
-        first_mass = wp.where(each, negative, 0.5 * total)
-        second_mass = wp.where(each, positive, 0.5 * total)
-        reached = wp.float32(0.0)
-        last = wp.int32(-1)
-        for i in range(2 * t.shape[0]):  # negative ones first
-            k = i % candidates
-            size = wp.max(wp.where(i < candidates, -t[k], t[k]), 0.0)
-            reached += size
-            if size > 0.0:
-                last = k
-                if chosen.first < 0 and first_at < reached:
-                    chosen.first = k
-                if chosen.second < 0 and second_at < reached:
-                    chosen.second = k
+        # The sign that each is drawn from: one that has a candidate.
+        first_up = negative == 0.0 or (first_at >= negative and positive > 0.0)
+        second_up = negative == 0.0 or (second_at >= negative and positive > 0.0)
+        first_at -= wp.where(first_up, negative, 0.0)
+        second_at -= wp.where(second_up, negative, 0.0)
+        first_reached = wp.float32(0.0)
+        second_reached = wp.float32(0.0)
+        first_found = wp.int32(0)
+        second_found = wp.int32(0)
+        for k in range(t.shape[0]):  # selects, for branches on these numbers cannot be predicted
+            first_size = wp.max(wp.where(first_up, t[k], -t[k]), 0.0)
+            second_size = wp.max(wp.where(second_up, t[k], -t[k]), 0.0)
+            # The last one that has a size and begins at the number or before.
+            first_found = wp.where(first_size > 0.0 and first_reached <= first_at, k, first_found)
+            second_found = wp.where(second_size > 0.0 and second_reached <= second_at, k, second_found)
+            first_reached += first_size
+            second_reached += second_size
         if total > 0.0:
-            # Sums are rounded: a number next to the end may lie behind the last.
-            chosen.first = wp.where(chosen.first < 0, last, chosen.first)
-            chosen.second = wp.where(chosen.second < 0, last, chosen.second)
-            chosen.first_weight = first_mass / (wp.float32(candidates) * wp.abs(t[chosen.first]))
-            chosen.second_weight = second_mass / (wp.float32(candidates) * wp.abs(t[chosen.second]))
+            chosen.first = first_found
+            chosen.second = second_found
+            first_mass = wp.where(each, negative, 0.5 * total)
+            second_mass = wp.where(each, positive, 0.5 * total)
+            chosen.first_weight = first_mass / (wp.float32(candidates) * wp.abs(t[first_found]))
+            chosen.second_weight = second_mass / (wp.float32(candidates) * wp.abs(t[second_found]))
         return chosen
 
     return Resampling(candidates, candidate_numbers, choose_two)

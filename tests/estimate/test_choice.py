@@ -48,9 +48,14 @@ def calls(scene, names, count: int, first: int = 0):
 
 @pytest.fixture
 def told(monkeypatch):
-    """Let the pilot find variances, replay's first, and compile nothing."""
+    """Let the pilot find variances, replay's first, in each round the same, and compile nothing."""
     variances: list = []
-    monkeypatch.setattr(pilot, "variance", lambda *_arguments: variances.pop(0))
+
+    def variance(*_arguments):
+        variances.append(variances.pop(0))
+        return variances[-1]
+
+    monkeypatch.setattr(pilot, "variance", variance)
     monkeypatch.setattr(pilot.compiler, "begin", lambda *_arguments: None)
     return variances
 
@@ -74,7 +79,7 @@ def test_first_gradients_are_replayed_and_a_pilot_waits(metal, told):
     ]
     told += [[10.0], [2.0], [1.0]]
     (plan,) = calls(scene, [ALPHA], 1, first=needed)
-    assert plan.kept.branches == Branches(shapes="decomposed") and not told
+    assert plan.kept.branches == Branches(shapes="decomposed")
     decision, reason = drawn_for(scene, [ALPHA])[0]
     assert decision == "decomposed branches" and reason.endswith("10 times less at 2.7 times the cost")
     # What was replayed is replayed again; another request knows nothing.
@@ -106,6 +111,32 @@ def test_the_pilot_weighs_variance_and_cost(metal, told, monkeypatch, names, var
     assert choice.known(scene, names, 3).method is None
     calls(scene, names, 1)
     assert choice.known(scene, names, 3).method == expected and choice.known(scene, names, 3).decided
+
+
+@pytest.mark.parametrize(
+    ("first", "later", "expected", "rounds"),
+    [
+        ([[40.0], [3.0], [2.0]], None, "decomposed", 1),
+        # The first round says one thing, the mean of all another.
+        ([[40.0], [2.1], [2.0]], [[40.0], [2.0], [2.5]], "resampled", pilot.ROUNDS),
+    ],
+)
+def test_choices_that_are_close_are_told_apart_by_more_rounds(metal, monkeypatch, first, later, expected, rounds):
+    scene, _params = metal
+    asked: list[int] = []
+
+    def variance(_scene, plan, *_arguments):
+        asked.append(_arguments[-2])
+        method = plan.kept.branches
+        rows = first if len(set(asked)) == 1 else later
+        return rows[{"": 0, "resampled": 1, "decomposed": 2}[method.shapes if method else ""]]
+
+    monkeypatch.setattr(pilot, "variance", variance)
+    monkeypatch.setattr(pilot, "SPENT", 0)
+    monkeypatch.setattr(pilot.compiler, "begin", lambda *_arguments: None)
+    calls(scene, [ALPHA], 1)
+    assert choice.known(scene, [ALPHA], 3).method == Branches(shapes=expected)
+    assert len(set(asked)) == rounds and len(asked) == 3 * rounds
 
 
 def test_what_has_no_closed_form_is_resampled(metal):

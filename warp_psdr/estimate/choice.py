@@ -11,7 +11,7 @@ Derivation: ``docs/theory/interior.md#which-method``.
 
 from __future__ import annotations
 
-from itertools import combinations
+from itertools import product
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -38,6 +38,8 @@ SPP, PIXELS, BATCHES, WHOLE = 2, 1024, 12, 8
 MANY = 4096
 #: Least gain that pays: it is told with a noise of some ten percent.
 PAYS = 1.1
+#: Methods whose gains are within this ratio are told apart by further rounds of batches, so many in all at most.
+CLOSE, ROUNDS = 1.3, 4
 #: Stream of the pilot's random numbers.
 PILOT = 0x63686F69
 #: Calls whose random numbers are remembered.
@@ -88,25 +90,38 @@ def decide(
     methods = choice.candidates(plan)
     plans = [choice.by(plan, method) for method in (None, *(method for _kind, method in methods))]
     compiler.begin([k for p in plans for k in camera_gradient_kernels(p, role)], scene.device)
-    variances = np.array([variance(scene, p, names, role, sensor, mix_seed(seed, PILOT), given) for p in plans])
+    rounds = []
+    for number in range(ROUNDS):
+        stream = mix_seed(mix_seed(seed, PILOT), number)
+        rounds.append([variance(scene, p, names, role, sensor, stream, given) for p in plans])
+        if not _weigh(found, plan, methods, np.mean(rounds, axis=0)):
+            break
     found.decided = True
+
+
+def _weigh(found: Choice, plan: Plan, methods: list[tuple[str, Branches]], variances: np.ndarray) -> bool:
+    """Keep what variances say, those by replay first and then a row a method; return whether two choices are close."""
+    assert plan.wanted is not None
+    found.method, found.gains, found.costs = None, {}, {}
     told = (variances > 0.0).all(axis=0)
     if not told.any():
-        return
+        return False
     gains = np.log(variances[0, told] / variances[1:, told]).mean(axis=-1)
-    # Of each kind the best one. Each draws for parameters of its own: side by side their gains multiply.
-    taken: dict[str, tuple[float, Branches]] = {}
-    for (kind, method), gain in zip(methods, gains, strict=True):
-        cost = choice.cost_of(method, plan.config, plan.wanted)
-        if kind not in taken or np.exp(gain) / cost > found.gains[kind] / found.costs[kind]:
-            found.gains[kind], found.costs[kind], taken[kind] = float(np.exp(gain)), cost, (gain, method)
-    best = np.log(PAYS)
-    for count in range(1, len(taken) + 1):
-        for some in combinations(taken.values(), count):
-            method = choice.both(tuple(method for _gain, method in some))
-            worth = sum(gain for gain, _method in some) - np.log(choice.cost_of(method, plan.config, plan.wanted))
-            if worth > best:
-                best, found.method = worth, method
+    # Each kind draws for parameters of its own: side by side their gains multiply.
+    kinds = {kind: [i for i, (k, _method) in enumerate(methods) if k == kind] for kind, _method in methods}
+    worths: list[tuple[float, Branches | None]] = [(float(np.log(PAYS)), None)]
+    for some in product(*([None, *rows] for rows in kinds.values())):
+        taken = [i for i in some if i is not None]
+        if taken:
+            method = choice.both(tuple(methods[i][1] for i in taken))
+            cost = choice.cost_of(method, plan.config, plan.wanted)
+            worths.append((float(sum(gains[i] for i in taken) - np.log(cost)), method))
+    (best, found.method), (second, _method) = sorted(worths, key=lambda worth: worth[0], reverse=True)[:2]
+    for kind, rows in kinds.items():
+        costs = {i: choice.cost_of(methods[i][1], plan.config, plan.wanted) for i in rows}
+        i = max(rows, key=lambda i: gains[i] - np.log(costs[i]))
+        found.gains[kind], found.costs[kind] = float(np.exp(gains[i])), costs[i]
+    return best - second < np.log(CLOSE)
 
 
 def variance(
