@@ -13,8 +13,8 @@ import functools
 
 import warp as wp
 
-from warp_psdr.kernels.bsdf.dispatch import declaration_of, has_null_lobes
-from warp_psdr.kernels.bsdf.null import NULL
+from warp_psdr.kernels.bsdf.dispatch import has_null_lobes
+from warp_psdr.kernels.bvh.wide import RayHit
 from warp_psdr.kernels.constants import FAR, LOBE_NONE, LOBE_NULL, LOBE_SMOOTH, PHASE_SGGX
 from warp_psdr.kernels.interaction import make_interaction
 from warp_psdr.kernels.invalid import count_invalid, finite, inverse_pdf, vanishes
@@ -22,6 +22,7 @@ from warp_psdr.kernels.math import where3
 from warp_psdr.kernels.medium.emission import emitted_along
 from warp_psdr.kernels.medium.flight import Flight, make_flight
 from warp_psdr.kernels.medium.grid_emission import make_grid_emission
+from warp_psdr.kernels.medium.null_surface import make_null_surface, null_model_of
 from warp_psdr.kernels.medium.passage import MOST_INTERFACES, is_lost, make_media_passage, medium_towards
 from warp_psdr.kernels.medium.tracking import make_tracking
 from warp_psdr.kernels.medium.volume import GRID
@@ -34,6 +35,7 @@ from warp_psdr.kernels.sampling import mis_weight
 from warp_psdr.kernels.scattering import (
     ROULETTE_MAX,
     ROULETTE_MIN,
+    EmissionHit,
     NextEvent,
     ScatterSample,
     make_emission_hit,
@@ -238,19 +240,53 @@ def make_media_step(config: PathConfig, differential: bool, explores: bool = Fal
     through_event = make_through_event(config) if surface_lights else None
     sample_4d = make_sampler(config.sampler).sample_4d
     nulls = has_null_lobes(config.bsdfs)
-    not_there = [i for i, key in enumerate(config.bsdfs) if declaration_of(key)[0] is NULL]
-    null_model = not_there[0] if not_there else -1
+    null_model = null_model_of(config)
+    is_interface, past = make_null_surface(config)
+
+    @wp.func
+    def cross(
+        scene: Scene, sampler: Sampler, state: MediaState, vertex: MediaVertex, path: PathState, hit: RayHit
+    ) -> tuple[MediaVertex, MediaState]:
+        """Pass a surface that is not there; ``path``: behind the flight of ``vertex``, which started in ``state``."""
+        at = past(scene, hit.face, hit.u, hit.v, path.d)
+        scatter_sample = ScatterSample()
+        scatter_sample.wo = path.d
+        scatter_sample.inv_pdf = 1.0
+        scatter_sample.beta = wp.vec3(1.0, 1.0, 1.0)
+        after = MediaState()
+        after.crossings = state.crossings + 1
+        lost = is_lost(scene, at.shape, at.ng, path.d, state.medium) or after.crossings > MOST_INTERFACES
+        if lost:
+            count_invalid(scene, sampler)
+            scatter_sample.lobe = LOBE_NONE
+            scatter_sample.beta = wp.vec3(0.0, 0.0, 0.0)
+        else:
+            scatter_sample.lobe = LOBE_NULL
+            after.steps = state.steps + 1
+            after.medium = medium_towards(scene, at.shape, at.ng, path.d, path.d, state.medium)
+            after.path.alive = 1
+            after.path.depth = path.depth
+            after.path.o = at.o
+            after.path.d = path.d
+            after.path.t_max = FAR
+            after.path.throughput = path.throughput
+            after.path.eta = path.eta
+            if wp.static(config.through):
+                # As ``make_scatter`` has it.
+                after.path.pdf = path.pdf
+                after.path.seen.t = path.seen.t + wp.length(at.x - path.o)
+        r = vertex
+        r.surface = vertex_of(path, hit, EmissionHit(), False, NextEvent(), True, scatter_sample)
+        return r, after
 
     @wp.func
     def media_step(
         scene: Scene, sampler: Sampler, state_in: MediaState, max_depth: wp.int32, rr_depth: wp.int32
     ) -> tuple[MediaVertex, MediaState]:
         state = state_in
+        # Each number is drawn where it is used: most steps of a path cross interfaces or leave the scene.
         slot = 1 + SLOTS_PER_STEP * state.steps
         u4 = wp.vec4(0.0, 0.0, 0.0, 0.0)
-        if wp.static(has_lights):
-            u4 = sample_4d(sampler, slot + 1)
-        r4 = sample_4d(sampler, slot + 2)
         path = state.path
         hit = visibility.seen(scene, path.o, path.d, path.t_max, path.depth)
         scatters = max_depth < 0 or path.depth + 1 < max_depth
@@ -323,9 +359,19 @@ def make_media_step(config: PathConfig, differential: bool, explores: bool = Fal
             if wp.static(differential):
                 goes_on = not (vanishes(vertex.before) and vanishes(vertex.weight))
             if goes_on:
+                if wp.static(has_lights):
+                    u4 = sample_4d(sampler, slot + 1)
+                r4 = sample_4d(sampler, slot + 2)
                 reached, after = collide(scene, sampler, state, vertex, u4, r4, max_depth, rr_depth)
                 return reached, after
             return vertex, MediaState()
+        # ---- Interface ----
+        if wp.static(null_model >= 0):
+            passes_on = wp.static(differential) or not vanishes(path.throughput)
+            if is_interface(scene, hit.face) and passes_on and finite(path.throughput):
+                if scene.shapes[triangle_at(scene, hit.face).shape].emitter < 0:
+                    crossed, after = cross(scene, sampler, state, vertex, path, hit)
+                    return crossed, after
         # ---- Surface, or what lies behind all of them ----
         emission = emission_hit(scene, path, hit)
         event = NextEvent()
@@ -346,6 +392,7 @@ def make_media_step(config: PathConfig, differential: bool, explores: bool = Fal
                 last = rr_depth
                 if wp.static(null_model >= 0):
                     last = wp.where(at.model == null_model, NEVER, rr_depth)
+                r4 = sample_4d(sampler, slot + 2)
                 scatter_sample = scatter(at, path, hit.face, r4, last)
                 after.path = scatter_sample.after
                 after.steps = state.steps + 1
@@ -365,6 +412,7 @@ def make_media_step(config: PathConfig, differential: bool, explores: bool = Fal
                 after.medium = medium_towards(scene, at.shape, at.ng, path.d, after.path.d, state.medium)
                 if wp.static(surface_lights):
                     if scatters and has_smooth(at.model):
+                        u4 = sample_4d(sampler, slot + 1)
                         ls, light, _probability = sample_light(scene, at.x, u4)
                         event = next_event(at, ls, light)
                         if event.traces_shadow_ray == 1:

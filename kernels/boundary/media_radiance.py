@@ -10,9 +10,10 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.boundary.detector import NEVER, ROW_COUNT, ROWS, Incident, IncidentRadiance
+from warp_psdr.kernels.bvh.wide import RayHit
 from warp_psdr.kernels.constants import FAR, LOBE_NULL
 from warp_psdr.kernels.interaction import make_interaction
-from warp_psdr.kernels.medium.line import make_line
+from warp_psdr.kernels.medium.interface import make_interface
 from warp_psdr.kernels.path_media import make_media_step, media_path_from, radiance_of_step
 from warp_psdr.kernels.primitive.dispatch import make_position
 from warp_psdr.kernels.rng import Sampler
@@ -26,7 +27,7 @@ def make_media_radiance(config: PathConfig):
 
     Its surface is the first one that is there.
     """
-    line, _medium_at = make_line(config)
+    is_interface, behind = make_interface(config)
     media_step = make_media_step(config, False)
     position, _cross_of = make_position(config.primitives)
 
@@ -42,14 +43,24 @@ def make_media_radiance(config: PathConfig):
         rr_depth: wp.int32,
     ) -> IncidentRadiance:
         r = IncidentRadiance()
-        seen = line(scene, sampler, -1, o, d, t_max, medium, 0)
-        r.face = seen.face
-        if seen.face >= 0:
-            r.x = position(scene.triangles[seen.face], seen.u, seen.v)
+        r.face = -1
+        straight = wp.bool(True)
         state = media_path_from(path_from(o, d, t_max, 0), medium)
         while state.path.alive == 1:
-            vertex, state = media_step(scene, sampler, state, max_depth, rr_depth)
-            r.radiance += radiance_of_step(vertex)
+            step, state = media_step(scene, sampler, state, max_depth, rr_depth)
+            r.radiance += radiance_of_step(step)
+            if straight and (step.collides or step.surface.lobe != LOBE_NULL):
+                # The path met the surface, or turned in front of it.
+                straight = wp.bool(False)
+                hit = RayHit()
+                hit.face = step.surface.face
+                hit.u = step.surface.u
+                hit.v = step.surface.v
+                if is_interface(scene, hit.face):
+                    hit = behind(scene, hit, d, t_max, 0)
+                r.face = hit.face
+                if hit.face >= 0:
+                    r.x = position(scene.triangles[hit.face], hit.u, hit.v)
         return r
 
     return media_radiance

@@ -12,7 +12,6 @@ import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.constants import FAR, PHASE_SGGX
-from warp_psdr.kernels.interaction import make_interaction
 from warp_psdr.kernels.interior.media_sweep import number_of
 from warp_psdr.kernels.interior.shadow_motion import ShadowAdjoint, make_thinning
 from warp_psdr.kernels.medium.coefficients import albedo_at
@@ -20,8 +19,9 @@ from warp_psdr.kernels.medium.grid_adjoint import SALT_POINTS
 from warp_psdr.kernels.medium.grid_emission import POINTS as EMISSION_POINTS
 from warp_psdr.kernels.medium.grid_emission import SALT_EMISSION, emission_at, emission_point
 from warp_psdr.kernels.medium.grid_span import Span, SpanAdjoint, make_grid_span, span_length, span_of
-from warp_psdr.kernels.medium.interface import make_crossing_sink, make_interface
+from warp_psdr.kernels.medium.interface import make_crossing_sink
 from warp_psdr.kernels.medium.majorant import grid_ray
+from warp_psdr.kernels.medium.null_surface import make_null_surface
 from warp_psdr.kernels.medium.passage import MOST_INTERFACES, medium_towards
 from warp_psdr.kernels.medium.tracking import make_tracking
 from warp_psdr.kernels.medium.volume import GRID, grid_point, grid_value
@@ -168,8 +168,7 @@ def make_grid_emission_motion(config: MediaConfig, role: str, pose: bool):
 def make_grid_shadow_sink(config: PathConfig, role: str, pose: bool):
     """Return ``accumulate_shadow(scene, target, sampler, vertex, w)`` as ``make_shadow_sink`` does, through grids."""
     visibility = visibility_of(config)
-    interaction = make_interaction(config)
-    is_interface, _behind = make_interface(config)
+    is_interface, past = make_null_surface(config)
     accumulate_crossing = make_crossing_sink(role)
     _point, accumulate_depth, accumulate_ends = make_grid_span(role, pose)
     assert config.media is not None
@@ -223,9 +222,9 @@ def make_grid_shadow_sink(config: PathConfig, role: str, pose: bool):
             a_near = a_far
             crossings += 1
             if is_interface(scene, hit.face):
-                at = interaction.at(scene, hit.face, hit.u, hit.v, d)
+                at = past(scene, hit.face, hit.u, hit.v, d)
                 inside = medium_towards(scene, at.shape, at.ng, d, d, inside)
-                start = interaction.offset(at, d)
+                start = at.o
                 face = hit.face
                 u = hit.u
                 v_face = hit.v

@@ -9,9 +9,9 @@ import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.constants import EMITTER_AREA, EMITTER_DIRECTIONAL, EMITTER_POINT, FAR, PHASE_SGGX
-from warp_psdr.kernels.interaction import make_interaction
 from warp_psdr.kernels.interior.gradient_request import GradientRequest
-from warp_psdr.kernels.medium.interface import make_crossing_sink, make_interface
+from warp_psdr.kernels.medium.interface import make_crossing_sink
+from warp_psdr.kernels.medium.null_surface import make_null_surface
 from warp_psdr.kernels.medium.passage import MOST_INTERFACES, medium_towards
 from warp_psdr.kernels.path_media import MediaVertex
 from warp_psdr.kernels.phase.sggx import flake_area_slope, flakes_of, make_extinction_along
@@ -67,8 +67,7 @@ def make_shadow_sink(config: PathConfig, role: str):
     again.
     """
     visibility = visibility_of(config)
-    interaction = make_interaction(config)
-    is_interface, _behind = make_interface(config)
+    is_interface, past = make_null_surface(config)
     accumulate_crossing = make_crossing_sink(role)
     assert config.media is not None
     flakes = PHASE_SGGX in config.media.phases
@@ -92,7 +91,7 @@ def make_shadow_sink(config: PathConfig, role: str):
                 rest = wp.where(hit.face >= 0, hit.t, v.shadow_t - t)
                 r.d += turning(scene, inside, v.shadow_d, rest, w)
             if is_interface(scene, hit.face):
-                at = interaction.at(scene, hit.face, hit.u, hit.v, v.shadow_d)
+                at = past(scene, hit.face, hit.u, hit.v, v.shadow_d)
                 inside = medium_towards(scene, at.shape, at.ng, v.shadow_d, v.shadow_d, inside)
                 beyond = thinning(scene, inside, v.shadow_d, w)
                 a = accumulate_crossing(scene, target, hit.face, hit.u, hit.v, v.shadow_d, t + hit.t, r.length - beyond)
@@ -100,7 +99,7 @@ def make_shadow_sink(config: PathConfig, role: str):
                 r.d += a.d
                 r.dot += a.dot
                 r.length = beyond
-                start = interaction.offset(at, v.shadow_d)
+                start = at.o
             else:
                 crossings = MOST_INTERFACES + 1
         if v.shadow_t >= 0.5 * FAR:

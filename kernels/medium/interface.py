@@ -11,10 +11,8 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
-from warp_psdr.kernels.bsdf.dispatch import declaration_of
-from warp_psdr.kernels.bsdf.null import NULL
 from warp_psdr.kernels.bvh.wide import RayHit
-from warp_psdr.kernels.interaction import make_interaction
+from warp_psdr.kernels.medium.null_surface import make_null_surface
 from warp_psdr.kernels.medium.passage import MOST_INTERFACES
 from warp_psdr.kernels.structs import Scene
 from warp_psdr.kernels.surface import RayAdjoint, VertexAdjoint, make_vertex_sink
@@ -25,38 +23,23 @@ from warp_psdr.kernels.visibility import visibility_of
 EDGE_ON = 1.0e-6
 
 
-def null_model_of(config: PathConfig) -> int:
-    """Return the number of the model of surfaces that are not there; -1: there are none."""
-    return next((i for i, key in enumerate(config.bsdfs) if declaration_of(key)[0] is NULL), -1)
-
-
 @functools.cache
 def make_interface(config: PathConfig):
     """Return ``(is_interface, behind)``.
 
-    ``is_interface(scene, face) -> bool``: of a surface that is not there, face -1: False.
+    ``is_interface`` is that of ``make_null_surface``.
     ``behind(scene, hit, d, t_max, depth) -> RayHit``: the first surface that is there, from what a ray along d has met
     on; ``depth``: path vertices in front of it.
     """
-    null_model = null_model_of(config)
     visibility = visibility_of(config)
-    interaction = make_interaction(config)
-
-    @wp.func
-    def is_interface(scene: Scene, face: wp.int32) -> wp.bool:
-        if wp.static(null_model < 0):
-            return False
-        if face < 0:
-            return False
-        return scene.bsdfs[scene.shapes[scene.triangles[face].shape].bsdf].model == null_model
+    is_interface, past = make_null_surface(config)
 
     @wp.func
     def behind(scene: Scene, hit: RayHit, d: wp.vec3, t_max: wp.float32, depth: wp.int32) -> RayHit:
         r = hit
         count = wp.int32(0)
         while is_interface(scene, r.face) and count <= MOST_INTERFACES:
-            at = interaction.at(scene, r.face, r.u, r.v, d)
-            r = visibility.seen(scene, interaction.offset(at, d), d, t_max, depth)
+            r = visibility.seen(scene, past(scene, r.face, r.u, r.v, d).o, d, t_max, depth)
             count += 1
         return r
 

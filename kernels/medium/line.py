@@ -10,9 +10,9 @@ import functools
 
 import warp as wp
 
-from warp_psdr.kernels.interaction import make_interaction
+from warp_psdr.kernels.constants import NO_INTERFACE
 from warp_psdr.kernels.medium.coefficients import exp_minus
-from warp_psdr.kernels.medium.interface import make_interface
+from warp_psdr.kernels.medium.null_surface import make_null_surface
 from warp_psdr.kernels.medium.passage import MOST_INTERFACES, is_lost, medium_towards
 from warp_psdr.kernels.medium.tracking import make_tracking
 from warp_psdr.kernels.medium.volume import GRID
@@ -51,11 +51,11 @@ def make_line(config: PathConfig):
 
     ``line(scene, sampler, number, o, d, t_max, medium, depth) -> ClearLine`` from o, in a medium, on; ``depth``: path
     vertices in front; ``number``: that of the line in its sample, -1: the transmittance of grids is not asked for.
-    ``medium_at(scene, o, x, medium) -> int32``: the medium at x, from that at o, through all that lies between.
+    ``medium_at(scene, o, x, medium) -> int32``: the medium at x, from that at o: of all that lies between, the border
+    of a medium that is next to x says it.
     """
     visibility = visibility_of(config)
-    interaction = make_interaction(config)
-    is_interface, _behind = make_interface(config)
+    is_interface, past = make_null_surface(config)
     assert config.media is not None
     grids = config.media.grids
     extinction_along = make_extinction_along(config.media.phases)
@@ -98,14 +98,14 @@ def make_line(config: PathConfig):
             r.t = before + length
             crossings += 1
             if is_interface(scene, hit.face):
-                at = interaction.at(scene, hit.face, hit.u, hit.v, d)
+                at = past(scene, hit.face, hit.u, hit.v, d)
                 r.lost = r.lost or is_lost(scene, at.shape, at.ng, d, r.medium) or crossings > MOST_INTERFACES
                 r.medium = medium_towards(scene, at.shape, at.ng, d, d, r.medium)
                 r.near = r.t
                 r.near_face = hit.face
                 r.near_u = hit.u
                 r.near_v = hit.v
-                start = interaction.offset(at, d)
+                start = at.o
             else:
                 r.face = hit.face
                 r.u = hit.u
@@ -115,21 +115,21 @@ def make_line(config: PathConfig):
 
     @wp.func
     def medium_at(scene: Scene, o: wp.vec3, x: wp.vec3, medium: wp.int32) -> wp.int32:
-        way = x - o
+        way = o - x
         distance = wp.length(way)
         d = way / wp.max(distance, 1.0e-30)
-        start = o
-        inside = medium
+        start = x
         crossings = wp.int32(0)
         while crossings <= MOST_INTERFACES:
-            hit = visibility.closest(scene, start, d, distance - wp.dot(start - o, d))
+            hit = visibility.closest(scene, start, d, distance - wp.dot(start - x, d))
+            if hit.face < 0:
+                return medium
+            at = past(scene, hit.face, hit.u, hit.v, d)
+            sides = scene.media.sides[at.shape]
+            if sides[0] != NO_INTERFACE:
+                return wp.where(wp.dot(at.ng, d) > 0.0, sides[1], sides[0])
             crossings += 1
-            if hit.face >= 0:
-                at = interaction.at(scene, hit.face, hit.u, hit.v, d)
-                inside = medium_towards(scene, at.shape, at.ng, d, d, inside)
-                start = interaction.offset(at, d)
-            else:
-                crossings = MOST_INTERFACES + 1
-        return inside
+            start = at.o
+        return medium
 
     return line, medium_at

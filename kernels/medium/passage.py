@@ -10,12 +10,14 @@ import functools
 
 import warp as wp
 
-from warp_psdr.kernels.bsdf.dispatch import has_null_lobes
+from warp_psdr.kernels.bsdf.dispatch import has_null_lobes, models_of
+from warp_psdr.kernels.bsdf.null import NULL
 from warp_psdr.kernels.constants import LOBE_NULL, NO_INTERFACE, PHASE_SGGX
 from warp_psdr.kernels.interaction import make_interaction
 from warp_psdr.kernels.invalid import vanishes
 from warp_psdr.kernels.medium.coefficients import coefficients_of, exp_minus
 from warp_psdr.kernels.medium.flight import mean_of
+from warp_psdr.kernels.medium.null_surface import make_null_surface
 from warp_psdr.kernels.medium.tracking import make_tracking
 from warp_psdr.kernels.medium.volume import GRID
 from warp_psdr.kernels.phase.sggx import make_flake_length
@@ -61,6 +63,7 @@ def make_media_passage(config: PathConfig, differential: bool):
     visibility = visibility_of(config)
     interaction = make_interaction(config)
     bsdf = interaction.bsdf
+    is_interface, past = make_null_surface(config)
     chromatic = config.media.chromatic
     grids = config.media.grids
     flakes = PHASE_SGGX in config.media.phases
@@ -124,6 +127,9 @@ def make_media_passage(config: PathConfig, differential: bool):
 
         return media_segment
 
+    # Masks and thin glass, which have a weight.
+    weighs = any(model.has_null and model is not NULL for model in models_of(config.bsdfs))
+
     @wp.func
     def media_passage(
         scene: Scene,
@@ -146,6 +152,23 @@ def make_media_passage(config: PathConfig, differential: bool):
             hit = visibility.closest(scene, start, d, rest)
             if hit.face < 0:
                 r = fly(scene, r, inside, start, d, rest, draws, sampler, step)
+                more = False
+            elif is_interface(scene, hit.face):
+                at = past(scene, hit.face, hit.u, hit.v, d)
+                if is_lost(scene, at.shape, at.ng, d, inside) or r.crossings == MOST_INTERFACES:
+                    r.blocked = 2
+                    more = False
+                else:
+                    r = fly(scene, r, inside, start, d, hit.t, draws, sampler, step)
+                    inside = medium_towards(scene, at.shape, at.ng, d, d, inside)
+                    r.crossings += 1
+                    start = at.o
+                    if wp.static(not differential):
+                        if vanishes(transmittance_of(r)):
+                            r.blocked = 1
+                            more = False
+            elif wp.static(not weighs):
+                r.blocked = 1
                 more = False
             else:
                 at = interaction.at(scene, hit.face, hit.u, hit.v, d)

@@ -40,6 +40,9 @@ from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.surface import VertexAdjoint
 from warp_psdr.kernels.vertex import PathConfig
 
+#: Vertices of a walk that reverse mode keeps; those behind are drawn a second time.
+KEPT = wp.constant(4)
+
 
 @functools.cache
 def make_media_segment(config: PathConfig, deep: bool):
@@ -182,6 +185,7 @@ def make_media_secondary_kernel(
     sample_2d = draw.sample_2d
     sample_4d = draw.sample_4d
     forward = role == "forward"
+    twice = role == "reverse"
 
     @wp.func
     def by_camera(
@@ -286,23 +290,37 @@ def make_media_secondary_kernel(
         speed = wp.float32(0.0)  # of all but what the camera sees
         if wp.static(forward):
             speed = accumulate_segment(scene, target, edges, point, s, 1.0)
-        # In reverse mode twice: once for the sum of the w_k, once to scatter.
+        # In reverse mode twice: once for the sum of the w_k, once to scatter. The first vertices are kept.
         sweep = wp.int32(wp.static(1 if forward or evaluates else 0))
+        if wp.static(twice):
+            walks = wp.zeros(shape=(KEPT,), dtype=MediaWalk)
+            sights = wp.zeros(shape=(KEPT,), dtype=Sight)
+            values = wp.zeros(shape=(KEPT,), dtype=wp.float32)
         while sweep < 2:
             walk = first
             g = (s.tau - 1.0) * s.boundary_normal
             k = wp.int32(1)
             while walk.alive == 1:
-                seen = sight_of(scene, camera, sampler, SIGHT + k, walk, lens)
-                counts = not vanishes(seen.weight)
-                if k == 1 and s.light >= 0:
-                    counts = counts and not pass_together(seen.at.origin - walk.x, s.w, s.t1, s.step)
+                seen = Sight()
+                w = wp.float32(0.0)
+                counts = wp.bool(True)
+                if wp.static(twice):
+                    if sweep == 1 and k <= KEPT:
+                        seen = sights[k - 1]
+                        w = values[k - 1]
+                        counts = wp.bool(False)
+                        if w != 0.0:
+                            dropped += by_camera(scene, camera, target, walk, seen, w * g)
+                if counts:
+                    seen = sight_of(scene, camera, sampler, SIGHT + k, walk, lens)
+                    counts = not vanishes(seen.weight)
+                if counts and k == 1 and s.light >= 0:
+                    counts = not pass_together(seen.at.origin - walk.x, s.w, s.t1, s.step)
                 asked = wp.vec3(0.0, 0.0, 0.0)
                 if wp.static(not forward and not evaluates):
                     if counts:
                         asked = gather(camera, seen.at.pixel, job.image_adjoint)
                         counts = wp.max(wp.abs(asked)) > 0.0
-                w = wp.float32(0.0)
                 if counts:
                     radiance = sent
                     if wp.static(traces):
@@ -326,11 +344,23 @@ def make_media_secondary_kernel(
                             total += w
                         elif w != 0.0:
                             dropped += by_camera(scene, camera, target, walk, seen, w * g)
+                if wp.static(twice):
+                    if sweep == 0 and k <= KEPT:
+                        sights[k - 1] = seen
+                        values[k - 1] = w
                 later -= w
                 if wp.static(deep):
                     after = MediaWalk()
-                    if job.max_depth < 0 or k + 2 <= job.max_depth:
+                    kept = wp.bool(False)
+                    if wp.static(twice):
+                        if sweep == 1 and k < KEPT:
+                            kept = wp.bool(True)
+                            after = walks[k]
+                    if not kept and (job.max_depth < 0 or k + 2 <= job.max_depth):
                         after = extend(scene, sampler, walk, eye, k, k >= job.rr_depth)
+                    if wp.static(twice):
+                        if sweep == 0 and k < KEPT:
+                            walks[k] = after
                     if wp.static(not evaluates):
                         if after.alive == 1 and sweep == 1 and not vanishes(g):
                             weight = wp.float32(1.0)

@@ -21,6 +21,7 @@ from warp_psdr.kernels.medium.coefficients import Coefficients, exp_minus
 from warp_psdr.kernels.medium.grid_span import SpanAdjoint, make_grid_span, span_length, span_of
 from warp_psdr.kernels.medium.interface import make_crossing_sink, make_interface
 from warp_psdr.kernels.medium.line import ClearLine, make_line
+from warp_psdr.kernels.medium.null_surface import make_null_surface
 from warp_psdr.kernels.medium.passage import MOST_INTERFACES, is_lost, medium_towards
 from warp_psdr.kernels.medium.volume import GRID
 from warp_psdr.kernels.path_media import GRAZING
@@ -84,7 +85,7 @@ def make_media_walk(config: PathConfig):
     assert config.media is not None
     visibility = visibility_of(config)
     interaction = make_interaction(config)
-    is_interface, _behind = make_interface(config)
+    is_interface, past = make_null_surface(config)
     line, _medium_at = make_line(config)
     flown = make_flown(config)
     grids = config.media.grids
@@ -160,7 +161,7 @@ def make_media_walk(config: PathConfig):
                 return r
             crossings += 1
             if is_interface(scene, hit.face):
-                at = interaction.at(scene, hit.face, hit.u, hit.v, d)
+                at = past(scene, hit.face, hit.u, hit.v, d)
                 if is_lost(scene, at.shape, at.ng, d, r.medium):
                     return r
                 r.medium = medium_towards(scene, at.shape, at.ng, d, d, r.medium)
@@ -169,7 +170,7 @@ def make_media_walk(config: PathConfig):
                     r.near_face = hit.face
                     r.near_u = hit.u
                     r.near_v = hit.v
-                start = interaction.offset(at, d)
+                start = at.o
             else:
                 r.collides = False
                 r.face = hit.face

@@ -1,0 +1,73 @@
+"""Surfaces that are not there (Mitsuba's ``null``): which triangles are, and how a ray goes on behind what it meets.
+
+All of an interaction that such a crossing needs is the point, the normal and the shape, so none is made.
+
+Derivation: ``docs/theory/media.md#paths``.
+"""
+
+import functools
+
+import warp as wp
+
+from warp_psdr.kernels.bsdf.dispatch import declaration_of
+from warp_psdr.kernels.bsdf.null import NULL
+from warp_psdr.kernels.interaction import make_interaction
+from warp_psdr.kernels.primitive.dispatch import make_position
+from warp_psdr.kernels.reading import triangle_at
+from warp_psdr.kernels.step import step_beside, step_off_triangle
+from warp_psdr.kernels.structs import Scene
+from warp_psdr.kernels.vertex import PathConfig
+
+
+@wp.struct
+class PassedSurface:
+    """A surface that a ray goes on behind."""
+
+    shape: wp.int32
+    ng: wp.vec3
+    x: wp.vec3
+    o: wp.vec3  # where the ray starts behind it
+
+
+def null_model_of(config: PathConfig) -> int:
+    """Return the number of the model of surfaces that are not there; -1: there are none."""
+    return next((i for i, key in enumerate(config.bsdfs) if declaration_of(key)[0] is NULL), -1)
+
+
+@functools.cache
+def make_null_surface(config: PathConfig):
+    """Return ``(is_interface, past)``.
+
+    ``is_interface(scene, face) -> bool``: of a surface that is not there, face -1: False.
+    ``past(scene, face, u, v, d) -> PassedSurface``: of any surface that a ray along d meets.
+    """
+    null_model = null_model_of(config)
+    position, _cross_of = make_position(config.primitives)
+    interaction = make_interaction(config)
+
+    @wp.func
+    def is_interface(scene: Scene, face: wp.int32) -> wp.bool:
+        if wp.static(null_model < 0):
+            return False
+        if face < 0:
+            return False
+        return scene.bsdfs[scene.shapes[scene.triangles[face].shape].bsdf].model == null_model
+
+    @wp.func
+    def past(scene: Scene, face: wp.int32, u: wp.float32, v: wp.float32, d: wp.vec3) -> PassedSurface:
+        r = PassedSurface()
+        if wp.static(len(config.primitives) > 0):
+            at = interaction.at(scene, face, u, v, d)
+            r.shape = at.shape
+            r.ng = at.ng
+            r.x = at.x
+            r.o = interaction.offset(at, d)
+        else:
+            tri = triangle_at(scene, face)
+            r.shape = tri.shape
+            r.ng = tri.normal
+            r.x = position(tri, u, v)
+            r.o = step_beside(r.x, r.ng, d, step_off_triangle(scene, tri))
+        return r
+
+    return is_interface, past
