@@ -46,7 +46,7 @@ from tests.cuda_configs import (
     TIMED_GAUSSIAN,
 )
 from warp_psdr.kernels import constants as c
-from warp_psdr.kernels.boundary.guiding.projective import BLOCKED_LIGHT, SCATTERED
+from warp_psdr.kernels.boundary.guiding.path_segments import BLOCKED_LIGHT, SCATTERED
 from warp_psdr.kernels.boundary.signed_distance.warp_field import WarpOptions
 from warp_psdr.kernels.boundary.warped_area.auxiliary import WarpedOptions
 from warp_psdr.kernels.bsdf.motion import MOVED_BY
@@ -374,6 +374,8 @@ FACTORIES = {
         ("blocked, simple", (SIMPLE, BLOCKED_LIGHT), SLOW),
         ("blocked, lights", (ALL_LIGHTS, BLOCKED_LIGHT), SLOW),
         ("scattered, materials", (MATERIALS, SCATTERED), SLOW),
+        ("blocked, media", (MEDIA, BLOCKED_LIGHT), SLOW),
+        ("scattered, media", (MEDIA, SCATTERED), SLOW),
     ],
     "boundary.guiding.projective_exact.make_exact_seeds_kernel": [
         ("blocked lights", (EXACT_LIGHTS, BLOCKED_LIGHT), SLOW),

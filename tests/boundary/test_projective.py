@@ -13,7 +13,7 @@ from warp_psdr.estimate.boundary import projective
 from warp_psdr.estimate.boundary.terms import Request, named
 from warp_psdr.estimate.guiding import store
 from warp_psdr.estimate.guiding.structure import Evaluator
-from warp_psdr.kernels.boundary.guiding.projective import BLOCKED_LIGHT, SCATTERED
+from warp_psdr.kernels.boundary.guiding.path_segments import BLOCKED_LIGHT, SCATTERED
 from warp_psdr.plan.motion import motion
 from warp_psdr.topology.edges import scene_adjacency
 from warp_psdr.topology.neighbours import neighbour_tables, neighbours

@@ -10,11 +10,14 @@ from tests.media.scenes import BLACK, T, camera, cube, grid, grids, lamp, puffs,
 from tests.media.test_boundary import (
     COLOURS,
     FOG,
+    KD_TREE,
+    OCTREE,
     PAINT,
     POSE,
     SIZE,
     SQUARE,
     STEP,
+    assert_guided_equals_unguided,
     assert_mean,
     derivatives,
     difference,
@@ -169,3 +172,18 @@ def test_derivative_equals_finite_differences(medium, light, depth, name, motion
     ).numpy()
     once = derivatives(scene, names, ADJOINT, spp=16, depth=depth, batches=1)[0][names.index(name)]
     np.testing.assert_allclose((ADJOINT * image).sum(), (once * tangent).sum(), rtol=2e-3)
+
+
+#: With a lamp, depth, method.
+GUIDED = [
+    (False, 2, psdr.boundary.PathSpace(guiding=OCTREE)),
+    (True, 3, psdr.boundary.PathSpace(guiding=KD_TREE)),
+    (True, 3, psdr.boundary.Projective(guiding=OCTREE)),
+]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("light", "depth", "method"), GUIDED, ids=["unlit", "k-d tree", "projective"])
+def test_guided_equals_unguided(light, depth, method):
+    """Where the fog shines, light does not come from lamps alone: directions that aim at none are guided, too."""
+    assert_guided_equals_unguided(fire(GLOWING, light), method, depth)

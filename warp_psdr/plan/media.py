@@ -27,9 +27,8 @@ if TYPE_CHECKING:
     from warp_psdr.scene.scene import Scene
 
 #: Why boundary methods are refused.
-UNKNOWN = {
+UNKNOWN: dict[type[Method], str] = {
     EdgeSampling: "samples edges as vertices on surfaces see them, and vertices in media move with what is behind",
-    Projective: "projects segments to silhouettes of the surfaces that end them, and scattered light ends in media",
 }
 #: What of a medium is differentiated.
 PARAMETERS = (SIGMA_T, ALBEDO, SCALE, EMISSION, PHASE, POSE)
@@ -196,16 +195,13 @@ def refuse_boundary(
 def _beyond(scene: Scene, config: PathConfig, integrator: PathIntegrator, names: list[str]) -> str:
     """Say what keeps the boundary term from being estimated; empty: nothing."""
     method = integrator.boundary
-    if isinstance(method, Method) and type(method) is not PathSpace:
+    if isinstance(method, Method) and type(method) not in (PathSpace, Projective):
         return f"{method.label}() {UNKNOWN.get(type(method), 'does not know media')}; use boundary.PathSpace()"
-    if isinstance(method, PathSpace) and method.guiding is not None:
-        if isinstance(method.guiding, Grid):
-            return (
-                "guiding.Grid() follows photons and importons on surfaces, not in media; use guiding.KdTree() or "
-                "guiding.Octree()"
-            )
-        if config.media is not None and config.media.emissive:
-            return "guiding follows lights, not media that emit light; leave guiding out"
+    if isinstance(getattr(method, "guiding", None), Grid):
+        return (
+            "guiding.Grid() follows photons and importons on surfaces, not in media; use guiding.KdTree() or "
+            "guiding.Octree()"
+        )
     if config.camera in c.METERS or config.camera == c.CAMERA_ORTHOGRAPHIC:
         return "it is not estimated before parallel rays and sensors of one pixel; use a perspective camera"
     if config.hidden:

@@ -11,7 +11,7 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.boundary.guiding.light_square import sphere_to_square
-from warp_psdr.kernels.boundary.guiding.projective import (
+from warp_psdr.kernels.boundary.guiding.path_segments import (
     BLOCKED,
     BLOCKED_LIGHT,
     SLOT_SEED,

@@ -11,7 +11,8 @@ import warp as wp
 from warp_psdr import workers
 from warp_psdr.device import launch_shards
 from warp_psdr.estimate.jobs import sample_job
-from warp_psdr.kernels.boundary.guiding.projective import BLOCKED_LIGHT, SCATTERED, make_seeds_kernel
+from warp_psdr.kernels.boundary.guiding.path_segments import BLOCKED_LIGHT, SCATTERED
+from warp_psdr.kernels.boundary.guiding.projective import make_seeds_kernel
 from warp_psdr.kernels.boundary.guiding.projective_exact import make_exact_seeds_kernel
 from warp_psdr.kernels.boundary.silhouette.secondary import OutlineItems
 from warp_psdr.kernels.constants import DELTA_LIGHTS

@@ -179,7 +179,8 @@ def _build(r: Request, method: Method, found: Structure, space: Space) -> None:
 
 def _aimed(r: Request) -> bool:
     """Whether all light is found by aiming at it, being direct and not at infinity: little is left to the wedge."""
-    return r.plan.max_depth == 2 and r.scene.builder.environment < 0
+    shines = r.config.media is not None and r.config.media.emissive
+    return r.plan.max_depth == 2 and r.scene.builder.environment < 0 and not shines
 
 
 def _seeded(target: Target, space: Space) -> Target:

@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
+from warp_psdr.estimate.boundary import projective
 from warp_psdr.estimate.boundary.terms.request import OWN_SHARE, OWN_SHARE_DIRECT, BoundaryTerm, Request, Term, term_of
-from warp_psdr.estimate.boundary.touching import guided_kernel
+from warp_psdr.estimate.boundary.touching import Touched, guided_kernel
 from warp_psdr.kernels.boundary.path_space.media_secondary import make_media_secondary_kernel
-from warp_psdr.options.boundary import PathSpace
+from warp_psdr.options.boundary import PathSpace, Projective
 from warp_psdr.plan.motion import moving_shapes
 from warp_psdr.topology.edges_there import secondary_edges_there
 
@@ -34,11 +35,20 @@ def launch(r: Request) -> Term | None:
         return make_media_secondary_kernel(r.config, role, camera_moves, light_pose, deep, moved, guided)
 
     cdf = edges.cdf.numpy().astype(np.float64)
-    kernel, guide = guided_kernel(r, TERM.name, make, head, len(cdf) - 1, cdf)
+    unlit = not r.scene.builder.emitters
+    projects = isinstance(r.method, Projective)
+    seeds = None
+    if projects and not unlit:
+        ask = projective.asker(r)
+        seeds = lambda technique: ask(technique, edges)  # noqa: E731
+    touched = Touched(seeds=seeds, unlit=unlit)
+    kernel, guide = guided_kernel(r, TERM.name, make, head, len(cdf) - 1, cdf, touched)
     if getattr(r.method, "guiding", None) is None:
         spread = r.scene.builder.environment >= 0 or r.config.media.emissive  # light comes from everywhere
         guide.share = OWN_SHARE if spread else OWN_SHARE_DIRECT
-        if not r.scene.builder.emitters:
+        if projects:
+            guide.share = projective.uniform_share(r)
+        if unlit:
             guide.share = 1.0
     return term_of(r, TERM, kernel, [*head, guide], r.pixels * (r.method.spp_secondary or r.spp))
 
@@ -47,7 +57,7 @@ TERM = BoundaryTerm(
     name="media_secondary",
     title="shadows in media",
     stream=11,
-    methods=(PathSpace,),
+    methods=(PathSpace, Projective),
     launch=launch,
     applies=applies,
     guided=True,
