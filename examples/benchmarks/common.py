@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import warp as wp
@@ -82,8 +83,15 @@ def machine() -> dict:
     return result
 
 
+class Seconds(NamedTuple):
+    """Wall time and processor time of all threads, as another process measured them."""
+
+    wall: float
+    cpu: float
+
+
 def in_turns(functions: dict, repeat: int) -> dict[str, dict[str, list[float]]]:
-    """Time functions in turns after one warm-up each.
+    """Time functions in turns after one warm-up each; one that returns ``Seconds`` is not timed.
 
     Returns:
         name -> {"wall": seconds, "cpu": processor seconds of all threads}, one entry a repetition.
@@ -93,8 +101,10 @@ def in_turns(functions: dict, repeat: int) -> dict[str, dict[str, list[float]]]:
         for name, function in functions.items():
             time.sleep(SETTLE)
             wall, cpu = time.perf_counter(), time.process_time()
-            function(repetition)
+            found = function(repetition)
             wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
+            if isinstance(found, Seconds):
+                wall, cpu = found
             if repetition:
                 result[name]["wall"].append(wall)
                 result[name]["cpu"].append(cpu)
@@ -184,4 +194,4 @@ class Report:
 def _text(value) -> str:
     if isinstance(value, bool):
         return "yes" if value else "**no**"
-    return f"{value:.3g}" if isinstance(value, float) else str(value)
+    return "" if value is None else f"{value:.3g}" if isinstance(value, float) else str(value)
