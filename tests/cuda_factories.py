@@ -56,7 +56,11 @@ from warp_psdr.kernels.loss import relative_squared
 from warp_psdr.kernels.vertex import PathConfig
 
 #: Factories whose kernels another one returns for scenes before a transient film, in a row of its own.
-FOR_FILMS = {"interior.time_gated_forward.make_time_gated_forward_kernel"}
+FOR_FILMS = {
+    "interior.time_gated_forward.make_time_gated_forward_kernel",
+    "boundary.path_space.timed_primary.make_timed_primary_kernel",
+    "boundary.path_space.timed_secondary.make_timed_secondary_kernel",
+}
 #: Factories that another one makes their kernels for.
 MADE_BY = {
     "interior.radiative.make_radiative_kernel": "interior.path_order.make_path_order_kernel",

@@ -34,11 +34,17 @@ from warp_psdr.kernels.visibility import visibility_of
 #: small because a second discontinuity as near (a terminator just inside of a silhouette) is taken for the first; the
 #: rays start close to the edge, where float32 resolves it.
 BESIDE = 0.1
+#: The same beside narrow faces: 2 float32 steps of the largest coordinate.
+BESIDE_LEAST = 0.025
 #: Least distance in front of the edge at which the rays start, in ray epsilons. It is longer where a face is seen more
 #: edge-on than BESIDE / AHEAD, 10^-4: the ray beside the edge must start in front of that face.
 AHEAD = 2000.0
 #: Share by which it is longer than needed, and by which a face is wider than the rays' distance if they meet it.
 MARGIN = 2.0
+#: ``MARGIN`` of shapes with interpolated normals: of a face seen edge-on, the half next to a silhouette is black.
+SMOOTH_MARGIN = 2.0 * MARGIN
+#: Whose surface a ray meets beside an edge, 0: neither the edge's own shape nor one with an edge along it.
+OWN, NEXT = wp.constant(1), wp.constant(2)
 
 
 @wp.struct

@@ -82,6 +82,12 @@ def test_estimator_zoo(example, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+def test_transient_room(example, tmp_path: Path) -> None:
+    example("transient_room").main(tmp_path, resolution=12, spp=16)
+    assert contrast(tmp_path / "transient.png") > 0.1
+
+
+@pytest.mark.slow
 def test_derivative_images(example, tmp_path: Path) -> None:
     example("derivative_images").main(tmp_path, resolution=16, spp=16)
     derivatives = {}

@@ -59,8 +59,8 @@ def choose(scene: Scene, config: PathConfig, integrator: PathIntegrator, names: 
 
 def _beyond(method: Method, config: PathConfig) -> str:
     """Say what this method leaves to others; empty: nothing."""
-    if config.pulse:
-        return "it does not know the time bins of a 'transient_hdr_film'"
+    if config.pulse and (type(method) is not PathSpace or method.guiding is not None):
+        return "it does not know the time bins of a 'transient_hdr_film'; use boundary.PathSpace() without guiding"
     if isinstance(method, EdgeSampling) and has_delta_lobes(config.bsdfs):
         return "it does not follow edges through smooth mirrors or glass; use boundary.PathSpace()"
     return ""
@@ -126,6 +126,10 @@ def _uncovered(scene: Scene, config: PathConfig, names: list[str], max_depth: in
                 f"shape {crowded[0][0]!r}, a {crowded[0][1]!r}, scatters smoothly, reflects as a mirror and lets light "
                 "pass, and discontinuities are searched through two of these; split it up"
             )
+    if config.pulse and (config.primitives or has_delta_lobes(config.bsdfs)):
+        return (
+            "before a 'transient_hdr_film' edges are followed among meshes, and not by mirrors, glass or exact shapes"
+        )
     rough = passing(config.bsdfs)
     if rough:
         return (

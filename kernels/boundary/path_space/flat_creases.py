@@ -15,6 +15,7 @@ from warp_psdr.kernels.boundary.concave_edge import facing
 from warp_psdr.kernels.boundary.detector import make_following
 from warp_psdr.kernels.boundary.film_edge import AHEAD, BESIDE, MARGIN, make_film_edge
 from warp_psdr.kernels.boundary.local_form import Edges, barycentrics_at, narrowest_face, on_planes, own_face
+from warp_psdr.kernels.boundary.path_space.primary import make_primary_kernel
 from warp_psdr.kernels.constants import FAR
 from warp_psdr.kernels.interaction import enter_frame, leave_frame, make_interaction
 from warp_psdr.kernels.invalid import inverse_pdf, vanishes
@@ -54,7 +55,12 @@ class Difference:
 
 @functools.cache
 def make_flat_creases_kernel(config: PathConfig, role: str, camera_moves: bool):
-    """Return the kernel: one thread a sample (arguments as in ``secondary.py``)."""
+    """Return the kernel: one thread a sample (arguments as in ``secondary.py``).
+
+    Before a transient film, where the light of either face has lengths of its own, it is that of all other edges.
+    """
+    if config.pulse:
+        return make_primary_kernel(config, role, camera_moves)
     visibility = visibility_of(config)
     interaction = make_interaction(config)
     record = interaction.record

@@ -13,7 +13,16 @@ import warp as wp
 from warp_psdr.kernels.boundary.coincident import make_lit_along, make_shadow_along
 from warp_psdr.kernels.boundary.concave_edge import concave_distance, facing, is_ridge, let_through, sharp_glass, shines
 from warp_psdr.kernels.boundary.detector import IncidentRadiance, make_incident_radiance
-from warp_psdr.kernels.boundary.film_edge import AHEAD, BESIDE, MARGIN, make_film_edge
+from warp_psdr.kernels.boundary.film_edge import (
+    AHEAD,
+    BESIDE,
+    BESIDE_LEAST,
+    MARGIN,
+    NEXT,
+    OWN,
+    SMOOTH_MARGIN,
+    make_film_edge,
+)
 from warp_psdr.kernels.boundary.local_form import (
     EdgePoint,
     Edges,
@@ -24,6 +33,7 @@ from warp_psdr.kernels.boundary.local_form import (
     own_face,
 )
 from warp_psdr.kernels.boundary.media_radiance import make_media_radiance
+from warp_psdr.kernels.boundary.path_space.timed_primary import make_timed_primary_kernel
 from warp_psdr.kernels.constants import DELTA_LIGHTS
 from warp_psdr.kernels.interaction import make_interaction
 from warp_psdr.kernels.jobs import SampleJob
@@ -35,11 +45,6 @@ from warp_psdr.kernels.step import leaving_step
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.vertex import PathConfig
 
-#: Distance at which the two rays pass the edge beside narrow faces, in ray epsilons: 2 float32 steps of the largest
-#: coordinate.
-BESIDE_LEAST = 0.025
-#: ``MARGIN`` of shapes with interpolated normals: of a face seen edge-on, the half next to a silhouette is black.
-SMOOTH_MARGIN = 2.0 * MARGIN
 #: Sine of the angle at a curve of intersection from which on rays pass it as close as an edge. At smaller angles they
 #: do where the surfaces are as far apart as there, up to so many ray epsilons: nearer, roundings decide which is in
 #: front.
@@ -47,8 +52,6 @@ ACUTE, BESIDE_CURVE = 0.01, 10.0
 #: Distance at which rays pass a silhouette along which shadows of point, spot and directional lights fall, in the steps
 #: by which rays leave what is met (``coincident.py``). Light may fall at 70 degrees to the normal.
 LIT = 3.0
-#: Whose surface a ray meets beside an edge, 0: neither the edge's own shape nor one with an edge along it.
-OWN, NEXT = wp.constant(1), wp.constant(2)
 #: Up to what distance another shape's edge runs along this one: as seen, in roundings of coordinates, if that is more
 #: than the rays' distance; in space, over that. (One far behind it is hidden, and does not count the jump.)
 ROUNDING, ALONG = 2.0e-7, 10.0
@@ -56,7 +59,10 @@ ROUNDING, ALONG = 2.0e-7, 10.0
 
 @functools.cache
 def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
-    """Return the kernel of the primary boundary term: one thread a sample (arguments as in ``secondary.py``)."""
+    """Return the kernel of the primary boundary term: one thread a sample (arguments as in ``secondary.py``).
+
+    Before a transient film it is that of ``timed_primary.py``.
+    """
     surface_at = make_interaction(config).surface
     among_media = config.media is not None
     media_radiance = make_media_radiance(config) if among_media else None
@@ -170,6 +176,9 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
                     if lit_along(scene, beyond.x, point.x - beyond.x, local):
                         room = wp.max(room, LIT * wp.max(local, leaving_step(scene, beyond.face)))
         return room
+
+    if config.pulse:
+        return make_timed_primary_kernel(config, role, camera_moves, seen_as, whose, room_beside)
 
     @wp.kernel(module="unique", enable_backward=False)
     def primary(

@@ -24,6 +24,7 @@ from warp_psdr.kernels.boundary.local_form import (
     make_edge_sink,
 )
 from warp_psdr.kernels.boundary.path_space.direction import Direction, wedge_at
+from warp_psdr.kernels.boundary.path_space.timed_secondary import make_timed_secondary_kernel
 from warp_psdr.kernels.boundary.transport import Segment, make_source, make_transport
 from warp_psdr.kernels.constants import EMITTER_DIRECTIONAL, EMITTER_POINT, FAR
 from warp_psdr.kernels.emitter.area import make_area
@@ -249,6 +250,8 @@ def make_secondary_kernel(
 ):
     """Return the kernel of the secondary boundary term: one thread a sample.
 
+    Before a transient film it is that of ``timed_secondary.py``.
+
     Args:
         config: what the scene needs.
         role: "reverse" (``adjoint`` is read, ``target`` receives the gradient), "forward" (``target`` holds the
@@ -263,6 +266,9 @@ def make_secondary_kernel(
     evaluates = role == "target"
     segment_at = make_segment(config)
     accumulate_segment = None if evaluates else make_segment_sink(role, light_pose, config.primitives)
+    if config.pulse:
+        slots = SLOT_EDGE, SLOT_DIRECTION
+        return make_timed_secondary_kernel(config, role, camera_moves, slots, segment_at, accumulate_segment)
     source = make_source(config, True)
     source = make_indirect(source) if indirect else source
     transport = make_transport(config, role, camera_moves, source)

@@ -69,7 +69,8 @@ def choose(
         given: the adjoint, (H, W) of vec3, or the flat tangents.
     """
     found = automatic(scene, motion(scene, names), sensor, plan.max_depth)
-    if not found.on or not isinstance(plan.boundary, PathSpace) or plan.config.primitives:
+    covered = isinstance(plan.boundary, PathSpace) and not plan.config.primitives and plan.times is None
+    if not found.on or not covered:
         return plan
     call = (seed, checksum(scene.values))
     plain = replace(plan, boundary=PathSpace())

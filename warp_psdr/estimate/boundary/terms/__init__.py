@@ -172,4 +172,9 @@ def launches(term: BoundaryTerm, request: Request) -> list[Term]:
             f"the boundary term {term.name!r} does not know exact shapes yet; {primitives.INSTEAD}, or give the meshes "
             "that move, and those beside them, face_normals"
         )
+    if found is not None and request.plan.times is not None and not term.timed:
+        raise ValueError(
+            f"the boundary term {term.name!r} does not know the time bins of a 'transient_hdr_film'; say "
+            "PathIntegrator(boundary=None) to get the interior term alone, or move what asks for it apart"
+        )
     return [] if found is None else [replace(found, kind=term.name)]

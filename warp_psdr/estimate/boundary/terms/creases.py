@@ -35,4 +35,5 @@ TERM = BoundaryTerm(
     launch=launch,
     applies=applies,
     exact=True,
+    timed=True,
 )

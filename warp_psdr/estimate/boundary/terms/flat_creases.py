@@ -34,4 +34,5 @@ TERM = BoundaryTerm(
     launch=launch,
     applies=applies,
     exact=True,
+    timed=True,
 )

@@ -31,5 +31,6 @@ TERM = BoundaryTerm(
     methods=(PathSpace, Projective, EdgeSampling, FilmEdges),
     launch=launch,
     exact=True,
+    timed=True,
     media=True,
 )

@@ -15,6 +15,7 @@ from warp_psdr.kernels.bsdf.dispatch import has_smooth_lobes
 from warp_psdr.kernels.rng import mix_seed
 from warp_psdr.options.boundary import Method
 from warp_psdr.plan.motion import Motion
+from warp_psdr.plan.transient import gates_of
 from warp_psdr.topology.edges import select
 from warp_psdr.topology.film_edges import FilmEdges, film_edges
 from warp_psdr.topology.intersection_curves import moving_curves, scene_curves
@@ -136,6 +137,7 @@ class BoundaryTerm:
         guided: a method's guiding, where there is one, guides it.
         exact: it knows shapes without triangles (``kernels/primitive``) in the scene around it.
         media: it knows participating media.
+        timed: it knows the bins of transient films.
         part: of the boundary term that it belongs to (``parts``): "smooth", "edges", or "both" ("creases" of the
             request tells the two apart).
     """
@@ -150,6 +152,7 @@ class BoundaryTerm:
     guided: bool = False
     exact: bool = False
     media: bool = False
+    timed: bool = False
     part: str = "edges"
 
 
@@ -169,9 +172,10 @@ def term_of(
     compiler.begin([kernel], r.scene.device)
     told = count or samples
     random = mix_seed(r.seed, term.stream)
+    gates = [] if r.plan.times is None else [gates_of(r.plan.times)]
 
     def inputs(first: int, adjoint: wp.array) -> list:
-        return [*head, sample_job(first, told, random, r.plan.max_depth, r.rr_depth, adjoint)]
+        return [*head, *gates, sample_job(first, told, random, r.plan.max_depth, r.rr_depth, adjoint)]
 
     return Term(kernel, inputs, samples)
 

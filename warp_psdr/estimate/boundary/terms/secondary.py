@@ -49,4 +49,5 @@ TERM = BoundaryTerm(
     splits=True,
     guided=True,
     exact=True,
+    timed=True,
 )
