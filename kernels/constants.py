@@ -62,6 +62,7 @@ PHASE_RAYLEIGH = 2
 PHASE_TABLE = 3
 PHASE_BLEND = 4
 PHASE_SGGX = 5
+PHASE_BLEND_GRID = 6  # a blend whose weight is a grid
 #: Numbers that stand for no medium, and on both sides of a shape for one that bounds none.
 NO_MEDIUM = -1
 NO_INTERFACE = -2

@@ -156,7 +156,7 @@ def make_collision(config: PathConfig, differential: bool):
         r.surface.light = -1
         if wp.static(has_lights):
             ls, light, _probability = sample_light(scene, x, u4)
-            f = phase.eval(scene, m, path.d, ls.wi)
+            f = phase.eval(scene, m, x, path.d, ls.wi)
             pdf_light = ls.pdf * ls.probability
             traces_shadow_ray = not ls.pdf <= 0.0
             if wp.static(not differential):
@@ -184,8 +184,8 @@ def make_collision(config: PathConfig, differential: bool):
                 elif passed.blocked == 2:
                     count_invalid(scene, sampler)
         # ---- Scattering ----
-        wo = phase.sample(scene, m, path.d, wp.vec2(r4[2], r4[3]))
-        pdf = phase.eval(scene, m, path.d, wo)
+        wo = phase.sample(scene, m, x, path.d, wp.vec2(r4[2], r4[3]))
+        pdf = phase.eval(scene, m, x, path.d, wo)
         survival = survival_of(throughput, path.eta)
         late = path.depth + 1 >= rr_depth
         alive = not (late and r4[1] >= survival)

@@ -90,7 +90,9 @@ GRIDS = PathConfig(
     **{
         **vars(MEDIA),
         "media": MediaConfig(
-            (c.PHASE_ISOTROPIC, c.PHASE_HG, c.PHASE_RAYLEIGH, c.PHASE_TABLE, c.PHASE_BLEND), True, True
+            (c.PHASE_ISOTROPIC, c.PHASE_HG, c.PHASE_RAYLEIGH, c.PHASE_TABLE, c.PHASE_BLEND, c.PHASE_BLEND_GRID),
+            True,
+            True,
         ),
     }
 )

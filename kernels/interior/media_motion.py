@@ -14,7 +14,7 @@ from dataclasses import replace
 import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
-from warp_psdr.kernels.constants import FAR, LOBE_NONE, LOBE_NULL, LOBE_SMOOTH, PHASE_SGGX
+from warp_psdr.kernels.constants import FAR, LOBE_NONE, LOBE_NULL, LOBE_SMOOTH, PHASE_BLEND_GRID, PHASE_SGGX
 from warp_psdr.kernels.interaction import enter_frame, make_interaction
 from warp_psdr.kernels.interior.factors import make_light_sink
 from warp_psdr.kernels.interior.gradient_request import GradientRequest
@@ -34,7 +34,7 @@ from warp_psdr.kernels.medium.grid_span import Span, span_length, span_of
 from warp_psdr.kernels.medium.interface import make_crossing_sink, make_interface
 from warp_psdr.kernels.medium.volume import GRID
 from warp_psdr.kernels.path_media import MediaVertex, collision_point
-from warp_psdr.kernels.phase.dispatch import make_phase, make_phase_by_cosine
+from warp_psdr.kernels.phase.dispatch import make_phase, make_phase_slopes
 from warp_psdr.kernels.phase.sggx import flake_area_slope, flakes_of, make_extinction_along, sggx_slopes
 from warp_psdr.kernels.primitive.dispatch import make_position
 from warp_psdr.kernels.reading import texture_record
@@ -82,7 +82,8 @@ def make_moved_sweep(config: PathConfig, wanted: GradientRequest, role: str):
     interaction = make_interaction(surfaces)
     position, cross_of = make_position(config.primitives)
     phase = make_phase(config.media.phases)
-    by_cosine = make_phase_by_cosine(config.media.phases)
+    by_cosine, by_place = make_phase_slopes(config.media.phases)
+    placed = PHASE_BLEND_GRID in config.media.phases
     flakes = PHASE_SGGX in config.media.phases
     extinction_along = make_extinction_along(config.media.phases)
     has_lights = bool(config.area or config.lights)
@@ -179,9 +180,11 @@ def make_moved_sweep(config: PathConfig, wanted: GradientRequest, role: str):
             if vertex.lobe == LOBE_SMOOTH:
                 value = wp.dot(wp.cw_mul(a_n, vertex.beta), carry.end.radiance)
                 w = vertex.inv_pdf * wp.dot(a_n, carry.end.radiance)
-                turned = w * by_cosine(scene, m, wp.dot(vertex.d, vertex.wo))
+                turned = w * by_cosine(scene, m, x, wp.dot(vertex.d, vertex.wo))
                 a_d += turned * vertex.wo
                 a_wo = turned * vertex.d
+                if wp.static(placed):
+                    a_x += w * by_place(scene, m, x, vertex.d, vertex.wo)
                 if wp.static(flakes):
                     if m.phase == PHASE_SGGX:
                         slope_d, slope_wo = sggx_slopes(flakes_of(scene, m.g), vertex.d, vertex.wo)
@@ -208,8 +211,8 @@ def make_moved_sweep(config: PathConfig, wanted: GradientRequest, role: str):
             if vertex.light >= 0:
                 a_direct = vertex.light_weight * wp.cw_mul(a_n, v.transmittance)
                 radiance = radiance_of(scene, vertex, x)
-                turned = wp.dot(a_direct, radiance) * by_cosine(scene, m, wp.dot(vertex.d, vertex.light_wi))
-                w_radiance = phase.eval(scene, m, vertex.d, vertex.light_wi) * a_direct
+                turned = wp.dot(a_direct, radiance) * by_cosine(scene, m, x, wp.dot(vertex.d, vertex.light_wi))
+                w_radiance = phase.eval(scene, m, x, vertex.d, vertex.light_wi) * a_direct
                 w_t = wp.cw_mul(w_radiance, radiance)
                 value = w_t[0] + w_t[1] + w_t[2]
                 chi = wp.float32(1.0)
@@ -225,6 +228,8 @@ def make_moved_sweep(config: PathConfig, wanted: GradientRequest, role: str):
                 lit, dot = towards_light(scene, target, sampler, v, x, w_radiance, value, a_wo, chi, w_t)
                 a_d += turned * vertex.light_wi
                 a_x += lit
+                if wp.static(placed):
+                    a_x += wp.dot(a_direct, radiance) * by_place(scene, m, x, vertex.d, vertex.light_wi)
                 total += dot
         return a_x, a_d, total
 

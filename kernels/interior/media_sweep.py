@@ -255,12 +255,12 @@ def make_media_sweep(config: PathConfig, wanted: GradientRequest, role: str, rat
             radiance = wp.vec3(0.0, 0.0, 0.0)
             if v.collides:
                 m = scene.media.records[v.medium]
-                value = phase.eval(scene, m, vertex.d, vertex.light_wi)
+                value = phase.eval(scene, m, x, vertex.d, vertex.light_wi)
                 f = wp.vec3(value, value, value)
                 radiance = radiance_of(scene, vertex, x)
                 if wp.static(scattered):
                     w = vertex.light_weight * wp.dot(a_direct, radiance)
-                    total += accumulate_phase(scene, target, m, vertex.d, vertex.light_wi, w)
+                    total += accumulate_phase(scene, target, m, x, vertex.d, vertex.light_wi, w)
             else:
                 f_s, emitted, dot = surface_value(scene, target, v, a_direct)
                 f = f_s
@@ -294,7 +294,8 @@ def make_media_sweep(config: PathConfig, wanted: GradientRequest, role: str, rat
             if wp.static(scattered):
                 if vertex.lobe == LOBE_SMOOTH:
                     w = vertex.inv_pdf * wp.dot(a_n, radiance)
-                    total += accumulate_phase(scene, target, scene.media.records[v.medium], vertex.d, vertex.wo, w)
+                    m_scatters = scene.media.records[v.medium]
+                    total += accumulate_phase(scene, target, m_scatters, collision_point(v), vertex.d, vertex.wo, w)
         else:
             vertex.light = -1
             carry = Carry()

@@ -5,9 +5,17 @@ from typing import NamedTuple
 
 import warp as wp
 
-from warp_psdr.kernels.constants import PHASE_BLEND, PHASE_HG, PHASE_RAYLEIGH, PHASE_SGGX, PHASE_TABLE, TWO_PI
+from warp_psdr.kernels.constants import (
+    PHASE_BLEND,
+    PHASE_BLEND_GRID,
+    PHASE_HG,
+    PHASE_RAYLEIGH,
+    PHASE_SGGX,
+    PHASE_TABLE,
+    TWO_PI,
+)
 from warp_psdr.kernels.math import any_tangent, to_world
-from warp_psdr.kernels.phase.blendphase import make_blend, make_blend_by_cosine, make_blend_sink
+from warp_psdr.kernels.phase.blendphase import make_blend, make_blend_sink, make_blend_slopes
 from warp_psdr.kernels.phase.hg import hg_by_cosine, hg_cosine, hg_eval, hg_slope
 from warp_psdr.kernels.phase.isotropic import isotropic_cosine, isotropic_eval
 from warp_psdr.kernels.phase.rayleigh import rayleigh_by_cosine, rayleigh_cosine, rayleigh_eval
@@ -17,13 +25,22 @@ from warp_psdr.kernels.reading import load_float
 from warp_psdr.kernels.sink import make_sink
 from warp_psdr.kernels.structs import Medium, Scene
 
+BLENDS = (PHASE_BLEND, PHASE_BLEND_GRID)
+
+
+def unblended(kinds: tuple[int, ...]) -> tuple[int, ...]:
+    """Return the kinds of phase functions that are no blends of others."""
+    return tuple(kind for kind in kinds if kind not in BLENDS)
+
 
 class PhaseFunctions(NamedTuple):
-    """Warp functions of a medium's phase function; ``d`` is the direction of flight, ``wo`` the new one, both unit.
+    """Warp functions of a medium's phase function at a point x of it.
+
+    ``d`` is the direction of flight, ``wo`` the new one, both unit.
 
     Attributes:
-        eval: ``(scene, m, d, wo) -> float32``: value, 1/sr, which is the density of ``sample`` as well.
-        sample: ``(scene, m, d, u: vec2) -> vec3``: a new direction.
+        eval: ``(scene, m, x, d, wo) -> float32``: value, 1/sr, which is the density of ``sample`` as well.
+        sample: ``(scene, m, x, d, u: vec2) -> vec3``: a new direction.
     """
 
     eval: wp.Function
@@ -33,15 +50,15 @@ class PhaseFunctions(NamedTuple):
 @functools.cache
 def make_phase(kinds: tuple[int, ...]) -> PhaseFunctions:
     """Return the functions for the kinds (PHASE_*) of a scene."""
-    if PHASE_BLEND in kinds:
-        inner = make_phase(tuple(kind for kind in kinds if kind != PHASE_BLEND))
-        return PhaseFunctions(*make_blend(inner.eval, inner.sample))
+    rest = unblended(kinds)
+    if rest != kinds:
+        return PhaseFunctions(*make_blend(kinds, *make_phase(rest)))
     one = len(kinds) == 1
     forward, rayleigh, table = (kind in kinds for kind in (PHASE_HG, PHASE_RAYLEIGH, PHASE_TABLE))
     flakes = PHASE_SGGX in kinds
 
     @wp.func
-    def phase_eval(scene: Scene, m: Medium, d: wp.vec3, wo: wp.vec3) -> wp.float32:
+    def phase_eval(scene: Scene, m: Medium, x: wp.vec3, d: wp.vec3, wo: wp.vec3) -> wp.float32:
         value = isotropic_eval()
         if wp.static(forward):
             if wp.static(one) or m.phase == PHASE_HG:
@@ -58,7 +75,7 @@ def make_phase(kinds: tuple[int, ...]) -> PhaseFunctions:
         return value
 
     @wp.func
-    def phase_sample(scene: Scene, m: Medium, d: wp.vec3, u: wp.vec2) -> wp.vec3:
+    def phase_sample(scene: Scene, m: Medium, x: wp.vec3, d: wp.vec3, u: wp.vec2) -> wp.vec3:
         if wp.static(flakes):
             if wp.static(one) or m.phase == PHASE_SGGX:
                 return sggx_sample(flakes_of(scene, m.g), d, u)
@@ -81,18 +98,20 @@ def make_phase(kinds: tuple[int, ...]) -> PhaseFunctions:
 
 
 @functools.cache
-def make_phase_by_cosine(kinds: tuple[int, ...]):
-    """Return ``by_cosine(scene, m, mu) -> float32``: the derivative of the value by the cosine of the turn.
+def make_phase_slopes(kinds: tuple[int, ...]):
+    """Return ``(by_cosine, by_place)``: the derivatives of the value by the cosine of the turn, and by x.
 
-    That of ``sggx`` does not depend on that alone (``sggx_slopes``), and is 0 here.
+    ``by_cosine(scene, m, x, mu) -> float32``; that of ``sggx`` does not depend on the cosine alone (``sggx_slopes``),
+    and is 0 here. ``by_place(scene, m, x, d, wo) -> vec3``.
     """
-    if PHASE_BLEND in kinds:
-        return make_blend_by_cosine(make_phase_by_cosine(tuple(kind for kind in kinds if kind != PHASE_BLEND)))
+    rest = unblended(kinds)
+    if rest != kinds:
+        return make_blend_slopes(kinds, make_phase(rest).eval, make_phase_slopes(rest)[0])
     one = len(kinds) == 1
     forward, rayleigh, table = (kind in kinds for kind in (PHASE_HG, PHASE_RAYLEIGH, PHASE_TABLE))
 
     @wp.func
-    def by_cosine(scene: Scene, m: Medium, mu: wp.float32) -> wp.float32:
+    def by_cosine(scene: Scene, m: Medium, x: wp.vec3, mu: wp.float32) -> wp.float32:
         slope = wp.float32(0.0)
         if wp.static(forward):
             if wp.static(one) or m.phase == PHASE_HG:
@@ -105,15 +124,19 @@ def make_phase_by_cosine(kinds: tuple[int, ...]):
                 slope = tabphase_by_cosine(scene, m.g, mu)
         return slope
 
-    return by_cosine
+    @wp.func
+    def by_place(scene: Scene, m: Medium, x: wp.vec3, d: wp.vec3, wo: wp.vec3) -> wp.vec3:
+        return wp.vec3(0.0, 0.0, 0.0)
+
+    return by_cosine, by_place
 
 
 @functools.cache
 def make_phase_sink(kinds: tuple[int, ...], role: str):
-    """Return ``accumulate_phase(scene, target, m, d, wo, w) -> float32``: ``w`` is the adjoint of the value."""
-    if PHASE_BLEND in kinds:
-        rest = tuple(kind for kind in kinds if kind != PHASE_BLEND)
-        return make_blend_sink(make_phase(rest).eval, make_phase_sink(rest, role), role)
+    """Return ``accumulate_phase(scene, target, m, x, d, wo, w) -> float32``: ``w`` is the adjoint of the value."""
+    rest = unblended(kinds)
+    if rest != kinds:
+        return make_blend_sink(kinds, make_phase(rest).eval, make_phase_sink(rest, role), role)
     sink = make_sink(role)
     accumulate_table = make_table_sink(role)
     accumulate_sggx, _area = make_flake_sinks(role)
@@ -122,7 +145,13 @@ def make_phase_sink(kinds: tuple[int, ...], role: str):
 
     @wp.func
     def accumulate_phase(
-        scene: Scene, target: wp.array(dtype=wp.float32), m: Medium, d: wp.vec3, wo: wp.vec3, w: wp.float32
+        scene: Scene,
+        target: wp.array(dtype=wp.float32),
+        m: Medium,
+        x: wp.vec3,
+        d: wp.vec3,
+        wo: wp.vec3,
+        w: wp.float32,
     ) -> wp.float32:
         dot = wp.float32(0.0)
         if wp.static(forward):

@@ -152,7 +152,7 @@ def make_sphere_edge(config: PathConfig):
         o = x
         medium = v.medium
         if v.collides:
-            value = phase.eval(scene, scene.media.records[v.medium], vertex.d, w)
+            value = phase.eval(scene, scene.media.records[v.medium], x, vertex.d, w)
             f = wp.vec3(value, value, value)
         else:
             if wp.static(interaction.eval is not None):

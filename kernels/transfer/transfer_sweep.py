@@ -31,7 +31,7 @@ from warp_psdr.kernels.interior.shadow_motion import make_light_end, make_shadow
 from warp_psdr.kernels.medium.coefficients import coefficients_of
 from warp_psdr.kernels.medium.interface import make_crossing_sink
 from warp_psdr.kernels.path_media import MediaVertex, collision_point
-from warp_psdr.kernels.phase.dispatch import make_phase, make_phase_by_cosine
+from warp_psdr.kernels.phase.dispatch import make_phase, make_phase_slopes
 from warp_psdr.kernels.scattering import samples_lights
 from warp_psdr.kernels.sensor.camera import CameraSample, make_camera_sink
 from warp_psdr.kernels.structs import Camera, Scene
@@ -91,7 +91,7 @@ def make_transfer_sweep(config: PathConfig, wanted: GradientRequest, role: str, 
     interaction = make_interaction(surfaces)
     frame_vjp = make_frame_vjp(config.tangent)
     phase = make_phase(config.media.phases)
-    by_cosine = make_phase_by_cosine(config.media.phases)
+    by_cosine, _by_place = make_phase_slopes(config.media.phases)
     has_lights = bool(config.area or config.lights)
     has_smooth = interaction.eval is not None
     smooth_lights = samples_lights(config)
@@ -148,13 +148,13 @@ def make_transfer_sweep(config: PathConfig, wanted: GradientRequest, role: str, 
         x = collision_point(v)
         if vertex.lobe == LOBE_SMOOTH:
             w = vertex.inv_pdf * wp.dot(a_n, radiance)
-            r.d = (w * by_cosine(scene, m, wp.dot(vertex.d, vertex.wo))) * vertex.wo
+            r.d = (w * by_cosine(scene, m, x, wp.dot(vertex.d, vertex.wo))) * vertex.wo
         if wp.static(has_lights):
             if vertex.light >= 0:
                 a_direct = vertex.light_weight * wp.cw_mul(a_n, v.transmittance)
                 turned = wp.dot(a_direct, radiance_of(scene, vertex, x))
-                turned *= by_cosine(scene, m, wp.dot(vertex.d, vertex.light_wi))
-                w_radiance = phase.eval(scene, m, vertex.d, vertex.light_wi) * a_direct
+                turned *= by_cosine(scene, m, x, wp.dot(vertex.d, vertex.light_wi))
+                w_radiance = phase.eval(scene, m, x, vertex.d, vertex.light_wi) * a_direct
                 a_x, dot = towards_light(scene, target, v, x, w_radiance, turned * vertex.d)
                 r.vertex.x = a_x
                 r.d = r.d + turned * vertex.light_wi

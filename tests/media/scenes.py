@@ -189,6 +189,23 @@ def blended():
     return parts
 
 
+def blended_by_grids():
+    """``two_phases`` with blends whose weights vary, one of them from 0 to 1."""
+    parts = two_phases()
+    air, lobe = {"type": "rayleigh"}, {"type": "hg", "g": 0.7}
+    weights = np.random.default_rng(6).uniform(0.0, 1.0, (2, 3, 2))
+    for name, second, values in (("table", air, weights), ("air", lobe, np.linspace(0.0, 1.0, 4).reshape(1, 4, 1))):
+        inner = parts[name]["interior"]["phase"]
+        box = parts[name]["to_world"] @ T.translate([-1, -1, -1]) @ T.scale(2.0)
+        parts[name]["interior"]["phase"] = {
+            "type": "blendphase",
+            "weight": grid(values, box),
+            "a": inner,
+            "b": second,
+        }
+    return parts
+
+
 def microflakes():
     """A cube of fibres beside one of sheets in a bulb's light, scattered once.
 

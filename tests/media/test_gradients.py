@@ -11,7 +11,7 @@ from tests.gradients import measure
 from tests.gradients.configs import Case, mixed, ones
 from tests.gradients.scenes import SCENES, SIZE, noise
 from tests.media import scenes
-from tests.media.scenes import T, camera, cube, lamp, medium, point, rgb, sky, square
+from tests.media.scenes import T, camera, cube, grid, lamp, medium, point, rgb, sky, square
 
 #: Both modes draw the same numbers: float32 sums of the same terms in another order, relative.
 ROUNDING = 2e-5
@@ -95,7 +95,16 @@ def blend_scene():
     return scene
 
 
-SCENES |= {"table": table_scene, "blend": blend_scene}
+def grid_blend_scene():
+    """``blend_scene`` with weights that vary in one cube and are 0 in the other."""
+    scene = blend_scene()
+    for name, values in (("table", noise(3, 2, 2, low=0.2, high=0.8, seed=9)), ("air", np.zeros((1, 2, 2)))):
+        box = scene[name]["to_world"] @ T.translate([-1, -1, -1]) @ T.scale(2.0)
+        scene[name]["interior"]["phase"]["weight"] = grid(values, box)
+    return scene
+
+
+SCENES |= {"table": table_scene, "blend": blend_scene, "grid blend": grid_blend_scene}
 SCENES |= {"sunlit": sunlit_scene, "milk": milk_scene, "haze": haze_scene, "ink": ink_scene}
 MILK, FOG, INK, HAZE, THIN = (
     f"{name}medium." for name in ("milk.interior_", "sensor.", "glass.interior_", "haze.interior_", "thin.interior_")
@@ -110,6 +119,7 @@ TOGETHER = {
     ),
     "haze": (HAZE + "*", THIN + "*"),
     "table": ("table.interior_medium.phase_function.values", "air.interior_medium.albedo.value.value"),
+    "grid blend": (BLEND + "*", "air.interior_medium.phase_function.weight.data"),
     "blend": (BLEND + "*", "air.interior_medium.phase_function.weight.value.value"),
     "ink": (INK + "albedo*", INK + "phase*", "glass.bsdf.specular_transmittance.value", "sky.radiance.value"),
 }
@@ -131,6 +141,8 @@ CASES = [
     Case("table", "table.interior_medium.phase_function.values", mixed, 0.1, depth=2, spp=256, slow=True),
     Case("table", "air.interior_medium.albedo.value.value", ones, 0.05, depth=4, spp=256, slow=True),
     Case("blend", BLEND + "weight.value.value", ones, 0.05, depth=2, spp=256, slow=True),
+    Case("grid blend", BLEND + "weight.data", mixed, 0.05, depth=2, spp=256, slow=True),
+    Case("grid blend", BLEND + "phase_0.g", ones, 0.02, depth=2, spp=256, slow=True),
     Case("blend", BLEND + "phase_0.g", ones, 0.02, depth=2, spp=256, slow=True),
     Case("blend", BLEND + "phase_1.values", mixed, 0.1, depth=2, spp=256, slow=True),
     Case("ink", INK + "albedo.value.value", ones, 0.02, depth=6, spp=64, slow=True),
@@ -207,3 +219,22 @@ def test_blocks_of_a_path_are_replayed(sunlit):
     whole = gradient(sunlit, block=32, depth=12, rr_depth=100)
     for name, found in gradient(sunlit, block=2, depth=12, rr_depth=100).items():
         np.testing.assert_allclose(found, whole[name], rtol=1e-6)
+
+
+@pytest.mark.slow
+def test_a_grid_of_equal_weights_has_the_derivative_of_one_weight():
+    """Sample by sample, at any depth: the voxels have the shares of it."""
+    found = []
+    for name in ("weight.value.value", "weight.data"):
+        scene = blend_scene() if name.endswith("value") else grid_blend_scene()
+        if name.endswith("data"):
+            box = scene["table"]["to_world"] @ T.translate([-1, -1, -1]) @ T.scale(2.0)
+            scene["table"]["interior"]["phase"]["weight"] = grid(np.full((3, 2, 2), 0.4), box)
+        loaded = psdr.load_dict(scenes.whole(**scene))
+        params = psdr.traverse(loaded)
+        params.requires_grad_only(BLEND + name)
+        adjoint = np.ones((SIZE, SIZE, 3), np.float32)
+        psdr.render_backward(loaded, params, adjoint, integrator=measure.integrator(4), spp=16, seed=5)
+        found.append(params[BLEND + name].grad.numpy().astype(np.float64))
+    assert np.count_nonzero(found[1]) == 12
+    assert found[1].sum() == pytest.approx(found[0].item(), rel=1e-4) and abs(found[0].item()) > 0.0

@@ -11,8 +11,9 @@ from tests.peer import MITSUBA_ROUNDING, for_mitsuba
 CASES = {"fog in a room": scenes.fog_in_a_room, "milk": scenes.milk, "ink in glass": scenes.ink_in_glass}
 CASES["two phases"] = scenes.two_phases
 CASES["blended"] = scenes.blended
+CASES["blended by grids"] = scenes.blended_by_grids
 CASES["microflakes"] = scenes.microflakes
-SLOW = ("ink in glass", "two phases", "blended", "microflakes")
+SLOW = ("ink in glass", "two phases", "blended", "blended by grids", "microflakes")
 
 
 @pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.slow] * (n in SLOW)) for n in CASES])

@@ -11,7 +11,7 @@ import warp_psdr as psdr
 from tests.gradients import measure
 from tests.gradients.configs import Case, aim, shift, widen
 from tests.gradients.scenes import SCENES, SIZE
-from tests.media.scenes import BLACK, T, camera, cube, medium, point, rgb, square, whole
+from tests.media.scenes import BLACK, T, camera, cube, grid, medium, point, rgb, square, whole
 from tests.path.helpers import assert_mean
 
 #: The airlight of ``test_gradient_forms.py``: sigma, albedo, D, gamma, g and dL/dD.
@@ -29,6 +29,17 @@ def slab_scene():
         "slab": {**cube(medium((0.8, 0.6, 1.0), (0.9, 0.8, 0.7), g=0.4)), "to_world": pose},
         "bulb": point([0.5, 0.3, 2.5], (6.0, 5.0, 4.0)),
     }
+
+
+def blended_slab_scene():
+    """``slab_scene`` with fog that scatters backwards below and forwards above, by a grid of weights."""
+    scene = slab_scene()
+    weights = np.linspace(0.0, 1.0, 6).reshape(6, 1, 1) + np.array([0.0, -0.3, 0.0]).reshape(1, 1, 3)
+    box = T.translate([-2, -2, 0.3]) @ T.scale([4, 4, 1])
+    lobes = {"back": {"type": "hg", "g": -0.6}, "front": {"type": "hg", "g": 0.7}}
+    phase = {"type": "blendphase", "weight": grid(np.clip(weights, 0.0, 1.0), box), **lobes}
+    scene["slab"]["interior"]["phase"] = phase
+    return scene
 
 
 def glowing_room_scene():
@@ -57,8 +68,14 @@ def sunny_scene():
     }
 
 
-SCENES |= {"slab": slab_scene, "glowing room": glowing_room_scene, "sunny": sunny_scene}
+SCENES |= {
+    "blended slab": blended_slab_scene,
+    "slab": slab_scene,
+    "glowing room": glowing_room_scene,
+    "sunny": sunny_scene,
+}
 TOGETHER = {
+    "blended slab": ("floor.to_world", "sensor.to_world"),
     "slab": ("floor.to_world", "slab.to_world", "sensor.to_world", "bulb.position"),
     "glowing room": ("room.to_world", "sensor.to_world"),
     "sunny": ("haze.to_world", "sensor.to_world", "sun.to_world"),
@@ -68,6 +85,7 @@ CASES = [
     Case("slab", "slab.to_world", shift(0, 0, 1), 0.04, depth=3, spp=512, slow=True),
     Case("slab", "bulb.position", shift(0, 0, 1), 0.04, depth=3, spp=256, slow=True),
     Case("slab", "sensor.to_world", aim(0, 1, 0), 0.04, depth=3, spp=1024, slow=True),
+    Case("blended slab", "floor.to_world", shift(0, 0, 1), 0.04, depth=3, spp=512, slow=True),
     Case("sunny", "sun.to_world", aim(0.2, 1, 0), 0.1, depth=3, spp=512, slow=True),
 ]
 
@@ -86,6 +104,17 @@ def test_derivative_equals_finite_differences(case):
 def test_a_room_of_glowing_walls_grows():
     """Volume vertices slide along walls that shine: samples with a tail, even by their weight next to walls."""
     case = Case("glowing room", "room.to_world", widen, 0.04, depth=3, spp=1536)
+    _scene, params = measure.load(case.scene)
+    params.requires_grad_only(*TOGETHER[case.scene])
+    found = measure.compare(case, "reverse", 8, params.requested)
+    scale = abs(float(found.difference.mean()))
+    assert found.error <= 0.04 * scale and abs(found.slope - 1.0) <= measure.SLOPE_TOLERANCE, found
+
+
+@pytest.mark.slow
+def test_the_camera_moves_past_weights_that_vary():
+    """Volume vertices on its rays ride through the grid: without the slope of the weight the slope is .51."""
+    case = Case("blended slab", "sensor.to_world", shift(0.3, 0, 1), 0.04, depth=3, spp=1024)
     _scene, params = measure.load(case.scene)
     params.requires_grad_only(*TOGETHER[case.scene])
     found = measure.compare(case, "reverse", 8, params.requested)

@@ -8,7 +8,7 @@ from scipy import stats
 from tests.path.helpers import SIGNIFICANCE
 from warp_psdr.kernels import structs
 from warp_psdr.kernels.constants import PHASE_BLEND, PHASE_HG, PHASE_ISOTROPIC, PHASE_RAYLEIGH, PHASE_TABLE
-from warp_psdr.kernels.phase.dispatch import make_phase, make_phase_by_cosine, make_phase_sink
+from warp_psdr.kernels.phase.dispatch import make_phase, make_phase_sink, make_phase_slopes
 from warp_psdr.kernels.phase.hg import hg_slope
 from warp_psdr.scene.super_grid import integrals
 
@@ -20,13 +20,13 @@ def test_hg_samples_its_density(g):
 
     @wp.kernel(module="unique", enable_backward=False)
     def draw(scene: structs.Scene, d: wp.vec3, u: wp.array(dtype=wp.vec2), wo_out: wp.array(dtype=wp.vec3)):
-        wo_out[wp.tid()] = phase.sample(scene, structs.Medium(), d, u[wp.tid()])
+        wo_out[wp.tid()] = phase.sample(scene, structs.Medium(), wp.vec3(), d, u[wp.tid()])
 
     @wp.kernel(module="unique", enable_backward=False)
     def evaluate(
         scene: structs.Scene, d: wp.vec3, wo: wp.array(dtype=wp.vec3), value_out: wp.array2d(dtype=wp.float32)
     ):
-        value_out[wp.tid(), 0] = phase.eval(scene, structs.Medium(), d, wo[wp.tid()])
+        value_out[wp.tid(), 0] = phase.eval(scene, structs.Medium(), wp.vec3(), d, wo[wp.tid()])
         value_out[wp.tid(), 1] = hg_slope(scene.values[0], wp.dot(d, wo[wp.tid()]))
 
     scene = structs.Scene()
@@ -98,7 +98,7 @@ def kernels():
     def draw(
         scene: structs.Scene, number: wp.int32, d: wp.vec3, u: wp.array(dtype=wp.vec2), wo_out: wp.array(dtype=wp.vec3)
     ):
-        wo_out[wp.tid()] = phase.sample(scene, medium(number), d, u[wp.tid()])
+        wo_out[wp.tid()] = phase.sample(scene, medium(number), wp.vec3(), d, u[wp.tid()])
 
     @wp.kernel(module="unique", enable_backward=False)
     def evaluate(
@@ -110,8 +110,8 @@ def kernels():
         value_out: wp.array2d(dtype=wp.float32),
     ):
         i = wp.tid()
-        value_out[i, 0] = phase.eval(scene, medium(number), d, wo[i])
-        value_out[i, 1] = accumulate(scene, tangent, medium(number), d, wo[i], 1.0)
+        value_out[i, 0] = phase.eval(scene, medium(number), wp.vec3(), d, wo[i])
+        value_out[i, 1] = accumulate(scene, tangent, medium(number), wp.vec3(), d, wo[i], 1.0)
 
     return draw, evaluate
 
@@ -161,7 +161,7 @@ def blended():
     """Samples, values and derivatives by [g, weight] of a blend of an even phase function and of a lobe."""
     kinds = (PHASE_ISOTROPIC, PHASE_HG, PHASE_BLEND)
     phase, accumulate = make_phase(kinds), make_phase_sink(kinds, "forward")
-    by_cosine = make_phase_by_cosine(kinds)
+    by_cosine, _by_place = make_phase_slopes(kinds)
 
     @wp.kernel(module="unique", enable_backward=False)
     def run(
@@ -177,10 +177,10 @@ def blended():
         m = structs.Medium()
         m.phase = kind
         d = wp.vec3(0.0, 0.0, 1.0)
-        drawn_out[i] = phase.sample(scene, m, d, u[i])
-        value_out[i, 0] = phase.eval(scene, m, d, wo[i])
-        value_out[i, 1] = accumulate(scene, tangent, m, d, wo[i], 1.0)
-        value_out[i, 2] = by_cosine(scene, m, wo[i][2])
+        drawn_out[i] = phase.sample(scene, m, wp.vec3(), d, u[i])
+        value_out[i, 0] = phase.eval(scene, m, wp.vec3(), d, wo[i])
+        value_out[i, 1] = accumulate(scene, tangent, m, wp.vec3(), d, wo[i], 1.0)
+        value_out[i, 2] = by_cosine(scene, m, wp.vec3(), wo[i][2])
 
     def call(weight, kind=PHASE_BLEND, tangent=(0.0, 1.0), n=1 << 16):
         record = structs.Texture()

@@ -50,9 +50,9 @@ def run():
         i = wp.tid()
         m = structs.Medium()
         m.phase = PHASE_SGGX
-        drawn_out[i] = phase.sample(scene, m, d[i], u[i])
-        value_out[i, 0] = phase.eval(scene, m, d[i], wo[i])
-        value_out[i, 1] = accumulate(scene, tangent, m, d[i], wo[i], 1.0)
+        drawn_out[i] = phase.sample(scene, m, wp.vec3(), d[i], u[i])
+        value_out[i, 0] = phase.eval(scene, m, wp.vec3(), d[i], wo[i])
+        value_out[i, 1] = accumulate(scene, tangent, m, wp.vec3(), d[i], wo[i], 1.0)
 
     def call(values, d, wo, tangent=(0.0,) * 6):
         n = len(wo)

@@ -10,7 +10,7 @@ from warp_psdr.scene import describe_dict, describe_string
 
 SKY = {"type": "constant"}
 HG = {"type": "hg"}
-WEIGHTS = {"type": "gridvolume", "data": np.full((2, 2, 2), 0.5)}
+WEIGHTS = {"type": "gridvolume", "data": np.full((2, 2, 2, 3), 0.5)}
 CUBE = {"type": "cube", "bsdf": {"type": "null"}}
 
 
@@ -105,7 +105,7 @@ def test_numbers_colours_and_volumes():
         ({"phase": {"type": "blendphase", "a": HG, "b": HG}}, "no 'weight'.*from 0 to 1"),
         ({"phase": {"type": "blendphase", "weight": 1.5, "a": HG, "b": HG}}, "'weight'.*between 0 and 1|range"),
         ({"phase": {"type": "blendphase", "weight": 0.5, "a": HG}}, "1 phase functions.*nest two"),
-        ({"phase": {"type": "blendphase", "weight": WEIGHTS, "a": HG, "b": HG}}, "a grid of weights.*give a number"),
+        ({"phase": {"type": "blendphase", "weight": WEIGHTS, "a": HG, "b": HG}}, "a grid of 3 channels.*has one"),
         (
             {"phase": {"type": "blendphase", "weight": 0.5, "a": HG, "b": {"type": "blendphase"}}},
             "blendphase inside a blendphase",

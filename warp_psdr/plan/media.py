@@ -38,6 +38,7 @@ PHASE_NAMES = {
     c.PHASE_RAYLEIGH: "rayleigh",
     c.PHASE_TABLE: "tabphase",
     c.PHASE_BLEND: "blendphase",
+    c.PHASE_BLEND_GRID: "blendphase of a grid",
     c.PHASE_SGGX: "sggx",
 }
 
@@ -94,6 +95,11 @@ def refuse(
             f"interior.{type(method).__name__}() does not know 'sggx', whose extinction varies with direction; use "
             "interior.Replay()"
         )
+    if c.PHASE_BLEND_GRID in config.media.phases and type(method) is not interior.Replay and names:
+        raise ValueError(
+            f"interior.{type(method).__name__}() does not know a 'blendphase' whose weight is a grid; use "
+            "interior.Replay(), or give it one weight"
+        )
     if config.media.emissive and type(method) is not interior.Replay and names:
         raise ValueError(
             f"interior.{type(method).__name__}() does not know media that emit light; use interior.Replay(), or leave "
@@ -143,6 +149,10 @@ def _stepped_grid(scene: Scene) -> str:
     names = {p.offset: name for name, p in scene.parameters.items()}
     b = scene.builder
     for m in b.media:
+        if m.phase == c.PHASE_BLEND_GRID:
+            g = b.textures[b.textures[m.g].offset]
+            if g.filter == c.FILTER_NEAREST and g.width * g.height * g.first > 1:
+                return names[g.offset]
         volumes = ((m.sigma_t, m.sigma_t_channels), (m.albedo, m.albedo_channels), (m.emission, m.emission_channels))
         for number, channels in volumes:
             if channels == GRID and m.sigma_t_channels == GRID:
@@ -164,7 +174,7 @@ def refuse_zeros(scene: Scene, names: list[str]) -> None:
         if not isinstance(table, PhaseTable) or scene.view(table.parameter).numpy().all():
             continue
         for name in names:
-            blend = name.removesuffix("weight.value.value")
+            blend = name.removesuffix("weight.value.value").removesuffix("weight.data")
             if name == table.parameter or (blend != name and table.parameter.startswith(blend)):
                 raise ValueError(
                     f"the derivative by {name} would lack the light that is scattered where {table.parameter} is 0; "

@@ -127,7 +127,7 @@ class PhaseDescription:
     kind: Literal["isotropic", "hg", "rayleigh", "tabphase", "blendphase", "sggx"]
     g: float = 0.0  #: hg: mean cosine, more than 0 scatters forward
     values: np.ndarray | None = None  #: tabphase: (N,), at equal distances of the cosine from backwards to forwards
-    weight: float = 0.0  #: blendphase: share of the second one of ``nested``
+    weight: VolumeDescription | None = None  #: blendphase: share of the second one of ``nested``
     nested: tuple[PhaseDescription, ...] = ()  #: blendphase: two
     flakes: VolumeDescription | None = None  #: sggx: S_xx, S_yy, S_zz, S_xy, S_xz, S_yz, of one voxel or as they are
 

@@ -128,11 +128,11 @@ def _blend(props: Properties) -> PhaseDescription:
     """Take two phase functions and the share of the second."""
     if not props.has("weight"):
         raise error(props.where, "there is no 'weight'", "give the share of the second phase function, from 0 to 1")
-    share, place = props.node["weight"], props.place("weight")
-    if isinstance(share, dict) and props.context.resolve(share, place)[0].get("type") == "gridvolume":
-        raise error(place, "a grid of weights", "give a number; two media may have different ones")
-    weight = volume(props, "weight", 0.5, 1.0, grids=False)
-    if weight.value.size != 1:
+    place = props.place("weight")
+    weight = volume(props, "weight", 0.5, 1.0, grids=True)
+    if weight.value.ndim == 4 and weight.value.shape[3] != 1:
+        raise error(place, f"a grid of {weight.value.shape[3]} channels", "'weight' has one")
+    if weight.value.ndim != 4 and weight.value.size != 1:
         raise error(place, f"got the colour {weight.value.tolist()}", "'weight' is one number")
     nested = props.children("phase", limit=2)
     for _key, node, where in nested:
@@ -146,7 +146,7 @@ def _blend(props: Properties) -> PhaseDescription:
         for i, (_key, node, where) in enumerate(nested)
     ]
     props.finish()
-    return PhaseDescription(props.path, "blendphase", weight=float(weight.value[0]), nested=tuple(inner))
+    return PhaseDescription(props.path, "blendphase", weight=weight, nested=tuple(inner))
 
 
 def _table(props: Properties) -> np.ndarray:

@@ -105,7 +105,7 @@ class MediaRecords:
             place = add(m.emission.parameter, m.emission.value, MEDIUM + EMISSION, bounds=(0.0, np.inf))
             channels = m.emission.value.size
             if m.emission.value.ndim == 4:
-                place, channels = self._grid(m.emission, place, tracked=False), GRID
+                place, channels = self._grid(m.emission, place), GRID
             record.emission, record.emission_channels = place, channels
         record.phase, record.g = self._phase(m.phase)
         return record
@@ -113,6 +113,8 @@ class MediaRecords:
     def _phase(self, p: PhaseDescription) -> tuple[int, int]:
         """Return the kind of a phase function (PHASE_*), and where its values are (``Medium.g``)."""
         kind, place = PHASES[p.kind], 0
+        if p.weight is not None and p.weight.value.ndim == 4:
+            kind = c.PHASE_BLEND_GRID
         self._phases.add(kind)
         if p.kind == "hg":
             bounds = (-MOST_G, MOST_G)
@@ -128,13 +130,16 @@ class MediaRecords:
 
     def _blend(self, p: PhaseDescription) -> int:
         """Return the number of the record of a blend: its weight, kinds and places of both phase functions."""
-        record, weight = Texture(), np.array([p.weight])
+        assert p.weight is not None
+        record, weight = Texture(), p.weight
         record.kind = c.TEXTURE_GRID
-        record.offset = self._layout.add(f"{p.path}.weight.value.value", weight, MEDIUM + PHASE, bounds=(0.0, 1.0))
+        place = self._layout.add(weight.parameter, weight.value, MEDIUM + PHASE, bounds=(0.0, 1.0))
+        # In place of a number's flat offset, the number of a grid.
+        record.offset = self._grid(weight, place, placed=False) if weight.value.ndim == 4 else place
         (record.width, record.first), (record.height, record.second) = (self._phase(inner) for inner in p.nested)
         record.channels = 1
         self._textures.append(record)
-        self._texture_ranges.append((record.offset, 1))
+        self._texture_ranges.append((place, weight.value.size))
         return len(self._textures) - 1
 
     def _table(self, name: str, values: np.ndarray) -> int:
@@ -149,10 +154,10 @@ class MediaRecords:
         self._texture_ranges.append((record.offset, values.size))
         return len(self._textures) - 1
 
-    def _grid(self, v: VolumeDescription, offset: int, *, tracked: bool) -> int:
+    def _grid(self, v: VolumeDescription, offset: int, *, tracked: bool = False, placed: bool = True) -> int:
         """Return the number of the record of a volume whose values are at a flat offset; a constant is one voxel.
 
-        ``tracked``: it has majorants.
+        ``tracked``: it has majorants; ``placed``: its pose is a parameter.
         """
         assert v.to_world is not None
         shape = v.value.shape if v.value.ndim == 4 else (1, 1, 1, v.value.size)
@@ -163,8 +168,9 @@ class MediaRecords:
         record.filter = c.FILTER_NEAREST if v.filter == "nearest" else c.FILTER_BILINEAR
         record.wrap = {"repeat": c.WRAP_REPEAT, "mirror": c.WRAP_MIRROR, "clamp": c.WRAP_CLAMP}[v.wrap]
         pose = moved(v.to_world, self._origin)
-        name = f"{v.parameter.removesuffix('.data').removesuffix('.value.value')}.to_world"
-        self._poses.append(VolumePose(name, self._layout.add(name, pose, MEDIUM + POSE, placed=True)))
+        if placed:
+            name = f"{v.parameter.removesuffix('.data').removesuffix('.value.value')}.to_world"
+            self._poses.append(VolumePose(name, self._layout.add(name, pose, MEDIUM + POSE, placed=True)))
         record.to_uv = self._layout.add_values(inverse_of(pose))
         if tracked:
             record.second = self._layout.add_values(super_grid(v.value.reshape(shape), v.wrap))

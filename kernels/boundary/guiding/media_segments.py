@@ -62,7 +62,7 @@ def make_media_blocked_light(config: PathConfig):
             return r
         f = wp.vec3(0.0, 0.0, 0.0)
         if step.collides:
-            scattered = phase.eval(scene, scene.media.records[medium], vertex.d, ls.wi)
+            scattered = phase.eval(scene, scene.media.records[medium], x, vertex.d, ls.wi)
             f = wp.vec3(scattered, scattered, scattered)
         else:
             if wp.static(interaction.eval is not None):

@@ -206,9 +206,9 @@ def make_media_walk(config: PathConfig):
             m = scene.media.records[walk.medium]
             if wp.static(flakes):
                 # ``weight`` has their area along ``to``: A f_p is reciprocal, f_p is not.
-                value = wp.vec3(1.0, 1.0, 1.0) * phase.eval(scene, m, -walk.to, -r.d)
+                value = wp.vec3(1.0, 1.0, 1.0) * phase.eval(scene, m, walk.x, -walk.to, -r.d)
             else:
-                value = wp.vec3(1.0, 1.0, 1.0) * phase.eval(scene, m, r.d, walk.to)
+                value = wp.vec3(1.0, 1.0, 1.0) * phase.eval(scene, m, walk.x, r.d, walk.to)
         else:
             if wp.static(scatters):
                 here = interaction.at(scene, walk.face, walk.u, walk.v, r.d)
@@ -240,7 +240,7 @@ def make_media_walk(config: PathConfig):
         o = walk.x
         w = wp.vec3(0.0, 0.0, 0.0)
         if walk.collides:
-            w = phase.sample(scene, scene.media.records[walk.medium], -walk.to, wp.vec2(u4[2], u4[3]))
+            w = phase.sample(scene, scene.media.records[walk.medium], o, -walk.to, wp.vec2(u4[2], u4[3]))
         else:
             if wp.static(scatters):
                 left = turn(scene, walk.face, walk.u, walk.v, walk.x, walk.to, u4)
