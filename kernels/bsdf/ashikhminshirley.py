@@ -13,6 +13,7 @@ import functools
 
 import warp as wp
 
+from warp_psdr.kernels.bsdf.decomposition import ACROSS, Split, make_decomposition
 from warp_psdr.kernels.bsdf.diffuse import diffuse_pdf
 from warp_psdr.kernels.bsdf.microfacet import MIN_COSINE, half_slope
 from warp_psdr.kernels.bsdf.model import Color, Functions, Model, Number
@@ -21,7 +22,7 @@ from warp_psdr.kernels.bsdf.principled import schlick_weight
 from warp_psdr.kernels.bsdf.reflected import make_reflected_sample
 from warp_psdr.kernels.bsdf.roughplastic import WIDE_SLOPE
 from warp_psdr.kernels.constants import INV_PI, LOBE_SMOOTH
-from warp_psdr.kernels.math import log_ratio
+from warp_psdr.kernels.math import exp_ratio, log_ratio, where3
 from warp_psdr.kernels.sampling import square_to_cosine_hemisphere
 
 #: Greatest exponent: a lobe of some 0.3 degrees.
@@ -75,19 +76,25 @@ def make_ashikhmin_shirley(record: type, _variant: str) -> Functions:
         return wp.clamp(glossy / wp.max(glossy + base, MIN_COSINE), MIN_SHARE, 1.0 - MIN_SHARE)
 
     @wp.func
-    def ashikhmin_eval(mat: record, wi: wp.vec3, wo: wp.vec3) -> wp.vec3:
-        """f_s times the cosine of ``wo``, 1/sr."""
+    def phong_value(mat: record, wi: wp.vec3, wo: wp.vec3) -> wp.vec3:
+        """The glossy lobe, times the cosine of ``wo``, 1/sr."""
         if wi[2] <= MIN_COSINE or wo[2] <= MIN_COSINE:
             return wp.vec3(0.0, 0.0, 0.0)
         h = wi + wo
         c = 0.5 * wp.sqrt(wp.dot(h, h))
         rs = mat.specular_reflectance
-        white = wp.vec3(1.0, 1.0, 1.0)
         d = phong_normals(wi, wo, phong_exponent(mat.nu), phong_exponent(mat.nv))
         glossy = d * 0.25 / c * (wo[2] / wp.max(wi[2], wo[2]))
-        fresnel = rs + schlick_weight(c) * (white - rs)
+        return glossy * (rs + schlick_weight(c) * (wp.vec3(1.0, 1.0, 1.0) - rs))
+
+    @wp.func
+    def ashikhmin_eval(mat: record, wi: wp.vec3, wo: wp.vec3) -> wp.vec3:
+        """f_s times the cosine of ``wo``, 1/sr."""
+        if wi[2] <= MIN_COSINE or wo[2] <= MIN_COSINE:
+            return wp.vec3(0.0, 0.0, 0.0)
         below = (1.0 - schlick_weight(0.5 * wi[2])) * (1.0 - schlick_weight(0.5 * wo[2]))
-        return glossy * fresnel + (BASE * INV_PI * below * wo[2]) * wp.cw_mul(mat.reflectance, white - rs)
+        left = wp.cw_mul(mat.reflectance, wp.vec3(1.0, 1.0, 1.0) - mat.specular_reflectance)
+        return phong_value(mat, wi, wo) + (BASE * INV_PI * below * wo[2]) * left
 
     @wp.func
     def ashikhmin_pdf(mat: record, wi: wp.vec3, wo: wp.vec3) -> wp.float32:
@@ -113,8 +120,56 @@ def make_ashikhmin_shirley(record: type, _variant: str) -> Functions:
         across = wp.sqrt(2.0 / (phong_exponent(mat.nv) + 2.0))
         return wp.vec2(wp.max(along, WIDE_SLOPE), wp.max(across, WIDE_SLOPE))
 
+    split = make_phong_split(record, phong_value)
     ashikhmin_sample = make_reflected_sample(record, draw, ashikhmin_eval, ashikhmin_pdf)
-    return Functions(ashikhmin_sample, ashikhmin_eval, ashikhmin_pdf, slopes=slopes)
+    return Functions(ashikhmin_sample, ashikhmin_eval, ashikhmin_pdf, slopes=slopes, split=split)
+
+
+@functools.cache
+def make_phong_split(record: type, value: wp.Function) -> Split:
+    """Return the two lobes of the derivative by an exponent: Beckmann's, in (X, Y) = sqrt(y) (cos(psi), sin(psi)).
+
+    Derivation: ``docs/theory/interior.md#decomposed-branches``.
+    """
+    lobes = make_decomposition("beckmann")
+
+    @wp.func
+    def phong_lobe_draw(mat: record, wi: wp.vec3, axis: wp.int32, outer: wp.bool, u: wp.vec3) -> wp.vec3:
+        s = lobes.draw(axis, outer, u)
+        nu = phong_exponent(mat.nu) + 1.0
+        nv = phong_exponent(mat.nv) + 1.0
+        x = s[0] / wp.sqrt(nu)
+        y = s[1] / wp.sqrt(nv)
+        r2 = wp.max(x * x + y * y, 1.0e-30)
+        # -log of the cosine of the normal: (X^2 + Y^2) / (n + 1), n + 1 = (nu x^2 + nv y^2) / r^2.
+        depth = wp.dot(s, s) * r2 / wp.max(nu * x * x + nv * y * y, 1.0e-30)
+        sine = wp.sqrt(2.0 * depth * exp_ratio(-2.0 * depth) / r2)
+        h = wp.vec3(sine * x, sine * y, wp.exp(-depth))
+        c = wp.dot(wi, h)
+        return where3(c > 0.0, wp.normalize(2.0 * c * h - wi), wp.vec3(0.0, 0.0, -1.0))
+
+    @wp.func
+    def phong_density(mat: record, wi: wp.vec3, wo: wp.vec3) -> wp.float32:
+        h = wi + wo
+        return phong_normals(wi, wo, phong_exponent(mat.nu), phong_exponent(mat.nv)) * 0.5 / wp.sqrt(wp.dot(h, h))
+
+    @wp.func
+    def moving(mat: record, axis: wp.int32) -> wp.float32:
+        return 2.0 * (phong_exponent(wp.where(axis == ACROSS, mat.nv, mat.nu)) + 1.0)
+
+    @wp.func
+    def phong_mass(mat: record, axis: wp.int32) -> wp.float32:
+        return -lobes.mass(axis) / moving(mat, axis)
+
+    @wp.func
+    def phong_rate(mat: record, wi: wp.vec3, wo: wp.vec3, axis: wp.int32) -> wp.float32:
+        s = half_slope(wi, wo)
+        size = 0.5 * log_ratio(wp.dot(s, s))
+        x = s[0] * wp.sqrt((phong_exponent(mat.nu) + 1.0) * size)
+        y = s[1] * wp.sqrt((phong_exponent(mat.nv) + 1.0) * size)
+        return -lobes.rate(x, y, axis) / moving(mat, axis)
+
+    return Split(phong_lobe_draw, phong_density, value, phong_mass, phong_rate)
 
 
 ASHIKHMIN_SHIRLEY = Model(
@@ -129,4 +184,5 @@ ASHIKHMIN_SHIRLEY = Model(
     make_ashikhmin_shirley,
     brushed=True,
     glossy=True,
+    splits=("nu", "nv"),
 )

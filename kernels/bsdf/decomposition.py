@@ -33,15 +33,19 @@ MOST, TURN = 3.0 * math.sqrt(3.0) / 16.0, 1.0 / math.sqrt(3.0)
 class Split(NamedTuple):
     """Warp functions of a model whose derivative by its roughness is split; with the model's number first in dispatch.
 
+    With f_D the part of f_s that is proportional to D:
+
     Attributes:
         draw: ``(mat, wi, axis, outer, u) -> vec3``: a direction of one of the two lobes; it may point below.
-        density: ``(mat, wi, wo) -> float32``: D cos / (4 wi . h), 1/sr.
-        mass: ``(mat, axis) -> float32``: of each lobe, one over the roughness.
-        rate: ``(mat, wi, wo, axis) -> float32``: d log D / d alpha.
+        density: ``(mat, wi, wo) -> float32``: of normals, drawn by D, as directions ``wo``, 1/sr.
+        value: ``(mat, wi, wo) -> vec3``: f_D, with the cosine.
+        mass: ``(mat, axis) -> float32``: of each lobe, over what moves; below 0 where the outer one is the negative.
+        rate: ``(mat, wi, wo, axis) -> float32``: d log D over d of what moves.
     """
 
     draw: wp.Function
     density: wp.Function
+    value: wp.Function
     mass: wp.Function
     rate: wp.Function
 

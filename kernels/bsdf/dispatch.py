@@ -114,6 +114,7 @@ class BsdfFunctions(NamedTuple):
         normal: ``(model, mat, wi) -> vec3``: that lobes are about.
         glossy: ``(model) -> bool``: see ``Model``.
         split: see ``Split``.
+        masked: ``(model) -> bool``: see ``Model``.
     """
 
     record: type
@@ -136,6 +137,7 @@ class BsdfFunctions(NamedTuple):
     normal: wp.Function | None
     glossy: wp.Function
     split: Split | None
+    masked: wp.Function
 
 
 def declaration_of(key: str) -> tuple[Model, str]:
@@ -269,6 +271,7 @@ def make_bsdf(models: tuple[str, ...], selects: bool = False) -> BsdfFunctions:
         ),
         glossy=_make_test([model.glossy for model in declared]),
         split=_make_split(chain) if any(f.split is not None for f in functions) else None,
+        masked=_make_test([model.masked for model in declared]),
     )  # fmt: skip
 
 
@@ -286,6 +289,14 @@ def _make_split(chain: Callable[..., wp.Function]) -> Split:
             of="split",
         ),
         chain("split_density", f"{mat}, wo: wp.vec3", "wp.float32", "1.0", lambda f: f.split.density, of="split"),
+        chain(
+            "split_value",
+            f"{mat}, wo: wp.vec3",
+            "wp.vec3",
+            "wp.vec3(0.0, 0.0, 0.0)",
+            lambda f: f.split.value,
+            of="split",
+        ),
         chain("split_mass", f"mat: record, {axis}", "wp.float32", "0.0", lambda f: f.split.mass, of="split"),
         chain("split_rate", f"{mat}, wo: wp.vec3, {axis}", "wp.float32", "0.0", lambda f: f.split.rate, of="split"),
     )

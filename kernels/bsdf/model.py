@@ -361,7 +361,8 @@ class Functions(NamedTuple):
         slopes: ``(material) -> vec2``: root mean square slopes of a glossy lobe about the mirror direction, along the
             tangents. None: there is no such lobe.
         normal: ``(material, wi) -> vec3``: the normal that lobes are about. None: it is that of the surface.
-        split: the derivative by its roughness, split into two lobes of one sign each (``decomposition.py``).
+        split: the derivative by its roughness, split into two lobes of one sign each (``decomposition.py``). None:
+            there is none.
         branches: whether ``sample``, ``eval`` and ``pdf`` branch. Those that do not select among what they compute, of
             any directions, so that they are computed for paths side by side, also for those on other materials.
     """
@@ -393,7 +394,8 @@ class Model:
         brushed: whether lobes follow dp/du whatever its values are; any tangent does on shapes that have none.
         passes: whether a smooth lobe lies behind the surface.
         glossy: whether light is scattered at microfacets that are as many on one side of the normal as on the other.
-        splits: values of the roughness whose derivative is split, see ``Functions.split``.
+        splits: values of the roughness along the tangents whose derivative is split, see ``Functions.split``.
+        masked: whether more than the density of normals depends on these.
         mixes: values that ``eval`` and ``scatter`` are linear in.
         tilts: values that the normal of smooth lobes depends on.
         when: name of a parameter. Where a scene file gives it, other than as the number 0, this model serves the plugin
@@ -410,6 +412,7 @@ class Model:
     passes: bool = False
     glossy: bool = False
     splits: tuple[str, ...] = ()
+    masked: bool = False
     mixes: tuple[str, ...] = ()
     tilts: tuple[str, ...] = ()
     when: str = ""

@@ -92,7 +92,7 @@ def make_rough_conductor(record: type, distribution: str) -> Functions:
         rough_conductor_eval,
         rough_conductor_pdf,
         slopes=slopes,
-        split=Split(split_draw, split_density, split_mass, split_rate),
+        split=Split(split_draw, split_density, rough_conductor_eval, split_mass, split_rate),
         branches=False,
     )
 
@@ -110,4 +110,5 @@ ROUGH_CONDUCTOR = Model(
     make_rough_conductor,
     glossy=True,
     splits=("alpha_u", "alpha_v"),
+    masked=True,
 )

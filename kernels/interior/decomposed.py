@@ -1,19 +1,23 @@
 """Decomposed branches: the derivative of a microfacet lobe by its roughness, drawn by its sign [BXB*24].
 
-    df = f d(log D) + (df - f d(log D)):
+    df = f_D d(log D) + (df - f_D d(log D)),    f_D the part that is proportional to D:
 
-the first part is positive outside and negative in the middle. A direction is drawn from each of the two, with densities
-that are proportional to the derivative of D cos (``bsdf/decomposition.py``), and both are traced. The second part, by
-masking, is drawn by the model's own sampler.
+the first part is positive outside and negative in the middle, or the reverse by an exponent. A direction is drawn from
+each of the two, with densities that are proportional to the derivative of D cos (``bsdf/decomposition.py``), and both
+are traced. The second part, by masking, is drawn by the model's own sampler; models without masking have none.
 
 Derivation: ``docs/theory/interior.md#decomposed-branches``.
 """
+
+import functools
 
 import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.bsdf.decomposition import ACROSS, ALONG, BOTH
+from warp_psdr.kernels.bsdf.dispatch import make_bsdf, models_of
 from warp_psdr.kernels.constants import FAR
+from warp_psdr.kernels.generated import make_generated
 from warp_psdr.kernels.interaction import enter_frame, leave_frame, make_interaction
 from warp_psdr.kernels.interior.branch_point import DIRECTION_SLOT, NO_ROULETTE, VERTEX_SLOT, BranchPoint
 from warp_psdr.kernels.interior.gradient_request import GradientRequest
@@ -36,21 +40,41 @@ class Axis:
 
 
 @wp.func
-def axis_of(alpha_u: wp.float32, alpha_v: wp.float32, du: wp.float32, dv: wp.float32, u: wp.float32) -> Axis:
-    """Both roughnesses where they are one number, else one of those that move."""
+def axis_of(values: wp.vec2, d: wp.vec2, u: wp.float32) -> Axis:
+    """Both roughnesses where they are one number, else one of those that move; ``d``: their velocities."""
     a = Axis()
     a.weight = 1.0
-    if alpha_u == alpha_v and du == dv:
+    if values[0] == values[1] and d[0] == d[1]:
         a.axis = BOTH
-        a.rate = du
+        a.rate = d[0]
     else:
-        across = du == 0.0
-        if du != 0.0 and dv != 0.0:
+        across = d[0] == 0.0
+        if d[0] != 0.0 and d[1] != 0.0:
             across = u < 0.5
             a.weight = 2.0
         a.axis = wp.where(across, ACROSS, ALONG)
-        a.rate = wp.where(across, dv, du)
+        a.rate = wp.where(across, d[1], d[0])
     return a
+
+
+@functools.cache
+def make_split_values(bsdfs: tuple[str, ...]) -> tuple[wp.Function, wp.Function]:
+    """Return functions of the two values of a scene's models that are split (``Model.splits``).
+
+    ``split_values(model, m: record) -> vec2``; ``split_record(model, u, v) -> record``: one that holds them alone.
+    """
+    record = make_bsdf(bsdfs).record
+    get = ["def split_values(model: wp.int32, m: record) -> wp.vec2:", "    x = wp.vec2(0.0, 0.0)"]
+    put = ["def split_record(model: wp.int32, u: wp.float32, v: wp.float32) -> record:", "    m = record()"]
+    for number, model in enumerate(models_of(bsdfs)):
+        if model.splits:
+            along, across = model.splits
+            get += [f"    if model == {number}:", f"        x = wp.vec2(m.{along}, m.{across})"]
+            put += [f"    if model == {number}:", f"        m.{along} = u", f"        m.{across} = v"]
+    return (
+        make_generated("\n".join([*get, "    return x", ""]), record=record),
+        make_generated("\n".join([*put, "    return m", ""]), record=record),
+    )
 
 
 def make_decomposed_directions(
@@ -102,17 +126,16 @@ def make_lobe_directions(
     interaction = make_interaction(config)
     record, bsdf = interaction.record, interaction.bsdf
     material_record, add_materials = bsdf.record, bsdf.algebra.add
-    draw, density, mass, rate = bsdf.split
+    draw, density, value_of, mass, rate = bsdf.split
+    masked = bsdf.masked
+    split_values, split_record = make_split_values(config.bsdfs)
     sample_4d = make_sampler(config.sampler).sample_4d
     forward = role == "forward"
 
     @wp.func
-    def on_axis(axis: wp.int32, x: wp.float32) -> material_record:
+    def on_axis(model: wp.int32, axis: wp.int32, x: wp.float32) -> material_record:
         """A record that is ``x`` at the roughness, or both, of an axis."""
-        m = material_record()
-        m.alpha_u = wp.where(axis == ACROSS, 0.0, x)
-        m.alpha_v = wp.where(axis == ALONG, 0.0, x)
-        return m
+        return split_record(model, wp.where(axis == ACROSS, 0.0, x), wp.where(axis == ALONG, 0.0, x))
 
     @wp.func
     def from_lobes(
@@ -133,7 +156,7 @@ def make_lobe_directions(
         r4 = sample_4d(branch, DIRECTION_SLOT)
         material = at.material
         choice = unit_float(hashed(branch, AXIS_SLOT).x)
-        axis = axis_of(material.alpha_u, material.alpha_v, direction.alpha_u, direction.alpha_v, choice)
+        axis = axis_of(split_values(at.model, material), split_values(at.model, direction), choice)
         a = axis.weight * a_n
         found = wp.vec3(0.0, 0.0, 0.0)
         sign = wp.int32(0)
@@ -149,27 +172,29 @@ def make_lobe_directions(
                 state.eta = point.state.eta
                 state.left_face = point.face + 1
                 radiance = path_radiance(scene, branch, state, max_depth, rr_depth)
-                # f d(log D) over the density |d(D cos)| / (4 wi . h mass).
+                # f_D d(log D) over the density |d(D cos)| / (4 wi . h mass).
                 weight = mass(at.model, material, axis.axis) / density(at.model, material, at.wi, wo)
-                value = wp.cw_mul(interaction.eval(at, wo), radiance)
+                value = wp.cw_mul(value_of(at.model, material, at.wi, wo), radiance)
                 found += wp.where(outer, weight, -weight) * wp.cw_mul(a, value)
         # The rest.
         a_material = material_record()
         along = wp.vec3(0.0, 0.0, 0.0)
-        goes_on = scatter(at, point.state, point.face, r4, NO_ROULETTE)
-        if goes_on.after.alive == 1:
-            wo = enter_frame(at.frame, goes_on.wo)
-            radiance = path_radiance(scene, branch, goes_on.after, max_depth, rr_depth)
-            w = goes_on.inv_pdf * wp.cw_mul(a, radiance)
-            whole, d = partial(at, goes_on.lobe, wo, w, on_axis(axis.axis, axis.rate))
-            found -= rate(at.model, material, at.wi, wo, axis.axis) * wp.cw_mul(w, interaction.eval(at, wo))
-            a_material = whole
-            along = d
+        if masked(at.model):
+            goes_on = scatter(at, point.state, point.face, r4, NO_ROULETTE)
+            if goes_on.after.alive == 1:
+                wo = enter_frame(at.frame, goes_on.wo)
+                radiance = path_radiance(scene, branch, goes_on.after, max_depth, rr_depth)
+                w = goes_on.inv_pdf * wp.cw_mul(a, radiance)
+                whole, d = partial(at, goes_on.lobe, wo, w, on_axis(at.model, axis.axis, axis.rate))
+                value = value_of(at.model, material, at.wi, wo)
+                found -= rate(at.model, material, at.wi, wo, axis.axis) * wp.cw_mul(w, value)
+                a_material = whole
+                along = d
         if wp.static(forward):
             return a_material, along + axis.rate * found
         else:
             # Both are one number, which collects the two.
             share = wp.where(axis.axis == BOTH, 0.5, 1.0) * (found[0] + found[1] + found[2])
-            return add_materials(a_material, on_axis(axis.axis, share)), found
+            return add_materials(a_material, on_axis(at.model, axis.axis, share)), found
 
     return from_lobes

@@ -8,6 +8,7 @@ import scipy.stats
 import warp as wp
 
 from warp_psdr.kernels.bsdf.decomposition import ACROSS, ALONG, BOTH, make_decomposition
+from warp_psdr.kernels.bsdf.dispatch import make_bsdf
 
 #: Largest statistic of a chi-square test that right samples exceed once in 10^4 tries.
 CHANCE = 1e-4
@@ -111,3 +112,91 @@ def test_rates_are_derivatives_and_lobes_have_one_sign(distribution, axis):
         assert np.isfinite(slopes).all()
         sign = drawn(distribution, axis, outer, u, slopes.astype(np.float32))[1]
         assert ((sign > -1e-3) if outer else (sign < 1e-3)).all()
+
+
+#: Exponents of Ashikhmin and Shirley's model, along and across, and what moves.
+PHONG = [(5.0, 5.0, BOTH), (60.0, 60.0, BOTH), (8.0, 40.0, ALONG), (8.0, 40.0, ACROSS)]
+#: Cells of a hemisphere: cosines, angles around.
+RINGS, SECTORS = 16, 16
+
+
+@functools.cache
+def make_phong_drawing():
+    bsdf = make_bsdf(("ashikhminshirley",))
+    record, split = bsdf.record, bsdf.split
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def phong_drawing(
+        axis: wp.int32,
+        outer: wp.int32,
+        exponents: wp.vec2,
+        wi: wp.vec3,
+        u: wp.array(dtype=wp.vec3),
+        at: wp.array(dtype=wp.vec3),
+        drawn_out: wp.array(dtype=wp.vec3),
+        density_out: wp.array(dtype=wp.float32),
+        rate_out: wp.array(dtype=wp.float32),
+        mass_out: wp.array(dtype=wp.float32),
+    ):
+        i = wp.tid()
+        mat = record()
+        mat.nu = exponents[0]
+        mat.nv = exponents[1]
+        drawn_out[i] = split.draw(0, mat, wi, axis, outer == 1, u[i])
+        density_out[i] = split.density(0, mat, wi, at[i])
+        rate_out[i] = split.rate(0, mat, wi, at[i], axis)
+        mass_out[i] = split.mass(0, mat, axis)
+
+    return phong_drawing
+
+
+@pytest.mark.parametrize("outer", [0, 1])
+@pytest.mark.parametrize(("nu", "nv", "axis"), PHONG)
+def test_lobes_of_exponents_have_their_density(nu, nv, axis, outer):
+    """Directions of a lobe, seen from straight above: none points below, and the half vector is found from each."""
+    count = RINGS * SECTORS * POINTS * POINTS
+    random = np.random.default_rng(23)
+    u = random.uniform(size=(max(SAMPLES, count), 3)).astype(np.float32)
+    # Midpoints: cosines of the half vector are squared, so that there are many where the lobe is.
+    z = ((np.arange(RINGS * POINTS) + 0.5) / (RINGS * POINTS)) ** 0.25
+    angle = 2.0 * np.pi * (np.arange(SECTORS * POINTS) + 0.5) / (SECTORS * POINTS)
+    cosine, phi = np.meshgrid(z, angle, indexing="ij")
+    sine = np.sqrt(1.0 - cosine**2)
+    h = np.stack((sine * np.cos(phi), sine * np.sin(phi), cosine), -1).reshape(-1, 3)
+    wi = np.array([0.0, 0.0, 1.0])
+    wo = 2.0 * h[:, 2:] * h - wi
+    at = np.tile(wi.astype(np.float32), (len(u), 1))
+    at[:count] = wo
+    outputs = [wp.zeros(len(u), dtype=t, device="cpu") for t in (wp.vec3, wp.float32, wp.float32, wp.float32)]
+    inputs = [axis, outer, wp.vec2(nu, nv), wp.vec3(0.0, 0.0, 1.0), wp.array(u, dtype=wp.vec3, device="cpu")]
+    inputs.append(wp.array(at, dtype=wp.vec3, device="cpu"))
+    wp.launch(make_phong_drawing(), dim=len(u), inputs=inputs + outputs, device="cpu")
+    drawn, density, rates, mass = (x.numpy().astype(np.float64) for x in outputs)
+    # The rate is that of D in the exponents, by differences of its closed form.
+    du, dv = float(axis in (ALONG, BOTH)), float(axis in (ACROSS, BOTH))
+
+    def log(step):
+        a, b = nu + step * du, nv + step * dv
+        power = a * np.cos(phi) ** 2 + b * np.sin(phi) ** 2
+        return 0.5 * np.log((a + 1.0) * (b + 1.0)) + power * np.log(cosine)
+
+    expected_rate = ((log(1e-3) - log(-1e-3)) / 2e-3).reshape(-1)
+    above = wo[:, 2] > 1e-3
+    np.testing.assert_allclose(rates[:count][above], expected_rate[above], rtol=2e-3, atol=1e-4)
+    # What one sign of the rate has of the density of normals, in the measure of half vectors: of directions over 4 cos.
+    normals = density[:count].reshape(cosine.shape) * 4.0 * cosine
+    signed = np.maximum(rates[:count] * (-1.0 if outer else 1.0), 0.0).reshape(cosine.shape)
+    # dz = 4 z^3 of even steps in the fourth power.
+    cell = 2.0 * np.pi / (SECTORS * POINTS) / (RINGS * POINTS) / (4.0 * cosine**3)
+    lobe = np.where(above.reshape(cosine.shape), normals * signed * cell, 0.0)
+    expected = lobe.reshape(RINGS, POINTS, SECTORS, POINTS).sum((1, 3))
+    halves = drawn[drawn[:, 2] > 1e-3] + wi
+    halves /= np.linalg.norm(halves, axis=1)[:, None]
+    edges = (np.linspace(0.0, 1.0, RINGS + 1), np.linspace(0.0, 2.0 * np.pi, SECTORS + 1))
+    around = np.arctan2(halves[:, 1], halves[:, 0]) % (2.0 * np.pi)
+    counts = np.histogram2d(halves[:, 2] ** 4, around, bins=edges)[0]
+    assert abs(expected.sum() / -mass[0] / (counts.sum() / len(u)) - 1.0) < 5e-3
+    expected *= counts.sum() / expected.sum()
+    full = expected > 20.0
+    statistic = ((counts - expected)[full] ** 2 / expected[full]).sum()
+    assert scipy.stats.chi2.sf(statistic, full.sum() - 1) > CHANCE, statistic / full.sum()

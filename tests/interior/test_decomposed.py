@@ -7,7 +7,7 @@ import warp_psdr as psdr
 from tests.gradients.measure import shared_random_numbers
 from tests.interior.test_resampled import DIFFERENCES, ROUNDING, SCENES, SIZE, SLOPE, Z, backward, integrator, load
 
-METALS = ["metal", "beckmann metal", "brushed metal"]
+GLOSSY = ["metal", "beckmann metal", "brushed metal", "phong"]
 #: Scene -> weights of mixtures: two smooth models, a mirror and paint, and lobes of one model.
 MIXTURES = {
     "blend": ["ball.bsdf.weight.value"],
@@ -28,7 +28,7 @@ def signs(name, parameter):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["metal", *(pytest.param(n, marks=pytest.mark.slow) for n in METALS[1:])])
+@pytest.mark.parametrize("name", ["metal", *(pytest.param(n, marks=pytest.mark.slow) for n in GLOSSY[1:])])
 def test_mean_is_that_of_replay(name):
     _material, branched, _others = SCENES[name]
     batches, spp = (32, 8) if name == "metal" else (64, 16)
@@ -76,11 +76,12 @@ def test_forward_mode_by_weights_sums_to_reverse_mode(name):
 
 
 @pytest.mark.slow
-def test_several_roughnesses_take_turns():
-    _material, branched, _others = SCENES["brushed metal"]
-    weights = signs("brushed metal", branched[0])
-    a = backward("brushed metal", branched, psdr.interior.Replay(), range(64), spp=16, weights=weights)
-    b = backward("brushed metal", branched, psdr.interior.Decomposed(), range(900, 964), spp=16, weights=weights)
+@pytest.mark.parametrize("name", ["brushed metal", "phong"])
+def test_several_roughnesses_take_turns(name):
+    _material, branched, _others = SCENES[name]
+    weights = signs(name, branched[0])
+    a = backward(name, branched, psdr.interior.Replay(), range(64), spp=16, weights=weights)
+    b = backward(name, branched, psdr.interior.Decomposed(), range(900, 964), spp=16, weights=weights)
     error = np.sqrt(a.var(0, ddof=1) / 64 + b.var(0, ddof=1) / 64)
     assert (np.abs(a.mean(0)) > 5.0 * error).all() and (np.abs(a.mean(0) - b.mean(0)) < Z * error).all()
 
@@ -94,7 +95,7 @@ def test_the_rest_is_replayed_beside_it():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["metal", *(pytest.param(n, marks=pytest.mark.slow) for n in METALS[1:])])
+@pytest.mark.parametrize("name", ["metal", *(pytest.param(n, marks=pytest.mark.slow) for n in GLOSSY[1:])])
 def test_forward_mode_sums_to_reverse_mode(name):
     # Grey: forward mode chooses vertices by the colours alike.
     grey = np.random.default_rng(4).normal(size=(SIZE, SIZE, 1)).astype(np.float32) * np.ones(3, np.float32)
@@ -136,6 +137,7 @@ def test_equal_bits_for_any_number_of_workers():
     [
         ("metal", "ball.bsdf.alpha.value", 0.01),
         ("brushed metal", "ball.bsdf.alpha_v.value", 0.02),
+        ("phong", "ball.bsdf.nu.value", 2.0),
         ("blend", "ball.bsdf.weight.value", 0.05),
     ],
 )

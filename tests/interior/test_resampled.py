@@ -64,6 +64,11 @@ SCENES = {
         ["ball.bsdf.alpha_u.value", "ball.bsdf.alpha_v.value"],
         ["floor.bsdf.reflectance.value"],
     ),
+    "phong": (
+        {"type": "ashikhminshirley", "nu": 20.0, "nv": 80.0, "specular_reflectance": rgb(0.3, 0.4, 0.5)},
+        ["ball.bsdf.nu.value", "ball.bsdf.nv.value"],
+        ["ball.bsdf.reflectance.value"],
+    ),
     "half mirror": (
         {
             "type": "blendbsdf",

@@ -205,3 +205,54 @@ def test_what_it_does_not_draw_is_refused_by_name():
     for block in (0, 65, True):
         with pytest.raises(ValueError, match="expected an integer from 1 to 64"):
             psdr.interior.LightTracing(block=block)
+
+
+#: A ball of glass between a point light and the floor: its radius and its centre's height, and that of the light.
+RADIUS, CENTRE, ABOVE = 0.5, 1.0, 3.0
+#: Half of what the film spans: all of it lies in the ball's shadow, and beside the ball as the camera sees it.
+HALF_SPAN = 0.2
+
+
+def under_a_ball(size=8):
+    aside = T.look_at([0.0, -2.0, 2.0], [0.0, 0.0, 0.0], [0.0, 0.0, 1.0]) @ T.scale(HALF_SPAN)
+    film = {"type": "hdrfilm", "width": size, "height": size, "rfilter": {"type": "box"}}
+    glass = {"type": "dielectric", "int_ior": IOR, "ext_ior": 1.0}
+    return {
+        "type": "scene",
+        "integrator": {"type": "ptracer", "max_depth": 4},
+        "camera": {"type": "orthographic", "to_world": aside, "film": film},
+        "floor": {"type": "rectangle", "to_world": T.scale(2.0), "bsdf": {"type": "diffuse", "reflectance": 0.5}},
+        "ball": {"type": "sphere", "to_world": T.translate([0.0, 0.0, CENTRE]) @ T.scale(RADIUS), "bsdf": glass},
+        "light": {"type": "point", "position": [0.0, 0.0, ABOVE], "intensity": INTENSITY},
+    }
+
+
+def focused_radiance(size=8, rings=4000, around=1440):
+    """What the pixels see of the floor: cones of light between two angles keep their flux through the ball."""
+    angle = (np.arange(rings) + 0.5) / rings * np.arcsin(RADIUS / (ABOVE - CENTRE))
+    # In the plane of the axis: the distance of a ray from the centre turns into the angle at which it meets the ball.
+    outer = np.arcsin((ABOVE - CENTRE) * np.sin(angle) / RADIUS)
+    inner = np.arcsin(np.sin(outer) / IOR)
+    a, b = np.cos(outer), np.cos(inner)
+    passed = 1.0 - 0.5 * (((a - IOR * b) / (a + IOR * b)) ** 2 + ((IOR * a - b) / (IOR * a + b)) ** 2)
+    # Polar angle of the exit, about the centre and from straight up; both turns are equal.
+    polar = outer - angle + np.pi - 2.0 * inner
+    slope = np.tan(angle - 2.0 * (outer - inner))
+    radius = RADIUS * np.sin(polar) + slope * (CENTRE + RADIUS * np.cos(polar))
+    flux = INTENSITY * passed**2 * (np.cos(angle - angle[0]) - np.cos(angle + angle[0])) / around
+    phi = 2.0 * np.pi * (np.arange(around) + 0.5) / around
+    x, y = radius[:, None] * np.cos(phi), radius[:, None] * np.sin(phi) / np.sqrt(2.0)
+    edges = np.linspace(-HALF_SPAN, HALF_SPAN, size + 1)
+    weights = np.broadcast_to(flux[:, None] * 2.0 * np.pi, x.shape)
+    found = np.histogram2d(y.ravel(), x.ravel(), bins=(edges, edges), weights=weights.ravel())[0]
+    return 0.5 / np.pi * found / ((edges[1] - edges[0]) ** 2 * np.sqrt(2.0))
+
+
+@pytest.mark.slow
+def test_a_point_light_behind_a_ball_of_glass_is_what_a_quadrature_says():
+    """Its triangles bend the light by a little."""
+    found = psdr.render(psdr.load_dict(under_a_ball()), spp=1 << 16).numpy()[..., 0]
+    expected = focused_radiance()
+    assert expected.max() > 10.0 * np.median(expected)
+    np.testing.assert_allclose(found.sum(), expected.sum(), rtol=0.01)
+    np.testing.assert_allclose(found, expected, rtol=0.03, atol=0.01 * expected.max())

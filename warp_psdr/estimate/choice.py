@@ -1,10 +1,10 @@
 """The pilot of ``interior="auto"``: whether what a request may draw for pays, told by variance times cost.
 
 A pilot compiles the kernels of what it compares, which takes as long as many gradients of a small scene: it waits until
-a request has spent ``SPENT`` samples. Then every method draws ``BATCHES`` batches of some pixels with equal random
-numbers. Launches on the CPU keep sums of blocks of pixels apart, whose variances add up. Costs are fixed factors, never
-timed, so that equal calls in equal order choose alike, with any number of workers. A call that was replayed is replayed
-when it is repeated with the same seed and values.
+a request has spent ``SPENT`` samples. Then every method draws ``ROUNDS`` times ``BATCHES`` batches of some pixels with
+equal random numbers. Launches on the CPU keep sums of blocks of pixels apart, whose variances add up. Costs are fixed
+factors, never timed, so that equal calls in equal order choose alike, with any number of workers. A call that was
+replayed is replayed when it is repeated with the same seed and values.
 
 Derivation: ``docs/theory/interior.md#which-method``.
 """
@@ -33,13 +33,14 @@ if TYPE_CHECKING:
 #: Samples of a request's gradients after which there is a pilot.
 SPENT = 1 << 21
 #: Samples a pixel of a batch, pixels at most, and batches; of one that keeps no sums apart, so many more.
-SPP, PIXELS, BATCHES, WHOLE = 2, 1024, 12, 8
+SPP, PIXELS, BATCHES, WHOLE = 2, 1024, 8, 8
 #: Numbers whose variances tell enough without sums apart.
 MANY = 4096
 #: Least gain that pays: it is told with a noise of some ten percent.
 PAYS = 1.1
-#: Methods whose gains are within this ratio are told apart by further rounds of batches, so many in all at most.
-CLOSE, ROUNDS = 1.3, 4
+#: Rounds of batches, and how many of their standard errors are added to the variance of what may take replay's place:
+#: rare large samples are missed by most rounds.
+ROUNDS, DOUBT = 4, 2.0
 #: Stream of the pilot's random numbers.
 PILOT = 0x63686F69
 #: Calls whose random numbers are remembered.
@@ -90,22 +91,19 @@ def decide(
     methods = choice.candidates(plan)
     plans = [choice.by(plan, method) for method in (None, *(method for _kind, method in methods))]
     compiler.begin([k for p in plans for k in camera_gradient_kernels(p, role)], scene.device)
-    rounds = []
-    for number in range(ROUNDS):
-        stream = mix_seed(mix_seed(seed, PILOT), number)
-        rounds.append([variance(scene, p, names, role, sensor, stream, given) for p in plans])
-        if not _weigh(found, plan, methods, np.mean(rounds, axis=0)):
-            break
+    # (rounds, plans, parameters)
+    rounds = np.array(
+        [
+            [variance(scene, p, names, role, sensor, mix_seed(mix_seed(seed, PILOT), r), given) for p in plans]
+            for r in range(ROUNDS)
+        ]
+    )
+    variances = rounds.mean(axis=0)
+    variances[1:] += DOUBT * rounds[:, 1:].std(axis=0, ddof=1) / np.sqrt(ROUNDS)
     found.decided = True
-
-
-def _weigh(found: Choice, plan: Plan, methods: list[tuple[str, Branches]], variances: np.ndarray) -> bool:
-    """Keep what variances say, those by replay first and then a row a method; return whether two choices are close."""
-    assert plan.wanted is not None
-    found.method, found.gains, found.costs = None, {}, {}
     told = (variances > 0.0).all(axis=0)
     if not told.any():
-        return False
+        return
     gains = np.log(variances[0, told] / variances[1:, told]).mean(axis=-1)
     # Each kind draws for parameters of its own: side by side their gains multiply.
     kinds = {kind: [i for i, (k, _method) in enumerate(methods) if k == kind] for kind, _method in methods}
@@ -116,12 +114,11 @@ def _weigh(found: Choice, plan: Plan, methods: list[tuple[str, Branches]], varia
             method = choice.both(tuple(methods[i][1] for i in taken))
             cost = choice.cost_of(method, plan.config, plan.wanted)
             worths.append((float(sum(gains[i] for i in taken) - np.log(cost)), method))
-    (best, found.method), (second, _method) = sorted(worths, key=lambda worth: worth[0], reverse=True)[:2]
+    found.method = max(worths, key=lambda worth: worth[0])[1]
     for kind, rows in kinds.items():
         costs = {i: choice.cost_of(methods[i][1], plan.config, plan.wanted) for i in rows}
         i = max(rows, key=lambda i: gains[i] - np.log(costs[i]))
         found.gains[kind], found.costs[kind] = float(np.exp(gains[i])), costs[i]
-    return best - second < np.log(CLOSE)
 
 
 def variance(

@@ -13,6 +13,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
+from warp_psdr.kernels.interior.mixtures import mixed_values
 from warp_psdr.kernels.interior.shape_parameters import branched_values, unsplit_values
 from warp_psdr.kernels.interior.tilts import tilting_values
 from warp_psdr.options.interior import Branches, Method, Replay
@@ -28,9 +29,10 @@ if TYPE_CHECKING:
     from warp_psdr.plan.plan import Plan
     from warp_psdr.scene.scene import Scene
 
-#: Time of a sample over that of replay, measured with the benchmarks of each: of branches by shapes of lobes, and
-#: of antithetic pairs. It is no clock that chooses, so that equal calls choose alike.
-SHAPES_COST = {"resampled": 2.9, "decomposed": 2.7}
+#: Time of a sample over that of replay, measured with the benchmarks of each: of branches by shapes of lobes and by
+#: weights of mixtures, and of antithetic pairs. It is no clock that chooses, so that equal calls choose alike.
+SHAPES_COST = {"resampled": 3.4, "decomposed": 3.2}
+WEIGHTS_COST = {"resampled": 4.5, "decomposed": 2.3}
 NORMALS_COST = 1.4
 #: What turns normals besides maps.
 TURNING = {CAMERA, NORMALS, POSITIONS, SHAPE_POSE, TEXCOORDS, TO_UV}
@@ -147,7 +149,8 @@ def both(found: tuple[Branches, ...]) -> Branches:
 
 def cost_of(method: Branches, config: PathConfig, wanted: GradientRequest) -> float:
     """Return the time of a sample over that of replay."""
-    cost = SHAPES_COST[method.shapes] if method.shapes else 0.0
+    shapes_cost = WEIGHTS_COST if mixed_values(config, wanted) else SHAPES_COST
+    cost = shapes_cost[method.shapes] if method.shapes else 0.0
     cost += NORMALS_COST if method.normals else 0.0
     return cost + float(is_asked(rest_of(method, config, wanted)))
 
