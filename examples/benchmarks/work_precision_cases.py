@@ -7,6 +7,7 @@ from typing import Literal
 
 import boundary_global
 import boundary_soft_shadow
+import media
 import numpy as np
 import work_precision_exact as exact
 from common import psdr
@@ -80,6 +81,12 @@ INTERIOR = {
     "ours, textbook": Method({"boundary": None, "interior": psdr.interior.Textbook()}, full=True),
 }
 PRB = {"Mitsuba prb": Method({"type": "prb"})}
+VOLPATH = {"Mitsuba volpath": Method({"type": "volpath"})}
+PRBVOLPATH = {"Mitsuba prbvolpath": Method({"type": "prbvolpath"})}
+TRACKED = {
+    "ours, Replay": INTERIOR["ours, Replay"],
+    "ours, ratio tracking": Method({"boundary": None, "interior": psdr.interior.DifferentialRatioTracking()}),
+}
 
 
 def _path_space(guiding=None, **more) -> Method:
@@ -204,6 +211,23 @@ SHAPES = {
     ),
 }  # fmt: skip
 
+_FOG = """<shape type="cube" id="fog"><transform name="to_world"><scale value="0.95"/></transform><bsdf type="null"/>
+    <medium type="homogeneous" name="interior"><float name="sigma_t" value="0.8"/><float name="albedo" value="0.8"/>
+        <phase type="hg"><float name="g" value="0.3"/></phase></medium></shape>"""
+#: Mitsuba has no derivative by what moves in media, and none in forward mode.
+MEDIA = {
+    "smoke": Case(lambda folder: media.write(folder)["smoke"][0], media.DEPTH, "image", IMAGE, VOLPATH),
+    "smoke: 262,144 voxels": Case(
+        lambda folder: media.write(folder)["smoke"][0], media.DEPTH, "reverse", TRACKED, PRBVOLPATH,
+        parameter=media.DENSITY,
+    ),
+    "a box in fog": Case(
+        lambda folder: _floating_box(folder, "fog_box", _LAMP + _FOG), 3, "forward",
+        {name: BOUNDARY[name] for name in BOUNDARY if name not in ("ours, Grid", "ours, EdgeSampling")}, {},
+        parameter="box.vertex_positions", direction=UP, step=0.008, counts=_SHAPE_COUNTS,
+    ),
+}  # fmt: skip
+
 
 def _exact_cases() -> dict[str, Case]:
     """What float32 costs: values that are known in float64."""
@@ -233,4 +257,4 @@ def _exact_cases() -> dict[str, Case]:
 
 
 EXACT = _exact_cases()
-ALL = IMAGES | MATERIALS | SHAPES | EXACT
+ALL = IMAGES | MATERIALS | SHAPES | MEDIA | EXACT
