@@ -27,12 +27,21 @@ def test_a_glass_ball_in_a_furnace_is_nearly_invisible() -> None:
     assert image.max() < 1.1
 
 
-def test_a_boundary_term_is_refused_by_name() -> None:
-    loaded = psdr.load_dict(scene())
+@pytest.mark.parametrize(
+    ("more", "boundary", "words"),
+    [
+        ({}, psdr.boundary.EdgeSampling(), "looks for what moves in front of surfaces alone; use boundary.PathSpace"),
+        ({"exact": {"type": "sphere", "exact": True, "center": [5, 0, 0]}}, "auto", "give them triangles"),
+    ],
+)
+def test_a_boundary_term_is_refused_by_name(more: dict, boundary, words: str) -> None:
+    loaded = psdr.load_dict(scene() | more)
     params = psdr.traverse(loaded)
     params.requires_grad_only("ball.to_world")
-    with pytest.raises(ValueError, match=r"'roughdielectric' lets light through in a smooth lobe.*boundary=None"):
-        psdr.plan(loaded, params)
+    with pytest.raises(
+        ValueError, match=rf"'roughdielectric' lets light through in a smooth lobe.*{words}.*boundary=None"
+    ):
+        psdr.plan(loaded, params, integrator=psdr.PathIntegrator(boundary=boundary, max_depth=4))
     params.requires_grad_only("ball.bsdf.*", "sky.radiance.value")
     psdr.plan(loaded, params)
 

@@ -12,7 +12,7 @@ from warp_psdr.kernels.boundary.specular.line_search import MAX_DEPTH
 from warp_psdr.kernels.bsdf.dispatch import has_delta_lobes, passing
 from warp_psdr.kernels.bsdf.model import key_of
 from warp_psdr.kernels.emitter.spot import MIN_FALLOFF
-from warp_psdr.options.boundary import EdgeSampling, Method, PathSpace
+from warp_psdr.options.boundary import EdgeSampling, Method, PathSpace, Projective
 from warp_psdr.plan.motion import Motion, motion
 from warp_psdr.scene.bsdfs import model_of
 from warp_psdr.scene.layout import NORMALS, POSITIONS, SHAPE_POSE, TEXCOORDS, TO_UV
@@ -46,6 +46,7 @@ def choose(scene: Scene, config: PathConfig, integrator: PathIntegrator, names: 
     method = integrator.boundary if isinstance(integrator.boundary, Method) else by_itself
     reason = (
         _beyond(method, config)
+        or _behind_rough(method, config)
         or _metered(scene, method, config, integrator.max_depth)
         or _uncovered(scene, config, names, integrator.max_depth)
     )
@@ -63,6 +64,25 @@ def _beyond(method: Method, config: PathConfig) -> str:
         return "it does not know the time bins of a 'transient_hdr_film'; use boundary.PathSpace() without guiding"
     if isinstance(method, EdgeSampling) and has_delta_lobes(config.bsdfs):
         return "it does not follow edges through smooth mirrors or glass; use boundary.PathSpace()"
+    return ""
+
+
+def _behind_rough(method: Method, config: PathConfig) -> str:
+    """Say what is not estimated beside smooth lobes behind surfaces, as rough glass has them; empty: nothing.
+
+    Segments of paths end on either side of such a surface (``docs/theory/boundary.md#rough-glass``).
+    """
+    rough = passing(config.bsdfs)
+    if not rough:
+        return ""
+    what = f"a {rough!r} lets light through in a smooth lobe, "
+    if not isinstance(method, (PathSpace, Projective)):
+        return f"{what}and it looks for what moves in front of surfaces alone; use boundary.PathSpace()"
+    if config.media is not None or config.pulse:
+        where = "beside participating media" if config.media is not None else "before a 'transient_hdr_film'"
+        return f"{what}which is not followed {where}; use a 'dielectric'"
+    if config.primitives:
+        return f"{what}which is not followed beside shapes without triangles; give them triangles"
     return ""
 
 
@@ -129,12 +149,6 @@ def _uncovered(scene: Scene, config: PathConfig, names: list[str], max_depth: in
     if config.pulse and (config.primitives or has_delta_lobes(config.bsdfs)):
         return (
             "before a 'transient_hdr_film' edges are followed among meshes, and not by mirrors, glass or exact shapes"
-        )
-    rough = passing(config.bsdfs)
-    if rough:
-        return (
-            f"a {rough!r} lets light through in a smooth lobe, through which edges and shadows are not sampled; "
-            "use a 'dielectric'"
         )
     if any(slides_steps(scene, name) for name in names):
         return "a texture with steps slides; use a bilinear bitmap, a trilinear volume or a vertex attribute"

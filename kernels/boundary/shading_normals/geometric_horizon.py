@@ -15,6 +15,7 @@ from warp_psdr.kernels.boundary.depth import make_indirect
 from warp_psdr.kernels.boundary.detector import Incident, make_incident, scaled
 from warp_psdr.kernels.boundary.shading_normals.indirect_terminator import FLAT, TILT
 from warp_psdr.kernels.boundary.transport import Segment, make_transport
+from warp_psdr.kernels.bsdf.dispatch import passing
 from warp_psdr.kernels.constants import FAR
 from warp_psdr.kernels.distribution import stratified_entry
 from warp_psdr.kernels.interaction import make_interaction
@@ -55,6 +56,7 @@ def make_geometric_horizon_kernel(config: PathConfig, role: str, camera_moves: b
     accumulate_vertex = make_vertex_sink(role, False, False, False, False, False, True)
     source = make_indirect(make_side(config)) if indirect else make_side(config)
     transport = make_transport(config, role, camera_moves, source)
+    both = config.two_sided or bool(passing(config.bsdfs))
     draw = make_sampler(config.sampler)
     sample_1d = draw.sample_1d
     sample_4d = draw.sample_4d
@@ -107,11 +109,11 @@ def make_geometric_horizon_kernel(config: PathConfig, role: str, camera_moves: b
         if sine < FLAT:
             return
         across = across / sine
-        # theta: its sine is uniform. Where n . w < 0, only two-sided materials scatter.
+        # theta: its sine is uniform. Where n . w < 0, only materials with two sides, or a lobe behind, scatter.
         half = wp.float32(0.0)
         b = 2.0 * u4[3] - 1.0
         chance = wp.float32(1.0)
-        if wp.static(config.two_sided):
+        if wp.static(both):
             half = wp.where(u4[3] < 0.5, 0.0, 1.0)
             b = 4.0 * u4[3] - 2.0 * half - 1.0
             chance = wp.float32(0.5)
