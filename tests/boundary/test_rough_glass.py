@@ -2,8 +2,10 @@
 
 import pytest
 
-from .measure import Case, assert_agrees, derivatives, rows
-from .scenes import ball, box, camera, diffuse, floor, panel, register, sky
+import warp_psdr as psdr
+
+from .measure import Case, assert_agrees, assert_transposes, derivatives, differences, rows
+from .scenes import ball, box, camera, diffuse, floor, load, panel, register, sky
 from .test_table import ALONG, moved, scaled
 
 VIEW = camera((0.0, -3.0, 1.6), (0.0, 0.0, 0.5), fov=40.0)
@@ -52,4 +54,11 @@ CASES = [
 
 @pytest.mark.parametrize("case", rows(CASES))
 def test_matches_finite_differences(case: Case) -> None:
-    assert_agrees(case, derivatives(case, "forward"))
+    assert_agrees(derivatives(case, "forward"), differences(case)[2])
+
+
+@pytest.mark.slow
+def test_the_modes_are_transposes() -> None:
+    scene, params = load("smooth rough glass, lamp")
+    options = {"integrator": psdr.PathIntegrator(max_depth=3), "spp": 32, "seed": 1}
+    assert_transposes(scene, params, [SHAPE, PANEL], options)
