@@ -146,6 +146,85 @@ def plane_seen_from_a_moving_camera():
     return psdr.load_dict({"type": "scene", "camera": view, "lamp": lamp, "plane": ground})
 
 
+GROUND = {"type": "rectangle", "to_world": psdr.Transform.translate((0, 0, -1)) @ psdr.Transform.scale((4, 4, 1))}
+#: A plane that moves away from the camera, and is tilted.
+AWAY = np.zeros((4, 4), np.float32)
+AWAY[2] = (0.1, -0.05, 0.0, -1.0)
+
+
+def filled(extra, ground=None, view=None, start=2.0, bins=24):
+    """A plane that fills the view of a camera beside a point light, and what light passes on the way to it."""
+    film = {"temporal_bins": bins, "bin_width_opl": 0.05, "start_opl": start, "pulse_width_opl": 0.1}
+    camera = {**timed.camera((0, 0, 0), (0.1, 0, -1), 34.0, **film), **(view or {})}
+    if camera["type"] == "orthographic":
+        del camera["fov"]
+    lamp = {"type": "point", "position": [0.2, 0.1, 0]}
+    return psdr.load_dict(
+        {"type": "scene", "camera": camera, "lamp": lamp, "plane": {**GROUND, **(ground or {})}, **extra}
+    )
+
+
+SHINING = {
+    "emitter": {"type": "area", "radiance": {"type": "rgb", "value": [3, 2, 1]}},
+    "bsdf": timed.paint(0.5, 0.6, 0.7),
+}
+#: The camera looks up at a mirror that shows the plane, and the lamp shines down past it.
+MIRROR = {
+    "type": "rectangle",
+    "to_world": psdr.Transform.look_at((0, 0, 0.5), (0, 0, -1), (0, 1, 0)) @ psdr.Transform.scale((3, 3, 1)),
+    "bsdf": {"type": "conductor"},
+}
+SLAB = {
+    "type": "cube",
+    "to_world": psdr.Transform.translate((0, 0, -0.5)) @ psdr.Transform.scale((4, 4, 0.1)),
+    "bsdf": {"type": "dielectric", "int_ior": 1.5},
+}
+UPWARDS = {"to_world": psdr.Transform.look_at((0, 0, 0), (0.05, 0, 1), (0, 1, 0))}
+PARALLEL = {"type": "orthographic", "to_world": psdr.Transform.look_at((0, 0, 0), (0, 0.1, -1), (0, 1, 0))}
+LENS = {"type": "thinlens", "aperture_radius": 0.1, "focus_distance": 1.5}
+GAUSSIAN = {
+    "film": {
+        **{"type": "transient_hdr_film", "width": timed.SIZE, "height": timed.SIZE, "rfilter": {"type": "gaussian"}},
+        **{"temporal_bins": 24, "bin_width_opl": 0.05, "start_opl": 2.0, "pulse": "gaussian"},
+    }
+}
+#: A scene and its depth. Behind glass the light of a point is not found: the plane shines.
+CASES = {
+    "emission": lambda: (filled({}, SHINING, start=0.8), 2),
+    "orthographic": lambda: (filled({}, view=PARALLEL), 2),
+    "thin lens": lambda: (filled({}, view=LENS), 2),
+    "rough": lambda: (filled({}, {"bsdf": {"type": "roughconductor", "alpha": 0.4}}), 2),
+    "mirror": lambda: (filled({"mirror": MIRROR}, view=UPWARDS, start=2.5, bins=40), 3),
+    "glass": lambda: (filled({"slab": SLAB}, SHINING, start=0.9), 3),
+    "wide filter": lambda: (filled({}, view=GAUSSIAN), 2),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", CASES)
+def test_a_tilting_plane_has_the_slopes_of_differences(case) -> None:
+    """Emission, next-event estimates and refracted segments, each found by rays of the camera, a mirror or glass."""
+    depth = CASES[case]()[1]
+    integrator = psdr.PathIntegrator(max_depth=depth, boundary=None)
+
+    def make():
+        return CASES[case]()[0]
+
+    forward = np.mean([along(make(), {"plane.to_world": AWAY}, integrator, 256, seed=s) for s in range(4)], axis=0)
+    expected = difference(make, "plane.to_world", AWAY, 2e-3, integrator, 256)
+    assert np.abs(expected).max() > 0.01
+    assert slope_of(forward, expected) == pytest.approx(1.0, abs=SLOPE)
+    assert np.corrcoef(forward.ravel(), expected.ravel())[0, 1] > 0.95
+    scene = make()
+    params = psdr.traverse(scene)
+    params.requires_grad("plane.to_world")
+    adjoint = np.random.default_rng(2).normal(size=forward.shape).astype(np.float32)
+    psdr.render_backward(scene, params, adjoint, integrator=integrator, spp=64)
+    reverse = float((params["plane.to_world"].grad.numpy() * AWAY).sum())
+    expected = float((adjoint * along(make(), {"plane.to_world": AWAY}, integrator, 64)).sum())
+    assert reverse == pytest.approx(expected, rel=1e-3)
+
+
 @pytest.mark.slow
 def test_a_tape_carries_a_loss_of_bins() -> None:
     scene = timed.room(**timed.ROOM_BINS)
