@@ -49,6 +49,7 @@ from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.boundary.guiding.path_segments import BLOCKED_LIGHT, SCATTERED
 from warp_psdr.kernels.boundary.signed_distance.warp_field import WarpOptions
 from warp_psdr.kernels.boundary.warped_area.auxiliary import WarpedOptions
+from warp_psdr.kernels.boundary.warped_area.rotation import RotationOptions
 from warp_psdr.kernels.bsdf.motion import MOVED_BY
 from warp_psdr.kernels.interior.gradient_request import GradientRequest
 from warp_psdr.kernels.interior.shape_parameters import branched_values
@@ -343,6 +344,7 @@ FACTORIES = {
     "boundary.warped_area.warped_area.make_warped_area_kernel": [
         ("reverse", (SIMPLE, moving_shapes(SIMPLE), "reverse", WarpedOptions(), 4), SLOW),
         ("forward, biased", (SIMPLE, moving_shapes(SIMPLE), "forward", WarpedOptions(debias=False), 4), SLOW),
+        ("reverse, rotations", (SIMPLE, moving_shapes(SIMPLE), "reverse", RotationOptions(), 4), SLOW),
     ],
     "boundary.warped_area.path_warped_area.make_path_warped_area_kernel": [
         ("reverse", (SIMPLE, moving_shapes(SIMPLE), "reverse", WarpedOptions(), 4), SLOW),

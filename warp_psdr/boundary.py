@@ -7,6 +7,7 @@ from warp_psdr.options.boundary import (
     PathSpace,
     PathWarpedArea,
     Projective,
+    Rotation,
     SignedDistance,
     WarpedArea,
 )
@@ -18,6 +19,7 @@ __all__ = [
     "PathSpace",
     "PathWarpedArea",
     "Projective",
+    "Rotation",
     "SignedDistance",
     "WarpedArea",
 ]

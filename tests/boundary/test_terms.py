@@ -26,7 +26,8 @@ def test_every_file_declares_a_term_that_is_in_the_list() -> None:
 
 def test_the_terms_of_a_method_have_random_numbers_of_their_own() -> None:
     explicit = {psdr.boundary.EdgeSampling, psdr.boundary.PathSpace, psdr.boundary.Projective}
-    moving = {psdr.boundary.SignedDistance, psdr.boundary.NeuralSignedDistance, psdr.boundary.WarpedArea}
+    moving = {psdr.boundary.SignedDistance, psdr.boundary.NeuralSignedDistance}
+    moving |= {psdr.boundary.WarpedArea, psdr.boundary.Rotation}
     assert set(terms.TERMS) == explicit | moving | {psdr.boundary.PathWarpedArea, FilmEdges}
     assert [term.name for term in terms.TERMS[FilmEdges]] == ["primary"]
     for found in (terms.TERMS[method] for method in explicit):

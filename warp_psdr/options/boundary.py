@@ -13,6 +13,8 @@ from warp_psdr.options import guiding as guiding_methods
 DEFAULT_CANDIDATES, MAX_CANDIDATES = 64, 1024
 #: Most auxiliary rays of a net, and the range of the concentration of their weights: float32 knows the angles between.
 MAX_RAYS, KAPPA_RANGE = 1024, (10.0, 1.0e5)
+#: Range of the deviation of a kernel on the film [pixels].
+SIGMA_RANGE = (0.05, 4.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,7 +36,7 @@ class Method(ABC):  # noqa: B024
             TypeError: this is no method.
             ValueError: a sample count is not a positive integer.
         """
-        if type(self) in (Method, Connecting, Reparametrised, Distances, AuxiliaryRays):
+        if type(self) in (Method, Connecting, Reparametrised, Distances, AuxiliaryRays, WeightedRays):
             raise TypeError(f"boundary.{type(self).__name__} is what methods have in common; make one of them")
         for name in self._counts():
             value = getattr(self, name)
@@ -246,15 +248,12 @@ class AuxiliaryRays(Method):
     """What methods have in common whose auxiliary rays see what moves about a ray.
 
     Attributes:
-        rays: K, auxiliary rays about each ray, a power of two.
-        kappa: concentration of their weights: rays count up to an angle of some kappa^-1/2 radians.
-        debias: double their number at random, so that the mean is that of infinitely many: 2.3 K rays in the mean.
-            False: K rays, whose quotient of sums has a bias; it falls with K.
+        rays: auxiliary rays about each ray.
+        kappa: their concentration: they count up to an angle of some kappa^-1/2 radians.
     """
 
     rays: int = 16
     kappa: float = 1000.0
-    debias: bool = True
 
     def __post_init__(self) -> None:
         """Validate once.
@@ -264,17 +263,40 @@ class AuxiliaryRays(Method):
         """
         super().__post_init__()
         k = self.rays
-        if isinstance(k, bool) or not isinstance(k, int) or not 2 <= k <= MAX_RAYS or k & (k - 1):
-            raise ValueError(f"rays: got {k!r}, expected a power of two from 2 to {MAX_RAYS}")
+        if isinstance(k, bool) or not isinstance(k, int) or not 2 <= k <= MAX_RAYS:
+            raise ValueError(f"rays: got {k!r}, expected an integer from 2 to {MAX_RAYS}")
         low, high = KAPPA_RANGE
         if isinstance(self.kappa, bool) or not isinstance(self.kappa, (int, float)) or not low <= self.kappa <= high:
             raise ValueError(f"kappa: got {self.kappa!r}, expected a number from {low:g} to {high:g}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class WeightedRays(AuxiliaryRays):
+    """What methods have in common that take the weighted mean of what auxiliary rays see move.
+
+    Attributes:
+        rays: K, auxiliary rays about each ray, a power of two.
+        debias: double their number at random, so that the mean is that of infinitely many: 2.3 K rays in the mean.
+            False: K rays, whose quotient of sums has a bias; it falls with K.
+    """
+
+    debias: bool = True
+
+    def __post_init__(self) -> None:
+        """Validate once.
+
+        Raises:
+            ValueError: an option out of range.
+        """
+        super().__post_init__()
+        if self.rays & (self.rays - 1):
+            raise ValueError(f"rays: got {self.rays!r}, expected a power of two from 2 to {MAX_RAYS}")
         if not isinstance(self.debias, bool):
             raise ValueError(f"debias: got {self.debias!r}, expected True or False")
 
 
 @dataclass(frozen=True, kw_only=True)
-class WarpedArea(Reparametrised, AuxiliaryRays):
+class WarpedArea(Reparametrised, WeightedRays):
     """Rays that move with the edges of meshes: warped-area sampling [BLD20].
 
     The weighted mean of what auxiliary rays about a ray of a path see move is the motion of that ray. Unbiased with
@@ -286,7 +308,47 @@ class WarpedArea(Reparametrised, AuxiliaryRays):
 
 
 @dataclass(frozen=True, kw_only=True)
-class PathWarpedArea(AuxiliaryRays):
+class Rotation(Reparametrised, AuxiliaryRays):
+    """Rays that turn with the edges of meshes: rotations of kernels of directions [LHJ19].
+
+    Biased by design: one rotation serves all edges that a kernel sees, and few rays choose it
+    (``docs/methods/rotation.md``). ``WarpedArea`` is its unbiased successor. Covers and refuses what ``WarpedArea``
+    does.
+
+    Attributes:
+        rays: auxiliary rays of a kernel, which choose its rotation.
+        kappa: concentration of the von Mises-Fisher kernels of rays from path vertices: a larger one sees fewer
+            edges at once, and has more noise.
+        film_sigma: standard deviation of the kernels of the camera's rays [pixels].
+        pairs: give each ray two kernels, which mirror each other about it and cancel where nothing moves but
+            one surface. False: one, of half the cost and many times the variance.
+        fresh: choose by other rays than the one that turns. False: that one is among them, as published, and another
+            one's divergence is subtracted with ``pairs``.
+    """
+
+    rays: int = 4
+    film_sigma: float = 0.4
+    pairs: bool = True
+    fresh: bool = False
+
+    def __post_init__(self) -> None:
+        """Validate once.
+
+        Raises:
+            ValueError: an option out of range.
+        """
+        super().__post_init__()
+        low, high = SIGMA_RANGE
+        sigma = self.film_sigma
+        if isinstance(sigma, bool) or not isinstance(sigma, (int, float)) or not low <= sigma <= high:
+            raise ValueError(f"film_sigma: got {sigma!r}, expected a number of pixels from {low:g} to {high:g}")
+        for name in ("pairs", "fresh"):
+            if not isinstance(getattr(self, name), bool):
+                raise ValueError(f"{name}: got {getattr(self, name)!r}, expected True or False")
+
+
+@dataclass(frozen=True, kw_only=True)
+class PathWarpedArea(WeightedRays):
     """Warped-area sampling of path space's boundary term [XBLZ23], beside its interior term as it is.
 
     Rays move against the points that they find, along camera paths of their own, ``spp_secondary`` a pixel; samples of

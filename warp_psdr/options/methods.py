@@ -143,6 +143,10 @@ _METHODS = MethodTable(
             *("kernels/boundary/warped_area/path_warped_area.py", "warped_area"),
         ),
         (
+            *("LHJ19", "Rotations of kernels (biased)", "boundary.Rotation()", "boundary"),
+            *("kernels/boundary/warped_area/rotation.py", "rotation"),
+        ),
+        (
             *("ZMY*20", "Grid of photons and importons", "guiding.Grid()", "guiding"),
             *("warp_psdr/estimate/guiding/grid.py", "grid"),
         ),

@@ -215,6 +215,7 @@ TABLE: dict[tuple[type[interior.Method], type[boundary.Method]], Row] = {
     (interior.Replay, boundary.WarpedArea): Row(
         label="rays move, record and sweep", keep=keep_warped, make=make_warped
     ),
+    (interior.Replay, boundary.Rotation): Row(label="rays turn, record and sweep", keep=keep_warped, make=make_warped),
     (interior.Resampled, boundary.Method): Row(
         label="resampled branches, record and sweep",
         keep=keep_candidates,

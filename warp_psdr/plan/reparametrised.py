@@ -17,8 +17,9 @@ from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.boundary.signed_distance.reparametrised import make_reparametrised_kernel
 from warp_psdr.kernels.boundary.signed_distance.warp_field import WarpOptions
 from warp_psdr.kernels.boundary.warped_area.auxiliary import WarpedOptions
+from warp_psdr.kernels.boundary.warped_area.rotation import RotationOptions
 from warp_psdr.options import interior
-from warp_psdr.options.boundary import AuxiliaryRays, Distances, Method, NeuralSignedDistance, WarpedArea
+from warp_psdr.options.boundary import AuxiliaryRays, Distances, Method, NeuralSignedDistance, Reparametrised
 from warp_psdr.plan import warped_area
 from warp_psdr.plan.coverage import REMEDY, has_steps
 from warp_psdr.plan.motion import motion
@@ -46,9 +47,9 @@ MOST_TRIANGLES = 16
 INSTEAD = "use boundary.PathSpace()"
 
 
-def compiled(method: Method | None) -> WarpOptions | WarpedOptions | None:
+def compiled(method: Method | None) -> WarpOptions | WarpedOptions | RotationOptions | None:
     """Return what of a method is compiled; None: its rays stay."""
-    if isinstance(method, WarpedArea):
+    if isinstance(method, AuxiliaryRays) and isinstance(method, Reparametrised):
         return warped_area.compiled(method)
     if not isinstance(method, Distances):
         return None

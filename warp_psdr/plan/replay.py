@@ -19,7 +19,7 @@ from warp_psdr.plan import media
 
 if TYPE_CHECKING:
     from warp_psdr.kernels.vertex import PathConfig
-    from warp_psdr.plan.reparametrised import WarpedOptions, WarpOptions
+    from warp_psdr.plan.reparametrised import RotationOptions, WarpedOptions, WarpOptions
 
 #: Vertices after which a path without depth limit is cut, counted from where Russian roulette begins: it survives with
 #: probability 0.95 at most, so fewer than one path in 10^11 is that long.
@@ -59,7 +59,7 @@ class Kept:
     attached: interior.Attached | None = None
     mirrored: bool = False
     sees_edges: bool = False
-    warp: WarpOptions | WarpedOptions | None = None
+    warp: WarpOptions | WarpedOptions | RotationOptions | None = None
     branches: interior.Branches | None = None
 
     @property

@@ -1,4 +1,4 @@
-"""Warped-area sampling: which scenes its rays move rightly in.
+"""Warped-area sampling and rotations: which scenes their rays move rightly in.
 
 The motion of a ray has to meet every discontinuity about it with that one's speed. Auxiliary rays know the edges of the
 triangles that they meet. All that jumps elsewhere is refused.
@@ -14,10 +14,11 @@ import warp as wp
 
 from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.boundary.warped_area.auxiliary import WarpedOptions
+from warp_psdr.kernels.boundary.warped_area.rotation import RotationOptions
 from warp_psdr.kernels.boundary.warped_area.warped_area import make_warped_area_kernel
 from warp_psdr.kernels.bsdf.dispatch import has_delta_lobes, has_null_lobes, models_of
 from warp_psdr.options import interior
-from warp_psdr.options.boundary import AuxiliaryRays, WarpedArea
+from warp_psdr.options.boundary import AuxiliaryRays, PathWarpedArea, Rotation, WeightedRays
 from warp_psdr.plan.coverage import has_steps
 from warp_psdr.plan.motion import motion
 from warp_psdr.plan.replay import Kept
@@ -39,13 +40,20 @@ INSTEAD = "use boundary.PathSpace()"
 EXTENDED = {c.EMITTER_AREA, c.EMITTER_CONSTANT, c.EMITTER_ENVMAP}
 
 
-def compiled(method: AuxiliaryRays) -> WarpedOptions:
+def compiled(method: AuxiliaryRays) -> WarpedOptions | RotationOptions:
     """Return what of a method is compiled."""
+    if isinstance(method, Rotation):
+        return RotationOptions(method.rays, float(method.kappa), float(method.film_sigma), method.pairs, method.fresh)
+    assert isinstance(method, WeightedRays)
     return WarpedOptions(method.rays, float(method.kappa), method.debias)
 
 
 def describe(method: AuxiliaryRays) -> list[tuple[str, str, str]]:
     """Return the plan's lines."""
+    if isinstance(method, Rotation):
+        rays = f"{method.rays} auxiliary rays{' for each of two kernels' if method.pairs else ''}"
+        return [("edges", "rays turn with them", f"biased by design, by 5 to 80 % and more: {rays} choose a rotation")]
+    assert isinstance(method, WeightedRays)
     rays = f"{method.rays} auxiliary rays about each ray"
     why = f"{rays}, doubled at random: unbiased" if method.debias else f"{rays}: biased, debias=False"
     return [("edges", "rays move with them", why)]
@@ -67,7 +75,7 @@ def keep_warped(_method: interior.Method, max_depth: int, _rr_depth: int) -> Kep
 
 def make_warped(config: PathConfig, wanted: GradientRequest, role: str, kept: Kept) -> wp.Kernel:
     """Return the kernel of interior and boundary term, a row's ``make``."""
-    assert isinstance(kept.warp, WarpedOptions)
+    assert isinstance(kept.warp, (WarpedOptions, RotationOptions))
     return make_warped_area_kernel(config, wanted, role, kept.warp, kept.longest)
 
 
@@ -85,7 +93,7 @@ def refused(
 
 def _of_request(scene: Scene, integrator: PathIntegrator, method: AuxiliaryRays, names: list[str]) -> str:
     """Say what moves whose discontinuities are not followed; empty: nothing."""
-    if isinstance(method, WarpedArea) and not isinstance(integrator.interior, (str, interior.Replay)):
+    if not isinstance(method, PathWarpedArea) and not isinstance(integrator.interior, (str, interior.Replay)):
         return f"it is beside interior.Replay() alone, got interior.{type(integrator.interior).__name__}()"
     moves = motion(scene, names)
     if moves.camera:

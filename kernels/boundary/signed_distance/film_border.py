@@ -1,4 +1,4 @@
-"""What rays that move carry across the borders of pixels, where the pixel filter jumps [VSJ22, BLD20].
+"""What rays that move carry across the borders of pixels, where the pixel filter jumps [VSJ22, BLD20, LHJ19].
 
 A box counts nothing beyond its pixel, and rays that move do not stop there: of the integral over a pixel they take
 L U . n along its border, U their motion on the film. Two pixels share a border, and what one loses the other gains.
@@ -14,7 +14,8 @@ import warp as wp
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.boundary.signed_distance.warp_field import Beyond, WarpOptions, make_warp_field
 from warp_psdr.kernels.boundary.warped_area.auxiliary import AuxiliaryBundle, WarpedOptions
-from warp_psdr.kernels.boundary.warped_area.warp_motion import make_warp_motion
+from warp_psdr.kernels.boundary.warped_area.ray_motion import make_ray_motion
+from warp_psdr.kernels.boundary.warped_area.rotation import RotationOptions
 from warp_psdr.kernels.constants import RFILTER_BOX
 from warp_psdr.kernels.invalid import count_invalid, vanishes
 from warp_psdr.kernels.jobs import SampleJob
@@ -30,13 +31,15 @@ BESIDE = 1.0e-3
 
 
 @functools.cache
-def make_film_border_kernel(config: PathConfig, role: str, options: WarpOptions | WarpedOptions) -> wp.Kernel:
+def make_film_border_kernel(
+    config: PathConfig, role: str, options: WarpOptions | WarpedOptions | RotationOptions
+) -> wp.Kernel:
     """Return the kernel: one thread a sample (arguments as in ``path_space/secondary.py``)."""
-    meshes = isinstance(options, WarpedOptions)
-    if isinstance(options, WarpedOptions):
-        moved = make_warp_motion(config, options, role)
-    else:
+    meshes = not isinstance(options, WarpOptions)
+    if isinstance(options, WarpOptions):
         moved = make_warp_field(config.primitives[0], options, role)
+    else:
+        moved = make_ray_motion(config, options, role)
     path_radiance = make_path_radiance(config)
     camera_ray, _origin = make_camera_ray(config.camera)
     project, film_gradient, _velocity = make_projection(config.camera)
@@ -90,11 +93,13 @@ def make_film_border_kernel(config: PathConfig, role: str, options: WarpOptions 
         sample = CameraSample()
         sample.film = film_position(camera, 0, 0, at - wp.vec2(0.5, 0.5))
         ray = camera_ray(scene, camera, sample)
+        point = project(scene, camera, ray.o + ray.d, wp.vec2(0.0, 0.0))
         if wp.static(meshes):
             bundle = AuxiliaryBundle()
             bundle.o = ray.o
             bundle.start = ray.o + ray.t_min * ray.d
             bundle.w = ray.d
+            bundle.pixels = wp.length(film_gradient(scene, camera, point, wp.vec2(1.0, 0.0)))
             warp = moved.trace(scene, sampler, 0, bundle)
         else:
             warp = moved.trace(scene, ray.o, ray.d)
@@ -113,7 +118,6 @@ def make_film_border_kernel(config: PathConfig, role: str, options: WarpOptions 
         scale = wp.float32(count) / wp.float32(job.samples)
         if wp.static(role != "forward"):
             scale *= wp.dot(weight, radiance)
-        point = project(scene, camera, ray.o + ray.d, wp.vec2(0.0, 0.0))
         a_w = scale * film_gradient(scene, camera, point, n)
         if wp.static(meshes):
             speed = moved.pull(scene, target, warp, 0.0, a_w).dot

@@ -53,6 +53,7 @@ class AuxiliaryBundle:
     n: wp.vec3  # normal of that surface: rays stay on the side of w; 0: there is none
     w: wp.vec3
     depth: wp.int32  # path vertices before it
+    pixels: wp.float32  # a radian, of a ray of the camera; 0: of others
 
 
 @wp.struct

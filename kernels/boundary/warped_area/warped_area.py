@@ -17,7 +17,8 @@ from warp_psdr.kernels.boundary.signed_distance.reparametrised import make_film_
 from warp_psdr.kernels.boundary.signed_distance.warp_field import WarpAdjoint
 from warp_psdr.kernels.boundary.warped_area.auxiliary import AuxiliaryBundle, WarpedOptions
 from warp_psdr.kernels.boundary.warped_area.directions import make_direction_from
-from warp_psdr.kernels.boundary.warped_area.warp_motion import make_warp_motion
+from warp_psdr.kernels.boundary.warped_area.ray_motion import make_ray_motion
+from warp_psdr.kernels.boundary.warped_area.rotation import RotationOptions
 from warp_psdr.kernels.interaction import make_interaction
 from warp_psdr.kernels.interior.gradient_request import GradientRequest
 from warp_psdr.kernels.interior.sweep import Carry, make_sweep
@@ -33,13 +34,13 @@ from warp_psdr.kernels.vertex import PathConfig, PathVertex, film_position, path
 
 @functools.cache
 def make_warped_area_kernel(
-    config: PathConfig, wanted: GradientRequest, role: str, options: WarpedOptions, most: int
+    config: PathConfig, wanted: GradientRequest, role: str, options: WarpedOptions | RotationOptions, most: int
 ) -> wp.Kernel:
     """Return the kernel, one thread a pixel; ``most``: vertices of a path; others as of ``make_replay_kernel``."""
     path_step = make_path_step(config, True)
     camera_ray, camera_origin = make_camera_ray(config.camera)
     sweep, _finish, finish_vertex = make_sweep(config, wanted, role, links=False)
-    moved = make_warp_motion(config, options, role)
+    moved = make_ray_motion(config, options, role)
     draw_point, weigh_point = make_film_point(config.filter)
     turn = make_turn(config.camera)
     interaction = make_interaction(config)
@@ -117,6 +118,7 @@ def make_warped_area_kernel(
             bundle.o = origin
             bundle.start = ray.o + ray.t_min * ray.d
             bundle.w = ray.d
+            bundle.pixels = wp.length(turn(scene, camera, origin, ray.d, 0.0, wp.vec2(1.0, 0.0)))
             seen = moved.trace(scene, sampler, 0, bundle)
             turned = turn(scene, camera, origin, ray.d, film.h, film.slope)
             # ---- Its derivative ----

@@ -55,6 +55,7 @@ from warp_psdr.options.boundary import (
     PathSpace,
     PathWarpedArea,
     Projective,
+    Rotation,
     SignedDistance,
     WarpedArea,
 )
@@ -109,6 +110,7 @@ METHODS = (
     NeuralSignedDistance,
     WarpedArea,
     PathWarpedArea,
+    Rotation,
     FilmEdges,
 )
 #: What each method consists of.

@@ -5,7 +5,14 @@ from __future__ import annotations
 from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term, term_of
 from warp_psdr.kernels.boundary.signed_distance.film_border import make_film_border_kernel
 from warp_psdr.kernels.constants import RFILTER_BOX
-from warp_psdr.options.boundary import AuxiliaryRays, NeuralSignedDistance, PathWarpedArea, SignedDistance, WarpedArea
+from warp_psdr.options.boundary import (
+    AuxiliaryRays,
+    NeuralSignedDistance,
+    PathWarpedArea,
+    Rotation,
+    SignedDistance,
+    WarpedArea,
+)
 from warp_psdr.plan import reparametrised, warped_area
 
 
@@ -30,7 +37,7 @@ TERM = BoundaryTerm(
     name="film_border",
     title="borders of pixels",
     stream=40,
-    methods=(SignedDistance, NeuralSignedDistance, WarpedArea, PathWarpedArea),
+    methods=(SignedDistance, NeuralSignedDistance, WarpedArea, PathWarpedArea, Rotation),
     launch=launch,
     applies=applies,
     exact=True,
