@@ -5,6 +5,9 @@ import pytest
 
 import warp_psdr as psdr
 from tests.sensor import timed
+from warp_psdr.estimate.boundary.terms import ALL, launches
+from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term
+from warp_psdr.plan.motion import motion
 
 BINS = {"temporal_bins": 12, "bin_width_opl": 0.25, "start_opl": 5.0, "pulse_width_opl": 0.4}
 SIDEWAYS = np.zeros((4, 4), np.float32)
@@ -114,6 +117,17 @@ def test_the_bins_add_up_to_the_steady_derivative() -> None:
     bins = derivative(table(**every), "card.to_world", SIDEWAYS, integrator, 64, [0]).sum(axis=2)
     steady = derivative(table(), "card.to_world", SIDEWAYS, integrator, 64, [0])
     np.testing.assert_allclose(bins, steady, rtol=1e-3, atol=1e-4 * np.abs(steady).max())
+
+
+def test_terms_without_bins_are_refused() -> None:
+    scene = table(**BINS)
+    plan = psdr.plan(scene, names=["card.to_world"], integrator=psdr.PathIntegrator(max_depth=2))
+    request = Request(scene, plan, motion(scene, ["card.to_world"]), "forward", 0, 1, 0)
+    known = [term.name for term in ALL if term.timed]
+    assert known == ["primary", "flat_creases", "creases", "secondary"]
+    asked = BoundaryTerm(name="other", title="", stream=0, methods=(), launch=lambda _r: Term(None, list, 1))
+    with pytest.raises(ValueError, match="'other' does not know the time bins"):
+        launches(asked, request)
 
 
 def test_what_is_not_followed_is_refused() -> None:

@@ -176,7 +176,8 @@ def launches(term: BoundaryTerm, request: Request) -> list[Term]:
         )
     if found is not None and request.plan.times is not None and not term.timed:
         raise ValueError(
-            f"the boundary term {term.name!r} does not know the time bins of a 'transient_hdr_film'; say "
-            "PathIntegrator(boundary=None) to get the interior term alone, or move what asks for it apart"
+            f"the boundary term {term.name!r} does not know the time bins of a 'transient_hdr_film'; give smooth "
+            "meshes face_normals, move shapes that run through each other apart, or say PathIntegrator(boundary=None) "
+            "to get the interior term alone"
         )
     return [] if found is None else [replace(found, kind=term.name)]
