@@ -9,6 +9,7 @@ from warp_psdr.plan import guiding
 from warp_psdr.plan.motion import motion
 
 from .scenes import SIZE, camera, panel, under
+from .test_guided_surfaces import crowd
 
 OCCLUDER = "occluder.vertex_positions"
 INTEGRATOR = psdr.PathIntegrator(max_depth=2)
@@ -132,3 +133,29 @@ def test_it_waits_until_a_pilot_is_affordable(soft, monkeypatch: pytest.MonkeyPa
         automatic.choose(scene, plan, [OCCLUDER], "reverse", 0, 1, seed, None)
         decided.append(state.decided)
     assert not any(decided[:5]) and decided[-1] and state.said == "no shadow edge moves"
+
+
+@pytest.mark.slow
+def test_shapes_without_triangles_are_guided_where_that_pays() -> None:
+    """A soft shadow seen alone, as above."""
+    scene = psdr.load_dict({"type": "scene", **crowd(), "sensor": camera((1.2, 0.0, 0.45), (-0.4, 0.2, 0.0), fov=60.0)})
+    name = "shape.to_world"
+    params = psdr.traverse(scene)
+    params.requires_grad(name)
+
+    def gradients(boundary) -> np.ndarray:
+        integrator = psdr.PathIntegrator(max_depth=2, boundary=boundary)
+        found = []
+        for seed in range(8):
+            params.zero_grad()
+            psdr.render_backward(scene, params, adjoint(), integrator=integrator, spp=SPP, seed=seed)
+            found.append(params[name].grad.numpy().astype(np.float64).reshape(-1))
+        return np.array(found)
+
+    calls, plain = gradients("auto"), gradients(psdr.boundary.PathSpace())
+    np.testing.assert_array_equal(calls[0], plain[0], "the first one costs what it cost")
+    decision, reason = guided(scene, params)
+    assert decision == "by itself" and reason.startswith("pilot: the variance is"), reason
+    assert np.var(calls[1:], axis=0, ddof=1).sum() < 0.5 * np.var(plain[1:], axis=0, ddof=1).sum()
+    error = np.sqrt((np.var(calls[1:], axis=0, ddof=1) + np.var(plain[1:], axis=0, ddof=1)) / 7)
+    assert (np.abs(np.mean(calls[1:], axis=0) - np.mean(plain[1:], axis=0)) < 5.0 * error + 1e-6).all()

@@ -47,6 +47,7 @@ def curtain(size=SIZE, **lights):
 
 def derivatives(scene, names, adjoint, boundary="auto", spp=512, depth=2, batches=BATCHES):
     """Return the gradients of the weighted image by the names, one list a batch."""
+    psdr.guiding.set_automatic(scene, False)  # batches are not repeated gradients of a fit
     params = psdr.traverse(scene)
     params.requires_grad_only(*names)
     integrator = psdr.PathIntegrator(max_depth=depth, boundary=boundary)

@@ -215,8 +215,8 @@ def _boundary(
     reparametrised.refuse(scene, config, integrator, term, names, sensor)
     lines = [("boundary term", term.label, "; ".join(moving))]
     repeated = guiding.automatic(scene, motion(scene, names), sensor, integrator.max_depth)
-    plain = not config.primitives and config.media is None and not config.pulse
-    if integrator.boundary == "auto" and repeated.on and plain and isinstance(term, Connecting):
+    learns = repeated.on and not config.pulse
+    if integrator.boundary == "auto" and learns and isinstance(term, Connecting):
         if isinstance(term, PathSpace) and repeated.method is not None:
             term = replace(term, guiding=repeated.method)
         lines.append(("guiding", "none" if repeated.method is None else "by itself", repeated.said))

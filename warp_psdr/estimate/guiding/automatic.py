@@ -1,10 +1,11 @@
 """Guiding by itself: ``boundary="auto"`` guides the gradients that are repeated, if a pilot says that it pays.
 
 The first gradient of a request is not guided: its structure would cost more than it saves. Once a pilot and a structure
-cost no more than a few times what was spent on the request, both are bought: the pilot draws batches of the shadow
-edges' term with and without guiding, and of all the rest, and compares the variance of what was asked for, the gradient
-or the derivative image, times its cost. Costs are counted in samples, never timed, so that equal calls in equal order
-give equal bits. A call that was not guided is not guided when it is repeated with the same seed and values.
+cost no more than a few times what was spent on the request, both are bought: the pilot draws batches of the terms of
+shadow edges and their like (``BoundaryTerm.guided``) with and without guiding, and of all the rest, and compares the
+variance of what was asked for, the gradient or the derivative image, times its cost. Costs are counted in samples,
+never timed, so that equal calls in equal order give equal bits. A call that was not guided is not guided when it is
+repeated with the same seed and values.
 """
 
 from __future__ import annotations
@@ -45,8 +46,6 @@ GUIDED_COST = 2.5
 REST_COST = 2.0
 #: Least variance saved for the cost that pays: batches tell it with noise.
 PAYS = 1.5
-#: The term that is guided.
-SHADOWS = "secondary"
 #: Stream of the pilot's random numbers, beside those of the terms.
 PILOT = 0x70696C6F
 #: Calls whose random numbers are remembered.
@@ -69,8 +68,12 @@ def choose(
         given: the adjoint, (H, W) of vec3, or the flat tangents.
     """
     found = automatic(scene, motion(scene, names), sensor, plan.max_depth)
+<<<<<<< HEAD
     covered = isinstance(plan.boundary, PathSpace) and not plan.config.primitives and plan.times is None
     if not found.on or not covered:
+=======
+    if not found.on or not isinstance(plan.boundary, PathSpace) or plan.config.pulse:
+>>>>>>> 7563f2f (guiding: repeated gradients beside shapes without triangles and in fog are guided, too, where a pilot says that it pays)
         return plan
     call = (seed, checksum(scene.values))
     plain = replace(plan, boundary=PathSpace())
@@ -151,10 +154,10 @@ def _batch(
 ) -> tuple[np.ndarray, int]:
     """Return what a batch adds to the gradient, or to the image, and how many samples it has.
 
-    ``shadow``: of the term of shadow edges alone; otherwise of the interior and of all other terms.
+    ``shadow``: of the terms that are guided alone; otherwise of the interior and of all other terms.
     """
     request = Request(scene, plan, motion(scene, names), role, sensor, spp, mix_seed(seed, STREAM_BOUNDARY))
-    terms = [t for term in TERMS[PathSpace] if (term.name == SHADOWS) == shadow for t in launches(term, request)]
+    terms = [t for term in TERMS[PathSpace] if term.guided == shadow for t in launches(term, request)]
     samples = sum(term.samples for term in terms)
     if not shadow:
         samples += request.pixels * spp
