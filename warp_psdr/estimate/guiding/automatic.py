@@ -68,12 +68,7 @@ def choose(
         given: the adjoint, (H, W) of vec3, or the flat tangents.
     """
     found = automatic(scene, motion(scene, names), sensor, plan.max_depth)
-<<<<<<< HEAD
-    covered = isinstance(plan.boundary, PathSpace) and not plan.config.primitives and plan.times is None
-    if not found.on or not covered:
-=======
-    if not found.on or not isinstance(plan.boundary, PathSpace) or plan.config.pulse:
->>>>>>> 7563f2f (guiding: repeated gradients beside shapes without triangles and in fog are guided, too, where a pilot says that it pays)
+    if not found.on or not isinstance(plan.boundary, PathSpace) or plan.times is not None:
         return plan
     call = (seed, checksum(scene.values))
     plain = replace(plan, boundary=PathSpace())
