@@ -89,30 +89,37 @@ def make_time_gated_forward_kernel(
                         late_dot = length_dot
                         if vertex.light >= 0:
                             late_dot += time.eta * link_dot(scene, target, vertex, moving.vertex.x)
+                # What the vertex emits, and what it scatters, if both are there: one after the other.
+                next_dot = throughput_dot
+                after = moving
+                at = vertex
+                length = time.length + time.link
+                ell_dot = late_dot
+                parts = wp.int32(1)
                 if vertex.e_weight > 0.0 and vertex.light >= 0:
-                    # What it emits by itself: it is earlier.
-                    alone = vertex
-                    alone.light = -1
-                    alone.direct = time.emission
-                    alone_dot, _next, _after = advance(scene, target, alone, following, moving, throughput_dot)
-                    if finite(alone_dot) and wp.isfinite(length_dot):
+                    parts = 2
+                while parts > 0:
+                    if parts == 2:
+                        at.light = -1
+                        at.direct = time.emission
+                        length = time.length
+                        ell_dot = length_dot
+                    sent_dot, next_dot, after = advance(scene, target, at, following, moving, throughput_dot)
+                    sent = wp.cw_mul(factor, at.direct)
+                    if finite(sent_dot) and finite(sent) and wp.isfinite(ell_dot):
                         gate.add_moving(
-                            gates, time.length, wp.cw_mul(factor, alone.direct), length_dot, job.scale * alone_dot,
-                            pixel.py, pixel.px, image_out,
-                        )  # fmt: skip
+                            gates, length, sent, ell_dot, job.scale * sent_dot, pixel.py, pixel.px, image_out
+                        )
                     else:
                         dropped = wp.bool(True)
-                    vertex.e_weight = 0.0
-                    vertex.direct = time.direct
-                sent = wp.cw_mul(factor, vertex.direct)
-                derivative, throughput_dot, moving = advance(scene, target, vertex, following, moving, throughput_dot)
-                if finite(derivative) and finite(sent) and wp.isfinite(late_dot):
-                    gate.add_moving(
-                        gates, time.length + time.link, sent, late_dot, job.scale * derivative,
-                        pixel.py, pixel.px, image_out,
-                    )  # fmt: skip
-                else:
-                    dropped = wp.bool(True)
+                    at = vertex
+                    at.e_weight = 0.0
+                    at.direct = time.direct
+                    length = time.length + time.link
+                    ell_dot = late_dot
+                    parts -= 1
+                throughput_dot = next_dot
+                moving = after
                 time = timed_vertex(scene, gates, following, False, eta, time.length)
                 vertex = following
             if dropped:
