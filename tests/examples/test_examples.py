@@ -155,6 +155,38 @@ def test_the_hole_of_a_link_opens(example, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+def test_fibres_find_their_places(example, tmp_path: Path) -> None:
+    module = example("fit_fibres")
+    module.PHOTO_SPP = 16
+    report = module.main(tmp_path, stages=module.QUICK, spp=2)
+    for what in ("control points, mean distance in widths", "axes, mean distance in widths"):
+        start, found = report[f"{what}: start, found"]
+        assert found < 0.75 * start
+    start, found = report["radii, mean error in percent: start, found"]
+    assert found < start
+    assert report["fibres that the first gradient moves towards what is sought, percent"] > 65.0
+    before, after = (report[f"psnr of the kept views{at}, dB"] for at in (" at the start", ""))
+    assert min(np.subtract(after, before)) > 1.0
+    for name in ("result", "loss", "error"):
+        assert contrast(tmp_path / f"{name}.png") > 0.05
+
+
+def test_fibres_are_pushed_apart(example) -> None:
+    module = example("fit_fibres")
+    points = module.sought()
+    np.testing.assert_array_equal(module.apart(points), points)  # none run through each other
+    crossed = points.copy()
+    crossed[0] = points[1] + [0.3 * module.WIDTH, 0.0, 0.0, 0.0]
+    after = module.apart(crossed)
+    moved = np.abs(after - crossed).max(axis=(1, 2)) > 0.0
+    assert moved[:2].all() and not moved[100:].any()
+    np.testing.assert_array_equal(after[..., 3], crossed[..., 3])
+    axes = np.einsum("mk,fkc->fmc", module.weights(), after)[:2]
+    distance = np.linalg.norm(axes[0, :, None, :3] - axes[1, None, :, :3], axis=2)
+    assert (distance > 1.05 * (axes[0, :, None, 3] + axes[1, None, :, 3])).all()
+
+
+@pytest.mark.slow
 def test_a_ball_has_one_derivative_however_it_is_held(example, tmp_path: Path) -> None:
     module = example("implicit_gradients")
     slopes = module.main(tmp_path, resolution=16, spp=64, difference_spp=256, only=("linear grid", "exact sphere"))
