@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from warp_psdr.kernels.constants import INV_FOUR_PI, PI, TWO_PI
+from warp_psdr.kernels.constants import INV_FOUR_PI, INV_TWO_PI, PI, TWO_PI
 
 
 @wp.func
@@ -22,6 +22,19 @@ def square_to_disk(u: wp.vec2) -> wp.vec2:
 
 
 @wp.func
+def disk_to_square(p: wp.vec2) -> wp.vec2:
+    """The inverse of ``square_to_disk``."""
+    wide = wp.abs(p[0]) > wp.abs(p[1])
+    major = wp.where(wide, p[0], p[1])
+    minor = wp.where(wide, p[1], p[0])
+    r = wp.where(major < 0.0, -wp.length(p), wp.length(p))
+    other = r * (4.0 / PI) * wp.atan(minor / wp.where(major == 0.0, 1.0, major))
+    x = wp.where(wide, r, other)
+    y = wp.where(wide, other, r)
+    return wp.vec2(0.5 * (x + 1.0), 0.5 * (y + 1.0))
+
+
+@wp.func
 def square_to_cosine_hemisphere(u: wp.vec2) -> wp.vec3:
     """Direction about +z with density cos(theta) / pi [1/sr]."""
     p = square_to_disk(u)
@@ -36,6 +49,13 @@ def square_to_sphere(u: wp.vec2) -> wp.vec3:
     r = 2.0 * wp.sqrt(u[1] * (1.0 - u[1]))
     phi = TWO_PI * u[0]
     return wp.vec3(r * wp.cos(phi), r * wp.sin(phi), z)
+
+
+@wp.func
+def sphere_to_square(w: wp.vec3) -> wp.vec2:
+    """The inverse of ``square_to_sphere``."""
+    turn = wp.atan2(w[1], w[0]) * INV_TWO_PI
+    return wp.vec2(wp.where(turn < 0.0, turn + 1.0, turn), 0.5 * (1.0 - w[2]))
 
 
 @wp.func

@@ -46,7 +46,7 @@ def make_visibility(backend: str, width: int, hidden: bool = False, primitives: 
         backend: "wide" or "warp", see ``bvh/wide.py``.
         width: number of lanes of the wide structure.
         hidden: True: there are area lights, which the camera does not see.
-        primitives: kinds of shapes without triangles, none of which is a light; ``closest_in`` does not meet them.
+        primitives: kinds of shapes without triangles; ``closest_in`` does not meet them.
     """
     closest_hit, any_hit = make_intersect(backend, width)
 
@@ -82,6 +82,7 @@ def make_visibility(backend: str, width: int, hidden: bool = False, primitives: 
     if not primitives:
         return Visibility(closest, occluded, camera_accel, seen, closest_hit, hidden_from_camera)
     closest_primitive, occluded_by_primitive = make_primitive_queries(primitives)
+    closest_shown, occluded_by_shown = make_primitive_queries(primitives, hidden)
 
     @wp.func
     def closest_of_any(scene: Scene, o: wp.vec3, d: wp.vec3, t_max: wp.float32) -> RayHit:
@@ -93,11 +94,15 @@ def make_visibility(backend: str, width: int, hidden: bool = False, primitives: 
 
     @wp.func
     def any_seen(scene: Scene, o: wp.vec3, d: wp.vec3, t_max: wp.float32, depth: wp.int32) -> RayHit:
-        return closest_primitive(scene, o, d, seen(scene, o, d, t_max, depth))
+        hit = seen(scene, o, d, t_max, depth)
+        if wp.static(hidden):
+            if depth == 0:
+                return closest_shown(scene, o, d, hit)
+        return closest_primitive(scene, o, d, hit)
 
     @wp.func
     def any_hidden_from_camera(scene: Scene, o: wp.vec3, d: wp.vec3, t_max: wp.float32) -> wp.bool:
-        return occluded_by_primitive(scene, o, d, t_max) or hidden_from_camera(scene, o, d, t_max)
+        return occluded_by_shown(scene, o, d, t_max) or hidden_from_camera(scene, o, d, t_max)
 
     return Visibility(closest_of_any, occluded_by_any, camera_accel, any_seen, closest_hit, any_hidden_from_camera)
 

@@ -33,6 +33,7 @@ from warp_psdr.kernels.constants import FAR
 from warp_psdr.kernels.invalid import count_invalid, vanishes
 from warp_psdr.kernels.jobs import SampleJob
 from warp_psdr.kernels.notes import NOTE_SENSOR, NOTE_SOURCE, NOTE_WALK, make_note
+from warp_psdr.kernels.primitive.affine import is_primitive
 from warp_psdr.kernels.primitive.dispatch import SLIDING, make_adjoint_sink, make_point_at, slides_on
 from warp_psdr.kernels.rng import Sampler, branch_of, make_sampler
 from warp_psdr.kernels.sensor.camera import make_camera_sink, make_lens
@@ -104,11 +105,11 @@ def make_source(config: PathConfig, emission: bool = False):
                         ended.cut = ROW_COUNT  # it serves as many lengths as one that goes on
                     return ended
                 # From just in front of x_2: a ray from x_b, which is moved off the edge, misses a small light. But at
-                # a contact x_b is as near, and moved off the light, too.
+                # a contact x_b is as near, and moved off the light, too. (An exact shape is where the ray met it.)
                 tri = scene.triangles[s.face2]
                 before = wp.max(BEFORE_LIGHT * s.t2, leaving_step(scene, s.face2) / wp.abs(wp.dot(tri.normal, s.w)))
                 o = s.source
-                if before < s.t2:
+                if before < s.t2 and not is_primitive(tri):
                     o = point_on(tri, s.u2, s.v2) - before * s.w
                 r = incident(scene, sampler, o, s.w, FAR, k, max_depth, rr_depth)
                 return scaled(r, s.radiance, wp.static(1.0 / BEHIND_LIGHT))

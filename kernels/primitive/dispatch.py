@@ -144,10 +144,11 @@ def make_hit(primitives: tuple[int, ...], shadow: bool = False):
 
 
 @functools.cache
-def make_primitive_queries(primitives: tuple[int, ...]):
+def make_primitive_queries(primitives: tuple[int, ...], hidden: bool = False):
     """Return ``closest(scene, o, d, hit) -> RayHit``, the nearer of a hit and the shapes', and ``occludes``.
 
-    ``occludes(scene, o, d, t_max) -> bool``: whether one of the shapes lies on a segment.
+    ``occludes(scene, o, d, t_max) -> bool``: whether one of the shapes lies on a segment. ``hidden``: those that shine
+    are left out.
     """
     hit_of = make_hit(primitives)
     shadow_of = make_hit(primitives, shadow=True) if set(CURVES) & set(primitives) else hit_of
@@ -158,6 +159,9 @@ def make_primitive_queries(primitives: tuple[int, ...]):
         k = last_primitive(scene)
         while is_primitive_at(scene, k):
             found = hit_of(scene, triangle_at(scene, k), o, d, best.t)
+            if wp.static(hidden):
+                if scene.shapes[scene.triangles[k].shape].emitter >= 0:
+                    found.face = -1
             if found.face >= 0:
                 best = found
                 best.face = k
@@ -168,7 +172,10 @@ def make_primitive_queries(primitives: tuple[int, ...]):
     def occluded_by_primitive(scene: Scene, o: wp.vec3, d: wp.vec3, t_max: wp.float32) -> wp.bool:
         k = last_primitive(scene)
         while is_primitive_at(scene, k):
-            if shadow_of(scene, triangle_at(scene, k), o, d, t_max).face >= 0:
+            shown = wp.bool(True)
+            if wp.static(hidden):
+                shown = scene.shapes[scene.triangles[k].shape].emitter < 0
+            if shown and shadow_of(scene, triangle_at(scene, k), o, d, t_max).face >= 0:
                 return True
             k -= 1
         return False

@@ -11,10 +11,18 @@ from typing import NamedTuple
 
 import warp as wp
 
-from warp_psdr.kernels.constants import FOUR_PI, PI, PRIMITIVE_CYLINDER, PRIMITIVE_DISK, PRIMITIVE_SPHERE, TWO_PI
+from warp_psdr.kernels.constants import (
+    FOUR_PI,
+    INV_TWO_PI,
+    PI,
+    PRIMITIVE_CYLINDER,
+    PRIMITIVE_DISK,
+    PRIMITIVE_SPHERE,
+    TWO_PI,
+)
 from warp_psdr.kernels.primitive.kinds import KINDS, join, make_kinds_point
-from warp_psdr.kernels.primitive.sphere import sphere_coordinates
-from warp_psdr.kernels.sampling import square_to_disk, square_to_sphere
+from warp_psdr.kernels.primitive.sphere import sphere_coordinates, sphere_point
+from warp_psdr.kernels.sampling import disk_to_square, sphere_to_square, square_to_disk, square_to_sphere
 from warp_psdr.kernels.structs import Triangle
 
 
@@ -25,8 +33,19 @@ def sphere_draw(u: wp.vec2) -> wp.vec2:
 
 
 @wp.func
+def sphere_drawn(u: wp.float32, v: wp.float32) -> wp.vec2:
+    """The inverse of ``sphere_draw``, as of the other kinds."""
+    return sphere_to_square(sphere_point(u, v))
+
+
+@wp.func
 def disk_draw(u: wp.vec2) -> wp.vec2:
     return square_to_disk(u)
+
+
+@wp.func
+def disk_drawn(u: wp.float32, v: wp.float32) -> wp.vec2:
+    return disk_to_square(wp.vec2(u, v))
 
 
 @wp.func
@@ -34,11 +53,17 @@ def cylinder_draw(u: wp.vec2) -> wp.vec2:
     return wp.vec2(TWO_PI * u[0] - PI, u[1])
 
 
-#: Kind (PRIMITIVE_*) -> ``(u: vec2) -> vec2``, the numbers that a vertex holds, and the area.
-DRAWS: dict[int, tuple[wp.Function, float]] = {
-    PRIMITIVE_SPHERE: (sphere_draw, FOUR_PI),
-    PRIMITIVE_DISK: (disk_draw, PI),
-    PRIMITIVE_CYLINDER: (cylinder_draw, TWO_PI),
+@wp.func
+def cylinder_drawn(u: wp.float32, v: wp.float32) -> wp.vec2:
+    return wp.vec2((u + PI) * INV_TWO_PI, v)
+
+
+#: Kind (PRIMITIVE_*) -> ``(u: vec2) -> vec2``, the numbers that a vertex holds, its inverse ``(u, v) -> vec2``, and the
+#: area.
+DRAWS: dict[int, tuple[wp.Function, wp.Function, float]] = {
+    PRIMITIVE_SPHERE: (sphere_draw, sphere_drawn, FOUR_PI),
+    PRIMITIVE_DISK: (disk_draw, disk_drawn, PI),
+    PRIMITIVE_CYLINDER: (cylinder_draw, cylinder_drawn, TWO_PI),
 }
 
 
@@ -47,6 +72,7 @@ class ShiningFunctions(NamedTuple):
 
     Attributes:
         draw: ``(tri, u: vec2) -> vec2``, the numbers of a point.
+        square: ``(tri, u, v) -> vec2``, its inverse.
         position: ``(tri, u, v) -> vec3``.
         cross: ``(tri, u, v) -> vec3``: c, on the side that shines.
         area: ``(tri) -> float``, S.
@@ -54,6 +80,7 @@ class ShiningFunctions(NamedTuple):
     """
 
     draw: wp.Function
+    square: wp.Function
     position: wp.Function
     cross: wp.Function
     area: wp.Function
@@ -68,9 +95,10 @@ def make_shining(shining: tuple[int, ...]) -> ShiningFunctions | None:
     position, cross = make_kinds_point(shining)
     return ShiningFunctions(
         draw=join(_either_draw, {kind: _make_draw(DRAWS[kind][0]) for kind in shining}),
+        square=join(_either_uv, {kind: _make_square(DRAWS[kind][1]) for kind in shining}),
         position=position,
         cross=cross,
-        area=join(_either_area, {kind: _make_area(DRAWS[kind][1]) for kind in shining}),
+        area=join(_either_area, {kind: _make_area(DRAWS[kind][2]) for kind in shining}),
         uv=join(_either_uv, {kind: _make_uv(kind) for kind in shining}),
     )
 
@@ -81,6 +109,14 @@ def _make_draw(f: wp.Function) -> wp.Function:
         return f(u)
 
     return draw_of
+
+
+def _make_square(f: wp.Function) -> wp.Function:
+    @wp.func
+    def square_of(tri: Triangle, u: wp.float32, v: wp.float32) -> wp.vec2:
+        return f(u, v)
+
+    return square_of
 
 
 def _make_area(area: float) -> wp.Function:

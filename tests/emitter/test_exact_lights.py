@@ -12,6 +12,7 @@ from tests.path.test_exact_sphere import scene as ball_scene
 from tests.peer import MITSUBA_ROUNDING, for_mitsuba
 from warp_psdr.kernels.constants import PRIMITIVE_CYLINDER, PRIMITIVE_DISK, PRIMITIVE_SPHERE
 from warp_psdr.kernels.emitter.area import make_area, make_pdf_area
+from warp_psdr.kernels.primitive.shining import make_shining
 from warp_psdr.kernels.reading import triangle_at
 from warp_psdr.kernels.structs import Scene
 
@@ -20,6 +21,7 @@ SHINING = (PRIMITIVE_SPHERE, PRIMITIVE_DISK, PRIMITIVE_CYLINDER)
 NAMES = ("sphere", "disk", "cylinder")
 AREA = make_area((0,), SHINING)
 PDF = make_pdf_area(SHINING)
+SQUARE = make_shining(SHINING).square
 POSES = {
     "sphere": T.translate([0.1, 0.0, 1.2]).rotate([0, 1, 1], 35.0).scale([0.4, 0.3, 0.35]),
     "disk": T.translate([0.1, 0.0, 1.0]).rotate([1, 0.3, 0], 155.0).scale([0.4, 0.3, 0.5]),
@@ -60,6 +62,9 @@ def draw(scene: Scene, number: wp.int32, x: wp.vec3, u: wp.array(dtype=wp.vec2),
     out[i, 3] = PDF(scene, e, face, ls.u, ls.v, ls.wi, ls.distance)
     for k in range(3):
         out[i, 4 + k] = ls.wi[k]
+    again = SQUARE(triangle_at(scene, face), ls.u, ls.v)
+    out[i, 7] = again[0]
+    out[i, 8] = again[1]
 
 
 def test_points_are_uniform_and_their_density_is_that_of_hits() -> None:
@@ -71,9 +76,12 @@ def test_points_are_uniform_and_their_density_is_that_of_hits() -> None:
     x = np.array([0.6, 0.2, -0.5])
     for number, name in enumerate(NAMES):
         u = wp.array(random.random((count, 2)).astype(np.float32), dtype=wp.vec2, device=scene.device)
-        out = wp.zeros((count, 7), dtype=wp.float32, device=scene.device)
+        out = wp.zeros((count, 9), dtype=wp.float32, device=scene.device)
         wp.launch(draw, dim=count, inputs=[scene.data(), number, wp.vec3(*x), u], outputs=[out], device=scene.device)
-        a, b, pdf, again, *w = out.numpy().astype(np.float64).T
+        a, b, pdf, again, *w, first_of, second_of = out.numpy().astype(np.float64).T
+        drawn_from = np.stack([first_of, second_of], axis=1)
+        # Float32 next to a pole of the sphere and to the middle of the disk, where one of the two is free.
+        assert (np.abs(drawn_from - u.numpy()) < 1e-5).mean() > 0.999, name
         if name == "sphere":
             z = 1.0 - np.abs(a) - np.abs(b)
             px = np.where(z < 0.0, np.where(a < 0.0, np.abs(b) - 1.0, 1.0 - np.abs(b)), a)
@@ -225,13 +233,13 @@ def test_interior_methods_and_modes_agree(kind: str, method) -> None:
 
 
 @pytest.mark.parametrize(
-    ("options", "problem"),
+    ("boundary", "problem"),
     [
-        ({}, r"not followed where such a shape shines; say PathIntegrator\(boundary=None\)"),
-        ({"hide_emitters": True}, "hide_emitters does not hide"),
+        (psdr.boundary.SignedDistance(), "does not move rays where exact shapes shine"),
+        (psdr.boundary.EdgeSampling(), "has no terms of it"),
     ],
 )
-def test_what_it_does_not_do_is_refused(options: dict, problem: str) -> None:
+def test_what_it_does_not_do_is_refused(boundary, problem: str) -> None:
     scene = below({"type": "sphere", "to_world": POSES["sphere"]})
     with pytest.raises(ValueError, match=problem):
-        psdr.plan(scene, names=["floor.to_world"], integrator=psdr.PathIntegrator(max_depth=2, **options))
+        psdr.plan(scene, names=["floor.to_world"], integrator=psdr.PathIntegrator(max_depth=2, boundary=boundary))

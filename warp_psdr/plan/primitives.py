@@ -13,8 +13,8 @@ from warp_psdr.scene.curves import INSTEAD as TUBES
 from warp_psdr.scene.exact import EXACT, KINDS
 from warp_psdr.scene.network import INSTEAD as GRIDDED
 from warp_psdr.scene.sdfgrid import INSTEAD as TRIANGLES
-from warp_psdr.topology.crossing_curves import crossed_light, touched
-from warp_psdr.topology.crossing_pairs import touching_pair
+from warp_psdr.topology.crossing_curves import touched
+from warp_psdr.topology.crossing_pairs import crossed_light, touching_pair
 from warp_psdr.topology.grid_contacts import is_open, pierced_grid
 from warp_psdr.topology.grid_silhouettes import grid_shapes, grid_values
 from warp_psdr.topology.network_silhouettes import is_open_network, network_and_cells, network_shapes
@@ -94,8 +94,6 @@ def refuse(
         return
     shapes = [scene.description.shapes[i] for i in scene.builder.primitives]
     light = next((s for s in shapes if s.kind in EXACT and s.emitter is not None), None)
-    if light is not None and integrator.hide_emitters:
-        raise ValueError(f"{light.path!r} is an exact {light.kind!r}, which hide_emitters does not hide; {INSTEAD}")
     resting = next((s for s in shapes if s.kind not in EXACT), None)
     if resting is not None:
         reason = _beside_resting(scene, config, integrator, wanted, names, moving)
@@ -109,16 +107,10 @@ def refuse(
         reason = "participating media do not know it"
     else:
         reason = _of_method(integrator.interior, wanted)
-        if not reason and moving and integrator.boundary is not None and light is not None:
-            reason = _where_it_shines(moving)
-        elif not reason and moving and integrator.boundary is not None:
+        if not reason and moving and integrator.boundary is not None:
             reason = _beside_motion(scene, config, integrator, names)
     if reason:
         raise ValueError(f"{shape.path!r} is an exact {shape.kind!r}, and {reason}; or {INSTEAD}")
-
-
-def _where_it_shines(moving: tuple[str, ...]) -> str:
-    return f"{moving[0]}, which is not followed where such a shape shines; {ALONE}"
 
 
 def _of_method(method: interior.Method | str, wanted: GradientRequest | None) -> str:
@@ -148,10 +140,6 @@ def _beside_resting(
         what = type(integrator.interior).__name__
         return f"interior.{what}() does not follow what slides along rays; use interior.Replay()"
     if moving and integrator.boundary is not None:
-        shapes = [scene.description.shapes[i] for i in scene.builder.primitives]
-        light = next((s for s in shapes if s.kind in EXACT and s.emitter is not None), None)
-        if light is not None:
-            return f"beside it {light.path!r} is an exact {light.kind!r}: {_where_it_shines(moving)}"
         return _beside_moving_kinds(scene, config, integrator, names)
     return ""
 
@@ -185,6 +173,8 @@ def _of_exact(scene: Scene, integrator: PathIntegrator, names: list[str]) -> str
 def _of_boundary(config: PathConfig, integrator: PathIntegrator) -> str:
     """Say why no boundary term is estimated beside shapes without triangles; empty: one is."""
     method = integrator.boundary
+    if isinstance(method, Reparametrised) and config.shining:
+        return f"{method.label}() does not move rays where exact shapes shine; use boundary.PathSpace()"
     if isinstance(method, Reparametrised):
         pass  # it knows them alone (``plan/reparametrised.py``)
     elif isinstance(method, Projective) and set(config.primitives) <= set(EXACT.values()):

@@ -16,7 +16,6 @@ import numpy as np
 
 from warp_psdr.topology.crossing_fields import Field, across_axis, exact_field, grid_field
 from warp_psdr.topology.exact_shapes import TOUCHING, crossed_faces, exact_shapes, least_distance
-from warp_psdr.topology.grid_silhouettes import grid_shapes
 
 if TYPE_CHECKING:
     from warp_psdr.scene.scene import Scene
@@ -221,14 +220,3 @@ def _slant(field: Field, chords: Chords, corners: np.ndarray) -> float:
     n = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
     sine = np.linalg.norm(np.cross(slope, n), axis=1)
     return float((sine / (np.linalg.norm(slope, axis=1) * np.linalg.norm(n, axis=1))).min(initial=1.0))
-
-
-def crossed_light(scene: Scene) -> tuple[int, int] | None:
-    """Return a shape without triangles and a mesh that shines and runs through it."""
-    hit = [(i, crossed_faces(scene, i, None)) for i in exact_shapes(scene)]
-    hit += [(i, cut_grid(scene, i, None).faces) for i in grid_shapes(scene)]
-    for i, faces in hit:
-        for j in np.unique(scene.builder.face_shape[faces]):
-            if scene.description.shapes[j].emitter is not None:
-                return i, int(j)
-    return None

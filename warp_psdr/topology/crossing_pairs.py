@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warp_psdr.scene.primitives import sphere
-from warp_psdr.topology.crossing_curves import LEAST, RIM_POINTS, Chords, cut
+from warp_psdr.topology.crossing_curves import LEAST, RIM_POINTS, Chords, cut, cut_grid
 from warp_psdr.topology.crossing_fields import FINE, Field, across_axis, exact_field
-from warp_psdr.topology.exact_shapes import TOUCHING, exact_shapes, pose, runs_through
+from warp_psdr.topology.exact_shapes import TOUCHING, crossed_faces, exact_shapes, pose, runs_through
+from warp_psdr.topology.grid_silhouettes import grid_shapes
 
 if TYPE_CHECKING:
     from warp_psdr.scene.scene import Scene
@@ -148,3 +149,18 @@ def _rim_runs_along(scene: Scene, i: int, j: int) -> bool:
         if (on & np.roll(on, 1)).any():
             return True
     return False
+
+
+def crossed_light(scene: Scene) -> tuple[int, int] | None:
+    """Return a shape without triangles and another shape that run through each other and one of which shines."""
+    shines = [shape.emitter is not None for shape in scene.description.shapes]
+    for i, j in exact_pairs(scene, None):
+        if shines[i] or shines[j]:
+            return (j, i) if shines[i] else (i, j)
+    hit = [(i, crossed_faces(scene, i, None)) for i in exact_shapes(scene)]
+    hit += [(i, cut_grid(scene, i, None).faces) for i in grid_shapes(scene)]
+    for i, faces in hit:
+        for j in np.unique(scene.builder.face_shape[faces]):
+            if shines[i] or shines[j]:
+                return (int(j), i) if shines[i] else (i, int(j))
+    return None

@@ -184,7 +184,11 @@ def light_eyes(scene: Scene) -> list[Eyes] | None:
     for number, e in enumerate(b.emitters):
         if e.kind in (c.EMITTER_AREA, c.EMITTER_DIRECTIONAL_AREA):
             own = [i for i, shape in enumerate(b.shapes) if shape.emitter == number]
-            corners = scene.points[b.indices[np.isin(b.face_shape, own)].reshape(-1)].astype(np.float64)
+            of_triangles = scene.points[b.indices[np.isin(b.face_shape, own)].reshape(-1)]
+            # Of shapes without triangles the corners of the box around them.
+            records = [b.shapes[i] for i in own if i in b.primitives]
+            boxes = [scene.points[r.first_vertex : r.first_vertex + r.vertex_count] for r in records]
+            corners = np.concatenate([of_triangles, *boxes]).astype(np.float64)
             box = np.array(list(itertools.product(*zip(corners.min(axis=0), corners.max(axis=0), strict=True))))
             found.append(Eyes(box, False))
         elif e.kind == c.EMITTER_POINT:

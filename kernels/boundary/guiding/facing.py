@@ -6,6 +6,7 @@ import warp as wp
 
 from warp_psdr.kernels.boundary.guiding.light_square import make_light_square
 from warp_psdr.kernels.boundary.local_form import Edges, edge_at, facing_side
+from warp_psdr.kernels.primitive.affine import is_primitive_at
 from warp_psdr.kernels.structs import Scene
 from warp_psdr.kernels.vertex import PathConfig
 
@@ -14,8 +15,9 @@ from warp_psdr.kernels.vertex import PathConfig
 def make_facing_kernel(config: PathConfig):
     """Return the kernel: one thread an edge; points (u_1, u_2) of the lights are the same for all edges.
 
-    At an area light each point stands for its triangle, whose share is exact. The result is the root mean square over
-    the points: with uniform coordinates the integrand is proportional to the share, and cells follow its second moment.
+    At an area light of triangles each point stands for its triangle, whose share is exact. The result is the root mean
+    square over the points: with uniform coordinates the integrand is proportional to the share, and cells follow its
+    second moment.
     """
     aim, _coordinates = make_light_square(config)
 
@@ -37,7 +39,7 @@ def make_facing_kernel(config: PathConfig):
         for i in range(points.shape[0]):
             direction = aim(scene, edges, point, points[i][0], points[i][1])
             if direction.valid == 1:
-                if direction.face >= 0:
+                if direction.face >= 0 and not is_primitive_at(scene, direction.face):
                     found += direction.share * direction.share
                 elif facing_side(scene, edges, point, wp.normalize(point.p1 - point.p0), direction.w) != 0.0:
                     found += 1.0

@@ -2,7 +2,8 @@
 
 u_1 chooses the emitter by its selection probability; what is left of it chooses, at an area light, a triangle by its
 area, and what is left again is one of two coordinates, u_2 the other, of the stripe of that triangle for which the edge
-is a silhouette (``stripe.py``). At an environment what is left of
+is a silhouette (``stripe.py``). Of an exact shape that shines they are those of its own sampling
+(``primitive/shining.py``), whatever the edge. At an environment what is left of
 u_1 and u_2 are the coordinates of its own sampling. A point, spot or directional light has no further freedom. u_1 is
 double precision throughout: behind 10^4 triangles a float would have ten bits left. The inverse is needed where a
 direction that was drawn otherwise has to be weighted against this technique.
@@ -15,10 +16,13 @@ import warp as wp
 from warp_psdr.kernels.boundary.guiding.stripe import stripe_at, stripe_point, stripe_square
 from warp_psdr.kernels.boundary.local_form import EdgePoint, Edges
 from warp_psdr.kernels.boundary.path_space.direction import Direction
-from warp_psdr.kernels.constants import EMITTER_CONSTANT, EMITTER_ENVMAP, FAR, INV_TWO_PI
+from warp_psdr.kernels.constants import EMITTER_CONSTANT, EMITTER_ENVMAP, FAR
 from warp_psdr.kernels.distribution import find_interval_64
 from warp_psdr.kernels.emitter.dispatch import make_lights
 from warp_psdr.kernels.emitter.env_cells import cell_density, cell_height, load_matrix, locate
+from warp_psdr.kernels.primitive.affine import is_primitive
+from warp_psdr.kernels.primitive.shining import make_shining
+from warp_psdr.kernels.sampling import sphere_to_square
 from warp_psdr.kernels.structs import Emitter, Scene
 from warp_psdr.kernels.surface import point_on
 from warp_psdr.kernels.vertex import PathConfig
@@ -36,13 +40,6 @@ def outside_of(cdf: wp.array(dtype=wp.float32), i: wp.int32, t: wp.float64) -> w
     """The inverse of ``within``."""
     low = wp.float64(cdf[i])
     return low + t * (wp.float64(cdf[i + 1]) - low)
-
-
-@wp.func
-def sphere_to_square(w: wp.vec3) -> wp.vec2:
-    """The inverse of ``square_to_sphere``."""
-    turn = wp.atan2(w[1], w[0]) * INV_TWO_PI
-    return wp.vec2(wp.where(turn < 0.0, turn + 1.0, turn), 0.5 * (1.0 - w[2]))
 
 
 @wp.func
@@ -79,6 +76,7 @@ def make_light_square(config: PathConfig):
     the light's triangle from which the point was drawn.
     """
     has_area = bool(config.area)
+    exact = make_shining(config.shining)
     other = make_lights(config.lights, None, ()).sample if config.lights else None
     has_other = other is not None
     constant = EMITTER_CONSTANT in config.lights
@@ -97,21 +95,33 @@ def make_light_square(config: PathConfig):
             if emitter.kind == 0:
                 k = find_interval_64(scene.face_cdf, emitter.cdf_offset, emitter.face_count, rest)
                 rest = within(scene.face_cdf, emitter.cdf_offset + k, rest)
-                stripe = stripe_at(scene, edges, point, emitter.first_face + k)
+                r.face = emitter.first_face + k
+                tri = scene.triangles[r.face]
+                if wp.static(exact is not None):
+                    if is_primitive(tri):
+                        q = exact.draw(tri, wp.vec2(wp.float32(rest), wp.float32(u2)))
+                        r.u = q[0]
+                        r.v = q[1]
+                        r.w = exact.position(tri, r.u, r.v) - point.x
+                        r.distance = wp.length(r.w)
+                        r.w = r.w / r.distance
+                        # Of no distance it is not a number, and not below 0; here as below.
+                        if wp.dot(exact.cross(tri, r.u, r.v), r.w) < 0.0:
+                            r.valid = 1
+                            r.aimed = 1
+                        return r
+                stripe = stripe_at(scene, edges, point, r.face)
                 r.share = stripe.share
                 b = stripe_point(stripe, rest, u2)
-                tri = scene.triangles[emitter.first_face + k]
+                r.u = b[0]
+                r.v = b[1]
                 y = point_on(tri, b[0], b[1]) - point.x
                 r.distance = wp.length(y)
                 if stripe.share > 0.0:
                     r.w = y / r.distance
-                    # Of no distance it is not a number, and not below 0.
                     if wp.dot(tri.normal, r.w) < 0.0:
                         r.valid = 1
                         r.aimed = 1
-                        r.face = emitter.first_face + k
-                        r.u = b[0]
-                        r.v = b[1]
         if wp.static(has_other):
             if emitter.kind != 0:
                 ls = other(scene, emitter, point.x, wp.vec2(wp.float32(rest), wp.float32(u2)))
@@ -137,6 +147,14 @@ def make_light_square(config: PathConfig):
             if wp.static(has_area):
                 tri = scene.triangles[face]
                 index = scene.shapes[tri.shape].emitter
+                if wp.static(exact is not None):
+                    if is_primitive(tri):
+                        if index >= 0 and wp.dot(exact.cross(tri, u, v), w) < 0.0:
+                            q = exact.square(tri, u, v)
+                            first = outside_of(scene.face_cdf, scene.emitters[index].cdf_offset, wp.float64(q[0]))
+                            r[0] = outside_of(scene.emitter_cdf, index, first)
+                            r[1] = wp.float64(q[1])
+                        return r
                 if index >= 0 and wp.dot(tri.normal, w) < 0.0:
                     emitter = scene.emitters[index]
                     stripe = stripe_at(scene, edges, point, face)

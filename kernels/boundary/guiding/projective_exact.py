@@ -10,7 +10,6 @@ import functools
 
 import warp as wp
 
-from warp_psdr.kernels.boundary.guiding.light_square import sphere_to_square
 from warp_psdr.kernels.boundary.guiding.path_segments import (
     BLOCKED,
     BLOCKED_LIGHT,
@@ -30,6 +29,7 @@ from warp_psdr.kernels.math import any_tangent
 from warp_psdr.kernels.primitive.affine import from_axes, is_primitive_at
 from warp_psdr.kernels.primitive.dispatch import make_point_at
 from warp_psdr.kernels.rng import make_sampler
+from warp_psdr.kernels.sampling import sphere_to_square
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.vertex import PathConfig
 from warp_psdr.kernels.visibility import visibility_of

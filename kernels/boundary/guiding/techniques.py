@@ -131,7 +131,7 @@ def make_techniques(config: PathConfig, guided: bool):
         part = aim.direction.share
         p_light = aim.at.pdf
         p_wedge = aim.at.pdf
-        j_light = pdf_light(scene, face, w, t)
+        j_light = pdf_light(scene, face, u, v, w, t)
         if aim.wedge == 1:
             if j_light > 0.0:
                 at = light_coordinates(scene, edges, aim.point, face, u, v, w)

@@ -12,8 +12,10 @@ import warp as wp
 
 from warp_psdr.kernels.boundary.local_form import EdgePoint, Edges
 from warp_psdr.kernels.constants import INV_FOUR_PI, PI
-from warp_psdr.kernels.emitter.area import pdf_area
+from warp_psdr.kernels.emitter.area import make_pdf_area
 from warp_psdr.kernels.emitter.dispatch import make_lights
+from warp_psdr.kernels.primitive.affine import is_primitive
+from warp_psdr.kernels.primitive.shining import make_shining
 from warp_psdr.kernels.structs import Scene
 from warp_psdr.kernels.vertex import PathConfig
 
@@ -94,16 +96,18 @@ def wedge_square(wedge: Wedge, w: wp.vec3) -> wp.vec2:
 
 @functools.cache
 def make_pdf_light(config: PathConfig):
-    """Return ``pdf_light(scene, face, w, t) -> float``: the solid-angle density of light sampling.
+    """Return ``pdf_light(scene, face, u, v, w, t) -> float``: the solid-angle density of light sampling.
 
-    For a direction whose first hit is ``face`` (-1: none) at distance t.
+    For a direction whose first hit is (face, u, v), or none (face -1), at distance t.
     """
+    exact = make_shining(config.shining)
+    pdf_area = make_pdf_area(config.shining)
     lights = make_lights(config.lights, None, ()) if config.lights else None
     environment_pdf = lights.environment_pdf if lights else None
     has_environment = environment_pdf is not None
 
     @wp.func
-    def pdf_light(scene: Scene, face: wp.int32, w: wp.vec3, t: wp.float32) -> wp.float32:
+    def pdf_light(scene: Scene, face: wp.int32, u: wp.float32, v: wp.float32, w: wp.vec3, t: wp.float32) -> wp.float32:
         pdf = wp.float32(0.0)
         if face < 0:
             if wp.static(has_environment):
@@ -111,9 +115,14 @@ def make_pdf_light(config: PathConfig):
         else:
             if wp.static(bool(config.area)):
                 emitter = scene.shapes[scene.triangles[face].shape].emitter
-                if emitter >= 0 and wp.dot(scene.triangles[face].normal, w) < 0.0:
+                facing = wp.dot(scene.triangles[face].normal, w)
+                if wp.static(exact is not None):
+                    tri = scene.triangles[face]
+                    if is_primitive(tri):
+                        facing = wp.dot(exact.cross(tri, u, v), w)
+                if emitter >= 0 and facing < 0.0:
                     record = scene.emitters[emitter]
-                    pdf = pdf_area(scene, record, face, w, t) * record.probability
+                    pdf = pdf_area(scene, record, face, u, v, w, t) * record.probability
         return pdf
 
     return pdf_light

@@ -62,7 +62,7 @@ def make_segment(config: PathConfig):
     """
     visibility = visibility_of(config)
     screened = make_screened(config)
-    emitted = make_area(config.area).emitted if config.area else None
+    emitted = make_area(config.area, config.shining).emitted if config.area else None
     lights = make_lights(config.lights, None, ()) if config.lights else None
     environment_eval = lights.environment_eval if lights else None
     has_environment = environment_eval is not None
@@ -102,7 +102,7 @@ def make_segment(config: PathConfig):
             r.light = direction.light
             r.known = 1
             r.radiance = direction.irradiance
-        elif direction.aimed == 1:
+        elif direction.aimed == 1 and (wp.static(not config.shining) or not is_primitive_at(scene, direction.face)):
             reach = wp.float32(FAR)
             if direction.distance < 0.5 * FAR:
                 # The ray runs a step beside the line to the light point and meets the light's plane earlier or later:
@@ -119,6 +119,10 @@ def make_segment(config: PathConfig):
             r.t2 = direction.distance
         else:
             hit2 = visibility.closest(scene, r.source, r.w, FAR)
+            if wp.static(bool(config.shining)):
+                # Of a round light the ray meets another point than the line, but no other that faces it.
+                if direction.aimed == 1 and hit2.face != direction.face:
+                    return r
             r.face2 = hit2.face
             r.u2 = hit2.u
             r.v2 = hit2.v

@@ -4,7 +4,7 @@ import functools
 
 import warp as wp
 
-from warp_psdr.kernels.boundary.guiding.light_square import envmap_to_square, outside_of, sphere_to_square, within
+from warp_psdr.kernels.boundary.guiding.light_square import envmap_to_square, outside_of, within
 from warp_psdr.kernels.boundary.guiding.stripe import triangle_to_square
 from warp_psdr.kernels.constants import (
     EMITTER_AREA,
@@ -16,8 +16,10 @@ from warp_psdr.kernels.constants import (
 from warp_psdr.kernels.distribution import find_interval_64
 from warp_psdr.kernels.emitter.dispatch import is_delta_light, make_delta_sample
 from warp_psdr.kernels.emitter.spot import load_column
+from warp_psdr.kernels.primitive.affine import is_primitive
+from warp_psdr.kernels.primitive.shining import make_shining
 from warp_psdr.kernels.reading import load_vec3
-from warp_psdr.kernels.sampling import square_to_triangle
+from warp_psdr.kernels.sampling import sphere_to_square, square_to_triangle
 from warp_psdr.kernels.scattering import make_light_draw
 from warp_psdr.kernels.structs import Scene, Triangle
 from warp_psdr.kernels.surface import point_on
@@ -36,6 +38,7 @@ class TangentAim:
     light: wp.int32  # emitter that it was aimed at, -1: none
     eye: wp.vec3  # its point, or the direction towards it
     distant: wp.bool
+    cross: wp.vec3  # normal of an exact shape there, of any length; 0: it is none
     u: wp.float32  # fraction of the way around the silhouette
 
 
@@ -46,6 +49,7 @@ def make_light_point(config: PathConfig):
     x is where the shape is.
     """
     _pick, draw = make_light_draw(config)
+    exact = make_shining(config.shining)
     area = bool(config.area)
     deltas = make_delta_sample(config.lights) is not None
 
@@ -56,6 +60,13 @@ def make_light_point(config: PathConfig):
         r.valid = 1
         if wp.static(area):
             if face >= 0:
+                if wp.static(exact is not None):
+                    tri = scene.triangles[face]
+                    if is_primitive(tri):
+                        q = exact.draw(tri, u)
+                        r.eye = exact.position(tri, q[0], q[1])
+                        r.cross = exact.cross(tri, q[0], q[1])
+                        return r
                 uv = square_to_triangle(u)
                 r.eye = point_on(scene.triangles[face], uv[0], uv[1])
                 return r
@@ -124,6 +135,7 @@ def make_aim_square(config: PathConfig):
     (face, u, v) of an area light, or for face < 0 the direction w towards the environment; negative: no light is there.
     """
     has_area = bool(config.area)
+    exact = make_shining(config.shining)
     constant = EMITTER_CONSTANT in config.lights
     envmap = EMITTER_ENVMAP in config.lights
 
@@ -136,6 +148,10 @@ def make_aim_square(config: PathConfig):
                 if index >= 0:
                     emitter = scene.emitters[index]
                     at = triangle_to_square(u, v)
+                    if wp.static(exact is not None):
+                        tri = scene.triangles[face]
+                        if is_primitive(tri):
+                            at = exact.square(tri, u, v)
                     k = emitter.cdf_offset + face - emitter.first_face
                     rest = outside_of(scene.face_cdf, k, wp.float64(at[0]))
                     r = wp.vec2d(outside_of(scene.emitter_cdf, index, rest), wp.float64(at[1]))

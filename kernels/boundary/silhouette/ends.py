@@ -48,7 +48,7 @@ def make_source_end(config: PathConfig):
     visibility = visibility_of(config)
     pdf_light = make_pdf_light(config)
     point_at = make_point_at(config.primitives)
-    emitted = make_area(config.area).emitted if config.area else None
+    emitted = make_area(config.area, config.shining).emitted if config.area else None
     lights = make_lights(config.lights, None, ()) if config.lights else None
     environment_eval = lights.environment_eval if lights else None
     has_environment = environment_eval is not None
@@ -97,7 +97,12 @@ def make_source_end(config: PathConfig):
                 if hit2.face >= 0:
                     if scene.shapes[scene.triangles[hit2.face].shape].emitter != aim.light:
                         return end
-                    if wp.abs(hit2.t - end.to_eye) > NEAR_LIGHT * end.to_eye + STEPS * r.step:
+                    if wp.static(bool(config.shining)):
+                        # An exact shape has one point at most that faces the segment.
+                        if wp.dot(aim.cross, r.w) > 0.0:
+                            return end
+                    near = wp.abs(hit2.t - end.to_eye) <= NEAR_LIGHT * end.to_eye + STEPS * r.step
+                    if not near and wp.length_sq(aim.cross) == 0.0:
                         return end
             end.y = r.w
             if r.face2 >= 0:
@@ -113,7 +118,7 @@ def make_source_end(config: PathConfig):
             if (direct or r.face2 < 0) and vanishes(r.radiance):
                 return end
             if aims:
-                end.towards = pdf_light(scene, r.face2, r.w, r.t2)
+                end.towards = pdf_light(scene, r.face2, r.u2, r.v2, r.w, r.t2)
                 if aim.light >= 0 and not end.towards > 0.0:
                     return end
         end.segment = r

@@ -12,12 +12,12 @@ from typing import NamedTuple
 
 import warp as wp
 
-from warp_psdr.kernels.boundary.guiding.light_square import sphere_to_square
 from warp_psdr.kernels.boundary.silhouette.sphere import circle_radius
 from warp_psdr.kernels.constants import INV_TWO_PI, PRIMITIVE_CYLINDER, PRIMITIVE_DISK, PRIMITIVE_SPHERE
 from warp_psdr.kernels.math import any_tangent
 from warp_psdr.kernels.primitive.affine import from_axes
 from warp_psdr.kernels.primitive.kinds import join
+from warp_psdr.kernels.sampling import sphere_to_square
 from warp_psdr.kernels.structs import Triangle
 
 
