@@ -23,7 +23,8 @@ class Method(ABC):  # noqa: B024
 
     Attributes:
         spp_primary: samples of the edges that the camera sees, a pixel; None: as many as the interior term's.
-        spp_secondary: samples of shadow edges and their like, a pixel; None: as many as the interior term's.
+        spp_secondary: samples of shadow edges and their like, a pixel; None: as many as the interior term's. Some terms
+            of grids, networks and curves take shares of these two (``docs/theory/implicit.md#shares-of-the-samples``).
     """
 
     spp_primary: int | None = None

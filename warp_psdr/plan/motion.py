@@ -25,6 +25,7 @@ class Motion:
         light_pose: a point, spot or directional light moves or turns.
         normals: numbers of the shapes whose vertex normals turn by themselves.
         grids: a grid of a medium moves, and the points of the medium with it.
+        values: values of grids and networks, or control points, move surfaces, each a part of one.
     """
 
     shapes: frozenset[int]
@@ -32,6 +33,7 @@ class Motion:
     light_pose: bool
     normals: frozenset[int] = frozenset()
     grids: bool = False
+    values: bool = False
 
     @property
     def edges(self) -> bool:
@@ -48,6 +50,7 @@ def motion(scene: Scene, names: list[str]) -> Motion:
         light_pose=any(LIGHT_POSE in use for use, _owner in uses),
         normals=frozenset(owner for use, owner in uses if NORMALS in use),
         grids=any(MEDIUM + POSE in use for use, _owner in uses),
+        values=any(SHAPE_GRID in use for use, _owner in uses),
     )
 
 

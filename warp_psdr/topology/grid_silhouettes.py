@@ -61,29 +61,32 @@ def items_of(values: np.ndarray, concave: bool = False, cubic: bool = False) -> 
 
     ``concave``: of faces alone, with those. ``cubic``: of a smooth grid, whose items are voxels.
     """
-    node = np.arange(values.size).reshape(values.shape)
     if cubic:
-        return 4 * node[:-1, :-1, :-1][is_passed(values, True)] + VOXEL
-    found = [] if concave else [4 * node[:-1, :-1, :-1][is_passed(values)] + VOXEL]
+        return _numbers(is_passed(values, True), values.shape) * 4 + VOXEL
+    inside, flat = values < 0.0, values.reshape(-1)
+    stride = (1, values.shape[2], values.shape[2] * values.shape[1])
+    found = [] if concave else [_numbers(is_passed(values), values.shape) * 4 + VOXEL]
     for axis in range(3):
         along = 2 - axis  # in the array
-        across = [k for k in range(3) if k != along]
-        inside = values < 0.0
-        bend = np.diff(values, 2, axis=along)
-        corners, bends = [], []
+        corners = []
         for offsets in itertools.product((0, 1), repeat=2):
-            at = [slice(1, -1)] * 3
-            for k, o in zip(across, offsets, strict=True):
-                at[k] = slice(o, values.shape[k] - 1 + o)
-            corners.append(inside[tuple(at)])
-            at[along] = slice(None)
-            bends.append(bend[tuple(at)])
+            ends = [slice(o, n - 1 + o) for o, n in zip(offsets, np.delete(values.shape, along), strict=True)]
+            ends.insert(along, slice(1, -1))
+            corners.append(inside[tuple(ends)])
+        # Bends alone of faces that the surface passes: they are few.
         passed = np.any(corners, axis=0) & ~np.all(corners, axis=0)
-        passed &= (np.max(np.abs(bends) if concave else bends, axis=0)) > 0.0
-        first = [slice(0, -1)] * 3
-        first[along] = slice(1, -1)
-        found.append(4 * node[tuple(first)][passed] + axis)
+        first = _numbers(passed, values.shape) + stride[axis]
+        others = [stride[k] for k in range(3) if k != axis]
+        at = np.array([first + np.dot(offsets, others) for offsets in itertools.product((0, 1), repeat=2)])
+        bends = (flat[at + stride[axis]] - flat[at]) - (flat[at] - flat[at - stride[axis]])
+        found.append(4 * first[(np.abs(bends) if concave else bends).max(axis=0) > 0.0] + axis)
     return np.concatenate(found)
+
+
+def _numbers(mask: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    """Return the numbers, in a grid (Z, Y, X) of a shape, of the nodes that a mask over its first ones holds."""
+    z, y, x = np.nonzero(mask)
+    return (z * shape[1] + y) * shape[2] + x
 
 
 def may_show(values: np.ndarray, numbers: np.ndarray, low: np.ndarray, high: np.ndarray, distant: bool) -> np.ndarray:
@@ -209,13 +212,24 @@ def grid_items(scene: Scene, shapes: list[int], eyes: list[Eyes] | None, concave
     """
     listed = []
     for shape in shapes:
-        values = grid_values(scene, shape)
-        numbers = items_of(values, concave, is_smooth_grid(scene, shape))
+        values, numbers = _items_now(scene, shape, concave)
         seen = np.full(len(numbers), eyes is None)
         for e in eyes or []:
             seen |= seen_from(scene, shape, values, numbers, e)
         listed.append((shape, numbers, seen))
     return gathered(scene, listed)
+
+
+def _items_now(scene: Scene, shape: int, concave: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Return the values of a grid, and its items, kept until a value changes."""
+    values = grid_values(scene, shape)
+    kept = scene.__dict__.setdefault("_grid_items", {})
+    if shape not in kept or not np.array_equal(kept[shape][0], values):
+        kept[shape] = (values, {})
+    found = kept[shape][1]
+    if concave not in found:
+        found[concave] = items_of(values, concave, is_smooth_grid(scene, shape))
+    return values, found[concave]
 
 
 def only(found: GridItems | None, creases: bool) -> GridItems | None:

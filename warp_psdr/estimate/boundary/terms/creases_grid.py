@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import math
+
 from warp_psdr.estimate.boundary.terms import primary_grid
 from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term, term_of
 from warp_psdr.kernels.boundary.silhouette.grid_primary import make_primary_grid_kernel
 from warp_psdr.options.boundary import PathSpace
 from warp_psdr.topology.grid_silhouettes import grid_items, grid_shapes
+
+#: Samples over those of segments between path vertices (``docs/theory/implicit.md#shares-of-the-samples``): where
+#: single values move the surface, and where a pose or the camera does.
+SHARE_OF_VALUES, SHARE = 1.0 / 8.0, 1.0 / 2.0
 
 
 def applies(r: Request) -> bool:
@@ -21,7 +27,8 @@ def launch(r: Request) -> Term | None:
     if found is None:
         return None
     kernel = make_primary_grid_kernel(r.config, r.role, r.moves.camera, True)
-    samples = r.pixels * (r.method.spp_primary or r.spp)
+    share = SHARE_OF_VALUES if r.moves.values else SHARE
+    samples = math.ceil(r.pixels * (r.method.spp_primary or r.spp) * share)
     return term_of(r, TERM, kernel, [r.scene.data(), r.camera, found], samples)
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import warp as wp
 
 from warp_psdr.estimate.boundary.terms import secondary_grid
@@ -14,6 +16,8 @@ from warp_psdr.topology.grid_silhouettes import grid_items, grid_shapes, only
 
 #: Vertices of the shortest path: x_1, one on a grid, and one on a light.
 SHORTEST = 3
+#: Samples over those of what silhouettes hide, and of creases (``docs/theory/implicit.md#shares-of-the-samples``).
+SHARE, SHADING_SHARE = 1.0 / 4.0, 1.0 / 8.0
 
 
 def applies(r: Request) -> bool:
@@ -25,14 +29,17 @@ def launch_foreground(r: Request, term: BoundaryTerm, shading: bool, cubic: bool
     """Return the term of silhouettes, or with ``shading`` of creases that are seen from the front."""
     kernel = make_foreground_grid_kernel(r.config, r.role, r.moves.camera, shading, cubic)
     found = grid_items(r.scene, grid_shapes(r.scene, cubic), [], concave=shading)
-    return launch_items(r, term, kernel, found if r.creases is None else only(found, r.creases))
+    found = found if r.creases is None else only(found, r.creases)
+    return launch_items(r, term, kernel, found, SHADING_SHARE if shading else SHARE)
 
 
-def launch_items(r: Request, term: BoundaryTerm, kernel: wp.Kernel, found: GridItems | None) -> Term | None:
-    """Return the term of items."""
+def launch_items(
+    r: Request, term: BoundaryTerm, kernel: wp.Kernel, found: GridItems | None, share: float = SHARE
+) -> Term | None:
+    """Return the term of items, with a share of the samples."""
     if found is None:
         return None
-    samples = r.pixels * (r.method.spp_secondary or r.spp)
+    samples = math.ceil(r.pixels * (r.method.spp_secondary or r.spp) * share)
     head = [r.scene.data(), r.camera, found, moving_shapes(r.scene, r.moves)]
     return term_of(r, term, kernel, head, samples)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from warp_psdr.estimate.boundary.terms import secondary_tubes
 from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term, term_of
 from warp_psdr.kernels.boundary.silhouette.tube_foreground import make_foreground_tube_kernel
@@ -11,6 +13,8 @@ from warp_psdr.topology.tubes import curve_shapes, tube_items
 
 #: Vertices of the shortest path: x_1, one on a curve, and one on a light.
 SHORTEST = 3
+#: Samples over those of what silhouettes hide (``docs/theory/implicit.md#shares-of-the-samples``).
+SHARE = 1.0 / 3.0
 
 
 def applies(r: Request) -> bool:
@@ -24,7 +28,7 @@ def launch(r: Request) -> Term | None:
     if found is None:
         return None
     kernel = make_foreground_tube_kernel(r.config, r.role, r.moves.camera)
-    samples = r.pixels * (r.method.spp_secondary or r.spp)
+    samples = math.ceil(r.pixels * (r.method.spp_secondary or r.spp) * SHARE)
     return term_of(r, TERM, kernel, [r.scene.data(), r.camera, found, moving_shapes(r.scene, r.moves)], samples)
 
 

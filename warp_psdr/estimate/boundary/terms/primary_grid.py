@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import warp as wp
 
 from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term, term_of
@@ -11,6 +13,9 @@ from warp_psdr.kernels.constants import PRIMITIVE_SDFGRID
 from warp_psdr.options.boundary import PathSpace
 from warp_psdr.topology.grid_contacts import require_uncut_grids
 from warp_psdr.topology.grid_silhouettes import camera_eyes, grid_items, grid_shapes, only
+
+#: Samples over those of segments between path vertices (``docs/theory/implicit.md#shares-of-the-samples``).
+SHARE = 1.0 / 4.0
 
 
 def applies(r: Request) -> bool:
@@ -32,7 +37,7 @@ def launch_items(r: Request, term: BoundaryTerm, kernel: wp.Kernel, found: GridI
     if found is None or found.aimed == 0:
         return None
     found.items = found.items[: found.aimed]
-    samples = r.pixels * (r.method.spp_primary or r.spp)
+    samples = math.ceil(r.pixels * (r.method.spp_primary or r.spp) * SHARE)
     return term_of(r, term, kernel, [r.scene.data(), r.camera, found], samples)
 
 

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import math
+
 from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term, term_of
 from warp_psdr.kernels.boundary.silhouette.tube_primary import make_primary_tube_kernel
 from warp_psdr.kernels.primitive.dispatch import CURVES
 from warp_psdr.options.boundary import PathSpace
 from warp_psdr.topology.tube_contacts import require_uncut_tubes
 from warp_psdr.topology.tubes import curve_shapes, tube_items
+
+#: Samples over those of segments between path vertices (``docs/theory/implicit.md#shares-of-the-samples``).
+SHARE = 1.0 / 2.0
 
 
 def applies(r: Request) -> bool:
@@ -25,7 +30,7 @@ def launch(r: Request) -> Term | None:
     if found is None:
         return None
     kernel = make_primary_tube_kernel(r.config, r.role, r.moves.camera)
-    samples = r.pixels * (r.method.spp_primary or r.spp)
+    samples = math.ceil(r.pixels * (r.method.spp_primary or r.spp) * SHARE)
     return term_of(r, TERM, kernel, [r.scene.data(), r.camera, found], samples)
 
 
