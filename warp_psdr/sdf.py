@@ -13,7 +13,7 @@ import numpy as np
 import warp as wp
 
 from warp_psdr.device import launch
-from warp_psdr.kernels.primitive.redistance import make_mesh_distance_kernel, make_sweep_kernel
+from warp_psdr.kernels.primitive.redistance import GIVEN, OPEN, make_mesh_distance_kernel, make_sweep_kernel
 from warp_psdr.scene.sdfgrid import is_passed
 
 __all__ = ["coefficients", "from_mesh", "redistance", "smooth_union", "to_mesh"]
@@ -60,14 +60,14 @@ def redistance(
     kept = kept[1:-1, 1:-1, 1:-1] if cubic else kept
     device = wp.get_device(device)
     distance = wp.array(np.where(known, seeds, 3.0e38).astype(np.float32), dtype=wp.float32, device=device)
-    fixed = wp.array(known.astype(np.int32), dtype=wp.int32, device=device)
+    state = wp.array(np.where(known, GIVEN, OPEN).astype(np.int32), dtype=wp.int32, device=device)
     changed = wp.zeros(1, dtype=wp.int32, device=device)
+    planes, dim = (range(-1, 0), (nz, ny, nx)) if device.is_cpu else (range(nx + ny + nz - 2), (nz, ny, 1))
     for _ in range(ROUNDS):
         changed.zero_()
-        for turned in itertools.product((0, 1), repeat=3):
-            for plane in range(nx + ny + nz - 2):
-                inputs = [fixed, wp.vec3(*spacing), plane, wp.vec3i(*turned)]
-                launch(make_sweep_kernel(), dim=(nz, ny), inputs=inputs, outputs=[distance, changed], device=device)
+        for turned, plane in itertools.product(itertools.product((0, 1), repeat=3), planes):
+            inputs = [wp.vec3(*spacing), plane, wp.vec3i(*turned)]
+            launch(make_sweep_kernel(), dim=dim, inputs=inputs, outputs=[state, distance, changed], device=device)
         if not changed.numpy()[0]:
             break
     result = np.where(kept, grid, np.copysign(distance.numpy(), np.where(grid < 0.0, -1.0, 1.0)))

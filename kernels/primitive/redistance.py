@@ -59,23 +59,41 @@ def godunov_distance(a: wp.vec3, h: wp.vec3) -> wp.float32:
     return a0 + (linear + wp.sqrt(wp.max(linear * linear - total * square, 0.0))) / total
 
 
+#: States of a node: to be found, given, and found from neighbours that have not changed since.
+OPEN, GIVEN, SETTLED = wp.constant(0), wp.constant(1), wp.constant(2)
+
+
+@wp.func
+def reopen(state: wp.array3d(dtype=wp.int32), z: wp.int32, y: wp.int32, x: wp.int32):
+    """Look at a node again, a neighbour of which is nearer than it was."""
+    if z < 0 or y < 0 or x < 0 or z >= state.shape[0] or y >= state.shape[1] or x >= state.shape[2]:
+        return
+    if state[z, y, x] == SETTLED:
+        state[z, y, x] = OPEN
+
+
 @functools.cache
 def make_sweep_kernel():
-    """Return the kernel of one plane of a sweep: its nodes do not read each other; one thread a row and column."""
+    """Return the kernel of a sweep, or of one of its planes i + j + k, whose nodes do not read each other.
+
+    One thread a node. With ``plane`` -1 it is the whole sweep, whose threads run one after the other, as on the CPU: a
+    node reads those that come before it after their turn, so that both orders have equal bits.
+    """
 
     @wp.kernel(module="unique", enable_backward=False)
-    def sweep_plane(
+    def sweep(
         # In:
-        kept: wp.array3d(dtype=wp.int32),
         spacing: wp.vec3,
         plane: wp.int32,
         turned: wp.vec3i,
         # Out:
+        state: wp.array3d(dtype=wp.int32),
         distance: wp.array3d(dtype=wp.float32),
         changed: wp.array(dtype=wp.int32),
     ):
-        k, j = wp.tid()
-        i = plane - j - k
+        k, j, i = wp.tid()
+        if plane >= 0:
+            i = plane - j - k
         nx = distance.shape[2]
         ny = distance.shape[1]
         nz = distance.shape[0]
@@ -84,8 +102,9 @@ def make_sweep_kernel():
         x = wp.where(turned[0] == 1, nx - 1 - i, i)
         y = wp.where(turned[1] == 1, ny - 1 - j, j)
         z = wp.where(turned[2] == 1, nz - 1 - k, k)
-        if kept[z, y, x] == 1:
+        if state[z, y, x] != OPEN:
             return
+        state[z, y, x] = SETTLED
         far = wp.static(3.0e38)
         a = wp.vec3(far, far, far)
         if x > 0:
@@ -106,10 +125,16 @@ def make_sweep_kernel():
         before = distance[z, y, x]
         if found < before:
             distance[z, y, x] = found
+            reopen(state, z, y, x - 1)
+            reopen(state, z, y, x + 1)
+            reopen(state, z, y - 1, x)
+            reopen(state, z, y + 1, x)
+            reopen(state, z - 1, y, x)
+            reopen(state, z + 1, y, x)
             if found < before * wp.static(1.0 - 1.0e-6):
                 changed[0] = 1
 
-    return sweep_plane
+    return sweep
 
 
 @functools.cache
