@@ -17,9 +17,12 @@ TRIALS, IMAGES, VALUES = 400, 6, 50
 
 @pytest.fixture
 def modules(monkeypatch: pytest.MonkeyPatch):
-    """Import files of the benchmarks by their names."""
+    """Import files of the benchmarks by their names, which folders of tests may have, too."""
+    folder = ROOT / "examples" / "benchmarks"
+    for file in folder.glob("*.py"):
+        monkeypatch.delitem(sys.modules, file.stem, raising=False)
     before = set(sys.modules)
-    monkeypatch.syspath_prepend(str(ROOT / "examples" / "benchmarks"))
+    monkeypatch.syspath_prepend(str(folder))
 
     def load(name: str) -> ModuleType:
         return importlib.import_module(name)
