@@ -47,5 +47,6 @@ def test_kernels_take_jobs() -> None:
                 assert "rr_depth" not in names or file in ("trace.py", "boundary/guiding/projective.py"), (file, names)
                 if "job" in names:
                     found += 1
-                    assert len(names) <= MOST_PARAMETERS, (file, names)
+                    # Time bins are what a transient film asks for beside the job.
+                    assert len(names) - ("gates" in names) <= MOST_PARAMETERS, (file, names)
     assert found >= 14

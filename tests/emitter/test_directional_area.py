@@ -123,3 +123,8 @@ def test_bad_input_is_refused_with_a_remedy(shape, emitter, words):
     with pytest.raises(ValueError, match=words) as caught:
         psdr.load_dict(scene_of(shape, size=4, emitter=emitter))
     assert "problems" not in str(caught.value)
+
+
+def test_one_that_no_shape_refers_to_is_noted() -> None:
+    with pytest.warns(psdr.SceneWarning, match="no shape refers to this emitter, so it does not shine"):
+        psdr.load_dict({"type": "scene", "light": {"type": "directionalarea"}, "sky": {"type": "constant"}})

@@ -7,6 +7,8 @@ length that does not scale with the scene shows in the last bit.
 """
 
 import functools
+import itertools
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
@@ -80,8 +82,11 @@ LIGHTS = {
 }  # fmt: skip
 
 
-def scene(size: float = 1.0, offset=(0.0, 0.0, 0.0), sky: str = "envmap") -> dict:
-    """Return the scene ``size`` large and ``offset`` away, with one of the two lights that surround it."""
+def scene(size: float, offset: Sequence[float], sky: str, masked: bool) -> dict:
+    """Return the scene ``size`` large and ``offset`` away, with one of the two lights that surround it.
+
+    ``masked``: with a mask, and without lights of no area, beside which what moves is refused then.
+    """
 
     def at(point) -> list[float]:
         return (size * np.asarray(point) + np.asarray(offset)).tolist()
@@ -96,7 +101,8 @@ def scene(size: float = 1.0, offset=(0.0, 0.0, 0.0), sky: str = "envmap") -> dic
         "floor": {"type": "rectangle", "to_world": T.translate(at((0, 0, 0))) @ T.scale(3.0 * size),
                   "bsdf": BSDFS["diffuse"]},
     }  # fmt: skip
-    count = max(len(SHAPES), len(BSDFS))
+    bsdfs = [bsdf for name, bsdf in BSDFS.items() if masked or name != "mask"]
+    count = max(len(SHAPES), len(bsdfs))
     for i in range(count):
         shape = list(SHAPES.values())[i % len(SHAPES)]
         place = ((i - 0.5 * (count - 1)) * 0.7, 0.1 * (-1) ** i, 0.8 + 0.05 * i)
@@ -105,28 +111,29 @@ def scene(size: float = 1.0, offset=(0.0, 0.0, 0.0), sky: str = "envmap") -> dic
             @ T.rotate((0.28221627, 0.18814418, 0.94072091), 25.0 + 40.0 * i)
             @ T.scale(0.5 * SIZE * size)
         )
-        found[f"shape{i}"] = shape(pose) | {"bsdf": list(BSDFS.values())[(i + 1) % len(BSDFS)]}
-    lights = {name: light for name, light in LIGHTS.items() if name == sky or name not in ("envmap", "constant")}
+        found[f"shape{i}"] = shape(pose) | {"bsdf": bsdfs[(i + 1) % len(bsdfs)]}
+    shown = {"area", sky} if masked else set(LIGHTS) - {"envmap", "constant"} | {sky}
+    lights = {name: light for name, light in LIGHTS.items() if name in shown}
     return found | {name: light(size, at) for name, light in lights.items()}
 
 
-def result(size: float = 1.0, offset=(0.0, 0.0, 0.0), sky: str = "envmap") -> Result:
+@functools.cache
+def result(size: float = 1.0, offset=(0.0, 0.0, 0.0), sky: str = "envmap", masked: bool = False) -> Result:
     """Return image and derivatives of the scene as its last shape, a mesh, moves."""
     name = f"shape{list(SHAPES).index('mesh')}.vertex_positions"
-    return passes(psdr.load_dict(scene(size, offset, sky)), size * VELOCITY, name=name, depth=3, spp=8)
-
-
-@functools.cache
-def base(sky: str = "envmap") -> Result:
-    return result(sky=sky)
+    loaded = psdr.load_dict(scene(size, offset, sky, masked))
+    return passes(loaded, size * VELOCITY, name=name, depth=3, spp=8)
 
 
 def sizes(exponents, sky: str = "envmap") -> float:
-    return max(worst(result(2.0**k, sky=sky), base(sky)) for k in exponents)
+    cases = itertools.product(exponents, (False, True))
+    return max(worst(result(2.0**k, sky=sky, masked=m), result(sky=sky, masked=m)) for k, m in cases)
 
 
 def places(decades) -> float:
-    return max(worst(result(1.0, 10.0**k * np.array([1.0, 0.7, -0.4])), base()) for k in decades)
+    cases = itertools.product(decades, (False, True))
+    away = {k: tuple((10.0**k * np.array([1.0, 0.7, -0.4])).tolist()) for k in decades}
+    return max(worst(result(1.0, away[k], masked=m), result(masked=m)) for k, m in cases)
 
 
 CASES = (

@@ -141,7 +141,7 @@ def _add(result: SceneDescription, node: dict, where: str, name: str, context: C
                 result.emitters.append(shape.emitter)
             if shape.sensor is not None:
                 result.sensors.append(shape.sensor)
-    elif category == "emitter" and node["type"] == "area":
+    elif category == "emitter" and node["type"] in ("area", "directionalarea"):
         light = emitters.build_area(node, where, name, context, shared=True)
         context.area_lights.append((light, where))  # shines from the shape that refers to it
     elif category == "emitter" and node["type"] == "sunsky":
