@@ -127,4 +127,4 @@ def test_bad_input_is_refused_with_a_remedy(shape, emitter, words):
 
 def test_one_that_no_shape_refers_to_is_noted() -> None:
     with pytest.warns(psdr.SceneWarning, match="no shape refers to this emitter, so it does not shine"):
-        psdr.load_dict({"type": "scene", "light": {"type": "directionalarea"}, "sky": {"type": "constant"}})
+        psdr.load_dict(scene_of(size=4) | {"spare": {"type": "directionalarea"}})
