@@ -95,7 +95,7 @@ register(
 
 CASES = [
     # What moves in their light.
-    Case("disk light, body", CORNERS, moved_light, 0.01, "the body moves", 2, 256, 4096, slow=False),
+    Case("disk light, body", CORNERS, moved_light, 0.01, "the body moves", 2, 256, 4096),
     *(Case(f"{kind} light, body", CORNERS, moved_light, 0.02, "the body moves", 2, 512, 8192) for kind in ROUND),
     *(Case(f"{kind} light, ball", THING, radius, 0.02, "the ball grows", 2, 2048, 8192) for kind in POSES),
     Case("sphere light, ball", THING, entry(0, 3), 0.02, "the ball moves", 2, 2048, 8192),

@@ -94,7 +94,7 @@ def test_adjoint_of_the_point_or_direction_equals_differences(differentiated):
             assert_derivatives_close(x_adjoint[:, k], expected, np.abs(x_adjoint).max())
 
 
-@pytest.mark.parametrize("wanted", [(), ("radiance",), ("pose",)])
+@pytest.mark.parametrize("wanted", [pytest.param((), marks=pytest.mark.slow), ("radiance",), ("pose",)])
 def test_only_what_is_wanted_is_scattered(differentiated, wanted):
     d = differentiated
     args = np.zeros(len(d.light.values)), d.x, d.w, d.a_wi

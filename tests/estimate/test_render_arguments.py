@@ -89,6 +89,7 @@ def test_wide_seeds_are_used_whole(scene) -> None:
     assert not np.array_equal(call("render", scene, seed=1), call("render", scene, seed=1 + (1 << 40)))
 
 
+@pytest.mark.slow_rows("render_forward", "render_backward")
 @pytest.mark.parametrize("entry_point", ENTRY_POINTS)
 def test_sensors_have_ids_and_integrators_mitsubas_form(scene, entry_point: str) -> None:
     expected = call(entry_point, scene, seed=3)
