@@ -6,7 +6,7 @@ import warp as wp
 
 import warp_psdr as psdr
 from tests.sensor import timed
-from tests.sensor.test_transient import seen_plane, trapezoid
+from tests.sensor.test_transient import BOX, GAUSSIAN, seen_plane
 
 DIRECT = psdr.PathIntegrator(max_depth=2, boundary=None)
 ROOM = psdr.PathIntegrator(max_depth=3, boundary=None)
@@ -43,18 +43,8 @@ def slope_of(found, expected):
 @pytest.mark.parametrize(
     ("film", "gate"),
     [
-        pytest.param(timed.GATE, lambda x: trapezoid(x, 2.02, 2.10, 0.03), id="box"),
-        pytest.param(
-            {
-                "temporal_bins": 1,
-                "bin_width_opl": 0.002,
-                "start_opl": 2.059,
-                "pulse": "gaussian",
-                "pulse_stddev_opl": 0.02,
-            },
-            lambda x: 0.002 / (0.02 * np.sqrt(2 * np.pi)) * np.exp(-0.5 * ((x - 2.06) / 0.02) ** 2),
-            id="gaussian",
-        ),
+        pytest.param(*BOX, id="box"),
+        pytest.param(*GAUSSIAN, id="gaussian"),
     ],
 )
 def test_a_receding_plane_has_its_closed_form(film, gate) -> None:

@@ -22,6 +22,20 @@ def trapezoid(length, low, high, pulse):
     return passed(high - length) - passed(low - length)
 
 
+#: Films of one bin, and the share of light that their gate lets pass at a path length.
+BOX = (timed.GATE, lambda x: trapezoid(x, 2.02, 2.10, 0.03))
+GAUSSIAN = (
+    {
+        "temporal_bins": 1,
+        "bin_width_opl": 0.002,
+        "start_opl": 2.059,
+        "pulse": "gaussian",
+        "pulse_stddev_opl": 0.02,
+    },
+    lambda x: 0.002 / (0.02 * np.sqrt(2 * np.pi)) * np.exp(-0.5 * ((x - 2.06) / 0.02) ** 2),
+)
+
+
 def seen_plane(gate, height=1.0, count=1001):
     """Radiance of ``timed.plane`` through a gate, the mean over the film, by quadrature; and its derivative."""
     g = np.linspace(-0.3, 0.3, count)
@@ -38,16 +52,9 @@ def seen_plane(gate, height=1.0, count=1001):
 @pytest.mark.parametrize(
     ("film", "gate"),
     [
-        pytest.param(timed.GATE, lambda x: trapezoid(x, 2.02, 2.10, 0.03), id="box"),
+        pytest.param(*BOX, id="box"),
         pytest.param(
-            {
-                "temporal_bins": 1,
-                "bin_width_opl": 0.002,
-                "start_opl": 2.059,
-                "pulse": "gaussian",
-                "pulse_stddev_opl": 0.02,
-            },
-            lambda x: 0.002 / (0.02 * np.sqrt(2 * np.pi)) * np.exp(-0.5 * ((x - 2.06) / 0.02) ** 2),
+            *GAUSSIAN,
             id="gaussian",
             marks=pytest.mark.slow,
         ),
