@@ -183,7 +183,7 @@ def test_other_ways_to_sample_agree(case: Case, method: str) -> None:
 def test_is_the_fine_tessellations(kind: str) -> None:
     """By every number of the light's pose, and of the floor's and the ball's, under a sky that the light hides."""
     found = {}
-    for form in ({}, {"exact": False, "resolution": 256}):
+    for form in ({}, {"exact": False, "resolution": 256, "face_normals": True}):
         whole = {**room(kind, ball)(), "sky": sky(0.3)}
         whole["light"] = {**whole["light"], **form}
         scene = psdr.load_dict({"type": "scene", **whole})
