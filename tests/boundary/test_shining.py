@@ -192,7 +192,7 @@ def test_is_the_fine_tessellations(kind: str) -> None:
         batches = []
         for seed in range(8):
             params.zero_grad()
-            options = {"integrator": psdr.PathIntegrator(max_depth=2), "spp": 512, "seed": seed}
+            options = {"integrator": psdr.PathIntegrator(max_depth=2), "spp": 2048, "seed": seed}
             psdr.render_backward(scene, params, np.ones((*scene_shape(scene), 3)), **options)
             batches.append(np.stack([params[n].grad.numpy().ravel() for n in (LIGHT, FLOOR, THING)]))
         found[bool(form)] = np.array(batches, np.float64)
