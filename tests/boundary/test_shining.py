@@ -109,7 +109,7 @@ CASES = [
             ("grows", radius, 512),
             ("moves", entry(0, 3), 2048),
             ("sinks", entry(2, 3), 1024),
-            ("turns", ROTATION, 2048),
+            ("turns", ROTATION, 6144),
         )
     ),
     Case("disk light, body", LIGHT, radius, 0.02, "the light grows", 2, 256, 512, slow=False),
@@ -134,7 +134,7 @@ CASES = [
     Case("cylinder light, seen", LIGHT, entry(2, 3), 0.02, "the light sinks, unseen", 2, 1024, 4096, hidden=True),
     # Textures that they carry along.
     *(Case(f"{kind} light, painted", LIGHT, radius, 0.02, "the light grows", 2, 1024, 4096) for kind in POSES),
-    *(Case(f"{kind} light, painted", LIGHT, ROTATION, 0.02, "the light turns", 2, 2048, 8192) for kind in POSES),
+    *(Case(f"{kind} light, painted", LIGHT, ROTATION, 0.02, "the light turns", 2, 6144, 8192) for kind in POSES),
 ]
 
 
