@@ -18,6 +18,7 @@ from warp_psdr.kernels.boundary.local_form import (
     edge_step,
     interior_side,
     make_edge_sink,
+    narrowest_face,
 )
 from warp_psdr.kernels.constants import CAMERA_ORTHOGRAPHIC
 from warp_psdr.kernels.invalid import count_invalid
@@ -61,6 +62,20 @@ class FilmEdge:
     step: wp.float32  # ray epsilon at the edge
     g: wp.vec3  # gradient of N . pixel(x), along m
     weight: wp.vec3  # adjoint of the pixels; 1 in forward mode
+
+
+@wp.func
+def rays_beside(scene: Scene, edges: Edges, f: FilmEdge) -> tuple[wp.float32, wp.float32, wp.bool]:
+    """How two rays look past an edge of a mesh: distance from it, length in front of it, whether its face is narrow.
+
+    A narrow one is missed by rays at that distance.
+    """
+    width, slant = narrowest_face(scene, edges, f.point, f.m, f.d)
+    # Where scales are mixed, steps are some roundings already.
+    least = wp.where(scene.least_step > 0.0, BESIDE, BESIDE_LEAST)
+    flat = scene.shapes[scene.triangles[edges.faces[edges.first[f.point.edge]]].shape].smooth == 0
+    apart = wp.clamp(width / wp.where(flat, MARGIN, SMOOTH_MARGIN), least * f.step, BESIDE * f.step)
+    return apart, wp.max(AHEAD * f.step, MARGIN * apart / slant), flat and width < MARGIN * apart
 
 
 @functools.cache

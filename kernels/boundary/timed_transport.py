@@ -15,10 +15,10 @@ from warp_psdr.kernels.boundary.coincident import pass_together
 from warp_psdr.kernels.boundary.detector import Walk, make_walk
 from warp_psdr.kernels.boundary.timed_light import make_timed_light
 from warp_psdr.kernels.boundary.transport import (
-    BEFORE_LIGHT,
     SLOT_LENS,
     SLOT_WALK,
     Segment,
+    before_light,
     make_first_sink,
     make_found_sink,
 )
@@ -30,9 +30,7 @@ from warp_psdr.kernels.primitive.dispatch import make_point_at
 from warp_psdr.kernels.rng import Sampler, branch_of, make_sampler
 from warp_psdr.kernels.sensor.camera import make_camera_sink, make_lens
 from warp_psdr.kernels.sensor.time_gate import TimeGates
-from warp_psdr.kernels.step import leaving_step
 from warp_psdr.kernels.structs import Camera, Scene
-from warp_psdr.kernels.surface import point_on
 from warp_psdr.kernels.vertex import PathConfig, path_from
 
 
@@ -80,11 +78,7 @@ def make_timed_transport(config: PathConfig, role: str, camera_moves: bool):
         if shines:
             far = length + s.t1 + s.t2
             total += send(scene, sampler, camera, gates, at, far, wp.cw_mul(factor, s.radiance), job, image)
-            # What the light scatters: from just in front of it, as in ``transport.py``.
-            tri = scene.triangles[s.face2]
-            before = wp.max(BEFORE_LIGHT * s.t2, leaving_step(scene, s.face2) / wp.abs(wp.dot(tri.normal, s.w)))
-            if before < s.t2:
-                o = point_on(tri, s.u2, s.v2) - before * s.w
+            o = before_light(scene, s)
         if job.max_depth < 0 or k + 1 < job.max_depth:
             start = path_from(o, s.w, FAR, k)
             far = length + wp.dot(o - x1, s.w)

@@ -79,6 +79,21 @@ class Segment:
     radiance: wp.vec3
 
 
+@wp.func
+def before_light(scene: Scene, s: Segment) -> wp.vec3:
+    """Where a path goes on towards the light x_2: just in front of it, for what its surface scatters.
+
+    A ray from x_b, which is moved off the edge, misses a small light. But at a contact x_b is as near, and moved off
+    the light, too. (An exact shape is where the ray met it.)
+    """
+    tri = scene.triangles[s.face2]
+    before = wp.max(BEFORE_LIGHT * s.t2, leaving_step(scene, s.face2) / wp.abs(wp.dot(tri.normal, s.w)))
+    o = s.source
+    if before < s.t2 and not is_primitive(tri):
+        o = point_on(tri, s.u2, s.v2) - before * s.w
+    return o
+
+
 @functools.cache
 def make_source(config: PathConfig, emission: bool = False):
     """Return ``source(scene, sampler, segment, k, max_depth, rr_depth) -> Incident``: the radiance past the occluder.
@@ -104,13 +119,7 @@ def make_source(config: PathConfig, emission: bool = False):
                     if max_depth >= 0:
                         ended.cut = ROW_COUNT  # it serves as many lengths as one that goes on
                     return ended
-                # From just in front of x_2: a ray from x_b, which is moved off the edge, misses a small light. But at
-                # a contact x_b is as near, and moved off the light, too. (An exact shape is where the ray met it.)
-                tri = scene.triangles[s.face2]
-                before = wp.max(BEFORE_LIGHT * s.t2, leaving_step(scene, s.face2) / wp.abs(wp.dot(tri.normal, s.w)))
-                o = s.source
-                if before < s.t2 and not is_primitive(tri):
-                    o = point_on(tri, s.u2, s.v2) - before * s.w
+                o = before_light(scene, s)
                 r = incident(scene, sampler, o, s.w, FAR, k, max_depth, rr_depth)
                 return scaled(r, s.radiance, wp.static(1.0 / BEHIND_LIGHT))
         return incident(scene, sampler, s.source, s.w, FAR, k, max_depth, rr_depth)

@@ -8,9 +8,9 @@ import pytest
 import warp_psdr as psdr
 
 from .measure import Case, assert_transposes, derivatives, differences, rows, slope
-from .scenes import camera, diffuse, load, mesh, panel, register, room, under
+from .scenes import camera, diffuse, load, mesh, register, room
 from .test_table import ALONG, BOX, FLOOR, OCCLUDER, PANEL, RECEIVER, SHAPE, moved, scaled
-from .test_warped_area import REFUSED
+from .test_warped_area import REFUSED, assert_refused
 
 METHOD = psdr.boundary.Rotation()
 FRESH = psdr.boundary.Rotation(fresh=True)
@@ -205,13 +205,7 @@ def test_the_plan_says_that_it_is_biased() -> None:
 
 @pytest.mark.parametrize("what", [name for name in REFUSED if not name.startswith("own paths")])
 def test_what_is_refused(what: str) -> None:
-    changes, options, said = REFUSED[what]
-    options = dict(options)
-    scene = psdr.load_dict({"type": "scene", **under(panel((0.5, -0.3, 2.2), 0.35)), **changes})
-    names = options.pop("names", [OCCLUDER])
-    integrator = psdr.PathIntegrator(**{"max_depth": 2, "boundary": METHOD, **options})
-    with pytest.raises(ValueError, match=said):
-        psdr.plan(scene, names=names, integrator=integrator)
+    assert_refused(what, METHOD)
 
 
 @pytest.mark.parametrize(

@@ -180,15 +180,20 @@ REFUSED = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("what", REFUSED)
-def test_what_is_refused(what: str) -> None:
+def assert_refused(what: str, method: psdr.boundary.Method) -> None:
+    """Fail unless a gradient of ``REFUSED`` is refused to a method with its reason."""
     changes, options, said = REFUSED[what]
     options = dict(options)
     scene = psdr.load_dict({"type": "scene", **under(panel((0.5, -0.3, 2.2), 0.35)), **changes})
     names = options.pop("names", [OCCLUDER])
-    integrator = psdr.PathIntegrator(**{"max_depth": 2, "boundary": METHOD, **options})
+    integrator = psdr.PathIntegrator(**{"max_depth": 2, "boundary": method, **options})
     with pytest.raises(ValueError, match=said):
         psdr.plan(scene, names=names, integrator=integrator)
+
+
+@pytest.mark.parametrize("what", REFUSED)
+def test_what_is_refused(what: str) -> None:
+    assert_refused(what, METHOD)
 
 
 @pytest.mark.parametrize(

@@ -79,6 +79,7 @@ def boxed(
         kind="image",
         progress=progress,
         listed=pixels,
+        reads=_gates(plan),
     )
 
 
@@ -122,20 +123,8 @@ def timed(
     scene: Scene, plan: Plan, sensor: int, spp: int, seed: int, image: wp.array, progress: Progress | None = None
 ) -> None:
     """Add the mean of ``spp`` samples to the bins of every pixel, (H, W bins); a sample counts in its own pixel."""
-    camera = scene.camera(sensor)
     film = wp.zeros(image.shape, dtype=wp.vec3d, device=scene.device)
-    launch_pass(
-        scene,
-        image_kernel(scene, plan, sensor),
-        (camera.crop_width, camera.crop_height),
-        PixelSamples(spp, seed, plan.max_depth, plan.rr_depth, scale=1.0 / spp),
-        camera,
-        lambda _shard: [film],
-        shards=workers.SHARDS,
-        kind="image",
-        progress=progress,
-        reads=_gates(plan),
-    )
+    boxed(scene, plan, sensor, spp, seed, film, progress)
     launch(add_splats, dim=image.shape, inputs=[film], outputs=[image], device=scene.device)
 
 

@@ -16,18 +16,15 @@ from warp_psdr.kernels.boundary.detector import IncidentRadiance, make_incident_
 from warp_psdr.kernels.boundary.film_edge import (
     AHEAD,
     BESIDE,
-    BESIDE_LEAST,
-    MARGIN,
     NEXT,
     OWN,
-    SMOOTH_MARGIN,
     make_film_edge,
+    rays_beside,
 )
 from warp_psdr.kernels.boundary.local_form import (
     EdgePoint,
     Edges,
     barycentrics_at,
-    narrowest_face,
     on_plane,
     on_planes,
     own_face,
@@ -215,13 +212,7 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
             acute = wp.length(wp.cross(normal_a, normal_b))
             apart = wp.clamp(BESIDE * ACUTE / acute, BESIDE, BESIDE_CURVE) * local
         else:
-            width, slant = narrowest_face(scene, edges, point, m, d)
-            # Where scales are mixed, steps are some roundings already.
-            least = wp.where(scene.least_step > 0.0, BESIDE, BESIDE_LEAST)
-            flat = scene.shapes[scene.triangles[edges.faces[first_face]].shape].smooth == 0
-            apart = wp.clamp(width / wp.where(flat, MARGIN, SMOOTH_MARGIN), least * local, BESIDE * local)
-            ahead = wp.max(ahead, MARGIN * apart / slant)
-            narrow = flat and width < MARGIN * apart
+            apart, ahead, narrow = rays_beside(scene, edges, f)
         # Of a face that is seen exactly edge-on, the near plane.
         ahead = wp.min(ahead, distance - at.near)
         t_max = at.far - distance + ahead

@@ -11,16 +11,12 @@ import warp as wp
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.boundary.detector import IncidentRadiance
 from warp_psdr.kernels.boundary.film_edge import (
-    AHEAD,
-    BESIDE,
-    BESIDE_LEAST,
-    MARGIN,
     NEXT,
     OWN,
-    SMOOTH_MARGIN,
     make_film_edge,
+    rays_beside,
 )
-from warp_psdr.kernels.boundary.local_form import Edges, make_edge_sink, narrowest_face, on_planes, own_face
+from warp_psdr.kernels.boundary.local_form import Edges, make_edge_sink, on_planes, own_face
 from warp_psdr.kernels.boundary.timed_light import make_timed_light
 from warp_psdr.kernels.invalid import count_invalid
 from warp_psdr.kernels.jobs import SampleJob
@@ -83,13 +79,9 @@ def make_timed_primary_kernel(
         d = f.d
         local = f.step
         sampler.index = wp.uint32(1)
-        # ---- How far beside the edge, and in front of it, the rays start, as in ``primary.py`` ----
-        width, slant = narrowest_face(scene, edges, point, f.m, d)
-        least = wp.where(scene.least_step > 0.0, BESIDE, BESIDE_LEAST)
-        flat = scene.shapes[scene.triangles[edges.faces[edges.first[point.edge]]].shape].smooth == 0
-        apart = wp.clamp(width / wp.where(flat, MARGIN, SMOOTH_MARGIN), least * local, BESIDE * local)
-        ahead = wp.min(wp.max(AHEAD * local, MARGIN * apart / slant), f.distance - at.near)
-        narrow = flat and width < MARGIN * apart
+        apart, ahead, narrow = rays_beside(scene, edges, f)
+        # Of a face that is seen exactly edge-on, the near plane.
+        ahead = wp.min(ahead, f.distance - at.near)
         t_max = at.far - f.distance + ahead
         # ---- What they meet ----
         own = wp.bool(False)
