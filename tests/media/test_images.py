@@ -46,6 +46,7 @@ def test_any_number_of_workers_and_wide_filters():
     assert_same_mean(wide.mean(axis=(1, 2)), batches(scene, spp=16).mean(axis=(1, 2)), "filters", 1e-2)
 
 
+@pytest.mark.filterwarnings("ignore:'sensor' names no medium")
 def test_rays_in_another_medium_than_a_shape_has_there_are_counted():
     parts = scenes.milk()
     parts["sensor"] = scenes.camera([0.0, 0.1, 0.0], [1.0, 0.0, 0.0], 40.0, 8)

@@ -249,7 +249,11 @@ def test_forward_and_reverse_mode_are_adjoint():
     ("parts", "name", "words"),
     [
         ({"bulb": point([1, 1, 2])}, "leaf.to_world", "shadows of lights without an area"),
-        ({"sensor": {"type": "orthographic"}}, "leaf.to_world", "use a perspective camera"),
+        (
+            {"sensor": {"type": "orthographic", "to_world": T.translate([0, 0, -9])}},
+            "leaf.to_world",
+            "use a perspective camera",
+        ),
         ({"other": {**square(0.5, 1.0, GREY)}}, "leaf.to_world", "edges in which shapes meet"),
         ({"ball": {"type": "sphere"}}, "leaf.to_world", "'ball' interpolates them"),
         ({}, "lamp.vertex_texcoords", "textures would"),

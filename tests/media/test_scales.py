@@ -10,6 +10,9 @@ import pytest
 import warp_psdr as psdr
 from tests.media.scenes import T, camera, cube, grid, grids, medium, point, puffs, rgb, square, whole
 
+#: Some boxes end inside of their interface, and are meant to.
+pytestmark = pytest.mark.filterwarnings("ignore:.* is not 0 at the border of its box")
+
 SIZE, SPP, DEPTH = 12, 4, 4
 SQUARE, SIGMA, VOXELS = (
     "square.to_world",

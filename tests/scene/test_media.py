@@ -8,20 +8,23 @@ import pytest
 import warp_psdr as psdr
 from warp_psdr.scene import describe_dict, describe_string
 
+T = psdr.Transform
 SKY = {"type": "constant"}
+SENSOR = {"type": "perspective", "to_world": T.translate([0, 0, -9])}
 HG = {"type": "hg"}
 WEIGHTS = {"type": "gridvolume", "data": np.full((2, 2, 2, 3), 0.5)}
 CUBE = {"type": "cube", "bsdf": {"type": "null"}}
 
 
 def describe(**parts):
-    return describe_dict({"type": "scene", "sensor": {"type": "perspective"}, "sky": SKY, **parts})
+    return describe_dict({"type": "scene", "sensor": SENSOR, "sky": SKY, **parts})
 
 
 def inside(**medium):
     return describe(cube={**CUBE, "interior": {"type": "homogeneous", **medium}}).shapes[0].interior
 
 
+@pytest.mark.filterwarnings("ignore:'sensor' names")
 def test_names_are_mitsubas():
     fog = {"type": "homogeneous", "sigma_t": {"type": "rgb", "value": [0.1, 0.2, 3.0]}, "phase": {"type": "hg"}}
     scene = {"type": "scene", "sensor": {"type": "perspective", "medium": fog}, "sky": SKY}
@@ -35,6 +38,7 @@ def test_names_are_mitsubas():
     assert found["sensor.medium.phase_function.g"].numpy() == pytest.approx(0.8)
 
 
+@pytest.mark.filterwarnings("ignore:'sensor' names")
 def test_mitsuba_lists_the_same_names():
     mi = pytest.importorskip("mitsuba")
     mi.set_variant("scalar_rgb")
@@ -45,7 +49,8 @@ def test_mitsuba_lists_the_same_names():
 
 
 def test_files_references_and_defaults():
-    text = """<scene version="3.0.0"><sensor type="perspective" id="sensor"><ref id="fog" name="medium"/></sensor>
+    text = """<scene version="3.0.0"><sensor type="perspective" id="sensor"><transform name="to_world">
+    <translate z="-9"/></transform><ref id="fog" name="medium"/></sensor>
     <medium type="homogeneous" id="fog"><rgb name="albedo" value="0.1, 0.2, 0.3"/><float name="scale" value="2"/>
     <volume type="constvolume" name="sigma_t"><float name="value" value="7"/></volume>
     <phase type="hg"><float name="g" value="-0.3"/></phase></medium>
@@ -66,9 +71,7 @@ def test_phase_functions():
     for values in ("0.5, 1 2", [0.5, 1.0, 2.0], np.array([0.5, 1.0, 2.0])):
         assert inside(phase={"type": "tabphase", "values": values}).phase.values.tolist() == [0.5, 1.0, 2.0]
     table = {"type": "homogeneous", "phase": {"type": "tabphase", "values": [0.5, 0.0, 2.0]}}
-    scene = psdr.load_dict(
-        {"type": "scene", "sensor": {"type": "perspective"}, "sky": SKY, "cube": {**CUBE, "interior": table}}
-    )
+    scene = psdr.load_dict({"type": "scene", "sensor": SENSOR, "sky": SKY, "cube": {**CUBE, "interior": table}})
     params, name = psdr.traverse(scene), "cube.interior_medium.phase_function.values"
     with pytest.raises(ValueError, match=r"is 0; write a small value in place of each 0"):
         psdr.plan(scene, names=[name])
@@ -129,18 +132,90 @@ def test_media_stand_in_their_places():
     with pytest.raises(ValueError, match="a medium as 'inside'; name it 'interior' or 'exterior'"):
         describe(cube={**CUBE, "inside": {"type": "homogeneous"}})
     with pytest.raises(ValueError, match="takes no medium plugin here"):
-        describe(light={"type": "point", "medium": {"type": "homogeneous"}})
+        describe(cube={**CUBE, "bsdf": {"type": "null", "medium": {"type": "homogeneous"}}})
+    for sides in ("interior", "exterior"):
+        text = f'<shape type="cube"><medium type="homogeneous" name="{sides}"/><ref id="fog" name="{sides}"/></shape>'
+        with pytest.raises(ValueError, match=f"'{sides}' is given twice"):
+            describe_string(f'<scene version="3.0.0"><medium type="homogeneous" id="fog"/>{text}</scene>')
     notes = describe(cube={"type": "cube", "interior": {"type": "homogeneous"}}).notes
     assert any("lets no light through" in note for note in notes)
     hints = describe(cube={**CUBE, "interior": {"type": "homogeneous", "sample_emitters": False}}).notes
     assert any("'sample_emitters' is ignored" in note for note in hints)
 
 
+def camera(*position, **more):
+    return {**SENSOR, "to_world": T.translate(position), **more}
+
+
+def notes_of(**parts):
+    return [note for note in describe(**parts).notes if "'sampler'" not in note]
+
+
+def test_sensors_and_lights_name_the_medium_that_they_are_in():
+    fog, cube = {"type": "homogeneous", "id": "fog"}, {**CUBE, "to_world": T.scale(3.0)}
+    ref = {"type": "ref", "id": "fog"}
+    cube["interior"] = ref
+    for named, right in (({}, False), ({"medium": ref}, True)):
+        found = notes_of(fog=fog, cube=cube, sensor=camera(0.3, 0.2, 0.1, **named))
+        words = "'sensor' names no medium, but where it stands 'cube' has 'cube.interior_medium'"
+        assert [words in note for note in found] == ([] if right else [True])
+    found = notes_of(fog=fog, cube=cube, sensor=camera(0, 0, -9.0, medium=ref))
+    assert len(found) == 1 and "'cube' has no medium" in found[0]
+    assert not notes_of(fog=fog, cube=cube, sensor=camera(0, 0, -9.0), bulb={"type": "point", "medium": ref})
+    shining = {"type": "rectangle", "to_world": T.translate([0, 0, 5]), "emitter": {"type": "area", "medium": ref}}
+    far = {"type": "spot", "to_world": T.translate([0, 0, 9]), "medium": ref}
+    found = notes_of(fog=fog, cube=cube, sensor=camera(0, 0, -9.0), far=far, lamp=shining)
+    assert sorted(note.split("'")[1] for note in found) == ["far", "lamp.emitter"]
+    for light in ("constant", "directional"):
+        with pytest.raises(ValueError, match=f"a medium of a '{light}' light, which is around the scene"):
+            describe_dict({"type": "scene", "sensor": SENSOR, "sky": {"type": light, "medium": fog}})
+
+
+def test_shapes_name_the_media_around_them():
+    thin, thick = ({"type": "homogeneous", "id": name} for name in ("thin", "thick"))
+    ref = {"type": "ref", "id": "thin"}
+    ball = {"type": "sphere", "bsdf": {"type": "null"}, "interior": thick, "to_world": T.scale(0.3)}
+    sensor = camera(0, 0, -9.0)
+    found = notes_of(thin=thin, sensor=sensor, cube={**CUBE, "interior": ref}, ball=ball)
+    assert len(found) == 1
+    assert "'ball' has no medium for its exterior, where 'cube' has 'cube.interior_medium'" in found[0]
+    assert not notes_of(thin=thin, sensor=sensor, cube={**CUBE, "interior": ref}, ball={**ball, "exterior": ref})
+    # What abuts names nothing, and neither does what turns its back.
+    beside = {**CUBE, "interior": thick, "to_world": T.translate([2, 0, 0])}
+    assert not notes_of(thin=thin, sensor=sensor, cube={**CUBE, "interior": ref}, other=beside)
+    inside_out = {**CUBE, "exterior": ref, "flip_normals": True}
+    assert len(notes_of(thin=thin, sensor=camera(0, 0, 0.1), cube=inside_out)) == 1
+    assert not notes_of(thin=thin, sensor=camera(0, 0, 0.1, medium=ref), cube=inside_out)
+
+
+def test_boxes_of_grids_that_end_inside_of_their_shape():
+    smoke, box = np.zeros((3, 3, 3), np.float32), T.translate([-1, -1, -1]) @ T.scale(2.0)
+    smoke[1, 1, 1] = 1.0
+    words = "'cube.interior_medium.sigma_t.data' is not 0 at the border of its box, which lies inside of 'cube'"
+    for values, pose, right in (
+        (smoke, np.eye(4), True),
+        (smoke + 1.0, box, True),
+        (smoke + 1.0, np.eye(4), False),
+        (smoke + np.array([1.0, 0.0, 0.0]), T.translate([-1, -1, -1]) @ T.scale([1.9, 2.0, 2.0]), True),
+        (smoke + np.array([0.0, 0.0, 1.0]), T.translate([-1, -1, -1]) @ T.scale([1.9, 2.0, 2.0]), False),
+    ):
+        grid = {"type": "gridvolume", "data": values, "to_world": pose}
+        cube = {**CUBE, "interior": {"type": "heterogeneous", "sigma_t": grid}}
+        found = notes_of(sensor=camera(0, 0, -9.0), cube=cube)
+        assert [words in note for note in found] == ([] if right else [True])
+
+
+def test_what_is_opaque_is_noted():
+    opaque = {**CUBE, "interior": {"type": "homogeneous", "sigma_t": 1e4, "scale": 1e3}}
+    found = notes_of(sensor=camera(0, 0, -9.0), cube=opaque)
+    assert len(found) == 1 and "optical thickness of 3e+07" in found[0]
+
+
 def test_edits_stay_in_range():
     scene = psdr.load_dict(
         {
             "type": "scene",
-            "sensor": {"type": "perspective"},
+            "sensor": SENSOR,
             "sky": SKY,
             "cube": {**CUBE, "interior": {"type": "homogeneous"}},
         }

@@ -9,6 +9,10 @@ import pytest
 import warp_psdr as psdr
 from warp_psdr.scene import describe_dict
 
+#: Of a sensor that stands in the medium, and of small grids in a large cube.
+pytestmark = pytest.mark.filterwarnings(
+    "ignore:'sensor' names no medium", "ignore:.* is not 0 at the border of its box"
+)
 SKY = {"type": "constant"}
 CUBE = {"type": "cube", "bsdf": {"type": "null"}}
 GRIDS = Path(__file__).parent / "grids"

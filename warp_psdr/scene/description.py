@@ -106,6 +106,7 @@ class EmitterDescription:
     x_fov: float = 0.0  #: projector, degrees, horizontal
     projected: TextureDescription | None = None  #: spot: a bitmap that the cone projects
     sky: SkyDescription | None = None  #: envmap, directional: the clear sky whose map, or sun, it is
+    medium: MediumDescription | None = None  #: that it names as the one that it is in; what bounds media decides
 
 
 @dataclass(eq=False)

@@ -14,6 +14,7 @@ from .aovs import parse_aovs
 from .context import Context, Outside
 from .description import SceneDescription
 from .errors import SceneError, error
+from .medium_notes import note_media
 from .origin import find_origin
 from .plugins import Properties, category_of
 
@@ -101,6 +102,7 @@ def _build(scene: dict, where: str, context: Context) -> SceneDescription:
         name = "sensor" if "sensor" not in scene else "default_sensor"
         result.sensors.append(sensors.default(low, high, where, name, context))
     result.sensors += [part for sensor in result.sensors for part in sensor.nested]
+    note_media(result)
     return result
 
 

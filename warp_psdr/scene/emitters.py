@@ -9,6 +9,7 @@ import numpy as np
 
 from .description import EmitterDescription, TextureDescription
 from .errors import SceneError, error
+from .media import take_medium
 from .origin import moved
 from .pinhole import rigid_pose, x_fov
 from .plugins import Properties
@@ -17,6 +18,10 @@ from .transforms import Transform
 
 if TYPE_CHECKING:
     from .context import Context
+
+
+#: Lights that are in a place, and may name the medium there.
+IN_MEDIA = ("point", "spot", "projector")
 
 
 def build(node: dict, where: str, path: str, context: Context) -> EmitterDescription:
@@ -37,6 +42,10 @@ def build(node: dict, where: str, path: str, context: Context) -> EmitterDescrip
     props = Properties(node, where, path, context)
     _ignore_weights(props)
     result = builders[props.type](props)
+    if props.type in IN_MEDIA:
+        result.medium = take_medium(props)
+    for _key, _node, place in props.children("medium"):
+        raise error(place, f"a medium of a '{props.type}' light, which is around the scene", "name it for the 'sensor'")
     props.finish()
     return result
 
@@ -63,14 +72,17 @@ def _area(props: Properties) -> EmitterDescription:
         raise error(props.where, f"a '{props.type}' emitter inside a shape", remedy)
     _ignore_weights(props)
     if props.type == "directionalarea":
-        light = EmitterDescription(props.path, "directionalarea", _uniform(props, "radiance"))
+        light = EmitterDescription(
+            props.path, "directionalarea", _uniform(props, "radiance"), medium=take_medium(props)
+        )
         props.finish()
         return light
     radiance = texture(props, "radiance", 1.0, emissive=True)
     if any(leaf.kind == "volume" for leaf in radiance.leaves):
         raise error(props.place("radiance"), "a 'volume'", "lights take colours, bitmaps and mesh attributes; give one")
+    medium = take_medium(props)
     props.finish()
-    return EmitterDescription(props.path, "area", radiance)
+    return EmitterDescription(props.path, "area", radiance, medium=medium)
 
 
 def _ignore_weights(props: Properties) -> None:

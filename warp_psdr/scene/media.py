@@ -68,7 +68,7 @@ def take_sides(props: Properties, bsdf: BsdfDescription) -> dict[str, MediumDesc
 
 
 def take_medium(props: Properties) -> MediumDescription | None:
-    """Take the medium that a sensor is in."""
+    """Take the medium that a sensor, or a light, is in."""
     nested = props.children("medium")
     if not nested:
         return None
