@@ -2,30 +2,37 @@
 
 from __future__ import annotations
 
+import gc
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from warp_psdr import boundary, guiding, interior, losses, optim
-from warp_psdr.accuracy.pilot import accuracy
-from warp_psdr.aov import render_aov
-from warp_psdr.estimate.boundary.trace import BoundaryTrace
-from warp_psdr.estimate.compile import Compilation, compile
-from warp_psdr.estimate.trace import Trace, trace_sample
-from warp_psdr.image import Image
-from warp_psdr.invalid import invalid_samples
-from warp_psdr.moment import render_moment
-from warp_psdr.options.integrator import PathIntegrator
-from warp_psdr.options.methods import methods
-from warp_psdr.parts import render_parts
-from warp_psdr.plan.plan import Plan, plan
-from warp_psdr.render import render, render_backward, render_forward
-from warp_psdr.scene.acceleration import set_ray_backend
-from warp_psdr.scene.cornell_box import cornell_box
-from warp_psdr.scene.load import SceneWarning, load_dict, load_file, load_string
-from warp_psdr.scene.parameters import Parameters, traverse
-from warp_psdr.scene.transforms import Transform
-from warp_psdr.view.viewer import view
-from warp_psdr.workers import set_workers
+_collects = gc.isenabled()
+gc.disable()  # hundreds of thousands of objects stay: looking for garbage takes a third of the time
+try:
+    from warp_psdr import boundary, guiding, interior, losses, optim
+    from warp_psdr.accuracy.pilot import accuracy
+    from warp_psdr.aov import render_aov
+    from warp_psdr.estimate.boundary.trace import BoundaryTrace
+    from warp_psdr.estimate.compile import Compilation, compile
+    from warp_psdr.estimate.trace import Trace, trace_sample
+    from warp_psdr.image import Image
+    from warp_psdr.invalid import invalid_samples
+    from warp_psdr.moment import render_moment
+    from warp_psdr.options.integrator import PathIntegrator
+    from warp_psdr.options.methods import methods
+    from warp_psdr.parts import render_parts
+    from warp_psdr.plan.plan import Plan, plan
+    from warp_psdr.render import render, render_backward, render_forward
+    from warp_psdr.scene.acceleration import set_ray_backend
+    from warp_psdr.scene.cornell_box import cornell_box
+    from warp_psdr.scene.load import SceneWarning, load_dict, load_file, load_string
+    from warp_psdr.scene.parameters import Parameters, traverse
+    from warp_psdr.scene.transforms import Transform
+    from warp_psdr.view.viewer import view
+    from warp_psdr.workers import set_workers
+finally:
+    if _collects:
+        gc.enable()
 
 if TYPE_CHECKING:
     from warp_psdr import fit, image_io, plots, sdf

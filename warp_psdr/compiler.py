@@ -11,16 +11,16 @@ import os
 import sys
 import threading
 import time
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Collection, Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import contextmanager
 from dataclasses import dataclass
 
 import warp as wp
 
-from warp_psdr import workers
+from warp_psdr import headers, workers
+from warp_psdr.quiet import quiet
 
-#: Most threads that compile. Each parses Warp's headers once, which takes as long as half a kernel.
+#: Most threads that compile.
 MOST_THREADS = 8
 #: What a compiled module leaves in the kernel cache.
 BINARIES = (".o", ".ptx", ".cubin")
@@ -62,6 +62,8 @@ def begin(kernels: Iterable[wp.Kernel], device: wp.Device) -> int:
         key = (module, device.alias)
         if key in _loaded or key in _jobs or _cached(module, device):
             continue
+        if device.is_cpu:
+            headers.begin()
         with _lock:
             if key not in _loaded and key not in _jobs:
                 _jobs[key] = _threads().submit(_compile, module, device)
@@ -101,56 +103,6 @@ def start_warp() -> None:
     """Initialise Warp without its greeting; a program that calls ``wp.init()`` itself gets to see it."""
     with quiet():
         wp.init()
-
-
-@contextmanager
-def quiet() -> Iterator[None]:
-    """Keep Warp's lines about what this thread loads from standard output, but for those that a debug level asks for.
-
-    The logger that the program has set gets everything else, and everything of other threads.
-    """
-    global _quiet_users
-    if wp.config.log_level <= wp.LOG_DEBUG:
-        yield
-        return
-    with _lock:
-        if _quiet_users == 0:
-            wp.set_logger(_Quiet(wp.get_logger()))
-        _quiet_users += 1
-    _quiet.depth = getattr(_quiet, "depth", 0) + 1
-    try:
-        yield
-    finally:
-        _quiet.depth -= 1
-        with _lock:
-            _quiet_users -= 1
-            logger = wp.get_logger()
-            if _quiet_users == 0 and isinstance(logger, _Quiet):
-                wp.set_logger(logger.inner)
-
-
-_quiet = threading.local()
-_quiet_users = 0
-
-
-class _Quiet:
-    """A logger in front of the program's own, which does not see what quiet threads have to tell."""
-
-    def __init__(self, inner):
-        self.inner = inner
-
-    def debug(self, message: str) -> None:
-        self.inner.debug(message)
-
-    def info(self, message: str) -> None:
-        if not getattr(_quiet, "depth", 0):
-            self.inner.info(message)
-
-    def warning(self, message: str, category=None, stacklevel: int = 1) -> None:
-        self.inner.warning(message, category=category, stacklevel=stacklevel + 1)
-
-    def error(self, message: str) -> None:
-        self.inner.error(message)
 
 
 def _await(job: Future) -> None:

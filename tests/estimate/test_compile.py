@@ -12,6 +12,7 @@ import warp as wp
 import warp_psdr as psdr
 from warp_psdr import compiler
 from warp_psdr.plan import interior
+from warp_psdr.quiet import quiet
 from warp_psdr.scene.acceleration import Accelerator
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -43,8 +44,12 @@ def run(cache: Path) -> tuple[list[str], list[str]]:
 
 
 @pytest.fixture(scope="module")
-def cold_and_warm(tmp_path_factory):
-    cache = tmp_path_factory.mktemp("cache")
+def cache(tmp_path_factory):
+    return tmp_path_factory.mktemp("cache")
+
+
+@pytest.fixture(scope="module")
+def cold_and_warm(cache):
     return run(cache), run(cache)
 
 
@@ -72,6 +77,16 @@ def test_a_line_says_what_is_compiled_and_only_then(cold_and_warm) -> None:
     assert cold and all(line.startswith("warp_psdr: compiling ") for line in cold) and warm == []
 
 
+@pytest.mark.slow
+def test_headers_are_parsed_once_for_all_threads_and_processes(cold_and_warm, cache) -> None:
+    (parsed,) = cache.rglob("*.pch")
+    before = parsed.stat().st_mtime_ns
+    for binary in cache.rglob("*.o"):
+        binary.unlink()
+    run(cache)
+    assert [p.stat().st_mtime_ns for p in cache.rglob("*.pch")] == [before]
+
+
 class Recorder:
     """A logger of the program's own."""
 
@@ -92,7 +107,7 @@ def test_the_program_s_logger_comes_back_and_hears_of_warnings(monkeypatch) -> N
     before, recorder = wp.get_logger(), Recorder()
     wp.set_logger(recorder)
     try:
-        with compiler.quiet():
+        with quiet():
             wp.get_logger().info("Module x load")
             wp.get_logger().warning("a warning")
         assert wp.get_logger() is recorder
