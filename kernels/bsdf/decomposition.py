@@ -50,6 +50,20 @@ class Split(NamedTuple):
     rate: wp.Function
 
 
+class SignedLobes(NamedTuple):
+    """Warp functions of a model whose derivative by a number is the sum of two lobes, each of one sign as it stands.
+
+    Attributes:
+        draw: ``(mat, wi, number, second, u) -> vec3``: a direction of one of the two; it may point below. ``number`` is
+            the place of the value in ``Model.signed``, ``u`` two random numbers.
+        weight: ``(mat, wi, wo, number, second) -> vec3``: that lobe of the derivative of f_s cos over the density of
+            ``draw``.
+    """
+
+    draw: wp.Function
+    weight: wp.Function
+
+
 class Decomposition(NamedTuple):
     """Warp functions over the axes of a distribution, in slopes over the roughness.
 

@@ -22,7 +22,7 @@ from warp_psdr.kernels.bsdf.blendbsdf import BLEND
 from warp_psdr.kernels.bsdf.bumpmap import BUMP_MAP
 from warp_psdr.kernels.bsdf.composite import Composite, split_key
 from warp_psdr.kernels.bsdf.conductor import CONDUCTOR
-from warp_psdr.kernels.bsdf.decomposition import Split
+from warp_psdr.kernels.bsdf.decomposition import SignedLobes, Split
 from warp_psdr.kernels.bsdf.dielectric import DIELECTRIC
 from warp_psdr.kernels.bsdf.diffuse import DIFFUSE
 from warp_psdr.kernels.bsdf.mask import MASK
@@ -114,6 +114,7 @@ class BsdfFunctions(NamedTuple):
         normal: ``(model, mat, wi) -> vec3``: that lobes are about.
         glossy: ``(model) -> bool``: see ``Model``.
         split: see ``Split``.
+        signed: see ``SignedLobes``.
         masked: ``(model) -> bool``: see ``Model``.
     """
 
@@ -137,6 +138,7 @@ class BsdfFunctions(NamedTuple):
     normal: wp.Function | None
     glossy: wp.Function
     split: Split | None
+    signed: SignedLobes | None
     masked: wp.Function
 
 
@@ -271,6 +273,7 @@ def make_bsdf(models: tuple[str, ...], selects: bool = False) -> BsdfFunctions:
         ),
         glossy=_make_test([model.glossy for model in declared]),
         split=_make_split(chain) if any(f.split is not None for f in functions) else None,
+        signed=_make_signed(chain) if any(f.signed is not None for f in functions) else None,
         masked=_make_test([model.masked for model in declared]),
     )  # fmt: skip
 
@@ -299,6 +302,16 @@ def _make_split(chain: Callable[..., wp.Function]) -> Split:
         ),
         chain("split_mass", f"mat: record, {axis}", "wp.float32", "0.0", lambda f: f.split.mass, of="split"),
         chain("split_rate", f"{mat}, wo: wp.vec3, {axis}", "wp.float32", "0.0", lambda f: f.split.rate, of="split"),
+    )
+
+
+def _make_signed(chain: Callable[..., wp.Function]) -> SignedLobes:
+    """Return the functions of all models with derivatives that are sums of lobes of one sign."""
+    mat, lobe = "mat: record, wi: wp.vec3", "number: wp.int32, second: wp.bool"
+    below, none = "wp.vec3(0.0, 0.0, -1.0)", "wp.vec3(0.0, 0.0, 0.0)"
+    return SignedLobes(
+        chain("signed_draw", f"{mat}, {lobe}, u: wp.vec2", "wp.vec3", below, lambda f: f.signed.draw, of="signed"),
+        chain("signed_weight", f"{mat}, wo: wp.vec3, {lobe}", "wp.vec3", none, lambda f: f.signed.weight, of="signed"),
     )
 
 

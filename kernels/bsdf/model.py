@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import warp as wp
 
-from warp_psdr.kernels.bsdf.decomposition import Split
+from warp_psdr.kernels.bsdf.decomposition import SignedLobes, Split
 from warp_psdr.kernels.constants import LOBE_DELTA_REFLECTION, LOBE_DELTA_TRANSMISSION, LOBE_NULL, LOBE_SMOOTH
 
 #: Where a value comes from: what a texture holds, how it rises along texture coordinates (d/du, d/dv, 0), or the
@@ -363,6 +363,8 @@ class Functions(NamedTuple):
         normal: ``(material, wi) -> vec3``: the normal that lobes are about. None: it is that of the surface.
         split: the derivative by its roughness, split into two lobes of one sign each (``decomposition.py``). None:
             there is none.
+        signed: derivatives that are sums of lobes of one sign as they stand (``decomposition.py``). None: there are
+            none.
         branches: whether ``sample``, ``eval`` and ``pdf`` branch. Those that do not select among what they compute, of
             any directions, so that they are computed for paths side by side, also for those on other materials.
     """
@@ -376,6 +378,7 @@ class Functions(NamedTuple):
     slopes: wp.Function | None = None
     normal: wp.Function | None = None
     split: Split | None = None
+    signed: SignedLobes | None = None
     branches: bool = True
 
 
@@ -396,6 +399,7 @@ class Model:
         glossy: whether light is scattered at microfacets that are as many on one side of the normal as on the other.
         splits: values of the roughness along the tangents whose derivative is split, see ``Functions.split``.
         masked: whether more than the density of normals depends on these.
+        signed: values whose derivative is two lobes of one sign each, see ``Functions.signed``.
         mixes: values that ``eval`` and ``scatter`` are linear in.
         tilts: values that the normal of smooth lobes depends on.
         when: name of a parameter. Where a scene file gives it, other than as the number 0, this model serves the plugin
@@ -413,6 +417,7 @@ class Model:
     glossy: bool = False
     splits: tuple[str, ...] = ()
     masked: bool = False
+    signed: tuple[str, ...] = ()
     mixes: tuple[str, ...] = ()
     tilts: tuple[str, ...] = ()
     when: str = ""
@@ -421,6 +426,11 @@ class Model:
     def values(self) -> tuple[Value, ...]:
         """What device code reads of a material."""
         return tuple(value for parameter in self.parameters for value in parameter.values)
+
+    @property
+    def decomposed(self) -> tuple[str, ...]:
+        """Values whose derivative is known as lobes of one sign."""
+        return (*self.splits, *self.signed, *self.mixes)
 
     @property
     def axes(self) -> tuple[tuple[str, str], ...]:

@@ -22,6 +22,7 @@ from warp_psdr.kernels.interaction import enter_frame, leave_frame, make_interac
 from warp_psdr.kernels.interior.branch_point import DIRECTION_SLOT, NO_ROULETTE, VERTEX_SLOT, BranchPoint
 from warp_psdr.kernels.interior.gradient_request import GradientRequest
 from warp_psdr.kernels.interior.mixtures import make_mixture, make_mixture_directions, mixed_values
+from warp_psdr.kernels.interior.signed_lobes import make_signed_directions, make_signed_numbers, signed_values
 from warp_psdr.kernels.rng import Sampler, hashed, make_sampler, unit_float
 from warp_psdr.kernels.structs import Scene
 from warp_psdr.kernels.vertex import PathConfig, path_from
@@ -85,20 +86,22 @@ def make_decomposed_directions(
     scatter: wp.Function,
     partial: wp.Function,
 ) -> wp.Function:
-    """Return ``from_directions`` of ``branch.py``: a vertex has roughnesses that are split, or weights of mixtures."""
-    mixed = mixed_values(config, wanted)
-    if not mixed:
-        return make_lobe_directions(config, role, path_radiance, scatter, partial)
-    from_ends = make_mixture_directions(config, wanted, role, path_radiance, scatter)
-    if sum(wanted.material) == len(mixed):
-        return from_ends
-    from_lobes = make_lobe_directions(config, role, path_radiance, scatter, partial)
+    """Return ``from_directions`` of ``branch.py``.
+
+    A vertex has weights of mixtures, numbers with lobes of one sign, or roughnesses that are split.
+    """
     interaction = make_interaction(config)
     record, material_record = interaction.record, interaction.bsdf.record
-    count_of = make_mixture(config, wanted)[0]
+    mixed, signed = mixed_values(config, wanted), signed_values(config, wanted)
+    split = sum(wanted.material) > len(mixed) + len(signed)
+    from_ends = make_mixture_directions(config, wanted, role, path_radiance, scatter) if mixed else None
+    from_signed = make_signed_directions(config, wanted, role, path_radiance) if signed else None
+    from_lobes = make_lobe_directions(config, role, path_radiance, scatter, partial) if split else None
+    mixture_count = make_mixture(config, wanted)[0] if mixed else None
+    signed_count = make_signed_numbers(config, wanted)[0] if signed else None
 
     @wp.func
-    def from_either(
+    def from_any(
         scene: Scene,
         branch: Sampler,
         at: record,
@@ -112,11 +115,17 @@ def make_decomposed_directions(
         t: wp.array(dtype=wp.float32),
     ) -> tuple[material_record, wp.vec3]:
         _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
-        if count_of(direction) > 0:
-            return from_ends(scene, branch, at, point, direction, moved, a_n, u, max_depth, rr_depth, t)
-        return from_lobes(scene, branch, at, point, direction, moved, a_n, u, max_depth, rr_depth, t)
+        if wp.static(bool(mixed)):
+            if mixture_count(direction) > 0:
+                return from_ends(scene, branch, at, point, direction, moved, a_n, u, max_depth, rr_depth, t)
+        if wp.static(bool(signed)):
+            if signed_count(at.model, direction) > 0:
+                return from_signed(scene, branch, at, point, direction, moved, a_n, u, max_depth, rr_depth, t)
+        if wp.static(split):
+            return from_lobes(scene, branch, at, point, direction, moved, a_n, u, max_depth, rr_depth, t)
+        return material_record(), wp.vec3(0.0, 0.0, 0.0)
 
-    return from_either
+    return from_any
 
 
 def make_lobe_directions(

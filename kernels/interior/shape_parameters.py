@@ -58,13 +58,13 @@ def branched_values(config: PathConfig, wanted: GradientRequest) -> tuple[bool, 
 
 
 def unsplit_values(config: PathConfig, wanted: GradientRequest) -> list[str]:
-    """Return the branched values that some model of the scene has and neither splits nor mixes (``bsdf/model.py``)."""
+    """Return the branched values that some model of the scene has and has no lobes of one sign for (``bsdf/model.py``)."""
     branched = [slot.name for slot, b in zip(config.material, branched_values(config, wanted), strict=True) if b]
     models = models_of(config.bsdfs)
     return [
         name
         for name in branched
-        if any(name in {value.name for value in m.values} and name not in (*m.splits, *m.mixes) for m in models)
+        if any(name in {value.name for value in m.values} and name not in m.decomposed for m in models)
     ]
 
 

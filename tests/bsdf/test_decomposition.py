@@ -8,7 +8,7 @@ import scipy.stats
 import warp as wp
 
 from warp_psdr.kernels.bsdf.decomposition import ACROSS, ALONG, BOTH, make_decomposition
-from warp_psdr.kernels.bsdf.dispatch import make_bsdf
+from warp_psdr.kernels.bsdf.dispatch import make_bsdf, models_of
 
 #: Largest statistic of a chi-square test that right samples exceed once in 10^4 tries.
 CHANCE = 1e-4
@@ -200,3 +200,104 @@ def test_lobes_of_exponents_have_their_density(nu, nv, axis, outer):
     full = expected > 20.0
     statistic = ((counts - expected)[full] ** 2 / expected[full]).sum()
     assert scipy.stats.chi2.sf(statistic, full.sum() - 1) > CHANCE, statistic / full.sum()
+
+
+#: Model, values, by which of them, angle of ``wi`` from the normal.
+SIGNED = [
+    ("abc", {"A": 2.0, "B": 60.0, "C": 1.3}, "A", 0.6),
+    ("abc", {"A": 2.0, "B": 60.0, "C": 1.3}, "B", 0.6),
+    ("abc", {"A": 2.0, "B": 60.0, "C": 1.3}, "C", 0.6),
+    ("abc", {"A": 1.0, "B": 1e-3, "C": 30.0}, "B", 0.3),
+    ("abc", {"A": 1.0, "B": 4.0, "C": 8.0}, "C", 1.2),
+    ("orennayar", {"sigma": 0.4}, "sigma", 0.5),
+    ("orennayar", {"sigma": 1.2}, "sigma", 1.4),
+]
+
+
+@functools.cache
+def make_signed_drawing(plugin: str, name: str):
+    bsdf = make_bsdf((plugin,))
+    record, signed, eval_vjp = bsdf.record, bsdf.signed, bsdf.eval_vjp
+    place = models_of((plugin,))[0].signed.index(name)
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def signed_drawing(
+        values: wp.vec3,
+        wi: wp.vec3,
+        u: wp.array(dtype=wp.vec2),
+        at: wp.array(dtype=wp.vec3),
+        drawn_out: wp.array2d(dtype=wp.vec3),
+        weight_out: wp.array2d(dtype=wp.float32),
+        derivative_out: wp.array(dtype=wp.float32),
+    ):
+        i = wp.tid()
+        mat = record()
+        if wp.static(plugin == "abc"):
+            mat.A = values[0]
+            mat.B = values[1]
+            mat.C = values[2]
+            mat.specular_reflectance = wp.vec3(1.0, 1.0, 1.0)
+            mat.eta = wp.vec3(0.2, 0.9, 1.1)
+            mat.k = wp.vec3(4.0, 2.0, 2.0)
+        else:
+            mat.sigma = values[0]
+            mat.reflectance = wp.vec3(0.7, 0.7, 0.7)
+        for second in range(2):
+            drawn_out[i, second] = signed.draw(0, mat, wi, place, second == 1, u[i])
+            weight_out[i, second] = signed.weight(0, mat, wi, at[i], place, second == 1)[0]
+        a = eval_vjp(0, mat, wi, at[i], wp.vec3(1.0, 0.0, 0.0)).material
+        if wp.static(name == "A"):
+            derivative_out[i] = a.A
+        if wp.static(name == "B"):
+            derivative_out[i] = a.B
+        if wp.static(name == "C"):
+            derivative_out[i] = a.C
+        if wp.static(name == "sigma"):
+            derivative_out[i] = a.sigma
+
+    return signed_drawing
+
+
+@pytest.mark.parametrize(("plugin", "values", "name", "angle"), SIGNED)
+def test_lobes_of_one_sign_have_their_density(plugin, values, name, angle):
+    """What is drawn has the model's own derivative over the weights as its density, cell by cell and in all."""
+    count = RINGS * SECTORS * POINTS * POINTS
+    u = np.random.default_rng(29).uniform(size=(max(SAMPLES, count), 2)).astype(np.float32)
+    # Midpoints of the angle from the normal and of that around.
+    polar = 0.5 * np.pi * (np.arange(RINGS * POINTS) + 0.5) / (RINGS * POINTS)
+    around = 2.0 * np.pi * (np.arange(SECTORS * POINTS) + 0.5) / (SECTORS * POINTS)
+    theta, phi = np.meshgrid(polar, around, indexing="ij")
+    wo = np.stack((np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)), -1).reshape(-1, 3)
+    wi = np.array([np.sin(angle) * np.cos(0.7), np.sin(angle) * np.sin(0.7), np.cos(angle)])
+    at = np.tile(wi.astype(np.float32), (len(u), 1))
+    at[:count] = wo
+    numbers = wp.vec3(*(list(values.values()) + [0.0, 0.0])[:3])
+    inputs = [numbers, wp.vec3(*wi), wp.array(u, dtype=wp.vec2, device="cpu"), wp.array(at, dtype=wp.vec3, device="cpu")]
+    shapes = ((len(u), 2), wp.vec3), ((len(u), 2), wp.float32), (len(u), wp.float32)
+    outputs = [wp.zeros(shape, dtype=dtype, device="cpu") for shape, dtype in shapes]
+    wp.launch(make_signed_drawing(plugin, name), dim=len(u), inputs=inputs + outputs, device="cpu")
+    drawn, weights, derivative = (x.numpy().astype(np.float64) for x in outputs)
+    solid_angle = (np.sin(theta) * (polar[1] - polar[0]) * (around[1] - around[0])).reshape(-1)
+    weights, derivative = weights[:count], derivative[:count]
+    if plugin == "abc":
+        # The halves together have the one lobe, which has one sign.
+        assert (derivative * np.sign(values[name]) * (1.0 if name == "A" else -1.0) >= 0.0).all()
+        densities = [derivative / weights.sum(1)]
+        found = [drawn.reshape(-1, 3)]
+    else:
+        cosine = np.cos(theta).reshape(-1) / np.pi
+        densities = [cosine, (derivative - weights[:, 0] * cosine) / weights[:, 1]]
+        found = [drawn[:, 0], drawn[:, 1]]
+        assert (weights[:, 0] < 0.0).all() and (weights[:, 1] > 0.0).all()
+    for density, directions in zip(densities, found, strict=True):
+        expected = (density * solid_angle).reshape(RINGS, POINTS, SECTORS, POINTS).sum((1, 3))
+        directions = directions[directions[:, 2] > 0.0]
+        angles = np.arccos(np.minimum(directions[:, 2], 1.0)), np.arctan2(directions[:, 1], directions[:, 0]) % (2 * np.pi)
+        edges = np.linspace(0.0, 0.5 * np.pi, RINGS + 1), np.linspace(0.0, 2.0 * np.pi, SECTORS + 1)
+        counts = np.histogram2d(*angles, bins=edges)[0]
+        drawn_in_all = len(u) * len(drawn[0]) / len(densities)
+        assert abs(expected.sum() / (counts.sum() / drawn_in_all) - 1.0) < 5e-3
+        expected *= counts.sum() / expected.sum()
+        full = expected > 20.0
+        statistic = ((counts - expected)[full] ** 2 / expected[full]).sum()
+        assert scipy.stats.chi2.sf(statistic, full.sum() - 1) > CHANCE, statistic / full.sum()

@@ -7,7 +7,7 @@ import warp_psdr as psdr
 from tests.gradients.measure import shared_random_numbers
 from tests.interior.test_resampled import DIFFERENCES, ROUNDING, SCENES, SIZE, SLOPE, Z, backward, integrator, load
 
-GLOSSY = ["metal", "beckmann metal", "brushed metal", "phong"]
+GLOSSY = ["metal", "beckmann metal", "brushed metal", "phong", "orennayar"]
 #: Scene -> weights of mixtures: two smooth models, a mirror and paint, and lobes of one model.
 MIXTURES = {
     "blend": ["ball.bsdf.weight.value"],
@@ -28,7 +28,7 @@ def signs(name, parameter):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["metal", *(pytest.param(n, marks=pytest.mark.slow) for n in GLOSSY[1:])])
+@pytest.mark.parametrize("name", GLOSSY)
 def test_mean_is_that_of_replay(name):
     _material, branched, _others = SCENES[name]
     batches, spp = (32, 8) if name == "metal" else (64, 16)
@@ -76,7 +76,7 @@ def test_forward_mode_by_weights_sums_to_reverse_mode(name):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["brushed metal", "phong"])
+@pytest.mark.parametrize("name", ["brushed metal", "phong", "abc"])
 def test_several_roughnesses_take_turns(name):
     _material, branched, _others = SCENES[name]
     weights = signs(name, branched[0])
@@ -95,7 +95,7 @@ def test_the_rest_is_replayed_beside_it():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["metal", *(pytest.param(n, marks=pytest.mark.slow) for n in GLOSSY[1:])])
+@pytest.mark.parametrize("name", [*GLOSSY, "abc"])
 def test_forward_mode_sums_to_reverse_mode(name):
     # Grey: forward mode chooses vertices by the colours alike.
     grey = np.random.default_rng(4).normal(size=(SIZE, SIZE, 1)).astype(np.float32) * np.ones(3, np.float32)
@@ -138,6 +138,8 @@ def test_equal_bits_for_any_number_of_workers():
         ("metal", "ball.bsdf.alpha.value", 0.01),
         ("brushed metal", "ball.bsdf.alpha_v.value", 0.02),
         ("phong", "ball.bsdf.nu.value", 2.0),
+        ("abc", "ball.bsdf.B.value", 4.0),
+        ("orennayar", "ball.bsdf.sigma.value", 0.04),
         ("blend", "ball.bsdf.weight.value", 0.05),
     ],
 )
@@ -178,6 +180,7 @@ def test_less_noise_than_replay_at_equal_samples():
         ("plastic", "ball.bsdf.alpha", r"not those of alpha of 'roughplastic'\. Use interior\.Resampled\(\)"),
         ("principled", "ball.bsdf.roughness.value", r"roughness of 'principled'\. Use interior\.Resampled\(\)"),
         ("metal", "ball.bsdf.eta.value", r"eta of 'roughconductor'\. Use interior\.Resampled\(\)"),
+        ("abc", "ball.bsdf.eta.value", r"eta of 'abc'\. Use interior\.Resampled\(\)"),
         ("metal", "floor.bsdf.reflectance.value", r"Decomposed\(\) draws .* no parameter .* Use interior\.Replay\(\)"),
     ],
 )

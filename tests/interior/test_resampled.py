@@ -69,6 +69,16 @@ SCENES = {
         ["ball.bsdf.nu.value", "ball.bsdf.nv.value"],
         ["ball.bsdf.reflectance.value"],
     ),
+    "abc": (
+        {"type": "abc", "A": 2.0, "B": 60.0, "C": 1.3, "eta": rgb(0.2, 0.9, 1.1), "k": rgb(4, 2, 2)},
+        ["ball.bsdf.A.value", "ball.bsdf.B.value", "ball.bsdf.C.value"],
+        ["ball.bsdf.specular_reflectance.value"],
+    ),
+    "orennayar": (
+        {"type": "orennayar", "sigma": 0.4, "reflectance": rgb(0.7, 0.5, 0.4)},
+        ["ball.bsdf.sigma.value"],
+        ["ball.bsdf.reflectance.value"],
+    ),
     "half mirror": (
         {
             "type": "blendbsdf",

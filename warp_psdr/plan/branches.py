@@ -57,11 +57,11 @@ def refused_by_decomposed(config: PathConfig, wanted: GradientRequest) -> str:
     """Return why lobes of one sign are not known; empty: they are."""
     unsplit = unsplit_values(config, wanted)
     if unsplit:
-        left = [(m, set(unsplit) - {*m.splits, *m.mixes}) for m in models_of(config.bsdfs)]
+        left = [(m, set(unsplit) - set(m.decomposed)) for m in models_of(config.bsdfs)]
         models = sorted({repr(m.plugin) for m, names in left if names & {value.name for value in m.values}})
         return (
-            "interior.Decomposed() knows the lobes of the roughnesses of 'roughconductor' and 'ashikhminshirley' and "
-            "weights of mixtures, and "
+            "interior.Decomposed() knows the lobes of the roughnesses of 'roughconductor', the exponents of "
+            "'ashikhminshirley', A, B and C of 'abc', sigma of 'orennayar' and weights of mixtures, and "
             f"not those of {', '.join(unsplit)} of {', '.join(models)}. Use interior.Resampled()"
         )
     return refused_by_resampled(config, wanted).replace("Resampled()", "Decomposed()")
