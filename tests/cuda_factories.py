@@ -260,6 +260,10 @@ FACTORIES = {
         ("forward, lights", (ALL_LIGHTS, all_of(ALL_LIGHTS), "forward", False), SLOW),
         ("linear, materials", (MATERIALS, still(MATERIALS), "reverse", True), SLOW),
     ],
+    "interior.phase_branch.make_phase_branch_kernel": [
+        ("reverse", (GRIDS, "reverse", 16, True), SLOW),
+        ("forward", (MEDIA, "forward", 16, False), SLOW),
+    ],
     "interior.branch.make_branch_kernel": [
         ("reverse", (GLOSSY, shapes_of(GLOSSY), "reverse", 16), SLOW),
         ("forward", (GLOSSY, shapes_of(GLOSSY), "forward", 4), SLOW),

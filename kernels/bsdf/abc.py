@@ -99,7 +99,7 @@ def abc_lobe_share(number: wp.int32, t: wp.float32, size: wp.float32, c: wp.floa
 
 @wp.func
 def abc_lobe_density(number: wp.int32, t: wp.float32, size: wp.float32, c: wp.float32) -> wp.float32:
-    """x / (1 + B x)^(C + 1) dx/dt or log(1 + B x) / (1 + B x)^C dx/dt, not normalised, t = log(1 + B x) / size."""
+    """Of t = log(1 + B x) / size, not normalised: x / (1 + B x)^(C + 1) or log(1 + B x) / (1 + B x)^C, times dx/dt."""
     return t * wp.exp(-c * size * t) * wp.where(number == BY_B, exp_ratio(size * t), wp.exp(size * t))
 
 

@@ -131,9 +131,7 @@ def make_oren_nayar(record: type, _variant: str) -> Functions:
         return wo
 
     @wp.func
-    def signed_oren_nayar_weight(
-        mat: record, wi: wp.vec3, wo: wp.vec3, number: wp.int32, second: wp.bool
-    ) -> wp.vec3:
+    def signed_oren_nayar_weight(mat: record, wi: wp.vec3, wo: wp.vec3, number: wp.int32, second: wp.bool) -> wp.vec3:
         """A' reflectance, and B' reflectance / pi times the integral of the grooves' term."""
         sigma = wp.max(0.0, wp.min(MAX_SIGMA, mat.sigma))
         s2 = sigma * sigma

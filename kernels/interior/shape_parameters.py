@@ -58,7 +58,7 @@ def branched_values(config: PathConfig, wanted: GradientRequest) -> tuple[bool, 
 
 
 def unsplit_values(config: PathConfig, wanted: GradientRequest) -> list[str]:
-    """Return the branched values that some model of the scene has and has no lobes of one sign for (``bsdf/model.py``)."""
+    """Return the branched values of which some model of the scene has no lobes of one sign (``bsdf/model.py``)."""
     branched = [slot.name for slot, b in zip(config.material, branched_values(config, wanted), strict=True) if b]
     models = models_of(config.bsdfs)
     return [

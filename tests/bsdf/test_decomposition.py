@@ -271,8 +271,13 @@ def test_lobes_of_one_sign_have_their_density(plugin, values, name, angle):
     wi = np.array([np.sin(angle) * np.cos(0.7), np.sin(angle) * np.sin(0.7), np.cos(angle)])
     at = np.tile(wi.astype(np.float32), (len(u), 1))
     at[:count] = wo
-    numbers = wp.vec3(*(list(values.values()) + [0.0, 0.0])[:3])
-    inputs = [numbers, wp.vec3(*wi), wp.array(u, dtype=wp.vec2, device="cpu"), wp.array(at, dtype=wp.vec3, device="cpu")]
+    numbers = wp.vec3(*[*values.values(), 0.0, 0.0][:3])
+    inputs = [
+        numbers,
+        wp.vec3(*wi),
+        wp.array(u, dtype=wp.vec2, device="cpu"),
+        wp.array(at, dtype=wp.vec3, device="cpu"),
+    ]
     shapes = ((len(u), 2), wp.vec3), ((len(u), 2), wp.float32), (len(u), wp.float32)
     outputs = [wp.zeros(shape, dtype=dtype, device="cpu") for shape, dtype in shapes]
     wp.launch(make_signed_drawing(plugin, name), dim=len(u), inputs=inputs + outputs, device="cpu")
@@ -292,7 +297,10 @@ def test_lobes_of_one_sign_have_their_density(plugin, values, name, angle):
     for density, directions in zip(densities, found, strict=True):
         expected = (density * solid_angle).reshape(RINGS, POINTS, SECTORS, POINTS).sum((1, 3))
         directions = directions[directions[:, 2] > 0.0]
-        angles = np.arccos(np.minimum(directions[:, 2], 1.0)), np.arctan2(directions[:, 1], directions[:, 0]) % (2 * np.pi)
+        angles = (
+            np.arccos(np.minimum(directions[:, 2], 1.0)),
+            np.arctan2(directions[:, 1], directions[:, 0]) % (2 * np.pi),
+        )
         edges = np.linspace(0.0, 0.5 * np.pi, RINGS + 1), np.linspace(0.0, 2.0 * np.pi, SECTORS + 1)
         counts = np.histogram2d(*angles, bins=edges)[0]
         drawn_in_all = len(u) * len(drawn[0]) / len(densities)

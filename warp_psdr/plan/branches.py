@@ -9,17 +9,22 @@ from typing import TYPE_CHECKING
 import warp as wp
 
 from warp_psdr.kernels.bsdf.dispatch import has_delta_lobes, has_glossy_lobes, has_null_lobes, models_of
-from warp_psdr.kernels.constants import DELTA_LIGHTS
+from warp_psdr.kernels.constants import DELTA_LIGHTS, PHASE_HG, PHASE_ISOTROPIC, PHASE_RAYLEIGH
 from warp_psdr.kernels.interior.antithetic import make_pair_kernel
 from warp_psdr.kernels.interior.branch import make_branch_kernel
 from warp_psdr.kernels.interior.gradient_request import GradientRequest
+from warp_psdr.kernels.interior.phase_branch import make_phase_branch_kernel
 from warp_psdr.kernels.interior.shape_parameters import branched_values, unsplit_values
 from warp_psdr.kernels.interior.tilts import tilting_values, tilts
+from warp_psdr.kernels.medium.coefficients import PHASE
 from warp_psdr.options import interior
 from warp_psdr.plan.replay import Kept, keep_blocks, replayed, without
 
 if TYPE_CHECKING:
     from warp_psdr.kernels.vertex import PathConfig
+
+#: Phase functions whose parameters are drawn for, or that have none.
+DRAWN_PHASES = {PHASE_ISOTROPIC, PHASE_HG, PHASE_RAYLEIGH}
 
 
 def keep_candidates(method: interior.Method, max_depth: int, rr_depth: int) -> Kept:
@@ -31,11 +36,16 @@ def keep_candidates(method: interior.Method, max_depth: int, rr_depth: int) -> K
 
 def make_resampled(config: PathConfig, wanted: GradientRequest, role: str, kept: Kept) -> wp.Kernel:
     """Return the kernel of resampled branches."""
+    if config.media is not None:
+        return make_phase_branch_kernel(config, role, kept.candidates, False)
     return make_branch_kernel(config, GradientRequest(material=branched_values(config, wanted)), role, kept.candidates)
 
 
 def beside_branches(config: PathConfig, wanted: GradientRequest, role: str, kept: Kept) -> list[wp.Kernel]:
     """Return the kernel of what is not branched, if there is any."""
+    if config.media is not None:
+        rest = replace(wanted, media=tuple(kind for kind in wanted.media if kind != PHASE))
+        return replayed(config, rest, role, kept)
     return replayed(config, without(wanted, branched_values(config, wanted)), role, kept)
 
 
@@ -49,12 +59,16 @@ def keep_lobes(_method: interior.Method, max_depth: int, rr_depth: int) -> Kept:
 
 def make_decomposed(config: PathConfig, wanted: GradientRequest, role: str, kept: Kept) -> wp.Kernel:
     """Return the kernel of decomposed branches."""
+    if config.media is not None:
+        return make_phase_branch_kernel(config, role, kept.candidates, True)
     branched = GradientRequest(material=branched_values(config, wanted))
     return make_branch_kernel(config, branched, role, kept.candidates, True)
 
 
 def refused_by_decomposed(config: PathConfig, wanted: GradientRequest) -> str:
     """Return why lobes of one sign are not known; empty: they are."""
+    if config.media is not None:
+        return _refused_in_media("Decomposed", config, wanted)
     unsplit = unsplit_values(config, wanted)
     if unsplit:
         left = [(m, set(unsplit) - set(m.decomposed)) for m in models_of(config.bsdfs)]
@@ -126,6 +140,8 @@ def refused_by_antithetic(config: PathConfig, wanted: GradientRequest) -> str:
 
 def refused_by_resampled(config: PathConfig, wanted: GradientRequest) -> str:
     """Return why nothing is branched; empty: something is."""
+    if config.media is not None:
+        return _refused_in_media("Resampled", config, wanted)
     if not any(branched_values(config, wanted)):
         return (
             "interior.Resampled() draws directions for the shapes of lobes, and no parameter that is requested is one "
@@ -136,6 +152,22 @@ def refused_by_resampled(config: PathConfig, wanted: GradientRequest) -> str:
         return (
             "interior.Resampled() does not let shadow rays pass masks, thin glass and 'null', and lights of no area "
             "are found by nothing else behind them. Use interior.Replay(), or area lights"
+        )
+    return ""
+
+
+def _refused_in_media(name: str, config: PathConfig, wanted: GradientRequest) -> str:
+    """Return why nothing is branched in media; empty: g of ``hg`` is."""
+    assert config.media is not None
+    if PHASE not in wanted.media:
+        return (
+            f"interior.{name}() draws directions for g of 'hg' in scenes with participating media, and no parameter "
+            "that is requested is one; shapes of lobes on surfaces beside media are for interior.Replay()"
+        )
+    if set(config.media.phases) - DRAWN_PHASES:
+        return (
+            f"interior.{name}() knows g of 'hg' beside 'isotropic' and 'rayleigh', and no other phase function. Use "
+            "interior.Replay()"
         )
     return ""
 

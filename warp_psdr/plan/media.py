@@ -84,7 +84,13 @@ def refuse(
     """
     if config.media is None:
         return
-    known = (interior.Replay, interior.DifferentialRatioTracking, interior.RadiativeTransfer)
+    known = (
+        interior.Replay,
+        interior.DifferentialRatioTracking,
+        interior.RadiativeTransfer,
+        interior.Resampled,
+        interior.Decomposed,
+    )
     if type(method) not in known and (names or isinstance(method, interior.FROM_LIGHTS)):
         raise ValueError(
             f"interior.{type(method).__name__}() does not know participating media; use interior.Replay(), or leave "
