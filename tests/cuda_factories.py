@@ -15,6 +15,7 @@ from tests.cuda_configs import (
     EMISSION,
     EXACT,
     EXACT_LIGHTS,
+    EXACT_MIRRORS,
     GEOMETRY,
     GLOSSY,
     GLOWING,
@@ -304,6 +305,7 @@ FACTORIES = {
         ("reverse, mirrors, orthographic", (MIRRORS_PARALLEL, moving_camera(MIRRORS_PARALLEL), "reverse", False), SLOW),
         ("forward, mirrors, thin lens", (MIRRORS_LENS, moving_camera(MIRRORS_LENS), "forward", False), SLOW),
         ("noted, materials", (NOTED_MATERIALS, moving(NOTED_MATERIALS), "reverse", False), SLOW),
+        ("reverse, exact shapes", (EXACT_MIRRORS, moving(EXACT_MIRRORS), "reverse", True), SLOW),
     ],
     "boundary.path_space.primary.make_primary_kernel": [
         ("reverse, simple", (SIMPLE, "reverse", False), FAST),

@@ -188,9 +188,11 @@ def guards(scene: Scene, zero: wp.vec3, out: wp.array(dtype=wp.float32)):
     one = Link()
     one.face = scene.emitters[0].first_face
     one.x = z
+    one.ng = z
     other = Link()
     other.face = one.face
     other.x = z
+    other.ng = -z
     out[27] = wp.float32(curve_crossing(scene, block, one, other, x, ray, ray, 0, 1, 0, False).valid)
 
 

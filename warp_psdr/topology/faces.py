@@ -19,15 +19,21 @@ if TYPE_CHECKING:
 
 
 def face_tables(scene: Scene) -> tuple[Edges, Tables]:
-    """Return every edge of a scene and, of every face, its edges, its group of coplanar neighbours, and its normals."""
+    """Return every edge of a scene and, of every face, its edges, its group of coplanar neighbours, and its normals.
+
+    Behind the triangles are the records of shapes without any, each a group of its own, without edges.
+    """
     found = scene_adjacency(scene)
     edges = every_edge(scene, found)
     smooth = smooth_edges(scene, found)
     tables = Tables()
+    records = len(scene.builder.primitives)
+    group = joined_faces(scene.face_count, found, smooth & (found.wedge == 0.0))
+    own = scene.face_count + np.arange(records)  # no group of triangles has such a number
     for name, values in (
-        ("group", joined_faces(scene.face_count, found, smooth & (found.wedge == 0.0))),
-        ("interpolated", interpolated_faces(scene)),
-        ("face_edges", face_edges(scene, found).reshape(-1)),
+        ("group", np.concatenate([group, own])),
+        ("interpolated", np.concatenate([interpolated_faces(scene), np.zeros(records, bool)])),
+        ("face_edges", np.concatenate([face_edges(scene, found).reshape(-1), np.full(3 * records, -1)])),
         ("smooth_edge", smooth),
     ):
         setattr(tables, name, wp.array(values.astype(np.int32), dtype=wp.int32, device=scene.device))

@@ -9,7 +9,9 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.boundary.concave_edge import concave_distance, facing, is_ridge, let_through, sharp_glass
+from warp_psdr.kernels.boundary.crossing.curve import MOST, OFF
 from warp_psdr.kernels.boundary.local_form import EdgePoint, Edges, barycentrics_at, split_between
+from warp_psdr.kernels.boundary.specular.chain_outlines import Outline, begins_beside, make_one_sheet, make_outline
 from warp_psdr.kernels.boundary.specular.ray_differential import PointDifferential, RayDifferential
 from warp_psdr.kernels.boundary.specular.specular_chain import Block, Link, make_lit
 from warp_psdr.kernels.boundary.specular.triangle_borders import (
@@ -24,6 +26,8 @@ from warp_psdr.kernels.boundary.specular.triangle_borders import (
 from warp_psdr.kernels.boundary.transport import Segment
 from warp_psdr.kernels.constants import FAR
 from warp_psdr.kernels.emitter.dispatch import make_delta_sample
+from warp_psdr.kernels.primitive.affine import is_primitive_at
+from warp_psdr.kernels.primitive.dispatch import slides_on
 from warp_psdr.kernels.step import step_beside
 from warp_psdr.kernels.structs import Scene, Triangle
 from warp_psdr.kernels.surface import VertexAdjoint, point_on
@@ -52,8 +56,9 @@ class Crossing:
     phi_b: wp.float32
     aside: wp.float32  # part of the line at which its two sides are looked at (``concave_edge.py``)
     both: wp.int32  # 1: the other side of the line is a crossing of its own
-    edge: wp.int32  # 1: ``point`` and ``segment`` hold the edge, 2: ``segment`` holds material points
+    edge: wp.int32  # 1: ``point`` and ``segment`` hold the edge, 2: ``segment`` holds material points, 3: ``outline``
     point: EdgePoint
+    outline: Outline
     segment: Segment  # of the points, face1 (-1: none) is moved along ``boundary_normal1``, face2 along ``sweep``
     boundary_normal1: wp.vec3
     last: wp.int32  # where the pull-back starts (``chain_pullback.py``)
@@ -61,6 +66,7 @@ class Crossing:
     o_before: wp.vec3
     a_o: wp.vec3
     a_d: wp.vec3
+    tied: wp.vec3  # adjoint of what rays from the block's vertex are tied to (form S)
 
 
 @wp.func
@@ -71,7 +77,9 @@ def inside(tri: Triangle, x: wp.vec3) -> wp.bool:
 
 @wp.func
 def laid_over(scene: Scene, low: Link, high: Link) -> wp.bool:
-    """Whether two faces lie over one another in one plane at both hits: which is met there is up to rounding."""
+    """Whether two triangles lie over one another in one plane at both hits: which is met there is up to rounding."""
+    if is_primitive_at(scene, low.face) or is_primitive_at(scene, high.face):
+        return False
     tri_low = scene.triangles[low.face]
     tri_high = scene.triangles[high.face]
     if wp.length_sq(wp.cross(tri_low.normal, tri_high.normal)) >= PARALLEL:
@@ -89,6 +97,28 @@ def aside(scene: Scene, block: Block, m: wp.vec3, room: wp.float32, phi_a: wp.fl
 
 
 @wp.func
+def off_curve(scene: Scene, low: Link, high: Link, along: wp.vec3, m: wp.vec3) -> wp.float32:
+    """Distance across the ray, in steps, at which surfaces are seen beside their common curve; 0: two triangles.
+
+    It is that of the other terms of such curves (``crossing/curve.py``) on the surface that is the flat one.
+    """
+    round_low = is_primitive_at(scene, low.face)
+    round_high = is_primitive_at(scene, high.face)
+    if not round_low and not round_high:
+        return 0.0
+    sine = wp.length(along)
+    unit = wp.normalize(m)
+    distance = wp.min(OFF / sine, MOST) / sine
+    by_low = distance * wp.abs(wp.dot(unit, wp.cross(low.ng, along)))
+    by_high = distance * wp.abs(wp.dot(unit, wp.cross(high.ng, along)))
+    if not round_low:
+        return by_low
+    if not round_high:
+        return by_high
+    return wp.max(by_low, by_high)
+
+
+@wp.func
 def curve_crossing(
     scene: Scene,
     block: Block,
@@ -102,10 +132,10 @@ def curve_crossing(
     which: wp.int32,
     hidden: wp.bool,
 ) -> Crossing:
-    """Where the triangles that two neighbouring rays meet run through each other."""
+    """Where the surfaces that two neighbouring rays meet run through each other."""
     r = Crossing()
-    n_low = scene.triangles[low.face].normal
-    n_high = scene.triangles[high.face].normal
+    n_low = low.ng
+    n_high = high.ng
     along = wp.cross(n_low, n_high)
     squared = wp.length_sq(along)
     first = block.film == 0 and i == 0
@@ -133,27 +163,37 @@ def curve_crossing(
         r.both = 1
         r.side = 2 * which - 1
         if which == 0:
-            r.boundary_normal1 = -by_high
+            if slides_on(scene.triangles[low.face]):
+                r.tied = -m
+            else:
+                r.boundary_normal1 = -by_high
         else:
-            r.segment.boundary_normal = -by_low
+            if slides_on(scene.triangles[high.face]):
+                r.tied = -m
+            else:
+                r.segment.boundary_normal = -by_low
     else:
         r.a_o = -m
         r.a_d = -t1 * m
     r.phi_a = -wp.dot(m, a.o + t1 * a.d)
     r.phi_b = -wp.dot(m, b.o + t1 * b.d)
     through = let_through(scene, low.face, high.face, hidden)
-    r.aside = aside(scene, block, m, concave_distance(facing(n_low, d), facing(n_high, d), through), r.phi_a)
+    apart_by = concave_distance(facing(n_low, d), facing(n_high, d), through)
+    r.aside = aside(scene, block, m, wp.max(apart_by, off_curve(scene, low, high, along, m)), r.phi_a)
     r.valid = 1
     return r
 
 
 @functools.cache
-def make_edge_crossing(hidden: bool):
-    """Return ``edge_crossing(scene, edges, tables, block, low, high, x, a, b, i, count, which) -> Crossing``.
+def make_edge_crossing(hidden: bool, primitives: tuple[int, ...]):
+    """Return ``edge_crossing(scene, edges, tables, block, low, high, x, a, b, i, count, which, begin) -> Crossing``.
 
-    The edge between what two neighbouring rays from x meet at the i-th vertex of the chain, ``low`` and ``high``.
-    ``hidden``: there are lights that the camera does not see.
+    The edge between what two neighbouring rays from x meet at the i-th vertex of the chain, ``low`` and ``high``; x is
+    on the face ``begin`` where the block begins on a surface and i is 0.
+    ``hidden``: there are lights that the camera does not see. ``primitives``: kinds of shapes without triangles.
     """
+    outline_at = make_outline(primitives)
+    one_sheet = make_one_sheet(primitives)
 
     @wp.func
     def edge_crossing(
@@ -169,6 +209,7 @@ def make_edge_crossing(hidden: bool):
         i: wp.int32,
         count: wp.int32,
         which: wp.int32,
+        begin: wp.int32,
     ) -> Crossing:
         r = Crossing()
         t_low = wp.float32(FAR)
@@ -190,23 +231,42 @@ def make_edge_crossing(hidden: bool):
                 return r
             apart = wp.min(rim_low.distance, rim_high.distance) > TOUCHING * scene.ray_epsilon
             neighbours = rim_low.edge >= 0 and of_edge(edges, rim_low.edge, high.face)
-            if apart and not neighbours and wp.length(low.x - high.x) <= room:
+            if apart and not neighbours and low.face != high.face and wp.length(low.x - high.x) <= room:
                 return curve_crossing(scene, block, low, high, x, a, b, i, count, which, wp.static(hidden))
         own_low = wp.where(tie, rim_low.distance <= rim_high.distance, t_low <= t_high)
+        if wp.static(outline_at is not None):
+            if is_primitive_at(scene, low.face) or is_primitive_at(scene, high.face):
+                own_low = t_low <= t_high
         own = wp.where(own_low, rim_low.edge, rim_high.edge)
         near = wp.where(own_low, rim_low.near, rim_high.near)
-        if near > 1.0 or own < 0:
-            return r
         hit = wp.where(own_low, low.x, high.x)
-        r.edge = 1
-        r.point = point_on_edge(scene, edges, own, hit)
-        t1 = wp.length(r.point.x - x)
+        x_b = hit
+        front = wp.bool(False)
+        if wp.static(outline_at is not None):
+            own_face = wp.where(own_low, low.face, high.face)
+            if is_primitive_at(scene, own_face):
+                if low.face == high.face:
+                    front = one_sheet(scene, low, high) == 2
+                r.outline = outline_at(scene, own_face, low, high, own_low, x, front)
+                if r.outline.valid == 0:
+                    return r
+                r.edge = 3
+                x_b = r.outline.x
+        if r.edge == 0:
+            if near > 1.0 or own < 0:
+                return r
+            r.edge = 1
+            r.point = point_on_edge(scene, edges, own, hit)
+            x_b = r.point.x
+        t1 = wp.length(x_b - x)
         # A vertex on the edge itself, up to its last bit: of measure zero, without a direction.
         if t1 <= 0.0:
             return r
-        d = (r.point.x - x) / t1
+        d = (x_b - x) / t1
         m = wp.cross(r.point.p1 - r.point.p0, d)
-        r.segment.x = r.point.x
+        if r.edge == 3:
+            m = r.outline.m
+        r.segment.x = x_b
         r.segment.w = d
         r.segment.boundary_normal = m
         r.segment.t1 = t1
@@ -221,26 +281,47 @@ def make_edge_crossing(hidden: bool):
             r.side = wp.where(own_low, 1, -1)
             if block.first == 0:
                 return r
-            if face >= 0:
-                shared = edges.ends[own, 0] == edges.twins[own, 0] and edges.ends[own, 1] == edges.twins[own, 1]
-                if shared and of_edge(edges, own, face):
+            if wp.static(outline_at is not None):
+                if r.edge == 3 and slides_on(scene.triangles[r.outline.face]):
+                    # What slides along rays counts as well, on either side of a crease, or past its silhouette.
+                    if front:
+                        r.side = 0
+                    else:
+                        r.both = 1
+                        if which == 1:
+                            r.side = -r.side
+                    if front or which == 1:
+                        r.tied = -m
+                        face = wp.int32(-1)
+            if wp.static(outline_at is not None):
+                if r.edge == 3 and begins_beside(scene, r.outline, begin, t1):
                     return r
+            shared = wp.bool(False)
+            if face >= 0 and r.edge == 1:
+                shared = edges.ends[own, 0] == edges.twins[own, 0] and edges.ends[own, 1] == edges.twins[own, 1]
+                shared = shared and of_edge(edges, own, face)
+            if shared:
+                return r
+            if face >= 0:
                 # An edge inside of what it touches lies behind the background.
                 tau = wp.min(t1 / t2, 1.0)
                 r.segment.face2 = face
                 r.segment.u2 = wp.where(own_low, high.u, low.u)
                 r.segment.v2 = wp.where(own_low, high.v, low.v)
                 r.segment.tau = tau
-            r.a_o = -(1.0 - tau) * m
+            if wp.length_sq(r.tied) == 0.0:
+                r.a_o = -(1.0 - tau) * m
         else:
             r.a_o = -m
             r.a_d = -t1 * m
         r.phi_a = -wp.dot(m, a.o + t1 * a.d)
         r.phi_b = -wp.dot(m, b.o + t1 * b.d)
-        apart_by = sharp_glass(scene, edges, own)
-        if wp.length(low.x - high.x) <= room and low.face >= 0 and high.face >= 0:
-            n_low = facing(scene.triangles[low.face].normal, d)
-            n_high = facing(scene.triangles[high.face].normal, d)
+        apart_by = wp.float32(0.0)
+        if r.edge == 1:
+            apart_by = sharp_glass(scene, edges, own)
+        if r.edge == 1 and wp.length(low.x - high.x) <= room and low.face >= 0 and high.face >= 0:
+            n_low = facing(low.ng, d)
+            n_high = facing(high.ng, d)
             if not is_ridge(n_low, n_high, wp.sign(r.phi_a) * m, d):
                 apart_by = wp.max(apart_by, concave_distance(n_low, n_high, False))
         r.aside = aside(scene, block, m, apart_by, r.phi_a)
@@ -260,6 +341,7 @@ def make_shadow_crossing(config: PathConfig):
     lit = make_lit(config)
     if lit is None:
         return None
+    outline_at = make_outline(config.primitives)
     sample = make_delta_sample(config.lights)
     visibility = visibility_of(config)
 
@@ -290,15 +372,33 @@ def make_shadow_crossing(config: PathConfig):
         # What is met at once is what the surface runs through.
         if hit.face < 0 or hit.t <= scene.ray_epsilon:
             return r
-        rim = border_of(scene, tables, hit.face, hit.u, hit.v)
-        if rim.near > 1.0 or rim.edge < 0:
-            return r
-        r.edge = 1
-        r.point = point_on_edge(scene, edges, rim.edge, point_on(scene.triangles[hit.face], hit.u, hit.v))
-        t1 = wp.length(r.point.x - p.x)
-        w = (r.point.x - p.x) / t1
+        x_b = dark_x
+        if wp.static(outline_at is not None):
+            if is_primitive_at(scene, hit.face):
+                met = Link()
+                met.x = o + hit.t * ls.wi
+                met.u = hit.u
+                met.v = hit.v
+                r.outline = outline_at(scene, hit.face, met, met, True, dark_x, False)
+                if r.outline.valid == 0:
+                    return r
+                r.edge = 3
+                x_b = r.outline.x
+                if begins_beside(scene, r.outline, p.face, wp.length(x_b - p.x)):
+                    return r
+        if r.edge == 0:
+            rim = border_of(scene, tables, hit.face, hit.u, hit.v)
+            if rim.near > 1.0 or rim.edge < 0:
+                return r
+            r.edge = 1
+            r.point = point_on_edge(scene, edges, rim.edge, point_on(scene.triangles[hit.face], hit.u, hit.v))
+            x_b = r.point.x
+        t1 = wp.length(x_b - p.x)
+        w = (x_b - p.x) / t1
         m = wp.cross(r.point.p1 - r.point.p0, w)
-        r.segment.x = r.point.x
+        if r.edge == 3:
+            m = r.outline.m
+        r.segment.x = x_b
         r.segment.w = w
         r.segment.boundary_normal = m
         r.segment.t1 = t1

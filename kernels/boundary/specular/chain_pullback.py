@@ -15,9 +15,10 @@ from warp_psdr.kernels.interaction import enter_frame, make_interaction
 from warp_psdr.kernels.interior.factors import make_material_sink
 from warp_psdr.kernels.interior.gradient_request import GradientRequest
 from warp_psdr.kernels.interior.pullback import make_frame_vjp
+from warp_psdr.kernels.primitive.dispatch import SLIDING, make_adjoint_sink, slides_on
 from warp_psdr.kernels.sensor.camera import CameraSample, make_camera_sink
 from warp_psdr.kernels.structs import Camera, Scene
-from warp_psdr.kernels.surface import VertexAdjoint, make_vertex_sink, normalize_vjp
+from warp_psdr.kernels.surface import VertexAdjoint, normalize_vjp
 from warp_psdr.kernels.vertex import PathConfig
 
 
@@ -46,10 +47,11 @@ def make_chain_pullback(config: PathConfig, wanted: GradientRequest, role: str):
     scatter, scatter_vjp = interaction.scatter, interaction.scatter_vjp
     frame_vjp = make_frame_vjp(config.tangent)
     accumulate_material = make_material_sink(config, wanted, role)
-    accumulate_vertex = make_vertex_sink(
-        role, config.smooth, config.flat, config.uv, config.tangent, wanted.texcoords, True
+    accumulate_vertex = make_adjoint_sink(
+        role, config.smooth, config.flat, config.uv, config.tangent, wanted.texcoords, True, config.primitives
     )
     accumulate_camera = make_camera_sink(role, config.camera) if wanted.camera else None
+    has_sliding = bool(set(SLIDING) & set(config.primitives))
 
     @wp.func
     def pull(
@@ -96,10 +98,26 @@ def make_chain_pullback(config: PathConfig, wanted: GradientRequest, role: str):
                     a_x = normalize_vjp(wi_world, wp.length(visit.o - surface.x), turned.wi)
                     adjoint.x = adjoint.x - a_x
                     before += a_x
+            by_ray = visit.attached == 1
+            tied = wp.bool(False)
+            if wp.static(has_sliding):
+                tied = not by_ray and slides_on(scene.triangles[visit.face])
             accumulated = accumulate_vertex(
-                scene, target, visit.face, visit.u, visit.v, adjoint, visit.attached == 1, visit.o, visit.d
+                scene, target, visit.face, visit.u, visit.v, adjoint, by_ray or tied, visit.o, visit.d
             )
             total += accumulated.dot
+            if wp.static(has_sliding):
+                if tied:
+                    # It slides along a ray that is tied to the surface of the vertex before (form S).
+                    start_of = visits[j - 1]
+                    of_surface = VertexAdjoint()
+                    of_surface.x = accumulated.o
+                    moved = accumulate_vertex(
+                        scene, target, start_of.face, start_of.u, start_of.v, of_surface, False, visit.o, visit.d
+                    )
+                    total += moved.dot
+                    accumulated.o = wp.vec3(0.0, 0.0, 0.0)
+                    accumulated.d = wp.vec3(0.0, 0.0, 0.0)
             a_o = before + accumulated.o
             a_d = accumulated.d
             more = wp.length_sq(a_o) + wp.length_sq(a_d) > 0.0

@@ -13,6 +13,7 @@ import warp as wp
 
 from warp_psdr.kernels.boundary.local_form import Edges
 from warp_psdr.kernels.boundary.specular.chain_edges import Crossing, make_edge_crossing, make_shadow_crossing
+from warp_psdr.kernels.boundary.specular.chain_outlines import make_one_sheet
 from warp_psdr.kernels.boundary.specular.chain_pullback import Visit
 from warp_psdr.kernels.boundary.specular.ray_differential import (
     RayDifferential,
@@ -31,6 +32,7 @@ from warp_psdr.kernels.boundary.specular.specular_chain import (
 from warp_psdr.kernels.boundary.specular.triangle_borders import Tables, joined, smooth_between
 from warp_psdr.kernels.constants import FAR, LOBE_NONE
 from warp_psdr.kernels.emitter.dispatch import is_delta_light
+from warp_psdr.kernels.primitive.dispatch import slides_on
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.surface import normalize_vjp
 from warp_psdr.kernels.vertex import PathConfig
@@ -74,6 +76,11 @@ def own_horizon(
         r.segment.v2 = hit.v
         r.segment.boundary_normal = block.n / wp.length(hit.x - block.x)
         r.a_o = -r.segment.boundary_normal
+        if slides_on(scene.triangles[hit.face]):
+            # It moves as what it is tied to, the vertex of the block (form S).
+            r.segment.face2 = face
+            r.edge = 0
+            r.a_o = wp.vec3(0.0, 0.0, 0.0)
     r.valid = 1
     return r
 
@@ -89,8 +96,9 @@ def make_crossing(config: PathConfig):
     start_at = make_start(config.camera)
     intersect_link = make_intersect_link(config)
     point_differential = make_point_differential(config.smooth, config.flat)
-    edge_crossing = make_edge_crossing(config.hidden)
+    edge_crossing = make_edge_crossing(config.hidden, config.primitives)
     shadow_crossing = make_shadow_crossing(config)
+    one_sheet = make_one_sheet(config.primitives)
 
     @wp.func
     def crossing(
@@ -120,6 +128,9 @@ def make_crossing(config: PathConfig):
         a = first_a
         b = first_b
         i = wp.int32(0)
+        begin = wp.int32(-1)
+        if block.film == 0:
+            begin = visits[count - 1].face
         more = wp.bool(True)
         while more:
             depth = block.depth + i
@@ -128,7 +139,7 @@ def make_crossing(config: PathConfig):
             q = intersect_link(scene, o_high, d_high, t_max, depth, on, max_depth)
             more = False
             if block.film == 0 and i == 0 and block.first == 1:
-                face = visits[count - 1].face
+                face = begin
                 if tables.interpolated[face] == 1 and (wp.dot(block.n, d) >= 0.0) != (wp.dot(block.n, d_high) >= 0.0):
                     if which == 0:
                         return own_horizon(scene, block, face, p, d, a, b, count - 1, -1)
@@ -138,13 +149,16 @@ def make_crossing(config: PathConfig):
             same = p.face >= 0 and q.face >= 0
             if same:
                 same = joined(scene, edges, tables, p, q)
+                if wp.static(one_sheet is not None):
+                    if same and p.face == q.face:
+                        same = one_sheet(scene, p, q) == 1
             if not same:
                 if block.film == 1 and i == 0:
                     return r
                 # Where something runs through a mirror, the curve is a discontinuity of the segment before.
                 if i > 0 and (at_once(scene, p, o) or at_once(scene, q, o_high)):
                     return r
-                return edge_crossing(scene, edges, tables, block, p, q, x, a, b, i, count, which)
+                return edge_crossing(scene, edges, tables, block, p, q, x, a, b, i, count, which, begin)
             is_interpolated = tables.interpolated[p.face] == 1 and tables.interpolated[q.face] == 1
             crease = is_interpolated and p.face != q.face
             if crease:
@@ -183,7 +197,7 @@ def make_crossing(config: PathConfig):
                 return r
             if p.kind == MEETS_SMOOTH and q.kind == MEETS_SMOOTH:
                 if crease and i > 0:
-                    return edge_crossing(scene, edges, tables, block, p, q, x, a, b, i, count, which)
+                    return edge_crossing(scene, edges, tables, block, p, q, x, a, b, i, count, which, begin)
                 if wp.static(shadow_crossing is not None):
                     if (i > 0 or block.first == 1) and depth + 1 < max_depth:
                         for k in range(scene.emitters.shape[0]):
@@ -194,7 +208,7 @@ def make_crossing(config: PathConfig):
                 if crosses and crease:
                     if i == 0 and block.film == 0:
                         return r
-                    return edge_crossing(scene, edges, tables, block, p, q, x, a, b, i, count, which)
+                    return edge_crossing(scene, edges, tables, block, p, q, x, a, b, i, count, which, begin)
                 a = scattered_differential(p, d, a, a_x)
                 b = scattered_differential(p, d, b, b_x)
                 if crosses:

@@ -6,8 +6,9 @@ import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.boundary.local_form import Edges
-from warp_psdr.kernels.boundary.path_space.secondary import make_segment_sink
+from warp_psdr.kernels.boundary.path_space.secondary import make_segment_sink, make_source_sink
 from warp_psdr.kernels.boundary.specular.chain_edges import Crossing
+from warp_psdr.kernels.boundary.specular.chain_outlines import make_outline_sink
 from warp_psdr.kernels.boundary.specular.chain_pullback import Visit, make_chain_pullback
 from warp_psdr.kernels.boundary.specular.discontinuity import make_crossing
 from warp_psdr.kernels.boundary.specular.ray_differential import RayDifferential, make_film_differential
@@ -25,11 +26,12 @@ from warp_psdr.kernels.interaction import enter_frame, make_interaction
 from warp_psdr.kernels.interior.gradient_request import GradientRequest
 from warp_psdr.kernels.invalid import count_invalid, vanishes
 from warp_psdr.kernels.notes import NOTE_EDGE, make_note
+from warp_psdr.kernels.primitive.dispatch import SLIDING, make_adjoint_sink
 from warp_psdr.kernels.rng import Sampler, branch_of
 from warp_psdr.kernels.sensor.camera import CameraSample
 from warp_psdr.kernels.sensor.projection import make_splat
 from warp_psdr.kernels.structs import Camera, Scene
-from warp_psdr.kernels.surface import VertexAdjoint, make_vertex_sink
+from warp_psdr.kernels.surface import VertexAdjoint
 from warp_psdr.kernels.vertex import PathConfig
 
 
@@ -58,8 +60,11 @@ def make_crossing_sink(config: PathConfig, wanted: GradientRequest, role: str, l
     follow_chain = make_follow_chain(config)
     crossing_at = make_crossing(config)
     pull = make_chain_pullback(config, wanted, role)
-    accumulate_segment = make_segment_sink(role, light_pose)
-    accumulate_vertex = make_vertex_sink(role, False, False, False, False, False, True)
+    accumulate_segment = make_segment_sink(role, light_pose, config.primitives)
+    accumulate_source = make_source_sink(role, light_pose, config.primitives)
+    has_sliding = bool(set(SLIDING) & set(config.primitives))
+    accumulate_outline = make_outline_sink(role, config.primitives)
+    accumulate_vertex = make_adjoint_sink(role, False, False, False, False, False, True, config.primitives)
     interaction = make_interaction(config)
     has_smooth = interaction.eval is not None
     splat, gather = make_splat()
@@ -173,6 +178,12 @@ def make_crossing_sink(config: PathConfig, wanted: GradientRequest, role: str, l
             )
             sides = 1 + r.both
             which += 1
+            if wp.static(has_sliding):
+                if block.film == 0 and r.edge != 2:
+                    # What a segment's other end is tied to.
+                    r.segment.face1 = visits[line.count - 1].face
+                    r.segment.u1 = visits[line.count - 1].u
+                    r.segment.v1 = visits[line.count - 1].v
             squared = r.phi_a * r.phi_a + r.phi_b * r.phi_b
             if r.valid == 1 and not (squared <= 0.0):
                 if r.edge == 1:
@@ -210,6 +221,15 @@ def make_crossing_sink(config: PathConfig, wanted: GradientRequest, role: str, l
                             )
                     if r.edge == 1:
                         speed += accumulate_segment(scene, target, edges, r.point, r.segment, w)
+                    if wp.static(bool(config.primitives)):
+                        if r.edge == 3:
+                            moved = w * r.segment.boundary_normal
+                            speed = accumulate_source(scene, target, r.segment, w, speed)
+                            speed += accumulate_outline(scene, target, r.outline, moved)
+                    if wp.static(has_sliding):
+                        if wp.length_sq(r.tied) > 0.0:
+                            y = visits[line.count - 1]
+                            speed += accumulate_point(scene, target, r.segment, y.face, y.u, y.v, w * r.tied)
                     if wp.static(role == "forward"):
                         splat(scene, sampler, camera, at_q, speed * value, image_out)
                     elif wp.static(role == "reverse"):

@@ -19,6 +19,7 @@ from warp_psdr.kernels.constants import (
 )
 from warp_psdr.kernels.fresnel import refracted_cosine
 from warp_psdr.kernels.interior.tangents import normalize_jvp
+from warp_psdr.kernels.primitive.affine import is_primitive
 from warp_psdr.kernels.reading import load_vec3
 from warp_psdr.kernels.sensor.camera import camera_direction, lens_direction, load_mat44, parallel_origin
 from warp_psdr.kernels.structs import Camera, Scene
@@ -82,7 +83,7 @@ def make_point_differential(smooth: bool, flat: bool):
         if wp.static(smooth):
             tri = scene.triangles[link.face]
             shape = scene.shapes[tri.shape]
-            if shape.smooth == 1 or wp.static(not flat):
+            if not is_primitive(tri) and (shape.smooth == 1 or wp.static(not flat)):
                 e1 = tri.p1 - tri.p0
                 e2 = tri.p2 - tri.p0
                 c = wp.cross(e1, e2)

@@ -16,11 +16,13 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.boundary.detector import make_following
+from warp_psdr.kernels.boundary.specular.chain_patches import make_patch
 from warp_psdr.kernels.bsdf.dispatch import has_null_lobes
 from warp_psdr.kernels.constants import FAR, LOBE_DELTA_REFLECTION, LOBE_DELTA_TRANSMISSION, LOBE_NULL, LOBE_SMOOTH
 from warp_psdr.kernels.emitter.dispatch import is_delta_light, make_delta_sample
 from warp_psdr.kernels.interaction import leave_frame, make_interaction
 from warp_psdr.kernels.invalid import vanishes
+from warp_psdr.kernels.primitive.affine import is_primitive_at
 from warp_psdr.kernels.rng import Sampler
 from warp_psdr.kernels.sensor.camera import CameraSample, make_camera_ray
 from warp_psdr.kernels.step import step_beside
@@ -249,6 +251,7 @@ def make_identity(config: PathConfig):
     start_at = make_start(config.camera)
     intersect_link = make_intersect_link(config)
     lit = make_lit(config)
+    patch = make_patch(config.primitives)
 
     @wp.func
     def identity(
@@ -276,6 +279,9 @@ def make_identity(config: PathConfig):
                 h = hash_combine(h, link.kind)
                 if link.face >= 0:
                     h = hash_combine(h, group[link.face])
+                    if wp.static(patch is not None):
+                        if is_primitive_at(scene, link.face):
+                            h = hash_combine(h, patch(scene, link.face, link.u, link.v, link.facing))
             if link.face >= 0:
                 if interpolated[link.face] == 1 and (block.first == 1 or i > 0):
                     h = hash_combine(h, link.facing)

@@ -5,6 +5,7 @@ import warp as wp
 from warp_psdr.kernels.boundary.local_form import EdgePoint, Edges
 from warp_psdr.kernels.boundary.specular.specular_chain import Link
 from warp_psdr.kernels.constants import FAR
+from warp_psdr.kernels.primitive.affine import is_primitive_at
 from warp_psdr.kernels.reading import load_vec3
 from warp_psdr.kernels.structs import Scene
 
@@ -27,7 +28,7 @@ class Tables:
 
 @wp.struct
 class TriangleBorder:
-    """The edge of a triangle that is nearest to a point of it."""
+    """The edge of a triangle that is nearest to a point of it; of a shape without triangles ``edge`` is -1."""
 
     edge: wp.int32
     distance: wp.float32  # world units
@@ -40,6 +41,8 @@ def border_of(scene: Scene, tables: Tables, face: wp.int32, u: wp.float32, v: wp
     r.edge = -1
     r.distance = FAR
     r.near = FAR
+    if is_primitive_at(scene, face):
+        return r
     tri = scene.triangles[face]
     area = wp.length(wp.cross(tri.p1 - tri.p0, tri.p2 - tri.p0))
     best = wp.float32(FAR)

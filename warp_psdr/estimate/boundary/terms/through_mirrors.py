@@ -31,4 +31,5 @@ TERM = BoundaryTerm(
     methods=(PathSpace, Projective),
     launch=launch,
     applies=applies,
+    exact=True,
 )

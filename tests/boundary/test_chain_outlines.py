@@ -1,0 +1,108 @@
+"""Where rays that are next to touching a shape without triangles touch it: on the ray, and across it."""
+
+import functools
+
+import numpy as np
+import pytest
+import warp as wp
+
+import warp_psdr as psdr
+from tests.networks import fitted, sphere
+from warp_psdr.kernels.boundary.specular.chain_outlines import make_outline
+from warp_psdr.kernels.boundary.specular.specular_chain import Link
+from warp_psdr.kernels.constants import FAR
+from warp_psdr.kernels.structs import Scene
+from warp_psdr.kernels.vertex import PathConfig
+from warp_psdr.kernels.visibility import visibility_of
+
+from .scenes import T, camera, sky
+from .test_sdfgrid import values
+from .test_sdfgrid_cubic import neck
+from .test_tubes import tube
+
+COUNT = 512
+SHIFT = T.translate([-0.5, -0.5, -0.5])
+SHAPES = {
+    "sphere": {"type": "sphere", "exact": True, "to_world": T.rotate([0, 1, 1], 35.0).scale([0.5, 0.3, 0.4])},
+    "disk": {"type": "disk", "exact": True, "to_world": T.rotate([1, 1, 0], 50.0).scale(0.4)},
+    "cylinder": {"type": "cylinder", "exact": True, "to_world": T.rotate([1, 0.4, 0], 25.0).scale([0.3, 0.4, 0.6])},
+    "grid": {"type": "sdfgrid", "grid": values(), "normals": "analytic", "to_world": SHIFT},
+    "cubic": {"type": "sdfgrid", "grid": neck(), "interpolation": "cubic", "to_world": SHIFT},
+    "network": {**fitted(sphere, (24, 24)).plugin(), "to_world": SHIFT},
+    "tube": {"type": "bsplinecurve", "control_points": tube("helix"), "to_world": T.translate([0, 0, -0.8])},
+    "cones": {"type": "linearcurve", "control_points": tube("helix"), "to_world": T.translate([0, 0, -0.8])},
+}
+#: Distance of the touched point from the ray: roundings of hits, and a tube's circle is that of the hit.
+ON_THE_RAY = {"tube": 2e-3, "cones": 2e-3}
+
+
+@functools.cache
+def outline_kernel(config: PathConfig):
+    outline_at = make_outline(config.primitives)
+    visibility = visibility_of(config)
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def outlines(
+        # In:
+        scene: Scene,
+        face: wp.int32,
+        origins: wp.array(dtype=wp.vec3),
+        inner: wp.array(dtype=wp.vec3),
+        outer: wp.array(dtype=wp.vec3),
+        # Out:
+        valid_out: wp.array(dtype=wp.int32),
+        x_out: wp.array(dtype=wp.vec3),
+        m_out: wp.array(dtype=wp.vec3),
+        d_out: wp.array(dtype=wp.vec3),
+    ):
+        i = wp.tid()
+        o = origins[i]
+        a = inner[i]
+        b = outer[i]
+        link = Link()
+        met = wp.int32(0)
+        for _k in range(24):
+            d = wp.normalize(0.5 * (a + b) - o)
+            hit = visibility.closest(scene, o, d, FAR)
+            if hit.face == face:
+                met = 1
+                a = 0.5 * (a + b)
+                link.face = hit.face
+                link.x = o + hit.t * d
+                link.u = hit.u
+                link.v = hit.v
+                d_out[i] = d
+            else:
+                b = 0.5 * (a + b)
+        if met == 1:
+            r = outline_at(scene, face, link, link, True, o, False)
+            valid_out[i] = wp.where(r.valid == 1, 1, -1)
+            x_out[i] = r.x
+            m_out[i] = wp.normalize(r.m)
+
+    return outlines
+
+
+@pytest.mark.parametrize(
+    "kind", [pytest.param(k, marks=[] if k in ("sphere", "grid", "tube") else pytest.mark.slow) for k in SHAPES]
+)
+def test_outlines_lie_on_the_rays_that_touch_them(kind: str) -> None:
+    scene = psdr.load_dict({"type": "scene", "sensor": camera(), "sky": sky(), "shape": SHAPES[kind]})
+    kernel = outline_kernel(psdr.plan(scene, integrator=psdr.PathIntegrator(max_depth=2)).config)
+    random = np.random.default_rng(3)
+    around = random.normal(size=(3, COUNT, 3))
+    o = 4.0 * around[0] / np.linalg.norm(around[0], axis=1, keepdims=True)
+    inner = 0.1 * around[1]
+    side = np.cross(o, around[2])
+    outer = 1.8 * side / np.linalg.norm(side, axis=1, keepdims=True)
+    arrays = [wp.array(np.float32(v), dtype=wp.vec3, device="cpu") for v in (o, inner, outer)]
+    out = [wp.zeros(COUNT, dtype=t, device="cpu") for t in (wp.int32, wp.vec3, wp.vec3, wp.vec3)]
+    wp.launch(kernel, COUNT, [scene.data(), scene.face_count, *arrays], out, device="cpu")
+    valid, x, m, d = (v.numpy() for v in out)
+    met = valid != 0
+    assert met.sum() > COUNT // 4
+    assert (valid[met] == 1).mean() > 0.98
+    good = valid == 1
+    beside = np.linalg.norm(np.cross(x[good] - np.float32(o)[good], d[good]), axis=1)
+    assert np.quantile(beside, 0.98) < ON_THE_RAY.get(kind, 1e-4)
+    assert np.quantile(np.abs((m[good] * d[good]).sum(axis=1)), 0.98) < 2e-3

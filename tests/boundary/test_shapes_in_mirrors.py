@@ -1,0 +1,76 @@
+"""Shapes without triangles that move in a flat mirror and behind a pane of glass, both of triangles."""
+
+import numpy as np
+import pytest
+
+from .measure import MODES, Case, assert_agrees, derivatives, differences, rows
+from .mirrors import GLASS, point, wall
+from .scenes import T, box, camera, diffuse, panel, register, sky
+from .test_exact_sphere import entry, radius
+from .test_sdfgrid import all_values
+
+TILES = {"type": "bitmap", "bitmap": np.random.default_rng(0).random((6, 6, 3)).astype(np.float32), "raw": True}
+PAPER = {"type": "diffuse", "reflectance": TILES}
+PAINT = {"type": "twosided", "bsdf": diffuse(0.3, 0.5, 0.7)}
+LEFT, MIDDLE, RIGHT = (-0.75, -0.3, 0.8), (0.0, 0.3, 0.5), (0.75, -0.2, 0.9)
+POSES = {
+    "sphere": T.translate(LEFT).rotate([0, 1, 1], 35.0).scale([0.4, 0.3, 0.35]),
+    "cylinder": T.translate(MIDDLE).rotate([1, 0.4, 0], 25.0).scale([0.25, 0.25, 0.55]),
+    "disk": T.translate(RIGHT).rotate([1, 1, 0], 50.0).scale(0.35),
+}
+
+
+def room(**shapes):
+    """Shapes over a papered floor, the mirror that shows them, and a pane before them."""
+    return {
+        "sensor": camera((0.3, -2.6, 1.2), (0.0, 1.2, 0.6), fov=45.0),
+        "mirror": wall(1.7),
+        "floor": {"type": "rectangle", "to_world": T.scale(3.0), "bsdf": PAPER},
+        "pane": box((0.1, -1.3, 0.95), (0.35, 0.05, 0.35), GLASS, 0.3),
+        "lamp": panel((0.5, -0.8, 2.4), 0.5, 3.0),
+        "light": point(3.0),
+        "sky": sky(0.3),
+        **shapes,
+    }
+
+
+def exact():
+    return {k: {"type": k, "exact": True, "to_world": pose, "bsdf": PAINT} for k, pose in POSES.items()}
+
+
+def behind(**shapes):
+    """Shapes behind the camera, which sees a mirror, or the sky: all that moves is seen in the mirror."""
+    floor = T.translate([0.0, -2.4, 0.0]).scale([2.0, 1.3, 1.0])
+    return {
+        "sensor": camera((0.0, -1.0, 1.2), (0.0, 1.2, 0.8), fov=45.0),
+        "mirror": wall(0.8, 1.2, 1.4),
+        "floor": {"type": "rectangle", "to_world": floor, "bsdf": PAPER},
+        "lamp": panel((0.3, -2.5, 2.2), 0.5, 6.0),
+        "sky": sky(0.3),
+        **shapes,
+    }
+
+
+register(
+    {
+        "exact shapes in a mirror": lambda: room(**exact()),
+        "sunk sphere in a mirror": lambda: behind(
+            ball={"type": "sphere", "exact": True, "to_world": T.translate([0, -2.2, 0.2]).scale(0.5), "bsdf": PAINT}
+        ),
+    }
+)
+EXACT = tuple(f"{kind}.to_world" for kind in POSES)
+X, Z = entry(0, 3), entry(2, 3)
+CASES = [
+    Case("exact shapes in a mirror", EXACT, X, 0.01, "x", 4, 4096, 16384),
+    Case("exact shapes in a mirror", EXACT, radius, 0.01, "size", 4, 4096, 16384),
+    Case("exact shapes in a mirror", "mirror.vertex_positions", all_values, 0.01, "the mirror moves", 4, 4096, 16384),
+    Case("sunk sphere in a mirror", "ball.to_world", Z, 0.01, "z", 4, 4096, 16384),
+]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("case", rows(CASES))
+def test_derivatives_equal_finite_differences(case: Case, mode: str) -> None:
+    assert_agrees(derivatives(case, mode), differences(case)[2])
