@@ -13,7 +13,7 @@ from warp_psdr.kernels.rng import Sampler, branch_of, sampler_at
 from warp_psdr.kernels.sensor.camera import CameraSample
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.vertex import PathConfig, PathState
-from warp_psdr.kernels.visibility import visibility_of
+from warp_psdr.kernels.visibility import visibility_of_meshes
 
 
 @wp.struct
@@ -78,11 +78,11 @@ def make_trace_together(config: PathConfig):
     """Return ``trace_together(scene, count, rows, rays, found)`` for up to ``rays_together`` rays of the camera.
 
     ``rays`` is the first row of their ``Ray``, of which those behind the ``count``-th are traced for nothing;
-    ``found`` that of their ``RayHit``. A few are traced one by one.
+    ``found`` that of their ``RayHit``. A few are traced one by one. They meet triangles alone.
     """
     width = config.ray_width
     closest_hits, _any_hits = make_bundle(width)
-    visibility = visibility_of(config)
+    visibility = visibility_of_meshes(config)
     get_ray, _put_ray = make_record(Ray, width)
     _get_hit, put_hit = make_record(RayHit, width)
 

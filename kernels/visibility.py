@@ -110,3 +110,8 @@ def make_visibility(backend: str, width: int, hidden: bool = False, primitives: 
 def visibility_of(config) -> Visibility:
     """Return the functions for a ``PathConfig``."""
     return make_visibility(config.ray_backend, config.ray_width, config.hidden, config.primitives)
+
+
+def visibility_of_meshes(config) -> Visibility:
+    """Return those that meet triangles alone."""
+    return make_visibility(config.ray_backend, config.ray_width, config.hidden)

@@ -39,7 +39,7 @@ def make_replay_kernel(config: PathConfig, wanted: GradientRequest, block: int, 
         blocks: the most blocks that a path can have; 1 compiles the replay out.
     """
     if blocks == 1 and side_by_side(config):
-        swept_together = wanted.geometry and is_diffuse(config.bsdfs)
+        swept_together = wanted.geometry and is_diffuse(config.bsdfs) and not config.primitives
         for make in (make_lane_sweep, make_sweep_of_each) if swept_together else (make_sweep_of_each,):
             paths = make_lane_paths(config, True, True, kept=block, whole=make is make_lane_sweep)
             end, sweep_all = make(config, wanted, paths)

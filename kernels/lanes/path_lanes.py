@@ -2,7 +2,7 @@
 
 Each part of a vertex is a loop over all lanes. What is rare (emitters that are hit, rays that leave the scene), what is
 looked up in tables, and rays through a tree of several levels are done lane by lane; the rest, which is most of the
-arithmetic, becomes SIMD. Lanes whose path has ended are computed along and never looked at. A path has the bits that it
+arithmetic, becomes SIMD. Shapes without triangles are met after those with (``primitive_lanes.py``). Lanes whose path has ended are computed along and never looked at. A path has the bits that it
 has alone.
 """
 
@@ -18,6 +18,7 @@ from warp_psdr.kernels.lanes.kept_lanes import make_kept_lanes
 from warp_psdr.kernels.lanes.lanes import ROWS, Rows, make_number, stack_rows, word_of
 from warp_psdr.kernels.lanes.light_lanes import make_light_lanes
 from warp_psdr.kernels.lanes.place_lanes import make_place_lanes
+from warp_psdr.kernels.lanes.primitive_lanes import make_primitive_lanes
 from warp_psdr.kernels.math import where3
 from warp_psdr.kernels.path import make_camera_starts, vertex_of
 from warp_psdr.kernels.rng import Sampler, make_sampler, sampler_at
@@ -31,7 +32,7 @@ from warp_psdr.kernels.scattering import (
 from warp_psdr.kernels.sensor.camera import CameraSample
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.vertex import PathConfig, PathState
-from warp_psdr.kernels.visibility import visibility_of
+from warp_psdr.kernels.visibility import visibility_of_meshes
 
 #: Rows of random numbers: for next-event estimation, for scattering.
 NUMBERS = 8
@@ -94,9 +95,9 @@ def side_by_side(config: PathConfig) -> bool:
     """Whether a scene's paths are traced so: on the CPU, unless what they meet is written down.
 
     Not where shadow rays pass surfaces: each meets as many as there are. Nor beside light paths, which leave the
-    camera's few surfaces. Nor in media, which paths collide in at random. Nor beside shapes without triangles.
+    camera's few surfaces. Nor in media, which paths collide in at random.
     """
-    if config.media is not None or config.primitives:
+    if config.media is not None:
         return False
     return config.ray_backend == "wide" and not (
         config.noted or config.through or config.delta_first or config.connections
@@ -117,7 +118,7 @@ def make_lane_paths(
     ``kept``: number of vertices that are kept of a path; none has more. ``whole``: their ``RecordedVertex``.
     """
     width = config.ray_width
-    visibility = visibility_of(config)
+    visibility = visibility_of_meshes(config)
     closest_of_each, any_of_each = make_each(width)
     trace_together = make_trace_together(config)
     view, start_in = make_camera_starts(config, filter_kind)
@@ -141,6 +142,9 @@ def make_lane_paths(
     hit_row, look_row, blocked_row = hits.first, looks.first, looks.first + word_of(ShadowQuery, "blocked")
     ray_row, alive_row = (states.first + word_of(PathState, name) for name in ("o", "alive"))
     store = make_kept_lanes(width, end, kept, whole, on_places, lights)
+    exact = None
+    if config.primitives:
+        exact = make_primitive_lanes(config, width, states, hits, lights.events if lights else None, looks)
 
     @wp.func
     def start(
@@ -198,7 +202,7 @@ def make_lane_paths(
 
     @wp.func
     def trace(scene: Scene, depth: wp.int32, rows: ROWS):
-        """Closest hits; the camera's rays have been traced."""
+        """Closest hits; the camera's rays have been traced, but among shapes without triangles."""
         if depth > 0:
             if scene.accel.below_root > 0:
                 closest_of_each(scene.accel, rows, ray_row, alive_row, hit_row)
@@ -209,6 +213,8 @@ def make_lane_paths(
                     if state.alive == 1:
                         hits.put(rows, j, visibility.closest(scene, state.o, state.d, state.t_max))
                     j += 1
+        if wp.static(exact is not None):
+            exact.meet(scene, depth, rows)
 
     @wp.func
     def scatter_all(scene: Scene, rr_depth: wp.int32, rows: ROWS):
@@ -249,6 +255,8 @@ def make_lane_paths(
                         shadow.blocked = 1
                         looks.put(rows, j, shadow)
                 j += 1
+        if wp.static(exact is not None):
+            exact.block(scene, rows)
 
     @wp.func
     def keep(depth: wp.int32, scattering: wp.bool, rows: ROWS):

@@ -14,10 +14,11 @@ from warp_psdr.kernels.interaction import make_interaction
 from warp_psdr.kernels.invalid import finite
 from warp_psdr.kernels.lanes.lanes import ROWS, Rows, make_fetch, stack_rows, word_of
 from warp_psdr.kernels.math import where3
+from warp_psdr.kernels.primitive.affine import is_primitive
 from warp_psdr.kernels.reading import shape_at
 from warp_psdr.kernels.scattering import EmissionHit, make_emission_hit, make_sky_hit
 from warp_psdr.kernels.structs import Scene, Triangle
-from warp_psdr.kernels.surface import Surface
+from warp_psdr.kernels.surface import Surface, make_surface_of
 from warp_psdr.kernels.vertex import PathConfig
 
 
@@ -31,6 +32,17 @@ class LaneHit:
     behind: wp.int32  # 1: it arrives at the back
     u: wp.float32
     v: wp.float32
+
+
+@wp.func
+def corner_of(tri: Triangle) -> Triangle:
+    """A record whose numbers of corners are such: those of shapes without triangles are others."""
+    r = tri
+    exact = is_primitive(tri)
+    r.i0 = wp.where(exact, 0, tri.i0)
+    r.i1 = wp.where(exact, 0, tri.i1)
+    r.i2 = wp.where(exact, 0, tri.i2)
+    return r
 
 
 class PlaceLanes(NamedTuple):
@@ -72,7 +84,8 @@ def make_place_lanes(config: PathConfig, width: int, first: int, states: Rows, h
     """
     emission_hit, sky_hit = make_emission_hit(config), make_sky_hit(config)
     interaction = make_interaction(config)
-    surface_of, looked_up_record, look_up, put_together = interaction.parts
+    surface_of_any, looked_up_record, look_up, put_together = interaction.parts
+    surface_of = make_surface_of(config.smooth, config.flat, config.uv, config.tangent)
     fetch_triangle = make_fetch(Triangle, width)
     tables = any(slot.table for slot in config.material)
     environment = any(kind in ENVIRONMENTS for kind in config.lights)
@@ -132,20 +145,41 @@ def make_place_lanes(config: PathConfig, width: int, first: int, states: Rows, h
                 j += 1
 
     @wp.func
+    def stand_on_primitives(scene: Scene, standing: wp.int32, rows: ROWS):
+        for j in range(standing):
+            choice = choices.get(rows, j)
+            tri = triangles.get(rows, j)
+            if choice.on == 1 and is_primitive(tri):
+                hit = hits.get(rows, j)
+                surface = surface_of_any(scene, tri, hit.u, hit.v)
+                surfaces.put(rows, j, surface)
+                choice.u = hit.u
+                choice.v = hit.v
+                choice.behind = wp.where(wp.dot(surface.n, -states.get(rows, j).d) < 0.0, 1, 0)
+                choices.put(rows, j, choice)
+
+    @wp.func
     def stand(scene: Scene, standing: wp.int32, rows: ROWS):
         j = wp.int32(0)
         while j < width:
             hit = hits.get(rows, j)
             choice = choices.get(rows, j)
-            u = wp.where(choice.on == 1, hit.u, 0.0)
-            v = wp.where(choice.on == 1, hit.v, 0.0)
-            surface = surface_of(scene, triangles.get(rows, j), u, v)
+            tri = triangles.get(rows, j)
+            on = choice.on == 1
+            if wp.static(bool(config.primitives)):
+                on = on and not is_primitive(tri)
+                tri = corner_of(tri)
+            u = wp.where(on, hit.u, 0.0)
+            v = wp.where(on, hit.v, 0.0)
+            surface = surface_of(scene, tri, u, v)
             surfaces.put(rows, j, surface)
             choice.u = u
             choice.v = v
             choice.behind = wp.where(wp.dot(surface.n, -states.get(rows, j).d) < 0.0, 1, 0)
             choices.put(rows, j, choice)
             j += 1
+        if wp.static(bool(config.primitives)):
+            stand_on_primitives(scene, standing, rows)
         looked = wp.int32(standing)
         if wp.static(tables):
             looked = wp.int32(width)  # what is computed for lanes without a vertex, too, reads a table that exists

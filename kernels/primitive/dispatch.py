@@ -252,12 +252,11 @@ def make_leaving(primitives: tuple[int, ...]):
 
     @wp.func
     def step_off_any(scene: Scene, tri: Triangle) -> wp.float32:
+        step = wp.where(is_primitive(tri), step_off_primitive(scene, tri), step_off_triangle(scene, tri))
         if wp.static(has_networks):
             if is_network(tri):
-                return step_off_network(scene, tri)
-        if is_primitive(tri):
-            return step_off_primitive(scene, tri)
-        return step_off_triangle(scene, tri)
+                step = step_off_network(scene, tri)
+        return step
 
     return step_off_any
 

@@ -125,7 +125,46 @@ def coats():
     }
 
 
+def exact_shapes():
+    """An exact ball, disk and tube on a floor, one of which shines and is hidden from the camera."""
+    base = sky_and_lamps()
+    lamp = {"type": "area", "radiance": scenes.rgb(2.0, 3.0, 1.0)}
+    texels = np.random.default_rng(5).random((4, 6, 3)).astype(np.float32)
+    wheel = psdr.Transform.look_at([-0.3, 0.5, 0.6], [0.0, 0.0, 0.0], [0.0, 1.0, 0.0]) @ psdr.Transform.scale(0.2)
+    return {
+        **{name: base[name] for name in ("type", "sensor", "floor", "lamp", "sky")},
+        "integrator": {"type": "path", "hide_emitters": True},
+        "ball": {
+            "type": "sphere",
+            "exact": True,
+            "center": [0.0, 0.0, 0.2],
+            "radius": 0.2,
+            "bsdf": {"type": "diffuse", "reflectance": {"type": "bitmap", "data": texels}},
+        },
+        "disk": {"type": "disk", "exact": True, "to_world": wheel, "emitter": lamp},
+        "tube": {"type": "cylinder", "exact": True, "p0": [0.5, 0.3, 0.1], "p1": [0.3, -0.4, 0.3], "radius": 0.1},
+    }
+
+
+def grid_and_curves():
+    """A grid, curves and an exact ball, without a mesh."""
+    at = np.linspace(-1.0, 1.0, 6, dtype=np.float32)
+    z, y, x = np.meshgrid(at, at, at, indexing="ij")
+    points = np.random.default_rng(6).uniform(-0.5, 0.5, (6, 4)).astype(np.float32)
+    points[:, 2:] = 0.3, 0.05
+    corner = psdr.Transform.translate([-0.4, -0.4, -0.2]) @ psdr.Transform.scale(0.8)
+    base = sky_and_lamps()
+    return {
+        **{name: base[name] for name in ("type", "sensor", "sky")},
+        "body": {"type": "sdfgrid", "grid": np.sqrt(x * x + y * y + z * z) - 0.7, "to_world": corner},
+        "hair": {"type": "bsplinecurve", "control_points": points},
+        "ball": {"type": "sphere", "exact": True, "center": [0.4, 0.4, 0.2], "radius": 0.2},
+    }
+
+
 SCENES = {
+    "exact ball, disk that shines hidden, tube": exact_shapes,
+    "grid, curve and ball, no mesh": grid_and_curves,
     "smooth coat, rough coat under a map of normals": coats,
     "image sky, lamp, metal, glass, mirror and coat": sky_map_and_models,
     "sky and two lamps": sky_and_lamps,
@@ -157,6 +196,7 @@ def cases():
     Each of them compiles four kernels, so they share out what is asked for.
     """
     quick = {
+        ("exact ball, disk that shines hidden, tube", "values", 3),
         ("smooth coat, rough coat under a map of normals", "values", 3),
         ("image sky, lamp, metal, glass, mirror and coat", "values", 3),
         ("sky and two lamps", "values", 3),

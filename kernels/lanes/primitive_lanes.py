@@ -1,0 +1,163 @@
+"""What paths side by side (``path_lanes.py``) meet of shapes without triangles, after those with.
+
+Each shape is met by the rays of all lanes. An affine one is the same for all of them, so that a loop over lanes becomes
+SIMD; rays through grids, networks and curves, whose steps no two of them share, are walked lane by lane. Shapes come in
+the order of ``dispatch.make_primitive_queries``, and each ray meets them by the same functions: hits have the same bits.
+"""
+
+from typing import NamedTuple
+
+import warp as wp
+
+from warp_psdr.kernels.lanes.lanes import ROWS, Rows
+from warp_psdr.kernels.primitive.affine import is_primitive_at, last_primitive, make_affine_hit
+from warp_psdr.kernels.primitive.dispatch import CURVES, SLIDING, make_hit
+from warp_psdr.kernels.primitive.kinds import KINDS, affine_kinds, join
+from warp_psdr.kernels.reading import shape_at, triangle_at
+from warp_psdr.kernels.structs import Scene, Triangle
+from warp_psdr.kernels.vertex import PathConfig
+
+
+class PrimitiveLanes(NamedTuple):
+    """What ``make_primitive_lanes`` makes.
+
+    Attributes:
+        meet: ``(scene, depth, rows)``: closest hits that are nearer than those found before.
+        block: ``(scene, rows)``: shadow rays that have met nothing; None without lights.
+    """
+
+    meet: wp.Function
+    block: wp.Function | None
+
+
+def make_primitive_lanes(
+    config: PathConfig, width: int, states: Rows, hits: Rows, events: Rows | None, looks: Rows
+) -> PrimitiveLanes:
+    """Make the functions.
+
+    Args:
+        config: as for ``make_path_step``; it has primitives.
+        width: number of lanes.
+        states: the paths' ``PathState``.
+        hits: what their rays have met, ``RayHit``.
+        events: next-event estimates, ``NextEvent``; None: there are no lights.
+        looks: their ``ShadowQuery``.
+    """
+    sliding = tuple(kind for kind in config.primitives if kind in SLIDING)
+    meeting = {kind: _make_meeting(kind, width, states, hits) for kind in affine_kinds(config.primitives)}
+    if sliding:
+        meeting |= {sliding[-1]: _make_sliding_meeting(sliding, width, states, hits)}
+    meet_kind = join(_either_loop, meeting)
+
+    @wp.func
+    def meet(scene: Scene, depth: wp.int32, rows: ROWS):
+        k = last_primitive(scene)
+        while is_primitive_at(scene, k):
+            tri = triangle_at(scene, k)
+            shown = wp.bool(True)
+            if wp.static(config.hidden):
+                shown = depth > 0 or shape_at(scene, tri.shape).emitter < 0
+            if shown:
+                meet_kind(scene, tri, k, rows)
+            k -= 1
+
+    if events is None:
+        return PrimitiveLanes(meet, None)
+    blocking = {kind: _make_blocking(kind, width, events, looks) for kind in affine_kinds(config.primitives)}
+    if sliding:
+        blocking |= {sliding[-1]: _make_sliding_blocking(sliding, width, events, looks)}
+    block_kind = join(_either_loop, blocking)
+
+    @wp.func
+    def block(scene: Scene, rows: ROWS):
+        k = last_primitive(scene)
+        while is_primitive_at(scene, k):
+            block_kind(scene, triangle_at(scene, k), k, rows)
+            k -= 1
+
+    return PrimitiveLanes(meet, block)
+
+
+def _either_loop(word: int, f: wp.Function, rest: wp.Function) -> wp.Function:
+    @wp.func
+    def loop_of_kind(scene: Scene, tri: Triangle, k: wp.int32, rows: ROWS):
+        if tri.i1 == word:
+            f(scene, tri, k, rows)
+        else:
+            rest(scene, tri, k, rows)
+
+    return loop_of_kind
+
+
+def _make_meeting(kind: int, width: int, states: Rows, hits: Rows) -> wp.Function:
+    hit_of = make_affine_hit(KINDS[kind])
+
+    @wp.func
+    def meet_affine(scene: Scene, tri: Triangle, k: wp.int32, rows: ROWS):
+        j = wp.int32(0)
+        while j < width:
+            state = states.get(rows, j)
+            hit = hits.get(rows, j)
+            found = hit_of(tri, state.o, state.d, hit.t)
+            closer = found.face >= 0
+            hit.t = wp.where(closer, found.t, hit.t)
+            hit.u = wp.where(closer, found.u, hit.u)
+            hit.v = wp.where(closer, found.v, hit.v)
+            hit.face = wp.where(closer, k, hit.face)
+            hits.put(rows, j, hit)
+            j += 1
+
+    return meet_affine
+
+
+def _make_sliding_meeting(kinds: tuple[int, ...], width: int, states: Rows, hits: Rows) -> wp.Function:
+    hit_of = make_hit(kinds)
+
+    @wp.func
+    def meet_sliding(scene: Scene, tri: Triangle, k: wp.int32, rows: ROWS):
+        j = wp.int32(0)
+        while j < width:
+            state = states.get(rows, j)
+            if state.alive == 1:
+                found = hit_of(scene, tri, state.o, state.d, hits.get(rows, j).t)
+                if found.face >= 0:
+                    found.face = k
+                    hits.put(rows, j, found)
+            j += 1
+
+    return meet_sliding
+
+
+def _make_blocking(kind: int, width: int, events: Rows, looks: Rows) -> wp.Function:
+    hit_of = make_affine_hit(KINDS[kind])
+
+    @wp.func
+    def block_affine(scene: Scene, tri: Triangle, k: wp.int32, rows: ROWS):
+        j = wp.int32(0)
+        while j < width:
+            event = events.get(rows, j)
+            shadow = looks.get(rows, j)
+            found = hit_of(tri, event.o, event.d, event.t_max)
+            shadow.blocked = wp.where(found.face >= 0, 1, shadow.blocked)
+            looks.put(rows, j, shadow)
+            j += 1
+
+    return block_affine
+
+
+def _make_sliding_blocking(kinds: tuple[int, ...], width: int, events: Rows, looks: Rows) -> wp.Function:
+    hit_of = make_hit(kinds, shadow=bool(set(CURVES) & set(kinds)))
+
+    @wp.func
+    def block_sliding(scene: Scene, tri: Triangle, k: wp.int32, rows: ROWS):
+        j = wp.int32(0)
+        while j < width:
+            shadow = looks.get(rows, j)
+            if shadow.traces_shadow_ray == 1 and shadow.blocked == 0:
+                event = events.get(rows, j)
+                if hit_of(scene, tri, event.o, event.d, event.t_max).face >= 0:
+                    shadow.blocked = 1
+                    looks.put(rows, j, shadow)
+            j += 1
+
+    return block_sliding
