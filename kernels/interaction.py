@@ -120,12 +120,14 @@ class InteractionParts(NamedTuple):
 
     Attributes:
         surface_of: ``(scene, tri, u, v) -> Surface``.
+        surface_of_triangle: the same, ``tri`` a triangle.
         looked_up: the struct of what ``look_up`` returns.
         look_up: ``(scene, surface, behind, face, u, v) -> looked_up``; ``behind``: the ray arrives at the back.
         put_together: ``(scene, tri, surface, found, d) -> record``.
     """
 
     surface_of: wp.Function
+    surface_of_triangle: wp.Function
     looked_up: type
     look_up: wp.Function
     put_together: wp.Function
@@ -214,7 +216,8 @@ def make_parts(config: PathConfig, record: type) -> InteractionParts:
         at.material = found.material
         return at
 
-    return InteractionParts(surface_of, looked_up, look_up, put_together)
+    of_triangle = make_surface_at(config.smooth, config.flat, config.uv, config.tangent, ())
+    return InteractionParts(surface_of, of_triangle, looked_up, look_up, put_together)
 
 
 @functools.cache
@@ -223,7 +226,7 @@ def make_interaction(config: PathConfig, selects: bool = False) -> Interactions:
     bsdf = make_bsdf(config.bsdfs, selects)
     record = make_interaction_record(bsdf.record)
     parts = make_parts(config, record)
-    surface_of, _looked_up, look_up, put_together = parts
+    surface_of, _of_triangle, _looked_up, look_up, put_together = parts
     emission = make_area(config.area, config.shining).emitted if config.area else None
 
     @wp.func

@@ -2,8 +2,8 @@
 
 Each part of a vertex is a loop over all lanes. What is rare (emitters that are hit, rays that leave the scene), what is
 looked up in tables, and rays through a tree of several levels are done lane by lane; the rest, which is most of the
-arithmetic, becomes SIMD. Shapes without triangles are met after those with (``primitive_lanes.py``). Lanes whose path has ended are computed along and never looked at. A path has the bits that it
-has alone.
+arithmetic, becomes SIMD. Shapes without triangles are met after those with (``primitive_lanes.py``). Lanes whose path
+has ended are computed along and never looked at. A path has the bits that it has alone.
 """
 
 import functools
@@ -141,10 +141,11 @@ def make_lane_paths(
         end = events.end
     hit_row, look_row, blocked_row = hits.first, looks.first, looks.first + word_of(ShadowQuery, "blocked")
     ray_row, alive_row = (states.first + word_of(PathState, name) for name in ("o", "alive"))
-    store = make_kept_lanes(width, end, kept, whole, on_places, lights)
     exact = None
     if config.primitives:
-        exact = make_primitive_lanes(config, width, states, hits, lights.events if lights else None, looks)
+        exact = make_primitive_lanes(config, width, end, states, hits, lights.events if lights else None, looks)
+        end = exact.end
+    store = make_kept_lanes(width, end, kept, whole, on_places, lights)
 
     @wp.func
     def start(

@@ -18,7 +18,7 @@ from warp_psdr.kernels.primitive.affine import is_primitive
 from warp_psdr.kernels.reading import shape_at
 from warp_psdr.kernels.scattering import EmissionHit, make_emission_hit, make_sky_hit
 from warp_psdr.kernels.structs import Scene, Triangle
-from warp_psdr.kernels.surface import Surface, make_surface_of
+from warp_psdr.kernels.surface import Surface
 from warp_psdr.kernels.vertex import PathConfig
 
 
@@ -84,8 +84,7 @@ def make_place_lanes(config: PathConfig, width: int, first: int, states: Rows, h
     """
     emission_hit, sky_hit = make_emission_hit(config), make_sky_hit(config)
     interaction = make_interaction(config)
-    surface_of_any, looked_up_record, look_up, put_together = interaction.parts
-    surface_of = make_surface_of(config.smooth, config.flat, config.uv, config.tangent)
+    surface_of_any, surface_of, looked_up_record, look_up, put_together = interaction.parts
     fetch_triangle = make_fetch(Triangle, width)
     tables = any(slot.table for slot in config.material)
     environment = any(kind in ENVIRONMENTS for kind in config.lights)

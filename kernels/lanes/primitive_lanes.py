@@ -1,14 +1,18 @@
 """What paths side by side (``path_lanes.py``) meet of shapes without triangles, after those with.
 
 Each shape is met by the rays of all lanes. An affine one is the same for all of them, so that a loop over lanes becomes
-SIMD; rays through grids, networks and curves, whose steps no two of them share, are walked lane by lane. Shapes come in
-the order of ``dispatch.make_primitive_queries``, and each ray meets them by the same functions: hits have the same bits.
+SIMD; tubes are met step by step (``curve_lanes.py``); rays through grids, networks and straight curves are walked lane
+by lane. Shapes come in the order of ``dispatch.make_primitive_queries``, and each ray meets them by the same functions:
+hits have the same bits.
 """
 
 from typing import NamedTuple
 
 import warp as wp
 
+from warp_psdr.kernels.bvh.wide import Ray
+from warp_psdr.kernels.constants import PRIMITIVE_BSPLINECURVE
+from warp_psdr.kernels.lanes.curve_lanes import CurveLanes, make_curve_lanes
 from warp_psdr.kernels.lanes.lanes import ROWS, Rows
 from warp_psdr.kernels.primitive.affine import is_primitive_at, last_primitive, make_affine_hit
 from warp_psdr.kernels.primitive.dispatch import CURVES, SLIDING, make_hit
@@ -24,27 +28,34 @@ class PrimitiveLanes(NamedTuple):
     Attributes:
         meet: ``(scene, depth, rows)``: closest hits that are nearer than those found before.
         block: ``(scene, rows)``: shadow rays that have met nothing; None without lights.
+        end: the first row that is free.
     """
 
     meet: wp.Function
     block: wp.Function | None
+    end: int
 
 
 def make_primitive_lanes(
-    config: PathConfig, width: int, states: Rows, hits: Rows, events: Rows | None, looks: Rows
+    config: PathConfig, width: int, first: int, states: Rows, hits: Rows, events: Rows | None, looks: Rows
 ) -> PrimitiveLanes:
     """Make the functions.
 
     Args:
         config: as for ``make_path_step``; it has primitives.
         width: number of lanes.
+        first: the first row that they may take.
         states: the paths' ``PathState``.
         hits: what their rays have met, ``RayHit``.
         events: next-event estimates, ``NextEvent``; None: there are no lights.
         looks: their ``ShadowQuery``.
     """
-    sliding = tuple(kind for kind in config.primitives if kind in SLIDING)
+    sliding = tuple(kind for kind in config.primitives if kind in SLIDING and kind != PRIMITIVE_BSPLINECURVE)
+    curves = make_curve_lanes(width, first) if PRIMITIVE_BSPLINECURVE in config.primitives else None
+    end = curves.end if curves else first
     meeting = {kind: _make_meeting(kind, width, states, hits) for kind in affine_kinds(config.primitives)}
+    if curves:
+        meeting[PRIMITIVE_BSPLINECURVE] = _make_curve_meeting(curves, width, states, hits)
     if sliding:
         meeting |= {sliding[-1]: _make_sliding_meeting(sliding, width, states, hits)}
     meet_kind = join(_either_loop, meeting)
@@ -62,8 +73,10 @@ def make_primitive_lanes(
             k -= 1
 
     if events is None:
-        return PrimitiveLanes(meet, None)
+        return PrimitiveLanes(meet, None, end)
     blocking = {kind: _make_blocking(kind, width, events, looks) for kind in affine_kinds(config.primitives)}
+    if curves:
+        blocking[PRIMITIVE_BSPLINECURVE] = _make_curve_blocking(curves, width, events, looks)
     if sliding:
         blocking |= {sliding[-1]: _make_sliding_blocking(sliding, width, events, looks)}
     block_kind = join(_either_loop, blocking)
@@ -75,7 +88,7 @@ def make_primitive_lanes(
             block_kind(scene, triangle_at(scene, k), k, rows)
             k -= 1
 
-    return PrimitiveLanes(meet, block)
+    return PrimitiveLanes(meet, block, end)
 
 
 def _either_loop(word: int, f: wp.Function, rest: wp.Function) -> wp.Function:
@@ -161,3 +174,51 @@ def _make_sliding_blocking(kinds: tuple[int, ...], width: int, events: Rows, loo
             j += 1
 
     return block_sliding
+
+
+def _make_curve_meeting(curves: CurveLanes, width: int, states: Rows, hits: Rows) -> wp.Function:
+    @wp.func
+    def meet_curves(scene: Scene, tri: Triangle, k: wp.int32, rows: ROWS):
+        j = wp.int32(0)
+        while j < width:
+            state = states.get(rows, j)
+            ray = Ray()
+            ray.o = state.o
+            ray.d = state.d
+            ray.t_max = hits.get(rows, j).t
+            curves.take(rows, j, ray, state.alive == 1)
+            j += 1
+        curves.closest(scene, tri, rows)
+        j = wp.int32(0)
+        while j < width:
+            found = curves.hit(scene, tri, rows, j)
+            if found.face >= 0:
+                found.face = k
+                hits.put(rows, j, found)
+            j += 1
+
+    return meet_curves
+
+
+def _make_curve_blocking(curves: CurveLanes, width: int, events: Rows, looks: Rows) -> wp.Function:
+    @wp.func
+    def block_by_curves(scene: Scene, tri: Triangle, k: wp.int32, rows: ROWS):
+        j = wp.int32(0)
+        while j < width:
+            event = events.get(rows, j)
+            shadow = looks.get(rows, j)
+            ray = Ray()
+            ray.o = event.o
+            ray.d = event.d
+            ray.t_max = event.t_max
+            curves.take(rows, j, ray, shadow.traces_shadow_ray == 1 and shadow.blocked == 0)
+            j += 1
+        curves.any(scene, tri, rows)
+        j = wp.int32(0)
+        while j < width:
+            shadow = looks.get(rows, j)
+            shadow.blocked = wp.where(curves.blocked(rows, j), 1, shadow.blocked)
+            looks.put(rows, j, shadow)
+            j += 1
+
+    return block_by_curves

@@ -19,6 +19,17 @@ import warp as wp
 
 from warp_psdr.kernels.bvh.wide import RayHit
 from warp_psdr.kernels.constants import PI, TWO_PI
+from warp_psdr.kernels.primitive.curves_search import (
+    FOUND,
+    SEARCHES,
+    Spline,
+    enter_cone,
+    place_on,
+    search_on,
+    search_tube,
+    slope_on,
+    xyz,
+)
 from warp_psdr.kernels.primitive.curves_walk import BATCH, PIECES_AHEAD, PieceTree, walks_packets
 from warp_psdr.kernels.primitive.sdfgrid import pack
 from warp_psdr.kernels.reading import load_float, load_vec3
@@ -29,21 +40,8 @@ from warp_psdr.kernels.structs import Scene, Triangle
 HEADER = 29
 #: Segments of one shape: as many as 20 bits tell apart.
 MOST_SEGMENTS = 1048576
-#: Rounds in which a ray is carried from cone to cone along a piece. They double the digits; a few suffice.
-ROUNDS = 12
-#: Slope above which a secant is not followed.
-LEAST_FALL = -0.2
-#: Change of the place along a segment, 1 for all of it, at which a round was the last one.
-CLOSE = 2.0e-5
-#: Distance along a segment from the circle to where the ray enters its cone, up to which the two are one: where the ray
-#: grazes, that distance jumps, and steps are small far from the tube as well.
-ON_CIRCLE = 1.0e-3
-#: How far behind the ends of a piece a hit still counts, so that nothing passes between two.
-OVERLAP = 1.0e-5
 #: By how much boxes grow, over the distance of the ray's origin from the coordinates' own: rounding.
 GROWTH = 4.0e-7
-#: Share of the square of a direction below which it runs along the axis.
-ALONG = 1.0e-7
 
 
 @wp.struct
@@ -55,16 +53,6 @@ class Curves:
     firsts: wp.int32  # flat offset of the segments' first control points
     segments: wp.int32
     pieces: wp.int32  # of each segment
-
-
-@wp.struct
-class Spline:
-    """c(v) = a0 + v (a1 + v (a2 + v a3)), (x, y, z, radius), of a segment; 0 <= v <= 1."""
-
-    a0: wp.vec4
-    a1: wp.vec4
-    a2: wp.vec4
-    a3: wp.vec4
 
 
 @wp.func
@@ -99,15 +87,27 @@ def piece_tree(scene: Scene, tri: Triangle) -> PieceTree:
 
 
 @wp.func
-def control_point(scene: Scene, g: Curves, i: wp.int32, origin: wp.vec3) -> wp.vec4:
-    """The i-th control point, relative to a place."""
+def point_in_world(scene: Scene, g: Curves, i: wp.int32) -> wp.vec4:
+    """The i-th control point."""
     at = g.points + 4 * i
     return wp.vec4(
-        load_float(scene.values, at) - origin[0],
-        load_float(scene.values, at + 1) - origin[1],
-        load_float(scene.values, at + 2) - origin[2],
+        load_float(scene.values, at),
+        load_float(scene.values, at + 1),
+        load_float(scene.values, at + 2),
         load_float(scene.values, at + 3),
     )
+
+
+@wp.func
+def from_place(p: wp.vec4, origin: wp.vec3) -> wp.vec4:
+    """A control point relative to a place."""
+    return wp.vec4(p[0] - origin[0], p[1] - origin[1], p[2] - origin[2], p[3])
+
+
+@wp.func
+def control_point(scene: Scene, g: Curves, i: wp.int32, origin: wp.vec3) -> wp.vec4:
+    """The i-th control point, relative to a place."""
+    return from_place(point_in_world(scene, g, i), origin)
 
 
 @wp.func
@@ -138,64 +138,16 @@ def spline_at(scene: Scene, g: Curves, segment: wp.int32, origin: wp.vec3) -> Sp
 
 
 @wp.func
-def place_on(s: Spline, v: wp.float32) -> wp.vec4:
-    return s.a0 + v * (s.a1 + v * (s.a2 + v * s.a3))
+def near_middle(p1: wp.vec4, p2: wp.vec4, d: wp.vec3) -> wp.float32:
+    """Distance along a ray from the origin to next to a segment, by its middle control points."""
+    return wp.dot(0.5 * xyz(p1 + p2), d)
 
 
 @wp.func
-def slope_on(s: Spline, v: wp.float32) -> wp.vec4:
-    return s.a1 + v * (2.0 * s.a2 + (3.0 * v) * s.a3)
-
-
-@wp.func
-def xyz(p: wp.vec4) -> wp.vec3:
-    return wp.vec3(p[0], p[1], p[2])
-
-
-@wp.func
-def entry(a: wp.float32, b: wp.float32, c: wp.float32, discriminant: wp.float32) -> wp.float32:
-    """The root of a t^2 + 2 b t + c at which it becomes negative."""
-    root = wp.sqrt(wp.max(discriminant, 0.0))
-    if b < 0.0:
-        return c / (root - b)
-    return -(b + root) / wp.where(a == 0.0, 1.0e-30, a)
-
-
-@wp.struct
-class Approach:
-    """Where a ray enters the cone that touches a tube along one of its circles."""
-
-    t: wp.float32
-    step: wp.float32  # along the segment, from the circle to the point
-    misses: wp.int32  # 1: the ray passes the cone, nearest at t
-
-
-@wp.func
-def enter_cone(q: wp.vec3, d: wp.vec3, c: wp.vec3, radius: wp.float32, slope: wp.float32) -> Approach:
-    """Enter |p - s c| = radius + slope s, s = p . c / |c|^2, with p = q + t d, |d| = 1."""
-    at = Approach()
-    inverse = 1.0 / wp.max(wp.dot(c, c), 1.0e-30)
-    s0 = wp.dot(q, c) * inverse
-    s1 = wp.dot(d, c) * inverse
-    across = d - s1 * c
-    beside = q - s0 * c
-    squared = wp.dot(across, across)
-    # From the point next to the axis on, so that thin tubes keep their digits.
-    t = wp.float32(0.0)
-    if squared > wp.static(ALONG):
-        t = -wp.dot(beside, across) / squared
-    beside += t * across
-    s0 += t * s1
-    r = radius + slope * s0
-    a = squared - s1 * s1 * slope * slope
-    b = wp.dot(beside, across) - s1 * slope * r
-    e = wp.dot(beside, beside) - r * r
-    discriminant = b * b - a * e
-    at.misses = wp.where(discriminant < 0.0, 1, 0)
-    more = entry(a, b, e, discriminant)
-    at.t = t + more
-    at.step = s0 + more * s1
-    return at
+def near_segment(scene: Scene, g: Curves, segment: wp.int32, o: wp.vec3, d: wp.vec3) -> wp.float32:
+    """The same of a ray from o: from there on, what is far away keeps its digits."""
+    i = first_point(scene, g, segment)
+    return near_middle(control_point(scene, g, i + 1, o), control_point(scene, g, i + 2, o), d)
 
 
 @wp.func
@@ -217,45 +169,6 @@ def passes(s: Spline, d: wp.vec3, low: wp.float32, size: wp.float32) -> wp.bool:
     near = wp.clamp(-wp.dot(p, q) / wp.max(wp.dot(q, q), 1.0e-30), 0.0, 1.0)
     p += near * q
     return wp.dot(p, p) > reach * reach
-
-
-@wp.func
-def enter_tube(
-    s: Spline, d: wp.vec3, start: wp.float32, low: wp.float32, high: wp.float32, least: wp.float32, most: wp.float32
-) -> wp.vec2:
-    """Where the ray t d, |d| = 1, enters the tube between two places along it, least < t < most: (t, v), or v = -1.
-
-    From a circle of the tube the ray is carried to the one at the height where it enters the cone that touches there.
-    """
-    v = wp.float32(start)
-    before = wp.float32(start)
-    step_before = wp.float32(0.0)
-    outside = wp.int32(0)
-    margin = 0.5 * (high - low)
-    for k in range(wp.static(ROUNDS)):
-        here = place_on(s, v)
-        slope = slope_on(s, v)
-        at = enter_cone(-xyz(here), d, xyz(slope), here[3], slope[3])
-        # Steps vanish where the ray enters the tube: that place is looked for by secants, as far as they fall.
-        fall = wp.float32(-1.0)
-        if k > 0 and v != before:
-            fall = wp.min((at.step - step_before) / (v - before), wp.static(LEAST_FALL))
-        before = v
-        step_before = at.step
-        step = at.step / -fall
-        if wp.abs(step) < wp.static(CLOSE) and wp.abs(at.step) < wp.static(ON_CIRCLE):
-            v += step
-            inside = v > low - wp.static(OVERLAP) and v < high + wp.static(OVERLAP)
-            if at.misses == 0 and inside and at.t > least and at.t < most and here[3] > 0.0:
-                return wp.vec2(at.t, wp.clamp(v, 0.0, 1.0))
-            return wp.vec2(0.0, -1.0)
-        v += wp.clamp(step, -margin, margin)
-        beyond = wp.where(v < low - margin or v > high + margin, 1, 0)
-        if beyond == 1 and outside == 1:
-            return wp.vec2(0.0, -1.0)
-        outside = beyond
-        v = wp.clamp(v, low - margin, high + margin)
-    return wp.vec2(0.0, -1.0)
 
 
 @wp.func
@@ -285,6 +198,13 @@ def hold(hit: RayHit, segment: wp.int32, along: wp.float32, turns: wp.float32) -
     held.u = bits[0]
     held.v = bits[1]
     return held
+
+
+@wp.func
+def hold_tube(hit: RayHit, segment: wp.int32, s: Spline, d: wp.vec3, t: wp.float32, v: wp.float32) -> RayHit:
+    """A hit on a tube, at t d."""
+    axis = wp.normalize(xyz(slope_on(s, v)))
+    return hold(hit, segment, v, angle_around(axis, t * d - xyz(place_on(s, v))))
 
 
 @wp.func
@@ -367,30 +287,20 @@ def make_curve_hit(cubic: bool, shadow: bool):
         met = hit
         if wp.static(cubic):
             segment = item / g.pieces
-            piece = item - segment * g.pieces
             size = 1.0 / wp.float32(g.pieces)
-            low = wp.float32(piece) * size
-            i = first_point(scene, g, segment)
-            # From next to the piece on, so that what is far away keeps its digits.
-            middle = 0.5 * xyz(control_point(scene, g, i + 1, o) + control_point(scene, g, i + 2, o))
-            near = wp.dot(middle, w)
+            low = wp.float32(item - segment * g.pieces) * size
+            near = near_segment(scene, g, segment, o, w)
             s = spline_at(scene, g, segment, o + near * w)
             if passes(s, w, low, size):
                 return met
-            most = hit.t * length - near
-            first = wp.where(wp.dot(xyz(slope_on(s, low + 0.5 * size)), w) >= 0.0, low, low + size)
-            found = enter_tube(s, w, first, low, low + size, -near, most)
-            if found[1] < 0.0:
-                found = enter_tube(s, w, 2.0 * low + size - first, low, low + size, -near, most)
-            if found[1] < 0.0:
-                found = enter_tube(s, w, low + 0.5 * size, low, low + size, -near, most)
-            if found[1] >= 0.0:
-                met.t = (near + found[0]) / length
+            search = search_tube(s, w, low, size, -near, hit.t * length - near)
+            while search.status == SEARCHES:
+                search = search_on(s, w, search)
+            if search.status == FOUND:
+                met.t = (near + search.t) / length
                 met.face = 0
                 if wp.static(not shadow):
-                    axis = wp.normalize(xyz(slope_on(s, found[1])))
-                    turns = angle_around(axis, found[0] * w - xyz(place_on(s, found[1])))
-                    met = hold(met, segment, found[1], turns)
+                    met = hold_tube(met, segment, s, w, search.t, search.v)
         else:
             i = first_point(scene, g, item)
             near = wp.dot(xyz(control_point(scene, g, i, o)), w)

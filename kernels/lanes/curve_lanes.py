@@ -1,0 +1,283 @@
+"""Rays of all lanes against tubes about B-splines (``primitive/curves.py``).
+
+Each lane takes the pieces that its ray comes by, one after the other. The piece's boxes are walked and its control
+points are fetched lane by lane; to test it, and to search for where the ray enters, round by round, is a loop over all
+lanes. Lanes that are done with their piece take the next one as soon as they are ``SHARE`` of those that are at work.
+Rays meet the same pieces in the same order as alone, by the same functions.
+"""
+
+from typing import NamedTuple
+
+import warp as wp
+
+from warp_psdr.kernels.bvh.wide import Ray, RayHit
+from warp_psdr.kernels.lanes.lanes import ROWS, stack_rows
+from warp_psdr.kernels.primitive.curves import (
+    Curves,
+    bspline,
+    curves_of,
+    first_point,
+    from_place,
+    hold_tube,
+    near_middle,
+    near_segment,
+    passes,
+    piece_tree,
+    point_in_world,
+    spline_at,
+)
+from warp_psdr.kernels.primitive.curves_search import FOUND, SEARCHES, Spline, TubeSearch, search_on, search_tube
+from warp_psdr.kernels.primitive.curves_walk import BATCH, PIECES_AHEAD, Pieces, PieceTree
+from warp_psdr.kernels.structs import Scene, Triangle
+
+#: The part of the lanes at work, 1 / SHARE, that has to wait for pieces until they are fetched (measured).
+SHARE = 4
+#: What a lane does.
+DONE = wp.constant(0)
+WAITS = wp.constant(1)
+TESTS = wp.constant(2)
+LOOKS = wp.constant(3)
+
+
+@wp.struct
+class TubeWalk:
+    """Where a lane is among the pieces that its ray comes by."""
+
+    does: wp.int32
+    item: wp.int32  # its piece, and where the ray enters its box
+    after: wp.float32
+    taken: wp.int32  # pieces of the batch
+    segment: wp.int32
+    low: wp.float32  # where the piece starts along the segment
+
+
+@wp.struct
+class TubeRay:
+    """A ray of unit direction."""
+
+    d: wp.vec3
+    length: wp.float32  # of the direction as it was
+
+
+@wp.struct
+class ControlPoints:
+    """Those of a segment in the world."""
+
+    p0: wp.vec4
+    p1: wp.vec4
+    p2: wp.vec4
+    p3: wp.vec4
+
+
+@wp.struct
+class TubeHit:
+    """The nearest entry so far."""
+
+    t: wp.float32  # in units of the direction's length
+    beyond: wp.float32  # distance from next to the segment
+    v: wp.float32
+    segment: wp.int32  # -1: there is none
+
+
+@wp.struct
+class Pending:
+    """Numbers of lanes."""
+
+    waiting: wp.int32
+    all: wp.int32  # not done
+
+
+@wp.func
+def where_search(condition: wp.bool, a: TubeSearch, b: TubeSearch) -> TubeSearch:
+    """``a`` if the condition holds, else ``b``, member by member."""
+    r = TubeSearch()
+    r.status = wp.where(condition, a.status, b.status)
+    r.start = wp.where(condition, a.start, b.start)
+    r.first = wp.where(condition, a.first, b.first)
+    r.low = wp.where(condition, a.low, b.low)
+    r.high = wp.where(condition, a.high, b.high)
+    r.least = wp.where(condition, a.least, b.least)
+    r.most = wp.where(condition, a.most, b.most)
+    r.v = wp.where(condition, a.v, b.v)
+    r.t = wp.where(condition, a.t, b.t)
+    r.before = wp.where(condition, a.before, b.before)
+    r.step_before = wp.where(condition, a.step_before, b.step_before)
+    r.rounds = wp.where(condition, a.rounds, b.rounds)
+    r.outside = wp.where(condition, a.outside, b.outside)
+    return r
+
+
+class CurveLanes(NamedTuple):
+    """What ``make_curve_lanes`` makes.
+
+    Attributes:
+        take: ``(rows, j, ray: Ray, wanted)`` gives lane j its ray; ``wanted``: it is traced.
+        closest: ``(scene, tri, rows)`` finds where the rays first enter tubes.
+        any: ``(scene, tri, rows)`` finds whether they do.
+        hit: ``(scene, tri, rows, j) -> RayHit`` of ``closest``; its ``face`` is 0, or -1 for a miss.
+        blocked: ``(rows, j) -> bool`` of ``any``.
+        end: the first row that is free.
+    """
+
+    take: wp.Function
+    closest: wp.Function
+    any: wp.Function
+    hit: wp.Function
+    blocked: wp.Function
+    end: int
+
+
+def make_curve_lanes(width: int, first: int) -> CurveLanes:
+    """Make the functions for ``width`` lanes; ``first`` is the first row that they may take."""
+    rays, units, batches, walks, controls, splines, searches, entries = stack_rows(
+        width, first, Ray, TubeRay, Pieces, TubeWalk, ControlPoints, Spline, TubeSearch, TubeHit
+    )
+
+    @wp.func
+    def take(rows: ROWS, j: wp.int32, ray: Ray, wanted: wp.bool):
+        rays.put(rows, j, ray)
+        unit = TubeRay()
+        unit.length = wp.length(ray.d)
+        unit.d = ray.d / unit.length
+        units.put(rows, j, unit)
+        walk = TubeWalk()
+        walk.does = wp.where(wanted, WAITS, DONE)
+        walk.after = -1.0
+        walk.taken = wp.static(BATCH)
+        walks.put(rows, j, walk)
+        entry = TubeHit()
+        entry.t = ray.t_max
+        entry.segment = -1
+        entries.put(rows, j, entry)
+
+    @wp.func
+    def fetch(scene: Scene, g: Curves, tree: PieceTree, rows: ROWS):
+        """The next piece of every lane that waits for one."""
+        size = 1.0 / wp.float32(g.pieces)
+        j = wp.int32(0)
+        while j < width:
+            walk = walks.get(rows, j)
+            if walk.does == WAITS:
+                t = entries.get(rows, j).t
+                batch = batches.get(rows, j)
+                if walk.taken == wp.static(BATCH):
+                    ray = rays.get(rows, j)
+                    batch = PIECES_AHEAD(tree, ray.o, ray.d, t, walk.after, walk.item)
+                    batches.put(rows, j, batch)
+                    walk.taken = 0
+                walk.does = DONE
+                if walk.taken < batch.count:
+                    enter = batch.enter[walk.taken]
+                    if enter <= t:
+                        walk.does = TESTS
+                        walk.after = enter
+                        walk.item = batch.items[walk.taken]
+                        walk.taken += 1
+                        walk.segment = walk.item / g.pieces
+                        walk.low = wp.float32(walk.item - walk.segment * g.pieces) * size
+                        i = first_point(scene, g, walk.segment)
+                        points = ControlPoints()
+                        points.p0 = point_in_world(scene, g, i)
+                        points.p1 = point_in_world(scene, g, i + 1)
+                        points.p2 = point_in_world(scene, g, i + 2)
+                        points.p3 = point_in_world(scene, g, i + 3)
+                        controls.put(rows, j, points)
+                walks.put(rows, j, walk)
+            j += 1
+
+    @wp.func
+    def prepare(g: Curves, rows: ROWS):
+        """Test the new pieces, and start searches."""
+        size = 1.0 / wp.float32(g.pieces)
+        j = wp.int32(0)
+        while j < width:
+            walk = walks.get(rows, j)
+            points = controls.get(rows, j)
+            o = rays.get(rows, j).o
+            unit = units.get(rows, j)
+            near = near_middle(from_place(points.p1, o), from_place(points.p2, o), unit.d)
+            place = o + near * unit.d
+            s = bspline(
+                from_place(points.p0, place),
+                from_place(points.p1, place),
+                from_place(points.p2, place),
+                from_place(points.p3, place),
+            )
+            splines.put(rows, j, s)
+            tests = walk.does == TESTS
+            started = search_tube(s, unit.d, walk.low, size, -near, entries.get(rows, j).t * unit.length - near)
+            searches.put(rows, j, where_search(tests, started, searches.get(rows, j)))
+            goes_on = wp.where(passes(s, unit.d, walk.low, size), WAITS, LOOKS)
+            walk.does = wp.where(tests, goes_on, walk.does)
+            walks.put(rows, j, walk)
+            j += 1
+
+    @wp.func
+    def look_on(after_hit: wp.int32, rows: ROWS) -> Pending:
+        """A round of every search."""
+        pending = Pending()
+        j = wp.int32(0)
+        while j < width:
+            walk = walks.get(rows, j)
+            unit = units.get(rows, j)
+            search = searches.get(rows, j)
+            looks = walk.does == LOOKS
+            on = search_on(splines.get(rows, j), unit.d, search)
+            searches.put(rows, j, where_search(looks, on, search))
+            found = looks and on.status == FOUND
+            entry = entries.get(rows, j)
+            # ``least`` is how far the ray's origin is from next to the segment.
+            entry.t = wp.where(found, (on.t - search.least) / unit.length, entry.t)
+            entry.beyond = wp.where(found, on.t, entry.beyond)
+            entry.v = wp.where(found, on.v, entry.v)
+            entry.segment = wp.where(found, walk.segment, entry.segment)
+            entries.put(rows, j, entry)
+            goes_on = wp.where(found, after_hit, wp.where(on.status == SEARCHES, LOOKS, WAITS))
+            walk.does = wp.where(looks, goes_on, walk.does)
+            walks.put(rows, j, walk)
+            pending.waiting += wp.where(walk.does == WAITS, 1, 0)
+            pending.all += wp.where(walk.does == DONE, 0, 1)
+            j += 1
+        return pending
+
+    @wp.func
+    def enter(scene: Scene, tri: Triangle, after_hit: wp.int32, rows: ROWS):
+        g = curves_of(scene, tri)
+        tree = piece_tree(scene, tri)
+        pending = Pending()
+        pending.waiting = width
+        pending.all = width
+        while pending.all > 0:
+            if wp.static(SHARE) * pending.waiting >= pending.all:
+                fetch(scene, g, tree, rows)
+                prepare(g, rows)
+            pending = look_on(after_hit, rows)
+
+    @wp.func
+    def closest(scene: Scene, tri: Triangle, rows: ROWS):
+        enter(scene, tri, WAITS, rows)
+
+    @wp.func
+    def any_of(scene: Scene, tri: Triangle, rows: ROWS):
+        enter(scene, tri, DONE, rows)
+
+    @wp.func
+    def hit(scene: Scene, tri: Triangle, rows: ROWS, j: wp.int32) -> RayHit:
+        entry = entries.get(rows, j)
+        r = RayHit()
+        r.t = entry.t
+        r.face = -1
+        if entry.segment >= 0:
+            g = curves_of(scene, tri)
+            o = rays.get(rows, j).o
+            d = units.get(rows, j).d
+            s = spline_at(scene, g, entry.segment, o + near_segment(scene, g, entry.segment, o, d) * d)
+            r.face = 0
+            r = hold_tube(r, entry.segment, s, d, entry.beyond, entry.v)
+        return r
+
+    @wp.func
+    def blocked(rows: ROWS, j: wp.int32) -> wp.bool:
+        return entries.get(rows, j).segment >= 0
+
+    return CurveLanes(take, closest, any_of, hit, blocked, entries.end)
