@@ -15,7 +15,7 @@ import warp as wp
 
 from warp_psdr.kernels.bsdf.dispatch import has_null_lobes
 from warp_psdr.kernels.bvh.wide import RayHit
-from warp_psdr.kernels.constants import FAR, LOBE_NONE, LOBE_NULL, LOBE_SMOOTH, PHASE_SGGX
+from warp_psdr.kernels.constants import FAR, LOBE_NONE, LOBE_NULL, LOBE_SMOOTH, PHASE_SGGX, PHASE_TABLE
 from warp_psdr.kernels.interaction import make_interaction
 from warp_psdr.kernels.invalid import count_invalid, finite, inverse_pdf, vanishes
 from warp_psdr.kernels.math import where3
@@ -31,7 +31,7 @@ from warp_psdr.kernels.phase.dispatch import make_phase
 from warp_psdr.kernels.phase.sggx import make_flake_length
 from warp_psdr.kernels.reading import triangle_at
 from warp_psdr.kernels.rng import Sampler, make_sampler
-from warp_psdr.kernels.sampling import mis_weight
+from warp_psdr.kernels.sampling import mis_weight, sphere_pdf, square_to_sphere
 from warp_psdr.kernels.scattering import (
     ROULETTE_MAX,
     ROULETTE_MIN,
@@ -46,7 +46,7 @@ from warp_psdr.kernels.scattering import (
     samples_lights,
     shadow_ray,
 )
-from warp_psdr.kernels.step import step_off_triangle
+from warp_psdr.kernels.step import LEAVE, step_off_triangle
 from warp_psdr.kernels.structs import Scene
 from warp_psdr.kernels.transmittance import transmittance_of
 from warp_psdr.kernels.vertex import PathConfig, PathState, PathVertex
@@ -56,6 +56,8 @@ from warp_psdr.kernels.visibility import visibility_of
 SLOTS_PER_STEP = 3
 #: Least cosine that the distance of collisions from a surface is divided by.
 GRAZING = 1.0e-4
+#: Share of directions that are drawn from the whole sphere where derivatives by tables, which may be zero, are.
+EVERYWHERE = 0.1
 #: Depth at which no path is ended by roulette.
 NEVER = 2147483647
 
@@ -68,6 +70,7 @@ class MediaState:
     medium: wp.int32  # that the ray is in, or NO_MEDIUM
     steps: wp.int32  # so far
     crossings: wp.int32  # surfaces passed without a change of direction so far
+    skip: wp.vec3  # from its origin, where it crossed an interface, to where the ray is cast
 
 
 @wp.struct
@@ -115,6 +118,16 @@ def collision_point(v: MediaVertex) -> wp.vec3:
     return v.surface.o + v.t * v.surface.d
 
 
+@wp.func
+def least_flight(o: wp.vec3, skip: wp.vec3, lead: wp.float32) -> wp.float32:
+    """Length of a flight behind an interface from which float32 tells its end from the interface.
+
+    ``lead`` is the length of ``skip``, which is normal to the interface, along the flight.
+    """
+    step = LEAVE * wp.max(wp.abs(o))
+    return wp.where(lead > 0.0, wp.min(step * wp.length(skip) / wp.max(lead, 1.0e-30), lead), 0.0)
+
+
 @functools.cache
 def make_collision(config: PathConfig, differential: bool):
     """Return ``collide(scene, sampler, state, vertex, u4, r4, max_depth, rr_depth) -> (MediaVertex, MediaState)``.
@@ -127,6 +140,14 @@ def make_collision(config: PathConfig, differential: bool):
     passage = make_media_passage(config, differential)
     has_lights = bool(config.area or config.lights)
     sample_light = make_light_sampler(config) if has_lights else None
+    # Where a table is zero its derivative is not, so directions are drawn there, too.
+    everywhere = differential and PHASE_TABLE in config.media.phases
+
+    @wp.func
+    def density_of(value: wp.float32) -> wp.float32:
+        if wp.static(everywhere):
+            return (1.0 - EVERYWHERE) * value + EVERYWHERE * sphere_pdf()
+        return value
 
     @wp.func
     def survival_of(throughput: wp.vec3, eta: wp.float32) -> wp.float32:
@@ -168,7 +189,7 @@ def make_collision(config: PathConfig, differential: bool):
                 if passed.blocked == 0:
                     weight = inverse_pdf(pdf_light)
                     if ls.delta == 0:
-                        weight *= mis_weight(pdf_light, passed.probability * f)
+                        weight *= mis_weight(pdf_light, passed.probability * density_of(f))
                     r.transmittance = transmittance_of(passed)
                     r.surface.direct = weight * f * wp.cw_mul(ls.radiance, r.transmittance)
                     r.surface.light = light
@@ -185,7 +206,11 @@ def make_collision(config: PathConfig, differential: bool):
                     count_invalid(scene, sampler)
         # ---- Scattering ----
         wo = phase.sample(scene, m, x, path.d, wp.vec2(r4[2], r4[3]))
-        pdf = phase.eval(scene, m, x, path.d, wo)
+        if wp.static(everywhere):
+            if r4[0] < EVERYWHERE:
+                wo = square_to_sphere(wp.vec2(r4[2], r4[3]))
+        value = phase.eval(scene, m, x, path.d, wo)
+        pdf = density_of(value)
         survival = survival_of(throughput, path.eta)
         late = path.depth + 1 >= rr_depth
         alive = not (late and r4[1] >= survival)
@@ -194,13 +219,16 @@ def make_collision(config: PathConfig, differential: bool):
         if alive:
             r.surface.lobe = LOBE_SMOOTH
             r.surface.inv_pdf = inv_q / pdf
-            r.surface.beta = wp.vec3(inv_q, inv_q, inv_q)
+            beta = inv_q
+            if wp.static(everywhere):
+                beta = inv_q * value / pdf
+            r.surface.beta = wp.vec3(beta, beta, beta)
             after.path.alive = 1
             after.path.depth = path.depth + 1
             after.path.o = x
             after.path.d = wo
             after.path.t_max = FAR
-            after.path.throughput = inv_q * throughput
+            after.path.throughput = beta * throughput
             after.path.pdf = pdf
             after.path.eta = path.eta
             after.medium = state.medium
@@ -266,7 +294,8 @@ def make_media_step(config: PathConfig, differential: bool, explores: bool = Fal
             after.medium = medium_towards(scene, at.shape, at.ng, path.d, path.d, state.medium)
             after.path.alive = 1
             after.path.depth = path.depth
-            after.path.o = at.o
+            after.path.o = at.x
+            after.skip = at.o - at.x
             after.path.d = path.d
             after.path.t_max = FAR
             after.path.throughput = path.throughput
@@ -288,7 +317,10 @@ def make_media_step(config: PathConfig, differential: bool, explores: bool = Fal
         slot = 1 + SLOTS_PER_STEP * state.steps
         u4 = wp.vec4(0.0, 0.0, 0.0, 0.0)
         path = state.path
-        hit = visibility.seen(scene, path.o, path.d, path.t_max, path.depth)
+        hit = visibility.seen(scene, path.o + state.skip, path.d, path.t_max, path.depth)
+        lead = wp.dot(state.skip, path.d)
+        if hit.face >= 0:
+            hit.t += lead
         scatters = max_depth < 0 or path.depth + 1 < max_depth
         # ---- Flight ----
         vertex = MediaVertex()
@@ -333,6 +365,8 @@ def make_media_step(config: PathConfig, differential: bool, explores: bool = Fal
                     f.t = wp.where(f.collides, wp.min(f.t / optical, end), length)
                 else:
                     f = flight(scene, m, length, end, hit.face < 0, u, state.steps, scatters)
+            if f.collides:
+                f.t = wp.max(f.t, wp.min(least_flight(path.o, state.skip, lead), end))
             vertex.passed = f.passed
             vertex.t = f.t
             vertex.inv_p = f.inv_p

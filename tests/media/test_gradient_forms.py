@@ -143,6 +143,51 @@ def test_a_furnace_by_albedo():
     assert_mean(found, 2.6667, "albedo", 5e-3)
 
 
+TABLE = np.array([0.0, 0.4, 0.0, 1.0, 0.0])
+
+
+@pytest.fixture(scope="module")
+def tabulated():
+    """A cube beside a lamp, under a sky, whose directions are drawn by a table; light scattered once."""
+    parts = {
+        "sensor": camera([0, 0, 5], [0, 0, 0], up=(0, 1, 0)),
+        "slab": cube({**medium(0.7, 0.9), "phase": {"type": "tabphase", "values": TABLE}}),
+        "lamp": square(3.0, 1.0, BLACK, flipped=True, emitter={"type": "area", "radiance": 5.0})
+        | {"to_world": psdr.Transform.translate([4, 0, 0]) @ psdr.Transform.rotate([0, 1, 0], -90.0)},
+        "sky": sky(0.2, 0.2, 0.2),
+    }
+    scene = psdr.load_dict(whole(**parts))
+    return scene, psdr.traverse(scene)
+
+
+def test_a_table_that_holds_zeros(tabulated):
+    """L is linear in f_p, so with the tents' integrals c and I = c . v: dL/dv_j = c_j (L of the tent j - L) / I."""
+    scene, params = tabulated
+    name = SLAB + "phase_function.values"
+
+    def image_of(values):
+        params[name] = values
+        params.update()
+        return [
+            psdr.render(scene, params, integrator=psdr.PathIntegrator(max_depth=2), spp=512, seed=50 + i).numpy().mean()
+            for i in range(BATCHES)
+        ]
+
+    tents = np.array([image_of(row) for row in np.eye(5)]).T
+    now = np.array(image_of(TABLE))[:, None]
+    params.requires_grad_only(name)
+    adjoint, found = np.full((4, 4, 3), 1.0 / 48.0, np.float32), []
+    for seed in range(BATCHES):
+        params.zero_grad()
+        integrator = psdr.PathIntegrator(max_depth=2)
+        psdr.render_backward(scene, params, adjoint, integrator=integrator, spp=1024, seed=seed)
+        found.append(params[name].grad.numpy().astype(np.float64))
+    c = np.array([0.25, 0.5, 0.5, 0.5, 0.25])
+    expected = c * (tents - now) / (c @ TABLE)
+    assert (np.abs(expected.mean(axis=0)[[0, 2, 4]]) > 1e-3).all()
+    assert_mean(np.array(found) - expected, 0.0, "values of a table", WIDTH)
+
+
 @pytest.mark.parametrize("name", ["floor.vertex_positions", "sensor.to_world", "sensor.x_fov", "bulb.position"])
 def test_what_moves_discontinuities_has_a_boundary_term(name):
     parts = scenes.milk()

@@ -15,7 +15,6 @@ from warp_psdr.options.guiding import Grid
 from warp_psdr.plan.motion import motion
 from warp_psdr.scene.bsdfs import model_of
 from warp_psdr.scene.layout import MEDIUM, NORMALS, POSITIONS, SHAPE_GRID, SHAPE_POSE
-from warp_psdr.scene.super_grid import PhaseTable
 from warp_psdr.topology.absent import absent_shapes
 from warp_psdr.topology.edges_there import edges_there, joined
 from warp_psdr.topology.interpolated_normals import interpolated_faces
@@ -166,26 +165,6 @@ def _stepped_grid(scene: Scene) -> str:
                 if g.filter == c.FILTER_NEAREST and g.width * g.height * g.first > 1:
                     return names[g.offset]
     return ""
-
-
-def refuse_zeros(scene: Scene, names: list[str]) -> None:
-    """Refuse derivatives by tables of phase functions that hold zeros, and by weights of blends of such tables.
-
-    No direction is drawn where a table is zero.
-
-    Raises:
-        ValueError: with what to do instead.
-    """
-    for table in scene.builder.media_followers:
-        if not isinstance(table, PhaseTable) or scene.view(table.parameter).numpy().all():
-            continue
-        for name in names:
-            blend = name.removesuffix("weight.value.value").removesuffix("weight.data")
-            if name == table.parameter or (blend != name and table.parameter.startswith(blend)):
-                raise ValueError(
-                    f"the derivative by {name} would lack the light that is scattered where {table.parameter} is 0; "
-                    "write a small value in place of each 0"
-                )
 
 
 def refuse_boundary(

@@ -112,7 +112,6 @@ def decide(
     lines += media.describe(scene, config, wanted)
     media.refuse(scene, config, method, wanted, names)
     transient.refuse(scene, config, integrator, method, wanted, names, sensor)
-    media.refuse_zeros(scene, names)
     refuse_own_shape(scene, sensor, names)
     if not names:
         lines.append(("derivatives", "none", "no parameter is requested"))

@@ -25,7 +25,7 @@ MOST_TESTS = 2_000_000
 TOUCHING = 1e-5
 #: Share of a grid's box by which an interface has to reach beyond it.
 BEYOND = 1e-3
-#: Optical thickness from which a medium is noted as opaque.
+#: Optical thickness from which a medium is noted: a slab in the sun is exact at 6e5, and 4 % too dark at 6e6.
 OPAQUE = 1e6
 
 
@@ -198,8 +198,9 @@ def _about_thickness(scene: SceneDescription, shapes: list[ShapeDescription]) ->
             size = float(np.linalg.norm(np.ptp(points.astype(np.float64), axis=0)))
             extents[id(m)] = m, max(size, extents[id(m)][1] if id(m) in extents else 0.0)
     return [
-        f"'{m.path}' has an optical thickness of {thickness:.1g}, so that light passes less than a millionth of it: a "
-        "surface costs less and looks alike; if that is not meant, lower 'sigma_t' or 'scale'"
+        f"'{m.path}' has an optical thickness of {thickness:.1g}: light gets hardly deeper than float32 tells places "
+        "apart, and what is scattered back may be too dark by some percent; lower 'sigma_t' or 'scale', or give the "
+        "shape a surface in place of a medium"
         for m, thickness in ((m, float(m.sigma_t.value.max()) * m.scale * size) for m, size in extents.values())
         if thickness >= OPAQUE
     ]
