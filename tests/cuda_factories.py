@@ -236,6 +236,10 @@ FACTORIES = {
         ("emission and microflakes", (GLOWING, media(GLOWING), "reverse", 4, 4), SLOW),
         ("ratio tracking", (GRIDS, media(GRIDS), "forward", 4, 4, True), SLOW),
     ],
+    "interior.media_textbook.make_media_textbook_kernel": [
+        ("reverse", (MEDIA, media(MEDIA), "reverse"), SLOW),
+        ("forward, grids", (GRIDS, media(GRIDS), "forward"), SLOW),
+    ],
     "interior.media_motion_replay.make_media_motion_kernel": [
         ("reverse", (MEDIA, moving_among_media(MEDIA), "reverse", 4, 4), SLOW),
         ("forward", (MEDIA, moving_among_media(MEDIA), "forward", 4, 4), SLOW),

@@ -12,6 +12,7 @@ from tests.path.helpers import assert_mean
 WIDTH = 1e-3
 FOG, SLAB = "sensor.medium.", "slab.interior_medium."
 BATCHES = 8
+REPLAY, TEXTBOOK = psdr.interior.Replay(), psdr.interior.Textbook()
 #: sigma_t, sigma_s, D, gamma, g; L and its derivatives by sigma_s, by sigma_t at fixed sigma_s, and by g
 #: (``docs/theory/media.md#closed-forms``).
 AIRLIGHT = [
@@ -21,7 +22,7 @@ AIRLIGHT = [
 ]
 
 
-def derivatives(scene, params, names, *, spp, depth, weight=1.0):
+def derivatives(scene, params, names, *, spp, depth, weight=1.0, method=REPLAY):
     """Return derivatives of the mean of the image, times a weight, by the names: (BATCHES, len(names)), summed."""
     params.requires_grad_only(*names)
     camera_record = scene.camera(0)
@@ -30,7 +31,7 @@ def derivatives(scene, params, names, *, spp, depth, weight=1.0):
     found = []
     for seed in range(BATCHES):
         params.zero_grad()
-        integrator = psdr.PathIntegrator(max_depth=depth)
+        integrator = psdr.PathIntegrator(max_depth=depth, interior=method)
         psdr.render_backward(scene, params, adjoint, integrator=integrator, spp=spp, seed=seed)
         found.append([params[name].grad.numpy().astype(np.float64).sum() for name in names])
     return np.array(found)
@@ -81,6 +82,39 @@ def test_density_and_albedo_of_zero(airlight):
     scene, params = place(airlight, 0.5, 0.0, 2.0, 30.0, 0.0)
     found = derivatives(scene, params, NAMES, spp=4096, depth=2)
     assert_mean(found, np.array([0.0, 0.0, 0.5 * 0.04119168, 0.0, 0.0]), "no albedo", WIDTH)
+
+
+def test_textbook_replay_loses_zeros(airlight):
+    """It has the derivatives of what scatters, and of empty space, or at an albedo of 0, none of in-scattering."""
+    sigma, sigma_s, distance, angle, g, _value, by_sigma_s, by_sigma_t, by_g = AIRLIGHT[2]
+    scene, params = place(airlight, sigma, sigma_s / sigma, distance, angle, g)
+    names, by_density = NAMES[:4], by_sigma_t + sigma_s / sigma * by_sigma_s
+    expected = np.array([by_density, sigma * by_density, sigma * by_sigma_s, by_g])
+    found = derivatives(scene, params, names, spp=4096, depth=2, method=TEXTBOOK)
+    assert_mean(found, expected, "textbook replay", WIDTH)
+    scene, params = place(airlight, 0.0, 0.8, 2.0, 30.0, 0.0)
+    assert not derivatives(scene, params, names[:1], spp=64, depth=2, method=TEXTBOOK).any()
+    with pytest.raises(ValueError, match=r"interior\.Textbook\(\) meets the vertices in the order of the path"):
+        derivatives(scene, params, ["light.position"], spp=1, depth=2, method=TEXTBOOK)
+
+
+@pytest.mark.slow
+def test_textbook_replay_estimates_what_replay_does():
+    """All steps of paths of smoke, glass of a rough surface, three lights; both modes."""
+    scene = psdr.load_dict(scenes.smoke())
+    params = psdr.traverse(scene)
+    medium = "cube.interior_medium."
+    params[medium + "sigma_t.data"] = params[medium + "sigma_t.data"].numpy() + 0.05
+    params.update()
+    names = [medium + "scale", medium + "albedo.value.value", "floor.bsdf.reflectance.value", "sky.radiance.value"]
+    one, two = (derivatives(scene, params, names, spp=16, depth=5, method=m) for m in (REPLAY, TEXTBOOK))
+    assert_mean(one - two, 0.0, "textbook replay", WIDTH)
+    assert (np.abs(one.mean(axis=0)) > 3.0 * one.std(axis=0)).all()
+    tangents = {name: np.ones(params[name].shape, np.float32) for name in names}
+    integrator = psdr.PathIntegrator(max_depth=5, interior=TEXTBOOK)
+    params.requires_grad_only(*names)
+    dimage = psdr.render_forward(scene, params, tangents=tangents, integrator=integrator, spp=16, seed=0).numpy()
+    np.testing.assert_allclose(dimage.mean(dtype=np.float64), two[0].sum(), rtol=1e-4)
 
 
 @pytest.fixture(scope="module")
@@ -202,7 +236,7 @@ def test_other_methods_are_refused():
     scene = psdr.load_dict(scenes.milk())
     params = psdr.traverse(scene)
     params.requires_grad("cube.interior_medium.sigma_t.value.value")
-    for method in (psdr.interior.Textbook(), psdr.interior.LightTracing()):
+    for method in (psdr.interior.Radiative(), psdr.interior.LightTracing()):
         with pytest.raises(ValueError, match=r"does not know participating media; use interior\.Replay\(\)"):
             psdr.render_backward(scene, params, np.ones((24, 24, 3)), integrator=psdr.PathIntegrator(interior=method))
     with pytest.raises(ValueError, match="does not know participating media"):

@@ -287,7 +287,8 @@ class Textbook(Method):
     """Path replay as [VSJ21] print it (``kernels/interior/textbook.py``), for comparison only.
 
     It keeps no vertices and divides by every factor, and therefore loses the derivative of factors that are exactly
-    zero. It refuses vertices that move in scenes with smooth mirrors or glass.
+    zero. It refuses vertices that move in scenes with smooth mirrors or glass, or with participating media
+    (``kernels/interior/media_textbook.py``), where it loses what a density or an albedo of zero would scatter.
     """
 
 

@@ -22,6 +22,7 @@ from warp_psdr.kernels.interior.film_antithetic import make_film_antithetic_kern
 from warp_psdr.kernels.interior.gradient_request import GradientRequest
 from warp_psdr.kernels.interior.media_replay import make_media_replay_kernel
 from warp_psdr.kernels.interior.media_sweep import explores_density
+from warp_psdr.kernels.interior.media_textbook import make_media_textbook_kernel
 from warp_psdr.kernels.interior.radiative import make_radiative_kernel
 from warp_psdr.kernels.interior.textbook import make_textbook_kernel
 from warp_psdr.kernels.transfer.radiative_transfer import make_transfer_kernel
@@ -128,6 +129,11 @@ def _make_bidirectional(config: PathConfig, wanted: GradientRequest, role: str, 
     if not config.connections:
         return make_replay(config, wanted, role, kept)
     return make_bidirectional_kernel(config, wanted, role, kept.block, kept.blocks)
+
+
+def _make_textbook(config: PathConfig, wanted: GradientRequest, role: str, _kept: Kept) -> wp.Kernel:
+    make = make_textbook_kernel if config.media is None else make_media_textbook_kernel
+    return make(config, wanted, role)
 
 
 def _make_ratio(config: PathConfig, wanted: GradientRequest, role: str, kept: Kept) -> wp.Kernel:
@@ -275,7 +281,7 @@ TABLE: dict[tuple[type[interior.Method], type[boundary.Method]], Row] = {
     (interior.Textbook, boundary.Method): Row(
         label="textbook replay",
         keep=_keep_textbook,
-        make=lambda config, wanted, role, _kept: make_textbook_kernel(config, wanted, role),
+        make=_make_textbook,
         refuse=refused_in_path_order("Textbook(), textbook replay,"),
     ),
     (interior.Radiative, boundary.Method): Row(

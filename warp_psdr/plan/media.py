@@ -83,8 +83,9 @@ def refuse(
     """
     if config.media is None:
         return
+    replays = (interior.Replay, interior.Textbook)
     known = (
-        interior.Replay,
+        *replays,
         interior.DifferentialRatioTracking,
         interior.RadiativeTransfer,
         interior.Resampled,
@@ -95,17 +96,17 @@ def refuse(
             f"interior.{type(method).__name__}() does not know participating media; use interior.Replay(), or leave "
             "them out"
         )
-    if c.PHASE_SGGX in config.media.phases and type(method) is not interior.Replay and names:
+    if c.PHASE_SGGX in config.media.phases and type(method) not in replays and names:
         raise ValueError(
             f"interior.{type(method).__name__}() does not know 'sggx', whose extinction varies with direction; use "
             "interior.Replay()"
         )
-    if c.PHASE_BLEND_GRID in config.media.phases and type(method) is not interior.Replay and names:
+    if c.PHASE_BLEND_GRID in config.media.phases and type(method) not in replays and names:
         raise ValueError(
             f"interior.{type(method).__name__}() does not know a 'blendphase' whose weight is a grid; use "
             "interior.Replay(), or give it one weight"
         )
-    if config.media.emissive and type(method) is not interior.Replay and names:
+    if config.media.emissive and type(method) not in replays and names:
         raise ValueError(
             f"interior.{type(method).__name__}() does not know media that emit light; use interior.Replay(), or leave "
             "'emission' out"
@@ -125,6 +126,11 @@ def moves(wanted: GradientRequest) -> bool:
 
 def _beside_motion(scene: Scene, config: PathConfig, method: interior.Method, wanted: GradientRequest) -> str:
     """Say what of a scene with media has no derivative by what moves; empty: all has."""
+    if type(method) is interior.Textbook:
+        return (
+            "interior.Textbook() meets the vertices in the order of the path, while those in media ride on what lies "
+            "behind them; use interior.Replay()"
+        )
     if type(method) not in (interior.Replay, interior.RadiativeTransfer):
         return f"interior.{type(method).__name__}() does not follow that through media; use interior.Replay()"
     assert config.media is not None
