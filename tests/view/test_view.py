@@ -18,15 +18,20 @@ from warp_psdr.scene.description import (
     BsdfDescription,
     EmitterDescription,
     FilmDescription,
+    MediumDescription,
+    PhaseDescription,
     SceneDescription,
     SensorDescription,
     ShapeDescription,
     TextureDescription,
+    VolumeDescription,
 )
 from warp_psdr.view import panels, vtk_window
 from warp_psdr.view.viewer import view
 
 SIZE = (400, 300)
+#: A constant, and what moves the corner of a box to (-1, -1, -1).
+ONE, CORNER = np.ones(1, np.float32), np.array([[0, 0, 0, 1], [0, 0, 0, 1], [0, 0, 0, 1], [0, 0, 0, 0]], np.float32)
 QUAD = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
 SQUARE_UV = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)
 
@@ -162,6 +167,16 @@ def test_an_orthographic_camera_has_no_perspective(draw, window) -> None:
     assert columns.mean() + 0.5 == pytest.approx(0.5 * window[0] + 1.2 * pixels, abs=1.0)
     assert rows.mean() + 0.5 == pytest.approx(0.5 * window[1] - 0.6 * pixels, abs=1.0)
     assert np.ptp(rows) + 1 == pytest.approx(0.2 * pixels, abs=2.0)
+
+
+def test_media_are_shown_on_what_bounds_them_and_voxels_on_planes(draw) -> None:
+    phase, albedo = PhaseDescription("m.phase_function", "isotropic"), VolumeDescription("m.albedo.value.value", ONE)
+    for volume, pose in ((ONE, None), (np.ones((2, 2, 2, 1), np.float32), np.diag([2.0, 2.0, 2.0, 1.0]) - CORNER)):
+        sigma_t = VolumeDescription("m.sigma_t.data", volume, pose)
+        bounded = ball(interior=MediumDescription("m", sigma_t, albedo, 1.0, phase, pose is not None))
+        for sign, colour in ((1.0, red), (-1.0, blue)):
+            image = draw(scene_of(bounded), fields={"m.sigma_t.data": sign * volume})
+            assert colour(middle(image)).mean() > 0.8
 
 
 def test_materials_are_shown_in_their_colours(draw) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -30,13 +31,17 @@ from warp_psdr.estimate.passes import (
     splats,
     splatted,
 )
+from warp_psdr.kernels.medium.coefficients import SCALE, SIGMA_T
 from warp_psdr.kernels.rng import mix_seed
-from warp_psdr.options.integrator import Integrator
+from warp_psdr.options.integrator import Integrator, PathIntegrator
+from warp_psdr.options.interior import Replay, Textbook
+from warp_psdr.plan.choice import named
 from warp_psdr.plan.integrator import integrator_of
 from warp_psdr.plan.light import refuse_connected
 from warp_psdr.plan.motion import motion
 from warp_psdr.plan.plan import Plan, decide
 from warp_psdr.plan.transient import require_steady
+from warp_psdr.scene.layout import MEDIUM
 from warp_psdr.topology import contacts
 
 if TYPE_CHECKING:
@@ -45,6 +50,9 @@ if TYPE_CHECKING:
 
 #: Stream of the indirect boundary, beside those of the terms (``estimate/boundary/terms``).
 STREAM_INDIRECT = 0x696E6469
+#: Stream of derivatives by the density of media, and the uses of their parameters.
+STREAM_DENSITY = 0x64656E73
+DENSITY = {MEDIUM + SIGMA_T, MEDIUM + SCALE}
 #: What asks for a quantity, for errors.
 BUDGETS = "psdr.accuracy, as target_error and time_budget,"
 #: Name of the components of an image.
@@ -179,10 +187,10 @@ def derivative(
         light.light_forward(scene, plan, sensor, spp, seed, target, out)
         return out.numpy().astype(np.float64).reshape(-1)
 
-    def over_pixels(spp: int, seed: int, tiling: Tiling) -> np.ndarray:
+    def over_pixels(own: Plan, spp: int, seed: int, tiling: Tiling) -> np.ndarray:
         out = wp.zeros(shape, dtype=wp.vec3, device=scene.device)
-        for pixels, count, weight in tiling.launches(spp, seed, scene.device) if plan.seen_wanted is not None else ():
-            interior_forward(scene, plan, sensor, count, seed, target, out, pixels=pixels, weight=weight)
+        for pixels, count, weight in tiling.launches(spp, seed, scene.device) if own.seen_wanted is not None else ():
+            interior_forward(scene, own, sensor, count, seed, target, out, pixels=pixels, weight=weight)
         return out.numpy().astype(np.float64).reshape(-1)
 
     def boundary(request: Callable[[int, int], list], spp: int, seed: int) -> np.ndarray:
@@ -191,9 +199,10 @@ def derivative(
         return out.numpy().astype(np.float64).reshape(-1)
 
     blocks = {IMAGE: slice(0, 3 * shape[0] * shape[1])}
-    found = Quantity(scene, plan, "forward", sensor, (), blocks, over_pixels)
+    (title, first), *beside = _interior_parts(scene, plan, integrator, sensor, list(tangents))
+    found = Quantity(scene, plan, "forward", sensor, (), blocks, partial(over_pixels, first))
     more = _light_parts(plan, light_batch) + _boundary_parts(found, list(tangents), boundary)
-    return _with(found, "interior", more)
+    return _with(found, title, _beside(found, over_pixels, beside) + more)
 
 
 def gradient(scene: Scene, params: Parameters, adjoint, *, integrator: Integrator | None, sensor: int) -> Quantity:
@@ -221,10 +230,10 @@ def gradient(scene: Scene, params: Parameters, adjoint, *, integrator: Integrato
         light.light_backward(scene, plan, sensor, spp, seed, array, sums)
         return collected(sums)
 
-    def over_pixels(spp: int, seed: int, tiling: Tiling) -> np.ndarray:
+    def over_pixels(own: Plan, spp: int, seed: int, tiling: Tiling) -> np.ndarray:
         sums = GradientSums(scene, names)
-        for pixels, count, weight in tiling.launches(spp, seed, scene.device) if plan.seen_wanted is not None else ():
-            interior_backward(scene, plan, sensor, count, seed, array, sums, pixels=pixels, weight=weight)
+        for pixels, count, weight in tiling.launches(spp, seed, scene.device) if own.seen_wanted is not None else ():
+            interior_backward(scene, own, sensor, count, seed, array, sums, pixels=pixels, weight=weight)
         return collected(sums)
 
     def boundary(request: Callable[[int, int], list], spp: int, seed: int) -> np.ndarray:
@@ -232,8 +241,40 @@ def gradient(scene: Scene, params: Parameters, adjoint, *, integrator: Integrato
         launch_backward(scene, request(spp, seed), array, sums)
         return collected(sums)
 
-    found = Quantity(scene, plan, "reverse", sensor, (), blocks, over_pixels, adjoint=array.numpy())
-    return _with(found, "interior", _light_parts(plan, light_batch) + _boundary_parts(found, names, boundary))
+    (title, first), *beside = _interior_parts(scene, plan, integrator, sensor, names)
+    found = Quantity(scene, plan, "reverse", sensor, (), blocks, partial(over_pixels, first), adjoint=array.numpy())
+    more = _light_parts(plan, light_batch) + _boundary_parts(found, names, boundary)
+    return _with(found, title, _beside(found, over_pixels, beside) + more)
+
+
+def _interior_parts(
+    scene: Scene, plan: Plan, integrator: PathIntegrator, sensor: int, names: list[str]
+) -> list[tuple[str, Plan]]:
+    """Return the names and plans of the terms over pixels: derivatives by densities of media are one of their own.
+
+    They need paths that collide where nothing is, and vary as nothing else does.
+    """
+    density = [name for name in names if scene.parameters[name].uses & DENSITY]
+    rest = [name for name in names if name not in density]
+    if not density:
+        return [("interior", plan)]
+    if not rest:
+        return [("interior density", plan)]
+    if not isinstance(named(integrator), Replay | Textbook):
+        return [("interior", plan)]
+    alone = replace(integrator, boundary=None)
+    plans = [decide(scene, integrator=alone, sensor=sensor, names=part) for part in (rest, density)]
+    return list(zip(("interior", "interior density"), plans, strict=True))
+
+
+def _beside(quantity: Quantity, run: Callable[..., np.ndarray], plans: list[tuple[str, Plan]]) -> tuple[Part, ...]:
+    """Return further terms over pixels, with samples spread evenly over those that count."""
+    even = uniform(quantity)
+
+    def part(title: str, own: Plan) -> Part:
+        return Part(title, lambda spp, seed: run(own, spp, mix_seed(seed, STREAM_DENSITY), even))
+
+    return tuple(part(title, own) for title, own in plans)
 
 
 def _light_parts(plan: Plan, run: Callable[[int, int], np.ndarray]) -> tuple[Part, ...]:

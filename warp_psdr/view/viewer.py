@@ -30,6 +30,7 @@ from warp_psdr.scene.description import SceneDescription, SensorDescription, Sha
 from warp_psdr.view.fields import Arrows, Field, arrows, environment_field, mesh_field, texture_field, vertex_normals
 from warp_psdr.view.panels import arrangement, draw_labels
 from warp_psdr.view.tubes import tube_field, tube_mesh
+from warp_psdr.view.volume_fields import volume_field, volumes_of
 from warp_psdr.view.vtk_window import open_plotter
 
 _BACKGROUND = (0.86, 0.87, 0.88)  # not white, which means zero
@@ -70,9 +71,10 @@ def view(
 
     Positions and normals are drawn as arrows (the direction in which the value grows) and as the component along the
     vertex normal, control points of curves on their tubes; textures through their texture coordinates; attributes,
-    constants and the two texture coordinates as colours; environment maps on a sphere around the scene, seen from
-    outside in two panels, towards and against the camera's direction. Parameters of one kind, such as the positions of
-    all shapes, share a panel and a scale.
+    constants and the two texture coordinates as colours; coefficients of media on the shapes that bound them, voxels as
+    their sums along each axis, on planes through the middle of their box; environment maps on a sphere around the
+    scene, seen from outside in two panels, towards and against the camera's direction. Parameters of one kind, such as
+    the positions of all shapes, share a panel and a scale.
 
     Args:
         scene: A scene, or its ``SceneDescription``.
@@ -245,6 +247,21 @@ def _panels(
                 else:
                     add(name, shape.path, texture_field(vertices, shape.faces, shape.texcoords, data,
                         to_uv=texture.to_uv, wrap=texture.wrap, reduce=reduce))  # fmt: skip
+        for volume in volumes_of(shape):
+            name = volume.parameter
+            drawable.add(name)
+            if name in arrays:
+                data = _reshaped(name, arrays[name], volume.value.shape)
+                if volume.value.ndim == 4:
+                    pose = f"{name.removesuffix('.data')}.to_world"
+                    add(
+                        name,
+                        shape.path,
+                        volume_field(volume, data, _value(values, pose, volume.to_world), reduce=reduce),
+                    )
+                else:
+                    data = np.broadcast_to(data.reshape(1, -1), (len(shape.faces), data.size))
+                    add(name, shape.path, mesh_field(vertices, shape.faces, data, on="face", reduce=reduce))
     for emitter in description.emitters:
         if emitter.kind not in ("constant", "envmap"):
             continue
