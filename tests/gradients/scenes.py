@@ -386,8 +386,8 @@ SCENES = {
 }
 
 
-#: Scenes that are noted: a sun without a disk.
-NOTED = ("sunny",)
+#: Scenes that are noted: a sun without a disk, a grid that ends inside of its interface.
+NOTED = ("sunny", "smoky slab")
 
 
 @functools.cache
