@@ -10,6 +10,7 @@ import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.boundary.coincident import make_screened
+from warp_psdr.kernels.boundary.forwards import make_hidden
 from warp_psdr.kernels.boundary.local_form import (
     EdgePoint,
     Edges,
@@ -87,6 +88,7 @@ def make_film_edge(config: PathConfig, role: str, camera_moves: bool):
     radiance on the side that m points away from less that on the other.
     """
     visibility = visibility_of(config)
+    hidden = make_hidden(config)
     screened = make_screened(config)
     line = make_line(config)[0] if config.media is not None else None
     accumulate_edge = make_edge_sink(role)
@@ -128,15 +130,15 @@ def make_film_edge(config: PathConfig, role: str, camera_moves: bool):
         r.step = edge_step(scene, edges, point.edge)
         # Is the edge visible? Seen from just outside of a silhouette, or straight on.
         start = point.x - (r.step * r.side) * r.m - edge_behind(scene, r.step) * r.d
-        back = at.origin - start
-        length = wp.length(back)
         if wp.static(config.media is not None):
+            back = at.origin - start
+            length = wp.length(back)
             ray = -back / length
             seen = line(scene, sampler, -1, at.origin + at.near * ray, ray, length - at.near, camera.medium, 0)
             if length > at.near and (seen.face >= 0 or seen.lost):
                 return r
         else:
-            if length > at.near and visibility.hidden_from_camera(scene, start, back / length, length - at.near):
+            if hidden(scene, start, at.origin, at.near):
                 return r
         if wp.static(config.camera == CAMERA_ORTHOGRAPHIC and config.media is None):
             if r.side != 0.0:

@@ -242,16 +242,20 @@ def find_pierced(
     # In:
     record: wp.int32,
     corners: wp.array(dtype=wp.vec3, ndim=2),
+    nearly: wp.int32,
     # Out:
-    found_out: wp.array(dtype=wp.int32),
+    count_out: wp.array(dtype=wp.int32),
+    pairs_out: wp.array(dtype=wp.vec2i),
 ):
-    """One thread a triangle: whether it runs through the curves of the shape of a record.
+    """One thread a triangle: which segments of the curves of a record's shape it runs through.
 
     Args:
         scene: the scene.
         record: number of the record of a shape of curves.
         corners: (M, 3).
-        found_out: (1,) the largest number of a triangle that does; -1 before.
+        nearly: 1: all that it may run through, those that it touches included.
+        count_out: (1,) raised by the number of pairs; one is counted for each piece.
+        pairs_out: the numbers of triangles and segments, as many as there is room for.
     """
     i = wp.tid()
     tri = triangle_at(scene, record)
@@ -274,6 +278,13 @@ def find_pierced(
         for k in range(wp.static(FINER)):
             low = wp.float32((item - segment * g.pieces) * wp.static(FINER) + k) * size
             cone = chord_of(s, low, low + size)
+            least = wp.float32(wp.static(TOUCHING))
+            if nearly == 1:
+                cone.start[3] = cone.reach
+                cone.end[3] = cone.reach
+                least = 0.0
             depth = wp.max(side_depth(cone, p, q), wp.max(side_depth(cone, q, r), side_depth(cone, r, p)))
-            if wp.max(depth, face_depth(cone, p, q, r)) > wp.static(TOUCHING):
-                wp.atomic_max(found_out, 0, i)
+            if wp.max(depth, face_depth(cone, p, q, r)) > least:
+                at = wp.atomic_add(count_out, 0, 1)
+                if at < pairs_out.shape[0]:
+                    pairs_out[at] = wp.vec2i(i, segment)

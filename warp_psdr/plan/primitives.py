@@ -20,6 +20,7 @@ from warp_psdr.topology.grid_contacts import is_open, pierced_grid
 from warp_psdr.topology.grid_silhouettes import grid_shapes, grid_values
 from warp_psdr.topology.network_silhouettes import is_open_network, network_and_cells, network_shapes
 from warp_psdr.topology.tube_contacts import pierced_tubes
+from warp_psdr.topology.tube_crossings import resting_end
 
 if TYPE_CHECKING:
     from warp_psdr.kernels.interior.gradient_request import GradientRequest
@@ -232,4 +233,8 @@ def _beside_moving_kinds(scene: Scene, config: PathConfig, integrator: PathInteg
             a, b = (shapes[i].path for i in pair)
             what = f"{b!r} runs through the {surface} of {a!r}" if a != b else f"tubes of {a!r} run through each other"
             return f"{what}, along a curve that moves; move them apart, or {ALONE}"
+    pair = resting_end(scene, moved)
+    if pair is not None:
+        a, b = (shapes[i].path for i in pair)
+        return f"an open end of {a!r} lies on {b!r}, along a line that moves; sink it in or lift it off, or {ALONE}"
     return ""

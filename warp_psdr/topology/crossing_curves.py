@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from warp_psdr.topology.crossing_fields import Field, across_axis, exact_field, grid_field
+from warp_psdr.topology.crossing_fields import HALVINGS, Field, across_axis, exact_field, grid_field
 from warp_psdr.topology.exact_shapes import TOUCHING, crossed_faces, exact_shapes, least_distance
 
 if TYPE_CHECKING:
@@ -24,8 +24,6 @@ if TYPE_CHECKING:
 LEAST = 5.0e-3
 #: How far beside a chord it has to be on both sides of a grid's surface, in voxels.
 ASIDE = 0.1
-#: Bisections of a root.
-HALVINGS = 44
 #: Most small triangles at once.
 MOST = 4_000_000
 #: Radius of a small triangle of a curved surface, over that of its corners.
@@ -46,11 +44,13 @@ class Chords:
         points: (N, 2, 3) both ends, in the world.
         faces: (N,) numbers of the triangles.
         spans: (N, 2) the part of the chord on which the surface has not ended.
+        rows: (N,) which of the triangles that were cut.
     """
 
     points: np.ndarray
     faces: np.ndarray
     spans: np.ndarray
+    rows: np.ndarray
 
 
 def cut(field: Field, corners: np.ndarray, faces: np.ndarray, project: Project | None = None) -> Chords:
@@ -60,11 +60,12 @@ def cut(field: Field, corners: np.ndarray, faces: np.ndarray, project: Project |
     """
     local = (corners - field.origin) @ np.linalg.inv(field.linear).T
     parts, owners = _small(field, local, project)
-    a, b, owner = _roots(field, parts, faces[owners], project)
+    a, b, owner = _roots(field, parts, owners, project)
     chords = np.stack([a, b], axis=1)
-    spans = _spans(field, chords)
+    spans = _spans(field, chords, owner)
     keep = (spans[:, 1] > spans[:, 0]) & (np.linalg.norm(b - a, axis=1) > 0.0)
-    return Chords(chords[keep] @ field.linear.T + field.origin, owner[keep], spans[keep])
+    rows = owner[keep]
+    return Chords(chords[keep] @ field.linear.T + field.origin, faces[rows], spans[keep], rows)
 
 
 def _small(field: Field, local: np.ndarray, project: Project | None) -> tuple[np.ndarray, np.ndarray]:
@@ -75,7 +76,7 @@ def _small(field: Field, local: np.ndarray, project: Project | None) -> tuple[np
     while len(local):
         middle = local.mean(axis=1)
         radius = np.linalg.norm(local - middle[:, None], axis=2).max(axis=1)
-        keep = field.near(middle, radius if project is None else BULGE * radius)
+        keep = field.near(middle, radius if project is None else BULGE * radius, owners)
         local, owners = local[keep], owners[keep]
         longest = np.linalg.norm(local - np.roll(local, 1, axis=1), axis=2).max(axis=1, initial=0.0)
         done = longest <= most[owners]
@@ -95,9 +96,10 @@ def _small(field: Field, local: np.ndarray, project: Project | None) -> tuple[np
 
 def _roots(field: Field, parts: np.ndarray, owners: np.ndarray, project: Project | None) -> tuple[np.ndarray, ...]:
     """Return where the sides of small triangles meet the surface: one side's (N, 3), the other's, and the owners."""
-    inside = field.phi(parts.reshape(-1, 3)).reshape(-1, 3) < 0.0
+    values = field.phi(parts.reshape(-1, 3), np.repeat(owners, 3)).reshape(-1, 3)
+    inside = values < 0.0
     mixed = inside.any(axis=1) & ~inside.all(axis=1)
-    parts, inside, owners = parts[mixed], inside[mixed], owners[mixed]
+    parts, values, inside, owners = parts[mixed], values[mixed], inside[mixed], owners[mixed]
     lone = np.where(inside.sum(axis=1) == 1, inside.argmax(axis=1), (~inside).argmax(axis=1))
     rows = np.arange(len(parts))
     ends = []
@@ -106,22 +108,28 @@ def _roots(field: Field, parts: np.ndarray, owners: np.ndarray, project: Project
         within = inside[rows, lone]
         # From the corner inside to the one outside, so that neighbours find the same.
         p, q = np.where(within[:, None], p, q), np.where(within[:, None], q, p)
+        below, above = values[rows, lone], values[rows, (lone + step) % 3]
+        below, above = np.where(within, below, above), np.where(within, above, below)
         low, high = np.zeros(len(p)), np.ones(len(p))
-        for _ in range(HALVINGS):
-            t = 0.5 * (low + high)
+        for _ in range(field.steps):
+            share = below / (below - above) if field.interpolates else 0.5
+            t = low + share * (high - low)
             x = p + t[:, None] * (q - p)
-            below = field.phi(x if project is None else project(x)) < 0.0
-            low, high = np.where(below, t, low), np.where(below, high, t)
-        x = p + (0.5 * (low + high))[:, None] * (q - p)
+            value = field.phi(x if project is None else project(x), owners)
+            left = value < 0.0
+            low, below = np.where(left, t, low), np.where(left, value, below)
+            high, above = np.where(left, high, t), np.where(left, above, value)
+        share = below / (below - above) if field.interpolates else 0.5
+        x = p + (low + share * (high - low))[:, None] * (q - p)
         ends.append(x if project is None else project(x))
     return ends[0], ends[1], owners
 
 
-def _spans(field: Field, chords: np.ndarray) -> np.ndarray:
+def _spans(field: Field, chords: np.ndarray, owners: np.ndarray) -> np.ndarray:
     spans = np.tile([0.0, 1.0], (len(chords), 1))
     if field.ends is None or not len(chords):
         return spans
-    a, b = field.ends(chords[:, 0]), field.ends(chords[:, 1])
+    a, b = field.ends(chords[:, 0], owners), field.ends(chords[:, 1], owners)
     spans[(a < 0.0) & (b < 0.0)] = 0.0
     rows = np.flatnonzero((a < 0.0) != (b < 0.0))
     low, high = np.zeros(len(rows)), np.ones(len(rows))
@@ -129,7 +137,7 @@ def _spans(field: Field, chords: np.ndarray) -> np.ndarray:
     for _ in range(HALVINGS):
         t = 0.5 * (low + high)
         p = (1.0 - t)[:, None] * chords[rows, 0] + t[:, None] * chords[rows, 1]
-        on = (field.ends(p) >= 0.0) == first
+        on = (field.ends(p, owners[rows]) >= 0.0) == first
         low, high = np.where(on, t, low), np.where(on, high, t)
     spans[rows[first], 1] = low[first]
     spans[rows[~first], 0] = high[~first]
@@ -156,7 +164,7 @@ def cut_grid(scene: Scene, shape: int, shapes: frozenset[int] | None) -> Chords:
     middle = ends.mean(axis=1)
     one, other = field.phi(middle + aside), field.phi(middle - aside)
     keep = (np.minimum(one, other) < -tolerance) & (np.maximum(one, other) > tolerance)
-    return Chords(chords.points[keep], chords.faces[keep], chords.spans[keep])
+    return Chords(chords.points[keep], chords.faces[keep], chords.spans[keep], chords.rows[keep])
 
 
 def runs_along(field: Field, kind: str, corners: np.ndarray) -> bool:

@@ -20,13 +20,18 @@ if TYPE_CHECKING:
 #: Longest side of a small triangle, over the radius of an exact shape, and over that of the circle that a plane cuts
 #: out of a sphere.
 FINE, OF_CIRCLE = 0.04, 0.2
-#: The same of grids, over a voxel; and points that are looked at at once.
+#: Bisections of a root.
+HALVINGS = 44
+#: ``FINE`` of grids, over a voxel; and points that are looked at at once.
 OF_VOXEL, CHUNK = 0.3, 32768
 
 
 @dataclass(frozen=True)
 class Field:
     """A shape without triangles, in its own coordinates.
+
+    Functions of points are given the numbers (N,) of the triangles that these are of as well, for what only one part
+    of the shape is meant by.
 
     Attributes:
         phi: points (N, 3) -> (N,), negative on one side.
@@ -35,14 +40,18 @@ class Field:
         sides: triangles (M, 3, 3) -> (M,), the longest side of their parts.
         linear: (3, 3), to the world.
         origin: (3,).
+        steps: to a root, bisections or, where the field ``interpolates``, those of false position.
+        interpolates: phi is about linear on a small triangle, and dear.
     """
 
-    phi: Callable[[np.ndarray], np.ndarray]
-    near: Callable[[np.ndarray, np.ndarray], np.ndarray]
-    ends: Callable[[np.ndarray], np.ndarray] | None
+    phi: Callable[..., np.ndarray]
+    near: Callable[..., np.ndarray]
+    ends: Callable[..., np.ndarray] | None
     sides: Callable[[np.ndarray], np.ndarray]
     linear: np.ndarray
     origin: np.ndarray
+    steps: int = HALVINGS
+    interpolates: bool = False
 
 
 def exact_field(scene: Scene, shape: int) -> Field:
@@ -71,21 +80,21 @@ def _even_sides(local: np.ndarray) -> np.ndarray:
 #: Kind -> phi, near, ends, sides of its ``Field``.
 EXACT_FIELDS: dict[str, tuple] = {
     "sphere": (
-        lambda q: (q * q).sum(axis=-1) - 1.0,
-        lambda c, r: np.abs(np.linalg.norm(c, axis=1) - 1.0) <= r,
+        lambda q, _rows=None: (q * q).sum(axis=-1) - 1.0,
+        lambda c, r, _rows=None: np.abs(np.linalg.norm(c, axis=1) - 1.0) <= r,
         None,
         _sphere_sides,
     ),
     "cylinder": (
-        lambda q: across_axis(q) ** 2 - 1.0,
-        lambda c, r: (np.abs(across_axis(c) - 1.0) <= r) & (np.abs(c[:, 2] - 0.5) <= 0.5 + r),
-        lambda q: q[..., 2] * (1.0 - q[..., 2]),
+        lambda q, _rows=None: across_axis(q) ** 2 - 1.0,
+        lambda c, r, _rows=None: (np.abs(across_axis(c) - 1.0) <= r) & (np.abs(c[:, 2] - 0.5) <= 0.5 + r),
+        lambda q, _rows=None: q[..., 2] * (1.0 - q[..., 2]),
         _even_sides,
     ),
     "disk": (
-        lambda q: q[..., 2],
-        lambda c, r: (np.abs(c[:, 2]) <= r) & (across_axis(c) <= 1.0 + r),
-        lambda q: 1.0 - across_axis(q) ** 2,
+        lambda q, _rows=None: q[..., 2],
+        lambda c, r, _rows=None: (np.abs(c[:, 2]) <= r) & (across_axis(c) <= 1.0 + r),
+        lambda q, _rows=None: 1.0 - across_axis(q) ** 2,
         _even_sides,
     ),
 }
@@ -101,12 +110,12 @@ def grid_field(scene: Scene, shape: int) -> tuple[Field, float]:
     passed = np.pad(is_passed(values, cubic).astype(np.int64), ((1, 0),) * 3).cumsum(0).cumsum(1).cumsum(2)
     of = spline_interpolated if cubic else interpolated
 
-    def phi(p: np.ndarray) -> np.ndarray:
+    def phi(p: np.ndarray, _rows: np.ndarray | None = None) -> np.ndarray:
         parts = [of(values, p[k : k + CHUNK]) for k in range(0, len(p), CHUNK)]
         inside = ((p >= 0.0) & (p <= cells)).all(axis=-1)
         return np.where(inside, np.concatenate(parts), most) if parts else np.zeros(0)
 
-    def near(center: np.ndarray, radius: np.ndarray) -> np.ndarray:
+    def near(center: np.ndarray, radius: np.ndarray, _rows: np.ndarray) -> np.ndarray:
         low = np.clip(np.floor(center - radius[:, None]), 0, cells).astype(int)
         high = np.clip(np.ceil(center + radius[:, None]), 0, cells).astype(int)
         count = np.zeros(len(center), np.int64)

@@ -15,6 +15,8 @@ from warp_psdr.topology.crossing_curves import LEAST, RIM_POINTS, Chords, cut, c
 from warp_psdr.topology.crossing_fields import FINE, Field, across_axis, exact_field
 from warp_psdr.topology.exact_shapes import TOUCHING, crossed_faces, exact_shapes, pose, runs_through
 from warp_psdr.topology.grid_silhouettes import grid_shapes
+from warp_psdr.topology.tube_crossings import cut_tubes
+from warp_psdr.topology.tubes import curve_shapes
 
 if TYPE_CHECKING:
     from warp_psdr.scene.scene import Scene
@@ -85,15 +87,15 @@ def cut_pair(scene: Scene, i: int, j: int) -> Chords:
     def project(p: np.ndarray) -> np.ndarray:
         return PROJECTED[kind](own(p)) @ other.linear.T + other.origin
 
-    def ends(p: np.ndarray) -> np.ndarray:
+    def ends(p: np.ndarray, _rows: np.ndarray) -> np.ndarray:
         found = [f.ends(q) for f, q in ((field, local(p)), (other, own(p))) if f.ends is not None]
         return np.min(found, axis=0) if found else np.ones(p.shape[:-1])
 
     # In the world, and short for the radii of both.
     finest = FINE * min(_least_radius(scene, k) for k in (i, j))
     made = Field(
-        phi=lambda p: field.phi(local(p)),
-        near=lambda p, r: field.near(local(p), stretch * r),
+        phi=lambda p, _rows: field.phi(local(p)),
+        near=lambda p, r, _rows: field.near(local(p), stretch * r),
         ends=ends,
         sides=lambda t: np.full(len(t), finest),
         linear=np.eye(3),
@@ -159,6 +161,7 @@ def crossed_light(scene: Scene) -> tuple[int, int] | None:
             return (j, i) if shines[i] else (i, j)
     hit = [(i, crossed_faces(scene, i, None)) for i in exact_shapes(scene)]
     hit += [(i, cut_grid(scene, i, None).faces) for i in grid_shapes(scene)]
+    hit += [(i, cut_tubes(scene, i, None)[0].faces) for i in curve_shapes(scene)]
     for i, faces in hit:
         for j in np.unique(scene.builder.face_shape[faces]):
             if shines[i] or shines[j]:

@@ -14,6 +14,8 @@ from warp_psdr.topology.crossing_fields import exact_field
 from warp_psdr.topology.crossing_pairs import cut_pair, exact_pairs
 from warp_psdr.topology.exact_shapes import crossed_faces, exact_shapes
 from warp_psdr.topology.grid_silhouettes import grid_shapes
+from warp_psdr.topology.tube_crossings import cut_tubes
+from warp_psdr.topology.tubes import curve_shapes
 
 if TYPE_CHECKING:
     from warp_psdr.scene.scene import Scene
@@ -29,13 +31,18 @@ def crossings(scene: Scene, shapes: frozenset[int] | None) -> CrossingCurves | N
     for i in grid_shapes(scene):
         found.append((i, cut_grid(scene, i, shapes)))
     found += [(j, cut_pair(scene, i, j)) for i, j in exact_pairs(scene, shapes)]
-    return _upload(scene, found)
+    tubes = [(i, *cut_tubes(scene, i, shapes)) for i in curve_shapes(scene)]
+    others = sum(len(chords.faces) for _shape, chords in found)
+    segments = np.concatenate([np.zeros(others, np.int64), *(t[2] for t in tubes)])
+    places = np.concatenate([np.zeros(others), *(t[3] for t in tubes)])
+    return _upload(scene, [*found, *(t[:2] for t in tubes)], segments, places)
 
 
-def _upload(scene: Scene, found: list[tuple[int, Chords]]) -> CrossingCurves | None:
+def _upload(
+    scene: Scene, found: list[tuple[int, Chords]], segments: np.ndarray, places: np.ndarray
+) -> CrossingCurves | None:
     """Return chords on shapes, by their numbers, on the device; None: there are none."""
-    found = [(shape, chords) for shape, chords in found if len(chords.faces)]
-    if not found:
+    if not len(segments):
         return None
     records = [np.full(len(c.faces), scene.face_count + scene.builder.primitives.index(i)) for i, c in found]
     faces = np.stack([np.concatenate([c.faces for _i, c in found]), np.concatenate(records)], axis=1)
@@ -46,6 +53,8 @@ def _upload(scene: Scene, found: list[tuple[int, Chords]]) -> CrossingCurves | N
     curves.cdf = wp.array(cumulative(length), dtype=wp.float32, device=scene.device)
     curves.points = wp.array(points.astype(np.float32), dtype=wp.vec3, device=scene.device, ndim=2)
     curves.faces = wp.array(faces.astype(np.int32), dtype=wp.vec2i, device=scene.device)
+    curves.segments = wp.array(segments.astype(np.int32), dtype=wp.int32, device=scene.device)
+    curves.places = wp.array(places.astype(np.float32), dtype=wp.float32, device=scene.device)
     curves.low, curves.high = (
         wp.array(np.ascontiguousarray(spans[:, e]), dtype=wp.float32, device=scene.device) for e in (0, 1)
     )

@@ -1,7 +1,7 @@
 """Curves with a radius against the rest of a scene: what runs through them, and clip planes that cut them.
 
 A segment is looked at as cones between spheres along its axis; those at the ends of curves count as well, so that what
-comes closer to an open end than its radius counts as what runs through it.
+comes closer to an open end than its radius counts as what runs through it. Meshes may (``tube_crossings.py``).
 """
 
 from __future__ import annotations
@@ -25,19 +25,21 @@ if TYPE_CHECKING:
 
 #: Boxes that are compared with others at once.
 CHUNK = 512
+#: Pairs of a triangle and a segment for which there is room at first.
+ROOM = 4096
 
 
 def pierced_tubes(scene: Scene, shapes: frozenset[int] | None) -> tuple[int, int] | None:
-    """Return curves and a shape that runs through them, one of them among ``shapes`` (None: any)."""
-    corners, owners = with_exact_shapes(scene)
+    """Return curves and a shape, no mesh, that runs through them, one of them among ``shapes`` (None: any)."""
+    corners, owners = (found[scene.face_count :] for found in with_exact_shapes(scene))
     found = curve_shapes(scene)
     for number, i in enumerate(found):
         rows = np.arange(len(corners))
         if shapes is not None and i not in shapes:
             rows = rows[np.isin(owners, sorted(shapes))]
-        pierced = _pierced(scene, i, corners[rows])
-        if pierced >= 0:
-            return i, int(owners[rows[pierced]])
+        pierced = pierced_segments(scene, i, corners[rows])
+        if len(pierced):
+            return i, int(owners[rows[pierced[-1, 0]]])
         grids = [j for j in grid_shapes(scene) if shapes is None or i in shapes or j in shapes]
         cones = _cones(scene, i) if grids else np.zeros((0, 2, 4))
         for j in grids:
@@ -59,19 +61,30 @@ def _overlap(scene: Scene, shape: int, other: int) -> bool:
     return bool(found.numpy()[0])
 
 
-def _pierced(scene: Scene, shape: int, corners: np.ndarray) -> int:
-    """Return the number of one of the triangles (M, 3, 3) that runs through curves of a shape, or -1."""
+def pierced_segments(scene: Scene, shape: int, corners: np.ndarray, nearly: bool = False) -> np.ndarray:
+    """Return (P, 2), sorted: which of the triangles (M, 3, 3) run through which segments of curves.
+
+    ``nearly``: all that may, those that only touch included.
+    """
     points = world_points(scene, shape)
     low, high = (points[:, :3] - points[:, 3:]).min(axis=0), (points[:, :3] + points[:, 3:]).max(axis=0)
     near = np.flatnonzero(((corners.min(axis=1) < high) & (corners.max(axis=1) > low)).all(axis=1))
     if not len(near):
-        return -1
+        return np.zeros((0, 2), np.int64)
     record = scene.face_count + scene.builder.primitives.index(shape)
-    found = wp.full(1, -1, dtype=wp.int32, device=scene.device)
     triangles = wp.array(corners[near].astype(np.float32), dtype=wp.vec3, device=scene.device)
-    launch(find_pierced, len(near), [scene.data(), record, triangles], [found], device=scene.device)
-    number = int(found.numpy()[0])
-    return int(near[number]) if number >= 0 else -1
+    count, room = wp.zeros(1, dtype=wp.int32, device=scene.device), ROOM
+    while True:
+        count.zero_()
+        pairs = wp.zeros(room, dtype=wp.vec2i, device=scene.device)
+        arguments = [scene.data(), record, triangles, int(nearly)]
+        launch(find_pierced, len(near), arguments, [count, pairs], device=scene.device)
+        needed = int(count.numpy()[0])
+        if needed <= room:
+            break
+        room = needed
+    found = np.unique(pairs.numpy()[:needed], axis=0).astype(np.int64)
+    return np.stack([near[found[:, 0]], found[:, 1]], axis=1)
 
 
 def _cones(scene: Scene, shape: int) -> np.ndarray:

@@ -17,7 +17,8 @@ from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.boundary.crossing.levels import make_level_at, make_level_sink
 from warp_psdr.kernels.boundary.local_form import split_between
 from warp_psdr.kernels.distribution import find_interval_64
-from warp_psdr.kernels.primitive.dispatch import make_leaving
+from warp_psdr.kernels.primitive.affine import is_primitive
+from warp_psdr.kernels.primitive.dispatch import CURVES, is_bspline, is_linear, make_leaving
 from warp_psdr.kernels.structs import Scene
 
 #: Newton's steps, and the distance, over the chord's length, within which they have to end, and on whose part of it.
@@ -36,6 +37,8 @@ class CrossingCurves:
     cdf: wp.array(dtype=wp.float32)  # cumulative selection probabilities, n + 1
     points: wp.array2d(dtype=wp.vec3)  # (n, 2) both ends
     faces: wp.array(dtype=wp.vec2i)  # numbers of the two faces
+    segments: wp.array(dtype=wp.int32)  # of a tube, which is the second face: its segment
+    places: wp.array(dtype=wp.float32)  # and about the place along it
     low: wp.array(dtype=wp.float32)  # part of the chord that is on both surfaces, in [0, 1]
     high: wp.array(dtype=wp.float32)
 
@@ -47,6 +50,8 @@ class CrossingPoint:
     valid: wp.int32
     face_a: wp.int32
     face_b: wp.int32
+    segment: wp.int32  # of a tube, which is b
+    place: wp.float32  # about where along it
     x: wp.vec3
     n_a: wp.vec3  # unit normals, of any side
     n_b: wp.vec3
@@ -75,6 +80,8 @@ def make_crossing_point(primitives: tuple[int, ...]):
         faces = curves.faces[n]
         r.face_a = faces[0]
         r.face_b = faces[1]
+        r.segment = curves.segments[n]
+        r.place = curves.places[n]
         a = scene.triangles[r.face_a]
         b = scene.triangles[r.face_b]
         r.step = wp.max(step_off(scene, a), step_off(scene, b))
@@ -83,8 +90,8 @@ def make_crossing_point(primitives: tuple[int, ...]):
         off = wp.float32(0.0)
         k = wp.int32(0)
         while k < NEWTON:
-            f = level_at(scene, a, x)
-            g = level_at(scene, b, x)
+            f = level_at(scene, r.face_a, r.segment, r.place, x)
+            g = level_at(scene, r.face_b, r.segment, r.place, x)
             slope_a = wp.vec3(f[0], f[1], f[2])
             slope_b = wp.vec3(g[0], g[1], g[2])
             t = wp.cross(slope_a, slope_b)
@@ -122,6 +129,22 @@ def place_beside(point: CrossingPoint, sheet: wp.vec3) -> wp.vec3:
 
 
 @functools.cache
+def make_shows(primitives: tuple[int, ...]):
+    """Return ``shows(scene, point, w) -> bool``: whether rays along w may see a curve. Tubes have an outside alone."""
+    has_curves = bool(set(CURVES) & set(primitives))
+
+    @wp.func
+    def shows(scene: Scene, point: CrossingPoint, w: wp.vec3) -> wp.bool:
+        if wp.static(has_curves):
+            tri = scene.triangles[point.face_b]
+            if is_primitive(tri) and (is_bspline(tri) or is_linear(tri)):
+                return wp.dot(point.n_b, w) < 0.0
+        return True
+
+    return shows
+
+
+@functools.cache
 def make_crossing_sink(role: str, primitives: tuple[int, ...]):
     """Return ``accumulate(scene, target, point, g) -> float``: the adjoint g, across the curve, of a point of it."""
     accumulate_level = make_level_sink(role, primitives)
@@ -132,7 +155,7 @@ def make_crossing_sink(role: str, primitives: tuple[int, ...]):
     ) -> wp.float32:
         _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
         g_a, g_b = split_between(g, point.n_a, point.n_b, point.sine * point.sine)
-        total = accumulate_level(scene, target, point.face_a, point.x, g_a)
-        return total + accumulate_level(scene, target, point.face_b, point.x, g_b)
+        total = accumulate_level(scene, target, point.face_a, point.segment, point.place, point.x, g_a)
+        return total + accumulate_level(scene, target, point.face_b, point.segment, point.place, point.x, g_b)
 
     return accumulate_crossing

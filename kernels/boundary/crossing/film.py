@@ -15,11 +15,13 @@ from warp_psdr.kernels.boundary.crossing.curve import (
     CrossingCurves,
     make_crossing_point,
     make_crossing_sink,
+    make_shows,
     place_beside,
     sheet_in_front,
 )
 from warp_psdr.kernels.boundary.detector import make_incident_radiance
 from warp_psdr.kernels.boundary.film_edge import AHEAD
+from warp_psdr.kernels.boundary.forwards import make_hidden
 from warp_psdr.kernels.boundary.silhouette.grid_primary import FRONT
 from warp_psdr.kernels.invalid import count_invalid
 from warp_psdr.kernels.jobs import SampleJob
@@ -29,7 +31,6 @@ from warp_psdr.kernels.sensor.camera import make_camera_sink, make_lens
 from warp_psdr.kernels.sensor.projection import make_projection, make_splat
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.vertex import PathConfig
-from warp_psdr.kernels.visibility import visibility_of
 
 
 @wp.func
@@ -45,7 +46,8 @@ def make_film_crossing_kernel(config: PathConfig, role: str, camera_moves: bool)
     accumulate_crossing = make_crossing_sink(role, config.primitives)
     accumulate_camera = make_camera_sink(role, config.camera) if camera_moves else None
     incident_radiance = make_incident_radiance(config)
-    visibility = visibility_of(config)
+    hidden = make_hidden(config)
+    shows = make_shows(config.primitives)
     splat, gather = make_splat()
     project, film_gradient, film_velocity = make_projection(config.camera)
     lens_point = make_lens(config.camera)
@@ -80,9 +82,7 @@ def make_film_crossing_kernel(config: PathConfig, role: str, camera_moves: bool)
         distance = wp.length(point.x - at.origin)
         d = (point.x - at.origin) / distance
         start = point.x - (FRONT * point.step) * d
-        back = at.origin - start
-        length = wp.length(back)
-        if length > at.near and visibility.hidden_from_camera(scene, start, back / length, length - at.near):
+        if not shows(scene, point, d) or hidden(scene, start, at.origin, at.near):
             return
         # ---- The motion of the image ----
         sheet_a = sheet_in_front(point.n_a, point.n_b, point.along, d)

@@ -1,4 +1,4 @@
-"""Surfaces as level sets phi = 0 around a point: of triangles, affine shapes and grids of signed distances.
+"""Surfaces as level sets phi = 0 around a point: of triangles, affine shapes, grids of signed distances and curves.
 
 phi and its gradient are what Newton's steps to a curve of intersection need, and the sinks here scatter the adjoint of
 a point that moves with a surface along its normal: n . x' = -phi_pi / |grad phi|.
@@ -11,7 +11,9 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
+from warp_psdr.kernels.boundary.crossing.tube import tube_across
 from warp_psdr.kernels.boundary.local_form import barycentrics_at
+from warp_psdr.kernels.boundary.silhouette.tube_sink import make_tube_sink
 from warp_psdr.kernels.constants import (
     PRIMITIVE_CYLINDER,
     PRIMITIVE_DISK,
@@ -20,7 +22,7 @@ from warp_psdr.kernels.constants import (
     PRIMITIVE_SPHERE,
 )
 from warp_psdr.kernels.primitive.affine import cofactor, determinant, from_axes, is_primitive, make_pose_sink
-from warp_psdr.kernels.primitive.dispatch import GRIDS, is_cubic, is_grid
+from warp_psdr.kernels.primitive.dispatch import CURVES, GRIDS, is_bspline, is_cubic, is_grid, is_linear
 from warp_psdr.kernels.primitive.kinds import affine_kinds, join
 from warp_psdr.kernels.primitive.sdfgrid import Grid, grid_of, value_and_gradient, voxel_at
 from warp_psdr.kernels.primitive.sdfgrid_adjoint import make_voxel_sink
@@ -83,14 +85,24 @@ def make_grid_field(primitives: tuple[int, ...]):
 
 @functools.cache
 def make_level_at(primitives: tuple[int, ...]):
-    """Return ``level(scene, tri, x) -> (gradient, phi)`` of the surface of a record, in the world."""
+    """Return ``level(scene, face, segment, place, x) -> (gradient, phi)`` of the surface of a record, in the world.
+
+    Of curves one segment is meant, about a place along it; others have none.
+    """
+    has_curves = bool(set(CURVES) & set(primitives))
     of_affine = join(_either_level, {kind: _make_affine_level(LEVELS[kind]) for kind in affine_kinds(primitives)})
     has_grids = bool(set(GRIDS) & set(primitives))
     grid_field = make_grid_field(primitives)
 
     @wp.func
-    def level_at(scene: Scene, tri: Triangle, x: wp.vec3) -> wp.vec4:
+    def level_at(scene: Scene, face: wp.int32, segment: wp.int32, place: wp.float32, x: wp.vec3) -> wp.vec4:
+        tri = scene.triangles[face]
         if is_primitive(tri):
+            if wp.static(has_curves):
+                if is_bspline(tri) or is_linear(tri):
+                    point = tube_across(scene, tri, face, segment, place, x)
+                    n = point.gradient
+                    return wp.vec4(n[0], n[1], n[2], wp.length(x - point.f.c) - point.f.r)
             if wp.static(has_grids):
                 if wp.static(of_affine is None) or is_grid(tri):
                     g = grid_of(scene, tri)
@@ -129,7 +141,12 @@ def _either_level(word: int, f: wp.Function, rest: wp.Function) -> wp.Function:
 
 @functools.cache
 def make_level_sink(role: str, primitives: tuple[int, ...]):
-    """Return ``accumulate(scene, target, face, x, a) -> float``: the adjoint of a point, along the surface's normal."""
+    """Return ``accumulate(scene, target, face, segment, place, x, a) -> float``.
+
+    a is the adjoint of a point, along the surface's normal; ``segment`` and ``place`` are as in ``make_level_at``.
+    """
+    has_curves = bool(set(CURVES) & set(primitives))
+    accumulate_tube = make_tube_sink(role, primitives) if has_curves else None
     sink3 = make_sink_vec3(role)
     accumulate_pose = make_pose_sink(role)
     has_grids = bool(set(GRIDS) & set(primitives))
@@ -142,20 +159,29 @@ def make_level_sink(role: str, primitives: tuple[int, ...]):
 
     @wp.func
     def accumulate_level(
-        scene: Scene, target: wp.array(dtype=wp.float32), face: wp.int32, x: wp.vec3, a: wp.vec3
+        scene: Scene,
+        target: wp.array(dtype=wp.float32),
+        face: wp.int32,
+        segment: wp.int32,
+        place: wp.float32,
+        x: wp.vec3,
+        a: wp.vec3,
     ) -> wp.float32:
         _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
         tri = scene.triangles[face]
         total = wp.float32(0.0)
         if is_primitive(tri):
+            if wp.static(has_curves):
+                if is_bspline(tri) or is_linear(tri):
+                    return accumulate_tube(scene, target, tube_across(scene, tri, face, segment, place, x), a)
             q = from_axes(tri, x - tri.normal)
             if wp.static(has_grids):
                 if wp.static(only_grids) or is_grid(tri):
                     g = grid_of(scene, tri)
                     p = wp.cw_mul(g.cells, q)
                     at = voxel_of(g, p)
-                    place = p - voxel_corner(at[0], at[1], at[2])
-                    f = grid_field(scene, tri, g, at, place)
+                    inside = p - voxel_corner(at[0], at[1], at[2])
+                    f = grid_field(scene, tri, g, at, inside)
                     slope = wp.vec3(f[0], f[1], f[2])
                     # x = A p / cells + b, p' = -phi' slope / |slope|^2.
                     pulled = wp.cw_div(wp.vec3(wp.dot(tri.p0, a), wp.dot(tri.p1, a), wp.dot(tri.p2, a)), g.cells)
@@ -163,10 +189,10 @@ def make_level_sink(role: str, primitives: tuple[int, ...]):
                     zero = wp.vec3(0.0, 0.0, 0.0)
                     if wp.static(cubic):
                         if wp.static(not linear) or is_cubic(tri):
-                            total += accumulate_spline(target, g, at[0], at[1], at[2], place, a_phi, zero)
+                            total += accumulate_spline(target, g, at[0], at[1], at[2], inside, a_phi, zero)
                     if wp.static(linear):
                         if wp.static(not cubic) or not is_cubic(tri):
-                            total += accumulate_voxel(target, g, at[0], at[1], at[2], place, a_phi, zero)
+                            total += accumulate_voxel(target, g, at[0], at[1], at[2], inside, a_phi, zero)
             total += accumulate_pose(target, tri, q[0] * a, q[1] * a, q[2] * a, a)
         else:
             uv = barycentrics_at(tri, x)

@@ -18,12 +18,14 @@ from warp_psdr.kernels.boundary.crossing.curve import (
     CrossingPoint,
     make_crossing_point,
     make_crossing_sink,
+    make_shows,
     place_beside,
     sheet_in_front,
 )
 from warp_psdr.kernels.boundary.crossing.film import same_shape
 from warp_psdr.kernels.boundary.depth import make_indirect
 from warp_psdr.kernels.boundary.film_edge import AHEAD
+from warp_psdr.kernels.boundary.forwards import make_sees
 from warp_psdr.kernels.boundary.local_form import barycentrics_at
 from warp_psdr.kernels.boundary.path_space.secondary import make_source_sink, moves
 from warp_psdr.kernels.boundary.silhouette.aim import SLOT_DIRECTION, SLOT_SILHOUETTE
@@ -54,6 +56,8 @@ def make_vertex_crossing_kernel(config: PathConfig, role: str, camera_moves: boo
     coordinates = make_coordinates(config.primitives) if affine_kinds(config.primitives) else None
     has_sliding = bool(set(SLIDING) & set(config.primitives))
     visibility = visibility_of(config)
+    shows = make_shows(config.primitives)
+    sees = make_sees(config)
     sensor_end = make_sensor_end(config)
     source = make_source(config)
     source = make_indirect(source) if indirect else source
@@ -109,6 +113,8 @@ def make_vertex_crossing_kernel(config: PathConfig, role: str, camera_moves: boo
         s.tau = 1.0
         s.step = point.step
         s.w = square_to_sphere(wp.vec2(u4[0], u4[1]))
+        if not shows(scene, point, s.w):
+            return
         of_b = u4[2] >= 0.5
         sheet = sheet_in_front(point.n_a, point.n_b, point.along, s.w)
         s.face2 = point.face_a
@@ -120,7 +126,7 @@ def make_vertex_crossing_kernel(config: PathConfig, role: str, camera_moves: boo
             s.boundary_normal = -s.boundary_normal
         s.x = point.x - (FRONT * s.step) * s.w
         s = sensor_end(scene, moving, s, moves(scene, moving, point.face_a) + moves(scene, moving, point.face_b))
-        if s.valid == 0:
+        if s.valid == 0 or not sees(scene, s.x, s.w, s.t1):
             return
         s.source = place_beside(point, sheet) - wp.min(AHEAD * s.step, s.t1) * s.w
         if not same_shape(scene, visibility.closest(scene, s.source, s.w, FAR).face, s.face2):

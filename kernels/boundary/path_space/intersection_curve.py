@@ -12,6 +12,7 @@ import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.boundary.depth import make_indirect
+from warp_psdr.kernels.boundary.forwards import make_sees
 from warp_psdr.kernels.boundary.local_form import (
     EdgePoint,
     Edges,
@@ -43,6 +44,7 @@ OFF, MAX_SHIFT = 3.0, 100.0
 def make_curve_segment(config: PathConfig):
     """Return ``segment(scene, edges, point, which, u4) -> Segment``: c on the first or second face of the curve."""
     visibility = visibility_of(config)
+    sees = make_sees(config)
 
     @wp.func
     def segment(scene: Scene, edges: Edges, point: EdgePoint, which: wp.int32, u4: wp.vec4) -> Segment:
@@ -77,7 +79,7 @@ def make_curve_segment(config: PathConfig):
         r.x = x
         r.source = x + edge_behind(scene, step) * back
         hit = visibility.closest(scene, r.source, back, FAR)
-        if hit.face < 0:
+        if hit.face < 0 or not sees(scene, r.source, r.w, hit.t):
             return r
         r.t1 = hit.t
         r.face1 = hit.face

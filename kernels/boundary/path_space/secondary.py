@@ -14,6 +14,7 @@ import warp as wp
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.boundary.coincident import distance_to_plane, edge_share, make_screened
 from warp_psdr.kernels.boundary.depth import make_indirect
+from warp_psdr.kernels.boundary.forwards import make_sees
 from warp_psdr.kernels.boundary.guiding.techniques import Guide, make_techniques, octant_point
 from warp_psdr.kernels.boundary.local_form import (
     EdgePoint,
@@ -62,6 +63,7 @@ def make_segment(config: PathConfig):
     """
     visibility = visibility_of(config)
     screened = make_screened(config)
+    sees = make_sees(config)
     emitted = make_area(config.area, config.shining).emitted if config.area else None
     lights = make_lights(config.lights, None, ()) if config.lights else None
     environment_eval = lights.environment_eval if lights else None
@@ -148,7 +150,7 @@ def make_segment(config: PathConfig):
         if any_moves + moves(scene, moving, hit1.face) == 0:
             return r
         r.t1 = hit1.t - start1
-        if r.t1 <= step:
+        if r.t1 <= step or not sees(scene, r.x, r.w, r.t1):
             return r
         r.face1 = hit1.face
         r.u1 = hit1.u

@@ -14,9 +14,10 @@ import warp as wp
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.boundary.detector import Incident, difference, make_incident
 from warp_psdr.kernels.boundary.film_edge import AHEAD, BESIDE
+from warp_psdr.kernels.boundary.forwards import make_sees
 from warp_psdr.kernels.boundary.path_space.secondary import moves
 from warp_psdr.kernels.boundary.silhouette.aim import SLOT_DIRECTION, SLOT_SILHOUETTE
-from warp_psdr.kernels.boundary.silhouette.ends import make_sensor_end
+from warp_psdr.kernels.boundary.silhouette.ends import is_beside_curve, make_sensor_end
 from warp_psdr.kernels.boundary.silhouette.grid_primary import FRONT
 from warp_psdr.kernels.boundary.silhouette.primary import MARGIN, WIDER
 from warp_psdr.kernels.boundary.silhouette.tube_points import (
@@ -32,7 +33,6 @@ from warp_psdr.kernels.boundary.silhouette.tube_points import (
     tube_curvature,
 )
 from warp_psdr.kernels.boundary.silhouette.tube_sampling import own_touch, own_touch_density
-from warp_psdr.kernels.boundary.silhouette.tube_secondary import make_sees
 from warp_psdr.kernels.boundary.silhouette.tube_sink import make_tube_sink
 from warp_psdr.kernels.boundary.transport import Segment, make_transport
 from warp_psdr.kernels.constants import FAR, PRIMITIVE_LINEARCURVE
@@ -53,7 +53,7 @@ def make_foreground_tube_kernel(config: PathConfig, role: str, camera_moves: boo
     """Return the kernel: one thread a sample (arguments as in ``path_space/secondary.py``)."""
     visibility = visibility_of(config)
     sensor_end = make_sensor_end(config)
-    sees = make_sees(config)
+    sees = make_sees(config, (PRIMITIVE_LINEARCURVE,))
     accumulate_tube = make_tube_sink(role, config.primitives)
     accumulate_vertex = make_adjoint_sink(role, False, False, False, False, False, True, config.primitives)
     incident = make_incident(config)
@@ -153,6 +153,8 @@ def make_foreground_tube_kernel(config: PathConfig, role: str, camera_moves: boo
             return
         s = sensor_end(scene, moving, s, moves(scene, moving, point.face))
         if s.valid == 0 or not sees(scene, s.x, s.w, s.t1):
+            return
+        if point.rim == 0 and not crease and is_beside_curve(scene, s, point.face, curvature):
             return
         # ---- Towards the source ----
         below, met = start_at(scene, point, out, -1.0, s, curvature)

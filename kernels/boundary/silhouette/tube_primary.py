@@ -13,6 +13,7 @@ import warp as wp
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.boundary.detector import IncidentRadiance, make_incident_radiance
 from warp_psdr.kernels.boundary.film_edge import AHEAD, BESIDE
+from warp_psdr.kernels.boundary.forwards import make_hidden
 from warp_psdr.kernels.boundary.silhouette.grid_primary import FRONT
 from warp_psdr.kernels.boundary.silhouette.primary import MARGIN, WIDER, make_camera_eye
 from warp_psdr.kernels.boundary.silhouette.tube_points import (
@@ -38,7 +39,6 @@ from warp_psdr.kernels.sensor.camera import make_camera_sink, make_lens
 from warp_psdr.kernels.sensor.projection import make_projection, make_splat
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.vertex import PathConfig
-from warp_psdr.kernels.visibility import visibility_of
 
 
 @functools.cache
@@ -47,7 +47,7 @@ def make_primary_tube_kernel(config: PathConfig, role: str, camera_moves: bool):
     accumulate_tube = make_tube_sink(role, config.primitives)
     accumulate_camera = make_camera_sink(role, config.camera) if camera_moves else None
     incident_radiance = make_incident_radiance(config)
-    visibility = visibility_of(config)
+    hidden = make_hidden(config)
     splat, gather = make_splat()
     project, film_gradient, film_velocity = make_projection(config.camera)
     lens_point = make_lens(config.camera)
@@ -98,11 +98,7 @@ def make_primary_tube_kernel(config: PathConfig, role: str, camera_moves: bool):
         curvature = tube_curvature(point, d)
         if not in_front(point, d, curvature):
             return
-        # Forwards, since rays that start in a tube leave it unseen.
-        way = start - at.origin
-        length = wp.length(way)
-        way /= length
-        if length > at.near and visibility.hidden_from_camera(scene, at.origin + at.near * way, way, length - at.near):
+        if hidden(scene, start, at.origin, at.near):
             return
         # ---- The motion of the image ----
         rate = film_velocity(scene, camera, at, point.rate)

@@ -13,6 +13,7 @@ import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.boundary.depth import make_indirect
+from warp_psdr.kernels.boundary.forwards import make_sees
 from warp_psdr.kernels.boundary.guiding.cube import make_cube, make_ends
 from warp_psdr.kernels.boundary.guiding.slots import choose_slot
 from warp_psdr.kernels.boundary.guiding.techniques import Guide
@@ -25,7 +26,7 @@ from warp_psdr.kernels.boundary.silhouette.aim import (
     make_square_aim,
 )
 from warp_psdr.kernels.boundary.silhouette.delivery import make_delivery
-from warp_psdr.kernels.boundary.silhouette.ends import make_sensor_end, make_source_end, with_density
+from warp_psdr.kernels.boundary.silhouette.ends import is_beside_curve, make_sensor_end, make_source_end, with_density
 from warp_psdr.kernels.boundary.silhouette.tube_points import (
     TubeItems,
     TubePoint,
@@ -51,31 +52,9 @@ from warp_psdr.kernels.primitive.affine import step_off_primitive
 from warp_psdr.kernels.rng import make_sampler, sampler_at
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.vertex import PathConfig
-from warp_psdr.kernels.visibility import visibility_of
 
 #: Sample slot of the root around a circle.
 SLOT_ROOT = 2
-#: Share of the way from x_1 on which the segment is followed forwards.
-FORWARDS = 0.999
-
-
-@functools.cache
-def make_sees(config: PathConfig):
-    """Return ``sees(scene, x, w, t1) -> bool``: whether a ray comes along w, from the distance t1, to a point.
-
-    Straight segments run into each other at joints, and rays that start in one leave it unseen.
-    """
-    visibility = visibility_of(config)
-    has_linear = PRIMITIVE_LINEARCURVE in config.primitives
-
-    @wp.func
-    def sees(scene: Scene, x: wp.vec3, w: wp.vec3, t1: wp.float32) -> wp.bool:
-        if wp.static(has_linear):
-            way = FORWARDS * t1
-            return not visibility.occluded(scene, x - way * w, w, way)
-        return True
-
-    return sees
 
 
 @functools.cache
@@ -85,7 +64,7 @@ def make_tube_segment(config: PathConfig):
     ``aim.light`` is -1 where its direction is its own, as of the fraction ``share`` of the segments; ``direct`` as in
     ``path_space/secondary.py``. The scale is one over the density of what was drawn.
     """
-    sees = make_sees(config)
+    sees = make_sees(config, (PRIMITIVE_LINEARCURVE,))
     source_end = make_source_end(config)
     sensor_end = make_sensor_end(config)
 
@@ -122,8 +101,10 @@ def make_tube_segment(config: PathConfig):
         if not density > 0.0:
             return r
         r = with_density(sensor_end(scene, moving, end.segment, end.any_moves), end, aim, density)
-        if r.valid == 1 and not sees(scene, r.x, r.w, r.t1):
-            r.valid = 0
+        if r.valid == 1:
+            beside = point.rim == 0 and is_beside_curve(scene, r, point.face, curvature)
+            if beside or not sees(scene, r.x, r.w, r.t1):
+                r.valid = 0
         return r
 
     return tube_segment
