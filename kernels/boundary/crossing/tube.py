@@ -1,6 +1,6 @@
 """The circle of a tube, or the sphere of a cone, that a place near a curve of intersection lies on the normal of.
 
-Derivation: ``docs/theory/implicit.md#tubes-that-run-through-meshes``.
+Derivation: ``docs/theory/implicit.md#curves-of-intersection``.
 """
 
 import warp as wp
