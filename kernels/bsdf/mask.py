@@ -108,5 +108,6 @@ MASK = Composite(
     ("nested_bsdf",),
     make_mask,
     lambda children: "",
+    mixes=("opacity",),
     adds=(LOBE_NULL,),
 )

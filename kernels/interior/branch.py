@@ -28,14 +28,15 @@ from warp_psdr.kernels.interior.branch_point import (
     BranchPoint,
     make_branch_point,
 )
-from warp_psdr.kernels.interior.candidates import make_candidates
+from warp_psdr.kernels.interior.candidates import is_upper, make_candidates
 from warp_psdr.kernels.interior.decomposed import make_decomposed_directions
 from warp_psdr.kernels.interior.factors import make_material_sink
 from warp_psdr.kernels.interior.gradient_request import GradientRequest
+from warp_psdr.kernels.interior.mixtures import make_mixture, mixed_values
 from warp_psdr.kernels.interior.resampled import make_resampling, one_of
 from warp_psdr.kernels.interior.shape_parameters import make_shape_parameters
 from warp_psdr.kernels.interior.velocities import axis_vec3
-from warp_psdr.kernels.invalid import count_invalid, finite, vanishes
+from warp_psdr.kernels.invalid import count_invalid, finite, inverse_pdf, vanishes
 from warp_psdr.kernels.jobs import PixelJob, make_sample_weight, pixel_of
 from warp_psdr.kernels.path import make_path_radiance
 from warp_psdr.kernels.reading import bsdf_at, shape_at
@@ -73,7 +74,10 @@ def make_branch_kernel(
     has_lights = samples_lights(config)
     sample_light = make_light_sampler(config) if has_lights else None
     next_event = make_next_event(config, True) if has_lights else None
-    direction_targets, light_targets = make_candidates(config, candidates)
+    direction_targets, light_targets, density = make_candidates(config, wanted, candidates)
+    mixing = bool(mixed_values(config, wanted))
+    mixture_count, _rate, end_of, _member = make_mixture(config, wanted) if mixing else (None, None, None, None)
+    pdf_of = interaction.pdf
     visibility = visibility_of(config)
     accumulate_material = make_material_sink(config, wanted, role)
     shape_count, shape_direction, along_shape, moved_shape = make_shape_parameters(config, wanted, role)
@@ -141,7 +145,14 @@ def make_branch_kernel(
         _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
         sizes = wp.vec3(wp.abs(a_n[0]), wp.abs(a_n[1]), wp.abs(a_n[2]))
         r4 = sample_4d(branch, DIRECTION_SLOT)
-        direction_targets(scene, at, moved, r4, sizes, t)
+        mixes = wp.bool(False)
+        lower = at.material
+        upper = at.material
+        if wp.static(mixing):
+            mixes = mixture_count(direction) == 1
+            lower = end_of(at.material, direction, 0, False)
+            upper = end_of(at.material, direction, 0, True)
+        direction_targets(scene, at, mixes, lower, upper, moved, r4, sizes, t)
         chosen = choose_two(t, u)
         a_material = material_record()
         found = wp.vec3(0.0, 0.0, 0.0)
@@ -152,11 +163,28 @@ def make_branch_kernel(
             k, weight = one_of(chosen, ray)
             ray += 1
             if k >= 0:
-                goes_on = scatter(at, point.state, point.face, numbers(r4, k), NO_ROULETTE)
-                radiance = path_radiance(scene, branch, goes_on.after, max_depth, rr_depth)
-                w = (weight * goes_on.inv_pdf) * wp.cw_mul(a_n, radiance)
+                there = at
+                if wp.static(mixing):
+                    if mixes:
+                        there.material = lower
+                        if is_upper(numbers(r4, k)):
+                            there.material = upper
+                goes_on = scatter(there, point.state, point.face, numbers(r4, k), NO_ROULETTE)
+                wo = enter_frame(at.frame, goes_on.wo)
+                inv_pdf = goes_on.inv_pdf
+                state = goes_on.after
+                if wp.static(mixing):
+                    if mixes:
+                        both = density(at, lower, goes_on.lobe, wo) + density(at, upper, goes_on.lobe, wo)
+                        inv_pdf = 2.0 * inverse_pdf(both)
+                        if goes_on.lobe == LOBE_SMOOTH:
+                            state.pdf = pdf_of(at, wo)
+                            if state.pdf <= 0.0:
+                                state.alive = 0
+                radiance = path_radiance(scene, branch, state, max_depth, rr_depth)
+                w = (weight * inv_pdf) * wp.cw_mul(a_n, radiance)
                 if not vanishes(w):
-                    a, d = partial(at, goes_on.lobe, enter_frame(at.frame, goes_on.wo), w, direction)
+                    a, d = partial(at, goes_on.lobe, wo, w, direction)
                     a_material = add_materials(a_material, a)
                     found += d
         return a_material, found

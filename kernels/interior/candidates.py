@@ -13,6 +13,8 @@ import warp as wp
 
 from warp_psdr.kernels.constants import LOBE_SMOOTH
 from warp_psdr.kernels.interaction import enter_frame, make_interaction
+from warp_psdr.kernels.interior.gradient_request import GradientRequest
+from warp_psdr.kernels.interior.mixtures import mixed_values
 from warp_psdr.kernels.interior.resampled import make_resampling
 from warp_psdr.kernels.invalid import inverse_pdf
 from warp_psdr.kernels.lanes.lanes import make_record, words
@@ -46,13 +48,16 @@ class Candidates(NamedTuple):
     """Functions that fill an array ``t`` with the targets of all candidates.
 
     Attributes:
-        directions: ``(scene, at, moved, r4, sizes, t)``: of the model's own directions. ``moved`` are the values of a
-            material a step along its direction, ``r4`` random numbers, ``sizes`` the weights of the colours.
+        directions: ``(scene, at, mixes, lower, upper, moved, r4, sizes, t)``: of the model's own directions. ``moved``
+            are the values of a material a step along its direction, ``r4`` random numbers, ``sizes`` the weights of the
+            colours. If it ``mixes``, half of them are those of ``lower`` and ``upper``, the ends of its mixture.
         lights: ``(scene, at, moved, r4, sizes, t)``: of light points; None: there is no next-event estimation.
+        density: ``(at, material, lobe, wo) -> float32``: of a local direction, or the probability of a delta lobe.
     """
 
     directions: wp.Function
     lights: wp.Function | None
+    density: wp.Function
 
 
 @wp.func
@@ -66,9 +71,16 @@ def signed_target(moved: wp.vec3, value: wp.vec3, weights: wp.vec3) -> wp.float3
     return wp.where(wp.dot(d, weights) < 0.0, -size, size)
 
 
+@wp.func
+def is_upper(n4: wp.vec4) -> wp.bool:
+    """Whether a candidate is drawn at the upper end of a mixture."""
+    return n4[1] >= 0.5
+
+
 @functools.cache
-def make_candidates(config: PathConfig, candidates: int) -> Candidates:
-    """Return the functions for a scene and a number of candidates."""
+def make_candidates(config: PathConfig, wanted: GradientRequest, candidates: int) -> Candidates:
+    """Return the functions for a scene, the values that are branched and a number of candidates."""
+    mixing = bool(mixed_values(config, wanted))
     interaction = make_interaction(config, True)
     record, bsdf = interaction.record, interaction.bsdf
     material_record = bsdf.record
@@ -80,15 +92,47 @@ def make_candidates(config: PathConfig, candidates: int) -> Candidates:
     first_point = words(Target)
 
     @wp.func
-    def direction_target(at: record, moved: material_record, n4: wp.vec4, sizes: wp.vec3) -> wp.float32:
-        bs = bsdf.sample(at.model, at.material, at.wi, n4[0], wp.vec2(n4[2], n4[3]))
-        value = bsdf.eval(at.model, moved, at.wi, bs.wo)
+    def density(at: record, material: material_record, lobe: wp.int32, wo: wp.vec3) -> wp.float32:
+        p = bsdf.pdf(at.model, material, at.wi, wo)
+        if wp.static(delta):
+            if lobe > LOBE_SMOOTH:
+                p = bsdf.probability(at.model, material, at.wi, lobe)
+        return p
+
+    @wp.func
+    def direction_target(
+        at: record,
+        mixes: wp.bool,
+        lower: material_record,
+        upper: material_record,
+        moved: material_record,
+        n4: wp.vec4,
+        sizes: wp.vec3,
+    ) -> wp.float32:
+        own = at.material
+        other = moved
+        if wp.static(mixing):
+            if mixes:
+                own = lower
+                other = upper
+                if is_upper(n4):
+                    own = upper
+                    other = lower
+        bs = bsdf.sample(at.model, own, at.wi, n4[0], wp.vec2(n4[2], n4[3]))
+        value = bsdf.eval(at.model, other, at.wi, bs.wo)
         if wp.static(delta):
             if bs.lobe > LOBE_SMOOTH:
-                value = bsdf.scatter(at.model, moved, at.wi, bs.lobe).value
+                value = bsdf.scatter(at.model, other, at.wi, bs.lobe).value
+        p = bs.pdf
         drawn = bs.pdf > 0.0
-        t = signed_target(value, bs.value, sizes) / wp.where(drawn, bs.pdf, 1.0)
-        return wp.where(drawn, t, bs.pdf)  # a NaN stays
+        t = signed_target(value, bs.value, sizes)
+        if wp.static(mixing):
+            if mixes:
+                # What only the other end has counts, too.
+                t += wp.where(t < 0.0, -FLOOR, FLOOR) * wp.dot(sizes, value)
+                t = wp.where(is_upper(n4), -t, t)
+                p = 0.5 * (p + density(at, other, bs.lobe, bs.wo))
+        return wp.where(drawn, t / wp.where(drawn, p, 1.0), bs.pdf)  # a NaN stays
 
     @wp.func
     def light_target(at: record, moved: material_record, point: LightPoint, sizes: wp.vec3) -> wp.float32:
@@ -108,6 +152,9 @@ def make_candidates(config: PathConfig, candidates: int) -> Candidates:
     def direction_targets(
         scene: Scene,
         at: record,
+        mixes: wp.bool,
+        lower: material_record,
+        upper: material_record,
         moved: material_record,
         r4: wp.vec4,
         sizes: wp.vec3,
@@ -117,16 +164,16 @@ def make_candidates(config: PathConfig, candidates: int) -> Candidates:
             k = wp.int32(0)
             while k < candidates:
                 target = Target()
-                target.t = direction_target(at, moved, numbers(r4, k), sizes)
+                target.t = direction_target(at, mixes, lower, upper, moved, numbers(r4, k), sizes)
                 put_target(scene.rows, 0, k, target)
                 k += 1
             fetch_targets(scene, t)
         else:
             for k in range(t.shape[0]):
-                t[k] = direction_target(at, moved, numbers(r4, k), sizes)
+                t[k] = direction_target(at, mixes, lower, upper, moved, numbers(r4, k), sizes)
 
     if not samples_lights(config):
-        return Candidates(direction_targets, None)
+        return Candidates(direction_targets, None, density)
     sample_light = make_light_sampler(config)
 
     @wp.func
@@ -162,4 +209,4 @@ def make_candidates(config: PathConfig, candidates: int) -> Candidates:
             for k in range(t.shape[0]):
                 t[k] = light_target(at, moved, light_point(scene, at.x, numbers(r4, k)), sizes)
 
-    return Candidates(direction_targets, light_targets)
+    return Candidates(direction_targets, light_targets, density)

@@ -23,9 +23,8 @@ from warp_psdr.kernels.material import slot_at
 from warp_psdr.kernels.structs import Scene
 from warp_psdr.kernels.vertex import PathConfig
 
-#: Colours that are branched: the complex index of refraction. And numbers that are not: shadow rays pass masks, so
-#: next-event estimation has most of an opacity's derivative.
-INDICES, OPACITY = ("eta", "k"), "opacity"
+#: Colours that are branched: the complex index of refraction.
+INDICES = ("eta", "k")
 
 #: The step by which targets tell a derivative, over the size of a value, and the least size: large for the digits of
 #: float32, small for where a derivative changes its sign.
@@ -45,7 +44,7 @@ def _number(bound: float) -> str:
 def is_shape(slot: Slot, bsdfs: tuple[str, ...]) -> bool:
     """Whether branches can differentiate by a value: a number of a smooth lobe, but for those that turn delta lobes."""
     plain = slot.name.rsplit("_", 1)[-1]
-    if slot.table or slot.source != TEXTURE or plain == OPACITY or (slot.color and plain not in INDICES):
+    if slot.table or slot.source != TEXTURE or (slot.color and plain not in INDICES):
         return False
     models = models_of(bsdfs)
     smooth = any(m.has_smooth and slot.name in {value.name for value in m.values} for m in models)
@@ -124,6 +123,7 @@ def make_shape_parameters(config: PathConfig, wanted: GradientRequest, role: str
         direction.append("    return m\n")
 
     bounds = {value.name: (value.low, value.high) for value in merge_values(models_of(config.bsdfs))}
+    linear = {name for model in models_of(config.bsdfs) for name in model.mixes}
     members = [
         (f"{slot.name}{part}", *bounds[slot.name])
         for _k, slot in chosen
@@ -131,11 +131,11 @@ def make_shape_parameters(config: PathConfig, wanted: GradientRequest, role: str
     ]
     moved = ["def moved_shape(material: record, direction: record) -> tuple[record, wp.bool]:"]
     moved += ["    h = wp.float32(LARGEST)", "    back = wp.bool(False)", "    m = material"]
-    for name, _low, _high in members:
+    for name, low, high in members:
+        # What is linear in a number has the same derivative for every step.
+        size = _number(high - low) if name in linear else f"wp.max(wp.abs(material.{name}), LEAST_SCALE)"
         moved += [f"    if direction.{name} != 0.0:"]
-        moved += [
-            f"        h = wp.min(h, STEP * wp.max(wp.abs(material.{name}), LEAST_SCALE) / wp.abs(direction.{name}))"
-        ]
+        moved += [f"        h = wp.min(h, STEP * {size} / wp.abs(direction.{name}))"]
     moved += ["    h = wp.where(h < LARGEST, h, 0.0)"]
     for name, low, high in members:
         moved += [f"    if not is_within(material.{name} + h * direction.{name}, {_number(low)}, {_number(high)}):"]

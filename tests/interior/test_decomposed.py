@@ -12,6 +12,7 @@ GLOSSY = ["metal", "beckmann metal", "brushed metal", "phong", "orennayar"]
 MIXTURES = {
     "blend": ["ball.bsdf.weight.value"],
     "half mirror": ["ball.bsdf.weight.value"],
+    "mask": ["ball.bsdf.opacity.value"],
     "principled": ["ball.bsdf.metallic.value", "ball.bsdf.clearcoat.value"],
 }
 
@@ -56,7 +57,7 @@ def test_mean_by_weights_is_that_of_replay(name):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["blend", "principled"])
+@pytest.mark.parametrize("name", ["blend", "mask", "principled"])
 def test_forward_mode_by_weights_sums_to_reverse_mode(name):
     """One weight has the samples of reverse mode; several at once have the sum of their derivatives."""
     grey = np.random.default_rng(4).normal(size=(SIZE, SIZE, 1)).astype(np.float32) * np.ones(3, np.float32)

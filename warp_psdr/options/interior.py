@@ -110,8 +110,8 @@ class Resampled(Method):
     """Resampled branches for the shapes of lobes (``kernels/interior/resampled.py``), after [BXB*24]; the rest: replay.
 
     Branched are the numbers of materials with smooth lobes (roughnesses, exponents, indices of refraction, weights of
-    mixtures), by one of them a sample; an opacity is not. In scenes with participating media it is `g` of `hg`. All
-    else that is requested is left to ``Replay()``.
+    mixtures, opacities), by one of them a sample; by weights half of the candidates are of each end. In scenes with
+    participating media it is `g` of `hg`. All else that is requested is left to ``Replay()``.
 
     Attributes:
         candidates: how many directions, and light points, are looked at where a path branches, a square.
@@ -188,9 +188,9 @@ class Decomposed(Method):
     Branched are the roughnesses of `roughconductor`, of either distribution, and the exponents of `ashikhminshirley`,
     isotropic or not, `A`, `B` and `C` of `abc` and `sigma` of `orennayar`, by the lobes of their derivative; and
     weights of mixtures by what they mix: `weight` of `blendbsdf`, and `metallic`, `spec_trans`, `clearcoat`, `sheen`,
-    `sheen_tint`, `flatness`, `spec_tint` and `diff_trans` of `principled` and `principledthin`, nested or not. In
-    scenes with participating media it is `g` of `hg`. All else that is requested is left to ``Replay()``; it refuses
-    other shapes of lobes, which ``Resampled()`` differentiates by.
+    `sheen_tint`, `flatness`, `spec_tint` and `diff_trans` of `principled` and `principledthin`, nested or not, and
+    `opacity` of `mask`. In scenes with participating media it is `g` of `hg`. All else that is requested is left to
+    ``Replay()``; it refuses other shapes of lobes, which ``Resampled()`` differentiates by.
     """
 
 

@@ -23,6 +23,8 @@ from warp_psdr.plan.replay import Kept, keep_blocks, replayed, without
 if TYPE_CHECKING:
     from warp_psdr.kernels.vertex import PathConfig
 
+#: Name of a mask's value.
+OPACITY = "opacity"
 #: Phase functions whose parameters are drawn for, or that have none.
 DRAWN_PHASES = {PHASE_ISOTROPIC, PHASE_HG, PHASE_RAYLEIGH}
 
@@ -145,8 +147,8 @@ def refused_by_resampled(config: PathConfig, wanted: GradientRequest) -> str:
     if not any(branched_values(config, wanted)):
         return (
             "interior.Resampled() draws directions for the shapes of lobes, and no parameter that is requested is one "
-            "(a roughness, an exponent, an index of refraction or a weight of a material with a smooth lobe). Use "
-            "interior.Replay()"
+            "(a roughness, an exponent, an index of refraction, a weight or an opacity of a material with a smooth "
+            "lobe). Use interior.Replay()"
         )
     if has_null_lobes(config.bsdfs) and DELTA_LIGHTS & set(config.lights):
         return (
@@ -186,6 +188,11 @@ def refused_in_path_order(name: str) -> Callable[[PathConfig, GradientRequest], 
     return refuse
 
 
+def drawn_by_choice(config: PathConfig, wanted: GradientRequest) -> GradientRequest:
+    """Return what of a request may be branched unasked: no opacity, most of whose derivative shadow rays have."""
+    return without(wanted, tuple(slot.name.rsplit("_", 1)[-1] == OPACITY for slot in config.material))
+
+
 def keep_branches(method: interior.Method, max_depth: int, rr_depth: int) -> Kept:
     """Return what several methods side by side keep."""
     assert isinstance(method, interior.Branches)
@@ -211,10 +218,11 @@ def beside_first(config: PathConfig, wanted: GradientRequest, role: str, kept: K
 def _kernels(config: PathConfig, wanted: GradientRequest, role: str, kept: Kept) -> list[wp.Kernel]:
     assert kept.branches is not None
     make = {"": [], "resampled": [make_resampled], "decomposed": [make_decomposed]}[kept.branches.shapes]
-    return [m(config, wanted, role, kept) for m in (*make, *([make_pairs] if kept.branches.normals else []))]
+    shapes = [m(config, drawn_by_choice(config, wanted), role, kept) for m in make]
+    return shapes + ([make_pairs(config, wanted, role, kept)] if kept.branches.normals else [])
 
 
 def rest_of(method: interior.Branches, config: PathConfig, wanted: GradientRequest) -> GradientRequest:
     """Return what of a request is replayed beside several methods."""
     rest = unpaired(config, wanted) if method.normals else wanted
-    return without(rest, branched_values(config, wanted)) if method.shapes else rest
+    return without(rest, branched_values(config, drawn_by_choice(config, wanted))) if method.shapes else rest

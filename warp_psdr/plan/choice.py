@@ -17,7 +17,7 @@ from warp_psdr.kernels.interior.mixtures import mixed_values
 from warp_psdr.kernels.interior.shape_parameters import branched_values, unsplit_values
 from warp_psdr.kernels.interior.tilts import tilting_values
 from warp_psdr.options.interior import Branches, Method, Replay
-from warp_psdr.plan.branches import refused_by_antithetic, refused_by_resampled, rest_of
+from warp_psdr.plan.branches import drawn_by_choice, refused_by_antithetic, refused_by_resampled, rest_of
 from warp_psdr.plan.interior import row_of
 from warp_psdr.plan.replay import is_asked
 from warp_psdr.scene.layout import CAMERA, MATERIAL, NORMALS, POSITIONS, SHAPE_POSE, TEXCOORDS, TO_UV
@@ -122,7 +122,7 @@ def offered(config: PathConfig, wanted: GradientRequest, moves_edges: bool) -> t
     """
     if config.media is not None or config.primitives:
         return ()
-    found = [] if refused_by_resampled(config, wanted) else ["shapes"]
+    found = [] if refused_by_resampled(config, drawn_by_choice(config, wanted)) else ["shapes"]
     if not (moves_edges or refused_by_antithetic(config, wanted)):
         found.append("normals")
     return tuple(found)
@@ -134,7 +134,7 @@ def candidates(plan: Plan) -> list[tuple[str, Branches]]:
     found = []
     if "shapes" in plan.offered:
         found.append(("shapes", Branches(shapes="resampled")))
-        if not unsplit_values(plan.config, plan.wanted):
+        if not unsplit_values(plan.config, drawn_by_choice(plan.config, plan.wanted)):
             found.append(("shapes", Branches(shapes="decomposed")))
     if "normals" in plan.offered:
         found.append(("normals", Branches(normals=True)))
@@ -149,7 +149,7 @@ def both(found: tuple[Branches, ...]) -> Branches:
 
 def cost_of(method: Branches, config: PathConfig, wanted: GradientRequest) -> float:
     """Return the time of a sample over that of replay."""
-    shapes_cost = WEIGHTS_COST if mixed_values(config, wanted) else SHAPES_COST
+    shapes_cost = WEIGHTS_COST if mixed_values(config, drawn_by_choice(config, wanted)) else SHAPES_COST
     cost = shapes_cost[method.shapes] if method.shapes else 0.0
     cost += NORMALS_COST if method.normals else 0.0
     return cost + float(is_asked(rest_of(method, config, wanted)))
@@ -173,7 +173,9 @@ def describe(
     """Return the plan's lines: what each parameter is differentiated by, and why."""
     owns = {
         "shapes": {
-            MATERIAL + s.name for s, b in zip(config.material, branched_values(config, wanted), strict=True) if b
+            MATERIAL + s.name
+            for s, b in zip(config.material, branched_values(config, drawn_by_choice(config, wanted)), strict=True)
+            if b
         },
         "normals": {
             MATERIAL + s.name for s, t in zip(config.material, tilting_values(config, wanted), strict=True) if t
