@@ -11,7 +11,7 @@ choices (the mean over the seeds) and of the best method, both over replay's.
 import numpy as np
 import warp as wp
 from common import Report, arguments, in_turns, psdr, ratio
-from shape_derivatives import DEPTH, NORMALS, ROUGHNESSES, SHAPES, scene_of
+from shape_derivatives import DEPTH, NORMALS, OTHERS, SHAPES, scene_of
 
 from warp_psdr.estimate import choice as pilot
 from warp_psdr.plan import choice
@@ -30,7 +30,7 @@ def main() -> None:
     psdr.set_workers(options.threads)
     report = Report("automatic methods", options.output)
     rows = []
-    for name, material, parameter, _direction, width, power, sky in (*SHAPES, *ROUGHNESSES[6:], *NORMALS):
+    for name, material, parameter, _direction, width, power, sky in (*SHAPES, *OTHERS, *NORMALS):
         if any(word in name for word in options.skip):
             continue
         scene = scene_of(material, width, power, sky, size)

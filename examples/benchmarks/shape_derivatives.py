@@ -2,8 +2,8 @@
 
     python examples/benchmarks/shape_derivatives.py [--method resampled] [--quick] [--output results.jsonl]
 
-By the shape of lobes, ``interior.Resampled``; by the roughness of metal, ``interior.Decomposed`` beside it; by what
-turns normals, ``interior.Antithetic``.
+By the shape of lobes, ``interior.Resampled``; by roughnesses of metal, other numbers of single lobes and weights,
+``interior.Decomposed`` beside it; by what turns normals, ``interior.Antithetic``.
 
 A glossy ball on a floor under a lamp of some width and an even sky. The variance is that of the derivative image, all
 pixels together, from independent seeds at equal samples; the time that of gradients in reverse mode. What counts is the
@@ -46,6 +46,9 @@ BLEND = {
     "bsdf_0": {"type": "diffuse", "reflectance": rgb(0.6, 0.3, 0.1)},
     "bsdf_1": metal(0.2),
 }
+RARE = {**BLEND, "weight": 0.02}
+GROOVES = {"type": "orennayar", "sigma": 0.4, "reflectance": rgb(0.7, 0.5, 0.4)}
+LONG_TAILS = {"type": "abc", "A": 2.0, "B": 60.0, "C": 1.3, "eta": rgb(0.2, 0.9, 1.1), "k": rgb(4, 2, 2)}
 #: Where a case's parameter moves to; 1.0: a number.
 RIGHT, ASIDE = np.array([1.0, 0.0, 0.0]), np.zeros((4, 4))
 ASIDE[0, 3] = 1.0
@@ -58,7 +61,8 @@ SHAPES = (
     ("metal, alpha 0.05, wide lamp and sky", metal(0.05), "ball.bsdf.alpha.value", 1.0, 3.0, 24.0, 1.0),
     ("metal, alpha 0.4, wide lamp and sky", metal(0.4), "ball.bsdf.alpha.value", 1.0, 3.0, 24.0, 1.0),
     ("plastic, alpha 0.2, lamp and sky", PLASTIC, "ball.bsdf.alpha", 1.0, 0.7, 24.0, 0.3),
-    ("blend of paint and metal, weight, lamp and sky", BLEND, "ball.bsdf.weight.value", 1.0, 0.7, 24.0, 0.3),
+    ("blend of paint and metal, weight 0.4, lamp and sky", BLEND, "ball.bsdf.weight.value", 1.0, 0.7, 24.0, 0.3),
+    ("blend of paint and metal, weight 0.02, lamp and sky", RARE, "ball.bsdf.weight.value", 1.0, 0.7, 24.0, 0.3),
 )
 NORMAL = "ball.bsdf.normalmap.value"
 NORMALS = (
@@ -74,16 +78,18 @@ NORMALS = (
 BRUSHED = {**metal(0.1), "alpha_u": 0.1, "alpha_v": 0.3}
 del BRUSHED["alpha"]
 BECKMANN = {**metal(0.15), "distribution": "beckmann"}
-#: Those of them by the roughness of metal, and others.
-ROUGHNESSES = (
-    *SHAPES[:6],
+#: Others whose lobes have closed forms, and all that do.
+OTHERS = (
     ("Beckmann, alpha 0.15, wide lamp and sky", BECKMANN, "ball.bsdf.alpha.value", 1.0, 3.0, 24.0, 1.0),
     ("brushed, alpha_u 0.1 of (0.1, 0.3), wide lamp and sky", BRUSHED, "ball.bsdf.alpha_u.value", 1.0, 3.0, 24.0, 1.0),
+    ("abc, B, lamp and sky", LONG_TAILS, "ball.bsdf.B.value", 1.0, 0.7, 24.0, 0.3),
+    ("orennayar, sigma 0.4, lamp and sky", GROOVES, "ball.bsdf.sigma.value", 1.0, 0.7, 24.0, 0.3),
 )
+CLOSED = (*SHAPES[:6], *OTHERS, *SHAPES[7:])
 #: label -> (methods, cases, what they differentiate by).
 TABLES = {
     "resampled": ((psdr.interior.Resampled(),), SHAPES, "the shape of lobes"),
-    "decomposed": ((psdr.interior.Decomposed(), psdr.interior.Resampled()), ROUGHNESSES, "the roughness of metal"),
+    "decomposed": ((psdr.interior.Decomposed(), psdr.interior.Resampled()), CLOSED, "lobes with closed forms"),
     "antithetic": ((psdr.interior.Antithetic(),), NORMALS, "what turns normals"),
 }
 
