@@ -88,7 +88,7 @@ def make_transfer_kernel(
                 end = wp.int32(wp.where(s.crossed, NEAR_END, NEAR_END + 1))
                 while end <= FAR_END:
                     if end == NEAR_END or (v.surface.face >= 0 and not v.collides):
-                        t = wp.where(end == NEAR_END, 0.0, v.length)
+                        t = wp.where(end == NEAR_END, wp.min(s.inner, v.length), v.length)
                         branch = salted(sampler, SALT, PURPOSES * v.step + end)
                         found = in_scattering(scene, branch, v.medium, s.depth, o, d, t, max_depth, rr_depth)
                         if end == NEAR_END:
@@ -144,6 +144,9 @@ def make_transfer_kernel(
                     kept.start = state.start
                     kept.before = wp.dot(path.o - state.start, path.d)
                     kept.crossed = state.crossed
+                    lead = wp.dot(state.media.skip, path.d)
+                    if lead > 0.0:
+                        kept.inner = wp.length_sq(state.media.skip) / lead
                     kept.depth = path.depth
                     vertex, after = media_step(scene, sampler, state.media, job.max_depth, job.rr_depth)
                     kept.step = vertex

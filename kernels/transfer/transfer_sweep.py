@@ -48,6 +48,7 @@ class TransferStep:
     start: wp.vec3  # y: where its direction was drawn
     before: wp.float32  # distance from there to where its flight starts
     crossed: wp.bool  # its flight starts at an interface
+    inner: wp.float32  # distance from there to a point that float32 tells from the interface
     depth: wp.int32  # path vertices in front of it
 
 
