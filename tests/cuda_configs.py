@@ -55,6 +55,7 @@ EXACT = PathConfig(**{**vars(SIMPLE), "uv": True, "tangent": True, "primitives":
 SPHERE = PathConfig(**{**vars(SIMPLE), "primitives": (c.PRIMITIVE_SPHERE,)})
 SPLINE = PathConfig(**{**vars(SIMPLE), "primitives": (c.PRIMITIVE_SDFGRID_CUBIC,)})
 EXACT_MIRRORS = PathConfig(**{**vars(MIRROR_LIGHTS), "primitives": KINDS})
+NETWORK = PathConfig(**{**vars(SIMPLE), "primitives": (c.PRIMITIVE_NEURALSDF,)})
 EXACT_LIGHTS = PathConfig(**{**vars(ALL_LIGHTS), "primitives": (c.PRIMITIVE_SPHERE,)})
 DISTANCES = PathConfig(**{**vars(SIMPLE), "tangent": True, "primitives": (c.PRIMITIVE_SPHERE, c.PRIMITIVE_SDFGRID)})
 CUBIC = PathConfig(**{**vars(SIMPLE), "primitives": (c.PRIMITIVE_SDFGRID_CUBIC, c.PRIMITIVE_NEURALSDF)})

@@ -31,6 +31,7 @@ from tests.cuda_configs import (
     MIRRORS,
     MIRRORS_LENS,
     MIRRORS_PARALLEL,
+    NETWORK,
     NOTED,
     NOTED_MATERIALS,
     ORTHOGRAPHIC,
@@ -349,6 +350,7 @@ FACTORIES = {
     "boundary.signed_distance.film_border.make_film_border_kernel": [
         ("reverse", (SPHERE, "reverse", WarpOptions()), SLOW),
         ("forward, neural", (SPHERE, "forward", WarpOptions(neural=True)), SLOW),
+        ("reverse, network", (NETWORK, "reverse", WarpOptions()), SLOW),
         ("reverse, meshes", (SIMPLE, "reverse", WarpedOptions()), SLOW),
     ],
     "boundary.warped_area.warped_area.make_warped_area_kernel": [

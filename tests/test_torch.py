@@ -8,11 +8,14 @@ import numpy as np
 import pytest
 
 import warp_psdr as psdr
+from tests.networks import Net, fitted
+from tests.networks import sphere as ball
 
 ROOT = Path(__file__).resolve().parents[1]
 WALL, SKY = "wall.bsdf.reflectance.value", "sky.radiance.value"
 POSE, VERTICES = "wall.to_world", "wall.vertex_positions"
 OPTIONS = {"spp": 8, "seed": 3}
+KEYS = ("weight", "bias")
 #: Rounding of float32 sums over the pixels, relative to the largest entry.
 ROUNDING = 1e-5
 
@@ -216,3 +219,48 @@ def test_mistakes_are_named(scene) -> None:
         psdr.torch.render(scene, {WALL: torch.zeros(3, requires_grad=True)}, integrator=3, **OPTIONS)
     with pytest.raises(TypeError, match="expected tensors by name"):
         psdr.torch.render(scene, [torch.zeros(3)], **OPTIONS)
+
+
+def test_an_optimiser_of_torch_moves_a_network() -> None:
+    """A module's weights are what a ``neuralsdf`` is, their gradients those of ``render_backward``, to the bit."""
+    torch = pytest.importorskip("torch")
+    held = fitted(ball, (24,))
+    module = torch.nn.Sequential(torch.nn.Linear(3, 24), torch.nn.Softplus(beta=10.0), torch.nn.Linear(24, 1))
+    linear = [module[0], module[2]]
+    with torch.no_grad():
+        for layer, (weight, bias) in zip(linear, held.layers, strict=True):
+            layer.weight.copy_(torch.from_numpy(weight))
+            layer.bias.copy_(torch.from_numpy(bias))
+    film = {"type": "hdrfilm", "width": 8, "height": 8, "rfilter": {"type": "box"}}
+    view = psdr.Transform.look_at([0.5, 0.5, 2.5], [0.5, 0.5, 0.5], [0, 1, 0])
+    scene = psdr.load_dict(
+        {
+            "type": "scene",
+            "camera": {"type": "perspective", "fov": 40, "to_world": view, "film": film},
+            "body": held.plugin(bsdf={"type": "diffuse", "reflectance": {"type": "rgb", "value": 0.0}}),
+            "sky": {"type": "constant"},
+        }
+    )
+    tensors = {f"body.layer{n}.{key}": getattr(layer, key) for n, layer in enumerate(linear) for key in KEYS}
+    options = {"spp": 16, "seed": 2, "integrator": psdr.PathIntegrator(max_depth=1)}
+    optimiser = torch.optim.SGD(module.parameters(), lr=2e-4)
+    losses = []
+    for _step in range(3):
+        optimiser.zero_grad()
+        loss = psdr.torch.render(scene, tensors, **options).square().mean()  # a larger black shape has a smaller one
+        loss.backward()
+        losses.append(loss.item())
+        optimiser.step()
+
+    params = psdr.traverse(scene)
+    params.requires_grad(*tensors)
+    image = psdr.render(scene, **options).numpy()
+    psdr.render_backward(scene, params, 2.0 / image.size * image, **options)
+    for name, tensor in tensors.items():
+        assert tensor.grad.abs().max() > 0.0
+        np.testing.assert_array_equal(tensor.grad.numpy(), params[name].grad.numpy())
+    assert losses[2] < losses[1] < losses[0]
+    x = np.random.default_rng(1).random((50, 3))
+    now = Net([(layer.weight.detach().numpy(), layer.bias.detach().numpy()) for layer in linear], 0, False, 10.0)
+    expected = module(torch.from_numpy(x.astype(np.float32))).detach().numpy()[:, 0]
+    np.testing.assert_allclose(now.phi(x), expected, atol=1e-5)

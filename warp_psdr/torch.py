@@ -6,6 +6,9 @@
     image = psdr.torch.render(scene, {"wall.reflectance.value": albedo}, spp=64)
     (image - target).square().mean().backward()  # albedo.grad
 
+The layers of a ``neuralsdf`` are parameters like others: a module's own weights may be given, which its optimiser
+then moves, ``{"body.layer0.weight": module[0].weight, "body.layer0.bias": module[0].bias, ...}``.
+
 Forward mode (``torch.autograd.forward_ad``) gives derivative images. There are no second derivatives, and hence no
 ``torch.func`` transforms, which prepare for them.
 """

@@ -32,6 +32,10 @@ BLOCK = 16
 #: Words of the head: where the cells start, and how far off the surface rays start, in the box, that rounding of phi
 #: does not let meet it again.
 CELLS_WORD, STEP_WORD = 6, 16
+#: Words of the head: the greatest slope of phi where it is at most a level, 0 while nobody has asked, and that level,
+#: which is so much of the box at the slope that the surface has.
+SLOPE_WORD, LEVEL_WORD = 17, 18
+LEVEL = 0.15
 
 
 @wp.func
@@ -61,13 +65,14 @@ def step_off_network(scene: Scene, tri: Triangle) -> wp.float32:
     return wp.max(step_off_primitive(scene, tri), step * size)
 
 
-def _source(text: str) -> str:
+def network_text(text: str) -> str:
+    """Return C++ with the sizes of networks put in."""
     for name, value in (("BLOCK", BLOCK), ("WIDTH", MOST_WIDTH), ("LAYERS", MOST_LAYERS), ("HEADER", HEAD)):
         text = text.replace(f"${name}", str(value))
     return text
 
 
-@wp.func_native(_source(TYPES + ALONG))
+@wp.func_native(network_text(TYPES + ALONG))
 def phi_along(values: wp.array(dtype=wp.float32), place: wp.int32, q: wp.vec3, w: wp.vec3) -> wp.vec2:
     """(phi, its derivative along w); ``place`` is that of the head."""
     return wp.vec2(0.0, 0.0)
@@ -75,7 +80,7 @@ def phi_along(values: wp.array(dtype=wp.float32), place: wp.int32, q: wp.vec3, w
 
 def _pull(role: str) -> str:
     start, sink, end = SINKS[role]
-    return _source(TYPES + PULL.replace("$START", start).replace("$SINK", sink) + end)
+    return network_text(TYPES + PULL.replace("$START", start).replace("$SINK", sink) + end)
 
 
 @wp.func_native(_pull(""))

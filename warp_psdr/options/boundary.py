@@ -203,8 +203,8 @@ class Distances(Reparametrised):
     Attributes:
         max_steps: steps of sphere tracing after which a ray's motion is decided. None: rays go on until they arrive or
             leave. A limit is a bias: rays next to silhouettes take the most steps.
-        step_scale: share of the distance that a step takes, in (0, 1]. Fields that are steeper than a distance, by the
-            factor k, need 1 / k at most.
+        step_scale: share of the distance that a step takes, in (0, 1]. Grids that are steeper than a distance, by the
+            factor k, need 1 / k at most. Networks are divided by a bound of their slope before.
     """
 
     max_steps: int | None = None
@@ -229,9 +229,9 @@ class Distances(Reparametrised):
 class SignedDistance(Distances):
     """Rays that move with the silhouettes of a signed distance function [VSJ22], each evaluated at one place.
 
-    Unbiased without ``max_steps``, for one exact sphere or one ``sdfgrid`` with cubic interpolation that moves or
-    changes, alone under a sky or with flat surfaces around it under a flat area light; direct light (``max_depth`` 1 or
-    2). What else moves, and discontinuities of other shapes within sight, are refused
+    Unbiased without ``max_steps``, for one exact sphere, ``sdfgrid`` with cubic interpolation or ``neuralsdf`` that
+    moves or changes, alone under a sky or with flat surfaces around it under a flat area light; direct light
+    (``max_depth`` 1 or 2). What else moves, and discontinuities of other shapes within sight, are refused
     (``warp_psdr/plan/reparametrised.py``).
     """
 

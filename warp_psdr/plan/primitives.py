@@ -13,12 +13,13 @@ from warp_psdr.scene.bsdfs import model_of
 from warp_psdr.scene.curves import INSTEAD as TUBES
 from warp_psdr.scene.exact import EXACT, KINDS
 from warp_psdr.scene.network import INSTEAD as GRIDDED
+from warp_psdr.scene.network import network_and_cells
 from warp_psdr.scene.sdfgrid import INSTEAD as TRIANGLES
 from warp_psdr.topology.crossing_curves import touched
 from warp_psdr.topology.crossing_pairs import crossed_light, touching_pair
 from warp_psdr.topology.grid_contacts import is_open, pierced_grid
 from warp_psdr.topology.grid_silhouettes import grid_shapes, grid_values
-from warp_psdr.topology.network_silhouettes import is_open_network, network_and_cells, network_shapes
+from warp_psdr.topology.network_silhouettes import is_open_network, network_shapes
 from warp_psdr.topology.tube_contacts import pierced_tubes
 from warp_psdr.topology.tube_crossings import resting_end
 

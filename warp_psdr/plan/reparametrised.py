@@ -14,6 +14,7 @@ import numpy as np
 import warp as wp
 
 from warp_psdr.kernels import constants as c
+from warp_psdr.kernels.boundary.signed_distance.box import FADE
 from warp_psdr.kernels.boundary.signed_distance.reparametrised import make_reparametrised_kernel
 from warp_psdr.kernels.boundary.signed_distance.warp_field import WarpOptions
 from warp_psdr.kernels.boundary.warped_area.auxiliary import WarpedOptions
@@ -23,6 +24,7 @@ from warp_psdr.options.boundary import AuxiliaryRays, Distances, Method, NeuralS
 from warp_psdr.plan import warped_area
 from warp_psdr.plan.coverage import REMEDY, has_steps
 from warp_psdr.plan.motion import motion
+from warp_psdr.scene.network import bound_slopes, network_and_cells
 from warp_psdr.scene.sdfgrid import CORNERS
 from warp_psdr.topology.camera_view import camera_view
 from warp_psdr.topology.edges import area_normals
@@ -30,6 +32,7 @@ from warp_psdr.topology.exact_shapes import pose, require_uncut
 from warp_psdr.topology.film_edges import film_edges
 from warp_psdr.topology.grid_contacts import require_uncut_grids
 from warp_psdr.topology.grid_silhouettes import grid_values
+from warp_psdr.topology.network_silhouettes import passed_cells
 
 if TYPE_CHECKING:
     from warp_psdr.kernels.interior.gradient_request import GradientRequest
@@ -101,6 +104,9 @@ def refuse(
         return
     if reason:
         raise ValueError(f"{method.label}() cannot move its rays here: {reason}; or {REMEDY}")
+    shape = scene.builder.primitives[0]
+    if isinstance(method, Distances) and scene.description.shapes[shape].network is not None:
+        bound_slopes(scene, shape)
 
 
 def _of_request(scene: Scene, config: PathConfig, integrator: PathIntegrator, names: list[str]) -> str:
@@ -136,16 +142,22 @@ def _of_shape(scene: Scene, shape: int) -> str:
     similar = axes[0] - axes[2] <= SIMILAR * axes[0]
     if s.primitive == "sphere":
         return "" if similar else f"{s.path!r} is an ellipsoid, whose equation is no distance"
-    if s.grid is None:
+    if s.grid is None and s.network is None:
         return f"a {s.kind!r} has no signed distance here ({s.path!r})"
-    if not s.grid.cubic:
+    if s.grid is not None and not s.grid.cubic:
         what = "tri-linear grids have no curvature but at their creases, where the divergence of the rays' motion jumps"
         return f"{what} ({s.path!r}): say 'interpolation': 'cubic' and sample its values anew"
     if not similar:
         return f"the pose of {s.path!r} is no similarity, and its values are no distances behind it"
-    values = grid_values(scene, shape)
-    if any((np.take(values, n, axis=axis) <= 0.0).any() for axis in range(3) for n in (0, 1, -2, -1)):
-        return f"the surface of {s.path!r} reaches the border of its box: give positive values in two layers there"
+    if s.network is not None:
+        cells = network_and_cells(scene, shape)[1]
+        at, layers = passed_cells(cells), int(np.ceil(FADE * len(cells)))
+        if ((at < layers) | (at >= len(cells) - layers)).any():
+            return f"the surface of {s.path!r} may reach the border of its box: say more 'cells', or fit it to less"
+    else:
+        values = grid_values(scene, shape)
+        if any((np.take(values, n, axis=axis) <= 0.0).any() for axis in range(3) for n in (0, 1, -2, -1)):
+            return f"the surface of {s.path!r} reaches the border of its box: give positive values in two layers there"
     inverse = np.linalg.inv(linear)
     local = (scene.points[scene.builder.indices].astype(np.float64) - origin) @ inverse.T
     near = ((local.min(axis=1, initial=np.inf) < 1.0) & (local.max(axis=1, initial=-np.inf) > 0.0)).all(axis=1)
@@ -162,7 +174,7 @@ def _of_shape(scene: Scene, shape: int) -> str:
 def _heights(scene: Scene, shape: int, at: np.ndarray, normal: np.ndarray) -> tuple[float, float]:
     """Return the least and the largest height of a shape over a plane, of a grid those of its box."""
     linear, origin = pose(scene, shape)
-    if scene.description.shapes[shape].grid is None:
+    if scene.description.shapes[shape].primitive == "sphere":
         middle, reach = float((origin - at) @ normal), float(np.linalg.norm(linear, 2))
         return middle - reach, middle + reach
     found = (CORNERS @ linear.T + origin - at) @ normal
@@ -180,7 +192,7 @@ def _of_camera(scene: Scene, config: PathConfig, sensor: int) -> str:
     linear, center = pose(scene, shape)
     local = np.linalg.solve(linear, view.pose[:3, 3] - center)
     within = bool(np.linalg.norm(local) <= 1.0)
-    if scene.description.shapes[shape].grid is not None:
+    if scene.description.shapes[shape].primitive != "sphere":
         within = bool(((local >= 0.0) & (local <= 1.0)).all())
         require_uncut_grids(scene, sensor, [shape])
     else:

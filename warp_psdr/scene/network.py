@@ -8,12 +8,21 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warp_psdr.kernels.primitive.network import BLOCK, CELLS_WORD, HEAD, MOST_LAYERS, MOST_WIDTH, POSE, STEP_WORD
+from warp_psdr.kernels.primitive.network import (
+    BLOCK,
+    CELLS_WORD,
+    HEAD,
+    MOST_LAYERS,
+    MOST_WIDTH,
+    POSE,
+    SLOPE_WORD,
+    STEP_WORD,
+)
 
 from .description import Network, ShapeDescription
 from .errors import SceneError, error
 from .layout import SHAPE_GRID, Layout, Parameter
-from .network_bounds import cells_of, single, values_of
+from .network_bounds import cells_of, single, steepness, values_of
 
 if TYPE_CHECKING:
     from .plugins import Properties
@@ -247,3 +256,20 @@ def follow_networks(scene: Scene, changed: Iterable[Parameter], held: np.ndarray
         for offset, values in ((0, head), (int(head[CELLS_WORD - 1]), weights), (int(head[CELLS_WORD]), cells)):
             flat = np.ascontiguousarray(values, np.float32).reshape(-1)
             scene.values[place + offset : place + offset + flat.size].assign(flat)
+
+
+def network_and_cells(scene: Scene, shape: int) -> tuple[Network, np.ndarray]:
+    """Return a network as it is now, and its cells (Z, Y, X) as ``cells_of`` makes them."""
+    held = scene.values.numpy()
+    network = network_now(scene, shape, held)
+    head = scene.parameters[f"{scene.description.shapes[shape].path}.to_world"].offset + POSE
+    n, start = network.count, head + int(held[head + CELLS_WORD])
+    return network, held[start : start + n**3].reshape(n, n, n)
+
+
+def bound_slopes(scene: Scene, shape: int) -> None:
+    """Let the head of a network hold a bound of its slopes, unless it does: an edit takes it away."""
+    place = scene.parameters[f"{scene.description.shapes[shape].path}.to_world"].offset + POSE + SLOPE_WORD
+    held = scene.values[place : place + 2]
+    if held.numpy()[0] == 0.0:
+        held.assign(np.array(steepness(*network_and_cells(scene, shape)), np.float32))

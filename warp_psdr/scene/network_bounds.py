@@ -11,9 +11,11 @@ Derivation: ``docs/theory/implicit.md#networks``.
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
+
+from warp_psdr.kernels.primitive.network import LEVEL
 
 from .description import Network
 
@@ -21,6 +23,9 @@ from .description import Network
 COARSEST = 8
 #: Boxes at a time, and rounding of float32 over the size of the numbers of a layer.
 CHUNK, ROUNDING = 8192, 1.0e-6
+#: How much larger than the greatest slope that was met its bound may be, and the products of boxes and weights after
+#: which it is what it is.
+TIGHT, MOST_WORK = 1.5, 1 << 27
 OFFSETS = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
 
 
@@ -31,7 +36,14 @@ class Bounds:
     phi: np.ndarray  #: (N,)
     gradient: np.ndarray  #: (N, 3)
     bend: np.ndarray  #: (N,) greatest second derivative along a unit vector
-    passed: np.ndarray  #: (N,) whether phi may be zero
+    slope: np.ndarray  #: (N,) greatest length of the gradient
+    low: np.ndarray  #: (N,) least phi
+    high: np.ndarray  #: (N,) greatest phi
+
+    @property
+    def passed(self) -> np.ndarray:
+        """Return whether phi may be zero (N,)."""
+        return (self.low <= 0.0) & (self.high >= 0.0)
 
 
 def encoded(network: Network, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -139,7 +151,9 @@ def bounds_of(network: Network, x: np.ndarray, half: np.ndarray) -> Bounds:
             rest = (first * rest + changed * np.abs(down)) @ np.abs(weight)
             down = (slope * down) @ weight
     linear = (np.abs(gradient) * half).sum(axis=1)
-    return Bounds(phi, gradient, bend, (phi - linear + low <= 0.0) & (phi + linear + high >= 0.0))
+    bent = np.linalg.norm(gradient, axis=1) + bend * np.linalg.norm(half, axis=1)
+    slope = np.minimum(np.linalg.norm(steepest[:, :, 0], axis=0), bent)
+    return Bounds(phi, gradient, bend, slope, phi - linear + low, phi + linear + high)
 
 
 def _along(rates: np.ndarray, half: np.ndarray) -> np.ndarray:
@@ -156,9 +170,7 @@ def single(network: Network) -> Network:
 def in_parts(network: Network, x: np.ndarray, half: np.ndarray) -> Bounds:
     """Return the same, some boxes at a time."""
     parts = [bounds_of(network, x[i : i + CHUNK], half) for i in range(0, max(len(x), 1), CHUNK)]
-    return Bounds(
-        *(np.concatenate([getattr(p, name) for p in parts]) for name in ("phi", "gradient", "bend", "passed"))
-    )
+    return Bounds(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Bounds)))
 
 
 def cells_of(network: Network, cells: int) -> np.ndarray:
@@ -185,3 +197,33 @@ def cells_of(network: Network, cells: int) -> np.ndarray:
     result = distance_transform_cdt(~passed, metric="chessboard").astype(np.float32)
     result[tuple(at[:, ::-1].T)] = -np.maximum(found.bend[found.passed], 1.0e-6) * (1.0 + ROUNDING)
     return result
+
+
+def steepness(network: Network, cells: np.ndarray) -> tuple[float, float]:
+    """Return a bound of the slope of phi where it is at most a level, and that level; ``cells``: of ``cells_of``.
+
+    Boxes whose bounds are far above the slopes in their middles are halved.
+    """
+    coarse, size = single(network), len(cells)
+    at = np.argwhere(cells <= 0.0)[:, ::-1]
+    if not len(at):
+        return 1.0, LEVEL
+    middles = (at[:: -(-len(at) // CHUNK)] + 0.5) / size
+    met = np.linalg.norm(values_of(network, middles)[1], axis=1)
+    level, best = LEVEL * float(np.median(met)), float(met.max())
+    n = COARSEST
+    at = np.indices((n, n, n)).reshape(3, -1).T
+    bound, count, most = best, 0, MOST_WORK // sum(w.size for w, _b in network.layers)
+    while len(at):
+        found = in_parts(coarse, ((at + 0.5) / n).astype(np.float32), np.full(3, 0.5 / n, np.float32))
+        count += len(at)
+        near = (found.low <= level) & (found.high >= -level)
+        inner = np.abs(found.phi) <= level
+        best = max(best, float(np.linalg.norm(found.gradient[inner], axis=1).max(initial=0.0)))
+        loose = near & (found.slope > TIGHT * best)
+        if count + 8 * int(loose.sum()) > most:
+            loose[:] = False
+        bound = max(bound, float(found.slope[near & ~loose].max(initial=0.0)))
+        n *= 2
+        at = (2 * at[loose][:, None] + (OFFSETS > 0.0)).reshape(-1, 3)
+    return bound * (1.0 + ROUNDING), level

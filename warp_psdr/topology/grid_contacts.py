@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from warp_psdr.scene.network import network_and_cells
 from warp_psdr.scene.network_bounds import values_of
 from warp_psdr.scene.sdfgrid import CORNERS, is_passed, spline_values
 from warp_psdr.topology.camera_view import camera_view
 from warp_psdr.topology.exact_shapes import pose, with_exact_shapes
 from warp_psdr.topology.grid_silhouettes import grid_shapes, grid_values, is_smooth_grid
-from warp_psdr.topology.network_silhouettes import network_and_cells, network_shapes, passed_cells
+from warp_psdr.topology.network_silhouettes import network_shapes, passed_cells
 
 if TYPE_CHECKING:
     from warp_psdr.scene.scene import Scene

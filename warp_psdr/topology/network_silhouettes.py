@@ -12,9 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warp_psdr.kernels.boundary.silhouette.grid_points import GridItems
-from warp_psdr.kernels.primitive.network import CELLS_WORD, POSE
 from warp_psdr.scene.description import Network
-from warp_psdr.scene.network import network_now
+from warp_psdr.scene.network import network_and_cells
 from warp_psdr.scene.network_bounds import OFFSETS, bounds_of, in_parts, single
 from warp_psdr.topology.exact_shapes import pose
 from warp_psdr.topology.grid_silhouettes import VOXEL, Eyes, gathered
@@ -29,15 +28,6 @@ ROUNDING, SQUARES = 1.0e-5, 4
 def network_shapes(scene: Scene) -> list[int]:
     """Return the numbers of the shapes that are networks."""
     return [i for i in scene.builder.primitives if scene.description.shapes[i].network is not None]
-
-
-def network_and_cells(scene: Scene, shape: int) -> tuple[Network, np.ndarray]:
-    """Return a network as it is now, and its cells (Z, Y, X) as ``cells_of`` makes them."""
-    held = scene.values.numpy()
-    network = network_now(scene, shape, held)
-    head = scene.parameters[f"{scene.description.shapes[shape].path}.to_world"].offset + POSE
-    n, start = network.count, head + int(held[head + CELLS_WORD])
-    return network, held[start : start + n**3].reshape(n, n, n)
 
 
 def passed_cells(cells: np.ndarray) -> np.ndarray:

@@ -7,16 +7,14 @@ import functools
 
 import warp as wp
 
-from warp_psdr.kernels.boundary.signed_distance.distance import Distance, Field, KnownRange, similar_scale
+from warp_psdr.kernels.boundary.signed_distance.box import inside_box, known_in_box
+from warp_psdr.kernels.boundary.signed_distance.distance import Distance, Field, similar_scale
 from warp_psdr.kernels.primitive.affine import cofactor, determinant, from_axes, make_pose_sink
 from warp_psdr.kernels.primitive.sdfgrid import Grid, grid_of
 from warp_psdr.kernels.primitive.sdfgrid_cubic import spline_field, spline_hessian, spline_row
 from warp_psdr.kernels.primitive.sdfgrid_cubic_surface import make_spline_sink
 from warp_psdr.kernels.primitive.sdfgrid_surface import voxel_corner
 from warp_psdr.kernels.structs import Scene, Triangle
-
-#: Width of the border of the box in which weights fade [VSJ22], in units of the box.
-FADE = 0.01
 
 
 @wp.func
@@ -49,35 +47,6 @@ def spline_value(scene: Scene, g: Grid, i: wp.int32, j: wp.int32, k: wp.int32, x
 
 
 @wp.func
-def cubic_known(scene: Scene, tri: Triangle, o: wp.vec3, w: wp.vec3) -> KnownRange:
-    """The part of a ray in the box."""
-    r = KnownRange()
-    start = from_axes(tri, o - tri.normal)
-    way = from_axes(tri, w)
-    r.last = 1.0e30
-    axis_of_entry = wp.int32(-1)
-    for axis in range(3):
-        if wp.abs(way[axis]) < 1.0e-12:
-            if start[axis] < 0.0 or start[axis] > 1.0:
-                r.last = -1.0
-        else:
-            low = -start[axis] / way[axis]
-            high = (1.0 - start[axis]) / way[axis]
-            near = wp.min(low, high)
-            if near > r.first:
-                r.first = near
-                axis_of_entry = axis
-            r.last = wp.min(r.last, wp.max(low, high))
-    if axis_of_entry >= 0:
-        # first = (face - start_a) / way_a.
-        e = wp.vec3(0.0, 0.0, 0.0)
-        e[axis_of_entry] = 1.0
-        a = (1.0 / determinant(tri)) * cofactor(tri, e)
-        r.first_w = (-r.first / way[axis_of_entry]) * (a - w * wp.dot(w, a))
-    return r
-
-
-@wp.func
 def cubic_distance(scene: Scene, tri: Triangle, o: wp.vec3, w: wp.vec3, t: wp.float64) -> Distance:
     r = Distance()
     g = grid_of(scene, tri)
@@ -95,23 +64,16 @@ def cubic_distance(scene: Scene, tri: Triangle, o: wp.vec3, w: wp.vec3, t: wp.fl
     found = spline_field(scene, g, i, j, k, inside_voxel)
     inverse = scale / determinant(tri)
     r.gradient = inverse * cofactor(tri, wp.cw_mul(g.cells, wp.vec3(found[0], found[1], found[2])))
+    sign = wp.where(r.phi < 0.0, -1.0, 1.0)
+    r.step = sign * r.phi
+    r.step_gradient = sign * r.gradient
     # The Hessian is s A^-T C H C A^-1, A^-T = A / s^2.
     h = wp.diag(g.cells) * spline_hessian(scene, g, i, j, k, inside_voxel) * wp.diag(g.cells)
     turn = wp.matrix_from_cols(tri.p0, tri.p1, tri.p2) * (1.0 / (scale * scale))
     r.hessian = scale * (turn * h * wp.transpose(turn))
-    # ---- The border of the box ----
-    at = wp.vec3(q)
-    nearest = wp.float32(1.0e30)
-    e = wp.vec3(0.0, 0.0, 0.0)
-    for axis in range(3):
-        depth = wp.min(at[axis], 1.0 - at[axis])
-        if depth < nearest:
-            nearest = depth
-            e = wp.vec3(0.0, 0.0, 0.0)
-            e[axis] = wp.where(at[axis] < 0.5, 1.0, -1.0)
-    r.inside = wp.clamp(nearest / FADE, 0.0, 1.0)
-    if nearest > 0.0 and nearest < FADE:
-        r.inside_gradient = (1.0 / (FADE * scale * scale)) * (e[0] * tri.p0 + e[1] * tri.p1 + e[2] * tri.p2)
+    share = inside_box(tri, wp.vec3(q))
+    r.inside = share[3]
+    r.inside_gradient = wp.vec3(share[0], share[1], share[2])
     return r
 
 
@@ -146,4 +108,4 @@ def make_cubic_distance_pull(role: str):
     return pull_cubic_distance
 
 
-CUBIC = Field(similar_scale, cubic_known, cubic_distance, make_cubic_distance_pull, convex=False)
+CUBIC = Field(similar_scale, known_in_box, cubic_distance, make_cubic_distance_pull, convex=False)

@@ -1,8 +1,8 @@
 """Signed distances as functions of the world: value, gradient and Hessian along a ray, and how they change.
 
 A kind of shape is a ``Field``. phi is positive outside, in world units; where it is no distance, its zero set counts,
-and velocities are divided by its slope. Next to silhouettes phi is far smaller than the rounding of a place in float32,
-so it is made in double precision. Poses are similarities.
+velocities are divided by its slope, and steps may be other than it is. Next to silhouettes phi is far smaller than the
+rounding of a place in float32, so it is made in double precision. Poses are similarities.
 
 Derivation: ``docs/theory/signed_distances.md#the-motion-of-rays``.
 """
@@ -21,6 +21,8 @@ class Distance:
     """Phi at a place, and its derivatives there."""
 
     phi: wp.float32
+    step: wp.float32  # at most the distance from the surface, positive: where phi is one, |phi|
+    step_gradient: wp.vec3
     gradient: wp.vec3
     hessian: wp.mat33
     inside: wp.float32  # share of the weight that the place has: 0 at the border of where phi is known, and beyond

@@ -39,6 +39,8 @@ class March:
     before: wp.float32  # |phi| over the size at the step before, 0 at the first
     before_w: wp.vec3
     signed_before: wp.float32
+    step_before: wp.float32  # the step from there
+    step_before_w: wp.vec3
     approach: wp.float32  # how far the ray has come closer, 0 to 1
     approach_w: wp.vec3
     count: wp.int32
@@ -63,7 +65,7 @@ def make_march(field: Field, neural: bool, max_steps: int, step_scale: float):
         field: of the shape.
         neural: weights of [BGL*22].
         max_steps: after which rays end; a bias.
-        step_scale: of phi that is stepped.
+        step_scale: of the steps.
     """
     size_of, distance_at = field.size, field.at
 
@@ -132,19 +134,23 @@ def make_march(field: Field, neural: bool, max_steps: int, step_scale: float):
         weight_w = m.approach * weight_w + weight * m.approach_w
         weight *= m.approach
         # ---- The trapezoid of the steps before and behind ----
-        step = 0.5 * step_scale * (phi + m.before)
-        m.weight = step * weight
-        m.weight_w = step * weight_w + (0.5 * step_scale * weight) * (phi_w + m.before_w)
+        step = at.step / size
+        step_w = (1.0 / size) * (wp.dot(at.step_gradient, w) * m.t_w + t * across(w, at.step_gradient))
+        width = 0.5 * step_scale * (step + m.step_before)
+        m.weight = width * weight
+        m.weight_w = width * weight_w + (0.5 * step_scale * weight) * (step_w + m.step_before_w)
         # ---- The next step ----
         m.before = phi
         m.before_w = phi_w
         m.signed_before = sign * phi
+        m.step_before = step
+        m.step_before_w = step_w
         m.count += 1
         if m.approach == 0.0 and phi < LEAVING:
             m.t += wp.float64(LEAVING * size)
         else:
-            m.t += wp.float64(step_scale * size * phi)
-            m.t_w += (step_scale * size) * phi_w
+            m.t += wp.float64(step_scale * size * step)
+            m.t_w += (step_scale * size) * step_w
         arrived = phi < ARRIVED and m.approach > 0.0
         gone = m.t >= wp.float64(m.last)
         m.going = wp.where(arrived or gone or m.count >= wp.static(max_steps), 0, 1)

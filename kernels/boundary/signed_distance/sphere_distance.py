@@ -41,9 +41,12 @@ def sphere_distance(scene: Scene, tri: Triangle, o: wp.vec3, w: wp.vec3, t: wp.f
     d = wp.max(wp.float32(length), 1.0e-6 * scale)
     n = wp.vec3(r) / d
     p.gradient = n
+    sign = wp.where(p.phi < 0.0, -1.0, 1.0)
+    p.step = sign * p.phi
+    p.step_gradient = sign * n
     p.hessian = (wp.identity(n=3, dtype=wp.float32) - wp.outer(n, n)) / d
     p.inside = wp.max(1.0 - wp.abs(p.phi) / sphere_size(tri), 0.0)
-    p.inside_gradient = (wp.where(p.phi < 0.0, 1.0, -1.0) / sphere_size(tri)) * n
+    p.inside_gradient = (-sign / sphere_size(tri)) * n
     return p
 
 

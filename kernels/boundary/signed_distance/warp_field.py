@@ -27,7 +27,7 @@ class WarpOptions(NamedTuple):
     Attributes:
         neural: the weights of [BGL*22].
         max_steps: after which rays end; 0: they go on until they arrive or leave.
-        step_scale: of phi that is stepped.
+        step_scale: of the steps.
     """
 
     neural: bool = False
