@@ -253,7 +253,6 @@ def test_samples_are_drawn_again(shape: str, kind: str) -> None:
     [
         ("cylinder", {"to_world": T.scale(0.5)}, "'floor' touches 'shape'"),
         ("disk", {"to_world": T.translate([0, 0, 1e-6])}, "'floor' touches 'shape'"),
-        ("disk", {"bsdf": {"type": "conductor"}}, "smooth mirrors and glass"),
     ],
 )
 def test_what_has_no_terms_is_refused(kind: str, change: dict, problem: str) -> None:

@@ -247,7 +247,11 @@ def test_samples_are_drawn_again(kind: str) -> None:
     ("change", "boundary", "problem"),
     [
         ({}, psdr.boundary.EdgeSampling(), "no terms of it"),
-        ({"ball": ellipsoid(exact=True, bsdf={"type": "dielectric"})}, "auto", "smooth mirrors and glass"),
+        (
+            {"ball": ellipsoid(exact=True, bsdf={"type": "dielectric"})},
+            psdr.boundary.SignedDistance(),
+            "does not move rays",
+        ),
     ],
 )
 def test_what_has_no_terms_is_refused(change: dict, boundary, problem: str) -> None:

@@ -9,7 +9,6 @@ from warp_psdr.kernels.constants import METERS
 from warp_psdr.options import interior
 from warp_psdr.options.boundary import Method, PathSpace, Projective, Reparametrised
 from warp_psdr.plan.motion import motion
-from warp_psdr.scene.bsdfs import model_of
 from warp_psdr.scene.curves import INSTEAD as TUBES
 from warp_psdr.scene.exact import EXACT, KINDS
 from warp_psdr.scene.network import INSTEAD as GRIDDED
@@ -153,7 +152,7 @@ def _beside_resting(
 
 def _beside_motion(scene: Scene, config: PathConfig, integrator: PathIntegrator, names: list[str]) -> str:
     """Say which boundary term is missing where something moves; empty: none."""
-    reason = _of_boundary(scene, config, integrator)
+    reason = _of_boundary(config, integrator)
     if reason:
         return reason
     return _of_exact(scene, integrator, names)
@@ -177,7 +176,7 @@ def _of_exact(scene: Scene, integrator: PathIntegrator, names: list[str]) -> str
     return ""
 
 
-def _of_boundary(scene: Scene, config: PathConfig, integrator: PathIntegrator) -> str:
+def _of_boundary(config: PathConfig, integrator: PathIntegrator) -> str:
     """Say why no boundary term is estimated beside shapes without triangles; empty: one is."""
     method = integrator.boundary
     if isinstance(method, Reparametrised) and config.shining:
@@ -191,18 +190,16 @@ def _of_boundary(scene: Scene, config: PathConfig, integrator: PathIntegrator) -
     if config.camera in METERS:
         return "what moves is not followed from a sensor of one pixel; use a camera"
     if has_delta_lobes(config.bsdfs):
+        if isinstance(method, Reparametrised):
+            return f"{method.label}() does not move rays behind smooth mirrors and glass; use boundary.PathSpace()"
         if not set(config.primitives) <= set(EXACT.values()):
             return "what moves is not followed through smooth mirrors and glass beside it; make them rough"
-        shapes = (scene.description.shapes[i] for i in scene.builder.primitives)
-        own = next((s.path for s in shapes if any(model_of(b).has_delta for b in s.bsdf.sides)), None)
-        if own is not None:
-            return f"what moves is not followed through smooth mirrors and glass without triangles, as {own!r} is"
     return ""
 
 
 def _beside_moving_kinds(scene: Scene, config: PathConfig, integrator: PathIntegrator, names: list[str]) -> str:
     """The same beside grids of distances and curves, and exact shapes among them."""
-    reason = _of_boundary(scene, config, integrator)
+    reason = _of_boundary(config, integrator)
     if reason:
         return f"{reason}, or {ALONE}"
     if isinstance(integrator.boundary, Reparametrised):

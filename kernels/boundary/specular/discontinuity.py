@@ -32,10 +32,14 @@ from warp_psdr.kernels.boundary.specular.specular_chain import (
 from warp_psdr.kernels.boundary.specular.triangle_borders import Tables, joined, smooth_between
 from warp_psdr.kernels.constants import FAR, LOBE_NONE
 from warp_psdr.kernels.emitter.dispatch import is_delta_light
+from warp_psdr.kernels.primitive.affine import is_primitive_at
 from warp_psdr.kernels.primitive.dispatch import slides_on
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.surface import normalize_vjp
 from warp_psdr.kernels.vertex import PathConfig
+
+#: Cosine of the normal of a shape without triangles below which a ray only touches it: where it does has no derivative.
+TANGENT = 1.0e-5
 
 
 @wp.func
@@ -95,7 +99,7 @@ def make_crossing(config: PathConfig):
     """
     start_at = make_start(config.camera)
     intersect_link = make_intersect_link(config)
-    point_differential = make_point_differential(config.smooth, config.flat)
+    point_differential = make_point_differential(config.smooth, config.flat, config.primitives)
     edge_crossing = make_edge_crossing(config.hidden, config.primitives)
     shadow_crossing = make_shadow_crossing(config)
     one_sheet = make_one_sheet(config.primitives)
@@ -181,6 +185,9 @@ def make_crossing(config: PathConfig):
             visit.lobe = wp.where(p.kind == MEETS_DELTA, p.lobe, LOBE_NONE)
             visit.attached = wp.where(i > 0 or block.film == 1, 1, 0)
             visits[count + i] = visit
+            if wp.static(bool(config.primitives)):
+                if is_primitive_at(scene, p.face) and wp.abs(wp.dot(p.ng, d)) < TANGENT:
+                    return r
             a_x = point_differential(scene, p, x, d, a)
             b_x = point_differential(scene, p, x, d, b)
             if is_interpolated and p.facing != q.facing and not (crosses and delta):

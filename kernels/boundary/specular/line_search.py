@@ -20,6 +20,7 @@ from warp_psdr.kernels.boundary.specular.specular_chain import (
     Block,
     film_point,
     make_identity,
+    step_from,
 )
 from warp_psdr.kernels.boundary.specular.triangle_borders import Tables
 from warp_psdr.kernels.constants import INV_FOUR_PI, LOBE_SMOOTH, TWO_PI
@@ -276,6 +277,7 @@ def make_line_search_kernel(config: PathConfig, wanted: GradientRequest, role: s
                             from_y = Block()
                             from_y.x = g.x
                             from_y.n = g.ng
+                            from_y.step = step_from(scene, vertex.face, g.step)
                             from_y.w0 = w0
                             from_y.w1 = wp.cos(angle) * side + wp.sin(angle) * wp.cross(w0, side)
                             from_y.ell = ARC_LENGTH

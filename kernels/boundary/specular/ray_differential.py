@@ -19,7 +19,8 @@ from warp_psdr.kernels.constants import (
 )
 from warp_psdr.kernels.fresnel import refracted_cosine
 from warp_psdr.kernels.interior.tangents import normalize_jvp
-from warp_psdr.kernels.primitive.affine import is_primitive
+from warp_psdr.kernels.primitive.affine import is_primitive, is_primitive_at
+from warp_psdr.kernels.primitive.turn import make_turn
 from warp_psdr.kernels.reading import load_vec3
 from warp_psdr.kernels.sensor.camera import camera_direction, lens_direction, load_mat44, parallel_origin
 from warp_psdr.kernels.structs import Camera, Scene
@@ -72,14 +73,18 @@ def make_film_differential(kind: int):
 
 
 @functools.cache
-def make_point_differential(smooth: bool, flat: bool):
+def make_point_differential(smooth: bool, flat: bool, primitives: tuple[int, ...]):
     """Return ``point_differential(scene, link, x, d, ray) -> PointDifferential`` for a ray from x along d."""
+    turn = make_turn(primitives)
 
     @wp.func
     def point_differential(scene: Scene, link: Link, x: wp.vec3, d: wp.vec3, ray: RayDifferential) -> PointDifferential:
         result = PointDifferential()
         r = ray.o + wp.length(link.x - x) * ray.d
         result.x = r - (wp.dot(link.ng, r) / wp.dot(link.ng, d)) * d
+        if wp.static(turn is not None):
+            if is_primitive_at(scene, link.face):
+                result.n = turn(scene, scene.triangles[link.face], link.u, link.v, result.x)
         if wp.static(smooth):
             tri = scene.triangles[link.face]
             shape = scene.shapes[tri.shape]

@@ -49,6 +49,7 @@ class Block:
     lens: wp.vec2  # ``CameraSample.lens``
     x: wp.vec3  # y
     n: wp.vec3  # geometric normal at y
+    step: wp.float32  # by which rays leave the surface there
     w0: wp.vec3
     w1: wp.vec3
     ell: wp.float32  # length of the line: pixels or radians
@@ -123,7 +124,7 @@ def make_start(camera_kind: int):
             angle = s * block.ell
             r.x = block.x
             r.d = wp.cos(angle) * block.w0 + wp.sin(angle) * block.w1
-            r.o = step_beside(block.x, block.n, r.d, scene.ray_epsilon)
+            r.o = step_beside(block.x, block.n, r.d, block.step)
             r.t_max = FAR
         return r
 
@@ -134,6 +135,12 @@ def make_start(camera_kind: int):
 def hash_combine(h: wp.uint32, value: wp.int32) -> wp.uint32:
     a = (h ^ wp.uint32(value)) * HASH_FACTOR
     return a ^ (a >> wp.uint32(15))
+
+
+@wp.func
+def step_from(scene: Scene, face: wp.int32, step: wp.float32) -> wp.float32:
+    """How far off a surface the rays of a chain start; ``step``: those of paths, which count without triangles."""
+    return wp.where(is_primitive_at(scene, face), step, scene.ray_epsilon)
 
 
 @functools.cache
@@ -209,7 +216,7 @@ def make_intersect_link(config: PathConfig):
         r.kind = wp.where(vanishes(scattered.value), MEETS_DEAD, MEETS_DELTA)
         r.d = leave_frame(at.frame, scattered.wo)
         r.leaving = wp.where(wp.dot(at.ng, r.d) >= 0.0, 1, 0)
-        r.o = step_beside(at.x, at.ng, r.d, scene.ray_epsilon)
+        r.o = step_beside(at.x, at.ng, r.d, step_from(scene, hit.face, at.step))
         return r
 
     return intersect_link
