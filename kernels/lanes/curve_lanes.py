@@ -2,16 +2,14 @@
 
 Each lane takes the pieces that its ray comes by, one after the other. The piece's boxes are walked and its control
 points are fetched lane by lane; to test it, and to search for where the ray enters, round by round, is a loop over all
-lanes. Lanes that are done with their piece take the next one as soon as they are ``SHARE`` of those that are at work.
+lanes. Lanes that are done with their piece take the next one as soon as they are one in ``SHARE`` of those at work.
 Rays meet the same pieces in the same order as alone, by the same functions.
 """
-
-from typing import NamedTuple
 
 import warp as wp
 
 from warp_psdr.kernels.bvh.wide import Ray, RayHit
-from warp_psdr.kernels.lanes.lanes import ROWS, stack_rows
+from warp_psdr.kernels.lanes.lanes import ROWS, SteppedLanes, stack_rows
 from warp_psdr.kernels.primitive.curves import (
     Curves,
     bspline,
@@ -30,8 +28,8 @@ from warp_psdr.kernels.primitive.curves_search import FOUND, SEARCHES, Spline, T
 from warp_psdr.kernels.primitive.curves_walk import BATCH, PIECES_AHEAD, Pieces, PieceTree
 from warp_psdr.kernels.structs import Scene, Triangle
 
-#: The part of the lanes at work, 1 / SHARE, that has to wait for pieces until they are fetched (measured).
-SHARE = 4
+#: One in so many of the lanes at work has to wait for a piece until they are fetched (measured).
+SHARE = 2
 #: What a lane does.
 DONE = wp.constant(0)
 WAITS = wp.constant(1)
@@ -107,41 +105,21 @@ def where_search(condition: wp.bool, a: TubeSearch, b: TubeSearch) -> TubeSearch
     return r
 
 
-class CurveLanes(NamedTuple):
-    """What ``make_curve_lanes`` makes.
-
-    Attributes:
-        take: ``(rows, j, ray: Ray, wanted)`` gives lane j its ray; ``wanted``: it is traced.
-        closest: ``(scene, tri, rows)`` finds where the rays first enter tubes.
-        any: ``(scene, tri, rows)`` finds whether they do.
-        hit: ``(scene, tri, rows, j) -> RayHit`` of ``closest``; its ``face`` is 0, or -1 for a miss.
-        blocked: ``(rows, j) -> bool`` of ``any``.
-        end: the first row that is free.
-    """
-
-    take: wp.Function
-    closest: wp.Function
-    any: wp.Function
-    hit: wp.Function
-    blocked: wp.Function
-    end: int
-
-
-def make_curve_lanes(width: int, first: int) -> CurveLanes:
+def make_curve_lanes(width: int, first: int) -> SteppedLanes:
     """Make the functions for ``width`` lanes; ``first`` is the first row that they may take."""
     rays, units, batches, walks, controls, splines, searches, entries = stack_rows(
         width, first, Ray, TubeRay, Pieces, TubeWalk, ControlPoints, Spline, TubeSearch, TubeHit
     )
 
     @wp.func
-    def take(rows: ROWS, j: wp.int32, ray: Ray, wanted: wp.bool):
+    def take(rows: ROWS, j: wp.int32, ray: Ray, wanted: wp.int32):
         rays.put(rows, j, ray)
         unit = TubeRay()
         unit.length = wp.length(ray.d)
         unit.d = ray.d / unit.length
         units.put(rows, j, unit)
         walk = TubeWalk()
-        walk.does = wp.where(wanted, WAITS, DONE)
+        walk.does = wp.where(wanted == 1, WAITS, DONE)
         walk.after = -1.0
         walk.taken = wp.static(BATCH)
         walks.put(rows, j, walk)
@@ -280,4 +258,4 @@ def make_curve_lanes(width: int, first: int) -> CurveLanes:
     def blocked(rows: ROWS, j: wp.int32) -> wp.bool:
         return entries.get(rows, j).segment >= 0
 
-    return CurveLanes(take, closest, any_of, hit, blocked, entries.end)
+    return SteppedLanes(take, closest, any_of, hit, blocked, entries.end)

@@ -96,6 +96,26 @@ def make_rows(record, width: int, first: int) -> Rows:
     return Rows(first, first + words(record), get, put)
 
 
+class SteppedLanes(NamedTuple):
+    """Functions that meet a shape with the rays of all lanes, in steps.
+
+    Attributes:
+        take: ``(rows, j, ray: Ray, wanted: int)`` gives lane j its ray; ``wanted``: 1 if it is traced.
+        closest: ``(scene, tri, rows)`` finds where the rays first meet the shape.
+        any: ``(scene, tri, rows)`` finds whether they do.
+        hit: ``(scene, tri, rows, j) -> RayHit`` of ``closest``; its ``face`` is 0, or -1 for a miss.
+        blocked: ``(rows, j) -> bool`` of ``any``.
+        end: the first row that is free.
+    """
+
+    take: wp.Function
+    closest: wp.Function
+    any: wp.Function
+    hit: wp.Function
+    blocked: wp.Function
+    end: int
+
+
 def stack_rows(width: int, first: int, *records) -> tuple[Rows, ...]:
     """Lay out records of ``width`` lanes from row ``first`` on, one below the other."""
     stacked = []

@@ -1,25 +1,41 @@
 """What paths side by side (``path_lanes.py``) meet of shapes without triangles, after those with.
 
 Each shape is met by the rays of all lanes. An affine one is the same for all of them, so that a loop over lanes becomes
-SIMD; tubes are met step by step (``curve_lanes.py``); rays through grids, networks and straight curves are walked lane
-by lane. Shapes come in the order of ``dispatch.make_primitive_queries``, and each ray meets them by the same functions:
+SIMD; tubes, grids and networks are met step by step (``curve_lanes.py``, ``grid_lanes.py``), straight curves lane by
+lane. Shapes come in the order of ``dispatch.make_primitive_queries``, and each ray meets them by the same functions:
 hits have the same bits.
 """
 
+import functools
 from typing import NamedTuple
 
 import warp as wp
 
 from warp_psdr.kernels.bvh.wide import Ray
-from warp_psdr.kernels.constants import PRIMITIVE_BSPLINECURVE
-from warp_psdr.kernels.lanes.curve_lanes import CurveLanes, make_curve_lanes
-from warp_psdr.kernels.lanes.lanes import ROWS, Rows
+from warp_psdr.kernels.constants import (
+    PRIMITIVE_BSPLINECURVE,
+    PRIMITIVE_LINEARCURVE,
+    PRIMITIVE_NEURALSDF,
+    PRIMITIVE_SDFGRID,
+    PRIMITIVE_SDFGRID_CUBIC,
+)
+from warp_psdr.kernels.lanes.curve_lanes import make_curve_lanes
+from warp_psdr.kernels.lanes.grid_lanes import make_grid_lanes
+from warp_psdr.kernels.lanes.lanes import ROWS, Rows, SteppedLanes
 from warp_psdr.kernels.primitive.affine import is_primitive_at, last_primitive, make_affine_hit
-from warp_psdr.kernels.primitive.dispatch import CURVES, SLIDING, make_hit
+from warp_psdr.kernels.primitive.dispatch import make_hit
 from warp_psdr.kernels.primitive.kinds import KINDS, affine_kinds, join
 from warp_psdr.kernels.reading import shape_at, triangle_at
 from warp_psdr.kernels.structs import Scene, Triangle
 from warp_psdr.kernels.vertex import PathConfig
+
+#: Kinds that rays meet in steps -> what makes their ``SteppedLanes``, of the number of lanes and the first free row.
+STEPPED = {
+    PRIMITIVE_BSPLINECURVE: make_curve_lanes,
+    PRIMITIVE_SDFGRID: functools.partial(make_grid_lanes, cubic=False, network=False),
+    PRIMITIVE_SDFGRID_CUBIC: functools.partial(make_grid_lanes, cubic=True, network=False),
+    PRIMITIVE_NEURALSDF: functools.partial(make_grid_lanes, cubic=False, network=True),
+}
 
 
 class PrimitiveLanes(NamedTuple):
@@ -50,14 +66,12 @@ def make_primitive_lanes(
         events: next-event estimates, ``NextEvent``; None: there are no lights.
         looks: their ``ShadowQuery``.
     """
-    sliding = tuple(kind for kind in config.primitives if kind in SLIDING and kind != PRIMITIVE_BSPLINECURVE)
-    curves = make_curve_lanes(width, first) if PRIMITIVE_BSPLINECURVE in config.primitives else None
-    end = curves.end if curves else first
+    stepped = {kind: make(width, first) for kind, make in STEPPED.items() if kind in config.primitives}
+    end = max((lanes.end for lanes in stepped.values()), default=first)
     meeting = {kind: _make_meeting(kind, width, states, hits) for kind in affine_kinds(config.primitives)}
-    if curves:
-        meeting[PRIMITIVE_BSPLINECURVE] = _make_curve_meeting(curves, width, states, hits)
-    if sliding:
-        meeting |= {sliding[-1]: _make_sliding_meeting(sliding, width, states, hits)}
+    meeting |= {kind: _make_stepped_meeting(lanes, width, states, hits) for kind, lanes in stepped.items()}
+    if PRIMITIVE_LINEARCURVE in config.primitives:
+        meeting[PRIMITIVE_LINEARCURVE] = _make_straight_meeting(width, states, hits)
     meet_kind = join(_either_loop, meeting)
 
     @wp.func
@@ -75,10 +89,9 @@ def make_primitive_lanes(
     if events is None:
         return PrimitiveLanes(meet, None, end)
     blocking = {kind: _make_blocking(kind, width, events, looks) for kind in affine_kinds(config.primitives)}
-    if curves:
-        blocking[PRIMITIVE_BSPLINECURVE] = _make_curve_blocking(curves, width, events, looks)
-    if sliding:
-        blocking |= {sliding[-1]: _make_sliding_blocking(sliding, width, events, looks)}
+    blocking |= {kind: _make_stepped_blocking(lanes, width, events, looks) for kind, lanes in stepped.items()}
+    if PRIMITIVE_LINEARCURVE in config.primitives:
+        blocking[PRIMITIVE_LINEARCURVE] = _make_straight_blocking(width, events, looks)
     block_kind = join(_either_loop, blocking)
 
     @wp.func
@@ -123,11 +136,11 @@ def _make_meeting(kind: int, width: int, states: Rows, hits: Rows) -> wp.Functio
     return meet_affine
 
 
-def _make_sliding_meeting(kinds: tuple[int, ...], width: int, states: Rows, hits: Rows) -> wp.Function:
-    hit_of = make_hit(kinds)
+def _make_straight_meeting(width: int, states: Rows, hits: Rows) -> wp.Function:
+    hit_of = make_hit((PRIMITIVE_LINEARCURVE,))
 
     @wp.func
-    def meet_sliding(scene: Scene, tri: Triangle, k: wp.int32, rows: ROWS):
+    def meet_straight(scene: Scene, tri: Triangle, k: wp.int32, rows: ROWS):
         j = wp.int32(0)
         while j < width:
             state = states.get(rows, j)
@@ -138,7 +151,7 @@ def _make_sliding_meeting(kinds: tuple[int, ...], width: int, states: Rows, hits
                     hits.put(rows, j, found)
             j += 1
 
-    return meet_sliding
+    return meet_straight
 
 
 def _make_blocking(kind: int, width: int, events: Rows, looks: Rows) -> wp.Function:
@@ -158,11 +171,11 @@ def _make_blocking(kind: int, width: int, events: Rows, looks: Rows) -> wp.Funct
     return block_affine
 
 
-def _make_sliding_blocking(kinds: tuple[int, ...], width: int, events: Rows, looks: Rows) -> wp.Function:
-    hit_of = make_hit(kinds, shadow=bool(set(CURVES) & set(kinds)))
+def _make_straight_blocking(width: int, events: Rows, looks: Rows) -> wp.Function:
+    hit_of = make_hit((PRIMITIVE_LINEARCURVE,), shadow=True)
 
     @wp.func
-    def block_sliding(scene: Scene, tri: Triangle, k: wp.int32, rows: ROWS):
+    def block_straight(scene: Scene, tri: Triangle, k: wp.int32, rows: ROWS):
         j = wp.int32(0)
         while j < width:
             shadow = looks.get(rows, j)
@@ -173,12 +186,12 @@ def _make_sliding_blocking(kinds: tuple[int, ...], width: int, events: Rows, loo
                     looks.put(rows, j, shadow)
             j += 1
 
-    return block_sliding
+    return block_straight
 
 
-def _make_curve_meeting(curves: CurveLanes, width: int, states: Rows, hits: Rows) -> wp.Function:
+def _make_stepped_meeting(lanes: SteppedLanes, width: int, states: Rows, hits: Rows) -> wp.Function:
     @wp.func
-    def meet_curves(scene: Scene, tri: Triangle, k: wp.int32, rows: ROWS):
+    def meet_stepped(scene: Scene, tri: Triangle, k: wp.int32, rows: ROWS):
         j = wp.int32(0)
         while j < width:
             state = states.get(rows, j)
@@ -186,23 +199,23 @@ def _make_curve_meeting(curves: CurveLanes, width: int, states: Rows, hits: Rows
             ray.o = state.o
             ray.d = state.d
             ray.t_max = hits.get(rows, j).t
-            curves.take(rows, j, ray, state.alive == 1)
+            lanes.take(rows, j, ray, state.alive)
             j += 1
-        curves.closest(scene, tri, rows)
+        lanes.closest(scene, tri, rows)
         j = wp.int32(0)
         while j < width:
-            found = curves.hit(scene, tri, rows, j)
+            found = lanes.hit(scene, tri, rows, j)
             if found.face >= 0:
                 found.face = k
                 hits.put(rows, j, found)
             j += 1
 
-    return meet_curves
+    return meet_stepped
 
 
-def _make_curve_blocking(curves: CurveLanes, width: int, events: Rows, looks: Rows) -> wp.Function:
+def _make_stepped_blocking(lanes: SteppedLanes, width: int, events: Rows, looks: Rows) -> wp.Function:
     @wp.func
-    def block_by_curves(scene: Scene, tri: Triangle, k: wp.int32, rows: ROWS):
+    def block_stepped(scene: Scene, tri: Triangle, k: wp.int32, rows: ROWS):
         j = wp.int32(0)
         while j < width:
             event = events.get(rows, j)
@@ -211,14 +224,14 @@ def _make_curve_blocking(curves: CurveLanes, width: int, events: Rows, looks: Ro
             ray.o = event.o
             ray.d = event.d
             ray.t_max = event.t_max
-            curves.take(rows, j, ray, shadow.traces_shadow_ray == 1 and shadow.blocked == 0)
+            lanes.take(rows, j, ray, wp.where(shadow.traces_shadow_ray == 1 and shadow.blocked == 0, 1, 0))
             j += 1
-        curves.any(scene, tri, rows)
+        lanes.any(scene, tri, rows)
         j = wp.int32(0)
         while j < width:
             shadow = looks.get(rows, j)
-            shadow.blocked = wp.where(curves.blocked(rows, j), 1, shadow.blocked)
+            shadow.blocked = wp.where(lanes.blocked(rows, j), 1, shadow.blocked)
             looks.put(rows, j, shadow)
             j += 1
 
-    return block_by_curves
+    return block_stepped

@@ -48,6 +48,7 @@ def network_of(scene: Scene, tri: Triangle) -> Grid:
     g.nz = g.nx
     g.reach = g.first + wp.int32(load_float(scene.values, g.first + wp.static(CELLS_WORD)))
     g.cells = wp.vec3(wp.float32(g.nx - 1), wp.float32(g.nx - 1), wp.float32(g.nx - 1))
+    g.high = g.cells
     return g
 
 

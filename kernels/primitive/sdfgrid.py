@@ -2,7 +2,8 @@
 
 The nodes fill the corners of [0, 1]^3, in front of the pose ``to_world``. Behind the pose the flat values hold the
 ``HEADER``, behind that the grid, x fastest, and then the ``reach`` of each voxel: how many voxels one has to go, along
-the axes or across, to one that the surface may pass; 0 in those. In one voxel phi is a cubic polynomial along a ray.
+the axes or across, to one that the surface may pass; 0 in those; and a block of voxels that holds all of those. In one
+voxel phi is a cubic polynomial along a ray.
 
 A point q of [0, 1]^3 is held as two numbers, whose bits are fixed-point coordinates: 21 bits of x, 21 of y, 20 of z.
 
@@ -11,7 +12,7 @@ Derivation: ``docs/theory/implicit.md#grids``.
 
 import warp as wp
 
-from warp_psdr.kernels.reading import load_float
+from warp_psdr.kernels.reading import load_float, load_vec3
 from warp_psdr.kernels.structs import Scene, Triangle
 
 #: Values between the first one of the pose and the grid: 16 of the pose, the nodes along x, y and z, and whether the
@@ -34,6 +35,8 @@ class Grid:
     nz: wp.int32
     smooth: wp.int32  # 1: shading normals are interpolated
     cells: wp.vec3  # voxels along the axes
+    low: wp.vec3  # the block of voxels in which rays look for the surface
+    high: wp.vec3
 
 
 @wp.struct
@@ -60,6 +63,9 @@ def grid_of(scene: Scene, tri: Triangle) -> Grid:
     g.smooth = wp.int32(load_float(scene.values, tri.i0 + 19))
     g.reach = g.first + g.nx * g.ny * g.nz
     g.cells = wp.vec3(wp.float32(g.nx - 1), wp.float32(g.ny - 1), wp.float32(g.nz - 1))
+    block = g.reach + (g.nx - 1) * (g.ny - 1) * (g.nz - 1)
+    g.low = load_vec3(scene.values, block)
+    g.high = load_vec3(scene.values, block + 3)
     return g
 
 
@@ -77,6 +83,11 @@ def voxel_at(scene: Scene, g: Grid, i: wp.int32, j: wp.int32, k: wp.int32) -> Vo
     c.v011 = load_float(scene.values, q + g.nx)
     c.v111 = load_float(scene.values, q + g.nx + 1)
     return c
+
+
+@wp.func
+def voxel_corner(i: wp.int32, j: wp.int32, k: wp.int32) -> wp.vec3:
+    return wp.vec3(wp.float32(i), wp.float32(j), wp.float32(k))
 
 
 @wp.func

@@ -9,7 +9,15 @@ import warp as wp
 
 from warp_psdr.kernels.math import any_tangent
 from warp_psdr.kernels.primitive.affine import cofactor, from_axes, to_axes
-from warp_psdr.kernels.primitive.sdfgrid import Grid, Voxel, grid_of, unpack, value_and_gradient, voxel_at
+from warp_psdr.kernels.primitive.sdfgrid import (
+    Grid,
+    Voxel,
+    grid_of,
+    unpack,
+    value_and_gradient,
+    voxel_at,
+    voxel_corner,
+)
 from warp_psdr.kernels.reading import load_float
 from warp_psdr.kernels.structs import Scene, Triangle
 from warp_psdr.kernels.surface import Surface
@@ -101,11 +109,6 @@ class GridPoint:
     k: wp.int32
     voxel: Voxel
     gradient: wp.vec3  # of phi by p
-
-
-@wp.func
-def voxel_corner(i: wp.int32, j: wp.int32, k: wp.int32) -> wp.vec3:
-    return wp.vec3(wp.float32(i), wp.float32(j), wp.float32(k))
 
 
 @wp.func

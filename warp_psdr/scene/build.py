@@ -30,7 +30,7 @@ from warp_psdr.scene.layout import (
 )
 from warp_psdr.scene.medium_records import MediaRecords
 from warp_psdr.scene.network import add_network
-from warp_psdr.scene.sdfgrid import reaches
+from warp_psdr.scene.sdfgrid import walk_values
 from warp_psdr.scene.sky_model import TURBIDITIES
 from warp_psdr.scene.sunsky import SkyRecord
 from warp_psdr.scene.tables import PlacedTable
@@ -185,7 +185,7 @@ class Builder:
             nodes = s.grid.values.shape
             self.layout.add_values(np.array([nodes[2], nodes[1], nodes[0], s.grid.smooth]))
             self.layout.add(f"{s.path}.grid", s.grid.values, SHAPE_GRID, owner=number)
-            self.layout.add_values(reaches(s.grid.values, s.grid.cubic))
+            self.layout.add_values(walk_values(s.grid.values, s.grid.cubic))
         if s.network is not None:
             add_network(self.layout, s, number)
         if s.curves is not None:

@@ -87,6 +87,22 @@ def reaches(values: np.ndarray, cubic: bool = False) -> np.ndarray:
     return distance_transform_cdt(~passed, metric="chessboard").astype(np.float32)
 
 
+def walk_values(values: np.ndarray, cubic: bool) -> np.ndarray:
+    """Return what rays walk by, flat: the reaches, and the block of voxels, (x, y, z), low and high, that they walk in.
+
+    It holds all voxels that the surface may pass, and their neighbours; nothing, if there are none. Arguments as
+    ``reaches``'s.
+    """
+    reach = reaches(values, cubic)
+    block = np.zeros((2, 3), np.float32)
+    passed = reach == 0.0
+    if passed.any():
+        for axis, count in enumerate(passed.shape):
+            along = np.nonzero(passed.any(axis=tuple({0, 1, 2} - {axis})))[0]
+            block[:, 2 - axis] = max(int(along[0]) - 1, 0), min(int(along[-1]) + 2, count)
+    return np.concatenate([reach.reshape(-1), block.reshape(-1)])
+
+
 def is_passed(values: np.ndarray, cubic: bool = False) -> np.ndarray:
     """Return of each voxel whether its corners differ in sign; ``values`` of the nodes, (Z, Y, X).
 
@@ -134,11 +150,11 @@ def _spline_passed(values: np.ndarray) -> np.ndarray:
 
 
 def follow_grids(scene: Scene, changed: Iterable[Parameter], held: np.ndarray) -> None:
-    """Let the reaches follow the grids that have changed; ``held``: the flat values on the host."""
+    """Let what rays walk by follow the grids that have changed; ``held``: the flat values on the host."""
     for p in changed:
         grid = scene.description.shapes[p.owner].grid if SHAPE_GRID in p.uses else None
         if grid is not None:
-            found = reaches(held[p.offset : p.offset + p.size].reshape(p.shape), grid.cubic).reshape(-1)
+            found = walk_values(held[p.offset : p.offset + p.size].reshape(p.shape), grid.cubic)
             scene.values[p.offset + p.size : p.offset + p.size + found.size].assign(found)
 
 

@@ -24,11 +24,10 @@ from warp_psdr.kernels.constants import (
 from warp_psdr.kernels.primitive.affine import cofactor, determinant, from_axes, is_primitive, make_pose_sink
 from warp_psdr.kernels.primitive.dispatch import CURVES, GRIDS, is_bspline, is_cubic, is_grid, is_linear
 from warp_psdr.kernels.primitive.kinds import affine_kinds, join
-from warp_psdr.kernels.primitive.sdfgrid import Grid, grid_of, value_and_gradient, voxel_at
+from warp_psdr.kernels.primitive.sdfgrid import Grid, grid_of, value_and_gradient, voxel_at, voxel_corner
 from warp_psdr.kernels.primitive.sdfgrid_adjoint import make_voxel_sink
 from warp_psdr.kernels.primitive.sdfgrid_cubic import spline_field
 from warp_psdr.kernels.primitive.sdfgrid_cubic_surface import make_spline_sink
-from warp_psdr.kernels.primitive.sdfgrid_surface import voxel_corner
 from warp_psdr.kernels.sink import make_sink_vec3
 from warp_psdr.kernels.structs import Scene, Triangle
 

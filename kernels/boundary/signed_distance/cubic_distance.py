@@ -10,10 +10,9 @@ import warp as wp
 from warp_psdr.kernels.boundary.signed_distance.box import inside_box, known_in_box
 from warp_psdr.kernels.boundary.signed_distance.distance import Distance, Field, similar_scale
 from warp_psdr.kernels.primitive.affine import cofactor, determinant, from_axes, make_pose_sink
-from warp_psdr.kernels.primitive.sdfgrid import Grid, grid_of
+from warp_psdr.kernels.primitive.sdfgrid import Grid, grid_of, voxel_corner
 from warp_psdr.kernels.primitive.sdfgrid_cubic import spline_field, spline_hessian, spline_row
 from warp_psdr.kernels.primitive.sdfgrid_cubic_surface import make_spline_sink
-from warp_psdr.kernels.primitive.sdfgrid_surface import voxel_corner
 from warp_psdr.kernels.structs import Scene, Triangle
 
 

@@ -17,10 +17,9 @@ from warp_psdr.kernels.boundary.guiding.slots import Slots
 from warp_psdr.kernels.primitive.affine import cofactor, determinant, from_axes, make_pose_sink, to_axes
 from warp_psdr.kernels.primitive.network import network_of
 from warp_psdr.kernels.primitive.network_surface import make_cell_sink
-from warp_psdr.kernels.primitive.sdfgrid import Grid, Voxel, grid_of, value_and_gradient, voxel_at
+from warp_psdr.kernels.primitive.sdfgrid import Grid, Voxel, grid_of, value_and_gradient, voxel_at, voxel_corner
 from warp_psdr.kernels.primitive.sdfgrid_adjoint import bend_of, make_voxel_sink, mixed_differences
 from warp_psdr.kernels.primitive.sdfgrid_cubic_surface import make_spline_sink
-from warp_psdr.kernels.primitive.sdfgrid_surface import voxel_corner
 from warp_psdr.kernels.structs import Scene, Triangle
 
 #: Kind of an item that is a voxel.

@@ -22,8 +22,7 @@ from warp_psdr.kernels.primitive.affine import cofactor, determinant
 from warp_psdr.kernels.primitive.network import network_cell, phi_along
 from warp_psdr.kernels.primitive.network_roots import make_network_root
 from warp_psdr.kernels.primitive.network_surface import network_bend, network_field
-from warp_psdr.kernels.primitive.sdfgrid import Grid
-from warp_psdr.kernels.primitive.sdfgrid_surface import voxel_corner
+from warp_psdr.kernels.primitive.sdfgrid import Grid, voxel_corner
 from warp_psdr.kernels.structs import Scene, Triangle
 
 ANY_ROOT = make_network_root(True)

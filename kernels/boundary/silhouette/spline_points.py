@@ -17,7 +17,7 @@ from warp_psdr.kernels.boundary.silhouette.grid_points import (
     turn_axes_back,
 )
 from warp_psdr.kernels.primitive.affine import cofactor, determinant, from_axes
-from warp_psdr.kernels.primitive.sdfgrid import Grid, bracketed, polynomial
+from warp_psdr.kernels.primitive.sdfgrid import Grid, bracketed, polynomial, voxel_corner
 from warp_psdr.kernels.primitive.sdfgrid_cubic import (
     spline_field,
     spline_hessian,
@@ -25,7 +25,6 @@ from warp_psdr.kernels.primitive.sdfgrid_cubic import (
     spline_row,
     spline_weights,
 )
-from warp_psdr.kernels.primitive.sdfgrid_surface import voxel_corner
 from warp_psdr.kernels.structs import Scene, Triangle
 
 #: Slot of the number that tells the points of a line or a slice apart.
