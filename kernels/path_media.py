@@ -46,7 +46,7 @@ from warp_psdr.kernels.scattering import (
     samples_lights,
     shadow_ray,
 )
-from warp_psdr.kernels.step import LEAVE, step_off_triangle
+from warp_psdr.kernels.step import TOUCH, largest_coordinate, step_off_triangle
 from warp_psdr.kernels.structs import Scene
 from warp_psdr.kernels.transmittance import transmittance_of
 from warp_psdr.kernels.vertex import PathConfig, PathState, PathVertex
@@ -71,6 +71,7 @@ class MediaState:
     steps: wp.int32  # so far
     crossings: wp.int32  # surfaces passed without a change of direction so far
     skip: wp.vec3  # from its origin, where it crossed an interface, to where the ray is cast
+    least: wp.float32  # length of a flight from which float32 tells its end from that interface
 
 
 @wp.struct
@@ -116,16 +117,6 @@ def radiance_of_step(v: MediaVertex) -> wp.vec3:
 def collision_point(v: MediaVertex) -> wp.vec3:
     """Where a flight ends in its medium."""
     return v.surface.o + v.t * v.surface.d
-
-
-@wp.func
-def least_flight(o: wp.vec3, skip: wp.vec3, lead: wp.float32) -> wp.float32:
-    """Length of a flight behind an interface from which float32 tells its end from the interface.
-
-    ``lead`` is the length of ``skip``, which is normal to the interface, along the flight.
-    """
-    step = LEAVE * wp.max(wp.abs(o))
-    return wp.where(lead > 0.0, wp.min(step * wp.length(skip) / wp.max(lead, 1.0e-30), lead), 0.0)
 
 
 @functools.cache
@@ -296,6 +287,8 @@ def make_media_step(config: PathConfig, differential: bool, explores: bool = Fal
             after.path.depth = path.depth
             after.path.o = at.x
             after.skip = at.o - at.x
+            cosine = wp.max(wp.abs(wp.dot(at.ng, path.d)), GRAZING)
+            after.least = TOUCH * largest_coordinate(triangle_at(scene, hit.face)) / cosine
             after.path.d = path.d
             after.path.t_max = FAR
             after.path.throughput = path.throughput
@@ -321,6 +314,13 @@ def make_media_step(config: PathConfig, differential: bool, explores: bool = Fal
         lead = wp.dot(state.skip, path.d)
         if hit.face >= 0:
             hit.t += lead
+            if wp.static(not config.primitives):
+                if lead > 0.0:
+                    # Where the ray itself meets the triangle's plane: the one that is cast runs beside it.
+                    plane = triangle_at(scene, hit.face)
+                    across = wp.dot(plane.normal, path.d)
+                    if wp.abs(across) > GRAZING:
+                        hit.t = wp.clamp(wp.dot(plane.normal, plane.p0 - path.o) / across, 0.0, hit.t)
         scatters = max_depth < 0 or path.depth + 1 < max_depth
         # ---- Flight ----
         vertex = MediaVertex()
@@ -366,7 +366,7 @@ def make_media_step(config: PathConfig, differential: bool, explores: bool = Fal
                 else:
                     f = flight(scene, m, length, end, hit.face < 0, u, state.steps, scatters)
             if f.collides:
-                f.t = wp.max(f.t, wp.min(least_flight(path.o, state.skip, lead), end))
+                f.t = wp.max(f.t, wp.min(state.least, end))
             vertex.passed = f.passed
             vertex.t = f.t
             vertex.inv_p = f.inv_p
