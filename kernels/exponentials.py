@@ -1,7 +1,7 @@
 """Exponentials and what is made of them, by polynomials: nothing branches, so that loops over lanes become SIMD.
 
 The math library's functions are called for one number after the other. ``exponential`` has a derivative, that of its
-polynomial; the others are values only.
+polynomial, and ``smooth_logarithm`` has one; the others are values only.
 """
 
 import warp as wp
@@ -42,6 +42,14 @@ def logarithm(x: wp.float32) -> wp.float32:
     z = s * s
     p = 0.6666677608911971 + z * (0.39977573593262195 + z * 0.29870948387878804)
     return wp.float32(exponent) * LN2 + s * (2.0 + z * p)
+
+
+@wp.func
+def smooth_logarithm(x: wp.float32) -> wp.float32:
+    """``logarithm`` with its derivative, which is lost where bits are taken apart: that of a difference of value 0."""
+    positive = wp.max(x, LEAST_POSITIVE)
+    fixed = wp.cast(wp.cast(positive, wp.int32), wp.float32)
+    return logarithm(positive) + (positive - fixed) / fixed
 
 
 @wp.func

@@ -20,7 +20,7 @@ from warp_psdr.kernels.invalid import finite, inverse_pdf, vanishes
 from warp_psdr.kernels.math import where3
 from warp_psdr.kernels.reading import emitter_at, shape_at, triangle_at
 from warp_psdr.kernels.sampling import mis_weight
-from warp_psdr.kernels.structs import LightSample, Scene, Triangle
+from warp_psdr.kernels.structs import BsdfSample, LightSample, Scene, Triangle
 from warp_psdr.kernels.vertex import PathConfig, PathState
 
 #: Sample slots per path vertex: next-event estimation, scattering. Slot 0 is the camera's.
@@ -210,24 +210,22 @@ def shadow_ray(o: wp.vec3, ls: LightSample) -> tuple[wp.vec3, wp.float32]:
 
 
 @functools.cache
-def make_next_event(config: PathConfig, differential: bool, selects: bool = False):
-    """Return ``next_event(at, ls, light) -> NextEvent``, ``at`` an interaction.
+def make_estimate(config: PathConfig, differential: bool):
+    """Return ``estimate(at, ls, light, value, pdf) -> NextEvent``, ``at`` an interaction.
 
-    Arguments as ``make_path_step``'s and ``make_bsdf``'s.
+    ``value`` and ``pdf`` are those of its scattering functions towards the light. Arguments as ``make_path_step``'s.
     """
-    interaction = make_interaction(config, selects)
+    interaction = make_interaction(config)
     record = interaction.record
     bsdf = interaction.bsdf
 
     @wp.func
-    def next_event(at: record, ls: LightSample, light: wp.int32) -> NextEvent:
-        wo = enter_frame(at.frame, ls.wi)
-        pdf_bsdf = interaction.pdf(at, wo)
+    def estimate(at: record, ls: LightSample, light: wp.int32, value: wp.vec3, pdf: wp.float32) -> NextEvent:
         pdf_light = ls.pdf * ls.probability
         event = NextEvent()
-        event.weight = inverse_pdf(pdf_light) * wp.where(ls.delta == 0, mis_weight(pdf_light, pdf_bsdf), 1.0)
-        event.value = event.weight * wp.cw_mul(interaction.eval(at, wo), ls.radiance)
-        traces_shadow_ray = not (ls.pdf <= 0.0 or pdf_bsdf <= 0.0 or not bsdf.has_smooth(at.model))
+        event.weight = inverse_pdf(pdf_light) * wp.where(ls.delta == 0, mis_weight(pdf_light, pdf), 1.0)
+        event.value = event.weight * wp.cw_mul(value, ls.radiance)
+        traces_shadow_ray = not (ls.pdf <= 0.0 or pdf <= 0.0 or not bsdf.has_smooth(at.model))
         if wp.static(not differential):
             traces_shadow_ray = traces_shadow_ray and not vanishes(event.value)
         event.traces_shadow_ray = wp.where(traces_shadow_ray, 1, 0)
@@ -241,6 +239,21 @@ def make_next_event(config: PathConfig, differential: bool, selects: bool = Fals
         event.v = ls.v
         event.wi = ls.wi
         return event
+
+    return estimate
+
+
+@functools.cache
+def make_next_event(config: PathConfig, differential: bool):
+    """Return ``next_event(at, ls, light) -> NextEvent``, ``at`` an interaction; arguments as ``make_path_step``'s."""
+    interaction = make_interaction(config)
+    record = interaction.record
+    estimate = make_estimate(config, differential)
+
+    @wp.func
+    def next_event(at: record, ls: LightSample, light: wp.int32) -> NextEvent:
+        wo = enter_frame(at.frame, ls.wi)
+        return estimate(at, ls, light, interaction.eval(at, wo), interaction.pdf(at, wo))
 
     return next_event
 
@@ -270,17 +283,18 @@ def make_through_event(config: PathConfig):
 
 
 @functools.cache
-def make_scatter(config: PathConfig, differential: bool, selects: bool = False):
-    """Return ``scatter(at, state, face, r4, rr_depth) -> ScatterSample``.
+def make_onward(config: PathConfig, differential: bool):
+    """Return ``onward(at, bs, state, face, u, rr_depth) -> ScatterSample``; arguments as ``make_path_step``'s.
 
-    Arguments as ``make_path_step``'s and ``make_bsdf``'s.
+    ``bs`` is what was drawn from the scattering functions of ``at``, ``u`` a random number for Russian roulette.
     """
-    interaction = make_interaction(config, selects)
+    interaction = make_interaction(config)
     record = interaction.record
 
     @wp.func
-    def scatter(at: record, state: PathState, face: wp.int32, r4: wp.vec4, rr_depth: wp.int32) -> ScatterSample:
-        bs = interaction.sample(at, r4[0], wp.vec2(r4[2], r4[3]))
+    def onward(
+        at: record, bs: BsdfSample, state: PathState, face: wp.int32, u: wp.float32, rr_depth: wp.int32
+    ) -> ScatterSample:
         scatter_sample = ScatterSample()
         scatter_sample.wo = leave_frame(at.frame, bs.wo)
         inv_pdf = 1.0 / bs.pdf
@@ -298,7 +312,7 @@ def make_scatter(config: PathConfig, differential: bool, selects: bool = False):
         if wp.static(differential):
             survival = wp.max(survival, ROULETTE_MIN)
         late = state.depth + 1 >= rr_depth
-        alive = alive and not (late and r4[1] >= survival)
+        alive = alive and not (late and u >= survival)
         inv_q = wp.where(late, 1.0 / survival, 1.0)
         inv_pdf = wp.where(invalid, inv_pdf, inv_pdf * inv_q)
         scatter_sample.invalid = wp.where(invalid, 1, 0)
@@ -316,10 +330,26 @@ def make_scatter(config: PathConfig, differential: bool, selects: bool = False):
         scatter_sample.after.pdf = wp.where(smooth, bs.pdf, 0.0)
         scatter_sample.after.eta = eta
         if wp.static(config.through):
-            if bs.lobe == LOBE_NULL:
-                # The direction was drawn before, and next-event estimation there finds what it hits.
-                scatter_sample.after.pdf = state.pdf * bs.pdf
-                scatter_sample.after.seen.t = state.seen.t + wp.length(at.x - state.o)
+            # The direction was drawn before, and next-event estimation there finds what it hits.
+            passes = bs.lobe == LOBE_NULL
+            before = wp.where(passes, state.seen.t + wp.length(at.x - state.o), 0.0)
+            scatter_sample.after.pdf = wp.where(passes, state.pdf * bs.pdf, scatter_sample.after.pdf)
+            scatter_sample.after.seen.t = before
         return scatter_sample
+
+    return onward
+
+
+@functools.cache
+def make_scatter(config: PathConfig, differential: bool):
+    """Return ``scatter(at, state, face, r4, rr_depth) -> ScatterSample``; arguments as ``make_path_step``'s."""
+    interaction = make_interaction(config)
+    record = interaction.record
+    onward = make_onward(config, differential)
+
+    @wp.func
+    def scatter(at: record, state: PathState, face: wp.int32, r4: wp.vec4, rr_depth: wp.int32) -> ScatterSample:
+        bs = interaction.sample(at, r4[0], wp.vec2(r4[2], r4[3]))
+        return onward(at, bs, state, face, r4[1], rr_depth)
 
     return scatter

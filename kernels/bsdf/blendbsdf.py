@@ -11,6 +11,7 @@ import warp as wp
 
 from warp_psdr.kernels.bsdf.composite import BoundChild, Child, Composite
 from warp_psdr.kernels.bsdf.model import Functions, Number
+from warp_psdr.kernels.bsdf.selection import where_sample
 from warp_psdr.kernels.constants import (
     LOBE_DELTA_REFLECTION,
     LOBE_DELTA_TRANSMISSION,
@@ -67,19 +68,17 @@ def make_blend(record: type, _variant: str, children: tuple[Child, ...]) -> Func
     def blend_sample(mat: record, wi: wp.vec3, u: wp.float32, v: wp.vec2) -> BsdfSample:
         """Choose a model by ``u``, whose rest it samples with, and ask it for a direction."""
         p = second_share(mat.weight)
-        s = BsdfSample()
-        if u < p:
-            s = b.sample(mat, wi, wp.min(u / p, ONE_MINUS_EPSILON), v)
-        else:
-            s = a.sample(mat, wi, wp.min((u - p) / (1.0 - p), ONE_MINUS_EPSILON), v)
+        second = u < p
+        rest = wp.min(wp.where(second, u / p, (u - p) / (1.0 - p)), ONE_MINUS_EPSILON)
+        s = where_sample(second, b.sample(mat, wi, rest, v), a.sample(mat, wi, rest, v))
         if wp.static(smooth):
-            if s.lobe == LOBE_SMOOTH:
-                s.pdf = blend_pdf(mat, wi, s.wo)
-                s.value = blend_eval(mat, wi, s.wo)
+            from_smooth = s.lobe == LOBE_SMOOTH
+            s.pdf = wp.where(from_smooth, blend_pdf(mat, wi, s.wo), s.pdf)
+            s.value = where3(from_smooth, blend_eval(mat, wi, s.wo), s.value)
         if wp.static(delta):
-            if s.lobe > LOBE_SMOOTH:
-                s.pdf = blend_probability(mat, wi, s.lobe)
-                s.value = blend_scatter(mat, wi, s.lobe).value
+            single = s.lobe > LOBE_SMOOTH
+            s.pdf = wp.where(single, blend_probability(mat, wi, s.lobe), s.pdf)
+            s.value = where3(single, blend_scatter(mat, wi, s.lobe).value, s.value)
         return s
 
     glass = (bound for bound, child in zip((a, b), children, strict=True) if child.has(LOBE_DELTA_TRANSMISSION))
@@ -93,6 +92,7 @@ def make_blend(record: type, _variant: str, children: tuple[Child, ...]) -> Func
         relative_eta=through.relative_eta if through is not None and through.own.relative_eta is not None else None,
         slopes=_make_slopes(record, a, b),
         normal=_make_normal(record, a, b),
+        branches=a.own.branches or b.own.branches,
     )
 
 

@@ -26,7 +26,7 @@ from warp_psdr.kernels.bsdf.decomposition import SignedLobes, Split
 from warp_psdr.kernels.bsdf.dielectric import DIELECTRIC
 from warp_psdr.kernels.bsdf.diffuse import DIFFUSE
 from warp_psdr.kernels.bsdf.mask import MASK
-from warp_psdr.kernels.bsdf.model import Model, key_of
+from warp_psdr.kernels.bsdf.model import Functions, Model, key_of
 from warp_psdr.kernels.bsdf.normalmap import NORMAL_MAP
 from warp_psdr.kernels.bsdf.null import NULL
 from warp_psdr.kernels.bsdf.orennayar import OREN_NAYAR
@@ -43,6 +43,7 @@ from warp_psdr.kernels.bsdf.record import (
 from warp_psdr.kernels.bsdf.roughconductor import ROUGH_CONDUCTOR
 from warp_psdr.kernels.bsdf.roughdielectric import ROUGH_DIELECTRIC
 from warp_psdr.kernels.bsdf.roughplastic import ROUGH_PLASTIC
+from warp_psdr.kernels.bsdf.selection import where_number, where_sample
 from warp_psdr.kernels.bsdf.thindielectric import THIN_DIELECTRIC
 from warp_psdr.kernels.generated import make_generated
 from warp_psdr.kernels.math import where3
@@ -64,23 +65,6 @@ VARIANTS: dict[str, tuple[Model, str]] = {
 
 #: Models that are computed for every path, at most.
 MOST_SELECTED = 3
-
-
-@wp.func
-def where_number(condition: wp.bool, a: wp.float32, b: wp.float32) -> wp.float32:
-    return wp.where(condition, a, b)
-
-
-@wp.func
-def where_sample(condition: wp.bool, a: BsdfSample, b: BsdfSample) -> BsdfSample:
-    """``a`` if the condition holds, else ``b``, member by member."""
-    s = BsdfSample()
-    s.wo = where3(condition, a.wo, b.wo)
-    s.value = where3(condition, a.value, b.value)
-    s.pdf = wp.where(condition, a.pdf, b.pdf)
-    s.eta = wp.where(condition, a.eta, b.eta)
-    s.lobe = wp.where(condition, a.lobe, b.lobe)
-    return s
 
 
 #: Functions of models that are selected among, and how.
@@ -116,6 +100,7 @@ class BsdfFunctions(NamedTuple):
         split: see ``Split``.
         signed: see ``SignedLobes``.
         masked: ``(model) -> bool``: see ``Model``.
+        each: the functions of every model by itself.
     """
 
     record: type
@@ -140,6 +125,7 @@ class BsdfFunctions(NamedTuple):
     split: Split | None
     signed: SignedLobes | None
     masked: wp.Function
+    each: tuple[Functions, ...]
 
 
 def declaration_of(key: str) -> tuple[Model, str]:
@@ -209,7 +195,7 @@ def make_bsdf(models: tuple[str, ...], selects: bool = False) -> BsdfFunctions:
         models: Distinct keys of ``VARIANTS`` and of nested models, ``ordered``, so that equal sets share one
             specialisation.
         selects: compute ``sample``, ``eval`` and ``pdf`` of a few models that do not branch, and select, rather than
-            branch to the right one: for paths side by side.
+            branch to the right one: for numbers side by side.
 
     Raises:
         ValueError: Empty, unsorted or unknown keys.
@@ -275,6 +261,7 @@ def make_bsdf(models: tuple[str, ...], selects: bool = False) -> BsdfFunctions:
         split=_make_split(chain) if any(f.split is not None for f in functions) else None,
         signed=_make_signed(chain) if any(f.signed is not None for f in functions) else None,
         masked=_make_test([model.masked for model in declared]),
+        each=tuple(functions),
     )  # fmt: skip
 
 

@@ -65,20 +65,18 @@ def make_mask(record: type, variant: str, children: tuple[Child, ...]) -> Functi
     def mask_sample(mat: record, wi: wp.vec3, u: wp.float32, v: wp.vec2) -> BsdfSample:
         """Ask the nested model with the rest of ``u``, or go straight on."""
         q = nested_share(mat)
-        s = BsdfSample()
-        if u < q:
-            s = nested.sample(mat, wi, wp.min(u / q, ONE_MINUS_EPSILON), v)
-        else:
-            s.lobe = LOBE_NULL
-            s.eta = 1.0
-            s.wo = -wi
+        inner = u < q
+        s = nested.sample(mat, wi, wp.min(u / wp.where(inner, q, 1.0), ONE_MINUS_EPSILON), v)
+        s.lobe = wp.where(inner, s.lobe, LOBE_NULL)
+        s.eta = wp.where(inner, s.eta, 1.0)
+        s.wo = where3(inner, s.wo, -wi)
         if wp.static(smooth):
-            if s.lobe == LOBE_SMOOTH:
-                s.pdf = mask_pdf(mat, wi, s.wo)
-                s.value = mask_eval(mat, wi, s.wo)
-        if s.lobe > LOBE_SMOOTH:
-            s.pdf = mask_probability(mat, wi, s.lobe)
-            s.value = mask_scatter(mat, wi, s.lobe).value
+            passed = s.lobe == LOBE_SMOOTH
+            s.pdf = wp.where(passed, mask_pdf(mat, wi, s.wo), s.pdf)
+            s.value = where3(passed, mask_eval(mat, wi, s.wo), s.value)
+        single = s.lobe > LOBE_SMOOTH
+        s.pdf = wp.where(single, mask_probability(mat, wi, s.lobe), s.pdf)
+        s.value = where3(single, mask_scatter(mat, wi, s.lobe).value, s.value)
         return s
 
     return Functions(
@@ -90,6 +88,7 @@ def make_mask(record: type, variant: str, children: tuple[Child, ...]) -> Functi
         relative_eta=nested.relative_eta if nested.own.relative_eta is not None else None,
         slopes=nested.slopes if nested.own.slopes is not None else None,
         normal=nested.normal if nested.own.normal is not None else None,
+        branches=nested.own.branches,
     )
 
 

@@ -54,6 +54,24 @@ class Microfacet(NamedTuple):
     sample_visible: wp.Function
 
 
+class Interface(NamedTuple):
+    """Warp functions of a rough interface without its reflectance and transmittance; nothing branches.
+
+    ``wi`` lies above, ``wo`` on either side, both beyond ``MIN_COSINE``; ``eta`` is the index below over that above.
+
+    Attributes:
+        cosine: ``(wi, wo, eta) -> float32`` between ``wi`` and the half vector; 0 where a direction lies on its wrong
+            side.
+        value: ``(wi, wo, eta, alpha_u, alpha_v) -> float32``, 1/sr: what ``Reflection.value`` or ``Refraction.value``
+            is; of directions with a ``cosine`` above 0.
+        pdf: ``(wi, wo, eta, alpha_u, alpha_v) -> float32``: likewise.
+    """
+
+    cosine: wp.Function
+    value: wp.Function
+    pdf: wp.Function
+
+
 class Reflection(NamedTuple):
     """Warp functions of a rough mirror without its reflectance; ``wi`` and ``wo`` lie above, beyond ``MIN_COSINE``.
 
@@ -229,6 +247,76 @@ def make_refraction(distribution: str) -> Refraction:
         return refracting_normals(wi, wo, eta, alpha_u, alpha_v) * (eta * eta / area)
 
     return Refraction(refraction_cosine, refracted_value, refracted_pdf)
+
+
+@wp.struct
+class HalfVector:
+    """The half vector of two directions at an interface: its slopes, and what of a density of directions they make."""
+
+    slope: wp.vec2
+    jacobian: wp.float32  # from normals to directions, times <wi, h>
+
+
+@wp.func
+def interface_cosine(wi: wp.vec3, wo: wp.vec3, eta: wp.float32) -> wp.float32:
+    above = wo[2] > 0.0
+    h = wi + or_upright(above, wo)
+    return wp.where(above, 0.5 * wp.sqrt(wp.dot(h, h)), refraction_cosine(wi, wo, eta))
+
+
+@wp.func
+def interface_half_vector(wi: wp.vec3, wo: wp.vec3, eta: wp.float32) -> HalfVector:
+    """Both kinds are computed, of directions that have one: adjoints of what is not selected are 0, if it is finite."""
+    above = wo[2] > 0.0
+    reflected = half_slope(wi, or_upright(above, wo))
+    i = where3(above, wp.vec3(0.0, 0.0, 1.0), wi)
+    o = where3(above, wp.vec3(0.0, 0.0, -1.0), wo)
+    h = i + eta * o
+    squared = wp.dot(h, h)
+    result = HalfVector()
+    result.slope = wp.vec2(
+        wp.where(above, reflected[0], h[0] / h[2]),
+        wp.where(above, reflected[1], h[1] / h[2]),
+    )
+    through = (wp.abs(wp.dot(i, h)) / squared) * (wp.abs(wp.dot(o, h)) / squared)
+    result.jacobian = wp.where(above, 0.25, through)
+    return result
+
+
+@functools.cache
+def make_interface(distribution: str) -> Interface:
+    """Return the functions of a rough interface.
+
+    Derivation: ``docs/theory/materials.md#rough-glass``.
+    """
+    ndf, smith_over_cos, projected_area, _sample_visible = make_microfacet(distribution)
+
+    @wp.func
+    def interface_normals(h: HalfVector, alpha_u: wp.float32, alpha_v: wp.float32) -> wp.float32:
+        """D(h) times the Jacobian."""
+        tx = h.slope[0] / alpha_u
+        ty = h.slope[1] / alpha_v
+        inv_cos2 = 1.0 + h.slope[0] * h.slope[0] + h.slope[1] * h.slope[1]
+        return h.jacobian * ndf(tx * tx + ty * ty, inv_cos2) / (alpha_u * alpha_v)
+
+    @wp.func
+    def interface_value(
+        wi: wp.vec3, wo: wp.vec3, eta: wp.float32, alpha_u: wp.float32, alpha_v: wp.float32
+    ) -> wp.float32:
+        c = wp.abs(wo[2])
+        g_i = smith_over_cos(wi[2], squared_tangent_part(wi, alpha_u, alpha_v))
+        g_o = smith_over_cos(c, squared_tangent_part(wo, alpha_u, alpha_v))
+        return interface_normals(interface_half_vector(wi, wo, eta), alpha_u, alpha_v) * g_i * g_o * c
+
+    @wp.func
+    def interface_pdf(
+        wi: wp.vec3, wo: wp.vec3, eta: wp.float32, alpha_u: wp.float32, alpha_v: wp.float32
+    ) -> wp.float32:
+        area = projected_area(wi[2], squared_tangent_part(wi, alpha_u, alpha_v))
+        scale = wp.where(wo[2] > 0.0, 1.0, eta * eta)
+        return interface_normals(interface_half_vector(wi, wo, eta), alpha_u, alpha_v) * (scale / area)
+
+    return Interface(interface_cosine, interface_value, interface_pdf)
 
 
 @functools.cache

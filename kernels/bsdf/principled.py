@@ -22,16 +22,19 @@ from warp_psdr.kernels.bsdf.microfacet import (
     make_reflection,
     make_refraction,
     make_visible_normal,
+    or_upright,
     squared_tangent_part,
 )
 from warp_psdr.kernels.bsdf.model import Color, Functions, Model, Number, Rate, SpecularIndex
 from warp_psdr.kernels.bsdf.plastic import MIN_SHARE
+from warp_psdr.kernels.bsdf.reflected import make_reflected_sample
 from warp_psdr.kernels.bsdf.roughdielectric import MIN_GAP, turned
 from warp_psdr.kernels.bsdf.roughplastic import WIDE_SLOPE
 from warp_psdr.kernels.constants import INV_PI, LOBE_NONE, LOBE_SMOOTH
+from warp_psdr.kernels.exponentials import exponential, logarithm, smooth_logarithm
 from warp_psdr.kernels.fresnel import coat_reflectance, coat_transmittance, index_behind, refracted_cosine
-from warp_psdr.kernels.math import clamp_unit, refract_at
-from warp_psdr.kernels.sampling import square_to_cosine_hemisphere
+from warp_psdr.kernels.math import clamp_unit, refract_at, unit_vector, where3
+from warp_psdr.kernels.sampling import square_to_cosine_hemisphere, unit_circle
 from warp_psdr.kernels.structs import BsdfSample
 
 #: Least slope of the main lobe.
@@ -79,16 +82,31 @@ def principled_index(ior: wp.float32, specular: wp.float32) -> wp.float32:
 
 
 @wp.func
-def principled_alphas(roughness: wp.float32, anisotropic: wp.float32) -> wp.vec2:
-    """Slopes of the main lobe along the tangents."""
-    return stretched_alphas(clamp_unit(roughness), anisotropic)
+def aspect_of(anisotropic: wp.float32) -> wp.float32:
+    return wp.sqrt(1.0 - 0.9 * clamp_unit(anisotropic))
+
+
+@wp.func
+def alpha_along(r: wp.float32, anisotropic: wp.float32) -> wp.float32:
+    """Slope along the first tangent at a roughness of any size; by itself, for a ``vec2`` keeps loops from SIMD."""
+    return wp.max(MIN_ROUGH_ALPHA, r * r / aspect_of(anisotropic))
+
+
+@wp.func
+def alpha_across(r: wp.float32, anisotropic: wp.float32) -> wp.float32:
+    return wp.max(MIN_ROUGH_ALPHA, r * r * aspect_of(anisotropic))
 
 
 @wp.func
 def stretched_alphas(r: wp.float32, anisotropic: wp.float32) -> wp.vec2:
     """Slopes along the tangents at a roughness of any size."""
-    aspect = wp.sqrt(1.0 - 0.9 * clamp_unit(anisotropic))
-    return wp.vec2(wp.max(MIN_ROUGH_ALPHA, r * r / aspect), wp.max(MIN_ROUGH_ALPHA, r * r * aspect))
+    return wp.vec2(alpha_along(r, anisotropic), alpha_across(r, anisotropic))
+
+
+@wp.func
+def principled_alphas(roughness: wp.float32, anisotropic: wp.float32) -> wp.vec2:
+    """Slopes of the main lobe along the tangents."""
+    return stretched_alphas(clamp_unit(roughness), anisotropic)
 
 
 @wp.func
@@ -106,18 +124,18 @@ def coat_normals(wi: wp.vec3, wo: wp.vec3, a: wp.float32) -> wp.float32:
     s = half_slope(wi, wo)
     s2 = wp.dot(s, s)
     a2 = a * a
-    return (INV_PI * (a2 - 1.0) / wp.log(a2)) * ((1.0 + s2) / (a2 + s2))
+    return (INV_PI * (a2 - 1.0) / smooth_logarithm(a2)) * ((1.0 + s2) / (a2 + s2))
 
 
 @wp.func
 def coat_sample(wi: wp.vec3, a: wp.float32, v: wp.vec2) -> wp.vec3:
-    """``wi`` reflected at a normal drawn with the density D_1 cos; it may point below."""
-    length = -2.0 * wp.log(a)
-    s2 = a * a * (wp.exp(length * v[1]) - 1.0) / (1.0 - wp.exp(length * (v[1] - 1.0)))
+    """``wi`` reflected at a normal drawn with the density D_1 cos; it may point below. A unit vector up to rounding."""
+    length = -2.0 * logarithm(a)
+    s2 = a * a * (exponential(length * v[1]) - 1.0) / (1.0 - exponential(length * (v[1] - 1.0)))
     slope = wp.sqrt(wp.max(s2, 0.0))
-    phi = wp.static(2.0 * wp.pi) * v[0]
-    n = wp.normalize(wp.vec3(slope * wp.cos(phi), slope * wp.sin(phi), 1.0))
-    return wp.normalize(2.0 * wp.dot(wi, n) * n - wi)
+    around = unit_circle(v[0])
+    n = unit_vector(wp.vec3(slope * around[0], slope * around[1], 1.0))
+    return 2.0 * wp.dot(wi, n) * n - wi
 
 
 @wp.func
@@ -191,13 +209,16 @@ def make_principled(record: type, variant: str) -> Functions:
         return (1.0 - metallic) * (dielectric + tinted * (tint - dielectric)) + metallic * metal
 
     @wp.func
-    def front_value(mat: record, wi: wp.vec3, wo: wp.vec3, eta: wp.float32, alphas: wp.vec2) -> wp.vec3:
+    def front_value(mat: record, wi: wp.vec3, wo: wp.vec3, eta: wp.float32) -> wp.vec3:
         """What is reflected on the upper side."""
+        r = clamp_unit(mat.roughness)
+        alpha_u = alpha_along(r, mat.anisotropic)
+        alpha_v = alpha_across(r, mat.anisotropic)
         h = wi + wo
         c = 0.5 * wp.sqrt(wp.dot(h, h))
         schlick = schlick_of_index(c, eta)
         # ---- Main lobe ----
-        value = reflection.value(wi, wo, alphas[0], alphas[1]) * principled_fresnel(mat, c, eta, schlick)
+        value = reflection.value(wi, wo, alpha_u, alpha_v) * principled_fresnel(mat, c, eta, schlick)
         # ---- Clear coat ----
         masked_i = wi[2] * smith_over_cos(wi[2], squared_tangent_part(wi, COAT_MASKING, COAT_MASKING))
         masked_o = wo[2] * smith_over_cos(wo[2], squared_tangent_part(wo, COAT_MASKING, COAT_MASKING))
@@ -213,18 +234,22 @@ def make_principled(record: type, variant: str) -> Functions:
         return value + coat * white + matte * (base + sheen)
 
     @wp.func
-    def principled_eval(mat: record, wi: wp.vec3, wo: wp.vec3) -> wp.vec3:
+    def reflecting_eval(mat: record, wi: wp.vec3, wo: wp.vec3) -> wp.vec3:
+        """f_s times the cosine of ``wo``, 1/sr, where nothing passes."""
+        above = not (wi[2] <= MIN_COSINE or wo[2] <= MIN_COSINE)
+        eta = principled_index(mat.ior, mat.specular)
+        value = front_value(mat, or_upright(above, wi), or_upright(above, wo), eta)
+        return where3(above, value, wp.vec3(0.0, 0.0, 0.0))
+
+    @wp.func
+    def transmitting_eval(mat: record, wi: wp.vec3, wo: wp.vec3) -> wp.vec3:
         """f_s times the cosine of ``wo``, 1/sr."""
         alphas = principled_alphas(mat.roughness, mat.anisotropic)
         eta = principled_index(mat.ior, mat.specular)
-        if wp.static(not transmits):
-            if wi[2] <= MIN_COSINE or wo[2] <= MIN_COSINE:
-                return wp.vec3(0.0, 0.0, 0.0)
-            return front_value(mat, wi, wo, eta, alphas)
         if wp.abs(wi[2]) <= MIN_COSINE or wp.abs(wo[2]) <= MIN_COSINE:
             return wp.vec3(0.0, 0.0, 0.0)
         if wi[2] > 0.0 and wo[2] > 0.0:
-            return front_value(mat, wi, wo, eta, alphas)
+            return front_value(mat, wi, wo, eta)
         up = wp.where(wi[2] < 0.0, -1.0, 1.0)
         i = turned(wi, up)
         o = turned(wo, up)
@@ -253,50 +278,69 @@ def make_principled(record: type, variant: str) -> Functions:
     @wp.func
     def refracting_share(mat: record, wi: wp.vec3, transmittance: wp.float32) -> wp.float32:
         """Share of the samples of the main lobe that are refracted, by the transmittance at their normal."""
-        share = wp.float32(0.0)
-        if wp.static(transmits):
-            glass = (1.0 - clamp_unit(mat.metallic)) * transmitted_share(mat)
-            share = wp.where(wi[2] < 0.0, 1.0, wp.max(glass, MIN_SHARE)) * transmittance
-        return share
+        glass = (1.0 - clamp_unit(mat.metallic)) * transmitted_share(mat)
+        return wp.where(wi[2] < 0.0, 1.0, wp.max(glass, MIN_SHARE)) * transmittance
 
     @wp.func
-    def principled_pdf(mat: record, wi: wp.vec3, wo: wp.vec3) -> wp.float32:
+    def front_pdf(mat: record, wi: wp.vec3, wo: wp.vec3, weights: wp.vec3, refracted: wp.float32) -> wp.float32:
+        """Density of what is reflected; ``refracted``: the share of the main lobe that is not."""
+        r = clamp_unit(mat.roughness)
+        density = reflection.pdf(wi, wo, alpha_along(r, mat.anisotropic), alpha_across(r, mat.anisotropic))
+        h = wi + wo
+        coat = coat_normals(wi, wo, coat_slope(mat.clearcoat_gloss)) * 0.5 * h[2] / wp.dot(h, h)
+        main = (1.0 - refracted) * density
+        return weights[0] * diffuse_pdf(wi, wo) + weights[1] * coat + weights[2] * main
+
+    @wp.func
+    def reflecting_pdf(mat: record, wi: wp.vec3, wo: wp.vec3) -> wp.float32:
+        """Density of the sampled directions, solid angle, where nothing passes."""
+        above = not (wi[2] <= MIN_COSINE or wo[2] <= MIN_COSINE)
+        density = front_pdf(mat, or_upright(above, wi), or_upright(above, wo), lobe_weights(mat), 0.0)
+        return wp.where(above, density, 0.0)
+
+    @wp.func
+    def draw(mat: record, wi: wp.vec3, u: wp.float32, v: wp.vec2) -> wp.vec3:
+        """Choose the base, the clear coat or the main lobe by ``u``, a direction by ``v``, where nothing passes."""
+        weights = lobe_weights(mat)
+        r = clamp_unit(mat.roughness)
+        n = visible_normal(wi, alpha_along(r, mat.anisotropic), alpha_across(r, mat.anisotropic), v)
+        glossy = where3(
+            u < weights[0] + weights[1],
+            coat_sample(wi, coat_slope(mat.clearcoat_gloss), v),
+            2.0 * wp.dot(wi, n) * n - wi,
+        )
+        return unit_vector(where3(u < weights[0], square_to_cosine_hemisphere(v), glossy))
+
+    @wp.func
+    def transmitting_pdf(mat: record, wi: wp.vec3, wo: wp.vec3) -> wp.float32:
         """Density of the sampled directions, solid angle."""
-        up = wp.float32(1.0)
-        if wp.static(transmits):
-            up = wp.where(wi[2] < 0.0, -1.0, 1.0)
+        up = wp.where(wi[2] < 0.0, -1.0, 1.0)
         i = turned(wi, up)
         o = turned(wo, up)
         if i[2] <= MIN_COSINE or wp.abs(o[2]) <= MIN_COSINE:
             return 0.0
-        alphas = principled_alphas(mat.roughness, mat.anisotropic)
-        eta = principled_index(mat.ior, mat.specular)
-        behind = index_behind(eta, wi[2])
+        behind = index_behind(principled_index(mat.ior, mat.specular), wi[2])
         weights = lobe_weights(mat)
         if wi[2] < 0.0:
             weights = wp.vec3(0.0, 0.0, 1.0)
         if o[2] > 0.0:
             h = i + o
-            coat = coat_normals(i, o, coat_slope(mat.clearcoat_gloss)) * 0.5 * h[2] / wp.dot(h, h)
             refracted = refracting_share(mat, wi, coat_transmittance(0.5 * wp.sqrt(wp.dot(h, h)), behind))
-            main = (1.0 - refracted) * reflection.pdf(i, o, alphas[0], alphas[1])
-            return weights[0] * diffuse_pdf(i, o) + weights[1] * coat + weights[2] * main
-        if wp.static(transmits):
-            c = refraction.cosine(i, o, behind)
-            if c > 0.0:
-                refracted = refracting_share(mat, wi, coat_transmittance(c, behind))
-                return weights[2] * refracted * refraction.pdf(i, o, behind, alphas[0], alphas[1])
+            return front_pdf(mat, i, o, weights, refracted)
+        c = refraction.cosine(i, o, behind)
+        if c > 0.0:
+            alphas = principled_alphas(mat.roughness, mat.anisotropic)
+            refracted = refracting_share(mat, wi, coat_transmittance(c, behind))
+            return weights[2] * refracted * refraction.pdf(i, o, behind, alphas[0], alphas[1])
         return 0.0
 
     @wp.func
-    def principled_sample(mat: record, wi: wp.vec3, u: wp.float32, v: wp.vec2) -> BsdfSample:
+    def transmitting_sample(mat: record, wi: wp.vec3, u: wp.float32, v: wp.vec2) -> BsdfSample:
         """Choose the base, the clear coat or the main lobe by ``u``, a direction by ``v``; none on the wrong side."""
         s = BsdfSample()
         s.eta = 1.0
         s.lobe = LOBE_NONE
-        up = wp.float32(1.0)
-        if wp.static(transmits):
-            up = wp.where(wi[2] < 0.0, -1.0, 1.0)
+        up = wp.where(wi[2] < 0.0, -1.0, 1.0)
         i = turned(wi, up)
         if i[2] > MIN_COSINE:
             weights = lobe_weights(mat)
@@ -313,20 +357,18 @@ def make_principled(record: type, variant: str) -> Functions:
                 n = visible_normal(i, alphas[0], alphas[1], v)
                 c = wp.dot(i, n)
                 o = 2.0 * c * n - i
-                if wp.static(transmits):
-                    eta = principled_index(mat.ior, mat.specular)
-                    behind = index_behind(eta, wi[2])
-                    rest = (u - weights[0] - weights[1]) / weights[2]
-                    if rest < refracting_share(mat, wi, coat_transmittance(c, behind)):
-                        g = refracted_cosine(c, behind)
-                        o = refract_at(i, n, c, g, behind)
-                        s.eta = behind
-                        side = -1.0
+                behind = index_behind(principled_index(mat.ior, mat.specular), wi[2])
+                rest = (u - weights[0] - weights[1]) / weights[2]
+                if rest < refracting_share(mat, wi, coat_transmittance(c, behind)):
+                    g = refracted_cosine(c, behind)
+                    o = refract_at(i, n, c, g, behind)
+                    s.eta = behind
+                    side = -1.0
             if o[2] * side > 0.0:
                 s.wo = turned(wp.normalize(o), up)
-                s.pdf = principled_pdf(mat, wi, s.wo)
+                s.pdf = transmitting_pdf(mat, wi, s.wo)
                 if s.pdf > 0.0:
-                    s.value = principled_eval(mat, wi, s.wo)
+                    s.value = transmitting_eval(mat, wi, s.wo)
                     s.lobe = LOBE_SMOOTH
         return s
 
@@ -339,8 +381,16 @@ def make_principled(record: type, variant: str) -> Functions:
     def principled_relative_eta(mat: record, wi: wp.vec3) -> wp.float32:
         return index_behind(principled_index(mat.ior, mat.specular), wi[2])
 
-    behind = principled_relative_eta if transmits else None
-    return Functions(principled_sample, principled_eval, principled_pdf, relative_eta=behind, slopes=slopes)
+    if transmits:
+        return Functions(
+            transmitting_sample,
+            transmitting_eval,
+            transmitting_pdf,
+            relative_eta=principled_relative_eta,
+            slopes=slopes,
+        )
+    sample = make_reflected_sample(record, draw, reflecting_eval, reflecting_pdf)
+    return Functions(sample, reflecting_eval, reflecting_pdf, slopes=slopes, branches=False)
 
 
 _REFLECTING = (

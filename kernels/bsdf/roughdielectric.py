@@ -22,9 +22,9 @@ from warp_psdr.kernels.bsdf.microfacet import (
     MIN_ALPHA,
     MIN_COSINE,
     at_least_min,
-    make_reflection,
-    make_refraction,
+    make_interface,
     make_visible_normal,
+    or_upright,
 )
 from warp_psdr.kernels.bsdf.model import Accepted, Choice, Color, Functions, Model, RelativeIndex, Roughness
 from warp_psdr.kernels.constants import LOBE_NONE, LOBE_SMOOTH
@@ -35,11 +35,22 @@ from warp_psdr.kernels.fresnel import (
     index_behind,
     refracted_cosine,
 )
-from warp_psdr.kernels.math import refract_at
+from warp_psdr.kernels.math import refract_at, unit_vector, where3
 from warp_psdr.kernels.structs import BsdfSample
 
 #: How far from 1 the ratio of indices has to be: nearer, the half vector is a difference of nearly equal vectors.
 MIN_GAP = 1.0e-3
+
+
+@wp.struct
+class InterfacePair:
+    """Two directions at a rough interface, ``wi`` above."""
+
+    wi: wp.vec3
+    wo: wp.vec3
+    eta: wp.float32  # index below over that above
+    share: wp.float32  # reflectance or transmittance
+    shown: wp.int32  # 1: there are normals between them
 
 
 @wp.func
@@ -51,77 +62,68 @@ def turned(w: wp.vec3, up: wp.float32) -> wp.vec3:
 @functools.cache
 def make_rough_dielectric(record: type, distribution: str) -> Functions:
     """Return the model's functions for ``distribution`` "ggx" or "beckmann"."""
-    reflection = make_reflection(distribution)
-    refraction = make_refraction(distribution)
+    interface = make_interface(distribution)
     visible_normal = make_visible_normal(distribution)
+
+    @wp.func
+    def at_interface(mat: record, wi: wp.vec3, wo: wp.vec3) -> InterfacePair:
+        """Both directions with ``wi`` turned up; a pair without a half vector is one that goes straight back."""
+        pair = InterfacePair()
+        up = wp.where(wi[2] < 0.0, -1.0, 1.0)
+        i = turned(wi, up)
+        o = turned(wo, up)
+        pair.eta = index_behind(mat.ior, wi[2])
+        aside = not (i[2] <= MIN_COSINE or wp.abs(o[2]) <= MIN_COSINE)
+        i = or_upright(aside, i)
+        o = or_upright(aside, o)
+        c = interface.cosine(i, o, pair.eta)
+        shown = aside and c > 0.0
+        pair.shown = wp.where(shown, 1, 0)
+        pair.wi = or_upright(shown, i)
+        pair.wo = or_upright(shown, o)
+        c = wp.where(shown, c, 1.0)
+        pair.share = wp.where(pair.wo[2] > 0.0, coat_reflectance(c, pair.eta), coat_transmittance(c, pair.eta))
+        return pair
 
     @wp.func
     def rough_dielectric_eval(mat: record, wi: wp.vec3, wo: wp.vec3) -> wp.vec3:
         """f_s times the cosine of ``wo``, 1/sr."""
-        if wp.abs(wi[2]) <= MIN_COSINE or wp.abs(wo[2]) <= MIN_COSINE:
-            return wp.vec3(0.0, 0.0, 0.0)
-        up = wp.where(wi[2] < 0.0, -1.0, 1.0)
-        i = turned(wi, up)
-        o = turned(wo, up)
-        eta = index_behind(mat.ior, wi[2])
+        pair = at_interface(mat, wi, wo)
         alpha_u = at_least_min(mat.alpha_u)
         alpha_v = at_least_min(mat.alpha_v)
-        if o[2] > 0.0:
-            h = i + o
-            fresnel = coat_reflectance(0.5 * wp.sqrt(wp.dot(h, h)), eta)
-            return (fresnel * reflection.value(i, o, alpha_u, alpha_v)) * mat.specular_reflectance
-        c = refraction.cosine(i, o, eta)
-        if c <= 0.0:
-            return wp.vec3(0.0, 0.0, 0.0)
-        through = coat_transmittance(c, eta) * refraction.value(i, o, eta, alpha_u, alpha_v)
-        return through * mat.specular_transmittance
+        scale = pair.share * interface.value(pair.wi, pair.wo, pair.eta, alpha_u, alpha_v)
+        color = where3(pair.wo[2] > 0.0, mat.specular_reflectance, mat.specular_transmittance)
+        return where3(pair.shown == 1, scale * color, wp.vec3(0.0, 0.0, 0.0))
 
     @wp.func
     def rough_dielectric_pdf(mat: record, wi: wp.vec3, wo: wp.vec3) -> wp.float32:
         """Density of the sampled directions on both sides, solid angle."""
-        if wp.abs(wi[2]) <= MIN_COSINE or wp.abs(wo[2]) <= MIN_COSINE:
-            return 0.0
-        up = wp.where(wi[2] < 0.0, -1.0, 1.0)
-        i = turned(wi, up)
-        o = turned(wo, up)
-        eta = index_behind(mat.ior, wi[2])
+        pair = at_interface(mat, wi, wo)
         alpha_u = at_least_min(mat.alpha_u)
         alpha_v = at_least_min(mat.alpha_v)
-        if o[2] > 0.0:
-            h = i + o
-            return coat_reflectance(0.5 * wp.sqrt(wp.dot(h, h)), eta) * reflection.pdf(i, o, alpha_u, alpha_v)
-        c = refraction.cosine(i, o, eta)
-        if c <= 0.0:
-            return 0.0
-        return coat_transmittance(c, eta) * refraction.pdf(i, o, eta, alpha_u, alpha_v)
+        density = pair.share * interface.pdf(pair.wi, pair.wo, pair.eta, alpha_u, alpha_v)
+        return wp.where(pair.shown == 1, density, 0.0)
 
     @wp.func
     def rough_dielectric_sample(mat: record, wi: wp.vec3, u: wp.float32, v: wp.vec2) -> BsdfSample:
         """Reflect or refract ``wi`` at a visible normal, by its reflectance; none that ends on the wrong side."""
+        aside = not wp.abs(wi[2]) <= MIN_COSINE
+        up = wp.where(wi[2] < 0.0, -1.0, 1.0)
+        i = or_upright(aside, turned(wi, up))
+        eta = index_behind(mat.ior, wi[2])
+        n = visible_normal(i, at_least_min(mat.alpha_u), at_least_min(mat.alpha_v), v)
+        c = wp.dot(i, n)
+        g = refracted_cosine(c, eta)
+        reflected = u < fresnel_dielectric(c, g, eta)
+        o = where3(reflected, 2.0 * c * n - i, refract_at(i, n, c, g, eta))
+        right = aside and c > 0.0 and o[2] * wp.where(reflected, 1.0, -1.0) > 0.0
         s = BsdfSample()
-        s.eta = 1.0
-        s.lobe = LOBE_NONE
-        if wp.abs(wi[2]) > MIN_COSINE:
-            up = wp.where(wi[2] < 0.0, -1.0, 1.0)
-            i = turned(wi, up)
-            eta = index_behind(mat.ior, wi[2])
-            n = visible_normal(i, at_least_min(mat.alpha_u), at_least_min(mat.alpha_v), v)
-            c = wp.dot(i, n)
-            g = refracted_cosine(c, eta)
-            o = 2.0 * c * n - i
-            right = wp.bool(True)
-            if u < fresnel_dielectric(c, g, eta):
-                right = o[2] > 0.0
-            else:
-                o = refract_at(i, n, c, g, eta)
-                s.eta = eta
-                right = o[2] < 0.0
-            if right and c > 0.0:
-                s.wo = turned(wp.normalize(o), up)
-                s.pdf = rough_dielectric_pdf(mat, wi, s.wo)
-                if s.pdf > 0.0:
-                    s.value = rough_dielectric_eval(mat, wi, s.wo)
-                    s.lobe = LOBE_SMOOTH
+        s.eta = wp.where(reflected, 1.0, eta)
+        s.wo = where3(right, turned(unit_vector(o), up), wp.vec3(0.0, 0.0, 0.0))
+        s.pdf = wp.where(right, rough_dielectric_pdf(mat, wi, s.wo), 0.0)
+        drawn = s.pdf > 0.0
+        s.value = where3(drawn, rough_dielectric_eval(mat, wi, s.wo), wp.vec3(0.0, 0.0, 0.0))
+        s.lobe = wp.where(drawn, LOBE_SMOOTH, LOBE_NONE)
         return s
 
     @wp.func
@@ -133,6 +135,7 @@ def make_rough_dielectric(record: type, distribution: str) -> Functions:
         rough_dielectric_eval,
         rough_dielectric_pdf,
         relative_eta=rough_dielectric_relative_eta,
+        branches=False,
     )
 
 

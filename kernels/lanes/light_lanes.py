@@ -14,7 +14,7 @@ from warp_psdr.kernels.emitter.envmap import draw_in_cell
 from warp_psdr.kernels.lanes.lanes import ROWS, Rows, make_fetch, make_number, stack_rows, word_of
 from warp_psdr.kernels.math import where3
 from warp_psdr.kernels.reading import emitter_at, load_float, texture_record
-from warp_psdr.kernels.scattering import NextEvent, make_light_draw, make_next_event
+from warp_psdr.kernels.scattering import NextEvent, make_estimate, make_light_draw, make_next_event
 from warp_psdr.kernels.structs import Emitter, LightSample, Scene, Triangle
 from warp_psdr.kernels.vertex import PathConfig
 
@@ -61,7 +61,8 @@ class LightLanes(NamedTuple):
 
     Attributes:
         choose: ``(scene, rows)`` chooses lights by the random numbers in the rows 0 and 1.
-        draw: ``(scene, rows)`` draws points on them by those in the rows 2 and 3, and computes the estimates.
+        draw: ``(scene, rows)`` draws points on them by those in the rows 2 and 3.
+        estimate: ``(rows)`` computes the estimates.
         triangles: the records of the area lights' triangles.
         samples: the points, ``LightSample``.
         events: the estimates, ``NextEvent``.
@@ -69,12 +70,15 @@ class LightLanes(NamedTuple):
 
     choose: wp.Function
     draw: wp.Function
+    estimate: wp.Function
     triangles: Rows
     samples: Rows
     events: Rows
 
 
-def make_light_lanes(config: PathConfig, differential: bool, width: int, first: int, places: Rows) -> LightLanes:
+def make_light_lanes(
+    config: PathConfig, differential: bool, width: int, first: int, places: Rows, values: Rows | None
+) -> LightLanes:
     """Make the functions.
 
     Args:
@@ -82,14 +86,17 @@ def make_light_lanes(config: PathConfig, differential: bool, width: int, first: 
         differential: see there.
         width: number of lanes.
         first: the first row that they may take; the last one is the last of ``events``.
-        places: where the paths stand, ``Place``.
+        places: where the paths stand, interactions.
+        values: of the scattering functions towards the lights, ``ScatteringValue``; None: there is one model, and they
+            are computed with the estimate.
     """
     get_number, _put_number = make_number(width)
     fetch_triangle = make_fetch(Triangle, width)
     sky = EMITTER_ENVMAP in config.lights
     sky_alone = sky and config.one_light
     _pick, draw_one = make_light_draw(config, left_out=(EMITTER_ENVMAP,))
-    next_event = make_next_event(config, differential, selects=True)
+    next_event = make_next_event(config, differential)
+    estimate_with = make_estimate(config, differential)
     searches, chosen, triangles, samples, events = stack_rows(
         width, first, Search, Chosen, Triangle, LightSample, NextEvent
     )
@@ -228,10 +235,26 @@ def make_light_lanes(config: PathConfig, differential: bool, width: int, first: 
                 j += 1
         if wp.static(sky):
             draw_sky(scene, rows)
+
+    @wp.func
+    def estimate_one(rows: ROWS):
         j = wp.int32(0)
         while j < width:
             c = chosen.get(rows, j)
             events.put(rows, j, next_event(places.get(rows, j), samples.get(rows, j), c.light))
             j += 1
 
-    return LightLanes(choose, draw, triangles, samples, events)
+    if values is None:
+        return LightLanes(choose, draw, estimate_one, triangles, samples, events)
+
+    @wp.func
+    def estimate_several(rows: ROWS):
+        j = wp.int32(0)
+        while j < width:
+            c = chosen.get(rows, j)
+            found = values.get(rows, j)
+            event = estimate_with(places.get(rows, j), samples.get(rows, j), c.light, found.value, found.pdf)
+            events.put(rows, j, event)
+            j += 1
+
+    return LightLanes(choose, draw, estimate_several, triangles, samples, events)

@@ -17,6 +17,7 @@ from warp_psdr.kernels.camera_rays import Bundle, column_of, make_trace_together
 from warp_psdr.kernels.lanes.kept_lanes import make_kept_lanes
 from warp_psdr.kernels.lanes.lanes import ROWS, Rows, make_number, stack_rows, word_of
 from warp_psdr.kernels.lanes.light_lanes import make_light_lanes
+from warp_psdr.kernels.lanes.model_lanes import make_model_lanes
 from warp_psdr.kernels.lanes.place_lanes import make_place_lanes
 from warp_psdr.kernels.lanes.primitive_lanes import make_primitive_lanes
 from warp_psdr.kernels.math import where3
@@ -26,6 +27,7 @@ from warp_psdr.kernels.scattering import (
     SLOTS_PER_VERTEX,
     NextEvent,
     ScatterSample,
+    make_onward,
     make_scatter,
     samples_lights,
 )
@@ -122,7 +124,7 @@ def make_lane_paths(
     closest_of_each, any_of_each = make_each(width)
     trace_together = make_trace_together(config)
     view, start_in = make_camera_starts(config, filter_kind)
-    scatter = make_scatter(config, differential, selects=True)
+    scatter, onward = make_scatter(config, differential), make_onward(config, differential)
     sample_4d = make_sampler(config.sampler).sample_4d
     has_lights = samples_lights(config)
     get_number, put_number = make_number(width)
@@ -133,9 +135,13 @@ def make_lane_paths(
     on_places = make_place_lanes(config, width, sums.end, states, hits)
     choices, places, emissions = on_places.choices, on_places.places, on_places.emissions
     scatter_samples, looks = stack_rows(width, emissions.end, ScatterSample, ShadowQuery)
-    end, lights = looks.end, None
+    end, lights, models, evaluate_models = looks.end, None, None, None
+    if len(config.bsdfs) > 1:
+        models = make_model_lanes(config, width, end, places)
+        end = models.values.end
     if has_lights:
-        lights = make_light_lanes(config, differential, width, end, places)
+        lights = make_light_lanes(config, differential, width, end, places, models.values if models else None)
+        evaluate_models = models.make_evaluate(lights.samples) if models else None
         events = lights.events
         shadow_row = events.first + word_of(NextEvent, "o")
         end = events.end
@@ -224,8 +230,14 @@ def make_lane_paths(
             state = states.get(rows, j)
             choice = choices.get(rows, j)
             place = places.get(rows, j)
-            r4 = wp.vec4(get_number(rows, 4, j), get_number(rows, 5, j), get_number(rows, 6, j), get_number(rows, 7, j))
-            scatter_sample = scatter(place, state, choice.face, r4, rr_depth)
+            if wp.static(models is None):
+                r4 = wp.vec4(
+                    get_number(rows, 4, j), get_number(rows, 5, j), get_number(rows, 6, j), get_number(rows, 7, j)
+                )
+                scatter_sample = scatter(place, state, choice.face, r4, rr_depth)
+            else:
+                bs = models.drawn.get(rows, j)
+                scatter_sample = onward(place, bs, state, choice.face, get_number(rows, 5, j), rr_depth)
             if wp.static(sparse):
                 scatter_sample.after.touched_requested = state.touched_requested + scene.requested_shapes[place.shape]
             scatter_samples.put(rows, j, scatter_sample)
@@ -323,10 +335,15 @@ def make_lane_paths(
         on_places.collect(scene, rows)
         if wp.static(config.scatter):
             if scattering:
-                on_places.stand(scene, standing, rows)
+                standing_on = on_places.stand(scene, standing, rows)
                 if wp.static(has_lights):
                     lights.choose(scene, rows)
                     lights.draw(scene, rows)
+                    if wp.static(models is not None):
+                        evaluate_models(standing_on, standing, rows)
+                    lights.estimate(rows)
+                if wp.static(models is not None):
+                    models.draw(standing_on, standing, rows)
                 scatter_all(scene, rr_depth, rows)
                 if wp.static(has_lights):
                     look(scene, rows)

@@ -13,6 +13,7 @@ from warp_psdr.kernels.emitter.dispatch import ENVIRONMENTS
 from warp_psdr.kernels.interaction import make_interaction
 from warp_psdr.kernels.invalid import finite
 from warp_psdr.kernels.lanes.lanes import ROWS, Rows, make_fetch, stack_rows, word_of
+from warp_psdr.kernels.lanes.model_lanes import model_bit
 from warp_psdr.kernels.math import where3
 from warp_psdr.kernels.primitive.affine import is_primitive
 from warp_psdr.kernels.reading import shape_at
@@ -52,7 +53,8 @@ class PlaceLanes(NamedTuple):
         meet: ``(scene, rows) -> int``: what the rays have met; the number of lanes up to the last whose path stands on
             a surface.
         collect: ``(scene, rows)``: what the rays bring.
-        stand: ``(scene, standing, rows)``: where the paths stand; ``standing`` is what ``meet`` returned.
+        stand: ``(scene, standing, rows) -> int``: where the paths stand, and the bits of their models, 0 if there is
+            one alone (``model_lanes.py``); ``standing`` is what ``meet`` returned.
         choices: ``LaneHit``.
         triangles: ``Triangle``, those that paths stand on.
         surfaces: ``Surface``, at the same points.
@@ -87,6 +89,7 @@ def make_place_lanes(config: PathConfig, width: int, first: int, states: Rows, h
     surface_of_any, surface_of, looked_up_record, look_up, put_together = interaction.parts
     fetch_triangle = make_fetch(Triangle, width)
     tables = any(slot.table for slot in config.material)
+    several = len(config.bsdfs) > 1
     environment = any(kind in ENVIRONMENTS for kind in config.lights)
     choices, triangles, surfaces = stack_rows(width, first, LaneHit, Triangle, Surface)
     looked_up, places, emissions = stack_rows(width, surfaces.end, looked_up_record, interaction.record, EmissionHit)
@@ -158,7 +161,7 @@ def make_place_lanes(config: PathConfig, width: int, first: int, states: Rows, h
                 choices.put(rows, j, choice)
 
     @wp.func
-    def stand(scene: Scene, standing: wp.int32, rows: ROWS):
+    def stand(scene: Scene, standing: wp.int32, rows: ROWS) -> wp.int32:
         j = wp.int32(0)
         while j < width:
             hit = hits.get(rows, j)
@@ -182,14 +185,19 @@ def make_place_lanes(config: PathConfig, width: int, first: int, states: Rows, h
         looked = wp.int32(standing)
         if wp.static(tables):
             looked = wp.int32(width)  # what is computed for lanes without a vertex, too, reads a table that exists
+        models = wp.int32(0)
         for j in range(looked):  # one by one: SIMD would be gathers, which take longer
             c = choices.get(rows, j)
-            looked_up.put(rows, j, look_up(scene, surfaces.get(rows, j), c.behind == 1, c.face, c.u, c.v))
+            found_here = look_up(scene, surfaces.get(rows, j), c.behind == 1, c.face, c.u, c.v)
+            looked_up.put(rows, j, found_here)
+            if wp.static(several):
+                models = models | wp.where(c.on == 1, model_bit(found_here.model), 0)
         j = wp.int32(0)
         while j < width:
             found = looked_up.get(rows, j)
             surface = surfaces.get(rows, j)
             places.put(rows, j, put_together(scene, triangles.get(rows, j), surface, found, states.get(rows, j).d))
             j += 1
+        return models
 
     return PlaceLanes(meet, collect, stand, choices, triangles, surfaces, looked_up, places, emissions)

@@ -1,0 +1,139 @@
+"""What several scattering models give for as many paths as there are lanes, in step (``path_lanes.py``): one by one.
+
+A model that no path stands on is left out. Of the others, one that does not branch (``Functions.branches``) is a loop
+over all lanes, which becomes SIMD; lanes on other materials are computed along, and keep what they have. Of one that
+branches, the lanes that stand on it are computed, one after the other.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import warp as wp
+
+from warp_psdr.kernels.bsdf.model import Functions
+from warp_psdr.kernels.bsdf.selection import where_sample
+from warp_psdr.kernels.generated import make_generated
+from warp_psdr.kernels.interaction import enter_frame, make_interaction
+from warp_psdr.kernels.lanes.lanes import ROWS, Rows, make_number, stack_rows
+from warp_psdr.kernels.math import where3
+from warp_psdr.kernels.structs import BsdfSample
+from warp_psdr.kernels.vertex import PathConfig
+
+#: Models have a bit each, those from this number on a common one.
+LAST_BIT = 30
+
+
+@wp.struct
+class ScatteringValue:
+    """Scattering functions at a pair of directions."""
+
+    value: wp.vec3  # f_s times the cosine, 1/sr
+    pdf: wp.float32  # solid angle
+
+
+class ModelLanes(NamedTuple):
+    """What ``make_model_lanes`` makes. ``models``: the bits of those that paths stand on.
+
+    Attributes:
+        draw: ``(models, standing, rows)`` draws directions by the random numbers in the rows 4, 6 and 7.
+        make_evaluate: ``light samples -> (models, standing, rows)``, which computes values towards lights.
+        drawn: the directions, ``BsdfSample``.
+        values: ``ScatteringValue``; anything on models without smooth lobes.
+    """
+
+    draw: wp.Function
+    make_evaluate: Callable[[Rows], wp.Function]
+    drawn: Rows
+    values: Rows
+
+
+@wp.func
+def model_bit(model: wp.int32) -> wp.int32:
+    return 1 << wp.min(model, LAST_BIT)
+
+
+def make_model_lanes(config: PathConfig, width: int, first: int, places: Rows) -> ModelLanes:
+    """Make the functions.
+
+    Args:
+        config: as for ``make_path_step``; it has several models.
+        width: number of lanes.
+        first: the first row that they may take; the last one is the last of ``values``.
+        places: where the paths stand, interactions.
+    """
+    models = make_interaction(config).bsdf.each
+    drawn, values = stack_rows(width, first, BsdfSample, ScatteringValue)
+    numbers = make_number(width)[0]
+    draws = {k: _make_draw(k, f, width, places, drawn, numbers) for k, f in enumerate(models)}
+
+    def make_evaluate(light_samples: Rows) -> wp.Function:
+        smooth = {k: f for k, f in enumerate(models) if f.eval is not None}
+        return _make_each(
+            "evaluate_models",
+            {k: _make_evaluate(k, f, width, places, light_samples, values) for k, f in smooth.items()},
+        )
+
+    return ModelLanes(_make_each("draw_models", draws), make_evaluate, drawn, values)
+
+
+def _make_each(name: str, functions: dict[int, wp.Function]) -> wp.Function:
+    """Return ``name(models, standing, rows)``, which calls the functions of the models."""
+    lines = [f"def {name}(models: wp.int32, standing: wp.int32, rows: ROWS):"]
+    for k in functions:
+        lines += [f"    if models & {1 << min(k, LAST_BIT)} > 0:", f"        f{k}(standing, rows)"]
+    named = {f"f{k}": f for k, f in functions.items()}
+    return make_generated("\n".join(lines) + "\n", ROWS=ROWS, **named)
+
+
+def _make_draw(k: int, f: Functions, width: int, places: Rows, drawn: Rows, number: wp.Function) -> wp.Function:
+    sample = f.sample
+
+    @wp.func
+    def draw_of_model(standing: wp.int32, rows: ROWS):
+        j = wp.int32(0)
+        while j < width:
+            at = places.get(rows, j)
+            v = wp.vec2(number(rows, 6, j), number(rows, 7, j))
+            found = sample(at.material, at.wi, number(rows, 4, j), v)
+            drawn.put(rows, j, where_sample(at.model == k, found, drawn.get(rows, j)))
+            j += 1
+
+    @wp.func
+    def draw_on_model(standing: wp.int32, rows: ROWS):
+        for j in range(standing):
+            at = places.get(rows, j)
+            if at.model == k:
+                v = wp.vec2(number(rows, 6, j), number(rows, 7, j))
+                drawn.put(rows, j, sample(at.material, at.wi, number(rows, 4, j), v))
+
+    return draw_on_model if f.branches else draw_of_model
+
+
+def _make_evaluate(k: int, f: Functions, width: int, places: Rows, light_samples: Rows, values: Rows) -> wp.Function:
+    value_of, pdf_of = f.eval, f.pdf
+
+    @wp.func
+    def evaluate_of_model(standing: wp.int32, rows: ROWS):
+        j = wp.int32(0)
+        while j < width:
+            at = places.get(rows, j)
+            wo = enter_frame(at.frame, light_samples.get(rows, j).wi)
+            found = values.get(rows, j)
+            here = at.model == k
+            found.value = where3(here, value_of(at.material, at.wi, wo), found.value)
+            found.pdf = wp.where(here, pdf_of(at.material, at.wi, wo), found.pdf)
+            values.put(rows, j, found)
+            j += 1
+
+    @wp.func
+    def evaluate_on_model(standing: wp.int32, rows: ROWS):
+        for j in range(standing):
+            at = places.get(rows, j)
+            if at.model == k:
+                wo = enter_frame(at.frame, light_samples.get(rows, j).wi)
+                found = ScatteringValue()
+                found.value = value_of(at.material, at.wi, wo)
+                found.pdf = pdf_of(at.material, at.wi, wo)
+                values.put(rows, j, found)
+
+    return evaluate_on_model if f.branches else evaluate_of_model
