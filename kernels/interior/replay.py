@@ -44,7 +44,7 @@ def make_replay_kernel(config: PathConfig, wanted: GradientRequest, block: int, 
             paths = make_lane_paths(config, True, True, kept=block, whole=make is make_lane_sweep)
             end, sweep_all = make(config, wanted, paths)
             if end <= ROOM:
-                return _make_lane_kernel(paths, sweep_all)
+                return _make_lane_kernel(paths, sweep_all, config.through)
     lanes, starts, path_step = make_camera_paths(config, True, True)
     _camera_ray, camera_origin = make_camera_ray(config.camera)
     sweep, finish, _finish_vertex = make_sweep(config, wanted, "reverse")
@@ -154,8 +154,8 @@ def make_sweep_of_each(config: PathConfig, wanted: GradientRequest, paths: LaneP
     return paths.end, sweep_all
 
 
-def _make_lane_kernel(paths: LanePaths, sweep_all: wp.Function):
-    """The same for paths that are traced side by side."""
+def _make_lane_kernel(paths: LanePaths, sweep_all: wp.Function, through: bool):
+    """The same for paths that are traced side by side; ``through``: shadow rays meet shapes as well."""
     pixel_bundle = make_pixel_bundle(paths.width)
 
     @wp.kernel(module="unique", enable_backward=False)
@@ -179,6 +179,8 @@ def _make_lane_kernel(paths: LanePaths, sweep_all: wp.Function):
             return
         rows = scene.rows
         always = scene.requested_shapes[scene.requested_shapes.shape[0] - 1]
+        if wp.static(through):
+            always += 1
         done = wp.int32(0)
         while done < job.samples:
             bundle.first_sample = job.first_sample + done

@@ -14,6 +14,7 @@ import warp as wp
 from warp_psdr.kernels.bvh.each import make_each
 from warp_psdr.kernels.bvh.wide import RayHit
 from warp_psdr.kernels.camera_rays import Bundle, column_of, make_trace_together, row_of
+from warp_psdr.kernels.invalid import count_invalid
 from warp_psdr.kernels.lanes.kept_lanes import make_kept_lanes
 from warp_psdr.kernels.lanes.lanes import ROWS, Rows, make_number, stack_rows, word_of
 from warp_psdr.kernels.lanes.light_lanes import make_light_lanes
@@ -29,10 +30,12 @@ from warp_psdr.kernels.scattering import (
     ScatterSample,
     make_onward,
     make_scatter,
+    make_through_event,
     samples_lights,
 )
 from warp_psdr.kernels.sensor.camera import CameraSample
 from warp_psdr.kernels.structs import Camera, Scene
+from warp_psdr.kernels.transmittance import MOST_CROSSINGS, make_passage, most_crossings, transmittance_of
 from warp_psdr.kernels.vertex import PathConfig, PathState
 from warp_psdr.kernels.visibility import visibility_of_meshes
 
@@ -96,14 +99,12 @@ class LanePaths(NamedTuple):
 def side_by_side(config: PathConfig) -> bool:
     """Whether a scene's paths are traced so: on the CPU, unless what they meet is written down.
 
-    Not where shadow rays pass surfaces: each meets as many as there are. Nor beside light paths, which leave the
-    camera's few surfaces. Nor in media, which paths collide in at random.
+    Not beside light paths, which leave the camera's few surfaces. Nor in media, which paths collide in at random. Nor
+    where shadow rays pass surfaces beside shapes without triangles.
     """
-    if config.media is not None:
+    if config.media is not None or (config.through and config.primitives):
         return False
-    return config.ray_backend == "wide" and not (
-        config.noted or config.through or config.delta_first or config.connections
-    )
+    return config.ray_backend == "wide" and not (config.noted or config.delta_first or config.connections)
 
 
 @functools.cache
@@ -145,6 +146,9 @@ def make_lane_paths(
         events = lights.events
         shadow_row = events.first + word_of(NextEvent, "o")
         end = events.end
+    through = config.through and has_lights
+    passage = make_passage(config, differential) if through else None
+    through_event = make_through_event(config) if through else None
     hit_row, look_row, blocked_row = hits.first, looks.first, looks.first + word_of(ShadowQuery, "blocked")
     ray_row, alive_row = (states.first + word_of(PathState, name) for name in ("o", "alive"))
     exact = None
@@ -242,6 +246,25 @@ def make_lane_paths(
                 scatter_sample.after.touched_requested = state.touched_requested + scene.requested_shapes[place.shape]
             scatter_samples.put(rows, j, scatter_sample)
             j += 1
+
+    @wp.func
+    def pass_surfaces(scene: Scene, standing: wp.int32, most: wp.int32, rows: ROWS):
+        """Shadow rays that meet anything, once more: through what lets light pass; each crosses as much as there is."""
+        for j in range(standing):
+            shadow = looks.get(rows, j)
+            if shadow.traces_shadow_ray == 1 and shadow.blocked == 1:
+                event = events.get(rows, j)
+                passed = passage(scene, event.o, event.d, event.t_max, most)
+                if passed.blocked == 0:
+                    shadow.blocked = 0
+                    looks.put(rows, j, shadow)
+                    transmittance = transmittance_of(passed)
+                    ls = lights.samples.get(rows, j)
+                    events.put(
+                        rows, j, through_event(places.get(rows, j), ls, event, passed.probability, transmittance)
+                    )
+                elif passed.blocked == 2 and passed.crossings == MOST_CROSSINGS:
+                    count_invalid(scene, lane_samples.get(rows, j).sampler)
 
     @wp.func
     def look(scene: Scene, rows: ROWS):
@@ -347,6 +370,8 @@ def make_lane_paths(
                 scatter_all(scene, rr_depth, rows)
                 if wp.static(has_lights):
                     look(scene, rows)
+                    if wp.static(through):
+                        pass_surfaces(scene, standing, most_crossings(depth, max_depth), rows)
         if wp.static(kept > 0):
             keep(depth, scattering, rows)
         return advance(scattering, rows)
