@@ -58,13 +58,16 @@ class Interface(NamedTuple):
     """Warp functions of a rough interface without its reflectance and transmittance; nothing branches.
 
     ``wi`` lies above, ``wo`` on either side, both beyond ``MIN_COSINE``; ``eta`` is the index below over that above.
+    The half vector is wi + wo, or wi + eta wo turned up: ``wi`` has to lie above and ``wo`` below its microfacet.
 
     Attributes:
-        cosine: ``(wi, wo, eta) -> float32`` between ``wi`` and the half vector; 0 where a direction lies on its wrong
-            side.
-        value: ``(wi, wo, eta, alpha_u, alpha_v) -> float32``, 1/sr: what ``Reflection.value`` or ``Refraction.value``
-            is; of directions with a ``cosine`` above 0.
-        pdf: ``(wi, wo, eta, alpha_u, alpha_v) -> float32``: likewise.
+        cosine: ``(wi, wo, eta) -> float32`` between ``wi`` and the half vector; 0 where a side is wrong.
+        value: ``(wi, wo, eta, alpha_u, alpha_v) -> float32``, 1/sr, of directions with a ``cosine`` above 0: f_s of
+            radiance times the cosine of ``wo`` for a reflectance or transmittance of one, as ``Reflection.value`` or
+            D G_1(wi) G_1(wo) <wi, h> |<wo, h>| / (cos(wi) |wi + eta wo|^2) [WMLT07, eq. 21, over eta^2];
+            differentiable.
+        pdf: ``(wi, wo, eta, alpha_u, alpha_v) -> float32``: density of visible normals that reflect or refract ``wi``
+            into ``wo``, solid angle of ``wo``.
     """
 
     cosine: wp.Function
@@ -87,26 +90,6 @@ class Reflection(NamedTuple):
     pdf: wp.Function
     sample: wp.Function
     normals: wp.Function
-
-
-class Refraction(NamedTuple):
-    """Warp functions of a rough interface without its transmittance; ``wi`` lies above, ``wo`` below.
-
-    ``eta`` is the index below over that above. The half vector is wi + eta wo, turned up; both directions have to lie
-    on its right sides, ``wi`` above and ``wo`` below the microfacet.
-
-    Attributes:
-        cosine: ``(wi, wo, eta) -> float32`` between ``wi`` and the half vector; 0 where a side is wrong.
-        value: ``(wi, wo, eta, alpha_u, alpha_v) -> float32``, 1/sr: f_s of radiance times the cosine of ``wo`` for a
-            transmittance of one, D G_1(wi) G_1(wo) <wi, h> |<wo, h>| / (cos(wi) |wi + eta wo|^2) [WMLT07, eq. 21, over
-            eta^2]; differentiable.
-        pdf: ``(wi, wo, eta, alpha_u, alpha_v) -> float32``: density of visible normals that refract ``wi`` into ``wo``,
-            solid angle of ``wo``.
-    """
-
-    cosine: wp.Function
-    value: wp.Function
-    pdf: wp.Function
 
 
 @wp.func
@@ -206,47 +189,6 @@ def refraction_cosine(wi: wp.vec3, wo: wp.vec3, eta: wp.float32) -> wp.float32:
         # It exceeds 1 by rounding.
         cosine = wp.min(seen / wp.sqrt(squared), 1.0)
     return cosine
-
-
-@functools.cache
-def make_refraction(distribution: str) -> Refraction:
-    """Return the functions of a rough interface; ``value`` and ``pdf`` are for a ``cosine`` above 0 alone.
-
-    Derivation: ``docs/theory/materials.md#rough-glass``.
-    """
-    ndf, smith_over_cos, projected_area, _sample_visible = make_microfacet(distribution)
-
-    @wp.func
-    def refracting_normals(
-        wi: wp.vec3, wo: wp.vec3, eta: wp.float32, alpha_u: wp.float32, alpha_v: wp.float32
-    ) -> wp.float32:
-        """D(h) <wi, h> |<wo, h>| / |wi + eta wo|^2."""
-        h = wi + eta * wo
-        sx = h[0] / h[2]
-        sy = h[1] / h[2]
-        tx = sx / alpha_u
-        ty = sy / alpha_v
-        d = ndf(tx * tx + ty * ty, 1.0 + sx * sx + sy * sy) / (alpha_u * alpha_v)
-        squared = wp.dot(h, h)
-        return d * (wp.abs(wp.dot(wi, h)) / squared) * (wp.abs(wp.dot(wo, h)) / squared)
-
-    @wp.func
-    def refracted_value(
-        wi: wp.vec3, wo: wp.vec3, eta: wp.float32, alpha_u: wp.float32, alpha_v: wp.float32
-    ) -> wp.float32:
-        c = -wo[2]
-        g_i = smith_over_cos(wi[2], squared_tangent_part(wi, alpha_u, alpha_v))
-        g_o = smith_over_cos(c, squared_tangent_part(wo, alpha_u, alpha_v))
-        return refracting_normals(wi, wo, eta, alpha_u, alpha_v) * g_i * g_o * c
-
-    @wp.func
-    def refracted_pdf(
-        wi: wp.vec3, wo: wp.vec3, eta: wp.float32, alpha_u: wp.float32, alpha_v: wp.float32
-    ) -> wp.float32:
-        area = projected_area(wi[2], squared_tangent_part(wi, alpha_u, alpha_v))
-        return refracting_normals(wi, wo, eta, alpha_u, alpha_v) * (eta * eta / area)
-
-    return Refraction(refraction_cosine, refracted_value, refracted_pdf)
 
 
 @wp.struct

@@ -18,9 +18,9 @@ from warp_psdr.kernels.bsdf.diffuse import diffuse_pdf
 from warp_psdr.kernels.bsdf.microfacet import (
     MIN_COSINE,
     half_slope,
+    make_interface,
     make_microfacet,
     make_reflection,
-    make_refraction,
     make_visible_normal,
     or_upright,
     squared_tangent_part,
@@ -184,7 +184,7 @@ def make_principled(record: type, variant: str) -> Functions:
     """Return the model's functions; ``variant`` "spec_trans": light passes the surface."""
     transmits = variant == "spec_trans"
     reflection = make_reflection("ggx")
-    refraction = make_refraction("ggx")
+    interface = make_interface("ggx")
     visible_normal = make_visible_normal("ggx")
     smith_over_cos = make_microfacet("ggx").smith_over_cos
 
@@ -260,10 +260,10 @@ def make_principled(record: type, variant: str) -> Functions:
             inner = coat_reflectance(0.5 * wp.sqrt(wp.dot(h, h)), behind)
             inner = glass * inner * reflection.value(i, o, alphas[0], alphas[1])
             return wp.vec3(inner, inner, inner)
-        c = refraction.cosine(i, o, behind)
+        c = interface.cosine(i, o, behind)
         if c <= 0.0:
             return wp.vec3(0.0, 0.0, 0.0)
-        through = coat_transmittance(c, behind) * refraction.value(i, o, behind, alphas[0], alphas[1])
+        through = coat_transmittance(c, behind) * interface.value(i, o, behind, alphas[0], alphas[1])
         return (glass * through) * root_of(mat.base_color)
 
     @wp.func
@@ -327,11 +327,11 @@ def make_principled(record: type, variant: str) -> Functions:
             h = i + o
             refracted = refracting_share(mat, wi, coat_transmittance(0.5 * wp.sqrt(wp.dot(h, h)), behind))
             return front_pdf(mat, i, o, weights, refracted)
-        c = refraction.cosine(i, o, behind)
+        c = interface.cosine(i, o, behind)
         if c > 0.0:
             alphas = principled_alphas(mat.roughness, mat.anisotropic)
             refracted = refracting_share(mat, wi, coat_transmittance(c, behind))
-            return weights[2] * refracted * refraction.pdf(i, o, behind, alphas[0], alphas[1])
+            return weights[2] * refracted * interface.pdf(i, o, behind, alphas[0], alphas[1])
         return 0.0
 
     @wp.func

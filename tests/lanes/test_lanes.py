@@ -162,9 +162,35 @@ def grid_and_curves():
     }
 
 
+def principled_and_leaves():
+    """A leaf of a hundred holes above principled, rough glass, a blend and a smooth mirror: shadow rays pass it."""
+    holes = np.random.default_rng(6).random((10, 10)).astype(np.float32).round()
+    opacity = {"type": "bitmap", "data": holes[..., None], "raw": True, "filter_type": "nearest"}
+    gold = {"type": "roughconductor", "material": "Au"}
+    above = psdr.Transform.translate([0.0, 0.0, 0.6]) @ psdr.Transform.scale(0.6)
+    models = {
+        "car": {"type": "principled", "metallic": 0.4, "roughness": 0.3, "clearcoat": 0.7, "anisotropic": 0.5},
+        "frost": {"type": "roughdielectric", "alpha": 0.2},
+        "blend": {"type": "blendbsdf", "weight": 0.4, "a": {"type": "diffuse"}, "b": gold},
+        "mirror": {"type": "conductor", "material": "Ag"},
+    }
+    base = sky_map_and_models()
+    balls = {
+        name: {"type": "sphere", "center": [0.4 * i - 0.6, 0.0, 0.15], "radius": 0.15, "resolution": 8, "bsdf": bsdf}
+        for i, (name, bsdf) in enumerate(models.items())
+    }
+    leaf = {"type": "mask", "opacity": opacity, "bsdf": {"type": "twosided", "bsdf": {"type": "diffuse"}}}
+    return {
+        **{name: base[name] for name in ("type", "sensor", "floor", "lamp", "sky")},
+        **balls,
+        "leaf": {"type": "rectangle", "to_world": above, "bsdf": leaf},
+    }
+
+
 SCENES = {
     "exact ball, disk that shines hidden, tube": exact_shapes,
     "grid, curve and ball, no mesh": grid_and_curves,
+    "principled, rough glass, blend and mirror under a leaf": principled_and_leaves,
     "smooth coat, rough coat under a map of normals": coats,
     "image sky, lamp, metal, glass, mirror and coat": sky_map_and_models,
     "sky and two lamps": sky_and_lamps,
@@ -197,6 +223,7 @@ def cases():
     """
     quick = {
         ("exact ball, disk that shines hidden, tube", "values", 3),
+        ("principled, rough glass, blend and mirror under a leaf", "values", 3),
         ("smooth coat, rough coat under a map of normals", "values", 3),
         ("image sky, lamp, metal, glass, mirror and coat", "values", 3),
         ("sky and two lamps", "values", 3),
@@ -210,6 +237,7 @@ def cases():
 
 
 @pytest.mark.slow_rows(
+    "principled, rough glass, blend and mirror under a leaf-3-values",
     "smooth coat, rough coat under a map of normals-3-values",
     "image sky, lamp, metal, glass, mirror and coat-3-values",
     "area light, two-sided, textured by vertices-3-all",
@@ -357,6 +385,11 @@ if sys.argv[3] == "gold":
     lamp = {"type": "sphere", "emitter": {"type": "area"}, "bsdf": {"type": "diffuse"}}
     scene = psdr.load_dict({"type": "scene", "sensor": {"type": "perspective"}, "lamp": lamp,
                             "floor": {"type": "rectangle", "bsdf": gold}})
+if sys.argv[3] == "principled":
+    lamp = {"type": "sphere", "emitter": {"type": "area"}, "bsdf": {"type": "diffuse"}}
+    scene = psdr.load_dict({"type": "scene", "sensor": {"type": "perspective"}, "lamp": lamp,
+                            "floor": {"type": "rectangle", "bsdf": {"type": "principled"}},
+                            "ball": {"type": "sphere", "bsdf": {"type": "roughdielectric"}}})
 if sys.argv[3] == "coat":
     texels = np.full((2, 2, 3), 0.5, np.float32)
     waves = {"type": "normalmap", "normalmap": {"type": "bitmap", "data": texels, "raw": True},
@@ -377,7 +410,7 @@ wp.load_module(kernel.module, device="cpu")
 @pytest.mark.skipif(acceleration.host_width() < 8, reason="narrow vectors: the compiler may find SIMD not worth it")
 @pytest.mark.parametrize(
     "kernel",
-    ["primal", "replay", *(pytest.param(name, marks=pytest.mark.slow) for name in ("gold", "coat"))],
+    ["primal", "replay", *(pytest.param(name, marks=pytest.mark.slow) for name in ("gold", "coat", "principled"))],
 )
 def test_loops_over_lanes_become_simd(kernel, tmp_path):
     """Without it nothing would be wrong, and all of it slow; a refusal's reason is told by ``-Rpass-analysis``."""
