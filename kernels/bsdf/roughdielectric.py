@@ -81,8 +81,11 @@ def make_rough_dielectric(record: type, distribution: str) -> Functions:
         pair.shown = wp.where(shown, 1, 0)
         pair.wi = or_upright(shown, i)
         pair.wo = or_upright(shown, o)
-        c = wp.where(shown, c, 1.0)
-        pair.share = wp.where(pair.wo[2] > 0.0, coat_reflectance(c, pair.eta), coat_transmittance(c, pair.eta))
+        # At grazing angles parts of the share that is not selected are infinite, and their adjoints no numbers.
+        above = pair.wo[2] > 0.0
+        reflectance = coat_reflectance(wp.where(shown and above, c, 1.0), pair.eta)
+        transmittance = coat_transmittance(wp.where(above, 1.0, c), pair.eta)
+        pair.share = wp.where(above, reflectance, transmittance)
         return pair
 
     @wp.func
