@@ -213,7 +213,7 @@ def interface_half_vector(wi: wp.vec3, wo: wp.vec3, eta: wp.float32) -> HalfVect
     reflected = half_slope(wi, or_upright(above, wo))
     i = where3(above, wp.vec3(0.0, 0.0, 1.0), wi)
     o = where3(above, wp.vec3(0.0, 0.0, -1.0), wo)
-    h = i + eta * o
+    h = i + wp.where(above, 0.5, eta) * o
     squared = wp.dot(h, h)
     result = HalfVector()
     result.slope = wp.vec2(
