@@ -62,6 +62,10 @@ CUBIC = PathConfig(**{**vars(SIMPLE), "primitives": (c.PRIMITIVE_SDFGRID_CUBIC, 
 CURVES = PathConfig(
     **{**vars(SIMPLE), "tangent": True, "primitives": (c.PRIMITIVE_LINEARCURVE, c.PRIMITIVE_BSPLINECURVE)}
 )
+#: Grids and curves, and networks, that mirrors show.
+SLIDING = (c.PRIMITIVE_SDFGRID, c.PRIMITIVE_SDFGRID_CUBIC, *CURVES.primitives)
+SLIDING_MIRRORS = PathConfig(**{**vars(MIRROR_LIGHTS), "primitives": SLIDING})
+NEURAL_MIRRORS = PathConfig(**{**vars(MIRROR_LIGHTS), "primitives": CUBIC.primitives})
 MIRRORS = PathConfig(**{**vars(SIMPLE), **materials("conductor", "dielectric")})
 MIRRORS_PARALLEL = PathConfig(**{**vars(MIRRORS), "camera": c.CAMERA_ORTHOGRAPHIC})
 MIRRORS_LENS = PathConfig(**{**vars(MIRRORS), "camera": c.CAMERA_THINLENS})

@@ -8,7 +8,8 @@ import warp as wp
 
 import warp_psdr as psdr
 from tests.networks import fitted, sphere
-from warp_psdr.kernels.boundary.specular.chain_outlines import make_outline
+from warp_psdr.kernels.boundary.specular.chain_outlines import make_one_sheet, make_outline
+from warp_psdr.kernels.boundary.specular.chain_patches import make_patch
 from warp_psdr.kernels.boundary.specular.specular_chain import Link
 from warp_psdr.kernels.constants import FAR
 from warp_psdr.kernels.structs import Scene
@@ -106,3 +107,81 @@ def test_outlines_lie_on_the_rays_that_touch_them(kind: str) -> None:
     beside = np.linalg.norm(np.cross(x[good] - np.float32(o)[good], d[good]), axis=1)
     assert np.quantile(beside, 0.98) < ON_THE_RAY.get(kind, 1e-4)
     assert np.quantile(np.abs((m[good] * d[good]).sum(axis=1)), 0.98) < 2e-3
+
+
+@functools.cache
+def crease_kernel(config: PathConfig):
+    outline_at = make_outline(config.primitives)
+    one_sheet = make_one_sheet(config.primitives)
+    patch = make_patch(config.primitives)
+    visibility = visibility_of(config)
+
+    @wp.func
+    def met(scene: Scene, o: wp.vec3, at: wp.vec3) -> Link:
+        d = wp.normalize(at - o)
+        hit = visibility.closest(scene, o, d, FAR)
+        r = Link()
+        r.face = hit.face
+        r.x = o + hit.t * d
+        r.u = hit.u
+        r.v = hit.v
+        return r
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def creases(
+        # In:
+        scene: Scene,
+        face: wp.int32,
+        origins: wp.array(dtype=wp.vec3),
+        first: wp.array(dtype=wp.vec3),
+        last: wp.array(dtype=wp.vec3),
+        # Out:
+        valid_out: wp.array(dtype=wp.int32),
+        x_out: wp.array(dtype=wp.vec3),
+        hit_out: wp.array(dtype=wp.vec3),
+    ):
+        i = wp.tid()
+        o = origins[i]
+        a = first[i]
+        b = last[i]
+        low = met(scene, o, a)
+        high = met(scene, o, b)
+        if low.face != face or high.face != face:
+            return
+        for _k in range(20):
+            middle = met(scene, o, 0.5 * (a + b))
+            if middle.face == face:
+                if patch(scene, face, middle.u, middle.v, 1) == patch(scene, face, low.u, low.v, 1):
+                    a = 0.5 * (a + b)
+                    low = middle
+                else:
+                    b = 0.5 * (a + b)
+                    high = middle
+        if one_sheet(scene, low, high) == 2:
+            r = outline_at(scene, face, low, high, True, o, True)
+            valid_out[i] = wp.where(r.valid == 1, 1, -1)
+            x_out[i] = r.x
+            hit_out[i] = low.x
+
+    return creases
+
+
+@pytest.mark.slow
+def test_creases_lie_between_the_voxels_of_two_hits() -> None:
+    """Also where both hits are as close to the face as roundings of their positions."""
+    scene = psdr.load_dict({"type": "scene", "sensor": camera(), "sky": sky(), "shape": SHAPES["grid"]})
+    kernel = crease_kernel(psdr.plan(scene, integrator=psdr.PathIntegrator(max_depth=2)).config)
+    random = np.random.default_rng(4)
+    around = random.normal(size=(3, COUNT, 3))
+    o = 4.0 * around[0] / np.linalg.norm(around[0], axis=1, keepdims=True)
+    first = 0.05 * around[1]
+    arrays = [wp.array(np.float32(v), dtype=wp.vec3, device="cpu") for v in (o, first, first + 0.05 * around[2])]
+    out = [wp.zeros(COUNT, dtype=t, device="cpu") for t in (wp.int32, wp.vec3, wp.vec3)]
+    wp.launch(kernel, COUNT, [scene.data(), scene.face_count, *arrays], out, device="cpu")
+    valid, x, hit = (v.numpy() for v in out)
+    good = valid == 1
+    assert good.sum() > COUNT // 3
+    assert good.sum() > 0.99 * (valid != 0).sum()
+    assert np.quantile(np.linalg.norm(x[good] - hit[good], axis=1), 0.98) < 1e-5
+    places = 16.0 * (x[good] + 0.5)
+    assert np.quantile(np.abs(places - np.round(places)).min(axis=1), 0.98) < 1e-4

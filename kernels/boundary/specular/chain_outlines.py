@@ -202,7 +202,7 @@ def make_outline(primitives: tuple[int, ...]) -> wp.Function | None:
                 return r
         if wp.static(grid_touch is not None):
             if wp.static(grazed is None) or slides_on(tri):
-                t = grid_touch(scene, tri, low.x, high.x, hit, d, front)
+                t = grid_touch(scene, tri, wp.vec2(low.u, low.v), wp.vec2(high.u, high.v), hit, d, front)
                 cells = cells_of(scene, tri)
                 r.rim = t.crease
                 r.q = wp.cw_div(t.p, cells)

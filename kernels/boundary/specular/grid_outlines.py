@@ -19,7 +19,7 @@ from warp_psdr.kernels.primitive.affine import cofactor, determinant, from_axes,
 from warp_psdr.kernels.primitive.dispatch import BOXED, is_cubic, is_network
 from warp_psdr.kernels.primitive.network import network_of
 from warp_psdr.kernels.primitive.network_surface import network_bend, network_field
-from warp_psdr.kernels.primitive.sdfgrid import Grid, cubic_along, grid_of, value_and_gradient, voxel_at
+from warp_psdr.kernels.primitive.sdfgrid import Grid, cubic_along, grid_of, unpack, value_and_gradient, voxel_at
 from warp_psdr.kernels.primitive.sdfgrid_adjoint import bend_of, mixed_differences
 from warp_psdr.kernels.primitive.sdfgrid_cubic import spline_field, spline_hessian
 from warp_psdr.kernels.primitive.sdfgrid_surface import voxel_corner
@@ -209,8 +209,8 @@ def network_level(scene: Scene, g: Grid, p: wp.vec3) -> wp.vec4:
 def make_grid_touch(primitives: tuple[int, ...]) -> wp.Function | None:
     """Return ``touch(scene, tri, low, high, hit, d, front) -> GridTouch``; None: the scene has no such shape.
 
-    A ray along d that meets a surface at ``hit`` is next to touching it, or with ``front`` two rays meet it at ``low``
-    and ``high``, on either side of a crease.
+    A ray along d that meets a surface at ``hit`` is next to touching it, or with ``front`` two rays meet it on either
+    side of a crease, where vertices hold ``low`` and ``high``: their voxels, which positions may miss by a rounding.
     """
     if not set(BOXED) & set(primitives):
         return None
@@ -220,7 +220,7 @@ def make_grid_touch(primitives: tuple[int, ...]) -> wp.Function | None:
 
     @wp.func
     def grid_touch(
-        scene: Scene, tri: Triangle, low: wp.vec3, high: wp.vec3, hit: wp.vec3, d: wp.vec3, front: wp.bool
+        scene: Scene, tri: Triangle, low: wp.vec2, high: wp.vec2, hit: wp.vec3, d: wp.vec3, front: wp.bool
     ) -> GridTouch:
         r = GridTouch()
         w = from_axes(tri, d)
@@ -239,8 +239,8 @@ def make_grid_touch(primitives: tuple[int, ...]) -> wp.Function | None:
                 return of_cubic(scene, tri, g, wp.cw_mul(g.cells, q), wp.cw_mul(g.cells, w))
         if wp.static(linear):
             if front:
-                a = wp.cw_mul(g.cells, from_axes(tri, low - tri.normal))
-                b = wp.cw_mul(g.cells, from_axes(tri, high - tri.normal))
+                a = wp.cw_mul(g.cells, unpack(low[0], low[1]))
+                b = wp.cw_mul(g.cells, unpack(high[0], high[1]))
                 return crease_between(scene, g, a, b)
             return linear_graze(scene, tri, g, wp.cw_mul(g.cells, q), wp.cw_mul(g.cells, w))
         return r
