@@ -33,7 +33,7 @@ BY_A, BY_B, BY_C = 0, 1, 2
 #: Below these, series stand for differences that have no digits left.
 MOMENT_SERIES, STEP_SERIES = 0.5, 0.02
 #: Newton steps of the inversion, with bisection where they leave the bracket.
-INVERSION_STEPS = 16
+INVERSION_STEPS = 12
 
 
 @wp.func
@@ -117,7 +117,7 @@ def abc_lobe_draw(number: wp.int32, b: wp.float32, c: wp.float32, u: wp.float32)
         high = wp.where(f > 0.0, t, high)
         low = wp.where(f > 0.0, low, t)
         newton = t - f / wp.max(abc_lobe_density(number, t, size, c), 1.0e-30)
-        t = wp.where(newton > low and newton < high, newton, 0.5 * (low + high))
+        t = wp.where(newton >= low and newton <= high, newton, 0.5 * (low + high))
     return wp.min(t * mean * exp_ratio(size * t), 1.0)
 
 

@@ -18,7 +18,7 @@ from warp_psdr.kernels.constants import PI
 #: What moves: alpha_u, alpha_v, or both alike.
 ALONG, ACROSS, BOTH = 0, 1, 2
 #: Newton steps of the Lambert function, which converge from one side, and of the quartic of GGX.
-LAMBERT_STEPS, QUARTIC_STEPS = 6, 24
+LAMBERT_STEPS, QUARTIC_STEPS = 6, 10
 #: Nearest that a random number comes to 1.
 ALMOST_ONE = 0.9999999
 #: Largest slope over the roughness that is drawn.
@@ -108,7 +108,7 @@ def quartic(t: wp.float32, outer: wp.bool) -> wp.float32:
         low = wp.where(beyond, low, x)
         slope = (1.0 - 3.0 * x * x) / (q * q * q)
         newton = x - f / wp.where(wp.abs(slope) < 1.0e-12, 1.0, slope)
-        x = wp.where(newton > low and newton < high, newton, 0.5 * (low + high))
+        x = wp.where(newton >= low and newton <= high, newton, 0.5 * (low + high))
     return x
 
 

@@ -12,7 +12,7 @@ import warp as wp
 from warp_psdr.kernels.phase.hg import hg_slope
 
 #: Steps of Newton's method, with bisection where it leaves the bracket.
-LOBE_STEPS = 16
+LOBE_STEPS = 12
 
 
 @wp.func
@@ -60,5 +60,5 @@ def hg_lobe_cosine(g: wp.float32, forward: wp.bool, u: wp.float32) -> wp.float32
         # dK/dy = -2 pi (derivative of f_p) dmu/dy.
         slope = wp.static(-2.0 * wp.pi) * hg_slope(g, hg_place(g, y)) * (1.0 - g * y)
         newton = y - f / wp.where(wp.abs(slope) < 1.0e-12, 1.0, slope)
-        y = wp.where(newton > low and newton < high, newton, 0.5 * (low + high))
+        y = wp.where(newton >= low and newton <= high, newton, 0.5 * (low + high))
     return hg_place(g, y)

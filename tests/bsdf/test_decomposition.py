@@ -7,7 +7,8 @@ import pytest
 import scipy.stats
 import warp as wp
 
-from warp_psdr.kernels.bsdf.decomposition import ACROSS, ALONG, BOTH, make_decomposition
+from warp_psdr.kernels.bsdf.abc import BY_B, BY_C, abc_lobe_draw
+from warp_psdr.kernels.bsdf.decomposition import ACROSS, ALONG, BOTH, MOST, make_decomposition, quartic
 from warp_psdr.kernels.bsdf.dispatch import make_bsdf, models_of
 
 #: Largest statistic of a chi-square test that right samples exceed once in 10^4 tries.
@@ -309,3 +310,35 @@ def test_lobes_of_one_sign_have_their_density(plugin, values, name, angle):
         full = expected > 20.0
         statistic = ((counts - expected)[full] ** 2 / expected[full]).sum()
         assert scipy.stats.chi2.sf(statistic, full.sum() - 1) > CHANCE, statistic / full.sum()
+
+
+#: Largest error of a number of the unit interval that an inversion in float32 leaves.
+INVERTED = 2e-4
+
+
+@wp.kernel(module="unique", enable_backward=False)
+def inverting(
+    b: wp.float32, c: wp.float32, u: wp.array(dtype=wp.float32), x_out: wp.array2d(dtype=wp.float32)
+):  # fmt: skip
+    i = wp.tid()
+    x_out[i, 0] = abc_lobe_draw(BY_B, b, c, u[i])
+    x_out[i, 1] = abc_lobe_draw(BY_C, b, c, u[i])
+    x_out[i, 2] = quartic(MOST * u[i], False)
+    x_out[i, 3] = quartic(MOST * (1.0 - u[i]), True)
+
+
+@pytest.mark.parametrize(("b", "c"), [(1e-3, 0.2), (60.0, 1.3), (1e6, 0.2), (1e6, 1.0), (1e6, 100.0)])
+def test_inversions_hit_every_number(b, c):
+    """Not in the mean of many alone: lobes of a few degrees and of a whole hemisphere, both ends."""
+    u = ((np.arange(1 << 14) + 0.5) / (1 << 14)).astype(np.float32)
+    out = wp.zeros((len(u), 4), dtype=wp.float32, device="cpu")
+    wp.launch(inverting, dim=len(u), inputs=[b, c, wp.array(u, device="cpu"), out], device="cpu")
+    x = out.numpy().astype(np.float64)
+    # Trapezoids in t = log(1 + B x) / log(1 + B).
+    size = np.log1p(b)
+    t = np.linspace(0.0, 1.0, 1 << 20)
+    for k, density in enumerate((np.expm1(size * t) * np.exp(-c * size * t), t * np.exp((1.0 - c) * size * t))):
+        share = np.concatenate(([0.0], np.cumsum(density[1:] + density[:-1])))
+        assert np.abs(np.interp(np.log1p(b * x[:, k]) / size, t, share / share[-1]) - u).max() < INVERTED
+    for k, share in ((2, u), (3, 1.0 - u)):
+        assert np.abs(x[:, k] / (1.0 + x[:, k] ** 2) ** 2 / MOST - share).max() < INVERTED

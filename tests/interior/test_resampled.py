@@ -224,6 +224,20 @@ def test_forward_mode_sums_to_reverse_mode():
         assert abs(forward - reverse) <= ROUNDING * abs(reverse) and reverse != 0.0
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["blend", "mask"])
+def test_forward_mode_by_weights_sums_to_reverse_mode(name):
+    """With candidates of both ends. Grey: forward mode chooses vertices by the colours alike."""
+    scene, params = load(name)
+    parameter = SCENES[name][1][0]
+    grey = np.random.default_rng(4).normal(size=(SIZE, SIZE, 1)).astype(np.float32) * np.ones(3, np.float32)
+    reverse = backward(name, [parameter], psdr.interior.Resampled(), [11], weights=grey)[0, 0]
+    options = {"integrator": integrator(psdr.interior.Resampled()), "spp": 4, "seed": 11}
+    found = grey * psdr.render_forward(scene, params, {parameter: 1.0}, **options).numpy().astype(np.float64)
+    scale = np.abs(found).sum()
+    assert abs(found.sum() - reverse) <= ROUNDING * scale and abs(reverse) > 10.0 * ROUNDING * scale
+
+
 def test_equal_bits_for_any_number_of_workers():
     name = SCENES["metal"][1]
     try:

@@ -28,6 +28,7 @@ VIEW = ([3.5, 0.5, 0.6], [0, 0, 0], 30.0, SIZE)
 
 
 def ball(y, interior):
+    """A sphere: rays that run along the edges of a cube are lost, one in a million samples."""
     pose = psdr.Transform.translate([0, y, 0]) @ psdr.Transform.scale(0.65)
     return {"type": "sphere", "to_world": pose, "bsdf": {"type": "null"}, "interior": interior}
 
@@ -35,7 +36,7 @@ def ball(y, interior):
 def scene_of(name):
     parts = {"sensor": camera(*VIEW), "floor": FLOOR}
     if name == "lamp":
-        parts |= {"haze": cube(medium(0.8, (0.9, 0.8, 0.7), g=0.6), turn=20.0), "lamp": lamp(3.0, 1.2)}
+        parts |= {"haze": ball(0.0, medium(1.2, (0.9, 0.8, 0.7), g=0.6)), "lamp": lamp(3.0, 1.2)}
     if name == "smoke":
         parts |= {"haze": cube(grids(grid(puffs(8)), 0.9, g=-0.4, scale=3.0)), "sky": sky(1.0, 0.8, 0.6)}
     if name == "bulb":
@@ -113,6 +114,9 @@ def test_cosines_have_the_density_of_a_lobe(g):
         return -(share(g + h) - share(g - h)) / (2.0 * h)
 
     assert abs(mass[0] / below(np.array(turn)) - 1.0) < 1e-4
+    # In float32 cosines near 1 are few where the lobe is a degree wide.
+    inverted = 2e-3 if abs(g) < 0.9 else 5e-2
+    assert np.abs(below(mu) / mass[:, None] - u[:, None]).max() < inverted
     for k, cdf in enumerate((lambda x: below(x) / mass[0], lambda x: 1.0 - below(x) / mass[0])):
         assert (mu[:, k] <= turn + 1e-5).all() if k == 0 else (mu[:, k] >= turn - 1e-5).all()
         assert stats.kstest(mu[:, k], cdf).pvalue > SIGNIFICANCE
