@@ -76,6 +76,8 @@ PRIMITIVE_LINEARCURVE = 4
 PRIMITIVE_BSPLINECURVE = 5
 PRIMITIVE_SDFGRID_CUBIC = 6
 PRIMITIVE_NEURALSDF = 7
+#: Stands among the kinds of a scene, of which no shape has it, where vertices flow along continuous normals.
+NORMAL_FLOW = 64
 
 # Cameras (``Camera.kind``).
 CAMERA_PERSPECTIVE = 0

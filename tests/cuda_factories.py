@@ -16,6 +16,7 @@ from tests.cuda_configs import (
     EXACT,
     EXACT_LIGHTS,
     EXACT_MIRRORS,
+    FLOW,
     GEOMETRY,
     GLOSSY,
     GLOWING,
@@ -218,6 +219,7 @@ FACTORIES = {
         ("through", (THROUGH, still(THROUGH), 4, 1), SLOW),
         ("grids of distances", (DISTANCES, GEOMETRY, 4, 1), SLOW),
         ("cubic grids, networks", (CUBIC, GEOMETRY, 4, 1), SLOW),
+        ("flow along normals", (FLOW, GEOMETRY, 4, 1), SLOW),
         ("exact lights", (EXACT, GEOMETRY, 4, 1), SLOW),
         ("curves", (CURVES, GEOMETRY, 4, 1), SLOW),
     ],
@@ -230,6 +232,7 @@ FACTORIES = {
         ("through", (THROUGH, still(THROUGH)), SLOW),
         ("grids of distances", (DISTANCES, GEOMETRY), SLOW),
         ("cubic grids, networks", (CUBIC, GEOMETRY), SLOW),
+        ("flow along normals", (FLOW, GEOMETRY), SLOW),
         ("curves", (CURVES, GEOMETRY), SLOW),
     ],
     "interior.media_replay.make_media_replay_kernel": [

@@ -34,7 +34,7 @@ from warp_psdr.kernels.invalid import count_invalid, vanishes
 from warp_psdr.kernels.jobs import SampleJob
 from warp_psdr.kernels.notes import NOTE_SENSOR, NOTE_SOURCE, NOTE_WALK, make_note
 from warp_psdr.kernels.primitive.affine import is_primitive
-from warp_psdr.kernels.primitive.dispatch import SLIDING, make_adjoint_sink, make_point_at, slides_on
+from warp_psdr.kernels.primitive.dispatch import has_slides, make_adjoint_sink, make_point_at, slides_on
 from warp_psdr.kernels.rng import Sampler, branch_of, make_sampler
 from warp_psdr.kernels.sensor.camera import make_camera_sink, make_lens
 from warp_psdr.kernels.sensor.projection import make_splat
@@ -163,7 +163,7 @@ def make_found_sink(role: str, primitives: tuple[int, ...]):
     """
     accumulate_first = make_first_sink(role, primitives)
     accumulate_vertex = make_adjoint_sink(role, False, False, False, False, False, True, primitives)
-    has_sliding = bool(set(SLIDING) & set(primitives))
+    has_sliding = has_slides(primitives)
 
     @wp.func
     def accumulate_found(

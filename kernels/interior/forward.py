@@ -32,7 +32,7 @@ from warp_psdr.kernels.interior.transmittance import make_transmittance_sink
 from warp_psdr.kernels.interior.velocities import axis_vec3, make_material_jvp, make_pair, make_texture_jvp
 from warp_psdr.kernels.invalid import count_invalid, finite
 from warp_psdr.kernels.jobs import PixelJob, pixel_of
-from warp_psdr.kernels.primitive.dispatch import SLIDING, make_position, slides_on
+from warp_psdr.kernels.primitive.dispatch import flows_on, has_flow, has_slides, make_position, slides_on
 from warp_psdr.kernels.primitive.velocity import make_velocity
 from warp_psdr.kernels.rng import sampler_at
 from warp_psdr.kernels.sensor.camera import CameraSample, make_camera_ray, make_camera_sink
@@ -65,7 +65,7 @@ def make_forward_kernel(config: PathConfig, wanted: GradientRequest):
     vertex_jvp = make_velocity(config.smooth, config.flat, config.uv, config.tangent, config.primitives)
     position, cross_of = make_position(config.primitives)
     light_uv = make_light_uv(config.shining)
-    has_sliding = bool(set(SLIDING) & set(config.primitives))
+    has_sliding, has_flowing = has_slides(config.primitives), has_flow(config.primitives)
     material_jvp = make_material_jvp(config, wanted)
     glossy, still = interaction.bsdf.glossy, make_tilts(config).still
     pair = make_pair(config.bsdfs)
@@ -265,6 +265,9 @@ def make_forward_kernel(config: PathConfig, wanted: GradientRequest):
                                 found_on = interaction.surface(scene, following.face, following.u, following.v)
                                 r = found_on.x - following.o
                                 cross = found_on.ng
+                        if wp.static(has_flowing):
+                            if flows_on(tri):
+                                cross = interaction.surface(scene, following.face, following.u, following.v).ng
                         wo_world_dot = normalize_jvp(vertex.wo, wp.length(r), r_dot)
                         beta_dot = log_geometry_jvp(cross, r, after.vertex.c, r_dot, after.chi) * vertex.beta
                 if wp.static(scatters):

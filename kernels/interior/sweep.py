@@ -14,7 +14,14 @@ from warp_psdr.kernels.interior.gradient_request import GradientRequest
 from warp_psdr.kernels.interior.pullback import connection_vjp, make_frame_vjp
 from warp_psdr.kernels.interior.tilts import make_tilts
 from warp_psdr.kernels.interior.transmittance import make_transmittance_sink
-from warp_psdr.kernels.primitive.dispatch import SLIDING, make_adjoint_sink, make_position, slides_on
+from warp_psdr.kernels.primitive.dispatch import (
+    flows_on,
+    has_flow,
+    has_slides,
+    make_adjoint_sink,
+    make_position,
+    slides_on,
+)
 from warp_psdr.kernels.sensor.camera import CameraSample, make_camera_sink
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.surface import VertexAdjoint, normalize_vjp
@@ -65,7 +72,7 @@ def make_sweep(config: PathConfig, wanted: GradientRequest, role: str, direct: b
         role, config.smooth, config.flat, config.uv, config.tangent, wanted.texcoords, True, config.primitives
     )
     position, cross_of = make_position(config.primitives)
-    has_sliding = bool(set(SLIDING) & set(config.primitives))
+    has_sliding, has_flowing = has_slides(config.primitives), has_flow(config.primitives)
     accumulate_camera = make_camera_sink(role, config.camera) if wanted.camera else None
     emission = bool(config.area) and (wanted.radiance or wanted.to_uv or wanted.geometry)
     accumulate_emission = (
@@ -222,6 +229,11 @@ def make_sweep(config: PathConfig, wanted: GradientRequest, role: str, direct: b
                                 if wp.static(has_sliding):
                                     slides = slides_on(tri)
                                     if slides:
+                                        found_on = interaction.surface(scene, carry.face, carry.u, carry.v)
+                                        y = found_on.x
+                                        cross = found_on.ng
+                                if wp.static(has_flowing):
+                                    if flows_on(tri):
                                         found_on = interaction.surface(scene, carry.face, carry.u, carry.v)
                                         y = found_on.x
                                         cross = found_on.ng

@@ -13,6 +13,7 @@ import warp as wp
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.bvh.wide import RayHit
 from warp_psdr.kernels.constants import (
+    NORMAL_FLOW,
     PRIMITIVE_BSPLINECURVE,
     PRIMITIVE_LINEARCURVE,
     PRIMITIVE_NEURALSDF,
@@ -64,6 +65,8 @@ from warp_psdr.kernels.surface import (
 GRIDS = (PRIMITIVE_SDFGRID, PRIMITIVE_SDFGRID_CUBIC)
 CURVES = (PRIMITIVE_LINEARCURVE, PRIMITIVE_BSPLINECURVE)
 SLIDING = (*GRIDS, PRIMITIVE_NEURALSDF, *CURVES)
+#: Kinds with continuous normals among these, along which vertices may flow instead (``normal_flow.py``).
+FLOWING = (PRIMITIVE_SDFGRID_CUBIC, PRIMITIVE_NEURALSDF)
 #: Kinds whose vertices hold a point of a box.
 BOXED = (*GRIDS, PRIMITIVE_NEURALSDF)
 
@@ -102,6 +105,22 @@ def is_network(tri: Triangle) -> wp.bool:
 def slides_on(tri: Triangle) -> wp.bool:
     """Whether vertices on what a record is of slide along the rays that found them (form S)."""
     return is_grid(tri) or is_linear(tri) or is_bspline(tri) or is_network(tri)
+
+
+def has_flow(primitives: tuple[int, ...]) -> bool:
+    """Return whether vertices flow along normals."""
+    return NORMAL_FLOW in primitives
+
+
+def has_slides(primitives: tuple[int, ...]) -> bool:
+    """Return whether vertices slide along rays; where they flow there are no kinds that cannot."""
+    return bool(set(SLIDING) & set(primitives)) and not has_flow(primitives)
+
+
+@wp.func
+def flows_on(tri: Triangle) -> wp.bool:
+    """Whether vertices on what a record is of may flow along its normals."""
+    return is_cubic(tri) or is_network(tri)
 
 
 @functools.cache
@@ -367,8 +386,9 @@ def make_adjoint_sink(
         return of_triangle
     of_affine = make_kinds_sink(affine_kinds(primitives), role, uv or tangent, tangent, rays)
     of_grid = make_sdfgrid_sink(role) if PRIMITIVE_SDFGRID in primitives else None
-    of_cubic = make_sdfgrid_sink(role, True) if PRIMITIVE_SDFGRID_CUBIC in primitives else None
-    of_network = make_sdfgrid_sink(role, False, True) if PRIMITIVE_NEURALSDF in primitives else None
+    flow = has_flow(primitives)
+    of_cubic = make_sdfgrid_sink(role, True, False, flow) if PRIMITIVE_SDFGRID_CUBIC in primitives else None
+    of_network = make_sdfgrid_sink(role, False, True, flow) if PRIMITIVE_NEURALSDF in primitives else None
     of_linear = make_curve_sink(role, False, uv, tangent) if PRIMITIVE_LINEARCURVE in primitives else None
     of_bspline = make_curve_sink(role, True, uv, tangent) if PRIMITIVE_BSPLINECURVE in primitives else None
 

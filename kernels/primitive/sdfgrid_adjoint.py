@@ -22,6 +22,7 @@ import warp as wp
 from warp_psdr.kernels.primitive.affine import cofactor, determinant, make_pose_sink, to_axes
 from warp_psdr.kernels.primitive.network import network_of
 from warp_psdr.kernels.primitive.network_surface import make_cell_sink, network_bend, network_point
+from warp_psdr.kernels.primitive.normal_flow import make_flow_pull
 from warp_psdr.kernels.primitive.sdfgrid import Grid, Voxel, grid_of
 from warp_psdr.kernels.primitive.sdfgrid_cubic import spline_hessian
 from warp_psdr.kernels.primitive.sdfgrid_cubic_surface import make_spline_sink, spline_point
@@ -252,7 +253,7 @@ def make_smooth_sink(role: str):
 
 
 @functools.cache
-def make_sdfgrid_sink(role: str, cubic: bool = False, network: bool = False):
+def make_sdfgrid_sink(role: str, cubic: bool = False, network: bool = False, flow: bool = False):
     """Return ``accumulate(scene, target, tri, u, v, adjoint, by_ray, o, d) -> RayAdjoint``, as ``make_vertex_sink``'s.
 
     ``by_ray``: of the vertex that the ray (o, d) finds; otherwise the adjoint is that of c, and has a place alone.
@@ -261,6 +262,7 @@ def make_sdfgrid_sink(role: str, cubic: bool = False, network: bool = False):
         role: of the sinks.
         cubic: of a smooth grid, whose normal is the gradient's, and turns with the place by the Hessian.
         network: of a network, whose normal does the same.
+        flow: vertices flow along normals, which are continuous: the adjoints of c and of the normal count as well.
     """
     accumulate_pose = make_pose_sink(role)
     record_of = network_of if network else grid_of
@@ -268,6 +270,7 @@ def make_sdfgrid_sink(role: str, cubic: bool = False, network: bool = False):
     accumulate_field = make_spline_sink(role) if cubic else make_voxel_sink(role)
     accumulate_smooth = None if cubic or network else make_smooth_sink(role)
     accumulate_cell = make_cell_sink(role) if network else None
+    pull_flow = make_flow_pull(network) if flow else None
 
     @wp.func
     def sdfgrid_sink(
@@ -293,12 +296,22 @@ def make_sdfgrid_sink(role: str, cubic: bool = False, network: bool = False):
         zero = wp.vec3(0.0, 0.0, 0.0)
         if not by_ray:
             away = wp.dot(adjoint.x, across) / wp.max(wp.dot(across, across), 1.0e-30)
-            if wp.static(accumulate_cell is not None):
-                total += accumulate_cell(scene, target, g, at.p, -away, zero)
-            else:
-                total += accumulate_field(target, g, at.i, at.j, at.k, x, -away, zero)
             pull = adjoint.x
-            total += accumulate_pose(target, tri, q[0] * pull, q[1] * pull, q[2] * pull, pull)
+            if wp.static(pull_flow is not None):
+                turned = pull_flow(scene, tri, g, at, adjoint.c, adjoint.n)
+                if wp.static(accumulate_cell is not None):
+                    total += accumulate_cell(scene, target, g, at.p, turned.phi - away, turned.gradient)
+                else:
+                    total += accumulate_field(target, g, at.i, at.j, at.k, x, turned.phi - away, turned.gradient)
+                total += accumulate_pose(
+                    target, tri, q[0] * pull + turned.g0, q[1] * pull + turned.g1, q[2] * pull + turned.g2, pull
+                )
+            else:
+                if wp.static(accumulate_cell is not None):
+                    total += accumulate_cell(scene, target, g, at.p, -away, zero)
+                else:
+                    total += accumulate_field(target, g, at.i, at.j, at.k, x, -away, zero)
+                total += accumulate_pose(target, tri, q[0] * pull, q[1] * pull, q[2] * pull, pull)
             result.dot = total
             return result
         a_gradient = wp.vec3(0.0, 0.0, 0.0)

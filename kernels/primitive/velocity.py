@@ -22,7 +22,7 @@ from warp_psdr.kernels.primitive.affine import (
     to_axes,
 )
 from warp_psdr.kernels.primitive.curves_adjoint import make_curve_sink
-from warp_psdr.kernels.primitive.dispatch import is_bspline, is_cubic, is_grid, is_linear, is_network
+from warp_psdr.kernels.primitive.dispatch import has_flow, is_bspline, is_cubic, is_grid, is_linear, is_network
 from warp_psdr.kernels.primitive.kinds import KINDS, affine_kinds, join
 from warp_psdr.kernels.primitive.sdfgrid_adjoint import make_sdfgrid_sink
 from warp_psdr.kernels.reading import triangle_at
@@ -102,16 +102,17 @@ def _either_jvp(word: int, f: wp.Function, rest: wp.Function) -> wp.Function:
 
 
 @functools.cache
-def make_sliding_jvp(accumulate: wp.Function, uv: bool, tangent: bool):
+def make_sliding_jvp(accumulate: wp.Function, uv: bool, tangent: bool, flow: bool = False):
     """Return ``sliding_jvp(scene, tangents, tri, u, v, by_ray, o, d, o_dot, d_dot) -> VertexTangent``.
 
     Component by component, by the sink of a kind in its forward role. The normal that carries the area element has no
-    velocity: form S has no need of one.
+    velocity in form S, which has no need of one.
 
     Args:
         accumulate: the sink.
         uv: texture coordinates are read.
         tangent: dp/du is read.
+        flow: vertices flow along normals, and that normal has a velocity.
     """
 
     @wp.func
@@ -141,6 +142,10 @@ def make_sliding_jvp(accumulate: wp.Function, uv: bool, tangent: bool):
             an = accumulate(scene, tangents, tri, u, v, of_n, by_ray, o, d)
             result.x[axis] = ax.dot + wp.dot(ax.o, o_dot) + wp.dot(ax.d, d_dot)
             result.n[axis] = an.dot + wp.dot(an.o, o_dot) + wp.dot(an.d, d_dot)
+            if wp.static(flow):
+                of_c = VertexAdjoint()
+                of_c.c = e
+                result.c[axis] = accumulate(scene, tangents, tri, u, v, of_c, by_ray, o, d).dot
             if wp.static(tangent):
                 of_t = VertexAdjoint()
                 of_t.tangent = e
@@ -167,12 +172,13 @@ def make_velocity(smooth: bool, flat: bool, uv: bool, tangent: bool, primitives:
     kinds = affine_kinds(primitives)
     of_affine = join(_either_jvp, {kind: make_affine_jvp(KINDS[kind], uv or tangent, tangent) for kind in kinds})
     of_grid, of_cubic, of_linear, of_bspline, of_network = None, None, None, None, None
+    flow = has_flow(primitives)
     if PRIMITIVE_NEURALSDF in primitives:
-        of_network = make_sliding_jvp(make_sdfgrid_sink("forward", False, True), False, False)
+        of_network = make_sliding_jvp(make_sdfgrid_sink("forward", False, True, flow), False, False, flow)
     if PRIMITIVE_SDFGRID in primitives:
         of_grid = make_sliding_jvp(make_sdfgrid_sink("forward"), False, False)
     if PRIMITIVE_SDFGRID_CUBIC in primitives:
-        of_cubic = make_sliding_jvp(make_sdfgrid_sink("forward", True), False, False)
+        of_cubic = make_sliding_jvp(make_sdfgrid_sink("forward", True, False, flow), False, False, flow)
     if PRIMITIVE_LINEARCURVE in primitives:
         of_linear = make_sliding_jvp(make_curve_sink("forward", False, uv, tangent), uv, tangent)
     if PRIMITIVE_BSPLINECURVE in primitives:

@@ -19,6 +19,10 @@ def _check_block(block: int, instead_of_zero: str) -> None:
         raise ValueError(f"block: got {block!r}, expected an integer from 1 to 64{remedy}")
 
 
+#: How vertices of shapes without material points move.
+FLOWS = ("ray", "normal")
+
+
 @dataclass(frozen=True, kw_only=True)
 class Replay(Method):
     """Path replay [VSJ21] by record and sweep (``kernels/interior/replay.py``).
@@ -26,17 +30,25 @@ class Replay(Method):
     Attributes:
         block: K, how many path vertices are kept at a time. Longer paths are replayed in blocks of K (without a depth
             limit those of some 500 vertices more than Russian roulette begins at are cut, one in 10^11).
+        flow: how vertices of smooth grids (``interpolation: cubic``) and networks move, which have no material points.
+            "ray": along the rays that found them; "normal": along the normals, as [ZCM*24] have it, with the change of
+            the area element, and without what such shapes send past their silhouettes in the boundary term. Both are
+            unbiased. Shapes whose normals are not continuous (linear grids) and curves are refused with "normal"
+            (``docs/theory/implicit.md#normal-flow``). All other shapes have material points.
     """
 
     block: int = 8
+    flow: str = "ray"
 
     def __post_init__(self) -> None:
         """Validate once.
 
         Raises:
-            ValueError: ``block`` is not between 1 and 64.
+            ValueError: ``block`` is not between 1 and 64, or ``flow`` is unknown.
         """
         _check_block(self.block, "; textbook replay, which keeps no vertices, is interior.Textbook()")
+        if self.flow not in FLOWS:
+            raise ValueError(f"flow: got {self.flow!r}, expected {' or '.join(map(repr, FLOWS))}")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -139,6 +139,10 @@ def decide(
     if still and config.smooth and scene.shades_flat:
         config = replace(config, smooth=False, flat=True)
         lines.append(("interpolated normals", "not read", "they are those of the triangles"))
+    if wanted is not None and isinstance(method, interior.Replay) and method.flow == "normal":
+        primitives.refuse_flow(scene, config)
+        config = replace(config, primitives=(*config.primitives, c.NORMAL_FLOW))
+        lines.append(("vertices", "flow along normals", "of smooth grids and networks"))
     term, told = _boundary(scene, config, integrator, names, moving, sensor)
     row = kept = None
     offered: tuple[str, ...] = ()

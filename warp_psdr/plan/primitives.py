@@ -16,7 +16,7 @@ from warp_psdr.scene.network import network_and_cells
 from warp_psdr.scene.sdfgrid import INSTEAD as TRIANGLES
 from warp_psdr.topology.crossing_curves import touched
 from warp_psdr.topology.crossing_pairs import crossed_light, touching_pair
-from warp_psdr.topology.grid_contacts import is_open, pierced_grid
+from warp_psdr.topology.grid_contacts import in_box, is_open, passed_by, pierced_grid
 from warp_psdr.topology.grid_silhouettes import grid_shapes, grid_values
 from warp_psdr.topology.network_silhouettes import is_open_network, network_shapes
 from warp_psdr.topology.tube_contacts import pierced_tubes
@@ -236,3 +236,33 @@ def _beside_moving_kinds(scene: Scene, config: PathConfig, integrator: PathInteg
         a, b = (shapes[i].path for i in pair)
         return f"an open end of {a!r} lies on {b!r}, along a line that moves; sink it in or lift it off, or {ALONE}"
     return ""
+
+
+def refuse_flow(scene: Scene, config: PathConfig) -> None:
+    """Raise where vertices cannot flow along normals.
+
+    Raises:
+        ValueError: with the shape, and what to do.
+    """
+    instead = "say interior.Replay(flow='ray')"
+    if has_delta_lobes(config.bsdfs):
+        raise ValueError(f"vertices that flow along normals have no terms beside smooth mirrors and glass; {instead}")
+    for i in scene.builder.primitives:
+        s = scene.description.shapes[i]
+        if s.grid is None and s.network is None and s.curves is None:
+            continue
+        if s.curves is not None or (s.grid is not None and not s.grid.cubic):
+            kind = "normals that jump at joints" if s.curves is not None else "normals that jump at the faces of voxels"
+            raise ValueError(
+                f"vertices on the {s.kind!r} {s.path!r} have no normals to flow along, but {kind}; {instead}"
+            )
+        surface = passed_by(scene, i)
+        if surface.box is None:
+            continue
+        other = in_box(scene, i, surface.box[0] / surface.cells, surface.box[1] / surface.cells)
+        if other is not None:
+            path = scene.description.shapes[other].path
+            raise ValueError(
+                f"{path!r} reaches into the box around the surface of {s.path!r}, and may run through it along a curve "
+                f"of which there is no boundary term where vertices flow along normals; {instead}"
+            )

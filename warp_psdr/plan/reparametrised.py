@@ -30,7 +30,7 @@ from warp_psdr.topology.camera_view import camera_view
 from warp_psdr.topology.edges import area_normals
 from warp_psdr.topology.exact_shapes import pose, require_uncut
 from warp_psdr.topology.film_edges import film_edges
-from warp_psdr.topology.grid_contacts import require_uncut_grids
+from warp_psdr.topology.grid_contacts import in_box, require_uncut_grids
 from warp_psdr.topology.grid_silhouettes import grid_values
 from warp_psdr.topology.network_silhouettes import passed_cells
 
@@ -137,7 +137,7 @@ def _of_request(scene: Scene, config: PathConfig, integrator: PathIntegrator, na
 def _of_shape(scene: Scene, shape: int) -> str:
     """Say why a shape has no signed distance with a continuous curvature; empty: it has one."""
     s = scene.description.shapes[shape]
-    linear, origin = pose(scene, shape)
+    linear, _origin = pose(scene, shape)
     axes = np.linalg.svd(linear, compute_uv=False)
     similar = axes[0] - axes[2] <= SIMILAR * axes[0]
     if s.primitive == "sphere":
@@ -158,17 +158,8 @@ def _of_shape(scene: Scene, shape: int) -> str:
         values = grid_values(scene, shape)
         if any((np.take(values, n, axis=axis) <= 0.0).any() for axis in range(3) for n in (0, 1, -2, -1)):
             return f"the surface of {s.path!r} reaches the border of its box: give positive values in two layers there"
-    inverse = np.linalg.inv(linear)
-    local = (scene.points[scene.builder.indices].astype(np.float64) - origin) @ inverse.T
-    near = ((local.min(axis=1, initial=np.inf) < 1.0) & (local.max(axis=1, initial=-np.inf) > 0.0)).all(axis=1)
-    for row in np.flatnonzero(near):
-        a, b, c = local[row]
-        normal = np.cross(b - a, c - a)
-        height = (CORNERS - a) @ normal
-        if height.min() < 0.0 < height.max():
-            path = scene.description.shapes[int(scene.builder.face_shape[row])].path
-            return f"{path!r} reaches into the box of {s.path!r}"
-    return ""
+    other = in_box(scene, shape, np.zeros(3), np.ones(3))
+    return "" if other is None else f"{scene.description.shapes[other].path!r} reaches into the box of {s.path!r}"
 
 
 def _heights(scene: Scene, shape: int, at: np.ndarray, normal: np.ndarray) -> tuple[float, float]:

@@ -73,6 +73,20 @@ def passed_by(scene: Scene, shape: int) -> Passed:
     )
 
 
+def in_box(scene: Scene, shape: int, low: np.ndarray, high: np.ndarray) -> int | None:
+    """Return a mesh of which a triangle may reach into the part from low to high (3,) of a shape's box [0, 1]^3."""
+    linear, origin = pose(scene, shape)
+    corners = CORNERS * (high - low) + low
+    local = (scene.points[scene.builder.indices].astype(np.float64) - origin) @ np.linalg.inv(linear).T
+    near = ((local.min(axis=1, initial=np.inf) < high) & (local.max(axis=1, initial=-np.inf) > low)).all(axis=1)
+    for row in np.flatnonzero(near):
+        a, b, c = local[row]
+        height = (corners - a) @ np.cross(b - a, c - a)
+        if height.min() < 0.0 < height.max():
+            return int(scene.builder.face_shape[row])
+    return None
+
+
 def pierced_grid(scene: Scene, shapes: frozenset[int] | None) -> tuple[int, int] | None:
     """Return a grid and another one, or an exact shape, that runs through it, one of them in ``shapes`` (None: any).
 

@@ -36,7 +36,7 @@ from warp_psdr.kernels.invalid import count_invalid, vanishes
 from warp_psdr.kernels.jobs import SampleJob
 from warp_psdr.kernels.notes import NOTE_EDGE, make_note
 from warp_psdr.kernels.primitive.affine import is_primitive_at
-from warp_psdr.kernels.primitive.dispatch import SLIDING, make_adjoint_sink, slides_on
+from warp_psdr.kernels.primitive.dispatch import has_slides, make_adjoint_sink, slides_on
 from warp_psdr.kernels.rng import make_sampler, sampler_at
 from warp_psdr.kernels.sink import make_sink, make_sink_vec3
 from warp_psdr.kernels.step import leaving_step
@@ -181,7 +181,7 @@ def make_source_sink(role: str, light_pose: bool, primitives: tuple[int, ...] = 
     On grids and curves x_2 slides along the segment, and across it moves as what that is tied to at x_1 (form S).
     """
     accumulate_vertex = make_adjoint_sink(role, False, False, False, False, False, True, primitives)
-    has_sliding = bool(set(SLIDING) & set(primitives))
+    has_sliding = has_slides(primitives)
     sink = make_sink(role)
     sink3 = make_sink_vec3(role)
 
