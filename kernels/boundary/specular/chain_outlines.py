@@ -289,7 +289,7 @@ def make_one_sheet(primitives: tuple[int, ...]) -> wp.Function | None:
 def begins_beside(scene: Scene, outline: Outline, face: wp.int32, t1: wp.float32) -> wp.bool:
     """Whether a ray that begins on a face touches a shape closer than where the terms of their common curve look.
 
-    ``docs/theory/implicit.md#next-to-curves-of-intersection``; t1 is the way to the touched point.
+    ``docs/theory/implicit.md#curves-of-intersection``; t1 is the way to the touched point.
     """
     tri = scene.triangles[outline.face]
     if scene.triangles[face].shape == tri.shape:
