@@ -6,6 +6,8 @@ polynomial, and ``smooth_logarithm`` has one; the others are values only.
 
 import warp as wp
 
+from warp_psdr.kernels.math import at_least, at_most
+
 #: Arguments of ``exponential`` between which it is a normal float32.
 LEAST_EXPONENT, MOST_EXPONENT = -87.0, 88.0
 #: ln 2 in two parts; multiples of the first by whole numbers are exact.
@@ -22,7 +24,7 @@ LAST_TAIL = 17.0
 @wp.func
 def exponential(x: wp.float32) -> wp.float32:
     """exp(x), relative error below 2e-7; ``x`` is clamped to ``LEAST_EXPONENT`` and ``MOST_EXPONENT``."""
-    y = wp.clamp(x, LEAST_EXPONENT, MOST_EXPONENT)
+    y = at_least(LEAST_EXPONENT, at_most(MOST_EXPONENT, x))
     n = wp.floor(y * INV_LN2 + 0.5)
     f = (y - n * LN2_HIGH) - n * LN2_LOW
     # The series to its seventh power: the derivative is as good as the value.
@@ -47,7 +49,7 @@ def logarithm(x: wp.float32) -> wp.float32:
 @wp.func
 def smooth_logarithm(x: wp.float32) -> wp.float32:
     """``logarithm`` with its derivative, which is lost where bits are taken apart: that of a difference of value 0."""
-    positive = wp.max(x, LEAST_POSITIVE)
+    positive = at_least(LEAST_POSITIVE, x)
     fixed = wp.cast(wp.cast(positive, wp.int32), wp.float32)
     return logarithm(positive) + (positive - fixed) / fixed
 

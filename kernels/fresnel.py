@@ -6,7 +6,7 @@ incidence, at grazing angles, at equal indices, and for a perfect mirror (eta = 
 
 import warp as wp
 
-from warp_psdr.kernels.math import safe_sqrt
+from warp_psdr.kernels.math import at_least, at_most, safe_sqrt
 
 #: Floor of the squared modulus of eta'^2 - sin^2 (conductor). The reflectance has a root singularity where that is 0
 #: (the critical angle of a lossless medium): there the floor puts derivative 0 in place of infinity, and keeps a or b,
@@ -30,7 +30,7 @@ def fresnel_conductor(c: wp.float32, eta: wp.float32, k: wp.float32) -> wp.float
     sin2 = (1.0 - c) * (1.0 + c)
     x = wp.where(eta < 0.5, eta * eta - sin2, (eta - 1.0) * (eta + 1.0) + c * c) - k * k
     half_y = eta * k
-    modulus = wp.sqrt(wp.max(x * x + 4.0 * half_y * half_y, MIN_SQUARED_MODULUS))
+    modulus = wp.sqrt(at_least(MIN_SQUARED_MODULUS, x * x + 4.0 * half_y * half_y))
     larger = wp.sqrt(0.5 * (modulus + wp.abs(x)))
     smaller = half_y / larger
     a = wp.where(x < 0.0, smaller, larger)
@@ -85,7 +85,7 @@ def fresnel_dielectric(c: wp.float32, g: wp.float32, eta: wp.float32) -> wp.floa
         r_s = contrast / (s * s)
         r_p = contrast * (c * c * (eta2 + 1.0) - 1.0) / (p * p)
         # At grazing angles it exceeds 1 by rounding, and what is transmitted would be negative.
-        reflectance = wp.min(1.0, 0.5 * (r_s * r_s + r_p * r_p))
+        reflectance = at_most(1.0, 0.5 * (r_s * r_s + r_p * r_p))
     return reflectance
 
 

@@ -28,9 +28,21 @@ def unit_vector(w: wp.vec3) -> wp.vec3:
 
 
 @wp.func
+def at_least(low: wp.float32, x: wp.float32) -> wp.float32:
+    """The greater of the two, with ``x``'s derivative in a tie: adjoints of ``wp.max`` branch, and are no SIMD."""
+    return wp.where(x < low, low, x)
+
+
+@wp.func
+def at_most(high: wp.float32, x: wp.float32) -> wp.float32:
+    """The lesser of the two, with ``x``'s derivative in a tie."""
+    return wp.where(x > high, high, x)
+
+
+@wp.func
 def clamp_unit(x: wp.float32) -> wp.float32:
-    """``x`` clamped to [0, 1], with derivative 1 in it, its ends included: in a tie the second argument has it."""
-    return wp.max(0.0, wp.min(1.0, x))
+    """``x`` clamped to [0, 1], with derivative 1 in it, its ends included."""
+    return at_least(0.0, at_most(1.0, x))
 
 
 @wp.func

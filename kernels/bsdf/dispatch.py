@@ -237,7 +237,7 @@ def make_bsdf(models: tuple[str, ...], selects: bool = False) -> BsdfFunctions:
         pdf=chain("pdf", f"{mat}, {wi}, {wo}", "wp.float32", "0.0", lambda f: f.pdf, of="pdf"),
         eval_vjp=chain(
             "eval_vjp", f"{mat}, {wi}, {wo}, w: wp.vec3", "adjoint", "adjoint()",
-            lambda f: _make_eval_vjp(record, adjoint, f.eval), of="eval", anchored=True,
+            lambda f: make_eval_vjp(record, adjoint, f.eval), of="eval", anchored=True,
         ),
         scatter=chain("scatter", f"{mat}, {wi}, {lobe}", "Scattered", "Scattered()", lambda f: f.scatter, of="scatter"),
         scatter_vjp=chain(
@@ -361,7 +361,9 @@ def _make_test(answers: list[bool]) -> wp.Function:
     return answer_of
 
 
-def _make_eval_vjp(record: type, adjoint: type, f: wp.Function) -> wp.Function:
+def make_eval_vjp(record: type, adjoint: type, f: wp.Function) -> wp.Function:
+    """Return ``eval_vjp`` of one model, whose ``eval`` is ``f``; see ``BsdfFunctions``."""
+
     @differentiable
     @wp.func
     def eval_dot(mat: record, wi: wp.vec3, wo: wp.vec3, w: wp.vec3) -> wp.float32:

@@ -22,7 +22,7 @@ import warp as wp
 from warp_psdr.kernels.bsdf.composite import Child
 from warp_psdr.kernels.bsdf.model import Flag, Functions
 from warp_psdr.kernels.constants import LOBE_NONE, LOBE_NULL, LOBE_SMOOTH
-from warp_psdr.kernels.math import aligned_tangent, to_local, to_world, where3
+from warp_psdr.kernels.math import aligned_tangent, at_least, to_local, to_world, where3
 from warp_psdr.kernels.structs import BsdfSample, Scattered
 
 FLIP = Flag("flip_invalid_normals", True)
@@ -64,8 +64,8 @@ def from_perturbed(frame: LocalFrame, w: wp.vec3) -> wp.vec3:
 def bump_shadowing(n: wp.vec3, wo: wp.vec3) -> wp.float32:
     """G(wo) under the normal n."""
     across = n[0] * n[0] + n[1] * n[1]
-    a2 = across / wp.max(8.0 * n[2] * n[2], wp.max(across, 1.0e-30))
-    c = wp.max(wp.abs(wo[2]), MIN_COSINE)
+    a2 = across / at_least(at_least(1.0e-30, across), 8.0 * n[2] * n[2])
+    c = at_least(MIN_COSINE, wp.abs(wo[2]))
     return 2.0 * c / (c + wp.sqrt(c * c + a2 * (wo[0] * wo[0] + wo[1] * wo[1])))
 
 

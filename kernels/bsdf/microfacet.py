@@ -13,7 +13,7 @@ import warp as wp
 
 from warp_psdr.kernels.constants import INV_PI
 from warp_psdr.kernels.exponentials import exponential, inverse_erf, logarithm, scaled_erfc
-from warp_psdr.kernels.math import unit_vector, where3
+from warp_psdr.kernels.math import at_least, at_most, unit_vector, where3
 from warp_psdr.kernels.sampling import square_to_disk
 
 #: Smallest roughness: narrower lobes are the business of ``conductor``, and float32 directions do not resolve them.
@@ -94,8 +94,8 @@ class Reflection(NamedTuple):
 
 @wp.func
 def at_least_min(alpha: wp.float32) -> wp.float32:
-    """The roughness in use. In a tie the second argument of ``max`` has the derivative: 1 at MIN_ALPHA, 0 below."""
-    return wp.max(MIN_ALPHA, alpha)
+    """The roughness in use, with derivative 1 at MIN_ALPHA, 0 below."""
+    return at_least(MIN_ALPHA, alpha)
 
 
 @wp.func
@@ -187,7 +187,7 @@ def refraction_cosine(wi: wp.vec3, wo: wp.vec3, eta: wp.float32) -> wp.float32:
     cosine = wp.float32(0.0)
     if squared > MIN_HALF and wp.abs(h[2]) > MIN_COSINE and seen > 0.0 and turned * wp.dot(wo, h) < 0.0:
         # It exceeds 1 by rounding.
-        cosine = wp.min(seen / wp.sqrt(squared), 1.0)
+        cosine = at_most(1.0, seen / wp.sqrt(squared))
     return cosine
 
 
@@ -314,7 +314,7 @@ def _beckmann_smith_over_cos(z: wp.float32, r2: wp.float32) -> wp.float32:
     masked = z * z < wp.static(BECKMANN_UNMASKED**2) * r2
     r = wp.sqrt(wp.where(masked, r2, 1.0))
     fit = (3.535 * r + 2.181 * z) / (r * r + 2.276 * z * r + 2.577 * z * z)
-    return wp.where(masked, wp.min(1.0 / z, fit), 1.0 / z)
+    return wp.where(masked, at_most(1.0 / z, fit), 1.0 / z)
 
 
 @wp.func

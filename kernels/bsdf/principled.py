@@ -33,7 +33,7 @@ from warp_psdr.kernels.bsdf.roughplastic import WIDE_SLOPE
 from warp_psdr.kernels.constants import INV_PI, LOBE_NONE, LOBE_SMOOTH
 from warp_psdr.kernels.exponentials import exponential, logarithm, smooth_logarithm
 from warp_psdr.kernels.fresnel import coat_reflectance, coat_transmittance, index_behind, refracted_cosine
-from warp_psdr.kernels.math import clamp_unit, refract_at, unit_vector, where3
+from warp_psdr.kernels.math import at_least, clamp_unit, refract_at, unit_vector, where3
 from warp_psdr.kernels.sampling import square_to_cosine_hemisphere, unit_circle
 from warp_psdr.kernels.structs import BsdfSample
 
@@ -89,12 +89,12 @@ def aspect_of(anisotropic: wp.float32) -> wp.float32:
 @wp.func
 def alpha_along(r: wp.float32, anisotropic: wp.float32) -> wp.float32:
     """Slope along the first tangent at a roughness of any size; by itself, for a ``vec2`` keeps loops from SIMD."""
-    return wp.max(MIN_ROUGH_ALPHA, r * r / aspect_of(anisotropic))
+    return at_least(MIN_ROUGH_ALPHA, r * r / aspect_of(anisotropic))
 
 
 @wp.func
 def alpha_across(r: wp.float32, anisotropic: wp.float32) -> wp.float32:
-    return wp.max(MIN_ROUGH_ALPHA, r * r * aspect_of(anisotropic))
+    return at_least(MIN_ROUGH_ALPHA, r * r * aspect_of(anisotropic))
 
 
 @wp.func

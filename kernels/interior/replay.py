@@ -19,6 +19,7 @@ from warp_psdr.kernels.interior.sweep import Carry, make_sweep
 from warp_psdr.kernels.invalid import count_invalid, finite, vanishes
 from warp_psdr.kernels.jobs import PixelJob, pixel_of
 from warp_psdr.kernels.lanes.lanes import ROOM, ROWS
+from warp_psdr.kernels.lanes.material_sweep import make_material_sweep, sweeps_materials
 from warp_psdr.kernels.lanes.path_lanes import LanePaths, make_lane_paths, side_by_side
 from warp_psdr.kernels.lanes.sweep_lanes import make_lane_sweep
 from warp_psdr.kernels.lanes.sweep_sinks import make_chosen
@@ -39,9 +40,14 @@ def make_replay_kernel(config: PathConfig, wanted: GradientRequest, block: int, 
         blocks: the most blocks that a path can have; 1 compiles the replay out.
     """
     if blocks == 1 and side_by_side(config):
-        swept_together = wanted.geometry and is_diffuse(config.bsdfs) and not config.primitives
-        for make in (make_lane_sweep, make_sweep_of_each) if swept_together else (make_sweep_of_each,):
-            paths = make_lane_paths(config, True, True, kept=block, whole=make is make_lane_sweep)
+        ways = [make_sweep_of_each]
+        if wanted.geometry and is_diffuse(config.bsdfs) and not config.primitives:
+            ways.insert(0, make_lane_sweep)
+        elif sweeps_materials(config, wanted):
+            ways.insert(0, make_material_sweep)
+        for make in ways:
+            whole, lit = make is make_lane_sweep, make is make_material_sweep
+            paths = make_lane_paths(config, True, True, kept=block, whole=whole, lit=lit)
             end, sweep_all = make(config, wanted, paths)
             if end <= ROOM:
                 return _make_lane_kernel(paths, sweep_all, config.through)

@@ -1,8 +1,9 @@
 """What is kept of the vertices of paths that are traced side by side (``path_lanes.py``), for a sweep back over them.
 
 The vertices of one depth lie side by side. They are for the sweep's eyes alone: a sweep of single paths reads one after
-the other, and one that is itself side by side (``lanes/sweep_lanes.py``) reads rows. The latter needs more of a
-vertex, which to fetch and to look up again took as long as the sweep's own arithmetic.
+the other, and those that are themselves side by side read rows. They need more of a vertex, which to fetch and to look
+up again took as long as their own arithmetic: that of geometry (``lanes/sweep_lanes.py``) nearly all, that of materials
+(``lanes/material_sweep.py``) what a light sent there.
 """
 
 from typing import NamedTuple
@@ -29,6 +30,13 @@ class RecordedScattering:
 
 
 @wp.struct
+class LightRadiance:
+    """What a light sends to a vertex."""
+
+    radiance: wp.vec3
+
+
+@wp.struct
 class RecordedVertex:
     """A vertex and what belongs to it; ``light`` and ``stood`` may be anything where it does not scatter."""
 
@@ -38,14 +46,23 @@ class RecordedVertex:
     stood: RecordedScattering
 
 
+@wp.struct
+class LitVertex:
+    """A vertex, and ``radiance`` of the light found by next-event estimation, as ``LightSample`` has it."""
+
+    vertex: PathVertex
+    lit: LightRadiance
+
+
 class KeptLanes(NamedTuple):
     """What ``make_kept_lanes`` makes.
 
     Attributes:
         put: ``(rows, j, n, vertex)`` keeps the n-th vertex of the j-th path.
-        keep_rest: ``(rows, n)`` keeps the rest of all n-th vertices, which are where the paths stand now.
+        keep_rest: ``(rows, n)`` keeps what there is beside all n-th vertices, which are where the paths stand now.
         vertex: ``(rows, j, n) -> PathVertex``; None if none are kept.
         record: ``(rows, j, n) -> RecordedVertex``, of the nearest n that there is; None unless all of it is kept.
+        radiance: ``(rows, j, n) -> vec3`` of the light; None unless it is kept alone.
         end: the first row that is free.
     """
 
@@ -53,11 +70,12 @@ class KeptLanes(NamedTuple):
     keep_rest: wp.Function
     vertex: wp.Function | None
     record: wp.Function | None
+    radiance: wp.Function | None
     end: int
 
 
 def make_kept_lanes(
-    width: int, first: int, kept: int, whole: bool, on_places: PlaceLanes, lights: LightLanes | None
+    width: int, first: int, kept: int, whole: bool, lit: bool, on_places: PlaceLanes, lights: LightLanes | None
 ) -> KeptLanes:
     """Make the functions.
 
@@ -65,15 +83,19 @@ def make_kept_lanes(
         width: number of lanes.
         first: the first row that they may take.
         kept: number of vertices of a path.
-        whole: whether all of ``RecordedVertex`` is kept, or vertices alone.
+        whole: whether all of ``RecordedVertex`` is kept.
+        lit: whether vertices and the radiance of lights are; else vertices alone.
         on_places: where the paths stand.
         lights: what next-event estimation finds there, if there are lights.
     """
-    size = words(RecordedVertex if whole else PathVertex)  # the vertex comes first in both
+    size = words(RecordedVertex if whole else LitVertex if lit else PathVertex)  # the vertex comes first in all
     get_vertex, put_vertex = make_record(PathVertex, width, aside=True)
     get_kept, _put_kept = make_record(RecordedVertex, width, aside=True)
     put_tri, put_stood = (make_record(record, width, aside=True)[1] for record in (Triangle, RecordedScattering))
     tri_word, light_word, stood_word = (word_of(RecordedVertex, name) for name in ("tri", "light", "stood"))
+
+    get_radiance, put_radiance = make_record(LightRadiance, width, aside=True)
+    radiance_word = word_of(LitVertex, "lit")
 
     @wp.func
     def put(rows: ROWS, j: wp.int32, n: wp.int32, vertex: PathVertex):
@@ -108,6 +130,19 @@ def make_kept_lanes(
             j += 1
 
     @wp.func
+    def keep_radiance(rows: ROWS, n: wp.int32):
+        j = wp.int32(0)
+        while j < width:
+            found = LightRadiance()
+            found.radiance = lights.samples.get(rows, j).radiance
+            put_radiance(rows, first + n * size + radiance_word, j, found)
+            j += 1
+
+    @wp.func
+    def radiance_at(rows: ROWS, j: wp.int32, n: wp.int32) -> wp.vec3:
+        return get_radiance(rows, first + n * size + radiance_word, j, LightRadiance()).radiance
+
+    @wp.func
     def vertex_at(rows: ROWS, j: wp.int32, n: wp.int32) -> PathVertex:
         return get_vertex(rows, first + n * size, j, PathVertex())
 
@@ -115,4 +150,11 @@ def make_kept_lanes(
     def kept_at(rows: ROWS, j: wp.int32, n: wp.int32) -> RecordedVertex:
         return get_kept(rows, first + wp.clamp(n, 0, kept - 1) * size, j, RecordedVertex())
 
-    return KeptLanes(put, keep_rest, vertex_at if kept else None, kept_at if whole else None, first + kept * size)
+    return KeptLanes(
+        put,
+        keep_rest if whole else keep_radiance,
+        vertex_at if kept else None,
+        kept_at if whole else None,
+        radiance_at if lit else None,
+        first + kept * size,
+    )

@@ -10,6 +10,8 @@ from typing import NamedTuple
 
 import warp as wp
 
+from warp_psdr.kernels.autodiff import anchor
+from warp_psdr.kernels.bsdf.dispatch import make_eval_vjp
 from warp_psdr.kernels.bsdf.model import Functions
 from warp_psdr.kernels.bsdf.selection import where_sample
 from warp_psdr.kernels.generated import make_generated
@@ -71,18 +73,27 @@ def make_model_lanes(config: PathConfig, width: int, first: int, places: Rows) -
         return _make_each(
             "evaluate_models",
             {k: _make_evaluate(k, f, width, places, light_samples, values) for k, f in smooth.items()},
+            len(models),
         )
 
-    return ModelLanes(_make_each("draw_models", draws), make_evaluate, drawn, values)
+    return ModelLanes(_make_each("draw_models", draws, len(models)), make_evaluate, drawn, values)
 
 
-def _make_each(name: str, functions: dict[int, wp.Function]) -> wp.Function:
-    """Return ``name(models, standing, rows)``, which calls the functions of the models."""
+def _make_each(name: str, functions: dict[int, wp.Function], count: int, differentiates: bool = False) -> wp.Function:
+    """Return ``name(models, standing, rows)``, which calls the functions of the models that paths stand on.
+
+    ``count``: number of models in the scene; that of an only one is always called.
+    """
     lines = [f"def {name}(models: wp.int32, standing: wp.int32, rows: ROWS):"]
+    if differentiates:
+        lines.append("    _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py")
     for k in functions:
-        lines += [f"    if models & {1 << min(k, LAST_BIT)} > 0:", f"        f{k}(standing, rows)"]
+        if count == 1:
+            lines.append(f"    f{k}(standing, rows)")
+        else:
+            lines += [f"    if models & {1 << min(k, LAST_BIT)} > 0:", f"        f{k}(standing, rows)"]
     named = {f"f{k}": f for k, f in functions.items()}
-    return make_generated("\n".join(lines) + "\n", ROWS=ROWS, **named)
+    return make_generated("\n".join(lines) + "\n", ROWS=ROWS, anchor=anchor, **named)
 
 
 def _make_draw(k: int, f: Functions, width: int, places: Rows, drawn: Rows, number: wp.Function) -> wp.Function:
@@ -137,3 +148,47 @@ def _make_evaluate(k: int, f: Functions, width: int, places: Rows, light_samples
                 values.put(rows, j, found)
 
     return evaluate_on_model if f.branches else evaluate_of_model
+
+
+def make_adjoints_of_each(config: PathConfig, width: int, places: Rows, weights: Rows, adjoints: Rows) -> wp.Function:
+    """Return ``(models, standing, rows)``, which adds adjoints of material values.
+
+    Args:
+        config: as for ``make_path_step``.
+        width: number of lanes.
+        places: where the paths stand, interactions.
+        weights: directions ``wo`` and weights ``w`` of the scattering values there; 0 where there is none.
+        adjoints: the record of material values that they are added to.
+    """
+    bsdf = make_interaction(config).bsdf
+    add, select = bsdf.algebra.add, bsdf.algebra.select
+
+    def make(k: int, f: Functions) -> wp.Function:
+        vjp = make_eval_vjp(bsdf.record, bsdf.adjoint, f.eval)
+
+        @wp.func
+        def add_adjoint_of_model(standing: wp.int32, rows: ROWS):
+            _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
+            j = wp.int32(0)
+            while j < width:
+                at = places.get(rows, j)
+                weight = weights.get(rows, j)
+                found = adjoints.get(rows, j)
+                more = vjp(at.material, at.wi, weight.wo, weight.w)
+                adjoints.put(rows, j, select(at.model == k, add(found, more.material), found))
+                j += 1
+
+        @wp.func
+        def add_adjoint_on_model(standing: wp.int32, rows: ROWS):
+            _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
+            for j in range(standing):
+                at = places.get(rows, j)
+                if at.model == k:
+                    weight = weights.get(rows, j)
+                    more = vjp(at.material, at.wi, weight.wo, weight.w)
+                    adjoints.put(rows, j, add(adjoints.get(rows, j), more.material))
+
+        return add_adjoint_on_model if f.branches else add_adjoint_of_model
+
+    smooth = {k: make(k, f) for k, f in enumerate(bsdf.each) if f.eval is not None}
+    return _make_each("add_adjoints_of_models", smooth, len(bsdf.each), differentiates=True)

@@ -19,7 +19,7 @@ from warp_psdr.kernels.lanes.kept_lanes import make_kept_lanes
 from warp_psdr.kernels.lanes.lanes import ROWS, Rows, make_number, stack_rows, word_of
 from warp_psdr.kernels.lanes.light_lanes import make_light_lanes
 from warp_psdr.kernels.lanes.model_lanes import make_model_lanes
-from warp_psdr.kernels.lanes.place_lanes import make_place_lanes
+from warp_psdr.kernels.lanes.place_lanes import PlaceLanes, make_place_lanes
 from warp_psdr.kernels.lanes.primitive_lanes import make_primitive_lanes
 from warp_psdr.kernels.math import where3
 from warp_psdr.kernels.path import make_camera_starts, vertex_of
@@ -81,7 +81,11 @@ class LanePaths(NamedTuple):
         camera: ``(rows, j) -> CameraSample``.
         vertex: ``(rows, j, n) -> PathVertex``, its n-th vertex; None if none are kept.
         record: ``(rows, j, n) -> RecordedVertex``, and what is kept with it; None if no such things are.
-        seats: ``LaneSample``, the paths' samples.
+        radiance: ``(rows, j, n) -> vec3`` of the light that was drawn there; None unless it is kept.
+        lane_samples: ``LaneSample``, the paths' samples.
+        states: ``PathState``, their rays.
+        hits: ``RayHit``, what they meet.
+        on_places: where they stand.
         end: the first row that is free; if there are fewer, none of the functions may be called.
     """
 
@@ -92,7 +96,11 @@ class LanePaths(NamedTuple):
     camera: wp.Function
     vertex: wp.Function | None
     record: wp.Function | None
+    radiance: wp.Function | None
     lane_samples: Rows
+    states: Rows
+    hits: Rows
+    on_places: PlaceLanes
     end: int
 
 
@@ -115,10 +123,12 @@ def make_lane_paths(
     filter_kind: int | None = None,
     kept: int = 0,
     whole: bool = False,
+    lit: bool = False,
 ) -> LanePaths:
     """Make the functions; arguments as those of ``make_path_step`` and ``make_camera_starts``.
 
-    ``kept``: number of vertices that are kept of a path; none has more. ``whole``: their ``RecordedVertex``.
+    ``kept``: number of vertices that are kept of a path; none has more. ``whole``: their ``RecordedVertex``; ``lit``:
+    with the radiance of the lights.
     """
     width = config.ray_width
     visibility = visibility_of_meshes(config)
@@ -155,7 +165,7 @@ def make_lane_paths(
     if config.primitives:
         exact = make_primitive_lanes(config, width, end, states, hits, lights.events if lights else None, looks)
         end = exact.end
-    store = make_kept_lanes(width, end, kept, whole, on_places, lights)
+    store = make_kept_lanes(width, end, kept, whole, lit, on_places, lights)
 
     @wp.func
     def start(
@@ -313,7 +323,7 @@ def make_lane_paths(
             vertex = vertex_of(state, hit, emission, unoccluded, event, scatters, scatter_sample)
             store.put(rows, j, depth, vertex)
             j += 1
-        if wp.static(whole):
+        if wp.static(whole or lit):
             store.keep_rest(rows, depth)
 
     @wp.func
@@ -384,4 +394,6 @@ def make_lane_paths(
     def camera_of(rows: ROWS, j: wp.int32) -> CameraSample:
         return cameras.get(rows, j)
 
-    return LanePaths(width, start, step, gathered, camera_of, store.vertex, store.record, lane_samples, store.end)
+    kept_parts = (store.vertex, store.record, store.radiance)
+    traced = (lane_samples, states, hits, on_places)
+    return LanePaths(width, start, step, gathered, camera_of, *kept_parts, *traced, store.end)

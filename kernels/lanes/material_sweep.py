@@ -1,0 +1,228 @@
+"""The backward sweep of ``sweep.py`` over paths side by side, where numbers of materials alone are wanted.
+
+All paths are swept from their n-th vertex to the one before together, n from the last one down. Where they stand is
+found out again as it was when they were traced (``place_lanes.py``); of the light that was drawn, the radiance is kept.
+A model's adjoint is a loop over all lanes, as its value is (``model_lanes.py``). Delta lobes are differentiated lane by
+lane, and so is added what the gradient gets, for two paths may meet the same material.
+
+Of diffuse materials a vertex is a few products: one path after the other is faster.
+"""
+
+import warp as wp
+
+from warp_psdr.kernels.autodiff import anchor
+from warp_psdr.kernels.bsdf.dispatch import is_diffuse
+from warp_psdr.kernels.constants import LOBE_NONE, LOBE_SMOOTH
+from warp_psdr.kernels.interaction import enter_frame, make_interaction
+from warp_psdr.kernels.interior.factors import make_material_sink
+from warp_psdr.kernels.interior.gradient_request import GradientRequest
+from warp_psdr.kernels.invalid import count_invalid, finite
+from warp_psdr.kernels.lanes.lanes import ROWS, stack_rows
+from warp_psdr.kernels.lanes.model_lanes import make_adjoints_of_each
+from warp_psdr.kernels.lanes.path_lanes import LanePaths
+from warp_psdr.kernels.lanes.sweep_sinks import SweptPath, make_chosen
+from warp_psdr.kernels.math import where3
+from warp_psdr.kernels.scattering import samples_lights
+from warp_psdr.kernels.structs import Camera, Scene
+from warp_psdr.kernels.surface import VertexAdjoint
+from warp_psdr.kernels.vertex import PathConfig
+
+
+@wp.struct
+class RadianceCarry:
+    """L_{n+1}."""
+
+    radiance: wp.vec3
+
+
+@wp.struct
+class ScatteringWeight:
+    """A direction that a vertex scatters to, and what its value is weighted by in the gradient."""
+
+    wo: wp.vec3  # local
+    w: wp.vec3
+
+
+def sweeps_materials(config: PathConfig, wanted: GradientRequest) -> bool:
+    """Whether the sweep serves a request: numbers of materials alone, of other than diffuse ones, under lights."""
+    others = wanted.geometry or wanted.to_uv or wanted.radiance or wanted.paired or bool(wanted.lights)
+    return samples_lights(config) and not (others or config.through or config.primitives or is_diffuse(config.bsdfs))
+
+
+def make_material_sweep(config: PathConfig, wanted: GradientRequest, paths: LanePaths) -> tuple[int, wp.Function]:
+    """Return the number of rows that it takes, and the function that sweeps the paths that ``paths`` has traced.
+
+    ``sweep_all(scene, camera, target, scale, adjoint, count, always, rows)`` as of ``make_lane_sweep``.
+
+    Args:
+        config: what the scene needs.
+        wanted: what is differentiated, see ``sweeps_materials``.
+        paths: how its paths are traced; of their vertices the radiance is kept.
+    """
+    width, on_places, states, hits = paths.width, paths.on_places, paths.states, paths.hits
+    places, choices, surfaces = on_places.places, on_places.choices, on_places.surfaces
+    interaction = make_interaction(config)
+    algebra = interaction.bsdf.algebra
+    swept, carries, weights, adjoints = stack_rows(
+        width, paths.end, SweptPath, RadianceCarry, ScatteringWeight, interaction.bsdf.record
+    )
+    record = interaction.bsdf.record
+    add_adjoints = make_adjoints_of_each(config, width, places, weights, adjoints)
+    chosen = make_chosen(paths)
+    accumulate_material = make_material_sink(config, wanted, "reverse")
+    scatter_vjp = interaction.scatter_vjp
+    has_delta = scatter_vjp is not None
+
+    @wp.func
+    def begin_sweep(
+        scene: Scene,
+        scale: wp.float32,
+        adjoint: wp.array2d(dtype=wp.vec3),
+        count: wp.int32,
+        always: wp.int32,
+        rows: ROWS,
+    ) -> wp.int32:
+        """Choose the paths; the most vertices that one of them has."""
+        most = wp.int32(0)
+        j = wp.int32(0)
+        while j < width:
+            path = SweptPath()
+            if j < count:
+                path = chosen(scene, scale, adjoint, j, always, rows)
+                most = wp.max(most, path.vertices)
+            swept.put(rows, j, path)
+            carries.put(rows, j, RadianceCarry())
+            j += 1
+        return most
+
+    @wp.func
+    def revisit(n: wp.int32, rows: ROWS):
+        """The n-th rays and what they met; those of vertices that scatter."""
+        j = wp.int32(0)
+        while j < width:
+            vertex = paths.vertex(rows, j, n)
+            state = states.get(rows, j)
+            hit = hits.get(rows, j)
+            on = n < swept.get(rows, j).vertices and vertex.face >= 0
+            scatters = on and (vertex.lobe != LOBE_NONE or vertex.light >= 0)
+            state.alive = wp.where(scatters, 1, 0)
+            state.d = vertex.d
+            hit.face = wp.where(scatters, vertex.face, -1)
+            hit.u = vertex.u
+            hit.v = vertex.v
+            states.put(rows, j, state)
+            hits.put(rows, j, hit)
+            j += 1
+
+    @wp.func
+    def clear_adjoints(rows: ROWS):
+        j = wp.int32(0)
+        while j < width:
+            adjoints.put(rows, j, record())
+            j += 1
+
+    @wp.func
+    def weigh_light(n: wp.int32, rows: ROWS):
+        """D_n."""
+        zero = wp.vec3(0.0, 0.0, 0.0)
+        j = wp.int32(0)
+        while j < width:
+            vertex = paths.vertex(rows, j, n)
+            lit = choices.get(rows, j).on == 1 and vertex.light >= 0
+            wo = enter_frame(places.get(rows, j).frame, vertex.light_wi)
+            w = wp.cw_mul(wp.cw_mul(swept.get(rows, j).delta, vertex.throughput), paths.radiance(rows, j, n))
+            weight = ScatteringWeight()
+            weight.wo = where3(lit, wo, wp.vec3(0.0, 0.0, 1.0))
+            weight.w = where3(lit, vertex.light_weight * w, zero)
+            weights.put(rows, j, weight)
+            j += 1
+
+    @wp.func
+    def weigh_onward(n: wp.int32, rows: ROWS):
+        """beta_n L_{n+1}."""
+        zero = wp.vec3(0.0, 0.0, 0.0)
+        j = wp.int32(0)
+        while j < width:
+            vertex = paths.vertex(rows, j, n)
+            smooth = choices.get(rows, j).on == 1 and vertex.lobe == LOBE_SMOOTH
+            wo = enter_frame(places.get(rows, j).frame, vertex.wo)
+            w = wp.cw_mul(wp.cw_mul(swept.get(rows, j).delta, vertex.throughput), carries.get(rows, j).radiance)
+            weight = ScatteringWeight()
+            weight.wo = where3(smooth, wo, wp.vec3(0.0, 0.0, 1.0))
+            weight.w = where3(smooth, vertex.inv_pdf * w, zero)
+            weights.put(rows, j, weight)
+            j += 1
+
+    @wp.func
+    def hand_on_radiance(n: wp.int32, rows: ROWS):
+        j = wp.int32(0)
+        while j < width:
+            vertex = paths.vertex(rows, j, n)
+            carry = carries.get(rows, j)
+            radiance = vertex.direct + wp.cw_mul(vertex.beta, carry.radiance)
+            carry.radiance = where3(n < swept.get(rows, j).vertices, radiance, wp.vec3(0.0, 0.0, 0.0))
+            carries.put(rows, j, carry)
+            j += 1
+
+    @wp.func
+    def accumulate_adjoints(scene: Scene, target: wp.array(dtype=wp.float32), count: wp.int32, n: wp.int32, rows: ROWS):
+        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
+        for j in range(count):
+            if choices.get(rows, j).on == 1:
+                at = places.get(rows, j)
+                vertex = paths.vertex(rows, j, n)
+                path = swept.get(rows, j)
+                a_material = adjoints.get(rows, j)
+                if wp.static(has_delta):
+                    if vertex.lobe > LOBE_SMOOTH:
+                        w = wp.cw_mul(wp.cw_mul(path.delta, vertex.throughput), carries.get(rows, j).radiance)
+                        fa = scatter_vjp(at, vertex.lobe, vertex.inv_pdf * w, wp.vec3(0.0, 0.0, 0.0))
+                        a_material = algebra.add(a_material, fa.material)
+                uv = surfaces.get(rows, j).uv
+                _adjoint, lost = accumulate_material(
+                    scene, target, at.slots, vertex.face, vertex.u, vertex.v, uv, a_material, VertexAdjoint()
+                )
+                path.lost += lost
+                swept.put(rows, j, path)
+
+    @wp.func
+    def sweep_vertex(scene: Scene, target: wp.array(dtype=wp.float32), count: wp.int32, n: wp.int32, rows: ROWS):
+        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
+        revisit(n, rows)
+        standing = on_places.meet(scene, rows)
+        if standing > 0:
+            models = on_places.stand(scene, standing, rows)
+            clear_adjoints(rows)
+            half = wp.int32(0)
+            while half < 2:  # one call of what is large
+                if half == 0:
+                    weigh_light(n, rows)
+                else:
+                    weigh_onward(n, rows)
+                add_adjoints(models, standing, rows)
+                half += 1
+            accumulate_adjoints(scene, target, count, n, rows)
+        hand_on_radiance(n, rows)
+
+    @wp.func
+    def sweep_all(
+        scene: Scene,
+        camera: Camera,
+        target: wp.array(dtype=wp.float32),
+        scale: wp.float32,
+        adjoint: wp.array2d(dtype=wp.vec3),
+        count: wp.int32,
+        always: wp.int32,
+        rows: ROWS,
+    ):
+        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
+        n = begin_sweep(scene, scale, adjoint, count, always, rows)
+        while n > 0:
+            n -= 1
+            sweep_vertex(scene, target, count, n, rows)
+        for j in range(count):
+            path = swept.get(rows, j)
+            if path.vertices > 0 and (path.lost != 0.0 or not finite(carries.get(rows, j).radiance)):
+                count_invalid(scene, paths.lane_samples.get(rows, j).sampler)
+
+    return adjoints.end, sweep_all
