@@ -36,7 +36,7 @@ def exponential(x: wp.float32) -> wp.float32:
 @wp.func
 def logarithm(x: wp.float32) -> wp.float32:
     """log(x) for positive ``x``, relative error below 3e-7, also next to 1."""
-    bits = wp.cast(wp.max(x, LEAST_POSITIVE), wp.int32)
+    bits = wp.cast(at_least(LEAST_POSITIVE, x), wp.int32)
     exponent = (bits - ROOT_HALF_BITS) >> EXPONENT_SHIFT
     # Between the roots of 1/2 and of 2; log(m) = 2 artanh((m - 1) / (m + 1)).
     m = wp.cast(bits - (exponent << EXPONENT_SHIFT), wp.float32)
