@@ -264,6 +264,33 @@ def test_paths_have_the_bits_of_single_ones(name, spp, sampler, what, alone):
 
 
 @pytest.mark.slow
+def test_numbers_of_materials_are_swept_side_by_side(alone):
+    """Adjoints of all models over all lanes, those of delta lobes lane by lane, against paths that are swept alone."""
+    base = sky_and_lamps()
+    number = {"metallic": 0.4, "roughness": 0.3, "clearcoat": 0.7, "anisotropic": 0.5, "sheen": 0.2}
+    ball = {"type": "sphere", "center": [0.0, 0.0, 0.2], "radius": 0.2, "resolution": 8, "bsdf": {"type": "plastic"}}
+    paint = {"type": "principled", "base_color": scenes.rgb(0.7, 0.4, 0.2), **number}
+    floor = {"type": "rectangle", "bsdf": paint}
+    scene = psdr.load_dict({**{name: base[name] for name in ("type", "sensor", "lamp")}, "floor": floor, "ball": ball})
+    params = psdr.traverse(scene)
+    names = [name for name in scene.parameters if name.startswith(("floor.bsdf.", "ball.bsdf."))]
+    params.requires_grad(*names)
+    film = scenes.gap_scene()["sensor"]["film"]
+    adjoint = np.random.default_rng(1).normal(size=(film["height"], film["width"], 3)).astype(np.float32)
+    integrator = psdr.PathIntegrator(max_depth=4, sampler="independent", boundary=None)
+    found = []
+    for switch in (lambda: None, alone):
+        switch()
+        params.zero_grad()
+        psdr.render_backward(scene, params, adjoint, integrator=integrator, spp=5, seed=6)
+        found.append({name: params[name].grad.numpy().copy() for name in names})
+    for name in names:
+        together, single = found[0][name], found[1][name]
+        assert np.abs(single).max() > 0.0, name
+        np.testing.assert_allclose(together, single, rtol=0.0, atol=SUMMED * np.abs(single).max())
+
+
+@pytest.mark.slow
 def test_contacts_are_weighed_side_by_side(alone):
     """Boxes that stand on a floor: connections along contacts are looked at one by one."""
     scene = psdr.load_file(BOX, resolution=16)
