@@ -8,6 +8,9 @@ import warp_psdr as psdr
 from .measure import MODES, Case, assert_agrees, assert_transposes, derivatives, differences, rows
 from .scenes import T, box, camera, diffuse, floor, load, panel, register, sky
 from .test_exact_sphere import ROTATION, TILES, entry, moved_light, radius, scene_shape
+from .test_sdfgrid import all_values
+from .test_side_by_side import BALL, beside
+from .test_tubes import coordinate
 
 LIGHT, THING, FLOOR = "light.to_world", "thing.to_world", "floor.to_world"
 CORNERS = "thing.vertex_positions"
@@ -68,6 +71,12 @@ def walled():
     }
 
 
+def among(kind: str, interpolation: str, plugin: str):
+    """A light beside a grid and a curve."""
+    others = beside("lamp", interpolation, BALL, plugin)()
+    return lambda: {**{name: others[name] for name in ("sensor", "floor", "body", "hair")}, "light": light(kind)}
+
+
 def painted(kind: str):
     """The light has a texture."""
     radiance = {"type": "bitmap", "bitmap": 12.0 * TILES, "raw": True}
@@ -79,6 +88,7 @@ register(
         **{f"{kind} light, body": room(kind, body) for kind in POSES},
         **{f"{kind} light, ball": room(kind, ball) for kind in POSES},
         **{f"{kind} light, seen": seen(kind) for kind in POSES},
+        "disk light, grid and tube": among("disk", "linear", "bsplinecurve"),
         "sphere light, sky": room("sphere", ball, sky=sky()),
         "sphere light, wall": walled,
         **{f"{kind} light, painted": painted(kind) for kind in POSES},
@@ -128,6 +138,18 @@ CASES = [
     Case("sphere light, wall", LIGHT, radius, 0.02, "the light grows", 4, 1024, 4096),
     Case("sphere light, wall", LIGHT, entry(2, 3), 0.02, "the light sinks", 4, 2048, 8192),
     Case("sphere light, wall", THING, radius, 0.02, "the ball grows", 4, 2048, 8192),
+    # Beside grids and curves.
+    *(
+        Case("disk light, grid and tube", name, tangent, step, what, 2, 2048, 8192)
+        for what, name, tangent, step in (
+            ("the grid", "body.grid", all_values, 0.003),
+            ("the grid rises", "body.to_world", entry(2, 3), 0.01),
+            ("the curve", "hair.control_points", coordinate(3), 0.004),
+            ("the curve moves", "hair.to_world", entry(0, 3), 0.01),
+            ("the light grows", LIGHT, radius, 0.01),
+            ("the light moves", LIGHT, entry(0, 3), 0.01),
+        )
+    ),
     # The camera looks through the lights.
     Case("sphere light, seen", LIGHT, radius, 0.02, "the light grows, unseen", 2, 512, 2048, hidden=True),
     Case("sphere light, seen", THING, entry(0, 3), 0.02, "the ball moves, unseen", 2, 1024, 4096, hidden=True),
@@ -145,10 +167,18 @@ def test_matches_finite_differences(case: Case, mode: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["sphere light, wall", "cylinder light, seen", "disk light, body"])
-def test_reverse_mode_is_the_transpose(name: str) -> None:
+@pytest.mark.parametrize(
+    ("name", "others"),
+    [
+        ("sphere light, wall", [THING]),
+        ("cylinder light, seen", [THING]),
+        ("disk light, body", [CORNERS]),
+        ("disk light, grid and tube", ["body.grid", "hair.control_points"]),
+    ],
+)
+def test_reverse_mode_is_the_transpose(name: str, others: list[str]) -> None:
     scene, params = load(name)
-    names = [LIGHT, FLOOR, CORNERS if name.endswith("body") else THING]
+    names = [LIGHT, FLOOR, *others]
     options = {"integrator": psdr.PathIntegrator(max_depth=3), "spp": 8, "seed": 1}
     assert_transposes(scene, params, names, options)
 

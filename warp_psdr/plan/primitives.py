@@ -142,10 +142,6 @@ def _beside_resting(
         what = type(integrator.interior).__name__
         return f"interior.{what}() does not follow what slides along rays; use interior.Replay()"
     if moving and integrator.boundary is not None:
-        light = next((i for i in scene.builder.primitives if scene.description.shapes[i].emitter is not None), None)
-        if light is not None:
-            shape = scene.description.shapes[light]
-            return f"beside it {shape.path!r} is an exact {shape.kind!r} that shines, where nothing may move; {ALONE}"
         return _beside_moving_kinds(scene, config, integrator, names)
     return ""
 

@@ -23,6 +23,8 @@ from warp_psdr.kernels.structs import Scene
 
 #: Newton's steps, and the distance, over the chord's length, within which they have to end, and on whose part of it.
 NEWTON, NEAR, AHEAD_OF_CHORD = 8, 1.0e-3, 0.5
+#: Roundings of a place, over its largest coordinate: on chords so short that these are more than ``NEAR``.
+ROUNDINGS = 5.0e-7
 #: Least sine of the angle between two surfaces that run through each other.
 LEAST_SINE = 1.0e-3
 #: Distance from the curve at which surfaces are met, in steps: what leaves one of them has to start in front of the
@@ -107,7 +109,8 @@ def make_crossing_point(primitives: tuple[int, ...]):
         r.sine = wp.length(t)
         fall = wp.dot(t, e)
         # False for NaN, too.
-        if r.sine > LEAST_SINE and off < NEAR * length and wp.abs(fall) > AHEAD_OF_CHORD * r.sine * length:
+        near = wp.max(NEAR * length, ROUNDINGS * wp.max(wp.abs(x)))
+        if r.sine > LEAST_SINE and off < near and wp.abs(fall) > AHEAD_OF_CHORD * r.sine * length:
             r.along = (length * length / fall) * t
             r.valid = 1
         return r
