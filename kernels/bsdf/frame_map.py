@@ -179,6 +179,7 @@ def make_frame_map(
         relative_eta=frame_map_relative_eta if nested.own.relative_eta is not None else None,
         normal=frame_map_normal,
         branches=nested.own.branches,
+        branches_back=True,
     )
 
 

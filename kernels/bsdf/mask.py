@@ -89,6 +89,7 @@ def make_mask(record: type, variant: str, children: tuple[Child, ...]) -> Functi
         slopes=nested.slopes if nested.own.slopes is not None else None,
         normal=nested.normal if nested.own.normal is not None else None,
         branches=nested.own.branches,
+        branches_back=nested.own.branches_back,
     )
 
 

@@ -367,6 +367,7 @@ class Functions(NamedTuple):
             none.
         branches: whether ``sample``, ``eval`` and ``pdf`` branch. Those that do not select among what they compute, of
             any directions, so that they are computed for paths side by side, also for those on other materials.
+        branches_back: whether the adjoint of ``eval`` does: the compiler makes no SIMD of it.
     """
 
     sample: wp.Function
@@ -380,6 +381,7 @@ class Functions(NamedTuple):
     split: Split | None = None
     signed: SignedLobes | None = None
     branches: bool = True
+    branches_back: bool = False
 
 
 @dataclass(frozen=True)

@@ -142,7 +142,9 @@ def make_oren_nayar(record: type, _variant: str) -> Functions:
         return weight * mat.reflectance
 
     signed = SignedLobes(signed_oren_nayar_draw, signed_oren_nayar_weight)
-    return Functions(oren_nayar_sample, oren_nayar_eval, oren_nayar_pdf, signed=signed, branches=False)
+    return Functions(
+        oren_nayar_sample, oren_nayar_eval, oren_nayar_pdf, signed=signed, branches=False, branches_back=True
+    )
 
 
 OREN_NAYAR = Model(

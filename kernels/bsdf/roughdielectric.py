@@ -139,6 +139,7 @@ def make_rough_dielectric(record: type, distribution: str) -> Functions:
         rough_dielectric_pdf,
         relative_eta=rough_dielectric_relative_eta,
         branches=False,
+        branches_back=True,
     )
 
 
