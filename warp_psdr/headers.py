@@ -22,11 +22,14 @@ _lock = threading.Lock()
 _parsing: threading.Thread | None = None
 
 
-def begin() -> None:
+def begin(flags: str | None) -> None:
     """Let all threads share the parsed headers of the kernel cache, and begin to parse them if it has none.
 
     Warp 1.19 has no public way to say where they are; a Warp that does not ask for the folder by this name keeps to
     its own ways, one folder a thread.
+
+    Args:
+        flags: those of the compiler; parsed headers serve no others.
     """
     global _parsing
     runtime = wp._src.context.runtime
@@ -36,9 +39,8 @@ def begin() -> None:
         if _parsing is not None:
             return
         _parsing = threading.Thread(target=_parse, name="warp_psdr-headers")
+        include_headers.module.options["cpu_compiler_flags"] = flags
         runtime.get_clang_pch_dir = _shared_folder
-        if any(name.endswith(".pch") for name in os.listdir(_folder())):
-            return
         _parsing.start()
 
 
