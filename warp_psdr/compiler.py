@@ -67,8 +67,8 @@ def begin(kernels: Iterable[wp.Kernel], device: wp.Device) -> int:
         key = (module, device.alias)
         if key in _loaded or key in _jobs:
             continue
-        if device.is_cpu:
-            module.options["cpu_compiler_flags"] = _flags()
+        if device.is_cpu and module.options["cpu_compiler_flags"] != _flags():
+            wp.set_module_options({"cpu_compiler_flags": _flags()}, module)
         if _cached(module, device):
             continue
         if device.is_cpu:
@@ -117,8 +117,9 @@ def start_warp() -> None:
 def _flags() -> str | None:
     """Return the flags of the compiler for the CPU: the program's, with other thresholds if they are Warp's own."""
     flags = wp.config.cpu_compiler_flags
-    for theirs, ours in INLINED if flags else ():
-        flags = flags.replace(theirs, ours)
+    if flags is not None:
+        for theirs, ours in INLINED:
+            flags = flags.replace(theirs, ours)
     return flags
 
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 import hashlib
 import os
 import threading
+from typing import Any
 
 import warp as wp
 
@@ -32,14 +33,14 @@ def begin(flags: str | None) -> None:
         flags: those of the compiler; parsed headers serve no others.
     """
     global _parsing
-    runtime = wp._src.context.runtime
+    runtime: Any = wp._src.context.runtime
     if not hasattr(runtime, "get_clang_pch_dir") or runtime.llvm is None or not wp.config.use_precompiled_headers:
         return
     with _lock:
         if _parsing is not None:
             return
         _parsing = threading.Thread(target=_parse, name="warp_psdr-headers")
-        include_headers.module.options["cpu_compiler_flags"] = flags
+        wp.set_module_options({"cpu_compiler_flags": flags}, include_headers.module)
         runtime.get_clang_pch_dir = _shared_folder
         _parsing.start()
 
@@ -62,6 +63,6 @@ def _folder() -> str:
     header = os.path.join(os.path.dirname(wp.__file__), "native", "builtin.h")
     target = wp._src.context._get_cpu_target_hash("-march=native")
     key = hashlib.sha256(f"{header} {os.stat(header).st_mtime_ns} {target}".encode()).hexdigest()[:8]
-    folder = os.path.join(wp.config.kernel_cache_dir, f"wp_warp_psdr.parsed_headers_{key}")
+    folder = os.path.join(wp.config.kernel_cache_dir or "", f"wp_warp_psdr.parsed_headers_{key}")
     os.makedirs(folder, exist_ok=True)
     return folder
