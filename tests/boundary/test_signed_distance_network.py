@@ -82,7 +82,8 @@ def assert_means_agree(explicit: np.ndarray, moving: np.ndarray, error: float) -
 def test_silhouettes_agree_with_the_explicit_term(name: str, method) -> None:
     neural = method is METHODS[1]
     moving = sums(name, method, 1024 if neural else 128, 1)
-    assert_means_agree(sums(name, "auto", 64, 1), moving, 0.05 if neural else 0.02)
+    tells = 0.06 if "sines" in name else 0.02
+    assert_means_agree(sums(name, "auto", 64, 1), moving, tells)
 
 
 @pytest.mark.slow
