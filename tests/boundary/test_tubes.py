@@ -147,7 +147,6 @@ def test_reverse_mode_is_the_transpose(what: str) -> None:
     [
         ({}, psdr.boundary.Projective(), "no terms of it"),
         ({"bsdf": {"type": "dielectric"}}, "auto", "smooth mirrors and glass"),
-        ({"to_world": T.translate([0, 0, -0.5])}, "auto", "'floor' runs through the tubes of 'body'"),
         ({"control_points": tube("crossed"), "curve_starts": [0, 8]}, "auto", "tubes of 'body' run through each other"),
     ],
 )

@@ -104,9 +104,10 @@ def refuse(
         return
     if reason:
         raise ValueError(f"{method.label}() cannot move its rays here: {reason}; or {REMEDY}")
-    shape = scene.builder.primitives[0]
-    if isinstance(method, Distances) and scene.description.shapes[shape].network is not None:
-        bound_slopes(scene, shape)
+    if isinstance(method, Distances):
+        shape = scene.builder.primitives[0]
+        if scene.description.shapes[shape].network is not None:
+            bound_slopes(scene, shape)
 
 
 def _of_request(scene: Scene, config: PathConfig, integrator: PathIntegrator, names: list[str]) -> str:
