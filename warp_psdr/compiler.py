@@ -22,11 +22,6 @@ from warp_psdr.quiet import quiet
 
 #: Most threads that compile.
 MOST_THREADS = 8
-#: Thresholds of inlining of Warp's flags, and ours: kernels are compiled in four fifths of the time and run as fast.
-INLINED = (
-    ("-inline-threshold=9000", "-inline-threshold=1000"),
-    ("-inline-cold-callsite-threshold=3000", "-inline-cold-callsite-threshold=500"),
-)
 #: What a compiled module leaves in the kernel cache.
 BINARIES = (".o", ".ptx", ".cubin")
 
@@ -65,14 +60,10 @@ def begin(kernels: Iterable[wp.Kernel], device: wp.Device) -> int:
         return started  # the interpreter takes no more threads
     for module in dict.fromkeys(kernel.module for kernel in kernels):
         key = (module, device.alias)
-        if key in _loaded or key in _jobs:
-            continue
-        if device.is_cpu and module.options["cpu_compiler_flags"] != _flags():
-            wp.set_module_options({"cpu_compiler_flags": _flags()}, module)
-        if _cached(module, device):
+        if key in _loaded or key in _jobs or _cached(module, device):
             continue
         if device.is_cpu:
-            headers.begin(_flags())
+            headers.begin()
         with _lock:
             if key not in _loaded and key not in _jobs:
                 _jobs[key] = _threads().submit(_compile, module, device)
@@ -112,15 +103,6 @@ def start_warp() -> None:
     """Initialise Warp without its greeting; a program that calls ``wp.init()`` itself gets to see it."""
     with quiet():
         wp.init()
-
-
-def _flags() -> str | None:
-    """Return the flags of the compiler for the CPU: the program's, with other thresholds if they are Warp's own."""
-    flags = wp.config.cpu_compiler_flags
-    if flags is not None:
-        for theirs, ours in INLINED:
-            flags = flags.replace(theirs, ours)
-    return flags
 
 
 def _await(job: Future) -> None:

@@ -23,14 +23,11 @@ _lock = threading.Lock()
 _parsing: threading.Thread | None = None
 
 
-def begin(flags: str | None) -> None:
+def begin() -> None:
     """Let all threads share the parsed headers of the kernel cache, and begin to parse them if it has none.
 
     Warp 1.19 has no public way to say where they are; a Warp that does not ask for the folder by this name keeps to
     its own ways, one folder a thread.
-
-    Args:
-        flags: those of the compiler; parsed headers serve no others.
     """
     global _parsing
     runtime: Any = wp._src.context.runtime
@@ -40,7 +37,6 @@ def begin(flags: str | None) -> None:
         if _parsing is not None:
             return
         _parsing = threading.Thread(target=_parse, name="warp_psdr-headers")
-        wp.set_module_options({"cpu_compiler_flags": flags}, include_headers.module)
         runtime.get_clang_pch_dir = _shared_folder
         _parsing.start()
 

@@ -87,15 +87,6 @@ def test_headers_are_parsed_once_for_all_threads_and_processes(cold_and_warm, ca
     assert [p.stat().st_mtime_ns for p in cache.rglob("*.pch")] == [before]
 
 
-def test_the_program_s_flags_are_kept(monkeypatch) -> None:
-    theirs = wp.config.cpu_compiler_flags
-    assert theirs and all(theirs.count(before) == 1 for before, _after in compiler.INLINED)
-    assert compiler._flags() not in (None, theirs)
-    for flags in (None, "", "-march=native -fno-vectorize"):
-        monkeypatch.setattr(wp.config, "cpu_compiler_flags", flags)
-        assert compiler._flags() == flags
-
-
 class Recorder:
     """A logger of the program's own."""
 

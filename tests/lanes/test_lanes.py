@@ -29,7 +29,10 @@ KERNELS = (
 )
 #: Loops over lanes in a kernel: camera rays, random numbers, surfaces, places, lights, estimates, directions, sums and
 #: what is found out on the way; what is kept, and the sweep over it. Of eight lanes short loops are unrolled instead.
-LOOPS = {"primal": {8: 10, 16: 12}, "replay": {8: 15, 16: 18}, "gold": {8: 10, 16: 12}, "coat": {8: 9, 16: 11}}
+LOOPS = {
+    **{"primal": {8: 10, 16: 12}, "replay": {8: 15, 16: 18}},
+    **{"gold": {8: 10, 16: 12}, "coat": {8: 9, 16: 11}, "principled": {8: 11, 16: 15}},
+}
 #: What float32 sums in another order differ by, relative to the largest entry of a gradient.
 SUMMED = 1.0e-5
 

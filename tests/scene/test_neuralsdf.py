@@ -141,7 +141,7 @@ def test_what_moves_beside_it(name: str) -> None:
 
 
 @pytest.mark.parametrize("form", [boundary.SignedDistance(), boundary.NeuralSignedDistance()])
-def test_rays_that_move_refuse_it(form: boundary.Method) -> None:
+def test_rays_that_move_refuse_what_may_reach_its_box(form: boundary.Method) -> None:
     held = psdr.load_dict(described())
-    with pytest.raises(ValueError, match="a 'neuralsdf' has no signed distance here"):
+    with pytest.raises(ValueError, match="the surface of 'body' may reach the border of its box: say more 'cells'"):
         psdr.plan(held, integrator=psdr.PathIntegrator(max_depth=2, boundary=form), names=["body.layer1.weight"])

@@ -154,6 +154,7 @@ def test_what_moves_has_no_boundary_term_with_smooth_normals(name: str) -> None:
         psdr.plan(held, integrator=textbook, names=[name])
 
 
+@pytest.mark.filterwarnings("ignore:'sensor' names no medium")
 def test_other_ways_are_refused() -> None:
     held = psdr.load_dict(described())
     with pytest.raises(ValueError, match=r"paths from the lights do not meet it; use interior.Replay\(\)"):

@@ -57,6 +57,7 @@ def crossing_kernel(config: PathConfig):
         block.w1 = wp.normalize(aside - wp.dot(aside, toward[i]) * toward[i])
         block.ell = 1.0
         block.depth = 2
+        block.step = scene.ray_epsilon
         block.first = 1
         a = RayDifferential()
         a.d = block.w1
