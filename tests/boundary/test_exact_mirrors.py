@@ -81,7 +81,7 @@ CASES = [
     # Lamps that are seen in it, or through it: nothing but edges.
     Case("exact mirror, behind", "mirror.to_world", X, 0.002, "x", spp=6144, difference_spp=24576),
     Case("exact mirror, behind", "lamp.vertex_positions", ALONG, 0.01, "lamp moves", spp=6144, difference_spp=24576),
-    Case("exact glass, behind", "glass.to_world", X, 0.002, "x", 4, 2048, 8192),
+    Case("exact glass, behind", "glass.to_world", X, 0.002, "x", 4, 4096, 16384),
     Case("exact glass, behind", "glass.bsdf.eta", np.ones_like, 0.005, "index", 4, 4096, 16384),
     Case("exact glass, behind", "lamp.vertex_positions", ALONG, 0.01, "lamp moves", 4, 2048, 8192),
     # A papered floor, a lamp, its shadows and other exact shapes.
