@@ -1,10 +1,13 @@
-"""Device functions and structs that are made for a scene: one line a value of its materials, by the values' names."""
+"""Device functions and structs that are made for a scene, or for a record: one line a value, by the values' names."""
 
+import functools
 import hashlib
 import linecache
 from typing import Any
 
 import warp as wp
+
+from warp_psdr.kernels.math import where3
 
 
 def make_generated(source: str, **scope: Any) -> wp.Function:
@@ -21,6 +24,21 @@ def make_generated(source: str, **scope: Any) -> wp.Function:
     exec(compile(source, file, "exec"), scope)
     name = source[len("def ") : source.index("(")]
     return wp.func(scope[name])
+
+
+@functools.cache
+def make_select(record: type) -> wp.Function:
+    """Return ``select(condition, a, b) -> record``: ``a`` if the condition holds, else ``b``, member by member.
+
+    No branch in a loop over lanes. Members are numbers and ``vec3``; tables, which are constants, are left out.
+    """
+    name = f"where_{record.key.rpartition('.')[2].lower()}"
+    lines = [f"def {name}(condition: wp.bool, a: record, b: record) -> record:", "    r = record()"]
+    for member, var in record.vars.items():
+        if var.type is not wp.uint64:
+            where = "where3" if var.type is wp.vec3 else "wp.where"
+            lines.append(f"    r.{member} = {where}(condition, a.{member}, b.{member})")
+    return make_generated("\n".join([*lines, "    return r", ""]), record=record, where3=where3)
 
 
 def make_struct(name: str, members: dict[str, Any]) -> type:

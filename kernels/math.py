@@ -15,6 +15,11 @@ LOG_SERIES, EXP_SERIES = 0.1, 0.5
 
 
 @wp.func
+def where_number(condition: wp.bool, a: wp.float32, b: wp.float32) -> wp.float32:
+    return wp.where(condition, a, b)
+
+
+@wp.func
 def where3(condition: wp.bool, a: wp.vec3, b: wp.vec3) -> wp.vec3:
     """One of two vectors, component by component: no branch in a loop over lanes (``lanes.py``)."""
     return wp.vec3(wp.where(condition, a[0], b[0]), wp.where(condition, a[1], b[1]), wp.where(condition, a[2], b[2]))

@@ -11,13 +11,13 @@ import warp as wp
 
 from warp_psdr.kernels.bsdf.composite import BoundChild, Child, Composite
 from warp_psdr.kernels.bsdf.model import Functions, Number
-from warp_psdr.kernels.bsdf.selection import where_sample
 from warp_psdr.kernels.constants import (
     LOBE_DELTA_REFLECTION,
     LOBE_DELTA_TRANSMISSION,
     LOBE_SMOOTH,
     ONE_MINUS_EPSILON,
 )
+from warp_psdr.kernels.generated import make_select
 from warp_psdr.kernels.math import clamp_unit, where3
 from warp_psdr.kernels.structs import BsdfSample, Scattered
 
@@ -63,6 +63,8 @@ def make_blend(record: type, _variant: str, children: tuple[Child, ...]) -> Func
         p = second_share(mat.weight)
         from_a = a.sends(lobe) * a.probability(mat, wi, lobe)
         return (1.0 - p) * from_a + p * (b.sends(lobe) * b.probability(mat, wi, lobe))
+
+    where_sample = make_select(BsdfSample)
 
     @wp.func
     def blend_sample(mat: record, wi: wp.vec3, u: wp.float32, v: wp.vec2) -> BsdfSample:

@@ -43,10 +43,9 @@ from warp_psdr.kernels.bsdf.record import (
 from warp_psdr.kernels.bsdf.roughconductor import ROUGH_CONDUCTOR
 from warp_psdr.kernels.bsdf.roughdielectric import ROUGH_DIELECTRIC
 from warp_psdr.kernels.bsdf.roughplastic import ROUGH_PLASTIC
-from warp_psdr.kernels.bsdf.selection import where_number, where_sample
 from warp_psdr.kernels.bsdf.thindielectric import THIN_DIELECTRIC
-from warp_psdr.kernels.generated import make_generated
-from warp_psdr.kernels.math import where3
+from warp_psdr.kernels.generated import make_generated, make_select
+from warp_psdr.kernels.math import where3, where_number
 from warp_psdr.kernels.structs import BsdfSample, Scattered
 
 #: All scattering models.
@@ -68,7 +67,7 @@ MOST_SELECTED = 3
 
 
 #: Functions of models that are selected among, and how.
-SELECTED = {"sample": where_sample, "eval": where3, "pdf": where_number}
+SELECTED = {"sample": make_select(BsdfSample), "eval": where3, "pdf": where_number}
 
 
 class BsdfFunctions(NamedTuple):

@@ -10,8 +10,7 @@ from typing import NamedTuple
 import warp as wp
 
 from warp_psdr.kernels.bsdf.model import GEOMETRY, GRADIENT, TEXTURE, Value
-from warp_psdr.kernels.generated import make_generated, make_struct
-from warp_psdr.kernels.math import where3
+from warp_psdr.kernels.generated import make_generated, make_select, make_struct
 
 #: Longest name of a struct.
 MAX_NAME = 200
@@ -109,12 +108,8 @@ def make_material_algebra(material: type) -> MaterialAlgebra:
         for name, var in members.items()
     ]
     dot = f"def dot_materials(a: material, b: material) -> wp.float32:\n    return {' + '.join(products)}\n"
-    select = "def where_material(condition: wp.bool, a: material, b: material) -> material:\n    m = material()\n"
-    for name, var in members.items():
-        where = "where3" if var.type is wp.vec3 else "wp.where"
-        select += f"    m.{name} = {where}(condition, a.{name}, b.{name})\n"
     return MaterialAlgebra(
         make_generated(add, material=material),
         make_generated(dot, material=material),
-        make_generated(select + "    return m\n", material=material, where3=where3),
+        make_select(material),
     )

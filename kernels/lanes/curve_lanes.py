@@ -9,6 +9,7 @@ Rays meet the same pieces in the same order as alone, by the same functions.
 import warp as wp
 
 from warp_psdr.kernels.bvh.wide import Ray, RayHit
+from warp_psdr.kernels.generated import make_select
 from warp_psdr.kernels.lanes.lanes import ROWS, SteppedLanes, stack_rows
 from warp_psdr.kernels.primitive.curves import (
     Curves,
@@ -85,28 +86,9 @@ class Pending:
     all: wp.int32  # not done
 
 
-@wp.func
-def where_search(condition: wp.bool, a: TubeSearch, b: TubeSearch) -> TubeSearch:
-    """``a`` if the condition holds, else ``b``, member by member."""
-    r = TubeSearch()
-    r.status = wp.where(condition, a.status, b.status)
-    r.start = wp.where(condition, a.start, b.start)
-    r.first = wp.where(condition, a.first, b.first)
-    r.low = wp.where(condition, a.low, b.low)
-    r.high = wp.where(condition, a.high, b.high)
-    r.least = wp.where(condition, a.least, b.least)
-    r.most = wp.where(condition, a.most, b.most)
-    r.v = wp.where(condition, a.v, b.v)
-    r.t = wp.where(condition, a.t, b.t)
-    r.before = wp.where(condition, a.before, b.before)
-    r.step_before = wp.where(condition, a.step_before, b.step_before)
-    r.rounds = wp.where(condition, a.rounds, b.rounds)
-    r.outside = wp.where(condition, a.outside, b.outside)
-    return r
-
-
 def make_curve_lanes(width: int, first: int) -> SteppedLanes:
     """Make the functions for ``width`` lanes; ``first`` is the first row that they may take."""
+    where_search = make_select(TubeSearch)
     rays, units, batches, walks, controls, splines, searches, entries = stack_rows(
         width, first, Ray, TubeRay, Pieces, TubeWalk, ControlPoints, Spline, TubeSearch, TubeHit
     )

@@ -11,8 +11,8 @@ import warp as wp
 
 from warp_psdr.kernels.constants import EMITTER_AREA, EMITTER_ENVMAP, ONE_MINUS_EPSILON
 from warp_psdr.kernels.emitter.envmap import draw_in_cell
+from warp_psdr.kernels.generated import make_select
 from warp_psdr.kernels.lanes.lanes import ROWS, Rows, make_fetch, make_number, stack_rows, word_of
-from warp_psdr.kernels.math import where3
 from warp_psdr.kernels.reading import emitter_at, load_float, texture_record
 from warp_psdr.kernels.scattering import NextEvent, make_estimate, make_light_draw, make_next_event
 from warp_psdr.kernels.structs import Emitter, LightSample, Scene, Triangle
@@ -37,23 +37,6 @@ class Chosen:
     face: wp.int32  # -1: it has no triangles
     row: wp.int32  # of the cell, if it is an image environment
     column: wp.int32
-
-
-@wp.func
-def where_light(condition: wp.bool, a: LightSample, b: LightSample) -> LightSample:
-    """``a`` if the condition holds, else ``b``, member by member."""
-    ls = LightSample()
-    ls.wi = where3(condition, a.wi, b.wi)
-    ls.distance = wp.where(condition, a.distance, b.distance)
-    ls.radiance = where3(condition, a.radiance, b.radiance)
-    ls.pdf = wp.where(condition, a.pdf, b.pdf)
-    ls.delta = wp.where(condition, a.delta, b.delta)
-    ls.face = wp.where(condition, a.face, b.face)
-    ls.u = wp.where(condition, a.u, b.u)
-    ls.v = wp.where(condition, a.v, b.v)
-    ls.target = where3(condition, a.target, b.target)
-    ls.probability = wp.where(condition, a.probability, b.probability)
-    return ls
 
 
 class LightLanes(NamedTuple):
@@ -91,6 +74,7 @@ def make_light_lanes(
             are computed with the estimate.
     """
     get_number, _put_number = make_number(width)
+    where_light = make_select(LightSample)
     fetch_triangle = make_fetch(Triangle, width)
     sky = EMITTER_ENVMAP in config.lights
     sky_alone = sky and config.one_light

@@ -13,8 +13,7 @@ import warp as wp
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.bsdf.dispatch import make_eval_vjp
 from warp_psdr.kernels.bsdf.model import Functions
-from warp_psdr.kernels.bsdf.selection import where_sample
-from warp_psdr.kernels.generated import make_generated
+from warp_psdr.kernels.generated import make_generated, make_select
 from warp_psdr.kernels.interaction import enter_frame, make_interaction
 from warp_psdr.kernels.lanes.lanes import ROWS, Rows, make_number, stack_rows
 from warp_psdr.kernels.math import where3
@@ -97,7 +96,7 @@ def _make_each(name: str, functions: dict[int, wp.Function], count: int, differe
 
 
 def _make_draw(k: int, f: Functions, width: int, places: Rows, drawn: Rows, number: wp.Function) -> wp.Function:
-    sample = f.sample
+    sample, where_sample = f.sample, make_select(BsdfSample)
 
     @wp.func
     def draw_of_model(standing: wp.int32, rows: ROWS):
@@ -154,7 +153,7 @@ def make_adjoints_of_each(config: PathConfig, width: int, places: Rows, weights:
     """Return ``(models, standing, rows)``, which adds adjoints of material values.
 
     Args:
-        config: as for ``make_path_step``.
+        config: as for ``make_path_step``; no model branches, nor does an adjoint (``sweeps_materials``).
         width: number of lanes.
         places: where the paths stand, interactions.
         weights: directions ``wo`` and weights ``w`` of the scattering values there; 0 where there is none.
@@ -178,17 +177,7 @@ def make_adjoints_of_each(config: PathConfig, width: int, places: Rows, weights:
                 adjoints.put(rows, j, select(at.model == k, add(found, more.material), found))
                 j += 1
 
-        @wp.func
-        def add_adjoint_on_model(standing: wp.int32, rows: ROWS):
-            _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
-            for j in range(standing):
-                at = places.get(rows, j)
-                if at.model == k:
-                    weight = weights.get(rows, j)
-                    more = vjp(at.material, at.wi, weight.wo, weight.w)
-                    adjoints.put(rows, j, add(adjoints.get(rows, j), more.material))
-
-        return add_adjoint_on_model if f.branches else add_adjoint_of_model
+        return add_adjoint_of_model
 
     smooth = {k: make(k, f) for k, f in enumerate(bsdf.each) if f.eval is not None}
     return _make_each("add_adjoints_of_models", smooth, len(bsdf.each), differentiates=True)
