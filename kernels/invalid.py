@@ -9,6 +9,8 @@ The counter belongs to one launch and one lane (``Scene.invalid``): atomic addit
 threads. Which kind of sample a launch draws is the host's to know (``warp_psdr/invalid.py``).
 """
 
+import functools
+
 import warp as wp
 
 from warp_psdr.kernels.rng import Sampler
@@ -44,3 +46,32 @@ def count_invalid(scene: Scene, sampler: Sampler):
     if wp.atomic_add(scene.invalid, 0, wp.int64(1)) == wp.int64(0):
         scene.invalid[1] = wp.int64(sampler.pixel)
         scene.invalid[2] = wp.int64(sampler.index)
+
+
+@functools.cache
+def make_derivative_of_sample(role: str) -> wp.Function:
+    """Return ``derivative_of_sample(scene, sampler, known, sums) -> vec3d``: what a sample adds to a derivative image.
+
+    ``known``: whether its radiance is finite. ``sums``: in forward mode its derivative by channels, in reverse mode the
+    number of derivatives that were dropped. A sample that is not finite, or has dropped any, is counted, and adds
+    nothing; nor does one in reverse mode.
+    """
+
+    @wp.func
+    def derivative_of_sample(scene: Scene, sampler: Sampler, known: wp.bool, sums: wp.vec3) -> wp.vec3d:
+        valid = known and finite(sums)
+        if wp.static(role == "reverse"):
+            valid = valid and vanishes(sums)
+        if not valid:
+            count_invalid(scene, sampler)
+        elif wp.static(role == "forward"):
+            return wp.vec3d(sums)
+        return wp.vec3d()
+
+    return derivative_of_sample
+
+
+@wp.func
+def on_channel(channel: wp.int32, x: wp.float32) -> wp.vec3:
+    """A colour with one channel."""
+    return wp.vec3(wp.where(channel == 0, x, 0.0), wp.where(channel == 1, x, 0.0), wp.where(channel == 2, x, 0.0))

@@ -14,7 +14,7 @@ from warp_psdr.kernels.bvh.wide import RayHit
 from warp_psdr.kernels.constants import LOBE_NULL
 from warp_psdr.kernels.interior.gradient_request import GradientRequest
 from warp_psdr.kernels.interior.media_motion import MovedCarry, MovedStep, make_moved_sweep
-from warp_psdr.kernels.invalid import count_invalid, finite, vanishes
+from warp_psdr.kernels.invalid import finite, make_derivative_of_sample, vanishes
 from warp_psdr.kernels.jobs import PixelJob, make_sample_weight, pixel_of
 from warp_psdr.kernels.medium.interface import make_interface
 from warp_psdr.kernels.medium.passage import MOST_INTERFACES
@@ -54,6 +54,7 @@ def make_media_motion_kernel(config: PathConfig, wanted: GradientRequest, role: 
     moved_sweep, finish = make_moved_sweep(config, wanted, role)
     _is_interface, behind_of = make_interface(config)
     channels = 3 if role == "forward" else 1
+    derivative_of_sample = make_derivative_of_sample(role)
     sample_weight = make_sample_weight(role)
     blocks = -(-(longest + MOST_INTERFACES + 1) // block)
 
@@ -142,14 +143,7 @@ def make_media_motion_kernel(config: PathConfig, wanted: GradientRequest, role: 
                         state = states[b]
             for channel in range(wp.static(channels)):
                 of_sample[channel] = of_sample[channel] + finish(scene, target, camera, sample, carries[channel])
-            # In reverse mode it is the number of derivatives dropped.
-            valid = finite(radiance) and finite(of_sample)
-            if wp.static(role == "reverse"):
-                valid = valid and vanishes(of_sample)
-            if not valid:
-                count_invalid(scene, sampler)
-            elif wp.static(role == "forward"):
-                derivative += wp.vec3d(of_sample)
+            derivative += derivative_of_sample(scene, sampler, finite(radiance), of_sample)
         if wp.static(role == "forward"):
             image_out[pixel.py, pixel.px] = image_out[pixel.py, pixel.px] + wp.vec3(derivative)
 

@@ -13,7 +13,7 @@ import warp as wp
 from warp_psdr.kernels.interior.differential_ratio_tracking import Stretch, make_ratio_branch
 from warp_psdr.kernels.interior.gradient_request import GradientRequest
 from warp_psdr.kernels.interior.media_sweep import explores_density, make_media_sweep
-from warp_psdr.kernels.invalid import count_invalid, finite, vanishes
+from warp_psdr.kernels.invalid import finite, make_derivative_of_sample, on_channel, vanishes
 from warp_psdr.kernels.jobs import PixelJob, make_sample_weight, pixel_of
 from warp_psdr.kernels.medium.passage import MOST_INTERFACES
 from warp_psdr.kernels.path import make_camera_start
@@ -42,6 +42,7 @@ def make_media_replay_kernel(
     media_sweep = make_media_sweep(config, wanted, role, ratio)
     consider_stretch, from_stretch = make_ratio_branch(config, wanted, role) if ratio else (None, None)
     channels = 3 if role == "forward" else 1
+    derivative_of_sample = make_derivative_of_sample(role)
     sample_weight = make_sample_weight(role)
     blocks = -(-(longest + MOST_INTERFACES + 1) // block)
 
@@ -102,23 +103,14 @@ def make_media_replay_kernel(
                                 weight[channel] = delta[channel]
                             here, dot = media_sweep(scene, target, sampler, kept, weight, behind)
                             remaining = here
-                            of_sample[0] = of_sample[0] + wp.where(channel == 0, dot, 0.0)
-                            of_sample[1] = of_sample[1] + wp.where(channel == 1, dot, 0.0)
-                            of_sample[2] = of_sample[2] + wp.where(channel == 2, dot, 0.0)
+                            of_sample += on_channel(channel, dot)
                     b -= 1
                     if b >= 0:
                         state = states[b]
             if wp.static(ratio):
                 if stretch.total > 0.0:
                     of_sample += from_stretch(scene, target, sampler, stretch, delta, job.max_depth, job.rr_depth)
-            # In reverse mode it is the number of derivatives dropped.
-            valid = finite(radiance) and finite(remaining) and finite(of_sample)
-            if wp.static(role == "reverse"):
-                valid = valid and vanishes(of_sample)
-            if not valid:
-                count_invalid(scene, sampler)
-            elif wp.static(role == "forward"):
-                derivative += wp.vec3d(of_sample)
+            derivative += derivative_of_sample(scene, sampler, finite(radiance) and finite(remaining), of_sample)
         if wp.static(role == "forward"):
             image_out[pixel.py, pixel.px] = image_out[pixel.py, pixel.px] + wp.vec3(derivative)
 

@@ -14,7 +14,7 @@ import warp as wp
 from warp_psdr.kernels.interior.gradient_request import GradientRequest
 from warp_psdr.kernels.interior.media_sweep import make_media_sweep
 from warp_psdr.kernels.interior.textbook import safe_quotient
-from warp_psdr.kernels.invalid import count_invalid, finite, vanishes
+from warp_psdr.kernels.invalid import finite, make_derivative_of_sample, on_channel, vanishes
 from warp_psdr.kernels.jobs import PixelJob, make_sample_weight, pixel_of
 from warp_psdr.kernels.path import make_camera_start
 from warp_psdr.kernels.path_media import make_media_step, media_path_from, radiance_of_step
@@ -30,6 +30,7 @@ def make_media_textbook_kernel(config: PathConfig, wanted: GradientRequest, role
     media_step = make_media_step(config, True)
     media_sweep = make_media_sweep(config, wanted, role)
     channels = 3 if role == "forward" else 1
+    derivative_of_sample = make_derivative_of_sample(role)
     sample_weight = make_sample_weight(role)
 
     @wp.kernel(module="unique", enable_backward=False)
@@ -71,17 +72,8 @@ def make_media_textbook_kernel(config: PathConfig, wanted: GradientRequest, role
                                 weight = wp.vec3(0.0, 0.0, 0.0)
                                 weight[channel] = delta[channel]
                             _here, dot = media_sweep(scene, target, sampler, vertex, weight, behind)
-                            of_sample[0] = of_sample[0] + wp.where(channel == 0, dot, 0.0)
-                            of_sample[1] = of_sample[1] + wp.where(channel == 1, dot, 0.0)
-                            of_sample[2] = of_sample[2] + wp.where(channel == 2, dot, 0.0)
-            # In reverse mode it is the number of derivatives dropped.
-            valid = finite(remaining) and finite(of_sample)
-            if wp.static(role == "reverse"):
-                valid = valid and vanishes(of_sample)
-            if not valid:
-                count_invalid(scene, sampler)
-            elif wp.static(role == "forward"):
-                derivative += wp.vec3d(of_sample)
+                            of_sample += on_channel(channel, dot)
+            derivative += derivative_of_sample(scene, sampler, finite(remaining), of_sample)
         if wp.static(role == "forward"):
             image_out[pixel.py, pixel.px] = image_out[pixel.py, pixel.px] + wp.vec3(derivative)
 

@@ -19,7 +19,7 @@ from warp_psdr.kernels.camera_rays import make_camera_paths
 from warp_psdr.kernels.interior.contact import make_contact_weights
 from warp_psdr.kernels.interior.gradient_request import GradientRequest
 from warp_psdr.kernels.interior.sweep import Carry, make_sweep
-from warp_psdr.kernels.invalid import count_invalid, finite, vanishes
+from warp_psdr.kernels.invalid import finite, make_derivative_of_sample, on_channel
 from warp_psdr.kernels.jobs import PixelJob, make_sample_weight, pixel_of
 from warp_psdr.kernels.rng import sampler_at
 from warp_psdr.kernels.sensor.camera import CameraSample, make_camera_ray, make_camera_sink
@@ -62,6 +62,7 @@ def make_path_order_kernel(config: PathConfig, wanted: GradientRequest, role: st
     geometry = wanted.geometry
     weight_before, _weight_of_light = make_contact_weights(config.ray_backend, config.ray_width, config.primitives)
     channels = 3 if role == "forward" else 1
+    derivative_of_sample = make_derivative_of_sample(role)
     sample_weight = make_sample_weight(role)
 
     @wp.func
@@ -155,17 +156,8 @@ def make_path_order_kernel(config: PathConfig, wanted: GradientRequest, role: st
                     before = current
                     current = following
                     n += 1
-                of_sample[0] = of_sample[0] + wp.where(channel == 0, total, 0.0)
-                of_sample[1] = of_sample[1] + wp.where(channel == 1, total, 0.0)
-                of_sample[2] = of_sample[2] + wp.where(channel == 2, total, 0.0)
-            # In reverse mode it is the number of derivatives dropped.
-            valid = finite(total_radiance) and finite(of_sample)
-            if wp.static(role == "reverse"):
-                valid = valid and vanishes(of_sample)
-            if not valid:
-                count_invalid(scene, sampler)
-            elif wp.static(role == "forward"):
-                derivative += wp.vec3d(of_sample)
+                of_sample += on_channel(channel, total)
+            derivative += derivative_of_sample(scene, sampler, finite(total_radiance), of_sample)
         if wp.static(role == "forward"):
             image_out[pixel.py, pixel.px] = image_out[pixel.py, pixel.px] + wp.vec3(derivative)
 

@@ -15,7 +15,7 @@ import warp as wp
 from warp_psdr.kernels.boundary.local_form import Edges
 from warp_psdr.kernels.constants import LOBE_NULL
 from warp_psdr.kernels.interior.gradient_request import GradientRequest
-from warp_psdr.kernels.invalid import count_invalid, finite, vanishes
+from warp_psdr.kernels.invalid import finite, make_derivative_of_sample, vanishes
 from warp_psdr.kernels.jobs import PixelJob, make_sample_weight, pixel_of
 from warp_psdr.kernels.medium.passage import MOST_INTERFACES
 from warp_psdr.kernels.path import make_camera_start
@@ -62,6 +62,7 @@ def make_transfer_kernel(
     in_scattering = make_in_scattering(config)
     sphere_edge = make_sphere_edge(config) if sees_edges else None
     channels = 3 if role == "forward" else 1
+    derivative_of_sample = make_derivative_of_sample(role)
     sample_weight = make_sample_weight(role)
     blocks = -(-(longest + MOST_INTERFACES + 1) // block)
 
@@ -175,14 +176,7 @@ def make_transfer_kernel(
                         state = states[b]
             for channel in range(wp.static(channels)):
                 of_sample[channel] = of_sample[channel] + finish(scene, target, camera, sample, carries[channel])
-            # In reverse mode it is the number of derivatives dropped.
-            valid = finite(radiance) and finite(of_sample)
-            if wp.static(role == "reverse"):
-                valid = valid and vanishes(of_sample)
-            if not valid:
-                count_invalid(scene, sampler)
-            elif wp.static(role == "forward"):
-                derivative += wp.vec3d(of_sample)
+            derivative += derivative_of_sample(scene, sampler, finite(radiance), of_sample)
         if wp.static(role == "forward"):
             image_out[pixel.py, pixel.px] = image_out[pixel.py, pixel.px] + wp.vec3(derivative)
 
