@@ -5,10 +5,12 @@ Derivation: ``docs/theory/interior.md#branches``.
 
 import warp as wp
 
+from warp_psdr.kernels.constants import FAR
+from warp_psdr.kernels.interaction import Interactions, leave_frame
 from warp_psdr.kernels.invalid import count_invalid, finite
 from warp_psdr.kernels.rng import Sampler, hashed, unit_float
 from warp_psdr.kernels.structs import Scene
-from warp_psdr.kernels.vertex import PathState
+from warp_psdr.kernels.vertex import PathState, path_from
 
 #: Tells the random numbers of branches from those of the path that they leave.
 SALT = wp.constant(wp.uint32(0x6A09E667))
@@ -74,3 +76,33 @@ def make_branch_point(walk_step: wp.Function, branches_on: wp.Function) -> wp.Fu
         return chosen
 
     return branch_point
+
+
+def make_onward_radiance(interaction: Interactions, path_radiance: wp.Function) -> wp.Function:
+    """Return ``onward_radiance(scene, branch, at, point, wo, pdf, max_depth, rr_depth) -> vec3``.
+
+    What a path of the image finds from the chosen vertex in the local direction ``wo``, of which the image's sampler
+    has the density ``pdf``.
+    """
+    record = interaction.record
+    offset = interaction.offset
+
+    @wp.func
+    def onward_radiance(
+        scene: Scene,
+        branch: Sampler,
+        at: record,
+        point: BranchPoint,
+        wo: wp.vec3,
+        pdf: wp.float32,
+        max_depth: wp.int32,
+        rr_depth: wp.int32,
+    ) -> wp.vec3:
+        d = leave_frame(at.frame, wo)
+        state = path_from(offset(at, d), d, FAR, point.state.depth + 1)
+        state.pdf = pdf
+        state.eta = point.state.eta
+        state.left_face = point.face + 1
+        return path_radiance(scene, branch, state, max_depth, rr_depth)
+
+    return onward_radiance

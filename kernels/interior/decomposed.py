@@ -16,16 +16,21 @@ import warp as wp
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.bsdf.decomposition import ACROSS, ALONG, BOTH
 from warp_psdr.kernels.bsdf.dispatch import make_bsdf, models_of
-from warp_psdr.kernels.constants import FAR
 from warp_psdr.kernels.generated import make_generated
-from warp_psdr.kernels.interaction import enter_frame, leave_frame, make_interaction
-from warp_psdr.kernels.interior.branch_point import DIRECTION_SLOT, NO_ROULETTE, VERTEX_SLOT, BranchPoint
+from warp_psdr.kernels.interaction import enter_frame, make_interaction
+from warp_psdr.kernels.interior.branch_point import (
+    DIRECTION_SLOT,
+    NO_ROULETTE,
+    VERTEX_SLOT,
+    BranchPoint,
+    make_onward_radiance,
+)
 from warp_psdr.kernels.interior.gradient_request import GradientRequest
 from warp_psdr.kernels.interior.mixtures import make_mixture, make_mixture_directions, mixed_values
 from warp_psdr.kernels.interior.signed_lobes import make_signed_directions, make_signed_numbers, signed_values
 from warp_psdr.kernels.rng import Sampler, hashed, make_sampler, unit_float
 from warp_psdr.kernels.structs import Scene
-from warp_psdr.kernels.vertex import PathConfig, path_from
+from warp_psdr.kernels.vertex import PathConfig
 
 #: Slot of the number that chooses an axis where both roughnesses move by themselves.
 AXIS_SLOT = VERTEX_SLOT - 2
@@ -138,6 +143,7 @@ def make_lobe_directions(
     draw, density, value_of, mass, rate = bsdf.split
     masked = bsdf.masked
     split_values, split_record = make_split_values(config.bsdfs)
+    onward_radiance = make_onward_radiance(interaction, path_radiance)
     sample_4d = make_sampler(config.sampler).sample_4d
     forward = role == "forward"
 
@@ -175,12 +181,7 @@ def make_lobe_directions(
             wo = draw(at.model, material, at.wi, axis.axis, outer, wp.vec3(r4[2], r4[3], r4[1]))
             pdf = interaction.pdf(at, wo)
             if pdf > 0.0:
-                d = leave_frame(at.frame, wo)
-                state = path_from(interaction.offset(at, d), d, FAR, point.state.depth + 1)
-                state.pdf = pdf
-                state.eta = point.state.eta
-                state.left_face = point.face + 1
-                radiance = path_radiance(scene, branch, state, max_depth, rr_depth)
+                radiance = onward_radiance(scene, branch, at, point, wo, pdf, max_depth, rr_depth)
                 # f_D d(log D) over the density |d(D cos)| / (4 wi . h mass).
                 weight = mass(at.model, material, axis.axis) / density(at.model, material, at.wi, wo)
                 value = wp.cw_mul(value_of(at.model, material, at.wi, wo), radiance)

@@ -13,14 +13,13 @@ import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.bsdf.dispatch import make_bsdf, models_of
-from warp_psdr.kernels.constants import FAR
 from warp_psdr.kernels.generated import make_generated
-from warp_psdr.kernels.interaction import leave_frame, make_interaction
-from warp_psdr.kernels.interior.branch_point import DIRECTION_SLOT, VERTEX_SLOT, BranchPoint
+from warp_psdr.kernels.interaction import make_interaction
+from warp_psdr.kernels.interior.branch_point import DIRECTION_SLOT, VERTEX_SLOT, BranchPoint, make_onward_radiance
 from warp_psdr.kernels.interior.gradient_request import GradientRequest
 from warp_psdr.kernels.rng import Sampler, hashed, make_sampler, unit_float
 from warp_psdr.kernels.structs import Scene
-from warp_psdr.kernels.vertex import PathConfig, path_from
+from warp_psdr.kernels.vertex import PathConfig
 
 #: Slot of the number that chooses a value where several move at once.
 NUMBER_SLOT = VERTEX_SLOT - 4
@@ -72,6 +71,7 @@ def make_signed_directions(
     record, material_record = interaction.record, interaction.bsdf.record
     draw, weight_of = interaction.bsdf.signed
     count_of, number_of, rate_of, member_of = make_signed_numbers(config, wanted)
+    onward_radiance = make_onward_radiance(interaction, path_radiance)
     sample_4d = make_sampler(config.sampler).sample_4d
     forward = role == "forward"
 
@@ -103,12 +103,7 @@ def make_signed_directions(
             wo = draw(at.model, at.material, at.wi, number, second, wp.vec2(r4[2], r4[3]))
             pdf = interaction.pdf(at, wo)
             if pdf > 0.0:
-                d = leave_frame(at.frame, wo)
-                state = path_from(interaction.offset(at, d), d, FAR, point.state.depth + 1)
-                state.pdf = pdf
-                state.eta = point.state.eta
-                state.left_face = point.face + 1
-                radiance = path_radiance(scene, branch, state, max_depth, rr_depth)
+                radiance = onward_radiance(scene, branch, at, point, wo, pdf, max_depth, rr_depth)
                 found += wp.cw_mul(weight_of(at.model, at.material, at.wi, wo, number, second), radiance)
         found = wp.float32(count) * wp.cw_mul(a_n, found)
         if wp.static(forward):
