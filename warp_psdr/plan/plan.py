@@ -216,6 +216,7 @@ def _boundary(
         return None, [("boundary term", "left out", "boundary=None was said, although " + "; ".join(moving))]
     term = choose(scene, config, integrator, names, moving)
     reparametrised.refuse(scene, config, integrator, term, names, sensor)
+    reparametrised.prepare(scene, term)
     lines = [("boundary term", term.label, "; ".join(moving))]
     repeated = guiding.automatic(scene, motion(scene, names), sensor, integrator.max_depth)
     learns = repeated.on and not config.pulse

@@ -104,6 +104,10 @@ def refuse(
         return
     if reason:
         raise ValueError(f"{method.label}() cannot move its rays here: {reason}; or {REMEDY}")
+
+
+def prepare(scene: Scene, method: Method) -> None:
+    """Let a network hold what steps of rays along its distance need, once nothing is refused."""
     if isinstance(method, Distances):
         shape = scene.builder.primitives[0]
         if scene.description.shapes[shape].network is not None:

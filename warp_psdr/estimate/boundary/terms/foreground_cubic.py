@@ -4,17 +4,12 @@ from __future__ import annotations
 
 from warp_psdr.estimate.boundary.terms import foreground_grid, secondary_cubic
 from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term
-from warp_psdr.kernels.primitive.dispatch import has_flow
 from warp_psdr.options.boundary import PathSpace
 
 
 def applies(r: Request) -> bool:
-    """Whether paths are long enough for light that is scattered by a grid and then by another surface.
-
-    It is a part of form S: vertices that flow along normals have none.
-    """
-    long = not 0 <= r.plan.max_depth < foreground_grid.SHORTEST
-    return secondary_cubic.applies(r) and long and not has_flow(r.config.primitives)
+    """Whether paths are long enough for light that is scattered by a grid and then by another surface."""
+    return secondary_cubic.applies(r) and foreground_grid.slides(r)
 
 
 def launch(r: Request) -> Term | None:

@@ -10,6 +10,7 @@ from warp_psdr.estimate.boundary.terms import secondary_grid
 from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term, term_of
 from warp_psdr.kernels.boundary.silhouette.grid_foreground import make_foreground_grid_kernel
 from warp_psdr.kernels.boundary.silhouette.grid_points import GridItems
+from warp_psdr.kernels.primitive.dispatch import has_flow
 from warp_psdr.options.boundary import PathSpace
 from warp_psdr.plan.motion import moving_shapes
 from warp_psdr.topology.grid_silhouettes import grid_items, grid_shapes, only
@@ -23,6 +24,11 @@ SHARE, SHADING_SHARE = 1.0 / 4.0, 1.0 / 8.0
 def applies(r: Request) -> bool:
     """Whether paths are long enough for light that is scattered by a grid and then by another surface."""
     return secondary_grid.applies(r) and not 0 <= r.plan.max_depth < SHORTEST
+
+
+def slides(r: Request) -> bool:
+    """The same of smooth surfaces, where it is a part of form S: vertices that flow along normals have none."""
+    return not 0 <= r.plan.max_depth < SHORTEST and not has_flow(r.config.primitives)
 
 
 def launch_foreground(r: Request, term: BoundaryTerm, shading: bool, cubic: bool = False) -> Term | None:

@@ -5,18 +5,13 @@ from __future__ import annotations
 from warp_psdr.estimate.boundary.terms import foreground_grid, secondary_network
 from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term
 from warp_psdr.kernels.boundary.silhouette.grid_foreground import make_foreground_grid_kernel
-from warp_psdr.kernels.primitive.dispatch import has_flow
 from warp_psdr.options.boundary import PathSpace
 from warp_psdr.topology.network_silhouettes import network_items, network_shapes
 
 
 def applies(r: Request) -> bool:
-    """Whether paths are long enough for light that is scattered by a network and then by another surface.
-
-    It is a part of form S: vertices that flow along normals have none.
-    """
-    long = not 0 <= r.plan.max_depth < foreground_grid.SHORTEST
-    return secondary_network.applies(r) and long and not has_flow(r.config.primitives)
+    """Whether paths are long enough for light that is scattered by a network and then by another surface."""
+    return secondary_network.applies(r) and foreground_grid.slides(r)
 
 
 def launch(r: Request) -> Term | None:
