@@ -21,7 +21,14 @@ from warp_psdr.kernels.bidirectional_weights import (
     make_hit_weight,
     make_light_end,
 )
-from warp_psdr.kernels.constants import LOBE_DELTA_TRANSMISSION, LOBE_NONE, LOBE_NULL, LOBE_SMOOTH
+from warp_psdr.kernels.constants import (
+    CAMERA_IRRADIANCEMETER,
+    LOBE_DELTA_TRANSMISSION,
+    LOBE_NONE,
+    LOBE_NULL,
+    LOBE_SMOOTH,
+    PI,
+)
 from warp_psdr.kernels.interaction import enter_frame, make_interaction
 from warp_psdr.kernels.invalid import count_invalid
 from warp_psdr.kernels.light_path import LightState, LightVertex, make_light_path
@@ -74,17 +81,42 @@ class CameraWalk:
     path: PathState
     near: wp.float32  # over a squared distance and a cosine
     far: wp.float32  # over a cosine
-    lens: wp.vec2
+    lens: wp.vec2  # what ``project`` chooses the ray's origin with
     cuts: Cuts  # at that vertex
 
 
-@wp.func
-def walk_from(state: PathState, sample: CameraSample) -> CameraWalk:
-    """The path behind a ray of the camera."""
-    walk = CameraWalk()
-    walk.path = state
-    walk.lens = sample.lens
-    return walk
+@functools.cache
+def make_walk_from(kind: int):
+    """Return ``walk_from(state, sample) -> CameraWalk``: the path behind a ray of a kind of camera."""
+
+    @wp.func
+    def walk_from(state: PathState, sample: CameraSample) -> CameraWalk:
+        walk = CameraWalk()
+        walk.path = state
+        walk.lens = sample.lens
+        if wp.static(kind == CAMERA_IRRADIANCEMETER):
+            walk.lens = sample.film
+        return walk
+
+    return walk_from
+
+
+@functools.cache
+def make_ray_density(kind: int):
+    """Return ``ray_density(camera, weight) -> float32``: density of the camera's rays, over the number of light paths.
+
+    ``weight``: what a unit of area across the ray, or anything in proportion to it, counts for the film. A camera draws
+    rays as it weighs them; a meter weighs them with a cosine, and draws that over pi.
+    """
+
+    @wp.func
+    def ray_density(camera: Camera, weight: wp.float32) -> wp.float32:
+        paths = wp.float32(camera.crop_width) * wp.float32(camera.crop_height)
+        if wp.static(kind == CAMERA_IRRADIANCEMETER):
+            paths *= PI
+        return weight / paths
+
+    return ray_density
 
 
 @functools.cache
@@ -101,6 +133,7 @@ def make_camera_cuts(config: PathConfig):
     emission_density = make_emission_density(config)
     project = make_projection(config.camera)[0]
     delta_turn = make_delta_turn(config)
+    ray_density = make_ray_density(config.camera)
 
     @wp.func
     def cuts_behind(scene: Scene, camera: Camera, walk: CameraWalk, at: record) -> Cuts:
@@ -109,7 +142,7 @@ def make_camera_cuts(config: PathConfig):
         if walk.path.depth == 0:
             # As many light paths as the image has pixels, of which the camera's film is a unit each.
             seen = project(scene, camera, at.x, walk.lens)
-            near = wp.float32(camera.crop_width) * wp.float32(camera.crop_height) / wp.max(seen.per_area, 1.0e-30)
+            near = 1.0 / wp.max(ray_density(camera, seen.per_area), 1.0e-30)
         return cuts_at(near, walk.far, cosine)
 
     @wp.func
@@ -248,6 +281,7 @@ def make_light_walk(config: PathConfig, differential: bool):
     bsdf = interaction.bsdf
     light_end = make_light_end(config)
     delta_turn = make_delta_turn(config)
+    ray_density = make_ray_density(config.camera)
 
     @wp.func
     def start_walk(scene: Scene, sphere: wp.vec4, sampler: Sampler) -> tuple[LightRay, LightWalk]:
@@ -270,8 +304,7 @@ def make_light_walk(config: PathConfig, differential: bool):
         here = interaction.at(scene, vertex.face, vertex.u, vertex.v, -vertex.to_camera)
         pdf = interaction.pdf(here, enter_frame(here.frame, -vertex.d))
         if pdf > 0.0:
-            paths = wp.float32(camera.crop_width) * wp.float32(camera.crop_height)
-            share = 1.0 / (1.0 + cuts_of(cuts, pdf, vertex.join * cosine) / paths)
+            share = 1.0 / (1.0 + ray_density(camera, cuts_of(cuts, pdf, vertex.join * cosine)))
             r.join = share * vertex.join
             r.value = share * vertex.value
         return r

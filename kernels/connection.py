@@ -13,7 +13,7 @@ import functools
 
 import warp as wp
 
-from warp_psdr.kernels.bidirectional_path import make_camera_walk, make_light_walk, walk_from
+from warp_psdr.kernels.bidirectional_path import make_camera_walk, make_light_walk, make_walk_from
 from warp_psdr.kernels.bidirectional_weights import LEAST_COSINE, Cuts, cuts_of
 from warp_psdr.kernels.camera_rays import make_bundled_starts, rays_together
 from warp_psdr.kernels.interaction import enter_frame, make_interaction
@@ -177,6 +177,7 @@ def make_connected_image_kernel(config: PathConfig):
     lanes = rays_together(config)
     starts = make_bundled_starts(config)
     camera_walk = make_camera_walk(config, False, lanes > 1)
+    walk_from = make_walk_from(config.camera)
     splat, _gather = make_splat()
 
     @wp.kernel(module="unique", enable_backward=False)

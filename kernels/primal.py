@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import warp as wp
 
-from warp_psdr.kernels.bidirectional_path import make_camera_walk, walk_from
+from warp_psdr.kernels.bidirectional_path import make_camera_walk, make_walk_from
 from warp_psdr.kernels.camera_rays import (
     Bundle,
     column_of,
@@ -145,6 +145,7 @@ def _make_weighted_paths(config: PathConfig, filter_kind: int | None) -> CameraP
     width = rays_together(config)
     starts = make_bundled_starts(config, filter_kind)
     camera_walk = make_camera_walk(config, False, width > 1)
+    walk_from = make_walk_from(config.camera)
 
     @wp.func
     def trace_weighted(

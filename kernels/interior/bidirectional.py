@@ -11,7 +11,7 @@ import functools
 
 import warp as wp
 
-from warp_psdr.kernels.bidirectional_path import CameraWalk, make_camera_walk, walk_from
+from warp_psdr.kernels.bidirectional_path import CameraWalk, make_camera_walk, make_walk_from
 from warp_psdr.kernels.camera_rays import make_bundled_starts, rays_together
 from warp_psdr.kernels.interior.gradient_request import GradientRequest
 from warp_psdr.kernels.interior.sweep import Carry, make_sweep
@@ -34,6 +34,7 @@ def make_bidirectional_kernel(config: PathConfig, wanted: GradientRequest, role:
     lanes = rays_together(config)
     starts = make_bundled_starts(config)
     camera_walk = make_camera_walk(config, True, lanes > 1)
+    walk_from = make_walk_from(config.camera)
     _camera_ray, camera_origin = make_camera_ray(config.camera)
     sweep, finish, _finish_vertex = make_sweep(config, wanted, role)
     sample_weight = make_sample_weight(role)

@@ -16,7 +16,7 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
-from warp_psdr.kernels.bidirectional_path import make_camera_walk, walk_from
+from warp_psdr.kernels.bidirectional_path import make_camera_walk, make_walk_from
 from warp_psdr.kernels.bidirectional_weights import Cuts
 from warp_psdr.kernels.camera_rays import make_bundled_starts, rays_together
 from warp_psdr.kernels.connection import CAMERA_STREAM, Joint, make_subpaths
@@ -55,6 +55,7 @@ def make_connected_kernel(config: PathConfig, wanted: GradientRequest, role: str
     lanes = rays_together(config)
     starts = make_bundled_starts(config)
     camera_walk = make_camera_walk(config, True, lanes > 1)
+    walk_from = make_walk_from(config.camera)
     _camera_ray, camera_origin = make_camera_ray(config.camera)
     sweep, finish, _finish_vertex = make_sweep(config, wanted, role)
     interaction = make_interaction(config)

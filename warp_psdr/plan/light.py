@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 from warp_psdr.kernels.bsdf.dispatch import has_delta_lobes, models_of
 from warp_psdr.kernels.constants import (
-    CAMERA_IRRADIANCEMETER,
     CAMERA_RADIANCEMETER,
     DELTA_LIGHTS,
     EMITTER_CONSTANT,
@@ -70,11 +69,6 @@ def passes(config: PathConfig, wanted: GradientRequest | None, method: interior.
         raise ValueError(
             f"interior.{name}() joins points to a film, or to the shape of an 'irradiancemeter'; the one ray of a "
             "'radiancemeter' meets none of them. Use interior.Replay()"
-        )
-    if config.camera == CAMERA_IRRADIANCEMETER and isinstance(method, interior.Bidirectional):
-        raise ValueError(
-            "interior.Bidirectional() weighs paths by the pixels that they may reach, and a meter has none; use "
-            "interior.LightTracing() or interior.Replay()"
         )
     joins = config.scatter and samples_lights(config)
     if isinstance(method, interior.Bidirectional):
