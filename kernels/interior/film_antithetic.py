@@ -74,6 +74,14 @@ def make_spread_offset(kind: int):
     return spread_offset
 
 
+@wp.func
+def mirrored_offset(offset: wp.vec2, number: wp.int32) -> wp.vec2:
+    """The film point of a sample, of four that are mirrored about the pixel's centre."""
+    x = wp.where(number % 2 == 1, -offset[0], offset[0])
+    y = wp.where((number // 2) % 2 == 1, -offset[1], offset[1])
+    return wp.vec2(x, y)
+
+
 @functools.cache
 def make_filter_slope(kind: int):
     """Return ``slope(camera, x) -> float32``: the derivative of ``filter_1d`` [1 / pixel^2]."""
@@ -173,8 +181,7 @@ def make_film_antithetic_kernel(
             sampler = sampler_at(pixel.number, number // wp.static(MIRRORED if mirrored else 1), job.seed)
             offset = spread_offset(camera, sample_4d(sampler, 0))
             if wp.static(mirrored):
-                offset[0] = wp.where(number % 2 == 1, -offset[0], offset[0])
-                offset[1] = wp.where((number // 2) % 2 == 1, -offset[1], offset[1])
+                offset = mirrored_offset(offset, number)
             sample = CameraSample()
             sample.film = film_position(camera, pixel.px, pixel.py, offset)
             ray = camera_ray(scene, camera, sample)

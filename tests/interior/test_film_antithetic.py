@@ -4,10 +4,26 @@ import functools
 
 import numpy as np
 import pytest
+import warp as wp
+from scipy import stats
 
 import warp_psdr as psdr
 from tests.gradients.measure import NO_ROULETTE, shared_random_numbers
 from tests.gradients.scenes import rgb
+from warp_psdr.kernels.interior.film_antithetic import (
+    MIRRORED as MIRRORED_POINTS,
+)
+from warp_psdr.kernels.interior.film_antithetic import (
+    film_form,
+    make_spread_offset,
+    mirrored_offset,
+    spread_density,
+)
+from warp_psdr.kernels.sensor.camera import CameraSample, load_mat44, make_camera_ray
+from warp_psdr.kernels.sensor.film import filter_extent
+from warp_psdr.kernels.sensor.projection import make_projection
+from warp_psdr.kernels.structs import Camera, Scene
+from warp_psdr.kernels.vertex import film_position
 
 SIZE = 16
 #: Difference of two means over their standard error that independent batches exceed once in 16,000 tries.
@@ -225,3 +241,92 @@ def test_the_plan_names_it():
     lines = {item: (decision, reason) for item, decision, reason in plan.lines}
     assert lines["interior"][0].startswith("mirrored film points") and "mirrored fours" in lines["interior"][1]
     assert lines["boundary term"][0] == "none"
+
+
+#: The back wall is the plane y = WALL, which the camera sees at an angle.
+WALL = 2.5
+
+
+@functools.cache
+def make_points(kinds):
+    camera_ray = make_camera_ray(kinds[0])[0]
+    project = make_projection(kinds[0])[0]
+    spread_offset = make_spread_offset(kinds[1])
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def points(
+        scene: Scene,
+        camera: Camera,
+        pixel: wp.vec2i,
+        u: wp.array(dtype=wp.vec4),
+        out: wp.array(dtype=wp.vec3),
+    ):
+        """Points of the wall, in fours."""
+        i = wp.tid()
+        sample = CameraSample()
+        offset = mirrored_offset(spread_offset(camera, u[i // wp.static(MIRRORED_POINTS)]), i)
+        sample.film = film_position(camera, pixel[0], pixel[1], offset)
+        ray = camera_ray(scene, camera, sample)
+        out[i] = ray.o + ((WALL - ray.o[1]) / ray.d[1]) * ray.d
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def densities(
+        scene: Scene,
+        camera: Camera,
+        pixel: wp.vec2i,
+        x: wp.array(dtype=wp.vec3),
+        out: wp.array2d(dtype=wp.float32),
+    ):
+        """Density of points per area, and the factor of ``film_form``."""
+        i = wp.tid()
+        at = project(scene, camera, x[i], wp.vec2())
+        q = wp.float32(1.0)
+        for axis in range(2):
+            away = at.pixel[axis] - wp.float32(pixel[axis]) - 0.5
+            q *= wp.where(wp.abs(away) < filter_extent(camera), spread_density(camera, away), 0.0)
+        n = wp.vec3(0.0, -1.0, 0.0)
+        cosine = wp.abs(wp.dot(n, wp.normalize(x[i] - at.origin)))
+        out[i, 0] = q * cosine * at.per_area
+        out[i, 1] = cosine * at.per_area
+        m = load_mat44(scene.values, camera.to_world)
+        fov = scene.values[camera.x_fov]
+        width = wp.float32(camera.width)
+        height = wp.float32(camera.height)
+        form = film_form(x[i], n, m, fov, 0.0, 0.0, width, height, wp.vec2(), 1.0)
+        out[i, 2] = 0.25 * width * width * wp.exp(form)
+
+    return points, densities
+
+
+@pytest.mark.parametrize("rfilter", ["tent", "gaussian"])
+def test_mirrored_points_have_their_density_on_a_surface(rfilter):
+    """Chi-square over cells of the wall: p_A = q cos(theta) / (d^2 cos^3(theta_film)) times the pixels of a unit."""
+    scene = psdr.load_dict(lit_by_ceiling(rfilter=rfilter))
+    config, camera, device = psdr.plan(scene).config, scene.camera(0), scene.device
+    points, densities = make_points((config.camera, config.filter))
+    pixel, count = wp.vec2i(12, 4), 400_000
+    u = wp.array(np.random.default_rng(5).random((count // 4, 4), dtype=np.float32), dtype=wp.vec4, device=device)
+    x = wp.zeros(count, dtype=wp.vec3, device=device)
+    wp.launch(points, dim=count, inputs=[scene.data(), camera, pixel, u], outputs=[x], device=device)
+    x = x.numpy()[:, ::2].astype(np.float64)  # x and z of the wall
+    edges = [np.linspace(column.min() - 1e-3, column.max() + 1e-3, 21) for column in x.T]
+    fine = 24
+    middles = [(a[:-1, None] + (np.arange(fine) + 0.5) / fine * np.diff(a)[:, None]).ravel() for a in edges]
+    grid = np.stack(np.meshgrid(*middles, indexing="ij"), axis=-1).reshape(-1, 2)
+    where = np.insert(grid, 1, WALL, axis=1).astype(np.float32)
+    out = wp.zeros((len(where), 3), dtype=wp.float32, device=device)
+    inputs = [scene.data(), camera, pixel, wp.array(where, dtype=wp.vec3, device=device)]
+    wp.launch(densities, dim=len(where), inputs=inputs, outputs=[out], device=device)
+    density, factor, form = out.numpy().astype(np.float64).T
+    np.testing.assert_allclose(form, factor, rtol=1e-4)
+    cells = density.reshape(20, fine, 20, fine).mean(axis=(1, 3)) * np.outer(*map(np.diff, edges))
+    np.testing.assert_allclose(cells.sum(), 1.0, atol=2e-3)  # of the sum over points of a cell
+    # The four points of a sample are not independent of each other, but each of them is of those of other samples.
+    for of_four in range(4):
+        observed = np.histogram2d(*x[of_four::4].T, bins=edges)[0].ravel()
+        expected = (cells / cells.sum()).ravel() * observed.sum()
+        rare = expected < 5.0
+        observed = np.append(observed[~rare], observed[rare].sum())
+        expected = np.append(expected[~rare], expected[rare].sum())
+        keep = expected > 0.0
+        assert stats.chisquare(observed[keep], expected[keep] * observed.sum() / expected[keep].sum()).pvalue > 1e-5
