@@ -20,6 +20,11 @@ KEYS = ("weight", "bias")
 ROUNDING = 1e-5
 
 
+def wall_and_sky(torch, wall) -> dict:
+    """Return what a scene takes of both, which are differentiated together: one kernel for all tests."""
+    return {WALL: wall, SKY: torch.tensor([1.0, 1.5, 2.0], requires_grad=True)}
+
+
 @pytest.fixture
 def scene():
     camera = {"type": "perspective", "fov": 40, "to_world": psdr.Transform.look_at([0, 0, 3], [0, 0, 0], [0, 1, 0])}
@@ -63,8 +68,8 @@ def test_gradients_are_those_of_render_backward(scene) -> None:
 def test_two_images_of_one_scene_do_not_mix(scene) -> None:
     torch = pytest.importorskip("torch")
     alone, first, second = (torch.full((3,), value, requires_grad=True) for value in (0.2, 0.2, 0.7))
-    psdr.torch.render(scene, {WALL: alone}, **OPTIONS).square().sum().backward()
-    images = [psdr.torch.render(scene, {WALL: tensor}, **OPTIONS) for tensor in (first, second)]
+    psdr.torch.render(scene, wall_and_sky(torch, alone), **OPTIONS).square().sum().backward()
+    images = [psdr.torch.render(scene, wall_and_sky(torch, tensor), **OPTIONS) for tensor in (first, second)]
     sum(image.square().sum() for image in images).backward()
     np.testing.assert_array_equal(first.grad.numpy(), alone.grad.numpy())
     assert not np.array_equal(second.grad.numpy(), first.grad.numpy())
@@ -80,7 +85,8 @@ def test_gradients_are_those_of_the_values_that_were_rendered(scene, asked) -> N
     tensor = torch.tensor(params[asked].numpy(), requires_grad=True)
     gradients = []
     for edited in (False, True):
-        image = psdr.torch.render(scene, {asked: tensor}, **OPTIONS)
+        given = wall_and_sky(torch, tensor) if asked == WALL else {asked: tensor}
+        image = psdr.torch.render(scene, given, **OPTIONS)
         if edited:
             params[VERTICES] = 0.3 * params[VERTICES].numpy() + np.float32([0.2, 0.1, 0.0])
             params.update()
@@ -163,7 +169,7 @@ def test_second_derivatives_are_refused(scene) -> None:
 def test_tensors_of_any_floating_type_may_change_in_place_afterwards(scene) -> None:
     torch = pytest.importorskip("torch")
     albedo = torch.full((3,), 0.5, dtype=torch.bfloat16, requires_grad=True)
-    image = psdr.torch.render(scene, {WALL: albedo}, **OPTIONS)
+    image = psdr.torch.render(scene, wall_and_sky(torch, albedo), **OPTIONS)
     with torch.no_grad():
         albedo.zero_()
     image.sum().backward()

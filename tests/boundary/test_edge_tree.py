@@ -133,6 +133,7 @@ def test_line_integrals_and_their_inversion_against_quadrature(device) -> None:
     assert 60 < seen < count  # some lie behind their lobe
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scales", [(1.0, 1.0), (0.3, 0.1)])
 def test_lobes_integrate_to_one(scales, device) -> None:
     n = 700

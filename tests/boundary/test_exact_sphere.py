@@ -146,7 +146,7 @@ def test_area_on_the_film(center, expected) -> None:
     params = psdr.traverse(scene)
     params.requires_grad("ball.to_world")
     psdr.render_backward(
-        scene, params, np.ones((32, 32, 3)) / 3.0, spp=256, integrator=psdr.PathIntegrator(max_depth=2)
+        scene, params, np.ones((32, 32, 3)) / 3.0, spp=256, integrator=psdr.PathIntegrator(max_depth=1)
     )
     pixel = (2.0 * np.tan(np.radians(30.0)) / 32.0) ** 2
     g = -pixel * params["ball.to_world"].grad.numpy().reshape(4, 4)

@@ -40,6 +40,7 @@ FLUX = {
 }
 
 
+@pytest.mark.slow_rows("point")
 @pytest.mark.parametrize("name", FLUX)
 def test_photons_carry_the_flux_of_a_light(name) -> None:
     """Inside of a white sphere every light path ends on it and scatters all of its flux."""
@@ -61,6 +62,7 @@ def test_photons_of_a_spot_stay_in_its_cone() -> None:
     assert len(found.points) > 100 and cosine.min() > math.cos(math.radians(35.0)) - 1e-3
 
 
+@pytest.mark.slow_rows("sun")
 @pytest.mark.parametrize("name", ["sun", "sky"])
 def test_photons_of_light_at_infinity_lie_where_it_falls(name) -> None:
     sun = {"type": "directional", "to_world": direction(0.6, -0.4, 2.0), "irradiance": {"type": "rgb", "value": 3.0}}

@@ -112,6 +112,7 @@ def test_guided_estimates_equal_others(name, parameter, tangent, depth, method) 
     assert_equal(plain, batches(name, parameter, tangent, guided(SMALL[method]), depth=depth))
 
 
+@pytest.mark.slow
 def test_it_lowers_the_variance_where_most_shapes_are_out_of_sight() -> None:
     case = ("exact, crowd", SHAPE, entry(0, 3))
     psdr.guiding.reset(load(case[0])[0])
@@ -135,6 +136,7 @@ SURFACES = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "parameter", "tangent", "depth", "term", "method"), of_methods(SURFACES))
 def test_guided_estimates_on_grids_networks_and_curves_equal_others(
     name, parameter, tangent, depth, term, method
@@ -145,6 +147,7 @@ def test_guided_estimates_on_grids_networks_and_curves_equal_others(
     assert_equal(plain, batches(name, parameter, tangent, guided(SMALL[method]), **options))
 
 
+@pytest.mark.slow
 def test_masses_follow_voxels_that_come_and_go() -> None:
     """After a step of a fifth of a voxel the structure still serves, for other voxels, and is still right."""
     name, term = "grid, lamp", "secondary_grid"

@@ -206,6 +206,7 @@ LIGHTS = {
 }
 
 
+@pytest.mark.slow_rows("area and sky", "area")
 @pytest.mark.parametrize("name", LIGHTS)
 def test_coordinates_have_inverses(name) -> None:
     scene = lit(*LIGHTS[name])

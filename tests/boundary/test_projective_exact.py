@@ -114,6 +114,7 @@ def test_numbers_of_projected_points_draw_them_again(kind: str) -> None:
     np.testing.assert_allclose(away, np.linalg.norm(away, axis=1)[:, None] * w[:, 0], atol=1e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("technique", ["light", pytest.param("wedge", marks=pytest.mark.slow)])
 def test_seeds_carry_light(technique: str) -> None:
     """At the numbers of seeds the integrand is hardly ever zero, at random ones often."""

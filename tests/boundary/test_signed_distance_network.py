@@ -75,6 +75,7 @@ def assert_means_agree(explicit: np.ndarray, moving: np.ndarray, error: float) -
     assert both[0] < error * abs(explicit[:, 0].mean())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", [METHODS[0], pytest.param(METHODS[1], marks=pytest.mark.slow)], ids=["one", "every"])
 @pytest.mark.parametrize(
     "name", ["moving rays, black network", pytest.param("moving rays, network of sines", marks=pytest.mark.slow)]

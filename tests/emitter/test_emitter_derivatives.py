@@ -94,6 +94,16 @@ def test_adjoint_of_the_point_or_direction_equals_differences(differentiated):
             assert_derivatives_close(x_adjoint[:, k], expected, np.abs(x_adjoint).max())
 
 
+@pytest.mark.slow_rows(
+    "projector-wanted1",
+    "projector-wanted2",
+    "skewed projector-wanted1",
+    "skewed projector-wanted2",
+    "textured spot-wanted1",
+    "textured spot-wanted2",
+    "skewed textured spot-wanted1",
+    "skewed textured spot-wanted2",
+)
 @pytest.mark.parametrize("wanted", [pytest.param((), marks=pytest.mark.slow), ("radiance",), ("pose",)])
 def test_only_what_is_wanted_is_scattered(differentiated, wanted):
     d = differentiated

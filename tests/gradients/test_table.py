@@ -12,7 +12,7 @@ from .scenes import SIZE, load
 #: Forward mode of the fast subset: ``test_adjoint_identity.py``.
 FAST_METHODS = ("reverse",)
 #: Scenes of the fast subset; kernels of every scene take some twenty seconds to compile.
-FAST_SCENES = ("plane", "gap", "rough", "mirror", "glass")
+FAST_SCENES = ("plane", "gap", "glass")
 #: Its rows are among the handful of ``-m smoke``.
 SMOKE_SCENE = "dome"
 

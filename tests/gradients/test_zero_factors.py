@@ -108,6 +108,9 @@ CASES = [
 TEXTBOOK_LOSES = {black_wall, black_ceiling, dull_metal, dull_mirror, dark_glass, dark_plate}
 
 
+#: What is requested beside it, so that kernels are those of ``test_table.py``.
+TOGETHER = {black_wall: "*"}
+
 #: Every case compiles kernels of its own, so the fast subset has most of them in one mode.
 FAST_FORWARD, FAST_REVERSE = (
     {black_wall, dull_mirror, black_texels},
@@ -144,13 +147,13 @@ def black(request):
 
 def slope(black, block, mode):
     """Regression of the derivative on the difference; same random numbers, so that noise cancels."""
-    _make, scene, params, name, tangent, difference = black
+    make, scene, params, name, tangent, difference = black
     options = {"integrator": measure.integrator(DEPTH, block), "spp": SPP, "seed": 3}
     if mode == "forward":
         image = psdr.render_forward(scene, params, {name: tangent}, **options).numpy().astype(np.float64)
         got = (image * difference).sum()
     else:
-        params.requires_grad_only(name)
+        params.requires_grad_only(TOGETHER.get(make, name))
         params.zero_grad()
         psdr.render_backward(scene, params, difference, **options)
         got = (params[name].grad.numpy().astype(np.float64) * tangent).sum()

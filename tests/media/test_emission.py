@@ -40,8 +40,8 @@ def filled(slab, sigma, albedo, emission, radiance):
 
 def forward(scene, params, name, depth):
     """The mean derivative over the image by a change of all numbers of a parameter."""
-    params.requires_grad_only(name)
-    tangents = {name: np.ones(params[name].shape, np.float32)}
+    params.requires_grad_only(*NAMES)  # one kernel for all of them
+    tangents = dict.fromkeys(NAMES, 0.0) | {name: np.ones(params[name].shape, np.float32)}
     found = psdr.render_forward(scene, params, tangents, integrator=psdr.PathIntegrator(max_depth=depth), spp=16)
     return found.numpy().mean()
 

@@ -86,6 +86,7 @@ initial = 0.0
 """
 
 
+@pytest.mark.slow
 def test_a_fit_starts_at_a_density_of_zero(tmp_path):
     (tmp_path / "scene.xml").write_text(SCENE)
     (tmp_path / "fit.toml").write_text(FIT)
@@ -97,6 +98,7 @@ def test_a_fit_starts_at_a_density_of_zero(tmp_path):
     assert summary and abs(found.item() - 1.5) < 0.4
 
 
+@pytest.mark.slow
 def test_accuracy_has_a_line_of_densities(scene):
     params = psdr.traverse(scene)
     params.requires_grad(VOXELS, ALBEDO)

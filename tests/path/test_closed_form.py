@@ -31,7 +31,15 @@ def expected_image(case, shape):
 
 
 @pytest.mark.slow_rows(
-    "spot_falloff", "two_sided_back", "spot_axis", "directional", "two_sided_front", "furnace_glass", "hidden_light"
+    "spot_falloff",
+    "two_sided_back",
+    "spot_axis",
+    "directional",
+    "two_sided_front",
+    "furnace_glass",
+    "hidden_light",
+    "furnace_outside",
+    "point",
 )
 @pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.smoke] * (n in SMOKE)) for n in CASES])
 def test_radiance(name):

@@ -106,6 +106,7 @@ def test_what_the_camera_sees_is_the_fine_tessellations() -> None:
     assert (seen[0]["ii"] <= 1.0).all()
 
 
+@pytest.mark.slow
 def test_traced_vertices_lie_on_it() -> None:
     held = psdr.load_dict(scene(BSDFS["textured"], exact=True, to_world=POSE))
     trace = psdr.trace_sample(held, pixel=(16, 14), sample=0)

@@ -160,6 +160,7 @@ def test_nothing_changes_nothing():
     assert_same_mean(blocks(inside, 6), blocks(direct, 6), "a shell of nothing", 1e-2)
 
 
+@pytest.mark.slow
 def test_a_scene_of_nothing_alone():
     sky = {"type": "constant", "radiance": 0.7}
     scene = load(sensor=camera([0, 0, 1], [0, 0, 0]), sheet=sheet(0.0, NOTHING), sky=sky)

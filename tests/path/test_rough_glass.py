@@ -19,6 +19,7 @@ def scene(**more) -> dict:
     }
 
 
+@pytest.mark.slow
 def test_a_glass_ball_in_a_furnace_is_nearly_invisible() -> None:
     """Radiance that goes in and out again is scaled by the index and back; a little is masked at every crossing."""
     loaded = psdr.load_dict(scene())

@@ -12,6 +12,7 @@ from tests.boundary import scenes
 ROUNDING = 1e-3
 
 
+@pytest.mark.slow
 def test_ray_that_ends_where_it_started():
     """A found case: one of these paths scatters into a neighbouring triangle at distance zero."""
     scene, params = scenes.load("floating")

@@ -102,11 +102,8 @@ def all_passes(scene, **options) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     return image, gradients
 
 
-#: Compiling takes seconds a scene; the others are left to the slow set.
-FAST = ("a single triangle",)
-
-
-@pytest.mark.parametrize("name", [n if n in FAST else pytest.param(n, marks=pytest.mark.slow) for n in SCENES])
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SCENES)
 def test_every_pass_is_finite(name: str) -> None:
     objects, seen = SCENES[name]
     image, _ = all_passes(load(objects))

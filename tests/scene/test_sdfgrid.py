@@ -17,10 +17,11 @@ TILES = {"type": "bitmap", "bitmap": np.ones((2, 2, 3))}
 
 
 def described(**properties) -> dict:
-    film = {"type": "hdrfilm", "width": 4, "height": 4}
+    film = {"type": "hdrfilm", "width": 4, "height": 4, "rfilter": {"type": "box"}}
     sensor = {"type": "perspective", "to_world": T.look_at([0.5, -3, 0.5], [0.5, 0, 0.5], [0, 0, 1]), "film": film}
     body = {"type": "sdfgrid", **({} if "filename" in properties else {"grid": BALL}), **properties}
-    return {"type": "scene", "sensor": sensor, "sky": {"type": "constant"}, "body": body}
+    path = {"type": "path", "max_depth": 1}  # what is seen before the sky; other tests compile what it scatters
+    return {"type": "scene", "integrator": path, "sensor": sensor, "sky": {"type": "constant"}, "body": body}
 
 
 def spoiled(value: float) -> np.ndarray:

@@ -40,7 +40,8 @@ def scene_of(name: str, border: bool | None, edges=(SIZE, 0.0), beyond=False, cr
         "faces": np.array([[0, 1, 2], [0, 2, 3]]),
         "emitter": {"type": "area", "radiance": {"type": "rgb", "value": [1.0, 1.0, 1.0]}},
     }
-    node = {"type": "scene", "sensor": {"type": "orthographic", "to_world": pose, "film": film}, "light": light}
+    sensor = {"type": "orthographic", "to_world": pose, "film": film}
+    node = {"type": "scene", "integrator": {"type": "path", "max_depth": 1}, "sensor": sensor, "light": light}
     scene = psdr.load_dict(node)
     return scene, psdr.traverse(scene)
 

@@ -335,6 +335,7 @@ CASES = [
         naive="a float32 cumulative sum drifts by 1e-5",
         bound=2e-5,
         measure=many_lights,
+        slow=True,
     ),
 ]
 
