@@ -2,11 +2,17 @@
 
 Cumulative values are multiples of 2^-24, like the random numbers (``kernels/rng.py``). So an entry is drawn exactly
 with the probability ``cdf[i + 1] - cdf[i]`` that the device reads (that difference has no rounding error).
+
+A *guide* shortens the search [Chen and Asau 1974, On Generating Random Variates from an Empirical Distribution]. Of its
+n buckets the b-th says which entry holds b / n: what u in [b / n, (b + 1) / n) finds lies between the entries of two
+neighbours, ends included. n is a power of two, so that n u and its integer part are exact, and nothing is found that
+the whole search does not find. A guide lies behind the array's cumulative values: n, then those of n + 1 buckets.
 """
 
 import warp as wp
 
 from warp_psdr.kernels.constants import ONE_MINUS_EPSILON
+from warp_psdr.kernels.reading import load_float
 
 #: 2^24, the number of distinct random numbers in [0, 1).
 LEVELS = 1 << 24
@@ -27,6 +33,23 @@ def find_interval(cdf: wp.array(dtype=wp.float32), first: wp.int32, count: wp.in
         low = wp.where(cdf[first + low + half] <= v, low + half, low)
         length -= half
     return low
+
+
+@wp.func
+def bucket_of(buckets: wp.int32, u: wp.float32) -> wp.int32:
+    """Bucket of a number in [0, 1)."""
+    return wp.int32(wp.float32(buckets) * u)
+
+
+@wp.func
+def find_guided(
+    cdf: wp.array(dtype=wp.float32), first: wp.int32, guide: wp.int32, buckets: wp.int32, u: wp.float32
+) -> wp.int32:
+    """``find_interval`` with the guide whose buckets start at ``guide``."""
+    v = wp.clamp(u, 0.0, ONE_MINUS_EPSILON)
+    at = guide + bucket_of(buckets, v)
+    low = wp.int32(load_float(cdf, at))
+    return low + find_interval(cdf, first + low, wp.int32(load_float(cdf, at + 1)) - low + 1, v)
 
 
 @wp.func

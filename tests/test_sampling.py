@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from warp_psdr.kernels import sampling
-from warp_psdr.kernels.distribution import LEVELS, find_interval, find_interval_64
-from warp_psdr.scene.light_sampling import cumulative
+from warp_psdr.kernels.distribution import LEVELS, find_guided, find_interval, find_interval_64
+from warp_psdr.scene.light_sampling import cumulative, with_guide
 
 SIGNIFICANCE = 1e-5
 SAMPLES = 400_000
@@ -131,6 +131,18 @@ def interval_64_kernel(
     out[i] = find_interval_64(cdf, first, count, u[i])
 
 
+@wp.kernel(enable_backward=False)
+def guided_kernel(
+    cdf: wp.array(dtype=wp.float32),
+    first: wp.int32,
+    guide: wp.int32,
+    u: wp.array(dtype=wp.float32),
+    out: wp.array(dtype=wp.int32),
+):
+    i = wp.tid()
+    out[i] = find_guided(cdf, first, guide, wp.int32(cdf[guide - 1]), u[i])
+
+
 def intervals(cdf, u, device="cpu", kernel=interval_kernel, dtype=np.float32):
     # Other distributions around it, as in the scene's arrays.
     padded = np.concatenate([[0.3, 0.7], cdf, [0.0, 0.1]]).astype(np.float32)
@@ -155,6 +167,28 @@ def test_no_entry_of_probability_zero_is_found(weights, device):
     fine = np.concatenate([u, [np.nextafter(1.0, 0.0)]])
     found = intervals(cdf, np.clip(fine, 0.0, 1.0), device, interval_64_kernel, np.float64)
     assert np.all(probability[found] > 0.0)
+
+
+@pytest.mark.parametrize("count", [1, 2, 5, 8, 100])
+def test_a_guide_leads_to_what_the_whole_search_finds(count, device):
+    rng = np.random.default_rng(count)
+    even, gaps, steep = np.ones(count), rng.random(count) * (rng.random(count) > 0.5), 10.0 ** rng.uniform(-9, 1, count)
+    cdf = cumulative(np.stack([even, gaps, steep]))
+    flat = with_guide(cdf)
+    buckets = 1 << (count.bit_length() - 1)
+    assert flat[cdf.size] == buckets and flat.size == cdf.size + 1 + 3 * (buckets + 1)
+    # Where buckets and entries begin and end, and anywhere.
+    edges = np.concatenate([np.arange(buckets + 1) / buckets, cdf.reshape(-1)]).astype(np.float32)
+    u = np.concatenate([edges, edges - np.float32(1.0 / LEVELS), rng.integers(0, LEVELS, 1000) / LEVELS])
+    u = np.clip(u, 0.0, 1.0 - 1.0 / LEVELS).astype(np.float32)
+    numbers = wp.array(u, device=device)
+    for row in range(3):
+        out = wp.zeros(len(u), dtype=wp.int32, device=device)
+        # The guides of all rows follow their values; the kernel finds the number of buckets in front of the first one.
+        moved = np.concatenate([cdf[row], [buckets], flat[cdf.size + 1 + row * (buckets + 1) :][: buckets + 1]])
+        inputs = [wp.array(moved.astype(np.float32), device=device), 0, count + 2, numbers]
+        wp.launch(guided_kernel, dim=len(u), inputs=inputs, outputs=[out], device=device)
+        np.testing.assert_array_equal(out.numpy(), intervals(cdf[row], u, device))
 
 
 def test_every_entry_is_drawn_with_exactly_the_probability_that_the_array_states():

@@ -213,6 +213,24 @@ def cell_share(scene: Scene, row: wp.int32, column: wp.int32, columns: wp.int32)
 
 
 @wp.func
+def row_buckets(scene: Scene, texture: Texture) -> wp.int32:
+    """Buckets of the guide to rows, which starts behind their number (``kernels/distribution.py``)."""
+    return wp.int32(load_float(scene.env_marginal, texture.height))
+
+
+@wp.func
+def column_buckets(scene: Scene, texture: Texture) -> wp.int32:
+    """Buckets of each guide to the columns of a row."""
+    return wp.int32(load_float(scene.env_conditional, (texture.height - 1) * (texture.width + 1)))
+
+
+@wp.func
+def column_guide(texture: Texture, buckets: wp.int32, row: wp.int32) -> wp.int32:
+    """Where the guide of a row starts."""
+    return (texture.height - 1) * (texture.width + 1) + 1 + row * (buckets + 1)
+
+
+@wp.func
 def stretch(u: wp.float32, low: wp.float32, high: wp.float32, jitter: wp.float32) -> wp.float32:
     """Position of u within [low, high), in [0, 1].
 

@@ -15,13 +15,15 @@ import warp as wp
 
 from warp_psdr.kernels.angles import arctan2, circle
 from warp_psdr.kernels.constants import FAR, INV_PI, INV_TWO_PI
-from warp_psdr.kernels.distribution import LEVELS, find_interval
+from warp_psdr.kernels.distribution import LEVELS, find_guided
 from warp_psdr.kernels.emitter.constant import EnvironmentFunctions
 from warp_psdr.kernels.emitter.env_cells import (
     cell_at,
     cell_height,
     cell_share,
     cell_solid_angle,
+    column_buckets,
+    column_guide,
     corner_density,
     corners_of,
     density_at,
@@ -31,6 +33,7 @@ from warp_psdr.kernels.emitter.env_cells import (
     load_matrix,
     locate,
     narrowing,
+    row_buckets,
     stretch,
 )
 from warp_psdr.kernels.reading import load_float, texture_record
@@ -144,8 +147,10 @@ def make_envmap(role: str | None, wanted: tuple[str, ...]) -> EnvironmentFunctio
     @wp.func
     def sample(scene: Scene, e: Emitter, x: wp.vec3, u: wp.vec2) -> LightSample:
         texture = texture_record(scene, e.texture)
-        row = find_interval(scene.env_marginal, 0, texture.height - 1, u[1])
-        column = find_interval(scene.env_conditional, row * (texture.width + 1), texture.width, u[0])
+        row = find_guided(scene.env_marginal, 0, texture.height + 1, row_buckets(scene, texture), u[1])
+        buckets = column_buckets(scene, texture)
+        guide = column_guide(texture, buckets, row)
+        column = find_guided(scene.env_conditional, row * (texture.width + 1), guide, buckets, u[0])
         return draw_in_cell(scene, e, texture, row, column, u)
 
     if role is None:

@@ -2,7 +2,7 @@
 
 A light, the triangle of an area light, and the cell of an image environment are found by binary search in cumulative
 probabilities, as by ``find_interval``, each step a loop over all lanes: an entry costs a gather. Searches that have
-ended go on without moving.
+ended go on without moving. Those of an image environment are among few entries, by its guides.
 """
 
 from typing import NamedTuple
@@ -10,6 +10,8 @@ from typing import NamedTuple
 import warp as wp
 
 from warp_psdr.kernels.constants import EMITTER_AREA, EMITTER_ENVMAP, ONE_MINUS_EPSILON
+from warp_psdr.kernels.distribution import bucket_of
+from warp_psdr.kernels.emitter.env_cells import column_buckets, column_guide, row_buckets
 from warp_psdr.kernels.emitter.envmap import draw_in_cell
 from warp_psdr.kernels.generated import make_select
 from warp_psdr.kernels.lanes.lanes import ROWS, Rows, make_fetch, make_number, stack_rows, word_of
@@ -37,6 +39,15 @@ class Chosen:
     face: wp.int32  # -1: it has no triangles
     row: wp.int32  # of the cell, if it is an image environment
     column: wp.int32
+
+
+@wp.func
+def guided(cdf: wp.array(dtype=wp.float32), bucket: wp.int32, s: Search) -> Search:
+    """Narrow a search to the entries of a bucket, see ``kernels/distribution.py``."""
+    r = s
+    r.low = wp.int32(load_float(cdf, bucket))
+    r.length = wp.int32(load_float(cdf, bucket + 1)) - r.low + 1
+    return r
 
 
 class LightLanes(NamedTuple):
@@ -165,13 +176,15 @@ def make_light_lanes(
     @wp.func
     def choose_cells(scene: Scene, rows: ROWS):
         texture = texture_record(scene, emitter_at(scene, scene.environment).texture)
+        buckets = row_buckets(scene, texture)
         j = wp.int32(0)
         while j < width:
             s = Search()
             s.u = wp.min(get_number(rows, 3, j), ONE_MINUS_EPSILON)
-            searches.put(rows, j, s)
+            searches.put(rows, j, guided(scene.env_marginal, texture.height + 1 + bucket_of(buckets, s.u), s))
             j += 1
-        search_evenly(scene.env_marginal, texture.height - 1, rows)
+        search(scene.env_marginal, rows)
+        buckets = column_buckets(scene, texture)
         j = wp.int32(0)
         while j < width:
             c = chosen.get(rows, j)
@@ -180,9 +193,10 @@ def make_light_lanes(
             s = Search()
             s.first = c.row * (texture.width + 1)
             s.u = wp.min(get_number(rows, 2, j), ONE_MINUS_EPSILON)
-            searches.put(rows, j, s)
+            guide = column_guide(texture, buckets, c.row) + bucket_of(buckets, s.u)
+            searches.put(rows, j, guided(scene.env_conditional, guide, s))
             j += 1
-        search_evenly(scene.env_conditional, texture.width, rows)
+        search(scene.env_conditional, rows)
         j = wp.int32(0)
         while j < width:
             c = chosen.get(rows, j)

@@ -11,7 +11,7 @@ import warp_psdr as psdr
 from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.emitter.dispatch import make_lights
 from warp_psdr.kernels.structs import Emitter, Scene, Texture
-from warp_psdr.scene.light_sampling import build_env_distribution
+from warp_psdr.scene.light_sampling import build_env_distribution, with_guide
 
 ALL_KINDS = (
     c.EMITTER_CONSTANT,
@@ -96,9 +96,9 @@ class Light:
         scene.environment = 0
         marginal = conditional = np.zeros(1, np.float32)
         if radiance.ndim == 3:
-            marginal, conditional = build_env_distribution(radiance)
+            marginal, conditional = map(with_guide, build_env_distribution(radiance))
         scene.env_marginal = wp.array(marginal, device=device)
-        scene.env_conditional = wp.array(conditional.ravel(), device=device)
+        scene.env_conditional = wp.array(conditional, device=device)
         self.scene = scene
 
     def at(self, values=None):

@@ -74,7 +74,7 @@ def stripes(height: int) -> np.ndarray:
 def test_a_map_has_no_negative_radiance(height: int) -> None:
     """At the borders of its cells, where positions within them are off by a rounding of the row's number."""
     light = envmap(stripes(height), rotation=np.eye(3))
-    marginal = light.scene.env_marginal.numpy()
+    marginal = light.scene.env_marginal.numpy()[:height]
     starts = np.concatenate([marginal[:-1], marginal[1:] - np.float32(2.0**-24)])
     u = np.stack([np.tile(np.float32([0.0, 0.3, 0.99999994]), len(starts)), np.repeat(starts, 3)], axis=1)
     drawn = light.sample(np.zeros((len(u), 3)), u)

@@ -48,6 +48,33 @@ def cumulative(weights: np.ndarray) -> np.ndarray:
     return out
 
 
+def guide(cdf: np.ndarray) -> np.ndarray:
+    """Return a guide to the search in each row of cumulative values (``kernels/distribution.py``).
+
+    Args:
+        cdf: as `cumulative` returns them, shape ``(..., n + 1)``.
+
+    Returns:
+        int64, shape ``(..., m + 1)``, m the greatest power of two up to n: the entries that hold 0, 1/m, 2/m, ... and
+        the last one.
+    """
+    count = cdf.shape[-1] - 1
+    buckets = 1 << (count.bit_length() - 1)
+    rows = cdf.reshape(-1, count + 1)
+    # The first b whose b / m lies behind an entry: as many entries lie before a bucket as have one up to it.
+    ends = np.ceil(rows[:, 1:].astype(np.float64) * buckets).astype(np.int64)
+    ends += (buckets + 1) * np.arange(len(rows))[:, None]
+    passed = np.bincount(ends.reshape(-1), minlength=len(rows) * (buckets + 1)).reshape(len(rows), buckets + 1)
+    found = np.minimum(np.cumsum(passed, axis=1), count - 1)
+    return found.reshape(*cdf.shape[:-1], buckets + 1)
+
+
+def with_guide(cdf: np.ndarray) -> np.ndarray:
+    """Return the flat cumulative values, and behind them the number of buckets and the guides of all rows."""
+    found = guide(cdf)
+    return np.concatenate([cdf.reshape(-1), [found.shape[-1] - 1], found.reshape(-1)]).astype(np.float32)
+
+
 def _lifted(p: np.ndarray) -> np.ndarray:
     """Raise positive probabilities to at least one level and scale the others down to keep the sum at one."""
     # A hair above one level, so that rounding in the cumulative sum cannot lose it.

@@ -12,7 +12,7 @@ from warp_psdr.kernels import structs
 from warp_psdr.scene.build import Builder
 from warp_psdr.scene.exact import exact_area
 from warp_psdr.scene.layout import struct_array
-from warp_psdr.scene.light_sampling import build_env_distribution, cumulative
+from warp_psdr.scene.light_sampling import build_env_distribution, cumulative, with_guide
 from warp_psdr.scene.spectra import LUMINANCE
 
 #: Share of the light selection that is uniform, so that a light of zero radiance is still sampled and its derivative
@@ -98,7 +98,10 @@ class Lights:
         t = self._builder.textures[e.texture]
         texels = values[t.offset : t.offset + t.height * t.width * t.channels]
         marginal, conditional = build_env_distribution(texels.reshape(t.height, t.width, t.channels))
-        self.env_marginal, self.env_conditional = self._array(marginal), self._array(conditional.reshape(-1))
+        self.env_marginal, self.env_conditional = (
+            self._array(with_guide(marginal)),
+            self._array(with_guide(conditional)),
+        )
 
     def update_selection(self, values: np.ndarray, radius: float) -> None:
         """Select lights by their power, now that radiances, areas or the size of the scene have changed.
