@@ -8,7 +8,7 @@ import warp as wp
 
 import warp_psdr as psdr
 from tests.networks import fitted, sphere
-from warp_psdr.kernels.boundary.specular.chain_outlines import make_one_sheet, make_outline
+from warp_psdr.kernels.boundary.specular.chain_outlines import Outline, begins_beside, make_one_sheet, make_outline
 from warp_psdr.kernels.boundary.specular.chain_patches import make_patch
 from warp_psdr.kernels.boundary.specular.specular_chain import Link
 from warp_psdr.kernels.constants import FAR
@@ -185,3 +185,32 @@ def test_creases_lie_between_the_voxels_of_two_hits() -> None:
     assert np.quantile(np.linalg.norm(x[good] - hit[good], axis=1), 0.98) < 1e-5
     places = 16.0 * (x[good] + 0.5)
     assert np.quantile(np.abs(places - np.round(places)).min(axis=1), 0.98) < 1e-4
+
+
+@wp.kernel(module="unique", enable_backward=False)
+def beside(
+    # In:
+    scene: Scene,
+    outline: Outline,
+    face: wp.int32,
+    t1: wp.float32,
+    # Out:
+    rim_out: wp.array(dtype=wp.bool),
+):
+    rim_out[0] = begins_beside(scene, outline, face, t1)
+    outline.rim = 1
+    outline.curvature = 0.0
+    rim_out[1] = begins_beside(scene, outline, face, t1)
+
+
+def test_rims_count_from_all_surfaces() -> None:
+    """Only silhouettes are left out next to what their shape runs through: rims and creases have no such curves."""
+    disk = SHAPES["disk"]
+    scene = psdr.load_dict({"type": "scene", "sensor": camera(), "sky": sky(), "one": disk, "other": disk})
+    outline = Outline()
+    outline.face = scene.face_count
+    outline.curvature = 1.0
+    for t1, left_out in ((1e-4, True), (1.0, False)):
+        out = wp.zeros(2, dtype=wp.bool, device="cpu")
+        wp.launch(beside, 1, [scene.data(), outline, scene.face_count + 1, t1], [out], device="cpu")
+        assert out.numpy().tolist() == [left_out, False]

@@ -6,9 +6,11 @@ from typing import TYPE_CHECKING
 
 from warp_psdr.kernels.bsdf.dispatch import has_delta_lobes
 from warp_psdr.kernels.constants import METERS
+from warp_psdr.kernels.primitive.dispatch import GRIDS
 from warp_psdr.options import interior
 from warp_psdr.options.boundary import Method, PathSpace, Projective, Reparametrised
 from warp_psdr.plan.motion import motion
+from warp_psdr.scene.bsdfs import model_of
 from warp_psdr.scene.curves import INSTEAD as TUBES
 from warp_psdr.scene.exact import EXACT, KINDS
 from warp_psdr.scene.network import INSTEAD as GRIDDED
@@ -30,6 +32,10 @@ if TYPE_CHECKING:
 
 #: Methods of the interior term that know such shapes.
 CLAIMED = (interior.Replay, interior.Textbook, interior.Radiative)
+#: Kinds of shapes that are followed through smooth mirrors and glass beside them.
+SHOWN = (*EXACT.values(), *GRIDS)
+#: Kinds of shapes that may be smooth mirrors or glass themselves.
+MIRRORS = tuple(EXACT.values())
 #: What the errors offer.
 ALONE = "say PathIntegrator(boundary=None) to get the interior term alone"
 INSTEAD = "leave out 'exact', and it is made of triangles, which do"
@@ -148,7 +154,7 @@ def _beside_resting(
 
 def _beside_motion(scene: Scene, config: PathConfig, integrator: PathIntegrator, names: list[str]) -> str:
     """Say which boundary term is missing where something moves; empty: none."""
-    reason = _of_boundary(config, integrator)
+    reason = _of_boundary(scene, config, integrator)
     if reason:
         return reason
     return _of_exact(scene, integrator, names)
@@ -172,7 +178,7 @@ def _of_exact(scene: Scene, integrator: PathIntegrator, names: list[str]) -> str
     return ""
 
 
-def _of_boundary(config: PathConfig, integrator: PathIntegrator) -> str:
+def _of_boundary(scene: Scene, config: PathConfig, integrator: PathIntegrator) -> str:
     """Say why no boundary term is estimated beside shapes without triangles; empty: one is."""
     method = integrator.boundary
     if isinstance(method, Reparametrised) and config.shining:
@@ -188,14 +194,24 @@ def _of_boundary(config: PathConfig, integrator: PathIntegrator) -> str:
     if has_delta_lobes(config.bsdfs):
         if isinstance(method, Reparametrised):
             return f"{method.label}() does not move rays behind smooth mirrors and glass; use boundary.PathSpace()"
-        if not set(config.primitives) <= set(EXACT.values()):
-            return "what moves is not followed through smooth mirrors and glass beside it; make them rough"
+        return _of_mirrors(scene)
+    return ""
+
+
+def _of_mirrors(scene: Scene) -> str:
+    """Say which shape is not followed through smooth mirrors and glass; empty: all are."""
+    shapes = [scene.description.shapes[i] for i in scene.builder.primitives]
+    for s in shapes:
+        if KINDS[s.primitive] not in SHOWN:
+            return f"what moves is not followed through smooth mirrors and glass beside {s.path!r}; make them rough"
+        if KINDS[s.primitive] not in MIRRORS and any(model_of(b).has_delta for b in s.bsdf.sides):
+            return f"what moves is not followed through smooth mirrors and glass as {s.path!r} is; make it rough"
     return ""
 
 
 def _beside_moving_kinds(scene: Scene, config: PathConfig, integrator: PathIntegrator, names: list[str]) -> str:
     """The same beside grids of distances and curves, and exact shapes among them."""
-    reason = _of_boundary(config, integrator)
+    reason = _of_boundary(scene, config, integrator)
     if reason:
         return f"{reason}, or {ALONE}"
     if isinstance(integrator.boundary, Reparametrised):

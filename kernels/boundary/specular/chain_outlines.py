@@ -292,7 +292,7 @@ def begins_beside(scene: Scene, outline: Outline, face: wp.int32, t1: wp.float32
     ``docs/theory/implicit.md#curves-of-intersection``; t1 is the way to the touched point.
     """
     tri = scene.triangles[outline.face]
-    if scene.triangles[face].shape == tri.shape:
+    if outline.rim == 1 or scene.triangles[face].shape == tri.shape:
         return False
     return 0.5 * outline.curvature * t1 * t1 < OFF * step_off_primitive(scene, tri)
 
