@@ -4,7 +4,7 @@ A light point is drawn by area over the triangles of one shape: a triangle from 
 then a uniform point on it. In material form it is (triangle, detached barycentrics): its position, its radiance texture
 and the geometric factor towards it are attached, its pdf is not. With the triangle's stored probability P and area A,
 the pdf in solid angle seen from x is P t^2 / (A |cos|). Exact shapes have one record in place of triangles, and points
-uniform in the area of their kind (``primitive/shining.py``).
+of their own (``primitive/shining.py``).
 """
 
 import functools
@@ -74,19 +74,24 @@ def make_light_uv(shining: tuple[int, ...]):
 
 
 @functools.cache
-def make_pdf_area(shining: tuple[int, ...]):
-    """Return ``pdf_area``, which takes u and v behind the face, for the exact shapes that shine as well."""
+def make_pdf_area(shining: tuple[int, ...], uniform: bool = False):
+    """Return ``pdf_area``, which takes u and v behind the face, for the exact shapes that shine as well.
+
+    ``uniform``: of points that are uniform in the area of their kinds, instead of those that ``sample_point`` draws.
+    """
     exact = make_shining(shining)
+    pdf_exact = None
+    if exact is not None:
+        pdf_exact = exact.pdf_uniform if uniform else exact.pdf
 
     @wp.func
     def pdf_of_any(
         scene: Scene, e: Emitter, face: wp.int32, u: wp.float32, v: wp.float32, d: wp.vec3, t: wp.float32
     ) -> wp.float32:
-        if wp.static(exact is not None):
+        if wp.static(pdf_exact is not None):
             tri = triangle_at(scene, face)
             if is_primitive(tri):
-                # |c| cancels: 1 / (S |c|) t^2 / |cos|.
-                return t * t / (exact.area(tri) * wp.max(wp.abs(wp.dot(exact.cross(tri, u, v), d)), 1.0e-30))
+                return pdf_exact(tri, u, v, d, t)
         return pdf_area(scene, e, face, d, t)
 
     return pdf_of_any
@@ -169,7 +174,7 @@ def make_area(radiance_kinds: tuple[int, ...], shining: tuple[int, ...] = ()) ->
         if not is_primitive(tri):
             return sample_point(scene, e, face, tri, x, u)
         result = LightSample()
-        at = exact.draw(tri, u)
+        at = exact.draw(tri, x, u)
         result.face = face
         result.u = at[0]
         result.v = at[1]
@@ -180,9 +185,8 @@ def make_area(radiance_kinds: tuple[int, ...], shining: tuple[int, ...] = ()) ->
         squared = wp.dot(r, r)
         result.distance = wp.sqrt(squared)
         result.wi = (1.0 / wp.where(squared <= 0.0, 1.0, result.distance)) * r
-        cosine = -wp.dot(cross, result.wi)
-        faces = squared > 0.0 and cosine > 0.0
-        result.pdf = wp.where(faces, squared / (exact.area(tri) * wp.where(faces, cosine, 1.0)), 0.0)
+        if squared > 0.0 and wp.dot(cross, result.wi) < 0.0:
+            result.pdf = exact.pdf(tri, result.u, result.v, result.wi, result.distance)
         result.radiance = radiance_at(scene, e, face, result.u, result.v)
         return result
 

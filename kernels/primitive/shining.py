@@ -1,12 +1,14 @@
-"""Points of exact shapes that shine, uniform in the area of the kind: what ``emitter/area.py`` asks of a kind.
+"""Points of exact shapes that shine: what ``emitter/area.py`` asks of a kind.
 
-They are in material form, (u, v) the numbers that a vertex holds: x = A q(u, v) + b. With the area S of the kind and
-c = cof(A) n(q), the density per area in the world is 1 / (S |c|).
+They are in material form, (u, v) the numbers that a vertex holds: y = A q(u, v) + b. Seen from a point x they are drawn
+from what faces it (``visible.py``). Where no such point is known they are uniform in the area of the kind: with S, its
+area, and c = cof(A) n(q), the density per area in the world is 1 / (S |c|).
 
 Derivation: ``docs/theory/implicit.md#emission``.
 """
 
 import functools
+from collections.abc import Callable
 from typing import NamedTuple
 
 import warp as wp
@@ -20,8 +22,10 @@ from warp_psdr.kernels.constants import (
     PRIMITIVE_SPHERE,
     TWO_PI,
 )
+from warp_psdr.kernels.primitive.affine import from_axes
 from warp_psdr.kernels.primitive.kinds import KINDS, join, make_kinds_point
 from warp_psdr.kernels.primitive.sphere import sphere_coordinates, sphere_point
+from warp_psdr.kernels.primitive.visible import VISIBLE, shines_outwards
 from warp_psdr.kernels.sampling import disk_to_square, sphere_to_square, square_to_disk, square_to_sphere
 from warp_psdr.kernels.structs import Triangle
 
@@ -71,19 +75,25 @@ class ShiningFunctions(NamedTuple):
     """Functions of the exact shapes of a scene that shine; ``tri`` is a record.
 
     Attributes:
-        draw: ``(tri, u: vec2) -> vec2``, the numbers of a point.
-        square: ``(tri, u, v) -> vec2``, its inverse.
+        draw: ``(tri, x, u: vec2) -> vec2``, the numbers of a point as seen from x.
+        square: ``(tri, x, u, v) -> vec2``, its inverse.
+        pdf: ``(tri, u, v, d, t) -> float``, its density in solid angle at x, the point less t d; d is a unit vector.
+        draw_uniform: ``(tri, u: vec2) -> vec2``, the numbers of a point, uniform in the area of the kind.
+        square_uniform: ``(tri, u, v) -> vec2``, its inverse.
+        pdf_uniform: as ``pdf``, of that.
         position: ``(tri, u, v) -> vec3``.
         cross: ``(tri, u, v) -> vec3``: c, on the side that shines.
-        area: ``(tri) -> float``, S.
         uv: ``(tri, u, v) -> vec2``: texture coordinates.
     """
 
     draw: wp.Function
     square: wp.Function
+    pdf: wp.Function
+    draw_uniform: wp.Function
+    square_uniform: wp.Function
+    pdf_uniform: wp.Function
     position: wp.Function
     cross: wp.Function
-    area: wp.Function
     uv: wp.Function
 
 
@@ -93,68 +103,128 @@ def make_shining(shining: tuple[int, ...]) -> ShiningFunctions | None:
     if not shining:
         return None
     position, cross = make_kinds_point(shining)
+    of_kind = {kind: _make_of_kind(kind) for kind in shining}
+
+    def joined(either: Callable, name: str) -> wp.Function:
+        return join(either, {kind: getattr(functions, name) for kind, functions in of_kind.items()})
+
     return ShiningFunctions(
-        draw=join(_either_draw, {kind: _make_draw(DRAWS[kind][0]) for kind in shining}),
-        square=join(_either_uv, {kind: _make_square(DRAWS[kind][1]) for kind in shining}),
+        draw=joined(_either_draw, "draw"),
+        square=joined(_either_square, "square"),
+        pdf=joined(_either_pdf, "pdf"),
+        draw_uniform=joined(_either_uniform, "draw_uniform"),
+        square_uniform=joined(_either_uv, "square_uniform"),
+        pdf_uniform=joined(_either_pdf, "pdf_uniform"),
         position=position,
         cross=cross,
-        area=join(_either_area, {kind: _make_area(DRAWS[kind][2]) for kind in shining}),
-        uv=join(_either_uv, {kind: _make_uv(kind) for kind in shining}),
+        uv=joined(_either_uv, "uv"),
     )
 
 
-def _make_draw(f: wp.Function) -> wp.Function:
-    @wp.func
-    def draw_of(tri: Triangle, u: wp.vec2) -> wp.vec2:
-        return f(u)
-
-    return draw_of
-
-
-def _make_square(f: wp.Function) -> wp.Function:
-    @wp.func
-    def square_of(tri: Triangle, u: wp.float32, v: wp.float32) -> wp.vec2:
-        return f(u, v)
-
-    return square_of
-
-
-def _make_area(area: float) -> wp.Function:
-    @wp.func
-    def area_of(tri: Triangle) -> wp.float32:
-        return wp.static(float(area))
-
-    return area_of
-
-
-def _make_uv(number: int) -> wp.Function:
+@functools.cache
+def _make_of_kind(number: int) -> ShiningFunctions:
+    """Return the functions of one kind."""
     kind = KINDS[number]
+    uniform, inverse, area = DRAWS[number]
+    position, cross = make_kinds_point((number,))
 
     @wp.func
-    def uv_of(tri: Triangle, u: wp.float32, v: wp.float32) -> wp.vec2:
+    def draw_uniform(tri: Triangle, u: wp.vec2) -> wp.vec2:
+        return uniform(u)
+
+    @wp.func
+    def square_uniform(tri: Triangle, u: wp.float32, v: wp.float32) -> wp.vec2:
+        return inverse(u, v)
+
+    @wp.func
+    def pdf_uniform(tri: Triangle, u: wp.float32, v: wp.float32, d: wp.vec3, t: wp.float32) -> wp.float32:
+        # |c| cancels: 1 / (S |c|) t^2 / |cos|.
+        return t * t / (wp.static(float(area)) * wp.max(wp.abs(wp.dot(cross(tri, u, v), d)), 1.0e-30))
+
+    @wp.func
+    def uv(tri: Triangle, u: wp.float32, v: wp.float32) -> wp.vec2:
         return kind.uv(kind.point(u, v))
 
-    return uv_of
+    if number not in VISIBLE:
+
+        @wp.func
+        def draw(tri: Triangle, x: wp.vec3, u: wp.vec2) -> wp.vec2:
+            return uniform(u)
+
+        @wp.func
+        def square(tri: Triangle, x: wp.vec3, u: wp.float32, v: wp.float32) -> wp.vec2:
+            return inverse(u, v)
+
+        return ShiningFunctions(
+            draw, square, pdf_uniform, draw_uniform, square_uniform, pdf_uniform, position, cross, uv
+        )
+    seen = VISIBLE[number]
+
+    @wp.func
+    def draw_seen(tri: Triangle, x: wp.vec3, u: wp.vec2) -> wp.vec2:
+        e = from_axes(tri, x - tri.normal)
+        if shines_outwards(tri) and seen.excess(e) > 0.0:
+            return seen.draw(e, u)
+        return uniform(u)
+
+    @wp.func
+    def square_seen(tri: Triangle, x: wp.vec3, u: wp.float32, v: wp.float32) -> wp.vec2:
+        e = from_axes(tri, x - tri.normal)
+        if shines_outwards(tri) and seen.excess(e) > 0.0:
+            return seen.square(e, u, v)
+        return inverse(u, v)
+
+    @wp.func
+    def pdf_seen(tri: Triangle, u: wp.float32, v: wp.float32, d: wp.vec3, t: wp.float32) -> wp.float32:
+        if shines_outwards(tri):
+            pdf = seen.pdf(tri, u, v, d, t)
+            if pdf >= 0.0:
+                return pdf
+        return pdf_uniform(tri, u, v, d, t)
+
+    return ShiningFunctions(
+        draw_seen, square_seen, pdf_seen, draw_uniform, square_uniform, pdf_uniform, position, cross, uv
+    )
 
 
 def _either_draw(word: int, f: wp.Function, rest: wp.Function) -> wp.Function:
     @wp.func
-    def draw_of_kind(tri: Triangle, u: wp.vec2) -> wp.vec2:
+    def draw_of_kind(tri: Triangle, x: wp.vec3, u: wp.vec2) -> wp.vec2:
         if tri.i1 == word:
-            return f(tri, u)
-        return rest(tri, u)
+            return f(tri, x, u)
+        return rest(tri, x, u)
 
     return draw_of_kind
 
 
-def _either_area(word: int, f: wp.Function, rest: wp.Function) -> wp.Function:
+def _either_square(word: int, f: wp.Function, rest: wp.Function) -> wp.Function:
     @wp.func
-    def area_of_kind(tri: Triangle) -> wp.float32:
+    def square_of_kind(tri: Triangle, x: wp.vec3, u: wp.float32, v: wp.float32) -> wp.vec2:
         if tri.i1 == word:
-            return f(tri)
-        return rest(tri)
+            return f(tri, x, u, v)
+        return rest(tri, x, u, v)
 
-    return area_of_kind
+    return square_of_kind
+
+
+def _either_pdf(word: int, f: wp.Function, rest: wp.Function) -> wp.Function:
+    @wp.func
+    def pdf_of_kind(tri: Triangle, u: wp.float32, v: wp.float32, d: wp.vec3, t: wp.float32) -> wp.float32:
+        if tri.i1 == word:
+            return f(tri, u, v, d, t)
+        return rest(tri, u, v, d, t)
+
+    return pdf_of_kind
+
+
+def _either_uniform(word: int, f: wp.Function, rest: wp.Function) -> wp.Function:
+    @wp.func
+    def uniform_of_kind(tri: Triangle, u: wp.vec2) -> wp.vec2:
+        if tri.i1 == word:
+            return f(tri, u)
+        return rest(tri, u)
+
+    return uniform_of_kind
 
 
 def _either_uv(word: int, f: wp.Function, rest: wp.Function) -> wp.Function:

@@ -22,6 +22,8 @@ NAMES = ("sphere", "disk", "cylinder")
 AREA = make_area((0,), SHINING)
 PDF = make_pdf_area(SHINING)
 SQUARE = make_shining(SHINING).square
+#: Share of the sphere's density that is uniform in the cone of directions; the rest is 1 / (2 sqrt(1 - s)).
+EVEN = 0.5
 POSES = {
     "sphere": T.translate([0.1, 0.0, 1.2]).rotate([0, 1, 1], 35.0).scale([0.4, 0.3, 0.35]),
     "disk": T.translate([0.1, 0.0, 1.0]).rotate([1, 0.3, 0], 155.0).scale([0.4, 0.3, 0.5]),
@@ -62,49 +64,91 @@ def draw(scene: Scene, number: wp.int32, x: wp.vec3, u: wp.array(dtype=wp.vec2),
     out[i, 3] = PDF(scene, e, face, ls.u, ls.v, ls.wi, ls.distance)
     for k in range(3):
         out[i, 4 + k] = ls.wi[k]
-    again = SQUARE(triangle_at(scene, face), ls.u, ls.v)
+    again = SQUARE(triangle_at(scene, face), x, ls.u, ls.v)
     out[i, 7] = again[0]
     out[i, 8] = again[1]
 
 
-def test_points_are_uniform_and_their_density_is_that_of_hits() -> None:
-    """Chi-square over cells of equal area of the kind; solid-angle densities against cones of directions."""
-    shapes = {n: {"type": n, "exact": True, "to_world": p, "emitter": light()} for n, p in POSES.items()}
-    scene = psdr.load_dict({"type": "scene", "sensor": {"type": "perspective"}, **shapes})
-    assert psdr.plan(scene).config.shining == tuple(sorted(SHINING))
+def sphere_coordinates(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Points of the unit sphere of octahedral coordinates."""
+    z = 1.0 - np.abs(a) - np.abs(b)
+    x = np.where(z < 0.0, np.where(a < 0.0, np.abs(b) - 1.0, 1.0 - np.abs(b)), a)
+    y = np.where(z < 0.0, np.where(b < 0.0, np.abs(a) - 1.0, 1.0 - np.abs(a)), b)
+    return np.stack([x, y, z], axis=1) / np.sqrt(x * x + y * y + z * z)[:, None]
+
+
+def uniform_numbers(name: str, a: np.ndarray, b: np.ndarray, e: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Two numbers that are uniform if points are drawn as they should be from e, in the coordinates of the kind."""
+    if name == "disk":
+        return np.arctan2(b, a) / (2.0 * np.pi) % 1.0, a * a + b * b
+    if name == "cylinder":
+        distance = np.hypot(e[0], e[1])
+        if distance < 1.0:
+            return a / (2.0 * np.pi) % 1.0, b
+        turn = (a - np.arctan2(e[1], e[0]) + np.pi) % (2.0 * np.pi) - np.pi
+        return 0.5 + 0.5 * turn / np.arccos(1.0 / distance), b
+    q, distance = sphere_coordinates(a, b), np.linalg.norm(e)
+    axis = e / distance
+    across = np.linalg.qr(np.column_stack([axis, np.eye(3)[:, :2]]))[0][:, 1:]
+    around = np.arctan2(q @ across[:, 1], q @ across[:, 0]) / (2.0 * np.pi) % 1.0
+    if distance < 1.0:
+        return 0.5 + 0.5 * q @ axis, around
+    cosine = (e - q) @ axis / np.linalg.norm(e - q, axis=1)
+    s = (1.0 - cosine) / (1.0 - np.sqrt(1.0 - 1.0 / distance**2))
+    return EVEN * s + (1.0 - EVEN) * (1.0 - np.sqrt(np.maximum(1.0 - s, 0.0))), around
+
+
+FAR_POINT, NEAR_POINT, INSIDE = (0.6, 0.2, -0.5), (0.12, 0.03, 0.76), (0.0, 0.1, 1.2)
+SEEN_FROM = [
+    *((name, FAR_POINT, "") for name in NAMES),
+    ("sphere", NEAR_POINT, ""),
+    ("sphere", INSIDE, "flipped"),
+    ("sphere", FAR_POINT, "flipped"),
+    ("cylinder", INSIDE, "flipped"),
+]
+
+
+def test_points_are_drawn_from_what_faces_the_receiver() -> None:
+    """Chi-square over cells; densities against cones of directions; the inverse; far, near, inside, flipped."""
     random, count, cells = np.random.default_rng(3), 200_000, 12
-    x = np.array([0.6, 0.2, -0.5])
-    for number, name in enumerate(NAMES):
+    for name, place, flipped in SEEN_FROM:
+        case, x = (name, place, flipped), np.array(place)
+        shape = {
+            "type": name,
+            "exact": True,
+            "to_world": POSES[name],
+            "emitter": light(),
+            "flip_normals": bool(flipped),
+        }
+        scene = psdr.load_dict({"type": "scene", "sensor": {"type": "perspective"}, "shape": shape})
+        pose = np.asarray(psdr.traverse(scene)["shape.to_world"].numpy(), np.float64).reshape(4, 4)
+        e = np.linalg.solve(pose[:3, :3], x - pose[:3, 3])
         u = wp.array(random.random((count, 2)).astype(np.float32), dtype=wp.vec2, device=scene.device)
         out = wp.zeros((count, 9), dtype=wp.float32, device=scene.device)
-        wp.launch(draw, dim=count, inputs=[scene.data(), number, wp.vec3(*x), u], outputs=[out], device=scene.device)
+        wp.launch(draw, dim=count, inputs=[scene.data(), 0, wp.vec3(*x), u], outputs=[out], device=scene.device)
         a, b, pdf, again, *w, first_of, second_of = out.numpy().astype(np.float64).T
         drawn_from = np.stack([first_of, second_of], axis=1)
-        # Float32 next to a pole of the sphere and to the middle of the disk, where one of the two is free.
-        assert (np.abs(drawn_from - u.numpy()) < 1e-5).mean() > 0.999, name
-        if name == "sphere":
-            z = 1.0 - np.abs(a) - np.abs(b)
-            px = np.where(z < 0.0, np.where(a < 0.0, np.abs(b) - 1.0, 1.0 - np.abs(b)), a)
-            py = np.where(z < 0.0, np.where(b < 0.0, np.abs(a) - 1.0, 1.0 - np.abs(a)), b)
-            first, second = np.arctan2(py, px) / (2.0 * np.pi) % 1.0, 0.5 + 0.5 * z / np.sqrt(px**2 + py**2 + z**2)
-        elif name == "disk":
-            first, second = np.arctan2(b, a) / (2.0 * np.pi) % 1.0, a * a + b * b
-        else:
-            first, second = a / (2.0 * np.pi) % 1.0, b
-        counts = np.histogram2d(first, second, bins=cells, range=[[0, 1], [0, 1]])[0]
+        # Float32 next to poles and axes, where one of the two is free.
+        assert (np.abs(drawn_from - u.numpy()) < 1e-4).mean() > 0.995, case
+        # A flipped sphere is drawn evenly from outside as well, where its inside is out of sight.
+        seen_from = 0.5 * e / np.linalg.norm(e) if flipped else e
+        first, second = uniform_numbers(name, a, b, seen_from)
+        counts = np.histogram2d(first, second, bins=cells, range=[[-1e-6, 1 + 1e-6], [0, 1 + 1e-6]])[0]
         expected = count / cells**2
         assert counts.sum() == count
-        assert ((counts - expected) ** 2 / expected).sum() < chi2.ppf(1.0 - 1e-4, cells**2 - 1), name
+        assert ((counts - expected) ** 2 / expected).sum() < chi2.ppf(1.0 - 1e-4, cells**2 - 1), case
         front = pdf > 0.0
+        if not flipped and name != "disk":
+            assert front.mean() > 0.999, case
         np.testing.assert_allclose(again[front], pdf[front], rtol=1e-4)
         # The share of samples in small cones is that of the density: E[1 / pdf] over a cone is its solid angle.
         w = np.stack(w, axis=1)
-        axis = w[front].mean(axis=0) / np.linalg.norm(w[front].mean(axis=0))
-        cosine = 0.999
+        middle = np.median(w[front], axis=0)
+        axis, cosine = middle / np.linalg.norm(middle), 0.999
         inside = front & (w @ axis > cosine)
         values = np.where(inside, 1.0 / np.where(front, pdf, 1.0), 0.0)
         error = values.std(ddof=1) / np.sqrt(count)
-        assert abs(values.mean() - 2.0 * np.pi * (1.0 - cosine)) < 4.0 * error, name
+        assert abs(values.mean() - 2.0 * np.pi * (1.0 - cosine)) < 4.0 * error, case
 
 
 @pytest.mark.parametrize("textured", [pytest.param(False, marks=pytest.mark.slow), True])

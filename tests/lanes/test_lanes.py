@@ -129,7 +129,7 @@ def coats():
 
 
 def exact_shapes():
-    """An exact ball, disk and tube on a floor, one of which shines and is hidden from the camera."""
+    """An exact ball, disk and tube on a floor, two of which shine and are hidden from the camera."""
     base = sky_and_lamps()
     lamp = {"type": "area", "radiance": scenes.rgb(2.0, 3.0, 1.0)}
     texels = np.random.default_rng(5).random((4, 6, 3)).astype(np.float32)
@@ -143,6 +143,7 @@ def exact_shapes():
             "center": [0.0, 0.0, 0.2],
             "radius": 0.2,
             "bsdf": {"type": "diffuse", "reflectance": {"type": "bitmap", "data": texels}},
+            "emitter": lamp,
         },
         "disk": {"type": "disk", "exact": True, "to_world": wheel, "emitter": lamp},
         "tube": {"type": "cylinder", "exact": True, "p0": [0.5, 0.3, 0.1], "p1": [0.3, -0.4, 0.3], "radius": 0.1},
@@ -191,7 +192,7 @@ def principled_and_leaves():
 
 
 SCENES = {
-    "exact ball, disk that shines hidden, tube": exact_shapes,
+    "exact ball and disk that shine hidden, tube": exact_shapes,
     "grid, curve and ball, no mesh": grid_and_curves,
     "principled, rough glass, blend and mirror under a leaf": principled_and_leaves,
     "smooth coat, rough coat under a map of normals": coats,
@@ -225,7 +226,7 @@ def cases():
     Each of them compiles four kernels, so they share out what is asked for.
     """
     quick = {
-        ("exact ball, disk that shines hidden, tube", "values", 3),
+        ("exact ball and disk that shine hidden, tube", "values", 3),
         ("principled, rough glass, blend and mirror under a leaf", "values", 3),
         ("smooth coat, rough coat under a map of normals", "values", 3),
         ("image sky, lamp, metal, glass, mirror and coat", "values", 3),

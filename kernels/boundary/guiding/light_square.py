@@ -99,7 +99,7 @@ def make_light_square(config: PathConfig):
                 tri = scene.triangles[r.face]
                 if wp.static(exact is not None):
                     if is_primitive(tri):
-                        q = exact.draw(tri, wp.vec2(wp.float32(rest), wp.float32(u2)))
+                        q = exact.draw(tri, point.x, wp.vec2(wp.float32(rest), wp.float32(u2)))
                         r.u = q[0]
                         r.v = q[1]
                         r.w = exact.position(tri, r.u, r.v) - point.x
@@ -150,7 +150,7 @@ def make_light_square(config: PathConfig):
                 if wp.static(exact is not None):
                     if is_primitive(tri):
                         if index >= 0 and wp.dot(exact.cross(tri, u, v), w) < 0.0:
-                            q = exact.square(tri, u, v)
+                            q = exact.square(tri, point.x, u, v)
                             first = outside_of(scene.face_cdf, scene.emitters[index].cdf_offset, wp.float64(q[0]))
                             r[0] = outside_of(scene.emitter_cdf, index, first)
                             r[1] = wp.float64(q[1])

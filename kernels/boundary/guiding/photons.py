@@ -12,18 +12,21 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.constants import EMITTER_POINT, FAR, LOBE_SMOOTH, PI
+from warp_psdr.kernels.emitter.area import area_density, make_area
 from warp_psdr.kernels.emitter.spot import load_column
 from warp_psdr.kernels.interaction import leave_frame, make_interaction
 from warp_psdr.kernels.invalid import vanishes
 from warp_psdr.kernels.math import any_tangent, to_world
 from warp_psdr.kernels.path import make_camera_start, make_path_step
 from warp_psdr.kernels.primitive.affine import is_primitive
-from warp_psdr.kernels.primitive.dispatch import make_leaving, make_position
+from warp_psdr.kernels.primitive.dispatch import make_leaving
+from warp_psdr.kernels.primitive.shining import make_shining
 from warp_psdr.kernels.reading import load_vec3
 from warp_psdr.kernels.rng import make_sampler, sampler_at
 from warp_psdr.kernels.sampling import square_to_cosine_hemisphere, square_to_disk, square_to_sphere
 from warp_psdr.kernels.scattering import make_light_sampler
 from warp_psdr.kernels.structs import Camera, Scene
+from warp_psdr.kernels.surface import point_on
 from warp_psdr.kernels.vertex import PathConfig
 from warp_psdr.kernels.visibility import visibility_of
 
@@ -44,7 +47,8 @@ class Emission:
 def make_emission(config: PathConfig):
     """Return ``emit(scene, center, radius, u4, u2) -> Emission``; the sphere holds the scene."""
     sample_light = make_light_sampler(config)
-    point_at, cross_at = make_position(config.primitives)
+    exact = make_shining(config.shining)
+    emitted = make_area(config.area, config.shining).emitted if config.area else None
     step_off = make_leaving(config.primitives)
 
     @wp.func
@@ -54,18 +58,22 @@ def make_emission(config: PathConfig):
         record = scene.emitters[index]
         if ls.face >= 0:
             tri = scene.triangles[ls.face]
-            y = point_at(tri, ls.u, ls.v)
+            y = point_on(tri, ls.u, ls.v)
             n = tri.normal
-            if is_primitive(tri):
-                n = wp.normalize(cross_at(tri, ls.u, ls.v))
-            # The same point seen from straight above at unit distance: its pdf is the density per area.
-            above, _i, _p = sample_light(scene, y + n, u4)
-            if above.pdf > 0.0:
-                s = any_tangent(n)
-                local = square_to_cosine_hemisphere(u2)
-                r.d = to_world(s, wp.cross(n, s), n, local)
-                r.o = y + step_off(scene, tri) * n
-                r.flux = (PI / (above.pdf * probability)) * above.radiance
+            radiance = ls.radiance
+            density = area_density(scene, record, ls.face)
+            if wp.static(exact is not None):
+                if is_primitive(tri):
+                    q = exact.draw_uniform(tri, wp.vec2(u4[2], u4[3]))
+                    y = exact.position(tri, q[0], q[1])
+                    n = wp.normalize(exact.cross(tri, q[0], q[1]))
+                    radiance = emitted(scene, record, ls.face, q[0], q[1], -n)
+                    density = exact.pdf_uniform(tri, q[0], q[1], -n, 1.0)
+            s = any_tangent(n)
+            local = square_to_cosine_hemisphere(u2)
+            r.d = to_world(s, wp.cross(n, s), n, local)
+            r.o = y + step_off(scene, tri) * n
+            r.flux = (PI / (density * probability)) * radiance
         elif ls.distance < 0.5 * FAR:
             position = load_column(scene.values, record.to_world, 3)
             if record.kind == EMITTER_POINT:

@@ -95,13 +95,14 @@ def wedge_square(wedge: Wedge, w: wp.vec3) -> wp.vec2:
 
 
 @functools.cache
-def make_pdf_light(config: PathConfig):
+def make_pdf_light(config: PathConfig, uniform: bool = False):
     """Return ``pdf_light(scene, face, u, v, w, t) -> float``: the solid-angle density of light sampling.
 
-    For a direction whose first hit is (face, u, v), or none (face -1), at distance t.
+    For a direction whose first hit is (face, u, v), or none (face -1), at distance t. ``uniform`` as in
+    ``make_pdf_area``.
     """
     exact = make_shining(config.shining)
-    pdf_area = make_pdf_area(config.shining)
+    pdf_area = make_pdf_area(config.shining, uniform)
     lights = make_lights(config.lights, None, ()) if config.lights else None
     environment_pdf = lights.environment_pdf if lights else None
     has_environment = environment_pdf is not None

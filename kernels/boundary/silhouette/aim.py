@@ -63,7 +63,7 @@ def make_light_point(config: PathConfig):
                 if wp.static(exact is not None):
                     tri = scene.triangles[face]
                     if is_primitive(tri):
-                        q = exact.draw(tri, u)
+                        q = exact.draw_uniform(tri, u)
                         r.eye = exact.position(tri, q[0], q[1])
                         r.cross = exact.cross(tri, q[0], q[1])
                         return r
@@ -151,7 +151,7 @@ def make_aim_square(config: PathConfig):
                     if wp.static(exact is not None):
                         tri = scene.triangles[face]
                         if is_primitive(tri):
-                            at = exact.square(tri, u, v)
+                            at = exact.square_uniform(tri, u, v)
                     k = emitter.cdf_offset + face - emitter.first_face
                     rest = outside_of(scene.face_cdf, k, wp.float64(at[0]))
                     r = wp.vec2d(outside_of(scene.emitter_cdf, index, rest), wp.float64(at[1]))

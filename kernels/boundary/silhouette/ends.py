@@ -46,7 +46,7 @@ def make_source_end(config: PathConfig):
     lights as well, ``direct`` as in ``path_space/secondary.py``.
     """
     visibility = visibility_of(config)
-    pdf_light = make_pdf_light(config)
+    pdf_light = make_pdf_light(config, uniform=True)
     point_at = make_point_at(config.primitives)
     emitted = make_area(config.area, config.shining).emitted if config.area else None
     lights = make_lights(config.lights, None, ()) if config.lights else None
