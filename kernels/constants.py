@@ -63,6 +63,7 @@ PHASE_TABLE = 3
 PHASE_BLEND = 4
 PHASE_SGGX = 5
 PHASE_BLEND_GRID = 6  # a blend whose weight is a grid
+PHASE_SGGX_GRID = 7  # microflakes whose S is a grid
 #: Numbers that stand for no medium, and on both sides of a shape for one that bounds none.
 NO_MEDIUM = -1
 NO_INTERFACE = -2

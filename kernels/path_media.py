@@ -19,7 +19,7 @@ from warp_psdr.kernels.constants import FAR, LOBE_NONE, LOBE_NULL, LOBE_SMOOTH, 
 from warp_psdr.kernels.interaction import make_interaction
 from warp_psdr.kernels.invalid import count_invalid, finite, inverse_pdf, vanishes
 from warp_psdr.kernels.math import where3
-from warp_psdr.kernels.medium.emission import emitted_along
+from warp_psdr.kernels.medium.emission import make_emission
 from warp_psdr.kernels.medium.flight import Flight, make_flight
 from warp_psdr.kernels.medium.grid_emission import make_grid_emission
 from warp_psdr.kernels.medium.null_surface import make_null_surface, null_model_of
@@ -246,6 +246,7 @@ def make_media_step(config: PathConfig, differential: bool, explores: bool = Fal
     flakes = PHASE_SGGX in config.media.phases
     flake_length = make_flake_length(config.media.phases)
     emissive = config.media.emissive
+    emitted_along = make_emission(config.media.phases)
     emitted_in_grid = make_grid_emission(config.media) if emissive and grids else None
     collide = make_collision(config, differential)
     passage = make_media_passage(config, differential)
@@ -346,9 +347,9 @@ def make_media_step(config: PathConfig, differential: bool, explores: bool = Fal
                     if shining.sigma_t_channels == GRID:
                         vertex.emitted = emitted_in_grid(scene, shining, path.o, path.d, length, sampler, state.steps)
                     else:
-                        vertex.emitted = emitted_along(scene, shining, length)
+                        vertex.emitted = emitted_along(scene, shining, path.d, length)
                 else:
-                    vertex.emitted = emitted_along(scene, shining, length)
+                    vertex.emitted = emitted_along(scene, shining, path.d, length)
             u = sample_4d(sampler, slot)
             m = scene.media.records[state.medium]
             f = Flight()

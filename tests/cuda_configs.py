@@ -105,6 +105,8 @@ GRIDS = PathConfig(
 )
 #: Grids that emit light, beside microflakes.
 GLOWING = PathConfig(**{**vars(GRIDS), "media": MediaConfig((c.PHASE_HG, c.PHASE_SGGX), True, True, True)})
+#: Microflakes of grids and of one matrix, in grids that emit light.
+FLAKY = PathConfig(**{**vars(GRIDS), "media": MediaConfig((c.PHASE_SGGX, c.PHASE_SGGX_GRID), True, True, True)})
 #: What is traced again for ``psdr.trace_sample``.
 NOTED = PathConfig(**{**vars(SIMPLE), "noted": True})
 NOTED_MATERIALS = PathConfig(**{**vars(MATERIALS), "noted": True})

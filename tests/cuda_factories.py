@@ -16,6 +16,7 @@ from tests.cuda_configs import (
     EXACT,
     EXACT_LIGHTS,
     EXACT_MIRRORS,
+    FLAKY,
     FLOW,
     GEOMETRY,
     GLOSSY,
@@ -240,6 +241,7 @@ FACTORIES = {
         ("forward", (MEDIA, media(MEDIA), "forward", 4, 4), SLOW),
         ("grids", (GRIDS, media(GRIDS), "reverse", 4, 4), SLOW),
         ("emission and microflakes", (GLOWING, media(GLOWING), "reverse", 4, 4), SLOW),
+        ("grids of microflakes", (FLAKY, media(FLAKY), "reverse", 4, 4), SLOW),
         ("ratio tracking", (GRIDS, media(GRIDS), "forward", 4, 4, True), SLOW),
     ],
     "interior.media_textbook.make_media_textbook_kernel": [

@@ -80,6 +80,7 @@ MORE: dict[str, tuple[dict, ...]] = {
     "spot": ({"texture": {"type": "bitmap", "bitmap": np.full((2, 2, 3), 0.5)}},),
     "projector": ({"fov": 40.0}, {"irradiance": {"type": "bitmap", "bitmap": np.full((2, 2, 3), 0.5)}}),
     "point": ({"position": [0.0, 0.0, 1.0]},),
+    "sggx": ({"S": {"type": "gridvolume", "data": np.ones((2, 1, 1, 6)) * [1.0, 1.0, 0.2, 0.0, 0.0, 0.1]}},),
 }
 #: Where a medium holds what belongs to it.
 NESTED = {"phase": "phase_function", "volume": "sigma_t"}
@@ -173,8 +174,7 @@ def _scene(category: str, plugin: dict) -> dict:
     elif category == "texture":
         shape["bsdf"] = {"type": "diffuse", "reflectance": plugin}
     elif category in ("medium", "phase", "volume"):
-        kind = "homogeneous" if plugin["type"] == "sggx" else "heterogeneous"
-        medium = plugin if category == "medium" else {"type": kind, NESTED[category]: plugin}
+        medium = plugin if category == "medium" else {"type": "heterogeneous", NESTED[category]: plugin}
         shape |= {"bsdf": {"type": "null"}, "interior": medium}
     elif plugin["type"] in ("area", "directionalarea"):
         shape["emitter"] = plugin

@@ -53,7 +53,7 @@ def make_ratio_branch(config: PathConfig, wanted: GradientRequest, role: str):
     assert config.media is not None
     collide = make_collision(config, True)
     media_step = make_media_step(config, True, True, False)
-    _depth, _tracked, accumulate_extinction_at = make_grid_adjoint(role, wanted.media, True)
+    _depth, _tracked, accumulate_extinction_at = make_grid_adjoint(config.media, role, wanted.media, True)
     sample_4d = make_sampler(config.sampler).sample_4d
     channels = 3 if role == "forward" else 1
 
@@ -148,7 +148,7 @@ def make_ratio_branch(config: PathConfig, wanted: GradientRequest, role: str):
             if wp.static(role == "forward"):
                 a = wp.vec3(0.0, 0.0, 0.0)
                 a[channel] = a_sigma[channel]
-            dots[channel] = accumulate_extinction_at(scene, target, m, g, p, a)
+            dots[channel] = accumulate_extinction_at(scene, target, m, g, p, o + t * d, d, a)
         return dots
 
     return consider_stretch, from_stretch

@@ -34,7 +34,8 @@ from warp_psdr.kernels.medium.passage import MOST_INTERFACES, make_media_passage
 from warp_psdr.kernels.medium.volume import GRID
 from warp_psdr.kernels.path_media import MediaVertex, collision_point
 from warp_psdr.kernels.phase.dispatch import make_phase, make_phase_sink
-from warp_psdr.kernels.phase.sggx import make_flake_length, make_flake_sinks
+from warp_psdr.kernels.phase.microflakes import has_flakes, make_flake_sinks
+from warp_psdr.kernels.phase.sggx import make_flake_length
 from warp_psdr.kernels.rng import Sampler, salted
 from warp_psdr.kernels.scattering import samples_lights
 from warp_psdr.kernels.structs import Scene
@@ -50,9 +51,9 @@ def explores_density(wanted: GradientRequest) -> bool:
 
 
 def turns_flakes(config: PathConfig, wanted: GradientRequest) -> bool:
-    """Whether the extinction of what flies along a direction is differentiated by S (``phase/sggx.py``)."""
+    """Whether the extinction of what flies along a direction is differentiated by S (``phase/microflakes.py``)."""
     assert config.media is not None
-    return PHASE in wanted.media and PHASE_SGGX in config.media.phases
+    return PHASE in wanted.media and has_flakes(config.media.phases)
 
 
 @wp.func
@@ -73,13 +74,13 @@ def make_segment_sink(config: PathConfig, wanted: GradientRequest, role: str):
     passage = make_media_passage(config, True)
     accumulate_extinction, _accumulate_flight = make_coefficient_sinks(role, wanted.media)
     accumulate_material = make_material_sink(config, wanted, role)
-    accumulate_depth, _tracked, _extinction_at = make_grid_adjoint(role, wanted.media)
+    accumulate_depth, _tracked, _extinction_at = make_grid_adjoint(config.media, role, wanted.media)
     grids = config.media.grids
     density = explores_density(wanted)
     flakes = PHASE_SGGX in config.media.phases
     turned = turns_flakes(config, wanted)
     flake_length = make_flake_length(config.media.phases)
-    _value, accumulate_area = make_flake_sinks(role)
+    _value, accumulate_area = make_flake_sinks(config.media.phases, role)
     materials = any(wanted.material) or wanted.to_uv
 
     @wp.func
@@ -96,7 +97,7 @@ def make_segment_sink(config: PathConfig, wanted: GradientRequest, role: str):
         w: wp.vec3,
     ) -> wp.float32:
         total = wp.float32(0.0)
-        if wp.static(density and grids):
+        if wp.static((density or turned) and grids):
             if medium >= 0:
                 m = scene.media.records[medium]
                 if m.sigma_t_channels == GRID:
@@ -112,7 +113,7 @@ def make_segment_sink(config: PathConfig, wanted: GradientRequest, role: str):
                 m_flakes = scene.media.records[medium]
                 if m_flakes.phase == PHASE_SGGX:
                     w_sigma = wp.dot(coefficients_of(scene, m_flakes).sigma_t, wp.cw_mul(w, transmittance))
-                    total += accumulate_area(scene, target, m_flakes, d, -optical * w_sigma)
+                    total += accumulate_area(scene, target, m_flakes, o, d, -optical * w_sigma)
         if wp.static(density):
             if medium >= 0:
                 a_sigma = wp.vec3(0.0, 0.0, 0.0)
@@ -197,10 +198,11 @@ def make_media_sweep(config: PathConfig, wanted: GradientRequest, role: str, rat
     phase = make_phase(config.media.phases)
     accumulate_phase = make_phase_sink(config.media.phases, role)
     _accumulate_extinction, accumulate_flight = make_coefficient_sinks(role, wanted.media)
-    _depth, accumulate_tracked, _extinction_at = make_grid_adjoint(role, wanted.media, ratio)
+    _depth, accumulate_tracked, _extinction_at = make_grid_adjoint(config.media, role, wanted.media, ratio)
     grids = config.media.grids
-    emissive = config.media.emissive and bool({SIGMA_T, SCALE, EMISSION} & set(wanted.media))
-    accumulate_emission = make_emission_sink(role, wanted.media)
+    turned = turns_flakes(config, wanted)
+    emissive = config.media.emissive and (turned or bool({SIGMA_T, SCALE, EMISSION} & set(wanted.media)))
+    accumulate_emission = make_emission_sink(config.media.phases, role, wanted.media)
     accumulate_grid_emission = make_grid_emission_sink(config.media, role, wanted.media) if emissive and grids else None
     accumulate_segment = make_segment_sink(config, wanted, role)
     accumulate_material = make_material_sink(config, wanted, role)
@@ -210,9 +212,8 @@ def make_media_sweep(config: PathConfig, wanted: GradientRequest, role: str, rat
     materials = any(wanted.material) or wanted.to_uv
     lights = wanted.radiance or wanted.to_uv or bool(wanted.lights)
     flakes = PHASE_SGGX in config.media.phases
-    turned = turns_flakes(config, wanted)
     flake_length = make_flake_length(config.media.phases)
-    _value, accumulate_area = make_flake_sinks(role)
+    _value, accumulate_area = make_flake_sinks(config.media.phases, role)
     segments = explores_density(wanted) or turned or (materials and has_null_lobes(config.bsdfs))
     scattered = PHASE in wanted.media
 
@@ -330,7 +331,7 @@ def make_media_sweep(config: PathConfig, wanted: GradientRequest, role: str, rat
                             ones = wp.vec3(1.0, 1.0, 1.0)
                             slope = wp.cw_mul(ones - depth, exp_minus(c.sigma_t, optical))
                             slope = wp.cw_mul(wp.cw_mul(c.albedo, c.sigma_t), slope)
-                        total += accumulate_area(scene, target, m, vertex.d, wp.dot(w_v, slope))
+                        total += accumulate_area(scene, target, m, vertex.o, vertex.d, wp.dot(w_v, slope))
             if wp.static(emissive):
                 w_emitted = wp.cw_mul(delta, v.before)
                 if wp.static(grids):
@@ -339,7 +340,7 @@ def make_media_sweep(config: PathConfig, wanted: GradientRequest, role: str, rat
                             scene, target, m, vertex.o, vertex.d, v.stretch, sampler, v.step, v.emitted, w_emitted
                         )
                 if not in_grid:
-                    total += accumulate_emission(scene, target, m, v.stretch, w_emitted)
+                    total += accumulate_emission(scene, target, m, vertex.d, v.stretch, w_emitted)
         return v.emitted + wp.cw_mul(v.weight, inner), total
 
     return media_sweep

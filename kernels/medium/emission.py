@@ -2,7 +2,7 @@
 
 A medium emits the radiance epsilon per unit length (W / (m^2 sr m)). A stretch of the length l sends
 E = epsilon w(sigma, l), w = (1 - exp(-sigma l)) / sigma, to its beginning: a closed form, without a draw, and l where
-there is no extinction. Nothing moves here.
+there is no extinction. That of microflakes is A(d) sigma_t (``phase/sggx.py``). Nothing moves here.
 
 Grids have a file of their own (``grid_emission.py``). Derivation: ``docs/theory/media.md#emission``.
 """
@@ -11,16 +11,18 @@ import functools
 
 import warp as wp
 
-from warp_psdr.kernels.constants import FAR
+from warp_psdr.kernels.constants import FAR, PHASE_SGGX
 from warp_psdr.kernels.medium.coefficients import (
     EMISSION,
+    PHASE,
     SCALE,
     SIGMA_T,
-    coefficients_of,
     load_channels,
     make_coefficient_sinks,
 )
 from warp_psdr.kernels.medium.flight import SHORT_FLIGHT, one_minus_exp
+from warp_psdr.kernels.phase.microflakes import make_flake_sinks
+from warp_psdr.kernels.phase.sggx import flake_area, flakes_of, make_extinction_along
 from warp_psdr.kernels.sink import make_sink_texel
 from warp_psdr.kernels.structs import Medium, Scene
 
@@ -59,32 +61,41 @@ def emission_of(scene: Scene, m: Medium) -> wp.vec3:
     return load_channels(scene.values, m.emission, m.emission_channels)
 
 
-@wp.func
-def emitted_along(scene: Scene, m: Medium, length: wp.float32) -> wp.vec3:
-    """E of a stretch."""
-    sigma = coefficients_of(scene, m).sigma_t
-    emission = emission_of(scene, m)
-    emitted = wp.vec3(0.0, 0.0, 0.0)
-    for k in range(3):
-        if emission[k] > 0.0:
-            emitted[k] = emission[k] * seen_length(sigma[k], length)
-    return emitted
+@functools.cache
+def make_emission(kinds: tuple[int, ...]):
+    """Return ``emitted_along(scene, m, d, length) -> vec3``: E of a stretch, for kinds of phase functions."""
+    extinction_along = make_extinction_along(kinds)
+
+    @wp.func
+    def emitted_along(scene: Scene, m: Medium, d: wp.vec3, length: wp.float32) -> wp.vec3:
+        sigma = extinction_along(scene, m, d).sigma_t
+        emission = emission_of(scene, m)
+        emitted = wp.vec3(0.0, 0.0, 0.0)
+        for k in range(3):
+            if emission[k] > 0.0:
+                emitted[k] = emission[k] * seen_length(sigma[k], length)
+        return emitted
+
+    return emitted_along
 
 
 @functools.cache
-def make_emission_sink(role: str, wanted: tuple[str, ...]):
-    """Return ``accumulate_emission(scene, target, m, length, w) -> float32``; ``w`` is the adjoint of E."""
+def make_emission_sink(kinds: tuple[int, ...], role: str, wanted: tuple[str, ...]):
+    """Return ``accumulate_emission(scene, target, m, d, length, w) -> float32``; ``w`` is the adjoint of E."""
     accumulate_extinction, _accumulate_flight = make_coefficient_sinks(role, wanted)
     sink_texel = make_sink_texel(role)
+    extinction_along = make_extinction_along(kinds)
+    _value, accumulate_area = make_flake_sinks(kinds, role)
+    flakes = PHASE_SGGX in kinds
 
     @wp.func
     def accumulate_emission(
-        scene: Scene, target: wp.array(dtype=wp.float32), m: Medium, length: wp.float32, w: wp.vec3
+        scene: Scene, target: wp.array(dtype=wp.float32), m: Medium, d: wp.vec3, length: wp.float32, w: wp.vec3
     ) -> wp.float32:
         total = wp.float32(0.0)
         if m.emission < 0:
             return total
-        sigma = coefficients_of(scene, m).sigma_t
+        sigma = extinction_along(scene, m, d).sigma_t
         emission = emission_of(scene, m)
         a_emission = wp.vec3(0.0, 0.0, 0.0)
         a_sigma = wp.vec3(0.0, 0.0, 0.0)
@@ -93,6 +104,11 @@ def make_emission_sink(role: str, wanted: tuple[str, ...]):
                 a_emission[k] = w[k] * seen_length(sigma[k], length)
                 if emission[k] > 0.0:
                     a_sigma[k] = w[k] * emission[k] * seen_length_slope(sigma[k], length)
+        if wp.static(flakes):
+            if m.phase == PHASE_SGGX:
+                if wp.static(PHASE in wanted):
+                    total += accumulate_area(scene, target, m, d, d, wp.dot(a_sigma, sigma))
+                a_sigma *= flake_area(flakes_of(scene, m.g), d)
         if wp.static(SIGMA_T in wanted or SCALE in wanted):
             total += accumulate_extinction(scene, target, m, a_sigma)
         if wp.static(EMISSION in wanted):

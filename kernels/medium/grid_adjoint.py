@@ -12,14 +12,16 @@ import functools
 
 import warp as wp
 
-from warp_psdr.kernels.medium.coefficients import ALBEDO, SCALE, SIGMA_T, albedo_at
+from warp_psdr.kernels.medium.coefficients import ALBEDO, PHASE, SCALE, SIGMA_T, albedo_at
 from warp_psdr.kernels.medium.flight import mean_of
 from warp_psdr.kernels.medium.majorant import grid_ray, mean_majorant
 from warp_psdr.kernels.medium.volume import GRID, grid_point, grid_value, grid_value_at, make_grid_sink
+from warp_psdr.kernels.phase.microflakes import has_flakes, make_flake_sinks, make_microflakes
 from warp_psdr.kernels.reading import load_float, texture_record
 from warp_psdr.kernels.rng import Sampler, independent_1d
 from warp_psdr.kernels.sink import make_sink, make_sink_texel
 from warp_psdr.kernels.structs import Medium, Scene, Texture
+from warp_psdr.kernels.vertex import MediaConfig
 
 #: Salt of the numbers that place points on stretches.
 SALT_POINTS = wp.constant(wp.uint32(0x2E6B83D5))
@@ -35,13 +37,14 @@ def power_share(a: wp.float32, b: wp.float32) -> wp.float32:
 
 
 @functools.cache
-def make_grid_adjoint(role: str, wanted: tuple[str, ...], shared: bool = False):
+def make_grid_adjoint(config: MediaConfig, role: str, wanted: tuple[str, ...], shared: bool = False):
     """Return ``(accumulate_depth, accumulate_tracked, accumulate_extinction_at)``.
 
     ``accumulate_depth(scene, target, m, o, d, length, stream, w) -> float32``: ``w`` is the adjoint of int sigma dt.
     ``accumulate_tracked(scene, target, m, o, d, t, collides, passed, stream, w) -> float32``: ``w`` is the adjoint of
     the weight of a flight (``Flight``).
-    ``accumulate_extinction_at(scene, target, m, g, p, w) -> float32``: ``w`` is the adjoint of sigma at p, in voxels.
+    ``accumulate_extinction_at(scene, target, m, g, p, x, d, w) -> float32``: ``w`` is the adjoint of sigma along d at
+    x, in voxels p. That of microflakes, A(x, d) times the grid's, depends on S.
 
     ``shared``: of in-scattering collisions have their share of the power heuristic
     (``interior/differential_ratio_tracking.py``).
@@ -49,17 +52,35 @@ def make_grid_adjoint(role: str, wanted: tuple[str, ...], shared: bool = False):
     sink = make_sink(role)
     sink_texel = make_sink_texel(role)
     accumulate_grid = make_grid_sink(role)
-    density = SIGMA_T in wanted or SCALE in wanted
+    flakes = has_flakes(config.phases)
+    microflakes = make_microflakes(config.phases)
+    _value, accumulate_area = make_flake_sinks(config.phases, role)
+    turned = flakes and PHASE in wanted
+    density = SIGMA_T in wanted or SCALE in wanted or turned
 
     @wp.func
     def accumulate_extinction_at(
-        scene: Scene, target: wp.array(dtype=wp.float32), m: Medium, g: Texture, p: wp.vec3, w: wp.vec3
+        scene: Scene,
+        target: wp.array(dtype=wp.float32),
+        m: Medium,
+        g: Texture,
+        p: wp.vec3,
+        x: wp.vec3,
+        d: wp.vec3,
+        w: wp.vec3,
     ) -> wp.float32:
         total = wp.float32(0.0)
+        w_value = w
+        if wp.static(flakes):
+            w_value = microflakes.area_at(scene, m, x, d) * w
+        if wp.static(turned):
+            if microflakes.is_flakes(m):
+                sigma = load_float(scene.values, m.scale) * wp.dot(grid_value(scene.values, g, p), w_value)
+                total += accumulate_area(scene, target, m, x, d, sigma)
         if wp.static(SIGMA_T in wanted):
-            total += accumulate_grid(target, g, p, load_float(scene.values, m.scale) * w)
+            total += accumulate_grid(target, g, p, load_float(scene.values, m.scale) * w_value)
         if wp.static(SCALE in wanted):
-            total += sink(target, m.scale, wp.dot(grid_value(scene.values, g, p), w))
+            total += sink(target, m.scale, wp.dot(grid_value(scene.values, g, p), w_value))
         return total
 
     @wp.func
@@ -81,7 +102,7 @@ def make_grid_adjoint(role: str, wanted: tuple[str, ...], shared: bool = False):
             points = wp.int32(POINTS)
             for i in range(points):
                 t = r.t0 + (wp.float32(i) + independent_1d(stream, i)) * step
-                total += accumulate_extinction_at(scene, target, m, g, r.o + t * r.d, step * w)
+                total += accumulate_extinction_at(scene, target, m, g, r.o + t * r.d, o + t * d, d, step * w)
         return total
 
     @wp.func
@@ -103,6 +124,8 @@ def make_grid_adjoint(role: str, wanted: tuple[str, ...], shared: bool = False):
         if collides:
             x = o + t * d
             sigma = load_float(scene.values, m.scale) * grid_value_at(scene, m.sigma_t, x)
+            if wp.static(flakes):
+                sigma *= microflakes.area_at(scene, m, x, d)
             albedo = albedo_at(scene, m, x)
             w_weight = wp.cw_mul(w_passed, wp.cw_mul(albedo, sigma))
             if wp.static(density):
@@ -111,7 +134,7 @@ def make_grid_adjoint(role: str, wanted: tuple[str, ...], shared: bool = False):
                 a_sigma = wp.cw_mul(w_passed, albedo)
                 if wp.static(shared):
                     a_sigma *= power_share(mean_of(sigma), mean_majorant(scene, m, g, o, d))
-                total += accumulate_extinction_at(scene, target, m, g, p, a_sigma)
+                total += accumulate_extinction_at(scene, target, m, g, p, x, d, a_sigma)
             if wp.static(ALBEDO in wanted):
                 a_albedo = wp.cw_mul(w_passed, sigma)
                 if m.albedo_channels == GRID:

@@ -14,11 +14,12 @@ import functools
 
 import warp as wp
 
-from warp_psdr.kernels.medium.coefficients import EMISSION, SCALE, SIGMA_T, load_channels
+from warp_psdr.kernels.medium.coefficients import EMISSION, PHASE, SCALE, SIGMA_T, load_channels
 from warp_psdr.kernels.medium.grid_adjoint import make_grid_adjoint
 from warp_psdr.kernels.medium.majorant import GridRay, grid_ray
 from warp_psdr.kernels.medium.tracking import make_tracking
 from warp_psdr.kernels.medium.volume import GRID, grid_point, grid_value_at, make_grid_sink
+from warp_psdr.kernels.phase.microflakes import has_flakes
 from warp_psdr.kernels.reading import texture_record
 from warp_psdr.kernels.rng import Sampler, independent_1d, salted
 from warp_psdr.kernels.sink import make_sink_texel
@@ -81,10 +82,10 @@ def make_grid_emission_sink(config: MediaConfig, role: str, wanted: tuple[str, .
     ``emitted`` is M of the stretch, and ``w`` its adjoint.
     """
     _flight, transmittance = make_tracking(config, False)
-    _depth, _tracked, accumulate_extinction_at = make_grid_adjoint(role, wanted)
+    _depth, _tracked, accumulate_extinction_at = make_grid_adjoint(config, role, wanted)
     sink_texel = make_sink_texel(role)
     accumulate_grid = make_grid_sink(role)
-    density = SIGMA_T in wanted or SCALE in wanted
+    density = SIGMA_T in wanted or SCALE in wanted or (PHASE in wanted and has_flakes(config.phases))
 
     @wp.func
     def accumulate_grid_emission(
@@ -117,7 +118,7 @@ def make_grid_emission_sink(config: MediaConfig, role: str, wanted: tuple[str, .
             if wp.static(density):
                 between = wp.lerp(start, t, independent_1d(stream, points + i))
                 w_depth = -(t - start) * wp.cw_mul(w, behind)
-                total += accumulate_extinction_at(scene, target, m, g, r.o + between * r.d, w_depth)
+                total += accumulate_extinction_at(scene, target, m, g, r.o + between * r.d, o + between * d, d, w_depth)
             passed = wp.cw_mul(passed, transmittance(scene, m, o + start * d, d, t - start, stream, i))
             x = o + t * d
             behind -= share * wp.cw_mul(passed, emission_at(scene, m, x))

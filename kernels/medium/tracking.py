@@ -2,7 +2,8 @@
 
 Tentative points come at the rate M of the cell that the ray is in. Delta tracking [Woodcock et al. 1965] takes one for
 a collision with the probability sum_k h_k sigma_k / M, h_k the share of a channel in the weight W so far, and
-multiplies W by what that leaves over; ratio tracking [Novak et al. 2014] multiplies it by 1 - sigma / M at each.
+multiplies W by what that leaves over; ratio tracking [Novak et al. 2014] multiplies it by 1 - sigma / M at each. Of
+microflakes sigma has the factor A(x, d), and M a bound on it (``phase/microflakes.py``).
 
 Where derivatives by the density are asked for, a clock of the rate epsilon = q / l runs beside, l the length of the
 stretch in the grid, and the path collides where it rings, too. Collisions then have the density
@@ -21,6 +22,7 @@ from warp_psdr.kernels.medium.coefficients import albedo_at
 from warp_psdr.kernels.medium.flight import FORCED, Flight, minus_log_one_minus
 from warp_psdr.kernels.medium.majorant import before_tentative, grid_ray, next_tentative
 from warp_psdr.kernels.medium.volume import grid_value, grid_value_at
+from warp_psdr.kernels.phase.microflakes import has_flakes, make_microflakes
 from warp_psdr.kernels.reading import load_float, texture_record
 from warp_psdr.kernels.rng import Sampler, independent_1d, salted
 from warp_psdr.kernels.structs import Medium, Scene
@@ -58,6 +60,8 @@ def make_tracking(config: MediaConfig, explores: bool):
     ``tracked_transmittance(scene, m, o, d, length, sampler, number) -> vec3``: an estimate of T.
     """
     chromatic = config.chromatic
+    flakes = has_flakes(config.phases)
+    microflakes = make_microflakes(config.phases)
 
     @wp.func
     def track(
@@ -72,9 +76,14 @@ def make_tracking(config: MediaConfig, explores: bool):
         if not r.t0 < r.t1:
             return result
         w = result.weight
-        point = next_tentative(scene.values, g, r, scale, 0.0, stream, before_tentative(g, r, CLOCK))
+        most = scale
+        if wp.static(flakes):
+            most *= microflakes.most_area(scene, m, d)
+        point = next_tentative(scene.values, g, r, most, 0.0, stream, before_tentative(g, r, CLOCK))
         while point.t < r.t1:
             sigma = scale * grid_value(scene.values, g, r.o + point.t * r.d)
+            if wp.static(flakes):
+                sigma *= microflakes.area_at(scene, m, o + point.t * d, d)
             kept = wp.vec3(1.0, 1.0, 1.0) - sigma / point.rate
             if ratio:
                 w = wp.cw_mul(w, kept)
@@ -93,7 +102,7 @@ def make_tracking(config: MediaConfig, explores: bool):
             if result.collides or vanishes(w):
                 point.t = r.t1
             else:
-                point = next_tentative(scene.values, g, r, scale, 0.0, stream, point)
+                point = next_tentative(scene.values, g, r, most, 0.0, stream, point)
         result.weight = w
         return result
 
@@ -133,6 +142,8 @@ def make_tracking(config: MediaConfig, explores: bool):
         elif f.collides:
             f.t = stop
             found.sigma = load_float(scene.values, m.scale) * grid_value_at(scene, m.sigma_t, o + stop * d)
+            if wp.static(flakes):
+                found.sigma *= microflakes.area_at(scene, m, o + stop * d, d)
         else:
             f.t = length
         f.passed = found.weight

@@ -10,7 +10,6 @@ from warp_psdr.kernels.constants import (
     PHASE_BLEND_GRID,
     PHASE_HG,
     PHASE_RAYLEIGH,
-    PHASE_SGGX,
     PHASE_TABLE,
     TWO_PI,
 )
@@ -18,8 +17,9 @@ from warp_psdr.kernels.math import any_tangent, to_world
 from warp_psdr.kernels.phase.blendphase import make_blend, make_blend_sink, make_blend_slopes
 from warp_psdr.kernels.phase.hg import hg_by_cosine, hg_cosine, hg_eval, hg_slope
 from warp_psdr.kernels.phase.isotropic import isotropic_cosine, isotropic_eval
+from warp_psdr.kernels.phase.microflakes import has_flakes, make_flake_sinks, make_microflakes
 from warp_psdr.kernels.phase.rayleigh import rayleigh_by_cosine, rayleigh_cosine, rayleigh_eval
-from warp_psdr.kernels.phase.sggx import flakes_of, make_flake_sinks, sggx_eval, sggx_sample
+from warp_psdr.kernels.phase.sggx import sggx_eval, sggx_sample
 from warp_psdr.kernels.phase.tabphase import make_table_sink, tabphase_by_cosine, tabphase_cosine, tabphase_eval
 from warp_psdr.kernels.reading import load_float
 from warp_psdr.kernels.sink import make_sink
@@ -55,7 +55,8 @@ def make_phase(kinds: tuple[int, ...]) -> PhaseFunctions:
         return PhaseFunctions(*make_blend(kinds, *make_phase(rest)))
     one = len(kinds) == 1
     forward, rayleigh, table = (kind in kinds for kind in (PHASE_HG, PHASE_RAYLEIGH, PHASE_TABLE))
-    flakes = PHASE_SGGX in kinds
+    flakes = has_flakes(kinds)
+    microflakes = make_microflakes(kinds)
 
     @wp.func
     def phase_eval(scene: Scene, m: Medium, x: wp.vec3, d: wp.vec3, wo: wp.vec3) -> wp.float32:
@@ -70,15 +71,15 @@ def make_phase(kinds: tuple[int, ...]) -> PhaseFunctions:
             if wp.static(one) or m.phase == PHASE_TABLE:
                 value = tabphase_eval(scene, m.g, wp.dot(d, wo))
         if wp.static(flakes):
-            if wp.static(one) or m.phase == PHASE_SGGX:
-                value = sggx_eval(flakes_of(scene, m.g), d, wo)
+            if microflakes.is_flakes(m):
+                value = sggx_eval(microflakes.at(scene, m, x), d, wo)
         return value
 
     @wp.func
     def phase_sample(scene: Scene, m: Medium, x: wp.vec3, d: wp.vec3, u: wp.vec2) -> wp.vec3:
         if wp.static(flakes):
-            if wp.static(one) or m.phase == PHASE_SGGX:
-                return sggx_sample(flakes_of(scene, m.g), d, u)
+            if microflakes.is_flakes(m):
+                return sggx_sample(microflakes.at(scene, m, x), d, u)
         mu = isotropic_cosine(u[0])
         if wp.static(forward):
             if wp.static(one) or m.phase == PHASE_HG:
@@ -139,9 +140,10 @@ def make_phase_sink(kinds: tuple[int, ...], role: str):
         return make_blend_sink(kinds, make_phase(rest).eval, make_phase_sink(rest, role), role)
     sink = make_sink(role)
     accumulate_table = make_table_sink(role)
-    accumulate_sggx, _area = make_flake_sinks(role)
+    accumulate_sggx, _area = make_flake_sinks(kinds, role)
+    is_flakes = make_microflakes(kinds).is_flakes
     one = len(kinds) == 1
-    forward, table, flakes = (kind in kinds for kind in (PHASE_HG, PHASE_TABLE, PHASE_SGGX))
+    forward, table, flakes = PHASE_HG in kinds, PHASE_TABLE in kinds, has_flakes(kinds)
 
     @wp.func
     def accumulate_phase(
@@ -162,8 +164,8 @@ def make_phase_sink(kinds: tuple[int, ...], role: str):
             if wp.static(one) or m.phase == PHASE_TABLE:
                 dot = accumulate_table(scene, target, m.g, wp.dot(d, wo), w)
         if wp.static(flakes):
-            if wp.static(one) or m.phase == PHASE_SGGX:
-                dot = accumulate_sggx(scene, target, m, d, wo, w)
+            if is_flakes(m):
+                dot = accumulate_sggx(scene, target, m, x, d, wo, w)
         return dot
 
     return accumulate_phase

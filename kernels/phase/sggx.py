@@ -5,7 +5,8 @@ sqrt(w^T S w) each, and their normals the density D(h) = 1 / (pi sqrt|S| (h^T S^
 the half vector of -d and wo, f_p = D(h) / (4 A(d)), and a ray along d meets sigma_t A(d) of them a unit length. All of
 homogeneous media is computed with that number of flakes for a length: A(d) t (``flake_length``).
 
-S is six numbers, S_xx, S_yy, S_zz, S_xy, S_xz, S_yz. Normals are drawn from those that are seen from -d: with S = L L^T
+S is six numbers, S_xx, S_yy, S_zz, S_xy, S_xz, S_yz; grids of them, and derivatives by S, have a file of their own
+(``microflakes.py``). Normals are drawn from those that are seen from -d: with S = L L^T
 L m has their density, normalised, if m is drawn about L^T (-d) by the cosine.
 
 Derivation: ``docs/theory/media.md#microflakes``.
@@ -19,7 +20,6 @@ from warp_psdr.kernels.constants import FAR, INV_PI, PHASE_SGGX, TWO_PI
 from warp_psdr.kernels.math import any_tangent, to_world
 from warp_psdr.kernels.medium.coefficients import Coefficients, coefficients_of
 from warp_psdr.kernels.reading import load_float
-from warp_psdr.kernels.sink import make_sink
 from warp_psdr.kernels.structs import Medium, Scene
 
 #: Least square of a half vector before it is normalised; a ray that is not turned has none.
@@ -156,56 +156,3 @@ def make_extinction_along(kinds: tuple[int, ...]):
         return c
 
     return extinction_along
-
-
-@functools.cache
-def make_flake_sinks(role: str):
-    """Return ``(accumulate_sggx, accumulate_area)``.
-
-    ``accumulate_sggx(scene, target, m, d, wo, w) -> float32``: ``w`` is the adjoint of the value.
-    ``accumulate_area(scene, target, m, d, w) -> float32``: ``w`` is A(d) times its own adjoint.
-    """
-    sink = make_sink(role)
-
-    @wp.func
-    def accumulate_outer(target: wp.array(dtype=wp.float32), offset: wp.int32, v: wp.vec3, w: wp.float32) -> wp.float32:
-        """``w`` is the adjoint of v^T S v."""
-        total = sink(target, offset, w * v[0] * v[0])
-        total += sink(target, offset + 1, w * v[1] * v[1])
-        total += sink(target, offset + 2, w * v[2] * v[2])
-        total += sink(target, offset + 3, 2.0 * w * v[0] * v[1])
-        total += sink(target, offset + 4, 2.0 * w * v[0] * v[2])
-        total += sink(target, offset + 5, 2.0 * w * v[1] * v[2])
-        return total
-
-    @wp.func
-    def accumulate_area(
-        scene: Scene, target: wp.array(dtype=wp.float32), m: Medium, d: wp.vec3, w: wp.float32
-    ) -> wp.float32:
-        area = flake_area(flakes_of(scene, m.g), d)
-        return accumulate_outer(target, m.g, d, 0.5 * w / (area * area))
-
-    @wp.func
-    def accumulate_sggx(
-        scene: Scene, target: wp.array(dtype=wp.float32), m: Medium, d: wp.vec3, wo: wp.vec3, w: wp.float32
-    ) -> wp.float32:
-        s = flakes_of(scene, m.g)
-        a_log = w * sggx_eval(s, d, wo)
-        h = half_vector(d, wo)
-        inverse = 1.0 / wp.dot(s.x, wp.cross(s.y, s.z))
-        b = inverse * adjugate_times(s, h)
-        # d ln f = 2 (S^-1 h)^T dS (S^-1 h) / (h^T S^-1 h) - tr(S^-1 dS) / 2 - d ln A
-        total = accumulate_outer(target, m.g, b, 2.0 * a_log / wp.dot(h, b))
-        total += accumulate_area(scene, target, m, d, -a_log)
-        trace = -0.5 * inverse * a_log
-        yz = wp.cross(s.y, s.z)
-        zx = wp.cross(s.z, s.x)
-        total += sink(target, m.g, trace * yz[0])
-        total += sink(target, m.g + 1, trace * zx[1])
-        total += sink(target, m.g + 2, trace * wp.cross(s.x, s.y)[2])
-        total += sink(target, m.g + 3, 2.0 * trace * yz[1])
-        total += sink(target, m.g + 4, 2.0 * trace * yz[2])
-        total += sink(target, m.g + 5, 2.0 * trace * zx[2])
-        return total
-
-    return accumulate_sggx, accumulate_area

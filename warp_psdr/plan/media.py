@@ -9,6 +9,7 @@ from warp_psdr.kernels.bsdf.dispatch import models_of
 from warp_psdr.kernels.bsdf.null import NULL
 from warp_psdr.kernels.medium.coefficients import ALBEDO, EMISSION, PHASE, POSE, SCALE, SIGMA_T
 from warp_psdr.kernels.medium.volume import GRID
+from warp_psdr.kernels.phase.microflakes import has_flakes
 from warp_psdr.options import interior
 from warp_psdr.options.boundary import EdgeSampling, Method, PathSpace, Projective
 from warp_psdr.options.guiding import Grid
@@ -39,6 +40,7 @@ PHASE_NAMES = {
     c.PHASE_BLEND: "blendphase",
     c.PHASE_BLEND_GRID: "blendphase of a grid",
     c.PHASE_SGGX: "sggx",
+    c.PHASE_SGGX_GRID: "sggx of a grid",
 }
 
 
@@ -50,6 +52,8 @@ def describe(scene: Scene, config: PathConfig, wanted: GradientRequest | None) -
     phases = ", ".join(PHASE_NAMES[kind] for kind in config.media.phases)
     of_grids = len(scene.builder.super_grids)
     kinds = ((len(scene.builder.media) - of_grids, "homogeneous"), (of_grids, "heterogeneous"))
+    if c.PHASE_SGGX_GRID in config.media.phases:
+        kinds = (kinds[0], (of_grids, "of an extinction that varies"))
     several = " and ".join(f"{count} {kind}" for count, kind in kinds if count)
     chromatic = "colours: one channel is drawn, all weigh" if config.media.chromatic else "grey: no channel is drawn"
     lines = [
@@ -64,6 +68,17 @@ def describe(scene: Scene, config: PathConfig, wanted: GradientRequest | None) -
         voxels, cells = (" x ".join(str(n) for n in size) for size in (grid.voxels, grid.cells))
         tracked = f"majorants of {cells} cells; delta tracking, and ratio tracking for shadow rays"
         lines.append((f"grid {grid.parameter.removesuffix('.data')}", f"{voxels} voxels", tracked))
+    for m, name in zip(scene.builder.media, scene.builder.medium_names, strict=True):
+        if m.phase == c.PHASE_SGGX_GRID:
+            g = scene.builder.textures[m.g]
+            bound = "tracked with the largest projected area of all its voxels and directions"
+            lines.append(
+                (
+                    f"grid {name}.phase_function.S",
+                    f"{g.width} x {g.height} x {g.first} voxels",
+                    f"extinction by place, {bound}",
+                )
+            )
     if wanted is not None:
         density = SIGMA_T in wanted.media or SCALE in wanted.media
         forced = "some flights are made to collide, for where the density is zero" if density else "density: no"
@@ -96,7 +111,7 @@ def refuse(
             f"interior.{type(method).__name__}() does not know participating media; use interior.Replay(), or leave "
             "them out"
         )
-    if c.PHASE_SGGX in config.media.phases and type(method) not in replays and names:
+    if has_flakes(config.media.phases) and type(method) not in replays and names:
         raise ValueError(
             f"interior.{type(method).__name__}() does not know 'sggx', whose extinction varies with direction; use "
             "interior.Replay()"
@@ -136,6 +151,9 @@ def _beside_motion(scene: Scene, config: PathConfig, method: interior.Method, wa
     assert config.media is not None
     if config.media.grids and type(method) is interior.RadiativeTransfer:
         return "interior.RadiativeTransfer() does not follow that through 'heterogeneous' media; use interior.Replay()"
+    flakes = _microflakes(scene)
+    if flakes:
+        return f"that is not followed through {flakes}"
     stepped = _stepped_grid(scene)
     if stepped:
         return f"the voxels of {stepped!r} are 'nearest', so that it jumps along them; make its filter 'trilinear'"
@@ -152,6 +170,18 @@ def _beside_motion(scene: Scene, config: PathConfig, method: interior.Method, wa
     for shape in scene.description.shapes:
         if shape.emitter is not None and any(model_of(side) is NULL for side in shape.bsdf.sides):
             return f"the light {shape.path!r} has a surface that is not there; give it another bsdf than 'null'"
+    return ""
+
+
+def _microflakes(scene: Scene) -> str:
+    """Say which microflakes are not followed by what moves, and what to use; empty: there are none."""
+    for m in scene.builder.media:
+        if m.phase == c.PHASE_SGGX_GRID:
+            return "a grid of 'S'; give 'sggx' one 'S', in a 'homogeneous' medium"
+        if m.phase == c.PHASE_SGGX and m.sigma_t_channels == GRID:
+            return "'sggx' in a 'heterogeneous' medium; make it 'homogeneous'"
+        if m.phase == c.PHASE_SGGX and m.emission >= 0:
+            return "'sggx' in a medium that emits light; leave 'emission' out"
     return ""
 
 

@@ -35,6 +35,7 @@ from warp_psdr.scene.sky_model import TURBIDITIES
 from warp_psdr.scene.sunsky import SkyRecord
 from warp_psdr.scene.tables import PlacedTable
 from warp_psdr.scene.texture_records import TextureRecords, reads_mesh
+from warp_psdr.scene.volume_pose import box_around
 
 if TYPE_CHECKING:
     from warp_psdr.scene.description import (
@@ -117,8 +118,9 @@ class Builder:
         self._number_models()
         for emitter in description.emitters:
             self._emitter(emitter)
+        around = box_around(description.shapes)
         self._media = MediaRecords(
-            self.layout, self.textures, self.texture_ranges, self.volume_poses, description.origin
+            self.layout, self.textures, self.texture_ranges, self.volume_poses, description.origin, around
         )
         self.media = self._media.records  #: structs.Medium
         self.medium_names = self._media.names

@@ -130,7 +130,7 @@ class PhaseDescription:
     values: np.ndarray | None = None  #: tabphase: (N,), at equal distances of the cosine from backwards to forwards
     weight: VolumeDescription | None = None  #: blendphase: share of the second one of ``nested``
     nested: tuple[PhaseDescription, ...] = ()  #: blendphase: two
-    flakes: VolumeDescription | None = None  #: sggx: S_xx, S_yy, S_zz, S_xy, S_xz, S_yz, of one voxel or as they are
+    flakes: VolumeDescription | None = None  #: sggx: (6,) or (Z, Y, X, 6): S_xx, S_yy, S_zz, S_xy, S_xz, S_yz
 
 
 @dataclass(eq=False)
@@ -144,6 +144,12 @@ class MediumDescription:
     phase: PhaseDescription
     grids: bool = False  #: heterogeneous
     emission: VolumeDescription | None = None  #: radiance per unit length
+
+    @property
+    def tracked(self) -> bool:
+        """Whether extinction differs from place to place: flights through the medium are tracked."""
+        flakes = self.phase.flakes
+        return self.grids or (flakes is not None and flakes.value.size > 6)
 
 
 @dataclass(eq=False)

@@ -102,10 +102,6 @@ def _medium(props: Properties) -> MediumDescription:
         raise ReportedError(props.where)
     else:
         phase = PhaseDescription(f"{props.path}.phase_function", "isotropic")
-    if phase.kind == "sggx" and (grids or emission is not None):
-        what = "a 'heterogeneous' medium" if grids else "a medium that emits light"
-        remedy = "make it 'homogeneous'" if grids else "leave 'emission' out"
-        raise error(props.where, f"microflakes ('sggx') in {what}, where extinction varies with direction", remedy)
     props.finish()
     return MediumDescription(props.path, sigma_t, albedo, scale, phase, grids, emission)
 

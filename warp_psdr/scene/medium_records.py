@@ -15,7 +15,7 @@ from warp_psdr.kernels.vertex import MediaConfig
 from .layout import MEDIUM, Layout
 from .media import MOST_G
 from .origin import moved
-from .super_grid import FlakeCheck, Follower, PhaseTable, SuperGrid, integrals, super_grid
+from .super_grid import FlakeCheck, Follower, PhaseTable, SuperGrid, flake_areas, integrals, super_grid
 from .volume_pose import VolumePose, inverse_of
 
 if TYPE_CHECKING:
@@ -40,11 +40,12 @@ class MediaRecords:
         texture_ranges: Flat (offset, size) of their values.
         poses: Of the scene's volumes, which those of grids join.
         origin: (3,) float64: where the device's coordinates start.
+        around: (4, 4): a box around all that rays meet, which a homogeneous medium fills where it is tracked.
 
     Attributes:
         records: ``structs.Medium``, by number.
         names: Of them.
-        super_grids: Of the extinction of heterogeneous media.
+        super_grids: Of the extinction of heterogeneous media, and of those in which it varies with microflakes.
         followers: What follows edits of values: those, and the integrals of tables of phase functions.
     """
 
@@ -55,6 +56,7 @@ class MediaRecords:
         texture_ranges: list[tuple[int, int]],
         poses: list[VolumePose],
         origin: np.ndarray,
+        around: np.ndarray,
     ):
         self.records: list = []
         self.names: list[str] = []
@@ -65,6 +67,7 @@ class MediaRecords:
         self._texture_ranges = texture_ranges
         self._poses = poses
         self._origin = origin
+        self._around = around
         self._numbers: dict[int, int] = {}
         self._phases: set[int] = set()  # PHASE_* that occur, those in blends included
 
@@ -95,8 +98,8 @@ class MediaRecords:
             kind = ALBEDO if coefficient is m.albedo else SIGMA_T
             place = add(coefficient.parameter, coefficient.value, MEDIUM + kind, bounds=(0.0, high))
             channels = coefficient.value.size
-            if m.grids and (coefficient.value.ndim == 4 or kind == SIGMA_T):
-                place, channels = self._grid(coefficient, place, tracked=kind == SIGMA_T), GRID
+            if coefficient.value.ndim == 4 or (kind == SIGMA_T and m.tracked):
+                place, channels = self._grid(coefficient, place, tracked=kind == SIGMA_T, placed=m.grids), GRID
             setattr(record, kind, place)
             setattr(record, f"{kind}_channels", channels)
         record.scale = add(f"{m.path}.scale", np.array([m.scale]), MEDIUM + SCALE, bounds=(0.0, np.inf))
@@ -115,6 +118,8 @@ class MediaRecords:
         kind, place = PHASES[p.kind], 0
         if p.weight is not None and p.weight.value.ndim == 4:
             kind = c.PHASE_BLEND_GRID
+        if p.flakes is not None and p.flakes.value.size > 6:
+            kind = c.PHASE_SGGX_GRID
         self._phases.add(kind)
         if p.kind == "hg":
             bounds = (-MOST_G, MOST_G)
@@ -124,8 +129,7 @@ class MediaRecords:
         if p.nested:
             place = self._blend(p)
         if p.flakes is not None:
-            place = self._layout.add(p.flakes.parameter, p.flakes.value, MEDIUM + PHASE)
-            self.followers.append(FlakeCheck(p.flakes.parameter, place))
+            place = self._flakes(p.flakes)
         return kind, place
 
     def _blend(self, p: PhaseDescription) -> int:
@@ -141,6 +145,17 @@ class MediaRecords:
         self._textures.append(record)
         self._texture_ranges.append((place, weight.value.size))
         return len(self._textures) - 1
+
+    def _flakes(self, v: VolumeDescription) -> int:
+        """Return the flat offset of the matrix of microflakes, or the number of the record of a grid of them."""
+        place, most = self._layout.add(v.parameter, v.value, MEDIUM + PHASE), -1
+        number = place
+        if v.value.size > 6:
+            number = self._grid(v, place, placed=False)
+            most = self._layout.add_values(np.array([flake_areas(v.value)[0]], np.float32))
+            self._textures[number].second = most
+        self.followers.append(FlakeCheck(v.parameter, place, v.value.shape, most))
+        return number
 
     def _table(self, name: str, values: np.ndarray) -> int:
         """Return the number of the record of a table of a phase function."""
@@ -159,7 +174,7 @@ class MediaRecords:
 
         ``tracked``: it has majorants; ``placed``: its pose is a parameter.
         """
-        assert v.to_world is not None
+        to_world = self._around if v.to_world is None else v.to_world
         shape = v.value.shape if v.value.ndim == 4 else (1, 1, 1, v.value.size)
         record = Texture()
         record.kind = c.TEXTURE_GRID
@@ -167,7 +182,7 @@ class MediaRecords:
         record.first, record.height, record.width, record.channels = shape
         record.filter = c.FILTER_NEAREST if v.filter == "nearest" else c.FILTER_BILINEAR
         record.wrap = {"repeat": c.WRAP_REPEAT, "mirror": c.WRAP_MIRROR, "clamp": c.WRAP_CLAMP}[v.wrap]
-        pose = moved(v.to_world, self._origin)
+        pose = moved(to_world, self._origin)
         if placed:
             name = f"{v.parameter.removesuffix('.data').removesuffix('.value.value')}.to_world"
             self._poses.append(VolumePose(name, self._layout.add(name, pose, MEDIUM + POSE, placed=True)))

@@ -94,31 +94,49 @@ class PhaseTable:
         values[self.integrals : self.integrals + self.size].assign(integrals(table))
 
 
-def not_definite(values: np.ndarray) -> str:
-    """Return what is wrong with the matrix of microflakes of six numbers (S_xx, S_yy, S_zz, S_xy, S_xz, S_yz)."""
-    if not np.isfinite(values).all():
-        return "the matrix holds NaN or infinite numbers"
-    xx, yy, zz, xy, xz, yz = values.astype(np.float64).reshape(6)
-    least, _middle, most = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    return "" if least > _FLATTEST * most else f"the matrix has eigenvalues from {least:.3g} to {most:.3g}"
+def flake_areas(values: np.ndarray) -> tuple[float, str]:
+    """Return the largest projected area of microflakes, over all directions, and what is wrong with their matrices.
+
+    Args:
+        values: (6,) or (Z, Y, X, 6): S_xx, S_yy, S_zz, S_xy, S_xz, S_yz.
+    """
+    matrices = values.astype(np.float64).reshape(-1, 6)[:, [0, 3, 4, 3, 1, 5, 4, 5, 2]].reshape(-1, 3, 3)
+    finite: np.ndarray = np.asarray(np.isfinite(matrices).all(axis=(1, 2)))
+    eigenvalues = np.linalg.eigvalsh(np.where(finite[:, None, None], matrices, np.eye(3)))
+    least, most = eigenvalues[:, 0], eigenvalues[:, 2]
+    wrong = np.flatnonzero(~finite | (least <= _FLATTEST * most))
+    if not wrong.size:
+        return float(np.sqrt(most.max()) * (1.0 + 10.0 * _ROUNDING)), ""
+    i = wrong[0]
+    which = "the matrix"
+    if len(matrices) > 1:
+        which = f"the matrix of voxel {tuple(int(n) for n in np.unravel_index(i, values.shape[:3]))} (z, y, x)"
+    if not finite[i]:
+        return 0.0, f"{which} holds NaN or infinite numbers"
+    return 0.0, f"{which} has eigenvalues from {least[i]:.3g} to {most[i]:.3g}"
 
 
 @dataclass(frozen=True)
 class FlakeCheck:
-    """Where the matrix of microflakes is."""
+    """Where the matrices of microflakes are."""
 
     parameter: str
     offset: int  #: flat
+    shape: tuple[int, ...]  #: (6,) or (Z, Y, X, 6)
+    most: int = -1  #: flat offset of the largest projected area of a grid
 
     def rebuild(self, values: wp.array, held: np.ndarray) -> None:
-        """Check the values that are held, flat, on the host.
+        """Check the values that are held, flat, on the host, and write how large their areas are.
 
         Raises:
-            ValueError: they are not positive definite.
+            ValueError: some matrix is not positive definite.
         """
-        problem = not_definite(held[self.offset : self.offset + 6])
+        size = int(np.prod(self.shape))
+        most, problem = flake_areas(held[self.offset : self.offset + size].reshape(self.shape))
         if problem:
             raise ValueError(f"{self.parameter}: after an edit {problem}; write a positive definite one")
+        if self.most >= 0:
+            values[self.most : self.most + 1].assign(np.array([most], np.float32))
 
 
 class Follower(Protocol):

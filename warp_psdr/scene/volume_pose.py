@@ -5,6 +5,7 @@ The derivative of W is -W dM W, so an adjoint A of W is -W^T A W^T of M.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -14,10 +15,14 @@ import warp as wp
 from .exact import singular
 
 if TYPE_CHECKING:
+    from .description import ShapeDescription
     from .scene import Scene
 
 #: Floats of M, and of the three rows of W that are kept behind it.
 POSE, INVERSE = 16, 12
+#: Side of the box around all that rays meet, in diameters of the scene: what moves by edits stays in it, and a medium
+#: that nothing bounds is thick or not seen through where it ends.
+AROUND = 1000.0
 
 
 @dataclass(frozen=True)
@@ -48,6 +53,16 @@ class VolumePose:
 def inverse_of(pose: np.ndarray) -> np.ndarray:
     """Return the three rows of the inverse of a pose (4, 4), (3, 4) float32."""
     return np.linalg.inv(pose.astype(np.float64))[:3].astype(np.float32)
+
+
+def box_around(shapes: Sequence[ShapeDescription]) -> np.ndarray:
+    """Return the (4, 4) from the unit cube to a box that is far larger than a scene, with the scene in its middle."""
+    points = np.concatenate([s.vertices for s in shapes] or [np.zeros((1, 3))]).astype(np.float64)
+    low, high = points.min(axis=0), points.max(axis=0)
+    side = AROUND * (float(np.linalg.norm(high - low)) or 1.0)
+    box = np.diag([side, side, side, 1.0])
+    box[:3, 3] = 0.5 * (low + high) - 0.5 * side
+    return box
 
 
 def pull_poses(scene: Scene, names: list[str], grad: wp.array) -> None:

@@ -11,7 +11,7 @@ from .errors import ReportedError, SceneError, error
 from .nanovdb_files import read_nvdb
 from .plugins import Properties, category_of, unsupported_plugin
 from .spectra import COLOR_TYPES, check_range, color
-from .super_grid import not_definite
+from .super_grid import flake_areas
 from .volume_files import MOST_VALUES, read_vol
 
 if TYPE_CHECKING:
@@ -71,7 +71,7 @@ def _constant(props: Properties, name: str, high: float, *, grids: bool) -> Volu
 
 
 def _grid(props: Properties, name: str, high: float) -> VolumeDescription:
-    values, matrix, place = _voxels(props, (1, 3))
+    values, matrix, place = _voxels(props, (1, 3), "(Z, Y, X), (Z, Y, X, 1) or (Z, Y, X, 3)")
     check_range(values, place, 0.0, high, f"'{name}'")
     most = props.number("max_value", np.inf, minimum=-np.inf) if props.has("max_value") else np.inf
     if values.max() > most:
@@ -80,6 +80,11 @@ def _grid(props: Properties, name: str, high: float) -> VolumeDescription:
             f"got {most:g}, and the grid has values up to {values.max():g}, where tracking would be wrong",
             "leave it out",
         )
+    return _placed(props, values, matrix)
+
+
+def _placed(props: Properties, values: np.ndarray, matrix: np.ndarray) -> VolumeDescription:
+    """Take how a grid is read, and finish its plugin."""
     filter_type = cast(Literal["trilinear", "nearest"], props.string("filter_type", "trilinear", _FILTERS))
     wrap = cast(Literal["clamp", "repeat", "mirror"], props.string("wrap_mode", "clamp", _WRAPS))
     props.finish()
@@ -87,10 +92,10 @@ def _grid(props: Properties, name: str, high: float) -> VolumeDescription:
 
 
 def flakes(props: Properties) -> VolumeDescription:
-    """Take the six numbers of a ``sggx``: as they are, in a text, or as a ``gridvolume`` of one voxel.
+    """Take the matrices of a ``sggx``: six numbers, as they are or in a text, or a ``gridvolume`` of six channels.
 
     Raises:
-        ValueError: there are others, or their matrix is not positive definite.
+        ValueError: there are others, or a matrix is not positive definite.
     """
     if not props.has("S"):
         raise error(props.where, "there is no 'S'", "give S_xx, S_yy, S_zz, S_xy, S_xz, S_yz")
@@ -99,15 +104,13 @@ def flakes(props: Properties) -> VolumeDescription:
     if isinstance(given, dict):
         given, place = props.context.resolve(given, props.context.inside(props.where, "S", given))
         if given.get("type") != "gridvolume":
-            raise error(place, f"a '{given.get('type')}' for 'S'", "give six numbers, or a 'gridvolume' of one voxel")
+            raise error(
+                place, f"a '{given.get('type')}' for 'S'", "give six numbers, or a 'gridvolume' of six channels"
+            )
         inner = Properties(given, place, name, props.context)
-        values, _matrix, place = _voxels(inner, (6,))
-        for key in ("max_value", "filter_type", "wrap_mode"):
-            inner.ignore(key, reason="there is one voxel")
-        inner.finish()
-        if values.size != 6:
-            raise error(place, f"a grid of {values.size // 6} voxels", "give one; two media may have different ones")
-        name += ".data"
+        values, matrix, place = _voxels(inner, (6,), "(Z, Y, X, 6): S_xx, S_yy, S_zz, S_xy, S_xz, S_yz")
+        inner.ignore("max_value", reason="the largest projected area is computed")
+        found = _placed(inner, values, matrix)
     else:
         try:
             plain = given.replace(",", " ").split() if isinstance(given, str) else given
@@ -116,14 +119,16 @@ def flakes(props: Properties) -> VolumeDescription:
             values = np.empty(0, np.float32)
         if values.shape != (6,):
             raise error(place, f"got {given!r}", "give six numbers: S_xx, S_yy, S_zz, S_xy, S_xz, S_yz")
-    problem = not_definite(values)
+        found = VolumeDescription(name, values)
+    _most, problem = flake_areas(values)
     if problem:
-        raise error(place, problem, "give a symmetric, positive definite matrix, such as 1, 1, 1, 0, 0, 0")
-    return VolumeDescription(name, values)
+        remedy = "give a symmetric, positive definite matrix, such as 1, 1, 1, 0, 0, 0 (where nothing is, too)"
+        raise error(place, problem, remedy)
+    return found
 
 
-def _voxels(props: Properties, channels: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray, str]:
-    """Take the values of a grid, where it is, and the place of its values."""
+def _voxels(props: Properties, channels: tuple[int, ...], shapes: str) -> tuple[np.ndarray, np.ndarray, str]:
+    """Take the values of a grid, where it is, and the place of its values; ``shapes``: of arrays, for messages."""
     given = [key for key in ("filename", "data", "grid") if props.has(key)]
     sources = {key: props.take(key) for key in ("filename", "data", "grid")}
     if len(given) != 1:
@@ -137,7 +142,7 @@ def _voxels(props: Properties, channels: tuple[int, ...]) -> tuple[np.ndarray, n
         values, box = _file(props.context, value, place)
     else:
         values = _array(value, place)
-    values = _checked(values, place, channels)
+    values = _checked(values, place, channels, shapes)
     props.context.count(values.size, place)
     if not props.boolean("use_grid_bbox", False):
         box = np.eye(4)
@@ -170,12 +175,11 @@ def _array(value: Any, place: str) -> np.ndarray:
     return values
 
 
-def _checked(given: np.ndarray, place: str, channels: tuple[int, ...]) -> np.ndarray:
+def _checked(given: np.ndarray, place: str, channels: tuple[int, ...], shapes: str) -> np.ndarray:
     values = given[..., None] if given.ndim == 3 else given
     if values.ndim != 4 or 0 in values.shape or values.shape[3] not in channels:
         shape = f"the shape {given.shape}" if given.ndim else "no array"
-        expected = "(Z, Y, X), (Z, Y, X, 1) or (Z, Y, X, 3)" if 1 in channels else "(1, 1, 1, 6)"
-        raise error(place, f"got {shape}", f"give numbers {expected}")
+        raise error(place, f"got {shape}", f"give numbers {shapes}")
     if values.size > MOST_VALUES:
         raise error(place, f"got {values.size} values", f"give at most {MOST_VALUES}")
     return np.ascontiguousarray(values)
