@@ -148,9 +148,9 @@ FACTORIES = {
     "loss.make_sums": [("", (), FAST)],
     "loss.make_grid_terms": [("", (), SLOW)],
     "loss.make_total": [("", (), SLOW)],
-    "aov.make_aov_kernel": [("textures", (TEXTURED,), FAST), ("materials", (MATERIALS,), SLOW)],
+    "aov.make_aov_kernel": [("textures", (TEXTURED,), SLOW), ("materials", (MATERIALS,), SLOW)],
     "trace.make_trace_kernel": [
-        ("image", (SIMPLE, False, c.RFILTER_BOX), FAST),
+        ("image", (SIMPLE, False, c.RFILTER_BOX), SLOW),
         ("interior", (SIMPLE, True, None), SLOW),
     ],
     "trace.make_media_trace_kernel": [
@@ -225,7 +225,7 @@ FACTORIES = {
         ("curves", (CURVES, GEOMETRY, 4, 1), SLOW),
     ],
     "interior.forward.make_forward_kernel": [
-        ("simple", (SIMPLE, ALBEDO), FAST),
+        ("simple", (SIMPLE, ALBEDO), SLOW),
         ("time bins", (TIMED, wanted(TIMED, shapes=True, lights=("pose",))), SLOW),
         ("orthographic", (ORTHOGRAPHIC, moving_camera(ORTHOGRAPHIC)), SLOW),
         ("thin lens", (THIN_LENS, moving_camera(THIN_LENS)), SLOW),

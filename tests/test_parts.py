@@ -15,8 +15,8 @@ SUMMATION = 1.0e-5
 
 
 def test_parts_add_up() -> None:
-    scene, params = load("silhouette tent")
-    name = "shape.vertex_positions"
+    scene, params = load("soft")
+    name = "occluder.vertex_positions"
     given = {name: np.ones_like(params[name].numpy())}
     options = {"integrator": INTEGRATOR, "spp": 16, "seed": 3}
     parts = {k: v.numpy() for k, v in psdr.render_parts(scene, params, given, **options).items()}

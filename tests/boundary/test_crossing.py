@@ -49,6 +49,7 @@ def crossed(light: str):
 register({f"sunk {kind}, {light}": sunk(kind, light) for kind in POSES for light in LIGHTS})
 register({"sunk, wall": pierced_wall, **{f"crossed, {light}": crossed(light) for light in LIGHTS}})
 NAME, FLOOR = "shape.to_world", "floor.to_world"
+FAST = ("sphere", "lamp", "z")
 MOTIONS = (("radius", NAME, radius), ("z", NAME, entry(2, 3)), ("x", NAME, entry(0, 3)))
 CASES = [
     *(
@@ -59,8 +60,9 @@ CASES = [
             0.005,
             what,
             2,
-            1024,
-            16384 if (light, what) == ("sky", "x") else 4096,
+            512 if (kind, light, what) == FAST else 1024,
+            2048 if (kind, light, what) == FAST else 16384 if (light, what) == ("sky", "x") else 4096,
+            slow=(kind, light, what) != FAST,
         )
         for kind in POSES
         for light in ("sky", "lamp", "point", "sun")

@@ -53,7 +53,7 @@ MOTIONS = (
     ("the floor rises", FLOOR, entry(2, 3), 0.005),
 )
 CASES = [
-    Case("rooted tubes, lamp", POSE, entry(2, 3), 0.005, "the tubes sink", 2, 320, 1280, slow=False),
+    Case("rooted tubes, lamp", POSE, entry(2, 3), 0.005, "the tubes sink", 2, 320, 1280),
     *(
         Case(f"rooted {kind}, {light}", name, tangent, step, what, 2, 1024, 4096)
         for kind in PLUGINS

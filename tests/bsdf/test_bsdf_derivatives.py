@@ -308,6 +308,12 @@ def critical_directions(mat: dict) -> np.ndarray:
     return np.array([direction(t) for t in critical_angle(index_behind(mat, NORMAL)) + np.linspace(-1e-4, 1e-4, 101)])
 
 
+@pytest.mark.slow_rows(
+    "cpu-roughplastic (beckmann nonlinear)",
+    "cpu-roughplastic (ggx)",
+    "cpu-roughdielectric (beckmann)",
+    "cpu-roughplastic (beckmann)",
+)
 @pytest.mark.parametrize("key", SMOOTH_MODELS)
 def test_derivatives_are_finite_everywhere(bsdf: Launcher, key: str) -> None:
     for mat in all_materials(key):

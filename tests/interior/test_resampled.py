@@ -213,6 +213,7 @@ def test_the_rest_is_replayed_beside_it():
     np.testing.assert_allclose(beside[1:], alone, rtol=ROUNDING)
 
 
+@pytest.mark.slow
 def test_forward_mode_sums_to_reverse_mode():
     scene, params = load("metal")
     name = SCENES["metal"][1][0]

@@ -205,6 +205,8 @@ SCENES = {
     "thin lens": blurred,
     "gaussian filter": wide_filter,
 }
+#: Scene, parameters and samples of the row that is not slow.
+QUICK = ("sky and two lamps", "values", 3)
 
 
 def images_and_gradients(scene, spp, sampler, depth, names):
@@ -221,32 +223,13 @@ def images_and_gradients(scene, spp, sampler, depth, names):
 
 
 def cases():
-    """Every scene with few samples, some and more than there are lanes; the quick ones once each.
-
-    Each of them compiles four kernels, so they share out what is asked for.
-    """
-    quick = {
-        ("exact ball and disk that shine hidden, tube", "values", 3),
-        ("principled, rough glass, blend and mirror under a leaf", "values", 3),
-        ("smooth coat, rough coat under a map of normals", "values", 3),
-        ("image sky, lamp, metal, glass, mirror and coat", "values", 3),
-        ("sky and two lamps", "values", 3),
-        ("area light, two-sided, textured by vertices", "all", 3),
-        ("sky, point, spot and sun, a bitmap", "values", 19),
-    }
+    """Every scene with few samples, some and more than there are lanes; one is quick: each compiles four kernels."""
     for name, what in itertools.product(SCENES, ("values", "all")):
         for spp, sampler in ((1, "independent"), (3, "sobol"), (19, "independent")):
-            marks = () if (name, what, spp) in quick else pytest.mark.slow
+            marks = () if (name, what, spp) == QUICK else pytest.mark.slow
             yield pytest.param(name, spp, sampler, what, marks=marks, id=f"{name}-{spp}-{what}")
 
 
-@pytest.mark.slow_rows(
-    "principled, rough glass, blend and mirror under a leaf-3-values",
-    "smooth coat, rough coat under a map of normals-3-values",
-    "image sky, lamp, metal, glass, mirror and coat-3-values",
-    "area light, two-sided, textured by vertices-3-all",
-    "sky, point, spot and sun, a bitmap-19-values",
-)
 @pytest.mark.parametrize(("name", "spp", "sampler", "what"), list(cases()))
 def test_paths_have_the_bits_of_single_ones(name, spp, sampler, what, alone):
     """Gradients of vertices, lights' poses and the camera, whose paths are swept side by side, but for their sums."""

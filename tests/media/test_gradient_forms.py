@@ -84,6 +84,7 @@ def test_density_and_albedo_of_zero(airlight):
     assert_mean(found, np.array([0.0, 0.0, 0.5 * 0.04119168, 0.0, 0.0]), "no albedo", WIDTH)
 
 
+@pytest.mark.slow
 def test_textbook_replay_loses_zeros(airlight):
     """It has the derivatives of what scatters, and of empty space, or at an albedo of 0, none of in-scattering."""
     sigma, sigma_s, distance, angle, g, _value, by_sigma_s, by_sigma_t, by_g = AIRLIGHT[2]

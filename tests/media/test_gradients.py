@@ -127,7 +127,7 @@ CASES = [
     Case("sunlit", HAZE + "albedo.value.value", ones, 0.02, depth=4, spp=256),
     Case("sunlit", HAZE + "phase_function.g", ones, 0.06, depth=4, spp=3072, slow=True),
     Case("sunlit", "floor.bsdf.reflectance.value", mixed, 0.05, depth=4, spp=256),
-    Case("sunlit", "sun.irradiance.value", mixed, 0.05, depth=4, spp=256),
+    Case("sunlit", "sun.irradiance.value", mixed, 0.05, depth=4, spp=256, slow=True),
     Case("milk", MILK + "albedo.value.value", mixed, 0.02, depth=4, spp=64, slow=True),
     Case("milk", FOG + "albedo.value.value", ones, 0.02, depth=4, spp=64, slow=True),
     Case("milk", "floor.bsdf.reflectance.data", mixed, 0.05, depth=4, spp=64, slow=True),

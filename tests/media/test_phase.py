@@ -13,6 +13,7 @@ from warp_psdr.kernels.phase.hg import hg_slope
 from warp_psdr.scene.super_grid import integrals
 
 
+@pytest.mark.slow_rows("-0.5", "0.0001", "0.3")
 @pytest.mark.parametrize("g", [-0.99, -0.5, 0.0, 1e-4, 0.3, 0.9])
 def test_hg_samples_its_density(g):
     """Chi-square of the cosine and of the azimuth; the density integrates to one and its mean cosine is g."""

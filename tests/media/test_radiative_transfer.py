@@ -123,7 +123,7 @@ MOTIONS = {
 def test_an_occluder_in_fog_under_a_sky():
     """Light scattered once, against a quadrature over the rectangle: edges that points of the medium see."""
     pose = (POSE @ T.scale([*SIDES, 1.0])).matrix
-    found = gradients(psdr.load_dict(fog_scene()), "leaf.to_world", 2, 32768)
+    found = gradients(psdr.load_dict(fog_scene()), "leaf.to_world", 2, 12288)
     for name, motion in MOTIONS.items():
         tangent, h = motion(pose), 1e-4
         expected = -(hidden(pose + h * tangent) - hidden(pose - h * tangent)) / (2.0 * h)

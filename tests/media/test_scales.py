@@ -68,6 +68,7 @@ def expected():
     return image, derivatives(1.0, [SIGMA, VOXELS])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("k", [2.0**-10, 2.0**10])
 def test_images_and_derivatives_by_densities(k, expected):
     """By the density of fog they are k times as large, as its unit says; by voxels, which have a scale, equal."""

@@ -12,6 +12,7 @@ from .test_sdfgrid import DIFFUSE, PLAIN, ROUGH, TURNED, T, scene
 
 #: Of images of a network and of a B-spline through its values at 49^3 nodes.
 SPLINE = 2e-3
+SPP = 12
 
 
 def of_network(net: Net, pose: psdr.Transform, bsdf: dict, **more) -> dict:
@@ -38,8 +39,8 @@ def of_spline(net: Net, pose: psdr.Transform, bsdf: dict) -> dict:
 )
 def test_image_is_that_of_a_spline(net: tuple, pose: psdr.Transform, bsdf: dict) -> None:
     net = fitted(*net)
-    a = batches(psdr.load_dict(of_network(net, pose, bsdf)), count=8, spp=32, max_depth=4)
-    b = batches(psdr.load_dict(of_spline(net, pose, bsdf)), count=8, spp=32, seed=100, max_depth=4)
+    a = batches(psdr.load_dict(of_network(net, pose, bsdf)), count=8, spp=SPP, max_depth=4)
+    b = batches(psdr.load_dict(of_spline(net, pose, bsdf)), count=8, spp=SPP, seed=100, max_depth=4)
     (mean_a, var_a), (mean_b, var_b) = (mean_and_variance(blocks(x, 8)) for x in (a, b))
     z = largest_z(var_a, var_b, mean_a - mean_b, mean_b, SPLINE)
     assert z.max() < z_limit(z.size, len(a) - 1)

@@ -160,7 +160,7 @@ def test_no_ray_passes_a_curve(plugin: str, radius: float, curl: float, count: i
     facing = -(found[hit, 4:7] * d[hit]).sum(axis=1)
     assert (np.linalg.norm(place - along, axis=1) < 3.0 * rounding[hit] / np.maximum(facing, 0.01)).all()
     assert (facing > -0.01).all()
-    some = rng.permutation(hit.sum())[:3000]
+    some = rng.permutation(hit.sum())[:1000]
     assert distance_of(points, curves.firsts, plugin, place[some]).max() < ROUNDING
     assert found[hit, 7:].min() >= 0.0 and found[hit, 7:].max() <= 1.0
 
@@ -174,14 +174,14 @@ def test_rays_beside_a_bend_pass() -> None:
     a = coefficients(points, np.arange(5))
     v = np.linspace(0.0, 1.0, 200)[:, None, None]
     axis = (a[0] + v * (a[1] + v * (a[2] + v * a[3])))[..., :3].reshape(-1, 3)
-    x, n = on_tubes(rng, points, np.arange(5), 500)
+    x, n = on_tubes(rng, points, np.arange(5), 250)
     d = np.cross(n, rng.standard_normal(x.shape))
     d /= np.linalg.norm(d, axis=1)[:, None]
     o, beside = x + 3e-4 * n - 0.4 * d, 1e-4
     t = np.linspace(0.0, 0.8, 400)[:, None]
     distance = np.array([np.linalg.norm((p + t * w)[:, None] - axis, axis=2).min() for p, w in zip(o, d, strict=True)])
     passes = distance > 0.16 + beside
-    assert passes.sum() > 100
+    assert passes.sum() > 50
     arrays = [wp.array(y - s, dtype=wp.vec3, device=scene.device) for y, s in ((o, scene.origin), (d, 0.0))]
     out = wp.zeros((len(x), 9), dtype=wp.float32, device=scene.device)
     trace = make_trace(PRIMITIVE_BSPLINECURVE)
