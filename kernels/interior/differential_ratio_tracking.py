@@ -19,12 +19,12 @@ from warp_psdr.kernels.invalid import vanishes
 from warp_psdr.kernels.medium.coefficients import albedo_at
 from warp_psdr.kernels.medium.flight import mean_of
 from warp_psdr.kernels.medium.grid_adjoint import make_grid_adjoint, power_share
-from warp_psdr.kernels.medium.majorant import before_tentative, grid_ray, mean_majorant, next_tentative
+from warp_psdr.kernels.medium.majorant import GridRay, before_tentative, grid_ray, mean_majorant, next_tentative
 from warp_psdr.kernels.medium.volume import GRID, grid_value
 from warp_psdr.kernels.path_media import SLOTS_PER_STEP, MediaState, MediaVertex, make_collision, make_media_step
 from warp_psdr.kernels.reading import load_float, texture_record
 from warp_psdr.kernels.rng import Sampler, independent_1d, make_sampler, salted
-from warp_psdr.kernels.structs import Scene
+from warp_psdr.kernels.structs import Scene, Texture
 from warp_psdr.kernels.vertex import PathConfig
 
 #: Salt of the numbers that choose a stretch (0) and a point on it (1), and of the path that starts there (2).
@@ -39,6 +39,40 @@ class Stretch:
     length: wp.float32
     weight: wp.float32  # its own
     total: wp.float32  # of all; 0: there is none
+
+
+@wp.struct
+class TransmittedPoint:
+    """A point of a stretch that was chosen by T."""
+
+    t: wp.float32
+    total: wp.float32  # int T dt is its expectation, the mean over channels; 0: there is no point
+    share: wp.vec3  # T of each channel there over their mean
+    sigma: wp.vec3  # extinction there
+
+
+@wp.func
+def transmitted_point(
+    scene: Scene, g: Texture, r: GridRay, scale: wp.float32, least: wp.float32, stream: Sampler
+) -> TransmittedPoint:
+    """A reservoir over the tentative points of ratio tracking, which come at the rate ``least`` at least."""
+    found = TransmittedPoint()
+    w = wp.vec3(1.0, 1.0, 1.0)
+    point = next_tentative(scene.values, g, r, scale, least, stream, before_tentative(g, r, 0))
+    while point.t < r.t1:
+        sigma = scale * grid_value(scene.values, g, r.o + point.t * r.d)
+        weight = mean_of(w)
+        found.total += weight / point.rate
+        if point.u * found.total < weight / point.rate:
+            found.t = point.t
+            found.share = w / weight
+            found.sigma = sigma
+        w = wp.cw_mul(w, wp.vec3(1.0, 1.0, 1.0) - sigma / point.rate)
+        if vanishes(w):
+            point.t = r.t1
+        else:
+            point = next_tentative(scene.values, g, r, scale, least, stream, point)
+    return found
 
 
 @functools.cache
@@ -97,36 +131,17 @@ def make_ratio_branch(config: PathConfig, wanted: GradientRequest, role: str):
         r = grid_ray(scene, g, o, d, stretch.length)
         if not r.t0 < r.t1:
             return dots
-        # ---- A point by T: a reservoir over the tentative points of ratio tracking ----
+        # ---- A point by T ----
         least = 1.0 / (r.t1 - r.t0)
-        stream = salted(sampler, SALT_BRANCH, 1)
-        w = wp.vec3(1.0, 1.0, 1.0)
-        total = wp.float32(0.0)
-        t = wp.float32(0.0)
-        found = wp.vec3(0.0, 0.0, 0.0)
-        sigma = wp.vec3(0.0, 0.0, 0.0)
-        point = next_tentative(scene.values, g, r, scale, least, stream, before_tentative(g, r, 0))
-        while point.t < r.t1:
-            sigma_here = scale * grid_value(scene.values, g, r.o + point.t * r.d)
-            share = mean_of(w)
-            total += share / point.rate
-            if point.u * total < share / point.rate:
-                t = point.t
-                found = w / share
-                sigma = sigma_here
-            w = wp.cw_mul(w, wp.vec3(1.0, 1.0, 1.0) - sigma_here / point.rate)
-            if vanishes(w):
-                point.t = r.t1
-            else:
-                point = next_tentative(scene.values, g, r, scale, least, stream, point)
-        if total <= 0.0:
+        point = transmitted_point(scene, g, r, scale, least, salted(sampler, SALT_BRANCH, 1))
+        if point.total <= 0.0:
             return dots
         # ---- S: what is scattered in there ----
         branch = salted(sampler, SALT_BRANCH, 2)
         state = stretch.state
         slot = 1 + SLOTS_PER_STEP * state.steps
         vertex = MediaVertex()
-        vertex.t = t
+        vertex.t = point.t
         vertex.surface.o = o
         vertex.surface.d = d
         vertex.surface.throughput = wp.vec3(1.0, 1.0, 1.0)
@@ -138,17 +153,17 @@ def make_ratio_branch(config: PathConfig, wanted: GradientRequest, role: str):
             behind, after = media_step(scene, branch, after, max_depth, rr_depth)
             radiance += wp.cw_mul(behind.surface.throughput, behind.surface.direct)
         # ---- a dsigma T S, weighed against collisions ----
-        shared = power_share(mean_majorant(scene, m, g, o, d), mean_of(sigma))
-        size = shared * total * stretch.total / stretch.weight
-        a_sigma = size * wp.cw_mul(wp.cw_mul(found, albedo_at(scene, m, o + t * d)), radiance)
+        shared = power_share(mean_majorant(scene, m, g, o, d), mean_of(point.sigma))
+        size = shared * point.total * stretch.total / stretch.weight
+        a_sigma = size * wp.cw_mul(wp.cw_mul(point.share, albedo_at(scene, m, o + point.t * d)), radiance)
         a_sigma = wp.cw_mul(a_sigma, wp.cw_mul(delta, state.path.throughput))
-        p = r.o + t * r.d
+        p = r.o + point.t * r.d
         for channel in range(wp.static(channels)):
             a = a_sigma
             if wp.static(role == "forward"):
                 a = wp.vec3(0.0, 0.0, 0.0)
                 a[channel] = a_sigma[channel]
-            dots[channel] = accumulate_extinction_at(scene, target, m, g, p, o + t * d, d, a)
+            dots[channel] = accumulate_extinction_at(scene, target, m, g, p, o + point.t * d, d, a)
         return dots
 
     return consider_stretch, from_stretch

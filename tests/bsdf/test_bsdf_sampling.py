@@ -33,6 +33,7 @@ from tests.bsdf.helpers import (
     white,
 )
 from tests.bsdf.principled import alphas, is_thin
+from tests.path.helpers import chi_square_p
 from warp_psdr.kernels.bsdf.dispatch import declaration_of
 from warp_psdr.kernels.bsdf.microfacet import MIN_ALPHA
 from warp_psdr.kernels.constants import LOBE_DELTA_TRANSMISSION, LOBE_NONE, LOBE_SMOOTH
@@ -185,16 +186,6 @@ def integrals(bsdf: Launcher, key: str, mat: dict, wi: np.ndarray, bins=(20, 24)
     cell = jacobian * 2.0 * np.pi / (n_q * n_phi)
     cells = (pdf * cell).reshape(bins[0], fine[0], bins[1], fine[1])
     return cells.sum(axis=(1, 3)), (value * cell[:, None]).sum(axis=0)
-
-
-def chi_square_p(observed: np.ndarray, expected: np.ndarray) -> float:
-    """p-value; the rarest bins are pooled into one that expects at least 5 samples."""
-    order = np.argsort(expected)
-    observed, expected = observed[order], expected[order]
-    pooled = max(int(np.searchsorted(np.cumsum(expected), 5.0)) + 1, int(np.searchsorted(expected, 5.0)))
-    observed = np.append(observed[pooled:], observed[:pooled].sum())
-    expected = np.append(expected[pooled:], expected[:pooled].sum())
-    return float(stats.chi2.sf(((observed - expected) ** 2 / expected).sum(), df=len(expected) - 1))
 
 
 def sampler_p(bsdf: Launcher, key: str, mat: dict, wi: np.ndarray, pdf_mat: dict) -> float:

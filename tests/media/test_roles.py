@@ -7,7 +7,8 @@ import pytest
 import warp as wp
 
 import warp_psdr as psdr
-from tests.media.scenes import T, camera, cube, grid, grids, puffs, sky, whole
+from tests.gradients.measure import shared_random_numbers
+from tests.media.scenes import T, camera, cube, grid, grids, medium, point, puffs, rgb, sky, square, whole
 from warp_psdr import image_io
 from warp_psdr.view.volume_fields import volume_field
 
@@ -38,6 +39,31 @@ def expected(scene):
 def assert_same(found, expected):
     for name, values in expected.items():
         np.testing.assert_allclose(found[name], values, rtol=0.0, atol=ROUNDING * np.abs(values).max())
+
+
+def test_derivatives_trace_the_paths_of_the_image():
+    """Images are linear in lights: with equal numbers the derivative along their radiance is the image, pixel by pixel.
+
+    Paths end in empty voxels and behind interfaces alike; the primal role drops what is zero, the other one does not.
+    """
+    smoke = grids(grid(puffs(4)), (0.9, 0.8, 0.7), g=0.4, scale=3.0)
+    parts = {
+        "sensor": camera([4, 1, 1], [0, 0, 0], 40.0, 6),
+        "cube": cube(smoke),
+        "fog": cube(medium((0.5, 0.2, 1.0), 0.8), scale=0.6, translate=(0, 1.8, 0)),
+        "floor": square(-1.1, 3.0, {"type": "diffuse", "reflectance": rgb(0.6, 0.0, 0.3)}),
+        "sky": sky(1.0, 0.8, 0.6),
+        "bulb": point([2.0, -1.5, 2.5], (6.0, 7.0, 8.0)),
+    }
+    scene = psdr.load_dict(whole(**parts))
+    params = psdr.traverse(scene)
+    lights = {name: params[name].numpy() for name in ("sky.radiance.value", "bulb.intensity.value")}
+    options = {"integrator": psdr.PathIntegrator(max_depth=6, rr_depth=100), "spp": 16, "seed": 5}
+    with shared_random_numbers():
+        image = psdr.render(scene, **options).numpy()
+        derivative = psdr.render_forward(scene, params, lights, **options).numpy()
+    assert (image.max(axis=2) > 0.0).all()
+    np.testing.assert_allclose(derivative, image, rtol=2e-4, atol=0.0)
 
 
 @wp.kernel

@@ -66,3 +66,13 @@ def assert_same_mean(a, b, what, rounding=ROUNDING):
     limit = z_limit(z.size, min(len(a), len(b)) - 1)
     assert mean_b.any(), f"{what}: the image is black, nothing is compared"
     assert z[i] < limit, f"{what}: |z| = {z[i]:.2f} > {limit:.2f} at {i}: got {mean_a[i]:.6g}, expected {mean_b[i]:.6g}"
+
+
+def chi_square_p(observed: np.ndarray, expected: np.ndarray) -> float:
+    """p-value; the rarest bins are pooled into one that expects at least 5 samples."""
+    order = np.argsort(expected)
+    observed, expected = observed[order], expected[order]
+    pooled = max(int(np.searchsorted(np.cumsum(expected), 5.0)) + 1, int(np.searchsorted(expected, 5.0)))
+    observed = np.append(observed[pooled:], observed[:pooled].sum())
+    expected = np.append(expected[pooled:], expected[:pooled].sum())
+    return float(stats.chi2.sf(((observed - expected) ** 2 / expected).sum(), df=len(expected) - 1))
