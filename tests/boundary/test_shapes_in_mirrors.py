@@ -9,6 +9,7 @@ from .scenes import T, box, camera, diffuse, mesh, panel, register, sky
 from .test_exact_sphere import entry, radius
 from .test_sdfgrid import all_values, values
 from .test_sdfgrid_cubic import neck
+from .test_tubes import coordinate
 
 TILES = {"type": "bitmap", "bitmap": np.random.default_rng(0).random((6, 6, 3)).astype(np.float32), "raw": True}
 PAPER = {"type": "diffuse", "reflectance": TILES}
@@ -85,8 +86,16 @@ def plate():
     return {"type": "disk", "exact": True, "to_world": pose, "bsdf": PAINT}
 
 
+def tube():
+    """A tapered B-spline curve."""
+    k = np.linspace(0.0, 1.0, 7)
+    along = np.column_stack([0.9 * k - 0.45, 0.25 * np.cos(6.0 * k), 0.3 * np.sin(6.0 * k), 0.15 - 0.06 * k])
+    return {"type": "bsplinecurve", "control_points": np.float32(along + np.array([*PLACE, 0.0])), "bsdf": BROWN}
+
+
 register(
     {
+        "tube in a mirror": lambda: shown(tube()),
         "disk in a mirror": lambda: shown(plate()),
         "linear grid in a mirror": lambda: shown(boxed(grid=values(), normals="analytic")),
         "cubic grid in a mirror": lambda: shown(boxed(grid=neck(), interpolation="cubic")),
@@ -105,6 +114,7 @@ CASES = [
     Case("exact shapes in a mirror", "mirror.vertex_positions", all_values, 0.01, "the mirror moves", 4, 4096, 16384),
     Case("sunk sphere in a mirror", "ball.to_world", Z, 0.01, "z", 4, 4096, 16384),
     # Differences lose 1.4 % to steps of 0.01.
+    Case("tube in a mirror", "body.control_points", coordinate(2), 0.004, "z", 3, 3072, 32768),
     Case("disk in a mirror", BODY, X, 0.004, "x", 3, 4096, 32768),
     Case("linear grid in a mirror", BODY, X, 0.004, "x", 3, 1024, 32768),
     Case("cubic grid in a mirror", BODY, X, 0.004, "x", 3, 1024, 32768),
