@@ -429,4 +429,9 @@ FACTORIES = {
         ("indirect, lights", (ALL_LIGHTS, unlit(ALL_LIGHTS), "reverse", False, True, 16, True), SLOW),
         ("noted, simple", (NOTED, unlit(NOTED), "reverse", False, True, 16), SLOW),
     ],
+    "boundary.edge_sampling.media_edge_sampling.make_media_edge_sampling_kernel": [
+        ("reverse", (MEDIA, unlit(MEDIA), "reverse", True, False, True, 16, True, 4, 8), SLOW),
+        ("forward, flat", (MEDIA, unlit(MEDIA), "forward", True, False, False, 64, False, 4, 4), SLOW),
+        ("grids", (GRIDS, unlit(GRIDS), "reverse", True, True, True, 16, True, 4, 4), SLOW),
+    ],
 }

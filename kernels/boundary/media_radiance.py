@@ -12,6 +12,8 @@ import warp as wp
 from warp_psdr.kernels.boundary.detector import NEVER, ROW_COUNT, ROWS, Incident, IncidentRadiance
 from warp_psdr.kernels.bvh.wide import RayHit
 from warp_psdr.kernels.constants import FAR, LOBE_NULL
+from warp_psdr.kernels.emitter.area import make_area
+from warp_psdr.kernels.emitter.dispatch import make_lights
 from warp_psdr.kernels.interaction import make_interaction
 from warp_psdr.kernels.medium.interface import make_interface
 from warp_psdr.kernels.path_media import make_media_step, media_path_from, radiance_of_step
@@ -64,6 +66,29 @@ def make_media_radiance(config: PathConfig):
         return r
 
     return media_radiance
+
+
+@functools.cache
+def make_end_radiance(config: PathConfig):
+    """Return ``end_radiance(scene, face, u, v, w) -> vec3``: what a surface, -1: the environment, emits against w."""
+    emitted = make_area(config.area).emitted if config.area else None
+    lights = make_lights(config.lights, None, ()) if config.lights else None
+    environment_eval = lights.environment_eval if lights else None
+
+    @wp.func
+    def end_radiance(scene: Scene, face: wp.int32, u: wp.float32, v: wp.float32, w: wp.vec3) -> wp.vec3:
+        r = wp.vec3(0.0, 0.0, 0.0)
+        if face >= 0:
+            if wp.static(emitted is not None):
+                emitter = scene.shapes[scene.triangles[face].shape].emitter
+                if emitter >= 0:
+                    r = emitted(scene, scene.emitters[emitter], face, u, v, w)
+        else:
+            if wp.static(environment_eval is not None):
+                r = environment_eval(scene, w)
+        return r
+
+    return end_radiance
 
 
 @functools.cache

@@ -170,12 +170,26 @@ def three_lobes():
     return r
 
 
-def test_the_mixture_has_the_density_that_is_divided_by(device) -> None:
+def of_a_medium():
+    r = Lobes()
+    r.light, r.sphere = three_lobes().light, 0.6
+    return r
+
+
+@pytest.mark.parametrize(
+    ("lobes", "a", "along"),
+    [
+        (three_lobes, (-0.8, 0.2, 0.7), (1.5, 0.3, 0.2)),
+        (of_a_medium, (-0.8, 0.2, 0.7), (1.5, 0.3, 0.2)),
+        (of_a_medium, (0.3, -0.2, -0.7), (1.5, 0.3, -2.0)),  # behind the light's lobe, and to one side
+    ],
+    ids=["surface", "medium", "medium, behind"],
+)
+def test_the_mixture_has_the_density_that_is_divided_by(lobes, a, along, device) -> None:
     count = 40000
-    a, along = np.array([-0.8, 0.2, 0.7]), np.array([1.5, 0.3, 0.2])
     u = wp.array(np.random.default_rng(5).uniform(size=(count, 2)), dtype=wp.vec2, device=device)
     fraction, ratio = (wp.zeros(count, dtype=wp.float32, device=device) for _ in range(2))
-    inputs = [three_lobes(), wp.vec3(*a), wp.vec3(*along), u]
+    inputs = [lobes(), wp.vec3(*a), wp.vec3(*along), u]
     wp.launch(mixture, dim=count, inputs=inputs, outputs=[fraction, ratio], device=device)
     s, r = fraction.numpy().astype(np.float64), ratio.numpy().astype(np.float64)
     # E[g / pdf] is the integral of g over the fraction of the edge: moments of a uniform variable.

@@ -230,7 +230,6 @@ def test_guided_equals_unguided(method):
 @pytest.mark.parametrize(
     ("parts", "integrator", "words"),
     [
-        ({}, {"boundary": psdr.boundary.EdgeSampling()}, r"vertices on surfaces.*use boundary\.PathSpace"),
         ({}, {"boundary": psdr.boundary.PathSpace(guiding=psdr.guiding.Grid())}, r"use guiding\.KdTree"),
         ({}, {"hide_emitters": True}, "show the lights"),
         ({"ball": {"type": "sphere", "to_world": T.translate([0, 0, -3])}}, {}, "give face_normals"),
@@ -241,7 +240,7 @@ def test_guided_equals_unguided(method):
             "make its filter 'trilinear'",
         ),
     ],
-    ids=["edge sampling", "guiding", "hidden", "normals", "pierced", "grid"],
+    ids=["guiding", "hidden", "normals", "pierced", "grid"],
 )
 def test_what_is_not_estimated_is_refused(parts, integrator, words):
     scene = curtain(**LIGHTS["area"], **parts)

@@ -114,7 +114,8 @@ class EdgeSampling(Method):
     Unbiased, for what ``PathSpace`` covers without mirrors and glass. Edges are resampled by the line integral of the
     scattering lobe, half of the samples towards a light (``kernels/boundary/edge_sampling/edge_sampling.py``).
     Shadow edges of point, spot and directional lights, which a path vertex cannot meet, are sampled from the edge, as
-    ``PathSpace`` does.
+    ``PathSpace`` does. In media the vertices are points of the medium, too
+    (``kernels/boundary/edge_sampling/media_edge_sampling.py``).
 
     Attributes:
         tree: choose edges by hierarchies over position and face planes; otherwise by length and angle alone.

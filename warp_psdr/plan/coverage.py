@@ -62,7 +62,7 @@ def _beyond(method: Method, config: PathConfig) -> str:
     """Say what this method leaves to others; empty: nothing."""
     if config.pulse and (type(method) is not PathSpace or method.guiding is not None):
         return "it does not know the time bins of a 'transient_hdr_film'; use boundary.PathSpace() without guiding"
-    if isinstance(method, EdgeSampling) and has_delta_lobes(config.bsdfs):
+    if isinstance(method, EdgeSampling) and config.media is None and has_delta_lobes(config.bsdfs):
         return "it does not follow edges through smooth mirrors or glass; use boundary.PathSpace()"
     return ""
 

@@ -26,10 +26,6 @@ if TYPE_CHECKING:
     from warp_psdr.options.integrator import PathIntegrator
     from warp_psdr.scene.scene import Scene
 
-#: Why boundary methods are refused.
-UNKNOWN: dict[type[Method], str] = {
-    EdgeSampling: "samples edges as vertices on surfaces see them, and vertices in media move with what is behind",
-}
 #: What of a medium is differentiated.
 PARAMETERS = (SIGMA_T, ALBEDO, SCALE, EMISSION, PHASE, POSE)
 PHASE_NAMES = {
@@ -226,8 +222,8 @@ def refuse_boundary(
 def _beyond(scene: Scene, config: PathConfig, integrator: PathIntegrator, names: list[str]) -> str:
     """Say what keeps the boundary term from being estimated; empty: nothing."""
     method = integrator.boundary
-    if isinstance(method, Method) and type(method) not in (PathSpace, Projective):
-        return f"{method.label}() {UNKNOWN.get(type(method), 'does not know media')}; use boundary.PathSpace()"
+    if isinstance(method, Method) and type(method) not in (PathSpace, Projective, EdgeSampling):
+        return f"{method.label}() does not know media; use boundary.PathSpace()"
     if isinstance(getattr(method, "guiding", None), Grid):
         return (
             "guiding.Grid() follows photons and importons on surfaces, not in media; use guiding.KdTree() or "

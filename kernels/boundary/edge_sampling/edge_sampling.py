@@ -15,40 +15,24 @@ from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.boundary.coincident import edge_share
 from warp_psdr.kernels.boundary.depth import DIRECT
 from warp_psdr.kernels.boundary.detector import make_incident_radiance
-from warp_psdr.kernels.boundary.edge_sampling.edge_tree import EdgeTrees, make_choose, whole_edge
-from warp_psdr.kernels.boundary.edge_sampling.ltc_line import (
-    Lobes,
-    make_lobe,
-    make_scattering_lobes,
-    mixture_density,
-    sample_mixture,
-)
+from warp_psdr.kernels.boundary.edge_sampling.drawn_edge import SLOT_LIGHT, make_drawn_edge
+from warp_psdr.kernels.boundary.edge_sampling.edge_tree import EdgeTrees
+from warp_psdr.kernels.boundary.edge_sampling.vertex_lobes import make_vertex_lobes
 from warp_psdr.kernels.boundary.film_edge import BESIDE
-from warp_psdr.kernels.boundary.local_form import EdgePoint, Edges, edge_behind, edge_step, interior_side
+from warp_psdr.kernels.boundary.local_form import EdgePoint, Edges, edge_behind, edge_step
 from warp_psdr.kernels.boundary.path_space.secondary import Segment, make_segment_sink
 from warp_psdr.kernels.boundary.transport import make_first_sink
-from warp_psdr.kernels.constants import FAR, PI
+from warp_psdr.kernels.constants import FAR
 from warp_psdr.kernels.interaction import enter_frame, make_interaction
 from warp_psdr.kernels.invalid import count_invalid, finite, vanishes
 from warp_psdr.kernels.jobs import SampleJob
-from warp_psdr.kernels.math import any_tangent
 from warp_psdr.kernels.notes import NOTE_EDGE, make_note
 from warp_psdr.kernels.path import make_camera_start, make_path_step
-from warp_psdr.kernels.rng import SALT_X, SALT_Y, Sampler, independent_2d, independent_4d, pcg4d, sampler_at
-from warp_psdr.kernels.scattering import make_light_sampler
+from warp_psdr.kernels.rng import SALT_X, SALT_Y, Sampler, independent_4d, pcg4d, sampler_at
 from warp_psdr.kernels.sensor.camera import make_camera_ray, make_camera_sink
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.vertex import PathConfig
 from warp_psdr.kernels.visibility import visibility_of
-
-#: Share of the light's lobe in the mixture: half [LADL18], more where only a light itself can be the background.
-LIGHT_SHARE, LIGHT_SHARE_LAST = 0.5, 0.8
-#: Roughness up to which the scattering lobe is left alone [LADL18].
-GLOSSY = 0.1
-#: Narrowest and widest lobe (slope) about a light point.
-MIN_LIGHT_SCALE, MAX_LIGHT_SCALE = 0.01, 1.0
-#: First sample slot of an edge: light, position along it, resampling.
-SLOT_LIGHT, SLOT_ALONG, SLOT_CHOICE = 0, 1, 2
 
 
 @wp.struct
@@ -68,29 +52,8 @@ def make_edge_sample(config: PathConfig, tree: bool, candidates: int):
     """
     visibility = visibility_of(config)
     interaction = make_interaction(config)
-    record, slopes = interaction.record, interaction.bsdf.slopes
-    scattering_lobes = make_scattering_lobes(config)
-    choose = make_choose(tree, candidates)
-    sample_light = make_light_sampler(config)
-
-    @wp.func
-    def lobes_at(scene: Scene, at: record, lobes: Lobes, u4: wp.vec4, last: wp.bool) -> Lobes:
-        """Add the lobe of a light to those of the scattering function."""
-        r = Lobes()
-        r.cosine = lobes.cosine
-        r.glossy = lobes.glossy
-        if wp.static(slopes is not None):
-            slope = slopes(at.model, at.material)
-            if wp.min(slope[0], slope[1]) <= GLOSSY and wp.max(slope[0], slope[1]) > 0.0:
-                return r
-        ls, _index, _probability = sample_light(scene, at.x, u4)
-        if ls.pdf > 0.0 and ls.delta == 0 and wp.dot(ls.wi, lobes.cosine.z) > 0.0:
-            share = wp.where(last, LIGHT_SHARE_LAST, LIGHT_SHARE)
-            scale = wp.clamp(wp.sqrt(1.0 / (PI * ls.pdf)), MIN_LIGHT_SCALE, MAX_LIGHT_SCALE)
-            r.cosine.share = (1.0 - share) * lobes.cosine.share
-            r.glossy.share = (1.0 - share) * lobes.glossy.share
-            r.light = make_lobe(ls.wi, any_tangent(ls.wi), scale, scale, share)
-        return r
+    surface_lobes, _volume_lobes = make_vertex_lobes(config)
+    draw_edge = make_drawn_edge(tree, candidates)
 
     @wp.func
     def edge_sample(
@@ -109,29 +72,22 @@ def make_edge_sample(config: PathConfig, tree: bool, candidates: int):
         if at.wi[2] <= 0.0:
             return r
         x1 = at.x
-        lobes = lobes_at(scene, at, scattering_lobes(at), independent_4d(sampler, SLOT_LIGHT), last)
-        chosen = choose(scene, edges, trees, lobes, x1, sampler, SLOT_CHOICE)
-        if chosen.edge < 0:
+        lobes = surface_lobes(scene, at, independent_4d(sampler, SLOT_LIGHT), last)
+        drawn = draw_edge(scene, edges, trees, lobes, x1, sampler)
+        if drawn.point.edge < 0:
             return r
-        point = whole_edge(scene, edges, chosen.edge)
-        along = point.p1 - point.p0
-        point.s = sample_mixture(lobes, point.p0 - x1, along, independent_2d(sampler, SLOT_ALONG))
-        point.x = point.p0 + point.s * along
-        length = wp.length(along)
-        t1 = wp.length(point.x - x1)
-        w = (point.x - x1) / t1
-        tangent = along / length
-        m = wp.cross(tangent, w)
-        sine = wp.length(m)
-        side = interior_side(scene, edges, point, m)
-        density = trees.boost[chosen.edge] * mixture_density(lobes, w)
+        point = drawn.point
+        t1 = drawn.t1
+        w = drawn.w
+        side = drawn.side
         f = interaction.eval(at, enter_frame(at.frame, w))
         # Where the density is 0 so is f: both are of the same cosine. A point that is drawn is not seen end-on.
         if side == 0.0 or vanishes(f):
             return r
         # The line passes the occluder on its outside.
         step = edge_step(scene, edges, point.edge)
-        x = point.x - (step * side / sine) * m
+        m = wp.cross(drawn.tangent, w)
+        x = point.x - (step * side / drawn.sine) * m
         behind = wp.min(edge_behind(scene, step), 0.5 * t1)
         o = interaction.offset(at, w)
         ray = x - o
@@ -142,7 +98,7 @@ def make_edge_sample(config: PathConfig, tree: bool, candidates: int):
         s.light = -1
         s.x = x
         # Past the edge so closely that small lights behind it are met.
-        s.source = point.x - (BESIDE * step * side / sine) * m - behind * w
+        s.source = point.x - (BESIDE * step * side / drawn.sine) * m - behind * w
         s.w = w
         s.boundary_normal = side * m
         s.t1 = t1
@@ -160,8 +116,8 @@ def make_edge_sample(config: PathConfig, tree: bool, candidates: int):
                 s.source = x - behind * w
         s.valid = 1
         # pdf_l = q boost / scale, q = density sin(phi) / t_1^2; t_1^2 cancels against the measure.
-        share = edge_share(scene, edges, point, tangent, w, side)
-        r.value = (share * chosen.scale / (density * sine)) * f
+        share = edge_share(scene, edges, point, drawn.tangent, w, side)
+        r.value = (share * drawn.scale / (drawn.density * drawn.sine)) * f
         r.segment = s
         r.point = point
         return r

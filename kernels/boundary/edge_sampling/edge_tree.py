@@ -13,7 +13,7 @@ import warp as wp
 
 from warp_psdr.kernels.boundary.edge_sampling.ltc_line import Lobe, Lobes, mixture_integral
 from warp_psdr.kernels.boundary.local_form import EdgePoint, Edges, interior_side
-from warp_psdr.kernels.constants import INV_PI
+from warp_psdr.kernels.constants import INV_FOUR_PI, INV_PI
 from warp_psdr.kernels.distribution import find_interval
 from warp_psdr.kernels.reading import load_vec3
 from warp_psdr.kernels.rng import Sampler, independent_1d
@@ -91,7 +91,7 @@ def node_importance(node: EdgeNode, lobes: Lobes, x: wp.vec3) -> wp.float32:
     """Estimate the node's part of the integral; 0 only where it holds nothing."""
     to = node.center - x
     n = lobes.cosine.z
-    if wp.dot(n, to) + wp.dot(wp.abs(n), node.half) <= 0.0:
+    if lobes.sphere == 0.0 and wp.dot(n, to) + wp.dot(wp.abs(n), node.half) <= 0.0:
         return 0.0
     if not may_hold_silhouette(node, x):
         return 0.0
@@ -107,6 +107,7 @@ def node_importance(node: EdgeNode, lobes: Lobes, x: wp.vec3) -> wp.float32:
     value = lobe_estimate(lobes.cosine, w, cosine, sine)
     value += lobe_estimate(lobes.glossy, w, cosine, sine)
     value += lobe_estimate(lobes.light, w, cosine, sine)
+    value += INV_FOUR_PI * lobes.sphere
     return node.weight * value / wp.max(squared, radius2)
 
 

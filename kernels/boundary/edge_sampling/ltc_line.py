@@ -10,7 +10,7 @@ import functools
 
 import warp as wp
 
-from warp_psdr.kernels.constants import INV_PI
+from warp_psdr.kernels.constants import INV_FOUR_PI, INV_PI
 from warp_psdr.kernels.interaction import leave_frame, make_interaction
 from warp_psdr.kernels.math import any_tangent, reflect_local
 from warp_psdr.kernels.vertex import PathConfig
@@ -48,11 +48,27 @@ class Lobe:
 
 @wp.struct
 class Lobes:
-    """A mixture: the cosine about the shading normal, a glossy lobe, and one around a light."""
+    """A mixture: the cosine about the shading normal, a glossy lobe, one around a light, and the whole sphere.
+
+    Surfaces have no share of the sphere; points of a medium have, and no cosine.
+    """
 
     cosine: Lobe
     glossy: Lobe
     light: Lobe
+    sphere: wp.float32  # share of the uniform density
+
+
+@wp.struct
+class SphereSegment:
+    """An edge as the uniform density sees it, and the integral of q over it [1 / length]."""
+
+    integral: wp.float32
+    distance: wp.float32  # of its line
+    start: wp.float32  # from the line's foot to the edge's ends
+    length: wp.float32
+    above: wp.vec2  # 1 - sin(psi) at the two ends
+    below: wp.vec2  # 1 + sin(psi)
 
 
 @wp.struct
@@ -174,6 +190,46 @@ def sample_line(line: LobeSegment, u: wp.float32) -> wp.float32:
 
 
 @wp.func
+def one_minus_sine(far: wp.float32, t: wp.float32, d: wp.float32) -> wp.float32:
+    """1 - far / t with t^2 = far^2 + d^2, to float32's relative precision."""
+    if far > 0.0:
+        return d * d / (t * (t + far))
+    return 1.0 - far / t
+
+
+@wp.func
+def sphere_integral(a: wp.vec3, along: wp.vec3) -> SphereSegment:
+    """Integrate q of the uniform density over an edge (arguments as ``line_integral``'s)."""
+    r = SphereSegment()
+    r.length = wp.length(along)
+    double_area = wp.length(wp.cross(a, along))
+    if double_area <= END_ON * r.length * wp.length(a):
+        return r
+    d = double_area / r.length
+    r.distance = d
+    r.start = wp.dot(a, along) / r.length
+    end = r.start + r.length
+    t1 = wp.sqrt(d * d + r.start * r.start)
+    t2 = wp.sqrt(d * d + end * end)
+    r.above = wp.vec2(one_minus_sine(r.start, t1, d), one_minus_sine(end, t2, d))
+    r.below = wp.vec2(one_minus_sine(-r.start, t1, d), one_minus_sine(-end, t2, d))
+    half = 0.5 * wp.atan2(d * r.length, d * d + r.start * end)
+    # sin(psi_2) - sin(psi_1) = 2 sin(x / 2) cos(psi_1 + x / 2), without the difference.
+    middle = (d * wp.cos(half) - r.start * wp.sin(half)) / t1
+    r.integral = INV_FOUR_PI * wp.max(2.0 * wp.sin(half) * middle, 0.0) / d
+    return r
+
+
+@wp.func
+def sample_sphere_line(line: SphereSegment, u: wp.float32) -> wp.float32:
+    """Return the fraction of the edge up to which a part u of the integral lies."""
+    above = (1.0 - u) * line.above[0] + u * line.above[1]
+    below = (1.0 - u) * line.below[0] + u * line.below[1]
+    from_foot = 0.5 * line.distance * (below - above) / wp.sqrt(above * below)
+    return wp.clamp((from_foot - line.start) / line.length, 0.0, 1.0)
+
+
+@wp.func
 def mixture_integral(lobes: Lobes, a: wp.vec3, along: wp.vec3) -> wp.float32:
     """Integrate q of a mixture over an edge (arguments as ``line_integral``'s)."""
     total = wp.float32(0.0)
@@ -186,6 +242,9 @@ def mixture_integral(lobes: Lobes, a: wp.vec3, along: wp.vec3) -> wp.float32:
     if lobes.light.share > 0.0:
         line = line_integral(lobes.light, a, along)
         total += lobes.light.share * line.integral
+    if lobes.sphere > 0.0:
+        whole = sphere_integral(a, along)
+        total += lobes.sphere * whole.integral
     return total
 
 
@@ -199,7 +258,7 @@ def mixture_density(lobes: Lobes, w: wp.vec3) -> wp.float32:
         total += lobes.glossy.share * lobe_density(lobes.glossy, w)
     if lobes.light.share > 0.0:
         total += lobes.light.share * lobe_density(lobes.light, w)
-    return total
+    return total + INV_FOUR_PI * lobes.sphere
 
 
 @wp.func
@@ -208,20 +267,26 @@ def sample_mixture(lobes: Lobes, a: wp.vec3, along: wp.vec3, u: wp.vec2) -> wp.f
     cosine = LobeSegment()
     glossy = LobeSegment()
     light = LobeSegment()
+    whole = SphereSegment()
     if lobes.cosine.share > 0.0:
         cosine = line_integral(lobes.cosine, a, along)
     if lobes.glossy.share > 0.0:
         glossy = line_integral(lobes.glossy, a, along)
     if lobes.light.share > 0.0:
         light = line_integral(lobes.light, a, along)
+    if lobes.sphere > 0.0:
+        whole = sphere_integral(a, along)
     first = lobes.cosine.share * cosine.integral
     second = lobes.glossy.share * glossy.integral
-    at = u[0] * (first + second + lobes.light.share * light.integral)
+    third = lobes.light.share * light.integral
+    at = u[0] * (first + second + third + lobes.sphere * whole.integral)
     if at < first:
         return sample_line(cosine, u[1])
     if at < first + second:
         return sample_line(glossy, u[1])
-    return sample_line(light, u[1])
+    if at < first + second + third or lobes.sphere == 0.0:
+        return sample_line(light, u[1])
+    return sample_sphere_line(whole, u[1])
 
 
 @functools.cache

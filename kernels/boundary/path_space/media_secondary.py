@@ -16,14 +16,13 @@ from warp_psdr.kernels.boundary.coincident import pass_together
 from warp_psdr.kernels.boundary.detector import Incident, radiance_behind, serves_length
 from warp_psdr.kernels.boundary.guiding.techniques import Guide, make_techniques, octant_point
 from warp_psdr.kernels.boundary.local_form import EdgePoint, Edges, edge_behind, edge_step, facing_side
-from warp_psdr.kernels.boundary.media_radiance import make_media_incident
+from warp_psdr.kernels.boundary.media_radiance import make_end_radiance, make_media_incident
 from warp_psdr.kernels.boundary.path_space.direction import Direction, wedge_at
-from warp_psdr.kernels.boundary.path_space.media_walk import MediaWalk, Sight, make_media_walk, make_ride
+from warp_psdr.kernels.boundary.path_space.media_ride import make_media_ride
+from warp_psdr.kernels.boundary.path_space.media_walk import MediaWalk, Sight, make_media_walk
 from warp_psdr.kernels.boundary.path_space.secondary import SLOT_DIRECTION, SLOT_EDGE, make_segment_sink, moves
 from warp_psdr.kernels.boundary.transport import SLOT_LENS, Segment
 from warp_psdr.kernels.constants import FAR
-from warp_psdr.kernels.emitter.area import make_area
-from warp_psdr.kernels.emitter.dispatch import make_lights
 from warp_psdr.kernels.invalid import count_invalid, vanishes
 from warp_psdr.kernels.jobs import SampleJob
 from warp_psdr.kernels.medium.coefficients import exp_minus
@@ -31,13 +30,11 @@ from warp_psdr.kernels.medium.line import AHEAD, SIGHT, ClearLine, make_line
 from warp_psdr.kernels.medium.volume import GRID
 from warp_psdr.kernels.path_media import GRAZING
 from warp_psdr.kernels.phase.sggx import make_extinction_along
-from warp_psdr.kernels.primitive.dispatch import make_adjoint_sink
 from warp_psdr.kernels.rng import Sampler, branch_of, make_sampler, sampler_at
-from warp_psdr.kernels.sensor.camera import make_camera_sink, make_lens
+from warp_psdr.kernels.sensor.camera import make_lens
 from warp_psdr.kernels.sensor.projection import make_splat
 from warp_psdr.kernels.step import leaving_step
 from warp_psdr.kernels.structs import Camera, Scene
-from warp_psdr.kernels.surface import VertexAdjoint
 from warp_psdr.kernels.vertex import PathConfig
 
 #: Vertices of a walk that reverse mode keeps; those behind are drawn a second time.
@@ -58,9 +55,7 @@ def make_media_segment(config: PathConfig, deep: bool):
     assert config.media is not None
     grids = config.media.grids
     extinction_along = make_extinction_along(config.media.phases)
-    emitted = make_area(config.area).emitted if config.area else None
-    lights = make_lights(config.lights, None, ()) if config.lights else None
-    environment_eval = lights.environment_eval if lights else None
+    end_radiance = make_end_radiance(config)
 
     @wp.func
     def segment(
@@ -126,13 +121,7 @@ def make_media_segment(config: PathConfig, deep: bool):
         if r.light < 0:
             if r.face2 >= 0:
                 r.known += moves(scene, moving, r.face2)
-                if wp.static(bool(config.area)):
-                    emitter = scene.shapes[scene.triangles[r.face2].shape].emitter
-                    if emitter >= 0:
-                        r.radiance = emitted(scene, scene.emitters[emitter], r.face2, r.u2, r.v2, r.w)
-            else:
-                if wp.static(environment_eval is not None):
-                    r.radiance = environment_eval(scene, r.w)
+            r.radiance = end_radiance(scene, r.face2, r.u2, r.v2, r.w)
         ahead.medium = medium  # that at the edge
         in_grid = wp.bool(False)
         if wp.static(grids):
@@ -170,13 +159,9 @@ def make_media_secondary_kernel(
     traces = deep or emissive
     segment_at = make_media_segment(config, traces)
     first_vertex, sight_of, extend = make_media_walk(config)
-    ride, ride_sight = (None, None) if evaluates else make_ride(config, role, grids_move)
+    by_camera, by_surface = (None, None) if evaluates else make_media_ride(config, role, camera_moves, grids_move)
     media_incident = make_media_incident(config) if traces else None
     accumulate_segment = None if evaluates else make_segment_sink(role, light_pose)
-    accumulate_vertex = (
-        None if evaluates else make_adjoint_sink(role, False, False, False, False, False, True, config.primitives)
-    )
-    accumulate_camera = make_camera_sink(role, config.camera) if camera_moves else None
     splat, gather = make_splat()
     lens_point = make_lens(config.camera)
     sample_aim, density, place = make_techniques(config, guided)
@@ -186,37 +171,6 @@ def make_media_secondary_kernel(
     sample_4d = draw.sample_4d
     forward = role == "forward"
     twice = role == "reverse"
-
-    @wp.func
-    def by_camera(
-        scene: Scene, camera: Camera, target: wp.array(dtype=wp.float32), walk: MediaWalk, seen: Sight, g: wp.vec3
-    ) -> wp.float32:
-        """Scatter the adjoint of a vertex that rides on the camera's ray."""
-        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
-        if walk.collides:
-            a = ride_sight(scene, target, walk, seen, g)
-        else:
-            adjoint = VertexAdjoint()
-            adjoint.x = g
-            a = accumulate_vertex(scene, target, walk.face, walk.u, walk.v, adjoint, True, seen.at.origin, seen.d)
-        total = a.dot
-        if wp.static(camera_moves):
-            total += accumulate_camera(scene, target, camera, seen.at.sample, a.o, a.d)
-        return total
-
-    @wp.func
-    def by_surface(
-        scene: Scene, target: wp.array(dtype=wp.float32), walk: MediaWalk, after: MediaWalk, g: wp.vec3
-    ) -> tuple[wp.vec3, wp.float32]:
-        """Scatter the adjoint of a vertex behind another; the adjoint that is left for that one."""
-        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
-        if walk.collides:
-            a_y, dot = ride(scene, target, walk, after, g)
-            return a_y, dot
-        adjoint = VertexAdjoint()
-        adjoint.x = g
-        done = accumulate_vertex(scene, target, walk.face, walk.u, walk.v, adjoint, False, walk.x, walk.to)
-        return wp.vec3(0.0, 0.0, 0.0), done.dot
 
     @wp.kernel(module="unique", enable_backward=False)
     def media_secondary(

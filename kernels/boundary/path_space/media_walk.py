@@ -1,7 +1,7 @@
-"""The walk from a boundary segment's x_1 towards the camera in media, and what its vertices ride on.
+"""The walk from a boundary segment's x_1 towards the camera in media.
 
-As ``detector.py``, whose vertices are surface points. A volume vertex has sigma_s f_p for f_s and no cosine; it keeps
-its fraction of the ray from the vertex that is next towards the camera, or of the camera's.
+As ``detector.py``, whose vertices are surface points. A volume vertex has sigma_s f_p for f_s and no cosine. What it
+rides on is in ``media_ride.py``.
 
 Derivation: ``docs/theory/media.md#boundaries-in-media``.
 """
@@ -10,7 +10,6 @@ import functools
 
 import warp as wp
 
-from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.boundary.detector import MIN_COSINE, make_turn
 from warp_psdr.kernels.boundary.path_space.walk_flight import Flown, make_flown, make_flown_in_grid
 from warp_psdr.kernels.bvh.wide import RayHit
@@ -18,8 +17,6 @@ from warp_psdr.kernels.constants import FAR, PHASE_SGGX
 from warp_psdr.kernels.interaction import enter_frame, make_interaction
 from warp_psdr.kernels.invalid import vanishes
 from warp_psdr.kernels.medium.coefficients import Coefficients, exp_minus
-from warp_psdr.kernels.medium.grid_span import SpanAdjoint, make_grid_span, span_length, span_of
-from warp_psdr.kernels.medium.interface import make_crossing_sink, make_interface
 from warp_psdr.kernels.medium.line import ClearLine, make_line
 from warp_psdr.kernels.medium.null_surface import make_null_surface
 from warp_psdr.kernels.medium.passage import MOST_INTERFACES, is_lost, medium_towards
@@ -28,13 +25,11 @@ from warp_psdr.kernels.path_media import GRAZING
 from warp_psdr.kernels.phase.dispatch import make_phase
 from warp_psdr.kernels.phase.sggx import make_extinction_along
 from warp_psdr.kernels.primitive.dispatch import make_position
-from warp_psdr.kernels.reading import texture_record
 from warp_psdr.kernels.rng import Sampler, make_sampler
 from warp_psdr.kernels.scattering import ROULETTE_MAX
 from warp_psdr.kernels.sensor.projection import FilmPoint, make_projection
 from warp_psdr.kernels.step import leaving_step, step_beside
 from warp_psdr.kernels.structs import Camera, Scene
-from warp_psdr.kernels.surface import RayAdjoint, VertexAdjoint, make_vertex_sink, normalize_vjp
 from warp_psdr.kernels.vertex import PathConfig
 from warp_psdr.kernels.visibility import visibility_of
 
@@ -264,123 +259,3 @@ def make_media_walk(config: PathConfig):
         return r
 
     return first_vertex, sight, extend
-
-
-@functools.cache
-def make_ride(config: PathConfig, role: str, grids_move: bool):
-    """Return ``(ride, ride_sight)``, which take the adjoint g of a volume vertex.
-
-    ``ride(scene, target, walk, after, g) -> (vec3, float32)``: it keeps its fraction of the ray from the vertex
-    ``after`` it, whose adjoint is returned.
-    ``ride_sight(scene, target, walk, sight, g) -> RayAdjoint``: of the camera's ray, whose adjoint is returned.
-    """
-    accumulate_crossing = make_crossing_sink(role)
-    accumulate_vertex = make_vertex_sink(role, False, False, False, False, False, False)
-    is_interface, behind = make_interface(config)
-    visibility = visibility_of(config)
-    position, _cross_of = make_position(config.primitives)
-    grids = config.media is not None and config.media.grids
-    _point, _depth, accumulate_ends = make_grid_span(role, grids_move) if grids else (None, None, None)
-
-    @wp.func
-    def along(
-        scene: Scene,
-        target: wp.array(dtype=wp.float32),
-        walk: MediaWalk,
-        d: wp.vec3,
-        t: wp.float32,
-        near: wp.float32,
-        far: wp.float32,
-        g: wp.vec3,
-    ) -> SpanAdjoint:
-        """A vertex at a fraction of a stretch of the ray along d, or, in a grid, of its span in the grid's box."""
-        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
-        r = SpanAdjoint()
-        r.o = g
-        r.d = t * g
-        r.near = wp.dot(d, g)
-        if wp.static(grids):
-            m = scene.media.records[walk.medium]
-            if m.sigma_t_channels == GRID:
-                grid = texture_record(scene, m.sigma_t)
-                o = walk.x - t * d
-                span = span_of(scene, grid, o, d, near, far)
-                r.far = wp.clamp((t - span.near) / span_length(span), 0.0, 1.0) * r.near
-                r.near -= r.far
-                return accumulate_ends(scene, target, grid, span, o, d, r)
-        if far < FAR:
-            r.far = (t - near) / wp.max(far - near, t - near) * r.near
-            r.near -= r.far
-        return r
-
-    @wp.func
-    def ride(
-        scene: Scene, target: wp.array(dtype=wp.float32), walk: MediaWalk, after: MediaWalk, g: wp.vec3
-    ) -> tuple[wp.vec3, wp.float32]:
-        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
-        d = after.to
-        y = after.x
-        t = wp.dot(walk.x - y, d)
-        hit = visibility.closest(scene, walk.x, d, FAR)
-        z = behind(scene, hit, d, FAR, 1)
-        near = wp.float32(0.0)
-        if after.near_face >= 0:
-            near = t - after.near
-        far = wp.float32(FAR)
-        if hit.face >= 0:
-            far = t + hit.t
-        rides = along(scene, target, walk, d, t, near, far, g)
-        a_y = rides.o
-        a_w = rides.d
-        a_near = rides.near
-        a_far = rides.far
-        total = rides.dot
-        if hit.face >= 0:
-            if is_interface(scene, hit.face):
-                a = accumulate_crossing(scene, target, hit.face, hit.u, hit.v, d, far, a_far)
-                a_y += a.o
-                a_w += a.d
-                total += a.dot
-                a_far = 0.0
-        if after.near_face >= 0:
-            a = accumulate_crossing(scene, target, after.near_face, after.near_u, after.near_v, d, near, a_near)
-            a_y += a.o
-            a_w += a.d
-            total += a.dot
-        if z.face >= 0:
-            length = wp.length(position(scene.triangles[z.face], z.u, z.v) - y)
-            adjoint = VertexAdjoint()
-            adjoint.x = a_far * d + normalize_vjp(d, length, a_w)
-            a_y -= adjoint.x
-            total += accumulate_vertex(scene, target, z.face, z.u, z.v, adjoint, False, d, d).dot
-        return a_y, total
-
-    @wp.func
-    def ride_sight(
-        scene: Scene, target: wp.array(dtype=wp.float32), walk: MediaWalk, s: Sight, g: wp.vec3
-    ) -> RayAdjoint:
-        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
-        r = RayAdjoint()
-        near = s.at.near + s.line.near
-        hit = visibility.closest(scene, walk.x, s.d, FAR)
-        far = wp.float32(FAR)
-        if hit.face >= 0:
-            far = s.t + hit.t
-        rides = along(scene, target, walk, s.d, s.t, near, far, g)
-        r.o = rides.o
-        r.d = rides.d
-        r.dot = rides.dot
-        a_near = rides.near
-        if hit.face >= 0:
-            a = accumulate_crossing(scene, target, hit.face, hit.u, hit.v, s.d, far, rides.far)
-            r.o += a.o
-            r.d += a.d
-            r.dot += a.dot
-        if s.line.near_face >= 0:
-            a = accumulate_crossing(scene, target, s.line.near_face, s.line.near_u, s.line.near_v, s.d, near, a_near)
-            r.o += a.o
-            r.d += a.d
-            r.dot += a.dot
-        return r
-
-    return ride, ride_sight

@@ -25,6 +25,8 @@ from warp_psdr.estimate.boundary.terms import (
     hard_shadows,
     indirect_terminator,
     intersection_curve,
+    media_edge_sampling,
+    media_hard_shadows,
     media_secondary,
     path_warped_area,
     primary,
@@ -91,7 +93,9 @@ ALL: tuple[BoundaryTerm, ...] = (
     secondary_tubes.TERM,
     foreground_tubes.TERM,
     edge_sampling.TERM,
+    media_edge_sampling.TERM,
     hard_shadows.TERM,
+    media_hard_shadows.TERM,
     intersection_curve.TERM,
     film_crossing.TERM,
     vertex_crossing.TERM,
@@ -137,8 +141,7 @@ def _kinds(request: Request) -> tuple[BoundaryTerm, ...]:
     """Return the terms that a method consists of before a sensor and in a scene."""
     if request.config.camera in METERS:  # what is sampled on a film has measure zero on one ray
         return (edge_sampling.TERM,)
-    kinds = TERMS[type(request.method)]
-    return kinds if request.config.media is None else tuple(term for term in kinds if term.media)
+    return TERMS[type(request.method)]
 
 
 def by_parts(scene: Scene, plan: Plan, names: list[str], sensor: int, spp: int, seed: int) -> dict[str, list[Term]]:
@@ -167,8 +170,9 @@ def prepare(scene: Scene, plan: Plan, names: list[str], sensor: int) -> list[wp.
 
 
 def launches(term: BoundaryTerm, request: Request) -> list[Term]:
-    """Return the launches of one of a method's terms, under its name."""
-    found = term.launch(request) if term.applies(request) else None
+    """Return the launches of one of a method's terms, under its name; in media, of those that know them."""
+    known = term.media or request.config.media is None
+    found = term.launch(request) if known and term.applies(request) else None
     if found is not None and request.config.primitives and not term.exact:
         raise ValueError(
             f"the boundary term {term.name!r} does not know exact shapes yet; {primitives.INSTEAD}, or give the meshes "

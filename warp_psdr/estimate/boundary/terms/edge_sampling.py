@@ -20,6 +20,11 @@ def applies(r: Request) -> bool:
     return r.plan.max_depth != 1 and bool(kinds if r.plan.max_depth != 2 else kinds - c.DELTA_LIGHTS)
 
 
+def candidates_of(method: EdgeSampling) -> int:
+    """Return how many edges are resampled for each sample."""
+    return method.candidates or (MAX_SPLIT if method.tree else DEFAULT_CANDIDATES)
+
+
 def launch(r: Request) -> Term | None:
     """Return the term of shadow edges and their like as the vertices of a camera path see them [LADL18]."""
     assert isinstance(r.method, EdgeSampling)
@@ -28,7 +33,7 @@ def launch(r: Request) -> Term | None:
         return None
     spp = r.method.spp_secondary or r.spp
     walk = replace(r.plan.config, area=(), lights=())
-    candidates = r.method.candidates or (MAX_SPLIT if r.method.tree else DEFAULT_CANDIDATES)
+    candidates = candidates_of(r.method)
     kernel = make_edge_sampling_kernel(r.config, walk, r.role, r.moves.camera, r.method.tree, candidates, r.indirect)
     head = [r.scene.data(), r.camera, edges, edge_trees(r.scene, edges)]
     return term_of(r, TERM, kernel, head, r.pixels * spp, count=spp)

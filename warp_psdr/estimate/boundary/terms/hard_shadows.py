@@ -10,6 +10,7 @@ from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.boundary.guiding.techniques import Guide
 from warp_psdr.kernels.boundary.path_space.secondary import make_secondary_kernel
 from warp_psdr.kernels.structs import Emitter
+from warp_psdr.kernels.structs import Scene as SceneData
 from warp_psdr.options.boundary import EdgeSampling
 from warp_psdr.plan.motion import moving_shapes
 from warp_psdr.scene.light_sampling import cumulative
@@ -21,21 +22,26 @@ def applies(r: Request) -> bool:
     return r.plan.max_depth != 1 and any(e.kind in c.DELTA_LIGHTS for e in r.scene.builder.emitters)
 
 
-def launch(r: Request) -> Term | None:
-    """Return the term of the shadow edges of point, spot and directional lights alone."""
-    edges = secondary_edges(r.scene, set(r.moves.shapes))
-    if edges is None:
-        return None
-    samples = r.pixels * (r.method.spp_secondary or r.spp)
+def point_like_lights(r: Request) -> SceneData:
+    """Return the scene's record with the chances of its point, spot and directional lights alone."""
     data = r.scene.data()
     records = data.emitters.numpy().copy()  # on the CPU ``numpy`` is a view of the scene's own records
     cdf = cumulative(np.where(np.isin(records["kind"], list(c.DELTA_LIGHTS)), records["probability"], 0.0))
     records["probability"] = np.diff(cdf)
     data.emitters = wp.array(records, dtype=Emitter, device=r.scene.device)
     data.emitter_cdf = wp.array(cdf, dtype=wp.float32, device=r.scene.device)
+    return data
+
+
+def launch(r: Request) -> Term | None:
+    """Return the term of the shadow edges of point, spot and directional lights alone."""
+    edges = secondary_edges(r.scene, set(r.moves.shapes))
+    if edges is None:
+        return None
+    samples = r.pixels * (r.method.spp_secondary or r.spp)
     kernel = make_secondary_kernel(r.config, r.role, r.moves.camera, r.moves.light_pose, False, r.indirect)
     # No share of the wedge: every sample goes to a light.
-    head = [data, r.camera, edges, moving_shapes(r.scene, r.moves), Guide()]
+    head = [point_like_lights(r), r.camera, edges, moving_shapes(r.scene, r.moves), Guide()]
     return term_of(r, TERM, kernel, head, samples)
 
 
