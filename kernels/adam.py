@@ -7,12 +7,14 @@ import functools
 
 import warp as wp
 
+from warp_psdr.kernels.modules import wide_vectors
+
 
 @functools.cache
 def make_adam(mask_updates: bool):
     """Make the kernel of one step; with ``mask_updates`` entries of zero gradient keep their value and moments."""
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", enable_backward=False, module_options=wide_vectors())
     def adam(
         # In:
         gradient: wp.array(dtype=wp.float32),
@@ -48,7 +50,7 @@ def make_adam(mask_updates: bool):
 def make_count_unusable():
     """Make the kernel that counts the entries of a gradient whose square, which Adam takes, is not finite."""
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", enable_backward=False, module_options=wide_vectors())
     def count_unusable(
         # In:
         gradient: wp.array(dtype=wp.float32),

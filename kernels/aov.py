@@ -14,6 +14,7 @@ from warp_psdr.kernels.constants import PI
 from warp_psdr.kernels.interaction import make_interaction
 from warp_psdr.kernels.invalid import count_invalid, finite
 from warp_psdr.kernels.jobs import PixelJob, pixel_of
+from warp_psdr.kernels.modules import wide_vectors
 from warp_psdr.kernels.path import make_camera_start
 from warp_psdr.kernels.primitive.affine import is_primitive
 from warp_psdr.kernels.primitive.dispatch import make_partials
@@ -70,7 +71,7 @@ def make_aov_kernel(config: PathConfig):
             albedo = PI * bsdf_eval(at, wp.vec3(0.0, 0.0, 1.0))
         return albedo
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", enable_backward=False, module_options=wide_vectors())
     def aov(
         # Scene:
         scene: Scene,

@@ -2,8 +2,10 @@
 
 import warp as wp
 
+from warp_psdr.kernels.modules import wide_vectors
 
-@wp.kernel(module="unique", enable_backward=False)
+
+@wp.kernel(module="unique", enable_backward=False, module_options=wide_vectors())
 def place_columns(
     # In:
     part: wp.array2d(dtype=wp.vec3),

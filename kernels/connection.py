@@ -21,6 +21,7 @@ from warp_psdr.kernels.invalid import count_invalid, finite, vanishes
 from warp_psdr.kernels.jobs import PixelJob, pixel_of
 from warp_psdr.kernels.light_path import LightVertex, light_sampler
 from warp_psdr.kernels.light_ray import LightRay
+from warp_psdr.kernels.modules import wide_vectors
 from warp_psdr.kernels.reading import triangle_at
 from warp_psdr.kernels.rng import sampler_at
 from warp_psdr.kernels.sensor.camera import CameraSample
@@ -180,7 +181,7 @@ def make_connected_image_kernel(config: PathConfig):
     walk_from = make_walk_from(config.camera)
     splat, _gather = make_splat()
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", enable_backward=False, module_options=wide_vectors())
     def connected_image(
         # Scene:
         scene: Scene,

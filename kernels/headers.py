@@ -2,8 +2,10 @@
 
 import warp as wp
 
+from warp_psdr.kernels.modules import HEADERS
 
-@wp.kernel(module="warp_psdr.headers", enable_backward=False)
+
+@wp.kernel(module=HEADERS, enable_backward=False)
 def include_headers(values: wp.array(dtype=wp.float32)):
     """Do next to nothing."""
     values[wp.tid()] = 0.0

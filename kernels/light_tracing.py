@@ -15,7 +15,7 @@ from warp_psdr.kernels.bidirectional_path import make_light_walk
 from warp_psdr.kernels.invalid import count_invalid
 from warp_psdr.kernels.jobs import PixelJob
 from warp_psdr.kernels.light_path import light_sampler
-from warp_psdr.kernels.modules import SCENE
+from warp_psdr.kernels.modules import SCENE, wide_vectors
 from warp_psdr.kernels.sensor.projection import make_splat
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.vertex import PathConfig
@@ -27,7 +27,7 @@ def make_light_image_kernel(config: PathConfig):
     _record, start, step = make_light_walk(config, False)
     splat, _gather = make_splat()
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", enable_backward=False, module_options=wide_vectors())
     def light_image(
         # Scene:
         scene: Scene,

@@ -8,6 +8,8 @@ import functools
 
 import warp as wp
 
+from warp_psdr.kernels.modules import GRID_LOSS, LOSS, wide_vectors
+
 
 @wp.func
 def squared(difference: wp.float32, target: wp.float32, parameter: wp.float32) -> wp.float32:
@@ -38,7 +40,7 @@ def relative_squared(difference: wp.float32, target: wp.float32, parameter: wp.f
 def make_terms(term):
     """Make the kernel that sums ``term(image - target, target, parameter)`` over the channels of every pixel."""
 
-    @wp.kernel(module="unique")
+    @wp.kernel(module="unique", module_options=wide_vectors())
     def terms(
         # In:
         image: wp.array2d(dtype=wp.vec3),
@@ -61,7 +63,7 @@ def make_terms(term):
 def make_grid_terms():
     """Make the kernels of the terms of grids (Z, Y, X): how far slopes are from 1, and the squared Laplacian."""
 
-    @wp.kernel(module="warp_psdr.grid_loss")
+    @wp.kernel(module=GRID_LOSS)
     def eikonal_terms(
         # In:
         grid: wp.array3d(dtype=wp.float32),
@@ -87,7 +89,7 @@ def make_grid_terms():
         excess = wp.sqrt(wp.dot(slope, slope) + 1.0e-12) - 1.0
         terms_out[z * (grid.shape[1] - 1) + y, x] = excess * excess
 
-    @wp.kernel(module="warp_psdr.grid_loss")
+    @wp.kernel(module=GRID_LOSS)
     def laplacian_terms(
         # In:
         grid: wp.array3d(dtype=wp.float32),
@@ -114,7 +116,7 @@ def make_grid_terms():
 def make_total():
     """Make the kernel that adds a weighted loss to a sum of losses."""
 
-    @wp.kernel(module="warp_psdr.grid_loss")
+    @wp.kernel(module=GRID_LOSS)
     def add_weighted(
         # In:
         loss: wp.array(dtype=wp.float32),
@@ -132,7 +134,7 @@ def make_total():
 def make_sums():
     """Make the kernels that add up every row, then the rows, in order and in double precision."""
 
-    @wp.kernel(module="warp_psdr.loss")
+    @wp.kernel(module=LOSS)
     def sum_rows(
         # In:
         terms: wp.array2d(dtype=wp.float32),
@@ -145,7 +147,7 @@ def make_sums():
             total += wp.float64(terms[i, j])
         rows_out[i] = total
 
-    @wp.kernel(module="warp_psdr.loss")
+    @wp.kernel(module=LOSS)
     def mean_of_rows(
         # In:
         rows: wp.array(dtype=wp.float64),

@@ -1,14 +1,40 @@
-"""Warp modules that fixed kernels share: every run of the compiler costs as much as a small kernel.
+"""What Warp's compiler is asked for, and the modules that fixed kernels share.
 
-A module is compiled whole, so kernels share one where who needs one needs most of them. All files of a module are
-imported with ``warp_psdr``; a kernel that joins later changes the module's name in the cache.
+Every run of the compiler costs as much as a small kernel. A module is compiled whole, so kernels share one where who
+needs one needs most of them. All files of a module are imported with ``warp_psdr``; a kernel that joins later changes
+the module's name in the cache.
 """
 
+import warp as wp
+
+
+def wide_vectors() -> dict[str, str]:
+    """Return the options of a module: vectors of 512 bits where the processor has them.
+
+    By itself the compiler makes loops over lanes of 256 bits, lest some processors clock lower: ray queries have
+    brought them there in any case. The user's flags come behind, and win. All kernels ask for it, for Warp's headers
+    are parsed once for each string of flags.
+    """
+    flags = wp.config.cpu_compiler_flags
+    return {"cpu_compiler_flags": f"-mprefer-vector-width=512 {'-march=native' if flags is None else flags}"}
+
+
+def shared(name: str) -> str:
+    """Return the name of a module that kernels share, with its options set."""
+    wp.set_module_options(wide_vectors(), module=name)
+    return name
+
+
 #: Builds a scene's records and finishes images and gradients.
-SCENE = "warp_psdr.scene"
+SCENE = shared("warp_psdr.scene")
 #: Pulls gradients back from vertices and normals to what they are computed from.
-DERIVED_VJP = "warp_psdr.derived_vjp"
+DERIVED_VJP = shared("warp_psdr.derived_vjp")
 #: The same in forward mode.
-DERIVED_JVP = "warp_psdr.derived_jvp"
+DERIVED_JVP = shared("warp_psdr.derived_jvp")
 #: Finds where triangles meet.
-PAIRS = "warp_psdr.pairs"
+PAIRS = shared("warp_psdr.pairs")
+#: Warp's headers alone.
+HEADERS = shared("warp_psdr.headers")
+#: Losses of images, and of grids.
+LOSS = shared("warp_psdr.loss")
+GRID_LOSS = shared("warp_psdr.grid_loss")

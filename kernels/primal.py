@@ -19,6 +19,7 @@ from warp_psdr.kernels.camera_rays import (
 from warp_psdr.kernels.invalid import count_invalid, finite
 from warp_psdr.kernels.jobs import PixelJob
 from warp_psdr.kernels.lanes.path_lanes import make_lane_paths, side_by_side
+from warp_psdr.kernels.modules import wide_vectors
 from warp_psdr.kernels.path import make_camera_start
 from warp_psdr.kernels.path_media import make_media_step, media_path_from, radiance_of_step
 from warp_psdr.kernels.rng import sampler_at
@@ -182,7 +183,7 @@ def make_primal_kernel(config: PathConfig):
     trace = paths.trace
     pixel_bundle = make_pixel_bundle(paths.width if paths.grouped else 1)
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", enable_backward=False, module_options=wide_vectors())
     def primal(
         # Scene:
         scene: Scene,

@@ -19,7 +19,7 @@ from warp_psdr.kernels.camera_rays import make_pixel_bundle, sampler_in
 from warp_psdr.kernels.constants import RFILTER_BOX, RFILTER_TENT
 from warp_psdr.kernels.invalid import count_invalid, finite
 from warp_psdr.kernels.jobs import PixelJob
-from warp_psdr.kernels.modules import SCENE
+from warp_psdr.kernels.modules import SCENE, wide_vectors
 from warp_psdr.kernels.primal import CameraPath, make_image_paths
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.vertex import PathConfig
@@ -105,7 +105,7 @@ def make_splat_kernel(config: PathConfig):
                 step = following(step)
             row_step = following(row_step)
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", enable_backward=False, module_options=wide_vectors())
     def splat(
         # Scene:
         scene: Scene,

@@ -4,6 +4,7 @@ import functools
 
 import warp as wp
 
+from warp_psdr.kernels.modules import wide_vectors
 from warp_psdr.kernels.path import make_camera_start, make_path_step
 from warp_psdr.kernels.path_media import MediaVertex, make_media_step, media_path_from
 from warp_psdr.kernels.rng import sampler_at
@@ -23,7 +24,7 @@ def make_trace_kernel(config: PathConfig, differential: bool, filter_kind: int |
     path_step = make_path_step(config, differential)
     start = make_camera_start(config, filter_kind)
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", enable_backward=False, module_options=wide_vectors())
     def trace(
         # Scene:
         scene: Scene,
@@ -64,7 +65,7 @@ def make_media_trace_kernel(
     media_step = make_media_step(config, differential, explores, clocked)
     start = make_camera_start(config, filter_kind)
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", enable_backward=False, module_options=wide_vectors())
     def media_trace(
         # Scene:
         scene: Scene,

@@ -13,6 +13,7 @@ import warp as wp
 from warp_psdr.kernels.camera_rays import make_camera_paths
 from warp_psdr.kernels.invalid import count_invalid, finite
 from warp_psdr.kernels.jobs import PixelJob, pixel_of
+from warp_psdr.kernels.modules import wide_vectors
 from warp_psdr.kernels.path_length import make_timed_vertex
 from warp_psdr.kernels.rng import sampler_at
 from warp_psdr.kernels.sensor.camera import CameraSample, make_camera_origin
@@ -32,7 +33,7 @@ def make_transient_kernel(config: PathConfig):
     timed_vertex = make_timed_vertex(config)
     gate = make_time_gate(config.pulse)
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", enable_backward=False, module_options=wide_vectors())
     def transient(
         # Scene:
         scene: Scene,

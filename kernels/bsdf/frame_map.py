@@ -153,7 +153,10 @@ def make_frame_map(
             # Of the direction as it is rounded, as for directions that come from elsewhere.
             smooth = s.lobe == LOBE_SMOOTH
             pdf = wp.where(smooth, frame_map_pdf(mat, wi, wo), pdf)
-            value = where3(smooth, frame_map_eval(mat, wi, wo), value)
+            found = frame_map_eval(mat, wi, wo)
+            if wp.static(model.has_delta):
+                found = where3(smooth, found, value)
+            value = found  # without delta lobes nothing else is drawn, and the nested value is not computed
         drawn = pdf > 0.0
         s.wo = where3(drawn, wo, wp.vec3(0.0, 0.0, 0.0))
         s.value = where3(drawn, value, wp.vec3(0.0, 0.0, 0.0))

@@ -11,6 +11,7 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.bvh.wide import SAH_DEPTH
+from warp_psdr.kernels.modules import shared
 
 #: Words of a primitive record: lower bounds, biased face number, upper bounds, unused.
 PRIMITIVE_WORDS = 8
@@ -306,7 +307,7 @@ def make_native(width: int):
 
 def shared_module(width: int) -> str:
     """Return the name of the Warp module of all kernels that build and refit: make them before any is launched."""
-    return f"warp_psdr.bvh{width}"
+    return shared(f"warp_psdr.bvh{width}")
 
 
 @functools.cache

@@ -39,6 +39,7 @@ from warp_psdr.kernels.interior.tilts import make_tilts, tilts
 from warp_psdr.kernels.interior.velocities import axis_vec3
 from warp_psdr.kernels.invalid import count_invalid, finite, inverse_pdf, vanishes
 from warp_psdr.kernels.jobs import PixelJob, make_sample_weight, pixel_of
+from warp_psdr.kernels.modules import wide_vectors
 from warp_psdr.kernels.path import make_path_step
 from warp_psdr.kernels.reading import bsdf_at, shape_at
 from warp_psdr.kernels.rng import Sampler, make_sampler, salted, sampler_at
@@ -253,7 +254,7 @@ def make_pair_kernel(config: PathConfig, wanted: GradientRequest, role: str):
                 total += done.dot
         return total
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", enable_backward=False, module_options=wide_vectors())
     def pairs(
         # Scene:
         scene: Scene,

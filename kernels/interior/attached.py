@@ -27,6 +27,7 @@ from warp_psdr.kernels.interior.tangents import VertexTangent
 from warp_psdr.kernels.interior.velocities import axis_vec3, make_material_jvp
 from warp_psdr.kernels.invalid import count_invalid, finite, inverse_pdf, vanishes
 from warp_psdr.kernels.jobs import PixelJob, make_sample_weight, pixel_of
+from warp_psdr.kernels.modules import wide_vectors
 from warp_psdr.kernels.rng import make_sampler, sampler_at
 from warp_psdr.kernels.sampling import mis_weight, sphere_pdf
 from warp_psdr.kernels.scattering import SLOTS_PER_VERTEX, samples_lights
@@ -227,7 +228,7 @@ def make_attached_kernel(config: PathConfig, wanted: GradientRequest, role: str,
             )
         return found, dropped
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", enable_backward=False, module_options=wide_vectors())
     def attached(
         # Scene:
         scene: Scene,

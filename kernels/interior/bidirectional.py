@@ -18,6 +18,7 @@ from warp_psdr.kernels.interior.sweep import Carry, make_sweep
 from warp_psdr.kernels.interior.velocities import axis_vec3
 from warp_psdr.kernels.invalid import count_invalid, finite, vanishes
 from warp_psdr.kernels.jobs import PixelJob, make_sample_weight, pixel_of
+from warp_psdr.kernels.modules import wide_vectors
 from warp_psdr.kernels.rng import sampler_at
 from warp_psdr.kernels.sensor.camera import CameraSample, make_camera_ray
 from warp_psdr.kernels.structs import Camera, Scene
@@ -41,7 +42,7 @@ def make_bidirectional_kernel(config: PathConfig, wanted: GradientRequest, role:
     forward = role == "forward"
     channels = 3 if forward else 1
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", enable_backward=False, module_options=wide_vectors())
     def bidirectional(
         # Scene:
         scene: Scene,

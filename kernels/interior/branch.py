@@ -38,6 +38,7 @@ from warp_psdr.kernels.interior.shape_parameters import make_shape_parameters
 from warp_psdr.kernels.interior.velocities import axis_vec3
 from warp_psdr.kernels.invalid import count_invalid, finite, inverse_pdf, vanishes
 from warp_psdr.kernels.jobs import PixelJob, make_sample_weight, pixel_of
+from warp_psdr.kernels.modules import wide_vectors
 from warp_psdr.kernels.path import make_path_radiance
 from warp_psdr.kernels.reading import bsdf_at, shape_at
 from warp_psdr.kernels.rng import Sampler, hashed, make_sampler, salted, sampler_at
@@ -229,7 +230,7 @@ def make_branch_kernel(
                         found += d
         return a_material, found
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", enable_backward=False, module_options=wide_vectors())
     def branches(
         # Scene:
         scene: Scene,

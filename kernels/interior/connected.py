@@ -31,6 +31,7 @@ from warp_psdr.kernels.invalid import count_invalid, finite, vanishes
 from warp_psdr.kernels.jobs import PixelJob, make_sample_weight, pixel_of
 from warp_psdr.kernels.light_path import LightVertex
 from warp_psdr.kernels.light_ray import LightRay
+from warp_psdr.kernels.modules import wide_vectors
 from warp_psdr.kernels.reading import triangle_at
 from warp_psdr.kernels.rng import sampler_at
 from warp_psdr.kernels.sensor.camera import CameraSample, make_camera_ray
@@ -169,7 +170,7 @@ def make_connected_kernel(config: PathConfig, wanted: GradientRequest, role: str
         dot_light, received = light_sweep(scene, camera, job, target, ray, count, lights, asked, a_first)
         return total + dot_light, finite(carry.radiance) and finite(wp.cw_mul(ray.flux, received))
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", enable_backward=False, module_options=wide_vectors())
     def connected(
         # Scene:
         scene: Scene,

@@ -20,6 +20,7 @@ from warp_psdr.kernels.interior.sweep import Carry, make_sweep
 from warp_psdr.kernels.interior.velocities import axis_vec3
 from warp_psdr.kernels.invalid import count_invalid, finite, vanishes
 from warp_psdr.kernels.jobs import PixelJob, make_sample_weight, pixel_of
+from warp_psdr.kernels.modules import wide_vectors
 from warp_psdr.kernels.path import make_path_step
 from warp_psdr.kernels.rng import make_sampler, sampler_at
 from warp_psdr.kernels.sensor.camera import CameraSample, half_width, load_mat44, make_camera_ray, make_camera_sink
@@ -159,7 +160,7 @@ def make_film_antithetic_kernel(
                     total += sink(target, camera.to_world + 4 * row + column, g_m[row, column])
         return total
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", enable_backward=False, module_options=wide_vectors())
     def film_antithetic(
         # Scene:
         scene: Scene,

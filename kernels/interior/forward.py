@@ -32,6 +32,7 @@ from warp_psdr.kernels.interior.transmittance import make_transmittance_sink
 from warp_psdr.kernels.interior.velocities import axis_vec3, make_material_jvp, make_pair, make_texture_jvp
 from warp_psdr.kernels.invalid import count_invalid, finite
 from warp_psdr.kernels.jobs import PixelJob, pixel_of
+from warp_psdr.kernels.modules import wide_vectors
 from warp_psdr.kernels.primitive.dispatch import flows_on, has_flow, has_slides, make_position, slides_on
 from warp_psdr.kernels.primitive.velocity import make_velocity
 from warp_psdr.kernels.rng import sampler_at
@@ -335,7 +336,7 @@ def make_forward_kernel(config: PathConfig, wanted: GradientRequest):
     if config.pulse:
         return make_time_gated_forward_kernel(config, wanted, advance, first_moving)
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", enable_backward=False, module_options=wide_vectors())
     def forward(
         # Scene:
         scene: Scene,

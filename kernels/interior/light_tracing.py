@@ -23,6 +23,7 @@ from warp_psdr.kernels.invalid import count_invalid, finite, vanishes
 from warp_psdr.kernels.jobs import PixelJob
 from warp_psdr.kernels.light_path import LightVertex, light_sampler
 from warp_psdr.kernels.light_ray import LightRay, radiance_scale
+from warp_psdr.kernels.modules import wide_vectors
 from warp_psdr.kernels.reading import triangle_at
 from warp_psdr.kernels.sensor.projection import make_splat
 from warp_psdr.kernels.structs import Camera, Scene
@@ -137,7 +138,7 @@ def make_light_replay_kernel(config: PathConfig, wanted: GradientRequest, block:
     factors = make_light_factors(config, wanted, "reverse")
     _splat, gather = make_splat()
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", enable_backward=False, module_options=wide_vectors())
     def light_replay(
         # Scene:
         scene: Scene,
@@ -248,7 +249,7 @@ def make_light_forward_kernel(config: PathConfig, wanted: GradientRequest):
                 beta_dot[channel] = dot_beta + wp.dot(a_beta, light_dot)
         return value_dot, beta_dot
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", enable_backward=False, module_options=wide_vectors())
     def light_forward(
         # Scene:
         scene: Scene,

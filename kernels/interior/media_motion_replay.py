@@ -18,6 +18,7 @@ from warp_psdr.kernels.invalid import finite, make_derivative_of_sample, vanishe
 from warp_psdr.kernels.jobs import PixelJob, make_sample_weight, pixel_of
 from warp_psdr.kernels.medium.interface import make_interface
 from warp_psdr.kernels.medium.passage import MOST_INTERFACES
+from warp_psdr.kernels.modules import wide_vectors
 from warp_psdr.kernels.path import make_camera_start
 from warp_psdr.kernels.path_media import MediaState, make_media_step, media_path_from
 from warp_psdr.kernels.rng import sampler_at
@@ -66,7 +67,7 @@ def make_media_motion_kernel(config: PathConfig, wanted: GradientRequest, role: 
         weight[channel] = delta[channel]
         return weight
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", enable_backward=False, module_options=wide_vectors())
     def media_motion(
         # Scene:
         scene: Scene,

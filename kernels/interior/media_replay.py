@@ -16,6 +16,7 @@ from warp_psdr.kernels.interior.media_sweep import explores_density, make_media_
 from warp_psdr.kernels.invalid import finite, make_derivative_of_sample, on_channel, vanishes
 from warp_psdr.kernels.jobs import PixelJob, make_sample_weight, pixel_of
 from warp_psdr.kernels.medium.passage import MOST_INTERFACES
+from warp_psdr.kernels.modules import wide_vectors
 from warp_psdr.kernels.path import make_camera_start
 from warp_psdr.kernels.path_media import MediaState, MediaVertex, make_media_step, media_path_from, radiance_of_step
 from warp_psdr.kernels.rng import sampler_at
@@ -46,7 +47,7 @@ def make_media_replay_kernel(
     sample_weight = make_sample_weight(role)
     blocks = -(-(longest + MOST_INTERFACES + 1) // block)
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", enable_backward=False, module_options=wide_vectors())
     def media_replay(
         # Scene:
         scene: Scene,

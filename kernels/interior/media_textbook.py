@@ -16,6 +16,7 @@ from warp_psdr.kernels.interior.media_sweep import make_media_sweep
 from warp_psdr.kernels.interior.textbook import safe_quotient
 from warp_psdr.kernels.invalid import finite, make_derivative_of_sample, on_channel, vanishes
 from warp_psdr.kernels.jobs import PixelJob, make_sample_weight, pixel_of
+from warp_psdr.kernels.modules import wide_vectors
 from warp_psdr.kernels.path import make_camera_start
 from warp_psdr.kernels.path_media import make_media_step, media_path_from, radiance_of_step
 from warp_psdr.kernels.rng import sampler_at
@@ -33,7 +34,7 @@ def make_media_textbook_kernel(config: PathConfig, wanted: GradientRequest, role
     derivative_of_sample = make_derivative_of_sample(role)
     sample_weight = make_sample_weight(role)
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", enable_backward=False, module_options=wide_vectors())
     def media_textbook(
         # Scene:
         scene: Scene,

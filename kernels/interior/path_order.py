@@ -21,6 +21,7 @@ from warp_psdr.kernels.interior.gradient_request import GradientRequest
 from warp_psdr.kernels.interior.sweep import Carry, make_sweep
 from warp_psdr.kernels.invalid import finite, make_derivative_of_sample, on_channel
 from warp_psdr.kernels.jobs import PixelJob, make_sample_weight, pixel_of
+from warp_psdr.kernels.modules import wide_vectors
 from warp_psdr.kernels.rng import sampler_at
 from warp_psdr.kernels.sensor.camera import CameraSample, make_camera_ray, make_camera_sink
 from warp_psdr.kernels.structs import Camera, Scene
@@ -85,7 +86,7 @@ def make_path_order_kernel(config: PathConfig, wanted: GradientRequest, role: st
                 total += accumulate_camera(scene, target, camera, sample, done.a_x, done.a_d)
         return total
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", enable_backward=False, module_options=wide_vectors())
     def path_order(
         # Scene:
         scene: Scene,

@@ -20,6 +20,7 @@ from warp_psdr.kernels.invalid import count_invalid, finite, inverse_pdf, vanish
 from warp_psdr.kernels.jobs import PixelJob, make_sample_weight, pixel_of
 from warp_psdr.kernels.math import any_tangent, to_world
 from warp_psdr.kernels.medium.passage import make_media_passage
+from warp_psdr.kernels.modules import wide_vectors
 from warp_psdr.kernels.path import make_camera_start
 from warp_psdr.kernels.path_media import (
     MediaState,
@@ -222,7 +223,7 @@ def make_phase_branch_kernel(config: PathConfig, role: str, candidates: int, dec
                         count_invalid(scene, branch)
         return found
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", enable_backward=False, module_options=wide_vectors())
     def phase_branches(
         # Scene:
         scene: Scene,

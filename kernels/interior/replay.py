@@ -23,6 +23,7 @@ from warp_psdr.kernels.lanes.material_sweep import make_material_sweep, sweeps_m
 from warp_psdr.kernels.lanes.path_lanes import LanePaths, make_lane_paths, side_by_side
 from warp_psdr.kernels.lanes.sweep_lanes import make_lane_sweep
 from warp_psdr.kernels.lanes.sweep_sinks import make_chosen
+from warp_psdr.kernels.modules import wide_vectors
 from warp_psdr.kernels.rng import sampler_at
 from warp_psdr.kernels.sensor.camera import CameraSample, make_camera_ray
 from warp_psdr.kernels.structs import Camera, Scene
@@ -55,7 +56,7 @@ def make_replay_kernel(config: PathConfig, wanted: GradientRequest, block: int, 
     _camera_ray, camera_origin = make_camera_ray(config.camera)
     sweep, finish, _finish_vertex = make_sweep(config, wanted, "reverse")
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", enable_backward=False, module_options=wide_vectors())
     def replay(
         # Scene:
         scene: Scene,
@@ -164,7 +165,7 @@ def _make_lane_kernel(paths: LanePaths, sweep_all: wp.Function, through: bool):
     """The same for paths that are traced side by side; ``through``: shadow rays meet shapes as well."""
     pixel_bundle = make_pixel_bundle(paths.width)
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", enable_backward=False, module_options=wide_vectors())
     def replay_lanes(
         # Scene:
         scene: Scene,

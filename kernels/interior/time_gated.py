@@ -19,6 +19,7 @@ from warp_psdr.kernels.interior.gradient_request import GradientRequest
 from warp_psdr.kernels.interior.sweep import Carry, make_sweep
 from warp_psdr.kernels.invalid import count_invalid, finite
 from warp_psdr.kernels.jobs import PixelJob, pixel_of
+from warp_psdr.kernels.modules import wide_vectors
 from warp_psdr.kernels.path_length import TimedVertex, make_light_point, make_timed_vertex
 from warp_psdr.kernels.primitive.dispatch import make_adjoint_sink, make_point_at
 from warp_psdr.kernels.rng import Sampler, sampler_at
@@ -145,7 +146,7 @@ def make_time_gated_kernel(config: PathConfig, wanted: GradientRequest, most: in
             carry.adjoint.x = carry.adjoint.x + g
         return carry
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", enable_backward=False, module_options=wide_vectors())
     def time_gated(
         # Scene:
         scene: Scene,

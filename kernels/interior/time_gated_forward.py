@@ -15,6 +15,7 @@ from warp_psdr.kernels.interior.gradient_request import GradientRequest
 from warp_psdr.kernels.interior.time_gated import make_light_point_sink
 from warp_psdr.kernels.invalid import count_invalid, finite
 from warp_psdr.kernels.jobs import PixelJob, pixel_of
+from warp_psdr.kernels.modules import wide_vectors
 from warp_psdr.kernels.path_length import make_light_point, make_timed_vertex
 from warp_psdr.kernels.primitive.dispatch import make_point_at
 from warp_psdr.kernels.rng import sampler_at
@@ -45,7 +46,7 @@ def make_time_gated_forward_kernel(
         u = wp.normalize(light_point(scene, vertex) - x)
         return move_light_point(scene, target, vertex, u) - wp.dot(u, x_dot)
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", enable_backward=False, module_options=wide_vectors())
     def time_gated_forward(
         # Scene:
         scene: Scene,

@@ -9,6 +9,7 @@ along it do not count.
 import warp as wp
 
 from warp_psdr.kernels.constants import PRIMITIVE_BSPLINECURVE
+from warp_psdr.kernels.modules import wide_vectors
 from warp_psdr.kernels.primitive.curves import (
     Curves,
     Spline,
@@ -167,7 +168,7 @@ def face_depth(c: Chord, p: wp.vec3, q: wp.vec3, r: wp.vec3) -> wp.float32:
     return deepest
 
 
-@wp.kernel(module="unique", enable_backward=False)
+@wp.kernel(module="unique", enable_backward=False, module_options=wide_vectors())
 def find_overlaps(
     # Scene:
     scene: Scene,
@@ -235,7 +236,7 @@ def find_overlaps(
                 return
 
 
-@wp.kernel(module="unique", enable_backward=False)
+@wp.kernel(module="unique", enable_backward=False, module_options=wide_vectors())
 def find_pierced(
     # Scene:
     scene: Scene,

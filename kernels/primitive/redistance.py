@@ -9,6 +9,8 @@ import functools
 
 import warp as wp
 
+from warp_psdr.kernels.modules import wide_vectors
+
 
 @wp.func
 def godunov_distance(a: wp.vec3, h: wp.vec3) -> wp.float32:
@@ -80,7 +82,7 @@ def make_sweep_kernel():
     node reads those that come before it after their turn, so that both orders have equal bits.
     """
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", enable_backward=False, module_options=wide_vectors())
     def sweep(
         # In:
         spacing: wp.vec3,
@@ -141,7 +143,7 @@ def make_sweep_kernel():
 def make_mesh_distance_kernel():
     """Return the kernel of signed distances from a closed mesh, one thread a node."""
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", enable_backward=False, module_options=wide_vectors())
     def mesh_distance(
         # In:
         mesh: wp.uint64,

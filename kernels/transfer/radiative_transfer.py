@@ -18,6 +18,7 @@ from warp_psdr.kernels.interior.gradient_request import GradientRequest
 from warp_psdr.kernels.invalid import finite, make_derivative_of_sample, vanishes
 from warp_psdr.kernels.jobs import PixelJob, make_sample_weight, pixel_of
 from warp_psdr.kernels.medium.passage import MOST_INTERFACES
+from warp_psdr.kernels.modules import wide_vectors
 from warp_psdr.kernels.path import make_camera_start
 from warp_psdr.kernels.path_media import MediaState, make_media_step, media_path_from
 from warp_psdr.kernels.rng import Sampler, salted, sampler_at
@@ -103,7 +104,7 @@ def make_transfer_kernel(
                     edge = sphere_edge(scene, edges, branch, v, s.depth, max_depth, rr_depth)
         return ends, edge
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", enable_backward=False, module_options=wide_vectors())
     def radiative_transfer(
         # Scene:
         scene: Scene,

@@ -25,6 +25,7 @@ from warp_psdr.kernels.boundary.forwards import make_hidden
 from warp_psdr.kernels.boundary.silhouette.grid_primary import FRONT
 from warp_psdr.kernels.invalid import count_invalid
 from warp_psdr.kernels.jobs import SampleJob
+from warp_psdr.kernels.modules import wide_vectors
 from warp_psdr.kernels.notes import NOTE_EDGE, make_note
 from warp_psdr.kernels.rng import make_sampler, sampler_at
 from warp_psdr.kernels.sensor.camera import make_camera_sink, make_lens
@@ -56,7 +57,7 @@ def make_film_crossing_kernel(config: PathConfig, role: str, camera_moves: bool)
     sample_2d = draw.sample_2d
     note_place = make_note(config.noted)
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", enable_backward=False, module_options=wide_vectors())
     def film_crossing(
         # Scene:
         scene: Scene,

@@ -36,6 +36,7 @@ from warp_psdr.kernels.boundary.transport import Segment, make_source, make_tran
 from warp_psdr.kernels.constants import FAR, FOUR_PI
 from warp_psdr.kernels.invalid import count_invalid
 from warp_psdr.kernels.jobs import SampleJob
+from warp_psdr.kernels.modules import wide_vectors
 from warp_psdr.kernels.notes import NOTE_EDGE, make_note
 from warp_psdr.kernels.primitive.affine import from_axes, is_primitive
 from warp_psdr.kernels.primitive.dispatch import SLIDING, slides_on
@@ -87,7 +88,7 @@ def make_vertex_crossing_kernel(config: PathConfig, role: str, camera_moves: boo
         total = accumulate_crossing(scene, target, point, w * s.boundary_normal)
         return accumulate_source(scene, target, s, w, total)
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", enable_backward=False, module_options=wide_vectors())
     def vertex_crossing(
         # Scene:
         scene: Scene,

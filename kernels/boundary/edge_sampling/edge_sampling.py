@@ -26,6 +26,7 @@ from warp_psdr.kernels.constants import FAR
 from warp_psdr.kernels.interaction import enter_frame, make_interaction
 from warp_psdr.kernels.invalid import count_invalid, finite, vanishes
 from warp_psdr.kernels.jobs import SampleJob
+from warp_psdr.kernels.modules import wide_vectors
 from warp_psdr.kernels.notes import NOTE_EDGE, make_note
 from warp_psdr.kernels.path import make_camera_start, make_path_step
 from warp_psdr.kernels.rng import SALT_X, SALT_Y, Sampler, independent_4d, pcg4d, sampler_at
@@ -157,7 +158,7 @@ def make_edge_sampling_kernel(
     accumulate_camera = make_camera_sink(role, config.camera) if camera_moves else None
     note_place = make_note(config.noted)
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", enable_backward=False, module_options=wide_vectors())
     def edge_sampling(
         # Scene:
         scene: Scene,

@@ -28,6 +28,7 @@ from warp_psdr.kernels.invalid import count_invalid, finite, vanishes
 from warp_psdr.kernels.jobs import SampleJob
 from warp_psdr.kernels.medium.line import AHEAD, make_line
 from warp_psdr.kernels.medium.passage import medium_towards
+from warp_psdr.kernels.modules import wide_vectors
 from warp_psdr.kernels.path import make_camera_start
 from warp_psdr.kernels.path_media import MediaState, collision_point, make_media_step, media_path_from
 from warp_psdr.kernels.phase.dispatch import make_phase
@@ -278,7 +279,7 @@ def make_media_edge_sampling_kernel(
         left, dot = by_surface(scene, target, seen.walk, after, g)
         return left, dot
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", enable_backward=False, module_options=wide_vectors())
     def media_edge_sampling(
         # Scene:
         scene: Scene,

@@ -13,6 +13,7 @@ from warp_psdr.kernels.boundary.guiding.techniques import Guide, make_techniques
 from warp_psdr.kernels.boundary.local_form import Edges
 from warp_psdr.kernels.boundary.path_space.direction import wedge_at
 from warp_psdr.kernels.boundary.path_space.secondary import make_segment
+from warp_psdr.kernels.modules import wide_vectors
 from warp_psdr.kernels.primitive.dispatch import make_point_at
 from warp_psdr.kernels.reading import triangle_at
 from warp_psdr.kernels.structs import Scene
@@ -26,7 +27,7 @@ def make_ends_kernel(config: PathConfig):
     point_at = make_point_at(config.primitives)
     _sample, density, place = make_techniques(config, False)
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", enable_backward=False, module_options=wide_vectors())
     def ends(
         # Scene:
         scene: Scene,

@@ -6,6 +6,7 @@ import warp as wp
 
 from warp_psdr.kernels.boundary.guiding.light_square import make_light_square
 from warp_psdr.kernels.boundary.local_form import Edges, edge_at, facing_side
+from warp_psdr.kernels.modules import wide_vectors
 from warp_psdr.kernels.primitive.affine import is_primitive_at
 from warp_psdr.kernels.structs import Scene
 from warp_psdr.kernels.vertex import PathConfig
@@ -21,7 +22,7 @@ def make_facing_kernel(config: PathConfig):
     """
     aim, _coordinates = make_light_square(config)
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", enable_backward=False, module_options=wide_vectors())
     def facing(
         # Scene:
         scene: Scene,

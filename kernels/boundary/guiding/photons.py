@@ -17,6 +17,7 @@ from warp_psdr.kernels.emitter.spot import load_column
 from warp_psdr.kernels.interaction import leave_frame, make_interaction
 from warp_psdr.kernels.invalid import vanishes
 from warp_psdr.kernels.math import any_tangent, to_world
+from warp_psdr.kernels.modules import wide_vectors
 from warp_psdr.kernels.path import make_camera_start, make_path_step
 from warp_psdr.kernels.primitive.affine import is_primitive
 from warp_psdr.kernels.primitive.dispatch import make_leaving
@@ -103,7 +104,7 @@ def make_photons_kernel(config: PathConfig):
     sample_2d = draw.sample_2d
     sample_4d = draw.sample_4d
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", enable_backward=False, module_options=wide_vectors())
     def photons(
         # Scene:
         scene: Scene,
@@ -150,7 +151,7 @@ def make_importons_kernel(config: PathConfig):
     start = make_camera_start(config)
     sample_2d = make_sampler(config.sampler).sample_2d
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", enable_backward=False, module_options=wide_vectors())
     def importons(
         # Scene:
         scene: Scene,

@@ -25,6 +25,7 @@ from warp_psdr.kernels.boundary.local_form import EdgePoint, Edges, interior_sid
 from warp_psdr.kernels.boundary.path_space.direction import wedge_at, wedge_square
 from warp_psdr.kernels.constants import FAR, NO_MEDIUM
 from warp_psdr.kernels.medium.line import make_line
+from warp_psdr.kernels.modules import wide_vectors
 from warp_psdr.kernels.primitive.affine import is_primitive_at
 from warp_psdr.kernels.reading import load_vec3
 from warp_psdr.kernels.rng import make_sampler
@@ -231,7 +232,7 @@ def make_seeds_kernel(config: PathConfig, kind: int):
     sample_1d = make_sampler(config.sampler).sample_1d
     has_primitives = bool(config.primitives)
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", enable_backward=False, module_options=wide_vectors())
     def seeds(
         # Scene:
         scene: Scene,

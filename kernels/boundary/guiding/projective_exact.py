@@ -26,6 +26,7 @@ from warp_psdr.kernels.boundary.silhouette.secondary import OutlineItems
 from warp_psdr.kernels.constants import FAR
 from warp_psdr.kernels.jobs import SampleJob
 from warp_psdr.kernels.math import any_tangent
+from warp_psdr.kernels.modules import wide_vectors
 from warp_psdr.kernels.primitive.affine import from_axes, is_primitive_at
 from warp_psdr.kernels.primitive.dispatch import make_point_at
 from warp_psdr.kernels.rng import make_sampler
@@ -131,7 +132,7 @@ def make_exact_seeds_kernel(config: PathConfig, kind: int):
     aim_square = make_aim_square(config) if to_light else None
     sample_1d = make_sampler(config.sampler).sample_1d
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", enable_backward=False, module_options=wide_vectors())
     def exact_seeds(
         # Scene:
         scene: Scene,

@@ -20,6 +20,7 @@ from warp_psdr.kernels.constants import FAR
 from warp_psdr.kernels.interaction import enter_frame, leave_frame, make_interaction
 from warp_psdr.kernels.invalid import inverse_pdf, vanishes
 from warp_psdr.kernels.jobs import SampleJob
+from warp_psdr.kernels.modules import wide_vectors
 from warp_psdr.kernels.primitive.affine import triangle_or_none
 from warp_psdr.kernels.rng import make_sampler, sampler_at
 from warp_psdr.kernels.sampling import mis_weight
@@ -95,7 +96,7 @@ def make_flat_creases_kernel(config: PathConfig, role: str, camera_moves: bool):
                 r.o = c.x_b
         return r
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", enable_backward=False, module_options=wide_vectors())
     def flat_creases(
         # Scene:
         scene: Scene,

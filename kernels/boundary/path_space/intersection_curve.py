@@ -27,6 +27,7 @@ from warp_psdr.kernels.constants import FAR, TWO_PI
 from warp_psdr.kernels.invalid import count_invalid
 from warp_psdr.kernels.jobs import SampleJob
 from warp_psdr.kernels.math import any_tangent, to_world
+from warp_psdr.kernels.modules import wide_vectors
 from warp_psdr.kernels.notes import NOTE_EDGE, make_note
 from warp_psdr.kernels.rng import make_sampler, sampler_at
 from warp_psdr.kernels.sampling import square_to_cosine_hemisphere
@@ -104,7 +105,7 @@ def make_intersection_curve_kernel(config: PathConfig, role: str, camera_moves: 
     sample_4d = make_sampler(config.sampler).sample_4d
     note_place = make_note(config.noted)
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", enable_backward=False, module_options=wide_vectors())
     def intersection_curve(
         # Scene:
         scene: Scene,

@@ -28,6 +28,7 @@ from warp_psdr.kernels.jobs import SampleJob
 from warp_psdr.kernels.medium.coefficients import exp_minus
 from warp_psdr.kernels.medium.line import AHEAD, SIGHT, ClearLine, make_line
 from warp_psdr.kernels.medium.volume import GRID
+from warp_psdr.kernels.modules import wide_vectors
 from warp_psdr.kernels.path_media import GRAZING
 from warp_psdr.kernels.phase.sggx import make_extinction_along
 from warp_psdr.kernels.rng import Sampler, branch_of, make_sampler, sampler_at
@@ -172,7 +173,7 @@ def make_media_secondary_kernel(
     forward = role == "forward"
     twice = role == "reverse"
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", enable_backward=False, module_options=wide_vectors())
     def media_secondary(
         # Scene:
         scene: Scene,

@@ -35,6 +35,7 @@ from warp_psdr.kernels.constants import DELTA_LIGHTS
 from warp_psdr.kernels.interaction import make_interaction
 from warp_psdr.kernels.jobs import SampleJob
 from warp_psdr.kernels.medium.line import BEFORE, make_line
+from warp_psdr.kernels.modules import wide_vectors
 from warp_psdr.kernels.primitive.affine import is_primitive, is_primitive_at, triangle_or_none
 from warp_psdr.kernels.primitive.dispatch import make_normal_at
 from warp_psdr.kernels.rng import sampler_at
@@ -177,7 +178,7 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
     if config.pulse:
         return make_timed_primary_kernel(config, role, camera_moves, seen_as, whose, room_beside)
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", enable_backward=False, module_options=wide_vectors())
     def primary(
         # Scene:
         scene: Scene,

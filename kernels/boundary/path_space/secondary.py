@@ -34,6 +34,7 @@ from warp_psdr.kernels.emitter.dispatch import make_lights
 from warp_psdr.kernels.emitter.spot import load_column
 from warp_psdr.kernels.invalid import count_invalid, vanishes
 from warp_psdr.kernels.jobs import SampleJob
+from warp_psdr.kernels.modules import wide_vectors
 from warp_psdr.kernels.notes import NOTE_EDGE, make_note
 from warp_psdr.kernels.primitive.affine import is_primitive_at
 from warp_psdr.kernels.primitive.dispatch import has_slides, make_adjoint_sink, slides_on
@@ -284,7 +285,7 @@ def make_secondary_kernel(
     sample_4d = draw.sample_4d
     note_place = make_note(config.noted)
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", enable_backward=False, module_options=wide_vectors())
     def secondary(
         # Scene:
         scene: Scene,

@@ -20,6 +20,7 @@ from warp_psdr.kernels.boundary.local_form import Edges, make_edge_sink, on_plan
 from warp_psdr.kernels.boundary.timed_light import make_timed_light
 from warp_psdr.kernels.invalid import count_invalid
 from warp_psdr.kernels.jobs import SampleJob
+from warp_psdr.kernels.modules import wide_vectors
 from warp_psdr.kernels.primitive.affine import triangle_or_none
 from warp_psdr.kernels.primitive.dispatch import make_point_at
 from warp_psdr.kernels.rng import sampler_at
@@ -55,7 +56,7 @@ def make_timed_primary_kernel(
             r.x = point_at(scene, scene.triangles[hit.face], hit.u, hit.v)
         return r
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", enable_backward=False, module_options=wide_vectors())
     def timed_primary(
         # Scene:
         scene: Scene,

@@ -12,6 +12,7 @@ from warp_psdr.kernels.boundary.path_space.direction import wedge_at
 from warp_psdr.kernels.boundary.timed_transport import make_timed_transport
 from warp_psdr.kernels.invalid import count_invalid
 from warp_psdr.kernels.jobs import SampleJob
+from warp_psdr.kernels.modules import wide_vectors
 from warp_psdr.kernels.rng import make_sampler, sampler_at
 from warp_psdr.kernels.sensor.time_gate import TimeGates
 from warp_psdr.kernels.structs import Camera, Scene
@@ -37,7 +38,7 @@ def make_timed_secondary_kernel(
     sample_4d = draw.sample_4d
     slot_edge, slot_direction = slots
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", enable_backward=False, module_options=wide_vectors())
     def timed_secondary(
         # Scene:
         scene: Scene,

@@ -21,6 +21,7 @@ from warp_psdr.kernels.distribution import stratified_entry
 from warp_psdr.kernels.interaction import make_interaction
 from warp_psdr.kernels.invalid import count_invalid
 from warp_psdr.kernels.jobs import SampleJob
+from warp_psdr.kernels.modules import wide_vectors
 from warp_psdr.kernels.rng import Sampler, make_sampler, sampler_at
 from warp_psdr.kernels.sampling import square_to_triangle
 from warp_psdr.kernels.step import leaving_step
@@ -79,7 +80,7 @@ def make_geometric_horizon_kernel(config: PathConfig, role: str, camera_moves: b
             total += met.dot
         return total
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", enable_backward=False, module_options=wide_vectors())
     def geometric_horizon(
         # Scene:
         scene: Scene,

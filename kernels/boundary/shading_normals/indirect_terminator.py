@@ -18,6 +18,7 @@ from warp_psdr.kernels.distribution import stratified_entry
 from warp_psdr.kernels.interaction import make_interaction
 from warp_psdr.kernels.invalid import count_invalid
 from warp_psdr.kernels.jobs import SampleJob
+from warp_psdr.kernels.modules import wide_vectors
 from warp_psdr.kernels.rng import Sampler, make_sampler, sampler_at
 from warp_psdr.kernels.sampling import square_to_triangle
 from warp_psdr.kernels.step import leaving_step, passing_step
@@ -78,7 +79,7 @@ def make_indirect_terminator_kernel(config: PathConfig, role: str, camera_moves:
         accumulated = accumulate_vertex(scene, target, s.face2, s.u2, s.v2, vertex, False, s.x, s.w)
         return accumulated.dot
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", enable_backward=False, module_options=wide_vectors())
     def indirect_terminator(
         # Scene:
         scene: Scene,

@@ -18,6 +18,7 @@ from warp_psdr.kernels.constants import CAMERA_ORTHOGRAPHIC, CAMERA_THINLENS
 from warp_psdr.kernels.distribution import find_interval
 from warp_psdr.kernels.invalid import count_invalid
 from warp_psdr.kernels.jobs import SampleJob
+from warp_psdr.kernels.modules import wide_vectors
 from warp_psdr.kernels.notes import NOTE_POINT, make_note
 from warp_psdr.kernels.reading import load_vec3
 from warp_psdr.kernels.rng import make_sampler, sampler_at
@@ -66,7 +67,7 @@ def make_terminator_kernel(config: PathConfig, role: str, camera_moves: bool):
     sample_4d = draw.sample_4d
     note_place = make_note(config.noted)
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", enable_backward=False, module_options=wide_vectors())
     def terminator(
         # Scene:
         scene: Scene,

@@ -19,6 +19,7 @@ from warp_psdr.kernels.boundary.warped_area.rotation import RotationOptions
 from warp_psdr.kernels.constants import RFILTER_BOX
 from warp_psdr.kernels.invalid import count_invalid, vanishes
 from warp_psdr.kernels.jobs import SampleJob
+from warp_psdr.kernels.modules import wide_vectors
 from warp_psdr.kernels.path import make_path_radiance
 from warp_psdr.kernels.rng import make_sampler, sampler_at
 from warp_psdr.kernels.sensor.camera import CameraSample, make_camera_ray
@@ -48,7 +49,7 @@ def make_film_border_kernel(
     sample_2d = draw.sample_2d
     every = config.filter == RFILTER_BOX
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", enable_backward=False, module_options=wide_vectors())
     def film_border(
         # Scene:
         scene: Scene,

@@ -31,6 +31,7 @@ from warp_psdr.kernels.interior.sweep import Carry, make_sweep
 from warp_psdr.kernels.interior.velocities import axis_vec3
 from warp_psdr.kernels.invalid import count_invalid, finite, vanishes
 from warp_psdr.kernels.jobs import PixelJob, make_sample_weight, pixel_of
+from warp_psdr.kernels.modules import wide_vectors
 from warp_psdr.kernels.path import make_path_step
 from warp_psdr.kernels.primitive.affine import is_primitive_at
 from warp_psdr.kernels.primitive.dispatch import make_position
@@ -204,7 +205,7 @@ def make_reparametrised_kernel(
             technique += 1
         return r
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", enable_backward=False, module_options=wide_vectors())
     def reparametrised(
         # Scene:
         scene: Scene,

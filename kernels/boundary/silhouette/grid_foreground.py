@@ -42,6 +42,7 @@ from warp_psdr.kernels.boundary.transport import Segment, make_source, make_tran
 from warp_psdr.kernels.constants import FAR, PI
 from warp_psdr.kernels.invalid import count_invalid
 from warp_psdr.kernels.jobs import SampleJob
+from warp_psdr.kernels.modules import wide_vectors
 from warp_psdr.kernels.notes import NOTE_POINT, make_note
 from warp_psdr.kernels.primitive.affine import step_off_primitive
 from warp_psdr.kernels.primitive.dispatch import make_adjoint_sink
@@ -116,7 +117,7 @@ def make_foreground_grid_kernel(
         started = accumulate_vertex(scene, target, s.face1, s.u1, s.v1, start, False, s.x, s.w)
         return total + started.dot
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", enable_backward=False, module_options=wide_vectors())
     def foreground_grid(
         # Scene:
         scene: Scene,

@@ -37,6 +37,7 @@ from warp_psdr.kernels.boundary.silhouette.spline_points import SLOT_ROOT, splin
 from warp_psdr.kernels.constants import CAMERA_ORTHOGRAPHIC
 from warp_psdr.kernels.invalid import count_invalid
 from warp_psdr.kernels.jobs import SampleJob
+from warp_psdr.kernels.modules import wide_vectors
 from warp_psdr.kernels.notes import NOTE_POINT, make_note
 from warp_psdr.kernels.primitive.affine import step_off_primitive
 from warp_psdr.kernels.primitive.network import network_of
@@ -77,7 +78,7 @@ def make_primary_grid_kernel(
     note_place = make_note(config.noted)
     distant = config.camera == CAMERA_ORTHOGRAPHIC
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", enable_backward=False, module_options=wide_vectors())
     def primary_grid(
         # Scene:
         scene: Scene,

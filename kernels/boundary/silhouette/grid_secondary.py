@@ -60,6 +60,7 @@ from warp_psdr.kernels.boundary.transport import Segment, make_source, make_tran
 from warp_psdr.kernels.constants import INV_TWO_PI, TWO_PI
 from warp_psdr.kernels.jobs import SampleJob
 from warp_psdr.kernels.math import any_tangent
+from warp_psdr.kernels.modules import wide_vectors
 from warp_psdr.kernels.notes import NOTE_POINT, make_note
 from warp_psdr.kernels.primitive.affine import step_off_primitive
 from warp_psdr.kernels.primitive.network import network_of
@@ -217,7 +218,7 @@ def make_secondary_grid_kernel(
 
     deliver = make_delivery(role, TouchPoint, transport, accumulate_touch, accumulate_source, write_ends)
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", enable_backward=False, module_options=wide_vectors())
     def secondary_grid(
         # Scene:
         scene: Scene,

@@ -25,6 +25,7 @@ from warp_psdr.kernels.boundary.silhouette.rim import make_rims
 from warp_psdr.kernels.constants import CAMERA_ORTHOGRAPHIC, CAMERA_THINLENS
 from warp_psdr.kernels.invalid import count_invalid
 from warp_psdr.kernels.jobs import SampleJob
+from warp_psdr.kernels.modules import wide_vectors
 from warp_psdr.kernels.notes import NOTE_POINT, make_note
 from warp_psdr.kernels.primitive.affine import step_off_primitive
 from warp_psdr.kernels.rng import make_sampler, sampler_at
@@ -77,7 +78,7 @@ def make_primary_silhouette_kernel(config: PathConfig, role: str, camera_moves: 
     camera_eye = make_camera_eye(config.camera)
     distant = config.camera == CAMERA_ORTHOGRAPHIC
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", enable_backward=False, module_options=wide_vectors())
     def primary_silhouette(
         # Scene:
         scene: Scene,

@@ -40,6 +40,7 @@ from warp_psdr.kernels.boundary.transport import Segment, make_source, make_tran
 from warp_psdr.kernels.constants import INV_FOUR_PI, INV_TWO_PI, TWO_PI
 from warp_psdr.kernels.jobs import SampleJob
 from warp_psdr.kernels.math import any_tangent
+from warp_psdr.kernels.modules import wide_vectors
 from warp_psdr.kernels.notes import NOTE_POINT, make_note
 from warp_psdr.kernels.primitive.affine import step_off_primitive
 from warp_psdr.kernels.rng import make_sampler, sampler_at
@@ -165,7 +166,7 @@ def make_secondary_silhouette_kernel(
 
     deliver = make_delivery(role, SilhouettePoint, transport, accumulate_silhouette, accumulate_source, write_ends)
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", enable_backward=False, module_options=wide_vectors())
     def secondary_silhouette(
         # Scene:
         scene: Scene,

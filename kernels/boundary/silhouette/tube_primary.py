@@ -32,6 +32,7 @@ from warp_psdr.kernels.boundary.silhouette.tube_sink import make_tube_sink
 from warp_psdr.kernels.constants import CAMERA_ORTHOGRAPHIC
 from warp_psdr.kernels.invalid import count_invalid
 from warp_psdr.kernels.jobs import SampleJob
+from warp_psdr.kernels.modules import wide_vectors
 from warp_psdr.kernels.notes import NOTE_POINT, make_note
 from warp_psdr.kernels.primitive.affine import step_off_primitive
 from warp_psdr.kernels.rng import make_sampler, sampler_at
@@ -58,7 +59,7 @@ def make_primary_tube_kernel(config: PathConfig, role: str, camera_moves: bool):
     note_place = make_note(config.noted)
     distant = config.camera == CAMERA_ORTHOGRAPHIC
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", enable_backward=False, module_options=wide_vectors())
     def primary_tube(
         # Scene:
         scene: Scene,

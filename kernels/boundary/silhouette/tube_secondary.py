@@ -47,6 +47,7 @@ from warp_psdr.kernels.boundary.silhouette.tube_sink import make_tube_sink
 from warp_psdr.kernels.boundary.transport import Segment, make_source, make_transport
 from warp_psdr.kernels.constants import PRIMITIVE_LINEARCURVE
 from warp_psdr.kernels.jobs import SampleJob
+from warp_psdr.kernels.modules import wide_vectors
 from warp_psdr.kernels.notes import NOTE_POINT, make_note
 from warp_psdr.kernels.primitive.affine import step_off_primitive
 from warp_psdr.kernels.rng import make_sampler, sampler_at
@@ -140,7 +141,7 @@ def make_secondary_tube_kernel(
 
     deliver = make_delivery(role, TubePoint, transport, accumulate_tube, accumulate_source, write_ends)
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", enable_backward=False, module_options=wide_vectors())
     def secondary_tube(
         # Scene:
         scene: Scene,

@@ -28,6 +28,7 @@ from warp_psdr.kernels.interaction import enter_frame, leave_frame, make_interac
 from warp_psdr.kernels.interior.gradient_request import GradientRequest
 from warp_psdr.kernels.jobs import SampleJob
 from warp_psdr.kernels.math import any_tangent
+from warp_psdr.kernels.modules import wide_vectors
 from warp_psdr.kernels.path import make_path_step
 from warp_psdr.kernels.rng import Sampler, make_sampler, sampler_at
 from warp_psdr.kernels.sampling import square_to_sphere
@@ -177,7 +178,7 @@ def make_line_search_kernel(config: PathConfig, wanted: GradientRequest, role: s
                 level += 1
         return
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", enable_backward=False, module_options=wide_vectors())
     def line_search(
         # Scene:
         scene: Scene,

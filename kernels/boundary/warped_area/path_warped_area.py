@@ -25,6 +25,7 @@ from warp_psdr.kernels.interior.sweep import Carry, make_sweep
 from warp_psdr.kernels.interior.velocities import axis_vec3
 from warp_psdr.kernels.invalid import count_invalid, finite, vanishes
 from warp_psdr.kernels.jobs import SampleJob
+from warp_psdr.kernels.modules import wide_vectors
 from warp_psdr.kernels.path import make_path_step
 from warp_psdr.kernels.primitive.dispatch import make_adjoint_sink
 from warp_psdr.kernels.rng import Sampler, make_sampler, sampler_at
@@ -99,7 +100,7 @@ def make_path_warped_area_kernel(
         done = accumulate_vertex(scene, target, vertex.face, vertex.u, vertex.v, start, n == 0, vertex.o, vertex.d)
         return total + done.dot
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", enable_backward=False, module_options=wide_vectors())
     def path_warped_area(
         # Scene:
         scene: Scene,

@@ -25,6 +25,7 @@ from warp_psdr.kernels.interior.sweep import Carry, make_sweep
 from warp_psdr.kernels.interior.velocities import axis_vec3
 from warp_psdr.kernels.invalid import count_invalid, finite, vanishes
 from warp_psdr.kernels.jobs import PixelJob, make_sample_weight, pixel_of
+from warp_psdr.kernels.modules import wide_vectors
 from warp_psdr.kernels.path import make_path_step
 from warp_psdr.kernels.rng import Sampler, make_sampler, sampler_at
 from warp_psdr.kernels.sensor.camera import CameraSample, make_camera_ray
@@ -80,7 +81,7 @@ def make_warped_area_kernel(
             technique += 1
         return r
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", enable_backward=False, module_options=wide_vectors())
     def warped_area(
         # Scene:
         scene: Scene,
