@@ -122,7 +122,7 @@ CASES = [
             ("turns", ROTATION, 6144),
         )
     ),
-    Case("disk light, body", LIGHT, radius, 0.02, "the light grows", 2, 256, 512, slow=False),
+    Case("disk light, body", LIGHT, radius, 0.02, "the light grows", 2, 256, 512),
     *(Case(f"{kind} light, body", LIGHT, radius, 0.02, "the light grows", 2, 512, 2048) for kind in ROUND),
     *(Case(f"{kind} light, seen", LIGHT, radius, 0.01, "the light grows", 2, 512, 2048) for kind in POSES),
     *(Case(f"{kind} light, seen", LIGHT, entry(0, 3), 0.01, "the light moves", 2, 512, 4096) for kind in POSES),

@@ -216,6 +216,7 @@ def test_a_mirror_without_material_reflects_everything(bsdf: Launcher) -> None:
     assert np.all(s["value"] == 1.0)
 
 
+@pytest.mark.slow
 def test_the_fits_of_plastic_are_mean_reflectances() -> None:
     """Integrated over the hemisphere; the fit above 1 is to 0.2 %, that below 1, of what stays inside, to 0.1 %."""
     c, weights = np.polynomial.legendre.leggauss(2000)

@@ -228,6 +228,7 @@ def test_bad_requests_are_named(args, message):
         make_lights(*args)
 
 
+@pytest.mark.slow
 def test_scenes_hold_code_of_their_own_lights_only_and_compile_for_cuda(tmp_path):
     sources = {}
     for name, kinds in {"all": ALL_KINDS, "few": (c.EMITTER_CONSTANT, c.EMITTER_POINT)}.items():

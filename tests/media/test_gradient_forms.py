@@ -195,6 +195,7 @@ def tabulated():
     return scene, psdr.traverse(scene)
 
 
+@pytest.mark.slow
 def test_a_table_that_holds_zeros(tabulated):
     """L is linear in f_p, so with the tents' integrals c and I = c . v: dL/dv_j = c_j (L of the tent j - L) / I."""
     scene, params = tabulated

@@ -26,7 +26,7 @@ def of_spline(net: Net, pose: psdr.Transform, bsdf: dict) -> dict:
     return described
 
 
-@pytest.mark.slow_rows("rough", "glass", "deep")
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("net", "pose", "bsdf"),
     [

@@ -119,6 +119,7 @@ def test_an_unused_feature_leaves_the_kernels_of_other_scenes_alone(diffuse, mon
     assert module_hash(scene, names) == before
 
 
+@pytest.mark.slow
 def test_one_albedo_compiles_no_geometry(diffuse, tmp_path):
     scene, _params = diffuse
     albedo = psdr.plan(scene, names=["floor.bsdf.reflectance.value"], integrator=INTEGRATOR)

@@ -51,6 +51,7 @@ def test_samples_add_up_to_the_boundary_gradient(under_a_light) -> None:
     assert np.abs(expected).max() > 10 * SUMMATION * np.abs(pulls).sum()
 
 
+@pytest.mark.slow
 def test_points_lie_on_edges_and_pulls_across_them(under_a_light) -> None:
     scene, params = under_a_light
     samples = edge_fields.boundary_samples(scene, params, adjoint_of(scene), integrator=DIRECT, spp=4)
