@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 #: Time of a sample over that of replay, measured with the benchmarks of each: of branches by shapes of lobes and by
 #: weights of mixtures, and of antithetic pairs. It is no clock that chooses, so that equal calls choose alike.
 SHAPES_COST = {"resampled": 4.1, "decomposed": 3.9}
-WEIGHTS_COST = {"resampled": 8.0, "decomposed": 3.4}
+WEIGHTS_COST = {"resampled": 8.0, "decomposed": 2.9}
 NORMALS_COST = 1.4
 #: What turns normals besides maps.
 TURNING = {CAMERA, NORMALS, POSITIONS, SHAPE_POSE, TEXCOORDS, TO_UV}
