@@ -5,7 +5,18 @@ import pytest
 
 import warp_psdr as psdr
 from tests.gradients.measure import shared_random_numbers
-from tests.interior.test_resampled import DIFFERENCES, ROUNDING, SCENES, SIZE, SLOPE, Z, backward, integrator, load
+from tests.interior.test_resampled import (
+    DIFFERENCES,
+    ROUNDING,
+    SCENES,
+    SIZE,
+    SLOPE,
+    Z,
+    assert_the_mean_by_roughness_is_that_of_replay,
+    backward,
+    integrator,
+    load,
+)
 
 GLOSSY = ["metal", "beckmann metal", "brushed metal", "phong", "orennayar"]
 #: Scene -> weights of mixtures: two smooth models, a mirror and paint, and lobes of one model.
@@ -26,6 +37,10 @@ def forward(name, tangents, method, seed, *, spp=4, depth=3):
 def signs(name, parameter):
     """Weights of pixels by the sign of their derivative: a lobe's energy hardly depends on its shape."""
     return np.sign(forward(name, {parameter: 1.0}, psdr.interior.Resampled(), 77, spp=256)).astype(np.float32)
+
+
+def test_mean_by_roughness_is_that_of_replay():
+    assert_the_mean_by_roughness_is_that_of_replay(psdr.interior.Decomposed())
 
 
 @pytest.mark.slow

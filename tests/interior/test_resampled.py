@@ -194,8 +194,20 @@ def test_a_target_that_is_not_a_number_is_seen():
     assert np.isnan(out.numpy()).any()
 
 
+def assert_the_mean_by_roughness_is_that_of_replay(method, batches=32):
+    replay, found = (
+        backward("metal", SCENES["metal"][1], interior, range(first, first + batches))
+        for interior, first in ((psdr.interior.Replay(), 0), (method, 1000))
+    )
+    assert_equal_means(replay, found)
+
+
+def test_mean_by_roughness_is_that_of_replay():
+    assert_the_mean_by_roughness_is_that_of_replay(psdr.interior.Resampled())
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["metal", *(pytest.param(n, marks=pytest.mark.slow) for n in list(SCENES)[1:])])
+@pytest.mark.parametrize("name", SCENES)
 def test_mean_is_that_of_replay(name):
     _material, branched, others = SCENES[name]
     batches = 32 if name == "metal" else 64
