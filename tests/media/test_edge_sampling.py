@@ -33,7 +33,7 @@ pytestmark = [
 ]
 
 EDGES, PATHS = psdr.boundary.EdgeSampling(), psdr.boundary.PathSpace()
-TURNS, UP = aim(0, 1, 0), shift(0.0, 0.0, 1.0)
+TURNS, UP, ASIDE = aim(0, 1, 0), shift(0.0, 0.0, 1.0), shift(0.0, 1.0, 0.0)
 
 
 def beside(x, z):
@@ -80,8 +80,8 @@ ROWS = [
     ("all in fog", 4, 1024, SQUARE, TURNS, 0.05),
     ("all in fog", 4, 1024, "sensor.to_world", TURNS, 0.05),
     ("in front", 3, 1024, SQUARE, NORMAL, 0.05),
-    ("in front", 3, 1024, SQUARE, widen, 0.05),
-    ("behind", 3, 1024, SQUARE, NORMAL, 0.05),
+    ("in front", 3, 1024, SQUARE, ASIDE, 0.03),
+    ("behind", 3, 1024, SQUARE, TURNS, 0.04),
     ("behind", 3, 1024, SQUARE, widen, 0.05),
     ("sky", 3, 1024, SQUARE, widen, 0.02),
     ("smoke", 3, 1024, SQUARE, widen, 0.05),
