@@ -163,7 +163,7 @@ def quadrature(bsdf: Launcher, key: str, mat: dict, wi: np.ndarray):
     return mass, energy
 
 
-def integrals(bsdf: Launcher, key: str, mat: dict, wi: np.ndarray, bins=(20, 24), fine=(60, 12), behind=False):
+def integrals(bsdf: Launcher, key: str, mat: dict, wi: np.ndarray, bins=(20, 24), fine=(40, 6), behind=False):
     """Integrals of the pdf over each bin (shape ``bins``) and of the value over the hemisphere, midpoint rule.
 
     Finer in q, since at normal incidence the horizon cuts all of a ring of bins at one q.

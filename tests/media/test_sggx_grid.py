@@ -190,6 +190,7 @@ def gradients(scene, names, depth, spp):
     return np.array(found)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_what_passes(kind):
     """By each number of both voxels, and by the density, whose own grid is another."""
@@ -226,6 +227,7 @@ def emitted(values, density, glow):
     return (np.exp(-(np.cumsum(seen) - 0.5 * seen) * (2.5 / n))).sum() * glow * (2.5 / n)
 
 
+@pytest.mark.slow_rows("homogeneous-flakes1", "heterogeneous-flakes2")
 @pytest.mark.parametrize(
     ("kind", "flakes"), [("homogeneous", TWO[0, 0, 0]), ("homogeneous", TWO), ("heterogeneous", TWO)]
 )
