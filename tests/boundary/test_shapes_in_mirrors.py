@@ -86,16 +86,17 @@ def plate():
     return {"type": "disk", "exact": True, "to_world": pose, "bsdf": PAINT}
 
 
-def tube():
-    """A tapered B-spline curve."""
+def tube(kind="bsplinecurve"):
+    """A tapered curve."""
     k = np.linspace(0.0, 1.0, 7)
     along = np.column_stack([0.9 * k - 0.45, 0.25 * np.cos(6.0 * k), 0.3 * np.sin(6.0 * k), 0.15 - 0.06 * k])
-    return {"type": "bsplinecurve", "control_points": np.float32(along + np.array([*PLACE, 0.0])), "bsdf": BROWN}
+    return {"type": kind, "control_points": np.float32(along + np.array([*PLACE, 0.0])), "bsdf": BROWN}
 
 
 register(
     {
         "tube in a mirror": lambda: shown(tube()),
+        "cones in a mirror": lambda: shown(tube("linearcurve")),
         "disk in a mirror": lambda: shown(plate()),
         "linear grid in a mirror": lambda: shown(boxed(grid=values(), normals="analytic")),
         "cubic grid in a mirror": lambda: shown(boxed(grid=neck(), interpolation="cubic")),
@@ -115,6 +116,7 @@ CASES = [
     Case("sunk sphere in a mirror", "ball.to_world", Z, 0.01, "z", 4, 4096, 16384),
     # Differences lose 1.4 % to steps of 0.01.
     Case("tube in a mirror", "body.control_points", coordinate(2), 0.004, "z", 3, 3072, 32768),
+    Case("cones in a mirror", "body.control_points", coordinate(2), 0.004, "z", 3, 3072, 32768),
     Case("disk in a mirror", BODY, X, 0.004, "x", 3, 4096, 32768),
     Case("linear grid in a mirror", BODY, X, 0.004, "x", 3, 1024, 32768),
     Case("cubic grid in a mirror", BODY, X, 0.004, "x", 3, 1024, 32768),

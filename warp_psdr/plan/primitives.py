@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from warp_psdr.kernels.bsdf.dispatch import has_delta_lobes
-from warp_psdr.kernels.constants import METERS, PRIMITIVE_BSPLINECURVE
-from warp_psdr.kernels.primitive.dispatch import GRIDS
+from warp_psdr.kernels.constants import METERS
+from warp_psdr.kernels.primitive.dispatch import CURVES, GRIDS
 from warp_psdr.options import interior
 from warp_psdr.options.boundary import Method, PathSpace, Projective, Reparametrised
 from warp_psdr.plan.motion import motion
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 #: Methods of the interior term that know such shapes.
 CLAIMED = (interior.Replay, interior.Textbook, interior.Radiative)
 #: Kinds of shapes that are followed through smooth mirrors and glass beside them.
-SHOWN = (*EXACT.values(), *GRIDS, PRIMITIVE_BSPLINECURVE)
+SHOWN = (*EXACT.values(), *GRIDS, *CURVES)
 #: Kinds of shapes that may be smooth mirrors or glass themselves.
 MIRRORS = tuple(EXACT.values())
 #: What the errors offer.
