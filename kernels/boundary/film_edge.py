@@ -22,7 +22,7 @@ from warp_psdr.kernels.boundary.local_form import (
     narrowest_face,
 )
 from warp_psdr.kernels.constants import CAMERA_ORTHOGRAPHIC
-from warp_psdr.kernels.invalid import count_invalid
+from warp_psdr.kernels.invalid import count_invalid, vanishes
 from warp_psdr.kernels.medium.line import make_line
 from warp_psdr.kernels.notes import NOTE_EDGE, make_note
 from warp_psdr.kernels.rng import Sampler, make_sampler
@@ -163,7 +163,7 @@ def make_film_edge(config: PathConfig, role: str, camera_moves: bool):
         r.weight = wp.vec3(1.0, 1.0, 1.0)
         if wp.static(role != "forward"):
             r.weight = gather(camera, at.pixel, adjoint)
-            if r.weight[0] == 0.0 and r.weight[1] == 0.0 and r.weight[2] == 0.0:
+            if vanishes(r.weight):
                 return r
         note_place(scene, NOTE_EDGE, point.edge, point.s, 0.0, point.x, r.d, r.weight)
         r.valid = 1

@@ -69,7 +69,7 @@ def make_replay_kernel(config: PathConfig, wanted: GradientRequest, block: int, 
     ):
         pixel = pixel_of(job, camera, wp.tid())
         delta = job.scale * job.image_adjoint[pixel.py, pixel.px]
-        if delta[0] == 0.0 and delta[1] == 0.0 and delta[2] == 0.0:
+        if vanishes(delta):
             return
         record = wp.zeros(shape=(wp.static(block),), dtype=PathVertex)
         states = wp.zeros(shape=(wp.static(blocks),), dtype=PathState)

@@ -132,6 +132,11 @@ class PhaseDescription:
     nested: tuple[PhaseDescription, ...] = ()  #: blendphase: two
     flakes: VolumeDescription | None = None  #: sggx: (6,) or (Z, Y, X, 6): S_xx, S_yy, S_zz, S_xy, S_xz, S_yz
 
+    @property
+    def flakes_vary(self) -> bool:
+        """Whether microflakes differ from place to place."""
+        return self.flakes is not None and self.flakes.value.size > 6
+
 
 @dataclass(eq=False)
 class MediumDescription:
@@ -148,8 +153,7 @@ class MediumDescription:
     @property
     def tracked(self) -> bool:
         """Whether extinction differs from place to place: flights through the medium are tracked."""
-        flakes = self.phase.flakes
-        return self.grids or (flakes is not None and flakes.value.size > 6)
+        return self.grids or self.phase.flakes_vary
 
 
 @dataclass(eq=False)

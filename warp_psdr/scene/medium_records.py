@@ -118,7 +118,7 @@ class MediaRecords:
         kind, place = PHASES[p.kind], 0
         if p.weight is not None and p.weight.value.ndim == 4:
             kind = c.PHASE_BLEND_GRID
-        if p.flakes is not None and p.flakes.value.size > 6:
+        if p.flakes_vary:
             kind = c.PHASE_SGGX_GRID
         self._phases.add(kind)
         if p.kind == "hg":
@@ -129,7 +129,7 @@ class MediaRecords:
         if p.nested:
             place = self._blend(p)
         if p.flakes is not None:
-            place = self._flakes(p.flakes)
+            place = self._flakes(p.flakes, p.flakes_vary)
         return kind, place
 
     def _blend(self, p: PhaseDescription) -> int:
@@ -146,11 +146,11 @@ class MediaRecords:
         self._texture_ranges.append((place, weight.value.size))
         return len(self._textures) - 1
 
-    def _flakes(self, v: VolumeDescription) -> int:
+    def _flakes(self, v: VolumeDescription, vary: bool) -> int:
         """Return the flat offset of the matrix of microflakes, or the number of the record of a grid of them."""
         place, most = self._layout.add(v.parameter, v.value, MEDIUM + PHASE), -1
         number = place
-        if v.value.size > 6:
+        if vary:
             number = self._grid(v, place, placed=False)
             most = self._layout.add_values(np.array([flake_areas(v.value)[0]], np.float32))
             self._textures[number].second = most

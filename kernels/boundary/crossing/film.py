@@ -23,7 +23,7 @@ from warp_psdr.kernels.boundary.detector import make_incident_radiance
 from warp_psdr.kernels.boundary.film_edge import AHEAD
 from warp_psdr.kernels.boundary.forwards import make_hidden
 from warp_psdr.kernels.boundary.silhouette.grid_primary import FRONT
-from warp_psdr.kernels.invalid import count_invalid
+from warp_psdr.kernels.invalid import count_invalid, vanishes
 from warp_psdr.kernels.jobs import SampleJob
 from warp_psdr.kernels.modules import wide_vectors
 from warp_psdr.kernels.notes import NOTE_EDGE, make_note
@@ -101,7 +101,7 @@ def make_film_crossing_kernel(config: PathConfig, role: str, camera_moves: bool)
         weight = wp.vec3(1.0, 1.0, 1.0)
         if wp.static(role != "forward"):
             weight = gather(camera, at.pixel, job.image_adjoint)
-            if weight[0] == 0.0 and weight[1] == 0.0 and weight[2] == 0.0:
+            if vanishes(weight):
                 return
         note_place(scene, NOTE_EDGE, point.face_a, 0.0, 0.0, point.x, d, weight)
         # ---- The jump: A less B ----

@@ -179,7 +179,7 @@ def make_edge_sampling_kernel(
         delta = wp.vec3(0.0, 0.0, 0.0)
         if wp.static(role == "reverse"):
             delta = job.image_adjoint[py, px]
-            if delta[0] == 0.0 and delta[1] == 0.0 and delta[2] == 0.0:
+            if vanishes(delta):
                 return
         sampler = sampler_at(pixel, number % job.samples, job.seed)
         state, ray = start(scene, camera, px, py, sampler)

@@ -35,7 +35,7 @@ from warp_psdr.kernels.boundary.silhouette.network_points import network_curve_p
 from warp_psdr.kernels.boundary.silhouette.primary import MARGIN, TRIES, WIDER, make_camera_eye
 from warp_psdr.kernels.boundary.silhouette.spline_points import SLOT_ROOT, spline_curvature, spline_curve_point
 from warp_psdr.kernels.constants import CAMERA_ORTHOGRAPHIC
-from warp_psdr.kernels.invalid import count_invalid
+from warp_psdr.kernels.invalid import count_invalid, vanishes
 from warp_psdr.kernels.jobs import SampleJob
 from warp_psdr.kernels.modules import wide_vectors
 from warp_psdr.kernels.notes import NOTE_POINT, make_note
@@ -155,7 +155,7 @@ def make_primary_grid_kernel(
         weight = wp.vec3(1.0, 1.0, 1.0)
         if wp.static(role != "forward"):
             weight = gather(camera, at.pixel, job.image_adjoint)
-            if weight[0] == 0.0 and weight[1] == 0.0 and weight[2] == 0.0:
+            if vanishes(weight):
                 return
         uv = pack(point.q)
         note_place(scene, NOTE_POINT, point.face, uv[0], uv[1], point.x, d, weight)

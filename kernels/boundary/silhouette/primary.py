@@ -23,7 +23,7 @@ from warp_psdr.kernels.boundary.silhouette.dispatch import (
 from warp_psdr.kernels.boundary.silhouette.point import SilhouettePoint
 from warp_psdr.kernels.boundary.silhouette.rim import make_rims
 from warp_psdr.kernels.constants import CAMERA_ORTHOGRAPHIC, CAMERA_THINLENS
-from warp_psdr.kernels.invalid import count_invalid
+from warp_psdr.kernels.invalid import count_invalid, vanishes
 from warp_psdr.kernels.jobs import SampleJob
 from warp_psdr.kernels.modules import wide_vectors
 from warp_psdr.kernels.notes import NOTE_POINT, make_note
@@ -135,7 +135,7 @@ def make_primary_silhouette_kernel(config: PathConfig, role: str, camera_moves: 
         weight = wp.vec3(1.0, 1.0, 1.0)
         if wp.static(role != "forward"):
             weight = gather(camera, at.pixel, job.image_adjoint)
-            if weight[0] == 0.0 and weight[1] == 0.0 and weight[2] == 0.0:
+            if vanishes(weight):
                 return
         uv = coordinates(tri, point.q)
         note_place(scene, NOTE_POINT, face, uv[0], uv[1], point.x, d, weight)

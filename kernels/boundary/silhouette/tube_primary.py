@@ -30,7 +30,7 @@ from warp_psdr.kernels.boundary.silhouette.tube_points import (
 )
 from warp_psdr.kernels.boundary.silhouette.tube_sink import make_tube_sink
 from warp_psdr.kernels.constants import CAMERA_ORTHOGRAPHIC
-from warp_psdr.kernels.invalid import count_invalid
+from warp_psdr.kernels.invalid import count_invalid, vanishes
 from warp_psdr.kernels.jobs import SampleJob
 from warp_psdr.kernels.modules import wide_vectors
 from warp_psdr.kernels.notes import NOTE_POINT, make_note
@@ -109,7 +109,7 @@ def make_primary_tube_kernel(config: PathConfig, role: str, camera_moves: bool):
         weight = wp.vec3(1.0, 1.0, 1.0)
         if wp.static(role != "forward"):
             weight = gather(camera, at.pixel, job.image_adjoint)
-            if weight[0] == 0.0 and weight[1] == 0.0 and weight[2] == 0.0:
+            if vanishes(weight):
                 return
         uv = tube_coordinates(point)
         note_place(scene, NOTE_POINT, face, uv[0], uv[1], point.x, d, weight)

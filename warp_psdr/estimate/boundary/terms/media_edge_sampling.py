@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from warp_psdr.estimate.boundary.terms.edge_sampling import candidates_of
+from warp_psdr.estimate.boundary.terms import edge_sampling
 from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term, term_of
-from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.boundary.edge_sampling.media_edge_sampling import make_media_edge_sampling_kernel
 from warp_psdr.options import interior
 from warp_psdr.options.boundary import EdgeSampling
@@ -20,9 +19,8 @@ def applies(r: Request) -> bool:
     media = r.config.media
     if media is None or r.plan.max_depth == 1 or not r.moves.edges:
         return False
-    kinds = {e.kind for e in r.scene.builder.emitters}
-    # With one scattering event only a light, or what shines on the way there, can be what the edge hides.
-    return media.emissive or bool(kinds if r.plan.max_depth != 2 else kinds - c.DELTA_LIGHTS)
+    # What shines on the way to a light may be what the edge hides, too.
+    return media.emissive or edge_sampling.applies(r)
 
 
 def launch(r: Request) -> Term | None:
@@ -41,7 +39,7 @@ def launch(r: Request) -> Term | None:
         r.moves.camera,
         r.moves.grids,
         r.method.tree,
-        candidates_of(r.method),
+        edge_sampling.candidates_of(r.method),
         r.config.media.emissive or r.plan.max_depth != 2,
         kept.block,
         kept.longest,
