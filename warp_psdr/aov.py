@@ -16,6 +16,7 @@ from warp_psdr.kernels.rng import mix_seed
 from warp_psdr.options.integrator import PathIntegrator
 from warp_psdr.plan.plan import decide
 from warp_psdr.scene.aovs import check_type, parse_aovs
+from warp_psdr.scene.loaded import check_loaded
 
 if TYPE_CHECKING:
     from warp_psdr.scene.scene import Scene
@@ -61,6 +62,7 @@ def render_aov(
     Raises:
         ValueError: nothing or an unknown type is asked for, or an option is out of range.
     """
+    check_loaded(scene)
     wanted = _wanted(scene, aovs)
     number = scene.description.sensor_number(sensor)
     spp, seed = sample_count(scene, number, spp), checked_seed(seed)

@@ -16,6 +16,7 @@ from warp_psdr.kernels.rng import mix_seed
 from warp_psdr.plan.integrator import integrator_of
 from warp_psdr.plan.plan import decide
 from warp_psdr.plan.transient import require_steady
+from warp_psdr.scene.loaded import check_loaded
 
 if TYPE_CHECKING:
     from warp_psdr.options.integrator import PathIntegrator
@@ -54,6 +55,7 @@ def render_moment(
     Raises:
         ValueError: an option is out of range, or the camera's filter lets a sample count for several pixels.
     """
+    check_loaded(scene)
     number = scene.description.camera_number(sensor)
     require_steady(scene, number, "render_moment")
     camera = scene.camera(number)

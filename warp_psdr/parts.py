@@ -15,6 +15,7 @@ from warp_psdr.options.integrator import Integrator
 from warp_psdr.plan.integrator import integrator_of
 from warp_psdr.plan.plan import decide
 from warp_psdr.plan.transient import require_steady
+from warp_psdr.scene.loaded import check_loaded
 
 if TYPE_CHECKING:
     from warp_psdr.scene.parameters import Parameters
@@ -50,6 +51,7 @@ def render_parts(
     Raises:
         ValueError: as of ``render_forward``, or a batch of sensors.
     """
+    check_loaded(scene)
     number = scene.description.sensor_number(sensor)
     require_steady(scene, number, "render_parts")
     if scene.description.parts_of(number):

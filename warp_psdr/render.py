@@ -46,6 +46,7 @@ from warp_psdr.plan.plan import Plan, decide
 from warp_psdr.plan.transient import shape_of
 from warp_psdr.scene.derived_values import pull_kernels
 from warp_psdr.scene.edits import checksum
+from warp_psdr.scene.loaded import check_loaded
 from warp_psdr.topology import contacts
 
 if TYPE_CHECKING:
@@ -105,6 +106,7 @@ def render(
     """
     from warp_psdr.accuracy import budget, quantity
 
+    check_loaded(scene)
     sensor = scene.description.sensor_number(sensor)
     if tape is None and params is not None and params.requested:
         tape = active_tape()
@@ -225,6 +227,7 @@ def render_backward(
     """
     from warp_psdr.accuracy import budget, quantity
 
+    check_loaded(scene)
     sensor = scene.description.sensor_number(sensor)
     if budget.check(spp, target_error, time_budget, report):
         what = quantity.gradient(scene, params, adjoint, integrator=integrator, sensor=sensor)
@@ -312,6 +315,7 @@ def render_forward(
     """
     from warp_psdr.accuracy import budget, quantity
 
+    check_loaded(scene)
     sensor = scene.description.sensor_number(sensor)
     if budget.check(spp, target_error, time_budget, report):
         what = quantity.derivative(scene, params, tangents, integrator=integrator, sensor=sensor)

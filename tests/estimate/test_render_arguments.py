@@ -147,3 +147,31 @@ def test_scenes_are_not_copied(scene) -> None:
 def test_strips_at_contacts_have_a_width(scene, ratio: float) -> None:
     with pytest.raises(ValueError, match="contact_ratio: got"):
         scene.contact_ratio = ratio
+
+
+@pytest.mark.parametrize(
+    ("got", "message"),
+    [
+        (psdr.cornell_box(), r"scene: got dict, expected what psdr\.load_dict\(\.\.\.\) returns"),
+        ("box.xml", r"scene: got str, expected what psdr\.load_file"),
+        (None, r"scene: got NoneType"),
+    ],
+)
+@pytest.mark.parametrize(
+    ("function", "arguments"),
+    [
+        (psdr.traverse, ()),
+        (psdr.plan, ()),
+        (psdr.compile, ()),
+        (psdr.accuracy, ()),
+        (psdr.render, ()),
+        (psdr.render_aov, ()),
+        (psdr.render_moment, ()),
+        (psdr.render_parts, (None, {})),
+        (psdr.render_forward, (None, {})),
+        (psdr.render_backward, (None, None)),
+    ],
+)
+def test_what_is_no_scene_is_refused(function, arguments: tuple, got, message: str) -> None:
+    with pytest.raises(TypeError, match=message):
+        function(got, *arguments)

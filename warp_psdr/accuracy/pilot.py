@@ -29,6 +29,7 @@ from warp_psdr.invalid import warns
 from warp_psdr.kernels.rng import mix_seed
 from warp_psdr.options.integrator import Integrator
 from warp_psdr.plan.integrator import integrator_of
+from warp_psdr.scene.loaded import check_loaded
 
 if TYPE_CHECKING:
     from warp_psdr.scene.parameters import Parameters
@@ -101,6 +102,7 @@ def accuracy(
     Raises:
         ValueError: wrong arguments; what the methods do not cover; or the gradient does not stand out of the noise.
     """
+    check_loaded(scene)
     if clock not in CLOCKS:
         raise ValueError(f"clock: got {clock!r}, expected 'wall' or 'cpu'")
     if adjoint is not None and tangents is not None:

@@ -14,6 +14,7 @@ from warp_psdr.plan.integrator import integrator_of
 from warp_psdr.plan.plan import decide
 from warp_psdr.scene import load
 from warp_psdr.scene.derived_values import pull_kernels
+from warp_psdr.scene.loaded import check_loaded
 
 if TYPE_CHECKING:
     from warp_psdr.plan.integrator import Integrator
@@ -64,6 +65,7 @@ def compile(
     Raises:
         ValueError: as ``render_backward``, of what cannot be differentiated.
     """
+    check_loaded(scene)
     sensor = scene.description.camera_number(sensor)
     integrator = integrator_of(scene, integrator)
     start, before = time.perf_counter(), len(compiler.done)

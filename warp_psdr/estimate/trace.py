@@ -26,6 +26,7 @@ from warp_psdr.plan import media
 from warp_psdr.plan.integrator import integrator_of
 from warp_psdr.plan.plan import decide
 from warp_psdr.scene.exact import position_of
+from warp_psdr.scene.loaded import check_loaded
 
 if TYPE_CHECKING:
     from warp_psdr.plan.record import Plan
@@ -140,6 +141,7 @@ def trace_sample(
             f"kind: got {kind!r}, expected one of {expected}; what guiding evaluates is no path, and paths from the "
             "lights are not drawn again"
         )
+    check_loaded(scene)
     integrator = integrator_of(scene, integrator)
     sensor = scene.description.camera_number(sensor)
     if kind not in TRACED:

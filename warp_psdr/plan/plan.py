@@ -42,6 +42,7 @@ from warp_psdr.scene.layout import (
     TEXCOORDS,
     TO_UV,
 )
+from warp_psdr.scene.loaded import check_loaded
 from warp_psdr.scene.parameters import check_owner, parameter_of
 from warp_psdr.topology import contacts
 from warp_psdr.topology.interpolated_normals import interpolated_faces
@@ -81,6 +82,7 @@ def plan(
         KeyError: the scene has no parameter of such a name.
         ValueError: the methods named by the integrator cannot differentiate what is requested.
     """
+    check_loaded(scene)
     decided = decide(scene, params, integrator=integrator, sensor=sensor, names=names)
     touching = contacts.describe(scene, motion(scene, _named(scene, params, names)).shapes) if decided.boundary else ""
     if not touching:

@@ -11,6 +11,7 @@ import numpy as np
 import warp as wp
 
 from warp_psdr import html
+from warp_psdr.scene.loaded import check_loaded
 
 if TYPE_CHECKING:
     from warp_psdr.scene.layout import Parameter
@@ -61,6 +62,7 @@ def traverse(scene: Scene) -> Parameters:
         A mapping from names such as ``"wall.reflectance.value"`` to ``wp.array`` views: colours ``(3,)``, greys and
         numbers ``(1,)``, poses ``(4, 4)``, bitmaps ``(H, W, C)``, positions and normals ``(N,)`` of vec3.
     """
+    check_loaded(scene)
     return Parameters(scene)
 
 
