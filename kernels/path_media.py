@@ -95,6 +95,8 @@ class MediaVertex:
     shadow_d: wp.vec3
     shadow_t: wp.float32
     shadow_medium: wp.int32
+    shadow_hit: RayHit  # the first surface that it crosses
+    shadow_crossings: wp.int32
     transmittance: wp.vec3
     step: wp.int32  # the number of this one
 
@@ -176,7 +178,7 @@ def make_collision(config: PathConfig, differential: bool):
             if traces_shadow_ray:
                 d, t_max = shadow_ray(x, ls)
                 draws = max_depth < 0 or path.depth + 2 < max_depth
-                passed = passage(scene, x, d, t_max, state.medium, draws, sampler, state.steps)
+                passed, first = passage(scene, x, d, t_max, state.medium, draws, sampler, state.steps)
                 if passed.blocked == 0:
                     weight = inverse_pdf(pdf_light)
                     if ls.delta == 0:
@@ -193,6 +195,8 @@ def make_collision(config: PathConfig, differential: bool):
                     r.shadow_d = d
                     r.shadow_t = t_max
                     r.shadow_medium = state.medium
+                    r.shadow_hit = first
+                    r.shadow_crossings = passed.crossings
                 elif passed.blocked == 2:
                     count_invalid(scene, sampler)
         # ---- Scattering ----
@@ -456,7 +460,7 @@ def make_media_step(config: PathConfig, differential: bool, explores: bool = Fal
                             vertex.shadow_t = event.t_max
                             vertex.shadow_medium = medium_towards(scene, at.shape, at.ng, path.d, ls.wi, state.medium)
                             draws = max_depth < 0 or path.depth + 2 < max_depth
-                            passed = passage(
+                            passed, first = passage(
                                 scene,
                                 event.o,
                                 event.d,
@@ -468,6 +472,8 @@ def make_media_step(config: PathConfig, differential: bool, explores: bool = Fal
                             )
                             unoccluded = passed.blocked == 0
                             if unoccluded:
+                                vertex.shadow_hit = first
+                                vertex.shadow_crossings = passed.crossings
                                 vertex.transmittance = transmittance_of(passed)
                                 event = through_event(at, ls, event, passed.probability, vertex.transmittance)
                             elif passed.blocked == 2:

@@ -13,6 +13,7 @@ import warp as wp
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.constants import FAR, PHASE_SGGX
 from warp_psdr.kernels.interior.media_sweep import number_of
+from warp_psdr.kernels.interior.shadow_crossings import make_shadow_crossing
 from warp_psdr.kernels.interior.shadow_motion import ShadowAdjoint, make_thinning
 from warp_psdr.kernels.medium.coefficients import albedo_at
 from warp_psdr.kernels.medium.grid_adjoint import SALT_POINTS
@@ -31,7 +32,6 @@ from warp_psdr.kernels.rng import Sampler, independent_1d, salted
 from warp_psdr.kernels.structs import Medium, Scene
 from warp_psdr.kernels.texture.volume import trilinear_slope
 from warp_psdr.kernels.vertex import MediaConfig, PathConfig
-from warp_psdr.kernels.visibility import visibility_of
 
 
 @functools.cache
@@ -167,7 +167,7 @@ def make_grid_emission_motion(config: MediaConfig, role: str, pose: bool):
 @functools.cache
 def make_grid_shadow_sink(config: PathConfig, role: str, pose: bool):
     """Return ``accumulate_shadow(scene, target, sampler, vertex, w)`` as ``make_shadow_sink`` does, through grids."""
-    visibility = visibility_of(config)
+    shadow_crossing = make_shadow_crossing(config)
     is_interface, past = make_null_surface(config)
     accumulate_crossing = make_crossing_sink(role)
     _point, accumulate_depth, accumulate_ends = make_grid_span(role, pose)
@@ -192,7 +192,7 @@ def make_grid_shadow_sink(config: PathConfig, role: str, pose: bool):
         crossings = wp.int32(0)
         while crossings <= MOST_INTERFACES:
             t = wp.dot(start - v.shadow_o, d)
-            hit = visibility.closest(scene, start, d, v.shadow_t - t)
+            hit = shadow_crossing(scene, v, crossings, start, v.shadow_t - t)
             far = wp.where(hit.face >= 0, t + hit.t, v.shadow_t)
             a_far = wp.float32(0.0)
             if inside >= 0:

@@ -17,7 +17,7 @@ from warp_psdr.kernels.interior.media_motion import MovedCarry, MovedStep, make_
 from warp_psdr.kernels.invalid import finite, make_derivative_of_sample, vanishes
 from warp_psdr.kernels.jobs import PixelJob, make_sample_weight, pixel_of
 from warp_psdr.kernels.medium.interface import make_interface
-from warp_psdr.kernels.medium.passage import MOST_INTERFACES
+from warp_psdr.kernels.medium.passage import MOST_INTERFACES, steps_kept
 from warp_psdr.kernels.modules import wide_vectors
 from warp_psdr.kernels.path import make_camera_start
 from warp_psdr.kernels.path_media import MediaState, make_media_step, media_path_from
@@ -43,7 +43,7 @@ def make_media_motion_kernel(config: PathConfig, wanted: GradientRequest, role: 
         config: what the scene needs.
         wanted: what of all that moves is differentiated.
         role: "reverse" or "forward".
-        block: the number of steps kept at a time.
+        block: the number of vertices kept at a time; interfaces come on top.
         longest: most vertices of a path; the surfaces that it passes without a change of direction come on top.
     """
     start = make_camera_start(config)
@@ -57,7 +57,8 @@ def make_media_motion_kernel(config: PathConfig, wanted: GradientRequest, role: 
     channels = 3 if role == "forward" else 1
     derivative_of_sample = make_derivative_of_sample(role)
     sample_weight = make_sample_weight(role)
-    blocks = -(-(longest + MOST_INTERFACES + 1) // block)
+    room = steps_kept(block)
+    blocks = -(-(longest + MOST_INTERFACES + 1) // room)
 
     @wp.func
     def channel_of(delta: wp.vec3, channel: wp.int32) -> wp.vec3:
@@ -83,7 +84,7 @@ def make_media_motion_kernel(config: PathConfig, wanted: GradientRequest, role: 
         if vanishes(delta):
             return
         derivative = wp.vec3d()  # in double precision, as the image
-        record = wp.zeros(shape=(wp.static(block),), dtype=MovedStep)
+        record = wp.zeros(shape=(wp.static(room),), dtype=MovedStep)
         states = wp.zeros(shape=(wp.static(blocks),), dtype=MovedState)
         carries = wp.zeros(shape=(wp.static(channels),), dtype=MovedCarry)
         for i in range(job.samples):
@@ -104,7 +105,7 @@ def make_media_motion_kernel(config: PathConfig, wanted: GradientRequest, role: 
             while b >= 0:
                 states[b] = state
                 count = wp.int32(0)
-                while state.media.path.alive == 1 and count < wp.static(block):
+                while state.media.path.alive == 1 and count < wp.static(room):
                     path = state.media.path
                     kept = MovedStep()
                     kept.start = state.start

@@ -15,7 +15,7 @@ from warp_psdr.kernels.interior.gradient_request import GradientRequest
 from warp_psdr.kernels.interior.media_sweep import explores_density, make_media_sweep
 from warp_psdr.kernels.invalid import finite, make_derivative_of_sample, on_channel, vanishes
 from warp_psdr.kernels.jobs import PixelJob, make_sample_weight, pixel_of
-from warp_psdr.kernels.medium.passage import MOST_INTERFACES
+from warp_psdr.kernels.medium.passage import MOST_INTERFACES, steps_kept
 from warp_psdr.kernels.modules import wide_vectors
 from warp_psdr.kernels.path import make_camera_start
 from warp_psdr.kernels.path_media import MediaState, MediaVertex, make_media_step, media_path_from, radiance_of_step
@@ -34,7 +34,7 @@ def make_media_replay_kernel(
         config: what the scene needs.
         wanted: what is differentiated; nothing moves.
         role: "reverse" or "forward".
-        block: the number of steps kept at a time.
+        block: the number of vertices kept at a time; interfaces come on top.
         longest: most vertices of a path; the surfaces that it passes without a change of direction come on top.
         ratio: in-scattering in grids is by differential ratio tracking, too; the density is differentiated.
     """
@@ -45,7 +45,8 @@ def make_media_replay_kernel(
     channels = 3 if role == "forward" else 1
     derivative_of_sample = make_derivative_of_sample(role)
     sample_weight = make_sample_weight(role)
-    blocks = -(-(longest + MOST_INTERFACES + 1) // block)
+    room = steps_kept(block)
+    blocks = -(-(longest + MOST_INTERFACES + 1) // room)
 
     @wp.kernel(module="unique", enable_backward=False, module_options=wide_vectors())
     def media_replay(
@@ -63,7 +64,7 @@ def make_media_replay_kernel(
         if vanishes(delta):
             return
         derivative = wp.vec3d()  # in double precision, as the image
-        record = wp.zeros(shape=(wp.static(block),), dtype=MediaVertex)
+        record = wp.zeros(shape=(wp.static(room),), dtype=MediaVertex)
         states = wp.zeros(shape=(wp.static(blocks),), dtype=MediaState)
         for i in range(job.samples):
             sampler = sampler_at(pixel.number, job.first_sample + i, job.seed)
@@ -81,7 +82,7 @@ def make_media_replay_kernel(
             while b >= 0:
                 states[b] = state
                 count = wp.int32(0)
-                while state.path.alive == 1 and count < wp.static(block):
+                while state.path.alive == 1 and count < wp.static(room):
                     before = state
                     vertex, state = media_step(scene, sampler, state, job.max_depth, job.rr_depth)
                     record[count] = vertex

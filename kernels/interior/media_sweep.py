@@ -17,6 +17,7 @@ from warp_psdr.kernels.constants import FAR, LOBE_NULL, LOBE_SMOOTH, PHASE_SGGX
 from warp_psdr.kernels.interaction import enter_frame, make_interaction
 from warp_psdr.kernels.interior.factors import make_light_sink, make_material_sink
 from warp_psdr.kernels.interior.gradient_request import GradientRequest
+from warp_psdr.kernels.interior.shadow_crossings import make_shadow_crossing
 from warp_psdr.kernels.interior.sweep import Carry, make_sweep
 from warp_psdr.kernels.medium.coefficients import (
     EMISSION,
@@ -42,7 +43,6 @@ from warp_psdr.kernels.structs import Scene
 from warp_psdr.kernels.surface import VertexAdjoint
 from warp_psdr.kernels.transmittance import other_factors
 from warp_psdr.kernels.vertex import PathConfig
-from warp_psdr.kernels.visibility import visibility_of
 
 
 def explores_density(wanted: GradientRequest) -> bool:
@@ -69,7 +69,7 @@ def make_segment_sink(config: PathConfig, wanted: GradientRequest, role: str):
     ``w`` is the adjoint of the transmittance of the segment to the vertex's light, which is walked again.
     """
     assert config.media is not None
-    visibility = visibility_of(config)
+    shadow_crossing = make_shadow_crossing(config)
     interaction = make_interaction(config)
     passage = make_media_passage(config, True)
     accumulate_extinction, _accumulate_flight = make_coefficient_sinks(role, wanted.media)
@@ -153,13 +153,13 @@ def make_segment_sink(config: PathConfig, wanted: GradientRequest, role: str):
         _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
         total = wp.float32(0.0)
         if wp.static(materials):
-            passed = passage(scene, v.shadow_o, v.shadow_d, v.shadow_t, v.shadow_medium, False, sampler, v.step)
+            passed, _first = passage(scene, v.shadow_o, v.shadow_d, v.shadow_t, v.shadow_medium, False, sampler, v.step)
         start = v.shadow_o
         inside = v.shadow_medium
         crossings = wp.int32(0)
         while crossings <= MOST_INTERFACES:
             rest = v.shadow_t - wp.dot(start - v.shadow_o, v.shadow_d)
-            hit = visibility.closest(scene, start, v.shadow_d, rest)
+            hit = shadow_crossing(scene, v, crossings, start, rest)
             length = wp.where(hit.face >= 0, hit.t, rest)
             number = number_of(v) + 1 + crossings
             total += accumulate_stretch(

@@ -211,7 +211,9 @@ def make_phase_branch_kernel(config: PathConfig, role: str, candidates: int, dec
                 if k >= 0:
                     ls, _light, _probability = sample_light(scene, point.x, numbers(r4, k))
                     to_light, t_max = shadow_ray(point.x, ls)
-                    passed = passage(scene, point.x, to_light, t_max, before.medium, draws, branch, before.steps)
+                    passed, _first = passage(
+                        scene, point.x, to_light, t_max, before.medium, draws, branch, before.steps
+                    )
                     if passed.blocked == 0:
                         pdf = ls.pdf * ls.probability
                         mu = wp.dot(d, ls.wi)

@@ -10,6 +10,7 @@ import warp as wp
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.constants import EMITTER_AREA, EMITTER_DIRECTIONAL, EMITTER_POINT, FAR, PHASE_SGGX
 from warp_psdr.kernels.interior.gradient_request import GradientRequest
+from warp_psdr.kernels.interior.shadow_crossings import make_shadow_crossing
 from warp_psdr.kernels.medium.interface import make_crossing_sink
 from warp_psdr.kernels.medium.null_surface import make_null_surface
 from warp_psdr.kernels.medium.passage import MOST_INTERFACES, medium_towards
@@ -19,7 +20,6 @@ from warp_psdr.kernels.sink import make_sink, make_sink_vec3
 from warp_psdr.kernels.structs import Scene
 from warp_psdr.kernels.surface import VertexAdjoint, make_vertex_sink
 from warp_psdr.kernels.vertex import PathConfig
-from warp_psdr.kernels.visibility import visibility_of
 
 
 @wp.struct
@@ -66,7 +66,7 @@ def make_shadow_sink(config: PathConfig, role: str):
     ``w`` is the adjoint of the logarithm of the transmittance to the vertex's light, by channel. The segment is walked
     again.
     """
-    visibility = visibility_of(config)
+    shadow_crossing = make_shadow_crossing(config)
     is_interface, past = make_null_surface(config)
     accumulate_crossing = make_crossing_sink(role)
     assert config.media is not None
@@ -85,7 +85,7 @@ def make_shadow_sink(config: PathConfig, role: str):
         crossings = wp.int32(0)
         while crossings <= MOST_INTERFACES:
             t = wp.dot(start - v.shadow_o, v.shadow_d)
-            hit = visibility.closest(scene, start, v.shadow_d, v.shadow_t - t)
+            hit = shadow_crossing(scene, v, crossings, start, v.shadow_t - t)
             crossings += 1
             if wp.static(flakes):
                 rest = wp.where(hit.face >= 0, hit.t, v.shadow_t - t)

@@ -12,6 +12,7 @@ import warp as wp
 
 from warp_psdr.kernels.bsdf.dispatch import has_null_lobes, models_of
 from warp_psdr.kernels.bsdf.null import NULL
+from warp_psdr.kernels.bvh.wide import RayHit
 from warp_psdr.kernels.constants import LOBE_NULL, NO_INTERFACE, PHASE_SGGX
 from warp_psdr.kernels.interaction import make_interaction
 from warp_psdr.kernels.invalid import vanishes
@@ -30,6 +31,11 @@ from warp_psdr.kernels.visibility import visibility_of
 #: Surfaces without a change of direction that a path, or a shadow ray, crosses at most. What is behind is dark, and
 #: that is counted.
 MOST_INTERFACES = 64
+
+
+def steps_kept(block: int) -> int:
+    """Return how many steps are kept for a block of vertices: most paths cross fewer interfaces than the rest."""
+    return 2 * block + 4
 
 
 @wp.func
@@ -53,11 +59,12 @@ def is_lost(scene: Scene, shape: wp.int32, ng: wp.vec3, d: wp.vec3, medium: wp.i
 
 @functools.cache
 def make_media_passage(config: PathConfig, differential: bool):
-    """Return ``media_passage(scene, o, d, t_max, medium, draws, sampler, step) -> Passage`` of a segment.
+    """Return ``media_passage(scene, o, d, t_max, medium, draws, sampler, step) -> (Passage, RayHit)`` of a segment.
 
-    ``probability`` of the result is that of a path which drew the same direction and passed all of it; ``draws``: it
-    would collide there at random (``Flight``), grids aside. ``sampler`` and the number of the ``step`` say which
-    numbers estimate the transmittance of grids. ``differential``: keep going where the transmittance is exactly zero.
+    The hit is the first surface on the segment, if any. ``probability`` of the passage is that of a path which drew the
+    same direction and passed all of it; ``draws``: it would collide there at random (``Flight``), grids aside.
+    ``sampler`` and the number of the ``step`` say which numbers estimate the transmittance of grids. ``differential``:
+    keep going where the transmittance is exactly zero.
     """
     assert config.media is not None
     visibility = visibility_of(config)
@@ -115,15 +122,18 @@ def make_media_passage(config: PathConfig, differential: bool):
             draws: wp.bool,
             sampler: Sampler,
             step: wp.int32,
-        ) -> Passage:
+        ) -> tuple[Passage, RayHit]:
             r = Passage()
+            none = RayHit()
+            none.face = -1
+            none.t = t_max
             r.product = wp.vec3(1.0, 1.0, 1.0)
             r.probability = 1.0
             if visibility.occluded(scene, o, d, t_max):
                 r.blocked = 1
             else:
                 r = fly(scene, r, medium, o, d, t_max, draws, sampler, step)
-            return r
+            return r, none
 
         return media_segment
 
@@ -140,8 +150,9 @@ def make_media_passage(config: PathConfig, differential: bool):
         draws: wp.bool,
         sampler: Sampler,
         step: wp.int32,
-    ) -> Passage:
+    ) -> tuple[Passage, RayHit]:
         r = Passage()
+        first = RayHit()
         r.product = wp.vec3(1.0, 1.0, 1.0)
         r.probability = 1.0
         start = o
@@ -150,6 +161,8 @@ def make_media_passage(config: PathConfig, differential: bool):
         while more:
             rest = t_max - wp.dot(start - o, d)
             hit = visibility.closest(scene, start, d, rest)
+            if r.crossings == 0:
+                first = hit
             if hit.face < 0:
                 r = fly(scene, r, inside, start, d, rest, draws, sampler, step)
                 more = False
@@ -187,6 +200,6 @@ def make_media_passage(config: PathConfig, differential: bool):
                 else:
                     r.blocked = wp.where(passes, 2, 1)
                     more = False
-        return r
+        return r, first
 
     return media_passage

@@ -165,7 +165,8 @@ def make_sphere_edge(config: PathConfig):
         distance = wp.length(to)
         free = distance - edge_behind(scene, step)
         if free > 0.0:
-            if passage(scene, o, to / distance, free, medium, False, sampler, 0).blocked != 0:
+            passed, _first = passage(scene, o, to / distance, free, medium, False, sampler, 0)
+            if passed.blocked != 0:
                 return r
         # ---- The radiance of the rays beside it, from the same random numbers ----
         r.m = wp.cross(along, w)
