@@ -155,6 +155,39 @@ def ink_in_glass():
     )
 
 
+def ink_in_fog():
+    """A cube of ink, .1 to 4 by channel, in a larger one of fog, under a lamp and a sky."""
+    fog = {**medium(0.3, 0.9, g=0.5), "id": "thin"}
+    ref = {"type": "ref", "id": "thin"}
+    return whole(
+        integrator=integrator(max_depth=8),
+        thin=fog,
+        sensor=camera(*VIEW),
+        floor=FLOOR,
+        shell=cube(ref, scale=1.4, turn=10.0),
+        ink=cube(medium((0.1, 0.8, 4.0), (0.6, 0.8, 0.9), g=-0.3), scale=0.8, turn=30.0, exterior=ref),
+        lamp=lamp(),
+        sky=sky(0.3, 0.4, 0.5),
+    )
+
+
+def ink_in_the_sun():
+    """Ink behind smooth glass in the sun, the camera in the fog around it."""
+    fog = {**medium(0.15, (0.9, 0.8, 0.7)), "id": "thin"}
+    ref = {"type": "ref", "id": "thin"}
+    ink = medium((0.1, 0.8, 4.0), (0.6, 0.8, 0.9), g=0.5)
+    return whole(
+        integrator=integrator(max_depth=6),
+        thin=fog,
+        sensor=camera([2.4, 1.8, 1.5], [0, 0, -0.3], 60.0, 24, medium=ref),
+        floor=FLOOR,
+        shell=cube(ref, scale=3.5, turn=10.0),
+        glass=cube(ink, {"type": "dielectric", "int_ior": 1.3}, scale=0.8, turn=30.0, exterior=ref),
+        sun={"type": "directional", "direction": [0.3, -0.4, -1.0], "irradiance": rgb(3.0, 2.5, 2.0)},
+        sky=sky(0.3, 0.4, 0.5),
+    )
+
+
 def smoke(**more):
     """Smoke in a cube over a floor, under a sky, a point light and a lamp."""
     parts = {

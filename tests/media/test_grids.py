@@ -1,4 +1,4 @@
-"""Images of grids: Mitsuba's ``volpath``, formulas, majorants, updates, equal bits, the plan."""
+"""Images of grids: formulas, majorants, updates, equal bits, the plan."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,6 @@ import warp_psdr as psdr
 from tests.media import scenes
 from tests.media.scenes import T, camera, cube, grid, grids, points, sky, whole
 from tests.path.helpers import assert_mean, assert_same_mean, batches, blocks
-from tests.peer import MITSUBA_ROUNDING, for_mitsuba
 from warp_psdr.scene.super_grid import super_grid
 
 #: Some boxes end inside of their interface, and are meant to.
@@ -20,7 +19,6 @@ SIZE = 4
 SCALE = "slab.interior_medium.scale"
 #: Extinction along the ray, by channel: a ramp, a step, zeros.
 COLUMN = np.array([[0.0, 0.4, 0.5], [0.2, 0.4, 0.0], [0.4, 0.4, 0.0], [0.6, 1.4, 0.0], [0.8, 1.4, 0.9]], np.float32)
-CASES = {"smoke": scenes.smoke, "coloured": scenes.coloured_smoke, "inside": scenes.inside_smoke}
 
 
 def slab():
@@ -50,20 +48,6 @@ def loaded():
 def scene(loaded):
     set_values(loaded, data=COLUMN[:, None, None, :], albedo=0.0, scale=1.5)
     return loaded
-
-
-@pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.slow] * (n != "smoke")) for n in CASES])
-def test_equals_mitsuba(name):
-    """Blocks of 6 x 6 pixels have the mean of Mitsuba's ``volpath``."""
-    mi = pytest.importorskip("mitsuba")
-    mi.set_variant("scalar_rgb")
-    parts = CASES[name]()
-    scene = psdr.load_dict(parts)
-    ours = batches(scene, spp=64)
-    assert psdr.invalid_samples(scene)["image"] == 0
-    theirs = mi.load_dict(for_mitsuba(mi, parts))
-    theirs = np.stack([np.array(mi.render(theirs, spp=64, seed=i)) for i in range(16)]).astype(np.float64)
-    assert_same_mean(blocks(ours, 6), blocks(theirs, 6), name, MITSUBA_ROUNDING)
 
 
 @pytest.mark.parametrize("depth", [1, -1], ids=["ratio tracking", "delta tracking"])
