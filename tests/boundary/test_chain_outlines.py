@@ -12,6 +12,8 @@ from warp_psdr.kernels.boundary.specular.chain_outlines import Outline, begins_b
 from warp_psdr.kernels.boundary.specular.chain_patches import make_patch
 from warp_psdr.kernels.boundary.specular.specular_chain import Link
 from warp_psdr.kernels.constants import FAR
+from warp_psdr.kernels.interaction import make_interaction
+from warp_psdr.kernels.primitive.network import step_off_network
 from warp_psdr.kernels.structs import Scene
 from warp_psdr.kernels.vertex import PathConfig
 from warp_psdr.kernels.visibility import visibility_of
@@ -107,6 +109,67 @@ def test_outlines_lie_on_the_rays_that_touch_them(kind: str) -> None:
     beside = np.linalg.norm(np.cross(x[good] - np.float32(o)[good], d[good]), axis=1)
     assert np.quantile(beside, 0.98) < ON_THE_RAY.get(kind, 1e-4)
     assert np.quantile(np.abs((m[good] * d[good]).sum(axis=1)), 0.98) < 2e-3
+
+
+@functools.cache
+def grazing_kernel(config: PathConfig):
+    visibility = visibility_of(config)
+    interaction = make_interaction(config)
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def grazing(
+        # In:
+        scene: Scene,
+        face: wp.int32,
+        origins: wp.array(dtype=wp.vec3),
+        inner: wp.array(dtype=wp.vec3),
+        outer: wp.array(dtype=wp.vec3),
+        steps: wp.float32,
+        # Out:
+        met_out: wp.array(dtype=wp.int32),
+        cosine_out: wp.array(dtype=wp.float32),
+    ):
+        i = wp.tid()
+        o = origins[i]
+        a = inner[i]
+        b = outer[i]
+        met = wp.int32(0)
+        for _k in range(24):
+            middle = 0.5 * (a + b)
+            if visibility.closest(scene, o, wp.normalize(middle - o), FAR).face == face:
+                met = 1
+                a = middle
+            else:
+                b = middle
+        inwards = wp.normalize(inner[i] - outer[i])
+        d = wp.normalize(a + steps * step_off_network(scene, scene.triangles[face]) * inwards - o)
+        hit = visibility.closest(scene, o, d, FAR)
+        if met == 1 and hit.face == face:
+            met_out[i] = 1
+            cosine_out[i] = -wp.dot(interaction.at(scene, face, hit.u, hit.v, d).ng, d)
+
+    return grazing
+
+
+@pytest.mark.slow
+def test_hits_aside_of_the_outline_of_a_network_face_the_ray() -> None:
+    """At it some lie behind the touched point, by roundings of phi: a step off the surface aside none does."""
+    scene = psdr.load_dict({"type": "scene", "sensor": camera(), "sky": sky(), "shape": SHAPES["network"]})
+    kernel = grazing_kernel(psdr.plan(scene, integrator=psdr.PathIntegrator(max_depth=2)).config)
+    around = np.random.default_rng(3).normal(size=(3, 4096, 3))
+    o = 2.1 * around[0] / np.linalg.norm(around[0], axis=1, keepdims=True)
+    side = np.cross(o, around[2])
+    outer = 1.8 * side / np.linalg.norm(side, axis=1, keepdims=True)
+    arrays = [wp.array(np.float32(v), dtype=wp.vec3, device="cpu") for v in (o, 0.1 * around[1], outer)]
+    behind = []
+    for steps in (0.0, 1.0):
+        out = [wp.zeros(4096, dtype=t, device="cpu") for t in (wp.int32, wp.float32)]
+        wp.launch(kernel, 4096, [scene.data(), scene.face_count, *arrays, steps], out, device="cpu")
+        met, cosine = (v.numpy() for v in out)
+        assert met.sum() > 1024
+        behind.append((cosine[met == 1] <= 0.0).mean())
+    assert behind[0] > 0.1
+    assert behind[1] == 0.0
 
 
 @functools.cache

@@ -24,10 +24,11 @@ from warp_psdr.kernels.boundary.specular.triangle_borders import (
     smooth_between,
 )
 from warp_psdr.kernels.boundary.transport import Segment
-from warp_psdr.kernels.constants import FAR
+from warp_psdr.kernels.constants import FAR, PRIMITIVE_NEURALSDF
 from warp_psdr.kernels.emitter.dispatch import make_delta_sample
 from warp_psdr.kernels.primitive.affine import is_primitive_at
-from warp_psdr.kernels.primitive.dispatch import slides_on
+from warp_psdr.kernels.primitive.dispatch import is_network, slides_on
+from warp_psdr.kernels.primitive.network import step_off_network
 from warp_psdr.kernels.step import step_beside
 from warp_psdr.kernels.structs import Scene, Triangle
 from warp_psdr.kernels.surface import VertexAdjoint, point_on
@@ -54,7 +55,7 @@ class Crossing:
     side: wp.int32  # 0: the integrand jumps; +1, -1: it counts on that side of the line only
     phi_a: wp.float32  # derivatives of phi along the line and across it
     phi_b: wp.float32
-    aside: wp.float32  # part of the line at which its two sides are looked at (``concave_edge.py``)
+    aside: wp.float32  # part of the line at which its two sides are looked at; 0: where they differ
     both: wp.int32  # 1: the other side of the line is a crossing of its own
     edge: wp.int32  # 1: ``point`` and ``segment`` hold the edge, 2: ``segment`` holds material points, 3: ``outline``
     point: EdgePoint
@@ -194,6 +195,7 @@ def make_edge_crossing(hidden: bool, primitives: tuple[int, ...]):
     """
     outline_at = make_outline(primitives)
     one_sheet = make_one_sheet(primitives)
+    networks = PRIMITIVE_NEURALSDF in primitives
 
     @wp.func
     def edge_crossing(
@@ -324,6 +326,12 @@ def make_edge_crossing(hidden: bool, primitives: tuple[int, ...]):
             n_high = facing(high.ng, d)
             if not is_ridge(n_low, n_high, wp.sign(r.phi_a) * m, d):
                 apart_by = wp.max(apart_by, concave_distance(n_low, n_high, False))
+        if wp.static(networks):
+            if r.edge == 3:
+                tri = scene.triangles[r.outline.face]
+                if is_network(tri):
+                    # Closer to its outline, hits lie in front of the touched point or behind it, as phi is rounded.
+                    apart_by = step_off_network(scene, tri) / scene.ray_epsilon
         r.aside = aside(scene, block, m, apart_by, r.phi_a)
         r.valid = 1
         return r
