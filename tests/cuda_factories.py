@@ -340,6 +340,15 @@ FACTORIES = {
         ("samples, simple", (SIMPLE, "samples", False), SLOW),
         ("noted, simple", (NOTED, "reverse", False), SLOW),
     ],
+    "boundary.shading_normals.grid_terminator.make_grid_terminator_kernel": [
+        ("grids of distances", (DISTANCES, "reverse", True), SLOW),
+    ],
+    "boundary.shading_normals.grid_indirect_terminator.make_grid_indirect_terminator_kernel": [
+        ("grids of distances", (DISTANCES, "reverse", True), SLOW),
+    ],
+    "boundary.shading_normals.grid_horizon.make_grid_horizon_kernel": [
+        ("grids of distances", (DISTANCES, "reverse", True), SLOW),
+    ],
     "boundary.silhouette.grid_foreground.make_foreground_grid_kernel": [*SHADED, SMOOTH, NEURAL],
     "boundary.silhouette.grid_primary.make_primary_grid_kernel": [*SHADED, SMOOTH, NEURAL],
     "boundary.silhouette.grid_secondary.make_secondary_grid_kernel": [

@@ -13,6 +13,7 @@ what the light's surface scatters, is replaced by R_k / p with probability p and
 """
 
 import functools
+from collections.abc import Callable
 
 import warp as wp
 
@@ -155,13 +156,13 @@ def make_first_sink(role: str, primitives: tuple[int, ...] = ()):
 
 
 @functools.cache
-def make_found_sink(role: str, primitives: tuple[int, ...]):
+def make_found_sink(role: str, primitives: tuple[int, ...], first: Callable = make_first_sink):
     """Return ``accumulate_found(scene, target, segment, w, second) -> float``: x_1 behind the walk's second vertex.
 
     On grids and curves it slides along the ray from there, which is tied to that vertex' surface (form S); else it is a
     material point.
     """
-    accumulate_first = make_first_sink(role, primitives)
+    accumulate_first = first(role, primitives)
     accumulate_vertex = make_adjoint_sink(role, False, False, False, False, False, True, primitives)
     has_sliding = has_slides(primitives)
 
@@ -188,7 +189,14 @@ def make_found_sink(role: str, primitives: tuple[int, ...]):
 
 
 @functools.cache
-def make_transport(config: PathConfig, role: str, camera_moves: bool, source: wp.Function, least: int = 1):
+def make_transport(
+    config: PathConfig,
+    role: str,
+    camera_moves: bool,
+    source: wp.Function,
+    least: int = 1,
+    first: Callable = make_first_sink,
+):
     """Return ``transport(scene, camera, sampler, segment, scale, rest, max_depth, ...) -> float``.
 
     It walks from x_1, and at each vertex that the camera sees adds to the image (forward) or collects the adjoint
@@ -202,11 +210,12 @@ def make_transport(config: PathConfig, role: str, camera_moves: bool, source: wp
         camera_moves: a parameter of the camera is differentiated.
         source: ``make_source`` or its like.
         least: number of path vertices behind x_1 without which ``source`` is zero.
+        first: ``make_first_sink`` or its like.
     """
     connect, extend = make_walk(config)
     evaluates = role == "target"
-    accumulate_first = None if evaluates else make_first_sink(role, config.primitives)
-    accumulate_found = None if evaluates else make_found_sink(role, config.primitives)
+    accumulate_first = None if evaluates else first(role, config.primitives)
+    accumulate_found = None if evaluates else make_found_sink(role, config.primitives, first)
     point_at = make_point_at(config.primitives)
     accumulate_camera = make_camera_sink(role, config.camera) if camera_moves and not evaluates else None
     splat, gather = make_splat()

@@ -253,7 +253,9 @@ def make_smooth_sink(role: str):
 
 
 @functools.cache
-def make_sdfgrid_sink(role: str, cubic: bool = False, network: bool = False, flow: bool = False):
+def make_sdfgrid_sink(
+    role: str, cubic: bool = False, network: bool = False, flow: bool = False, geometric: bool = False
+):
     """Return ``accumulate(scene, target, tri, u, v, adjoint, by_ray, o, d) -> RayAdjoint``, as ``make_vertex_sink``'s.
 
     ``by_ray``: of the vertex that the ray (o, d) finds; otherwise the adjoint is that of c, and has a place alone.
@@ -263,12 +265,13 @@ def make_sdfgrid_sink(role: str, cubic: bool = False, network: bool = False, flo
         cubic: of a smooth grid, whose normal is the gradient's, and turns with the place by the Hessian.
         network: of a network, whose normal does the same.
         flow: vertices flow along normals, which are continuous: the adjoints of c and of the normal count as well.
+        geometric: the adjoint of the normal is that of the surface's own one, whatever is interpolated.
     """
     accumulate_pose = make_pose_sink(role)
     record_of = network_of if network else grid_of
     point_at = network_point if network else spline_point if cubic else held_point
     accumulate_field = make_spline_sink(role) if cubic else make_voxel_sink(role)
-    accumulate_smooth = None if cubic or network else make_smooth_sink(role)
+    accumulate_smooth = None if cubic or network or geometric else make_smooth_sink(role)
     accumulate_cell = make_cell_sink(role) if network else None
     pull_flow = make_flow_pull(network) if flow else None
 

@@ -5,8 +5,9 @@ import pytest
 
 import warp_psdr as psdr
 from tests.path.test_sdfgrid import nodes
+from warp_psdr.estimate.boundary import terms
 
-from .measure import MODES, Case, assert_agrees, assert_transposes, derivatives, differences, rows
+from .measure import MODES, Case, assert_agrees, assert_transposes, derivatives, differences, rows, slope
 from .scenes import T, camera, diffuse, floor, load, register, sky
 from .test_exact_sphere import LIGHTS, ROTATION, SHEAR, VIEW, entry, moved_light
 
@@ -40,6 +41,11 @@ def room(light: str, **grid):
     return lambda: {"sensor": VIEW, "floor": floor(half=2.0), "body": body(**grid), **LIGHTS[light]()}
 
 
+def shaded(make, count: int):
+    """The same with interpolated normals, on a coarse grid, where they differ most from the surface's own."""
+    return lambda: {**make(), "body": {**body(count=count), "normals": "smooth"}}
+
+
 def walled():
     """Light between a grid and a wall beside it."""
     wall = T.translate([-0.9, 0.1, 0.8]).rotate([0, 1, 0], 80.0).scale(0.6)
@@ -54,6 +60,8 @@ register(
         "pierced grid, sky": room("sky", count=33, hole=0.12),
         "fine grid, sky": room("sky", count=33),
         "grid, wall": walled,
+        **{f"shaded grid, {light}": shaded(room(light), 9) for light in ("sky", "lamp", "point")},
+        "shaded grid, wall": shaded(walled, 9),
     }
 )
 
@@ -91,6 +99,20 @@ CASES = [
     Case("grid, lamp", LAMP, moved_light, 0.01, "the lamp moves", 2, 512, 2048),
     Case("grid, point", "light.position", moved_light, 0.01, "the lamp moves", 2, 512, 2048),
     Case("grid, lamp", "sensor.to_world", entry(0, 3), 0.01, "the camera moves", 2, 512, 2048),
+    Case("shaded grid, lamp", POSE, entry(0, 3), 0.01, "x", 2, 256, 1024, slow=False),
+    *(
+        Case(f"shaded grid, {light}", name, tangent, step, what, 2, spp, 4 * spp)
+        for light, spp in (("sky", 1024), ("lamp", 512), ("point", 512))
+        for name, tangent, step, what in (
+            (POSE, entry(2, 3), 0.01, "z"),
+            (POSE, ROTATION, 0.01, "rotation"),
+            (GRID, all_values, STEP, "all values"),
+            ("sensor.to_world", entry(0, 3), 0.01, "the camera moves"),
+        )
+    ),
+    Case("shaded grid, lamp", LAMP, moved_light, 0.01, "the lamp moves", 2, 512, 2048),
+    Case("shaded grid, wall", GRID, all_values, STEP, "all values", 4, 512, 1024),
+    Case("shaded grid, wall", "wall.to_world", entry(0, 3), 0.01, "the wall moves", 4, 512, 1024),
     Case("bumpy grid, lamp", GRID, all_values, 0.002, "all values", 2, 512, 2048),
     Case("pierced grid, sky", GRID, all_values, 0.0015, "all values", 2, 1024, 4096),
     Case("fine grid, sky", GRID, all_values, 0.0015, "all values", 2, 1024, 4096),
@@ -105,9 +127,18 @@ def test_matches_finite_differences(case: Case, mode: str) -> None:
     assert_agrees(derivatives(case, mode), differences(case)[2])
 
 
+def test_the_table_can_tell_a_missing_terminator(monkeypatch) -> None:
+    case = next(c for c in CASES if str(c) == "shaded grid, lamp, x, depth 2")
+    rest = tuple(t for t in terms.TERMS[psdr.boundary.PathSpace] if t.name != "grid_terminator")
+    monkeypatch.setitem(terms.TERMS, psdr.boundary.PathSpace, rest)
+    value, error = slope(derivatives(case, "forward"), differences(case)[2])
+    assert abs(value - 1.0) > 0.05 + 3.0 * error
+
+
 @pytest.mark.slow
-def test_reverse_mode_is_the_transpose() -> None:
-    scene, params = load("grid, wall")
+@pytest.mark.parametrize("name", ["grid, wall", "shaded grid, wall"])
+def test_reverse_mode_is_the_transpose(name: str) -> None:
+    scene, params = load(name)
     options = {"integrator": psdr.PathIntegrator(max_depth=3), "spp": 4, "seed": 1}
     assert_transposes(scene, params, [GRID, POSE, "wall.to_world", LAMP], options)
 
@@ -152,7 +183,6 @@ def test_the_limit_is_the_exact_sphere() -> None:
     ("change", "boundary", "problem"),
     [
         ({}, psdr.boundary.Projective(), "no terms of it"),
-        ({"normals": "smooth"}, "auto", "'smooth' normals of 'body'.*'normals': 'analytic'"),
         ({"bsdf": {"type": "dielectric"}}, "auto", "smooth mirrors and glass"),
         ({"grid": values() - 0.2}, "auto", "the surface of 'body' ends at its box"),
     ],

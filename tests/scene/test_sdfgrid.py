@@ -142,12 +142,14 @@ def test_a_spline_that_smooths_its_surface_away_is_noted() -> None:
 
 
 @pytest.mark.parametrize("name", ["body.grid", "body.to_world", "sensor.to_world", "wall.vertex_positions"])
-def test_what_moves_has_no_boundary_term_with_smooth_normals(name: str) -> None:
+def test_what_moves_has_no_boundary_term_with_smooth_normals_in_mirrors(name: str) -> None:
     whole = described()
-    whole["wall"] = {"type": "rectangle"}
+    whole["wall"] = {"type": "rectangle", "bsdf": {"type": "conductor"}}
     held = psdr.load_dict(whole)
     for form in ("auto", boundary.PathSpace()):
-        with pytest.raises(ValueError, match=r"'body' is a 'sdfgrid', and .*boundary=None.*'mesh'"):
+        with pytest.raises(
+            ValueError, match=r"'body' is a 'sdfgrid', and .*'normals': 'analytic'.*boundary=None.*'mesh'"
+        ):
             psdr.plan(held, integrator=psdr.PathIntegrator(boundary=form), names=[name])
     psdr.plan(held, integrator=psdr.PathIntegrator(boundary=None), names=[name])
     textbook = psdr.PathIntegrator(boundary=None, interior=interior.Textbook())

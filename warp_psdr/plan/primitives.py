@@ -206,6 +206,10 @@ def _of_mirrors(scene: Scene) -> str:
             return f"what moves is not followed through smooth mirrors and glass beside {s.path!r}; make them rough"
         if KINDS[s.primitive] not in MIRRORS and any(model_of(b).has_delta for b in s.bsdf.sides):
             return f"what moves is not followed through smooth mirrors and glass as {s.path!r} is; make it rough"
+        if s.grid is not None and s.grid.smooth:
+            turned = f"the 'smooth' normals of {s.path!r} turn away from the viewer beside its silhouettes"
+            curves = "curves that are not followed through smooth mirrors and glass"
+            return f"{turned}, along {curves}; say 'normals': 'analytic'"
     return ""
 
 
@@ -220,9 +224,6 @@ def _beside_moving_kinds(scene: Scene, config: PathConfig, integrator: PathInteg
     for i in grid_shapes(scene):
         grid = shapes[i].grid
         assert grid is not None
-        if grid.smooth and config.scatter:
-            turned = f"the 'smooth' normals of {shapes[i].path!r} turn away from the viewer beside its silhouettes"
-            return f"{turned}, along curves that move; say 'normals': 'analytic', or {ALONE}"
         if is_open(grid_values(scene, i), grid.cubic):
             opened = f"the surface of {shapes[i].path!r} ends at its box, along a curve that moves"
             return f"{opened}; give positive values all around, or {ALONE}"

@@ -62,10 +62,10 @@ def items_of(values: np.ndarray, concave: bool = False, cubic: bool = False) -> 
     ``concave``: of faces alone, with those. ``cubic``: of a smooth grid, whose items are voxels.
     """
     if cubic:
-        return _numbers(is_passed(values, True), values.shape) * 4 + VOXEL
+        return item_numbers(is_passed(values, True), values.shape) * 4 + VOXEL
     inside, flat = values < 0.0, values.reshape(-1)
     stride = (1, values.shape[2], values.shape[2] * values.shape[1])
-    found = [] if concave else [_numbers(is_passed(values), values.shape) * 4 + VOXEL]
+    found = [] if concave else [item_numbers(is_passed(values), values.shape) * 4 + VOXEL]
     for axis in range(3):
         along = 2 - axis  # in the array
         corners = []
@@ -75,7 +75,7 @@ def items_of(values: np.ndarray, concave: bool = False, cubic: bool = False) -> 
             corners.append(inside[tuple(ends)])
         # Bends alone of faces that the surface passes: they are few.
         passed = np.any(corners, axis=0) & ~np.all(corners, axis=0)
-        first = _numbers(passed, values.shape) + stride[axis]
+        first = item_numbers(passed, values.shape) + stride[axis]
         others = [stride[k] for k in range(3) if k != axis]
         at = np.array([first + np.dot(offsets, others) for offsets in itertools.product((0, 1), repeat=2)])
         bends = (flat[at + stride[axis]] - flat[at]) - (flat[at] - flat[at - stride[axis]])
@@ -83,7 +83,7 @@ def items_of(values: np.ndarray, concave: bool = False, cubic: bool = False) -> 
     return np.concatenate(found)
 
 
-def _numbers(mask: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+def item_numbers(mask: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
     """Return the numbers, in a grid (Z, Y, X) of a shape, of the nodes that a mask over its first ones holds."""
     z, y, x = np.nonzero(mask)
     return (z * shape[1] + y) * shape[2] + x
@@ -112,11 +112,11 @@ def may_show(values: np.ndarray, numbers: np.ndarray, low: np.ndarray, high: np.
         terms = []
         for axis in range(3):
             free = [stride[other] for other in range(3) if other not in (axis, k)]
-            terms.append(_product(_slopes(flat, first, stride[axis], free), [end[..., axis] for end in away]))
+            terms.append(interval_product(_slopes(flat, first, stride[axis], free), [end[..., axis] for end in away]))
         sides = [terms]
         if k < VOXEL:  # the voxel in front of the face
             free = [stride[other] for other in range(3) if other != k]
-            before = _product(_slopes(flat, first - stride[k], stride[k], free), [end[..., k] for end in away])
+            before = interval_product(_slopes(flat, first - stride[k], stride[k], free), [end[..., k] for end in away])
             sides.append([before if axis == k else term for axis, term in enumerate(terms)])
         above, below = np.ones(len(rows), bool), np.ones(len(rows), bool)
         for side in sides:
@@ -144,7 +144,7 @@ def spline_may_show(
     for axis in range(3):
         slopes = np.diff(bezier, axis=3 - axis).reshape(len(numbers), -1)
         bounds = [slopes.min(axis=1), slopes.max(axis=1)] if len(numbers) else [np.zeros(0)] * 2
-        terms.append(_product(bounds, [end[..., axis] for end in away]))
+        terms.append(interval_product(bounds, [end[..., axis] for end in away]))
     slack = ROUNDING * sum(np.maximum(-least, most) for least, most in terms)
     above = sum(least for least, _most in terms) > slack
     return ~(above | (sum(most for _least, most in terms) < -slack))
@@ -157,7 +157,7 @@ def _slopes(flat: np.ndarray, first: np.ndarray, stride: int, free: list[int]) -
     return [found.min(axis=0), found.max(axis=0)]
 
 
-def _product(a: list[np.ndarray], b: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+def interval_product(a: list[np.ndarray], b: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     """Return the ends of a product of intervals."""
     ends = [x * y for x in a for y in b]
     return np.min(ends, axis=0), np.max(ends, axis=0)

@@ -45,8 +45,13 @@ def launch_items(
     """Return the term of items, with a share of the samples."""
     if found is None:
         return None
-    samples = math.ceil(r.pixels * (r.method.spp_secondary or r.spp) * share)
     head = [r.scene.data(), r.camera, found, moving_shapes(r.scene, r.moves)]
+    return launch_with(r, term, kernel, head, share)
+
+
+def launch_with(r: Request, term: BoundaryTerm, kernel: wp.Kernel, head: list, share: float) -> Term:
+    """Return the term of a kernel with a share of the samples of segments between path vertices."""
+    samples = math.ceil(r.pixels * (r.method.spp_secondary or r.spp) * share)
     return term_of(r, term, kernel, head, samples)
 
 

@@ -1,0 +1,41 @@
+"""Vertices of grids of signed distances with interpolated normals whose surface turns away from light."""
+
+from __future__ import annotations
+
+from warp_psdr.estimate.boundary.terms import foreground_grid, secondary_grid
+from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term
+from warp_psdr.kernels import constants as c
+from warp_psdr.kernels.boundary.shading_normals.grid_horizon import make_grid_horizon_kernel
+from warp_psdr.options.boundary import PathSpace
+from warp_psdr.topology.grid_normals import interpolated_grids, turned_items
+
+
+def applies(r: Request) -> bool:
+    """Whether a direction can meet light beside grids, and anything moves."""
+    if not secondary_grid.applies(r):
+        return False
+    # Light of no area is never met by a direction.
+    kinds = {e.kind for e in r.scene.builder.emitters}
+    return bool(kinds if r.plan.max_depth != 2 else kinds - c.DELTA_LIGHTS)
+
+
+def launch(r: Request) -> Term | None:
+    """Return the term of vertices whose surface turns away from light."""
+    found = turned_items(r.scene, interpolated_grids(r.scene), None)
+    if found is None:
+        return None
+    kernel = make_grid_horizon_kernel(r.config, r.role, r.moves.camera, r.indirect)
+    head = [r.scene.data(), r.camera, found]
+    return foreground_grid.launch_with(r, TERM, kernel, head, foreground_grid.SHARE)
+
+
+TERM = BoundaryTerm(
+    name="grid_horizon",
+    title="{} horizons of grids",
+    stream=23,
+    methods=(PathSpace,),
+    launch=launch,
+    applies=applies,
+    exact=True,
+    splits=True,
+)
