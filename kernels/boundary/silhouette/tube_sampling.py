@@ -108,17 +108,22 @@ def own_touch_density(point: TubePoint, w: wp.vec3, curvature: wp.float32) -> wp
 
 
 @wp.func
+def drawn_touch_density(point: TubePoint, w: wp.vec3) -> wp.float32:
+    """Density of a point that ``tube_seen`` returned, but for that of the direction w from where it is seen."""
+    return 1.0 / (point.choices * wp.length(wp.cross(point.rate, w)))
+
+
+@wp.func
 def seen_touch_density(touched: TubePoint, eye: wp.vec3, distant: wp.bool, w: wp.vec3) -> wp.float32:
     """Density of a point, but for that of the direction w, of ``tube_seen`` from a light's point, or its direction."""
     point = touched
-    choices = wp.float32(1.0)
     if point.rim == 0 and point.part == PART_SIDE:
         roots, _s, _t = side_roots(point.f, eye, distant)
-        choices = wp.float32(wp.max(roots.count, 1))
+        point.choices = wp.float32(wp.max(roots.count, 1))
         point = with_rate(point, eye, distant)
     elif point.rim == 0:
         here = eye
         if not distant:
             here = (eye - point.f.c) / point.f.r
         point.rate = point.f.r * sphere_silhouette_rate(here, distant, point.e)
-    return 1.0 / (choices * wp.length(wp.cross(point.rate, w)))
+    return drawn_touch_density(point, w)

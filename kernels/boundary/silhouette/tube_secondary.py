@@ -39,6 +39,7 @@ from warp_psdr.kernels.boundary.silhouette.tube_points import (
 )
 from warp_psdr.kernels.boundary.silhouette.tube_sampling import (
     TubeTouch,
+    drawn_touch_density,
     own_touch,
     own_touch_density,
     seen_touch_density,
@@ -93,11 +94,16 @@ def make_tube_segment(config: PathConfig):
             return r
         density = wp.float32(0.0)
         if end.delta:
-            density = (1.0 - share) * chance * seen_touch_density(point, aim.eye, aim.distant, r.w)
+            density = (1.0 - share) * chance * drawn_touch_density(point, r.w)
         else:
             density = share * chance * own_touch_density(point, r.w, curvature)
             if end.towards > 0.0:
-                seen = seen_touch_density(point, end.y, end.segment.face2 < 0, r.w)
+                # A segment that was aimed at a light ends where its point was seen from.
+                seen = wp.float32(0.0)
+                if aim.light >= 0:
+                    seen = drawn_touch_density(point, r.w)
+                else:
+                    seen = seen_touch_density(point, end.y, end.segment.face2 < 0, r.w)
                 density += (1.0 - share) * chance * end.towards * seen
         if not density > 0.0:
             return r
