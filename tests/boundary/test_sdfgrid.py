@@ -46,6 +46,13 @@ def shaded(make, count: int):
     return lambda: {**make(), "body": {**body(count=count), "normals": "smooth"}}
 
 
+def neighbours():
+    """Two grids whose boxes around the surface overlap, though they keep apart."""
+    beside = MATRIX.copy()
+    beside[:3, 3] += MATRIX[:3, :3] @ np.array([0.61, 0.61, 0.0])
+    return {**room("lamp")(), "other": {**body(), "to_world": T(beside)}}
+
+
 def walled():
     """Light between a grid and a wall beside it."""
     wall = T.translate([-0.9, 0.1, 0.8]).rotate([0, 1, 0], 80.0).scale(0.6)
@@ -60,6 +67,7 @@ register(
         "pierced grid, sky": room("sky", count=33, hole=0.12),
         "fine grid, sky": room("sky", count=33),
         "grid, wall": walled,
+        "two grids, lamp": neighbours,
         **{f"shaded grid, {light}": shaded(room(light), 9) for light in ("sky", "lamp", "point")},
         "shaded grid, wall": shaded(walled, 9),
     }
@@ -100,6 +108,7 @@ CASES = [
     Case("grid, point", "light.position", moved_light, 0.01, "the lamp moves", 2, 512, 2048),
     Case("grid, lamp", "sensor.to_world", entry(0, 3), 0.01, "the camera moves", 2, 512, 2048),
     Case("shaded grid, lamp", POSE, entry(0, 3), 0.01, "x", 2, 256, 1024, slow=False),
+    Case("two grids, lamp", POSE, entry(0, 3), 0.01, "x", 2, 512, 2048),
     *(
         Case(f"shaded grid, {light}", name, tangent, step, what, 2, spp, 4 * spp)
         for light, spp in (("sky", 1024), ("lamp", 512), ("point", 512))

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 POINTS = 6
 #: Value over the largest one of a grid up to which a triangle touches the surface instead of running through it.
 TOUCHING = 1.0e-5
+#: Voxels by which boxes of another grid's voxels are wider, against rounding.
+NEXT_TO = 1.0e-4
 
 
 def is_open(values: np.ndarray, cubic: bool = False) -> bool:
@@ -90,7 +92,7 @@ def in_box(scene: Scene, shape: int, low: np.ndarray, high: np.ndarray) -> int |
 def pierced_grid(scene: Scene, shapes: frozenset[int] | None) -> tuple[int, int] | None:
     """Return a grid and another one, or an exact shape, that runs through it, one of them in ``shapes`` (None: any).
 
-    Through a network meshes run, too. Of another grid or network the boxes around both surfaces are compared.
+    Through a network meshes run, too. Of another grid or network the voxels are compared that both surfaces pass.
     """
     grids = sorted([*grid_shapes(scene), *network_shapes(scene)])
     if not grids:
@@ -123,8 +125,27 @@ def pierced_grid(scene: Scene, shapes: frozenset[int] | None) -> tuple[int, int]
             ends = CORNERS * ((other[1] - other[0]) / surfaces[j].cells) + other[0] / surfaces[j].cells
             theirs = (ends @ turned.T + place - origin) @ inverse.T
             if (theirs.min(axis=0) < box[1]).all() and (theirs.max(axis=0) > box[0]).all():
-                return i, j
+                middles = ((surfaces[j].voxels + 0.5) / surfaces[j].cells @ turned.T + place - origin) @ inverse.T
+                reach = 0.5 * np.abs(inverse @ turned / surfaces[j].cells).sum(axis=1) + NEXT_TO
+                if _passes_any(own, middles - reach, middles + reach):
+                    return i, j
     return None
+
+
+def _passes_any(surface: Passed, low: np.ndarray, high: np.ndarray) -> bool:
+    """Whether a surface passes a voxel that one of the boxes from low to high (N, 3), in voxels, reaches into."""
+    size = surface.cells.astype(int)
+    # How many of the voxels before a node, along all three axes, are passed.
+    before = np.zeros(size + 1, np.int64)
+    before[tuple(surface.voxels.T + 1)] = 1
+    for axis in range(3):
+        before = before.cumsum(axis=axis)
+    ends = np.clip(np.floor(low).astype(int), 0, size), np.clip(np.ceil(high).astype(int), 0, size)
+    total = np.zeros(len(low), np.int64)
+    for corner in np.ndindex(2, 2, 2):
+        at = [ends[side][:, axis] for axis, side in enumerate(corner)]
+        total += (-1) ** (3 - sum(corner)) * before[tuple(at)]
+    return bool((total > 0).any())
 
 
 def _runs_through(surface: Passed, triangle: np.ndarray) -> bool:
