@@ -71,6 +71,8 @@ class PathConfig:
     primitives: tuple[int, ...] = ()
     #: Those of them that shine (``primitive/shining.py``).
     shining: tuple[int, ...] = ()
+    #: True: the camera's first vertices are material points, whose images move (``interior/film_antithetic.py``).
+    material_first: bool = False
     #: Of a transient film, the kind of its pulse (PULSE_*, ``sensor/time_gate.py``); 0: the film has no time bins.
     pulse: int = 0
 

@@ -294,6 +294,9 @@ FACTORIES = {
         ("reverse", (SPLAT, all_of(SPLAT), "reverse", 4, True), SLOW),
         ("forward, one by one", (SPLAT_GAUSSIAN, all_of(SPLAT_GAUSSIAN), "forward", 4, False), SLOW),
     ],
+    "interior.pixel_border.make_pixel_border_kernel": [
+        ("reverse", (SPLAT, all_of(SPLAT), "reverse", True), SLOW),
+    ],
     "boundary.shading_normals.indirect_terminator.make_indirect_terminator_kernel": [
         ("reverse, materials", (MATERIALS, "reverse", True), SLOW),
         ("forward, textures", (TEXTURED, "forward", False), SLOW),

@@ -14,6 +14,7 @@ from warp_psdr.kernels.boundary.forwards import make_hidden
 from warp_psdr.kernels.boundary.local_form import (
     EdgePoint,
     Edges,
+    barycentrics_at,
     edge_behind,
     edge_point,
     edge_step,
@@ -29,6 +30,7 @@ from warp_psdr.kernels.rng import Sampler, make_sampler
 from warp_psdr.kernels.sensor.camera import make_camera_sink, make_lens
 from warp_psdr.kernels.sensor.projection import FilmPoint, make_projection, make_splat
 from warp_psdr.kernels.structs import Camera, Scene
+from warp_psdr.kernels.surface import VertexAdjoint, make_vertex_sink
 from warp_psdr.kernels.vertex import PathConfig
 from warp_psdr.kernels.visibility import visibility_of
 
@@ -81,17 +83,20 @@ def rays_beside(scene: Scene, edges: Edges, f: FilmEdge) -> tuple[wp.float32, wp
 
 @functools.cache
 def make_film_edge(config: PathConfig, role: str, camera_moves: bool):
-    """Return ``(find, accumulate)`` (arguments as in ``secondary.py``).
+    """Return ``(find, accumulate, accumulate_side)`` (arguments as in ``secondary.py``).
 
     ``find(scene, camera, edges, number, samples, sampler, adjoint) -> FilmEdge`` takes the sampler's slots 0 and 1;
     ``accumulate(scene, camera, edges, sampler, samples, film_edge, jump, target, image)`` takes L_- - L_+, the
-    radiance on the side that m points away from less that on the other.
+    radiance on the side that m points away from less that on the other;
+    ``accumulate_side(scene, camera, edges, sampler, samples, film_edge, face, x, radiance, target, image)`` takes the
+    radiance of the point x of one side, which is material; it is negative on the side that m points to.
     """
     visibility = visibility_of(config)
     hidden = make_hidden(config)
     screened = make_screened(config)
     line = make_line(config)[0] if config.media is not None else None
     accumulate_edge = make_edge_sink(role)
+    material = make_vertex_sink(role, False, False, False, False, False, False) if config.material_first else None
     accumulate_camera = make_camera_sink(role, config.camera) if camera_moves else None
     splat, gather = make_splat()
     project, film_gradient, film_velocity = make_projection(config.camera)
@@ -195,4 +200,40 @@ def make_film_edge(config: PathConfig, role: str, camera_moves: bool):
             if speed != 0.0:
                 count_invalid(scene, sampler)
 
-    return find, accumulate
+    @wp.func
+    def accumulate_side(
+        scene: Scene,
+        camera: Camera,
+        edges: Edges,
+        sampler: Sampler,
+        samples: wp.int32,
+        f: FilmEdge,
+        face: wp.int32,
+        x: wp.vec3,
+        radiance: wp.vec3,
+        target: wp.array(dtype=wp.float32),
+        image: wp.array2d(dtype=wp.vec3),
+    ):
+        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
+        scale = 1.0 / (f.point.pdf * wp.float32(samples))
+        if wp.static(role != "forward"):
+            scale *= wp.dot(f.weight, radiance)
+        g = scale * f.g
+        speed = accumulate_edge(scene, target, edges, f.point, g)
+        tau = wp.float32(0.0)  # of light from infinity
+        if face >= 0:
+            tau = f.distance / wp.dot(x - f.at.origin, f.d)
+            uv = barycentrics_at(scene.triangles[face], x)
+            adjoint = VertexAdjoint()
+            adjoint.x = -tau * g
+            done = material(scene, target, face, uv[0], uv[1], adjoint, False, x, f.d)
+            speed += done.dot
+        if wp.static(camera_moves):
+            speed += accumulate_camera(scene, target, camera, f.at.sample, (tau - 1.0) * g, wp.vec3(0.0, 0.0, 0.0))
+        if wp.static(role == "forward"):
+            splat(scene, sampler, camera, f.at.pixel, speed * radiance, image)
+        else:
+            if speed != 0.0:
+                count_invalid(scene, sampler)
+
+    return find, accumulate, accumulate_side

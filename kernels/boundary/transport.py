@@ -220,6 +220,7 @@ def make_transport(
     accumulate_camera = make_camera_sink(role, config.camera) if camera_moves and not evaluates else None
     splat, gather = make_splat()
     lens_point = make_lens(config.camera)
+    sliding = 0 if config.material_first else 1  # vertices of the walk that slide along the camera's rays
     draw = make_sampler(config.sampler)
     sample_2d = draw.sample_2d
     sample_4d = draw.sample_4d
@@ -271,7 +272,7 @@ def make_transport(
                     asked = gather(camera, seen.at.pixel, job.image_adjoint)
                     counts = wp.max(wp.abs(asked)) > 0.0
                 if wp.static(role == "forward"):
-                    if k == 1:
+                    if k == wp.static(sliding):
                         ray = wp.normalize(walk.x - seen.at.origin)
                         a_o, a_d, speed_1 = accumulate_first(scene, target, s, 1.0, True, seen.at.origin, ray)
                         speed = speed_1
@@ -296,7 +297,7 @@ def make_transport(
                 else:
                     w = wp.dot(asked, value)
                     total += w
-                    if k == 1 and w != 0.0:
+                    if k == wp.static(sliding) and w != 0.0:
                         ray = wp.normalize(walk.x - seen.at.origin)
                         a_o, a_d, dropped = accumulate_first(scene, target, s, w, True, seen.at.origin, ray)
                         if wp.static(camera_moves):

@@ -4,7 +4,8 @@ Where the first vertex of a path stays on its surface while the camera or the su
 pixel filter h, and the derivative has a term grad h . u' L: of both signs, and large where h is steep. Film points are
 drawn in fours, mirrored about the pixel's centre, each with a path that has the random numbers of the others: grad h is
 odd, and what their radiances have in common cancels. Four points of equal density are one estimate by multiple
-importance sampling; each alone has the right mean.
+importance sampling; each alone has the right mean. A box filter, which is even, has its term at its border
+(``pixel_border.py``).
 
 Derivation: ``docs/theory/interior.md#mirrored-film-points``.
 """
@@ -13,8 +14,9 @@ import functools
 
 import warp as wp
 
-from warp_psdr.kernels.autodiff import anchor, differentiable
-from warp_psdr.kernels.constants import RFILTER_TENT
+from warp_psdr.kernels.autodiff import anchor
+from warp_psdr.kernels.constants import RFILTER_BOX, RFILTER_TENT
+from warp_psdr.kernels.interior.film_points import MIRRORED, make_film_sink
 from warp_psdr.kernels.interior.gradient_request import GradientRequest
 from warp_psdr.kernels.interior.sweep import Carry, make_sweep
 from warp_psdr.kernels.interior.velocities import axis_vec3
@@ -23,33 +25,11 @@ from warp_psdr.kernels.jobs import PixelJob, make_sample_weight, pixel_of
 from warp_psdr.kernels.modules import wide_vectors
 from warp_psdr.kernels.path import make_path_step
 from warp_psdr.kernels.rng import make_sampler, sampler_at
-from warp_psdr.kernels.sensor.camera import CameraSample, half_width, load_mat44, make_camera_ray, make_camera_sink
+from warp_psdr.kernels.sensor.camera import CameraSample, make_camera_ray, make_camera_sink
 from warp_psdr.kernels.sensor.film import GAUSSIAN_INTEGRAL, filter_extent, make_filter
 from warp_psdr.kernels.sensor.projection import filter_1d
-from warp_psdr.kernels.sink import make_sink
 from warp_psdr.kernels.structs import Camera, Scene
-from warp_psdr.kernels.surface import point_on
 from warp_psdr.kernels.vertex import PathConfig, PathVertex, film_position, path_from
-
-#: Film points that are mirrored images of each other.
-MIRRORED = 4
-
-
-@differentiable
-@wp.func
-def film_form(
-    x: wp.vec3, cross: wp.vec3, m: wp.mat44, fov: wp.float32, cx: wp.float32, cy: wp.float32,
-    width: wp.float32, height: wp.float32, n: wp.vec2, h: wp.float32,
-) -> wp.float32:  # fmt: skip
-    """Local factor of a material point's image: n . u(x), u in pixels, plus h times ln(du / dA) of the film's area."""
-    block = wp.mat33(m[0, 0], m[0, 1], m[0, 2], m[1, 0], m[1, 1], m[1, 2], m[2, 0], m[2, 1], m[2, 2])
-    r = x - wp.vec3(m[0, 3], m[1, 3], m[2, 3])
-    p = wp.inverse(block) * r
-    k = half_width(fov)
-    u = 0.5 * width * (1.0 - p[0] / (p[2] * k)) - width * cx
-    v = 0.5 * height * (1.0 - p[1] * width / (p[2] * k * height)) - height * cy
-    area = wp.log(wp.abs(wp.dot(cross, r))) - wp.log(wp.abs(wp.determinant(block)))
-    return n[0] * u + n[1] * v + h * (area - 3.0 * wp.log(p[2]) - 2.0 * wp.log(k))
 
 
 @wp.func
@@ -89,7 +69,9 @@ def make_filter_slope(kind: int):
 
     @wp.func
     def slope(camera: Camera, x: wp.float32) -> wp.float32:
-        if wp.static(kind == RFILTER_TENT):
+        if wp.static(kind == RFILTER_BOX):
+            return 0.0  # but for the jump at its border (``pixel_border.py``)
+        elif wp.static(kind == RFILTER_TENT):
             return -wp.sign(x) / (camera.filter_radius * camera.filter_radius)
         else:
             z = x / camera.filter_stddev
@@ -114,12 +96,12 @@ def make_film_antithetic_kernel(
     slope = make_filter_slope(config.filter)
     sample_4d = make_sampler(config.sampler).sample_4d
     sample_weight = make_sample_weight(role)
-    sink = make_sink(role)
+    accumulate_film = make_film_sink(role, wanted.camera)
     forward = role == "forward"
     channels = 3 if forward else 1
 
     @wp.func
-    def finish_point(
+    def finish_first(
         scene: Scene,
         target: wp.array(dtype=wp.float32),
         camera: Camera,
@@ -131,33 +113,14 @@ def make_film_antithetic_kernel(
     ) -> wp.float32:
         """Scatter the adjoint of the first vertex and of the camera; ``n`` and ``h`` as of ``film_form``."""
         _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
-        tri = scene.triangles[first.face]
-        x = point_on(tri, first.u, first.v)
-        g_x, g_c, g_m, g_fov, g_cx, g_cy, _w, _h, _n, _f = wp.grad(film_form)(
-            x,
-            wp.cross(tri.p1 - tri.p0, tri.p2 - tri.p0),
-            load_mat44(scene.values, camera.to_world),
-            scene.values[camera.x_fov],
-            scene.values[camera.principal],
-            scene.values[camera.principal + 1],
-            wp.float32(camera.width),
-            wp.float32(camera.height),
-            n,
-            h,
-        )
+        image = accumulate_film(scene, target, camera, first, n, h)
         last = carry
-        last.adjoint.x = last.adjoint.x + g_x
-        last.adjoint.c = last.adjoint.c + g_c
+        last.adjoint.x = last.adjoint.x + image.x
+        last.adjoint.c = last.adjoint.c + image.c
         done = finish_vertex(scene, target, last, False)
-        total = done.dot
+        total = done.dot + image.dot
         if wp.static(wanted.camera):
             total += accumulate_camera(scene, target, camera, sample, done.a_x, wp.vec3(0.0, 0.0, 0.0))
-            total += sink(target, camera.x_fov, g_fov)
-            total += sink(target, camera.principal, g_cx)
-            total += sink(target, camera.principal + 1, g_cy)
-            for row in range(3):
-                for column in range(4):
-                    total += sink(target, camera.to_world + 4 * row + column, g_m[row, column])
         return total
 
     @wp.kernel(module="unique", enable_backward=False, module_options=wide_vectors())
@@ -213,11 +176,8 @@ def make_film_antithetic_kernel(
                 while n >= 0:
                     carry = sweep(scene, target, record[n], h * weight, carry)
                     n -= 1
-                # A ray that meets nothing, between the walls of a room, by rounding.
                 found = wp.dot(weight, carry.radiance)
-                total = carry.dot
-                if carry.face >= 0:
-                    total = finish_point(scene, target, camera, sample, record[0], carry, found * steep, found * h)
+                total = finish_first(scene, target, camera, sample, record[0], carry, found * steep, found * h)
                 of_sample += total * axis_vec3(channel)
             valid = finite(of_sample)
             if wp.static(not forward):

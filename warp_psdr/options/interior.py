@@ -280,12 +280,12 @@ class RadiativeTransfer(Method):
 
 @dataclass(frozen=True, kw_only=True)
 class FilmAntithetic(Method):
-    """First vertices that stay on surfaces, and film points in mirrored fours [YZN*22], for moving cameras and rooms.
+    """First vertices that stay on surfaces, and film points in mirrored fours [YZN*22], for moving cameras and meshes.
 
     What the camera sees moves under the pixel filter, which is differentiated instead of the surfaces' textures
-    (``kernels/interior/film_antithetic.py``). Edges that stay with a surface need no boundary term, and there is none:
-    all that the camera sees has to be a closed convex room around it. Four samples share their random numbers: take
-    multiples of four.
+    (``kernels/interior/film_antithetic.py``). Edges that stay with a surface need no boundary term; silhouettes have
+    that of ``boundary.PathSpace`` in this form, but where the camera sees a closed convex room and nothing else. Four
+    samples share their random numbers: take multiples of four.
 
     Attributes:
         mirrored: whether film points come in fours; drawn one by one they are there to compare with.

@@ -60,6 +60,8 @@ def choose(scene: Scene, config: PathConfig, integrator: PathIntegrator, names: 
 
 def _beyond(method: Method, config: PathConfig) -> str:
     """Say what this method leaves to others; empty: nothing."""
+    if config.material_first and type(method) is not PathSpace:
+        return "it does not know first vertices that stay on surfaces; use boundary.PathSpace(), or interior.Replay()"
     if config.pulse and (type(method) is not PathSpace or method.guiding is not None):
         return "it does not know the time bins of a 'transient_hdr_film'; use boundary.PathSpace() without guiding"
     if isinstance(method, EdgeSampling) and config.media is None and has_delta_lobes(config.bsdfs):
@@ -223,10 +225,11 @@ def _moving_steps(scene: Scene, config: PathConfig, moves: Motion) -> str:
     """Say which steps of textures move against the points that read them; empty: none.
 
     A path's points ride on their triangles, and the steps with them, but for the points that a ray with a fixed start
-    finds: those that the camera sees, and those behind smooth mirrors and glass.
+    finds: those that the camera sees, unless they are material (``interior.FilmAntithetic``), and those behind smooth
+    mirrors and glass.
     """
     b = scene.builder
-    if not any(has_steps(t) for t in b.textures):
+    if config.material_first or not any(has_steps(t) for t in b.textures):
         return ""
     carriers = {i for i, shape in enumerate(b.shapes) if any(has_steps(t) for t in b.textures_of(shape))}
     if has_delta_lobes(config.bsdfs) and carriers:

@@ -16,6 +16,7 @@ import warp as wp
 
 from warp_psdr.kernels.boundary.local_form import Edges
 from warp_psdr.kernels.bsdf.motion import MOVED_BY
+from warp_psdr.kernels.constants import RFILTER_BOX
 from warp_psdr.kernels.interior.attached import make_attached_kernel
 from warp_psdr.kernels.interior.bidirectional import make_bidirectional_kernel
 from warp_psdr.kernels.interior.film_antithetic import make_film_antithetic_kernel
@@ -23,6 +24,7 @@ from warp_psdr.kernels.interior.gradient_request import GradientRequest
 from warp_psdr.kernels.interior.media_replay import make_media_replay_kernel
 from warp_psdr.kernels.interior.media_sweep import explores_density
 from warp_psdr.kernels.interior.media_textbook import make_media_textbook_kernel
+from warp_psdr.kernels.interior.pixel_border import make_pixel_border_kernel
 from warp_psdr.kernels.interior.radiative import make_radiative_kernel
 from warp_psdr.kernels.interior.textbook import make_textbook_kernel
 from warp_psdr.kernels.transfer.radiative_transfer import make_transfer_kernel
@@ -46,7 +48,7 @@ from warp_psdr.plan.branches import (
     refused_by_resampled,
     refused_in_path_order,
 )
-from warp_psdr.plan.film_antithetic import refused_by_film_antithetic, refused_for_what_is_seen
+from warp_psdr.plan.film_antithetic import refused_by_film_antithetic, refused_on_the_film, sees_a_room
 from warp_psdr.plan.light import refused_with_light_paths
 from warp_psdr.plan.reparametrised import make_reparametrised
 from warp_psdr.plan.replay import (
@@ -81,6 +83,7 @@ class Row:
         refuse: (what the path loop compiles, which derivatives) -> why it cannot estimate them; empty: it claims to.
         refuse_in: (method, scene, requested names, sensor) -> likewise, of what the scene holds.
         whole: why its derivative needs no boundary term beside it, but that of the film; empty: it may.
+        whole_in: (scene, requested names, sensor) -> whether that holds there.
         film: (method, config) -> whether edges that the camera sees have a term beside it, of those that are whole.
         reads: (scene, which derivatives, what is kept) -> what the kernel reads of the scene besides its record.
     """
@@ -92,6 +95,7 @@ class Row:
     refuse: Callable[[PathConfig, GradientRequest], str] = lambda _config, _wanted: ""
     refuse_in: Callable[[interior.Method, Scene, list[str], int], str] = lambda *_arguments: ""
     whole: str = ""
+    whole_in: Callable[[Scene, list[str], int], bool] = lambda *_arguments: True
     film: Callable[[interior.Method, PathConfig], bool] = lambda _method, _config: False
     reads: Callable[[Scene, GradientRequest, Kept], list] = lambda *_arguments: []
 
@@ -196,6 +200,13 @@ def _make_film_antithetic(config: PathConfig, wanted: GradientRequest, role: str
     return make_film_antithetic_kernel(config, wanted, role, kept.block, kept.mirrored)
 
 
+def _make_beside_film(config: PathConfig, wanted: GradientRequest, role: str, kept: Kept) -> list[wp.Kernel]:
+    """Return what crosses the border of a box filter."""
+    if config.filter != RFILTER_BOX or not wanted.geometry:
+        return []
+    return [make_pixel_border_kernel(config, wanted, role, kept.mirrored)]
+
+
 def _keep_textbook(_method: interior.Method, _max_depth: int, _rr_depth: int) -> Kept:
     lost = "derivatives of factors that are exactly zero are lost"
     return Kept(0, 1, "nothing is kept: divides by every factor", lost)
@@ -275,7 +286,9 @@ TABLE: dict[tuple[type[interior.Method], type[boundary.Method]], Row] = {
         keep=_keep_whole_path,
         make=_make_film_antithetic,
         refuse=refused_by_film_antithetic,
-        refuse_in=refused_for_what_is_seen,
+        refuse_in=refused_on_the_film,
+        beside=_make_beside_film,
+        whole_in=sees_a_room,
         whole="edges stay on surfaces, of which none hides another",
     ),
     (interior.Textbook, boundary.Method): Row(

@@ -145,6 +145,8 @@ def decide(
         primitives.refuse_flow(scene, config)
         config = replace(config, primitives=(*config.primitives, c.NORMAL_FLOW))
         lines.append(("vertices", "flow along normals", "of smooth grids and networks"))
+    if isinstance(method, interior.FilmAntithetic) and wanted is not None:
+        config = replace(config, material_first=True)
     term, told = _boundary(scene, config, integrator, names, moving, sensor)
     row = kept = None
     offered: tuple[str, ...] = ()
@@ -205,13 +207,14 @@ def _boundary(
     if not moving:
         return None, [("boundary term", "not run", "no requested parameter moves a discontinuity")]
     method = choice.named(integrator)
-    whole = row_of(method, None).whole
-    if whole:
+    row = row_of(method, None)
+    whole = row.whole
+    if whole and row.whole_in(scene, names, sensor):
         if isinstance(integrator.boundary, Method):
             beside = f"boundary.{type(integrator.boundary).__name__}() beside "
             name = type(method).__name__
             raise ValueError(f"{beside}interior.{name}(), whose derivative is whole without it; leave boundary out")
-        if row_of(method, None).film(method, config):
+        if row.film(method, config):
             return FilmEdges(), [("boundary term", "of the film alone", whole)]
         return None, [("boundary term", "none", whole)]
     if integrator.boundary is None:

@@ -68,7 +68,7 @@ def make_flat_creases_kernel(config: PathConfig, role: str, camera_moves: bool):
     lit = bool(config.area or config.lights)
     sample_light = make_light_sampler(config) if lit else None
     following = make_following(config)
-    find, accumulate = make_film_edge(config, role, camera_moves)
+    find, accumulate, _accumulate_side = make_film_edge(config, role, camera_moves)
     sample_4d = make_sampler(config.sampler).sample_4d
 
     @wp.func

@@ -67,7 +67,7 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
     line = make_line(config)[0] if among_media else None
     incident_radiance = None if among_media else make_incident_radiance(config)
     normal_at = make_normal_at(config.primitives)
-    find, accumulate = make_film_edge(config, role, camera_moves)
+    find, accumulate, accumulate_side = make_film_edge(config, role, camera_moves)
     has_delta_lights = bool(DELTA_LIGHTS & set(config.lights)) and not among_media
     lit_along = make_lit_along(config) if has_delta_lights else None
     shadow_along = make_shadow_along(config) if has_delta_lights else None
@@ -91,6 +91,14 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
         if seen.face < 0 or (wp.static(len(config.primitives) > 0) and is_primitive_at(scene, seen.face)):
             return False
         return on_plane(scene.triangles[seen.face].normal, seen.x - point.x, step)
+
+    @wp.func
+    def parts_shapes(scene: Scene, edges: Edges, edge: wp.int32) -> wp.bool:
+        """Whether the two sides of an edge belong to two shapes."""
+        i = edges.first[edge]
+        if i + 1 == edges.first[edge + 1]:
+            return False
+        return scene.triangles[edges.faces[i]].shape != scene.triangles[edges.faces[i + 1]].shape
 
     @wp.func
     def whose(scene: Scene, edges: Edges, point: EdgePoint, d: wp.vec3, apart: wp.float32, face: wp.int32) -> wp.int32:
@@ -207,6 +215,10 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
         narrow = wp.bool(False)
         curve = edges.ends[point.edge, 0] < 0
         first_face = edges.first[point.edge]
+        if wp.static(config.material_first):
+            # Faces on both sides of an edge of their own keep all of their points.
+            if side == 0.0 and not curve and not parts_shapes(scene, edges, point.edge):
+                return
         if curve:
             normal_a = scene.triangles[edges.faces[first_face]].normal
             normal_b = scene.triangles[edges.faces[first_face + 1]].normal
@@ -258,6 +270,7 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
                     looks = 4
         if narrow and not own:
             return
+        share = wp.float32(1.0)
         jump = b.radiance - a.radiance
         if wp.static(among_media):
             # What is scattered in front of the edge is common to both sides.
@@ -269,7 +282,16 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
                 # Another edge counts this jump, too, or alone.
                 if by_a != OWN and by_b != OWN:
                     return
-                jump *= 0.5
-        accumulate(scene, camera, edges, sampler, job.samples, f, jump, target, image_out)
+                share = wp.float32(0.5)
+        if wp.static(config.material_first):
+            # What the edge hides is uncovered; its own surface keeps its points.
+            if side >= 0.0:
+                l_b = share * b.radiance
+                accumulate_side(scene, camera, edges, sampler, job.samples, f, b.face, b.x, l_b, target, image_out)
+            if side <= 0.0:
+                l_a = -share * a.radiance
+                accumulate_side(scene, camera, edges, sampler, job.samples, f, a.face, a.x, l_a, target, image_out)
+        else:
+            accumulate(scene, camera, edges, sampler, job.samples, f, share * jump, target, image_out)
 
     return primary

@@ -40,7 +40,8 @@ def make_timed_primary_kernel(
     room_beside: wp.Function,
 ):
     """Return the kernel of ``make_primary_kernel`` before a transient film; its functions are ``primary.py``'s."""
-    find, _accumulate = make_film_edge(config, "forward", camera_moves)  # in reverse mode it would read one adjoint
+    # In reverse mode it would read one adjoint.
+    find, _accumulate, _accumulate_side = make_film_edge(config, "forward", camera_moves)
     accumulate_edge = make_edge_sink(role)
     accumulate_camera = make_camera_sink(role, config.camera) if camera_moves else None
     _send, send_path = make_timed_light(config, role)

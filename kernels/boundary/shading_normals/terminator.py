@@ -62,6 +62,7 @@ def make_terminator_kernel(config: PathConfig, role: str, camera_moves: bool):
     project, _film_gradient, film_velocity = make_projection(config.camera)
     lens_point = make_lens(config.camera)
     parallel = config.camera == CAMERA_ORTHOGRAPHIC
+    slides = not config.material_first
     draw = make_sampler(config.sampler)
     sample_2d = draw.sample_2d
     sample_4d = draw.sample_4d
@@ -178,7 +179,7 @@ def make_terminator_kernel(config: PathConfig, role: str, camera_moves: bool):
                         vertex.x = -g * finite * unit
                         vertex.n = (shape.orientation * g) * to
                         accumulated = accumulate_vertex(
-                            scene, target, face, at_b[1], at_b[2], vertex, True, at.origin, -view
+                            scene, target, face, at_b[1], at_b[2], vertex, wp.static(slides), at.origin, -view
                         )
                         moved = accumulated.dot
                         if wp.static(camera_moves):

@@ -11,7 +11,9 @@ from warp_psdr.topology.film_edges import crease_edges
 
 
 def applies(r: Request) -> bool:
-    """Whether there are interpolated normals, and surfaces scatter light."""
+    """Whether there are interpolated normals, surfaces scatter light, and points do not stay beside creases."""
+    if r.config.material_first:
+        return False
     return r.config.smooth and r.config.scatter and bool(r.scene.builder.emitters) and r.scatters_smoothly
 
 

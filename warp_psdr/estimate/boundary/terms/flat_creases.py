@@ -11,7 +11,9 @@ from warp_psdr.topology.film_edges import flat_crease_edges
 
 
 def applies(r: Request) -> bool:
-    """Whether surfaces scatter light."""
+    """Whether surfaces scatter light, and the points beside creases do not stay on them."""
+    if r.config.material_first:
+        return False
     return r.config.scatter and bool(r.scene.builder.emitters) and r.scatters_smoothly
 
 

@@ -13,13 +13,14 @@ from warp_psdr.topology.film_edges import primary_edges
 
 def launch(r: Request) -> Term | None:
     """Return the term of the edges that the camera sees."""
-    require_uncut(r.scene, r.sensor, set(r.moves.shapes), camera_moves=r.moves.camera)
+    require_uncut(r.scene, r.sensor, set(r.moves.shapes), camera_moves=r.everything)
     found = film_edges_of(r)
-    curves = None if r.config.media is not None else curves_of(r, camera_moves=r.moves.camera)
+    curves = None if r.config.media is not None else curves_of(r, camera_moves=r.everything)
     edges = primary_edges(r.scene, found, curves)
     if edges is None:
         return None
-    samples = math.ceil(r.pixels * (r.method.spp_primary or r.spp) * (1.0 - found.share))
+    creases = 0.0 if r.config.material_first else found.share
+    samples = math.ceil(r.pixels * (r.method.spp_primary or r.spp) * (1.0 - creases))
     kernel = make_primary_kernel(r.config, r.role, r.moves.camera)
     return term_of(r, TERM, kernel, [r.scene.data(), r.camera, edges], samples)
 

@@ -110,6 +110,16 @@ class Request:
         return OWN_SHARE_DIRECT if direct else OWN_SHARE
 
     @property
+    def everything(self) -> bool:
+        """Whether all that the camera sees moves against its edges: with the camera, or with points on surfaces."""
+        return self.moves.camera or self.config.material_first
+
+    @property
+    def between(self) -> Motion:
+        """What moves path vertices against each other: not the camera, unless first vertices slide along its rays."""
+        return replace(self.moves, camera=False) if self.config.material_first else self.moves
+
+    @property
     def scatters_smoothly(self) -> bool:
         """Whether any surface is more than a mirror or glass: only then can a path vertex be connected to another."""
         return has_smooth_lobes(self.config.bsdfs)
@@ -183,7 +193,7 @@ def term_of(
 def film_edges_of(r: Request) -> FilmEdges:
     """Return the edges that the camera may see move."""
     shapes = set(r.moves.shapes)
-    return film_edges(r.scene, r.sensor, shapes, camera_moves=r.moves.camera, hide_emitters=r.config.hidden)
+    return film_edges(r.scene, r.sensor, shapes, camera_moves=r.everything, hide_emitters=r.config.hidden)
 
 
 def curves_of(r: Request, *, camera_moves: bool) -> Adjacency:
