@@ -167,15 +167,15 @@ def make_media_passage(config: PathConfig, differential: bool):
                 r = fly(scene, r, inside, start, d, rest, draws, sampler, step)
                 more = False
             elif is_interface(scene, hit.face):
-                at = past(scene, hit.face, hit.u, hit.v, d)
-                if is_lost(scene, at.shape, at.ng, d, inside) or r.crossings == MOST_INTERFACES:
+                met = past(scene, hit.face, hit.u, hit.v, d)
+                if is_lost(scene, met.shape, met.ng, d, inside) or r.crossings == MOST_INTERFACES:
                     r.blocked = 2
                     more = False
                 else:
                     r = fly(scene, r, inside, start, d, hit.t, draws, sampler, step)
-                    inside = medium_towards(scene, at.shape, at.ng, d, d, inside)
+                    inside = medium_towards(scene, met.shape, met.ng, d, d, inside)
                     r.crossings += 1
-                    start = at.o
+                    start = met.o
                     if wp.static(not differential):
                         if vanishes(transmittance_of(r)):
                             r.blocked = 1
