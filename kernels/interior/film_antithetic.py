@@ -20,7 +20,7 @@ from warp_psdr.kernels.interior.film_points import MIRRORED, make_film_sink
 from warp_psdr.kernels.interior.gradient_request import GradientRequest
 from warp_psdr.kernels.interior.sweep import Carry, make_sweep
 from warp_psdr.kernels.interior.velocities import axis_vec3
-from warp_psdr.kernels.invalid import count_invalid, finite, vanishes
+from warp_psdr.kernels.invalid import make_derivative_of_sample, vanishes
 from warp_psdr.kernels.jobs import PixelJob, make_sample_weight, pixel_of
 from warp_psdr.kernels.modules import wide_vectors
 from warp_psdr.kernels.path import make_path_step
@@ -96,6 +96,7 @@ def make_film_antithetic_kernel(
     slope = make_filter_slope(config.filter)
     sample_4d = make_sampler(config.sampler).sample_4d
     sample_weight = make_sample_weight(role)
+    derivative_of_sample = make_derivative_of_sample(role)
     accumulate_film = make_film_sink(role, wanted.camera)
     forward = role == "forward"
     channels = 3 if forward else 1
@@ -179,13 +180,7 @@ def make_film_antithetic_kernel(
                 found = wp.dot(weight, carry.radiance)
                 total = finish_first(scene, target, camera, sample, record[0], carry, found * steep, found * h)
                 of_sample += total * axis_vec3(channel)
-            valid = finite(of_sample)
-            if wp.static(not forward):
-                valid = valid and vanishes(of_sample)
-            if not valid:
-                count_invalid(scene, sampler)
-            elif wp.static(forward):
-                derivative += wp.vec3d(of_sample)
+            derivative += derivative_of_sample(scene, sampler, True, of_sample)
         if wp.static(forward):
             image_out[pixel.py, pixel.px] = image_out[pixel.py, pixel.px] + wp.vec3(derivative)
 

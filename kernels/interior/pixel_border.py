@@ -15,7 +15,7 @@ from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.interior.film_points import MIRRORED, make_film_sink
 from warp_psdr.kernels.interior.gradient_request import GradientRequest
 from warp_psdr.kernels.interior.velocities import axis_vec3
-from warp_psdr.kernels.invalid import count_invalid, finite, vanishes
+from warp_psdr.kernels.invalid import make_derivative_of_sample, vanishes
 from warp_psdr.kernels.jobs import PixelJob, make_sample_weight, pixel_of
 from warp_psdr.kernels.modules import wide_vectors
 from warp_psdr.kernels.path import make_path_step
@@ -35,6 +35,7 @@ def make_pixel_border_kernel(config: PathConfig, wanted: GradientRequest, role: 
     accumulate_vertex = make_vertex_sink(role, False, False, False, False, False, False)
     sample_4d = make_sampler(config.sampler).sample_4d
     sample_weight = make_sample_weight(role)
+    derivative_of_sample = make_derivative_of_sample(role)
     forward = role == "forward"
     channels = 3 if forward else 1
 
@@ -97,13 +98,7 @@ def make_pixel_border_kernel(config: PathConfig, wanted: GradientRequest, role: 
                     )
                     total += done.dot
                 of_sample += total * axis_vec3(channel)
-            valid = finite(of_sample)
-            if wp.static(not forward):
-                valid = valid and vanishes(of_sample)
-            if not valid:
-                count_invalid(scene, sampler)
-            elif wp.static(forward):
-                derivative += wp.vec3d(of_sample)
+            derivative += derivative_of_sample(scene, sampler, True, of_sample)
         if wp.static(forward):
             image_out[pixel.py, pixel.px] = image_out[pixel.py, pixel.px] + wp.vec3(derivative)
 
