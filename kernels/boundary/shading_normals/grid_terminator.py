@@ -135,14 +135,12 @@ def make_grid_terminator_kernel(config: PathConfig, role: str, camera_moves: boo
             scale *= wp.dot(weight, jump)
         a_eye = scale * turned.n
         vertex = VertexAdjoint()
-        towards = at.origin - point.x
         if wp.static(distant):
             # psi = -n . d, in place of n . (o - x).
-            towards = view
-            vertex.n = scale * towards
+            vertex.n = scale * view
         else:
             vertex.x = -a_eye
-            vertex.n = scale * towards
+            vertex.n = scale * (at.origin - point.x)
         accumulated = accumulate_vertex(scene, target, tri, uv[0], uv[1], vertex, True, at.origin, -view)
         moved = accumulated.dot
         if wp.static(camera_moves):

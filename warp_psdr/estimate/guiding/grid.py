@@ -113,7 +113,7 @@ def edge_ends(r: Request, edges: Edges, technique: str, points: np.ndarray) -> E
     x1, x2 = (wp.zeros(count, dtype=wp.vec3, device=device) for _ in range(2))
     emitted, scale = (wp.zeros(count, dtype=wp.float32, device=device) for _ in range(2))
     scatters = wp.zeros(count, dtype=wp.int32, device=device)
-    head = [r.scene.data(), edges, moving_shapes(r.scene, r.between), guide]
+    head = [r.scene.data(), edges, moving_shapes(r.scene, r.vertex_motion), guide]
     outputs = [x1, x2, emitted, scatters, scale]
     number = 1 if technique == "wedge" else 0
     launch_shards(

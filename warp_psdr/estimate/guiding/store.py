@@ -139,7 +139,7 @@ def edge_space(r: Request, found: Guiding, seeds: Seeds | None = None) -> Space:
     kernel, _facing = kernels(r)
     return Space(
         kernel=kernel,
-        head=[r.scene.data(), r.camera, edges, moving_shapes(r.scene, r.between)],
+        head=[r.scene.data(), r.camera, edges, moving_shapes(r.scene, r.vertex_motion)],
         cdf=dict.fromkeys(TECHNIQUES, edges.cdf.numpy().astype(np.float64)),
         facing=found.facing,
         ends=lambda technique, points: edge_ends(r, edges, technique, points),

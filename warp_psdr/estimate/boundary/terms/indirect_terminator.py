@@ -10,7 +10,7 @@ from warp_psdr.topology.interpolated_normals import interpolated_choice
 
 def applies(r: Request) -> bool:
     """Whether paths have more than one vertex that scatters, and vertices move against each other."""
-    if not (r.between.edges or r.moves.normals):
+    if not (r.vertex_motion.edges or r.moves.normals):
         return False
     return not 0 <= r.plan.max_depth <= 2 and bool(r.scene.builder.emitters) and r.scatters_smoothly
 

@@ -13,9 +13,9 @@ from warp_psdr.topology.film_edges import primary_edges
 
 def launch(r: Request) -> Term | None:
     """Return the term of the edges that the camera sees."""
-    require_uncut(r.scene, r.sensor, set(r.moves.shapes), camera_moves=r.everything)
+    require_uncut(r.scene, r.sensor, set(r.moves.shapes), camera_moves=r.view_moves)
     found = film_edges_of(r)
-    curves = None if r.config.media is not None else curves_of(r, camera_moves=r.everything)
+    curves = None if r.config.media is not None else curves_of(r, camera_moves=r.view_moves)
     edges = primary_edges(r.scene, found, curves)
     if edges is None:
         return None

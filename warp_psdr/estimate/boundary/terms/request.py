@@ -110,12 +110,12 @@ class Request:
         return OWN_SHARE_DIRECT if direct else OWN_SHARE
 
     @property
-    def everything(self) -> bool:
+    def view_moves(self) -> bool:
         """Whether all that the camera sees moves against its edges: with the camera, or with points on surfaces."""
         return self.moves.camera or self.config.material_first
 
     @property
-    def between(self) -> Motion:
+    def vertex_motion(self) -> Motion:
         """What moves path vertices against each other: not the camera, unless first vertices slide along its rays."""
         return replace(self.moves, camera=False) if self.config.material_first else self.moves
 
@@ -193,7 +193,7 @@ def term_of(
 def film_edges_of(r: Request) -> FilmEdges:
     """Return the edges that the camera may see move."""
     shapes = set(r.moves.shapes)
-    return film_edges(r.scene, r.sensor, shapes, camera_moves=r.everything, hide_emitters=r.config.hidden)
+    return film_edges(r.scene, r.sensor, shapes, camera_moves=r.view_moves, hide_emitters=r.config.hidden)
 
 
 def curves_of(r: Request, *, camera_moves: bool) -> Adjacency:

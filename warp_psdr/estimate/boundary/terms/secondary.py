@@ -15,7 +15,7 @@ from warp_psdr.topology.secondary_edges import secondary_edges
 
 def applies(r: Request) -> bool:
     """Whether light is scattered, and edges, lights or the camera move."""
-    return r.lit and r.between.edges and r.scatters_smoothly
+    return r.lit and r.vertex_motion.edges and r.scatters_smoothly
 
 
 def launch(r: Request) -> Term | None:
@@ -37,7 +37,7 @@ def launch(r: Request) -> Term | None:
         return None
     samples = r.pixels * (r.method.spp_secondary or r.spp)
     return term_of(
-        r, TERM, kernel, [r.scene.data(), r.camera, edges, moving_shapes(r.scene, r.between), guide], samples
+        r, TERM, kernel, [r.scene.data(), r.camera, edges, moving_shapes(r.scene, r.vertex_motion), guide], samples
     )
 
 
