@@ -205,6 +205,8 @@ def test_what_has_no_terms_is_refused(change: dict, boundary, problem: str) -> N
 
 
 def test_neighbours_that_have_no_terms_are_refused() -> None:
+    apart = psdr.load_dict({"type": "scene", **neighbours()})
+    psdr.plan(apart, names=["sensor.to_world"], integrator=psdr.PathIntegrator(max_depth=2))
     scene = psdr.load_dict({"type": "scene", **room("lamp")(), "other": body()})
     with pytest.raises(ValueError, match="'other' runs through the surface of 'body'"):
         psdr.plan(scene, names=["sensor.to_world"], integrator=psdr.PathIntegrator(max_depth=2))

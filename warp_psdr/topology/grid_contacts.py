@@ -118,18 +118,24 @@ def pierced_grid(scene: Scene, shapes: frozenset[int] | None) -> tuple[int, int]
             if _runs_through(own, local[row]):
                 return i, int(owners[row])
         for j in grids[n + 1 :]:
-            other = surfaces[j].box
-            if other is None or not (shapes is None or i in shapes or j in shapes):
-                continue
-            turned, place = pose(scene, j)
-            ends = CORNERS * ((other[1] - other[0]) / surfaces[j].cells) + other[0] / surfaces[j].cells
-            theirs = (ends @ turned.T + place - origin) @ inverse.T
-            if (theirs.min(axis=0) < box[1]).all() and (theirs.max(axis=0) > box[0]).all():
-                middles = ((surfaces[j].voxels + 0.5) / surfaces[j].cells @ turned.T + place - origin) @ inverse.T
-                reach = 0.5 * np.abs(inverse @ turned / surfaces[j].cells).sum(axis=1) + NEXT_TO
-                if _passes_any(own, middles - reach, middles + reach):
+            if shapes is None or i in shapes or j in shapes:
+                turned, place = pose(scene, j)
+                if _meets(own, surfaces[j], inverse @ turned / surfaces[j].cells, inverse @ (place - origin)):
                     return i, j
     return None
+
+
+def _meets(own: Passed, other: Passed, linear: np.ndarray, origin: np.ndarray) -> bool:
+    """Whether two surfaces pass voxels that overlap; ``linear`` and ``origin`` lead from the other's to one's own."""
+    if own.box is None or other.box is None:
+        return False
+    low, high = other.box
+    ends = (CORNERS * (high - low) + low) @ linear.T + origin
+    if (ends.min(axis=0) >= own.box[1]).any() or (ends.max(axis=0) <= own.box[0]).any():
+        return False
+    middles = (other.voxels + 0.5) @ linear.T + origin
+    reach = 0.5 * np.abs(linear).sum(axis=1) + NEXT_TO
+    return _passes_any(own, middles - reach, middles + reach)
 
 
 def _passes_any(surface: Passed, low: np.ndarray, high: np.ndarray) -> bool:
