@@ -39,6 +39,14 @@ SHAPES = {
 ON_THE_RAY = {"tube": 2e-3, "cones": 2e-3}
 
 
+def rays_past(count: int, distance: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Where rays start, (count, 3), at a distance from the middle, and points inside of the shape and beside it."""
+    around = np.random.default_rng(3).normal(size=(3, count, 3))
+    o = distance * around[0] / np.linalg.norm(around[0], axis=1, keepdims=True)
+    side = np.cross(o, around[2])
+    return o, 0.1 * around[1], 1.8 * side / np.linalg.norm(side, axis=1, keepdims=True)
+
+
 @functools.cache
 def outline_kernel(config: PathConfig):
     outline_at = make_outline(config.primitives)
@@ -92,13 +100,9 @@ def outline_kernel(config: PathConfig):
 def test_outlines_lie_on_the_rays_that_touch_them(kind: str) -> None:
     scene = psdr.load_dict({"type": "scene", "sensor": camera(), "sky": sky(), "shape": SHAPES[kind]})
     kernel = outline_kernel(psdr.plan(scene, integrator=psdr.PathIntegrator(max_depth=2)).config)
-    random = np.random.default_rng(3)
-    around = random.normal(size=(3, COUNT, 3))
-    o = 4.0 * around[0] / np.linalg.norm(around[0], axis=1, keepdims=True)
-    inner = 0.1 * around[1]
-    side = np.cross(o, around[2])
-    outer = 1.8 * side / np.linalg.norm(side, axis=1, keepdims=True)
-    arrays = [wp.array(np.float32(v), dtype=wp.vec3, device="cpu") for v in (o, inner, outer)]
+    rays = rays_past(COUNT, 4.0)
+    o = np.float32(rays[0])
+    arrays = [wp.array(np.float32(v), dtype=wp.vec3, device="cpu") for v in rays]
     out = [wp.zeros(COUNT, dtype=t, device="cpu") for t in (wp.int32, wp.vec3, wp.vec3, wp.vec3)]
     wp.launch(kernel, COUNT, [scene.data(), scene.face_count, *arrays], out, device="cpu")
     valid, x, m, d = (v.numpy() for v in out)
@@ -106,7 +110,7 @@ def test_outlines_lie_on_the_rays_that_touch_them(kind: str) -> None:
     assert met.sum() > COUNT // 4
     assert (valid[met] == 1).mean() > 0.98
     good = valid == 1
-    beside = np.linalg.norm(np.cross(x[good] - np.float32(o)[good], d[good]), axis=1)
+    beside = np.linalg.norm(np.cross(x[good] - o[good], d[good]), axis=1)
     assert np.quantile(beside, 0.98) < ON_THE_RAY.get(kind, 1e-4)
     assert np.quantile(np.abs((m[good] * d[good]).sum(axis=1)), 0.98) < 2e-3
 
@@ -156,11 +160,7 @@ def test_hits_aside_of_the_outline_of_a_network_face_the_ray() -> None:
     """At it some lie behind the touched point, by roundings of phi: a step off the surface aside none does."""
     scene = psdr.load_dict({"type": "scene", "sensor": camera(), "sky": sky(), "shape": SHAPES["network"]})
     kernel = grazing_kernel(psdr.plan(scene, integrator=psdr.PathIntegrator(max_depth=2)).config)
-    around = np.random.default_rng(3).normal(size=(3, 4096, 3))
-    o = 2.1 * around[0] / np.linalg.norm(around[0], axis=1, keepdims=True)
-    side = np.cross(o, around[2])
-    outer = 1.8 * side / np.linalg.norm(side, axis=1, keepdims=True)
-    arrays = [wp.array(np.float32(v), dtype=wp.vec3, device="cpu") for v in (o, 0.1 * around[1], outer)]
+    arrays = [wp.array(np.float32(v), dtype=wp.vec3, device="cpu") for v in rays_past(4096, 2.1)]
     behind = []
     for steps in (0.0, 1.0):
         out = [wp.zeros(4096, dtype=t, device="cpu") for t in (wp.int32, wp.float32)]
