@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, ParamSpec, TypeVar
 import numpy as np
 import warp as wp
 
+from warp_psdr.device import shared_copy
 from warp_psdr.kernels.invalid import COUNTER_SIZE
 from warp_psdr.kernels.lanes.lanes import ROOM
 
@@ -164,7 +165,7 @@ def counting(
     def of_shard(data: structs.Scene, shard: int) -> structs.Scene:
         record = records[shard]
         if record is None:
-            record = data.to(scene.device)  # a copy that shares the arrays
+            record = shared_copy(data)
             record.invalid = counters[shard]
             record.rows = rows[shard]
             records[shard] = record

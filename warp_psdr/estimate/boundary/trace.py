@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
-from warp_psdr.device import launch
+from warp_psdr.device import launch, shared_copy
 from warp_psdr.estimate.arguments import adjoint_array, flat_tangents
 from warp_psdr.estimate.boundary.terms import TERMS, Request, Term, launches
 from warp_psdr.estimate.passes import STREAM_BOUNDARY
@@ -150,7 +150,7 @@ def trace_boundary(
     image = wp.zeros(shape if tangents is not None else (1, 1), dtype=wp.vec3, device=scene.device)
     size = COUNTER_SIZE + 1 + notes.NOTE_WORDS * MOST_NOTES
     data, *rest = term.inputs(sample, asked)
-    record = data.to(scene.device)  # a copy that shares the arrays
+    record = shared_copy(data)
     record.invalid = wp.zeros(size, dtype=wp.int64, device=scene.device)
     launch(term.kernel, dim=1, inputs=[record, *rest], outputs=[target, image], device=scene.device)
     words = record.invalid.numpy()
