@@ -4,6 +4,7 @@ import functools
 
 import numpy as np
 import pytest
+import trimesh
 
 import warp_psdr as psdr
 from tests.gradients.measure import NO_ROULETTE, shared_random_numbers
@@ -35,9 +36,37 @@ def box(center, half, bsdf):
     return {"type": "mesh", "vertices": corners, "faces": faces, "face_normals": True, "bsdf": bsdf}
 
 
+DIFFUSE = {"type": "diffuse", "reflectance": rgb(0.2, 0.6, 0.4)}
+
+
+def resting():
+    """A box that stands on the floor, and one that flies before both."""
+    return {
+        "box": box([0.1, -0.1, 0.3], [0.3, 0.4, 0.3], DIFFUSE),
+        "flying": box([-0.5, -0.6, 0.9], [0.25, 0.2, 0.1], {"type": "roughconductor", "alpha": 0.4}),
+    }
+
+
+def crossing():
+    """A box that is sunk into the floor, and one that runs through it, both leaning."""
+    lower = box([0.1, -0.1, 0.2], [0.3, 0.4, 0.3], DIFFUSE)
+    upper = box([-0.15, -0.45, 0.45], [0.3, 0.25, 0.15], DIFFUSE)
+    for shape, a, b in ((lower, 0.07, 0.11), (upper, 0.2, 0.13)):
+        shape["vertices"] = shape["vertices"] @ np.array([[1, 0, a], [0, 1, b], [-a, -b, 1]], np.float32)
+    return {"box": lower, "flying": upper}
+
+
+def smooth():
+    """A coarse ball with interpolated normals above the floor."""
+    ball = trimesh.creation.icosphere(subdivisions=1)
+    corners = (0.45 * np.asarray(ball.vertices) + [0.0, -0.2, 0.6]).astype(np.float32)
+    return {"box": {"type": "mesh", "vertices": corners, "faces": np.asarray(ball.faces, np.int32), "bsdf": DIFFUSE}}
+
+
 @functools.cache
-def load(rfilter):
-    """A box that stands on a floor, one that flies before both, a lamp and a sky."""
+def load(rfilter, shapes=resting):
+    """Shapes on and above a floor, a lamp and, but over the ball, a sky."""
+    sky = {} if shapes is smooth else {"sky": {"type": "constant", "radiance": rgb(0.3, 0.4, 0.5)}}
     pose = psdr.Transform.look_at([-0.4, -4.0, 2.0], [0.1, 0.0, 0.3], [0, 0, 1])
     film = {"type": "hdrfilm", "width": SIZE, "height": SIZE, "rfilter": {"type": rfilter}}
     film["sample_border"] = rfilter != "box"
@@ -52,14 +81,13 @@ def load(rfilter):
                 "to_world": floor,
                 "bsdf": {"type": "diffuse", "reflectance": rgb(0.7, 0.5, 0.3)},
             },
-            "box": box([0.1, -0.1, 0.3], [0.3, 0.4, 0.3], {"type": "diffuse", "reflectance": rgb(0.2, 0.6, 0.4)}),
-            "flying": box([-0.5, -0.6, 0.9], [0.25, 0.2, 0.1], {"type": "roughconductor", "alpha": 0.4}),
+            **shapes(),
             "lamp": {
                 "type": "rectangle",
                 "to_world": above,
                 "emitter": {"type": "area", "radiance": rgb(6, 5, 4)},
             },
-            "sky": {"type": "constant", "radiance": rgb(0.3, 0.4, 0.5)},
+            **sky,
         }
     )
     return scene, psdr.traverse(scene)
@@ -71,13 +99,20 @@ def moved(params, kind):
         tangent = np.zeros((4, 4), np.float32)
         tangent[:3, 3] = (0.6, 0.3, 0.5)
         return "sensor.to_world", tangent
+    if kind == "approach":
+        tangent = np.zeros((4, 4), np.float32)
+        tangent[:3, 3] = params["sensor.to_world"].numpy()[:3, 2]
+        return "sensor.to_world", tangent
     if kind == "floor":
         tangent = np.zeros((4, 4), np.float32)
         tangent[:3, 3] = (0.6, 0.3, 0.0)
         tangent[:3, :2] = 0.2 * params["floor.to_world"].numpy()[:3, :2]
         return "floor.to_world", tangent
-    name = f"{kind}.vertex_positions"
+    grows = kind.endswith(" grows")
+    name = f"{kind.removesuffix(' grows')}.vertex_positions"
     points = params[name].numpy()
+    if grows:
+        return name, points - points.mean(axis=0)
     turn = [0.0, 0.0, 0.8] if kind == "box" else [0.2, 0.1, 0.8]
     speed = [0.5, 0.3, 0.0] if kind == "box" else [0.5, 0.3, 0.3]
     return name, (np.cross(turn, points - points.mean(axis=0)) + speed).astype(np.float32)
@@ -88,19 +123,20 @@ def adjoint():
     return (np.random.default_rng(3).uniform(0.5, 1.5, size=(SIZE, SIZE, 3)) + across).astype(np.float32)
 
 
-def integrator(method):
-    return psdr.PathIntegrator(max_depth=3, rr_depth=NO_ROULETTE, interior=method)
+def integrator(method, boundary="auto"):
+    return psdr.PathIntegrator(max_depth=3, rr_depth=NO_ROULETTE, interior=method, boundary=boundary)
 
 
-def backward(rfilter, kind, method, seeds, spp):
+def backward(rfilter, kind, method, seeds, spp, shapes=resting, boundary="auto"):
     """Mean and standard error of derivatives by reverse mode."""
-    scene, params = load(rfilter)
+    scene, params = load(rfilter, shapes)
     name, tangent = moved(params, kind)
     params.requires_grad_only(name)
     found = []
     for seed in seeds:
         params.zero_grad()
-        psdr.render_backward(scene, params, adjoint(), integrator=integrator(method), spp=spp, seed=seed)
+        options = {"integrator": integrator(method, boundary), "spp": spp, "seed": seed}
+        psdr.render_backward(scene, params, adjoint(), **options)
         found.append((params[name].grad.numpy().astype(np.float64) * tangent).sum())
     assert not any(psdr.invalid_samples(scene).values())
     return np.mean(found), np.std(found, ddof=1) / np.sqrt(len(found))
@@ -113,6 +149,32 @@ def test_mean_is_that_of_replay(rfilter, kind):
     replay, replay_error = backward(rfilter, kind, REPLAY, range(64), 256)
     assert abs(replay) > 10.0 * replay_error
     assert abs(film - replay) < Z * np.hypot(film_error, replay_error)
+
+
+@functools.cache
+def by_replay(shapes, kind):
+    return backward("box", kind, REPLAY, range(64), 384, shapes)
+
+
+@pytest.mark.parametrize(
+    ("shapes", "kind", "guiding"),
+    [
+        (smooth, "box grows", None),
+        (smooth, "approach", None),
+        (crossing, "flying grows", None),
+        (crossing, "approach", None),
+        (resting, "flying grows", psdr.guiding.KdTree(max_leaves=512)),
+        (resting, "flying grows", psdr.guiding.Octree(max_leaves=512)),
+        (resting, "flying grows", psdr.guiding.Grid(shape=(64, 4, 4), photons=2000, importons=2000)),
+    ],
+    ids=["normals", "normals, camera", "curves", "curves, camera", "k-d tree", "octree", "grid"],
+)
+def test_mean_is_that_of_replay_beside_other_terms(shapes, kind, guiding):
+    film, film_error = backward("box", kind, FILM, range(64), 384, shapes, psdr.boundary.PathSpace(guiding=guiding))
+    replay, replay_error = by_replay(shapes, kind)
+    error = np.hypot(film_error, replay_error)
+    assert abs(replay) > 40.0 * error
+    assert abs(film - replay) < Z * error
 
 
 @pytest.mark.parametrize(("rfilter", "kind"), [("tent", "floor"), ("box", "flying")])
