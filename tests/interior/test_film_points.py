@@ -10,13 +10,13 @@ import warp_psdr as psdr
 from tests.gradients.measure import NO_ROULETTE, shared_random_numbers
 from tests.gradients.scenes import rgb
 
-pytestmark = pytest.mark.slow
-
 SIZE = 16
 #: Difference of two means over their standard error that independent batches exceed once in 16,000 tries.
 Z = 4.0
 #: The difference quotient's own error.
 SLOPE = 0.02
+#: What moves.
+KINDS = ("camera", "box", "flying", "floor")
 #: Sums in another order.
 ROUNDING = 1e-4
 FILM, REPLAY = psdr.interior.FilmAntithetic(), psdr.interior.Replay()
@@ -142,7 +142,8 @@ def backward(rfilter, kind, method, seeds, spp, shapes=resting, boundary="auto")
     return np.mean(found), np.std(found, ddof=1) / np.sqrt(len(found))
 
 
-@pytest.mark.parametrize("kind", ["camera", "box", "flying", "floor"])
+@pytest.mark.slow_rows(*(f"tent-{kind}" for kind in KINDS), *(f"box-{kind}" for kind in KINDS if kind != "flying"))
+@pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("rfilter", ["tent", "box"])
 def test_mean_is_that_of_replay(rfilter, kind):
     film, film_error = backward(rfilter, kind, FILM, range(64), 256)
@@ -156,6 +157,7 @@ def by_replay(shapes, kind):
     return backward("box", kind, REPLAY, range(64), 384, shapes)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("shapes", "kind", "guiding"),
     [
@@ -177,6 +179,7 @@ def test_mean_is_that_of_replay_beside_other_terms(shapes, kind, guiding):
     assert abs(film - replay) < Z * error
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("rfilter", "kind"), [("tent", "floor"), ("box", "flying")])
 def test_slope_of_finite_differences(rfilter, kind):
     scene, params = load(rfilter)
@@ -202,6 +205,7 @@ def test_slope_of_finite_differences(rfilter, kind):
     assert abs(found / slopes.mean() - 1.0) < SLOPE + 2.0 * noise
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("rfilter", "kind"), [("box", "camera"), ("tent", "flying")])
 def test_forward_mode_sums_to_reverse_mode(rfilter, kind):
     scene, params = load(rfilter)
