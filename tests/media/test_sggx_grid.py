@@ -206,6 +206,7 @@ def test_what_passes(kind):
     assert (np.abs(found[:, slopes == 0.0]) < 1e-5).all() and (slopes == 0.0).sum() == 6  # the ray lies across y
 
 
+@pytest.mark.slow_rows("heterogeneous")
 @pytest.mark.parametrize("kind", KINDS)
 def test_light_scattered_once(kind):
     """By each number of both voxels, which turn flakes and let light pass to them and from them, and by the albedo."""
