@@ -14,7 +14,6 @@ from warp_psdr.kernels.boundary.silhouette.grid_points import GridItems
 from warp_psdr.scene.sdfgrid import is_passed
 from warp_psdr.topology.exact_shapes import pose
 from warp_psdr.topology.grid_silhouettes import (
-    ROUNDING,
     VOXEL,
     Eyes,
     gathered,
@@ -22,6 +21,7 @@ from warp_psdr.topology.grid_silhouettes import (
     grid_values,
     interval_product,
     item_numbers,
+    may_vanish,
 )
 
 if TYPE_CHECKING:
@@ -30,12 +30,8 @@ if TYPE_CHECKING:
 
 def interpolated_grids(scene: Scene) -> list[int]:
     """Return the numbers of the shapes that are grids with interpolated normals."""
-    return [i for i in grid_shapes(scene, False) if _is_interpolated(scene, i)]
-
-
-def _is_interpolated(scene: Scene, shape: int) -> bool:
-    grid = scene.description.shapes[shape].grid
-    return grid is not None and grid.smooth
+    found = [(i, scene.description.shapes[i].grid) for i in grid_shapes(scene, False)]
+    return [i for i, grid in found if grid is not None and grid.smooth]
 
 
 def may_turn(values: np.ndarray, nodes: np.ndarray, low: np.ndarray, high: np.ndarray, distant: bool) -> np.ndarray:
@@ -64,18 +60,16 @@ def may_turn(values: np.ndarray, nodes: np.ndarray, low: np.ndarray, high: np.nd
                 slopes.append(flat[first + stride[axis]] - flat[first])
         bounds = [np.min(slopes, axis=0), np.max(slopes, axis=0)]
         terms.append(interval_product(bounds, [end[..., axis] for end in away]))
-    slack = ROUNDING * sum(np.maximum(-least, most) for least, most in terms)
-    above = sum(least for least, _most in terms) > slack
-    return ~(above | (sum(most for _least, most in terms) < -slack))
+    return may_vanish(terms)
 
 
 def turned_items(scene: Scene, shapes: list[int], eyes: Eyes | None) -> GridItems | None:
-    """Return the voxels that the surfaces of grids with interpolated normals pass; None: there are none.
+    """Return the voxels that the surfaces of some of ``interpolated_grids`` pass; None: there are none.
 
     ``eyes``: those alone in which the normal may turn away from one of them.
     """
     listed = []
-    for shape in (i for i in shapes if _is_interpolated(scene, i)):
+    for shape in shapes:
         values = grid_values(scene, shape)
         nodes = item_numbers(is_passed(values), values.shape)
         if eyes is not None:

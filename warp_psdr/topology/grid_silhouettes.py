@@ -145,9 +145,7 @@ def spline_may_show(
         slopes = np.diff(bezier, axis=3 - axis).reshape(len(numbers), -1)
         bounds = [slopes.min(axis=1), slopes.max(axis=1)] if len(numbers) else [np.zeros(0)] * 2
         terms.append(interval_product(bounds, [end[..., axis] for end in away]))
-    slack = ROUNDING * sum(np.maximum(-least, most) for least, most in terms)
-    above = sum(least for least, _most in terms) > slack
-    return ~(above | (sum(most for _least, most in terms) < -slack))
+    return may_vanish(terms)
 
 
 def _slopes(flat: np.ndarray, first: np.ndarray, stride: int, free: list[int]) -> list[np.ndarray]:
@@ -155,6 +153,13 @@ def _slopes(flat: np.ndarray, first: np.ndarray, stride: int, free: list[int]) -
     at = [first + np.dot(offsets, free) for offsets in itertools.product((0, 1), repeat=len(free))]
     found = np.array([flat[place + stride] - flat[place] for place in at])
     return [found.min(axis=0), found.max(axis=0)]
+
+
+def may_vanish(terms: list[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
+    """Return where the sum of intervals, given by their ends (N,), may hold 0, rounding included."""
+    slack = ROUNDING * sum(np.maximum(-least, most) for least, most in terms)
+    above = sum(least for least, _most in terms) > slack
+    return ~(above | (sum(most for _least, most in terms) < -slack))
 
 
 def interval_product(a: list[np.ndarray], b: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
