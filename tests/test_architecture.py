@@ -1,10 +1,11 @@
 """Layers: device code knows no host code, imports run in no circles, a name has one meaning, files stay readable."""
 
 import ast
+import functools
 import re
 import subprocess
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
 import pytest
@@ -54,13 +55,17 @@ HOST_FILES = sorted((ROOT / "warp_psdr").rglob("*.py"))
 ALL_FILES = sorted(path for top in ("kernels", "warp_psdr", "tests", "examples") for path in (ROOT / top).rglob("*.py"))
 
 
+#: Several rules look at each file.
+parsed = functools.cache(ast.parse)
+
+
 def names(path: Path) -> str:
     return str(path.relative_to(ROOT))
 
 
 def foreign_imports(source: str) -> Iterator[str]:
     """Modules that a device file imports and may not."""
-    for node in ast.walk(ast.parse(source)):
+    for node in ast.walk(parsed(source)):
         if isinstance(node, ast.Import):
             modules = [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
@@ -90,7 +95,7 @@ def is_for_type_checkers(node: ast.AST) -> bool:
 def own_imports(source: str, name: str, modules: Iterable[str], package: str) -> set[str]:
     """Modules of the package that one of them imports, at module level or within functions, but for type checkers."""
     found: set[str] = set()
-    pending: list[ast.AST] = [ast.parse(source)]
+    pending: list[ast.AST] = [parsed(source)]
     while pending:
         node = pending.pop()
         pending += [child for child in ast.iter_child_nodes(node) if not is_for_type_checkers(child)]
@@ -114,6 +119,7 @@ def own_imports(source: str, name: str, modules: Iterable[str], package: str) ->
     return (found & set(modules)) - {name}
 
 
+@functools.cache
 def import_graph(top: str) -> dict[str, set[str]]:
     modules = package_modules(top)
     package = "warp_psdr" if top == "warp_psdr" else "warp_psdr.kernels"
@@ -164,7 +170,7 @@ def broken_rules(graph: dict[str, set[str]]) -> Iterator[str]:
 
 def device_names(source: str) -> Iterator[str]:
     """Records and functions of device code at module level."""
-    for node in ast.parse(source).body:
+    for node in parsed(source).body:
         if isinstance(node, ast.ClassDef | ast.FunctionDef):
             if any(re.match(r"wp\.(struct|func|kernel)", ast.unparse(d)) for d in node.decorator_list):
                 yield node.name
@@ -178,7 +184,7 @@ def is_constant_name(node: ast.expr) -> bool:
 
 def misplaced_statements(source: str) -> Iterator[str]:
     """Module-level statements of a device file other than imports, UPPER_CASE constants, records and functions."""
-    for node in ast.parse(source).body:
+    for node in parsed(source).body:
         if isinstance(node, ast.Import | ast.ImportFrom | ast.FunctionDef):
             continue
         if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str):
@@ -197,7 +203,7 @@ def misplaced_statements(source: str) -> Iterator[str]:
 
 def shadowed_constants(source: str) -> Iterator[str]:
     """Attributes of local variables that are named like a number of Warp's, such as ``e``."""
-    for function in ast.walk(ast.parse(source)):
+    for function in ast.walk(parsed(source)):
         if not isinstance(function, ast.FunctionDef):
             continue
         nodes = list(ast.walk(function))
@@ -210,7 +216,7 @@ def shadowed_constants(source: str) -> Iterator[str]:
 
 def global_state_changes(source: str) -> Iterator[str]:
     """Statements of a host file that set Warp's configuration or its default device."""
-    for node in ast.walk(ast.parse(source)):
+    for node in ast.walk(parsed(source)):
         if isinstance(node, ast.Assign | ast.AugAssign | ast.AnnAssign):
             targets = node.targets if isinstance(node, ast.Assign) else [node.target]
             if any(re.match(r"(wp|warp)\.config\b", ast.unparse(target)) for target in targets):
@@ -223,33 +229,35 @@ def global_state_changes(source: str) -> Iterator[str]:
                 yield f"line {node.lineno}: {ast.unparse(node)}"
 
 
-@pytest.mark.parametrize("path", DEVICE_FILES, ids=names)
-def test_device_code_imports_no_host_code(path: Path) -> None:
-    assert list(foreign_imports(path.read_text())) == []
+def broken_by(check: Callable[[str], Iterable[str]], files: list[Path]) -> dict[str, list[str]]:
+    """What a rule finds in files, by the names of those that break it."""
+    found = {names(path): list(check(path.read_text())) for path in files}
+    return {name: lines for name, lines in found.items() if lines}
 
 
-@pytest.mark.parametrize("path", DEVICE_FILES, ids=names)
-def test_device_files_hold_definitions_only(path: Path) -> None:
+def test_device_code_imports_no_host_code() -> None:
+    assert broken_by(foreign_imports, DEVICE_FILES) == {}
+
+
+def test_device_files_hold_definitions_only() -> None:
     # A module-level number named like a loop index of device code would be hashed into the module and recompile it.
-    assert list(misplaced_statements(path.read_text())) == []
+    assert broken_by(misplaced_statements, DEVICE_FILES) == {}
 
 
-@pytest.mark.parametrize("path", DEVICE_FILES, ids=names)
-def test_local_records_are_not_named_like_warps_numbers(path: Path) -> None:
+def test_local_records_are_not_named_like_warps_numbers() -> None:
     # Warp 1.19 takes ``e.kind`` for the number ``wp.e`` while a function has not been built, and hashes it. So a kernel
     # would have one name where the functions it shares were compiled and another where they came from the cache, and
     # the second start would compile again (``tests/test_kernel_names.py``).
-    assert list(shadowed_constants(path.read_text())) == []
+    assert broken_by(shadowed_constants, DEVICE_FILES) == {}
 
 
-@pytest.mark.parametrize("path", HOST_FILES, ids=names)
-def test_host_code_leaves_warps_global_state_alone(path: Path) -> None:
-    assert list(global_state_changes(path.read_text())) == []
+def test_host_code_leaves_warps_global_state_alone() -> None:
+    assert broken_by(global_state_changes, HOST_FILES) == {}
 
 
-@pytest.mark.parametrize("path", ALL_FILES, ids=names)
-def test_files_are_short_enough_to_read(path: Path) -> None:
-    assert len(path.read_text().splitlines()) <= MAX_LINES, "could a stage or a method move into a file of its own?"
+def test_files_are_short_enough_to_read() -> None:
+    # Could a stage or a method move into a file of its own?
+    assert broken_by(lambda source: source.splitlines()[MAX_LINES:][:1], ALL_FILES) == {}
 
 
 @pytest.mark.parametrize("top", ["warp_psdr", "kernels"])

@@ -72,11 +72,15 @@ def compile_for_cuda(tmp_path_factory):
     def probe(values_out: wp.array(dtype=wp.float32)):
         values_out[wp.tid()] = 1.0
 
-    def compile_kernel(kernel):
-        files = wp.compile_aot_module(kernel.module, arch=ARCHITECTURE, module_dir=folder)
+    @functools.cache  # kernels share modules
+    def compile_module(module):
+        files = wp.compile_aot_module(module, arch=ARCHITECTURE, module_dir=folder)
         outputs = [Path(f) for f in files if Path(f).suffix in (".ptx", ".cubin")]
         assert outputs and all(f.stat().st_size > 0 for f in outputs), f"no CUDA code among {files}"
         return outputs
+
+    def compile_kernel(kernel):
+        return compile_module(kernel.module)
 
     try:
         compile_kernel(probe)

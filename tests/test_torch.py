@@ -227,6 +227,7 @@ def test_mistakes_are_named(scene) -> None:
         psdr.torch.render(scene, [torch.zeros(3)], **OPTIONS)
 
 
+@pytest.mark.slow
 def test_an_optimiser_of_torch_moves_a_network() -> None:
     """A module's weights are what a ``neuralsdf`` is, their gradients those of ``render_backward``, to the bit."""
     torch = pytest.importorskip("torch")

@@ -94,6 +94,7 @@ def outline_kernel(config: PathConfig):
     return outlines
 
 
+@pytest.mark.slow_rows("grid", "tube")
 @pytest.mark.parametrize(
     "kind", [pytest.param(k, marks=[] if k in ("sphere", "grid", "tube") else pytest.mark.slow) for k in SHAPES]
 )

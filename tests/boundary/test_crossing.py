@@ -101,6 +101,7 @@ CASES = [
 ]
 
 
+@pytest.mark.slow_rows("sunk sphere, lamp, z, depth 2-forward")
 @pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("case", rows(CASES))
 def test_matches_finite_differences(case: Case, mode: str) -> None:

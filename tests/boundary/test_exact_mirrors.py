@@ -91,6 +91,7 @@ CASES = [
 ]
 
 
+@pytest.mark.slow_rows("exact mirror, close, axis, depth 2-forward")
 @pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("case", rows(CASES))
 def test_derivatives_equal_finite_differences(case: Case, mode: str) -> None:

@@ -105,6 +105,7 @@ def of_methods(found: list[tuple]) -> list:
     return [pytest.param(*row, m, id=n, marks=k) for (row, m), n, k in zip(products, names, marks, strict=True)]
 
 
+@pytest.mark.slow_rows("exact, three kinds, tube.to_world, depth 2-kdtree")
 @pytest.mark.parametrize(("name", "parameter", "tangent", "depth", "method"), of_methods(ROWS))
 def test_guided_estimates_equal_others(name, parameter, tangent, depth, method) -> None:
     psdr.guiding.reset(load(name)[0])
@@ -180,6 +181,7 @@ def test_the_modes_are_transposes_of_each_other() -> None:
     assert_transposes(scene, params, ["tube.to_world", "ball.to_world"], options)
 
 
+@pytest.mark.slow
 def test_workers_and_what_is_kept() -> None:
     scene, params = load("exact, three kinds")
     name, move = "tube.to_world", entry(2, 3)

@@ -68,6 +68,7 @@ CASES = [
 ]
 
 
+@pytest.mark.slow_rows("icosahedron, turns, depth 2-forward")
 @pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("case", rows(CASES))
 def test_derivatives_equal_finite_differences(case: Case, mode: str) -> None:

@@ -76,6 +76,7 @@ def measured(scene: psdr.Scene, towards: int, samples: int = SAMPLES) -> tuple[n
     return spread(out.numpy())
 
 
+@pytest.mark.slow
 def test_both_techniques_have_one_measure() -> None:
     """All lines that touch a network under an affine map, by directions of items and by directions of the sphere."""
     pose = np.eye(4)

@@ -137,6 +137,7 @@ def test_seeds_carry_light(technique: str) -> None:
     assert met[0] > 0.2 and (met[0] > 10.0 * met[1] or 1.0 - met[0] < 0.5 * (1.0 - met[1])), met
 
 
+@pytest.mark.slow_rows("exact, three kinds-tube.to_world-2-guiding0")
 @pytest.mark.parametrize(
     ("name", "parameter", "depth", "guiding"),
     [

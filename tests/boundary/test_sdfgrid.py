@@ -129,12 +129,14 @@ CASES = [
 ]
 
 
+@pytest.mark.slow_rows("shaded grid, lamp, x, depth 2-forward")
 @pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("case", rows(CASES))
 def test_matches_finite_differences(case: Case, mode: str) -> None:
     assert_agrees(derivatives(case, mode), differences(case)[2])
 
 
+@pytest.mark.slow
 def test_the_table_can_tell_a_missing_terminator(monkeypatch) -> None:
     case = next(c for c in CASES if str(c) == "shaded grid, lamp, x, depth 2")
     rest = tuple(t for t in terms.TERMS[psdr.boundary.PathSpace] if t.name != "grid_terminator")

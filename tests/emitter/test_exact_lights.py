@@ -189,6 +189,7 @@ def gradients(scene: psdr.Scene, name: str, weights: np.ndarray, spp: int = 4096
     return np.array(found)
 
 
+@pytest.mark.slow
 def test_irradiance_from_a_sphere() -> None:
     """pi L cos(theta) (R / D)^2 by radius and height; nothing is hidden, and the interior is all of it."""
     scene = below({"type": "sphere", "center": [0.0, 0.0, 1.2], "radius": 0.4})

@@ -7,7 +7,7 @@ import pytest
 
 import warp_psdr as psdr
 
-from . import scenes
+from . import measure, scenes
 
 SIZE, SPP, DEPTH = 16, 16, 5
 #: Both sides are float32 sums of the same terms in another order. Relative to the product of the norms, which bounds
@@ -80,32 +80,41 @@ ROOMS = {
         small("disk", 1.6, {"type": "diffuse"}, face_normals=True),
     ),
 }
-SLOW = {"anisotropic"}
+INTEGRATOR = psdr.PathIntegrator(max_depth=DEPTH, boundary=None, rr_depth=3)
+#: A scene of the table, whose gradient is by the table's kernel; and the depth there.
+OF_THE_TABLE, TABLE_DEPTH = "plane", 3
+
+
+def integrator_of(name):
+    return measure.integrator(TABLE_DEPTH) if name == OF_THE_TABLE else INTEGRATOR
 
 
 @functools.cache
 def gradients(name):
     """Scene, parameters, adjoint, and the gradient of every parameter."""
-    scene = psdr.load_dict(ROOMS[name]())
-    params = psdr.traverse(scene)
-    params.requires_grad("*")
-    w = np.random.default_rng(0).normal(size=(SIZE, SIZE, 3)).astype(np.float32)
-    psdr.render_backward(scene, params, w, integrator=INTEGRATOR, spp=SPP)
+    scene, params = scenes.load(name) if name == OF_THE_TABLE else loaded(name)
+    params.requires_grad_only("*")
+    size = scenes.SIZE if name == OF_THE_TABLE else SIZE
+    w = np.random.default_rng(0).normal(size=(size, size, 3)).astype(np.float32)
+    psdr.render_backward(scene, params, w, integrator=integrator_of(name), spp=SPP)
     return scene, params, w, {n: params[n].grad.numpy().astype(np.float64) for n in params}
 
 
-INTEGRATOR = psdr.PathIntegrator(max_depth=DEPTH, boundary=None, rr_depth=3)
+def loaded(name):
+    scene = psdr.load_dict(ROOMS[name]())
+    return scene, psdr.traverse(scene)
 
 
-@pytest.mark.slow_rows("glass and mirror")
-@pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.slow if n in SLOW else ()) for n in ROOMS])
+@pytest.mark.slow_rows(*ROOMS)
+@pytest.mark.parametrize("name", [OF_THE_TABLE, *ROOMS])
 def test_forward_and_reverse_mode_are_adjoint(name):
     scene, params, w, grads = gradients(name)
     silent = []
     for n, gradient in grads.items():
         v = np.random.default_rng(len(n)).normal(size=gradient.shape).astype(np.float32)
         tangents = dict.fromkeys(params, 0.0) | {n: v}
-        image = psdr.render_forward(scene, params, tangents, integrator=INTEGRATOR, spp=SPP).numpy().astype(np.float64)
+        image = psdr.render_forward(scene, params, tangents, integrator=integrator_of(name), spp=SPP)
+        image = image.numpy().astype(np.float64)
         left, right = (image * w).sum(), (gradient * v).sum()
         bound = ROUNDING * max(np.linalg.norm(image) * np.linalg.norm(w), np.linalg.norm(gradient) * np.linalg.norm(v))
         assert np.isfinite(left) and abs(left - right) <= bound, (n, left, right, bound)
@@ -119,8 +128,7 @@ def test_forward_and_reverse_mode_are_adjoint(name):
 def gradient_alone(name, parameter):
     """Return the gradient of a parameter by kernels that compile nothing else, which is what it is among all."""
     _scene, _params, w, grads = gradients(name)
-    scene = psdr.load_dict(ROOMS[name]())
-    params = psdr.traverse(scene)
+    scene, params = loaded(name)
     params.requires_grad(parameter)
     psdr.render_backward(scene, params, w, integrator=INTEGRATOR, spp=SPP)
     gradient = params[parameter].grad.numpy()

@@ -32,6 +32,7 @@ def requested(case):
     return params.requested
 
 
+@pytest.mark.slow_rows("gap-floor.vertex_positions-bend-4-reverse", "gap-ceiling.to_world-along the normal-4-reverse")
 @pytest.mark.parametrize(("case", "method"), list(rows()))
 def test_derivative_equals_finite_differences(case, method):
     mode, block = METHODS[method]

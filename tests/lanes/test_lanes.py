@@ -351,6 +351,7 @@ def test_paths_whose_vertices_have_no_room_are_traced_alone(name):
         np.testing.assert_array_equal(*gradients)
 
 
+@pytest.mark.slow_rows("4", "16")
 @pytest.mark.parametrize("width", [4, 8, 16])
 def test_records_come_back_from_their_rows(width):
     get, put = make_record(ScatterSample, width)

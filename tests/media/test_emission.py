@@ -100,6 +100,7 @@ def test_what_is_wrong_is_named(media, words):
         psdr.load_dict(whole(sensor=camera([0, 0, 5], [0, 0, 0], up=(0, 1, 0)), slab=cube(media), sky=sky(1, 1, 1)))
 
 
+@pytest.mark.slow
 def test_a_slab_that_grows(slab):
     """Along the rays: more of it shines, and less of the sky is seen through it."""
     sigma, emission, radiance = np.array([0.0, 0.3, 1.2]), np.array([0.7, 0.2, 1.0]), np.array([0.5, 1.0, 0.1])

@@ -158,6 +158,7 @@ def requested(case):
     return params.requested
 
 
+@pytest.mark.slow_rows("sunlit-haze.interior_medium.albedo.value.value-4-reverse")
 @pytest.mark.parametrize(
     ("case", "mode"),
     [

@@ -78,7 +78,7 @@ def by_quadrature(sigmas, emissions, scale, background):
     return seen.sum(axis=0) + end, scale * by_sigma, by_emission, (by_sigma * sigmas).sum(axis=0)
 
 
-@pytest.mark.slow_rows("0.0-0.0")
+@pytest.mark.slow_rows("1.5-0.3", "0.0-0.0")
 @pytest.mark.parametrize(("scale", "background"), [(1.5, 0.3), (0.0, 0.0)])
 def test_a_slab_of_layers(scene, scale, background):
     """Without scattering; by every layer, also where nothing absorbs."""

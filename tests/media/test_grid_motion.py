@@ -59,6 +59,7 @@ CASES = [
 ]
 
 
+@pytest.mark.slow_rows("smoky slab-bulb.position-3")
 @pytest.mark.parametrize(
     "case", [pytest.param(case, id=str(case), marks=[pytest.mark.slow] * case.slow) for case in CASES]
 )

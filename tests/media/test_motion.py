@@ -141,6 +141,7 @@ def test_nothing_changes_where_all_moves_together():
     assert abs(sum(parts)) < 2e-4 * max(map(abs, parts)), parts
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", AIRLIGHT, ids=str)
 def test_a_light_that_moves_away_in_fog(case):
     """A point light of intensity 1 in endless fog beside the ray of the camera: the closed form's dL/dD."""

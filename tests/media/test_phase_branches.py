@@ -125,6 +125,7 @@ def test_cosines_have_the_density_of_a_lobe(g):
 OTHERS = [("lamp", "resampled"), *((n, m) for n in ("smoke", "bulb") for m in METHODS)]
 
 
+@pytest.mark.slow_rows("lamp-decomposed")
 @pytest.mark.parametrize(
     ("name", "method"),
     [

@@ -84,6 +84,7 @@ def test_a_tape(scene, expected):
     assert_same({name: params[name].grad.numpy() for name in expected[1]}, expected[1])
 
 
+@pytest.mark.slow
 def test_torch(scene, expected):
     torch = pytest.importorskip("torch")
     params = psdr.traverse(scene)

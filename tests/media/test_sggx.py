@@ -216,6 +216,7 @@ def test_light_scattered_once(slab):
     assert_mean(image, scattered_once(at[:6], *at[6:]), "radiance", WIDTH)
 
 
+@pytest.mark.slow
 def test_what_moves_beside_light_scattered_once():
     """The bulb, by which shadow rays and turns change, and the camera, which looks along other directions."""
     inside = {**medium(0.5, 0.6), "phase": {"type": "sggx", "S": FLAKES["turned"]}}

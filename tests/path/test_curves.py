@@ -55,7 +55,7 @@ def test_image_is_mitsubas(plugin: str, bsdf: dict, tmp_path) -> None:
     assert_mitsubas(theirs, theirs)
 
 
-@pytest.mark.slow_rows("linearcurve")
+@pytest.mark.slow_rows("bsplinecurve", "linearcurve")
 @pytest.mark.parametrize("plugin", ["bsplinecurve", pytest.param("linearcurve", marks=pytest.mark.slow)])
 def test_a_straight_tube_covers_its_shadow(plugin: str) -> None:
     """Seen from the side by parallel rays: 2 r L for a tube, and pi r^2 more with its two half spheres."""

@@ -65,6 +65,7 @@ def test_what_the_camera_sees_is_the_fine_tessellations() -> None:
     assert (seen[0]["ii"] <= 1.0).all()
 
 
+@pytest.mark.slow
 def test_a_cylinder_is_seen_from_within() -> None:
     """A uniform sky through both ends of a cylinder, scattered once by its wall."""
     film = {"type": "hdrfilm", "width": 4, "height": 4, "rfilter": {"type": "box"}}

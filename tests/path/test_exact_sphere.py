@@ -69,6 +69,7 @@ def test_white_furnace(seen_from: str) -> None:
     np.testing.assert_allclose(image.mean(axis=(0, 1, 2)), expected, atol=0.01)
 
 
+@pytest.mark.slow_rows("textured")
 @pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.slow] * (n != "textured")) for n in BSDFS])
 def test_image_is_mitsubas(name: str) -> None:
     mi = pytest.importorskip("mitsuba")

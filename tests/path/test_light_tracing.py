@@ -175,6 +175,7 @@ def pixel_means(radiance, size=8, fine=16):
     return values.reshape(size, fine, size, fine).mean(axis=(1, 3))
 
 
+@pytest.mark.slow
 def test_a_point_light_behind_glass_is_what_a_quadrature_says():
     """Which no path from the camera finds."""
     scene = psdr.load_dict(under_water())

@@ -47,6 +47,7 @@ def test_transmittance_of_stacked_masks(opacities):
     np.testing.assert_allclose(image.mean(axis=(0, 1)), FLOOR * passed, rtol=ROUNDING)
 
 
+@pytest.mark.slow
 def test_an_area_light_shines_through_masks():
     plain, through = (batches(lit(*o, area=True), spp=64, max_depth=4).mean(axis=(1, 2)) for o in ((), (0.3, 0.6)))
     assert_same_mean(through, plain * 0.28, "area light", 1e-3)

@@ -117,6 +117,7 @@ def test_shadow_rays_through_a_plate_keep_the_mean(half, monkeypatch):
     assert by_both.var(axis=0).mean() < (0.1 if half < 1.0 else 0.9) * by_paths.var(axis=0).mean()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [32, 33])
 def test_light_behind_too_many_surfaces_is_dark_and_counted(count):
     sheets = {

@@ -86,7 +86,15 @@ SLOW = ("principled", "paper", "principled glass")
 
 
 @pytest.mark.slow_rows(
-    "hidden emitters", "point, spot and sun", "thin glass", "mirror", "rough Beckmann", "anisotropic", "two sides"
+    "glass",
+    "rough GGX",
+    "hidden emitters",
+    "point, spot and sun",
+    "thin glass",
+    "mirror",
+    "rough Beckmann",
+    "anisotropic",
+    "two sides",
 )
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=[pytest.mark.slow] * (name in SLOW)) for name in MITSUBA_CASES]
@@ -121,6 +129,7 @@ def test_samplers_agree():
     assert np.median(sobol.var(axis=0)) < 0.9 * np.median(independent.var(axis=0))
 
 
+@pytest.mark.slow_rows("1")
 @pytest.mark.parametrize("rr_depth", [1, 3])
 def test_russian_roulette_keeps_the_mean(rr_depth):
     scene = psdr.load_file(BOX, resolution=32)

@@ -101,6 +101,7 @@ def test_image_is_mitsubas(grid: np.ndarray, pose: psdr.Transform, normals: str,
     assert_mitsubas(described, described)
 
 
+@pytest.mark.slow_rows("analytic")
 @pytest.mark.parametrize("normals", [pytest.param("smooth", marks=pytest.mark.slow), "analytic"])
 def test_turned_image_is_mitsubas_instance(normals: str) -> None:
     described = scene(blob(16), TURNED, normals, DIFFUSE)

@@ -2,7 +2,6 @@
 
 import dataclasses
 import sys
-import warnings
 
 import numpy as np
 import pytest
@@ -10,6 +9,7 @@ import warp as wp
 
 import warp_psdr as psdr
 from tests.gradients import scenes
+from tests.plan.generated import generated
 from warp_psdr.estimate import passes
 from warp_psdr.kernels import path as path_module
 from warp_psdr.kernels.bsdf import dispatch
@@ -37,31 +37,22 @@ def diffuse():
     return scene, psdr.traverse(scene)
 
 
-def source_of(kernel, folder):
-    """The C++ source that Warp generates for a kernel's module, with its comments."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # that the binary is for this processor, which is not kept
-        wp.compile_aot_module(kernel.module, device="cpu", module_dir=folder)
-    return "\n".join(f.read_text() for f in folder.glob("*.cpp"))
-
-
-def functions_of(source):
+def functions_of(kernel):
     """Generated source without the records, whose fields are the same in every scene, and without file names.
 
     ``structs.Scene`` names its environment arrays whether they are used or not.
     """
-    lines = source.splitlines()
+    lines = generated(kernel)[1].splitlines()
     first = next(i for i, line in enumerate(lines) if line.startswith("static") and "_atomic" not in line)
     return "\n".join(lines[first:]).lower()
 
 
-@pytest.mark.slow_rows("reverse")
 @pytest.mark.parametrize("kind", ["primal", "reverse"])
-def test_a_diffuse_scene_holds_no_code_of_other_models(diffuse, kind, tmp_path):
+def test_a_diffuse_scene_holds_no_code_of_other_models(diffuse, kind):
     scene, _params = diffuse
     plan = psdr.plan(scene, names=["floor.bsdf.reflectance.value"], integrator=INTEGRATOR)
     kernel = make_primal_kernel(plan.config) if kind == "primal" else passes.camera_gradient_kernels(plan, "reverse")[0]
-    source = functions_of(source_of(kernel, tmp_path))
+    source = functions_of(kernel)
     assert "diffuse" in source  # the search looks at the right text
     found = {}
     for word in FOREIGN:
@@ -71,9 +62,9 @@ def test_a_diffuse_scene_holds_no_code_of_other_models(diffuse, kind, tmp_path):
     assert not found
 
 
-def test_the_search_finds_foreign_code(tmp_path):
+def test_the_search_finds_foreign_code():
     scene, _params = scenes.load("rough")
-    source = functions_of(source_of(make_primal_kernel(psdr.plan(scene, integrator=INTEGRATOR).config), tmp_path))
+    source = functions_of(make_primal_kernel(psdr.plan(scene, integrator=INTEGRATOR).config))
     assert "ggx" in source or "microfacet" in source
 
 
@@ -120,7 +111,7 @@ def test_an_unused_feature_leaves_the_kernels_of_other_scenes_alone(diffuse, mon
 
 
 @pytest.mark.slow
-def test_one_albedo_compiles_no_geometry(diffuse, tmp_path):
+def test_one_albedo_compiles_no_geometry(diffuse):
     scene, _params = diffuse
     albedo = psdr.plan(scene, names=["floor.bsdf.reflectance.value"], integrator=INTEGRATOR)
     everything = psdr.plan(scene, names=list(scene.parameters), integrator=INTEGRATOR)
@@ -128,10 +119,7 @@ def test_one_albedo_compiles_no_geometry(diffuse, tmp_path):
     assert [slot.name for slot in albedo.config.material] == ["reflectance"]
     assert albedo.wanted.material == (True,)
     words = ("barycentrics_dot", "connection_vjp", "normalize_vjp", "accumulate_vertex", "camera_vjp")
-    small, large = (
-        functions_of(source_of(passes.camera_gradient_kernels(plan, "reverse")[0], tmp_path / str(i)))
-        for i, plan in enumerate((albedo, everything))
-    )
+    small, large = (functions_of(passes.camera_gradient_kernels(plan, "reverse")[0]) for plan in (albedo, everything))
     # A function's own definition is emitted as "static ... name_0("; closures of what is not called are not.
     assert [w for w in words if f" {w}_" in small] == []
     assert [w for w in words if f" {w}_" in large], "the words are out of date"
@@ -173,11 +161,11 @@ def test_the_plan_of_a_richer_scene():
     assert table["anisotropy"] == "yes"
 
 
-def test_depth_one_compiles_no_scattering(diffuse, tmp_path):
+def test_depth_one_compiles_no_scattering(diffuse):
     scene, _params = diffuse
     plan = psdr.plan(scene, integrator=psdr.PathIntegrator(max_depth=1))
     assert not plan.config.scatter
-    assert "diffuse" not in functions_of(source_of(make_primal_kernel(plan.config), tmp_path))
+    assert "diffuse" not in functions_of(make_primal_kernel(plan.config))
 
 
 @pytest.mark.parametrize(

@@ -1,13 +1,12 @@
 """Scenes without media: nothing of their device code is that of media. Sources are generated, not compiled."""
 
 import pytest
-import warp as wp
-from warp._src.context import ModuleBuilder  # what generates source; there is no public way to it
 
 import warp_psdr as psdr
 from tests.gradients import scenes
 from tests.gradients.configs import TOGETHER
 from tests.media.scenes import blended_by_grids
+from tests.plan.generated import generated
 from warp_psdr.estimate import passes
 
 INTEGRATOR = psdr.PathIntegrator(max_depth=4, boundary=None)
@@ -19,9 +18,7 @@ FAST = ("gap",)
 
 def modules_of(kernel):
     """Names of the modules that define functions and structs in a kernel's source."""
-    options = kernel.module.resolve_options(wp.config, block_dim=1) | {"output_arch": None, "block_dim": 1}
-    builder = ModuleBuilder(kernel.module, options, target="cpu")
-    source = builder.codegen("cpu")
+    builder, source = generated(kernel)
     functions = [f for f in builder.functions if f.func is not None]
     assert len(functions) > 50 and all(f.native_func in source for f in functions)
     return {f.func.__module__ for f in functions} | {s.cls.__module__ for s in builder.structs}

@@ -165,6 +165,7 @@ def test_no_ray_passes_a_curve(plugin: str, radius: float, curl: float, count: i
     assert found[hit, 7:].min() >= 0.0 and found[hit, 7:].max() <= 1.0
 
 
+@pytest.mark.slow
 def test_rays_beside_a_bend_pass() -> None:
     """What passes a tube of constant radius next to its silhouette meets nothing, however little it bends there."""
     rng = np.random.default_rng(4)

@@ -48,6 +48,7 @@ def network(name: str) -> tuple[Net, Network]:
     return net, Network(net.layers, net.frequencies, net.sine, net.scale, 32)
 
 
+@pytest.mark.slow_rows("softplus-2000")
 @pytest.mark.parametrize(
     ("name", "count"),
     [

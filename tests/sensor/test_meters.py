@@ -49,7 +49,7 @@ def test_meters_have_closed_forms():
     np.testing.assert_allclose(seen.numpy(), 2.0, rtol=1e-6)
 
 
-@pytest.mark.slow_rows("radiance")
+@pytest.mark.slow_rows("irradiance", "radiance")
 @pytest.mark.parametrize("sensor", ["radiance", "irradiance"])
 def test_numbers_equal_mitsubas(sensor):
     mi = pytest.importorskip("mitsuba")

@@ -242,11 +242,13 @@ def test_geometry(case, check) -> None:
     check(case)
 
 
+@pytest.mark.slow
 def test_without_the_cut_t_junctions_count_twice(monkeypatch) -> None:
     monkeypatch.setattr(edges, "cut_sides", lambda points, group, shape, sides, face, tolerance: (sides, face))
     assert slope(junctions((0.3,))) > 0.05
 
 
+@pytest.mark.slow
 def test_without_the_tilt_needles_count_twice(monkeypatch) -> None:
     monkeypatch.setattr(edges, "TILT", 0.0)
     assert slope([with_mesh("box", *cut_everywhere(BOX, 4e-6))]) > 0.1

@@ -143,6 +143,7 @@ def kill(file: Path, kills: int, seed: int) -> dict:
     return report
 
 
+@pytest.mark.slow
 def test_killed_a_few_times(tmp_path: Path) -> None:
     kill(write_fit(tmp_path), 3, seed=1)
 
