@@ -7,7 +7,8 @@ that comes from l and is seen from w. The flux of the next ray over that of the 
     R |n . l| |n_g . w| / (|n_g . l| |n . w|)      (mirrors, glass)
 
 n the shading and n_g the geometric normal [Vea97, section 5.3]; R holds no squared index of refraction. Delta lobes are
-passed by sampling.
+passed by sampling. Where light paths join those of the camera (``PathConfig.caustics``), they bring what these do not
+find: light of no area whose first lobe, null lobes aside, is a delta lobe.
 
 Derivation: ``docs/theory/light_tracing.md#transport-of-flux``.
 """
@@ -16,11 +17,13 @@ import functools
 
 import warp as wp
 
-from warp_psdr.kernels.constants import CAMERA_IRRADIANCEMETER, CAMERA_THINLENS, FAR, LOBE_SMOOTH
+from warp_psdr.kernels.constants import CAMERA_IRRADIANCEMETER, CAMERA_THINLENS, FAR, LOBE_NULL, LOBE_SMOOTH
+from warp_psdr.kernels.emitter.dispatch import is_delta_light
 from warp_psdr.kernels.interaction import enter_frame, leave_frame, make_interaction
 from warp_psdr.kernels.invalid import finite, vanishes
 from warp_psdr.kernels.jobs import PixelJob
 from warp_psdr.kernels.light_ray import LightRay, make_light_ray
+from warp_psdr.kernels.reading import emitter_at
 from warp_psdr.kernels.rng import Sampler, make_sampler, sampler_at
 from warp_psdr.kernels.scattering import ROULETTE_MAX, ROULETTE_MIN
 from warp_psdr.kernels.sensor.camera import make_lens
@@ -44,6 +47,7 @@ class LightState:
 
     alive: wp.int32
     depth: wp.int32  # surfaces that the path has met
+    turned: wp.int32  # 1: a mirror or glass has turned it; kept where that matters
     o: wp.vec3
     d: wp.vec3
     throughput: wp.vec3  # flux over that of the ray which left the light
@@ -155,6 +159,9 @@ def make_light_path(config: PathConfig, differential: bool):
         state.alive = 1
         if wp.static(not differential):
             state.alive = wp.where(vanishes(ray.flux), 0, 1)
+        if wp.static(config.caustics):
+            if not is_delta_light(emitter_at(scene, ray.emitter).kind):
+                state.alive = 0
         return ray, state
 
     @wp.func
@@ -180,7 +187,11 @@ def make_light_path(config: PathConfig, differential: bool):
         lens = wp.vec2(0.0, 0.0)
         if wp.static(config.camera in (CAMERA_THINLENS, CAMERA_IRRADIANCEMETER)):
             lens = lens_point(sample_2d(sampler, slot + 1))
-        vertex = join(scene, camera, vertex, at.x, cosine, lens)
+        if wp.static(config.caustics):
+            if state.turned == 1:
+                vertex = join(scene, camera, vertex, at.x, cosine, lens)
+        else:
+            vertex = join(scene, camera, vertex, at.x, cosine, lens)
         if max_depth >= 0 and state.depth + 3 > max_depth:
             return vertex, after
 
@@ -188,6 +199,12 @@ def make_light_path(config: PathConfig, differential: bool):
         bs = interaction.sample(at, u4[0], wp.vec2(u4[2], u4[3]))
         if bs.pdf <= 0.0:
             return vertex, after
+        if wp.static(config.caustics):
+            after.turned = state.turned
+            if state.turned == 0 and bs.lobe != LOBE_NULL:
+                if bs.lobe == LOBE_SMOOTH:
+                    return vertex, after
+                after.turned = 1
         w = leave_frame(at.frame, bs.wo)
         to_light = at.wi
         leaving = wp.abs(wp.dot(at.ng, w))

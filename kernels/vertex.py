@@ -60,6 +60,9 @@ class PathConfig:
     through: bool = False
     #: True: of the camera's first surface only delta lobes count, for the rest is the light paths' (``light_path.py``).
     delta_first: bool = False
+    #: True: of light paths those count that leave lights of no area, and that a mirror or glass turns before a smooth
+    #: lobe does: what no path from the camera finds (``light_path.py``).
+    caustics: bool = False
     #: Of bidirectional paths (``bidirectional_path.py``): "light" joins light paths to the camera, "all" to its paths
     #: too; empty: none are.
     connections: str = ""

@@ -48,6 +48,7 @@ MIRROR_LIGHTS = PathConfig(
         "one_light": False,
     }
 )
+CAUSTICS = PathConfig(**{**vars(MIRROR_LIGHTS), "caustics": True})
 #: Shapes without triangles beside those with.
 KINDS = (c.PRIMITIVE_SPHERE, c.PRIMITIVE_DISK, c.PRIMITIVE_CYLINDER)
 EXACT = PathConfig(**{**vars(SIMPLE), "uv": True, "tangent": True, "primitives": KINDS, "shining": KINDS})

@@ -6,6 +6,7 @@ from tests.config_helpers import EVERYTHING, OTHERS, SIMPLE, everything, wanted
 from tests.cuda_configs import (
     ALBEDO,
     ALL_LIGHTS,
+    CAUSTICS,
     CONNECTED,
     CONNECTED_LIGHTS,
     CONNECTED_THROUGH,
@@ -200,6 +201,7 @@ FACTORIES = {
     ],
     "light_tracing.make_light_image_kernel": [
         ("simple", (SIMPLE,), SLOW),
+        ("caustics", (CAUSTICS,), SLOW),
         ("lights", (ALL_LIGHTS,), SLOW),
         ("thin lens", (THIN_LENS,), SLOW),
         ("materials", (MATERIALS,), SLOW),

@@ -60,7 +60,7 @@ def _kernels(plan: Plan) -> list[wp.Kernel]:
     """Return the kernel of the image's light paths, if there are any."""
     if connected(plan):
         return [make_connected_image_kernel(plan.config)]
-    return [make_light_image_kernel(plan.config)] if traces(plan) else []
+    return [make_light_image_kernel(plan.light.paths)] if plan.light is not None and traces(plan) else []
 
 
 def add_image(
@@ -166,19 +166,22 @@ def _halves(plan: Plan, progress: Progress | None) -> tuple[Progress | None, Pro
 
 def _gradient_kernels(plan: Plan, role: str) -> list[wp.Kernel]:
     """Return the kernels of the light paths' derivatives, if there are any; their results add up."""
-    if not traces(plan):
+    if plan.light is None or not traces(plan):
         return []
     assert plan.wanted is not None and plan.kept is not None
-    found = [make_connected_kernel(plan.config, plan.wanted, role)] if connected(plan) else []
+    paths, kept = plan.light.paths, plan.light.kept or plan.kept
+    found = [make_connected_kernel(paths, plan.wanted, role)] if connected(plan) else []
     if role == "forward":
-        return [*found, make_light_forward_kernel(plan.config, plan.wanted)]
-    return found or [make_light_replay_kernel(plan.config, plan.wanted, plan.kept.block, plan.kept.blocks)]
+        return [*found, make_light_forward_kernel(paths, plan.wanted)]
+    return found or [make_light_replay_kernel(paths, plan.wanted, kept.block, kept.blocks)]
 
 
 def _paths(plan: Plan, camera: Camera, spp: int, seed: int) -> PixelSamples:
     """Return the light paths of a pass."""
     scale = 1.0 / (float(spp) * camera.crop_width * camera.crop_height)
-    return PixelSamples(spp, mix_seed(seed, STREAM_LIGHT), depth_of(plan), plan.rr_depth, scale=scale)
+    kept = plan.kept if plan.light is None or plan.light.kept is None else plan.light.kept
+    depth = depth_of(replace(plan, kept=kept))
+    return PixelSamples(spp, mix_seed(seed, STREAM_LIGHT), depth, plan.rr_depth, scale=scale)
 
 
 def traces(plan: Plan) -> bool:

@@ -27,6 +27,10 @@ class PathIntegrator:
         interior: method of the interior term; "auto": ``Replay()``, and from a repeated gradient of a scene on
             ``Resampled()`` or ``Decomposed()`` for shapes of lobes and ``Antithetic()`` for normals beside it, where a
             pilot says that it pays.
+        caustics: whether light paths join those of the camera, for light of lights of no area that mirrors or glass
+            turn, which no path from the camera finds: in images, and in derivatives by what ``LightTracing()``
+            differentiates; what moves anything raises an error. "auto": with ``interior="auto"``, where all that
+            such a light sends meets mirrors or glass first. False: that light is left out, as by Mitsuba's ``path``.
         boundary: method of the boundary term; "auto": ``PathSpace()``, whose shadow edges are guided from a repeated
             gradient of a scene on if a pilot says that it pays; None: left out on purpose (the gradient then misses
             moving discontinuities). ``psdr.guiding.set_automatic`` and ``reset`` serve both methods.
@@ -38,6 +42,7 @@ class PathIntegrator:
     sampler: Literal["auto", "sobol", "independent"] = "auto"
     interior: interior_methods.Method | Literal["auto"] = "auto"
     boundary: boundary_methods.Method | Literal["auto"] | None = "auto"
+    caustics: bool | Literal["auto"] = "auto"
 
     def __post_init__(self) -> None:
         """Validate once.
@@ -58,6 +63,10 @@ class PathIntegrator:
             raise ValueError(f"rr_depth: got {self.rr_depth}, expected at least 1")
         if not isinstance(self.hide_emitters, (bool, np.bool_)):
             raise ValueError(f"hide_emitters: got {self.hide_emitters!r}, expected True or False")
+        if not isinstance(self.caustics, (bool, np.bool_)) and self.caustics != "auto":
+            raise ValueError(f"caustics: got {self.caustics!r}, expected True, False or 'auto'")
+        if self.caustics != "auto":
+            object.__setattr__(self, "caustics", bool(self.caustics))
         if self.sampler not in ("auto", "sobol", "independent"):
             raise ValueError(f"sampler: got {self.sampler!r}, expected 'auto', 'sobol' or 'independent'")
         if not isinstance(self.interior, interior_methods.Method) and self.interior != "auto":

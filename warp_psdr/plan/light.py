@@ -1,4 +1,4 @@
-"""What light paths call for: the paths from the camera beside them, and what is refused."""
+"""What light paths call for: the paths from the camera beside them, where they join these, and what is refused."""
 
 from __future__ import annotations
 
@@ -15,16 +15,25 @@ from warp_psdr.kernels.constants import (
 )
 from warp_psdr.kernels.scattering import samples_lights
 from warp_psdr.options import interior
+from warp_psdr.plan.replay import Kept, keep_blocks
+from warp_psdr.topology.behind_glass import lights_behind_glass
 
 if TYPE_CHECKING:
     from warp_psdr.kernels.interior.gradient_request import GradientRequest
     from warp_psdr.kernels.vertex import PathConfig
+    from warp_psdr.options.integrator import PathIntegrator
     from warp_psdr.plan.plan import Plan
+    from warp_psdr.scene.scene import Scene
+
+#: What the plan calls the light that no path from the camera finds.
+BY_GLASS = "light by mirrors and glass"
+#: Vertices of its shortest path: the light, a mirror or glass, and what is lit.
+SHORTEST = 3
 
 
 @dataclass(frozen=True)
 class LightTracing:
-    """The two passes of light tracing, or of bidirectional paths.
+    """The two passes of light tracing, or of bidirectional paths; or light paths that join those of the camera.
 
     Attributes:
         method: which of the two.
@@ -32,6 +41,7 @@ class LightTracing:
         camera: what paths from the camera compile: the light that is seen, and what is seen by a delta lobe.
         wanted: which derivatives they compute; None: they have none, or primal only.
         joins: whether light paths have vertices that can be joined to the camera.
+        kept: what of a light path that joins is kept; None: what the method keeps.
     """
 
     method: interior.Method
@@ -39,6 +49,7 @@ class LightTracing:
     camera: PathConfig
     wanted: GradientRequest | None
     joins: bool
+    kept: Kept | None = None
 
     @property
     def connected(self) -> bool:
@@ -122,11 +133,82 @@ def left_out(config: PathConfig) -> list[tuple[str, str, str]]:
     Lights of no area shine through glass and by mirrors, and next-event estimation never meets these. Derivatives are
     those of the image, so that no method of theirs finds it where the image does not.
     """
-    turns = any(model.mirrors or LOBE_DELTA_TRANSMISSION in model.lobes for model in models_of(config.bsdfs))
-    if not (turns and DELTA_LIGHTS & set(config.lights)):
+    if not has_caustics(config):
         return []
-    reason = "a light has no area: interior.LightTracing() or interior.Bidirectional() finds it, image and derivatives"
-    return [("light by mirrors and glass", "left out", reason)]
+    reason = (
+        "a light has no area: PathIntegrator(caustics=True), interior.LightTracing() or interior.Bidirectional() finds "
+        "it, image and derivatives"
+    )
+    return [(BY_GLASS, "left out", reason)]
+
+
+def has_caustics(config: PathConfig) -> bool:
+    """Whether mirrors or glass may turn light of lights of no area."""
+    turns = any(model.mirrors or LOBE_DELTA_TRANSMISSION in model.lobes for model in models_of(config.bsdfs))
+    return turns and bool(DELTA_LIGHTS & set(config.lights))
+
+
+def joined(
+    scene: Scene,
+    config: PathConfig,
+    wanted: GradientRequest | None,
+    integrator: PathIntegrator,
+    automatic: bool,
+    moving: tuple[str, ...],
+) -> tuple[LightTracing | None, list[tuple[str, str, str]]]:
+    """Return the light paths that join those of the camera, if any do, and what the plan says.
+
+    Args:
+        scene: a loaded scene.
+        config: what paths from the camera compile.
+        wanted: which derivatives; None: primal only.
+        integrator: with the method of the interior that it stands for.
+        automatic: whether the plan has chosen that method.
+        moving: what moves discontinuities.
+
+    Raises:
+        ValueError: they join, and what is requested is not differentiated through them, or they were asked for and
+            cannot join.
+    """
+    reason = _cannot_join(config)
+    if integrator.caustics is True and reason:
+        raise ValueError(f"caustics=True: {reason}; say caustics=False")
+    if config.media is not None or integrator.max_depth == 1:
+        return None, []
+    if not has_caustics(config) or 0 < integrator.max_depth < SHORTEST or reason or integrator.caustics is False:
+        return None, left_out(config)
+    behind = lights_behind_glass(scene) if automatic and integrator.caustics == "auto" else ()
+    if not behind and integrator.caustics is not True:
+        return None, left_out(config)
+    why = f"{', '.join(behind)} shines by mirrors and glass alone" if behind else "caustics=True"
+    if wanted is not None:
+        refused = refused_with_light_paths("light tracing", config, wanted)
+        if moving and not refused:
+            refused = f"light tracing does not follow what moves discontinuities: {moving[0]}"
+        if refused:
+            raise ValueError(
+                f"{why}, and light paths join those of the camera: {refused}. PathIntegrator(caustics=False) leaves "
+                "this light out of images and derivatives alike"
+            )
+        if not (any(wanted.material) or wanted.to_uv or wanted.lights):
+            return None, [(BY_GLASS, "not differentiated", "what is requested does not change it")]
+    own = replace(config, caustics=True)
+    kept = keep_blocks(interior.Replay(), integrator.max_depth, integrator.rr_depth) if wanted is not None else None
+    light = LightTracing(interior.LightTracing(), own, config, wanted, True, kept)
+    return light, [(BY_GLASS, "light tracing joins", why)]
+
+
+def _cannot_join(config: PathConfig) -> str:
+    """Say why light paths cannot join those of the camera; empty: they can."""
+    if config.media is not None:
+        return "light paths are not followed through participating media"
+    if config.primitives:
+        return "light paths do not meet shapes without triangles"
+    if config.pulse:
+        return "light paths are not timed"
+    if config.camera == CAMERA_RADIANCEMETER:
+        return "no light path meets the one ray of a 'radiancemeter'"
+    return ""
 
 
 def refuse_connected(plan: Plan, who: str) -> None:

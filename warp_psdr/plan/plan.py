@@ -23,7 +23,7 @@ from warp_psdr.plan import choice, guiding, media, primitives, reparametrised, t
 from warp_psdr.plan.coverage import choose, has_hard_frame, refuse_own_shape, slides_steps, sliding_heights
 from warp_psdr.plan.integrator import Integrator, integrator_of
 from warp_psdr.plan.interior import row_of
-from warp_psdr.plan.light import left_out, passes
+from warp_psdr.plan.light import joined, passes
 from warp_psdr.plan.motion import motion
 from warp_psdr.plan.record import Plan
 from warp_psdr.plan.words import CAMERA_NAMES, EMITTER_NAMES, TEXTURE_NAMES
@@ -179,8 +179,9 @@ def decide(
         light = passes(config, wanted, method, integrator.max_depth)
         config = light.paths
         lines.append(light.line)
-    elif config.media is None and integrator.max_depth != 1:
-        lines += left_out(config)
+    else:
+        light, by_glass = joined(scene, config, wanted, integrator, automatic, moving)
+        lines += by_glass
     return Plan(
         config,
         wanted,
