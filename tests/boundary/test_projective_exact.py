@@ -18,7 +18,7 @@ from warp_psdr.kernels.sampling import square_to_sphere
 from warp_psdr.kernels.structs import Scene
 from warp_psdr.kernels.visibility import visibility_of
 from warp_psdr.plan.motion import motion, moving_shapes
-from warp_psdr.scene.exact import outlines
+from warp_psdr.topology.joined_rims import outlines
 
 from .scenes import load
 from .test_exact_kinds import NAME as SHAPE
@@ -59,7 +59,8 @@ def make_round_trip(config):
         x_out[i, 0] = seen.point.x
         w_out[i, 0] = seen.w
         number = own(scene, found, seen)
-        face, along = choose_outline(found.items, number[0])
+        n, along = choose_outline(found.items, number[0])
+        face = found.items[n].number
         u = wp.vec2(wp.float32(number[1]), wp.float32(number[2]))
         tri = scene.triangles[wp.where(face < 0, -1 - face, face)]
         if face < 0:

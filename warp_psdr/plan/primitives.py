@@ -20,6 +20,7 @@ from warp_psdr.topology.crossing_curves import touched
 from warp_psdr.topology.crossing_pairs import crossed_light, touching_pair
 from warp_psdr.topology.grid_contacts import in_box, is_open, passed_by, pierced_grid
 from warp_psdr.topology.grid_silhouettes import grid_shapes, grid_values
+from warp_psdr.topology.joined_rims import joined_rims
 from warp_psdr.topology.network_silhouettes import is_open_network, network_shapes
 from warp_psdr.topology.tube_contacts import pierced_tubes
 from warp_psdr.topology.tube_crossings import resting_end
@@ -157,10 +158,10 @@ def _beside_motion(scene: Scene, config: PathConfig, integrator: PathIntegrator,
     reason = _of_boundary(scene, config, integrator)
     if reason:
         return reason
-    return _of_exact(scene, integrator, names)
+    return _of_exact(scene, config, integrator, names)
 
 
-def _of_exact(scene: Scene, integrator: PathIntegrator, names: list[str]) -> str:
+def _of_exact(scene: Scene, config: PathConfig, integrator: PathIntegrator, names: list[str]) -> str:
     """Say what exact shapes run through, or touch, along a curve without a term; empty: nothing."""
     moves = motion(scene, names)
     moved = None if moves.camera else moves.shapes
@@ -171,6 +172,11 @@ def _of_exact(scene: Scene, integrator: PathIntegrator, names: list[str]) -> str
             f"{b.path!r} touches {a.path!r} along a line that moves; lift one off the other, or let one reach into the "
             "other"
         )
+    joined = joined_rims(scene).pairs
+    if joined and has_delta_lobes(config.bsdfs):
+        a, b = (scene.description.shapes[i] for i in joined[0])
+        where = f"{a.path!r} and {b.path!r} join at a rim"
+        return f"{where}, which is not followed through smooth mirrors and glass; make them rough"
     pair = crossed_light(scene) if integrator.hide_emitters else None
     if pair is not None:
         a, b = (scene.description.shapes[i] for i in pair)
@@ -227,7 +233,7 @@ def _beside_moving_kinds(scene: Scene, config: PathConfig, integrator: PathInteg
         if is_open(grid_values(scene, i), grid.cubic):
             opened = f"the surface of {shapes[i].path!r} ends at its box, along a curve that moves"
             return f"{opened}; give positive values all around, or {ALONE}"
-    reason = _of_exact(scene, integrator, names)
+    reason = _of_exact(scene, config, integrator, names)
     if reason:
         return f"{reason}, or {ALONE}"
     for i in network_shapes(scene):

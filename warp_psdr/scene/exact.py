@@ -10,12 +10,9 @@ import itertools
 from typing import TYPE_CHECKING
 
 import numpy as np
-import warp as wp
 
 from warp_psdr.device import launch
 from warp_psdr.kernels import constants as c
-from warp_psdr.kernels.boundary.silhouette.dispatch import OUTLINES
-from warp_psdr.kernels.boundary.silhouette.rim import RIMS
 from warp_psdr.kernels.primitive.affine import update_primitive
 
 from .curve_points import held_curve_point
@@ -129,16 +126,6 @@ def update_record(scene: Scene, shape: int) -> None:
     place = scene.face_count + scene.builder.primitives.index(shape)
     inputs = [scene.values, pose, shape, KINDS[s.primitive], scene.builder.shapes[shape].orientation, place]
     launch(update_primitive, dim=1, inputs=inputs, outputs=[scene.triangles], device=scene.device)
-
-
-def outlines(scene: Scene, shapes: frozenset[int] | None) -> wp.array | None:
-    """Return the outlines of some exact shapes (None: of all), as ``silhouette/dispatch.py`` has them; None: none."""
-    found = []
-    for k, i in enumerate(scene.builder.primitives):
-        if shapes is None or i in shapes:
-            kind = KINDS[scene.description.shapes[i].primitive]
-            found += [scene.face_count + k] * (kind in OUTLINES) + [-1 - scene.face_count - k] * (kind in RIMS)
-    return wp.array(np.array(found, np.int32), dtype=wp.int32, device=scene.device) if found else None
 
 
 def sphere_points(u, v) -> np.ndarray:

@@ -19,6 +19,8 @@ from warp_psdr.device import launch
 from warp_psdr.kernels.boundary.touching import touching_pairs
 from warp_psdr.topology.edges import scene_adjacency
 from warp_psdr.topology.faces import face_edges
+from warp_psdr.topology.joined_rims import joined_rims
+from warp_psdr.topology.joined_rims import warn as warn_of_rims
 
 if TYPE_CHECKING:
     from warp_psdr.scene.scene import Scene
@@ -75,7 +77,7 @@ def _gap(scene: Scene) -> float:
 
 def describe(scene: Scene, shapes: frozenset[int]) -> str:
     """Name the shapes that touch one that moves; empty: there are none."""
-    found = contacts(scene).shapes
+    found = np.concatenate([contacts(scene).shapes, np.array(joined_rims(scene).pairs, np.int64).reshape(-1, 2)])
     found = np.unique(np.sort(found[np.isin(found, sorted(shapes)).any(axis=1)], axis=1), axis=0)
     return _names(scene, found) if len(found) else ""
 
@@ -91,6 +93,7 @@ def warn(scene: Scene, tangents: np.ndarray) -> None:
         tangents: flat, laid out like the scene's values: velocities of all vertices.
     """
     velocity = tangents[scene.positions : scene.positions + 3 * scene.vertex_count].reshape(-1, 3).astype(np.float64)
+    warn_of_rims(scene, tangents)
     rest = RESTING * float(np.linalg.norm(velocity, axis=1).max(initial=0.0))
     if rest == 0.0:
         return

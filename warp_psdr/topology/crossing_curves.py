@@ -16,6 +16,7 @@ import numpy as np
 
 from warp_psdr.topology.crossing_fields import HALVINGS, Field, across_axis, exact_field, grid_field
 from warp_psdr.topology.exact_shapes import TOUCHING, crossed_faces, exact_shapes, least_distance
+from warp_psdr.topology.joined_rims import joined_rims
 
 if TYPE_CHECKING:
     from warp_psdr.scene.scene import Scene
@@ -167,14 +168,14 @@ def cut_grid(scene: Scene, shape: int, shapes: frozenset[int] | None) -> Chords:
     return Chords(chords.points[keep], chords.faces[keep], chords.spans[keep], chords.rows[keep])
 
 
-def runs_along(field: Field, kind: str, corners: np.ndarray) -> bool:
-    """Whether a rim of an exact shape runs along one of some triangles (M, 3, 3), or a side of one along the shape."""
+def runs_along(field: Field, kind: str, ends: set[int], corners: np.ndarray) -> bool:
+    """Whether a rim, of those at ``ends``, runs along one of some triangles (M, 3, 3), or a side along the shape."""
     if kind == "sphere" or not len(corners):
         return False
     local = (corners - field.origin) @ np.linalg.inv(field.linear).T
     phi = 2.0 * np.pi * np.arange(RIM_POINTS) / RIM_POINTS
-    for height in (0.0,) if kind == "disk" else (0.0, 1.0):
-        rim = np.stack([np.cos(phi), np.sin(phi), np.full(RIM_POINTS, height)], axis=1)
+    for end in ends:
+        rim = np.stack([np.cos(phi), np.sin(phi), np.full(RIM_POINTS, float(end))], axis=1)
         touches = np.array([(least_distance(local - p) < TOUCHING).any() for p in rim])
         if (touches & np.roll(touches, 1)).any():
             return True
@@ -199,9 +200,9 @@ def touched(scene: Scene, shapes: frozenset[int] | None) -> tuple[int, int] | No
     """Return an exact shape and a mesh that touches it, one of them among ``shapes`` (None: any).
 
     They do where one runs along the other, or where no curve is found at more than a small angle. What touches a sphere
-    in a point is left out.
+    in a point, and cylinders that stand on a mesh, are left out.
     """
-    b = scene.builder
+    b, joined = scene.builder, joined_rims(scene)
     corners = scene.points[b.indices].astype(np.float64)
     for i in exact_shapes(scene):
         hit = crossed_faces(scene, i, shapes)
@@ -209,9 +210,10 @@ def touched(scene: Scene, shapes: frozenset[int] | None) -> tuple[int, int] | No
         for j in np.unique(b.face_shape[hit]):
             rows = hit[b.face_shape[hit] == j]
             chords = cut(field, corners[rows], rows)
+            ends = {0} if kind == "disk" else {0, 1} - joined.standing(i, int(j))
             if (
                 not len(chords.faces)
-                or runs_along(field, kind, corners[rows])
+                or runs_along(field, kind, ends, corners[rows])
                 or _slant(field, chords, corners) < LEAST
             ):
                 return i, int(j)

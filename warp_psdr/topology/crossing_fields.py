@@ -13,6 +13,7 @@ from warp_psdr.topology.exact_shapes import TOUCHING, pose
 from warp_psdr.topology.grid_contacts import TOUCHING as TOUCHING_GRID
 from warp_psdr.topology.grid_contacts import interpolated, spline_interpolated
 from warp_psdr.topology.grid_silhouettes import grid_values, is_smooth_grid
+from warp_psdr.topology.joined_rims import joined_rims
 
 if TYPE_CHECKING:
     from warp_psdr.scene.scene import Scene
@@ -20,6 +21,8 @@ if TYPE_CHECKING:
 #: Longest side of a small triangle, over the radius of an exact shape, and over that of the circle that a plane cuts
 #: out of a sphere.
 FINE, OF_CIRCLE = 0.04, 0.2
+#: How far a cylinder goes on below what it stands on, over its length.
+OVERLAP = 1.0e-3
 #: Bisections of a root.
 HALVINGS = 44
 #: ``FINE`` of grids, over a voxel; and points that are looked at at once.
@@ -58,6 +61,11 @@ def exact_field(scene: Scene, shape: int) -> Field:
     """Return an exact shape as a field."""
     kind = scene.description.shapes[shape].primitive
     phi, near, ends, sides = EXACT_FIELDS[kind]
+    standing = joined_rims(scene).standing(shape)
+    if standing:
+        # As if it went on below what it stands on.
+        low, high = (OVERLAP * (e in standing) for e in (0, 1))
+        ends = lambda q, _rows=None: (q[..., 2] + low) * (1.0 + high - q[..., 2])  # noqa: E731
     return Field(phi, near, ends, sides, *pose(scene, shape))
 
 

@@ -15,6 +15,7 @@ from warp_psdr.topology.crossing_curves import LEAST, RIM_POINTS, Chords, cut, c
 from warp_psdr.topology.crossing_fields import FINE, Field, across_axis, exact_field
 from warp_psdr.topology.exact_shapes import TOUCHING, crossed_faces, exact_shapes, pose, runs_through
 from warp_psdr.topology.grid_silhouettes import grid_shapes
+from warp_psdr.topology.joined_rims import joined_rims
 from warp_psdr.topology.tube_crossings import cut_tubes
 from warp_psdr.topology.tubes import curve_shapes
 
@@ -63,12 +64,18 @@ PROJECTED = {"sphere": _on_sphere, "cylinder": _on_cylinder, "disk": _on_disk}
 
 
 def exact_pairs(scene: Scene, shapes: frozenset[int] | None) -> Iterator[tuple[int, int]]:
-    """Yield pairs of exact shapes that run through each other or may touch, one of them in ``shapes`` (None: any)."""
-    exact = exact_shapes(scene)
+    """Yield pairs of exact shapes that run through each other or may touch, one of them in ``shapes`` (None: any).
+
+    Of a cylinder that stands on a disk the disk is the first, since the other one ends there. What closes a cylinder is
+    left out.
+    """
+    exact, joined = exact_shapes(scene), joined_rims(scene)
+    closes = {frozenset(cap[:2]) for cap in joined.caps}
+    stands = {(i, j) for i, _end, j in joined.stands}
     for n, i in enumerate(exact):
         for j in exact[n + 1 :]:
-            if (shapes is None or i in shapes or j in shapes) and runs_through(scene, i, j):
-                yield i, j
+            if (shapes is None or i in shapes or j in shapes) and {i, j} not in closes and runs_through(scene, i, j):
+                yield (j, i) if (i, j) in stands else (i, j)
 
 
 def cut_pair(scene: Scene, i: int, j: int) -> Chords:
@@ -133,14 +140,15 @@ def _slopes(field: Field, points: np.ndarray) -> np.ndarray:
 
 
 def _rim_runs_along(scene: Scene, i: int, j: int) -> bool:
-    """Whether a rim of an exact shape runs along another one."""
+    """Whether a rim of an exact shape runs along another one, on which it does not stand."""
     kinds = [scene.description.shapes[k].primitive for k in (i, j)]
     if kinds[0] == "sphere":
         return False
+    ends = {0} if kinds[0] == "disk" else {0, 1} - joined_rims(scene).standing(i, j)
     (linear, origin), (other, place) = pose(scene, i), pose(scene, j)
     phi = 2.0 * np.pi * np.arange(RIM_POINTS) / RIM_POINTS
-    for height in (0.0,) if kinds[0] == "disk" else (0.0, 1.0):
-        rim = np.stack([np.cos(phi), np.sin(phi), np.full(RIM_POINTS, height)], axis=1)
+    for end in ends:
+        rim = np.stack([np.cos(phi), np.sin(phi), np.full(RIM_POINTS, float(end))], axis=1)
         q = (rim @ linear.T + origin - place) @ np.linalg.inv(other).T
         if kinds[1] == "sphere":
             on = np.abs(np.linalg.norm(q, axis=1) - 1.0) < TOUCHING
@@ -156,7 +164,7 @@ def _rim_runs_along(scene: Scene, i: int, j: int) -> bool:
 def crossed_light(scene: Scene) -> tuple[int, int] | None:
     """Return a shape without triangles and another shape that run through each other and one of which shines."""
     shines = [shape.emitter is not None for shape in scene.description.shapes]
-    for i, j in exact_pairs(scene, None):
+    for i, j in [*exact_pairs(scene, None), *(cap[:2] for cap in joined_rims(scene).caps)]:
         if shines[i] or shines[j]:
             return (j, i) if shines[i] else (i, j)
     hit = [(i, crossed_faces(scene, i, None)) for i in exact_shapes(scene)]

@@ -51,7 +51,7 @@ class OutlinePoint:
 def item_of(found: OutlineItems, number: wp.int32) -> wp.int32:
     """Place of an outline in the list; -1: it is not in it."""
     for k in range(found.items.shape[0]):
-        if found.items[k] == number:
+        if found.items[k].number == number:
             return k
     return -1
 

@@ -101,15 +101,21 @@ class Silhouettes(NamedTuple):
     curvature: wp.Function
 
 
-@wp.func
-def choose_outline(outlines: wp.array(dtype=wp.int32), u: wp.float64) -> tuple[wp.int32, wp.float32]:
-    """One of some outlines, each as likely, and u within it.
+@wp.struct
+class OutlineItem:
+    """An outline: a smooth silhouette, or a rim."""
 
-    A silhouette is the number of its shape's record, a rim -1 less that.
-    """
+    number: wp.int32  # of the shape's record; of a rim -1 less that
+    neighbour: wp.int32  # of a disk's rim: record of the cylinder that it closes, whose wall begins there; -1: none
+    closed: wp.int32  # of a cylinder's rims: the end, 0 or 1, that is no open edge; -1: none
+
+
+@wp.func
+def choose_outline(outlines: wp.array(dtype=OutlineItem), u: wp.float64) -> tuple[wp.int32, wp.float32]:
+    """Place of one of some outlines, each as likely, and u within it."""
     scaled = u * wp.float64(outlines.shape[0])
     k = wp.min(wp.int32(scaled), outlines.shape[0] - 1)
-    return outlines[k], wp.clamp(wp.float32(scaled - wp.float64(k)), 0.0, 1.0)
+    return k, wp.clamp(wp.float32(scaled - wp.float64(k)), 0.0, 1.0)
 
 
 @functools.cache

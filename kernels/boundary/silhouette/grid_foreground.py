@@ -33,10 +33,9 @@ from warp_psdr.kernels.boundary.silhouette.grid_points import (
     surface_point,
     touch_curvature,
 )
-from warp_psdr.kernels.boundary.silhouette.grid_primary import FRONT
 from warp_psdr.kernels.boundary.silhouette.grid_secondary import crease_wedge, own_density, own_direction
 from warp_psdr.kernels.boundary.silhouette.network_points import network_surface_point
-from warp_psdr.kernels.boundary.silhouette.primary import MARGIN, TRIES, WIDER
+from warp_psdr.kernels.boundary.silhouette.primary import FRONT, MARGIN, TRIES, WIDER
 from warp_psdr.kernels.boundary.silhouette.spline_points import SLOT_ROOT, spline_curvature, spline_surface_point
 from warp_psdr.kernels.boundary.transport import Segment, make_source, make_transport
 from warp_psdr.kernels.constants import FAR, PI

@@ -32,7 +32,7 @@ from warp_psdr.kernels.boundary.silhouette.grid_points import (
     touch_curvature,
 )
 from warp_psdr.kernels.boundary.silhouette.network_points import network_curve_point
-from warp_psdr.kernels.boundary.silhouette.primary import MARGIN, TRIES, WIDER, make_camera_eye
+from warp_psdr.kernels.boundary.silhouette.primary import FRONT, MARGIN, TRIES, WIDER, make_camera_eye
 from warp_psdr.kernels.boundary.silhouette.spline_points import SLOT_ROOT, spline_curvature, spline_curve_point
 from warp_psdr.kernels.constants import CAMERA_ORTHOGRAPHIC
 from warp_psdr.kernels.invalid import count_invalid, vanishes
@@ -48,9 +48,6 @@ from warp_psdr.kernels.sensor.projection import make_projection, make_splat
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.vertex import PathConfig
 from warp_psdr.kernels.visibility import visibility_of
-
-#: How far in front of a crease that is seen from the front rays back to the camera start, in steps off the surface.
-FRONT = 20.0
 
 
 @functools.cache

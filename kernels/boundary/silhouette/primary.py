@@ -2,9 +2,9 @@
 
 As at edges (``path_space/primary.py``), dI_j = integral h(u - u_j) (L_- - L_+) (u' . N) ds, but the curve is the
 generator of the silhouette from the camera, and only the normal component of its velocity counts: that of the surface.
-A rim is a curve of the shape, and moves with it.
+A rim is a curve of the shape, and moves with it. Beside a rim of two surfaces either may be seen.
 
-Derivation: ``docs/theory/implicit.md#primary-silhouettes``, ``#rims``.
+Derivation: ``docs/theory/implicit.md#primary-silhouettes``, ``#rims``, ``#rims-that-join``.
 """
 
 import functools
@@ -12,16 +12,18 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
+from warp_psdr.kernels.boundary.crossing.curve import MOST, OFF
 from warp_psdr.kernels.boundary.detector import IncidentRadiance, make_incident_radiance
 from warp_psdr.kernels.boundary.film_edge import AHEAD, BESIDE
 from warp_psdr.kernels.boundary.silhouette.dispatch import (
+    OutlineItem,
     choose_outline,
     make_coordinates,
     make_silhouette_sink,
     make_silhouettes,
 )
 from warp_psdr.kernels.boundary.silhouette.point import SilhouettePoint
-from warp_psdr.kernels.boundary.silhouette.rim import make_rims
+from warp_psdr.kernels.boundary.silhouette.rim import is_open_end, make_neighbour, make_rims
 from warp_psdr.kernels.constants import CAMERA_ORTHOGRAPHIC, CAMERA_THINLENS
 from warp_psdr.kernels.invalid import count_invalid, vanishes
 from warp_psdr.kernels.jobs import SampleJob
@@ -40,6 +42,8 @@ from warp_psdr.kernels.visibility import visibility_of
 WIDER, TRIES = 4.0, 4
 #: Share by which a ray inside starts farther in front of the silhouette than where it meets the shape.
 MARGIN = 3.0
+#: How far in front of an edge that is seen from the front rays back to the camera start, in steps off the surface.
+FRONT = 20.0
 
 
 @functools.cache
@@ -63,6 +67,7 @@ def make_primary_silhouette_kernel(config: PathConfig, role: str, camera_moves: 
     """Return the kernel: one thread a sample (arguments as in ``path_space/secondary.py``)."""
     silhouettes = make_silhouettes(config.primitives)
     rims = make_rims(config.primitives)
+    neighbour = make_neighbour(config.primitives)
     coordinates = make_coordinates(config.primitives)
     accumulate_silhouette = make_silhouette_sink(role)
     accumulate_camera = make_camera_sink(role, config.camera) if camera_moves else None
@@ -83,7 +88,7 @@ def make_primary_silhouette_kernel(config: PathConfig, role: str, camera_moves: 
         # Scene:
         scene: Scene,
         camera: Camera,
-        outlines: wp.array(dtype=wp.int32),
+        outlines: wp.array(dtype=OutlineItem),
         # In:
         job: SampleJob,
         # Out:
@@ -95,9 +100,10 @@ def make_primary_silhouette_kernel(config: PathConfig, role: str, camera_moves: 
         sampler = sampler_at(number, 0, job.seed)
         u = (wp.float64(number) + wp.float64(sample_1d(sampler, 0))) / wp.float64(job.samples)
         lens = lens_point(sample_2d(sampler, 1))
-        face, along = choose_outline(outlines, u)
-        rim = face < 0
-        face = wp.where(rim, -1 - face, face)
+        n, along = choose_outline(outlines, u)
+        item = outlines[n]
+        rim = item.number < 0
+        face = wp.where(rim, -1 - item.number, item.number)
         tri = scene.triangles[face]
         eye = camera_eye(scene, camera, lens)
         point = SilhouettePoint()
@@ -109,6 +115,9 @@ def make_primary_silhouette_kernel(config: PathConfig, role: str, camera_moves: 
                 point = silhouettes.seen(tri, face, eye, wp.static(distant), along)
         if point.valid == 0:
             return
+        if wp.static(rims is not None):
+            if rim and not is_open_end(item, point.q):
+                return
         at = project(scene, camera, point.x, lens)
         if at.valid == 0:
             return
@@ -116,6 +125,12 @@ def make_primary_silhouette_kernel(config: PathConfig, role: str, camera_moves: 
         distance = wp.length(point.x - at.origin)
         d = (point.x - at.origin) / distance
         start = point.x + step * point.out
+        joined = wp.bool(False)
+        if wp.static(neighbour is not None):
+            joined = item.neighbour >= 0
+            if joined:
+                # From outside or from within, the way to the eye does not pass the two surfaces.
+                start = point.x - wp.min(FRONT * step, distance - at.near) * d
         back = at.origin - start
         length = wp.length(back)
         if length > at.near and visibility.hidden_from_camera(scene, start, back / length, length - at.near):
@@ -146,15 +161,21 @@ def make_primary_silhouette_kernel(config: PathConfig, role: str, camera_moves: 
         if wp.static(rims is not None):
             if rim:
                 slant = rims.slant(tri, point.q, d)
+        apart = BESIDE * step
+        if wp.static(neighbour is not None):
+            if joined:
+                slant = wp.min(slant, neighbour.slant(scene, item, point.x, d))
+                if wp.dot(point.out, neighbour.into(scene, item, point.x)) >= 0.0:
+                    # Both are seen, one on either side, perhaps from within.
+                    apart = step * wp.min(OFF / neighbour.sine(scene, item, point), MOST)
         if wp.static(silhouettes is not None):
             if not rim:
                 curvature = silhouettes.curvature(tri, point.q, d)
-        apart = BESIDE * step
         inside = IncidentRadiance()
-        inside.face = -1
         k = wp.int32(0)
         ahead = wp.float32(0.0)
-        while k < TRIES and inside.face != face:
+        met = wp.bool(False)
+        while k < TRIES and not met:
             # At a depth s below the surface, a ray meets it sqrt(2 s / kappa) in front of the silhouette; beside a rim,
             # s over the slant.
             before = wp.float32(0.0)
@@ -169,9 +190,10 @@ def make_primary_silhouette_kernel(config: PathConfig, role: str, camera_moves: 
             o = point.x - apart * point.out - ahead * d
             t_max = at.far - distance + ahead
             inside = incident_radiance(scene, sampler, o, d, t_max, 0, job.max_depth, job.rr_depth)
+            met = inside.face == face or (joined and inside.face == item.neighbour)
             apart *= WIDER
             k += 1
-        if inside.face != face:
+        if not met:
             return
         o = point.x + apart / WIDER * point.out - ahead * d
         t_max = at.far - distance + ahead

@@ -3,7 +3,10 @@
 A rim is a circle of the kind, x(u) = A q(u) + b, u in [0, 1). In the plane across a direction, the surface lies on one
 side of it; the normal towards the other is perpendicular to the direction and to dx/du.
 
-Derivation: ``docs/theory/implicit.md#rims``.
+Where a disk closes a cylinder both rims are one edge of two surfaces: the disk's, which knows its neighbour. Where a
+cylinder stands on a surface, its rim is no edge, but a curve of intersection (``crossing/``).
+
+Derivation: ``docs/theory/implicit.md#rims``, ``#rims-that-join``.
 """
 
 import functools
@@ -11,13 +14,14 @@ from typing import NamedTuple
 
 import warp as wp
 
+from warp_psdr.kernels.boundary.silhouette.dispatch import OutlineItem
 from warp_psdr.kernels.boundary.silhouette.point import SilhouettePoint
 from warp_psdr.kernels.constants import PRIMITIVE_CYLINDER, PRIMITIVE_DISK, TWO_PI
-from warp_psdr.kernels.primitive.affine import cofactor, to_axes
+from warp_psdr.kernels.primitive.affine import cofactor, from_axes, to_axes
 from warp_psdr.kernels.primitive.cylinder import cylinder_normal
 from warp_psdr.kernels.primitive.disk import disk_normal
 from warp_psdr.kernels.primitive.kinds import join
-from warp_psdr.kernels.structs import Triangle
+from warp_psdr.kernels.structs import Scene, Triangle
 
 
 @wp.func
@@ -53,6 +57,12 @@ def cylinder_rim_rate(q: wp.vec3) -> wp.vec3:
 @wp.func
 def cylinder_into(q: wp.vec3) -> wp.vec3:
     return wp.vec3(0.0, 0.0, wp.where(q[2] < 0.5, 1.0, -1.0))
+
+
+@wp.func
+def is_open_end(item: OutlineItem, q: wp.vec3) -> wp.bool:
+    """Whether a cylinder's rim at q is an edge of its own."""
+    return item.closed < 0 or wp.where(q[2] < 0.5, 0, 1) != item.closed
 
 
 class Rim(NamedTuple):
@@ -91,6 +101,47 @@ class Rims(NamedTuple):
     seen: wp.Function
     rate: wp.Function
     slant: wp.Function
+
+
+class Neighbour(NamedTuple):
+    """Functions of the cylinder behind a disk's rim, ``item.neighbour``.
+
+    Attributes:
+        into: ``(scene, item, x) -> vec3``, from the rim along its wall.
+        slant: ``(scene, item, x, w) -> float``: sine of the angle between a direction and its wall.
+        sine: ``(scene, item, point) -> float``: of the angle between disk and wall.
+    """
+
+    into: wp.Function
+    slant: wp.Function
+    sine: wp.Function
+
+
+@functools.cache
+def make_neighbour(primitives: tuple[int, ...]) -> Neighbour | None:
+    """Return the functions; None: no scene of these kinds has such a rim."""
+    if not {PRIMITIVE_DISK, PRIMITIVE_CYLINDER} <= set(primitives):
+        return None
+
+    @wp.func
+    def wall_into(scene: Scene, item: OutlineItem, x: wp.vec3) -> wp.vec3:
+        tri = scene.triangles[item.neighbour]
+        return to_axes(tri, cylinder_into(from_axes(tri, x - tri.normal)))
+
+    @wp.func
+    def wall_slant(scene: Scene, item: OutlineItem, x: wp.vec3, w: wp.vec3) -> wp.float32:
+        tri = scene.triangles[item.neighbour]
+        n = cofactor(tri, cylinder_normal(from_axes(tri, x - tri.normal)))
+        return wp.abs(wp.dot(wp.normalize(n), w))
+
+    @wp.func
+    def wall_sine(scene: Scene, item: OutlineItem, point: SilhouettePoint) -> wp.float32:
+        wall = scene.triangles[item.neighbour]
+        n = cofactor(wall, cylinder_normal(from_axes(wall, point.x - wall.normal)))
+        cap = scene.triangles[point.face]
+        return wp.length(wp.cross(wp.normalize(n), wp.normalize(cofactor(cap, disk_normal(point.q)))))
+
+    return Neighbour(wall_into, wall_slant, wall_sine)
 
 
 @functools.cache

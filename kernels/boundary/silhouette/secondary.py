@@ -5,9 +5,9 @@ the measure kappa_n dA dtheta in place of sin(phi) dl dsigma, kappa_n the normal
 techniques are joined by the balance heuristic: uniform in area and theta, and a point of a light with the silhouette
 that it sees, for which kappa_n dA dtheta = |dx/du x w| du dsigma. Of point, spot and directional lights the direction
 is given, and the silhouette alone is drawn. At rims the measure is |dx/du x w| du dsigma for any direction w, which is
-uniform, or leads to a light.
+uniform, or leads to a light. A rim of two surfaces is a silhouette where both lie on one side.
 
-Derivation: ``docs/theory/implicit.md#secondary-silhouettes``, ``#rims``.
+Derivation: ``docs/theory/implicit.md#secondary-silhouettes``, ``#rims``, ``#rims-that-join``.
 """
 
 import functools
@@ -28,6 +28,7 @@ from warp_psdr.kernels.boundary.silhouette.aim import (
 )
 from warp_psdr.kernels.boundary.silhouette.delivery import make_delivery
 from warp_psdr.kernels.boundary.silhouette.dispatch import (
+    OutlineItem,
     choose_outline,
     make_coordinates,
     make_silhouette_sink,
@@ -35,7 +36,7 @@ from warp_psdr.kernels.boundary.silhouette.dispatch import (
 )
 from warp_psdr.kernels.boundary.silhouette.ends import is_beside_curve, make_sensor_end, make_source_end, with_density
 from warp_psdr.kernels.boundary.silhouette.point import SilhouettePoint
-from warp_psdr.kernels.boundary.silhouette.rim import make_rims
+from warp_psdr.kernels.boundary.silhouette.rim import is_open_end, make_neighbour, make_rims
 from warp_psdr.kernels.boundary.transport import Segment, make_source, make_transport
 from warp_psdr.kernels.constants import INV_FOUR_PI, INV_TWO_PI, TWO_PI
 from warp_psdr.kernels.jobs import SampleJob
@@ -53,7 +54,7 @@ from warp_psdr.kernels.vertex import PathConfig
 class OutlineItems:
     """Outlines as ``choose_outline`` takes them. ``share``: of the segments that are not drawn towards lights."""
 
-    items: wp.array(dtype=wp.int32)
+    items: wp.array(dtype=OutlineItem)
     share: wp.float32
 
 
@@ -147,6 +148,7 @@ def make_secondary_silhouette_kernel(
     in_cube = guided or evaluates
     silhouettes = make_silhouettes(config.primitives)
     rims = make_rims(config.primitives)
+    neighbour = make_neighbour(config.primitives)
     coordinates = make_coordinates(config.primitives)
     lit = bool(config.area or config.lights)
     light_aim = make_light_aim(config) if lit and not in_cube else None
@@ -198,9 +200,10 @@ def make_secondary_silhouette_kernel(
                 u = u / wp.float64(found.share)
             else:
                 u = (u - wp.float64(found.share)) / wp.float64(1.0 - found.share)
-        face, along = choose_outline(found.items, u)
-        rim = face < 0
-        face = wp.where(rim, -1 - face, face)
+        n, along = choose_outline(found.items, u)
+        item = found.items[n]
+        rim = item.number < 0
+        face = wp.where(rim, -1 - item.number, item.number)
         tri = scene.triangles[face]
         aim = TangentAim()
         aim.light = -1
@@ -236,6 +239,13 @@ def make_secondary_silhouette_kernel(
                     aim.w = wp.normalize(aim.eye - point.x)
         if point.valid == 0:
             return
+        if wp.static(rims is not None):
+            if rim and not is_open_end(item, point.q):
+                return
+        if wp.static(neighbour is not None):
+            if item.neighbour >= 0:
+                if wp.dot(point.out, neighbour.into(scene, item, point.x)) >= 0.0:
+                    return
         s = segment_at(scene, moving, tri, point, rim, aim, found.share, job.max_depth == 2)
         if s.valid == 0:
             return

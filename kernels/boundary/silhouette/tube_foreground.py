@@ -18,8 +18,7 @@ from warp_psdr.kernels.boundary.forwards import make_sees
 from warp_psdr.kernels.boundary.path_space.secondary import moves
 from warp_psdr.kernels.boundary.silhouette.aim import SLOT_DIRECTION, SLOT_SILHOUETTE
 from warp_psdr.kernels.boundary.silhouette.ends import is_beside_curve, make_sensor_end
-from warp_psdr.kernels.boundary.silhouette.grid_primary import FRONT
-from warp_psdr.kernels.boundary.silhouette.primary import MARGIN, WIDER
+from warp_psdr.kernels.boundary.silhouette.primary import FRONT, MARGIN, WIDER
 from warp_psdr.kernels.boundary.silhouette.tube_points import (
     LOOKS,
     PART_CREASE,

@@ -14,8 +14,7 @@ from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.boundary.detector import IncidentRadiance, make_incident_radiance
 from warp_psdr.kernels.boundary.film_edge import AHEAD, BESIDE
 from warp_psdr.kernels.boundary.forwards import make_hidden
-from warp_psdr.kernels.boundary.silhouette.grid_primary import FRONT
-from warp_psdr.kernels.boundary.silhouette.primary import MARGIN, WIDER, make_camera_eye
+from warp_psdr.kernels.boundary.silhouette.primary import FRONT, MARGIN, WIDER, make_camera_eye
 from warp_psdr.kernels.boundary.silhouette.tube_points import (
     LOOKS,
     PART_CREASE,

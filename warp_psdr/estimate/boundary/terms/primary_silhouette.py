@@ -6,8 +6,8 @@ from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Ter
 from warp_psdr.kernels.boundary.silhouette.primary import make_primary_silhouette_kernel
 from warp_psdr.kernels.primitive.kinds import affine_kinds
 from warp_psdr.options.boundary import PathSpace, Projective
-from warp_psdr.scene.exact import outlines
 from warp_psdr.topology.exact_shapes import require_uncut
+from warp_psdr.topology.joined_rims import outlines
 
 
 def applies(r: Request) -> bool:

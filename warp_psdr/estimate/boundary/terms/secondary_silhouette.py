@@ -11,7 +11,7 @@ from warp_psdr.kernels.boundary.silhouette.secondary import OutlineItems, make_s
 from warp_psdr.kernels.primitive.kinds import affine_kinds
 from warp_psdr.options.boundary import PathSpace, Projective
 from warp_psdr.plan.motion import moving_shapes
-from warp_psdr.scene.exact import outlines
+from warp_psdr.topology.joined_rims import outlines
 
 
 def applies(r: Request) -> bool:
