@@ -120,7 +120,7 @@ def test_reverse_mode_is_the_transpose(name: str) -> None:
     ("change", "hide", "problem"),
     [
         (
-            {"shape": {"to_world": T.translate([0.1, 0.0, 0.0]).scale(0.4)}},
+            {"shape": {"to_world": T.translate([0.1, 0.0, 3e-5]).scale(0.4)}},
             False,
             "'floor' touches 'shape'",
         ),

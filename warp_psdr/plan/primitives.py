@@ -164,7 +164,10 @@ def _beside_motion(scene: Scene, config: PathConfig, integrator: PathIntegrator,
 def _of_exact(scene: Scene, config: PathConfig, integrator: PathIntegrator, names: list[str]) -> str:
     """Say what exact shapes run through, or touch, along a curve without a term; empty: nothing."""
     moves = motion(scene, names)
-    moved = None if moves.camera else moves.shapes
+    moved, joined = None if moves.camera else moves.shapes, joined_rims(scene)
+    if joined.bared:
+        a, b = (scene.description.shapes[i] for i in joined.bared[0])
+        return f"{a.path!r} lies in the surface of {b.path!r}, which closes the cylinder by itself; leave it out"
     pair = touching_pair(scene, moved) or touched(scene, moved)
     if pair is not None:
         a, b = (scene.description.shapes[i] for i in pair)
@@ -172,9 +175,8 @@ def _of_exact(scene: Scene, config: PathConfig, integrator: PathIntegrator, name
             f"{b.path!r} touches {a.path!r} along a line that moves; lift one off the other, or let one reach into the "
             "other"
         )
-    joined = joined_rims(scene).pairs
-    if joined and has_delta_lobes(config.bsdfs):
-        a, b = (scene.description.shapes[i] for i in joined[0])
+    if joined.pairs and has_delta_lobes(config.bsdfs):
+        a, b = (scene.description.shapes[i] for i in joined.pairs[0])
         where = f"{a.path!r} and {b.path!r} join at a rim"
         return f"{where}, which is not followed through smooth mirrors and glass; make them rough"
     pair = crossed_light(scene) if integrator.hide_emitters else None

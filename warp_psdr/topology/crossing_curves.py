@@ -145,6 +145,13 @@ def _spans(field: Field, chords: np.ndarray, owners: np.ndarray) -> np.ndarray:
     return spans
 
 
+def pierced_faces(scene: Scene, shape: int, shapes: frozenset[int] | None) -> np.ndarray:
+    """Return ``crossed_faces`` less those that a disk lies on which closes what stands on them."""
+    rows = crossed_faces(scene, shape, shapes)
+    below = [other for disk, other in joined_rims(scene).buried if disk == shape]
+    return rows[~np.isin(scene.builder.face_shape[rows], below)]
+
+
 def cut_grid(scene: Scene, shape: int, shapes: frozenset[int] | None) -> Chords:
     """Return the chords of the curves in which meshes run through a grid, one of both among ``shapes`` (None: any).
 
@@ -200,12 +207,12 @@ def touched(scene: Scene, shapes: frozenset[int] | None) -> tuple[int, int] | No
     """Return an exact shape and a mesh that touches it, one of them among ``shapes`` (None: any).
 
     They do where one runs along the other, or where no curve is found at more than a small angle. What touches a sphere
-    in a point, and cylinders that stand on a mesh, are left out.
+    in a point, and cylinders that stand on a mesh, closed ones or not, are left out.
     """
     b, joined = scene.builder, joined_rims(scene)
     corners = scene.points[b.indices].astype(np.float64)
     for i in exact_shapes(scene):
-        hit = crossed_faces(scene, i, shapes)
+        hit = pierced_faces(scene, i, shapes)
         field, kind = exact_field(scene, i), scene.description.shapes[i].primitive
         for j in np.unique(b.face_shape[hit]):
             rows = hit[b.face_shape[hit] == j]

@@ -66,11 +66,11 @@ PROJECTED = {"sphere": _on_sphere, "cylinder": _on_cylinder, "disk": _on_disk}
 def exact_pairs(scene: Scene, shapes: frozenset[int] | None) -> Iterator[tuple[int, int]]:
     """Yield pairs of exact shapes that run through each other or may touch, one of them in ``shapes`` (None: any).
 
-    Of a cylinder that stands on a disk the disk is the first, since the other one ends there. What closes a cylinder is
-    left out.
+    Of a cylinder that stands on a disk the disk is the first, since the other one ends there. What closes a cylinder,
+    and what that disk lies on, is left out.
     """
     exact, joined = exact_shapes(scene), joined_rims(scene)
-    closes = {frozenset(cap[:2]) for cap in joined.caps}
+    closes = {frozenset(pair) for pair in (*(cap[:2] for cap in joined.caps), *joined.buried)}
     stands = {(i, j) for i, _end, j in joined.stands}
     for n, i in enumerate(exact):
         for j in exact[n + 1 :]:

@@ -9,10 +9,10 @@ import warp as wp
 
 from warp_psdr.kernels.boundary.crossing.curve import CrossingCurves
 from warp_psdr.scene.light_sampling import cumulative
-from warp_psdr.topology.crossing_curves import Chords, cut, cut_grid
+from warp_psdr.topology.crossing_curves import Chords, cut, cut_grid, pierced_faces
 from warp_psdr.topology.crossing_fields import exact_field
 from warp_psdr.topology.crossing_pairs import cut_pair, exact_pairs
-from warp_psdr.topology.exact_shapes import crossed_faces, exact_shapes
+from warp_psdr.topology.exact_shapes import exact_shapes
 from warp_psdr.topology.grid_silhouettes import grid_shapes
 from warp_psdr.topology.tube_crossings import cut_tubes
 from warp_psdr.topology.tubes import curve_shapes
@@ -26,7 +26,7 @@ def crossings(scene: Scene, shapes: frozenset[int] | None) -> CrossingCurves | N
     found = []
     corners = scene.points[scene.builder.indices].astype(np.float64)
     for i in exact_shapes(scene):
-        rows = crossed_faces(scene, i, shapes)
+        rows = pierced_faces(scene, i, shapes)
         found.append((i, cut(exact_field(scene, i), corners[rows], rows)))
     for i in grid_shapes(scene):
         found.append((i, cut_grid(scene, i, shapes)))

@@ -2,7 +2,8 @@
 
 A disk's rim and a cylinder's that coincide are one edge of two surfaces, the disk's. A cylinder's rim that lies in a
 flat surface, which goes on on both sides, is no edge: the two surfaces meet as if the cylinder went on through the
-other, in a curve of intersection. Both hold for motions that keep what joins together.
+other, in a curve of intersection; a disk between the two is not seen. All holds for motions that keep what joins
+together.
 
 Derivation: ``docs/theory/implicit.md#rims-that-join``.
 """
@@ -40,10 +41,14 @@ class JoinedRims:
     Attributes:
         caps: (disk, cylinder, end) whose rims coincide.
         stands: (cylinder, end, shape): the rim lies in a flat surface, of a mesh or a disk.
+        buried: (disk, shape): it closes a cylinder below, which stands on that shape and is closed above, too.
+        bared: the same of a cylinder that is open above, in which disk and shape are in one place.
     """
 
     caps: tuple[tuple[int, int, int], ...] = ()
     stands: tuple[tuple[int, int, int], ...] = ()
+    buried: tuple[tuple[int, int], ...] = ()
+    bared: tuple[tuple[int, int], ...] = ()
 
     @property
     def pairs(self) -> list[tuple[int, int]]:
@@ -94,7 +99,10 @@ def _found(scene: Scene, cylinders: list[int], disks: list[int]) -> JoinedRims:
             circles = np.concatenate([rim(scene, c, e, s) for s in (1.0, 1.0 + BESIDE, 1.0 - BESIDE)])
             stands += [(c, e, d) for d in disks if _on_disk(scene, d, circles, tolerance)]
             stands += [(c, e, m) for m in _meshes_below(scene, circles, tolerance)]
-    return JoinedRims(tuple(caps), tuple(stands))
+    both = {c for _d, c, e in caps if any((c, 1 - e) == cap[1:] for cap in caps)}
+    below = [(d, other, c in both) for d, c, e in caps for b, f, other in stands if (c, e) == (b, f)]
+    buried, bared = (tuple((d, other) for d, other, closed in below if closed == wanted) for wanted in (True, False))
+    return JoinedRims(tuple(caps), tuple(stands), buried, bared)
 
 
 def _coincide(scene: Scene, disk: int, cylinder: int, end: int, tolerance: float) -> bool:
@@ -142,7 +150,7 @@ def outlines(scene: Scene, shapes: frozenset[int] | None) -> wp.array | None:
         if kind in OUTLINES:
             found.append((face, -1, -1))
         closed = joined.closed(i) if kind == PRIMITIVE_CYLINDER else set()
-        if kind in RIMS and len(closed) < 2:
+        if kind in RIMS and len(closed) < 2 and i not in dict(joined.buried):
             neighbour = next((record[c] for d, c, _end in joined.caps if d == i), -1)
             found.append((-1 - face, neighbour, next(iter(closed), -1)))
     if not found:
