@@ -59,6 +59,7 @@ EXACT_MIRRORS = PathConfig(**{**vars(MIRROR_LIGHTS), "primitives": KINDS})
 NETWORK = PathConfig(**{**vars(SIMPLE), "primitives": (c.PRIMITIVE_NEURALSDF,)})
 EXACT_LIGHTS = PathConfig(**{**vars(ALL_LIGHTS), "primitives": (c.PRIMITIVE_SPHERE,)})
 DISTANCES = PathConfig(**{**vars(SIMPLE), "tangent": True, "primitives": (c.PRIMITIVE_SPHERE, c.PRIMITIVE_SDFGRID)})
+DISTANCES_LIGHTS = PathConfig(**{**vars(ALL_LIGHTS), "primitives": (c.PRIMITIVE_SDFGRID,)})
 CUBIC = PathConfig(**{**vars(SIMPLE), "primitives": (c.PRIMITIVE_SDFGRID_CUBIC, c.PRIMITIVE_NEURALSDF)})
 FLOW = PathConfig(**{**vars(CUBIC), "primitives": (*CUBIC.primitives, c.NORMAL_FLOW)})
 CURVES = PathConfig(

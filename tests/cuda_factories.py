@@ -13,6 +13,7 @@ from tests.cuda_configs import (
     CUBIC,
     CURVES,
     DISTANCES,
+    DISTANCES_LIGHTS,
     EMISSION,
     EXACT,
     EXACT_LIGHTS,
@@ -353,6 +354,9 @@ FACTORIES = {
     ],
     "boundary.shading_normals.grid_horizon.make_grid_horizon_kernel": [
         ("grids of distances", (DISTANCES, "reverse", True), SLOW),
+    ],
+    "boundary.shading_normals.grid_light_horizon.make_grid_light_horizon_kernel": [
+        ("grids of distances", (DISTANCES_LIGHTS, "reverse", True, True), SLOW),
     ],
     "boundary.silhouette.grid_foreground.make_foreground_grid_kernel": [*SHADED, SMOOTH, NEURAL],
     "boundary.silhouette.grid_primary.make_primary_grid_kernel": [*SHADED, SMOOTH, NEURAL],

@@ -49,6 +49,7 @@ KINDS = (
     "shaded_grid",
     "grid_indirect_terminator",
     "grid_horizon",
+    "grid_light_horizon",
     "media_secondary",
     "primary_tubes",
     "secondary_tubes",

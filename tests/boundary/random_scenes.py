@@ -10,6 +10,7 @@ fix the camera, its filter and the lights, and holds a speck of every material o
 
 import dataclasses
 import sys
+from collections.abc import Callable
 
 import numpy as np
 
@@ -207,9 +208,10 @@ def measure(case: Case, mode: str = "forward") -> tuple[float, float, Case]:
     return value, error, case
 
 
-def main(first: int, last: int) -> None:
+def measured(drawn: Callable[[int], Case], first: int, last: int) -> None:
+    """Print a line for each seed of a range."""
     for seed in range(first, last):
-        case = draw(seed)
+        case = drawn(seed)
         try:
             value, error, case = measure(case)
         except (ValueError, AssertionError) as problem:
@@ -221,4 +223,4 @@ def main(first: int, last: int) -> None:
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]), int(sys.argv[2]))
+    measured(draw, int(sys.argv[1]), int(sys.argv[2]))

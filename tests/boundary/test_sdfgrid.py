@@ -60,8 +60,18 @@ def walled():
     return {**room("lamp")(), "wall": {"type": "rectangle", "to_world": wall, "bsdf": bsdf}}
 
 
+def own_shadow():
+    """A close view of the edge of a coarse grid's own shadow in a voxel, where the normal still faces the lamp."""
+    return {
+        "sensor": camera((0.3, -3.0, 2.0), (-0.16934556, -0.36376879, 0.5470385), fov=0.8),
+        "body": {**body(count=6), "normals": "smooth"},
+        "light": {"type": "point", "position": [-1.51648776, -1.25031681, 2.24498309], "intensity": 5.0},
+    }
+
+
 register(
     {
+        "own shadow": own_shadow,
         **{f"grid, {light}": room(light) for light in LIGHTS},
         "bumpy grid, lamp": room("lamp", count=24, noise=0.05),
         "pierced grid, sky": room("sky", count=33, hole=0.12),
@@ -82,6 +92,10 @@ def one_half(grid):
     r = np.zeros_like(grid)
     r[:, :, grid.shape[2] // 2 :] = 1.0
     return r
+
+
+def lifted_light(place):
+    return 0.0 * place + [0.0, 0.0, 1.0]
 
 
 STEP = 0.003
@@ -108,6 +122,10 @@ CASES = [
     Case("grid, point", "light.position", moved_light, 0.01, "the lamp moves", 2, 512, 2048),
     Case("grid, lamp", "sensor.to_world", entry(0, 3), 0.01, "the camera moves", 2, 512, 2048),
     Case("shaded grid, lamp", POSE, entry(0, 3), 0.01, "x", 2, 256, 1024, slow=False),
+    # Without its term the first slope is .07.
+    Case("own shadow", "light.position", lifted_light, 0.001, "the lamp rises", 2, 128, 1024, slow=False),
+    Case("own shadow", POSE, entry(2, 3), 0.0003, "z", 2, 512, 2048),
+    Case("own shadow", GRID, all_values, 0.0003, "all values", 2, 512, 2048),
     Case("two grids, lamp", POSE, entry(0, 3), 0.01, "x", 2, 512, 2048),
     *(
         Case(f"shaded grid, {light}", name, tangent, step, what, 2, spp, 4 * spp)

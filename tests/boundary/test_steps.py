@@ -10,7 +10,18 @@ import pytest
 import warp_psdr as psdr
 from warp_psdr.scene import scene as scenes
 
-from . import test_cameras, test_curves, test_notches, test_table
+from . import (
+    test_cameras,
+    test_crossing,
+    test_crossing_grids,
+    test_curves,
+    test_exact_kinds,
+    test_notches,
+    test_rooted,
+    test_sdfgrid,
+    test_table,
+    test_tubes,
+)
 from .measure import Case, accumulated
 from .scenes import SCENES
 
@@ -31,6 +42,17 @@ ROWS = (
     (test_cameras, "lens mirror, focus moves, depth 2"),
     (test_notches, "prism in a mirror, prism moves, depth 4"),
     (test_notches, "prism, index changes, depth 4"),
+    # Creases of grids, rims, joints and open ends of tubes, and curves in which such shapes cut meshes and each other.
+    (test_sdfgrid, "grid, lamp, one half, depth 2"),
+    (test_sdfgrid, "shaded grid, lamp, z, depth 2"),
+    (test_exact_kinds, "exact cylinder, lamp, z, depth 2"),
+    (test_exact_kinds, "exact disk, point, x, depth 2"),
+    (test_tubes, "helix cones, lamp, x, depth 2"),
+    (test_tubes, "tapered tube, lamp, radii, depth 2"),
+    (test_crossing, "sunk cylinder, lamp, z, depth 2"),
+    (test_crossing, "crossed, lamp, radius, depth 2"),
+    (test_crossing_grids, "sunk linear, lamp, z, depth 2"),
+    (test_rooted, "rooted tubes, lamp, sinks, depth 2"),
 )
 
 

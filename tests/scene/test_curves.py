@@ -39,6 +39,7 @@ def spoiled(column: int, value: float) -> np.ndarray:
         ({"control_points": np.ones(6)}, r"got the shape \(6,\)"),
         ({"control_points": "hair"}, r"got the shape \(0,\)"),
         ({"control_points": spoiled(0, np.nan)}, "control point 6 is not finite"),
+        ({"control_points": spoiled(3, np.nan)}, "control point 6 is not finite"),
         ({"control_points": spoiled(3, -0.1)}, "control point 6 has the radius -0.1; give 0 or more"),
         ({"curve_starts": [0, 7]}, "curve 2 has 3 control points; give each at least 4"),
         ({"curve_starts": [4]}, "give whole numbers that start with 0"),
@@ -57,6 +58,19 @@ def spoiled(column: int, value: float) -> np.ndarray:
 def test_what_it_does_not_do_is_refused(properties: dict, problem: str) -> None:
     with pytest.raises(ValueError, match=problem):
         psdr.load_dict(described(**properties))
+
+
+@pytest.mark.parametrize(
+    ("properties", "problem"),
+    [
+        ({"curve_starts": [0, 9]}, "curve 2 has 1 control points; give each at least 2"),
+        ({"control_points": POINTS[:1], "curve_starts": 0}, "curve 1 has 1 control points; give each at least 2"),
+        ({"control_points": np.repeat(POINTS[:1], 2, axis=0), "curve_starts": 0}, "are all in one place"),
+    ],
+)
+def test_straight_curves_that_are_none_are_refused(properties: dict, problem: str) -> None:
+    with pytest.raises(ValueError, match=problem):
+        psdr.load_dict(described("linearcurve", **properties))
 
 
 def test_control_points_are_needed() -> None:

@@ -5,6 +5,7 @@ import pytest
 
 import warp_psdr as psdr
 from tests.rays.test_sdfgrid_cubic import spline
+from tests.scene.test_volumes import header
 from warp_psdr.options import boundary, interior
 from warp_psdr.scene.sdfgrid import reaches
 
@@ -110,6 +111,24 @@ def test_parameters_files_and_updates(tmp_path) -> None:
     params["body.grid"].assign(spoiled(np.nan)[..., None])
     with pytest.raises(ValueError, match=r"body.grid is nan in 1 of 216 places after an edit; write finite values"):
         params.update()
+
+
+@pytest.mark.parametrize(
+    ("content", "problem"),
+    [
+        (header(size=(6, 6, 6), channels=2) + np.ones(432, "<f4").tobytes(), r"\(6, 6, 6, 2\)"),
+        (header(size=(6, 6, 6)) + BALL.tobytes()[:-4], "has 908 bytes, and 6 x 6 x 6 voxels"),
+        (header(size=(1000, 1000, 1000)), "declares 1000 x 1000 x 1000 voxels.*at most"),
+        (header(size=(6, 6, 6)) + spoiled(np.nan).tobytes(), "NaN|not finite"),
+        (header(size=(6, 6, 1)) + BALL[:1].tobytes(), "2 or more nodes along each axis"),
+        (b"VOX", "is no .vol file"),
+    ],
+)
+def test_files_that_hold_no_grid_are_refused(content: bytes, problem: str, tmp_path) -> None:
+    file = tmp_path / "grid.vol"
+    file.write_bytes(content)
+    with pytest.raises(ValueError, match=problem):
+        psdr.load_dict(described(filename=str(file)))
 
 
 def test_reaches_are_chessboard_distances() -> None:

@@ -186,10 +186,12 @@ def camera_eyes(scene: Scene, sensor: int) -> Eyes:
     return Eyes(view.eye + square @ view.pose[:3, :2].T, False)
 
 
-def light_eyes(scene: Scene) -> list[Eyes] | None:
-    """Return where each light is; None: one is everywhere."""
+def light_eyes(scene: Scene, kinds: frozenset[int] | None = None) -> list[Eyes] | None:
+    """Return where each light is, of some kinds or (None) of all; None: one is everywhere."""
     found, b, values = [], scene.builder, scene.values.numpy()
     for number, e in enumerate(b.emitters):
+        if kinds is not None and e.kind not in kinds:
+            continue
         if e.kind in (c.EMITTER_AREA, c.EMITTER_DIRECTIONAL_AREA):
             own = [i for i, shape in enumerate(b.shapes) if shape.emitter == number]
             of_triangles = scene.points[b.indices[np.isin(b.face_shape, own)].reshape(-1)]

@@ -29,7 +29,8 @@ from warp_psdr.scene.bsdfs import lets_through, model_of
 from warp_psdr.scene.description import SceneDescription, SensorDescription, ShapeDescription, TextureDescription
 from warp_psdr.view.fields import Arrows, Field, arrows, environment_field, mesh_field, texture_field, vertex_normals
 from warp_psdr.view.panels import arrangement, draw_labels
-from warp_psdr.view.tubes import tube_field, tube_mesh
+from warp_psdr.view.surfaces import control_points, grid_field, grid_values, pose_now, surface_of, value_now
+from warp_psdr.view.tubes import tube_field
 from warp_psdr.view.volume_fields import volume_field, volumes_of
 from warp_psdr.view.vtk_window import open_plotter
 
@@ -70,7 +71,8 @@ def view(
     """Draw a scene, and gradients on its surfaces.
 
     Positions and normals are drawn as arrows (the direction in which the value grows) and as the component along the
-    vertex normal, control points of curves on their tubes; textures through their texture coordinates; attributes,
+    vertex normal, control points of curves on their tubes, values of grids of signed distances on their surface (how
+    the value grows as it moves outwards); textures through their texture coordinates; attributes,
     constants and the two texture coordinates as colours; coefficients of media on the shapes that bound them, voxels as
     their sums along each axis, on planes through the middle of their box; environment maps on a sphere around the
     scene, seen from outside in two panels, towards and against the camera's direction. Parameters of one kind, such as
@@ -207,33 +209,41 @@ def _panels(
         panel.shapes.add(owner)
 
     for shape in description.shapes:
-        vertices = _vertices(values, shape)
+        vertices, faces, texcoords = surface_of(values, shape)
         for name in (f"{shape.path}.vertex_positions", f"{shape.path}.vertex_normals"):
             drawable.add(name)
             if name in arrays:
                 vectors = _reshaped(name, arrays[name], (len(vertices), 3))
-                normals = vertex_normals(vertices, shape.faces) * (-1.0 if shape.flip_normals else 1.0)
-                field = mesh_field(vertices, shape.faces, vectors, vectors=True, normals=normals)
+                normals = vertex_normals(vertices, faces) * (-1.0 if shape.flip_normals else 1.0)
+                field = mesh_field(vertices, faces, vectors, vectors=True, normals=normals)
                 add(name, shape.path, field, vectors, normals)
         name = f"{shape.path}.control_points"
         if shape.curves is not None:
             drawable.add(name)
             if name in arrays:
                 array = _reshaped(name, arrays[name], shape.curves.points.shape)
-                add(name, shape.path, *tube_field(shape.curves, *_control_points(values, shape), array))
+                points, placed = control_points(values, shape), pose_now(values, shape)
+                add(name, shape.path, *tube_field(shape.curves, points, placed, array))
+        name = f"{shape.path}.grid"
+        if shape.grid is not None:
+            drawable.add(name)
+            if name in arrays:
+                array = _reshaped(name, arrays[name], grid_values(values, shape).shape)
+                field, normals = grid_field(values, shape, array)
+                add(name, shape.path, field, None, normals)
         name = f"{shape.path}.vertex_texcoords"
         if shape.texcoords is not None:
             drawable.add(name)
             for axis in (0, 1) if name in arrays else ():
                 data = _reshaped(name, arrays[name], shape.texcoords.shape)[:, axis]
-                add(f"{name}[{'uv'[axis]}]", shape.path, mesh_field(vertices, shape.faces, data))
+                add(f"{name}[{'uv'[axis]}]", shape.path, mesh_field(vertices, faces, data))
         for attribute, data in shape.attributes.items():
             name = f"{shape.path}.{attribute}"
             drawable.add(name)
             if name in arrays:
                 on: Literal["vertex", "face"] = "vertex" if attribute.startswith("vertex_") else "face"
                 data = _reshaped(name, arrays[name], data.shape)
-                add(name, shape.path, mesh_field(vertices, shape.faces, data, on=on, reduce=reduce))
+                add(name, shape.path, mesh_field(vertices, faces, data, on=on, reduce=reduce))
         for texture in dict.fromkeys(_surface_textures(shape)):
             if texture.kind in ("mesh_attribute", "volume"):
                 continue
@@ -242,10 +252,10 @@ def _panels(
             if name in arrays:
                 data = _reshaped(name, arrays[name], texture.value.shape)
                 if texture.kind == "constant":
-                    data = np.broadcast_to(data.reshape(1, -1), (len(shape.faces), data.size))
-                    add(name, shape.path, mesh_field(vertices, shape.faces, data, on="face", reduce=reduce))
+                    data = np.broadcast_to(data.reshape(1, -1), (len(faces), data.size))
+                    add(name, shape.path, mesh_field(vertices, faces, data, on="face", reduce=reduce))
                 else:
-                    add(name, shape.path, texture_field(vertices, shape.faces, shape.texcoords, data,
+                    add(name, shape.path, texture_field(vertices, faces, texcoords, data,
                         to_uv=texture.to_uv, wrap=texture.wrap, reduce=reduce))  # fmt: skip
         for volume in volumes_of(shape):
             name = volume.parameter
@@ -257,11 +267,11 @@ def _panels(
                     add(
                         name,
                         shape.path,
-                        volume_field(volume, data, _value(values, pose, volume.to_world), reduce=reduce),
+                        volume_field(volume, data, value_now(values, pose, volume.to_world), reduce=reduce),
                     )
                 else:
-                    data = np.broadcast_to(data.reshape(1, -1), (len(shape.faces), data.size))
-                    add(name, shape.path, mesh_field(vertices, shape.faces, data, on="face", reduce=reduce))
+                    data = np.broadcast_to(data.reshape(1, -1), (len(faces), data.size))
+                    add(name, shape.path, mesh_field(vertices, faces, data, on="face", reduce=reduce))
     for emitter in description.emitters:
         if emitter.kind not in ("constant", "envmap"):
             continue
@@ -271,7 +281,7 @@ def _panels(
         if name in arrays:
             data = _reshaped(name, arrays[name], emitter.radiance.value.shape)
             data = data.reshape(1, 1, -1) if constant else data
-            to_world = _value(values, f"{emitter.path}.to_world", emitter.to_world)
+            to_world = value_now(values, f"{emitter.path}.to_world", emitter.to_world)
             item = (
                 environment_field(data, to_world, center=center, radius=_ENVIRONMENT * radius, reduce=reduce),
                 None,
@@ -292,31 +302,10 @@ def _reshaped(name: str, array: np.ndarray, shape: tuple[int, ...]) -> np.ndarra
     return array.reshape(shape)
 
 
-def _value(values: Mapping[str, Any], name: str, default: Any) -> Any:
-    """Return the current value of a parameter, or the description's."""
-    return as_array(values[name]) if name in values else default
-
-
-def _vertices(values: Mapping[str, Any], shape: ShapeDescription) -> np.ndarray:
-    if shape.prototype is None:
-        return as_array(_value(values, f"{shape.path}.vertex_positions", shape.vertices)).reshape(-1, 3)
-    local = as_array(_value(values, f"{shape.source}.vertex_positions", shape.local_vertices)).reshape(-1, 3)
-    pose = as_array(_value(values, f"{shape.instance}.to_world", shape.to_world)).reshape(4, 4)
-    return local @ pose[:3, :3].T + pose[:3, 3]
-
-
-def _control_points(values: Mapping[str, Any], shape: ShapeDescription) -> tuple[np.ndarray, np.ndarray]:
-    """Return the control points (P, 4) of curves, in their own coordinates, and their pose (4, 4)."""
-    assert shape.curves is not None
-    points = as_array(_value(values, f"{shape.path}.control_points", shape.curves.points)).reshape(-1, 4)
-    return points, as_array(_value(values, f"{shape.path}.to_world", shape.to_world)).reshape(4, 4)
-
-
 def _bounds(description: SceneDescription, values: Mapping[str, Any]) -> tuple[np.ndarray, float]:
     """Return centre and radius of a sphere around all shapes."""
-    corners = [
-        bound for s in description.shapes for bound in (_vertices(values, s).min(0), _vertices(values, s).max(0))
-    ]
+    found = [surface_of(values, s)[0] for s in description.shapes]
+    corners = [bound for vertices in found if len(vertices) for bound in (vertices.min(0), vertices.max(0))]
     if not corners:
         return np.zeros(3), 1.0
     low, high = np.min(corners, axis=0), np.max(corners, axis=0)
@@ -347,9 +336,9 @@ def _draw_shapes(
     for shape in description.shapes:
         if shape.path in panel.shapes or (shape.emitter is not None and not show_emitters):
             continue
-        vertices, faces = _vertices(values, shape), shape.faces
-        if shape.curves is not None:
-            vertices, faces, _out = tube_mesh(shape.curves, *_control_points(values, shape))
+        vertices, faces, texcoords = surface_of(values, shape)
+        if not len(faces):
+            continue
         mesh = _poly_data(vertices, faces)
         look: dict[str, Any] = {"color": _PLAIN}
         texture = shape.bsdf.textures.get("reflectance")
@@ -362,19 +351,19 @@ def _draw_shapes(
         elif texture is None:
             look = {"color": _METAL, "specular": 0.5}
         elif texture.kind == "constant":
-            data = as_array(_value(values, f"{texture.path}.value", texture.value))
+            data = as_array(value_now(values, f"{texture.path}.value", texture.value))
             look = {"color": tuple(tonemap(data.reshape(1, 1, -1))[0, 0])}
-        elif texture.kind == "bitmap":
-            data = as_array(_value(values, f"{texture.path}.data", texture.value)).reshape(texture.value.shape)
-            field = texture_field(mesh.points, shape.faces, shape.texcoords, data[..., 0], to_uv=texture.to_uv)
+        elif texture.kind == "bitmap" and texcoords is not None:
+            data = as_array(value_now(values, f"{texture.path}.data", texture.value)).reshape(texture.value.shape)
+            field = texture_field(mesh.points, faces, texcoords, data[..., 0], to_uv=texture.to_uv)
             mesh = _poly_data(field.vertices, field.faces)
             mesh.active_texture_coordinates = np.asarray(field.uvs, np.float32)
             look = {"texture": _texture(tonemap(data), texture.wrap)}
         elif texture.kind == "mesh_attribute":
-            data = as_array(_value(values, f"{shape.path}.{texture.attribute}", shape.attributes[texture.attribute]))
+            data = as_array(value_now(values, f"{shape.path}.{texture.attribute}", shape.attributes[texture.attribute]))
             data = data.reshape(shape.attributes[texture.attribute].shape)
             look = {"scalars": np.round(255.0 * tonemap(data[:, None])[:, 0]).astype(np.uint8), "rgb": True}
-        else:  # a checkerboard or a volume
+        else:  # a checkerboard, a volume, or a bitmap on a tube
             read = [leaf.value for leaf in texture.leaves if leaf.value.size]
             held = [np.broadcast_to(value.reshape(-1, value.shape[-1]).mean(axis=0), 3) for value in read]
             data = np.mean(held, axis=0).astype(np.float32) if held else np.full(3, 0.5, np.float32)
@@ -441,11 +430,11 @@ def _draw_light_markers(
     import pyvista
 
     for emitter in description.emitters:
-        pose = np.asarray(_value(values, f"{emitter.path}.to_world", np.eye(4) if emitter.to_world is None else
+        pose = np.asarray(value_now(values, f"{emitter.path}.to_world", np.eye(4) if emitter.to_world is None else
                                  emitter.to_world), dtype=float)  # fmt: skip
         place, direction = pose[:3, 3], pose[:3, 2]
         if emitter.kind == "point":
-            position = _value(values, f"{emitter.path}.position", emitter.position)
+            position = value_now(values, f"{emitter.path}.position", emitter.position)
             marker = pyvista.Sphere(radius=0.03 * radius, center=position)
         elif emitter.kind in ("spot", "projector"):
             angle = float(emitter.cutoff_angle if emitter.kind == "spot" else 0.5 * emitter.x_fov)
@@ -471,9 +460,9 @@ def _aim(
     """Look through the sensor, or at the whole scene or environment from outside."""
     pose, fov = None, 40.0
     if sensor is not None:
-        pose = as_array(_value(values, f"{sensor.path}.to_world", sensor.to_world))
+        pose = as_array(value_now(values, f"{sensor.path}.to_world", sensor.to_world))
         if sensor.kind != "orthographic":
-            fov = float(as_array(_value(values, f"{sensor.path}.x_fov", sensor.x_fov)).reshape(-1)[0])
+            fov = float(as_array(value_now(values, f"{sensor.path}.x_fov", sensor.x_fov)).reshape(-1)[0])
     forward, up = (np.array([-0.6, -0.45, -0.66]), np.array([0.0, 1.0, 0.0])) if pose is None else pose[:3, [2, 1]].T
     forward = forward / np.linalg.norm(forward)
     if sensor is None or pose is None or panel.side != "camera":

@@ -1,0 +1,84 @@
+"""Shapes without triangles that the viewer draws: where their triangles are, and gradients by grids on them."""
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import warp_psdr as psdr
+from tests.networks import fitted, sphere
+from tests.path.test_sdfgrid import nodes
+from warp_psdr.view.surfaces import grid_field, surface_of
+
+T = psdr.Transform
+POSE = T.translate([0.1, -0.2, 0.3]).rotate([1, 2, 0], 30.0).scale([1.5, 1.2, -1.4])
+X, Y, Z = nodes(25)
+BALL = (np.sqrt((X - 0.5) ** 2 + (Y - 0.5) ** 2 + (Z - 0.5) ** 2) - 0.32).astype(np.float32)
+NET = fitted(sphere, (24, 24))
+SHAPES = {
+    "sphere": {"type": "sphere", "exact": True},
+    "disk": {"type": "disk", "exact": True},
+    "cylinder": {"type": "cylinder", "exact": True},
+    "linear": {"type": "sdfgrid", "grid": BALL},
+    "cubic": {"type": "sdfgrid", "grid": psdr.sdf.coefficients(BALL), "interpolation": "cubic"},
+    "network": NET.plugin(cells=32),
+}
+
+
+def loaded(**shape) -> psdr.Scene:
+    film = {"type": "hdrfilm", "width": 4, "height": 4}
+    view = T.look_at([0.5, -4, 1.0], [0.3, 0.3, 0.5], [0, 0, 1])
+    sensor = {"type": "perspective", "to_world": view, "film": film}
+    return psdr.load_dict({"type": "scene", "sensor": sensor, "sky": {"type": "constant"}, "body": shape})
+
+
+@pytest.mark.parametrize("kind", SHAPES)
+def test_triangles_lie_on_the_surface_and_follow_edits(kind: str) -> None:
+    scene = loaded(**SHAPES[kind])
+    params = psdr.traverse(scene)
+    shape = scene.description.shapes[0]
+    assert len(surface_of({}, shape)[1]) > 60
+    params["body.to_world"] = POSE.matrix
+    vertices, faces, _texcoords = surface_of(dict(params), shape)
+    local = (vertices - POSE.matrix[:3, 3]) @ np.linalg.inv(POSE.matrix[:3, :3]).T
+    if kind in ("sphere", "cylinder", "disk"):
+        across = local[:, :2] if kind == "cylinder" else local
+        radii = np.linalg.norm(across, axis=1)
+        assert (radii < 1.0 + 1e-6).all() and (kind == "disk" or (radii > 1.0 - 1e-6).all())
+        assert kind == "sphere" or (local[:, 2] > -1e-6).all()
+    else:
+        # Marching cubes of 24 voxels and more.
+        phi = NET.phi(local) if kind == "network" else np.linalg.norm(local - 0.5, axis=1) - 0.32
+        np.testing.assert_allclose(phi, 0.0, atol=0.01)
+    corners = vertices[faces]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    out = corners.mean(axis=1) - (POSE.matrix[:3, :3] @ local.mean(axis=0) + POSE.matrix[:3, 3])
+    if kind not in ("disk", "cylinder"):
+        assert ((normals * out).sum(axis=1) >= 0.0).all()
+
+
+def test_a_gradient_by_a_grid_is_how_a_value_grows_as_the_surface_moves_outwards() -> None:
+    scene = loaded(**SHAPES["linear"], to_world=POSE)
+    field, normals = grid_field({}, scene.description.shapes[0], X - 2.0)
+    local = (field.vertices - POSE.matrix[:3, 3]) @ np.linalg.inv(POSE.matrix[:3, :3]).T
+    np.testing.assert_allclose(field.values, 2.0 - local[:, 0], atol=1e-5)
+    assert normals.shape == field.vertices.shape
+
+
+def test_pictures(tmp_path) -> None:
+    """A part that the gradient says should grow is red, and one that should shrink is blue."""
+    scene = loaded(**SHAPES["linear"])
+    params = psdr.traverse(scene)
+    found = []
+    for fields in (None, {"body.grid": (0.5 - X)[..., None]}):
+        path = tmp_path / "view.png"
+        try:
+            psdr.view(scene, params, fields=fields, screenshot=path, window_size=(200, 150)).close()
+        except RuntimeError as problem:
+            pytest.skip(str(problem))
+        found.append(np.asarray(Image.open(path).convert("RGB")).astype(int))
+    plain, signed = found
+    assert np.ptp(plain, axis=(0, 1)).max() > 30, "the shape is drawn"
+    warm, cold = signed[..., 0] - signed[..., 2] > 60, signed[..., 2] - signed[..., 0] > 60
+    assert warm.sum() > 100 and cold.sum() > 100
+    middle = [np.argwhere(where)[:, 1].mean() for where in (warm[:150], cold[:150])]
+    assert middle[0] > middle[1], "x grows to the right"
