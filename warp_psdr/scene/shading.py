@@ -17,20 +17,27 @@ ROUNDED = 1.0e-6
 FEW = 10_000
 
 
+def vertex_normals(scene: Scene) -> Iterator[tuple[structs.Shape, np.ndarray]]:
+    """Yield every shape with interpolated normals and the normals at its vertices, (vertices, 3), float32."""
+    values = scene.values.numpy()
+    for s in scene.builder.shapes:
+        if s.smooth == 1:
+            first = s.normal_offset + 3 * s.first_vertex
+            yield s, values[first : first + 3 * s.vertex_count].reshape(-1, 3)
+
+
 def normals_at_corners(scene: Scene) -> Iterator[tuple[structs.Shape, np.ndarray, np.ndarray]]:
     """Yield every shape with interpolated normals, the unit normals of its triangles and the normals at their corners.
 
     Of shapes (faces, 3) and (faces, 3, 3).
     """
-    values, points = scene.values.numpy().astype(np.float64), scene.points.astype(np.float64)
-    for s in scene.builder.shapes:
-        if s.smooth == 1:
-            faces = scene.builder.indices[s.first_face : s.first_face + s.face_count]
-            p = points[faces]
-            normal = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
-            normal /= np.maximum(np.linalg.norm(normal, axis=1), 1e-300)[:, None]
-            first = s.normal_offset + 3 * s.first_vertex
-            yield s, normal, values[first : first + 3 * s.vertex_count].reshape(-1, 3)[faces - s.first_vertex]
+    points = scene.points.astype(np.float64)
+    for s, normals in vertex_normals(scene):
+        faces = scene.builder.indices[s.first_face : s.first_face + s.face_count]
+        p = points[faces]
+        normal = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
+        normal /= np.maximum(np.linalg.norm(normal, axis=1), 1e-300)[:, None]
+        yield s, normal, normals.astype(np.float64)[faces - s.first_vertex]
 
 
 def shades_flat(scene: Scene) -> bool:

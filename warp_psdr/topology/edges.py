@@ -275,15 +275,21 @@ def sides_of(scene: Scene, edges: Adjacency) -> np.ndarray:
     """Return which side of its triangle, ``edges.faces``, an edge is: from corner a to a + 1.
 
     A triangle's corner opposite to the edge is the one that is farthest from the edge's line; welded triangles share
-    positions, not vertex numbers.
+    positions, not vertex numbers. Kept for the edges of the whole scene.
     """
+    kept = getattr(scene, "_sides", None)
+    if kept is not None and kept[0] is edges:
+        return kept[1]
     points = scene.points.astype(np.float64)
     edge = np.repeat(np.arange(len(edges.length)), edges.count)
     ends = points[edges.ends[edge]]
     along = (ends[:, 1] - ends[:, 0]) / np.maximum(edges.length[edge], 1e-300)[:, None]
     corners = points[scene.builder.indices[edges.faces]] - ends[:, :1]
     across = corners - (corners * along[:, None]).sum(axis=2, keepdims=True) * along[:, None]
-    return (np.argmax(np.linalg.norm(across, axis=2), axis=1) + 1) % 3
+    sides = (np.argmax((across * across).sum(axis=2), axis=1) + 1) % 3
+    if edges is scene_adjacency(scene):
+        scene._sides = (edges, sides)  # type: ignore[attr-defined]
+    return sides
 
 
 def joined_faces(faces: int, edges: Adjacency, joins: np.ndarray) -> np.ndarray:

@@ -79,6 +79,7 @@ class FilmEdges:
             less where a closed shape turns its back to the camera.
         share: of the samples that the facets get, in proportion to the sum of the weights.
         creases: the edges inside of interpolated normals that are no silhouettes.
+        sides: ``Edges.sides`` of ``others``, in scenes of several shapes.
     """
 
     key: tuple
@@ -89,6 +90,7 @@ class FilmEdges:
     weight: np.ndarray
     share: float
     creases: Seen
+    sides: wp.array | None
 
 
 def film_edges(
@@ -126,7 +128,10 @@ def film_edges(
     share = 0.0
     if len(weight):
         share = float(np.clip(weight.sum() / (weight.sum() + others.length.sum()), LEAST_SHARE, 1.0 - LEAST_SHARE))
-    found = FilmEdges(key, every, edges, others, flat_creases, weight, share, creases)
+    sides = None
+    if len(scene.builder.shapes) > 1:
+        sides = wp.array(_sides(scene, select(edges, others.keep)), dtype=wp.int32, device=scene.device)
+    found = FilmEdges(key, every, edges, others, flat_creases, weight, share, creases, sides)
     scene._film_edges = found  # type: ignore[attr-defined]
     return found
 
@@ -143,9 +148,8 @@ def primary_edges(scene: Scene, found: FilmEdges, curves: Adjacency | None = Non
     if not len(seen.keep):
         return None
     record = upload(scene, edges, seen.keep, seen.length, seen.low, seen.high)
-    if len(scene.builder.shapes) > 1:
-        sides = _sides(scene, select(found.edges, found.others.keep))
-        record.sides = wp.array(sides, dtype=wp.int32, device=scene.device)
+    if found.sides is not None:
+        record.sides = found.sides
     return record
 
 
