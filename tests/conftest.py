@@ -16,12 +16,16 @@ def _has_cuda() -> bool:
     return wp.get_cuda_device_count() > 0
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--device", default="cpu", help="where scenes live whose test names no device, cuda:0 say")
+
+
 def pytest_configure(config: pytest.Config) -> None:
     # The tests are a user of the library, so the global configuration is theirs to set: no start-up banner and no
     # line per compiled module between the results.
     wp.config.log_level = wp.LOG_WARNING
     wp.init()
-    wp.set_device("cpu")  # tests of other devices name them
+    wp.set_device(config.getoption("--device"))  # tests of one device name it
 
 
 def _mark_slow_rows(config: pytest.Config, items: list[pytest.Item]) -> None:

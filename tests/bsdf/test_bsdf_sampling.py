@@ -44,6 +44,8 @@ FLOAT32 = 2e-5
 SIGNIFICANCE = 0.01
 SAMPLES = 100_000
 ANGLES = [0.0, 40.0, 75.0, 88.0]
+#: Cosine below which half vectors in front are a small part of their chart, which takes a finer quadrature.
+GRAZING = 0.1
 #: Key, material and signed cosine's direction of all lobes that are sampled; by default a model's first material at two
 #: angles, from both sides, and the others at one, from the front.
 LOBES = [
@@ -156,14 +158,17 @@ def to_charts(key: str, mat: dict, wi: np.ndarray, wo: np.ndarray) -> tuple[np.n
 
 def quadrature(bsdf: Launcher, key: str, mat: dict, wi: np.ndarray):
     """``integrals`` in front of the surface and, where light passes it, behind, where radiance is scaled to energy."""
-    mass, energy = integrals(bsdf, key, mat, wi)
+    fine = (160, 24) if abs(wi[2]) < GRAZING else (40, 6)
+    mass, energy = integrals(bsdf, key, mat, wi, fine=fine)
     if passes(key):
-        through, radiance = integrals(bsdf, key, mat, wi, behind=True)
+        through, radiance = integrals(bsdf, key, mat, wi, fine=fine, behind=True)
         mass, energy = np.concatenate([mass, through]), energy + index_behind(mat, wi) ** 2 * radiance
     return mass, energy
 
 
-def integrals(bsdf: Launcher, key: str, mat: dict, wi: np.ndarray, bins=(20, 24), fine=(40, 6), behind=False):
+def integrals(
+    bsdf: Launcher, key: str, mat: dict, wi: np.ndarray, bins=(20, 24), *, fine: tuple[int, int], behind=False
+):
     """Integrals of the pdf over each bin (shape ``bins``) and of the value over the hemisphere, midpoint rule.
 
     Finer in q, since at normal incidence the horizon cuts all of a ring of bins at one q.
