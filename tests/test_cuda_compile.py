@@ -101,6 +101,7 @@ def test_kernel_compiles(name, compile_for_cuda):
     compile_for_cuda(module_kernels()[name])
 
 
+@pytest.mark.slow_rows("make_primary_kernel-reverse, simple", "make_replay_kernel-simple")
 @pytest.mark.parametrize(
     ("name", "arguments"),
     [

@@ -110,6 +110,7 @@ def test_both_techniques_have_one_measure() -> None:
     assert (gap < limit).all() and (limit < 0.1 * own[:2]).all(), (own, towards, limit)
 
 
+@pytest.mark.slow_rows("16")
 @pytest.mark.parametrize("count", [16, pytest.param(64, marks=pytest.mark.slow)])
 def test_blocked_etendue(count: int) -> None:
     """By all values of a grid: creases have most of it, also where the grid is fine."""

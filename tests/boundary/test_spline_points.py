@@ -86,6 +86,7 @@ def touch_smoothly(
             out[t, 2] = out[t, 1]
 
 
+@pytest.mark.slow
 def test_lines_that_touch_a_sphere() -> None:
     """The integral of kappa_n dA dtheta is pi dS/dr = 8 pi^2 r, and the density of points gives the area."""
     count, radius = 24, 0.4
@@ -96,6 +97,7 @@ def test_lines_that_touch_a_sphere() -> None:
     assert found[3] == pytest.approx(4.0 * np.pi * smoothed**2, rel=0.01)
 
 
+@pytest.mark.slow
 def test_both_techniques_have_one_measure() -> None:
     """All lines that touch a grid under an affine map, by directions of items and by directions of the sphere."""
     pose = np.eye(4)

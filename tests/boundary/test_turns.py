@@ -57,6 +57,7 @@ def make_turns_kernel(config: PathConfig) -> wp.Kernel:
     return turns
 
 
+@pytest.mark.slow_rows("cubic")
 @pytest.mark.parametrize(
     "kind", [pytest.param(k, marks=[pytest.mark.slow] * (k != "cubic")) for k in (*SHAPES, "network")]
 )

@@ -84,6 +84,7 @@ def test_images_equal_mitsubas(sun):
     assert_same_mean(blocks(ours[:, rows], 2), blocks(theirs[:, rows], 2), "sunsky", SUN + MAP)
 
 
+@pytest.mark.slow
 def test_what_follows_its_parameters_is_that_of_a_new_scene():
     old, changed = loaded(), {"turbidity": 5.2, "sun_direction": [0.1, 0.5, 0.7], "sun_scale": 0.5, "sky_scale": 2.0}
     params = psdr.traverse(old)

@@ -93,7 +93,7 @@ def follow(points: np.ndarray, first: int, v: float, o: np.ndarray, d: np.ndarra
     return np.concatenate([x, n, tangent, [turns, v]])
 
 
-@pytest.mark.slow_rows("linearcurve")
+@pytest.mark.slow_rows("bsplinecurve", "linearcurve")
 @pytest.mark.parametrize("plugin", ["bsplinecurve", pytest.param("linearcurve", marks=pytest.mark.slow)])
 def test_velocities(plugin: str) -> None:
     rng = np.random.default_rng(5)
@@ -103,7 +103,7 @@ def test_velocities(plugin: str) -> None:
     scene = load(plugin, points, starts, to_world=psdr.Transform(pose))
     curves = scene.description.shapes[0].curves
     assert curves is not None
-    count, cubic = 400, curves.cubic
+    count, cubic = 160, curves.cubic
     local = points.astype(np.float64)
     o = rng.standard_normal((count, 3))
     o = 3.0 * o / np.linalg.norm(o, axis=1)[:, None]
@@ -154,5 +154,5 @@ def test_velocities(plugin: str) -> None:
         across = n @ (still[0] - still[1]) / (2.0 * STEP)
         assert n @ found[i, 4] == pytest.approx(across, abs=ROUNDING * (1.0 + abs(across)))
         checked += 1
-    assert checked > 80
+    assert checked > 30
     assert np.quantile(worst, 0.95) < ROUNDING / 4.0 and max(worst) < 4.0 * ROUNDING

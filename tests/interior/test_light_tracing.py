@@ -56,7 +56,7 @@ def test_slopes_are_one_and_the_modes_and_all_numbers_of_workers_agree():
     scene = psdr.load_dict(corner(point=POINT))
     params = psdr.traverse(scene)
     integrator = psdr.PathIntegrator(max_depth=4, interior=LIGHT_TRACING, boundary=None)
-    options = {"integrator": integrator, "spp": 16384, "seed": 3}
+    options = {"integrator": integrator, "spp": 4096, "seed": 3}
     adjoint = weights(8)
     steps = {"floor.bsdf.reflectance.value": 0.02, "point.intensity.value": 0.1, "point.position": 0.05}
     directions = {name: np.array([1.0, 1.0, 1.0] if "value" in name else [0.0, 0.0, 1.0], np.float32) for name in steps}

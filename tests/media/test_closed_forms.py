@@ -60,6 +60,7 @@ def test_a_slab_lets_exp_minus_tau_pass(grey_slab, sigma_t):
         assert_mean(points(images), np.exp(-2.0 * sigma_t), f"sigma {sigma_t}", WIDTH)
 
 
+@pytest.mark.slow
 def test_one_channel_is_drawn_and_all_weigh():
     """By channel, the hero's weights alone have a standard deviation of 31 here."""
     sigma = (0.1, 0.8, 4.0)
@@ -160,6 +161,7 @@ def test_a_slab_in_the_sun(slab_in_the_sun, tau):
     assert psdr.invalid_samples(slab_in_the_sun)["image"] < 1e-3 * images.size / 3 * 1024
 
 
+@pytest.mark.slow
 def test_lights_mirrors_and_depth():
     """A light seen through two cubes at depth 1, and the last vertex of a path collides with nothing."""
     parts = {

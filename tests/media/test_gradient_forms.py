@@ -158,6 +158,7 @@ def test_a_furnace_by_density(slab):
         assert found.std() > 0.0
 
 
+@pytest.mark.slow
 def test_a_furnace_by_albedo():
     """sigma 4 V / S = 2.6667 at albedo 1, averaged over the rays that enter a ball of density 2, whatever the phase.
 

@@ -158,7 +158,9 @@ def requested(case):
     return params.requested
 
 
-@pytest.mark.slow_rows("sunlit-haze.interior_medium.albedo.value.value-4-reverse")
+@pytest.mark.slow_rows(
+    "sunlit-floor.bsdf.reflectance.value-4-reverse", "sunlit-haze.interior_medium.albedo.value.value-4-reverse"
+)
 @pytest.mark.parametrize(
     ("case", "mode"),
     [

@@ -76,6 +76,7 @@ def motions(params, motion):
     return np.array([(grad * motion(values)).sum() for grad, values in grads])
 
 
+@pytest.mark.slow
 def test_nothing_changes_where_all_moves_together():
     """Sample by sample: floor, bulb, camera and both grids have derivatives that add up to rounding."""
     scene, params = measure.load("smoky slab")

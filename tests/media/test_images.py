@@ -26,7 +26,7 @@ CASES = {
     "blended by grids": scenes.blended_by_grids,
     "microflakes": scenes.microflakes,
 }
-FAST = ("milk", "smoke")
+FAST = ("milk",)
 PEERS = ("volpath", "volpathmis")
 
 
@@ -40,13 +40,6 @@ def our_batches(name):
     return images, parts
 
 
-@pytest.mark.slow_rows(
-    "fog in a room-volpath",
-    "fog in a room-volpathmis",
-    "ink in fog-volpath",
-    "ink in fog-volpathmis",
-    "smoke-volpathmis",
-)
 @INSIDE
 @pytest.mark.parametrize("peer", PEERS)
 @pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.slow] * (n not in FAST)) for n in CASES])

@@ -41,6 +41,7 @@ def assert_same(found, expected):
         np.testing.assert_allclose(found[name], values, rtol=0.0, atol=ROUNDING * np.abs(values).max())
 
 
+@pytest.mark.slow
 def test_derivatives_trace_the_paths_of_the_image():
     """Images are linear in lights: with equal numbers the derivative along their radiance is the image, pixel by pixel.
 
@@ -72,6 +73,7 @@ def sum_of_squares(image: wp.array2d(dtype=wp.vec3), loss: wp.array(dtype=wp.flo
     wp.atomic_add(loss, 0, wp.dot(image[i, j], image[i, j]))
 
 
+@pytest.mark.slow
 def test_a_tape(scene, expected):
     params = psdr.traverse(scene)
     params.requires_grad(VOXELS, ALBEDO)

@@ -206,7 +206,7 @@ def test_what_passes(kind):
     assert (np.abs(found[:, slopes == 0.0]) < 1e-5).all() and (slopes == 0.0).sum() == 6  # the ray lies across y
 
 
-@pytest.mark.slow_rows("heterogeneous")
+@pytest.mark.slow_rows("homogeneous", "heterogeneous")
 @pytest.mark.parametrize("kind", KINDS)
 def test_light_scattered_once(kind):
     """By each number of both voxels, which turn flakes and let light pass to them and from them, and by the albedo."""
@@ -215,7 +215,7 @@ def test_light_scattered_once(kind):
     flat = np.append(TWO.reshape(-1), 0.6)
     image = batches(scene, spp=2048, max_depth=2).mean(axis=(1, 2))
     assert_mean(image, scattered_once(TWO, density, 0.6), "radiance", 2.0 * WIDTH)
-    found = gradients(scene, [S, SLAB + "albedo.value.value"], 2, 4096)
+    found = gradients(scene, [S, SLAB + "albedo.value.value"], 2, 1024)
     slopes = slopes_of(lambda v: scattered_once(v[:12], density, v[12]), flat)
     assert_derivatives(found, slopes)
 
@@ -228,7 +228,7 @@ def emitted(values, density, glow):
     return (np.exp(-(np.cumsum(seen) - 0.5 * seen) * (2.5 / n))).sum() * glow * (2.5 / n)
 
 
-@pytest.mark.slow_rows("homogeneous-flakes1", "heterogeneous-flakes2")
+@pytest.mark.slow_rows("homogeneous-flakes0", "homogeneous-flakes1", "heterogeneous-flakes2")
 @pytest.mark.parametrize(
     ("kind", "flakes"), [("homogeneous", TWO[0, 0, 0]), ("homogeneous", TWO), ("heterogeneous", TWO)]
 )
@@ -385,6 +385,7 @@ def test_equals_mitsuba():
 # ---- Edits, and what is refused ----
 
 
+@pytest.mark.slow
 def test_edits_are_followed_and_checked():
     """Larger flakes are tracked with a larger bound, as if they had been loaded."""
     scene = slab(microflakes("heterogeneous", TWO), sky=sky(1.0, 1.0, 1.0))

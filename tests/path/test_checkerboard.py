@@ -98,7 +98,7 @@ def test_what_cannot_be_is_named(colors, words):
         describe_dict(seen(bsdf={"type": "diffuse", "reflectance": {"type": "checkerboard", **colors}}))
 
 
-@pytest.mark.slow_rows("alpha")
+@pytest.mark.slow_rows("reflectance", "alpha")
 @pytest.mark.parametrize("read", ["reflectance", "alpha"])
 def test_images_equal_mitsubas(read):
     mi = pytest.importorskip("mitsuba")

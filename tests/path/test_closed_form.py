@@ -31,6 +31,7 @@ def expected_image(case, shape):
 
 
 @pytest.mark.slow_rows(
+    "mirror",
     "hidden_light.hidden",
     "spot_falloff",
     "two_sided_back",

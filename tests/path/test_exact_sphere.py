@@ -54,6 +54,7 @@ def assert_same(a: np.ndarray, b: np.ndarray, rounding: float) -> None:
     assert z.max() < z_limit(z.size, len(a) - 1)
 
 
+@pytest.mark.slow_rows("inside", "outside")
 @pytest.mark.parametrize("seen_from", ["outside", "inside"])
 def test_white_furnace(seen_from: str) -> None:
     """Under a uniform sky a convex body scatters once: albedo x sky; and one inside sees nothing but itself."""

@@ -163,6 +163,7 @@ def test_principal_point_shifts_the_film(axis, pixels):
         assert_same_mean(a, b, "unshifted", rounding=1e-2)
 
 
+@pytest.mark.slow
 def test_mitsuba_sees_the_same_film():
     """Crop, principal point, fov axis and clip planes against Mitsuba, in 4 x 4 blocks."""
     mitsuba = pytest.importorskip("mitsuba")

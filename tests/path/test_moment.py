@@ -35,7 +35,7 @@ def test_the_variance_is_that_of_images():
     pose = psdr.Transform.look_at([0.0, 0.0, 2.0], [0.0, 0.0, 0.0], [0.0, 1.0, 0.0]) @ psdr.Transform.scale(0.5)
     lamp = {"type": "rectangle", "to_world": pose, "emitter": {"type": "area", "radiance": 3.0}}
     scene = scene_of(lamp=lamp, floor={"type": "rectangle", "to_world": psdr.Transform.scale(3.0)})
-    spp, repeats = 64, 24
+    spp, repeats = 32, 16
     found = [[a.numpy().astype(float) for a in psdr.render_moment(scene, spp=spp, seed=s)] for s in range(repeats)]
     images, seconds = (np.array(values) for values in zip(*found, strict=True))
     predicted = (seconds - images**2) / (spp - 1)

@@ -59,6 +59,7 @@ def test_a_stack_of_plates(count, tilt):
     assert_mean(images.reshape(-1, 3), np.array([1.0, 2.0, 3.0]) * (1.0 - r) / (1.0 + (count - 1) * r), "stack", 1e-3)
 
 
+@pytest.mark.slow
 def test_each_crossing_is_tinted_and_counts_as_a_vertex():
     tinted = {"type": "thindielectric", "int_ior": 1.3, "ext_ior": 1.3, "specular_transmittance": rgb(0.5, 0.7, 1.0)}
     sheets = {"a": sheet(0.5, tinted), "b": sheet(0.0, NOTHING), "c": sheet(-0.5, tinted)}

@@ -51,6 +51,7 @@ def test_expansion(name: str) -> None:
     assert np.abs(found[:, 4:] - second).max() < ROUNDING * np.abs(second).max()
 
 
+@pytest.mark.slow
 @pytest.mark.slow_rows("sines")
 @pytest.mark.parametrize("name", NETS)
 def test_no_slope_is_above_its_bound(name: str) -> None:

@@ -122,6 +122,12 @@ def test_ply_keeps_isolated_vertices_and_groups_attributes(tmp_path):
     assert any("'lonely' is ignored" in note for note in result.notes)
 
 
+@pytest.mark.parametrize("count", [3, 1 << 62])
+def test_ply_elements_without_properties_hold_nothing(tmp_path, count):
+    text = PLY.replace("end_header", f"element empty {count}\nend_header")
+    assert len(shape("ply", filename=written(tmp_path, "a.ply", text)).faces) == 3
+
+
 def binary_ply(order):
     header = (
         f"ply\nformat binary_{'little' if order == '<' else 'big'}_endian 1.0\nelement vertex 4\nproperty float x\n"

@@ -63,7 +63,7 @@ def test_a_scene_that_is_near_has_no_origin_and_no_second_array(pair) -> None:
     assert [n for n in far.description.notes if "far from the origin" in n]
 
 
-@pytest.mark.slow_rows("1", "2")
+@pytest.mark.slow_rows("0", "1", "2")
 @pytest.mark.parametrize("sensor", range(3))
 def test_far_away_the_device_holds_the_same_bits(pair, sensor: int) -> None:
     near, far = pair

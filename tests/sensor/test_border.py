@@ -60,7 +60,16 @@ def share(name: str, low: float, high: float, border: bool, first: int, size: in
 
 
 @pytest.mark.slow_rows(
-    "tent-False", "wide tent-None", "wide tent-False", "box-None", "gaussian-None", "box-False", "tent-None"
+    "gaussian-False",
+    "wide gaussian-None",
+    "wide gaussian-False",
+    "tent-False",
+    "wide tent-None",
+    "wide tent-False",
+    "box-None",
+    "gaussian-None",
+    "box-False",
+    "tent-None",
 )
 @pytest.mark.parametrize("border", [None, False])
 @pytest.mark.parametrize("name", NAMES)

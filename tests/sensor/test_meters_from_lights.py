@@ -17,7 +17,7 @@ METHODS = pytest.mark.parametrize(
 FLOOR, LAMP = "floor.bsdf.reflectance.data", "lamp.emitter.radiance.value"
 
 
-@pytest.mark.slow_rows("bidirectional")
+@pytest.mark.slow_rows("light tracing", "bidirectional")
 @METHODS
 def test_one_reflection_is_what_a_quadrature_says(method):
     """A point light below a small meter, both above a floor.

@@ -258,7 +258,9 @@ CASES = (
 )  # fmt: skip
 
 
-@pytest.mark.slow_rows("slabs of thickness 1e-3 .. 1e-6")
+@pytest.mark.slow_rows(
+    "a box whose top is seen at 1e-2 .. 3e-6", "corners beside and behind the camera", "slabs of thickness 1e-3 .. 1e-6"
+)
 @pytest.mark.parametrize("case", parameters(CASES))
 def test_coverage(case, check) -> None:
     check(case)

@@ -21,7 +21,7 @@ from warp_psdr.scene.errors import SceneError
 from warp_psdr.scene.plugins import PLUGINS
 
 #: Examples of a property.
-FEW, MANY = 40, 1500
+FEW, MANY = 15, 1500
 EDGES = (0, 1, 2, 3, 4, 7, 8, 255, 256, 65536, 2**24, 2**31 - 1, 2**31, 2**32 - 1, 2**32, 2**40, 2**63, 10**40)
 INTEGERS = st.one_of(st.sampled_from(EDGES), st.sampled_from(EDGES).map(lambda i: -i), st.integers(-5, 300))
 NUMBERS = st.one_of(INTEGERS, st.floats(allow_nan=True), st.sampled_from([1e-45, 1e38, 3.5e38, 1e308, -0.0, 0.5]))

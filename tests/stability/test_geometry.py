@@ -237,6 +237,7 @@ CASES = (
 )  # fmt: skip
 
 
+@pytest.mark.slow_rows("T-junctions, image and interior")
 @pytest.mark.parametrize("case", parameters(CASES))
 def test_geometry(case, check) -> None:
     check(case)

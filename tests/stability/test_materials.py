@@ -362,6 +362,7 @@ CASES = [
 ]
 
 
+@pytest.mark.slow_rows("a rough coat, values, alpha 1e-5 .. 1, up to 89.9 degrees")
 @pytest.mark.parametrize("case", parameters(CASES))
 def test_materials(case, check) -> None:
     check(case)

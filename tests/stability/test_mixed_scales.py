@@ -167,6 +167,7 @@ CASES = [
 ]  # fmt: skip
 
 
+@pytest.mark.slow_rows("a world of 1e1 .. 1e6, untouched: image and interior")
 @pytest.mark.parametrize("case", parameters(CASES))
 def test_mixed_scales(case, check) -> None:
     check(case)

@@ -78,6 +78,7 @@ def test_highlights_points_drawn_evenly_along_an_edge_miss_the_lobe() -> None:
     assert (np.abs(along) < 2.0 * width).sum() < 3
 
 
+@pytest.mark.slow
 def test_boundary_without_its_term_a_shadow_does_not_move() -> None:
     z = boundary.compared(room(), method=None, spp=16, primal=256, noise=math.inf)
     assert z > 1.0 and boundary.compared(room(), spp=16, primal=256, noise=math.inf) < 1.0

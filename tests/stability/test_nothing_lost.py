@@ -215,6 +215,7 @@ def test_no_file_is_shortened_in_silence(suffix: str, tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == [file]
 
 
+@pytest.mark.slow
 def test_read_only_folder_is_named_before_the_work(config: FitConfig) -> None:
     fit(config, iterations=3)
     before = contents(config.output)

@@ -263,6 +263,7 @@ CASES = [
 ]
 
 
+@pytest.mark.slow_rows("gradient of 4e6 samples, forward")
 @pytest.mark.parametrize("case", parameters(CASES))
 def test_numbers(case, check) -> None:
     check(case)

@@ -53,7 +53,7 @@ def read_text_ply(file: Path) -> dict[str, Any] | None:
                 return None
             width += 1 + (int(numbers[at + width]) if is_list else 0)
         rows = numbers[at : at + length * width]
-        if len(rows) != length * width:
+        if width == 0 or len(rows) != length * width:
             return None
         data = _columns(rows.reshape(length, width), properties)
         if data is None:
