@@ -19,6 +19,7 @@ from warp_psdr.kernels.camera_rays import (
 from warp_psdr.kernels.invalid import count_invalid, finite
 from warp_psdr.kernels.jobs import PixelJob
 from warp_psdr.kernels.lanes.path_lanes import make_lane_paths, side_by_side
+from warp_psdr.kernels.lanes.waiting_lanes import CameraPath, make_trace_waiting
 from warp_psdr.kernels.modules import wide_vectors
 from warp_psdr.kernels.path import make_camera_start
 from warp_psdr.kernels.path_media import make_media_step, media_path_from, radiance_of_step
@@ -28,16 +29,8 @@ from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.vertex import PathConfig, PathState
 
 
-@wp.struct
-class CameraPath:
-    """What became of a sample: where it lies on the film, and the radiance that it found."""
-
-    sample: CameraSample
-    radiance: wp.vec3
-
-
 class CameraPaths(NamedTuple):
-    """How samples are traced: ``width`` at a time, which are those of one pixel unless ``grouped``.
+    """How samples are traced: up to ``width`` at a time, which are those of one pixel unless ``grouped``.
 
     ``trace(scene, camera, pixels, bundle, max_depth, rr_depth, paths_out)`` traces the samples of a bundle into an
     array of ``width`` ``CameraPath``.
@@ -52,33 +45,9 @@ class CameraPaths(NamedTuple):
 def make_image_paths(config: PathConfig, filter_kind: int | None = None) -> CameraPaths:
     """Make the function for what a scene needs; ``filter_kind`` as ``make_camera_start``'s."""
     if side_by_side(config):
-        lanes = make_lane_paths(config, False, filter_kind=filter_kind)
-
-        @wp.func
-        def trace_lanes(
-            scene: Scene,
-            camera: Camera,
-            pixels: wp.array(dtype=wp.int32),
-            bundle: Bundle,
-            max_depth: wp.int32,
-            rr_depth: wp.int32,
-            paths_out: wp.array(dtype=CameraPath),
-        ):
-            rows = scene.rows
-            lanes.start(scene, camera, pixels, bundle, 0, rows)
-            depth = wp.int32(0)
-            alive = wp.int32(1)
-            while alive > 0:
-                alive = lanes.step(scene, depth, max_depth, rr_depth, rows)
-                depth += 1
-            for j in range(bundle.pixels * bundle.samples):
-                path = CameraPath()
-                path.sample = lanes.camera(rows, j)
-                path.radiance = lanes.gathered(rows, j).radiance
-                paths_out[j] = path
-
-        return CameraPaths(lanes.width, True, trace_lanes)
-
+        paths = make_lane_paths(config, False, filter_kind=filter_kind)
+        together, trace_waiting = make_trace_waiting(config, paths)
+        return CameraPaths(together, True, trace_waiting)
     if config.media is not None:
         return _make_media_paths(config, filter_kind)
     if config.connections:

@@ -19,8 +19,9 @@ from warp_psdr.kernels.camera_rays import make_pixel_bundle, sampler_in
 from warp_psdr.kernels.constants import RFILTER_BOX, RFILTER_TENT
 from warp_psdr.kernels.invalid import count_invalid, finite
 from warp_psdr.kernels.jobs import PixelJob
+from warp_psdr.kernels.lanes.waiting_lanes import CameraPath
 from warp_psdr.kernels.modules import SCENE, wide_vectors
-from warp_psdr.kernels.primal import CameraPath, make_image_paths
+from warp_psdr.kernels.primal import make_image_paths
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.vertex import PathConfig
 

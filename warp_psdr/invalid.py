@@ -20,7 +20,7 @@ import warp as wp
 
 from warp_psdr.device import shared_copy
 from warp_psdr.kernels.invalid import COUNTER_SIZE
-from warp_psdr.kernels.lanes.lanes import ROOM
+from warp_psdr.kernels.lanes.lanes import QUEUE_ROOM, ROOM
 
 if TYPE_CHECKING:
     from warp_psdr.kernels import structs
@@ -160,7 +160,7 @@ def counting(
         (record of the scene, shard) -> the record that this shard has to pass to its kernels.
     """
     counters = wp.zeros((shards, COUNTER_SIZE), dtype=wp.int64, device=scene.device)
-    rows = wp.empty((shards, ROOM * scene.accelerator.width), dtype=wp.uint32, device=scene.device)
+    rows = wp.empty((shards, (ROOM + QUEUE_ROOM) * scene.accelerator.width), dtype=wp.uint32, device=scene.device)
     records: list[structs.Scene | None] = [None] * shards
 
     def of_shard(data: structs.Scene, shard: int) -> structs.Scene:

@@ -193,7 +193,7 @@ def _make_lane_kernel(paths: LanePaths, sweep_all: wp.Function, through: bool):
             bundle.first_sample = job.first_sample + done
             bundle.samples = wp.min(job.samples - done, wp.static(paths.width))
             done += bundle.samples
-            paths.start(scene, camera, job.pixels, bundle, always, rows)
+            paths.start(scene, camera, job.pixels, bundle, 0, always, rows)
             n = wp.int32(0)
             alive = wp.int32(1)
             while alive > 0:

@@ -19,6 +19,8 @@ ROWS = wp.array(dtype=wp.uint32)
 #: Rows that ``Scene.rows`` has. It is the host's and holds anything: a local array would be cleared for every pixel,
 #: twice, which took a tenth of an image and of a gradient.
 ROOM = 1024
+#: Rows behind those, for paths that wait (``waiting_lanes.py``).
+QUEUE_ROOM = 736
 
 
 def words(record) -> int:

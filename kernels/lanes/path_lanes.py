@@ -50,6 +50,7 @@ class LaneSample:
     sampler: Sampler
     px: wp.int32
     py: wp.int32
+    number: wp.int32  # among those that are traced together
 
 
 @wp.struct
@@ -73,16 +74,23 @@ class LanePaths(NamedTuple):
 
     Attributes:
         width: number of lanes.
-        start: ``(scene, camera, pixels, bundle, touched_requested, rows)`` starts the samples of a bundle, and traces
-            their camera rays; ``touched_requested`` as in ``PathState``.
+        start: ``(scene, camera, pixels, bundle, first, touched_requested, rows)`` starts the samples of a bundle from
+            the ``first``-th on, and traces their camera rays; ``touched_requested`` as in ``PathState``.
         step: ``(scene, depth, max_depth, rr_depth, rows) -> int``: one vertex of every path, behind ``depth`` others;
             the number of paths that have another one.
+        trace: ``(scene, depth, rows)``, of ``step``: what the rays meet.
+        scatter: ``(scene, standing, depth, max_depth, rr_depth, rows)``, of ``step``: what the paths scatter where they
+            stand, ``standing`` as in ``PlaceLanes``.
+        advance: ``(scattering, rows) -> int``, of ``step``: adds up what they have found, and gives them their next
+            rays, if they were ``scattering``; the number of those that have one.
         gathered: ``(rows, j) -> Sum`` of the j-th path.
         camera: ``(rows, j) -> CameraSample``.
         vertex: ``(rows, j, n) -> PathVertex``, its n-th vertex; None if none are kept.
         record: ``(rows, j, n) -> RecordedVertex``, and what is kept with it; None if no such things are.
         radiance: ``(rows, j, n) -> vec3`` of the light that was drawn there; None unless it is kept.
         lane_samples: ``LaneSample``, the paths' samples.
+        cameras: ``CameraSample``, where they lie on the film.
+        sums: ``Sum``, what they have gathered.
         states: ``PathState``, their rays.
         hits: ``RayHit``, what they meet.
         on_places: where they stand.
@@ -92,12 +100,17 @@ class LanePaths(NamedTuple):
     width: int
     start: wp.Function
     step: wp.Function
+    trace: wp.Function
+    scatter: wp.Function
+    advance: wp.Function
     gathered: wp.Function
     camera: wp.Function
     vertex: wp.Function | None
     record: wp.Function | None
     radiance: wp.Function | None
     lane_samples: Rows
+    cameras: Rows
+    sums: Rows
     states: Rows
     hits: Rows
     on_places: PlaceLanes
@@ -173,20 +186,28 @@ def make_lane_paths(
         camera: Camera,
         pixels: wp.array(dtype=wp.int32),
         bundle: Bundle,
+        first: wp.int32,
         touched_requested: wp.int32,
         rows: ROWS,
     ):
-        count = bundle.pixels * bundle.samples
+        count = wp.min(bundle.pixels * bundle.samples - first, width)
+        i = wp.int32(first // bundle.samples)
+        n = wp.int32(first % bundle.samples)
         j = wp.int32(0)
         lane_sample = LaneSample()
-        for i in range(bundle.pixels):
-            lane_sample.sampler = sampler_at(pixels[bundle.first + i], 0, bundle.seed)
-            lane_sample.px = column_of(bundle, lane_sample.sampler)
-            lane_sample.py = row_of(bundle, lane_sample.sampler)
-            for n in range(bundle.samples):
-                lane_sample.sampler.index = wp.uint32(bundle.first_sample + n)
-                lane_samples.put(rows, j, lane_sample)
-                j += 1
+        while j < count:
+            if n == bundle.samples:
+                i += 1
+                n = wp.int32(0)
+            if j == 0 or n == 0:
+                lane_sample.sampler = sampler_at(pixels[bundle.first + i], 0, bundle.seed)
+                lane_sample.px = column_of(bundle, lane_sample.sampler)
+                lane_sample.py = row_of(bundle, lane_sample.sampler)
+            lane_sample.sampler.index = wp.uint32(bundle.first_sample + n)
+            lane_sample.number = first + j
+            lane_samples.put(rows, j, lane_sample)
+            n += 1
+            j += 1
         while j < width:  # the last one once more
             lane_samples.put(rows, j, lane_sample)
             j += 1
@@ -357,31 +378,35 @@ def make_lane_paths(
         return alive
 
     @wp.func
+    def scatter_standing(
+        scene: Scene, standing: wp.int32, depth: wp.int32, max_depth: wp.int32, rr_depth: wp.int32, rows: ROWS
+    ):
+        draw_numbers(depth, rows)
+        standing_on = on_places.stand(scene, standing, rows)
+        if wp.static(has_lights):
+            lights.choose(scene, rows)
+            lights.draw(scene, rows)
+            if wp.static(models is not None):
+                evaluate_models(standing_on, standing, rows)
+            lights.estimate(rows)
+        if wp.static(models is not None):
+            models.draw(standing_on, standing, rows)
+        scatter_all(scene, rr_depth, rows)
+        if wp.static(has_lights):
+            look(scene, rows)
+            if wp.static(through):
+                pass_surfaces(scene, standing, most_crossings(depth, max_depth), rows)
+
+    @wp.func
     def step(scene: Scene, depth: wp.int32, max_depth: wp.int32, rr_depth: wp.int32, rows: ROWS) -> wp.int32:
         last = wp.static(not config.scatter) or (max_depth >= 0 and depth + 1 >= max_depth)
-        if wp.static(config.scatter):
-            if not last:
-                draw_numbers(depth, rows)
         trace(scene, depth, rows)
         standing = on_places.meet(scene, rows)
         scattering = standing > 0 and not last
         on_places.collect(scene, rows)
         if wp.static(config.scatter):
             if scattering:
-                standing_on = on_places.stand(scene, standing, rows)
-                if wp.static(has_lights):
-                    lights.choose(scene, rows)
-                    lights.draw(scene, rows)
-                    if wp.static(models is not None):
-                        evaluate_models(standing_on, standing, rows)
-                    lights.estimate(rows)
-                if wp.static(models is not None):
-                    models.draw(standing_on, standing, rows)
-                scatter_all(scene, rr_depth, rows)
-                if wp.static(has_lights):
-                    look(scene, rows)
-                    if wp.static(through):
-                        pass_surfaces(scene, standing, most_crossings(depth, max_depth), rows)
+                scatter_standing(scene, standing, depth, max_depth, rr_depth, rows)
         if wp.static(kept > 0):
             keep(depth, scattering, rows)
         return advance(scattering, rows)
@@ -395,5 +420,6 @@ def make_lane_paths(
         return cameras.get(rows, j)
 
     kept_parts = (store.vertex, store.record, store.radiance)
-    traced = (lane_samples, states, hits, on_places)
-    return LanePaths(width, start, step, gathered, camera_of, *kept_parts, *traced, store.end)
+    traced = (lane_samples, cameras, sums, states, hits, on_places)
+    parts = (trace, scatter_standing, advance)
+    return LanePaths(width, start, step, *parts, gathered, camera_of, *kept_parts, *traced, store.end)

@@ -16,7 +16,7 @@ from warp_psdr.kernels.lanes.lanes import ROWS, Rows, make_fetch, stack_rows, wo
 from warp_psdr.kernels.lanes.model_lanes import model_bit
 from warp_psdr.kernels.math import where3
 from warp_psdr.kernels.primitive.affine import is_primitive
-from warp_psdr.kernels.reading import shape_at
+from warp_psdr.kernels.reading import shape_at, triangle_at
 from warp_psdr.kernels.scattering import EmissionHit, make_emission_hit, make_sky_hit
 from warp_psdr.kernels.structs import Scene, Triangle
 from warp_psdr.kernels.surface import Surface
@@ -50,8 +50,10 @@ class PlaceLanes(NamedTuple):
     """What ``make_place_lanes`` makes.
 
     Attributes:
-        meet: ``(scene, rows) -> int``: what the rays have met; the number of lanes up to the last whose path stands on
-            a surface.
+        see: ``(rows) -> int``: what the rays have met; the number of lanes up to the last whose path stands on a
+            surface.
+        fetch: ``(scene, rows)``: the triangles there.
+        meet: ``(scene, rows) -> int``: both.
         collect: ``(scene, rows)``: what the rays bring.
         stand: ``(scene, standing, rows) -> int``: where the paths stand, and the bits of their models, 0 if there is
             one alone (``model_lanes.py``); ``standing`` is what ``meet`` returned.
@@ -63,6 +65,8 @@ class PlaceLanes(NamedTuple):
         emissions: ``EmissionHit``.
     """
 
+    see: wp.Function
+    fetch: wp.Function
     meet: wp.Function
     collect: wp.Function
     stand: wp.Function
@@ -96,7 +100,7 @@ def make_place_lanes(config: PathConfig, width: int, first: int, states: Rows, h
     triangle_row, face_row = triangles.first, choices.first + word_of(LaneHit, "face")
 
     @wp.func
-    def meet(scene: Scene, rows: ROWS) -> wp.int32:
+    def see(rows: ROWS) -> wp.int32:
         standing = wp.int32(0)
         j = wp.int32(0)
         while j < width:
@@ -113,8 +117,17 @@ def make_place_lanes(config: PathConfig, width: int, first: int, states: Rows, h
             emissions.put(rows, j, EmissionHit())
             standing = wp.max(standing, choice.on * (j + 1))
             j += 1
+        return standing
+
+    @wp.func
+    def fetch(scene: Scene, rows: ROWS):
+        fetch_triangle(scene.triangles, rows, face_row, triangle_row)
+
+    @wp.func
+    def meet(scene: Scene, rows: ROWS) -> wp.int32:
+        standing = see(rows)
         if standing > 0:
-            fetch_triangle(scene.triangles, rows, face_row, triangle_row)
+            fetch(scene, rows)
         return standing
 
     @wp.func
@@ -141,9 +154,9 @@ def make_place_lanes(config: PathConfig, width: int, first: int, states: Rows, h
             j = wp.int32(0)
             while j < width:
                 choice = choices.get(rows, j)
-                shape = wp.where(choice.on == 1, triangles.get(rows, j).shape, 0)
-                if choice.on == 1 and shape_at(scene, shape).emitter >= 0:
-                    emissions.put(rows, j, emission_hit(scene, states.get(rows, j), hits.get(rows, j)))
+                if choice.on == 1:
+                    if shape_at(scene, triangle_at(scene, choice.face).shape).emitter >= 0:
+                        emissions.put(rows, j, emission_hit(scene, states.get(rows, j), hits.get(rows, j)))
                 j += 1
 
     @wp.func
@@ -200,4 +213,4 @@ def make_place_lanes(config: PathConfig, width: int, first: int, states: Rows, h
             j += 1
         return models
 
-    return PlaceLanes(meet, collect, stand, choices, triangles, surfaces, looked_up, places, emissions)
+    return PlaceLanes(see, fetch, meet, collect, stand, choices, triangles, surfaces, looked_up, places, emissions)

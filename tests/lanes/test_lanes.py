@@ -14,8 +14,9 @@ import warp_psdr as psdr
 from tests.gradients import scenes
 from warp_psdr.kernels import primal, splat
 from warp_psdr.kernels.interior import replay
-from warp_psdr.kernels.lanes.lanes import ROOM, make_number, make_record, words
-from warp_psdr.kernels.lanes.path_lanes import make_lane_paths, side_by_side
+from warp_psdr.kernels.lanes.lanes import QUEUE_ROOM, ROOM, make_number, make_record, stack_rows, words
+from warp_psdr.kernels.lanes.path_lanes import LaneSample, make_lane_paths, side_by_side
+from warp_psdr.kernels.lanes.waiting_lanes import Staying, make_queue
 from warp_psdr.kernels.scattering import ScatterSample
 from warp_psdr.scene import acceleration
 
@@ -382,6 +383,52 @@ def test_records_come_back_from_their_rows(width):
     wp.launch(there_and_back, 1, [values], [out, numbers], device="cpu")
     np.testing.assert_array_equal(out.numpy().view(np.int32).reshape(width, count), raw)
     np.testing.assert_array_equal(numbers.numpy(), 0.125 * np.arange(width))
+
+
+@pytest.mark.parametrize("width", [4, 8, 16])
+def test_paths_wait_in_their_order(width):
+    """A queue that is emptied as it is filled, each time by every other path."""
+    waits, aside, samples = stack_rows(width, 0, Staying, Staying, LaneSample)
+    queue = make_queue(width, (waits, samples))
+
+    @wp.func
+    def put_path(rows: wp.array(dtype=wp.uint32), j: wp.int32, number: wp.int32):
+        sample = LaneSample()
+        sample.number = number
+        waits.put(rows, j, Staying(1))
+        samples.put(rows, j, sample)
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def halve(rows: wp.array(dtype=wp.uint32), out: wp.array(dtype=int)):
+        length = wp.int32(0)
+        while length < wp.static(queue.room):
+            for j in range(wp.static(width)):
+                put_path(rows, j, length + j)
+            length = queue.append(rows, 0, length)
+        rounds = wp.int32(0)
+        while rounds < 2:
+            front = wp.int32(0)
+            left = wp.int32(0)
+            while front < length:
+                queue.take(rows, front)
+                for j in range(wp.static(width)):
+                    keeps = wp.where(front + j < length, (front + j + 1) % 2, 0)
+                    aside.put(rows, j, Staying(keeps))
+                left = queue.append(rows, 1, left)
+                front += width
+            length = left
+            rounds += 1
+        for i in range(length):
+            if i % width == 0:
+                queue.take(rows, i)
+            out[i] = samples.get(rows, i % width).number
+
+    rows = wp.empty((ROOM + QUEUE_ROOM) * width, dtype=wp.uint32, device="cpu")
+    out = wp.full(queue.room, -1, dtype=int, device="cpu")
+    wp.launch(halve, 1, [rows], [out], device="cpu")
+    kept = np.arange(0, queue.room, 4)
+    np.testing.assert_array_equal(out.numpy()[: len(kept)], kept)
+    assert (out.numpy()[len(kept) :] == -1).all() and queue.room % width == 0 and queue.room > 8 * width
 
 
 COMPILE = """

@@ -15,7 +15,7 @@ from warp_psdr.kernels import constants as c
 from warp_psdr.kernels import structs
 from warp_psdr.kernels.bsdf.dispatch import has_delta_lobes
 from warp_psdr.kernels.invalid import COUNTER_SIZE
-from warp_psdr.kernels.lanes.lanes import ROOM
+from warp_psdr.kernels.lanes.lanes import QUEUE_ROOM, ROOM
 from warp_psdr.kernels.shape.transform import pose_shape
 from warp_psdr.kernels.step import RAY_EPSILON
 from warp_psdr.kernels.structs import Media, Medium
@@ -127,7 +127,7 @@ class Scene:
         self._media.records = struct_array(Medium, builder.media, self.device)
         self._media.sides = wp.array(builder.sides or [(c.NO_INTERFACE,) * 2], dtype=wp.vec2i, device=self.device)
         self.accelerator = Accelerator(self._points, self.indices, self.device, built=False)
-        self._rows = wp.empty(ROOM * self.accelerator.width, dtype=wp.uint32, device=self.device)
+        self._rows = wp.empty((ROOM + QUEUE_ROOM) * self.accelerator.width, dtype=wp.uint32, device=self.device)
         self._sight: Accelerator | None = None
         self._contact_ratio = CONTACT_RATIO
         self._shades_flat: bool | None = None
