@@ -3,7 +3,7 @@
 ``{methods}`` is ``psdr.methods()``, ``{about-method} OPTION`` one row of it; ``{plugins} KIND`` what the loader reads
 of its plugins, with the pictures that ``swatches.py`` has made; ``{models}`` the declared scattering models; ``{api}``
 the public names; ``{measured} NAME`` the tables of ``data/NAME.jsonl``, in the form that ``--output`` of the benchmarks
-writes; ``{combinations}`` what may be attached together.
+writes; ``{combinations}`` what may be attached together, and what materials are not.
 """
 
 from __future__ import annotations
@@ -108,6 +108,8 @@ class Combinations(Generated):
             verdict = "offered" if row.offered else "not offered" if row.right else "**biased**"
             numbers = f"{row.found:.3g} | {row.exact:.3g} | {row.variance:.2g}"
             lines.append(f"| {choices} | {where[row.when]} | {verdict} | {numbers} | {row.reason} |")
+        lines += ["", "| material whose directions stay | why |", "|---|---|"]
+        lines += [f"| `{model}` | {reason} |" for model, reason in combinations.UNMOVED.items()]
         return "\n".join(lines)
 
 

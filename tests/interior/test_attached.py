@@ -13,7 +13,7 @@ from tests.gradients.scenes import rgb
 from tests.interior.test_resampled import assert_equal_means
 from warp_psdr.kernels.bsdf.microfacet import make_reflection
 from warp_psdr.kernels.bsdf.motion import SampleMotion, make_reflection_motion
-from warp_psdr.options.combinations import EDGES, MOVING_LIGHT, SAMPLES, TABLE, WEIGHTS, combination
+from warp_psdr.options.combinations import EDGES, MOVING_LIGHT, SAMPLES, TABLE, UNMOVED, WEIGHTS, combination
 from warp_psdr.topology.outlook import has_in_front
 
 Attached = psdr.interior.Attached
@@ -215,6 +215,25 @@ SCENES = {
         [ALPHA],
         [],
     ),
+    "lights of no area": (
+        description(
+            metal(alpha=0.2),
+            sun={"type": "directional", "direction": [0.2, 0.6, -1.0], "irradiance": 2.0},
+            point={"type": "point", "position": [-2.0, -2.0, 1.0], "intensity": rgb(6.0, 4.0, 2.0)},
+        ),
+        [ALPHA],
+        ["sun.irradiance.value", "point.intensity.value"],
+    ),
+    "lamp behind": (
+        description(metal())
+        | {
+            "thing": {"type": "rectangle", "bsdf": metal(alpha=0.2)},
+            "lamp": {"type": "rectangle", "to_world": psdr.Transform.translate([0.0, 0.0, -2.0]),
+                     "emitter": {"type": "area", "radiance": 3.0}},
+        },
+        [ALPHA],
+        ["lamp.emitter.radiance.value"],
+    ),
 }  # fmt: skip
 
 
@@ -297,6 +316,8 @@ def test_forward_mode_sums_to_reverse_mode():
         ("plate", "attached", "attached"),
         ("plate", "attached", "position"),
         ("floor and lamp", "detached", "attached"),
+        ("lights of no area", "attached", "attached"),
+        ("lamp behind", "attached", "attached"),
     ],
 )
 def test_mean_is_that_of_replay(name, bsdf, weights):
@@ -379,8 +400,21 @@ def test_what_it_does_not_move_is_refused():
     mixed = {"type": "blendbsdf", "weight": 0.5, "a": metal(), "b": {"type": "diffuse"}}
     name = "thing.bsdf.bsdf_0.alpha.value"
     assert "no parameter that is requested is one" in refused(description(mixed), [name])
-    glass = {"type": "roughdielectric", "alpha": 0.2}
-    assert "'roughdielectric'" in refused(description(glass), [ALPHA])
+    # Lobes that are chosen by chance, the choice by the roughness among it, and directions into the body.
+    parameters = {
+        "roughdielectric": "alpha",
+        "roughplastic": "alpha",
+        "principled": "roughness",
+        "ashikhminshirley": "nu",
+        "abc": "B",
+        "orennayar": "sigma",
+    }
+    for other, parameter in parameters.items():
+        bsdf = {"type": other, parameter: 0.2, **({"A": 1.0, "C": 2.0} if other == "abc" else {})}
+        params = psdr.traverse(psdr.load_dict(description(bsdf)))
+        name = next(n for n in params if n.startswith(f"thing.bsdf.{parameter}"))
+        text = refused(description(bsdf), [name])
+        assert repr(other) in text and UNMOVED[other] in text and "interior.Replay()" in text
 
 
 def test_the_plan_names_the_choice():

@@ -9,6 +9,9 @@ import trimesh
 import warp_psdr as psdr
 from tests.gradients.measure import NO_ROULETTE, shared_random_numbers
 from tests.gradients.scenes import rgb
+from warp_psdr.estimate.boundary.terms import Request
+from warp_psdr.estimate.guiding import store
+from warp_psdr.plan.motion import motion
 
 SIZE = 16
 #: Difference of two means over their standard error that independent batches exceed once in 16,000 tries.
@@ -177,6 +180,19 @@ def test_mean_is_that_of_replay_beside_other_terms(shapes, kind, guiding):
     error = np.hypot(film_error, replay_error)
     assert abs(replay) > 40.0 * error
     assert abs(film - replay) < Z * error
+
+
+def test_structures_of_film_points_and_of_replay_are_kept_apart():
+    guiding = psdr.guiding.KdTree()
+    scene, params = load("box")
+    name, _tangent = moved(params, "flying")
+    keys = set()
+    for method in (REPLAY, FILM):
+        options = psdr.PathIntegrator(max_depth=3, interior=method, boundary=psdr.boundary.PathSpace(guiding=guiding))
+        plan = psdr.plan(scene, names=[name], integrator=options)
+        request = Request(scene, plan, motion(scene, [name]), "reverse", 0, 16, 1)
+        keys.add(store.key_of(request, guiding, store.EDGES))
+    assert len(keys) == 2
 
 
 @pytest.mark.slow

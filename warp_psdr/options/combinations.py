@@ -186,6 +186,23 @@ TABLE = (
     ),
 )
 
+_BY_CHANCE = (
+    "a direction is of one lobe or another by chance, with shares of densities that would all move; "
+    "interior.Resampled() draws for it"
+)
+#: Models with glossy lobes whose directions stay -> why.
+UNMOVED = {
+    "roughdielectric": "directions that enter the body meet its far side, whose edges they cross",
+    "roughplastic": _BY_CHANCE,
+    "principled": _BY_CHANCE,
+    "principledthin": _BY_CHANCE,
+    "ashikhminshirley": _BY_CHANCE,
+    "blendbsdf": _BY_CHANCE,
+    "mask": _BY_CHANCE,
+    "abc": "its sampling is not differentiated; interior.Resampled() draws for it",
+    "orennayar": "its directions are drawn by the cosine, which sigma does not move: replay is attached already",
+}
+
 
 def combination(bsdf: str, emitter: str, weights: str) -> Combination:
     """Return the row of three choices."""

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from warp_psdr.kernels.bsdf.model import key_of
 from warp_psdr.kernels.bsdf.motion import MOVED_BY, MOVING
 from warp_psdr.options import interior
-from warp_psdr.options.combinations import EDGES, MOVING_LIGHT, refused_when
+from warp_psdr.options.combinations import EDGES, MOVING_LIGHT, UNMOVED, refused_when
 from warp_psdr.scene.layout import MATERIAL, POSITIONS, SHAPE_POSE
 from warp_psdr.topology.interpolated_normals import interpolated_faces
 from warp_psdr.topology.outlook import sees_others
@@ -31,9 +31,11 @@ def refused_by_attached(method: interior.Method, scene: Scene, names: list[str],
         return ""
     roughnesses = [name for name in names if scene.parameters[name].uses & ROUGHNESS]
     if not roughnesses:
+        read = {s.model for name in names for i in _users(scene, name) for s in scene.description.shapes[i].bsdf.sides}
+        known = "".join(f" Of {model!r}, {UNMOVED[model]}." for model in sorted(read & UNMOVED.keys()))
         return (
             f"{method.label} moves what is drawn by the roughness of a 'roughconductor', and no parameter that is "
-            "requested is one. Use interior.Replay()"
+            f"requested is one.{known} Use interior.Resampled() or interior.Replay()"
         )
     users = {name: _users(scene, name) for name in roughnesses}
     for name, shapes in users.items():
@@ -43,7 +45,8 @@ def refused_by_attached(method: interior.Method, scene: Scene, names: list[str],
                 path = scene.description.shapes[shape].path
                 return (
                     f"{method.label} moves what a plain 'roughconductor' draws, and {name} is read by {other!r} of "
-                    f"shape {path!r}; use interior.Resampled() or interior.Replay() for it"
+                    f"shape {path!r}{f' ({UNMOVED[other]})' if other in UNMOVED else ''}; use interior.Resampled() or "
+                    "interior.Replay() for it"
                 )
     row = refused_when(EDGES, *choice)
     if row is None:

@@ -1,10 +1,11 @@
 """Built structures, kept on the scene from one gradient to the next.
 
-A structure belongs to a method, to what moves, to a camera and a depth. At the same values of the scene it is used as
-it is. While vertices, lights and cameras have moved by less than ``drift`` since it was built, its cells stay and their
-masses are refreshed, those of some of them at each change. Beyond that it is built anew, as soon as the samples that it
-has guided since are so many that the evaluations of a build are few beside them; at once where an edge can be a
-silhouette that is not in it. So a step of an optimisation spends little on guiding, however fine the structure is.
+A structure belongs to a method, to what moves, to a camera, a depth and the form of the first vertices. At the same
+values of the scene it is used as it is. While vertices, lights and cameras have moved by less than ``drift`` since it
+was built, its cells stay and their masses are refreshed, those of some of them at each change. Beyond that it is built
+anew, as soon as the samples that it has guided since are so many that the evaluations of a build are few beside them;
+at once where an edge can be a silhouette that is not in it. So a step of an optimisation spends little on guiding,
+however fine the structure is.
 """
 
 from __future__ import annotations
@@ -85,12 +86,12 @@ def structures(scene: Scene) -> list[Structure]:
 
 def built(r: Request, method: Method, name: str) -> bool:
     """Whether there is a structure for the boundary term of a name."""
-    return _key(r, method, name) in kept(r.scene)
+    return key_of(r, method, name) in kept(r.scene)
 
 
 def forget(r: Request, method: Method, name: str) -> None:
     """Forget what guiding has built for the boundary term of a name."""
-    kept(r.scene).pop(_key(r, method, name), None)
+    kept(r.scene).pop(key_of(r, method, name), None)
 
 
 def kernels(r: Request) -> list[wp.Kernel]:
@@ -98,8 +99,10 @@ def kernels(r: Request) -> list[wp.Kernel]:
     return [make_secondary_kernel(r.config, "target", False, False, indirect=r.indirect), make_facing_kernel(r.config)]
 
 
-def _key(r: Request, method: Method, name: str) -> tuple:
-    return method, name, r.moves, r.sensor, r.plan.max_depth, r.method.without_counts(), r.indirect
+def key_of(r: Request, method: Method, name: str) -> tuple:
+    """Return what a structure belongs to."""
+    first = r.config.material_first  # edges of the same names have another integrand
+    return method, name, r.moves, r.sensor, r.plan.max_depth, r.method.without_counts(), r.indirect, first
 
 
 def guide(r: Request, method: Method, seeds: Seeds | None = None) -> tuple[Edges | None, Guide]:
@@ -112,7 +115,7 @@ def guide(r: Request, method: Method, seeds: Seeds | None = None) -> tuple[Edges
     """
     scene = r.scene
     values = scene.values.numpy()
-    key = _key(r, method, EDGES)
+    key = key_of(r, method, EDGES)
     old = kept(scene).get(key)
     if old is not None and np.array_equal(old.seen, values, equal_nan=True):
         old.guided += samples_of(r)
@@ -166,7 +169,7 @@ def guide_surfaces(
     scene = r.scene
     values = scene.values.numpy()
     empty = Structure(leaves={}, built=values.copy(), seen=values.copy(), guide=Guide())
-    found = kept(scene).setdefault(_key(r, method, name), empty)
+    found = kept(scene).setdefault(key_of(r, method, name), empty)
     changed = not found.leaves or not np.array_equal(found.seen, values, equal_nan=True)
     serves = False
     if changed:
