@@ -176,7 +176,11 @@ class Attached(Method):
         ):
             given = getattr(self, name)
             if given not in allowed:
-                raise ValueError(f"{name}: got {given!r}, expected one of {', '.join(map(repr, allowed))}")
+                warped = "; boundary.WarpedArea() warps rays for what moves, not for a roughness"
+                raise ValueError(
+                    f"{name}: got {given!r}, expected one of {', '.join(map(repr, allowed))}"
+                    f"{warped if given == 'reparametrised' else ''}"
+                )
         row = self.combination
         if not row.offered:
             verdict = "is not offered" if row.right else f"is biased ({row.numbers})"
