@@ -303,6 +303,7 @@ FACTORIES = {
     "boundary.shading_normals.indirect_terminator.make_indirect_terminator_kernel": [
         ("reverse, materials", (MATERIALS, "reverse", True), SLOW),
         ("forward, textures", (TEXTURED, "forward", False), SLOW),
+        ("reverse, exact shapes", (EXACT, "reverse", True), SLOW),
     ],
     "boundary.path_space.intersection_curve.make_intersection_curve_kernel": [
         ("reverse, simple", (SIMPLE, "reverse", False), SLOW),
@@ -315,6 +316,7 @@ FACTORIES = {
         ("reverse, materials", (MATERIALS, "reverse", True), SLOW),
         ("forward, textures", (TEXTURED, "forward", False), SLOW),
         ("indirect, materials", (MATERIALS, "reverse", False, True), SLOW),
+        ("reverse, exact shapes", (EXACT, "reverse", True), SLOW),
     ],
     "boundary.specular.line_search.make_line_search_kernel": [
         ("reverse, materials", (MATERIALS, moving(MATERIALS), "reverse", False), SLOW),

@@ -7,6 +7,7 @@ import warp_psdr as psdr
 
 from .measure import MODES, Case, assert_agrees, assert_transposes, derivatives, differences, rows
 from .scenes import T, camera, diffuse, floor, load, panel, register, sky
+from .scenes import ball as coarse
 
 VIEW = camera((0.3, -3.0, 2.0), (0.0, 0.0, 0.4), fov=45.0)
 POSE = T.translate([0.1, 0.0, 0.75]).rotate([0, 1, 1], 35.0).scale([0.5, 0.35, 0.45])
@@ -47,8 +48,15 @@ def walled():
     }
 
 
+def beside_bent():
+    """A coarse ball with interpolated normals beside an ellipsoid."""
+    other = coarse((-0.75, 0.1, 0.5), 0.4, diffuse(0.3, 0.6, 0.8), smooth=True)
+    return {**room("lamp", exact=True)(), "other": other}
+
+
 register(
     {
+        "exact, bent": beside_bent,
         **{f"exact, {light}": room(light, exact=True) for light in LIGHTS},
         "fine, lamp": room("lamp", resolution=320),
         "exact, wall": walled,
@@ -110,6 +118,14 @@ CASES = [
     Case("exact, lamp", LAMP, moved_light, 0.01, "the lamp moves", 2, 512, 4096),
     Case("exact, point", "light.position", moved_light, 0.01, "the lamp moves", 2, 512, 4096),
     Case("exact, lamp", "sensor.to_world", entry(0, 3), 0.01, "the camera moves", 2, 512, 4096),
+    *(
+        Case("exact, bent", name, tangent, 0.01, what, depth, 1024, 4096)
+        for what, name, tangent, depth in (
+            ("radius", BALL, radius, 3),
+            ("the mesh moves", "other.vertex_positions", moved_light, 2),
+            ("the mesh moves", "other.vertex_positions", moved_light, 3),
+        )
+    ),
     Case("exact, wall", BALL, radius, 0.01, "radius", 4, 1024, 4096),
     Case("exact, wall", "wall.to_world", entry(0, 3), 0.01, "the wall moves", 4, 1024, 4096),
 ]
@@ -198,10 +214,13 @@ def test_irradiance_below_a_black_sphere() -> None:
 
 
 @pytest.mark.slow
-def test_reverse_mode_is_the_transpose() -> None:
-    scene, params = load("exact, wall")
+@pytest.mark.parametrize(
+    ("name", "other"), [("exact, wall", "wall.to_world"), ("exact, bent", "other.vertex_positions")]
+)
+def test_reverse_mode_is_the_transpose(name: str, other: str) -> None:
+    scene, params = load(name)
     options = {"integrator": psdr.PathIntegrator(max_depth=3), "spp": 4, "seed": 1}
-    assert_transposes(scene, params, [BALL, "wall.to_world", LAMP], options)
+    assert_transposes(scene, params, [BALL, other, LAMP], options)
 
 
 @pytest.mark.slow

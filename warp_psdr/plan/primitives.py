@@ -47,6 +47,11 @@ def kinds(scene: Scene) -> tuple[int, ...]:
     return tuple(sorted({KINDS[scene.description.shapes[i].primitive] for i in scene.builder.primitives}))
 
 
+def are_exact(config: PathConfig) -> bool:
+    """Return whether all shapes without triangles are exact ones, whose points are material."""
+    return set(config.primitives) <= set(EXACT.values())
+
+
 def shining(scene: Scene) -> tuple[int, ...]:
     """Return those kinds of a scene that shine."""
     shapes = [scene.description.shapes[i] for i in scene.builder.primitives]
@@ -193,7 +198,7 @@ def _of_boundary(scene: Scene, config: PathConfig, integrator: PathIntegrator) -
         return f"{method.label}() does not move rays where exact shapes shine; use boundary.PathSpace()"
     if isinstance(method, Reparametrised):
         pass  # it knows them alone (``plan/reparametrised.py``)
-    elif isinstance(method, Projective) and set(config.primitives) <= set(EXACT.values()):
+    elif isinstance(method, Projective) and are_exact(config):
         pass
     elif isinstance(method, Method) and type(method) is not PathSpace:
         return f"{method.label}() has no terms of it; use boundary.PathSpace()"

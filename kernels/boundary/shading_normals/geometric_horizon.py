@@ -22,11 +22,12 @@ from warp_psdr.kernels.interaction import make_interaction
 from warp_psdr.kernels.invalid import count_invalid
 from warp_psdr.kernels.jobs import SampleJob
 from warp_psdr.kernels.modules import wide_vectors
+from warp_psdr.kernels.primitive.dispatch import make_adjoint_sink
 from warp_psdr.kernels.rng import Sampler, make_sampler, sampler_at
 from warp_psdr.kernels.sampling import square_to_triangle
 from warp_psdr.kernels.step import leaving_step
 from warp_psdr.kernels.structs import Camera, Scene
-from warp_psdr.kernels.surface import VertexAdjoint, make_vertex_sink, normalize_vjp
+from warp_psdr.kernels.surface import VertexAdjoint, normalize_vjp
 from warp_psdr.kernels.vertex import PathConfig
 from warp_psdr.kernels.visibility import visibility_of
 
@@ -54,7 +55,7 @@ def make_geometric_horizon_kernel(config: PathConfig, role: str, camera_moves: b
     """Return the kernel: one thread a sample; arguments as those of ``make_secondary_kernel``."""
     visibility = visibility_of(config)
     surface_at = make_interaction(config).surface
-    accumulate_vertex = make_vertex_sink(role, False, False, False, False, False, True)
+    accumulate_vertex = make_adjoint_sink(role, False, False, False, False, False, True, config.primitives)
     source = make_indirect(make_side(config)) if indirect else make_side(config)
     transport = make_transport(config, role, camera_moves, source)
     both = config.two_sided or bool(passing(config.bsdfs))

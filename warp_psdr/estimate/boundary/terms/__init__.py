@@ -181,10 +181,11 @@ def launches(term: BoundaryTerm, request: Request) -> list[Term]:
     """Return the launches of one of a method's terms, under its name; in media, of those that know them."""
     known = term.media or request.config.media is None
     found = term.launch(request) if known and term.applies(request) else None
-    if found is not None and request.config.primitives and not term.exact:
+    knows = term.exact or (term.material and primitives.are_exact(request.config))
+    if found is not None and request.config.primitives and not knows:
         raise ValueError(
-            f"the boundary term {term.name!r} does not know exact shapes yet; {primitives.INSTEAD}, or give the meshes "
-            "that move, and those beside them, face_normals"
+            f"the boundary term {term.name!r} does not know grids, networks and curves yet; give these triangles, or "
+            "give the meshes that move, and those beside them, face_normals"
         )
     if found is not None and request.plan.times is not None and not term.timed:
         raise ValueError(

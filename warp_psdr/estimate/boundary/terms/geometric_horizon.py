@@ -39,5 +39,6 @@ TERM = BoundaryTerm(
     methods=(PathSpace, Projective, EdgeSampling),
     launch=launch,
     applies=applies,
+    material=True,
     splits=True,
 )

@@ -146,6 +146,7 @@ class BoundaryTerm:
         splits: paths of two vertices behind the camera can be told from longer ones (``kernels/boundary/depth.py``).
         guided: a method's guiding, where there is one, guides it.
         exact: it knows shapes without triangles (``kernels/primitive``) in the scene around it.
+        material: it knows those of them whose points are material: exact spheres, disks and cylinders.
         media: it knows participating media.
         timed: it knows the bins of transient films.
         part: of the boundary term that it belongs to (``parts``): "smooth", "edges", or "both" ("creases" of the
@@ -161,6 +162,7 @@ class BoundaryTerm:
     splits: bool = False
     guided: bool = False
     exact: bool = False
+    material: bool = False
     media: bool = False
     timed: bool = False
     part: str = "edges"
