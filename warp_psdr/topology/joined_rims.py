@@ -148,11 +148,12 @@ def outlines(scene: Scene, shapes: frozenset[int] | None) -> wp.array | None:
             continue
         kind = KINDS[scene.description.shapes[i].primitive]
         if kind in OUTLINES:
-            found.append((face, -1, -1))
+            ends = {e: record[d] for d, c, e in joined.caps if c == i}
+            found.append((face, (ends.get(0, -1), ends.get(1, -1)), -1))
         closed = joined.closed(i) if kind == PRIMITIVE_CYLINDER else set()
         if kind in RIMS and len(closed) < 2 and i not in dict(joined.buried):
             neighbour = next((record[c] for d, c, _end in joined.caps if d == i), -1)
-            found.append((-1 - face, neighbour, next(iter(closed), -1)))
+            found.append((-1 - face, (neighbour, -1), next(iter(closed), -1)))
     if not found:
         return None
     return wp.array(np.array(found, OutlineItem.numpy_dtype()), dtype=OutlineItem, device=scene.device)

@@ -106,7 +106,8 @@ class OutlineItem:
     """An outline: a smooth silhouette, or a rim."""
 
     number: wp.int32  # of the shape's record; of a rim -1 less that
-    neighbour: wp.int32  # of a disk's rim: record of the cylinder that it closes, whose wall begins there; -1: none
+    neighbours: wp.vec2i  # records, -1: none; of a disk's rim the cylinder that it closes, whose wall begins there;
+    # of a cylinder's silhouette the disks that close it
     closed: wp.int32  # of a cylinder's rims: the end, 0 or 1, that is no open edge; -1: none
 
 

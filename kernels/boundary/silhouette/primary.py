@@ -126,8 +126,9 @@ def make_primary_silhouette_kernel(config: PathConfig, role: str, camera_moves: 
         d = (point.x - at.origin) / distance
         start = point.x + step * point.out
         joined = wp.bool(False)
+        both = wp.bool(False)  # surfaces are seen, one on either side
         if wp.static(neighbour is not None):
-            joined = item.neighbour >= 0
+            joined = rim and item.neighbours[0] >= 0
             if joined:
                 # From outside or from within, the way to the eye does not pass the two surfaces.
                 start = point.x - wp.min(FRONT * step, distance - at.near) * d
@@ -165,9 +166,10 @@ def make_primary_silhouette_kernel(config: PathConfig, role: str, camera_moves: 
         if wp.static(neighbour is not None):
             if joined:
                 slant = wp.min(slant, neighbour.slant(scene, item, point.x, d))
-                if wp.dot(point.out, neighbour.into(scene, item, point.x)) >= 0.0:
-                    # Both are seen, one on either side, perhaps from within.
-                    apart = step * wp.min(OFF / neighbour.sine(scene, item, point), MOST)
+                both = wp.dot(point.out, neighbour.into(scene, item, point.x)) >= 0.0
+                sine = neighbour.corner(scene, item, point, d)
+                if sine > 0.0:
+                    apart = step * wp.min(OFF / sine, MOST)
         if wp.static(silhouettes is not None):
             if not rim:
                 curvature = silhouettes.curvature(tri, point.q, d)
@@ -190,7 +192,11 @@ def make_primary_silhouette_kernel(config: PathConfig, role: str, camera_moves: 
             o = point.x - apart * point.out - ahead * d
             t_max = at.far - distance + ahead
             inside = incident_radiance(scene, sampler, o, d, t_max, 0, job.max_depth, job.rr_depth)
-            met = inside.face == face or (joined and inside.face == item.neighbour)
+            met = inside.face == face
+            if wp.static(neighbour is not None):
+                # In front of a silhouette's end there may be a disk.
+                near = inside.face == item.neighbours[0] or inside.face == item.neighbours[1]
+                met = met or (near and inside.face >= 0)
             apart *= WIDER
             k += 1
         if not met:
@@ -198,6 +204,8 @@ def make_primary_silhouette_kernel(config: PathConfig, role: str, camera_moves: 
         o = point.x + apart / WIDER * point.out - ahead * d
         t_max = at.far - distance + ahead
         outside = incident_radiance(scene, sampler, o, d, t_max, 0, job.max_depth, job.rr_depth)
+        if both and outside.face != item.neighbours[0]:
+            return  # it passes the wall's silhouette, which counts that jump
         jump = inside.radiance - outside.radiance
         # ---- Accumulation ----
         scale = wp.float32(outlines.shape[0]) / wp.float32(job.samples)

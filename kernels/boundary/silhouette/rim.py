@@ -104,17 +104,18 @@ class Rims(NamedTuple):
 
 
 class Neighbour(NamedTuple):
-    """Functions of the cylinder behind a disk's rim, ``item.neighbour``.
+    """Functions of the cylinder behind a disk's rim, ``item.neighbours[0]``.
 
     Attributes:
         into: ``(scene, item, x) -> vec3``, from the rim along its wall.
         slant: ``(scene, item, x, w) -> float``: sine of the angle between a direction and its wall.
-        sine: ``(scene, item, point) -> float``: of the angle between disk and wall.
+        corner: ``(scene, item, point, w) -> float``: sine of the angle between disk and wall if rays along w come from
+            within; else 0.
     """
 
     into: wp.Function
     slant: wp.Function
-    sine: wp.Function
+    corner: wp.Function
 
 
 @functools.cache
@@ -125,23 +126,28 @@ def make_neighbour(primitives: tuple[int, ...]) -> Neighbour | None:
 
     @wp.func
     def wall_into(scene: Scene, item: OutlineItem, x: wp.vec3) -> wp.vec3:
-        tri = scene.triangles[item.neighbour]
+        tri = scene.triangles[item.neighbours[0]]
         return to_axes(tri, cylinder_into(from_axes(tri, x - tri.normal)))
 
     @wp.func
     def wall_slant(scene: Scene, item: OutlineItem, x: wp.vec3, w: wp.vec3) -> wp.float32:
-        tri = scene.triangles[item.neighbour]
+        tri = scene.triangles[item.neighbours[0]]
         n = cofactor(tri, cylinder_normal(from_axes(tri, x - tri.normal)))
         return wp.abs(wp.dot(wp.normalize(n), w))
 
     @wp.func
-    def wall_sine(scene: Scene, item: OutlineItem, point: SilhouettePoint) -> wp.float32:
-        wall = scene.triangles[item.neighbour]
-        n = cofactor(wall, cylinder_normal(from_axes(wall, point.x - wall.normal)))
+    def corner(scene: Scene, item: OutlineItem, point: SilhouettePoint, w: wp.vec3) -> wp.float32:
+        wall = scene.triangles[item.neighbours[0]]
         cap = scene.triangles[point.face]
-        return wp.length(wp.cross(wp.normalize(n), wp.normalize(cofactor(cap, disk_normal(point.q)))))
+        n_wall = wp.normalize(cofactor(wall, cylinder_normal(from_axes(wall, point.x - wall.normal))))
+        n_cap = wp.normalize(cofactor(cap, disk_normal(point.q)))
+        along_wall = wall_into(scene, item, point.x)
+        along_cap = to_axes(cap, disk_into(point.q))
+        if wp.dot(w, n_cap) * wp.dot(along_wall, n_cap) < 0.0 and wp.dot(w, n_wall) * wp.dot(along_cap, n_wall) < 0.0:
+            return wp.length(wp.cross(n_wall, n_cap))
+        return 0.0
 
-    return Neighbour(wall_into, wall_slant, wall_sine)
+    return Neighbour(wall_into, wall_slant, corner)
 
 
 @functools.cache

@@ -243,7 +243,7 @@ def make_secondary_silhouette_kernel(
             if rim and not is_open_end(item, point.q):
                 return
         if wp.static(neighbour is not None):
-            if item.neighbour >= 0:
+            if rim and item.neighbours[0] >= 0:
                 if wp.dot(point.out, neighbour.into(scene, item, point.x)) >= 0.0:
                     return
         s = segment_at(scene, moving, tri, point, rim, aim, found.share, job.max_depth == 2)
