@@ -32,7 +32,6 @@ def expected_image(case, shape):
 
 @pytest.mark.slow_rows(
     "mirror",
-    "hidden_light.hidden",
     "spot_falloff",
     "two_sided_back",
     "spot_axis",
