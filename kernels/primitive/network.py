@@ -21,6 +21,7 @@ from warp_psdr.kernels.primitive.affine import step_off_primitive
 from warp_psdr.kernels.primitive.network_source import ALONG, PULL, SINKS, TYPES
 from warp_psdr.kernels.primitive.sdfgrid import Grid
 from warp_psdr.kernels.reading import load_float
+from warp_psdr.kernels.step import LEAVE
 from warp_psdr.kernels.structs import Scene, Triangle
 
 #: Values of the pose, and of the head behind it.
@@ -64,6 +65,17 @@ def step_off_network(scene: Scene, tri: Triangle) -> wp.float32:
     size = wp.max(wp.max(wp.length(tri.p0), wp.length(tri.p1)), wp.length(tri.p2))
     step = load_float(scene.values, tri.i0 + wp.static(POSE + STEP_WORD))
     return wp.max(step_off_primitive(scene, tri), step * size)
+
+
+@wp.func
+def clear_of_network(scene: Scene, tri: Triangle) -> wp.float32:
+    """Depth, world units, below a silhouette from which on no ray is taken to meet the surface on its far side.
+
+    That is where float32 tells the sign of phi, and the roundings of the ray besides.
+    """
+    size = wp.max(wp.max(wp.length(tri.p0), wp.length(tri.p1)), wp.length(tri.p2))
+    reach = wp.max(wp.abs(tri.normal) + wp.abs(tri.p0) + wp.abs(tri.p1) + wp.abs(tri.p2))
+    return load_float(scene.values, tri.i0 + wp.static(POSE + STEP_WORD)) * size + LEAVE * reach
 
 
 def network_text(text: str) -> str:

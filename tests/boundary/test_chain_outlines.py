@@ -13,7 +13,7 @@ from warp_psdr.kernels.boundary.specular.chain_patches import make_patch
 from warp_psdr.kernels.boundary.specular.specular_chain import Link
 from warp_psdr.kernels.constants import FAR
 from warp_psdr.kernels.interaction import make_interaction
-from warp_psdr.kernels.primitive.network import step_off_network
+from warp_psdr.kernels.primitive.network import clear_of_network
 from warp_psdr.kernels.structs import Scene
 from warp_psdr.kernels.vertex import PathConfig
 from warp_psdr.kernels.visibility import visibility_of
@@ -147,7 +147,7 @@ def grazing_kernel(config: PathConfig):
             else:
                 b = middle
         inwards = wp.normalize(inner[i] - outer[i])
-        d = wp.normalize(a + steps * step_off_network(scene, scene.triangles[face]) * inwards - o)
+        d = wp.normalize(a + steps * clear_of_network(scene, scene.triangles[face]) * inwards - o)
         hit = visibility.closest(scene, o, d, FAR)
         if met == 1 and hit.face == face:
             met_out[i] = 1
@@ -158,7 +158,7 @@ def grazing_kernel(config: PathConfig):
 
 @pytest.mark.slow
 def test_hits_aside_of_the_outline_of_a_network_face_the_ray() -> None:
-    """At it some lie behind the touched point, by roundings of phi: a step off the surface aside none does."""
+    """At it some lie behind the touched point, by roundings of phi: as far aside as its sign is told none does."""
     scene = psdr.load_dict({"type": "scene", "sensor": camera(), "sky": sky(), "shape": SHAPES["network"]})
     kernel = grazing_kernel(psdr.plan(scene, integrator=psdr.PathIntegrator(max_depth=2)).config)
     arrays = [wp.array(np.float32(v), dtype=wp.vec3, device="cpu") for v in rays_past(4096, 2.1)]

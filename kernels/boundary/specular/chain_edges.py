@@ -26,9 +26,9 @@ from warp_psdr.kernels.boundary.specular.triangle_borders import (
 from warp_psdr.kernels.boundary.transport import Segment
 from warp_psdr.kernels.constants import FAR, PRIMITIVE_NEURALSDF
 from warp_psdr.kernels.emitter.dispatch import make_delta_sample
-from warp_psdr.kernels.primitive.affine import is_primitive_at
+from warp_psdr.kernels.primitive.affine import determinant, is_primitive_at
 from warp_psdr.kernels.primitive.dispatch import is_network, slides_on
-from warp_psdr.kernels.primitive.network import step_off_network
+from warp_psdr.kernels.primitive.network import clear_of_network
 from warp_psdr.kernels.step import step_beside
 from warp_psdr.kernels.structs import Scene, Triangle
 from warp_psdr.kernels.surface import VertexAdjoint, point_on
@@ -56,6 +56,7 @@ class Crossing:
     phi_a: wp.float32  # derivatives of phi along the line and across it
     phi_b: wp.float32
     aside: wp.float32  # part of the line at which its two sides are looked at; 0: where they differ
+    low_lies: wp.int32  # where its lower side lies: 1: up the line, -1: down it, 0: as at its crossing
     both: wp.int32  # 1: the other side of the line is a crossing of its own
     edge: wp.int32  # 1: ``point`` and ``segment`` hold the edge, 2: ``segment`` holds material points, 3: ``outline``
     point: EdgePoint
@@ -331,7 +332,10 @@ def make_edge_crossing(hidden: bool, primitives: tuple[int, ...]):
                 tri = scene.triangles[r.outline.face]
                 if is_network(tri):
                     # Closer to its outline, hits lie in front of the touched point or behind it, as phi is rounded.
-                    apart_by = step_off_network(scene, tri) / scene.ray_epsilon
+                    apart_by = clear_of_network(scene, tri) / scene.ray_epsilon
+                    # Along a normal that faces outwards phi falls.
+                    falls = (r.phi_a < 0.0) == (determinant(tri) > 0.0)
+                    r.low_lies = wp.where(falls == own_low, -1, 1)
         r.aside = aside(scene, block, m, apart_by, r.phi_a)
         r.valid = 1
         return r

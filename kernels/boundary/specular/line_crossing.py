@@ -129,7 +129,9 @@ def make_crossing_sink(config: PathConfig, wanted: GradientRequest, role: str, l
             sign = 2.0 * wp.float32(k) - 1.0
             s = wp.where(k == 0, low, high)
             if r.side == 0 or wp.float32(r.side) == sign:
-                if r.aside > 0.0:
+                if r.low_lies != 0:
+                    s -= sign * wp.float32(r.low_lies) * r.aside
+                elif r.aside > 0.0:
                     links = r.last - line.count + 2
                     s = beside_crossing(scene, camera, tables, block, s, sign * r.aside, line.max_depth, links)
                 f = follow_chain(scene, camera, block, s, branch, line.max_depth, line.rr_depth)
