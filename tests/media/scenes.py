@@ -137,6 +137,14 @@ def milk():
     )
 
 
+def striped_milk():
+    """``milk`` whose albedo differs by layer, in a medium that is ``homogeneous`` all the same."""
+    parts = milk()
+    stripes = np.where(np.arange(6) % 2, 0.95, 0.3).reshape(6, 1, 1)
+    parts["cube"]["interior"] = {**medium(3.0, g=0.6), "albedo": grid(stripes)}
+    return parts
+
+
 def ink_in_glass():
     """A coloured medium behind a dielectric, in a second, thinner medium that a null cube bounds."""
     thin = {**medium(0.15, 0.6), "id": "thin"}

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import warp_psdr as psdr
-from tests.media.scenes import camera, cube, grid, grids, rgb, sky, whole
+from tests.media.scenes import camera, cube, grid, grids, medium, rgb, sky, whole
 from tests.path.helpers import assert_mean, batches
 
 SLAB = "slab.interior_medium."
@@ -91,6 +91,30 @@ def test_a_slab_of_layers(scene, scale, background):
     assert_mean(found[SIGMA].sum(axis=(2, 3)), by_sigma * W, "by layers of extinction", WIDTH)
     assert_mean(found[SCALE], (by_scale * W).sum(), "by scale", WIDTH)
     assert not found[ALBEDO].any() and np.abs(found[EMISSION]).sum() > 0.1
+
+
+def test_a_homogeneous_slab_of_luminous_layers():
+    """Of one extinction, with emission and albedo by grids; by every layer and by the extinction."""
+    sigma = np.array([0.5, 1.2, 0.1])
+    glow, black = (grid(np.ones((len(x), 2, 3, 3)) * x[:, None, None, :]) for x in (EMISSIONS, np.zeros((2, 3))))
+    shining = {**medium(tuple(sigma), g=0.4), "albedo": black, "emission": glow}
+    view = camera([0, 0, 5], [0, 0, 0], up=(0, 1, 0), size=SIZE)
+    scene = psdr.load_dict(whole(sensor=view, slab=cube(shining), sky=sky(0.3, 0.3, 0.3)))
+    params, extinction = psdr.traverse(scene), SLAB + "sigma_t.value.value"
+    placed = {name for name in params if name.startswith(SLAB) and name.endswith("to_world")}
+    assert placed == {SLAB + "albedo.to_world", SLAB + "emission.to_world"}
+    value, by_sigma, by_emission, _by_scale = by_quadrature(sigma[None, :], EMISSIONS, 1.0, 0.3)
+    assert_mean(batches(scene, spp=1024, max_depth=1).mean(axis=(1, 2)), value, "radiance", WIDTH)
+    params.requires_grad_only(EMISSION, extinction)
+    adjoint = np.broadcast_to(W / SIZE**2, (SIZE, SIZE, 3)).astype(np.float32)
+    found = {EMISSION: [], extinction: []}
+    for seed in range(BATCHES):
+        params.zero_grad()
+        psdr.render_backward(scene, params, adjoint, integrator=psdr.PathIntegrator(max_depth=1), spp=2048, seed=seed)
+        for name, values in found.items():
+            values.append(params[name].grad.numpy().astype(np.float64))
+    assert_mean(np.stack(found[EMISSION]).sum(axis=(2, 3)), by_emission * W, "by layers of emission", WIDTH)
+    assert_mean(np.stack(found[extinction]), by_sigma[0] * W, "by extinction", WIDTH)
 
 
 @pytest.mark.slow

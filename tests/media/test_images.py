@@ -15,6 +15,7 @@ INSIDE = pytest.mark.filterwarnings("ignore:.* is not 0 at the border of its box
 CASES = {
     "fog in a room": scenes.fog_in_a_room,
     "milk": scenes.milk,
+    "striped milk": scenes.striped_milk,
     "smoke": scenes.smoke,
     "ink in fog": scenes.ink_in_fog,
     "ink in the sun": scenes.ink_in_the_sun,

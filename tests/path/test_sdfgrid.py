@@ -67,7 +67,7 @@ def scaled(size: float) -> dict:
 
 
 def instanced(described: dict) -> dict:
-    """Turn the body by an instance: Mitsuba's grids do not bear rotations of their own."""
+    """Turn the body by an instance: in Mitsuba grids do not bear rotations of their own."""
     body = {key: value for key, value in described["body"].items() if key != "to_world"}
     copy = {"type": "instance", "to_world": described["body"]["to_world"], "g": {"type": "ref", "id": "group"}}
     return {**described, "group": {"type": "shapegroup", "b": body}, "body": copy}

@@ -63,6 +63,24 @@ def test_tags_of_older_versions():
     np.testing.assert_allclose(result.shapes[0].bsdf.textures["reflectance"].value, [0.2140411, 0.2140411, 1.0], 1e-5)
 
 
+@pytest.mark.parametrize(
+    ("name", "instead"),
+    [
+        ("phong", "ashikhminshirley"),
+        ("ward", "roughconductor"),
+        ("coating", "plastic"),
+        ("roughcoating", "roughplastic"),
+        ("roughdiffuse", "orennayar"),
+        ("difftrans", "principledthin"),
+        ("mixturebsdf", "blendbsdf"),
+    ],
+)
+def test_models_of_older_versions_are_refused_with_what_comes_near(name, instead):
+    text = f'<scene version="0.6.0"><shape type="cube"><bsdf type="{name}"/></shape></scene>'
+    with pytest.raises(ValueError, match=f"unsupported bsdf '{name}'; it is of Mitsuba 0.x; give '{instead}'"):
+        describe_string(text)
+
+
 @pytest.mark.parametrize("axis", [[1.0, 1.0, 1.0], [0.0, 3.0, 4.0], [0.6, 0.0, 0.8]])
 def test_rotations_equal_mitsubas_whatever_the_length_of_the_axis(mi, axis):
     theirs = np.array(mi.ScalarTransform4f().rotate(axis, 60).matrix)

@@ -69,11 +69,42 @@ def test_values_are_needed() -> None:
         psdr.load_dict(nothing)
 
 
-def test_it_is_refused_in_groups() -> None:
+def instanced(pose: psdr.Transform, **more) -> dict:
+    """Return the scene with the grid in a group, which ``copy`` is an instance of."""
     whole = described()
-    whole["group"] = {"type": "shapegroup", "body": whole.pop("body")}
-    whole["copy"] = {"type": "instance", "group": {"type": "ref", "id": "group"}}
-    with pytest.raises(ValueError, match="a 'sdfgrid' inside a 'shapegroup'"):
+    whole["group"] = {"type": "shapegroup", "body": {**whole.pop("body"), **more.pop("body", {})}, **more}
+    return whole | {"copy": {"type": "instance", "to_world": pose, "group": {"type": "ref", "id": "group"}}}
+
+
+def test_an_instance_has_the_bits_and_the_parameters_of_a_grid_there() -> None:
+    poses = T.translate([0.1, 0.0, 0.2]) @ T.rotate([1, 2, 3], 40.0), T.scale([0.8, 1.2, 1.0])
+    held = psdr.load_dict(instanced(poses[0]))
+    params = psdr.traverse(held)
+    assert {"group.body.grid", "copy.to_world", "group.body.bsdf.reflectance.value"} <= set(params)
+    images = [psdr.render(held, spp=4).numpy()]
+    params["copy.to_world"] = poses[1].matrix
+    params.update()
+    images.append(psdr.render(held, spp=4).numpy())
+    for pose, image in zip(poses, images, strict=True):
+        np.testing.assert_array_equal(image, psdr.render(psdr.load_dict(described(to_world=pose)), spp=4).numpy())
+    assert not np.array_equal(*images)
+
+
+@pytest.mark.parametrize(
+    ("whole", "problem"),
+    [
+        (instanced(T(), body={"to_world": T.scale(2.0)}), "a pose of a 'sdfgrid' inside a 'shapegroup'.*'instance'"),
+        (instanced(T(), cube={"type": "cube"}), "beside other shapes of a 'shapegroup'; give it a group of its own"),
+        (instanced(T(FLAT)), "scene.'copy'.*singular"),
+        (
+            instanced(T()) | {"again": {"type": "instance", "group": {"type": "ref", "id": "group"}}},
+            "scene.'again'.*a second 'instance' of a 'sdfgrid'",
+        ),
+    ],
+    ids=["its own pose", "beside others", "flat", "two"],
+)
+def test_what_groups_of_it_do_not_do_is_refused(whole: dict, problem: str) -> None:
+    with pytest.raises(ValueError, match=problem):
         psdr.load_dict(whole)
 
 

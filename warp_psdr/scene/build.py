@@ -180,8 +180,8 @@ class Builder:
             record.has_uv = 1
             record.uv_offset = offset - 2 * record.first_vertex
         if s.to_world is not None:
-            self.layout.add(f"{s.path}.to_world", s.to_world, SHAPE_POSE, owner=number, placed=True)
-            self.pose_of[number] = f"{s.path}.to_world"
+            self.pose_of[number] = f"{s.instance or s.path}.to_world"
+            self.layout.add(self.pose_of[number], s.to_world, SHAPE_POSE, owner=number, placed=True)
         if s.grid is not None:
             # The kernels read both from the offset of the pose (``kernels/primitive/sdfgrid.py``).
             nodes = s.grid.values.shape

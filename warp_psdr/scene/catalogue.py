@@ -33,6 +33,15 @@ MITSUBA: dict[str, tuple[str, ...]] = {
 
 #: Plugins that compute something else, or cannot be had, by kind, and what to use instead.
 INSTEAD: dict[str, dict[str, str]] = {
+    "bsdf": {
+        "phong": "it is of Mitsuba 0.x; give 'ashikhminshirley'",
+        "ward": "it is of Mitsuba 0.x; give 'roughconductor' with 'alpha_u' and 'alpha_v', or 'ashikhminshirley'",
+        "coating": "it is of Mitsuba 0.x; give 'plastic', or 'principled' with 'clearcoat'",
+        "roughcoating": "it is of Mitsuba 0.x; give 'roughplastic', or 'principled' with 'clearcoat'",
+        "roughdiffuse": "it is of Mitsuba 0.x; give 'orennayar'",
+        "difftrans": "it is of Mitsuba 0.x; give 'principledthin' with 'diff_trans'",
+        "mixturebsdf": "it is of Mitsuba 0.x; give 'blendbsdf', one inside another for more than two",
+    },
     "emitter": {"timed_sunsky": "give a 'sunsky' for each time, and average its images"},
     "integrator": {
         "depth": "give 'path' and call psdr.render_aov(scene, ['depth'])",

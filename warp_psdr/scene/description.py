@@ -152,8 +152,9 @@ class MediumDescription:
 
     @property
     def tracked(self) -> bool:
-        """Whether extinction differs from place to place: flights through the medium are tracked."""
-        return self.grids or self.phase.flakes_vary
+        """Whether the medium differs from place to place: flights through it are tracked."""
+        varying = [v for v in (self.albedo, self.emission) if v is not None and v.value.ndim == 4]
+        return self.grids or self.phase.flakes_vary or bool(varying)
 
 
 @dataclass(eq=False)
@@ -211,7 +212,7 @@ class ShapeDescription:
     interior: MediumDescription | None = None  #: medium behind the triangles, against their normals
     exterior: MediumDescription | None = None  #: medium before them
     #: A copy of a shape of a group: that shape, in the group's space, whose values all copies share; and the path of
-    #: the instance, whose ``to_world`` they have.
+    #: the instance, whose ``to_world`` they have. A grid of signed distances is no copy: it is where its instance is.
     prototype: ShapeDescription | None = None
     instance: str = ""
     #: Shapes without triangles: the plugin. ``vertices`` are corners of a box around them.

@@ -18,6 +18,7 @@ from .errors import ReportedError, error, limit
 from .meshes import MeshData, check
 from .origin import moved
 from .plugins import Properties
+from .sdfgrid import CORNERS, SDFGRID
 from .transforms import transform_normals, transform_points
 
 if TYPE_CHECKING:
@@ -82,6 +83,8 @@ def _group(node: dict, where: str, path: str, context: Context) -> list[ShapeDes
         finally:
             context.origin = origin
         props.finish()
+        if len(found) > 1 and any(shape.grid is not None for shape in found):
+            raise error(where, f"a '{SDFGRID}' beside other shapes of a 'shapegroup'", "give it a group of its own")
         return found
 
     return context.build(node, where, "shapegroup", make, shared=True)
@@ -98,7 +101,12 @@ def _member(found: list[ShapeDescription], node: dict, where: str, path: str, co
         )
     if shape.sensor is not None:
         raise error(where, "a sensor on a shape of a 'shapegroup'", "put the shape that measures in the scene")
-    if shape.grid is not None or shape.network is not None or shape.curves is not None:
+    if shape.grid is not None:
+        if shape.to_world is not None and not np.array_equal(shape.to_world, np.eye(4)):
+            raise error(where, f"a pose of a '{SDFGRID}' inside a 'shapegroup'", "give it to the 'instance'")
+        found.append(shape)
+        return
+    if shape.network is not None or shape.curves is not None:
         raise error(where, f"a '{shape.kind}' inside a 'shapegroup'", "put it in the scene itself, once for each place")
     if shape.primitive:
         raise error(
@@ -123,7 +131,23 @@ def _instance(props: Properties) -> list[ShapeDescription]:
         raise error(where, f"an 'instance' of a '{node['type']}'", "give a 'shapegroup' that holds it")
     group = _group(node, where, f"{props.path}.{key}", context)
     _count(group, props)
+    if group and group[0].grid is not None:
+        return [_place_grid(group[0], props, to_world)]
     return [_copy(prototype, props, to_world) for prototype in group]
+
+
+def _place_grid(grid: ShapeDescription, props: Properties, to_world: np.ndarray) -> ShapeDescription:
+    """Return the grid of signed distances of a group where its only instance has it, under the group's names.
+
+    Raises:
+        ValueError: If the group has another instance.
+    """
+    if grid.path in props.context.placed_grids:
+        problem = f"a second 'instance' of a '{SDFGRID}', of whose values there is one set"
+        raise error(props.where, problem, f"give a second '{SDFGRID}', in the scene itself or in a group of its own")
+    props.context.placed_grids.add(grid.path)
+    vertices = transform_points(to_world, CORNERS).astype(np.float32)
+    return dataclasses.replace(grid, vertices=vertices, to_world=to_world.astype(np.float32), instance=props.path)
 
 
 def _count(group: list[ShapeDescription], props: Properties) -> None:

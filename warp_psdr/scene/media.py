@@ -86,11 +86,11 @@ def _nested(props: Properties, key: str, node: dict, where: str, path: str) -> M
 def _medium(props: Properties) -> MediumDescription:
     grids = props.type == "heterogeneous"
     sigma_t = volume(props, "sigma_t", _SIGMA_T, np.inf, grids=grids)
-    albedo = volume(props, "albedo", _ALBEDO, 1.0, grids=grids)
+    albedo = volume(props, "albedo", _ALBEDO, 1.0, grids=True)
     scale = props.number("scale", 1.0, minimum=0.0)
     emission = None
     if props.has("emission"):
-        emission = volume(props, "emission", 0.0, np.inf, grids=grids)
+        emission = volume(props, "emission", 0.0, np.inf, grids=True)
     for hint in ("sample_emitters", "has_spectral_extinction"):
         if not props.boolean(hint, True):
             props.context.note(f"{props.place(hint)} is ignored: it changes noise, not the image")

@@ -98,8 +98,9 @@ class MediaRecords:
             kind = ALBEDO if coefficient is m.albedo else SIGMA_T
             place = add(coefficient.parameter, coefficient.value, MEDIUM + kind, bounds=(0.0, high))
             channels = coefficient.value.size
+            placed = m.grids or coefficient.value.ndim == 4
             if coefficient.value.ndim == 4 or (kind == SIGMA_T and m.tracked):
-                place, channels = self._grid(coefficient, place, tracked=kind == SIGMA_T, placed=m.grids), GRID
+                place, channels = self._grid(coefficient, place, tracked=kind == SIGMA_T, placed=placed), GRID
             setattr(record, kind, place)
             setattr(record, f"{kind}_channels", channels)
         record.scale = add(f"{m.path}.scale", np.array([m.scale]), MEDIUM + SCALE, bounds=(0.0, np.inf))
