@@ -90,7 +90,7 @@ def abc_eval(mat: dict, wi: np.ndarray, wo: np.ndarray) -> np.ndarray:
 
 
 def ggx_eval(mat: dict, wi: np.ndarray, wo: np.ndarray) -> np.ndarray:
-    return _rough_conductor_eval(mat, wi, wo, lambda t: 1.0 / (1.0 + t) ** 2, _ggx_g1)
+    return _rough_conductor_eval(mat, wi, wo, lambda t: 1.0 / (1.0 + t) ** 2, ggx_g1)
 
 
 def beckmann_eval(mat: dict, wi: np.ndarray, wo: np.ndarray) -> np.ndarray:
@@ -114,7 +114,7 @@ def _slope(w: np.ndarray, au: float, av: float) -> float:
     return np.hypot(au * w[0], av * w[1]) / w[2]
 
 
-def _ggx_g1(tan_alpha: float) -> float:
+def ggx_g1(tan_alpha: float) -> float:
     return 2.0 / (1.0 + np.sqrt(1.0 + tan_alpha**2))
 
 
@@ -143,7 +143,7 @@ def rough_plastic_eval(mat: dict, wi: np.ndarray, wo: np.ndarray, distribution: 
     if min(wi[2], wo[2]) <= 0.0:
         return np.zeros(3)
     rho, eta, alpha = mat["diffuse_reflectance"], mat["ior"], mat["alpha"]
-    p, g1 = {"ggx": (lambda t: 1.0 / (1.0 + t) ** 2, _ggx_g1), "beckmann": (lambda t: np.exp(-t), _beckmann_g1)}[
+    p, g1 = {"ggx": (lambda t: 1.0 / (1.0 + t) ** 2, ggx_g1), "beckmann": (lambda t: np.exp(-t), _beckmann_g1)}[
         distribution
     ]
     h = (wi + wo) / np.linalg.norm(wi + wo)
@@ -173,7 +173,7 @@ def rough_dielectric_eval(mat: dict, wi: np.ndarray, wo: np.ndarray, distributio
     i, o = np.dot(wi, h), np.dot(wo, h)
     if i * wi[2] <= 0.0 or o * wo[2] <= 0.0:
         return np.zeros(3)
-    p, g1 = {"ggx": (lambda t: 1.0 / (1.0 + t) ** 2, _ggx_g1), "beckmann": (lambda t: np.exp(-t), _beckmann_g1)}[
+    p, g1 = {"ggx": (lambda t: 1.0 / (1.0 + t) ** 2, ggx_g1), "beckmann": (lambda t: np.exp(-t), _beckmann_g1)}[
         distribution
     ]
     d = p(((h[0] / au) ** 2 + (h[1] / av) ** 2) / h[2] ** 2) / (np.pi * au * av * h[2] ** 4)

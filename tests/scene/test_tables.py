@@ -49,7 +49,7 @@ def transmitted(distribution: str, alpha: float, ior: float, cosine: float) -> f
     r_s, r_p = (c - ior * behind) / (c + ior * behind), (ior * c - behind) / (ior * c + behind)
     wo = (c / ior - behind)[..., None] * normals - wi / ior
     z = np.clip(-wo[..., 2], 1e-9, 1.0)
-    masking = np.vectorize({"ggx": twins._ggx_g1, "beckmann": twins._beckmann_g1}[distribution])
+    masking = np.vectorize({"ggx": twins.ggx_g1, "beckmann": twins._beckmann_g1}[distribution])
     share = (1.0 - 0.5 * (r_s**2 + r_p**2)) * np.where(wo[..., 2] < 0.0, masking(alpha * np.sqrt(1.0 - z * z) / z), 0.0)
     return float((weight * share).sum() / weight.sum())
 

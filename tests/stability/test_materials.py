@@ -3,6 +3,7 @@
 A model joins the sweeps by a row of ``SMOOTH``, or of a table of its own where its errors are of another size.
 """
 
+import itertools
 import math
 from collections.abc import Iterator
 
@@ -21,17 +22,19 @@ from tests.bsdf.helpers import (
     as_seen,
     direction,
     glass,
+    index_behind,
     material,
     metal,
     plastic,
     rough,
+    rough_glass,
     rough_plastic,
     rounded,
     unit,
 )
 from tests.bsdf.materials import abc
 from tests.bsdf.principled import principled
-from tests.bsdf.twins import fresnel_conductor
+from tests.bsdf.twins import fresnel_conductor, ggx_g1
 from warp_psdr.kernels.bsdf.microfacet import MIN_ALPHA
 from warp_psdr.kernels.constants import LOBE_DELTA_REFLECTION, LOBE_DELTA_TRANSMISSION
 
@@ -102,7 +105,13 @@ PHONG = [
     ("ashikhminshirley", "reflectance", lambda a: [shirley(min(2.0 / a**2, 1e5))], pairs)
     for pairs in (rough_pairs, diffuse_pairs)
 ]
-COATED = [("plastic", "diffuse_reflectance", lambda a: [plastic(1.5, (0.0, 1.0, a))], diffuse_pairs)]
+#: Indices of refraction over the range, and numbers for samples.
+INDICES = (1.001, 1.01, 1.5, 3.0)
+DRAWN = np.random.default_rng(6).random((32, 3))
+COATED = [
+    ("plastic", "diffuse_reflectance", lambda a, ior=ior: [plastic(ior, (0.0, 1.0, a))], diffuse_pairs)
+    for ior in INDICES
+]
 
 
 def smooth_rows(models: list) -> Iterator[tuple[str, str, dict, np.ndarray, np.ndarray]]:
@@ -187,6 +196,28 @@ def interface(eta: float, c: float) -> tuple[float, float, float]:
     by_eta = (reflectance(e + h, x) - reflectance(e - h, x)) / (2 * h)
     by_c = (reflectance(e, x + h) - reflectance(e, x - h)) / (2 * h)
     return float(reflectance(e, x)), float(by_eta), float(by_c)
+
+
+def rough_glass_weights() -> float:
+    """Worst error of sampled weights f_s cos / pdf of a GGX interface, which are its masking of the direction drawn.
+
+    Over the squared index where light is refracted, from both sides; relative, and infinite where a number or a
+    derivative is not finite.
+    """
+    launcher, worst, key = Launcher("cpu"), 0.0, "roughdielectric (ggx)"
+    for alpha, ior, angle, up in itertools.product(ALPHAS, INDICES, ANGLES, (1.0, -1.0)):
+        mat = as_seen(rough_glass(ior, alpha, reflectance=np.ones(3), transmittance=np.ones(3)))
+        wi = rounded(direction(angle) * np.array([1.0, 1.0, up]))
+        s = launcher.sample(key, mat, wi, DRAWN)
+        s = s[s["pdf"] > 0.0]
+        adjoint = launcher.eval_vjp(key, mat, wi, s["wo"], WEIGHT)
+        if not (len(s) and np.isfinite(s["value"]).all() and np.isfinite(s["pdf"]).all() and all_finite(adjoint)):
+            return math.inf
+        for value, pdf, wo in zip(s["value"][:, 0], s["pdf"], s["wo"].astype(float), strict=True):
+            masking = ggx_g1(alpha * np.hypot(wo[0], wo[1]) / abs(wo[2]))
+            expected = masking / (index_behind(mat, wi) ** 2 if wi[2] * wo[2] < 0.0 else 1.0)
+            worst = max(worst, abs(float(value) / float(pdf) / expected - 1.0))
+    return worst
 
 
 def dielectric_error(eta: float, c: float) -> float:
@@ -281,7 +312,7 @@ CASES = [
     ),
     Case(
         family="materials",
-        name="a coat, values and derivatives, up to 89.9 degrees",
+        name="a coat, values and derivatives, eta 1.001 .. 3, up to 89.9 degrees",
         hard="little light passes the coat at grazing angles, and is what reflection leaves of 1",
         naive="a transmittance below 0 by rounding",
         bound=6e-6,
@@ -294,6 +325,14 @@ CASES = [
         naive="of a half vector alone: 1.3 alpha of the lobe at 89.9 degrees",
         bound=3e-6,
         measure=lambda: smooth_values(ROUGHLY_COATED),
+    ),
+    Case(
+        family="materials",
+        name="rough glass, sampled weights, alpha 1e-5 .. 1, eta 1.001 .. 3, both sides, up to 89.9 degrees",
+        hard="half vectors of refraction that are rounding alone: 2^-24 / (alpha (eta - 1)) of the lobe",
+        naive="value and density by different half vectors",
+        bound=2e-6,
+        measure=rough_glass_weights,
     ),
     Case(
         family="materials",
